@@ -1,0 +1,100 @@
+//! What a reconstruction says, before anything is checked against the photos.
+
+use crate::SceneError;
+use crate::colmap::{self, ImageRecord};
+use crate::lens::Lens;
+use glam::{DMat3, DQuat, DVec3};
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+/// A reconstruction in one form, whatever its files were.
+#[derive(Debug, Default)]
+pub(crate) struct Draft {
+    pub photos: Vec<DraftPhoto>,
+    pub points: Vec<DraftPoint>,
+    /// The file or folder it was read from.
+    pub source: PathBuf,
+}
+
+/// One photo; what is wrong with it is kept in words.
+#[derive(Debug)]
+pub(crate) struct DraftPhoto {
+    pub name: String,
+    /// Where its file is, if the reconstruction says so; otherwise it is looked for by name.
+    pub file: Option<PathBuf>,
+    pub lens: Result<Lens, String>,
+    pub pose: Result<DraftPose, String>,
+}
+
+/// World to camera, in the file's units.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct DraftPose {
+    pub rotation: DMat3,
+    pub centre: DVec3,
+}
+
+#[derive(Debug)]
+pub(crate) struct DraftPoint {
+    pub position: DVec3,
+    pub colour: [u8; 3],
+    /// Index of the photo and the pixel, where the file says it.
+    pub track: Vec<(usize, Option<[f64; 2]>)>,
+}
+
+/// The draft of a COLMAP reconstruction in `dir`.
+pub(crate) fn from_colmap(dir: &Path) -> Result<Draft, SceneError> {
+    let reconstruction = colmap::read(dir)?;
+    let mut lenses = HashMap::new();
+    for camera in &reconstruction.cameras {
+        // Of two cameras with one id the first counts.
+        lenses
+            .entry(camera.id)
+            .or_insert_with(|| Lens::new(camera.model, camera.width, camera.height, &camera.params));
+    }
+    let mut by_id: HashMap<u32, usize> = HashMap::new();
+    let mut photos = Vec::with_capacity(reconstruction.images.len());
+    for (i, image) in reconstruction.images.iter().enumerate() {
+        let mut pose = pose_of(image);
+        if *by_id.entry(image.id).or_insert(i) != i {
+            pose = Err(format!("its image id {} belongs to another photo too", image.id));
+        }
+        let lens = lenses.get(&image.camera_id).cloned();
+        let lens = lens
+            .unwrap_or_else(|| Err(format!("there is no camera {}, which it says it has", image.camera_id)));
+        photos.push(DraftPhoto { name: image.name.clone(), file: None, lens, pose });
+    }
+    let points = reconstruction.points.iter().map(|point| {
+        let sighting = |&(image, keypoint): &(u32, u32)| {
+            let photo = *by_id.get(&image)?;
+            let pixel = reconstruction.images[photo].keypoints.get(keypoint as usize).map(|k| k.pixel);
+            Some((photo, pixel))
+        };
+        let track = point.track.iter().filter_map(sighting).collect();
+        DraftPoint { position: DVec3::from(point.position), colour: point.colour, track }
+    });
+    let points = points.collect();
+    Ok(Draft { photos, points, source: dir.to_owned() })
+}
+
+fn pose_of(image: &ImageRecord) -> Result<DraftPose, String> {
+    let [w, x, y, z] = image.rotation;
+    let (q, t) = (DQuat::from_xyzw(x, y, z, w), DVec3::from(image.translation));
+    if !q.is_finite() || !t.is_finite() {
+        return Err("its pose is not finite".into());
+    }
+    let length = q.length();
+    if length < 1e-9 || !length.is_finite() {
+        return Err("the quaternion of its pose is zero".into());
+    }
+    let rotation = DMat3::from_quat(q / length);
+    finite(DraftPose { rotation, centre: -(rotation.transpose() * t) })
+}
+
+/// Refuses a camera centre so far away that no f64 arithmetic on it is meant.
+pub(crate) fn finite(pose: DraftPose) -> Result<DraftPose, String> {
+    if pose.centre.is_finite() && pose.centre.abs().max_element() < 1e30 {
+        Ok(pose)
+    } else {
+        Err("its pose is not finite".into())
+    }
+}

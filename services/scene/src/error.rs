@@ -1,0 +1,101 @@
+//! What can be wrong with the files of a scene, in words a person understands.
+
+use std::path::{Path, PathBuf};
+
+/// Why a scene, a photo, a mask or a file of splats cannot be read or written.
+#[derive(Debug, thiserror::Error)]
+pub enum SceneError {
+    /// The system refuses the file.
+    #[error("{path}: {source}", path = path.display())]
+    Io {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// The file ends in the middle of a record.
+    #[error(
+        "{path}: the file is cut short: {record} starts at byte {offset} and needs {needed} more bytes where only \
+         {left} are left; copy the file again",
+        path = path.display()
+    )]
+    Truncated {
+        /// The file.
+        path: PathBuf,
+        /// The record that is incomplete, such as `image 12 of 40`.
+        record: String,
+        /// Where that record starts.
+        offset: u64,
+        /// Bytes that the next field of the record needs.
+        needed: u64,
+        /// Bytes that are left for it.
+        left: u64,
+    },
+    /// The file says something that cannot be.
+    #[error("{path}: {place}: {reason}", path = path.display())]
+    Invalid {
+        /// The file.
+        path: PathBuf,
+        /// The line, record or byte.
+        place: String,
+        /// What is wrong, and what to do where that is not plain.
+        reason: String,
+    },
+    /// A photo, or the mask that belongs to it, cannot be used.
+    #[error("photo {name}: {path}: {reason}", path = path.display())]
+    Photo {
+        /// Name of the photo in the scene.
+        name: String,
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+    /// A folder or file that a setting names is not as it must be.
+    #[error("`{setting}` is set to {value}: {reason}")]
+    Setting {
+        /// The setting.
+        setting: &'static str,
+        /// Its value.
+        value: String,
+        /// What is wrong.
+        reason: String,
+    },
+    /// No reconstruction was recognised.
+    #[error("{path} holds no scene that can be read; looked for {looked_for}", path = path.display())]
+    NotAScene {
+        /// The folder.
+        path: PathBuf,
+        /// What would have been recognised.
+        looked_for: String,
+    },
+    /// The scene was read, and nothing of it can be used.
+    #[error("{path}: nothing usable is left: {reason}", path = path.display())]
+    NothingUsable {
+        /// The file or folder.
+        path: PathBuf,
+        /// Why.
+        reason: String,
+    },
+}
+
+impl SceneError {
+    /// For `map_err`: the system refused `path`.
+    pub fn io(path: &Path) -> impl FnOnce(std::io::Error) -> SceneError + '_ {
+        move |source| SceneError::Io { path: path.to_owned(), source }
+    }
+
+    /// The file says something that cannot be.
+    pub fn invalid(path: &Path, place: impl Into<String>, reason: impl Into<String>) -> SceneError {
+        SceneError::Invalid { path: path.to_owned(), place: place.into(), reason: reason.into() }
+    }
+}
+
+/// Writes a file as a whole: aside first, then renamed, so that a reader never sees half of it.
+pub(crate) fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), SceneError> {
+    let mut aside = path.as_os_str().to_owned();
+    aside.push(".part");
+    let aside = PathBuf::from(aside);
+    std::fs::write(&aside, bytes).map_err(SceneError::io(&aside))?;
+    std::fs::rename(&aside, path).map_err(SceneError::io(path))
+}

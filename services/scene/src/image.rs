@@ -1,0 +1,163 @@
+//! Planar float images.
+
+use crate::SceneError;
+use std::path::Path;
+use wincode::{SchemaRead, SchemaWrite};
+
+/// A planar f32 image: `data[(c * height + y) * width + x]`. Colours are sRGB values in [0, 1].
+///
+/// Planar, because the kernels run SIMD over pixels of one channel.
+#[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
+pub struct Image {
+    /// Width in pixels.
+    pub width: usize,
+    /// Height in pixels.
+    pub height: usize,
+    /// Number of planes.
+    pub channels: usize,
+    /// Planes one after another, each row-major; length `channels * height * width`.
+    pub data: Vec<f32>,
+}
+
+impl Image {
+    /// An image of zeros.
+    pub fn zeros(width: usize, height: usize, channels: usize) -> Image {
+        Image::filled(width, height, channels, 0.0)
+    }
+
+    /// An image of one value.
+    pub fn filled(width: usize, height: usize, channels: usize, value: f32) -> Image {
+        Image { width, height, channels, data: vec![value; width * height * channels] }
+    }
+
+    /// Pixels per plane.
+    pub fn pixels(&self) -> usize {
+        self.width * self.height
+    }
+
+    /// One plane.
+    pub fn plane(&self, channel: usize) -> &[f32] {
+        let n = self.pixels();
+        &self.data[channel * n..(channel + 1) * n]
+    }
+
+    /// One plane, writable.
+    pub fn plane_mut(&mut self, channel: usize) -> &mut [f32] {
+        let n = self.pixels();
+        &mut self.data[channel * n..(channel + 1) * n]
+    }
+
+    /// Value at a pixel.
+    pub fn at(&self, channel: usize, x: usize, y: usize) -> f32 {
+        self.data[(channel * self.height + y) * self.width + x]
+    }
+
+    /// The image at another size: where it shrinks, each pixel is the mean over the area it covers; where it
+    /// grows, linear between pixel centres. Values never leave the range they were in.
+    pub fn resized(&self, width: usize, height: usize) -> Image {
+        if (width, height) == (self.width, self.height) {
+            return self.clone();
+        }
+        let (columns, rows) = (taps(self.width, width), taps(self.height, height));
+        let mut out = Image::zeros(width, height, self.channels);
+        let mut line = vec![0.0f32; self.width];
+        for c in 0..self.channels {
+            for (y, row) in rows.iter().enumerate() {
+                line.fill(0.0);
+                for (k, weight) in row.weights.iter().enumerate() {
+                    let from = &self.plane(c)[(row.first + k) * self.width..][..self.width];
+                    for (sum, value) in line.iter_mut().zip(from) {
+                        *sum += weight * value;
+                    }
+                }
+                let to = &mut out.plane_mut(c)[y * width..][..width];
+                for (value, column) in to.iter_mut().zip(&columns) {
+                    *value = column.weights.iter().zip(&line[column.first..]).map(|(w, v)| w * v).sum();
+                }
+            }
+        }
+        out
+    }
+
+    /// Reads a PNG or JPEG file as three planes in [0, 1]; no EXIF orientation is applied, alpha is dropped.
+    pub fn read(path: &Path) -> Result<Image, SceneError> {
+        let rgb = read_file(path)?.into_rgb32f();
+        let mut out = Image::zeros(rgb.width() as usize, rgb.height() as usize, 3);
+        let n = out.pixels();
+        for (i, pixel) in rgb.pixels().enumerate() {
+            for c in 0..3 {
+                out.data[c * n + i] = pixel.0[c];
+            }
+        }
+        Ok(out)
+    }
+
+    /// Writes one plane as grey or three as RGB, 8 bits: values are clamped to [0, 1] and rounded; a NaN is black.
+    ///
+    /// # Panics
+    /// When the image has neither one nor three planes.
+    pub fn write_png(&self, path: &Path) -> Result<(), SceneError> {
+        assert!(
+            self.channels == 1 || self.channels == 3,
+            "a picture has 1 or 3 planes, not {}",
+            self.channels
+        );
+        let n = self.pixels();
+        // `as u8` takes a NaN to 0.
+        let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
+        let bytes: Vec<u8> =
+            (0..n).flat_map(|i| (0..self.channels).map(move |c| byte(self.data[c * n + i]))).collect();
+        let colour =
+            if self.channels == 1 { image::ExtendedColorType::L8 } else { image::ExtendedColorType::Rgb8 };
+        write_png(path, &bytes, self.width, self.height, colour)
+    }
+}
+
+/// What one output pixel is made of along one axis.
+struct Taps {
+    first: usize,
+    weights: Vec<f32>,
+}
+
+fn taps(from: usize, to: usize) -> Vec<Taps> {
+    let scale = from as f64 / to as f64;
+    let one = |i: usize| {
+        let (low, high) = if scale > 1.0 {
+            (i as f64 * scale, (i + 1) as f64 * scale)
+        } else {
+            // Linear interpolation is the mean over one source pixel around the centre.
+            let centre = (i as f64 + 0.5) * scale;
+            (centre - 0.5, centre + 0.5)
+        };
+        let (low, high) = (low.max(0.0), high.min(from as f64));
+        let first = (low.floor() as usize).min(from.saturating_sub(1));
+        let last = (high.ceil() as usize).clamp(first + 1, from.max(first + 1));
+        let cover = |k: usize| (high.min(k as f64 + 1.0) - low.max(k as f64)).max(0.0);
+        let total: f64 = (first..last).map(cover).sum();
+        Taps { first, weights: (first..last).map(|k| (cover(k) / total) as f32).collect() }
+    };
+    (0..to).map(one).collect()
+}
+
+/// Decodes a file whatever its name says it is.
+pub(crate) fn read_file(path: &Path) -> Result<image::DynamicImage, SceneError> {
+    let reader = image::ImageReader::open(path).map_err(SceneError::io(path))?;
+    let reader = reader.with_guessed_format().map_err(SceneError::io(path))?;
+    reader.decode().map_err(|e| SceneError::invalid(path, "picture", e.to_string()))
+}
+
+pub(crate) fn write_png(
+    path: &Path,
+    bytes: &[u8],
+    width: usize,
+    height: usize,
+    colour: image::ExtendedColorType,
+) -> Result<(), SceneError> {
+    use image::ImageEncoder;
+    let mut out = Vec::new();
+    let encoder = image::codecs::png::PngEncoder::new(&mut out);
+    encoder
+        .write_image(bytes, width as u32, height as u32, colour)
+        .map_err(|e| SceneError::invalid(path, "picture", e.to_string()))?;
+    crate::error::write_whole(path, &out)
+}

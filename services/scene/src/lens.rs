@@ -1,0 +1,368 @@
+//! Distorted camera models, as COLMAP and nerfstudio name them.
+//!
+//! A lens maps a direction `(u, v) = (x / z, y / z)` of the camera frame to a pixel of the photo as it was taken.
+//! Photos are undistorted on load to the pinhole of the same focal length, principal point and size
+//! ([`Lens::pinhole`]): the middle of the photo keeps its scale, what bends out of the frame is cropped and
+//! what was never photographed is marked invalid.
+
+use crate::Camera;
+
+/// COLMAP's camera models.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[allow(missing_docs)] // their names are COLMAP's
+pub enum Model {
+    SimplePinhole,
+    Pinhole,
+    SimpleRadial,
+    Radial,
+    OpenCv,
+    OpenCvFisheye,
+    FullOpenCv,
+    Fov,
+    SimpleRadialFisheye,
+    RadialFisheye,
+    ThinPrismFisheye,
+    RadTanThinPrismFisheye,
+    SimpleDivision,
+    Division,
+    SimpleFisheye,
+    Fisheye,
+}
+
+/// Model, COLMAP's number for it, its name, and how many parameters it has.
+const MODELS: [(Model, i32, &str, usize); 16] = [
+    (Model::SimplePinhole, 0, "SIMPLE_PINHOLE", 3),
+    (Model::Pinhole, 1, "PINHOLE", 4),
+    (Model::SimpleRadial, 2, "SIMPLE_RADIAL", 4),
+    (Model::Radial, 3, "RADIAL", 5),
+    (Model::OpenCv, 4, "OPENCV", 8),
+    (Model::OpenCvFisheye, 5, "OPENCV_FISHEYE", 8),
+    (Model::FullOpenCv, 6, "FULL_OPENCV", 12),
+    (Model::Fov, 7, "FOV", 5),
+    (Model::SimpleRadialFisheye, 8, "SIMPLE_RADIAL_FISHEYE", 4),
+    (Model::RadialFisheye, 9, "RADIAL_FISHEYE", 5),
+    (Model::ThinPrismFisheye, 10, "THIN_PRISM_FISHEYE", 12),
+    (Model::RadTanThinPrismFisheye, 11, "RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    (Model::SimpleDivision, 12, "SIMPLE_DIVISION", 4),
+    (Model::Division, 13, "DIVISION", 5),
+    (Model::SimpleFisheye, 14, "SIMPLE_FISHEYE", 3),
+    (Model::Fisheye, 15, "FISHEYE", 4),
+];
+
+impl Model {
+    /// The model with COLMAP's number `id`.
+    pub fn from_id(id: i32) -> Option<Model> {
+        MODELS.iter().find(|m| m.1 == id).map(|m| m.0)
+    }
+
+    /// The model with COLMAP's name.
+    pub fn from_name(name: &str) -> Option<Model> {
+        MODELS.iter().find(|m| m.2 == name).map(|m| m.0)
+    }
+
+    /// COLMAP's number.
+    pub fn id(self) -> i32 {
+        self.row().1
+    }
+
+    /// COLMAP's name.
+    pub fn name(self) -> &'static str {
+        self.row().2
+    }
+
+    /// Number of parameters.
+    pub fn param_count(self) -> usize {
+        self.row().3
+    }
+
+    fn row(self) -> &'static (Model, i32, &'static str, usize) {
+        &MODELS[self as usize]
+    }
+
+    fn has_one_focal(self) -> bool {
+        matches!(
+            self,
+            Model::SimplePinhole
+                | Model::SimpleRadial
+                | Model::Radial
+                | Model::SimpleRadialFisheye
+                | Model::RadialFisheye
+                | Model::SimpleDivision
+                | Model::SimpleFisheye
+        )
+    }
+}
+
+/// How the radius in the image grows with the angle, before the polynomials.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Projection {
+    /// tan(angle).
+    Perspective,
+    /// The angle itself.
+    Fisheye,
+    /// FOV model of Devernay and Faugeras, with its omega.
+    Fov(f64),
+    /// Division model: undistorted = distorted / (1 + k distorted^2), with its k.
+    Division(f64),
+}
+
+/// A lens as the reconstruction saw it: intrinsics in pixels and distortion.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Lens {
+    model: Model,
+    width: u32,
+    height: u32,
+    focal: [f64; 2],
+    centre: [f64; 2],
+    projection: Projection,
+    /// Polynomial of the squared radius: k1.. of the numerator.
+    radial: [f64; 4],
+    /// The same for the denominator (FULL_OPENCV's k4..k6).
+    rational: [f64; 3],
+    /// p1, p2.
+    tangential: [f64; 2],
+    /// sx1, sy1.
+    prism: [f64; 2],
+    /// Undistorted radius up to which the distortion can be undone.
+    limit: f64,
+}
+
+/// Sides over this are not photos; they are damaged files.
+const LARGEST_SIDE: u64 = 100_000;
+/// Widest angle off the axis that a pinhole image may hold, in degrees.
+const WIDEST: f64 = 89.0;
+
+impl Lens {
+    /// A lens from COLMAP's parameters; the error says in words what is wrong with them.
+    pub fn new(model: Model, width: u64, height: u64, params: &[f64]) -> Result<Lens, String> {
+        let name = model.name();
+        if model == Model::RadTanThinPrismFisheye {
+            return Err(format!(
+                "camera model {name} cannot be undistorted; undistort the photos with COLMAP first"
+            ));
+        }
+        if params.len() != model.param_count() {
+            return Err(format!("{name} has {} parameters, not {}", model.param_count(), params.len()));
+        }
+        if width == 0 || height == 0 || width > LARGEST_SIDE || height > LARGEST_SIDE {
+            return Err(format!("its camera says that the photo has {width} x {height} pixels"));
+        }
+        if let Some(bad) = params.iter().find(|p| !p.is_finite()) {
+            return Err(format!("its camera has the parameter {bad}"));
+        }
+        let (focal, rest) = if model.has_one_focal() {
+            ([params[0]; 2], &params[1..])
+        } else {
+            ([params[0], params[1]], &params[2..])
+        };
+        if focal.iter().any(|&f| f <= 0.0) {
+            return Err(format!("its camera has the focal length {}", focal[0].min(focal[1])));
+        }
+        let (centre, k) = ([rest[0], rest[1]], &rest[2..]);
+        let mut lens = Lens {
+            model,
+            width: width as u32,
+            height: height as u32,
+            focal,
+            centre,
+            projection: Projection::Perspective,
+            radial: [0.0; 4],
+            rational: [0.0; 3],
+            tangential: [0.0; 2],
+            prism: [0.0; 2],
+            limit: 0.0,
+        };
+        match model {
+            Model::SimplePinhole | Model::Pinhole => {}
+            Model::SimpleRadial | Model::Radial => lens.radial[..k.len()].copy_from_slice(k),
+            Model::OpenCv => {
+                lens.radial[..2].copy_from_slice(&k[..2]);
+                lens.tangential = [k[2], k[3]];
+            }
+            Model::FullOpenCv => {
+                lens.radial = [k[0], k[1], k[4], 0.0];
+                lens.tangential = [k[2], k[3]];
+                lens.rational = [k[5], k[6], k[7]];
+            }
+            Model::Fov => lens.projection = Projection::Fov(k[0]),
+            Model::SimpleDivision | Model::Division => lens.projection = Projection::Division(k[0]),
+            Model::SimpleFisheye
+            | Model::Fisheye
+            | Model::SimpleRadialFisheye
+            | Model::RadialFisheye
+            | Model::OpenCvFisheye => {
+                lens.projection = Projection::Fisheye;
+                lens.radial[..k.len()].copy_from_slice(k);
+            }
+            Model::ThinPrismFisheye => {
+                lens.projection = Projection::Fisheye;
+                lens.radial = [k[0], k[1], k[4], k[5]];
+                lens.tangential = [k[2], k[3]];
+                lens.prism = [k[6], k[7]];
+            }
+            Model::RadTanThinPrismFisheye => unreachable!("refused above"),
+        }
+        lens.limit = lens.find_limit();
+        Ok(lens)
+    }
+
+    /// nerfstudio's perspective lens: OPENCV with radial terms up to the eighth power.
+    pub(crate) fn with_radial(mut self, k3: f64, k4: f64) -> Lens {
+        self.radial[2] = k3;
+        self.radial[3] = k4;
+        self.limit = self.find_limit();
+        self
+    }
+
+    /// The model.
+    pub fn model(&self) -> Model {
+        self.model
+    }
+
+    /// Width in pixels that the parameters are for.
+    pub fn width(&self) -> u32 {
+        self.width
+    }
+
+    /// Height in pixels that the parameters are for.
+    pub fn height(&self) -> u32 {
+        self.height
+    }
+
+    /// Whether the photo differs from that of a pinhole.
+    pub fn is_distorted(&self) -> bool {
+        let plain = match self.projection {
+            Projection::Perspective => true,
+            Projection::Division(k) => k == 0.0,
+            Projection::Fisheye | Projection::Fov(_) => false,
+        };
+        let terms = self.radial.iter().chain(&self.rational).chain(&self.tangential).chain(&self.prism);
+        !plain || terms.into_iter().any(|&k| k != 0.0)
+    }
+
+    /// The pinhole that photos of this lens are undistorted to.
+    pub fn pinhole(&self) -> Camera {
+        Camera {
+            width: self.width,
+            height: self.height,
+            fx: self.focal[0] as f32,
+            fy: self.focal[1] as f32,
+            cx: self.centre[0] as f32,
+            cy: self.centre[1] as f32,
+        }
+    }
+
+    /// The same lens for a photo resized to `width` x `height`.
+    pub fn resized(&self, width: u32, height: u32) -> Lens {
+        let scale = [f64::from(width) / f64::from(self.width), f64::from(height) / f64::from(self.height)];
+        let times = |a: [f64; 2]| [a[0] * scale[0], a[1] * scale[1]];
+        Lens { width, height, focal: times(self.focal), centre: times(self.centre), ..self.clone() }
+    }
+
+    /// Pixel of the photo as taken that shows what the pinhole shows at `pixel`; `None` where no such pixel exists.
+    pub fn distort(&self, pixel: [f64; 2]) -> Option<[f64; 2]> {
+        let u = self.normalised(pixel);
+        if u[0].hypot(u[1]) > self.limit {
+            return None;
+        }
+        let d = self.bend(u);
+        let p = [d[0] * self.focal[0] + self.centre[0], d[1] * self.focal[1] + self.centre[1]];
+        (p[0].is_finite() && p[1].is_finite()).then_some(p)
+    }
+
+    /// Pixel of the pinhole that shows what the photo as taken shows at `pixel`: the inverse of
+    /// [`Lens::distort`]; `None` where the lens cannot be undone.
+    pub fn undistort(&self, pixel: [f64; 2]) -> Option<[f64; 2]> {
+        let d = self.normalised(pixel);
+        let wanted = d[0].hypot(d[1]);
+        // The radial part alone by bisection: it grows up to the limit, so this cannot go astray.
+        let (mut low, mut high) = (0.0, self.limit);
+        for _ in 0..64 {
+            let middle = 0.5 * (low + high);
+            if self.grow(middle) < wanted { low = middle } else { high = middle }
+        }
+        let mut u = if wanted > 0.0 { [d[0] / wanted * low, d[1] / wanted * low] } else { [0.0; 2] };
+        // Then Newton for the tangential and prism terms.
+        for _ in 0..20 {
+            let b = self.bend(u);
+            let error = [b[0] - d[0], b[1] - d[1]];
+            if error[0].hypot(error[1]) < 1e-13 {
+                break;
+            }
+            let h = 1e-6 * (1.0 + u[0].hypot(u[1]));
+            let along = |e: [f64; 2]| {
+                let (a, b) = (self.bend([u[0] + e[0], u[1] + e[1]]), self.bend([u[0] - e[0], u[1] - e[1]]));
+                [(a[0] - b[0]) / (2.0 * h), (a[1] - b[1]) / (2.0 * h)]
+            };
+            let (jx, jy) = (along([h, 0.0]), along([0.0, h]));
+            let det = jx[0] * jy[1] - jy[0] * jx[1];
+            if det.is_nan() || det.abs() < 1e-12 {
+                break;
+            }
+            u[0] -= (jy[1] * error[0] - jy[0] * error[1]) / det;
+            u[1] -= (jx[0] * error[1] - jx[1] * error[0]) / det;
+        }
+        let b = self.bend(u);
+        let close = (b[0] - d[0]).hypot(b[1] - d[1]) < 1e-8;
+        (close && u[0].hypot(u[1]) <= self.limit)
+            .then(|| [u[0] * self.focal[0] + self.centre[0], u[1] * self.focal[1] + self.centre[1]])
+    }
+
+    fn normalised(&self, pixel: [f64; 2]) -> [f64; 2] {
+        [(pixel[0] - self.centre[0]) / self.focal[0], (pixel[1] - self.centre[1]) / self.focal[1]]
+    }
+
+    /// Factor of the radial polynomials at a squared radius.
+    fn polynomial(&self, r2: f64) -> f64 {
+        let [k1, k2, k3, k4] = self.radial;
+        let [d1, d2, d3] = self.rational;
+        (1.0 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)))) / (1.0 + r2 * (d1 + r2 * (d2 + r2 * d3)))
+    }
+
+    /// Radius after the projection, before the polynomials.
+    fn project(&self, r: f64) -> f64 {
+        match self.projection {
+            Projection::Perspective => r,
+            Projection::Fisheye => r.atan(),
+            // As omega goes to 0 the model becomes the pinhole.
+            Projection::Fov(omega) if omega.abs() < 1e-6 => r,
+            Projection::Fov(omega) => (2.0 * r * (0.5 * omega).tan()).atan() / omega,
+            Projection::Division(k) => 2.0 * r / (1.0 + (1.0 - 4.0 * k * r * r).sqrt()),
+        }
+    }
+
+    /// Distorted radius of an undistorted one, without the tangential and prism terms.
+    fn grow(&self, r: f64) -> f64 {
+        let q = self.project(r);
+        q * self.polynomial(q * q)
+    }
+
+    /// Undistorted to distorted, both in units of the focal length (COLMAP's camera models).
+    fn bend(&self, u: [f64; 2]) -> [f64; 2] {
+        let r = u[0].hypot(u[1]);
+        let factor = if r > 1e-9 { self.project(r) / r } else { 1.0 };
+        let [x, y] = [u[0] * factor, u[1] * factor];
+        let r2 = x * x + y * y;
+        let k = self.polynomial(r2);
+        let [p1, p2] = self.tangential;
+        [
+            x * k + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) + self.prism[0] * r2,
+            y * k + 2.0 * p2 * x * y + p1 * (r2 + 2.0 * y * y) + self.prism[1] * r2,
+        ]
+    }
+
+    /// The radius where the distorted radius stops growing: beyond it the polynomials fold the image over.
+    fn find_limit(&self) -> f64 {
+        let radius = |step: u32| (f64::from(step) * 0.1).to_radians().tan();
+        let steps = (WIDEST * 10.0) as u32;
+        let mut before = 0.0;
+        for step in 1..=steps {
+            let now = self.grow(radius(step));
+            if now.is_nan() || now <= before {
+                return radius(step - 1);
+            }
+            before = now;
+        }
+        radius(steps)
+    }
+}

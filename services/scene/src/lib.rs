@@ -1,0 +1,62 @@
+//! The vocabulary of segwild and the readers and writers of scene files.
+//!
+//! Everything the other crates speak of is named here: a [`View`] is one posed photo, a [`Camera`] its
+//! intrinsics, [`Splats`] the Gaussians, a [`Mask`] a set of pixels, [`Prompts`] what a person clicked.
+//! No async, no GPU.
+//!
+//! # Conventions (method, section 0)
+//! Camera frame: x right, y down, z forward; `x_cam = R x + t`; the centre of pixel (0, 0) is (0.5, 0.5).
+//! Quaternions are (w, x, y, z). A loaded scene is normalised (see [`Scene::frame`]): the cameras' mean is the
+//! origin and the scene extent is 1, so nothing depends on the units of the reconstruction.
+
+mod camera;
+pub mod colmap;
+mod draft;
+mod embedding;
+mod error;
+mod image;
+pub mod knn;
+pub mod lens;
+mod mask;
+mod morphology;
+mod open;
+mod photo;
+pub mod ply;
+mod prompt;
+mod random;
+pub mod settings;
+mod splats;
+mod split;
+mod transforms;
+mod view;
+
+pub use camera::{Camera, Pose};
+pub use embedding::Embedding;
+pub use error::SceneError;
+pub use image::Image;
+pub use mask::{Mask, MaskSet, ScoredMask};
+pub use photo::LoadedPhoto;
+pub use prompt::{BoxPrompt, PointPrompt, Prompts};
+pub use random::Random;
+pub use splats::Splats;
+pub use view::{Frame, Observation, Photo, Point, Scene, Skipped, View};
+
+/// Distance before which nothing is drawn, in units of the scene extent (method, section 0).
+pub const NEAR: f32 = 0.01;
+
+settings! {
+    /// Where the photos and the reconstruction of a scene are, and how they are read.
+    pub struct SceneSettings("scene") {
+        /// Folder of the photos; empty = found by itself.
+        images: String = String::new(),
+        /// Folder of masks of things to ignore, white = ignore, each named as its photo with the ending .png; empty = none.
+        ignore: String = String::new(),
+        /// Split file of Photo Tourism (.tsv) that says which photos take part and which are for testing; empty = found
+        /// by itself in the scene's folder.
+        split: String = String::new(),
+        /// Every n-th photo by name, from the first on, is held out for testing; 0 = as the split says, or none.
+        hold_out: u32 = 0,
+        /// Long side in pixels that photos are scaled down to on load.
+        size: u32 = 640,
+    }
+}

@@ -1,0 +1,196 @@
+//! Settings, declared once: the command line, `segwild.toml` and the documentation are made from these structs.
+//!
+//! ```
+//! segwild_scene::settings! {
+//!     /// How long to train.
+//!     pub struct TrainSettings("train") {
+//!         /// Optimiser steps.
+//!         steps: u32 = 3000,
+//!     }
+//! }
+//! use segwild_scene::settings::Group;
+//! let mut s = TrainSettings::default();
+//! s.set("steps", "500").unwrap();
+//! assert_eq!((s.steps, TrainSettings::FIELDS[0].doc), (500, "Optimiser steps."));
+//! ```
+
+use std::fmt::Display;
+
+/// One setting, as help and documentation show it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Field {
+    /// Name as in the struct and in `segwild.toml`; the flag has dashes for underscores.
+    pub name: &'static str,
+    /// What it does and in which unit.
+    pub doc: &'static str,
+    /// What kind of value it takes.
+    pub kind: &'static str,
+    /// The words it accepts, if it is a choice.
+    pub choices: &'static [&'static str],
+}
+
+/// Why a value was refused.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum SettingError {
+    /// No setting of that name.
+    #[error("there is no setting named `{0}`")]
+    Unknown(String),
+    /// The value does not fit.
+    #[error("`{value}` does not fit `{name}`: {reason}")]
+    Value {
+        /// The setting.
+        name: String,
+        /// What was given.
+        value: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+}
+
+/// A group of settings: one table of `segwild.toml`.
+pub trait Group: Default {
+    /// Name of the table.
+    const TABLE: &'static str;
+    /// What the group is about.
+    const DOC: &'static str;
+    /// The settings in order.
+    const FIELDS: &'static [Field];
+    /// Sets one by name from its text.
+    fn set(&mut self, name: &str, value: &str) -> Result<(), SettingError>;
+    /// The text of one.
+    fn get(&self, name: &str) -> Option<String>;
+}
+
+/// A type a setting can have.
+pub trait Value: Sized + Display {
+    /// Shown in help: `N`, `X`, `WORD`.
+    const KIND: &'static str;
+    /// The words accepted, if it is a choice.
+    const CHOICES: &'static [&'static str] = &[];
+    /// Reads the text a person typed.
+    fn read(text: &str) -> Result<Self, String>;
+}
+
+macro_rules! numbers {
+    ($($t:ty => $kind:literal, $what:literal);*) => {$(
+        impl Value for $t {
+            const KIND: &'static str = $kind;
+            fn read(text: &str) -> Result<Self, String> {
+                text.parse().map_err(|_| format!("expected {}", $what))
+            }
+        }
+    )*};
+}
+numbers!(u32 => "N", "a whole number"; u64 => "N", "a whole number"; usize => "N", "a whole number");
+
+impl Value for f32 {
+    const KIND: &'static str = "X";
+    fn read(text: &str) -> Result<Self, String> {
+        match text.parse::<f32>() {
+            Ok(x) if x.is_finite() => Ok(x),
+            _ => Err("expected a finite number".into()),
+        }
+    }
+}
+
+impl Value for bool {
+    const KIND: &'static str = "WORD";
+    const CHOICES: &'static [&'static str] = &["true", "false"];
+    fn read(text: &str) -> Result<Self, String> {
+        match text {
+            "true" | "on" | "yes" => Ok(true),
+            "false" | "off" | "no" => Ok(false),
+            _ => Err("expected true or false".into()),
+        }
+    }
+}
+
+impl Value for String {
+    const KIND: &'static str = "TEXT";
+    fn read(text: &str) -> Result<Self, String> {
+        Ok(text.to_owned())
+    }
+}
+
+/// Declares a group of settings; see the module's example.
+#[macro_export]
+macro_rules! settings {
+    ($(#[doc = $doc:literal])+ pub struct $name:ident($table:literal) {
+        $($(#[doc = $fdoc:literal])+ $field:ident : $ty:ty = $default:expr,)*
+    }) => {
+        $(#[doc = $doc])+
+        #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+        #[serde(default, deny_unknown_fields)]
+        pub struct $name { $($(#[doc = $fdoc])+ pub $field: $ty,)* }
+
+        impl Default for $name {
+            fn default() -> Self { Self { $($field: $default,)* } }
+        }
+
+        impl $crate::settings::Group for $name {
+            const TABLE: &'static str = $table;
+            const DOC: &'static str = concat!($($doc,)+).trim_ascii_start();
+            const FIELDS: &'static [$crate::settings::Field] = &[$($crate::settings::Field {
+                name: stringify!($field),
+                doc: concat!($($fdoc,)+).trim_ascii_start(),
+                kind: <$ty as $crate::settings::Value>::KIND,
+                choices: <$ty as $crate::settings::Value>::CHOICES,
+            },)*];
+            fn set(&mut self, name: &str, value: &str) -> Result<(), $crate::settings::SettingError> {
+                match name {
+                    $(stringify!($field) => {
+                        self.$field = <$ty as $crate::settings::Value>::read(value).map_err(|reason| {
+                            $crate::settings::SettingError::Value { name: name.into(), value: value.into(), reason }
+                        })?;
+                        Ok(())
+                    })*
+                    _ => Err($crate::settings::SettingError::Unknown(name.into())),
+                }
+            }
+            fn get(&self, name: &str) -> Option<String> {
+                match name { $(stringify!($field) => Some(self.$field.to_string()),)* _ => None }
+            }
+        }
+    };
+}
+
+/// Declares a setting that is one of a few words.
+///
+/// ```
+/// segwild_scene::choice! {
+///     /// Which look to learn.
+///     pub enum LookKind {
+///         /// No look.
+///         None = "none",
+///         /// A colour matrix per photo.
+///         Affine = "affine",
+///     }
+/// }
+/// use segwild_scene::settings::Value;
+/// assert!(matches!(LookKind::read("affine"), Ok(LookKind::Affine)));
+/// ```
+#[macro_export]
+macro_rules! choice {
+    ($(#[$doc:meta])+ pub enum $name:ident { $($(#[$vdoc:meta])+ $variant:ident = $word:literal),+ $(,)? }) => {
+        $(#[$doc])+
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+        pub enum $name { $($(#[$vdoc])+ #[serde(rename = $word)] $variant,)+ }
+
+        impl std::fmt::Display for $name {
+            fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str(match self { $(Self::$variant => $word,)+ })
+            }
+        }
+
+        impl $crate::settings::Value for $name {
+            const KIND: &'static str = "WORD";
+            const CHOICES: &'static [&'static str] = &[$($word),+];
+            fn read(text: &str) -> Result<Self, String> {
+                match text {
+                    $($word => Ok(Self::$variant),)+
+                    _ => Err(format!("expected one of {}", Self::CHOICES.join(", "))),
+                }
+            }
+        }
+    };
+}

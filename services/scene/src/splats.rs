@@ -1,0 +1,115 @@
+//! The Gaussians.
+
+use crate::Frame;
+use glam::{Mat3, Quat, Vec3};
+use wincode::{SchemaRead, SchemaWrite};
+
+/// Gaussian splats, one array per property (INRIA's parametrisation; method, section 0).
+#[derive(Clone, Debug, Default, PartialEq, SchemaRead, SchemaWrite)]
+pub struct Splats {
+    /// Centres.
+    pub means: Vec<[f32; 3]>,
+    /// Logarithms of the three standard deviations.
+    pub log_scales: Vec<[f32; 3]>,
+    /// Rotations as quaternions (w, x, y, z); normalised on use, never in place.
+    pub rotations: Vec<[f32; 4]>,
+    /// Logits of the opacities.
+    pub opacities: Vec<f32>,
+    /// Spherical-harmonics degree of the colour, 0 to 3.
+    pub sh_degree: u32,
+    /// Colour coefficients, `[splat][basis function][r, g, b]`, flat; `3 * (sh_degree + 1)^2` per splat.
+    pub sh: Vec<f32>,
+}
+
+impl Splats {
+    /// Number of splats.
+    pub fn len(&self) -> usize {
+        self.means.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.means.is_empty()
+    }
+
+    /// Colour coefficients per splat: `3 * (sh_degree + 1)^2`.
+    pub fn sh_stride(&self) -> usize {
+        3 * (self.sh_degree as usize + 1).pow(2)
+    }
+
+    /// Centre of a splat.
+    pub fn mean(&self, i: usize) -> Vec3 {
+        Vec3::from(self.means[i])
+    }
+
+    /// Opacity of a splat, in (0, 1).
+    pub fn opacity(&self, i: usize) -> f32 {
+        1.0 / (1.0 + (-self.opacities[i]).exp())
+    }
+
+    /// Standard deviations of a splat.
+    pub fn scale(&self, i: usize) -> Vec3 {
+        Vec3::from(self.log_scales[i].map(f32::exp))
+    }
+
+    /// Rotation matrix of a splat; its columns are the axes. A zero quaternion counts as the identity.
+    pub fn rotation(&self, i: usize) -> Mat3 {
+        let [w, x, y, z] = self.rotations[i];
+        let q = Quat::from_xyzw(x, y, z, w);
+        let n = q.length_squared();
+        if n > 0.0 && n.is_finite() { Mat3::from_quat(q.normalize()) } else { Mat3::IDENTITY }
+    }
+
+    /// Covariance of a splat: `R S S^T R^T`.
+    pub fn covariance(&self, i: usize) -> Mat3 {
+        let m = self.rotation(i) * Mat3::from_diagonal(self.scale(i));
+        m * m.transpose()
+    }
+
+    /// The splats at `keep`, in that order; an index may occur more than once.
+    pub fn select(&self, keep: &[usize]) -> Splats {
+        let k = self.sh_stride();
+        Splats {
+            means: keep.iter().map(|&i| self.means[i]).collect(),
+            log_scales: keep.iter().map(|&i| self.log_scales[i]).collect(),
+            rotations: keep.iter().map(|&i| self.rotations[i]).collect(),
+            opacities: keep.iter().map(|&i| self.opacities[i]).collect(),
+            sh_degree: self.sh_degree,
+            sh: keep.iter().flat_map(|&i| &self.sh[i * k..(i + 1) * k]).copied().collect(),
+        }
+    }
+}
+
+impl Splats {
+    /// The splats of a normalised scene in the units and at the place of its file.
+    pub fn to_file_frame(&self, frame: &Frame) -> Splats {
+        let origin = frame.origin.to_array();
+        let place = |mean: [f32; 3]| {
+            let mean = mean.map(f64::from);
+            [0, 1, 2].map(|k| (mean[k] * frame.scale + origin[k]) as f32)
+        };
+        self.moved(place, frame.scale.ln())
+    }
+
+    /// The inverse of [`Splats::to_file_frame`].
+    pub fn from_file_frame(&self, frame: &Frame) -> Splats {
+        let origin = frame.origin.to_array();
+        let place = |mean: [f32; 3]| {
+            let mean = mean.map(f64::from);
+            [0, 1, 2].map(|k| ((mean[k] - origin[k]) / frame.scale) as f32)
+        };
+        self.moved(place, -frame.scale.ln())
+    }
+
+    fn moved(&self, place: impl Fn([f32; 3]) -> [f32; 3], log_scale: f64) -> Splats {
+        Splats {
+            means: self.means.iter().map(|&m| place(m)).collect(),
+            log_scales: self
+                .log_scales
+                .iter()
+                .map(|s| s.map(|v| (f64::from(v) + log_scale) as f32))
+                .collect(),
+            ..self.clone()
+        }
+    }
+}

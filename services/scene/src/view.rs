@@ -1,0 +1,100 @@
+//! Posed photos and the scene they belong to.
+
+use crate::{Camera, Pose};
+use glam::{DVec3, Vec3};
+use std::path::PathBuf;
+
+/// Where a photo's pixels come from and what must be done to them on load.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Photo {
+    /// The file.
+    pub path: PathBuf,
+    /// Mask of things to ignore, if one was given (white = ignore).
+    pub ignore: Option<PathBuf>,
+    /// The lens as the reconstruction saw it, when the photo has to be undistorted on load.
+    pub lens: Option<crate::lens::Lens>,
+}
+
+/// One posed photo.
+#[derive(Clone, Debug, PartialEq)]
+pub struct View {
+    /// File name relative to the photo folder; unique in a scene, and how a person names the photo.
+    pub name: String,
+    /// Intrinsics at the photo's full size, after undistortion.
+    pub camera: Camera,
+    /// World to camera, in the scene's normalised frame.
+    pub pose: Pose,
+    /// The pixels.
+    pub photo: Photo,
+    /// Whether the split holds this photo out for testing.
+    pub test: bool,
+}
+
+/// One sighting of a point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Observation {
+    /// Index into [`Scene::views`].
+    pub view: u32,
+    /// Pixel position at full size, after undistortion.
+    pub pixel: [f32; 2],
+}
+
+/// One reconstructed point.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Point {
+    /// Position in the scene's normalised frame.
+    pub position: Vec3,
+    /// sRGB in [0, 1].
+    pub colour: [f32; 3],
+    /// The views that saw it, in order; only views of the scene, each at most once, and only pixels inside the frame.
+    /// Empty where the file gives no tracks.
+    pub track: Vec<Observation>,
+}
+
+/// A photo that takes no part, and why.
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct Skipped {
+    /// Name of the photo.
+    pub name: String,
+    /// The reason, in words.
+    pub reason: String,
+}
+
+/// How the normalised frame lies in the file's: `file = normalised * scale + origin`.
+///
+/// Computed in f64, so that a scene whose units are 1000 times larger becomes the same normalised scene.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Frame {
+    /// The file's position of the normalised origin (the mean of the camera centres).
+    pub origin: DVec3,
+    /// File units per normalised unit: the scene extent, 1.1 x the largest camera distance from the origin.
+    pub scale: f64,
+}
+
+/// A pile of posed photos and the points they share, in a normalised frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scene {
+    /// The usable photos, sorted by name.
+    pub views: Vec<View>,
+    /// The reconstructed points.
+    pub points: Vec<Point>,
+    /// The photos that cannot be used.
+    pub skipped: Vec<Skipped>,
+    /// Back to the file's units, for export.
+    pub frame: Frame,
+}
+
+impl Scene {
+    /// Index of the view a person means by `name`: its full name, or its stem if that is unambiguous.
+    pub fn view_named(&self, name: &str) -> Option<usize> {
+        if let Some(i) = self.views.iter().position(|v| v.name == name) {
+            return Some(i);
+        }
+        let stem = |s: &str| std::path::Path::new(s).file_stem().map(|s| s.to_string_lossy().into_owned());
+        let mut hits = self.views.iter().enumerate().filter(|(_, v)| stem(&v.name).as_deref() == Some(name));
+        match (hits.next(), hits.next()) {
+            (Some((i, _)), None) => Some(i),
+            _ => None,
+        }
+    }
+}
