@@ -1,0 +1,226 @@
+//! Binary records: bincode's format behind a header that says what the bytes are.
+//!
+//! ```text
+//! magic 8 | format version u16 | kind length u8 | kind | payload length u64 | blake3 32 | payload
+//! ```
+//!
+//! Integers are little-endian. The hash covers the kind and the payload, so a record that was renamed, cut or
+//! altered is refused before a single field is read. The payload is `wincode`'s encoding, which equals
+//! bincode 1's byte for byte; records that change shape change their kind (`masks/1` -> `masks/2`), since the
+//! format does not describe itself.
+//!
+//! ```
+//! use segwild_flow::codec::{self, CodecError};
+//! #[derive(wincode::SchemaWrite, wincode::SchemaRead, Debug, PartialEq)]
+//! struct Masks { view: u32, areas: Vec<f32> }
+//!
+//! let masks = Masks { view: 7, areas: vec![0.5, 0.25] };
+//! let mut bytes = codec::encode("masks/1", &masks).unwrap();
+//! assert_eq!(codec::decode::<Masks>("masks/1", &bytes).unwrap(), masks);
+//!
+//! assert!(matches!(codec::decode::<Masks>("masks/2", &bytes), Err(CodecError::Kind { .. })));
+//! *bytes.last_mut().unwrap() ^= 1;
+//! assert!(matches!(codec::decode::<Masks>("masks/1", &bytes), Err(CodecError::Corrupt { .. })));
+//! ```
+
+use wincode::config::Configuration;
+use wincode::len::BincodeLen;
+use wincode::{SchemaRead, SchemaWrite};
+
+/// Most bytes a record may have, header included: 1 GiB. Larger data is split by its owner.
+pub const SIZE_LIMIT: usize = 1 << 30;
+
+/// Version of the header and of the encoding's configuration.
+pub const FORMAT_VERSION: u16 = 1;
+
+/// Not text, and broken by any transfer that rewrites line ends (the idea of PNG's signature).
+const MAGIC: [u8; 8] = *b"\x89SGW\r\n\x1a\n";
+const KIND_LIMIT: usize = 64;
+/// Bytes of the header without the kind.
+const FIXED_HEADER: usize = 8 + 2 + 1 + 8 + 32;
+
+/// The encoding's configuration: bincode 1's bytes, with the preallocation limit raised on purpose from
+/// 4 MiB, which `wincode` applies when it writes, too.
+pub type Config = Configuration<
+    true,
+    SIZE_LIMIT,
+    BincodeLen,
+    wincode::int_encoding::LittleEndian,
+    wincode::int_encoding::FixInt,
+    u32,
+    SIZE_LIMIT,
+>;
+
+/// Types that can be written: those that derive `wincode::SchemaWrite`.
+pub trait Encode: SchemaWrite<Config, Src = Self> {}
+impl<T: SchemaWrite<Config, Src = T> + ?Sized> Encode for T {}
+
+/// Types that can be read: those that derive `wincode::SchemaRead`.
+pub trait Decode: for<'de> SchemaRead<'de, Config, Dst = Self> {}
+impl<T: for<'de> SchemaRead<'de, Config, Dst = T>> Decode for T {}
+
+/// Why bytes are no record, or a value cannot become one.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum CodecError {
+    /// Fewer bytes than the header promises.
+    #[error("the record is cut short: {found} of {expected} bytes")]
+    Truncated {
+        /// Bytes there should be.
+        expected: u64,
+        /// Bytes there are.
+        found: u64,
+    },
+    /// The bytes do not start as a record does.
+    #[error("this is not a record of this program")]
+    Foreign,
+    /// Written by another version of the format.
+    #[error("record format {found}, this program reads format {FORMAT_VERSION}: make it anew")]
+    Version {
+        /// The record's format.
+        found: u16,
+    },
+    /// A record, but of something else.
+    #[error("the record holds `{found}` where `{expected}` was wanted")]
+    Kind {
+        /// What was asked for.
+        expected: String,
+        /// What the header says.
+        found: String,
+    },
+    /// The hash does not fit the bytes.
+    #[error("the record `{kind}` is damaged: {reason}")]
+    Corrupt {
+        /// What the header says it holds.
+        kind: String,
+        /// What does not fit.
+        reason: String,
+    },
+    /// Over [`SIZE_LIMIT`].
+    #[error("the record `{kind}` has {bytes} bytes, the limit is {SIZE_LIMIT}")]
+    TooLarge {
+        /// What it holds.
+        kind: String,
+        /// Its size.
+        bytes: u64,
+    },
+    /// A kind must be 1-64 bytes of printable ASCII.
+    #[error("`{0}` cannot name a kind of record: 1 to 64 printable ASCII characters are needed")]
+    KindName(String),
+    /// The value cannot be written.
+    #[error("the value cannot be written as `{kind}`: {reason}")]
+    Write {
+        /// What it was to hold.
+        kind: String,
+        /// What `wincode` says.
+        reason: String,
+    },
+}
+
+fn check_kind(kind: &str) -> Result<(), CodecError> {
+    if kind.is_empty() || kind.len() > KIND_LIMIT || !kind.bytes().all(|b| b.is_ascii_graphic()) {
+        return Err(CodecError::KindName(kind.chars().take(KIND_LIMIT).collect()));
+    }
+    Ok(())
+}
+
+fn digest(kind: &str, payload: &[u8]) -> [u8; 32] {
+    let mut hasher = blake3::Hasher::new_derive_key("segwild record 1");
+    hasher.update(&[kind.len() as u8]).update(kind.as_bytes()).update(payload);
+    *hasher.finalize().as_bytes()
+}
+
+/// Writes a value as a record of a kind (`name/version` by custom, at most 64 printable ASCII characters).
+///
+/// # Errors
+/// When the kind's name does not serve, or the record would pass [`SIZE_LIMIT`].
+pub fn encode<T: Encode + ?Sized>(kind: &str, value: &T) -> Result<Vec<u8>, CodecError> {
+    check_kind(kind)?;
+    let config = Config::new();
+    let write_error = |e: wincode::WriteError| CodecError::Write { kind: kind.into(), reason: e.to_string() };
+    let too_large = |bytes| CodecError::TooLarge { kind: kind.into(), bytes };
+    let size = match wincode::config::serialized_size(value, config) {
+        Ok(size) => size,
+        Err(wincode::WriteError::PreallocationSizeLimit { needed, .. }) => {
+            return Err(too_large(needed as u64));
+        }
+        Err(e) => return Err(write_error(e)),
+    };
+    let header = FIXED_HEADER + kind.len();
+    if size.saturating_add(header as u64) > SIZE_LIMIT as u64 {
+        return Err(too_large(size.saturating_add(header as u64)));
+    }
+    let mut bytes = Vec::with_capacity(header + size as usize);
+    bytes.extend_from_slice(&MAGIC);
+    bytes.extend_from_slice(&FORMAT_VERSION.to_le_bytes());
+    bytes.push(kind.len() as u8);
+    bytes.extend_from_slice(kind.as_bytes());
+    let tail = bytes.len();
+    bytes.resize(header, 0);
+    wincode::config::serialize_into(&mut bytes, value, config).map_err(write_error)?;
+    let payload = (bytes.len() - header) as u64;
+    let hash = digest(kind, &bytes[header..]);
+    bytes[tail..tail + 8].copy_from_slice(&payload.to_le_bytes());
+    bytes[tail + 8..header].copy_from_slice(&hash);
+    Ok(bytes)
+}
+
+/// Splits a record into its kind and its payload, after checking everything but the payload's fields.
+///
+/// # Errors
+/// Anything that is not a whole, undamaged record.
+pub fn open(bytes: &[u8]) -> Result<(&str, &[u8]), CodecError> {
+    let truncated =
+        |expected: usize| CodecError::Truncated { expected: expected as u64, found: bytes.len() as u64 };
+    let start = bytes.len().min(MAGIC.len());
+    if bytes[..start] != MAGIC[..start] {
+        return Err(CodecError::Foreign);
+    }
+    if bytes.len() < FIXED_HEADER {
+        return Err(truncated(FIXED_HEADER));
+    }
+    let found = u16::from_le_bytes([bytes[8], bytes[9]]);
+    if found != FORMAT_VERSION {
+        return Err(CodecError::Version { found });
+    }
+    let header = FIXED_HEADER + usize::from(bytes[10]);
+    let name = bytes.get(11..11 + usize::from(bytes[10])).ok_or_else(|| truncated(header))?;
+    let kind = std::str::from_utf8(name).map_err(|_| CodecError::Foreign)?;
+    check_kind(kind).map_err(|_| CodecError::Foreign)?;
+    if bytes.len() < header {
+        return Err(truncated(header));
+    }
+    let tail = 11 + kind.len();
+    let mut length = [0; 8];
+    length.copy_from_slice(&bytes[tail..tail + 8]);
+    let length = u64::from_le_bytes(length);
+    if length > SIZE_LIMIT as u64 {
+        return Err(CodecError::TooLarge { kind: kind.into(), bytes: length });
+    }
+    let payload = &bytes[header..];
+    let corrupt = |reason: String| CodecError::Corrupt { kind: kind.into(), reason };
+    match (payload.len() as u64).cmp(&length) {
+        std::cmp::Ordering::Less => return Err(truncated(header + length as usize)),
+        std::cmp::Ordering::Greater => {
+            return Err(corrupt(format!("{} bytes too many", payload.len() as u64 - length)));
+        }
+        std::cmp::Ordering::Equal => {}
+    }
+    if digest(kind, payload) != bytes[tail + 8..header] {
+        return Err(corrupt("its hash does not fit its bytes".into()));
+    }
+    Ok((kind, payload))
+}
+
+/// Reads a record of a kind. Never panics, whatever the bytes; allocates at most what [`SIZE_LIMIT`] allows
+/// for one sequence before its bytes are seen.
+///
+/// # Errors
+/// Anything that is not a whole, undamaged record of this kind.
+pub fn decode<T: Decode>(kind: &str, bytes: &[u8]) -> Result<T, CodecError> {
+    let (found, payload) = open(bytes)?;
+    if found != kind {
+        return Err(CodecError::Kind { expected: kind.into(), found: found.into() });
+    }
+    wincode::config::deserialize_exact(payload, Config::new())
+        .map_err(|e| CodecError::Corrupt { kind: kind.into(), reason: e.to_string() })
+}

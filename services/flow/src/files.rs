@@ -1,0 +1,161 @@
+//! Files that are there whole or not at all.
+
+use std::fmt;
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// What stood in the way of a file operation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Obstacle {
+    /// No space or quota left.
+    DiskFull,
+    /// The file system or folder cannot be written.
+    ReadOnly,
+    /// This user may not.
+    Denied,
+    /// A folder of the path is missing or is a file.
+    NoFolder,
+    /// Anything else; the source says what.
+    Other,
+}
+
+/// A file operation that failed: what, where, why, what to do.
+#[derive(Debug, thiserror::Error)]
+#[error("cannot {action} {}: {}", path.display(), Words(*obstacle, source))]
+pub struct FileError {
+    /// What was tried: `write`, `read`, ..
+    pub action: &'static str,
+    /// On which path.
+    pub path: PathBuf,
+    /// The kind of obstacle.
+    pub obstacle: Obstacle,
+    /// The operating system's error.
+    pub source: io::Error,
+}
+
+struct Words<'a>(Obstacle, &'a io::Error);
+
+impl fmt::Display for Words<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.0 {
+            Obstacle::DiskFull => f.write_str("the disk is full; free some space and run again"),
+            Obstacle::ReadOnly => f.write_str("the folder is on a read-only file system; choose another one"),
+            Obstacle::Denied => f.write_str("permission denied; choose a folder that you may write"),
+            Obstacle::NoFolder => f.write_str("its folder does not exist or is a file"),
+            Obstacle::Other => write!(f, "{}", self.1),
+        }
+    }
+}
+
+impl FileError {
+    /// Wraps the operating system's error.
+    pub fn new(action: &'static str, path: &Path, source: io::Error) -> Self {
+        let obstacle = match source.kind() {
+            io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => Obstacle::DiskFull,
+            io::ErrorKind::ReadOnlyFilesystem => Obstacle::ReadOnly,
+            io::ErrorKind::PermissionDenied => Obstacle::Denied,
+            io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => Obstacle::NoFolder,
+            _ => Obstacle::Other,
+        };
+        Self { action, path: path.to_path_buf(), obstacle, source }
+    }
+}
+
+static NUMBER: AtomicU64 = AtomicU64::new(0);
+
+/// A name that no other writer of this folder uses, in this process or another one.
+pub(crate) fn unique_name(stem: &str) -> String {
+    format!("{stem}.{}.{}", std::process::id(), NUMBER.fetch_add(1, Ordering::Relaxed))
+}
+
+pub(crate) fn write_parts(file: &mut File, path: &Path, parts: &[&[u8]]) -> Result<(), FileError> {
+    let written = parts.iter().try_for_each(|part| file.write_all(part)).and_then(|()| file.sync_all());
+    written.map_err(|e| FileError::new("write", path, e))
+}
+
+/// Writes a file so that a crash, a kill or a power cut leaves the old one or the new one, never a torn one:
+/// aside in the same folder, synced, renamed, the folder synced. Creates the folder.
+///
+/// ```
+/// let folder = tempfile::tempdir().unwrap();
+/// let path = folder.path().join("deep/checkpoint.bin");
+/// segwild_flow::files::write_atomic(&path, b"step 500").unwrap();
+/// assert_eq!(std::fs::read(&path).unwrap(), b"step 500");
+/// ```
+///
+/// # Errors
+/// In words: disk full, read-only, denied.
+pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    write_aside(folder, path, &[bytes])
+}
+
+/// As [`write_atomic`], from parts, by way of a file in `aside`, which must be on the same file system.
+pub(crate) fn write_aside(aside: &Path, path: &Path, parts: &[&[u8]]) -> Result<(), FileError> {
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    for wanted in [aside, folder] {
+        fs::create_dir_all(wanted).map_err(|e| FileError::new("create the folder", wanted, e))?;
+    }
+    let stem = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    let temporary = aside.join(unique_name(&format!(".{stem}")));
+    let write = || {
+        let mut file = File::create(&temporary).map_err(|e| FileError::new("write", path, e))?;
+        write_parts(&mut file, path, parts)?;
+        fs::rename(&temporary, path).map_err(|e| FileError::new("write", path, e))
+    };
+    write().inspect_err(|_| {
+        // The error that matters is the first one; what is left aside is only litter.
+        let _ = fs::remove_file(&temporary);
+    })?;
+    sync_folder(folder)
+}
+
+/// Makes a rename in a folder last through a power cut.
+pub(crate) fn sync_folder(folder: &Path) -> Result<(), FileError> {
+    if cfg!(unix) {
+        File::open(folder).and_then(|f| f.sync_all()).map_err(|e| FileError::new("sync", folder, e))?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_full_disk_is_named() {
+        // Linux has a device that is always full.
+        let path = Path::new("/dev/full");
+        let Ok(mut device) = File::options().write(true).open(path) else {
+            eprintln!("skipped: a_full_disk_is_named: no /dev/full");
+            return;
+        };
+        let error = write_parts(&mut device, path, &[b"x"]).unwrap_err();
+        assert_eq!(error.obstacle, Obstacle::DiskFull);
+        assert_eq!(
+            error.to_string(),
+            "cannot write /dev/full: the disk is full; free some space and run again"
+        );
+    }
+
+    #[test]
+    fn a_failed_write_leaves_the_old_file_and_no_litter() {
+        let folder = tempfile::tempdir().unwrap();
+        let target = folder.path().join("target");
+        fs::create_dir_all(target.join("occupied")).unwrap();
+        // A folder that is not empty cannot be replaced by a file.
+        assert!(write_atomic(&target, b"new").is_err());
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn a_folder_that_is_a_file_is_an_error() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("file");
+        write_atomic(&file, b"x").unwrap();
+        assert!(write_atomic(&file.join("below"), b"y").is_err());
+        assert_eq!(fs::read(&file).unwrap(), b"x");
+    }
+}

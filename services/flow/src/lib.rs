@@ -1,0 +1,46 @@
+//! The dataflow: typed bounded mailboxes, supervised actors, content cache, run ledger. Knows nothing of splats.
+//!
+//! - [`mailbox`](fn@mailbox): typed, bounded by count and by bytes, with an urgent lane; from async tasks and
+//!   compute threads alike.
+//! - [`Actor`] and [`System`]: actors on threads of their own, supervised: retried, restarted, quarantined,
+//!   watched, stopped in order; their times are the timings of the run.
+//! - [`Events`]: what happens, told to progress bars, `--json` and the ledger without ever holding up a worker.
+//! - [`Cache`]: artefacts by the hash of what they were made from ([`Key`]); verified on every read.
+//! - [`Ledger`]: what a run has done, in SQLite, readable by others while it is written.
+//! - [`codec`]: binary records with a header; [`files`]: files that are there whole or not at all.
+
+pub mod actor;
+pub mod cache;
+pub mod codec;
+pub mod control;
+pub mod cpu;
+pub mod events;
+pub mod files;
+pub mod key;
+pub mod ledger;
+pub mod mailbox;
+pub mod message;
+mod meter;
+mod park;
+pub mod progress;
+pub mod report;
+pub mod supervise;
+pub mod system;
+pub mod timeline;
+
+pub use actor::{Actor, Context, Failure, Idle, Quarantined};
+pub use cache::{Cache, CacheCounters, CacheError, MakeError, Origin};
+pub use codec::CodecError;
+pub use control::{Phase, Stopper};
+pub use events::{Event, EventRecord, Events, Level, Sink, Subscription};
+pub use files::FileError;
+pub use key::{Key, KeyBuilder};
+pub use ledger::{Ledger, LedgerError};
+pub use mailbox::{Closed, Limits, MailboxStats, Receiver, RecvError, Sender, TrySendError, mailbox};
+pub use message::Message;
+pub use meter::WorkerState;
+pub use progress::StageProgress;
+pub use report::{ActorReport, Exit, Report, WorkerStatus};
+pub use supervise::{ActorOptions, RestartBudget};
+pub use system::{SpawnError, System, SystemOptions};
+pub use timeline::{Span, SpanKind, Timeline, TimelineRecord};

@@ -1,0 +1,131 @@
+//! How a stage advances: rate and time left.
+
+use std::time::{Duration, Instant};
+
+use crate::cpu;
+use crate::events::{Event, Events};
+
+/// Progress is told at most this often.
+const EVERY: Duration = Duration::from_millis(100);
+/// The rate forgets in about this time, in seconds.
+const MEMORY: f64 = 10.0;
+
+/// Tells of a stage's progress. Dropped without [`finish`](Self::finish) it tells nothing more: an interrupted
+/// stage is not a finished one.
+///
+/// ```
+/// let events = segwild_flow::Events::new();
+/// let mut stage = events.stage("embed", Some(40));
+/// stage.cached(30); // found in the cache: done, but no measure of the rate
+/// for _ in 0..9 { stage.advance(1); }
+/// stage.failed(1);
+/// assert_eq!(stage.done(), 40);
+/// stage.finish();
+/// ```
+pub struct StageProgress {
+    events: Events,
+    stage: String,
+    total: Option<u64>,
+    made: u64,
+    cached: u64,
+    failed: u64,
+    began: Instant,
+    cpu: Option<f64>,
+    told: Instant,
+    /// Weighted counts of work and of time, both forgetting: their quotient is the rate.
+    work: f64,
+    time: f64,
+    marked: Instant,
+}
+
+impl StageProgress {
+    pub(crate) fn start(events: Events, stage: &str, total: Option<u64>) -> Self {
+        events.tell(Event::StageStarted { stage: stage.into(), total });
+        let now = Instant::now();
+        Self {
+            events,
+            stage: stage.into(),
+            total,
+            made: 0,
+            cached: 0,
+            failed: 0,
+            began: now,
+            cpu: cpu::process_seconds(),
+            told: now,
+            work: 0.0,
+            time: 0.0,
+            marked: now,
+        }
+    }
+
+    /// Corrects how many units of work there are.
+    pub fn set_total(&mut self, total: u64) {
+        self.total = Some(total);
+    }
+
+    /// So many units were done.
+    pub fn advance(&mut self, units: u64) {
+        self.made += units;
+        self.measure(units);
+    }
+
+    /// So many units were in the cache.
+    pub fn cached(&mut self, units: u64) {
+        self.cached += units;
+        self.measure(0);
+    }
+
+    /// So many units failed for good.
+    pub fn failed(&mut self, units: u64) {
+        self.failed += units;
+        self.measure(units);
+    }
+
+    /// Units done, found and failed.
+    pub fn done(&self) -> u64 {
+        self.made + self.cached + self.failed
+    }
+
+    /// Units per second, lately; what was found in the cache does not count.
+    pub fn rate(&self) -> f64 {
+        if self.time > 0.0 { self.work / self.time } else { 0.0 }
+    }
+
+    /// Seconds to go, once a rate and a total are known.
+    pub fn eta(&self) -> Option<f64> {
+        let left = self.total?.saturating_sub(self.done()) as f64;
+        (self.rate() > 0.0).then(|| left / self.rate())
+    }
+
+    /// Tells that the stage is done, and its times.
+    pub fn finish(self) {
+        let cpu_s = self.cpu.and_then(|before| Some(cpu::process_seconds()? - before));
+        self.events.tell(Event::StageFinished {
+            done: self.done(),
+            failed: self.failed,
+            cached: self.cached,
+            wall_s: self.began.elapsed().as_secs_f64(),
+            cpu_s,
+            stage: self.stage,
+        });
+    }
+
+    fn measure(&mut self, units: u64) {
+        let now = Instant::now();
+        let passed = (now - self.marked).as_secs_f64();
+        self.marked = now;
+        let keep = (-passed / MEMORY).exp();
+        self.work = self.work * keep + units as f64;
+        self.time = self.time * keep + passed;
+        if now - self.told >= EVERY || self.total == Some(self.done()) {
+            self.told = now;
+            self.events.tell(Event::StageProgress {
+                stage: self.stage.clone(),
+                done: self.done(),
+                total: self.total,
+                rate: self.rate(),
+                eta_s: self.eta(),
+            });
+        }
+    }
+}

@@ -1,0 +1,478 @@
+//! The system: spawns actors, watches them, stops them in order.
+//!
+//! Spawn actors in the order in which the data flows, sources first: a drain goes through them in that order.
+//!
+//! ```
+//! use segwild_flow::*;
+//! struct Count(u64);
+//! impl Actor for Count {
+//!     type Message = u64;
+//!     fn handle(&mut self, n: u64, context: &Context) -> Result<(), Failure> {
+//!         let _span = context.span("add");
+//!         self.0 += n;
+//!         Ok(())
+//!     }
+//!     fn on_stop(&mut self, _: &Context) -> Result<(), Failure> {
+//!         assert_eq!(self.0, 45);
+//!         Ok(())
+//!     }
+//! }
+//! let system = System::new(SystemOptions::default()).unwrap();
+//! let (numbers, inbox) = mailbox("count", Limits { count: 2, bytes: 1 << 20 });
+//! system.source("numbers", ActorOptions::default(), move |context| {
+//!     for n in 0..10u64 {
+//!         context.check()?;
+//!         numbers.blocking_send(n)?; // waits when `count` is behind
+//!     }
+//!     Ok(())
+//! }).unwrap();
+//! system.spawn(inbox, ActorOptions::default(), || Ok(Count(0))).unwrap();
+//! let report = system.join();
+//! assert!(report.finished(), "{report}");
+//! ```
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use crate::actor::{Actor, Context, Failure};
+use crate::control::{Control, Phase, Stopper};
+use crate::events::{Event, Events};
+use crate::mailbox::Receiver;
+use crate::meter::{self, Pulse, WorkerState, lock};
+use crate::report::{ActorReport, Exit, Report};
+use crate::supervise::{ActorOptions, Cell, panic_words, work};
+use crate::timeline::Timeline;
+
+/// How a system is run.
+#[derive(Clone)]
+pub struct SystemOptions {
+    /// Where events are told.
+    pub events: Events,
+    /// Who stops it.
+    pub stopper: Stopper,
+    /// A worker without a sign of progress for so long is reported as stuck.
+    pub stuck_after: Duration,
+    /// A drain may take so long before everybody is stopped.
+    pub drain: Duration,
+    /// A stop may take so long before those who still run are left behind.
+    pub grace: Duration,
+    /// How often shutdown names who it waits for.
+    pub name_late_every: Duration,
+    /// Spans the timeline keeps.
+    pub timeline: usize,
+}
+
+impl Default for SystemOptions {
+    /// Stuck after 60 s; 5 minutes to drain, 30 s to stop, names every 5 s; 50,000 spans.
+    fn default() -> Self {
+        Self {
+            events: Events::new(),
+            stopper: Stopper::new(),
+            stuck_after: Duration::from_secs(60),
+            drain: Duration::from_secs(300),
+            grace: Duration::from_secs(30),
+            name_late_every: Duration::from_secs(5),
+            timeline: 50_000,
+        }
+    }
+}
+
+/// An actor could not be started.
+#[derive(Debug, thiserror::Error)]
+#[error("cannot start `{actor}`: {source}")]
+pub struct SpawnError {
+    /// For whom.
+    pub actor: String,
+    /// The operating system's error.
+    pub source: std::io::Error,
+}
+
+struct Shared {
+    options: SystemOptions,
+    began: Instant,
+    timeline: Timeline,
+    roster: Mutex<Roster>,
+    threads: Mutex<Vec<(Arc<Cell>, JoinHandle<()>)>>,
+    /// Nothing more will be spawned: the end of all actors is the end.
+    complete: AtomicBool,
+}
+
+#[derive(Default)]
+struct Roster {
+    cells: Vec<Arc<Cell>>,
+    /// Shutdown has begun: nobody joins any more, or the newcomer would be forgotten.
+    sealed: bool,
+}
+
+impl Shared {
+    fn control(&self) -> &Control {
+        &self.options.stopper.0
+    }
+
+    fn cells(&self) -> Vec<Arc<Cell>> {
+        lock(&self.roster).cells.clone()
+    }
+
+    fn seal(&self) -> Vec<Arc<Cell>> {
+        let mut roster = lock(&self.roster);
+        roster.sealed = true;
+        roster.cells.clone()
+    }
+}
+
+/// Actors, their supervisor and their timeline. Dropped without [`System::join`], it stops them without waiting.
+pub struct System {
+    shared: Arc<Shared>,
+    supervisor: Option<JoinHandle<()>>,
+}
+
+impl System {
+    /// Starts a system without actors.
+    ///
+    /// # Errors
+    /// When the supervisor's thread cannot be started.
+    pub fn new(options: SystemOptions) -> Result<Self, SpawnError> {
+        let shared = Arc::new(Shared {
+            timeline: Timeline::new(options.timeline),
+            options,
+            began: Instant::now(),
+            roster: Mutex::default(),
+            threads: Mutex::default(),
+            complete: AtomicBool::new(false),
+        });
+        let watched = shared.clone();
+        let supervisor = thread::Builder::new()
+            .name("supervisor".into())
+            .spawn(move || supervise(&watched))
+            .map_err(|source| SpawnError { actor: "supervisor".into(), source })?;
+        Ok(Self { shared, supervisor: Some(supervisor) })
+    }
+
+    /// Runs an actor, named as its mailbox, on `options.workers` threads. The factory builds an instance on
+    /// each thread, and again after a panic; what the factory holds (senders) is dropped when the actor ends.
+    ///
+    /// # Errors
+    /// When a thread cannot be started, or the system is stopping.
+    pub fn spawn<A: Actor>(
+        &self,
+        inbox: Receiver<A::Message>,
+        options: ActorOptions,
+        factory: impl Fn() -> Result<A, Failure> + Send + Sync + 'static,
+    ) -> Result<(), SpawnError> {
+        let name = inbox.name().clone();
+        let factory = Arc::new(factory);
+        let mailbox = inbox.handle();
+        self.start(name, options, Some(mailbox), move || {
+            let (inbox, factory) = (inbox.clone(), factory.clone());
+            Box::new(move |cell: &Cell, context: &Context| work::<A>(cell, context, &inbox, &*factory))
+        })
+    }
+
+    /// Runs a source: a function on a thread of its own that sends until it has no more, or
+    /// [`Context::stopping`]. A failure or a panic runs it again, within the restart budget.
+    ///
+    /// # Errors
+    /// When the thread cannot be started, or the system is stopping.
+    pub fn source(
+        &self,
+        name: &str,
+        options: ActorOptions,
+        body: impl FnMut(&Context) -> Result<(), Failure> + Send + 'static,
+    ) -> Result<(), SpawnError> {
+        let mut body = Some(body);
+        let options = ActorOptions { workers: 1, ..options };
+        self.start(name.into(), options, None, move || {
+            let mut body = body.take();
+            Box::new(move |cell: &Cell, context: &Context| run_source(cell, context, body.as_mut()))
+        })
+    }
+
+    fn start(
+        &self,
+        name: Arc<str>,
+        options: ActorOptions,
+        mailbox: Option<Arc<dyn crate::mailbox::AnyMailbox>>,
+        mut worker: impl FnMut() -> Body,
+    ) -> Result<(), SpawnError> {
+        let options =
+            ActorOptions { workers: options.workers.max(1), attempts: options.attempts.max(1), ..options };
+        let source = mailbox.is_none();
+        let pulses: Vec<_> = (0..options.workers as u32)
+            .map(|i| Arc::new(Pulse::new(name.clone(), i, self.shared.timeline.clone())))
+            .collect();
+        let cell = Arc::new(Cell::new(options, pulses.clone(), name.clone(), mailbox));
+        {
+            let mut roster = lock(&self.shared.roster);
+            if roster.sealed {
+                let source = std::io::Error::other("the system is stopping");
+                return Err(SpawnError { actor: name.to_string(), source });
+            }
+            roster.cells.push(cell.clone());
+        }
+        for (i, pulse) in pulses.into_iter().enumerate() {
+            let context = Context {
+                pulse,
+                stopper: self.shared.options.stopper.clone(),
+                events: self.shared.options.events.clone(),
+                source,
+            };
+            let body = worker();
+            let mine = cell.clone();
+            let thread = thread::Builder::new()
+                .name(if options.workers > 1 { format!("{name} {i}") } else { name.to_string() })
+                .stack_size(options.stack)
+                .spawn(move || run_worker(&mine, context, body));
+            match thread {
+                Ok(thread) => lock(&self.shared.threads).push((cell.clone(), thread)),
+                Err(error) => {
+                    // The workers that did start serve on; if there is none, the actor has ended.
+                    cell.live.fetch_sub(options.workers - i, Ordering::AcqRel);
+                    cell.note_exit(Exit::Failed(error.to_string()));
+                    return Err(SpawnError { actor: name.to_string(), source: error });
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Who can stop it.
+    pub fn stopper(&self) -> Stopper {
+        self.shared.options.stopper.clone()
+    }
+
+    /// How the actors fare now.
+    pub fn snapshot(&self) -> Vec<ActorReport> {
+        self.shared.cells().iter().map(|cell| cell.report()).collect()
+    }
+
+    /// The timeline so far.
+    pub fn timeline(&self) -> Timeline {
+        self.shared.timeline.clone()
+    }
+
+    /// Waits until every actor has ended: by itself when nobody sends to it any more, or as the stopper asks.
+    /// An actor that does not end in time is left behind and reported as late.
+    pub fn join(mut self) -> Report {
+        self.shared.complete.store(true, Ordering::Release);
+        self.shared.control().notify();
+        if let Some(supervisor) = self.supervisor.take() {
+            // The supervisor catches nothing because it runs no foreign code.
+            let _ = supervisor.join();
+        }
+        for (cell, thread) in lock(&self.shared.threads).drain(..) {
+            if cell.ended() {
+                let _ = thread.join();
+            }
+        }
+        let actors = self.shared.cells().into_iter().map(|cell| {
+            let report = cell.report();
+            let exit = if report.exit == Exit::Running { Exit::Late } else { report.exit.clone() };
+            ActorReport { exit, ..report }
+        });
+        Report {
+            actors: actors.collect(),
+            phase: self.shared.control().phase(),
+            wall_s: self.shared.began.elapsed().as_secs_f64(),
+            timeline: self.shared.timeline.snapshot(),
+        }
+    }
+
+    /// Stops the sources, drains the rest in order, and waits; see [`System::join`].
+    pub fn shutdown(self) -> Report {
+        self.shared.options.stopper.drain();
+        self.join()
+    }
+}
+
+impl Drop for System {
+    fn drop(&mut self) {
+        if self.supervisor.is_some() {
+            self.shared.complete.store(true, Ordering::Release);
+            self.shared.options.stopper.stop();
+        }
+    }
+}
+
+/// What a worker's thread runs.
+type Body = Box<dyn FnMut(&Cell, &Context) -> Exit + Send>;
+
+fn run_worker(cell: &Arc<Cell>, context: Context, mut body: Body) {
+    meter::adopt(Some(context.pulse.clone()));
+    let exit = catch_unwind(AssertUnwindSafe(|| body(cell, &context)))
+        .unwrap_or_else(|payload| Exit::Failed(panic_words(&*payload)));
+    // Senders and the inbox go before the end is announced: who waits for them is freed first.
+    let dropped = catch_unwind(AssertUnwindSafe(move || drop(body)));
+    let exit = match dropped {
+        Ok(()) => exit,
+        Err(payload) => exit.max(Exit::Failed(panic_words(&*payload))),
+    };
+    meter::adopt(None);
+    context.pulse.note_cpu();
+    context.pulse.enter(WorkerState::Ended, "");
+    if let Exit::Failed(error) = &exit {
+        tracing::error!("{} failed: {error}", cell.name);
+        context.events.tell(Event::ActorFailed { actor: cell.name.to_string(), error: error.clone() });
+        if cell.options.vital {
+            context.stopper.stop();
+        }
+    }
+    cell.note_exit(exit);
+    cell.live.fetch_sub(1, Ordering::AcqRel);
+    context.stopper.0.notify();
+}
+
+fn run_source(
+    cell: &Cell,
+    context: &Context,
+    body: Option<&mut (impl FnMut(&Context) -> Result<(), Failure> + Send)>,
+) -> Exit {
+    let Some(body) = body else { return Exit::Finished };
+    loop {
+        context.pulse.enter(WorkerState::Busy, "");
+        let failure = match catch_unwind(AssertUnwindSafe(|| body(context))) {
+            Ok(Ok(())) if context.stopping() => return Exit::Stopped,
+            Ok(Ok(())) => return Exit::Finished,
+            Ok(Err(failure)) => failure,
+            Err(payload) => Failure::restart(panic_words(&*payload)),
+        };
+        if let Some(exit) = cell.restart(context, &failure) {
+            return exit;
+        }
+    }
+}
+
+/// The supervisor's loop: heartbeats, then shutdown as far as it was asked for.
+fn supervise(shared: &Shared) {
+    let control = shared.control();
+    let mut watch = Watch::default();
+    let tick = (shared.options.stuck_after / 4).clamp(Duration::from_millis(10), Duration::from_secs(1));
+    loop {
+        let complete = || shared.complete.load(Ordering::Acquire);
+        let all_ended = || complete() && shared.cells().iter().all(|cell| cell.ended());
+        control.wait(tick, || control.phase() != Phase::Running || all_ended());
+        watch.look(shared);
+        match control.phase() {
+            Phase::Running if all_ended() => break,
+            Phase::Running => {}
+            Phase::Draining => {
+                drain(shared, &mut watch, tick);
+                if control.phase() != Phase::Stopping {
+                    break;
+                }
+            }
+            Phase::Stopping => {
+                stop(shared, &mut watch, tick);
+                break;
+            }
+        }
+    }
+}
+
+/// Waits for cells to end; names the late now and then.
+fn wait_for(
+    shared: &Shared,
+    watch: &mut Watch,
+    tick: Duration,
+    deadline: Instant,
+    until: Option<Phase>,
+    which: &[Arc<Cell>],
+) -> bool {
+    let control = shared.control();
+    let mut named = Instant::now();
+    loop {
+        let done =
+            || which.iter().all(|cell| cell.ended()) || until.is_some_and(|phase| control.phase() >= phase);
+        let left = deadline.saturating_duration_since(Instant::now());
+        if control.wait(left.min(tick), done) {
+            return which.iter().all(|cell| cell.ended());
+        }
+        watch.look(shared);
+        if left.is_zero() {
+            return false;
+        }
+        if named.elapsed() >= shared.options.name_late_every {
+            named = Instant::now();
+            let late = shared.cells().iter().filter(|c| !c.ended()).map(|c| c.name.to_string()).collect();
+            shared.options.events.tell(Event::ShutdownWaits { actors: late, left_s: left.as_secs_f64() });
+        }
+    }
+}
+
+/// Sources have seen the phase; the others are closed and awaited one after another, in the data's order.
+fn drain(shared: &Shared, watch: &mut Watch, tick: Duration) {
+    let deadline = Instant::now() + shared.options.drain;
+    let cells = shared.seal();
+    let (sources, others): (Vec<_>, Vec<_>) = cells.into_iter().partition(|cell| cell.mailbox.is_none());
+    let mut in_time = wait_for(shared, watch, tick, deadline, Some(Phase::Stopping), &sources);
+    for cell in others {
+        if !in_time {
+            break;
+        }
+        if let Some(mailbox) = &cell.mailbox {
+            mailbox.close();
+        }
+        in_time = wait_for(shared, watch, tick, deadline, Some(Phase::Stopping), std::slice::from_ref(&cell));
+    }
+    if !in_time {
+        shared.options.stopper.stop();
+        stop(shared, watch, tick);
+    }
+}
+
+/// Everybody has seen the phase; closing the mailboxes wakes who waits for input or for room.
+fn stop(shared: &Shared, watch: &mut Watch, tick: Duration) {
+    let cells = shared.seal();
+    cells.iter().filter_map(|cell| cell.mailbox.as_ref()).for_each(|mailbox| mailbox.close());
+    let deadline = Instant::now() + shared.options.grace;
+    if !wait_for(shared, watch, tick, deadline, None, &cells) {
+        let late: Vec<_> = cells.iter().filter(|c| !c.ended()).map(|c| c.name.to_string()).collect();
+        shared.options.events.tell(Event::ShutdownWaits { actors: late, left_s: 0.0 });
+    }
+}
+
+/// What the supervisor remembers of each worker.
+#[derive(Default)]
+struct Watch(Vec<Vec<Seen>>);
+
+#[derive(Clone)]
+struct Seen {
+    beat: u64,
+    at: Instant,
+    stuck: bool,
+}
+
+impl Watch {
+    /// Compares every worker's beat with the last one seen, and reports who got stuck and who moves again.
+    fn look(&mut self, shared: &Shared) {
+        let now = Instant::now();
+        let cells = shared.cells();
+        self.0.resize(cells.len(), Vec::new());
+        for (cell, seen) in cells.iter().zip(&mut self.0) {
+            seen.resize(cell.pulses.len(), Seen { beat: u64::MAX, at: now, stuck: false });
+            for (pulse, seen) in cell.pulses.iter().zip(seen) {
+                let glance = pulse.glance();
+                let moves = glance.beat != seen.beat
+                    || glance.state != WorkerState::Busy
+                    || pulse.zones.load(Ordering::Acquire) > 0;
+                if moves {
+                    if seen.stuck {
+                        let actor = cell.name.to_string();
+                        shared.options.events.tell(Event::ActorRecovered { actor, worker: pulse.worker });
+                    }
+                    *seen = Seen { beat: glance.beat, at: now, stuck: false };
+                } else if !seen.stuck && now - seen.at >= shared.options.stuck_after {
+                    seen.stuck = true;
+                    shared.options.events.tell(Event::ActorStuck {
+                        actor: cell.name.to_string(),
+                        worker: pulse.worker,
+                        label: glance.label,
+                        seconds: (now - seen.at).as_secs_f64(),
+                    });
+                }
+            }
+        }
+    }
+}

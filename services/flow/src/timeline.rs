@@ -1,0 +1,180 @@
+//! Who did what when: spans, kept in bounded memory.
+//!
+//! ```
+//! use segwild_flow::{SpanKind, Timeline};
+//! use std::time::{Duration, Instant};
+//! let timeline = Timeline::new(1000);
+//! let start = Instant::now();
+//! timeline.record("masks", 0, "photo.jpg", start, start + Duration::from_millis(20), SpanKind::Busy);
+//! let json = timeline.snapshot().to_json();
+//! assert!(json.contains("photo.jpg"), "{json}");
+//! ```
+
+use std::sync::{Arc, Mutex};
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
+
+use serde::{Deserialize, Serialize};
+
+use crate::meter::lock;
+
+/// What a span's time went to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SpanKind {
+    /// Building the actor.
+    Start,
+    /// Work on a message.
+    Busy,
+    /// A named part of the work, inside a `Start` or `Busy` span.
+    Step,
+    /// Waiting for input.
+    Wait,
+    /// Waiting for room in a mailbox, which the label names.
+    Blocked,
+    /// Waiting before another attempt.
+    BackOff,
+}
+
+/// A stretch of one worker's time, in seconds since the timeline began.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Span {
+    /// The actor.
+    pub actor: String,
+    /// Which of its workers.
+    pub worker: u32,
+    /// What it was about.
+    pub label: String,
+    /// When it began.
+    pub start: f64,
+    /// When it ended.
+    pub end: f64,
+    /// What the time went to.
+    pub kind: SpanKind,
+}
+
+/// A copy of a timeline.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct TimelineRecord {
+    /// When it began, in seconds since 1970.
+    pub began: f64,
+    /// Shorter spans were dropped to bound the memory, in seconds.
+    pub shortest: f64,
+    /// How many were dropped.
+    pub dropped: u64,
+    /// The spans, in order of their ends.
+    pub spans: Vec<Span>,
+}
+
+impl TimelineRecord {
+    /// As JSON.
+    pub fn to_json(&self) -> String {
+        // Numbers and strings only: nothing here can fail to serialise.
+        serde_json::to_string(self).unwrap_or_default()
+    }
+}
+
+struct Store {
+    spans: Vec<Span>,
+    shortest: f64,
+    dropped: u64,
+}
+
+/// Records spans; clones record to the same timeline. When it is full, the shortest spans are dropped: the
+/// picture gets coarser, never cut off.
+#[derive(Clone)]
+pub struct Timeline {
+    origin: Instant,
+    began: f64,
+    capacity: usize,
+    store: Arc<Mutex<Store>>,
+}
+
+impl Timeline {
+    /// Begins a timeline of at most so many spans (at least 16).
+    pub fn new(capacity: usize) -> Self {
+        let began = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |d| d.as_secs_f64());
+        let store = Store { spans: Vec::new(), shortest: 0.0, dropped: 0 };
+        Self { origin: Instant::now(), began, capacity: capacity.max(16), store: Arc::new(Mutex::new(store)) }
+    }
+
+    /// Adds a span.
+    pub fn record(
+        &self,
+        actor: &str,
+        worker: u32,
+        label: &str,
+        start: Instant,
+        end: Instant,
+        kind: SpanKind,
+    ) {
+        let start = start.saturating_duration_since(self.origin).as_secs_f64();
+        let end = end.saturating_duration_since(self.origin).as_secs_f64();
+        let mut store = lock(&self.store);
+        if end - start < store.shortest {
+            store.dropped += 1;
+            return;
+        }
+        store.spans.push(Span { actor: actor.into(), worker, label: label.into(), start, end, kind });
+        if store.spans.len() >= self.capacity {
+            store.thin(self.capacity / 2);
+        }
+    }
+
+    /// A copy of what was recorded so far.
+    pub fn snapshot(&self) -> TimelineRecord {
+        let store = lock(&self.store);
+        TimelineRecord {
+            began: self.began,
+            shortest: store.shortest,
+            dropped: store.dropped,
+            spans: store.spans.clone(),
+        }
+    }
+}
+
+impl Store {
+    /// Keeps the longest.
+    fn thin(&mut self, keep: usize) {
+        let mut lengths: Vec<f64> = self.spans.iter().map(|s| s.end - s.start).collect();
+        let before = self.spans.len();
+        lengths.sort_by(f64::total_cmp);
+        let threshold = lengths[before - keep];
+        // Spans of equal length must not keep the store full.
+        let mut equal = lengths[before - keep..].iter().take_while(|&&l| l == threshold).count();
+        self.spans.retain(|s| {
+            let length = s.end - s.start;
+            if length == threshold {
+                let fits = equal > 0;
+                equal = equal.saturating_sub(1);
+                return fits;
+            }
+            length > threshold
+        });
+        self.shortest = threshold;
+        self.dropped += (before - self.spans.len()) as u64;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Duration;
+
+    #[test]
+    fn a_full_timeline_keeps_the_longest_spans() {
+        let timeline = Timeline::new(64);
+        let start = Instant::now();
+        for i in 0..10_000u64 {
+            let micros = if i % 1000 == 500 { 1_000_000 } else { 1 + i % 7 };
+            timeline.record("a", 0, "", start, start + Duration::from_micros(micros), SpanKind::Busy);
+        }
+        let record = timeline.snapshot();
+        assert!(record.spans.len() < 64);
+        assert_eq!(record.spans.iter().filter(|s| s.end - s.start > 0.5).count(), 10);
+        assert_eq!(record.dropped + record.spans.len() as u64, 10_000);
+        assert_eq!(
+            serde_json::from_str::<TimelineRecord>(&record.to_json()).unwrap().dropped,
+            record.dropped
+        );
+    }
+}

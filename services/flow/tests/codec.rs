@@ -1,0 +1,156 @@
+//! Records: bincode's bytes, refusals in type, and no panic on hostile bytes.
+
+use proptest::prelude::*;
+use segwild_flow::codec::{self, CodecError, SIZE_LIMIT};
+use wincode::{SchemaRead, SchemaWrite};
+
+#[derive(SchemaWrite, SchemaRead, Clone, Debug, PartialEq)]
+enum Shape {
+    Point,
+    Disc { radius: f32 },
+    Named(String),
+}
+
+#[derive(SchemaWrite, SchemaRead, Clone, Debug, PartialEq)]
+struct Record {
+    view: u32,
+    name: String,
+    values: Vec<f32>,
+    shapes: Vec<Shape>,
+    parent: Option<Box<[u8; 4]>>,
+}
+
+fn record() -> Record {
+    Record {
+        view: 7,
+        name: "façade".into(),
+        values: vec![0.5, -1.0, f32::INFINITY],
+        shapes: vec![Shape::Point, Shape::Disc { radius: 2.0 }, Shape::Named("x".into())],
+        parent: Some(Box::new([1, 2, 3, 4])),
+    }
+}
+
+#[test]
+fn the_payload_is_bincodes() {
+    // What bincode 1 writes: fixed integers, u64 lengths, u32 tags, all little-endian.
+    let mut expected = vec![7, 0, 0, 0];
+    expected.extend(7u64.to_le_bytes());
+    expected.extend("façade".bytes());
+    expected.extend(3u64.to_le_bytes());
+    [0.5f32, -1.0, f32::INFINITY].iter().for_each(|v| expected.extend(v.to_le_bytes()));
+    expected.extend(3u64.to_le_bytes());
+    expected.extend(0u32.to_le_bytes());
+    expected.extend(1u32.to_le_bytes());
+    expected.extend(2.0f32.to_le_bytes());
+    expected.extend(2u32.to_le_bytes());
+    expected.extend(1u64.to_le_bytes());
+    expected.extend(*b"x\x01\x01\x02\x03\x04");
+    let bytes = codec::encode("record/1", &record()).unwrap();
+    let (kind, payload) = codec::open(&bytes).unwrap();
+    assert_eq!((kind, payload), ("record/1", &expected[..]));
+}
+
+#[test]
+fn more_than_four_mebibytes_travel() {
+    let values: Vec<u32> = (0..3 << 20).collect();
+    let bytes = codec::encode("many/1", &values).unwrap();
+    assert!(codec::decode::<Vec<u32>>("many/1", &bytes).unwrap() == values);
+}
+
+#[test]
+fn more_than_the_limit_is_refused() {
+    // Zeros that are never touched take no memory.
+    let mut zeros = vec![0u8; SIZE_LIMIT + 1];
+    assert!(matches!(codec::encode("big/1", &zeros), Err(CodecError::TooLarge { .. })));
+    zeros.truncate(SIZE_LIMIT);
+    assert!(
+        matches!(codec::encode("big/1", &zeros), Err(CodecError::TooLarge { .. })),
+        "the header counts, too"
+    );
+}
+
+#[test]
+fn what_is_wrong_is_said() {
+    let whole = codec::encode("record/1", &record()).unwrap();
+    let read = |bytes: &[u8]| codec::decode::<Record>("record/1", bytes).unwrap_err();
+    assert!(matches!(read(b""), CodecError::Truncated { .. }));
+    assert!(matches!(read(b"PK\x03\x04"), CodecError::Foreign));
+    assert!(matches!(read(&whole[..20]), CodecError::Truncated { .. }));
+    assert!(matches!(read(&whole[..whole.len() - 1]), CodecError::Truncated { .. }));
+    let longer = [&whole[..], &[0]].concat();
+    assert!(matches!(read(&longer), CodecError::Corrupt { .. }));
+    let mut newer = whole.clone();
+    newer[8] = 2;
+    assert!(matches!(read(&newer), CodecError::Version { found: 2 }));
+    let other = codec::encode("other/1", &record()).unwrap();
+    assert_eq!(read(&other).to_string(), "the record holds `other/1` where `record/1` was wanted");
+    // A record renamed without its hash is damaged, not of the other kind.
+    let mut renamed = other;
+    renamed[11..18].copy_from_slice(b"recor/1");
+    assert!(matches!(codec::open(&renamed), Err(CodecError::Corrupt { .. })));
+    for bad in ["", "with blank", "ü", &"x".repeat(65)] {
+        assert!(matches!(codec::encode(bad, &1u32), Err(CodecError::KindName(_))), "{bad}");
+    }
+}
+
+/// A record whose hash is right, whatever its payload: what an attacker would write. An array of bytes has no
+/// length before it, so arrays write any payload.
+fn forged(payload: &[u8]) -> Vec<u8> {
+    macro_rules! sized { ($($n:literal)*) => { match payload.len() {
+        $($n => codec::encode("record/1", <&[u8; $n]>::try_from(payload).unwrap()).unwrap(),)*
+        other => panic!("no payload of {other} bytes is tried"),
+    } } }
+    sized!(0 1 2 3 4 8 12 16 20 24 32 40 48 64)
+}
+
+proptest! {
+    #[test]
+    fn any_record_returns(view: u32, name: String, values in prop::collection::vec(any::<f32>(), 0..50), tag in 0..3u8) {
+        let shape = match tag { 0 => Shape::Point, 1 => Shape::Disc { radius: 1.5 }, _ => Shape::Named(name.clone()) };
+        let values: Vec<f32> = values.into_iter().filter(|v| !v.is_nan()).collect();
+        let record = Record { view, name, values, shapes: vec![shape], parent: None };
+        let bytes = codec::encode("record/1", &record).unwrap();
+        prop_assert_eq!(codec::decode::<Record>("record/1", &bytes).unwrap(), record);
+    }
+
+    #[test]
+    fn a_changed_bit_is_found(bit in 0usize..8 * 180) {
+        let mut bytes = codec::encode("record/1", &record()).unwrap();
+        let bit = bit % (8 * bytes.len());
+        bytes[bit / 8] ^= 1 << (bit % 8);
+        prop_assert!(codec::decode::<Record>("record/1", &bytes).is_err());
+    }
+
+    #[test]
+    fn any_cut_is_found(cut in 0usize..180) {
+        let bytes = codec::encode("record/1", &record()).unwrap();
+        let cut = cut.min(bytes.len() - 1);
+        prop_assert!(codec::decode::<Record>("record/1", &bytes[..cut]).is_err());
+    }
+
+    #[test]
+    fn noise_is_refused(bytes in prop::collection::vec(any::<u8>(), 0..200), headed: bool) {
+        let bytes = if headed { [&codec::encode("record/1", &0u8).unwrap()[..24], &bytes].concat() } else { bytes };
+        prop_assert!(codec::decode::<Record>("record/1", &bytes).is_err());
+    }
+
+    #[test]
+    fn hostile_payloads_with_a_right_hash_do_no_harm(
+        mut bytes in prop::collection::vec(any::<u8>(), 64),
+        size in prop::sample::select(vec![0usize, 1, 2, 3, 4, 8, 12, 16, 20, 24, 32, 40, 48, 64]),
+        huge: bool,
+    ) {
+        if huge {
+            // The name's length, then a plausible one for the values.
+            bytes[4..12].copy_from_slice(&0u64.to_le_bytes());
+            bytes[12..20].copy_from_slice(&u64::MAX.to_le_bytes());
+        }
+        // Either it happens to be a record, or it is refused; it neither panics nor exhausts the memory.
+        if let Err(error) = codec::decode::<Record>("record/1", &forged(&bytes[..size])) {
+            let is_corrupt = matches!(error, CodecError::Corrupt { .. });
+            prop_assert!(is_corrupt, "{error}");
+        } else {
+            prop_assert!(size >= 29 && !huge);
+        }
+    }
+}

@@ -1,0 +1,508 @@
+//! The system's promises: supervision, quarantine, drain, stop, times.
+#![allow(
+    clippy::disallowed_methods,
+    reason = "in these tests sleep stands for work, or lets others come first"
+)]
+
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use segwild_flow::*;
+
+/// A view's work, as the scene's actors have it.
+#[derive(Clone, Debug, PartialEq)]
+struct View(u32);
+impl Message for View {
+    fn label(&self) -> String {
+        format!("view {}", self.0)
+    }
+    fn again(&self) -> Option<Self> {
+        Some(self.clone())
+    }
+}
+
+type Handler = Arc<dyn Fn(&View, u32, &Context) -> Result<(), Failure> + Send + Sync>;
+
+/// What actors saw, in order.
+#[derive(Clone, Default)]
+struct Log(Arc<Mutex<Vec<String>>>);
+impl Log {
+    fn add(&self, line: impl Into<String>) {
+        self.0.lock().unwrap().push(line.into());
+    }
+    fn lines(&self) -> Vec<String> {
+        self.0.lock().unwrap().clone()
+    }
+}
+
+/// Handles views by a function that is also told which instance it runs in.
+struct Probe {
+    instance: u32,
+    handler: Handler,
+    log: Log,
+}
+
+impl Actor for Probe {
+    type Message = View;
+    fn on_start(&mut self, _: &Context) -> Result<(), Failure> {
+        self.log.add(format!("start {}", self.instance));
+        Ok(())
+    }
+    fn handle(&mut self, view: View, context: &Context) -> Result<(), Failure> {
+        (self.handler)(&view, self.instance, context)?;
+        self.log.add(format!("view {}", view.0));
+        Ok(())
+    }
+    fn on_quarantine(&mut self, view: Option<View>, what: &Quarantined, _: &Context) -> Result<(), Failure> {
+        assert_eq!(view.map(|v| v.label()), Some(what.label.clone()));
+        self.log.add(format!("gave up {}", what.label));
+        Ok(())
+    }
+    fn on_stop(&mut self, _: &Context) -> Result<(), Failure> {
+        self.log.add("stop");
+        Ok(())
+    }
+}
+
+fn quick() -> ActorOptions {
+    let budget = RestartBudget {
+        first_delay: Duration::from_millis(1),
+        longest_delay: Duration::from_millis(4),
+        ..RestartBudget::default()
+    };
+    ActorOptions { budget, ..ActorOptions::default() }
+}
+
+struct Setup {
+    system: System,
+    views: Sender<View>,
+    log: Log,
+    events: Subscription,
+}
+
+fn probe(
+    options: ActorOptions,
+    system: SystemOptions,
+    handler: impl Fn(&View, u32, &Context) -> Result<(), Failure> + Send + Sync + 'static,
+) -> Setup {
+    let events = system.events.subscribe();
+    let system = System::new(system).unwrap();
+    let (views, inbox) = mailbox("probe", Limits { count: 100, bytes: 1 << 20 });
+    let log = Log::default();
+    let (instances, handler): (_, Handler) = (AtomicU32::new(0), Arc::new(handler));
+    let logged = log.clone();
+    system
+        .spawn(inbox, options, move || {
+            let instance = instances.fetch_add(1, Ordering::Relaxed);
+            Ok(Probe { instance, handler: handler.clone(), log: logged.clone() })
+        })
+        .unwrap();
+    Setup { system, views, log, events }
+}
+
+fn send_all(setup: &Setup, views: impl IntoIterator<Item = u32>) {
+    views.into_iter().for_each(|n| setup.views.blocking_send(View(n)).unwrap());
+}
+
+fn finish(setup: Setup) -> (Report, Vec<String>, Vec<Event>) {
+    drop(setup.views);
+    let report = setup.system.join();
+    let events = std::iter::from_fn(|| setup.events.try_next()).map(|r| r.event).collect();
+    (report, setup.log.lines(), events)
+}
+
+#[derive(Debug, thiserror::Error)]
+#[error("the provider is busy")]
+struct Busy;
+
+#[test]
+fn a_failure_is_tried_again_in_the_same_instance() {
+    let tries = AtomicU32::new(0);
+    let setup = probe(quick(), SystemOptions::default(), move |view, _, _| {
+        if view.0 == 1 && tries.fetch_add(1, Ordering::Relaxed) < 2 { Err(Busy.into()) } else { Ok(()) }
+    });
+    send_all(&setup, 0..3);
+    let (report, log, _) = finish(setup);
+    assert_eq!(log, ["start 0", "view 0", "view 1", "view 2", "stop"]);
+    let actor = report.actor("probe").unwrap();
+    assert_eq!((actor.messages, actor.retries, actor.restarts, actor.quarantined.len()), (3, 2, 0, 0));
+    assert!(report.finished());
+}
+
+#[test]
+fn a_view_that_fails_for_good_is_named_and_the_rest_goes_on() {
+    let setup = probe(quick(), SystemOptions::default(), |view, _, _| match view.0 {
+        1 => Err(Busy.into()),
+        3 => Err(Failure::reject("no pixels")),
+        _ => Ok(()),
+    });
+    send_all(&setup, 0..5);
+    let (report, log, events) = finish(setup);
+    assert_eq!(log, ["start 0", "view 0", "gave up view 1", "view 2", "gave up view 3", "view 4", "stop"]);
+    let actor = report.actor("probe").unwrap();
+    let given_up = [
+        Quarantined { label: "view 1".into(), error: "the provider is busy".into(), attempts: 3 },
+        Quarantined { label: "view 3".into(), error: "no pixels".into(), attempts: 1 },
+    ];
+    assert_eq!(actor.quarantined, given_up);
+    assert_eq!((actor.messages, actor.retries), (3, 2));
+    let told = events.iter().filter(|e| matches!(e, Event::ViewFailed { .. })).count();
+    assert_eq!(told, 2);
+    assert!(report.finished(), "quarantine is no failure of the actor");
+}
+
+#[test]
+fn a_panic_costs_the_instance_but_not_the_mailbox_nor_the_message() {
+    let setup = probe(quick(), SystemOptions::default(), |view, instance, _| {
+        assert!(view.0 != 1 || instance >= 2, "index {} out of range", view.0);
+        Ok(())
+    });
+    send_all(&setup, 0..4);
+    let (report, log, events) = finish(setup);
+    assert_eq!(log, ["start 0", "view 0", "start 1", "start 2", "view 1", "view 2", "view 3", "stop"]);
+    let actor = report.actor("probe").unwrap();
+    assert_eq!((actor.messages, actor.retries, actor.restarts), (4, 2, 2));
+    let Some(Event::ActorRestarted { cause, .. }) =
+        events.iter().find(|e| matches!(e, Event::ActorRestarted { .. }))
+    else {
+        panic!("no restart was told: {events:?}");
+    };
+    assert_eq!(cause, "panic: index 1 out of range");
+}
+
+#[test]
+fn poison_views_do_not_use_up_the_restarts() {
+    let options = ActorOptions { attempts: 2, ..quick() };
+    let setup = probe(options, SystemOptions::default(), |view, _, _| {
+        assert!(view.0 % 2 == 0, "poison");
+        Ok(())
+    });
+    // 15 poison views, 2 attempts each: far more restarts than the budget has.
+    send_all(&setup, 0..30);
+    let (report, log, _) = finish(setup);
+    let actor = report.actor("probe").unwrap();
+    assert_eq!((actor.messages, actor.quarantined.len(), actor.restarts), (15, 15, 30));
+    assert_eq!(log.iter().filter(|l| l.starts_with("gave up")).count(), 15);
+    assert!(report.finished(), "{report}");
+}
+
+#[test]
+fn an_actor_that_fails_everything_fails() {
+    let options = ActorOptions { given_up_in_a_row: 4, attempts: 1, ..quick() };
+    let setup = probe(options, SystemOptions::default(), |_, _, _| Err(Busy.into()));
+    send_all(&setup, 0..30);
+    let (report, _, events) = finish(setup);
+    let error = report.failures().next().unwrap();
+    assert_eq!(error, ("probe", "4 messages in a row were given up, the last one: the provider is busy"));
+    assert!(events.iter().any(|e| matches!(e, Event::ActorFailed { .. })));
+    assert_eq!(report.phase, Phase::Stopping, "a vital actor takes the system with it");
+}
+
+#[test]
+fn restarts_are_budgeted_and_backed_off() {
+    struct Broken;
+    impl Actor for Broken {
+        type Message = View;
+        fn on_start(&mut self, _: &Context) -> Result<(), Failure> {
+            Err(Failure::retry("no model file"))
+        }
+        fn handle(&mut self, _: View, _: &Context) -> Result<(), Failure> {
+            Ok(())
+        }
+    }
+    let system_options = SystemOptions::default();
+    let events = system_options.events.subscribe();
+    let system = System::new(system_options).unwrap();
+    let (views, inbox) = mailbox("broken", Limits { count: 1, bytes: 1 << 20 });
+    let budget = RestartBudget {
+        restarts: 4,
+        first_delay: Duration::from_millis(5),
+        longest_delay: Duration::from_millis(20),
+        ..RestartBudget::default()
+    };
+    system.spawn(inbox, ActorOptions { budget, ..ActorOptions::default() }, || Ok(Broken)).unwrap();
+    // Who is held back by the dead actor is freed.
+    let sent = (0..3).map(|n| views.blocking_send(View(n))).collect::<Vec<_>>();
+    assert!(sent[2].is_err());
+    let report = system.join();
+    assert_eq!(report.failures().next().unwrap().1, "no model file (after 4 restarts within 60 s)");
+    let delays: Vec<_> = std::iter::from_fn(|| events.try_next())
+        .filter_map(
+            |r| if let Event::ActorRestarted { delay_s, .. } = r.event { Some(delay_s) } else { None },
+        )
+        .collect();
+    assert_eq!(delays, [0.005, 0.01, 0.02, 0.02]);
+    assert!(report.actors[0].back_off_s >= 0.055);
+}
+
+#[test]
+fn workers_share_the_mailbox() {
+    let seen = Arc::new(Mutex::new(std::collections::BTreeSet::new()));
+    let workers = seen.clone();
+    let options = ActorOptions { workers: 3, ..quick() };
+    let setup = probe(options, SystemOptions::default(), move |_, _, context| {
+        workers.lock().unwrap().insert(context.worker());
+        thread::sleep(Duration::from_millis(10));
+        Ok(())
+    });
+    send_all(&setup, 0..12);
+    let (report, log, _) = finish(setup);
+    assert_eq!(seen.lock().unwrap().len(), 3);
+    assert_eq!(report.actor("probe").unwrap().messages, 12);
+    assert_eq!(log.iter().filter(|l| *l == "stop").count(), 3);
+}
+
+/// Passes views on, taking its time.
+struct Pass(Sender<View>, Duration);
+impl Actor for Pass {
+    type Message = View;
+    fn handle(&mut self, view: View, _: &Context) -> Result<(), Failure> {
+        thread::sleep(self.1);
+        self.0.blocking_send(view)?;
+        Ok(())
+    }
+}
+
+#[test]
+fn a_slow_consumer_holds_the_chain_back_and_the_times_say_so() {
+    let system = System::new(SystemOptions::default()).unwrap();
+    let small = Limits { count: 1, bytes: 1 << 20 };
+    let (fast, fast_inbox) = mailbox("fast", small);
+    let (slow, slow_inbox) = mailbox("slow", small);
+    let (out, sink) = mailbox("sink", Limits { count: 100, bytes: 1 << 20 });
+    let send = move |_: &Context| {
+        for n in 0..10 {
+            fast.blocking_send(View(n))?;
+        }
+        Ok(())
+    };
+    system.source("source", quick(), send).unwrap();
+    system.spawn(fast_inbox, quick(), move || Ok(Pass(slow.clone(), Duration::ZERO))).unwrap();
+    system.spawn(slow_inbox, quick(), move || Ok(Pass(out.clone(), Duration::from_millis(20)))).unwrap();
+    let order: Vec<_> = std::iter::from_fn(|| sink.blocking_recv()).map(|v| v.0).collect();
+    assert_eq!(order, (0..10).collect::<Vec<_>>());
+    let report = system.join();
+    assert!(report.finished(), "{report}");
+    let [source, fast, slow] = ["source", "fast", "slow"].map(|name| report.actor(name).unwrap());
+    assert!(source.blocked_s > 0.08 && fast.blocked_s > 0.08, "{report}");
+    assert!(slow.busy_s > 0.19 && slow.blocked_s < 0.05, "{report}");
+    assert!(fast.busy_s < 0.05, "being held back is not work: {report}");
+    assert!(slow.mailbox.as_ref().unwrap().back_pressure_s > 0.08);
+    // The states add up to the life.
+    for actor in &report.actors {
+        let life = actor.starting_s + actor.busy_s + actor.waiting_s + actor.blocked_s + actor.back_off_s;
+        assert!(life <= report.wall_s + 1e-3 && life > 0.1, "{report}");
+    }
+    let spans = &report.timeline.spans;
+    let blocked = |s: &&Span| s.actor == "fast" && s.kind == SpanKind::Blocked && s.label == "slow";
+    assert!(spans.iter().filter(blocked).count() >= 5, "the timeline names who holds back whom");
+}
+
+#[test]
+fn a_drain_finishes_what_is_under_way_in_order() {
+    let system = System::new(SystemOptions::default()).unwrap();
+    let (first, first_inbox) = mailbox("first", Limits { count: 8, bytes: 1 << 20 });
+    let (second, second_inbox) = mailbox("second", Limits { count: 1, bytes: 1 << 20 });
+    let (out, sink) = mailbox("sink", Limits { count: 100_000, bytes: 1 << 30 });
+    let sent = Arc::new(AtomicU32::new(0));
+    let (counted, kept) = (sent.clone(), first.clone());
+    let endless = move |context: &Context| {
+        while !context.stopping() {
+            first.blocking_send(View(counted.load(Ordering::Relaxed)))?;
+            counted.fetch_add(1, Ordering::Relaxed);
+        }
+        Ok(())
+    };
+    system.source("endless", quick(), endless).unwrap();
+    system.spawn(first_inbox, quick(), move || Ok(Pass(second.clone(), Duration::ZERO))).unwrap();
+    system.spawn(second_inbox, quick(), move || Ok(Pass(out.clone(), Duration::from_millis(1)))).unwrap();
+    thread::sleep(Duration::from_millis(50));
+    // `kept` still could send: the drain closes the mailbox, and does not wait for its last sender.
+    let report = system.shutdown();
+    assert!(kept.blocking_send(View(0)).is_err());
+    let arrived: Vec<_> = std::iter::from_fn(|| sink.blocking_recv()).map(|v| v.0).collect();
+    assert_eq!(arrived, (0..sent.load(Ordering::Relaxed)).collect::<Vec<_>>());
+    assert!(arrived.len() > 5);
+    assert_eq!(report.phase, Phase::Draining);
+    assert_eq!(report.actor("endless").unwrap().exit, Exit::Stopped);
+    assert_eq!(report.actor("second").unwrap().exit, Exit::Finished);
+}
+
+#[test]
+fn a_stop_interrupts_work_that_looks_and_leaves_the_rest() {
+    let setup = probe(quick(), SystemOptions::default(), |_, _, context| {
+        loop {
+            context.check()?;
+            context.progress();
+            thread::sleep(Duration::from_millis(1));
+        }
+    });
+    send_all(&setup, 0..5);
+    thread::sleep(Duration::from_millis(30));
+    let stopper = setup.system.stopper();
+    let start = Instant::now();
+    stopper.stop();
+    let (report, log, _) = finish(setup);
+    assert!(start.elapsed() < Duration::from_secs(5));
+    assert_eq!(log, ["start 0", "stop"], "on_stop can still write a checkpoint");
+    let actor = report.actor("probe").unwrap();
+    assert_eq!((&actor.exit, actor.messages, actor.quarantined.len()), (&Exit::Stopped, 0, 0));
+}
+
+#[test]
+fn who_is_late_is_named_and_left_behind() {
+    let release = Arc::new(AtomicBool::new(false));
+    let (held, events) = (release.clone(), Events::new());
+    let options = SystemOptions {
+        events: events.clone(),
+        drain: Duration::from_millis(60),
+        grace: Duration::from_millis(60),
+        name_late_every: Duration::from_millis(20),
+        stuck_after: Duration::from_millis(40),
+        ..SystemOptions::default()
+    };
+    let setup = probe(quick(), options, move |_, _, _| {
+        while !held.load(Ordering::Relaxed) {
+            thread::sleep(Duration::from_millis(1));
+        }
+        Ok(())
+    });
+    send_all(&setup, 0..2);
+    setup.system.stopper().drain();
+    let start = Instant::now();
+    let (report, _, events) = finish(setup);
+    assert!(start.elapsed() < Duration::from_secs(5));
+    assert_eq!(report.late().collect::<Vec<_>>(), ["probe"]);
+    assert_eq!(report.phase, Phase::Stopping, "the drain's deadline has passed");
+    let waits = |e: &&Event| matches!(e, Event::ShutdownWaits { actors, .. } if actors == &["probe"]);
+    assert!(events.iter().filter(waits).count() >= 2, "{events:?}");
+    release.store(true, Ordering::Relaxed);
+}
+
+#[test]
+fn a_stuck_actor_is_told_from_a_busy_one() {
+    let options = SystemOptions { stuck_after: Duration::from_millis(80), ..SystemOptions::default() };
+    let setup = probe(quick(), options, |view, _, context| {
+        let _loading = (view.0 == 1).then(|| context.busy_zone("loading model"));
+        for _ in 0..30 {
+            thread::sleep(Duration::from_millis(10));
+            if view.0 == 0 {
+                context.progress();
+            }
+        }
+        Ok(())
+    });
+    // 0 shows progress, 1 is in a busy zone, 2 is silent.
+    send_all(&setup, 0..3);
+    let (report, _, events) = finish(setup);
+    let stuck: Vec<_> = events
+        .iter()
+        .filter_map(|e| {
+            if let Event::ActorStuck { label, seconds, .. } = e { Some((label, seconds)) } else { None }
+        })
+        .collect();
+    assert_eq!(stuck.len(), 1, "{events:?}");
+    assert!(stuck[0].0 == "view 2" && *stuck[0].1 >= 0.08);
+    assert!(events.iter().any(|e| matches!(e, Event::ActorRecovered { .. })));
+    let step = |s: &Span| s.kind == SpanKind::Step && s.label == "loading model";
+    assert!(report.timeline.spans.iter().any(step));
+}
+
+#[test]
+fn work_between_messages_yields_to_them_and_is_finished_in_a_drain() {
+    /// A trainer: 200 steps, one at a time, clicks in between.
+    struct Trainer(u32, Log);
+    impl Actor for Trainer {
+        type Message = View;
+        fn handle(&mut self, view: View, _: &Context) -> Result<(), Failure> {
+            self.1.add(format!("click {} at step {}", view.0, self.0));
+            Ok(())
+        }
+        fn on_idle(&mut self, _: &Context) -> Result<Idle, Failure> {
+            if self.0 == 200 {
+                return Ok(Idle::Wait);
+            }
+            thread::sleep(Duration::from_micros(500));
+            self.0 += 1;
+            Ok(Idle::Again)
+        }
+        fn on_stop(&mut self, _: &Context) -> Result<(), Failure> {
+            self.1.add(format!("stop at step {}", self.0));
+            Ok(())
+        }
+    }
+    let system = System::new(SystemOptions::default()).unwrap();
+    let (clicks, inbox) = mailbox("trainer", Limits::default());
+    let log = Log::default();
+    let logged = log.clone();
+    system.spawn(inbox, quick(), move || Ok(Trainer(0, logged.clone()))).unwrap();
+    thread::sleep(Duration::from_millis(20));
+    clicks.blocking_send_urgent(View(7)).unwrap();
+    let report = system.shutdown();
+    let lines = log.lines();
+    assert!(lines[0].starts_with("click 7 at step"), "{lines:?}");
+    assert!(!lines[0].ends_with("step 200"), "the click did not wait for the training: {lines:?}");
+    assert_eq!(lines[1], "stop at step 200");
+    assert!(report.finished());
+}
+
+#[test]
+fn a_consumer_that_has_gone_ends_the_producer_quietly() {
+    let system = System::new(SystemOptions::default()).unwrap();
+    let (views, inbox) = mailbox("pass", Limits::default());
+    let (out, sink) = mailbox("sink", Limits::default());
+    system.spawn(inbox, quick(), move || Ok(Pass(out.clone(), Duration::ZERO))).unwrap();
+    drop(sink);
+    views.blocking_send(View(0)).unwrap();
+    let report = system.join();
+    let actor = report.actor("pass").unwrap();
+    assert_eq!((&actor.exit, actor.quarantined.len(), actor.restarts), (&Exit::DownstreamClosed, 0, 0));
+    assert_eq!(report.phase, Phase::Running);
+}
+
+#[test]
+fn a_dropped_system_stops_and_takes_nobody_in_after() {
+    let ended = Stopper::new();
+    let options = SystemOptions { stopper: ended.clone(), ..SystemOptions::default() };
+    let setup = probe(quick(), options, |_, _, _| Ok(()));
+    let watched = setup.log.clone();
+    drop(setup.system);
+    assert_eq!(ended.phase(), Phase::Stopping);
+    let deadline = Instant::now() + Duration::from_secs(10);
+    while watched.lines().last().is_none_or(|l| l != "stop") {
+        assert!(Instant::now() < deadline, "the actor did not stop");
+        thread::sleep(Duration::from_millis(1));
+    }
+
+    let system = System::new(SystemOptions::default()).unwrap();
+    system.stopper().stop();
+    thread::sleep(Duration::from_millis(20));
+    let (_views, inbox) = mailbox::<View>("late", Limits::default());
+    let (out, _sink) = mailbox("sink", Limits::default());
+    match system.spawn(inbox, quick(), move || Ok(Pass(out.clone(), Duration::ZERO))) {
+        Err(error) => assert_eq!(error.to_string(), "cannot start `late`: the system is stopping"),
+        Ok(()) => panic!("an actor was taken in that nobody would stop"),
+    }
+    assert!(system.join().actors.is_empty());
+}
+
+#[test]
+fn a_report_and_a_snapshot_are_json_and_a_table() {
+    let setup = probe(quick(), SystemOptions::default(), |_, _, _| {
+        thread::sleep(Duration::from_millis(30));
+        Ok(())
+    });
+    send_all(&setup, 0..2);
+    thread::sleep(Duration::from_millis(10));
+    let live = setup.system.snapshot();
+    assert_eq!((live[0].workers[0].state, live[0].workers[0].label.as_str()), (WorkerState::Busy, "view 0"));
+    assert_eq!((&live[0].exit, live[0].mailbox.as_ref().unwrap().depth), (&Exit::Running, 1));
+    let (report, _, _) = finish(setup);
+    let json: serde_json::Value = serde_json::to_value(&report).unwrap();
+    assert_eq!(json["actors"][0]["exit"], "finished");
+    assert_eq!(json["actors"][0]["messages"], 2);
+    let table = report.to_string();
+    assert!(table.lines().next().unwrap().contains("blocked s") && table.contains("finished"), "{table}");
+}
