@@ -1,0 +1,498 @@
+//! The CPU engine: tiles over rayon, SIMD over pixels.
+//!
+//! The same bytes whatever the number of threads and the instruction set: every tile works alone, what it
+//! leaves for a splat lands in a slot of its own, and a splat's slots are summed in the order of tiles.
+
+mod bin;
+mod kernels;
+mod project;
+mod sh;
+pub(crate) mod simd;
+mod tile;
+mod wide;
+
+pub use simd::Isa;
+
+use crate::{Channels, Engine, Frame, FrameGrad, ProjectOptions, Projected, RasterError, SplatGrads};
+use bin::Bins;
+use glam::Vec3;
+use kernels::{Backward, Blend, Gather, MOMENTS, Shared, Spill, Task, sum_slots};
+use project::Projector;
+use rayon::prelude::*;
+use segwild_scene::{Camera, Image, Pose, Splats};
+use std::sync::{Mutex, PoisonError};
+use wide::{BlendWide, GatherWide, WIDE, Weights};
+
+/// Splats that one task sums or shades.
+const CHUNK: usize = 512;
+/// Largest width or height of a frame: tiles are counted in 16 bits.
+const MAX_SIDE: u32 = 1 << 19;
+
+/// Memory that views take turns to use.
+#[derive(Default)]
+struct Buffers {
+    bins: Bins,
+    slots: Vec<f32>,
+}
+
+/// The rasteriser for CPUs. Make one and keep it: its memory is used again from view to view.
+pub struct CpuEngine {
+    isa: Isa,
+    pool: Mutex<Vec<Buffers>>,
+}
+
+impl Default for CpuEngine {
+    fn default() -> CpuEngine {
+        CpuEngine::new()
+    }
+}
+
+impl CpuEngine {
+    /// An engine on the widest instruction set of this processor (see [`Isa::detect`]).
+    pub fn new() -> CpuEngine {
+        CpuEngine::with_isa(Isa::detect())
+    }
+
+    /// An engine on one instruction set; the plain one if the processor lacks it.
+    pub fn with_isa(isa: Isa) -> CpuEngine {
+        CpuEngine { isa: if isa.available() { isa } else { Isa::Plain }, pool: Mutex::default() }
+    }
+
+    /// The instruction set in use.
+    pub fn isa(&self) -> Isa {
+        self.isa
+    }
+
+    fn take(&self) -> Buffers {
+        self.pool.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default()
+    }
+
+    fn give(&self, buffers: Buffers) {
+        self.pool.lock().unwrap_or_else(PoisonError::into_inner).push(buffers);
+    }
+}
+
+fn check(splats: &Splats, camera: &Camera) -> Result<(), RasterError> {
+    let n = splats.len();
+    let lengths = [
+        ("log_scales", splats.log_scales.len(), n),
+        ("rotations", splats.rotations.len(), n),
+        ("opacities", splats.opacities.len(), n),
+        ("sh", splats.sh.len(), n * splats.sh_stride()),
+    ];
+    for (name, len, wanted) in lengths {
+        if len != wanted {
+            let text = format!("splats: {name} has {len} items where {n} splats need {wanted}");
+            return Err(RasterError::Shape(text));
+        }
+    }
+    if splats.sh_degree > 3 {
+        return Err(RasterError::Shape(format!("splats: SH degree {} is above 3", splats.sh_degree)));
+    }
+    if n > u32::MAX as usize {
+        return Err(RasterError::Shape(format!("splats: {n} are more than can be numbered")));
+    }
+    let Camera { width, height, fx, fy, cx, cy } = *camera;
+    if width == 0 || height == 0 || width > MAX_SIDE || height > MAX_SIDE {
+        return Err(RasterError::Shape(format!(
+            "camera: a frame of {width} x {height} pixels cannot be drawn"
+        )));
+    }
+    let focal = |f: f32| f.is_finite() && f > 0.0;
+    if !focal(fx) || !focal(fy) || !cx.is_finite() || !cy.is_finite() {
+        let text = format!("camera: focal lengths {fx}, {fy} and principal point {cx}, {cy} make no image");
+        return Err(RasterError::Shape(text));
+    }
+    Ok(())
+}
+
+impl Engine for CpuEngine {
+    fn name(&self) -> &'static str {
+        "cpu"
+    }
+
+    fn project<'a>(
+        &'a self,
+        splats: &'a Splats,
+        camera: &Camera,
+        pose: &Pose,
+        options: &ProjectOptions,
+    ) -> Result<Box<dyn Projected + 'a>, RasterError> {
+        check(splats, camera)?;
+        let projector = Projector::new(camera, pose, options);
+        let mut buffers = self.take();
+        buffers.bins.fill(self.isa, splats, &projector);
+        let Buffers { bins, slots } = buffers;
+        let eye = pose.centre();
+        Ok(Box::new(CpuView { engine: self, splats, projector, eye, bins, slots: Mutex::new(slots) }))
+    }
+}
+
+/// Splats as one view sees them, dealt to tiles.
+struct CpuView<'a> {
+    engine: &'a CpuEngine,
+    splats: &'a Splats,
+    projector: Projector,
+    eye: Vec3,
+    bins: Bins,
+    slots: Mutex<Vec<f32>>,
+}
+
+impl Drop for CpuView<'_> {
+    fn drop(&mut self) {
+        let bins = std::mem::take(&mut self.bins);
+        let slots = std::mem::take(self.slots.get_mut().unwrap_or_else(PoisonError::into_inner));
+        self.engine.give(Buffers { bins, slots });
+    }
+}
+
+impl CpuView<'_> {
+    fn tiles(&self) -> usize {
+        self.bins.columns * self.bins.rows
+    }
+
+    fn task<'a>(&'a self, tile: usize, values: &'a [f32], count: usize) -> Task<'a> {
+        Task {
+            bins: &self.bins,
+            tile,
+            width: self.projector.width,
+            height: self.projector.height,
+            values,
+            count,
+        }
+    }
+
+    /// Runs with slots of `stride` numbers each, which hold anything.
+    fn with_slots<T>(&self, stride: usize, work: impl FnOnce(&mut [f32]) -> T) -> T {
+        let mut held = std::mem::take(&mut *self.slots.lock().unwrap_or_else(PoisonError::into_inner));
+        let len = self.bins.pairs() * stride;
+        if held.len() < len {
+            held.resize(len, 0.0);
+        }
+        let out = work(&mut held[..len]);
+        *self.slots.lock().unwrap_or_else(PoisonError::into_inner) = held;
+        out
+    }
+
+    fn assert_image(&self, image: &Image, channels: usize, what: &str) {
+        let size = (image.width, image.height, image.channels);
+        let wanted = (self.projector.width, self.projector.height, channels);
+        assert_eq!(size, wanted, "{what}: width, height, channels");
+        assert_eq!(image.data.len(), image.width * image.height * image.channels, "{what}: numbers");
+    }
+
+    /// Direction from the eye to a splat and one over its distance.
+    fn direction(&self, i: usize) -> ([f32; 3], f32) {
+        let d = self.splats.mean(i) - self.eye;
+        let inverse = 1.0 / d.length();
+        if inverse.is_finite() { ((d * inverse).to_array(), inverse) } else { ([0.0, 0.0, 1.0], 0.0) }
+    }
+
+    /// Colour before it is clamped.
+    fn raw_colour(&self, i: usize, basis: &[f32; 16]) -> [f32; 3] {
+        let stride = self.splats.sh_stride();
+        let mut colour = [0.5; 3];
+        for (b, sh) in basis.iter().zip(self.splats.sh[i * stride..(i + 1) * stride].chunks_exact(3)) {
+            for c in 0..3 {
+                colour[c] += b * sh[c];
+            }
+        }
+        colour
+    }
+}
+
+impl Projected for CpuView<'_> {
+    fn depths(&self) -> &[f32] {
+        &self.bins.depths
+    }
+
+    fn radii(&self) -> &[f32] {
+        &self.bins.radii
+    }
+
+    fn centres(&self) -> &[[f32; 2]] {
+        &self.bins.centres
+    }
+
+    fn shade(&self) -> Vec<f32> {
+        let mut colours = vec![0.0; self.splats.len() * 3];
+        colours.par_chunks_mut(CHUNK * 3).enumerate().for_each(|(chunk, out)| {
+            for (k, out) in out.chunks_exact_mut(3).enumerate() {
+                let i = chunk * CHUNK + k;
+                if self.bins.radii[i] > 0.0 {
+                    let basis = sh::basis(self.splats.sh_degree, self.direction(i).0);
+                    let colour = self.raw_colour(i, &basis);
+                    for c in 0..3 {
+                        out[c] = if colour[c].is_finite() { colour[c].max(0.0) } else { 0.0 };
+                    }
+                }
+            }
+        });
+        colours
+    }
+
+    fn blend(&self, channels: &Channels) -> Frame {
+        let Channels { count, values } = *channels;
+        assert_eq!(values.len(), self.splats.len() * count, "channels: values");
+        let (width, height) = (self.projector.width, self.projector.height);
+        let mut image = Image::zeros(width, height, count);
+        let mut alpha = Image::zeros(width, height, 1);
+        let (planes, opacity) = (Shared::new(&mut image.data), Shared::new(&mut alpha.data));
+        (0..self.tiles()).into_par_iter().for_each_init(Weights::default, |memory, tile| {
+            let task = self.task(tile, values, count);
+            if count >= WIDE {
+                let wide = BlendWide { task, image: planes, alpha: opacity, memory };
+                return simd::run(self.engine.isa, wide);
+            }
+            let mut first = 0;
+            loop {
+                let alpha = (first == 0).then_some(opacity);
+                let isa = self.engine.isa;
+                let left = count - first;
+                match left {
+                    0 if first > 0 => break,
+                    0 => simd::run(isa, Blend::<0> { task, first, image: planes, alpha }),
+                    1 => simd::run(isa, Blend::<1> { task, first, image: planes, alpha }),
+                    2 => simd::run(isa, Blend::<2> { task, first, image: planes, alpha }),
+                    3 => simd::run(isa, Blend::<3> { task, first, image: planes, alpha }),
+                    _ => simd::run(isa, Blend::<4> { task, first, image: planes, alpha }),
+                }
+                first += left.min(4);
+                if first == count {
+                    break;
+                }
+            }
+        });
+        Frame { image, alpha }
+    }
+
+    fn gather(&self, image: &Image) -> Vec<f32> {
+        let count = image.channels;
+        self.assert_image(image, count, "gather");
+        let mut out = vec![0.0; self.splats.len() * count];
+        if count == 0 {
+            return out;
+        }
+        self.with_slots(count, |slots| {
+            let shared = Shared::new(slots);
+            (0..self.tiles()).into_par_iter().for_each_init(Weights::default, |memory, tile| {
+                let task = self.task(tile, &image.data, count);
+                if count >= WIDE {
+                    let wide = GatherWide { task, slots: shared, memory };
+                    return simd::run(self.engine.isa, wide);
+                }
+                let mut first = 0;
+                while first < count {
+                    let (isa, slots) = (self.engine.isa, shared);
+                    let left = count - first;
+                    match left {
+                        1 => simd::run(isa, Gather::<1> { task, first, slots }),
+                        2 => simd::run(isa, Gather::<2> { task, first, slots }),
+                        3 => simd::run(isa, Gather::<3> { task, first, slots }),
+                        _ => simd::run(isa, Gather::<4> { task, first, slots }),
+                    }
+                    first += left.min(4);
+                }
+            });
+            out.par_chunks_mut(CHUNK * count).enumerate().for_each(|(chunk, out)| {
+                for (k, out) in out.chunks_exact_mut(count).enumerate() {
+                    let i = chunk * CHUNK + k;
+                    let (from, to) = (self.bins.slots[i] as usize, self.bins.slots[i + 1] as usize);
+                    for slot in slots[from * count..to * count].chunks_exact(count) {
+                        for (sum, x) in out.iter_mut().zip(slot) {
+                            *sum += x;
+                        }
+                    }
+                }
+            });
+        });
+        out
+    }
+
+    fn backward(&self, channels: &Channels, frame: &Frame, grad: &FrameGrad) -> SplatGrads {
+        let Channels { count, values } = *channels;
+        let n = self.splats.len();
+        assert_eq!(values.len(), n * count, "channels: values");
+        self.assert_image(&frame.image, count, "frame");
+        self.assert_image(&frame.alpha, 1, "frame's alpha");
+        self.assert_image(grad.image, count, "gradient");
+        if let Some(alpha) = grad.alpha {
+            self.assert_image(alpha, 1, "gradient of alpha");
+        }
+        let mut out = SplatGrads {
+            means: vec![[0.0; 3]; n],
+            log_scales: vec![[0.0; 3]; n],
+            rotations: vec![[0.0; 4]; n],
+            opacities: vec![0.0; n],
+            values: vec![0.0; n * count],
+            screen: vec![0.0; n],
+            screen_abs: vec![0.0; n],
+        };
+        self.with_slots(MOMENTS + count, |slots| {
+            let shared = Shared::new(slots);
+            (0..self.tiles()).into_par_iter().for_each_init(Spill::default, |spill, tile| {
+                macro_rules! backward {
+                    ($channels:literal) => {
+                        simd::run(
+                            self.engine.isa,
+                            Backward::<$channels> {
+                                task: self.task(tile, values, count),
+                                image: &frame.image.data,
+                                alpha: &frame.alpha.data,
+                                grad_image: &grad.image.data,
+                                grad_alpha: grad.alpha.map(|alpha| alpha.data.as_slice()),
+                                slots: shared,
+                                spill,
+                            },
+                        )
+                    };
+                }
+                match count {
+                    1 => backward!(1),
+                    2 => backward!(2),
+                    3 => backward!(3),
+                    4 => backward!(4),
+                    _ => backward!(0),
+                }
+            });
+            let slots = &*slots;
+            out.means
+                .par_chunks_mut(CHUNK)
+                .zip(out.log_scales.par_chunks_mut(CHUNK))
+                .zip(out.rotations.par_chunks_mut(CHUNK))
+                .zip(out.opacities.par_chunks_mut(CHUNK))
+                .zip(out.screen.par_chunks_mut(CHUNK))
+                .zip(out.screen_abs.par_chunks_mut(CHUNK))
+                .zip(Rows::split(&mut out.values, CHUNK * count, n.div_ceil(CHUNK)))
+                .enumerate()
+                .for_each(
+                    |(chunk, ((((((means, scales), turns), opacities), screen), screen_abs), values))| {
+                        let (view, first) = (self, chunk * CHUNK);
+                        simd::run(
+                            self.engine.isa,
+                            Unproject {
+                                view,
+                                slots,
+                                first,
+                                count,
+                                means,
+                                scales,
+                                turns,
+                                opacities,
+                                screen,
+                                screen_abs,
+                                values,
+                            },
+                        );
+                    },
+                );
+        });
+        out
+    }
+
+    fn shade_backward(&self, colours: &[f32], grads: &mut SplatGrads) -> Vec<f32> {
+        let (n, stride, degree) = (self.splats.len(), self.splats.sh_stride(), self.splats.sh_degree);
+        assert_eq!(colours.len(), n * 3, "gradient of the colours");
+        assert_eq!(grads.means.len(), n, "gradient of the means");
+        let mut out = vec![0.0; n * stride];
+        out.par_chunks_mut(CHUNK * stride).zip(grads.means.par_chunks_mut(CHUNK)).enumerate().for_each(
+            |(chunk, (out, means))| {
+                for (k, (out, mean)) in out.chunks_exact_mut(stride).zip(means).enumerate() {
+                    let i = chunk * CHUNK + k;
+                    if self.bins.radii[i] > 0.0 {
+                        self.shade_one_backward(i, degree, &colours[i * 3..i * 3 + 3], out, mean);
+                    }
+                }
+            },
+        );
+        out
+    }
+}
+
+impl CpuView<'_> {
+    fn shade_one_backward(&self, i: usize, degree: u32, grad: &[f32], out: &mut [f32], mean: &mut [f32; 3]) {
+        let (direction, inverse) = self.direction(i);
+        let basis = sh::basis(degree, direction);
+        let raw = self.raw_colour(i, &basis);
+        let mut g = [0.0; 3];
+        for c in 0..3 {
+            g[c] = if raw[c] > 0.0 && raw[c].is_finite() && grad[c].is_finite() { grad[c] } else { 0.0 };
+        }
+        for (b, out) in basis.iter().zip(out.chunks_exact_mut(3)) {
+            for c in 0..3 {
+                out[c] = b * g[c];
+            }
+        }
+        if degree == 0 {
+            return;
+        }
+        let stride = self.splats.sh_stride();
+        let mut db = [0.0; 16];
+        for (d, sh) in db.iter_mut().zip(self.splats.sh[i * stride..(i + 1) * stride].chunks_exact(3)) {
+            *d = sh[0] * g[0] + sh[1] * g[1] + sh[2] * g[2];
+        }
+        let d = Vec3::from(sh::basis_backward(degree, direction, &db));
+        let unit = Vec3::from(direction);
+        let moved = (d - unit * d.dot(unit)) * inverse;
+        if moved.is_finite() {
+            for k in 0..3 {
+                mean[k] += moved[k];
+            }
+        }
+    }
+}
+
+/// Sums the slots of the splats from `first` on and carries the sums back to the parameters.
+struct Unproject<'a> {
+    view: &'a CpuView<'a>,
+    slots: &'a [f32],
+    first: usize,
+    count: usize,
+    means: &'a mut [[f32; 3]],
+    scales: &'a mut [[f32; 3]],
+    turns: &'a mut [[f32; 4]],
+    opacities: &'a mut [f32],
+    screen: &'a mut [f32],
+    screen_abs: &'a mut [f32],
+    values: &'a mut [f32],
+}
+
+impl simd::Kernel for Unproject<'_> {
+    type Out = ();
+
+    #[inline(always)]
+    fn run<S: simd::Simd>(self, _: S) {
+        for k in 0..self.means.len() {
+            let i = self.first + k;
+            let (from, to) = (self.view.bins.slots[i], self.view.bins.slots[i + 1]);
+            if from == to {
+                continue;
+            }
+            let values = &mut self.values[k * self.count..(k + 1) * self.count];
+            let moments = sum_slots(self.slots, from, to, values);
+            let g = self.view.projector.backward(self.view.splats, i, &moments);
+            self.means[k] = g.mean;
+            self.scales[k] = g.log_scale;
+            self.turns[k] = g.rotation;
+            self.opacities[k] = g.opacity;
+            self.screen[k] = g.screen;
+            self.screen_abs[k] = g.screen_abs;
+        }
+    }
+}
+
+/// Chunks of a slice that may be empty: a blend of no channel has values of length 0 per splat.
+struct Rows;
+
+impl Rows {
+    fn split(data: &mut [f32], size: usize, count: usize) -> impl IndexedParallelIterator<Item = &mut [f32]> {
+        let mut parts = Vec::with_capacity(count);
+        let mut rest = data;
+        for _ in 0..count {
+            let (part, tail) = rest.split_at_mut(size.min(rest.len()));
+            parts.push(part);
+            rest = tail;
+        }
+        parts.into_par_iter()
+    }
+}

@@ -1,0 +1,119 @@
+//! What a rasteriser must do.
+
+use segwild_scene::{Camera, Image, Pose, Splats};
+
+/// Why a rasteriser refused.
+#[derive(Debug, thiserror::Error)]
+pub enum RasterError {
+    /// Arrays of the splats differ in length, or the frame has no pixel.
+    #[error("{0}")]
+    Shape(String),
+}
+
+/// How splats are projected.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ProjectOptions {
+    /// Variance in px² added to the diagonal of the projected covariance (0.3 is the paper's low-pass).
+    pub low_pass: f32,
+    /// Lower the opacity by what the low-pass widened, so that thin splats do not grow brighter.
+    pub antialias: bool,
+    /// Splats nearer than this are culled; in scene units.
+    pub near: f32,
+}
+
+impl Default for ProjectOptions {
+    fn default() -> Self {
+        ProjectOptions { low_pass: 0.3, antialias: false, near: segwild_scene::NEAR }
+    }
+}
+
+/// Values to blend: `count` numbers per splat.
+#[derive(Clone, Copy, Debug)]
+pub struct Channels<'a> {
+    /// Numbers per splat: 3 for colours, 16/32/64/128 for features, 1 for depth or an indicator; any count.
+    pub count: usize,
+    /// `[splat][channel]`, flat; length `splats * count`.
+    pub values: &'a [f32],
+}
+
+/// What a forward pass leaves.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Frame {
+    /// Sum over splats of `alpha T value`; one plane per channel. No background is added.
+    pub image: Image,
+    /// Accumulated alpha `A = sum of alpha T`, one plane.
+    pub alpha: Image,
+}
+
+/// Loss gradients that enter a backward pass.
+#[derive(Clone, Copy, Debug)]
+pub struct FrameGrad<'a> {
+    /// With respect to [`Frame::image`].
+    pub image: &'a Image,
+    /// With respect to [`Frame::alpha`].
+    pub alpha: Option<&'a Image>,
+}
+
+/// Loss gradients that leave a backward pass, per splat.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SplatGrads {
+    /// Centres.
+    pub means: Vec<[f32; 3]>,
+    /// Log scales.
+    pub log_scales: Vec<[f32; 3]>,
+    /// Rotations, of the unnormalised quaternion.
+    pub rotations: Vec<[f32; 4]>,
+    /// Opacity logits.
+    pub opacities: Vec<f32>,
+    /// Blended values, `[splat][channel]`.
+    pub values: Vec<f32>,
+    /// Norm of the gradient of the 2D centre, in units of half the frame (what density control thresholds).
+    pub screen: Vec<f32>,
+    /// The same with the absolute values summed over pixels (the absolute-gradient variant).
+    pub screen_abs: Vec<f32>,
+}
+
+/// A splat rasteriser. Implementations bear one name with their kernels' twins.
+pub trait Engine: Send + Sync {
+    /// Name for logs and cache keys.
+    fn name(&self) -> &'static str;
+
+    /// Projects, culls, bins and sorts the splats for one view.
+    fn project<'a>(
+        &'a self,
+        splats: &'a Splats,
+        camera: &Camera,
+        pose: &Pose,
+        options: &ProjectOptions,
+    ) -> Result<Box<dyn Projected + 'a>, RasterError>;
+}
+
+/// Splats as one view sees them, ready to blend any channel set.
+pub trait Projected: Send + Sync {
+    /// Depth along the optical axis per splat, in scene units; also of culled splats.
+    fn depths(&self) -> &[f32];
+
+    /// Radius in pixels within which a splat can reach alpha 1/255; 0 for a culled splat.
+    fn radii(&self) -> &[f32];
+
+    /// Pixel position of each centre; meaningless for splats behind the camera.
+    fn centres(&self) -> &[[f32; 2]];
+
+    /// Colour per splat towards this camera from its spherical harmonics, `[splat][r, g, b]`, clamped at 0;
+    /// 0 for culled splats.
+    fn shade(&self) -> Vec<f32>;
+
+    /// Blends front to back.
+    fn blend(&self, channels: &Channels) -> Frame;
+
+    /// The transpose of [`Projected::blend`]: `sum over pixels of alpha T image[c]`, as `[splat][channel]`.
+    /// Lifting, coverage and contribution are this sum over images of targets, masks and ones.
+    fn gather(&self, image: &Image) -> Vec<f32>;
+
+    /// Gradients of every parameter for a frame that [`Projected::blend`] made from the same channels.
+    fn backward(&self, channels: &Channels, frame: &Frame, grad: &FrameGrad) -> SplatGrads;
+
+    /// Carries the gradient of [`Projected::shade`]'s colours back to the SH coefficients (returned, laid out
+    /// as [`Splats::sh`]) and, through the view direction, to `grads.means`.
+    fn shade_backward(&self, colours: &[f32], grads: &mut SplatGrads) -> Vec<f32>;
+}
