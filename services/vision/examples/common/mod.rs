@@ -1,0 +1,99 @@
+//! What the measurements share: clicks that a person would make, pictures, means.
+
+use segwild_scene::{BoxPrompt, Image, Mask, PointPrompt};
+
+/// An outcome of an example.
+pub type Outcome<T> = Result<T, Box<dyn std::error::Error>>;
+
+/// The value after a flag.
+pub fn option(name: &str) -> Option<String> {
+    let mut args = std::env::args();
+    args.find(|a| a == name)?;
+    args.next()
+}
+
+/// The pixel of the mask farthest from everything else.
+pub fn most_interior(mask: &Mask) -> Option<(f32, f32)> {
+    let distances = mask.not().distances();
+    let (w, h) = (mask.width(), mask.height());
+    let mut best = (0.0f32, None);
+    for (x, y) in mask.pixels() {
+        let frame = (x + 1).min(y + 1).min(w - x).min(h - y) as f32;
+        let d = distances[(y * w + x) as usize].min(frame);
+        if d > best.0 {
+            best = (d, Some((x as f32 + 0.5, y as f32 + 0.5)));
+        }
+    }
+    best.1
+}
+
+/// The most interior points of the upper 60 % and the lower 40 % of the mask's rows.
+pub fn two_clicks(truth: &Mask) -> Vec<PointPrompt> {
+    let rows: Vec<u32> = truth.pixels().map(|p| p.1).collect();
+    let (Some(&top), Some(&low)) = (rows.iter().min(), rows.iter().max()) else { return Vec::new() };
+    let middle = top + ((low - top + 1) as f32 * 0.6) as u32;
+    let part = |upper: bool| {
+        Mask::from_fn(truth.width(), truth.height(), |x, y| truth.get(x, y) && (y < middle) == upper)
+    };
+    [true, false]
+        .iter()
+        .filter_map(|&upper| most_interior(&part(upper)))
+        .map(|(x, y)| PointPrompt { x, y, inside: true })
+        .collect()
+}
+
+/// The smallest box around a mask.
+pub fn box_of(truth: &Mask) -> BoxPrompt {
+    let (mut x0, mut y0, mut x1, mut y1) = (f32::MAX, f32::MAX, 0.0f32, 0.0f32);
+    for (x, y) in truth.pixels() {
+        (x0, y0) = (x0.min(x as f32), y0.min(y as f32));
+        (x1, y1) = (x1.max(x as f32 + 1.0), y1.max(y as f32 + 1.0));
+    }
+    BoxPrompt { x0, y0, x1, y1 }
+}
+
+/// A photo with one mask tinted and another's outline drawn.
+pub fn overlay(image: &Image, tint: &Mask, outline: Option<&Mask>) -> Image {
+    let mut out = image.clone();
+    let (w, h) = (image.width, image.height);
+    for i in 0..w * h {
+        let (x, y) = ((i % w) as u32, (i / w) as u32);
+        if tint.index(i) {
+            out.data[i] = 0.5 * out.data[i] + 0.5;
+            out.data[w * h + i] *= 0.6;
+            out.data[2 * w * h + i] *= 0.6;
+        }
+        let edge =
+            |m: &Mask| m.get(x, y) && !(m.get(x + 1, y) && m.get(x, y + 1) && m.get(x.wrapping_sub(1), y));
+        if outline.is_some_and(edge) {
+            for c in 0..3 {
+                out.data[c * w * h + i] = if c == 1 { 1.0 } else { 0.0 };
+            }
+        }
+    }
+    out
+}
+
+/// Pictures side by side.
+pub fn beside(images: &[Image]) -> Image {
+    let (w, h) = (images.iter().map(|i| i.width).sum(), images.iter().map(|i| i.height).max().unwrap_or(1));
+    let mut out = Image::zeros(w, h, 3);
+    let mut x0 = 0;
+    for image in images {
+        for c in 0..3 {
+            let plane = image.plane(if image.channels == 1 { 0 } else { c });
+            for y in 0..image.height {
+                let to = (c * h + y) * w + x0;
+                out.data[to..to + image.width]
+                    .copy_from_slice(&plane[y * image.width..(y + 1) * image.width]);
+            }
+        }
+        x0 += image.width;
+    }
+    out
+}
+
+/// The mean; 0 of nothing.
+pub fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len().max(1) as f64
+}

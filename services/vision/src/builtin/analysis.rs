@@ -1,0 +1,99 @@
+//! What is worked out once per photo and shared by all answers about it.
+
+use super::boundary::{Boundaries, detect, texture_bins};
+use super::colour::Lab;
+use super::plane::Plane;
+use super::tree::{BINS, Hierarchy, Weights};
+use super::watershed::basins;
+use crate::VisionError;
+use segwild_scene::Image;
+
+/// Boundaries, regions and colours of one photo.
+pub(crate) struct Analysis {
+    /// Colours as they are.
+    pub lab: Lab,
+    /// Colours with the photo's exposure taken out.
+    pub normal: Lab,
+    /// Where things end.
+    pub edges: Boundaries,
+    /// Nested regions.
+    pub tree: Hierarchy,
+    /// Other trees over the same superpixels, for more candidates.
+    pub others: Vec<Hierarchy>,
+    /// Texture shares per pixel (five planes).
+    pub texture: Vec<Plane>,
+}
+
+/// Refuses what is no RGB photo.
+pub(crate) fn check(image: &Image) -> Result<(), VisionError> {
+    if image.width == 0 || image.height == 0 {
+        return Err(VisionError::Image(format!(
+            "the photo is {} x {} pixels: it has none",
+            image.width, image.height
+        )));
+    }
+    if image.channels != 3 {
+        return Err(VisionError::Image(format!(
+            "the photo has {} channels; the vision models take RGB (3)",
+            image.channels
+        )));
+    }
+    if image.data.len() != image.width * image.height * 3 {
+        return Err(VisionError::Image(format!(
+            "the photo says {} x {} x 3 but holds {} numbers",
+            image.width,
+            image.height,
+            image.data.len()
+        )));
+    }
+    Ok(())
+}
+
+/// Triangular soft bins of three planes, 8 each.
+fn soft8(plane: &Plane, out: &mut Vec<Vec<f32>>) {
+    let n = plane.data.len();
+    let from = out.len();
+    out.extend((0..8).map(|_| vec![0.0; n]));
+    for (i, &v) in plane.data.iter().enumerate() {
+        let u = v.clamp(0.0, 1.0) * 7.0;
+        let k = (u as usize).min(6);
+        let f = u - k as f32;
+        out[from + k][i] = 1.0 - f;
+        out[from + k + 1][i] = f;
+    }
+}
+
+impl Analysis {
+    /// Factors from a photo's pixels to those of the size it was looked at.
+    pub fn scale_from(&self, image: &Image) -> (f32, f32) {
+        (self.tree.width as f32 / image.width as f32, self.tree.height as f32 / image.height as f32)
+    }
+
+    /// All trees, the main one first.
+    pub fn trees(&self) -> impl Iterator<Item = &Hierarchy> {
+        std::iter::once(&self.tree).chain(&self.others)
+    }
+
+    /// Works everything out; `strength` replaces the built-in boundary detector's answer.
+    pub fn of(image: &Image, strength: Option<Plane>) -> Analysis {
+        let lab = Lab::of(image);
+        let normal = lab.normalised();
+        let edges = match strength {
+            Some(strength) => Boundaries::from_strength(strength),
+            None => detect(&normal),
+        };
+        let texture: Vec<Plane> = texture_bins(&normal.l);
+        // Fine enough for a torch or a spire a few pixels wide, coarse enough for about a thousand superpixels.
+        let least = (image.pixels() / 12_000).max(4);
+        let (labels, count) = basins(&edges.strength, least);
+        let mut bins = Vec::with_capacity(BINS);
+        for plane in [&normal.l, &normal.a, &normal.b] {
+            soft8(plane, &mut bins);
+        }
+        let mut planes: Vec<&[f32]> = bins.iter().map(Vec::as_slice).collect();
+        planes.extend(texture.iter().map(|p| p.data.as_slice()));
+        let tree = Hierarchy::build(labels, count, &edges, &planes);
+        let others = Weights::others().into_iter().map(|w| tree.regrown(w)).collect();
+        Analysis { lab, normal, edges, tree, others, texture }
+    }
+}

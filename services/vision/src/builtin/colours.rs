@@ -1,0 +1,66 @@
+//! A colour model of inside and outside over superpixels: kernel density in colour and place, so that what looks
+//! like the object but lies elsewhere says little.
+
+use super::analysis::Analysis;
+
+/// Superpixels as points in colour and place.
+pub(crate) struct Samples {
+    /// (L, a, b) in CIE units over the kernel's width, then (x, y) in photo diagonals.
+    points: Vec<[f32; 5]>,
+    area: Vec<f32>,
+}
+
+/// Width of the colour kernel, in CIE units.
+const COLOUR: f32 = 7.0;
+
+impl Samples {
+    /// The superpixels of a photo.
+    pub fn of(analysis: &Analysis) -> Samples {
+        let tree = &analysis.tree;
+        let (w, h) = (tree.width, tree.height);
+        let diagonal = ((w * w + h * h) as f32).sqrt();
+        let mut points = vec![[0.0f32; 5]; tree.leaves];
+        for (i, &label) in tree.labels.iter().enumerate() {
+            let p = &mut points[label as usize];
+            p[0] += analysis.lab.l.data[i] / COLOUR;
+            p[1] += 1.4 * analysis.lab.a.data[i] / COLOUR;
+            p[2] += 1.4 * analysis.lab.b.data[i] / COLOUR;
+            p[3] += (i % w) as f32 / diagonal;
+            p[4] += (i / w) as f32 / diagonal;
+        }
+        let area: Vec<f32> = tree.nodes[..tree.leaves].iter().map(|n| n.area).collect();
+        for (p, &a) in points.iter_mut().zip(&area) {
+            p.iter_mut().for_each(|v| *v /= a);
+        }
+        Samples { points, area }
+    }
+
+    /// For every superpixel the share of `inside` among the superpixels that look like it within about
+    /// `reach` photo diagonals (itself left out), shrunk to 1/2 where few do. `inside` is in [0, 1]; superpixels
+    /// with weight 0 do not vote.
+    pub fn posterior(&self, inside: &[f32], weight: &[f32], reach: f32) -> Vec<f32> {
+        let total: f32 = self.area.iter().sum();
+        let near = 1.0 / (2.0 * reach * reach);
+        let doubt = 5e-4 * total;
+        (0..self.points.len())
+            .map(|i| {
+                let p = &self.points[i];
+                let (mut yes, mut no) = (0.0f32, 0.0f32);
+                for (j, q) in self.points.iter().enumerate() {
+                    let place = ((p[3] - q[3]) * (p[3] - q[3]) + (p[4] - q[4]) * (p[4] - q[4])) * near;
+                    if place > 5.0 || j == i || weight[j] == 0.0 {
+                        continue;
+                    }
+                    let colour = (0..3).map(|k| (p[k] - q[k]) * (p[k] - q[k])).sum::<f32>();
+                    if colour > 12.0 {
+                        continue;
+                    }
+                    let vote = self.area[j] * weight[j] * (-0.5 * colour - place).exp();
+                    yes += vote * inside[j];
+                    no += vote * (1.0 - inside[j]);
+                }
+                (yes + 0.5 * doubt) / (yes + no + doubt)
+            })
+            .collect()
+    }
+}

@@ -1,0 +1,248 @@
+//! The built-in provider: everything the program needs to see, without weights and without a GPU.
+//!
+//! Boundaries ([`boundary`]), superpixels ([`watershed`]) and a tree of nested regions ([`tree`]) are worked out once per
+//! photo and shared by embeddings, proposals, prompted masks, refinement and sky.
+
+mod analysis;
+mod boundary;
+mod candidates;
+mod colour;
+mod colours;
+mod cut;
+mod embed;
+mod ladder;
+mod plane;
+mod pool;
+mod propose;
+mod refine;
+mod select;
+mod shape;
+mod sky;
+mod tree;
+mod watershed;
+
+use crate::{Embedder, MaskProposer, PromptSegmenter, SkyDetector, VisionError};
+use analysis::Analysis;
+pub(crate) use analysis::check;
+use plane::Plane;
+use segwild_scene::{Embedding, Image, Mask, Prompts, ScoredMask};
+use std::borrow::Cow;
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+
+/// Changes whenever the same photo would give other bytes.
+const VERSION: &str = "builtin-2";
+/// Photos whose analysis is kept.
+const KEPT: usize = 4;
+/// Photos whose long side is over this are looked at smaller: boundaries are those of things, not of grain.
+const LONG_SIDE: usize = 800;
+
+/// Where boundary strengths come from, when not from the built-in detector.
+pub trait EdgeDetector: Send + Sync {
+    /// Names the model and its parameters.
+    fn key(&self) -> String;
+    /// Boundary probability per pixel: one plane of the photo's size.
+    fn edges(&self, image: &Image) -> Result<Image, VisionError>;
+}
+
+type Slot = Arc<OnceLock<Arc<Analysis>>>;
+
+/// The provider that needs no weights.
+#[derive(Default)]
+pub struct Builtin {
+    edges: Option<Arc<dyn EdgeDetector>>,
+    recent: Mutex<VecDeque<(blake3::Hash, Slot)>>,
+}
+
+impl Builtin {
+    /// With its own boundary detector.
+    pub fn new() -> Builtin {
+        Builtin::default()
+    }
+
+    /// With boundaries from a network.
+    pub fn with_edges(edges: Arc<dyn EdgeDetector>) -> Builtin {
+        Builtin { edges: Some(edges), ..Builtin::default() }
+    }
+
+    fn name(&self, part: &str) -> String {
+        match &self.edges {
+            Some(edges) => format!("{VERSION}-{part}+{}", edges.key()),
+            None => format!("{VERSION}-{part}"),
+        }
+    }
+
+    /// The analysis of a photo, worked out once; two threads that ask for one photo share the work.
+    fn analysis(&self, image: &Image) -> Result<Arc<Analysis>, VisionError> {
+        let image = &*fitted(image)?;
+        let key = content(image);
+        let slot = {
+            let mut recent = self.recent.lock().unwrap_or_else(PoisonError::into_inner);
+            match recent.iter().position(|(k, _)| *k == key) {
+                Some(i) => {
+                    let entry = recent.remove(i).expect("just found");
+                    let slot = entry.1.clone();
+                    recent.push_front(entry);
+                    slot
+                }
+                None => {
+                    let slot = Slot::default();
+                    recent.push_front((key, slot.clone()));
+                    recent.truncate(KEPT);
+                    slot
+                }
+            }
+        };
+        if let Some(done) = slot.get() {
+            return Ok(done.clone());
+        }
+        let strength = match &self.edges {
+            Some(edges) => {
+                let map = edges.edges(image)?;
+                if (map.width, map.height, map.channels) != (image.width, image.height, 1) {
+                    return Err(VisionError::Model(format!(
+                        "the edge network {} answered {} x {} x {} for a photo of {} x {}",
+                        edges.key(),
+                        map.width,
+                        map.height,
+                        map.channels,
+                        image.width,
+                        image.height
+                    )));
+                }
+                let data =
+                    map.data.iter().map(|v| if v.is_finite() { v.clamp(0.0, 1.0) } else { 0.0 }).collect();
+                Some(Plane::new(image.width, image.height, data))
+            }
+            None => None,
+        };
+        Ok(slot.get_or_init(|| Arc::new(Analysis::of(image, strength))).clone())
+    }
+
+    /// Which region every pixel belongs to at a granularity in [0, 1] (`None`: superpixels); numbers are not in order.
+    pub fn regions(&self, image: &Image, granularity: Option<f32>) -> Result<Vec<u32>, VisionError> {
+        let tree = &self.analysis(image)?.tree;
+        let limit = granularity.map(|g| select::altitude(tree, g));
+        let of_leaf: Vec<u32> =
+            (0..tree.leaves as u32).map(|l| limit.map_or(l, |limit| tree.region_at(l, limit))).collect();
+        let (w, h) = (image.width, image.height);
+        let under = |i: usize| (i / w * tree.height / h) * tree.width + i % w * tree.width / w;
+        Ok((0..w * h).map(|i| of_leaf[tree.labels[under(i)] as usize]).collect())
+    }
+
+    /// Boundary strengths one pixel wide, probability-like, one plane: for pictures and measurements.
+    pub fn boundaries(&self, image: &Image) -> Result<Image, VisionError> {
+        let analysis = self.analysis(image)?;
+        let thin = analysis.edges.thinned();
+        let map = Image { width: thin.width, height: thin.height, channels: 1, data: thin.data };
+        Ok(if (map.width, map.height) == (image.width, image.height) {
+            map
+        } else {
+            map.resized(image.width, image.height)
+        })
+    }
+}
+
+/// Hash of a photo's size and numbers.
+fn content(image: &Image) -> blake3::Hash {
+    let mut hasher = blake3::Hasher::new();
+    for n in [image.width, image.height, image.channels] {
+        hasher.update(&(n as u64).to_le_bytes());
+    }
+    let mut bytes = Vec::with_capacity(4 * 4096);
+    for chunk in image.data.chunks(4096) {
+        bytes.clear();
+        chunk.iter().for_each(|v| bytes.extend_from_slice(&v.to_le_bytes()));
+        hasher.update(&bytes);
+    }
+    hasher.finalize()
+}
+
+/// A photo at the size it is looked at.
+fn fitted(image: &Image) -> Result<Cow<'_, Image>, VisionError> {
+    check(image)?;
+    let long = image.width.max(image.height);
+    if long <= LONG_SIDE {
+        return Ok(Cow::Borrowed(image));
+    }
+    let size = |n: usize| (n * LONG_SIDE / long).max(1);
+    Ok(Cow::Owned(image.resized(size(image.width), size(image.height))))
+}
+
+/// A mask at the size of the photo that was asked about.
+fn at_size_of(image: &Image, mut answer: ScoredMask) -> ScoredMask {
+    let (w, h) = (image.width as u32, image.height as u32);
+    if (answer.mask.width(), answer.mask.height()) != (w, h) {
+        answer.mask = answer.mask.resized(w, h);
+    }
+    answer
+}
+
+impl Embedder for Builtin {
+    fn key(&self) -> String {
+        self.name("embed")
+    }
+
+    fn embed(&self, image: &Image) -> Result<Embedding, VisionError> {
+        Ok(embed::embed(&*self.analysis(image)?))
+    }
+}
+
+impl MaskProposer for Builtin {
+    fn key(&self) -> String {
+        self.name("propose")
+    }
+
+    fn propose(&self, image: &Image, points: &[[f32; 2]]) -> Result<Vec<ScoredMask>, VisionError> {
+        let analysis = self.analysis(image)?;
+        let (sx, sy) = analysis.scale_from(image);
+        let points: Vec<[f32; 2]> = points.iter().map(|p| [p[0] * sx, p[1] * sy]).collect();
+        Ok(propose::propose(&analysis, &points).into_iter().map(|m| at_size_of(image, m)).collect())
+    }
+}
+
+impl PromptSegmenter for Builtin {
+    fn key(&self) -> String {
+        self.name("segment")
+    }
+
+    fn segment(&self, image: &Image, prompts: &Prompts) -> Result<ScoredMask, VisionError> {
+        let analysis = self.analysis(image)?;
+        let (w, h) = (image.width as f32, image.height as f32);
+        if let Some(p) = prompts.points.iter().find(|p| !(p.x >= 0.0 && p.y >= 0.0 && p.x < w && p.y < h)) {
+            return Err(VisionError::Image(format!(
+                "the click at ({}, {}) lies outside the photo ({w} x {h})",
+                p.x, p.y
+            )));
+        }
+        let (sx, sy) = analysis.scale_from(image);
+        Ok(at_size_of(image, select::select(&analysis, &prompts.scaled(sx, sy))?))
+    }
+
+    fn refine(&self, image: &Image, certainty: &Image) -> Result<ScoredMask, VisionError> {
+        if (certainty.width, certainty.height) != (image.width, image.height)
+            || certainty.channels == 0
+            || certainty.data.len() != certainty.pixels() * certainty.channels
+        {
+            return Err(VisionError::Image(format!(
+                "the certainty is {} x {} x {} but the photo is {} x {}",
+                certainty.width, certainty.height, certainty.channels, image.width, image.height
+            )));
+        }
+        let analysis = self.analysis(image)?;
+        let plane = Plane::new(image.width, image.height, certainty.plane(0).to_vec());
+        let plane = plane.pooled_to(analysis.tree.width, analysis.tree.height);
+        Ok(at_size_of(image, refine::snap(&analysis, &plane.data)))
+    }
+}
+
+impl SkyDetector for Builtin {
+    fn key(&self) -> String {
+        self.name("sky")
+    }
+
+    fn sky(&self, image: &Image) -> Result<Mask, VisionError> {
+        let mask = sky::sky(&*self.analysis(image)?);
+        Ok(mask.resized(image.width as u32, image.height as u32))
+    }
+}

@@ -1,0 +1,136 @@
+//! Everything that a click could mean: the regions around it in all trees, and what is one merge away from them.
+//!
+//! A tree that joins a thing with its background too early never gives the thing. But it often gives it but for one
+//! part: so every region around the click is also taken with one neighbour more, and with one part less (pairs of
+//! regions, as in Arbelaez et al., "Multiscale combinatorial grouping", CVPR 2014).
+
+use super::analysis::Analysis;
+use super::colours::Samples;
+use super::select::standing;
+use super::shape::{Places, Shape};
+use super::tree::Hierarchy;
+use std::collections::HashSet;
+
+/// Least pixels of a candidate.
+const LEAST: f32 = 16.0;
+/// Largest share of the photo of a candidate.
+const MOST: f32 = 0.85;
+/// Least and largest share of the photo of a region that is taken with a part more or less.
+const WHOLE: [f32; 2] = [0.001, 0.5];
+/// Largest share of the photo of such a part, and its least share of the region.
+const PART: [f32; 2] = [0.3, 0.1];
+
+/// A set of superpixels that may be meant.
+#[derive(Clone, Debug)]
+pub(crate) struct Choice {
+    pub inside: Vec<bool>,
+    pub shape: Shape,
+    /// How well it stands in its tree ([`standing`]); 0 where it is no region of one.
+    pub standing: f32,
+}
+
+/// What is worked out once per prompt.
+pub(crate) struct Ground<'a> {
+    pub analysis: &'a Analysis,
+    pub places: Places,
+    pub samples: Samples,
+    /// Cost per pixel side of passing over every border of the tree.
+    pub open: Vec<f32>,
+}
+
+/// Cost per pixel side of passing between neighbouring superpixels: from the boundary along their border and from how
+/// late the tree merges them.
+fn openness(tree: &Hierarchy) -> Vec<f32> {
+    tree.borders
+        .iter()
+        .map(|&(a, b, border)| {
+            let meet = tree.nodes[tree.meet(a, b) as usize].altitude;
+            (-3.0 * border.mean() - 2.0 * meet).exp() + 0.02
+        })
+        .collect()
+}
+
+impl<'a> Ground<'a> {
+    /// Of a photo.
+    pub fn of(analysis: &'a Analysis) -> Ground<'a> {
+        Ground {
+            analysis,
+            places: Places::of(analysis),
+            samples: Samples::of(analysis),
+            open: openness(&analysis.tree),
+        }
+    }
+
+    /// Every candidate that holds superpixel `leaf`, tree by tree; each set once.
+    pub fn around(&self, leaf: u32) -> Vec<Choice> {
+        let tree = &self.analysis.tree;
+        let total = (tree.width * tree.height) as f32;
+        let mut sets: Vec<(Vec<bool>, f32)> = Vec::new();
+        let mut known = HashSet::new();
+        let mut keep = |inside: Vec<bool>, standing: f32| {
+            let area = self.area(&inside);
+            if area >= LEAST && area <= MOST * total && known.insert(inside.clone()) {
+                sets.push((inside, standing));
+            }
+        };
+        for tree in self.analysis.trees() {
+            let chain: Vec<u32> = tree.chain(leaf).collect();
+            chain.iter().for_each(|&r| keep(set_of(tree, r), standing(tree, r)));
+            // What every step of the chain joined.
+            let parts: Vec<u32> = chain
+                .windows(2)
+                .map(|pair| {
+                    let [a, b] = tree.nodes[pair[1] as usize].children;
+                    if a == pair[0] { b } else { a }
+                })
+                .collect();
+            for (r, &region) in chain.iter().enumerate() {
+                let area = tree.nodes[region as usize].area;
+                if area < WHOLE[0] * total || area > WHOLE[1] * total {
+                    continue;
+                }
+                for (q, &part) in parts.iter().enumerate() {
+                    let size = tree.nodes[part as usize].area;
+                    if size > PART[0] * total || size < PART[1] * area {
+                        continue;
+                    }
+                    // The last part taken away, or the next one added, gives a region of the chain itself.
+                    if q > r && touch(tree, region, part) {
+                        let mut inside = set_of(tree, region);
+                        tree.leaves_of(part).iter().for_each(|&l| inside[l as usize] = true);
+                        keep(inside, 0.0);
+                    } else if q + 1 < r {
+                        let mut inside = set_of(tree, region);
+                        tree.leaves_of(part).iter().for_each(|&l| inside[l as usize] = false);
+                        keep(inside, 0.0);
+                    }
+                }
+            }
+        }
+        sets.into_iter().map(|(inside, standing)| Choice { standing, ..self.choice(inside) }).collect()
+    }
+
+    /// A set with its measures.
+    pub fn choice(&self, inside: Vec<bool>) -> Choice {
+        Choice { shape: Shape::of(self.analysis, &self.places, &inside), inside, standing: 0.0 }
+    }
+
+    /// Pixels of a set.
+    pub fn area(&self, inside: &[bool]) -> f32 {
+        self.analysis.tree.nodes.iter().zip(inside).map(|(n, &i)| if i { n.area } else { 0.0 }).sum()
+    }
+}
+
+/// The superpixels of a region.
+pub(crate) fn set_of(tree: &Hierarchy, region: u32) -> Vec<bool> {
+    let mut inside = vec![false; tree.leaves];
+    tree.leaves_of(region).iter().for_each(|&l| inside[l as usize] = true);
+    inside
+}
+
+/// Whether two regions share a border.
+fn touch(tree: &Hierarchy, a: u32, b: u32) -> bool {
+    tree.borders
+        .iter()
+        .any(|&(p, q, _)| (tree.holds(a, p) && tree.holds(b, q)) || (tree.holds(a, q) && tree.holds(b, p)))
+}

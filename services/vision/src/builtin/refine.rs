@@ -1,0 +1,85 @@
+//! Snapping a rough probability to the photo's boundaries: a cut over superpixels.
+
+use super::analysis::Analysis;
+use super::colours::Samples;
+use super::cut::Cut;
+use super::plane::Plane;
+use segwild_scene::ScoredMask;
+
+/// What the cut is made of.
+pub(crate) struct Energy {
+    /// Probability of being inside, per superpixel; costs count per pixel of it.
+    pub inside: Vec<f32>,
+    /// Weight of a border, per pixel side where no boundary is seen.
+    pub smooth: f32,
+}
+
+/// Labels superpixels at least cost; `bias` shifts the odds of inside.
+pub(crate) fn cut(analysis: &Analysis, energy: &Energy, bias: f32) -> Vec<bool> {
+    let tree = &analysis.tree;
+    let mut graph = Cut::new(tree.leaves);
+    for (i, (&p, node)) in energy.inside.iter().zip(&tree.nodes).enumerate() {
+        let p = p.clamp(0.005, 0.995);
+        let odds = (p / (1.0 - p)).ln() + bias;
+        graph.unary(i, (-odds).max(0.0) * node.area, odds.max(0.0) * node.area);
+    }
+    for &(a, b, border) in tree.borders.iter() {
+        let open = (-5.0 * border.mean()).exp();
+        graph.pair(a as usize, b as usize, energy.smooth * border.length * (open + 0.02));
+    }
+    graph.solve()
+}
+
+/// The mask that a rough certainty (one number in [0, 1] per pixel) means.
+pub(crate) fn snap(analysis: &Analysis, certainty: &[f32]) -> ScoredMask {
+    let tree = &analysis.tree;
+    let clean: Vec<f32> =
+        certainty.iter().map(|&c| if c.is_finite() { c.clamp(0.0, 1.0) } else { 0.0 }).collect();
+    // What the certainty says is worth less near its own edge, which is what is in doubt: judged by its blur.
+    let diagonal = ((tree.width * tree.width + tree.height * tree.height) as f32).sqrt();
+    let wide = Plane::new(tree.width, tree.height, clean.clone()).blurred((0.012 * diagonal).max(1.0));
+    let own = tree.means(&clean);
+    let far = tree.means(&wide.data);
+    let prior: Vec<f32> = own.iter().zip(&far).map(|(a, b)| 0.5 * (a + b)).collect();
+    // Superpixels that are surely inside or outside teach the colours.
+    let weight: Vec<f32> = prior.iter().map(|p| (2.0 * (p - 0.5).abs()).powi(2)).collect();
+    let colour = Samples::of(analysis).posterior(&prior, &weight, 0.05);
+    let inside = prior
+        .iter()
+        .zip(&colour)
+        .map(|(&p, &c)| {
+            let odds = |p: f32| {
+                let p = p.clamp(0.01, 0.99);
+                (p / (1.0 - p)).ln()
+            };
+            let sum = 0.7 * odds(p) + 1.2 * odds(c);
+            1.0 / (1.0 + (-sum).exp())
+        })
+        .collect();
+    let energy = Energy { inside, smooth: 6.0 };
+    let labels = cut(analysis, &energy, 0.0);
+    let (strict, loose) = (cut(analysis, &energy, -1.0), cut(analysis, &energy, 1.0));
+    let mask = tree.mask(&labels);
+    // Soft IoU with what was asked for is the best guess of the IoU with what was meant.
+    let (mut both, mut either) = (0.0, 0.0);
+    for (i, &c) in clean.iter().enumerate() {
+        let m = if mask.index(i) { 1.0 } else { 0.0f32 };
+        both += m.min(c);
+        either += m.max(c);
+    }
+    ScoredMask {
+        stability: iou_of(analysis, &strict, &loose),
+        predicted_iou: if either > 0.0 { both / either } else { 1.0 },
+        mask,
+    }
+}
+
+/// IoU of two labellings of the superpixels; 1 when both are empty.
+pub(crate) fn iou_of(analysis: &Analysis, a: &[bool], b: &[bool]) -> f32 {
+    let (mut both, mut either) = (0.0, 0.0);
+    for (node, (&a, &b)) in analysis.tree.nodes.iter().zip(a.iter().zip(b)) {
+        both += if a && b { node.area } else { 0.0 };
+        either += if a || b { node.area } else { 0.0 };
+    }
+    if either > 0.0 { both / either } else { 1.0 }
+}

@@ -1,0 +1,373 @@
+//! From prompts to a mask: which of all candidates is meant.
+//!
+//! Clicks and boxes are evidence: every candidate of the pool is weighed by how much it looks like a thing and by how well it
+//! agrees with what was said, and the answer is the candidate of the highest expected IoU. What clicks forbid is
+//! then taken out of it, and what they demand is added. A granularity picks a rung of the click's ladder instead.
+
+use super::analysis::Analysis;
+use super::cut::Cut;
+use super::ladder::{ladder, rung};
+use super::pool::{Choice, Ground, set_of};
+use super::refine::iou_of;
+use super::tree::Hierarchy;
+use crate::VisionError;
+use segwild_scene::{BoxPrompt, Prompts, ScoredMask};
+
+/// Cost that no other outweighs.
+const NEVER: f32 = 1e6;
+
+/// Share of the root's altitude that granularity 0 stands for: under it lie crumbs of superpixels.
+const FINEST: f32 = 0.1;
+
+/// Altitude that a granularity in [0, 1] stands for.
+pub(crate) fn altitude(tree: &Hierarchy, granularity: f32) -> f32 {
+    let g = if granularity.is_finite() { granularity.clamp(0.0, 1.0) } else { 0.5 };
+    // Just under the root at 1: never the whole photo.
+    let top = tree.nodes[tree.root() as usize].altitude;
+    0.999 * top * (FINEST + (1.0 - FINEST) * g)
+}
+
+/// How much a region looks like a thing of its own: how far its merge with the rest lies above the merges inside it, and how
+/// clear its outline is; less for crumbs and for what the frame cuts off or fills.
+pub(crate) fn standing(tree: &Hierarchy, region: u32) -> f32 {
+    let node = &tree.nodes[region as usize];
+    let total = (tree.width * tree.height) as f32;
+    let above = tree.nodes[node.parent as usize].altitude;
+    let top = tree.nodes[tree.root() as usize].altitude.max(1e-6);
+    let persistence = (above - node.altitude).max(0.0) / top;
+    let share = node.area / total;
+    let size = (share / 0.02).min(1.0).sqrt() * ((1.0 - share) / 0.5).clamp(0.0, 1.0);
+    let framed = node.frame / (node.border.length + node.frame).max(1.0);
+    (persistence + 0.5 * node.border.mean()) * size * (1.0 - framed)
+}
+
+/// A click: its superpixel and its place.
+#[derive(Clone, Copy, Debug)]
+struct Click {
+    leaf: u32,
+    at: [f32; 2],
+}
+
+/// What a person said, as superpixels.
+struct Meant {
+    positive: Vec<Click>,
+    negative: Vec<Click>,
+    /// Bounding box of the boxes within the photo: x0, y0, x1, y1.
+    bounds: Option<[f32; 4]>,
+    /// Share of every superpixel that lies in the boxes, if there are any.
+    boxed: Option<Vec<f32>>,
+}
+
+impl Meant {
+    fn read(tree: &Hierarchy, prompts: &Prompts) -> Result<Meant, VisionError> {
+        let (mut positive, mut negative) = (Vec::new(), Vec::new());
+        for p in &prompts.points {
+            // Inside the photo; scaling may have rounded it onto the frame.
+            let (x, y) = (p.x.clamp(0.0, tree.width as f32 - 0.5), p.y.clamp(0.0, tree.height as f32 - 0.5));
+            let leaf = tree.labels[y as usize * tree.width + x as usize];
+            let click = Click { leaf, at: [x, y] };
+            if p.inside { positive.push(click) } else { negative.push(click) }
+        }
+        if positive.is_empty() && prompts.boxes.is_empty() {
+            return Err(VisionError::Image(
+                "nothing says what is wanted: give a click inside the object or a box".into(),
+            ));
+        }
+        negative.retain(|n| positive.iter().all(|p| p.leaf != n.leaf));
+        let boxed = (!prompts.boxes.is_empty()).then(|| box_share(tree, &prompts.boxes));
+        if let Some(share) = &boxed
+            && share.iter().all(|&s| s == 0.0)
+        {
+            return Err(VisionError::Image("no pixel of the photo lies in the box".into()));
+        }
+        let bounds = boxed.is_some().then(|| {
+            let clamp = |x: f32, n: usize| x.clamp(0.0, n as f32);
+            prompts.boxes.iter().fold([f32::MAX, f32::MAX, 0.0f32, 0.0f32], |u, b| {
+                [
+                    u[0].min(clamp(b.x0.min(b.x1), tree.width)),
+                    u[1].min(clamp(b.y0.min(b.y1), tree.height)),
+                    u[2].max(clamp(b.x0.max(b.x1), tree.width)),
+                    u[3].max(clamp(b.y0.max(b.y1), tree.height)),
+                ]
+            })
+        });
+        Ok(Meant { positive, negative, boxed, bounds })
+    }
+
+    /// Superpixels around which candidates are looked for.
+    fn starts(&self, tree: &Hierarchy) -> Vec<u32> {
+        let mut starts: Vec<u32> = self.positive.iter().map(|c| c.leaf).collect();
+        if let (true, Some(b)) = (starts.is_empty(), self.bounds) {
+            starts = IN_BOX
+                .iter()
+                .filter_map(|p| tree.leaf_at(b[0] + p[0] * (b[2] - b[0]), b[1] + p[1] * (b[3] - b[1])))
+                .collect();
+        }
+        starts.sort_unstable();
+        starts.dedup();
+        starts
+    }
+
+    /// Superpixels that the prompts touch: those clicked, else those that lie most in the boxes.
+    fn touched(&self, tree: &Hierarchy) -> Vec<usize> {
+        if !self.positive.is_empty() {
+            return self.positive.iter().map(|c| c.leaf as usize).collect();
+        }
+        let share = self.boxed.as_deref().unwrap_or(&[]);
+        let most = share.iter().copied().fold(0.0, f32::max);
+        (0..tree.leaves)
+            .filter(|&i| share.get(i).is_some_and(|&s| s > 0.0 && s >= 0.5f32.min(most)))
+            .collect()
+    }
+}
+
+/// The most candidates that the answer is chosen from, the likeliest.
+const FINALISTS: usize = 40;
+/// Log odds that a candidate loses with every positive click that it leaves out and every negative one that it holds.
+const MISSED: f32 = 8.0;
+const HELD: f32 = 8.0;
+/// Log odds for standing in a tree, which knows how late a region is merged with the rest.
+const STANDING: f32 = 7.0;
+/// Log odds for filling the box from side to side.
+const TIGHT: f32 = 14.0;
+/// Where in a box (shares of its width and height) things are looked for.
+const IN_BOX: [[f32; 2]; 9] = [
+    [0.5, 0.5],
+    [0.5, 0.3],
+    [0.5, 0.7],
+    [0.3, 0.5],
+    [0.7, 0.5],
+    [0.3, 0.3],
+    [0.7, 0.3],
+    [0.3, 0.7],
+    [0.7, 0.7],
+];
+
+/// The mask that prompts mean.
+pub(crate) fn select(analysis: &Analysis, prompts: &Prompts) -> Result<ScoredMask, VisionError> {
+    let meant = Meant::read(&analysis.tree, prompts)?;
+    let ground = Ground::of(analysis);
+    Ok(match prompts.granularity {
+        Some(g) if !meant.positive.is_empty() => by_level(&ground, &meant, g),
+        _ => by_evidence(&ground, &meant),
+    })
+}
+
+impl Meant {
+    /// What a set loses or gains by what was said, beside its looks.
+    fn evidence(&self, choice: &Choice) -> f32 {
+        let missed = self.positive.iter().filter(|c| !choice.inside[c.leaf as usize]).count();
+        let held = self.negative.iter().filter(|c| choice.inside[c.leaf as usize]).count();
+        let tight = self.bounds.map_or(0.0, |b| choice.shape.tightness(b));
+        // A box says itself how large the thing is; a tree would rather give a part that stands out.
+        let standing = if self.bounds.is_some() { 0.0 } else { STANDING * choice.standing };
+        standing + TIGHT * tight - MISSED * missed as f32 - HELD * held as f32
+    }
+
+    /// Where the thing's middle is expected.
+    fn middle(&self) -> [f32; 2] {
+        if let Some(b) = self.bounds {
+            return [0.5 * (b[0] + b[2]), 0.5 * (b[1] + b[3])];
+        }
+        let n = self.positive.len().max(1) as f32;
+        self.positive.iter().fold([0.0, 0.0], |m, c| [m[0] + c.at[0] / n, m[1] + c.at[1] / n])
+    }
+
+    /// Whether a superpixel may be inside.
+    fn open(&self, leaf: usize) -> bool {
+        self.boxed.as_ref().is_none_or(|share| share[leaf] >= 0.5)
+            || self.positive.iter().any(|c| c.leaf as usize == leaf)
+    }
+
+    /// Takes out of a set what the prompts forbid and adds what they demand.
+    fn repair(&self, ground: &Ground, inside: &mut [bool]) {
+        let tree = &ground.analysis.tree;
+        let at = self.middle();
+        for click in &self.positive {
+            if !inside[click.leaf as usize] {
+                // What the whole looks like with the part counts, not the part.
+                let part = likeliest(ground, click, |c| {
+                    let fits = !self.negative.iter().any(|n| c.inside[n.leaf as usize]);
+                    let both = inside.iter().zip(&c.inside).map(|(&i, &p)| i || p).collect();
+                    fits.then(|| ground.choice(both).shape.likeness(at))
+                });
+                inside.iter_mut().zip(part).for_each(|(i, p)| *i |= p);
+            }
+        }
+        for click in &self.negative {
+            if inside[click.leaf as usize] {
+                let part = likeliest(ground, click, |c| {
+                    let fits = !self.positive.iter().any(|p| c.inside[p.leaf as usize]);
+                    let rest = inside.iter().zip(&c.inside).map(|(&i, &p)| i && !p).collect();
+                    fits.then(|| ground.choice(rest).shape.likeness(at) + c.shape.likeness(click.at))
+                });
+                inside.iter_mut().zip(part).for_each(|(i, p)| *i &= !p);
+            }
+        }
+        (0..tree.leaves).filter(|&i| !self.open(i)).for_each(|i| inside[i] = false);
+    }
+}
+
+/// The set around a click of the highest worth; its superpixel where no set has any.
+fn likeliest(ground: &Ground, click: &Click, worth: impl Fn(&Choice) -> Option<f32>) -> Vec<bool> {
+    let mut best: Option<(f32, Vec<bool>)> = None;
+    for choice in ground.around(click.leaf) {
+        if let Some(score) = worth(&choice).filter(|s| best.as_ref().is_none_or(|b| *s > b.0)) {
+            best = Some((score, choice.inside));
+        }
+    }
+    best.map_or_else(|| set_of(&ground.analysis.tree, click.leaf), |b| b.1)
+}
+
+/// The rungs of the clicks' ladders at one granularity; what negative clicks or boxes forbid is taken out.
+fn by_level(ground: &Ground, meant: &Meant, granularity: f32) -> ScoredMask {
+    let tree = &ground.analysis.tree;
+    let [mut inside, mut strict, mut loose] = [(); 3].map(|()| vec![false; tree.leaves]);
+    for click in &meant.positive {
+        let choices = ground.around(click.leaf);
+        let rungs = ladder(&choices, click.at);
+        let k = rung(rungs.len(), granularity);
+        let neighbours = [k, k.saturating_sub(1), k + 1];
+        for (set, k) in [&mut inside, &mut strict, &mut loose].into_iter().zip(neighbours) {
+            match rungs.get(k.min(rungs.len().saturating_sub(1))) {
+                Some(&r) => set.iter_mut().zip(&choices[r].inside).for_each(|(s, &c)| *s |= c),
+                None => set[click.leaf as usize] = true,
+            }
+        }
+    }
+    meant.repair(ground, &mut inside);
+    let choice = ground.choice(inside);
+    ScoredMask {
+        mask: tree.mask(&choice.inside),
+        predicted_iou: predicted_iou(choice.shape.clarity),
+        stability: iou_of(ground.analysis, &strict, &loose),
+    }
+}
+
+/// The candidate of the highest expected IoU with what was meant.
+fn by_evidence(ground: &Ground, meant: &Meant) -> ScoredMask {
+    let (analysis, tree) = (ground.analysis, &ground.analysis.tree);
+    let mut choices = Vec::new();
+    for leaf in meant.starts(tree) {
+        for choice in ground.around(leaf) {
+            if choice.inside.iter().enumerate().all(|(i, &c)| !c || meant.open(i)) {
+                choices.push(choice);
+            } else {
+                let cut: Vec<bool> =
+                    choice.inside.iter().enumerate().map(|(i, &c)| c && meant.open(i)).collect();
+                choices.push(ground.choice(cut));
+            }
+        }
+    }
+    if meant.boxed.is_some() {
+        choices.extend(cuts_in_box(ground, meant).into_iter().map(|inside| ground.choice(inside)));
+    }
+    let middle = meant.middle();
+    let mut scored: Vec<(f32, &Choice)> = choices
+        .iter()
+        .filter(|c| c.shape.share > 0.0)
+        .map(|c| (c.shape.likeness(middle) + meant.evidence(c), c))
+        .collect();
+    scored.sort_by(|a, b| b.0.total_cmp(&a.0));
+    scored.dedup_by(|a, b| a.1.inside == b.1.inside);
+    scored.truncate(FINALISTS);
+    let top = scored.first().map_or(0.0, |s| s.0);
+    let weights: Vec<f32> = scored.iter().map(|s| (s.0 - top).exp()).collect();
+    let sum: f32 = weights.iter().sum::<f32>().max(1e-9);
+    let mut best: Option<(f32, f32, usize)> = None;
+    for i in 0..scored.len() {
+        let (mut expected, mut alike) = (0.0, 0.0);
+        for (j, w) in weights.iter().enumerate() {
+            let iou = iou_of(analysis, &scored[i].1.inside, &scored[j].1.inside);
+            expected += w / sum * iou;
+            alike += if iou >= 0.75 { w / sum } else { 0.0 };
+        }
+        if best.is_none_or(|b| expected > b.0 + 1e-6) {
+            best = Some((expected, alike, i));
+        }
+    }
+    let (expected, alike, mut inside) = match best {
+        Some((expected, alike, i)) => (expected, alike, scored[i].1.inside.clone()),
+        None => (0.0, 0.0, vec![false; tree.leaves]),
+    };
+    meant.repair(ground, &mut inside);
+    // A box or a click always means something: at least what it touches.
+    if !inside.contains(&true) {
+        meant.touched(tree).into_iter().for_each(|l| inside[l] = true);
+    }
+    ScoredMask { mask: tree.mask(&inside), predicted_iou: expected.min(1.0), stability: alike.min(1.0) }
+}
+
+/// Predicted IoU from the mean boundary strength along the outline.
+pub(crate) fn predicted_iou(clarity: f32) -> f32 {
+    1.0 - 0.5 * (-6.0 * clarity).exp()
+}
+
+/// What cuts find in a box (GrabCut's rule, Rother et al. 2004: outside is known, inside is asked): colours of inside
+/// and outside are learned and the cut repeated; middles are likelier inside than corners.
+fn cuts_in_box(ground: &Ground, meant: &Meant) -> Vec<Vec<bool>> {
+    let tree = &ground.analysis.tree;
+    let Some(b) = meant.bounds else { return Vec::new() };
+    let (cx, cy) = (0.5 * (b[0] + b[2]), 0.5 * (b[1] + b[3]));
+    let (rx, ry) = ((0.5 * (b[2] - b[0])).max(1.0), (0.5 * (b[3] - b[1])).max(1.0));
+    let place: Vec<f32> = ground
+        .places
+        .middle
+        .iter()
+        .map(|m| 1.0 - ((m[0] - cx) / rx).powi(2) - ((m[1] - cy) / ry).powi(2))
+        .collect();
+    let weight = vec![1.0; tree.leaves];
+    let mut out = Vec::new();
+    for shift in [-1.0, 0.0, 1.0] {
+        let mut belief: Vec<f32> = (0..tree.leaves)
+            .map(|i| if meant.open(i) { 0.5 + 0.4 * place[i].clamp(-1.0, 1.0) } else { 0.0 })
+            .collect();
+        for _ in 0..3 {
+            let colour = ground.samples.posterior(&belief, &weight, 0.25);
+            let mut graph = Cut::new(tree.leaves);
+            for (i, node) in tree.nodes[..tree.leaves].iter().enumerate() {
+                let is = |clicks: &[Click]| clicks.iter().any(|c| c.leaf as usize == i);
+                if is(&meant.positive) {
+                    graph.unary(i, 0.0, NEVER);
+                } else if !meant.open(i) || is(&meant.negative) {
+                    graph.unary(i, NEVER, 0.0);
+                } else {
+                    let p = colour[i].clamp(0.02, 0.98);
+                    let odds = 0.15 * ((p / (1.0 - p)).ln() + place[i] + shift);
+                    graph.unary(i, (-odds).max(0.0) * node.area, odds.max(0.0) * node.area);
+                }
+            }
+            for (&(a, b, border), open) in tree.borders.iter().zip(&ground.open) {
+                graph.pair(a as usize, b as usize, border.length * open);
+            }
+            let answer = graph.solve();
+            for (i, b) in belief.iter_mut().enumerate() {
+                *b = if !meant.open(i) {
+                    0.0
+                } else if answer[i] {
+                    0.95
+                } else {
+                    0.05
+                };
+            }
+            out.push(answer);
+        }
+    }
+    out
+}
+
+/// Share of every superpixel that lies in the boxes.
+fn box_share(tree: &Hierarchy, boxes: &[BoxPrompt]) -> Vec<f32> {
+    let mut plane = vec![0.0; tree.width * tree.height];
+    for b in boxes {
+        let (x0, x1) = (b.x0.min(b.x1), b.x0.max(b.x1));
+        let (y0, y1) = (b.y0.min(b.y1), b.y0.max(b.y1));
+        for (i, v) in plane.iter_mut().enumerate() {
+            let (x, y) = ((i % tree.width) as f32 + 0.5, (i / tree.width) as f32 + 0.5);
+            if x >= x0 && x <= x1 && y >= y0 && y <= y1 {
+                *v = 1.0;
+            }
+        }
+    }
+    tree.means(&plane)
+}

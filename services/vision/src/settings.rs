@@ -1,0 +1,197 @@
+//! Settings of the vision models, and the providers that they name.
+
+use crate::onnx::Runtime;
+use crate::{
+    Builtin, EdgeDetector, EdgeNetwork, Embedder, MaskProposer, PromptSegmenter, SkyDetector, SkyNetwork,
+    VisionError,
+};
+use segwild_scene::{Image, Mask};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+segwild_scene::choice! {
+    /// Where boundaries come from.
+    pub enum EdgeChoice {
+        /// The network if its file is in the models' folder, else the built-in detector.
+        Auto = "auto",
+        /// The built-in detector.
+        Builtin = "builtin",
+        /// The network `edges_bsds.onnx`; an error without it.
+        Network = "network",
+    }
+}
+
+segwild_scene::choice! {
+    /// How the sky is found.
+    pub enum SkyChoice {
+        /// The sky network if its file is in the models' folder, else DeepLab if its is, else the built-in detector.
+        Auto = "auto",
+        /// The built-in detector.
+        Builtin = "builtin",
+        /// The network `sky_small_384.onnx`; an error without it.
+        Network = "network",
+        /// The network `deeplab_cityscapes_513.onnx`, the paper's kind; an error without it.
+        Deeplab = "deeplab",
+        /// Nothing is sky.
+        None = "none",
+    }
+}
+
+segwild_scene::settings! {
+    /// How photos are looked at: boundaries, regions, descriptors, sky.
+    pub struct VisionSettings("vision") {
+        /// Folder of network files (`edges_bsds.onnx`, `sky_small_384.onnx`, `deeplab_cityscapes_513.onnx`).
+        /// Empty: no network is used and the built-in provider does everything.
+        models: String = String::new(),
+        /// Where boundaries come from: auto, builtin or network.
+        edges: EdgeChoice = EdgeChoice::Auto,
+        /// How the sky is found: auto, builtin, network, deeplab or none.
+        sky: SkyChoice = SkyChoice::Auto,
+        /// The ONNX Runtime library, which runs the networks. Empty: ORT_DYLIB_PATH, the system's library folders,
+        /// then Python's onnxruntime package.
+        onnxruntime: String = String::new(),
+        /// CPU threads per network.
+        network_threads: u32 = 1,
+        /// Probability from which a pixel counts as sky.
+        sky_confidence: f32 = 0.5,
+    }
+}
+
+/// The providers that settings name, and what was found and chosen.
+#[derive(Clone)]
+pub struct Providers {
+    /// Dense descriptors.
+    pub embedder: Arc<dyn Embedder>,
+    /// Masks at points.
+    pub proposer: Arc<dyn MaskProposer>,
+    /// Masks from prompts, and refinement.
+    pub segmenter: Arc<dyn PromptSegmenter>,
+    /// Sky.
+    pub sky: Arc<dyn SkyDetector>,
+    /// What was found and chosen, a sentence each.
+    pub notes: Vec<String>,
+}
+
+/// Nothing is sky: for scenes without any, and for the ablation.
+struct NoSky;
+
+impl SkyDetector for NoSky {
+    fn key(&self) -> String {
+        "no-sky".into()
+    }
+
+    fn sky(&self, image: &Image) -> Result<Mask, VisionError> {
+        Ok(Mask::empty(image.width as u32, image.height as u32))
+    }
+}
+
+/// A network's file, if the choice allows it: an error where it is demanded and missing.
+fn file(settings: &VisionSettings, name: &str, demanded: bool) -> Result<Option<PathBuf>, VisionError> {
+    let path = Path::new(&settings.models).join(name);
+    if !settings.models.is_empty() && path.is_file() {
+        return Ok(Some(path));
+    }
+    match (demanded, settings.models.is_empty()) {
+        (false, _) => Ok(None),
+        (true, true) => Err(VisionError::Model(format!(
+            "the network {name} is asked for, but no folder of models is set: set `models` to the folder that holds it"
+        ))),
+        (true, false) => Err(VisionError::Model(format!(
+            "the network {name} is asked for, but {} has no such file",
+            settings.models
+        ))),
+    }
+}
+
+impl Providers {
+    /// Finds what `settings` ask for. Where `auto` cannot have a network, the built-in provider serves and a note says
+    /// why; a network asked for by name that cannot be had is an error.
+    pub fn from_settings(settings: &VisionSettings) -> Result<Providers, VisionError> {
+        if !settings.models.is_empty() && !Path::new(&settings.models).is_dir() {
+            return Err(VisionError::Model(format!(
+                "the folder of models `{}` does not exist: correct `models` or leave it empty for the built-in provider",
+                settings.models
+            )));
+        }
+        if !(settings.sky_confidence > 0.0 && settings.sky_confidence < 1.0) {
+            return Err(VisionError::Model(format!(
+                "`sky_confidence` is {}; it must lie between 0 and 1",
+                settings.sky_confidence
+            )));
+        }
+        let mut notes = Vec::new();
+        let edges = edges(settings, &mut notes)?;
+        let builtin = Arc::new(match edges {
+            Some(edges) => Builtin::with_edges(edges),
+            None => Builtin::new(),
+        });
+        notes.push("descriptors, masks and refinement: built-in".into());
+        let sky: Arc<dyn SkyDetector> = match sky(settings, &mut notes)? {
+            Some(network) => network,
+            None if settings.sky == SkyChoice::None => {
+                notes.push("sky: none".into());
+                Arc::new(NoSky)
+            }
+            None => {
+                notes.push("sky: built-in detector".into());
+                builtin.clone()
+            }
+        };
+        Ok(Providers { embedder: builtin.clone(), proposer: builtin.clone(), segmenter: builtin, sky, notes })
+    }
+}
+
+fn edges(
+    settings: &VisionSettings,
+    notes: &mut Vec<String>,
+) -> Result<Option<Arc<dyn EdgeDetector>>, VisionError> {
+    let demanded = settings.edges == EdgeChoice::Network;
+    if settings.edges == EdgeChoice::Builtin {
+        notes.push("boundaries: built-in detector".into());
+        return Ok(None);
+    }
+    let Some(path) = file(settings, "edges_bsds.onnx", demanded)? else {
+        notes.push("boundaries: built-in detector (no edge network given)".into());
+        return Ok(None);
+    };
+    let network = Runtime::find(&settings.onnxruntime)
+        .and_then(|runtime| EdgeNetwork::load(&runtime, &path, settings.network_threads));
+    match network {
+        Ok(network) => {
+            notes.push(format!("boundaries: network {}", path.display()));
+            Ok(Some(Arc::new(network)))
+        }
+        Err(error) if demanded => Err(error),
+        Err(error) => {
+            notes.push(format!("boundaries: built-in detector, because the network cannot be used: {error}"));
+            Ok(None)
+        }
+    }
+}
+
+fn sky(
+    settings: &VisionSettings,
+    notes: &mut Vec<String>,
+) -> Result<Option<Arc<dyn SkyDetector>>, VisionError> {
+    let names: &[(&str, bool)] = match settings.sky {
+        SkyChoice::Auto => &[("sky_small_384.onnx", false), ("deeplab_cityscapes_513.onnx", false)],
+        SkyChoice::Network => &[("sky_small_384.onnx", true)],
+        SkyChoice::Deeplab => &[("deeplab_cityscapes_513.onnx", true)],
+        SkyChoice::Builtin | SkyChoice::None => &[],
+    };
+    for &(name, demanded) in names {
+        let Some(path) = file(settings, name, demanded)? else { continue };
+        let network = Runtime::find(&settings.onnxruntime).and_then(|runtime| {
+            SkyNetwork::load(&runtime, &path, settings.network_threads, settings.sky_confidence)
+        });
+        match network {
+            Ok(network) => {
+                notes.push(format!("sky: network {}", path.display()));
+                return Ok(Some(Arc::new(network)));
+            }
+            Err(error) if demanded => return Err(error),
+            Err(error) => notes.push(format!("sky: {name} cannot be used: {error}")),
+        }
+    }
+    Ok(None)
+}
