@@ -1,0 +1,271 @@
+//! Embeddings and the feature field behind a mailbox.
+
+use crate::{
+    FeatureError, FeatureField, FeatureSettings, Pca, Progress, Samples, TargetSource, ViewTarget, build,
+};
+use segwild_flow::{Actor, Cache, CacheError, Context, Failure, Key, Message, Origin, Quarantined, Sender};
+use segwild_raster::{Engine, ProjectOptions};
+use segwild_scene::{Embedding, Image, Mask, MaskSet, Scene, Splats};
+use segwild_vision::Embedder;
+use std::ops::ControlFlow;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Kind of the cache's embedding records.
+const EMBEDDING: &str = "embedding";
+
+/// Kind of the cache's mask records, as the masks actor writes them.
+const MASKS: &str = "masks";
+
+/// One photo's share in the field, by the names of its artefacts in the cache.
+#[derive(Clone, Debug)]
+pub struct FieldView {
+    /// Index of the view.
+    pub view: usize,
+    /// Its embedding.
+    pub embedding: Key,
+    /// Its masks, if it has any.
+    pub masks: Option<Key>,
+    /// Its sky, if it is known.
+    pub sky: Option<Arc<Mask>>,
+    /// How far each pixel can be trusted (VM), one plane in [0, 1]; sky has 0.
+    pub validity: Arc<Image>,
+}
+
+/// What the actor is asked for.
+#[derive(Clone)]
+pub enum FeatureTask {
+    /// Describe a photo; the embedding goes to the cache.
+    Embed {
+        /// Index of the view.
+        view: usize,
+        /// Name of the artefact.
+        key: Key,
+    },
+    /// Make the feature field of a trained scene.
+    Field {
+        /// The splats.
+        splats: Arc<Splats>,
+        /// How they are drawn.
+        options: ProjectOptions,
+        /// The photos in the order in which they are lifted.
+        views: Arc<Vec<FieldView>>,
+    },
+}
+
+impl Message for FeatureTask {
+    fn label(&self) -> String {
+        match self {
+            FeatureTask::Embed { view, .. } => format!("embed {view}"),
+            FeatureTask::Field { .. } => "field".into(),
+        }
+    }
+
+    fn again(&self) -> Option<Self> {
+        Some(self.clone())
+    }
+}
+
+/// What the actor sends on.
+pub enum FeatureOutcome {
+    /// A photo's embedding is in the cache.
+    Embedded {
+        /// Index of the view.
+        view: usize,
+        /// Seconds it took; `None` if it was there.
+        seconds: Option<f64>,
+    },
+    /// A photo could not be described.
+    EmbedFailed {
+        /// Index of the view.
+        view: usize,
+        /// Why.
+        error: String,
+    },
+    /// The field is done.
+    Field(Box<FeatureField>),
+    /// It cannot be made.
+    FieldFailed(String),
+}
+
+/// The actor. `O` is what its consumer calls its outcomes.
+pub struct FeatureActor<O: Message> {
+    /// The scene.
+    pub scene: Arc<Scene>,
+    /// Long side at which photos are looked at.
+    pub size: u32,
+    /// Describes photos.
+    pub embedder: Arc<dyn Embedder>,
+    /// Draws features.
+    pub engine: Arc<dyn Engine>,
+    /// Where artefacts are.
+    pub cache: Cache,
+    /// How the field is made.
+    pub settings: FeatureSettings,
+    /// Where outcomes go.
+    pub out: Sender<O>,
+}
+
+/// Targets read from the cache when they are needed.
+struct CachedTargets<'a> {
+    scene: &'a Scene,
+    cache: &'a Cache,
+    views: &'a [FieldView],
+    pca: &'a Pca,
+    learned: bool,
+}
+
+fn missing(name: &str, what: &str, error: Option<CacheError>) -> FeatureError {
+    let why = error.map_or_else(|| "it is gone from the cache; run again".to_owned(), |e| e.to_string());
+    FeatureError::Shape(format!("{name}: {what} cannot be read: {why}"))
+}
+
+fn load_embedding(cache: &Cache, name: &str, key: &Key) -> Result<Embedding, FeatureError> {
+    match cache.get_typed(key, EMBEDDING) {
+        Ok(Some(embedding)) => Ok(embedding),
+        Ok(None) => Err(missing(name, "its embedding", None)),
+        Err(error) => Err(missing(name, "its embedding", Some(error))),
+    }
+}
+
+impl TargetSource for CachedTargets<'_> {
+    fn len(&self) -> usize {
+        self.views.len()
+    }
+
+    fn load(&self, index: usize) -> Result<Arc<ViewTarget>, FeatureError> {
+        let field = &self.views[index];
+        let view = &self.scene.views[field.view];
+        let embedding = load_embedding(self.cache, &view.name, &field.embedding)?;
+        let target = if self.learned {
+            let Embedding { width, height, channels, data } = embedding;
+            Image { width, height, channels, data }
+        } else {
+            self.pca.encode(&view.name, &embedding)?
+        };
+        let masks = match &field.masks {
+            Some(key) => self
+                .cache
+                .get_typed::<MaskSet>(key, MASKS)
+                .map_err(|e| missing(&view.name, "its masks", Some(e)))?
+                .ok_or_else(|| missing(&view.name, "its masks", None))?,
+            None => MaskSet { width: view.camera.width, height: view.camera.height, masks: Vec::new() },
+        };
+        Ok(Arc::new(ViewTarget {
+            name: view.name.clone(),
+            camera: view.camera,
+            pose: view.pose,
+            target,
+            validity: (*field.validity).clone(),
+            masks,
+        }))
+    }
+}
+
+impl<O: Message + From<FeatureOutcome>> FeatureActor<O> {
+    fn embed(&self, view: usize, key: &Key) -> Result<Option<f64>, Failure> {
+        let posed = &self.scene.views[view];
+        let began = Instant::now();
+        let (_, origin) = self.cache.get_or_make(key, EMBEDDING, || -> Result<Embedding, Refused> {
+            let photo = posed.load(self.size).map_err(|e| Refused(e.to_string()))?;
+            self.embedder.embed(&photo.image).map_err(|e| Refused(format!("photo {}: {e}", posed.name)))
+        })?;
+        Ok((origin == Origin::Made).then(|| began.elapsed().as_secs_f64()))
+    }
+
+    fn field(
+        &self,
+        splats: &Splats,
+        options: &ProjectOptions,
+        views: &[FieldView],
+        context: &Context,
+    ) -> Result<FeatureField, FeatureError> {
+        let mut samples =
+            Samples::new(self.settings.pca_samples as usize, views.len(), self.settings.feature_seed);
+        for field in views {
+            let name = &self.scene.views[field.view].name;
+            let embedding = load_embedding(&self.cache, name, &field.embedding)?;
+            samples.add(field.view, name, &embedding, Some(&field.validity), field.sky.as_deref())?;
+            context.progress();
+        }
+        let pca = samples.fit(self.settings.channels as usize, self.settings.keep_variance)?;
+        context.events().info(
+            Some("features"),
+            format!(
+                "{} channels keep {:.1} % of the embedding's variance",
+                pca.channels,
+                100.0 * pca.explained_variance()
+            ),
+        );
+        let targets = CachedTargets {
+            scene: &self.scene,
+            cache: &self.cache,
+            views,
+            pca: &pca,
+            learned: self.settings.compression == crate::Compression::Learned,
+        };
+        let total = views.len() as u64 + u64::from(self.settings.refine_steps);
+        let mut progress = context.events().stage("features", Some(total));
+        let field = build(&*self.engine, splats, &targets, &pca, &self.settings, options, &mut |step| {
+            context.progress();
+            progress.advance(1);
+            if let Progress::Refined { done, embedding, compact, .. } = step
+                && done % 20 == 0
+            {
+                context.events().metric(
+                    "features",
+                    "embedding_loss",
+                    f64::from(embedding),
+                    Some(done as u64),
+                );
+                context.events().metric("features", "compact_loss", f64::from(compact), Some(done as u64));
+            }
+            if context.stopping() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        })?;
+        progress.finish();
+        Ok(field)
+    }
+}
+
+/// A failure in words.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+struct Refused(String);
+
+impl<O: Message + From<FeatureOutcome>> Actor for FeatureActor<O> {
+    type Message = FeatureTask;
+
+    fn handle(&mut self, task: FeatureTask, context: &Context) -> Result<(), Failure> {
+        let outcome = match task {
+            FeatureTask::Embed { view, key } => {
+                let seconds = self.embed(view, &key)?;
+                FeatureOutcome::Embedded { view, seconds }
+            }
+            FeatureTask::Field { splats, options, views } => {
+                let field = self.field(&splats, &options, &views, context);
+                context.check()?; // a refinement cut short is no field
+                match field {
+                    Ok(field) => FeatureOutcome::Field(Box::new(field)),
+                    Err(error) => FeatureOutcome::FieldFailed(error.to_string()),
+                }
+            }
+        };
+        self.out.blocking_send(outcome.into())?;
+        Ok(())
+    }
+
+    fn on_quarantine(
+        &mut self,
+        task: Option<FeatureTask>,
+        given_up: &Quarantined,
+        _: &Context,
+    ) -> Result<(), Failure> {
+        let error = given_up.error.clone();
+        let outcome = match task {
+            Some(FeatureTask::Embed { view, .. }) => FeatureOutcome::EmbedFailed { view, error },
+            _ => FeatureOutcome::FieldFailed(error),
+        };
+        self.out.blocking_send(outcome.into())?;
+        Ok(())
+    }
+}

@@ -1,0 +1,49 @@
+//! The feature field: what a scene's splats know besides their looks.
+
+use crate::{Decoder, Pca};
+use segwild_raster::Channels;
+use wincode::{SchemaRead, SchemaWrite};
+
+/// Features of a scene's splats and what they mean.
+#[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
+pub struct FeatureField {
+    /// Numbers per splat.
+    pub channels: usize,
+    /// `[splat][channel]`, flat. A splat that no photo sees has zeros.
+    pub values: Vec<f32>,
+    /// The compression that targets went through.
+    pub pca: Pca,
+    /// From features to embeddings: the components' transpose, or the learned one.
+    pub decoder: Decoder,
+}
+
+impl FeatureField {
+    /// The features as the rasteriser blends them.
+    pub fn channels(&self) -> Channels<'_> {
+        Channels { count: self.channels, values: &self.values }
+    }
+
+    /// Number of splats.
+    pub fn len(&self) -> usize {
+        self.values.len() / self.channels.max(1)
+    }
+
+    /// Whether there is no splat.
+    pub fn is_empty(&self) -> bool {
+        self.values.is_empty()
+    }
+
+    /// Feature of a splat.
+    pub fn feature(&self, splat: usize) -> &[f32] {
+        &self.values[splat * self.channels..(splat + 1) * self.channels]
+    }
+
+    /// One over each feature's length, 0 for a zero feature: a cosine is a dot product times this.
+    pub fn inverse_lengths(&self) -> Vec<f32> {
+        let inverse = |f: &[f32]| {
+            let square: f32 = f.iter().map(|v| v * v).sum();
+            if square > 0.0 && square.is_finite() { 1.0 / square.sqrt() } else { 0.0 }
+        };
+        self.values.chunks_exact(self.channels.max(1)).map(inverse).collect()
+    }
+}

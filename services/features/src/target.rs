@@ -1,0 +1,144 @@
+//! What one photo asks of the feature field.
+
+use crate::FeatureError;
+use crate::error::check_planes;
+use segwild_scene::{Camera, Image, Mask, MaskSet, Pose};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// One photo's part in the feature losses.
+#[derive(Clone, Debug)]
+pub struct ViewTarget {
+    /// The photo's name, for errors.
+    pub name: String,
+    /// Its intrinsics at any size; features are rendered at the size the settings give.
+    pub camera: Camera,
+    /// World to camera.
+    pub pose: Pose,
+    /// What the features should be, on the embedding's grid: codes of [`crate::Pca::encode`] for
+    /// [`crate::Compression::Pca`], the embedding itself for [`crate::Compression::Learned`].
+    pub target: Image,
+    /// How far each pixel is to be trusted (VM), one plane of any size, in [0, 1]. Also where to put sky and
+    /// things to ignore.
+    pub validity: Image,
+    /// The photo's masks at any size; none is a photo without a say in compactness.
+    pub masks: MaskSet,
+}
+
+impl ViewTarget {
+    /// Refuses what cannot be worked with.
+    pub(crate) fn check(&self) -> Result<(), FeatureError> {
+        let Image { width, height, channels, ref data } = self.target;
+        check_planes(&self.name, "feature target", (width, height, channels), data)?;
+        let Image { width, height, ref data, .. } = self.validity;
+        check_planes(&self.name, "validity map", (width, height, 1), data)?;
+        if self.camera.width == 0 || self.camera.height == 0 {
+            return Err(FeatureError::Shape(format!("{}: the photo has no pixels", self.name)));
+        }
+        let size = (self.masks.width, self.masks.height);
+        match self.masks.masks.iter().find(|m| (m.mask.width(), m.mask.height()) != size) {
+            None => Ok(()),
+            Some(m) => Err(FeatureError::Shape(format!(
+                "{}: a mask of {}x{} pixels among masks of {}x{}",
+                self.name,
+                m.mask.width(),
+                m.mask.height(),
+                size.0,
+                size.1
+            ))),
+        }
+    }
+
+    /// Bytes this target holds.
+    pub(crate) fn bytes(&self) -> usize {
+        let mask = (self.masks.width as usize * self.masks.height as usize).div_ceil(8);
+        4 * (self.target.data.len() + self.validity.data.len()) + mask * self.masks.masks.len()
+    }
+}
+
+/// Where the targets come from. A thousand photos' targets do not fit in memory, so they are asked for one at
+/// a time; the answer must not depend on when or how often it is asked.
+pub trait TargetSource: Sync {
+    /// Number of photos, in the order in which they are lifted.
+    fn len(&self) -> usize;
+
+    /// Whether there is no photo.
+    fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Target of one photo.
+    fn load(&self, view: usize) -> Result<Arc<ViewTarget>, FeatureError>;
+}
+
+impl TargetSource for &[Arc<ViewTarget>] {
+    fn len(&self) -> usize {
+        <[Arc<ViewTarget>]>::len(self)
+    }
+
+    fn load(&self, view: usize) -> Result<Arc<ViewTarget>, FeatureError> {
+        Ok(self[view].clone())
+    }
+}
+
+/// For each pixel, the set of masks that hold it. Pixels with the same set share a group.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Membership {
+    /// Width in pixels.
+    pub width: usize,
+    /// Height in pixels.
+    pub height: usize,
+    /// Group of each pixel, row by row; [`Membership::NONE`] in no mask.
+    pub groups: Vec<u32>,
+    /// The masks of each group, rising, never empty.
+    pub sets: Vec<Vec<u32>>,
+    /// The same as bits, `words` for each group.
+    bits: Vec<u64>,
+    words: usize,
+}
+
+impl Membership {
+    /// Group of a pixel that no mask holds.
+    pub const NONE: u32 = u32::MAX;
+
+    /// Looks the masks up under the centres of `width` x `height` pixels.
+    pub fn new(masks: &MaskSet, width: usize, height: usize) -> Membership {
+        let mut of_pixel: Vec<Vec<u32>> = vec![Vec::new(); width * height];
+        for (k, scored) in masks.masks.iter().enumerate() {
+            let small: Mask = scored.mask.resized(width as u32, height as u32);
+            for (x, y) in small.pixels() {
+                of_pixel[y as usize * width + x as usize].push(k as u32);
+            }
+        }
+        let mut groups = Vec::with_capacity(width * height);
+        let mut known: BTreeMap<Vec<u32>, u32> = BTreeMap::new();
+        let mut sets = Vec::new();
+        for set in of_pixel {
+            if set.is_empty() {
+                groups.push(Membership::NONE);
+                continue;
+            }
+            groups.push(*known.entry(set).or_insert_with_key(|set| {
+                sets.push(set.clone());
+                sets.len() as u32 - 1
+            }));
+        }
+        let words = masks.masks.len().div_ceil(64);
+        let mut bits = vec![0; words * sets.len()];
+        for (set, bits) in sets.iter().zip(bits.chunks_exact_mut(words.max(1))) {
+            set.iter().for_each(|&k| bits[k as usize / 64] |= 1 << (k % 64));
+        }
+        Membership { width, height, groups, sets, bits, words }
+    }
+
+    /// Jaccard similarity of the mask sets of two groups: `|A and B| / (|A or B| + 1e-5)` (Eq. 11).
+    pub fn similarity(&self, a: u32, b: u32) -> f32 {
+        let bits = |g: u32| &self.bits[g as usize * self.words..][..self.words];
+        let (mut both, mut either) = (0, 0);
+        for (a, b) in bits(a).iter().zip(bits(b)) {
+            both += (a & b).count_ones();
+            either += (a | b).count_ones();
+        }
+        both as f32 / (either as f32 + 1e-5)
+    }
+}
