@@ -1,0 +1,188 @@
+//! Sky and masks behind a mailbox, cached per view.
+
+use crate::{MaskSettings, MaskSource, generate, sasm};
+use segwild_flow::{Actor, Cache, Context, Failure, Key, Message, Origin, Quarantined, Sender};
+use segwild_scene::{Image, Mask, MaskSet, Scene};
+use segwild_vision::{MaskProposer, SkyDetector};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Kind of the cache's mask records.
+const MASKS: &str = "masks";
+/// Kind of the cache's sky records.
+const SKY: &str = "sky";
+
+/// What the actor is asked for.
+#[derive(Clone)]
+pub enum MaskTask {
+    /// Find the sky of a photo. Send it urgently: training waits for it.
+    Sky {
+        /// Index of the view.
+        view: usize,
+        /// Name of the artefact.
+        key: Key,
+    },
+    /// Make the masks of a view.
+    Masks {
+        /// Index of the view.
+        view: usize,
+        /// Name of the artefact.
+        key: Key,
+        /// The scene from the photo's camera: no transients, one light. `None` if the masks are cached or drawn on
+        /// the photo.
+        render: Option<Arc<Image>>,
+        /// Centres of the splats of the snapshot, for the depth of the prompts.
+        means: Arc<Vec<[f32; 3]>>,
+        /// The photo's sky, if known.
+        sky: Option<Arc<Mask>>,
+    },
+}
+
+impl Message for MaskTask {
+    fn bytes(&self) -> usize {
+        let render = match self {
+            MaskTask::Masks { render: Some(render), .. } => render.data.len() * 4,
+            _ => 0,
+        };
+        size_of::<Self>() + render
+    }
+
+    fn label(&self) -> String {
+        match self {
+            MaskTask::Sky { view, .. } => format!("sky {view}"),
+            MaskTask::Masks { view, .. } => format!("masks {view}"),
+        }
+    }
+
+    fn again(&self) -> Option<Self> {
+        Some(self.clone())
+    }
+}
+
+/// What the actor sends on.
+pub enum MaskOutcome {
+    /// A photo's sky; `Err` says why there is none.
+    Sky {
+        /// Index of the view.
+        view: usize,
+        /// The sky's pixels.
+        sky: Result<Arc<Mask>, String>,
+        /// Seconds it took; `None` if it was in the cache.
+        seconds: Option<f64>,
+    },
+    /// A view's masks are in the cache; `Err` says why there are none.
+    Masks {
+        /// Index of the view.
+        view: usize,
+        /// How many there are.
+        masks: Result<usize, String>,
+        /// Seconds they took; `None` if they were in the cache.
+        seconds: Option<f64>,
+    },
+}
+
+/// The actor. `O` is what its consumer calls its outcomes.
+pub struct MaskActor<O: Message> {
+    /// The scene.
+    pub scene: Arc<Scene>,
+    /// Long side at which photos are looked at.
+    pub size: u32,
+    /// Finds the sky.
+    pub sky: Arc<dyn SkyDetector>,
+    /// Proposes masks.
+    pub proposer: Arc<dyn MaskProposer>,
+    /// Where artefacts are.
+    pub cache: Cache,
+    /// How masks are made.
+    pub settings: MaskSettings,
+    /// What is near and what is far in this scene.
+    pub depths: sasm::SceneDepths,
+    /// Where outcomes go.
+    pub out: Sender<O>,
+}
+
+/// A failure in words.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+struct Refused(String);
+
+impl<O: Message + From<MaskOutcome>> MaskActor<O> {
+    fn photo(&self, view: usize) -> Result<Image, Refused> {
+        Ok(self.scene.views[view].load(self.size).map_err(|e| Refused(e.to_string()))?.image)
+    }
+
+    fn make_masks(
+        &self,
+        view: usize,
+        render: Option<&Image>,
+        means: &[[f32; 3]],
+        sky: Option<&Mask>,
+    ) -> Result<MaskSet, Refused> {
+        let posed = &self.scene.views[view];
+        let loaded;
+        let image = match (self.settings.mask_source, render) {
+            (MaskSource::Render, Some(render)) => render,
+            (MaskSource::Render, None) => {
+                return Err(Refused(format!(
+                    "photo {}: its masks have gone from the cache; run again",
+                    posed.name
+                )));
+            }
+            (MaskSource::Photo, _) => {
+                loaded = self.photo(view)?;
+                &loaded
+            }
+        };
+        let camera = posed.camera.resized(image.width as u32, image.height as u32);
+        let depth = self.depths.relative(sasm::scene_view_depth(&self.scene, posed));
+        let words = |e: crate::MaskError| Refused(format!("photo {}: {e}", posed.name));
+        let plan = sasm::plan(means, &camera, &posed.pose, depth, sky, &self.settings).map_err(words)?;
+        Ok(generate(&*self.proposer, image, &plan.points, sky, &self.settings).map_err(words)?.set)
+    }
+}
+
+impl<O: Message + From<MaskOutcome>> Actor for MaskActor<O> {
+    type Message = MaskTask;
+
+    fn handle(&mut self, task: MaskTask, _: &Context) -> Result<(), Failure> {
+        let began = Instant::now();
+        let took = |origin| (origin == Origin::Made).then(|| began.elapsed().as_secs_f64());
+        let outcome = match task {
+            MaskTask::Sky { view, key } => {
+                let (sky, origin) = self.cache.get_or_make(&key, SKY, || {
+                    let image = self.photo(view)?;
+                    self.sky
+                        .sky(&image)
+                        .map_err(|e| Refused(format!("photo {}: {e}", self.scene.views[view].name)))
+                })?;
+                MaskOutcome::Sky { view, sky: Ok(Arc::new(sky)), seconds: took(origin) }
+            }
+            MaskTask::Masks { view, key, render, means, sky } => {
+                let (set, origin) = self.cache.get_or_make(&key, MASKS, || {
+                    self.make_masks(view, render.as_deref(), &means, sky.as_deref())
+                })?;
+                MaskOutcome::Masks { view, masks: Ok(set.masks.len()), seconds: took(origin) }
+            }
+        };
+        self.out.blocking_send(outcome.into())?;
+        Ok(())
+    }
+
+    fn on_quarantine(
+        &mut self,
+        task: Option<MaskTask>,
+        given_up: &Quarantined,
+        _: &Context,
+    ) -> Result<(), Failure> {
+        let error = given_up.error.clone();
+        let outcome = match task {
+            Some(MaskTask::Sky { view, .. }) => MaskOutcome::Sky { view, sky: Err(error), seconds: None },
+            Some(MaskTask::Masks { view, .. }) => {
+                MaskOutcome::Masks { view, masks: Err(error), seconds: None }
+            }
+            None => return Ok(()),
+        };
+        self.out.blocking_send(outcome.into())?;
+        Ok(())
+    }
+}

@@ -1,0 +1,14 @@
+//! Actor: scale-adaptive prompts (SASM) to masks, cached per view (method, section 5; paper Eq. 15-23).
+//!
+//! [`sasm`] says where to prompt, [`generate()`] turns the prompts into a photo's masks.
+
+mod actor;
+mod clean;
+mod generate;
+pub mod sasm;
+mod settings;
+
+pub use actor::{MaskActor, MaskOutcome, MaskTask};
+pub use clean::without_specks;
+pub use generate::{Generated, MaskError, Tally, generate};
+pub use settings::{MaskSettings, MaskSource};
