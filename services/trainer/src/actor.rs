@@ -1,0 +1,127 @@
+//! The trainer behind a mailbox: one order trains one scene, and what comes of it is sent on as it comes.
+
+use crate::{Checkpoint, Model, Photos, TrainSettings, Trainer};
+use segwild_flow::{Actor, Context, Failure, Message, Sender};
+use segwild_raster::Engine;
+use segwild_scene::{Scene, Skipped};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// Steps between two reports of progress.
+const REPORT_EVERY: u32 = 20;
+
+/// Trains a scene.
+#[derive(Clone)]
+pub struct TrainOrder {
+    /// The scene; views not held out are trained on.
+    pub scene: Arc<Scene>,
+    /// Its photos; a call may wait for the photo's sky.
+    pub photos: Arc<dyn Photos>,
+    /// How to train.
+    pub settings: TrainSettings,
+    /// Where an interrupted training goes on from.
+    pub checkpoint: Option<Arc<Checkpoint>>,
+    /// Time between checkpoints.
+    pub checkpoint_every: Duration,
+}
+
+impl Message for TrainOrder {
+    fn label(&self) -> String {
+        format!("{} steps", self.settings.steps)
+    }
+}
+
+/// What the trainer sends on.
+#[derive(Clone)]
+pub enum TrainOutcome {
+    /// How it goes, every few steps.
+    Progress {
+        /// Steps done.
+        step: u32,
+        /// Mean loss since the last report.
+        loss: f32,
+        /// Mean PSNR of the photos' counted pixels since the last report, in dB.
+        psnr: f32,
+        /// Splats.
+        splats: usize,
+        /// Mean share of the photos left out as transient.
+        left_out: f32,
+    },
+    /// The scene at the snapshot step, for the mask stage.
+    Snapshot(Arc<Model>),
+    /// Where to continue from.
+    Checkpoint(Arc<Checkpoint>),
+    /// The trained scene, and photos that turned out not to be usable.
+    Done(Arc<Model>, Vec<Skipped>),
+    /// Training cannot go on.
+    Failed(String),
+}
+
+/// The actor. `O` is what its consumer calls its outcomes.
+pub struct TrainActor<O: Message> {
+    /// The rasteriser.
+    pub engine: Arc<dyn Engine>,
+    /// Where outcomes go.
+    pub out: Sender<O>,
+}
+
+impl<O: Message + From<TrainOutcome>> TrainActor<O> {
+    fn send(&self, outcome: TrainOutcome) -> Result<(), Failure> {
+        self.out.blocking_send(outcome.into())?;
+        Ok(())
+    }
+
+    fn train(&self, order: &TrainOrder, context: &Context) -> Result<(), Failure> {
+        let (engine, scene, photos) = (self.engine.clone(), &*order.scene, order.photos.clone());
+        let started = match &order.checkpoint {
+            Some(checkpoint) => Trainer::resume(engine, scene, photos, (**checkpoint).clone()),
+            None => Trainer::new(engine, scene, photos, order.settings.clone()),
+        };
+        let mut trainer = started.map_err(Failure::fatal)?;
+        for warning in trainer.warnings() {
+            context.events().warn(Some("geometry"), warning.clone());
+        }
+        let mut saved = Instant::now();
+        let (mut sums, mut since) = ([0.0f32; 3], 0);
+        while !trainer.is_done() {
+            if context.stopping() {
+                self.send(TrainOutcome::Checkpoint(Arc::new(trainer.checkpoint())))?;
+                return Err(Failure::stopped());
+            }
+            let step = trainer.step().map_err(Failure::fatal)?;
+            context.progress();
+            sums = [sums[0] + step.loss, sums[1] + step.psnr, sums[2] + step.left_out];
+            since += 1;
+            if step.step % REPORT_EVERY == 0 || trainer.is_done() {
+                let [loss, psnr, left_out] = sums.map(|s| s / since as f32);
+                let (step, splats) = (step.step, step.splats);
+                self.send(TrainOutcome::Progress { step, loss, psnr, splats, left_out })?;
+                (sums, since) = ([0.0; 3], 0);
+            }
+            if step.step == order.settings.snapshot_step() {
+                self.send(TrainOutcome::Snapshot(Arc::new(trainer.snapshot())))?;
+            }
+            if saved.elapsed() >= order.checkpoint_every && !trainer.is_done() {
+                self.send(TrainOutcome::Checkpoint(Arc::new(trainer.checkpoint())))?;
+                saved = Instant::now();
+            }
+        }
+        let skipped = trainer.skipped();
+        let model = trainer.finish().map_err(Failure::fatal)?;
+        self.send(TrainOutcome::Done(Arc::new(model), skipped))
+    }
+}
+
+impl<O: Message + From<TrainOutcome>> Actor for TrainActor<O> {
+    type Message = TrainOrder;
+
+    fn handle(&mut self, order: TrainOrder, context: &Context) -> Result<(), Failure> {
+        let done = self.train(&order, context);
+        if let Err(failure) = &done
+            && !context.stopping()
+        {
+            self.send(TrainOutcome::Failed(failure.to_string()))?;
+        }
+        done
+    }
+}

@@ -1,0 +1,143 @@
+//! Grow while it pays, where gradient and error are large; prune what no photo needs (method, section 9).
+
+use super::{Change, Density, Seen, Stats, Surroundings, healthy, split_in_two, top};
+use crate::params::Params;
+use crate::{TrainError, TrainSettings};
+use wincode::{SchemaRead, SchemaWrite};
+
+/// Below this opacity a splat is removed.
+const FAINT: f32 = 0.01;
+/// A splat that covers less than this many full-size pixels of all photos together is removed.
+const UNSEEN: f32 = 0.5;
+/// A splat whose reach is over this share of a photo's long side is a haze, not a surface, and is removed.
+const LARGE: f32 = 0.5;
+/// Most that one event adds, as a share of the splats there are.
+const STRIDE: f64 = 0.6;
+
+#[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
+pub(crate) struct Budget {
+    stats: Stats,
+    /// Splats at the start.
+    first: usize,
+    from: u32,
+    until: u32,
+    every: u32,
+    /// Steps at which what no photo needs is pruned.
+    prune_at: [u32; 2],
+    gain: f32,
+    /// Quality and count when growth was last judged.
+    judged: Option<(f32, f32)>,
+    /// Judgements in a row that found growth not to pay.
+    idle: u32,
+    stopped: bool,
+}
+
+impl Budget {
+    pub fn new(settings: &TrainSettings, splats: usize) -> Budget {
+        let steps = settings.steps;
+        let at = |share: f32| (steps as f32 * share) as u32;
+        Budget {
+            stats: Stats::new(splats),
+            first: splats,
+            from: at(0.04),
+            until: at(0.6),
+            every: (steps / 25).clamp(5, 150),
+            prune_at: [at(0.62), at(0.85)],
+            gain: settings.grow_gain,
+            judged: None,
+            idle: 0,
+            stopped: false,
+        }
+    }
+
+    /// Splats there should be at a step: geometric from the first count to the cap over the first three
+    /// quarters of the growing time.
+    fn target(&self, step: u32, cap: usize) -> usize {
+        let span = f64::from(self.until - self.from).max(1.0) * 0.75;
+        let t = (f64::from(step.saturating_sub(self.from) + self.every) / span).min(1.0);
+        let (a, b) = (self.first.max(1) as f64, cap as f64);
+        (a * (b / a).powf(t)) as usize
+    }
+
+    /// Whether growth since the last judgement paid; `Some(note)` when it is to stop.
+    fn judge(&mut self, quality: Option<f32>, n: usize) -> Option<String> {
+        let Some(quality) = quality else {
+            // The photos' size changed: qualities before and after do not compare.
+            self.judged = None;
+            return None;
+        };
+        let now = (quality, (n as f32).ln());
+        let Some((before, count)) = self.judged else {
+            self.judged = Some(now);
+            return None;
+        };
+        let grown = (now.1 - count) / 1.1f32.ln();
+        if grown < 1.0 {
+            return None;
+        }
+        self.judged = Some(now);
+        let paid = (quality - before) / grown;
+        self.idle = if paid < self.gain { self.idle + 1 } else { 0 };
+        (self.idle >= 2).then(|| {
+            format!("growth stopped at {n} splats: the last 10 % gained {paid:.3} dB, under {:.3}", self.gain)
+        })
+    }
+}
+
+impl Density for Budget {
+    fn observe(&mut self, seen: &Seen) {
+        self.stats.observe(seen);
+    }
+
+    fn act(&mut self, params: &mut Params, around: &mut Surroundings) -> Result<Option<Change>, TrainError> {
+        let step = around.step;
+        let prune = self.prune_at.contains(&step);
+        let grow = step >= self.from && step <= self.until && step.is_multiple_of(self.every);
+        if !prune && !grow {
+            return Ok(None);
+        }
+        let n = params.splats.len();
+        let mut keep: Vec<bool> = (0..n)
+            .map(|i| {
+                healthy(&params.splats, i)
+                    && params.splats.opacity(i) >= FAINT
+                    && self.stats.radius[i] < LARGE
+            })
+            .collect();
+        if prune {
+            let contribution = (around.contribution)(&params.splats)?;
+            for i in 0..n {
+                keep[i] &= contribution[i] >= UNSEEN;
+            }
+        }
+        let mut note = None;
+        let mut added = 0;
+        let mut scores: Vec<f32> = (0..n)
+            .map(|i| {
+                let pull = self.stats.mean(&self.stats.gradient, i);
+                let error = self.stats.mean(&self.stats.error, i);
+                if keep[i] { pull * error } else { 0.0 }
+            })
+            .collect();
+        let kept: Vec<usize> = (0..n).filter(|&i| keep[i]).collect();
+        // A scene that lost every splat keeps them all: nothing is better than nothing to draw.
+        if !kept.is_empty() && kept.len() < n {
+            params.remap(&kept);
+            scores = kept.iter().map(|&i| scores[i]).collect();
+        }
+        if grow && !self.stopped {
+            let n = params.splats.len();
+            note = self.judge(around.quality, n);
+            self.stopped = note.is_some();
+            if !self.stopped {
+                let target = self.target(step, around.cap).min((n as f64 * (1.0 + STRIDE)) as usize);
+                let chosen = top(&scores, target.saturating_sub(n));
+                added = chosen.len();
+                split_in_two(params, &chosen);
+            }
+        }
+        let removed = n + added - params.splats.len();
+        self.stats = Stats::new(params.splats.len());
+        Ok(Some(Change { added, removed, opacity_reset: false, note }))
+    }
+}

@@ -1,0 +1,28 @@
+//! Why training cannot go on.
+
+use segwild_raster::RasterError;
+
+/// Why training cannot go on.
+#[derive(Debug, thiserror::Error)]
+pub enum TrainError {
+    /// A setting is out of range.
+    #[error("setting refused: {0}")]
+    Setting(String),
+    /// No photo can be trained on; each reason is named.
+    #[error("no photo to train on: {0}")]
+    NoPhotos(String),
+    /// One photo cannot be used.
+    #[error("photo `{name}`: {reason}")]
+    Photo {
+        /// Name of the photo.
+        name: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A checkpoint does not belong to this scene or is damaged.
+    #[error("checkpoint refused: {0}")]
+    Checkpoint(String),
+    /// The rasteriser refused.
+    #[error(transparent)]
+    Raster(#[from] RasterError),
+}

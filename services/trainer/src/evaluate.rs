@@ -1,0 +1,107 @@
+//! Quality on photos that were held out (method, sections 3 and 10).
+
+use crate::TrainError;
+use crate::background::Background;
+use crate::looks;
+use crate::model::{Model, compose, draw};
+use crate::photos::{PhotoCache, Photos, level_camera};
+use segwild_raster::{AffineLook, AnyLook, Engine};
+use segwild_scene::{Image, Scene};
+use std::sync::Arc;
+
+/// How a held-out photo is scored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Protocol {
+    /// The whole photo, with no appearance fitted to it.
+    Plain,
+    /// The look is fitted on the left half, the right half is scored (the official protocol of in-the-wild
+    /// scenes).
+    Halves,
+}
+
+/// Score of one photo.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ViewScore {
+    /// Index of the view.
+    pub view: usize,
+    /// Its name.
+    pub name: String,
+    /// Peak signal-to-noise ratio in dB.
+    pub psnr: f32,
+    /// Structural similarity, 11-tap Gaussian window.
+    pub ssim: f32,
+}
+
+/// Scores of several photos.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Evaluation {
+    /// Per photo.
+    pub views: Vec<ViewScore>,
+    /// Mean PSNR in dB; 0 for no photo.
+    pub psnr: f32,
+    /// Mean SSIM; 0 for no photo.
+    pub ssim: f32,
+    /// The renders scored, in the same order; the whole frame also where half of it is scored.
+    pub renders: Vec<Image>,
+}
+
+/// Scores a model on some views.
+pub fn evaluate(
+    model: &Model,
+    engine: &dyn Engine,
+    scene: &Scene,
+    photos: Arc<dyn Photos>,
+    views: &[usize],
+    protocol: Protocol,
+) -> Result<Evaluation, TrainError> {
+    let names = scene.views.iter().map(|v| v.name.clone()).collect();
+    let mut cache = PhotoCache::new(photos, names, 0);
+    let mut out = Evaluation { views: Vec::new(), psnr: 0.0, ssim: 0.0, renders: Vec::new() };
+    for &view in views {
+        let stored = cache.get(view)?;
+        let photo = &stored.levels[0];
+        let (w, h) = (photo.width, photo.height);
+        let full = scene.views[view].camera.resized(w as u32, h as u32);
+        let camera = level_camera(&full, 0, photo);
+        let pose = scene.views[view].pose;
+        let frame = draw(engine, &model.splats, &model.options(), &camera, &pose)?;
+        let (mut look, mut index) = (model.look.clone(), model.look_index(None));
+        let mut background = model.background(None);
+        if protocol == Protocol::Halves {
+            let left = |i: usize| i % w < w / 2;
+            if stored.has_sky {
+                let open = |i: usize| (1.0 - frame.alpha.data[i]).max(0.0).powi(2);
+                let seen = |i: usize| {
+                    let weight = if photo.sky(i) { 1.0 } else { open(i) };
+                    (left(i) && photo.valid(i) && weight > 0.01).then(|| (photo.colour(i), weight))
+                };
+                let sky = Background::fit(&camera, &pose, 2, seen);
+                background = sky.unwrap_or(background);
+            }
+            let behind = background.paint(&camera, &pose);
+            let n = w * h;
+            let pairs = (0..n).filter(|&i| left(i) && photo.counts(i)).map(|i| {
+                let (c, alpha) = (photo.colour(i), frame.alpha.data[i]);
+                let scene = [0, 1, 2].map(|k| frame.image.data[k * n + i]);
+                let seen = [0, 1, 2].map(|k| c[k] - (1.0 - alpha) * behind.data[k * n + i]);
+                (scene, alpha, seen, 1.0)
+            });
+            let mut fitted = AffineLook::new(1);
+            fitted.set_matrix(0, looks::fit(pairs));
+            (look, index) = (AnyLook::Affine(fitted), 0);
+        }
+        let render = compose(&frame, &look, index, &background, &camera, &pose);
+        let target = photo.image();
+        let from = if protocol == Protocol::Halves { w / 2 } else { 0 };
+        let scored = |i: usize| f32::from(u8::from(i % w >= from && photo.valid(i)));
+        let mask = Image { width: w, height: h, channels: 1, data: (0..w * h).map(scored).collect() };
+        let psnr = segwild_raster::psnr(&render, &target, Some(&mask));
+        let ssim = segwild_raster::ssim(&render, &target, Some(&mask));
+        out.views.push(ViewScore { view, name: scene.views[view].name.clone(), psnr, ssim });
+        out.renders.push(render);
+    }
+    let n = out.views.len().max(1) as f32;
+    out.psnr = out.views.iter().map(|v| v.psnr).sum::<f32>() / n;
+    out.ssim = out.views.iter().map(|v| v.ssim).sum::<f32>() / n;
+    Ok(out)
+}

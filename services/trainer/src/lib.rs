@@ -1,0 +1,33 @@
+//! Actor: geometry, look, density control, checkpoints.
+//!
+//! A [`Trainer`] turns a scene and its photos into a [`Model`], one photo per step: splats start at the
+//! reconstruction's points, Adam moves them, a density strategy adds and removes them, each photo has its
+//! look and its background, and what keeps contradicting the scene is left out (method, sections 2, 3, 9).
+
+mod actor;
+mod background;
+mod density;
+mod error;
+mod evaluate;
+mod initial;
+mod looks;
+
+mod model;
+mod params;
+mod photos;
+mod pixels;
+mod robust;
+mod sampler;
+mod schedule;
+mod settings;
+mod trainer;
+
+pub use actor::{TrainActor, TrainOrder, TrainOutcome};
+pub use background::Background;
+pub use density::Change;
+pub use error::TrainError;
+pub use evaluate::{Evaluation, Protocol, ViewScore, evaluate};
+pub use model::{Model, Stats, render_view};
+pub use photos::{Photos, TrainPhoto};
+pub use settings::{DensityKind, LookKind, Preset, TrainSettings};
+pub use trainer::{Checkpoint, StepReport, Trainer};

@@ -1,0 +1,110 @@
+//! A trained scene, and how it looks.
+
+use crate::TrainError;
+use crate::background::Background;
+use crate::looks;
+use crate::pixels::add_behind;
+use segwild_raster::{AnyLook, Channels, Engine, Frame, ProjectOptions};
+use segwild_scene::{Camera, Image, Pose, Splats};
+use wincode::{SchemaRead, SchemaWrite};
+
+/// A trained scene: splats, and what makes each photo look different.
+#[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
+pub struct Model {
+    /// The splats, in the scene's normalised frame.
+    pub splats: Splats,
+    /// The looks of the photos, by index of the view; one more, at the index past the last view, is the mean.
+    pub look: AnyLook,
+    /// Per view of the scene, what its photo shows behind the splats, in the photo's colours; `None` where the
+    /// photo took no part.
+    pub backgrounds: Vec<Option<Background>>,
+    /// Name of every view of the scene.
+    pub names: Vec<String>,
+    /// Indices of the views trained on.
+    pub trained_on: Vec<u32>,
+    /// Whether opacities are compensated for the pixel filter; splats must be drawn as they were trained.
+    pub antialias: bool,
+    /// How the training stood.
+    pub stats: Stats,
+}
+
+/// How a training stood when a model was taken.
+#[derive(Clone, Copy, Debug, PartialEq, SchemaRead, SchemaWrite)]
+pub struct Stats {
+    /// Steps done.
+    pub step: u32,
+    /// Mean over the training photos of the PSNR of their counted pixels, in dB, if known.
+    pub psnr: Option<f32>,
+}
+
+/// Options of the rasteriser for splats trained with or without compensation.
+pub(crate) fn options(antialias: bool) -> ProjectOptions {
+    ProjectOptions { antialias, ..ProjectOptions::default() }
+}
+
+impl Model {
+    /// Options to draw these splats with.
+    pub fn options(&self) -> ProjectOptions {
+        options(self.antialias)
+    }
+
+    /// Index in [`Model::look`] of the look of a view: the mean one where the photo took no part or none is
+    /// named.
+    pub fn look_index(&self, view: Option<usize>) -> usize {
+        let known = |v: &usize| self.backgrounds.get(*v).is_some_and(Option::is_some);
+        view.filter(known).unwrap_or(self.names.len())
+    }
+
+    /// What a view's photo shows behind the splats; the mean of all where the photo took no part or none is
+    /// named.
+    pub fn background(&self, view: Option<usize>) -> Background {
+        let own = view.and_then(|v| self.backgrounds.get(v)?.clone());
+        own.unwrap_or_else(|| Background::mean(self.backgrounds.iter().flatten()))
+    }
+}
+
+/// Blends the splats' own colours for a camera.
+pub(crate) fn draw(
+    engine: &dyn Engine,
+    splats: &Splats,
+    options: &ProjectOptions,
+    camera: &Camera,
+    pose: &Pose,
+) -> Result<Frame, TrainError> {
+    let projected = engine.project(splats, camera, pose, options)?;
+    let colours = projected.shade();
+    Ok(projected.blend(&Channels { count: 3, values: &colours }))
+}
+
+/// The scene from a camera, in the look of one of its photos (`None`: the mean look, one light for all), over
+/// that photo's background; sRGB in [0, 1].
+pub fn render_view(
+    model: &Model,
+    engine: &dyn Engine,
+    camera: &Camera,
+    pose: &Pose,
+    look: Option<usize>,
+) -> Result<Image, TrainError> {
+    let index = model.look_index(look);
+    let frame = draw(engine, &model.splats, &model.options(), camera, pose)?;
+    Ok(compose(&frame, &model.look, index, &model.background(look), camera, pose))
+}
+
+/// A frame over a background, in a look, in [0, 1]. The background is in the look's colours.
+pub(crate) fn compose(
+    frame: &Frame,
+    look: &AnyLook,
+    index: usize,
+    background: &Background,
+    camera: &Camera,
+    pose: &Pose,
+) -> Image {
+    let behind = background.before(&looks::matrix(look, index)).paint(camera, pose);
+    let mut image = frame.image.clone();
+    add_behind(&mut image, &frame.alpha, &behind);
+    let mut image = look.as_look().apply(index, &image);
+    for v in &mut image.data {
+        *v = v.clamp(0.0, 1.0);
+    }
+    image
+}

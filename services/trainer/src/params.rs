@@ -1,0 +1,145 @@
+//! The splats as an optimiser sees them.
+
+use segwild_raster::{Adam, SplatGrads};
+use segwild_scene::Splats;
+use wincode::{SchemaRead, SchemaWrite};
+
+/// Learning rates of one step.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Rates {
+    /// In scene units.
+    pub mean: f32,
+    pub opacity: f32,
+    pub scale: f32,
+    pub rotation: f32,
+    /// Of the base colour; higher degrees take a twentieth.
+    pub colour: f32,
+}
+
+/// Splats with their optimisers, one per property; the base colour and the higher degrees are two.
+#[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
+pub(crate) struct Params {
+    pub splats: Splats,
+    means: Adam,
+    log_scales: Adam,
+    rotations: Adam,
+    opacities: Adam,
+    base: Adam,
+    higher: Adam,
+}
+
+/// Share of the base colour's learning rate that higher degrees take.
+const HIGHER: f32 = 1.0 / 20.0;
+
+impl Params {
+    pub fn new(splats: Splats) -> Params {
+        let n = splats.len();
+        Params {
+            means: Adam::new(n, 3),
+            log_scales: Adam::new(n, 3),
+            rotations: Adam::new(n, 4),
+            opacities: Adam::new(n, 1),
+            base: Adam::new(n, 3),
+            higher: Adam::new(if splats.sh_degree > 0 { n } else { 0 }, splats.sh_stride() - 3),
+            splats,
+        }
+    }
+
+    /// One optimiser step; `sh` are the gradients of [`Splats::sh`].
+    pub fn update(&mut self, grads: &SplatGrads, sh: &[f32], rates: &Rates) {
+        let s = &mut self.splats;
+        self.means.step(s.means.as_flattened_mut(), grads.means.as_flattened(), rates.mean);
+        self.log_scales.step(s.log_scales.as_flattened_mut(), grads.log_scales.as_flattened(), rates.scale);
+        self.rotations.step(s.rotations.as_flattened_mut(), grads.rotations.as_flattened(), rates.rotation);
+        self.opacities.step(&mut s.opacities, &grads.opacities, rates.opacity);
+        if s.sh_degree == 0 {
+            self.base.step(&mut s.sh, sh, rates.colour);
+            return;
+        }
+        // The two groups lie interleaved: take them apart, step, put them back.
+        let k = s.sh_stride();
+        let apart = |values: &[f32]| {
+            let n = values.len() / k;
+            let (mut base, mut higher) = (Vec::with_capacity(3 * n), Vec::with_capacity((k - 3) * n));
+            for splat in values.chunks_exact(k) {
+                base.extend_from_slice(&splat[..3]);
+                higher.extend_from_slice(&splat[3..]);
+            }
+            (base, higher)
+        };
+        let ((mut base, mut higher), (base_grads, higher_grads)) = (apart(&s.sh), apart(sh));
+        self.base.step(&mut base, &base_grads, rates.colour);
+        self.higher.step(&mut higher, &higher_grads, rates.colour * HIGHER);
+        for ((splat, b), h) in
+            s.sh.chunks_exact_mut(k).zip(base.chunks_exact(3)).zip(higher.chunks_exact(k - 3))
+        {
+            splat[..3].copy_from_slice(b);
+            splat[3..].copy_from_slice(h);
+        }
+    }
+
+    fn groups(&mut self) -> impl Iterator<Item = &mut Adam> {
+        let higher = (self.splats.sh_degree > 0).then_some(&mut self.higher);
+        [&mut self.means, &mut self.log_scales, &mut self.rotations, &mut self.opacities, &mut self.base]
+            .into_iter()
+            .chain(higher)
+    }
+
+    /// The splats at `parents`, in that order, with what the optimiser knows of them.
+    pub fn remap(&mut self, parents: &[usize]) {
+        self.splats = self.splats.select(parents);
+        self.groups().for_each(|g| g.select(parents));
+    }
+
+    /// Makes the optimiser forget some splats.
+    pub fn forget(&mut self, which: impl Iterator<Item = usize> + Clone) {
+        self.groups().for_each(|g| g.forget(which.clone()));
+    }
+
+    /// Makes the optimiser forget all opacities, after a reset.
+    pub fn forget_opacities(&mut self) {
+        self.opacities.forget(0..self.splats.len());
+    }
+
+    /// Gives the colours more basis functions, zero at first; never fewer.
+    pub fn raise_sh_degree(&mut self, degree: u32) {
+        if degree <= self.splats.sh_degree {
+            return;
+        }
+        let old = self.splats.sh_stride();
+        self.splats.sh_degree = degree;
+        let new = self.splats.sh_stride();
+        let mut sh = vec![0.0; self.splats.len() * new];
+        for (to, from) in sh.chunks_exact_mut(new).zip(self.splats.sh.chunks_exact(old)) {
+            to[..old].copy_from_slice(from);
+        }
+        self.splats.sh = sh;
+        // The degrees before start over in the optimiser; their values stay.
+        self.higher = Adam::new(self.splats.len(), new - 3);
+    }
+
+    /// Whether every array has one entry per splat; says which has not.
+    pub fn consistent(&self) -> Result<(), String> {
+        let s = &self.splats;
+        let n = s.len();
+        if s.sh_degree > 3 {
+            return Err(format!("spherical harmonics of degree {}", s.sh_degree));
+        }
+        let k = s.sh_stride();
+        let arrays = [
+            ("log scales", s.log_scales.len() == n),
+            ("rotations", s.rotations.len() == n),
+            ("opacities", s.opacities.len() == n),
+            ("colours", s.sh.len() == n * k),
+            ("moments of the centres", self.means.len() == 3 * n),
+            ("moments of the scales", self.log_scales.len() == 3 * n),
+            ("moments of the rotations", self.rotations.len() == 4 * n),
+            ("moments of the opacities", self.opacities.len() == n),
+            ("moments of the colours", self.base.len() + self.higher.len() == n * k),
+        ];
+        match arrays.iter().find(|(_, fits)| !fits) {
+            Some((name, _)) => Err(format!("{n} splats, but another number of {name}")),
+            None => Ok(()),
+        }
+    }
+}

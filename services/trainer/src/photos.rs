@@ -1,0 +1,280 @@
+//! Photos as the trainer needs them: asked for one at a time, kept as bytes, at several sizes.
+
+use crate::TrainError;
+use segwild_scene::{Camera, Image, Mask};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// A photo with what is known of its pixels.
+#[derive(Clone, Debug)]
+pub struct TrainPhoto {
+    /// sRGB in [0, 1], three planes, at the size to train at.
+    pub image: Image,
+    /// Pixels that may be trained on; `None`: all. Undistortion borders and ignored things are outside.
+    pub valid: Option<Mask>,
+    /// Pixels of the sky; `None`: not known, which is not the same as no sky.
+    pub sky: Option<Mask>,
+}
+
+/// Where photos come from. A call may block until the photo (and its sky) is there.
+pub trait Photos: Send + Sync {
+    /// The photo of view `view`; the error says in words why it cannot be used.
+    fn photo(&self, view: usize) -> Result<TrainPhoto, String>;
+}
+
+impl<F> Photos for F
+where
+    F: Fn(usize) -> Result<TrainPhoto, String> + Send + Sync,
+{
+    fn photo(&self, view: usize) -> Result<TrainPhoto, String> {
+        self(view)
+    }
+}
+
+/// A photo at one size, a byte per value.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Level {
+    pub width: usize,
+    pub height: usize,
+    /// Planar, as [`Image::data`].
+    rgb: Vec<u8>,
+    /// Per pixel: [`VALID`] and [`SKY`].
+    flags: Vec<u8>,
+}
+
+const VALID: u8 = 1;
+const SKY: u8 = 2;
+
+/// A photo at full, half and quarter size.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Stored {
+    pub levels: Vec<Level>,
+    /// Whether the sky is known.
+    pub has_sky: bool,
+}
+
+/// Sizes kept per photo.
+pub(crate) const LEVELS: usize = 3;
+
+impl Level {
+    pub fn pixels(&self) -> usize {
+        self.width * self.height
+    }
+
+    /// The colours as floats.
+    pub fn image(&self) -> Image {
+        let data = self.rgb.iter().map(|&b| f32::from(b) * (1.0 / 255.0)).collect();
+        Image { width: self.width, height: self.height, channels: 3, data }
+    }
+
+    /// Whether the pixel counts in the colour loss: valid and not sky.
+    pub fn counts(&self, i: usize) -> bool {
+        self.flags[i] == VALID
+    }
+
+    /// Whether the pixel is valid sky.
+    pub fn sky(&self, i: usize) -> bool {
+        self.flags[i] == VALID | SKY
+    }
+
+    pub fn valid(&self, i: usize) -> bool {
+        self.flags[i] & VALID != 0
+    }
+
+    pub fn colour(&self, i: usize) -> [f32; 3] {
+        let n = self.pixels();
+        [0, 1, 2].map(|c| f32::from(self.rgb[c * n + i]) * (1.0 / 255.0))
+    }
+
+    /// Half the size: each pixel is the mean of four; it is valid if all four are, sky if three are.
+    fn half(&self) -> Level {
+        let (w, h) = (self.width / 2, self.height / 2);
+        let (n, m) = (self.pixels(), w * h);
+        let mut out = Level { width: w, height: h, rgb: vec![0; 3 * m], flags: vec![0; m] };
+        for y in 0..h {
+            for x in 0..w {
+                let at = [0, 1, self.width, self.width + 1].map(|d| 2 * y * self.width + 2 * x + d);
+                for c in 0..3 {
+                    let sum: u32 = at.iter().map(|&i| u32::from(self.rgb[c * n + i])).sum();
+                    out.rgb[c * m + y * w + x] = ((sum + 2) / 4) as u8;
+                }
+                let valid = at.iter().all(|&i| self.flags[i] & VALID != 0);
+                let sky = at.iter().filter(|&&i| self.flags[i] & SKY != 0).count() >= 3;
+                out.flags[y * w + x] = (u8::from(valid) * VALID) | (u8::from(sky) * SKY);
+            }
+        }
+        out
+    }
+}
+
+impl Stored {
+    /// Checks a photo and packs it.
+    fn pack(name: &str, photo: &TrainPhoto) -> Result<Stored, TrainError> {
+        let refuse = |reason: String| TrainError::Photo { name: name.to_owned(), reason };
+        let TrainPhoto { image, valid, sky } = photo;
+        let n = image.pixels();
+        if image.channels != 3 || n == 0 || image.data.len() != 3 * n {
+            return Err(refuse(format!(
+                "expected three colour planes, got {} of {} x {}",
+                image.channels, image.width, image.height
+            )));
+        }
+        if let Some(i) = image.data.iter().position(|v| !v.is_finite()) {
+            let p = i % n;
+            return Err(refuse(format!(
+                "colour at pixel ({}, {}) is not a number; decode the file again",
+                p % image.width,
+                p / image.width
+            )));
+        }
+        for (what, mask) in [("valid", valid), ("sky", sky)] {
+            if let Some(m) = mask
+                && (m.width() as usize, m.height() as usize) != (image.width, image.height)
+            {
+                return Err(refuse(format!(
+                    "the {what} mask is {} x {}, the photo {} x {}",
+                    m.width(),
+                    m.height(),
+                    image.width,
+                    image.height
+                )));
+            }
+        }
+        let flags: Vec<u8> = (0..n)
+            .map(|i| {
+                let valid = valid.as_ref().is_none_or(|m| m.index(i));
+                let sky = sky.as_ref().is_some_and(|m| m.index(i));
+                (u8::from(valid) * VALID) | (u8::from(sky) * SKY)
+            })
+            .collect();
+        if flags.iter().all(|f| f & VALID == 0) {
+            return Err(refuse("every pixel is masked out; check its ignore mask".into()));
+        }
+        let rgb = image.data.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8).collect();
+        let mut levels = vec![Level { width: image.width, height: image.height, rgb, flags }];
+        while levels.len() < LEVELS {
+            let last = levels.last().expect("there is a first level");
+            if last.width < 32 || last.height < 32 {
+                break;
+            }
+            let next = last.half();
+            levels.push(next);
+        }
+        Ok(Stored { levels, has_sky: sky.is_some() })
+    }
+
+    fn bytes(&self) -> usize {
+        self.levels.iter().map(|l| l.rgb.len() + l.flags.len()).sum()
+    }
+
+    /// The level asked for, or the smallest there is.
+    pub fn level(&self, level: usize) -> (usize, &Level) {
+        let l = level.min(self.levels.len() - 1);
+        (l, &self.levels[l])
+    }
+}
+
+/// The camera of a level: every halving drops an odd last row or column, the rest is exact.
+pub(crate) fn level_camera(full: &Camera, level: usize, size: &Level) -> Camera {
+    let s = 0.5f32.powi(level as i32);
+    Camera {
+        width: size.width as u32,
+        height: size.height as u32,
+        fx: full.fx * s,
+        fy: full.fy * s,
+        cx: full.cx * s,
+        cy: full.cy * s,
+    }
+}
+
+/// Photos within a memory budget, the least recently used dropped first. What it returns never depends on
+/// what it holds, so neither does the training.
+pub(crate) struct PhotoCache {
+    source: Arc<dyn Photos>,
+    names: Vec<String>,
+    held: BTreeMap<usize, (u64, Arc<Stored>)>,
+    clock: u64,
+    bytes: usize,
+    limit: usize,
+}
+
+impl PhotoCache {
+    pub fn new(source: Arc<dyn Photos>, names: Vec<String>, limit: usize) -> PhotoCache {
+        PhotoCache { source, names, held: BTreeMap::new(), clock: 0, bytes: 0, limit }
+    }
+
+    pub fn get(&mut self, view: usize) -> Result<Arc<Stored>, TrainError> {
+        self.clock += 1;
+        if let Some((used, stored)) = self.held.get_mut(&view) {
+            *used = self.clock;
+            return Ok(stored.clone());
+        }
+        let name = &self.names[view];
+        let photo =
+            self.source.photo(view).map_err(|reason| TrainError::Photo { name: name.clone(), reason })?;
+        let stored = Arc::new(Stored::pack(name, &photo)?);
+        self.bytes += stored.bytes();
+        while self.bytes > self.limit && !self.held.is_empty() {
+            let (&oldest, _) = self.held.iter().min_by_key(|(_, (used, _))| *used).expect("not empty");
+            let (_, gone) = self.held.remove(&oldest).expect("just found");
+            self.bytes -= gone.bytes();
+        }
+        self.held.insert(view, (self.clock, stored.clone()));
+        Ok(stored)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    fn photo(v: f32) -> TrainPhoto {
+        TrainPhoto { image: Image::filled(65, 40, 3, v), valid: None, sky: None }
+    }
+
+    #[test]
+    fn cache_stays_within_its_budget_and_returns_the_same() {
+        let loads = Arc::new(AtomicUsize::new(0));
+        let counter = loads.clone();
+        let source = Arc::new(move |i: usize| {
+            counter.fetch_add(1, Ordering::Relaxed);
+            Ok(photo(i as f32 / 10.0))
+        });
+        let names = (0..4).map(|i| i.to_string()).collect();
+        let one = Stored::pack("x", &photo(0.1)).unwrap().bytes();
+        let mut cache = PhotoCache::new(source, names, 2 * one);
+        for i in [0, 1, 0, 2, 0, 1] {
+            let got = cache.get(i).unwrap();
+            assert!((got.levels[0].colour(3)[0] - i as f32 / 10.0).abs() < 0.003);
+            assert!(cache.bytes <= 2 * one);
+        }
+        // 0 and 1, then 2 drops 1, then 1 again.
+        assert_eq!(loads.load(Ordering::Relaxed), 4);
+    }
+
+    #[test]
+    fn bad_photos_are_refused_by_name() {
+        let mut nan = photo(0.5);
+        nan.image.data[70] = f32::NAN;
+        let error = Stored::pack("a.jpg", &nan).unwrap_err().to_string();
+        assert!(error.contains("a.jpg") && error.contains("(5, 1)"), "{error}");
+        let masked = TrainPhoto { valid: Some(Mask::empty(65, 40)), ..photo(0.5) };
+        assert!(Stored::pack("b.jpg", &masked).unwrap_err().to_string().contains("masked out"));
+        let wrong = TrainPhoto { sky: Some(Mask::empty(3, 3)), ..photo(0.5) };
+        assert!(Stored::pack("c.jpg", &wrong).unwrap_err().to_string().contains("3 x 3"));
+    }
+
+    #[test]
+    fn halving_keeps_masks_apart() {
+        let sky = Mask::from_fn(65, 40, |_, y| y < 20);
+        let valid = Mask::from_fn(65, 40, |x, _| x < 60);
+        let p = TrainPhoto { sky: Some(sky), valid: Some(valid), ..photo(0.5) };
+        let s = Stored::pack("x", &p).unwrap();
+        let (l, half) = s.level(1);
+        assert_eq!((l, half.width, half.height), (1, 32, 20));
+        assert!(half.sky(0) && half.counts(15 * 32) && !half.valid(31));
+        // The level asked for does not exist on a small photo: the smallest there is comes back.
+        assert_eq!(s.level(9).0, s.levels.len() - 1);
+    }
+}

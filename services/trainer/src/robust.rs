@@ -1,0 +1,220 @@
+//! Leaving out what contradicts the scene: strangers, cars, umbrellas (method, section 3, the sibling of a
+//! visibility map for affine looks; after RobustNeRF and SpotLessSplats).
+
+use wincode::{SchemaRead, SchemaWrite};
+
+/// Residual histograms per photo, and the masks they give.
+#[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
+pub(crate) struct Robust {
+    /// Largest share of a photo left out.
+    share: f32,
+    /// Per photo, decaying counts of residuals; empty until the photo was seen.
+    histograms: Vec<Vec<f32>>,
+}
+
+/// Bins over residuals in [0, 1).
+const BINS: usize = 128;
+/// What a visit keeps of the histogram before it.
+const DECAY: f32 = 0.7;
+/// Residuals under this are never transient: fine texture that is not learnt yet looks like this.
+const FLOOR: f32 = 0.06;
+/// A transient stands out from its photo by this factor over the median.
+const CONTRAST: f32 = 3.0;
+
+impl Robust {
+    pub fn new(photos: usize, share: f32) -> Robust {
+        Robust { share, histograms: vec![Vec::new(); photos] }
+    }
+
+    /// Takes in the residual of a photo and returns a weight per pixel, 0 for transients; `None` while
+    /// `active` is false (warm-up, or the opacities were just reset) or nothing stands out.
+    ///
+    /// `residual` is one number per pixel, mean absolute colour difference; `counts` says which pixels take
+    /// part at all.
+    pub fn weights(
+        &mut self,
+        photo: usize,
+        residual: &[f32],
+        width: usize,
+        counts: impl Fn(usize) -> bool,
+        active: bool,
+    ) -> Option<Vec<f32>> {
+        let height = residual.len() / width;
+        // Edges that are off by a pixel give thin residuals, people give blobs: blur first.
+        let radius = (width.max(height) / 160).max(1);
+        let smooth = box_mean(residual, width, height, radius);
+        let mut fresh = vec![0.0f32; BINS];
+        let mut total = 0.0;
+        for (i, &r) in smooth.iter().enumerate() {
+            if counts(i) {
+                fresh[bin(r)] += 1.0;
+                total += 1.0;
+            }
+        }
+        if total == 0.0 {
+            return None;
+        }
+        for f in &mut fresh {
+            *f /= total;
+        }
+        if !active {
+            return None;
+        }
+        let held = &mut self.histograms[photo];
+        if held.is_empty() {
+            *held = fresh.clone();
+        } else {
+            for (h, f) in held.iter_mut().zip(&fresh) {
+                *h = DECAY * *h + (1.0 - DECAY) * f;
+            }
+        }
+        let mut threshold = threshold(held, self.share);
+        let over =
+            |t: f32| fresh.iter().enumerate().filter(|&(b, _)| bin_top(b) > t).map(|(_, f)| f).sum::<f32>();
+        // The photo changed faster than its history (a new level, a reset): trust this visit alone, so that
+        // never more than the share goes.
+        if over(threshold) > 1.5 * self.share {
+            threshold = threshold.max(self::threshold(&fresh, self.share));
+        }
+        let out: Vec<u8> = smooth
+            .iter()
+            .enumerate()
+            .map(|(i, &r)| u8::from(counts(i) && bin_top(bin(r)) > threshold))
+            .collect();
+        if out.iter().all(|&o| o == 0) {
+            return None;
+        }
+        Some(majority(&out, width, height).iter().map(|&o| f32::from(1 - o)).collect())
+    }
+}
+
+fn bin(r: f32) -> usize {
+    // A residual that is not a number falls in the last bin.
+    if r.is_nan() { BINS - 1 } else { ((r * BINS as f32) as usize).min(BINS - 1) }
+}
+
+fn bin_top(bin: usize) -> f32 {
+    (bin + 1) as f32 / BINS as f32
+}
+
+fn quantile(histogram: &[f32], q: f32) -> f32 {
+    let total: f32 = histogram.iter().sum();
+    let mut sum = 0.0;
+    for (b, h) in histogram.iter().enumerate() {
+        sum += h;
+        if sum >= q * total {
+            return bin_top(b);
+        }
+    }
+    1.0
+}
+
+/// At most `share` is over it; and only what stands out, so that a photo that fits loses nothing and one
+/// that fits nowhere is not emptied.
+fn threshold(histogram: &[f32], share: f32) -> f32 {
+    quantile(histogram, 1.0 - share).max(CONTRAST * quantile(histogram, 0.5)).max(FLOOR)
+}
+
+/// Mean over a square window of half width `r`, cut off at the border.
+pub(crate) fn box_mean(values: &[f32], width: usize, height: usize, r: usize) -> Vec<f32> {
+    let mut rows = vec![0.0f32; values.len()];
+    for y in 0..height {
+        let row = &values[y * width..(y + 1) * width];
+        for x in 0..width {
+            let (a, b) = (x.saturating_sub(r), (x + r + 1).min(width));
+            rows[y * width + x] = row[a..b].iter().sum::<f32>() / (b - a) as f32;
+        }
+    }
+    let mut out = vec![0.0f32; values.len()];
+    for y in 0..height {
+        let (a, b) = (y.saturating_sub(r), (y + r + 1).min(height));
+        let line = &mut out[y * width..(y + 1) * width];
+        for k in a..b {
+            for (o, v) in line.iter_mut().zip(&rows[k * width..(k + 1) * width]) {
+                *o += v;
+            }
+        }
+        for o in line {
+            *o /= (b - a) as f32;
+        }
+    }
+    out
+}
+
+/// 3 x 3 majority; at the border of the pixels there are.
+fn majority(out: &[u8], width: usize, height: usize) -> Vec<u8> {
+    let mut result = vec![0; out.len()];
+    for y in 0..height {
+        let (y0, y1) = (y.saturating_sub(1), (y + 2).min(height));
+        for x in 0..width {
+            let (x0, x1) = (x.saturating_sub(1), (x + 2).min(width));
+            let votes: usize = (y0..y1)
+                .map(|v| out[v * width + x0..v * width + x1].iter().map(|&o| o as usize).sum::<usize>())
+                .sum();
+            result[y * width + x] = u8::from(2 * votes > (y1 - y0) * (x1 - x0));
+        }
+    }
+    result
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use segwild_scene::Random;
+
+    const W: usize = 80;
+    const H: usize = 60;
+
+    fn kept(weights: &Option<Vec<f32>>) -> f32 {
+        weights.as_ref().map_or(1.0, |w| w.iter().sum::<f32>() / w.len() as f32)
+    }
+
+    #[test]
+    fn a_stranger_is_left_out_and_texture_is_not() {
+        let mut r = Random::new(5);
+        let mut robust = Robust::new(1, 0.2);
+        let stranger = |i: usize| (20..32).contains(&(i % W)) && (25..55).contains(&(i / W));
+        let mut last = None;
+        for _ in 0..6 {
+            let residual: Vec<f32> =
+                (0..W * H).map(|i| if stranger(i) { 0.3 } else { 0.03 * r.uniform() } + 0.01).collect();
+            last = robust.weights(0, &residual, W, |_| true, true);
+        }
+        let w = last.unwrap();
+        let wrong = (0..W * H).filter(|&i| stranger(i) == (w[i] > 0.5)).count();
+        assert!(wrong < 90, "{wrong} pixels on the wrong side"); // the outline is 84 pixels long
+        // A one-pixel line of large residual, an edge off by one, stays.
+        let line: Vec<f32> = (0..W * H).map(|i| if i % W == 40 { 0.15 } else { 0.02 }).collect();
+        assert_eq!(kept(&Robust::new(1, 0.2).weights(0, &line, W, |_| true, true)), 1.0);
+    }
+
+    #[test]
+    fn neither_all_nor_a_bad_photo_is_left_out() {
+        let mut r = Random::new(9);
+        let mut robust = Robust::new(3, 0.2);
+        // Wrong everywhere, wildly wrong, not a number anywhere: at most about the share goes.
+        for _ in 0..5 {
+            let bad: Vec<f32> = (0..W * H).map(|_| 0.4 + 0.4 * r.uniform()).collect();
+            assert!(kept(&robust.weights(0, &bad, W, |_| true, true)) >= 0.7);
+            let half: Vec<f32> = (0..W * H).map(|i| if i % W < 40 { 0.9 } else { 0.0 }).collect();
+            assert!(kept(&robust.weights(1, &half, W, |_| true, true)) >= 0.4);
+            let nan = vec![f32::NAN; W * H];
+            assert!(kept(&robust.weights(2, &nan, W, |_| true, true)) >= 0.7);
+        }
+        // A perfect photo loses nothing; nor does any photo in the warm-up.
+        assert!(robust.weights(0, &vec![0.001; W * H], W, |_| true, true).is_none());
+        assert!(robust.weights(0, &vec![0.9; W * H], W, |_| true, false).is_none());
+        assert!(robust.weights(0, &vec![0.9; W * H], W, |_| false, true).is_none());
+    }
+
+    #[test]
+    fn a_sudden_change_does_not_empty_a_photo() {
+        let mut robust = Robust::new(1, 0.2);
+        for _ in 0..10 {
+            robust.weights(0, &vec![0.01; W * H], W, |_| true, true);
+        }
+        let mut r = Random::new(4);
+        let worse: Vec<f32> = (0..W * H).map(|_| 0.3 + 0.1 * r.uniform()).collect();
+        assert!(kept(&robust.weights(0, &worse, W, |_| true, true)) >= 0.7);
+    }
+}

@@ -1,0 +1,81 @@
+//! What changes over a run, as functions of the share of steps done.
+
+use crate::TrainSettings;
+
+/// How far the learning rate of the centres falls.
+const MEAN_DECAY: f32 = 0.01;
+/// How far the other learning rates fall over the last half.
+const LATE_DECAY: f32 = 0.2;
+
+/// Schedules of one run.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Schedule {
+    steps: u32,
+    coarse: f32,
+    sh_degree: u32,
+}
+
+impl Schedule {
+    pub fn new(settings: &TrainSettings) -> Schedule {
+        Schedule { steps: settings.steps, coarse: settings.coarse, sh_degree: settings.sh_degree }
+    }
+
+    fn share(&self, step: u32) -> f32 {
+        step as f32 / self.steps as f32
+    }
+
+    /// Halvings of the photo at a step: two for the first third of the coarse part, then one, then none.
+    pub fn level(&self, step: u32) -> usize {
+        let t = self.share(step);
+        if t < self.coarse * 0.3333 {
+            2
+        } else if t < self.coarse {
+            1
+        } else {
+            0
+        }
+    }
+
+    /// Degree of the colours in use at a step: all of them by 60 % of the run.
+    pub fn sh_degree(&self, step: u32) -> u32 {
+        ((self.share(step) * (self.sh_degree as f32 + 1.0) / 0.6) as u32).min(self.sh_degree)
+    }
+
+    /// Factor on the learning rate of the centres: exponential decay (method, section 2).
+    pub fn mean_factor(&self, step: u32) -> f32 {
+        MEAN_DECAY.powf(self.share(step))
+    }
+
+    /// Factor on every other learning rate: constant, then falling, so that the end settles.
+    pub fn late_factor(&self, step: u32) -> f32 {
+        LATE_DECAY.powf((2.0 * self.share(step) - 1.0).max(0.0))
+    }
+
+    /// Whether transients are left out at a step: not before the scene explains anything.
+    pub fn robust(&self, step: u32) -> bool {
+        self.share(step) >= 0.25
+    }
+
+    /// Steps for which an opacity reset makes residuals say nothing.
+    pub fn reset_pause(&self) -> u32 {
+        self.steps / 30
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn any_number_of_steps_is_a_whole_run() {
+        for steps in [1, 7, 500, 30_000] {
+            let s = Schedule::new(&TrainSettings { steps, sh_degree: 3, ..TrainSettings::default() });
+            let last = steps - 1;
+            assert!(
+                (1..=steps).all(|k| s.level(k) <= s.level(k - 1) && s.sh_degree(k) >= s.sh_degree(k - 1))
+            );
+            assert_eq!((s.level(steps), s.sh_degree(steps)), (0, 3));
+            assert!(s.mean_factor(last) >= MEAN_DECAY * 0.99 && s.late_factor(last) >= LATE_DECAY * 0.99);
+        }
+    }
+}

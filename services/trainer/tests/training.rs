@@ -1,0 +1,349 @@
+//! Training on tiny scenes whose truth is known: a coloured plane with a bump, drawn by the engine itself.
+
+use glam::{DVec3, Vec3};
+use segwild_raster::{Channels, CpuEngine, Engine, ProjectOptions};
+use segwild_scene::{Camera, Frame, Image, Mask, Photo, Point, Pose, Scene, Splats, View};
+use segwild_trainer::{
+    Checkpoint, DensityKind, LookKind, Model, Photos, Protocol, TrainError, TrainPhoto, TrainSettings,
+    Trainer, evaluate, render_view,
+};
+use std::sync::Arc;
+
+const W: u32 = 72;
+const H: u32 = 54;
+
+fn engine() -> Arc<dyn Engine> {
+    Arc::new(CpuEngine::new())
+}
+
+/// A number in [0, 1) from an index.
+fn noise(i: usize, k: usize) -> f32 {
+    let x = (i as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15)
+        ^ (k as u64 + 7).wrapping_mul(0xd1b5_4a32_d192_ed03);
+    ((x ^ (x >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9) >> 40) as f32 / (1u64 << 24) as f32
+}
+
+/// A wall of opaque splats that fills the lower two thirds of the cameras' view.
+fn truth() -> Splats {
+    let mut splats = Splats { sh_degree: 0, ..Splats::default() };
+    for y in 0..22 {
+        for x in 0..44 {
+            let i = y * 44 + x;
+            let (u, v) = (x as f32 / 43.0 * 2.0 - 1.0, y as f32 / 21.0 * 0.9 - 0.22);
+            splats.means.push([u, v, 0.15 * (3.0 * u).sin()]);
+            splats.log_scales.push([0.034f32.ln(); 3]);
+            splats.rotations.push([1.0, 0.0, 0.0, 0.0]);
+            splats.opacities.push(4.0);
+            let patch = (x / 4) + 20 * (y / 4);
+            let colour = [0, 1, 2].map(|k| 0.15 + 0.7 * noise(patch, k) + 0.1 * noise(i, k));
+            splats.sh.extend(colour.map(|c| (c - 0.5) / 0.282_094_79));
+        }
+    }
+    splats
+}
+
+fn camera() -> Camera {
+    Camera { width: W, height: H, fx: 70.0, fy: 70.0, cx: 36.0, cy: 27.0 }
+}
+
+/// `views` cameras before the wall, the last one held out; every third splat of the truth is a point.
+fn scene(views: usize) -> Scene {
+    let truth = truth();
+    let view = |i: usize| {
+        let t = if views == 1 { 0.0 } else { i as f32 / (views - 1) as f32 * 2.0 - 1.0 };
+        // The one held out stands between two others.
+        let t = if views > 2 && i == views - 1 { 0.3 } else { t };
+        let eye = Vec3::new(0.8 * t, 0.1 * (5.0 * t).cos(), -1.4 - 0.2 * t);
+        View {
+            name: format!("{i:02}.jpg"),
+            camera: camera(),
+            pose: Pose::look_at(eye, Vec3::new(0.1 * t, 0.1, 0.0), Vec3::NEG_Y),
+            photo: Photo { path: "none".into(), ignore: None, lens: None },
+            test: views > 2 && i == views - 1,
+        }
+    };
+    let points = (0..truth.len())
+        .step_by(3)
+        .map(|i| Point {
+            position: truth.mean(i) + 0.01 * Vec3::new(noise(i, 3), noise(i, 4), noise(i, 5)),
+            colour: [0, 1, 2].map(|k| truth.sh[3 * i + k] * 0.282_094_79 + 0.5),
+            track: vec![],
+        })
+        .collect();
+    let frame = Frame { origin: DVec3::ZERO, scale: 1.0 };
+    Scene { views: (0..views).map(view).collect(), points, skipped: vec![], frame }
+}
+
+const SKY: [f32; 3] = [0.5, 0.7, 0.95];
+
+/// What a camera sees of the truth, before a sky, and where it sees sky.
+fn photo_of(view: &View) -> (Image, Mask) {
+    let (splats, engine) = (truth(), CpuEngine::new());
+    let projected = engine.project(&splats, &view.camera, &view.pose, &ProjectOptions::default()).unwrap();
+    let colours = projected.shade();
+    let frame = projected.blend(&Channels { count: 3, values: &colours });
+    let mut image = frame.image;
+    let n = image.pixels();
+    for c in 0..3 {
+        for i in 0..n {
+            image.data[c * n + i] += (1.0 - frame.alpha.data[i]) * SKY[c];
+        }
+    }
+    let sky = Mask::from_fn(W, H, |x, y| frame.alpha.at(0, x as usize, y as usize) < 0.5);
+    (image, sky)
+}
+
+/// All photos of a scene, each put through `change`.
+fn photos(scene: &Scene, sky: bool, change: impl Fn(usize, &mut Image)) -> Arc<dyn Photos> {
+    let all: Vec<TrainPhoto> = scene
+        .views
+        .iter()
+        .enumerate()
+        .map(|(i, view)| {
+            let (mut image, mask) = photo_of(view);
+            change(i, &mut image);
+            TrainPhoto { image, valid: None, sky: sky.then_some(mask) }
+        })
+        .collect();
+    Arc::new(move |i: usize| Ok(all[i].clone()))
+}
+
+fn settings(steps: u32) -> TrainSettings {
+    TrainSettings {
+        steps,
+        splats: 1500,
+        sh_degree: 1,
+        look: LookKind::None,
+        robust: false,
+        ..TrainSettings::default()
+    }
+}
+
+fn train(scene: &Scene, photos: Arc<dyn Photos>, settings: TrainSettings) -> Model {
+    Trainer::new(engine(), scene, photos, settings).unwrap().finish().unwrap()
+}
+
+fn assert_sane(model: &Model, cap: usize) {
+    let s = &model.splats;
+    assert!(!s.is_empty() && s.len() <= cap, "{} splats", s.len());
+    assert!(s.means.iter().flatten().chain(s.log_scales.iter().flatten()).all(|v| v.is_finite()));
+    assert!(s.opacities.iter().chain(&s.sh).all(|v| v.is_finite()));
+}
+
+fn bytes(checkpoint: &Checkpoint) -> Vec<u8> {
+    wincode::serialize(checkpoint).unwrap()
+}
+
+#[test]
+fn every_strategy_learns_a_view_it_never_saw_within_its_cap() {
+    let scene = scene(8);
+    let photos = photos(&scene, false, |_, _| ());
+    for density in [DensityKind::Budget, DensityKind::Gradient, DensityKind::Mcmc] {
+        let model = train(&scene, photos.clone(), TrainSettings { density, splats: 600, ..settings(400) });
+        assert_sane(&model, 600);
+        assert!(model.splats.len() > 350, "{density} never grew: {}", model.splats.len());
+        let score = evaluate(&model, &*engine(), &scene, photos.clone(), &[7], Protocol::Plain).unwrap();
+        assert!(score.psnr > 24.0 && score.ssim > 0.75, "{density}: {} dB, SSIM {}", score.psnr, score.ssim);
+    }
+}
+
+#[test]
+fn resuming_gives_the_bytes_of_not_stopping_and_threads_do_not_matter() {
+    let scene = scene(6);
+    let look = |i: usize, image: &mut Image| {
+        image.data.iter_mut().for_each(|v| *v = *v * (0.7 + 0.05 * i as f32) + 0.05)
+    };
+    let photos = photos(&scene, true, look);
+    for density in [DensityKind::Budget, DensityKind::Gradient, DensityKind::Mcmc] {
+        let s = TrainSettings { density, look: LookKind::Affine, robust: true, ..settings(120) };
+        let run = |threads: usize, stops: &[u32]| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| {
+                let mut trainer = Trainer::new(engine(), &scene, photos.clone(), s.clone()).unwrap();
+                for &stop in stops {
+                    while trainer.steps_done() < stop {
+                        trainer.step().unwrap();
+                    }
+                    let held = wincode::deserialize(&bytes(&trainer.checkpoint())).unwrap();
+                    trainer = Trainer::resume(engine(), &scene, photos.clone(), held).unwrap();
+                }
+                while !trainer.is_done() {
+                    trainer.step().unwrap();
+                }
+                bytes(&trainer.checkpoint())
+            })
+        };
+        let straight = run(1, &[]);
+        assert!(straight == run(4, &[]), "{density}: threads matter");
+        assert!(straight == run(2, &[1, 37, 100]), "{density}: stopping matters");
+    }
+}
+
+#[test]
+fn a_checkpoint_of_another_scene_or_a_damaged_one_is_refused() {
+    let six = scene(6);
+    let photos = photos(&six, false, |_, _| ());
+    let trainer = Trainer::new(engine(), &six, photos.clone(), settings(10)).unwrap();
+    let refused = Trainer::resume(engine(), &scene(5), photos.clone(), trainer.checkpoint()).err().unwrap();
+    assert!(matches!(refused, TrainError::Checkpoint(_)), "{refused}");
+    let mut whole = bytes(&trainer.checkpoint());
+    assert!(wincode::deserialize::<Checkpoint>(&whole[..whole.len() / 2]).is_err());
+    // Flipped bits are refused by someone, or give a checkpoint that still works: never a panic.
+    for at in (0..whole.len()).step_by(997) {
+        whole[at] ^= 0x55;
+        if let Ok(damaged) = wincode::deserialize::<Checkpoint>(&whole)
+            && let Ok(mut trainer) = Trainer::resume(engine(), &six, photos.clone(), damaged)
+        {
+            drop(trainer.step());
+        }
+        whole[at] ^= 0x55;
+    }
+}
+
+#[test]
+fn poor_scenes_train_sanely() {
+    // One photo; two identical photos from one place; no points.
+    let mut alone = scene(1);
+    let mut twins = scene(2);
+    twins.views[1] = View { name: "01.jpg".into(), ..twins.views[0].clone() };
+    let mut bare = scene(5);
+    bare.points.clear();
+    for (scene, wanted) in [(&mut alone, 24.0), (&mut twins, 24.0), (&mut bare, 14.0)] {
+        let photos = photos(scene, false, |_, _| ());
+        let model = train(
+            scene,
+            photos.clone(),
+            TrainSettings { robust: true, look: LookKind::Affine, ..settings(200) },
+        );
+        assert_sane(&model, 1500);
+        let score = evaluate(&model, &*engine(), scene, photos, &[0], Protocol::Plain).unwrap();
+        assert!(
+            score.psnr > wanted,
+            "{} points, {} views: {} dB",
+            scene.points.len(),
+            scene.views.len(),
+            score.psnr
+        );
+    }
+}
+
+#[test]
+fn a_photo_that_is_not_a_number_is_left_out_by_name_and_the_rest_goes_on() {
+    let scene = scene(5);
+    let broken = photos(&scene, false, |i, image| {
+        if i == 1 {
+            image.data[100] = f32::NAN;
+        }
+    });
+    let mut trainer = Trainer::new(engine(), &scene, broken, settings(30)).unwrap();
+    for _ in 0..30 {
+        assert_ne!(trainer.step().unwrap().view, 1);
+    }
+    let skipped = trainer.skipped();
+    assert!(skipped.len() == 1 && skipped[0].name == "01.jpg", "{skipped:?}");
+    assert_sane(&trainer.snapshot(), 1500);
+
+    let none = photos(&scene, false, |_, image| image.data[0] = f32::INFINITY);
+    let error = Trainer::new(engine(), &scene, none, settings(30)).err().unwrap().to_string();
+    assert!(error.contains("00.jpg") && error.contains("(0, 0)"), "{error}");
+    let missing: Arc<dyn Photos> = Arc::new(|_: usize| Err("the file is gone".to_owned()));
+    let error = Trainer::new(engine(), &scene, missing, settings(30)).err().unwrap().to_string();
+    assert!(error.contains("gone"), "{error}");
+    let wrong = TrainSettings { lr_mean: -1.0, ..settings(30) };
+    let error =
+        Trainer::new(engine(), &scene, photos(&scene, false, |_, _| ()), wrong).err().unwrap().to_string();
+    assert!(error.contains("lr_mean"), "{error}");
+}
+
+#[test]
+fn the_sky_stays_empty_and_is_painted_behind() {
+    let scene = scene(6);
+    let photos = photos(&scene, true, |_, _| ());
+    let model = train(&scene, photos.clone(), settings(300));
+    let view = &scene.views[2];
+    let (photo, sky) = photo_of(view);
+    let engine = engine();
+    let projected = engine.project(&model.splats, &view.camera, &view.pose, &model.options()).unwrap();
+    let alpha = projected.blend(&Channels { count: 1, values: &vec![1.0; model.splats.len()] }).alpha;
+    drop(projected);
+    let inner = sky.eroded(3.0);
+    assert!(inner.count() > 300);
+    let mean =
+        inner.pixels().map(|(x, y)| alpha.at(0, x as usize, y as usize)).sum::<f32>() / inner.count() as f32;
+    assert!(mean < 0.05, "the sky is {mean} opaque");
+    let render = render_view(&model, &*engine, &view.camera, &view.pose, Some(2)).unwrap();
+    assert!(segwild_raster::psnr(&render, &photo, None) > 24.0);
+}
+
+#[test]
+fn strangers_leave_no_ghost() {
+    let scene = scene(8);
+    // In every photo a red block stands somewhere else.
+    let place = |i: usize| (6 + 8 * i as u32 % 56, 24u32);
+    let block = |i: usize, x: u32, y: u32| {
+        (place(i).0..place(i).0 + 9).contains(&x) && (place(i).1..place(i).1 + 22).contains(&y)
+    };
+    let photos = photos(&scene, false, |i, image| {
+        for y in 0..H {
+            for x in (0..W).filter(|&x| block(i, x, y)) {
+                for (c, v) in [0.95, 0.05, 0.05].iter().enumerate() {
+                    image.plane_mut(c)[(y * W + x) as usize] = *v;
+                }
+            }
+        }
+    });
+    let ghost = |robust: bool| {
+        let model = train(&scene, photos.clone(), TrainSettings { robust, ..settings(500) });
+        let mut sum = 0.0;
+        for i in 0..7 {
+            let view = &scene.views[i];
+            let (clean, _) = photo_of(view);
+            let render = render_view(&model, &*engine(), &view.camera, &view.pose, Some(i)).unwrap();
+            let mask = Image {
+                data: (0..W * H).map(|p| f32::from(u8::from(block(i, p % W, p / W)))).collect(),
+                ..Image::zeros(W as usize, H as usize, 1)
+            };
+            sum += segwild_raster::psnr(&render, &clean, Some(&mask));
+        }
+        sum / 7.0
+    };
+    let (with, without) = (ghost(true), ghost(false));
+    assert!(
+        with > without + 2.0 && with > 17.0,
+        "behind the strangers: {with} dB with masks, {without} dB without"
+    );
+}
+
+#[test]
+fn looks_are_learnt_and_the_left_half_gives_the_right_halfs_look() {
+    let scene = scene(8);
+    // Day, dusk, night, each photo its own.
+    let tint = |i: usize, c: usize, v: f32| {
+        v * [1.0, 0.6, 0.35, 0.8][i % 4] * [1.0, 0.9, 0.7][(c + i) % 3] + 0.03 * (i % 3) as f32
+    };
+    let tinted = photos(&scene, false, |i, image| {
+        for c in 0..3 {
+            image.plane_mut(c).iter_mut().for_each(|v| *v = tint(i, c, *v));
+        }
+    });
+    let of = |look: LookKind| train(&scene, tinted.clone(), TrainSettings { look, ..settings(400) });
+    let score = |model: &Model, protocol| {
+        evaluate(model, &*engine(), &scene, tinted.clone(), &[7], protocol).unwrap()
+    };
+    let affine = of(LookKind::Affine);
+    let (halves, plain) = (score(&affine, Protocol::Halves), score(&affine, Protocol::Plain));
+    assert!(halves.psnr > 24.0, "{}", halves.psnr);
+    assert!(halves.psnr > plain.psnr + 3.0, "fitted {}, not fitted {}", halves.psnr, plain.psnr);
+    // A photo trained on comes back in its own light, which one look for all cannot do.
+    let view = &scene.views[2];
+    let mut photo = photo_of(view).0;
+    for c in 0..3 {
+        photo.plane_mut(c).iter_mut().for_each(|v| *v = tint(2, c, *v));
+    }
+    let own = |model: &Model| {
+        let render = render_view(model, &*engine(), &view.camera, &view.pose, Some(2)).unwrap();
+        segwild_raster::psnr(&render, &photo, None)
+    };
+    let (with, without) = (own(&affine), own(&of(LookKind::None)));
+    assert!(with > 24.0 && with > without + 1.0, "its own look {with} dB, one look {without} dB");
+}
