@@ -1,0 +1,128 @@
+//! The segmenter behind a mailbox: it keeps the scene and its neighbour graph, so that the next click is quick.
+
+use crate::{
+    Cut, FeatureField, Graph, PosedView, PromptedView, Request, SegmentError, SegmentSettings, Selection,
+    cut, select,
+};
+use segwild_flow::{Actor, Context, Failure, Message, Sender};
+use segwild_raster::{Engine, ProjectOptions};
+use segwild_scene::{Image, Mask, Prompts, ScoredMask, Splats};
+use segwild_vision::PromptSegmenter;
+use std::sync::Arc;
+
+/// Reads the photo of a view at the size in which prompts are given; the error says in words why it cannot.
+pub type PhotoReader = dyn Fn(usize) -> Result<Image, String> + Send + Sync;
+
+/// Prompts on one or several photos, and where the answer goes.
+pub struct SegmentTask {
+    /// Views, and what was said on each, in pixels of the photo at working size.
+    pub prompts: Vec<(usize, Prompts)>,
+    /// How to weigh.
+    pub settings: SegmentSettings,
+    /// Where the answer goes.
+    pub reply: Sender<SegmentReply>,
+}
+
+impl Message for SegmentTask {
+    fn label(&self) -> String {
+        format!("{} photos prompted", self.prompts.len())
+    }
+}
+
+/// What the prompts select.
+pub struct Segmented {
+    /// The selection.
+    pub selection: Selection,
+    /// Its spikes, cut.
+    pub cut: Cut,
+    /// Per prompted photo, the mask that its prompts mean.
+    pub masks: Vec<(usize, ScoredMask)>,
+}
+
+/// The answer to a [`SegmentTask`].
+pub struct SegmentReply(pub Result<Box<Segmented>, SegmentError>);
+
+impl Message for SegmentReply {}
+
+/// The actor.
+pub struct SegmentActor {
+    /// The rasteriser.
+    pub engine: Arc<dyn Engine>,
+    /// How it projects.
+    pub options: ProjectOptions,
+    /// The scene.
+    pub splats: Arc<Splats>,
+    /// The photos' cameras at working size; those that a selection may be carried to.
+    pub views: Arc<Vec<PosedView>>,
+    /// Which views a selection may not be carried to, such as photos that were skipped.
+    pub barred: Arc<Vec<bool>>,
+    /// The feature field, if there is one.
+    pub features: Option<Arc<FeatureField>>,
+    /// Reads photos.
+    pub photos: Arc<PhotoReader>,
+    /// Turns prompts into masks.
+    pub segmenter: Arc<dyn PromptSegmenter>,
+    /// The neighbour graph, made at the first task.
+    pub graph: Option<Graph>,
+}
+
+impl SegmentActor {
+    fn segment(&mut self, task: &SegmentTask, context: &Context) -> Result<Segmented, SegmentError> {
+        if self.graph.as_ref().is_none_or(|g| g.len() != self.splats.len()) {
+            let _zone = context.busy_zone("neighbour graph");
+            self.graph = Some(Graph::new(&self.splats, task.settings.neighbours));
+        }
+        let mut masks = Vec::new();
+        for (view, prompts) in &task.prompts {
+            let name = self.views.get(*view).map_or_else(String::new, |v| v.name.clone());
+            let provider = |reason: String| SegmentError::Provider { photo: name.clone(), reason };
+            let image = (self.photos)(*view).map_err(provider)?;
+            let mask = self.segmenter.segment(&image, prompts).map_err(|e| provider(e.to_string()))?;
+            masks.push((*view, mask));
+        }
+        let prompted: Vec<PromptedView> = masks
+            .iter()
+            .zip(&task.prompts)
+            .map(|((view, mask), (_, prompts))| PromptedView {
+                view: *view,
+                mask: &mask.mask,
+                points: &prompts.points,
+            })
+            .collect();
+        let request = Request {
+            engine: &*self.engine,
+            options: self.options,
+            splats: &self.splats,
+            views: &self.views,
+            prompts: &prompted,
+            features: self.features.as_deref(),
+            graph: self.graph.as_ref(),
+            frozen: None,
+            settings: &task.settings,
+        };
+        let mut refine = |view: usize, certainty: &Image| -> Option<(Mask, f32)> {
+            context.progress();
+            if self.barred.get(view).copied().unwrap_or(true) {
+                return None;
+            }
+            let photo = (self.photos)(view).ok()?;
+            let wide = certainty.resized(photo.width, photo.height);
+            let refined = self.segmenter.refine(&photo, &wide).ok()?;
+            Some((refined.mask, refined.predicted_iou.clamp(0.0, 1.0)))
+        };
+        let selection = select(&request, Some(&mut refine))?;
+        let cut = cut(&request, &selection)?;
+        Ok(Segmented { selection, cut, masks })
+    }
+}
+
+impl Actor for SegmentActor {
+    type Message = SegmentTask;
+
+    fn handle(&mut self, task: SegmentTask, context: &Context) -> Result<(), Failure> {
+        let answer = self.segment(&task, context).map(Box::new);
+        // A person who has gone away needs no answer.
+        let _ = task.reply.blocking_send(SegmentReply(answer));
+        Ok(())
+    }
+}

@@ -1,0 +1,152 @@
+//! What masks on photos say about splats (method, section 6).
+
+use crate::screen::Shape;
+use rayon::prelude::*;
+use segwild_raster::{ProjectOptions, Projected};
+use segwild_scene::{Camera, Image, Mask, Pose, Splats};
+
+/// Alpha below which a rasteriser skips a splat (method, section 1).
+const ALPHA_MIN: f32 = 1.0 / 255.0;
+
+/// Pixels added to a splat's footprint when its vote is formed: splats much smaller than a pixel tell
+/// little about where a boundary runs.
+const VOTE_FLOOR: f32 = 1.0;
+
+/// Evidence for and against each splat, summed over views. The unit is a view: one that sees a splat whole
+/// and large adds 1 to the two together.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Evidence {
+    /// `A_1`: visible light of the splat inside the masks.
+    pub inside: Vec<f32>,
+    /// `A_0`: visible light of the splat outside the masks.
+    pub outside: Vec<f32>,
+}
+
+impl Evidence {
+    /// No evidence about `splats` splats.
+    pub fn none(splats: usize) -> Evidence {
+        Evidence { inside: vec![0.0; splats], outside: vec![0.0; splats] }
+    }
+
+    /// All evidence on a splat, in views.
+    pub fn total(&self, splat: usize) -> f32 {
+        self.inside[splat] + self.outside[splat]
+    }
+
+    /// `rho = sum(alpha T M) / sum(alpha T)`, or `None` where no view sees the splat.
+    pub fn rho(&self, splat: usize) -> Option<f32> {
+        let total = self.total(splat);
+        (total > 0.0).then(|| self.inside[splat] / total)
+    }
+
+    /// The label that the evidence gives, `None` where there is none: inside wins where
+    /// `A_1 (1 - rho) >= (A_0 + gamma) rho`, which at `rho` 0.5 is the larger of `A_1` and `A_0 + gamma`.
+    pub fn label(&self, splat: usize, rho: f32, gamma: f32) -> Option<bool> {
+        let (inside, outside) = (self.inside[splat], self.outside[splat]);
+        (inside + outside > 0.0).then_some(inside * (1.0 - rho) >= (outside + gamma) * rho)
+    }
+
+    /// Adds `weight` times another.
+    pub fn add(&mut self, other: &Evidence, weight: f32) {
+        for (sum, x) in self.inside.iter_mut().zip(&other.inside) {
+            *sum += weight * x;
+        }
+        for (sum, x) in self.outside.iter_mut().zip(&other.outside) {
+            *sum += weight * x;
+        }
+    }
+}
+
+/// Light that each splat would send to each pixel if nothing stood before it: `sum of alpha` over the plane,
+/// which is `2 pi sqrt(det) (o - 1/255)` with the rasteriser's cut-off; at most the whole frame.
+/// 0 for splats that are not in front of the camera.
+pub fn unoccluded(splats: &Splats, camera: &Camera, pose: &Pose, options: &ProjectOptions) -> Vec<f32> {
+    let frame = camera.width as f32 * camera.height as f32;
+    (0..splats.len())
+        .into_par_iter()
+        .with_min_len(1024)
+        .map(|i| {
+            let seen = Shape::of(splats, i).and_then(|s| s.project(camera, pose, options.near));
+            let opacity = splats.opacity(i);
+            let (Some(footprint), true) = (seen, opacity > ALPHA_MIN) else { return 0.0 };
+            // Anti-aliasing lowers the opacity by as much as the low-pass widened the splat.
+            let low_pass = if options.antialias { 0.0 } else { f64::from(options.low_pass) };
+            let area = std::f64::consts::TAU * footprint.determinant(low_pass).sqrt();
+            ((opacity - ALPHA_MIN) * area as f32).min(opacity * frame)
+        })
+        .collect()
+}
+
+/// Evidence of one view in coverage mode. `inside` and `weight` have one number per pixel: how much of the
+/// pixel the mask covers times the pixel's weight, and the weight. Splats of whose light less than the share
+/// `seen` reaches the camera are not decided. Weights are in [0, 1].
+pub fn coverage(
+    projected: &dyn Projected,
+    unoccluded: &[f32],
+    inside: &[f32],
+    weight: &[f32],
+    size: (u32, u32),
+    seen: f32,
+) -> Evidence {
+    let mut data = Vec::with_capacity(2 * inside.len());
+    data.extend_from_slice(inside);
+    data.extend_from_slice(weight);
+    let image = Image { width: size.0 as usize, height: size.1 as usize, channels: 2, data };
+    let sums = projected.gather(&image);
+    let mut evidence = Evidence::none(unoccluded.len());
+    for (i, sum) in sums.chunks_exact(2).enumerate() {
+        let (within, all) = (sum[0].min(sum[1]), sum[1]);
+        if all > 0.0 && all >= seen * unoccluded[i] {
+            let vote = 1.0 / (unoccluded[i].max(all) + VOTE_FLOOR);
+            evidence.inside[i] = within * vote;
+            evidence.outside[i] = (all - within) * vote;
+        }
+    }
+    evidence
+}
+
+/// Evidence of one view in centre mode: each splat in the frame whose centre lies in the mask is inside. What
+/// hides it does not matter (the paper's reading), unless `visible` says which splats count.
+pub fn centre(projected: &dyn Projected, mask: &Mask, near: f32, visible: Option<&[bool]>) -> Evidence {
+    let centres = projected.centres();
+    let mut evidence = Evidence::none(centres.len());
+    for (i, (&[u, v], &depth)) in centres.iter().zip(projected.depths()).enumerate() {
+        let in_frame = u >= 0.0 && v >= 0.0 && u < mask.width() as f32 && v < mask.height() as f32;
+        if depth > near && in_frame && visible.is_none_or(|seen| seen[i]) {
+            let side = if mask.at(u, v) { &mut evidence.inside } else { &mut evidence.outside };
+            side[i] = 1.0;
+        }
+    }
+    evidence
+}
+
+/// Which splats a view sees: at least the share `seen` of their light reaches the camera.
+pub fn visible(projected: &dyn Projected, unoccluded: &[f32], size: (u32, u32), seen: f32) -> Vec<bool> {
+    let sums = projected.gather(&Image::filled(size.0 as usize, size.1 as usize, 1, 1.0));
+    sums.iter().zip(unoccluded).map(|(&sum, &all)| sum > 0.0 && sum >= seen * all).collect()
+}
+
+/// A mask at another size: the share of each new pixel that it covers when it shrinks, the pixel under the
+/// centre when it grows.
+pub fn soft(mask: &Mask, width: u32, height: u32) -> Vec<f32> {
+    let (w, h) = (mask.width(), mask.height());
+    if (w, h) == (width, height) {
+        return (0..w as usize * h as usize).map(|i| f32::from(u8::from(mask.index(i)))).collect();
+    }
+    let span = |k: u32, new: u32, old: u32| {
+        let at = |k: u32| (u64::from(k) * u64::from(old) / u64::from(new)) as u32;
+        let centre = (u64::from(2 * k + 1) * u64::from(old) / u64::from(2 * new)) as u32;
+        if new < old { at(k)..at(k + 1) } else { centre..centre + 1 }
+    };
+    let mut out = Vec::with_capacity(width as usize * height as usize);
+    for y in 0..height {
+        let rows = span(y, height, h);
+        for x in 0..width {
+            let columns = span(x, width, w);
+            let inside =
+                rows.clone().map(|y| columns.clone().filter(|&x| mask.get(x, y)).count()).sum::<usize>();
+            out.push(inside as f32 / (rows.len() * columns.len()).max(1) as f32);
+        }
+    }
+    out
+}

@@ -1,0 +1,106 @@
+//! Why a selection cannot be made.
+
+use segwild_raster::RasterError;
+
+/// Why a selection cannot be made, and what to do.
+#[derive(Debug, thiserror::Error)]
+pub enum SegmentError {
+    /// Arrays that belong together differ in length.
+    #[error("{0}")]
+    Shape(String),
+    /// A setting has no meaning.
+    #[error("setting `{name}` is {value}: {reason}")]
+    Setting {
+        /// The setting.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+        /// What is wrong with it.
+        reason: &'static str,
+    },
+    /// The rasteriser refused.
+    #[error("photo {photo}: {source}")]
+    Raster {
+        /// The photo.
+        photo: String,
+        /// Why.
+        source: RasterError,
+    },
+    /// There is neither a mask nor a click.
+    #[error("nothing is prompted: give a click or a box on some photo")]
+    NoPrompt,
+    /// The 2D segmenter or the photo fails.
+    #[error("photo {photo}: {reason}")]
+    Provider {
+        /// Name of the photo.
+        photo: String,
+        /// Why.
+        reason: String,
+    },
+    /// A prompt names a view that does not exist.
+    #[error("a prompt names view {view}, but the scene has {views} views")]
+    NoView {
+        /// The view named.
+        view: usize,
+        /// Number of views.
+        views: usize,
+    },
+    /// A click lies outside its photo.
+    #[error("photo {photo}: the click at ({x}, {y}) lies outside its {width} x {height} pixels")]
+    OutsideFrame {
+        /// The photo.
+        photo: String,
+        /// Pixel position.
+        x: f32,
+        /// Pixel position.
+        y: f32,
+        /// The photo's width.
+        width: u32,
+        /// The photo's height.
+        height: u32,
+    },
+    /// A positive click hits no splat.
+    #[error(
+        "photo {photo}: there is nothing at the click ({x}, {y}), only empty space (opacity {alpha:.2}): click on the object itself"
+    )]
+    EmptySpace {
+        /// The photo.
+        photo: String,
+        /// Pixel position.
+        x: f32,
+        /// Pixel position.
+        y: f32,
+        /// Accumulated alpha found there.
+        alpha: f32,
+    },
+    /// A positive click hits the sky or another part that cannot be selected.
+    #[error(
+        "photo {photo}: the click ({x}, {y}) is on the sky or background, which cannot be selected: click on the object itself"
+    )]
+    Background {
+        /// The photo.
+        photo: String,
+        /// Pixel position.
+        x: f32,
+        /// Pixel position.
+        y: f32,
+    },
+    /// A prompted mask holds no pixel.
+    #[error("photo {photo}: the mask of the prompts is empty: click on the object, or make the box larger")]
+    EmptyMask {
+        /// The photo.
+        photo: String,
+    },
+    /// No splat is left.
+    #[error("no splat belongs to the prompts ({reason}): click on another place, or lower `tau` or `rho`")]
+    NothingSelected {
+        /// At which test the last one was lost.
+        reason: &'static str,
+    },
+}
+
+impl SegmentError {
+    pub(crate) fn raster(photo: &str) -> impl Fn(RasterError) -> SegmentError + '_ {
+        move |source| SegmentError::Raster { photo: photo.to_owned(), source }
+    }
+}

@@ -1,0 +1,232 @@
+//! Carrying a selection from the prompted photos to all others and back: each photo's own boundaries correct
+//! what the splats only guess, and what was learned there decides splats that no prompt saw.
+
+use crate::coverage::{soft, unoccluded, visible};
+use crate::judge::{Judge, State};
+use crate::select::{STEPS, project, view_evidence, working_camera};
+use crate::{Evidence, Refine, Request, SegmentError};
+use segwild_raster::Channels;
+use segwild_scene::{Image, Mask};
+
+/// Long side in pixels at which the views are compared to find a good order.
+const ORDER_SIZE: u32 = 128;
+
+/// Steps that labels are carried after each new photo; earlier ones are kept.
+const MORE_STEPS: u32 = 8;
+
+/// Least share of a frame that the object fills for the photo to say anything.
+const SMALLEST: f32 = 5e-4;
+
+/// Splats of the object that a view must see to be worth a visit.
+const FEW: u32 = 8;
+
+/// Weight of a pixel where the photo contradicts what is well known: a stranger before the object, or a
+/// failure of the 2D segmenter, unless other photos say so too.
+const DOUBT: f32 = 0.3;
+
+/// Weight of a pixel of whose splats nothing is known: there the mask is the 2D segmenter's guess from the rest of
+/// the photo, and another photo may know better.
+const GUESS: f32 = 0.3;
+
+/// What a photo is told of a splat of which nothing is known: a little over one half. A part wrongly left out is
+/// rendered as background and confirmed by every later photo; one wrongly let in meets photos that contradict it.
+const OPEN: f32 = 0.55;
+
+/// Evidence, in views, of which a photo is told half: less leaves the splat open for the photo to judge.
+const HALF_TOLD: f32 = 1.0;
+
+/// Share of what only a splat's neighbours say against it that a photo is told.
+const HEARSAY: f32 = 0.5;
+
+/// What became of one photo.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Visit {
+    /// Index of the view.
+    pub view: usize,
+    /// Whether its mask counts.
+    pub verdict: Verdict,
+    /// Agreement (IoU over what was already known) of the refined mask with the rendered selection; 0 where
+    /// there was no mask.
+    pub agreement: f32,
+    /// The refined mask, where it counts.
+    pub mask: Option<Mask>,
+}
+
+/// Whether a photo's refined mask counts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// It does.
+    Accepted,
+    /// It disagrees with what is known.
+    Disagrees,
+    /// The 2D segmenter had no answer.
+    Declined,
+    /// The object does not show.
+    NotVisible,
+}
+
+/// One bit per splat.
+struct Bits(Vec<u64>);
+
+impl Bits {
+    fn new(flags: impl ExactSizeIterator<Item = bool>) -> Bits {
+        let mut words = vec![0; flags.len().div_ceil(64)];
+        for (i, flag) in flags.enumerate() {
+            words[i / 64] |= u64::from(flag) << (i % 64);
+        }
+        Bits(words)
+    }
+
+    fn overlap(&self, other: &Bits) -> u32 {
+        self.0.iter().zip(&other.0).map(|(a, b)| (a & b).count_ones()).sum()
+    }
+}
+
+/// Rounds over the other views. In the first, views come in the order of how much of what could be the object is
+/// already known in them, and each answer is used at once; the later ones start from the prompts alone with the
+/// beliefs of the round before, so that the order no longer matters.
+pub(crate) fn propagate(
+    request: &Request,
+    judge: &Judge,
+    prompted: Evidence,
+    refine: &mut Refine,
+) -> Result<(State, Vec<Visit>), SegmentError> {
+    let mut open: Vec<(usize, Bits)> = Vec::new();
+    for index in (0..request.views.len()).filter(|v| request.prompts.iter().all(|p| p.view != *v)) {
+        open.push((index, seen_by(request, index)?));
+    }
+    let mut state = judge.weigh(prompted.clone(), Vec::new(), STEPS);
+    let mut visits = Vec::new();
+    while !open.is_empty() && visits.len() < request.settings.propagate_views {
+        let (next, known) = most_known(judge, &state, &open);
+        if known <= 0.0 {
+            // No open view shows a decided part of the object.
+            break;
+        }
+        let (index, _) = open.swap_remove(next);
+        let (visit, evidence) = call_on(request, judge, &state, index, refine)?;
+        if let Some(evidence) = evidence {
+            let State { evidence: mut sum, beliefs, .. } = state;
+            sum.add(&evidence, 1.0);
+            state = judge.weigh(sum, beliefs, MORE_STEPS);
+        }
+        visits.push(visit);
+    }
+    let order: Vec<usize> = visits.iter().map(|v| v.view).collect();
+    for _ in 1..request.settings.propagate {
+        let mut sum = prompted.clone();
+        visits.clear();
+        for &index in &order {
+            let (visit, evidence) = call_on(request, judge, &state, index, refine)?;
+            if let Some(evidence) = evidence {
+                sum.add(&evidence, 1.0);
+            }
+            visits.push(visit);
+        }
+        let beliefs = std::mem::take(&mut state.beliefs);
+        state = judge.weigh(sum, beliefs, STEPS);
+    }
+    Ok((state, visits))
+}
+
+fn seen_by(request: &Request, index: usize) -> Result<Bits, SegmentError> {
+    let view = &request.views[index];
+    let camera = view.camera.scaled_to(ORDER_SIZE);
+    let projected = project(request, view, &camera)?;
+    let whole = unoccluded(request.splats, &camera, &view.pose, &request.options);
+    Ok(Bits::new(
+        visible(&*projected, &whole, (camera.width, camera.height), request.settings.seen).into_iter(),
+    ))
+}
+
+/// The open view in which the largest share of what could be the object is decided, and that share.
+fn most_known(judge: &Judge, state: &State, open: &[(usize, Bits)]) -> (usize, f32) {
+    let n = state.probability.len();
+    let label = |i: usize| state.evidence.label(i, judge.settings.rho, judge.settings.gamma);
+    let object = Bits::new((0..n).map(|i| !judge.is_frozen(i) && label(i) == Some(true)));
+    let could_be = Bits::new((0..n).map(|i| !judge.is_frozen(i) && label(i) != Some(false)));
+    let mut best = (0, usize::MAX, -1.0);
+    for (at, (index, seen)) in open.iter().enumerate() {
+        let known = seen.overlap(&object);
+        let share = if known < FEW { 0.0 } else { known as f32 / seen.overlap(&could_be) as f32 };
+        if share > best.2 || (share == best.2 && *index < best.1) {
+            best = (at, *index, share);
+        }
+    }
+    (best.0, best.2)
+}
+
+/// What a photo is told of a splat: what masks said of it, and where that is little, what its neighbours suggest. That
+/// only its neighbourhood speaks against a splat counts less than what speaks for it: a photo told that it is
+/// outside would confirm that, and so would all later ones. Resemblance to the clicks has no say here: they show one side
+/// of the object, and the photo's own boundaries judge the other side better.
+fn certainty_of(judge: &Judge, state: &State, splat: usize) -> f32 {
+    if judge.is_frozen(splat) {
+        return 0.0;
+    }
+    let total = state.evidence.total(splat);
+    let told = total / (total + HALF_TOLD);
+    let around = state.beliefs[splat].probability(OPEN);
+    let rest = if around < OPEN { OPEN + HEARSAY * (around - OPEN) } else { around };
+    (state.evidence.rho(splat).unwrap_or(0.0) * told + (1.0 - told) * rest).clamp(0.0, 1.0)
+}
+
+/// Renders what is believed into a view, lets the photo refine it, and weighs the answer.
+fn call_on(
+    request: &Request,
+    judge: &Judge,
+    state: &State,
+    index: usize,
+    refine: &mut Refine,
+) -> Result<(Visit, Option<Evidence>), SegmentError> {
+    let view = &request.views[index];
+    let camera = working_camera(request, view, None);
+    let projected = project(request, view, &camera)?;
+    let values: Vec<f32> = state
+        .beliefs
+        .iter()
+        .enumerate()
+        .flat_map(|(i, b)| [certainty_of(judge, state, i), b.weight.min(1.0)])
+        .collect();
+    let frame = projected.blend(&Channels { count: 2, values: &values });
+    let clean = |x: f32| if x.is_nan() { 0.0 } else { x.clamp(0.0, 1.0) };
+    let certainty = Image {
+        width: camera.width as usize,
+        height: camera.height as usize,
+        channels: 1,
+        data: frame.image.plane(0).iter().map(|&x| clean(x)).collect(),
+    };
+    // Where there is nothing there is no object: that, too, is known.
+    let known: Vec<f32> =
+        frame.image.plane(1).iter().zip(&frame.alpha.data).map(|(&d, &a)| clean(d + 1.0 - a)).collect();
+    let verdict = |verdict, agreement| (Visit { view: index, verdict, agreement, mask: None }, None);
+    let shown = certainty.data.iter().filter(|c| **c > 0.5).count();
+    if (shown as f32) < SMALLEST * certainty.data.len() as f32 {
+        return Ok(verdict(Verdict::NotVisible, 0.0));
+    }
+    let Some((mask, confidence)) = refine(index, &certainty) else {
+        return Ok(verdict(Verdict::Declined, 0.0));
+    };
+    let inside = soft(&mask, camera.width, camera.height);
+    let (mut both, mut either) = (0.0f64, 0.0f64);
+    for ((&m, &c), &k) in inside.iter().zip(&certainty.data).zip(&known) {
+        let believed = f32::from(u8::from(c > 0.5));
+        both += f64::from(k * m.min(believed));
+        either += f64::from(k * m.max(believed));
+    }
+    let agreement = if either > 0.0 { (both / either) as f32 } else { 0.0 };
+    let confidence = clean(confidence);
+    if agreement < request.settings.propagate_gate || confidence == 0.0 {
+        return Ok(verdict(Verdict::Disagrees, agreement));
+    }
+    let trust = confidence * agreement;
+    let weights: Vec<f32> = inside
+        .iter()
+        .zip(&certainty.data)
+        .zip(&known)
+        .map(|((&m, &c), &k)| if k > 0.8 && (m - c).abs() > 0.8 { DOUBT } else { GUESS + (1.0 - GUESS) * k })
+        .collect();
+    let mut evidence = Evidence::none(request.splats.len());
+    evidence.add(&view_evidence(request, &*projected, view, &camera, &mask, &weights), trust);
+    Ok((Visit { view: index, verdict: Verdict::Accepted, agreement, mask: Some(mask) }, Some(evidence)))
+}

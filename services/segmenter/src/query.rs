@@ -1,0 +1,176 @@
+//! Clicks against the feature field (method, section 6; paper Eq. 25-28).
+
+use crate::SegmentError;
+use crate::score::{Queries, dot, score};
+use glam::Vec2;
+use rayon::prelude::*;
+use segwild_raster::{Engine, ProjectOptions};
+use segwild_scene::{Camera, Image, Pose, Splats};
+
+/// Rows that one task scores: fixed, so that nothing depends on the number of threads.
+const ROWS: usize = 2048;
+
+/// One feature vector per splat, ready to be asked.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FeatureField {
+    channels: usize,
+    values: Vec<f32>,
+    inverse_norms: Vec<f32>,
+}
+
+impl FeatureField {
+    /// Takes `values[splat][channel]`, flat. Rows that are zero or hold a NaN or an infinity resemble nothing.
+    pub fn new(channels: usize, values: Vec<f32>) -> Result<FeatureField, SegmentError> {
+        if channels == 0 || !values.len().is_multiple_of(channels) {
+            return Err(SegmentError::Shape(format!(
+                "{} feature values do not fit {channels} channels",
+                values.len()
+            )));
+        }
+        let inverse_norms = values
+            .par_chunks(channels * ROWS)
+            .flat_map_iter(|rows| rows.chunks_exact(channels).map(|row| inverse_norm(dot(row, row))))
+            .collect();
+        Ok(FeatureField { channels, values, inverse_norms })
+    }
+
+    /// Numbers per splat.
+    pub fn channels(&self) -> usize {
+        self.channels
+    }
+
+    /// Number of splats.
+    pub fn len(&self) -> usize {
+        self.inverse_norms.len()
+    }
+
+    /// Whether there is no splat.
+    pub fn is_empty(&self) -> bool {
+        self.inverse_norms.is_empty()
+    }
+
+    /// The values, `[splat][channel]`, flat.
+    pub fn values(&self) -> &[f32] {
+        &self.values
+    }
+
+    /// One splat's vector.
+    pub fn row(&self, splat: usize) -> &[f32] {
+        &self.values[splat * self.channels..(splat + 1) * self.channels]
+    }
+
+    /// Cosine of two splats' vectors, in [-1, 1]; 0 where one has no direction.
+    pub fn cosine(&self, a: usize, b: usize) -> f32 {
+        let scale = self.inverse_norms[a] * self.inverse_norms[b];
+        if scale > 0.0 { (dot(self.row(a), self.row(b)) * scale).clamp(-1.0, 1.0) } else { 0.0 }
+    }
+
+    /// Fused similarity of every splat to some clicks: `sum_i softmax_i(s_i / temperature) s_i`, `s_i` the cosine
+    /// to click `i` (paper, Eq. 27). It lies between the mean and the largest. Reads the field once.
+    ///
+    /// `clicks` are feature vectors of [`FeatureField::channels`] numbers; those without a direction are refused.
+    pub fn similarity(&self, clicks: &[Vec<f32>], temperature: f32) -> Result<Vec<f32>, SegmentError> {
+        if temperature.is_nan() || temperature <= 0.0 {
+            return Err(SegmentError::Setting {
+                name: "click_temperature",
+                value: f64::from(temperature),
+                reason: "it must be positive",
+            });
+        }
+        if clicks.is_empty() {
+            return Err(SegmentError::NoPrompt);
+        }
+        let mut queries = Vec::with_capacity(clicks.len());
+        for click in clicks {
+            if click.len() != self.channels {
+                return Err(SegmentError::Shape(format!(
+                    "a click has {} feature values, the field has {} channels",
+                    click.len(),
+                    self.channels
+                )));
+            }
+            let scale = inverse_norm(dot(click, click));
+            if scale == 0.0 {
+                return Err(SegmentError::Shape(
+                    "a click has no usable feature (all zero, or not a number)".into(),
+                ));
+            }
+            queries.push(click.iter().map(|x| x * scale).collect::<Vec<f32>>());
+        }
+        let mut fused = vec![0.0; self.len()];
+        let rows = self.values.par_chunks(ROWS * self.channels).zip(self.inverse_norms.par_chunks(ROWS));
+        let queries = Queries { channels: self.channels, units: &queries, sharpness: 1.0 / temperature };
+        fused
+            .par_chunks_mut(ROWS)
+            .zip(rows)
+            .for_each(|(out, (values, norms))| score(&queries, values, norms, out));
+        Ok(fused)
+    }
+}
+
+/// `1 / sqrt(square)`, or 0 where that is no usable number.
+fn inverse_norm(square: f32) -> f32 {
+    let x = 1.0 / square.sqrt();
+    if x.is_finite() && square.is_finite() { x } else { 0.0 }
+}
+
+/// The splats that make up what one sees at a pixel.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Hit {
+    /// Splats and their share `alpha T` of the pixel, in the order of their indices.
+    pub splats: Vec<(u32, f32)>,
+    /// Accumulated alpha `A`, the sum of the shares, in [0, 1].
+    pub alpha: f32,
+}
+
+impl Hit {
+    /// Blended feature without the transparency: `F / A = sum alpha T f / sum alpha T` (method, section 1).
+    /// Splats whose feature is not a number take no part; `None` when nothing is left.
+    pub fn feature(&self, field: &FeatureField) -> Option<Vec<f32>> {
+        let mut sum = vec![0.0f64; field.channels()];
+        let mut weight = 0.0;
+        for &(splat, share) in &self.splats {
+            let row = field.row(splat as usize);
+            if row.iter().all(|x| x.is_finite()) {
+                weight += f64::from(share);
+                for (sum, &x) in sum.iter_mut().zip(row) {
+                    *sum += f64::from(share) * f64::from(x);
+                }
+            }
+        }
+        let feature: Vec<f32> = sum.iter().map(|x| (x / weight) as f32).collect();
+        (weight > 0.0 && feature.iter().any(|&x| x != 0.0)).then_some(feature)
+    }
+}
+
+/// What a click hits: the splats that the square of `2 window + 1` pixels around it is made of, by rendering
+/// only that square. `point` is in pixels of `camera`.
+pub fn hit(
+    engine: &dyn Engine,
+    splats: &Splats,
+    options: &ProjectOptions,
+    camera: &Camera,
+    pose: &Pose,
+    point: Vec2,
+    window: u32,
+) -> Result<Hit, segwild_raster::RasterError> {
+    let side = 2 * window + 1;
+    let crop = Camera {
+        width: side,
+        height: side,
+        cx: camera.cx - (point.x.floor() - window as f32),
+        cy: camera.cy - (point.y.floor() - window as f32),
+        ..*camera
+    };
+    let projected = engine.project(splats, &crop, pose, options)?;
+    let shares = projected.gather(&Image::filled(side as usize, side as usize, 1, 1.0));
+    let scale = 1.0 / (side * side) as f32;
+    let splats: Vec<(u32, f32)> = shares
+        .iter()
+        .enumerate()
+        .filter(|(_, share)| **share > 0.0)
+        .map(|(i, share)| (i as u32, share * scale))
+        .collect();
+    let alpha = splats.iter().map(|s| s.1).sum();
+    Ok(Hit { splats, alpha })
+}

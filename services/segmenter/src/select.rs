@@ -1,0 +1,353 @@
+//! Prompts to labels on splats (method, section 6).
+
+use crate::coverage::{centre, coverage, soft, unoccluded, visible};
+use crate::judge::{Judge, Similarities};
+use crate::settings::{ComponentRule, EvidenceMode, SegmentSettings, SimilarityUse};
+use crate::{
+    Cut, CutView, Evidence, FeatureField, Graph, Hit, SegmentError, Visit, components, propagate, smooth,
+};
+use glam::Vec2;
+use segwild_raster::{Engine, ProjectOptions, Projected};
+use segwild_scene::{Camera, Image, Mask, PointPrompt, Pose, Splats, View};
+
+/// Accumulated alpha under which a click counts as on nothing.
+const CLICK_ALPHA: f32 = 0.1;
+
+/// Steps that labels are carried along the graph before anything is decided.
+pub(crate) const STEPS: u32 = 64;
+
+/// A camera where it stood.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PosedView {
+    /// The photo's name, for messages.
+    pub name: String,
+    /// Intrinsics at the size in which clicks are given.
+    pub camera: Camera,
+    /// World to camera.
+    pub pose: Pose,
+}
+
+impl From<&View> for PosedView {
+    fn from(view: &View) -> PosedView {
+        PosedView { name: view.name.clone(), camera: view.camera, pose: view.pose }
+    }
+}
+
+/// What was said on one photo.
+#[derive(Clone, Copy, Debug)]
+pub struct PromptedView<'a> {
+    /// Index into [`Request::views`].
+    pub view: usize,
+    /// The mask that the prompts mean, at any size that covers the photo edge to edge.
+    pub mask: &'a Mask,
+    /// The clicks, in pixels of the view's camera; may be empty (a box or a mask was the prompt).
+    pub points: &'a [PointPrompt],
+}
+
+/// Snaps a rough mask to a photo. It is given the view's index and, per pixel of a reduced frame, how likely the
+/// pixel belongs to the object (one plane in [0, 1]; about 0.5 where nothing is known). It answers with a mask of any
+/// size and how much it trusts it, in [0, 1]; `None` when it cannot tell.
+pub type Refine<'a> = dyn FnMut(usize, &Image) -> Option<(Mask, f32)> + 'a;
+
+/// Everything a selection is made from.
+#[derive(Clone, Copy)]
+pub struct Request<'a> {
+    /// The rasteriser.
+    pub engine: &'a dyn Engine,
+    /// How it projects.
+    pub options: ProjectOptions,
+    /// The scene.
+    pub splats: &'a Splats,
+    /// The photos' cameras: the prompted ones, and those that a selection is carried to.
+    pub views: &'a [PosedView],
+    /// What was prompted; at least one.
+    pub prompts: &'a [PromptedView<'a>],
+    /// One feature vector per splat, if there is a field.
+    pub features: Option<&'a FeatureField>,
+    /// The neighbour graph of the splats, if it is at hand; made otherwise.
+    pub graph: Option<&'a Graph>,
+    /// Splats that can never be selected, such as the sky; one flag per splat.
+    pub frozen: Option<&'a [bool]>,
+    /// How to weigh.
+    pub settings: &'a SegmentSettings,
+}
+
+/// A selection.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Selection {
+    /// Whether each splat belongs to the object.
+    pub labels: Vec<bool>,
+    /// How likely each splat belongs to it, in [0, 1], before connected parts are taken away.
+    pub score: Vec<f32>,
+    /// Fused similarity to the positive clicks per splat, where features took part.
+    pub similarity: Option<Vec<f32>>,
+    /// What the masks said.
+    pub evidence: Evidence,
+    /// What became of each photo that the selection was carried to, in the order of the last round.
+    pub visits: Vec<Visit>,
+    /// Connected parts taken away.
+    pub parts_removed: usize,
+}
+
+/// Selects the splats that the prompts mean. With `refine`, the selection is carried to all other views and back
+/// ([`SegmentSettings::propagate`]).
+pub fn select(request: &Request, refine: Option<&mut Refine>) -> Result<Selection, SegmentError> {
+    check(request)?;
+    let (settings, splats) = (request.settings, request.splats);
+    let (positive, negative) = hits(request)?;
+    let similarities = similarities(request, &positive, &negative)?;
+    let built;
+    let graph = match request.graph {
+        Some(graph) => graph,
+        None => {
+            built = Graph::new(splats, settings.neighbours);
+            &built
+        }
+    };
+    let features = request.features.filter(|_| settings.similarity_use != SimilarityUse::Off);
+    let judge = Judge {
+        splats,
+        graph,
+        hits: (&positive, &negative),
+        affinities: graph.affinities(splats, features),
+        similarities,
+        frozen: request.frozen,
+        settings,
+    };
+    let mut prompted = Evidence::none(splats.len());
+    for prompt in request.prompts {
+        prompted.add(&prompted_evidence(request, prompt)?, settings.prompt_weight);
+    }
+    let (state, visits) = match refine {
+        Some(refine) if settings.propagate > 0 => propagate::propagate(request, &judge, prompted, refine)?,
+        _ => (judge.weigh(prompted, Vec::new(), STEPS), Vec::new()),
+    };
+    let mut labels = judge.labels(&state);
+    none_left(&labels, "none lies in the masks and resembles the clicks")?;
+    if settings.graph_cut {
+        let smoothness = settings.graph_cut_smoothness;
+        labels = smooth::graph_cut(graph, &judge.affinities, &state.probability, request.frozen, smoothness);
+        none_left(&labels, "the graph cut smoothed all away: lower `graph_cut_smoothness`")?;
+    }
+    let mut parts_removed = 0;
+    if settings.components == ComponentRule::Clicked {
+        let share = settings.component_share;
+        parts_removed = components::keep_clicked(
+            graph,
+            splats,
+            &mut labels,
+            &state.evidence.inside,
+            &positive,
+            &negative,
+            share,
+        );
+        none_left(&labels, "every connected part holds a negative click")?;
+    }
+    Ok(Selection {
+        labels,
+        score: state.probability,
+        similarity: judge.similarities.map(|s| s.positive),
+        evidence: state.evidence,
+        visits,
+        parts_removed,
+    })
+}
+
+/// The spike cut of a selection by the masks of its prompted photos (method, section 7). A photo cuts only the
+/// splats that it sees.
+pub fn cut(request: &Request, selection: &Selection) -> Result<Cut, SegmentError> {
+    let mut sees = Vec::with_capacity(request.prompts.len());
+    for prompt in request.prompts {
+        let view = view(request, prompt.view)?;
+        let camera = working_camera(request, view, Some(prompt.mask));
+        let projected = project(request, view, &camera)?;
+        let whole = unoccluded(request.splats, &camera, &view.pose, &request.options);
+        sees.push(visible(&*projected, &whole, (camera.width, camera.height), request.settings.seen));
+    }
+    let views: Vec<CutView> = request
+        .prompts
+        .iter()
+        .zip(&sees)
+        .map(|(prompt, sees)| {
+            let view = &request.views[prompt.view];
+            CutView { camera: view.camera, pose: view.pose, mask: prompt.mask, sees: Some(sees) }
+        })
+        .collect();
+    Ok(Cut::new(request.splats, &selection.labels, &views, request.settings.spikes, request.options.near))
+}
+
+fn none_left(labels: &[bool], reason: &'static str) -> Result<(), SegmentError> {
+    if labels.contains(&true) { Ok(()) } else { Err(SegmentError::NothingSelected { reason }) }
+}
+
+fn check(request: &Request) -> Result<(), SegmentError> {
+    let n = request.splats.len();
+    let fits = |what: &str, len: usize| {
+        if len == n { Ok(()) } else { Err(SegmentError::Shape(format!("{len} {what} for {n} splats"))) }
+    };
+    fits("rows of features", request.features.map_or(n, FeatureField::len))?;
+    fits("nodes of the neighbour graph", request.graph.map_or(n, Graph::len))?;
+    fits("frozen flags", request.frozen.map_or(n, <[bool]>::len))?;
+    if request.prompts.is_empty() {
+        return Err(SegmentError::NoPrompt);
+    }
+    let s = request.settings;
+    let open_unit = [("spread_decay", s.spread_decay), ("unseen_prior", s.unseen_prior)];
+    for (name, value) in open_unit {
+        if !(value > 0.0 && value < 1.0) {
+            return Err(SegmentError::Setting {
+                name,
+                value: value.into(),
+                reason: "it must lie between 0 and 1",
+            });
+        }
+    }
+    if !(0.0..=1.0).contains(&s.rho) {
+        return Err(SegmentError::Setting {
+            name: "rho",
+            value: s.rho.into(),
+            reason: "it is a share, from 0 to 1",
+        });
+    }
+    if s.neighbours == 0 || s.neighbours > 256 {
+        let value = s.neighbours as f64;
+        return Err(SegmentError::Setting { name: "neighbours", value, reason: "it must be 1 to 256" });
+    }
+    for prompt in request.prompts {
+        let view = view(request, prompt.view)?;
+        if prompt.mask.is_empty() {
+            return Err(SegmentError::EmptyMask { photo: view.name.clone() });
+        }
+    }
+    Ok(())
+}
+
+fn view<'a>(request: &Request<'a>, index: usize) -> Result<&'a PosedView, SegmentError> {
+    request.views.get(index).ok_or(SegmentError::NoView { view: index, views: request.views.len() })
+}
+
+/// What each click hits: positive ones and negative ones. A positive click must hit something selectable; a
+/// negative one on nothing says nothing.
+fn hits(request: &Request) -> Result<(Vec<Hit>, Vec<Hit>), SegmentError> {
+    let (mut positive, mut negative) = (Vec::new(), Vec::new());
+    for prompt in request.prompts {
+        let view = view(request, prompt.view)?;
+        for point in prompt.points {
+            let (photo, x, y) = (view.name.clone(), point.x, point.y);
+            let at = Vec2::new(x, y);
+            if !view.camera.contains(at) {
+                let (width, height) = (view.camera.width, view.camera.height);
+                return Err(SegmentError::OutsideFrame { photo, x, y, width, height });
+            }
+            let window = request.settings.click_window.min(64);
+            let hit = crate::hit(
+                request.engine,
+                request.splats,
+                &request.options,
+                &view.camera,
+                &view.pose,
+                at,
+                window,
+            )
+            .map_err(SegmentError::raster(&view.name))?;
+            if hit.alpha < CLICK_ALPHA {
+                if point.inside {
+                    return Err(SegmentError::EmptySpace { photo, x, y, alpha: hit.alpha });
+                }
+                continue;
+            }
+            if point.inside {
+                let barred = |s: &&(u32, f32)| request.frozen.is_some_and(|f| f[s.0 as usize]);
+                let background: f32 = hit.splats.iter().filter(barred).map(|s| s.1).sum();
+                if background > 0.5 * hit.alpha {
+                    return Err(SegmentError::Background { photo, x, y });
+                }
+                positive.push(hit);
+            } else {
+                negative.push(hit);
+            }
+        }
+    }
+    Ok((positive, negative))
+}
+
+fn similarities(
+    request: &Request,
+    positive: &[Hit],
+    negative: &[Hit],
+) -> Result<Option<Similarities>, SegmentError> {
+    let (Some(field), true) = (request.features, request.settings.similarity_use != SimilarityUse::Off)
+    else {
+        return Ok(None);
+    };
+    let read = |hits: &[Hit]| hits.iter().filter_map(|hit| hit.feature(field)).collect::<Vec<_>>();
+    let (ask, refuse) = (read(positive), read(negative));
+    if ask.len() < positive.len() {
+        tracing::warn!(
+            clicks = positive.len(),
+            usable = ask.len(),
+            "some clicks hit splats without a usable feature"
+        );
+    }
+    if ask.is_empty() {
+        return Ok(None);
+    }
+    let temperature = request.settings.click_temperature;
+    Ok(Some(Similarities {
+        positive: field.similarity(&ask, temperature)?,
+        negative: if refuse.is_empty() { None } else { Some(field.similarity(&refuse, temperature)?) },
+    }))
+}
+
+/// The camera at which a view's evidence is taken: the mask's size, or the photo's, but not over
+/// [`SegmentSettings::evidence_size`].
+pub(crate) fn working_camera(request: &Request, view: &PosedView, mask: Option<&Mask>) -> Camera {
+    let camera = mask.map_or(view.camera, |m| view.camera.resized(m.width(), m.height()));
+    match request.settings.evidence_size {
+        0 => camera,
+        size => camera.scaled_to(size),
+    }
+}
+
+pub(crate) fn project<'a>(
+    request: &Request<'a>,
+    view: &PosedView,
+    camera: &Camera,
+) -> Result<Box<dyn Projected + 'a>, SegmentError> {
+    let engine: &'a dyn Engine = request.engine;
+    engine
+        .project(request.splats, camera, &view.pose, &request.options)
+        .map_err(SegmentError::raster(&view.name))
+}
+
+fn prompted_evidence(request: &Request, prompt: &PromptedView) -> Result<Evidence, SegmentError> {
+    let view = view(request, prompt.view)?;
+    let camera = working_camera(request, view, Some(prompt.mask));
+    let projected = project(request, view, &camera)?;
+    let weights = vec![1.0; camera.width as usize * camera.height as usize];
+    Ok(view_evidence(request, &*projected, view, &camera, prompt.mask, &weights))
+}
+
+/// What one view's mask says, by the mode of the settings. `weights`: one number in [0, 1] per pixel.
+pub(crate) fn view_evidence(
+    request: &Request,
+    projected: &dyn Projected,
+    view: &PosedView,
+    camera: &Camera,
+    mask: &Mask,
+    weights: &[f32],
+) -> Evidence {
+    let (settings, size) = (request.settings, (camera.width, camera.height));
+    let whole = || unoccluded(request.splats, camera, &view.pose, &request.options);
+    match settings.evidence_mode {
+        EvidenceMode::Coverage => {
+            let mut inside = soft(mask, size.0, size.1);
+            inside.iter_mut().zip(weights).for_each(|(inside, weight)| *inside *= weight);
+            coverage(projected, &whole(), &inside, weights, size, settings.seen)
+        }
+        EvidenceMode::Centre => {
+            let seen = settings.centre_visible.then(|| visible(projected, &whole(), size, settings.seen));
+            centre(projected, &mask.resized(size.0, size.1), request.options.near, seen.as_deref())
+        }
+    }
+}

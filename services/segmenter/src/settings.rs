@@ -1,0 +1,97 @@
+//! What a person can set about selecting.
+
+segwild_scene::choice! {
+    /// How a mask on a photo says which splats lie in it.
+    pub enum EvidenceMode {
+        /// By the share of the splat's visible light that falls in the mask.
+        Coverage = "coverage",
+        /// By whether the projected centre lies in the mask (the paper; also takes what lies behind).
+        Centre = "centre"
+    }
+}
+
+segwild_scene::choice! {
+    /// Which splats have to resemble the clicks.
+    pub enum SimilarityUse {
+        /// Every selected splat (the paper).
+        Gate = "gate",
+        /// Only splats that no mask decides.
+        Unseen = "unseen",
+        /// None: features take no part.
+        Off = "off"
+    }
+}
+
+segwild_scene::choice! {
+    /// Which connected parts of a selection stay.
+    pub enum ComponentRule {
+        /// Those that hold a click, and large ones.
+        Clicked = "clicked",
+        /// All.
+        All = "all"
+    }
+}
+
+segwild_scene::choice! {
+    /// How splats that stick out of the mask are cut.
+    pub enum SpikeMode {
+        /// Shrunk along the direction that sticks out.
+        Axis = "axis",
+        /// Shrunk in every direction (the paper, Eq. 32).
+        Isotropic = "isotropic",
+        /// Not cut.
+        Off = "off"
+    }
+}
+
+segwild_scene::settings! {
+    /// How clicks and masks become a selection of splats.
+    pub struct SegmentSettings("segment") {
+        /// Least fused cosine similarity to the positive clicks, in [-1, 1] (paper, Eq. 28).
+        tau: f32 = 0.5,
+        /// Temperature of the softmax that fuses several clicks: towards 0 the best click counts, far above 1 their mean; the paper's formula is 1.
+        click_temperature: f32 = 0.1,
+        /// With negative clicks: by how much the similarity to the positive ones must be larger.
+        negative_margin: f32 = 0.05,
+        /// Pixels around a click whose features are read with it: 1 reads 3 x 3.
+        click_window: u32 = 1,
+        /// Which splats must pass `tau` and `negative_margin`.
+        similarity_use: SimilarityUse = SimilarityUse::Unseen,
+        /// How masks decide splats.
+        evidence_mode: EvidenceMode = EvidenceMode::Coverage,
+        /// In centre mode, let masks decide only splats that the view sees.
+        centre_visible: bool = false,
+        /// Share of a splat's evidence that must lie inside the masks.
+        rho: f32 = 0.5,
+        /// Extra evidence against selecting, in views: larger keeps fewer splats.
+        gamma: f32 = 0.0,
+        /// Share of a splat's light that must reach the camera for the view to decide it.
+        seen: f32 = 0.2,
+        /// Long side in pixels at which masks are compared with the splats; 0 takes the mask's own size.
+        evidence_size: u32 = 480,
+        /// Nearest neighbours per splat in the graph that carries labels to unseen splats.
+        neighbours: usize = 10,
+        /// Share of a label's weight that survives one step in that graph, in (0, 1).
+        spread_decay: f32 = 0.97,
+        /// How likely a splat belongs to the object when nothing is known of it, in (0, 1).
+        unseen_prior: f32 = 0.5,
+        /// Which connected parts stay.
+        components: ComponentRule = ComponentRule::Clicked,
+        /// A part without a click stays as well when it holds this share of what the masks saw of the selection.
+        component_share: f32 = 0.05,
+        /// Smooth the selection by a graph cut over position and colour.
+        graph_cut: bool = false,
+        /// Strength of that smoothing.
+        graph_cut_smoothness: f32 = 1.0,
+        /// Rounds in which the selection is carried to the other photos and back; 0 uses the prompted photos only.
+        propagate: u32 = 2,
+        /// Photos that a round visits at most.
+        propagate_views: usize = 80,
+        /// Least agreement (IoU) between a photo's refined mask and what is already known, for the mask to count.
+        propagate_gate: f32 = 0.6,
+        /// How much the prompted masks count against those of other photos.
+        prompt_weight: f32 = 2.0,
+        /// How spikes are cut.
+        spikes: SpikeMode = SpikeMode::Axis,
+    }
+}

@@ -1,0 +1,42 @@
+//! Optional refinement of a selection by a minimum cut of the neighbour graph (method, section 6).
+
+use crate::Graph;
+use crate::maxflow::FlowNetwork;
+
+/// Whole-number steps per unit of energy.
+const STEPS: f32 = 10_000.0;
+
+/// The labels that minimise `sum_i -log P(label_i) + smoothness * sum_ij w_ij [label_i != label_j]`.
+///
+/// `probability` has one number per splat, how likely it belongs to the object; `affinities` one per edge.
+/// Splats in `frozen` are never selected, nor are those whose probability is not a number.
+pub fn graph_cut(
+    graph: &Graph,
+    affinities: &[f32],
+    probability: &[f32],
+    frozen: Option<&[bool]>,
+    smoothness: f32,
+) -> Vec<bool> {
+    let n = graph.len();
+    let capacity = |energy: f32| (energy * STEPS).clamp(0.0, 1e9) as u32;
+    let barred = |i: usize| frozen.is_some_and(|f| f[i]) || probability[i].is_nan();
+    let mut network = FlowNetwork::new(n);
+    for i in 0..n {
+        if barred(i) {
+            network.add_terminal(i, 0, capacity(f32::MAX));
+            continue;
+        }
+        let p = probability[i].clamp(0.01, 0.99);
+        // A node on the sink's side is background: that cuts its arc from the source.
+        network.add_terminal(i, capacity(-(1.0 - p).ln()), capacity(-p.ln()));
+        for edge in graph.edges(i) {
+            let j = graph.neighbour(edge);
+            if j > i && !barred(j) {
+                let weight = capacity(smoothness * affinities[edge]);
+                network.add_edge(i, j, weight, weight);
+            }
+        }
+    }
+    network.solve();
+    (0..n).map(|i| network.in_source(i) && !barred(i)).collect()
+}
