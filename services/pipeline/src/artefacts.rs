@@ -1,0 +1,135 @@
+//! What makes an artefact: the keys of the content cache (method, section 8).
+//!
+//! Same key, same bytes. A key holds everything the artefact depends on, so a changed setting re-does exactly what
+//! depends on it.
+
+use crate::{RunError, Settings};
+use rayon::prelude::*;
+use segwild_features::FeatureSettings;
+use segwild_flow::Key;
+use segwild_masks::{MaskSettings, MaskSource};
+use segwild_scene::settings::Group;
+use segwild_scene::{Scene, View};
+use segwild_trainer::TrainSettings;
+use segwild_vision::Providers;
+
+/// Raised when the bytes that a stage makes from the same input change.
+const FORMAT: u32 = 1;
+
+/// The keys of one run.
+#[derive(Clone, Debug)]
+pub struct Keys {
+    /// Per view, the photo's bytes; the reason where they cannot be read.
+    digests: Vec<Result<String, String>>,
+    /// Per view, its sky.
+    pub sky: Vec<Key>,
+    /// Per view, its embedding.
+    pub embedding: Vec<Key>,
+    /// The trained scene.
+    pub geometry: Key,
+    /// The scene at the snapshot step.
+    pub snapshot: Key,
+    /// Per view, its masks.
+    pub masks: Vec<Key>,
+    /// The feature field.
+    pub features: Key,
+}
+
+impl Keys {
+    /// Reads every photo once and names everything that a run of these settings makes.
+    pub fn new(
+        scene: &Scene,
+        settings: &Settings,
+        providers: &Providers,
+        engine: &str,
+    ) -> Result<Keys, RunError> {
+        let digests: Vec<Result<String, String>> =
+            scene.views.par_iter().map(|v| photo_digest(v).map_err(|e| e.to_string())).collect();
+        let photo = |domain: &'static str, i: usize, model: &str| {
+            let digest = digests[i].as_ref().map_or("unreadable", String::as_str);
+            Key::of(domain)
+                .part("photo", digest)
+                .value("format", FORMAT)
+                .value("size", settings.scene.size)
+                .part("camera", format!("{:?} {:?}", scene.views[i].camera, scene.views[i].photo.lens))
+                .part("model", model)
+                .finish()
+        };
+        let views = 0..scene.views.len();
+        let sky: Vec<Key> = views.clone().map(|i| photo("sky", i, &providers.sky.key())).collect();
+        let embedding: Vec<Key> =
+            views.clone().map(|i| photo("embedding", i, &providers.embedder.key())).collect();
+
+        let mut geometry = Key::of("geometry")
+            .value("format", FORMAT)
+            .part("engine", engine)
+            .part("settings", text::<TrainSettings>(settings))
+            .part("points", points_digest(scene));
+        for (i, view) in scene.views.iter().enumerate() {
+            geometry = geometry
+                .part(&format!("view {i}"), format!("{} {:?} {}", view.name, view.pose, view.test))
+                .key(&format!("sky {i}"), &sky[i]);
+        }
+        let geometry = geometry.finish();
+        let snapshot = Key::of("snapshot").key("geometry", &geometry).finish();
+        let masks: Vec<Key> = views
+            .clone()
+            .map(|i| {
+                let key = Key::of("masks")
+                    .value("format", FORMAT)
+                    .part("settings", text::<MaskSettings>(settings))
+                    .part("model", providers.proposer.key())
+                    .key("snapshot", &snapshot)
+                    .key("sky", &sky[i])
+                    .value("view", i);
+                match settings.masks.mask_source {
+                    MaskSource::Render => key.finish(),
+                    MaskSource::Photo => key.key("photo", &photo("photo", i, "")).finish(),
+                }
+            })
+            .collect();
+        let mut features = Key::of("features")
+            .value("format", FORMAT)
+            .part("settings", text::<FeatureSettings>(settings))
+            .key("geometry", &geometry);
+        for i in views {
+            features =
+                features.key(&format!("embedding {i}"), &embedding[i]).key(&format!("masks {i}"), &masks[i]);
+        }
+        Ok(Keys { digests, sky, embedding, geometry, snapshot, masks, features: features.finish() })
+    }
+
+    /// Why a view's photo cannot be read, if so.
+    pub fn unreadable(&self, view: usize) -> Option<&str> {
+        self.digests[view].as_ref().err().map(String::as_str)
+    }
+}
+
+/// The photo's bytes and those of its ignore mask.
+fn photo_digest(view: &View) -> Result<String, segwild_scene::SceneError> {
+    let mut digest = view.digest()?;
+    if let Some(ignore) = &view.photo.ignore {
+        let bytes = std::fs::read(ignore).map_err(segwild_scene::SceneError::io(ignore))?;
+        digest.push_str(blake3::hash(&bytes).to_hex().as_str());
+    }
+    Ok(digest)
+}
+
+/// The points that training starts from.
+fn points_digest(scene: &Scene) -> String {
+    let mut hasher = blake3::Hasher::new();
+    for point in &scene.points {
+        for value in point.position.to_array().iter().chain(&point.colour) {
+            hasher.update(&value.to_le_bytes());
+        }
+        for seen in &point.track {
+            hasher.update(&seen.view.to_le_bytes());
+        }
+    }
+    hasher.finalize().to_hex().to_string()
+}
+
+/// A group's settings as text, one per line.
+fn text<G: Group>(settings: &Settings) -> String {
+    G::FIELDS.iter().map(|f| format!("{}={}\n", f.name, settings.get(f.name).unwrap_or_default())).collect()
+}

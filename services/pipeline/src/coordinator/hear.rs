@@ -1,0 +1,186 @@
+//! What the coordinator does with what the actors say.
+
+use super::{Bars, Coordinator, Inboxes};
+use crate::RunError;
+use crate::folder::{FEATURES, MODEL};
+use crate::history::{self, Moment};
+use crate::outcome::Outcome;
+use segwild_features::{FeatureField, FeatureOutcome};
+use segwild_flow::ledger::ViewOutcome;
+use segwild_flow::{Event, Key, StageProgress, System};
+use segwild_masks::MaskOutcome;
+use segwild_scene::{Skipped, ply};
+use segwild_trainer::{Model, TrainOutcome};
+use std::sync::Arc;
+
+impl Coordinator<'_> {
+    pub(super) fn hear(
+        &mut self,
+        outcome: Outcome,
+        system: &System,
+        to: &Inboxes,
+        bars: &mut Bars,
+    ) -> Result<(), RunError> {
+        match outcome {
+            Outcome::Mask(MaskOutcome::Sky { view, sky, seconds }) => {
+                self.view_done(
+                    "sky",
+                    view,
+                    &self.keys.sky[view].clone(),
+                    sky.as_ref().err(),
+                    seconds,
+                    &mut bars.sky,
+                )?;
+                self.board.set(view, sky.ok());
+                self.state.sky_open -= 1;
+                self.close("sky", self.state.sky_open, &mut bars.sky)
+            }
+            Outcome::Mask(MaskOutcome::Masks { view, masks, seconds }) => {
+                let key = self.keys.masks[view];
+                self.view_done("masks", view, &key, masks.as_ref().err(), seconds, &mut bars.masks)?;
+                self.state.masked[view] = masks.is_ok();
+                self.state.masks_open -= 1;
+                self.close("masks", self.state.masks_open, &mut bars.masks)
+            }
+            Outcome::Feature(FeatureOutcome::Embedded { view, seconds }) => {
+                let key = self.keys.embedding[view];
+                self.view_done("embed", view, &key, None, seconds, &mut bars.embed)?;
+                self.state.embedded[view] = true;
+                self.state.embed_open -= 1;
+                self.close("embed", self.state.embed_open, &mut bars.embed)
+            }
+            Outcome::Feature(FeatureOutcome::EmbedFailed { view, error }) => {
+                let key = self.keys.embedding[view];
+                self.view_done("embed", view, &key, Some(&error), None, &mut bars.embed)?;
+                self.state.embed_open -= 1;
+                self.close("embed", self.state.embed_open, &mut bars.embed)
+            }
+            Outcome::Feature(FeatureOutcome::Field(field)) => {
+                self.cache.put_typed(&self.keys.features, FEATURES, &*field)?;
+                self.ledger.finish_stage("features", &self.keys.features, None)?;
+                self.take_field(*field)
+            }
+            Outcome::Feature(FeatureOutcome::FieldFailed(reason)) => {
+                self.state.failed = Some(("features", reason));
+                Ok(())
+            }
+            Outcome::Train(outcome) => self.hear_trainer(outcome, system, to, bars),
+        }
+    }
+
+    fn hear_trainer(
+        &mut self,
+        outcome: TrainOutcome,
+        system: &System,
+        to: &Inboxes,
+        bars: &mut Bars,
+    ) -> Result<(), RunError> {
+        match outcome {
+            TrainOutcome::Progress { step, loss, psnr, splats, left_out } => {
+                let moment = Moment { step, loss, psnr, splats, left_out };
+                history::append(self.folder, &moment)?;
+                if let Some(bar) = &mut bars.geometry {
+                    bar.advance(u64::from(step).saturating_sub(bar.done()));
+                }
+                let at = Some(u64::from(step));
+                for (name, value) in [("loss", loss), ("psnr_db", psnr), ("left_out", left_out)] {
+                    self.options.events.metric("geometry", name, f64::from(value), at);
+                }
+                self.options.events.metric("geometry", "splats", splats as f64, at);
+                Ok(())
+            }
+            TrainOutcome::Snapshot(snapshot) => {
+                self.cache.put_typed(&self.keys.snapshot, MODEL, &*snapshot)?;
+                self.begin_masks(&snapshot, system, to, bars)
+            }
+            TrainOutcome::Checkpoint(checkpoint) => self.keeper().save(&checkpoint),
+            TrainOutcome::Done(model, skipped) => {
+                self.cache.put_typed(&self.keys.geometry, MODEL, &*model)?;
+                self.ledger.finish_stage("geometry", &self.keys.geometry, None)?;
+                if let Some(bar) = bars.geometry.take() {
+                    bar.finish();
+                }
+                for s in skipped {
+                    if !self.state.skipped.iter().any(|known| known.name == s.name) {
+                        self.options
+                            .events
+                            .warn(Some("geometry"), format!("photo {} is left out: {}", s.name, s.reason));
+                        self.state.skipped.push(s);
+                    }
+                }
+                self.take_model(model)
+            }
+            TrainOutcome::Failed(reason) => {
+                self.state.failed = Some(("geometry", reason));
+                Ok(())
+            }
+        }
+    }
+
+    /// Books one view's work.
+    fn view_done(
+        &mut self,
+        stage: &'static str,
+        view: usize,
+        key: &Key,
+        error: Option<&String>,
+        seconds: Option<f64>,
+        bar: &mut Option<StageProgress>,
+    ) -> Result<(), RunError> {
+        let name = self.scene.views[view].name.clone();
+        let outcome = match (error, seconds) {
+            (Some(error), _) => ViewOutcome::failed(1, error.clone()),
+            (None, Some(seconds)) => ViewOutcome::done(seconds),
+            (None, None) => ViewOutcome::cached(),
+        };
+        self.ledger.record_view(stage, &name, key, &outcome)?;
+        let Some(bar) = bar else { return Ok(()) };
+        match (error, seconds) {
+            (Some(error), _) => {
+                bar.failed(1);
+                self.options.events.tell(Event::ViewFailed {
+                    stage: stage.into(),
+                    view: name.clone(),
+                    error: error.clone(),
+                    attempts: 1,
+                });
+                if !self.state.skipped.iter().any(|s| s.name == name) {
+                    self.state.skipped.push(Skipped { name, reason: format!("{stage}: {error}") });
+                }
+            }
+            (None, Some(_)) => {
+                bar.advance(1);
+                self.state.made += 1;
+            }
+            (None, None) => {
+                bar.cached(1);
+                self.state.cached += 1;
+            }
+        }
+        Ok(())
+    }
+
+    fn close(&self, stage: &str, open: usize, bar: &mut Option<StageProgress>) -> Result<(), RunError> {
+        if open == 0
+            && let Some(bar) = bar.take()
+        {
+            bar.finish();
+            self.ledger.finish_stage(stage, &self.stage_key(stage), None)?;
+        }
+        Ok(())
+    }
+
+    pub(super) fn take_model(&mut self, model: Arc<Model>) -> Result<(), RunError> {
+        self.folder.write_record("model.bin", MODEL, &*model)?;
+        let splats = model.splats.to_file_frame(&self.scene.frame);
+        ply::write(&self.folder.path().join("scene.ply"), &splats)?;
+        self.state.model = Some(model);
+        Ok(())
+    }
+
+    pub(super) fn take_field(&mut self, field: FeatureField) -> Result<(), RunError> {
+        self.folder.write_record("features.bin", FEATURES, &field)?;
+        self.state.field = Some(Arc::new(field));
+        Ok(())
+    }
+}

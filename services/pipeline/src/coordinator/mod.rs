@@ -1,0 +1,401 @@
+//! Feeds the actors of one scene and listens to them.
+//!
+//! `ingest -> { sky(view)*, embed(view)*, geometry }`; geometry publishes a snapshot at a fixed step
+//! `-> intrinsic render(view)* -> masks(view)*` while it trains on; at its end `-> feature field`.
+//! Snapshots are taken at fixed steps and views go in fixed order, so the result does not depend on who was faster.
+
+mod hear;
+
+use crate::artefacts::Keys;
+use crate::board::Board;
+use crate::checkpoints::Keeper;
+use crate::folder::{FEATURES, MODEL};
+use crate::graph::{RunOptions, STAGES};
+use crate::outcome::Outcome;
+use crate::visibility::visibility;
+use crate::{RunError, RunFolder, Settings, history};
+use segwild_features::{FeatureActor, FeatureField, FeatureTask, FieldView};
+use segwild_flow::{
+    ActorOptions, Cache, Event, Key, Ledger, Limits, Phase, Receiver, RecvError, Report, Sender,
+    StageProgress, System, SystemOptions, mailbox,
+};
+use segwild_masks::{MaskActor, MaskSource, MaskTask, sasm};
+use segwild_raster::Engine;
+use segwild_scene::{Mask, Scene, Skipped};
+use segwild_trainer::{Model, Photos, TrainActor, TrainOrder, TrainOutcome, TrainPhoto, render_view};
+use segwild_vision::Providers;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// What is known so far.
+#[derive(Default)]
+pub struct State {
+    pub model: Option<Arc<Model>>,
+    pub field: Option<Arc<FeatureField>>,
+    pub skipped: Vec<Skipped>,
+    /// Views whose masks are in the cache.
+    pub masked: Vec<bool>,
+    pub embedded: Vec<bool>,
+    pub sky_open: usize,
+    pub embed_open: usize,
+    pub masks_open: usize,
+    pub masks_begun: bool,
+    pub field_asked: bool,
+    pub made: usize,
+    pub cached: usize,
+    pub failed: Option<(&'static str, String)>,
+}
+
+/// The one who conducts.
+pub struct Coordinator<'a> {
+    pub folder: &'a RunFolder,
+    pub settings: &'a Settings,
+    pub options: &'a RunOptions,
+    pub ledger: &'a Ledger,
+    pub scene: Arc<Scene>,
+    pub engine: Arc<dyn Engine>,
+    pub keys: Keys,
+    pub cache: Cache,
+    /// Index into [`STAGES`] of the last stage wanted.
+    pub last: usize,
+    pub board: Arc<Board<Option<Arc<Mask>>>>,
+    pub state: State,
+}
+
+/// The mailboxes that the coordinator writes to.
+pub(crate) struct Inboxes {
+    masks: Sender<MaskTask>,
+    features: Sender<FeatureTask>,
+    training: Sender<TrainOrder>,
+}
+
+/// Progress of the stages that go view by view or step by step.
+pub(crate) struct Bars {
+    sky: Option<StageProgress>,
+    embed: Option<StageProgress>,
+    masks: Option<StageProgress>,
+    geometry: Option<StageProgress>,
+}
+
+impl Coordinator<'_> {
+    fn keeper(&self) -> Keeper<'_> {
+        Keeper {
+            folder: self.folder,
+            ledger: self.ledger,
+            events: &self.options.events,
+            key: &self.keys.geometry,
+        }
+    }
+
+    fn wants(&self, stage: &str) -> bool {
+        STAGES.iter().position(|s| *s == stage).is_some_and(|i| i <= self.last)
+    }
+
+    /// The views that take part, in order: held-out ones have a sky (evaluation leaves it out of the score) but no
+    /// embedding and no masks.
+    fn views(&self, with_test: bool) -> Vec<usize> {
+        let views = &self.scene.views;
+        (0..views.len())
+            .filter(|&i| (with_test || !views[i].test) && self.keys.unreadable(i).is_none())
+            .collect()
+    }
+
+    /// Spawns the actors, feeds them, listens to them. The report is of the actors; the result, of the work.
+    pub fn flow(&mut self, providers: &Providers) -> Result<(Report, Result<(), RunError>), RunError> {
+        let system = System::new(SystemOptions {
+            events: self.options.events.clone(),
+            stopper: self.options.stopper.clone(),
+            ..SystemOptions::default()
+        })?;
+        let limits = Limits { count: 64, bytes: 64 << 20 };
+        let (out, inbox) = mailbox::<Outcome>("coordinator", limits);
+        let (masks, masks_in) = mailbox::<MaskTask>("masks", limits);
+        let (features, features_in) = mailbox::<FeatureTask>("features", limits);
+        let (training, training_in) = mailbox::<TrainOrder>("trainer", limits);
+
+        let (scene, size, cache) = (self.scene.clone(), self.settings.scene.size, self.cache.clone());
+        let (engine, settings, depths) =
+            (self.engine.clone(), self.settings.clone(), sasm::SceneDepths::of(&scene));
+        let train = TrainerParts { engine: engine.clone(), out: out.clone() };
+        system.spawn(training_in, ActorOptions { attempts: 1, ..ActorOptions::default() }, move || {
+            Ok(TrainActor { engine: train.engine.clone(), out: train.out.clone() })
+        })?;
+        let (s, c, o, p, m) =
+            (scene.clone(), cache.clone(), out.clone(), providers.clone(), settings.masks.clone());
+        system.spawn(masks_in, ActorOptions::default(), move || {
+            Ok(MaskActor {
+                scene: s.clone(),
+                size,
+                sky: p.sky.clone(),
+                proposer: p.proposer.clone(),
+                cache: c.clone(),
+                settings: m.clone(),
+                depths,
+                out: o.clone(),
+            })
+        })?;
+        let (embedder, f) = (providers.embedder.clone(), settings.features.clone());
+        system.spawn(features_in, ActorOptions::default(), move || {
+            Ok(FeatureActor {
+                scene: scene.clone(),
+                size,
+                embedder: embedder.clone(),
+                engine: engine.clone(),
+                cache: cache.clone(),
+                settings: f.clone(),
+                out: out.clone(),
+            })
+        })?;
+
+        let outcome = self.conduct(&system, Inboxes { masks, features, training }, &inbox);
+        if outcome.is_err() {
+            self.options.stopper.stop();
+        }
+        // An actor that is stopping may still have something to say; nothing may wait for a full mailbox.
+        let drained = std::thread::scope(|scope| {
+            let rest = scope.spawn(|| {
+                let mut late = Vec::new();
+                while let Some(outcome) = inbox.blocking_recv() {
+                    if let Outcome::Train(TrainOutcome::Checkpoint(checkpoint)) = outcome {
+                        late.push(checkpoint);
+                    }
+                }
+                late
+            });
+            let report = system.join();
+            inbox.close();
+            (report, rest.join().unwrap_or_default())
+        });
+        for checkpoint in &drained.1 {
+            self.keeper().save(checkpoint)?;
+        }
+        Ok((drained.0, outcome))
+    }
+
+    /// Feeds the actors and listens until everything wanted is there.
+    fn conduct(&mut self, system: &System, to: Inboxes, inbox: &Receiver<Outcome>) -> Result<(), RunError> {
+        let n = self.scene.views.len();
+        self.state.masked = vec![false; n];
+        self.state.embedded = vec![false; n];
+        for i in 0..n {
+            if let Some(reason) = self.keys.unreadable(i) {
+                let skipped = Skipped { name: self.scene.views[i].name.clone(), reason: reason.to_owned() };
+                self.options
+                    .events
+                    .warn(Some("ingest"), format!("photo {} is left out: {reason}", skipped.name));
+                self.state.skipped.push(skipped);
+                self.board.set(i, None);
+            }
+        }
+        let mut bars = Bars { sky: None, embed: None, masks: None, geometry: None };
+        let events = self.options.events.clone();
+
+        let with_sky = self.views(true);
+        self.state.sky_open = with_sky.len();
+        bars.sky = Some(events.stage("sky", Some(with_sky.len() as u64)));
+        let stage_key = self.stage_key("sky");
+        self.ledger.begin_stage("sky", &stage_key)?;
+        let (masks, keys) = (to.masks.clone(), self.keys.sky.clone());
+        system.source("ingest", ActorOptions::default(), move |context| {
+            for &view in &with_sky {
+                context.check()?;
+                masks.blocking_send_urgent(MaskTask::Sky { view, key: keys[view] })?;
+            }
+            Ok(())
+        })?;
+
+        if self.wants("embed") {
+            let views = self.views(false);
+            self.state.embed_open = views.len();
+            bars.embed = Some(events.stage("embed", Some(views.len() as u64)));
+            self.ledger.begin_stage("embed", &self.stage_key("embed"))?;
+            let (features, keys) = (to.features.clone(), self.keys.embedding.clone());
+            system.source("photos", ActorOptions::default(), move |context| {
+                for &view in &views {
+                    context.check()?;
+                    features.blocking_send(FeatureTask::Embed { view, key: keys[view] })?;
+                }
+                Ok(())
+            })?;
+        }
+        if self.wants("masks") {
+            self.begin_geometry(system, &to, &mut bars)?;
+        }
+        while !self.complete() {
+            if self.options.stopper.phase() != Phase::Running {
+                return Ok(());
+            }
+            match inbox.recv_timeout(Duration::from_millis(200)) {
+                Ok(outcome) => self.hear(outcome, system, &to, &mut bars)?,
+                Err(RecvError::Closed) => {
+                    return Err(RunError::Stage {
+                        stage: "flow",
+                        reason: "every actor has ended early".into(),
+                    });
+                }
+                Err(_) => {}
+            }
+            if let Some((stage, reason)) = self.state.failed.take() {
+                self.ledger.fail_stage(stage, &self.stage_key(stage), &reason)?;
+                events.tell(Event::StageFailed { stage: stage.into(), error: reason.clone() });
+                return Err(RunError::Stage { stage, reason });
+            }
+            self.ask_for_field(&to)?;
+        }
+        Ok(())
+    }
+
+    fn complete(&self) -> bool {
+        let s = &self.state;
+        s.sky_open == 0
+            && s.embed_open == 0
+            && (!self.wants("masks") || s.masks_begun && s.masks_open == 0)
+            && (!self.wants("geometry") || s.model.is_some())
+            && (!self.wants("features") || s.field.is_some())
+    }
+
+    fn stage_key(&self, stage: &str) -> Key {
+        match stage {
+            "geometry" => self.keys.geometry,
+            "features" => self.keys.features,
+            "masks" => {
+                self.keys.masks.iter().fold(Key::of("masks stage"), |k, m| k.key(&m.hex(), m)).finish()
+            }
+            "embed" => {
+                self.keys.embedding.iter().fold(Key::of("embed stage"), |k, m| k.key(&m.hex(), m)).finish()
+            }
+            _ => self.keys.sky.iter().fold(Key::of("sky stage"), |k, m| k.key(&m.hex(), m)).finish(),
+        }
+    }
+
+    /// Takes the trained scene and its snapshot from the cache, or orders the training.
+    fn begin_geometry(&mut self, system: &System, to: &Inboxes, bars: &mut Bars) -> Result<(), RunError> {
+        let done: Option<Model> = self.cache.get_typed(&self.keys.geometry, MODEL)?;
+        let snapshot: Option<Model> = self.cache.get_typed(&self.keys.snapshot, MODEL)?;
+        if let Some(snapshot) = &snapshot {
+            self.begin_masks(snapshot, system, to, bars)?;
+        }
+        if let (Some(model), true) = (done, snapshot.is_some()) {
+            let key = self.keys.geometry.to_string();
+            self.options.events.tell(Event::StageSkipped { stage: "geometry".into(), key });
+            self.take_model(Arc::new(model))?;
+            return Ok(());
+        }
+        self.ledger.begin_stage("geometry", &self.keys.geometry)?;
+        // Without the snapshot the training is done again from a checkpoint before it, or from the start.
+        let before = if snapshot.is_some() { u32::MAX } else { self.settings.train.snapshot_step() };
+        let checkpoint = self.keeper().last_before(before)?;
+        let mut bar = self.options.events.stage("geometry", Some(self.settings.train.steps.into()));
+        let start = checkpoint.as_ref().map_or(0, |c| c.step());
+        if start > 0 {
+            self.options.events.info(Some("geometry"), format!("goes on from step {start}"));
+            bar.cached(start.into());
+        }
+        history::trim(self.folder, start)?;
+        bars.geometry = Some(bar);
+        let (scene, size, board) = (self.scene.clone(), self.settings.scene.size, self.board.clone());
+        let stopper = self.options.stopper.clone();
+        let photos = move |view: usize| -> Result<TrainPhoto, String> {
+            let loaded = scene.views[view].load(size).map_err(|e| e.to_string())?;
+            let sky = board.wait(view, || stopper.phase() == Phase::Stopping).flatten();
+            Ok(TrainPhoto { image: loaded.image, valid: loaded.valid, sky: sky.map(|s| (*s).clone()) })
+        };
+        let order = TrainOrder {
+            scene: self.scene.clone(),
+            photos: Arc::new(photos) as Arc<dyn Photos>,
+            settings: self.settings.train.clone(),
+            checkpoint: checkpoint.map(Arc::new),
+            checkpoint_every: Duration::from_secs(self.settings.run.checkpoint_every.max(1).into()),
+        };
+        to.training
+            .blocking_send(order)
+            .map_err(|e| RunError::Stage { stage: "geometry", reason: e.to_string() })
+    }
+
+    /// Renders the snapshot from every camera, in order, into the masks actor's mailbox.
+    fn begin_masks(
+        &mut self,
+        snapshot: &Model,
+        system: &System,
+        to: &Inboxes,
+        bars: &mut Bars,
+    ) -> Result<(), RunError> {
+        if self.state.masks_begun {
+            return Ok(());
+        }
+        let views = self.views(false);
+        self.state.masks_begun = true;
+        self.state.masks_open = views.len();
+        self.ledger.begin_stage("masks", &self.stage_key("masks"))?;
+        bars.masks = Some(self.options.events.stage("masks", Some(views.len() as u64)));
+        let (scene, engine, cache) = (self.scene.clone(), self.engine.clone(), self.cache.clone());
+        let (size, keys, board) = (self.settings.scene.size, self.keys.masks.clone(), self.board.clone());
+        let drawn_on = self.settings.masks.mask_source;
+        let (snapshot, out) = (snapshot.clone(), to.masks.clone());
+        let means = Arc::new(snapshot.splats.means.clone());
+        system.source("intrinsic renders", ActorOptions::default(), move |context| {
+            for &view in &views {
+                context.check()?;
+                let posed = &scene.views[view];
+                let render = if drawn_on == MaskSource::Photo || cache.contains(&keys[view]) {
+                    None
+                } else {
+                    let camera = posed.camera.scaled_to(size);
+                    Some(Arc::new(render_view(&snapshot, &*engine, &camera, &posed.pose, None)?))
+                };
+                let sky = board.wait(view, || context.stopping()).flatten();
+                let task = MaskTask::Masks { view, key: keys[view], render, means: means.clone(), sky };
+                out.blocking_send(task)?;
+            }
+            Ok(())
+        })?;
+        Ok(())
+    }
+
+    fn ask_for_field(&mut self, to: &Inboxes) -> Result<(), RunError> {
+        let s = &self.state;
+        let ready = s.sky_open == 0 && s.embed_open == 0 && s.masks_begun && s.masks_open == 0;
+        let Some(model) = s.model.clone().filter(|_| ready && !s.field_asked && self.wants("features"))
+        else {
+            return Ok(());
+        };
+        self.state.field_asked = true;
+        if let Some(field) = self.cache.get_typed::<FeatureField>(&self.keys.features, FEATURES)? {
+            let key = self.keys.features.to_string();
+            self.options.events.tell(Event::StageSkipped { stage: "features".into(), key });
+            return self.take_field(field);
+        }
+        self.ledger.begin_stage("features", &self.keys.features)?;
+        let mut views = Vec::new();
+        for view in self.views(false) {
+            if !self.state.embedded[view] {
+                continue;
+            }
+            let sky = self.board.get(view).flatten();
+            let posed = &self.scene.views[view];
+            let seen =
+                visibility(&model, &*self.engine, posed, view, sky.as_deref(), self.settings.scene.size)?;
+            views.push(FieldView {
+                view,
+                embedding: self.keys.embedding[view],
+                masks: self.state.masked[view].then(|| self.keys.masks[view]),
+                sky,
+                validity: Arc::new(seen),
+            });
+        }
+        let task = FeatureTask::Field {
+            splats: Arc::new(model.splats.clone()),
+            options: model.options(),
+            views: Arc::new(views),
+        };
+        to.features
+            .blocking_send(task)
+            .map_err(|e| RunError::Stage { stage: "features", reason: e.to_string() })
+    }
+}
+
+/// What each life of the trainer is built from.
+struct TrainerParts {
+    engine: Arc<dyn Engine>,
+    out: Sender<Outcome>,
+}

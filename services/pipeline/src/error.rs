@@ -1,0 +1,79 @@
+//! Why a run cannot go on, sorted by what the person at the keyboard can do about it.
+
+use crate::SettingsError;
+use segwild_features::FeatureError;
+use segwild_flow::{CacheError, CodecError, FileError, LedgerError, SpawnError};
+use segwild_raster::RasterError;
+use segwild_scene::SceneError;
+use segwild_segmenter::SegmentError;
+use segwild_trainer::TrainError;
+use segwild_vision::VisionError;
+use std::path::PathBuf;
+
+/// Why a run, or a command on a run, cannot go on.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// The scene or its photos cannot be used.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// A settings file or value makes no sense.
+    #[error(transparent)]
+    Settings(#[from] SettingsError),
+    /// A 2D model that was asked for cannot be used.
+    #[error(transparent)]
+    Vision(#[from] VisionError),
+    /// The run folder holds no run, or not what is needed.
+    #[error("{path}: {reason}", path = path.display())]
+    Folder {
+        /// The folder or file.
+        path: PathBuf,
+        /// What is wrong and what to do.
+        reason: String,
+    },
+    /// A file of the run cannot be read or written.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// The cache cannot serve.
+    #[error(transparent)]
+    Cache(#[from] CacheError),
+    /// A record is damaged.
+    #[error("{path}: {source}; delete it and run again", path = path.display())]
+    Record {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        source: CodecError,
+    },
+    /// The ledger cannot serve; also when another process uses the run.
+    #[error(transparent)]
+    Ledger(#[from] LedgerError),
+    /// A stage failed; what was computed before is kept.
+    #[error("stage `{stage}` failed: {reason}")]
+    Stage {
+        /// The stage.
+        stage: &'static str,
+        /// Why.
+        reason: String,
+    },
+    /// The prompts make no sense or select nothing.
+    #[error(transparent)]
+    Segment(#[from] SegmentError),
+    /// What was asked for does not exist in this run.
+    #[error("{0}")]
+    Request(String),
+    /// Stopped by the user.
+    #[error("stopped; the same command goes on from here")]
+    Interrupted,
+    /// The machine refuses a thread.
+    #[error(transparent)]
+    Spawn(#[from] SpawnError),
+    /// The rasteriser refused.
+    #[error(transparent)]
+    Raster(#[from] RasterError),
+    /// A model could not be drawn or scored.
+    #[error(transparent)]
+    Train(#[from] TrainError),
+    /// Features could not be drawn.
+    #[error(transparent)]
+    Features(#[from] FeatureError),
+}

@@ -1,0 +1,148 @@
+//! Scores: held-out photos by the official protocol, selections against true masks (method, section 10).
+
+use crate::board::Board;
+use crate::segment::png_name;
+use crate::{RunError, RunFolder, Settings};
+use segwild_raster::Engine;
+use segwild_scene::{Mask, Scene};
+use segwild_trainer::{LookKind, Model, Photos, Protocol, TrainPhoto, evaluate};
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+use std::sync::Arc;
+
+/// Scores of the held-out photos.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct HeldOut {
+    /// How they were scored, in words.
+    pub protocol: String,
+    /// Mean PSNR in dB.
+    pub psnr: f32,
+    /// Mean SSIM.
+    pub ssim: f32,
+    /// Per photo: name, PSNR, SSIM.
+    pub photos: Vec<(String, f32, f32)>,
+}
+
+/// Score of one mask.
+#[derive(Clone, Debug, Serialize)]
+pub struct MaskScore {
+    /// The photo's name.
+    pub photo: String,
+    /// Whether prompts were given on it.
+    pub prompted: bool,
+    /// IoU of the visible mask.
+    pub iou: f64,
+    /// Share of the photo's pixels that are right.
+    pub accuracy: f64,
+    /// Boundary IoU, 2 % of the diagonal.
+    pub boundary_iou: f64,
+    /// IoU of the amodal mask (the object alone).
+    pub amodal_iou: f64,
+}
+
+/// Scores of a selection.
+#[derive(Clone, Debug, Serialize)]
+pub struct Score {
+    /// The selection.
+    pub selection: String,
+    /// Mean IoU over the photos without prompts.
+    pub iou: f64,
+    /// Mean accuracy over them.
+    pub accuracy: f64,
+    /// Mean Boundary IoU over them.
+    pub boundary_iou: f64,
+    /// Mean amodal IoU over them.
+    pub amodal_iou: f64,
+    /// Per photo, the prompted ones too.
+    pub photos: Vec<MaskScore>,
+}
+
+/// Scores the held-out photos, if there are any, and writes `evaluation.json`.
+pub(crate) fn held_out(
+    folder: &RunFolder,
+    scene: &Arc<Scene>,
+    model: &Model,
+    engine: &dyn Engine,
+    settings: &Settings,
+    sky: &Arc<Board<Option<Arc<Mask>>>>,
+) -> Result<Option<HeldOut>, RunError> {
+    let size = settings.scene.size;
+    let views: Vec<usize> = (0..scene.views.len())
+        .filter(|&i| scene.views[i].test && scene.views[i].load(size).is_ok())
+        .collect();
+    if views.is_empty() {
+        return Ok(None);
+    }
+    let (protocol, words) = match settings.train.look {
+        LookKind::None => (Protocol::Plain, "whole photo, no look fitted"),
+        LookKind::Affine => (Protocol::Halves, "look fitted on the left half, right half scored"),
+    };
+    let (source, sky) = (scene.clone(), sky.clone());
+    let photos: Arc<dyn Photos> = Arc::new(move |view: usize| -> Result<TrainPhoto, String> {
+        let loaded = source.views[view].load(size).map_err(|e| e.to_string())?;
+        let sky = sky.get(view).flatten().map(|s| (*s).clone());
+        Ok(TrainPhoto { image: loaded.image, valid: loaded.valid, sky })
+    });
+    let scored = evaluate(model, engine, scene, photos, &views, protocol)?;
+    let held = HeldOut {
+        protocol: words.into(),
+        psnr: scored.psnr,
+        ssim: scored.ssim,
+        photos: scored.views.iter().map(|v| (v.name.clone(), v.psnr, v.ssim)).collect(),
+    };
+    folder.write_json("evaluation.json", &held)?;
+    Ok(Some(held))
+}
+
+/// Scores a selection's masks against the true ones in `truth`, one PNG per photo, named as the photo.
+/// Photos without a true mask do not count; nor do the prompted ones in the means.
+pub fn score(folder: &RunFolder, selection: &str, truth: &Path) -> Result<Score, RunError> {
+    let intake = folder.intake()?;
+    let prompted: Vec<crate::PhotoPrompts> =
+        folder.read_json(&format!("selections/{selection}/prompts.json"))?;
+    let stem = |name: &str| png_name(name);
+    let prompted: Vec<String> = prompted.iter().map(|p| stem(&p.photo)).collect();
+    let mut photos = Vec::new();
+    for photo in &intake.photos {
+        let name = png_name(photo);
+        let file = truth.join(&name);
+        if !file.is_file() {
+            continue;
+        }
+        let truth = Mask::read_png(&file)?;
+        if truth.is_empty() {
+            continue; // the photo does not show the object
+        }
+        let read = |sub: &str| -> Result<Mask, RunError> {
+            let mask = Mask::read_png(&folder.selection(selection).join(sub).join(&name))?;
+            let (w, h) = (truth.width(), truth.height());
+            Ok(if (mask.width(), mask.height()) == (w, h) { mask } else { mask.resized(w, h) })
+        };
+        let (visible, amodal) = (read("masks")?, read("amodal")?);
+        let wrong = visible.minus(&truth).count() + truth.minus(&visible).count();
+        photos.push(MaskScore {
+            photo: photo.clone(),
+            prompted: prompted.iter().any(|p| *p == name || format!("{p}.png") == name),
+            iou: visible.iou(&truth),
+            accuracy: 1.0 - wrong as f64 / (f64::from(truth.width()) * f64::from(truth.height())),
+            boundary_iou: visible.boundary_iou(&truth, 0.02),
+            amodal_iou: amodal.iou(&truth),
+        });
+    }
+    let others: Vec<&MaskScore> = photos.iter().filter(|p| !p.prompted).collect();
+    if others.is_empty() {
+        let reason =
+            "it holds no true mask (PHOTO_STEM.png) of a photo of this run that was not prompted".into();
+        return Err(RunError::Folder { path: truth.to_owned(), reason });
+    }
+    let mean =
+        |pick: fn(&MaskScore) -> f64| others.iter().map(|p| pick(p)).sum::<f64>() / others.len() as f64;
+    Ok(Score {
+        selection: selection.to_owned(),
+        iou: mean(|p| p.iou),
+        accuracy: mean(|p| p.accuracy),
+        boundary_iou: mean(|p| p.boundary_iou),
+        amodal_iou: mean(|p| p.amodal_iou),
+        photos,
+    })
+}

@@ -1,0 +1,205 @@
+//! The folder a run lives in.
+//!
+//! ```text
+//! RUN/segwild.toml      the effective settings
+//! RUN/scene.json        where the scene is, its photos, those skipped and why
+//! RUN/run.sqlite        the ledger
+//! RUN/cache/            artefacts by the hash of what they were made from
+//! RUN/checkpoints/      where an interrupted training goes on
+//! RUN/model.bin         the trained scene; RUN/scene.ply the same for other programs
+//! RUN/features.bin      the feature field
+//! RUN/history.jsonl     loss, PSNR and splats over the steps
+//! RUN/timeline.json     who did what when
+//! RUN/evaluation.json   held-out scores
+//! RUN/selections/NAME/  what `segment` made
+//! RUN/report.html       everything above to look at
+//! ```
+
+use crate::{RunError, Settings};
+use segwild_features::FeatureField;
+use segwild_flow::{Cache, codec, files};
+use segwild_scene::{Frame, Scene, Skipped};
+use segwild_trainer::Model;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// Kind of the record in `model.bin`, and of models in the cache.
+pub(crate) const MODEL: &str = "model";
+/// Kind of the record in `features.bin`, and of fields in the cache.
+pub(crate) const FEATURES: &str = "features";
+
+/// A run's folder.
+#[derive(Clone, Debug)]
+pub struct RunFolder {
+    path: PathBuf,
+}
+
+/// `scene.json`: what was taken in.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct Intake {
+    /// The scene, as an absolute path.
+    pub scene: PathBuf,
+    /// The photos that take part, in order.
+    pub photos: Vec<String>,
+    /// Those held out.
+    pub held_out: Vec<String>,
+    /// Those that cannot be used, and why.
+    pub skipped: Vec<Skipped>,
+    /// Reconstructed points.
+    pub points: usize,
+    /// Back to the scene's units.
+    pub frame: Frame,
+}
+
+/// A finished run, read back.
+pub struct Loaded {
+    /// Its settings.
+    pub settings: Settings,
+    /// Its scene.
+    pub scene: Scene,
+    /// The trained scene.
+    pub model: Model,
+    /// The feature field, if that stage was done.
+    pub field: Option<FeatureField>,
+}
+
+impl RunFolder {
+    /// The folder at `path`, made if it is not there.
+    pub fn create(path: &Path) -> Result<RunFolder, RunError> {
+        let folder = RunFolder { path: path.to_owned() };
+        for dir in [folder.path.clone(), folder.checkpoints(), folder.path.join("selections")] {
+            std::fs::create_dir_all(&dir)
+                .map_err(|e| files::FileError::new("create the run folder", &dir, e))?;
+        }
+        Ok(folder)
+    }
+
+    /// An existing run.
+    pub fn open(path: &Path) -> Result<RunFolder, RunError> {
+        let folder = RunFolder { path: path.to_owned() };
+        if !folder.ledger().is_file() {
+            let reason = "this is no run folder; `segwild run SCENE --out FOLDER` makes one".into();
+            return Err(RunError::Folder { path: path.to_owned(), reason });
+        }
+        Ok(folder)
+    }
+
+    /// Its path.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The ledger's file.
+    pub fn ledger(&self) -> PathBuf {
+        self.path.join("run.sqlite")
+    }
+
+    /// The settings' file.
+    pub fn settings_file(&self) -> PathBuf {
+        self.path.join("segwild.toml")
+    }
+
+    /// The folder of one selection.
+    pub fn selection(&self, name: &str) -> PathBuf {
+        self.path.join("selections").join(name)
+    }
+
+    /// Names of the selections made so far, sorted.
+    pub fn selections(&self) -> Vec<String> {
+        let mut names: Vec<String> = std::fs::read_dir(self.path.join("selections"))
+            .into_iter()
+            .flatten()
+            .flatten()
+            .filter(|e| e.path().join("prompts.json").is_file())
+            .map(|e| e.file_name().to_string_lossy().into_owned())
+            .collect();
+        names.sort();
+        names
+    }
+
+    /// The report's file.
+    pub fn report(&self) -> PathBuf {
+        self.path.join("report.html")
+    }
+
+    pub(crate) fn checkpoints(&self) -> PathBuf {
+        self.path.join("checkpoints")
+    }
+
+    pub(crate) fn history(&self) -> PathBuf {
+        self.path.join("history.jsonl")
+    }
+
+    pub(crate) fn cache(&self) -> Result<Cache, RunError> {
+        Ok(Cache::open(self.path.join("cache"))?)
+    }
+
+    pub(crate) fn write(&self, name: &str, bytes: &[u8]) -> Result<(), RunError> {
+        Ok(files::write_atomic(&self.path.join(name), bytes)?)
+    }
+
+    pub(crate) fn write_json<T: Serialize>(&self, name: &str, value: &T) -> Result<(), RunError> {
+        let text = serde_json::to_vec_pretty(value).map_err(|e| self.broken(name, e.to_string()))?;
+        self.write(name, &text)
+    }
+
+    pub(crate) fn read_json<T: for<'de> Deserialize<'de>>(&self, name: &str) -> Result<T, RunError> {
+        let bytes = std::fs::read(self.path.join(name)).map_err(|e| self.broken(name, e.to_string()))?;
+        serde_json::from_slice(&bytes).map_err(|e| self.broken(name, e.to_string()))
+    }
+
+    fn broken(&self, name: &str, reason: String) -> RunError {
+        RunError::Folder { path: self.path.join(name), reason }
+    }
+
+    pub(crate) fn write_record<T: codec::Encode + ?Sized>(
+        &self,
+        name: &str,
+        kind: &str,
+        value: &T,
+    ) -> Result<(), RunError> {
+        let bytes = codec::encode(kind, value)
+            .map_err(|source| RunError::Record { path: self.path.join(name), source })?;
+        self.write(name, &bytes)
+    }
+
+    pub(crate) fn read_record<T: codec::Decode>(&self, name: &str, kind: &str) -> Result<T, RunError> {
+        let path = self.path.join(name);
+        let bytes = std::fs::read(&path).map_err(|_| {
+            let reason =
+                "this part of the run is not done yet; `segwild run` with the same folder continues it";
+            RunError::Folder { path: path.clone(), reason: reason.into() }
+        })?;
+        codec::decode(kind, &bytes).map_err(|source| RunError::Record { path, source })
+    }
+
+    /// The settings the run was made with.
+    pub fn settings(&self) -> Result<Settings, RunError> {
+        Ok(Settings::layered(Some(&self.settings_file()), &[])?)
+    }
+
+    pub(crate) fn intake(&self) -> Result<Intake, RunError> {
+        self.read_json("scene.json")
+    }
+
+    /// Reads a trained run back; the feature field may be missing.
+    pub fn load(&self) -> Result<Loaded, RunError> {
+        let settings = self.settings()?;
+        let intake = self.intake()?;
+        let model: Model = self.read_record("model.bin", MODEL)?;
+        let scene = Scene::open(&intake.scene, &settings.scene)?;
+        if scene.views.iter().map(|v| &v.name).ne(&model.names) {
+            let reason = format!(
+                "the photos of {} have changed since this run: run again to bring it up to date",
+                intake.scene.display()
+            );
+            return Err(RunError::Folder { path: self.path.clone(), reason });
+        }
+        let field = match self.path.join("features.bin").is_file() {
+            true => Some(self.read_record::<FeatureField>("features.bin", FEATURES)?),
+            false => None,
+        };
+        let field = field.filter(|f| f.len() == model.splats.len());
+        Ok(Loaded { settings, scene, model, field })
+    }
+}

@@ -1,0 +1,74 @@
+//! `history.jsonl`: how the training went, a line every few steps.
+
+use crate::{RunError, RunFolder};
+use segwild_flow::files::FileError;
+use serde::{Deserialize, Serialize};
+use std::io::Write as _;
+
+/// A line of the history.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Moment {
+    /// Steps done.
+    pub step: u32,
+    /// Mean loss since the line before.
+    pub loss: f32,
+    /// Mean PSNR of the photos' counted pixels since the line before, in dB.
+    pub psnr: f32,
+    /// Splats.
+    pub splats: usize,
+    /// Mean share of the photos left out as transient.
+    pub left_out: f32,
+}
+
+/// The history as far as it was written; lines that are cut short are left out.
+pub fn read(folder: &RunFolder) -> Vec<Moment> {
+    let text = std::fs::read_to_string(folder.history()).unwrap_or_default();
+    text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
+}
+
+/// Adds a line.
+pub fn append(folder: &RunFolder, moment: &Moment) -> Result<(), RunError> {
+    let path = folder.history();
+    let line = serde_json::to_string(moment).unwrap_or_default();
+    std::fs::OpenOptions::new()
+        .create(true)
+        .append(true)
+        .open(&path)
+        .and_then(|mut file| writeln!(file, "{line}"))
+        .map_err(|e| FileError::new("write", &path, e).into())
+}
+
+/// Drops what was written after the step that training goes on from.
+pub fn trim(folder: &RunFolder, step: u32) -> Result<(), RunError> {
+    let kept: String = read(folder)
+        .into_iter()
+        .filter(|m| m.step <= step)
+        .filter_map(|m| serde_json::to_string(&m).ok())
+        .map(|line| line + "\n")
+        .collect();
+    folder.write("history.jsonl", kept.as_bytes())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn going_on_from_a_step_forgets_what_came_after() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = RunFolder::create(dir.path()).unwrap();
+        let at = |step| Moment { step, loss: 0.1, psnr: 20.0, splats: 5, left_out: 0.0 };
+        for step in [20, 40, 60] {
+            append(&folder, &at(step)).unwrap();
+        }
+        std::fs::OpenOptions::new()
+            .append(true)
+            .open(folder.history())
+            .unwrap()
+            .write_all(b"{\"step\": 8")
+            .unwrap();
+        assert_eq!(read(&folder).len(), 3, "a line that was cut short is left out");
+        trim(&folder, 40).unwrap();
+        assert_eq!(read(&folder), vec![at(20), at(40)]);
+    }
+}

@@ -1,0 +1,32 @@
+//! One scene's graph: wires the four actors, decides what overlaps, resumes.
+//!
+//! A run lives in a [`RunFolder`]. [`run()`] fills it: sky and embeddings while geometry trains, masks from a
+//! snapshot while geometry trains on, then the feature field, held-out scores and the report. [`segment()`],
+//! [`render()`] and [`score()`] read what it left.
+
+mod artefacts;
+mod board;
+mod checkpoints;
+mod coordinator;
+mod error;
+mod evaluate;
+mod folder;
+mod graph;
+mod history;
+mod outcome;
+mod render;
+mod report;
+mod segment;
+mod settings;
+mod visibility;
+
+pub use artefacts::Keys;
+pub use error::RunError;
+pub use evaluate::{HeldOut, MaskScore, Score, score};
+pub use folder::{Loaded, RunFolder};
+pub use graph::{RunOptions, STAGES, Summary, run};
+pub use render::{Drawn, Mode, RenderRequest, What, render};
+pub use report::write_report;
+pub use segment::{PhotoPrompts, SegmentOutcome, Selected, Shortened, segment};
+pub use segwild_trainer::Preset;
+pub use settings::{RunSettings, Settings, SettingsError};

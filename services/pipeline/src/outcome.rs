@@ -1,0 +1,36 @@
+//! What the actors send to the coordinator, in one mailbox.
+
+use segwild_features::FeatureOutcome;
+use segwild_flow::Message;
+use segwild_masks::MaskOutcome;
+use segwild_trainer::TrainOutcome;
+
+/// Whatever an actor has to say.
+pub enum Outcome {
+    /// The features actor.
+    Feature(FeatureOutcome),
+    /// The masks actor.
+    Mask(MaskOutcome),
+    /// The trainer.
+    Train(TrainOutcome),
+}
+
+impl Message for Outcome {}
+
+impl From<FeatureOutcome> for Outcome {
+    fn from(outcome: FeatureOutcome) -> Self {
+        Outcome::Feature(outcome)
+    }
+}
+
+impl From<MaskOutcome> for Outcome {
+    fn from(outcome: MaskOutcome) -> Self {
+        Outcome::Mask(outcome)
+    }
+}
+
+impl From<TrainOutcome> for Outcome {
+    fn from(outcome: TrainOutcome) -> Self {
+        Outcome::Train(outcome)
+    }
+}

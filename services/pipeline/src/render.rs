@@ -1,0 +1,291 @@
+//! Pictures of a trained scene: a photo's view, a path through several, under any look, with a selection.
+
+use crate::folder::Loaded;
+use crate::{RunError, RunFolder, Selected};
+use glam::{Mat3, Quat, Vec3};
+use segwild_features::FeatureColours;
+use segwild_raster::{Channels, CpuEngine, Engine};
+use segwild_scene::{Camera, Image, Pose, Scene};
+use segwild_trainer::{Model, render_view};
+use serde::Serialize;
+use std::path::PathBuf;
+
+/// How a selection is drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mode {
+    /// Tinted, in the scene.
+    Highlight,
+    /// Alone.
+    Only,
+    /// The scene without it.
+    Without,
+}
+
+/// What is drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum What {
+    /// The scene as it looks.
+    Colour,
+    /// Depth, near bright.
+    Depth,
+    /// How much of each pixel is covered.
+    Alpha,
+    /// The feature field's main components as colours.
+    Features,
+}
+
+/// What to draw.
+#[derive(Clone, Debug)]
+pub struct RenderRequest {
+    /// Names of the photos whose views are drawn, or between which the path runs; empty: all.
+    pub photos: Vec<String>,
+    /// Pictures along a path through the photos; `None`: one per photo.
+    pub frames: Option<u32>,
+    /// Whose look: `None` the view's own (on a path, the nearest photo's), `Some("none")` the scene's own.
+    pub look: Option<String>,
+    /// A selection and how to draw it.
+    pub selection: Option<(String, Mode)>,
+    /// What is drawn.
+    pub what: What,
+    /// Long side in pixels; `None`: as trained.
+    pub width: Option<u32>,
+    /// Where the pictures go; `None`: `RUN/renders`.
+    pub out: Option<PathBuf>,
+}
+
+/// A picture that was drawn.
+#[derive(Clone, Debug, Serialize)]
+pub struct Drawn {
+    /// The file.
+    pub file: PathBuf,
+    /// What it shows.
+    pub view: String,
+}
+
+/// Draws what is asked for.
+pub fn render(folder: &RunFolder, request: &RenderRequest) -> Result<Vec<Drawn>, RunError> {
+    let loaded = folder.load()?;
+    let engine = CpuEngine::default();
+    let find = |name: &str| {
+        loaded
+            .scene
+            .view_named(name)
+            .ok_or_else(|| RunError::Request(format!("this run has no photo `{name}`")))
+    };
+    let chosen: Vec<usize> = match request.photos.is_empty() {
+        true => (0..loaded.scene.views.len()).collect(),
+        false => request.photos.iter().map(|n| find(n)).collect::<Result<_, _>>()?,
+    };
+    let look = match request.look.as_deref() {
+        None => None,
+        Some("none") => Some(None),
+        Some(name) => Some(Some(find(name)?)),
+    };
+    let selected = match &request.selection {
+        Some((name, mode)) => Some((Selected::read(folder, name, loaded.model.splats.len())?, *mode)),
+        None => None,
+    };
+    let size = request.width.unwrap_or(loaded.settings.scene.size);
+    let shots = match request.frames {
+        None => chosen.iter().map(|&v| Shot::of_view(&loaded.scene, v, size)).collect(),
+        Some(_) if chosen.len() < 2 => {
+            return Err(RunError::Request("a path needs two photos or more: give --photo twice".into()));
+        }
+        Some(frames) => path(&loaded.scene, &chosen, frames, size),
+    };
+    let out = request.out.clone().unwrap_or_else(|| folder.path().join("renders"));
+    std::fs::create_dir_all(&out).map_err(|e| segwild_flow::FileError::new("create", &out, e))?;
+    let painter = Painter::new(&loaded, &engine, selected, request.what)?;
+    let mut drawn = Vec::new();
+    for shot in shots {
+        let look = look.unwrap_or(Some(shot.view));
+        let image = painter.paint(&shot.camera, &shot.pose, look)?;
+        let file = out.join(format!("{}.png", shot.name.replace(['/', '\\'], "_")));
+        image.write_png(&file)?;
+        drawn.push(Drawn { file, view: shot.name });
+    }
+    Ok(drawn)
+}
+
+/// One picture to take.
+struct Shot {
+    name: String,
+    camera: Camera,
+    pose: Pose,
+    /// The view whose look it has.
+    view: usize,
+}
+
+impl Shot {
+    fn of_view(scene: &Scene, view: usize, size: u32) -> Shot {
+        let v = &scene.views[view];
+        let name = v.name.rsplit_once('.').map_or(v.name.as_str(), |(stem, _)| stem).to_owned();
+        Shot { name, camera: v.camera.scaled_to(size), pose: v.pose, view }
+    }
+}
+
+/// A smooth path through the views: centres along a Catmull-Rom spline, rotations slerped, intrinsics of the first
+/// with the focal length blended.
+fn path(scene: &Scene, through: &[usize], frames: u32, size: u32) -> Vec<Shot> {
+    let key = |k: isize| &scene.views[through[k.clamp(0, through.len() as isize - 1) as usize]];
+    let rotation = |pose: &Pose| Quat::from_mat3(&pose.rotation.transpose());
+    let first = key(0).camera.scaled_to(size);
+    (0..frames)
+        .map(|f| {
+            let at = f as f32 / (frames - 1) as f32 * (through.len() - 1) as f32;
+            let k = (at as usize).min(through.len() - 2) as isize;
+            let t = at - k as f32;
+            let c = |i: isize| key(k + i).pose.centre();
+            let centre = catmull_rom(c(-1), c(0), c(1), c(2), t);
+            let turn = rotation(&key(k).pose).slerp(rotation(&key(k + 1).pose), t);
+            let rotation = Mat3::from_quat(turn).transpose();
+            let relative = |i: isize| key(k + i).camera.fy / key(k + i).camera.height as f32;
+            let focal = (relative(0) * (1.0 - t) + relative(1) * t) * first.height as f32;
+            let camera = Camera {
+                fx: focal,
+                fy: focal,
+                cx: first.width as f32 / 2.0,
+                cy: first.height as f32 / 2.0,
+                ..first
+            };
+            let nearest = through[if t < 0.5 { k } else { k + 1 } as usize];
+            let pose = Pose { rotation, translation: -(rotation * centre) };
+            Shot { name: format!("path-{f:04}"), camera, pose, view: nearest }
+        })
+        .collect()
+}
+
+fn catmull_rom(a: Vec3, b: Vec3, c: Vec3, d: Vec3, t: f32) -> Vec3 {
+    0.5 * ((2.0 * b)
+        + (c - a) * t
+        + (2.0 * a - 5.0 * b + 4.0 * c - d) * t * t
+        + (3.0 * b - a - 3.0 * c + d) * t * t * t)
+}
+
+/// Colour that highlights a selection.
+const TINT: [f32; 3] = [1.0, 0.35, 0.1];
+
+/// Draws one kind of picture of one scene.
+pub(crate) struct Painter<'a> {
+    engine: &'a dyn Engine,
+    model: Model,
+    indicator: Option<Vec<f32>>,
+    only: bool,
+    what: What,
+    features: Option<(&'a segwild_features::FeatureField, FeatureColours)>,
+}
+
+impl<'a> Painter<'a> {
+    pub(crate) fn new(
+        loaded: &'a Loaded,
+        engine: &'a dyn Engine,
+        selected: Option<(Selected, Mode)>,
+        what: What,
+    ) -> Result<Painter<'a>, RunError> {
+        let mut model = loaded.model.clone();
+        let (mut indicator, mut only) = (None, false);
+        if let Some((selected, mode)) = selected {
+            model.splats = selected.cut_scene(&model.splats);
+            match mode {
+                Mode::Highlight => {
+                    indicator = Some(selected.labels.iter().map(|&l| f32::from(u8::from(l))).collect());
+                }
+                Mode::Only | Mode::Without => {
+                    let keep: Vec<usize> = (0..selected.labels.len())
+                        .filter(|&i| selected.labels[i] == (mode == Mode::Only))
+                        .collect();
+                    model.splats = model.splats.select(&keep);
+                    only = mode == Mode::Only;
+                    if what == What::Features {
+                        let text =
+                            "features are drawn for the whole scene: leave --mode or use --mode highlight";
+                        return Err(RunError::Request(text.into()));
+                    }
+                }
+            }
+        }
+        let features = match (what, &loaded.field) {
+            (What::Features, Some(field)) => Some((field, FeatureColours::of(field)?)),
+            (What::Features, None) => {
+                return Err(RunError::Request(
+                    "this run has no feature field yet: finish `segwild run` first".into(),
+                ));
+            }
+            _ => None,
+        };
+        Ok(Painter { engine, model, indicator, only, what, features })
+    }
+
+    /// One picture, in [0, 1].
+    pub(crate) fn paint(&self, camera: &Camera, pose: &Pose, look: Option<usize>) -> Result<Image, RunError> {
+        let options = self.model.options();
+        let splats = &self.model.splats;
+        if self.what == What::Colour {
+            let mut image = render_view(&self.model, self.engine, camera, pose, look)?;
+            let blend = |values: &[f32]| -> Result<_, RunError> {
+                Ok(self.engine.project(splats, camera, pose, &options)?.blend(&Channels { count: 1, values }))
+            };
+            let n = image.pixels();
+            if self.only {
+                // Over white, so that the object is seen as the object it is.
+                let alpha = blend(&vec![0.0; splats.len()])?.alpha;
+                let behind = render_background(&self.model, camera, pose, look);
+                for c in 0..3 {
+                    for i in 0..n {
+                        let over = 1.0 - alpha.data[i];
+                        let v = &mut image.data[c * n + i];
+                        *v = (*v + over * (1.0 - behind.data[c * n + i])).clamp(0.0, 1.0);
+                    }
+                }
+            }
+            if let Some(indicator) = &self.indicator {
+                let share = blend(indicator)?.image;
+                for c in 0..3 {
+                    for i in 0..n {
+                        let s = 0.45 * share.data[i].clamp(0.0, 1.0);
+                        let v = &mut image.data[c * n + i];
+                        *v = *v * (1.0 - s) + TINT[c] * s;
+                    }
+                }
+            }
+            return Ok(image);
+        }
+        let projected = self.engine.project(splats, camera, pose, &options)?;
+        match (self.what, &self.features) {
+            (What::Features, Some((field, colours))) => {
+                Ok(colours.paint(&projected.blend(&field.channels())))
+            }
+            (What::Alpha, _) => {
+                Ok(projected.blend(&Channels { count: 1, values: &vec![0.0; splats.len()] }).alpha)
+            }
+            _ => {
+                let frame = projected.blend(&Channels { count: 1, values: projected.depths() });
+                Ok(bright_when_near(&frame.image, &frame.alpha))
+            }
+        }
+    }
+}
+
+/// What stands behind the splats.
+fn render_background(model: &Model, camera: &Camera, pose: &Pose, look: Option<usize>) -> Image {
+    model.background(look).paint(camera, pose)
+}
+
+/// Inverse depth between its 1 and 99 % quantiles; black where nothing is.
+fn bright_when_near(depth: &Image, alpha: &Image) -> Image {
+    let covered = |i: usize| alpha.data[i] > 0.5 && depth.data[i] > 0.0;
+    let inverse = |i: usize| alpha.data[i] / depth.data[i];
+    let mut all: Vec<f32> = (0..depth.pixels()).filter(|&i| covered(i)).map(inverse).collect();
+    all.sort_by(f32::total_cmp);
+    let mut out = Image::zeros(depth.width, depth.height, 1);
+    if all.is_empty() {
+        return out;
+    }
+    let at = |q: f32| all[((all.len() - 1) as f32 * q) as usize];
+    let (low, high) = (at(0.01), at(0.99));
+    for i in (0..depth.pixels()).filter(|&i| covered(i)) {
+        let v = if high > low { (inverse(i) - low) / (high - low) } else { 1.0 };
+        out.data[i] = 0.1 + 0.9 * v.clamp(0.0, 1.0);
+    }
+    out
+}

@@ -1,0 +1,268 @@
+//! `report.html`: one self-contained page with all that a run did.
+
+mod html;
+
+use crate::evaluate::HeldOut;
+use crate::folder::Loaded;
+use crate::history::{self, Moment};
+use crate::render::{Mode, Painter, What};
+use crate::{Keys, RunError, RunFolder, Selected};
+use html::Series;
+use segwild_flow::{Cache, Ledger, SpanKind};
+use segwild_raster::{CpuEngine, Engine};
+use segwild_scene::{Image, Mask, MaskSet};
+use segwild_vision::Providers;
+use std::fmt::Write as _;
+
+/// Writes the report from what the run folder holds. Called at the end of a run and after each selection.
+pub fn write_report(folder: &RunFolder) -> Result<(), RunError> {
+    let loaded = folder.load()?;
+    let engine = CpuEngine::default();
+    let providers = Providers::from_settings(&loaded.settings.vision)?;
+    let keys = Keys::new(&loaded.scene, &loaded.settings, &providers, engine.name())?;
+    let cache = folder.cache()?;
+    let mut body = String::new();
+    body.push_str(&summary(folder, &loaded)?);
+    body.push_str(&objects(folder, &loaded, &engine)?);
+    body.push_str(&photos(&loaded, &engine, &keys, &cache)?);
+    body.push_str(&curves(folder));
+    body.push_str(&stages(folder));
+    body.push_str(&skipped(folder)?);
+    let settings = std::fs::read_to_string(folder.settings_file()).unwrap_or_default();
+    let _ = write!(
+        body,
+        "<h2>Settings</h2><details><summary>segwild.toml</summary><pre>{}</pre></details>",
+        html::escape(&settings)
+    );
+    let title = folder.path().file_name().map_or("run".into(), |n| n.to_string_lossy().into_owned());
+    folder.write("report.html", html::page(&format!("segwild: {title}"), &body).as_bytes())
+}
+
+fn summary(folder: &RunFolder, loaded: &Loaded) -> Result<String, RunError> {
+    let intake = folder.intake()?;
+    let mut rows = vec![vec!["what".to_owned(), "how much".to_owned()]];
+    let mut row = |name: &str, value: String| rows.push(vec![name.to_owned(), value]);
+    row("scene", intake.scene.display().to_string());
+    row(
+        "photos",
+        format!(
+            "{} ({} held out, {} skipped)",
+            intake.photos.len(),
+            intake.held_out.len(),
+            intake.skipped.len()
+        ),
+    );
+    row("points", intake.points.to_string());
+    row("splats", loaded.model.splats.len().to_string());
+    row("steps", loaded.model.stats.step.to_string());
+    if let Some(psnr) = loaded.model.stats.psnr {
+        row("PSNR on training photos", format!("{psnr:.2} dB"));
+    }
+    if let Some(field) = &loaded.field {
+        let kept = 100.0 * field.pca.explained_variance();
+        row("features", format!("{} channels, {kept:.1} % of the embedding's variance", field.channels));
+    }
+    let mut text = html::table(&rows);
+    if let Ok(held) = folder.read_json::<HeldOut>("evaluation.json")
+        && !intake.held_out.is_empty()
+    {
+        let _ = write!(text, "<h2>Held-out photos</h2><p>{}</p>", html::escape(&held.protocol));
+        let mut rows = vec![vec!["photo".into(), "PSNR (dB)".into(), "SSIM".into()]];
+        for (name, psnr, ssim) in &held.photos {
+            rows.push(vec![name.clone(), format!("{psnr:.2}"), format!("{ssim:.3}")]);
+        }
+        rows.push(vec!["mean".into(), format!("{:.2}", held.psnr), format!("{:.3}", held.ssim)]);
+        text.push_str(&html::table(&rows));
+    }
+    Ok(text)
+}
+
+/// The selections, each from a few of the photos it shows on.
+fn objects(folder: &RunFolder, loaded: &Loaded, engine: &dyn Engine) -> Result<String, RunError> {
+    let mut text = String::new();
+    for name in folder.selections() {
+        let Ok(selected) = Selected::read(folder, &name, loaded.model.splats.len()) else { continue };
+        let count = selected.labels.iter().filter(|&&l| l).count();
+        let _ = write!(
+            text,
+            "<h2>Object: {}</h2><p>{count} splats. <code>selections/{0}/object.ply</code>, masks beside it.</p><div class=\"row\">",
+            html::escape(&name)
+        );
+        let highlight =
+            Painter::new(loaded, engine, Some((selected.clone(), Mode::Highlight)), What::Colour)?;
+        let only = Painter::new(loaded, engine, Some((selected, Mode::Only)), What::Colour)?;
+        for view in spread(loaded, 4) {
+            let v = &loaded.scene.views[view];
+            let camera = v.camera.scaled_to(loaded.settings.scene.size.min(360));
+            text.push_str(&html::figure(&highlight.paint(&camera, &v.pose, Some(view))?, &v.name));
+            text.push_str(&html::figure(&only.paint(&camera, &v.pose, Some(view))?, "alone"));
+        }
+        text.push_str("</div>");
+    }
+    Ok(text)
+}
+
+/// Some views, evenly over the list.
+fn spread(loaded: &Loaded, count: usize) -> Vec<usize> {
+    let n = loaded.scene.views.len();
+    let count = count.min(n);
+    (0..count).map(|k| k * n / count).collect()
+}
+
+/// Photos beside what the scene makes of them.
+fn photos(loaded: &Loaded, engine: &dyn Engine, keys: &Keys, cache: &Cache) -> Result<String, RunError> {
+    let mut text = String::from("<h2>Photos</h2>");
+    let colour = Painter::new(loaded, engine, None, What::Colour)?;
+    let depth = Painter::new(loaded, engine, None, What::Depth)?;
+    let features = match &loaded.field {
+        Some(_) => Some(Painter::new(loaded, engine, None, What::Features)?),
+        None => None,
+    };
+    for view in spread(loaded, loaded.settings.run.report_photos as usize) {
+        let v = &loaded.scene.views[view];
+        let Ok(photo) = v.load(loaded.settings.scene.size.min(360)) else { continue };
+        let camera = photo.camera;
+        let held = if v.test { " (held out)" } else { "" };
+        text.push_str("<div class=\"row\">");
+        text.push_str(&html::figure(&photo.image, &format!("{}{held}", v.name)));
+        text.push_str(&html::figure(&colour.paint(&camera, &v.pose, Some(view))?, "render, own look"));
+        text.push_str(&html::figure(&colour.paint(&camera, &v.pose, None)?, "render, the scene's look"));
+        text.push_str(&html::figure(&depth.paint(&camera, &v.pose, None)?, "depth"));
+        if let Some(features) = &features {
+            text.push_str(&html::figure(&features.paint(&camera, &v.pose, None)?, "features"));
+        }
+        if let Ok(Some(set)) = cache.get_typed::<MaskSet>(&keys.masks[view], "masks") {
+            text.push_str(&html::figure(&mask_picture(&set), &format!("{} masks", set.masks.len())));
+        }
+        if let Ok(Some(sky)) = cache.get_typed::<Mask>(&keys.sky[view], "sky")
+            && !sky.is_empty()
+        {
+            let mut picture = photo.image.clone();
+            let sky = sky.resized(camera.width, camera.height);
+            let n = picture.pixels();
+            for (x, y) in sky.pixels() {
+                let i = (y * camera.width + x) as usize;
+                picture.data[i] *= 0.4;
+                picture.data[n + i] *= 0.4;
+                picture.data[2 * n + i] = 0.6 + 0.4 * picture.data[2 * n + i];
+            }
+            text.push_str(&html::figure(&picture, "sky"));
+        }
+        text.push_str("</div>");
+    }
+    Ok(text)
+}
+
+/// Masks in colours of their own, small ones over large ones.
+fn mask_picture(set: &MaskSet) -> Image {
+    let mut order: Vec<usize> = (0..set.masks.len()).collect();
+    order.sort_by_key(|&k| std::cmp::Reverse(set.masks[k].mask.count()));
+    let mut image = Image::filled(set.width as usize, set.height as usize, 3, 0.12);
+    let n = image.pixels();
+    for (rank, &k) in order.iter().enumerate() {
+        // Steps of the golden angle give neighbours in size colours far apart.
+        let hue = (rank as f32 * 0.618_034).fract() * std::f32::consts::TAU;
+        for (x, y) in set.masks[k].mask.pixels() {
+            let i = y as usize * image.width + x as usize;
+            for c in 0..3 {
+                image.data[c * n + i] = 0.55 + 0.4 * (hue + c as f32 * std::f32::consts::TAU / 3.0).cos();
+            }
+        }
+    }
+    image
+}
+
+fn curves(folder: &RunFolder) -> String {
+    let moments = history::read(folder);
+    let line = |name: &str, pick: fn(&Moment) -> f64| Series {
+        name: name.to_owned(),
+        points: moments.iter().map(|m| (f64::from(m.step), pick(m))).collect(),
+    };
+    let mut text = String::from("<h2>Training</h2>");
+    text.push_str(&html::chart("loss", "step", "", &[line("loss", |m| m.loss.into())]));
+    text.push_str(&html::chart(
+        "PSNR on the photo of the step",
+        "step",
+        "dB",
+        &[line("PSNR", |m| m.psnr.into())],
+    ));
+    text.push_str(&html::chart("splats", "step", "", &[line("splats", |m| m.splats as f64)]));
+    text.push_str(&html::chart(
+        "left out as transient",
+        "step",
+        "share",
+        &[line("share", |m| m.left_out.into())],
+    ));
+    text
+}
+
+/// Timings per stage from the ledger, and who did what when.
+fn stages(folder: &RunFolder) -> String {
+    let mut text = String::from("<h2>Stages</h2>");
+    if let Ok(ledger) = Ledger::open_read_only(folder.ledger())
+        && let Ok(stages) = ledger.stages()
+    {
+        let mut rows = vec![vec![
+            "stage".to_owned(),
+            "state".into(),
+            "seconds".into(),
+            "views made".into(),
+            "begun".into(),
+        ]];
+        for s in stages {
+            let seconds = s.started.zip(s.ended).map_or("-".to_owned(), |(a, b)| format!("{:.1}", b - a));
+            let made =
+                ledger.views(&s.name).map_or(0, |v| v.iter().filter(|v| v.outcome.seconds.is_some()).count());
+            let state = serde_json::to_string(&s.state).unwrap_or_default().replace('"', "");
+            rows.push(vec![s.name, state, seconds, made.to_string(), format!("{} x", s.runs)]);
+        }
+        text.push_str(&html::table(&rows));
+    }
+    if let Ok(report) = folder.read_json::<serde_json::Value>("timeline.json") {
+        text.push_str(&timeline(&report));
+    }
+    text
+}
+
+fn timeline(report: &serde_json::Value) -> String {
+    let mut rows = vec![vec![
+        "actor".to_owned(),
+        "busy (s)".into(),
+        "waiting (s)".into(),
+        "blocked (s)".into(),
+        "messages".into(),
+    ]];
+    for actor in report["actors"].as_array().into_iter().flatten() {
+        let seconds = |name: &str| format!("{:.1}", actor[name].as_f64().unwrap_or(0.0));
+        rows.push(vec![
+            actor["name"].as_str().unwrap_or_default().to_owned(),
+            seconds("busy_s"),
+            seconds("waiting_s"),
+            seconds("blocked_s"),
+            actor["messages"].to_string(),
+        ]);
+    }
+    let busy = serde_json::to_value(SpanKind::Busy).unwrap_or_default();
+    let spans: Vec<(String, String, f64, f64)> = report["timeline"]["spans"]
+        .as_array()
+        .into_iter()
+        .flatten()
+        .filter(|s| s["kind"] == busy)
+        .map(|s| {
+            let text = |name: &str| s[name].as_str().unwrap_or_default().to_owned();
+            let time = |name: &str| s[name].as_f64().unwrap_or(0.0);
+            (text("actor"), text("label"), time("start"), time("end"))
+        })
+        .collect();
+    format!("<h2>Who did what when</h2>{}{}", html::timeline(&spans), html::table(&rows))
+}
+
+fn skipped(folder: &RunFolder) -> Result<String, RunError> {
+    let intake = folder.intake()?;
+    if intake.skipped.is_empty() {
+        return Ok("<h2>Skipped photos</h2><p>None.</p>".into());
+    }
+    let mut rows = vec![vec!["photo".to_owned(), "why".to_owned()]];
+    rows.extend(intake.skipped.into_iter().map(|s| vec![s.name, s.reason]));
+    Ok(format!("<h2>Skipped photos</h2>{}", html::table(&rows)))
+}

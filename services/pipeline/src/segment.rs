@@ -1,0 +1,353 @@
+//! Clicks in one photo to an object in 3D, written where other tools can open it.
+
+use crate::folder::Loaded;
+use crate::{RunError, RunFolder, report};
+use segwild_flow::{ActorOptions, Limits, Phase, Stopper, System, SystemOptions, mailbox};
+use segwild_raster::{Channels, CpuEngine, Engine};
+use segwild_scene::{Image, Mask, Prompts, Scene, Splats, ply};
+use segwild_segmenter::{
+    Cut, Geometry, Object, PosedView, SegmentActor, SegmentError, SegmentReply, SegmentSettings, SegmentTask,
+    Segmented, Verdict,
+};
+use segwild_vision::Providers;
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Instant;
+use wincode::{SchemaRead, SchemaWrite};
+
+/// Kind of the record in `selection.bin`.
+const SELECTION: &str = "selection";
+/// Masks are drawn at most this many times larger than the photos were trained at, then scaled.
+const FINER: u32 = 2;
+
+/// What was said on one photo, in pixels of the photo at its full size: how `prompts.json` replays it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PhotoPrompts {
+    /// The photo's name.
+    pub photo: String,
+    /// Clicks and boxes.
+    #[serde(flatten)]
+    pub prompts: Prompts,
+}
+
+/// `selection.bin`: a selection that can be drawn again.
+#[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
+pub struct Selected {
+    /// Per splat of the scene, whether it belongs to the object, after the cut.
+    pub labels: Vec<bool>,
+    /// Splats that the cut changes, and what they become.
+    pub changed: Vec<Shortened>,
+}
+
+/// A splat after the spike cut.
+#[derive(Clone, Copy, Debug, PartialEq, SchemaRead, SchemaWrite)]
+pub struct Shortened {
+    /// Which splat of the scene.
+    pub splat: u32,
+    /// Its centre.
+    pub mean: [f32; 3],
+    /// Logarithms of its standard deviations.
+    pub log_scales: [f32; 3],
+    /// Its rotation (w, x, y, z).
+    pub rotation: [f32; 4],
+}
+
+impl Selected {
+    fn new(labels: &[bool], cut: &Cut) -> Selected {
+        let mut labels = labels.to_vec();
+        cut.trim(&mut labels);
+        let after = |&(splat, _, Geometry { mean, log_scales, rotation }): &(u32, Geometry, Geometry)| {
+            Shortened { splat, mean, log_scales, rotation }
+        };
+        Selected { labels, changed: cut.changed.iter().map(after).collect() }
+    }
+
+    /// The scene with the cut applied.
+    pub fn cut_scene(&self, splats: &Splats) -> Splats {
+        let mut splats = splats.clone();
+        for s in &self.changed {
+            let i = s.splat as usize;
+            (splats.means[i], splats.log_scales[i], splats.rotations[i]) = (s.mean, s.log_scales, s.rotation);
+        }
+        splats
+    }
+
+    /// Reads a run's selection by name.
+    pub fn read(folder: &RunFolder, name: &str, splats: usize) -> Result<Selected, RunError> {
+        let path = folder.selection(name);
+        if !path.join("selection.bin").is_file() {
+            let known = folder.selections();
+            let known = if known.is_empty() { "there is none yet".to_owned() } else { known.join(", ") };
+            return Err(RunError::Request(format!("this run has no selection named `{name}` ({known})")));
+        }
+        let selected: Selected =
+            folder.read_record(&format!("selections/{name}/selection.bin"), SELECTION)?;
+        if selected.labels.len() != splats {
+            let reason =
+                "the scene has been trained anew since; segment again (`--prompts` replays the clicks)";
+            return Err(RunError::Folder { path, reason: reason.into() });
+        }
+        Ok(selected)
+    }
+}
+
+/// What `segment` made.
+#[derive(Clone, Debug, Serialize)]
+pub struct SegmentOutcome {
+    /// The selection's folder.
+    pub folder: PathBuf,
+    /// Splats of the object.
+    pub splats: usize,
+    /// Splats shortened by the spike cut.
+    pub cut: usize,
+    /// Splats dropped by it.
+    pub dropped: usize,
+    /// Photos on which the object shows.
+    pub photos: usize,
+    /// Photos whose own boundaries took part.
+    pub agreeing: usize,
+    /// Photos that were asked and disagreed.
+    pub disagreeing: usize,
+    /// Seconds from the prompts to the selection, the scene being loaded.
+    pub select_s: f64,
+    /// Seconds in all.
+    pub wall_s: f64,
+}
+
+/// Selects what the prompts mean and writes it to the run's `selections/NAME`.
+pub fn segment(
+    folder: &RunFolder,
+    name: &str,
+    prompts: &[PhotoPrompts],
+    settings: &SegmentSettings,
+    providers: Option<&Providers>,
+    stopper: &Stopper,
+) -> Result<SegmentOutcome, RunError> {
+    let began = Instant::now();
+    if name.is_empty()
+        || !name.chars().all(|c| c.is_ascii_alphanumeric() || "-_.".contains(c))
+        || name.starts_with('.')
+    {
+        return Err(RunError::Request(format!(
+            "`{name}` cannot name a selection: use letters, digits, dashes and underscores"
+        )));
+    }
+    let loaded = folder.load()?;
+    let Loaded { settings: made_with, scene, model, field } = loaded;
+    let size = made_with.scene.size;
+    let own;
+    let providers = match providers {
+        Some(providers) => providers,
+        None => {
+            own = Providers::from_settings(&made_with.vision)?;
+            &own
+        }
+    };
+    let views: Vec<PosedView> = scene
+        .views
+        .iter()
+        .map(|v| PosedView { name: v.name.clone(), camera: v.camera.scaled_to(size), pose: v.pose })
+        .collect();
+    let mut asked = Vec::new();
+    for p in prompts {
+        let view = scene.view_named(&p.photo).ok_or_else(|| {
+            let near: Vec<&str> = scene.views.iter().take(5).map(|v| v.name.as_str()).collect();
+            RunError::Request(format!(
+                "this run has no photo `{}`; it has {} photos: {}, ...",
+                p.photo,
+                scene.views.len(),
+                near.join(", ")
+            ))
+        })?;
+        if p.prompts.points.is_empty() && p.prompts.boxes.is_empty() {
+            return Err(SegmentError::NoPrompt.into());
+        }
+        let (full, small) = (&scene.views[view].camera, &views[view].camera);
+        let (sx, sy) = (small.width as f32 / full.width as f32, small.height as f32 / full.height as f32);
+        for point in &p.prompts.points {
+            if !full.contains(glam::Vec2::new(point.x, point.y)) {
+                let (photo, x, y) = (p.photo.clone(), point.x, point.y);
+                return Err(SegmentError::OutsideFrame {
+                    photo,
+                    x,
+                    y,
+                    width: full.width,
+                    height: full.height,
+                }
+                .into());
+            }
+        }
+        asked.push((view, p.prompts.scaled(sx, sy)));
+    }
+    if asked.is_empty() {
+        return Err(SegmentError::NoPrompt.into());
+    }
+    let features = match &field {
+        Some(f) => Some(Arc::new(segwild_segmenter::FeatureField::new(f.channels, f.values.clone())?)),
+        None => None,
+    };
+
+    let engine: Arc<dyn Engine> = Arc::new(CpuEngine::default());
+    let scene = Arc::new(scene);
+    let photos = {
+        let scene = scene.clone();
+        Arc::new(move |view: usize| -> Result<Image, String> {
+            Ok(scene.views[view].load(size).map_err(|e| e.to_string())?.image)
+        })
+    };
+    let barred: Vec<bool> = scene.views.iter().map(|v| v.test).collect();
+    let system = System::new(SystemOptions { stopper: stopper.clone(), ..SystemOptions::default() })?;
+    let (tasks, inbox) = mailbox::<SegmentTask>("segmenter", Limits::default());
+    let (reply, answers) = mailbox::<SegmentReply>("answers", Limits::default());
+    let selected_at = Instant::now();
+    {
+        let (engine, splats, views) =
+            (engine.clone(), Arc::new(model.splats.clone()), Arc::new(views.clone()));
+        let (options, segmenter, barred) = (model.options(), providers.segmenter.clone(), Arc::new(barred));
+        system.spawn(inbox, ActorOptions { attempts: 1, ..ActorOptions::default() }, move || {
+            Ok(SegmentActor {
+                engine: engine.clone(),
+                options,
+                splats: splats.clone(),
+                views: views.clone(),
+                barred: barred.clone(),
+                features: features.clone(),
+                photos: photos.clone(),
+                segmenter: segmenter.clone(),
+                graph: None,
+            })
+        })?;
+    }
+    let failed = |reason: String| RunError::Stage { stage: "segment", reason };
+    tasks
+        .blocking_send_urgent(SegmentTask { prompts: asked, settings: settings.clone(), reply })
+        .map_err(|e| failed(e.to_string()))?;
+    drop(tasks);
+    let answer = answers.blocking_recv();
+    let report = system.join();
+    if stopper.phase() != Phase::Running {
+        return Err(RunError::Interrupted);
+    }
+    let Some(SegmentReply(answer)) = answer else {
+        let why: Vec<String> = report.failures().map(|(actor, error)| format!("{actor}: {error}")).collect();
+        return Err(failed(if why.is_empty() {
+            "the segmenter gave no answer".into()
+        } else {
+            why.join("; ")
+        }));
+    };
+    let segmented = answer.map_err(|e| in_photo_pixels(e, &scene, size))?;
+    let select_s = selected_at.elapsed().as_secs_f64();
+
+    // Written aside as a whole, so that a selection is there or not.
+    let target = folder.selection(name);
+    let Segmented { selection, cut, masks } = *segmented;
+    let selected = Selected::new(&selection.labels, &cut);
+    let dir = |sub: &str| -> Result<PathBuf, RunError> {
+        let path = target.join(sub);
+        std::fs::create_dir_all(&path).map_err(|e| segwild_flow::FileError::new("create", &path, e))?;
+        Ok(path)
+    };
+    let (mask_dir, amodal_dir, prompt_dir) = (dir("masks")?, dir("amodal")?, dir("prompted")?);
+    folder.write_json(&format!("selections/{name}/prompts.json"), &prompts)?;
+    folder.write_record(&format!("selections/{name}/selection.bin"), SELECTION, &selected)?;
+    let object = Object::new(&model.splats, &selection.labels, &cut);
+    ply::write(&target.join("object.ply"), &object.splats.to_file_frame(&scene.frame))?;
+    let labels: Vec<u8> = selected.labels.iter().map(|&l| u8::from(l)).collect();
+    ply::write_with(
+        &target.join("labels.ply"),
+        &selected.cut_scene(&model.splats).to_file_frame(&scene.frame),
+        &[("label", &labels)],
+    )?;
+    for (view, mask) in &masks {
+        let full = &scene.views[*view].camera;
+        mask.mask
+            .resized(full.width, full.height)
+            .write_png(&prompt_dir.join(png_name(&scene.views[*view].name)))?;
+    }
+    let cut_splats = selected.cut_scene(&model.splats);
+    let mut shows = 0;
+    for view in &scene.views {
+        let (visible, amodal) =
+            object_masks(&*engine, &cut_splats, &selected.labels, &model.options(), view, size)?;
+        shows += usize::from(!visible.is_empty());
+        visible.write_png(&mask_dir.join(png_name(&view.name)))?;
+        amodal.write_png(&amodal_dir.join(png_name(&view.name)))?;
+    }
+    let count = |verdict: Verdict| selection.visits.iter().filter(|v| v.verdict == verdict).count();
+    let outcome = SegmentOutcome {
+        folder: target,
+        splats: object.splats.len(),
+        cut: cut.changed.len(),
+        dropped: cut.dropped.len(),
+        photos: shows,
+        agreeing: count(Verdict::Accepted),
+        disagreeing: count(Verdict::Disagrees),
+        select_s,
+        wall_s: began.elapsed().as_secs_f64(),
+    };
+    folder.write_json(&format!("selections/{name}/summary.json"), &outcome)?;
+    report::write_report(folder)?;
+    Ok(outcome)
+}
+
+/// The error with its position as the person gave it: in pixels of the photo at full size.
+fn in_photo_pixels(error: SegmentError, scene: &Scene, size: u32) -> SegmentError {
+    let full = |photo: &str, x: f32, y: f32| {
+        let Some(view) = scene.views.iter().find(|v| v.name == photo) else { return (x, y) };
+        let (camera, small) = (view.camera, view.camera.scaled_to(size));
+        let round = |v: f32| (v * 10.0).round() / 10.0;
+        (
+            round(x * camera.width as f32 / small.width as f32),
+            round(y * camera.height as f32 / small.height as f32),
+        )
+    };
+    match error {
+        SegmentError::EmptySpace { photo, x, y, alpha } => {
+            let (x, y) = full(&photo, x, y);
+            SegmentError::EmptySpace { photo, x, y, alpha: alpha.abs() }
+        }
+        SegmentError::Background { photo, x, y } => {
+            let (x, y) = full(&photo, x, y);
+            SegmentError::Background { photo, x, y }
+        }
+        other => other,
+    }
+}
+
+/// File name of a photo's mask: its stem, sub-folders flattened, with the ending `.png`.
+pub(crate) fn png_name(photo: &str) -> String {
+    let flat = photo.replace(['/', '\\'], "_");
+    let stem = flat.rsplit_once('.').map_or(flat.as_str(), |(stem, _)| stem);
+    format!("{stem}.png")
+}
+
+/// The object's visible and amodal mask on the photo's own pixel grid.
+fn object_masks(
+    engine: &dyn Engine,
+    splats: &Splats,
+    labels: &[bool],
+    options: &segwild_raster::ProjectOptions,
+    view: &segwild_scene::View,
+    size: u32,
+) -> Result<(Mask, Mask), RunError> {
+    let full = &view.camera;
+    let camera = full.scaled_to(size * FINER);
+    let shares = |splats: &Splats, indicator: &[f32]| -> Result<Mask, RunError> {
+        let projected = engine.project(splats, &camera, &view.pose, options)?;
+        let frame = projected.blend(&Channels { count: 1, values: indicator });
+        let wide = frame.image.resized(full.width as usize, full.height as usize);
+        Ok(Mask::over(full.width, full.height, wide.plane(0), 0.5))
+    };
+    let indicator: Vec<f32> = labels.iter().map(|&l| f32::from(u8::from(l))).collect();
+    let visible = shares(splats, &indicator)?;
+    let keep: Vec<usize> = (0..splats.len()).filter(|&i| labels[i]).collect();
+    let object = splats.select(&keep);
+    let amodal = if object.is_empty() {
+        Mask::empty(full.width, full.height)
+    } else {
+        shares(&object, &vec![1.0; keep.len()])?
+    };
+    Ok((visible, amodal))
+}

@@ -1,0 +1,277 @@
+//! All settings of a run in one struct: flags, `segwild.toml` and `docs/settings.md` are made from it.
+
+use segwild_features::FeatureSettings;
+use segwild_masks::MaskSettings;
+use segwild_scene::settings::{Field, Group, SettingError};
+use segwild_scene::{SceneSettings, settings};
+use segwild_segmenter::SegmentSettings;
+use segwild_trainer::{Preset, TrainSettings};
+use segwild_vision::VisionSettings;
+use serde::{Deserialize, Serialize};
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+settings! {
+    /// The run as a whole.
+    pub struct RunSettings("run") {
+        /// How much time to spend; sets the defaults of the other settings.
+        preset: Preset = Preset::Standard,
+        /// Compute threads; 0 takes all cores. The result does not depend on it.
+        threads: u32 = 0,
+        /// Seconds between checkpoints of the training; an interrupted run loses no more than this.
+        checkpoint_every: u32 = 30,
+        /// Photo pairs shown in the report.
+        report_photos: u32 = 8,
+    }
+}
+
+/// Why settings cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum SettingsError {
+    /// The file cannot be read.
+    #[error("{file}: cannot be read: {source}")]
+    Read {
+        /// The file.
+        file: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// The file is not what it should be.
+    #[error("{file}: {reason}")]
+    File {
+        /// The file.
+        file: PathBuf,
+        /// What is wrong in it.
+        reason: String,
+    },
+    /// A value or a name does not fit.
+    #[error(transparent)]
+    Setting(#[from] SettingError),
+}
+
+macro_rules! compose {
+    ($($field:ident : $group:ty),+ $(,)?) => {
+        /// Every setting of a run; each field is a table of `segwild.toml`.
+        #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+        #[serde(default, deny_unknown_fields)]
+        pub struct Settings { $(#[allow(missing_docs)] pub $field: $group,)+ }
+
+        impl Settings {
+            /// The tables in order: name, what it is about, its settings.
+            pub fn catalogue() -> Vec<(&'static str, &'static str, &'static [Field])> {
+                vec![$((<$group>::TABLE, <$group>::DOC, <$group>::FIELDS)),+]
+            }
+
+            /// Sets one by name, whichever table holds it; dashes and underscores are the same.
+            pub fn set(&mut self, name: &str, value: &str) -> Result<(), SettingError> {
+                let field = name.replace('-', "_");
+                $(if self.$field.get(&field).is_some() { return self.$field.set(&field, value); })+
+                Err(SettingError::Unknown(name.to_owned()))
+            }
+
+            /// The text of one.
+            pub fn get(&self, name: &str) -> Option<String> {
+                let field = name.replace('-', "_");
+                None$(.or_else(|| self.$field.get(&field)))+
+            }
+        }
+    };
+}
+
+compose! {
+    run: RunSettings,
+    scene: SceneSettings,
+    vision: VisionSettings,
+    train: TrainSettings,
+    masks: MaskSettings,
+    features: FeatureSettings,
+    segment: SegmentSettings,
+}
+
+impl Settings {
+    /// The defaults of a preset.
+    pub fn preset(preset: Preset) -> Settings {
+        let mut settings = Settings { train: preset.settings(), ..Settings::default() };
+        settings.run.preset = preset;
+        if preset == Preset::Draft {
+            settings.features.refine_steps = 60;
+            settings.masks.prompt_budget = 128;
+        }
+        settings
+    }
+
+    /// Defaults of the preset, then the file, then the flags: later wins. Flags are `(name, value)` pairs.
+    pub fn layered(file: Option<&Path>, flags: &[(String, String)]) -> Result<Settings, SettingsError> {
+        let values = match file {
+            Some(file) => read_pairs(file)?,
+            None => Vec::new(),
+        };
+        let mut chosen = RunSettings::default();
+        for (name, value) in values.iter().chain(flags).filter(|(name, _)| name == "preset") {
+            chosen.set(name, value)?;
+        }
+        let mut settings = Settings::preset(chosen.preset);
+        for (name, value) in &values {
+            settings.set(name, value).map_err(|e| SettingsError::File {
+                file: file.map(Path::to_path_buf).unwrap_or_default(),
+                reason: e.to_string(),
+            })?;
+        }
+        for (name, value) in flags {
+            settings.set(name, value)?;
+        }
+        Ok(settings)
+    }
+
+    /// The same settings with the paths that exist from here made absolute, so that they hold from anywhere.
+    pub fn anchored(&self) -> Settings {
+        let mut settings = self.clone();
+        let Settings { scene, vision, .. } = &mut settings;
+        let SceneSettings { images, ignore, split, .. } = scene;
+        for path in [images, ignore, split, &mut vision.models, &mut vision.onnxruntime] {
+            if !path.is_empty()
+                && Path::new(&*path).exists()
+                && let Ok(whole) = std::path::absolute(&*path)
+            {
+                *path = whole.display().to_string();
+            }
+        }
+        settings
+    }
+
+    /// As `segwild.toml`, each setting with its documentation above it.
+    pub fn to_toml(&self) -> String {
+        let mut text = String::new();
+        for (table, doc, fields) in Settings::catalogue() {
+            let _ = write!(text, "# {doc}\n[{table}]\n");
+            for field in fields {
+                let value = self.get(field.name).unwrap_or_default();
+                let quoted = if field.kind == "N" || field.kind == "X" || field.choices == ["true", "false"] {
+                    value
+                } else {
+                    toml::Value::String(value).to_string()
+                };
+                let _ = write!(text, "# {}\n{} = {quoted}\n", field.doc, field.name);
+            }
+            text.push('\n');
+        }
+        text
+    }
+
+    /// The reference page, one table per group.
+    pub fn to_markdown() -> String {
+        let defaults = Settings::default();
+        let mut text = String::from(
+            "# Settings\n\nEvery setting is a flag (`--name value`) and a line of `segwild.toml`; flags win over the file, the file \
+             over the preset. This page is generated: `segwild doctor --settings`.\n",
+        );
+        for (table, doc, fields) in Settings::catalogue() {
+            let _ =
+                write!(text, "\n## `[{table}]`\n\n{doc}\n\n| flag | default | meaning |\n|---|---|---|\n");
+            for f in fields {
+                let default = defaults.get(f.name).unwrap_or_default();
+                let choices =
+                    if f.choices.is_empty() { String::new() } else { format!(" ({})", f.choices.join(", ")) };
+                let _ = writeln!(
+                    text,
+                    "| `--{}` | {} | {}{choices} |",
+                    f.name.replace('_', "-"),
+                    if default.is_empty() { "*none*".to_owned() } else { format!("`{default}`") },
+                    f.doc
+                );
+            }
+        }
+        text
+    }
+}
+
+/// A settings file as `(name, value)` pairs; the table of each must be the one it belongs to.
+fn read_pairs(file: &Path) -> Result<Vec<(String, String)>, SettingsError> {
+    let text = std::fs::read_to_string(file)
+        .map_err(|source| SettingsError::Read { file: file.to_path_buf(), source })?;
+    let wrong = |reason: String| SettingsError::File { file: file.to_path_buf(), reason };
+    let tables: toml::Table = text.parse().map_err(|e: toml::de::Error| wrong(e.to_string()))?;
+    let catalogue = Settings::catalogue();
+    let mut pairs = Vec::new();
+    for (table, content) in &tables {
+        let Some((_, _, fields)) = catalogue.iter().find(|(name, _, _)| name == table) else {
+            return Err(wrong(format!("there is no table [{table}]")));
+        };
+        let Some(content) = content.as_table() else {
+            return Err(wrong(format!("`{table}` must be a table: [{table}]")));
+        };
+        for (name, value) in content {
+            if !fields.iter().any(|f| f.name == name) {
+                return Err(wrong(format!("[{table}] has no setting `{name}`")));
+            }
+            let value = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+            pairs.push((name.clone(), value));
+        }
+    }
+    Ok(pairs)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn every_flag_has_one_meaning() {
+        let mut seen = BTreeSet::new();
+        for (table, _, fields) in Settings::catalogue() {
+            for f in fields {
+                assert!(seen.insert(f.name), "{} of [{table}] is the second flag of that name", f.name);
+            }
+        }
+    }
+
+    #[test]
+    fn file_and_flags_are_layered_over_the_preset() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("segwild.toml");
+        std::fs::write(&file, "[run]\npreset = \"draft\"\n[segment]\ntau = 0.4\n").unwrap();
+        let flags = [("tau".to_owned(), "0.3".to_owned())];
+        let settings = Settings::layered(Some(&file), &flags).unwrap();
+        assert_eq!(settings.run.preset, Preset::Draft);
+        assert_eq!(settings.train, Settings::preset(Preset::Draft).train);
+        assert_eq!(settings.segment.tau, 0.3);
+    }
+
+    #[test]
+    fn what_is_written_reads_back_the_same() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("segwild.toml");
+        for preset in [Preset::Draft, Preset::Standard, Preset::Best] {
+            let settings = Settings::preset(preset);
+            std::fs::write(&file, settings.to_toml()).unwrap();
+            assert_eq!(Settings::layered(Some(&file), &[]).unwrap(), settings);
+        }
+    }
+
+    #[test]
+    fn paths_hold_from_anywhere() {
+        let mut settings = Settings::default();
+        settings.vision.models = "src".into();
+        settings.scene.images = "inside/the/scene".into();
+        let anchored = settings.anchored();
+        assert!(Path::new(&anchored.vision.models).is_absolute());
+        assert_eq!(anchored.scene.images, "inside/the/scene", "what is not here is looked for in the scene");
+    }
+
+    #[test]
+    fn mistakes_are_named() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("segwild.toml");
+        for (text, words) in [
+            ("[segment]\ntua = 0.4\n", "[segment] has no setting `tua`"),
+            ("[sgement]\n", "there is no table [sgement]"),
+            ("[segment]\ntau = \"much\"\n", "`much` does not fit `tau`"),
+            ("[segment\n", "segwild.toml"),
+        ] {
+            std::fs::write(&file, text).unwrap();
+            let message = Settings::layered(Some(&file), &[]).unwrap_err().to_string();
+            assert!(message.contains(words), "{message}");
+        }
+    }
+}

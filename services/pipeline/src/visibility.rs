@@ -1,0 +1,54 @@
+//! How far each pixel of a photo can be trusted (VM): not where it is sky, ignored, or shows what the scene does not.
+
+use segwild_raster::Engine;
+use segwild_scene::{Image, Mask, View};
+use segwild_trainer::{Model, TrainError, render_view};
+
+/// Long side at which photos are compared with the scene.
+const SIZE: u32 = 160;
+/// Residuals under this are never held against a pixel.
+const HARMLESS: f32 = 0.12;
+/// How many times the photo's median residual a pixel may be off.
+const TOLERANCE: f32 = 4.0;
+
+/// The visibility of one view, one plane in [0, 1], on a grid of at most 160 cells.
+pub fn visibility(
+    model: &Model,
+    engine: &dyn Engine,
+    view: &View,
+    index: usize,
+    sky: Option<&Mask>,
+    size: u32,
+) -> Result<Image, TrainError> {
+    let photo =
+        view.load(size).map_err(|e| TrainError::Photo { name: view.name.clone(), reason: e.to_string() })?;
+    let camera = view.camera.scaled_to(SIZE.min(size));
+    let (w, h) = (camera.width as usize, camera.height as usize);
+    let render = render_view(model, engine, &camera, &view.pose, Some(index))?;
+    let small = photo.image.resized(w, h);
+    let n = w * h;
+    let residual: Vec<f32> = (0..n)
+        .map(|i| (0..3).map(|c| (render.plane(c)[i] - small.plane(c)[i]).abs()).sum::<f32>() / 3.0)
+        .collect();
+    let mut sorted = residual.clone();
+    sorted.sort_by(f32::total_cmp);
+    let limit = (TOLERANCE * sorted[n / 2]).max(HARMLESS);
+    let sky = sky.map(|s| s.resized(camera.width, camera.height));
+    let valid = photo.valid.as_ref().map(|v| v.resized(camera.width, camera.height));
+    let mut out = Image::zeros(w, h, 1);
+    for i in 0..n {
+        // A stranger is a blob: the mean over 3 x 3 must be off, not a lone edge pixel.
+        let (x, y) = (i % w, i / w);
+        let (mut sum, mut count) = (0.0, 0.0);
+        for v in y.saturating_sub(1)..(y + 2).min(h) {
+            for u in x.saturating_sub(1)..(x + 2).min(w) {
+                sum += residual[v * w + u];
+                count += 1.0;
+            }
+        }
+        let shown = sum / count <= limit;
+        let barred = sky.as_ref().is_some_and(|s| s.index(i)) || valid.as_ref().is_some_and(|v| !v.index(i));
+        out.data[i] = f32::from(u8::from(shown && !barred));
+    }
+    Ok(out)
+}
