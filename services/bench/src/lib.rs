@@ -1,0 +1,9 @@
+//! Protocols, the synthetic wild scene, metrics, tables and charts.
+
+pub mod ablation;
+pub mod metrics;
+pub mod oracle;
+pub mod perturb;
+pub mod synthetic;
+pub mod table;
+pub mod trial;

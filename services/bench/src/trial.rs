@@ -1,0 +1,295 @@
+//! One synthetic scene put through the whole program: trained, clicked once per object, scored against what is true.
+
+use crate::metrics::{self, MetricError, leakage};
+use crate::oracle::{Oracle, OracleOptions};
+use crate::synthetic::{
+    Kind, Manifest, ObjectTruth, SyntheticError, SyntheticOptions, SyntheticScene, generate,
+};
+use segwild_flow::Stopper;
+use segwild_pipeline::{PhotoPrompts, RunError, RunFolder, RunOptions, Selected, Settings, run, segment};
+use segwild_scene::{BoxPrompt, Mask, PointPrompt, Prompts, SceneError, Splats};
+use segwild_vision::{Providers, VisionError};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Who looks at the photos of a trial.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ProviderKind {
+    /// The truth, with faults of a known size: what the method is worth whatever the 2D models are.
+    Oracle,
+    /// What the settings name: the built-in provider, or networks.
+    Builtin,
+}
+
+/// An object counts on the photos on which it covers at least one pixel in this many.
+const LEAST: usize = 1000;
+
+/// A part gets a click of its own when it makes up at least one pixel in this many of what is seen of the object.
+const PART: usize = 10;
+
+/// The surface that no click may reach.
+const HIDDEN: &str = "hidden_wall";
+
+/// Why a trial cannot be made.
+#[derive(Debug, thiserror::Error)]
+pub enum TrialError {
+    /// The scene could not be made.
+    #[error(transparent)]
+    Synthetic(#[from] SyntheticError),
+    /// A run failed.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// The providers that the settings name cannot be had.
+    #[error(transparent)]
+    Vision(#[from] VisionError),
+    /// A mask that the run wrote cannot be read.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// A mask does not fit its truth.
+    #[error("{object}, {photo}: {source}")]
+    Metric {
+        /// The object.
+        object: String,
+        /// The photo.
+        photo: String,
+        /// What does not fit.
+        source: MetricError,
+    },
+    /// A row of the table was asked for that does not exist.
+    #[error("there is no row `{0}`")]
+    Row(String),
+}
+
+/// How well one object was found from its click.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ObjectScore {
+    /// The object.
+    pub object: String,
+    /// The photo that was clicked.
+    pub clicked: String,
+    /// Photos that count: not clicked, and the object covers at least 0.1 % of them.
+    pub photos: usize,
+    /// Mean IoU of the visible mask; 0 where nothing was selected.
+    pub iou: f64,
+    /// The worst photo's IoU.
+    pub worst: f64,
+    /// Mean share of pixels that are right.
+    pub accuracy: f64,
+    /// Mean Boundary IoU.
+    pub boundary_iou: f64,
+    /// Mean IoU of the object drawn alone.
+    pub amodal_iou: f64,
+    /// IoU in 3D: splats by their nearest true surface, weighted by opacity.
+    pub label_iou: f64,
+    /// Share of the hidden wall's splats that were selected.
+    pub hidden: f64,
+    /// Splats that the spike cut shortened or dropped.
+    pub cut: usize,
+}
+
+/// A scene, its truth and its run.
+pub struct Trial {
+    scene: SyntheticScene,
+    manifest: Manifest,
+    folder: RunFolder,
+    scene_dir: PathBuf,
+    oracle: Option<Arc<Oracle>>,
+}
+
+impl Trial {
+    /// Makes the scene in `dir/scene`; its run lives in `dir/run`. A trial in the same folder continues.
+    pub fn new(
+        dir: &Path,
+        options: &SyntheticOptions,
+        providers: ProviderKind,
+        faults: &OracleOptions,
+    ) -> Result<Trial, TrialError> {
+        let scene = generate(options)?;
+        let scene_dir = dir.join("scene");
+        let manifest = scene.write(&scene_dir)?;
+        let folder = RunFolder::create(&dir.join("run"))?;
+        let oracle =
+            (providers == ProviderKind::Oracle).then(|| Arc::new(Oracle::new(&scene, faults.clone())));
+        Ok(Trial { scene, manifest, folder, scene_dir, oracle })
+    }
+
+    /// The scene and its truth.
+    pub fn scene(&self) -> &SyntheticScene {
+        &self.scene
+    }
+
+    /// What `truth.json` says.
+    pub fn manifest(&self) -> &Manifest {
+        &self.manifest
+    }
+
+    /// The run.
+    pub fn folder(&self) -> &RunFolder {
+        &self.folder
+    }
+
+    /// The providers that settings mean here. The oracle also finds the sky, unless there is to be none.
+    pub fn providers(&self, settings: &Settings) -> Result<Providers, TrialError> {
+        let mut providers = Providers::from_settings(&settings.vision)?;
+        if let Some(oracle) = &self.oracle {
+            providers.embedder = oracle.clone();
+            providers.proposer = oracle.clone();
+            providers.segmenter = oracle.clone();
+            if settings.vision.sky != segwild_vision::SkyChoice::None {
+                providers.sky = oracle.clone();
+            }
+            providers.notes = vec!["descriptors, masks, refinement and sky: oracle".into()];
+        }
+        Ok(providers)
+    }
+
+    /// Trains the scene up to the feature field; what is already there is not made again.
+    pub fn train(&self, settings: &Settings) -> Result<(), TrialError> {
+        let providers = Some(self.providers(settings)?);
+        let options = RunOptions { until: Some("features".into()), providers, ..RunOptions::default() };
+        run(&self.scene_dir, &self.folder, settings, &options)?;
+        Ok(())
+    }
+
+    /// Clicks every object once, in the training photo that shows it best, and scores what is selected. `told` hears
+    /// of each as soon as it is known.
+    pub fn objects(
+        &self,
+        settings: &Settings,
+        mut told: impl FnMut(&ObjectScore),
+    ) -> Result<Vec<ObjectScore>, TrialError> {
+        let session = self.session(settings)?;
+        let mut scores = Vec::new();
+        for object in self.manifest.objects.iter().filter(|o| o.kind == Kind::Object) {
+            let Some(click) = object.clicks.first() else { continue };
+            let prompts = Prompts::click(click.x, click.y);
+            let score = session.score(object, PhotoPrompts { photo: click.photo.clone(), prompts })?;
+            told(&score);
+            scores.push(score);
+        }
+        Ok(scores)
+    }
+
+    /// What a person who wants the whole object says on the photo that shows it best: a box around what is seen of
+    /// it, and a click on each of its larger parts. `None` where no photo shows it well enough.
+    pub fn prompts(&self, object: &ObjectTruth) -> Option<PhotoPrompts> {
+        let click = object.clicks.first()?;
+        let photo = self.scene.photos.iter().find(|p| p.name == click.photo)?;
+        let seen = photo.mask(object.id).minus(&photo.transients);
+        let mut prompts = Prompts::default();
+        let mut around = BoxPrompt { x0: f32::MAX, y0: f32::MAX, x1: 0.0, y1: 0.0 };
+        for (x, y) in seen.pixels() {
+            let (x, y) = (x as f32, y as f32);
+            around.x0 = around.x0.min(x);
+            around.y0 = around.y0.min(y);
+            around.x1 = around.x1.max(x + 1.0);
+            around.y1 = around.y1.max(y + 1.0);
+        }
+        prompts.boxes.push(around);
+        let parts = (0..self.scene.parts.len() as u16)
+            .filter(|p| self.scene.parts[usize::from(*p)].instance == object.id);
+        for part in parts {
+            let mask = photo.part_mask(part).minus(&photo.transients);
+            if mask.count() * PART < seen.count() {
+                continue;
+            }
+            let depth = mask.not().distances();
+            let deepest = mask.pixels().map(|(x, y)| (depth[(y * mask.width() + x) as usize], x, y));
+            if let Some((_, x, y)) = deepest.max_by(|a, b| a.0.total_cmp(&b.0)) {
+                prompts.points.push(PointPrompt { x: x as f32 + 0.5, y: y as f32 + 0.5, inside: true });
+            }
+        }
+        Some(PhotoPrompts { photo: click.photo.clone(), prompts })
+    }
+
+    /// The trained run, ready for prompts.
+    pub fn session<'a>(&'a self, settings: &'a Settings) -> Result<Session<'a>, TrialError> {
+        let providers = self.providers(settings)?;
+        let segwild_pipeline::Loaded { scene, model, .. } = self.folder.load()?;
+        let labels = self.scene.label(&scene.frame, &model.splats.means);
+        Ok(Session { trial: self, settings, providers, splats: model.splats, labels })
+    }
+
+    /// Scores the masks that a selection left.
+    fn masks(&self, id: u16, score: &mut ObjectScore) -> Result<(), TrialError> {
+        let (object, clicked) = (score.object.clone(), score.clicked.clone());
+        let target = self.folder.selection(&object);
+        let mut sums = [0.0; 4];
+        let (mut count, mut worst) = (0, 1.0f64);
+        for photo in self.scene.photos.iter().filter(|p| p.name != clicked) {
+            let truth = photo.mask(id);
+            if truth.count() * LEAST < photo.instances.len() {
+                continue;
+            }
+            let file = Path::new(&photo.name).with_extension("png");
+            let visible = Mask::read_png(&target.join("masks").join(&file))?;
+            let alone = Mask::read_png(&target.join("amodal").join(&file))?;
+            let compare = |mask: &Mask| {
+                metrics::score(mask, &truth, None).map_err(|source| TrialError::Metric {
+                    object: object.clone(),
+                    photo: photo.name.clone(),
+                    source,
+                })
+            };
+            let (seen, alone) = (compare(&visible)?, compare(&alone)?);
+            for (sum, x) in sums.iter_mut().zip([seen.iou, seen.accuracy, seen.boundary_iou, alone.iou]) {
+                *sum += x;
+            }
+            worst = worst.min(seen.iou);
+            count += 1;
+        }
+        if count > 0 {
+            let [iou, accuracy, boundary, amodal] = sums.map(|s| s / f64::from(count));
+            (score.iou, score.accuracy, score.boundary_iou, score.amodal_iou) =
+                (iou, accuracy, boundary, amodal);
+            (score.photos, score.worst) = (count as usize, worst);
+        }
+        Ok(())
+    }
+}
+
+/// A trained trial and what is true of its splats.
+pub struct Session<'a> {
+    trial: &'a Trial,
+    settings: &'a Settings,
+    providers: Providers,
+    splats: Splats,
+    /// Nearest instance per splat.
+    labels: Vec<u16>,
+}
+
+impl Session<'_> {
+    /// Selects what the prompts mean and scores it.
+    pub fn score(&self, object: &ObjectTruth, prompts: PhotoPrompts) -> Result<ObjectScore, TrialError> {
+        let (trial, name) = (self.trial, &object.name);
+        let mut score = ObjectScore {
+            object: name.clone(),
+            clicked: prompts.photo.clone(),
+            photos: 0,
+            iou: 0.0,
+            worst: 0.0,
+            accuracy: 0.0,
+            boundary_iou: 0.0,
+            amodal_iou: 0.0,
+            label_iou: 0.0,
+            hidden: 0.0,
+            cut: 0,
+        };
+        let (settings, providers) = (&self.settings.segment, Some(&self.providers));
+        match segment(&trial.folder, name, &[prompts], settings, providers, &Stopper::new()) {
+            Ok(outcome) => {
+                score.cut = outcome.cut + outcome.dropped;
+                trial.masks(object.id, &mut score)?;
+                let selected = Selected::read(&trial.folder, name, self.splats.len())?.labels;
+                let opacity = |i: usize| f64::from(self.splats.opacity(i));
+                score.label_iou = metrics::label_iou(&selected, &self.labels, object.id, opacity);
+                let hidden = trial.scene.instance_named(HIDDEN);
+                score.hidden = hidden.map_or(0.0, |wall| leakage(&selected, &self.labels, wall));
+            }
+            Err(RunError::Segment(_)) => {} // nothing selected is nothing right
+            Err(other) => return Err(other.into()),
+        }
+        Ok(score)
+    }
+}

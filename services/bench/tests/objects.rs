@@ -1,0 +1,86 @@
+//! The whole program on small synthetic sets, seen by the oracle: what one click per object finds.
+
+use segwild_bench::oracle::OracleOptions;
+use segwild_bench::synthetic::{Kind, SyntheticOptions};
+use segwild_bench::trial::{ObjectScore, ProviderKind, Trial};
+use segwild_pipeline::{Preset, Settings};
+use segwild_scene::Mask;
+use std::path::Path;
+
+const PHOTOS: usize = 20;
+
+fn options() -> SyntheticOptions {
+    SyntheticOptions {
+        seed: 5,
+        train: PHOTOS,
+        test: 2,
+        long_side: 208,
+        points: 2500,
+        ..SyntheticOptions::default()
+    }
+}
+
+fn settings() -> Settings {
+    let mut settings = Settings::preset(Preset::Draft);
+    settings.train.steps = 600;
+    settings.features.refine_steps = 20;
+    settings.masks.prompt_budget = 64;
+    settings
+}
+
+fn trained(dir: &Path, options: &SyntheticOptions) -> Trial {
+    let trial = Trial::new(dir, options, ProviderKind::Oracle, &OracleOptions::default()).unwrap();
+    trial.train(&settings()).unwrap();
+    trial
+}
+
+fn mean(scores: &[ObjectScore], pick: fn(&ObjectScore) -> f64) -> f64 {
+    scores.iter().map(pick).sum::<f64>() / scores.len() as f64
+}
+
+fn report(name: &str, scores: &[ObjectScore]) {
+    for s in scores {
+        println!(
+            "{name} {}: IoU {:.3} boundary {:.3} 3D {:.3} hidden {:.4}",
+            s.object, s.iou, s.boundary_iou, s.label_iou, s.hidden
+        );
+    }
+    println!("{name} mean IoU {:.3}", mean(scores, |s| s.iou));
+}
+
+#[test]
+fn one_click_per_object_finds_it_whatever_stands_before_it() {
+    for (occlusion, floor) in FLOORS {
+        let dir = tempfile::tempdir().unwrap();
+        let trial = trained(dir.path(), &SyntheticOptions { occlusion, ..options() });
+        let settings = settings();
+        let scores = trial.objects(&settings, |_| {}).unwrap();
+        report(&format!("occlusion {occlusion}"), &scores);
+        assert!(scores.len() >= 6, "{} objects", scores.len());
+        assert!(mean(&scores, |s| s.iou) > floor, "mean IoU {:.3}", mean(&scores, |s| s.iou));
+        let hidden = scores.iter().map(|s| s.hidden).fold(0.0, f64::max);
+        assert!(hidden < 0.01, "{:.1} % of the hidden wall came along", 100.0 * hidden);
+    }
+}
+
+/// Share of the photos that strangers cover, and the mean IoU that photos of this size and number must reach then.
+const FLOORS: [(f32, f64); 2] = [(0.0, 0.65), (0.25, 0.5)];
+
+#[test]
+fn units_change_no_selection() {
+    let masks = |units: f64| -> Vec<Mask> {
+        let dir = tempfile::tempdir().unwrap();
+        let trial = trained(dir.path(), &SyntheticOptions { units, ..options() });
+        let settings = settings();
+        let session = trial.session(&settings).unwrap();
+        let object = trial.manifest().objects.iter().find(|o| o.kind == Kind::Object).unwrap();
+        let prompts = trial.prompts(object).unwrap();
+        session.score(object, prompts).unwrap();
+        let folder = trial.folder().selection(&object.name).join("masks");
+        trial.scene().photos.iter().map(|p| Mask::read_png(&folder.join(&p.name)).unwrap()).collect()
+    };
+    // Scenes are normalised in f64 on load, so that training sees the same numbers.
+    let (one, other) = (masks(1.0), masks(1000.0));
+    assert!(one.iter().any(|m| !m.is_empty()));
+    assert_eq!(one, other, "the same scene in other units gave another selection");
+}
