@@ -1,0 +1,262 @@
+//! The command line, made from the settings structs and from what is particular to each command.
+
+use clap::builder::PossibleValuesParser;
+use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
+use segwild_pipeline::Settings;
+use std::path::PathBuf;
+
+/// The whole program.
+pub fn program() -> Command {
+    Command::new("segwild")
+        .version(env!("CARGO_PKG_VERSION"))
+        .about("From a pile of tourist photos to a 3D scene whose objects you can click")
+        .subcommand_required(true)
+        .arg_required_else_help(true)
+        .after_help(crate::exit::HELP)
+        .subcommand(
+            with_settings(
+                Command::new("run").about("Train a scene: geometry, looks, masks, features, report"),
+            )
+            .arg(
+                Arg::new("scene")
+                    .required(true)
+                    .value_parser(value_parser!(PathBuf))
+                    .help("COLMAP folder, Photo Tourism folder, or folder with transforms.json"),
+            )
+            .arg(path("out", "Run folder [default: runs/NAME]"))
+            .arg(path("config", "Settings file [default: segwild.toml in the run folder, if there]"))
+            .arg(
+                Arg::new("until")
+                    .long("until")
+                    .value_parser(PossibleValuesParser::new(segwild_pipeline::STAGES))
+                    .help("Stop after this stage"),
+            )
+            .arg(json()),
+        )
+        .subcommand(
+            with_table(
+                Command::new("segment").about("Click an object in one photo, get it in 3D"),
+                "segment",
+            )
+            .arg(run())
+            .arg(
+                Arg::new("photo")
+                    .long("photo")
+                    .value_name("NAME")
+                    .action(ArgAction::Append)
+                    .help("Photo that the prompts after it are on; may be given again for a second photo"),
+            )
+            .arg(positions("in", "x,y", "Pixel that belongs to the object, at the photo's full size"))
+            .arg(positions("out-point", "x,y", "Pixel that does not").long("out").alias("not"))
+            .arg(positions("box", "x0,y0,x1,y1", "Box around the object"))
+            .arg(
+                Arg::new("granularity")
+                    .long("granularity")
+                    .value_name("G")
+                    .value_parser(value_parser!(f32))
+                    .help("0 = the finest part under the click, 1 = the largest thing [default: chosen]"),
+            )
+            .arg(path("prompts", "Replay the prompts of this file instead"))
+            .arg(
+                Arg::new("name")
+                    .long("name")
+                    .value_name("NAME")
+                    .default_value("object")
+                    .help("Name of the selection"),
+            )
+            .arg(json()),
+        )
+        .subcommand(
+            Command::new("render")
+                .about("Draw views: a photo's, or a path between photos; any look; a selection")
+                .arg(run())
+                .arg(Arg::new("photo").long("photo").value_name("NAME").action(ArgAction::Append).help(
+                    "View to draw; give two or more with --frames for a path through them [default: all]",
+                ))
+                .arg(
+                    Arg::new("frames")
+                        .long("frames")
+                        .value_name("N")
+                        .value_parser(value_parser!(u32).range(2..))
+                        .help("Pictures along the path through the photos"),
+                )
+                .arg(Arg::new("look").long("look").value_name("PHOTO").help(
+                    "Draw under this photo's look; `none` for the scene's own [default: the view's own]",
+                ))
+                .arg(Arg::new("selection").long("selection").value_name("NAME").help("Draw this selection"))
+                .arg(
+                    Arg::new("mode")
+                        .long("mode")
+                        .value_parser(["highlight", "only", "without"])
+                        .default_value("highlight")
+                        .help("How the selection is drawn"),
+                )
+                .arg(
+                    Arg::new("what")
+                        .long("what")
+                        .value_parser(["colour", "depth", "alpha", "features"])
+                        .default_value("colour")
+                        .help("What is drawn"),
+                )
+                .arg(
+                    Arg::new("width")
+                        .long("width")
+                        .value_name("PX")
+                        .value_parser(value_parser!(u32).range(16..=16384))
+                        .help("Long side of the pictures [default: as trained]"),
+                )
+                .arg(path("out", "Folder for the pictures [default: RUN/renders]"))
+                .arg(json()),
+        )
+        .subcommand(
+            Command::new("eval")
+                .about("Score held-out photos, and selections against true masks")
+                .arg(run())
+                .arg(path("truth", "Folder of true masks, one PNG per photo"))
+                .arg(
+                    Arg::new("selection").long("selection").value_name("NAME").help("The selection to score"),
+                )
+                .arg(json()),
+        )
+        .subcommand(
+            Command::new("status").about("Say what a run has done and is doing").arg(run()).arg(json()),
+        )
+        .subcommand(
+            Command::new("demo")
+                .about("Make a synthetic scene, run the whole job on it, leave a report and pictures")
+                .arg(path("out", "Folder [default: runs/demo]"))
+                .arg(
+                    Arg::new("seed")
+                        .long("seed")
+                        .value_name("N")
+                        .value_parser(value_parser!(u64))
+                        .default_value("1")
+                        .help("Another number, another place"),
+                )
+                .arg(json()),
+        )
+        .subcommand(
+            Command::new("doctor")
+                .about("Say what this machine offers and what is used instead of what is missing")
+                .arg(
+                    Arg::new("settings")
+                        .long("settings")
+                        .action(ArgAction::SetTrue)
+                        .help("Print the reference page of all settings"),
+                )
+                .arg(path("models", "Folder of network files to look at"))
+                .arg(json()),
+        )
+        .subcommand(
+            with_settings(Command::new("bench").about("Measure: the ablation table on synthetic scenes"))
+                .arg(
+                    Arg::new("providers")
+                        .long("providers")
+                        .value_parser(["oracle", "builtin"])
+                        .default_value("oracle")
+                        .help("Who looks at the photos: the truth with faults, or what the settings name"),
+                )
+                .arg(number("photos", "60", "Training photos of each scene").value_parser(value_parser!(u32)))
+                .arg(number("pixels", "320", "Long side of the photos").value_parser(value_parser!(u32)))
+                .arg(
+                    number("occlusion", "0.1", "Share of each photo that strangers cover, 0 to 0.4")
+                        .value_parser(value_parser!(f32)),
+                )
+                .arg(
+                    number("units", "1", "File units per unit of the place: nothing may depend on it")
+                        .value_parser(value_parser!(f64)),
+                )
+                .arg(
+                    Arg::new("seeds")
+                        .long("seeds")
+                        .value_name("LIST")
+                        .default_value("1,2")
+                        .help("Seeds of the synthetic scenes, with commas"),
+                )
+                .arg(
+                    Arg::new("only")
+                        .long("only")
+                        .value_name("ROWS")
+                        .help("Rows of the table to compute, with commas [default: all]"),
+                )
+                .arg(path("out", "Folder for scenes, runs and tables [default: .bench]"))
+                .arg(json()),
+        )
+}
+
+fn run() -> Arg {
+    Arg::new("run").required(true).value_parser(value_parser!(PathBuf)).help("Run folder")
+}
+
+fn number(name: &'static str, default: &'static str, help: &'static str) -> Arg {
+    Arg::new(name).long(name).value_name("N").default_value(default).help(help)
+}
+
+fn json() -> Arg {
+    Arg::new("json").long("json").action(ArgAction::SetTrue).help("One JSON object per line instead of text")
+}
+
+fn path(name: &'static str, help: &'static str) -> Arg {
+    Arg::new(name).long(name).value_name("PATH").value_parser(value_parser!(PathBuf)).help(help)
+}
+
+fn positions(id: &'static str, form: &'static str, help: &'static str) -> Arg {
+    Arg::new(id).long(id).value_name(form).action(ArgAction::Append).allow_hyphen_values(true).help(help)
+}
+
+/// Adds a flag for every setting of every table.
+fn with_settings(mut command: Command) -> Command {
+    for (table, _, _) in Settings::catalogue() {
+        command = with_table(command, table);
+    }
+    command
+}
+
+/// Adds a flag for every setting of one table, under its own heading in the help.
+fn with_table(mut command: Command, table: &str) -> Command {
+    for (name, doc, fields) in Settings::catalogue() {
+        if name != table {
+            continue;
+        }
+        for field in fields {
+            let flag: &'static str = field.name.replace('_', "-").leak();
+            let default = Settings::default().get(field.name).unwrap_or_default();
+            let mut arg = Arg::new(field.name)
+                .long(flag)
+                .value_name(field.kind)
+                .allow_hyphen_values(true)
+                .help_heading(doc.trim_end_matches('.'))
+                .help(format!(
+                    "{} [default: {}]",
+                    field.doc,
+                    if default.is_empty() { "none" } else { &default }
+                ));
+            if !field.choices.is_empty() {
+                arg = arg.value_parser(PossibleValuesParser::new(field.choices));
+            }
+            command = command.arg(arg);
+        }
+    }
+    command
+}
+
+/// The settings given as flags, as `(name, value)` pairs.
+pub fn given(matches: &ArgMatches) -> Vec<(String, String)> {
+    let mut pairs = Vec::new();
+    for (_, _, fields) in Settings::catalogue() {
+        for field in fields {
+            if let Ok(Some(value)) = matches.try_get_one::<String>(field.name) {
+                pairs.push((field.name.to_owned(), value.clone()));
+            }
+        }
+    }
+    pairs
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn the_command_line_is_consistent() {
+        super::program().debug_assert();
+    }
+}

@@ -1,0 +1,92 @@
+//! `segwild demo`
+
+use super::run::{run_scene, tell};
+use super::{path, print_json, print_line};
+use crate::failure::Failure;
+use clap::ArgMatches;
+use segwild_bench::oracle::OracleOptions;
+use segwild_bench::synthetic::{Kind, SyntheticOptions};
+use segwild_bench::trial::{ProviderKind, Trial};
+use segwild_pipeline::{Mode, PhotoPrompts, Preset, RenderRequest, Settings, What, render};
+use std::path::PathBuf;
+
+/// Objects that the demo selects.
+const OBJECTS: usize = 4;
+
+/// Training steps: more than a draft's, since the photos are few and small.
+const STEPS: u32 = 1500;
+
+/// Makes a synthetic place, runs the whole job on it, selects the objects that photos show largest, scores them.
+pub fn demo(matches: &ArgMatches) -> Result<(), Failure> {
+    let out = path(matches, "out").unwrap_or_else(|| PathBuf::from("runs/demo"));
+    let json = matches.get_flag("json");
+    let seed = *matches.get_one::<u64>("seed").expect("it has a default");
+    let options = SyntheticOptions { seed, ..SyntheticOptions::small() };
+    let trial = Trial::new(&out, &options, ProviderKind::Builtin, &OracleOptions::default())?;
+    let scene_dir = out.join("scene");
+    if !json {
+        print_line(&format!(
+            "a synthetic place in {} tourist photos: {}",
+            trial.manifest().photos.len(),
+            scene_dir.display()
+        ))?;
+    }
+    let mut settings = Settings::preset(Preset::Draft);
+    settings.train.steps = STEPS;
+    let run_dir = out.join("run");
+    let summary = run_scene(&scene_dir, &run_dir, &settings, None, json)?;
+    if !json {
+        tell(&summary, &run_dir)?;
+    }
+    let mut objects: Vec<_> = trial
+        .manifest()
+        .objects
+        .iter()
+        .filter(|o| o.kind == Kind::Object)
+        .filter_map(|o| Some((o.clicks.first()?.visible, o, trial.prompts(o)?)))
+        .collect();
+    objects.sort_by_key(|(visible, o, _)| (std::cmp::Reverse(*visible), o.id));
+    let session = trial.session(&settings)?;
+    for (_, object, prompts) in objects.into_iter().take(OBJECTS) {
+        let photo = prompts.photo.clone();
+        let said = in_words(&prompts);
+        let score = session.score(object, prompts.clone())?;
+        if json {
+            print_json(&serde_json::json!({ "event": "object", "prompts": prompts, "score": score }))?;
+        } else {
+            print_line(&format!(
+                "{}: {said} -> mean IoU {:.2} on the {} other photos that show it",
+                object.name, score.iou, score.photos
+            ))?;
+        }
+        if !trial.folder().selection(&object.name).join("selection.bin").is_file() {
+            continue;
+        }
+        let request = RenderRequest {
+            photos: vec![photo],
+            frames: None,
+            look: None,
+            selection: Some((object.name.clone(), Mode::Only)),
+            what: What::Colour,
+            width: None,
+            out: Some(out.join("pictures").join(&object.name)),
+        };
+        render(trial.folder(), &request)?;
+    }
+    if !json {
+        print_line(&format!("open {}", trial.folder().report().display()))?;
+    }
+    Ok(())
+}
+
+/// The prompts as the flags of `segwild segment`.
+fn in_words(asked: &PhotoPrompts) -> String {
+    let mut words = format!("--photo {}", asked.photo);
+    for b in &asked.prompts.boxes {
+        words += &format!(" --box {},{},{},{}", b.x0, b.y0, b.x1, b.y1);
+    }
+    for p in &asked.prompts.points {
+        words += &format!(" {} {},{}", if p.inside { "--in" } else { "--out" }, p.x, p.y);
+    }
+    words
+}

@@ -1,0 +1,55 @@
+//! `segwild eval`
+
+use super::{path, print_json, print_line};
+use crate::failure::Failure;
+use clap::ArgMatches;
+use segwild_pipeline::{HeldOut, RunFolder};
+
+/// Prints held-out scores, or scores a selection against true masks.
+pub fn eval(matches: &ArgMatches) -> Result<(), Failure> {
+    let folder = RunFolder::open(&path(matches, "run").expect("clap requires it"))?;
+    let json = matches.get_flag("json");
+    let selection = matches.get_one::<String>("selection");
+    let Some(truth) = path(matches, "truth") else {
+        if let Some(name) = selection {
+            return Err(Failure::usage(format!("scoring the selection `{name}` needs --truth FOLDER")));
+        }
+        return held_out(&folder, json);
+    };
+    let name = selection.cloned().unwrap_or_else(|| "object".into());
+    let score = segwild_pipeline::score(&folder, &name, &truth)?;
+    if json {
+        return print_json(&score);
+    }
+    print_line(&format!("{:>7} {:>7} {:>7} {:>7}  photo", "IoU", "acc", "B-IoU", "amodal"))?;
+    for p in &score.photos {
+        let note = if p.prompted { " (prompted, not in the mean)" } else { "" };
+        print_line(&format!(
+            "{:7.3} {:7.3} {:7.3} {:7.3}  {}{note}",
+            p.iou, p.accuracy, p.boundary_iou, p.amodal_iou, p.photo
+        ))?;
+    }
+    print_line(&format!(
+        "{:7.3} {:7.3} {:7.3} {:7.3}  mean",
+        score.iou, score.accuracy, score.boundary_iou, score.amodal_iou
+    ))
+}
+
+fn held_out(folder: &RunFolder, json: bool) -> Result<(), Failure> {
+    let file = folder.path().join("evaluation.json");
+    let text = std::fs::read_to_string(&file).map_err(|_| {
+        Failure::usage(
+            "this run has no held-out scores: hold photos out with --hold-out N or a split, and run; or give --truth to \
+             score a selection",
+        )
+    })?;
+    let held: HeldOut = serde_json::from_str(&text)
+        .map_err(|e| Failure { message: format!("{}: {e}", file.display()), code: crate::exit::FOLDER })?;
+    if json {
+        return print_json(&held);
+    }
+    for (name, psnr, ssim) in &held.photos {
+        print_line(&format!("{psnr:6.2} dB  SSIM {ssim:.3}  {name}"))?;
+    }
+    print_line(&format!("{:6.2} dB  SSIM {:.3}  mean ({})", held.psnr, held.ssim, held.protocol))
+}

@@ -1,0 +1,95 @@
+//! `segwild segment`
+
+use super::{path, print_json, print_line, use_threads};
+use crate::failure::Failure;
+use crate::progress::{duration, stop_on_ctrl_c};
+use clap::ArgMatches;
+use segwild_flow::Stopper;
+use segwild_pipeline::{PhotoPrompts, RunFolder, Settings};
+use segwild_scene::{BoxPrompt, PointPrompt, Prompts};
+
+/// Clicks to an object.
+pub fn segment(matches: &ArgMatches) -> Result<(), Failure> {
+    let folder = RunFolder::open(&path(matches, "run").expect("clap requires it"))?;
+    let prompts = prompts(matches)?;
+    let mut settings: Settings = folder.settings()?;
+    for (name, value) in crate::args::given(matches) {
+        settings.set(&name, &value).map_err(segwild_pipeline::SettingsError::from)?;
+    }
+    use_threads(settings.run.threads);
+    let stopper = Stopper::new();
+    stop_on_ctrl_c(&stopper)?;
+    let name = matches.get_one::<String>("name").expect("it has a default");
+    let done = segwild_pipeline::segment(&folder, name, &prompts, &settings.segment, None, &stopper)?;
+    if matches.get_flag("json") {
+        return print_json(&done);
+    }
+    print_line(&format!(
+        "{} splats, {} shortened and {} dropped by the spike cut; shows on {} photos",
+        done.splats, done.cut, done.dropped, done.photos
+    ))?;
+    print_line(&format!(
+        "{} photos' own boundaries took part, {} disagreed; selected in {}",
+        done.agreeing,
+        done.disagreeing,
+        duration(done.select_s)
+    ))?;
+    print_line(&format!("object: {}", done.folder.join("object.ply").display()))?;
+    print_line(&format!("masks:  {}", done.folder.join("masks").display()))
+}
+
+/// Which kind of prompt, where it stands on the command line, and its text.
+type Given<'a> = (usize, &'static str, &'a String);
+
+/// The prompts on the command line, each on the photo named last before it, or those of a file.
+fn prompts(matches: &ArgMatches) -> Result<Vec<PhotoPrompts>, Failure> {
+    if let Some(file) = path(matches, "prompts") {
+        let text = std::fs::read_to_string(&file)
+            .map_err(|e| Failure::usage(format!("{}: cannot be read: {e}", file.display())))?;
+        return serde_json::from_str(&text)
+            .map_err(|e| Failure::usage(format!("{}: is no prompts file: {e}", file.display())));
+    }
+    let mut given: Vec<Given> = Vec::new();
+    for kind in ["photo", "in", "out-point", "box"] {
+        if let (Some(at), Some(texts)) = (matches.indices_of(kind), matches.get_many::<String>(kind)) {
+            given.extend(at.zip(texts).map(|(i, text)| (i, kind, text)));
+        }
+    }
+    given.sort_by_key(|g| g.0);
+    let granularity = matches.get_one::<f32>("granularity").copied();
+    let mut photos: Vec<PhotoPrompts> = Vec::new();
+    for (_, kind, text) in given {
+        if kind == "photo" {
+            let prompts = Prompts { granularity, ..Prompts::default() };
+            photos.push(PhotoPrompts { photo: text.clone(), prompts });
+            continue;
+        }
+        let flag = if kind == "out-point" { "out" } else { kind };
+        let Some(photo) = photos.last_mut() else {
+            return Err(Failure::usage(format!(
+                "--{flag} {text} comes before --photo: name the photo first"
+            )));
+        };
+        if kind == "box" {
+            let [x0, y0, x1, y1] = numbers(flag, text)?;
+            photo.prompts.boxes.push(BoxPrompt { x0, y0, x1, y1 });
+        } else {
+            let [x, y] = numbers(flag, text)?;
+            photo.prompts.points.push(PointPrompt { x, y, inside: kind == "in" });
+        }
+    }
+    if photos.is_empty() {
+        return Err(Failure::usage("nothing is prompted: give --photo NAME --in x,y (or --prompts FILE)"));
+    }
+    Ok(photos)
+}
+
+/// `N` finite numbers with commas between them.
+fn numbers<const N: usize>(flag: &str, text: &str) -> Result<[f32; N], Failure> {
+    let read: Vec<f32> =
+        text.split(',').filter_map(|t| t.trim().parse().ok()).filter(|x: &f32| x.is_finite()).collect();
+    match <[f32; N]>::try_from(read) {
+        Ok(numbers) if text.split(',').count() == N => Ok(numbers),
+        _ => Err(Failure::usage(format!("--{flag} {text}: expected {N} numbers with commas between them"))),
+    }
+}

@@ -1,0 +1,29 @@
+//! Exit codes: documented constants, so that scripts can tell what happened.
+
+/// Everything asked for was done.
+pub const OK: u8 = 0;
+/// Something failed that should not have: a bug or a broken machine.
+pub const FAILED: u8 = 1;
+/// The command line or a settings file does not make sense.
+pub const USAGE: u8 = 2;
+/// The scene, photos or other input cannot be used.
+pub const INPUT: u8 = 3;
+/// A stage failed; what was computed before is kept, and the same command goes on from there.
+pub const INCOMPLETE: u8 = 4;
+/// The prompts select nothing: sky, empty space, or a photo that does not see the object.
+pub const NOTHING: u8 = 5;
+/// The run folder is in use by another process, is not writable, or is damaged.
+pub const FOLDER: u8 = 6;
+/// Stopped by the user; resumable.
+pub const INTERRUPTED: u8 = 130;
+
+/// Shown by `segwild --help`.
+pub const HELP: &str = "Exit codes:
+  0    done
+  1    failed unexpectedly
+  2    the command line or a settings file does not make sense
+  3    the scene, the photos or another input cannot be used
+  4    a stage failed; what was computed is kept, the same command continues
+  5    the prompts select nothing
+  6    the run folder is in use, not writable, or damaged
+  130  stopped by you; the same command continues";

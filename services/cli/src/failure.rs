@@ -1,0 +1,101 @@
+//! Errors at the edge: a sentence for the person, a code for the script.
+
+use crate::exit;
+use segwild_bench::synthetic::SyntheticError;
+use segwild_bench::trial::TrialError;
+use segwild_flow::LedgerError;
+use segwild_pipeline::{RunError, SettingsError};
+use segwild_segmenter::SegmentError;
+
+/// Why the program ends early.
+#[derive(Debug)]
+pub struct Failure {
+    /// What is wrong, and where.
+    pub message: String,
+    /// One of [`exit`]'s constants.
+    pub code: u8,
+}
+
+impl Failure {
+    /// A mistake on the command line.
+    pub fn usage(message: impl Into<String>) -> Failure {
+        Failure { message: message.into(), code: exit::USAGE }
+    }
+
+    /// Tells the person, on standard error.
+    pub fn tell(&self) {
+        eprintln!("error: {}", self.message);
+    }
+}
+
+impl From<RunError> for Failure {
+    fn from(error: RunError) -> Failure {
+        let code = match &error {
+            RunError::Scene(_) | RunError::Vision(_) => exit::INPUT,
+            RunError::Settings(_) | RunError::Request(_) => exit::USAGE,
+            RunError::Folder { .. }
+            | RunError::File(_)
+            | RunError::Cache(_)
+            | RunError::Record { .. }
+            | RunError::Ledger(_) => exit::FOLDER,
+            RunError::Stage { .. } => exit::INCOMPLETE,
+            RunError::Segment(error) => segment_code(error),
+            RunError::Interrupted => exit::INTERRUPTED,
+            RunError::Train(_) => exit::INPUT,
+            RunError::Spawn(_) | RunError::Raster(_) | RunError::Features(_) => exit::FAILED,
+        };
+        Failure { message: error.to_string(), code }
+    }
+}
+
+fn segment_code(error: &SegmentError) -> u8 {
+    match error {
+        SegmentError::EmptySpace { .. }
+        | SegmentError::Background { .. }
+        | SegmentError::EmptyMask { .. }
+        | SegmentError::NothingSelected { .. } => exit::NOTHING,
+        SegmentError::Provider { .. } => exit::INPUT,
+        SegmentError::Shape(_) | SegmentError::Raster { .. } => exit::FAILED,
+        SegmentError::NoPrompt
+        | SegmentError::NoView { .. }
+        | SegmentError::OutsideFrame { .. }
+        | SegmentError::Setting { .. } => exit::USAGE,
+    }
+}
+
+impl From<SettingsError> for Failure {
+    fn from(error: SettingsError) -> Failure {
+        Failure { message: error.to_string(), code: exit::USAGE }
+    }
+}
+
+impl From<LedgerError> for Failure {
+    fn from(error: LedgerError) -> Failure {
+        RunError::from(error).into()
+    }
+}
+
+impl From<SyntheticError> for Failure {
+    fn from(error: SyntheticError) -> Failure {
+        Failure { message: error.to_string(), code: exit::FAILED }
+    }
+}
+
+impl From<TrialError> for Failure {
+    fn from(error: TrialError) -> Failure {
+        match error {
+            TrialError::Synthetic(e) => e.into(),
+            TrialError::Run(e) => e.into(),
+            TrialError::Vision(e) => RunError::from(e).into(),
+            TrialError::Scene(e) => RunError::from(e).into(),
+            TrialError::Row(_) => Failure::usage(error.to_string()),
+            TrialError::Metric { .. } => Failure { message: error.to_string(), code: exit::FAILED },
+        }
+    }
+}
+
+impl From<std::io::Error> for Failure {
+    fn from(error: std::io::Error) -> Failure {
+        Failure { message: error.to_string(), code: exit::FAILED }
+    }
+}

@@ -1,0 +1,35 @@
+//! The `segwild` program: reads the command line, calls the pipeline, tells what happened in words.
+
+mod args;
+mod commands;
+mod exit;
+mod failure;
+mod progress;
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    let matches = args::program().get_matches();
+    let level = std::env::var("SEGWILD_LOG").unwrap_or_else(|_| "error".into());
+    // What a person should know is told as an event; the log is for those who look for more.
+    let filter = tracing_subscriber::EnvFilter::try_new(&level).unwrap_or_else(|_| "error".into());
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    let done = match matches.subcommand() {
+        Some(("run", m)) => commands::run::run(m),
+        Some(("segment", m)) => commands::segment::segment(m),
+        Some(("render", m)) => commands::render::render(m),
+        Some(("eval", m)) => commands::eval::eval(m),
+        Some(("status", m)) => commands::status::status(m),
+        Some(("demo", m)) => commands::demo::demo(m),
+        Some(("doctor", m)) => commands::doctor::doctor(m),
+        Some(("bench", m)) => commands::bench::bench(m),
+        _ => unreachable!("clap requires one of the commands"),
+    };
+    match done {
+        Ok(()) => ExitCode::from(exit::OK),
+        Err(failure) => {
+            failure.tell();
+            ExitCode::from(failure.code)
+        }
+    }
+}

@@ -1,0 +1,127 @@
+//! What happens, as bars for a person or as JSON lines for a program; and Ctrl-C.
+
+use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
+use segwild_flow::{Event, EventRecord, Events, Level, Sink, Stopper};
+use std::collections::BTreeMap;
+use std::io::{IsTerminal, Write};
+
+/// Shows the events of `events` until the sink is dropped.
+pub fn show(events: &Events, json: bool) -> std::io::Result<Sink> {
+    if json {
+        return events.json_lines(std::io::stdout());
+    }
+    let bars = MultiProgress::new();
+    let mut open: BTreeMap<String, ProgressBar> = BTreeMap::new();
+    let terminal = std::io::stderr().is_terminal();
+    events.sink("progress", move |record: &EventRecord| {
+        let say = |line: String| {
+            // Nobody listening is no reason to stop working.
+            let _ = if terminal { bars.println(&line) } else { writeln!(std::io::stderr(), "{line}") };
+        };
+        match &record.event {
+            Event::StageStarted { stage, total } => {
+                let bar = bars.add(ProgressBar::new(total.unwrap_or(0)));
+                let style = ProgressStyle::with_template("{prefix:>9} {bar:32} {pos}/{len} {msg}");
+                bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+                bar.set_prefix(stage.clone());
+                open.insert(stage.clone(), bar);
+            }
+            Event::StageProgress { stage, done, total, rate, eta_s } => {
+                if let Some(bar) = open.get(stage) {
+                    if let Some(total) = total {
+                        bar.set_length(*total);
+                    }
+                    bar.set_position(*done);
+                    let left = eta_s.map_or(String::new(), |s| format!(", {} left", duration(s)));
+                    bar.set_message(format!("{rate:.1}/s{left}"));
+                }
+            }
+            Event::StageFinished { stage, done, failed, cached, wall_s, .. } => {
+                if let Some(bar) = open.remove(stage) {
+                    bar.finish_and_clear();
+                }
+                let mut line = format!("{stage:>9} done in {}", duration(*wall_s));
+                if *done > 0 {
+                    line += &format!(", {done} done");
+                }
+                if *cached > 0 {
+                    line += &format!(", {cached} of them found in the cache");
+                }
+                if *failed > 0 {
+                    line += &format!(", {failed} failed");
+                }
+                say(line);
+            }
+            Event::StageSkipped { stage, .. } => say(format!("{stage:>9} was done before")),
+            Event::StageFailed { stage, error } => say(format!("{stage:>9} failed: {error}")),
+            Event::ViewFailed { stage, view, error, .. } => {
+                say(format!("{stage:>9} photo {view} failed: {error}"))
+            }
+            Event::Warning { message, .. } => say(format!("  warning {message}")),
+            Event::Message { level, stage, message } if *level > Level::Detail => {
+                say(format!("{:>9} {message}", stage.as_deref().unwrap_or("")));
+            }
+            Event::ActorRestarted { actor, cause, .. } => {
+                say(format!("  warning {actor} was restarted: {cause}"))
+            }
+            Event::ActorFailed { actor, error } => say(format!("  warning {actor} failed: {error}")),
+            Event::ActorStuck { actor, label, seconds, .. } => {
+                say(format!("  warning {actor} has shown no progress on `{label}` for {seconds:.0} s"));
+            }
+            Event::ShutdownWaits { actors, left_s } => {
+                say(format!("  waiting for {} ({left_s:.0} s at most)", actors.join(", ")));
+            }
+            _ => {}
+        }
+    })
+}
+
+/// Seconds in words: `8 s`, `2 min 5 s`.
+pub fn duration(seconds: f64) -> String {
+    if seconds < 1.0 {
+        format!("{:.0} ms", seconds * 1e3)
+    } else if seconds < 60.0 {
+        format!("{seconds:.1} s")
+    } else {
+        let whole = seconds.round() as u64;
+        format!("{} min {} s", whole / 60, whole % 60)
+    }
+}
+
+/// The first Ctrl-C (or SIGTERM) asks the run to stop where it can continue; the second ends the process at once,
+/// which is safe as well: files are whole or not there.
+pub fn stop_on_ctrl_c(stopper: &Stopper) -> std::io::Result<()> {
+    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
+    let stopper = stopper.clone();
+    std::thread::Builder::new().name("signals".into()).spawn(move || {
+        runtime.block_on(async {
+            for press in 0.. {
+                signal().await;
+                if press > 0 {
+                    std::process::exit(crate::exit::INTERRUPTED.into());
+                }
+                eprintln!("stopping where the run can continue; once more to stop at once");
+                stopper.stop();
+            }
+        });
+    })?;
+    Ok(())
+}
+
+#[cfg(unix)]
+async fn signal() {
+    use tokio::signal::unix::{SignalKind, signal};
+    let Ok(mut terminate) = signal(SignalKind::terminate()) else {
+        let _ = tokio::signal::ctrl_c().await;
+        return;
+    };
+    tokio::select! {
+        _ = tokio::signal::ctrl_c() => {}
+        _ = terminate.recv() => {}
+    }
+}
+
+#[cfg(not(unix))]
+async fn signal() {
+    let _ = tokio::signal::ctrl_c().await;
+}
