@@ -16,11 +16,13 @@ mod model;
 mod params;
 mod photos;
 mod pixels;
+mod posed;
 mod robust;
 mod sampler;
 mod schedule;
 mod settings;
 mod trainer;
+mod witness;
 
 pub use actor::{TrainActor, TrainOrder, TrainOutcome};
 pub use background::Background;

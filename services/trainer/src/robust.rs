@@ -88,6 +88,17 @@ impl Robust {
     }
 }
 
+/// Per pixel, whether a photo contradicts what the scene shows there, judged by this residual alone.
+pub(crate) fn contradicted(
+    residual: &[f32],
+    width: usize,
+    counts: impl Fn(usize) -> bool,
+    share: f32,
+) -> Vec<bool> {
+    let kept = Robust::new(1, share).weights(0, residual, width, counts, true);
+    kept.map_or(vec![false; residual.len()], |kept| kept.iter().map(|&k| k == 0.0).collect())
+}
+
 fn bin(r: f32) -> usize {
     // A residual that is not a number falls in the last bin.
     if r.is_nan() { BINS - 1 } else { ((r * BINS as f32) as usize).min(BINS - 1) }

@@ -51,9 +51,16 @@ impl Schedule {
         LATE_DECAY.powf((2.0 * self.share(step) - 1.0).max(0.0))
     }
 
-    /// Whether transients are left out at a step: not before the scene explains anything.
+    /// Whether transients are left out at a step: not before the scene explains anything, and not so late that they
+    /// have become part of it.
     pub fn robust(&self, step: u32) -> bool {
-        self.share(step) >= 0.25
+        self.share(step) >= 0.15
+    }
+
+    /// Whether the photos are asked, after so many steps, which splats they bear out: eight times, from the time
+    /// transients are left out until enough steps are left to heal what is torn.
+    pub fn witness(&self, step: u32) -> bool {
+        (0..8).any(|k| step == ((0.28 + 0.08 * f64::from(k)) * f64::from(self.steps)) as u32) && step > 0
     }
 
     /// Steps for which an opacity reset makes residuals say nothing.

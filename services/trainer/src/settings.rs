@@ -67,8 +67,9 @@ segwild_scene::settings! {
         lr_colour: f32 = 0.005,
         /// Learning rate of the per-photo look.
         lr_look: f32 = 0.002,
-        /// Weight of 1 - SSIM in the loss; the rest is L1.
-        lambda_ssim: f32 = 0.2,
+        /// Weight of 1 - SSIM in the loss; the rest is L1. The paper's 0.2 is for photos of one light: SSIM cares less for
+        /// what a photo's light and camera change.
+        lambda_ssim: f32 = 0.5,
         /// Weight of the loss that keeps the sky empty.
         sky_weight: f32 = 0.5,
         /// Share of the steps trained on photos at reduced size.

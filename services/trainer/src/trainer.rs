@@ -11,13 +11,15 @@ use crate::pixels::{
     add_behind, alpha_gradient, error_at_centres, first_background, learn_constant, learn_sky,
     mean_difference, pixel_weights, weighted_psnr,
 };
-use crate::robust::Robust;
+use crate::posed::{Posed, colour_pairs, posed};
+use crate::robust::{self, Robust};
 use crate::sampler::Sampler;
 use crate::schedule::Schedule;
+use crate::witness::Witness;
 use crate::{TrainError, TrainSettings};
-use segwild_raster::{AnyLook, Channels, Engine, FrameGrad, photometric};
+use segwild_raster::{AnyLook, Channels, Engine, Frame, FrameGrad, Projected, photometric};
 use segwild_scene::Random;
-use segwild_scene::{Camera, Image, Pose, Scene, Skipped, Splats, View};
+use segwild_scene::{Camera, Image, Pose, Scene, Skipped, Splats};
 use std::sync::Arc;
 use wincode::{SchemaRead, SchemaWrite};
 
@@ -55,14 +57,17 @@ pub struct Trainer {
     state: State,
 }
 
-/// What a step needs to know of a view.
-struct Posed {
-    name: String,
-    /// At the photo's full size.
-    camera: Camera,
-    pose: Pose,
-    /// Points this view saw: colour, and position as shares of width and height.
-    sightings: Vec<([f32; 3], [f32; 2])>,
+/// A view drawn as its photo would show it.
+struct Drawn {
+    /// Colour per splat.
+    channels: Vec<f32>,
+    frame: Frame,
+    /// What stands behind the splats, in the scene's colours.
+    behind: Image,
+    /// Splats before what is behind, in the scene's colours.
+    scene: Image,
+    /// The same in the photo's colours.
+    shown: Image,
 }
 
 /// Everything that a step changes: what a checkpoint holds.
@@ -283,24 +288,18 @@ impl Trainer {
                 look.set_matrix(view, looks::fit(pairs.iter().map(|(a, b)| (*a, 1.0, *b, 1.0))));
             }
         }
-        // Forward.
         let engine = self.engine.clone();
         let projected =
             engine.project(&self.state.params.splats, &camera, &pose, &options(self.settings.antialias))?;
-        let colours = projected.shade();
-        let channels = Channels { count: 3, values: &colours };
-        let frame = projected.blend(&channels);
-        let matrix = looks::matrix(&self.state.look, view);
-        let behind =
-            self.state.backgrounds[view].as_ref().expect("just set").before(&matrix).paint(&camera, &pose);
+        let Drawn { channels, frame, behind, scene, shown } =
+            self.state.draw(view, &*projected, &camera, &pose);
         let target = photo.image();
-        let mut scene = frame.image.clone();
-        add_behind(&mut scene, &frame.alpha, &behind);
-        let shown = self.state.look.as_look().apply(view, &scene);
         // What counts.
         let residual = mean_difference(&shown, &target);
         let active = self.settings.robust && self.schedule.robust(step) && step >= self.state.pause_until;
-        let kept = self.state.robust.weights(view, &residual, photo.width, |i| photo.counts(i), active);
+        let trusted = self.views[view].trusted(photo);
+        let doubted: Vec<f32> = residual.iter().zip(&trusted).map(|(r, t)| r * (1.0 - t)).collect();
+        let kept = self.state.robust.weights(view, &doubted, photo.width, |i| photo.counts(i), active);
         let (weights, left_out) = pixel_weights(photo, kept.as_deref());
         let psnr = weighted_psnr(&shown, &target, &weights.data);
         self.state.quality[view] = Some(psnr);
@@ -314,8 +313,11 @@ impl Trainer {
         } else {
             learn_constant(background, &shown, &target, &frame.alpha, &weights.data);
         }
-        let mut grads =
-            projected.backward(&channels, &frame, &FrameGrad { image: &grad, alpha: Some(&alpha_grad) });
+        let mut grads = projected.backward(
+            &Channels { count: 3, values: &channels },
+            &frame,
+            &FrameGrad { image: &grad, alpha: Some(&alpha_grad) },
+        );
         let colour_grads = std::mem::take(&mut grads.values);
         let sh_grads = projected.shade_backward(&colour_grads, &mut grads);
         let error = error_at_centres(&residual, &weights.data, photo, projected.as_ref());
@@ -332,7 +334,11 @@ impl Trainer {
         self.state.params.update(&grads, &sh_grads, &self.rates(step));
         self.state.look.as_look_mut().step(self.schedule.late_factor(step));
         self.state.step += 1;
-        let change = self.control_density()?;
+        let dropped = self.drop_unwitnessed()?;
+        let mut change = self.control_density()?;
+        if dropped > 0 {
+            change.get_or_insert_default().removed += dropped;
+        }
         Ok(StepReport {
             step: self.state.step,
             steps: self.settings.steps,
@@ -356,6 +362,43 @@ impl Trainer {
             rotation: s.lr_rotation * late,
             colour: s.lr_colour * late,
         }
+    }
+
+    /// Removes splats that the photos do not bear out: strangers that one photo put before its camera.
+    fn drop_unwitnessed(&mut self) -> Result<usize, TrainError> {
+        if !self.settings.robust || !self.schedule.witness(self.state.step) {
+            return Ok(0);
+        }
+        let n = self.state.params.splats.len();
+        let mut witness = Witness::new(n);
+        let engine = self.engine.clone();
+        let level = self.schedule.level(self.state.step).max(1);
+        for view in self.state.sampler.views() {
+            if self.state.backgrounds[view].is_none() {
+                continue;
+            }
+            let stored = self.photos.get(view)?;
+            let (level, photo) = stored.level(level);
+            let camera = self.camera(view, &stored, level);
+            let pose = self.views[view].pose;
+            let splats = &self.state.params.splats;
+            let projected = engine.project(splats, &camera, &pose, &options(self.settings.antialias))?;
+            let shown = self.state.draw(view, &*projected, &camera, &pose).shown;
+            let mut residual = mean_difference(&shown, &photo.image());
+            for (r, t) in residual.iter_mut().zip(&self.views[view].trusted(photo)) {
+                *r *= 1.0 - t;
+            }
+            let contradicted =
+                robust::contradicted(&residual, photo.width, |i| photo.counts(i), self.settings.robust_share);
+            witness.hear(&*projected, photo.width, &contradicted, |i| photo.counts(i));
+        }
+        let kept = witness.borne_out();
+        if kept.is_empty() || kept.len() == n {
+            return Ok(0);
+        }
+        self.state.params.remap(&kept);
+        self.state.strategy.as_dyn().keep(&kept);
+        Ok(n - kept.len())
     }
 
     /// Lets the density strategy act on the splats as they are after the step.
@@ -431,33 +474,6 @@ impl Trainer {
     }
 }
 
-fn posed(scene: &Scene) -> Vec<Posed> {
-    let of = |v: &View| Posed { name: v.name.clone(), camera: v.camera, pose: v.pose, sightings: Vec::new() };
-    let mut views: Vec<Posed> = scene.views.iter().map(of).collect();
-    for point in &scene.points {
-        for o in &point.track {
-            if let Some(view) = views.get_mut(o.view as usize) {
-                let at = [o.pixel[0] / view.camera.width as f32, o.pixel[1] / view.camera.height as f32];
-                view.sightings.push((point.colour, at));
-            }
-        }
-    }
-    views
-}
-
-/// Colours of a view's points, and what its photo shows there.
-fn colour_pairs(view: &Posed, stored: &Stored) -> Vec<([f32; 3], [f32; 3])> {
-    let (_, photo) = stored.level(1);
-    let (w, h) = (photo.width as f32, photo.height as f32);
-    view.sightings
-        .iter()
-        .filter(|(_, at)| at.iter().all(|v| (0.0..1.0).contains(v)))
-        .map(|(colour, at)| (*colour, (at[1] * h) as usize * photo.width + (at[0] * w) as usize))
-        .filter(|&(_, i)| photo.counts(i))
-        .map(|(colour, i)| (colour, photo.colour(i)))
-        .collect()
-}
-
 fn photo_cache(scene: &Scene, photos: Arc<dyn Photos>, settings: &TrainSettings) -> PhotoCache {
     let names = scene.views.iter().map(|v| v.name.clone()).collect();
     PhotoCache::new(photos, names, settings.photo_cache_mib << 20)
@@ -472,6 +488,19 @@ fn no_photos(skipped: &[(String, String)]) -> TrainError {
 }
 
 impl State {
+    /// Draws a view that was looked at before.
+    fn draw(&self, view: usize, projected: &dyn Projected, camera: &Camera, pose: &Pose) -> Drawn {
+        let channels = projected.shade();
+        let frame = projected.blend(&Channels { count: 3, values: &channels });
+        let matrix = looks::matrix(&self.look, view);
+        let background = self.backgrounds[view].as_ref().expect("set at the first look");
+        let behind = background.before(&matrix).paint(camera, pose);
+        let mut scene = frame.image.clone();
+        add_behind(&mut scene, &frame.alpha, &behind);
+        let shown = self.look.as_look().apply(view, &scene);
+        Drawn { channels, frame, behind, scene, shown }
+    }
+
     /// Refuses a state whose parts do not fit each other or the scene.
     fn check(&self, views: usize) -> Result<(), TrainError> {
         let per_view = [self.backgrounds.len(), self.quality.len()];

@@ -11,6 +11,8 @@ const FAINT: f32 = 0.01;
 const UNSEEN: f32 = 0.5;
 /// A splat whose reach is over this share of a photo's long side is a haze, not a surface, and is removed.
 const LARGE: f32 = 0.5;
+/// Judgements in a row that must find growth not to pay before it stops.
+const PATIENCE: u32 = 3;
 /// Most that one event adds, as a share of the splats there are.
 const STRIDE: f64 = 0.6;
 
@@ -59,11 +61,13 @@ impl Budget {
         (a * (b / a).powf(t)) as usize
     }
 
-    /// Whether growth since the last judgement paid; `Some(note)` when it is to stop.
+    /// Whether growth pays; `Some(note)` when it is to stop. Quality wavers from one visit of the photos to the next, so
+    /// growth is only called off when several judgements in a row fall short of the last one that did not.
     fn judge(&mut self, quality: Option<f32>, n: usize) -> Option<String> {
         let Some(quality) = quality else {
-            // The photos' size changed: qualities before and after do not compare.
+            // The photos' size changed: qualities before and after do not compare, and finer photos may bear more.
             self.judged = None;
+            self.idle = 0;
             return None;
         };
         let now = (quality, (n as f32).ln());
@@ -75,10 +79,14 @@ impl Budget {
         if grown < 1.0 {
             return None;
         }
-        self.judged = Some(now);
         let paid = (quality - before) / grown;
-        self.idle = if paid < self.gain { self.idle + 1 } else { 0 };
-        (self.idle >= 2).then(|| {
+        if paid >= self.gain {
+            self.judged = Some(now);
+            self.idle = 0;
+            return None;
+        }
+        self.idle += 1;
+        (self.idle >= PATIENCE).then(|| {
             format!("growth stopped at {n} splats: the last 10 % gained {paid:.3} dB, under {:.3}", self.gain)
         })
     }
@@ -87,6 +95,10 @@ impl Budget {
 impl Density for Budget {
     fn observe(&mut self, seen: &Seen) {
         self.stats.observe(seen);
+    }
+
+    fn keep(&mut self, kept: &[usize]) {
+        self.stats.keep(kept);
     }
 
     fn act(&mut self, params: &mut Params, around: &mut Surroundings) -> Result<Option<Change>, TrainError> {
@@ -125,10 +137,12 @@ impl Density for Budget {
             params.remap(&kept);
             scores = kept.iter().map(|&i| scores[i]).collect();
         }
-        if grow && !self.stopped {
+        if grow {
             let n = params.splats.len();
-            note = self.judge(around.quality, n);
-            self.stopped = note.is_some();
+            if !self.stopped || around.quality.is_none() {
+                note = self.judge(around.quality, n);
+                self.stopped = note.is_some();
+            }
             if !self.stopped {
                 let target = self.target(step, around.cap).min((n as f64 * (1.0 + STRIDE)) as usize);
                 let chosen = top(&scores, target.saturating_sub(n));

@@ -45,6 +45,10 @@ impl Density for Gradient {
         self.stats.observe(seen);
     }
 
+    fn keep(&mut self, kept: &[usize]) {
+        self.stats.keep(kept);
+    }
+
     fn act(&mut self, params: &mut Params, around: &mut Surroundings) -> Result<Option<Change>, TrainError> {
         let step = around.step;
         if step < self.from || step > self.until || !step.is_multiple_of(self.every) {

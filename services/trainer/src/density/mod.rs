@@ -66,6 +66,9 @@ pub(crate) trait Density {
     /// Adds terms of its own to the gradients.
     fn regularise(&self, _splats: &Splats, _grads: &mut SplatGrads) {}
 
+    /// Hears that only these splats are left, in this order.
+    fn keep(&mut self, _kept: &[usize]) {}
+
     /// Changes the splats after an optimiser step; `None` on most steps.
     fn act(&mut self, params: &mut Params, around: &mut Surroundings) -> Result<Option<Change>, TrainError>;
 }
@@ -123,6 +126,13 @@ impl Stats {
                 self.seen[i] += 1.0;
                 self.radius[i] = self.radius[i].max(seen.radii[i] / seen.long_side);
             }
+        }
+    }
+
+    /// Keeps these splats only, in this order.
+    pub fn keep(&mut self, kept: &[usize]) {
+        for sums in [&mut self.gradient, &mut self.error, &mut self.seen, &mut self.radius] {
+            *sums = kept.iter().map(|&i| sums[i]).collect();
         }
     }
 

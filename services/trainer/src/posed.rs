@@ -1,0 +1,70 @@
+//! The views as training knows them: where they stood, and which points they saw.
+
+use crate::photos::{Level, Stored};
+use segwild_scene::{Camera, Pose, Scene, View};
+
+/// How far a point that a photo saw vouches for its pixel: a residual there counts for the rest.
+const TRUST: f32 = 0.9;
+/// Deviation of the bell around it, as a share of the photo's long side.
+const NEARBY: f32 = 0.02;
+
+/// What a step needs to know of a view.
+pub(crate) struct Posed {
+    pub name: String,
+    /// At the photo's full size.
+    pub camera: Camera,
+    pub pose: Pose,
+    /// Points this view saw: colour, and position as shares of width and height.
+    sightings: Vec<([f32; 3], [f32; 2])>,
+}
+
+impl Posed {
+    /// How far each pixel is known to show the scene itself, in [0, [`TRUST`]]: near a point that this photo and others
+    /// saw, whatever its residual, stands no stranger.
+    pub fn trusted(&self, photo: &Level) -> Vec<f32> {
+        let (w, h) = (photo.width, photo.height);
+        let sigma = w.max(h) as f32 * NEARBY;
+        let reach = (3.0 * sigma).ceil() as i32;
+        let bell: Vec<f32> = (0..=reach).map(|d| (-0.5 * (d as f32 / sigma).powi(2)).exp()).collect();
+        let mut out = vec![0.0f32; w * h];
+        for (_, at) in &self.sightings {
+            let (cx, cy) = ((at[0] * w as f32) as i32, (at[1] * h as f32) as i32);
+            for y in (cy - reach).max(0)..(cy + reach + 1).min(h as i32) {
+                for x in (cx - reach).max(0)..(cx + reach + 1).min(w as i32) {
+                    let near =
+                        bell[(x - cx).unsigned_abs() as usize] * bell[(y - cy).unsigned_abs() as usize];
+                    let o = &mut out[y as usize * w + x as usize];
+                    *o = o.max(TRUST * near);
+                }
+            }
+        }
+        out
+    }
+}
+
+pub(crate) fn posed(scene: &Scene) -> Vec<Posed> {
+    let of = |v: &View| Posed { name: v.name.clone(), camera: v.camera, pose: v.pose, sightings: Vec::new() };
+    let mut views: Vec<Posed> = scene.views.iter().map(of).collect();
+    for point in &scene.points {
+        for o in &point.track {
+            if let Some(view) = views.get_mut(o.view as usize) {
+                let at = [o.pixel[0] / view.camera.width as f32, o.pixel[1] / view.camera.height as f32];
+                view.sightings.push((point.colour, at));
+            }
+        }
+    }
+    views
+}
+
+/// Colours of a view's points, and what its photo shows there.
+pub(crate) fn colour_pairs(view: &Posed, stored: &Stored) -> Vec<([f32; 3], [f32; 3])> {
+    let (_, photo) = stored.level(1);
+    let (w, h) = (photo.width as f32, photo.height as f32);
+    view.sightings
+        .iter()
+        .filter(|(_, at)| at.iter().all(|v| (0.0..1.0).contains(v)))
+        .map(|(colour, at)| (*colour, (at[1] * h) as usize * photo.width + (at[0] * w) as usize))
+        .filter(|&(_, i)| photo.counts(i))
+        .map(|(colour, i)| (colour, photo.colour(i)))
+        .collect()
+}
