@@ -27,6 +27,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::codec::{self, CodecError, Decode, Encode};
+use crate::fault;
 use crate::files::{self, FileError};
 use crate::key::Key;
 
@@ -231,6 +232,10 @@ impl Cache {
             Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(None),
             Err(e) => return Err(FileError::new("read", &path, e).into()),
         };
+        if fault::armed() {
+            let read = fault::bytes("cache.read", bytes.into());
+            bytes = read.map_err(|e| FileError::new("read", &path, e))?.into_owned();
+        }
         let reason = if bytes.len() < HEADER {
             "it is shorter than its header"
         } else if bytes[..8] != MAGIC {

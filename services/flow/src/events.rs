@@ -20,10 +20,11 @@ use std::collections::VecDeque;
 use std::io::Write;
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 
+use crate::clock::now;
 use crate::meter::lock;
 use crate::progress::StageProgress;
 
@@ -326,8 +327,7 @@ impl Events {
         if queues.is_empty() {
             return;
         }
-        let time = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |d| d.as_secs_f64());
-        let record = Arc::new(EventRecord { time, event });
+        let record = Arc::new(EventRecord { time: now(), event });
         queues.iter().for_each(|queue| queue.push(&record));
     }
 

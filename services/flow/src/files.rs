@@ -6,6 +6,8 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use crate::fault;
+
 /// What stood in the way of a file operation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Obstacle {
@@ -101,8 +103,10 @@ pub(crate) fn write_aside(aside: &Path, path: &Path, parts: &[&[u8]]) -> Result<
     let stem = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
     let temporary = aside.join(unique_name(&format!(".{stem}")));
     let write = || {
+        fault::point("file.write").map_err(|e| FileError::new("write", path, e))?;
         let mut file = File::create(&temporary).map_err(|e| FileError::new("write", path, e))?;
         write_parts(&mut file, path, parts)?;
+        fault::point("file.rename").map_err(|e| FileError::new("write", path, e))?;
         fs::rename(&temporary, path).map_err(|e| FileError::new("write", path, e))
     };
     write().inspect_err(|_| {

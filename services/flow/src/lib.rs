@@ -7,14 +7,17 @@
 //! - [`Events`]: what happens, told to progress bars, `--json` and the ledger without ever holding up a worker.
 //! - [`Cache`]: artefacts by the hash of what they were made from ([`Key`]); verified on every read.
 //! - [`Ledger`]: what a run has done, in SQLite, readable by others while it is written.
+//! - [`fault`]: points where a test lets something go wrong: a kill, a full disk, a torn file.
 //! - [`codec`]: binary records with a header; [`files`]: files that are there whole or not at all.
 
 pub mod actor;
 pub mod cache;
+mod clock;
 pub mod codec;
 pub mod control;
 pub mod cpu;
 pub mod events;
+pub mod fault;
 pub mod files;
 pub mod key;
 pub mod ledger;

@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 
 use crate::actor::{Actor, Context, Failure, FailureKind, Idle, Quarantined};
 use crate::events::Event;
+use crate::fault;
 use crate::mailbox::{AnyMailbox, Receiver, RecvError};
 use crate::message::Message;
 use crate::meter::{Pulse, WorkerState, lock};
@@ -344,7 +345,13 @@ fn live<A: Actor>(
         }
         let (label, copy) = (message.label(), message.again());
         context.pulse.enter(WorkerState::Busy, &label);
-        match guard(|| actor.handle(message, context)) {
+        let handled = guard(|| {
+            if fault::armed() {
+                fault::point(&format!("{}.handle", cell.name))?;
+            }
+            actor.handle(message, context)
+        });
+        match handled {
             Ok(()) => {
                 cell.messages.fetch_add(1, Ordering::Relaxed);
                 cell.in_a_row.store(0, Ordering::Relaxed);

@@ -11,10 +11,11 @@
 //! ```
 
 use std::sync::{Arc, Mutex};
-use std::time::{Instant, SystemTime, UNIX_EPOCH};
+use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
 
+use crate::clock::now;
 use crate::meter::lock;
 
 /// What a span's time went to.
@@ -92,9 +93,13 @@ pub struct Timeline {
 impl Timeline {
     /// Begins a timeline of at most so many spans (at least 16).
     pub fn new(capacity: usize) -> Self {
-        let began = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |d| d.as_secs_f64());
         let store = Store { spans: Vec::new(), shortest: 0.0, dropped: 0 };
-        Self { origin: Instant::now(), began, capacity: capacity.max(16), store: Arc::new(Mutex::new(store)) }
+        Self {
+            origin: Instant::now(),
+            began: now(),
+            capacity: capacity.max(16),
+            store: Arc::new(Mutex::new(store)),
+        }
     }
 
     /// Adds a span.

@@ -33,7 +33,7 @@ mod schema;
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 use rusqlite::{Connection, OpenFlags, Transaction, params};
 
@@ -41,7 +41,9 @@ pub use lock::Owner;
 pub use rows::{CheckpointRow, EventRow, StageRow, State, ViewOutcome, ViewRow};
 pub use schema::SCHEMA_VERSION;
 
+use crate::clock::now;
 use crate::events::{EventRecord, Level};
+use crate::fault;
 use crate::files::FileError;
 use crate::key::Key;
 use crate::meter::lock as hold;
@@ -140,10 +142,6 @@ impl std::fmt::Debug for Ledger {
     }
 }
 
-fn now() -> f64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |d| d.as_secs_f64())
-}
-
 /// How durable a commit is.
 #[derive(Clone, Copy)]
 enum Commit {
@@ -205,6 +203,7 @@ impl Ledger {
         commit: Commit,
         change: impl FnOnce(&Transaction<'_>) -> rusqlite::Result<T>,
     ) -> Result<T, LedgerError> {
+        fault::point("ledger.commit").map_err(|e| FileError::new("write", &self.inner.path, e))?;
         let mut connection = hold(&self.inner.connection);
         let run = || {
             connection.pragma_update(
