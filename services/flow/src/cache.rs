@@ -20,6 +20,8 @@
 //! assert_eq!((cache.counters().hits, cache.counters().misses), (1, 1));
 //! ```
 
+mod inventory;
+
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -30,6 +32,8 @@ use crate::codec::{self, CodecError, Decode, Encode};
 use crate::fault;
 use crate::files::{self, FileError};
 use crate::key::Key;
+
+pub use inventory::{Artefact, Swept};
 
 const MAGIC: [u8; 8] = *b"\x89SGA\r\n\x1a\x01";
 const HEADER: usize = 8 + 8 + 32;
@@ -89,6 +93,21 @@ struct Counters {
     bytes_written: AtomicU64,
 }
 
+/// Whether a file's bytes are a whole artefact; else what is wrong with them.
+fn check(bytes: &[u8]) -> Result<(), &'static str> {
+    if bytes.len() < HEADER {
+        Err("it is shorter than its header")
+    } else if bytes[..8] != MAGIC {
+        Err("it does not start as an artefact does")
+    } else if bytes[8..16] != ((bytes.len() - HEADER) as u64).to_le_bytes() {
+        Err("its length is not the one written down")
+    } else if bytes[16..HEADER] != *blake3::hash(&bytes[HEADER..]).as_bytes() {
+        Err("its hash does not fit its bytes")
+    } else {
+        Ok(())
+    }
+}
+
 /// A content-addressed store. Clones share the counters.
 #[derive(Clone)]
 pub struct Cache {
@@ -105,6 +124,11 @@ impl Cache {
         let root = root.into();
         fs::create_dir_all(&root).map_err(|e| FileError::new("create the cache folder", &root, e))?;
         Ok(Self { root, counters: Arc::default() })
+    }
+
+    /// The cache in a folder that may not be there: it then holds nothing, and nothing is made.
+    pub fn at(root: impl Into<PathBuf>) -> Self {
+        Self { root: root.into(), counters: Arc::default() }
     }
 
     /// The folder.
@@ -236,29 +260,28 @@ impl Cache {
             let read = fault::bytes("cache.read", bytes.into());
             bytes = read.map_err(|e| FileError::new("read", &path, e))?.into_owned();
         }
-        let reason = if bytes.len() < HEADER {
-            "it is shorter than its header"
-        } else if bytes[..8] != MAGIC {
-            "it does not start as an artefact does"
-        } else if bytes[8..16] != ((bytes.len() - HEADER) as u64).to_le_bytes() {
-            "its length is not the one written down"
-        } else if bytes[16..HEADER] != *blake3::hash(&bytes[HEADER..]).as_bytes() {
-            "its hash does not fit its bytes"
-        } else {
-            bytes.drain(..HEADER);
-            return Ok(Some(bytes));
-        };
-        self.move_aside(key, reason);
-        Ok(None)
+        match check(&bytes) {
+            Ok(()) => {
+                bytes.drain(..HEADER);
+                Ok(Some(bytes))
+            }
+            Err(reason) => {
+                self.move_aside(key, reason);
+                Ok(None)
+            }
+        }
     }
 
     fn move_aside(&self, key: &Key, reason: &str) {
+        self.move_file_aside(&self.path(key), &format!("{}-{}", key.domain(), key.hex()), reason);
+    }
+
+    fn move_file_aside(&self, from: &Path, name: &str, reason: &str) {
         self.counters.corrupt.fetch_add(1, Ordering::Relaxed);
-        let from = self.path(key);
         tracing::warn!("{} is damaged ({reason}): made anew", from.display());
         let folder = self.root.join("corrupt");
-        let to = folder.join(files::unique_name(&format!("{}-{}", key.domain(), key.hex())));
+        let to = folder.join(files::unique_name(name));
         // Where the folder cannot be written, the damaged file stays and stays a miss.
-        let _ = fs::create_dir_all(&folder).and_then(|()| fs::rename(&from, to));
+        let _ = fs::create_dir_all(&folder).and_then(|()| fs::rename(from, to));
     }
 }

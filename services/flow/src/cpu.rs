@@ -1,6 +1,20 @@
-//! How much processor time was used, where the operating system tells (Linux).
+//! How much processor time and memory was used, where the operating system tells (Linux).
 
 use std::fs;
+
+/// Most memory that the process has held at once so far, in bytes; `None` where the system does not tell.
+///
+/// ```
+/// if let Some(bytes) = segwild_flow::cpu::peak_memory() {
+///     assert!(bytes > 100_000);
+/// }
+/// ```
+pub fn peak_memory() -> Option<u64> {
+    let text = fs::read_to_string("/proc/self/status").ok()?;
+    let line = text.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let kib: u64 = line.split_whitespace().next()?.parse().ok()?;
+    Some(kib * 1024)
+}
 
 /// Processor seconds of the calling thread since it began; `None` where the system does not tell.
 ///

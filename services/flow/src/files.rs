@@ -116,6 +116,27 @@ pub(crate) fn write_aside(aside: &Path, path: &Path, parts: &[&[u8]]) -> Result<
     sync_folder(folder)
 }
 
+/// Removes the files that writers of this module left aside in a folder when they were killed; those of processes that
+/// still run stay. What cannot be removed is left: it is only litter. Does nothing where the system does not tell
+/// which processes run.
+pub fn remove_litter(folder: &Path) {
+    let Ok(entries) = fs::read_dir(folder) else { return };
+    if !Path::new("/proc/self").exists() {
+        return;
+    }
+    for entry in entries.flatten() {
+        let name = entry.file_name().to_string_lossy().into_owned();
+        let mut parts = name.rsplit('.');
+        let number = parts.next().and_then(|part| part.parse::<u64>().ok());
+        let writer = parts.next().and_then(|part| part.parse::<u32>().ok());
+        if let (true, Some(_), Some(writer)) = (name.starts_with('.'), number, writer)
+            && !Path::new("/proc").join(writer.to_string()).exists()
+        {
+            let _ = fs::remove_file(entry.path());
+        }
+    }
+}
+
 /// Makes a rename in a folder last through a power cut.
 pub(crate) fn sync_folder(folder: &Path) -> Result<(), FileError> {
     if cfg!(unix) {
@@ -152,6 +173,21 @@ mod tests {
         // A folder that is not empty cannot be replaced by a file.
         assert!(write_atomic(&target, b"new").is_err());
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn only_the_litter_of_the_dead_goes() {
+        let folder = tempfile::tempdir().unwrap();
+        // Process numbers end at 2^22 on Linux.
+        let dead = ".model.bin.4194999.3".to_owned();
+        let kept =
+            [format!(".model.bin.{}.3", std::process::id()), ".hidden".into(), "model.bin.4194999.3".into()];
+        for name in kept.iter().chain([&dead]) {
+            fs::write(folder.path().join(name), "x").unwrap();
+        }
+        remove_litter(folder.path());
+        assert!(kept.iter().all(|name| folder.path().join(name).exists()));
+        assert_eq!(folder.path().join(dead).exists(), !Path::new("/proc/self").exists());
     }
 
     #[test]

@@ -4,6 +4,7 @@
 //!   compute threads alike.
 //! - [`Actor`] and [`System`]: actors on threads of their own, supervised: retried, restarted, quarantined,
 //!   watched, stopped in order; their times are the timings of the run.
+//! - [`Lease`]: the one accelerator, in turn.
 //! - [`Events`]: what happens, told to progress bars, `--json` and the ledger without ever holding up a worker.
 //! - [`Cache`]: artefacts by the hash of what they were made from ([`Key`]); verified on every read.
 //! - [`Ledger`]: what a run has done, in SQLite, readable by others while it is written.
@@ -20,6 +21,7 @@ pub mod events;
 pub mod fault;
 pub mod files;
 pub mod key;
+pub mod lease;
 pub mod ledger;
 pub mod mailbox;
 pub mod message;
@@ -30,18 +32,20 @@ pub mod report;
 pub mod supervise;
 pub mod system;
 pub mod timeline;
+pub mod trace;
 
 pub use actor::{Actor, Context, Failure, Idle, Quarantined};
-pub use cache::{Cache, CacheCounters, CacheError, MakeError, Origin};
+pub use cache::{Artefact, Cache, CacheCounters, CacheError, MakeError, Origin, Swept};
 pub use codec::CodecError;
 pub use control::{Phase, Stopper};
 pub use events::{Event, EventRecord, Events, Level, Sink, Subscription};
 pub use files::FileError;
 pub use key::{Key, KeyBuilder};
+pub use lease::{Lease, LeaseGuard, LeaseStats};
 pub use ledger::{Ledger, LedgerError};
 pub use mailbox::{Closed, Limits, MailboxStats, Receiver, RecvError, Sender, TrySendError, mailbox};
 pub use message::Message;
-pub use meter::WorkerState;
+pub use meter::{WaitingFor, WorkerState, waiting_for};
 pub use progress::StageProgress;
 pub use report::{ActorReport, Exit, Report, WorkerStatus};
 pub use supervise::{ActorOptions, RestartBudget};

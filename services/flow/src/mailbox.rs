@@ -379,7 +379,7 @@ impl<M: Message> Sender<M> {
             Ok(()) => Ok(()),
             Err(TrySendError::Closed(_)) => Err(closed()),
             Err(TrySendError::Full(message)) => {
-                let _blocked = meter::blocked(&self.shared.name);
+                let _blocked = meter::waiting_for(&self.shared.name);
                 block_on(self.shared.send(lane, message), None).unwrap_or_else(|| Err(closed()))
             }
         }

@@ -23,7 +23,7 @@ pub enum WorkerState {
     Waiting,
     /// Handling a message, or working between messages.
     Busy,
-    /// Waiting for room in another mailbox.
+    /// Waiting for room in another mailbox, or for another's result.
     Blocked,
     /// Waiting before a restart or another attempt.
     BackOff,
@@ -161,22 +161,23 @@ pub(crate) fn adopt(pulse: Option<Arc<Pulse>>) {
     PULSE.with_borrow_mut(|current| *current = pulse);
 }
 
-/// While it lives, the calling worker counts as blocked on another mailbox.
-pub(crate) struct BlockedGuard {
+/// While it lives, the calling worker counts as blocked.
+pub struct WaitingFor {
     pulse: Arc<Pulse>,
     before: (WorkerState, String),
 }
 
-/// `None` on a thread that is no worker.
-pub(crate) fn blocked(mailbox: &str) -> Option<BlockedGuard> {
+/// Says that the calling worker waits for `what`: room in a mailbox, or a result that another actor makes. The
+/// timeline then shows the wait and names it. `None` on a thread that is no worker.
+pub fn waiting_for(what: &str) -> Option<WaitingFor> {
     PULSE.with_borrow(|current| {
         let pulse = current.clone()?;
-        let before = pulse.enter(WorkerState::Blocked, mailbox);
-        Some(BlockedGuard { pulse, before })
+        let before = pulse.enter(WorkerState::Blocked, what);
+        Some(WaitingFor { pulse, before })
     })
 }
 
-impl Drop for BlockedGuard {
+impl Drop for WaitingFor {
     fn drop(&mut self) {
         self.pulse.enter(self.before.0, &self.before.1);
     }

@@ -86,8 +86,15 @@ impl Default for SystemOptions {
 pub struct SpawnError {
     /// For whom.
     pub actor: String,
-    /// The operating system's error.
+    /// The operating system's error; interrupted when the system is stopping.
     pub source: std::io::Error,
+}
+
+impl SpawnError {
+    /// Whether nothing is wrong but that the system was asked to stop before.
+    pub fn is_stopping(&self) -> bool {
+        self.source.kind() == std::io::ErrorKind::Interrupted
+    }
 }
 
 struct Shared {
@@ -207,7 +214,8 @@ impl System {
         {
             let mut roster = lock(&self.shared.roster);
             if roster.sealed {
-                let source = std::io::Error::other("the system is stopping");
+                let words = "the system is stopping";
+                let source = std::io::Error::new(std::io::ErrorKind::Interrupted, words);
                 return Err(SpawnError { actor: name.to_string(), source });
             }
             roster.cells.push(cell.clone());

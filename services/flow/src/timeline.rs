@@ -30,7 +30,7 @@ pub enum SpanKind {
     Step,
     /// Waiting for input.
     Wait,
-    /// Waiting for room in a mailbox, which the label names.
+    /// Waiting for room in a mailbox or for another's result, which the label names.
     Blocked,
     /// Waiting before another attempt.
     BackOff,

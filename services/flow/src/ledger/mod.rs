@@ -280,6 +280,17 @@ impl Ledger {
         self.end_stage(stage, key, State::Failed, None, Some(error))
     }
 
+    /// Stages that are under way are left where they are, to be continued.
+    ///
+    /// # Errors
+    /// When the ledger cannot be written.
+    pub fn leave_stages(&self) -> Result<(), LedgerError> {
+        self.write(Commit::Full, |t| {
+            t.execute("UPDATE stages SET state = 'pending' WHERE state = 'running'", [])?;
+            Ok(())
+        })
+    }
+
     fn end_stage(
         &self,
         stage: &str,
@@ -404,6 +415,18 @@ impl Ledger {
             )?
             .query_map(params![stage, key.to_string()], CheckpointRow::read)?
             .collect()
+        })
+    }
+
+    /// The checkpoints of a stage under whatever key.
+    ///
+    /// # Errors
+    /// When the ledger cannot be read.
+    pub fn all_checkpoints(&self, stage: &str) -> Result<Vec<CheckpointRow>, LedgerError> {
+        self.read(|c| {
+            c.prepare("SELECT stage, key, step, file, digest FROM checkpoints WHERE stage = ?1")?
+                .query_map([stage], CheckpointRow::read)?
+                .collect()
         })
     }
 
