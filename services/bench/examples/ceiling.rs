@@ -39,7 +39,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let began = std::time::Instant::now();
     // The masks wait for no one here: geometry alone is asked for, then its scores on the held-out photos.
     let providers = Some(trial.providers(&settings)?);
-    let run_options = RunOptions { until: Some("geometry".into()), providers, ..RunOptions::default() };
+    let run_options =
+        RunOptions { until: segwild_pipeline::Until::stage("geometry"), providers, ..RunOptions::default() };
     let summary = run(&dir.join("scene"), trial.folder(), &settings, &run_options)?;
     println!("trained in {:.0} s, PSNR {:?}", began.elapsed().as_secs_f64(), summary.train_psnr);
     let pixels = options.long_side;

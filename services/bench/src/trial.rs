@@ -6,7 +6,9 @@ use crate::synthetic::{
     Kind, Manifest, ObjectTruth, SyntheticError, SyntheticOptions, SyntheticScene, generate,
 };
 use segwild_flow::Stopper;
-use segwild_pipeline::{PhotoPrompts, RunError, RunFolder, RunOptions, Selected, Settings, run, segment};
+use segwild_pipeline::{
+    PhotoPrompts, RunError, RunFolder, RunOptions, Selected, Settings, Until, run, segment,
+};
 use segwild_scene::{BoxPrompt, Mask, PointPrompt, Prompts, SceneError, Splats};
 use segwild_vision::{Providers, VisionError};
 use serde::Serialize;
@@ -147,7 +149,7 @@ impl Trial {
     /// Trains the scene up to the feature field; what is already there is not made again.
     pub fn train(&self, settings: &Settings) -> Result<(), TrialError> {
         let providers = Some(self.providers(settings)?);
-        let options = RunOptions { until: Some("features".into()), providers, ..RunOptions::default() };
+        let options = RunOptions { until: Until::stage("features"), providers, ..RunOptions::default() };
         run(&self.scene_dir, &self.folder, settings, &options)?;
         Ok(())
     }

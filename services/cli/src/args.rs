@@ -13,6 +13,10 @@ pub fn program() -> Command {
         .subcommand_required(true)
         .arg_required_else_help(true)
         .after_help(crate::exit::HELP)
+        .arg(
+            // For tests: what goes wrong where, as `segwild_flow::fault` reads it.
+            Arg::new("fault").long("fault").global(true).hide(true).action(ArgAction::Append),
+        )
         .subcommand(
             with_settings(
                 Command::new("run").about("Train a scene: geometry, looks, masks, features, report"),
@@ -28,8 +32,15 @@ pub fn program() -> Command {
             .arg(
                 Arg::new("until")
                     .long("until")
-                    .value_parser(PossibleValuesParser::new(segwild_pipeline::STAGES))
-                    .help("Stop after this stage"),
+                    .value_name("STAGE|N")
+                    .value_parser(str::parse::<segwild_pipeline::Until>)
+                    .help("Stop after this stage, or after training step N; a later N goes on from there"),
+            )
+            .arg(
+                Arg::new("explain")
+                    .long("explain")
+                    .action(ArgAction::SetTrue)
+                    .help("Only say which stages would be done again, and why"),
             )
             .arg(json()),
         )
@@ -122,6 +133,36 @@ pub fn program() -> Command {
             Command::new("status").about("Say what a run has done and is doing").arg(run()).arg(json()),
         )
         .subcommand(
+            Command::new("cache")
+                .about("Look after a run's cache of per-photo results")
+                .subcommand_required(true)
+                .subcommand(
+                    Command::new("ls").about("List what is there, and what the run uses of it").arg(run()).arg(json()),
+                )
+                .subcommand(
+                    Command::new("verify")
+                        .about("Read every file and compare its hash; damaged ones are moved aside and made anew")
+                        .arg(run())
+                        .arg(json()),
+                )
+                .subcommand(
+                    Command::new("gc")
+                        .about("Remove what was made under other settings than the run's present ones")
+                        .arg(run())
+                        .arg(
+                            number("limit", "0", "Oldest first, and only until the cache holds this many MiB")
+                                .value_parser(value_parser!(u64)),
+                        )
+                        .arg(
+                            Arg::new("dry-run")
+                                .long("dry-run")
+                                .action(ArgAction::SetTrue)
+                                .help("Remove nothing, say what would go"),
+                        )
+                        .arg(json()),
+                ),
+        )
+        .subcommand(
             Command::new("demo")
                 .about("Make a synthetic scene, run the whole job on it, leave a report and pictures")
                 .arg(path("out", "Folder [default: runs/demo]"))
@@ -149,6 +190,28 @@ pub fn program() -> Command {
         )
         .subcommand(
             with_settings(Command::new("bench").about("Measure: the ablation table on synthetic scenes"))
+                .args_conflicts_with_subcommands(true)
+                .subcommand(
+                    Command::new("flow")
+                        .about("Measure what the dataflow promises: overlap, cost, cache, kills, memory")
+                        .arg(
+                            Arg::new("only")
+                                .long("only")
+                                .value_name("ROWS")
+                                .help("Rows to measure, with commas [default: all]"),
+                        )
+                        .arg(number("kills", "50", "Runs that are killed").value_parser(value_parser!(u32).range(1..)))
+                        .arg(
+                            Arg::new("photos")
+                                .long("photos")
+                                .value_name("FEW,MANY")
+                                .default_value("100,1000")
+                                .help("Photos of the two scenes whose memory is compared"),
+                        )
+                        .arg(path("out", "Folder for scenes and runs [default: .bench/flow]"))
+                        .arg(path("page", "Write the table to this file, as a page"))
+                        .arg(json()),
+                )
                 .arg(
                     Arg::new("providers")
                         .long("providers")

@@ -14,12 +14,18 @@ fn main() -> ExitCode {
     // What a person should know is told as an event; the log is for those who look for more.
     let filter = tracing_subscriber::EnvFilter::try_new(&level).unwrap_or_else(|_| "error".into());
     tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    let faults: Vec<&String> = matches.get_many("fault").into_iter().flatten().collect();
+    if let Err(error) = segwild_flow::fault::arm(&faults) {
+        failure::Failure::usage(error.to_string()).tell();
+        return ExitCode::from(exit::USAGE);
+    }
     let done = match matches.subcommand() {
         Some(("run", m)) => commands::run::run(m),
         Some(("segment", m)) => commands::segment::segment(m),
         Some(("render", m)) => commands::render::render(m),
         Some(("eval", m)) => commands::eval::eval(m),
         Some(("status", m)) => commands::status::status(m),
+        Some(("cache", m)) => commands::cache::cache(m),
         Some(("demo", m)) => commands::demo::demo(m),
         Some(("doctor", m)) => commands::doctor::doctor(m),
         Some(("bench", m)) => commands::bench::bench(m),

@@ -91,12 +91,17 @@ pub fn duration(seconds: f64) -> String {
 /// The first Ctrl-C (or SIGTERM) asks the run to stop where it can continue; the second ends the process at once,
 /// which is safe as well: files are whole or not there.
 pub fn stop_on_ctrl_c(stopper: &Stopper) -> std::io::Result<()> {
-    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    // Listening begins here, before there is anything to lose.
+    let mut signals = {
+        let _inside = runtime.enter();
+        Signals::new()?
+    };
     let stopper = stopper.clone();
     std::thread::Builder::new().name("signals".into()).spawn(move || {
         runtime.block_on(async {
             for press in 0.. {
-                signal().await;
+                signals.next().await;
                 if press > 0 {
                     std::process::exit(crate::exit::INTERRUPTED.into());
                 }
@@ -109,19 +114,34 @@ pub fn stop_on_ctrl_c(stopper: &Stopper) -> std::io::Result<()> {
 }
 
 #[cfg(unix)]
-async fn signal() {
-    use tokio::signal::unix::{SignalKind, signal};
-    let Ok(mut terminate) = signal(SignalKind::terminate()) else {
-        let _ = tokio::signal::ctrl_c().await;
-        return;
-    };
-    tokio::select! {
-        _ = tokio::signal::ctrl_c() => {}
-        _ = terminate.recv() => {}
+struct Signals([tokio::signal::unix::Signal; 2]);
+
+#[cfg(unix)]
+impl Signals {
+    fn new() -> std::io::Result<Signals> {
+        use tokio::signal::unix::{SignalKind, signal};
+        Ok(Signals([signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?]))
+    }
+
+    async fn next(&mut self) {
+        let [interrupt, terminate] = &mut self.0;
+        tokio::select! {
+            _ = interrupt.recv() => {}
+            _ = terminate.recv() => {}
+        }
     }
 }
 
 #[cfg(not(unix))]
-async fn signal() {
-    let _ = tokio::signal::ctrl_c().await;
+struct Signals;
+
+#[cfg(not(unix))]
+impl Signals {
+    fn new() -> std::io::Result<Signals> {
+        Ok(Signals)
+    }
+
+    async fn next(&mut self) {
+        let _ = tokio::signal::ctrl_c().await;
+    }
 }

@@ -17,6 +17,12 @@ const EMBEDDING: &str = "embedding";
 /// Kind of the cache's mask records, as the masks actor writes them.
 const MASKS: &str = "masks";
 
+/// Kind of the cache's sky records, as the masks actor writes them.
+const SKY: &str = "sky";
+
+/// Kind of the cache's records of what can be trusted in a photo: a [`Mask`] on a grid of its own.
+pub const VISIBILITY: &str = "visibility";
+
 /// One photo's share in the field, by the names of its artefacts in the cache.
 #[derive(Clone, Debug)]
 pub struct FieldView {
@@ -27,9 +33,9 @@ pub struct FieldView {
     /// Its masks, if it has any.
     pub masks: Option<Key>,
     /// Its sky, if it is known.
-    pub sky: Option<Arc<Mask>>,
-    /// How far each pixel can be trusted (VM), one plane in [0, 1]; sky has 0.
-    pub validity: Arc<Image>,
+    pub sky: Option<Key>,
+    /// Which of its pixels can be trusted (VM): a [`VISIBILITY`] record; sky cannot.
+    pub visibility: Key,
 }
 
 /// What the actor is asked for.
@@ -120,6 +126,21 @@ fn missing(name: &str, what: &str, error: Option<CacheError>) -> FeatureError {
     FeatureError::Shape(format!("{name}: {what} cannot be read: {why}"))
 }
 
+fn load_mask(cache: &Cache, name: &str, what: &str, kind: &str, key: &Key) -> Result<Mask, FeatureError> {
+    cache
+        .get_typed(key, kind)
+        .map_err(|e| missing(name, what, Some(e)))?
+        .ok_or_else(|| missing(name, what, None))
+}
+
+/// VM as a plane in [0, 1].
+fn load_validity(cache: &Cache, name: &str, key: &Key) -> Result<Image, FeatureError> {
+    let mask = load_mask(cache, name, "what can be trusted in it", VISIBILITY, key)?;
+    let (width, height) = (mask.width() as usize, mask.height() as usize);
+    let data = (0..width * height).map(|i| f32::from(u8::from(mask.index(i)))).collect();
+    Ok(Image { width, height, channels: 1, data })
+}
+
 fn load_embedding(cache: &Cache, name: &str, key: &Key) -> Result<Embedding, FeatureError> {
     match cache.get_typed(key, EMBEDDING) {
         Ok(Some(embedding)) => Ok(embedding),
@@ -156,7 +177,7 @@ impl TargetSource for CachedTargets<'_> {
             camera: view.camera,
             pose: view.pose,
             target,
-            validity: (*field.validity).clone(),
+            validity: load_validity(self.cache, &view.name, &field.visibility)?,
             masks,
         }))
     }
@@ -185,7 +206,12 @@ impl<O: Message + From<FeatureOutcome>> FeatureActor<O> {
         for field in views {
             let name = &self.scene.views[field.view].name;
             let embedding = load_embedding(&self.cache, name, &field.embedding)?;
-            samples.add(field.view, name, &embedding, Some(&field.validity), field.sky.as_deref())?;
+            let validity = load_validity(&self.cache, name, &field.visibility)?;
+            let sky = match &field.sky {
+                Some(key) => Some(load_mask(&self.cache, name, "its sky", SKY, key)?),
+                None => None,
+            };
+            samples.add(field.view, name, &embedding, Some(&validity), sky.as_ref())?;
             context.progress();
         }
         let pca = samples.fit(self.settings.channels as usize, self.settings.keep_variance)?;

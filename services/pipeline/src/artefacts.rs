@@ -3,7 +3,7 @@
 //! Same key, same bytes. A key holds everything the artefact depends on, so a changed setting re-does exactly what
 //! depends on it.
 
-use crate::{RunError, Settings};
+use crate::Settings;
 use rayon::prelude::*;
 use segwild_features::FeatureSettings;
 use segwild_flow::Key;
@@ -25,26 +25,56 @@ pub struct Keys {
     pub sky: Vec<Key>,
     /// Per view, its embedding.
     pub embedding: Vec<Key>,
+    /// The training: what its checkpoints belong to, however many steps it is given.
+    pub training: Key,
     /// The trained scene.
     pub geometry: Key,
     /// The scene at the snapshot step.
     pub snapshot: Key,
     /// Per view, its masks.
     pub masks: Vec<Key>,
+    /// Per view, which of its pixels can be trusted.
+    pub visibility: Vec<Key>,
     /// The feature field.
     pub features: Key,
 }
 
+/// Settings that change how fast or in how much memory something is made, and not what.
+const WITHOUT_EFFECT: [&str; 2] = ["photo_cache_mib", "feature_memory"];
+
+/// What is in a scene's photos: the hash of each, or why it cannot be read.
+#[derive(Clone, Debug)]
+pub struct Digests(Vec<Result<String, String>>);
+
+impl Digests {
+    /// Reads every photo once.
+    pub fn read(scene: &Scene) -> Digests {
+        Digests(scene.views.par_iter().map(|v| photo_digest(v).map_err(|e| e.to_string())).collect())
+    }
+}
+
 impl Keys {
-    /// Reads every photo once and names everything that a run of these settings makes.
+    /// Reads every photo once and names everything that a run of these settings makes; `steps` when it trains past
+    /// the settings' own.
     pub fn new(
         scene: &Scene,
         settings: &Settings,
         providers: &Providers,
         engine: &str,
-    ) -> Result<Keys, RunError> {
-        let digests: Vec<Result<String, String>> =
-            scene.views.par_iter().map(|v| photo_digest(v).map_err(|e| e.to_string())).collect();
+        steps: Option<u32>,
+    ) -> Keys {
+        Keys::of(scene, Digests::read(scene), settings, providers, engine, steps)
+    }
+
+    /// As [`Keys::new`], of photos that were read before.
+    pub fn of(
+        scene: &Scene,
+        Digests(digests): Digests,
+        settings: &Settings,
+        providers: &Providers,
+        engine: &str,
+        steps: Option<u32>,
+    ) -> Keys {
         let photo = |domain: &'static str, i: usize, model: &str| {
             let digest = digests[i].as_ref().map_or("unreadable", String::as_str);
             Key::of(domain)
@@ -60,18 +90,22 @@ impl Keys {
         let embedding: Vec<Key> =
             views.clone().map(|i| photo("embedding", i, &providers.embedder.key())).collect();
 
-        let mut geometry = Key::of("geometry")
+        let mut training = Key::of("geometry")
             .value("format", FORMAT)
             .part("engine", engine)
             .part("settings", text::<TrainSettings>(settings))
             .part("points", points_digest(scene));
         for (i, view) in scene.views.iter().enumerate() {
-            geometry = geometry
+            training = training
                 .part(&format!("view {i}"), format!("{} {:?} {}", view.name, view.pose, view.test))
                 .key(&format!("sky {i}"), &sky[i]);
         }
-        let geometry = geometry.finish();
-        let snapshot = Key::of("snapshot").key("geometry", &geometry).finish();
+        let training = training.finish();
+        let geometry = match steps.filter(|&steps| steps > settings.train.steps) {
+            Some(steps) => Key::of("geometry").key("training", &training).value("steps", steps).finish(),
+            None => training,
+        };
+        let snapshot = snapshot_of(&training.to_string());
         let masks: Vec<Key> = views
             .clone()
             .map(|i| {
@@ -88,6 +122,17 @@ impl Keys {
                 }
             })
             .collect();
+        let visibility = views
+            .clone()
+            .map(|i| {
+                Key::of("visibility")
+                    .key("geometry", &geometry)
+                    .key("sky", &sky[i])
+                    .key("photo", &photo("photo", i, ""))
+                    .value("view", i)
+                    .finish()
+            })
+            .collect();
         let mut features = Key::of("features")
             .value("format", FORMAT)
             .part("settings", text::<FeatureSettings>(settings))
@@ -96,13 +141,44 @@ impl Keys {
             features =
                 features.key(&format!("embedding {i}"), &embedding[i]).key(&format!("masks {i}"), &masks[i]);
         }
-        Ok(Keys { digests, sky, embedding, geometry, snapshot, masks, features: features.finish() })
+        Keys {
+            digests,
+            sky,
+            embedding,
+            training,
+            geometry,
+            snapshot,
+            masks,
+            visibility,
+            features: features.finish(),
+        }
+    }
+
+    /// What a stage is recorded under in the ledger.
+    pub fn stage(&self, stage: &str) -> Key {
+        let all = |domain, keys: &[Key]| {
+            keys.iter().fold(Key::of(domain), |k, artefact| k.key(&artefact.hex(), artefact)).finish()
+        };
+        match stage {
+            "sky" => all("sky stage", &self.sky),
+            "embed" => all("embed stage", &self.embedding),
+            "masks" => all("masks stage", &self.masks),
+            "geometry" => self.geometry,
+            "features" => self.features,
+            "evaluate" => Key::of("evaluate").key("geometry", &self.geometry).finish(),
+            _ => Key::of("report").key("features", &self.features).finish(),
+        }
     }
 
     /// Why a view's photo cannot be read, if so.
     pub fn unreadable(&self, view: usize) -> Option<&str> {
         self.digests[view].as_ref().err().map(String::as_str)
     }
+}
+
+/// The snapshot's key, from its training's as the ledger writes it.
+pub(crate) fn snapshot_of(training: &str) -> Key {
+    Key::of("snapshot").part("geometry", training).finish()
 }
 
 /// The photo's bytes and those of its ignore mask.
@@ -131,5 +207,9 @@ fn points_digest(scene: &Scene) -> String {
 
 /// A group's settings as text, one per line.
 fn text<G: Group>(settings: &Settings) -> String {
-    G::FIELDS.iter().map(|f| format!("{}={}\n", f.name, settings.get(f.name).unwrap_or_default())).collect()
+    G::FIELDS
+        .iter()
+        .filter(|f| !WITHOUT_EFFECT.contains(&f.name))
+        .map(|f| format!("{}={}\n", f.name, settings.get(f.name).unwrap_or_default()))
+        .collect()
 }

@@ -1,5 +1,6 @@
 //! Where one actor leaves per-view results that another waits for.
 
+use segwild_flow::waiting_for;
 use std::collections::BTreeMap;
 use std::sync::{Condvar, Mutex, PoisonError};
 use std::time::Duration;
@@ -7,14 +8,16 @@ use std::time::Duration;
 /// One slot per view, filled once; readers wait. The trainer waits here for the sky of its photos, so that what it
 /// computes does not depend on how fast the sky was found.
 pub struct Board<T> {
+    /// What is on it, for the timeline of those who wait.
+    what: &'static str,
     slots: Mutex<BTreeMap<usize, T>>,
     filled: Condvar,
 }
 
 impl<T: Clone> Board<T> {
     /// An empty board.
-    pub fn new() -> Board<T> {
-        Board { slots: Mutex::new(BTreeMap::new()), filled: Condvar::new() }
+    pub fn new(what: &'static str) -> Board<T> {
+        Board { what, slots: Mutex::new(BTreeMap::new()), filled: Condvar::new() }
     }
 
     /// Fills a slot.
@@ -31,9 +34,13 @@ impl<T: Clone> Board<T> {
     /// Waits until the slot is filled; `None` when `stopping` says so first.
     pub fn wait(&self, view: usize, stopping: impl Fn() -> bool) -> Option<T> {
         let mut slots = self.slots.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut _waits = None;
         loop {
             if let Some(value) = slots.get(&view) {
                 return Some(value.clone());
+            }
+            if _waits.is_none() {
+                _waits = waiting_for(&format!("{} of photo {view}", self.what));
             }
             if stopping() {
                 return None;
@@ -50,7 +57,7 @@ mod tests {
 
     #[test]
     fn a_reader_waits_for_its_own_slot() {
-        let board = Board::new();
+        let board = Board::new("word");
         std::thread::scope(|s| {
             let reader = s.spawn(|| board.wait(1, || false));
             board.set(0, "other");
@@ -61,6 +68,6 @@ mod tests {
 
     #[test]
     fn a_reader_does_not_outwait_a_stop() {
-        assert_eq!(Board::<u8>::new().wait(0, || true), None);
+        assert_eq!(Board::<u8>::new("word").wait(0, || true), None);
     }
 }

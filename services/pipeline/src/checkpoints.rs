@@ -1,14 +1,13 @@
 //! Where an interrupted training goes on from.
 
 use crate::{RunError, RunFolder};
+use segwild_flow::files::FileError;
 use segwild_flow::ledger::CheckpointRow;
-use segwild_flow::{Events, Key, Ledger, codec, files};
+use segwild_flow::{Events, Key, Ledger, codec, fault, files};
 use segwild_trainer::Checkpoint;
 
 /// Kind of the records.
 const CHECKPOINT: &str = "checkpoint";
-/// Checkpoints kept: the last, and one to fall back on.
-const KEPT: usize = 2;
 
 /// Keeps the checkpoints of one training, files in the run folder and their digests in the ledger.
 pub struct Keeper<'a> {
@@ -20,12 +19,17 @@ pub struct Keeper<'a> {
     pub events: &'a Events,
     /// The training that they belong to.
     pub key: &'a Key,
+    /// How many are kept: the last, and those to fall back on.
+    pub kept: usize,
 }
 
 impl Keeper<'_> {
     /// Writes a checkpoint and removes those that are too old.
     pub fn save(&self, checkpoint: &Checkpoint) -> Result<(), RunError> {
-        let name = format!("geometry-{:08}.bin", checkpoint.step());
+        fault::point("checkpoint.save")
+            .map_err(|e| FileError::new("write", &self.folder.checkpoints(), e))?;
+        // Trainings under other settings have checkpoints here, too.
+        let name = format!("geometry-{}-{:08}.bin", &self.key.hex()[..8], checkpoint.step());
         let path = self.folder.checkpoints().join(&name);
         let bytes = codec::encode(CHECKPOINT, checkpoint)
             .map_err(|source| RunError::Record { path: path.clone(), source })?;
@@ -37,7 +41,7 @@ impl Keeper<'_> {
             file: name,
             digest: blake3::hash(&bytes).to_hex().to_string(),
         })?;
-        for old in self.ledger.checkpoints("geometry", self.key)?.into_iter().skip(KEPT) {
+        for old in self.ledger.checkpoints("geometry", self.key)?.into_iter().skip(self.kept.max(1)) {
             // A file that is gone already is what was wanted.
             let _ = std::fs::remove_file(self.folder.checkpoints().join(&old.file));
             self.ledger.forget_checkpoint(&old)?;
@@ -59,8 +63,13 @@ impl Keeper<'_> {
                 Ok(checkpoint) if checkpoint.step() < before => return Ok(Some(checkpoint)),
                 Ok(_) => {}
                 Err(reason) => {
-                    let message = format!("checkpoint {} is passed over: {reason}", path.display());
+                    let message = format!(
+                        "checkpoint {} is passed over, the one before it serves: {reason}",
+                        path.display()
+                    );
                     self.events.warn(Some("geometry"), message);
+                    // It may be gone already, and it is of no use.
+                    let _ = std::fs::remove_file(&path);
                     self.ledger.forget_checkpoint(&row)?;
                 }
             }

@@ -9,7 +9,7 @@
 //! RUN/model.bin         the trained scene; RUN/scene.ply the same for other programs
 //! RUN/features.bin      the feature field
 //! RUN/history.jsonl     loss, PSNR and splats over the steps
-//! RUN/timeline.json     who did what when
+//! RUN/timeline.json     who did what when; RUN/trace.json the same for Perfetto, RUN/trace.otlp.json for OpenTelemetry
 //! RUN/evaluation.json   held-out scores
 //! RUN/selections/NAME/  what `segment` made
 //! RUN/report.html       everything above to look at
@@ -74,6 +74,11 @@ impl RunFolder {
         Ok(folder)
     }
 
+    /// The folder at `path`, there or not; nothing is made.
+    pub fn at(path: &Path) -> RunFolder {
+        RunFolder { path: path.to_owned() }
+    }
+
     /// An existing run.
     pub fn open(path: &Path) -> Result<RunFolder, RunError> {
         let folder = RunFolder { path: path.to_owned() };
@@ -132,6 +137,16 @@ impl RunFolder {
 
     pub(crate) fn cache(&self) -> Result<Cache, RunError> {
         Ok(Cache::open(self.path.join("cache"))?)
+    }
+
+    /// Removes what killed processes left half-written.
+    pub(crate) fn remove_litter(&self) {
+        let selections = self.selections().into_iter().map(|name| self.selection(&name));
+        for folder in
+            [self.path.clone(), self.checkpoints(), self.path.join("cache/tmp")].into_iter().chain(selections)
+        {
+            files::remove_litter(&folder);
+        }
     }
 
     pub(crate) fn write(&self, name: &str, bytes: &[u8]) -> Result<(), RunError> {

@@ -2,11 +2,11 @@
 
 use crate::artefacts::Keys;
 use crate::board::Board;
-use crate::coordinator::{Coordinator, State};
+use crate::coordinator::{Coordinator, State, read_sky};
 use crate::evaluate::{HeldOut, held_out};
 use crate::folder::Intake;
-use crate::{RunError, RunFolder, Settings, report};
-use segwild_flow::{Events, Key, Ledger, Phase, Stopper, files};
+use crate::{RunError, RunFolder, Settings, Until, keep, memory, report};
+use segwild_flow::{Event, Events, Ledger, Phase, Stopper, cpu, files, trace};
 use segwild_raster::{CpuEngine, Engine};
 use segwild_scene::{Scene, Skipped};
 use segwild_vision::Providers;
@@ -27,8 +27,8 @@ pub struct RunOptions {
     pub stopper: Stopper,
     /// Providers to use instead of those the settings name.
     pub providers: Option<Providers>,
-    /// Stop after this stage of [`STAGES`].
-    pub until: Option<String>,
+    /// Where to stop; `None` goes to the end.
+    pub until: Option<Until>,
 }
 
 impl Default for RunOptions {
@@ -46,6 +46,8 @@ pub struct Summary {
     pub skipped: Vec<Skipped>,
     /// Splats of the trained scene.
     pub splats: usize,
+    /// The step that the training stands at, when it was asked to stop before its end.
+    pub paused_at: Option<u32>,
     /// PSNR on the training photos at the end, in dB.
     pub train_psnr: Option<f32>,
     /// Held-out scores, if photos were held out.
@@ -56,6 +58,10 @@ pub struct Summary {
     pub cached: usize,
     /// Wall time in seconds.
     pub wall_s: f64,
+    /// Most memory that the process held, in bytes, if the system tells.
+    pub peak_bytes: Option<u64>,
+    /// Where each actor's time went, a line each.
+    pub actors: String,
 }
 
 /// Runs a scene's stages, or what is left of them.
@@ -77,6 +83,7 @@ pub fn run(
             }
         })
         .map_err(|e| files::FileError::new("start the event recorder of", folder.path(), e))?;
+    folder.remove_litter();
     folder.write("segwild.toml", settings.to_toml().as_bytes())?;
     let named: Vec<(&str, String)> = Settings::catalogue()
         .iter()
@@ -120,11 +127,20 @@ pub fn run(
         ),
     );
 
+    let settings = &memory::within_budget(settings, &scene)?;
     let engine: Arc<dyn Engine> = Arc::new(CpuEngine::default());
-    let keys = Keys::new(&scene, settings, &providers, engine.name())?;
+    let steps = match options.until {
+        Some(Until::Step(step)) => step,
+        _ => settings.train.steps,
+    };
+    let keys = Keys::new(&scene, settings, &providers, engine.name(), Some(steps));
     let cache = folder.cache()?;
-    let last =
-        options.until.as_deref().and_then(|u| STAGES.iter().position(|s| *s == u)).unwrap_or(STAGES.len());
+    let last = match options.until {
+        Some(Until::Stage(stage)) => STAGES.iter().position(|s| *s == stage).unwrap_or(STAGES.len()),
+        // A training that is not over has nothing to give to the stages after it.
+        Some(Until::Step(step)) if step < settings.train.steps => 3,
+        _ => STAGES.len(),
+    };
     let mut coordinator = Coordinator {
         folder,
         settings,
@@ -135,15 +151,47 @@ pub fn run(
         keys,
         cache,
         last,
-        board: Arc::new(Board::new()),
+        steps,
+        board: Arc::new(Board::new("sky")),
         state: State::default(),
     };
-    let (report, outcome) = coordinator.flow(&providers)?;
+    // A stop that comes while actors are still being started is a stop like any other.
+    let stopped = |error| match error {
+        RunError::Spawn(spawn) if spawn.is_stopping() => RunError::Interrupted,
+        other => other,
+    };
+    let (report, outcome) = coordinator.flow(&providers).map_err(stopped)?;
+    let outcome = outcome.map_err(stopped);
     let mut state = std::mem::take(&mut coordinator.state);
     folder.write("timeline.json", serde_json::to_string(&report).unwrap_or_default().as_bytes())?;
-    outcome?;
+    let run = folder.path().file_name().map_or("run".into(), |n| n.to_string_lossy());
+    for (name, trace) in
+        [("trace.json", trace::chrome(&report, &run)), ("trace.otlp.json", trace::otlp(&report, &run))]
+    {
+        folder.write(name, trace.as_bytes())?;
+    }
+    // An actor that gave up has stopped the others; that is not a stop by the user.
+    let gave_up = report.failures().next().map(|(actor, error)| (stage_of(actor), error.to_owned()));
+    match (outcome, gave_up) {
+        (Ok(()) | Err(RunError::Interrupted), Some((stage, reason))) => {
+            ledger.fail_stage(stage, &coordinator.keys.stage(stage), &reason)?;
+            ledger.leave_stages()?;
+            options.events.tell(Event::StageFailed { stage: stage.into(), error: reason.clone() });
+            return Err(RunError::Stage { stage, reason });
+        }
+        (Err(RunError::Interrupted), None) => {
+            ledger.leave_stages()?;
+            return Err(RunError::Interrupted);
+        }
+        (Err(error), _) => return Err(error),
+        (Ok(()), None) => {}
+    }
     if options.stopper.phase() != Phase::Running {
+        ledger.leave_stages()?;
         return Err(RunError::Interrupted);
+    }
+    if state.paused.is_some() {
+        ledger.leave_stages()?;
     }
     intake.skipped.append(&mut state.skipped);
     folder.write_json("scene.json", &intake)?;
@@ -153,29 +201,68 @@ pub fn run(
     if let Some(model) = &model
         && last >= 5
     {
-        let key = Key::of("evaluate").key("geometry", &coordinator.keys.geometry).finish();
-        ledger.begin_stage("evaluate", &key)?;
-        let progress = options.events.stage("evaluate", None);
-        scores = held_out(folder, &scene, model, &*coordinator.engine, settings, &coordinator.board)?;
-        progress.finish();
-        ledger.finish_stage("evaluate", &key, None)?;
+        let key = coordinator.keys.stage("evaluate");
+        let known = folder.read_json::<HeldOut>("evaluation.json").ok();
+        if ledger.stage_is_done("evaluate", &key)? && (known.is_some() || intake.held_out.is_empty()) {
+            options.events.tell(Event::StageSkipped { stage: "evaluate".into(), key: key.to_string() });
+            scores = known.filter(|_| !intake.held_out.is_empty());
+        } else {
+            ledger.begin_stage("evaluate", &key)?;
+            let progress = options.events.stage("evaluate", None);
+            let (board, cache, sky) =
+                (coordinator.board.clone(), coordinator.cache.clone(), coordinator.keys.sky.clone());
+            let sky = move |view: usize| match board.get(view) {
+                Some(true) => read_sky(&cache, &sky[view]),
+                _ => None,
+            };
+            scores = held_out(folder, &scene, model, &*coordinator.engine, settings, sky)?;
+            progress.finish();
+            ledger.finish_stage("evaluate", &key, None)?;
+        }
     }
-    if last >= 6 && model.is_some() {
-        let key = Key::of("report").key("features", &coordinator.keys.features).finish();
+    let (key, cache) = (coordinator.keys.stage("report"), coordinator.cache.clone());
+    let (splats, train_psnr) = model.as_ref().map_or((None, None), |m| (Some(m.splats.len()), m.stats.psnr));
+    // The report reads the run folder anew; what the run held for itself goes first.
+    drop((coordinator, scene, model));
+    if last >= 6 && splats.is_some() {
         ledger.begin_stage("report", &key)?;
         let progress = options.events.stage("report", None);
         report::write_report(folder)?;
         progress.finish();
         ledger.finish_stage("report", &key, None)?;
     }
+    if settings.run.cache_limit > 0 {
+        let swept = keep::sweep(&ledger, &cache, settings.run.cache_limit << 20, false)?;
+        if swept.files > 0 {
+            let mib = swept.bytes as f64 / f64::from(1 << 20);
+            options.events.info(
+                None,
+                format!("{} files ({mib:.1} MiB) of earlier settings left the cache", swept.files),
+            );
+        }
+    }
     Ok(Summary {
         photos: intake.photos.len(),
         skipped: intake.skipped,
-        splats: model.as_ref().map_or(0, |m| m.splats.len()),
-        train_psnr: model.as_ref().and_then(|m| m.stats.psnr),
+        splats: splats.unwrap_or(0),
+        paused_at: state.paused,
+        train_psnr,
         held_out: scores,
         made: state.made,
         cached: state.cached,
         wall_s: began.elapsed().as_secs_f64(),
+        peak_bytes: cpu::peak_memory(),
+        actors: trace::summary(&report),
     })
+}
+
+/// The stage that an actor's failure is booked on.
+fn stage_of(actor: &str) -> &'static str {
+    match actor {
+        "trainer" => "geometry",
+        "features" | "visibility" => "features",
+        "photos" => "embed",
+        "ingest" => "sky",
+        _ => "masks",
+    }
 }

@@ -20,6 +20,12 @@ settings! {
         threads: u32 = 0,
         /// Seconds between checkpoints of the training; an interrupted run loses no more than this.
         checkpoint_every: u32 = 30,
+        /// Most MiB of memory that the run may take; 0 sets no limit. Caches shrink to fit; what cannot fit is refused.
+        memory_budget: u32 = 0,
+        /// Checkpoints of the training that are kept; with 2, a damaged one has another to fall back on.
+        keep_checkpoints: u32 = 2,
+        /// Most MiB that the cache keeps when a run ends, oldest first out; 0 keeps all. What this run uses always stays.
+        cache_limit: u64 = 0,
         /// Photo pairs shown in the report.
         report_photos: u32 = 8,
     }

@@ -1,7 +1,7 @@
 //! How far each pixel of a photo can be trusted (VM): not where it is sky, ignored, or shows what the scene does not.
 
 use segwild_raster::Engine;
-use segwild_scene::{Image, Mask, View};
+use segwild_scene::{Mask, View};
 use segwild_trainer::{Model, TrainError, render_view};
 
 /// Long side at which photos are compared with the scene.
@@ -11,7 +11,7 @@ const HARMLESS: f32 = 0.12;
 /// How many times the photo's median residual a pixel may be off.
 const TOLERANCE: f32 = 4.0;
 
-/// The visibility of one view, one plane in [0, 1], on a grid of at most 160 cells.
+/// Which pixels of a view can be trusted, on a grid of at most 160 cells.
 pub fn visibility(
     model: &Model,
     engine: &dyn Engine,
@@ -19,7 +19,7 @@ pub fn visibility(
     index: usize,
     sky: Option<&Mask>,
     size: u32,
-) -> Result<Image, TrainError> {
+) -> Result<Mask, TrainError> {
     let photo =
         view.load(size).map_err(|e| TrainError::Photo { name: view.name.clone(), reason: e.to_string() })?;
     let camera = view.camera.scaled_to(SIZE.min(size));
@@ -35,7 +35,7 @@ pub fn visibility(
     let limit = (TOLERANCE * sorted[n / 2]).max(HARMLESS);
     let sky = sky.map(|s| s.resized(camera.width, camera.height));
     let valid = photo.valid.as_ref().map(|v| v.resized(camera.width, camera.height));
-    let mut out = Image::zeros(w, h, 1);
+    let mut out = Mask::empty(camera.width, camera.height);
     for i in 0..n {
         // A stranger is a blob: the mean over 3 x 3 must be off, not a lone edge pixel.
         let (x, y) = (i % w, i / w);
@@ -48,7 +48,7 @@ pub fn visibility(
         }
         let shown = sum / count <= limit;
         let barred = sky.as_ref().is_some_and(|s| s.index(i)) || valid.as_ref().is_some_and(|v| !v.index(i));
-        out.data[i] = f32::from(u8::from(shown && !barred));
+        out.set(x as u32, y as u32, shown && !barred);
     }
     Ok(out)
 }

@@ -1,7 +1,7 @@
 //! The trainer behind a mailbox: one order trains one scene, and what comes of it is sent on as it comes.
 
 use crate::{Checkpoint, Model, Photos, TrainSettings, Trainer};
-use segwild_flow::{Actor, Context, Failure, Message, Sender};
+use segwild_flow::{Actor, Context, Failure, Message, Quarantined, Sender};
 use segwild_raster::Engine;
 use segwild_scene::{Scene, Skipped};
 use std::sync::Arc;
@@ -19,6 +19,9 @@ pub struct TrainOrder {
     pub photos: Arc<dyn Photos>,
     /// How to train.
     pub settings: TrainSettings,
+    /// The step to stop after: fewer than `settings.steps` leaves the training to be continued, more goes on past
+    /// the end of the schedules at their last rates.
+    pub until: u32,
     /// Where an interrupted training goes on from.
     pub checkpoint: Option<Arc<Checkpoint>>,
     /// Time between checkpoints.
@@ -27,7 +30,7 @@ pub struct TrainOrder {
 
 impl Message for TrainOrder {
     fn label(&self) -> String {
-        format!("{} steps", self.settings.steps)
+        format!("{} steps", self.until)
     }
 }
 
@@ -51,6 +54,8 @@ pub enum TrainOutcome {
     Snapshot(Arc<Model>),
     /// Where to continue from.
     Checkpoint(Arc<Checkpoint>),
+    /// The step asked for is reached, and the training is not over; its checkpoint was sent before.
+    Paused(u32),
     /// The trained scene, and photos that turned out not to be usable.
     Done(Arc<Model>, Vec<Skipped>),
     /// Training cannot go on.
@@ -78,12 +83,13 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
             None => Trainer::new(engine, scene, photos, order.settings.clone()),
         };
         let mut trainer = started.map_err(Failure::fatal)?;
+        trainer.hold_photos(order.settings.photo_cache_mib);
         for warning in trainer.warnings() {
             context.events().warn(Some("geometry"), warning.clone());
         }
         let mut saved = Instant::now();
         let (mut sums, mut since) = ([0.0f32; 3], 0);
-        while !trainer.is_done() {
+        while trainer.steps_done() < order.until {
             if context.stopping() {
                 self.send(TrainOutcome::Checkpoint(Arc::new(trainer.checkpoint())))?;
                 return Err(Failure::stopped());
@@ -92,7 +98,8 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
             context.progress();
             sums = [sums[0] + step.loss, sums[1] + step.psnr, sums[2] + step.left_out];
             since += 1;
-            if step.step % REPORT_EVERY == 0 || trainer.is_done() {
+            let last = step.step >= order.until;
+            if step.step % REPORT_EVERY == 0 || last {
                 let [loss, psnr, left_out] = sums.map(|s| s / since as f32);
                 let (step, splats) = (step.step, step.splats);
                 self.send(TrainOutcome::Progress { step, loss, psnr, splats, left_out })?;
@@ -101,10 +108,15 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
             if step.step == order.settings.snapshot_step() {
                 self.send(TrainOutcome::Snapshot(Arc::new(trainer.snapshot())))?;
             }
-            if saved.elapsed() >= order.checkpoint_every && !trainer.is_done() {
+            // With a report, so that who goes on from here reports over the same steps as who never stopped. The
+            // last one is there to go on from later, with more steps.
+            if last || step.step % REPORT_EVERY == 0 && saved.elapsed() >= order.checkpoint_every {
                 self.send(TrainOutcome::Checkpoint(Arc::new(trainer.checkpoint())))?;
                 saved = Instant::now();
             }
+        }
+        if !trainer.is_done() {
+            return self.send(TrainOutcome::Paused(trainer.steps_done()));
         }
         let skipped = trainer.skipped();
         let model = trainer.finish().map_err(Failure::fatal)?;
@@ -123,5 +135,18 @@ impl<O: Message + From<TrainOutcome>> Actor for TrainActor<O> {
             self.send(TrainOutcome::Failed(failure.to_string()))?;
         }
         done
+    }
+
+    /// A panic has no words of its own for whoever waits for the scene.
+    fn on_quarantine(
+        &mut self,
+        _: Option<TrainOrder>,
+        given_up: &Quarantined,
+        context: &Context,
+    ) -> Result<(), Failure> {
+        if context.stopping() {
+            return Ok(());
+        }
+        self.send(TrainOutcome::Failed(given_up.error.clone()))
     }
 }

@@ -32,4 +32,4 @@ pub use evaluate::{Evaluation, Protocol, ViewScore, evaluate};
 pub use model::{Model, Stats, render_view};
 pub use photos::{Photos, TrainPhoto};
 pub use settings::{DensityKind, LookKind, Preset, TrainSettings};
-pub use trainer::{Checkpoint, StepReport, Trainer};
+pub use trainer::{Checkpoint, StepReport, Trainer, splat_cap};

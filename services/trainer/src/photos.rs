@@ -203,6 +203,20 @@ impl PhotoCache {
         PhotoCache { source, names, held: BTreeMap::new(), clock: 0, bytes: 0, limit }
     }
 
+    /// Another budget, in bytes.
+    pub fn limit_to(&mut self, limit: usize) {
+        self.limit = limit;
+        self.make_room();
+    }
+
+    fn make_room(&mut self) {
+        while self.bytes > self.limit && !self.held.is_empty() {
+            let (&oldest, _) = self.held.iter().min_by_key(|(_, (used, _))| *used).expect("not empty");
+            let (_, gone) = self.held.remove(&oldest).expect("just found");
+            self.bytes -= gone.bytes();
+        }
+    }
+
     pub fn get(&mut self, view: usize) -> Result<Arc<Stored>, TrainError> {
         self.clock += 1;
         if let Some((used, stored)) = self.held.get_mut(&view) {
@@ -214,11 +228,7 @@ impl PhotoCache {
             self.source.photo(view).map_err(|reason| TrainError::Photo { name: name.clone(), reason })?;
         let stored = Arc::new(Stored::pack(name, &photo)?);
         self.bytes += stored.bytes();
-        while self.bytes > self.limit && !self.held.is_empty() {
-            let (&oldest, _) = self.held.iter().min_by_key(|(_, (used, _))| *used).expect("not empty");
-            let (_, gone) = self.held.remove(&oldest).expect("just found");
-            self.bytes -= gone.bytes();
-        }
+        self.make_room();
         self.held.insert(view, (self.clock, stored.clone()));
         Ok(stored)
     }

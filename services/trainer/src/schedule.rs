@@ -20,8 +20,9 @@ impl Schedule {
         Schedule { steps: settings.steps, coarse: settings.coarse, sh_degree: settings.sh_degree }
     }
 
+    /// 1 at the last step, and after it: who trains on past the end keeps its rates.
     fn share(&self, step: u32) -> f32 {
-        step as f32 / self.steps as f32
+        (step as f32 / self.steps as f32).min(1.0)
     }
 
     /// Halvings of the photo at a step: two for the first third of the coarse part, then one, then none.

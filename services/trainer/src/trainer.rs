@@ -206,6 +206,11 @@ impl Trainer {
         Ok(Trainer { engine, schedule, views: posed(scene), photos, warnings: Vec::new(), state, settings })
     }
 
+    /// Holds so many MiB of decoded photos from now on. What is trained does not depend on it.
+    pub fn hold_photos(&mut self, mib: usize) {
+        self.photos.limit_to(mib << 20);
+    }
+
     /// Everything needed to continue later.
     pub fn checkpoint(&self) -> Checkpoint {
         use segwild_scene::settings::Group;
@@ -509,6 +514,16 @@ impl State {
         }
         self.params.consistent().map_err(|e| TrainError::Checkpoint(format!("it is damaged: {e}")))
     }
+}
+
+/// Most splats that a training on this scene may come to, at the size photos are trained at (long side).
+pub fn splat_cap(settings: &TrainSettings, scene: &Scene, long_side: u32) -> usize {
+    let train: Vec<_> = scene.views.iter().filter(|v| !v.test).collect();
+    let pixels = train.iter().map(|v| {
+        let camera = v.camera.scaled_to(long_side);
+        camera.width as usize * camera.height as usize
+    });
+    cap(settings, scene.points.len(), train.len(), pixels.max().unwrap_or(0))
 }
 
 /// Most splats: as the settings say, or what points, photos and pixels can support.

@@ -1,6 +1,7 @@
 //! One module per command: its arguments in, a pipeline call, words out.
 
 pub mod bench;
+pub mod cache;
 pub mod demo;
 pub mod doctor;
 pub mod eval;

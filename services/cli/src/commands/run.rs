@@ -5,7 +5,7 @@ use crate::failure::Failure;
 use crate::progress::{duration, show, stop_on_ctrl_c};
 use clap::ArgMatches;
 use segwild_flow::{Events, Stopper};
-use segwild_pipeline::{RunFolder, RunOptions, Settings, Summary};
+use segwild_pipeline::{Plan, RunFolder, RunOptions, Settings, Summary, Until, Verdict};
 use std::path::{Path, PathBuf};
 
 /// Runs a scene, or what is left of it.
@@ -16,11 +16,38 @@ pub fn run(matches: &ArgMatches) -> Result<(), Failure> {
     let file = path(matches, "config").or_else(|| kept.is_file().then_some(kept));
     let settings = Settings::layered(file.as_deref(), &crate::args::given(matches))?;
     let json = matches.get_flag("json");
-    let summary = run_scene(&scene, &out, &settings, matches.get_one::<String>("until").cloned(), json)?;
+    if matches.get_flag("explain") {
+        return tell_plan(&scene, &out, &settings, matches.get_one::<Until>("until").copied(), json);
+    }
+    let summary = run_scene(&scene, &out, &settings, matches.get_one::<Until>("until").copied(), json)?;
     if json {
         return print_json(&serde_json::json!({ "event": "summary", "folder": out, "summary": summary }));
     }
     tell(&summary, &out)
+}
+
+/// Says what a run would do, and why.
+fn tell_plan(
+    scene: &Path,
+    out: &Path,
+    settings: &Settings,
+    until: Option<Until>,
+    json: bool,
+) -> Result<(), Failure> {
+    let plans = segwild_pipeline::explain(scene, &RunFolder::at(out), settings, until)?;
+    if json {
+        return print_json(&plans);
+    }
+    for Plan { stage, verdict, why } in plans {
+        let what = match verdict {
+            Verdict::Reused => "reused".to_owned(),
+            Verdict::Partly { made, of } => format!("made for {made} of {of} photos"),
+            Verdict::GoesOn { step } => format!("goes on from step {step}"),
+            Verdict::Made => "made".to_owned(),
+        };
+        print_line(format!("{stage:>9}  {what:24} {}", why.join("; ")).trim_end())?;
+    }
+    Ok(())
 }
 
 /// `runs/NAME` for a scene folder of that name.
@@ -35,7 +62,7 @@ pub fn run_scene(
     scene: &Path,
     out: &Path,
     settings: &Settings,
-    until: Option<String>,
+    until: Option<Until>,
     json: bool,
 ) -> Result<Summary, Failure> {
     use_threads(settings.run.threads);
@@ -53,12 +80,18 @@ pub fn run_scene(
 
 /// Says how it went.
 pub fn tell(summary: &Summary, out: &Path) -> Result<(), Failure> {
+    let memory = summary.peak_bytes.map_or(String::new(), |b| format!(", {} MiB at most", b >> 20));
     print_line(&format!(
-        "{} photos, {} splats, {}",
+        "{} photos, {} splats, {}{memory}",
         summary.photos,
         summary.splats,
         duration(summary.wall_s)
     ))?;
+    if let Some(step) = summary.paused_at {
+        print_line(&format!(
+            "stopped at step {step} of the training; a later `--until`, or none, goes on from there"
+        ))?;
+    }
     for skipped in &summary.skipped {
         print_line(&format!("skipped {}: {}", skipped.name, skipped.reason))?;
     }
@@ -71,6 +104,7 @@ pub fn tell(summary: &Summary, out: &Path) -> Result<(), Failure> {
             held.psnr, held.ssim, held.protocol
         ))?;
     }
+    print_line(summary.actors.trim_end())?;
     let report = out.join("report.html");
     if report.is_file() {
         print_line(&format!("report: {}", report.display()))?;

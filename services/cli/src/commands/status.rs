@@ -27,8 +27,10 @@ pub fn status(matches: &ArgMatches) -> Result<(), Failure> {
     }
     for stage in &stages {
         let state = serde_json::to_value(stage.state).unwrap_or_default();
-        let time =
-            stage.started.zip(stage.ended).map_or(String::new(), |(a, b)| format!("in {}", duration(b - a)));
+        let time = stage
+            .started
+            .zip(stage.ended)
+            .map_or(String::new(), |(a, b)| format!("in {}", duration((b - a).max(0.0))));
         let views = ledger.views(&stage.name)?;
         let failed = views.iter().filter(|v| v.outcome.error.is_some()).count();
         let photos = match (views.len(), failed) {

@@ -31,7 +31,7 @@ impl Coordinator<'_> {
                     seconds,
                     &mut bars.sky,
                 )?;
-                self.board.set(view, sky.ok());
+                self.board.set(view, sky.is_ok());
                 self.state.sky_open -= 1;
                 self.close("sky", self.state.sky_open, &mut bars.sky)
             }
@@ -61,6 +61,14 @@ impl Coordinator<'_> {
                 self.take_field(*field)
             }
             Outcome::Feature(FeatureOutcome::FieldFailed(reason)) => {
+                self.state.failed = Some(("features", reason));
+                Ok(())
+            }
+            Outcome::Visibility(Ok(())) => {
+                self.state.visible = true;
+                Ok(())
+            }
+            Outcome::Visibility(Err(reason)) => {
                 self.state.failed = Some(("features", reason));
                 Ok(())
             }
@@ -94,6 +102,10 @@ impl Coordinator<'_> {
                 self.begin_masks(&snapshot, system, to, bars)
             }
             TrainOutcome::Checkpoint(checkpoint) => self.keeper().save(&checkpoint),
+            TrainOutcome::Paused(step) => {
+                self.state.paused = Some(step);
+                Ok(())
+            }
             TrainOutcome::Done(model, skipped) => {
                 self.cache.put_typed(&self.keys.geometry, MODEL, &*model)?;
                 self.ledger.finish_stage("geometry", &self.keys.geometry, None)?;
@@ -108,7 +120,8 @@ impl Coordinator<'_> {
                         self.state.skipped.push(s);
                     }
                 }
-                self.take_model(model)
+                self.take_model(model)?;
+                self.begin_visibility(system, to)
             }
             TrainOutcome::Failed(reason) => {
                 self.state.failed = Some(("geometry", reason));
@@ -165,7 +178,7 @@ impl Coordinator<'_> {
             && let Some(bar) = bar.take()
         {
             bar.finish();
-            self.ledger.finish_stage(stage, &self.stage_key(stage), None)?;
+            self.ledger.finish_stage(stage, &self.keys.stage(stage), None)?;
         }
         Ok(())
     }

@@ -14,9 +14,10 @@ use crate::graph::{RunOptions, STAGES};
 use crate::outcome::Outcome;
 use crate::visibility::visibility;
 use crate::{RunError, RunFolder, Settings, history};
-use segwild_features::{FeatureActor, FeatureField, FeatureTask, FieldView};
+use segwild_features::{FeatureActor, FeatureField, FeatureTask, FieldView, VISIBILITY};
+use segwild_flow::ledger::ViewOutcome;
 use segwild_flow::{
-    ActorOptions, Cache, Event, Key, Ledger, Limits, Phase, Receiver, RecvError, Report, Sender,
+    ActorOptions, Cache, Event, Exit, Failure, Key, Ledger, Limits, Phase, Receiver, Report, Sender,
     StageProgress, System, SystemOptions, mailbox,
 };
 use segwild_masks::{MaskActor, MaskSource, MaskTask, sasm};
@@ -40,7 +41,11 @@ pub struct State {
     pub embed_open: usize,
     pub masks_open: usize,
     pub masks_begun: bool,
+    /// Which pixels can be trusted is known of every photo.
+    pub visible: bool,
     pub field_asked: bool,
+    /// The training stands at this step, as far as was asked for, and is not over.
+    pub paused: Option<u32>,
     pub made: usize,
     pub cached: usize,
     pub failed: Option<(&'static str, String)>,
@@ -58,7 +63,10 @@ pub struct Coordinator<'a> {
     pub cache: Cache,
     /// Index into [`STAGES`] of the last stage wanted.
     pub last: usize,
-    pub board: Arc<Board<Option<Arc<Mask>>>>,
+    /// The step of the training to stop after.
+    pub steps: u32,
+    /// Per view, whether its sky is in the cache; `false` when it has none.
+    pub board: Arc<Board<bool>>,
     pub state: State,
 }
 
@@ -67,6 +75,8 @@ pub(crate) struct Inboxes {
     masks: Sender<MaskTask>,
     features: Sender<FeatureTask>,
     training: Sender<TrainOrder>,
+    /// For sources that have something to say to the coordinator itself.
+    own: Sender<Outcome>,
 }
 
 /// Progress of the stages that go view by view or step by step.
@@ -83,7 +93,8 @@ impl Coordinator<'_> {
             folder: self.folder,
             ledger: self.ledger,
             events: &self.options.events,
-            key: &self.keys.geometry,
+            key: &self.keys.training,
+            kept: self.settings.run.keep_checkpoints as usize,
         }
     }
 
@@ -108,14 +119,17 @@ impl Coordinator<'_> {
             ..SystemOptions::default()
         })?;
         let limits = Limits { count: 64, bytes: 64 << 20 };
+        // Renders wait here: a few ahead keep the actor busy, more would only fill memory.
+        let few = Limits { count: 4, bytes: 64 << 20 };
         let (out, inbox) = mailbox::<Outcome>("coordinator", limits);
-        let (masks, masks_in) = mailbox::<MaskTask>("masks", limits);
+        let (masks, masks_in) = mailbox::<MaskTask>("masks", few);
         let (features, features_in) = mailbox::<FeatureTask>("features", limits);
         let (training, training_in) = mailbox::<TrainOrder>("trainer", limits);
 
         let (scene, size, cache) = (self.scene.clone(), self.settings.scene.size, self.cache.clone());
         let (engine, settings, depths) =
             (self.engine.clone(), self.settings.clone(), sasm::SceneDepths::of(&scene));
+        let own = out.clone();
         let train = TrainerParts { engine: engine.clone(), out: out.clone() };
         system.spawn(training_in, ActorOptions { attempts: 1, ..ActorOptions::default() }, move || {
             Ok(TrainActor { engine: train.engine.clone(), out: train.out.clone() })
@@ -147,7 +161,7 @@ impl Coordinator<'_> {
             })
         })?;
 
-        let outcome = self.conduct(&system, Inboxes { masks, features, training }, &inbox);
+        let outcome = self.conduct(&system, Inboxes { masks, features, training, own }, &inbox);
         if outcome.is_err() {
             self.options.stopper.stop();
         }
@@ -184,7 +198,7 @@ impl Coordinator<'_> {
                     .events
                     .warn(Some("ingest"), format!("photo {} is left out: {reason}", skipped.name));
                 self.state.skipped.push(skipped);
-                self.board.set(i, None);
+                self.board.set(i, false);
             }
         }
         let mut bars = Bars { sky: None, embed: None, masks: None, geometry: None };
@@ -193,7 +207,7 @@ impl Coordinator<'_> {
         let with_sky = self.views(true);
         self.state.sky_open = with_sky.len();
         bars.sky = Some(events.stage("sky", Some(with_sky.len() as u64)));
-        let stage_key = self.stage_key("sky");
+        let stage_key = self.keys.stage("sky");
         self.ledger.begin_stage("sky", &stage_key)?;
         let (masks, keys) = (to.masks.clone(), self.keys.sky.clone());
         system.source("ingest", ActorOptions::default(), move |context| {
@@ -208,7 +222,7 @@ impl Coordinator<'_> {
             let views = self.views(false);
             self.state.embed_open = views.len();
             bars.embed = Some(events.stage("embed", Some(views.len() as u64)));
-            self.ledger.begin_stage("embed", &self.stage_key("embed"))?;
+            self.ledger.begin_stage("embed", &self.keys.stage("embed"))?;
             let (features, keys) = (to.features.clone(), self.keys.embedding.clone());
             system.source("photos", ActorOptions::default(), move |context| {
                 for &view in &views {
@@ -227,7 +241,10 @@ impl Coordinator<'_> {
             }
             match inbox.recv_timeout(Duration::from_millis(200)) {
                 Ok(outcome) => self.hear(outcome, system, &to, &mut bars)?,
-                Err(RecvError::Closed) => {
+                Err(_)
+                    if self.options.stopper.phase() == Phase::Running
+                        && system.snapshot().iter().all(|actor| actor.exit != Exit::Running) =>
+                {
                     return Err(RunError::Stage {
                         stage: "flow",
                         reason: "every actor has ended early".into(),
@@ -236,7 +253,7 @@ impl Coordinator<'_> {
                 Err(_) => {}
             }
             if let Some((stage, reason)) = self.state.failed.take() {
-                self.ledger.fail_stage(stage, &self.stage_key(stage), &reason)?;
+                self.ledger.fail_stage(stage, &self.keys.stage(stage), &reason)?;
                 events.tell(Event::StageFailed { stage: stage.into(), error: reason.clone() });
                 return Err(RunError::Stage { stage, reason });
             }
@@ -249,23 +266,11 @@ impl Coordinator<'_> {
         let s = &self.state;
         s.sky_open == 0
             && s.embed_open == 0
-            && (!self.wants("masks") || s.masks_begun && s.masks_open == 0)
-            && (!self.wants("geometry") || s.model.is_some())
+            && (!self.wants("masks")
+                || s.masks_begun && s.masks_open == 0
+                || s.paused.is_some() && !s.masks_begun)
+            && (!self.wants("geometry") || s.model.is_some() || s.paused.is_some())
             && (!self.wants("features") || s.field.is_some())
-    }
-
-    fn stage_key(&self, stage: &str) -> Key {
-        match stage {
-            "geometry" => self.keys.geometry,
-            "features" => self.keys.features,
-            "masks" => {
-                self.keys.masks.iter().fold(Key::of("masks stage"), |k, m| k.key(&m.hex(), m)).finish()
-            }
-            "embed" => {
-                self.keys.embedding.iter().fold(Key::of("embed stage"), |k, m| k.key(&m.hex(), m)).finish()
-            }
-            _ => self.keys.sky.iter().fold(Key::of("sky stage"), |k, m| k.key(&m.hex(), m)).finish(),
-        }
     }
 
     /// Takes the trained scene and its snapshot from the cache, or orders the training.
@@ -279,13 +284,20 @@ impl Coordinator<'_> {
             let key = self.keys.geometry.to_string();
             self.options.events.tell(Event::StageSkipped { stage: "geometry".into(), key });
             self.take_model(Arc::new(model))?;
-            return Ok(());
+            return self.begin_visibility(system, to);
         }
         self.ledger.begin_stage("geometry", &self.keys.geometry)?;
         // Without the snapshot the training is done again from a checkpoint before it, or from the start.
-        let before = if snapshot.is_some() { u32::MAX } else { self.settings.train.snapshot_step() };
-        let checkpoint = self.keeper().last_before(before)?;
-        let mut bar = self.options.events.stage("geometry", Some(self.settings.train.steps.into()));
+        let snapshot_step = self.settings.train.snapshot_step();
+        let before = if snapshot.is_some() { u32::MAX } else { snapshot_step };
+        let checkpoint = match self.stands_at(before)? {
+            Some(step) => {
+                self.state.paused = Some(step);
+                return Ok(());
+            }
+            None => self.keeper().last_before(before.min(self.steps.saturating_add(1)))?,
+        };
+        let mut bar = self.options.events.stage("geometry", Some(self.steps.into()));
         let start = checkpoint.as_ref().map_or(0, |c| c.step());
         if start > 0 {
             self.options.events.info(Some("geometry"), format!("goes on from step {start}"));
@@ -294,22 +306,32 @@ impl Coordinator<'_> {
         history::trim(self.folder, start)?;
         bars.geometry = Some(bar);
         let (scene, size, board) = (self.scene.clone(), self.settings.scene.size, self.board.clone());
-        let stopper = self.options.stopper.clone();
+        let (stopper, cache, keys) =
+            (self.options.stopper.clone(), self.cache.clone(), self.keys.sky.clone());
         let photos = move |view: usize| -> Result<TrainPhoto, String> {
             let loaded = scene.views[view].load(size).map_err(|e| e.to_string())?;
-            let sky = board.wait(view, || stopper.phase() == Phase::Stopping).flatten();
-            Ok(TrainPhoto { image: loaded.image, valid: loaded.valid, sky: sky.map(|s| (*s).clone()) })
+            let found = board.wait(view, || stopper.phase() == Phase::Stopping) == Some(true);
+            let sky = if found { read_sky(&cache, &keys[view]) } else { None };
+            Ok(TrainPhoto { image: loaded.image, valid: loaded.valid, sky })
         };
         let order = TrainOrder {
             scene: self.scene.clone(),
             photos: Arc::new(photos) as Arc<dyn Photos>,
             settings: self.settings.train.clone(),
+            until: self.steps,
             checkpoint: checkpoint.map(Arc::new),
             checkpoint_every: Duration::from_secs(self.settings.run.checkpoint_every.max(1).into()),
         };
-        to.training
-            .blocking_send(order)
-            .map_err(|e| RunError::Stage { stage: "geometry", reason: e.to_string() })
+        to.training.blocking_send(order).map_err(|_| RunError::Interrupted) // closed: everything stops
+    }
+
+    /// The step the training stands at, when that is as far as was asked for and not its end.
+    fn stands_at(&self, before: u32) -> Result<Option<u32>, RunError> {
+        if self.steps >= self.settings.train.steps {
+            return Ok(None);
+        }
+        let newest = self.keeper().last_before(before)?.map(|c| c.step());
+        Ok(newest.filter(|&step| step >= self.steps))
     }
 
     /// Renders the snapshot from every camera, in order, into the masks actor's mailbox.
@@ -326,10 +348,11 @@ impl Coordinator<'_> {
         let views = self.views(false);
         self.state.masks_begun = true;
         self.state.masks_open = views.len();
-        self.ledger.begin_stage("masks", &self.stage_key("masks"))?;
+        self.ledger.begin_stage("masks", &self.keys.stage("masks"))?;
         bars.masks = Some(self.options.events.stage("masks", Some(views.len() as u64)));
         let (scene, engine, cache) = (self.scene.clone(), self.engine.clone(), self.cache.clone());
         let (size, keys, board) = (self.settings.scene.size, self.keys.masks.clone(), self.board.clone());
+        let sky_keys = self.keys.sky.clone();
         let drawn_on = self.settings.masks.mask_source;
         let (snapshot, out) = (snapshot.clone(), to.masks.clone());
         let means = Arc::new(snapshot.splats.means.clone());
@@ -343,7 +366,8 @@ impl Coordinator<'_> {
                     let camera = posed.camera.scaled_to(size);
                     Some(Arc::new(render_view(&snapshot, &*engine, &camera, &posed.pose, None)?))
                 };
-                let sky = board.wait(view, || context.stopping()).flatten();
+                let found = board.wait(view, || context.stopping()) == Some(true);
+                let sky = if found { read_sky(&cache, &sky_keys[view]).map(Arc::new) } else { None };
                 let task = MaskTask::Masks { view, key: keys[view], render, means: means.clone(), sky };
                 out.blocking_send(task)?;
             }
@@ -352,9 +376,40 @@ impl Coordinator<'_> {
         Ok(())
     }
 
+    /// Compares every photo with the trained scene, while masks are still being made.
+    pub(crate) fn begin_visibility(&self, system: &System, to: &Inboxes) -> Result<(), RunError> {
+        let Some(model) = self.state.model.clone().filter(|_| self.wants("features")) else { return Ok(()) };
+        let (scene, engine, cache) = (self.scene.clone(), self.engine.clone(), self.cache.clone());
+        let (views, size, board) = (self.views(false), self.settings.scene.size, self.board.clone());
+        let (keys, sky_keys, out) = (self.keys.visibility.clone(), self.keys.sky.clone(), to.own.clone());
+        system.source("visibility", ActorOptions::default(), move |context| {
+            let look = || -> Result<(), Failure> {
+                for &view in &views {
+                    context.check()?;
+                    if cache.get_typed::<Mask>(&keys[view], VISIBILITY)?.is_some() {
+                        continue;
+                    }
+                    let found = board.wait(view, || context.stopping()) == Some(true);
+                    context.check()?;
+                    let sky = if found { read_sky(&cache, &sky_keys[view]) } else { None };
+                    let _step = context.span(&scene.views[view].name);
+                    let seen = visibility(&model, &*engine, &scene.views[view], view, sky.as_ref(), size)?;
+                    cache.put_typed(&keys[view], VISIBILITY, &seen)?;
+                    context.progress();
+                }
+                Ok(())
+            };
+            let looked = look();
+            context.check()?;
+            out.blocking_send(Outcome::Visibility(looked.map_err(|failure| failure.to_string())))?;
+            Ok(())
+        })?;
+        Ok(())
+    }
+
     fn ask_for_field(&mut self, to: &Inboxes) -> Result<(), RunError> {
         let s = &self.state;
-        let ready = s.sky_open == 0 && s.embed_open == 0 && s.masks_begun && s.masks_open == 0;
+        let ready = s.sky_open == 0 && s.embed_open == 0 && s.masks_begun && s.masks_open == 0 && s.visible;
         let Some(model) = s.model.clone().filter(|_| ready && !s.field_asked && self.wants("features"))
         else {
             return Ok(());
@@ -371,16 +426,20 @@ impl Coordinator<'_> {
             if !self.state.embedded[view] {
                 continue;
             }
-            let sky = self.board.get(view).flatten();
-            let posed = &self.scene.views[view];
-            let seen =
-                visibility(&model, &*self.engine, posed, view, sky.as_deref(), self.settings.scene.size)?;
+            let (sky_key, key) = (self.keys.sky[view], self.keys.visibility[view]);
+            let found = self.board.get(view) == Some(true);
+            self.ledger.record_view(
+                "visibility",
+                &self.scene.views[view].name,
+                &key,
+                &ViewOutcome::cached(),
+            )?;
             views.push(FieldView {
                 view,
                 embedding: self.keys.embedding[view],
                 masks: self.state.masked[view].then(|| self.keys.masks[view]),
-                sky,
-                validity: Arc::new(seen),
+                sky: found.then_some(sky_key),
+                visibility: key,
             });
         }
         let task = FeatureTask::Field {
@@ -388,10 +447,14 @@ impl Coordinator<'_> {
             options: model.options(),
             views: Arc::new(views),
         };
-        to.features
-            .blocking_send(task)
-            .map_err(|e| RunError::Stage { stage: "features", reason: e.to_string() })
+        to.features.blocking_send(task).map_err(|_| RunError::Interrupted) // closed: everything stops
     }
+}
+
+/// A view's sky, from where the masks actor left it. What has been damaged since counts as no sky known, and is
+/// made anew by the next run.
+pub(crate) fn read_sky(cache: &Cache, key: &Key) -> Option<Mask> {
+    cache.get_typed(key, "sky").ok().flatten()
 }
 
 /// What each life of the trainer is built from.

@@ -143,17 +143,31 @@ pub fn chart(title: &str, x_label: &str, y_label: &str, series: &[Series]) -> St
     svg
 }
 
-/// A bar per span of work, one row per actor: what ran when, and what overlapped.
-/// Spans are `(row, label, start, end)` in seconds.
-pub fn timeline(spans: &[(String, String, f64, f64)]) -> String {
-    let end = spans.iter().map(|s| s.3).fold(0.0, f64::max);
+/// A bar of the timeline; times in seconds.
+pub struct Bar {
+    /// The row it is on.
+    pub row: String,
+    /// Shown under the pointer.
+    pub label: String,
+    /// When it begins.
+    pub start: f64,
+    /// When it ends.
+    pub end: f64,
+    /// Whether the time was spent waiting.
+    pub waits: bool,
+}
+
+/// A bar per span, one row per actor: what ran when, what overlapped, who waited for whom. Bars too short to be
+/// seen are joined with the one before, so that long runs stay a page of sensible size.
+pub fn timeline(spans: &[Bar]) -> String {
+    let end = spans.iter().map(|s| s.end).fold(0.0, f64::max);
     if end <= 0.0 {
         return String::new();
     }
     let mut rows: Vec<&str> = Vec::new();
-    for (row, ..) in spans {
-        if !rows.contains(&row.as_str()) {
-            rows.push(row);
+    for bar in spans {
+        if !rows.contains(&bar.row.as_str()) {
+            rows.push(&bar.row);
         }
     }
     let (w, left, line) = (1040.0, 90.0, 22.0);
@@ -163,18 +177,25 @@ pub fn timeline(spans: &[(String, String, f64, f64)]) -> String {
     for (k, row) in rows.iter().enumerate() {
         let y = k as f64 * line;
         let _ = write!(svg, "<text x=\"0\" y=\"{}\" class=\"k\">{}</text>", y + 15.0, escape(row));
-        for (_, label, start, stop) in spans.iter().filter(|s| s.0 == *row) {
+        let mut drawn_to = [f64::MIN; 2];
+        for bar in spans.iter().filter(|s| s.row == *row) {
+            let to = &mut drawn_to[usize::from(bar.waits)];
+            if px(bar.end) < *to + 0.4 {
+                continue;
+            }
+            *to = px(bar.end);
+            let waits = if bar.waits { "waits for " } else { "" };
             let _ = write!(
                 svg,
-                "<rect x=\"{:.2}\" y=\"{}\" width=\"{:.2}\" height=\"{}\" fill=\"{}\"><title>{} {:.1}-{:.1} s</title></rect>",
-                px(*start),
-                y + 3.0,
-                (px(*stop) - px(*start)).max(0.4),
-                line - 6.0,
-                COLOURS[k % COLOURS.len()],
-                escape(label),
-                start,
-                stop
+                "<rect x=\"{:.2}\" y=\"{}\" width=\"{:.2}\" height=\"{}\" fill=\"{}\"><title>{waits}{} {:.1}-{:.1} s</title></rect>",
+                px(bar.start),
+                y + if bar.waits { 8.0 } else { 3.0 },
+                (px(bar.end) - px(bar.start)).max(0.4),
+                if bar.waits { 6.0 } else { line - 6.0 },
+                if bar.waits { "#bbb" } else { COLOURS[k % COLOURS.len()] },
+                escape(&bar.label),
+                bar.start,
+                bar.end
             );
         }
     }

@@ -8,7 +8,7 @@ use crate::history::{self, Moment};
 use crate::render::{Mode, Painter, What};
 use crate::{Keys, RunError, RunFolder, Selected};
 use html::Series;
-use segwild_flow::{Cache, Ledger, SpanKind};
+use segwild_flow::{Cache, Ledger, SpanKind, TimelineRecord};
 use segwild_raster::{CpuEngine, Engine};
 use segwild_scene::{Image, Mask, MaskSet};
 use segwild_vision::Providers;
@@ -19,7 +19,7 @@ pub fn write_report(folder: &RunFolder) -> Result<(), RunError> {
     let loaded = folder.load()?;
     let engine = CpuEngine::default();
     let providers = Providers::from_settings(&loaded.settings.vision)?;
-    let keys = Keys::new(&loaded.scene, &loaded.settings, &providers, engine.name())?;
+    let keys = Keys::new(&loaded.scene, &loaded.settings, &providers, engine.name(), None);
     let cache = folder.cache()?;
     let mut body = String::new();
     body.push_str(&summary(folder, &loaded)?);
@@ -218,13 +218,29 @@ fn stages(folder: &RunFolder) -> String {
         }
         text.push_str(&html::table(&rows));
     }
-    if let Ok(report) = folder.read_json::<serde_json::Value>("timeline.json") {
-        text.push_str(&timeline(&report));
+    if let Ok(report) = folder.read_json::<Recorded>("timeline.json") {
+        text.push_str(&timeline(report));
     }
     text
 }
 
-fn timeline(report: &serde_json::Value) -> String {
+/// What the report needs of `timeline.json`, which may be long.
+#[derive(serde::Deserialize)]
+struct Recorded {
+    actors: Vec<RecordedActor>,
+    timeline: TimelineRecord,
+}
+
+#[derive(serde::Deserialize)]
+struct RecordedActor {
+    name: String,
+    busy_s: f64,
+    waiting_s: f64,
+    blocked_s: f64,
+    messages: u64,
+}
+
+fn timeline(report: Recorded) -> String {
     let mut rows = vec![vec![
         "actor".to_owned(),
         "busy (s)".into(),
@@ -232,29 +248,35 @@ fn timeline(report: &serde_json::Value) -> String {
         "blocked (s)".into(),
         "messages".into(),
     ]];
-    for actor in report["actors"].as_array().into_iter().flatten() {
-        let seconds = |name: &str| format!("{:.1}", actor[name].as_f64().unwrap_or(0.0));
+    for actor in report.actors {
+        let seconds = |s: f64| format!("{s:.1}");
         rows.push(vec![
-            actor["name"].as_str().unwrap_or_default().to_owned(),
-            seconds("busy_s"),
-            seconds("waiting_s"),
-            seconds("blocked_s"),
-            actor["messages"].to_string(),
+            actor.name,
+            seconds(actor.busy_s),
+            seconds(actor.waiting_s),
+            seconds(actor.blocked_s),
+            actor.messages.to_string(),
         ]);
     }
-    let busy = serde_json::to_value(SpanKind::Busy).unwrap_or_default();
-    let spans: Vec<(String, String, f64, f64)> = report["timeline"]["spans"]
-        .as_array()
+    let spans: Vec<html::Bar> = report
+        .timeline
+        .spans
         .into_iter()
-        .flatten()
-        .filter(|s| s["kind"] == busy)
-        .map(|s| {
-            let text = |name: &str| s[name].as_str().unwrap_or_default().to_owned();
-            let time = |name: &str| s[name].as_f64().unwrap_or(0.0);
-            (text("actor"), text("label"), time("start"), time("end"))
+        .filter(|s| matches!(s.kind, SpanKind::Busy | SpanKind::Blocked))
+        .map(|s| html::Bar {
+            row: s.actor,
+            label: s.label,
+            start: s.start,
+            end: s.end,
+            waits: s.kind == SpanKind::Blocked,
         })
         .collect();
-    format!("<h2>Who did what when</h2>{}{}", html::timeline(&spans), html::table(&rows))
+    format!(
+        "<h2>Who did what when</h2><p>Coloured: working. Grey: held back by another, named under the pointer. Empty: \
+         waiting for input. <code>trace.json</code> shows the same in Perfetto.</p>{}{}",
+        html::timeline(&spans),
+        html::table(&rows)
+    )
 }
 
 fn skipped(folder: &RunFolder) -> Result<String, RunError> {

@@ -1,0 +1,242 @@
+//! What a run would do, and why: which stages are done again, because of which setting or which photo.
+//!
+//! Nothing is guessed from a table of who depends on what. Every stage has a key made of all it depends on
+//! ([`Keys`]); a changed setting is a cause of a stage if it alone changes the stage's key.
+
+use crate::artefacts::{Digests, Keys};
+use crate::graph::STAGES;
+use crate::{RunError, RunFolder, Settings, Until};
+use segwild_flow::ledger::{StageRow, State};
+use segwild_flow::{Cache, Ledger};
+use segwild_raster::{CpuEngine, Engine};
+use segwild_scene::Scene;
+use segwild_vision::Providers;
+use serde::Serialize;
+use std::path::Path;
+
+/// What would become of a stage.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case", tag = "verdict")]
+pub enum Verdict {
+    /// All of it is there.
+    Reused,
+    /// Some photos' results are there.
+    Partly {
+        /// Photos whose results would be made.
+        made: usize,
+        /// Photos in all.
+        of: usize,
+    },
+    /// An interrupted training goes on.
+    GoesOn {
+        /// From this step.
+        step: u32,
+    },
+    /// It would be done from the start.
+    Made,
+}
+
+/// One stage of the plan.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Plan {
+    /// The stage, one of [`STAGES`].
+    pub stage: &'static str,
+    /// What would become of it.
+    #[serde(flatten)]
+    pub verdict: Verdict,
+    /// Why, a phrase each; empty when it is reused.
+    pub why: Vec<String>,
+}
+
+/// A run's scene, settings and the keys that come of them.
+struct Situation {
+    scene: Scene,
+    keys: Keys,
+}
+
+fn situation(path: &Path, settings: &Settings, steps: Option<u32>) -> Result<Situation, RunError> {
+    let scene = Scene::open(path, &settings.scene)?;
+    let providers = Providers::from_settings(&settings.vision)?;
+    let engine = CpuEngine::default();
+    let keys = Keys::of(&scene, Digests::read(&scene), settings, &providers, engine.name(), steps);
+    Ok(Situation { scene, keys })
+}
+
+/// Says what [`crate::run()`] would do with these settings, without doing it. Works while another process runs.
+pub fn explain(
+    path: &Path,
+    folder: &RunFolder,
+    settings: &Settings,
+    until: Option<Until>,
+) -> Result<Vec<Plan>, RunError> {
+    let settings = settings.anchored();
+    let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    let steps = match until {
+        Some(Until::Step(step)) => Some(step),
+        _ => None,
+    };
+    let now = situation(&path, &settings, steps)?;
+    let ledger = match folder.ledger().is_file() {
+        true => Some(Ledger::open_read_only(folder.ledger())?),
+        false => None,
+    };
+    let before = match &ledger {
+        Some(ledger) => Some(Before::read(ledger, &path, &settings)?),
+        None => None,
+    };
+    let cache = Cache::at(folder.path().join("cache"));
+    let mut plans = Vec::new();
+    for stage in STAGES {
+        let verdict = verdict(stage, &now, &cache, ledger.as_ref())?;
+        let why = match (&verdict, &before) {
+            (Verdict::Reused, _) => Vec::new(),
+            (_, None) => vec!["the run is new".into()],
+            _ if stage == "report" => vec!["it is written at the end of every run".into()],
+            (_, Some(before)) => before.why(stage, &now, ledger.as_ref())?,
+        };
+        plans.push(Plan { stage, verdict, why });
+        if until == Until::stage(stage) {
+            break;
+        }
+    }
+    Ok(plans)
+}
+
+fn verdict(
+    stage: &str,
+    now: &Situation,
+    cache: &Cache,
+    ledger: Option<&Ledger>,
+) -> Result<Verdict, RunError> {
+    let keys = &now.keys;
+    let per_view = match stage {
+        "sky" => Some((&keys.sky, true)),
+        "embed" => Some((&keys.embedding, false)),
+        "masks" => Some((&keys.masks, false)),
+        _ => None,
+    };
+    if let Some((keys_of_stage, with_test)) = per_view {
+        let views: Vec<usize> = (0..now.scene.views.len())
+            .filter(|&i| (with_test || !now.scene.views[i].test) && keys.unreadable(i).is_none())
+            .collect();
+        let made = views.iter().filter(|&&i| !cache.contains(&keys_of_stage[i])).count();
+        return Ok(match made {
+            0 => Verdict::Reused,
+            _ if made == views.len() => Verdict::Made,
+            _ => Verdict::Partly { made, of: views.len() },
+        });
+    }
+    let there = match stage {
+        "geometry" => cache.contains(&keys.geometry) && cache.contains(&keys.snapshot),
+        "features" => cache.contains(&keys.features),
+        "evaluate" => match ledger {
+            Some(ledger) => ledger.stage_is_done(stage, &keys.stage(stage))?,
+            None => false,
+        },
+        _ => false,
+    };
+    if there {
+        return Ok(Verdict::Reused);
+    }
+    if stage == "geometry"
+        && let Some(ledger) = ledger
+        && let Some(row) = ledger.checkpoints(stage, &keys.training)?.first()
+    {
+        return Ok(Verdict::GoesOn { step: row.step as u32 });
+    }
+    Ok(Verdict::Made)
+}
+
+/// What the run was made of when it was last begun.
+struct Before {
+    stages: Vec<StageRow>,
+    /// Settings that differ: name, old, new.
+    changed: Vec<(String, String, String)>,
+    /// With the settings of then and the photos of now.
+    then: Situation,
+    /// Per changed setting, the keys that it alone makes of those of then.
+    alone: Vec<Keys>,
+}
+
+impl Before {
+    fn read(ledger: &Ledger, path: &Path, settings: &Settings) -> Result<Before, RunError> {
+        let mut old = settings.clone();
+        let mut changed = Vec::new();
+        for (name, value) in ledger.settings()? {
+            let new = settings.get(&name).unwrap_or_default();
+            // A setting that this program no longer has, or whose old value it refuses, is as good as new.
+            if new != value && old.set(&name, &value).is_ok() {
+                changed.push((name, value, new));
+            }
+        }
+        let then = situation(path, &old, None)?;
+        let mut alone = Vec::new();
+        for (name, _, value) in &changed {
+            let mut one = old.clone();
+            one.set(name, value).map_err(crate::SettingsError::from)?;
+            alone.push(situation(path, &one, None)?.keys);
+        }
+        Ok(Before { stages: ledger.stages()?, changed, then, alone })
+    }
+
+    fn why(&self, stage: &str, now: &Situation, ledger: Option<&Ledger>) -> Result<Vec<String>, RunError> {
+        let Some(row) = self.stages.iter().find(|row| row.name == stage) else {
+            return Ok(vec!["it was not done before".into()]);
+        };
+        let mut why = Vec::new();
+        let then = self.then.keys.stage(stage);
+        for ((name, old, new), keys) in self.changed.iter().zip(&self.alone) {
+            if keys.stage(stage) != then {
+                why.push(format!("{name}: {} -> {}", shown(old), shown(new)));
+            }
+        }
+        if row.key != then.to_string() {
+            why.push(self.inputs(ledger)?);
+        }
+        if why.is_empty() && now.keys.stage(stage).to_string() != row.key {
+            why.push("it goes on past the steps of before".into());
+        }
+        if why.is_empty() {
+            why.push(match row.state {
+                State::Done => "its results have gone from the cache".into(),
+                State::Failed => {
+                    format!("it failed: {}", row.error.as_deref().unwrap_or("for an unknown reason"))
+                }
+                State::Running => "another process is at it, or it was killed".into(),
+                State::Pending => "it was interrupted".into(),
+            });
+        }
+        Ok(why)
+    }
+
+    /// Which photos are new, gone or changed; the sky's keys tell, since every photo has one.
+    fn inputs(&self, ledger: Option<&Ledger>) -> Result<String, RunError> {
+        let known = match ledger {
+            Some(ledger) => ledger.views("sky")?,
+            None => Vec::new(),
+        };
+        let views = &self.then.scene.views;
+        let mut odd = Vec::new();
+        for (view, key) in views.iter().zip(&self.then.keys.sky) {
+            match known.iter().find(|row| row.view == view.name) {
+                None => odd.push(format!("{} is new", view.name)),
+                Some(row) if row.key != key.to_string() => odd.push(format!("{} has changed", view.name)),
+                Some(_) => {}
+            }
+        }
+        for row in &known {
+            if !views.iter().any(|view| view.name == row.view) {
+                odd.push(format!("{} is gone", row.view));
+            }
+        }
+        Ok(match odd.len() {
+            0 => "points or cameras have changed, or the run was made by another version".into(),
+            1..=3 => odd.join(", "),
+            n => format!("{} and {} more photos", odd[..2].join(", "), n - 2),
+        })
+    }
+}
+
+fn shown(value: &str) -> &str {
+    if value.is_empty() { "none" } else { value }
+}

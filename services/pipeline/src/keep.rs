@@ -1,0 +1,100 @@
+//! What stays in the cache: listing, verifying, sweeping.
+
+use crate::artefacts::snapshot_of;
+use crate::{RunError, RunFolder};
+use segwild_flow::{Artefact, Cache, Ledger, LedgerError, Swept};
+use serde::Serialize;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// One kind of artefact in a run's cache.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct CacheLine {
+    /// The kind: `sky`, `embedding`, `masks`, ..
+    pub kind: String,
+    /// Artefacts.
+    pub files: usize,
+    /// Their bytes.
+    pub bytes: u64,
+    /// How many of them the run uses as it stands; the others were made under other settings.
+    pub used: usize,
+    /// Bytes of those used.
+    pub used_bytes: u64,
+}
+
+/// The artefacts that the run uses as it stands, as the ledger writes their keys.
+fn in_use(ledger: &Ledger) -> Result<BTreeSet<String>, LedgerError> {
+    let mut keys = BTreeSet::new();
+    for view in ledger.views("visibility")? {
+        keys.insert(view.key);
+    }
+    for stage in ledger.stages()? {
+        for view in ledger.views(&stage.name)? {
+            keys.insert(view.key);
+        }
+        for checkpoint in ledger.all_checkpoints(&stage.name)? {
+            keys.insert(snapshot_of(&checkpoint.key).to_string());
+        }
+        if stage.name == "geometry" {
+            keys.insert(snapshot_of(&stage.key).to_string());
+        }
+        keys.insert(stage.key);
+    }
+    Ok(keys)
+}
+
+/// What a run's cache holds, by kind. Works while another process uses the run.
+pub fn cache_list(folder: &RunFolder) -> Result<Vec<CacheLine>, RunError> {
+    let used = in_use(&Ledger::open_read_only(folder.ledger())?)?;
+    let mut lines: BTreeMap<String, CacheLine> = BTreeMap::new();
+    for artefact in folder.cache()?.list()? {
+        let line = lines.entry(artefact.domain.clone()).or_default();
+        line.kind.clone_from(&artefact.domain);
+        line.files += 1;
+        line.bytes += artefact.bytes;
+        if used.contains(&artefact.key()) {
+            line.used += 1;
+            line.used_bytes += artefact.bytes;
+        }
+    }
+    Ok(lines.into_values().collect())
+}
+
+/// Reads every artefact and compares its hash; those that do not fit are moved aside, and the next run makes them
+/// anew. `told` hears of each: the artefact, and what is wrong with it. Returns how many were looked at.
+pub fn cache_verify(folder: &RunFolder, mut told: impl FnMut(&Artefact, &str)) -> Result<usize, RunError> {
+    let cache = folder.cache()?;
+    let all = cache.list()?;
+    for artefact in &all {
+        if let Some(reason) = cache.verify(artefact)? {
+            told(artefact, reason);
+        }
+    }
+    Ok(all.len())
+}
+
+/// Removes what the run does not use, until the cache holds at most `limit` bytes (0: all of it). Refuses while
+/// another process uses the run.
+pub fn cache_gc(folder: &RunFolder, limit: u64, pretend: bool) -> Result<Swept, RunError> {
+    let ledger = Ledger::open(folder.ledger())?;
+    let mut swept = sweep(&ledger, &folder.cache()?, limit, pretend)?;
+    // Checkpoints of trainings under other settings than the present ones.
+    let stages = ledger.stages()?;
+    let present = stages.iter().find(|s| s.name == "geometry").map(|s| s.key.as_str());
+    for old in ledger.all_checkpoints("geometry")?.into_iter().filter(|c| Some(c.key.as_str()) != present) {
+        let path = folder.checkpoints().join(&old.file);
+        swept.files += 1;
+        swept.bytes += std::fs::metadata(&path).map_or(0, |m| m.len());
+        if !pretend {
+            // A file that is gone already is what was wanted.
+            let _ = std::fs::remove_file(&path);
+            ledger.forget_checkpoint(&old)?;
+        }
+    }
+    Ok(swept)
+}
+
+/// As [`cache_gc`], by the process that holds the run.
+pub(crate) fn sweep(ledger: &Ledger, cache: &Cache, limit: u64, pretend: bool) -> Result<Swept, RunError> {
+    let used = in_use(ledger)?;
+    Ok(cache.sweep(limit, |artefact| used.contains(&artefact.key()), pretend)?)
+}
