@@ -1,6 +1,7 @@
 //! Protocols, the synthetic wild scene, metrics, tables and charts.
 
 pub mod ablation;
+pub mod flow;
 pub mod metrics;
 pub mod oracle;
 pub mod perturb;

@@ -1,6 +1,7 @@
 //! Errors at the edge: a sentence for the person, a code for the script.
 
 use crate::exit;
+use segwild_bench::flow::FlowError;
 use segwild_bench::synthetic::SyntheticError;
 use segwild_bench::trial::TrialError;
 use segwild_flow::LedgerError;
@@ -78,6 +79,20 @@ impl From<LedgerError> for Failure {
 impl From<SyntheticError> for Failure {
     fn from(error: SyntheticError) -> Failure {
         Failure { message: error.to_string(), code: exit::FAILED }
+    }
+}
+
+impl From<FlowError> for Failure {
+    fn from(error: FlowError) -> Failure {
+        match error {
+            FlowError::Synthetic(e) => e.into(),
+            FlowError::Run(e) => e.into(),
+            FlowError::Settings(e) => e.into(),
+            FlowError::Unknown(_) => Failure::usage(error.to_string()),
+            FlowError::Io { .. } | FlowError::Child(_) => {
+                Failure { message: error.to_string(), code: exit::FAILED }
+            }
+        }
     }
 }
 

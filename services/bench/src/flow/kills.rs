@@ -1,0 +1,178 @@
+//! Killed at any moment, a run ends in the same bytes.
+
+use super::{FlowError, FlowOptions, Row, fresh, io, place};
+use crate::synthetic::Manifest;
+use segwild_flow::Ledger;
+use segwild_flow::ledger::State;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// What is compared, beside every artefact in the cache and everything of the selection.
+const FILES: [&str; 5] = ["model.bin", "features.bin", "scene.ply", "history.jsonl", "evaluation.json"];
+
+/// What a selection took; never the same twice.
+const TIMES: &str = "summary.json";
+
+struct Program<'a> {
+    path: &'a Path,
+    scene: PathBuf,
+    photo: String,
+    click: String,
+}
+
+impl Program<'_> {
+    /// The two commands of a session: the run, and a click.
+    fn commands(&self, run: &Path) -> [Command; 2] {
+        let mut train = Command::new(self.path);
+        train.arg("run").arg(&self.scene).arg("--out").arg(run).args([
+            "--preset",
+            "draft",
+            "--size",
+            "128",
+            "--steps",
+            "300",
+            "--refine-steps",
+            "40",
+            "--prompt-budget",
+            "32",
+            "--checkpoint-every",
+            "1",
+        ]);
+        let mut click = Command::new(self.path);
+        click.arg("segment").arg(run).args(["--photo", &self.photo, "--in", &self.click, "--name", "it"]);
+        [train, click].map(|mut command| {
+            command.stdout(Stdio::null()).stderr(Stdio::null());
+            command
+        })
+    }
+
+    /// Runs both to the end.
+    fn complete(&self, run: &Path) -> Result<f64, FlowError> {
+        let began = Instant::now();
+        for mut command in self.commands(run) {
+            let status = io("start segwild", command.status())?;
+            if !status.success() {
+                return Err(FlowError::Child(format!("{command:?} ended with {status}")));
+            }
+        }
+        Ok(began.elapsed().as_secs_f64())
+    }
+
+    /// Runs both, and kills whichever runs when the time has come.
+    fn killed_after(&self, run: &Path, time: Duration) -> Result<bool, FlowError> {
+        let end = Instant::now() + time;
+        for mut command in self.commands(run) {
+            let mut child = io("start segwild", command.spawn())?;
+            loop {
+                if io("wait for segwild", child.try_wait())?.is_some() {
+                    break;
+                }
+                let left = end.saturating_duration_since(Instant::now());
+                if left.is_zero() {
+                    io("kill segwild", child.kill())?;
+                    io("wait for segwild", child.wait())?;
+                    return Ok(true);
+                }
+                std::thread::park_timeout(left.min(Duration::from_millis(2)));
+            }
+        }
+        Ok(false)
+    }
+}
+
+/// The hash of everything that must not depend on an interruption.
+fn results(run: &Path) -> Result<BTreeMap<PathBuf, blake3::Hash>, FlowError> {
+    let mut files: Vec<PathBuf> = FILES.iter().map(|f| run.join(f)).filter(|f| f.is_file()).collect();
+    let mut folders = vec![run.join("cache"), run.join("selections")];
+    while let Some(folder) = folders.pop() {
+        for entry in io(format!("read {}", folder.display()), std::fs::read_dir(&folder))?.flatten() {
+            let path = entry.path();
+            let aside = ["tmp", "corrupt"].iter().any(|n| entry.file_name() == *n);
+            if path.is_dir() && !aside {
+                folders.push(path);
+            } else if path.is_file()
+                && entry.file_name() != TIMES
+                && !entry.file_name().to_string_lossy().starts_with('.')
+            {
+                files.push(path);
+            }
+        }
+    }
+    let mut hashes = BTreeMap::new();
+    for file in files {
+        let bytes = io(format!("read {}", file.display()), std::fs::read(&file))?;
+        hashes.insert(file.strip_prefix(run).unwrap_or(&file).to_owned(), blake3::hash(&bytes));
+    }
+    Ok(hashes)
+}
+
+/// Which stages were under way.
+fn under_way(run: &Path) -> Vec<String> {
+    let Ok(ledger) = Ledger::open_read_only(run.join("run.sqlite")) else { return vec!["start".into()] };
+    let stages = ledger.stages().unwrap_or_default();
+    let running: Vec<String> =
+        stages.iter().filter(|s| s.state == State::Running).map(|s| s.name.clone()).collect();
+    let all_done = stages.iter().any(|s| s.name == "report" && s.state == State::Done);
+    match (running.is_empty(), all_done) {
+        (false, _) => running,
+        (true, true) => vec!["selection".into()],
+        (true, false) => vec!["start".into()],
+    }
+}
+
+fn click(manifest: &Manifest) -> Option<(String, String)> {
+    let objects = manifest.objects.iter().filter(|o| o.name != "ground");
+    let best = objects.flat_map(|o| &o.clicks).max_by_key(|c| c.visible)?;
+    Some((best.photo.clone(), format!("{},{}", best.x, best.y)))
+}
+
+/// Kills runs at moments spread over their whole length, lets each go on, and counts those that end differently.
+pub fn kills(options: &FlowOptions) -> Result<Vec<Row>, FlowError> {
+    let dir = fresh(&options.dir.join("kills"))?;
+    let scene = dir.join("scene");
+    let manifest = place(&scene, 12, 128)?;
+    let (photo, click) =
+        click(&manifest).ok_or_else(|| FlowError::Child("the place shows no object".into()))?;
+    let program = Program { path: &options.program, scene, photo, click };
+    let untouched = dir.join("untouched");
+    program.complete(&untouched)?;
+    // Once more, with a warm disk: this is how long a run takes.
+    let whole = program.complete(&fresh(&dir.join("timed"))?)?;
+    let expected = results(&untouched)?;
+    let (mut different, mut killed) = (Vec::new(), 0);
+    let mut stages: BTreeMap<String, usize> = BTreeMap::new();
+    for k in 0..options.kills {
+        let run = fresh(&dir.join("run"))?;
+        // A moment in each slice of the run, drawn by the hash of its number.
+        let draw = blake3::hash(&k.to_le_bytes()).as_bytes()[0];
+        let share = (k as f64 + f64::from(draw) / 256.0) / options.kills as f64;
+        if program.killed_after(&run, Duration::from_secs_f64(whole * share))? {
+            killed += 1;
+            for stage in under_way(&run) {
+                *stages.entry(stage).or_default() += 1;
+            }
+        }
+        program.complete(&run)?;
+        let got = results(&run)?;
+        if got != expected {
+            let odd = expected.iter().find(|(file, hash)| got.get(*file) != Some(hash));
+            different.push(odd.map_or("an extra file".into(), |(file, _)| file.display().to_string()));
+        }
+    }
+    let stages: Vec<String> = stages.iter().map(|(stage, n)| format!("{stage} {n}")).collect();
+    let odd = different.first().map_or(String::new(), |file| format!("; first: {file}"));
+    Ok(vec![Row {
+        name: "kills".into(),
+        what: "runs that end in other bytes after a SIGKILL: model, features, masks, selection",
+        value: different.len() as f64,
+        bar: 0.0,
+        from: format!(
+            "{killed} of {} runs of {whole:.1} s were killed (while under way: {}), {} files compared{odd}",
+            options.kills,
+            stages.join(", "),
+            expected.len()
+        ),
+    }])
+}

@@ -1,0 +1,166 @@
+//! Providers that cost no core of ours: they wait, as one on another machine or on an accelerator makes us wait; and
+//! a count of how often any provider is called.
+
+use segwild_scene::{Embedding, Image, Mask, Prompts, ScoredMask};
+use segwild_vision::{Embedder, MaskProposer, PromptSegmenter, Providers, SkyDetector, VisionError};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+/// How long each answer takes.
+#[derive(Clone, Copy, Debug)]
+pub struct Waits {
+    /// A photo's sky.
+    pub sky: Duration,
+    /// A photo's embedding.
+    pub embed: Duration,
+    /// A view's masks.
+    pub masks: Duration,
+}
+
+/// How often providers were called.
+#[derive(Clone, Debug, Default)]
+pub struct Calls(Arc<AtomicUsize>);
+
+impl Calls {
+    /// Calls so far.
+    pub fn count(&self) -> usize {
+        self.0.load(Ordering::Relaxed)
+    }
+
+    fn one(&self) {
+        self.0.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+/// Does nothing for a while.
+fn wait(time: Duration) {
+    let end = Instant::now() + time;
+    while let Some(left) = end.checked_duration_since(Instant::now()).filter(|left| !left.is_zero()) {
+        std::thread::park_timeout(left);
+    }
+}
+
+struct Waiting(Waits);
+
+/// Cells along the long side of the embedding, and masks along each side.
+const CELLS: usize = 12;
+const TILES: u32 = 3;
+
+impl Embedder for Waiting {
+    fn key(&self) -> String {
+        "waiting embedder 1".into()
+    }
+
+    /// The photo's colours, coarse, and their squares.
+    fn embed(&self, image: &Image) -> Result<Embedding, VisionError> {
+        wait(self.0.embed);
+        let height = (CELLS * image.height / image.width.max(1)).max(1);
+        let small = image.resized(CELLS, height);
+        let squares = small.data.iter().map(|v| v * v - 0.3);
+        let data = small.data.iter().copied().chain(squares).collect();
+        Ok(Embedding { width: CELLS, height, channels: 6, data })
+    }
+}
+
+impl MaskProposer for Waiting {
+    fn key(&self) -> String {
+        "waiting proposer 1".into()
+    }
+
+    /// Tiles.
+    fn propose(&self, image: &Image, _: &[[f32; 2]]) -> Result<Vec<ScoredMask>, VisionError> {
+        wait(self.0.masks);
+        let (w, h) = (image.width as u32, image.height as u32);
+        let tile = |k: u32| {
+            let (i, j) = (k % TILES, k / TILES);
+            Mask::from_fn(w, h, |x, y| x * TILES / w == i && y * TILES / h == j)
+        };
+        let scored = |mask| ScoredMask { mask, predicted_iou: 0.95, stability: 0.98 };
+        Ok((0..TILES * TILES).map(|k| scored(tile(k))).collect())
+    }
+}
+
+impl SkyDetector for Waiting {
+    fn key(&self) -> String {
+        "waiting sky 1".into()
+    }
+
+    /// None.
+    fn sky(&self, image: &Image) -> Result<Mask, VisionError> {
+        wait(self.0.sky);
+        Ok(Mask::empty(image.width as u32, image.height as u32))
+    }
+}
+
+/// The providers with those for whole photos replaced by ones that wait.
+pub fn waiting(providers: &Providers, waits: Waits) -> Providers {
+    let waiting = Arc::new(Waiting(waits));
+    Providers {
+        embedder: waiting.clone(),
+        proposer: waiting.clone(),
+        sky: waiting,
+        notes: vec!["descriptors, masks and sky: a test provider that waits".into()],
+        ..providers.clone()
+    }
+}
+
+struct Counted(Providers, Calls);
+
+impl Embedder for Counted {
+    fn key(&self) -> String {
+        self.0.embedder.key()
+    }
+    fn embed(&self, image: &Image) -> Result<Embedding, VisionError> {
+        self.1.one();
+        self.0.embedder.embed(image)
+    }
+}
+
+impl MaskProposer for Counted {
+    fn key(&self) -> String {
+        self.0.proposer.key()
+    }
+    fn propose(&self, image: &Image, points: &[[f32; 2]]) -> Result<Vec<ScoredMask>, VisionError> {
+        self.1.one();
+        self.0.proposer.propose(image, points)
+    }
+}
+
+impl PromptSegmenter for Counted {
+    fn key(&self) -> String {
+        self.0.segmenter.key()
+    }
+    fn segment(&self, image: &Image, prompts: &Prompts) -> Result<ScoredMask, VisionError> {
+        self.1.one();
+        self.0.segmenter.segment(image, prompts)
+    }
+    fn refine(&self, image: &Image, certainty: &Image) -> Result<ScoredMask, VisionError> {
+        self.1.one();
+        self.0.segmenter.refine(image, certainty)
+    }
+}
+
+impl SkyDetector for Counted {
+    fn key(&self) -> String {
+        self.0.sky.key()
+    }
+    fn sky(&self, image: &Image) -> Result<Mask, VisionError> {
+        self.1.one();
+        self.0.sky.sky(image)
+    }
+}
+
+/// The same providers, their calls counted.
+pub fn counted(providers: &Providers) -> (Providers, Calls) {
+    let calls = Calls::default();
+    let counted = Arc::new(Counted(providers.clone(), calls.clone()));
+    let providers = Providers {
+        embedder: counted.clone(),
+        proposer: counted.clone(),
+        segmenter: counted.clone(),
+        sky: counted,
+        notes: providers.notes.clone(),
+    };
+    (providers, calls)
+}
