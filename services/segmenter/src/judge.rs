@@ -8,6 +8,9 @@ use segwild_scene::Splats;
 /// Evidence, in views, that makes a splat half known.
 const HALF_KNOWN: f32 = 0.2;
 
+/// Evidence, in views, that resemblance alone amounts to where it is sure; it only ever speaks for a splat.
+const HINT: f32 = 0.1;
+
 /// Bins of the similarity from which the prior is learned.
 const BINS: usize = 24;
 
@@ -21,10 +24,11 @@ const CONNECTED: f32 = 0.05;
 /// resemblance, and few photos see it well enough for its feature to be worth anything.
 const SURROUNDED: f32 = 0.5;
 
-/// How far resemblance may move the prior from [`SegmentSettings::unseen_prior`], in odds. The clicks show one side of
-/// an object; what resembles them is likely inside, but its other side, which does not, must stay open until a
-/// photo's own boundaries have spoken.
-const LARGEST_ODDS: f64 = 2.0;
+/// How far resemblance may move the prior from [`SegmentSettings::unseen_prior`], in odds: down, and up. The clicks
+/// show one side of an object; what resembles them is as likely inside as the features are good, which the splats
+/// that masks decided tell. But its other side, which may not resemble them, must stay open until a photo's own
+/// boundaries have spoken.
+const ODDS: [f64; 2] = [0.5, 20.0];
 
 /// Share of the evidence that a part without a click must hold for anything to be concluded from it.
 const LARGE: f32 = 0.25;
@@ -79,29 +83,34 @@ impl Judge<'_> {
     pub fn weigh(&self, evidence: Evidence, mut beliefs: Vec<Belief>, steps: u32) -> State {
         let n = self.graph.len();
         let stray = self.stray(&evidence);
+        let prior = self.prior(&evidence);
+        let hint = |i: usize| match (&prior, &self.similarities) {
+            (Some(bins), Some(s)) => bins[bin(s.merit(i))],
+            _ => self.settings.unseen_prior,
+        };
         let anchors: Vec<Belief> = (0..n)
             .map(|i| {
                 if self.is_frozen(i) {
                     return Belief { inside: 0.0, weight: 1.0 };
                 }
-                if stray[i] {
+                // What resembles the clicks speaks for itself a little, and more the better features tell.
+                let hint = hint(i);
+                let say = HINT * (2.0 * hint - 1.0).max(0.0).powi(2);
+                let (mut inside, mut total) = (hint * say, say);
+                if !stray[i] {
+                    inside += evidence.inside[i];
+                    total += evidence.total(i);
+                }
+                if total == 0.0 {
                     return Belief::default();
                 }
-                let total = evidence.total(i);
                 let weight = total / (total + HALF_KNOWN);
-                Belief { inside: evidence.rho(i).map_or(0.0, |rho| rho * weight), weight }
+                Belief { inside: inside / total * weight, weight }
             })
             .collect();
         spread(self.graph, &self.affinities, &anchors, self.settings.spread_decay, steps, &mut beliefs);
-        let prior = self.prior(&evidence);
         let probability = (0..n)
-            .map(|i| {
-                let prior = match (&prior, &self.similarities) {
-                    (Some(bins), Some(s)) => bins[bin(s.merit(i))],
-                    _ => self.settings.unseen_prior,
-                };
-                if self.is_frozen(i) { 0.0 } else { beliefs[i].probability(prior).clamp(0.0, 1.0) }
-            })
+            .map(|i| if self.is_frozen(i) { 0.0 } else { beliefs[i].probability(hint(i)).clamp(0.0, 1.0) })
             .collect();
         State { evidence, beliefs, probability }
     }
@@ -141,7 +150,7 @@ impl Judge<'_> {
         let prior = f64::from(self.settings.unseen_prior);
         let mut pooled: Vec<(f64, f64, usize)> = Vec::with_capacity(BINS);
         let chance = |a: f64, b: f64| {
-            let odds = (a / b).clamp(1.0 / LARGEST_ODDS, LARGEST_ODDS);
+            let odds = (a / b).clamp(ODDS[0], ODDS[1]);
             prior * odds / (prior * odds + 1.0 - prior)
         };
         for at in 0..BINS {
