@@ -2,8 +2,9 @@
 
 use super::boundary::{Boundaries, detect, texture_bins};
 use super::colour::Lab;
+use super::memory::Weighed;
 use super::plane::Plane;
-use super::tree::{BINS, Hierarchy, Weights};
+use super::tree::{BINS, Hierarchy, Node, Weights};
 use super::watershed::basins;
 use crate::VisionError;
 use segwild_scene::Image;
@@ -60,6 +61,16 @@ fn soft8(plane: &Plane, out: &mut Vec<Vec<f32>>) {
         let f = u - k as f32;
         out[from + k][i] = 1.0 - f;
         out[from + k + 1][i] = f;
+    }
+}
+
+impl Weighed for Analysis {
+    fn bytes(&self) -> usize {
+        let pixels = self.tree.width * self.tree.height;
+        // Colours twice, boundaries and their tensor, textures, labels.
+        let planes = 6 + 4 + self.texture.len() + 1;
+        let nodes: usize = self.trees().map(|t| t.nodes.len()).sum();
+        4 * planes * pixels + nodes * size_of::<Node>() + 16 * self.tree.borders.len()
     }
 }
 
