@@ -5,7 +5,7 @@ use super::colour::Lab;
 use super::memory::Weighed;
 use super::plane::Plane;
 use super::tree::{BINS, Hierarchy, Node, Weights};
-use super::watershed::basins;
+use super::watershed::{basins, joined};
 use crate::VisionError;
 use segwild_scene::Image;
 
@@ -64,6 +64,26 @@ fn soft8(plane: &Plane, out: &mut Vec<Vec<f32>>) {
     }
 }
 
+/// Superpixels of a photo, at most: fine enough for a torch or a spire a few pixels wide. On two synthetic sets at 320 px the
+/// best union of superpixels has .85 IoU with the objects with the 970 basins of the boundaries alone, .90 with 1000 joined
+/// from finer ones, .91 with 1500.
+const SUPERPIXELS: usize = 1200;
+
+/// What superpixels are flooded over: boundaries, and the photo's own gradient, which is sharp where they are broad.
+fn fine(lab: &Lab, strength: &Plane) -> Plane {
+    let mut out = Plane::zeros(strength.width, strength.height);
+    for plane in [&lab.l, &lab.a, &lab.b] {
+        let (gx, gy) = plane.blurred(0.5).gradient();
+        for (o, (x, y)) in out.data.iter_mut().zip(gx.data.iter().zip(&gy.data)) {
+            *o += x * x + y * y;
+        }
+    }
+    for (o, s) in out.data.iter_mut().zip(&strength.data) {
+        *o = 0.3 * s + 0.7 * (1.0 - (-0.1 * o.sqrt()).exp());
+    }
+    out
+}
+
 impl Weighed for Analysis {
     fn bytes(&self) -> usize {
         let pixels = self.tree.width * self.tree.height;
@@ -94,9 +114,9 @@ impl Analysis {
             None => detect(&normal),
         };
         let texture: Vec<Plane> = texture_bins(&normal.l);
-        // Fine enough for a torch or a spire a few pixels wide, coarse enough for about a thousand superpixels.
-        let least = (image.pixels() / 12_000).max(4);
-        let (labels, count) = basins(&edges.strength, least);
+        let least = (image.pixels() / 19_000).max(4);
+        let (labels, count) = basins(&fine(&lab, &edges.strength), least);
+        let (labels, count) = joined(&labels, count, &[&lab.l, &lab.a, &lab.b], &edges.strength, SUPERPIXELS);
         let mut bins = Vec::with_capacity(BINS);
         for plane in [&normal.l, &normal.a, &normal.b] {
             soft8(plane, &mut bins);

@@ -19,8 +19,11 @@ mod refine;
 mod select;
 mod shape;
 mod sky;
+mod steps;
+mod traits;
 mod tree;
 mod watershed;
+mod weights;
 
 use crate::{Embedder, MaskProposer, PromptSegmenter, SkyDetector, VisionError};
 use analysis::Analysis;
@@ -32,7 +35,7 @@ use std::borrow::Cow;
 use std::sync::Arc;
 
 /// Changes whenever the same photo would give other bytes.
-const VERSION: &str = "builtin-2";
+const VERSION: &str = "builtin-3";
 /// Memory for analyses when nothing else is said: those of about 30 photos of 320 px, or 8 of 640.
 const MEMORY: usize = 256 << 20;
 /// Photos whose long side is over this are looked at smaller: boundaries are those of things, not of grain.
