@@ -3,6 +3,7 @@
 //! `cargo run -p segwild-vision --example eval_liberty -- [--models DIR] [--edges network] [--out DIR] [--only TEXT]
 //! [--long 320]`; photos and truth are read from `$SEGWILD_SHARED/data/liberty` (default `../shared`).
 
+#[allow(dead_code, reason = "the examples share it, none uses all of it")]
 mod common;
 
 use common::{Outcome, beside, box_of, cpu, mean, most_interior, option, overlay, two_clicks};

@@ -5,9 +5,12 @@
 //! `cargo run -p segwild-vision --example eval_prompts -- DIR [--every 2] [--skip 1] [--long 320] [--models DIR]
 //! [--object NAME] [--photo TEXT] [--each] [--out DIR]`. A folder of photos without truth is asked for proposals only.
 
+#[allow(dead_code, reason = "the examples share it, none uses all of it")]
 mod common;
 
-use common::{Outcome, beside, box_of, cpu, mean, most_interior, option, overlay, two_clicks};
+use common::{
+    Manifest, Object, Outcome, THE_ONE, beside, box_of, cpu, mean, most_interior, option, overlay, two_clicks,
+};
 use segwild_scene::{Image, Mask, MaskSet, PointPrompt, Prompts, ScoredMask};
 use segwild_vision::{Builtin, EdgeNetwork, MaskProposer, PromptSegmenter, Runtime};
 use std::path::{Path, PathBuf};
@@ -21,20 +24,6 @@ const LEAST: f64 = 0.005;
 const CORRECTED: usize = 8;
 /// IoUs whose number of clicks is counted (NoC, as the papers on interactive segmentation call it).
 const TARGETS: [f64; 3] = [0.8, 0.85, 0.9];
-
-/// Name of the object of a set that has but one.
-const THE_ONE: &str = "the one";
-
-#[derive(serde::Deserialize)]
-struct Truth {
-    objects: Vec<Object>,
-}
-
-#[derive(serde::Deserialize)]
-struct Object {
-    name: String,
-    kind: String,
-}
 
 /// IoUs of one object in one photo.
 #[derive(Clone, Debug, Default)]
@@ -217,7 +206,7 @@ fn main() -> Outcome<()> {
         std::fs::create_dir_all(out)?;
     }
     let (objects, photos) = match std::fs::read_to_string(folder.join("truth.json")) {
-        Ok(text) => (serde_json::from_str::<Truth>(&text)?.objects, folder.join("images")),
+        Ok(text) => (serde_json::from_str::<Manifest>(&text)?.objects, folder.join("images")),
         Err(_) if folder.join("truth").is_dir() => {
             (vec![Object { name: THE_ONE.into(), kind: "object".into() }], folder.join("images"))
         }
