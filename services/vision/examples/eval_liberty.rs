@@ -3,19 +3,14 @@
 //! `cargo run -p segwild-vision --example eval_liberty -- [--models DIR] [--edges network] [--out DIR] [--only TEXT]
 //! [--long 320]`; photos and truth are read from `$SEGWILD_SHARED/data/liberty` (default `../shared`).
 
+#[allow(dead_code, reason = "the examples share it, none uses all of it")]
 mod common;
 
-use common::{Outcome, beside, box_of, mean, most_interior, option, overlay, two_clicks};
+use common::{Outcome, beside, box_of, cpu, mean, most_interior, option, overlay, two_clicks};
 use segwild_scene::{Image, Mask, Prompts};
 use segwild_vision::{Builtin, Providers, SkyDetector, VisionSettings};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-
-/// CPU seconds of this thread so far.
-fn cpu() -> f64 {
-    let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
-    text.split(' ').next().and_then(|t| t.parse::<f64>().ok()).unwrap_or(0.0) * 1e-9
-}
 
 /// A certainty as a rendered selection might be: the truth with its outline moved by up to `reach` pixels in a way that
 /// changes along it, `shift` pixels on the whole, soft, with holes inside and blobs outside.

@@ -1,37 +1,37 @@
-//! How well the built-in provider answers prompts about a synthetic set, whose truth is known to the pixel.
+//! How well the built-in provider answers prompts about photos whose truth is known: a synthetic set, or a folder with
+//! `images` and `truth/STEM.png` (one object), as `liberty`.
 //!
 //! `cargo run -p segwild-bench --example make_synthetic -- DIR --seed N` writes a set; then
-//! `cargo run -p segwild-vision --example eval_prompts -- DIR [--every 2] [--object NAME] [--photo TEXT] [--out DIR]`.
-//! A folder of photos without `truth.json` is asked for proposals only.
+//! `cargo run -p segwild-vision --example eval_prompts -- DIR [--every 2] [--skip 1] [--long 320] [--models DIR]
+//! [--object NAME] [--photo TEXT] [--each] [--out DIR]`. A folder of photos without truth is asked for proposals only.
 
+#[allow(dead_code, reason = "the examples share it, none uses all of it")]
 mod common;
 
-use common::{Outcome, beside, box_of, mean, most_interior, option, overlay, two_clicks};
+use common::{
+    Manifest, Object, Outcome, THE_ONE, beside, box_of, cpu, mean, most_interior, option, overlay, two_clicks,
+};
 use segwild_scene::{Image, Mask, MaskSet, PointPrompt, Prompts, ScoredMask};
-use segwild_vision::{Builtin, MaskProposer, PromptSegmenter};
+use segwild_vision::{Builtin, EdgeNetwork, MaskProposer, PromptSegmenter, Runtime};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Granularities that are asked for.
 const LEVELS: [f32; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
 /// Least share of the photo that an object must show to be asked about.
 const LEAST: f64 = 0.005;
 /// Clicks in all where wrong pixels are corrected one at a time.
-const CORRECTED: usize = 5;
-
-#[derive(serde::Deserialize)]
-struct Truth {
-    objects: Vec<Object>,
-}
-
-#[derive(serde::Deserialize)]
-struct Object {
-    name: String,
-    kind: String,
-}
+const CORRECTED: usize = 8;
+/// IoUs whose number of clicks is counted (NoC, as the papers on interactive segmentation call it).
+const TARGETS: [f64; 3] = [0.8, 0.85, 0.9];
 
 /// IoUs of one object in one photo.
 #[derive(Clone, Debug, Default)]
 struct Row {
+    /// Best that superpixels could give.
+    limit: f64,
+    /// CPU seconds of a prompt once the photo is known.
+    seconds: f64,
     none: f64,
     levels: Vec<f64>,
     distinct: usize,
@@ -56,10 +56,27 @@ fn correction(answer: &Mask, truth: &Mask) -> Option<PointPrompt> {
     }
 }
 
+/// IoU of the union of the superpixels that lie mostly in the truth.
+fn limit(see: &Builtin, image: &Image, truth: &Mask) -> Outcome<f64> {
+    let regions = see.regions(image, None)?;
+    let mut share = std::collections::BTreeMap::<u32, (usize, usize)>::new();
+    for (i, &r) in regions.iter().enumerate() {
+        let s = share.entry(r).or_default();
+        *s = (s.0 + usize::from(truth.index(i)), s.1 + 1);
+    }
+    let w = truth.width();
+    let best = Mask::from_fn(w, truth.height(), |x, y| {
+        let (inside, all) = share[&regions[(y * w + x) as usize]];
+        2 * inside > all
+    });
+    Ok(best.iou(truth))
+}
+
 /// Asks in every way about one object; the pictures are those of `Row`, in its order.
 fn ask(see: &Builtin, image: &Image, truth: &Mask) -> Outcome<(Row, Vec<Mask>)> {
     let Some((x, y)) = most_interior(truth) else { return Ok(Default::default()) };
     let (mut row, mut masks) = (Row::default(), Vec::new());
+    row.limit = limit(see, image, truth)?;
     let none = see.segment(image, &Prompts::click(x, y))?.mask;
     row.none = none.iou(truth);
     let mut levels: Vec<Mask> = Vec::new();
@@ -81,7 +98,9 @@ fn ask(see: &Builtin, image: &Image, truth: &Mask) -> Outcome<(Row, Vec<Mask>)> 
     row.corrected.push(row.none);
     while row.corrected.len() < CORRECTED {
         prompts.points.extend(correction(&answer, truth));
+        let start = cpu();
         answer = see.segment(image, &prompts)?.mask;
+        row.seconds += (cpu() - start) / (CORRECTED - 1) as f64;
         row.corrected.push(answer.iou(truth));
     }
     masks.push(none);
@@ -123,18 +142,22 @@ struct Photo {
     found: Vec<f64>,
 }
 
-fn look(folder: &Path, file: &Path, objects: &[Object], out: Option<&Path>) -> Outcome<Photo> {
-    let see = Builtin::new();
+fn look(see: &Builtin, folder: &Path, file: &Path, objects: &[Object], out: Option<&Path>) -> Outcome<Photo> {
     let stem = file.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
     let full = Image::read(file)?;
-    let scale = 320.0 / full.width.max(full.height) as f32;
+    let long: f32 = option("--long").map_or(Ok(320.0), |t| t.parse())?;
+    let scale = (long / full.width.max(full.height) as f32).min(1.0);
     let size = |n: usize| ((n as f32 * scale).round() as usize).max(1);
     let image = full.resized(size(full.width), size(full.height));
     let (w, h) = (image.width as u32, image.height as u32);
     let mut photo = Photo::default();
     let mut truths = Vec::new();
     for object in objects {
-        let path = folder.join("truth").join(&object.name).join(format!("{stem}.png"));
+        let answers = folder.join("truth");
+        let path = match object.name.as_str() {
+            THE_ONE => answers.join(format!("{stem}.png")),
+            name => answers.join(name).join(format!("{stem}.png")),
+        };
         if !path.is_file() {
             continue;
         }
@@ -143,7 +166,7 @@ fn look(folder: &Path, file: &Path, objects: &[Object], out: Option<&Path>) -> O
             continue;
         }
         if object.kind == "object" && option("--object").is_none_or(|o| o == object.name) {
-            let (row, masks) = ask(&see, &image, &truth)?;
+            let (row, masks) = ask(see, &image, &truth)?;
             if let Some(out) = out {
                 let pictures: Vec<Image> = masks.iter().map(|m| overlay(&image, m, Some(&truth))).collect();
                 beside(&pictures).write_png(&out.join(format!("{stem}_{}.png", object.name)))?;
@@ -152,7 +175,7 @@ fn look(folder: &Path, file: &Path, objects: &[Object], out: Option<&Path>) -> O
         }
         truths.push(truth);
     }
-    let proposed = proposals(&see, &image)?;
+    let proposed = proposals(see, &image)?;
     let passing =
         MaskSet { width: w, height: h, masks: proposed.iter().filter(|m| passes(m)).cloned().collect() };
     photo.counts = (passing.masks.len(), proposed.len());
@@ -176,29 +199,44 @@ fn main() -> Outcome<()> {
     let folder =
         PathBuf::from(std::env::args().nth(1).ok_or("name the folder of a synthetic set or of photos")?);
     let every: usize = option("--every").map_or(Ok(1), |t| t.parse())?;
+    let skip: usize = option("--skip").map_or(Ok(0), |t| t.parse())?;
     let only = option("--photo").unwrap_or_default();
     let out = option("--out").map(PathBuf::from);
     if let Some(out) = &out {
         std::fs::create_dir_all(out)?;
     }
     let (objects, photos) = match std::fs::read_to_string(folder.join("truth.json")) {
-        Ok(text) => (serde_json::from_str::<Truth>(&text)?.objects, folder.join("images")),
+        Ok(text) => (serde_json::from_str::<Manifest>(&text)?.objects, folder.join("images")),
+        Err(_) if folder.join("truth").is_dir() => {
+            (vec![Object { name: THE_ONE.into(), kind: "object".into() }], folder.join("images"))
+        }
         Err(_) => (Vec::new(), folder.clone()),
+    };
+    let see = match option("--models") {
+        Some(models) => {
+            let runtime = Runtime::find("")?;
+            Builtin::with_edges(Arc::new(EdgeNetwork::load(
+                &runtime,
+                &Path::new(&models).join("edges_bsds.onnx"),
+                1,
+            )?))
+        }
+        None => Builtin::new(),
     };
     let mut files: Vec<PathBuf> =
         std::fs::read_dir(&photos)?.map(|e| e.map(|e| e.path())).collect::<Result<_, _>>()?;
     files.sort();
     files.retain(|f| f.to_string_lossy().contains(&only));
-    let files: Vec<PathBuf> = files.into_iter().step_by(every.max(1)).collect();
+    let files: Vec<PathBuf> = files.into_iter().skip(skip).step_by(every.max(1)).collect();
     let all: Vec<Photo> = std::thread::scope(|scope| {
         let share = |half: usize| {
-            let (files, objects, folder, out) = (&files, &objects, &folder, &out);
+            let (files, objects, folder, out, see) = (&files, &objects, &folder, &out, &see);
             scope.spawn(move || {
                 files
                     .iter()
                     .skip(half)
                     .step_by(2)
-                    .map(|f| look(folder, f, objects, out.as_deref()).map_err(|e| e.to_string()))
+                    .map(|f| look(see, folder, f, objects, out.as_deref()).map_err(|e| e.to_string()))
                     .collect::<Result<Vec<_>, String>>()
             })
         };
@@ -239,14 +277,29 @@ fn main() -> Outcome<()> {
             over(&|r| r.distinct as f64),
             over(&|r| f64::from(u8::from(r.nested))),
         );
-        let corrected: Vec<String> =
-            (0..CORRECTED).map(|k| format!("{:.3}", over(&|r| r.corrected[k]))).collect();
         println!(
-            "two clicks {:.3}; box {:.3}; box and click {:.3}; corrected click by click {}",
+            "two clicks {:.3}; box {:.3}; box and click {:.3}; best union of superpixels {:.3}; CPU-s a prompt {:.4}",
             over(&|r| r.two),
             over(&|r| r.boxed),
             over(&|r| r.boxed_and_clicked),
-            corrected.join(" ")
+            over(&|r| r.limit),
+            over(&|r| r.seconds)
+        );
+        let corrected: Vec<String> =
+            (0..CORRECTED).map(|k| format!("{:.3}", over(&|r| r.corrected[k]))).collect();
+        println!("corrected click by click {}", corrected.join(" "));
+        let clicks = |r: &Row, target: f64| {
+            r.corrected.iter().position(|&v| v >= target).map_or(CORRECTED, |k| k + 1) as f64
+        };
+        let noc: Vec<String> =
+            TARGETS.iter().map(|&t| format!("NoC@{:.0} {:.2}", 100.0 * t, over(&|r| clicks(r, t)))).collect();
+        let worse = |r: &Row| r.corrected.windows(2).filter(|p| p[1] < p[0] - 0.005).count() as f64;
+        let drop = |r: &Row| r.corrected.windows(2).map(|p| (p[0] - p[1]).max(0.0)).sum::<f64>();
+        println!(
+            "{} (at most {CORRECTED}); added clicks that made it worse: {:.1} %, by {:.3} IoU in all an object",
+            noc.join(", "),
+            100.0 * over(&worse) / (CORRECTED - 1) as f64,
+            over(&drop)
         );
     }
     let counts: Vec<f64> = all.iter().map(|p| p.counts.0 as f64).collect();

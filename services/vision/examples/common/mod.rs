@@ -1,6 +1,7 @@
 //! What the measurements share: clicks that a person would make, pictures, means.
 
 use segwild_scene::{BoxPrompt, Image, Mask, PointPrompt};
+use std::path::{Path, PathBuf};
 
 /// An outcome of an example.
 pub type Outcome<T> = Result<T, Box<dyn std::error::Error>>;
@@ -96,4 +97,76 @@ pub fn beside(images: &[Image]) -> Image {
 /// The mean; 0 of nothing.
 pub fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len().max(1) as f64
+}
+
+/// CPU seconds of this thread so far.
+pub fn cpu() -> f64 {
+    let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
+    text.split(' ').next().and_then(|t| t.parse::<f64>().ok()).unwrap_or(0.0) * 1e-9
+}
+
+/// Name of the object of a set that has but one.
+pub const THE_ONE: &str = "the one";
+
+/// What a synthetic set says about itself.
+#[derive(serde::Deserialize)]
+pub struct Manifest {
+    /// What is in it.
+    pub objects: Vec<Object>,
+}
+
+/// One thing of a set.
+#[derive(Clone, serde::Deserialize)]
+pub struct Object {
+    /// Its folder under `truth`.
+    pub name: String,
+    /// `object`, `surface` or such.
+    pub kind: String,
+}
+
+/// A photo and where its true masks are.
+pub struct Known {
+    /// The photo's file.
+    pub file: PathBuf,
+    /// Long side it is read at.
+    pub long: f32,
+    /// Objects and their masks' files.
+    pub truths: Vec<(Object, PathBuf)>,
+}
+
+impl Known {
+    /// The photo and its masks, at that size.
+    pub fn read(&self) -> Outcome<(Image, Vec<(String, Mask)>)> {
+        let full = Image::read(&self.file)?;
+        let scale = (self.long / full.width.max(full.height) as f32).min(1.0);
+        let size = |n: usize| ((n as f32 * scale).round() as usize).max(1);
+        let image = full.resized(size(full.width), size(full.height));
+        let mut masks = Vec::new();
+        for (object, file) in self.truths.iter().filter(|t| t.0.kind == "object") {
+            let mask = Mask::read_png(file)?.resized(image.width as u32, image.height as u32);
+            masks.push((object.name.clone(), mask));
+        }
+        Ok((image, masks))
+    }
+}
+
+/// The photos of a synthetic set, or of a folder with `images` and `truth/STEM.png`.
+pub fn known(folder: &Path, long: f32) -> Outcome<Vec<Known>> {
+    let objects = match std::fs::read_to_string(folder.join("truth.json")) {
+        Ok(text) => serde_json::from_str::<Manifest>(&text)?.objects,
+        Err(_) => vec![Object { name: THE_ONE.into(), kind: "object".into() }],
+    };
+    let mut files: Vec<PathBuf> =
+        std::fs::read_dir(folder.join("images"))?.map(|e| e.map(|e| e.path())).collect::<Result<_, _>>()?;
+    files.sort();
+    let with_truths = |file: PathBuf| {
+        let stem = file.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+        let answers = folder.join("truth");
+        let truths = objects.iter().map(|o| {
+            let place = if o.name == THE_ONE { answers.clone() } else { answers.join(&o.name) };
+            (o.clone(), place.join(format!("{stem}.png")))
+        });
+        Known { truths: truths.filter(|t| t.1.is_file()).collect(), file, long }
+    };
+    Ok(files.into_iter().map(with_truths).collect())
 }

@@ -2,9 +2,10 @@
 
 use super::boundary::{Boundaries, detect, texture_bins};
 use super::colour::Lab;
+use super::memory::Weighed;
 use super::plane::Plane;
-use super::tree::{BINS, Hierarchy, Weights};
-use super::watershed::basins;
+use super::tree::{BINS, Hierarchy, Node, Weights};
+use super::watershed::{basins, joined};
 use crate::VisionError;
 use segwild_scene::Image;
 
@@ -63,6 +64,36 @@ fn soft8(plane: &Plane, out: &mut Vec<Vec<f32>>) {
     }
 }
 
+/// Superpixels of a photo, at most: fine enough for a torch or a spire a few pixels wide. On two synthetic sets at 320 px the
+/// best union of superpixels has .85 IoU with the objects with the 970 basins of the boundaries alone, .90 with 1000 joined
+/// from finer ones, .91 with 1500.
+const SUPERPIXELS: usize = 1200;
+
+/// What superpixels are flooded over: boundaries, and the photo's own gradient, which is sharp where they are broad.
+fn fine(lab: &Lab, strength: &Plane) -> Plane {
+    let mut out = Plane::zeros(strength.width, strength.height);
+    for plane in [&lab.l, &lab.a, &lab.b] {
+        let (gx, gy) = plane.blurred(0.5).gradient();
+        for (o, (x, y)) in out.data.iter_mut().zip(gx.data.iter().zip(&gy.data)) {
+            *o += x * x + y * y;
+        }
+    }
+    for (o, s) in out.data.iter_mut().zip(&strength.data) {
+        *o = 0.3 * s + 0.7 * (1.0 - (-0.1 * o.sqrt()).exp());
+    }
+    out
+}
+
+impl Weighed for Analysis {
+    fn bytes(&self) -> usize {
+        let pixels = self.tree.width * self.tree.height;
+        // Colours twice, boundaries and their tensor, textures, labels.
+        let planes = 6 + 4 + self.texture.len() + 1;
+        let nodes: usize = self.trees().map(|t| t.nodes.len()).sum();
+        4 * planes * pixels + nodes * size_of::<Node>() + 16 * self.tree.borders.len()
+    }
+}
+
 impl Analysis {
     /// Factors from a photo's pixels to those of the size it was looked at.
     pub fn scale_from(&self, image: &Image) -> (f32, f32) {
@@ -83,9 +114,9 @@ impl Analysis {
             None => detect(&normal),
         };
         let texture: Vec<Plane> = texture_bins(&normal.l);
-        // Fine enough for a torch or a spire a few pixels wide, coarse enough for about a thousand superpixels.
-        let least = (image.pixels() / 12_000).max(4);
-        let (labels, count) = basins(&edges.strength, least);
+        let least = (image.pixels() / 19_000).max(4);
+        let (labels, count) = basins(&fine(&lab, &edges.strength), least);
+        let (labels, count) = joined(&labels, count, &[&lab.l, &lab.a, &lab.b], &edges.strength, SUPERPIXELS);
         let mut bins = Vec::with_capacity(BINS);
         for plane in [&normal.l, &normal.a, &normal.b] {
             soft8(plane, &mut bins);

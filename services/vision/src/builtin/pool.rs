@@ -25,8 +25,6 @@ const PART: [f32; 2] = [0.3, 0.1];
 pub(crate) struct Choice {
     pub inside: Vec<bool>,
     pub shape: Shape,
-    /// How well it stands in its tree ([`standing`]); 0 where it is no region of one.
-    pub standing: f32,
 }
 
 /// What is worked out once per prompt.
@@ -36,6 +34,8 @@ pub(crate) struct Ground<'a> {
     pub samples: Samples,
     /// Cost per pixel side of passing over every border of the tree.
     pub open: Vec<f32>,
+    /// Neighbours of every superpixel.
+    pub around: Vec<Vec<u32>>,
 }
 
 /// Cost per pixel side of passing between neighbouring superpixels: from the boundary along their border and from how
@@ -53,8 +53,14 @@ fn openness(tree: &Hierarchy) -> Vec<f32> {
 impl<'a> Ground<'a> {
     /// Of a photo.
     pub fn of(analysis: &'a Analysis) -> Ground<'a> {
+        let mut around = vec![Vec::new(); analysis.tree.leaves];
+        for &(a, b, _) in analysis.tree.borders.iter() {
+            around[a as usize].push(b);
+            around[b as usize].push(a);
+        }
         Ground {
             analysis,
+            around,
             places: Places::of(analysis),
             samples: Samples::of(analysis),
             open: openness(&analysis.tree),
@@ -63,6 +69,11 @@ impl<'a> Ground<'a> {
 
     /// Every candidate that holds superpixel `leaf`, tree by tree; each set once.
     pub fn around(&self, leaf: u32) -> Vec<Choice> {
+        self.sets(leaf).into_iter().map(|(inside, _)| self.choice(inside)).collect()
+    }
+
+    /// The sets of [`Ground::around`], and how well each stands in its tree ([`standing`]); 0 where it is no region of one.
+    pub fn sets(&self, leaf: u32) -> Vec<(Vec<bool>, f32)> {
         let tree = &self.analysis.tree;
         let total = (tree.width * tree.height) as f32;
         let mut sets: Vec<(Vec<bool>, f32)> = Vec::new();
@@ -107,12 +118,12 @@ impl<'a> Ground<'a> {
                 }
             }
         }
-        sets.into_iter().map(|(inside, standing)| Choice { standing, ..self.choice(inside) }).collect()
+        sets
     }
 
     /// A set with its measures.
     pub fn choice(&self, inside: Vec<bool>) -> Choice {
-        Choice { shape: Shape::of(self.analysis, &self.places, &inside), inside, standing: 0.0 }
+        Choice { shape: Shape::of(self.analysis, &self.places, &inside), inside }
     }
 
     /// Pixels of a set.

@@ -30,6 +30,13 @@ pub(crate) fn cut(analysis: &Analysis, energy: &Energy, bias: f32) -> Vec<bool> 
     graph.solve()
 }
 
+/// Weights of the certainty and of the colours learned from it, in log odds, and of borders. With 0.7, 1.2 and 6, thin shafts and
+/// plates were lost: true masks of synthetic objects came back with .75 IoU, now .88. Less colour keeps still more of them
+/// (.91 with 1, 0.3 and 2), but a guess that is 3 px too large or small is restored less well on `liberty` (`eval_refine`).
+const CERTAINTY: f32 = 0.8;
+const COLOUR: f32 = 0.8;
+const SMOOTH: f32 = 2.0;
+
 /// The mask that a rough certainty (one number in [0, 1] per pixel) means.
 pub(crate) fn snap(analysis: &Analysis, certainty: &[f32]) -> ScoredMask {
     let tree = &analysis.tree;
@@ -38,9 +45,8 @@ pub(crate) fn snap(analysis: &Analysis, certainty: &[f32]) -> ScoredMask {
     // What the certainty says is worth less near its own edge, which is what is in doubt: judged by its blur.
     let diagonal = ((tree.width * tree.width + tree.height * tree.height) as f32).sqrt();
     let wide = Plane::new(tree.width, tree.height, clean.clone()).blurred((0.012 * diagonal).max(1.0));
-    let own = tree.means(&clean);
-    let far = tree.means(&wide.data);
-    let prior: Vec<f32> = own.iter().zip(&far).map(|(a, b)| 0.5 * (a + b)).collect();
+    let (own, far) = (tree.means(&clean), tree.means(&wide.data));
+    let prior: Vec<f32> = own.iter().zip(&far).map(|(a, b)| 0.8 * a + 0.2 * b).collect();
     // Superpixels that are surely inside or outside teach the colours.
     let weight: Vec<f32> = prior.iter().map(|p| (2.0 * (p - 0.5).abs()).powi(2)).collect();
     let colour = Samples::of(analysis).posterior(&prior, &weight, 0.05);
@@ -52,11 +58,11 @@ pub(crate) fn snap(analysis: &Analysis, certainty: &[f32]) -> ScoredMask {
                 let p = p.clamp(0.01, 0.99);
                 (p / (1.0 - p)).ln()
             };
-            let sum = 0.7 * odds(p) + 1.2 * odds(c);
+            let sum = CERTAINTY * odds(p) + COLOUR * odds(c);
             1.0 / (1.0 + (-sum).exp())
         })
         .collect();
-    let energy = Energy { inside, smooth: 6.0 };
+    let energy = Energy { inside, smooth: SMOOTH };
     let labels = cut(analysis, &energy, 0.0);
     let (strict, loose) = (cut(analysis, &energy, -1.0), cut(analysis, &energy, 1.0));
     let mask = tree.mask(&labels);

@@ -1,14 +1,16 @@
 //! From prompts to a mask: which of all candidates is meant.
 //!
-//! Clicks and boxes are evidence: every candidate of the pool is weighed by how much it looks like a thing and by how well it
-//! agrees with what was said, and the answer is the candidate of the highest expected IoU. What clicks forbid is
-//! then taken out of it, and what they demand is added. A granularity picks a rung of the click's ladder instead.
+//! Prompts are taken one after another ([`super::steps`]): the first click or the boxes choose a set, every further click
+//! that disagrees with it corrects it. A granularity picks a rung of every click's ladder instead; what clicks forbid is
+//! then taken out of it, and what they demand is added.
 
 use super::analysis::Analysis;
 use super::cut::Cut;
 use super::ladder::{ladder, rung};
 use super::pool::{Choice, Ground, set_of};
 use super::refine::iou_of;
+use super::steps::{Chosen, Click, Rules, choose, cuts};
+use super::traits::Step;
 use super::tree::Hierarchy;
 use crate::VisionError;
 use segwild_scene::{BoxPrompt, Prompts, ScoredMask};
@@ -41,15 +43,10 @@ pub(crate) fn standing(tree: &Hierarchy, region: u32) -> f32 {
     (persistence + 0.5 * node.border.mean()) * size * (1.0 - framed)
 }
 
-/// A click: its superpixel and its place.
-#[derive(Clone, Copy, Debug)]
-struct Click {
-    leaf: u32,
-    at: [f32; 2],
-}
-
 /// What a person said, as superpixels.
 struct Meant {
+    /// In the order they were made.
+    clicks: Vec<Click>,
     positive: Vec<Click>,
     negative: Vec<Click>,
     /// Bounding box of the boxes within the photo: x0, y0, x1, y1.
@@ -65,7 +62,7 @@ impl Meant {
             // Inside the photo; scaling may have rounded it onto the frame.
             let (x, y) = (p.x.clamp(0.0, tree.width as f32 - 0.5), p.y.clamp(0.0, tree.height as f32 - 0.5));
             let leaf = tree.labels[y as usize * tree.width + x as usize];
-            let click = Click { leaf, at: [x, y] };
+            let click = Click { leaf, at: [x, y], inside: p.inside };
             if p.inside { positive.push(click) } else { negative.push(click) }
         }
         if positive.is_empty() && prompts.boxes.is_empty() {
@@ -74,6 +71,18 @@ impl Meant {
             ));
         }
         negative.retain(|n| positive.iter().all(|p| p.leaf != n.leaf));
+        // The first positive click begins; a superpixel that is clicked both ways is inside.
+        let mut clicks: Vec<Click> = positive.first().into_iter().copied().collect();
+        let mut rest = prompts.points.iter();
+        let first = rest.clone().position(|p| p.inside);
+        for (k, p) in rest.by_ref().enumerate() {
+            let (x, y) = (p.x.clamp(0.0, tree.width as f32 - 0.5), p.y.clamp(0.0, tree.height as f32 - 0.5));
+            let leaf = tree.labels[y as usize * tree.width + x as usize];
+            let clash = !p.inside && positive.iter().any(|c: &Click| c.leaf == leaf);
+            if first != Some(k) && !clash {
+                clicks.push(Click { leaf, at: [x, y], inside: p.inside });
+            }
+        }
         let boxed = (!prompts.boxes.is_empty()).then(|| box_share(tree, &prompts.boxes));
         if let Some(share) = &boxed
             && share.iter().all(|&s| s == 0.0)
@@ -91,7 +100,7 @@ impl Meant {
                 ]
             })
         });
-        Ok(Meant { positive, negative, boxed, bounds })
+        Ok(Meant { clicks, positive, negative, boxed, bounds })
     }
 
     /// Superpixels around which candidates are looked for.
@@ -121,15 +130,6 @@ impl Meant {
     }
 }
 
-/// The most candidates that the answer is chosen from, the likeliest.
-const FINALISTS: usize = 40;
-/// Log odds that a candidate loses with every positive click that it leaves out and every negative one that it holds.
-const MISSED: f32 = 8.0;
-const HELD: f32 = 8.0;
-/// Log odds for standing in a tree, which knows how late a region is merged with the rest.
-const STANDING: f32 = 7.0;
-/// Log odds for filling the box from side to side.
-const TIGHT: f32 = 14.0;
 /// Where in a box (shares of its width and height) things are looked for.
 const IN_BOX: [[f32; 2]; 9] = [
     [0.5, 0.5],
@@ -154,16 +154,6 @@ pub(crate) fn select(analysis: &Analysis, prompts: &Prompts) -> Result<ScoredMas
 }
 
 impl Meant {
-    /// What a set loses or gains by what was said, beside its looks.
-    fn evidence(&self, choice: &Choice) -> f32 {
-        let missed = self.positive.iter().filter(|c| !choice.inside[c.leaf as usize]).count();
-        let held = self.negative.iter().filter(|c| choice.inside[c.leaf as usize]).count();
-        let tight = self.bounds.map_or(0.0, |b| choice.shape.tightness(b));
-        // A box says itself how large the thing is; a tree would rather give a part that stands out.
-        let standing = if self.bounds.is_some() { 0.0 } else { STANDING * choice.standing };
-        standing + TIGHT * tight - MISSED * missed as f32 - HELD * held as f32
-    }
-
     /// Where the thing's middle is expected.
     fn middle(&self) -> [f32; 2] {
         if let Some(b) = self.bounds {
@@ -244,58 +234,44 @@ fn by_level(ground: &Ground, meant: &Meant, granularity: f32) -> ScoredMask {
     }
 }
 
-/// The candidate of the highest expected IoU with what was meant.
+/// The prompts one after another.
 fn by_evidence(ground: &Ground, meant: &Meant) -> ScoredMask {
-    let (analysis, tree) = (ground.analysis, &ground.analysis.tree);
-    let mut choices = Vec::new();
-    for leaf in meant.starts(tree) {
-        for choice in ground.around(leaf) {
-            if choice.inside.iter().enumerate().all(|(i, &c)| !c || meant.open(i)) {
-                choices.push(choice);
-            } else {
-                let cut: Vec<bool> =
-                    choice.inside.iter().enumerate().map(|(i, &c)| c && meant.open(i)).collect();
-                choices.push(ground.choice(cut));
-            }
-        }
+    let tree = &ground.analysis.tree;
+    let open = |i: usize| meant.open(i);
+    let mut answer = Chosen { set: vec![false; tree.leaves], expected: 0.0, alike: 0.0 };
+    let mut from = 0;
+    if meant.bounds.is_some() || !meant.clicks.is_empty() {
+        from = meant.clicks.len().min(1);
+        let rules = Rules { clicks: &meant.clicks[..from], open: &open, bounds: meant.bounds };
+        let (step, more) = match meant.bounds {
+            Some(_) => (Step::Boxed, cuts_in_box(ground, meant)),
+            None => (Step::First, Vec::new()),
+        };
+        let before = answer.set.clone();
+        answer =
+            choose(ground, &rules, &before, meant.clicks.first().copied(), step, more, &meant.starts(tree));
     }
-    if meant.boxed.is_some() {
-        choices.extend(cuts_in_box(ground, meant).into_iter().map(|inside| ground.choice(inside)));
-    }
-    let middle = meant.middle();
-    let mut scored: Vec<(f32, &Choice)> = choices
-        .iter()
-        .filter(|c| c.shape.share > 0.0)
-        .map(|c| (c.shape.likeness(middle) + meant.evidence(c), c))
-        .collect();
-    scored.sort_by(|a, b| b.0.total_cmp(&a.0));
-    scored.dedup_by(|a, b| a.1.inside == b.1.inside);
-    scored.truncate(FINALISTS);
-    let top = scored.first().map_or(0.0, |s| s.0);
-    let weights: Vec<f32> = scored.iter().map(|s| (s.0 - top).exp()).collect();
-    let sum: f32 = weights.iter().sum::<f32>().max(1e-9);
-    let mut best: Option<(f32, f32, usize)> = None;
-    for i in 0..scored.len() {
-        let (mut expected, mut alike) = (0.0, 0.0);
-        for (j, w) in weights.iter().enumerate() {
-            let iou = iou_of(analysis, &scored[i].1.inside, &scored[j].1.inside);
-            expected += w / sum * iou;
-            alike += if iou >= 0.75 { w / sum } else { 0.0 };
+    for k in from..meant.clicks.len() {
+        let click = meant.clicks[k];
+        let rules = Rules { clicks: &meant.clicks[..=k], open: &open, bounds: meant.bounds };
+        if answer.set[click.leaf as usize] == click.inside {
+            continue;
         }
-        if best.is_none_or(|b| expected > b.0 + 1e-6) {
-            best = Some((expected, alike, i));
-        }
+        let step = if click.inside { Step::Add } else { Step::Remove };
+        let more = cuts(ground, &rules, &answer.set, click);
+        answer = choose(ground, &rules, &answer.set, Some(click), step, more, &[]);
     }
-    let (expected, alike, mut inside) = match best {
-        Some((expected, alike, i)) => (expected, alike, scored[i].1.inside.clone()),
-        None => (0.0, 0.0, vec![false; tree.leaves]),
-    };
-    meant.repair(ground, &mut inside);
+    let mut inside = answer.set;
+    (0..tree.leaves).filter(|&i| !meant.open(i)).for_each(|i| inside[i] = false);
     // A box or a click always means something: at least what it touches.
     if !inside.contains(&true) {
         meant.touched(tree).into_iter().for_each(|l| inside[l] = true);
     }
-    ScoredMask { mask: tree.mask(&inside), predicted_iou: expected.min(1.0), stability: alike.min(1.0) }
+    ScoredMask {
+        mask: tree.mask(&inside),
+        predicted_iou: answer.expected.clamp(0.0, 1.0),
+        stability: answer.alike.min(1.0),
+    }
 }
 
 /// Predicted IoU from the mean boundary strength along the outline.

@@ -58,6 +58,8 @@ pub(crate) struct Shape {
     pub middle: [f32; 2],
     /// Bounding box: x0, y0, x1, y1, pixels.
     pub bounds: [f32; 4],
+    /// Length of the outline with the frame, pixel sides.
+    pub outline: f32,
 }
 
 impl Shape {
@@ -115,6 +117,7 @@ impl Shape {
             contrast: if length > 0.0 { contrast } else { 0.0 },
             middle: [middle[0] / some, middle[1] / some],
             bounds,
+            outline,
         }
     }
 }

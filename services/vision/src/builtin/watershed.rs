@@ -1,7 +1,8 @@
 //! Superpixels: the catchment basins of the boundary strength (Meyer's flooding).
 
 use super::plane::Plane;
-use std::collections::VecDeque;
+use std::cmp::{Ordering, Reverse};
+use std::collections::{BTreeMap, BinaryHeap, VecDeque};
 
 /// Labels every pixel with its basin, `0..count`, in the order of the basins' first pixels; ties go to the pixel that
 /// came first, so the result depends on nothing else. Basins under `least` pixels join the neighbour over
@@ -133,4 +134,118 @@ fn absorb(label: &mut [u32], count: usize, s: &[f32], w: usize, h: usize, least:
         })
         .collect();
     (labels, next as usize)
+}
+
+/// Squared colour difference (CIE units) that superpixels are taken to have at least: keeps them of like size where the photo
+/// is flat.
+const EVEN: f32 = 10.0;
+/// Boundary strength that neighbours are taken to have at least.
+const CLEAR: f32 = 0.2;
+
+/// A merge of two superpixels that may be made: its cost, and which they are and when they came to be.
+#[derive(PartialEq)]
+struct Merge {
+    cost: f32,
+    pair: (u32, u32),
+    born: (u32, u32),
+}
+
+impl Eq for Merge {}
+
+impl PartialOrd for Merge {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl Ord for Merge {
+    fn cmp(&self, other: &Self) -> Ordering {
+        self.cost.total_cmp(&other.cost).then(self.pair.cmp(&other.pair))
+    }
+}
+
+/// Merges neighbouring basins until `target` are left, those first whose joining loses least of the photo (Ward's rule:
+/// the growth of the squared error when both get one mean), the more the clearer the boundary between them. `planes` are
+/// what a superpixel should have one value of; `strength` is in [0, 1].
+pub(crate) fn joined(
+    labels: &[u32],
+    count: usize,
+    planes: &[&Plane],
+    strength: &Plane,
+    target: usize,
+) -> (Vec<u32>, usize) {
+    let (w, h) = (strength.width, strength.height);
+    let mut area = vec![0.0f32; count];
+    let mut sums = vec![vec![0.0f32; planes.len()]; count];
+    let mut around: Vec<BTreeMap<u32, (f32, f32)>> = vec![BTreeMap::new(); count];
+    for i in 0..w * h {
+        let a = labels[i];
+        area[a as usize] += 1.0;
+        sums[a as usize].iter_mut().zip(planes).for_each(|(s, p)| *s += p.data[i]);
+        for j in neighbours(i, w, h).filter(|&j| labels[j] != a) {
+            let side = around[a as usize].entry(labels[j]).or_default();
+            *side = (side.0 + 1.0, side.1 + strength.data[i].max(strength.data[j]));
+        }
+    }
+    let cost = |area: &[f32], sums: &[Vec<f32>], a: usize, b: usize, side: (f32, f32)| {
+        let gap: f32 = sums[a].iter().zip(&sums[b]).map(|(x, y)| (x / area[a] - y / area[b]).powi(2)).sum();
+        let ward = area[a] * area[b] / (area[a] + area[b]);
+        ward * (gap + EVEN) * (CLEAR + side.1 / side.0)
+    };
+    let mut heap = BinaryHeap::new();
+    let mut born = vec![0u32; count];
+    for (a, sides) in around.iter().enumerate() {
+        for (&b, &side) in sides.range(a as u32 + 1..) {
+            let cost = cost(&area, &sums, a, b as usize, side);
+            heap.push(Reverse(Merge { cost, pair: (a as u32, b), born: (0, 0) }));
+        }
+    }
+    let mut root: Vec<u32> = (0..count as u32).collect();
+    let mut left = count;
+    while left > target {
+        let Some(Reverse(merge)) = heap.pop() else { break };
+        let (a, b) = (merge.pair.0 as usize, merge.pair.1 as usize);
+        if root[a] != merge.pair.0 || root[b] != merge.pair.1 || (born[a], born[b]) != merge.born {
+            continue;
+        }
+        left -= 1;
+        root[b] = a as u32;
+        area[a] += area[b];
+        let gone = std::mem::take(&mut sums[b]);
+        sums[a].iter_mut().zip(gone).for_each(|(x, y)| *x += y);
+        born[a] += 1;
+        for (other, side) in std::mem::take(&mut around[b]) {
+            around[other as usize].remove(&(b as u32));
+            if other as usize != a {
+                for (from, to) in [(a, other as usize), (other as usize, a)] {
+                    let both = around[from].entry(to as u32).or_default();
+                    *both = (both.0 + side.0, both.1 + side.1);
+                }
+            }
+        }
+        for (&other, &side) in &around[a] {
+            let o = other as usize;
+            let pair = (merge.pair.0.min(other), merge.pair.0.max(other));
+            let cost = cost(&area, &sums, a, o, side);
+            heap.push(Reverse(Merge { cost, pair, born: (born[pair.0 as usize], born[pair.1 as usize]) }));
+        }
+    }
+    // A root is the least of its superpixels' numbers or was told to be; numbers follow the first pixels.
+    let mut number = vec![u32::MAX; count];
+    let mut next = 0;
+    let merged = labels
+        .iter()
+        .map(|&l| {
+            let mut r = l;
+            while root[r as usize] != r {
+                r = root[r as usize];
+            }
+            if number[r as usize] == u32::MAX {
+                number[r as usize] = next;
+                next += 1;
+            }
+            number[r as usize]
+        })
+        .collect();
+    (merged, next as usize)
 }

@@ -1,0 +1,83 @@
+//! What is kept of the photos looked at last, within a number of bytes.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+
+/// Something worked out once, or being worked out.
+pub(crate) type Slot<T> = Arc<OnceLock<Arc<T>>>;
+
+/// The values used last, newest first.
+pub(crate) struct Memory<T> {
+    /// Bytes that all values together may take; the newest one is always kept.
+    limit: usize,
+    recent: Mutex<VecDeque<(blake3::Hash, Slot<T>)>>,
+}
+
+impl<T: Weighed> Memory<T> {
+    pub fn new(limit: usize) -> Memory<T> {
+        Memory { limit, recent: Mutex::default() }
+    }
+
+    /// The slot of a key, new and empty if it is not there; it becomes the newest.
+    pub fn slot(&self, key: blake3::Hash) -> Slot<T> {
+        let mut recent = self.recent.lock().unwrap_or_else(PoisonError::into_inner);
+        let known = recent.iter().position(|(k, _)| *k == key).and_then(|i| recent.remove(i));
+        let entry = known.unwrap_or_else(|| (key, Slot::default()));
+        let slot = entry.1.clone();
+        recent.push_front(entry);
+        slot
+    }
+
+    /// Forgets the oldest values until the others fit.
+    pub fn trim(&self) {
+        let mut recent = self.recent.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut bytes = 0usize;
+        let mut first = true;
+        recent.retain(|(_, slot)| {
+            bytes = bytes.saturating_add(slot.get().map_or(0, |v| v.bytes()));
+            std::mem::take(&mut first) || bytes <= self.limit
+        });
+    }
+
+    #[cfg(test)]
+    fn count(&self) -> usize {
+        self.recent.lock().unwrap_or_else(PoisonError::into_inner).len()
+    }
+}
+
+/// Knows how much memory it takes.
+pub(crate) trait Weighed {
+    /// About that many bytes.
+    fn bytes(&self) -> usize;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    impl Weighed for Vec<u8> {
+        fn bytes(&self) -> usize {
+            self.len()
+        }
+    }
+
+    #[test]
+    fn the_oldest_go_when_the_bytes_are_used_up() {
+        let memory = Memory::new(100);
+        let put = |n: u8, size: usize| {
+            let slot = memory.slot(blake3::hash(&[n]));
+            let value = slot.get_or_init(|| Arc::new(vec![n; size])).clone();
+            memory.trim();
+            value
+        };
+        (0..4).for_each(|n| drop(put(n, 30)));
+        assert_eq!(memory.count(), 3);
+        assert!(memory.slot(blake3::hash(&[1])).get().is_some(), "used again: the newest");
+        drop(put(9, 30));
+        assert!(memory.slot(blake3::hash(&[1])).get().is_some());
+        assert!(memory.slot(blake3::hash(&[2])).get().is_none(), "was the oldest");
+        let large = put(7, 1000);
+        assert!(memory.slot(blake3::hash(&[7])).get().is_some(), "one larger than the limit is kept alone");
+        assert_eq!((large.len(), memory.count()), (1000, 1));
+    }
+}

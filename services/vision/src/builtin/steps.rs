@@ -1,0 +1,236 @@
+//! Prompts one after another: what was chosen so far, and how the next click changes it.
+//!
+//! A click that agrees with what was chosen changes nothing. One that does not is the middle of a mistake: the regions
+//! around it, in all trees, are what may have to be added or taken away.
+
+use super::cut::Cut;
+use super::pool::{Choice, Ground};
+use super::refine::iou_of;
+use super::traits::{Around, Candidate, Source, Step, traits};
+use super::weights::weights;
+use std::collections::HashSet;
+
+/// Cost that no other outweighs.
+const NEVER: f32 = 1e6;
+/// The most candidates that the answer is chosen from, the likeliest.
+const FINALISTS: usize = 60;
+
+/// A click as a superpixel and a place.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Click {
+    pub leaf: u32,
+    pub at: [f32; 2],
+    pub inside: bool,
+}
+
+/// A set that may be meant next.
+struct Next {
+    set: Vec<bool>,
+    standing: f32,
+    source: Source,
+}
+
+/// A choice among candidates.
+pub(crate) struct Chosen {
+    pub set: Vec<bool>,
+    /// Expected IoU with what is meant.
+    pub expected: f32,
+    /// Share of the belief in sets much like the chosen one.
+    pub alike: f32,
+}
+
+/// What candidates must hold and must not.
+pub(crate) struct Rules<'a> {
+    pub clicks: &'a [Click],
+    /// Superpixels that may be inside.
+    pub open: &'a dyn Fn(usize) -> bool,
+    pub bounds: Option<[f32; 4]>,
+}
+
+impl Rules<'_> {
+    fn kept(&self, set: &[bool]) -> bool {
+        self.clicks.iter().all(|c| set[c.leaf as usize] == c.inside)
+    }
+}
+
+/// Chooses the next set: `before` was chosen so far, `click` is the last of `rules.clicks` (`None`: a box alone).
+pub(crate) fn choose(
+    ground: &Ground,
+    rules: &Rules,
+    before: &[bool],
+    click: Option<Click>,
+    step: Step,
+    more: Vec<Vec<bool>>,
+    starts: &[u32],
+) -> Chosen {
+    let mut known: HashSet<Vec<bool>> = HashSet::new();
+    let mut options: Vec<Next> = Vec::new();
+    let mut keep = |mut set: Vec<bool>, standing: f32, source: Source| {
+        set.iter_mut().enumerate().for_each(|(i, s)| *s &= (rules.open)(i));
+        if source == Source::Cut {
+            rules.clicks.iter().for_each(|c| set[c.leaf as usize] = c.inside);
+        }
+        if rules.kept(&set) && set.contains(&true) && known.insert(set.clone()) {
+            options.push(Next { set, standing, source });
+        }
+    };
+    match step {
+        Step::First | Step::Boxed => {
+            for &leaf in starts {
+                for (set, standing) in ground.sets(leaf) {
+                    keep(set, standing, Source::Region);
+                }
+            }
+        }
+        Step::Add => {
+            let leaf = click.map_or(0, |c| c.leaf);
+            for (set, standing) in ground.sets(leaf) {
+                let both = set.iter().zip(before).map(|(a, b)| *a || *b).collect();
+                keep(both, standing, Source::Region);
+                keep(set, standing, Source::Instead);
+            }
+        }
+        Step::Remove => {
+            let leaf = click.map_or(0, |c| c.leaf);
+            for (set, standing) in ground.sets(leaf) {
+                let rest: Vec<bool> = before.iter().zip(&set).map(|(b, s)| *b && !*s).collect();
+                keep(held_together(ground, rules, &rest), standing, Source::Region);
+                keep(rest, standing, Source::Region);
+            }
+            for c in rules.clicks.iter().filter(|c| c.inside) {
+                for (set, standing) in ground.sets(c.leaf) {
+                    keep(set.iter().zip(before).map(|(s, b)| *s && *b).collect(), standing, Source::Instead);
+                }
+            }
+        }
+    }
+    for set in more {
+        keep(set, 0.0, Source::Cut);
+    }
+    // Where every region breaks a rule, what was chosen and the click's own superpixel are left.
+    if options.is_empty() {
+        let mut set = before.to_vec();
+        rules.clicks.iter().for_each(|c| set[c.leaf as usize] = c.inside);
+        options.push(Next { set, standing: 0.0, source: Source::Region });
+    }
+    let around = Around::of(
+        ground,
+        click.map_or_else(
+            || rules.bounds.map_or([0.0; 2], |b| [0.5 * (b[0] + b[2]), 0.5 * (b[1] + b[3])]),
+            |c| c.at,
+        ),
+    );
+    let area = ground.area(before);
+    let weights = weights(step);
+    let mut scored: Vec<(f32, Choice)> = options
+        .into_iter()
+        .map(|o| {
+            let changed: Vec<bool> = match step {
+                Step::First | Step::Boxed => o.set.clone(),
+                Step::Add => o.set.iter().zip(before).map(|(s, b)| *s && !*b).collect(),
+                Step::Remove => o.set.iter().zip(before).map(|(s, b)| !*s && *b).collect(),
+            };
+            let against: Vec<bool> = match step {
+                Step::Add => o.set.iter().zip(before).map(|(s, b)| !*s && *b).collect(),
+                Step::Remove => o.set.iter().zip(before).map(|(s, b)| *s && !*b).collect(),
+                _ => vec![false; o.set.len()],
+            };
+            let undone = ground.area(&against) / area.max(1.0);
+            let whole = ground.choice(o.set);
+            let part = ground.choice(changed);
+            let tight = rules.bounds.map_or(0.0, |b| whole.shape.tightness(b));
+            let candidate = Candidate {
+                whole: &whole.shape,
+                part: &part.shape,
+                changed: &part.inside,
+                before: area / whole.shape.total,
+                undone,
+                standing: o.standing,
+                tight,
+                source: o.source,
+            };
+            let t = traits(&candidate, &around);
+            let score: f32 = t.iter().zip(weights).map(|(t, w)| t * w).sum();
+            (score, whole)
+        })
+        .collect();
+    scored.sort_by(|a, b| b.0.total_cmp(&a.0));
+    scored.truncate(FINALISTS);
+    let top = scored[0].0;
+    let weights: Vec<f32> = scored.iter().map(|s| (s.0 - top).exp()).collect();
+    let sum: f32 = weights.iter().sum::<f32>().max(1e-9);
+    let mut best = (f32::MIN, 0.0, 0);
+    for i in 0..scored.len() {
+        let (mut expected, mut alike) = (0.0, 0.0);
+        for (j, w) in weights.iter().enumerate() {
+            let iou = iou_of(ground.analysis, &scored[i].1.inside, &scored[j].1.inside);
+            expected += w / sum * iou;
+            alike += if iou >= 0.75 { w / sum } else { 0.0 };
+        }
+        if expected > best.0 + 1e-6 {
+            best = (expected, alike, i);
+        }
+    }
+    Chosen { set: scored.swap_remove(best.2).1.inside, expected: best.0, alike: best.1 }
+}
+
+/// The parts of a set that hold a positive click.
+fn held_together(ground: &Ground, rules: &Rules, set: &[bool]) -> Vec<bool> {
+    let mut out = vec![false; set.len()];
+    let mut stack: Vec<u32> = rules.clicks.iter().filter(|c| c.inside).map(|c| c.leaf).collect();
+    while let Some(i) = stack.pop() {
+        if set[i as usize] && !out[i as usize] {
+            out[i as usize] = true;
+            stack.extend(&ground.around[i as usize]);
+        }
+    }
+    out
+}
+
+/// What cuts make of the set so far and the click that it fails: colours of inside and outside are learned from it, with the
+/// click's surroundings on the other side.
+pub(crate) fn cuts(ground: &Ground, rules: &Rules, before: &[bool], click: Click) -> Vec<Vec<bool>> {
+    let tree = &ground.analysis.tree;
+    let total = (tree.width * tree.height) as f32;
+    // The click's colours: the smallest region around it that is not a crumb, and that holds no other kind of click.
+    let other = |r: u32| rules.clicks.iter().any(|c| c.inside != click.inside && tree.holds(r, c.leaf));
+    let home = tree
+        .chain(click.leaf)
+        .take_while(|&r| !other(r) && tree.nodes[r as usize].area < 0.01 * total)
+        .last()
+        .unwrap_or(click.leaf);
+    let side = if click.inside { 1.0 } else { 0.0 };
+    let mut belief: Vec<f32> = before.iter().map(|&b| if b { 0.8 } else { 0.15 }).collect();
+    let mut weight: Vec<f32> = vec![1.0; tree.leaves];
+    for &l in tree.leaves_of(home) {
+        (belief[l as usize], weight[l as usize]) = (side, 4.0);
+    }
+    for c in rules.clicks {
+        (belief[c.leaf as usize], weight[c.leaf as usize]) = (if c.inside { 1.0 } else { 0.0 }, 6.0);
+    }
+    let mut out = Vec::new();
+    for reach in [0.08, 0.2] {
+        let colour = ground.samples.posterior(&belief, &weight, reach);
+        for (trust, old) in [(0.15, 0.5), (0.3, 1.0), (0.3, 0.3)] {
+            let mut graph = Cut::new(tree.leaves);
+            for (i, node) in tree.nodes[..tree.leaves].iter().enumerate() {
+                if let Some(c) = rules.clicks.iter().find(|c| c.leaf as usize == i) {
+                    let (inside, outside) = if c.inside { (0.0, NEVER) } else { (NEVER, 0.0) };
+                    graph.unary(i, inside, outside);
+                } else if !(rules.open)(i) {
+                    graph.unary(i, NEVER, 0.0);
+                } else {
+                    let p = colour[i].clamp(0.02, 0.98);
+                    let b = belief[i].clamp(0.1, 0.9);
+                    let odds = trust * ((p / (1.0 - p)).ln() + old * (b / (1.0 - b)).ln());
+                    graph.unary(i, (-odds).max(0.0) * node.area, odds.max(0.0) * node.area);
+                }
+            }
+            for (&(a, b, border), open) in tree.borders.iter().zip(&ground.open) {
+                graph.pair(a as usize, b as usize, border.length * open);
+            }
+            out.push(graph.solve());
+        }
+    }
+    out
+}
