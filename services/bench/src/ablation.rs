@@ -30,6 +30,7 @@ pub const PAPER: &[(&str, &str)] = &[
     ("similarity_use", "gate"),
     ("click_temperature", "1"),
     ("spikes", "isotropic"),
+    ("cut_by", "prompts"),
 ];
 
 const fn ours(name: &'static str, meaning: &'static str, changes: Changes) -> Variant {
@@ -51,6 +52,7 @@ pub const VARIANTS: &[Variant] = &[
     ours("no-sky-prompts", "prompts that do not know the sky", &[("sky_prompts", "false")]),
     ours("no-sky", "no sky anywhere, geometry included", &[("sky", "none")]),
     ours("no-sgc", "spikes stay", &[("spikes", "off")]),
+    ours("prompts-sgc", "spikes cut by the clicked photo alone", &[("cut_by", "prompts")]),
     ours("isotropic-sgc", "spikes shrunk in all directions", &[("spikes", "isotropic")]),
     ours("tau-0.3", "resemblance from 0.3", &[("tau", "0.3")]),
     ours("tau-0.7", "resemblance from 0.7", &[("tau", "0.7")]),

@@ -46,6 +46,11 @@ impl Evidence {
         (inside + outside > 0.0).then_some(inside * (1.0 - rho) >= (outside + gamma) * rho)
     }
 
+    /// How well one view sees each splat, in 1/255 of a view that sees it whole and large.
+    pub(crate) fn voices(&self) -> Vec<u8> {
+        (0..self.inside.len()).map(|i| (255.0 * self.total(i).clamp(0.0, 1.0)).round() as u8).collect()
+    }
+
     /// Adds `weight` times another.
     pub fn add(&mut self, other: &Evidence, weight: f32) {
         for (sum, x) in self.inside.iter_mut().zip(&other.inside) {

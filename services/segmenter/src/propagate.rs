@@ -50,6 +50,8 @@ pub struct Visit {
     pub agreement: f32,
     /// The refined mask, where it counts.
     pub mask: Option<Mask>,
+    /// How well the view sees each splat, in 1/255 of a view that sees it whole; empty where the mask does not count.
+    pub voice: Vec<u8>,
 }
 
 /// Whether a photo's refined mask counts.
@@ -199,7 +201,8 @@ fn call_on(
     // Where there is nothing there is no object: that, too, is known.
     let known: Vec<f32> =
         frame.image.plane(1).iter().zip(&frame.alpha.data).map(|(&d, &a)| clean(d + 1.0 - a)).collect();
-    let verdict = |verdict, agreement| (Visit { view: index, verdict, agreement, mask: None }, None);
+    let verdict =
+        |verdict, agreement| (Visit { view: index, verdict, agreement, mask: None, voice: Vec::new() }, None);
     let shown = certainty.data.iter().filter(|c| **c > 0.5).count();
     if (shown as f32) < SMALLEST * certainty.data.len() as f32 {
         return Ok(verdict(Verdict::NotVisible, 0.0));
@@ -227,6 +230,11 @@ fn call_on(
         .map(|((&m, &c), &k)| if k > 0.8 && (m - c).abs() > 0.8 { DOUBT } else { GUESS + (1.0 - GUESS) * k })
         .collect();
     let mut evidence = Evidence::none(request.splats.len());
-    evidence.add(&view_evidence(request, &*projected, view, &camera, &mask, &weights), trust);
-    Ok((Visit { view: index, verdict: Verdict::Accepted, agreement, mask: Some(mask) }, Some(evidence)))
+    let seen = view_evidence(request, &*projected, view, &camera, &mask, &weights);
+    evidence.add(&seen, trust);
+    let voice = seen.voices();
+    Ok((
+        Visit { view: index, verdict: Verdict::Accepted, agreement, mask: Some(mask), voice },
+        Some(evidence),
+    ))
 }

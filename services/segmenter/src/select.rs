@@ -2,9 +2,10 @@
 
 use crate::coverage::{centre, coverage, soft, unoccluded, visible};
 use crate::judge::{Judge, Similarities};
-use crate::settings::{ComponentRule, EvidenceMode, SegmentSettings, SimilarityUse};
+use crate::settings::{ComponentRule, CutBy, EvidenceMode, SegmentSettings, SimilarityUse};
 use crate::{
-    Cut, CutView, Evidence, FeatureField, Graph, Hit, SegmentError, Visit, components, propagate, smooth,
+    Cut, CutView, Evidence, FeatureField, Graph, Hit, Juror, SegmentError, Visit, components, propagate,
+    smooth,
 };
 use glam::Vec2;
 use segwild_raster::{Engine, ProjectOptions, Projected};
@@ -153,9 +154,29 @@ pub fn select(request: &Request, refine: Option<&mut Refine>) -> Result<Selectio
     })
 }
 
-/// The spike cut of a selection by the masks of its prompted photos (method, section 7). A photo cuts only the
-/// splats that it sees.
+/// The spike cut of a selection (method, section 7) by the masks of the photos that took part, or of the prompted
+/// ones alone ([`SegmentSettings::cut_by`]). A photo cuts only the splats that it sees.
 pub fn cut(request: &Request, selection: &Selection) -> Result<Cut, SegmentError> {
+    let accepted = || selection.visits.iter().filter_map(|v| Some((v, v.mask.as_ref()?)));
+    if request.settings.cut_by == CutBy::Photos && accepted().next().is_some() {
+        let own: Vec<Vec<u8>> = request
+            .prompts
+            .iter()
+            .map(|prompt| Ok(prompted_evidence(request, prompt)?.voices()))
+            .collect::<Result<_, SegmentError>>()?;
+        let juror = |view: usize, mask, voice, weight| {
+            let view = &request.views[view];
+            Juror { camera: view.camera, pose: view.pose, mask, voice, weight }
+        };
+        let weight = request.settings.prompt_weight;
+        let prompted =
+            request.prompts.iter().zip(&own).map(|(p, voice)| juror(p.view, p.mask, voice, weight));
+        let others = accepted().map(|(v, mask)| juror(v.view, mask, &v.voice, v.agreement));
+        let jury: Vec<Juror> = prompted.chain(others).collect();
+        let settings = request.settings;
+        let near = request.options.near;
+        return Ok(Cut::by_jury(request.splats, &selection.labels, &jury, settings.spikes, near));
+    }
     let mut sees = Vec::with_capacity(request.prompts.len());
     for prompt in request.prompts {
         let view = view(request, prompt.view)?;

@@ -44,6 +44,16 @@ segwild_scene::choice! {
     }
 }
 
+segwild_scene::choice! {
+    /// Whose masks cut spikes.
+    pub enum CutBy {
+        /// All photos whose own boundaries took part, by majority.
+        Photos = "photos",
+        /// The prompted photos, one after the other (the paper).
+        Prompts = "prompts"
+    }
+}
+
 segwild_scene::settings! {
     /// How clicks and masks become a selection of splats.
     pub struct SegmentSettings("segment") {
@@ -93,5 +103,7 @@ segwild_scene::settings! {
         prompt_weight: f32 = 2.0,
         /// How spikes are cut.
         spikes: SpikeMode = SpikeMode::Axis,
+        /// Whose masks cut them.
+        cut_by: CutBy = CutBy::Photos,
     }
 }

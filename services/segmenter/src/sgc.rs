@@ -1,7 +1,7 @@
 //! Spiky Gaussian cutter: splats of a selection that stick out of the object's mask are moved back and
 //! shortened (method, section 7; paper Eq. 29-32).
 
-use crate::screen::{Footprint, Shape};
+use crate::screen::{Axes, Footprint, Shape};
 use crate::settings::SpikeMode;
 use crate::svd;
 use glam::{DMat3, DQuat, DVec2, DVec3};
@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use segwild_scene::{Camera, Mask, Pose, Splats};
 
 /// Standard deviations from the centre to each end of the segment that stands for a splat.
-const ENDS: f64 = 1.5;
+pub(crate) const ENDS: f64 = 1.5;
 
 /// A splat whose axes differ by this factor in variance is a spike.
 const ELONGATED: f64 = 4.0;
@@ -92,12 +92,17 @@ impl Cut {
             .iter()
             .map(|v| CutView { camera: v.camera.resized(v.mask.width(), v.mask.height()), ..*v })
             .collect();
+        Cut::of(splats, selected, |i| cut_splat(splats, i, &views, mode, near))
+    }
+
+    /// What `judge` makes of every selected splat.
+    pub(crate) fn of(splats: &Splats, selected: &[bool], judge: impl Fn(usize) -> Outcome + Sync) -> Cut {
         let outcomes: Vec<(u32, Outcome)> = selected
             .par_iter()
             .enumerate()
             .with_min_len(256)
             .filter(|(_, selected)| **selected)
-            .map(|(i, _)| (i as u32, cut_splat(splats, i, &views, mode, near)))
+            .map(|(i, _)| (i as u32, judge(i)))
             .collect();
         let mut cut = Cut::default();
         for (i, outcome) in outcomes {
@@ -132,7 +137,8 @@ impl Cut {
     }
 }
 
-enum Outcome {
+/// What becomes of one splat.
+pub(crate) enum Outcome {
     Kept,
     Changed(Geometry),
     Dropped,
@@ -172,14 +178,18 @@ fn cut_splat(splats: &Splats, i: usize, views: &[CutView], mode: SpikeMode, near
     }
 }
 
+/// Whether a footprint is long enough to be looked at.
+pub(crate) fn is_spike(axes: &Axes) -> bool {
+    axes.major >= ELONGATED * axes.minor || ENDS * axes.major.sqrt() > LONG
+}
+
 /// How much of a candidate lies inside the mask; `None` for splats that are not to be cut.
 fn sticking_out(footprint: &Footprint, mask: &Mask) -> Option<Inside> {
     let axes = footprint.axes();
     let half = axes.direction * (ENDS * axes.major.sqrt());
     let at = |p: DVec2| mask.at(p.x as f32, p.y as f32);
     let (start_in, end_in) = (at(footprint.centre - half), at(footprint.centre + half));
-    let candidate = axes.major >= ELONGATED * axes.minor || half.length() > LONG;
-    if (start_in && end_in) || !candidate || !half.is_finite() {
+    if (start_in && end_in) || !is_spike(&axes) || !half.is_finite() {
         return None;
     }
     // Samples at the middles of equal steps of at most a pixel, so that the kept part ends inside.
@@ -263,7 +273,7 @@ fn outer(a: DVec3, b: DVec3) -> DMat3 {
 }
 
 /// Back to scales and a rotation, `None` where f32 cannot hold them.
-fn write(shape: &Shape) -> Option<Geometry> {
+pub(crate) fn write(shape: &Shape) -> Option<Geometry> {
     let (axes, deviations) = svd::left(shape.root);
     let q = DQuat::from_mat3(&axes).normalize();
     let log_scales = deviations.map(|s| s.max(SCALE_MIN).ln() as f32);
