@@ -209,7 +209,7 @@ pub fn program() -> Command {
                                 .help("Photos of the two scenes whose memory is compared"),
                         )
                         .arg(path("out", "Folder for scenes and runs [default: .bench/flow]"))
-                        .arg(path("page", "Write the table to this file, as a page"))
+                        .arg(path("page", "Write the table to this file, as a page; rows not measured now are as they were last"))
                         .arg(json()),
                 )
                 .arg(

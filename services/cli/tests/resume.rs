@@ -263,6 +263,125 @@ fn the_timeline_is_told_drawn_and_written_for_other_tools() {
     );
 }
 
+/// Asserts that an object has the named fields only, those before the `|` always.
+fn has_fields(value: &serde_json::Value, fields: &str) {
+    let object = value.as_object().unwrap_or_else(|| panic!("no object: {value}"));
+    let (needed, allowed) = fields.split_once('|').unwrap_or((fields, ""));
+    for field in needed.split_whitespace() {
+        assert!(object.contains_key(field), "`{field}` is missing: {value}");
+    }
+    for field in object.keys() {
+        let known = needed.split_whitespace().chain(allowed.split_whitespace()).any(|f| f == field);
+        assert!(known, "`{field}` is no field of the format: {value}");
+    }
+}
+
+#[test]
+fn the_traces_have_the_fields_of_their_formats_and_no_others() {
+    let run = &place().run;
+    let json = |name: &str| -> serde_json::Value {
+        serde_json::from_slice(&std::fs::read(run.join(name)).expect("a file")).expect("JSON")
+    };
+    let list = |value: &serde_json::Value| value.as_array().expect("a list").clone();
+    let attributes = |value: &serde_json::Value| {
+        for pair in list(value) {
+            has_fields(&pair, "key value");
+            has_fields(&pair["value"], "stringValue");
+            assert!(pair["key"].is_string() && pair["value"]["stringValue"].is_string(), "{pair}");
+        }
+    };
+    // ExportTraceServiceRequest in the JSON mapping of OTLP: camelCase names, identifiers as hex, 64-bit numbers as
+    // text, enumerations as numbers.
+    let hex = |value: &serde_json::Value, digits: usize| {
+        let id = value.as_str().expect("text");
+        assert!(id.len() == digits && id.bytes().all(|b| b.is_ascii_hexdigit()), "{id}");
+        assert!(id.bytes().any(|b| b != b'0'), "an identifier is never zero");
+    };
+    let otlp = json("trace.otlp.json");
+    has_fields(&otlp, "resourceSpans");
+    let mut count = 0;
+    for resource in list(&otlp["resourceSpans"]) {
+        has_fields(&resource, "resource scopeSpans | schemaUrl");
+        has_fields(&resource["resource"], "attributes | droppedAttributesCount");
+        attributes(&resource["resource"]["attributes"]);
+        for scope in list(&resource["scopeSpans"]) {
+            has_fields(&scope, "scope spans | schemaUrl");
+            has_fields(&scope["scope"], "name version | attributes droppedAttributesCount");
+            for span in list(&scope["spans"]) {
+                has_fields(
+                    &span,
+                    "traceId spanId name kind startTimeUnixNano endTimeUnixNano | parentSpanId traceState flags attributes \
+                     droppedAttributesCount events droppedEventsCount links droppedLinksCount status",
+                );
+                hex(&span["traceId"], 32);
+                hex(&span["spanId"], 16);
+                let parent = &span["parentSpanId"];
+                if parent != "" {
+                    hex(parent, 16);
+                }
+                assert!(span["kind"].as_u64().is_some_and(|kind| kind <= 5), "{span}");
+                for time in ["startTimeUnixNano", "endTimeUnixNano"] {
+                    assert!(span[time].as_str().is_some_and(|t| t.parse::<u64>().is_ok()), "{span}");
+                }
+                attributes(&span["attributes"]);
+                has_fields(&span["status"], "| code message");
+                count += 1;
+            }
+        }
+    }
+    assert!(count > 20, "{count} spans");
+
+    // Chrome's trace events, in the form of an object.
+    let chrome = json("trace.json");
+    has_fields(&chrome, "traceEvents | displayTimeUnit");
+    assert!(["ms", "ns"].iter().any(|unit| chrome["displayTimeUnit"] == *unit));
+    let mut named = std::collections::BTreeSet::new();
+    for event in list(&chrome["traceEvents"]) {
+        assert!(event["pid"].is_u64() && event["tid"].is_u64() && event["name"].is_string(), "{event}");
+        if event["ph"] == "M" {
+            has_fields(&event, "ph name pid tid args");
+            assert!(event["name"] == "process_name" || event["name"] == "thread_name", "{event}");
+            assert!(event["args"]["name"].is_string(), "{event}");
+            named.insert(event["tid"].as_u64());
+        } else {
+            has_fields(&event, "ph name cat pid tid ts dur");
+            assert_eq!(event["ph"], "X", "{event}");
+            for number in ["ts", "dur"] {
+                assert!(event[number].as_f64().is_some_and(|n| n >= 0.0), "{event}");
+            }
+            assert!(named.contains(&event["tid"].as_u64()), "a row without a name: {event}");
+        }
+    }
+}
+
+#[test]
+fn one_kept_checkpoint_is_the_newest_and_a_damaged_one_costs_the_training_and_no_more() {
+    let dir = folder();
+    let run = dir.path().join("run");
+    let one = ["--keep-checkpoints", "1"];
+    let checkpoints = || {
+        let names = std::fs::read_dir(run.join("checkpoints")).expect("a folder").flatten();
+        let mut names: Vec<String> = names.map(|e| e.file_name().to_string_lossy().into_owned()).collect();
+        names.sort();
+        names
+    };
+    for step in ["20", "40"] {
+        completes(&again(&run, &[&one[..], &["--until", step]].concat()));
+        let kept = checkpoints();
+        let ending = format!("-{step:0>8}.bin");
+        assert!(kept.len() == 1 && kept[0].ends_with(&ending), "after step {step}: {kept:?}");
+    }
+    let newest = run.join("checkpoints").join(&checkpoints()[0]);
+    let mut bytes = std::fs::read(&newest).expect("a checkpoint");
+    bytes.truncate(bytes.len() / 2);
+    std::fs::write(&newest, bytes).expect("it is written");
+    let (_, told) = completes(&again(&run, &one));
+    assert!(told.contains("-00000040.bin is passed over"), "{told}");
+    assert!(!told.contains("goes on from step"), "there is none to go on from: {told}");
+    assert!(checkpoints().len() <= 1, "{:?}", checkpoints());
+    same_as_untouched(&run);
+}
+
 #[test]
 fn explain_names_what_would_be_done_again_and_why() {
     let dir = folder();

@@ -92,13 +92,6 @@ pub fn run(
         .collect();
     ledger.set_settings(named.iter().map(|(n, v)| (*n, v.as_str())))?;
 
-    let providers = match &options.providers {
-        Some(providers) => providers.clone(),
-        None => Providers::from_settings(&settings.vision)?,
-    };
-    for note in &providers.notes {
-        options.events.info(None, note.clone());
-    }
     let path = std::path::absolute(scene).unwrap_or_else(|_| scene.to_owned());
     let scene = Arc::new(Scene::open(&path, &settings.scene)?);
     for skipped in &scene.skipped {
@@ -128,6 +121,13 @@ pub fn run(
     );
 
     let settings = &memory::within_budget(settings, &scene)?;
+    let providers = match &options.providers {
+        Some(providers) => providers.clone(),
+        None => Providers::from_settings(&settings.vision)?,
+    };
+    for note in &providers.notes {
+        options.events.info(None, note.clone());
+    }
     let engine: Arc<dyn Engine> = Arc::new(CpuEngine::default());
     let steps = match options.until {
         Some(Until::Step(step)) => step,

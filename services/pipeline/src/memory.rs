@@ -2,7 +2,7 @@
 //!
 //! Nothing in a run grows with the number of photos but indexes (names, keys, cameras, points): photos, embeddings,
 //! masks and renders are read when they are needed and pass through bounded mailboxes. What is held is proportional to
-//! the splats and to the size of one photo, plus two caches with limits of their own, which shrink to fit the budget.
+//! the splats and to the size of one photo, plus three caches with limits of their own, which shrink to fit the budget.
 
 use crate::{RunError, Settings};
 use segwild_scene::Scene;
@@ -23,7 +23,7 @@ const PER_SPLAT: f64 = 200.0;
 const FEATURE_COPIES: f64 = 5.0;
 /// Floats per pixel of a photo that all actors together hold at work.
 const PER_PIXEL: f64 = 120.0;
-/// Least MiB that each of the two caches is given.
+/// Least MiB that each of the caches is given.
 const LEAST_CACHE: usize = 8;
 
 const MIB: f64 = (1 << 20) as f64;
@@ -65,18 +65,46 @@ pub(crate) fn within_budget(settings: &Settings, scene: &Scene) -> Result<Settin
         return Ok(settings);
     }
     let fixed = estimate(&settings, scene).fixed.ceil() as usize;
-    if fixed + LEAST_CACHE > budget {
+    if fixed + 2 * LEAST_CACHE > budget {
         let splats = splat_cap(&settings.train, scene, settings.scene.size);
         return Err(RunError::Request(format!(
             "this run needs about {} MiB of memory for {splats} splats and photos of {} px, and --memory-budget allows \
              {budget}: give more, or lower --splats or --size",
-            fixed + LEAST_CACHE,
+            fixed + 2 * LEAST_CACHE,
             settings.scene.size
         )));
     }
-    // They are not held at the same time: the trainer's photos go before the field is made.
+    // Photos' analyses are held to the end. Of the other two the trainer's photos go before the field is made.
     let spare = budget - fixed;
-    settings.train.photo_cache_mib = settings.train.photo_cache_mib.min(spare);
-    settings.features.feature_memory = settings.features.feature_memory.min(spare as u32);
+    settings.vision.vision_memory = settings.vision.vision_memory.min((spare / 2) as u32);
+    let rest = spare - settings.vision.vision_memory as usize;
+    settings.train.photo_cache_mib = settings.train.photo_cache_mib.min(rest);
+    settings.features.feature_memory = settings.features.feature_memory.min(rest as u32);
     Ok(settings)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use segwild_scene::Frame;
+
+    #[test]
+    fn a_budget_is_shared_by_every_cache_that_is_held_at_the_same_time() {
+        let frame = Frame { origin: Default::default(), scale: 1.0 };
+        let scene = Scene { views: Vec::new(), points: Vec::new(), skipped: Vec::new(), frame };
+        let mut settings = Settings::default();
+        settings.train.splats = 1000;
+        let fixed = estimate(&settings, &scene).fixed.ceil() as usize;
+        settings.run.memory_budget = (fixed + 40) as u32;
+        let fitted = within_budget(&settings, &scene).expect("it fits");
+        let vision = fitted.vision.vision_memory as usize;
+        for other in [fitted.train.photo_cache_mib, fitted.features.feature_memory as usize] {
+            assert!(
+                vision >= LEAST_CACHE && other >= LEAST_CACHE && vision + other <= 40,
+                "{vision} {other}"
+            );
+        }
+        settings.run.memory_budget = (fixed + LEAST_CACHE) as u32;
+        assert!(within_budget(&settings, &scene).is_err());
+    }
 }

@@ -29,6 +29,8 @@ fn peak(program: &Path, scene: &Path, run: &Path) -> Result<(f64, u64), FlowErro
         "4",
         "--feature-memory",
         "8",
+        "--vision-memory",
+        "16",
         "--memory-budget",
     ]);
     let output = io("start segwild", command.arg(BUDGET.to_string()).output())?;
@@ -58,7 +60,7 @@ pub fn memory(options: &FlowOptions) -> Result<Vec<Row>, FlowError> {
     Ok(vec![
         Row {
             name: "memory".into(),
-            what: "peak memory with many photos over that with few",
+            what: "peak memory with many photos over that with few".into(),
             value: peaks[1].0 / peaks[0].0,
             bar: 1.2,
             from: format!(
@@ -67,13 +69,15 @@ pub fn memory(options: &FlowOptions) -> Result<Vec<Row>, FlowError> {
                 peaks[0].1,
                 peaks[1].1
             ),
+            load: None,
         },
         Row {
             name: "memory, budget".into(),
-            what: "peak memory over `--memory-budget`",
+            what: "peak memory over `--memory-budget`".into(),
             value: largest / f64::from(BUDGET),
             bar: 1.0,
             from: format!("{largest:.0} of {BUDGET} MiB"),
+            load: None,
         },
     ])
 }

@@ -11,7 +11,8 @@ pub use waiting::{Calls, Waits, counted, waiting};
 
 use crate::synthetic::{LookKind, Manifest, SyntheticError, SyntheticOptions, generate};
 use segwild_pipeline::{RunError, Settings, SettingsError};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 /// The rows, in order.
@@ -33,18 +34,20 @@ pub struct FlowOptions {
 }
 
 /// One measured promise.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Row {
     /// Its name, one of [`ROWS`], or that with a part.
     pub name: String,
     /// What is measured.
-    pub what: &'static str,
+    pub what: Cow<'static, str>,
     /// The number.
     pub value: f64,
     /// What it must not exceed.
     pub bar: f64,
     /// The numbers it comes from.
     pub from: String,
+    /// The machine's load average over the last minute, just after the row was measured, if the system tells.
+    pub load: Option<f64>,
 }
 
 impl Row {
@@ -97,40 +100,74 @@ pub fn flow(options: &FlowOptions, mut told: impl FnMut(&Row)) -> Result<Vec<Row
     }
     let wanted = |name: &str| options.only.is_empty() || options.only.iter().any(|o| o == name);
     let mut rows = Vec::new();
-    let mut tell = |more: Vec<Row>| {
+    io(format!("create {}", options.dir.display()), std::fs::create_dir_all(&options.dir))?;
+    let mut tell = |mut more: Vec<Row>| -> Result<(), FlowError> {
+        more.iter_mut().for_each(|row| row.load = load_average());
         more.iter().for_each(&mut told);
         rows.extend(more);
+        keep(&options.dir, &rows)
     };
     if wanted("overlap") || wanted("cache") {
-        tell(overlap::overlap(options)?.into_iter().filter(|r| wanted(&r.name)).collect());
+        tell(overlap::overlap(options)?.into_iter().filter(|r| wanted(&r.name)).collect())?;
     }
     if wanted("cost") {
-        tell(overlap::cost(options)?);
+        tell(overlap::cost(options)?)?;
     }
     if wanted("kills") {
-        tell(kills::kills(options)?);
+        tell(kills::kills(options)?)?;
     }
     if wanted("memory") {
-        tell(memory::memory(options)?);
+        tell(memory::memory(options)?)?;
     }
     Ok(rows)
 }
 
+/// The file in [`FlowOptions::dir`] that holds every row as it was measured last.
+const KEPT: &str = "rows.json";
+
+/// Puts new rows in the place of those of the same name that were measured before.
+fn keep(dir: &Path, new: &[Row]) -> Result<(), FlowError> {
+    let mut rows: Vec<Row> =
+        measured(dir).into_iter().filter(|r| new.iter().all(|n| n.name != r.name)).collect();
+    rows.extend_from_slice(new);
+    // In the order of the list, whatever was measured last.
+    rows.sort_by_key(|r| ROWS.iter().position(|name| r.name.split(',').next() == Some(*name)));
+    let path = dir.join(KEPT);
+    // Numbers and strings only: nothing here can fail to serialise.
+    let text = serde_json::to_string_pretty(&rows).unwrap_or_default();
+    io(format!("write {}", path.display()), std::fs::write(&path, text))
+}
+
+/// Every row as it was measured last in this folder, also by earlier calls with other [`FlowOptions::only`]. Empty
+/// where nothing was measured yet.
+pub fn measured(dir: &Path) -> Vec<Row> {
+    let text = std::fs::read_to_string(dir.join(KEPT)).unwrap_or_default();
+    serde_json::from_str(&text).unwrap_or_default()
+}
+
+/// How many threads wanted a core, on average over the last minute.
+fn load_average() -> Option<f64> {
+    std::fs::read_to_string("/proc/loadavg").ok()?.split_whitespace().next()?.parse().ok()
+}
+
 /// The rows as a page.
 pub fn page(rows: &[Row]) -> String {
-    let mut text = String::from(
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let mut text = format!(
         "# The dataflow, measured\n\nThis page is generated: `segwild bench flow --page docs/flow.md`. Every number is a ratio \
-         or a count, so that it says the same on another machine.\n\n| row | what | measured | bar | from |\n\
-         |---|---|---:|---:|---|\n",
+         or a count. A ratio of times is the median over pairs of runs, each pair back to back; all of them are listed. \
+         The load is the machine's average over a minute, on {cores} cores: what is over {cores} had to wait for a \
+         core.\n\n| row | what | measured | bar | load | from |\n|---|---|---:|---:|---:|---|\n",
     );
     for r in rows {
         text += &format!(
-            "| {} | {} | {:.3} | {} {} | {} |\n",
+            "| {} | {} | {:.3} | {} {} | {} | {} |\n",
             r.name,
             r.what,
             r.value,
             if r.holds() { "<=" } else { "**over**" },
             r.bar,
+            r.load.map_or("unknown".into(), |load| format!("{load:.1}")),
             r.from
         );
     }
@@ -168,4 +205,26 @@ fn fresh(dir: &Path) -> Result<PathBuf, FlowError> {
     }
     io(format!("create {}", dir.display()), std::fs::create_dir_all(dir))?;
     Ok(dir.to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(name: &str, value: f64) -> Row {
+        Row { name: name.into(), what: "w".into(), value, bar: 1.0, from: "f".into(), load: Some(2.5) }
+    }
+
+    #[test]
+    fn a_row_measured_again_replaces_the_old_one_and_the_others_stay_on_the_page() {
+        let dir = tempfile::tempdir().unwrap();
+        keep(dir.path(), &[row("memory", 1.3), row("memory, budget", 0.5)]).unwrap();
+        keep(dir.path(), &[row("kills", 0.0)]).unwrap();
+        keep(dir.path(), &[row("memory", 1.1)]).unwrap();
+        let rows = measured(dir.path());
+        let found: Vec<(&str, f64)> = rows.iter().map(|r| (r.name.as_str(), r.value)).collect();
+        assert_eq!(found, [("kills", 0.0), ("memory, budget", 0.5), ("memory", 1.1)]);
+        let text = page(&rows);
+        assert!(text.contains("| memory | w | 1.100 | **over** 1 | 2.5 | f |"), "{text}");
+    }
 }

@@ -4,7 +4,7 @@ use super::{path, print_json, print_line, use_threads};
 use crate::failure::Failure;
 use clap::ArgMatches;
 use segwild_bench::ablation::{AblationOptions, Cell, ablation, markdown};
-use segwild_bench::flow::{FlowOptions, Row, flow, page};
+use segwild_bench::flow::{FlowOptions, Row, flow, measured, page};
 use segwild_bench::oracle::OracleOptions;
 use segwild_bench::synthetic::SyntheticOptions;
 use segwild_bench::trial::ProviderKind;
@@ -109,7 +109,7 @@ fn bench_flow(matches: &ArgMatches) -> Result<(), Failure> {
     };
     let rows = flow(&options, told)?;
     if let Some(file) = path(matches, "page") {
-        std::fs::write(&file, page(&rows)).map_err(|e| Failure {
+        std::fs::write(&file, page(&measured(&options.dir))).map_err(|e| Failure {
             message: format!("cannot write {}: {e}", file.display()),
             code: crate::exit::FAILED,
         })?;
