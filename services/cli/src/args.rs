@@ -220,7 +220,7 @@ pub fn program() -> Command {
                         .help("Who looks at the photos: the truth with faults, or what the settings name"),
                 )
                 .arg(number("photos", "60", "Training photos of each scene").value_parser(value_parser!(u32)))
-                .arg(number("pixels", "320", "Long side of the photos").value_parser(value_parser!(u32)))
+                .arg(number("pixels", "480", "Long side of the photos").value_parser(value_parser!(u32)))
                 .arg(
                     number("occlusion", "0.1", "Share of each photo that strangers cover, 0 to 0.4")
                         .value_parser(value_parser!(f32)),
