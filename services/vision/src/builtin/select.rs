@@ -9,7 +9,7 @@ use super::cut::Cut;
 use super::ladder::{ladder, rung};
 use super::pool::{Choice, Ground, set_of};
 use super::refine::iou_of;
-use super::steps::{Chosen, Click, Rules, choose, cuts};
+use super::steps::{Chosen, Click, Rules, choose, cuts, held_together};
 use super::traits::Step;
 use super::tree::Hierarchy;
 use crate::VisionError;
@@ -258,8 +258,23 @@ fn by_evidence(ground: &Ground, meant: &Meant) -> ScoredMask {
             continue;
         }
         let step = if click.inside { Step::Add } else { Step::Remove };
-        let more = cuts(ground, &rules, &answer.set, click);
-        answer = choose(ground, &rules, &answer.set, Some(click), step, more, &[]);
+        let before = std::mem::take(&mut answer.set);
+        let more = cuts(ground, &rules, &before, click);
+        answer = choose(ground, &rules, &before, Some(click), step, more, &[]);
+        // An island around a second click: clicks that all say "this" rather mean one thing that holds them all, however
+        // badly the first was understood.
+        if meant.bounds.is_none()
+            && rules.clicks.iter().all(|c| c.inside)
+            && island(ground, &rules, &answer.set)
+        {
+            let nothing = vec![false; tree.leaves];
+            let starts: Vec<u32> = rules.clicks.iter().map(|c| c.leaf).collect();
+            let first = rules.clicks.first().copied();
+            let whole = choose(ground, &rules, &nothing, first, Step::First, Vec::new(), &starts);
+            if whole.expected > answer.expected {
+                answer = whole;
+            }
+        }
     }
     let mut inside = answer.set;
     (0..tree.leaves).filter(|&i| !meant.open(i)).for_each(|i| inside[i] = false);
@@ -272,6 +287,14 @@ fn by_evidence(ground: &Ground, meant: &Meant) -> ScoredMask {
         predicted_iou: answer.expected.clamp(0.0, 1.0),
         stability: answer.alike.min(1.0),
     }
+}
+
+/// Whether the last click's part of a set holds none of the clicks before it.
+fn island(ground: &Ground, rules: &Rules, set: &[bool]) -> bool {
+    let Some((last, others)) = rules.clicks.split_last() else { return false };
+    let alone = Rules { clicks: std::slice::from_ref(last), ..*rules };
+    let part = held_together(ground, &alone, set);
+    !others.iter().any(|c| part[c.leaf as usize])
 }
 
 /// Predicted IoU from the mean boundary strength along the outline.

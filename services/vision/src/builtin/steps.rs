@@ -175,7 +175,7 @@ pub(crate) fn choose(
 }
 
 /// The parts of a set that hold a positive click.
-fn held_together(ground: &Ground, rules: &Rules, set: &[bool]) -> Vec<bool> {
+pub(crate) fn held_together(ground: &Ground, rules: &Rules, set: &[bool]) -> Vec<bool> {
     let mut out = vec![false; set.len()];
     let mut stack: Vec<u32> = rules.clicks.iter().filter(|c| c.inside).map(|c| c.leaf).collect();
     while let Some(i) = stack.pop() {
