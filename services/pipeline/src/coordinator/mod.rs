@@ -17,7 +17,7 @@ use crate::{RunError, RunFolder, Settings, history};
 use segwild_features::{FeatureActor, FeatureField, FeatureTask, FieldView, VISIBILITY};
 use segwild_flow::ledger::ViewOutcome;
 use segwild_flow::{
-    ActorOptions, Cache, Event, Exit, Failure, Key, Ledger, Limits, Phase, Receiver, Report, Sender,
+    ActorOptions, Cache, Event, Exit, Failure, Key, Ledger, Limits, Phase, Receiver, Recorder, Report, Sender,
     StageProgress, System, SystemOptions, mailbox,
 };
 use segwild_masks::{MaskActor, MaskSource, MaskTask, sasm};
@@ -57,6 +57,7 @@ pub struct Coordinator<'a> {
     pub settings: &'a Settings,
     pub options: &'a RunOptions,
     pub ledger: &'a Ledger,
+    pub recorder: &'a Recorder,
     pub scene: Arc<Scene>,
     pub engine: Arc<dyn Engine>,
     pub keys: Keys,
@@ -122,6 +123,8 @@ impl Coordinator<'_> {
         // Renders wait here: a few ahead keep the actor busy, more would only fill memory.
         let few = Limits { count: 4, bytes: 64 << 20 };
         let (out, inbox) = mailbox::<Outcome>("coordinator", limits);
+        self.recorder.watch(system.observer());
+        self.recorder.mailbox(&inbox);
         let (masks, masks_in) = mailbox::<MaskTask>("masks", few);
         let (features, features_in) = mailbox::<FeatureTask>("features", limits);
         let (training, training_in) = mailbox::<TrainOrder>("trainer", limits);
