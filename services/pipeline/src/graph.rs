@@ -187,6 +187,7 @@ pub fn run(
         last,
         steps,
         board: Arc::new(Board::new("sky")),
+        tainted: Arc::default(),
         state: State::default(),
     };
     // A stop that comes while actors are still being started is a stop like any other.
