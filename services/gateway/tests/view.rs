@@ -288,6 +288,20 @@ fn metric_names_follow_the_rules() {
 }
 
 #[test]
+fn the_operators_page_explains_every_metric() {
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/operators.md");
+    let page = std::fs::read_to_string(page).expect("the page");
+    for &metric in Metric::ALL {
+        let row = page.lines().find(|l| {
+            let rest = l.strip_prefix("| `").and_then(|l| l.strip_prefix(metric.name()));
+            rest.is_some_and(|rest| rest.starts_with(['`', '{']))
+        });
+        let row = row.unwrap_or_else(|| panic!("{} is not on the page", metric.name()));
+        assert!(metric == Metric::BuildInfo || row.contains(metric.help()), "{row}");
+    }
+}
+
+#[test]
 fn the_metrics_text_holds_the_view() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let (path, _ledger, _lock) = batch_in(dir.path());
