@@ -67,6 +67,7 @@ pub(crate) fn actors(all: &mut [ActorView], mailboxes: &[LiveMailbox], stages: &
     }
 }
 
+/// A blocked worker names what it waits for.
 fn no_room(mailbox: &str, mailboxes: &[LiveMailbox]) -> String {
     match mailboxes.iter().find(|m| m.name == mailbox) {
         Some(m) => format!(
@@ -76,7 +77,8 @@ fn no_room(mailbox: &str, mailboxes: &[LiveMailbox]) -> String {
             bytes(m.bytes),
             bytes(m.capacity_bytes)
         ),
-        None => format!("waits for room at `{mailbox}`"),
+        // What is waited for is a mailbox, or else what another actor makes.
+        None => format!("waits for {mailbox}"),
     }
 }
 

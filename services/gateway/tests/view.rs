@@ -82,7 +82,7 @@ fn sample() -> LiveSample {
             actor("trainer", worker(WorkerState::Blocked, "coordinator", false)),
             actor("masks", worker(WorkerState::Busy, "a.jpg", true)),
             actor("features", worker(WorkerState::Waiting, "", false)),
-            actor("intrinsic renders", worker(WorkerState::Waiting, "the sky of photo 3", false)),
+            actor("intrinsic renders", worker(WorkerState::Blocked, "the sky of photo 3", false)),
         ],
         mailboxes: vec![mailbox("masks", 18), mailbox("coordinator", 64)],
         stages: vec![

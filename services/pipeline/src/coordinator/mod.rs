@@ -17,8 +17,8 @@ use crate::{RunError, RunFolder, Settings, history};
 use segwild_features::{FeatureActor, FeatureField, FeatureTask, FieldView, VISIBILITY};
 use segwild_flow::ledger::ViewOutcome;
 use segwild_flow::{
-    ActorOptions, Cache, Event, Exit, Failure, Key, Ledger, Limits, Phase, Receiver, Recorder, Report, Sender,
-    StageProgress, System, SystemOptions, mailbox,
+    ActorOptions, Cache, Event, Exit, Failure, Key, Ledger, Limits, Phase, Receiver, Recorder, Report,
+    Sender, StageProgress, System, SystemOptions, mailbox,
 };
 use segwild_masks::{MaskActor, MaskSource, MaskTask, sasm};
 use segwild_raster::Engine;
