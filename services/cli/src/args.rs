@@ -1,5 +1,6 @@
 //! The command line, made from the settings structs and from what is particular to each command.
 
+use crate::operators::{child_args, listen_args};
 use clap::builder::PossibleValuesParser;
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
 use segwild_pipeline::Settings;
@@ -18,9 +19,9 @@ pub fn program() -> Command {
             Arg::new("fault").long("fault").global(true).hide(true).action(ArgAction::Append),
         )
         .subcommand(
-            with_settings(
+            child_args(listen_args(with_settings(
                 Command::new("run").about("Train a scene: geometry, looks, masks, features, report"),
-            )
+            )))
             .arg(
                 Arg::new("scene")
                     .required(true)
@@ -129,9 +130,9 @@ pub fn program() -> Command {
                 )
                 .arg(json()),
         )
-        .subcommand(
-            Command::new("status").about("Say what a run has done and is doing").arg(run()).arg(json()),
-        )
+        .subcommand(crate::commands::batch::command())
+        .subcommand(crate::commands::status::command())
+        .subcommand(crate::commands::top::command())
         .subcommand(
             Command::new("cache")
                 .about("Look after a run's cache of per-photo results")
@@ -247,7 +248,8 @@ pub fn program() -> Command {
         )
 }
 
-fn run() -> Arg {
+/// The run folder.
+pub fn run() -> Arg {
     Arg::new("run").required(true).value_parser(value_parser!(PathBuf)).help("Run folder")
 }
 
@@ -255,7 +257,8 @@ fn number(name: &'static str, default: &'static str, help: &'static str) -> Arg 
     Arg::new(name).long(name).value_name("N").default_value(default).help(help)
 }
 
-fn json() -> Arg {
+/// `--json`.
+pub fn json() -> Arg {
     Arg::new("json").long("json").action(ArgAction::SetTrue).help("One JSON object per line instead of text")
 }
 

@@ -1,5 +1,7 @@
 //! Exit codes: documented constants, so that scripts can tell what happened.
 
+use segwild_farm::ErrorClass;
+
 /// Everything asked for was done.
 pub const OK: u8 = 0;
 /// Something failed that should not have: a bug or a broken machine.
@@ -17,13 +19,23 @@ pub const FOLDER: u8 = 6;
 /// Stopped by the user; resumable.
 pub const INTERRUPTED: u8 = 130;
 
+/// What kind of failure an exit code of `segwild run` is; `None`: ended by a signal, as when memory runs out.
+pub fn class(code: Option<i32>) -> ErrorClass {
+    match code.and_then(|code| u8::try_from(code).ok()) {
+        // The same command line and the same input fail in the same way again.
+        Some(USAGE | INPUT | NOTHING) => ErrorClass::Fatal,
+        // A stage that failed goes on from what was computed; a folder may be freed, a disk may be emptied.
+        _ => ErrorClass::Retryable,
+    }
+}
+
 /// Shown by `segwild --help`.
 pub const HELP: &str = "Exit codes:
   0    done
   1    failed unexpectedly
   2    the command line or a settings file does not make sense
   3    the scene, the photos or another input cannot be used
-  4    a stage failed; what was computed is kept, the same command continues
+  4    a stage failed, or scenes of a batch were given up; what was computed is kept, the same command continues
   5    the prompts select nothing
   6    the run folder is in use, not writable, or damaged
   130  stopped by you; the same command continues";

@@ -4,7 +4,9 @@ use crate::exit;
 use segwild_bench::flow::FlowError;
 use segwild_bench::synthetic::SyntheticError;
 use segwild_bench::trial::TrialError;
+use segwild_farm::BatchError;
 use segwild_flow::LedgerError;
+use segwild_gateway::{ServeError, ViewError};
 use segwild_pipeline::{RunError, SettingsError};
 use segwild_segmenter::SegmentError;
 
@@ -73,6 +75,28 @@ impl From<SettingsError> for Failure {
 impl From<LedgerError> for Failure {
     fn from(error: LedgerError) -> Failure {
         RunError::from(error).into()
+    }
+}
+
+impl From<BatchError> for Failure {
+    fn from(error: BatchError) -> Failure {
+        let code = match &error {
+            BatchError::Manifest(_) => exit::USAGE,
+            BatchError::Engine(_) | BatchError::File { .. } | BatchError::Busy { .. } => exit::FOLDER,
+        };
+        Failure { message: error.to_string(), code }
+    }
+}
+
+impl From<ViewError> for Failure {
+    fn from(error: ViewError) -> Failure {
+        Failure { message: error.to_string(), code: exit::FOLDER }
+    }
+}
+
+impl From<ServeError> for Failure {
+    fn from(error: ServeError) -> Failure {
+        Failure { message: error.to_string(), code: exit::USAGE }
     }
 }
 

@@ -4,6 +4,7 @@ mod args;
 mod commands;
 mod exit;
 mod failure;
+mod operators;
 mod progress;
 
 use std::process::ExitCode;
@@ -24,6 +25,8 @@ fn main() -> ExitCode {
         Some(("segment", m)) => commands::segment::segment(m),
         Some(("render", m)) => commands::render::render(m),
         Some(("eval", m)) => commands::eval::eval(m),
+        Some(("batch", m)) => commands::batch::batch(m),
+        Some(("top", m)) => commands::top::top(m),
         Some(("status", m)) => commands::status::status(m),
         Some(("cache", m)) => commands::cache::cache(m),
         Some(("demo", m)) => commands::demo::demo(m),

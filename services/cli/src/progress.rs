@@ -5,6 +5,8 @@ use segwild_flow::{Event, EventRecord, Events, Level, Sink, Stopper};
 use std::collections::BTreeMap;
 use std::io::{IsTerminal, Write};
 
+pub use segwild_gateway::words::duration;
+
 /// Shows the events of `events` until the sink is dropped.
 pub fn show(events: &Events, json: bool) -> std::io::Result<Sink> {
     if json {
@@ -76,37 +78,32 @@ pub fn show(events: &Events, json: bool) -> std::io::Result<Sink> {
     })
 }
 
-/// Seconds in words: `8 s`, `2 min 5 s`.
-pub fn duration(seconds: f64) -> String {
-    if seconds < 1.0 {
-        format!("{:.0} ms", seconds * 1e3)
-    } else if seconds < 60.0 {
-        format!("{seconds:.1} s")
-    } else {
-        let whole = seconds.round() as u64;
-        format!("{} min {} s", whole / 60, whole % 60)
-    }
-}
-
 /// The first Ctrl-C (or SIGTERM) asks the run to stop where it can continue; the second ends the process at once,
 /// which is safe as well: files are whole or not there.
 pub fn stop_on_ctrl_c(stopper: &Stopper) -> std::io::Result<()> {
+    let stopper = stopper.clone();
+    on_ctrl_c(move |press| {
+        if press > 1 {
+            std::process::exit(crate::exit::INTERRUPTED.into());
+        }
+        eprintln!("stopping where the run can continue; once more to stop at once");
+        stopper.stop();
+    })
+}
+
+/// Calls a function at every Ctrl-C (or SIGTERM), with their number so far.
+pub fn on_ctrl_c(pressed: impl Fn(u32) + Send + 'static) -> std::io::Result<()> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     // Listening begins here, before there is anything to lose.
     let mut signals = {
         let _inside = runtime.enter();
         Signals::new()?
     };
-    let stopper = stopper.clone();
     std::thread::Builder::new().name("signals".into()).spawn(move || {
         runtime.block_on(async {
-            for press in 0.. {
+            for press in 1.. {
                 signals.next().await;
-                if press > 0 {
-                    std::process::exit(crate::exit::INTERRUPTED.into());
-                }
-                eprintln!("stopping where the run can continue; once more to stop at once");
-                stopper.stop();
+                pressed(press);
             }
         });
     })?;

@@ -70,7 +70,7 @@ pub enum Origin {
 }
 
 /// What a cache has done since it was opened.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct CacheCounters {
     /// Reads that found a whole artefact.
     pub hits: u64,

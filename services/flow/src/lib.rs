@@ -9,6 +9,7 @@
 //! - [`Cache`]: artefacts by the hash of what they were made from ([`Key`]); verified on every read.
 //! - [`Ledger`]: what a run has done, in SQLite, readable by others while it is written.
 //! - [`fault`]: points where a test lets something go wrong: a kill, a full disk, a torn file.
+//! - [`Recorder`]: what actors and mailboxes are doing, written into the ledger about once a second.
 //! - [`codec`]: binary records with a header; [`files`]: files that are there whole or not at all.
 
 pub mod actor;
@@ -27,7 +28,9 @@ pub mod mailbox;
 pub mod message;
 mod meter;
 mod park;
+pub mod process;
 pub mod progress;
+pub mod recorder;
 pub mod report;
 pub mod supervise;
 pub mod system;
@@ -47,7 +50,8 @@ pub use mailbox::{Closed, Limits, MailboxStats, Receiver, RecvError, Sender, Try
 pub use message::Message;
 pub use meter::{WaitingFor, WorkerState, waiting_for};
 pub use progress::StageProgress;
+pub use recorder::Recorder;
 pub use report::{ActorReport, Exit, Report, WorkerStatus};
 pub use supervise::{ActorOptions, RestartBudget};
-pub use system::{SpawnError, System, SystemOptions};
+pub use system::{Observer, SpawnError, System, SystemOptions};
 pub use timeline::{Span, SpanKind, Timeline, TimelineRecord};

@@ -253,7 +253,12 @@ impl System {
 
     /// How the actors fare now.
     pub fn snapshot(&self) -> Vec<ActorReport> {
-        self.shared.cells().iter().map(|cell| cell.report()).collect()
+        self.observer().snapshot()
+    }
+
+    /// Somebody who may look at the actors, also after [`System::join`] has taken the system.
+    pub fn observer(&self) -> Observer {
+        Observer(self.shared.clone())
     }
 
     /// The timeline so far.
@@ -301,6 +306,17 @@ impl Drop for System {
             self.shared.complete.store(true, Ordering::Release);
             self.shared.options.stopper.stop();
         }
+    }
+}
+
+/// See [`System::observer`].
+#[derive(Clone)]
+pub struct Observer(Arc<Shared>);
+
+impl Observer {
+    /// How the actors fare now.
+    pub fn snapshot(&self) -> Vec<ActorReport> {
+        self.0.cells().iter().map(|cell| cell.report()).collect()
     }
 }
 

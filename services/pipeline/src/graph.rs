@@ -6,7 +6,7 @@ use crate::coordinator::{Coordinator, State, read_sky};
 use crate::evaluate::{HeldOut, held_out};
 use crate::folder::Intake;
 use crate::{RunError, RunFolder, Settings, Until, keep, memory, report};
-use segwild_flow::{Event, Events, Ledger, Phase, Stopper, cpu, files, trace};
+use segwild_flow::{Event, Events, Ledger, Phase, Recorder, Stopper, cpu, files, trace};
 use segwild_raster::{CpuEngine, Engine};
 use segwild_scene::{Scene, Skipped};
 use segwild_vision::Providers;
@@ -17,6 +17,36 @@ use std::time::Instant;
 
 /// The stages, in the order in which they end.
 pub const STAGES: [&str; 7] = ["sky", "embed", "masks", "geometry", "features", "evaluate", "report"];
+
+/// What a stage waits for before its first work: whole stages, but for `masks`, which waits for the snapshot that
+/// `geometry` takes on its way.
+///
+/// ```
+/// assert_eq!(segwild_pipeline::needs("features"), ["sky", "embed", "masks", "geometry"]);
+/// ```
+pub fn needs(stage: &str) -> &'static [&'static str] {
+    match stage {
+        "masks" => &["geometry"],
+        "features" => &["sky", "embed", "masks", "geometry"],
+        "evaluate" => &["features"],
+        "report" => &["evaluate"],
+        _ => &[],
+    }
+}
+
+/// The stages that an actor works on, in the order in which it comes to them.
+pub fn stages_of(actor: &str) -> &'static [&'static str] {
+    match actor {
+        "masks" => &["sky", "masks"],
+        "features" => &["embed", "features"],
+        "trainer" => &["geometry"],
+        "ingest" => &["sky"],
+        "photos" => &["embed"],
+        "intrinsic renders" => &["masks"],
+        "visibility" => &["features"],
+        _ => &[],
+    }
+}
 
 /// What a run is given beside its settings.
 #[derive(Clone)]
@@ -84,6 +114,8 @@ pub fn run(
         })
         .map_err(|e| files::FileError::new("start the event recorder of", folder.path(), e))?;
     folder.remove_litter();
+    let recorder = Recorder::start(&ledger, &options.events)
+        .map_err(|e| files::FileError::new("start the live view of", folder.path(), e))?;
     folder.write("segwild.toml", settings.to_toml().as_bytes())?;
     let named: Vec<(&str, String)> = Settings::catalogue()
         .iter()
@@ -135,6 +167,7 @@ pub fn run(
     };
     let keys = Keys::new(&scene, settings, &providers, engine.name(), Some(steps));
     let cache = folder.cache()?;
+    recorder.cache(&cache);
     let last = match options.until {
         Some(Until::Stage(stage)) => STAGES.iter().position(|s| *s == stage).unwrap_or(STAGES.len()),
         // A training that is not over has nothing to give to the stages after it.
@@ -146,6 +179,7 @@ pub fn run(
         settings,
         options,
         ledger: &ledger,
+        recorder: &recorder,
         scene: scene.clone(),
         engine,
         keys,
@@ -153,6 +187,7 @@ pub fn run(
         last,
         steps,
         board: Arc::new(Board::new("sky")),
+        tainted: Arc::default(),
         state: State::default(),
     };
     // A stop that comes while actors are still being started is a stop like any other.

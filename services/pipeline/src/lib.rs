@@ -29,7 +29,7 @@ pub use error::RunError;
 pub use evaluate::{HeldOut, MaskScore, Score, score};
 pub use explain::{Plan, Verdict, explain};
 pub use folder::{Loaded, RunFolder};
-pub use graph::{RunOptions, STAGES, Summary, run};
+pub use graph::{RunOptions, STAGES, Summary, needs, run, stages_of};
 pub use keep::{CacheLine, cache_gc, cache_list, cache_verify};
 pub use render::{Drawn, Mode, RenderRequest, What, render};
 pub use report::write_report;

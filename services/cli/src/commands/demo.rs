@@ -7,6 +7,7 @@ use clap::ArgMatches;
 use segwild_bench::oracle::OracleOptions;
 use segwild_bench::synthetic::{Kind, SyntheticOptions};
 use segwild_bench::trial::{ProviderKind, Trial};
+use segwild_flow::Stopper;
 use segwild_pipeline::{Mode, PhotoPrompts, Preset, RenderRequest, Settings, What, render};
 use std::path::PathBuf;
 
@@ -34,7 +35,7 @@ pub fn demo(matches: &ArgMatches) -> Result<(), Failure> {
     let mut settings = Settings::preset(Preset::Draft);
     settings.train.steps = STEPS;
     let run_dir = out.join("run");
-    let summary = run_scene(&scene_dir, &run_dir, &settings, None, json)?;
+    let summary = run_scene(&scene_dir, &run_dir, &settings, None, json, Stopper::new())?;
     if !json {
         tell(&summary, &run_dir)?;
     }

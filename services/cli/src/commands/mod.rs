@@ -1,5 +1,6 @@
 //! One module per command: its arguments in, a pipeline call, words out.
 
+pub mod batch;
 pub mod bench;
 pub mod cache;
 pub mod demo;
@@ -9,6 +10,7 @@ pub mod render;
 pub mod run;
 pub mod segment;
 pub mod status;
+pub mod top;
 
 use crate::failure::Failure;
 use clap::ArgMatches;

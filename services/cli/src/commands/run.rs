@@ -2,6 +2,7 @@
 
 use super::{path, print_json, print_line, use_threads};
 use crate::failure::Failure;
+use crate::operators::{listen, stop_with_parent};
 use crate::progress::{duration, show, stop_on_ctrl_c};
 use clap::ArgMatches;
 use segwild_flow::{Events, Stopper};
@@ -16,10 +17,14 @@ pub fn run(matches: &ArgMatches) -> Result<(), Failure> {
     let file = path(matches, "config").or_else(|| kept.is_file().then_some(kept));
     let settings = Settings::layered(file.as_deref(), &crate::args::given(matches))?;
     let json = matches.get_flag("json");
+    let until = matches.get_one::<Until>("until").copied();
     if matches.get_flag("explain") {
-        return tell_plan(&scene, &out, &settings, matches.get_one::<Until>("until").copied(), json);
+        return tell_plan(&scene, &out, &settings, until, json);
     }
-    let summary = run_scene(&scene, &out, &settings, matches.get_one::<Until>("until").copied(), json)?;
+    let _server = listen(matches, &out, false)?;
+    let stopper = Stopper::new();
+    stop_with_parent(matches, &stopper)?;
+    let summary = run_scene(&scene, &out, &settings, until, json, stopper)?;
     if json {
         return print_json(&serde_json::json!({ "event": "summary", "folder": out, "summary": summary }));
     }
@@ -57,17 +62,17 @@ fn default_folder(scene: &Path) -> PathBuf {
     Path::new("runs").join(name)
 }
 
-/// Runs a scene with progress and Ctrl-C.
+/// Runs a scene with progress, until it is done, Ctrl-C, or the stopper.
 pub fn run_scene(
     scene: &Path,
     out: &Path,
     settings: &Settings,
     until: Option<Until>,
     json: bool,
+    stopper: Stopper,
 ) -> Result<Summary, Failure> {
     use_threads(settings.run.threads);
     let events = Events::new();
-    let stopper = Stopper::new();
     stop_on_ctrl_c(&stopper)?;
     let sink = show(&events, json)?;
     let folder = RunFolder::create(out)?;

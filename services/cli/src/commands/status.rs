@@ -3,56 +3,115 @@
 use super::{path, print_json, print_line};
 use crate::failure::Failure;
 use crate::progress::duration;
-use clap::ArgMatches;
-use segwild_flow::Ledger;
-use segwild_pipeline::RunFolder;
+use clap::{Arg, ArgAction, ArgMatches, Command};
+use segwild_gateway::view::{BatchView, RunView, StageView};
+use segwild_gateway::words::bytes;
+use segwild_gateway::{Target, View};
+use std::sync::mpsc;
+use std::time::Duration;
 
-/// Says what a run has done and is doing, also while another process runs it.
+/// Time between two samples of `--follow`.
+const EVERY: Duration = Duration::from_secs(1);
+
+/// The command's arguments.
+pub fn command() -> Command {
+    let flag = |name: &'static str, help: &'static str| {
+        Arg::new(name).long(name).action(ArgAction::SetTrue).help(help)
+    };
+    Command::new("status")
+        .about("Say what a run or a batch has done and is doing")
+        .arg(crate::args::run())
+        .arg(flag("once", "One sample, then exit; so it is without --follow as well"))
+        .arg(flag("follow", "A sample a second, as long as a process works on it").conflicts_with("once"))
+        .arg(crate::args::json())
+}
+
+/// Says what a run or a batch has done and is doing, also while another process runs it.
 pub fn status(matches: &ArgMatches) -> Result<(), Failure> {
-    let folder = RunFolder::open(&path(matches, "run").expect("clap requires it"))?;
-    let ledger = Ledger::open_read_only(folder.ledger())?;
-    let owner = ledger.owner();
-    let stages = ledger.stages()?;
-    if matches.get_flag("json") {
-        return print_json(&serde_json::json!({
-            "running": owner.is_some(),
-            "owner": owner.map(|o| o.to_string()),
-            "stages": stages,
-            "selections": folder.selections(),
-        }));
+    let target = Target::at(&path(matches, "run").expect("clap requires it"))?;
+    // A channel that nobody sends to: waiting on it is waiting for the next sample.
+    let (_never, next) = mpsc::channel::<()>();
+    loop {
+        let view = target.view()?;
+        match (&view, matches.get_flag("json")) {
+            (_, true) => print_json(&view)?,
+            (View::Run(run), _) => tell_run(run, "")?,
+            (View::Batch(batch), _) => tell_batch(batch)?,
+        }
+        if !matches.get_flag("follow") || !view.is_running() {
+            return Ok(());
+        }
+        if !matches.get_flag("json") {
+            print_line("")?;
+        }
+        let _ = next.recv_timeout(EVERY);
     }
-    match &owner {
-        Some(owner) => print_line(&format!("in use by {owner}"))?,
-        None => print_line("no process is working on this run")?,
+}
+
+fn tell_run(run: &RunView, indent: &str) -> Result<(), Failure> {
+    match &run.owner {
+        Some(owner) => {
+            let left = run.left_s.map_or(String::new(), |s| format!(", {} left", duration(s)));
+            let memory = run.rss_bytes.map_or(String::new(), |n| format!(", {}", bytes(n)));
+            print_line(&format!("{indent}in use by {owner}{left}{memory}"))?;
+        }
+        None => print_line(&format!("{indent}no process is working on this run"))?,
     }
-    for stage in &stages {
-        let state = serde_json::to_value(stage.state).unwrap_or_default();
-        let time = stage
-            .started
-            .zip(stage.ended)
-            .map_or(String::new(), |(a, b)| format!("in {}", duration((b - a).max(0.0))));
-        let views = ledger.views(&stage.name)?;
-        let failed = views.iter().filter(|v| v.outcome.error.is_some()).count();
-        let photos = match (views.len(), failed) {
-            (0, _) => String::new(),
-            (n, 0) => format!(", {n} photos"),
-            (n, f) => format!(", {n} photos, {f} failed"),
-        };
-        print_line(&format!("{:>9}  {:8} {time}{photos}", stage.name, state.as_str().unwrap_or_default()))?;
+    for stage in &run.stages {
+        print_line(&format!("{indent}{:>9}  {:8} {}", stage.name, stage.state, stage_words(stage)))?;
         if let Some(error) = &stage.error {
-            print_line(&format!("{:>9}  {error}", ""))?;
+            print_line(&format!("{indent}{:>9}  {error}", ""))?;
         }
-        for view in views.iter().filter(|v| v.outcome.error.is_some()) {
-            print_line(&format!(
-                "{:>9}  {}: {}",
-                "",
-                view.view,
-                view.outcome.error.as_deref().unwrap_or_default()
-            ))?;
+        for photo in run.failures.iter().filter(|f| f.stage == stage.name) {
+            print_line(&format!("{indent}{:>9}  {}: {}", "", photo.photo, photo.error))?;
         }
     }
-    for name in folder.selections() {
-        print_line(&format!("selection  {name}"))?;
+    for actor in run.actors.iter().filter(|_| run.running) {
+        for worker in &actor.workers {
+            if let Some(why) = &worker.why {
+                print_line(&format!("{indent}{:>9}  {why}", actor.name))?;
+            }
+        }
+    }
+    for name in &run.selections {
+        print_line(&format!("{indent}selection  {name}"))?;
+    }
+    Ok(())
+}
+
+fn stage_words(stage: &StageView) -> String {
+    let mut words = Vec::new();
+    match stage.state.as_str() {
+        "running" => {
+            words.extend(stage.total.map(|total| format!("{} of {total}", stage.done)));
+            words.extend(stage.eta_s.map(|s| format!("{} left", duration(s))));
+        }
+        _ => words.extend(stage.wall_s.map(|s| format!("in {}", duration(s)))),
+    }
+    let photos = stage.made + stage.cached + stage.failed;
+    if photos > 0 {
+        words.push(format!("{photos} photos"));
+    }
+    if stage.failed > 0 {
+        words.push(format!("{} failed", stage.failed));
+    }
+    words.extend(stage.why.clone());
+    words.join(", ")
+}
+
+fn tell_batch(batch: &BatchView) -> Result<(), Failure> {
+    match &batch.owner {
+        Some(owner) => print_line(&format!("run by {owner}"))?,
+        None => print_line("no process is running this batch")?,
+    }
+    for scene in &batch.scenes {
+        let time =
+            scene.wall_s.map_or(String::new(), |s| format!("attempt {}, {}", scene.attempt, duration(s)));
+        let why = scene.why.as_deref().map_or(String::new(), |w| format!("  {w}"));
+        print_line(&format!("{}: {} {time}{why}", scene.name, scene.state.word()))?;
+        if let Some(run) = scene.run.as_ref().filter(|run| run.running) {
+            tell_run(run, "    ")?;
+        }
     }
     Ok(())
 }

@@ -27,6 +27,8 @@
 //! assert_eq!(status.stages().unwrap()[0].state, State::Done);
 //! ```
 
+mod live;
+mod live_rows;
 mod lock;
 mod rows;
 mod schema;
@@ -37,6 +39,9 @@ use std::time::Duration;
 
 use rusqlite::{Connection, OpenFlags, Transaction, params};
 
+pub use live::{
+    LiveActor, LiveMailbox, LiveMetric, LiveSample, LiveStage, LiveWorker, PastSample, ViewCounts,
+};
 pub use lock::Owner;
 pub use rows::{CheckpointRow, EventRow, StageRow, State, ViewOutcome, ViewRow};
 pub use schema::SCHEMA_VERSION;

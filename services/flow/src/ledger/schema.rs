@@ -57,7 +57,8 @@ pub(super) fn prepare(connection: &mut Connection, path: &Path) -> Result<(), Le
         };
         make().map_err(error)?;
     }
-    Ok(())
+    // An addition that older versions of the program do not look at.
+    connection.execute_batch(super::live_rows::TABLES).map_err(error)
 }
 
 /// Refuses files that are not a ledger of this version.

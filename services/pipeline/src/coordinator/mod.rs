@@ -17,8 +17,8 @@ use crate::{RunError, RunFolder, Settings, history};
 use segwild_features::{FeatureActor, FeatureField, FeatureTask, FieldView, VISIBILITY};
 use segwild_flow::ledger::ViewOutcome;
 use segwild_flow::{
-    ActorOptions, Cache, Event, Exit, Failure, Key, Ledger, Limits, Phase, Receiver, Report, Sender,
-    StageProgress, System, SystemOptions, mailbox,
+    ActorOptions, Cache, Event, Exit, Failure, Key, Ledger, Limits, Phase, Receiver, Recorder, Report,
+    Sender, StageProgress, System, SystemOptions, mailbox,
 };
 use segwild_masks::{MaskActor, MaskSource, MaskTask, sasm};
 use segwild_raster::Engine;
@@ -26,6 +26,7 @@ use segwild_scene::{Mask, Scene, Skipped};
 use segwild_trainer::{Model, Photos, TrainActor, TrainOrder, TrainOutcome, TrainPhoto, render_view};
 use segwild_vision::Providers;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 /// What is known so far.
@@ -57,6 +58,7 @@ pub struct Coordinator<'a> {
     pub settings: &'a Settings,
     pub options: &'a RunOptions,
     pub ledger: &'a Ledger,
+    pub recorder: &'a Recorder,
     pub scene: Arc<Scene>,
     pub engine: Arc<dyn Engine>,
     pub keys: Keys,
@@ -67,6 +69,8 @@ pub struct Coordinator<'a> {
     pub steps: u32,
     /// Per view, whether its sky is in the cache; `false` when it has none.
     pub board: Arc<Board<bool>>,
+    /// A stop ended the wait for a photo's sky: what the trainer makes from then on, without it, is not kept.
+    pub tainted: Arc<AtomicBool>,
     pub state: State,
 }
 
@@ -122,6 +126,8 @@ impl Coordinator<'_> {
         // Renders wait here: a few ahead keep the actor busy, more would only fill memory.
         let few = Limits { count: 4, bytes: 64 << 20 };
         let (out, inbox) = mailbox::<Outcome>("coordinator", limits);
+        self.recorder.watch(system.observer());
+        self.recorder.mailbox(&inbox);
         let (masks, masks_in) = mailbox::<MaskTask>("masks", few);
         let (features, features_in) = mailbox::<FeatureTask>("features", limits);
         let (training, training_in) = mailbox::<TrainOrder>("trainer", limits);
@@ -180,7 +186,7 @@ impl Coordinator<'_> {
             inbox.close();
             (report, rest.join().unwrap_or_default())
         });
-        for checkpoint in &drained.1 {
+        for checkpoint in drained.1.iter().filter(|_| !self.tainted.load(Ordering::Acquire)) {
             self.keeper().save(checkpoint)?;
         }
         Ok((drained.0, outcome))
@@ -240,6 +246,7 @@ impl Coordinator<'_> {
                 return Ok(());
             }
             match inbox.recv_timeout(Duration::from_millis(200)) {
+                Ok(_) if self.tainted.load(Ordering::Acquire) => return Ok(()),
                 Ok(outcome) => self.hear(outcome, system, &to, &mut bars)?,
                 Err(_)
                     if self.options.stopper.phase() == Phase::Running
@@ -308,10 +315,14 @@ impl Coordinator<'_> {
         let (scene, size, board) = (self.scene.clone(), self.settings.scene.size, self.board.clone());
         let (stopper, cache, keys) =
             (self.options.stopper.clone(), self.cache.clone(), self.keys.sky.clone());
+        let tainted = self.tainted.clone();
         let photos = move |view: usize| -> Result<TrainPhoto, String> {
             let loaded = scene.views[view].load(size).map_err(|e| e.to_string())?;
-            let found = board.wait(view, || stopper.phase() == Phase::Stopping) == Some(true);
-            let sky = if found { read_sky(&cache, &keys[view]) } else { None };
+            let found = board.wait(view, || stopper.phase() == Phase::Stopping);
+            if found.is_none() {
+                tainted.store(true, Ordering::Release);
+            }
+            let sky = if found == Some(true) { read_sky(&cache, &keys[view]) } else { None };
             Ok(TrainPhoto { image: loaded.image, valid: loaded.valid, sky })
         };
         let order = TrainOrder {
@@ -366,7 +377,7 @@ impl Coordinator<'_> {
                     let camera = posed.camera.scaled_to(size);
                     Some(Arc::new(render_view(&snapshot, &*engine, &camera, &posed.pose, None)?))
                 };
-                let found = board.wait(view, || context.stopping()) == Some(true);
+                let found = board.wait(view, || context.stopping()).ok_or_else(Failure::stopped)?;
                 let sky = if found { read_sky(&cache, &sky_keys[view]).map(Arc::new) } else { None };
                 let task = MaskTask::Masks { view, key: keys[view], render, means: means.clone(), sky };
                 out.blocking_send(task)?;

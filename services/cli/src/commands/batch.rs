@@ -1,0 +1,130 @@
+//! `segwild batch`
+
+use super::{path, print_json, print_line};
+use crate::exit;
+use crate::failure::Failure;
+use crate::operators::{listen, listen_args};
+use crate::progress::{duration, on_ctrl_c};
+use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
+use segwild_farm::{BatchEvent, BatchOptions, BatchSummary, JobState, StopBatch, StopLevel, batch};
+use std::path::{Path, PathBuf};
+
+/// The command's arguments.
+pub fn command() -> Command {
+    listen_args(Command::new("batch").about("Run many scenes on this machine, unattended"))
+        .arg(
+            Arg::new("manifest")
+                .required(true)
+                .value_parser(value_parser!(PathBuf))
+                .help("TOML file of the scenes, their settings and priorities, and the budget"),
+        )
+        .arg(
+            Arg::new("out")
+                .long("out")
+                .value_name("PATH")
+                .value_parser(value_parser!(PathBuf))
+                .help("Batch folder [default: runs/NAME of the manifest]"),
+        )
+        .arg(
+            Arg::new("retry-dead")
+                .long("retry-dead")
+                .action(ArgAction::SetTrue)
+                .help("Let scenes that were given up try again"),
+        )
+        .arg(
+            Arg::new("metrics-per-scene")
+                .long("metrics-per-scene")
+                .action(ArgAction::SetTrue)
+                .help("Label metrics with the scene: a time series each"),
+        )
+        .arg(crate::args::json())
+}
+
+/// Runs the scenes of a manifest, or what is left of them.
+pub fn batch(matches: &ArgMatches) -> Result<(), Failure> {
+    let manifest = path(matches, "manifest").expect("clap requires it");
+    let out = path(matches, "out")
+        .unwrap_or_else(|| Path::new("runs").join(manifest.file_stem().unwrap_or(manifest.as_os_str())));
+    let json = matches.get_flag("json");
+    let _server = listen(matches, &out, matches.get_flag("metrics-per-scene"))?;
+    let stop = StopBatch::default();
+    let asked = stop.clone();
+    on_ctrl_c(move |press| match press {
+        1 => {
+            eprintln!("stopping the scenes where they can continue; once more to stop at once");
+            asked.raise(StopLevel::Stop);
+        }
+        2 => asked.raise(StopLevel::AtOnce),
+        // Scenes end with their standard input: nobody is left behind.
+        _ => std::process::exit(exit::INTERRUPTED.into()),
+    })?;
+    let program = std::env::current_exe()?;
+    let options =
+        BatchOptions { program, classify: exit::class, stop, retry_dead: matches.get_flag("retry-dead") };
+    let mut told = Ok(());
+    let summary = batch::run(&manifest, &out, &options, &mut |event| {
+        if !json {
+            eprintln!("{}", in_words(event));
+        } else if told.is_ok() {
+            // Nobody listening is no reason to stop working.
+            told = print_json(event);
+        }
+    })?;
+    if json {
+        print_json(&serde_json::json!({ "event": "summary", "folder": out, "summary": summary }))?;
+    } else {
+        table(&summary)?;
+    }
+    let dead = summary.count(JobState::Dead);
+    if summary.interrupted {
+        let message = "stopped; the same command goes on from here".into();
+        return Err(Failure { message, code: exit::INTERRUPTED });
+    }
+    if dead > 0 {
+        let message = format!(
+            "{dead} of {} scenes were given up; mend what they say and run again with --retry-dead (logs: {})",
+            summary.scenes.len(),
+            out.join("logs").display()
+        );
+        return Err(Failure { message, code: exit::INCOMPLETE });
+    }
+    Ok(())
+}
+
+fn in_words(event: &BatchEvent) -> String {
+    match event {
+        BatchEvent::SceneStarted { scene, pid, attempt, cores } => {
+            let again = if *attempt > 1 { format!(", attempt {attempt}") } else { String::new() };
+            let s = if *cores == 1 { "" } else { "s" };
+            format!("{scene} begins (process {pid}, {cores} core{s}{again})")
+        }
+        BatchEvent::SceneWaits { scene, reason } => format!("{scene} waits: {reason}"),
+        BatchEvent::SceneDone { scene, seconds } => format!("{scene} done in {}", duration(*seconds)),
+        BatchEvent::SceneRetries { scene, error, delay_s } => {
+            format!("{scene} failed, tries again in {}: {error}", duration(*delay_s))
+        }
+        BatchEvent::SceneDied { scene, error } => format!("{scene} was given up: {error}"),
+        BatchEvent::SceneStopped { scene } => format!("{scene} stopped; it can go on"),
+    }
+}
+
+fn table(summary: &BatchSummary) -> Result<(), Failure> {
+    let width = summary.scenes.iter().map(|s| s.job.id.chars().count()).max().unwrap_or(0).max(5);
+    print_line(&format!("{:width$}  {:8} {:>8} {:>12}", "scene", "state", "attempts", "last took"))?;
+    for scene in &summary.scenes {
+        let state = match scene.state {
+            JobState::Pending | JobState::Leased => "waiting",
+            other => other.word(),
+        };
+        let time = scene.started.zip(scene.ended).map_or("-".into(), |(a, b)| duration((b - a).max(0.0)));
+        let error = scene.error.as_deref().map_or(String::new(), |e| format!("  {e}"));
+        print_line(&format!("{:width$}  {state:8} {:>8} {time:>12}{error}", scene.job.id, scene.attempt))?;
+    }
+    print_line(&format!(
+        "{} done, {} given up, {} waiting, {}",
+        summary.count(JobState::Done),
+        summary.count(JobState::Dead),
+        summary.scenes.len() - summary.count(JobState::Done) - summary.count(JobState::Dead),
+        duration(summary.wall_s)
+    ))
+}

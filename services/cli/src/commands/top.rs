@@ -1,0 +1,38 @@
+//! `segwild top`
+
+use super::{path, print_line};
+use crate::failure::Failure;
+use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
+use segwild_gateway::{Target, top as screen};
+use std::io::IsTerminal;
+
+/// The command's arguments.
+pub fn command() -> Command {
+    let size = |name: &'static str, default: &'static str, help: &'static str| {
+        Arg::new(name)
+            .long(name)
+            .value_name("N")
+            .default_value(default)
+            .value_parser(value_parser!(u16).range(20..=1000))
+            .help(help)
+    };
+    Command::new("top")
+        .about("Watch a run or a batch: what it does, how fast, and why things wait (q to leave)")
+        .arg(crate::args::run())
+        .arg(Arg::new("once").long("once").action(ArgAction::SetTrue).help("Print one page as text and exit"))
+        .arg(size("columns", "80", "Width of the page of --once"))
+        .arg(size("rows", "24", "Height of the page of --once"))
+}
+
+/// Watches a run or a batch.
+pub fn top(matches: &ArgMatches) -> Result<(), Failure> {
+    let target = Target::at(&path(matches, "run").expect("clap requires it"))?;
+    let number = |name: &str| *matches.get_one::<u16>(name).expect("it has a default");
+    if matches.get_flag("once") {
+        return print_line(&screen::frame(&target.view()?, number("columns"), number("rows")));
+    }
+    if !std::io::stdout().is_terminal() {
+        return Err(Failure::usage("`top` needs a terminal; `top --once` prints one page as text"));
+    }
+    Ok(screen::follow(&target)?)
+}

@@ -1,0 +1,48 @@
+//! What `run` and `batch` have in common for operators: `--listen`, and stopping with the parent.
+
+use crate::failure::Failure;
+use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
+use segwild_flow::Stopper;
+use segwild_gateway::{Server, serve};
+use std::io::Read;
+use std::net::SocketAddr;
+use std::path::Path;
+
+/// Adds `--listen`.
+pub fn listen_args(command: Command) -> Command {
+    command.arg(
+        Arg::new("listen")
+            .long("listen")
+            .value_name("ADDR")
+            .value_parser(value_parser!(SocketAddr))
+            .help("Serve /metrics, /livez, /readyz and /api/v1/status here, as in 127.0.0.1:9464"),
+    )
+}
+
+/// Adds what a batch tells its children.
+pub fn child_args(command: Command) -> Command {
+    command.arg(Arg::new("stop-with-parent").long("stop-with-parent").action(ArgAction::SetTrue).hide(true))
+}
+
+/// Serves a folder's view if that was asked for.
+pub fn listen(matches: &ArgMatches, folder: &Path, per_scene: bool) -> Result<Option<Server>, Failure> {
+    let Some(address) = matches.get_one::<SocketAddr>("listen") else { return Ok(None) };
+    let server = serve(*address, folder.to_owned(), per_scene)?;
+    eprintln!("listening on http://{}", server.address());
+    Ok(Some(server))
+}
+
+/// Stops where the run can continue when standard input ends: whoever began this process has gone, or wants it.
+pub fn stop_with_parent(matches: &ArgMatches, stopper: &Stopper) -> std::io::Result<()> {
+    if !matches.get_flag("stop-with-parent") {
+        return Ok(());
+    }
+    let stopper = stopper.clone();
+    std::thread::Builder::new().name("parent".into()).spawn(move || {
+        // Whatever comes is of no interest, only that nothing comes any more.
+        let mut buffer = [0; 64];
+        while matches!(std::io::stdin().read(&mut buffer), Ok(n) if n > 0) {}
+        stopper.stop();
+    })?;
+    Ok(())
+}

@@ -1,0 +1,391 @@
+//! Operators at work: looking at a run from another process, batches that are killed and go on, and every expression of
+//! `deploy/` against a real Prometheus that scrapes a real batch.
+
+use segwild_bench::synthetic::{SyntheticOptions, generate};
+use serde_json::Value;
+use std::collections::BTreeSet;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::{OnceLock, mpsc};
+use std::time::Duration;
+
+fn segwild(args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_segwild")).args(args).output().expect("the program starts")
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+fn json(bytes: &[u8]) -> Value {
+    serde_json::from_slice(bytes).unwrap_or_else(|e| panic!("{e}: {}", text(bytes)))
+}
+
+fn rest(time: Duration) {
+    // A channel that nobody sends to: a wait that clippy's sleeping actors are not meant by.
+    let (_never, next) = mpsc::channel::<()>();
+    let _ = next.recv_timeout(time);
+}
+
+/// Looks again and again until there is something to see.
+fn until<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
+    for _ in 0..3000 {
+        if let Some(seen) = look() {
+            return seen;
+        }
+        rest(Duration::from_millis(40));
+    }
+    panic!("{what} did not come");
+}
+
+/// A child that does not outlive its test.
+struct Guarded(Child);
+
+impl Drop for Guarded {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn start(args: &[&str]) -> Guarded {
+    let child = Command::new(env!("CARGO_BIN_EXE_segwild"))
+        .args(args)
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("the program starts");
+    Guarded(child)
+}
+
+/// A small place, made once.
+fn place() -> &'static Path {
+    static PLACE: OnceLock<(tempfile::TempDir, PathBuf)> = OnceLock::new();
+    let (_, path) = PLACE.get_or_init(|| {
+        let dir = tempfile::tempdir().expect("a temporary folder");
+        let path = dir.path().join("place");
+        let options = SyntheticOptions {
+            train: 8,
+            test: 0,
+            long_side: 96,
+            points: 600,
+            occlusion: 0.0,
+            ..SyntheticOptions::small()
+        };
+        generate(&options).and_then(|s| s.write(&path)).expect("a synthetic place");
+        (dir, path)
+    });
+    path
+}
+
+fn show(path: &Path) -> String {
+    path.display().to_string()
+}
+
+/// A manifest of the small place under several names.
+fn manifest(dir: &Path, steps: u32, names: &[&str], more: &str) -> String {
+    let mut text = format!(
+        "[budget]\ncores = 2\n[defaults]\ncores = 1\nmemory = \"300 MiB\"\n\
+         settings = {{ size = 96, steps = {steps}, refine_steps = 4, prompt_budget = 24, checkpoint_every = 1 }}\n"
+    );
+    for name in names {
+        text += &format!("[[scene]]\nname = \"{name}\"\npath = \"{}\"\n", place().display());
+    }
+    let file = dir.join("places.toml");
+    std::fs::write(&file, text + more).expect("it writes");
+    show(&file)
+}
+
+#[test]
+fn status_looks_at_a_run_from_another_process() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let run = show(&dir.path().join("run"));
+    let mut child = start(&["run", &show(place()), "--out", &run, "--size", "96", "--steps", "4000"]);
+    let seen = until("a run that trains", || {
+        let output = segwild(&["status", &run, "--json", "--once"]);
+        let seen = output.status.success().then(|| json(&output.stdout))?;
+        let trains =
+            seen["stages"].as_array()?.iter().any(|s| s["name"] == "geometry" && s["state"] == "running");
+        (trains && seen["actors"].as_array().is_some_and(|a| a.len() > 2)).then_some(seen)
+    });
+    assert_eq!(
+        (&seen["kind"], &seen["running"], &seen["pid"]),
+        (&"run".into(), &true.into(), &child.0.id().into())
+    );
+    let waits = |name: &str| {
+        let stages = seen["stages"].as_array().expect("stages");
+        stages.iter().find(|s| s["name"] == name).map(|s| s["why"].to_string()).unwrap_or_default()
+    };
+    assert!(waits("features").contains("waits for"), "{seen}");
+    let page = text(&segwild(&["top", &run, "--once"]).stdout);
+    assert!(
+        page.contains("running (process") && page.contains("trainer") && page.contains("why it waits"),
+        "{page}"
+    );
+    child.0.kill().expect("it can be killed");
+    child.0.wait().expect("it ends");
+    let after = json(&segwild(&["status", &run, "--json"]).stdout);
+    assert_eq!((&after["state"], &after["running"]), (&"stopped".into(), &false.into()));
+    assert_eq!(after["actors"].as_array().map(Vec::len), seen["actors"].as_array().map(Vec::len), "it stays");
+    let said = text(&segwild(&["status", &run]).stdout);
+    assert!(said.contains("no process is working on this run"), "{said}");
+    let refused = segwild(&["top", &run]);
+    assert_eq!(refused.status.code(), Some(2), "no terminal");
+    assert!(text(&refused.stderr).contains("--once"));
+}
+
+#[test]
+fn a_batch_that_was_killed_goes_on_to_the_same_bytes() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let (batch, straight) = (dir.path().join("batch"), dir.path().join("straight"));
+    let bad = "[[scene]]\nname = \"bad\"\npath = \"/nowhere/at/all\"\n";
+    let file = manifest(dir.path(), 1500, &["one", "two"], bad);
+    let args = ["batch", &file, "--out", &show(&batch)];
+    let mut child = start(&args);
+    until("the training of a scene", || {
+        let history = batch.join("one/history.jsonl");
+        std::fs::read_to_string(history).ok().filter(|t| !t.is_empty())
+    });
+    child.0.kill().expect("it can be killed");
+    child.0.wait().expect("it ends");
+    // Its scenes notice that they are alone, and stop where they can go on.
+    until("the end of the orphans", || {
+        let view = json(&segwild(&["status", &show(&batch), "--json"]).stdout);
+        let scenes = view["scenes"].as_array().expect("scenes").clone();
+        scenes.iter().all(|s| s["run"].is_null() || s["run"]["running"] == false).then_some(())
+    });
+    let view = json(&segwild(&["status", &show(&batch), "--json"]).stdout);
+    assert!(view["owner"].is_null() && view["scenes"][0]["state"] == "waiting", "{view}");
+    let output = segwild(&args);
+    let (said, table) = (text(&output.stderr), text(&output.stdout));
+    assert_eq!(output.status.code(), Some(4), "{said}");
+    assert!(said.contains("bad was given up") && said.contains("1 of 3 scenes were given up"), "{said}");
+    assert!(table.contains("2 done, 1 given up, 0 waiting"), "{table}");
+    let view = json(&segwild(&["status", &show(&batch), "--json"]).stdout);
+    assert_eq!(view["scenes"][0]["failures"], 0, "a kill of the batch is no failure of its scenes");
+    // As straight as can be.
+    let settings = show(&batch.join("settings/one.toml"));
+    let run = ["run", &show(place()), "--out", &show(&straight), "--config", &settings, "--threads", "2"];
+    assert_eq!(segwild(&run).status.code(), Some(0));
+    for file in ["model.bin", "features.bin"] {
+        let bytes = |folder: &Path| std::fs::read(folder.join(file)).expect("it is there");
+        assert!(bytes(&straight) == bytes(&batch.join("one")), "{file} depends on the kill");
+        assert!(bytes(&straight) == bytes(&batch.join("two")), "{file} depends on the kill");
+    }
+    // Nothing is left to do; who was given up stays so.
+    let again = segwild(&args);
+    assert_eq!(again.status.code(), Some(4));
+    assert!(!text(&again.stderr).contains("begins"), "{}", text(&again.stderr));
+}
+
+#[cfg(unix)]
+#[test]
+fn ctrl_c_stops_a_batch_where_it_can_go_on() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let batch = dir.path().join("batch");
+    let file = manifest(dir.path(), 4000, &["one"], "");
+    let mut child = Command::new(env!("CARGO_BIN_EXE_segwild"))
+        .args(["batch", &file, "--out", &show(&batch)])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    until("the training of a scene", || {
+        std::fs::read_to_string(batch.join("one/history.jsonl")).ok().filter(|t| !t.is_empty())
+    });
+    let signal = Command::new("kill").args(["-INT", &child.id().to_string()]).status().expect("kill runs");
+    assert!(signal.success());
+    let mut said = String::new();
+    child.stderr.take().expect("a pipe").read_to_string(&mut said).expect("it speaks");
+    assert_eq!(child.wait().expect("it ends").code(), Some(130), "{said}");
+    assert!(said.contains("one stopped; it can go on"), "{said}");
+    let view = json(&segwild(&["status", &show(&batch), "--json"]).stdout);
+    assert_eq!((&view["scenes"][0]["state"], &view["scenes"][0]["failures"]), (&"waiting".into(), &0.into()));
+}
+
+#[test]
+fn mistakes_of_operators_are_answered_in_words() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let file = dir.path().join("places.toml");
+    std::fs::write(&file, "[[scene]]\npath = \"a\"\nsettings = { stpes = 3 }\n").expect("it writes");
+    let cases: [(&[&str], i32, &str); 5] = [
+        (&["batch", &show(&file), "--out", &show(&dir.path().join("b"))], 2, "stpes"),
+        (&["batch", "/nowhere.toml"], 2, "/nowhere.toml"),
+        (&["top", &show(dir.path()), "--once"], 6, "no batch folder"),
+        (&["run", &show(place()), "--listen", "here"], 2, "--listen"),
+        (&["status", &show(dir.path()), "--once", "--follow"], 2, "cannot be used with"),
+    ];
+    for (args, code, word) in cases {
+        let output = segwild(args);
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{args:?}: {said}");
+        assert!(said.contains(word), "{args:?} does not say `{word}`: {said}");
+    }
+}
+
+fn deploy(file: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../deploy").join(file)
+}
+
+fn installed(program: &str) -> bool {
+    Command::new(program).arg("--version").output().is_ok_and(|o| o.status.success())
+}
+
+#[test]
+fn the_alert_rules_fire_when_they_should() {
+    if !installed("promtool") {
+        println!(
+            "skipped: the_alert_rules_fire_when_they_should: promtool is missing (apt-get install prometheus)"
+        );
+        return;
+    }
+    let folder = deploy("prometheus");
+    for args in [
+        &["check", "rules", "alerts.yml"][..],
+        &["test", "rules", "alerts.test.yml"],
+        &["check", "config", "prometheus.yml"],
+    ] {
+        let output = Command::new("promtool").args(args).current_dir(&folder).output().expect("it runs");
+        assert!(output.status.success(), "{args:?}: {}{}", text(&output.stdout), text(&output.stderr));
+    }
+    // Every alert has a test of its own, and a paragraph for who is woken by it.
+    let read = |file: PathBuf| std::fs::read_to_string(file).expect("it is there");
+    let (rules, tests) = (read(folder.join("alerts.yml")), read(folder.join("alerts.test.yml")));
+    let page = read(deploy("../docs/operators.md"));
+    for alert in rules.lines().filter_map(|l| l.trim().strip_prefix("- alert: ")) {
+        assert!(tests.contains(&format!("alertname: {alert}")), "{alert} is not tested");
+        assert!(page.contains(&format!("`{alert}`")), "{alert} is not explained");
+    }
+}
+
+fn get(address: SocketAddr, path: &str) -> Option<String> {
+    let mut stream = TcpStream::connect(address).ok()?;
+    // HTTP/1.0: the answer comes in one piece.
+    write!(stream, "GET {path} HTTP/1.0\r\nHost: x\r\n\r\n").ok()?;
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).ok()?;
+    answer.split_once("\r\n\r\n").map(|(_, body)| body.to_owned())
+}
+
+fn escaped(query: &str) -> String {
+    query
+        .bytes()
+        .map(|b| if b.is_ascii_alphanumeric() { (b as char).to_string() } else { format!("%{b:02X}") })
+        .collect()
+}
+
+fn free_port() -> SocketAddr {
+    TcpListener::bind("127.0.0.1:0").and_then(|l| l.local_addr()).expect("a port")
+}
+
+/// The expressions of the dashboard's panels, with their titles.
+fn panels() -> Vec<(String, String)> {
+    let dashboard = json(&std::fs::read(deploy("grafana/dashboards/segwild.json")).expect("a dashboard"));
+    let mut found = Vec::new();
+    for panel in dashboard["panels"].as_array().expect("panels") {
+        for target in panel["targets"].as_array().expect("targets") {
+            let part = |v: &Value| v.as_str().expect("a text").to_owned();
+            found.push((part(&panel["title"]), part(&target["expr"])));
+        }
+    }
+    found
+}
+
+/// The metric names that an expression asks for.
+fn names_in(expression: &str) -> BTreeSet<&str> {
+    let word = |c: char| !(c.is_ascii_alphanumeric() || c == '_');
+    expression.split(word).filter(|w| w.starts_with("segwild_")).collect()
+}
+
+#[test]
+fn a_real_prometheus_answers_every_panel_and_every_rule() {
+    let name = "a_real_prometheus_answers_every_panel_and_every_rule";
+    if !installed("prometheus") {
+        println!("skipped: {name}: prometheus is missing (apt-get install prometheus)");
+        return;
+    }
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let batch = dir.path().join("batch");
+    let file = manifest(dir.path(), 3000, &["one", "two"], "");
+    let mut child = Guarded(
+        Command::new(env!("CARGO_BIN_EXE_segwild"))
+            .args(["batch", &file, "--out", &show(&batch), "--listen", "127.0.0.1:0"])
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("the program starts"),
+    );
+    let mut lines = BufReader::new(child.0.stderr.take().expect("a pipe")).lines();
+    let first = lines.next().expect("a line").expect("it speaks");
+    let target: SocketAddr = first
+        .strip_prefix("listening on http://")
+        .and_then(|a| a.parse().ok())
+        .unwrap_or_else(|| panic!("{first}"));
+    let speaks = std::thread::spawn(move || lines.map_while(Result::ok).collect::<Vec<_>>().join("\n"));
+
+    // The rules as they are shipped, looked at every second.
+    let config = std::fs::read_to_string(deploy("prometheus/prometheus.yml"))
+        .expect("it is there")
+        .replace("segwild:9464", &target.to_string())
+        .replace("alerts.yml", &show(&deploy("prometheus/alerts.yml").canonicalize().expect("it is there")))
+        .replace("scrape_interval: 5s", "scrape_interval: 1s")
+        .replace("evaluation_interval: 15s", "evaluation_interval: 1s");
+    let config_file = dir.path().join("prometheus.yml");
+    std::fs::write(&config_file, config).expect("it writes");
+    let prometheus = free_port();
+    let _prometheus = Guarded(
+        Command::new("prometheus")
+            .arg(format!("--config.file={}", config_file.display()))
+            .arg(format!("--storage.tsdb.path={}", dir.path().join("tsdb").display()))
+            .arg(format!("--web.listen-address={prometheus}"))
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .expect("prometheus starts"),
+    );
+    until("prometheus", || get(prometheus, "/-/ready").filter(|t| t.contains("Ready")));
+    let ask = |expression: &str| -> Value {
+        // Over the whole time of the batch, as Grafana asks.
+        let end =
+            std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).expect("a clock").as_secs();
+        let path = format!(
+            "/api/v1/query_range?query={}&start={}&end={end}&step=1",
+            escaped(expression),
+            end.saturating_sub(600)
+        );
+        json(get(prometheus, &path).expect("it answers").as_bytes())
+    };
+    // What was there at any time: at the end nothing is running any more.
+    let mut scraped = BTreeSet::new();
+    let code = until("the end of the batch", || {
+        if let Some(body) = get(target, "/metrics").filter(|t| t.contains("segwild_scenes")) {
+            scraped.extend(body.lines().flat_map(names_in).map(str::to_owned));
+        }
+        child.0.try_wait().expect("a child")
+    });
+    let said = speaks.join().unwrap_or_default();
+    assert_eq!(code.code(), Some(0), "{said}");
+    let panels = panels();
+    assert!(panels.len() > 20, "the dashboard has lost its panels");
+    for (title, expression) in &panels {
+        let answer = ask(expression);
+        assert_eq!(answer["status"], "success", "panel `{title}`: {answer}");
+        let series = answer["data"]["result"].as_array().expect("a result");
+        assert!(!series.is_empty(), "panel `{title}` shows nothing: {expression}");
+    }
+    let rules = json(get(prometheus, "/api/v1/rules").expect("it answers").as_bytes());
+    let rules = rules["data"]["groups"][0]["rules"].as_array().expect("rules").clone();
+    assert!(rules.len() >= 5, "{rules:?}");
+    for rule in &rules {
+        assert_eq!(rule["health"], "ok", "{rule}");
+        let expression = rule["query"].as_str().expect("an expression");
+        for name in names_in(expression) {
+            assert!(scraped.contains(name), "`{name}` of {} was never there", rule["name"]);
+        }
+    }
+    // The batch is done; nothing of it was an alarm.
+    let firing = ask("sum(ALERTS{alertstate=\"firing\", alertname!=\"SegwildDown\"})");
+    assert_eq!(firing["data"]["result"].as_array().map(Vec::len), Some(0), "{firing}");
+}

@@ -1,0 +1,203 @@
+//! One scene's process: begun when its run folder is free, stopped by the end of its standard input.
+
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom, Write};
+use std::path::Path;
+use std::process::{Child, ChildStdin, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use segwild_flow::Ledger;
+
+use super::{BatchEvent, BatchFolder};
+use crate::engine::Lease;
+use crate::job::Needs;
+use crate::manifest::SceneJob;
+
+/// An orphan of a killed batch may take so long to stop before the attempt counts as failed.
+const FOLDER_WAIT: Duration = Duration::from_secs(60);
+
+/// How a scene's process ended.
+pub(super) enum Ended {
+    /// With this exit code; `None`: by a signal.
+    Code(Option<i32>),
+    /// It could not be begun.
+    NotStarted(String),
+}
+
+/// A leased scene and its process.
+pub(super) struct Worker {
+    pub lease: Lease,
+    pub granted: Needs,
+    pub asked_to_stop: bool,
+    /// Why it was ended, if it was for want of progress.
+    pub hung: Option<String>,
+    looked: Instant,
+    scene: SceneJob,
+    process: Option<Process>,
+    taken: Instant,
+    waits_told: bool,
+}
+
+struct Process {
+    child: Child,
+    /// The process runs while this is open.
+    stdin: Option<ChildStdin>,
+    began: Instant,
+    /// Where in the log its words begin.
+    log_from: u64,
+}
+
+impl Worker {
+    pub fn new(lease: Lease, scene: SceneJob, granted: Needs) -> Self {
+        let (taken, waits_told) = (Instant::now(), false);
+        let (asked_to_stop, hung, process, looked) = (false, None, None, taken);
+        Self { lease, granted, asked_to_stop, hung, looked, scene, process, taken, waits_told }
+    }
+
+    pub fn seconds(&self) -> f64 {
+        self.process.as_ref().map_or(0.0, |p| p.began.elapsed().as_secs_f64())
+    }
+
+    /// Begins the process if it can begin; says how it ended if it has.
+    pub fn advance(
+        &mut self,
+        folder: &BatchFolder,
+        program: &Path,
+        tell: &mut dyn FnMut(&BatchEvent),
+    ) -> Option<Ended> {
+        if let Some(process) = &mut self.process {
+            return match process.child.try_wait() {
+                Ok(None) => None,
+                Ok(Some(status)) => Some(Ended::Code(status.code())),
+                Err(error) => Some(Ended::NotStarted(format!("its process is lost: {error}"))),
+            };
+        }
+        if self.asked_to_stop {
+            return Some(Ended::Code(None));
+        }
+        // A ledger that cannot be opened is the run's to report.
+        let ledger = Ledger::open_read_only(self.scene.out.join("run.sqlite")).ok();
+        if let Some(owner) = ledger.and_then(|ledger| ledger.owner()) {
+            let reason = format!("its run folder is in use by {owner}");
+            if self.taken.elapsed() > FOLDER_WAIT {
+                return Some(Ended::NotStarted(reason));
+            }
+            if !std::mem::replace(&mut self.waits_told, true) {
+                tell(&BatchEvent::SceneWaits { scene: self.scene.name.clone(), reason });
+            }
+            return None;
+        }
+        match self.begin(folder, program) {
+            Ok(process) => {
+                tell(&BatchEvent::SceneStarted {
+                    scene: self.scene.name.clone(),
+                    pid: process.child.id(),
+                    attempt: self.lease.attempt,
+                    cores: self.granted.cores,
+                });
+                self.process = Some(process);
+                None
+            }
+            Err(error) => Some(Ended::NotStarted(format!("its process cannot be started: {error}"))),
+        }
+    }
+
+    fn begin(&self, folder: &BatchFolder, program: &Path) -> std::io::Result<Process> {
+        let mut log = File::options().create(true).append(true).open(folder.log(&self.scene.name))?;
+        writeln!(log, "== attempt {} on {} cores", self.lease.attempt, self.granted.cores)?;
+        let log_from = log.metadata()?.len();
+        let mut command = Command::new(program);
+        command
+            .arg("run")
+            .arg(&self.scene.path)
+            .arg("--out")
+            .arg(&self.scene.out)
+            .arg("--config")
+            .arg(folder.settings_file(&self.scene.name))
+            .arg("--threads")
+            .arg(self.granted.cores.to_string())
+            .arg("--stop-with-parent")
+            .stdin(Stdio::piped())
+            .stdout(log.try_clone()?)
+            .stderr(log);
+        // Ctrl-C in the terminal is for the batch, which asks its scenes to stop.
+        #[cfg(unix)]
+        std::os::unix::process::CommandExt::process_group(&mut command, 0);
+        let mut child = command.spawn()?;
+        Ok(Process { stdin: child.stdin.take(), child, began: Instant::now(), log_from })
+    }
+
+    /// Asks the process to stop where it can go on.
+    pub fn ask_to_stop(&mut self) {
+        self.asked_to_stop = true;
+        if let Some(process) = &mut self.process {
+            process.stdin = None;
+        }
+    }
+
+    /// Ends the process at once; what it has committed stays.
+    pub fn kill(&mut self) {
+        self.asked_to_stop = true;
+        if let Some(process) = &mut self.process {
+            // One that has ended by itself is as good.
+            let _ = process.child.kill();
+        }
+    }
+
+    /// Ends the process if nothing has moved in it for too long, by what it writes into its run's ledger.
+    pub fn look_for_progress(&mut self, patience_s: f64, now: f64) {
+        let Some(process) = &mut self.process else { return };
+        let every = Duration::from_secs_f64((patience_s / 4.0).clamp(0.1, 10.0));
+        if self.looked.elapsed() < every || self.hung.is_some() {
+            return;
+        }
+        self.looked = Instant::now();
+        let ledger = Ledger::open_read_only(self.scene.out.join("run.sqlite")).ok();
+        let live = ledger.and_then(|ledger| ledger.live().ok().flatten());
+        // Before it writes of itself, all there is to go by is when it began.
+        let since_began = process.began.elapsed().as_secs_f64();
+        let still_s =
+            live.filter(|live| live.pid == process.child.id()).map_or(since_began, |live| now - live.moved);
+        if still_s.min(since_began) > patience_s {
+            self.hung = Some(format!("nothing moved for {still_s:.0} s"));
+            // One that has ended by itself is as good.
+            let _ = process.child.kill();
+        }
+    }
+
+    /// Waits for the process to end.
+    pub fn wait(&mut self) {
+        if let Some(process) = &mut self.process {
+            let _ = process.child.wait();
+        }
+    }
+
+    /// Why it failed: its last words, or how it ended.
+    pub fn last_words(&self, folder: &BatchFolder, code: Option<i32>) -> String {
+        if let Some(reason) = &self.hung {
+            return reason.clone();
+        }
+        let from = self.process.as_ref().map_or(0, |p| p.log_from);
+        let said = read_from(&folder.log(&self.scene.name), from).unwrap_or_default();
+        let error = said.lines().rev().find_map(|line| line.strip_prefix("error: ")).map(str::to_owned);
+        match (error, code) {
+            (Some(error), _) => error,
+            (None, Some(code)) => {
+                let last = said.lines().rev().find(|line| !line.trim().is_empty()).unwrap_or("no word");
+                format!("exit code {code}: {}", last.trim())
+            }
+            (None, None) => "its process was killed (out of memory?)".into(),
+        }
+    }
+}
+
+/// The text of a log from a position on; of a long one, the end.
+fn read_from(path: &Path, from: u64) -> std::io::Result<String> {
+    const MOST: u64 = 64 << 10;
+    let mut file = File::open(path)?;
+    let length = file.metadata()?.len();
+    file.seek(SeekFrom::Start(from.max(length.saturating_sub(MOST))))?;
+    let mut bytes = Vec::new();
+    file.read_to_end(&mut bytes)?;
+    Ok(String::from_utf8_lossy(&bytes).into_owned())
+}

@@ -1,0 +1,358 @@
+//! A batch: many scenes on one machine, each as a process of its own, sharing a declared budget.
+//!
+//! ```text
+//! BATCH/batch.sqlite    the engine's jobs and what happened to them
+//! BATCH/batch.json      the budget, who runs the batch, since when
+//! BATCH/batch.lock      held by the process that runs the batch
+//! BATCH/settings/       each scene's settings file
+//! BATCH/logs/           what each scene's process said
+//! BATCH/NAME/           the run folders of scenes that name none
+//! ```
+//!
+//! A scene's process keeps its standard input open and stops, resumable, when it ends: a batch that dies, however it
+//! dies, leaves nobody behind. Until such an orphan has stopped, its run folder is locked, and the next batch waits.
+
+mod child;
+mod folder;
+mod stop;
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use serde::Serialize;
+
+pub use folder::{BatchFolder, BatchRecord};
+pub use stop::{StopBatch, StopLevel};
+
+use crate::clock::{Clock, SystemClock};
+use crate::embedded::EmbeddedEngine;
+use crate::engine::{Engine, EngineError, ErrorClass, Fate, JobState, JobStatus, Lease, Offer};
+use crate::job::Needs;
+use crate::manifest::{Manifest, ManifestError, SceneJob};
+use child::{Ended, Worker};
+
+/// A lease lasts so long without a heartbeat, in seconds.
+const LEASE_S: f64 = 60.0;
+/// How often processes are looked at.
+const TICK: Duration = Duration::from_millis(100);
+/// How often work is asked for when nothing has changed.
+const ASK_EVERY: Duration = Duration::from_secs(1);
+
+/// Why a batch could not run.
+#[derive(Debug, thiserror::Error)]
+pub enum BatchError {
+    /// The manifest does not make sense.
+    #[error(transparent)]
+    Manifest(#[from] ManifestError),
+    /// The engine could not serve.
+    #[error(transparent)]
+    Engine(#[from] EngineError),
+    /// A file of the batch folder could not be read or written.
+    #[error("cannot {action} {}: {source}", path.display())]
+    File {
+        /// What was tried.
+        action: &'static str,
+        /// With which file.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// Another process runs this batch.
+    #[error("the batch {} is run by {owner}; wait for it or stop it", path.display())]
+    Busy {
+        /// The folder.
+        path: PathBuf,
+        /// Who runs it.
+        owner: String,
+    },
+}
+
+/// How a batch is run.
+#[derive(Clone)]
+pub struct BatchOptions {
+    /// The program whose `run` command runs a scene.
+    pub program: PathBuf,
+    /// What kind of failure an exit code is; `None`: ended by a signal.
+    pub classify: fn(Option<i32>) -> ErrorClass,
+    /// Who stops it.
+    pub stop: StopBatch,
+    /// Whether dead letters of earlier runs try again.
+    pub retry_dead: bool,
+}
+
+/// What happens in a batch.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(tag = "event", rename_all = "snake_case")]
+pub enum BatchEvent {
+    /// A scene's process begins.
+    SceneStarted {
+        /// The scene.
+        scene: String,
+        /// Its process.
+        pid: u32,
+        /// Which attempt it is, from 1.
+        attempt: u32,
+        /// The cores it was given.
+        cores: u32,
+    },
+    /// A scene cannot begin yet.
+    SceneWaits {
+        /// The scene.
+        scene: String,
+        /// For what.
+        reason: String,
+    },
+    /// A scene is done.
+    SceneDone {
+        /// The scene.
+        scene: String,
+        /// How long this attempt took, in seconds.
+        seconds: f64,
+    },
+    /// An attempt failed; another one follows.
+    SceneRetries {
+        /// The scene.
+        scene: String,
+        /// Why it failed.
+        error: String,
+        /// After how many seconds it is tried again.
+        delay_s: f64,
+    },
+    /// A scene was given up.
+    SceneDied {
+        /// The scene.
+        scene: String,
+        /// Why.
+        error: String,
+    },
+    /// A scene was stopped; it can go on.
+    SceneStopped {
+        /// The scene.
+        scene: String,
+    },
+}
+
+/// How a batch ended.
+#[derive(Clone, Debug, Serialize)]
+pub struct BatchSummary {
+    /// The scenes, in the manifest's order.
+    pub scenes: Vec<JobStatus>,
+    /// Whether it was asked to stop before everything was done.
+    pub interrupted: bool,
+    /// Wall time in seconds.
+    pub wall_s: f64,
+}
+
+impl BatchSummary {
+    /// How many scenes are in a state.
+    pub fn count(&self, state: JobState) -> usize {
+        self.scenes.iter().filter(|s| s.state == state).count()
+    }
+}
+
+/// Runs a manifest's scenes, or what is left of them, until every one is done or a dead letter.
+///
+/// # Errors
+/// In words, before anything is begun: a manifest that makes no sense, a folder that is in use or cannot be written.
+/// Scenes that fail are no error of the batch.
+pub fn run(
+    manifest: &Path,
+    folder: &Path,
+    options: &BatchOptions,
+    tell: &mut dyn FnMut(&BatchEvent),
+) -> Result<BatchSummary, BatchError> {
+    let began = Instant::now();
+    let read = Manifest::read(manifest, folder)?;
+    let folder = BatchFolder::create(folder)?;
+    let _lock = folder.lock()?;
+    let engine = EmbeddedEngine::open(folder.engine_file())?;
+    // The lock says that whoever held these leases is gone.
+    engine.release_all("the batch that held it ended early")?;
+    let names: Vec<&str> = read.jobs.iter().map(|(scene, _)| scene.name.as_str()).collect();
+    engine.withdraw_others(&names)?;
+    for (scene, job) in &read.jobs {
+        engine.publish(job)?;
+        folder.write_settings(scene)?;
+    }
+    if options.retry_dead {
+        for dead in engine.jobs()?.into_iter().filter(|j| j.state == JobState::Dead) {
+            engine.revive(&dead.job.id)?;
+        }
+    }
+    folder.write_record(&BatchRecord {
+        manifest: std::path::absolute(manifest).unwrap_or_else(|_| manifest.to_owned()),
+        budget: read.budget,
+        pid: std::process::id(),
+        began: SystemClock.now(),
+    })?;
+    let mut batch =
+        Batch { engine: &engine, folder: &folder, options, manifest: &read, workers: Vec::new(), tell };
+    let outcome = batch.conduct();
+    // Whatever went wrong: nobody is left behind.
+    batch.abandon();
+    let interrupted = outcome?;
+    let mut scenes = engine.jobs()?;
+    let place = |s: &JobStatus| names.iter().position(|n| *n == s.job.id);
+    scenes.sort_by_key(place);
+    Ok(BatchSummary { scenes, interrupted, wall_s: began.elapsed().as_secs_f64() })
+}
+
+struct Batch<'a> {
+    engine: &'a EmbeddedEngine,
+    folder: &'a BatchFolder,
+    options: &'a BatchOptions,
+    manifest: &'a Manifest,
+    workers: Vec<Worker>,
+    tell: &'a mut dyn FnMut(&BatchEvent),
+}
+
+impl Batch<'_> {
+    /// Says whether it was interrupted.
+    fn conduct(&mut self) -> Result<bool, BatchError> {
+        let mut asked: Option<Instant> = None;
+        loop {
+            let stop = self.options.stop.level();
+            for worker in &mut self.workers {
+                match stop {
+                    StopLevel::Run => {}
+                    StopLevel::Stop => worker.ask_to_stop(),
+                    StopLevel::AtOnce => worker.kill(),
+                }
+            }
+            for worker in &mut self.workers {
+                worker.look_for_progress(self.manifest.patience_s, SystemClock.now());
+            }
+            let changed = self.reap()?;
+            self.beat()?;
+            if stop > StopLevel::Run {
+                if self.workers.is_empty() {
+                    let jobs = self.engine.jobs()?;
+                    return Ok(jobs.iter().any(|j| matches!(j.state, JobState::Pending | JobState::Leased)));
+                }
+            } else if changed || asked.is_none_or(|at| at.elapsed() >= ASK_EVERY) {
+                while self.claim()? {}
+                asked = Some(Instant::now());
+                let open = |j: &JobStatus| matches!(j.state, JobState::Pending | JobState::Leased);
+                if self.workers.is_empty() && !self.engine.jobs()?.iter().any(open) {
+                    return Ok(false);
+                }
+            }
+            self.options.stop.wait(TICK);
+        }
+    }
+
+    fn free(&self) -> Needs {
+        self.workers.iter().fold(self.manifest.budget, |free, worker| worker.granted.taken_from(&free))
+    }
+
+    /// Takes a scene and begins it; `false` when none fits now.
+    fn claim(&mut self) -> Result<bool, BatchError> {
+        let free = self.free();
+        if free.cores == 0 {
+            return Ok(false);
+        }
+        let worker = format!("batch {}", std::process::id());
+        let Some(lease) = self.engine.claim(&Offer { worker, free, lease_s: LEASE_S })? else {
+            return Ok(false);
+        };
+        let scene: SceneJob = match serde_json::from_str(&lease.job.payload) {
+            Ok(scene) => scene,
+            Err(error) => {
+                let error = format!("its job cannot be read: {error}");
+                self.failed(&lease, ErrorClass::Fatal, &error)?;
+                return Ok(true);
+            }
+        };
+        let mut granted = lease.job.needs;
+        // The last scene need not leave cores idle that nobody else asks for.
+        if !self.engine.jobs()?.iter().any(|j| j.state == JobState::Pending) {
+            granted.cores = free.cores;
+        }
+        self.workers.push(Worker::new(lease, scene, granted));
+        Ok(true)
+    }
+
+    /// Begins processes that can begin, and books those that have ended; says whether any has.
+    fn reap(&mut self) -> Result<bool, BatchError> {
+        let mut changed = false;
+        for i in (0..self.workers.len()).rev() {
+            let ended = self.workers[i].advance(self.folder, &self.options.program, self.tell);
+            let Some(ended) = ended else { continue };
+            changed = true;
+            let worker = self.workers.remove(i);
+            let lease = &worker.lease;
+            let scene = lease.job.id.clone();
+            match ended {
+                Ended::Code(Some(0)) => {
+                    let seconds = worker.seconds();
+                    let outcome = serde_json::json!({ "seconds": seconds }).to_string();
+                    if !lost(self.engine.complete(lease, &outcome))? {
+                        (self.tell)(&BatchEvent::SceneDone { scene, seconds });
+                    }
+                }
+                _ if worker.asked_to_stop => {
+                    if !lost(self.engine.fail(lease, ErrorClass::Stopped, "stopped"))? {
+                        (self.tell)(&BatchEvent::SceneStopped { scene });
+                    }
+                }
+                Ended::Code(code) => {
+                    let error = worker.last_words(self.folder, code);
+                    self.failed(lease, (self.options.classify)(code), &error)?;
+                }
+                Ended::NotStarted(error) => self.failed(lease, ErrorClass::Retryable, &error)?,
+            }
+        }
+        Ok(changed)
+    }
+
+    fn failed(&mut self, lease: &Lease, class: ErrorClass, error: &str) -> Result<(), BatchError> {
+        let (scene, error) = (lease.job.id.clone(), error.to_owned());
+        match self.engine.fail(lease, class, &error) {
+            Ok(Fate::Retry { due }) => {
+                let delay_s = (due - SystemClock.now()).max(0.0);
+                (self.tell)(&BatchEvent::SceneRetries { scene, error, delay_s });
+            }
+            Ok(Fate::Dead) => (self.tell)(&BatchEvent::SceneDied { scene, error }),
+            Ok(Fate::Released) => (self.tell)(&BatchEvent::SceneStopped { scene }),
+            Err(EngineError::Lost { .. }) => {}
+            Err(error) => return Err(error.into()),
+        }
+        Ok(())
+    }
+
+    /// Renews leases that are a third over. By the wall clock, so that a machine that slept renews first of all.
+    fn beat(&mut self) -> Result<(), BatchError> {
+        let now = SystemClock.now();
+        for worker in &mut self.workers {
+            if worker.lease.until - now > LEASE_S * 2.0 / 3.0 && worker.lease.until - now <= LEASE_S {
+                continue;
+            }
+            match self.engine.heartbeat(&worker.lease) {
+                Ok(until) => worker.lease.until = until,
+                // Somebody else has the scene: two must not work on it.
+                Err(EngineError::Lost { .. }) => worker.kill(),
+                Err(error) => return Err(error.into()),
+            }
+        }
+        Ok(())
+    }
+
+    /// After an error of the batch itself: stops who still runs.
+    fn abandon(&mut self) {
+        for worker in &mut self.workers {
+            worker.ask_to_stop();
+        }
+        for mut worker in self.workers.drain(..) {
+            worker.wait();
+        }
+    }
+}
+
+/// Whether a result came too late; other errors go on.
+fn lost<T>(result: Result<T, EngineError>) -> Result<bool, EngineError> {
+    match result {
+        Ok(_) => Ok(false),
+        Err(EngineError::Lost { .. }) => Ok(true),
+        Err(error) => Err(error),
+    }
+}

@@ -1,0 +1,55 @@
+//! How a batch is asked to stop.
+
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::time::Duration;
+
+/// How far a batch has been asked to stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum StopLevel {
+    /// It runs.
+    Run,
+    /// No further scenes; those that run stop where they can go on.
+    Stop,
+    /// Their processes are ended; what they have committed stays.
+    AtOnce,
+}
+
+/// Asks a batch to stop; clones ask the same one. Levels only rise.
+///
+/// ```
+/// use segwild_farm::batch::{StopBatch, StopLevel};
+/// let stop = StopBatch::default();
+/// stop.raise(StopLevel::AtOnce);
+/// stop.clone().raise(StopLevel::Stop);
+/// assert_eq!(stop.level(), StopLevel::AtOnce);
+/// ```
+#[derive(Clone)]
+pub struct StopBatch(Arc<(Mutex<StopLevel>, Condvar)>);
+
+impl Default for StopBatch {
+    fn default() -> Self {
+        Self(Arc::new((Mutex::new(StopLevel::Run), Condvar::new())))
+    }
+}
+
+impl StopBatch {
+    /// Asks for at least this much.
+    pub fn raise(&self, level: StopLevel) {
+        let mut now = self.0.0.lock().unwrap_or_else(PoisonError::into_inner);
+        *now = level.max(*now);
+        self.0.1.notify_all();
+    }
+
+    /// How far it has been asked.
+    pub fn level(&self) -> StopLevel {
+        *self.0.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Waits so long, but no longer than until more is asked for.
+    pub(super) fn wait(&self, time: Duration) {
+        let level = self.0.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let before = *level;
+        // A panic elsewhere leaves the level whole.
+        drop(self.0.1.wait_timeout_while(level, time, |now| *now == before));
+    }
+}

@@ -1,0 +1,365 @@
+//! What any engine has to do, as one suite that any engine can be put through.
+//!
+//! ```
+//! use segwild_farm::{EmbeddedEngine, Engine, SimulatedClock, conformance};
+//! use std::sync::Arc;
+//!
+//! struct Here { folder: tempfile::TempDir, clock: SimulatedClock }
+//! impl conformance::Site for Here {
+//!     fn engine(&self) -> Box<dyn Engine> {
+//!         let path = self.folder.path().join("jobs.sqlite");
+//!         Box::new(EmbeddedEngine::with_clock(path, Arc::new(self.clock.clone())).unwrap())
+//!     }
+//!     fn pass(&self, seconds: f64) { self.clock.pass(seconds) }
+//! }
+//! let site = || -> Box<dyn conformance::Site> {
+//!     Box::new(Here { folder: tempfile::tempdir().unwrap(), clock: SimulatedClock::new(1e9) })
+//! };
+//! assert_eq!(conformance::broken(&site), []);
+//! ```
+
+use std::collections::BTreeMap;
+use std::fmt::Debug;
+
+use crate::engine::{
+    ChangeKind, Completed, Engine, EngineError, ErrorClass, Fate, JobState, Lease, Offer, Published,
+};
+use crate::job::{Job, Needs, Retry};
+
+/// A place where the engine under test stands, with nothing published yet.
+pub trait Site: Sync {
+    /// A handle to the engine; a further call is as from another process.
+    fn engine(&self) -> Box<dyn Engine>;
+
+    /// Lets time pass for the engine, by its clock or by waiting.
+    fn pass(&self, seconds: f64);
+}
+
+/// A check: its name, and what it does with a fresh site.
+pub type Check = (&'static str, fn(&dyn Site) -> Result<(), String>);
+
+/// Seconds that a lease of the suite lasts.
+const LEASE_S: f64 = 2.0;
+/// Rest after the first failure in the suite, in seconds.
+const REST_S: f64 = 1.0;
+
+/// The suite.
+pub const CHECKS: [Check; 17] = [
+    ("publishing twice is publishing once", publishing_twice),
+    ("another payload begins again, but not under a worker's hands", another_payload),
+    ("the most urgent job goes first, equals in order", urgency),
+    ("a job that does not fit is left for who has room", fitting),
+    ("no job is given to two workers", one_worker_per_job),
+    ("a heartbeat holds a lease beyond its time", heartbeat_holds),
+    ("a silent worker loses its lease, and the next attempt has a higher fence", silence),
+    ("a zombie's heartbeat, completion and failure are refused", zombie),
+    ("a late completion counts while nobody else has taken the job", late_completion),
+    ("completing twice is completing once", completing_twice),
+    ("a retryable failure rests, each time twice as long", back_off),
+    ("a job that keeps failing becomes a dead letter", attempts_end),
+    ("a fatal failure is a dead letter at once", fatal),
+    ("a job that silences every worker becomes a dead letter", silent_to_death),
+    ("being stopped costs no attempt", stopping),
+    ("a dead letter can be revived, and nothing else can", reviving),
+    ("changes are told in order to any handle, from any revision", watching),
+];
+
+/// Puts an engine through the suite, each check on a site of its own, and says which checks it fails and why.
+pub fn broken(site: &dyn Fn() -> Box<dyn Site>) -> Vec<(&'static str, String)> {
+    let failed = |(name, check): &Check| check(&*site()).err().map(|reason| (*name, reason));
+    CHECKS.iter().filter_map(failed).collect()
+}
+
+fn job(id: &str) -> Job {
+    Job {
+        id: id.into(),
+        payload: format!("do {id}"),
+        priority: 0,
+        needs: Needs { cores: 1, memory_bytes: 100, accelerators: 0 },
+        retry: Retry { attempts: 3, first_delay_s: REST_S, longest_delay_s: 60.0 },
+    }
+}
+
+fn offer(worker: &str) -> Offer {
+    let free = Needs { cores: 4, memory_bytes: 1000, accelerators: 1 };
+    Offer { worker: worker.into(), free, lease_s: LEASE_S }
+}
+
+fn words(error: EngineError) -> String {
+    error.to_string()
+}
+
+fn expect<T: PartialEq + Debug>(what: &str, found: T, wanted: T) -> Result<(), String> {
+    if found == wanted { Ok(()) } else { Err(format!("{what}: {found:?} instead of {wanted:?}")) }
+}
+
+fn claim(engine: &dyn Engine, worker: &str) -> Result<Lease, String> {
+    engine.claim(&offer(worker)).map_err(words)?.ok_or_else(|| format!("{worker} is given nothing"))
+}
+
+fn nothing(engine: &dyn Engine, when: &str) -> Result<(), String> {
+    match engine.claim(&offer("anybody")).map_err(words)? {
+        None => Ok(()),
+        Some(lease) => Err(format!("{when}, `{}` is given away", lease.job.id)),
+    }
+}
+
+fn lost<T: Debug>(what: &str, result: Result<T, EngineError>) -> Result<(), String> {
+    match result {
+        Err(EngineError::Lost { .. }) => Ok(()),
+        other => Err(format!("{what} is not refused as lost: {other:?}")),
+    }
+}
+
+fn state(engine: &dyn Engine, id: &str) -> Result<JobState, String> {
+    let jobs = engine.jobs().map_err(words)?;
+    jobs.iter().find(|j| j.job.id == id).map(|j| j.state).ok_or_else(|| format!("`{id}` is not listed"))
+}
+
+fn publishing_twice(site: &dyn Site) -> Result<(), String> {
+    let engine = site.engine();
+    expect("the first time", engine.publish(&job("a")).map_err(words)?, Published::New)?;
+    expect("the second time", site.engine().publish(&job("a")).map_err(words)?, Published::Known)?;
+    let lease = claim(&*engine, "w")?;
+    expect("while it is worked on", engine.publish(&job("a")).map_err(words)?, Published::Known)?;
+    engine.complete(&lease, "done").map_err(words)?;
+    expect("when it is done", engine.publish(&job("a")).map_err(words)?, Published::Known)?;
+    nothing(&*engine, "done and published again")?;
+    expect("jobs", engine.jobs().map_err(words)?.len(), 1)
+}
+
+fn another_payload(site: &dyn Site) -> Result<(), String> {
+    let engine = site.engine();
+    engine.publish(&job("a")).map_err(words)?;
+    let changed = Job { payload: "do it differently".into(), ..job("a") };
+    let lease = claim(&*engine, "w")?;
+    match engine.publish(&changed) {
+        Err(EngineError::InProgress(_)) => {}
+        other => return Err(format!("changing it under a worker's hands: {other:?}")),
+    }
+    engine.complete(&lease, "done").map_err(words)?;
+    expect("when it is done", engine.publish(&changed).map_err(words)?, Published::Changed)?;
+    let again = claim(&*engine, "w")?;
+    expect("the payload", again.job.payload.as_str(), "do it differently")?;
+    expect("a higher fence", again.attempt > lease.attempt, true)
+}
+
+fn urgency(site: &dyn Site) -> Result<(), String> {
+    let engine = site.engine();
+    for (id, priority) in [("low", -1), ("first", 0), ("second", 0), ("high", 5)] {
+        engine.publish(&Job { priority, ..job(id) }).map_err(words)?;
+    }
+    for wanted in ["high", "first", "second", "low"] {
+        expect("the next", claim(&*engine, "w")?.job.id.as_str(), wanted)?;
+    }
+    nothing(&*engine, "with every job taken")
+}
+
+fn fitting(site: &dyn Site) -> Result<(), String> {
+    let engine = site.engine();
+    let large = Needs { cores: 8, memory_bytes: 100, accelerators: 0 };
+    engine.publish(&Job { needs: large, priority: 9, ..job("large") }).map_err(words)?;
+    engine.publish(&job("small")).map_err(words)?;
+    expect("what fits", claim(&*engine, "w")?.job.id.as_str(), "small")?;
+    nothing(&*engine, "with only the large job left")?;
+    let roomy = Offer { free: Needs { cores: 8, ..offer("w").free }, ..offer("roomy") };
+    let lease = engine.claim(&roomy).map_err(words)?.ok_or("who has room is given nothing")?;
+    expect("to who has room", lease.job.id.as_str(), "large")
+}
+
+fn one_worker_per_job(site: &dyn Site) -> Result<(), String> {
+    const JOBS: usize = 24;
+    let engine = site.engine();
+    for i in 0..JOBS {
+        engine.publish(&job(&format!("job {i}"))).map_err(words)?;
+    }
+    let taken = std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..4)
+            .map(|w| {
+                scope.spawn(move || -> Result<Vec<String>, String> {
+                    let (engine, mut mine) = (site.engine(), Vec::new());
+                    while let Some(lease) = engine.claim(&offer(&format!("w{w}"))).map_err(words)? {
+                        engine.complete(&lease, "done").map_err(words)?;
+                        mine.push(lease.job.id);
+                    }
+                    Ok(mine)
+                })
+            })
+            .collect();
+        let joined =
+            workers.into_iter().map(|w| w.join().unwrap_or_else(|_| Err("a worker panicked".into())));
+        joined.collect::<Result<Vec<_>, _>>()
+    })?;
+    let mut counts = BTreeMap::new();
+    for id in taken.into_iter().flatten() {
+        *counts.entry(id).or_insert(0) += 1;
+    }
+    expect("jobs done", counts.len(), JOBS)?;
+    expect("jobs done twice", counts.values().filter(|&&n| n != 1).count(), 0)
+}
+
+fn heartbeat_holds(site: &dyn Site) -> Result<(), String> {
+    let engine = site.engine();
+    engine.publish(&job("a")).map_err(words)?;
+    let lease = claim(&*engine, "w")?;
+    for _ in 0..4 {
+        site.pass(LEASE_S * 0.6);
+        nothing(&*site.engine(), "while its worker beats")?;
+        engine.heartbeat(&lease).map_err(words)?;
+    }
+    expect("completing it", engine.complete(&lease, "done").map_err(words)?, Completed::Now)
+}
+
+/// Publishes a job, lets a worker take it and fall silent, and another one take over.
+fn taken_over(site: &dyn Site, engine: &dyn Engine) -> Result<(Lease, Lease), String> {
+    engine.publish(&job("a")).map_err(words)?;
+    let zombie = claim(engine, "zombie")?;
+    nothing(engine, "before the lease ends")?;
+    site.pass(LEASE_S * 1.5);
+    // Whoever looks first notices; the job then rests as after any failure.
+    nothing(engine, "during the rest after a lost lease")?;
+    site.pass(REST_S * 1.5);
+    Ok((zombie, claim(&*site.engine(), "heir")?))
+}
+
+fn silence(site: &dyn Site) -> Result<(), String> {
+    let engine = site.engine();
+    let (zombie, heir) = taken_over(site, &*engine)?;
+    expect("the same job", &heir.job.id, &zombie.job.id)?;
+    expect("a higher fence", heir.attempt > zombie.attempt, true)?;
+    let told = engine.watch(0, usize::MAX).map_err(words)?;
+    expect("it is told", told.iter().any(|c| c.kind == ChangeKind::Expired), true)
+}
+
+fn zombie(site: &dyn Site) -> Result<(), String> {
+    let engine = site.engine();
+    let (zombie, heir) = taken_over(site, &*engine)?;
+    lost("a zombie's heartbeat", engine.heartbeat(&zombie))?;
+    lost("a zombie's completion", engine.complete(&zombie, "stale"))?;
+    lost("a zombie's failure", engine.fail(&zombie, ErrorClass::Fatal, "stale"))?;
+    expect("the heir completes", engine.complete(&heir, "fresh").map_err(words)?, Completed::Now)?;
+    lost("a zombie's completion after the end", engine.complete(&zombie, "stale"))?;
+    let jobs = engine.jobs().map_err(words)?;
+    expect("the outcome", jobs[0].outcome.as_deref(), Some("fresh"))
+}
+
+fn late_completion(site: &dyn Site) -> Result<(), String> {
+    let engine = site.engine();
+    engine.publish(&job("a")).map_err(words)?;
+    let lease = claim(&*engine, "w")?;
+    site.pass(LEASE_S * 1.5);
+    expect("completing late", engine.complete(&lease, "done").map_err(words)?, Completed::Now)?;
+    nothing(&*engine, "after that")
+}
+
+fn completing_twice(site: &dyn Site) -> Result<(), String> {
+    let engine = site.engine();
+    engine.publish(&job("a")).map_err(words)?;
+    let lease = claim(&*engine, "w")?;
+    expect("the first time", engine.complete(&lease, "done").map_err(words)?, Completed::Now)?;
+    expect("the second time", site.engine().complete(&lease, "done").map_err(words)?, Completed::Before)?;
+    lost("another outcome", engine.complete(&lease, "something else"))?;
+    lost("a failure after the end", engine.fail(&lease, ErrorClass::Retryable, "late"))?;
+    let told = engine.watch(0, usize::MAX).map_err(words)?;
+    expect("completions told", told.iter().filter(|c| c.kind == ChangeKind::Completed).count(), 1)
+}
+
+fn back_off(site: &dyn Site) -> Result<(), String> {
+    let engine = site.engine();
+    engine.publish(&Job { retry: Retry { attempts: 9, ..job("a").retry }, ..job("a") }).map_err(words)?;
+    for failures in 0..3 {
+        let lease = claim(&*engine, "w")?;
+        match engine.fail(&lease, ErrorClass::Retryable, "no luck").map_err(words)? {
+            Fate::Retry { .. } => {}
+            other => return Err(format!("failure {failures} ends in {other:?}")),
+        }
+        let rest = REST_S * f64::from(1 << failures);
+        site.pass(rest * 0.5);
+        nothing(&*engine, "during the rest")?;
+        site.pass(rest * 0.75);
+    }
+    claim(&*engine, "w").map(drop)
+}
+
+fn attempts_end(site: &dyn Site) -> Result<(), String> {
+    let engine = site.engine();
+    engine.publish(&job("a")).map_err(words)?;
+    for last in [false, false, true] {
+        let lease = claim(&*engine, "w")?;
+        let fate = engine.fail(&lease, ErrorClass::Retryable, "no luck").map_err(words)?;
+        expect("a dead letter", fate == Fate::Dead, last)?;
+        site.pass(60.0 * REST_S);
+    }
+    expect("its state", state(&*engine, "a")?, JobState::Dead)?;
+    nothing(&*engine, "dead")?;
+    let jobs = engine.jobs().map_err(words)?;
+    expect("its last error", jobs[0].error.as_deref(), Some("no luck"))
+}
+
+fn fatal(site: &dyn Site) -> Result<(), String> {
+    let engine = site.engine();
+    engine.publish(&job("a")).map_err(words)?;
+    engine.publish(&job("b")).map_err(words)?;
+    let lease = claim(&*engine, "w")?;
+    expect("its fate", engine.fail(&lease, ErrorClass::Fatal, "bad input").map_err(words)?, Fate::Dead)?;
+    expect("the rest goes on", claim(&*engine, "w")?.job.id.as_str(), "b")?;
+    nothing(&*engine, "with the other one dead")
+}
+
+fn silent_to_death(site: &dyn Site) -> Result<(), String> {
+    let engine = site.engine();
+    engine.publish(&job("a")).map_err(words)?;
+    for _ in 0..3 {
+        claim(&*engine, "w")?;
+        site.pass(LEASE_S * 1.5);
+        nothing(&*engine, "as the lease ends")?;
+        site.pass(60.0 * REST_S);
+    }
+    nothing(&*engine, "after it has silenced three workers")?;
+    expect("its state", state(&*engine, "a")?, JobState::Dead)
+}
+
+fn stopping(site: &dyn Site) -> Result<(), String> {
+    let engine = site.engine();
+    engine.publish(&job("a")).map_err(words)?;
+    for _ in 0..5 {
+        let lease = claim(&*engine, "w")?;
+        let fate = engine.fail(&lease, ErrorClass::Stopped, "stopped").map_err(words)?;
+        expect("its fate", fate, Fate::Released)?;
+    }
+    let lease = claim(&*engine, "w")?;
+    expect("completing it", engine.complete(&lease, "done").map_err(words)?, Completed::Now)
+}
+
+fn reviving(site: &dyn Site) -> Result<(), String> {
+    let engine = site.engine();
+    engine.publish(&job("a")).map_err(words)?;
+    match engine.revive("a") {
+        Err(EngineError::Unknown(_)) => {}
+        other => return Err(format!("reviving who lives: {other:?}")),
+    }
+    let lease = claim(&*engine, "w")?;
+    engine.fail(&lease, ErrorClass::Fatal, "bad input").map_err(words)?;
+    engine.revive("a").map_err(words)?;
+    let again = claim(&*engine, "w")?;
+    expect("a higher fence", again.attempt > lease.attempt, true)?;
+    match engine.fail(&again, ErrorClass::Retryable, "no luck").map_err(words)? {
+        Fate::Retry { .. } => Ok(()),
+        other => Err(format!("its attempts are not counted anew: {other:?}")),
+    }
+}
+
+fn watching(site: &dyn Site) -> Result<(), String> {
+    let engine = site.engine();
+    engine.publish(&job("a")).map_err(words)?;
+    let lease = claim(&*engine, "w")?;
+    engine.complete(&lease, "done").map_err(words)?;
+    let told = site.engine().watch(0, usize::MAX).map_err(words)?;
+    let kinds: Vec<_> = told.iter().map(|c| c.kind).collect();
+    expect("what is told", kinds, vec![ChangeKind::Published, ChangeKind::Claimed, ChangeKind::Completed])?;
+    expect("in order", told.windows(2).all(|w| w[0].revision < w[1].revision), true)?;
+    let rest = engine.watch(told[0].revision, usize::MAX).map_err(words)?;
+    expect("from a revision on", &rest[..], &told[1..])?;
+    expect("at most so many", engine.watch(0, 1).map_err(words)?.len(), 1)?;
+    expect("nothing new", engine.watch(told[2].revision, usize::MAX).map_err(words)?.len(), 0)
+}

@@ -1,0 +1,317 @@
+//! Where jobs wait, who works on which, and what becomes of them.
+
+use std::fmt;
+use std::path::PathBuf;
+
+use serde::{Deserialize, Serialize};
+
+use crate::job::{Job, Needs};
+
+/// How far a job is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum JobState {
+    /// Waits for a worker, or for the end of its rest.
+    Pending,
+    /// Somebody works on it.
+    Leased,
+    /// Done.
+    Done,
+    /// Given up: a dead letter.
+    Dead,
+}
+
+impl JobState {
+    /// Every state.
+    pub const ALL: [JobState; 4] = [Self::Pending, Self::Leased, Self::Done, Self::Dead];
+
+    /// As a word.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Pending => "pending",
+            Self::Leased => "leased",
+            Self::Done => "done",
+            Self::Dead => "dead",
+        }
+    }
+}
+
+/// What kind of failure it was.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ErrorClass {
+    /// Another attempt may succeed: a full disk, a killed process, a folder in use.
+    Retryable,
+    /// Another attempt would fail in the same way: bad input, a wrong setting.
+    Fatal,
+    /// No failure: the worker was asked to stop. Costs no attempt.
+    Stopped,
+}
+
+impl ErrorClass {
+    /// As a word.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Retryable => "retryable",
+            Self::Fatal => "fatal",
+            Self::Stopped => "stopped",
+        }
+    }
+}
+
+/// What publishing a job did.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Published {
+    /// It is new.
+    New,
+    /// The same job was there already; how far it is stays as it is.
+    Known,
+    /// It was there with another payload: it begins again.
+    Changed,
+}
+
+/// A worker that asks for work.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Offer {
+    /// Who.
+    pub worker: String,
+    /// What it has free; jobs that need more are left for others.
+    pub free: Needs,
+    /// A lease that is not renewed for so long, in seconds, is lost.
+    pub lease_s: f64,
+}
+
+/// The right to work on a job, until it expires or is renewed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Lease {
+    /// The job.
+    pub job: Job,
+    /// The fence: grows with every claim of the job. Whoever holds an older one is a zombie and is refused.
+    pub attempt: u32,
+    /// Who holds it.
+    pub worker: String,
+    /// When it expires, in seconds since 1970.
+    pub until: f64,
+    /// How long a renewal lasts, in seconds.
+    pub lease_s: f64,
+}
+
+/// What completing a job did.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Completed {
+    /// It is done now.
+    Now,
+    /// This very attempt had completed it with this very outcome before.
+    Before,
+}
+
+/// What becomes of a job that failed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Fate {
+    /// It is tried again at this time (seconds since 1970).
+    Retry {
+        /// When.
+        due: f64,
+    },
+    /// It is a dead letter.
+    Dead,
+    /// It can be claimed at once; no attempt was counted.
+    Released,
+}
+
+/// Why an engine could not serve.
+#[derive(Debug, thiserror::Error)]
+pub enum EngineError {
+    /// The lease was lost: it expired and somebody else took over, or the job has ended otherwise.
+    #[error("attempt {attempt} at `{job}` is no longer the current one: its lease was lost")]
+    Lost {
+        /// The job.
+        job: String,
+        /// The attempt that came too late.
+        attempt: u32,
+    },
+    /// No job of that name.
+    #[error("there is no job `{0}`")]
+    Unknown(String),
+    /// A job cannot be changed while somebody works on it.
+    #[error("`{0}` cannot be changed while it is being worked on; stop it first")]
+    InProgress(String),
+    /// The store was written by another version of the program.
+    #[error("{} has format {found}, this program knows format {known}: use the version that wrote it, or a new folder", path.display())]
+    Version {
+        /// The file.
+        path: PathBuf,
+        /// Its format.
+        found: i64,
+        /// The one known.
+        known: i64,
+    },
+    /// There is none.
+    #[error("there is no batch at {}", path.display())]
+    Missing {
+        /// Where one was looked for.
+        path: PathBuf,
+    },
+    /// The store cannot be read or written.
+    #[error("{}: {reason}", path.display())]
+    Store {
+        /// The file.
+        path: PathBuf,
+        /// What it says.
+        reason: String,
+    },
+}
+
+/// What happened to a job.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ChangeKind {
+    /// It was published, or published anew with another payload.
+    Published,
+    /// Somebody took it.
+    Claimed,
+    /// It is done.
+    Completed,
+    /// An attempt failed; another follows.
+    Retried,
+    /// A lease ran out.
+    Expired,
+    /// It was handed back without an attempt being counted.
+    Released,
+    /// It became a dead letter.
+    Died,
+    /// A dead letter may try again.
+    Revived,
+}
+
+impl ChangeKind {
+    pub(crate) const ALL: [ChangeKind; 8] = [
+        Self::Published,
+        Self::Claimed,
+        Self::Completed,
+        Self::Retried,
+        Self::Expired,
+        Self::Released,
+        Self::Died,
+        Self::Revived,
+    ];
+
+    /// As a word.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Published => "published",
+            Self::Claimed => "claimed",
+            Self::Completed => "completed",
+            Self::Retried => "retried",
+            Self::Expired => "expired",
+            Self::Released => "released",
+            Self::Died => "died",
+            Self::Revived => "revived",
+        }
+    }
+}
+
+impl fmt::Display for ChangeKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.word())
+    }
+}
+
+/// Something that happened to a job.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Change {
+    /// Its place in the order of all changes, from 1.
+    pub revision: u64,
+    /// Seconds since 1970.
+    pub time: f64,
+    /// The job.
+    pub job: String,
+    /// What happened.
+    pub kind: ChangeKind,
+    /// In which attempt; 0 before the first.
+    pub attempt: u32,
+    /// By whom, with what outcome, or why.
+    pub detail: String,
+}
+
+/// A job and how far it is. Times are seconds since 1970.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct JobStatus {
+    /// The job.
+    pub job: Job,
+    /// How far it is.
+    pub state: JobState,
+    /// How often it was claimed.
+    pub attempt: u32,
+    /// How many attempts failed since it was published or revived.
+    pub failures: u32,
+    /// Who works on it.
+    pub worker: Option<String>,
+    /// When the lease expires.
+    pub lease_until: Option<f64>,
+    /// Not before this time.
+    pub due: f64,
+    /// When the last attempt began.
+    pub started: Option<f64>,
+    /// When the last attempt ended.
+    pub ended: Option<f64>,
+    /// What came of it.
+    pub outcome: Option<String>,
+    /// Why the last attempt failed.
+    pub error: Option<String>,
+    /// What kind of failure that was.
+    pub error_class: Option<ErrorClass>,
+}
+
+/// Jobs with leases. Deliveries are at least once; the fence makes effects exactly once.
+///
+/// Every engine passes [`conformance`](crate::conformance).
+pub trait Engine: Send + Sync {
+    /// Hands in a job. The same job again changes nothing but its priority, needs and retries.
+    ///
+    /// # Errors
+    /// [`EngineError::InProgress`] for another payload while somebody works on it; when the store fails.
+    fn publish(&self, job: &Job) -> Result<Published, EngineError>;
+
+    /// Takes the most urgent job that fits the offer and whose rest is over, if there is one.
+    ///
+    /// # Errors
+    /// When the store fails.
+    fn claim(&self, offer: &Offer) -> Result<Option<Lease>, EngineError>;
+
+    /// Renews a lease, and says until when.
+    ///
+    /// # Errors
+    /// [`EngineError::Lost`] when it is too late: the worker must leave the work. When the store fails.
+    fn heartbeat(&self, lease: &Lease) -> Result<f64, EngineError>;
+
+    /// Ends a job as done. A late completion counts as long as nobody else has taken the job.
+    ///
+    /// # Errors
+    /// [`EngineError::Lost`] for a zombie; when the store fails.
+    fn complete(&self, lease: &Lease, outcome: &str) -> Result<Completed, EngineError>;
+
+    /// Ends an attempt that did not succeed.
+    ///
+    /// # Errors
+    /// [`EngineError::Lost`] for a zombie; when the store fails.
+    fn fail(&self, lease: &Lease, class: ErrorClass, error: &str) -> Result<Fate, EngineError>;
+
+    /// Lets a dead letter try again, from the first attempt on.
+    ///
+    /// # Errors
+    /// [`EngineError::Unknown`] when there is no dead letter of that name; when the store fails.
+    fn revive(&self, id: &str) -> Result<(), EngineError>;
+
+    /// What happened after a revision, in order; at most `limit` changes.
+    ///
+    /// # Errors
+    /// When the store fails.
+    fn watch(&self, after: u64, limit: usize) -> Result<Vec<Change>, EngineError>;
+
+    /// All jobs, in the order in which they were first published.
+    ///
+    /// # Errors
+    /// When the store fails.
+    fn jobs(&self) -> Result<Vec<JobStatus>, EngineError>;
+}

@@ -1,0 +1,212 @@
+//! A batch with programs that play the part of `segwild run`: shell scripts that succeed, fail, hang and are killed.
+#![cfg(unix)]
+
+use segwild_farm::{
+    BatchError, BatchEvent, BatchFolder, BatchOptions, BatchSummary, ErrorClass, JobState, StopBatch,
+    StopLevel, batch,
+};
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+
+/// What the script does is the name of the scene's folder: `run PATH --out OUT ..`.
+const SCRIPT: &str = r#"#!/bin/sh
+out=$4
+mkdir -p "$out"
+echo "$@" >> "$out/calls"
+case $(basename "$2") in
+  good*) exit 0;;
+  bad) echo "error: photo.jpg is no picture" >&2; exit 3;;
+  flaky) [ "$(wc -l < "$out/calls")" -ge 2 ] && exit 0; echo "error: no luck" >&2; exit 4;;
+  broken) echo "error: always" >&2; exit 4;;
+  killed) kill -9 $$;;
+  long) cat > /dev/null; echo "stopped" >&2; exit 130;;
+  deaf) trap '' TERM; while :; do sleep 1; done;;
+esac
+"#;
+
+fn classify(code: Option<i32>) -> ErrorClass {
+    if code == Some(3) { ErrorClass::Fatal } else { ErrorClass::Retryable }
+}
+
+struct Yard {
+    dir: tempfile::TempDir,
+    options: BatchOptions,
+}
+
+impl Yard {
+    fn new(manifest: &str) -> Yard {
+        let dir = tempfile::tempdir().expect("a temporary folder");
+        let program = dir.path().join("segwild");
+        std::fs::write(&program, SCRIPT).expect("a script");
+        std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).expect("it can run");
+        std::fs::write(dir.path().join("batch.toml"), manifest).expect("a manifest");
+        let options = BatchOptions { program, classify, stop: StopBatch::default(), retry_dead: false };
+        Yard { dir, options }
+    }
+
+    fn folder(&self) -> PathBuf {
+        self.dir.path().join("out")
+    }
+
+    fn run(&self, tell: &mut dyn FnMut(&BatchEvent)) -> Result<BatchSummary, BatchError> {
+        batch::run(&self.dir.path().join("batch.toml"), &self.folder(), &self.options, tell)
+    }
+
+    fn calls(&self, scene: &str) -> Vec<String> {
+        let text = std::fs::read_to_string(self.folder().join(scene).join("calls")).unwrap_or_default();
+        text.lines().map(str::to_owned).collect()
+    }
+}
+
+fn states(summary: &BatchSummary) -> Vec<(&str, JobState, u32)> {
+    summary.scenes.iter().map(|s| (s.job.id.as_str(), s.state, s.attempt)).collect()
+}
+
+fn scenes(names: &[&str], more: &str) -> String {
+    let head = "[budget]\ncores = 2\n[defaults]\nmemory = \"10 MiB\"\n".to_owned();
+    names.iter().fold(head, |text, name| format!("{text}[[scene]]\npath = \"{name}\"\ncores = 1\n{more}"))
+}
+
+#[test]
+fn a_failed_scene_does_not_stop_the_others_and_a_second_run_does_nothing_twice() {
+    let yard = Yard::new(&scenes(&["bad", "good", "good2"], ""));
+    let summary = yard.run(&mut |_| {}).expect("it runs");
+    assert_eq!(
+        states(&summary),
+        [("bad", JobState::Dead, 1), ("good", JobState::Done, 1), ("good2", JobState::Done, 1)]
+    );
+    assert_eq!(summary.scenes[0].error.as_deref(), Some("photo.jpg is no picture"));
+    let call = &yard.calls("good")[0];
+    assert!(
+        call.contains("--config") && call.contains("--stop-with-parent") && call.contains("--threads"),
+        "{call}"
+    );
+    // Nothing is left to do.
+    let again = yard.run(&mut |event| panic!("{event:?}")).expect("it runs");
+    assert_eq!(states(&again), states(&summary));
+    // A dead letter tries again when that is asked for.
+    let options = BatchOptions { retry_dead: true, ..yard.options.clone() };
+    let yard = Yard { options, ..yard };
+    assert_eq!(states(&yard.run(&mut |_| {}).expect("it runs"))[0], ("bad", JobState::Dead, 2));
+    assert_eq!((yard.calls("bad").len(), yard.calls("good").len()), (2, 1));
+}
+
+#[test]
+fn another_attempt_is_made_where_it_may_help() {
+    let yard = Yard::new(&scenes(&["flaky"], ""));
+    let mut told = Vec::new();
+    let summary = yard.run(&mut |event| told.push(event.clone())).expect("it runs");
+    assert_eq!(states(&summary), [("flaky", JobState::Done, 2)]);
+    let retried = told.iter().find_map(|event| match event {
+        BatchEvent::SceneRetries { error, .. } => Some(error.as_str()),
+        _ => None,
+    });
+    assert_eq!(retried, Some("no luck"));
+}
+
+#[test]
+fn a_killed_process_is_a_failure_in_words() {
+    let yard = Yard::new(&scenes(&["killed", "broken"], "attempts = 1\n"));
+    let summary = yard.run(&mut |_| {}).expect("it runs");
+    assert_eq!(states(&summary), [("killed", JobState::Dead, 1), ("broken", JobState::Dead, 1)]);
+    assert!(summary.scenes[0].error.as_deref().is_some_and(|e| e.contains("was killed")));
+}
+
+#[test]
+fn a_stop_costs_no_attempt_and_the_next_run_goes_on() {
+    let yard = Yard::new(&scenes(&["long"], ""));
+    let stop = yard.options.stop.clone();
+    let summary = yard
+        .run(&mut |event| {
+            if matches!(event, BatchEvent::SceneStarted { .. }) {
+                stop.raise(StopLevel::Stop);
+            }
+        })
+        .expect("it runs");
+    assert!(summary.interrupted);
+    assert_eq!((summary.scenes[0].state, summary.scenes[0].failures), (JobState::Pending, 0));
+}
+
+#[test]
+fn a_scene_that_does_not_listen_is_ended_by_the_second_request() {
+    let yard = Yard::new(&scenes(&["deaf"], ""));
+    let stop = yard.options.stop.clone();
+    let summary = yard
+        .run(&mut |event| {
+            if matches!(event, BatchEvent::SceneStarted { .. }) {
+                stop.raise(StopLevel::AtOnce);
+            }
+        })
+        .expect("it runs");
+    assert!(summary.interrupted);
+    assert_eq!(summary.scenes[0].failures, 0);
+}
+
+#[test]
+fn a_process_in_which_nothing_moves_is_ended_and_tried_again() {
+    let text = scenes(&["deaf"], "attempts = 1\n").replace("cores = 2\n", "cores = 2\npatience = 0.5\n");
+    let yard = Yard::new(&text);
+    let summary = yard.run(&mut |_| {}).expect("it runs");
+    assert_eq!(states(&summary), [("deaf", JobState::Dead, 1)]);
+    assert!(summary.scenes[0].error.as_deref().is_some_and(|e| e.starts_with("nothing moved for")));
+}
+
+#[test]
+fn budgets_are_kept() {
+    // Two cores, three scenes of one core each and one that needs both.
+    let text =
+        scenes(&["good1", "good2", "good3"], "") + "[[scene]]\npath = \"good4\"\ncores = 2\npriority = 9\n";
+    let yard = Yard::new(&text);
+    let (mut now, mut most) = (0u32, 0u32);
+    let mut cores = std::collections::BTreeMap::new();
+    let mut order = Vec::new();
+    let summary = yard.run(&mut |event| match event {
+        BatchEvent::SceneStarted { scene, cores: granted, .. } => {
+            now += granted;
+            most = most.max(now);
+            cores.insert(scene.clone(), *granted);
+            order.push(scene.clone());
+        }
+        BatchEvent::SceneDone { scene, .. } => now -= cores[scene],
+        other => panic!("{other:?}"),
+    });
+    assert_eq!(summary.expect("it runs").count(JobState::Done), 4);
+    assert!(most <= 2, "{most} cores were given away at once");
+    assert_eq!(order[0], "good4", "the most urgent one first");
+}
+
+#[test]
+fn one_batch_folder_has_one_batch() {
+    let yard = Yard::new(&scenes(&["good"], ""));
+    let folder = yard.folder();
+    let (mut inner, mut owner) = (None, None);
+    yard.run(&mut |event| {
+        if matches!(event, BatchEvent::SceneStarted { .. }) {
+            inner = yard.run(&mut |_| {}).err().map(|e| e.to_string());
+            owner = BatchFolder::open(&folder).and_then(|f| f.owner());
+        }
+    })
+    .expect("it runs");
+    let said = inner.expect("the second batch is refused");
+    assert!(said.contains(&format!("process {}", std::process::id())), "{said}");
+    assert!(owner.is_some());
+    let after = BatchFolder::open(&folder).expect("a batch");
+    assert_eq!(after.owner(), None);
+    assert_eq!(after.record().expect("a record").pid, std::process::id());
+}
+
+#[test]
+fn a_scene_that_left_the_manifest_is_not_run() {
+    let yard = Yard::new(&scenes(&["long", "good"], ""));
+    let stop = yard.options.stop.clone();
+    yard.run(&mut |_| stop.raise(StopLevel::Stop)).expect("it runs");
+    std::fs::write(yard.dir.path().join("batch.toml"), scenes(&["good"], "")).expect("a manifest");
+    let yard = Yard { options: BatchOptions { stop: StopBatch::default(), ..yard.options.clone() }, ..yard };
+    let summary = yard.run(&mut |_| {}).expect("it runs");
+    assert_eq!(summary.scenes.iter().map(|s| s.job.id.as_str()).collect::<Vec<_>>(), ["good"]);
+}
+
+#[test]
+fn a_folder_that_is_none_is_said_to_be_none() {
+    assert!(BatchFolder::open(Path::new("/nowhere")).is_none());
+}

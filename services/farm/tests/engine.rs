@@ -1,0 +1,143 @@
+//! The embedded engine goes through the conformance suite, and the suite finds engines that are broken.
+
+use segwild_farm::conformance::{Site, broken};
+use segwild_farm::{
+    Change, Completed, EmbeddedEngine, Engine, EngineError, ErrorClass, Fate, Job, JobStatus, Lease, Needs,
+    Offer, Published, Retry, SimulatedClock,
+};
+use std::sync::Arc;
+
+/// What is wrong with the engine of a site.
+#[derive(Clone, Copy, PartialEq)]
+enum Fault {
+    None,
+    /// Completes for whoever asks.
+    NoFence,
+    /// A stop counts as a failure.
+    StopCosts,
+    /// Heartbeats are not heard.
+    DeafToHeartbeats,
+    /// Gives jobs to workers that have no room.
+    NoRoomNeeded,
+}
+
+struct Here {
+    folder: tempfile::TempDir,
+    clock: SimulatedClock,
+    fault: Fault,
+}
+
+impl Here {
+    fn site(fault: Fault) -> Box<dyn Site> {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        Box::new(Here { folder, clock: SimulatedClock::new(1.7e9), fault })
+    }
+
+    fn embedded(&self) -> EmbeddedEngine {
+        let path = self.folder.path().join("jobs.sqlite");
+        EmbeddedEngine::with_clock(path, Arc::new(self.clock.clone())).expect("an engine")
+    }
+}
+
+impl Site for Here {
+    fn engine(&self) -> Box<dyn Engine> {
+        match self.fault {
+            Fault::None => Box::new(self.embedded()),
+            fault => Box::new(Faulty(self.embedded(), fault)),
+        }
+    }
+
+    fn pass(&self, seconds: f64) {
+        self.clock.pass(seconds);
+    }
+}
+
+struct Faulty(EmbeddedEngine, Fault);
+
+impl Engine for Faulty {
+    fn publish(&self, job: &Job) -> Result<Published, EngineError> {
+        self.0.publish(job)
+    }
+    fn claim(&self, offer: &Offer) -> Result<Option<Lease>, EngineError> {
+        let room = Needs { cores: u32::MAX, memory_bytes: i64::MAX as u64, accelerators: u32::MAX };
+        let free = if self.1 == Fault::NoRoomNeeded { room } else { offer.free };
+        self.0.claim(&Offer { free, ..offer.clone() })
+    }
+    fn heartbeat(&self, lease: &Lease) -> Result<f64, EngineError> {
+        if self.1 == Fault::DeafToHeartbeats { Ok(lease.until) } else { self.0.heartbeat(lease) }
+    }
+    fn complete(&self, lease: &Lease, outcome: &str) -> Result<Completed, EngineError> {
+        if self.1 != Fault::NoFence {
+            return self.0.complete(lease, outcome);
+        }
+        let current = self.0.jobs()?.into_iter().find(|j| j.job.id == lease.job.id).map_or(0, |j| j.attempt);
+        self.0.complete(&Lease { attempt: current, ..lease.clone() }, outcome)
+    }
+    fn fail(&self, lease: &Lease, class: ErrorClass, error: &str) -> Result<Fate, EngineError> {
+        let costs = self.1 == Fault::StopCosts && class == ErrorClass::Stopped;
+        self.0.fail(lease, if costs { ErrorClass::Retryable } else { class }, error)
+    }
+    fn revive(&self, id: &str) -> Result<(), EngineError> {
+        self.0.revive(id)
+    }
+    fn watch(&self, after: u64, limit: usize) -> Result<Vec<Change>, EngineError> {
+        self.0.watch(after, limit)
+    }
+    fn jobs(&self) -> Result<Vec<JobStatus>, EngineError> {
+        self.0.jobs()
+    }
+}
+
+#[test]
+fn the_embedded_engine_conforms() {
+    assert_eq!(broken(&|| Here::site(Fault::None)), []);
+}
+
+#[test]
+fn the_suite_finds_what_is_broken() {
+    for (fault, word) in [
+        (Fault::NoFence, "zombie"),
+        (Fault::StopCosts, "stopped costs no attempt"),
+        (Fault::DeafToHeartbeats, "heartbeat holds"),
+        (Fault::NoRoomNeeded, "does not fit"),
+    ] {
+        let found = broken(&|| Here::site(fault));
+        assert!(found.iter().any(|(name, _)| name.contains(word)), "`{word}` was not found: {found:?}");
+    }
+}
+
+fn job(id: &str) -> Job {
+    let needs = Needs { cores: 1, ..Needs::default() };
+    Job { id: id.into(), payload: String::new(), priority: 0, needs, retry: Retry::default() }
+}
+
+#[test]
+fn what_was_published_survives_its_process() {
+    let site =
+        Here { folder: tempfile::tempdir().unwrap(), clock: SimulatedClock::new(0.0), fault: Fault::None };
+    site.embedded().publish(&job("a")).unwrap();
+    let offer = Offer { worker: "w".into(), free: Needs { cores: 1, ..Needs::default() }, lease_s: 1e9 };
+    let lease = site.embedded().claim(&offer).unwrap().expect("a lease");
+    // The worker's process is gone, and whoever holds the batch's lock knows it.
+    let engine = site.embedded();
+    assert_eq!(engine.release_all("the batch was killed").unwrap(), 1);
+    let again = engine.claim(&offer).unwrap().expect("it can be claimed at once");
+    assert_eq!((again.attempt, engine.jobs().unwrap()[0].failures), (2, 0));
+    assert!(matches!(engine.complete(&lease, "late"), Err(EngineError::Lost { .. })));
+}
+
+#[test]
+fn another_format_is_refused_in_words() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("jobs.sqlite");
+    drop(EmbeddedEngine::open(&path).unwrap());
+    rusqlite::Connection::open(&path).unwrap().pragma_update(None, "user_version", 9).unwrap();
+    let message = EmbeddedEngine::open(&path).map(drop).unwrap_err().to_string();
+    assert!(message.contains("format 9") && message.contains("format 1"), "{message}");
+    assert!(matches!(
+        EmbeddedEngine::open_read_only(folder.path().join("none")),
+        Err(EngineError::Missing { .. })
+    ));
+    std::fs::write(&path, "this is no database at all, however long one makes it").unwrap();
+    assert!(matches!(EmbeddedEngine::open(&path), Err(EngineError::Store { .. })));
+}

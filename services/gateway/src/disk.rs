@@ -1,0 +1,33 @@
+//! How full the disk is.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+/// The disk that a folder lies on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Disk {
+    /// Bytes that may still be written.
+    pub free_bytes: u64,
+    /// Bytes in all.
+    pub size_bytes: u64,
+}
+
+impl Disk {
+    /// `None` where the system does not tell.
+    #[cfg(unix)]
+    pub fn of(folder: &Path) -> Option<Disk> {
+        let told = rustix::fs::statvfs(folder).ok()?;
+        let block = told.f_frsize;
+        Some(Disk {
+            free_bytes: told.f_bavail.saturating_mul(block),
+            size_bytes: told.f_blocks.saturating_mul(block),
+        })
+    }
+
+    /// `None` where the system does not tell.
+    #[cfg(not(unix))]
+    pub fn of(_: &Path) -> Option<Disk> {
+        None
+    }
+}

@@ -1,0 +1,160 @@
+//! The view by HTTP: `/metrics`, `/livez`, `/readyz`, `/api/v1/status`.
+
+use std::fmt::Write as _;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::thread::JoinHandle;
+
+use axum::Router;
+use axum::extract::State;
+use axum::http::{StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use axum::routing::get;
+use tokio::sync::oneshot;
+
+use crate::metrics;
+use crate::ready::ready;
+use crate::view::{Target, View, ViewError};
+
+/// Why nothing is served.
+#[derive(Debug, thiserror::Error)]
+pub enum ServeError {
+    /// The address cannot be listened on.
+    #[error("cannot listen on {address}: {source}")]
+    Listen {
+        /// The address.
+        address: SocketAddr,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// The server's thread cannot be started.
+    #[error("cannot start the HTTP server: {0}")]
+    Start(std::io::Error),
+}
+
+/// How a server answers.
+#[derive(Clone, Debug)]
+struct Served {
+    folder: PathBuf,
+    per_scene: bool,
+}
+
+impl Served {
+    /// Read anew for every request: the folder may not be there yet.
+    fn view(&self) -> Result<View, ViewError> {
+        Target::at(&self.folder)?.view()
+    }
+}
+
+/// A running server; dropping it ends it.
+pub struct Server {
+    address: SocketAddr,
+    stop: Option<oneshot::Sender<()>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Server {
+    /// Where it listens; the port that was chosen when 0 was asked for.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        drop(self.stop.take());
+        if let Some(thread) = self.thread.take() {
+            // A server that panicked has said so on stderr already.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Serves the view of a run's or a batch's folder on a thread of its own. With `per_scene`, the metrics of a batch
+/// carry the scene's name: one time series per scene, which many scenes make many of.
+///
+/// # Errors
+/// When the address cannot be listened on.
+pub fn serve(address: SocketAddr, folder: PathBuf, per_scene: bool) -> Result<Server, ServeError> {
+    let listener = std::net::TcpListener::bind(address)
+        .and_then(|listener| listener.set_nonblocking(true).map(|()| listener))
+        .map_err(|source| ServeError::Listen { address, source })?;
+    let address = listener.local_addr().map_err(ServeError::Start)?;
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        // Reading a ledger is short, and few look at once.
+        .max_blocking_threads(2)
+        .build()
+        .map_err(ServeError::Start)?;
+    let (stop, stopped) = oneshot::channel::<()>();
+    let routes = Router::new()
+        .route("/", get(index))
+        .route("/livez", get(async || "ok\n"))
+        .route("/metrics", get(metrics_text))
+        .route("/readyz", get(readiness))
+        .route("/api/v1/status", get(status))
+        .with_state(Arc::new(Served { folder, per_scene }));
+    let body = move || {
+        runtime.block_on(async {
+            let Ok(listener) = tokio::net::TcpListener::from_std(listener) else { return };
+            let served = async {
+                // Only an accept loop that gave up ends here; it has nothing more to say.
+                let _ = axum::serve(listener, routes).await;
+            };
+            // Open connections are not waited for: the work is over.
+            tokio::select! {
+                () = served => {}
+                _ = stopped => {}
+            }
+        });
+        runtime.shutdown_background();
+    };
+    let thread = std::thread::Builder::new().name("http".into()).spawn(body).map_err(ServeError::Start)?;
+    Ok(Server { address, stop: Some(stop), thread: Some(thread) })
+}
+
+async fn index() -> Response {
+    let page = "segwild\n\n/metrics         for Prometheus\n/livez           the process answers\n\
+                /readyz          each check, and whether it holds\n/api/v1/status   everything, as JSON\n";
+    page.into_response()
+}
+
+/// The view, read off the server's own thread.
+async fn look<T: Send + 'static>(
+    served: Arc<Served>,
+    show: impl FnOnce(Result<&View, &ViewError>, &Served) -> T + Send + 'static,
+) -> Result<T, Response> {
+    let seen = tokio::task::spawn_blocking(move || {
+        let view = served.view();
+        show(view.as_ref(), &served)
+    });
+    seen.await
+        .map_err(|_| (StatusCode::INTERNAL_SERVER_ERROR, "the view could not be made\n").into_response())
+}
+
+async fn metrics_text(State(served): State<Arc<Served>>) -> Result<Response, Response> {
+    let text = look(served, |view, served| metrics::render(view.ok(), served.per_scene)).await?;
+    Ok(([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text).into_response())
+}
+
+async fn readiness(State(served): State<Arc<Served>>) -> Result<Response, Response> {
+    let checks = look(served, |view, _| ready(view)).await?;
+    let mut text = String::new();
+    for check in &checks {
+        let _ = writeln!(text, "[{}] {}: {}", if check.ok { '+' } else { '-' }, check.name, check.says);
+    }
+    let code = if checks.iter().all(|c| c.ok) { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
+    Ok((code, text).into_response())
+}
+
+async fn status(State(served): State<Arc<Served>>) -> Result<Response, Response> {
+    let json = |view: Result<&View, &ViewError>, _: &Served| match view {
+        Ok(view) => (StatusCode::OK, serde_json::to_string(view).unwrap_or_default()),
+        Err(error) => {
+            (StatusCode::SERVICE_UNAVAILABLE, serde_json::json!({ "error": error.to_string() }).to_string())
+        }
+    };
+    let (code, text) = look(served, json).await?;
+    Ok((code, [(header::CONTENT_TYPE, "application/json")], text).into_response())
+}

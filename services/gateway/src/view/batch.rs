@@ -1,0 +1,171 @@
+//! A batch and its scenes.
+
+use std::path::PathBuf;
+
+use segwild_farm::{BatchFolder, ChangeKind, Engine, JobState, JobStatus, Needs, SceneJob};
+use serde::{Deserialize, Serialize};
+
+use super::{Disk, RunView, name_of};
+use crate::{ViewError, why};
+
+/// How a scene of a batch is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SceneState {
+    /// Waits for its turn, for room, or for the end of its rest.
+    Waiting,
+    /// A process works on it.
+    Running,
+    /// Done.
+    Done,
+    /// Given up: a dead letter.
+    Dead,
+}
+
+impl SceneState {
+    /// Every state.
+    pub const ALL: [SceneState; 4] = [Self::Waiting, Self::Running, Self::Done, Self::Dead];
+
+    /// As a word.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Waiting => "waiting",
+            Self::Running => "running",
+            Self::Done => "done",
+            Self::Dead => "dead",
+        }
+    }
+}
+
+/// A scene of a batch.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SceneView {
+    /// Its name.
+    pub name: String,
+    /// How it is.
+    pub state: SceneState,
+    /// Higher goes first.
+    pub priority: i32,
+    /// What it needs.
+    pub needs: Needs,
+    /// How often it was begun.
+    pub attempt: u32,
+    /// Failed attempts that count.
+    pub failures: u32,
+    /// Attempts that may fail.
+    pub attempts: u32,
+    /// Why the last attempt failed.
+    pub error: Option<String>,
+    /// Seconds until it is tried again, if it rests.
+    pub rests_s: Option<f64>,
+    /// When the last attempt began, in seconds since 1970.
+    pub started: Option<f64>,
+    /// How long the last attempt has taken, in seconds.
+    pub wall_s: Option<f64>,
+    /// Why it waits, if it does.
+    pub why: Option<String>,
+    /// Its run folder.
+    pub out: PathBuf,
+    /// Its run, if it was ever begun.
+    pub run: Option<Box<RunView>>,
+}
+
+/// A batch, as it is or as it was left.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct BatchView {
+    /// Its name: the folder's.
+    pub name: String,
+    /// Its folder.
+    pub folder: PathBuf,
+    /// When it was looked at, in seconds since 1970.
+    pub time: f64,
+    /// The process that runs it.
+    pub owner: Option<String>,
+    /// When that process, or the last one, began, in seconds since 1970.
+    pub began: Option<f64>,
+    /// What may be used of the machine.
+    pub budget: Needs,
+    /// What of it is given to scenes now.
+    pub used: Needs,
+    /// The scenes, in the order of the manifest in which they first were.
+    pub scenes: Vec<SceneView>,
+    /// Leases that ran out, ever.
+    pub leases_expired: u64,
+    /// Attempts that failed and were followed by another one, ever.
+    pub retries: u64,
+    /// The disk under the folder.
+    pub disk: Option<Disk>,
+}
+
+impl BatchView {
+    /// Reads a batch's folder as it is at a time.
+    ///
+    /// # Errors
+    /// When the engine's file, or a run's ledger, cannot be read.
+    pub fn read(folder: &BatchFolder, now: f64) -> Result<BatchView, ViewError> {
+        let owner = folder.owner();
+        let engine = folder.engine()?;
+        let (record, jobs) = (folder.record(), engine.jobs()?);
+        let changes = engine.watch(0, usize::MAX)?;
+        let count = |kind| changes.iter().filter(|c| c.kind == kind).count() as u64;
+        let mut scenes: Vec<SceneView> = jobs.iter().map(|job| scene(job, owner.is_some(), now)).collect();
+        let budget = record.as_ref().map(|r| r.budget).unwrap_or_default();
+        let mut used = Needs::default();
+        for scene in scenes.iter().filter(|s| s.state == SceneState::Running) {
+            used.cores += scene.needs.cores;
+            used.memory_bytes += scene.needs.memory_bytes;
+            used.accelerators += scene.needs.accelerators;
+        }
+        why::scenes(&mut scenes, &budget, &used, owner.is_some());
+        let whole = std::path::absolute(folder.path()).unwrap_or_else(|_| folder.path().to_owned());
+        Ok(BatchView {
+            name: name_of(&whole),
+            time: now,
+            owner,
+            began: record.map(|r| r.began),
+            budget,
+            used,
+            scenes,
+            leases_expired: count(ChangeKind::Expired),
+            retries: count(ChangeKind::Retried),
+            disk: Disk::of(&whole),
+            folder: whole,
+        })
+    }
+
+    /// How many scenes are in a state.
+    pub fn count(&self, state: SceneState) -> usize {
+        self.scenes.iter().filter(|s| s.state == state).count()
+    }
+}
+
+fn scene(status: &JobStatus, batch_runs: bool, now: f64) -> SceneView {
+    let job = &status.job;
+    let out = serde_json::from_str::<SceneJob>(&job.payload).map(|s| s.out).unwrap_or_default();
+    // A run that cannot be read now (it is being made) is shown as not begun.
+    let run = RunView::read(&out, now).ok().map(Box::new);
+    let state = match status.state {
+        JobState::Done => SceneState::Done,
+        JobState::Dead => SceneState::Dead,
+        // A lease that a killed batch left behind is no work.
+        JobState::Leased if batch_runs => SceneState::Running,
+        JobState::Leased | JobState::Pending => SceneState::Waiting,
+    };
+    let end = if state == SceneState::Running { Some(now) } else { status.ended };
+    SceneView {
+        name: job.id.clone(),
+        state,
+        priority: job.priority,
+        needs: job.needs,
+        attempt: status.attempt,
+        failures: status.failures,
+        attempts: job.retry.attempts,
+        error: status.error.clone(),
+        rests_s: Some(status.due - now).filter(|&s| s > 0.0 && state == SceneState::Waiting),
+        started: status.started,
+        wall_s: status.started.zip(end).map(|(a, b)| (b - a).max(0.0)),
+        why: None,
+        out,
+        run,
+    }
+}

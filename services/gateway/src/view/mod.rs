@@ -1,0 +1,123 @@
+//! The view: what a run or a batch is doing, or did, read from its ledger.
+//!
+//! Whatever shows something to an operator shows this, so that no two displays disagree.
+
+mod batch;
+mod run;
+
+use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use segwild_farm::{BatchFolder, EngineError};
+use segwild_flow::LedgerError;
+use segwild_pipeline::RunFolder;
+use serde::{Deserialize, Serialize};
+
+pub use crate::disk::Disk;
+pub use batch::{BatchView, SceneState, SceneView};
+pub use run::{ActorView, MailboxView, PhotoFailure, RunState, RunView, StageView, Told, WorkerView};
+
+/// A sample older than this, in seconds, says that a run which should be watched is not.
+pub const STALE_S: f64 = 15.0;
+
+/// Why there is no view.
+#[derive(Debug, thiserror::Error)]
+pub enum ViewError {
+    /// The folder is neither a run's nor a batch's.
+    #[error("{}: this is no run folder and no batch folder; `segwild run SCENE --out FOLDER` makes the one, `segwild batch MANIFEST --out FOLDER` the other", .0.display())]
+    NoFolder(PathBuf),
+    /// A run's ledger cannot be read.
+    #[error(transparent)]
+    Ledger(#[from] LedgerError),
+    /// A batch's engine cannot be read.
+    #[error(transparent)]
+    Engine(#[from] EngineError),
+}
+
+/// What is looked at.
+#[derive(Clone, Debug)]
+pub enum Target {
+    /// A run's folder.
+    Run(PathBuf),
+    /// A batch's folder.
+    Batch(BatchFolder),
+}
+
+impl Target {
+    /// Finds out what a folder is.
+    ///
+    /// # Errors
+    /// When it is neither a run's nor a batch's.
+    pub fn at(path: &Path) -> Result<Target, ViewError> {
+        if let Some(batch) = BatchFolder::open(path) {
+            return Ok(Target::Batch(batch));
+        }
+        match RunFolder::open(path) {
+            Ok(_) => Ok(Target::Run(path.to_owned())),
+            Err(_) => Err(ViewError::NoFolder(path.to_owned())),
+        }
+    }
+
+    /// How it is now.
+    ///
+    /// # Errors
+    /// When its ledger cannot be read.
+    pub fn view(&self) -> Result<View, ViewError> {
+        Ok(match self {
+            Target::Run(path) => View::Run(Box::new(RunView::read(path, now())?)),
+            Target::Batch(folder) => View::Batch(BatchView::read(folder, now())?),
+        })
+    }
+
+    /// The folder.
+    pub fn path(&self) -> &Path {
+        match self {
+            Target::Run(path) => path,
+            Target::Batch(folder) => folder.path(),
+        }
+    }
+}
+
+/// A run or a batch at one time.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum View {
+    /// One scene.
+    Run(Box<RunView>),
+    /// Many.
+    Batch(BatchView),
+}
+
+impl View {
+    /// The runs that it shows: one, or those of a batch that have begun.
+    pub fn runs(&self) -> Vec<&RunView> {
+        match self {
+            View::Run(run) => vec![run],
+            View::Batch(batch) => batch.scenes.iter().filter_map(|s| s.run.as_deref()).collect(),
+        }
+    }
+
+    /// When it was taken, in seconds since 1970.
+    pub fn time(&self) -> f64 {
+        match self {
+            View::Run(run) => run.time,
+            View::Batch(batch) => batch.time,
+        }
+    }
+
+    /// Whether a process works on it now.
+    pub fn is_running(&self) -> bool {
+        match self {
+            View::Run(run) => run.state == RunState::Running,
+            View::Batch(batch) => batch.owner.is_some(),
+        }
+    }
+}
+
+pub(crate) fn now() -> f64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |d| d.as_secs_f64())
+}
+
+pub(crate) fn name_of(path: &Path) -> String {
+    path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned())
+}

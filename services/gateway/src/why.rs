@@ -1,0 +1,130 @@
+//! Why each waiting thing waits, in words.
+
+use segwild_farm::Needs;
+use segwild_flow::WorkerState;
+use segwild_flow::ledger::LiveMailbox;
+use segwild_pipeline::{needs, stages_of};
+
+use crate::view::{ActorView, SceneState, SceneView, StageView};
+use crate::words::{bytes, duration};
+
+/// How far a stage is: `geometry 120/500 (8.0 s left)`.
+fn how_far(stage: &StageView) -> String {
+    let mut text = stage.name.clone();
+    if stage.state != "running" {
+        return text;
+    }
+    if let Some(total) = stage.total {
+        text += &format!(" {}/{total}", stage.done);
+    }
+    if let Some(s) = stage.eta_s.filter(|s| s.is_finite()) {
+        text += &format!(" ({} left)", duration(s));
+    }
+    text
+}
+
+/// Stages that have not begun wait for those before them.
+pub(crate) fn stages(all: &mut [StageView], running: bool) {
+    let before = all.to_vec();
+    for stage in all.iter_mut().filter(|s| s.state == "waiting" || s.state == "pending") {
+        if !running {
+            stage.why = Some("no process works on this run".into());
+            continue;
+        }
+        let open: Vec<String> = needs(&stage.name)
+            .iter()
+            .filter_map(|need| before.iter().find(|s| s.name == *need && s.state != "done"))
+            .map(how_far)
+            .collect();
+        stage.why = Some(match (stage.name.as_str(), open.is_empty()) {
+            (_, true) => "about to begin, or not asked for".into(),
+            ("masks", false) => format!("waits for the snapshot of {}", open.join(", ")),
+            (_, false) => format!("waits for {}", open.join(", ")),
+        });
+    }
+}
+
+/// Workers wait for messages, for room, for a rest to end, or in the middle of their work.
+pub(crate) fn actors(all: &mut [ActorView], mailboxes: &[LiveMailbox], stages: &[StageView], running: bool) {
+    for actor in all.iter_mut() {
+        if !running || actor.exit != "running" {
+            continue;
+        }
+        let rest = actor.last_error.as_deref().map_or(String::new(), |e| format!(" after {e}"));
+        for worker in &mut actor.workers {
+            worker.why = match worker.state {
+                WorkerState::Busy if worker.stuck => {
+                    Some(format!("stuck: no progress on `{}` for {}", worker.item, duration(worker.for_s)))
+                }
+                WorkerState::Busy | WorkerState::Ended => None,
+                WorkerState::Starting => Some("is being built (a model loads)".into()),
+                WorkerState::BackOff => Some(format!("rests before another attempt{rest}")),
+                WorkerState::Blocked => Some(no_room(&worker.item, mailboxes)),
+                WorkerState::Waiting if !worker.item.is_empty() => Some(format!("waits for {}", worker.item)),
+                WorkerState::Waiting => Some(no_work(&actor.name, stages)),
+            };
+        }
+    }
+}
+
+/// A blocked worker names what it waits for.
+fn no_room(mailbox: &str, mailboxes: &[LiveMailbox]) -> String {
+    match mailboxes.iter().find(|m| m.name == mailbox) {
+        Some(m) => format!(
+            "waits for room at `{mailbox}`: {} of {} messages, {} of {}",
+            m.depth,
+            m.capacity,
+            bytes(m.bytes),
+            bytes(m.capacity_bytes)
+        ),
+        // What is waited for is a mailbox, or else what another actor makes.
+        None => format!("waits for {mailbox}"),
+    }
+}
+
+/// An empty mailbox: the next stage of the actor says why.
+fn no_work(actor: &str, stages: &[StageView]) -> String {
+    let next = stages_of(actor)
+        .iter()
+        .find_map(|name| stages.iter().find(|s| s.name == *name && s.state != "done" && s.state != "failed"));
+    match next {
+        None => "no work left".into(),
+        Some(StageView { name, why: Some(_), .. }) => format!("no work until {name} can begin"),
+        Some(stage) => format!("no work: the next of {} is not there yet", how_far(stage)),
+    }
+}
+
+/// Scenes wait for their turn, for room, or for the end of a rest.
+pub(crate) fn scenes(all: &mut [SceneView], budget: &Needs, used: &Needs, batch_runs: bool) {
+    let free = used.taken_from(budget);
+    for scene in all.iter_mut() {
+        let in_use = scene.run.as_ref().and_then(|run| run.owner.clone());
+        scene.why = match scene.state {
+            SceneState::Done => None,
+            SceneState::Dead => scene.error.as_ref().map(|e| format!("given up: {e}")),
+            SceneState::Running if in_use.is_none() => Some("its process is starting or stopping".into()),
+            SceneState::Running => None,
+            SceneState::Waiting if !batch_runs => Some("no process runs this batch".into()),
+            SceneState::Waiting => Some(match (scene.rests_s, &scene.error) {
+                (Some(s), Some(error)) => format!("tries again in {} after: {error}", duration(s)),
+                (Some(s), None) => format!("begins in {}", duration(s)),
+                (None, _) => lacking(&scene.needs, &free),
+            }),
+        };
+    }
+}
+
+fn lacking(needs: &Needs, free: &Needs) -> String {
+    let mut lacks = Vec::new();
+    if needs.cores > free.cores {
+        let s = if needs.cores == 1 { "" } else { "s" };
+        lacks.push(format!("{} core{s} ({} free)", needs.cores, free.cores));
+    }
+    if needs.memory_bytes > free.memory_bytes {
+        lacks.push(format!("{} of memory ({} free)", bytes(needs.memory_bytes), bytes(free.memory_bytes)));
+    }
+    if needs.accelerators > free.accelerators {
+        lacks.push(format!("{} accelerators ({} free)", needs.accelerators, free.accelerators));
+    }
+    if lacks.is_empty() { "about to begin".into() } else { format!("waits for {}", lacks.join(", ")) }
+}
