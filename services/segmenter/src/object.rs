@@ -76,8 +76,6 @@ pub fn amodal_mask(
     if keep.is_empty() {
         return Ok(Mask::empty(camera.width, camera.height));
     }
-    let object = splats.select(&keep);
-    let ones = vec![1.0; object.len()];
-    let frame = engine.project(&object, camera, pose, options)?.blend(&Channels { count: 1, values: &ones });
-    Ok(Mask::over(camera.width, camera.height, frame.image.plane(0), HALF))
+    // Alone, nothing hides it.
+    visible_mask(engine, &splats.select(&keep), &vec![true; keep.len()], options, camera, pose)
 }
