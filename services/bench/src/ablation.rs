@@ -148,21 +148,22 @@ fn mean(cells: &[&Cell], pick: impl Fn(&ObjectScore) -> f64) -> f64 {
 /// The table in Markdown: a row per variant, means over all objects and seeds; then each object under `full`.
 pub fn markdown(cells: &[Cell]) -> String {
     let mut text = String::from(
-        "| row | what changes | IoU | amodal IoU | accuracy | Boundary IoU | IoU in 3D | hidden wall | worst object |\n\
-         |---|---|---:|---:|---:|---:|---:|---:|---:|\n",
+        "| row | what changes | IoU | Boundary IoU | accuracy | amodal IoU | amodal Boundary IoU | IoU in 3D | hidden wall | worst object |\n\
+         |---|---|---:|---:|---:|---:|---:|---:|---:|---:|\n",
     );
     for variant in VARIANTS {
         let rows: Vec<&Cell> = cells.iter().filter(|c| c.variant == variant.name).collect();
         let Some(worst) = rows.iter().min_by(|a, b| a.score.iou.total_cmp(&b.score.iou)) else { continue };
         let _ = writeln!(
             text,
-            "| {} | {} | {:.3} | {:.3} | {:.4} | {:.3} | {:.3} | {:.4} | {} {:.3} |",
+            "| {} | {} | {:.3} | {:.3} | {:.4} | {:.3} | {:.3} | {:.3} | {:.4} | {} {:.3} |",
             variant.name,
             variant.meaning,
             mean(&rows, |s| s.iou),
-            mean(&rows, |s| s.amodal_iou),
-            mean(&rows, |s| s.accuracy),
             mean(&rows, |s| s.boundary_iou),
+            mean(&rows, |s| s.accuracy),
+            mean(&rows, |s| s.amodal_iou),
+            mean(&rows, |s| s.amodal_boundary_iou),
             mean(&rows, |s| s.label_iou),
             rows.iter().map(|c| c.score.hidden).fold(0.0, f64::max),
             worst.score.object,

@@ -13,7 +13,7 @@ use segwild_scene::{BoxPrompt, Mask, PointPrompt, Prompts, SceneError, Splats};
 use segwild_vision::{Providers, VisionError};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// Who looks at the photos of a trial.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -80,13 +80,15 @@ pub struct ObjectScore {
     pub accuracy: f64,
     /// Mean Boundary IoU.
     pub boundary_iou: f64,
-    /// Mean IoU of the object drawn alone.
+    /// Mean IoU of the object drawn alone with what would be seen of it if nothing else were there.
     pub amodal_iou: f64,
+    /// Mean Boundary IoU of the same.
+    pub amodal_boundary_iou: f64,
     /// IoU in 3D: splats by their nearest true surface, weighted by opacity.
     pub label_iou: f64,
     /// Share of the hidden wall's splats that were selected.
     pub hidden: f64,
-    /// Splats that the spike cut shortened or dropped.
+    /// Splats that the spike cut shortened, dropped or took a piece of.
     pub cut: usize,
 }
 
@@ -97,6 +99,8 @@ pub struct Trial {
     folder: RunFolder,
     scene_dir: PathBuf,
     oracle: Option<Arc<Oracle>>,
+    /// What would be seen of each instance alone, traced when first asked for.
+    alone: Vec<OnceLock<Vec<Mask>>>,
 }
 
 impl Trial {
@@ -113,7 +117,8 @@ impl Trial {
         let folder = RunFolder::create(&dir.join("run"))?;
         let oracle =
             (providers == ProviderKind::Oracle).then(|| Arc::new(Oracle::new(&scene, faults.clone())));
-        Ok(Trial { scene, manifest, folder, scene_dir, oracle })
+        let alone = scene.instances.iter().map(|_| OnceLock::new()).collect();
+        Ok(Trial { scene, manifest, folder, scene_dir, oracle, alone })
     }
 
     /// The scene and its truth.
@@ -217,9 +222,10 @@ impl Trial {
     fn masks(&self, id: u16, score: &mut ObjectScore) -> Result<(), TrialError> {
         let (object, clicked) = (score.object.clone(), score.clicked.clone());
         let target = self.folder.selection(&object);
-        let mut sums = [0.0; 4];
+        let mut sums = [0.0; 5];
         let (mut count, mut worst) = (0, 1.0f64);
-        for photo in self.scene.photos.iter().filter(|p| p.name != clicked) {
+        let whole = self.alone[usize::from(id)].get_or_init(|| self.scene.amodal(id));
+        for (photo, whole) in self.scene.photos.iter().zip(whole).filter(|p| p.0.name != clicked) {
             let truth = photo.mask(id);
             if truth.count() * LEAST < photo.instances.len() {
                 continue;
@@ -227,24 +233,22 @@ impl Trial {
             let file = Path::new(&photo.name).with_extension("png");
             let visible = Mask::read_png(&target.join("masks").join(&file))?;
             let alone = Mask::read_png(&target.join("amodal").join(&file))?;
-            let compare = |mask: &Mask| {
-                metrics::score(mask, &truth, None).map_err(|source| TrialError::Metric {
+            let compare = |mask: &Mask, truth: &Mask| {
+                metrics::score(mask, truth, None).map_err(|source| TrialError::Metric {
                     object: object.clone(),
                     photo: photo.name.clone(),
                     source,
                 })
             };
-            let (seen, alone) = (compare(&visible)?, compare(&alone)?);
-            for (sum, x) in sums.iter_mut().zip([seen.iou, seen.accuracy, seen.boundary_iou, alone.iou]) {
-                *sum += x;
-            }
+            let (seen, alone) = (compare(&visible, &truth)?, compare(&alone, whole)?);
+            let found = [seen.iou, seen.accuracy, seen.boundary_iou, alone.iou, alone.boundary_iou];
+            sums.iter_mut().zip(found).for_each(|(sum, x)| *sum += x);
             worst = worst.min(seen.iou);
             count += 1;
         }
         if count > 0 {
-            let [iou, accuracy, boundary, amodal] = sums.map(|s| s / f64::from(count));
-            (score.iou, score.accuracy, score.boundary_iou, score.amodal_iou) =
-                (iou, accuracy, boundary, amodal);
+            [score.iou, score.accuracy, score.boundary_iou, score.amodal_iou, score.amodal_boundary_iou] =
+                sums.map(|s| s / f64::from(count));
             (score.photos, score.worst) = (count as usize, worst);
         }
         Ok(())
@@ -274,6 +278,7 @@ impl Session<'_> {
             accuracy: 0.0,
             boundary_iou: 0.0,
             amodal_iou: 0.0,
+            amodal_boundary_iou: 0.0,
             label_iou: 0.0,
             hidden: 0.0,
             cut: 0,
@@ -281,7 +286,7 @@ impl Session<'_> {
         let (settings, providers) = (&self.settings.segment, Some(&self.providers));
         match segment(&trial.folder, name, &[prompts], settings, providers, &Stopper::new()) {
             Ok(outcome) => {
-                score.cut = outcome.cut + outcome.dropped;
+                score.cut = outcome.cut + outcome.dropped + outcome.joined;
                 trial.masks(object.id, &mut score)?;
                 let selected = Selected::read(&trial.folder, name, self.splats.len())?.labels;
                 let opacity = |i: usize| f64::from(self.splats.opacity(i));

@@ -103,6 +103,8 @@ pub struct SegmentOutcome {
     pub cut: usize,
     /// Splats dropped by it.
     pub dropped: usize,
+    /// Splats of something else that reached into the object: the piece inside is now part of it.
+    pub joined: usize,
     /// Photos on which the object shows.
     pub photos: usize,
     /// Photos whose own boundaries took part.
@@ -279,8 +281,9 @@ pub fn segment(
     let outcome = SegmentOutcome {
         folder: target,
         splats: object.splats.len(),
-        cut: cut.changed.len(),
+        cut: cut.changed.len() - cut.joined.len(),
         dropped: cut.dropped.len(),
+        joined: cut.joined.len(),
         photos: shows,
         agreeing: count(Verdict::Accepted),
         disagreeing: count(Verdict::Disagrees),

@@ -3,6 +3,9 @@
 //! One mask is off by a pixel or three, and cuts splats that are right. Here each splat's longest axes are sampled
 //! in 3D, every photo that sees the splat says of each sample whether it lies in its mask, and what most of them put
 //! outside is cut off. The cut itself is the paper's along one axis (Eq. 29-32; method, section 7).
+//!
+//! A splat astride the outline is an error whichever side it is given to: selected it sticks out, left behind it bites a
+//! piece out of the object. So what is mostly something else's but reaches in is cut as well, and the piece inside joins.
 
 use crate::screen::Shape;
 use crate::settings::SpikeMode;
@@ -14,8 +17,9 @@ use segwild_scene::{Camera, Mask, Pose, Splats};
 /// paper's 1.5, the part that is kept would be seen to end a fifth before the outline.
 const EDGE: f64 = 1.177_41;
 
-/// Samples along an axis.
+/// Samples along an axis, and how often the step between two of them is halved to find the end.
 const SAMPLES: usize = 16;
+const HALVINGS: usize = 5;
 
 /// Share of the voices that must put a sample inside for it to stay. Under a half: where something else stands before
 /// the object a photo's mask ends as well, and that is no reason to cut.
@@ -40,9 +44,17 @@ pub struct Juror<'a> {
 }
 
 impl Cut {
-    /// Cuts the splats of `selected` by what most of the photos say. `near` is the distance before which nothing is
-    /// visible. `splats` is untouched; splats that are not finite are left alone.
-    pub fn by_jury(splats: &Splats, selected: &[bool], jury: &[Juror], mode: SpikeMode, near: f32) -> Cut {
+    /// Cuts the splats of `selected` by what most of the photos say, and takes in what of the splats `astride` (none of
+    /// them selected) lies inside. `near` is the distance before which nothing is visible. `splats` is untouched; splats
+    /// that are not finite are left alone.
+    pub fn by_jury(
+        splats: &Splats,
+        selected: &[bool],
+        astride: &[bool],
+        jury: &[Juror],
+        mode: SpikeMode,
+        near: f32,
+    ) -> Cut {
         if mode == SpikeMode::Off {
             return Cut::default();
         }
@@ -50,7 +62,14 @@ impl Cut {
             .iter()
             .map(|j| Juror { camera: j.camera.resized(j.mask.width(), j.mask.height()), ..*j })
             .collect();
-        Cut::of(splats, selected, |i| cut_splat(splats, i, &jury, mode, near))
+        let judge = |i| cut_splat(splats, i, &jury, mode, near);
+        let mut cut = Cut::of(splats, selected, judge);
+        // One that nothing cuts is no spike, and stays whole where it is.
+        let reaching_in = Cut::of(splats, astride, judge).changed;
+        cut.joined = reaching_in.iter().map(|c| c.0).collect();
+        cut.changed.extend(reaching_in);
+        cut.changed.sort_unstable_by_key(|c| c.0);
+        cut
     }
 }
 
@@ -67,12 +86,11 @@ fn cut_splat(splats: &Splats, i: usize, jury: &[Juror], mode: SpikeMode, near: f
     // A splat is as flat as the surface it lies on: its two long axes can stick out, its thickness cannot.
     for axis in order.into_iter().take(2) {
         let Some((from, to)) = verdict(&shape, shape.root.col(axis), i, &heard, near) else { continue };
-        let share = (to - from) as f64 / SAMPLES as f64;
-        if to == from {
+        let share = 0.5 * (to - from) / EDGE;
+        if share <= 0.0 {
             return Outcome::Dropped;
         }
-        let middle = place(0.5 * (from + to) as f64);
-        let mean = shape.mean + shape.root.col(axis) * middle;
+        let mean = shape.mean + shape.root.col(axis) * (0.5 * (from + to));
         let root = match mode {
             SpikeMode::Isotropic => shape.root * share,
             _ => {
@@ -91,37 +109,53 @@ fn cut_splat(splats: &Splats, i: usize, jury: &[Juror], mode: SpikeMode, near: f
     }
 }
 
-/// Where the `k`-th edge between samples lies, in standard deviations.
-fn place(k: f64) -> f64 {
-    (2.0 * k / SAMPLES as f64 - 1.0) * EDGE
+/// A juror beside one axis of one splat.
+struct Sight<'a> {
+    juror: &'a Juror<'a>,
+    centre: DVec3,
+    step: DVec3,
+    voice: f32,
 }
 
-/// The longest run of samples along an axis that most photos put inside, `None` where nothing is to be cut.
-fn verdict(shape: &Shape, axis: DVec3, splat: usize, jury: &[&Juror], near: f32) -> Option<(usize, usize)> {
-    let (mut inside, mut all) = ([0.0f32; SAMPLES], [0.0f32; SAMPLES]);
-    for juror in jury {
-        let rotation = juror.pose.rotation.as_dmat3();
-        let centre = rotation * shape.mean + juror.pose.translation.as_dvec3();
-        let step = rotation * axis;
-        let voice = juror.weight * f32::from(juror.voice[splat]) / 255.0;
-        for k in 0..SAMPLES {
-            let p = centre + step * place(k as f64 + 0.5);
-            if p.z.is_nan() || p.z <= f64::from(near) {
-                continue;
-            }
-            let x = (f64::from(juror.camera.fx) * p.x / p.z) as f32 + juror.camera.cx;
-            let y = (f64::from(juror.camera.fy) * p.y / p.z) as f32 + juror.camera.cy;
-            // A photo says nothing of what lies outside its frame.
-            if juror.camera.contains(glam::Vec2::new(x, y)) {
-                all[k] += voice;
-                inside[k] += if juror.mask.at(x, y) { voice } else { 0.0 };
-            }
+/// Whether the jury leaves the place `t` standard deviations along the axis inside.
+fn stays(sights: &[Sight], t: f64, near: f32) -> bool {
+    let (mut inside, mut all) = (0.0, 0.0);
+    for Sight { juror, centre, step, voice } in sights {
+        let p = *centre + *step * t;
+        if p.z.is_nan() || p.z <= f64::from(near) {
+            continue;
+        }
+        let x = (f64::from(juror.camera.fx) * p.x / p.z) as f32 + juror.camera.cx;
+        let y = (f64::from(juror.camera.fy) * p.y / p.z) as f32 + juror.camera.cy;
+        // A photo says nothing of what lies outside its frame.
+        if juror.camera.contains(glam::Vec2::new(x, y)) {
+            all += voice;
+            inside += if juror.mask.at(x, y) { *voice } else { 0.0 };
         }
     }
-    let mut kept = (0..SAMPLES).map(|k| all[k] < QUORUM || inside[k] >= KEEP * all[k]);
+    all < QUORUM || inside >= KEEP * all
+}
+
+/// The longest stretch of an axis, in standard deviations, that the jury leaves inside; `None` where nothing is to be cut. An
+/// empty one lies wholly outside.
+fn verdict(shape: &Shape, axis: DVec3, splat: usize, jury: &[&Juror], near: f32) -> Option<(f64, f64)> {
+    let sights: Vec<Sight> = jury
+        .iter()
+        .map(|juror| {
+            let rotation = juror.pose.rotation.as_dmat3();
+            Sight {
+                juror,
+                centre: rotation * shape.mean + juror.pose.translation.as_dvec3(),
+                step: rotation * axis,
+                voice: juror.weight * f32::from(juror.voice[splat]) / 255.0,
+            }
+        })
+        .collect();
+    let place = |k: f64| (2.0 * k / SAMPLES as f64 - 1.0) * EDGE;
+    let middle = |k: usize| place(k as f64 + 0.5);
     let (mut best, mut from) = ((0, 0), 0);
     for k in 0..=SAMPLES {
-        if k < SAMPLES && kept.next().unwrap_or(false) {
+        if k < SAMPLES && stays(&sights, middle(k), near) {
             continue;
         }
         if k - from > best.1 - best.0 {
@@ -129,5 +163,21 @@ fn verdict(shape: &Shape, axis: DVec3, splat: usize, jury: &[&Juror], near: f32)
         }
         from = k + 1;
     }
-    (best != (0, SAMPLES)).then_some(best)
+    let (from, to) = best;
+    if to == from {
+        return Some((0.0, 0.0));
+    }
+    // The end itself, between the last sample that stays and the first that does not. What is kept lies inside to its
+    // last sample, so that a second cut finds nothing.
+    let end = |inside: usize, outside: usize| {
+        let (mut kept, mut lost) = (middle(inside), middle(outside));
+        for _ in 0..HALVINGS {
+            let between = 0.5 * (kept + lost);
+            *if stays(&sights, between, near) { &mut kept } else { &mut lost } = between;
+        }
+        kept
+    };
+    let low = if from == 0 { -EDGE } else { end(from, from - 1) };
+    let high = if to == SAMPLES { EDGE } else { end(to - 1, to) };
+    (best != (0, SAMPLES)).then_some((low, high))
 }

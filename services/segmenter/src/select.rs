@@ -17,6 +17,10 @@ const CLICK_ALPHA: f32 = 0.1;
 /// Steps that labels are carried along the graph before anything is decided.
 pub(crate) const STEPS: u32 = 64;
 
+/// Share of a splat's evidence that must lie inside, and evidence in views that it must have, for it to count as astride
+/// the outline.
+const ASTRIDE: (f32, f32) = (0.2, 0.2);
+
 /// A camera where it stood.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PosedView {
@@ -175,7 +179,16 @@ pub fn cut(request: &Request, selection: &Selection) -> Result<Cut, SegmentError
         let jury: Vec<Juror> = prompted.chain(others).collect();
         let settings = request.settings;
         let near = request.options.near;
-        return Ok(Cut::by_jury(request.splats, &selection.labels, &jury, settings.spikes, near));
+        let evidence = &selection.evidence;
+        let astride: Vec<bool> = (0..request.splats.len())
+            .map(|i| {
+                let total = evidence.total(i);
+                let barred = selection.labels[i] || request.frozen.is_some_and(|f| f[i]);
+                !barred && total >= ASTRIDE.1 && evidence.inside[i] >= ASTRIDE.0 * total
+            })
+            .collect();
+        let labels = &selection.labels;
+        return Ok(Cut::by_jury(request.splats, labels, &astride, &jury, settings.spikes, near));
     }
     let mut sees = Vec::with_capacity(request.prompts.len());
     for prompt in request.prompts {

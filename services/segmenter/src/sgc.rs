@@ -51,6 +51,9 @@ pub struct Cut {
     /// Splats that leave the selection because (almost) nothing of them lies inside. Ascending; they stay in
     /// the scene as they were.
     pub dropped: Vec<u32>,
+    /// Splats that were not selected but reach into the object: what lies inside, in `changed`, joins the selection.
+    /// Ascending.
+    pub joined: Vec<u32>,
 }
 
 /// A prompted photo and the object's mask on it.
@@ -129,11 +132,10 @@ impl Cut {
         }
     }
 
-    /// Takes the dropped splats out of a selection.
+    /// Takes the dropped splats out of a selection, and those that join it in.
     pub fn trim(&self, labels: &mut [bool]) {
-        for &i in &self.dropped {
-            labels[i as usize] = false;
-        }
+        self.dropped.iter().for_each(|&i| labels[i as usize] = false);
+        self.joined.iter().for_each(|&i| labels[i as usize] = true);
     }
 }
 

@@ -252,6 +252,22 @@ impl SyntheticScene {
         (0..self.instances.len() as u16).filter(is_object).collect()
     }
 
+    /// The pixels that an instance would cover on every photo if only the ground stood there with it, in the order of
+    /// the photos.
+    pub fn amodal(&self, instance: u16) -> Vec<Mask> {
+        use rayon::prelude::*;
+        let world = self.world.alone(instance);
+        let drawn = |photo: &SyntheticPhoto| {
+            let eye = photo.pose.centre() / self.options.units as f32;
+            let back = photo.pose.rotation.transpose();
+            Mask::from_fn(photo.camera.width, photo.camera.height, |x, y| {
+                let towards = back * photo.camera.ray(glam::Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
+                world.closest(eye, towards.normalize()).is_some_and(|hit| hit.solid.is_some())
+            })
+        };
+        self.photos.par_iter().map(drawn).collect()
+    }
+
     /// Part of the surface nearest to a position in file units, and the distance to that surface in file units; a
     /// position inside a solid belongs to that solid.
     pub fn nearest_part(&self, position: DVec3) -> (u16, f64) {

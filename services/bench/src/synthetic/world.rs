@@ -105,6 +105,20 @@ impl World {
         }
     }
 
+    /// The place with one instance only, and the ground.
+    pub fn alone(&self, instance: u16) -> World {
+        let is_of = |i: &usize| self.parts[usize::from(self.part_of[*i])].instance == instance;
+        let keep: Vec<usize> = (0..self.shapes.len()).filter(is_of).collect();
+        let mut world = World {
+            shapes: keep.iter().map(|&i| self.shapes[i].clone()).collect(),
+            part_of: keep.iter().map(|&i| self.part_of[i]).collect(),
+            material_of: keep.iter().map(|&i| self.material_of[i]).collect(),
+            ..self.clone()
+        };
+        world.bvh = Bvh::new(&world.shapes);
+        world
+    }
+
     /// Whether nothing stands between two points, the last `slack` of the way aside.
     pub fn sees(&self, from: Vec3, to: Vec3, slack: f32) -> bool {
         let (way, length) = ((to - from).normalize_or(Vec3::X), (to - from).length());
