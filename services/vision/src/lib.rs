@@ -7,7 +7,7 @@ mod onnx;
 mod provider;
 mod settings;
 
-pub use builtin::{Builtin, EdgeDetector};
+pub use builtin::{Builtin, EdgeDetector, Meaning, Question, Step, Weights};
 pub use networks::{EdgeNetwork, SkyNetwork};
 pub use onnx::Runtime;
 pub use provider::{Embedder, MaskProposer, PromptSegmenter, SkyDetector, VisionError};

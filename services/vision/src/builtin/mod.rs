@@ -31,13 +31,19 @@ pub(crate) use analysis::check;
 use memory::{Memory, Weighed};
 use plane::Plane;
 use segwild_scene::{Embedding, Image, Mask, Prompts, ScoredMask};
+use select::Means;
 use std::borrow::Cow;
 use std::sync::Arc;
+use steps::{Chosen, Offer};
+pub use traits::Step;
+pub use weights::Weights;
 
 /// Changes whenever the same photo would give other bytes.
-const VERSION: &str = "builtin-3";
+const VERSION: &str = "builtin-4";
 /// Memory for analyses when nothing else is said: those of about 30 photos of 320 px, or 8 of 640.
 const MEMORY: usize = 256 << 20;
+/// Memory for answers: some thousand.
+const ANSWERS: usize = 4 << 20;
 /// Photos whose long side is over this are looked at smaller: boundaries are those of things, not of grain.
 const LONG_SIDE: usize = 800;
 
@@ -49,12 +55,37 @@ pub trait EdgeDetector: Send + Sync {
     fn edges(&self, image: &Image) -> Result<Image, VisionError>;
 }
 
+/// What a prompt could have meant.
+#[derive(Clone, Debug)]
+pub struct Meaning {
+    /// Whether each superpixel is inside.
+    pub inside: Vec<bool>,
+    /// What is known of it, in the order of [`Weights`].
+    pub traits: Vec<f32>,
+}
+
+/// What a prompt asked, and everything that it could have meant.
+#[derive(Clone, Debug)]
+pub struct Question {
+    /// The kind of question.
+    pub step: Step,
+    /// Width and height of the photo as it was looked at.
+    pub size: (usize, usize),
+    /// Superpixel of every pixel.
+    pub superpixels: Vec<u32>,
+    /// What it could have meant.
+    pub meanings: Vec<Meaning>,
+}
+
 /// The provider that needs no weights.
 pub struct Builtin {
+    weights: Weights,
     edges: Option<Arc<dyn EdgeDetector>>,
     /// Answers of `edges`, which take far longer than the rest of the analysis and are far smaller than it.
     strengths: Memory<Plane>,
     analyses: Memory<Analysis>,
+    /// What was answered to the prompts of late.
+    answers: Memory<Chosen>,
 }
 
 impl Weighed for Plane {
@@ -65,7 +96,13 @@ impl Weighed for Plane {
 
 impl Default for Builtin {
     fn default() -> Builtin {
-        Builtin { edges: None, strengths: Memory::new(MEMORY / 4), analyses: Memory::new(MEMORY / 4 * 3) }
+        Builtin {
+            weights: Weights::default(),
+            edges: None,
+            strengths: Memory::new(MEMORY / 4),
+            analyses: Memory::new(MEMORY / 4 * 3),
+            answers: Memory::new(ANSWERS),
+        }
     }
 }
 
@@ -86,11 +123,69 @@ impl Builtin {
         Builtin { strengths: Memory::new(bytes / 4), analyses: Memory::new(bytes / 4 * 3), ..self }
     }
 
+    /// Weighs what prompts could mean by other weights than the built-in ones: for learning them.
+    pub fn weighing(self, weights: Weights) -> Builtin {
+        Builtin { weights, ..self }
+    }
+
     fn name(&self, part: &str) -> String {
-        match &self.edges {
-            Some(edges) => format!("{VERSION}-{part}+{}", edges.key()),
-            None => format!("{VERSION}-{part}"),
+        let mut name = format!("{VERSION}-{part}");
+        if self.weights != Weights::default() {
+            name += &format!("-{:?}", self.weights);
         }
+        match &self.edges {
+            Some(edges) => format!("{name}+{}", edges.key()),
+            None => name,
+        }
+    }
+
+    fn select(
+        &self,
+        image: &Image,
+        prompts: &Prompts,
+        hear: Option<&mut select::Listener>,
+    ) -> Result<ScoredMask, VisionError> {
+        let analysis = self.analysis(image)?;
+        let (w, h) = (image.width as f32, image.height as f32);
+        if let Some(p) = prompts.points.iter().find(|p| !(p.x >= 0.0 && p.y >= 0.0 && p.x < w && p.y < h)) {
+            return Err(VisionError::Image(format!(
+                "the click at ({}, {}) lies outside the photo ({w} x {h})",
+                p.x, p.y
+            )));
+        }
+        let (sx, sy) = analysis.scale_from(image);
+        let prompts = prompts.scaled(sx, sy);
+        let photo = content(&*fitted(image)?);
+        let kept = |said: &[u8]| {
+            let key = blake3::Hasher::new().update(photo.as_bytes()).update(said).finalize();
+            self.answers.slot(key)
+        };
+        let answer =
+            select::select(&analysis, &prompts, Means { weights: &self.weights, kept: &kept, hear })?;
+        self.answers.trim();
+        Ok(at_size_of(image, answer))
+    }
+
+    /// The answer to prompts, and the question that the last of them asked; `None` where it agreed with what was chosen
+    /// before it. For learning [`Weights`].
+    pub fn answer(
+        &self,
+        image: &Image,
+        prompts: &Prompts,
+    ) -> Result<(ScoredMask, Option<Question>), VisionError> {
+        let tree = &self.analysis(image)?.tree;
+        let mut last = None;
+        let mut hear = |step: Step, offers: &[Offer]| {
+            let meaning = |o: &Offer| Meaning { inside: o.choice.inside.clone(), traits: o.traits.to_vec() };
+            last = Some(Question {
+                step,
+                size: (tree.width, tree.height),
+                superpixels: tree.labels.to_vec(),
+                meanings: offers.iter().map(meaning).collect(),
+            });
+        };
+        let answer = self.select(image, prompts, Some(&mut hear))?;
+        Ok((answer, last))
     }
 
     /// The analysis of a photo, worked out once; two threads that ask for one photo share the work.
@@ -224,16 +319,7 @@ impl PromptSegmenter for Builtin {
     }
 
     fn segment(&self, image: &Image, prompts: &Prompts) -> Result<ScoredMask, VisionError> {
-        let analysis = self.analysis(image)?;
-        let (w, h) = (image.width as f32, image.height as f32);
-        if let Some(p) = prompts.points.iter().find(|p| !(p.x >= 0.0 && p.y >= 0.0 && p.x < w && p.y < h)) {
-            return Err(VisionError::Image(format!(
-                "the click at ({}, {}) lies outside the photo ({w} x {h})",
-                p.x, p.y
-            )));
-        }
-        let (sx, sy) = analysis.scale_from(image);
-        Ok(at_size_of(image, select::select(&analysis, &prompts.scaled(sx, sy))?))
+        self.select(image, prompts, None)
     }
 
     fn refine(&self, image: &Image, certainty: &Image) -> Result<ScoredMask, VisionError> {

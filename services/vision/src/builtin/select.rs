@@ -7,13 +7,16 @@
 use super::analysis::Analysis;
 use super::cut::Cut;
 use super::ladder::{ladder, rung};
+use super::memory::Slot;
 use super::pool::{Choice, Ground, set_of};
 use super::refine::iou_of;
-use super::steps::{Chosen, Click, Rules, choose, cuts, held_together};
+use super::steps::{Chosen, Click, Offer, Rules, choose, cuts, held_together, offers};
 use super::traits::Step;
 use super::tree::Hierarchy;
+use super::weights::Weights;
 use crate::VisionError;
 use segwild_scene::{BoxPrompt, Prompts, ScoredMask};
+use std::sync::Arc;
 
 /// Cost that no other outweighs.
 const NEVER: f32 = 1e6;
@@ -143,17 +146,40 @@ const IN_BOX: [[f32; 2]; 9] = [
     [0.7, 0.7],
 ];
 
+/// Hears what the last of the prompts chose from.
+pub(crate) type Listener<'a> = dyn FnMut(Step, &[Offer]) + 'a;
+
+/// What an answer depends on besides the photo and the prompts.
+pub(crate) struct Means<'a, 'h> {
+    pub weights: &'a Weights,
+    /// Where the answer to everything said up to some prompt, given as bytes, is kept: a further click is not the time to
+    /// work out again what the ones before it meant.
+    pub kept: &'a dyn Fn(&[u8]) -> Slot<Chosen>,
+    pub hear: Option<&'a mut Listener<'h>>,
+}
+
 /// The mask that prompts mean.
-pub(crate) fn select(analysis: &Analysis, prompts: &Prompts) -> Result<ScoredMask, VisionError> {
+pub(crate) fn select(
+    analysis: &Analysis,
+    prompts: &Prompts,
+    means: Means,
+) -> Result<ScoredMask, VisionError> {
     let meant = Meant::read(&analysis.tree, prompts)?;
     let ground = Ground::of(analysis);
     Ok(match prompts.granularity {
         Some(g) if !meant.positive.is_empty() => by_level(&ground, &meant, g),
-        _ => by_evidence(&ground, &meant),
+        _ => by_evidence(&ground, &meant, means),
     })
 }
 
 impl Meant {
+    /// What the boxes and the clicks that open superpixels outside of them say, as bytes.
+    fn boxes_said(&self) -> Vec<u8> {
+        let shares = self.boxed.iter().flatten().flat_map(|s| s.to_le_bytes());
+        let bounds = self.bounds.iter().flatten().flat_map(|b| b.to_le_bytes());
+        shares.chain(bounds).chain(self.positive.iter().flat_map(Click::said)).collect()
+    }
+
     /// Where the thing's middle is expected.
     fn middle(&self) -> [f32; 2] {
         if let Some(b) = self.bounds {
@@ -234,49 +260,64 @@ fn by_level(ground: &Ground, meant: &Meant, granularity: f32) -> ScoredMask {
     }
 }
 
-/// The prompts one after another.
-fn by_evidence(ground: &Ground, meant: &Meant) -> ScoredMask {
+/// The prompts one after another. Every answer is the one that was given before the next prompt was added.
+fn by_evidence(ground: &Ground, meant: &Meant, mut means: Means) -> ScoredMask {
     let tree = &ground.analysis.tree;
     let open = |i: usize| meant.open(i);
-    let mut answer = Chosen { set: vec![false; tree.leaves], expected: 0.0, alike: 0.0 };
-    let mut from = 0;
-    if meant.bounds.is_some() || !meant.clicks.is_empty() {
-        from = meant.clicks.len().min(1);
-        let rules = Rules { clicks: &meant.clicks[..from], open: &open, bounds: meant.bounds };
-        let (step, more) = match meant.bounds {
-            Some(_) => (Step::Boxed, cuts_in_box(ground, meant)),
-            None => (Step::First, Vec::new()),
-        };
-        let before = answer.set.clone();
-        answer =
-            choose(ground, &rules, &before, meant.clicks.first().copied(), step, more, &meant.starts(tree));
-    }
-    for k in from..meant.clicks.len() {
-        let click = meant.clicks[k];
-        let rules = Rules { clicks: &meant.clicks[..=k], open: &open, bounds: meant.bounds };
-        if answer.set[click.leaf as usize] == click.inside {
+    let nothing = vec![false; tree.leaves];
+    let mut said = meant.bounds.map_or_else(Vec::new, |_| meant.boxes_said());
+    let mut answer = Arc::new(Chosen { set: nothing.clone(), expected: 0.0, alike: 0.0 });
+    // Boxes are taken together with the first click.
+    let begun = usize::from(meant.bounds.is_some() && meant.clicks.is_empty());
+    for k in 0..meant.clicks.len() + begun {
+        let click = meant.clicks.get(k).copied();
+        said.extend(click.iter().flat_map(Click::said));
+        if click.is_some_and(|c| k > 0 && answer.set[c.leaf as usize] == c.inside) {
             continue;
         }
-        let step = if click.inside { Step::Add } else { Step::Remove };
-        let before = std::mem::take(&mut answer.set);
-        let more = cuts(ground, &rules, &before, click);
-        answer = choose(ground, &rules, &before, Some(click), step, more, &[]);
+        let hear = means.hear.as_mut().filter(|_| k + 1 >= meant.clicks.len());
+        let slot = (means.kept)(&said);
+        if let (Some(known), None) = (slot.get(), &hear) {
+            answer = known.clone();
+            continue;
+        }
+        let rules = Rules {
+            clicks: &meant.clicks[..(k + 1).min(meant.clicks.len())],
+            open: &open,
+            bounds: meant.bounds,
+        };
+        let (step, more, starts) = match (k, click) {
+            (0, _) if meant.bounds.is_some() => (Step::Boxed, cuts_in_box(ground, meant), meant.starts(tree)),
+            (0, Some(c)) => (Step::First, Vec::new(), vec![c.leaf]),
+            (_, Some(c)) => {
+                let step = if c.inside { Step::Add } else { Step::Remove };
+                (step, cuts(ground, &rules, &answer.set, c), Vec::new())
+            }
+            (_, None) => break,
+        };
+        let offers = offers(ground, &rules, &answer.set, click, step, more, &starts);
+        if let Some(hear) = hear {
+            hear(step, &offers);
+        }
+        let mut next = choose(ground, offers, step, means.weights);
         // An island around a second click: clicks that all say "this" rather mean one thing that holds them all, however
         // badly the first was understood.
-        if meant.bounds.is_none()
+        if k > 0
+            && meant.bounds.is_none()
             && rules.clicks.iter().all(|c| c.inside)
-            && island(ground, &rules, &answer.set)
+            && island(ground, &rules, &next.set)
         {
-            let nothing = vec![false; tree.leaves];
             let starts: Vec<u32> = rules.clicks.iter().map(|c| c.leaf).collect();
             let first = rules.clicks.first().copied();
-            let whole = choose(ground, &rules, &nothing, first, Step::First, Vec::new(), &starts);
-            if whole.expected > answer.expected {
-                answer = whole;
+            let whole = self::offers(ground, &rules, &nothing, first, Step::First, Vec::new(), &starts);
+            let whole = choose(ground, whole, Step::First, means.weights);
+            if whole.expected > next.expected {
+                next = whole;
             }
         }
+        answer = slot.get_or_init(|| Arc::new(next)).clone();
     }
-    let mut inside = answer.set;
+    let mut inside = answer.set.clone();
     (0..tree.leaves).filter(|&i| !meant.open(i)).for_each(|i| inside[i] = false);
     // A box or a click always means something: at least what it touches.
     if !inside.contains(&true) {

@@ -4,10 +4,11 @@
 //! around it, in all trees, are what may have to be added or taken away.
 
 use super::cut::Cut;
+use super::memory::Weighed;
 use super::pool::{Choice, Ground};
 use super::refine::iou_of;
-use super::traits::{Around, Candidate, Source, Step, traits};
-use super::weights::weights;
+use super::traits::{Around, COUNT, Candidate, Source, Step, traits};
+use super::weights::Weights;
 use std::collections::HashSet;
 
 /// Cost that no other outweighs.
@@ -23,11 +24,25 @@ pub(crate) struct Click {
     pub inside: bool,
 }
 
+impl Click {
+    /// Itself as bytes.
+    pub fn said(&self) -> impl Iterator<Item = u8> + use<> {
+        let place = self.at.map(f32::to_le_bytes);
+        place.into_iter().flatten().chain([u8::from(self.inside)])
+    }
+}
+
 /// A set that may be meant next.
 struct Next {
     set: Vec<bool>,
     standing: f32,
     source: Source,
+}
+
+/// A candidate and what is known of it.
+pub(crate) struct Offer {
+    pub choice: Choice,
+    pub traits: [f32; COUNT],
 }
 
 /// A choice among candidates.
@@ -37,6 +52,12 @@ pub(crate) struct Chosen {
     pub expected: f32,
     /// Share of the belief in sets much like the chosen one.
     pub alike: f32,
+}
+
+impl Weighed for Chosen {
+    fn bytes(&self) -> usize {
+        self.set.len() + 64
+    }
 }
 
 /// What candidates must hold and must not.
@@ -53,8 +74,8 @@ impl Rules<'_> {
     }
 }
 
-/// Chooses the next set: `before` was chosen so far, `click` is the last of `rules.clicks` (`None`: a box alone).
-pub(crate) fn choose(
+/// Every set that may be meant next: `before` was chosen so far, `click` is the last of `rules.clicks` (`None`: a box alone).
+pub(crate) fn offers(
     ground: &Ground,
     rules: &Rules,
     before: &[bool],
@@ -62,7 +83,7 @@ pub(crate) fn choose(
     step: Step,
     more: Vec<Vec<bool>>,
     starts: &[u32],
-) -> Chosen {
+) -> Vec<Offer> {
     let mut known: HashSet<Vec<bool>> = HashSet::new();
     let mut options: Vec<Next> = Vec::new();
     let mut keep = |mut set: Vec<bool>, standing: f32, source: Source| {
@@ -121,39 +142,41 @@ pub(crate) fn choose(
         ),
     );
     let area = ground.area(before);
-    let weights = weights(step);
-    let mut scored: Vec<(f32, Choice)> = options
-        .into_iter()
-        .map(|o| {
-            let changed: Vec<bool> = match step {
-                Step::First | Step::Boxed => o.set.clone(),
-                Step::Add => o.set.iter().zip(before).map(|(s, b)| *s && !*b).collect(),
-                Step::Remove => o.set.iter().zip(before).map(|(s, b)| !*s && *b).collect(),
-            };
-            let against: Vec<bool> = match step {
-                Step::Add => o.set.iter().zip(before).map(|(s, b)| !*s && *b).collect(),
-                Step::Remove => o.set.iter().zip(before).map(|(s, b)| *s && !*b).collect(),
-                _ => vec![false; o.set.len()],
-            };
-            let undone = ground.area(&against) / area.max(1.0);
-            let whole = ground.choice(o.set);
-            let part = ground.choice(changed);
-            let tight = rules.bounds.map_or(0.0, |b| whole.shape.tightness(b));
-            let candidate = Candidate {
-                whole: &whole.shape,
-                part: &part.shape,
-                changed: &part.inside,
-                before: area / whole.shape.total,
-                undone,
-                standing: o.standing,
-                tight,
-                source: o.source,
-            };
-            let t = traits(&candidate, &around);
-            let score: f32 = t.iter().zip(weights).map(|(t, w)| t * w).sum();
-            (score, whole)
-        })
-        .collect();
+    let offer = |o: Next| {
+        let changed: Vec<bool> = match step {
+            Step::First | Step::Boxed => o.set.clone(),
+            Step::Add => o.set.iter().zip(before).map(|(s, b)| *s && !*b).collect(),
+            Step::Remove => o.set.iter().zip(before).map(|(s, b)| !*s && *b).collect(),
+        };
+        let against: Vec<bool> = match step {
+            Step::Add => o.set.iter().zip(before).map(|(s, b)| !*s && *b).collect(),
+            Step::Remove => o.set.iter().zip(before).map(|(s, b)| *s && !*b).collect(),
+            _ => vec![false; o.set.len()],
+        };
+        let undone = ground.area(&against) / area.max(1.0);
+        let whole = ground.choice(o.set);
+        let part = ground.choice(changed);
+        let tight = rules.bounds.map_or(0.0, |b| whole.shape.tightness(b));
+        let candidate = Candidate {
+            whole: &whole.shape,
+            part: &part.shape,
+            changed: &part.inside,
+            before: area / whole.shape.total,
+            undone,
+            standing: o.standing,
+            tight,
+            source: o.source,
+        };
+        Offer { traits: traits(&candidate, &around), choice: whole }
+    };
+    options.into_iter().map(offer).collect()
+}
+
+/// The offer from which most is to be expected: what agrees best with all that is likely.
+pub(crate) fn choose(ground: &Ground, offers: Vec<Offer>, step: Step, weights: &Weights) -> Chosen {
+    let weights = weights.of(step);
+    let score = |o: &Offer| o.traits.iter().zip(weights).map(|(t, w)| t * w).sum::<f32>();
+    let mut scored: Vec<(f32, Choice)> = offers.into_iter().map(|o| (score(&o), o.choice)).collect();
     scored.sort_by(|a, b| b.0.total_cmp(&a.0));
     scored.truncate(FINALISTS);
     let top = scored[0].0;

@@ -7,9 +7,9 @@ use super::shape::Shape;
 /// Numbers per candidate.
 pub(crate) const COUNT: usize = 27;
 
-/// Why a candidate is looked at.
+/// Why a candidate is looked at: what a prompt asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Step {
+pub enum Step {
     /// The first click.
     First,
     /// A click that what was chosen so far leaves out.

@@ -34,11 +34,43 @@ const BOXED: [f32; COUNT] = [
     -0.7598, 14.87, 2.227, -0.5568, 0.0, 0.0, 4.711, 17.15, 3.055,
 ];
 
-pub(crate) fn weights(step: Step) -> &'static [f32; COUNT] {
-    match step {
-        Step::First => &FIRST,
-        Step::Add => &ADD,
-        Step::Remove => &REMOVE,
-        Step::Boxed => &BOXED,
+/// What each trait of a candidate counts, per step.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Weights {
+    /// For the first click.
+    pub first: [f32; COUNT],
+    /// For a click that adds.
+    pub add: [f32; COUNT],
+    /// For a click that takes away.
+    pub remove: [f32; COUNT],
+    /// For a box.
+    pub boxed: [f32; COUNT],
+}
+
+impl Default for Weights {
+    fn default() -> Weights {
+        Weights { first: FIRST, add: ADD, remove: REMOVE, boxed: BOXED }
+    }
+}
+
+impl Weights {
+    /// Those of one step.
+    pub fn of(&self, step: Step) -> &[f32; COUNT] {
+        match step {
+            Step::First => &self.first,
+            Step::Add => &self.add,
+            Step::Remove => &self.remove,
+            Step::Boxed => &self.boxed,
+        }
+    }
+
+    /// Those of one step, to change.
+    pub fn of_mut(&mut self, step: Step) -> &mut [f32; COUNT] {
+        match step {
+            Step::First => &mut self.first,
+            Step::Add => &mut self.add,
+            Step::Remove => &mut self.remove,
+            Step::Boxed => &mut self.boxed,
+        }
     }
 }

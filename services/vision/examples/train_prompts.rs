@@ -1,0 +1,342 @@
+//! Learns what each trait of a candidate counts when a prompt is answered (`src/builtin/weights.rs`), from photos whose
+//! truth is known.
+//!
+//! `cargo run -p segwild-vision --example train_prompts -- [--rounds 3] [--from zero] [--models DIR] FOLDER[:EVERY:SKIP[:WEIGHT]]...`
+//!
+//! A folder is one of those of `eval_prompts`, or a scene without `truth` whose objects are outlined in
+//! `examples/outlines/NAME.json` (photo, then object, then corners in its pixels; all objects of a photo are answers to
+//! one click: "the dome" is right with its drum and without). Of every EVERY photos the one at SKIP is learned from, and
+//! the one half of EVERY later is tested on; a folder of WEIGHT 0 is only tested on.
+//!
+//! A round plays all photos as a person would: a box, a click somewhere in the object, a click in its middle, and then
+//! corrections in the middle of the largest mistake. Everything that each click could have meant is remembered
+//! with its IoU. The weights then climb the expected IoU of the soft choice, over all rounds so far: what was chosen with
+//! the weights of one round decides which mistakes the next one is asked to correct.
+
+#[allow(dead_code, reason = "the examples share it, none uses all of it")]
+mod common;
+
+use common::{Outcome, box_of, known, mean, most_interior, option};
+use segwild_scene::{Image, Mask, PointPrompt, Prompts};
+use segwild_vision::{Builtin, EdgeNetwork, Question, Runtime, Step, Weights};
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+
+/// Long side that photos are learned at.
+const LONG: f32 = 320.0;
+/// Least share of the photo that an object must show to be asked about.
+const LEAST: f64 = 0.005;
+/// Clicks that an object gets at most.
+const CLICKS: usize = 6;
+/// Memory for what is known of the photos.
+const MEMORY: usize = 2 << 30;
+/// Steps of the ascent, its rate, and how strongly weights are pulled to 0.
+const STEPS: usize = 1500;
+const RATE: f64 = 0.03;
+const DECAY: f64 = 2e-4;
+
+/// One question: what could have been meant, and how right each would have been.
+struct Case {
+    step: Step,
+    weight: f64,
+    traits: Vec<Vec<f32>>,
+    ious: Vec<f64>,
+}
+
+/// A photo and its objects, each with every mask that is right.
+struct Photo {
+    image: Image,
+    objects: Vec<Vec<Mask>>,
+    weight: f64,
+    learned: bool,
+    scene: usize,
+}
+
+fn iou(answers: &[Mask], mask: &Mask) -> f64 {
+    answers.iter().map(|a| a.iou(mask)).fold(0.0, f64::max)
+}
+
+/// IoU of everything that could have been meant with the nearest of the right masks.
+fn ious(question: &Question, right: &[Mask]) -> Vec<f64> {
+    let count = question.superpixels.iter().max().map_or(0, |m| *m as usize + 1);
+    let mut best = vec![0.0f64; question.meanings.len()];
+    for mask in right {
+        let mask = mask.resized(question.size.0 as u32, question.size.1 as u32);
+        let mut pixels = vec![(0.0, 0.0); count];
+        for (i, &s) in question.superpixels.iter().enumerate() {
+            let of = &mut pixels[s as usize];
+            *of = (of.0 + f64::from(u8::from(mask.index(i))), of.1 + 1.0);
+        }
+        for (best, meaning) in best.iter_mut().zip(&question.meanings) {
+            let inside = pixels.iter().zip(&meaning.inside).filter(|p| *p.1);
+            let (both, area) = inside.fold((0.0, 0.0), |sum, (p, _)| (sum.0 + p.0, sum.1 + p.1));
+            *best = best.max(both / (area + mask.count() as f64 - both).max(1.0));
+        }
+    }
+    best
+}
+
+/// The click in the middle of the largest mistake, measured against the answer that is nearest.
+fn correction(answers: &[Mask], mask: &Mask) -> Option<PointPrompt> {
+    let truth = answers.iter().max_by(|a, b| a.iou(mask).total_cmp(&b.iou(mask)))?;
+    let deepest = |m: &Mask| {
+        let (x, y) = most_interior(m)?;
+        Some((m.not().distances()[y as usize * m.width() as usize + x as usize], x, y))
+    };
+    match (deepest(&truth.minus(mask)), deepest(&mask.minus(truth))) {
+        (Some(a), b) if b.is_none_or(|b| a.0 >= b.0) => Some(PointPrompt { x: a.1, y: a.2, inside: true }),
+        (_, Some(b)) => Some(PointPrompt { x: b.1, y: b.2, inside: false }),
+        _ => None,
+    }
+}
+
+/// A click well inside, but not in the middle.
+fn elsewhere(mask: &Mask, number: usize) -> Option<(f32, f32)> {
+    let depth = mask.not().distances();
+    let at = |x: u32, y: u32| depth[(y * mask.width() + x) as usize];
+    let most = mask.pixels().map(|(x, y)| at(x, y)).fold(0.0, f32::max);
+    let inner: Vec<(u32, u32)> = mask.pixels().filter(|&(x, y)| at(x, y) >= 0.25 * most).collect();
+    let (x, y) = *inner.get(number.wrapping_mul(7919) % inner.len().max(1))?;
+    Some((x as f32 + 0.5, y as f32 + 0.5))
+}
+
+/// Plays one object; gives the questions and the IoU after one click, and after each correction.
+fn play(see: &Builtin, photo: &Photo, object: &[Mask], number: usize) -> Outcome<(Vec<Case>, Vec<f64>)> {
+    let mut questions = Vec::new();
+    let inner = object.iter().min_by_key(|m| m.count()).ok_or("an object without a mask")?;
+    let Some(middle) = most_interior(inner) else { return Ok((questions, Vec::new())) };
+    let ask = |prompts: &Prompts, right: &[Mask], questions: &mut Vec<Case>| -> Outcome<Mask> {
+        let (answer, question) = see.answer(&photo.image, prompts)?;
+        if let Some(question) = question {
+            questions.push(Case {
+                step: question.step,
+                weight: photo.weight,
+                ious: ious(&question, right),
+                traits: question.meanings.into_iter().map(|m| m.traits).collect(),
+            });
+        }
+        Ok(answer.mask)
+    };
+    let outer = object.iter().max_by_key(|m| m.count()).ok_or("an object without a mask")?;
+    let boxes = vec![box_of(outer)];
+    let whole = std::slice::from_ref(outer);
+    ask(&Prompts { boxes: boxes.clone(), ..Prompts::default() }, whole, &mut questions)?;
+    ask(&Prompts { boxes, ..Prompts::click(middle.0, middle.1) }, whole, &mut questions)?;
+    for turn in 0..2 {
+        if let Some((x, y)) = elsewhere(outer, 2 * number + turn) {
+            let held: Vec<Mask> = object.iter().filter(|m| m.at(x, y)).cloned().collect();
+            ask(&Prompts::click(x, y), &held, &mut questions)?;
+        }
+    }
+    let mut prompts = Prompts::click(middle.0, middle.1);
+    let mut series = Vec::new();
+    loop {
+        let answer = ask(&prompts, object, &mut questions)?;
+        series.push(iou(object, &answer));
+        if prompts.points.len() == CLICKS {
+            return Ok((questions, series));
+        }
+        match correction(object, &answer) {
+            Some(click) => prompts.points.push(click),
+            None => return Ok((questions, series)),
+        }
+    }
+}
+
+/// Weights that climb the expected IoU of the soft choice; they begin at `start`.
+fn climb(questions: &[&Case], start: &[f32]) -> Vec<f32> {
+    let count = start.len();
+    // Traits differ in size: the ascent sees each by its spread.
+    let mut spread = vec![(0.0f64, 0.0f64, 0.0f64); count];
+    for traits in questions.iter().flat_map(|q| &q.traits) {
+        for (s, &t) in spread.iter_mut().zip(traits) {
+            *s = (s.0 + 1.0, s.1 + f64::from(t), s.2 + f64::from(t).powi(2));
+        }
+    }
+    let scale: Vec<f64> = spread.iter().map(|s| ((s.2 - s.1 * s.1 / s.0) / s.0).sqrt().max(1e-3)).collect();
+    let mut weights: Vec<f64> = start.iter().zip(&scale).map(|(w, s)| f64::from(*w) * s).collect();
+    let (mut first, mut second) = (vec![0.0; count], vec![0.0; count]);
+    let total: f64 = questions.iter().map(|q| q.weight).sum();
+    for step in 1..=STEPS {
+        let mut slope = vec![0.0; count];
+        for q in questions {
+            let scores: Vec<f64> = q
+                .traits
+                .iter()
+                .map(|t| t.iter().zip(&weights).zip(&scale).map(|((t, w), s)| f64::from(*t) / s * w).sum())
+                .collect();
+            let top = scores.iter().copied().fold(f64::MIN, f64::max);
+            let odds: Vec<f64> = scores.iter().map(|s| (s - top).exp()).collect();
+            let sum: f64 = odds.iter().sum();
+            let expected: f64 = odds.iter().zip(&q.ious).map(|(p, i)| p / sum * i).sum();
+            for ((p, i), traits) in odds.iter().zip(&q.ious).zip(&q.traits) {
+                let pull = q.weight / total * p / sum * (i - expected);
+                if pull.abs() > 1e-9 {
+                    slope
+                        .iter_mut()
+                        .zip(traits)
+                        .zip(&scale)
+                        .for_each(|((g, t), s)| *g += pull * f64::from(*t) / s);
+                }
+            }
+        }
+        let rate = RATE * (1.0 - 0.9 * step as f64 / STEPS as f64);
+        for k in 0..count {
+            let g = slope[k] - DECAY * weights[k];
+            first[k] = 0.9 * first[k] + 0.1 * g;
+            second[k] = 0.999 * second[k] + 0.001 * g * g;
+            let (m, v) =
+                (first[k] / (1.0 - 0.9f64.powi(step as i32)), second[k] / (1.0 - 0.999f64.powi(step as i32)));
+            weights[k] += rate * m / (v.sqrt() + 1e-9);
+        }
+    }
+    weights.iter().zip(&scale).map(|(w, s)| (w / s) as f32).collect()
+}
+
+/// The photos of one folder, and its name.
+fn photos(argument: &str, scene: usize) -> Outcome<(String, Vec<Photo>)> {
+    let mut parts = argument.split(':');
+    let folder = Path::new(parts.next().unwrap_or_default());
+    let every: usize = parts.next().map_or(Ok(1), str::parse)?;
+    let skip: usize = parts.next().map_or(Ok(0), str::parse)?;
+    let weight: f64 = parts.next().map_or(Ok(1.0), str::parse)?;
+    let name = folder.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("examples/outlines/{name}.json"));
+    let outlines: Option<BTreeMap<String, BTreeMap<String, Vec<[f32; 2]>>>> =
+        match std::fs::read_to_string(&file) {
+            Ok(text) if !folder.join("truth").is_dir() => Some(serde_json::from_str(&text)?),
+            _ => None,
+        };
+    let mut out = Vec::new();
+    for known in known(folder, LONG)? {
+        let (image, masks) = known.read()?;
+        let (w, h) = (image.width as u32, image.height as u32);
+        let objects: Vec<Vec<Mask>> = match &outlines {
+            None => masks.into_iter().map(|m| vec![m.1]).collect(),
+            Some(outlines) => {
+                let stem =
+                    known.file.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+                let full = Image::read(&known.file)?;
+                let scale = [w as f32 / full.width as f32, h as f32 / full.height as f32];
+                let drawn = outlines.get(&stem).map(|o| o.values().map(|c| filled(c, scale, w, h)).collect());
+                drawn.into_iter().collect()
+            }
+        };
+        let large = |m: &Mask| m.count() as f64 >= LEAST * f64::from(w * h);
+        let objects: Vec<Vec<Mask>> = objects.into_iter().filter(|o| o.iter().any(large)).collect();
+        if !objects.is_empty() {
+            out.push(Photo { image, objects, weight, learned: weight > 0.0, scene });
+        }
+    }
+    let turn = |n: usize| (n + every - skip % every.max(1)) % every.max(1);
+    let mut number = 0..;
+    out.retain_mut(|photo| {
+        let turn = number.next().map_or(0, turn);
+        photo.learned &= turn == 0;
+        turn == 0 || turn == every / 2
+    });
+    // Every folder weighs the same, however many objects it shows.
+    let asked: usize = out.iter().filter(|p| p.learned).map(|p| p.objects.len()).sum();
+    out.iter_mut().for_each(|p| p.weight /= asked.max(1) as f64);
+    Ok((name, out))
+}
+
+/// The pixels within a ring of corners.
+fn filled(corners: &[[f32; 2]], scale: [f32; 2], w: u32, h: u32) -> Mask {
+    Mask::from_fn(w, h, |x, y| {
+        let (px, py) = ((x as f32 + 0.5) / scale[0], (y as f32 + 0.5) / scale[1]);
+        let mut inside = false;
+        for (a, b) in corners.iter().zip(corners.iter().cycle().skip(1)) {
+            if (a[1] > py) != (b[1] > py) && px < a[0] + (py - a[1]) / (b[1] - a[1]) * (b[0] - a[0]) {
+                inside = !inside;
+            }
+        }
+        inside
+    })
+}
+
+fn show(step: Step, weights: &[f32]) {
+    println!("const {}: [f32; COUNT] = [", format!("{step:?}").to_uppercase());
+    for row in weights.chunks(9) {
+        println!("    {},", row.iter().map(|w| format!("{w:.4}")).collect::<Vec<_>>().join(", "));
+    }
+    println!("];");
+}
+
+fn main() -> Outcome<()> {
+    let rounds: usize = option("--rounds").map_or(Ok(3), |t| t.parse())?;
+    let flags = ["--rounds", "--from", "--models"];
+    let edges = match option("--models") {
+        Some(models) => {
+            let file = Path::new(&models).join("edges_bsds.onnx");
+            Some(Arc::new(EdgeNetwork::load(&Runtime::find("")?, &file, 1)?))
+        }
+        None => None,
+    };
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let folders = arguments.iter().enumerate().filter(|(k, a)| {
+        !flags.contains(&a.as_str()) && !(*k > 0 && flags.contains(&arguments[k - 1].as_str()))
+    });
+    let (mut names, mut all) = (Vec::new(), Vec::new());
+    for (_, folder) in folders {
+        let (name, photos) = photos(folder, names.len())?;
+        names.push(name);
+        all.extend(photos);
+    }
+    let mut weights = Weights::default();
+    let steps = [Step::First, Step::Add, Step::Remove, Step::Boxed];
+    if option("--from").as_deref() == Some("zero") {
+        steps.iter().for_each(|s| weights.of_mut(*s).fill(0.0));
+    }
+    let mut cases: Vec<Case> = Vec::new();
+    for round in 0..=rounds {
+        let see = match &edges {
+            Some(edges) => Builtin::with_edges(edges.clone()),
+            None => Builtin::new(),
+        }
+        .within(MEMORY)
+        .weighing(weights.clone());
+        let halves: Vec<Result<Vec<_>, String>> = std::thread::scope(|scope| {
+            let half = |h: usize| {
+                let (see, all) = (&see, &all);
+                scope.spawn(move || {
+                    let mine = all.iter().enumerate().skip(h).step_by(2);
+                    mine.flat_map(|(n, photo)| photo.objects.iter().map(move |o| (n, photo, o)))
+                        .map(|(n, photo, o)| Ok((photo, play(see, photo, o, n).map_err(|e| e.to_string())?)))
+                        .collect()
+                })
+            };
+            [half(0), half(1)].map(|h| h.join().unwrap_or_else(|_| Err("a thread panicked".into()))).into()
+        });
+        let mut series: BTreeMap<(usize, bool), Vec<Vec<f64>>> = BTreeMap::new();
+        for played in halves {
+            for (photo, (asked, ious)) in played? {
+                if photo.learned {
+                    cases.extend(asked);
+                }
+                series.entry((photo.scene, photo.learned)).or_default().push(ious);
+            }
+        }
+        for ((scene, learned), rows) in &series {
+            let after = |k: usize| {
+                let last = |r: &Vec<f64>| r.get(k).or(r.last()).copied().unwrap_or(0.0);
+                format!("{:.3}", mean(&rows.iter().map(last).collect::<Vec<_>>()))
+            };
+            let text: Vec<String> = (0..CLICKS).map(after).collect();
+            let kind = if *learned { "learned" } else { "unseen" };
+            println!("round {round}: {} {kind} ({}): {}", names[*scene], rows.len(), text.join(" "));
+        }
+        if round < rounds {
+            for step in steps {
+                let of: Vec<&Case> = cases.iter().filter(|q| q.step == step && q.traits.len() > 1).collect();
+                if !of.is_empty() {
+                    let start = weights.of(step).to_vec();
+                    weights.of_mut(step).copy_from_slice(&climb(&of, &start));
+                }
+            }
+        }
+    }
+    steps.iter().for_each(|s| show(*s, weights.of(*s)));
+    Ok(())
+}
