@@ -6,7 +6,7 @@ use segwild_farm::{
 use segwild_flow::ledger::{LiveActor, LiveMailbox, LiveSample, LiveStage, LiveWorker, ViewOutcome};
 use segwild_flow::{CacheCounters, Event, EventRecord, Key, Ledger, WorkerState};
 use segwild_gateway::metrics::{Kind, Metric, render};
-use segwild_gateway::view::{RunState, SceneState};
+use segwild_gateway::view::{RunState, Runs, SceneState};
 use segwild_gateway::{Target, View, ready, serve, top};
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Read, Write};
@@ -211,6 +211,7 @@ fn batch_in(dir: &Path) -> (PathBuf, Ledger, std::fs::File) {
             path: dir.join(name),
             out: path.join(name),
             settings: BTreeMap::new(),
+            until: None,
         };
         let job = Job {
             id: (*name).into(),
@@ -221,7 +222,7 @@ fn batch_in(dir: &Path) -> (PathBuf, Ledger, std::fs::File) {
         };
         engine.publish(&job).expect("it is published");
         let free = Needs { cores: 2, memory_bytes: 8 << 30, accelerators: 0 };
-        let offer = Offer { worker: "batch".into(), free, lease_s: 1e9 };
+        let offer = Offer { worker: "batch".into(), free, whole: free, lease_s: 1e9 };
         leases.push(engine.claim(&offer).expect("it works").expect("a lease"));
     }
     engine.fail(&leases[1], ErrorClass::Retryable, "no luck").expect("it fails");
@@ -249,6 +250,89 @@ fn a_batch_shows_its_scenes_and_why_they_wait() {
     drop(lock);
     let View::Batch(batch) = view(&path) else { panic!("a batch") };
     assert_eq!(batch.scenes[1].why.as_deref(), Some("no process runs this batch"));
+}
+
+#[test]
+fn a_scene_that_waits_for_an_accelerator_says_so_and_who_goes_first() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let folder = BatchFolder::create(&dir.path().join("batch")).expect("a folder");
+    let engine = EmbeddedEngine::open(folder.engine_file()).expect("an engine");
+    let budget = Needs { cores: 4, memory_bytes: 4 << 30, accelerators: 2 };
+    let wants = [("works", 9, 1), ("urgent", 5, 2), ("small", 1, 1), ("without", 0, 0)];
+    for (name, priority, accelerators) in wants {
+        let needs = Needs { cores: 1, memory_bytes: 1 << 20, accelerators };
+        let job = Job { id: name.into(), payload: "{}".into(), priority, needs, retry: Retry::default() };
+        engine.publish(&job).expect("it is published");
+    }
+    let offer = Offer { worker: "batch".into(), free: budget, whole: budget, lease_s: 1e9 };
+    assert_eq!(engine.claim(&offer).expect("it works").expect("a lease").job.id, "works");
+    let record = BatchRecord { manifest: "b.toml".into(), budget, pid: std::process::id(), began: now() };
+    let path = folder.path();
+    std::fs::write(path.join("batch.json"), serde_json::to_vec(&record).expect("JSON")).expect("it writes");
+    let lock = std::fs::File::create(path.join("batch.lock")).expect("a lock file");
+    lock.lock().expect("it locks");
+    let seen = view(path);
+    let page = top::frame(&seen, 100, 24);
+    assert!(
+        page.contains("accelerators 1 of 2") && page.contains("waits for 2 accelerators (1 free)"),
+        "{page}"
+    );
+    let text = render(Some(&seen), false);
+    assert!(text.contains("segwild_budget_accelerators{part=\"used\"} 1"), "{text}");
+    let View::Batch(batch) = seen else { panic!("a batch") };
+    let why: Vec<_> = batch.scenes.iter().skip(1).map(|s| s.why.clone().unwrap_or_default()).collect();
+    assert_eq!(
+        why,
+        [
+            "waits for 2 accelerators (1 free)",
+            "waits for 1 accelerator (0 free); `urgent` goes first",
+            "about to begin"
+        ]
+    );
+}
+
+#[test]
+fn a_run_that_nobody_works_on_is_not_read_again_until_something_changes() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let folder = dir.path();
+    let target = |path: &Path| Target::at(path).expect("a run");
+    let mut runs = Runs::default();
+    let mut look = || match target(folder).look(&mut runs).expect("a view") {
+        View::Run(run) => *run,
+        View::Batch(_) => panic!("this is a run"),
+    };
+    let ledger = run_in(folder, &sample());
+    assert!(look().running);
+    drop(ledger);
+    let left = look();
+    assert_eq!(left.state, RunState::Stopped, "the end of its process is seen");
+    // A ledger whose content is changed behind the back of its time and length is not looked at.
+    let file = folder.join("run.sqlite");
+    let (bytes, time) = (std::fs::read(&file).expect("a file"), file.metadata().and_then(|m| m.modified()));
+    let tamper = |bytes: &[u8]| {
+        std::fs::write(&file, bytes).expect("it writes");
+        let handle = std::fs::File::options().write(true).open(&file).expect("a file");
+        handle.set_modified(*time.as_ref().expect("a time")).expect("it is set");
+    };
+    tamper(&vec![b'x'; bytes.len()]);
+    let again = look();
+    assert_eq!(again.stages, left.stages);
+    assert!(again.time > left.time && again.age_s > left.age_s, "but time goes on");
+    tamper(&bytes);
+    // Work goes on, and a selection is made: both are seen at once.
+    let mut moved = sample();
+    moved.stages[2].done = 900;
+    let ledger = Ledger::open(&file).expect("a ledger");
+    ledger.record_live(&moved, true).expect("it writes");
+    let done = |run: &segwild_gateway::view::RunView| run.stages.iter().map(|s| s.done).max();
+    assert_eq!((look().running, done(&look())), (true, Some(900)));
+    drop(ledger);
+    assert_eq!(done(&look()), Some(900));
+    assert!(look().selections.is_empty());
+    std::fs::create_dir_all(folder.join("selections/statue")).expect("a folder");
+    assert!(look().selections.is_empty(), "nothing is selected yet");
+    std::fs::write(folder.join("selections/statue/prompts.json"), "{}").expect("it writes");
+    assert_eq!(look().selections, ["statue"]);
 }
 
 #[test]

@@ -282,6 +282,12 @@ impl RunView {
         })
     }
 
+    /// The same view, of a run in which nothing has changed since, at a later time.
+    pub(super) fn later(&self, now: f64) -> RunView {
+        let age_s = self.age_s.map(|age| (age + now - self.time).max(0.0));
+        RunView { time: now, age_s, ..self.clone() }
+    }
+
     /// Whether the live part is too old for a run that is being worked on.
     pub fn is_stale(&self) -> bool {
         self.running && self.age_s.is_none_or(|age| age > STALE_S)
