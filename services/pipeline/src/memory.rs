@@ -150,7 +150,10 @@ mod tests {
         assert_eq!((&roomy.train, &roomy.features), (&settings.train, &settings.features), "nothing is cut");
         settings.run.memory_budget = least_mib - 1;
         let refused = within_budget(&settings, &scene).expect_err("too little").to_string();
-        assert!(refused.contains(&format!("{least_mib} MiB")) && refused.contains("1000 splats"), "{refused}");
+        assert!(
+            refused.contains(&format!("{least_mib} MiB")) && refused.contains("1000 splats"),
+            "{refused}"
+        );
     }
 
     #[test]
