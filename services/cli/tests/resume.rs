@@ -30,8 +30,7 @@ fn completes(args: &[String]) -> (String, String) {
     (out, error)
 }
 
-/// Starts it, to be listened to.
-fn begin(args: &[String]) -> Child {
+fn start(args: &[String]) -> Child {
     Command::new(env!("CARGO_BIN_EXE_segwild"))
         .args(args)
         .stdout(Stdio::piped())
@@ -480,7 +479,7 @@ fn wait_for(child: &mut Child, what: &str, done: impl Fn() -> bool) {
 fn a_second_process_is_refused_and_may_look() {
     let dir = folder();
     let run = dir.path().join("run");
-    let mut first = begin(&again(&run, &["--fault", "stall@masks.handle:3"]));
+    let mut first = start(&again(&run, &["--fault", "stall@masks.handle:3"]));
     wait_for(&mut first, "it holds the run", || run.join("scene.json").is_file());
     let pid = first.id().to_string();
     let args = again(&run, &[]);
@@ -497,13 +496,19 @@ fn a_second_process_is_refused_and_may_look() {
 }
 
 #[cfg(unix)]
+fn signal(child: &Child, signal: &str) {
+    let sent = Command::new("kill").args([signal, &child.id().to_string()]).status();
+    assert!(sent.expect("`kill` is there").success());
+}
+
+#[cfg(unix)]
 #[test]
 fn ctrl_c_once_stops_in_order_and_twice_at_once_and_both_go_on() {
     let dir = folder();
     let run = dir.path().join("run");
     // An actor that has stopped answering cannot stop in order; the second signal does not wait for it.
     for (presses, fault) in [(1, "fail@masks.handle:999"), (2, "stall@masks.handle:3")] {
-        let mut child = begin(&again(&run, &["--steps", "4000", "--fault", fault]));
+        let mut child = start(&again(&run, &["--steps", "4000", "--fault", fault]));
         let pid = child.id().to_string();
         wait_for(&mut child, "it holds the run", || {
             std::fs::read_to_string(run.join("run.lock")).is_ok_and(|owner| owner.trim() == pid)

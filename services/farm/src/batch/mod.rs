@@ -19,6 +19,7 @@ mod stop;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use segwild_flow::process::Owner;
 use segwild_pipeline::Until;
 use serde::Serialize;
 
@@ -64,7 +65,7 @@ pub enum BatchError {
         /// The folder.
         path: PathBuf,
         /// Who runs it.
-        owner: String,
+        owner: Owner,
     },
 }
 

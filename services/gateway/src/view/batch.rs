@@ -106,7 +106,7 @@ impl BatchView {
     /// # Errors
     /// When the engine's file, or a run's ledger, cannot be read.
     pub fn read(folder: &BatchFolder, runs: &mut Runs, now: f64) -> Result<BatchView, ViewError> {
-        let owner = folder.owner();
+        let owner = folder.owner().map(|owner| owner.to_string());
         let engine = folder.engine()?;
         let (record, jobs) = (folder.record(), engine.jobs()?);
         let mut scenes: Vec<SceneView> =
