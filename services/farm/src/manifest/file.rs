@@ -38,20 +38,15 @@ pub(super) struct Terms {
 }
 
 #[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub(super) struct Entry {
     pub path: PathBuf,
     pub name: Option<String>,
     pub out: Option<PathBuf>,
-    pub preset: Option<String>,
-    pub priority: Option<i32>,
-    pub cores: Option<u32>,
-    pub memory: Option<Size>,
-    pub accelerators: Option<u32>,
-    pub attempts: Option<u32>,
-    pub until: Option<Stop>,
-    #[serde(default)]
-    pub settings: toml::Table,
+    #[serde(flatten)]
+    pub terms: Terms,
+    /// Whatever else was said; nothing, if there is no mistake.
+    #[serde(flatten)]
+    pub unknown: BTreeMap<String, toml::Value>,
 }
 
 /// Bytes, as a number or as text with a unit.
@@ -110,9 +105,9 @@ impl Stop {
 }
 
 /// The settings of a scene: the defaults', then its own.
-pub(super) fn settings(defaults: &Terms, entry: &Entry) -> Result<BTreeMap<String, String>, String> {
+pub(super) fn settings(defaults: &Terms, own: &Terms) -> Result<BTreeMap<String, String>, String> {
     let mut all = BTreeMap::new();
-    for (preset, table) in [(&defaults.preset, &defaults.settings), (&entry.preset, &entry.settings)] {
+    for (preset, table) in [(&defaults.preset, &defaults.settings), (&own.preset, &own.settings)] {
         if let Some(preset) = preset {
             all.insert("preset".to_owned(), preset.clone());
         }

@@ -161,22 +161,25 @@ impl Manifest {
             if !outs.insert(out.clone()) {
                 return Err(wrong(format!("two scenes run in {}: set `out`", out.display())));
             }
-            let d = &read.defaults;
-            let settings = settings(d, entry).map_err(wrong)?;
-            let stop = entry.until.as_ref().or(d.until.as_ref()).map(|s| s.read()).transpose();
+            if let Some(name) = entry.unknown.keys().next() {
+                return Err(wrong(format!("there is nothing named `{name}` to be said of a scene")));
+            }
+            let (d, own) = (&read.defaults, &entry.terms);
+            let settings = settings(d, own).map_err(wrong)?;
+            let stop = own.until.as_ref().or(d.until.as_ref()).map(|s| s.read()).transpose();
             let until = until.or(stop.map_err(wrong)?).map(|until| match until {
                 Until::Stage(stage) => stage.to_owned(),
                 Until::Step(step) => step.to_string(),
             });
             let scene = SceneJob { name: name.clone(), path, out, settings, until };
             let effective = scene.effective().map_err(wrong)?;
-            let cores = entry.cores.or(d.cores).unwrap_or(share).max(1);
-            let declared = entry.memory.as_ref().or(d.memory.as_ref());
+            let cores = own.cores.or(d.cores).unwrap_or(share).max(1);
+            let declared = own.memory.as_ref().or(d.memory.as_ref());
             let declared = declared.map(|size| size.bytes()).transpose().map_err(wrong)?;
             let needs = Needs {
                 cores,
                 memory_bytes: memory(&scene, &effective, declared, cores, &budget).map_err(wrong)?,
-                accelerators: entry.accelerators.or(d.accelerators).unwrap_or(0),
+                accelerators: own.accelerators.or(d.accelerators).unwrap_or(0),
             };
             if !needs.fit(&budget) {
                 return Err(wrong(format!("it needs {}, the budget is {}", words(&needs), words(&budget))));
@@ -184,10 +187,10 @@ impl Manifest {
             let job = Job {
                 id: name.clone(),
                 payload: serde_json::to_string(&scene).map_err(|e| wrong(e.to_string()))?,
-                priority: entry.priority.or(d.priority).unwrap_or(0),
+                priority: own.priority.or(d.priority).unwrap_or(0),
                 needs,
                 retry: Retry {
-                    attempts: entry.attempts.or(d.attempts).unwrap_or(3).max(1),
+                    attempts: own.attempts.or(d.attempts).unwrap_or(3).max(1),
                     ..Retry::default()
                 },
             };
@@ -276,6 +279,8 @@ mod tests {
             ("", "no [[scene]]".to_owned()),
             ("[[scene]]\nname = \"x\"\n", "path".into()),
             ("[budgets]\n", "budgets".into()),
+            (&format!("{scene}memroy = 3\n"), "scene `a`: there is nothing named `memroy`".into()),
+            (&format!("[defaults]\nmemroy = 3\n{scene}"), "memroy".into()),
             (
                 &format!("[defaults]\nsettings = {{ stpes = 3 }}\n{scene}"),
                 "scene `a`: there is no setting named `stpes`".into(),
