@@ -29,7 +29,7 @@ fn manifest(dir: &Path, steps: u32, names: &[&str], more: &str) -> String {
 fn status_looks_at_a_run_from_another_process() {
     let dir = folder();
     let run = show(&dir.path().join("run"));
-    let mut child = start(&["run", &show(scene()), "--out", &run, "--size", "96", "--steps", "4000"]);
+    let mut child = in_background(&["run", &show(scene()), "--out", &run, "--size", "96", "--steps", "4000"]);
     let seen = until("a run that trains", || {
         let output = segwild(&["status", &run, "--json", "--once"]);
         let seen = output.status.success().then(|| json(&output.stdout))?;
@@ -70,7 +70,7 @@ fn a_batch_that_was_killed_goes_on_to_the_same_bytes() {
     let bad = "[[scene]]\nname = \"bad\"\npath = \"/nowhere/at/all\"\n";
     let file = manifest(dir.path(), 1500, &["one", "two"], bad);
     let args = ["batch", &file, "--out", &show(&batch)];
-    let mut child = start(&args);
+    let mut child = in_background(&args);
     until("the training of a scene", || {
         let history = batch.join("one/history.jsonl");
         std::fs::read_to_string(history).ok().filter(|t| !t.is_empty())

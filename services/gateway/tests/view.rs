@@ -364,6 +364,23 @@ fn top_fits_a_small_terminal_and_says_why() {
 }
 
 #[test]
+fn a_scene_that_does_not_run_has_no_rates_and_an_attempt_that_was_cut_short_is_no_failure() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let (path, _ledger, _lock) = batch_in(dir.path());
+    let engine = EmbeddedEngine::open(path.join("batch.sqlite")).expect("an engine");
+    engine.release_all("the batch that held it ended early").expect("it is released");
+    let free = Needs { cores: 2, memory_bytes: 8 << 30, accelerators: 0 };
+    let offer = Offer { worker: "batch".into(), free, whole: free, lease_s: 1e9 };
+    assert_eq!(engine.claim(&offer).expect("it works").expect("a lease").attempt, 2);
+    let page = top::frame(&view(&path), 80, 24);
+    let row = |name: &str| page.lines().find(|l| l[1..].starts_with(name)).expect("a row").to_owned();
+    assert!(row("liberty").contains(" 0/3 masks+geometry") && row("liberty").contains(" 80.0 "), "{page}");
+    assert!(row("bad").contains(" 1/3") && !row("bad").contains("0.0"), "{page}");
+    let totals = page.lines().nth(1).expect("a line");
+    assert!(totals.contains("cores 2 of 2") && !totals.ends_with('\u{2026}'), "nothing is cut: {totals}");
+}
+
+#[test]
 fn metric_names_follow_the_rules() {
     let mut names = BTreeSet::new();
     for &metric in Metric::ALL {

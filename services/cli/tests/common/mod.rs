@@ -48,7 +48,7 @@ impl Drop for Guarded {
 }
 
 /// Starts it without listening to what it says.
-pub fn start(args: &[&str]) -> Guarded {
+pub fn in_background(args: &[&str]) -> Guarded {
     let child = Command::new(env!("CARGO_BIN_EXE_segwild"))
         .args(args)
         .stdout(Stdio::null())
@@ -90,15 +90,15 @@ pub struct Place {
 pub const QUICK: [&str; 8] =
     ["--size", "96", "--steps", "60", "--refine-steps", "4", "--prompt-budget", "24"];
 
-struct Made {
+struct Photographed {
     dir: tempfile::TempDir,
     scene: PathBuf,
     manifest: Manifest,
 }
 
-fn made() -> &'static Made {
-    static MADE: OnceLock<Made> = OnceLock::new();
-    MADE.get_or_init(|| {
+fn photographed() -> &'static Photographed {
+    static SCENE: OnceLock<Photographed> = OnceLock::new();
+    SCENE.get_or_init(|| {
         let dir = tempfile::tempdir().expect("a temporary folder");
         let scene = dir.path().join("place");
         let options = SyntheticOptions {
@@ -111,20 +111,20 @@ fn made() -> &'static Made {
             ..SyntheticOptions::small()
         };
         let manifest = generate(&options).and_then(|s| s.write(&scene)).expect("a synthetic place");
-        Made { dir, scene, manifest }
+        Photographed { dir, scene, manifest }
     })
 }
 
 /// A small place, made once, for who runs it in another way than [`place`].
 pub fn scene() -> &'static Path {
-    &made().scene
+    &photographed().scene
 }
 
 /// The small place and a finished run on it, made once.
 pub fn place() -> &'static Place {
     static PLACE: OnceLock<Place> = OnceLock::new();
     PLACE.get_or_init(|| {
-        let Made { dir, scene, manifest } = made();
+        let Photographed { dir, scene, manifest } = photographed();
         let run = dir.path().join("run");
         works(&[&["run", &show(scene), "--out", &show(&run)][..], &QUICK].concat());
         Place { scene: scene.clone(), run, manifest: manifest.clone() }

@@ -104,7 +104,7 @@ fn run_totals(run: &RunView) -> String {
     let (photos, steps) = run.rates();
     let mut parts = vec![format!("{photos:.1} photos/s"), format!("{steps:.1} steps/s")];
     match (run.rss_bytes, run.peak_rss_bytes) {
-        (Some(now), Some(peak)) => parts.push(format!("{} (peak {})", bytes(now), bytes(peak))),
+        (Some(now), Some(peak)) => parts.push(format!("{}, peak {}", bytes(now), bytes(peak))),
         (None, Some(peak)) => parts.push(format!("peak memory {}", bytes(peak))),
         _ => {}
     }
@@ -241,6 +241,14 @@ fn run_body(run: &RunView, totals: String, width: usize, height: usize) -> Vec<L
     page
 }
 
+/// Columns of a scene's row without its bar and its stages.
+const WITHOUT_BAR: usize = 66;
+
+/// A bar where there is room for one: how far it is stands beside it as a number, which stages run stands nowhere else.
+fn scene_bar(share: f64, width: usize) -> String {
+    if width < WITHOUT_BAR + 30 { String::new() } else { format!(" {}", bar(share, 6)) }
+}
+
 fn scene_row(scene: &SceneView, chosen: bool, width: usize) -> Line<'static> {
     let run = scene.run.as_deref();
     let going = scene.state == SceneState::Running;
@@ -253,8 +261,8 @@ fn scene_row(scene: &SceneView, chosen: bool, width: usize) -> Line<'static> {
     let left = run.filter(|_| going).and_then(|r| r.left_s);
     let share = if scene.state == SceneState::Done { 1.0 } else { run.map_or(0.0, RunView::share) };
     let after = format!(
-        " {} {:>3.0}% {:>5} {:>6} {:>5} {:>8} {:>6} {:>2}/{} {}",
-        bar(share, 6),
+        "{} {:>3.0}% {:>5} {:>6} {:>5} {:>8} {:>6} {:>2}/{} {}",
+        scene_bar(share, width),
         share * 100.0,
         maybe(photos, |n| format!("{n:.1}")),
         maybe(steps, |n| format!("{n:.1}")),
@@ -263,7 +271,7 @@ fn scene_row(scene: &SceneView, chosen: bool, width: usize) -> Line<'static> {
         maybe(left, short),
         scene.failures,
         scene.attempts,
-        cut(&stage.join("+"), width.saturating_sub(69).max(8))
+        cut(&stage.join("+"), width.saturating_sub(WITHOUT_BAR))
     );
     let mark = if chosen { '>' } else { ' ' };
     row(format!("{mark}{:11} ", cut(&scene.name, 11)), scene.state.word(), 7, after)
@@ -296,8 +304,18 @@ fn batch_page(batch: &BatchView, place: Place, width: usize, height: usize) -> V
     }
     page.push(plain(cut(&(totals + &disk(batch.disk)), width)));
     page.push(columns(format!(
-        " {:11} {:7} {:6} {:>4} {:>5} {:>6} {:>5} {:>8} {:>6} {:>4} {}",
-        "scene", "state", "", "", "ph/s", "step/s", "queue", "memory", "left", "fail", "stages"
+        " {:11} {:7}{} {:>4} {:>5} {:>6} {:>5} {:>8} {:>6} {:>4} {}",
+        "scene",
+        "state",
+        " ".repeat(scene_bar(0.0, width).len()),
+        "",
+        "ph/s",
+        "step/s",
+        "queue",
+        "memory",
+        "left",
+        "fail",
+        "stages"
     )));
     let chosen = place
         .scene
@@ -306,7 +324,14 @@ fn batch_page(batch: &BatchView, place: Place, width: usize, height: usize) -> V
     let run = chosen.and_then(|i| batch.scenes[i].run.as_deref());
     // A third of the page is for the scenes, all but the reasons where no run is shown; those around the chosen one
     // are shown.
-    let reasons = (height / 6).max(2);
+    let waits = batch.scenes.iter().filter_map(|s| Some((s, s.why.as_deref()?)));
+    let waits: Vec<Line<'static>> = waits
+        .map(|(s, why)| {
+            let text = cut(&format!(" {:11} {why}", cut(&s.name, 11)), width);
+            if s.state == SceneState::Dead { coloured(text, Color::Red) } else { plain(text) }
+        })
+        .collect();
+    let reasons = waits.len().min((height / 6).max(2));
     let left = height.saturating_sub(page.len());
     let room = match run {
         Some(_) => (height / 3).max(4).min(left),
@@ -316,13 +341,6 @@ fn batch_page(batch: &BatchView, place: Place, width: usize, height: usize) -> V
     for (i, scene) in batch.scenes.iter().enumerate().skip(first).take(room) {
         page.push(scene_row(scene, chosen == Some(i), width));
     }
-    let waits = batch.scenes.iter().filter_map(|s| Some((s, s.why.as_deref()?)));
-    let waits: Vec<Line<'static>> = waits
-        .map(|(s, why)| {
-            let text = cut(&format!(" {:11} {why}", cut(&s.name, 11)), width);
-            if s.state == SceneState::Dead { coloured(text, Color::Red) } else { plain(text) }
-        })
-        .collect();
     page.extend(waits.into_iter().take(reasons));
     if let Some(run) = run {
         page.push(run_head(run));
