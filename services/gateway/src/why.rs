@@ -120,15 +120,18 @@ pub(crate) fn scenes(all: &mut [SceneView], turns: &BTreeMap<&str, Turn<'_>>, ba
 /// What a scene still needs, and whom that is kept for.
 fn lacking(needs: &Needs, turn: &Turn<'_>) -> String {
     let free = &turn.free;
+    let still = |n: u64, words: String| if n > 0 { format!(" ({words} free)") } else { String::new() };
     let mut lacks = Vec::new();
     if needs.cores > free.cores {
-        lacks.push(format!("{} ({} free)", count(needs.cores, "core"), free.cores));
+        lacks.push(count(needs.cores, "core") + &still(free.cores.into(), free.cores.to_string()));
     }
     if needs.memory_bytes > free.memory_bytes {
-        lacks.push(format!("{} of memory ({} free)", bytes(needs.memory_bytes), bytes(free.memory_bytes)));
+        let free = still(free.memory_bytes, bytes(free.memory_bytes));
+        lacks.push(format!("{} of memory{free}", bytes(needs.memory_bytes)));
     }
     if needs.accelerators > free.accelerators {
-        lacks.push(format!("{} ({} free)", count(needs.accelerators, "accelerator"), free.accelerators));
+        let free = still(free.accelerators.into(), free.accelerators.to_string());
+        lacks.push(count(needs.accelerators, "accelerator") + &free);
     }
     match (lacks.is_empty(), turn.kept_for) {
         (true, _) => "about to begin".into(),

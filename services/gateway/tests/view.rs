@@ -285,7 +285,7 @@ fn a_scene_that_waits_for_an_accelerator_says_so_and_who_goes_first() {
         why,
         [
             "waits for 2 accelerators (1 free)",
-            "waits for 1 accelerator (0 free); `urgent` goes first",
+            "waits for 1 accelerator; `urgent` goes first",
             "about to begin"
         ]
     );
@@ -333,6 +333,21 @@ fn a_run_that_nobody_works_on_is_not_read_again_until_something_changes() {
     assert!(look().selections.is_empty(), "nothing is selected yet");
     std::fs::write(folder.join("selections/statue/prompts.json"), "{}").expect("it writes");
     assert_eq!(look().selections, ["statue"]);
+}
+
+#[test]
+fn cores_that_the_last_scene_was_lent_are_in_use() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let (path, ledger, _lock) = batch_in(dir.path());
+    let used = || match view(&path) {
+        View::Batch(batch) => batch.used.cores,
+        View::Run(_) => panic!("a batch"),
+    };
+    assert_eq!(used(), 2, "as it needs");
+    ledger.set_settings([("threads", "7")]).expect("it writes");
+    assert_eq!(used(), 7);
+    drop(ledger);
+    assert_eq!(used(), 2, "its process is gone");
 }
 
 #[test]

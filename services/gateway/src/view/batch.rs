@@ -114,7 +114,9 @@ impl BatchView {
         let budget = record.as_ref().map(|r| r.budget).unwrap_or_default();
         let mut used = Needs::default();
         for scene in scenes.iter().filter(|s| s.state == SceneState::Running) {
-            used.cores += scene.needs.cores;
+            // The last scene is given idle cores as well.
+            let given = scene.run.as_ref().filter(|run| run.running).and_then(|run| run.cores);
+            used.cores += given.unwrap_or(0).max(scene.needs.cores);
             used.memory_bytes += scene.needs.memory_bytes;
             used.accelerators += scene.needs.accelerators;
         }
