@@ -23,8 +23,9 @@ const COPIES: f64 = 12.0;
 const PER_SPLAT: f64 = 200.0;
 /// Copies of a splat's features: values, Adam's moments, gradients.
 const FEATURE_COPIES: f64 = 5.0;
-/// Floats per pixel of a photo that all actors together hold at work.
-const PER_PIXEL: f64 = 120.0;
+/// Floats per pixel of a photo that all actors together hold at work, the photo that each cache keeps in any case
+/// included. Fitted to runs at 640 px.
+const PER_PIXEL: f64 = 200.0;
 /// Least MiB that each of the caches is given.
 const LEAST_CACHE: usize = 8;
 /// What a MiB in a cache takes of the process: the allocator's blocks are larger than what is in them, and not every
