@@ -30,13 +30,7 @@ pub fn program() -> Command {
             )
             .arg(path("out", "Run folder [default: runs/NAME]"))
             .arg(path("config", "Settings file [default: segwild.toml in the run folder, if there]"))
-            .arg(
-                Arg::new("until")
-                    .long("until")
-                    .value_name("STAGE|N")
-                    .value_parser(str::parse::<segwild_pipeline::Until>)
-                    .help("Stop after this stage, or after training step N; a later N goes on from there"),
-            )
+            .arg(until("Stop after this stage, or after training step N; a later N goes on from there"))
             .arg(
                 Arg::new("explain")
                     .long("explain")
@@ -255,6 +249,15 @@ pub fn run() -> Arg {
 
 fn number(name: &'static str, default: &'static str, help: &'static str) -> Arg {
     Arg::new(name).long(name).value_name("N").default_value(default).help(help)
+}
+
+/// `--until`.
+pub fn until(help: &'static str) -> Arg {
+    Arg::new("until")
+        .long("until")
+        .value_name("STAGE|N")
+        .value_parser(str::parse::<segwild_pipeline::Until>)
+        .help(help)
 }
 
 /// `--json`.

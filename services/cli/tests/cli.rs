@@ -61,12 +61,7 @@ fn a_killed_run_ends_in_the_same_bytes() {
     let run = show(&dir.path().join("run"));
     let scene = show(&place().scene);
     let args = [&["run", &scene, "--out", &run, "--checkpoint-every", "1"][..], &QUICK].concat();
-    let mut child = Command::new(env!("CARGO_BIN_EXE_segwild"))
-        .args(&args)
-        .stderr(std::process::Stdio::null())
-        .stdout(std::process::Stdio::null())
-        .spawn()
-        .expect("the program starts");
+    let Guarded(child) = &mut in_background(&args);
     // Killed once the training has begun, wherever it is then.
     let history = dir.path().join("run/history.jsonl");
     while child.try_wait().expect("a child").is_none() {

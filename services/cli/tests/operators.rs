@@ -1,88 +1,15 @@
 //! Operators at work: looking at a run from another process, batches that are killed and go on, and every expression of
 //! `deploy/` against a real Prometheus that scrapes a real batch.
 
-use segwild_bench::synthetic::{SyntheticOptions, generate};
+mod common;
+
+use common::*;
 use serde_json::Value;
 use std::collections::BTreeSet;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
-use std::sync::{OnceLock, mpsc};
-use std::time::Duration;
-
-fn segwild(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_segwild")).args(args).output().expect("the program starts")
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8_lossy(bytes).into_owned()
-}
-
-fn json(bytes: &[u8]) -> Value {
-    serde_json::from_slice(bytes).unwrap_or_else(|e| panic!("{e}: {}", text(bytes)))
-}
-
-fn rest(time: Duration) {
-    // A channel that nobody sends to: a wait that clippy's sleeping actors are not meant by.
-    let (_never, next) = mpsc::channel::<()>();
-    let _ = next.recv_timeout(time);
-}
-
-/// Looks again and again until there is something to see.
-fn until<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
-    for _ in 0..3000 {
-        if let Some(seen) = look() {
-            return seen;
-        }
-        rest(Duration::from_millis(40));
-    }
-    panic!("{what} did not come");
-}
-
-/// A child that does not outlive its test.
-struct Guarded(Child);
-
-impl Drop for Guarded {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-fn start(args: &[&str]) -> Guarded {
-    let child = Command::new(env!("CARGO_BIN_EXE_segwild"))
-        .args(args)
-        .stdout(Stdio::null())
-        .stderr(Stdio::null())
-        .spawn()
-        .expect("the program starts");
-    Guarded(child)
-}
-
-/// A small place, made once.
-fn place() -> &'static Path {
-    static PLACE: OnceLock<(tempfile::TempDir, PathBuf)> = OnceLock::new();
-    let (_, path) = PLACE.get_or_init(|| {
-        let dir = tempfile::tempdir().expect("a temporary folder");
-        let path = dir.path().join("place");
-        let options = SyntheticOptions {
-            train: 8,
-            test: 0,
-            long_side: 96,
-            points: 600,
-            occlusion: 0.0,
-            ..SyntheticOptions::small()
-        };
-        generate(&options).and_then(|s| s.write(&path)).expect("a synthetic place");
-        (dir, path)
-    });
-    path
-}
-
-fn show(path: &Path) -> String {
-    path.display().to_string()
-}
+use std::process::{Command, Stdio};
 
 /// A manifest of the small place under several names.
 fn manifest(dir: &Path, steps: u32, names: &[&str], more: &str) -> String {
@@ -91,7 +18,7 @@ fn manifest(dir: &Path, steps: u32, names: &[&str], more: &str) -> String {
          settings = {{ size = 96, steps = {steps}, refine_steps = 4, prompt_budget = 24, checkpoint_every = 1 }}\n"
     );
     for name in names {
-        text += &format!("[[scene]]\nname = \"{name}\"\npath = \"{}\"\n", place().display());
+        text += &format!("[[scene]]\nname = \"{name}\"\npath = \"{}\"\n", scene().display());
     }
     let file = dir.join("places.toml");
     std::fs::write(&file, text + more).expect("it writes");
@@ -100,9 +27,9 @@ fn manifest(dir: &Path, steps: u32, names: &[&str], more: &str) -> String {
 
 #[test]
 fn status_looks_at_a_run_from_another_process() {
-    let dir = tempfile::tempdir().expect("a temporary folder");
+    let dir = folder();
     let run = show(&dir.path().join("run"));
-    let mut child = start(&["run", &show(place()), "--out", &run, "--size", "96", "--steps", "4000"]);
+    let mut child = in_background(&["run", &show(scene()), "--out", &run, "--size", "96", "--steps", "4000"]);
     let seen = until("a run that trains", || {
         let output = segwild(&["status", &run, "--json", "--once"]);
         let seen = output.status.success().then(|| json(&output.stdout))?;
@@ -138,12 +65,12 @@ fn status_looks_at_a_run_from_another_process() {
 
 #[test]
 fn a_batch_that_was_killed_goes_on_to_the_same_bytes() {
-    let dir = tempfile::tempdir().expect("a temporary folder");
+    let dir = folder();
     let (batch, straight) = (dir.path().join("batch"), dir.path().join("straight"));
     let bad = "[[scene]]\nname = \"bad\"\npath = \"/nowhere/at/all\"\n";
     let file = manifest(dir.path(), 1500, &["one", "two"], bad);
     let args = ["batch", &file, "--out", &show(&batch)];
-    let mut child = start(&args);
+    let mut child = in_background(&args);
     until("the training of a scene", || {
         let history = batch.join("one/history.jsonl");
         std::fs::read_to_string(history).ok().filter(|t| !t.is_empty())
@@ -167,7 +94,7 @@ fn a_batch_that_was_killed_goes_on_to_the_same_bytes() {
     assert_eq!(view["scenes"][0]["failures"], 0, "a kill of the batch is no failure of its scenes");
     // As straight as can be.
     let settings = show(&batch.join("settings/one.toml"));
-    let run = ["run", &show(place()), "--out", &show(&straight), "--config", &settings, "--threads", "2"];
+    let run = ["run", &show(scene()), "--out", &show(&straight), "--config", &settings, "--threads", "2"];
     assert_eq!(segwild(&run).status.code(), Some(0));
     for file in ["model.bin", "features.bin"] {
         let bytes = |folder: &Path| std::fs::read(folder.join(file)).expect("it is there");
@@ -183,7 +110,7 @@ fn a_batch_that_was_killed_goes_on_to_the_same_bytes() {
 #[cfg(unix)]
 #[test]
 fn ctrl_c_stops_a_batch_where_it_can_go_on() {
-    let dir = tempfile::tempdir().expect("a temporary folder");
+    let dir = folder();
     let batch = dir.path().join("batch");
     let file = manifest(dir.path(), 4000, &["one"], "");
     let mut child = Command::new(env!("CARGO_BIN_EXE_segwild"))
@@ -195,8 +122,7 @@ fn ctrl_c_stops_a_batch_where_it_can_go_on() {
     until("the training of a scene", || {
         std::fs::read_to_string(batch.join("one/history.jsonl")).ok().filter(|t| !t.is_empty())
     });
-    let signal = Command::new("kill").args(["-INT", &child.id().to_string()]).status().expect("kill runs");
-    assert!(signal.success());
+    signal(&child, "-INT");
     let mut said = String::new();
     child.stderr.take().expect("a pipe").read_to_string(&mut said).expect("it speaks");
     assert_eq!(child.wait().expect("it ends").code(), Some(130), "{said}");
@@ -206,15 +132,69 @@ fn ctrl_c_stops_a_batch_where_it_can_go_on() {
 }
 
 #[test]
+fn a_batch_that_stopped_half_way_on_request_goes_on_without_it() {
+    let dir = folder();
+    let batch = show(&dir.path().join("batch"));
+    // One scene stops by the manifest, the other by nothing but the command line.
+    let file = manifest(dir.path(), 60, &["one", "two"], "until = \"geometry\"\n");
+    let state = |name: &str| {
+        let view = json(&segwild(&["status", &batch, "--json"]).stdout);
+        let scenes = view["scenes"].as_array().expect("scenes").clone();
+        let scene = scenes.into_iter().find(|s| s["name"] == name).expect("a scene");
+        let stages = scene["run"]["stages"].as_array().expect("stages").clone();
+        let stage = |name: &str| stages.iter().find(|s| s["name"] == name).expect("a stage")["state"].clone();
+        [scene["state"].clone(), scene["until"].clone(), stage("geometry"), stage("report")]
+    };
+    works(&["batch", &file, "--out", &batch, "--until", "30"]);
+    assert_eq!(state("one"), ["done", "30", "pending", "waiting"]);
+    assert_eq!(state("two"), ["done", "30", "pending", "waiting"], "the command line has the last word");
+    works(&["batch", &file, "--out", &batch]);
+    assert_eq!(state("one"), [Value::from("done"), Value::Null, "done".into(), "done".into()]);
+    assert_eq!(state("two"), ["done", "geometry", "done", "waiting"]);
+    let said = works(&["status", &batch]);
+    assert!(said.contains("two: done (until geometry)"), "{said}");
+}
+
+#[test]
+fn a_scene_that_does_not_fit_the_memory_is_refused_before_anything_begins() {
+    let dir = folder();
+    let (batch, file) = (dir.path().join("batch"), dir.path().join("places.toml"));
+    let scene = format!("[[scene]]\nname = \"small\"\npath = \"{}\"\n", scene().display());
+    let large = scene.replace("small", "large") + "settings = { splats = 4000000 }\n";
+    for (budget, more, words) in [
+        (
+            "",
+            "memory = \"40 MiB\"\n",
+            &["scene `small`: it needs about", "its `memory` is 40 MiB", "`size`"][..],
+        ),
+        (
+            "memory = \"600 MiB\"\n",
+            "",
+            &["scene `large`: it needs about", "4000000 splats", "the budget is 600 MiB"],
+        ),
+    ] {
+        let text = format!("[budget]\n{budget}[defaults]\nsettings = {{ size = 96 }}\n{scene}{more}{large}");
+        std::fs::write(&file, text).expect("it writes");
+        refuses(&["batch", &show(&file), "--out", &show(&batch)], 2, words);
+        assert!(!batch.exists(), "nothing has begun");
+    }
+    // What it is given is a budget that the run keeps to.
+    let file = manifest(dir.path(), 20, &["small"], "memory = \"220 MiB\"\n");
+    works(&["batch", &file, "--out", &show(&batch)]);
+    let kept = std::fs::read_to_string(batch.join("small/segwild.toml")).expect("its settings");
+    assert!(kept.contains("memory_budget = 220"), "{kept}");
+}
+
+#[test]
 fn mistakes_of_operators_are_answered_in_words() {
-    let dir = tempfile::tempdir().expect("a temporary folder");
+    let dir = folder();
     let file = dir.path().join("places.toml");
     std::fs::write(&file, "[[scene]]\npath = \"a\"\nsettings = { stpes = 3 }\n").expect("it writes");
     let cases: [(&[&str], i32, &str); 5] = [
         (&["batch", &show(&file), "--out", &show(&dir.path().join("b"))], 2, "stpes"),
         (&["batch", "/nowhere.toml"], 2, "/nowhere.toml"),
         (&["top", &show(dir.path()), "--once"], 6, "no batch folder"),
-        (&["run", &show(place()), "--listen", "here"], 2, "--listen"),
+        (&["run", &show(scene()), "--listen", "here"], 2, "--listen"),
         (&["status", &show(dir.path()), "--once", "--follow"], 2, "cannot be used with"),
     ];
     for (args, code, word) in cases {
@@ -306,7 +286,7 @@ fn a_real_prometheus_answers_every_panel_and_every_rule() {
         println!("skipped: {name}: prometheus is missing (apt-get install prometheus)");
         return;
     }
-    let dir = tempfile::tempdir().expect("a temporary folder");
+    let dir = folder();
     let batch = dir.path().join("batch");
     let file = manifest(dir.path(), 3000, &["one", "two"], "");
     let mut child = Guarded(

@@ -44,11 +44,12 @@ const LEASE_S: f64 = 2.0;
 const REST_S: f64 = 1.0;
 
 /// The suite.
-pub const CHECKS: [Check; 17] = [
+pub const CHECKS: [Check; 18] = [
     ("publishing twice is publishing once", publishing_twice),
     ("another payload begins again, but not under a worker's hands", another_payload),
     ("the most urgent job goes first, equals in order", urgency),
     ("a job that does not fit is left for who has room", fitting),
+    ("what a more urgent job waits for is not given to a less urgent one", keeping_room),
     ("no job is given to two workers", one_worker_per_job),
     ("a heartbeat holds a lease beyond its time", heartbeat_holds),
     ("a silent worker loses its lease, and the next attempt has a higher fence", silence),
@@ -82,7 +83,7 @@ fn job(id: &str) -> Job {
 
 fn offer(worker: &str) -> Offer {
     let free = Needs { cores: 4, memory_bytes: 1000, accelerators: 1 };
-    Offer { worker: worker.into(), free, lease_s: LEASE_S }
+    Offer { worker: worker.into(), free, whole: free, lease_s: LEASE_S }
 }
 
 fn words(error: EngineError) -> String {
@@ -165,6 +166,29 @@ fn fitting(site: &dyn Site) -> Result<(), String> {
     let roomy = Offer { free: Needs { cores: 8, ..offer("w").free }, ..offer("roomy") };
     let lease = engine.claim(&roomy).map_err(words)?.ok_or("who has room is given nothing")?;
     expect("to who has room", lease.job.id.as_str(), "large")
+}
+
+fn keeping_room(site: &dyn Site) -> Result<(), String> {
+    let engine = site.engine();
+    let whole = Needs { accelerators: 2, ..offer("w").free };
+    let with = |id: &str, priority, accelerators| {
+        let needs = Needs { accelerators, ..job(id).needs };
+        Job { priority, needs, ..job(id) }
+    };
+    for job in [with("both", 9, 2), with("one", 1, 1), with("none", 0, 0), with("too many", 99, 3)] {
+        engine.publish(&job).map_err(words)?;
+    }
+    let claim = |accelerators| {
+        let free = Needs { accelerators, ..whole };
+        let lease = engine.claim(&Offer { free, whole, ..offer("w") }).map_err(words)?;
+        Ok::<_, String>(lease.map(|lease| lease.job.id))
+    };
+    // One of two accelerators is free: it is kept for the job that needs both.
+    expect("what needs none goes ahead", claim(1)?.as_deref(), Some("none"))?;
+    expect("with one accelerator free", claim(1)?, None)?;
+    expect("with both free", claim(2)?.as_deref(), Some("both"))?;
+    // What this worker could never take holds nobody up.
+    expect("with one free again", claim(1)?.as_deref(), Some("one"))
 }
 
 fn one_worker_per_job(site: &dyn Site) -> Result<(), String> {

@@ -13,6 +13,7 @@ use crate::engine::{
     Published,
 };
 use crate::job::{Job, Needs, Retry};
+use crate::turn::turns;
 
 /// Version of the tables.
 const VERSION: i64 = 1;
@@ -118,6 +119,17 @@ impl EmbeddedEngine {
             }
             Ok(Ok(held.len()))
         })
+    }
+
+    /// How often something has happened, over all jobs and ever.
+    ///
+    /// # Errors
+    /// When the store fails.
+    pub fn count(&self, kind: ChangeKind) -> Result<u64, EngineError> {
+        let count: i64 = self.read(|c| {
+            c.query_row("SELECT count(*) FROM changes WHERE kind = ?1", [kind.word()], |row| row.get(0))
+        })?;
+        Ok(count.max(0) as u64)
     }
 
     /// Forgets jobs that nobody asks for any more, but for those that somebody works on; what happened to them stays
@@ -342,9 +354,9 @@ impl Engine for EmbeddedEngine {
                 ))?
                 .query_map([now], status)?
                 .collect::<rusqlite::Result<_>>()?;
-            let Some(found) = waiting.into_iter().find(|job| job.job.needs.fit(&offer.free)) else {
-                return Ok(Ok(None));
-            };
+            let jobs: Vec<&Job> = waiting.iter().map(|status| &status.job).collect();
+            let first = turns(&jobs, &offer.free, &offer.whole).iter().position(|turn| turn.fits);
+            let Some(found) = first.and_then(|i| waiting.into_iter().nth(i)) else { return Ok(Ok(None)) };
             let (attempt, until) = (found.attempt + 1, now + offer.lease_s);
             t.execute(
                 "UPDATE jobs SET state = 'leased', attempt = ?2, worker = ?3, lease_until = ?4, started = ?5,

@@ -77,6 +77,8 @@ pub struct Offer {
     pub worker: String,
     /// What it has free; jobs that need more are left for others.
     pub free: Needs,
+    /// What it has in all: jobs that need no more may wait for it, and less urgent ones do not take their room.
+    pub whole: Needs,
     /// A lease that is not renewed for so long, in seconds, is lost.
     pub lease_s: f64,
 }
@@ -273,7 +275,8 @@ pub trait Engine: Send + Sync {
     /// [`EngineError::InProgress`] for another payload while somebody works on it; when the store fails.
     fn publish(&self, job: &Job) -> Result<Published, EngineError>;
 
-    /// Takes the most urgent job that fits the offer and whose rest is over, if there is one.
+    /// Takes the most urgent job that fits the offer and whose rest is over, if there is one. A more urgent one that
+    /// waits for room keeps it: see [`turns`](crate::turns).
     ///
     /// # Errors
     /// When the store fails.

@@ -13,6 +13,7 @@ mod engine;
 mod job;
 mod machine;
 mod manifest;
+mod turn;
 
 pub use batch::{
     BatchError, BatchEvent, BatchFolder, BatchOptions, BatchRecord, BatchSummary, StopBatch, StopLevel,
@@ -25,3 +26,4 @@ pub use engine::{
 };
 pub use job::{Job, Needs, Retry};
 pub use manifest::{Manifest, ManifestError, SceneJob};
+pub use turn::{Turn, turns};

@@ -40,7 +40,8 @@ impl Yard {
         std::fs::write(&program, SCRIPT).expect("a script");
         std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).expect("it can run");
         std::fs::write(dir.path().join("batch.toml"), manifest).expect("a manifest");
-        let options = BatchOptions { program, classify, stop: StopBatch::default(), retry_dead: false };
+        let options =
+            BatchOptions { program, classify, stop: StopBatch::default(), retry_dead: false, until: None };
         Yard { dir, options }
     }
 
@@ -173,6 +174,72 @@ fn budgets_are_kept() {
     assert_eq!(summary.expect("it runs").count(JobState::Done), 4);
     assert!(most <= 2, "{most} cores were given away at once");
     assert_eq!(order[0], "good4", "the most urgent one first");
+}
+
+#[test]
+fn scenes_are_told_their_memory_and_where_to_stop() {
+    let manifest = scenes(&["good", "good2"], "") + "until = 500\nmemory = \"1 GiB\"\n";
+    let yard = Yard::new(&manifest);
+    yard.run(&mut |_| {}).expect("it runs");
+    let said = |scene: &str| yard.calls(scene).pop().unwrap_or_default();
+    assert!(
+        said("good").contains("--memory-budget 10 ") && !said("good").contains("--until"),
+        "{}",
+        said("good")
+    );
+    assert!(said("good2").contains("--memory-budget 1024 "), "{}", said("good2"));
+    assert!(said("good2").ends_with("--until 500"), "{}", said("good2"));
+    // The command line has the last word, and a scene that stops elsewhere is run again.
+    let until = Some(segwild_pipeline::Until::Stage("geometry"));
+    let options = BatchOptions { until, ..yard.options.clone() };
+    let yard = Yard { options, ..yard };
+    let summary = yard.run(&mut |_| {}).expect("it runs");
+    assert_eq!(states(&summary), [("good", JobState::Done, 2), ("good2", JobState::Done, 2)]);
+    for scene in ["good", "good2"] {
+        assert!(yard.calls(scene).pop().unwrap_or_default().ends_with("--until geometry"), "{scene}");
+    }
+}
+
+/// The most accelerators that were given away at once, and the order in which scenes began.
+fn accelerators_in_use(manifest: &str, per_scene: &dyn Fn(&str) -> u32) -> (u32, Vec<String>) {
+    let yard = Yard::new(manifest);
+    let (mut now, mut most, mut order) = (0, 0, Vec::new());
+    let summary = yard.run(&mut |event| match event {
+        BatchEvent::SceneStarted { scene, .. } => {
+            now += per_scene(scene);
+            most = most.max(now);
+            order.push(scene.clone());
+        }
+        BatchEvent::SceneDone { scene, .. } => now -= per_scene(scene),
+        other => panic!("{other:?}"),
+    });
+    assert_eq!(summary.expect("it runs").count(JobState::Done), order.len());
+    (most, order)
+}
+
+#[test]
+fn an_accelerator_is_had_by_one_scene_at_a_time_and_by_the_most_urgent_first() {
+    let head =
+        "[budget]\ncores = 8\naccelerators = 1\n[defaults]\ncores = 1\nmemory = \"10 MiB\"\n".to_owned();
+    let wanting = ["good1", "good2", "good3"];
+    let manifest = wanting.iter().enumerate().fold(head, |text, (i, name)| {
+        format!("{text}[[scene]]\npath = \"{name}\"\naccelerators = 1\npriority = {i}\n")
+    }) + "[[scene]]\npath = \"good-without\"\npriority = -1\n";
+    let needs = |scene: &str| u32::from(wanting.contains(&scene));
+    let (most, order) = accelerators_in_use(&manifest, &needs);
+    assert_eq!(most, 1);
+    // The one that needs none does not wait for those that do.
+    assert_eq!(order, ["good3", "good-without", "good2", "good1"]);
+}
+
+#[test]
+fn a_scene_that_needs_more_accelerators_than_there_are_is_refused_before_anything_begins() {
+    let yard = Yard::new(&scenes(&["good", "good2"], "accelerators = 1\n"));
+    let said = yard.run(&mut |event| panic!("{event:?}")).expect_err("there is none").to_string();
+    assert!(
+        said.contains("scene `good`") && said.contains("1 accelerator") && said.contains("budget"),
+        "{said}"
+    );
 }
 
 #[test]

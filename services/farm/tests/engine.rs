@@ -19,6 +19,8 @@ enum Fault {
     DeafToHeartbeats,
     /// Gives jobs to workers that have no room.
     NoRoomNeeded,
+    /// Gives small jobs the room that a more urgent one waits for.
+    SmallOnesFirst,
 }
 
 struct Here {
@@ -61,7 +63,8 @@ impl Engine for Faulty {
     fn claim(&self, offer: &Offer) -> Result<Option<Lease>, EngineError> {
         let room = Needs { cores: u32::MAX, memory_bytes: i64::MAX as u64, accelerators: u32::MAX };
         let free = if self.1 == Fault::NoRoomNeeded { room } else { offer.free };
-        self.0.claim(&Offer { free, ..offer.clone() })
+        let whole = if self.1 == Fault::SmallOnesFirst { Needs::default() } else { offer.whole };
+        self.0.claim(&Offer { free, whole, ..offer.clone() })
     }
     fn heartbeat(&self, lease: &Lease) -> Result<f64, EngineError> {
         if self.1 == Fault::DeafToHeartbeats { Ok(lease.until) } else { self.0.heartbeat(lease) }
@@ -100,6 +103,7 @@ fn the_suite_finds_what_is_broken() {
         (Fault::StopCosts, "stopped costs no attempt"),
         (Fault::DeafToHeartbeats, "heartbeat holds"),
         (Fault::NoRoomNeeded, "does not fit"),
+        (Fault::SmallOnesFirst, "not given to a less urgent one"),
     ] {
         let found = broken(&|| Here::site(fault));
         assert!(found.iter().any(|(name, _)| name.contains(word)), "`{word}` was not found: {found:?}");
@@ -116,7 +120,8 @@ fn what_was_published_survives_its_process() {
     let site =
         Here { folder: tempfile::tempdir().unwrap(), clock: SimulatedClock::new(0.0), fault: Fault::None };
     site.embedded().publish(&job("a")).unwrap();
-    let offer = Offer { worker: "w".into(), free: Needs { cores: 1, ..Needs::default() }, lease_s: 1e9 };
+    let free = Needs { cores: 1, ..Needs::default() };
+    let offer = Offer { worker: "w".into(), free, whole: free, lease_s: 1e9 };
     let lease = site.embedded().claim(&offer).unwrap().expect("a lease");
     // The worker's process is gone, and whoever holds the batch's lock knows it.
     let engine = site.embedded();

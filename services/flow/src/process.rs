@@ -1,6 +1,11 @@
-//! The process as the operating system sees it (Linux).
+//! This process as the operating system sees it (Linux), and files that only one process works with at a time.
 
-use std::fs;
+use std::fmt;
+use std::fs::{self, File, TryLockError};
+use std::io::{Read, Seek, Write};
+use std::path::Path;
+
+use crate::files::FileError;
 
 /// What a process takes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -31,4 +36,91 @@ pub fn usage() -> Option<Usage> {
         peak_rss_bytes: field("VmHWM")? << 10,
         threads: field("Threads")?,
     })
+}
+
+/// A process that holds a [`Lock`].
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Owner {
+    /// Its number, if the lock file tells.
+    pub pid: Option<u32>,
+}
+
+impl fmt::Display for Owner {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.pid {
+            Some(pid) => write!(f, "process {pid}"),
+            None => f.write_str("another process"),
+        }
+    }
+}
+
+/// Why a lock was not taken.
+#[derive(Debug, thiserror::Error)]
+pub enum LockError {
+    /// Another process holds it.
+    #[error("{0} holds it")]
+    Held(Owner),
+    /// Its file cannot be written.
+    #[error(transparent)]
+    File(#[from] FileError),
+}
+
+/// A lock file, held while this lives: however the process ends, the lock ends with it. The file stays: removing it
+/// would let two processes lock two files.
+///
+/// ```
+/// use segwild_flow::process::{Lock, owner};
+/// let dir = tempfile::tempdir().unwrap();
+/// let path = dir.path().join("run.lock");
+/// let lock = Lock::take(&path).unwrap();
+/// assert_eq!(owner(&path).and_then(|o| o.pid), Some(std::process::id()));
+/// assert!(Lock::take(&path).is_err());
+/// drop(lock);
+/// assert!(owner(&path).is_none());
+/// ```
+#[derive(Debug)]
+pub struct Lock {
+    _file: File,
+}
+
+impl Lock {
+    /// Takes the lock of a file, which is made if it is not there.
+    ///
+    /// # Errors
+    /// When another process holds it, or the file cannot be written.
+    pub fn take(path: &Path) -> Result<Self, LockError> {
+        let mut file = File::options()
+            .create(true)
+            .truncate(false)
+            .read(true)
+            .write(true)
+            .open(path)
+            .map_err(|e| FileError::new("write", path, e))?;
+        match file.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => return Err(LockError::Held(read_owner(path))),
+            Err(TryLockError::Error(e)) => return Err(FileError::new("lock", path, e).into()),
+        }
+        // Only for words: what locks is the lock.
+        file.set_len(0)
+            .and_then(|()| file.rewind())
+            .and_then(|()| writeln!(file, "{}", std::process::id()))
+            .map_err(|e| FileError::new("write", path, e))?;
+        Ok(Self { _file: file })
+    }
+}
+
+/// Who holds the lock of a file now.
+pub fn owner(path: &Path) -> Option<Owner> {
+    let file = File::open(path).ok()?;
+    match file.try_lock_shared() {
+        Err(TryLockError::WouldBlock) => Some(read_owner(path)),
+        _ => None,
+    }
+}
+
+fn read_owner(path: &Path) -> Owner {
+    let mut text = String::new();
+    let read = File::open(path).and_then(|mut file| file.read_to_string(&mut text));
+    Owner { pid: read.ok().and_then(|_| text.trim().parse().ok()) }
 }

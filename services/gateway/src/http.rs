@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::net::SocketAddr;
 use std::path::PathBuf;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 
 use axum::Router;
@@ -15,7 +15,7 @@ use tokio::sync::oneshot;
 
 use crate::metrics;
 use crate::ready::ready;
-use crate::view::{Target, View, ViewError};
+use crate::view::{Runs, Target, View, ViewError};
 
 /// Why nothing is served.
 #[derive(Debug, thiserror::Error)]
@@ -34,16 +34,19 @@ pub enum ServeError {
 }
 
 /// How a server answers.
-#[derive(Clone, Debug)]
 struct Served {
     folder: PathBuf,
     per_scene: bool,
+    /// What was looked at for the requests before.
+    runs: Mutex<Runs>,
 }
 
 impl Served {
-    /// Read anew for every request: the folder may not be there yet.
+    /// Looked for at every request: the folder may not be there yet.
     fn view(&self) -> Result<View, ViewError> {
-        Target::at(&self.folder)?.view()
+        // A panic elsewhere leaves views that are whole.
+        let mut runs = self.runs.lock().unwrap_or_else(PoisonError::into_inner);
+        Target::at(&self.folder)?.look(&mut runs)
     }
 }
 
@@ -94,7 +97,7 @@ pub fn serve(address: SocketAddr, folder: PathBuf, per_scene: bool) -> Result<Se
         .route("/metrics", get(metrics_text))
         .route("/readyz", get(readiness))
         .route("/api/v1/status", get(status))
-        .with_state(Arc::new(Served { folder, per_scene }));
+        .with_state(Arc::new(Served { folder, per_scene, runs: Mutex::default() }));
     let body = move || {
         runtime.block_on(async {
             let Ok(listener) = tokio::net::TcpListener::from_std(listener) else { return };

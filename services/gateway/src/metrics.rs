@@ -69,6 +69,7 @@ metrics! {
     EngineConnected = "segwild_engine_connected", Gauge, Min, "Whether the batch's engine can be read.";
     BudgetCores = "segwild_budget_cores", Gauge, Sum, "Cores of the batch's budget: declared in all, used now.";
     BudgetMemory = "segwild_budget_memory_bytes", Gauge, Sum, "Memory of the batch's budget: declared in all, used now.";
+    BudgetAccelerators = "segwild_budget_accelerators", Gauge, Sum, "Accelerators of the batch's budget: declared in all, used now.";
     StageViews = "segwild_stage_views_total", Counter, Sum, "Photos that a stage has dealt with, by outcome: made, cached, failed.";
     StageTaskDuration = "segwild_stage_task_duration_seconds", Histogram, Sum, "Time that a stage took for one photo.";
     StageQueueDepth = "segwild_stage_queue_depth", Gauge, Sum, "Units of work that a running stage still has to do: photos, or steps of geometry.";
@@ -216,6 +217,7 @@ pub fn render(view: Option<&View>, per_scene: bool) -> String {
             for (word, part) in [("declared", &batch.budget), ("used", &batch.used)] {
                 board.put(Metric::BudgetCores, &[("part", word)], f64::from(part.cores));
                 board.put(Metric::BudgetMemory, &[("part", word)], part.memory_bytes as f64);
+                board.put(Metric::BudgetAccelerators, &[("part", word)], f64::from(part.accelerators));
             }
             for scene in &batch.scenes {
                 if let Some(run) = &scene.run {

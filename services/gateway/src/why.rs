@@ -1,12 +1,14 @@
 //! Why each waiting thing waits, in words.
 
-use segwild_farm::Needs;
+use std::collections::BTreeMap;
+
+use segwild_farm::{Needs, Turn};
 use segwild_flow::WorkerState;
 use segwild_flow::ledger::LiveMailbox;
 use segwild_pipeline::{needs, stages_of};
 
 use crate::view::{ActorView, SceneState, SceneView, StageView};
-use crate::words::{bytes, duration};
+use crate::words::{bytes, count, duration};
 
 /// How far a stage is: `geometry 120/500 (8.0 s left)`.
 fn how_far(stage: &StageView) -> String {
@@ -95,8 +97,7 @@ fn no_work(actor: &str, stages: &[StageView]) -> String {
 }
 
 /// Scenes wait for their turn, for room, or for the end of a rest.
-pub(crate) fn scenes(all: &mut [SceneView], budget: &Needs, used: &Needs, batch_runs: bool) {
-    let free = used.taken_from(budget);
+pub(crate) fn scenes(all: &mut [SceneView], turns: &BTreeMap<&str, Turn<'_>>, batch_runs: bool) {
     for scene in all.iter_mut() {
         let in_use = scene.run.as_ref().and_then(|run| run.owner.clone());
         scene.why = match scene.state {
@@ -108,23 +109,33 @@ pub(crate) fn scenes(all: &mut [SceneView], budget: &Needs, used: &Needs, batch_
             SceneState::Waiting => Some(match (scene.rests_s, &scene.error) {
                 (Some(s), Some(error)) => format!("tries again in {} after: {error}", duration(s)),
                 (Some(s), None) => format!("begins in {}", duration(s)),
-                (None, _) => lacking(&scene.needs, &free),
+                (None, _) => turns
+                    .get(scene.name.as_str())
+                    .map_or_else(|| "about to begin".into(), |turn| lacking(&scene.needs, turn)),
             }),
         };
     }
 }
 
-fn lacking(needs: &Needs, free: &Needs) -> String {
+/// What a scene still needs, and whom that is kept for.
+fn lacking(needs: &Needs, turn: &Turn<'_>) -> String {
+    let free = &turn.free;
+    let still = |n: u64, words: String| if n > 0 { format!(" ({words} free)") } else { String::new() };
     let mut lacks = Vec::new();
     if needs.cores > free.cores {
-        let s = if needs.cores == 1 { "" } else { "s" };
-        lacks.push(format!("{} core{s} ({} free)", needs.cores, free.cores));
+        lacks.push(count(needs.cores, "core") + &still(free.cores.into(), free.cores.to_string()));
     }
     if needs.memory_bytes > free.memory_bytes {
-        lacks.push(format!("{} of memory ({} free)", bytes(needs.memory_bytes), bytes(free.memory_bytes)));
+        let free = still(free.memory_bytes, bytes(free.memory_bytes));
+        lacks.push(format!("{} of memory{free}", bytes(needs.memory_bytes)));
     }
     if needs.accelerators > free.accelerators {
-        lacks.push(format!("{} accelerators ({} free)", needs.accelerators, free.accelerators));
+        let free = still(free.accelerators.into(), free.accelerators.to_string());
+        lacks.push(count(needs.accelerators, "accelerator") + &free);
     }
-    if lacks.is_empty() { "about to begin".into() } else { format!("waits for {}", lacks.join(", ")) }
+    match (lacks.is_empty(), turn.kept_for) {
+        (true, _) => "about to begin".into(),
+        (false, None) => format!("waits for {}", lacks.join(", ")),
+        (false, Some(urgent)) => format!("waits for {}; `{urgent}` goes first", lacks.join(", ")),
+    }
 }

@@ -39,6 +39,16 @@ pub fn bytes(n: u64) -> String {
     }
 }
 
+/// So many of something: `1 core`, `3 cores`.
+///
+/// ```
+/// use segwild_gateway::words::count;
+/// assert_eq!((count(1, "core"), count(3, "core")), ("1 core".to_owned(), "3 cores".to_owned()));
+/// ```
+pub fn count(n: u32, what: &str) -> String {
+    format!("{n} {what}{}", if n == 1 { "" } else { "s" })
+}
+
 /// An event of the ledger in words; what is no event's JSON is a sentence already.
 pub fn event(message: &str) -> String {
     use Event::*;

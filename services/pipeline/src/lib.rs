@@ -31,6 +31,7 @@ pub use explain::{Plan, Verdict, explain};
 pub use folder::{Loaded, RunFolder};
 pub use graph::{RunOptions, STAGES, Summary, needs, run, stages_of};
 pub use keep::{CacheLine, cache_gc, cache_list, cache_verify};
+pub use memory::MemoryNeed;
 pub use render::{Drawn, Mode, RenderRequest, What, render};
 pub use report::write_report;
 pub use segment::{PhotoPrompts, SegmentOutcome, Selected, Shortened, segment};

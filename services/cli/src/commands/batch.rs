@@ -7,6 +7,7 @@ use crate::operators::{listen, listen_args};
 use crate::progress::{duration, on_ctrl_c};
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
 use segwild_farm::{BatchEvent, BatchOptions, BatchSummary, JobState, StopBatch, StopLevel, batch};
+use segwild_pipeline::Until;
 use std::path::{Path, PathBuf};
 
 /// The command's arguments.
@@ -25,6 +26,9 @@ pub fn command() -> Command {
                 .value_parser(value_parser!(PathBuf))
                 .help("Batch folder [default: runs/NAME of the manifest]"),
         )
+        .arg(crate::args::until(
+            "Every scene stops after this stage, or after training step N, whatever the manifest says",
+        ))
         .arg(
             Arg::new("retry-dead")
                 .long("retry-dead")
@@ -59,8 +63,13 @@ pub fn batch(matches: &ArgMatches) -> Result<(), Failure> {
         _ => std::process::exit(exit::INTERRUPTED.into()),
     })?;
     let program = std::env::current_exe()?;
-    let options =
-        BatchOptions { program, classify: exit::class, stop, retry_dead: matches.get_flag("retry-dead") };
+    let options = BatchOptions {
+        program,
+        classify: exit::class,
+        stop,
+        retry_dead: matches.get_flag("retry-dead"),
+        until: matches.get_one::<Until>("until").copied(),
+    };
     let mut told = Ok(());
     let summary = batch::run(&manifest, &out, &options, &mut |event| {
         if !json {

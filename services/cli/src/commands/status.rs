@@ -4,7 +4,7 @@ use super::{path, print_json, print_line};
 use crate::failure::Failure;
 use crate::progress::duration;
 use clap::{Arg, ArgAction, ArgMatches, Command};
-use segwild_gateway::view::{BatchView, RunView, StageView};
+use segwild_gateway::view::{BatchView, RunView, Runs, StageView};
 use segwild_gateway::words::bytes;
 use segwild_gateway::{Target, View};
 use std::sync::mpsc;
@@ -31,8 +31,9 @@ pub fn status(matches: &ArgMatches) -> Result<(), Failure> {
     let target = Target::at(&path(matches, "run").expect("clap requires it"))?;
     // A channel that nobody sends to: waiting on it is waiting for the next sample.
     let (_never, next) = mpsc::channel::<()>();
+    let mut runs = Runs::default();
     loop {
-        let view = target.view()?;
+        let view = target.look(&mut runs)?;
         match (&view, matches.get_flag("json")) {
             (_, true) => print_json(&view)?,
             (View::Run(run), _) => tell_run(run, "")?,
@@ -58,7 +59,8 @@ fn tell_run(run: &RunView, indent: &str) -> Result<(), Failure> {
         None => print_line(&format!("{indent}no process is working on this run"))?,
     }
     for stage in &run.stages {
-        print_line(&format!("{indent}{:>9}  {:8} {}", stage.name, stage.state, stage_words(stage)))?;
+        let line = format!("{indent}{:>9}  {:8} {}", stage.name, stage.state, stage_words(stage));
+        print_line(line.trim_end())?;
         if let Some(error) = &stage.error {
             print_line(&format!("{indent}{:>9}  {error}", ""))?;
         }
@@ -107,8 +109,9 @@ fn tell_batch(batch: &BatchView) -> Result<(), Failure> {
     for scene in &batch.scenes {
         let time =
             scene.wall_s.map_or(String::new(), |s| format!("attempt {}, {}", scene.attempt, duration(s)));
+        let until = scene.until.as_deref().map_or(String::new(), |until| format!(" (until {until})"));
         let why = scene.why.as_deref().map_or(String::new(), |w| format!("  {w}"));
-        print_line(&format!("{}: {} {time}{why}", scene.name, scene.state.word()))?;
+        print_line(&format!("{}: {}{until} {time}{why}", scene.name, scene.state.word()))?;
         if let Some(run) = scene.run.as_ref().filter(|run| run.running) {
             tell_run(run, "    ")?;
         }

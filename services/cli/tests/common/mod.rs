@@ -3,8 +3,9 @@
 
 use segwild_bench::synthetic::{LookKind, Manifest, SyntheticOptions, generate};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
-use std::sync::OnceLock;
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::{OnceLock, mpsc};
+use std::time::Duration;
 
 pub fn segwild(args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_segwild")).args(args).output().expect("the program starts")
@@ -31,8 +32,56 @@ pub fn works(args: &[&str]) -> String {
     text(&output.stdout)
 }
 
+pub fn json(bytes: &[u8]) -> serde_json::Value {
+    serde_json::from_slice(bytes).unwrap_or_else(|e| panic!("{e}: {}", text(bytes)))
+}
+
+/// A child that does not outlive its test.
+pub struct Guarded(pub Child);
+
+impl Drop for Guarded {
+    fn drop(&mut self) {
+        // One that has ended by itself is as good.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Starts it without listening to what it says.
+pub fn in_background(args: &[&str]) -> Guarded {
+    let child = Command::new(env!("CARGO_BIN_EXE_segwild"))
+        .args(args)
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("the program starts");
+    Guarded(child)
+}
+
+#[cfg(unix)]
+pub fn signal(child: &Child, signal: &str) {
+    let sent = Command::new("kill").args([signal, &child.id().to_string()]).status();
+    assert!(sent.expect("`kill` is there").success());
+}
+
+pub fn rest(time: Duration) {
+    // A channel that nobody sends to: a wait that clippy's sleeping actors are not meant by.
+    let (_never, next) = mpsc::channel::<()>();
+    let _ = next.recv_timeout(time);
+}
+
+/// Looks again and again until there is something to see.
+pub fn until<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
+    for _ in 0..3000 {
+        if let Some(seen) = look() {
+            return seen;
+        }
+        rest(Duration::from_millis(40));
+    }
+    panic!("{what} did not come");
+}
+
 pub struct Place {
-    _dir: tempfile::TempDir,
     pub scene: PathBuf,
     pub run: PathBuf,
     pub manifest: Manifest,
@@ -41,12 +90,17 @@ pub struct Place {
 pub const QUICK: [&str; 8] =
     ["--size", "96", "--steps", "60", "--refine-steps", "4", "--prompt-budget", "24"];
 
-/// A small place and a finished run on it, made once.
-pub fn place() -> &'static Place {
-    static PLACE: OnceLock<Place> = OnceLock::new();
-    PLACE.get_or_init(|| {
+struct Photographed {
+    dir: tempfile::TempDir,
+    scene: PathBuf,
+    manifest: Manifest,
+}
+
+fn photographed() -> &'static Photographed {
+    static SCENE: OnceLock<Photographed> = OnceLock::new();
+    SCENE.get_or_init(|| {
         let dir = tempfile::tempdir().expect("a temporary folder");
-        let (scene, run) = (dir.path().join("place"), dir.path().join("run"));
+        let scene = dir.path().join("place");
         let options = SyntheticOptions {
             train: 8,
             test: 2,
@@ -57,9 +111,23 @@ pub fn place() -> &'static Place {
             ..SyntheticOptions::small()
         };
         let manifest = generate(&options).and_then(|s| s.write(&scene)).expect("a synthetic place");
-        let (s, r) = (scene.display().to_string(), run.display().to_string());
-        works(&[&["run", &s, "--out", &r][..], &QUICK].concat());
-        Place { _dir: dir, scene, run, manifest }
+        Photographed { dir, scene, manifest }
+    })
+}
+
+/// A small place, made once, for who runs it in another way than [`place`].
+pub fn scene() -> &'static Path {
+    &photographed().scene
+}
+
+/// The small place and a finished run on it, made once.
+pub fn place() -> &'static Place {
+    static PLACE: OnceLock<Place> = OnceLock::new();
+    PLACE.get_or_init(|| {
+        let Photographed { dir, scene, manifest } = photographed();
+        let run = dir.path().join("run");
+        works(&[&["run", &show(scene), "--out", &show(&run)][..], &QUICK].concat());
+        Place { scene: scene.clone(), run, manifest: manifest.clone() }
     })
 }
 

@@ -116,7 +116,11 @@ impl Worker {
             .arg(folder.settings_file(&self.scene.name))
             .arg("--threads")
             .arg(self.granted.cores.to_string())
+            .arg("--memory-budget")
+            // 0 would be no limit at all.
+            .arg((self.granted.memory_bytes >> 20).max(1).to_string())
             .arg("--stop-with-parent")
+            .args(self.scene.until.iter().flat_map(|until| ["--until", until]))
             .stdin(Stdio::piped())
             .stdout(log.try_clone()?)
             .stderr(log);

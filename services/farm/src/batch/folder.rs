@@ -1,10 +1,9 @@
 //! The folder of a batch.
 
-use std::fs::{File, TryLockError};
-use std::io::{Read, Seek, Write};
 use std::path::{Path, PathBuf};
 
-use segwild_flow::files;
+use segwild_flow::process::{self, Lock, LockError, Owner};
+use segwild_flow::{FileError, files};
 use serde::{Deserialize, Serialize};
 
 use super::BatchError;
@@ -81,41 +80,26 @@ impl BatchFolder {
     }
 
     /// The process that runs the batch now, if any.
-    pub fn owner(&self) -> Option<String> {
-        let path = self.path.join("batch.lock");
-        match File::open(&path).ok()?.try_lock_shared() {
-            Err(TryLockError::WouldBlock) => Some(owner(&path)),
-            _ => None,
-        }
+    pub fn owner(&self) -> Option<Owner> {
+        process::owner(&self.lock_file())
+    }
+
+    fn lock_file(&self) -> PathBuf {
+        self.path.join("batch.lock")
     }
 
     pub(super) fn settings_file(&self, scene: &str) -> PathBuf {
         self.path.join("settings").join(format!("{scene}.toml"))
     }
 
-    /// Takes the batch for this process; the lock ends with the file.
-    pub(super) fn lock(&self) -> Result<File, BatchError> {
-        let path = self.path.join("batch.lock");
-        let mut file = File::options()
-            .create(true)
-            .truncate(false)
-            .read(true)
-            .write(true)
-            .open(&path)
-            .map_err(file_error("write", &path))?;
-        match file.try_lock() {
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => {
-                return Err(BatchError::Busy { path: self.path.clone(), owner: owner(&path) });
+    /// Takes the batch for this process; the lock ends with what is returned.
+    pub(super) fn lock(&self) -> Result<Lock, BatchError> {
+        Lock::take(&self.lock_file()).map_err(|error| match error {
+            LockError::Held(owner) => BatchError::Busy { path: self.path.clone(), owner },
+            LockError::File(FileError { action, path, source, .. }) => {
+                BatchError::File { action, path, source }
             }
-            Err(TryLockError::Error(e)) => return Err(file_error("lock", &path)(e)),
-        }
-        // Only for words: what locks is the lock.
-        file.set_len(0)
-            .and_then(|()| file.rewind())
-            .and_then(|()| writeln!(file, "{}", std::process::id()))
-            .map_err(file_error("write", &path))?;
-        Ok(file)
+        })
     }
 
     pub(super) fn write_record(&self, record: &BatchRecord) -> Result<(), BatchError> {
@@ -135,15 +119,6 @@ impl BatchFolder {
 
 fn write(path: &Path, bytes: &[u8]) -> Result<(), BatchError> {
     files::write_atomic(path, bytes).map_err(std::io::Error::other).map_err(file_error("write", path))
-}
-
-fn owner(path: &Path) -> String {
-    let mut text = String::new();
-    let read = File::open(path).and_then(|mut file| file.read_to_string(&mut text));
-    match read.ok().and_then(|_| text.trim().parse::<u32>().ok()) {
-        Some(pid) => format!("process {pid}"),
-        None => "another process".into(),
-    }
 }
 
 pub(super) fn file_error(action: &'static str, path: &Path) -> impl Fn(std::io::Error) -> BatchError + use<> {

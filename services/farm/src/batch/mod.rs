@@ -19,6 +19,8 @@ mod stop;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use segwild_flow::process::Owner;
+use segwild_pipeline::Until;
 use serde::Serialize;
 
 pub use folder::{BatchFolder, BatchRecord};
@@ -63,7 +65,7 @@ pub enum BatchError {
         /// The folder.
         path: PathBuf,
         /// Who runs it.
-        owner: String,
+        owner: Owner,
     },
 }
 
@@ -78,6 +80,8 @@ pub struct BatchOptions {
     pub stop: StopBatch,
     /// Whether dead letters of earlier runs try again.
     pub retry_dead: bool,
+    /// Where every scene stops, whatever the manifest says.
+    pub until: Option<Until>,
 }
 
 /// What happens in a batch.
@@ -162,7 +166,7 @@ pub fn run(
     tell: &mut dyn FnMut(&BatchEvent),
 ) -> Result<BatchSummary, BatchError> {
     let began = Instant::now();
-    let read = Manifest::read(manifest, folder)?;
+    let read = Manifest::read(manifest, folder, options.until)?;
     let folder = BatchFolder::create(folder)?;
     let _lock = folder.lock()?;
     let engine = EmbeddedEngine::open(folder.engine_file())?;
@@ -252,7 +256,9 @@ impl Batch<'_> {
             return Ok(false);
         }
         let worker = format!("batch {}", std::process::id());
-        let Some(lease) = self.engine.claim(&Offer { worker, free, lease_s: LEASE_S })? else {
+        let Some(lease) =
+            self.engine.claim(&Offer { worker, free, whole: self.manifest.budget, lease_s: LEASE_S })?
+        else {
             return Ok(false);
         };
         let scene: SceneJob = match serde_json::from_str(&lease.job.payload) {
@@ -275,9 +281,14 @@ impl Batch<'_> {
     /// Begins processes that can begin, and books those that have ended; says whether any has.
     fn reap(&mut self) -> Result<bool, BatchError> {
         let mut changed = false;
-        for i in (0..self.workers.len()).rev() {
+        let mut i = 0;
+        // In the order in which they were claimed: the most urgent process is begun first.
+        while i < self.workers.len() {
             let ended = self.workers[i].advance(self.folder, &self.options.program, self.tell);
-            let Some(ended) = ended else { continue };
+            let Some(ended) = ended else {
+                i += 1;
+                continue;
+            };
             changed = true;
             let worker = self.workers.remove(i);
             let lease = &worker.lease;

@@ -11,7 +11,7 @@ use ratatui::layout::Rect;
 use ratatui::text::Line;
 use ratatui::widgets::{Paragraph, Widget};
 
-use crate::view::{Target, View};
+use crate::view::{Runs, Target, View};
 
 /// Time between two looks.
 const EVERY: Duration = Duration::from_secs(1);
@@ -54,10 +54,10 @@ pub fn follow(target: &Target) -> io::Result<()> {
 }
 
 fn watch(terminal: &mut ratatui::DefaultTerminal, target: &Target) -> io::Result<()> {
-    let mut place = Place::default();
+    let (mut place, mut runs) = (Place::default(), Runs::default());
     loop {
         let looked = Instant::now();
-        let view = target.view();
+        let view = target.look(&mut runs);
         loop {
             terminal.draw(|f| match &view {
                 Ok(view) => draw(view, place, f.area(), f.buffer_mut()),

@@ -5,7 +5,7 @@ use ratatui::text::{Line, Span};
 use segwild_flow::WorkerState;
 
 use super::Place;
-use crate::view::{ActorView, BatchView, RunView, SceneState, SceneView, StageView, View};
+use crate::view::{ActorView, BatchView, Disk, RunView, SceneState, SceneView, StageView, View};
 use crate::words::{bytes, cut, duration};
 
 fn plain(text: impl Into<String>) -> Line<'static> {
@@ -70,7 +70,7 @@ pub fn lines(view: &View, place: Place, width: u16, height: u16) -> Vec<Line<'st
     let mut page = match view {
         View::Run(run) => {
             let mut page = vec![run_head(run)];
-            page.extend(run_body(run, width, height.saturating_sub(page.len())));
+            page.extend(run_body(run, run_totals(run) + &disk(run.disk), width, height.saturating_sub(1)));
             page
         }
         View::Batch(batch) => batch_page(batch, place, width, height),
@@ -99,12 +99,12 @@ fn run_head(run: &RunView) -> Line<'static> {
     head(text)
 }
 
-/// Memory, cache, training, disk: one line.
+/// Memory, cache, training: one line.
 fn run_totals(run: &RunView) -> String {
     let (photos, steps) = run.rates();
     let mut parts = vec![format!("{photos:.1} photos/s"), format!("{steps:.1} steps/s")];
     match (run.rss_bytes, run.peak_rss_bytes) {
-        (Some(now), Some(peak)) => parts.push(format!("{} (peak {})", bytes(now), bytes(peak))),
+        (Some(now), Some(peak)) => parts.push(format!("{}, peak {}", bytes(now), bytes(peak))),
         (None, Some(peak)) => parts.push(format!("peak memory {}", bytes(peak))),
         _ => {}
     }
@@ -116,10 +116,11 @@ fn run_totals(run: &RunView) -> String {
     if let Some(psnr) = run.numbers.get("geometry.psnr_db") {
         parts.push(format!("{psnr:.1} dB"));
     }
-    if let Some(disk) = run.disk {
-        parts.push(format!("disk {} free", bytes(disk.free_bytes)));
-    }
     parts.join("  ")
+}
+
+fn disk(disk: Option<Disk>) -> String {
+    disk.map_or(String::new(), |disk| format!("  disk {} free", bytes(disk.free_bytes)))
 }
 
 fn stage_row(stage: &StageView) -> Line<'static> {
@@ -198,16 +199,17 @@ fn reasons(run: &RunView, width: usize) -> Vec<Line<'static>> {
     actors.chain(stages).map(line).collect()
 }
 
-fn run_body(run: &RunView, width: usize, height: usize) -> Vec<Line<'static>> {
-    let mut page = vec![plain(cut(&run_totals(run), width))];
+fn run_body(run: &RunView, totals: String, width: usize, height: usize) -> Vec<Line<'static>> {
+    let mut page = vec![plain(cut(&totals, width))];
     page.push(columns(format!(
         "{:9} {:8} {:10} {:>11} {:>8} {:>6} {:>6} {:>6} {:>6}",
         "stage", "state", "", "done", "rate", "left", "time", "cached", "failed"
     )));
-    // Where there is no room for everything, what is over goes first.
-    let needed = run.stages.len() + run.actors.len() + 5;
+    // Where there is no room for everything, what is over goes first, and what has not begun is only said to wait.
+    let waiting = run.stages.iter().filter(|s| s.why.is_some()).count();
+    let needed = run.stages.len() + waiting + 2 * run.actors.len() + 5;
     let all = height >= needed;
-    let stages = run.stages.iter().filter(|s| all || s.state != "done" || !run.running);
+    let stages = run.stages.iter().filter(|s| all || s.state != "done" && s.why.is_none() || !run.running);
     page.extend(stages.map(stage_row));
     let actors: Vec<&ActorView> = run
         .actors
@@ -239,29 +241,37 @@ fn run_body(run: &RunView, width: usize, height: usize) -> Vec<Line<'static>> {
     page
 }
 
-fn scene_row(scene: &SceneView, chosen: bool) -> Line<'static> {
+/// Columns of a scene's row without its bar and its stages.
+const WITHOUT_BAR: usize = 66;
+
+/// A bar where there is room for one: how far it is stands beside it as a number, which stages run stands nowhere else.
+fn scene_bar(share: f64, width: usize) -> String {
+    if width < WITHOUT_BAR + 30 { String::new() } else { format!(" {}", bar(share, 6)) }
+}
+
+fn scene_row(scene: &SceneView, chosen: bool, width: usize) -> Line<'static> {
     let run = scene.run.as_deref();
     let going = scene.state == SceneState::Running;
     let stages = run.map_or(&[][..], |r| &r.stages);
     let stage: Vec<&str> =
         stages.iter().filter(|s| going && s.state == "running").map(|s| s.name.as_str()).collect();
-    let (photos, steps) = run.filter(|_| going).map_or((0.0, 0.0), |r| r.rates());
-    let depth: u64 = run.filter(|_| going).map_or(0, |r| r.mailboxes.iter().map(|m| m.depth).sum());
+    let (photos, steps) = run.filter(|_| going).map(|r| r.rates()).unzip();
+    let depth = run.filter(|_| going).map(|r| r.mailboxes.iter().map(|m| m.depth).sum::<u64>());
     let memory = run.and_then(|r| r.rss_bytes.or(r.peak_rss_bytes));
     let left = run.filter(|_| going).and_then(|r| r.left_s);
     let share = if scene.state == SceneState::Done { 1.0 } else { run.map_or(0.0, RunView::share) };
     let after = format!(
-        " {} {:>3.0}% {:>5.1} {:>6.1} {:>5} {:>8} {:>6} {:>2}/{} {}",
-        bar(share, 6),
+        "{} {:>3.0}% {:>5} {:>6} {:>5} {:>8} {:>6} {:>2}/{} {}",
+        scene_bar(share, width),
         share * 100.0,
-        photos,
-        steps,
-        depth,
+        maybe(photos, |n| format!("{n:.1}")),
+        maybe(steps, |n| format!("{n:.1}")),
+        maybe(depth, |n| n.to_string()),
         maybe(memory, bytes),
         maybe(left, short),
-        scene.attempt,
+        scene.failures,
         scene.attempts,
-        cut(&stage.join("+"), 14)
+        cut(&stage.join("+"), width.saturating_sub(WITHOUT_BAR))
     );
     let mark = if chosen { '>' } else { ' ' };
     row(format!("{mark}{:11} ", cut(&scene.name, 11)), scene.state.word(), 7, after)
@@ -275,33 +285,45 @@ fn batch_page(batch: &BatchView, place: Place, width: usize, height: usize) -> V
         .collect();
     let who = batch.owner.as_deref().map_or("not running".to_owned(), |o| format!("run by {o}"));
     let mut page = vec![head(cut(&format!("{}: {}, {who}", batch.name, counts.join(", ")), width))];
+    let (used, budget) = (&batch.used, &batch.budget);
     let mut totals = format!(
-        "cores {} of {}  memory {} of {}  retries {}  leases lost {}",
-        batch.used.cores,
-        batch.budget.cores,
-        bytes(batch.used.memory_bytes),
-        bytes(batch.budget.memory_bytes),
-        batch.retries,
-        batch.leases_expired
+        "cores {} of {}  memory {} of {}",
+        used.cores,
+        budget.cores,
+        bytes(used.memory_bytes),
+        bytes(budget.memory_bytes),
     );
-    if let Some(disk) = batch.disk {
-        totals += &format!("  disk {} free", bytes(disk.free_bytes));
+    if budget.accelerators > 0 {
+        totals += &format!("  accelerators {} of {}", used.accelerators, budget.accelerators);
     }
-    page.push(plain(cut(&totals, width)));
+    if batch.retries > 0 {
+        totals += &format!("  retries {}", batch.retries);
+    }
+    if batch.leases_expired > 0 {
+        totals += &format!("  leases lost {}", batch.leases_expired);
+    }
+    page.push(plain(cut(&(totals + &disk(batch.disk)), width)));
     page.push(columns(format!(
-        " {:11} {:7} {:6} {:>4} {:>5} {:>6} {:>5} {:>8} {:>6} {:>4} {}",
-        "scene", "state", "", "", "ph/s", "step/s", "queue", "memory", "left", "try", "stages"
+        " {:11} {:7}{} {:>4} {:>5} {:>6} {:>5} {:>8} {:>6} {:>4} {}",
+        "scene",
+        "state",
+        " ".repeat(scene_bar(0.0, width).len()),
+        "",
+        "ph/s",
+        "step/s",
+        "queue",
+        "memory",
+        "left",
+        "fail",
+        "stages"
     )));
     let chosen = place
         .scene
         .filter(|&i| i < batch.scenes.len())
         .or_else(|| batch.scenes.iter().position(|s| s.state == SceneState::Running));
-    // Half the page is for the scenes; those around the chosen one are shown.
-    let room = (height / 3).max(4).min(height.saturating_sub(3));
-    let first = chosen.unwrap_or(0).saturating_sub(room / 2).min(batch.scenes.len().saturating_sub(room));
-    for (i, scene) in batch.scenes.iter().enumerate().skip(first).take(room) {
-        page.push(scene_row(scene, chosen == Some(i)));
-    }
+    let run = chosen.and_then(|i| batch.scenes[i].run.as_deref());
+    // A third of the page is for the scenes, all but the reasons where no run is shown; those around the chosen one
+    // are shown.
     let waits = batch.scenes.iter().filter_map(|s| Some((s, s.why.as_deref()?)));
     let waits: Vec<Line<'static>> = waits
         .map(|(s, why)| {
@@ -309,11 +331,20 @@ fn batch_page(batch: &BatchView, place: Place, width: usize, height: usize) -> V
             if s.state == SceneState::Dead { coloured(text, Color::Red) } else { plain(text) }
         })
         .collect();
-    page.extend(waits.into_iter().take((height / 6).max(2)));
-    let run = chosen.and_then(|i| batch.scenes[i].run.as_deref());
+    let reasons = waits.len().min((height / 6).max(2));
+    let left = height.saturating_sub(page.len());
+    let room = match run {
+        Some(_) => (height / 3).max(4).min(left),
+        None => left.saturating_sub(reasons),
+    };
+    let first = chosen.unwrap_or(0).saturating_sub(room / 2).min(batch.scenes.len().saturating_sub(room));
+    for (i, scene) in batch.scenes.iter().enumerate().skip(first).take(room) {
+        page.push(scene_row(scene, chosen == Some(i), width));
+    }
+    page.extend(waits.into_iter().take(reasons));
     if let Some(run) = run {
         page.push(run_head(run));
-        page.extend(run_body(run, width, height.saturating_sub(page.len())));
+        page.extend(run_body(run, run_totals(run), width, height.saturating_sub(page.len())));
     }
     page
 }

@@ -2,10 +2,10 @@
 
 use std::path::PathBuf;
 
-use segwild_farm::{BatchFolder, ChangeKind, Engine, JobState, JobStatus, Needs, SceneJob};
+use segwild_farm::{BatchFolder, ChangeKind, Engine, Job, JobState, JobStatus, Needs, SceneJob, turns};
 use serde::{Deserialize, Serialize};
 
-use super::{Disk, RunView, name_of};
+use super::{Disk, RunView, Runs, name_of};
 use crate::{ViewError, why};
 
 /// How a scene of a batch is.
@@ -64,6 +64,9 @@ pub struct SceneView {
     pub wall_s: Option<f64>,
     /// Why it waits, if it does.
     pub why: Option<String>,
+    /// Where it stops, if not at the end: a stage, or a step of the training.
+    #[serde(default)]
+    pub until: Option<String>,
     /// Its run folder.
     pub out: PathBuf,
     /// Its run, if it was ever begun.
@@ -102,21 +105,27 @@ impl BatchView {
     ///
     /// # Errors
     /// When the engine's file, or a run's ledger, cannot be read.
-    pub fn read(folder: &BatchFolder, now: f64) -> Result<BatchView, ViewError> {
-        let owner = folder.owner();
+    pub fn read(folder: &BatchFolder, runs: &mut Runs, now: f64) -> Result<BatchView, ViewError> {
+        let owner = folder.owner().map(|owner| owner.to_string());
         let engine = folder.engine()?;
         let (record, jobs) = (folder.record(), engine.jobs()?);
-        let changes = engine.watch(0, usize::MAX)?;
-        let count = |kind| changes.iter().filter(|c| c.kind == kind).count() as u64;
-        let mut scenes: Vec<SceneView> = jobs.iter().map(|job| scene(job, owner.is_some(), now)).collect();
+        let mut scenes: Vec<SceneView> =
+            jobs.iter().map(|job| scene(job, runs, owner.is_some(), now)).collect();
         let budget = record.as_ref().map(|r| r.budget).unwrap_or_default();
         let mut used = Needs::default();
         for scene in scenes.iter().filter(|s| s.state == SceneState::Running) {
-            used.cores += scene.needs.cores;
+            // The last scene is given idle cores as well.
+            let given = scene.run.as_ref().filter(|run| run.running).and_then(|run| run.cores);
+            used.cores += given.unwrap_or(0).max(scene.needs.cores);
             used.memory_bytes += scene.needs.memory_bytes;
             used.accelerators += scene.needs.accelerators;
         }
-        why::scenes(&mut scenes, &budget, &used, owner.is_some());
+        let could_begin = |s: &&JobStatus| s.state == JobState::Pending && s.due <= now;
+        let mut waiting: Vec<&Job> = jobs.iter().filter(could_begin).map(|s| &s.job).collect();
+        waiting.sort_by_key(|job| std::cmp::Reverse(job.priority));
+        let turns = turns(&waiting, &used.taken_from(&budget), &budget);
+        let turns = waiting.iter().map(|job| job.id.as_str()).zip(turns).collect();
+        why::scenes(&mut scenes, &turns, owner.is_some());
         let whole = std::path::absolute(folder.path()).unwrap_or_else(|_| folder.path().to_owned());
         Ok(BatchView {
             name: name_of(&whole),
@@ -126,8 +135,8 @@ impl BatchView {
             budget,
             used,
             scenes,
-            leases_expired: count(ChangeKind::Expired),
-            retries: count(ChangeKind::Retried),
+            leases_expired: engine.count(ChangeKind::Expired)?,
+            retries: engine.count(ChangeKind::Retried)?,
             disk: Disk::of(&whole),
             folder: whole,
         })
@@ -139,11 +148,12 @@ impl BatchView {
     }
 }
 
-fn scene(status: &JobStatus, batch_runs: bool, now: f64) -> SceneView {
+fn scene(status: &JobStatus, runs: &mut Runs, batch_runs: bool, now: f64) -> SceneView {
     let job = &status.job;
-    let out = serde_json::from_str::<SceneJob>(&job.payload).map(|s| s.out).unwrap_or_default();
+    let scene = serde_json::from_str::<SceneJob>(&job.payload).ok();
+    let (out, until) = scene.map(|s| (s.out, s.until)).unwrap_or_default();
     // A run that cannot be read now (it is being made) is shown as not begun.
-    let run = RunView::read(&out, now).ok().map(Box::new);
+    let run = runs.view(&out, now).ok().map(Box::new);
     let state = match status.state {
         JobState::Done => SceneState::Done,
         JobState::Dead => SceneState::Dead,
@@ -165,6 +175,7 @@ fn scene(status: &JobStatus, batch_runs: bool, now: f64) -> SceneView {
         started: status.started,
         wall_s: status.started.zip(end).map(|(a, b)| (b - a).max(0.0)),
         why: None,
+        until,
         out,
         run,
     }

@@ -4,6 +4,7 @@
 
 mod batch;
 mod run;
+mod runs;
 
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -16,6 +17,7 @@ use serde::{Deserialize, Serialize};
 pub use crate::disk::Disk;
 pub use batch::{BatchView, SceneState, SceneView};
 pub use run::{ActorView, MailboxView, PhotoFailure, RunState, RunView, StageView, Told, WorkerView};
+pub use runs::Runs;
 
 /// A sample older than this, in seconds, says that a run which should be watched is not.
 pub const STALE_S: f64 = 15.0;
@@ -63,9 +65,17 @@ impl Target {
     /// # Errors
     /// When its ledger cannot be read.
     pub fn view(&self) -> Result<View, ViewError> {
+        self.look(&mut Runs::default())
+    }
+
+    /// How it is now, for who looks again and again.
+    ///
+    /// # Errors
+    /// When its ledger cannot be read.
+    pub fn look(&self, runs: &mut Runs) -> Result<View, ViewError> {
         Ok(match self {
-            Target::Run(path) => View::Run(Box::new(RunView::read(path, now())?)),
-            Target::Batch(folder) => View::Batch(BatchView::read(folder, now())?),
+            Target::Run(path) => View::Run(Box::new(runs.view(path, now())?)),
+            Target::Batch(folder) => View::Batch(BatchView::read(folder, runs, now())?),
         })
     }
 

@@ -157,6 +157,9 @@ pub struct RunView {
     pub peak_rss_bytes: Option<u64>,
     /// Its threads.
     pub threads: Option<u64>,
+    /// The cores that it was told to use; `None`: all.
+    #[serde(default)]
+    pub cores: Option<u32>,
     /// Its processor seconds.
     pub cpu_s: Option<f64>,
     /// The stages, in the order in which they end.
@@ -264,6 +267,7 @@ impl RunView {
             rss_bytes: sample.rss_bytes.filter(|_| running),
             peak_rss_bytes: sample.peak_rss_bytes,
             threads: sample.threads.filter(|_| running),
+            cores: cores(&ledger.settings()?),
             cpu_s: sample.cpu_s,
             actors,
             mailboxes,
@@ -280,6 +284,12 @@ impl RunView {
             stages,
             folder: whole,
         })
+    }
+
+    /// The same view, of a run in which nothing has changed since, at a later time.
+    pub(super) fn later(&self, now: f64) -> RunView {
+        let age_s = self.age_s.map(|age| (age + now - self.time).max(0.0));
+        RunView { time: now, age_s, ..self.clone() }
     }
 
     /// Whether the live part is too old for a run that is being worked on.
@@ -324,6 +334,12 @@ impl StageView {
             _ => 0.0,
         }
     }
+}
+
+/// By the settings that are in force.
+fn cores(settings: &[(String, String)]) -> Option<u32> {
+    let (_, text) = settings.iter().find(|(name, _)| name == "threads")?;
+    text.parse().ok().filter(|&n| n > 0)
 }
 
 /// Stages overlap: the longest of those that run.

@@ -18,17 +18,21 @@
 //! out = "runs/liberty"         # default: NAME in the batch folder
 //! priority = 5                 # higher goes first
 //! cores = 2                    # default: the budget's, shared evenly
-//! memory = "1 GiB"             # default: estimated
-//! accelerators = 0
+//! memory = "1 GiB"             # its `--memory-budget`; default: the budget's, shared as the cores are
+//! accelerators = 0             # that it has for itself as long as it runs
+//! # until = "geometry"         # where it stops: a stage, or a step of the training
 //! settings = { steps = 4000 }
 //! ```
+
+mod file;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use segwild_pipeline::Settings;
+use segwild_pipeline::{MemoryNeed, Settings, Until};
 use serde::{Deserialize, Serialize};
 
+use self::file::{File, settings};
 use crate::job::{Job, Needs, Retry};
 use crate::machine;
 
@@ -63,89 +67,6 @@ pub enum ManifestError {
     },
 }
 
-#[derive(Debug, Default, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-struct File {
-    budget: Budget,
-    defaults: Terms,
-    scene: Vec<Entry>,
-}
-
-#[derive(Debug, Default, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-struct Budget {
-    cores: Option<u32>,
-    memory: Option<Size>,
-    accelerators: Option<u32>,
-    patience: Option<f64>,
-}
-
-/// What may be said for one scene and for all.
-#[derive(Debug, Default, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-struct Terms {
-    preset: Option<String>,
-    priority: Option<i32>,
-    cores: Option<u32>,
-    memory: Option<Size>,
-    accelerators: Option<u32>,
-    attempts: Option<u32>,
-    settings: toml::Table,
-}
-
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Entry {
-    path: PathBuf,
-    name: Option<String>,
-    out: Option<PathBuf>,
-    preset: Option<String>,
-    priority: Option<i32>,
-    cores: Option<u32>,
-    memory: Option<Size>,
-    accelerators: Option<u32>,
-    attempts: Option<u32>,
-    #[serde(default)]
-    settings: toml::Table,
-}
-
-/// Bytes, as a number or as text with a unit.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(untagged)]
-enum Size {
-    Bytes(u64),
-    Text(String),
-}
-
-impl Size {
-    fn bytes(&self) -> Result<u64, String> {
-        match self {
-            Size::Bytes(bytes) => Ok(*bytes),
-            Size::Text(text) => read_size(text),
-        }
-    }
-}
-
-/// Reads `512 MiB`, `2.5 GB`, `1000000`.
-fn read_size(text: &str) -> Result<u64, String> {
-    let wrong = || format!("`{text}` is no amount of memory: write `512 MiB` or `8 GiB`");
-    let split = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
-    let number: f64 = text[..split].parse().map_err(|_| wrong())?;
-    let unit = match text[split..].trim() {
-        "" | "B" => 1.0,
-        "KiB" => 1024.0,
-        "MiB" => 1024f64.powi(2),
-        "GiB" => 1024f64.powi(3),
-        "TiB" => 1024f64.powi(4),
-        "kB" => 1e3,
-        "MB" => 1e6,
-        "GB" => 1e9,
-        "TB" => 1e12,
-        _ => return Err(wrong()),
-    };
-    Ok((number * unit) as u64)
-}
-
 /// A scene of a batch: the payload of its job.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SceneJob {
@@ -157,6 +78,9 @@ pub struct SceneJob {
     pub out: PathBuf,
     /// The settings that were given, by name; the others have their preset's defaults.
     pub settings: BTreeMap<String, String>,
+    /// Where it stops, as `--until` takes it; `None`: at the end.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub until: Option<String>,
 }
 
 impl SceneJob {
@@ -182,11 +106,12 @@ pub struct Manifest {
 }
 
 impl Manifest {
-    /// Reads a manifest. `folder` is the batch's: where scenes run that name no folder of their own.
+    /// Reads a manifest. `folder` is the batch's: where scenes run that name no folder of their own. `until` is where
+    /// every scene stops, whatever the manifest says.
     ///
     /// # Errors
     /// In words, and before anything was begun: what is wrong with the file or with one of its scenes.
-    pub fn read(file: &Path, folder: &Path) -> Result<Self, ManifestError> {
+    pub fn read(file: &Path, folder: &Path, until: Option<Until>) -> Result<Self, ManifestError> {
         let text = std::fs::read_to_string(file)
             .map_err(|source| ManifestError::Read { file: file.to_path_buf(), source })?;
         let wrong = |reason: String| ManifestError::File { file: file.to_path_buf(), reason };
@@ -236,19 +161,25 @@ impl Manifest {
             if !outs.insert(out.clone()) {
                 return Err(wrong(format!("two scenes run in {}: set `out`", out.display())));
             }
-            let d = &read.defaults;
-            let settings = settings(d, entry).map_err(wrong)?;
-            let scene = SceneJob { name: name.clone(), path, out, settings };
+            if let Some(name) = entry.unknown.keys().next() {
+                return Err(wrong(format!("there is nothing named `{name}` to be said of a scene")));
+            }
+            let (d, own) = (&read.defaults, &entry.terms);
+            let settings = settings(d, own).map_err(wrong)?;
+            let stop = own.until.as_ref().or(d.until.as_ref()).map(|s| s.read()).transpose();
+            let until = until.or(stop.map_err(wrong)?).map(|until| match until {
+                Until::Stage(stage) => stage.to_owned(),
+                Until::Step(step) => step.to_string(),
+            });
+            let scene = SceneJob { name: name.clone(), path, out, settings, until };
             let effective = scene.effective().map_err(wrong)?;
-            let memory = match entry.memory.as_ref().or(d.memory.as_ref()) {
-                Some(size) => size.bytes().map_err(wrong)?,
-                // An estimate is no reason to refuse a scene that the machine may well hold.
-                None => estimate(&scene, &effective).min(budget.memory_bytes),
-            };
+            let cores = own.cores.or(d.cores).unwrap_or(share).max(1);
+            let declared = own.memory.as_ref().or(d.memory.as_ref());
+            let declared = declared.map(|size| size.bytes()).transpose().map_err(wrong)?;
             let needs = Needs {
-                cores: entry.cores.or(d.cores).unwrap_or(share).max(1),
-                memory_bytes: memory,
-                accelerators: entry.accelerators.or(d.accelerators).unwrap_or(0),
+                cores,
+                memory_bytes: memory(&scene, &effective, declared, cores, &budget).map_err(wrong)?,
+                accelerators: own.accelerators.or(d.accelerators).unwrap_or(0),
             };
             if !needs.fit(&budget) {
                 return Err(wrong(format!("it needs {}, the budget is {}", words(&needs), words(&budget))));
@@ -256,10 +187,10 @@ impl Manifest {
             let job = Job {
                 id: name.clone(),
                 payload: serde_json::to_string(&scene).map_err(|e| wrong(e.to_string()))?,
-                priority: entry.priority.or(d.priority).unwrap_or(0),
+                priority: own.priority.or(d.priority).unwrap_or(0),
                 needs,
                 retry: Retry {
-                    attempts: entry.attempts.or(d.attempts).unwrap_or(3).max(1),
+                    attempts: own.attempts.or(d.attempts).unwrap_or(3).max(1),
                     ..Retry::default()
                 },
             };
@@ -269,29 +200,30 @@ impl Manifest {
     }
 }
 
-/// The settings of a scene: the defaults', then its own.
-fn settings(defaults: &Terms, entry: &Entry) -> Result<BTreeMap<String, String>, String> {
-    let mut all = BTreeMap::new();
-    for (preset, table) in [(&defaults.preset, &defaults.settings), (&entry.preset, &entry.settings)] {
-        if let Some(preset) = preset {
-            all.insert("preset".to_owned(), preset.clone());
-        }
-        for (name, value) in table {
-            let value = match value {
-                toml::Value::String(text) => text.clone(),
-                toml::Value::Table(_) | toml::Value::Array(_) => {
-                    return Err(format!("the setting `{name}` must be a single value"));
-                }
-                other => other.to_string(),
-            };
-            all.insert(name.replace('-', "_"), value);
-        }
+/// The memory of a scene: what was declared, or its share of the budget, as far as it makes use of it. Refused when it
+/// could not run with that.
+fn memory(
+    scene: &SceneJob,
+    settings: &Settings,
+    declared: Option<u64>,
+    cores: u32,
+    budget: &Needs,
+) -> Result<u64, String> {
+    let share = budget.memory_bytes / u64::from(budget.cores.max(1)) * u64::from(cores.min(budget.cores));
+    // Why a scene cannot be opened is for its own process to say: the others go on.
+    let Ok(need) = MemoryNeed::of(&scene.path, settings) else { return Ok(declared.unwrap_or(share)) };
+    let (least, most) = (u64::from(need.least_mib) << 20, u64::from(need.most_mib) << 20);
+    let (whose, given) = match declared {
+        Some(bytes) if bytes <= budget.memory_bytes => ("its `memory`", bytes),
+        _ => ("the budget", budget.memory_bytes),
+    };
+    if given < least {
+        let given = given >> 20;
+        return Err(format!(
+            "it needs about {need}, and {whose} is {given} MiB: give more, or lower `splats` or `size`"
+        ));
     }
-    // How many threads a scene has is the batch's to say.
-    match all.remove("threads") {
-        Some(_) => Err("`threads` is not set here: say `cores`".into()),
-        None => Ok(all),
-    }
+    Ok(declared.unwrap_or(share.min(most).max(least)))
 }
 
 /// Needs in words: `2 cores, 1.0 GiB`.
@@ -305,25 +237,6 @@ pub(crate) fn words(needs: &Needs) -> String {
     text
 }
 
-/// Memory that a scene is taken to need when nobody says: photos are kept as bytes at three sizes, splats with
-/// their gradients, moments and features. Fitted to runs of 40 photos, and
-/// rounded up: such runs took 134 MiB at 320 px and 389 MiB at 640 px.
-fn estimate(scene: &SceneJob, settings: &Settings) -> u64 {
-    const BASE: u64 = 192 << 20;
-    const BYTES_PER_PIXEL: u64 = 12;
-    const BYTES_PER_SPLAT: u64 = 2048;
-    let images = ["images", "dense/images", ""].map(|sub| scene.path.join(sub));
-    let photos = images
-        .iter()
-        .filter_map(|folder| std::fs::read_dir(folder).ok())
-        .map(|entries| entries.flatten().filter(|e| e.path().is_file()).count() as u64)
-        .max()
-        .unwrap_or(0);
-    let side = u64::from(settings.scene.size).max(1);
-    let splats = if settings.train.splats > 0 { settings.train.splats as u64 } else { 50_000 };
-    BASE + photos * side * side * 3 / 4 * BYTES_PER_PIXEL + splats * BYTES_PER_SPLAT
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -332,16 +245,16 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("batch.toml");
         std::fs::write(&file, text).unwrap();
-        Manifest::read(&file, &dir.path().join("out")).map_err(|e| e.to_string())
+        Manifest::read(&file, &dir.path().join("out"), None).map_err(|e| e.to_string())
     }
 
     #[test]
     fn defaults_and_scenes_are_layered() {
         let manifest = read(
             "[budget]\ncores = 4\nmemory = \"8 GiB\"\n\
-             [defaults]\npreset = \"draft\"\nattempts = 2\nsettings = { size = 320, steps = 100 }\n\
+             [defaults]\npreset = \"draft\"\nattempts = 2\nuntil = \"geometry\"\nsettings = { size = 320, steps = 100 }\n\
              [[scene]]\npath = \"a/liberty\"\npriority = 7\nsettings = { steps = 200, robust = false }\n\
-             [[scene]]\npath = \"b\"\nname = \"second\"\nout = \"elsewhere\"\ncores = 3\nmemory = 1000000\npreset = \"best\"\n",
+             [[scene]]\npath = \"b\"\nname = \"second\"\nout = \"elsewhere\"\ncores = 3\nmemory = 1000000\nuntil = 500\npreset = \"best\"\n",
         )
         .unwrap();
         assert_eq!((manifest.budget.cores, manifest.budget.memory_bytes), (4, 8 << 30));
@@ -352,7 +265,8 @@ mod tests {
         let effective = liberty.effective().unwrap();
         assert_eq!((effective.scene.size, effective.train.steps, effective.train.robust), (320, 200, false));
         assert_eq!(first.needs.cores, 2, "the budget's cores, shared evenly");
-        assert!(first.needs.memory_bytes > 200 << 20, "estimated");
+        assert_eq!(first.needs.memory_bytes, 4 << 30, "the budget's memory, in proportion to the cores");
+        assert_eq!((liberty.until.as_deref(), second.until.as_deref()), (Some("geometry"), Some("500")));
         assert!(second.out.ends_with("elsewhere"));
         assert_eq!((other.needs.cores, other.needs.memory_bytes), (3, 1_000_000));
         assert_eq!(second.settings["preset"], "best");
@@ -365,6 +279,8 @@ mod tests {
             ("", "no [[scene]]".to_owned()),
             ("[[scene]]\nname = \"x\"\n", "path".into()),
             ("[budgets]\n", "budgets".into()),
+            (&format!("{scene}memroy = 3\n"), "scene `a`: there is nothing named `memroy`".into()),
+            (&format!("[defaults]\nmemroy = 3\n{scene}"), "memroy".into()),
             (
                 &format!("[defaults]\nsettings = {{ stpes = 3 }}\n{scene}"),
                 "scene `a`: there is no setting named `stpes`".into(),
@@ -374,6 +290,9 @@ mod tests {
                 "`many` does not fit `steps`".into(),
             ),
             (&format!("[defaults]\nsettings = {{ threads = 2 }}\n{scene}"), "say `cores`".into()),
+            (&format!("{scene}settings = {{ memory_budget = 2 }}\n"), "say `memory`".into()),
+            (&format!("{scene}until = \"geometri\"\n"), "`until = geometri`: neither a stage".into()),
+            (&format!("{scene}until = 0\n"), "there is no step 0".into()),
             (&format!("{scene}{scene}"), "two scenes of this name".into()),
             (&format!("[budget]\nmemory = \"lots\"\n{scene}"), "`lots` is no amount of memory".into()),
             (&format!("[budget]\ncores = 2\n{scene}cores = 3\n"), "it needs 3 cores".into()),
@@ -386,14 +305,6 @@ mod tests {
         ] {
             let message = read(text).unwrap_err();
             assert!(message.contains("batch.toml") && message.contains(&said), "{message}");
-        }
-    }
-
-    #[test]
-    fn amounts_of_memory_are_read() {
-        for (text, bytes) in [("512 MiB", 512 << 20), ("1.5GiB", 3 << 29), ("2 GB", 2_000_000_000), ("7", 7)]
-        {
-            assert_eq!(read_size(text), Ok(bytes));
         }
     }
 }

@@ -1,0 +1,52 @@
+//! Whose turn it is.
+
+use crate::job::{Job, Needs};
+
+/// How a waiting job stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Turn<'a> {
+    /// What is free for it.
+    pub free: Needs,
+    /// Whether that is enough.
+    pub fits: bool,
+    /// The more urgent job that something else is kept free for.
+    pub kept_for: Option<&'a str>,
+}
+
+/// The turns of jobs that could begin now, the most urgent first.
+///
+/// A job that finds no room yet keeps free what it will need: less urgent ones, however small, do not overtake it for
+/// ever. Equally urgent ones do begin before it where there is room, and so does everybody before a job that this
+/// worker could not take with all it has (`whole`).
+///
+/// ```
+/// use segwild_farm::{Job, Needs, Retry, turns};
+/// let job = |id: &str, priority, accelerators| {
+///     let needs = Needs { cores: 1, memory_bytes: 0, accelerators };
+///     Job { id: id.into(), payload: String::new(), priority, needs, retry: Retry::default() }
+/// };
+/// let (urgent, next, last) = (job("urgent", 9, 2), job("next", 5, 1), job("last", 1, 0));
+/// let whole = Needs { cores: 4, memory_bytes: 0, accelerators: 2 };
+/// let free = Needs { cores: 3, accelerators: 1, ..whole };
+/// let turns = turns(&[&urgent, &next, &last], &free, &whole);
+/// assert_eq!(turns.iter().map(|t| t.fits).collect::<Vec<_>>(), [false, false, true]);
+/// assert_eq!(turns[1].kept_for, Some("urgent"));
+/// ```
+pub fn turns<'a>(waiting: &[&'a Job], free: &Needs, whole: &Needs) -> Vec<Turn<'a>> {
+    // For jobs of the present priority, and for those after it.
+    let mut here = Turn { free: *free, fits: false, kept_for: None };
+    let (mut below, mut priority) = (here, i32::MAX);
+    let mut all = Vec::with_capacity(waiting.len());
+    for job in waiting {
+        if job.priority < priority {
+            (here, priority) = (below, job.priority);
+        }
+        let turn = Turn { fits: job.needs.fit(&here.free), ..here };
+        if !turn.fits && job.needs.fit(whole) {
+            below.free = job.needs.taken_from(&below.free);
+            below.kept_for = below.kept_for.or(Some(&job.id));
+        }
+        all.push(turn);
+    }
+    all
+}
