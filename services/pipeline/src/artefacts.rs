@@ -181,11 +181,11 @@ pub(crate) fn snapshot_of(training: &str) -> Key {
     Key::of("snapshot").part("geometry", training).finish()
 }
 
-/// The photo's bytes and those of its ignore mask.
+/// The photo's bytes and those of its masks.
 fn photo_digest(view: &View) -> Result<String, segwild_scene::SceneError> {
     let mut digest = view.digest()?;
-    if let Some(ignore) = &view.photo.ignore {
-        let bytes = std::fs::read(ignore).map_err(segwild_scene::SceneError::io(ignore))?;
+    for mask in [&view.photo.ignore, &view.photo.usable].into_iter().flatten() {
+        let bytes = std::fs::read(mask).map_err(segwild_scene::SceneError::io(mask))?;
         digest.push_str(blake3::hash(&bytes).to_hex().as_str());
     }
     Ok(digest)

@@ -22,6 +22,8 @@ pub(crate) struct DraftPhoto {
     pub name: String,
     /// Where its file is, if the reconstruction says so; otherwise it is looked for by name.
     pub file: Option<PathBuf>,
+    /// Its mask of the pixels to use, if the reconstruction names one.
+    pub usable: Option<PathBuf>,
     pub lens: Result<Lens, String>,
     pub pose: Result<DraftPose, String>,
 }
@@ -61,7 +63,7 @@ pub(crate) fn from_colmap(dir: &Path) -> Result<Draft, SceneError> {
         let lens = lenses.get(&image.camera_id).cloned();
         let lens = lens
             .unwrap_or_else(|| Err(format!("there is no camera {}, which it says it has", image.camera_id)));
-        photos.push(DraftPhoto { name: image.name.clone(), file: None, lens, pose });
+        photos.push(DraftPhoto { name: image.name.clone(), file: None, usable: None, lens, pose });
     }
     let points = reconstruction.points.iter().map(|point| {
         let sighting = |&(image, keypoint): &(u32, u32)| {

@@ -279,8 +279,12 @@ fn check(
     let camera = lens.pinhole();
     let ignore =
         ignore.and_then(|dir| mask_names(&photo.name).into_iter().map(|n| dir.join(n)).find(|p| p.is_file()));
+    let usable = photo.usable.clone();
+    if let Some(mask) = usable.as_ref().filter(|mask| !mask.is_file()) {
+        return Err(format!("there is no file {}, which is to be its mask", mask.display()));
+    }
     let lens = lens.is_distorted().then_some(lens);
-    Ok(Checked { photo: Photo { path, ignore, lens }, camera, pose })
+    Ok(Checked { photo: Photo { path, ignore, usable, lens }, camera, pose })
 }
 
 /// What the mask of a photo may be called.

@@ -50,8 +50,10 @@ impl View {
             let photographed = photographed(&lens);
             valid = Some(valid.map_or(photographed.clone(), |v| v.and(&photographed)));
         }
-        if let Some(path) = &self.photo.ignore {
-            let ignored = self.ignored(path, &camera)?;
+        let ignore = self.photo.ignore.iter().map(|path| (path, true));
+        let usable = self.photo.usable.iter().map(|path| (path, false));
+        for (path, white) in ignore.chain(usable) {
+            let ignored = self.ignored(path, white, &camera)?;
             valid = Some(valid.map_or_else(|| ignored.not(), |v| v.minus(&ignored)));
         }
         Ok(LoadedPhoto { image, camera, valid })
@@ -82,14 +84,17 @@ impl View {
         Ok(decoded)
     }
 
-    /// The pixels of the loaded photo that the user's mask touches.
-    fn ignored(&self, path: &Path, camera: &Camera) -> Result<Mask, SceneError> {
+    /// The pixels of the loaded photo that a mask's white touches, or its black.
+    fn ignored(&self, path: &Path, white: bool, camera: &Camera) -> Result<Mask, SceneError> {
         let mask = Mask::read_png(path)?;
+        let mask = if white { mask } else { mask.not() };
         let (w, h) = (mask.width(), mask.height());
         if !same_aspect((w, h), (self.camera.width, self.camera.height)) {
             let reason = format!(
-                "the mask of things to ignore has {w} x {h} pixels, which does not fit the photo's {} x {}",
-                self.camera.width, self.camera.height
+                "its mask {} has {w} x {h} pixels, which does not fit the photo's {} x {}",
+                path.display(),
+                self.camera.width,
+                self.camera.height
             );
             return Err(self.photo_error(path, reason));
         }
@@ -97,7 +102,7 @@ impl View {
         let scale = (f64::from(w) / f64::from(camera.width), f64::from(h) / f64::from(camera.height));
         // A pixel is ignored when any part of it is: samples at most half a pixel of the mask apart, up to 8 x 8.
         let n = ((scale.0.max(scale.1) * 2.0).ceil() as u32).clamp(1, 8);
-        let white = |x: u32, y: u32| {
+        let touched = |x: u32, y: u32| {
             (0..n * n).any(|k| {
                 let inside = |at: u32, step: u32| f64::from(at) + (f64::from(step) + 0.5) / f64::from(n);
                 let p = [inside(x, k % n), inside(y, k / n)];
@@ -108,7 +113,7 @@ impl View {
                 p.is_some_and(|p| mask.at((p[0] * scale.0) as f32, (p[1] * scale.1) as f32))
             })
         };
-        Ok(Mask::from_fn(camera.width, camera.height, white))
+        Ok(Mask::from_fn(camera.width, camera.height, touched))
     }
 }
 

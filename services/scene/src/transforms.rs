@@ -37,6 +37,8 @@ struct Intrinsics {
 #[derive(Debug, Deserialize)]
 struct Frame {
     file_path: String,
+    /// Mask of the pixels to use: black is ignored.
+    mask_path: Option<String>,
     #[serde(default)]
     transform_matrix: Vec<Vec<Option<f64>>>,
     #[serde(flatten)]
@@ -77,7 +79,9 @@ pub(crate) fn read(path: &Path, images: Option<&Path>) -> Result<Draft, SceneErr
         }
         let lens = lens_of(&frame.intrinsics, &transforms.intrinsics, &file);
         let name = name.to_string_lossy().replace('\\', "/");
-        photos.push(DraftPhoto { name, file: Some(file), lens, pose: pose_of(&frame.transform_matrix) });
+        let usable = frame.mask_path.as_deref().map(|mask| folder.join(tidy(mask)));
+        let pose = pose_of(&frame.transform_matrix);
+        photos.push(DraftPhoto { name, file: Some(file), usable, lens, pose });
     }
     let points = match &transforms.ply_file_path {
         None => Vec::new(),

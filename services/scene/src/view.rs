@@ -11,6 +11,8 @@ pub struct Photo {
     pub path: PathBuf,
     /// Mask of things to ignore, if one was given (white = ignore).
     pub ignore: Option<PathBuf>,
+    /// Mask of the pixels to use, if the reconstruction names one (black = ignore; nerfstudio's `mask_path`).
+    pub usable: Option<PathBuf>,
     /// The lens as the reconstruction saw it, when the photo has to be undistorted on load.
     pub lens: Option<crate::lens::Lens>,
 }

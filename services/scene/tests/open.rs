@@ -6,7 +6,7 @@ mod common;
 use common::{SIZE, line, open, picture, write, write_photo};
 use glam::Vec3;
 use segwild_scene::colmap::{self, CameraRecord, Model};
-use segwild_scene::{Scene, SceneError, SceneSettings, Skipped};
+use segwild_scene::{Mask, Scene, SceneError, SceneSettings, Skipped};
 use std::path::Path;
 
 fn temp() -> tempfile::TempDir {
@@ -354,6 +354,29 @@ fn transforms_json_is_the_same_scene() {
     assert!((b.points[0].position - a.points[0].position).length() < 1e-5 && b.points[0].track.is_empty());
     assert_eq!(b.views[0].pose.rotation * Vec3::Z, Vec3::Z);
     assert_eq!(open(&dir.path().join("transforms.json")).unwrap(), b);
+}
+
+#[test]
+fn black_pixels_of_a_frames_mask_path_are_not_used() {
+    let dir = temp();
+    ["a.png", "b.png", "c.png"].iter().for_each(|name| write_photo(dir.path(), name));
+    std::fs::create_dir(dir.path().join("masks")).unwrap();
+    // At half the size: black on the left.
+    Mask::from_fn(20, 15, |x, _| x >= 5).write_png(&dir.path().join("masks/a.png")).unwrap();
+    let frame = |name: &str, x: u32, mask: &str| {
+        let pose = format!("[[1,0,0,{x}],[0,-1,0,0],[0,0,-1,0],[0,0,0,1]]");
+        format!(r#"{{"file_path": "images/{name}.png", {mask} "transform_matrix": {pose}}}"#)
+    };
+    let [masked, lost] = ["a", "lost"].map(|m| format!(r#""mask_path": "masks/{m}.png","#));
+    let frames = [frame("a", 0, &masked), frame("b", 1, ""), frame("c", 2, &lost)];
+    let text = format!("{{{INTRINSICS} \"frames\": [{}]}}", frames.join(","));
+    std::fs::write(dir.path().join("transforms.json"), text).unwrap();
+    let scene = open(dir.path()).unwrap();
+    let valid = |i: usize| scene.views[i].load(40).unwrap().valid;
+    assert_eq!(valid(0), Some(Mask::from_fn(40, 30, |x, _| x >= 10)));
+    assert_eq!(valid(1), None);
+    let told = reason(&scene.skipped, "c.png");
+    assert!(told.contains("lost.png") && told.contains("mask"), "{told}");
 }
 
 #[test]

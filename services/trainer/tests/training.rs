@@ -58,7 +58,7 @@ fn scene(views: usize) -> Scene {
             name: format!("{i:02}.jpg"),
             camera: camera(),
             pose: Pose::look_at(eye, Vec3::new(0.1 * t, 0.1, 0.0), Vec3::NEG_Y),
-            photo: Photo { path: "none".into(), ignore: None, lens: None },
+            photo: Photo { path: "none".into(), ignore: None, usable: None, lens: None },
             test: views > 2 && i == views - 1,
         }
     };
