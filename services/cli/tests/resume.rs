@@ -17,6 +17,10 @@ fn until_a_step_and_on_from_there_is_the_same_as_straight() {
     assert!(!run.join("model.bin").exists());
     let status = works(&["status", &show(&run), "--json"]);
     assert!(status.contains("\"pending\"") && !status.contains("\"running\":true"), "{status}");
+    // How long the training stood still for want of skies, and what a checkpoint costs.
+    for number in ["geometry.stall_s", "geometry.checkpoint_s"] {
+        assert!(status.contains(number), "{number}: {status}");
+    }
     let (_, told) = completes(&again(&run, &["--until", "40"]));
     assert!(told.contains("goes on from step 20"), "{told}");
     // Asked for what was reached already, it has nothing to do.

@@ -5,7 +5,9 @@ use segwild_flow::{Cache, Events, Key};
 use segwild_scene::{Mask, Scene};
 use segwild_vision::SkyDetector;
 use std::collections::VecDeque;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
 
 /// A sky that was found once and can be had no more: damaged in the cache, and not to be found again.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -35,6 +37,8 @@ pub struct Skies {
     lost: Mutex<Option<SkyLost>>,
     /// Views whose sky is still to be asked for, the most wanted first.
     open: Mutex<VecDeque<usize>>,
+    /// Microseconds that were spent in [`Skies::wait`].
+    waited_us: AtomicU64,
 }
 
 impl Skies {
@@ -48,7 +52,7 @@ impl Skies {
         events: Events,
     ) -> Skies {
         let (known, lost, open) = (Board::new("sky"), Mutex::default(), Mutex::default());
-        Skies { known, scene, size, cache, keys, detector, events, lost, open }
+        Skies { known, scene, size, cache, keys, detector, events, lost, open, waited_us: AtomicU64::new(0) }
     }
 
     /// Says whose sky is to be found, in this order for now.
@@ -80,7 +84,15 @@ impl Skies {
 
     /// Waits until it is known whether a view has a sky; `None` when `stopping` says so first.
     pub fn wait(&self, view: usize, stopping: impl Fn() -> bool) -> Option<bool> {
-        self.known.wait(view, stopping)
+        let since = Instant::now();
+        let known = self.known.wait(view, stopping);
+        self.waited_us.fetch_add(since.elapsed().as_micros() as u64, Ordering::Relaxed);
+        known
+    }
+
+    /// Seconds that the training has stood still for want of a sky.
+    pub fn waited_s(&self) -> f64 {
+        self.waited_us.load(Ordering::Relaxed) as f64 * 1e-6
     }
 
     /// A view's sky; `None` if it was given up.

@@ -231,8 +231,8 @@ pub fn kills(options: &FlowOptions) -> Result<Vec<Row>, FlowError> {
         value: different.len() as f64,
         bar: 0.0,
         from: format!(
-            "{} runs of {whole:.1} s, each killed once at random in its slice of that time (while under way: {}), and as many \
-             times aimed at {}; {} files compared{odd}",
+            "{} runs of {whole:.1} s, each killed once at random in its slice of that time (while under way: {}), and \
+             others killed at a random pass of a point in a stage ({}); {} files compared{odd}",
             options.kills,
             stages.join(", "),
             aimed.join(", "),

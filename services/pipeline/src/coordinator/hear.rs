@@ -12,6 +12,7 @@ use segwild_masks::MaskOutcome;
 use segwild_scene::{Skipped, ply};
 use segwild_trainer::{Model, TrainOutcome};
 use std::sync::Arc;
+use std::time::Instant;
 
 impl Coordinator<'_> {
     pub(super) fn hear(&mut self, outcome: Outcome, bars: &mut Bars) -> Result<(), RunError> {
@@ -105,6 +106,7 @@ impl Coordinator<'_> {
                     self.options.events.metric("geometry", name, f64::from(value), at);
                 }
                 self.options.events.metric("geometry", "splats", splats as f64, at);
+                self.options.events.metric("geometry", "stall_s", self.skies.waited_s(), None);
                 Ok(())
             }
             TrainOutcome::Snapshot(snapshot) => {
@@ -113,7 +115,13 @@ impl Coordinator<'_> {
                 self.state.snapshot = Some(snapshot).filter(|_| !self.state.masks_begun);
                 Ok(())
             }
-            TrainOutcome::Checkpoint(checkpoint) => self.keeper().save(&checkpoint),
+            TrainOutcome::Checkpoint(checkpoint) => {
+                let began = Instant::now();
+                self.keeper().save(&checkpoint)?;
+                let seconds = began.elapsed().as_secs_f64();
+                self.options.events.metric("geometry", "checkpoint_s", seconds, None);
+                Ok(())
+            }
             TrainOutcome::Paused(step) => {
                 self.state.paused = Some(step);
                 Ok(())
