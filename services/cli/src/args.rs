@@ -188,7 +188,7 @@ pub fn program() -> Command {
                 .args_conflicts_with_subcommands(true)
                 .subcommand(
                     Command::new("flow")
-                        .about("Measure what the dataflow promises: overlap, cost, cache, kills, memory")
+                        .about("Measure what the dataflow promises: overlap, accelerator, cost, cache, kills, memory")
                         .arg(
                             Arg::new("only")
                                 .long("only")

@@ -3,7 +3,9 @@
 use crate::{
     FeatureError, FeatureField, FeatureSettings, Pca, Progress, Samples, TargetSource, ViewTarget, build,
 };
-use segwild_flow::{Actor, Cache, CacheError, Context, Failure, Key, Message, Origin, Quarantined, Sender};
+use segwild_flow::{
+    Actor, Cache, CacheError, Context, Failure, Key, Message, Origin, Quarantined, Sender, fault,
+};
 use segwild_raster::{Engine, ProjectOptions};
 use segwild_scene::{Embedding, Image, Mask, MaskSet, Scene, Splats};
 use segwild_vision::Embedder;
@@ -30,12 +32,18 @@ pub struct FieldView {
     pub view: usize,
     /// Its embedding.
     pub embedding: Key,
-    /// Its masks, if it has any.
-    pub masks: Option<Key>,
+    /// Its masks, if it turns out to have any.
+    pub masks: Key,
     /// Its sky, if it is known.
     pub sky: Option<Key>,
     /// Which of its pixels can be trusted (VM): a [`VISIBILITY`] record; sky cannot.
     pub visibility: Key,
+}
+
+/// Who knows which views have masks, as soon as it is known.
+pub trait AwaitedMasks: Send + Sync {
+    /// Waits until it is known whether a view's masks are in the cache; `None` when `stopping` says so first.
+    fn wait(&self, view: usize, stopping: &dyn Fn() -> bool) -> Option<bool>;
 }
 
 /// What the actor is asked for.
@@ -56,6 +64,8 @@ pub enum FeatureTask {
         options: ProjectOptions,
         /// The photos in the order in which they are lifted.
         views: Arc<Vec<FieldView>>,
+        /// Their masks may still be under way: lifting does without them.
+        masks: Arc<dyn AwaitedMasks>,
     },
 }
 
@@ -119,6 +129,8 @@ struct CachedTargets<'a> {
     views: &'a [FieldView],
     pca: &'a Pca,
     learned: bool,
+    masks: &'a dyn AwaitedMasks,
+    context: &'a Context,
 }
 
 fn missing(name: &str, what: &str, error: Option<CacheError>) -> FeatureError {
@@ -164,22 +176,29 @@ impl TargetSource for CachedTargets<'_> {
         } else {
             self.pca.encode(&view.name, &embedding)?
         };
-        let masks = match &field.masks {
-            Some(key) => self
-                .cache
-                .get_typed::<MaskSet>(key, MASKS)
-                .map_err(|e| missing(&view.name, "its masks", Some(e)))?
-                .ok_or_else(|| missing(&view.name, "its masks", None))?,
-            None => MaskSet { width: view.camera.width, height: view.camera.height, masks: Vec::new() },
-        };
         Ok(Arc::new(ViewTarget {
             name: view.name.clone(),
             camera: view.camera,
             pose: view.pose,
             target,
             validity: load_validity(self.cache, &view.name, &field.visibility)?,
-            masks,
+            masks: MaskSet { width: view.camera.width, height: view.camera.height, masks: Vec::new() },
         }))
+    }
+
+    fn masks(&self, index: usize, none: &ViewTarget) -> Result<MaskSet, FeatureError> {
+        let FieldView { view, masks, .. } = &self.views[index];
+        let name = &self.scene.views[*view].name;
+        match self.masks.wait(*view, &|| self.context.stopping()) {
+            // A stop; who asked looks at that, too.
+            None => Err(missing(name, "its masks", None)),
+            Some(false) => Ok(none.masks.clone()),
+            Some(true) => self
+                .cache
+                .get_typed::<MaskSet>(masks, MASKS)
+                .map_err(|e| missing(name, "its masks", Some(e)))?
+                .ok_or_else(|| missing(name, "its masks", None)),
+        }
     }
 }
 
@@ -199,6 +218,7 @@ impl<O: Message + From<FeatureOutcome>> FeatureActor<O> {
         splats: &Splats,
         options: &ProjectOptions,
         views: &[FieldView],
+        masks: &dyn AwaitedMasks,
         context: &Context,
     ) -> Result<FeatureField, FeatureError> {
         let mut samples =
@@ -229,11 +249,15 @@ impl<O: Message + From<FeatureOutcome>> FeatureActor<O> {
             views,
             pca: &pca,
             learned: self.settings.compression == crate::Compression::Learned,
+            masks,
+            context,
         };
         let total = views.len() as u64 + u64::from(self.settings.refine_steps);
         let mut progress = context.events().stage("features", Some(total));
+        let mut broken = None;
         let field = build(&*self.engine, splats, &targets, &pca, &self.settings, options, &mut |step| {
             context.progress();
+            broken = broken.take().or_else(|| fault::point("features.step").err());
             progress.advance(1);
             if let Progress::Refined { done, embedding, compact, .. } = step
                 && done % 20 == 0
@@ -246,8 +270,15 @@ impl<O: Message + From<FeatureOutcome>> FeatureActor<O> {
                 );
                 context.events().metric("features", "compact_loss", f64::from(compact), Some(done as u64));
             }
-            if context.stopping() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+            if context.stopping() || broken.is_some() {
+                ControlFlow::Break(())
+            } else {
+                ControlFlow::Continue(())
+            }
         })?;
+        if let Some(error) = broken {
+            return Err(FeatureError::Shape(error.to_string()));
+        }
         progress.finish();
         Ok(field)
     }
@@ -267,8 +298,8 @@ impl<O: Message + From<FeatureOutcome>> Actor for FeatureActor<O> {
                 let seconds = self.embed(view, &key)?;
                 FeatureOutcome::Embedded { view, seconds }
             }
-            FeatureTask::Field { splats, options, views } => {
-                let field = self.field(&splats, &options, &views, context);
+            FeatureTask::Field { splats, options, views, masks } => {
+                let field = self.field(&splats, &options, &views, &*masks, context);
                 context.check()?; // a refinement cut short is no field
                 match field {
                     Ok(field) => FeatureOutcome::Field(Box::new(field)),

@@ -16,7 +16,7 @@ use segwild_raster::{Engine, ProjectOptions, Projected};
 use segwild_scene::Random;
 use segwild_scene::{Embedding, Image, Splats};
 use std::ops::ControlFlow;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// Pixels trusted less than this take no part in compactness (method, section 4).
 const TRUSTED: f32 = 0.5;
@@ -114,7 +114,8 @@ fn refine(
         let mut compact = 0.0;
         if settings.compactness && settings.weight_compact > 0.0 {
             let mut random = Random::stream(!settings.feature_seed, step as u64);
-            compact = view.add_compactness(&frame.image, settings, &mut random, &mut grad);
+            let members = views.members(order[step % count], &view)?;
+            compact = add_compactness(members, &frame.image, settings, &mut random, &mut grad);
         }
         let values = view.projected.gather(&grad);
         adam.step(&mut field.values, &values);
@@ -139,6 +140,12 @@ struct Prepared<'a> {
     /// VM on the target's grid.
     cell_validity: Vec<f32>,
     average: AreaAverage,
+    /// What its masks say, once it was asked.
+    members: OnceLock<Members>,
+}
+
+/// What a view's masks say of its pixels.
+struct Members {
     membership: Membership,
     /// Pixels that compactness may draw: trusted and in a mask.
     drawable: Vec<u32>,
@@ -155,34 +162,34 @@ impl Prepared<'_> {
             }
         }
     }
+}
 
-    /// Draws pixels, adds the weighted gradient of their compactness to `grad` and returns the loss.
-    fn add_compactness(
-        &self,
-        rendered: &Image,
-        settings: &FeatureSettings,
-        random: &mut Random,
-        grad: &mut Image,
-    ) -> f32 {
-        let (n, c) = (rendered.pixels(), rendered.channels);
-        let mut pixels = self.drawable.clone();
-        let count = pixels.len().min(settings.pixels_per_step as usize);
-        random.draw(&mut pixels, count);
-        pixels.truncate(count);
-        let mut features = Vec::with_capacity(count * c);
-        for &p in &pixels {
-            features.extend((0..c).map(|k| rendered.data[k * n + p as usize]));
-        }
-        let groups: Vec<u32> = pixels.iter().map(|&p| self.membership.groups[p as usize]).collect();
-        let mut pull = vec![0.0; features.len()];
-        let result = compactness(&features, c, &groups, &self.membership, &mut pull);
-        for (pull, &p) in pull.chunks_exact(c).zip(&pixels) {
-            for (k, g) in pull.iter().enumerate() {
-                grad.data[k * n + p as usize] += settings.weight_compact * g;
-            }
-        }
-        result.loss
+/// Draws pixels, adds the weighted gradient of their compactness to `grad` and returns the loss.
+fn add_compactness(
+    members: &Members,
+    rendered: &Image,
+    settings: &FeatureSettings,
+    random: &mut Random,
+    grad: &mut Image,
+) -> f32 {
+    let (n, c) = (rendered.pixels(), rendered.channels);
+    let mut pixels = members.drawable.clone();
+    let count = pixels.len().min(settings.pixels_per_step as usize);
+    random.draw(&mut pixels, count);
+    pixels.truncate(count);
+    let mut features = Vec::with_capacity(count * c);
+    for &p in &pixels {
+        features.extend((0..c).map(|k| rendered.data[k * n + p as usize]));
     }
+    let groups: Vec<u32> = pixels.iter().map(|&p| members.membership.groups[p as usize]).collect();
+    let mut pull = vec![0.0; features.len()];
+    let result = compactness(&features, c, &groups, &members.membership, &mut pull);
+    for (pull, &p) in pull.chunks_exact(c).zip(&pixels) {
+        for (k, g) in pull.iter().enumerate() {
+            grad.data[k * n + p as usize] += settings.weight_compact * g;
+        }
+    }
+    result.loss
 }
 
 /// The prepared views, kept while memory allows.
@@ -251,12 +258,23 @@ impl<'a> Views<'a> {
         vm.data.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
         let cells = AreaAverage::new((vm.width, vm.height), (grid.width, grid.height)).forward(&vm).data;
         let validity = AreaAverage::new((vm.width, vm.height), (w, h)).forward(&vm);
-        let membership = Membership::new(&target.masks, w, h);
-        let drawable = (0..w * h)
-            .filter(|&p| membership.groups[p] != Membership::NONE && validity.data[p] >= TRUSTED)
+        let average = AreaAverage::new((w, h), (grid.width, grid.height));
+        let members = OnceLock::new();
+        Ok(Prepared { projected, validity, cell_validity: cells, average, members, target })
+    }
+
+    /// What the masks of a view say; the first call asks for them.
+    fn members<'v>(&self, i: usize, view: &'v Prepared) -> Result<&'v Members, FeatureError> {
+        if let Some(members) = view.members.get() {
+            return Ok(members);
+        }
+        let masks = self.source.masks(i, &view.target)?;
+        view.target.check_masks(&masks)?;
+        let membership = Membership::new(&masks, view.validity.width, view.validity.height);
+        let drawable = (0..view.validity.pixels())
+            .filter(|&p| membership.groups[p] != Membership::NONE && view.validity.data[p] >= TRUSTED)
             .map(|p| p as u32)
             .collect();
-        let average = AreaAverage::new((w, h), (grid.width, grid.height));
-        Ok(Prepared { projected, validity, cell_validity: cells, average, membership, drawable, target })
+        Ok(view.members.get_or_init(|| Members { membership, drawable }))
     }
 }

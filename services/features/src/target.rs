@@ -35,8 +35,13 @@ impl ViewTarget {
         if self.camera.width == 0 || self.camera.height == 0 {
             return Err(FeatureError::Shape(format!("{}: the photo has no pixels", self.name)));
         }
-        let size = (self.masks.width, self.masks.height);
-        match self.masks.masks.iter().find(|m| (m.mask.width(), m.mask.height()) != size) {
+        self.check_masks(&self.masks)
+    }
+
+    /// Refuses masks of this photo that do not fit each other.
+    pub(crate) fn check_masks(&self, masks: &MaskSet) -> Result<(), FeatureError> {
+        let size = (masks.width, masks.height);
+        match masks.masks.iter().find(|m| (m.mask.width(), m.mask.height()) != size) {
             None => Ok(()),
             Some(m) => Err(FeatureError::Shape(format!(
                 "{}: a mask of {}x{} pixels among masks of {}x{}",
@@ -69,6 +74,12 @@ pub trait TargetSource: Sync {
 
     /// Target of one photo.
     fn load(&self, view: usize) -> Result<Arc<ViewTarget>, FeatureError>;
+
+    /// The photo's masks. Asked for only when its compactness is first looked at, so that photos can be lifted while
+    /// their masks are still being made; the call may wait for them.
+    fn masks(&self, _view: usize, target: &ViewTarget) -> Result<MaskSet, FeatureError> {
+        Ok(target.masks.clone())
+    }
 }
 
 impl TargetSource for &[Arc<ViewTarget>] {

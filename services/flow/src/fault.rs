@@ -24,10 +24,17 @@ use crate::meter::lock;
 
 /// The points, and what passes there. An actor's own points are `NAME.handle`; names that begin with `test.` are
 /// free for tests.
-pub const POINTS: [(&str, &str); 9] = [
+pub const POINTS: [(&str, &str); 16] = [
     ("trainer.handle", "the trainer takes an order"),
     ("masks.handle", "the masks actor takes a photo"),
     ("features.handle", "the features actor takes a photo, or the field"),
+    ("segmenter.handle", "the segmenter takes the prompts of a selection"),
+    ("trainer.step", "the trainer has done a step"),
+    ("features.step", "the field has taken a photo in, or done a step of its refinement"),
+    ("visibility.photo", "a photo has been compared with the trained scene"),
+    ("evaluate.photo", "a held-out photo has been scored"),
+    ("report.picture", "a picture of the report has been drawn"),
+    ("selection.file", "a file of a selection has been written"),
     ("file.write", "a file of the run is about to be written aside"),
     ("file.rename", "a file is whole aside, and not yet in its place"),
     ("cache.read", "an artefact has been read and is not yet verified"),
@@ -39,7 +46,7 @@ pub const POINTS: [(&str, &str); 9] = [
 /// What goes wrong.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Action {
-    /// The process ends here and now; nothing is unwound, flushed or dropped.
+    /// The process is killed here and now, by SIGKILL where there are signals; nothing is unwound, flushed or dropped.
     Kill,
     /// The disk is full.
     Full,
@@ -154,6 +161,9 @@ fn act(action: Action, point: &str) -> io::Result<()> {
     match action {
         Action::Kill => {
             eprintln!("fault: killed at {point}");
+            #[cfg(unix)]
+            // A system that refuses leaves the abort below.
+            let _ = rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::KILL);
             std::process::abort()
         }
         Action::Full => Err(io::ErrorKind::StorageFull.into()),

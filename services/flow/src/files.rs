@@ -116,7 +116,62 @@ pub(crate) fn write_aside(aside: &Path, path: &Path, parts: &[&[u8]]) -> Result<
     sync_folder(folder)
 }
 
-/// Removes the files that writers of this module left aside in a folder when they were killed; those of processes that
+/// Makes a folder that is there whole or not at all: `fill` writes it aside, in the folder that it is given, and it
+/// then takes the place of the one that was there before. Where the system cannot exchange two folders at once, a kill
+/// between two renames may leave neither in its place.
+///
+/// ```
+/// use segwild_flow::{FileError, files};
+/// let place = tempfile::tempdir().unwrap();
+/// let statue = place.path().join("statue");
+/// for text in ["first", "second"] {
+///     let written = files::write_folder::<FileError>(&statue, |aside| {
+///         files::write_atomic(&aside.join("prompts.json"), text.as_bytes())
+///     });
+///     assert!(written.is_ok());
+/// }
+/// assert_eq!(std::fs::read(statue.join("prompts.json")).unwrap(), b"second");
+/// assert_eq!(std::fs::read_dir(place.path()).unwrap().count(), 1);
+/// ```
+///
+/// # Errors
+/// Those of `fill`, and in words: disk full, read-only, denied.
+pub fn write_folder<E: From<FileError>>(
+    path: &Path,
+    fill: impl FnOnce(&Path) -> Result<(), E>,
+) -> Result<(), E> {
+    let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    let aside = parent.join(unique_name(&format!(".{name}")));
+    fs::create_dir_all(&aside).map_err(|e| FileError::new("create the folder", &aside, e))?;
+    let done = fill(&aside).and_then(|()| {
+        sync_folder(&aside)?;
+        replace_folder(&aside, path).map_err(|e| FileError::new("write", path, e))?;
+        Ok(sync_folder(parent)?)
+    });
+    // After an exchange the old folder lies aside; after an error what there is of the new one: litter either way.
+    let _ = fs::remove_dir_all(&aside);
+    done
+}
+
+/// Puts a folder in the place of another one, which then lies in the first one's, or is gone.
+fn replace_folder(new: &Path, path: &Path) -> io::Result<()> {
+    if !path.exists() {
+        return fs::rename(new, path);
+    }
+    #[cfg(target_os = "linux")]
+    {
+        use rustix::fs::{CWD, RenameFlags, renameat_with};
+        // Not every file system can; the way below serves where it cannot.
+        if renameat_with(CWD, new, CWD, path, RenameFlags::EXCHANGE).is_ok() {
+            return Ok(());
+        }
+    }
+    fs::remove_dir_all(path)?;
+    fs::rename(new, path)
+}
+
+/// Removes the files and folders that writers of this module left aside in a folder when they were killed; those of processes that
 /// still run stay. What cannot be removed is left: it is only litter. Does nothing where the system does not tell
 /// which processes run.
 pub fn remove_litter(folder: &Path) {
@@ -132,7 +187,8 @@ pub fn remove_litter(folder: &Path) {
         if let (true, Some(_), Some(writer)) = (name.starts_with('.'), number, writer)
             && !Path::new("/proc").join(writer.to_string()).exists()
         {
-            let _ = fs::remove_file(entry.path());
+            let path = entry.path();
+            let _ = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
         }
     }
 }
@@ -185,7 +241,10 @@ mod tests {
         for name in kept.iter().chain([&dead]) {
             fs::write(folder.path().join(name), "x").unwrap();
         }
+        let half = folder.path().join(".statue.4194999.7");
+        fs::create_dir_all(half.join("masks")).unwrap();
         remove_litter(folder.path());
+        assert_eq!(half.exists(), !Path::new("/proc/self").exists());
         assert!(kept.iter().all(|name| folder.path().join(name).exists()));
         assert_eq!(folder.path().join(dead).exists(), !Path::new("/proc/self").exists());
     }

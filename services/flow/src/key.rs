@@ -32,6 +32,19 @@ impl Key {
         KeyBuilder { domain, parts: Vec::new() }
     }
 
+    /// A key from its text, as the ledger keeps it; `None` if it is none of this domain.
+    ///
+    /// ```
+    /// use segwild_flow::Key;
+    /// let key = Key::of("masks").part("photo", b"..jpeg..").finish();
+    /// assert_eq!(Key::parse("masks", &key.to_string()), Some(key));
+    /// assert_eq!(Key::parse("sky", &key.to_string()), None);
+    /// ```
+    pub fn parse(domain: &'static str, text: &str) -> Option<Key> {
+        let hex = text.strip_prefix(domain)?.strip_prefix(':')?;
+        Some(Key { domain, hash: *blake3::Hash::from_hex(hex).ok()?.as_bytes() })
+    }
+
     /// What the artefact is.
     pub fn domain(&self) -> &'static str {
         self.domain

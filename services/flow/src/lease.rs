@@ -1,40 +1,74 @@
 //! One of a thing that many want: an accelerator is leased, not fought over.
 //!
 //! A lease is handed out in the order in which it was asked for, urgent ones first, and comes back when its guard is
-//! dropped, also by a panic. Who waits shows in the timeline as held back by the thing, by name.
+//! dropped, also by a panic. Who waits shows in the timeline as held back by the thing, by name. Who stops waiting
+//! leaves the queue, and nobody behind waits longer for it.
 //!
 //! ```
 //! use segwild_flow::Lease;
 //! let gpu = Lease::new("accelerator 0");
 //! let held = gpu.acquire("masks");
 //! assert!(gpu.try_acquire("features").is_none());
-//! assert_eq!(gpu.holder().as_deref(), Some("masks"));
+//! assert_eq!(gpu.stats().holder.as_deref(), Some("masks"));
 //! drop(held);
 //! assert!(gpu.try_acquire("features").is_some());
 //! ```
 
 use std::collections::VecDeque;
-use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::future::Future;
+use std::pin::Pin;
+use std::sync::{Arc, Mutex};
+use std::task::{Context, Poll, Waker};
 use std::time::{Duration, Instant};
 
 use crate::meter::{lock, waiting_for};
+use crate::park::block_on;
+
+/// Somebody in the queue.
+struct Place {
+    ticket: u64,
+    waker: Option<Waker>,
+}
 
 #[derive(Default)]
 struct Queue {
     holder: Option<String>,
     since: Option<Instant>,
-    urgent: VecDeque<u64>,
-    others: VecDeque<u64>,
+    urgent: VecDeque<Place>,
+    others: VecDeque<Place>,
     next: u64,
     taken: u64,
     waited: Duration,
     held: Duration,
 }
 
+impl Queue {
+    fn lane(&mut self, urgent: bool) -> &mut VecDeque<Place> {
+        if urgent { &mut self.urgent } else { &mut self.others }
+    }
+
+    fn waiting(&self) -> usize {
+        self.urgent.len() + self.others.len()
+    }
+
+    fn take(&mut self, who: &str) {
+        self.holder = Some(who.into());
+        self.since = Some(Instant::now());
+        self.taken += 1;
+    }
+
+    /// Whose turn it is, to be woken once the queue is unlocked.
+    fn next_turn(&mut self) -> Option<Waker> {
+        if self.holder.is_some() {
+            return None;
+        }
+        self.urgent.front_mut().or(self.others.front_mut())?.waker.take()
+    }
+}
+
 struct Shared {
     name: String,
     queue: Mutex<Queue>,
-    changed: Condvar,
 }
 
 /// The thing that is leased; clones lease the same one.
@@ -61,56 +95,54 @@ pub struct LeaseStats {
 impl Lease {
     /// A thing of which there is one.
     pub fn new(name: &str) -> Self {
-        let queue = Mutex::default();
-        Self(Arc::new(Shared { name: name.into(), queue, changed: Condvar::new() }))
+        Self(Arc::new(Shared { name: name.into(), queue: Mutex::default() }))
     }
 
-    /// Takes it for `who`, waiting in turn.
+    /// Takes it for `who`, waiting in turn; for compute threads.
     pub fn acquire(&self, who: &str) -> LeaseGuard {
-        self.wait(who, false)
+        self.blocking(self.turn(who))
     }
 
-    /// Takes it for `who`, ahead of all who are not urgent: a click does not wait behind a batch of masks.
+    /// As [`Lease::acquire`], ahead of all who are not urgent: a click does not wait behind a batch of masks.
     pub fn acquire_urgent(&self, who: &str) -> LeaseGuard {
-        self.wait(who, true)
+        self.blocking(self.urgent_turn(who))
     }
 
     /// Takes it if it is free and nobody waits.
     pub fn try_acquire(&self, who: &str) -> Option<LeaseGuard> {
         let mut queue = lock(&self.0.queue);
-        let free = queue.holder.is_none() && queue.urgent.is_empty() && queue.others.is_empty();
-        free.then(|| self.take(&mut queue, who))
+        if queue.holder.is_some() || queue.waiting() > 0 {
+            return None;
+        }
+        queue.take(who);
+        Some(LeaseGuard(self.clone()))
     }
 
-    fn take(&self, queue: &mut Queue, who: &str) -> LeaseGuard {
-        queue.holder = Some(who.into());
-        queue.since = Some(Instant::now());
-        queue.taken += 1;
-        LeaseGuard(self.clone())
+    /// A place in the queue, from now on; for async tasks.
+    pub fn turn(&self, who: &str) -> Turn {
+        self.queue_up(who, false)
     }
 
-    fn wait(&self, who: &str, urgent: bool) -> LeaseGuard {
-        let began = Instant::now();
+    /// As [`Lease::turn`], ahead of all who are not urgent.
+    pub fn urgent_turn(&self, who: &str) -> Turn {
+        self.queue_up(who, true)
+    }
+
+    fn queue_up(&self, who: &str, urgent: bool) -> Turn {
         let mut queue = lock(&self.0.queue);
         let ticket = queue.next;
         queue.next += 1;
-        if urgent { &mut queue.urgent } else { &mut queue.others }.push_back(ticket);
-        let mut held_back = None;
-        loop {
-            let first = queue.urgent.front().or(queue.others.front()).copied();
-            if queue.holder.is_none() && first == Some(ticket) {
-                if urgent { &mut queue.urgent } else { &mut queue.others }.pop_front();
-                queue.waited += began.elapsed();
-                return self.take(&mut queue, who);
-            }
-            held_back = held_back.or_else(|| waiting_for(&self.0.name));
-            queue = self.0.changed.wait(queue).unwrap_or_else(PoisonError::into_inner);
-        }
+        queue.lane(urgent).push_back(Place { ticket, waker: None });
+        drop(queue);
+        Turn { lease: self.clone(), who: who.into(), urgent, ticket, since: Instant::now(), over: false }
     }
 
-    /// Who has it now.
-    pub fn holder(&self) -> Option<String> {
-        lock(&self.0.queue).holder.clone()
+    fn blocking(&self, mut turn: Turn) -> LeaseGuard {
+        if let Some(guard) = turn.take_if_first(None) {
+            return guard;
+        }
+        let _waiting = waiting_for(&self.0.name);
+        block_on(turn, None).expect("there is no deadline that could pass")
     }
 
     /// Gauges and counters.
@@ -119,11 +151,68 @@ impl Lease {
         LeaseStats {
             name: self.0.name.clone(),
             holder: queue.holder.clone(),
-            waiting: queue.urgent.len() + queue.others.len(),
+            waiting: queue.waiting(),
             taken: queue.taken,
             waited_s: queue.waited.as_secs_f64(),
             held_s: (queue.held + queue.since.map_or(Duration::ZERO, |s| s.elapsed())).as_secs_f64(),
         }
+    }
+}
+
+/// A place in a lease's queue: a future of the lease. Dropping it gives the place up.
+pub struct Turn {
+    lease: Lease,
+    who: String,
+    urgent: bool,
+    ticket: u64,
+    since: Instant,
+    /// The lease was handed out: there is no place any more.
+    over: bool,
+}
+
+impl Turn {
+    /// Takes the lease if it is free and this turn's; else leaves the waker to be woken then.
+    fn take_if_first(&mut self, waker: Option<&Waker>) -> Option<LeaseGuard> {
+        let mut queue = lock(&self.lease.0.queue);
+        let first = queue.urgent.front().or(queue.others.front()).map(|place| place.ticket);
+        if queue.holder.is_none() && first == Some(self.ticket) {
+            queue.lane(self.urgent).pop_front();
+            queue.waited += self.since.elapsed();
+            queue.take(&self.who);
+            self.over = true;
+            return Some(LeaseGuard(self.lease.clone()));
+        }
+        let (ticket, waker) = (self.ticket, waker.cloned());
+        if let Some(place) = queue.lane(self.urgent).iter_mut().find(|place| place.ticket == ticket) {
+            place.waker = waker;
+        }
+        None
+    }
+}
+
+impl Future for Turn {
+    type Output = LeaseGuard;
+
+    fn poll(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<LeaseGuard> {
+        match self.take_if_first(Some(context.waker())) {
+            Some(guard) => Poll::Ready(guard),
+            None => Poll::Pending,
+        }
+    }
+}
+
+impl Drop for Turn {
+    fn drop(&mut self) {
+        if self.over {
+            return;
+        }
+        let mut queue = lock(&self.lease.0.queue);
+        let ticket = self.ticket;
+        queue.lane(self.urgent).retain(|place| place.ticket != ticket);
+        // It may have been woken already, and now it is the turn of the one behind.
+        let next = queue.next_turn();
+        drop(queue);
+        next.into_iter().for_each(Waker::wake);
     }
 }
 
@@ -136,8 +225,9 @@ impl Drop for LeaseGuard {
         let held = queue.since.take().map_or(Duration::ZERO, |since| since.elapsed());
         queue.held += held;
         queue.holder = None;
+        let next = queue.next_turn();
         drop(queue);
-        self.0.0.changed.notify_all();
+        next.into_iter().for_each(Waker::wake);
     }
 }
 

@@ -65,6 +65,8 @@ pub struct ActorOptions {
     pub vital: bool,
     /// Stack of each thread, in bytes.
     pub stack: usize,
+    /// Compute threads of each worker, the worker's own among them; `None`: as many as the system says.
+    pub threads: Option<usize>,
 }
 
 impl Default for ActorOptions {
@@ -77,6 +79,7 @@ impl Default for ActorOptions {
             given_up_in_a_row: 16,
             vital: true,
             stack: 8 << 20,
+            threads: None,
         }
     }
 }

@@ -31,6 +31,9 @@
 //! assert!(report.finished(), "{report}");
 //! ```
 
+mod shutdown;
+mod watch;
+
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
@@ -38,7 +41,8 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use crate::actor::{Actor, Context, Failure};
-use crate::control::{Control, Phase, Stopper};
+use crate::compute;
+use crate::control::{Control, Stopper};
 use crate::events::{Event, Events};
 use crate::mailbox::Receiver;
 use crate::meter::{self, Pulse, WorkerState, lock};
@@ -63,10 +67,12 @@ pub struct SystemOptions {
     pub name_late_every: Duration,
     /// Spans the timeline keeps.
     pub timeline: usize,
+    /// Compute threads of each worker, for the kernels that it calls; 0 takes all cores.
+    pub threads: usize,
 }
 
 impl Default for SystemOptions {
-    /// Stuck after 60 s; 5 minutes to drain, 30 s to stop, names every 5 s; 50,000 spans.
+    /// Stuck after 60 s; 5 minutes to drain, 30 s to stop, names every 5 s; 50,000 spans; all cores.
     fn default() -> Self {
         Self {
             events: Events::new(),
@@ -76,6 +82,7 @@ impl Default for SystemOptions {
             grace: Duration::from_secs(30),
             name_late_every: Duration::from_secs(5),
             timeline: 50_000,
+            threads: 0,
         }
     }
 }
@@ -153,7 +160,7 @@ impl System {
         let watched = shared.clone();
         let supervisor = thread::Builder::new()
             .name("supervisor".into())
-            .spawn(move || supervise(&watched))
+            .spawn(move || shutdown::supervise(&watched))
             .map_err(|source| SpawnError { actor: "supervisor".into(), source })?;
         Ok(Self { shared, supervisor: Some(supervisor) })
     }
@@ -229,10 +236,13 @@ impl System {
             };
             let body = worker();
             let mine = cell.clone();
-            let thread = thread::Builder::new()
-                .name(if options.workers > 1 { format!("{name} {i}") } else { name.to_string() })
-                .stack_size(options.stack)
-                .spawn(move || run_worker(&mine, context, body));
+            let title = if options.workers > 1 { format!("{name} {i}") } else { name.to_string() };
+            let threads = options.threads.unwrap_or(self.shared.options.threads);
+            let life = {
+                let title = title.clone();
+                move || compute::within(&title, threads, options.stack, || run_worker(&mine, context, body))
+            };
+            let thread = thread::Builder::new().name(title).spawn(life);
             match thread {
                 Ok(thread) => lock(&self.shared.threads).push((cell.clone(), thread)),
                 Err(error) => {
@@ -364,139 +374,6 @@ fn run_source(
         };
         if let Some(exit) = cell.restart(context, &failure) {
             return exit;
-        }
-    }
-}
-
-/// The supervisor's loop: heartbeats, then shutdown as far as it was asked for.
-fn supervise(shared: &Shared) {
-    let control = shared.control();
-    let mut watch = Watch::default();
-    let tick = (shared.options.stuck_after / 4).clamp(Duration::from_millis(10), Duration::from_secs(1));
-    loop {
-        let complete = || shared.complete.load(Ordering::Acquire);
-        let all_ended = || complete() && shared.cells().iter().all(|cell| cell.ended());
-        control.wait(tick, || control.phase() != Phase::Running || all_ended());
-        watch.look(shared);
-        match control.phase() {
-            Phase::Running if all_ended() => break,
-            Phase::Running => {}
-            Phase::Draining => {
-                drain(shared, &mut watch, tick);
-                if control.phase() != Phase::Stopping {
-                    break;
-                }
-            }
-            Phase::Stopping => {
-                stop(shared, &mut watch, tick);
-                break;
-            }
-        }
-    }
-}
-
-/// Waits for cells to end; names the late now and then.
-fn wait_for(
-    shared: &Shared,
-    watch: &mut Watch,
-    tick: Duration,
-    deadline: Instant,
-    until: Option<Phase>,
-    which: &[Arc<Cell>],
-) -> bool {
-    let control = shared.control();
-    let mut named = Instant::now();
-    loop {
-        let done =
-            || which.iter().all(|cell| cell.ended()) || until.is_some_and(|phase| control.phase() >= phase);
-        let left = deadline.saturating_duration_since(Instant::now());
-        if control.wait(left.min(tick), done) {
-            return which.iter().all(|cell| cell.ended());
-        }
-        watch.look(shared);
-        if left.is_zero() {
-            return false;
-        }
-        if named.elapsed() >= shared.options.name_late_every {
-            named = Instant::now();
-            let late = shared.cells().iter().filter(|c| !c.ended()).map(|c| c.name.to_string()).collect();
-            shared.options.events.tell(Event::ShutdownWaits { actors: late, left_s: left.as_secs_f64() });
-        }
-    }
-}
-
-/// Sources have seen the phase; the others are closed and awaited one after another, in the data's order.
-fn drain(shared: &Shared, watch: &mut Watch, tick: Duration) {
-    let deadline = Instant::now() + shared.options.drain;
-    let cells = shared.seal();
-    let (sources, others): (Vec<_>, Vec<_>) = cells.into_iter().partition(|cell| cell.mailbox.is_none());
-    let mut in_time = wait_for(shared, watch, tick, deadline, Some(Phase::Stopping), &sources);
-    for cell in others {
-        if !in_time {
-            break;
-        }
-        if let Some(mailbox) = &cell.mailbox {
-            mailbox.close();
-        }
-        in_time = wait_for(shared, watch, tick, deadline, Some(Phase::Stopping), std::slice::from_ref(&cell));
-    }
-    if !in_time {
-        shared.options.stopper.stop();
-        stop(shared, watch, tick);
-    }
-}
-
-/// Everybody has seen the phase; closing the mailboxes wakes who waits for input or for room.
-fn stop(shared: &Shared, watch: &mut Watch, tick: Duration) {
-    let cells = shared.seal();
-    cells.iter().filter_map(|cell| cell.mailbox.as_ref()).for_each(|mailbox| mailbox.close());
-    let deadline = Instant::now() + shared.options.grace;
-    if !wait_for(shared, watch, tick, deadline, None, &cells) {
-        let late: Vec<_> = cells.iter().filter(|c| !c.ended()).map(|c| c.name.to_string()).collect();
-        shared.options.events.tell(Event::ShutdownWaits { actors: late, left_s: 0.0 });
-    }
-}
-
-/// What the supervisor remembers of each worker.
-#[derive(Default)]
-struct Watch(Vec<Vec<Seen>>);
-
-#[derive(Clone)]
-struct Seen {
-    beat: u64,
-    at: Instant,
-    stuck: bool,
-}
-
-impl Watch {
-    /// Compares every worker's beat with the last one seen, and reports who got stuck and who moves again.
-    fn look(&mut self, shared: &Shared) {
-        let now = Instant::now();
-        let cells = shared.cells();
-        self.0.resize(cells.len(), Vec::new());
-        for (cell, seen) in cells.iter().zip(&mut self.0) {
-            seen.resize(cell.pulses.len(), Seen { beat: u64::MAX, at: now, stuck: false });
-            for (pulse, seen) in cell.pulses.iter().zip(seen) {
-                let glance = pulse.glance();
-                let moves = glance.beat != seen.beat
-                    || glance.state != WorkerState::Busy
-                    || pulse.zones.load(Ordering::Acquire) > 0;
-                if moves {
-                    if seen.stuck {
-                        let actor = cell.name.to_string();
-                        shared.options.events.tell(Event::ActorRecovered { actor, worker: pulse.worker });
-                    }
-                    *seen = Seen { beat: glance.beat, at: now, stuck: false };
-                } else if !seen.stuck && now - seen.at >= shared.options.stuck_after {
-                    seen.stuck = true;
-                    shared.options.events.tell(Event::ActorStuck {
-                        actor: cell.name.to_string(),
-                        worker: pulse.worker,
-                        label: glance.label,
-                        seconds: (now - seen.at).as_secs_f64(),
-                    });
-                }
-            }
         }
     }
 }

@@ -12,6 +12,7 @@ use segwild_scene::settings::Group;
 use segwild_scene::{Scene, View};
 use segwild_trainer::TrainSettings;
 use segwild_vision::Providers;
+use std::collections::BTreeSet;
 
 /// Raised when the bytes that a stage makes from the same input change.
 const FORMAT: u32 = 1;
@@ -37,6 +38,10 @@ pub struct Keys {
     pub visibility: Vec<Key>,
     /// The feature field.
     pub features: Key,
+    /// How the training went.
+    pub history: Key,
+    /// The scores of the held-out photos.
+    pub evaluation: Key,
 }
 
 /// Settings that change how fast or in how much memory something is made, and not what.
@@ -151,7 +156,47 @@ impl Keys {
             masks,
             visibility,
             features: features.finish(),
+            history: history_of(&geometry.to_string()),
+            evaluation: Key::of("evaluate").key("geometry", &geometry).finish(),
         }
+    }
+
+    /// The names of what is made without the sky of some photos, which was given up: the trained scene and all that
+    /// comes of it; of held-out photos, their scores alone. A run that finds those skies makes something else, and must
+    /// not take this for it.
+    pub fn without_skies(&self, views: &BTreeSet<usize>, held_out: &BTreeSet<usize>) -> Keys {
+        let mut keys = if views.is_empty() { self.clone() } else { self.without_training_skies(views) };
+        if !held_out.is_empty() {
+            keys.evaluation = lacking(&keys.evaluation, "sky", held_out);
+        }
+        keys
+    }
+
+    fn without_training_skies(&self, views: &BTreeSet<usize>) -> Keys {
+        let lacking = |whole: &Key| lacking(whole, "sky", views);
+        let training = lacking(&self.training);
+        let geometry = if self.geometry == self.training { training } else { lacking(&self.geometry) };
+        Keys {
+            geometry,
+            // As the ledger's checkpoints tell it, from the training's.
+            snapshot: snapshot_of(&training.to_string()),
+            masks: self.masks.iter().map(lacking).collect(),
+            visibility: self.visibility.iter().map(lacking).collect(),
+            features: lacking(&self.features),
+            history: history_of(&geometry.to_string()),
+            evaluation: lacking(&self.evaluation),
+            training,
+            ..self.clone()
+        }
+    }
+
+    /// The name of the field that is made without the embeddings and the masks of some photos.
+    pub fn features_without(&self, embeddings: &BTreeSet<usize>, masks: &BTreeSet<usize>) -> Key {
+        let parts = [("embedding", embeddings), ("masks", masks)];
+        parts.iter().fold(self.features, |key, (what, views)| match views.is_empty() {
+            true => key,
+            false => lacking(&key, what, views),
+        })
     }
 
     /// What a stage is recorded under in the ledger.
@@ -165,7 +210,7 @@ impl Keys {
             "masks" => all("masks stage", &self.masks),
             "geometry" => self.geometry,
             "features" => self.features,
-            "evaluate" => Key::of("evaluate").key("geometry", &self.geometry).finish(),
+            "evaluate" => self.evaluation,
             _ => Key::of("report").key("features", &self.features).finish(),
         }
     }
@@ -176,9 +221,20 @@ impl Keys {
     }
 }
 
+/// The name of what is made without a part of some photos.
+fn lacking(whole: &Key, what: &str, views: &BTreeSet<usize>) -> Key {
+    let list: Vec<String> = views.iter().map(usize::to_string).collect();
+    Key::of(whole.domain()).key("whole", whole).part(&format!("without {what}"), list.join(" ")).finish()
+}
+
 /// The snapshot's key, from its training's as the ledger writes it.
 pub(crate) fn snapshot_of(training: &str) -> Key {
     Key::of("snapshot").part("geometry", training).finish()
+}
+
+/// The history's key, from its trained scene's as the ledger writes it.
+pub(crate) fn history_of(geometry: &str) -> Key {
+    Key::of("history").part("geometry", geometry).finish()
 }
 
 /// The photo's bytes and those of its masks.

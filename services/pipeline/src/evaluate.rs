@@ -2,6 +2,7 @@
 
 use crate::segment::png_name;
 use crate::{RunError, RunFolder, Settings};
+use segwild_flow::{FileError, fault};
 use segwild_raster::Engine;
 use segwild_scene::{Mask, Scene};
 use segwild_trainer::{LookKind, Model, Photos, Protocol, TrainPhoto, evaluate};
@@ -63,7 +64,7 @@ pub(crate) fn held_out(
     model: &Model,
     engine: &dyn Engine,
     settings: &Settings,
-    sky: impl Fn(usize) -> Option<Mask> + Send + Sync + 'static,
+    sky: impl Fn(usize) -> Result<Option<Mask>, String> + Send + Sync + 'static,
 ) -> Result<Option<HeldOut>, RunError> {
     let size = settings.scene.size;
     let views: Vec<usize> = (0..scene.views.len())
@@ -79,12 +80,13 @@ pub(crate) fn held_out(
     let source = scene.clone();
     let photos: Arc<dyn Photos> = Arc::new(move |view: usize| -> Result<TrainPhoto, String> {
         let loaded = source.views[view].load(size).map_err(|e| e.to_string())?;
-        Ok(TrainPhoto { image: loaded.image, valid: loaded.valid, sky: sky(view) })
+        Ok(TrainPhoto { image: loaded.image, valid: loaded.valid, sky: sky(view)? })
     });
     let mut scores = Vec::new();
     for view in views {
         // One at a time: an evaluation keeps its renders.
         let scored = evaluate(model, engine, scene, photos.clone(), &[view], protocol)?;
+        fault::point("evaluate.photo").map_err(|e| FileError::new("score", folder.path(), e))?;
         scores.extend(scored.views.into_iter().map(|v| (v.name, v.psnr, v.ssim)));
     }
     let mean = |pick: fn(&(String, f32, f32)) -> f32| {

@@ -12,6 +12,7 @@ use segwild_raster::{CpuEngine, Engine};
 use segwild_scene::Scene;
 use segwild_vision::Providers;
 use serde::Serialize;
+use std::collections::BTreeSet;
 use std::path::Path;
 
 /// What would become of a stage.
@@ -156,6 +157,10 @@ struct Before {
     then: Situation,
     /// Per changed setting, the keys that it alone makes of those of then.
     alone: Vec<Keys>,
+    /// Photos that were given up by a stage: stage, view.
+    given_up: Vec<(&'static str, usize)>,
+    /// The keys of then for what was made without them.
+    lacking: Keys,
 }
 
 impl Before {
@@ -176,7 +181,34 @@ impl Before {
             one.set(name, value).map_err(crate::SettingsError::from)?;
             alone.push(situation(path, &one, None)?.keys);
         }
-        Ok(Before { stages: ledger.stages()?, changed, then, alone })
+        let mut given_up = Vec::new();
+        for (stage, keys) in
+            [("sky", &then.keys.sky), ("embed", &then.keys.embedding), ("masks", &then.keys.masks)]
+        {
+            for row in ledger.views(stage)?.iter().filter(|row| row.outcome.state == State::Failed) {
+                // Masks that were made without another photo's sky bear another key; the photo counts all the same.
+                let of_then = |i: &usize| stage == "masks" || keys[*i].to_string() == row.key;
+                let view = (0..keys.len()).filter(of_then).find(|&i| then.scene.views[i].name == row.view);
+                given_up.extend(view.map(|view| (stage, view)));
+            }
+        }
+        let by = |stage: &str, test: bool| -> BTreeSet<usize> {
+            let views = given_up.iter().filter(|(s, _)| *s == stage).map(|(_, view)| *view);
+            views.filter(|&view| then.scene.views[view].test == test).collect()
+        };
+        let mut lacking = then.keys.without_skies(&by("sky", false), &by("sky", true));
+        lacking.features = lacking.features_without(&by("embed", false), &by("masks", false));
+        Ok(Before { stages: ledger.stages()?, changed, then, alone, given_up, lacking })
+    }
+
+    /// The photos that a stage before had to do without, and that are tried again.
+    fn tried_again(&self) -> String {
+        let name =
+            |(stage, view): &(&str, usize)| format!("{stage} of {}", self.then.scene.views[*view].name);
+        let names: Vec<String> = self.given_up.iter().take(3).map(name).collect();
+        let more = self.given_up.len().saturating_sub(names.len());
+        let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+        format!("given up before and tried again: {}{more}", names.join(", "))
     }
 
     fn why(&self, stage: &str, now: &Situation, ledger: Option<&Ledger>) -> Result<Vec<String>, RunError> {
@@ -191,7 +223,8 @@ impl Before {
             }
         }
         if row.key != then.to_string() {
-            why.push(self.inputs(ledger)?);
+            let lacked = row.key == self.lacking.stage(stage).to_string();
+            why.push(if lacked { self.tried_again() } else { self.inputs(ledger)? });
         }
         if why.is_empty() && now.keys.stage(stage).to_string() != row.key {
             why.push("it goes on past the steps of before".into());

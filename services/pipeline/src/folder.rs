@@ -117,6 +117,8 @@ impl RunFolder {
             .flatten()
             .filter(|e| e.path().join("prompts.json").is_file())
             .map(|e| e.file_name().to_string_lossy().into_owned())
+            // Written aside, by a process that was killed or is still at it.
+            .filter(|name| !name.starts_with('.'))
             .collect();
         names.sort();
         names
@@ -141,11 +143,8 @@ impl RunFolder {
 
     /// Removes what killed processes left half-written.
     pub(crate) fn remove_litter(&self) {
-        let selections = self.selections().into_iter().map(|name| self.selection(&name));
-        for folder in
-            [self.path.clone(), self.checkpoints(), self.path.join("cache/tmp")].into_iter().chain(selections)
-        {
-            files::remove_litter(&folder);
+        for folder in ["", "checkpoints", "cache/tmp", "selections"] {
+            files::remove_litter(&self.path.join(folder));
         }
     }
 

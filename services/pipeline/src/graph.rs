@@ -1,10 +1,12 @@
 //! One scene from its photos to its report.
 
+use crate::accelerator::leased;
 use crate::artefacts::Keys;
 use crate::board::Board;
-use crate::coordinator::{Coordinator, State, read_sky};
+use crate::coordinator::{Coordinator, State};
 use crate::evaluate::{HeldOut, held_out};
 use crate::folder::Intake;
+use crate::skies::Skies;
 use crate::{RunError, RunFolder, Settings, Until, keep, memory, report};
 use segwild_flow::{Event, Events, Ledger, Phase, Recorder, Stopper, cpu, files, trace};
 use segwild_raster::{CpuEngine, Engine};
@@ -18,8 +20,8 @@ use std::time::Instant;
 /// The stages, in the order in which they end.
 pub const STAGES: [&str; 7] = ["sky", "embed", "masks", "geometry", "features", "evaluate", "report"];
 
-/// What a stage waits for before its first work: whole stages, but for `masks`, which waits for the snapshot that
-/// `geometry` takes on its way.
+/// What a stage waits for: whole stages, but for `masks`, which waits for the snapshot that `geometry` takes on its way.
+/// `features` may begin while the last masks are being made.
 ///
 /// ```
 /// assert_eq!(segwild_pipeline::needs("features"), ["sky", "embed", "masks", "geometry"]);
@@ -157,6 +159,7 @@ pub fn run(
         Some(providers) => providers.clone(),
         None => Providers::from_settings(&settings.vision)?,
     };
+    let providers = leased(&providers);
     for note in &providers.notes {
         options.events.info(None, note.clone());
     }
@@ -174,6 +177,15 @@ pub fn run(
         Some(Until::Step(step)) if step < settings.train.steps => 3,
         _ => STAGES.len(),
     };
+    let (size, sky_keys) = (settings.scene.size, keys.sky.clone());
+    let skies = Skies::new(
+        scene.clone(),
+        size,
+        cache.clone(),
+        sky_keys,
+        providers.sky.clone(),
+        options.events.clone(),
+    );
     let mut coordinator = Coordinator {
         folder,
         settings,
@@ -182,11 +194,13 @@ pub fn run(
         recorder: &recorder,
         scene: scene.clone(),
         engine,
+        full_keys: keys.clone(),
         keys,
         cache,
         last,
         steps,
-        board: Arc::new(Board::new("sky")),
+        skies: Arc::new(skies),
+        masks_known: Arc::new(Board::new("masks")),
         tainted: Arc::default(),
         state: State::default(),
     };
@@ -244,12 +258,8 @@ pub fn run(
         } else {
             ledger.begin_stage("evaluate", &key)?;
             let progress = options.events.stage("evaluate", None);
-            let (board, cache, sky) =
-                (coordinator.board.clone(), coordinator.cache.clone(), coordinator.keys.sky.clone());
-            let sky = move |view: usize| match board.get(view) {
-                Some(true) => read_sky(&cache, &sky[view]),
-                _ => None,
-            };
+            let skies = coordinator.skies.clone();
+            let sky = move |view: usize| skies.read(view).map_err(|lost| lost.to_string());
             scores = held_out(folder, &scene, model, &*coordinator.engine, settings, sky)?;
             progress.finish();
             ledger.finish_stage("evaluate", &key, None)?;

@@ -4,9 +4,10 @@ use crate::{RunError, RunFolder};
 use segwild_flow::files::FileError;
 use serde::{Deserialize, Serialize};
 use std::io::Write as _;
+use wincode::{SchemaRead, SchemaWrite};
 
 /// A line of the history.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, SchemaRead, SchemaWrite)]
 pub struct Moment {
     /// Steps done.
     pub step: u32,
@@ -40,13 +41,15 @@ pub fn append(folder: &RunFolder, moment: &Moment) -> Result<(), RunError> {
 
 /// Drops what was written after the step that training goes on from.
 pub fn trim(folder: &RunFolder, step: u32) -> Result<(), RunError> {
-    let kept: String = read(folder)
-        .into_iter()
-        .filter(|m| m.step <= step)
-        .filter_map(|m| serde_json::to_string(&m).ok())
-        .map(|line| line + "\n")
-        .collect();
-    folder.write("history.jsonl", kept.as_bytes())
+    let kept: Vec<Moment> = read(folder).into_iter().filter(|m| m.step <= step).collect();
+    replace(folder, &kept)
+}
+
+/// Puts the history of a training that was done before in the place of another one's.
+pub fn replace(folder: &RunFolder, moments: &[Moment]) -> Result<(), RunError> {
+    let text: String =
+        moments.iter().filter_map(|m| serde_json::to_string(m).ok()).map(|line| line + "\n").collect();
+    folder.write("history.jsonl", text.as_bytes())
 }
 
 #[cfg(test)]

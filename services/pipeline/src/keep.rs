@@ -1,10 +1,14 @@
 //! What stays in the cache: listing, verifying, sweeping.
 
-use crate::artefacts::snapshot_of;
+use crate::artefacts::{history_of, snapshot_of};
 use crate::{RunError, RunFolder};
+use segwild_flow::ledger::CheckpointRow;
 use segwild_flow::{Artefact, Cache, Ledger, LedgerError, Swept};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
+
+/// What the ledger records the present training's snapshot under, beside the stages.
+pub(crate) const SNAPSHOT: &str = "snapshot";
 
 /// One kind of artefact in a run's cache.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
@@ -24,22 +28,28 @@ pub struct CacheLine {
 /// The artefacts that the run uses as it stands, as the ledger writes their keys.
 fn in_use(ledger: &Ledger) -> Result<BTreeSet<String>, LedgerError> {
     let mut keys = BTreeSet::new();
-    for view in ledger.views("visibility")? {
-        keys.insert(view.key);
-    }
+    keys.extend(ledger.views("visibility")?.into_iter().map(|view| view.key));
+    keys.extend(present_snapshot(ledger)?);
     for stage in ledger.stages()? {
         for view in ledger.views(&stage.name)? {
             keys.insert(view.key);
         }
-        for checkpoint in ledger.all_checkpoints(&stage.name)? {
-            keys.insert(snapshot_of(&checkpoint.key).to_string());
-        }
         if stage.name == "geometry" {
-            keys.insert(snapshot_of(&stage.key).to_string());
+            keys.insert(history_of(&stage.key).to_string());
         }
         keys.insert(stage.key);
     }
     Ok(keys)
+}
+
+/// The snapshot of the training that the run stands at.
+fn present_snapshot(ledger: &Ledger) -> Result<Option<String>, LedgerError> {
+    if let Some(view) = ledger.views(SNAPSHOT)?.into_iter().next() {
+        return Ok(Some(view.key));
+    }
+    // A run that was written before snapshots were recorded went no further than its settings' steps.
+    let geometry = ledger.stages()?.into_iter().find(|stage| stage.name == "geometry");
+    Ok(geometry.map(|stage| snapshot_of(&stage.key).to_string()))
 }
 
 /// What a run's cache holds, by kind. Works while another process uses the run.
@@ -77,10 +87,11 @@ pub fn cache_verify(folder: &RunFolder, mut told: impl FnMut(&Artefact, &str)) -
 pub fn cache_gc(folder: &RunFolder, limit: u64, pretend: bool) -> Result<Swept, RunError> {
     let ledger = Ledger::open(folder.ledger())?;
     let mut swept = sweep(&ledger, &folder.cache()?, limit, pretend)?;
-    // Checkpoints of trainings under other settings than the present ones.
-    let stages = ledger.stages()?;
-    let present = stages.iter().find(|s| s.name == "geometry").map(|s| s.key.as_str());
-    for old in ledger.all_checkpoints("geometry")?.into_iter().filter(|c| Some(c.key.as_str()) != present) {
+    // Checkpoints of trainings under other settings than the present ones. The snapshot tells the training, whichever
+    // step it was last asked to go to.
+    let present = present_snapshot(&ledger)?;
+    let other = |c: &CheckpointRow| Some(snapshot_of(&c.key).to_string()) != present;
+    for old in ledger.all_checkpoints("geometry")?.into_iter().filter(other) {
         let path = folder.checkpoints().join(&old.file);
         swept.files += 1;
         swept.bytes += std::fs::metadata(&path).map_or(0, |m| m.len());

@@ -4,6 +4,7 @@
 //! snapshot while geometry trains on, then the feature field, held-out scores and the report. [`segment()`],
 //! [`render()`] and [`score()`] read what it left.
 
+mod accelerator;
 mod artefacts;
 mod board;
 mod checkpoints;
@@ -21,9 +22,11 @@ mod render;
 mod report;
 mod segment;
 mod settings;
+mod skies;
 mod until;
 mod visibility;
 
+pub use accelerator::accelerator;
 pub use artefacts::Keys;
 pub use error::RunError;
 pub use evaluate::{HeldOut, MaskScore, Score, score};

@@ -1,8 +1,11 @@
 //! Clicks in one photo to an object in 3D, written where other tools can open it.
 
+use crate::accelerator::leased;
 use crate::folder::Loaded;
 use crate::{RunError, RunFolder, report};
-use segwild_flow::{ActorOptions, Limits, Phase, Stopper, System, SystemOptions, mailbox};
+use segwild_flow::{
+    ActorOptions, FileError, Limits, Phase, Stopper, System, SystemOptions, codec, fault, files, mailbox,
+};
 use segwild_raster::{Channels, CpuEngine, Engine};
 use segwild_scene::{Image, Mask, Prompts, Scene, Splats, ply};
 use segwild_segmenter::{
@@ -146,6 +149,7 @@ pub fn segment(
             &own
         }
     };
+    let providers = leased(providers);
     let views: Vec<PosedView> = scene
         .views
         .iter()
@@ -199,7 +203,11 @@ pub fn segment(
         })
     };
     let barred: Vec<bool> = scene.views.iter().map(|v| v.test).collect();
-    let system = System::new(SystemOptions { stopper: stopper.clone(), ..SystemOptions::default() })?;
+    let system = System::new(SystemOptions {
+        stopper: stopper.clone(),
+        threads: made_with.run.threads as usize,
+        ..SystemOptions::default()
+    })?;
     let (tasks, inbox) = mailbox::<SegmentTask>("segmenter", Limits::default());
     let (reply, answers) = mailbox::<SegmentReply>("answers", Limits::default());
     let selected_at = Instant::now();
@@ -243,54 +251,69 @@ pub fn segment(
     let select_s = selected_at.elapsed().as_secs_f64();
 
     // Written aside as a whole, so that a selection is there or not.
+    files::remove_litter(&folder.path().join("selections"));
     let target = folder.selection(name);
     let Segmented { selection, cut, masks } = *segmented;
     let selected = Selected::new(&selection.labels, &cut);
-    let dir = |sub: &str| -> Result<PathBuf, RunError> {
-        let path = target.join(sub);
-        std::fs::create_dir_all(&path).map_err(|e| segwild_flow::FileError::new("create", &path, e))?;
-        Ok(path)
-    };
-    let (mask_dir, amodal_dir, prompt_dir) = (dir("masks")?, dir("amodal")?, dir("prompted")?);
-    folder.write_json(&format!("selections/{name}/prompts.json"), &prompts)?;
-    folder.write_record(&format!("selections/{name}/selection.bin"), SELECTION, &selected)?;
     let object = Object::new(&model.splats, &selection.labels, &cut);
-    ply::write(&target.join("object.ply"), &object.splats.to_file_frame(&scene.frame))?;
-    let labels: Vec<u8> = selected.labels.iter().map(|&l| u8::from(l)).collect();
-    ply::write_with(
-        &target.join("labels.ply"),
-        &selected.cut_scene(&model.splats).to_file_frame(&scene.frame),
-        &[("label", &labels)],
-    )?;
-    for (view, mask) in &masks {
-        let full = &scene.views[*view].camera;
-        mask.mask
-            .resized(full.width, full.height)
-            .write_png(&prompt_dir.join(png_name(&scene.views[*view].name)))?;
-    }
-    let cut_splats = selected.cut_scene(&model.splats);
-    let mut shows = 0;
-    for view in &scene.views {
-        let (visible, amodal) =
-            object_masks(&*engine, &cut_splats, &selected.labels, &model.options(), view, size)?;
-        shows += usize::from(!visible.is_empty());
-        visible.write_png(&mask_dir.join(png_name(&view.name)))?;
-        amodal.write_png(&amodal_dir.join(png_name(&view.name)))?;
-    }
     let count = |verdict: Verdict| selection.visits.iter().filter(|v| v.verdict == verdict).count();
-    let outcome = SegmentOutcome {
-        folder: target,
+    let mut outcome = SegmentOutcome {
+        folder: target.clone(),
         splats: object.splats.len(),
         cut: cut.changed.len() - cut.joined.len(),
         dropped: cut.dropped.len(),
         joined: cut.joined.len(),
-        photos: shows,
+        photos: 0,
         agreeing: count(Verdict::Accepted),
         disagreeing: count(Verdict::Disagrees),
         select_s,
-        wall_s: began.elapsed().as_secs_f64(),
+        wall_s: 0.0,
     };
-    folder.write_json(&format!("selections/{name}/summary.json"), &outcome)?;
+    files::write_folder(&target, |aside| -> Result<(), RunError> {
+        let dir = |sub: &str| -> Result<PathBuf, RunError> {
+            let path = aside.join(sub);
+            std::fs::create_dir_all(&path).map_err(|e| FileError::new("create", &path, e))?;
+            Ok(path)
+        };
+        let pass = || fault::point("selection.file").map_err(|e| FileError::new("write", &target, e));
+        let json = |name: &str, value: serde_json::Result<Vec<u8>>| -> Result<(), RunError> {
+            let path = aside.join(name);
+            let bytes = value.map_err(|e| RunError::Folder { path: path.clone(), reason: e.to_string() })?;
+            Ok(files::write_atomic(&path, &bytes)?)
+        };
+        let (mask_dir, amodal_dir, prompt_dir) = (dir("masks")?, dir("amodal")?, dir("prompted")?);
+        json("prompts.json", serde_json::to_vec_pretty(&prompts))?;
+        let path = aside.join("selection.bin");
+        let bytes = codec::encode(SELECTION, &selected)
+            .map_err(|source| RunError::Record { path: path.clone(), source })?;
+        files::write_atomic(&path, &bytes)?;
+        pass()?;
+        ply::write(&aside.join("object.ply"), &object.splats.to_file_frame(&scene.frame))?;
+        let labels: Vec<u8> = selected.labels.iter().map(|&l| u8::from(l)).collect();
+        ply::write_with(
+            &aside.join("labels.ply"),
+            &selected.cut_scene(&model.splats).to_file_frame(&scene.frame),
+            &[("label", &labels)],
+        )?;
+        pass()?;
+        for (view, mask) in &masks {
+            let full = &scene.views[*view].camera;
+            mask.mask
+                .resized(full.width, full.height)
+                .write_png(&prompt_dir.join(png_name(&scene.views[*view].name)))?;
+        }
+        let cut_splats = selected.cut_scene(&model.splats);
+        for view in &scene.views {
+            let (visible, amodal) =
+                object_masks(&*engine, &cut_splats, &selected.labels, &model.options(), view, size)?;
+            outcome.photos += usize::from(!visible.is_empty());
+            visible.write_png(&mask_dir.join(png_name(&view.name)))?;
+            amodal.write_png(&amodal_dir.join(png_name(&view.name)))?;
+            pass()?;
+        }
+        outcome.wall_s = began.elapsed().as_secs_f64();
+        json("summary.json", serde_json::to_vec_pretty(&outcome))
+    })?;
     report::write_report(folder)?;
     Ok(outcome)
 }

@@ -26,6 +26,8 @@ settings! {
         keep_checkpoints: u32 = 2,
         /// Most MiB that the cache keeps when a run ends, oldest first out; 0 keeps all. What this run uses always stays.
         cache_limit: u64 = 0,
+        /// Seconds without a sign of life after which a worker is named as stuck.
+        stuck_after: u32 = 60,
         /// Photo pairs shown in the report.
         report_photos: u32 = 8,
     }

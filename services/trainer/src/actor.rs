@@ -1,7 +1,7 @@
 //! The trainer behind a mailbox: one order trains one scene, and what comes of it is sent on as it comes.
 
 use crate::{Checkpoint, Model, Photos, TrainSettings, Trainer};
-use segwild_flow::{Actor, Context, Failure, Message, Quarantined, Sender};
+use segwild_flow::{Actor, Context, Failure, Message, Quarantined, Sender, fault};
 use segwild_raster::Engine;
 use segwild_scene::{Scene, Skipped};
 use std::sync::Arc;
@@ -37,6 +37,8 @@ impl Message for TrainOrder {
 /// What the trainer sends on.
 #[derive(Clone)]
 pub enum TrainOutcome {
+    /// The photos in the order in which it will look at them, each at least once; at the start.
+    Upcoming(Vec<usize>),
     /// How it goes, every few steps.
     Progress {
         /// Steps done.
@@ -87,6 +89,7 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
         for warning in trainer.warnings() {
             context.events().warn(Some("geometry"), warning.clone());
         }
+        self.send(TrainOutcome::Upcoming(trainer.upcoming()))?;
         let mut saved = Instant::now();
         let (mut sums, mut since) = ([0.0f32; 3], 0);
         while trainer.steps_done() < order.until {
@@ -96,6 +99,7 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
             }
             let step = trainer.step().map_err(Failure::fatal)?;
             context.progress();
+            fault::point("trainer.step")?;
             sums = [sums[0] + step.loss, sums[1] + step.psnr, sums[2] + step.left_out];
             since += 1;
             let last = step.step >= order.until;

@@ -242,6 +242,13 @@ impl Trainer {
         &self.warnings
     }
 
+    /// The photos in the order in which the next steps look at them, each at least once: what to have ready first.
+    pub fn upcoming(&self) -> Vec<usize> {
+        let (mut sampler, mut random) = (self.state.sampler.clone(), self.state.random.clone());
+        let rest_of_round_and_next = 0..2 * sampler.views().len();
+        rest_of_round_and_next.filter_map(|_| sampler.next(&mut random)).collect()
+    }
+
     /// Photos that turned out not to be usable.
     pub fn skipped(&self) -> Vec<Skipped> {
         let of = |(name, reason): &(String, String)| Skipped { name: name.clone(), reason: reason.clone() };

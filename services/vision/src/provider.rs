@@ -17,6 +17,10 @@ pub enum VisionError {
 pub trait Embedder: Send + Sync {
     /// Names the model and its parameters; part of every cache key made with it (method, section 8).
     fn key(&self) -> String;
+    /// Whether it computes on the machine's accelerator, which then is held while it answers.
+    fn accelerator(&self) -> bool {
+        false
+    }
     /// Describes an image.
     fn embed(&self, image: &Image) -> Result<Embedding, VisionError>;
 }
@@ -25,6 +29,10 @@ pub trait Embedder: Send + Sync {
 pub trait MaskProposer: Send + Sync {
     /// Names the model and its parameters.
     fn key(&self) -> String;
+    /// Whether it computes on the machine's accelerator, which then is held while it answers.
+    fn accelerator(&self) -> bool {
+        false
+    }
     /// Masks that the points lie in, unfiltered; several nested ones per point are welcome. `points` are
     /// pixel positions.
     fn propose(&self, image: &Image, points: &[[f32; 2]]) -> Result<Vec<ScoredMask>, VisionError>;
@@ -34,6 +42,10 @@ pub trait MaskProposer: Send + Sync {
 pub trait PromptSegmenter: Send + Sync {
     /// Names the model and its parameters.
     fn key(&self) -> String;
+    /// Whether it computes on the machine's accelerator, which then is held while it answers.
+    fn accelerator(&self) -> bool {
+        false
+    }
     /// The mask that the prompts mean, with scores.
     fn segment(&self, image: &Image, prompts: &Prompts) -> Result<ScoredMask, VisionError>;
     /// Snaps a rough mask (a rendered selection, say) to the image's own boundaries. `certainty` has one
@@ -45,6 +57,10 @@ pub trait PromptSegmenter: Send + Sync {
 pub trait SkyDetector: Send + Sync {
     /// Names the model and its parameters.
     fn key(&self) -> String;
+    /// Whether it computes on the machine's accelerator, which then is held while it answers.
+    fn accelerator(&self) -> bool {
+        false
+    }
     /// The sky's pixels.
     fn sky(&self, image: &Image) -> Result<Mask, VisionError>;
 }

@@ -23,6 +23,20 @@ struct Program<'a> {
     click: String,
 }
 
+/// Where kills are aimed at, by stage: the point, and about how often a run passes it before and in the stage.
+const AIMS: [(&str, &str, [usize; 2]); 10] = [
+    ("sky", "masks.handle", [1, 14]),
+    ("embed", "features.handle", [1, 12]),
+    ("geometry", "trainer.step", [1, 300]),
+    ("masks", "masks.handle", [15, 26]),
+    ("visibility", "visibility.photo", [1, 12]),
+    ("features", "features.step", [1, 52]),
+    ("evaluate", "evaluate.photo", [1, 2]),
+    ("report", "report.picture", [1, 8]),
+    ("selection", "segmenter.handle", [1, 1]),
+    ("selection, half written", "selection.file", [1, 16]),
+];
+
 impl Program<'_> {
     /// The two commands of a session: the run, and a click.
     fn commands(&self, run: &Path) -> [Command; 2] {
@@ -59,6 +73,20 @@ impl Program<'_> {
             }
         }
         Ok(began.elapsed().as_secs_f64())
+    }
+
+    /// Runs both with a fault that kills them at a point; whether one was killed.
+    fn killed_at(&self, run: &Path, fault: &str) -> Result<bool, FlowError> {
+        for mut command in self.commands(run) {
+            let status = io("start segwild", command.args(["--fault", fault]).status())?;
+            if status.code().is_none() {
+                return Ok(true);
+            }
+            if !status.success() {
+                return Err(FlowError::Child(format!("{command:?} ended with {status}")));
+            }
+        }
+        Ok(false)
     }
 
     /// Runs both, and kills whichever runs when the time has come.
@@ -137,6 +165,13 @@ fn moment(k: usize, n: usize, longest: f64) -> f64 {
     longest * (k as f64 + draw) / n as f64
 }
 
+/// A pass of a point in the `k`th of `n` slices of those that it has in a stage; random.
+fn pass(k: usize, n: usize, [first, last]: [usize; 2]) -> usize {
+    let draw = RandomState::new().hash_one(k) as f64 / u64::MAX as f64;
+    let count = (last - first + 1) as f64;
+    (first + (count * (k as f64 + draw) / n as f64) as usize).min(last)
+}
+
 /// Kills runs at moments spread over their whole length, lets each go on, and counts those that end differently.
 pub fn kills(options: &FlowOptions) -> Result<Vec<Row>, FlowError> {
     let dir = fresh(&options.dir.join("kills"))?;
@@ -151,6 +186,15 @@ pub fn kills(options: &FlowOptions) -> Result<Vec<Row>, FlowError> {
     let whole = program.complete(&fresh(&dir.join("timed"))?)?;
     let expected = results(&untouched)?;
     let mut different = Vec::new();
+    let mut finish = |run: &Path| -> Result<(), FlowError> {
+        program.complete(run)?;
+        let got = results(run)?;
+        if got != expected {
+            let odd = expected.iter().find(|(file, hash)| got.get(*file) != Some(hash));
+            different.push(odd.map_or("an extra file".into(), |(file, _)| file.display().to_string()));
+        }
+        Ok(())
+    };
     let mut stages: BTreeMap<String, usize> = BTreeMap::new();
     for k in 0..options.kills {
         // One that ended before its moment came says nothing: it is drawn again, and not as late.
@@ -165,12 +209,19 @@ pub fn kills(options: &FlowOptions) -> Result<Vec<Row>, FlowError> {
         for stage in under_way(&run) {
             *stages.entry(stage).or_default() += 1;
         }
-        program.complete(&run)?;
-        let got = results(&run)?;
-        if got != expected {
-            let odd = expected.iter().find(|(file, hash)| got.get(*file) != Some(hash));
-            different.push(odd.map_or("an extra file".into(), |(file, _)| file.display().to_string()));
+        finish(&run)?;
+    }
+    let mut aimed = Vec::new();
+    for (stage, point, passes) in AIMS {
+        let each = options.kills.div_ceil(17);
+        for k in 0..each {
+            let run = fresh(&dir.join("run"))?;
+            if !program.killed_at(&run, &format!("kill@{point}:{}", pass(k, each, passes)))? {
+                return Err(FlowError::Child(format!("a run does not pass {point} as often as it should")));
+            }
+            finish(&run)?;
         }
+        aimed.push(format!("{stage} {each}"));
     }
     let stages: Vec<String> = stages.iter().map(|(stage, n)| format!("{stage} {n}")).collect();
     let odd = different.first().map_or(String::new(), |file| format!("; first: {file}"));
@@ -180,10 +231,11 @@ pub fn kills(options: &FlowOptions) -> Result<Vec<Row>, FlowError> {
         value: different.len() as f64,
         bar: 0.0,
         from: format!(
-            "{} runs of {whole:.1} s, each killed once at random in its slice of that time (while under way: {}), {} files \
-             compared{odd}",
+            "{} runs of {whole:.1} s, each killed once at random in its slice of that time (while under way: {}), and \
+             others killed at a random pass of a point in a stage ({}); {} files compared{odd}",
             options.kills,
             stages.join(", "),
+            aimed.join(", "),
             expected.len()
         ),
         load: None,

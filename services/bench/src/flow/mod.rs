@@ -16,7 +16,7 @@ use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 /// The rows, in order.
-pub const ROWS: [&str; 5] = ["overlap", "cost", "cache", "kills", "memory"];
+pub const ROWS: [&str; 6] = ["overlap", "accelerator", "cost", "cache", "kills", "memory"];
 
 /// How to measure.
 #[derive(Clone, Debug)]
@@ -81,7 +81,7 @@ pub enum FlowError {
     #[error("{0}")]
     Child(String),
     /// A row was asked for that does not exist.
-    #[error("there is no row `{0}`; the rows are overlap, cost, cache, kills, memory")]
+    #[error("there is no row `{0}`; the rows are overlap, accelerator, cost, cache, kills, memory")]
     Unknown(String),
 }
 
@@ -109,6 +109,9 @@ pub fn flow(options: &FlowOptions, mut told: impl FnMut(&Row)) -> Result<Vec<Row
     };
     if wanted("overlap") || wanted("cache") {
         tell(overlap::overlap(options)?.into_iter().filter(|r| wanted(&r.name)).collect())?;
+    }
+    if wanted("accelerator") {
+        tell(overlap::accelerator(options)?)?;
     }
     if wanted("cost") {
         tell(overlap::cost(options)?)?;

@@ -58,6 +58,12 @@ fn timed(
     Ok(Timed { wall, cpu, stages, training: trainer.unwrap_or(0.0) })
 }
 
+/// Keeps the timeline of the run that was just timed, for who looks for its waits: the next run takes its folder.
+fn keep_trace(dir: &Path, number: usize) -> Result<(), FlowError> {
+    let kept = dir.join(format!("run-{number}.trace.json"));
+    io("keep the trace", std::fs::copy(dir.join("run/trace.json"), kept)).map(|_| ())
+}
+
 /// The stages one after another: sky, embeddings, training to the snapshot and then the masks, the rest.
 fn one_after_another(
     scene: &Path,
@@ -87,7 +93,11 @@ impl Pair {
         settings: &Settings,
         providers: &Providers,
     ) -> Result<Pair, FlowError> {
-        let whole = || timed(scene, &fresh(&dir.join("run"))?, settings, providers, None);
+        let whole = || -> Result<Timed, FlowError> {
+            let timed = timed(scene, &fresh(&dir.join("run"))?, settings, providers, None)?;
+            keep_trace(dir, number)?;
+            Ok(timed)
+        };
         let legs = || one_after_another(scene, &dir.join("legs"), settings, providers);
         if number.is_multiple_of(2) {
             let legs = legs()?;
@@ -146,7 +156,8 @@ pub fn overlap(options: &FlowOptions) -> Result<Vec<Row>, FlowError> {
         settings(&[("size", "96"), ("steps", "1000"), ("refine_steps", "40"), ("prompt_budget", "24")])?;
     let builtin = Providers::from_settings(&settings.vision).map_err(segwild_pipeline::RunError::from)?;
     let ms = Duration::from_millis;
-    let providers = waiting(&builtin, Waits { sky: ms(40), embed: ms(120), masks: ms(120) });
+    let providers =
+        waiting(&builtin, Waits { sky: ms(40), embed: ms(120), masks: ms(120), accelerator: false });
     let pairs = Pair::measure_all(&scene, &dir, &settings, &providers)?;
     let (pair, value, spread) = median(&pairs, |p| p.whole.wall / p.chain().0);
     let from = format!(
@@ -177,6 +188,43 @@ pub fn overlap(options: &FlowOptions) -> Result<Vec<Row>, FlowError> {
             load: None,
         },
     ])
+}
+
+/// With providers that wait for the one accelerator: the wall time over the time that it is held, and what comes after.
+pub fn accelerator(options: &FlowOptions) -> Result<Vec<Row>, FlowError> {
+    let dir = fresh(&options.dir.join("accelerator"))?;
+    let scene = dir.join("scene");
+    place(&scene, 20, 96)?;
+    let settings =
+        settings(&[("size", "96"), ("steps", "600"), ("refine_steps", "40"), ("prompt_budget", "24")])?;
+    let builtin = Providers::from_settings(&settings.vision).map_err(segwild_pipeline::RunError::from)?;
+    let ms = Duration::from_millis;
+    let providers =
+        waiting(&builtin, Waits { sky: ms(60), embed: ms(80), masks: ms(100), accelerator: true });
+    let mut runs = Vec::new();
+    for number in 0..PAIRS {
+        let before = segwild_pipeline::accelerator().stats();
+        let run = timed(&scene, &fresh(&dir.join("run"))?, &settings, &providers, None)?;
+        keep_trace(&dir, number)?;
+        let stats = segwild_pipeline::accelerator().stats();
+        let end = ["features", "evaluate", "report"].iter().map(|name| run.stage(name)).sum::<f64>();
+        let held = stats.held_s - before.held_s;
+        runs.push((run.wall / (held + end), run.wall, held, end, stats.waited_s - before.waited_s));
+    }
+    runs.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let ratios: Vec<String> = runs.iter().map(|r| format!("{:.3}", r.0)).collect();
+    let (value, wall, held, end, waited) = runs[runs.len() / 2];
+    Ok(vec![Row {
+        name: "accelerator".into(),
+        what: "wall time over the time that the one accelerator is held, and what comes after".into(),
+        value,
+        bar: 1.10,
+        from: format!(
+            "median of {}; that one: wall {wall:.2} s, held {held:.2} s, then {end:.2} s; actors waited {waited:.2} s for it",
+            ratios.join(" ")
+        ),
+        load: None,
+    }])
 }
 
 /// With the built-in providers, which keep the cores busy: the dataflow over the stages one after another.

@@ -16,6 +16,8 @@ pub struct Waits {
     pub embed: Duration,
     /// A view's masks.
     pub masks: Duration,
+    /// Whether they wait for the one accelerator of this machine, or each for a machine of its own.
+    pub accelerator: bool,
 }
 
 /// How often providers were called.
@@ -52,6 +54,10 @@ impl Embedder for Waiting {
         "waiting embedder 1".into()
     }
 
+    fn accelerator(&self) -> bool {
+        self.0.accelerator
+    }
+
     /// The photo's colours, coarse, and their squares.
     fn embed(&self, image: &Image) -> Result<Embedding, VisionError> {
         wait(self.0.embed);
@@ -66,6 +72,10 @@ impl Embedder for Waiting {
 impl MaskProposer for Waiting {
     fn key(&self) -> String {
         "waiting proposer 1".into()
+    }
+
+    fn accelerator(&self) -> bool {
+        self.0.accelerator
     }
 
     /// Tiles.
@@ -84,6 +94,10 @@ impl MaskProposer for Waiting {
 impl SkyDetector for Waiting {
     fn key(&self) -> String {
         "waiting sky 1".into()
+    }
+
+    fn accelerator(&self) -> bool {
+        self.0.accelerator
     }
 
     /// None.
@@ -111,6 +125,9 @@ impl Embedder for Counted {
     fn key(&self) -> String {
         self.0.embedder.key()
     }
+    fn accelerator(&self) -> bool {
+        self.0.embedder.accelerator()
+    }
     fn embed(&self, image: &Image) -> Result<Embedding, VisionError> {
         self.1.one();
         self.0.embedder.embed(image)
@@ -121,6 +138,9 @@ impl MaskProposer for Counted {
     fn key(&self) -> String {
         self.0.proposer.key()
     }
+    fn accelerator(&self) -> bool {
+        self.0.proposer.accelerator()
+    }
     fn propose(&self, image: &Image, points: &[[f32; 2]]) -> Result<Vec<ScoredMask>, VisionError> {
         self.1.one();
         self.0.proposer.propose(image, points)
@@ -130,6 +150,9 @@ impl MaskProposer for Counted {
 impl PromptSegmenter for Counted {
     fn key(&self) -> String {
         self.0.segmenter.key()
+    }
+    fn accelerator(&self) -> bool {
+        self.0.segmenter.accelerator()
     }
     fn segment(&self, image: &Image, prompts: &Prompts) -> Result<ScoredMask, VisionError> {
         self.1.one();
@@ -144,6 +167,9 @@ impl PromptSegmenter for Counted {
 impl SkyDetector for Counted {
     fn key(&self) -> String {
         self.0.sky.key()
+    }
+    fn accelerator(&self) -> bool {
+        self.0.sky.accelerator()
     }
     fn sky(&self, image: &Image) -> Result<Mask, VisionError> {
         self.1.one();

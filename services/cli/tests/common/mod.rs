@@ -2,6 +2,7 @@
 #![allow(dead_code, reason = "each test file uses a part of it")]
 
 use segwild_bench::synthetic::{LookKind, Manifest, SyntheticOptions, generate};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::{OnceLock, mpsc};
@@ -156,4 +157,108 @@ pub fn copy_folder(from: &Path, to: &Path) {
             std::fs::copy(&path, to.join(name)).expect("it is copied");
         }
     }
+}
+
+/// The command line of the finished run, into another folder.
+pub fn again(out: &Path, more: &[&str]) -> Vec<String> {
+    let (scene, out) = (show(&place().scene), show(out));
+    let mut args = vec!["run".to_owned(), scene, "--out".into(), out];
+    for flag in QUICK.chunks(2).filter(|flag| !more.contains(&flag[0])) {
+        args.extend(flag.iter().map(|s| (*s).to_owned()));
+    }
+    args.extend(more.iter().map(|s| (*s).to_owned()));
+    args
+}
+
+pub fn output(args: &[String]) -> Output {
+    segwild(&args.iter().map(String::as_str).collect::<Vec<_>>())
+}
+
+pub fn completes(args: &[String]) -> (String, String) {
+    let output = output(args);
+    let (out, error) = (text(&output.stdout), text(&output.stderr));
+    assert_eq!(output.status.code(), Some(0), "{args:?} said: {error}");
+    (out, error)
+}
+
+pub fn start(args: &[String]) -> Child {
+    Command::new(env!("CARGO_BIN_EXE_segwild"))
+        .args(args)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the program starts")
+}
+
+/// The hash of everything a run made: model, features, scores, and every artefact in the cache.
+pub fn results(run: &Path) -> BTreeMap<PathBuf, blake3::Hash> {
+    let mut found = BTreeMap::new();
+    let mut folders = vec![run.join("cache"), run.join("selections")];
+    let mut files: Vec<PathBuf> =
+        ["model.bin", "features.bin", "scene.ply", "evaluation.json", "history.jsonl"]
+            .map(|f| run.join(f))
+            .into();
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(&folder).into_iter().flatten().flatten() {
+            let name = entry.file_name();
+            if entry.path().is_dir() && name != "tmp" && name != "corrupt" {
+                folders.push(entry.path());
+            // The summary of a selection says how long it took.
+            } else if entry.path().is_file()
+                && name != "summary.json"
+                && !name.to_string_lossy().starts_with('.')
+            {
+                files.push(entry.path());
+            }
+        }
+    }
+    for file in files {
+        let bytes = std::fs::read(&file).expect("it is there");
+        found.insert(file.strip_prefix(run).expect("inside").to_owned(), blake3::hash(&bytes));
+    }
+    found
+}
+
+/// Compares with the run that nothing happened to.
+pub fn same_as_untouched(run: &Path) {
+    let (ours, theirs) = (results(run), results(&place().run));
+    for (file, hash) in &theirs {
+        assert_eq!(ours.get(file), Some(hash), "{} differs or is missing", file.display());
+    }
+    assert_eq!(ours.len(), theirs.len(), "something was made that an untouched run does not make");
+}
+
+/// Waits until a condition holds while a child lives.
+pub fn wait_for(child: &mut Child, what: &str, done: impl Fn() -> bool) {
+    while !done() {
+        assert!(child.try_wait().expect("a child").is_none(), "it ended before: {what}");
+        std::thread::yield_now();
+    }
+}
+
+/// As [`same_as_untouched`], where something else was made in the same folder as well.
+pub fn has_what_an_untouched_run_has(run: &Path) {
+    has_all_of(run, &results(&place().run));
+}
+
+/// Asserts that a run has all these files, byte for byte.
+pub fn has_all_of(run: &Path, expected: &BTreeMap<PathBuf, blake3::Hash>) {
+    let ours = results(run);
+    for (file, hash) in expected {
+        assert_eq!(ours.get(file), Some(hash), "{} differs or is missing", file.display());
+    }
+}
+
+/// Clicks into an object of the place, in a run of it.
+pub fn select(run: &Path, fault: &[&str]) -> Output {
+    let click = &place().manifest.objects.iter().flat_map(|o| &o.clicks).next().expect("a click");
+    let (run, at) = (show(run), format!("{},{}", click.x, click.y));
+    segwild(&[&["segment", &run, "--photo", &click.photo, "--in", &at, "--name", "it"], fault].concat())
+}
+
+/// How many per-photo artefacts a run made, by what it says with `--json`.
+pub fn made(said: &str) -> u64 {
+    let summary: serde_json::Value =
+        serde_json::from_str(said.lines().last().expect("a last line")).expect("JSON");
+    summary["summary"]["made"].as_u64().expect("a number")
 }

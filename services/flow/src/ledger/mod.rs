@@ -27,6 +27,7 @@
 //! assert_eq!(status.stages().unwrap()[0].state, State::Done);
 //! ```
 
+mod error;
 mod live;
 mod live_rows;
 mod lock;
@@ -39,6 +40,7 @@ use std::time::Duration;
 
 use rusqlite::{Connection, OpenFlags, Transaction, params};
 
+pub use error::LedgerError;
 pub use live::{
     LiveActor, LiveMailbox, LiveMetric, LiveSample, LiveStage, LiveWorker, PastSample, ViewCounts,
 };
@@ -52,81 +54,6 @@ use crate::fault;
 use crate::files::FileError;
 use crate::key::Key;
 use crate::meter::lock as hold;
-
-/// Why the ledger could not serve.
-#[derive(Debug, thiserror::Error)]
-pub enum LedgerError {
-    /// Another process writes this run.
-    #[error("the run {} is in use by {owner}; wait for it or stop it", path.display())]
-    Busy {
-        /// The ledger.
-        path: PathBuf,
-        /// Who writes it.
-        owner: Owner,
-    },
-    /// Written by another version of the program.
-    #[error(
-        "{} has ledger format {found}, this program knows format {SCHEMA_VERSION}: \
-         use the version that wrote it, or begin a new run folder (the cache can be kept)",
-        path.display()
-    )]
-    Version {
-        /// The ledger.
-        path: PathBuf,
-        /// Its format.
-        found: i64,
-    },
-    /// Not a ledger, or damaged.
-    #[error("{} is not a run ledger or is damaged ({reason}): move it away and run again; the cache is kept", path.display())]
-    Damaged {
-        /// The file.
-        path: PathBuf,
-        /// What SQLite says.
-        reason: String,
-    },
-    /// There is no ledger to read.
-    #[error("there is no run at {}", path.display())]
-    Missing {
-        /// Where one was looked for.
-        path: PathBuf,
-    },
-    /// The disk is full.
-    #[error("cannot write {}: the disk is full; free some space and run again, what is done is kept", path.display())]
-    DiskFull {
-        /// The ledger.
-        path: PathBuf,
-    },
-    /// This handle, or the folder, can only be read.
-    #[error("cannot write {}: it is open for reading only, or its folder cannot be written", path.display())]
-    ReadOnly {
-        /// The ledger.
-        path: PathBuf,
-    },
-    /// A file beside the ledger.
-    #[error(transparent)]
-    File(#[from] FileError),
-    /// Anything else that SQLite reports.
-    #[error("the ledger {}: {source}", path.display())]
-    Sqlite {
-        /// The ledger.
-        path: PathBuf,
-        /// SQLite's error.
-        source: rusqlite::Error,
-    },
-}
-
-impl LedgerError {
-    fn sqlite(path: &Path, source: rusqlite::Error) -> Self {
-        use rusqlite::ErrorCode::*;
-        let path = path.to_path_buf();
-        match source.sqlite_error_code() {
-            Some(DiskFull) => Self::DiskFull { path },
-            Some(ReadOnly) => Self::ReadOnly { path },
-            Some(NotADatabase | DatabaseCorrupt) => Self::Damaged { path, reason: source.to_string() },
-            _ => Self::Sqlite { path, source },
-        }
-    }
-}
 
 struct Inner {
     path: PathBuf,

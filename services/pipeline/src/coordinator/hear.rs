@@ -1,26 +1,21 @@
 //! What the coordinator does with what the actors say.
 
-use super::{Bars, Coordinator, Inboxes};
+use super::{Bars, Coordinator, HISTORY};
 use crate::RunError;
 use crate::folder::{FEATURES, MODEL};
 use crate::history::{self, Moment};
 use crate::outcome::Outcome;
 use segwild_features::{FeatureField, FeatureOutcome};
 use segwild_flow::ledger::ViewOutcome;
-use segwild_flow::{Event, Key, StageProgress, System};
+use segwild_flow::{Event, Key, StageProgress};
 use segwild_masks::MaskOutcome;
 use segwild_scene::{Skipped, ply};
 use segwild_trainer::{Model, TrainOutcome};
 use std::sync::Arc;
+use std::time::Instant;
 
 impl Coordinator<'_> {
-    pub(super) fn hear(
-        &mut self,
-        outcome: Outcome,
-        system: &System,
-        to: &Inboxes,
-        bars: &mut Bars,
-    ) -> Result<(), RunError> {
+    pub(super) fn hear(&mut self, outcome: Outcome, bars: &mut Bars) -> Result<(), RunError> {
         match outcome {
             Outcome::Mask(MaskOutcome::Sky { view, sky, seconds }) => {
                 self.view_done(
@@ -31,14 +26,19 @@ impl Coordinator<'_> {
                     seconds,
                     &mut bars.sky,
                 )?;
-                self.board.set(view, sky.is_ok());
+                if sky.is_err() {
+                    self.do_without_sky(view)?;
+                }
+                // From here on the trainer may look at the photo: what it makes of it is named already.
+                self.skies.set(view, sky.is_ok());
                 self.state.sky_open -= 1;
+                self.state.training_sky_open -= usize::from(!self.scene.views[view].test);
                 self.close("sky", self.state.sky_open, &mut bars.sky)
             }
             Outcome::Mask(MaskOutcome::Masks { view, masks, seconds }) => {
                 let key = self.keys.masks[view];
                 self.view_done("masks", view, &key, masks.as_ref().err(), seconds, &mut bars.masks)?;
-                self.state.masked[view] = masks.is_ok();
+                self.masks_known.set(view, masks.is_ok());
                 self.state.masks_open -= 1;
                 self.close("masks", self.state.masks_open, &mut bars.masks)
             }
@@ -56,9 +56,8 @@ impl Coordinator<'_> {
                 self.close("embed", self.state.embed_open, &mut bars.embed)
             }
             Outcome::Feature(FeatureOutcome::Field(field)) => {
-                self.cache.put_typed(&self.keys.features, FEATURES, &*field)?;
-                self.ledger.finish_stage("features", &self.keys.features, None)?;
-                self.take_field(*field)
+                self.state.made_field = Some(field);
+                Ok(())
             }
             Outcome::Feature(FeatureOutcome::FieldFailed(reason)) => {
                 self.state.failed = Some(("features", reason));
@@ -72,18 +71,30 @@ impl Coordinator<'_> {
                 self.state.failed = Some(("features", reason));
                 Ok(())
             }
-            Outcome::Train(outcome) => self.hear_trainer(outcome, system, to, bars),
+            Outcome::Train(outcome) => self.hear_trainer(outcome, bars),
         }
     }
 
-    fn hear_trainer(
-        &mut self,
-        outcome: TrainOutcome,
-        system: &System,
-        to: &Inboxes,
-        bars: &mut Bars,
-    ) -> Result<(), RunError> {
+    /// Names what is made from now on after the skies that it lacks. What the trainer made before was made without a look
+    /// at this photo, and bears either name rightly.
+    fn do_without_sky(&mut self, view: usize) -> Result<(), RunError> {
+        self.state.without_sky.insert(view);
+        let test = |view: &usize| self.scene.views[*view].test;
+        let (held_out, training) = self.state.without_sky.iter().copied().partition(test);
+        self.keys = self.full_keys.without_skies(&training, &held_out);
+        if self.state.geometry_begun {
+            self.ledger.begin_stage("geometry", &self.keys.geometry)?;
+            self.name_training()?;
+        }
+        Ok(())
+    }
+
+    fn hear_trainer(&mut self, outcome: TrainOutcome, bars: &mut Bars) -> Result<(), RunError> {
         match outcome {
+            TrainOutcome::Upcoming(views) => {
+                self.skies.prefer(&views);
+                Ok(())
+            }
             TrainOutcome::Progress { step, loss, psnr, splats, left_out } => {
                 let moment = Moment { step, loss, psnr, splats, left_out };
                 history::append(self.folder, &moment)?;
@@ -95,18 +106,28 @@ impl Coordinator<'_> {
                     self.options.events.metric("geometry", name, f64::from(value), at);
                 }
                 self.options.events.metric("geometry", "splats", splats as f64, at);
+                self.options.events.metric("geometry", "stall_s", self.skies.waited_s(), None);
                 Ok(())
             }
             TrainOutcome::Snapshot(snapshot) => {
                 self.cache.put_typed(&self.keys.snapshot, MODEL, &*snapshot)?;
-                self.begin_masks(&snapshot, system, to, bars)
+                // A training that was begun again comes by here again.
+                self.state.snapshot = Some(snapshot).filter(|_| !self.state.masks_begun);
+                Ok(())
             }
-            TrainOutcome::Checkpoint(checkpoint) => self.keeper().save(&checkpoint),
+            TrainOutcome::Checkpoint(checkpoint) => {
+                let began = Instant::now();
+                self.keeper().save(&checkpoint)?;
+                let seconds = began.elapsed().as_secs_f64();
+                self.options.events.metric("geometry", "checkpoint_s", seconds, None);
+                Ok(())
+            }
             TrainOutcome::Paused(step) => {
                 self.state.paused = Some(step);
                 Ok(())
             }
             TrainOutcome::Done(model, skipped) => {
+                self.cache.put_typed(&self.keys.history, HISTORY, &history::read(self.folder))?;
                 self.cache.put_typed(&self.keys.geometry, MODEL, &*model)?;
                 self.ledger.finish_stage("geometry", &self.keys.geometry, None)?;
                 if let Some(bar) = bars.geometry.take() {
@@ -120,8 +141,7 @@ impl Coordinator<'_> {
                         self.state.skipped.push(s);
                     }
                 }
-                self.take_model(model)?;
-                self.begin_visibility(system, to)
+                self.take_model(model)
             }
             TrainOutcome::Failed(reason) => {
                 self.state.failed = Some(("geometry", reason));

@@ -2,32 +2,39 @@
 //!
 //! `ingest -> { sky(view)*, embed(view)*, geometry }`; geometry publishes a snapshot at a fixed step
 //! `-> intrinsic render(view)* -> masks(view)*` while it trains on; at its end `-> feature field`.
+//!
+//! What is made without a sky that was given up bears another name than what a run with that sky makes. So everything
+//! that is named after the training, but for the training itself, waits until each sky is known ([`Coordinator::go_on`]).
 //! Snapshots are taken at fixed steps and views go in fixed order, so the result does not depend on who was faster.
 
+mod begin;
 mod hear;
 
 use crate::artefacts::Keys;
 use crate::board::Board;
 use crate::checkpoints::Keeper;
-use crate::folder::{FEATURES, MODEL};
 use crate::graph::{RunOptions, STAGES};
 use crate::outcome::Outcome;
-use crate::visibility::visibility;
-use crate::{RunError, RunFolder, Settings, history};
-use segwild_features::{FeatureActor, FeatureField, FeatureTask, FieldView, VISIBILITY};
-use segwild_flow::ledger::ViewOutcome;
+use crate::skies::Skies;
+use crate::{RunError, RunFolder, Settings};
+use segwild_features::{FeatureActor, FeatureField, FeatureTask};
+use segwild_flow::ledger::{State as Progress, ViewRow};
 use segwild_flow::{
-    ActorOptions, Cache, Event, Exit, Failure, Key, Ledger, Limits, Phase, Receiver, Recorder, Report,
-    Sender, StageProgress, System, SystemOptions, mailbox,
+    ActorOptions, Cache, Event, Exit, Ledger, Limits, Phase, Receiver, Recorder, Report, Sender,
+    StageProgress, System, SystemOptions, mailbox,
 };
-use segwild_masks::{MaskActor, MaskSource, MaskTask, sasm};
+use segwild_masks::{MaskActor, MaskTask, sasm};
 use segwild_raster::Engine;
-use segwild_scene::{Mask, Scene, Skipped};
-use segwild_trainer::{Model, Photos, TrainActor, TrainOrder, TrainOutcome, TrainPhoto, render_view};
+use segwild_scene::{Scene, Skipped};
+use segwild_trainer::{Model, TrainActor, TrainOrder, TrainOutcome};
 use segwild_vision::Providers;
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
+
+/// Kind of the cache's records of how a training went.
+const HISTORY: &str = "history";
 
 /// What is known so far.
 #[derive(Default)]
@@ -35,13 +42,22 @@ pub struct State {
     pub model: Option<Arc<Model>>,
     pub field: Option<Arc<FeatureField>>,
     pub skipped: Vec<Skipped>,
-    /// Views whose masks are in the cache.
-    pub masked: Vec<bool>,
+    /// The field, until it is known what to call it.
+    pub made_field: Option<Box<FeatureField>>,
     pub embedded: Vec<bool>,
+    /// Views whose sky was given up.
+    pub without_sky: BTreeSet<usize>,
     pub sky_open: usize,
+    /// Those of them that are trained on.
+    pub training_sky_open: usize,
     pub embed_open: usize,
     pub masks_open: usize,
+    /// The training was ordered, or found done.
+    pub geometry_begun: bool,
+    /// The scene at the snapshot step, until the masks are begun.
+    pub snapshot: Option<Arc<Model>>,
     pub masks_begun: bool,
+    pub visibility_begun: bool,
     /// Which pixels can be trusted is known of every photo.
     pub visible: bool,
     pub field_asked: bool,
@@ -61,14 +77,18 @@ pub struct Coordinator<'a> {
     pub recorder: &'a Recorder,
     pub scene: Arc<Scene>,
     pub engine: Arc<dyn Engine>,
+    /// The names of what a run makes that finds every sky.
+    pub full_keys: Keys,
+    /// The names of what this run makes, as far as is known.
     pub keys: Keys,
     pub cache: Cache,
     /// Index into [`STAGES`] of the last stage wanted.
     pub last: usize,
     /// The step of the training to stop after.
     pub steps: u32,
-    /// Per view, whether its sky is in the cache; `false` when it has none.
-    pub board: Arc<Board<bool>>,
+    pub skies: Arc<Skies>,
+    /// Per view, whether its masks are in the cache; `false` when they were given up.
+    pub masks_known: Arc<Board<bool>>,
     /// A stop ended the wait for a photo's sky: what the trainer makes from then on, without it, is not kept.
     pub tainted: Arc<AtomicBool>,
     pub state: State,
@@ -120,6 +140,8 @@ impl Coordinator<'_> {
         let system = System::new(SystemOptions {
             events: self.options.events.clone(),
             stopper: self.options.stopper.clone(),
+            stuck_after: Duration::from_secs(self.settings.run.stuck_after.max(1).into()),
+            threads: self.settings.run.threads as usize,
             ..SystemOptions::default()
         })?;
         let limits = Limits { count: 64, bytes: 64 << 20 };
@@ -195,7 +217,6 @@ impl Coordinator<'_> {
     /// Feeds the actors and listens until everything wanted is there.
     fn conduct(&mut self, system: &System, to: Inboxes, inbox: &Receiver<Outcome>) -> Result<(), RunError> {
         let n = self.scene.views.len();
-        self.state.masked = vec![false; n];
         self.state.embedded = vec![false; n];
         for i in 0..n {
             if let Some(reason) = self.keys.unreadable(i) {
@@ -204,20 +225,27 @@ impl Coordinator<'_> {
                     .events
                     .warn(Some("ingest"), format!("photo {} is left out: {reason}", skipped.name));
                 self.state.skipped.push(skipped);
-                self.board.set(i, false);
+                self.skies.set(i, false);
             }
         }
         let mut bars = Bars { sky: None, embed: None, masks: None, geometry: None };
         let events = self.options.events.clone();
 
+        // Who only sends needs no threads to compute on.
+        let feeder = ActorOptions { threads: Some(1), ..ActorOptions::default() };
         let with_sky = self.views(true);
         self.state.sky_open = with_sky.len();
+        let (held_out, training): (Vec<usize>, Vec<usize>) =
+            with_sky.iter().partition(|&&view| self.scene.views[view].test);
+        self.state.training_sky_open = training.len();
+        // Scores come last.
+        self.skies.plan(training.into_iter().chain(held_out));
         bars.sky = Some(events.stage("sky", Some(with_sky.len() as u64)));
         let stage_key = self.keys.stage("sky");
         self.ledger.begin_stage("sky", &stage_key)?;
-        let (masks, keys) = (to.masks.clone(), self.keys.sky.clone());
-        system.source("ingest", ActorOptions::default(), move |context| {
-            for &view in &with_sky {
+        let (masks, keys, skies) = (to.masks.clone(), self.keys.sky.clone(), self.skies.clone());
+        system.source("ingest", feeder, move |context| {
+            while let Some(view) = skies.next_open() {
                 context.check()?;
                 masks.blocking_send_urgent(MaskTask::Sky { view, key: keys[view] })?;
             }
@@ -230,7 +258,7 @@ impl Coordinator<'_> {
             bars.embed = Some(events.stage("embed", Some(views.len() as u64)));
             self.ledger.begin_stage("embed", &self.keys.stage("embed"))?;
             let (features, keys) = (to.features.clone(), self.keys.embedding.clone());
-            system.source("photos", ActorOptions::default(), move |context| {
+            system.source("photos", feeder, move |context| {
                 for &view in &views {
                     context.check()?;
                     features.blocking_send(FeatureTask::Embed { view, key: keys[view] })?;
@@ -238,16 +266,22 @@ impl Coordinator<'_> {
                 Ok(())
             })?;
         }
-        if self.wants("masks") {
-            self.begin_geometry(system, &to, &mut bars)?;
-        }
-        while !self.complete() {
+        loop {
+            self.go_on(system, &to, &mut bars)?;
+            if self.complete() {
+                return Ok(());
+            }
             if self.options.stopper.phase() != Phase::Running {
                 return Ok(());
             }
             match inbox.recv_timeout(Duration::from_millis(200)) {
-                Ok(_) if self.tainted.load(Ordering::Acquire) => return Ok(()),
-                Ok(outcome) => self.hear(outcome, system, &to, &mut bars)?,
+                Ok(_) if self.tainted.load(Ordering::Acquire) => {
+                    return match self.skies.lost() {
+                        Some(lost) => Err(RunError::Stage { stage: "sky", reason: lost.to_string() }),
+                        None => Ok(()),
+                    };
+                }
+                Ok(outcome) => self.hear(outcome, &mut bars)?,
                 Err(_)
                     if self.options.stopper.phase() == Phase::Running
                         && system.snapshot().iter().all(|actor| actor.exit != Exit::Running) =>
@@ -264,9 +298,47 @@ impl Coordinator<'_> {
                 events.tell(Event::StageFailed { stage: stage.into(), error: reason.clone() });
                 return Err(RunError::Stage { stage, reason });
             }
-            self.ask_for_field(&to)?;
         }
-        Ok(())
+    }
+
+    /// Begins what can begin by now.
+    fn go_on(&mut self, system: &System, to: &Inboxes, bars: &mut Bars) -> Result<(), RunError> {
+        if !self.wants("masks") {
+            return Ok(());
+        }
+        let skies_known = self.state.training_sky_open == 0;
+        if !self.state.geometry_begun && (skies_known || !self.something_kept()?) {
+            self.state.geometry_begun = true;
+            self.begin_geometry(to, bars)?;
+        }
+        if !skies_known {
+            return Ok(());
+        }
+        if let Some(snapshot) = self.state.snapshot.take().filter(|_| !self.state.masks_begun) {
+            self.begin_masks(&snapshot, system, to, bars)?;
+        }
+        if !self.state.visibility_begun && self.state.model.is_some() {
+            self.state.visibility_begun = true;
+            self.begin_visibility(system, to)?;
+        }
+        self.ask_for_field(to)?;
+        self.keep_field()
+    }
+
+    /// Whether an earlier run left something of the training that this one might take up, or had to do without a sky:
+    /// then the skies come first, for they say which training it is. A training from the start needs no such wait: it
+    /// waits for the sky of each photo when it comes to it.
+    fn something_kept(&self) -> Result<bool, RunError> {
+        let kept =
+            self.cache.contains(&self.full_keys.geometry) || self.cache.contains(&self.full_keys.snapshot);
+        if kept || !self.ledger.checkpoints("geometry", &self.full_keys.training)?.is_empty() {
+            return Ok(true);
+        }
+        let given_up = |row: ViewRow| {
+            row.outcome.state == Progress::Failed
+                && self.full_keys.sky.iter().any(|key| key.to_string() == row.key)
+        };
+        Ok(self.ledger.views("sky")?.into_iter().any(given_up))
     }
 
     fn complete(&self) -> bool {
@@ -275,197 +347,10 @@ impl Coordinator<'_> {
             && s.embed_open == 0
             && (!self.wants("masks")
                 || s.masks_begun && s.masks_open == 0
-                || s.paused.is_some() && !s.masks_begun)
+                || s.paused.is_some() && !s.masks_begun && s.snapshot.is_none())
             && (!self.wants("geometry") || s.model.is_some() || s.paused.is_some())
             && (!self.wants("features") || s.field.is_some())
     }
-
-    /// Takes the trained scene and its snapshot from the cache, or orders the training.
-    fn begin_geometry(&mut self, system: &System, to: &Inboxes, bars: &mut Bars) -> Result<(), RunError> {
-        let done: Option<Model> = self.cache.get_typed(&self.keys.geometry, MODEL)?;
-        let snapshot: Option<Model> = self.cache.get_typed(&self.keys.snapshot, MODEL)?;
-        if let Some(snapshot) = &snapshot {
-            self.begin_masks(snapshot, system, to, bars)?;
-        }
-        if let (Some(model), true) = (done, snapshot.is_some()) {
-            let key = self.keys.geometry.to_string();
-            self.options.events.tell(Event::StageSkipped { stage: "geometry".into(), key });
-            self.take_model(Arc::new(model))?;
-            return self.begin_visibility(system, to);
-        }
-        self.ledger.begin_stage("geometry", &self.keys.geometry)?;
-        // Without the snapshot the training is done again from a checkpoint before it, or from the start.
-        let snapshot_step = self.settings.train.snapshot_step();
-        let before = if snapshot.is_some() { u32::MAX } else { snapshot_step };
-        let checkpoint = match self.stands_at(before)? {
-            Some(step) => {
-                self.state.paused = Some(step);
-                return Ok(());
-            }
-            None => self.keeper().last_before(before.min(self.steps.saturating_add(1)))?,
-        };
-        let mut bar = self.options.events.stage("geometry", Some(self.steps.into()));
-        let start = checkpoint.as_ref().map_or(0, |c| c.step());
-        if start > 0 {
-            self.options.events.info(Some("geometry"), format!("goes on from step {start}"));
-            bar.cached(start.into());
-        }
-        history::trim(self.folder, start)?;
-        bars.geometry = Some(bar);
-        let (scene, size, board) = (self.scene.clone(), self.settings.scene.size, self.board.clone());
-        let (stopper, cache, keys) =
-            (self.options.stopper.clone(), self.cache.clone(), self.keys.sky.clone());
-        let tainted = self.tainted.clone();
-        let photos = move |view: usize| -> Result<TrainPhoto, String> {
-            let loaded = scene.views[view].load(size).map_err(|e| e.to_string())?;
-            let found = board.wait(view, || stopper.phase() == Phase::Stopping);
-            if found.is_none() {
-                tainted.store(true, Ordering::Release);
-            }
-            let sky = if found == Some(true) { read_sky(&cache, &keys[view]) } else { None };
-            Ok(TrainPhoto { image: loaded.image, valid: loaded.valid, sky })
-        };
-        let order = TrainOrder {
-            scene: self.scene.clone(),
-            photos: Arc::new(photos) as Arc<dyn Photos>,
-            settings: self.settings.train.clone(),
-            until: self.steps,
-            checkpoint: checkpoint.map(Arc::new),
-            checkpoint_every: Duration::from_secs(self.settings.run.checkpoint_every.max(1).into()),
-        };
-        to.training.blocking_send(order).map_err(|_| RunError::Interrupted) // closed: everything stops
-    }
-
-    /// The step the training stands at, when that is as far as was asked for and not its end.
-    fn stands_at(&self, before: u32) -> Result<Option<u32>, RunError> {
-        if self.steps >= self.settings.train.steps {
-            return Ok(None);
-        }
-        let newest = self.keeper().last_before(before)?.map(|c| c.step());
-        Ok(newest.filter(|&step| step >= self.steps))
-    }
-
-    /// Renders the snapshot from every camera, in order, into the masks actor's mailbox.
-    fn begin_masks(
-        &mut self,
-        snapshot: &Model,
-        system: &System,
-        to: &Inboxes,
-        bars: &mut Bars,
-    ) -> Result<(), RunError> {
-        if self.state.masks_begun {
-            return Ok(());
-        }
-        let views = self.views(false);
-        self.state.masks_begun = true;
-        self.state.masks_open = views.len();
-        self.ledger.begin_stage("masks", &self.keys.stage("masks"))?;
-        bars.masks = Some(self.options.events.stage("masks", Some(views.len() as u64)));
-        let (scene, engine, cache) = (self.scene.clone(), self.engine.clone(), self.cache.clone());
-        let (size, keys, board) = (self.settings.scene.size, self.keys.masks.clone(), self.board.clone());
-        let sky_keys = self.keys.sky.clone();
-        let drawn_on = self.settings.masks.mask_source;
-        let (snapshot, out) = (snapshot.clone(), to.masks.clone());
-        let means = Arc::new(snapshot.splats.means.clone());
-        system.source("intrinsic renders", ActorOptions::default(), move |context| {
-            for &view in &views {
-                context.check()?;
-                let posed = &scene.views[view];
-                let render = if drawn_on == MaskSource::Photo || cache.contains(&keys[view]) {
-                    None
-                } else {
-                    let camera = posed.camera.scaled_to(size);
-                    Some(Arc::new(render_view(&snapshot, &*engine, &camera, &posed.pose, None)?))
-                };
-                let found = board.wait(view, || context.stopping()).ok_or_else(Failure::stopped)?;
-                let sky = if found { read_sky(&cache, &sky_keys[view]).map(Arc::new) } else { None };
-                let task = MaskTask::Masks { view, key: keys[view], render, means: means.clone(), sky };
-                out.blocking_send(task)?;
-            }
-            Ok(())
-        })?;
-        Ok(())
-    }
-
-    /// Compares every photo with the trained scene, while masks are still being made.
-    pub(crate) fn begin_visibility(&self, system: &System, to: &Inboxes) -> Result<(), RunError> {
-        let Some(model) = self.state.model.clone().filter(|_| self.wants("features")) else { return Ok(()) };
-        let (scene, engine, cache) = (self.scene.clone(), self.engine.clone(), self.cache.clone());
-        let (views, size, board) = (self.views(false), self.settings.scene.size, self.board.clone());
-        let (keys, sky_keys, out) = (self.keys.visibility.clone(), self.keys.sky.clone(), to.own.clone());
-        system.source("visibility", ActorOptions::default(), move |context| {
-            let look = || -> Result<(), Failure> {
-                for &view in &views {
-                    context.check()?;
-                    if cache.get_typed::<Mask>(&keys[view], VISIBILITY)?.is_some() {
-                        continue;
-                    }
-                    let found = board.wait(view, || context.stopping()) == Some(true);
-                    context.check()?;
-                    let sky = if found { read_sky(&cache, &sky_keys[view]) } else { None };
-                    let _step = context.span(&scene.views[view].name);
-                    let seen = visibility(&model, &*engine, &scene.views[view], view, sky.as_ref(), size)?;
-                    cache.put_typed(&keys[view], VISIBILITY, &seen)?;
-                    context.progress();
-                }
-                Ok(())
-            };
-            let looked = look();
-            context.check()?;
-            out.blocking_send(Outcome::Visibility(looked.map_err(|failure| failure.to_string())))?;
-            Ok(())
-        })?;
-        Ok(())
-    }
-
-    fn ask_for_field(&mut self, to: &Inboxes) -> Result<(), RunError> {
-        let s = &self.state;
-        let ready = s.sky_open == 0 && s.embed_open == 0 && s.masks_begun && s.masks_open == 0 && s.visible;
-        let Some(model) = s.model.clone().filter(|_| ready && !s.field_asked && self.wants("features"))
-        else {
-            return Ok(());
-        };
-        self.state.field_asked = true;
-        if let Some(field) = self.cache.get_typed::<FeatureField>(&self.keys.features, FEATURES)? {
-            let key = self.keys.features.to_string();
-            self.options.events.tell(Event::StageSkipped { stage: "features".into(), key });
-            return self.take_field(field);
-        }
-        self.ledger.begin_stage("features", &self.keys.features)?;
-        let mut views = Vec::new();
-        for view in self.views(false) {
-            if !self.state.embedded[view] {
-                continue;
-            }
-            let (sky_key, key) = (self.keys.sky[view], self.keys.visibility[view]);
-            let found = self.board.get(view) == Some(true);
-            self.ledger.record_view(
-                "visibility",
-                &self.scene.views[view].name,
-                &key,
-                &ViewOutcome::cached(),
-            )?;
-            views.push(FieldView {
-                view,
-                embedding: self.keys.embedding[view],
-                masks: self.state.masked[view].then(|| self.keys.masks[view]),
-                sky: found.then_some(sky_key),
-                visibility: key,
-            });
-        }
-        let task = FeatureTask::Field {
-            splats: Arc::new(model.splats.clone()),
-            options: model.options(),
-            views: Arc::new(views),
-        };
-        to.features.blocking_send(task).map_err(|_| RunError::Interrupted) // closed: everything stops
-    }
-}
-
-/// A view's sky, from where the masks actor left it. What has been damaged since counts as no sky known, and is
-/// made anew by the next run.
-pub(crate) fn read_sky(cache: &Cache, key: &Key) -> Option<Mask> {
-    cache.get_typed(key, "sky").ok().flatten()
 }
 
 /// What each life of the trainer is built from.

@@ -6,25 +6,23 @@ use crate::evaluate::HeldOut;
 use crate::folder::Loaded;
 use crate::history::{self, Moment};
 use crate::render::{Mode, Painter, What};
-use crate::{Keys, RunError, RunFolder, Selected};
+use crate::{RunError, RunFolder, Selected};
 use html::Series;
-use segwild_flow::{Cache, Ledger, SpanKind, TimelineRecord};
+use segwild_flow::ledger::State;
+use segwild_flow::{FileError, Key, Ledger, SpanKind, TimelineRecord, fault};
 use segwild_raster::{CpuEngine, Engine};
 use segwild_scene::{Image, Mask, MaskSet};
-use segwild_vision::Providers;
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 /// Writes the report from what the run folder holds. Called at the end of a run and after each selection.
 pub fn write_report(folder: &RunFolder) -> Result<(), RunError> {
     let loaded = folder.load()?;
     let engine = CpuEngine::default();
-    let providers = Providers::from_settings(&loaded.settings.vision)?;
-    let keys = Keys::new(&loaded.scene, &loaded.settings, &providers, engine.name(), None);
-    let cache = folder.cache()?;
     let mut body = String::new();
     body.push_str(&summary(folder, &loaded)?);
     body.push_str(&objects(folder, &loaded, &engine)?);
-    body.push_str(&photos(&loaded, &engine, &keys, &cache)?);
+    body.push_str(&photos(folder, &loaded, &engine)?);
     body.push_str(&curves(folder));
     body.push_str(&stages(folder));
     body.push_str(&skipped(folder)?);
@@ -96,6 +94,7 @@ fn objects(folder: &RunFolder, loaded: &Loaded, engine: &dyn Engine) -> Result<S
             let camera = v.camera.scaled_to(loaded.settings.scene.size.min(360));
             text.push_str(&html::figure(&highlight.paint(&camera, &v.pose, Some(view))?, &v.name));
             text.push_str(&html::figure(&only.paint(&camera, &v.pose, Some(view))?, "alone"));
+            pass(folder)?;
         }
         text.push_str("</div>");
     }
@@ -109,8 +108,22 @@ fn spread(loaded: &Loaded, count: usize) -> Vec<usize> {
     (0..count).map(|k| k * n / count).collect()
 }
 
+/// Per photo, the name of what the run has made of it in a stage.
+fn made(folder: &RunFolder, stage: &'static str) -> Result<BTreeMap<String, Key>, RunError> {
+    let ledger = Ledger::open_read_only(folder.ledger())?;
+    let done = ledger.views(stage)?.into_iter().filter(|row| row.outcome.state == State::Done);
+    Ok(done.filter_map(|row| Some((row.view, Key::parse(stage, &row.key)?))).collect())
+}
+
+/// The point where a picture has been drawn.
+fn pass(folder: &RunFolder) -> Result<(), RunError> {
+    Ok(fault::point("report.picture").map_err(|e| FileError::new("write", &folder.report(), e))?)
+}
+
 /// Photos beside what the scene makes of them.
-fn photos(loaded: &Loaded, engine: &dyn Engine, keys: &Keys, cache: &Cache) -> Result<String, RunError> {
+fn photos(folder: &RunFolder, loaded: &Loaded, engine: &dyn Engine) -> Result<String, RunError> {
+    let cache = folder.cache()?;
+    let (masks, skies) = (made(folder, "masks")?, made(folder, "sky")?);
     let mut text = String::from("<h2>Photos</h2>");
     let colour = Painter::new(loaded, engine, None, What::Colour)?;
     let depth = Painter::new(loaded, engine, None, What::Depth)?;
@@ -123,6 +136,7 @@ fn photos(loaded: &Loaded, engine: &dyn Engine, keys: &Keys, cache: &Cache) -> R
         let Ok(photo) = v.load(loaded.settings.scene.size.min(360)) else { continue };
         let camera = photo.camera;
         let held = if v.test { " (held out)" } else { "" };
+        pass(folder)?;
         text.push_str("<div class=\"row\">");
         text.push_str(&html::figure(&photo.image, &format!("{}{held}", v.name)));
         text.push_str(&html::figure(&colour.paint(&camera, &v.pose, Some(view))?, "render, own look"));
@@ -131,10 +145,13 @@ fn photos(loaded: &Loaded, engine: &dyn Engine, keys: &Keys, cache: &Cache) -> R
         if let Some(features) = &features {
             text.push_str(&html::figure(&features.paint(&camera, &v.pose, None)?, "features"));
         }
-        if let Ok(Some(set)) = cache.get_typed::<MaskSet>(&keys.masks[view], "masks") {
+        if let Some(key) = masks.get(&v.name)
+            && let Ok(Some(set)) = cache.get_typed::<MaskSet>(key, "masks")
+        {
             text.push_str(&html::figure(&mask_picture(&set), &format!("{} masks", set.masks.len())));
         }
-        if let Ok(Some(sky)) = cache.get_typed::<Mask>(&keys.sky[view], "sky")
+        if let Some(key) = skies.get(&v.name)
+            && let Ok(Some(sky)) = cache.get_typed::<Mask>(key, "sky")
             && !sky.is_empty()
         {
             let mut picture = photo.image.clone();

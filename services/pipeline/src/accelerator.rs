@@ -1,0 +1,72 @@
+//! The machine's accelerator, taken in turn by the providers that declare to compute on it.
+
+use segwild_flow::Lease;
+use segwild_scene::{Embedding, Image, Mask, Prompts, ScoredMask};
+use segwild_vision::{Embedder, MaskProposer, PromptSegmenter, Providers, SkyDetector, VisionError};
+use std::sync::{Arc, LazyLock};
+
+/// The one accelerator, for whatever this process computes on it. A batch gives it to one process at a time.
+pub fn accelerator() -> &'static Lease {
+    static LEASE: LazyLock<Lease> = LazyLock::new(|| Lease::new("accelerator"));
+    &LEASE
+}
+
+/// The same providers; those that declare an accelerator hold it while they answer. Who answers a click, and the sky,
+/// come before the others.
+pub(crate) fn leased(providers: &Providers) -> Providers {
+    let Providers { embedder, proposer, segmenter, sky, notes } = providers.clone();
+    Providers {
+        embedder: if embedder.accelerator() { Arc::new(Leased(embedder)) } else { embedder },
+        proposer: if proposer.accelerator() { Arc::new(Leased(proposer)) } else { proposer },
+        segmenter: if segmenter.accelerator() { Arc::new(Leased(segmenter)) } else { segmenter },
+        sky: if sky.accelerator() { Arc::new(Leased(sky)) } else { sky },
+        notes,
+    }
+}
+
+struct Leased<P: ?Sized>(Arc<P>);
+
+impl Embedder for Leased<dyn Embedder> {
+    fn key(&self) -> String {
+        self.0.key()
+    }
+    fn embed(&self, image: &Image) -> Result<Embedding, VisionError> {
+        let _held = accelerator().acquire("embeddings");
+        self.0.embed(image)
+    }
+}
+
+impl MaskProposer for Leased<dyn MaskProposer> {
+    fn key(&self) -> String {
+        self.0.key()
+    }
+    fn propose(&self, image: &Image, points: &[[f32; 2]]) -> Result<Vec<ScoredMask>, VisionError> {
+        let _held = accelerator().acquire("masks");
+        self.0.propose(image, points)
+    }
+}
+
+impl SkyDetector for Leased<dyn SkyDetector> {
+    fn key(&self) -> String {
+        self.0.key()
+    }
+    fn sky(&self, image: &Image) -> Result<Mask, VisionError> {
+        // The training waits for it, as it does in the actor's mailbox.
+        let _held = accelerator().acquire_urgent("sky");
+        self.0.sky(image)
+    }
+}
+
+impl PromptSegmenter for Leased<dyn PromptSegmenter> {
+    fn key(&self) -> String {
+        self.0.key()
+    }
+    fn segment(&self, image: &Image, prompts: &Prompts) -> Result<ScoredMask, VisionError> {
+        let _held = accelerator().acquire_urgent("a selection");
+        self.0.segment(image, prompts)
+    }
+    fn refine(&self, image: &Image, certainty: &Image) -> Result<ScoredMask, VisionError> {
+        let _held = accelerator().acquire_urgent("a selection");
+        self.0.refine(image, certainty)
+    }
+}

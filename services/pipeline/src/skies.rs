@@ -1,0 +1,134 @@
+//! The sky of each photo, as those who need it wait for it and read it.
+
+use crate::board::Board;
+use segwild_flow::{Cache, Events, Key};
+use segwild_scene::{Mask, Scene};
+use segwild_vision::SkyDetector;
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
+
+/// A sky that was found once and can be had no more: damaged in the cache, and not to be found again.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("photo {photo}: its sky has gone from the cache and cannot be found again ({reason}); run again")]
+pub struct SkyLost {
+    /// The photo's name.
+    pub photo: String,
+    /// Why it cannot be found again.
+    pub reason: String,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Where the masks actor's skies are: which photos have one, and their pixels in the cache. A sky that has been
+/// damaged since is found anew, and is never taken for a photo without a sky: what is made from it is named by its key.
+pub struct Skies {
+    /// Per view, whether its sky is in the cache; `false` when it was given up.
+    known: Board<bool>,
+    scene: Arc<Scene>,
+    size: u32,
+    cache: Cache,
+    keys: Vec<Key>,
+    detector: Arc<dyn SkyDetector>,
+    events: Events,
+    lost: Mutex<Option<SkyLost>>,
+    /// Views whose sky is still to be asked for, the most wanted first.
+    open: Mutex<VecDeque<usize>>,
+    /// Microseconds that were spent in [`Skies::wait`].
+    waited_us: AtomicU64,
+}
+
+impl Skies {
+    /// Nothing is known yet. `keys` name each view's sky.
+    pub fn new(
+        scene: Arc<Scene>,
+        size: u32,
+        cache: Cache,
+        keys: Vec<Key>,
+        detector: Arc<dyn SkyDetector>,
+        events: Events,
+    ) -> Skies {
+        let (known, lost, open) = (Board::new("sky"), Mutex::default(), Mutex::default());
+        Skies { known, scene, size, cache, keys, detector, events, lost, open, waited_us: AtomicU64::new(0) }
+    }
+
+    /// Says whose sky is to be found, in this order for now.
+    pub fn plan(&self, views: impl IntoIterator<Item = usize>) {
+        lock(&self.open).extend(views);
+    }
+
+    /// Puts those that are still open in the order in which they are wanted, the others after them: a trainer waits for
+    /// the sky of each photo when it comes to it, and must not wait for all of them because it begins with the last.
+    pub fn prefer(&self, wanted: &[usize]) {
+        let place = |view: &usize| wanted.iter().position(|w| w == view).unwrap_or(usize::MAX);
+        lock(&self.open).make_contiguous().sort_by_cached_key(place);
+    }
+
+    /// The view whose sky is to be found next; `None` when all were asked for.
+    pub fn next_open(&self) -> Option<usize> {
+        lock(&self.open).pop_front()
+    }
+
+    /// Says whether a view's sky is in the cache.
+    pub fn set(&self, view: usize, found: bool) {
+        self.known.set(view, found);
+    }
+
+    /// Whether a view's sky is known to be in the cache.
+    pub fn found(&self, view: usize) -> bool {
+        self.known.get(view) == Some(true)
+    }
+
+    /// Waits until it is known whether a view has a sky; `None` when `stopping` says so first.
+    pub fn wait(&self, view: usize, stopping: impl Fn() -> bool) -> Option<bool> {
+        let since = Instant::now();
+        let known = self.known.wait(view, stopping);
+        self.waited_us.fetch_add(since.elapsed().as_micros() as u64, Ordering::Relaxed);
+        known
+    }
+
+    /// Seconds that the training has stood still for want of a sky.
+    pub fn waited_s(&self) -> f64 {
+        self.waited_us.load(Ordering::Relaxed) as f64 * 1e-6
+    }
+
+    /// A view's sky; `None` if it was given up.
+    ///
+    /// # Errors
+    /// When it was found once and can be had no more; [`Skies::lost`] then knows it, too.
+    pub fn read(&self, view: usize) -> Result<Option<Mask>, SkyLost> {
+        if !self.found(view) {
+            return Ok(None);
+        }
+        let key = &self.keys[view];
+        let kept = self.cache.get_typed(key, "sky");
+        if let Ok(Some(sky)) = kept {
+            return Ok(Some(sky));
+        }
+        let photo = self.scene.views[view].name.clone();
+        self.events.warn(
+            Some("sky"),
+            format!("the sky of photo {photo} was damaged in the cache: it is found anew"),
+        );
+        self.find(view, key).map(Some).map_err(|reason| {
+            let lost = SkyLost { photo, reason };
+            lock(&self.lost).get_or_insert_with(|| lost.clone());
+            lost
+        })
+    }
+
+    fn find(&self, view: usize, key: &Key) -> Result<Mask, String> {
+        let photo = self.scene.views[view].load(self.size).map_err(|e| e.to_string())?;
+        let sky = self.detector.sky(&photo.image).map_err(|e| e.to_string())?;
+        self.cache.put_typed(key, "sky", &sky).map_err(|e| e.to_string())?;
+        Ok(sky)
+    }
+
+    /// The first sky that was lost, if any: what was made without it is not to be kept.
+    pub fn lost(&self) -> Option<SkyLost> {
+        lock(&self.lost).clone()
+    }
+}
