@@ -257,11 +257,11 @@ fn filled(corners: &[[f32; 2]], scale: [f32; 2], w: u32, h: u32) -> Mask {
 }
 
 fn show(step: Step, weights: &[f32]) {
-    println!("const {}: [f32; COUNT] = [", format!("{step:?}").to_uppercase());
+    println!("    {}: [", format!("{step:?}").to_lowercase());
     for row in weights.chunks(9) {
-        println!("    {},", row.iter().map(|w| format!("{w:.4}")).collect::<Vec<_>>().join(", "));
+        println!("        {},", row.iter().map(|w| format!("{w:.4}")).collect::<Vec<_>>().join(", "));
     }
-    println!("];");
+    println!("    ],");
 }
 
 fn main() -> Outcome<()> {
@@ -284,7 +284,7 @@ fn main() -> Outcome<()> {
         names.push(name);
         all.extend(photos);
     }
-    let mut weights = Weights::default();
+    let mut weights = if edges.is_some() { Weights::network() } else { Weights::builtin() };
     let steps = [Step::First, Step::Add, Step::Remove, Step::Boxed];
     if option("--from").as_deref() == Some("zero") {
         steps.iter().for_each(|s| weights.of_mut(*s).fill(0.0));

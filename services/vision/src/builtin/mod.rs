@@ -97,7 +97,7 @@ impl Weighed for Plane {
 impl Default for Builtin {
     fn default() -> Builtin {
         Builtin {
-            weights: Weights::default(),
+            weights: Weights::builtin(),
             edges: None,
             strengths: Memory::new(MEMORY / 4),
             analyses: Memory::new(MEMORY / 4 * 3),
@@ -114,7 +114,7 @@ impl Builtin {
 
     /// With boundaries from a network.
     pub fn with_edges(edges: Arc<dyn EdgeDetector>) -> Builtin {
-        Builtin { edges: Some(edges), ..Builtin::default() }
+        Builtin { weights: Weights::network(), edges: Some(edges), ..Builtin::default() }
     }
 
     /// Keeps analyses of photos within about that many bytes; the newest one is always kept.
@@ -130,7 +130,8 @@ impl Builtin {
 
     fn name(&self, part: &str) -> String {
         let mut name = format!("{VERSION}-{part}");
-        if self.weights != Weights::default() {
+        let usual = if self.edges.is_some() { Weights::network() } else { Weights::builtin() };
+        if self.weights != usual {
             name += &format!("-{:?}", self.weights);
         }
         match &self.edges {

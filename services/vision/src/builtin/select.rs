@@ -21,6 +21,9 @@ use std::sync::Arc;
 /// Cost that no other outweighs.
 const NEVER: f32 = 1e6;
 
+/// Share of the chosen set under which an island around a click is a crumb.
+const CRUMB: f32 = 0.02;
+
 /// Share of the root's altitude that granularity 0 stands for: under it lie crumbs of superpixels.
 const FINEST: f32 = 0.1;
 
@@ -301,17 +304,15 @@ fn by_evidence(ground: &Ground, meant: &Meant, mut means: Means) -> ScoredMask {
         }
         let mut next = choose(ground, offers, step, means.weights);
         // An island around a second click: clicks that all say "this" rather mean one thing that holds them all, however
-        // badly the first was understood.
-        if k > 0
-            && meant.bounds.is_none()
-            && rules.clicks.iter().all(|c| c.inside)
-            && island(ground, &rules, &next.set)
-        {
+        // badly the first was understood. And nobody clicks to add a crumb.
+        let alone = k > 0 && meant.bounds.is_none() && rules.clicks.iter().all(|c| c.inside);
+        if let Some(part) = island(ground, &rules, &next.set).filter(|_| alone) {
             let starts: Vec<u32> = rules.clicks.iter().map(|c| c.leaf).collect();
             let first = rules.clicks.first().copied();
             let whole = self::offers(ground, &rules, &nothing, first, Step::First, Vec::new(), &starts);
             let whole = choose(ground, whole, Step::First, means.weights);
-            if whole.expected > next.expected {
+            let crumb = ground.area(&part) < CRUMB * ground.area(&next.set);
+            if crumb || whole.expected > next.expected {
                 next = whole;
             }
         }
@@ -330,12 +331,12 @@ fn by_evidence(ground: &Ground, meant: &Meant, mut means: Means) -> ScoredMask {
     }
 }
 
-/// Whether the last click's part of a set holds none of the clicks before it.
-fn island(ground: &Ground, rules: &Rules, set: &[bool]) -> bool {
-    let Some((last, others)) = rules.clicks.split_last() else { return false };
+/// The last click's part of a set, where it holds none of the clicks before it.
+fn island(ground: &Ground, rules: &Rules, set: &[bool]) -> Option<Vec<bool>> {
+    let (last, others) = rules.clicks.split_last()?;
     let alone = Rules { clicks: std::slice::from_ref(last), ..*rules };
     let part = held_together(ground, &alone, set);
-    !others.iter().any(|c| part[c.leaf as usize])
+    (!others.iter().any(|c| part[c.leaf as usize])).then_some(part)
 }
 
 /// Predicted IoU from the mean boundary strength along the outline.

@@ -1,38 +1,9 @@
 //! How much each trait counts at each step.
 //!
-//! The weights make the soft choice among all candidates as good as can be (gradient ascent on the expected IoU) over clicks on the
-//! objects of two synthetic sets (seeds 1 and 2) and half of the `liberty` photos, placed as a person corrects: each in the
-//! middle of the largest mistake. Other seeds and the other half do about as well.
+//! `examples/train_prompts` learns them: they climb the expected IoU of the soft choice among everything that a prompt could
+//! mean, over prompts made as a person makes them. The commands are in docs/measured.md.
 
 use super::traits::{COUNT, Step};
-
-#[rustfmt::skip]
-const FIRST: [f32; COUNT] = [
-    -15.73, -13.32, 21.28, -12.04, 8.378, -6.88, 16.42, 0.3791, -0.1003,
-    -15.73, -13.32, 21.28, -12.04, 8.378, -6.88, 16.42, 0.3791, -0.1003,
-    -0.9797, 25.94, 2.853, 0.3705, 0.0, 0.0, 9.413, 0.0, 0.0,
-];
-
-#[rustfmt::skip]
-const ADD: [f32; COUNT] = [
-    -4.568, -13.32, 18.22, -7.266, 15.05, 11.11, 11.7, -0.3988, 0.03097,
-    0.3753, 10.07, 13.29, 8.028, -1.417, -4.808, 2.25, -0.1986, 0.003699,
-    -0.01771, 8.023, 4.778, 1.336, -0.104, -7.646, 13.67, 0.0, 5.588,
-];
-
-#[rustfmt::skip]
-const REMOVE: [f32; COUNT] = [
-    -3.53, 7.327, 8.904, -3.077, 12.8, 13.79, 16.61, 0.003854, -0.1479,
-    9.273, -2.706, 4.018, 14.25, -7.995, 7.1, 15.17, 0.2638, 0.04311,
-    0.2015, 10.42, 4.66, 1.308, 0.4891, 201.4, 8.163, 0.0, 1.366,
-];
-
-#[rustfmt::skip]
-const BOXED: [f32; COUNT] = [
-    8.349, -7.141, 1.635, 10.23, 2.744, -0.5217, 8.96, 0.5763, -0.06043,
-    8.349, -7.141, 1.635, 10.23, 2.744, -0.5217, 8.96, 0.5763, -0.06043,
-    -0.7598, 14.87, 2.227, -0.5568, 0.0, 0.0, 4.711, 17.15, 3.055,
-];
 
 /// What each trait of a candidate counts, per step.
 #[derive(Clone, Debug, PartialEq)]
@@ -47,13 +18,67 @@ pub struct Weights {
     pub boxed: [f32; COUNT],
 }
 
-impl Default for Weights {
-    fn default() -> Weights {
-        Weights { first: FIRST, add: ADD, remove: REMOVE, boxed: BOXED }
-    }
-}
+/// With the built-in boundaries.
+#[rustfmt::skip]
+const BUILTIN: Weights = Weights {
+    first: [
+        0.0856, -40.91, 24.39, -19.13, 9.599, -9.234, 27.44, -1.265, -0.2381,
+        0.0856, -40.91, 24.39, -19.13, 9.599, -9.234, 27.44, -1.265, -0.2381,
+        -7.083, 18.86, 3.437, -0.6858, 0.0, 0.0, 2.355, 0.0, 0.0,
+    ],
+    add: [
+    -4.568, -13.32, 18.22, -7.266, 15.05, 11.11, 11.7, -0.3988, 0.03097,
+    0.3753, 10.07, 13.29, 8.028, -1.417, -4.808, 2.25, -0.1986, 0.003699,
+    -0.01771, 8.023, 4.778, 1.336, -0.104, -7.646, 13.67, 0.0, 5.588,
+    ],
+    remove: [
+    -3.53, 7.327, 8.904, -3.077, 12.8, 13.79, 16.61, 0.003854, -0.1479,
+    9.273, -2.706, 4.018, 14.25, -7.995, 7.1, 15.17, 0.2638, 0.04311,
+    0.2015, 10.42, 4.66, 1.308, 0.4891, 201.4, 8.163, 0.0, 1.366,
+    ],
+    boxed: [
+        13.55, -11.64, 0.4397, 7.973, 4.015, 1.608, 10.02, 0.6039, -0.0649,
+        13.55, -11.64, 0.4397, 7.973, 4.015, 1.608, 10.02, 0.6039, -0.0649,
+        -0.0474, 3.413, 4.426, -1.971, 0.0, 0.0, -1.281, 28.64, 3.897,
+    ],
+};
+
+/// With those of the edge network.
+#[rustfmt::skip]
+const NETWORK: Weights = Weights {
+    first: [
+        20.09, 11.38, 16.36, -19.93, 3.236, -6.045, 14.83, -1.706, -0.2307,
+        20.09, 11.38, 16.36, -19.93, 3.236, -6.045, 14.83, -1.706, -0.2307,
+        -2.843, 23.34, 2.989, -2.603, 0.0, 0.0, 5.474, 0.0, 0.0,
+    ],
+    add: [
+        21.75, 5.231, 25.76, -9.206, 7.055, 12.46, 12.69, -0.4427, -0.0304,
+        -0.1252, 2.219, 3.572, -5.239, -4.578, 1.331, -1.801, -0.6503, 0.045,
+        -0.6228, 2.177, 7.483, 0.6009, -0.3892, -17.9, 13.9, 0.0, -0.2581,
+    ],
+    remove: [
+        15.37, -1.068, 13.65, -17.93, 12.6, 11.62, 27.88, 0.6102, -0.1979,
+        5.074, 0.0199, 4.117, 8.794, -2.337, 1.93, 9.712, 0.1019, 0.0337,
+        0.0077, 12.66, 4.213, 0.6688, 0.0759, -1.713, 1.471, 0.0, 1.901,
+    ],
+    boxed: [
+        12.55, -8.692, 0.1693, 19.87, 2.489, 0.866, -13.8, 0.5149, -0.0521,
+        12.55, -8.692, 0.1693, 19.87, 2.489, 0.866, -13.8, 0.5149, -0.0521,
+        3.011, 9.319, 1.022, 0.3479, 0.0, 0.0, 21.51, 24.76, 4.421,
+    ],
+};
 
 impl Weights {
+    /// Those learned with the built-in boundaries.
+    pub const fn builtin() -> Weights {
+        BUILTIN
+    }
+
+    /// Those learned with the boundaries of the edge network.
+    pub const fn network() -> Weights {
+        NETWORK
+    }
+
     /// Those of one step.
     pub fn of(&self, step: Step) -> &[f32; COUNT] {
         match step {
