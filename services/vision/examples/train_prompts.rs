@@ -194,6 +194,9 @@ fn climb(questions: &[&Case], start: &[f32]) -> Vec<f32> {
     weights.iter().zip(&scale).map(|(w, s)| (w / s) as f32).collect()
 }
 
+/// Corners of every object in every photo.
+type Outlines = BTreeMap<String, BTreeMap<String, Vec<[f32; 2]>>>;
+
 /// The photos of one folder, and its name.
 fn photos(argument: &str, scene: usize) -> Outcome<(String, Vec<Photo>)> {
     let mut parts = argument.split(':');
@@ -203,11 +206,10 @@ fn photos(argument: &str, scene: usize) -> Outcome<(String, Vec<Photo>)> {
     let weight: f64 = parts.next().map_or(Ok(1.0), str::parse)?;
     let name = folder.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("examples/outlines/{name}.json"));
-    let outlines: Option<BTreeMap<String, BTreeMap<String, Vec<[f32; 2]>>>> =
-        match std::fs::read_to_string(&file) {
-            Ok(text) if !folder.join("truth").is_dir() => Some(serde_json::from_str(&text)?),
-            _ => None,
-        };
+    let outlines: Option<Outlines> = match std::fs::read_to_string(&file) {
+        Ok(text) if !folder.join("truth").is_dir() => Some(serde_json::from_str(&text)?),
+        _ => None,
+    };
     let mut out = Vec::new();
     for known in known(folder, LONG)? {
         let (image, masks) = known.read()?;
@@ -275,9 +277,8 @@ fn main() -> Outcome<()> {
         None => None,
     };
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let folders = arguments.iter().enumerate().filter(|(k, a)| {
-        !flags.contains(&a.as_str()) && !(*k > 0 && flags.contains(&arguments[k - 1].as_str()))
-    });
+    let is_flag = |k: usize| arguments.get(k).is_some_and(|a| flags.contains(&a.as_str()));
+    let folders = arguments.iter().enumerate().filter(|(k, _)| !is_flag(*k) && (*k == 0 || !is_flag(k - 1)));
     let (mut names, mut all) = (Vec::new(), Vec::new());
     for (_, folder) in folders {
         let (name, photos) = photos(folder, names.len())?;
