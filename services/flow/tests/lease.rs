@@ -4,30 +4,15 @@ use std::collections::VecDeque;
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use std::task::{Context as Task, Poll, Wake, Waker};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::task::{Context as Task, Poll, Waker};
 use std::time::Duration;
 
 use segwild_flow::*;
 
-/// Small numbers from a seed (SplitMix64).
-struct Dice(u64);
-impl Dice {
-    fn below(&mut self, n: usize) -> usize {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        ((z ^ (z >> 31)) % n as u64) as usize
-    }
-}
-
-#[derive(Default)]
-struct Woken(AtomicBool);
-impl Wake for Woken {
-    fn wake(self: Arc<Self>) {
-        self.0.store(true, Ordering::SeqCst);
-    }
-}
+#[path = "common/simulated.rs"]
+mod simulated;
+use simulated::{Dice, Woken};
 
 /// Many who want one thing. Only those who were woken are polled, so a wake-up that is lost shows as one who waits for
 /// a thing that is free.

@@ -8,13 +8,17 @@
 use std::collections::VecDeque;
 use std::future::Future;
 use std::pin::Pin;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
-use std::task::{Context as Task, Poll, Wake, Waker};
+use std::task::{Context as Task, Poll, Waker};
 use std::time::Duration;
 
 use proptest::prelude::*;
 use segwild_flow::*;
+
+#[path = "common/simulated.rs"]
+mod simulated;
+use simulated::{Dice, Woken};
 
 /// A parcel: its number and its weight.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,25 +26,6 @@ struct Parcel(u32, usize);
 impl Message for Parcel {
     fn bytes(&self) -> usize {
         self.1
-    }
-}
-
-/// Small numbers from a seed (SplitMix64).
-struct Dice(u64);
-impl Dice {
-    fn below(&mut self, n: usize) -> usize {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        ((z ^ (z >> 31)) % n as u64) as usize
-    }
-}
-
-#[derive(Default)]
-struct Woken(AtomicBool);
-impl Wake for Woken {
-    fn wake(self: Arc<Self>) {
-        self.0.store(true, Ordering::SeqCst);
     }
 }
 

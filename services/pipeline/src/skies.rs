@@ -55,7 +55,7 @@ impl Skies {
         Skies { known, scene, size, cache, keys, detector, events, lost, open, waited_us: AtomicU64::new(0) }
     }
 
-    /// Says whose sky is to be found, in this order for now.
+    /// Says whose sky is to be found, in this order until [`Skies::prefer`] knows a better one.
     pub fn plan(&self, views: impl IntoIterator<Item = usize>) {
         lock(&self.open).extend(views);
     }

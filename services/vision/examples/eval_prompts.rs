@@ -9,9 +9,10 @@
 mod common;
 
 use common::{
-    Manifest, Object, Outcome, THE_ONE, beside, box_of, cpu, mean, most_interior, option, overlay, two_clicks,
+    Manifest, Object, Outcome, THE_ONE, beside, box_of, correction, cpu, mean, most_interior, option,
+    overlay, two_clicks,
 };
-use segwild_scene::{Image, Mask, MaskSet, PointPrompt, Prompts, ScoredMask};
+use segwild_scene::{Image, Mask, MaskSet, Prompts, ScoredMask};
 use segwild_vision::{Builtin, EdgeNetwork, MaskProposer, PromptSegmenter, Runtime};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -40,20 +41,6 @@ struct Row {
     boxed: f64,
     boxed_and_clicked: f64,
     corrected: Vec<f64>,
-}
-
-/// The click that a person would add: in the middle of the largest mistake.
-fn correction(answer: &Mask, truth: &Mask) -> Option<PointPrompt> {
-    let (missed, extra) = (truth.minus(answer), answer.minus(truth));
-    let deepest = |m: &Mask| {
-        let (x, y) = most_interior(m)?;
-        Some((m.not().distances()[y as usize * m.width() as usize + x as usize], x, y))
-    };
-    match (deepest(&missed), deepest(&extra)) {
-        (Some(a), b) if b.is_none_or(|b| a.0 >= b.0) => Some(PointPrompt { x: a.1, y: a.2, inside: true }),
-        (_, Some(b)) => Some(PointPrompt { x: b.1, y: b.2, inside: false }),
-        _ => None,
-    }
 }
 
 /// IoU of the union of the superpixels that lie mostly in the truth.

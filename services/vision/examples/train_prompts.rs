@@ -16,8 +16,8 @@
 #[allow(dead_code, reason = "the examples share it, none uses all of it")]
 mod common;
 
-use common::{Outcome, box_of, known, mean, most_interior, option};
-use segwild_scene::{Image, Mask, PointPrompt, Prompts};
+use common::{Outcome, box_of, correction, known, mean, most_interior, option};
+use segwild_scene::{Image, Mask, Prompts};
 use segwild_vision::{Builtin, EdgeNetwork, Question, Runtime, Step, Weights};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -77,18 +77,9 @@ fn ious(question: &Question, right: &[Mask]) -> Vec<f64> {
     best
 }
 
-/// The click in the middle of the largest mistake, measured against the answer that is nearest.
-fn correction(answers: &[Mask], mask: &Mask) -> Option<PointPrompt> {
-    let truth = answers.iter().max_by(|a, b| a.iou(mask).total_cmp(&b.iou(mask)))?;
-    let deepest = |m: &Mask| {
-        let (x, y) = most_interior(m)?;
-        Some((m.not().distances()[y as usize * m.width() as usize + x as usize], x, y))
-    };
-    match (deepest(&truth.minus(mask)), deepest(&mask.minus(truth))) {
-        (Some(a), b) if b.is_none_or(|b| a.0 >= b.0) => Some(PointPrompt { x: a.1, y: a.2, inside: true }),
-        (_, Some(b)) => Some(PointPrompt { x: b.1, y: b.2, inside: false }),
-        _ => None,
-    }
+/// The answer that is nearest to a mask: mistakes are measured against it.
+fn nearest<'a>(answers: &'a [Mask], mask: &Mask) -> Option<&'a Mask> {
+    answers.iter().max_by(|a, b| a.iou(mask).total_cmp(&b.iou(mask)))
 }
 
 /// A click well inside, but not in the middle.
@@ -137,7 +128,7 @@ fn play(see: &Builtin, photo: &Photo, object: &[Mask], number: usize) -> Outcome
         if prompts.points.len() == CLICKS {
             return Ok((questions, series));
         }
-        match correction(object, &answer) {
+        match nearest(object, &answer).and_then(|truth| correction(&answer, truth)) {
             Some(click) => prompts.points.push(click),
             None => return Ok((questions, series)),
         }

@@ -28,6 +28,20 @@ pub fn most_interior(mask: &Mask) -> Option<(f32, f32)> {
     best.1
 }
 
+/// The click that a person would add: in the middle of the largest mistake.
+pub fn correction(answer: &Mask, truth: &Mask) -> Option<PointPrompt> {
+    let (missed, extra) = (truth.minus(answer), answer.minus(truth));
+    let deepest = |m: &Mask| {
+        let (x, y) = most_interior(m)?;
+        Some((m.not().distances()[y as usize * m.width() as usize + x as usize], x, y))
+    };
+    match (deepest(&missed), deepest(&extra)) {
+        (Some(a), b) if b.is_none_or(|b| a.0 >= b.0) => Some(PointPrompt { x: a.1, y: a.2, inside: true }),
+        (_, Some(b)) => Some(PointPrompt { x: b.1, y: b.2, inside: false }),
+        _ => None,
+    }
+}
+
 /// The most interior points of the upper 60 % and the lower 40 % of the mask's rows.
 pub fn two_clicks(truth: &Mask) -> Vec<PointPrompt> {
     let rows: Vec<u32> = truth.pixels().map(|p| p.1).collect();
