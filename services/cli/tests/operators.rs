@@ -256,8 +256,11 @@ fn escaped(query: &str) -> String {
         .collect()
 }
 
-fn free_port() -> SocketAddr {
-    TcpListener::bind("127.0.0.1:0").and_then(|l| l.local_addr()).expect("a port")
+/// Two ports that nobody listens on, not the same.
+fn free_ports() -> (SocketAddr, SocketAddr) {
+    let held = [(); 2].map(|()| TcpListener::bind("127.0.0.1:0").expect("a port"));
+    let [one, other] = held.each_ref().map(|l| l.local_addr().expect("its address"));
+    (one, other)
 }
 
 /// The expressions of the dashboard's panels, with their titles.
@@ -288,33 +291,18 @@ fn a_real_prometheus_answers_every_panel_and_every_rule() {
     }
     let dir = folder();
     let batch = dir.path().join("batch");
-    let file = manifest(dir.path(), 3000, &["one", "two"], "");
-    let mut child = Guarded(
-        Command::new(env!("CARGO_BIN_EXE_segwild"))
-            .args(["batch", &file, "--out", &show(&batch), "--listen", "127.0.0.1:0"])
-            .stdout(Stdio::null())
-            .stderr(Stdio::piped())
-            .spawn()
-            .expect("the program starts"),
-    );
-    let mut lines = BufReader::new(child.0.stderr.take().expect("a pipe")).lines();
-    let first = lines.next().expect("a line").expect("it speaks");
-    let target: SocketAddr = first
-        .strip_prefix("listening on http://")
-        .and_then(|a| a.parse().ok())
-        .unwrap_or_else(|| panic!("{first}"));
-    let speaks = std::thread::spawn(move || lines.map_while(Result::ok).collect::<Vec<_>>().join("\n"));
-
-    // The rules as they are shipped, looked at every second.
+    let file = manifest(dir.path(), 6000, &["one", "two"], "");
+    // Prometheus waits for the batch, not the other way round: on a fast machine its start takes as long as the batch.
+    let (prometheus, target) = free_ports();
+    // The rules as they are shipped, looked at so often that the shortest stage is seen.
     let config = std::fs::read_to_string(deploy("prometheus/prometheus.yml"))
         .expect("it is there")
         .replace("segwild:9464", &target.to_string())
         .replace("alerts.yml", &show(&deploy("prometheus/alerts.yml").canonicalize().expect("it is there")))
-        .replace("scrape_interval: 5s", "scrape_interval: 1s")
-        .replace("evaluation_interval: 15s", "evaluation_interval: 1s");
+        .replace("scrape_interval: 5s", "scrape_interval: 100ms")
+        .replace("evaluation_interval: 15s", "evaluation_interval: 200ms");
     let config_file = dir.path().join("prometheus.yml");
     std::fs::write(&config_file, config).expect("it writes");
-    let prometheus = free_port();
     let _prometheus = Guarded(
         Command::new("prometheus")
             .arg(format!("--config.file={}", config_file.display()))
@@ -325,18 +313,36 @@ fn a_real_prometheus_answers_every_panel_and_every_rule() {
             .spawn()
             .expect("prometheus starts"),
     );
-    until("prometheus", || get(prometheus, "/-/ready").filter(|t| t.contains("Ready")));
+    let now = || {
+        let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
+        since.expect("a clock").as_secs_f64()
+    };
+    let begin = now();
     let ask = |expression: &str| -> Value {
         // Over the whole time of the batch, as Grafana asks.
-        let end =
-            std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).expect("a clock").as_secs();
         let path = format!(
-            "/api/v1/query_range?query={}&start={}&end={end}&step=1",
+            "/api/v1/query_range?query={}&start={begin}&end={}&step=100ms",
             escaped(expression),
-            end.saturating_sub(600)
+            now().min(begin + 1000.0)
         );
         json(get(prometheus, &path).expect("it answers").as_bytes())
     };
+    until("prometheus", || get(prometheus, "/-/ready").filter(|t| t.contains("Ready")));
+    until("its first look", || {
+        ask("up")["data"]["result"].as_array().filter(|r| !r.is_empty()).map(Vec::len)
+    });
+    let mut child = Guarded(
+        Command::new(env!("CARGO_BIN_EXE_segwild"))
+            .args(["batch", &file, "--out", &show(&batch), "--listen", &target.to_string()])
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("the program starts"),
+    );
+    let mut lines = BufReader::new(child.0.stderr.take().expect("a pipe")).lines();
+    let first = lines.next().expect("a line").expect("it speaks");
+    assert_eq!(first, format!("listening on http://{target}"));
+    let speaks = std::thread::spawn(move || lines.map_while(Result::ok).collect::<Vec<_>>().join("\n"));
     // What was there at any time: at the end nothing is running any more.
     let mut scraped = BTreeSet::new();
     let code = until("the end of the batch", || {
