@@ -261,6 +261,7 @@ pub fn run(
             let skies = coordinator.skies.clone();
             let sky = move |view: usize| skies.read(view).map_err(|lost| lost.to_string());
             scores = held_out(folder, &scene, model, &*coordinator.engine, settings, sky)?;
+            coordinator.intact()?;
             progress.finish();
             ledger.finish_stage("evaluate", &key, None)?;
         }

@@ -24,6 +24,7 @@ mod photo;
 pub mod ply;
 mod prompt;
 mod random;
+mod seal;
 pub mod settings;
 mod splats;
 mod split;
@@ -38,6 +39,7 @@ pub use mask::{Mask, MaskSet, ScoredMask};
 pub use photo::LoadedPhoto;
 pub use prompt::{BoxPrompt, PointPrompt, Prompts};
 pub use random::Random;
+pub use seal::Seal;
 pub use splats::Splats;
 pub use view::{Frame, Observation, Photo, Point, Scene, Skipped, View};
 

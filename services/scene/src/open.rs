@@ -3,7 +3,7 @@
 use crate::draft::{Draft, DraftPhoto, DraftPose};
 use crate::photo::Header;
 use crate::split::{Part, Split};
-use crate::{Frame, Observation, Photo, Point, Pose, Scene, SceneError, SceneSettings, Skipped, View};
+use crate::{Frame, Observation, Photo, Point, Pose, Scene, SceneError, SceneSettings, Seal, Skipped, View};
 use crate::{colmap, draft, transforms};
 use glam::{DVec3, Mat3, Vec3};
 use rayon::prelude::*;
@@ -273,18 +273,20 @@ fn check(
     if !path.is_file() {
         return Err(format!("there is no file {}", path.display()));
     }
+    let ignore =
+        ignore.and_then(|dir| mask_names(&photo.name).into_iter().map(|n| dir.join(n)).find(|p| p.is_file()));
+    let usable = photo.usable.clone();
+    let files = [Some(&path), ignore.as_ref(), usable.as_ref()];
+    let seal = Seal::on(files.into_iter().flatten().map(PathBuf::as_path));
     let lens = photo.lens.as_ref().map_err(String::clone)?;
     let (width, height) = Header::read(&path)?.size_for(lens.width(), lens.height())?;
     let lens = lens.resized(width, height);
     let camera = lens.pinhole();
-    let ignore =
-        ignore.and_then(|dir| mask_names(&photo.name).into_iter().map(|n| dir.join(n)).find(|p| p.is_file()));
-    let usable = photo.usable.clone();
     if let Some(mask) = usable.as_ref().filter(|mask| !mask.is_file()) {
         return Err(format!("there is no file {}, which is to be its mask", mask.display()));
     }
     let lens = lens.is_distorted().then_some(lens);
-    Ok(Checked { photo: Photo { path, ignore, usable, lens }, camera, pose })
+    Ok(Checked { photo: Photo { path, ignore, usable, lens, seal }, camera, pose })
 }
 
 /// What the mask of a photo may be called.

@@ -23,7 +23,17 @@ pub struct LoadedPhoto {
 impl View {
     /// Decodes the photo, undistorted and scaled down so that its long side is at most `long_side` (never
     /// enlarged).
+    ///
+    /// # Errors
+    /// Also when the photo is not the file any more that it was when the scene was opened.
     pub fn load(&self, long_side: u32) -> Result<LoadedPhoto, SceneError> {
+        let loaded = self.read(long_side);
+        // Last: what is read while the file changes may be half of the one and half of the other.
+        self.intact()?;
+        loaded
+    }
+
+    fn read(&self, long_side: u32) -> Result<LoadedPhoto, SceneError> {
         let fail = |reason: String| self.photo_error(&self.photo.path, reason);
         let decoded = self.decode()?;
         let camera = self.camera.scaled_to(long_side.max(1));
@@ -57,6 +67,17 @@ impl View {
             valid = Some(valid.map_or_else(|| ignored.not(), |v| v.minus(&ignored)));
         }
         Ok(LoadedPhoto { image, camera, valid })
+    }
+
+    /// Whether the photo and its masks are still the files that they were when the scene was opened.
+    ///
+    /// # Errors
+    /// Names the file that has changed or gone.
+    pub fn intact(&self) -> Result<(), SceneError> {
+        let Some(path) = self.photo.seal.broken() else { return Ok(()) };
+        let reason =
+            "the file was changed or taken away while it was in use; put it back, or run again without it";
+        Err(self.photo_error(path, reason.into()))
     }
 
     /// BLAKE3 of the photo's bytes, in hexadecimal: what a cache key needs of the photo.

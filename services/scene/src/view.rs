@@ -15,6 +15,8 @@ pub struct Photo {
     pub usable: Option<PathBuf>,
     /// The lens as the reconstruction saw it, when the photo has to be undistorted on load.
     pub lens: Option<crate::lens::Lens>,
+    /// The files as they were when the scene was opened.
+    pub seal: crate::Seal,
 }
 
 /// One posed photo.

@@ -7,7 +7,7 @@ use common::{SIZE, line, open, picture, write};
 use image::ImageEncoder;
 use segwild_scene::colmap::{self, CameraRecord, Keypoint, Model};
 use segwild_scene::lens::Lens;
-use segwild_scene::{Image, Mask, Scene, SceneError, SceneSettings, View};
+use segwild_scene::{Image, Mask, Scene, SceneError, SceneSettings, Seal, View};
 use std::path::Path;
 
 fn difference(a: &Image, b: &Image) -> f32 {
@@ -18,7 +18,9 @@ fn difference(a: &Image, b: &Image) -> f32 {
 /// A scene of one photo, whose file the test then replaces.
 fn one(dir: &Path) -> View {
     write(dir, &line(1));
-    open(dir).unwrap().views.remove(0)
+    let mut view = open(dir).unwrap().views.remove(0);
+    view.photo.seal = Seal::default();
+    view
 }
 
 fn encode(path: &Path, bytes: &[u8], size: (usize, usize), colour: image::ExtendedColorType) {
@@ -231,6 +233,9 @@ fn masks_of_things_to_ignore_follow_the_photo() {
     assert_eq!(valid(1, 40).unwrap(), Mask::from_fn(40, 30, |x, _| x >= 10));
     assert_eq!(valid(2, 40), None);
     Mask::full(30, 30).write_png(&masks.join("photo00.png")).unwrap();
+    let error = scene.views[0].load(40).unwrap_err().to_string();
+    assert!(error.contains("photo00.png") && error.contains("was changed or taken away"), "{error}");
+    let scene = Scene::open(dir.path(), &settings).unwrap();
     let error = scene.views[0].load(40).unwrap_err().to_string();
     assert!(error.contains("photo00.png") && error.contains("30 x 30"), "{error}");
 }

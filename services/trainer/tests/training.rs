@@ -2,7 +2,7 @@
 
 use glam::{DVec3, Vec3};
 use segwild_raster::{Channels, CpuEngine, Engine, ProjectOptions};
-use segwild_scene::{Camera, Frame, Image, Mask, Photo, Point, Pose, Scene, Splats, View};
+use segwild_scene::{Camera, Frame, Image, Mask, Photo, Point, Pose, Scene, Seal, Splats, View};
 use segwild_trainer::{
     Checkpoint, DensityKind, LookKind, Model, Photos, Protocol, TrainError, TrainPhoto, TrainSettings,
     Trainer, evaluate, render_view,
@@ -58,7 +58,13 @@ fn scene(views: usize) -> Scene {
             name: format!("{i:02}.jpg"),
             camera: camera(),
             pose: Pose::look_at(eye, Vec3::new(0.1 * t, 0.1, 0.0), Vec3::NEG_Y),
-            photo: Photo { path: "none".into(), ignore: None, usable: None, lens: None },
+            photo: Photo {
+                path: "none".into(),
+                ignore: None,
+                usable: None,
+                lens: None,
+                seal: Seal::default(),
+            },
             test: views > 2 && i == views - 1,
         }
     };

@@ -54,7 +54,11 @@ impl Coordinator<'_> {
         let (scene, size, skies) = (self.scene.clone(), self.settings.scene.size, self.skies.clone());
         let (stopper, tainted) = (self.options.stopper.clone(), self.tainted.clone());
         let photos = move |view: usize| -> Result<TrainPhoto, String> {
-            let loaded = scene.views[view].load(size).map_err(|e| e.to_string())?;
+            let posed = &scene.views[view];
+            let loaded = posed.load(size).map_err(|e| {
+                tainted.fetch_or(posed.intact().is_err(), Ordering::AcqRel);
+                e.to_string()
+            })?;
             let known = skies.wait(view, || stopper.phase() == Phase::Stopping);
             let sky = skies.read(view);
             if known.is_none() || sky.is_err() {
@@ -223,6 +227,7 @@ impl Coordinator<'_> {
             return Ok(());
         }
         let Some(field) = self.state.made_field.take() else { return Ok(()) };
+        self.intact()?;
         let key = self.field_key();
         self.keys.features = key;
         self.cache.put_typed(&key, FEATURES, &*field)?;

@@ -110,12 +110,14 @@ impl Coordinator<'_> {
                 Ok(())
             }
             TrainOutcome::Snapshot(snapshot) => {
+                self.intact()?;
                 self.cache.put_typed(&self.keys.snapshot, MODEL, &*snapshot)?;
                 // A training that was begun again comes by here again.
                 self.state.snapshot = Some(snapshot).filter(|_| !self.state.masks_begun);
                 Ok(())
             }
             TrainOutcome::Checkpoint(checkpoint) => {
+                self.intact()?;
                 let began = Instant::now();
                 self.keeper().save(&checkpoint)?;
                 let seconds = began.elapsed().as_secs_f64();
@@ -127,6 +129,7 @@ impl Coordinator<'_> {
                 Ok(())
             }
             TrainOutcome::Done(model, skipped) => {
+                self.intact()?;
                 self.cache.put_typed(&self.keys.history, HISTORY, &history::read(self.folder))?;
                 self.cache.put_typed(&self.keys.geometry, MODEL, &*model)?;
                 self.ledger.finish_stage("geometry", &self.keys.geometry, None)?;
@@ -160,6 +163,9 @@ impl Coordinator<'_> {
         seconds: Option<f64>,
         bar: &mut Option<StageProgress>,
     ) -> Result<(), RunError> {
+        if error.is_some() {
+            self.scene.views[view].intact()?;
+        }
         let name = self.scene.views[view].name.clone();
         let outcome = match (error, seconds) {
             (Some(error), _) => ViewOutcome::failed(1, error.clone()),

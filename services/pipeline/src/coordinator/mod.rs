@@ -89,7 +89,8 @@ pub struct Coordinator<'a> {
     pub skies: Arc<Skies>,
     /// Per view, whether its masks are in the cache; `false` when they were given up.
     pub masks_known: Arc<Board<bool>>,
-    /// A stop ended the wait for a photo's sky: what the trainer makes from then on, without it, is not kept.
+    /// The trainer lacks what it should have had, for a stop ended the wait for a photo's sky, or somebody took a photo
+    /// away: what it makes from then on is not kept.
     pub tainted: Arc<AtomicBool>,
     pub state: State,
 }
@@ -133,6 +134,12 @@ impl Coordinator<'_> {
         (0..views.len())
             .filter(|&i| (with_test || !views[i].test) && self.keys.unreadable(i).is_none())
             .collect()
+    }
+
+    /// Whether every photo is still what the names of this run's artefacts say: before something is kept, for what it was
+    /// made from may have changed on the way.
+    pub(crate) fn intact(&self) -> Result<(), RunError> {
+        Ok(self.views(true).into_iter().try_for_each(|view| self.scene.views[view].intact())?)
     }
 
     /// Spawns the actors, feeds them, listens to them. The report is of the actors; the result, of the work.
@@ -208,7 +215,8 @@ impl Coordinator<'_> {
             inbox.close();
             (report, rest.join().unwrap_or_default())
         });
-        for checkpoint in drained.1.iter().filter(|_| !self.tainted.load(Ordering::Acquire)) {
+        let sound = !self.tainted.load(Ordering::Acquire) && self.intact().is_ok();
+        for checkpoint in drained.1.iter().filter(|_| sound) {
             self.keeper().save(checkpoint)?;
         }
         Ok((drained.0, outcome))
@@ -278,7 +286,7 @@ impl Coordinator<'_> {
                 Ok(_) if self.tainted.load(Ordering::Acquire) => {
                     return match self.skies.lost() {
                         Some(lost) => Err(RunError::Stage { stage: "sky", reason: lost.to_string() }),
-                        None => Ok(()),
+                        None => self.intact(),
                     };
                 }
                 Ok(outcome) => self.hear(outcome, &mut bars)?,
