@@ -27,8 +27,22 @@ impl Failure {
 
     /// Tells the person, on standard error.
     pub fn tell(&self) {
-        eprintln!("error: {}", self.message);
+        eprintln!("error: {}", plain(&self.message));
     }
+}
+
+/// A message without the numbers that the system's errors end in: `(os error 2)` helps nobody.
+pub fn plain(message: &str) -> String {
+    let mut parts = message.split(" (os error ");
+    let mut text = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        let number = part.chars().take_while(char::is_ascii_digit).count();
+        match part[number..].strip_prefix(')') {
+            Some(rest) if number > 0 => text += rest,
+            _ => text = text + " (os error " + part,
+        }
+    }
+    text
 }
 
 impl From<RunError> for Failure {
@@ -136,5 +150,19 @@ impl From<TrialError> for Failure {
 impl From<std::io::Error> for Failure {
     fn from(error: std::io::Error) -> Failure {
         Failure { message: error.to_string(), code: exit::FAILED }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::plain;
+
+    #[test]
+    fn the_numbers_of_the_system_are_left_out() {
+        let said = "a.jpg: No such file or directory (os error 2); b.jpg: Permission denied (os error 13)";
+        assert_eq!(plain(said), "a.jpg: No such file or directory; b.jpg: Permission denied");
+        for said in ["nothing of the kind", "cut short (os error ", "photo (os error x).jpg", ""] {
+            assert_eq!(plain(said), said);
+        }
     }
 }

@@ -5,6 +5,7 @@ use segwild_flow::{Event, EventRecord, Events, Level, Sink, Stopper};
 use std::collections::BTreeMap;
 use std::io::{IsTerminal, Write};
 
+use crate::failure::plain;
 pub use segwild_gateway::words::duration;
 
 /// Shows the events of `events` until the sink is dropped.
@@ -17,6 +18,7 @@ pub fn show(events: &Events, json: bool) -> std::io::Result<Sink> {
     let terminal = std::io::stderr().is_terminal();
     events.sink("progress", move |record: &EventRecord| {
         let say = |line: String| {
+            let line = plain(&line);
             // Nobody listening is no reason to stop working.
             let _ = if terminal { bars.println(&line) } else { writeln!(std::io::stderr(), "{line}") };
         };

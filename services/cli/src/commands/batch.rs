@@ -2,7 +2,7 @@
 
 use super::{path, print_json, print_line};
 use crate::exit;
-use crate::failure::Failure;
+use crate::failure::{Failure, plain};
 use crate::operators::{listen, listen_args};
 use crate::progress::{duration, on_ctrl_c};
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
@@ -73,7 +73,7 @@ pub fn batch(matches: &ArgMatches) -> Result<(), Failure> {
     let mut told = Ok(());
     let summary = batch::run(&manifest, &out, &options, &mut |event| {
         if !json {
-            eprintln!("{}", in_words(event));
+            eprintln!("{}", plain(&in_words(event)));
         } else if told.is_ok() {
             // Nobody listening is no reason to stop working.
             told = print_json(event);
