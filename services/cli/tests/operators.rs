@@ -291,6 +291,16 @@ fn a_real_prometheus_answers_every_panel_and_every_rule() {
     }
     let dir = folder();
     let batch = dir.path().join("batch");
+    // One scene is done, and somebody has clicked in it; the other one is still to come.
+    let file = manifest(dir.path(), 6000, &["one"], "");
+    works(&["batch", &file, "--out", &show(&batch), "--until", "features"]);
+    // So small a place is not sharp everywhere: one of the objects will do.
+    let clicks: Vec<_> = place().manifest.objects.iter().flat_map(|o| &o.clicks).collect();
+    let hit = clicks.iter().any(|c| {
+        let at = format!("{},{}", c.x, c.y);
+        segwild(&["segment", &show(&batch.join("one")), "--photo", &c.photo, "--in", &at]).status.success()
+    });
+    assert!(hit, "none of {} clicks selects anything", clicks.len());
     let file = manifest(dir.path(), 6000, &["one", "two"], "");
     // Prometheus waits for the batch, not the other way round: on a fast machine its start takes as long as the batch.
     let (prometheus, target) = free_ports();

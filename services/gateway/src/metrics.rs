@@ -95,6 +95,9 @@ metrics! {
     TrainGaussians = "segwild_train_gaussians", Gauge, Sum, "Splats of the scene in training.";
     TrainLoss = "segwild_train_loss", Gauge, Mean, "Training loss, lately.";
     TrainPsnr = "segwild_train_psnr_db", Gauge, Mean, "PSNR on the training photos, lately, in dB.";
+    TrainStall = "segwild_train_stall_seconds_total", Counter, Sum, "Time that the training has stood still, by what for: sky.";
+    CheckpointDuration = "segwild_checkpoint_duration_seconds", Gauge, Max, "Time that writing the last checkpoint took.";
+    InteractiveLatency = "segwild_interactive_latency_seconds", Histogram, Sum, "Time from a person's prompts to the selected splats.";
     CheckpointTime = "segwild_checkpoint_last_success_timestamp_seconds", Gauge, Max, "When the last checkpoint was taken.";
     LastProgress = "segwild_last_progress_timestamp_seconds", Gauge, Min, "When anything last moved; of several running scenes, the one that has stood still longest.";
     SampleTime = "segwild_sample_timestamp_seconds", Gauge, Min, "When the run was last sampled.";
@@ -171,12 +174,14 @@ impl Board {
             }
             for ((_, labels), (counts, sum)) in self.histograms.iter().filter(|((m, _), _)| *m == metric) {
                 let mut total = 0;
+                let comma = if labels.is_empty() { "" } else { "," };
                 for (i, count) in counts.iter().enumerate() {
                     total += count;
                     let limit = BUCKETS.get(i).map_or("+Inf".to_owned(), f64::to_string);
-                    let _ = writeln!(body, "{name}_bucket{{{labels},le=\"{limit}\"}} {total}");
+                    let _ = writeln!(body, "{name}_bucket{{{labels}{comma}le=\"{limit}\"}} {total}");
                 }
-                let _ = writeln!(body, "{name}_sum{{{labels}}} {sum}\n{name}_count{{{labels}}} {total}");
+                let of = if labels.is_empty() { String::new() } else { format!("{{{labels}}}") };
+                let _ = writeln!(body, "{name}_sum{of} {sum}\n{name}_count{of} {total}");
             }
             if !body.is_empty() {
                 let _ = write!(text, "# HELP {name} {}\n# TYPE {name} {kind}\n{body}", metric.help());
@@ -301,9 +306,12 @@ fn one_run(board: &mut Board, run: &RunView, scene: Option<&String>) {
         (Metric::TrainGaussians, "geometry.splats"),
         (Metric::TrainLoss, "geometry.loss"),
         (Metric::TrainPsnr, "geometry.psnr_db"),
+        (Metric::TrainStall, "geometry.stall_s"),
+        (Metric::CheckpointDuration, "geometry.checkpoint_s"),
     ] {
         if let Some(value) = run.numbers.get(name) {
-            put(metric, &[], *value);
+            let cause: &[_] = if metric == Metric::TrainStall { &[("cause", "sky")] } else { &[] };
+            put(metric, cause, *value);
         }
     }
     let maybe = [
@@ -319,9 +327,15 @@ fn one_run(board: &mut Board, run: &RunView, scene: Option<&String>) {
             put(metric, &[], value);
         }
     }
-    for (stage, seconds) in &run.seconds {
-        let all = with(&[("stage", stage)]);
+    let mut observe = |metric: Metric, pairs: &[(&'static str, &str)], seconds: f64| {
+        let all = with(pairs);
         let all: Vec<(&str, &str)> = all.iter().map(|(n, v)| (n.as_str(), v.as_str())).collect();
-        board.observe(Metric::StageTaskDuration, &all, *seconds);
+        board.observe(metric, &all, seconds);
+    };
+    for (stage, seconds) in &run.seconds {
+        observe(Metric::StageTaskDuration, &[("stage", stage)], *seconds);
+    }
+    for seconds in run.selections.iter().filter_map(|s| s.answered_s) {
+        observe(Metric::InteractiveLatency, &[], seconds);
     }
 }

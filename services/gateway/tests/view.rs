@@ -5,7 +5,7 @@ mod common;
 use common::*;
 use segwild_flow::Ledger;
 use segwild_flow::ledger::LiveSample;
-use segwild_gateway::view::{RunState, Runs};
+use segwild_gateway::view::{RunState, Runs, SelectionView};
 use segwild_gateway::{Target, View, ready, serve};
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
@@ -124,7 +124,13 @@ fn a_run_that_nobody_works_on_is_not_read_again_until_something_changes() {
     std::fs::create_dir_all(folder.join("selections/statue")).expect("a folder");
     assert!(look().selections.is_empty(), "nothing is selected yet");
     std::fs::write(folder.join("selections/statue/prompts.json"), "{}").expect("it writes");
-    assert_eq!(look().selections, ["statue"]);
+    let statue = |answered_s| [SelectionView { name: "statue".into(), answered_s }];
+    assert_eq!(look().selections, statue(None));
+    std::fs::write(folder.join("selections/statue/summary.json"), r#"{"select_s": 0.5}"#).expect("it writes");
+    assert_eq!(look().selections, statue(Some(0.5)));
+    let text = segwild_gateway::metrics::render(Some(&View::Run(Box::new(look()))), false);
+    assert!(text.contains("segwild_interactive_latency_seconds_bucket{le=\"1\"} 1"), "{text}");
+    assert!(text.contains("segwild_interactive_latency_seconds_count 1"), "{text}");
 }
 
 fn get(address: std::net::SocketAddr, path: &str) -> (u16, String) {

@@ -124,6 +124,13 @@ impl RunFolder {
         names
     }
 
+    /// Seconds from the prompts of a selection to its splats, where that was written down.
+    pub fn answered_in(&self, selection: &str) -> Option<f64> {
+        let summary: serde_json::Value =
+            self.read_json(&format!("selections/{selection}/summary.json")).ok()?;
+        summary.get("select_s")?.as_f64()
+    }
+
     /// The report's file.
     pub fn report(&self) -> PathBuf {
         self.path.join("report.html")

@@ -75,8 +75,9 @@ fn tell_run(run: &RunView, indent: &str) -> Result<(), Failure> {
             }
         }
     }
-    for name in &run.selections {
-        print_line(&format!("{indent}selection  {name}"))?;
+    for selection in &run.selections {
+        let took = selection.answered_s.map_or(String::new(), |s| format!(" (in {})", duration(s)));
+        print_line(&format!("{indent}selection  {}{took}", selection.name))?;
     }
     Ok(())
 }

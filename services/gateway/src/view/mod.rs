@@ -16,7 +16,9 @@ use serde::{Deserialize, Serialize};
 
 pub use crate::disk::Disk;
 pub use batch::{BatchView, SceneState, SceneView};
-pub use run::{ActorView, MailboxView, PhotoFailure, RunState, RunView, StageView, Told, WorkerView};
+pub use run::{
+    ActorView, MailboxView, PhotoFailure, RunState, RunView, SelectionView, StageView, Told, WorkerView,
+};
 pub use runs::Runs;
 
 /// A sample older than this, in seconds, says that a run which should be watched is not.

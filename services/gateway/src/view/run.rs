@@ -181,7 +181,7 @@ pub struct RunView {
     /// Photos that failed for good.
     pub failures: Vec<PhotoFailure>,
     /// Selections made.
-    pub selections: Vec<String>,
+    pub selections: Vec<SelectionView>,
     /// The last warnings and errors, oldest first.
     pub events: Vec<Told>,
     /// The run's past, oldest first.
@@ -189,6 +189,15 @@ pub struct RunView {
     /// Seconds that photos took, by stage.
     #[serde(skip)]
     pub seconds: Vec<(String, f64)>,
+}
+
+/// A selection that was made in the run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SelectionView {
+    /// Its name.
+    pub name: String,
+    /// Seconds from the prompts to the splats.
+    pub answered_s: Option<f64>,
 }
 
 /// A photo that a stage gave up.
@@ -277,7 +286,7 @@ impl RunView {
             checkpoint: ledger.last_checkpoint()?.map(|(time, _)| time),
             disk: Disk::of(&whole),
             failures,
-            selections: folder.selections(),
+            selections: selections(&folder),
             events: events(told),
             past: ledger.past(PAST)?,
             seconds: ledger.view_seconds()?,
@@ -323,6 +332,12 @@ impl RunView {
             a.workers.iter().filter(|w| w.stuck).map(|w| (a.name.as_str(), w.item.as_str(), w.for_s))
         })
     }
+}
+
+/// The selections in a run's folder: made by processes of their own, of which the ledger knows nothing.
+pub(super) fn selections(folder: &RunFolder) -> Vec<SelectionView> {
+    let view = |name: String| SelectionView { answered_s: folder.answered_in(&name), name };
+    folder.selections().into_iter().map(view).collect()
 }
 
 impl StageView {

@@ -6,6 +6,7 @@ use std::time::SystemTime;
 
 use segwild_pipeline::RunFolder;
 
+use super::run::selections;
 use super::{Disk, RunView};
 use crate::ViewError;
 
@@ -30,7 +31,7 @@ impl Runs {
         if let Some((known, view)) = self.seen.get(path)
             && *known == mark
         {
-            let selections = RunFolder::at(path).selections();
+            let selections = selections(&RunFolder::at(path));
             return Ok(RunView { disk: Disk::of(path), selections, ..view.later(now) });
         }
         let view = RunView::read(path, now)?;
