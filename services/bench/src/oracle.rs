@@ -4,11 +4,13 @@
 //! An image is known by its content: exactly, when it is a photo or a clean view of the set, and otherwise (a
 //! render, a scaled photo) by likeness.
 
+mod embed;
+
 use crate::synthetic::SyntheticScene;
 use crate::synthetic::random::{Rng, noise};
 use glam::Vec3;
-use segwild_scene::{Embedding, Image, Mask, Prompts, ScoredMask};
-use segwild_vision::{Embedder, MaskProposer, PromptSegmenter, SkyDetector, VisionError};
+use segwild_scene::{Image, Mask, Prompts, ScoredMask};
+use segwild_vision::{MaskProposer, PromptSegmenter, SkyDetector, VisionError};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
@@ -24,6 +26,9 @@ pub struct OracleOptions {
     pub cells: usize,
     /// Length of a part's code beside its instance's, which is 1.
     pub part_code: f32,
+    /// How much all built things are alike, 0 to 1: the mean cosine between the codes of two of them. Networks tell a
+    /// column from the sky better than from the next column.
+    pub kinship: f32,
     /// Length of the noise on each cell.
     pub noise: f32,
     /// Length of the offset that all cells of a photo share.
@@ -43,6 +48,7 @@ impl Default for OracleOptions {
             channels: 64,
             cells: 64,
             part_code: 0.35,
+            kinship: 0.0,
             noise: 0.25,
             offset: 0.15,
             drop: 0.10,
@@ -98,6 +104,8 @@ pub struct Oracle {
     views: Vec<Known>,
     exact: HashMap<[u8; 32], Sight>,
     instance_of: Vec<u16>,
+    /// Per instance, whether it is one of the built things.
+    built: Vec<bool>,
     key: String,
 }
 
@@ -133,7 +141,8 @@ impl Oracle {
         let views = views.collect();
         let key = format!("oracle {} {options:?}", all.finalize().to_hex());
         let instance_of = scene.parts.iter().map(|p| p.instance).collect();
-        Oracle { options, views, exact, instance_of, key }
+        let built = scene.instances.iter().map(|i| !["sky", "ground"].contains(&i.name.as_str())).collect();
+        Oracle { options, views, exact, instance_of, built, key }
     }
 
     fn recognise(&self, image: &Image) -> Result<Sight, VisionError> {
@@ -264,60 +273,6 @@ impl Oracle {
         } else {
             Thing::Instance(known.instances[i])
         }
-    }
-
-    fn code(&self, stream: u64) -> Vec<f32> {
-        let mut rng = Rng::new(self.options.seed, stream);
-        let raw: Vec<f32> = (0..self.options.channels).map(|_| rng.normal()).collect();
-        let length = raw.iter().map(|v| v * v).sum::<f32>().sqrt().max(1e-6);
-        raw.into_iter().map(|v| v / length).collect()
-    }
-}
-
-impl Embedder for Oracle {
-    fn key(&self) -> String {
-        self.key.clone()
-    }
-
-    fn embed(&self, image: &Image) -> Result<Embedding, VisionError> {
-        let sight = self.recognise(image)?;
-        let o = &self.options;
-        let long = image.width.max(image.height) as f32;
-        let side = |n: usize| ((n as f32 / long * o.cells as f32).round() as usize).max(1);
-        let (width, height, n) = (side(image.width), side(image.height), o.channels);
-        let mut codes: BTreeMap<Thing, Vec<f32>> = BTreeMap::new();
-        let mut data = vec![0.0; n * width * height];
-        let offset = self.code(1 << 50 | sight.view as u64);
-        let mut rng = Rng::new(o.seed, 1 << 51 | (sight.view as u64) << 1 | u64::from(sight.strangers));
-        const GRID: usize = 3;
-        let noise_scale = o.noise / (n as f32).sqrt();
-        for cell in 0..width * height {
-            // The mean over the cell: codes mix across borders, as a network's do.
-            for sample in 0..GRID * GRID {
-                let at = |cell: usize, sub: usize, cells: usize, full: usize| {
-                    (cell as f32 + (sub as f32 + 0.5) / GRID as f32) / cells as f32 * full as f32
-                };
-                let x = at(cell % width, sample % GRID, width, image.width);
-                let y = at(cell / width, sample / GRID, height, image.height);
-                let thing = self.thing_at(sight, image, x, y, true);
-                let code = codes.entry(thing).or_insert_with(|| match thing {
-                    Thing::Stranger(id) => self.code(1 << 52 | (sight.view as u64) << 20 | u64::from(id)),
-                    Thing::Instance(id) => self.code(1 << 53 | u64::from(id)),
-                    Thing::Part(id) => {
-                        let whole = self.code(1 << 53 | u64::from(self.instance_of[usize::from(id)]));
-                        let part = self.code(1 << 54 | u64::from(id));
-                        whole.iter().zip(part).map(|(w, p)| w + o.part_code * p).collect()
-                    }
-                });
-                for c in 0..n {
-                    data[c * width * height + cell] += code[c] / (GRID * GRID) as f32;
-                }
-            }
-            for c in 0..n {
-                data[c * width * height + cell] += o.offset * offset[c] + noise_scale * rng.normal();
-            }
-        }
-        Ok(Embedding { width, height, channels: n, data })
     }
 }
 

@@ -1,5 +1,6 @@
 //! The whole program on small synthetic sets, seen by the oracle: what one click per object finds.
 
+use segwild_bench::ablation::VARIANTS;
 use segwild_bench::oracle::OracleOptions;
 use segwild_bench::synthetic::{Kind, SyntheticOptions};
 use segwild_bench::trial::{ObjectScore, ProviderKind, Trial};
@@ -29,9 +30,13 @@ fn settings() -> Settings {
 }
 
 fn trained(dir: &Path, options: &SyntheticOptions) -> Trial {
-    let trial = Trial::new(dir, options, ProviderKind::Oracle, &OracleOptions::default()).unwrap();
+    let trial = seen_by(dir, options, &OracleOptions::default());
     trial.train(&settings()).unwrap();
     trial
+}
+
+fn seen_by(dir: &Path, options: &SyntheticOptions, oracle: &OracleOptions) -> Trial {
+    Trial::new(dir, options, ProviderKind::Oracle, oracle).unwrap()
 }
 
 fn mean(scores: &[ObjectScore], pick: fn(&ObjectScore) -> f64) -> f64 {
@@ -65,6 +70,25 @@ fn one_click_per_object_finds_it_whatever_stands_before_it() {
 
 /// Share of the photos that strangers cover, and the mean IoU that photos of this size and number must reach then.
 const FLOORS: [(f32, f64); 2] = [(0.0, 0.65), (0.25, 0.5)];
+
+#[test]
+fn where_things_look_alike_compactness_tells_them_apart() {
+    let dir = tempfile::tempdir().unwrap();
+    let oracle = OracleOptions { kinship: 0.97, ..OracleOptions::default() };
+    let trial = seen_by(dir.path(), &options(), &oracle);
+    let found = |row: &str| {
+        let row = VARIANTS.iter().find(|v| v.name == row).unwrap();
+        let mut base = settings();
+        base.features.refine_steps = 100;
+        let settings = row.settings(&base).unwrap();
+        trial.train(&settings).unwrap();
+        let scores = trial.objects(&settings, |_| {}).unwrap();
+        report(row.name, &scores);
+        mean(&scores, |s| s.iou)
+    };
+    let (with, without) = (found("paper"), found("paper-no-lcom"));
+    assert!(with > without + 0.01, "{with:.3} with compactness, {without:.3} without");
+}
 
 #[test]
 fn units_change_no_selection() {

@@ -233,10 +233,10 @@ fn faults_are_as_large_as_asked_and_always_the_same() {
     assert!(grown[0].mask.count() > alone[0].mask.count() && alone[0].mask.minus(&grown[0].mask).is_empty());
 }
 
-#[test]
-fn embeddings_tell_instances_apart_across_photos() {
+/// Cosines of embeddings of the dome and the lintel over all photos: of one with itself, and with the other.
+fn alike(options: OracleOptions) -> (Spread, Spread) {
     let scene = scene();
-    let oracle = Oracle::new(scene, OracleOptions::default());
+    let oracle = Oracle::new(scene, options);
     let object = |name: &str| scene.instance_named(name).unwrap();
     let (dome, lintel) = (object("dome"), object("lintel"));
     let mut cells: Vec<(u16, Vec<f32>)> = Vec::new();
@@ -265,7 +265,16 @@ fn embeddings_tell_instances_apart_across_photos() {
             }
         }
     }
-    let (same, other) = (Spread::of(&same).unwrap(), Spread::of(&other).unwrap());
+    (Spread::of(&same).unwrap(), Spread::of(&other).unwrap())
+}
+
+#[test]
+fn embeddings_tell_instances_apart_across_photos() {
+    let (same, other) = alike(OracleOptions::default());
     assert!(same.least > other.most + 0.1, "{same} against {other}");
     assert!(same.most < 0.9999, "{same}");
+    // Built things that are kin are alike, and still not the same.
+    let kin = OracleOptions { kinship: 0.9, part_code: 0.0, ..OracleOptions::perfect() };
+    let (same, other) = alike(kin);
+    assert!((other.mean - 0.9).abs() < 0.05 && other.mean < same.mean - 0.05, "{same} against {other}");
 }

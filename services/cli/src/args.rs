@@ -221,6 +221,10 @@ pub fn program() -> Command {
                         .value_parser(value_parser!(f32)),
                 )
                 .arg(
+                    number("kinship", "0", "How much all built things are alike to the oracle's embedding, 0 to 1")
+                        .value_parser(value_parser!(f32)),
+                )
+                .arg(
                     number("units", "1", "File units per unit of the place: nothing may depend on it")
                         .value_parser(value_parser!(f64)),
                 )

@@ -43,7 +43,10 @@ pub fn bench(matches: &ArgMatches) -> Result<(), Failure> {
         seeds,
         only: list("only"),
         providers,
-        faults: OracleOptions::default(),
+        faults: OracleOptions {
+            kinship: *matches.get_one::<f32>("kinship").expect("it has a default"),
+            ..OracleOptions::default()
+        },
         scene: SyntheticOptions {
             train: photos,
             test: photos.div_ceil(5),
