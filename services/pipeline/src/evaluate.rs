@@ -75,7 +75,9 @@ pub(crate) fn held_out(
     }
     let (protocol, words) = match settings.train.look {
         LookKind::None => (Protocol::Plain, "whole photo, no look fitted"),
-        LookKind::Affine => (Protocol::Halves, "look fitted on the left half, right half scored"),
+        LookKind::Affine | LookKind::Embed => {
+            (Protocol::Halves, "look fitted on the left half, right half scored")
+        }
     };
     let source = scene.clone();
     let photos: Arc<dyn Photos> = Arc::new(move |view: usize| -> Result<TrainPhoto, String> {

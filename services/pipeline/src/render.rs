@@ -194,7 +194,7 @@ impl<'a> Painter<'a> {
                     let keep: Vec<usize> = (0..selected.labels.len())
                         .filter(|&i| selected.labels[i] == (mode == Mode::Only))
                         .collect();
-                    model.splats = model.splats.select(&keep);
+                    model.select(&keep);
                     only = mode == Mode::Only;
                     if what == What::Features {
                         let text =

@@ -3,7 +3,7 @@
 mod common;
 
 use common::Random;
-use segwild_raster::{Adam, AffineLook, AnyLook, Look, NoLook};
+use segwild_raster::{Adam, AffineLook, AnyLook, EmbedLook, Look, NoLook, RANK};
 use segwild_scene::Image;
 
 #[test]
@@ -112,10 +112,68 @@ fn affine_look_matches_finite_differences_and_learns() {
 }
 
 #[test]
+fn embed_look_matches_finite_differences() {
+    let mut random = Random(3);
+    // More than one task's worth of splats.
+    let n = 5000;
+    let (colours, grad) = (random.many(3 * n, 0.0, 1.0), random.many(3 * n, -1.0, 1.0));
+    let codes = random.many(3 * RANK * n, -1.0, 1.0);
+    let mut look = EmbedLook::new(2, 7);
+    let neutral = look.tint(9, &codes, colours.clone());
+    assert_eq!(neutral, colours, "a photo that is not known is neutral");
+    assert_ne!(look.vector(0), look.vector(1), "photos begin apart");
+    look.set_matrix(1, random.vector(-1.0, 1.0));
+    // Linear in colours, codes, matrix and vector one at a time: differences are exact up to rounding.
+    let loss = |look: &EmbedLook, codes: &[f32], colours: &[f32]| {
+        let shown = look.tint(1, codes, colours.to_vec());
+        shown.iter().zip(&grad).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>()
+    };
+    let before = loss(&look, &codes, &colours);
+    let mut trained = look.clone();
+    (trained.pull, trained.vector_rate) = (0.0, trained.rate);
+    let (colour_grads, code_grads) = trained.tint_backward(1, &codes, &colours, grad.clone());
+    for k in (0..3 * n).step_by(1009) {
+        let mut moved = colours.clone();
+        moved[k] += 1.0;
+        let numeric = loss(&look, &codes, &moved) - before;
+        assert!((f64::from(colour_grads[k]) - numeric).abs() < 1e-3, "colour {k}: {numeric}");
+    }
+    for k in (0..codes.len()).step_by(4003) {
+        let mut moved = codes.clone();
+        moved[k] += 1.0;
+        let numeric = loss(&look, &moved, &colours) - before;
+        assert!((f64::from(code_grads[k]) - numeric).abs() < 1e-3, "code {k}: {numeric}");
+    }
+    // The first step of Adam goes against the sign of each gradient by the rate.
+    trained.step(1.0);
+    let check = |what: &str, k: usize, step: f32, moved: &EmbedLook| {
+        let numeric = loss(moved, &codes, &colours) - before;
+        let wanted = -numeric.signum() * f64::from(trained.rate);
+        assert!((f64::from(step) - wanted).abs() < 1e-5, "{what} {k}: {step} {numeric}");
+    };
+    for k in 0..12 {
+        let (mut moved, mut matrix) = (look.clone(), look.matrix(1));
+        matrix[k] += 1.0;
+        moved.set_matrix(1, matrix);
+        check("matrix", k, trained.matrix(1)[k] - look.matrix(1)[k], &moved);
+    }
+    for k in 0..3 * RANK {
+        let (mut moved, mut vector) = (look.clone(), look.vector(1));
+        vector[k] += 1.0;
+        moved.set_vector(1, vector);
+        check("vector", k, trained.vector(1)[k] - look.vector(1)[k], &moved);
+    }
+    assert_eq!(trained.matrix(0), look.matrix(0));
+    // Splats out of sight have no gradient, whatever their numbers.
+    let (_, quiet) = look.clone().tint_backward(1, &[f32::NAN; 3 * RANK], &[f32::NAN; 3], vec![0.0; 3]);
+    assert_eq!(quiet, [0.0; 3 * RANK]);
+}
+
+#[test]
 fn looks_are_stored_and_read() {
     let mut look = AffineLook::new(3);
     look.set_matrix(2, [0.25; 12]);
-    for look in [AnyLook::Affine(look), AnyLook::None(NoLook)] {
+    for look in [AnyLook::Affine(look), AnyLook::Embed(EmbedLook::new(2, 1)), AnyLook::None(NoLook)] {
         let bytes = wincode::serialize(&look).expect("it is plain data");
         let read: AnyLook = wincode::deserialize(&bytes).expect("what was written");
         assert_eq!(read, look);

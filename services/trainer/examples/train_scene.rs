@@ -57,7 +57,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         };
         Ok(TrainPhoto { image: photo.image, valid: photo.valid, sky })
     });
-    let affine = train.look == segwild_trainer::LookKind::Affine;
+    let fits = train.look != segwild_trainer::LookKind::None;
     let engine = Arc::new(CpuEngine::new());
     let mut trainer = Trainer::new(engine.clone(), &scene, photos.clone(), train)?;
     for warning in trainer.warnings() {
@@ -92,7 +92,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     let model = trainer.snapshot();
     let held_out: Vec<usize> = (0..scene.views.len()).filter(|&i| scene.views[i].test).collect();
-    let protocol = if affine { Protocol::Halves } else { Protocol::Plain };
+    let protocol = if fits { Protocol::Halves } else { Protocol::Plain };
     let score = evaluate(&model, engine.as_ref(), &scene, photos.clone(), &held_out, protocol)?;
     for view in &score.views {
         println!("held out {}: {:.2} dB, SSIM {:.3}", view.name, view.psnr, view.ssim);

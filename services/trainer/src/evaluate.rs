@@ -2,10 +2,10 @@
 
 use crate::TrainError;
 use crate::background::Background;
-use crate::looks;
-use crate::model::{Model, compose, draw};
+use crate::looks::{self, Lit};
+use crate::model::{Model, compose};
 use crate::photos::{PhotoCache, Photos, level_camera};
-use segwild_raster::{AffineLook, AnyLook, Engine};
+use segwild_raster::{AffineLook, AnyLook, Channels, Engine, Look, RANK};
 use segwild_scene::{Image, Scene};
 use std::sync::Arc;
 
@@ -64,7 +64,10 @@ pub fn evaluate(
         let full = scene.views[view].camera.resized(w as u32, h as u32);
         let camera = level_camera(&full, 0, photo);
         let pose = scene.views[view].pose;
-        let frame = draw(engine, &model.splats, &model.options(), &camera, &pose)?;
+        let projected = engine.project(&model.splats, &camera, &pose, &model.options())?;
+        let colours = projected.shade();
+        let blend = |count, values: &[f32]| projected.blend(&Channels { count, values });
+        let frame = blend(3, &colours);
         let (mut look, mut index) = (model.look.clone(), model.look_index(None));
         let mut background = model.background(None);
         if protocol == Protocol::Halves {
@@ -80,16 +83,38 @@ pub fn evaluate(
             }
             let behind = background.paint(&camera, &pose);
             let n = w * h;
+            let codes = match &model.look {
+                AnyLook::Embed(_) => blend(3 * RANK, &model.codes).image,
+                _ => Image::zeros(0, 0, 0),
+            };
             let pairs = (0..n).filter(|&i| left(i) && photo.counts(i)).map(|i| {
                 let (c, alpha) = (photo.colour(i), frame.alpha.data[i]);
                 let scene = [0, 1, 2].map(|k| frame.image.data[k * n + i]);
                 let seen = [0, 1, 2].map(|k| c[k] - (1.0 - alpha) * behind.data[k * n + i]);
-                (scene, alpha, seen, 1.0)
+                (scene, alpha, seen, i)
             });
-            let mut fitted = AffineLook::new(1);
-            fitted.set_matrix(0, looks::fit(pairs));
-            (look, index) = (AnyLook::Affine(fitted), 0);
+            let plain = pairs.clone().map(|(scene, alpha, seen, _)| (scene, alpha, seen, 1.0));
+            match &model.look {
+                AnyLook::None(_) => {}
+                AnyLook::Affine(_) => {
+                    let mut fitted = AffineLook::new(1);
+                    fitted.set_matrix(0, looks::fit(plain));
+                    (look, index) = (AnyLook::Affine(fitted), 0);
+                }
+                AnyLook::Embed(trained) => {
+                    let light = pairs.map(|(scene, alpha, seen, i)| {
+                        let light = std::array::from_fn(|k| codes.data[k * n + i]);
+                        Lit { scene, alpha, light, seen }
+                    });
+                    let fitted = looks::fit_embed(trained, &model.trained_on, light);
+                    (look, index) = (AnyLook::Embed(fitted), 0);
+                }
+            }
         }
+        let frame = match &look {
+            AnyLook::Embed(look) => blend(3, &look.tint(index, &model.codes, colours)),
+            _ => frame,
+        };
         let render = compose(&frame, &look, index, &background, &camera, &pose);
         let target = photo.image();
         let from = if protocol == Protocol::Halves { w / 2 } else { 0 };

@@ -2,7 +2,7 @@
 
 use crate::background::solve;
 use crate::{LookKind, TrainSettings};
-use segwild_raster::{AffineLook, AnyLook, NoLook};
+use segwild_raster::{AffineLook, AnyLook, EmbedLook, NoLook, RANK};
 
 /// A colour matrix with offset, row-major 3 x 4: `c' = M (c, 1)`.
 pub(crate) type Affine = [f32; 12];
@@ -20,13 +20,51 @@ pub(crate) fn begin(settings: &TrainSettings, views: usize) -> AnyLook {
             look.rate = settings.lr_look;
             AnyLook::Affine(look)
         }
+        LookKind::Embed => {
+            let mut look = EmbedLook::new(views + 1, settings.seed);
+            look.rate = settings.lr_look;
+            look.vector_rate = 5.0 * settings.lr_look;
+            AnyLook::Embed(look)
+        }
     }
 }
 
-/// A view's matrix; the identity for looks that have none.
+/// Starts a photo's look from what its points show.
+pub(crate) fn start(look: &mut AnyLook, view: usize, pairs: &[([f32; 3], [f32; 3])]) {
+    let fitted = || fit(pairs.iter().map(|(a, b)| (*a, 1.0, *b, 1.0)));
+    match look {
+        AnyLook::None(_) => {}
+        AnyLook::Affine(affine) => affine.set_matrix(view, fitted()),
+        AnyLook::Embed(embed) => embed.set_matrix(view, fitted()),
+    }
+}
+
+/// Sets the look past the last photo's to the mean of these photos' looks.
+pub(crate) fn set_mean(look: &mut AnyLook, past: usize, known: impl Iterator<Item = usize> + Clone) {
+    match look {
+        AnyLook::None(_) => {}
+        AnyLook::Affine(affine) => {
+            let matrices: Vec<_> = known.map(|v| affine.matrix(v)).collect();
+            affine.set_matrix(past, mean(&matrices));
+        }
+        AnyLook::Embed(embed) => {
+            let matrices: Vec<_> = known.clone().map(|v| embed.matrix(v)).collect();
+            embed.set_matrix(past, mean(&matrices));
+            let n = known.clone().count().max(1) as f32;
+            let mut vector = embed.vector(past).map(|_| 0.0);
+            for view in known {
+                vector.iter_mut().zip(embed.vector(view)).for_each(|(sum, v)| *sum += v / n);
+            }
+            embed.set_vector(past, vector);
+        }
+    }
+}
+
+/// What a view's look does to the blended image, and so to what is behind the splats.
 pub(crate) fn matrix(look: &AnyLook, view: usize) -> Affine {
     match look {
-        AnyLook::None(_) => IDENTITY,
+        // Acts on the splats alone: what is behind them has the photo's colours already.
+        AnyLook::None(_) | AnyLook::Embed(_) => IDENTITY,
         AnyLook::Affine(affine) => affine.matrix(view),
     }
 }
@@ -74,6 +112,93 @@ pub(crate) fn fit(pairs: impl Iterator<Item = ([f32; 3], f32, [f32; 3], f32)> + 
         }
     }
     look
+}
+
+/// A pixel whose light is to be found.
+#[derive(Clone, Copy)]
+pub(crate) struct Lit {
+    /// The scene's colour, premultiplied, and its alpha.
+    pub scene: [f32; 3],
+    pub alpha: f32,
+    /// The blended codes, `[channel][rank]`.
+    pub light: [f32; 3 * RANK],
+    /// What the photo shows, without what is behind the scene.
+    pub seen: [f32; 3],
+}
+
+/// Residual at which a pixel's say is halved, and what a pixel is taken to be wrong by.
+const DOUBT: f32 = 0.08;
+/// Neighbouring pixels are wrong together: so many of them say what one would.
+const TOGETHER: f64 = 30.0;
+
+/// The look of one photo that was not trained on, by least squares that prefers the identity and vectors such as the
+/// trained photos have. A look of one photo, at index 0.
+pub(crate) fn fit_embed(
+    trained: &EmbedLook,
+    photos: &[u32],
+    pixels: impl Iterator<Item = Lit> + Clone,
+) -> EmbedLook {
+    const UNKNOWN: usize = 4 + RANK;
+    // What the trained photos' rows are like: their mean, and how far they are from it.
+    let photos: Vec<usize> = photos.iter().map(|&view| view as usize).collect();
+    let row = |view: usize, c: usize| -> [f64; UNKNOWN] {
+        let (matrix, vector) = (trained.matrix(view), trained.vector(view));
+        std::array::from_fn(|i| f64::from(if i < 4 { matrix[4 * c + i] } else { vector[c * RANK + i - 4] }))
+    };
+    let n = photos.len().max(1) as f64;
+    let mut usual = [[0.0; UNKNOWN]; 3];
+    let mut variance = [[0.0; UNKNOWN]; 3];
+    for c in 0..3 {
+        for i in 0..UNKNOWN {
+            usual[c][i] = photos.iter().map(|&view| row(view, c)[i]).sum::<f64>() / n;
+            let off = |view: &usize| (row(*view, c)[i] - usual[c][i]).powi(2);
+            variance[c][i] = photos.iter().map(off).sum::<f64>() / n;
+        }
+    }
+    let mut rows = usual.map(|row| row.map(|v| v as f32));
+    for round in 0..4 {
+        let known = rows;
+        for (c, row) in rows.iter_mut().enumerate() {
+            let (mut ata, mut atb) = ([[0.0f64; UNKNOWN]; UNKNOWN], [[0.0f64; 1]; UNKNOWN]);
+            for pixel in pixels.clone() {
+                let regressors = |c: usize| -> [f32; UNKNOWN] {
+                    std::array::from_fn(|i| match i {
+                        0..3 => pixel.scene[i],
+                        3 => pixel.alpha,
+                        _ => pixel.light[c * RANK + i - 4],
+                    })
+                };
+                let shown =
+                    |c: usize| -> f32 { regressors(c).iter().zip(known[c]).map(|(x, m)| x * m).sum() };
+                let off = (0..3).map(|c| (shown(c) - pixel.seen[c]).abs()).sum::<f32>() / 3.0;
+                let w = if round == 0 { 1.0 } else { 1.0 / (1.0 + (off / DOUBT).powi(2)) };
+                if !w.is_finite() {
+                    continue;
+                }
+                let x = regressors(c);
+                for i in 0..UNKNOWN {
+                    for j in 0..=i {
+                        ata[i][j] += f64::from(w * x[i] * x[j]);
+                    }
+                    atb[i][0] += f64::from(w * x[i] * pixel.seen[c]);
+                }
+            }
+            for i in 0..UNKNOWN {
+                let noise = f64::from(DOUBT).powi(2) * TOGETHER;
+                let (ridge, prior) = (noise / variance[c][i].max(1e-4), usual[c][i]);
+                ata[i][i] += ridge;
+                atb[i][0] += ridge * prior;
+                for j in 0..i {
+                    ata[j][i] = ata[i][j];
+                }
+            }
+            *row = solve(ata, atb).map(|v| v[0] as f32);
+        }
+    }
+    let mut fitted = EmbedLook::new(1, 0);
+    fitted.set_matrix(0, std::array::from_fn(|i| rows[i / 4][i % 4]));
+    fitted.set_vector(0, std::array::from_fn(|k| rows[k / RANK][4 + k % RANK]));
+    fitted
 }
 
 fn dot(look: &Affine, row: usize, x: &[f32; 4]) -> f32 {

@@ -3,6 +3,7 @@
 use crate::TrainError;
 use crate::background::Background;
 use crate::looks;
+use crate::params::select;
 use crate::pixels::add_behind;
 use segwild_raster::{AnyLook, Channels, Engine, Frame, ProjectOptions};
 use segwild_scene::{Camera, Image, Pose, Splats};
@@ -13,6 +14,8 @@ use wincode::{SchemaRead, SchemaWrite};
 pub struct Model {
     /// The splats, in the scene's normalised frame.
     pub splats: Splats,
+    /// What splats keep for the look, `[splat][code_size]`; empty for looks that need nothing of the kind.
+    pub codes: Vec<f32>,
     /// The looks of the photos, by index of the view; one more, at the index past the last view, is the mean.
     pub look: AnyLook,
     /// Per view of the scene, what its photo shows behind the splats, in the photo's colours; `None` where the
@@ -43,6 +46,12 @@ pub(crate) fn options(antialias: bool) -> ProjectOptions {
 }
 
 impl Model {
+    /// The splats at `keep`, in that order, with all that belongs to them.
+    pub fn select(&mut self, keep: &[usize]) {
+        self.codes = select(&self.codes, self.splats.len(), keep);
+        self.splats = self.splats.select(keep);
+    }
+
     /// Options to draw these splats with.
     pub fn options(&self) -> ProjectOptions {
         options(self.antialias)
@@ -63,16 +72,16 @@ impl Model {
     }
 }
 
-/// Blends the splats' own colours for a camera.
+/// Blends the splats' colours for a camera, in the light of the look at `index`.
 pub(crate) fn draw(
     engine: &dyn Engine,
-    splats: &Splats,
-    options: &ProjectOptions,
+    model: &Model,
+    index: usize,
     camera: &Camera,
     pose: &Pose,
 ) -> Result<Frame, TrainError> {
-    let projected = engine.project(splats, camera, pose, options)?;
-    let colours = projected.shade();
+    let projected = engine.project(&model.splats, camera, pose, &model.options())?;
+    let colours = model.look.as_look().tint(index, &model.codes, projected.shade());
     Ok(projected.blend(&Channels { count: 3, values: &colours }))
 }
 
@@ -86,7 +95,7 @@ pub fn render_view(
     look: Option<usize>,
 ) -> Result<Image, TrainError> {
     let index = model.look_index(look);
-    let frame = draw(engine, &model.splats, &model.options(), camera, pose)?;
+    let frame = draw(engine, model, index, camera, pose)?;
     Ok(compose(&frame, &model.look, index, &model.background(look), camera, pose))
 }
 

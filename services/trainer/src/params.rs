@@ -14,6 +14,8 @@ pub(crate) struct Rates {
     pub rotation: f32,
     /// Of the base colour; higher degrees take a twentieth.
     pub colour: f32,
+    /// Of what splats keep for the look.
+    pub code: f32,
 }
 
 /// Splats with their optimisers, one per property; the base colour and the higher degrees are two.
@@ -26,13 +28,26 @@ pub(crate) struct Params {
     opacities: Adam,
     base: Adam,
     higher: Adam,
+    /// What splats keep for the look beside their colours, `[splat][code_size]`.
+    pub codes: Vec<f32>,
+    code_moments: Adam,
 }
 
 /// Share of the base colour's learning rate that higher degrees take.
 const HIGHER: f32 = 1.0 / 20.0;
 
+/// How fast codes fade that nothing needs: a stranger in one photo leaves a trace in them that others do not confirm.
+const CODE_DECAY: f32 = 0.5;
+
+/// The codes of the splats at `which` among `n`, in that order.
+pub(crate) fn select(codes: &[f32], n: usize, which: &[usize]) -> Vec<f32> {
+    let size = codes.len().checked_div(n).unwrap_or(0);
+    which.iter().flat_map(|&i| &codes[i * size..(i + 1) * size]).copied().collect()
+}
+
 impl Params {
-    pub fn new(splats: Splats) -> Params {
+    /// Splats to begin with; `code_size` numbers each for the look, 0 at first.
+    pub fn new(splats: Splats, code_size: usize) -> Params {
         let n = splats.len();
         Params {
             means: Adam::new(n, 3),
@@ -41,6 +56,8 @@ impl Params {
             opacities: Adam::new(n, 1),
             base: Adam::new(n, 3),
             higher: Adam::new(if splats.sh_degree > 0 { n } else { 0 }, splats.sh_stride() - 3),
+            codes: vec![0.0; n * code_size],
+            code_moments: Adam::new(if code_size > 0 { n } else { 0 }, code_size),
             splats,
         }
     }
@@ -78,15 +95,35 @@ impl Params {
         }
     }
 
+    /// One optimiser step of the codes, of splats with `radii` above 0.
+    pub fn update_codes(&mut self, grads: &[f32], radii: &[f32], rates: &Rates) {
+        let size = self.code_size();
+        if size == 0 {
+            return;
+        }
+        self.code_moments.step_visible(&mut self.codes, grads, rates.code, radii);
+        let keep = 1.0 - CODE_DECAY * rates.code;
+        for (code, _) in self.codes.chunks_exact_mut(size).zip(radii).filter(|(_, r)| **r > 0.0) {
+            code.iter_mut().for_each(|v| *v *= keep);
+        }
+    }
+
+    fn code_size(&self) -> usize {
+        self.codes.len().checked_div(self.splats.len()).unwrap_or(0)
+    }
+
     fn groups(&mut self) -> impl Iterator<Item = &mut Adam> {
         let higher = (self.splats.sh_degree > 0).then_some(&mut self.higher);
+        let codes = (!self.codes.is_empty()).then_some(&mut self.code_moments);
         [&mut self.means, &mut self.log_scales, &mut self.rotations, &mut self.opacities, &mut self.base]
             .into_iter()
             .chain(higher)
+            .chain(codes)
     }
 
     /// The splats at `parents`, in that order, with what the optimiser knows of them.
     pub fn remap(&mut self, parents: &[usize]) {
+        self.codes = select(&self.codes, self.splats.len(), parents);
         self.splats = self.splats.select(parents);
         self.groups().for_each(|g| g.select(parents));
     }
@@ -136,6 +173,8 @@ impl Params {
             ("moments of the rotations", self.rotations.len() == 4 * n),
             ("moments of the opacities", self.opacities.len() == n),
             ("moments of the colours", self.base.len() + self.higher.len() == n * k),
+            ("codes", self.codes.len().is_multiple_of(n.max(1))),
+            ("moments of the codes", self.code_moments.len() == self.codes.len()),
         ];
         match arrays.iter().find(|(_, fits)| !fits) {
             Some((name, _)) => Err(format!("{n} splats, but another number of {name}")),

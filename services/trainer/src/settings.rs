@@ -21,6 +21,8 @@ segwild_scene::choice! {
         None = "none",
         /// A colour matrix with offset per photo.
         Affine = "affine",
+        /// The same, and light that falls on each splat in its own way: sun and shadow.
+        Embed = "embed",
     }
 }
 
@@ -67,6 +69,8 @@ segwild_scene::settings! {
         lr_colour: f32 = 0.005,
         /// Learning rate of the per-photo look.
         lr_look: f32 = 0.002,
+        /// Learning rate of what splats keep for the look `embed`.
+        lr_code: f32 = 0.01,
         /// Weight of 1 - SSIM in the loss; the rest is L1. The paper's 0.2 is for photos of one light: SSIM cares less for
         /// what a photo's light and camera change.
         lambda_ssim: f32 = 0.5,
@@ -126,6 +130,7 @@ impl TrainSettings {
             ("lr_rotation", self.lr_rotation),
             ("lr_colour", self.lr_colour),
             ("lr_look", self.lr_look),
+            ("lr_code", self.lr_code),
         ] {
             share(name, lr, 10.0)?;
         }

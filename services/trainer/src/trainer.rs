@@ -59,7 +59,8 @@ pub struct Trainer {
 
 /// A view drawn as its photo would show it.
 struct Drawn {
-    /// Colour per splat.
+    /// Colour per splat, its own and in the photo's light.
+    colours: Vec<f32>,
     channels: Vec<f32>,
     frame: Frame,
     /// What stands behind the splats, in the scene's colours.
@@ -148,11 +149,12 @@ impl Trainer {
         let mut random = Random::new(settings.seed);
         let schedule = Schedule::new(&settings);
         let start = initial_splats(scene, &eyes, schedule.sh_degree(0), cap, &mut random);
+        let look = looks::begin(&settings, scene.views.len());
         let state = State {
             step: 0,
             strategy: Strategy::new(&settings, start.splats.len()),
-            params: Params::new(start.splats),
-            look: looks::begin(&settings, scene.views.len()),
+            params: Params::new(start.splats, look.as_look().code_size()),
+            look,
             backgrounds: vec![None; scene.views.len()],
             robust: Robust::new(scene.views.len(), settings.robust_share),
             sampler: Sampler::new(&train),
@@ -295,15 +297,12 @@ impl Trainer {
         if self.state.backgrounds[view].is_none() {
             let full = self.camera(view, &stored, 0);
             self.state.backgrounds[view] = Some(first_background(&stored, &full, &pose));
-            let pairs = colour_pairs(&self.views[view], &stored);
-            if let AnyLook::Affine(look) = &mut self.state.look {
-                look.set_matrix(view, looks::fit(pairs.iter().map(|(a, b)| (*a, 1.0, *b, 1.0))));
-            }
+            looks::start(&mut self.state.look, view, &colour_pairs(&self.views[view], &stored));
         }
         let engine = self.engine.clone();
         let projected =
             engine.project(&self.state.params.splats, &camera, &pose, &options(self.settings.antialias))?;
-        let Drawn { channels, frame, behind, scene, shown } =
+        let Drawn { colours, channels, frame, behind, scene, shown } =
             self.state.draw(view, &*projected, &camera, &pose);
         let target = photo.image();
         // What counts.
@@ -331,6 +330,9 @@ impl Trainer {
             &FrameGrad { image: &grad, alpha: Some(&alpha_grad) },
         );
         let colour_grads = std::mem::take(&mut grads.values);
+        let look = self.state.look.as_look_mut();
+        let (colour_grads, code_grads) =
+            look.tint_backward(view, &self.state.params.codes, &colours, colour_grads);
         let sh_grads = projected.shade_backward(&colour_grads, &mut grads);
         let error = error_at_centres(&residual, &weights.data, photo, projected.as_ref());
         let seen = Seen {
@@ -340,10 +342,13 @@ impl Trainer {
             long_side: photo.width.max(photo.height) as f32,
         };
         self.state.strategy.as_dyn().observe(&seen);
+        let radii = projected.radii().to_vec();
         drop(projected);
         // Update.
         self.state.strategy.as_dyn().regularise(&self.state.params.splats, &mut grads);
-        self.state.params.update(&grads, &sh_grads, &self.rates(step));
+        let rates = self.rates(step);
+        self.state.params.update(&grads, &sh_grads, &rates);
+        self.state.params.update_codes(&code_grads, &radii, &rates);
         self.state.look.as_look_mut().step(self.schedule.late_factor(step));
         self.state.step += 1;
         let dropped = self.drop_unwitnessed()?;
@@ -373,6 +378,7 @@ impl Trainer {
             scale: s.lr_scale * late,
             rotation: s.lr_rotation * late,
             colour: s.lr_colour * late,
+            code: s.lr_code * late,
         }
     }
 
@@ -461,13 +467,11 @@ impl Trainer {
     pub fn snapshot(&self) -> Model {
         let state = &self.state;
         let mut look = state.look.clone();
-        if let AnyLook::Affine(look) = &mut look {
-            let known = (0..self.views.len()).filter(|&v| state.backgrounds[v].is_some());
-            let matrices: Vec<_> = known.map(|v| look.matrix(v)).collect();
-            look.set_matrix(self.views.len(), looks::mean(&matrices));
-        }
+        let known = (0..self.views.len()).filter(|&v| state.backgrounds[v].is_some());
+        looks::set_mean(&mut look, self.views.len(), known);
         Model {
             splats: state.params.splats.clone(),
+            codes: state.params.codes.clone(),
             look,
             backgrounds: state.backgrounds.clone(),
             names: self.views.iter().map(|v| v.name.clone()).collect(),
@@ -502,7 +506,8 @@ fn no_photos(skipped: &[(String, String)]) -> TrainError {
 impl State {
     /// Draws a view that was looked at before.
     fn draw(&self, view: usize, projected: &dyn Projected, camera: &Camera, pose: &Pose) -> Drawn {
-        let channels = projected.shade();
+        let colours = projected.shade();
+        let channels = self.look.as_look().tint(view, &self.params.codes, colours.clone());
         let frame = projected.blend(&Channels { count: 3, values: &channels });
         let matrix = looks::matrix(&self.look, view);
         let background = self.backgrounds[view].as_ref().expect("set at the first look");
@@ -510,7 +515,7 @@ impl State {
         let mut scene = frame.image.clone();
         add_behind(&mut scene, &frame.alpha, &behind);
         let shown = self.look.as_look().apply(view, &scene);
-        Drawn { channels, frame, behind, scene, shown }
+        Drawn { colours, channels, frame, behind, scene, shown }
     }
 
     /// Refuses a state whose parts do not fit each other or the scene.

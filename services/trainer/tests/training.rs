@@ -84,9 +84,17 @@ const SKY: [f32; 3] = [0.5, 0.7, 0.95];
 
 /// What a camera sees of the truth, before a sky, and where it sees sky.
 fn photo_of(view: &View) -> (Image, Mask) {
+    photo_lit(view, |_| 1.0)
+}
+
+/// The photo of a view under a light that falls on each splat by its place.
+fn photo_lit(view: &View, light: impl Fn([f32; 3]) -> f32) -> (Image, Mask) {
     let (splats, engine) = (truth(), CpuEngine::new());
     let projected = engine.project(&splats, &view.camera, &view.pose, &ProjectOptions::default()).unwrap();
-    let colours = projected.shade();
+    let mut colours = projected.shade();
+    for (colour, at) in colours.chunks_exact_mut(3).zip(&splats.means) {
+        colour.iter_mut().for_each(|v| *v *= light(*at));
+    }
     let frame = projected.blend(&Channels { count: 3, values: &colours });
     let mut image = frame.image;
     let n = image.pixels();
@@ -160,8 +168,10 @@ fn resuming_gives_the_bytes_of_not_stopping_and_threads_do_not_matter() {
         image.data.iter_mut().for_each(|v| *v = *v * (0.7 + 0.05 * i as f32) + 0.05)
     };
     let photos = photos(&scene, true, look);
-    for density in [DensityKind::Budget, DensityKind::Gradient, DensityKind::Mcmc] {
-        let s = TrainSettings { density, look: LookKind::Affine, robust: true, ..settings(120) };
+    let all = [DensityKind::Budget, DensityKind::Gradient, DensityKind::Mcmc];
+    let looks = [LookKind::Affine, LookKind::Embed, LookKind::Embed];
+    for (density, look) in all.into_iter().zip(looks) {
+        let s = TrainSettings { density, look, robust: true, ..settings(120) };
         let run = |threads: usize, stops: &[u32]| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| {
@@ -318,6 +328,25 @@ fn strangers_leave_no_ghost() {
         with > without + 2.0 && with > 17.0,
         "behind the strangers: {with} dB with masks, {without} dB without"
     );
+}
+
+#[test]
+fn light_that_differs_from_place_to_place_is_learnt_by_embed_and_not_by_affine() {
+    let scene = scene(12);
+    // A beam from another side in each photo.
+    let light = |i: usize, at: [f32; 3]| {
+        let side = 2.0 * noise(i, 3) - 1.0;
+        0.45 + 0.55 * (-((at[0] - side) / 0.5).powi(2)).exp()
+    };
+    let lit: Vec<Image> =
+        scene.views.iter().enumerate().map(|(i, v)| photo_lit(v, |at| light(i, at)).0).collect();
+    let photos = photos(&scene, false, |i, image| *image = lit[i].clone());
+    let score = |look: LookKind| {
+        let model = train(&scene, photos.clone(), TrainSettings { look, ..settings(800) });
+        evaluate(&model, &*engine(), &scene, photos.clone(), &[11], Protocol::Halves).unwrap().psnr
+    };
+    let (affine, embed) = (score(LookKind::Affine), score(LookKind::Embed));
+    assert!(embed > affine + 2.0, "embed {embed} dB, affine {affine} dB");
 }
 
 #[test]

@@ -135,7 +135,8 @@ impl Density for Mcmc {
                 let mut targets = dead.clone();
                 targets.extend(n..grown);
                 let sources = draw(&params.splats, &alive, targets.len(), around.random);
-                let parents: Vec<usize> = (0..n).chain(sources[dead.len()..].iter().copied()).collect();
+                let mut parents: Vec<usize> = (0..grown).collect();
+                targets.iter().zip(&sources).for_each(|(&target, &source)| parents[target] = source);
                 params.remap(&parents);
                 place_copies(&mut params.splats, &sources, &targets);
                 params.forget(sources.iter().chain(&targets).copied());

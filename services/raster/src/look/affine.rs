@@ -1,79 +1,13 @@
-//! What a photo's light and camera do to the colours (method, section 3).
-//!
-//! A look has two places to act: on the splats' colours before they are blended (`tint`) and on the blended
-//! image (`apply`). The rungs here are `none` and `affine`, which acts on the image; rungs with per-splat
-//! embeddings act on the colours.
+//! The rung `affine`: a colour matrix per photo.
 
+use super::Look;
 use crate::adam::Adam;
-use segwild_scene::{Image, Splats};
+use segwild_scene::Image;
 use wincode::{SchemaRead, SchemaWrite};
 
-/// The appearance of photos, trained along with the splats.
-///
-/// Views are indices into [`segwild_scene::Scene::views`]. A view that the look does not know has the neutral
-/// appearance.
-pub trait Look: Send + Sync {
-    /// Name of the rung.
-    fn name(&self) -> &'static str;
-
-    /// Number of trained parameters.
-    fn parameters(&self) -> usize;
-
-    /// Colours of the splats in a view, from their own colours, `[splat][r, g, b]`.
-    fn tint(&self, _view: usize, _splats: &Splats, colours: Vec<f32>) -> Vec<f32> {
-        colours
-    }
-
-    /// From the gradient of [`Look::tint`]'s result to that of its input; keeps the gradient of the look's own
-    /// parameters for [`Look::step`].
-    fn tint_backward(
-        &mut self,
-        _view: usize,
-        _splats: &Splats,
-        _colours: &[f32],
-        grad: Vec<f32>,
-    ) -> Vec<f32> {
-        grad
-    }
-
-    /// The image as the photo shows it, from the blended image (three planes).
-    fn apply(&self, view: usize, image: &Image) -> Image;
-
-    /// From the gradient of [`Look::apply`]'s result to that of its input `image`; keeps the gradient of the
-    /// look's own parameters for [`Look::step`].
-    fn backward(&mut self, view: usize, image: &Image, grad: &Image) -> Image;
-
-    /// One optimiser step with the gradients kept since the last one. `scale` multiplies the learning rate.
-    fn step(&mut self, scale: f32);
-}
-
-/// The rung `none`: all photos show the scene as it is.
-#[derive(Clone, Debug, Default, PartialEq, SchemaRead, SchemaWrite)]
-pub struct NoLook;
-
-impl Look for NoLook {
-    fn name(&self) -> &'static str {
-        "none"
-    }
-
-    fn parameters(&self) -> usize {
-        0
-    }
-
-    fn apply(&self, _: usize, image: &Image) -> Image {
-        image.clone()
-    }
-
-    fn backward(&mut self, _: usize, _: &Image, grad: &Image) -> Image {
-        grad.clone()
-    }
-
-    fn step(&mut self, _: f32) {}
-}
-
 /// Numbers in a 3x4 matrix: rows for r, g, b; columns for r, g, b and 1.
-const NUMBERS: usize = 12;
-const IDENTITY: [f32; NUMBERS] = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
+pub(super) const NUMBERS: usize = 12;
+pub(super) const IDENTITY: [f32; NUMBERS] = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
 
 /// The rung `affine`: a 3x4 colour matrix per photo, the identity to start with.
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
@@ -248,31 +182,4 @@ fn dot(a: &[f32], b: &[f32]) -> f32 {
         f64::from(sums.iter().sum::<f32>() + rest)
     };
     a.chunks(PIECE).zip(b.chunks(PIECE)).map(|(a, b)| piece(a, b)).sum::<f64>() as f32
-}
-
-/// A look of any rung, as it is stored.
-#[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
-pub enum AnyLook {
-    /// [`NoLook`].
-    None(NoLook),
-    /// [`AffineLook`].
-    Affine(AffineLook),
-}
-
-impl AnyLook {
-    /// The look behind it.
-    pub fn as_look(&self) -> &dyn Look {
-        match self {
-            AnyLook::None(look) => look,
-            AnyLook::Affine(look) => look,
-        }
-    }
-
-    /// The look behind it, to be trained.
-    pub fn as_look_mut(&mut self) -> &mut dyn Look {
-        match self {
-            AnyLook::None(look) => look,
-            AnyLook::Affine(look) => look,
-        }
-    }
 }

@@ -1,0 +1,109 @@
+//! What a photo's light and camera do to the colours (method, section 3).
+//!
+//! A look has two places to act: on the splats' colours before they are blended (`tint`) and on the blended
+//! image (`apply`). `affine` acts on the image; `embed`, for which splats have codes of their own, on the colours.
+
+mod affine;
+mod embed;
+
+pub use affine::AffineLook;
+pub use embed::{EmbedLook, RANK};
+
+use segwild_scene::Image;
+use wincode::{SchemaRead, SchemaWrite};
+
+/// The appearance of photos, trained along with the splats.
+///
+/// Views are indices into [`segwild_scene::Scene::views`]. A view that the look does not know has the neutral
+/// appearance.
+pub trait Look: Send + Sync {
+    /// Name of the rung.
+    fn name(&self) -> &'static str;
+
+    /// Number of trained parameters.
+    fn parameters(&self) -> usize;
+
+    /// Numbers that each splat has for this look beside its colour: its code.
+    fn code_size(&self) -> usize {
+        0
+    }
+
+    /// Colours of the splats in a view, from their own colours, `[splat][r, g, b]`, and codes,
+    /// `[splat][code_size]`.
+    fn tint(&self, _view: usize, _codes: &[f32], colours: Vec<f32>) -> Vec<f32> {
+        colours
+    }
+
+    /// From the gradient of [`Look::tint`]'s result to those of its colours and its codes; keeps the gradient of the
+    /// look's own parameters for [`Look::step`].
+    fn tint_backward(
+        &mut self,
+        _view: usize,
+        _codes: &[f32],
+        _colours: &[f32],
+        grad: Vec<f32>,
+    ) -> (Vec<f32>, Vec<f32>) {
+        (grad, Vec::new())
+    }
+
+    /// The image as the photo shows it, from the blended image (three planes).
+    fn apply(&self, _view: usize, image: &Image) -> Image {
+        image.clone()
+    }
+
+    /// From the gradient of [`Look::apply`]'s result to that of its input `image`; keeps the gradient of the
+    /// look's own parameters for [`Look::step`].
+    fn backward(&mut self, _view: usize, _image: &Image, grad: &Image) -> Image {
+        grad.clone()
+    }
+
+    /// One optimiser step with the gradients kept since the last one. `scale` multiplies the learning rate.
+    fn step(&mut self, scale: f32);
+}
+
+/// The rung `none`: all photos show the scene as it is.
+#[derive(Clone, Debug, Default, PartialEq, SchemaRead, SchemaWrite)]
+pub struct NoLook;
+
+impl Look for NoLook {
+    fn name(&self) -> &'static str {
+        "none"
+    }
+
+    fn parameters(&self) -> usize {
+        0
+    }
+
+    fn step(&mut self, _: f32) {}
+}
+
+/// A look of any rung, as it is stored.
+#[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
+pub enum AnyLook {
+    /// [`NoLook`].
+    None(NoLook),
+    /// [`AffineLook`].
+    Affine(AffineLook),
+    /// [`EmbedLook`].
+    Embed(EmbedLook),
+}
+
+impl AnyLook {
+    /// The look behind it.
+    pub fn as_look(&self) -> &dyn Look {
+        match self {
+            AnyLook::None(look) => look,
+            AnyLook::Affine(look) => look,
+            AnyLook::Embed(look) => look,
+        }
+    }
+
+    /// The look behind it, to be trained.
+    pub fn as_look_mut(&mut self) -> &mut dyn Look {
+        match self {
+            AnyLook::None(look) => look,
+            AnyLook::Affine(look) => look,
+            AnyLook::Embed(look) => look,
+        }
+    }
+}
