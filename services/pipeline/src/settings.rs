@@ -17,17 +17,17 @@ settings! {
         /// How much time to spend; sets the defaults of the other settings.
         preset: Preset = Preset::Standard,
         /// Compute threads; 0 takes all cores. The result does not depend on it.
-        threads: u32 = 0,
+        threads: u32 = 0 => 0..=256,
         /// Seconds between checkpoints of the training; an interrupted run loses no more than this.
-        checkpoint_every: u32 = 30,
+        checkpoint_every: u32 = 30 => 1..,
         /// Most MiB of memory that the run may take; 0 sets no limit. Caches shrink to fit; what cannot fit is refused.
         memory_budget: u32 = 0,
         /// Checkpoints of the training that are kept; with 2, a damaged one has another to fall back on.
-        keep_checkpoints: u32 = 2,
+        keep_checkpoints: u32 = 2 => 1..,
         /// Most MiB that the cache keeps when a run ends, oldest first out; 0 keeps all. What this run uses always stays.
         cache_limit: u64 = 0,
         /// Seconds without a sign of life after which a worker is named as stuck.
-        stuck_after: u32 = 60,
+        stuck_after: u32 = 60 => 1..,
         /// Photo pairs shown in the report.
         report_photos: u32 = 8,
     }
@@ -178,8 +178,11 @@ impl Settings {
                 write!(text, "\n## `[{table}]`\n\n{doc}\n\n| flag | default | meaning |\n|---|---|---|\n");
             for f in fields {
                 let default = defaults.get(f.name).unwrap_or_default();
-                let choices =
-                    if f.choices.is_empty() { String::new() } else { format!(" ({})", f.choices.join(", ")) };
+                let choices = match f.range {
+                    Some(range) => format!(" ({})", range()),
+                    None if f.choices.is_empty() => String::new(),
+                    None => format!(" ({})", f.choices.join(", ")),
+                };
                 let _ = writeln!(
                     text,
                     "| `--{}` | {} | {}{choices} |",
@@ -275,6 +278,8 @@ mod tests {
             ("[segment]\ntua = 0.4\n", "[segment] has no setting `tua`"),
             ("[sgement]\n", "there is no table [sgement]"),
             ("[segment]\ntau = \"much\"\n", "`much` does not fit `tau`"),
+            ("[train]\nsteps = 0\n", "expected 1 to 10000000"),
+            ("[segment]\ntau = 7\n", "expected -1 to 1"),
             ("[segment\n", "segwild.toml"),
         ] {
             std::fs::write(&file, text).unwrap();

@@ -59,6 +59,6 @@ settings! {
         /// Every n-th photo by name, from the first on, is held out for testing; 0 = as the split says, or none.
         hold_out: u32 = 0,
         /// Long side in pixels that photos are scaled down to on load.
-        size: u32 = 640,
+        size: u32 = 640 => 16..=16_384,
     }
 }

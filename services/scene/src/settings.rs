@@ -5,19 +5,21 @@
 //!     /// How long to train.
 //!     pub struct TrainSettings("train") {
 //!         /// Optimiser steps.
-//!         steps: u32 = 3000,
+//!         steps: u32 = 3000 => 1..=1_000_000,
 //!     }
 //! }
 //! use segwild_scene::settings::Group;
 //! let mut s = TrainSettings::default();
 //! s.set("steps", "500").unwrap();
+//! assert!(s.set("steps", "0").unwrap_err().to_string().contains("1 to 1000000"));
 //! assert_eq!((s.steps, TrainSettings::FIELDS[0].doc), (500, "Optimiser steps."));
 //! ```
 
 use std::fmt::Display;
+use std::ops::{Bound, RangeBounds};
 
 /// One setting, as help and documentation show it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug)]
 pub struct Field {
     /// Name as in the struct and in `segwild.toml`; the flag has dashes for underscores.
     pub name: &'static str,
@@ -27,6 +29,21 @@ pub struct Field {
     pub kind: &'static str,
     /// The words it accepts, if it is a choice.
     pub choices: &'static [&'static str],
+    /// The numbers it accepts, if not all: `0 to 3`, `1 or more`.
+    pub range: Option<fn() -> String>,
+}
+
+/// A range of numbers in words.
+pub fn range_words<T: Display>(range: &impl RangeBounds<T>) -> String {
+    let from = match range.start_bound() {
+        Bound::Included(a) | Bound::Excluded(a) => a.to_string(),
+        Bound::Unbounded => "any".into(),
+    };
+    match range.end_bound() {
+        Bound::Included(b) => format!("{from} to {b}"),
+        Bound::Excluded(b) => format!("{from} to less than {b}"),
+        Bound::Unbounded => format!("{from} or more"),
+    }
 }
 
 /// Why a value was refused.
@@ -59,6 +76,11 @@ pub trait Group: Default {
     fn set(&mut self, name: &str, value: &str) -> Result<(), SettingError>;
     /// The text of one.
     fn get(&self, name: &str) -> Option<String>;
+    /// Refuses the first value outside its range; [`Group::set`] lets none in, but a struct's fields are open.
+    fn check(&self) -> Result<(), SettingError> {
+        let mut copy = Self::default();
+        Self::FIELDS.iter().try_for_each(|f| copy.set(f.name, &self.get(f.name).unwrap_or_default()))
+    }
 }
 
 /// A type a setting can have.
@@ -115,8 +137,10 @@ impl Value for String {
 /// Declares a group of settings; see the module's example.
 #[macro_export]
 macro_rules! settings {
+    (@range $ty:ty => $range:expr) => { Some(|| $crate::settings::range_words::<$ty>(&($range))) };
+    (@range $ty:ty) => { None };
     ($(#[doc = $doc:literal])+ pub struct $name:ident($table:literal) {
-        $($(#[doc = $fdoc:literal])+ $field:ident : $ty:ty = $default:expr,)*
+        $($(#[doc = $fdoc:literal])+ $field:ident : $ty:ty = $default:expr $(=> $range:expr)?,)*
     }) => {
         $(#[doc = $doc])+
         #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -135,13 +159,20 @@ macro_rules! settings {
                 doc: concat!($($fdoc,)+).trim_ascii_start(),
                 kind: <$ty as $crate::settings::Value>::KIND,
                 choices: <$ty as $crate::settings::Value>::CHOICES,
+                range: $crate::settings!(@range $ty $(=> $range)?),
             },)*];
             fn set(&mut self, name: &str, value: &str) -> Result<(), $crate::settings::SettingError> {
                 match name {
                     $(stringify!($field) => {
-                        self.$field = <$ty as $crate::settings::Value>::read(value).map_err(|reason| {
+                        let wrong = |reason: String| {
                             $crate::settings::SettingError::Value { name: name.into(), value: value.into(), reason }
-                        })?;
+                        };
+                        let read = <$ty as $crate::settings::Value>::read(value).map_err(wrong)?;
+                        $(if !std::ops::RangeBounds::<$ty>::contains(&($range), &read) {
+                            let words = $crate::settings::range_words::<$ty>(&($range));
+                            return Err(wrong(format!("expected {words}")));
+                        })?
+                        self.$field = read;
                         Ok(())
                     })*
                     _ => Err($crate::settings::SettingError::Unknown(name.into())),

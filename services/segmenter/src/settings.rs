@@ -58,13 +58,13 @@ segwild_scene::settings! {
     /// How clicks and masks become a selection of splats.
     pub struct SegmentSettings("segment") {
         /// Least fused cosine similarity to the positive clicks, in [-1, 1] (paper, Eq. 28).
-        tau: f32 = 0.5,
+        tau: f32 = 0.5 => -1.0..=1.0,
         /// Temperature of the softmax that fuses several clicks: towards 0 the best click counts, far above 1 their mean; the paper's formula is 1.
-        click_temperature: f32 = 0.1,
+        click_temperature: f32 = 0.1 => 1e-4..=1e4,
         /// With negative clicks: by how much the similarity to the positive ones must be larger.
-        negative_margin: f32 = 0.05,
+        negative_margin: f32 = 0.05 => -2.0..=2.0,
         /// Pixels around a click whose features are read with it: 1 reads 3 x 3.
-        click_window: u32 = 1,
+        click_window: u32 = 1 => 0..=64,
         /// Which splats must pass `tau` and `negative_margin`.
         similarity_use: SimilarityUse = SimilarityUse::Unseen,
         /// How masks decide splats.
@@ -72,35 +72,35 @@ segwild_scene::settings! {
         /// In centre mode, let masks decide only splats that the view sees.
         centre_visible: bool = false,
         /// Share of a splat's evidence that must lie inside the masks.
-        rho: f32 = 0.5,
+        rho: f32 = 0.5 => 0.0..=1.0,
         /// Extra evidence against selecting, in views: larger keeps fewer splats.
-        gamma: f32 = 0.0,
+        gamma: f32 = 0.0 => -1e4..=1e4,
         /// Share of a splat's light that must reach the camera for the view to decide it.
-        seen: f32 = 0.2,
+        seen: f32 = 0.2 => 0.0..=1.0,
         /// Long side in pixels at which masks are compared with the splats; 0 takes the mask's own size.
         evidence_size: u32 = 480,
         /// Nearest neighbours per splat in the graph that carries labels to unseen splats.
-        neighbours: usize = 10,
+        neighbours: usize = 10 => 1..=256,
         /// Share of a label's weight that survives one step in that graph, in (0, 1).
-        spread_decay: f32 = 0.97,
+        spread_decay: f32 = 0.97 => 0.001..=0.999,
         /// How likely a splat belongs to the object when nothing is known of it, in (0, 1).
-        unseen_prior: f32 = 0.5,
+        unseen_prior: f32 = 0.5 => 0.001..=0.999,
         /// Which connected parts stay.
         components: ComponentRule = ComponentRule::Clicked,
         /// A part without a click stays as well when it holds this share of what the masks saw of the selection.
-        component_share: f32 = 0.05,
+        component_share: f32 = 0.05 => 0.0..=1.0,
         /// Smooth the selection by a graph cut over position and colour.
         graph_cut: bool = false,
         /// Strength of that smoothing.
-        graph_cut_smoothness: f32 = 1.0,
+        graph_cut_smoothness: f32 = 1.0 => 0.0..=1e4,
         /// Rounds in which the selection is carried to the other photos and back; 0 uses the prompted photos only.
-        propagate: u32 = 2,
+        propagate: u32 = 2 => 0..=16,
         /// Photos that a round visits at most.
         propagate_views: usize = 80,
         /// Least agreement (IoU) between a photo's refined mask and what is already known, for the mask to count.
-        propagate_gate: f32 = 0.6,
+        propagate_gate: f32 = 0.6 => 0.0..=1.0,
         /// How much the prompted masks count against those of other photos.
-        prompt_weight: f32 = 2.0,
+        prompt_weight: f32 = 2.0 => 0.0..=1e4,
         /// How spikes are cut.
         spikes: SpikeMode = SpikeMode::Axis,
         /// Whose masks cut them.

@@ -1,6 +1,7 @@
 //! What a person can say about training.
 
 use crate::TrainError;
+use segwild_scene::settings::Group;
 
 segwild_scene::choice! {
     /// How the number of splats is controlled.
@@ -42,50 +43,50 @@ segwild_scene::settings! {
     /// Training of the splats. Schedules are fractions of `steps`, so any number of steps is a whole training.
     pub struct TrainSettings("train") {
         /// Optimiser steps; each looks at one photo.
-        steps: u32 = 4000,
+        steps: u32 = 4000 => 1..=10_000_000,
         /// Most splats allowed; 0 lets the scene decide (points, photos, pixels).
         splats: usize = 0,
         /// How the number of splats is controlled.
         density: DensityKind = DensityKind::Budget,
         /// Spherical-harmonics degree of the colours, 0 to 3.
-        sh_degree: u32 = 2,
+        sh_degree: u32 = 2 => 0..=3,
         /// How much each photo may differ in light and camera.
         look: LookKind = LookKind::Affine,
         /// Leave out pixels that keep contradicting the scene: strangers, cars, other transients.
         robust: bool = true,
         /// Largest share of a photo that may be left out as transient.
-        robust_share: f32 = 0.2,
+        robust_share: f32 = 0.2 => 0.0..=0.6,
         /// Seed of everything random; the same seed gives the same bytes.
         seed: u64 = 1,
         /// Learning rate of the centres at the start, in pixels of the photo at the scene's median depth.
-        lr_mean: f32 = 0.5,
+        lr_mean: f32 = 0.5 => 0.0..=10.0,
         /// Learning rate of the opacity logits.
-        lr_opacity: f32 = 0.05,
+        lr_opacity: f32 = 0.05 => 0.0..=10.0,
         /// Learning rate of the log scales.
-        lr_scale: f32 = 0.03,
+        lr_scale: f32 = 0.03 => 0.0..=10.0,
         /// Learning rate of the rotations.
-        lr_rotation: f32 = 0.005,
+        lr_rotation: f32 = 0.005 => 0.0..=10.0,
         /// Learning rate of the base colours; higher degrees take a twentieth.
-        lr_colour: f32 = 0.005,
+        lr_colour: f32 = 0.005 => 0.0..=10.0,
         /// Learning rate of the per-photo look.
-        lr_look: f32 = 0.002,
+        lr_look: f32 = 0.002 => 0.0..=10.0,
         /// Learning rate of what splats keep for the look `embed`.
-        lr_code: f32 = 0.01,
+        lr_code: f32 = 0.01 => 0.0..=10.0,
         /// Weight of 1 - SSIM in the loss; the rest is L1. The paper's 0.2 is for photos of one light: SSIM cares less for
         /// what a photo's light and camera change.
-        lambda_ssim: f32 = 0.5,
+        lambda_ssim: f32 = 0.5 => 0.0..=1.0,
         /// Weight of the loss that keeps the sky empty.
-        sky_weight: f32 = 0.5,
+        sky_weight: f32 = 0.5 => 0.0..=100.0,
         /// Share of the steps trained on photos at reduced size.
-        coarse: f32 = 0.5,
+        coarse: f32 = 0.5 => 0.0..=1.0,
         /// Lower opacities by what the pixel filter widens, so that small splats do not grow brighter.
         antialias: bool = true,
         /// Stop growing when 10 % more splats gain less than this many dB on the training photos.
-        grow_gain: f32 = 0.01,
+        grow_gain: f32 = 0.01 => 0.0..=100.0,
         /// When the intermediate scene for the mask stage is taken, as a share of the steps.
-        snapshot_at: f32 = 0.5,
+        snapshot_at: f32 = 0.5 => 0.0..=1.0,
         /// Memory for decoded photos, in MiB; older ones are read again when needed.
-        photo_cache_mib: usize = 256,
+        photo_cache_mib: usize = 256 => 0..=1 << 20,
     }
 }
 
@@ -104,37 +105,7 @@ impl Preset {
 impl TrainSettings {
     /// Refuses values outside their range, in words.
     pub fn check(&self) -> Result<(), TrainError> {
-        let share = |name: &str, v: f32, top: f32| {
-            if (0.0..=top).contains(&v) {
-                Ok(())
-            } else {
-                Err(TrainError::Setting(format!("`{name}` must be between 0 and {top}, not {v}")))
-            }
-        };
-        if self.steps == 0 {
-            return Err(TrainError::Setting("`steps` must be at least 1".into()));
-        }
-        if self.sh_degree > 3 {
-            return Err(TrainError::Setting(format!("`sh_degree` must be 0 to 3, not {}", self.sh_degree)));
-        }
-        share("robust_share", self.robust_share, 0.6)?;
-        share("lambda_ssim", self.lambda_ssim, 1.0)?;
-        share("coarse", self.coarse, 1.0)?;
-        share("snapshot_at", self.snapshot_at, 1.0)?;
-        share("sky_weight", self.sky_weight, 100.0)?;
-        share("grow_gain", self.grow_gain, 100.0)?;
-        for (name, lr) in [
-            ("lr_mean", self.lr_mean),
-            ("lr_opacity", self.lr_opacity),
-            ("lr_scale", self.lr_scale),
-            ("lr_rotation", self.lr_rotation),
-            ("lr_colour", self.lr_colour),
-            ("lr_look", self.lr_look),
-            ("lr_code", self.lr_code),
-        ] {
-            share(name, lr, 10.0)?;
-        }
-        Ok(())
+        Group::check(self).map_err(|e| TrainError::Setting(e.to_string()))
     }
 
     /// The step after which [`crate::Trainer::snapshot`] is to be taken for the mask stage; at least 1.

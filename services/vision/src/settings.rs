@@ -51,9 +51,9 @@ segwild_scene::settings! {
         /// then Python's onnxruntime package.
         onnxruntime: String = String::new(),
         /// CPU threads per network.
-        network_threads: u32 = 1,
+        network_threads: u32 = 1 => 0..=256,
         /// Probability from which a pixel counts as sky.
-        sky_confidence: f32 = 0.5,
+        sky_confidence: f32 = 0.5 => 0.0..=1.0,
         /// Memory in MiB in which photos' analyses are kept for the next prompt; about 8 for a photo of 320 px.
         vision_memory: u32 = 256,
     }
