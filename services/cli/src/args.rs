@@ -62,7 +62,10 @@ pub fn program() -> Command {
                     .value_parser(value_parser!(f32))
                     .help("0 = the finest part under the click, 1 = the largest thing [default: chosen]"),
             )
-            .arg(path("prompts", "Replay the prompts of this file instead"))
+            .arg(
+                path("prompts", "Make again what this file (a selection's prompts.json) was made from")
+                    .conflicts_with_all(["photo", "in", "out-point", "box", "granularity"]),
+            )
             .arg(
                 Arg::new("name")
                     .long("name")

@@ -29,6 +29,13 @@ impl Failure {
     pub fn tell(&self) {
         eprintln!("error: {}", plain(&self.message));
     }
+
+    /// Tells a program as well, as the last line of standard output.
+    pub fn tell_json(&self) {
+        let line = serde_json::json!({ "error": plain(&self.message), "exit_code": self.code });
+        // Nobody listening: the exit code says it, too.
+        let _ = crate::commands::print_line(&line.to_string());
+    }
 }
 
 /// A message without the numbers that the system's errors end in: `(os error 2)` helps nobody.

@@ -9,6 +9,14 @@ mod progress;
 
 use std::process::ExitCode;
 
+/// Whether the innermost command was asked for JSON.
+fn wants_json(matches: &clap::ArgMatches) -> bool {
+    match matches.subcommand() {
+        Some((_, inner)) => wants_json(inner),
+        None => matches.try_get_one::<bool>("json").ok().flatten().copied().unwrap_or(false),
+    }
+}
+
 fn main() -> ExitCode {
     let matches = args::program().get_matches();
     let level = std::env::var("SEGWILD_LOG").unwrap_or_else(|_| "error".into());
@@ -38,6 +46,9 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::from(exit::OK),
         Err(failure) => {
             failure.tell();
+            if wants_json(&matches) {
+                failure.tell_json();
+            }
             ExitCode::from(failure.code)
         }
     }

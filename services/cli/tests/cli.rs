@@ -100,10 +100,21 @@ fn clicks_become_an_object_that_can_be_drawn_scored_and_replayed() {
     assert!(labels.len() > object.len());
     assert_eq!(std::fs::read_dir(thing.join("masks")).expect("masks").count(), 10, "one mask per photo");
 
-    let prompts = show(&thing.join("prompts.json"));
-    works(&["segment", &run, "--prompts", &prompts, "--name", "again"]);
-    let again = segwild_scene::ply::read(&path.join("selections/again/object.ply")).expect("it opens");
-    assert!(again == object, "the same prompts select the same splats");
+    // The file holds how they were used as well as the clicks.
+    let other = ["--tau", "0.3", "--propagate", "0", "--spikes", "off", "--evidence-mode", "centre"];
+    let click_again = ["segment", &run, "--photo", &click.photo, "--in", &at, "--name", "other"];
+    works(&[&click_again[..], &other].concat());
+    let read = |name: &str| {
+        let file = path.join("selections").join(name).join("object.ply");
+        segwild_scene::ply::read(&file).expect("it opens")
+    };
+    assert!(read("other") != object, "other settings select other splats");
+    for (name, object) in [("thing", object), ("other", read("other"))] {
+        let prompts = show(&path.join("selections").join(name).join("prompts.json"));
+        works(&["segment", &run, "--prompts", &prompts, "--name", "again"]);
+        assert!(read("again") == object, "{name}: the same prompts select the same splats");
+        refuses(&["segment", &run, "--prompts", &prompts, "--photo", "a", "--in", "1,1"], 2, &["--prompts"]);
+    }
 
     let truth = show(&place().scene.join("truth").join(name));
     assert!(works(&["eval", &run, "--truth", &truth, "--selection", "thing"]).contains("mean"));
@@ -140,7 +151,15 @@ fn bad_clicks_are_answered_in_words() {
         &["cannot name a selection"],
     );
     refuses(&["render", &run, "--selection", "none-such"], 2, &["no selection named `none-such`"]);
-    refuses(&["eval", &run, "--truth", "/nowhere"], 6, &["prompts.json"]);
+    refuses(&["segment", &run, "--photo", photo, "--out", "3,3"], 2, &["where it is"]);
+    refuses(&["segment", &run, "--photo", photo, "--in", "3,3", "--out", "3,3"], 2, &["inside and outside"]);
+    refuses(&["segment", &run, "--photo", photo, "--in", "3,3", "--granularity", "nan"], 2, &["0 to 1"]);
+    refuses(&["eval", &run, "--truth", "/nowhere"], 2, &["no selection named `object`"]);
+    // Who asked for JSON is told in JSON, too.
+    let output = segwild(&["eval", &run, "--truth", "/nowhere", "--json"]);
+    let told = json(&output.stdout);
+    assert_eq!(told["exit_code"], 2);
+    assert!(told["error"].as_str().is_some_and(|e| e.contains("no selection")), "{told}");
 }
 
 #[test]

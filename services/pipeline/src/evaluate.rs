@@ -1,7 +1,7 @@
 //! Scores: held-out photos by the official protocol, selections against true masks (method, section 10).
 
-use crate::segment::png_name;
-use crate::{RunError, RunFolder, Settings};
+use crate::prompts::{Replay, png_names};
+use crate::{RunError, RunFolder, Selected, Settings};
 use segwild_flow::{FileError, fault};
 use segwild_raster::Engine;
 use segwild_scene::{Mask, Scene};
@@ -104,13 +104,15 @@ pub(crate) fn held_out(
 /// Photos without a true mask do not count; nor do the prompted ones in the means.
 pub fn score(folder: &RunFolder, selection: &str, truth: &Path) -> Result<Score, RunError> {
     let intake = folder.intake()?;
-    let prompted: Vec<crate::PhotoPrompts> =
-        folder.read_json(&format!("selections/{selection}/prompts.json"))?;
-    let stem = |name: &str| png_name(name);
-    let prompted: Vec<String> = prompted.iter().map(|p| stem(&p.photo)).collect();
+    let prompted = Replay::of(folder, selection)?.prompts;
+    if !truth.is_dir() {
+        return Err(RunError::Request(format!("--truth {}: there is no such folder", truth.display())));
+    }
+    let splats = folder.load()?.model.splats.len();
+    Selected::read(folder, selection, splats)?; // masks of a scene that was trained anew since are not this run's
     let mut photos = Vec::new();
-    for photo in &intake.photos {
-        let name = png_name(photo);
+    let names = png_names(intake.photos.iter().map(String::as_str));
+    for (photo, name) in intake.photos.iter().zip(names) {
         let file = truth.join(&name);
         if !file.is_file() {
             continue;
@@ -128,7 +130,7 @@ pub fn score(folder: &RunFolder, selection: &str, truth: &Path) -> Result<Score,
         let wrong = visible.minus(&truth).count() + truth.minus(&visible).count();
         photos.push(MaskScore {
             photo: photo.clone(),
-            prompted: prompted.iter().any(|p| *p == name || format!("{p}.png") == name),
+            prompted: prompted.iter().any(|p| p.photo == *photo),
             iou: visible.iou(&truth),
             accuracy: 1.0 - wrong as f64 / (f64::from(truth.width()) * f64::from(truth.height())),
             boundary_iou: visible.boundary_iou(&truth, 0.02),

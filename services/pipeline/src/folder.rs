@@ -124,6 +124,16 @@ impl RunFolder {
         names
     }
 
+    /// Refuses a selection that was never made, and names those that were.
+    pub(crate) fn has_selection(&self, name: &str) -> Result<(), RunError> {
+        let known = self.selections();
+        if known.iter().any(|k| k == name) {
+            return Ok(());
+        }
+        let known = if known.is_empty() { "there is none yet".to_owned() } else { known.join(", ") };
+        Err(RunError::Request(format!("this run has no selection named `{name}` ({known})")))
+    }
+
     /// Seconds from the prompts of a selection to its splats, where that was written down.
     pub fn answered_in(&self, selection: &str) -> Option<f64> {
         let summary: serde_json::Value =

@@ -2,18 +2,19 @@
 
 use crate::accelerator::leased;
 use crate::folder::Loaded;
-use crate::{RunError, RunFolder, report};
+use crate::prompts::png_names;
+use crate::{PhotoPrompts, Replay, RunError, RunFolder, report};
 use segwild_flow::{
     ActorOptions, FileError, Limits, Phase, Stopper, System, SystemOptions, codec, fault, files, mailbox,
 };
 use segwild_raster::{Channels, CpuEngine, Engine};
-use segwild_scene::{Image, Mask, Prompts, Scene, Splats, ply};
+use segwild_scene::{Image, Mask, Scene, Splats, ply};
 use segwild_segmenter::{
     Cut, Geometry, Object, PosedView, SegmentActor, SegmentError, SegmentReply, SegmentSettings, SegmentTask,
     Segmented, Verdict,
 };
 use segwild_vision::Providers;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
@@ -23,16 +24,6 @@ use wincode::{SchemaRead, SchemaWrite};
 const SELECTION: &str = "selection";
 /// Masks are drawn at most this many times larger than the photos were trained at, then scaled.
 const FINER: u32 = 2;
-
-/// What was said on one photo, in pixels of the photo at its full size: how `prompts.json` replays it.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct PhotoPrompts {
-    /// The photo's name.
-    pub photo: String,
-    /// Clicks and boxes.
-    #[serde(flatten)]
-    pub prompts: Prompts,
-}
 
 /// `selection.bin`: a selection that can be drawn again.
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
@@ -78,12 +69,8 @@ impl Selected {
 
     /// Reads a run's selection by name.
     pub fn read(folder: &RunFolder, name: &str, splats: usize) -> Result<Selected, RunError> {
+        folder.has_selection(name)?;
         let path = folder.selection(name);
-        if !path.join("selection.bin").is_file() {
-            let known = folder.selections();
-            let known = if known.is_empty() { "there is none yet".to_owned() } else { known.join(", ") };
-            return Err(RunError::Request(format!("this run has no selection named `{name}` ({known})")));
-        }
         let selected: Selected =
             folder.read_record(&format!("selections/{name}/selection.bin"), SELECTION)?;
         if selected.labels.len() != splats {
@@ -166,9 +153,7 @@ pub fn segment(
                 near.join(", ")
             ))
         })?;
-        if p.prompts.points.is_empty() && p.prompts.boxes.is_empty() {
-            return Err(SegmentError::NoPrompt.into());
-        }
+        p.check()?;
         let (full, small) = (&scene.views[view].camera, &views[view].camera);
         let (sx, sy) = (small.width as f32 / full.width as f32, small.height as f32 / full.height as f32);
         for point in &p.prompts.points {
@@ -281,8 +266,10 @@ pub fn segment(
             let bytes = value.map_err(|e| RunError::Folder { path: path.clone(), reason: e.to_string() })?;
             Ok(files::write_atomic(&path, &bytes)?)
         };
+        let names = png_names(scene.views.iter().map(|v| v.name.as_str()));
         let (mask_dir, amodal_dir, prompt_dir) = (dir("masks")?, dir("amodal")?, dir("prompted")?);
-        json("prompts.json", serde_json::to_vec_pretty(&prompts))?;
+        let replay = Replay { prompts: prompts.to_vec(), settings: Some(settings.clone()) };
+        json("prompts.json", serde_json::to_vec_pretty(&replay))?;
         let path = aside.join("selection.bin");
         let bytes = codec::encode(SELECTION, &selected)
             .map_err(|source| RunError::Record { path: path.clone(), source })?;
@@ -298,17 +285,15 @@ pub fn segment(
         pass()?;
         for (view, mask) in &masks {
             let full = &scene.views[*view].camera;
-            mask.mask
-                .resized(full.width, full.height)
-                .write_png(&prompt_dir.join(png_name(&scene.views[*view].name)))?;
+            mask.mask.resized(full.width, full.height).write_png(&prompt_dir.join(&names[*view]))?;
         }
         let cut_splats = selected.cut_scene(&model.splats);
-        for view in &scene.views {
+        for (view, name) in scene.views.iter().zip(&names) {
             let (visible, amodal) =
                 object_masks(&*engine, &cut_splats, &selected.labels, &model.options(), view, size)?;
             outcome.photos += usize::from(!visible.is_empty());
-            visible.write_png(&mask_dir.join(png_name(&view.name)))?;
-            amodal.write_png(&amodal_dir.join(png_name(&view.name)))?;
+            visible.write_png(&mask_dir.join(name))?;
+            amodal.write_png(&amodal_dir.join(name))?;
             pass()?;
         }
         outcome.wall_s = began.elapsed().as_secs_f64();
@@ -340,13 +325,6 @@ fn in_photo_pixels(error: SegmentError, scene: &Scene, size: u32) -> SegmentErro
         }
         other => other,
     }
-}
-
-/// File name of a photo's mask: its stem, sub-folders flattened, with the ending `.png`.
-pub(crate) fn png_name(photo: &str) -> String {
-    let flat = photo.replace(['/', '\\'], "_");
-    let stem = flat.rsplit_once('.').map_or(flat.as_str(), |(stem, _)| stem);
-    format!("{stem}.png")
 }
 
 /// The object's visible and amodal mask on the photo's own pixel grid.

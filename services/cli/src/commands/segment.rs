@@ -5,14 +5,16 @@ use crate::failure::Failure;
 use crate::progress::{duration, stop_on_ctrl_c};
 use clap::ArgMatches;
 use segwild_flow::Stopper;
-use segwild_pipeline::{PhotoPrompts, RunFolder, Settings};
+use segwild_pipeline::{PhotoPrompts, Replay, RunFolder, Settings};
 use segwild_scene::{BoxPrompt, PointPrompt, Prompts};
 
 /// Clicks to an object.
 pub fn segment(matches: &ArgMatches) -> Result<(), Failure> {
     let folder = RunFolder::open(&path(matches, "run").expect("clap requires it"))?;
-    let prompts = prompts(matches)?;
+    let Replay { prompts, settings: replayed } = prompts(matches)?;
     let mut settings: Settings = folder.settings()?;
+    // What the selection was made with, then what is asked for now.
+    settings.segment = replayed.unwrap_or(settings.segment);
     for (name, value) in crate::args::given(matches) {
         settings.set(&name, &value).map_err(segwild_pipeline::SettingsError::from)?;
     }
@@ -42,12 +44,9 @@ pub fn segment(matches: &ArgMatches) -> Result<(), Failure> {
 type Given<'a> = (usize, &'static str, &'a String);
 
 /// The prompts on the command line, each on the photo named last before it, or those of a file.
-fn prompts(matches: &ArgMatches) -> Result<Vec<PhotoPrompts>, Failure> {
+fn prompts(matches: &ArgMatches) -> Result<Replay, Failure> {
     if let Some(file) = path(matches, "prompts") {
-        let text = std::fs::read_to_string(&file)
-            .map_err(|e| Failure::usage(format!("{}: cannot be read: {e}", file.display())))?;
-        return serde_json::from_str(&text)
-            .map_err(|e| Failure::usage(format!("{}: is no prompts file: {e}", file.display())));
+        return Ok(Replay::read(&file)?);
     }
     let mut given: Vec<Given> = Vec::new();
     for kind in ["photo", "in", "out-point", "box"] {
@@ -81,7 +80,7 @@ fn prompts(matches: &ArgMatches) -> Result<Vec<PhotoPrompts>, Failure> {
     if photos.is_empty() {
         return Err(Failure::usage("nothing is prompted: give --photo NAME --in x,y (or --prompts FILE)"));
     }
-    Ok(photos)
+    Ok(Replay { prompts: photos, settings: None })
 }
 
 /// `N` finite numbers with commas between them.
