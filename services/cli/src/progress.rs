@@ -4,6 +4,7 @@ use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use segwild_flow::{Event, EventRecord, Events, Level, Sink, Stopper};
 use std::collections::BTreeMap;
 use std::io::{IsTerminal, Write};
+use std::time::Duration;
 
 use crate::failure::plain;
 pub use segwild_gateway::words::duration;
@@ -80,6 +81,9 @@ pub fn show(events: &Events, json: bool) -> std::io::Result<Sink> {
     })
 }
 
+/// How long a stop may take, the half minute that actors have included.
+const LATEST: Duration = Duration::from_secs(45);
+
 /// The first Ctrl-C (or SIGTERM) asks the run to stop where it can continue; the second ends the process at once,
 /// which is safe as well: files are whole or not there.
 pub fn stop_on_ctrl_c(stopper: &Stopper) -> std::io::Result<()> {
@@ -90,6 +94,16 @@ pub fn stop_on_ctrl_c(stopper: &Stopper) -> std::io::Result<()> {
         }
         eprintln!("stopping where the run can continue; once more to stop at once");
         stopper.stop();
+        // Actors that do not come to an end are left behind after half a minute; who conducts them may hang as well.
+        let late = || {
+            let (_never, next) = std::sync::mpsc::channel::<()>();
+            let _ = next.recv_timeout(LATEST);
+            eprintln!("it has not come to an end: stopped at once; the run can continue");
+            std::process::exit(crate::exit::INTERRUPTED.into());
+        };
+        if std::thread::Builder::new().name("deadline".into()).spawn(late).is_err() {
+            eprintln!("no thread is left to watch the end: press Ctrl-C again if it does not come");
+        }
     })
 }
 

@@ -54,5 +54,5 @@ pub use progress::StageProgress;
 pub use recorder::Recorder;
 pub use report::{ActorReport, Exit, Report, WorkerStatus};
 pub use supervise::{ActorOptions, RestartBudget};
-pub use system::{Observer, SpawnError, System, SystemOptions};
+pub use system::{Guest, Observer, SpawnError, System, SystemOptions};
 pub use timeline::{Span, SpanKind, Timeline, TimelineRecord};

@@ -31,8 +31,11 @@
 //! assert!(report.finished(), "{report}");
 //! ```
 
+mod guest;
 mod shutdown;
 mod watch;
+
+pub use guest::Guest;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -218,15 +221,7 @@ impl System {
             .map(|i| Arc::new(Pulse::new(name.clone(), i, self.shared.timeline.clone())))
             .collect();
         let cell = Arc::new(Cell::new(options, pulses.clone(), name.clone(), mailbox));
-        {
-            let mut roster = lock(&self.shared.roster);
-            if roster.sealed {
-                let words = "the system is stopping";
-                let source = std::io::Error::new(std::io::ErrorKind::Interrupted, words);
-                return Err(SpawnError { actor: name.to_string(), source });
-            }
-            roster.cells.push(cell.clone());
-        }
+        self.enrol(&cell)?;
         for (i, pulse) in pulses.into_iter().enumerate() {
             let context = Context {
                 pulse,

@@ -17,7 +17,20 @@ pub enum Outcome {
     Visibility(Result<(), String>),
 }
 
-impl Message for Outcome {}
+impl Message for Outcome {
+    fn label(&self) -> String {
+        let words = match self {
+            Outcome::Feature(_) => "hears of features",
+            Outcome::Mask(_) => "hears of masks",
+            Outcome::Train(TrainOutcome::Snapshot(_)) => "keeps the snapshot",
+            Outcome::Train(TrainOutcome::Checkpoint(_)) => "keeps a checkpoint",
+            Outcome::Train(TrainOutcome::Done(..)) => "keeps the scene",
+            Outcome::Train(_) => "hears of the training",
+            Outcome::Visibility(_) => "hears of visibility",
+        };
+        words.into()
+    }
+}
 
 impl From<FeatureOutcome> for Outcome {
     fn from(outcome: FeatureOutcome) -> Self {

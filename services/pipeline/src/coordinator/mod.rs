@@ -20,8 +20,8 @@ use crate::{RunError, RunFolder, Settings};
 use segwild_features::{FeatureActor, FeatureField, FeatureTask};
 use segwild_flow::ledger::{State as Progress, ViewRow};
 use segwild_flow::{
-    ActorOptions, Cache, Event, Exit, Ledger, Limits, Phase, Receiver, Recorder, Report, Sender,
-    StageProgress, System, SystemOptions, mailbox,
+    ActorOptions, Cache, Event, Exit, Guest, Ledger, Limits, Message, Phase, Receiver, Recorder, Report,
+    Sender, StageProgress, System, SystemOptions, mailbox,
 };
 use segwild_masks::{MaskActor, MaskTask, sasm};
 use segwild_raster::Engine;
@@ -67,6 +67,9 @@ pub struct State {
     pub cached: usize,
     pub failed: Option<(&'static str, String)>,
 }
+
+/// Its name among the actors.
+const NAME: &str = "coordinator";
 
 /// The one who conducts.
 pub struct Coordinator<'a> {
@@ -154,7 +157,7 @@ impl Coordinator<'_> {
         let limits = Limits { count: 64, bytes: 64 << 20 };
         // Renders wait here: a few ahead keep the actor busy, more would only fill memory.
         let few = Limits { count: 4, bytes: 64 << 20 };
-        let (out, inbox) = mailbox::<Outcome>("coordinator", limits);
+        let (out, inbox) = mailbox::<Outcome>(NAME, limits);
         self.recorder.watch(system.observer());
         self.recorder.mailbox(&inbox);
         let (masks, masks_in) = mailbox::<MaskTask>("masks", few);
@@ -196,7 +199,9 @@ impl Coordinator<'_> {
             })
         })?;
 
-        let outcome = self.conduct(&system, Inboxes { masks, features, training, own }, &inbox);
+        let guest = system.guest(NAME)?;
+        let outcome = self.conduct(&system, &guest, Inboxes { masks, features, training, own }, &inbox);
+        drop(guest);
         if outcome.is_err() {
             self.options.stopper.stop();
         }
@@ -223,7 +228,14 @@ impl Coordinator<'_> {
     }
 
     /// Feeds the actors and listens until everything wanted is there.
-    fn conduct(&mut self, system: &System, to: Inboxes, inbox: &Receiver<Outcome>) -> Result<(), RunError> {
+    fn conduct(
+        &mut self,
+        system: &System,
+        guest: &Guest,
+        to: Inboxes,
+        inbox: &Receiver<Outcome>,
+    ) -> Result<(), RunError> {
+        guest.busy("begins");
         let n = self.scene.views.len();
         self.state.embedded = vec![false; n];
         for i in 0..n {
@@ -282,7 +294,10 @@ impl Coordinator<'_> {
             if self.options.stopper.phase() != Phase::Running {
                 return Ok(());
             }
-            match inbox.recv_timeout(Duration::from_millis(200)) {
+            guest.waits();
+            let heard = inbox.recv_timeout(Duration::from_millis(200));
+            guest.busy(&heard.as_ref().map_or_else(|_| String::new(), Message::label));
+            match heard {
                 Ok(_) if self.tainted.load(Ordering::Acquire) => {
                     return match self.skies.lost() {
                         Some(lost) => Err(RunError::Stage { stage: "sky", reason: lost.to_string() }),
@@ -292,7 +307,7 @@ impl Coordinator<'_> {
                 Ok(outcome) => self.hear(outcome, &mut bars)?,
                 Err(_)
                     if self.options.stopper.phase() == Phase::Running
-                        && system.snapshot().iter().all(|actor| actor.exit != Exit::Running) =>
+                        && system.snapshot().iter().all(|a| a.name == NAME || a.exit != Exit::Running) =>
                 {
                     return Err(RunError::Stage {
                         stage: "flow",

@@ -1,0 +1,86 @@
+//! The thread that conducts, watched like the others.
+
+use std::marker::PhantomData;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use super::{SpawnError, System};
+use crate::control::Stopper;
+use crate::meter::{self, Pulse, WorkerState, lock};
+use crate::report::Exit;
+use crate::supervise::{ActorOptions, Cell};
+
+/// The calling thread as a member of a system, until it is dropped: it has a heartbeat, a place in the timeline and in
+/// reports, and shutdown names it when it is late. Nobody can restart it.
+///
+/// ```
+/// # use segwild_flow::{System, SystemOptions};
+/// let system = System::new(SystemOptions::default())?;
+/// let me = system.guest("coordinator")?;
+/// me.busy("reads the answers");
+/// me.waits();
+/// drop(me);
+/// let report = system.join();
+/// assert_eq!(report.actors[0].name, "coordinator");
+/// assert!(report.timeline.spans.iter().any(|span| span.label == "reads the answers"));
+/// # Ok::<_, segwild_flow::SpawnError>(())
+/// ```
+pub struct Guest {
+    cell: Arc<Cell>,
+    pulse: Arc<Pulse>,
+    stopper: Stopper,
+    /// It speaks for the thread that it was made on.
+    _here: PhantomData<*const ()>,
+}
+
+impl System {
+    /// Makes the calling thread a member; see [`Guest`]. Drop it before [`System::join`].
+    ///
+    /// # Errors
+    /// When the system is stopping.
+    pub fn guest(&self, name: &str) -> Result<Guest, SpawnError> {
+        let name: Arc<str> = name.into();
+        let pulse = Arc::new(Pulse::new(name.clone(), 0, self.shared.timeline.clone()));
+        let options = ActorOptions { vital: false, ..ActorOptions::default() };
+        let cell = Arc::new(Cell::new(options, vec![pulse.clone()], name, None));
+        self.enrol(&cell)?;
+        meter::adopt(Some(pulse.clone()));
+        Ok(Guest { cell, pulse, stopper: self.stopper(), _here: PhantomData })
+    }
+
+    /// Adds an actor to the roster, if it is not sealed.
+    pub(super) fn enrol(&self, cell: &Arc<Cell>) -> Result<(), SpawnError> {
+        let mut roster = lock(&self.shared.roster);
+        if roster.sealed {
+            let words = "the system is stopping";
+            let source = std::io::Error::new(std::io::ErrorKind::Interrupted, words);
+            return Err(SpawnError { actor: cell.name.to_string(), source });
+        }
+        roster.cells.push(cell.clone());
+        Ok(())
+    }
+}
+
+impl Guest {
+    /// It is at work on something; too long without a word is being stuck.
+    pub fn busy(&self, label: &str) {
+        self.pulse.note_cpu();
+        self.pulse.enter(WorkerState::Busy, label);
+    }
+
+    /// It waits for something to do.
+    pub fn waits(&self) {
+        self.pulse.enter(WorkerState::Waiting, "");
+    }
+}
+
+impl Drop for Guest {
+    fn drop(&mut self) {
+        meter::adopt(None);
+        self.pulse.note_cpu();
+        self.pulse.enter(WorkerState::Ended, "");
+        self.cell.note_exit(Exit::Finished);
+        self.cell.live.fetch_sub(1, Ordering::AcqRel);
+        self.stopper.0.notify();
+    }
+}
