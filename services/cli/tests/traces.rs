@@ -12,8 +12,11 @@ fn the_timeline_is_told_drawn_and_written_for_other_tools() {
     };
     let events = json("trace.json")["traceEvents"].as_array().expect("events").clone();
     let threads: Vec<&str> = events.iter().filter_map(|e| e["args"]["name"].as_str()).collect();
-    for actor in ["trainer", "masks", "features", "ingest", "visibility"] {
+    for actor in ["coordinator", "trainer", "masks", "features", "ingest", "visibility"] {
         assert!(threads.contains(&actor), "{threads:?}");
+    }
+    for work in ["keeps the snapshot", "keeps the scene", "evaluate", "report"] {
+        assert!(events.iter().any(|e| e["ph"] == "X" && e["name"] == work), "{work} is not in the trace");
     }
     assert!(
         events.iter().any(|e| e["ph"] == "X" && e["name"] == "60 steps" && e["dur"].as_f64() > Some(1000.0))
@@ -129,4 +132,22 @@ fn the_traces_have_the_fields_of_their_formats_and_no_others() {
             assert!(named.contains(&event["tid"].as_u64()), "a row without a name: {event}");
         }
     }
+}
+
+#[test]
+fn a_second_run_and_a_selection_leave_the_first_runs_timeline() {
+    let dir = folder();
+    let run = dir.path().join("run");
+    copy_folder(&place().run, &run);
+    let first = std::fs::read(run.join("trace.json")).expect("a trace");
+    completes(&again(&run, &[]));
+    assert!(select(&run, &[]).status.success());
+    let kept: Vec<_> = std::fs::read_dir(run.join("traces")).expect("a folder").flatten().collect();
+    let ends = |end: &str| kept.iter().find(|e| e.file_name().to_string_lossy().ends_with(end));
+    let earlier = ends(".trace.json").filter(|e| !e.file_name().to_string_lossy().starts_with("selection"));
+    let earlier = std::fs::read(earlier.expect("the first run's").path()).expect("it reads");
+    assert!(earlier == first, "it is as it was");
+    assert_ne!(std::fs::read(run.join("trace.json")).expect("a trace"), first);
+    let selection = std::fs::read_to_string(ends("selection-it.trace.json").expect("the click's").path());
+    assert!(selection.expect("it reads").contains("segmenter"));
 }

@@ -7,6 +7,7 @@ use crate::coordinator::{Coordinator, State};
 use crate::evaluate::{HeldOut, held_out};
 use crate::folder::Intake;
 use crate::skies::Skies;
+use crate::traces::Traces;
 use crate::{RunError, RunFolder, Settings, Until, keep, memory, report};
 use segwild_flow::{Event, Events, Ledger, Phase, Recorder, Stopper, cpu, files, trace};
 use segwild_raster::{CpuEngine, Engine};
@@ -209,16 +210,11 @@ pub fn run(
         RunError::Spawn(spawn) if spawn.is_stopping() => RunError::Interrupted,
         other => other,
     };
-    let (report, outcome) = coordinator.flow(&providers).map_err(stopped)?;
+    let traces = Traces::begin(folder)?;
+    let (mut report, outcome) = coordinator.flow(&providers).map_err(stopped)?;
     let outcome = outcome.map_err(stopped);
     let mut state = std::mem::take(&mut coordinator.state);
-    folder.write("timeline.json", serde_json::to_string(&report).unwrap_or_default().as_bytes())?;
-    let run = folder.path().file_name().map_or("run".into(), |n| n.to_string_lossy());
-    for (name, trace) in
-        [("trace.json", trace::chrome(&report, &run)), ("trace.otlp.json", trace::otlp(&report, &run))]
-    {
-        folder.write(name, trace.as_bytes())?;
-    }
+    traces.write(&report)?;
     // An actor that gave up has stopped the others; that is not a stop by the user.
     let gave_up = report.failures().next().map(|(actor, error)| (stage_of(actor), error.to_owned()));
     match (outcome, gave_up) {
@@ -260,7 +256,11 @@ pub fn run(
             let progress = options.events.stage("evaluate", None);
             let skies = coordinator.skies.clone();
             let sky = move |view: usize| skies.read(view).map_err(|lost| lost.to_string());
-            scores = held_out(folder, &scene, model, &*coordinator.engine, settings, sky)?;
+            let evaluated = traces.step(&mut report, "evaluate", || {
+                held_out(folder, &scene, model, &*coordinator.engine, settings, sky)
+            });
+            scores = evaluated?;
+            traces.write(&report)?;
             coordinator.intact()?;
             progress.finish();
             ledger.finish_stage("evaluate", &key, None)?;
@@ -273,7 +273,8 @@ pub fn run(
     if last >= 6 && splats.is_some() {
         ledger.begin_stage("report", &key)?;
         let progress = options.events.stage("report", None);
-        report::write_report(folder)?;
+        traces.step(&mut report, "report", || report::write_report(folder))?;
+        traces.write(&report)?;
         progress.finish();
         ledger.finish_stage("report", &key, None)?;
     }

@@ -24,6 +24,7 @@ mod report;
 mod segment;
 mod settings;
 mod skies;
+mod traces;
 mod until;
 mod visibility;
 

@@ -3,7 +3,7 @@
 use crate::accelerator::leased;
 use crate::folder::Loaded;
 use crate::prompts::png_names;
-use crate::{PhotoPrompts, Replay, RunError, RunFolder, report};
+use crate::{PhotoPrompts, Replay, RunError, RunFolder, report, traces};
 use segwild_flow::{
     ActorOptions, FileError, Limits, Phase, Stopper, System, SystemOptions, codec, fault, files, mailbox,
 };
@@ -224,6 +224,7 @@ pub fn segment(
     if stopper.phase() != Phase::Running {
         return Err(RunError::Interrupted);
     }
+    traces::of_selection(folder, name, &report)?;
     let Some(SegmentReply(answer)) = answer else {
         let why: Vec<String> = report.failures().map(|(actor, error)| format!("{actor}: {error}")).collect();
         return Err(failed(if why.is_empty() {

@@ -1,0 +1,81 @@
+//! Who did what when, as files: of the last process that worked on the run, and of those before it.
+
+use crate::{RunError, RunFolder};
+use segwild_flow::{FileError, Report, Span, SpanKind, trace};
+use std::path::Path;
+use std::time::Instant;
+
+/// Files of the last process.
+const FILES: [&str; 3] = ["timeline.json", "trace.json", "trace.otlp.json"];
+/// Where those of the processes before are kept, and those of selections.
+pub(crate) const EARLIER: &str = "traces";
+/// How many are kept.
+const KEPT: usize = 30;
+
+/// A process's timeline while it grows.
+pub(crate) struct Traces<'a> {
+    folder: &'a RunFolder,
+    began: Instant,
+}
+
+impl<'a> Traces<'a> {
+    /// Begins a timeline; that of the process before moves aside, for a second run has little to show and is not what
+    /// an operator wants to see a week later.
+    pub fn begin(folder: &'a RunFolder) -> Result<Traces<'a>, RunError> {
+        let earlier = folder.path().join(EARLIER);
+        std::fs::create_dir_all(&earlier).map_err(|e| FileError::new("create", &earlier, e))?;
+        if let Some(when) = modified(&folder.path().join(FILES[0])) {
+            for name in FILES {
+                // One that is not there was never written.
+                let _ = std::fs::rename(folder.path().join(name), earlier.join(format!("{when}.{name}")));
+            }
+        }
+        forget_oldest(&earlier);
+        Ok(Traces { folder, began: Instant::now() })
+    }
+
+    /// Adds what the process does when its actors have ended.
+    pub fn step<T>(&self, report: &mut Report, label: &str, work: impl FnOnce() -> T) -> T {
+        let start = self.began.elapsed().as_secs_f64();
+        let done = work();
+        let end = self.began.elapsed().as_secs_f64();
+        let (actor, label) = ("coordinator".into(), label.into());
+        report.timeline.spans.push(Span { actor, worker: 0, label, start, end, kind: SpanKind::Busy });
+        done
+    }
+
+    /// Writes it down as it is now.
+    pub fn write(&self, report: &Report) -> Result<(), RunError> {
+        let run = self.folder.path().file_name().map_or("run".into(), |n| n.to_string_lossy());
+        let timeline = serde_json::to_string(report).unwrap_or_default();
+        for (name, text) in
+            FILES.iter().zip([timeline, trace::chrome(report, &run), trace::otlp(report, &run)])
+        {
+            self.folder.write(name, text.as_bytes())?;
+        }
+        Ok(())
+    }
+}
+
+/// Writes the timeline of a selection, for Perfetto.
+pub(crate) fn of_selection(folder: &RunFolder, name: &str, report: &Report) -> Result<(), RunError> {
+    let earlier = folder.path().join(EARLIER);
+    std::fs::create_dir_all(&earlier).map_err(|e| FileError::new("create", &earlier, e))?;
+    folder.write(&format!("{EARLIER}/selection-{name}.trace.json"), trace::chrome(report, name).as_bytes())
+}
+
+/// When a file was last changed, in milliseconds since 1970: so names sort by age.
+fn modified(file: &Path) -> Option<u128> {
+    let time = std::fs::metadata(file).ok()?.modified().ok()?;
+    Some(time.duration_since(std::time::UNIX_EPOCH).ok()?.as_millis())
+}
+
+fn forget_oldest(folder: &Path) {
+    let files = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|e| e.path());
+    let mut aged: Vec<_> = files.map(|file| (modified(&file), file)).collect();
+    aged.sort();
+    for (_, file) in aged.iter().rev().skip(KEPT * FILES.len()) {
+        // It stays a little longer.
+        let _ = std::fs::remove_file(file);
+    }
+}
