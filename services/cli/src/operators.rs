@@ -21,7 +21,10 @@ pub fn listen_args(command: Command) -> Command {
 
 /// Adds what a batch tells its children.
 pub fn child_args(command: Command) -> Command {
-    command.arg(Arg::new("stop-with-parent").long("stop-with-parent").action(ArgAction::SetTrue).hide(true))
+    let cpus = Arg::new("cpus").long("cpus").value_name("LIST").hide(true);
+    command
+        .arg(Arg::new("stop-with-parent").long("stop-with-parent").action(ArgAction::SetTrue).hide(true))
+        .arg(cpus)
 }
 
 /// Serves a folder's view if that was asked for.
@@ -45,4 +48,12 @@ pub fn stop_with_parent(matches: &ArgMatches, stopper: &Stopper) -> std::io::Res
         stopper.stop();
     })?;
     Ok(())
+}
+
+/// Keeps the process to the cores that a batch gave it (`--cpus 0,1`); to be called before it has other threads.
+pub fn keep_to_cores(matches: &ArgMatches) -> Result<(), Failure> {
+    let Some(list) = matches.get_one::<String>("cpus") else { return Ok(()) };
+    let cores = segwild_flow::cpu::read_list(list)
+        .ok_or_else(|| Failure::usage(format!("--cpus {list}: expected numbers with commas")))?;
+    segwild_flow::cpu::keep_to(&cores).map_err(|e| Failure::usage(format!("--cpus {list}: {e}")))
 }

@@ -107,6 +107,43 @@ fn a_batch_that_was_killed_goes_on_to_the_same_bytes() {
     assert!(!text(&again.stderr).contains("begins"), "{}", text(&again.stderr));
 }
 
+#[cfg(target_os = "linux")]
+#[test]
+fn scenes_of_a_batch_keep_to_their_own_cores() {
+    let cores = segwild_flow::cpu::allowed();
+    if cores.len() < 2 {
+        println!("skipped: scenes_of_a_batch_keep_to_their_own_cores: this machine has one core");
+        return;
+    }
+    let dir = folder();
+    let batch = show(&dir.path().join("batch"));
+    let file = manifest(dir.path(), 4000, &["one", "two"], "");
+    let mut child = in_background(&["batch", &file, "--out", &batch]);
+    let threads = until("two processes at work", || {
+        let output = segwild(&["status", &batch, "--json"]);
+        let view = output.status.success().then(|| json(&output.stdout))?;
+        let pids = view["scenes"].as_array()?.iter().filter(|s| s["run"]["running"] == true);
+        let pids: Vec<u64> = pids.filter_map(|s| s["run"]["pid"].as_u64()).collect();
+        let of = |pid: &u64| -> Vec<Vec<u32>> {
+            let tasks = std::fs::read_dir(format!("/proc/{pid}/task")).into_iter().flatten().flatten();
+            let status = tasks.filter_map(|task| std::fs::read_to_string(task.path().join("status")).ok());
+            let list = |text: String| {
+                let line = text.lines().find_map(|l| l.strip_prefix("Cpus_allowed_list:").map(str::to_owned));
+                line.and_then(|l| segwild_flow::cpu::read_list(l.trim()))
+            };
+            status.filter_map(list).collect()
+        };
+        let threads: Vec<_> = pids.iter().map(of).collect();
+        (threads.len() == 2 && threads.iter().all(|t| t.len() > 3)).then_some(threads)
+    });
+    child.0.kill().expect("it can be killed");
+    let own: Vec<&Vec<u32>> = threads.iter().map(|t| &t[0]).collect();
+    assert!(own[0].len() == 1 && own[1].len() == 1 && own[0] != own[1], "{own:?} of {cores:?}");
+    for (own, threads) in own.iter().zip(&threads) {
+        assert!(threads.iter().all(|t| t == *own), "a thread of it runs elsewhere: {threads:?}");
+    }
+}
+
 #[cfg(unix)]
 #[test]
 fn ctrl_c_stops_a_batch_where_it_can_go_on() {

@@ -47,3 +47,50 @@ pub fn process_seconds() -> Option<f64> {
     let system: u64 = fields.next()?.parse().ok()?;
     Some((user + system) as f64 / 100.0)
 }
+
+/// The cores that this process may run on, by number; empty where the system does not tell.
+///
+/// ```
+/// let cores = segwild_flow::cpu::allowed();
+/// assert!(cores.windows(2).all(|two| two[0] < two[1]));
+/// ```
+pub fn allowed() -> Vec<u32> {
+    let text = fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let list = text.lines().find_map(|line| line.strip_prefix("Cpus_allowed_list:"));
+    list.and_then(|list| read_list(list.trim())).unwrap_or_default()
+}
+
+/// Numbers and ranges with commas: `0-3,8`; `None` if it is something else.
+///
+/// ```
+/// assert_eq!(segwild_flow::cpu::read_list("0-2,8"), Some(vec![0, 1, 2, 8]));
+/// assert_eq!(segwild_flow::cpu::read_list("2-0"), None);
+/// ```
+pub fn read_list(text: &str) -> Option<Vec<u32>> {
+    let mut cores = Vec::new();
+    for part in text.split(',') {
+        let (from, to) = part.split_once('-').unwrap_or((part, part));
+        let (from, to): (u32, u32) = (from.parse().ok()?, to.parse().ok()?);
+        if to < from || to >= 4096 {
+            return None;
+        }
+        cores.extend(from..=to);
+    }
+    Some(cores)
+}
+
+/// Keeps the calling thread, and all that it starts from now on, to some cores.
+///
+/// # Errors
+/// When the system refuses: none of them exists, or the process may use none of them.
+pub fn keep_to(cores: &[u32]) -> std::io::Result<()> {
+    #[cfg(target_os = "linux")]
+    {
+        let mut set = rustix::thread::CpuSet::new();
+        let known = |&&core: &&u32| (core as usize) < rustix::thread::CpuSet::MAX_CPU;
+        cores.iter().filter(known).for_each(|&core| set.set(core as usize));
+        rustix::thread::sched_setaffinity(None, &set)?;
+    }
+    let _ = cores;
+    Ok(())
+}

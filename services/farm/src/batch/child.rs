@@ -28,6 +28,8 @@ pub(super) enum Ended {
 pub(super) struct Worker {
     pub lease: Lease,
     pub granted: Needs,
+    /// The machine's cores that it runs on; none: on any.
+    pub cpus: Vec<u32>,
     pub asked_to_stop: bool,
     /// Why it was ended, if it was for want of progress.
     pub hung: Option<String>,
@@ -48,10 +50,10 @@ struct Process {
 }
 
 impl Worker {
-    pub fn new(lease: Lease, scene: SceneJob, granted: Needs) -> Self {
+    pub fn new(lease: Lease, scene: SceneJob, granted: Needs, cpus: Vec<u32>) -> Self {
         let (taken, waits_told) = (Instant::now(), false);
         let (asked_to_stop, hung, process, looked) = (false, None, None, taken);
-        Self { lease, granted, asked_to_stop, hung, looked, scene, process, taken, waits_told }
+        Self { lease, granted, cpus, asked_to_stop, hung, looked, scene, process, taken, waits_told }
     }
 
     pub fn seconds(&self) -> f64 {
@@ -102,6 +104,12 @@ impl Worker {
         }
     }
 
+    /// Its cores, as the process is told of them.
+    fn cpu_list(&self) -> Option<String> {
+        let list: Vec<String> = self.cpus.iter().map(u32::to_string).collect();
+        (!list.is_empty()).then(|| list.join(","))
+    }
+
     fn begin(&self, folder: &BatchFolder, program: &Path) -> std::io::Result<Process> {
         let mut log = File::options().create(true).append(true).open(folder.log(&self.scene.name))?;
         writeln!(log, "== attempt {} on {} cores", self.lease.attempt, self.granted.cores)?;
@@ -120,6 +128,7 @@ impl Worker {
             // 0 would be no limit at all.
             .arg((self.granted.memory_bytes >> 20).max(1).to_string())
             .arg("--stop-with-parent")
+            .args(self.cpu_list().iter().flat_map(|list| ["--cpus", list]))
             .args(self.scene.until.iter().flat_map(|until| ["--until", until]))
             .stdin(Stdio::piped())
             .stdout(log.try_clone()?)

@@ -249,6 +249,15 @@ impl Batch<'_> {
         self.workers.iter().fold(self.manifest.budget, |free, worker| worker.granted.taken_from(&free))
     }
 
+    /// So many of the machine's cores that no scene has: a scene's actors compute at the same time, each with as many
+    /// threads as the scene has cores, and without a fence they would take the cores of others. None where the budget
+    /// promises more cores than there are.
+    fn cpus(&self, count: u32) -> Vec<u32> {
+        let taken = |core: &u32| self.workers.iter().any(|worker| worker.cpus.contains(core));
+        let free: Vec<u32> = segwild_flow::cpu::allowed().into_iter().filter(|core| !taken(core)).collect();
+        free.get(..count as usize).map(<[u32]>::to_vec).unwrap_or_default()
+    }
+
     /// Takes a scene and begins it; `false` when none fits now.
     fn claim(&mut self) -> Result<bool, BatchError> {
         let free = self.free();
@@ -274,7 +283,8 @@ impl Batch<'_> {
         if !self.engine.jobs()?.iter().any(|j| j.state == JobState::Pending) {
             granted.cores = free.cores;
         }
-        self.workers.push(Worker::new(lease, scene, granted));
+        let cpus = self.cpus(granted.cores);
+        self.workers.push(Worker::new(lease, scene, granted, cpus));
         Ok(true)
     }
 
