@@ -129,10 +129,8 @@ pub fn run(
 
     let path = std::path::absolute(scene).unwrap_or_else(|_| scene.to_owned());
     let scene = Arc::new(Scene::open(&path, &settings.scene)?);
-    for skipped in &scene.skipped {
-        options
-            .events
-            .warn(Some("ingest"), format!("photo {} is left out: {}", skipped.name, skipped.reason));
+    for words in Skipped::in_words(&scene.skipped).into_iter().chain(scene.notes.iter().cloned()) {
+        options.events.warn(Some("ingest"), words);
     }
     let names =
         |test: bool| scene.views.iter().filter(move |v| !test || v.test).map(|v| v.name.clone()).collect();

@@ -133,7 +133,8 @@ mod tests {
     #[test]
     fn a_budget_is_shared_by_every_cache_that_is_held_at_the_same_time() {
         let frame = Frame { origin: Default::default(), scale: 1.0 };
-        let scene = Scene { views: Vec::new(), points: Vec::new(), skipped: Vec::new(), frame };
+        let scene =
+            Scene { views: Vec::new(), points: Vec::new(), skipped: Vec::new(), notes: Vec::new(), frame };
         let mut settings = Settings::default();
         settings.train.splats = 1000;
         let MemoryNeed { least_mib, most_mib, .. } = need(&settings, &scene);
@@ -160,7 +161,8 @@ mod tests {
     #[test]
     fn a_budget_is_not_overrun_by_what_the_allocator_adds_to_the_caches() {
         let frame = Frame { origin: Default::default(), scale: 1.0 };
-        let scene = Scene { views: Vec::new(), points: Vec::new(), skipped: Vec::new(), frame };
+        let scene =
+            Scene { views: Vec::new(), points: Vec::new(), skipped: Vec::new(), notes: Vec::new(), frame };
         let mut settings = Settings::default();
         settings.run.memory_budget = need(&settings, &scene).least_mib + 100;
         let fitted = within_budget(&settings, &scene).expect("it fits");

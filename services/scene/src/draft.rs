@@ -61,8 +61,16 @@ pub(crate) fn from_colmap(dir: &Path) -> Result<Draft, SceneError> {
             pose = Err(format!("its image id {} belongs to another photo too", image.id));
         }
         let lens = lenses.get(&image.camera_id).cloned();
-        let lens = lens
-            .unwrap_or_else(|| Err(format!("there is no camera {}, which it says it has", image.camera_id)));
+        let lens = lens.unwrap_or_else(|| {
+            let unknown = reconstruction.unknown_cameras.iter().find(|(id, _)| *id == image.camera_id);
+            Err(match unknown {
+                Some((id, model)) => format!(
+                    "its camera {id} has the model {model}, which is not known here; undistort the photos with COLMAP's \
+                     image_undistorter first"
+                ),
+                None => format!("there is no camera {}, which it says it has", image.camera_id),
+            })
+        });
         photos.push(DraftPhoto { name: image.name.clone(), file: None, usable: None, lens, pose });
     }
     let points = reconstruction.points.iter().map(|point| {

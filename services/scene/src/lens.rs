@@ -138,7 +138,8 @@ impl Lens {
         let name = model.name();
         if model == Model::RadTanThinPrismFisheye {
             return Err(format!(
-                "camera model {name} cannot be undistorted; undistort the photos with COLMAP first"
+                "this program does not undistort camera model {name}: undistort the photos with COLMAP's \
+                 image_undistorter first, which does"
             ));
         }
         if params.len() != model.param_count() {

@@ -1,6 +1,6 @@
 //! Opening a scene: find what is there, check it against the photos, normalise.
 
-use crate::draft::{Draft, DraftPhoto, DraftPose};
+use crate::draft::{Draft, DraftPhoto, DraftPoint, DraftPose};
 use crate::photo::Header;
 use crate::split::{Part, Split};
 use crate::{Frame, Observation, Photo, Point, Pose, Scene, SceneError, SceneSettings, Seal, Skipped, View};
@@ -121,8 +121,45 @@ impl Scene {
             source = %draft.source.display(),
             "scene opened"
         );
-        Ok(Scene { views, points, skipped, frame })
+        let notes = notes(&draft, views.len(), points.len(), &view_of);
+        Ok(Scene { views, points, skipped, notes, frame })
     }
+}
+
+/// What is odd about a reconstruction, though it can be used.
+fn notes(draft: &Draft, views: usize, points: usize, view_of: &[Option<u32>]) -> Vec<String> {
+    let mut notes = Vec::new();
+    let (source, all) = (draft.source.display(), draft.points.len());
+    let count = |odd: &dyn Fn(&DraftPoint) -> bool| draft.points.iter().filter(|p| odd(p)).count();
+    let broken = count(&|p| !p.position.is_finite());
+    if broken > 0 {
+        notes.push(format!(
+            "{source}: {broken} of {all} points lie nowhere (a position is no number) and are left out"
+        ));
+    }
+    let lost = count(&|p| !p.track.is_empty() && p.track.iter().all(|(photo, _)| view_of[*photo].is_none()));
+    if lost > 0 {
+        notes.push(format!(
+            "{source}: {lost} of {all} points were seen by unusable photos alone and are left out"
+        ));
+    }
+    let unseen = count(&|p| p.track.is_empty());
+    // nerfstudio's points never say who saw them.
+    if unseen > 0 && (unseen < all || draft.source.extension().is_none_or(|e| e != "json")) {
+        notes.push(format!(
+            "{source}: {unseen} of {all} points name no photo that sees them: they start splats, and no photo's light or \
+             strangers can be told by them"
+        ));
+    }
+    if points == 0 {
+        notes.push(format!("{source}: there are no points: the training starts from random splats"));
+    }
+    if views == 1 {
+        notes.push(
+            "there is one photo: nothing tells how far away things are, so only views close to it will look right".into(),
+        );
+    }
+    notes
 }
 
 /// A photo that passed every check.

@@ -64,6 +64,35 @@ pub struct Skipped {
     pub reason: String,
 }
 
+/// Photos named one by one for one reason; more of them are counted.
+const NAMED: usize = 5;
+
+impl Skipped {
+    /// Who takes no part and why, a sentence each; many photos with one reason are one sentence.
+    ///
+    /// ```
+    /// use segwild_scene::Skipped;
+    /// let of = |i: usize| Skipped { name: format!("{i}.jpg"), reason: "it has no pose".into() };
+    /// let many: Vec<Skipped> = (0..900).map(of).collect();
+    /// assert_eq!(Skipped::in_words(&many), ["900 photos are left out (0.jpg, 1.jpg, 2.jpg, ...): it has no pose"]);
+    /// assert_eq!(Skipped::in_words(&many[..1]), ["photo 0.jpg is left out: it has no pose"]);
+    /// ```
+    pub fn in_words(all: &[Skipped]) -> Vec<String> {
+        let mut reasons: Vec<(&str, Vec<&str>)> = Vec::new();
+        for Skipped { name, reason } in all {
+            match reasons.iter_mut().find(|(known, _)| known == reason) {
+                Some((_, names)) => names.push(name),
+                None => reasons.push((reason, vec![name])),
+            }
+        }
+        let words = |(reason, names): (&str, Vec<&str>)| match names.len() {
+            0..=NAMED => names.iter().map(|n| format!("photo {n} is left out: {reason}")).collect(),
+            n => vec![format!("{n} photos are left out ({}, ...): {reason}", names[..3].join(", "))],
+        };
+        reasons.into_iter().flat_map(words).collect()
+    }
+}
+
 /// How the normalised frame lies in the file's: `file = normalised * scale + origin`.
 ///
 /// Computed in f64, so that a scene whose units are 1000 times larger becomes the same normalised scene.
@@ -84,6 +113,8 @@ pub struct Scene {
     pub points: Vec<Point>,
     /// The photos that cannot be used.
     pub skipped: Vec<Skipped>,
+    /// What else is odd about the reconstruction, in words.
+    pub notes: Vec<String>,
     /// Back to the file's units, for export.
     pub frame: Frame,
 }

@@ -6,7 +6,7 @@ mod common;
 use common::{SIZE, line, open, picture, write, write_photo};
 use glam::Vec3;
 use segwild_scene::colmap::{self, CameraRecord, Model};
-use segwild_scene::{Mask, Scene, SceneError, SceneSettings, Skipped};
+use segwild_scene::{Mask, Scene, SceneError, SceneSettings, Seal, Skipped};
 use std::path::Path;
 
 fn temp() -> tempfile::TempDir {
@@ -91,7 +91,10 @@ fn every_place_and_both_forms_are_found() {
                 picture(SIZE.0, SIZE.1).write_png(&dir.path().join(images).join(&image.name)).unwrap();
             }
             let mut scene = open(dir.path()).unwrap();
-            scene.views.iter_mut().for_each(|v| v.photo.path.clear());
+            for view in &mut scene.views {
+                view.photo.path.clear();
+                view.photo.seal = Seal::default();
+            }
             scenes.push(scene);
         }
     }
@@ -240,7 +243,6 @@ fn bad_text_is_refused_with_its_line() {
     let to = dir.path().join("sparse/0");
     colmap::write_text(&to, &line(2)).unwrap();
     for (file, from, with, line, words) in [
-        ("cameras.txt", "PINHOLE", "WONKY", 2, "WONKY"),
         ("cameras.txt", " 20 15", "", 2, "ends before"),
         ("images.txt", "100 1 0", "100 1 zero", 3, "`zero` is no quaternion"),
         ("points3D.txt", "10 20 30", "10 20 300", 2, "`300` is no colour"),
@@ -411,4 +413,48 @@ fn frames_of_transforms_json_that_cannot_be_used_are_skipped() {
     std::fs::write(dir.path().join("transforms.json"), &text[..200]).unwrap();
     let told = message(open(dir.path()));
     assert!(told.contains("transforms.json") && told.contains("line"), "{told}");
+}
+
+#[test]
+fn what_is_odd_about_the_points_is_said() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut reconstruction = line(3);
+    reconstruction.points[0].position[1] = f64::NAN;
+    reconstruction.points[1].track.clear();
+    write(dir.path(), &reconstruction);
+    let notes = open(dir.path()).unwrap().notes.join("\n");
+    assert!(notes.contains("1 of 4 points lie nowhere") && notes.contains("sparse/0"), "{notes}");
+    assert!(notes.contains("1 of 4 points name no photo"), "{notes}");
+
+    let dir = tempfile::tempdir().unwrap();
+    let mut reconstruction = line(1);
+    reconstruction.points.clear();
+    reconstruction.images[0].keypoints.clear();
+    write(dir.path(), &reconstruction);
+    let notes = open(dir.path()).unwrap().notes.join("\n");
+    assert!(notes.contains("there are no points") && notes.contains("there is one photo"), "{notes}");
+
+    let dir = tempfile::tempdir().unwrap();
+    write(dir.path(), &line(3));
+    assert_eq!(open(dir.path()).unwrap().notes, [""; 0], "nothing is odd");
+}
+
+#[test]
+fn one_camera_of_an_unknown_model_does_not_cost_the_others() {
+    let dir = tempfile::tempdir().unwrap();
+    write(dir.path(), &line(3));
+    let sparse = dir.path().join("sparse/0");
+    std::fs::remove_dir_all(&sparse).unwrap();
+    std::fs::create_dir_all(&sparse).unwrap();
+    let text = |name: &str, text: &str| std::fs::write(sparse.join(name), text).unwrap();
+    text("cameras.txt", "7 PINHOLE 40 30 50 50 20 15\n8 EQUIRECTANGULAR 40 30\n");
+    text(
+        "images.txt",
+        "1 1 0 0 0 0 0 0 7 photo00.png\n\n2 1 0 0 0 -0.2 0 0 7 photo01.png\n\n3 1 0 0 0 -0.4 0 0 8 photo02.png\n\n",
+    );
+    text("points3D.txt", "1 0 0 5 9 9 9 0.5\n");
+    let scene = open(dir.path()).unwrap();
+    assert_eq!((scene.views.len(), scene.skipped.len()), (2, 1));
+    let reason = &scene.skipped[0].reason;
+    assert!(reason.contains("camera 8 has the model EQUIRECTANGULAR"), "{reason}");
 }

@@ -221,6 +221,7 @@ mod tests {
             views: vec![],
             points,
             skipped: vec![],
+            notes: vec![],
             frame: Frame { origin: glam::DVec3::ZERO, scale: 1.0 },
         }
     }

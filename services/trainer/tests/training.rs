@@ -77,7 +77,7 @@ fn scene(views: usize) -> Scene {
         })
         .collect();
     let frame = Frame { origin: DVec3::ZERO, scale: 1.0 };
-    Scene { views: (0..views).map(view).collect(), points, skipped: vec![], frame }
+    Scene { views: (0..views).map(view).collect(), points, skipped: vec![], notes: vec![], frame }
 }
 
 const SKY: [f32; 3] = [0.5, 0.7, 0.95];

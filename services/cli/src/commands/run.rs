@@ -7,6 +7,7 @@ use crate::progress::{duration, show, stop_on_ctrl_c};
 use clap::ArgMatches;
 use segwild_flow::{Events, Stopper};
 use segwild_pipeline::{Plan, RunFolder, RunOptions, Settings, Summary, Until, Verdict};
+use segwild_scene::Skipped;
 use std::path::{Path, PathBuf};
 
 /// Runs a scene, or what is left of it.
@@ -98,8 +99,8 @@ pub fn tell(summary: &Summary, out: &Path) -> Result<(), Failure> {
             "stopped at step {step} of the training; a later `--until`, or none, goes on from there"
         ))?;
     }
-    for skipped in &summary.skipped {
-        print_line(&format!("skipped {}: {}", skipped.name, skipped.reason))?;
+    for words in Skipped::in_words(&summary.skipped) {
+        print_line(&words)?;
     }
     if let Some(psnr) = summary.train_psnr {
         print_line(&format!("training photos: {psnr:.2} dB"))?;

@@ -172,7 +172,7 @@ pub(super) fn read(dir: &Path) -> Result<Reconstruction, SceneError> {
     } else {
         Vec::new()
     };
-    Ok(Reconstruction { cameras, images, points })
+    Ok(Reconstruction { cameras, unknown_cameras: Vec::new(), images, points })
 }
 
 /// Writes `cameras.bin`, `images.bin` and `points3D.bin` into `dir`, which is made if it is not there.

@@ -74,6 +74,8 @@ pub struct PointRecord {
 pub struct Reconstruction {
     /// The cameras.
     pub cameras: Vec<CameraRecord>,
+    /// Numbers of cameras whose model is not known here, and its name; their photos cannot be used.
+    pub unknown_cameras: Vec<(u32, String)>,
     /// The photos.
     pub images: Vec<ImageRecord>,
     /// The points.

@@ -62,16 +62,14 @@ fn is_record(line: &str) -> bool {
 pub(super) fn read(dir: &Path) -> Result<Reconstruction, SceneError> {
     let path = dir.join("cameras.txt");
     let text = load(&path)?;
-    let mut cameras = Vec::new();
+    let (mut cameras, mut unknown_cameras) = (Vec::new(), Vec::new());
     for (i, line) in text.lines().enumerate().filter(|(_, l)| is_record(l)) {
         let mut words = Words { path: &path, line: i + 1, rest: line };
         let id = words.value("camera id")?;
         let name: String = words.value("camera model")?;
         let Some(model) = Model::from_name(&name) else {
-            return Err(words.invalid(format!(
-                "camera {id} has the model {name}, which is not known here; \
-                 undistort the photos with COLMAP (image_undistorter) first"
-            )));
+            unknown_cameras.push((id, name));
+            continue;
         };
         let (width, height) = (words.value("width")?, words.value("height")?);
         let mut params = Vec::with_capacity(model.param_count());
@@ -128,7 +126,7 @@ pub(super) fn read(dir: &Path) -> Result<Reconstruction, SceneError> {
             points.push(PointRecord { id, position, colour, error, track });
         }
     }
-    Ok(Reconstruction { cameras, images, points })
+    Ok(Reconstruction { cameras, unknown_cameras, images, points })
 }
 
 /// Writes `cameras.txt`, `images.txt` and `points3D.txt` into `dir`, which is made if it is not there.

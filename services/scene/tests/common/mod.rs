@@ -73,7 +73,7 @@ pub fn line(n: u32) -> Reconstruction {
         error: 0.5,
         track: (0..n).map(|i| (100 + i, k as u32)).collect(),
     });
-    Reconstruction { cameras: vec![camera], points: points.collect(), images }
+    Reconstruction { cameras: vec![camera], unknown_cameras: vec![], points: points.collect(), images }
 }
 
 /// Writes a scene folder: `sparse/0` and a photo for every image.
