@@ -37,6 +37,8 @@ pub enum Fault {
     Endless,
     /// Asks for 4.8 GB on its way.
     Huge,
+    /// The same, known when the file is loaded.
+    HugeAtOnce,
 }
 
 /// An encoder's file.
@@ -103,6 +105,12 @@ pub fn encoder(takes: Takes, fault: Fault) -> Vec<u8> {
             let (go, start) = (g.truth(true), g.floats(&[1], &[0.0]));
             let end = g.op("Loop", &["", &go, &start], vec![("body", Graph(body))]);
             all = g.op("Add", &[&all, &end], vec![]);
+        }
+        Fault::HugeAtOnce => {
+            let shape = g.ints(&[4], &[40_000, 30_000, 1, 1]);
+            let zeros = g.op("ConstantOfShape", &[&shape], vec![]);
+            let sum = g.op("ReduceMax", &[&zeros], vec![("keepdims", Int(1))]);
+            all = g.op("Add", &[&all, &sum], vec![]);
         }
         Fault::Huge => {
             // Its size is worked out from the photo, so that it is not known before.
