@@ -2,7 +2,7 @@
 
 use segwild_flow::Lease;
 use segwild_scene::{Embedding, Image, Mask, Prompts, ScoredMask};
-use segwild_vision::{Embedder, MaskProposer, PromptSegmenter, Providers, SkyDetector, VisionError};
+use segwild_vision::{Embedder, MaskProposer, PromptSegmenter, Providers, SkyDetector, VisionError, Work};
 use std::sync::{Arc, LazyLock};
 
 /// The one accelerator, for whatever this process computes on it. A batch gives it to one process at a time.
@@ -43,6 +43,9 @@ impl MaskProposer for Leased<dyn MaskProposer> {
     fn propose(&self, image: &Image, points: &[[f32; 2]]) -> Result<Vec<ScoredMask>, VisionError> {
         let _held = accelerator().acquire("masks");
         self.0.propose(image, points)
+    }
+    fn work(&self) -> Option<Work> {
+        self.0.work()
     }
 }
 

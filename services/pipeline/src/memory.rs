@@ -117,6 +117,8 @@ pub(crate) fn within_budget(settings: &Settings, scene: &Scene) -> Result<Settin
             "this run needs about {need}, and --memory-budget allows {budget}: give more, or lower --splats or --size"
         )));
     }
+    // Networks hold what their file takes, which nobody knows before; more than the whole budget they are not given.
+    settings.vision.network_memory = settings.vision.network_memory.min(settings.run.memory_budget);
     let spare = ((budget as f64 - fixed(&settings, scene)) / PER_CACHED) as usize;
     settings.vision.vision_memory = settings.vision.vision_memory.min((spare / 2) as u32);
     let rest = spare - settings.vision.vision_memory as usize;

@@ -5,10 +5,14 @@ mod builtin;
 mod networks;
 mod onnx;
 mod provider;
+mod registry;
+mod sam;
 mod settings;
 
 pub use builtin::{Builtin, EdgeDetector, Meaning, Question, Step, Weights};
 pub use networks::{EdgeNetwork, SkyNetwork};
 pub use onnx::Runtime;
-pub use provider::{Embedder, MaskProposer, PromptSegmenter, SkyDetector, VisionError};
-pub use settings::{EdgeChoice, Providers, SkyChoice, VisionSettings};
+pub use provider::{Embedder, MaskProposer, PromptSegmenter, SkyDetector, VisionError, Work};
+pub use registry::{Family, ModelFile, models_in};
+pub use sam::Sam;
+pub use settings::{DeviceChoice, EdgeChoice, ModelChoice, Providers, SkyChoice, VisionSettings};

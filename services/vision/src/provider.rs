@@ -13,6 +13,31 @@ pub enum VisionError {
     Image(String),
 }
 
+/// What a network did so far: for reports of its speed.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Work {
+    /// Pictures encoded; one that is still known from before is not encoded again.
+    pub encoded: u64,
+    /// Seconds that took.
+    pub encode_s: f64,
+    /// Prompts answered.
+    pub prompts: u64,
+    /// Seconds that took, the masks' scaling to the photo included.
+    pub decode_s: f64,
+}
+
+impl Work {
+    /// Seconds per picture; `None` before the first.
+    pub fn seconds_per_picture(&self) -> Option<f64> {
+        (self.encoded > 0).then(|| self.encode_s / self.encoded as f64)
+    }
+
+    /// Prompts per second; `None` before the first.
+    pub fn prompts_per_second(&self) -> Option<f64> {
+        (self.prompts > 0 && self.decode_s > 0.0).then(|| self.prompts as f64 / self.decode_s)
+    }
+}
+
 /// Dense descriptors for the feature field.
 pub trait Embedder: Send + Sync {
     /// Names the model and its parameters; part of every cache key made with it (method, section 8).
@@ -36,6 +61,10 @@ pub trait MaskProposer: Send + Sync {
     /// Masks that the points lie in, unfiltered; several nested ones per point are welcome. `points` are
     /// pixel positions.
     fn propose(&self, image: &Image, points: &[[f32; 2]]) -> Result<Vec<ScoredMask>, VisionError>;
+    /// What it did so far, if it counts.
+    fn work(&self) -> Option<Work> {
+        None
+    }
 }
 
 /// The mask a person's prompts mean.

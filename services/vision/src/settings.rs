@@ -1,6 +1,7 @@
 //! Settings of the vision models, and the providers that they name.
 
-use crate::onnx::Runtime;
+use crate::onnx::{MEMORY_MIB, Runtime};
+use crate::registry::{DEEPLAB, EDGES, SKY};
 use crate::{
     Builtin, EdgeDetector, EdgeNetwork, Embedder, MaskProposer, PromptSegmenter, SkyDetector, SkyNetwork,
     VisionError,
@@ -37,24 +38,65 @@ segwild_scene::choice! {
     }
 }
 
+segwild_scene::choice! {
+    /// What describes photos, or what finds masks.
+    pub enum ModelChoice {
+        /// SAM if its files are in the models' folder, else the built-in provider.
+        Auto = "auto",
+        /// The built-in provider.
+        Builtin = "builtin",
+        /// SAM; an error without its files.
+        Sam = "sam",
+    }
+}
+
+segwild_scene::choice! {
+    /// Where SAM computes.
+    pub enum DeviceChoice {
+        /// On CUDA if the ONNX Runtime has it and it works, else on the CPU.
+        Auto = "auto",
+        /// On the CPU.
+        Cpu = "cpu",
+        /// On CUDA; an error without it.
+        Cuda = "cuda",
+    }
+}
+
 segwild_scene::settings! {
     /// How photos are looked at: boundaries, regions, descriptors, sky.
     pub struct VisionSettings("vision") {
-        /// Folder of network files (`edges_bsds.onnx`, `sky_small_384.onnx`, `deeplab_cityscapes_513.onnx`).
+        /// Folder of network files (`edges_bsds.onnx`, `sky_small_384.onnx`, `deeplab_cityscapes_513.onnx`, and pairs of
+        /// the SAM family such as `mobile_sam_encoder.onnx` and `mobile_sam_decoder.onnx`).
         /// Empty: no network is used and the built-in provider does everything.
         models: String = String::new(),
         /// Where boundaries come from: auto, builtin or network.
         edges: EdgeChoice = EdgeChoice::Auto,
         /// How the sky is found: auto, builtin, network, deeplab or none.
         sky: SkyChoice = SkyChoice::Auto,
+        /// What finds masks and answers clicks: auto (SAM if its files are there), builtin or sam.
+        masks: ModelChoice = ModelChoice::Auto,
+        /// What describes photos for the feature field: auto (SAM if its files are there), builtin or sam.
+        embedder: ModelChoice = ModelChoice::Auto,
+        /// Stem of the names of SAM's files (`mobile_sam`, `sam_vit_b`, ..). Empty: the first that is there, lightest first.
+        sam: String = String::new(),
+        /// Where SAM computes: auto (CUDA where the ONNX Runtime has it), cpu or cuda.
+        network_device: DeviceChoice = DeviceChoice::Auto,
+        /// How far SAM's threshold moves, up and down, to tell how stable a mask is (in logits).
+        stability_offset: f32 = 1.0 => 0.0..=100.0,
         /// The ONNX Runtime library, which runs the networks. Empty: ORT_DYLIB_PATH, the system's library folders,
         /// then Python's onnxruntime package.
         onnxruntime: String = String::new(),
         /// CPU threads per network.
         network_threads: u32 = 1 => 0..=256,
+        /// Most MiB that all networks together may hold; a file that asks for more is refused. The largest SAM encoders need
+        /// more than this on a CPU.
+        network_memory: u32 = MEMORY_MIB => 64..,
+        /// Most seconds that SAM may take for one photo or for one batch of prompts.
+        network_limit: u32 = 600 => 1..,
         /// Probability from which a pixel counts as sky.
         sky_confidence: f32 = 0.5 => 0.0..=1.0,
-        /// Memory in MiB in which photos' analyses are kept for the next prompt; about 8 for a photo of 320 px.
+        /// Memory in MiB in which photos' analyses and SAM's embeddings are kept for the next prompt; about 8 for a photo of
+        /// 320 px, and 4 for an embedding.
         vision_memory: u32 = 256,
     }
 }
@@ -122,13 +164,26 @@ impl Providers {
             )));
         }
         let mut notes = Vec::new();
+        let sam = crate::sam::chosen(settings, &mut notes)?;
         let edges = edges(settings, &mut notes)?;
         let builtin = match edges {
             Some(edges) => Builtin::with_edges(edges),
             None => Builtin::new(),
         };
-        let builtin = Arc::new(builtin.within(settings.vision_memory as usize * (1 << 20)));
-        notes.push("descriptors, masks and refinement: built-in".into());
+        // SAM's embeddings and the built-in provider's analyses share what photos may take.
+        let shares = if sam.is_some() { 2 } else { 1 };
+        let builtin = Arc::new(builtin.within(settings.vision_memory as usize * (1 << 20) / shares));
+        let by_sam = |choice: ModelChoice| sam.clone().filter(|_| choice != ModelChoice::Builtin);
+        let without = match (settings.models.is_empty(), &sam) {
+            (false, None) => " (SAM is not there, or not asked for)",
+            _ => "",
+        };
+        let told = |what: &str, sam: bool| match sam {
+            true => format!("{what}: SAM"),
+            false => format!("{what}: built-in{without}"),
+        };
+        notes.push(told("descriptors", by_sam(settings.embedder).is_some()));
+        notes.push(told("masks, clicks and refinement", by_sam(settings.masks).is_some()));
         let sky: Arc<dyn SkyDetector> = match sky(settings, &mut notes)? {
             Some(network) => network,
             None if settings.sky == SkyChoice::None => {
@@ -140,7 +195,16 @@ impl Providers {
                 builtin.clone()
             }
         };
-        Ok(Providers { embedder: builtin.clone(), proposer: builtin.clone(), segmenter: builtin, sky, notes })
+        let embedder: Arc<dyn Embedder> = match by_sam(settings.embedder) {
+            Some(sam) => sam,
+            None => builtin.clone(),
+        };
+        let (proposer, segmenter): (Arc<dyn MaskProposer>, Arc<dyn PromptSegmenter>) =
+            match by_sam(settings.masks) {
+                Some(sam) => (sam.clone(), sam),
+                None => (builtin.clone(), builtin),
+            };
+        Ok(Providers { embedder, proposer, segmenter, sky, notes })
     }
 }
 
@@ -153,11 +217,11 @@ fn edges(
         notes.push("boundaries: built-in detector".into());
         return Ok(None);
     }
-    let Some(path) = file(settings, "edges_bsds.onnx", demanded)? else {
+    let Some(path) = file(settings, EDGES, demanded)? else {
         notes.push("boundaries: built-in detector (no edge network given)".into());
         return Ok(None);
     };
-    let network = Runtime::find(&settings.onnxruntime)
+    let network = Runtime::find_within(&settings.onnxruntime, settings.network_memory)
         .and_then(|runtime| EdgeNetwork::load(&runtime, &path, settings.network_threads));
     match network {
         Ok(network) => {
@@ -177,16 +241,17 @@ fn sky(
     notes: &mut Vec<String>,
 ) -> Result<Option<Arc<dyn SkyDetector>>, VisionError> {
     let names: &[(&str, bool)] = match settings.sky {
-        SkyChoice::Auto => &[("sky_small_384.onnx", false), ("deeplab_cityscapes_513.onnx", false)],
-        SkyChoice::Network => &[("sky_small_384.onnx", true)],
-        SkyChoice::Deeplab => &[("deeplab_cityscapes_513.onnx", true)],
+        SkyChoice::Auto => &[(SKY, false), (DEEPLAB, false)],
+        SkyChoice::Network => &[(SKY, true)],
+        SkyChoice::Deeplab => &[(DEEPLAB, true)],
         SkyChoice::Builtin | SkyChoice::None => &[],
     };
     for &(name, demanded) in names {
         let Some(path) = file(settings, name, demanded)? else { continue };
-        let network = Runtime::find(&settings.onnxruntime).and_then(|runtime| {
-            SkyNetwork::load(&runtime, &path, settings.network_threads, settings.sky_confidence)
-        });
+        let network =
+            Runtime::find_within(&settings.onnxruntime, settings.network_memory).and_then(|runtime| {
+                SkyNetwork::load(&runtime, &path, settings.network_threads, settings.sky_confidence)
+            });
         match network {
             Ok(network) => {
                 notes.push(format!("sky: network {}", path.display()));

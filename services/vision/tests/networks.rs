@@ -80,7 +80,7 @@ fn what_does_not_fit_is_said_in_words() {
     assert!(text(EdgeChoice::Network, SkyChoice::None).contains("answers 19 maps"));
     std::fs::write(folder.path().join("sky_small_384.onnx"), b"no network").unwrap();
     assert!(
-        text(EdgeChoice::Builtin, SkyChoice::Network).contains("is no network that ONNX Runtime can load")
+        text(EdgeChoice::Builtin, SkyChoice::Network).contains("sky_small_384.onnx: is no whole ONNX file")
     );
     assert!(text(EdgeChoice::Builtin, SkyChoice::Deeplab).contains("has no such file"));
     // Where it is left to the program, it goes on without and says why.

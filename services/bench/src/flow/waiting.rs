@@ -2,7 +2,7 @@
 //! a count of how often any provider is called.
 
 use segwild_scene::{Embedding, Image, Mask, Prompts, ScoredMask};
-use segwild_vision::{Embedder, MaskProposer, PromptSegmenter, Providers, SkyDetector, VisionError};
+use segwild_vision::{Embedder, MaskProposer, PromptSegmenter, Providers, SkyDetector, VisionError, Work};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
@@ -144,6 +144,9 @@ impl MaskProposer for Counted {
     fn propose(&self, image: &Image, points: &[[f32; 2]]) -> Result<Vec<ScoredMask>, VisionError> {
         self.1.one();
         self.0.proposer.propose(image, points)
+    }
+    fn work(&self) -> Option<Work> {
+        self.0.proposer.work()
     }
 }
 

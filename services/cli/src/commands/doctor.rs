@@ -4,7 +4,7 @@ use super::{path, print_json, print_line};
 use crate::failure::Failure;
 use clap::ArgMatches;
 use segwild_pipeline::Settings;
-use segwild_vision::{Providers, Runtime, VisionSettings};
+use segwild_vision::{ModelFile, Providers, Runtime, VisionSettings, models_in};
 
 /// Says what this machine offers and what is used instead of what is missing.
 pub fn doctor(matches: &ArgMatches) -> Result<(), Failure> {
@@ -18,11 +18,24 @@ pub fn doctor(matches: &ArgMatches) -> Result<(), Failure> {
     found.push((
         "ONNX Runtime",
         match Runtime::find("") {
-            Ok(runtime) => runtime.library().display().to_string(),
+            Ok(runtime) => {
+                let cuda = if runtime.has_cuda() { "with CUDA" } else { "CPU only" };
+                format!("{} ({cuda})", runtime.library().display())
+            }
             Err(error) => format!("not usable: {error}. The built-in provider needs none."),
         },
     ));
     let models = path(matches, "models");
+    match &models {
+        None => found.push(("networks", "no folder of models is given (`--models`)".into())),
+        Some(folder) => match models_in(folder) {
+            Ok(files) if files.is_empty() => {
+                found.push(("networks", format!("{} holds no .onnx file", folder.display())));
+            }
+            Ok(files) => found.extend(files.iter().map(|file| ("network", described(file)))),
+            Err(error) => found.push(("networks", error.to_string())),
+        },
+    }
     let settings = VisionSettings {
         models: models.map_or(String::new(), |p| p.display().to_string()),
         ..VisionSettings::default()
@@ -40,4 +53,19 @@ pub fn doctor(matches: &ArgMatches) -> Result<(), Failure> {
         print_line(&format!("{what:>14}  {is}"))?;
     }
     Ok(())
+}
+
+/// A network file in one line: what it is by its name, how large, its hash, its terms.
+fn described(file: &ModelFile) -> String {
+    let what = match (file.family, file.role) {
+        (Some(family), Some(role)) => format!("{}, {role}", family.name()),
+        (None, Some(role)) => format!("{role} of an unknown family (`--sam` takes it by name)"),
+        _ => "a name that is not known: not used".into(),
+    };
+    let licence = file.family.map_or("not known: ask where it came from", |f| f.licence());
+    let mb = file.bytes as f64 / 1e6;
+    match &file.hash {
+        Ok(hash) => format!("{}: {what}, {mb:.1} MB, BLAKE3 {hash}, licence: {licence}", file.name),
+        Err(reason) => format!("{}: {what}, cannot be used: {reason}", file.name),
+    }
 }

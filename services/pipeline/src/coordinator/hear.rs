@@ -40,6 +40,10 @@ impl Coordinator<'_> {
                 self.view_done("masks", view, &key, masks.as_ref().err(), seconds, &mut bars.masks)?;
                 self.masks_known.set(view, masks.is_ok());
                 self.state.masks_open -= 1;
+                self.state.mask_speed.add(seconds, bars.geometry.is_some());
+                if self.state.masks_open == 0 {
+                    self.state.mask_speed.tell(&self.options.events);
+                }
                 self.close("masks", self.state.masks_open, &mut bars.masks)
             }
             Outcome::Feature(FeatureOutcome::Embedded { view, seconds }) => {
@@ -136,6 +140,7 @@ impl Coordinator<'_> {
                 if let Some(bar) = bars.geometry.take() {
                     bar.finish();
                 }
+                self.state.mask_speed.training_ended();
                 for s in skipped {
                     if !self.state.skipped.iter().any(|known| known.name == s.name) {
                         self.options

@@ -9,6 +9,7 @@
 
 mod begin;
 mod hear;
+mod speed;
 
 use crate::artefacts::Keys;
 use crate::board::Board;
@@ -28,6 +29,7 @@ use segwild_raster::Engine;
 use segwild_scene::{Scene, Skipped};
 use segwild_trainer::{Model, TrainActor, TrainOrder, TrainOutcome};
 use segwild_vision::Providers;
+use speed::MaskSpeed;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -66,6 +68,8 @@ pub struct State {
     pub made: usize,
     pub cached: usize,
     pub failed: Option<(&'static str, String)>,
+    /// How fast masks were made.
+    pub mask_speed: MaskSpeed,
 }
 
 /// Its name among the actors.
@@ -199,6 +203,7 @@ impl Coordinator<'_> {
             })
         })?;
 
+        self.state.mask_speed = MaskSpeed::of(providers.proposer.clone());
         let guest = system.guest(NAME)?;
         let outcome = self.conduct(&system, &guest, Inboxes { masks, features, training, own }, &inbox);
         drop(guest);

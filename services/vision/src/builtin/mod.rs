@@ -28,7 +28,7 @@ mod weights;
 use crate::{Embedder, MaskProposer, PromptSegmenter, SkyDetector, VisionError};
 use analysis::Analysis;
 pub(crate) use analysis::check;
-use memory::{Memory, Weighed};
+pub(crate) use memory::{Memory, Weighed};
 use plane::Plane;
 use segwild_scene::{Embedding, Image, Mask, Prompts, ScoredMask};
 use select::Means;
@@ -257,7 +257,7 @@ impl Builtin {
 }
 
 /// Hash of a photo's size and numbers.
-fn content(image: &Image) -> blake3::Hash {
+pub(crate) fn content(image: &Image) -> blake3::Hash {
     let mut hasher = blake3::Hasher::new();
     for n in [image.width, image.height, image.channels] {
         hasher.update(&(n as u64).to_le_bytes());

@@ -1,19 +1,22 @@
-//! ONNX Runtime, found at run time, and networks that take one photo.
+//! ONNX Runtime, found at run time.
 
 use crate::VisionError;
+use ort::AsPointer;
 use ort::environment::Environment;
-use ort::session::Session;
-use ort::value::{Tensor, TensorElementType};
-use segwild_scene::Image;
+use ort::ep::ExecutionProvider;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 /// The loaded runtime. There is one per process: the first one found serves until the end.
 #[derive(Clone)]
 pub struct Runtime {
-    environment: Environment,
+    pub(super) environment: Environment,
     library: PathBuf,
 }
+
+/// MiB that networks may hold when nothing else is said: the base encoders of the SAM family take about 3000, the
+/// largest one twice as much.
+pub(crate) const MEMORY_MIB: u32 = 4096;
 
 static LOADED: Mutex<Option<Runtime>> = Mutex::new(None);
 
@@ -22,13 +25,18 @@ impl Runtime {
     /// system's library folders, else inside Python's `onnxruntime` package. What is there but cannot be used (not a
     /// library, too old) is named in the error, with what to do.
     pub fn find(path: &str) -> Result<Runtime, VisionError> {
+        Runtime::find_within(path, MEMORY_MIB)
+    }
+
+    /// As [`Runtime::find`]; all networks together may hold that many MiB on the CPU. Who loads the runtime decides.
+    pub(crate) fn find_within(path: &str, memory_mib: u32) -> Result<Runtime, VisionError> {
         let mut loaded = LOADED.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(runtime) = &*loaded {
             return Ok(runtime.clone());
         }
         let mut refused = Vec::new();
         for library in candidates(path) {
-            match load(&library) {
+            match load(&library, memory_mib as usize * (1 << 20)) {
                 Ok(environment) => {
                     tracing::info!(library = %library.display(), "ONNX Runtime loaded");
                     return Ok(loaded.insert(Runtime { environment, library }).clone());
@@ -48,17 +56,57 @@ impl Runtime {
     pub fn library(&self) -> &Path {
         &self.library
     }
+
+    /// Whether the library was built with CUDA. Whether CUDA works here shows when a network is loaded.
+    pub fn has_cuda(&self) -> bool {
+        ort::ep::CUDA::is_available().unwrap_or(false)
+    }
+}
+
+/// Gives the runtime one allocator with a limit; networks use it instead of one of their own without any. What does not
+/// fit is refused before its memory is touched.
+fn limit_memory(environment: &Environment, bytes: usize) -> Result<(), String> {
+    let api = ort::api();
+    let failed = |status: ort::sys::OrtStatusPtr| -> Result<(), String> {
+        // SAFETY: the status comes from the call just made and is handed over.
+        unsafe { ort::Error::result_from_status(status) }.map_err(|e| e.to_string())
+    };
+    let (mut info, mut arena) = (std::ptr::null_mut(), std::ptr::null_mut());
+    // As much as is asked for and no more, the runtime's usual chunks otherwise.
+    let (as_requested, usual) = (1, -1);
+    // SAFETY: both calls only write the pointers they are given; what they made is released below, on every way out.
+    // The runtime copies what it needs of both when it registers the allocator.
+    unsafe {
+        let kind = ort::sys::OrtAllocatorType::OrtArenaAllocator;
+        let made =
+            failed((api.CreateCpuMemoryInfo)(kind, ort::sys::OrtMemType::OrtMemTypeDefault, &mut info))
+                .and_then(|()| failed((api.CreateArenaCfg)(bytes, as_requested, usual, usual, &mut arena)))
+                .and_then(|()| {
+                    let environment = environment.ptr().cast_mut();
+                    failed((api.CreateAndRegisterAllocator)(environment, info, arena))
+                });
+        if !arena.is_null() {
+            (api.ReleaseArenaCfg)(arena);
+        }
+        if !info.is_null() {
+            (api.ReleaseMemoryInfo)(info);
+        }
+        made
+    }
 }
 
 /// Loads one library. Whatever goes wrong inside becomes a sentence.
-fn load(library: &Path) -> Result<Environment, String> {
+fn load(library: &Path, memory: usize) -> Result<Environment, String> {
     let attempt = || -> Result<Environment, String> {
         let builder = ort::init_from(library).map_err(|e| e.to_string())?;
-        builder
+        let environment = builder
             .with_name("segwild")
             .with_telemetry(false)
             .build()
-            .map_err(|e| format!("{} does not start: {e}", library.display()))
+            .map_err(|e| format!("{} does not start: {e}", library.display()))?;
+        limit_memory(&environment, memory)
+            .map_err(|e| format!("{} takes no limit of memory: {e}", library.display()))?;
+        Ok(environment)
     };
     // ort asserts a few things about the library instead of returning an error.
     std::panic::catch_unwind(attempt)
@@ -145,115 +193,4 @@ fn libraries_in(folder: &Path, found: &mut Vec<PathBuf>) {
         })
     };
     found.extend(entries(folder).into_iter().filter(is_library).rev());
-}
-
-/// A network of one photo in, one map out.
-pub(crate) struct Network {
-    session: Mutex<Session>,
-    input: String,
-    output: String,
-    /// Height and width the photo must have; `None` where the file leaves it open.
-    pub size: [Option<usize>; 2],
-    /// Channels of the answer, where the file says.
-    pub answers: Option<usize>,
-    name: String,
-    key: String,
-}
-
-impl Network {
-    /// Loads a file and checks that it takes `[1, 3, h, w]` and answers `[1, c, h, w]`.
-    pub fn load(runtime: &Runtime, path: &Path, threads: u32) -> Result<Network, VisionError> {
-        let name = path.display().to_string();
-        let wrong = |what: String| VisionError::Model(format!("{name}: {what}"));
-        let bytes = std::fs::read(path).map_err(|e| wrong(format!("cannot be read: {e}")))?;
-        let key = blake3::hash(&bytes).to_hex()[..16].to_owned();
-        let build = || -> Result<Session, String> {
-            let text = |e: ort::Error<ort::session::builder::SessionBuilder>| e.to_string();
-            Session::builder(&runtime.environment)
-                .map_err(|e| e.to_string())?
-                .with_intra_threads(threads.max(1) as usize)
-                .map_err(text)?
-                .with_inter_threads(1)
-                .map_err(text)?
-                .with_deterministic_compute(true)
-                .map_err(text)?
-                .with_log_level(ort::logging::LogLevel::Error)
-                .map_err(text)?
-                .commit_from_memory(&bytes)
-                .map_err(|e| e.to_string())
-        };
-        let session = build().map_err(|e| wrong(format!("is no network that ONNX Runtime can load: {e}")))?;
-        let [input] = session.inputs() else {
-            let names: Vec<&str> = session.inputs().iter().map(|i| i.name()).collect();
-            return Err(wrong(format!(
-                "takes {} inputs ({}); one photo was expected",
-                names.len(),
-                names.join(", ")
-            )));
-        };
-        let shape: Vec<i64> = input.dtype().tensor_shape().map(|s| s.to_vec()).unwrap_or_default();
-        if input.dtype().tensor_type() != Some(TensorElementType::Float32)
-            || shape.len() != 4
-            || !matches!(shape[0], 1 | -1)
-            || !matches!(shape[1], 3 | -1)
-        {
-            return Err(wrong(format!(
-                "its input `{}` is {}; float32 [1, 3, h, w] was expected",
-                input.name(),
-                input.dtype()
-            )));
-        }
-        let Some(output) = session.outputs().first() else { return Err(wrong("has no output".into())) };
-        let answer: Vec<i64> = output.dtype().tensor_shape().map(|s| s.to_vec()).unwrap_or_default();
-        if output.dtype().tensor_type() != Some(TensorElementType::Float32) || answer.len() != 4 {
-            return Err(wrong(format!(
-                "its output `{}` is {}; float32 [1, c, h, w] was expected",
-                output.name(),
-                output.dtype()
-            )));
-        }
-        let open = |n: i64| usize::try_from(n).ok().filter(|&n| n > 0);
-        let (input, output) = (input.name().to_owned(), output.name().to_owned());
-        Ok(Network {
-            size: [open(shape[2]), open(shape[3])],
-            answers: open(answer[1]),
-            session: Mutex::new(session),
-            input,
-            output,
-            name,
-            key,
-        })
-    }
-
-    /// The file's name, for messages.
-    pub fn name(&self) -> &str {
-        &self.name
-    }
-
-    /// Hash of the file (16 hexadecimal digits).
-    pub fn key(&self) -> &str {
-        &self.key
-    }
-
-    /// Runs the network on three planes that already have its size and value range.
-    pub fn run(&self, planes: Image) -> Result<Image, VisionError> {
-        let wrong = |what: String| VisionError::Model(format!("{}: {what}", self.name));
-        let (h, w) = (planes.height, planes.width);
-        let tensor = Tensor::from_array(([1usize, 3, h, w], planes.data))
-            .map_err(|e| wrong(format!("takes no photo: {e}")))?;
-        let mut session = self.session.lock().unwrap_or_else(PoisonError::into_inner);
-        let outputs = session
-            .run(ort::inputs! { self.input.as_str() => tensor })
-            .map_err(|e| wrong(format!("fails on a photo of {w} x {h}: {e}")))?;
-        let value = outputs.get(&self.output).ok_or_else(|| wrong(format!("gave no `{}`", self.output)))?;
-        let (shape, data) =
-            value.try_extract_tensor::<f32>().map_err(|e| wrong(format!("gave no numbers: {e}")))?;
-        let size: Vec<usize> = shape.iter().map(|&n| usize::try_from(n).unwrap_or(0)).collect();
-        match size[..] {
-            [1, channels, height, width] if channels * height * width == data.len() && !data.is_empty() => {
-                Ok(Image { width, height, channels, data: data.to_vec() })
-            }
-            _ => Err(wrong(format!("answered {size:?}; [1, c, h, w] was expected"))),
-        }
-    }
 }

@@ -1,0 +1,192 @@
+//! A loaded network: what it takes and answers, and running it within a limit of time.
+
+use super::{Runtime, inspect};
+use crate::VisionError;
+use ort::session::builder::SessionBuilder;
+use ort::session::{RunOptions, Session, SessionInputValue};
+use ort::value::{Outlet, TensorElementType};
+use std::path::Path;
+use std::sync::mpsc;
+use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
+
+/// Where a network computes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Device {
+    Cpu,
+    Cuda,
+}
+
+/// How a network is run.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Options {
+    pub threads: u32,
+    pub device: Device,
+    /// Longest that one run may take.
+    pub limit: Duration,
+    /// Most MiB on the accelerator.
+    pub memory_mib: u32,
+}
+
+/// An input or output as the file declares it.
+#[derive(Clone, Debug)]
+pub(crate) struct Slot {
+    pub name: String,
+    pub kind: Option<TensorElementType>,
+    /// `None` where the size is left open.
+    pub shape: Vec<Option<usize>>,
+}
+
+impl Slot {
+    fn of(outlet: &Outlet) -> Slot {
+        let size = |&n: &i64| usize::try_from(n).ok().filter(|&n| n > 0);
+        let shape = outlet.dtype().tensor_shape().map(|s| s.iter().map(size).collect()).unwrap_or_default();
+        Slot { name: outlet.name().to_owned(), kind: outlet.dtype().tensor_type(), shape }
+    }
+
+    /// In words: `float32 [1, 256, ?, ?]`.
+    pub fn words(&self) -> String {
+        let kind = match self.kind {
+            None => "no tensor".to_owned(),
+            Some(TensorElementType::Float32) => "float32".to_owned(),
+            Some(TensorElementType::Uint8) => "uint8".to_owned(),
+            Some(TensorElementType::Int64) => "int64".to_owned(),
+            Some(other) => other.to_string(),
+        };
+        let sizes: Vec<String> = self.shape.iter().map(|n| n.map_or("?".into(), |n| n.to_string())).collect();
+        format!("{kind} [{}]", sizes.join(", "))
+    }
+}
+
+/// Numbers that a network gave.
+pub(crate) struct Answer {
+    pub shape: Vec<usize>,
+    pub data: Vec<f32>,
+}
+
+/// A loaded network.
+pub(crate) struct Model {
+    session: Mutex<Session>,
+    pub inputs: Vec<Slot>,
+    pub outputs: Vec<Slot>,
+    name: String,
+    hash: String,
+    limit: Duration,
+}
+
+impl Model {
+    /// Looks through a file and loads it.
+    pub fn load(runtime: &Runtime, path: &Path, options: Options) -> Result<Model, VisionError> {
+        let name = path.display().to_string();
+        let wrong = |what: String| VisionError::Model(format!("{name}: {what}"));
+        let file = inspect(path).map_err(wrong)?;
+        let build = || -> Result<Session, String> {
+            let text = |e: ort::Error<SessionBuilder>| e.to_string();
+            let mut builder = Session::builder(&runtime.environment)
+                .map_err(|e| e.to_string())?
+                .with_intra_threads(options.threads as usize)
+                .map_err(text)?
+                .with_inter_threads(1)
+                .map_err(text)?
+                .with_deterministic_compute(true)
+                .map_err(text)?
+                .with_env_allocators()
+                .map_err(text)?
+                // What goes wrong comes back in words; the runtime need not print it as well.
+                .with_log_level(ort::logging::LogLevel::Fatal)
+                .map_err(text)?;
+            if options.device == Device::Cuda {
+                let cuda = ort::ep::CUDA::default()
+                    .with_memory_limit(options.memory_mib as usize * (1 << 20))
+                    .with_conv_algorithm_search(ort::ep::cuda::ConvAlgorithmSearch::Heuristic);
+                builder =
+                    builder.with_execution_providers([cuda.build().error_on_failure()]).map_err(text)?;
+            }
+            // Weights in other files are looked for beside the file, and not where the program happens to run.
+            let session = match file.beside {
+                true => builder.commit_from_file(path),
+                false => builder.commit_from_memory(&file.bytes),
+            };
+            session.map_err(|e| e.to_string())
+        };
+        let session = build().map_err(|e| match options.device {
+            Device::Cuda => wrong(format!("cannot be loaded on CUDA: {e}")),
+            Device::Cpu => wrong(format!("is no network that ONNX Runtime can load: {}", plain(&e))),
+        })?;
+        Ok(Model {
+            inputs: session.inputs().iter().map(Slot::of).collect(),
+            outputs: session.outputs().iter().map(Slot::of).collect(),
+            session: Mutex::new(session),
+            hash: file.hash,
+            limit: options.limit,
+            name,
+        })
+    }
+
+    /// The file's name, for messages.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Hash of the file (16 hexadecimal digits).
+    pub fn key(&self) -> &str {
+        &self.hash[..16]
+    }
+
+    /// What is wrong, with the file's name.
+    pub fn wrong(&self, what: impl Into<String>) -> VisionError {
+        VisionError::Model(format!("{}: {}", self.name, what.into()))
+    }
+
+    /// Runs the network and takes the named outputs. `on` says what it is run on, for messages.
+    pub fn run(
+        &self,
+        inputs: Vec<(&str, SessionInputValue)>,
+        outputs: &[&str],
+        on: &str,
+    ) -> Result<Vec<Answer>, VisionError> {
+        let failed = |e: ort::Error| self.wrong(format!("fails on {on}: {}", plain(&e.to_string())));
+        let mut session = self.session.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut options = RunOptions::new().map_err(failed)?;
+        options.set_log_level(ort::logging::LogLevel::Fatal).map_err(failed)?;
+        // A file from a stranger may hold a loop without end.
+        let (done, over) = mpsc::channel::<()>();
+        std::thread::scope(|scope| {
+            let watch = std::thread::Builder::new().name("network limit".into());
+            let watched = watch.spawn_scoped(scope, {
+                let (options, limit) = (&options, self.limit);
+                move || {
+                    let late = over.recv_timeout(limit) == Err(mpsc::RecvTimeoutError::Timeout);
+                    late && options.terminate().is_ok()
+                }
+            });
+            let given = session.run_with_options(inputs, &options);
+            drop(done);
+            let late = watched.is_ok_and(|thread| thread.join().unwrap_or(false));
+            let given = given.map_err(|e| match late {
+                true => self.wrong(format!(
+                    "was stopped on {on} after {} seconds (`network_limit` allows more)",
+                    self.limit.as_secs()
+                )),
+                false => failed(e),
+            })?;
+            let answer = |name: &&str| -> Result<Answer, VisionError> {
+                let value = given.get(name).ok_or_else(|| self.wrong(format!("gave no `{name}`")))?;
+                let (shape, data) = value
+                    .try_extract_tensor::<f32>()
+                    .map_err(|e| self.wrong(format!("gave no numbers as `{name}`: {e}")))?;
+                let shape = shape.iter().map(|&n| usize::try_from(n).unwrap_or(0)).collect();
+                Ok(Answer { shape, data: data.to_vec() })
+            };
+            outputs.iter().map(answer).collect()
+        })
+    }
+}
+
+/// The runtime's words, with what to do about them where that is known.
+fn plain(error: &str) -> String {
+    match error.contains("Available memory of") {
+        true => format!("it needs more memory than `network_memory` allows ({error})"),
+        false => error.to_owned(),
+    }
+}

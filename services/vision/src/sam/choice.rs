@@ -1,0 +1,105 @@
+//! Which pair of networks serves, on which device, and what is said when none can.
+
+use super::Sam;
+use crate::onnx::{Device, Runtime};
+use crate::registry::{Pair, pairs};
+use crate::settings::{DeviceChoice, ModelChoice};
+use crate::{VisionError, VisionSettings};
+use std::path::Path;
+use std::sync::Arc;
+
+/// The networks that settings ask for, or leave to be found; `Err` where they are asked for by name and cannot be had.
+/// Without them, a note says why.
+pub(crate) fn chosen(
+    settings: &VisionSettings,
+    notes: &mut Vec<String>,
+) -> Result<Option<Arc<Sam>>, VisionError> {
+    let asked = [settings.masks, settings.embedder];
+    if asked.iter().all(|&choice| choice == ModelChoice::Builtin) {
+        return Ok(None);
+    }
+    let demanded = asked.contains(&ModelChoice::Sam) || !settings.sam.is_empty();
+    match find(settings, notes) {
+        Ok(found) => Ok(found),
+        Err(error) if demanded => Err(error),
+        Err(error) => {
+            notes.push(format!("SAM: not used: {error}"));
+            Ok(None)
+        }
+    }
+}
+
+fn find(settings: &VisionSettings, notes: &mut Vec<String>) -> Result<Option<Arc<Sam>>, VisionError> {
+    let missing = |what: String| Err(VisionError::Model(what));
+    let demanded =
+        [settings.masks, settings.embedder].contains(&ModelChoice::Sam) || !settings.sam.is_empty();
+    if settings.models.is_empty() {
+        return match demanded {
+            false => Ok(None),
+            true => missing(
+                "SAM is asked for, but no folder of models is set: set `models` to the folder that holds its encoder \
+                 and decoder"
+                    .into(),
+            ),
+        };
+    }
+    let (found, wrong) = pairs(Path::new(&settings.models), &settings.sam);
+    let mut found = found.into_iter();
+    let Some(pair) = found.next() else {
+        return match (wrong.is_empty(), demanded) {
+            (false, _) => missing(wrong.join("; ")),
+            (true, false) => Ok(None),
+            (true, true) => {
+                let stem = if settings.sam.is_empty() { "mobile_sam" } else { &settings.sam };
+                missing(format!(
+                    "SAM is asked for, but {} holds no pair of it: `{stem}_encoder.onnx` and `{stem}_decoder.onnx`, for \
+                     instance",
+                    settings.models
+                ))
+            }
+        };
+    };
+    notes.extend(wrong.into_iter().map(|w| format!("SAM: not used: {w}")));
+    let others: Vec<String> = found.map(|p| p.stem).collect();
+    if !others.is_empty() {
+        let others = others.join(", ");
+        notes.push(format!("SAM: {} is taken; there are {others} as well (choose with `sam`)", pair.stem));
+    }
+    let runtime = Runtime::find_within(&settings.onnxruntime, settings.network_memory)?;
+    let sam = load(&runtime, &pair, settings, notes)?;
+    let family = pair.family.map_or("an unknown member of the SAM family", |f| f.name());
+    let licence = pair.family.map_or("ask where the files came from", |f| f.licence());
+    notes.push(format!(
+        "SAM: {family} `{}` (encoder {}, decoder {}), on {}; licence: {licence}",
+        pair.stem,
+        sam.encoder.key(),
+        sam.decoder.key(),
+        if sam.device == Device::Cuda { "CUDA" } else { "the CPU" }
+    ));
+    Ok(Some(Arc::new(sam)))
+}
+
+fn load(
+    runtime: &Runtime,
+    pair: &Pair,
+    settings: &VisionSettings,
+    notes: &mut Vec<String>,
+) -> Result<Sam, VisionError> {
+    let without = || {
+        format!(
+            "the ONNX Runtime {} was built without CUDA (`pip install onnxruntime-gpu` has it)",
+            runtime.library().display()
+        )
+    };
+    match (settings.network_device, runtime.has_cuda()) {
+        (DeviceChoice::Cuda, false) => {
+            Err(VisionError::Model(format!("`network_device` asks for CUDA, but {}", without())))
+        }
+        (DeviceChoice::Cuda, true) => Sam::load(runtime, pair, settings, Device::Cuda),
+        (DeviceChoice::Auto, true) => Sam::load(runtime, pair, settings, Device::Cuda).or_else(|error| {
+            notes.push(format!("SAM: CUDA cannot be used, so the CPU is: {error}"));
+            Sam::load(runtime, pair, settings, Device::Cpu)
+        }),
+        (DeviceChoice::Auto | DeviceChoice::Cpu, _) => Sam::load(runtime, pair, settings, Device::Cpu),
+    }
+}
