@@ -134,9 +134,36 @@ fn one_kept_checkpoint_is_the_newest_and_a_damaged_one_costs_the_training_and_no
     std::fs::write(&newest, bytes).expect("it is written");
     let (_, told) = completes(&again(&run, &one));
     assert!(told.contains("-00000040.bin is passed over"), "{told}");
+    assert!(told.contains("there is none before it: the training begins anew"), "{told}");
     assert!(!told.contains("goes on from step"), "there is none to go on from: {told}");
     assert!(checkpoints().len() <= 1, "{:?}", checkpoints());
     same_as_untouched(&run);
+}
+
+#[test]
+fn checkpoints_are_used_when_the_ledger_is_lost_and_the_loss_is_said() {
+    for (loss, step) in [("has gone", 40), ("is empty", 20)] {
+        let dir = folder();
+        let run = dir.path().join("run");
+        for step in ["20", "40"] {
+            completes(&again(&run, &["--until", step]));
+        }
+        for file in ["run.sqlite-wal", "run.sqlite-shm", "run.sqlite"] {
+            // The first two are there only where the last writer was killed.
+            let _ = std::fs::remove_file(run.join(file));
+        }
+        if loss == "is empty" {
+            std::fs::write(run.join("run.sqlite"), "").expect("it is written");
+            let newest = std::fs::read_dir(run.join("checkpoints")).expect("a folder").flatten();
+            let newest = newest.map(|e| e.path()).max().expect("a checkpoint");
+            std::fs::write(newest, "torn").expect("it is written");
+        }
+        let (_, told) = completes(&again(&run, &[]));
+        assert!(told.contains(&format!("run.sqlite {loss}")), "{told}");
+        assert!(told.contains("is lost; the cache and the checkpoints are kept and used"), "{told}");
+        assert!(told.contains(&format!("goes on from step {step}")), "{told}");
+        same_as_untouched(&run);
+    }
 }
 
 #[test]

@@ -105,6 +105,7 @@ pub fn run(
 ) -> Result<Summary, RunError> {
     let settings = &settings.anchored();
     let began = Instant::now();
+    let lost = lost_ledger(folder);
     let ledger = Ledger::open(folder.ledger())?;
     let record = ledger.clone();
     let _sink = options
@@ -115,6 +116,9 @@ pub fn run(
             }
         })
         .map_err(|e| files::FileError::new("start the event recorder of", folder.path(), e))?;
+    if let Some(words) = lost {
+        options.events.warn(None, words);
+    }
     folder.remove_litter();
     let recorder = Recorder::start(&ledger, &options.events)
         .map_err(|e| files::FileError::new("start the live view of", folder.path(), e))?;
@@ -299,6 +303,25 @@ pub fn run(
         wall_s: began.elapsed().as_secs_f64(),
         peak_bytes: cpu::peak_memory(),
         actors: trace::summary(&report),
+    })
+}
+
+/// What to say of a run whose ledger is empty or has gone, and which has made something before.
+fn lost_ledger(folder: &RunFolder) -> Option<String> {
+    let ledger = folder.ledger();
+    let found = match std::fs::metadata(&ledger) {
+        Ok(data) if data.len() > 0 => return None,
+        Ok(_) => "is empty",
+        Err(_) => "has gone",
+    };
+    let holds = |path: &Path| std::fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_some());
+    let made = holds(&folder.path().join("cache")) || holds(&folder.checkpoints());
+    made.then(|| {
+        format!(
+            "{} {found}: what it said of earlier runs (stages, times, events) is lost; the cache and the checkpoints are \
+             kept and used",
+            ledger.display()
+        )
     })
 }
 

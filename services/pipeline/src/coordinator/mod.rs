@@ -339,7 +339,8 @@ impl Coordinator<'_> {
     fn something_kept(&self) -> Result<bool, RunError> {
         let kept =
             self.cache.contains(&self.full_keys.geometry) || self.cache.contains(&self.full_keys.snapshot);
-        if kept || !self.ledger.checkpoints("geometry", &self.full_keys.training)?.is_empty() {
+        let whole = Keeper { key: &self.full_keys.training, ..self.keeper() };
+        if kept || !whole.rows()?.is_empty() {
             return Ok(true);
         }
         let given_up = |row: ViewRow| {
