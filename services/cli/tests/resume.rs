@@ -79,15 +79,29 @@ fn a_panic_and_a_passing_error_cost_an_attempt_and_nothing_else() {
 }
 
 #[test]
-fn a_trainer_that_panics_ends_the_run_in_words_instead_of_a_wait_for_ever() {
+fn a_trainer_that_panics_twice_ends_the_run_in_words_instead_of_a_wait_for_ever() {
     let dir = folder();
     let run = dir.path().join("run");
-    let output = output(&again(&run, &["--fault", "panic@trainer.handle"]));
+    let output = output(&again(&run, &["--fault", "panic@trainer.handle:1+"]));
     let said = text(&output.stderr);
     assert_eq!(output.status.code(), Some(4), "{said}");
     assert!(said.contains("stage `geometry` failed: panic: a fault on purpose"), "{said}");
     completes(&again(&run, &[]));
     same_as_untouched(&run);
+}
+
+#[test]
+fn a_trainer_that_panics_once_goes_on_from_its_last_checkpoint() {
+    let dir = folder();
+    let run = dir.path().join("run");
+    completes(&again(&run, &["--until", "20"]));
+    let (_, told) = completes(&again(&run, &["--fault", "panic@trainer.step:15"]));
+    assert_eq!(told.matches("goes on from step 20").count(), 2, "{told}");
+    same_as_untouched(&run);
+    // Without a checkpoint, from the start.
+    let other = dir.path().join("other");
+    completes(&again(&other, &["--fault", "panic@trainer.step:45"]));
+    same_as_untouched(&other);
 }
 
 #[test]

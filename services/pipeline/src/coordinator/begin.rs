@@ -2,6 +2,7 @@
 
 use super::{Bars, Coordinator, HISTORY, Inboxes};
 use crate::RunError;
+use crate::checkpoints::Keeper;
 use crate::folder::{FEATURES, MODEL};
 use crate::history::{self, Moment};
 use crate::keep::SNAPSHOT;
@@ -12,7 +13,7 @@ use segwild_flow::ledger::ViewOutcome;
 use segwild_flow::{ActorOptions, Event, Failure, Key, Phase, System, fault};
 use segwild_masks::{MaskSource, MaskTask};
 use segwild_scene::Mask;
-use segwild_trainer::{Model, Photos, TrainOrder, TrainPhoto, render_view};
+use segwild_trainer::{FindCheckpoint, Model, Photos, TrainOrder, TrainPhoto, render_view};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -41,16 +42,9 @@ impl Coordinator<'_> {
                 self.state.paused = Some(step);
                 return Ok(());
             }
-            None => self.keeper().last_before(before.min(self.steps.saturating_add(1)))?,
+            None => self.find_checkpoint(before.min(self.steps.saturating_add(1))),
         };
-        let mut bar = self.options.events.stage("geometry", Some(self.steps.into()));
-        let start = checkpoint.as_ref().map_or(0, |c| c.step());
-        if start > 0 {
-            self.options.events.info(Some("geometry"), format!("goes on from step {start}"));
-            bar.cached(start.into());
-        }
-        history::trim(self.folder, start)?;
-        bars.geometry = Some(bar);
+        bars.geometry = Some(self.options.events.stage("geometry", Some(self.steps.into())));
         let (scene, size, skies) = (self.scene.clone(), self.settings.scene.size, self.skies.clone());
         let (stopper, tainted) = (self.options.stopper.clone(), self.tainted.clone());
         let photos = move |view: usize| -> Result<TrainPhoto, String> {
@@ -71,10 +65,22 @@ impl Coordinator<'_> {
             photos: Arc::new(photos) as Arc<dyn Photos>,
             settings: self.settings.train.clone(),
             until: self.steps,
-            checkpoint: checkpoint.map(Arc::new),
+            checkpoint,
             checkpoint_every: Duration::from_secs(self.settings.run.checkpoint_every.max(1).into()),
         };
         to.training.blocking_send(order).map_err(|_| RunError::Interrupted) // closed: everything stops
+    }
+
+    /// Looks for the last checkpoint before a step, each time it is asked.
+    fn find_checkpoint(&self, before: u32) -> Arc<FindCheckpoint> {
+        let (folder, ledger, events) =
+            (self.folder.clone(), self.ledger.clone(), self.options.events.clone());
+        let (key, kept) = (self.keys.training, self.settings.run.keep_checkpoints as usize);
+        Arc::new(move || {
+            let keeper = Keeper { folder: &folder, ledger: &ledger, events: &events, key: &key, kept };
+            // What is damaged is passed over; only the ledger can refuse.
+            keeper.last_before(before).map_err(Failure::storage)
+        })
     }
 
     /// A stage whose result was there. The ledger then says that the run uses it as it stands, and no other that may

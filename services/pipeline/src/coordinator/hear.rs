@@ -91,9 +91,15 @@ impl Coordinator<'_> {
 
     fn hear_trainer(&mut self, outcome: TrainOutcome, bars: &mut Bars) -> Result<(), RunError> {
         match outcome {
-            TrainOutcome::Upcoming(views) => {
-                self.skies.prefer(&views);
-                Ok(())
+            TrainOutcome::Began { step, upcoming } => {
+                self.skies.prefer(&upcoming);
+                if step > 0 {
+                    self.options.events.info(Some("geometry"), format!("goes on from step {step}"));
+                }
+                if let Some(bar) = &mut bars.geometry {
+                    bar.cached(u64::from(step).saturating_sub(bar.done()));
+                }
+                history::trim(self.folder, step)
             }
             TrainOutcome::Progress { step, loss, psnr, splats, left_out } => {
                 let moment = Moment { step, loss, psnr, splats, left_out };

@@ -166,7 +166,7 @@ impl Coordinator<'_> {
             (self.engine.clone(), self.settings.clone(), sasm::SceneDepths::of(&scene));
         let own = out.clone();
         let train = TrainerParts { engine: engine.clone(), out: out.clone() };
-        system.spawn(training_in, ActorOptions { attempts: 1, ..ActorOptions::default() }, move || {
+        system.spawn(training_in, ActorOptions { attempts: 2, ..ActorOptions::default() }, move || {
             Ok(TrainActor { engine: train.engine.clone(), out: train.out.clone() })
         })?;
         let (s, c, o, p, m) =
