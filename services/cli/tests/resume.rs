@@ -111,7 +111,26 @@ fn an_actor_that_fails_at_everything_is_no_stop_by_the_user() {
     let output = output(&again(&run, &["--fault", "fail@masks.handle:1+"]));
     let said = text(&output.stderr);
     assert_eq!(output.status.code(), Some(4), "{said}");
-    assert!(said.contains("stage `masks` failed") && said.contains("in a row"), "{said}");
+    assert!(said.contains("stage `sky` failed: not one of 10 photos"), "{said}");
+}
+
+#[test]
+fn a_stage_that_can_do_none_of_its_photos_fails_however_few_there_are() {
+    let dir = folder();
+    let run = dir.path().join("run");
+    // Ten skies come first, then the masks of eight photos.
+    let output = output(&again(&run, &["--fault", "fail@masks.handle:11+"]));
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(4), "{said}");
+    assert!(said.contains("stage `masks` failed: not one of 8 photos"), "{said}");
+    assert!(said.contains("the first:") && said.contains("a fault on purpose"), "{said}");
+    // Five of eight are a reason to look, and none to stop.
+    let faults: Vec<String> = (11..26).map(|n| format!("fail@masks.handle:{n}")).collect();
+    let faults: Vec<&str> = faults.iter().flat_map(|fault| ["--fault", fault]).collect();
+    let (_, told) = completes(&again(&run, &faults));
+    assert!(told.contains("warning 5 of 8 photos could not be done (masks); the first:"), "{told}");
+    completes(&again(&run, &[]));
+    has_what_an_untouched_run_has(&run);
 }
 
 #[test]

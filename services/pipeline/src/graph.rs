@@ -1,6 +1,7 @@
 //! One scene from its photos to its report.
 
 use crate::accelerator::leased;
+use crate::anew::Anew;
 use crate::artefacts::Keys;
 use crate::board::Board;
 use crate::coordinator::{Coordinator, State};
@@ -8,13 +9,14 @@ use crate::evaluate::{HeldOut, held_out};
 use crate::folder::Intake;
 use crate::skies::Skies;
 use crate::{RunError, RunFolder, Settings, Until, keep, memory, report};
-use segwild_flow::{Event, Events, Ledger, Phase, Recorder, Stopper, cpu, files, trace};
+use segwild_flow::{Cache, Event, Events, Failure, Ledger, Phase, Recorder, Stopper, cpu, files, trace};
+use segwild_masks::{MaskMaker, sasm};
 use segwild_raster::{CpuEngine, Engine};
 use segwild_scene::{Scene, Skipped};
 use segwild_vision::Providers;
 use serde::Serialize;
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 /// The stages, in the order in which they end.
@@ -181,15 +183,18 @@ pub fn run(
         Some(Until::Step(step)) if step < settings.train.steps => 3,
         _ => STAGES.len(),
     };
-    let (size, sky_keys) = (settings.scene.size, keys.sky.clone());
-    let skies = Skies::new(
-        scene.clone(),
+    let names = Arc::new(Mutex::new(keys.clone()));
+    tell_of_damage(&cache, &names, &scene, &options.events);
+    let size = settings.scene.size;
+    let anew = Anew { scene: scene.clone(), cache: cache.clone(), events: options.events.clone() };
+    let skies = Skies::new(anew, size, keys.sky.clone(), providers.sky.clone());
+    let maker = MaskMaker {
+        scene: scene.clone(),
         size,
-        cache.clone(),
-        sky_keys,
-        providers.sky.clone(),
-        options.events.clone(),
-    );
+        proposer: providers.proposer.clone(),
+        settings: settings.masks.clone(),
+        depths: sasm::SceneDepths::of(&scene),
+    };
     let mut coordinator = Coordinator {
         folder,
         settings,
@@ -200,10 +205,13 @@ pub fn run(
         engine,
         full_keys: keys.clone(),
         keys,
+        names,
         cache,
         last,
         steps,
         skies: Arc::new(skies),
+        embedder: providers.embedder.clone(),
+        maker: Arc::new(maker),
         masks_known: Arc::new(Board::new("masks")),
         tainted: Arc::default(),
         state: State::default(),
@@ -224,13 +232,17 @@ pub fn run(
         folder.write(name, trace.as_bytes())?;
     }
     // An actor that gave up has stopped the others; that is not a stop by the user.
-    let gave_up = report.failures().next().map(|(actor, error)| (stage_of(actor), error.to_owned()));
+    let failed = |(actor, error): (&str, &str), kind: fn(&str) -> Failure| (stage_of(actor), kind(error));
+    let gave_up = (coordinator.skies.lost().map(|lost| ("sky", lost)))
+        .or_else(|| Some(failed(report.storage_failure()?, |error| Failure::storage(error))))
+        .or_else(|| Some(failed(report.failures().next()?, |error| Failure::fatal(error))));
     match (outcome, gave_up) {
-        (Ok(()) | Err(RunError::Interrupted), Some((stage, reason))) => {
+        (Ok(()) | Err(RunError::Interrupted), Some((stage, failure))) => {
+            let reason = failure.to_string();
             ledger.fail_stage(stage, &coordinator.keys.stage(stage), &reason)?;
             ledger.leave_stages()?;
             options.events.tell(Event::StageFailed { stage: stage.into(), error: reason.clone() });
-            return Err(RunError::Stage { stage, reason });
+            return Err(RunError::of_stage(stage, &failure));
         }
         (Err(RunError::Interrupted), None) => {
             ledger.leave_stages()?;
@@ -323,6 +335,27 @@ fn lost_ledger(folder: &RunFolder) -> Option<String> {
             ledger.display()
         )
     })
+}
+
+/// Has the run say of each artefact that is found damaged what it is.
+fn tell_of_damage(cache: &Cache, names: &Arc<Mutex<Keys>>, scene: &Arc<Scene>, events: &Events) {
+    let (names, scene, events) = (names.clone(), scene.clone(), events.clone());
+    cache.on_damage(move |key, reason| {
+        let kind = key.split(':').next().unwrap_or(key);
+        let stage = match kind {
+            "embedding" => "embed",
+            "visibility" => "features",
+            "history" | "snapshot" => "geometry",
+            other => other,
+        };
+        let photo = names
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .view_of(key)
+            .map_or(String::new(), |view| format!(" of photo {}", scene.views[view].name));
+        let message = format!("the cache's {kind} record{photo} was damaged ({reason}): it is made anew");
+        events.warn(Some(stage), message);
+    });
 }
 
 /// The stage that an actor's failure is booked on.
