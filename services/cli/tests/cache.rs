@@ -189,3 +189,26 @@ fn a_photo_that_cannot_be_compared_with_the_scene_is_left_out_and_tried_again() 
     completes(&again(&other, &["--fault", "fail@visibility.photo:3"]));
     same_as_untouched(&other);
 }
+
+#[test]
+fn a_photo_that_cannot_be_scored_or_drawn_is_named_and_the_others_go_on() {
+    let dir = folder();
+    let run = dir.path().join("run");
+    let faults =
+        ["evaluate.photo:1", "evaluate.photo:2", "evaluate.photo:3", "report.picture:2", "report.picture:3"];
+    let faults = faults.map(|fault| format!("fail@{fault}"));
+    let faults: Vec<&str> = faults.iter().flat_map(|fault| ["--fault", fault]).collect();
+    let (_, told) = completes(&again(&run, &faults));
+    assert!(told.contains("is not scored: a fault on purpose"), "{told}");
+    assert!(told.contains("is not shown whole in the report"), "{told}");
+    let scores = json(&std::fs::read(run.join("evaluation.json")).expect("scores"));
+    assert_eq!(scores["photos"].as_array().map(Vec::len), Some(1), "{scores}");
+    let args = again(&run, &["--explain"]);
+    let plan = works(&args.iter().map(String::as_str).collect::<Vec<_>>());
+    assert!(plan.contains("given up before and tried again: evaluate of"), "{plan}");
+    completes(&again(&run, &[]));
+    same_as_untouched(&run);
+    let other = dir.path().join("other");
+    completes(&again(&other, &["--fault", "fail@evaluate.photo:1", "--fault", "fail@report.picture:2"]));
+    same_as_untouched(&other);
+}

@@ -9,12 +9,14 @@ use crate::evaluate::{HeldOut, held_out};
 use crate::folder::Intake;
 use crate::skies::Skies;
 use crate::{RunError, RunFolder, Settings, Until, keep, memory, report};
+use segwild_flow::ledger::ViewOutcome;
 use segwild_flow::{Cache, Event, Events, Failure, Ledger, Phase, Recorder, Stopper, cpu, files, trace};
 use segwild_masks::{MaskMaker, sasm};
 use segwild_raster::{CpuEngine, Engine};
 use segwild_scene::{Scene, Skipped};
 use segwild_vision::Providers;
 use serde::Serialize;
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
@@ -276,10 +278,28 @@ pub fn run(
             let progress = options.events.stage("evaluate", None);
             let skies = coordinator.skies.clone();
             let sky = move |view: usize| skies.read(view).map_err(|lost| lost.to_string());
-            scores = held_out(folder, &scene, model, &*coordinator.engine, settings, sky)?;
+            let mut unscored = BTreeSet::new();
+            let scored =
+                held_out(folder, &scene, model, &*coordinator.engine, settings, sky, |view, scored| {
+                    let name = &scene.views[view].name;
+                    let outcome = match scored {
+                        Ok(seconds) => ViewOutcome::done(seconds),
+                        Err(reason) => {
+                            unscored.insert(view);
+                            let message = format!("photo {name} is not scored: {reason}");
+                            options.events.warn(Some("evaluate"), message);
+                            ViewOutcome::failed(1, reason)
+                        }
+                    };
+                    Ok(ledger.record_view("evaluate", name, &key, &outcome)?)
+                });
+            if let Some(lost) = coordinator.skies.lost() {
+                return Err(RunError::of_stage("sky", &lost));
+            }
+            scores = scored?;
             coordinator.intact()?;
             progress.finish();
-            ledger.finish_stage("evaluate", &key, None)?;
+            ledger.finish_stage("evaluate", &coordinator.keys.evaluation_without(&unscored), None)?;
         }
     }
     let (key, cache) = (coordinator.keys.stage("report"), coordinator.cache.clone());
@@ -289,7 +309,12 @@ pub fn run(
     if last >= 6 && splats.is_some() {
         ledger.begin_stage("report", &key)?;
         let progress = options.events.stage("report", None);
-        report::write_report(folder)?;
+        for left_out in report::write_report(folder)? {
+            options.events.warn(
+                Some("report"),
+                format!("photo {} is not shown whole in the report: {}", left_out.name, left_out.reason),
+            );
+        }
         progress.finish();
         ledger.finish_stage("report", &key, None)?;
     }
