@@ -61,6 +61,7 @@ impl From<RunError> for Failure {
             | RunError::File(_)
             | RunError::Cache(_)
             | RunError::Record { .. }
+            | RunError::Storage { .. }
             | RunError::Ledger(_) => exit::FOLDER,
             RunError::Stage { .. } => exit::INCOMPLETE,
             RunError::Segment(error) => segment_code(error),

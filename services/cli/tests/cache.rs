@@ -109,3 +109,106 @@ fn sweeping_keeps_the_checkpoints_of_a_training_that_went_past_its_steps() {
     let (_, told) = completes(&again(&run, &["--until", "100"]));
     assert!(told.contains("goes on from step 80"), "{told}");
 }
+
+/// Damages the first artefact of a kind.
+fn damage(run: &Path, kind: &str) {
+    let shelves = std::fs::read_dir(run.join(format!("cache/{kind}.d"))).expect("artefacts").flatten();
+    let mut files = shelves.flat_map(|shelf| std::fs::read_dir(shelf.path()).expect("a shelf").flatten());
+    let file = files.next().expect("a file").path();
+    let mut bytes = std::fs::read(&file).expect("bytes");
+    *bytes.last_mut().expect("a byte") ^= 1;
+    std::fs::write(&file, bytes).expect("it is written");
+}
+
+#[test]
+fn damage_of_any_kind_is_said_once_and_made_anew() {
+    for kind in ["sky", "embedding", "masks", "visibility", "geometry", "snapshot", "history", "features"] {
+        let dir = folder();
+        let run = copied_run(&dir);
+        damage(&run, kind);
+        let (_, told) = completes(&again(&run, &[]));
+        assert_eq!(told.matches(&format!("the cache's {kind} record")).count(), 1, "{kind}: {told}");
+        assert!(told.contains("its hash does not fit its bytes): it is made anew"), "{kind}: {told}");
+        assert!(!told.contains("failed"), "{kind}: {told}");
+        same_as_untouched(&run);
+    }
+}
+
+#[test]
+fn masks_that_were_damaged_and_cannot_be_made_again_end_the_run_and_change_nothing() {
+    let dir = folder();
+    let run = copied_run(&dir);
+    damage(&run, "masks");
+    let output = output(&again(&run, &["--fault", "fail@masks.make:1+"]));
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(4), "{said}");
+    assert!(said.contains("damaged in the cache and cannot be made again"), "{said}");
+    let name = Path::new("features.bin");
+    assert_eq!(results(&run)[name], results(&place().run)[name]);
+    completes(&again(&run, &[]));
+    same_as_untouched(&run);
+}
+
+#[test]
+fn an_input_of_the_field_that_is_torn_when_it_is_read_is_made_anew() {
+    let dir = folder();
+    let mut said = Vec::new();
+    // Over all reads of a run that has everything but the field.
+    for read in (12..84).step_by(6) {
+        let run = dir.path().join(read.to_string());
+        copy_folder(&place().run, &run);
+        std::fs::remove_dir_all(run.join("cache/features.d")).expect("it goes");
+        let (_, told) = completes(&again(&run, &["--fault", &format!("torn@cache.read:{read}")]));
+        let name = Path::new("features.bin");
+        assert_eq!(results(&run)[name], results(&place().run)[name], "read {read}: {told}");
+        said.extend(told.lines().filter(|line| line.contains("made anew")).map(str::to_owned));
+        // What the report found damaged, the next run makes.
+        completes(&again(&run, &[]));
+        same_as_untouched(&run);
+    }
+    assert!(said.len() >= 8, "{said:#?}");
+}
+
+#[test]
+fn a_photo_that_cannot_be_compared_with_the_scene_is_left_out_and_tried_again() {
+    let dir = folder();
+    let run = dir.path().join("run");
+    let faults = [3, 4, 5].map(|n| format!("fail@visibility.photo:{n}"));
+    let faults: Vec<&str> = faults.iter().flat_map(|fault| ["--fault", fault]).collect();
+    let (_, told) = completes(&again(&run, &faults));
+    assert_eq!(told.matches("visibility photo").count(), 1, "{told}");
+    let name = Path::new("features.bin");
+    assert_ne!(results(&run)[name], results(&place().run)[name], "a photo less changes something");
+    let args = again(&run, &["--explain"]);
+    let plan = works(&args.iter().map(String::as_str).collect::<Vec<_>>());
+    assert!(plan.contains("given up before and tried again: visibility of"), "{plan}");
+    completes(&again(&run, &[]));
+    has_what_an_untouched_run_has(&run);
+    // An error that passes costs an attempt.
+    let other = dir.path().join("other");
+    completes(&again(&other, &["--fault", "fail@visibility.photo:3"]));
+    same_as_untouched(&other);
+}
+
+#[test]
+fn a_photo_that_cannot_be_scored_or_drawn_is_named_and_the_others_go_on() {
+    let dir = folder();
+    let run = dir.path().join("run");
+    let faults =
+        ["evaluate.photo:1", "evaluate.photo:2", "evaluate.photo:3", "report.picture:2", "report.picture:3"];
+    let faults = faults.map(|fault| format!("fail@{fault}"));
+    let faults: Vec<&str> = faults.iter().flat_map(|fault| ["--fault", fault]).collect();
+    let (_, told) = completes(&again(&run, &faults));
+    assert!(told.contains("is not scored: a fault on purpose"), "{told}");
+    assert!(told.contains("is not shown whole in the report"), "{told}");
+    let scores = json(&std::fs::read(run.join("evaluation.json")).expect("scores"));
+    assert_eq!(scores["photos"].as_array().map(Vec::len), Some(1), "{scores}");
+    let args = again(&run, &["--explain"]);
+    let plan = works(&args.iter().map(String::as_str).collect::<Vec<_>>());
+    assert!(plan.contains("given up before and tried again: evaluate of"), "{plan}");
+    completes(&again(&run, &[]));
+    same_as_untouched(&run);
+    let other = dir.path().join("other");
+    completes(&again(&other, &["--fault", "fail@evaluate.photo:1", "--fault", "fail@report.picture:2"]));
+    same_as_untouched(&other);
+}

@@ -75,3 +75,26 @@ fn a_read_only_folder_is_said() {
     let args = again(&occupied, &[]);
     refuses(&args.iter().map(String::as_str).collect::<Vec<_>>(), 6, &["occupied"]);
 }
+
+#[test]
+fn a_cache_that_cannot_be_written_stops_the_run_and_gives_no_photo_up() {
+    let dir = folder();
+    // Whoever is stopped between two reports of the training reports over fewer steps when it goes on.
+    let mut expected = results(&place().run);
+    expected.retain(|file, _| !show(file).contains("history"));
+    for kind in ["embedding", "sky", "masks", "visibility"] {
+        let run = dir.path().join(kind);
+        // A file where a folder is wanted refuses whoever writes, also a user who may do everything.
+        let occupied = run.join(format!("cache/{kind}.d"));
+        std::fs::create_dir_all(run.join("cache")).expect("a folder");
+        std::fs::write(&occupied, "a file").expect("it is written");
+        let output = output(&again(&run, &[]));
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(6), "{kind}: {said}");
+        assert!(said.contains("stopped: cannot") && said.contains(&format!("{kind}.d")), "{kind}: {said}");
+        assert!(!said.contains(".png failed") && !said.contains(".jpg failed"), "{kind}: {said}");
+        std::fs::remove_file(&occupied).expect("it goes");
+        completes(&again(&run, &[]));
+        has_all_of(&run, &expected);
+    }
+}

@@ -79,15 +79,29 @@ fn a_panic_and_a_passing_error_cost_an_attempt_and_nothing_else() {
 }
 
 #[test]
-fn a_trainer_that_panics_ends_the_run_in_words_instead_of_a_wait_for_ever() {
+fn a_trainer_that_panics_twice_ends_the_run_in_words_instead_of_a_wait_for_ever() {
     let dir = folder();
     let run = dir.path().join("run");
-    let output = output(&again(&run, &["--fault", "panic@trainer.handle"]));
+    let output = output(&again(&run, &["--fault", "panic@trainer.handle:1+"]));
     let said = text(&output.stderr);
     assert_eq!(output.status.code(), Some(4), "{said}");
     assert!(said.contains("stage `geometry` failed: panic: a fault on purpose"), "{said}");
     completes(&again(&run, &[]));
     same_as_untouched(&run);
+}
+
+#[test]
+fn a_trainer_that_panics_once_goes_on_from_its_last_checkpoint() {
+    let dir = folder();
+    let run = dir.path().join("run");
+    completes(&again(&run, &["--until", "20"]));
+    let (_, told) = completes(&again(&run, &["--fault", "panic@trainer.step:15"]));
+    assert_eq!(told.matches("goes on from step 20").count(), 2, "{told}");
+    same_as_untouched(&run);
+    // Without a checkpoint, from the start.
+    let other = dir.path().join("other");
+    completes(&again(&other, &["--fault", "panic@trainer.step:45"]));
+    same_as_untouched(&other);
 }
 
 #[test]
@@ -97,7 +111,26 @@ fn an_actor_that_fails_at_everything_is_no_stop_by_the_user() {
     let output = output(&again(&run, &["--fault", "fail@masks.handle:1+"]));
     let said = text(&output.stderr);
     assert_eq!(output.status.code(), Some(4), "{said}");
-    assert!(said.contains("stage `masks` failed") && said.contains("in a row"), "{said}");
+    assert!(said.contains("stage `sky` failed: not one of 10 photos"), "{said}");
+}
+
+#[test]
+fn a_stage_that_can_do_none_of_its_photos_fails_however_few_there_are() {
+    let dir = folder();
+    let run = dir.path().join("run");
+    // Ten skies come first, then the masks of eight photos.
+    let output = output(&again(&run, &["--fault", "fail@masks.handle:11+"]));
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(4), "{said}");
+    assert!(said.contains("stage `masks` failed: not one of 8 photos"), "{said}");
+    assert!(said.contains("the first:") && said.contains("a fault on purpose"), "{said}");
+    // Five of eight are a reason to look, and none to stop.
+    let faults: Vec<String> = (11..26).map(|n| format!("fail@masks.handle:{n}")).collect();
+    let faults: Vec<&str> = faults.iter().flat_map(|fault| ["--fault", fault]).collect();
+    let (_, told) = completes(&again(&run, &faults));
+    assert!(told.contains("warning 5 of 8 photos could not be done (masks); the first:"), "{told}");
+    completes(&again(&run, &[]));
+    has_what_an_untouched_run_has(&run);
 }
 
 #[test]
@@ -134,9 +167,36 @@ fn one_kept_checkpoint_is_the_newest_and_a_damaged_one_costs_the_training_and_no
     std::fs::write(&newest, bytes).expect("it is written");
     let (_, told) = completes(&again(&run, &one));
     assert!(told.contains("-00000040.bin is passed over"), "{told}");
+    assert!(told.contains("there is none before it: the training begins anew"), "{told}");
     assert!(!told.contains("goes on from step"), "there is none to go on from: {told}");
     assert!(checkpoints().len() <= 1, "{:?}", checkpoints());
     same_as_untouched(&run);
+}
+
+#[test]
+fn checkpoints_are_used_when_the_ledger_is_lost_and_the_loss_is_said() {
+    for (loss, step) in [("has gone", 40), ("is empty", 20)] {
+        let dir = folder();
+        let run = dir.path().join("run");
+        for step in ["20", "40"] {
+            completes(&again(&run, &["--until", step]));
+        }
+        for file in ["run.sqlite-wal", "run.sqlite-shm", "run.sqlite"] {
+            // The first two are there only where the last writer was killed.
+            let _ = std::fs::remove_file(run.join(file));
+        }
+        if loss == "is empty" {
+            std::fs::write(run.join("run.sqlite"), "").expect("it is written");
+            let newest = std::fs::read_dir(run.join("checkpoints")).expect("a folder").flatten();
+            let newest = newest.map(|e| e.path()).max().expect("a checkpoint");
+            std::fs::write(newest, "torn").expect("it is written");
+        }
+        let (_, told) = completes(&again(&run, &[]));
+        assert!(told.contains(&format!("run.sqlite {loss}")), "{told}");
+        assert!(told.contains("is lost; the cache and the checkpoints are kept and used"), "{told}");
+        assert!(told.contains(&format!("goes on from step {step}")), "{told}");
+        same_as_untouched(&run);
+    }
 }
 
 #[test]

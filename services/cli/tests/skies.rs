@@ -87,7 +87,8 @@ fn a_sky_that_is_damaged_while_the_run_uses_it_is_found_anew_and_named() {
     for fault in ["corrupt@cache.read:2", "torn@cache.read:11"] {
         let run = dir.path().join(fault);
         let (_, told) = completes(&again(&run, &["--fault", fault]));
-        assert!(told.contains("was damaged in the cache: it is found anew"), "{fault}: {told}");
+        assert!(told.contains("the cache's sky record of photo"), "{fault}: {told}");
+        assert!(told.contains("it is made anew"), "{fault}: {told}");
         same_as_untouched(&run);
     }
 }

@@ -3,47 +3,34 @@
 use crate::{
     FeatureError, FeatureField, FeatureSettings, Pca, Progress, Samples, TargetSource, ViewTarget, build,
 };
-use segwild_flow::{
-    Actor, Cache, CacheError, Context, Failure, Key, Message, Origin, Quarantined, Sender, fault,
-};
+use segwild_flow::{Actor, Cache, Context, Failure, Key, Message, Origin, Quarantined, Sender, fault};
 use segwild_raster::{Engine, ProjectOptions};
-use segwild_scene::{Embedding, Image, Mask, MaskSet, Scene, Splats};
+use segwild_scene::{Embedding, Image, Mask, MaskSet, Scene, Splats, View};
 use segwild_vision::Embedder;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::time::Instant;
 
 /// Kind of the cache's embedding records.
-const EMBEDDING: &str = "embedding";
+pub const EMBEDDING: &str = "embedding";
 
-/// Kind of the cache's mask records, as the masks actor writes them.
-const MASKS: &str = "masks";
+/// Where what the field is made of comes from: read when it is needed, so that only indexes grow with the photos.
+pub trait FieldInputs: Send + Sync {
+    /// What the photo shows.
+    ///
+    /// # Errors
+    /// Here and below: when it was there and can be had no more.
+    fn embedding(&self, view: usize) -> Result<Embedding, Failure>;
 
-/// Kind of the cache's sky records, as the masks actor writes them.
-const SKY: &str = "sky";
+    /// Which of its pixels can be trusted (VM), on a grid of its own; sky cannot.
+    fn visibility(&self, view: usize) -> Result<Mask, Failure>;
 
-/// Kind of the cache's records of what can be trusted in a photo: a [`Mask`] on a grid of its own.
-pub const VISIBILITY: &str = "visibility";
-
-/// One photo's share in the field, by the names of its artefacts in the cache.
-#[derive(Clone, Debug)]
-pub struct FieldView {
-    /// Index of the view.
-    pub view: usize,
-    /// Its embedding.
-    pub embedding: Key,
-    /// Its masks, if it turns out to have any.
-    pub masks: Key,
     /// Its sky, if it is known.
-    pub sky: Option<Key>,
-    /// Which of its pixels can be trusted (VM): a [`VISIBILITY`] record; sky cannot.
-    pub visibility: Key,
-}
+    fn sky(&self, view: usize) -> Result<Option<Mask>, Failure>;
 
-/// Who knows which views have masks, as soon as it is known.
-pub trait AwaitedMasks: Send + Sync {
-    /// Waits until it is known whether a view's masks are in the cache; `None` when `stopping` says so first.
-    fn wait(&self, view: usize, stopping: &dyn Fn() -> bool) -> Option<bool>;
+    /// Its masks, as soon as it is known whether there are any; `None` if they were given up. Waits no longer than until
+    /// `stopping` says so.
+    fn masks(&self, view: usize, stopping: &dyn Fn() -> bool) -> Result<Option<MaskSet>, Failure>;
 }
 
 /// What the actor is asked for.
@@ -63,9 +50,9 @@ pub enum FeatureTask {
         /// How they are drawn.
         options: ProjectOptions,
         /// The photos in the order in which they are lifted.
-        views: Arc<Vec<FieldView>>,
-        /// Their masks may still be under way: lifting does without them.
-        masks: Arc<dyn AwaitedMasks>,
+        views: Arc<Vec<usize>>,
+        /// What is known of them. Their masks may still be under way: lifting does without them.
+        inputs: Arc<dyn FieldInputs>,
     },
 }
 
@@ -122,54 +109,40 @@ pub struct FeatureActor<O: Message> {
     pub out: Sender<O>,
 }
 
-/// Targets read from the cache when they are needed.
-struct CachedTargets<'a> {
+/// Describes a photo.
+///
+/// # Errors
+/// In words, when it cannot be read or the model refuses.
+pub fn describe(embedder: &dyn Embedder, view: &View, size: u32) -> Result<Embedding, String> {
+    let photo = view.load(size).map_err(|e| e.to_string())?;
+    embedder.embed(&photo.image).map_err(|e| format!("photo {}: {e}", view.name))
+}
+
+/// Targets made of the field's inputs when they are needed.
+struct InputTargets<'a> {
     scene: &'a Scene,
-    cache: &'a Cache,
-    views: &'a [FieldView],
+    inputs: &'a dyn FieldInputs,
+    views: &'a [usize],
     pca: &'a Pca,
     learned: bool,
-    masks: &'a dyn AwaitedMasks,
     context: &'a Context,
 }
 
-fn missing(name: &str, what: &str, error: Option<CacheError>) -> FeatureError {
-    let why = error.map_or_else(|| "it is gone from the cache; run again".to_owned(), |e| e.to_string());
-    FeatureError::Shape(format!("{name}: {what} cannot be read: {why}"))
-}
-
-fn load_mask(cache: &Cache, name: &str, what: &str, kind: &str, key: &Key) -> Result<Mask, FeatureError> {
-    cache
-        .get_typed(key, kind)
-        .map_err(|e| missing(name, what, Some(e)))?
-        .ok_or_else(|| missing(name, what, None))
-}
-
 /// VM as a plane in [0, 1].
-fn load_validity(cache: &Cache, name: &str, key: &Key) -> Result<Image, FeatureError> {
-    let mask = load_mask(cache, name, "what can be trusted in it", VISIBILITY, key)?;
+fn plane(mask: &Mask) -> Image {
     let (width, height) = (mask.width() as usize, mask.height() as usize);
     let data = (0..width * height).map(|i| f32::from(u8::from(mask.index(i)))).collect();
-    Ok(Image { width, height, channels: 1, data })
+    Image { width, height, channels: 1, data }
 }
 
-fn load_embedding(cache: &Cache, name: &str, key: &Key) -> Result<Embedding, FeatureError> {
-    match cache.get_typed(key, EMBEDDING) {
-        Ok(Some(embedding)) => Ok(embedding),
-        Ok(None) => Err(missing(name, "its embedding", None)),
-        Err(error) => Err(missing(name, "its embedding", Some(error))),
-    }
-}
-
-impl TargetSource for CachedTargets<'_> {
+impl TargetSource for InputTargets<'_> {
     fn len(&self) -> usize {
         self.views.len()
     }
 
     fn load(&self, index: usize) -> Result<Arc<ViewTarget>, FeatureError> {
-        let field = &self.views[index];
-        let view = &self.scene.views[field.view];
-        let embedding = load_embedding(self.cache, &view.name, &field.embedding)?;
+        let view = &self.scene.views[self.views[index]];
+        let embedding = self.inputs.embedding(self.views[index])?;
         let target = if self.learned {
             let Embedding { width, height, channels, data } = embedding;
             Image { width, height, channels, data }
@@ -181,24 +154,14 @@ impl TargetSource for CachedTargets<'_> {
             camera: view.camera,
             pose: view.pose,
             target,
-            validity: load_validity(self.cache, &view.name, &field.visibility)?,
+            validity: plane(&self.inputs.visibility(self.views[index])?),
             masks: MaskSet { width: view.camera.width, height: view.camera.height, masks: Vec::new() },
         }))
     }
 
     fn masks(&self, index: usize, none: &ViewTarget) -> Result<MaskSet, FeatureError> {
-        let FieldView { view, masks, .. } = &self.views[index];
-        let name = &self.scene.views[*view].name;
-        match self.masks.wait(*view, &|| self.context.stopping()) {
-            // A stop; who asked looks at that, too.
-            None => Err(missing(name, "its masks", None)),
-            Some(false) => Ok(none.masks.clone()),
-            Some(true) => self
-                .cache
-                .get_typed::<MaskSet>(masks, MASKS)
-                .map_err(|e| missing(name, "its masks", Some(e)))?
-                .ok_or_else(|| missing(name, "its masks", None)),
-        }
+        let masks = self.inputs.masks(self.views[index], &|| self.context.stopping())?;
+        Ok(masks.unwrap_or_else(|| none.masks.clone()))
     }
 }
 
@@ -207,8 +170,7 @@ impl<O: Message + From<FeatureOutcome>> FeatureActor<O> {
         let posed = &self.scene.views[view];
         let began = Instant::now();
         let (_, origin) = self.cache.get_or_make(key, EMBEDDING, || -> Result<Embedding, Refused> {
-            let photo = posed.load(self.size).map_err(|e| Refused(e.to_string()))?;
-            self.embedder.embed(&photo.image).map_err(|e| Refused(format!("photo {}: {e}", posed.name)))
+            describe(&*self.embedder, posed, self.size).map_err(Refused)
         })?;
         Ok((origin == Origin::Made).then(|| began.elapsed().as_secs_f64()))
     }
@@ -217,21 +179,16 @@ impl<O: Message + From<FeatureOutcome>> FeatureActor<O> {
         &self,
         splats: &Splats,
         options: &ProjectOptions,
-        views: &[FieldView],
-        masks: &dyn AwaitedMasks,
+        views: &[usize],
+        inputs: &dyn FieldInputs,
         context: &Context,
     ) -> Result<FeatureField, FeatureError> {
         let mut samples =
             Samples::new(self.settings.pca_samples as usize, views.len(), self.settings.feature_seed);
-        for field in views {
-            let name = &self.scene.views[field.view].name;
-            let embedding = load_embedding(&self.cache, name, &field.embedding)?;
-            let validity = load_validity(&self.cache, name, &field.visibility)?;
-            let sky = match &field.sky {
-                Some(key) => Some(load_mask(&self.cache, name, "its sky", SKY, key)?),
-                None => None,
-            };
-            samples.add(field.view, name, &embedding, Some(&validity), sky.as_ref())?;
+        for &view in views {
+            let name = &self.scene.views[view].name;
+            let (embedding, validity) = (inputs.embedding(view)?, plane(&inputs.visibility(view)?));
+            samples.add(view, name, &embedding, Some(&validity), inputs.sky(view)?.as_ref())?;
             context.progress();
         }
         let pca = samples.fit(self.settings.channels as usize, self.settings.keep_variance)?;
@@ -243,13 +200,12 @@ impl<O: Message + From<FeatureOutcome>> FeatureActor<O> {
                 100.0 * pca.explained_variance()
             ),
         );
-        let targets = CachedTargets {
+        let targets = InputTargets {
             scene: &self.scene,
-            cache: &self.cache,
+            inputs,
             views,
             pca: &pca,
             learned: self.settings.compression == crate::Compression::Learned,
-            masks,
             context,
         };
         let total = views.len() as u64 + u64::from(self.settings.refine_steps);
@@ -298,11 +254,12 @@ impl<O: Message + From<FeatureOutcome>> Actor for FeatureActor<O> {
                 let seconds = self.embed(view, &key)?;
                 FeatureOutcome::Embedded { view, seconds }
             }
-            FeatureTask::Field { splats, options, views, masks } => {
-                let field = self.field(&splats, &options, &views, &*masks, context);
+            FeatureTask::Field { splats, options, views, inputs } => {
+                let field = self.field(&splats, &options, &views, &*inputs, context);
                 context.check()?; // a refinement cut short is no field
                 match field {
                     Ok(field) => FeatureOutcome::Field(Box::new(field)),
+                    Err(FeatureError::Input(failure)) if failure.is_storage() => return Err(failure),
                     Err(error) => FeatureOutcome::FieldFailed(error.to_string()),
                 }
             }

@@ -1,5 +1,6 @@
 //! Why a feature field cannot be made.
 
+use segwild_flow::Failure;
 use segwild_raster::RasterError;
 
 /// Why a feature field cannot be made.
@@ -43,6 +44,15 @@ pub enum FeatureError {
         /// What went wrong.
         reason: String,
     },
+    /// What the field is made of cannot be had.
+    #[error("{0}")]
+    Input(Failure),
+}
+
+impl From<Failure> for FeatureError {
+    fn from(failure: Failure) -> FeatureError {
+        FeatureError::Input(failure)
+    }
 }
 
 /// Refuses planar data (`channels` planes of `width` x `height`) of the wrong length or with a value that is

@@ -21,7 +21,7 @@ mod refine;
 mod settings;
 mod target;
 
-pub use actor::{AwaitedMasks, FeatureActor, FeatureOutcome, FeatureTask, FieldView, VISIBILITY};
+pub use actor::{EMBEDDING, FeatureActor, FeatureOutcome, FeatureTask, FieldInputs, describe};
 pub use adam::Adam;
 pub use compact::{Compactness, compactness};
 pub use embedding_loss::embedding_loss;

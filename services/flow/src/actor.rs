@@ -50,6 +50,7 @@ use serde::Serialize;
 
 use crate::control::{Phase, Stopper};
 use crate::events::Events;
+use crate::files::FileError;
 use crate::mailbox::Closed;
 use crate::message::Message;
 use crate::meter::Pulse;
@@ -131,13 +132,16 @@ pub(crate) enum FailureKind {
     Retry,
     Reject,
     Restart,
+    Storage,
     Fatal,
     Downstream,
     Stopped,
 }
 
 /// Why an actor could not do its work, and what follows. Any error becomes one by `?` and means
-/// [`Failure::retry`], but for [`Closed`]: a consumer that has gone ends the actor quietly.
+/// [`Failure::retry`], but for two: with [`Closed`], a consumer that has gone, the actor ends quietly; and an error of
+/// the disk (a [`FileError`] anywhere behind it, or the system's word that it is full or read-only) is
+/// [`Failure::storage`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Failure {
     pub(crate) kind: FailureKind,
@@ -164,6 +168,12 @@ impl Failure {
         Self::new(FailureKind::Restart, error)
     }
 
+    /// The disk or the system refuses: no fault of the message, which is tried again but never given up. After the last
+    /// attempt the actor ends as [`Exit::Storage`](crate::Exit::Storage), and with it, by default, the run.
+    pub fn storage(error: impl fmt::Display) -> Self {
+        Self::new(FailureKind::Storage, error)
+    }
+
     /// Nothing will help: the actor ends as failed, and with it, by default, the run.
     pub fn fatal(error: impl fmt::Display) -> Self {
         Self::new(FailureKind::Fatal, error)
@@ -172,6 +182,16 @@ impl Failure {
     /// The work was left because [`Context::stopping`] said so; it can be resumed.
     pub fn stopped() -> Self {
         Self::new(FailureKind::Stopped, "stopped")
+    }
+
+    /// Whether the disk or the system is at fault: see [`Failure::storage`].
+    pub fn is_storage(&self) -> bool {
+        self.kind == FailureKind::Storage
+    }
+
+    /// Whether it is about this one message: others may fare better. Not so of what is fatal, of the disk, of a stop.
+    pub fn is_local(&self) -> bool {
+        matches!(self.kind, FailureKind::Retry | FailureKind::Reject | FailureKind::Restart)
     }
 }
 
@@ -184,9 +204,23 @@ impl fmt::Display for Failure {
 
 impl<E: std::error::Error + Send + Sync + 'static> From<E> for Failure {
     fn from(error: E) -> Self {
-        let downstream = (&error as &(dyn std::error::Error + 'static)).is::<Closed>();
-        Self::new(if downstream { FailureKind::Downstream } else { FailureKind::Retry }, error)
+        let first = &error as &(dyn std::error::Error + 'static);
+        let kind = if first.is::<Closed>() {
+            FailureKind::Downstream
+        } else if std::iter::successors(Some(first), |error| error.source()).any(of_storage) {
+            FailureKind::Storage
+        } else {
+            FailureKind::Retry
+        };
+        Self::new(kind, error)
     }
+}
+
+/// Whether an error says that the disk or the system refused something.
+fn of_storage(error: &(dyn std::error::Error + 'static)) -> bool {
+    use std::io::ErrorKind::{QuotaExceeded, ReadOnlyFilesystem, StorageFull};
+    let of_disk = |e: &std::io::Error| matches!(e.kind(), StorageFull | QuotaExceeded | ReadOnlyFilesystem);
+    error.is::<FileError>() || error.downcast_ref().is_some_and(of_disk)
 }
 
 /// An actor's surroundings; usable from the threads it hands work to.

@@ -22,16 +22,18 @@
 
 mod inventory;
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, OnceLock};
 
 use crate::codec::{self, CodecError, Decode, Encode};
 use crate::fault;
 use crate::files::{self, FileError};
 use crate::key::Key;
+use crate::meter::lock;
 
 pub use inventory::{Artefact, Swept};
 
@@ -42,7 +44,7 @@ const HEADER: usize = 8 + 8 + 32;
 #[derive(Debug, thiserror::Error)]
 pub enum CacheError {
     /// The folder could not be read or written.
-    #[error(transparent)]
+    #[error("{0}")]
     File(#[from] FileError),
     /// The value has no record form.
     #[error(transparent)]
@@ -53,7 +55,7 @@ pub enum CacheError {
 #[derive(Debug, thiserror::Error)]
 pub enum MakeError<E: std::error::Error + 'static> {
     /// The cache could not serve.
-    #[error(transparent)]
+    #[error("{0}")]
     Cache(#[from] CacheError),
     /// The value could not be made.
     #[error(transparent)]
@@ -93,6 +95,16 @@ struct Counters {
     bytes_written: AtomicU64,
 }
 
+/// Told of each damaged artefact: its key as the ledger writes it, and what is wrong with it.
+type Told = Box<dyn Fn(&str, &str) + Send + Sync>;
+
+/// What was found damaged since the cache was opened.
+#[derive(Default)]
+struct Damage {
+    keys: Mutex<BTreeSet<String>>,
+    told: OnceLock<Told>,
+}
+
 /// Whether a file's bytes are a whole artefact; else what is wrong with them.
 fn check(bytes: &[u8]) -> Result<(), &'static str> {
     if bytes.len() < HEADER {
@@ -113,6 +125,7 @@ fn check(bytes: &[u8]) -> Result<(), &'static str> {
 pub struct Cache {
     root: PathBuf,
     counters: Arc<Counters>,
+    damage: Arc<Damage>,
 }
 
 impl Cache {
@@ -123,12 +136,23 @@ impl Cache {
     pub fn open(root: impl Into<PathBuf>) -> Result<Self, CacheError> {
         let root = root.into();
         fs::create_dir_all(&root).map_err(|e| FileError::new("create the cache folder", &root, e))?;
-        Ok(Self { root, counters: Arc::default() })
+        Ok(Self::at(root))
     }
 
     /// The cache in a folder that may not be there: it then holds nothing, and nothing is made.
     pub fn at(root: impl Into<PathBuf>) -> Self {
-        Self { root: root.into(), counters: Arc::default() }
+        Self { root: root.into(), counters: Arc::default(), damage: Arc::default() }
+    }
+
+    /// Calls a function once for each artefact that is found damaged: with its key as the ledger writes it, and what is
+    /// wrong with it. One function in all, for the cache and its clones: the first.
+    pub fn on_damage(&self, told: impl Fn(&str, &str) + Send + Sync + 'static) {
+        let _ = self.damage.told.set(Box::new(told));
+    }
+
+    /// Whether the artefact of a key has been found damaged since the cache was opened.
+    pub fn was_damaged(&self, key: &Key) -> bool {
+        lock(&self.damage.keys).contains(&key.to_string())
     }
 
     /// The folder.
@@ -273,14 +297,19 @@ impl Cache {
     }
 
     fn move_aside(&self, key: &Key, reason: &str) {
-        self.move_file_aside(&self.path(key), &format!("{}-{}", key.domain(), key.hex()), reason);
+        self.move_file_aside(&self.path(key), &key.to_string(), reason);
     }
 
-    fn move_file_aside(&self, from: &Path, name: &str, reason: &str) {
+    /// `key` is as the ledger writes it.
+    fn move_file_aside(&self, from: &Path, key: &str, reason: &str) {
         self.counters.corrupt.fetch_add(1, Ordering::Relaxed);
         tracing::warn!("{} is damaged ({reason}): made anew", from.display());
+        let first = lock(&self.damage.keys).insert(key.to_owned());
+        if let Some(told) = self.damage.told.get().filter(|_| first) {
+            told(key, reason);
+        }
         let folder = self.root.join("corrupt");
-        let to = folder.join(files::unique_name(name));
+        let to = folder.join(files::unique_name(&key.replace(':', "-")));
         // Where the folder cannot be written, the damaged file stays and stays a miss.
         let _ = fs::create_dir_all(&folder).and_then(|()| fs::rename(from, to));
     }

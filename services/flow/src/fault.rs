@@ -24,13 +24,14 @@ use crate::meter::lock;
 
 /// The points, and what passes there. An actor's own points are `NAME.handle`; names that begin with `test.` are
 /// free for tests.
-pub const POINTS: [(&str, &str); 16] = [
+pub const POINTS: [(&str, &str); 17] = [
     ("trainer.handle", "the trainer takes an order"),
     ("masks.handle", "the masks actor takes a photo"),
     ("features.handle", "the features actor takes a photo, or the field"),
     ("segmenter.handle", "the segmenter takes the prompts of a selection"),
     ("trainer.step", "the trainer has done a step"),
     ("features.step", "the field has taken a photo in, or done a step of its refinement"),
+    ("masks.make", "the masks of a photo are about to be made"),
     ("visibility.photo", "a photo has been compared with the trained scene"),
     ("evaluate.photo", "a held-out photo has been scored"),
     ("report.picture", "a picture of the report has been drawn"),

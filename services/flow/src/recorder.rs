@@ -179,7 +179,7 @@ impl Watched {
             Exit::Finished => ("finished", None),
             Exit::Stopped => ("stopped", None),
             Exit::DownstreamClosed => ("downstream_closed", None),
-            Exit::Failed(error) => ("failed", Some(error)),
+            Exit::Failed(error) | Exit::Storage(error) => ("failed", Some(error)),
             Exit::Late => ("late", None),
         };
         let worker = |(i, w): (usize, crate::report::WorkerStatus)| LiveWorker {

@@ -24,6 +24,8 @@ pub enum Exit {
     DownstreamClosed,
     /// It gave up, or its restarts are used up.
     Failed(String),
+    /// The disk or the system refused it a file.
+    Storage(String),
     /// It was still running when the deadline for stopping had passed.
     Late,
 }
@@ -109,7 +111,15 @@ impl Report {
     /// The actors that failed, with their errors.
     pub fn failures(&self) -> impl Iterator<Item = (&str, &str)> {
         self.actors.iter().filter_map(|a| match &a.exit {
-            Exit::Failed(error) => Some((a.name.as_str(), error.as_str())),
+            Exit::Failed(error) | Exit::Storage(error) => Some((a.name.as_str(), error.as_str())),
+            _ => None,
+        })
+    }
+
+    /// The first of the [`Report::failures`] that the disk or the system is at fault for.
+    pub fn storage_failure(&self) -> Option<(&str, &str)> {
+        self.actors.iter().find_map(|a| match &a.exit {
+            Exit::Storage(error) => Some((a.name.as_str(), error.as_str())),
             _ => None,
         })
     }
@@ -142,7 +152,7 @@ impl fmt::Display for Report {
                 Exit::Finished => "finished".into(),
                 Exit::Stopped => "stopped".into(),
                 Exit::DownstreamClosed => "its consumer has gone".into(),
-                Exit::Failed(error) => format!("failed: {error}"),
+                Exit::Failed(error) | Exit::Storage(error) => format!("failed: {error}"),
                 Exit::Late => "still running".into(),
             };
             writeln!(

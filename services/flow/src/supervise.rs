@@ -168,6 +168,7 @@ impl Cell {
     pub fn restart(&self, context: &Context, failure: &Failure) -> Option<Exit> {
         match failure.kind {
             FailureKind::Fatal => return Some(Exit::Failed(failure.message.clone())),
+            FailureKind::Storage => return Some(Exit::Storage(failure.message.clone())),
             // A stop closes the mailboxes: who was held back there has been stopped, too.
             FailureKind::Downstream if !context.stopping() => return Some(Exit::DownstreamClosed),
             FailureKind::Downstream | FailureKind::Stopped => return Some(Exit::Stopped),
@@ -267,13 +268,14 @@ pub(crate) fn work<A: Actor>(
         };
         let life = live(&mut actor, cell, context, inbox, &mut held);
         let exit = match life {
-            Life::Over(Exit::Failed(error)) => Some(Exit::Failed(error)),
+            Life::Over(exit @ (Exit::Failed(_) | Exit::Storage(_))) => Some(exit),
             Life::Over(exit) => {
                 context.pulse.enter(WorkerState::Busy, "stop");
                 Some(match guard(|| actor.on_stop(context)) {
                     Ok(()) => exit,
                     Err((failure, _)) => match failure.kind {
                         FailureKind::Stopped | FailureKind::Downstream => exit,
+                        FailureKind::Storage => Exit::Storage(failure.message),
                         _ => Exit::Failed(failure.message),
                     },
                 })
@@ -286,7 +288,7 @@ pub(crate) fn work<A: Actor>(
             Ok(())
         });
         match (exit, dropped) {
-            (Some(Exit::Failed(error)), _) => return Exit::Failed(error),
+            (Some(exit @ (Exit::Failed(_) | Exit::Storage(_))), _) => return exit,
             (Some(_), Err((failure, _))) => return Exit::Failed(failure.message),
             (Some(exit), Ok(())) => return exit,
             (None, _) => {}
@@ -383,7 +385,9 @@ fn after_failure<M>(
     let over = match failure.kind {
         FailureKind::Downstream if !context.stopping() => Some(Exit::DownstreamClosed),
         FailureKind::Downstream | FailureKind::Stopped => Some(Exit::Stopped),
-        FailureKind::Retry | FailureKind::Restart if context.stopping() => Some(Exit::Stopped),
+        FailureKind::Retry | FailureKind::Restart | FailureKind::Storage if context.stopping() => {
+            Some(Exit::Stopped)
+        }
         _ => None,
     };
     if let Some(exit) = over {
@@ -399,6 +403,8 @@ fn after_failure<M>(
                 return cell.pause(context, delay).map(Life::Over);
             }
         }
+        // What the disk refused is nobody's fault: there is nothing to give up.
+        _ if failure.is_storage() => return Some(Life::Over(Exit::Storage(failure.message.clone()))),
         message => {
             let quarantined = Quarantined { label, error: failure.message.clone(), attempts: attempt };
             context.events.tell(Event::ViewFailed {

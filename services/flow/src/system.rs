@@ -341,7 +341,7 @@ fn run_worker(cell: &Arc<Cell>, context: Context, mut body: Body) {
     meter::adopt(None);
     context.pulse.note_cpu();
     context.pulse.enter(WorkerState::Ended, "");
-    if let Exit::Failed(error) = &exit {
+    if let Exit::Failed(error) | Exit::Storage(error) = &exit {
         tracing::error!("{} failed: {error}", cell.name);
         context.events.tell(Event::ActorFailed { actor: cell.name.to_string(), error: error.clone() });
         if cell.options.vital {

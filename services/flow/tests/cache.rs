@@ -146,3 +146,19 @@ fn a_cache_in_the_way_of_a_file_is_an_error() {
     };
     assert!(error.to_string().starts_with("cannot create the cache folder"), "{error}");
 }
+
+#[test]
+fn damage_is_told_once_and_remembered() {
+    let folder = tempfile::tempdir().unwrap();
+    let cache = Cache::open(folder.path()).unwrap();
+    let (told, heard) = std::sync::mpsc::channel();
+    cache.clone().on_damage(move |key, reason| told.send(format!("{key} {reason}")).unwrap());
+    cache.put(&key("a"), b"bytes").unwrap();
+    for _ in 0..2 {
+        fs::write(cache.path(&key("a")), "torn").unwrap();
+        assert_eq!(cache.get(&key("a")).unwrap(), None);
+    }
+    assert!(cache.was_damaged(&key("a")) && !cache.was_damaged(&key("b")));
+    let words: Vec<String> = heard.try_iter().collect();
+    assert_eq!(words, [format!("{} it is shorter than its header", key("a"))]);
+}

@@ -150,3 +150,41 @@ fn workers_share_the_mailbox() {
     assert_eq!(report.actor("probe").unwrap().messages, 12);
     assert_eq!(log.iter().filter(|l| *l == "stop").count(), 3);
 }
+
+#[test]
+fn a_disk_that_refuses_ends_the_actor_and_gives_no_message_up() {
+    let folder = tempfile::tempdir().unwrap();
+    // A file where the cache wants a folder.
+    std::fs::write(folder.path().join("areas.d"), "").unwrap();
+    let cache = Cache::open(folder.path()).unwrap();
+    let setup = probe(quick(), SystemOptions::default(), move |view, _, _| {
+        let key = Key::of("areas").value("view", view.0).finish();
+        if view.0 == 1 {
+            cache.get_or_make(&key, "areas/1", || Ok::<_, Busy>(vec![1.0f32]))?;
+        }
+        Ok(())
+    });
+    send_all(&setup, 0..2);
+    let (report, log, events) = finish(setup);
+    assert_eq!(log, ["start 0", "view 0"], "nothing is given up, nothing is stopped in order");
+    let actor = report.actor("probe").unwrap();
+    assert_eq!((actor.messages, actor.retries, actor.quarantined.len()), (1, 2, 0));
+    assert!(matches!(&actor.exit, Exit::Storage(words) if words.contains("areas.d")), "{:?}", actor.exit);
+    assert_eq!(report.storage_failure().unwrap().0, "probe");
+    assert!(!events.iter().any(|event| matches!(event, Event::ViewFailed { .. })));
+}
+
+#[test]
+fn a_disk_that_refuses_once_costs_an_attempt() {
+    let tries = AtomicU32::new(0);
+    let setup = probe(quick(), SystemOptions::default(), move |_, _, _| {
+        match tries.fetch_add(1, Ordering::Relaxed) {
+            0 => Err(std::io::Error::from(std::io::ErrorKind::StorageFull).into()),
+            _ => Ok(()),
+        }
+    });
+    send_all(&setup, 0..1);
+    let (report, log, _) = finish(setup);
+    assert_eq!(log, ["start 0", "view 0", "stop"]);
+    assert!(report.finished());
+}

@@ -1,7 +1,7 @@
 //! Sky and masks behind a mailbox, cached per view.
 
 use crate::{MaskSettings, MaskSource, generate, sasm};
-use segwild_flow::{Actor, Cache, Context, Failure, Key, Message, Origin, Quarantined, Sender};
+use segwild_flow::{Actor, Cache, Context, Failure, Key, Message, Origin, Quarantined, Sender, fault};
 use segwild_scene::{Image, Mask, MaskSet, Scene};
 use segwild_vision::{MaskProposer, SkyDetector};
 use std::sync::Arc;
@@ -28,11 +28,10 @@ pub enum MaskTask {
         view: usize,
         /// Name of the artefact.
         key: Key,
-        /// The scene from the photo's camera: no transients, one light. `None` if the masks are cached or drawn on
-        /// the photo.
+        /// The scene from the photo's camera: no transients, one light. `None` if it was not drawn in advance.
         render: Option<Arc<Image>>,
-        /// Centres of the splats of the snapshot, for the depth of the prompts.
-        means: Arc<Vec<[f32; 3]>>,
+        /// The scene that the masks are drawn on.
+        snapshot: Arc<dyn Snapshot>,
         /// The photo's sky, if known.
         sky: Option<Arc<Mask>>,
     },
@@ -59,6 +58,18 @@ impl Message for MaskTask {
     }
 }
 
+/// The scene as it is when the masks are made.
+pub trait Snapshot: Send + Sync {
+    /// Centres of its splats, for the depth of the prompts.
+    fn means(&self) -> &[[f32; 3]];
+
+    /// The scene from a photo's camera.
+    ///
+    /// # Errors
+    /// In words, when it cannot be drawn.
+    fn render(&self, view: usize) -> Result<Image, String>;
+}
+
 /// What the actor sends on.
 pub enum MaskOutcome {
     /// A photo's sky; `Err` says why there is none.
@@ -81,62 +92,74 @@ pub enum MaskOutcome {
     },
 }
 
-/// The actor. `O` is what its consumer calls its outcomes.
-pub struct MaskActor<O: Message> {
+/// Makes the masks of a photo.
+pub struct MaskMaker {
     /// The scene.
     pub scene: Arc<Scene>,
     /// Long side at which photos are looked at.
     pub size: u32,
-    /// Finds the sky.
-    pub sky: Arc<dyn SkyDetector>,
     /// Proposes masks.
     pub proposer: Arc<dyn MaskProposer>,
-    /// Where artefacts are.
-    pub cache: Cache,
     /// How masks are made.
     pub settings: MaskSettings,
     /// What is near and what is far in this scene.
     pub depths: sasm::SceneDepths,
+}
+
+/// The actor. `O` is what its consumer calls its outcomes.
+pub struct MaskActor<O: Message> {
+    /// Finds the sky.
+    pub sky: Arc<dyn SkyDetector>,
+    /// Makes the masks.
+    pub maker: Arc<MaskMaker>,
+    /// Where artefacts are.
+    pub cache: Cache,
     /// Where outcomes go.
     pub out: Sender<O>,
 }
 
-/// A failure in words.
+/// Why there is no sky, or there are no masks, in words.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
-struct Refused(String);
+pub struct Refused(String);
 
-impl<O: Message + From<MaskOutcome>> MaskActor<O> {
+impl MaskMaker {
     fn photo(&self, view: usize) -> Result<Image, Refused> {
         Ok(self.scene.views[view].load(self.size).map_err(|e| Refused(e.to_string()))?.image)
     }
 
-    fn make_masks(
+    /// Makes the masks of a view; without a `render` the snapshot is drawn here, if it is what they are drawn on.
+    ///
+    /// # Errors
+    /// When the photo cannot be read or the model refuses.
+    pub fn make(
         &self,
         view: usize,
         render: Option<&Image>,
-        means: &[[f32; 3]],
+        snapshot: &dyn Snapshot,
         sky: Option<&Mask>,
     ) -> Result<MaskSet, Refused> {
+        fault::point("masks.make").map_err(|e| Refused(e.to_string()))?;
         let posed = &self.scene.views[view];
-        let loaded;
+        let drawn;
         let image = match (self.settings.mask_source, render) {
             (MaskSource::Render, Some(render)) => render,
             (MaskSource::Render, None) => {
-                return Err(Refused(format!(
-                    "photo {}: its masks have gone from the cache; run again",
-                    posed.name
-                )));
+                drawn = snapshot
+                    .render(view)
+                    .map_err(|e| Refused(format!("photo {}: its view cannot be drawn: {e}", posed.name)))?;
+                &drawn
             }
             (MaskSource::Photo, _) => {
-                loaded = self.photo(view)?;
-                &loaded
+                drawn = self.photo(view)?;
+                &drawn
             }
         };
         let camera = posed.camera.resized(image.width as u32, image.height as u32);
         let depth = self.depths.relative(sasm::scene_view_depth(&self.scene, posed));
         let words = |e: crate::MaskError| Refused(format!("photo {}: {e}", posed.name));
-        let plan = sasm::plan(means, &camera, &posed.pose, depth, sky, &self.settings).map_err(words)?;
+        let plan =
+            sasm::plan(snapshot.means(), &camera, &posed.pose, depth, sky, &self.settings).map_err(words)?;
         Ok(generate(&*self.proposer, image, &plan.points, sky, &self.settings).map_err(words)?.set)
     }
 }
@@ -150,16 +173,15 @@ impl<O: Message + From<MaskOutcome>> Actor for MaskActor<O> {
         let outcome = match task {
             MaskTask::Sky { view, key } => {
                 let (sky, origin) = self.cache.get_or_make(&key, SKY, || {
-                    let image = self.photo(view)?;
-                    self.sky
-                        .sky(&image)
-                        .map_err(|e| Refused(format!("photo {}: {e}", self.scene.views[view].name)))
+                    let image = self.maker.photo(view)?;
+                    let name = &self.maker.scene.views[view].name;
+                    self.sky.sky(&image).map_err(|e| Refused(format!("photo {name}: {e}")))
                 })?;
                 MaskOutcome::Sky { view, sky: Ok(Arc::new(sky)), seconds: took(origin) }
             }
-            MaskTask::Masks { view, key, render, means, sky } => {
+            MaskTask::Masks { view, key, render, snapshot, sky } => {
                 let (set, origin) = self.cache.get_or_make(&key, MASKS, || {
-                    self.make_masks(view, render.as_deref(), &means, sky.as_deref())
+                    self.maker.make(view, render.as_deref(), &*snapshot, sky.as_deref())
                 })?;
                 MaskOutcome::Masks { view, masks: Ok(set.masks.len()), seconds: took(origin) }
             }

@@ -8,7 +8,7 @@ mod generate;
 pub mod sasm;
 mod settings;
 
-pub use actor::{MaskActor, MaskOutcome, MaskTask};
+pub use actor::{MaskActor, MaskMaker, MaskOutcome, MaskTask, Refused, Snapshot};
 pub use clean::without_specks;
 pub use generate::{Generated, MaskError, Tally, generate};
 pub use settings::{MaskSettings, MaskSource};

@@ -190,13 +190,29 @@ impl Keys {
         }
     }
 
-    /// The name of the field that is made without the embeddings and the masks of some photos.
-    pub fn features_without(&self, embeddings: &BTreeSet<usize>, masks: &BTreeSet<usize>) -> Key {
-        let parts = [("embedding", embeddings), ("masks", masks)];
+    /// The name of the field that is made without the embeddings, the masks or the visibility of some photos.
+    pub fn features_without(
+        &self,
+        embeddings: &BTreeSet<usize>,
+        masks: &BTreeSet<usize>,
+        visibility: &BTreeSet<usize>,
+    ) -> Key {
+        let parts = [("embedding", embeddings), ("masks", masks), ("visibility", visibility)];
         parts.iter().fold(self.features, |key, (what, views)| match views.is_empty() {
             true => key,
             false => lacking(&key, what, views),
         })
+    }
+
+    /// The name of the scores without those of some photos.
+    pub fn evaluation_without(&self, photos: &BTreeSet<usize>) -> Key {
+        if photos.is_empty() { self.evaluation } else { lacking(&self.evaluation, "score", photos) }
+    }
+
+    /// The photo that an artefact is made of and the kind of artefact, by its name as the ledger writes it.
+    pub fn view_of(&self, key: &str) -> Option<usize> {
+        let all = [&self.sky, &self.embedding, &self.masks, &self.visibility];
+        all.into_iter().find_map(|keys| keys.iter().position(|k| k.to_string() == key))
     }
 
     /// What a stage is recorded under in the ledger.

@@ -1,6 +1,5 @@
 //! Where one actor leaves per-view results that another waits for.
 
-use segwild_features::AwaitedMasks;
 use segwild_flow::waiting_for;
 use std::collections::BTreeMap;
 use std::sync::{Condvar, Mutex, PoisonError};
@@ -49,12 +48,6 @@ impl<T: Clone> Board<T> {
             let tick = Duration::from_millis(200);
             slots = self.filled.wait_timeout(slots, tick).unwrap_or_else(PoisonError::into_inner).0;
         }
-    }
-}
-
-impl AwaitedMasks for Board<bool> {
-    fn wait(&self, view: usize, stopping: &dyn Fn() -> bool) -> Option<bool> {
-        Board::wait(self, view, stopping)
     }
 }
 

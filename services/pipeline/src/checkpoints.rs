@@ -28,8 +28,7 @@ impl Keeper<'_> {
     pub fn save(&self, checkpoint: &Checkpoint) -> Result<(), RunError> {
         fault::point("checkpoint.save")
             .map_err(|e| FileError::new("write", &self.folder.checkpoints(), e))?;
-        // Trainings under other settings have checkpoints here, too.
-        let name = format!("geometry-{}-{:08}.bin", &self.key.hex()[..8], checkpoint.step());
+        let name = format!("{}{:08}.bin", self.prefix(), checkpoint.step());
         let path = self.folder.checkpoints().join(&name);
         let bytes = codec::encode(CHECKPOINT, checkpoint)
             .map_err(|source| RunError::Record { path: path.clone(), source })?;
@@ -49,31 +48,74 @@ impl Keeper<'_> {
         Ok(())
     }
 
+    /// The checkpoints of this training, newest first. Those that lie in the folder without a row, as after the ledger was
+    /// lost, get one: their name says which training they belong to, and a record says itself whether it is whole.
+    pub fn rows(&self) -> Result<Vec<CheckpointRow>, RunError> {
+        let known = self.ledger.checkpoints("geometry", self.key)?;
+        let prefix = self.prefix();
+        let mut found = false;
+        for entry in std::fs::read_dir(self.folder.checkpoints()).into_iter().flatten().flatten() {
+            let file = entry.file_name().to_string_lossy().into_owned();
+            let step = file.strip_prefix(&prefix).and_then(|rest| rest.strip_suffix(".bin"));
+            let Some(step) = step.and_then(|step| step.parse::<u32>().ok()) else { continue };
+            if known.iter().any(|row| row.file == file) {
+                continue;
+            }
+            let Ok(bytes) = std::fs::read(entry.path()) else { continue };
+            self.ledger.record_checkpoint(&CheckpointRow::new(
+                "geometry",
+                self.key,
+                step.into(),
+                &file,
+                &bytes,
+            ))?;
+            let message =
+                format!("checkpoint {file} was found in the folder, and not in the ledger: it is used");
+            self.events.info(Some("geometry"), message);
+            found = true;
+        }
+        Ok(if found { self.ledger.checkpoints("geometry", self.key)? } else { known })
+    }
+
+    /// What the names of this training's checkpoints begin with: trainings under other settings have some here, too.
+    fn prefix(&self) -> String {
+        format!("geometry-{}-", &self.key.hex()[..8])
+    }
+
     /// The last checkpoint before step `before` that reads back whole; damaged ones are named and passed over.
     pub fn last_before(&self, before: u32) -> Result<Option<Checkpoint>, RunError> {
-        for row in self.ledger.checkpoints("geometry", self.key)? {
+        let mut damaged = Vec::new();
+        let mut last = None;
+        for row in self.rows()? {
             let path = self.folder.checkpoints().join(&row.file);
             let read = std::fs::read(&path).map_err(|e| e.to_string()).and_then(|bytes| {
-                if blake3::hash(&bytes).to_hex().as_str() != row.digest {
+                if !row.fits(&bytes) {
                     return Err("its content has changed".into());
                 }
                 codec::decode::<Checkpoint>(CHECKPOINT, &bytes).map_err(|e| e.to_string())
             });
             match read {
-                Ok(checkpoint) if checkpoint.step() < before => return Ok(Some(checkpoint)),
+                Ok(checkpoint) if checkpoint.step() < before => {
+                    last = Some(checkpoint);
+                    break;
+                }
                 Ok(_) => {}
                 Err(reason) => {
-                    let message = format!(
-                        "checkpoint {} is passed over, the one before it serves: {reason}",
-                        path.display()
-                    );
-                    self.events.warn(Some("geometry"), message);
                     // It may be gone already, and it is of no use.
                     let _ = std::fs::remove_file(&path);
                     self.ledger.forget_checkpoint(&row)?;
+                    damaged.push((path, reason));
                 }
             }
         }
-        Ok(None)
+        let instead = match last {
+            Some(_) => "the one before it serves",
+            None => "there is none before it: the training begins anew",
+        };
+        for (path, reason) in damaged {
+            let message = format!("checkpoint {} is passed over ({reason}): {instead}", path.display());
+            self.events.warn(Some("geometry"), message);
+        }
+        Ok(last)
     }
 }

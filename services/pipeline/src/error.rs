@@ -2,7 +2,7 @@
 
 use crate::SettingsError;
 use segwild_features::FeatureError;
-use segwild_flow::{CacheError, CodecError, FileError, LedgerError, SpawnError};
+use segwild_flow::{CacheError, CodecError, Failure, FileError, LedgerError, SpawnError};
 use segwild_raster::RasterError;
 use segwild_scene::SceneError;
 use segwild_segmenter::SegmentError;
@@ -55,6 +55,14 @@ pub enum RunError {
         /// Why.
         reason: String,
     },
+    /// The disk or the system stood in the way of a stage; what was computed before is kept.
+    #[error("stage `{stage}` stopped: {reason}")]
+    Storage {
+        /// The stage.
+        stage: &'static str,
+        /// What could not be read or written, and why.
+        reason: String,
+    },
     /// The prompts make no sense or select nothing.
     #[error(transparent)]
     Segment(#[from] SegmentError),
@@ -76,4 +84,15 @@ pub enum RunError {
     /// Features could not be drawn.
     #[error(transparent)]
     Features(#[from] FeatureError),
+}
+
+impl RunError {
+    /// A stage that failed, by its own fault or the disk's.
+    pub(crate) fn of_stage(stage: &'static str, failure: &Failure) -> RunError {
+        let reason = failure.to_string();
+        match failure.is_storage() {
+            true => RunError::Storage { stage, reason },
+            false => RunError::Stage { stage, reason },
+        }
+    }
 }

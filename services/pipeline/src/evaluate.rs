@@ -2,13 +2,14 @@
 
 use crate::prompts::{Replay, png_names};
 use crate::{RunError, RunFolder, Selected, Settings};
-use segwild_flow::{FileError, fault};
+use segwild_flow::fault;
 use segwild_raster::Engine;
 use segwild_scene::{Mask, Scene};
 use segwild_trainer::{LookKind, Model, Photos, Protocol, TrainPhoto, evaluate};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Instant;
 
 /// Scores of the held-out photos.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -57,7 +58,11 @@ pub struct Score {
     pub photos: Vec<MaskScore>,
 }
 
-/// Scores the held-out photos, if there are any, and writes `evaluation.json`.
+/// How often a photo is scored before it is left out.
+const ATTEMPTS: u32 = 3;
+
+/// Scores the held-out photos, if there are any, and writes `evaluation.json`. Those that cannot be scored are left out.
+/// `booked` hears of each the seconds it took, or why it is left out.
 pub(crate) fn held_out(
     folder: &RunFolder,
     scene: &Arc<Scene>,
@@ -65,6 +70,7 @@ pub(crate) fn held_out(
     engine: &dyn Engine,
     settings: &Settings,
     sky: impl Fn(usize) -> Result<Option<Mask>, String> + Send + Sync + 'static,
+    mut booked: impl FnMut(usize, Result<f64, String>) -> Result<(), RunError>,
 ) -> Result<Option<HeldOut>, RunError> {
     let size = settings.scene.size;
     let views: Vec<usize> = (0..scene.views.len())
@@ -84,12 +90,30 @@ pub(crate) fn held_out(
         let loaded = source.views[view].load(size).map_err(|e| e.to_string())?;
         Ok(TrainPhoto { image: loaded.image, valid: loaded.valid, sky: sky(view)? })
     });
-    let mut scores = Vec::new();
-    for view in views {
-        // One at a time: an evaluation keeps its renders.
-        let scored = evaluate(model, engine, scene, photos.clone(), &[view], protocol)?;
-        fault::point("evaluate.photo").map_err(|e| FileError::new("score", folder.path(), e))?;
-        scores.extend(scored.views.into_iter().map(|v| (v.name, v.psnr, v.ssim)));
+    // One at a time: an evaluation keeps its renders.
+    let score = |view: usize| -> Result<_, String> {
+        let scored = evaluate(model, engine, scene, photos.clone(), &[view], protocol);
+        let scored = scored.map_err(|e| e.to_string())?;
+        fault::point("evaluate.photo").map_err(|e| e.to_string())?;
+        Ok(scored.views.into_iter().map(|v| (v.name, v.psnr, v.ssim)))
+    };
+    let (mut scores, mut first_error) = (Vec::new(), None);
+    for &view in &views {
+        let (began, first) = (Instant::now(), score(view));
+        match (1..ATTEMPTS).fold(first, |scored, _| scored.or_else(|_| score(view))) {
+            Ok(scored) => {
+                scores.extend(scored);
+                booked(view, Ok(began.elapsed().as_secs_f64()))?;
+            }
+            Err(reason) => {
+                first_error.get_or_insert_with(|| reason.clone());
+                booked(view, Err(reason))?;
+            }
+        }
+    }
+    if let Some(reason) = first_error.filter(|_| scores.is_empty()) {
+        let reason = format!("not one of {} photos could be scored; the first: {reason}", views.len());
+        return Err(RunError::Stage { stage: "evaluate", reason });
     }
     let mean = |pick: fn(&(String, f32, f32)) -> f32| {
         scores.iter().map(pick).sum::<f32>() / scores.len().max(1) as f32

@@ -182,12 +182,19 @@ impl Before {
             alone.push(situation(path, &one, None)?.keys);
         }
         let mut given_up = Vec::new();
-        for (stage, keys) in
-            [("sky", &then.keys.sky), ("embed", &then.keys.embedding), ("masks", &then.keys.masks)]
-        {
+        for (stage, keys) in [
+            ("sky", &then.keys.sky),
+            ("embed", &then.keys.embedding),
+            ("masks", &then.keys.masks),
+            ("visibility", &then.keys.visibility),
+            // Every photo has a sky; these have scores under one name for all.
+            ("evaluate", &then.keys.sky),
+        ] {
             for row in ledger.views(stage)?.iter().filter(|row| row.outcome.state == State::Failed) {
-                // Masks that were made without another photo's sky bear another key; the photo counts all the same.
-                let of_then = |i: &usize| stage == "masks" || keys[*i].to_string() == row.key;
+                // What was made without another photo's sky bears another key; the photo counts all the same.
+                let of_then = |i: &usize| {
+                    matches!(stage, "masks" | "visibility" | "evaluate") || keys[*i].to_string() == row.key
+                };
                 let view = (0..keys.len()).filter(of_then).find(|&i| then.scene.views[i].name == row.view);
                 given_up.extend(view.map(|view| (stage, view)));
             }
@@ -197,7 +204,9 @@ impl Before {
             views.filter(|&view| then.scene.views[view].test == test).collect()
         };
         let mut lacking = then.keys.without_skies(&by("sky", false), &by("sky", true));
-        lacking.features = lacking.features_without(&by("embed", false), &by("masks", false));
+        lacking.features =
+            lacking.features_without(&by("embed", false), &by("masks", false), &by("visibility", false));
+        lacking.evaluation = lacking.evaluation_without(&by("evaluate", true));
         Ok(Before { stages: ledger.stages()?, changed, then, alone, given_up, lacking })
     }
 

@@ -1,6 +1,7 @@
 //! One scene from its photos to its report.
 
 use crate::accelerator::leased;
+use crate::anew::Anew;
 use crate::artefacts::Keys;
 use crate::board::Board;
 use crate::coordinator::{Coordinator, State};
@@ -9,13 +10,16 @@ use crate::folder::Intake;
 use crate::skies::Skies;
 use crate::traces::Traces;
 use crate::{RunError, RunFolder, Settings, Until, keep, memory, report};
-use segwild_flow::{Event, Events, Ledger, Phase, Recorder, Stopper, cpu, files, trace};
+use segwild_flow::ledger::ViewOutcome;
+use segwild_flow::{Cache, Event, Events, Failure, Ledger, Phase, Recorder, Stopper, cpu, files, trace};
+use segwild_masks::{MaskMaker, sasm};
 use segwild_raster::{CpuEngine, Engine};
 use segwild_scene::{Scene, Skipped};
 use segwild_vision::Providers;
 use serde::Serialize;
+use std::collections::BTreeSet;
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 /// The stages, in the order in which they end.
@@ -106,6 +110,7 @@ pub fn run(
 ) -> Result<Summary, RunError> {
     let settings = &settings.anchored();
     let began = Instant::now();
+    let lost = lost_ledger(folder);
     let ledger = Ledger::open(folder.ledger())?;
     let record = ledger.clone();
     let _sink = options
@@ -116,6 +121,9 @@ pub fn run(
             }
         })
         .map_err(|e| files::FileError::new("start the event recorder of", folder.path(), e))?;
+    if let Some(words) = lost {
+        options.events.warn(None, words);
+    }
     folder.remove_litter();
     let recorder = Recorder::start(&ledger, &options.events)
         .map_err(|e| files::FileError::new("start the live view of", folder.path(), e))?;
@@ -176,15 +184,18 @@ pub fn run(
         Some(Until::Step(step)) if step < settings.train.steps => 3,
         _ => STAGES.len(),
     };
-    let (size, sky_keys) = (settings.scene.size, keys.sky.clone());
-    let skies = Skies::new(
-        scene.clone(),
+    let names = Arc::new(Mutex::new(keys.clone()));
+    tell_of_damage(&cache, &names, &scene, &options.events);
+    let size = settings.scene.size;
+    let anew = Anew { scene: scene.clone(), cache: cache.clone(), events: options.events.clone() };
+    let skies = Skies::new(anew, size, keys.sky.clone(), providers.sky.clone());
+    let maker = MaskMaker {
+        scene: scene.clone(),
         size,
-        cache.clone(),
-        sky_keys,
-        providers.sky.clone(),
-        options.events.clone(),
-    );
+        proposer: providers.proposer.clone(),
+        settings: settings.masks.clone(),
+        depths: sasm::SceneDepths::of(&scene),
+    };
     let mut coordinator = Coordinator {
         folder,
         settings,
@@ -195,10 +206,13 @@ pub fn run(
         engine,
         full_keys: keys.clone(),
         keys,
+        names,
         cache,
         last,
         steps,
         skies: Arc::new(skies),
+        embedder: providers.embedder.clone(),
+        maker: Arc::new(maker),
         masks_known: Arc::new(Board::new("masks")),
         tainted: Arc::default(),
         state: State::default(),
@@ -214,13 +228,17 @@ pub fn run(
     let mut state = std::mem::take(&mut coordinator.state);
     traces.write(&report)?;
     // An actor that gave up has stopped the others; that is not a stop by the user.
-    let gave_up = report.failures().next().map(|(actor, error)| (stage_of(actor), error.to_owned()));
+    let failed = |(actor, error): (&str, &str), kind: fn(&str) -> Failure| (stage_of(actor), kind(error));
+    let gave_up = (coordinator.skies.lost().map(|lost| ("sky", lost)))
+        .or_else(|| Some(failed(report.storage_failure()?, |error| Failure::storage(error))))
+        .or_else(|| Some(failed(report.failures().next()?, |error| Failure::fatal(error))));
     match (outcome, gave_up) {
-        (Ok(()) | Err(RunError::Interrupted), Some((stage, reason))) => {
+        (Ok(()) | Err(RunError::Interrupted), Some((stage, failure))) => {
+            let reason = failure.to_string();
             ledger.fail_stage(stage, &coordinator.keys.stage(stage), &reason)?;
             ledger.leave_stages()?;
             options.events.tell(Event::StageFailed { stage: stage.into(), error: reason.clone() });
-            return Err(RunError::Stage { stage, reason });
+            return Err(RunError::of_stage(stage, &failure));
         }
         (Err(RunError::Interrupted), None) => {
             ledger.leave_stages()?;
@@ -254,14 +272,30 @@ pub fn run(
             let progress = options.events.stage("evaluate", None);
             let skies = coordinator.skies.clone();
             let sky = move |view: usize| skies.read(view).map_err(|lost| lost.to_string());
-            let evaluated = traces.step(&mut report, "evaluate", || {
-                held_out(folder, &scene, model, &*coordinator.engine, settings, sky)
+            let mut unscored = BTreeSet::new();
+            let scored = traces.step(&mut report, "evaluate", || {
+                held_out(folder, &scene, model, &*coordinator.engine, settings, sky, |view, scored| {
+                    let name = &scene.views[view].name;
+                    let outcome = match scored {
+                        Ok(seconds) => ViewOutcome::done(seconds),
+                        Err(reason) => {
+                            unscored.insert(view);
+                            let message = format!("photo {name} is not scored: {reason}");
+                            options.events.warn(Some("evaluate"), message);
+                            ViewOutcome::failed(1, reason)
+                        }
+                    };
+                    Ok(ledger.record_view("evaluate", name, &key, &outcome)?)
+                })
             });
-            scores = evaluated?;
             traces.write(&report)?;
+            if let Some(lost) = coordinator.skies.lost() {
+                return Err(RunError::of_stage("sky", &lost));
+            }
+            scores = scored?;
             coordinator.intact()?;
             progress.finish();
-            ledger.finish_stage("evaluate", &key, None)?;
+            ledger.finish_stage("evaluate", &coordinator.keys.evaluation_without(&unscored), None)?;
         }
     }
     let (key, cache) = (coordinator.keys.stage("report"), coordinator.cache.clone());
@@ -271,7 +305,12 @@ pub fn run(
     if last >= 6 && splats.is_some() {
         ledger.begin_stage("report", &key)?;
         let progress = options.events.stage("report", None);
-        traces.step(&mut report, "report", || report::write_report(folder))?;
+        for left_out in traces.step(&mut report, "report", || report::write_report(folder))? {
+            options.events.warn(
+                Some("report"),
+                format!("photo {} is not shown whole in the report: {}", left_out.name, left_out.reason),
+            );
+        }
         traces.write(&report)?;
         progress.finish();
         ledger.finish_stage("report", &key, None)?;
@@ -299,6 +338,46 @@ pub fn run(
         peak_bytes: cpu::peak_memory(),
         actors: trace::summary(&report),
     })
+}
+
+/// What to say of a run whose ledger is empty or has gone, and which has made something before.
+fn lost_ledger(folder: &RunFolder) -> Option<String> {
+    let ledger = folder.ledger();
+    let found = match std::fs::metadata(&ledger) {
+        Ok(data) if data.len() > 0 => return None,
+        Ok(_) => "is empty",
+        Err(_) => "has gone",
+    };
+    let holds = |path: &Path| std::fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_some());
+    let made = holds(&folder.path().join("cache")) || holds(&folder.checkpoints());
+    made.then(|| {
+        format!(
+            "{} {found}: what it said of earlier runs (stages, times, events) is lost; the cache and the checkpoints are \
+             kept and used",
+            ledger.display()
+        )
+    })
+}
+
+/// Has the run say of each artefact that is found damaged what it is.
+fn tell_of_damage(cache: &Cache, names: &Arc<Mutex<Keys>>, scene: &Arc<Scene>, events: &Events) {
+    let (names, scene, events) = (names.clone(), scene.clone(), events.clone());
+    cache.on_damage(move |key, reason| {
+        let kind = key.split(':').next().unwrap_or(key);
+        let stage = match kind {
+            "embedding" => "embed",
+            "visibility" => "features",
+            "history" | "snapshot" => "geometry",
+            other => other,
+        };
+        let photo = names
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .view_of(key)
+            .map_or(String::new(), |view| format!(" of photo {}", scene.views[view].name));
+        let message = format!("the cache's {kind} record{photo} was damaged ({reason}): it is made anew");
+        events.warn(Some(stage), message);
+    });
 }
 
 /// The stage that an actor's failure is booked on.

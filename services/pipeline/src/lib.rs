@@ -5,6 +5,7 @@
 //! [`render()`] and [`score()`] read what it left.
 
 mod accelerator;
+mod anew;
 mod artefacts;
 mod board;
 mod checkpoints;
@@ -15,6 +16,7 @@ mod explain;
 mod folder;
 mod graph;
 mod history;
+mod inputs;
 mod keep;
 mod memory;
 mod outcome;

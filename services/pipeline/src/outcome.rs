@@ -13,8 +13,8 @@ pub enum Outcome {
     Mask(MaskOutcome),
     /// The trainer.
     Train(TrainOutcome),
-    /// Which pixels of every photo can be trusted is in the cache; `Err` says why not.
-    Visibility(Result<(), String>),
+    /// Which pixels of every photo can be trusted is in the cache, but for these photos: which, and why not.
+    Visibility(Vec<(usize, String)>),
 }
 
 impl Message for Outcome {

@@ -1,23 +1,14 @@
 //! The sky of each photo, as those who need it wait for it and read it.
 
+use crate::anew::{Anew, Kept};
 use crate::board::Board;
-use segwild_flow::{Cache, Events, Key};
-use segwild_scene::{Mask, Scene};
+use segwild_flow::{Failure, Key};
+use segwild_scene::Mask;
 use segwild_vision::SkyDetector;
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
-
-/// A sky that was found once and can be had no more: damaged in the cache, and not to be found again.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("photo {photo}: its sky has gone from the cache and cannot be found again ({reason}); run again")]
-pub struct SkyLost {
-    /// The photo's name.
-    pub photo: String,
-    /// Why it cannot be found again.
-    pub reason: String,
-}
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
@@ -28,13 +19,11 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 pub struct Skies {
     /// Per view, whether its sky is in the cache; `false` when it was given up.
     known: Board<bool>,
-    scene: Arc<Scene>,
+    anew: Anew,
     size: u32,
-    cache: Cache,
     keys: Vec<Key>,
     detector: Arc<dyn SkyDetector>,
-    events: Events,
-    lost: Mutex<Option<SkyLost>>,
+    lost: Mutex<Option<Failure>>,
     /// Views whose sky is still to be asked for, the most wanted first.
     open: Mutex<VecDeque<usize>>,
     /// Microseconds that were spent in [`Skies::wait`].
@@ -43,16 +32,9 @@ pub struct Skies {
 
 impl Skies {
     /// Nothing is known yet. `keys` name each view's sky.
-    pub fn new(
-        scene: Arc<Scene>,
-        size: u32,
-        cache: Cache,
-        keys: Vec<Key>,
-        detector: Arc<dyn SkyDetector>,
-        events: Events,
-    ) -> Skies {
+    pub fn new(anew: Anew, size: u32, keys: Vec<Key>, detector: Arc<dyn SkyDetector>) -> Skies {
         let (known, lost, open) = (Board::new("sky"), Mutex::default(), Mutex::default());
-        Skies { known, scene, size, cache, keys, detector, events, lost, open, waited_us: AtomicU64::new(0) }
+        Skies { known, anew, size, keys, detector, lost, open, waited_us: AtomicU64::new(0) }
     }
 
     /// Says whose sky is to be found, in this order until [`Skies::prefer`] knows a better one.
@@ -99,36 +81,22 @@ impl Skies {
     ///
     /// # Errors
     /// When it was found once and can be had no more; [`Skies::lost`] then knows it, too.
-    pub fn read(&self, view: usize) -> Result<Option<Mask>, SkyLost> {
+    pub fn read(&self, view: usize) -> Result<Option<Mask>, Failure> {
         if !self.found(view) {
             return Ok(None);
         }
-        let key = &self.keys[view];
-        let kept = self.cache.get_typed(key, "sky");
-        if let Ok(Some(sky)) = kept {
-            return Ok(Some(sky));
-        }
-        let photo = self.scene.views[view].name.clone();
-        self.events.warn(
-            Some("sky"),
-            format!("the sky of photo {photo} was damaged in the cache: it is found anew"),
-        );
-        self.find(view, key).map(Some).map_err(|reason| {
-            let lost = SkyLost { photo, reason };
-            lock(&self.lost).get_or_insert_with(|| lost.clone());
-            lost
+        let kept = Kept { view, what: "sky", kind: "sky", key: &self.keys[view] };
+        let sky = self.anew.read(kept, || {
+            let photo = self.anew.scene.views[view].load(self.size).map_err(Failure::retry)?;
+            Ok(self.detector.sky(&photo.image)?)
+        });
+        sky.map(Some).inspect_err(|failure| {
+            lock(&self.lost).get_or_insert_with(|| failure.clone());
         })
     }
 
-    fn find(&self, view: usize, key: &Key) -> Result<Mask, String> {
-        let photo = self.scene.views[view].load(self.size).map_err(|e| e.to_string())?;
-        let sky = self.detector.sky(&photo.image).map_err(|e| e.to_string())?;
-        self.cache.put_typed(key, "sky", &sky).map_err(|e| e.to_string())?;
-        Ok(sky)
-    }
-
-    /// The first sky that was lost, if any: what was made without it is not to be kept.
-    pub fn lost(&self) -> Option<SkyLost> {
+    /// Why a sky could not be had any more, if so: what was made without it is not to be kept.
+    pub fn lost(&self) -> Option<Failure> {
         lock(&self.lost).clone()
     }
 }

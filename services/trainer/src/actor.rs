@@ -10,6 +10,9 @@ use std::time::{Duration, Instant};
 /// Steps between two reports of progress.
 const REPORT_EVERY: u32 = 20;
 
+/// Finds the checkpoint to go on from, if there is one.
+pub type FindCheckpoint = dyn Fn() -> Result<Option<Checkpoint>, Failure> + Send + Sync;
+
 /// Trains a scene.
 #[derive(Clone)]
 pub struct TrainOrder {
@@ -22,8 +25,9 @@ pub struct TrainOrder {
     /// The step to stop after: fewer than `settings.steps` leaves the training to be continued, more goes on past
     /// the end of the schedules at their last rates.
     pub until: u32,
-    /// Where an interrupted training goes on from.
-    pub checkpoint: Option<Arc<Checkpoint>>,
+    /// Finds where an interrupted training goes on from. Asked at each attempt, so that one after a panic goes on from
+    /// what the attempt before has left.
+    pub checkpoint: Arc<FindCheckpoint>,
     /// Time between checkpoints.
     pub checkpoint_every: Duration,
 }
@@ -32,13 +36,22 @@ impl Message for TrainOrder {
     fn label(&self) -> String {
         format!("{} steps", self.until)
     }
+
+    fn again(&self) -> Option<Self> {
+        Some(self.clone())
+    }
 }
 
 /// What the trainer sends on.
 #[derive(Clone)]
 pub enum TrainOutcome {
-    /// The photos in the order in which it will look at them, each at least once; at the start.
-    Upcoming(Vec<usize>),
+    /// At the start, and again where it begins anew after a panic.
+    Began {
+        /// The step it goes on from; 0 without a checkpoint.
+        step: u32,
+        /// The photos in the order in which it will look at them, each at least once.
+        upcoming: Vec<usize>,
+    },
     /// How it goes, every few steps.
     Progress {
         /// Steps done.
@@ -80,8 +93,8 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
 
     fn train(&self, order: &TrainOrder, context: &Context) -> Result<(), Failure> {
         let (engine, scene, photos) = (self.engine.clone(), &*order.scene, order.photos.clone());
-        let started = match &order.checkpoint {
-            Some(checkpoint) => Trainer::resume(engine, scene, photos, (**checkpoint).clone()),
+        let started = match (order.checkpoint)()? {
+            Some(checkpoint) => Trainer::resume(engine, scene, photos, checkpoint),
             None => Trainer::new(engine, scene, photos, order.settings.clone()),
         };
         let mut trainer = started.map_err(Failure::fatal)?;
@@ -89,7 +102,7 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
         for warning in trainer.warnings() {
             context.events().warn(Some("geometry"), warning.clone());
         }
-        self.send(TrainOutcome::Upcoming(trainer.upcoming()))?;
+        self.send(TrainOutcome::Began { step: trainer.steps_done(), upcoming: trainer.upcoming() })?;
         let mut saved = Instant::now();
         let (mut sums, mut since) = ([0.0f32; 3], 0);
         while trainer.steps_done() < order.until {
@@ -134,14 +147,14 @@ impl<O: Message + From<TrainOutcome>> Actor for TrainActor<O> {
     fn handle(&mut self, order: TrainOrder, context: &Context) -> Result<(), Failure> {
         let done = self.train(&order, context);
         if let Err(failure) = &done
-            && !context.stopping()
+            && !(failure.is_local() || failure.is_storage() || context.stopping())
         {
             self.send(TrainOutcome::Failed(failure.to_string()))?;
         }
         done
     }
 
-    /// A panic has no words of its own for whoever waits for the scene.
+    /// Told when no further attempt follows.
     fn on_quarantine(
         &mut self,
         _: Option<TrainOrder>,

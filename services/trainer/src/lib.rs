@@ -24,7 +24,7 @@ mod settings;
 mod trainer;
 mod witness;
 
-pub use actor::{TrainActor, TrainOrder, TrainOutcome};
+pub use actor::{FindCheckpoint, TrainActor, TrainOrder, TrainOutcome};
 pub use background::Background;
 pub use density::Change;
 pub use error::TrainError;

@@ -89,8 +89,7 @@ impl Cache {
         };
         let wrong = check(&bytes).err();
         if let Some(reason) = wrong {
-            let name = format!("{}-{}", artefact.domain, artefact.hash);
-            self.move_file_aside(&artefact.path, &name, reason);
+            self.move_file_aside(&artefact.path, &artefact.key(), reason);
         }
         Ok(wrong)
     }

@@ -29,7 +29,7 @@ pub enum LedgerError {
         found: i64,
     },
     /// Not a ledger, or damaged.
-    #[error("{} is not a run ledger or is damaged ({reason}): move it away and run again; the cache is kept", path.display())]
+    #[error("{} is not a run ledger or is damaged ({reason}): move it away and run again; the cache and the checkpoints are kept", path.display())]
     Damaged {
         /// The file.
         path: PathBuf,

@@ -2,17 +2,18 @@
 
 use super::{Bars, Coordinator, HISTORY, Inboxes};
 use crate::RunError;
+use crate::checkpoints::Keeper;
 use crate::folder::{FEATURES, MODEL};
 use crate::history::{self, Moment};
+use crate::inputs::{Drawn, Inputs, VISIBILITY};
 use crate::keep::SNAPSHOT;
 use crate::outcome::Outcome;
-use crate::visibility::visibility;
-use segwild_features::{FeatureField, FeatureTask, FieldView, VISIBILITY};
+use segwild_features::{FeatureField, FeatureTask};
 use segwild_flow::ledger::ViewOutcome;
-use segwild_flow::{ActorOptions, Event, Failure, Key, Phase, System, fault};
-use segwild_masks::{MaskSource, MaskTask};
+use segwild_flow::{ActorOptions, Context, Event, Failure, Key, Phase, System, fault};
+use segwild_masks::{MaskSource, MaskTask, Snapshot};
 use segwild_scene::Mask;
-use segwild_trainer::{Model, Photos, TrainOrder, TrainPhoto, render_view};
+use segwild_trainer::{FindCheckpoint, Model, Photos, TrainOrder, TrainPhoto};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -26,10 +27,15 @@ impl Coordinator<'_> {
         let snapshot_kept = snapshot.is_some();
         self.state.snapshot = snapshot.map(Arc::new);
         if let (Some(model), true) = (done, snapshot_kept) {
-            self.skip_stage("geometry", &self.keys.geometry)?;
-            if let Some(moments) = self.cache.get_typed::<Vec<Moment>>(&self.keys.history, HISTORY)? {
-                history::replace(self.folder, &moments)?;
+            match self.cache.get_typed::<Vec<Moment>>(&self.keys.history, HISTORY)? {
+                Some(moments) => history::replace(self.folder, &moments)?,
+                // The one in the folder is that of the training that the run stands at.
+                None if self.ledger.stage_is_done("geometry", &self.keys.geometry)? => {
+                    self.cache.put_typed(&self.keys.history, HISTORY, &history::read(self.folder))?;
+                }
+                None => {}
             }
+            self.skip_stage("geometry", &self.keys.geometry)?;
             return self.take_model(Arc::new(model));
         }
         self.ledger.begin_stage("geometry", &self.keys.geometry)?;
@@ -41,16 +47,9 @@ impl Coordinator<'_> {
                 self.state.paused = Some(step);
                 return Ok(());
             }
-            None => self.keeper().last_before(before.min(self.steps.saturating_add(1)))?,
+            None => self.find_checkpoint(before.min(self.steps.saturating_add(1))),
         };
-        let mut bar = self.options.events.stage("geometry", Some(self.steps.into()));
-        let start = checkpoint.as_ref().map_or(0, |c| c.step());
-        if start > 0 {
-            self.options.events.info(Some("geometry"), format!("goes on from step {start}"));
-            bar.cached(start.into());
-        }
-        history::trim(self.folder, start)?;
-        bars.geometry = Some(bar);
+        bars.geometry = Some(self.options.events.stage("geometry", Some(self.steps.into())));
         let (scene, size, skies) = (self.scene.clone(), self.settings.scene.size, self.skies.clone());
         let (stopper, tainted) = (self.options.stopper.clone(), self.tainted.clone());
         let photos = move |view: usize| -> Result<TrainPhoto, String> {
@@ -71,10 +70,22 @@ impl Coordinator<'_> {
             photos: Arc::new(photos) as Arc<dyn Photos>,
             settings: self.settings.train.clone(),
             until: self.steps,
-            checkpoint: checkpoint.map(Arc::new),
+            checkpoint,
             checkpoint_every: Duration::from_secs(self.settings.run.checkpoint_every.max(1).into()),
         };
         to.training.blocking_send(order).map_err(|_| RunError::Interrupted) // closed: everything stops
+    }
+
+    /// Looks for the last checkpoint before a step, each time it is asked.
+    fn find_checkpoint(&self, before: u32) -> Arc<FindCheckpoint> {
+        let (folder, ledger, events) =
+            (self.folder.clone(), self.ledger.clone(), self.options.events.clone());
+        let (key, kept) = (self.keys.training, self.settings.run.keep_checkpoints as usize);
+        Arc::new(move || {
+            let keeper = Keeper { folder: &folder, ledger: &ledger, events: &events, key: &key, kept };
+            // What is damaged is passed over; only the ledger can refuse.
+            keeper.last_before(before).map_err(Failure::storage)
+        })
     }
 
     /// A stage whose result was there. The ledger then says that the run uses it as it stands, and no other that may
@@ -105,7 +116,7 @@ impl Coordinator<'_> {
     /// Renders the snapshot from every camera, in order, into the masks actor's mailbox.
     pub(super) fn begin_masks(
         &mut self,
-        snapshot: &Model,
+        snapshot: Arc<Model>,
         system: &System,
         to: &Inboxes,
         bars: &mut Bars,
@@ -115,24 +126,21 @@ impl Coordinator<'_> {
         self.state.masks_open = views.len();
         self.ledger.begin_stage("masks", &self.keys.stage("masks"))?;
         bars.masks = Some(self.options.events.stage("masks", Some(views.len() as u64)));
-        let (scene, engine, cache) = (self.scene.clone(), self.engine.clone(), self.cache.clone());
         let (size, keys, skies) = (self.settings.scene.size, self.keys.masks.clone(), self.skies.clone());
-        let drawn_on = self.settings.masks.mask_source;
-        let (snapshot, out) = (snapshot.clone(), to.masks.clone());
-        let means = Arc::new(snapshot.splats.means.clone());
+        let (cache, drawn_on, out) = (self.cache.clone(), self.settings.masks.mask_source, to.masks.clone());
+        let (engine, scene) = (self.engine.clone(), self.scene.clone());
+        let drawn = Arc::new(Drawn { model: snapshot, engine, scene, size });
         system.source("intrinsic renders", ActorOptions::default(), move |context| {
             for &view in &views {
                 context.check()?;
-                let posed = &scene.views[view];
+                // Ahead of the actor, which draws for itself where masks that are there turn out to be damaged.
                 let render = if drawn_on == MaskSource::Photo || cache.contains(&keys[view]) {
                     None
                 } else {
-                    let camera = posed.camera.scaled_to(size);
-                    Some(Arc::new(render_view(&snapshot, &*engine, &camera, &posed.pose, None)?))
+                    Some(Arc::new(drawn.render(view).map_err(Failure::retry)?))
                 };
-                let sky = skies.read(view).map_err(Failure::fatal)?.map(Arc::new);
-                let task = MaskTask::Masks { view, key: keys[view], render, means: means.clone(), sky };
-                out.blocking_send(task)?;
+                let (key, sky) = (keys[view], skies.read(view)?.map(Arc::new));
+                out.blocking_send(MaskTask::Masks { view, key, render, snapshot: drawn.clone(), sky })?;
             }
             Ok(())
         })?;
@@ -140,30 +148,30 @@ impl Coordinator<'_> {
     }
 
     /// Compares every photo with the trained scene, while masks are still being made.
-    pub(super) fn begin_visibility(&self, system: &System, to: &Inboxes) -> Result<(), RunError> {
+    pub(super) fn begin_visibility(&mut self, system: &System, to: &Inboxes) -> Result<(), RunError> {
         let Some(model) = self.state.model.clone().filter(|_| self.wants("features")) else { return Ok(()) };
-        let (scene, engine, cache) = (self.scene.clone(), self.engine.clone(), self.cache.clone());
-        let (views, size, skies) = (self.views(false), self.settings.scene.size, self.skies.clone());
-        let (keys, out) = (self.keys.visibility.clone(), to.own.clone());
+        let inputs = Arc::new(Inputs {
+            anew: self.anew(),
+            keys: self.keys.clone(),
+            size: self.settings.scene.size,
+            model,
+            engine: self.engine.clone(),
+            skies: self.skies.clone(),
+            masks_known: self.masks_known.clone(),
+            embedder: self.embedder.clone(),
+            maker: self.maker.clone(),
+        });
+        self.state.inputs = Some(inputs.clone());
+        let (views, out) = (self.views(false), to.own.clone());
         system.source("visibility", ActorOptions::default(), move |context| {
-            let look = || -> Result<(), Failure> {
-                for &view in &views {
-                    context.check()?;
-                    if cache.get_typed::<Mask>(&keys[view], VISIBILITY)?.is_some() {
-                        continue;
-                    }
-                    let sky = skies.read(view)?;
-                    let _step = context.span(&scene.views[view].name);
-                    let seen = visibility(&model, &*engine, &scene.views[view], view, sky.as_ref(), size)?;
-                    cache.put_typed(&keys[view], VISIBILITY, &seen)?;
-                    context.progress();
-                    fault::point("visibility.photo")?;
+            let mut failed = Vec::new();
+            for &view in &views {
+                match see(&inputs, view, context) {
+                    Err(failure) if failure.is_local() => failed.push((view, failure.to_string())),
+                    seen => seen?,
                 }
-                Ok(())
-            };
-            let looked = look();
-            context.check()?;
-            out.blocking_send(Outcome::Visibility(looked.map_err(|failure| failure.to_string())))?;
+            }
+            out.blocking_send(Outcome::Visibility(failed))?;
             Ok(())
         })?;
         Ok(())
@@ -174,17 +182,14 @@ impl Coordinator<'_> {
     pub(super) fn ask_for_field(&mut self, to: &Inboxes) -> Result<(), RunError> {
         let s = &self.state;
         let ready = s.training_sky_open == 0 && s.embed_open == 0 && s.masks_begun && s.visible;
-        let Some(model) = s.model.clone().filter(|_| ready && !s.field_asked && self.wants("features"))
-        else {
-            return Ok(());
-        };
+        let Some(inputs) = s.inputs.clone().filter(|_| ready && !s.field_asked) else { return Ok(()) };
         let key = self.field_key();
         if self.state.masks_open > 0 && self.cache.contains(&key) {
             return Ok(()); // most likely it is this one: seen when the masks are known
         }
         self.state.field_asked = true;
         let views = self.views(false);
-        for &view in &views {
+        for &view in views.iter().filter(|view| !self.state.unseen.contains(view)) {
             let (name, key) = (&self.scene.views[view].name, &self.keys.visibility[view]);
             self.ledger.record_view("visibility", name, key, &ViewOutcome::cached())?;
         }
@@ -196,29 +201,23 @@ impl Coordinator<'_> {
             return self.take_field(field);
         }
         self.ledger.begin_stage("features", &key)?;
-        let given = views.into_iter().filter(|&view| self.state.embedded[view]).map(|view| FieldView {
-            view,
-            embedding: self.keys.embedding[view],
-            masks: self.keys.masks[view],
-            sky: self.skies.found(view).then_some(self.keys.sky[view]),
-            visibility: self.keys.visibility[view],
-        });
+        let given = |view: &usize| self.state.embedded[*view] && !self.state.unseen.contains(view);
         let task = FeatureTask::Field {
-            splats: Arc::new(model.splats.clone()),
-            options: model.options(),
-            views: Arc::new(given.collect()),
-            masks: self.masks_known.clone(),
+            splats: Arc::new(inputs.model.splats.clone()),
+            options: inputs.model.options(),
+            views: Arc::new(views.into_iter().filter(given).collect()),
+            inputs,
         };
         to.features.blocking_send(task).map_err(|_| RunError::Interrupted) // closed: everything stops
     }
 
-    /// The name of the field, as far as is known: one without the embedding or the masks of photos that were given up on
-    /// the way is another than the one with them.
+    /// The name of the field, as far as is known: one without the embedding, the masks or the visibility of photos that
+    /// were given up on the way is another than the one with them.
     fn field_key(&self) -> Key {
         let views = self.views(false);
         let no_embedding = views.iter().copied().filter(|&view| !self.state.embedded[view]).collect();
         let no_masks = views.iter().copied().filter(|&v| self.masks_known.get(v) == Some(false)).collect();
-        self.keys.features_without(&no_embedding, &no_masks)
+        self.keys.features_without(&no_embedding, &no_masks, &self.state.unseen)
     }
 
     /// Keeps the field once it is made and all that its name depends on is known.
@@ -233,5 +232,36 @@ impl Coordinator<'_> {
         self.cache.put_typed(&key, FEATURES, &*field)?;
         self.ledger.finish_stage("features", &key, None)?;
         self.take_field(*field)
+    }
+}
+
+/// How often a photo is compared with the trained scene before it is left out.
+const ATTEMPTS: u32 = 3;
+
+/// Sees to it that the cache says which pixels of a photo can be trusted.
+fn see(inputs: &Inputs, view: usize, context: &Context) -> Result<(), Failure> {
+    let (key, cache) = (&inputs.keys.visibility[view], &inputs.anew.cache);
+    let mut attempt = 1;
+    loop {
+        context.check()?;
+        if cache.get_typed::<Mask>(key, VISIBILITY)?.is_some() {
+            return Ok(());
+        }
+        let look = || -> Result<(), Failure> {
+            let _step = context.span(&inputs.anew.scene.views[view].name);
+            let seen = inputs.look(view)?;
+            fault::point("visibility.photo")?;
+            Ok(cache.put_typed(key, VISIBILITY, &seen)?)
+        };
+        match look() {
+            Err(failure) if failure.is_local() && attempt < ATTEMPTS => {
+                context.sleep(Duration::from_millis(100 * u64::from(attempt)));
+                attempt += 1;
+            }
+            done => {
+                context.progress();
+                return done;
+            }
+        }
     }
 }

@@ -7,11 +7,11 @@ use crate::history::{self, Moment};
 use crate::outcome::Outcome;
 use segwild_features::{FeatureField, FeatureOutcome};
 use segwild_flow::ledger::ViewOutcome;
-use segwild_flow::{Event, Key, StageProgress};
+use segwild_flow::{Event, Failure, Key, StageProgress};
 use segwild_masks::MaskOutcome;
 use segwild_scene::{Skipped, ply};
 use segwild_trainer::{Model, TrainOutcome};
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError};
 use std::time::Instant;
 
 impl Coordinator<'_> {
@@ -64,18 +64,41 @@ impl Coordinator<'_> {
                 Ok(())
             }
             Outcome::Feature(FeatureOutcome::FieldFailed(reason)) => {
-                self.state.failed = Some(("features", reason));
+                self.state.failed = Some(("features", Failure::fatal(reason)));
                 Ok(())
             }
-            Outcome::Visibility(Ok(())) => {
-                self.state.visible = true;
-                Ok(())
-            }
-            Outcome::Visibility(Err(reason)) => {
-                self.state.failed = Some(("features", reason));
-                Ok(())
-            }
+            Outcome::Visibility(failed) => self.hear_visibility(failed),
             Outcome::Train(outcome) => self.hear_trainer(outcome, bars),
+        }
+    }
+
+    /// Leaves out of the field those photos of which it is not known what can be trusted in them.
+    fn hear_visibility(&mut self, failed: Vec<(usize, String)>) -> Result<(), RunError> {
+        for (view, error) in &failed {
+            let key = self.keys.visibility[*view];
+            self.view_done("visibility", *view, &key, Some(error), None, &mut None)?;
+        }
+        self.state.unseen = failed.into_iter().map(|(view, _)| view).collect();
+        self.state.visible = true;
+        self.weigh_failures("visibility", "features", self.views(false).len());
+        Ok(())
+    }
+
+    /// Fails a stage that could do none of its photos, and warns of one that could do less than half of them: that is
+    /// hardly the photos' fault.
+    fn weigh_failures(&mut self, work: &'static str, stage: &'static str, photos: usize) {
+        let Some((failed, first)) = self.state.failures.get(work).cloned() else { return };
+        if failed == photos {
+            self.state.failed.get_or_insert((
+                stage,
+                Failure::fatal(format!(
+                    "not one of {photos} photos could be done ({work}); the first: {first}"
+                )),
+            ));
+        } else if failed * 2 > photos {
+            let message =
+                format!("{failed} of {photos} photos could not be done ({work}); the first: {first}");
+            self.options.events.warn(Some(stage), message);
         }
     }
 
@@ -86,6 +109,7 @@ impl Coordinator<'_> {
         let test = |view: &usize| self.scene.views[*view].test;
         let (held_out, training) = self.state.without_sky.iter().copied().partition(test);
         self.keys = self.full_keys.without_skies(&training, &held_out);
+        *self.names.lock().unwrap_or_else(PoisonError::into_inner) = self.keys.clone();
         if self.state.geometry_begun {
             self.ledger.begin_stage("geometry", &self.keys.geometry)?;
             self.name_training()?;
@@ -95,9 +119,15 @@ impl Coordinator<'_> {
 
     fn hear_trainer(&mut self, outcome: TrainOutcome, bars: &mut Bars) -> Result<(), RunError> {
         match outcome {
-            TrainOutcome::Upcoming(views) => {
-                self.skies.prefer(&views);
-                Ok(())
+            TrainOutcome::Began { step, upcoming } => {
+                self.skies.prefer(&upcoming);
+                if step > 0 {
+                    self.options.events.info(Some("geometry"), format!("goes on from step {step}"));
+                }
+                if let Some(bar) = &mut bars.geometry {
+                    bar.cached(u64::from(step).saturating_sub(bar.done()));
+                }
+                history::trim(self.folder, step)
             }
             TrainOutcome::Progress { step, loss, psnr, splats, left_out } => {
                 let moment = Moment { step, loss, psnr, splats, left_out };
@@ -152,7 +182,7 @@ impl Coordinator<'_> {
                 self.take_model(model)
             }
             TrainOutcome::Failed(reason) => {
-                self.state.failed = Some(("geometry", reason));
+                self.state.failed = Some(("geometry", Failure::fatal(reason)));
                 Ok(())
             }
         }
@@ -168,20 +198,32 @@ impl Coordinator<'_> {
         seconds: Option<f64>,
         bar: &mut Option<StageProgress>,
     ) -> Result<(), RunError> {
-        if error.is_some() {
-            self.scene.views[view].intact()?;
-        }
         let name = self.scene.views[view].name.clone();
+        if let Some(error) = error {
+            self.scene.views[view].intact()?;
+            if self.cache.was_damaged(key) {
+                // It was made once: a result without it would be another one than that of the run before.
+                let reason = format!(
+                    "photo {name}: what was made of it was damaged in the cache and cannot be made again ({error}); \
+                     run again"
+                );
+                self.state.failed.get_or_insert((stage, Failure::fatal(reason)));
+            }
+            let failures =
+                self.state.failures.entry(stage).or_insert_with(|| (0, format!("{name}: {error}")));
+            failures.0 += 1;
+        }
         let outcome = match (error, seconds) {
             (Some(error), _) => ViewOutcome::failed(1, error.clone()),
             (None, Some(seconds)) => ViewOutcome::done(seconds),
             (None, None) => ViewOutcome::cached(),
         };
         self.ledger.record_view(stage, &name, key, &outcome)?;
-        let Some(bar) = bar else { return Ok(()) };
         match (error, seconds) {
             (Some(error), _) => {
-                bar.failed(1);
+                if let Some(bar) = bar {
+                    bar.failed(1);
+                }
                 self.options.events.tell(Event::ViewFailed {
                     stage: stage.into(),
                     view: name.clone(),
@@ -193,22 +235,32 @@ impl Coordinator<'_> {
                 }
             }
             (None, Some(_)) => {
-                bar.advance(1);
+                if let Some(bar) = bar {
+                    bar.advance(1);
+                }
                 self.state.made += 1;
             }
             (None, None) => {
-                bar.cached(1);
+                if let Some(bar) = bar {
+                    bar.cached(1);
+                }
                 self.state.cached += 1;
             }
         }
         Ok(())
     }
 
-    fn close(&self, stage: &str, open: usize, bar: &mut Option<StageProgress>) -> Result<(), RunError> {
+    fn close(
+        &mut self,
+        stage: &'static str,
+        open: usize,
+        bar: &mut Option<StageProgress>,
+    ) -> Result<(), RunError> {
         if open == 0
             && let Some(bar) = bar.take()
         {
             bar.finish();
+            self.weigh_failures(stage, stage, self.views(stage == "sky").len());
             self.ledger.finish_stage(stage, &self.keys.stage(stage), None)?;
         }
         Ok(())

@@ -11,28 +11,30 @@ mod begin;
 mod hear;
 mod speed;
 
+use crate::anew::Anew;
 use crate::artefacts::Keys;
 use crate::board::Board;
 use crate::checkpoints::Keeper;
 use crate::graph::{RunOptions, STAGES};
+use crate::inputs::Inputs;
 use crate::outcome::Outcome;
 use crate::skies::Skies;
 use crate::{RunError, RunFolder, Settings};
 use segwild_features::{FeatureActor, FeatureField, FeatureTask};
 use segwild_flow::ledger::{State as Progress, ViewRow};
 use segwild_flow::{
-    ActorOptions, Cache, Event, Exit, Guest, Ledger, Limits, Message, Phase, Receiver, Recorder, Report,
-    Sender, StageProgress, System, SystemOptions, mailbox,
+    ActorOptions, Cache, Event, Exit, Failure, Guest, Ledger, Limits, Message, Phase, Receiver, Recorder,
+    Report, Sender, StageProgress, System, SystemOptions, mailbox,
 };
-use segwild_masks::{MaskActor, MaskTask, sasm};
+use segwild_masks::{MaskActor, MaskMaker, MaskTask};
 use segwild_raster::Engine;
 use segwild_scene::{Scene, Skipped};
 use segwild_trainer::{Model, TrainActor, TrainOrder, TrainOutcome};
-use segwild_vision::Providers;
+use segwild_vision::{Embedder, Providers};
 use speed::MaskSpeed;
-use std::collections::BTreeSet;
-use std::sync::Arc;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 /// Kind of the cache's records of how a training went.
@@ -67,7 +69,14 @@ pub struct State {
     pub paused: Option<u32>,
     pub made: usize,
     pub cached: usize,
-    pub failed: Option<(&'static str, String)>,
+    /// A stage that failed, and why.
+    pub failed: Option<(&'static str, Failure)>,
+    /// Per kind of work, how many photos were given up, and the first of them with its error.
+    pub failures: BTreeMap<&'static str, (usize, String)>,
+    /// What the field is made of, from the end of the training on.
+    pub inputs: Option<Arc<Inputs>>,
+    /// Views of which it is not known what can be trusted in them.
+    pub unseen: BTreeSet<usize>,
     /// How fast masks were made.
     pub mask_speed: MaskSpeed,
 }
@@ -88,12 +97,16 @@ pub struct Coordinator<'a> {
     pub full_keys: Keys,
     /// The names of what this run makes, as far as is known.
     pub keys: Keys,
+    /// The same, for who says of a damaged artefact what it is.
+    pub names: Arc<Mutex<Keys>>,
     pub cache: Cache,
     /// Index into [`STAGES`] of the last stage wanted.
     pub last: usize,
     /// The step of the training to stop after.
     pub steps: u32,
     pub skies: Arc<Skies>,
+    pub embedder: Arc<dyn Embedder>,
+    pub maker: Arc<MaskMaker>,
     /// Per view, whether its masks are in the cache; `false` when they were given up.
     pub masks_known: Arc<Board<bool>>,
     /// The trainer lacks what it should have had, for a stop ended the wait for a photo's sky, or somebody took a photo
@@ -128,6 +141,11 @@ impl Coordinator<'_> {
             key: &self.keys.training,
             kept: self.settings.run.keep_checkpoints as usize,
         }
+    }
+
+    /// Reads artefacts of photos.
+    fn anew(&self) -> Anew {
+        Anew { scene: self.scene.clone(), cache: self.cache.clone(), events: self.options.events.clone() }
     }
 
     fn wants(&self, stage: &str) -> bool {
@@ -169,28 +187,17 @@ impl Coordinator<'_> {
         let (training, training_in) = mailbox::<TrainOrder>("trainer", limits);
 
         let (scene, size, cache) = (self.scene.clone(), self.settings.scene.size, self.cache.clone());
-        let (engine, settings, depths) =
-            (self.engine.clone(), self.settings.clone(), sasm::SceneDepths::of(&scene));
+        let (engine, settings) = (self.engine.clone(), self.settings.clone());
         let own = out.clone();
         let train = TrainerParts { engine: engine.clone(), out: out.clone() };
-        system.spawn(training_in, ActorOptions { attempts: 1, ..ActorOptions::default() }, move || {
+        system.spawn(training_in, ActorOptions { attempts: 2, ..ActorOptions::default() }, move || {
             Ok(TrainActor { engine: train.engine.clone(), out: train.out.clone() })
         })?;
-        let (s, c, o, p, m) =
-            (scene.clone(), cache.clone(), out.clone(), providers.clone(), settings.masks.clone());
+        let (c, o, sky, maker) = (cache.clone(), out.clone(), providers.sky.clone(), self.maker.clone());
         system.spawn(masks_in, ActorOptions::default(), move || {
-            Ok(MaskActor {
-                scene: s.clone(),
-                size,
-                sky: p.sky.clone(),
-                proposer: p.proposer.clone(),
-                cache: c.clone(),
-                settings: m.clone(),
-                depths,
-                out: o.clone(),
-            })
+            Ok(MaskActor { sky: sky.clone(), maker: maker.clone(), cache: c.clone(), out: o.clone() })
         })?;
-        let (embedder, f) = (providers.embedder.clone(), settings.features.clone());
+        let (embedder, f) = (self.embedder.clone(), settings.features.clone());
         system.spawn(features_in, ActorOptions::default(), move || {
             Ok(FeatureActor {
                 scene: scene.clone(),
@@ -305,7 +312,7 @@ impl Coordinator<'_> {
             match heard {
                 Ok(_) if self.tainted.load(Ordering::Acquire) => {
                     return match self.skies.lost() {
-                        Some(lost) => Err(RunError::Stage { stage: "sky", reason: lost.to_string() }),
+                        Some(lost) => Err(RunError::of_stage("sky", &lost)),
                         None => self.intact(),
                     };
                 }
@@ -321,10 +328,11 @@ impl Coordinator<'_> {
                 }
                 Err(_) => {}
             }
-            if let Some((stage, reason)) = self.state.failed.take() {
+            if let Some((stage, failure)) = self.state.failed.take() {
+                let reason = failure.to_string();
                 self.ledger.fail_stage(stage, &self.keys.stage(stage), &reason)?;
                 events.tell(Event::StageFailed { stage: stage.into(), error: reason.clone() });
-                return Err(RunError::Stage { stage, reason });
+                return Err(RunError::of_stage(stage, &failure));
             }
         }
     }
@@ -343,7 +351,7 @@ impl Coordinator<'_> {
             return Ok(());
         }
         if let Some(snapshot) = self.state.snapshot.take().filter(|_| !self.state.masks_begun) {
-            self.begin_masks(&snapshot, system, to, bars)?;
+            self.begin_masks(snapshot, system, to, bars)?;
         }
         if !self.state.visibility_begun && self.state.model.is_some() {
             self.state.visibility_begun = true;
@@ -359,7 +367,8 @@ impl Coordinator<'_> {
     fn something_kept(&self) -> Result<bool, RunError> {
         let kept =
             self.cache.contains(&self.full_keys.geometry) || self.cache.contains(&self.full_keys.snapshot);
-        if kept || !self.ledger.checkpoints("geometry", &self.full_keys.training)?.is_empty() {
+        let whole = Keeper { key: &self.full_keys.training, ..self.keeper() };
+        if kept || !whole.rows()?.is_empty() {
             return Ok(true);
         }
         let given_up = |row: ViewRow| {

@@ -8,21 +8,24 @@ use crate::history::{self, Moment};
 use crate::render::{Mode, Painter, What};
 use crate::{RunError, RunFolder, Selected};
 use html::Series;
+use segwild_flow::codec::Decode;
 use segwild_flow::ledger::State;
-use segwild_flow::{FileError, Key, Ledger, SpanKind, TimelineRecord, fault};
+use segwild_flow::{Cache, FileError, Key, Ledger, SpanKind, TimelineRecord, fault};
 use segwild_raster::{CpuEngine, Engine};
-use segwild_scene::{Image, Mask, MaskSet};
+use segwild_scene::{Image, Mask, MaskSet, Skipped};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-/// Writes the report from what the run folder holds. Called at the end of a run and after each selection.
-pub fn write_report(folder: &RunFolder) -> Result<(), RunError> {
+/// Writes the report from what the run folder holds. Called at the end of a run and after each selection. Returns the
+/// photos that are not shown whole, and why.
+pub fn write_report(folder: &RunFolder) -> Result<Vec<Skipped>, RunError> {
     let loaded = folder.load()?;
     let engine = CpuEngine::default();
     let mut body = String::new();
     body.push_str(&summary(folder, &loaded)?);
     body.push_str(&objects(folder, &loaded, &engine)?);
-    body.push_str(&photos(folder, &loaded, &engine)?);
+    let (pictures, left_out) = photos(folder, &loaded, &engine)?;
+    body.push_str(&pictures);
     body.push_str(&curves(folder));
     body.push_str(&stages(folder));
     body.push_str(&skipped(folder)?);
@@ -33,7 +36,8 @@ pub fn write_report(folder: &RunFolder) -> Result<(), RunError> {
         html::escape(&settings)
     );
     let title = folder.path().file_name().map_or("run".into(), |n| n.to_string_lossy().into_owned());
-    folder.write("report.html", html::page(&format!("segwild: {title}"), &body).as_bytes())
+    folder.write("report.html", html::page(&format!("segwild: {title}"), &body).as_bytes())?;
+    Ok(left_out)
 }
 
 fn summary(folder: &RunFolder, loaded: &Loaded) -> Result<String, RunError> {
@@ -120,8 +124,24 @@ fn pass(folder: &RunFolder) -> Result<(), RunError> {
     Ok(fault::point("report.picture").map_err(|e| FileError::new("write", &folder.report(), e))?)
 }
 
-/// Photos beside what the scene makes of them.
-fn photos(folder: &RunFolder, loaded: &Loaded, engine: &dyn Engine) -> Result<String, RunError> {
+/// What the run has made of a photo, to be shown; `missing` says so if it cannot be read.
+fn kept<T: Decode>(cache: &Cache, key: Option<&Key>, kind: &str, missing: &mut Option<String>) -> Option<T> {
+    match cache.get_typed(key?, kind) {
+        Ok(Some(value)) => return Some(value),
+        Ok(None) => {
+            *missing = Some(format!("its {kind} record has gone or is damaged: the next run makes it anew"))
+        }
+        Err(error) => *missing = Some(error.to_string()),
+    }
+    None
+}
+
+/// Photos beside what the scene makes of them; those that are not shown whole, and why.
+fn photos(
+    folder: &RunFolder,
+    loaded: &Loaded,
+    engine: &dyn Engine,
+) -> Result<(String, Vec<Skipped>), RunError> {
     let cache = folder.cache()?;
     let (masks, skies) = (made(folder, "masks")?, made(folder, "sky")?);
     let mut text = String::from("<h2>Photos</h2>");
@@ -131,9 +151,10 @@ fn photos(folder: &RunFolder, loaded: &Loaded, engine: &dyn Engine) -> Result<St
         Some(_) => Some(Painter::new(loaded, engine, None, What::Features)?),
         None => None,
     };
-    for view in spread(loaded, loaded.settings.run.report_photos as usize) {
+    let row = |view: usize| -> Result<(String, Option<String>), RunError> {
         let v = &loaded.scene.views[view];
-        let Ok(photo) = v.load(loaded.settings.scene.size.min(360)) else { continue };
+        let (mut text, mut missing) = (String::new(), None);
+        let photo = v.load(loaded.settings.scene.size.min(360))?;
         let camera = photo.camera;
         let held = if v.test { " (held out)" } else { "" };
         pass(folder)?;
@@ -145,13 +166,10 @@ fn photos(folder: &RunFolder, loaded: &Loaded, engine: &dyn Engine) -> Result<St
         if let Some(features) = &features {
             text.push_str(&html::figure(&features.paint(&camera, &v.pose, None)?, "features"));
         }
-        if let Some(key) = masks.get(&v.name)
-            && let Ok(Some(set)) = cache.get_typed::<MaskSet>(key, "masks")
-        {
+        if let Some(set) = kept::<MaskSet>(&cache, masks.get(&v.name), "masks", &mut missing) {
             text.push_str(&html::figure(&mask_picture(&set), &format!("{} masks", set.masks.len())));
         }
-        if let Some(key) = skies.get(&v.name)
-            && let Ok(Some(sky)) = cache.get_typed::<Mask>(key, "sky")
+        if let Some(sky) = kept::<Mask>(&cache, skies.get(&v.name), "sky", &mut missing)
             && !sky.is_empty()
         {
             let mut picture = photo.image.clone();
@@ -166,8 +184,30 @@ fn photos(folder: &RunFolder, loaded: &Loaded, engine: &dyn Engine) -> Result<St
             text.push_str(&html::figure(&picture, "sky"));
         }
         text.push_str("</div>");
+        Ok((text, missing))
+    };
+    let mut left_out = Vec::new();
+    for view in spread(loaded, loaded.settings.run.report_photos as usize) {
+        // What passes by itself has passed when it is tried again.
+        match row(view).or_else(|_| row(view)) {
+            Ok((pictures, missing)) => {
+                text.push_str(&pictures);
+                let name = loaded.scene.views[view].name.clone();
+                left_out.extend(missing.map(|reason| Skipped { name, reason }));
+            }
+            Err(error) => {
+                let (name, reason) = (loaded.scene.views[view].name.clone(), error.to_string());
+                let _ = write!(
+                    text,
+                    "<p>{} could not be drawn: {}</p>",
+                    html::escape(&name),
+                    html::escape(&reason)
+                );
+                left_out.push(Skipped { name, reason });
+            }
+        }
     }
-    Ok(text)
+    Ok((text, left_out))
 }
 
 /// Masks in colours of their own, small ones over large ones.

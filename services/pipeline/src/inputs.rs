@@ -1,0 +1,117 @@
+//! What the feature field is made of, as its actor reads it: out of the cache, or made anew where it was damaged there.
+
+use crate::anew::{Anew, Kept};
+use crate::artefacts::Keys;
+use crate::board::Board;
+use crate::folder::MODEL;
+use crate::skies::Skies;
+use crate::visibility::visibility;
+use segwild_features::{EMBEDDING, FieldInputs, describe};
+use segwild_flow::Failure;
+use segwild_masks::{MaskMaker, MaskSource, Snapshot};
+use segwild_raster::Engine;
+use segwild_scene::{Embedding, Image, Mask, MaskSet, Scene};
+use segwild_trainer::{Model, render_view};
+use segwild_vision::Embedder;
+use std::sync::Arc;
+
+/// Kind of the cache's records of what can be trusted in a photo.
+pub const VISIBILITY: &str = "visibility";
+/// Kind of the cache's mask records, as the masks actor writes them.
+const MASKS: &str = "masks";
+
+/// The scene at the snapshot step, as the masks are drawn on it.
+pub struct Drawn {
+    /// The scene.
+    pub model: Arc<Model>,
+    /// Draws it.
+    pub engine: Arc<dyn Engine>,
+    /// Its photos.
+    pub scene: Arc<Scene>,
+    /// Long side of the drawings.
+    pub size: u32,
+}
+
+impl Snapshot for Drawn {
+    fn means(&self) -> &[[f32; 3]] {
+        &self.model.splats.means
+    }
+
+    fn render(&self, view: usize) -> Result<Image, String> {
+        let posed = &self.scene.views[view];
+        let camera = posed.camera.scaled_to(self.size);
+        render_view(&self.model, &*self.engine, &camera, &posed.pose, None).map_err(|e| e.to_string())
+    }
+}
+
+/// The inputs of one run's field.
+pub struct Inputs {
+    /// Reads them.
+    pub anew: Anew,
+    /// Their names.
+    pub keys: Keys,
+    /// Long side at which photos are looked at.
+    pub size: u32,
+    /// The trained scene.
+    pub model: Arc<Model>,
+    /// Draws it.
+    pub engine: Arc<dyn Engine>,
+    /// The skies.
+    pub skies: Arc<Skies>,
+    /// Which views have masks.
+    pub masks_known: Arc<Board<bool>>,
+    /// Describes photos.
+    pub embedder: Arc<dyn Embedder>,
+    /// Makes masks.
+    pub maker: Arc<MaskMaker>,
+}
+
+impl Inputs {
+    /// Compares a photo with the trained scene.
+    pub fn look(&self, view: usize) -> Result<Mask, Failure> {
+        let (posed, sky) = (&self.anew.scene.views[view], self.skies.read(view)?);
+        Ok(visibility(&self.model, &*self.engine, posed, view, sky.as_ref(), self.size)?)
+    }
+
+    fn make_masks(&self, view: usize) -> Result<MaskSet, Failure> {
+        let model = self.anew.cache.get_typed::<Model>(&self.keys.snapshot, MODEL)?;
+        let gone = || Failure::retry("the snapshot that they were drawn on has gone, too");
+        let (engine, scene) = (self.engine.clone(), self.anew.scene.clone());
+        let snapshot = Drawn { model: Arc::new(model.ok_or_else(gone)?), engine, scene, size: self.size };
+        let sky = self.skies.read(view)?;
+        let drawn = match self.maker.settings.mask_source {
+            MaskSource::Render => Some(snapshot.render(view).map_err(Failure::retry)?),
+            MaskSource::Photo => None,
+        };
+        Ok(self.maker.make(view, drawn.as_ref(), &snapshot, sky.as_ref())?)
+    }
+}
+
+impl FieldInputs for Inputs {
+    fn embedding(&self, view: usize) -> Result<Embedding, Failure> {
+        let kept = Kept { view, what: "embedding", kind: EMBEDDING, key: &self.keys.embedding[view] };
+        self.anew.read(kept, || {
+            describe(&*self.embedder, &self.anew.scene.views[view], self.size).map_err(Failure::retry)
+        })
+    }
+
+    fn visibility(&self, view: usize) -> Result<Mask, Failure> {
+        let kept = Kept { view, what: "visibility", kind: VISIBILITY, key: &self.keys.visibility[view] };
+        self.anew.read(kept, || self.look(view))
+    }
+
+    fn sky(&self, view: usize) -> Result<Option<Mask>, Failure> {
+        self.skies.read(view)
+    }
+
+    fn masks(&self, view: usize, stopping: &dyn Fn() -> bool) -> Result<Option<MaskSet>, Failure> {
+        match self.masks_known.wait(view, stopping) {
+            None => Err(Failure::stopped()),
+            Some(false) => Ok(None),
+            Some(true) => {
+                let kept = Kept { view, what: "set of masks", kind: MASKS, key: &self.keys.masks[view] };
+                self.anew.read(kept, || self.make_masks(view)).map(Some)
+            }
+        }
+    }
+}
