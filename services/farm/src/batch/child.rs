@@ -31,11 +31,19 @@ pub(super) struct Worker {
     pub asked_to_stop: bool,
     /// Why it was ended, if it was for want of progress.
     pub hung: Option<String>,
-    looked: Instant,
+    still: Still,
     scene: SceneJob,
     process: Option<Process>,
     taken: Instant,
     waits_told: bool,
+}
+
+/// For how long nothing has moved in a process, by this process's own clock.
+struct Still {
+    looked: Instant,
+    /// How far its work was then.
+    seen: Option<(u64, u64)>,
+    seconds: f64,
 }
 
 struct Process {
@@ -50,8 +58,9 @@ struct Process {
 impl Worker {
     pub fn new(lease: Lease, scene: SceneJob, granted: Needs) -> Self {
         let (taken, waits_told) = (Instant::now(), false);
-        let (asked_to_stop, hung, process, looked) = (false, None, None, taken);
-        Self { lease, granted, asked_to_stop, hung, looked, scene, process, taken, waits_told }
+        let still = Still { looked: taken, seen: None, seconds: 0.0 };
+        let (asked_to_stop, hung, process) = (false, None, None);
+        Self { lease, granted, asked_to_stop, hung, still, scene, process, taken, waits_told }
     }
 
     pub fn seconds(&self) -> f64 {
@@ -96,6 +105,7 @@ impl Worker {
                     cores: self.granted.cores,
                 });
                 self.process = Some(process);
+                self.still = Still { looked: Instant::now(), seen: None, seconds: 0.0 };
                 None
             }
             Err(error) => Some(Ended::NotStarted(format!("its process cannot be started: {error}"))),
@@ -148,22 +158,27 @@ impl Worker {
         }
     }
 
-    /// Ends the process if nothing has moved in it for too long, by what it writes into its run's ledger.
-    pub fn look_for_progress(&mut self, patience_s: f64, now: f64) {
+    /// Ends the process if nothing has moved in it for too long: if what it writes into its run's ledger has stayed the
+    /// same over the time that was seen to pass here. Whatever the wall clock does meanwhile, and however long the
+    /// machine sleeps or this process is held, no more passes than lies between two looks.
+    pub fn look_for_progress(&mut self, patience_s: f64) {
         let Some(process) = &mut self.process else { return };
         let every = Duration::from_secs_f64((patience_s / 4.0).clamp(0.1, 10.0));
-        if self.looked.elapsed() < every || self.hung.is_some() {
+        let passed = self.still.looked.elapsed();
+        if passed < every || self.hung.is_some() {
             return;
         }
-        self.looked = Instant::now();
+        self.still.looked = Instant::now();
         let ledger = Ledger::open_read_only(self.scene.out.join("run.sqlite")).ok();
         let live = ledger.and_then(|ledger| ledger.live().ok().flatten());
-        // Before it writes of itself, all there is to go by is when it began.
-        let since_began = process.began.elapsed().as_secs_f64();
-        let still_s =
-            live.filter(|live| live.pid == process.child.id()).map_or(since_began, |live| now - live.moved);
-        if still_s.min(since_began) > patience_s {
-            self.hung = Some(format!("nothing moved for {still_s:.0} s"));
+        let seen = live.filter(|live| live.pid == process.child.id()).map(|live| live.movement());
+        if seen == self.still.seen {
+            self.still.seconds += passed.min(2 * every).as_secs_f64();
+        } else {
+            (self.still.seen, self.still.seconds) = (seen, 0.0);
+        }
+        if self.still.seconds > patience_s {
+            self.hung = Some(format!("nothing moved for {:.0} s", self.still.seconds));
             // One that has ended by itself is as good.
             let _ = process.child.kill();
         }

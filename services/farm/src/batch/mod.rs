@@ -224,7 +224,7 @@ impl Batch<'_> {
                 }
             }
             for worker in &mut self.workers {
-                worker.look_for_progress(self.manifest.patience_s, SystemClock.now());
+                worker.look_for_progress(self.manifest.patience_s);
             }
             let changed = self.reap()?;
             self.beat()?;
