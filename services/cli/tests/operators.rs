@@ -156,6 +156,32 @@ fn a_batch_that_stopped_half_way_on_request_goes_on_without_it() {
 }
 
 #[test]
+fn a_clock_that_jumps_in_a_rest_is_told_of_once_and_changes_nothing() {
+    let dir = folder();
+    // A folder that cannot be made is worth another attempt.
+    std::fs::write(dir.path().join("file"), "no folder").expect("it writes");
+    for (fault, words) in [
+        ("jump@clock:8+", "the clock was set back by 24 h 0 min"),
+        ("leap@clock:8+", "the clock went ahead by 24 h 0 min"),
+    ] {
+        let file = manifest(dir.path(), 60, &["one"], "attempts = 2\nout = \"file/one\"\n");
+        let batch = show(&dir.path().join(&fault[..4]));
+        let output = segwild(&["batch", &file, "--out", &batch, "--fault", fault]);
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(4), "{said}");
+        let place = |words: &str| said.find(words).unwrap_or_else(|| panic!("`{words}` is not in {said}"));
+        assert!(
+            place("tries again in 5.0 s") < place(words) && place(words) < place("was given up"),
+            "{said}"
+        );
+        assert_eq!(said.matches("the clock").count(), 1, "{said}");
+        let table = text(&output.stdout);
+        let row: Vec<&str> = table.lines().nth(1).expect("a row").split_whitespace().collect();
+        assert_eq!(row[..3], ["one", "dead", "2"], "{table}");
+    }
+}
+
+#[test]
 fn a_scene_that_does_not_fit_the_memory_is_refused_before_anything_begins() {
     let dir = folder();
     let (batch, file) = (dir.path().join("batch"), dir.path().join("places.toml"));

@@ -11,6 +11,7 @@ pub mod conformance;
 mod embedded;
 mod engine;
 mod job;
+mod jumps;
 mod machine;
 mod manifest;
 mod turn;

@@ -114,6 +114,13 @@ fn in_words(event: &BatchEvent) -> String {
         }
         BatchEvent::SceneDied { scene, error } => format!("{scene} was given up: {error}"),
         BatchEvent::SceneStopped { scene } => format!("{scene} stopped; it can go on"),
+        BatchEvent::ClockJumped { seconds } if *seconds < 0.0 => {
+            format!("the clock was set back by {}; rests last as long as they should", duration(-seconds))
+        }
+        BatchEvent::ClockJumped { seconds } => format!(
+            "the clock went ahead by {}: it was set, or the machine slept; rests last as long as they should",
+            duration(*seconds)
+        ),
     }
 }
 

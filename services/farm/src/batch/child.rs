@@ -29,6 +29,8 @@ pub(super) struct Worker {
     pub lease: Lease,
     pub granted: Needs,
     pub asked_to_stop: bool,
+    /// When the lease was last renewed.
+    pub renewed: Instant,
     /// Why it was ended, if it was for want of progress.
     pub hung: Option<String>,
     still: Still,
@@ -59,8 +61,8 @@ impl Worker {
     pub fn new(lease: Lease, scene: SceneJob, granted: Needs) -> Self {
         let (taken, waits_told) = (Instant::now(), false);
         let still = Still { looked: taken, seen: None, seconds: 0.0 };
-        let (asked_to_stop, hung, process) = (false, None, None);
-        Self { lease, granted, asked_to_stop, hung, still, scene, process, taken, waits_told }
+        let (asked_to_stop, hung, process, renewed) = (false, None, None, taken);
+        Self { lease, granted, asked_to_stop, renewed, hung, still, scene, process, taken, waits_told }
     }
 
     pub fn seconds(&self) -> f64 {
