@@ -163,7 +163,7 @@ impl EmbeddedEngine {
         })
     }
 
-    fn write<T>(
+    pub(crate) fn write<T>(
         &self,
         change: impl FnOnce(&Transaction<'_>, f64) -> rusqlite::Result<Result<T, EngineError>>,
     ) -> Result<T, EngineError> {
@@ -183,7 +183,7 @@ impl EmbeddedEngine {
         value
     }
 
-    fn read<T>(
+    pub(crate) fn read<T>(
         &self,
         query: impl FnOnce(&Connection) -> rusqlite::Result<T>,
     ) -> Result<T, EngineError> {
@@ -241,7 +241,7 @@ fn find(t: &Connection, id: &str) -> rusqlite::Result<Option<JobStatus>> {
     t.query_row(&format!("SELECT {COLUMNS} FROM jobs WHERE id = ?1"), [id], status).optional()
 }
 
-fn note(
+pub(crate) fn note(
     t: &Transaction<'_>,
     now: f64,
     job: &str,
@@ -308,7 +308,7 @@ fn expire(t: &Transaction<'_>, now: f64) -> rusqlite::Result<()> {
 }
 
 /// The job as this lease holds it, or why the lease is lost.
-fn held(t: &Transaction<'_>, lease: &Lease) -> rusqlite::Result<Result<JobStatus, EngineError>> {
+pub(crate) fn held(t: &Transaction<'_>, lease: &Lease) -> rusqlite::Result<Result<JobStatus, EngineError>> {
     let lost = EngineError::Lost { job: lease.job.id.clone(), attempt: lease.attempt };
     Ok(find(t, &lease.job.id)?
         .filter(|job| job.state == JobState::Leased && job.attempt == lease.attempt)

@@ -184,10 +184,14 @@ pub enum ChangeKind {
     Died,
     /// A dead letter may try again.
     Revived,
+    /// Who took it cannot begin yet.
+    Waits,
+    /// Who had to wait has begun.
+    Began,
 }
 
 impl ChangeKind {
-    pub(crate) const ALL: [ChangeKind; 8] = [
+    pub(crate) const ALL: [ChangeKind; 10] = [
         Self::Published,
         Self::Claimed,
         Self::Completed,
@@ -196,6 +200,8 @@ impl ChangeKind {
         Self::Released,
         Self::Died,
         Self::Revived,
+        Self::Waits,
+        Self::Began,
     ];
 
     /// As a word.
@@ -209,6 +215,8 @@ impl ChangeKind {
             Self::Released => "released",
             Self::Died => "died",
             Self::Revived => "revived",
+            Self::Waits => "waits",
+            Self::Began => "began",
         }
     }
 }

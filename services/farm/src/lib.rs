@@ -15,6 +15,7 @@ mod jumps;
 mod machine;
 mod manifest;
 mod turn;
+mod waits;
 
 pub use batch::{
     BatchError, BatchEvent, BatchFolder, BatchOptions, BatchRecord, BatchSummary, StopBatch, StopLevel,

@@ -33,11 +33,12 @@ pub(super) struct Worker {
     pub renewed: Instant,
     /// Why it was ended, if it was for want of progress.
     pub hung: Option<String>,
+    /// Why it could not be begun when it was taken.
+    pub waits: Option<String>,
     still: Still,
     scene: SceneJob,
     process: Option<Process>,
     taken: Instant,
-    waits_told: bool,
 }
 
 /// For how long nothing has moved in a process, by this process's own clock.
@@ -59,10 +60,15 @@ struct Process {
 
 impl Worker {
     pub fn new(lease: Lease, scene: SceneJob, granted: Needs) -> Self {
-        let (taken, waits_told) = (Instant::now(), false);
+        let taken = Instant::now();
         let still = Still { looked: taken, seen: None, seconds: 0.0 };
         let (asked_to_stop, hung, process, renewed) = (false, None, None, taken);
-        Self { lease, granted, asked_to_stop, renewed, hung, still, scene, process, taken, waits_told }
+        Self { lease, granted, asked_to_stop, renewed, hung, waits: None, still, scene, process, taken }
+    }
+
+    /// Whether its process was begun.
+    pub fn has_begun(&self) -> bool {
+        self.process.is_some()
     }
 
     pub fn seconds(&self) -> f64 {
@@ -93,7 +99,8 @@ impl Worker {
             if self.taken.elapsed() > FOLDER_WAIT {
                 return Some(Ended::NotStarted(reason));
             }
-            if !std::mem::replace(&mut self.waits_told, true) {
+            if self.waits.is_none() {
+                self.waits = Some(reason.clone());
                 tell(&BatchEvent::SceneWaits { scene: self.scene.name.clone(), reason });
             }
             return None;

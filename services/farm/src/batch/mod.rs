@@ -294,8 +294,16 @@ impl Batch<'_> {
         let mut i = 0;
         // In the order in which they were claimed: the most urgent process is begun first.
         while i < self.workers.len() {
-            let ended = self.workers[i].advance(self.folder, &self.options.program, self.tell);
+            let worker = &mut self.workers[i];
+            let (waited, had_begun) = (worker.waits.is_some(), worker.has_begun());
+            let ended = worker.advance(self.folder, &self.options.program, self.tell);
             let Some(ended) = ended else {
+                // Who looks at the batch sees who waits, and why.
+                let begins = waited && worker.has_begun() && !had_begun;
+                if begins || !waited && worker.waits.is_some() {
+                    let reason = worker.waits.as_deref().filter(|_| !begins);
+                    lost(self.engine.note_wait(&worker.lease, reason))?;
+                }
                 i += 1;
                 continue;
             };
