@@ -382,8 +382,8 @@ impl Engine for EmbeddedEngine {
                 params![found.job.id, attempt, offer.worker, until, now],
             )?;
             note(t, now, &found.job.id, ChangeKind::Claimed, attempt, &offer.worker)?;
-            let (worker, lease_s) = (offer.worker.clone(), offer.lease_s);
-            Ok(Ok(Some(Lease { job: found.job, attempt, worker, until, lease_s })))
+            let (worker, lease_s, failures) = (offer.worker.clone(), offer.lease_s, found.failures);
+            Ok(Ok(Some(Lease { job: found.job, attempt, worker, failures, until, lease_s })))
         })
     }
 

@@ -92,6 +92,8 @@ pub struct Lease {
     pub attempt: u32,
     /// Who holds it.
     pub worker: String,
+    /// How many attempts failed before this one, since the job was published or revived.
+    pub failures: u32,
     /// When it expires, in seconds since 1970.
     pub until: f64,
     /// How long a renewal lasts, in seconds.

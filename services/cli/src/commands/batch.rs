@@ -6,7 +6,9 @@ use crate::failure::{Failure, plain};
 use crate::operators::{listen, listen_args};
 use crate::progress::{duration, on_ctrl_c};
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
-use segwild_farm::{BatchEvent, BatchOptions, BatchSummary, JobState, StopBatch, StopLevel, batch};
+use segwild_farm::{
+    BatchEvent, BatchOptions, BatchSummary, JobState, JobStatus, StopBatch, StopLevel, batch,
+};
 use segwild_pipeline::Until;
 use std::path::{Path, PathBuf};
 
@@ -124,6 +126,11 @@ fn in_words(event: &BatchEvent) -> String {
     }
 }
 
+/// The attempts that count: a kill or a stop of the batch ended the others, and is none of the scene's doing.
+fn attempts(scene: &JobStatus) -> u32 {
+    scene.failures + u32::from(scene.state == JobState::Done)
+}
+
 fn table(summary: &BatchSummary) -> Result<(), Failure> {
     let width = summary.scenes.iter().map(|s| s.job.id.chars().count()).max().unwrap_or(0).max(5);
     print_line(&format!("{:width$}  {:8} {:>8} {:>12}", "scene", "state", "attempts", "last took"))?;
@@ -134,7 +141,7 @@ fn table(summary: &BatchSummary) -> Result<(), Failure> {
         };
         let time = scene.started.zip(scene.ended).map_or("-".into(), |(a, b)| duration((b - a).max(0.0)));
         let error = scene.error.as_deref().map_or(String::new(), |e| format!("  {e}"));
-        print_line(&format!("{:width$}  {state:8} {:>8} {time:>12}{error}", scene.job.id, scene.attempt))?;
+        print_line(&format!("{:width$}  {state:8} {:>8} {time:>12}{error}", scene.job.id, attempts(scene)))?;
     }
     print_line(&format!(
         "{} done, {} given up, {} waiting, {}",

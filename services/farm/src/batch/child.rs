@@ -110,7 +110,7 @@ impl Worker {
                 tell(&BatchEvent::SceneStarted {
                     scene: self.scene.name.clone(),
                     pid: process.child.id(),
-                    attempt: self.lease.attempt,
+                    attempt: self.lease.failures + 1,
                     cores: self.granted.cores,
                 });
                 self.process = Some(process);
@@ -123,7 +123,7 @@ impl Worker {
 
     fn begin(&self, folder: &BatchFolder, program: &Path) -> std::io::Result<Process> {
         let mut log = File::options().create(true).append(true).open(folder.log(&self.scene.name))?;
-        writeln!(log, "== attempt {} on {} cores", self.lease.attempt, self.granted.cores)?;
+        writeln!(log, "== attempt {} on {} cores", self.lease.failures + 1, self.granted.cores)?;
         let log_from = log.metadata()?.len();
         let mut command = Command::new(program);
         command

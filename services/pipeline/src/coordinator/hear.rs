@@ -7,7 +7,7 @@ use crate::history::{self, Moment};
 use crate::outcome::Outcome;
 use segwild_features::{FeatureField, FeatureOutcome};
 use segwild_flow::ledger::ViewOutcome;
-use segwild_flow::{Event, Key, StageProgress};
+use segwild_flow::{Event, Key, Quarantined, StageProgress};
 use segwild_masks::MaskOutcome;
 use segwild_scene::{Skipped, ply};
 use segwild_trainer::{Model, TrainOutcome};
@@ -49,9 +49,9 @@ impl Coordinator<'_> {
                 self.state.embed_open -= 1;
                 self.close("embed", self.state.embed_open, &mut bars.embed)
             }
-            Outcome::Feature(FeatureOutcome::EmbedFailed { view, error }) => {
+            Outcome::Feature(FeatureOutcome::EmbedFailed { view, given_up }) => {
                 let key = self.keys.embedding[view];
-                self.view_done("embed", view, &key, Some(&error), None, &mut bars.embed)?;
+                self.view_done("embed", view, &key, Some(&given_up), None, &mut bars.embed)?;
                 self.state.embed_open -= 1;
                 self.close("embed", self.state.embed_open, &mut bars.embed)
             }
@@ -159,7 +159,7 @@ impl Coordinator<'_> {
         stage: &'static str,
         view: usize,
         key: &Key,
-        error: Option<&String>,
+        error: Option<&Quarantined>,
         seconds: Option<f64>,
         bar: &mut Option<StageProgress>,
     ) -> Result<(), RunError> {
@@ -168,7 +168,7 @@ impl Coordinator<'_> {
         }
         let name = self.scene.views[view].name.clone();
         let outcome = match (error, seconds) {
-            (Some(error), _) => ViewOutcome::failed(1, error.clone()),
+            (Some(error), _) => ViewOutcome::failed(error.attempts, error.error.clone()),
             (None, Some(seconds)) => ViewOutcome::done(seconds),
             (None, None) => ViewOutcome::cached(),
         };
@@ -180,11 +180,11 @@ impl Coordinator<'_> {
                 self.options.events.tell(Event::ViewFailed {
                     stage: stage.into(),
                     view: name.clone(),
-                    error: error.clone(),
-                    attempts: 1,
+                    error: error.error.clone(),
+                    attempts: error.attempts,
                 });
                 if !self.state.skipped.iter().any(|s| s.name == name) {
-                    self.state.skipped.push(Skipped { name, reason: format!("{stage}: {error}") });
+                    self.state.skipped.push(Skipped { name, reason: format!("{stage}: {}", error.error) });
                 }
             }
             (None, Some(_)) => {
