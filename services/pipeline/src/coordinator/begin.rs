@@ -4,7 +4,7 @@ use super::{Bars, Coordinator, HISTORY, Inboxes};
 use crate::RunError;
 use crate::folder::{FEATURES, MODEL};
 use crate::history::{self, Moment};
-use crate::keep::SNAPSHOT;
+use crate::keep::{SNAPSHOT, TRAINING};
 use crate::outcome::Outcome;
 use crate::visibility::visibility;
 use segwild_features::{FeatureField, FeatureTask, FieldView, VISIBILITY};
@@ -25,31 +25,37 @@ impl Coordinator<'_> {
         let snapshot: Option<Model> = self.cache.get_typed(&self.keys.snapshot, MODEL)?;
         let snapshot_kept = snapshot.is_some();
         self.state.snapshot = snapshot.map(Arc::new);
-        if let (Some(model), true) = (done, snapshot_kept) {
-            self.skip_stage("geometry", &self.keys.geometry)?;
+        let snapshot_step = self.settings.train.snapshot_step();
+        if let Some(model) = done {
             if let Some(moments) = self.cache.get_typed::<Vec<Moment>>(&self.keys.history, HISTORY)? {
                 history::replace(self.folder, &moments)?;
             }
-            return self.take_model(Arc::new(model));
+            self.take_model(Arc::new(model))?;
+            if snapshot_kept {
+                return self.skip_stage("geometry", &self.keys.geometry);
+            }
+            self.state.only_to_snapshot = true;
         }
         self.ledger.begin_stage("geometry", &self.keys.geometry)?;
         // Without the snapshot the training is done again from a checkpoint before it, or from the start.
-        let snapshot_step = self.settings.train.snapshot_step();
         let before = if snapshot_kept { u32::MAX } else { snapshot_step };
+        let until = if self.state.only_to_snapshot { snapshot_step } else { self.steps };
         let checkpoint = match self.stands_at(before)? {
-            Some(step) => {
+            Some(step) if !self.state.only_to_snapshot => {
                 self.state.paused = Some(step);
                 return Ok(());
             }
-            None => self.keeper().last_before(before.min(self.steps.saturating_add(1)))?,
+            _ => self.keeper().last_before(before.min(self.steps.saturating_add(1)))?,
         };
-        let mut bar = self.options.events.stage("geometry", Some(self.steps.into()));
+        let mut bar = self.options.events.stage("geometry", Some(until.into()));
         let start = checkpoint.as_ref().map_or(0, |c| c.step());
         if start > 0 {
             self.options.events.info(Some("geometry"), format!("goes on from step {start}"));
             bar.cached(start.into());
         }
-        history::trim(self.folder, start)?;
+        if !self.state.only_to_snapshot {
+            history::trim(self.folder, start)?;
+        }
         bars.geometry = Some(bar);
         let (scene, size, skies) = (self.scene.clone(), self.settings.scene.size, self.skies.clone());
         let (stopper, tainted) = (self.options.stopper.clone(), self.tainted.clone());
@@ -70,7 +76,7 @@ impl Coordinator<'_> {
             scene: self.scene.clone(),
             photos: Arc::new(photos) as Arc<dyn Photos>,
             settings: self.settings.train.clone(),
-            until: self.steps,
+            until,
             checkpoint: checkpoint.map(Arc::new),
             checkpoint_every: Duration::from_secs(self.settings.run.checkpoint_every.max(1).into()),
         };
@@ -90,7 +96,10 @@ impl Coordinator<'_> {
 
     /// Writes down which training is the present one: what belongs to another may leave the cache.
     pub(super) fn name_training(&self) -> Result<(), RunError> {
-        Ok(self.ledger.record_view(SNAPSHOT, SNAPSHOT, &self.keys.snapshot, &ViewOutcome::cached())?)
+        let rows = [(SNAPSHOT, &self.keys.snapshot), (TRAINING, &self.keys.training)];
+        Ok(rows
+            .into_iter()
+            .try_for_each(|(row, key)| self.ledger.record_view(SNAPSHOT, row, key, &ViewOutcome::cached()))?)
     }
 
     /// The step the training stands at, when that is as far as was asked for and not its end.

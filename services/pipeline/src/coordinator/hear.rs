@@ -97,7 +97,9 @@ impl Coordinator<'_> {
             }
             TrainOutcome::Progress { step, loss, psnr, splats, left_out } => {
                 let moment = Moment { step, loss, psnr, splats, left_out };
-                history::append(self.folder, &moment)?;
+                if !self.state.only_to_snapshot {
+                    history::append(self.folder, &moment)?;
+                }
                 if let Some(bar) = &mut bars.geometry {
                     bar.advance(u64::from(step).saturating_sub(bar.done()));
                 }
@@ -122,6 +124,14 @@ impl Coordinator<'_> {
                 self.keeper().save(&checkpoint)?;
                 let seconds = began.elapsed().as_secs_f64();
                 self.options.events.metric("geometry", "checkpoint_s", seconds, None);
+                Ok(())
+            }
+            TrainOutcome::Paused(_) | TrainOutcome::Done(..) if self.state.only_to_snapshot => {
+                self.state.only_to_snapshot = false;
+                self.ledger.finish_stage("geometry", &self.keys.geometry, None)?;
+                if let Some(bar) = bars.geometry.take() {
+                    bar.finish();
+                }
                 Ok(())
             }
             TrainOutcome::Paused(step) => {
