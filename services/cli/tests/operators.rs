@@ -195,8 +195,8 @@ fn a_clock_that_jumps_in_a_rest_is_told_of_once_and_changes_nothing() {
     // A folder that cannot be made is worth another attempt.
     std::fs::write(dir.path().join("file"), "no folder").expect("it writes");
     for (fault, words) in [
-        ("jump@clock:8+", "the clock was set back by 24 h 0 min"),
-        ("leap@clock:8+", "the clock went ahead by 24 h 0 min"),
+        ("jump@clock:12+", "the clock was set back by 24 h 0 min"),
+        ("leap@clock:12+", "the clock went ahead by 24 h 0 min"),
     ] {
         let file = manifest(dir.path(), 60, &["one"], "attempts = 2\nout = \"file/one\"\n");
         let batch = show(&dir.path().join(&fault[..4]));

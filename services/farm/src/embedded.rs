@@ -126,10 +126,14 @@ impl EmbeddedEngine {
         })
     }
 
-    /// The jumps of the wall clock that this handle has met since it was last asked, in seconds; back is negative.
-    /// Rests and leases were moved along with the clock.
-    pub fn jumps(&self) -> Vec<f64> {
-        std::mem::take(&mut self.jumped.lock().unwrap_or_else(PoisonError::into_inner))
+    /// Looks at the clocks, and says which jumps of the wall clock this handle has met since it was last asked, in
+    /// seconds; back is negative. Rests and leases were moved along with the clock.
+    ///
+    /// # Errors
+    /// When the store fails.
+    pub fn jumps(&self) -> Result<Vec<f64>, EngineError> {
+        self.write(|_, _| Ok(Ok(())))?;
+        Ok(std::mem::take(&mut self.jumped.lock().unwrap_or_else(PoisonError::into_inner)))
     }
 
     /// How often something has happened, over all jobs and ever.

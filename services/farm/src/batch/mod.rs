@@ -220,7 +220,7 @@ struct Batch<'a> {
 impl Batch<'_> {
     /// Says whether it was interrupted.
     fn conduct(&mut self) -> Result<bool, BatchError> {
-        let mut asked: Option<Instant> = None;
+        let (mut asked, mut clocks_read): (Option<Instant>, Option<Instant>) = (None, None);
         loop {
             let stop = self.options.stop.level();
             for worker in &mut self.workers {
@@ -235,8 +235,11 @@ impl Batch<'_> {
             }
             let changed = self.reap()?;
             self.beat()?;
-            for seconds in self.engine.jumps().into_iter().filter(|s| s.abs() >= JUMP_TOLD_S) {
-                (self.tell)(&BatchEvent::ClockJumped { seconds });
+            if clocks_read.is_none_or(|at| at.elapsed() >= ASK_EVERY) {
+                clocks_read = Some(Instant::now());
+                for seconds in self.engine.jumps()?.into_iter().filter(|s| s.abs() >= JUMP_TOLD_S) {
+                    (self.tell)(&BatchEvent::ClockJumped { seconds });
+                }
             }
             if stop > StopLevel::Run {
                 if self.workers.is_empty() {
