@@ -193,6 +193,66 @@ fn a_batch_that_stopped_half_way_on_request_goes_on_without_it() {
 }
 
 #[test]
+fn a_scene_whose_folder_is_in_use_is_shown_as_waiting_and_why() {
+    let dir = folder();
+    let (batch, file) = (dir.path().join("batch"), manifest(dir.path(), 60, &["one"], ""));
+    let out = show(&batch.join("one"));
+    let stalled = ["--size", "96", "--fault", "stall@masks.handle:3"];
+    let mut holder = in_background(&[&["run", &show(scene()), "--out", &out][..], &stalled].concat());
+    let pid = holder.0.id();
+    until("the folder to be held", || {
+        std::fs::read_to_string(batch.join("one/run.lock")).ok().filter(|t| t.trim() == pid.to_string())
+    });
+    let batch = show(&batch);
+    let mut child = in_background(&["batch", &file, "--out", &batch]);
+    let why = until("a scene that waits, and why", || {
+        let output = segwild(&["status", &batch, "--json"]);
+        let scene = output.status.success().then(|| json(&output.stdout)["scenes"][0].clone())?;
+        assert_ne!(scene["state"], "done");
+        let why = scene["why"].as_str()?.to_owned();
+        (scene["state"] == "waiting" && why.contains("in use")).then_some(why)
+    });
+    assert!(why.contains(&format!("its run folder is in use by process {pid}")), "{why}");
+    let said = works(&["status", &batch]);
+    assert!(said.contains("one: waiting") && said.contains(&why), "{said}");
+    let page = works(&["top", &batch, "--once"]);
+    assert!(page.contains("1 waiting") && page.contains("in use by process"), "{page}");
+    holder.0.kill().expect("it can be killed");
+    holder.0.wait().expect("it ends");
+    until("the scene to begin", || {
+        let scene = json(&segwild(&["status", &batch, "--json"]).stdout)["scenes"][0].clone();
+        (scene["state"] != "waiting").then_some(())
+    });
+    assert_eq!(child.0.wait().expect("it ends").code(), Some(0));
+}
+
+#[test]
+fn a_clock_that_jumps_in_a_rest_is_told_of_once_and_changes_nothing() {
+    let dir = folder();
+    // A folder that cannot be made is worth another attempt.
+    std::fs::write(dir.path().join("file"), "no folder").expect("it writes");
+    for (fault, words) in [
+        ("jump@clock:12+", "the clock was set back by 24 h 0 min"),
+        ("leap@clock:12+", "the clock went ahead by 24 h 0 min"),
+    ] {
+        let file = manifest(dir.path(), 60, &["one"], "attempts = 2\nout = \"file/one\"\n");
+        let batch = show(&dir.path().join(&fault[..4]));
+        let output = segwild(&["batch", &file, "--out", &batch, "--fault", fault]);
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(4), "{said}");
+        let place = |words: &str| said.find(words).unwrap_or_else(|| panic!("`{words}` is not in {said}"));
+        assert!(
+            place("tries again in 5.0 s") < place(words) && place(words) < place("was given up"),
+            "{said}"
+        );
+        assert_eq!(said.matches("the clock").count(), 1, "{said}");
+        let table = text(&output.stdout);
+        let row: Vec<&str> = table.lines().nth(1).expect("a row").split_whitespace().collect();
+        assert_eq!(row[..3], ["one", "dead", "2"], "{table}");
+    }
+}
+
+#[test]
 fn a_scene_that_does_not_fit_the_memory_is_refused_before_anything_begins() {
     let dir = folder();
     let (batch, file) = (dir.path().join("batch"), dir.path().join("places.toml"));

@@ -248,6 +248,47 @@ fn explain_names_what_would_be_done_again_and_why() {
 }
 
 #[test]
+fn explain_says_of_any_step_what_the_run_then_does() {
+    let dir = folder();
+    let run = dir.path().join("run");
+    // Explains, runs, and compares what the training does.
+    let check = |more: &[&str], expected: &str, words: &[&str]| {
+        let (plan, _) = completes(&again(&run, &[more, &["--explain"]].concat()));
+        let (said, told) = completes(&again(&run, more));
+        let line = plan.lines().find(|line| line.trim_start().starts_with("geometry")).expect("a line");
+        assert!(line.contains(expected), "{more:?} was to be `{expected}`: {plan}");
+        for word in words {
+            assert!(line.contains(word), "{more:?} does not say `{word}`: {plan}");
+        }
+        let on = told.lines().find_map(|l| l.split("goes on from step ").nth(1));
+        match expected.split_once(" step ") {
+            Some(("goes on from", step)) => assert_eq!(on, Some(step), "{more:?}: {told}"),
+            Some(_) => assert!(said.contains(&format!("stopped at {}", &expected[10..])), "{more:?}: {said}"),
+            None => assert_eq!(on, None, "{more:?}: {told}"),
+        }
+        assert_eq!(told.contains("geometry was done before"), expected == "reused", "{more:?}: {told}");
+        for stage in ["features", "evaluate"] {
+            let reused = plan.lines().any(|l| l.contains(stage) && l.contains("reused"));
+            let done = told.contains(&format!("{stage} done in"));
+            assert!(!(reused && done), "{more:?}: {stage} was to be reused: {told}");
+            let named = plan.lines().any(|l| l.contains(stage));
+            assert_eq!(named && !reused, done, "{more:?}: {stage}: {plan}{told}");
+        }
+        assert!(!plan.contains("points or cameras"), "nothing of the kind: {plan}");
+    };
+    check(&["--until", "20"], "made", &["the run is new"]);
+    check(&["--until", "10"], "stands at step 20", &[]);
+    check(&["--until", "100"], "goes on from step 20", &["end at step 100", "was to end at step 10"]);
+    check(&["--until", "100"], "reused", &[]);
+    check(&["--until", "120"], "goes on from step 100", &["end at step 120", "was to end at step 100"]);
+    check(&["--until", "80"], "made", &["end at step 80", "was to end at step 120", "no checkpoint"]);
+    check(&["--until", "110"], "goes on from step 100", &["end at step 110", "was to end at step 80"]);
+    works(&["cache", "gc", &show(&run)]);
+    check(&[], "made", &["end at step 60", "was to end at step 110", "no checkpoint"]);
+    has_what_an_untouched_run_has(&run);
+}
+
+#[test]
 fn a_second_process_is_refused_and_may_look() {
     let dir = folder();
     let run = dir.path().join("run");

@@ -20,6 +20,12 @@ fn a_sky_that_failed_once_does_not_spoil_the_run_in_which_it_works() {
     let run = dir.path().join("run");
     let (_, told) = completes(&again(&run, &GIVEN_UP));
     assert!(told.contains("sky photo") && told.contains("a fault on purpose"), "{told}");
+    let failed = told.lines().filter(|line| line.contains(" failed: a fault on purpose")).count();
+    assert_eq!(failed, 1, "it is said once, by the photo's name: {told}");
+    let ledger = segwild_flow::Ledger::open_read_only(run.join("run.sqlite")).expect("a ledger");
+    let attempts: Vec<u32> =
+        ledger.views("sky").expect("rows").iter().map(|row| row.outcome.attempts).collect();
+    assert_eq!(attempts.iter().filter(|&&n| n == 3).count(), 1, "as often as it was tried: {attempts:?}");
     let without = results(&run);
     let name = std::path::Path::new("model.bin");
     assert_ne!(without[name], results(&place().run)[name], "a sky that is missing changes something");

@@ -1,23 +1,35 @@
 //! The time that leases and retries are measured by.
+//!
+//! Stored are times of the wall clock: they are for people and for other processes to read. Every change of the store
+//! compares how far the wall clock and the steady clock have come since the change before. Where they disagree, the wall
+//! clock was set or the machine slept, and every time that is still to come moves along with the wall clock
+//! (`embedded.rs`). So a rest lasts as long as it was meant to, whatever the wall clock does.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::{SystemTime, UNIX_EPOCH};
+
+use segwild_flow::clock::{self, Steady};
 
 /// Tells the time.
 pub trait Clock: Send + Sync {
-    /// Seconds since 1970. Leases are shared between processes, so this is no monotonic clock: when it jumps
-    /// ahead, leases expire early and the fence keeps the work single; when it jumps back, they last longer.
+    /// Seconds since 1970. May jump.
     fn now(&self) -> f64;
+
+    /// A clock that never jumps.
+    fn steady(&self) -> Steady;
 }
 
-/// The machine's clock.
+/// The machine's clocks.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct SystemClock;
 
 impl Clock for SystemClock {
     fn now(&self) -> f64 {
-        SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |d| d.as_secs_f64())
+        clock::now()
+    }
+
+    fn steady(&self) -> Steady {
+        clock::steady()
     }
 }
 
@@ -28,24 +40,49 @@ impl Clock for SystemClock {
 /// let clock = SimulatedClock::new(100.0);
 /// clock.clone().pass(2.5);
 /// assert_eq!(clock.now(), 102.5);
+/// clock.jump(-60.0);
+/// assert_eq!((clock.now(), clock.steady().seconds), (42.5, 2.5));
 /// ```
 #[derive(Clone, Debug)]
-pub struct SimulatedClock(Arc<AtomicU64>);
+pub struct SimulatedClock {
+    /// What it showed when it was made, and how far it has been set since, as the bits of an `f64`.
+    wall: Arc<AtomicU64>,
+    /// The time that has passed.
+    passed: Arc<AtomicU64>,
+}
 
 impl SimulatedClock {
     /// A clock that shows a time.
     pub fn new(now: f64) -> Self {
-        Self(Arc::new(AtomicU64::new(now.to_bits())))
+        let of = |value: f64| Arc::new(AtomicU64::new(value.to_bits()));
+        Self { wall: of(now), passed: of(0.0) }
     }
 
-    /// Lets time pass; negative seconds set it back.
+    /// Lets time pass.
     pub fn pass(&self, seconds: f64) {
-        self.0.store((self.now() + seconds).to_bits(), Ordering::Release);
+        add(&self.passed, seconds);
     }
+
+    /// Sets the wall clock ahead, or back, while no time passes.
+    pub fn jump(&self, seconds: f64) {
+        add(&self.wall, seconds);
+    }
+}
+
+fn read(of: &AtomicU64) -> f64 {
+    f64::from_bits(of.load(Ordering::Acquire))
+}
+
+fn add(to: &AtomicU64, seconds: f64) {
+    to.store((read(to) + seconds).to_bits(), Ordering::Release);
 }
 
 impl Clock for SimulatedClock {
     fn now(&self) -> f64 {
-        f64::from_bits(self.0.load(Ordering::Acquire))
+        read(&self.wall) + read(&self.passed)
+    }
+
+    fn steady(&self) -> Steady {
+        Steady { since: "the simulation".into(), seconds: read(&self.passed) }
     }
 }

@@ -11,6 +11,7 @@
 //!         Box::new(EmbeddedEngine::with_clock(path, Arc::new(self.clock.clone())).unwrap())
 //!     }
 //!     fn pass(&self, seconds: f64) { self.clock.pass(seconds) }
+//!     fn jump(&self, seconds: f64) { self.clock.jump(seconds) }
 //! }
 //! let site = || -> Box<dyn conformance::Site> {
 //!     Box::new(Here { folder: tempfile::tempdir().unwrap(), clock: SimulatedClock::new(1e9) })
@@ -33,6 +34,9 @@ pub trait Site: Sync {
 
     /// Lets time pass for the engine, by its clock or by waiting.
     fn pass(&self, seconds: f64);
+
+    /// Sets the wall clock of the engine ahead, or back, while no time passes. An engine that reads none ignores it.
+    fn jump(&self, seconds: f64);
 }
 
 /// A check: its name, and what it does with a fresh site.
@@ -44,7 +48,7 @@ const LEASE_S: f64 = 2.0;
 const REST_S: f64 = 1.0;
 
 /// The suite.
-pub const CHECKS: [Check; 18] = [
+pub const CHECKS: [Check; 20] = [
     ("publishing twice is publishing once", publishing_twice),
     ("another payload begins again, but not under a worker's hands", another_payload),
     ("the most urgent job goes first, equals in order", urgency),
@@ -58,6 +62,8 @@ pub const CHECKS: [Check; 18] = [
     ("completing twice is completing once", completing_twice),
     ("a retryable failure rests, each time twice as long", back_off),
     ("a job that keeps failing becomes a dead letter", attempts_end),
+    ("a rest lasts as long as it should under a clock that jumps", rest_under_jumps),
+    ("a lease lasts as long as it should under a clock that jumps", lease_under_jumps),
     ("a fatal failure is a dead letter at once", fatal),
     ("a job that silences every worker becomes a dead letter", silent_to_death),
     ("being stopped costs no attempt", stopping),
@@ -303,6 +309,42 @@ fn back_off(site: &dyn Site) -> Result<(), String> {
         site.pass(rest * 0.75);
     }
     claim(&*engine, "w").map(drop)
+}
+
+/// A day, either way.
+const JUMPS_S: [f64; 2] = [-86_400.0, 86_400.0];
+
+fn rest_under_jumps(site: &dyn Site) -> Result<(), String> {
+    let engine = site.engine();
+    let retry = Retry { attempts: 9, longest_delay_s: REST_S, ..job("a").retry };
+    engine.publish(&Job { retry, ..job("a") }).map_err(words)?;
+    for jump in JUMPS_S {
+        let lease = claim(&*engine, "w")?;
+        engine.fail(&lease, ErrorClass::Retryable, "no luck").map_err(words)?;
+        site.jump(jump);
+        nothing(&*engine, &format!("in a rest, after a jump of {jump} s"))?;
+        site.pass(REST_S * 1.5);
+    }
+    claim(&*engine, "w").map(drop)
+}
+
+fn lease_under_jumps(site: &dyn Site) -> Result<(), String> {
+    let engine = site.engine();
+    for (id, jump) in ["a", "b"].into_iter().zip(JUMPS_S) {
+        engine.publish(&job(id)).map_err(words)?;
+        let lease = claim(&*engine, "w")?;
+        site.jump(jump);
+        nothing(&*site.engine(), &format!("while its worker holds it, after a jump of {jump} s"))?;
+        engine.heartbeat(&lease).map_err(words)?;
+        site.jump(jump);
+        site.pass(LEASE_S * 1.5);
+        nothing(&*engine, "as the lease ends")?;
+        site.pass(REST_S * 1.5);
+        let heir = claim(&*engine, "heir")?;
+        expect("a silent worker has lost it", heir.attempt > lease.attempt, true)?;
+        engine.complete(&heir, "done").map_err(words)?;
+    }
+    Ok(())
 }
 
 fn attempts_end(site: &dyn Site) -> Result<(), String> {

@@ -13,6 +13,7 @@ use crate::engine::{
     Published,
 };
 use crate::job::{Job, Needs, Retry};
+use crate::jumps;
 use crate::turn::turns;
 
 /// Version of the tables.
@@ -42,6 +43,8 @@ pub struct EmbeddedEngine {
     path: PathBuf,
     connection: Mutex<Connection>,
     clock: Arc<dyn Clock>,
+    /// How far the wall clock has jumped, in seconds, as far as this handle saw it and nobody asked yet.
+    jumped: Mutex<Vec<f64>>,
 }
 
 impl EmbeddedEngine {
@@ -71,6 +74,8 @@ impl EmbeddedEngine {
                 t.execute_batch(TABLES)?;
                 t.pragma_update(None, "user_version", VERSION)?;
             }
+            // An addition that older versions of the program do not look at.
+            t.execute_batch(jumps::TABLE)?;
             t.commit()
         };
         make(&mut connection).map_err(error)?;
@@ -99,7 +104,7 @@ impl EmbeddedEngine {
         if found != VERSION {
             return Err(EngineError::Version { path, found, known: VERSION });
         }
-        Ok(Self { path, connection: Mutex::new(connection), clock })
+        Ok(Self { path, connection: Mutex::new(connection), clock, jumped: Mutex::default() })
     }
 
     /// Hands back every lease without counting an attempt. Only for who knows that none of the holders lives:
@@ -119,6 +124,16 @@ impl EmbeddedEngine {
             }
             Ok(Ok(held.len()))
         })
+    }
+
+    /// Looks at the clocks, and says which jumps of the wall clock this handle has met since it was last asked, in
+    /// seconds; back is negative. Rests and leases were moved along with the clock.
+    ///
+    /// # Errors
+    /// When the store fails.
+    pub fn jumps(&self) -> Result<Vec<f64>, EngineError> {
+        self.write(|_, _| Ok(Ok(())))?;
+        Ok(std::mem::take(&mut self.jumped.lock().unwrap_or_else(PoisonError::into_inner)))
     }
 
     /// How often something has happened, over all jobs and ever.
@@ -152,23 +167,30 @@ impl EmbeddedEngine {
         })
     }
 
-    fn write<T>(
+    pub(crate) fn write<T>(
         &self,
         change: impl FnOnce(&Transaction<'_>, f64) -> rusqlite::Result<Result<T, EngineError>>,
     ) -> Result<T, EngineError> {
-        let now = self.clock.now();
         let mut connection = self.connection.lock().unwrap_or_else(PoisonError::into_inner);
         let run = || {
             let t = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
+            // Read inside: the clocks of whoever wrote last were read before.
+            let now = self.clock.now();
+            let jumped = jumps::follow(&t, now, &self.clock.steady())?;
             let value = change(&t, now)?;
-            // A refusal has changed nothing but expired leases, which are worth keeping.
+            // A refusal has changed nothing but expired leases and moved times, which are worth keeping.
             t.commit()?;
-            Ok(value)
+            Ok((value, jumped))
         };
-        run().map_err(|e| store(&self.path, &e))?
+        let (value, jumped) = run().map_err(|e| store(&self.path, &e))?;
+        self.jumped.lock().unwrap_or_else(PoisonError::into_inner).extend(jumped);
+        value
     }
 
-    fn read<T>(&self, query: impl FnOnce(&Connection) -> rusqlite::Result<T>) -> Result<T, EngineError> {
+    pub(crate) fn read<T>(
+        &self,
+        query: impl FnOnce(&Connection) -> rusqlite::Result<T>,
+    ) -> Result<T, EngineError> {
         let connection = self.connection.lock().unwrap_or_else(PoisonError::into_inner);
         query(&connection).map_err(|e| store(&self.path, &e))
     }
@@ -223,7 +245,7 @@ fn find(t: &Connection, id: &str) -> rusqlite::Result<Option<JobStatus>> {
     t.query_row(&format!("SELECT {COLUMNS} FROM jobs WHERE id = ?1"), [id], status).optional()
 }
 
-fn note(
+pub(crate) fn note(
     t: &Transaction<'_>,
     now: f64,
     job: &str,
@@ -290,7 +312,7 @@ fn expire(t: &Transaction<'_>, now: f64) -> rusqlite::Result<()> {
 }
 
 /// The job as this lease holds it, or why the lease is lost.
-fn held(t: &Transaction<'_>, lease: &Lease) -> rusqlite::Result<Result<JobStatus, EngineError>> {
+pub(crate) fn held(t: &Transaction<'_>, lease: &Lease) -> rusqlite::Result<Result<JobStatus, EngineError>> {
     let lost = EngineError::Lost { job: lease.job.id.clone(), attempt: lease.attempt };
     Ok(find(t, &lease.job.id)?
         .filter(|job| job.state == JobState::Leased && job.attempt == lease.attempt)
@@ -364,8 +386,8 @@ impl Engine for EmbeddedEngine {
                 params![found.job.id, attempt, offer.worker, until, now],
             )?;
             note(t, now, &found.job.id, ChangeKind::Claimed, attempt, &offer.worker)?;
-            let (worker, lease_s) = (offer.worker.clone(), offer.lease_s);
-            Ok(Ok(Some(Lease { job: found.job, attempt, worker, until, lease_s })))
+            let (worker, lease_s, failures) = (offer.worker.clone(), offer.lease_s, found.failures);
+            Ok(Ok(Some(Lease { job: found.job, attempt, worker, failures, until, lease_s })))
         })
     }
 

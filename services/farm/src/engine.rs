@@ -92,6 +92,8 @@ pub struct Lease {
     pub attempt: u32,
     /// Who holds it.
     pub worker: String,
+    /// How many attempts failed before this one, since the job was published or revived.
+    pub failures: u32,
     /// When it expires, in seconds since 1970.
     pub until: f64,
     /// How long a renewal lasts, in seconds.
@@ -184,10 +186,14 @@ pub enum ChangeKind {
     Died,
     /// A dead letter may try again.
     Revived,
+    /// Who took it cannot begin yet.
+    Waits,
+    /// Who had to wait has begun.
+    Began,
 }
 
 impl ChangeKind {
-    pub(crate) const ALL: [ChangeKind; 8] = [
+    pub(crate) const ALL: [ChangeKind; 10] = [
         Self::Published,
         Self::Claimed,
         Self::Completed,
@@ -196,6 +202,8 @@ impl ChangeKind {
         Self::Released,
         Self::Died,
         Self::Revived,
+        Self::Waits,
+        Self::Began,
     ];
 
     /// As a word.
@@ -209,6 +217,8 @@ impl ChangeKind {
             Self::Released => "released",
             Self::Died => "died",
             Self::Revived => "revived",
+            Self::Waits => "waits",
+            Self::Began => "began",
         }
     }
 }

@@ -11,9 +11,11 @@ pub mod conformance;
 mod embedded;
 mod engine;
 mod job;
+mod jumps;
 mod machine;
 mod manifest;
 mod turn;
+mod waits;
 
 pub use batch::{
     BatchError, BatchEvent, BatchFolder, BatchOptions, BatchRecord, BatchSummary, StopBatch, StopLevel,

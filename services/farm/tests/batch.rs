@@ -5,8 +5,12 @@ use segwild_farm::{
     BatchError, BatchEvent, BatchFolder, BatchOptions, BatchSummary, ErrorClass, JobState, StopBatch,
     StopLevel, batch,
 };
+use segwild_flow::Ledger;
+use segwild_flow::ledger::{LiveSample, LiveStage};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
+use std::sync::mpsc;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// What the script does is the name of the scene's folder: `run PATH --out OUT ..`.
 const SCRIPT: &str = r#"#!/bin/sh
@@ -20,6 +24,7 @@ case $(basename "$2") in
   broken) echo "error: always" >&2; exit 4;;
   killed) kill -9 $$;;
   long) cat > /dev/null; echo "stopped" >&2; exit 130;;
+  busy|idle) sleep 2; exit 0;;
   deaf) trap '' TERM; while :; do sleep 1; done;;
 esac
 "#;
@@ -150,6 +155,55 @@ fn a_process_in_which_nothing_moves_is_ended_and_tried_again() {
     let summary = yard.run(&mut |_| {}).expect("it runs");
     assert_eq!(states(&summary), [("deaf", JobState::Dead, 1)]);
     assert!(summary.scenes[0].error.as_deref().is_some_and(|e| e.starts_with("nothing moved for")));
+}
+
+/// Runs one scene that writes of itself, with a clock that is off by so many seconds, what a run's process writes:
+/// units of work done. One more every 50 ms where it works.
+fn run_under_a_clock_that_is_off(scene: &str, off_s: f64) -> BatchSummary {
+    let text = scenes(&[scene], "attempts = 1\n").replace("cores = 2\n", "cores = 2\npatience = 0.6\n");
+    let yard = Yard::new(&text);
+    let out = yard.folder().join(scene);
+    let works = scene == "busy";
+    let (has_begun, begun) = mpsc::channel();
+    let (ends_with_the_test, ended) = mpsc::channel::<()>();
+    let writer = std::thread::spawn(move || {
+        let pid = begun.recv().expect("it begins");
+        let wall = SystemTime::now().duration_since(UNIX_EPOCH).expect("a clock").as_secs_f64() + off_s;
+        let (mut ledger, mut done) = (None, 0);
+        while let Err(mpsc::RecvTimeoutError::Timeout) = ended.recv_timeout(Duration::from_millis(50)) {
+            done += u64::from(works);
+            let stage = LiveStage { stage: "geometry".into(), done, total: None, rate: 0.0, eta_s: None };
+            let sample =
+                LiveSample { time: wall, pid, moved: wall, stages: vec![stage], ..LiveSample::default() };
+            std::fs::create_dir_all(&out).expect("a folder");
+            let ledger =
+                ledger.get_or_insert_with(|| Ledger::open(out.join("run.sqlite")).expect("a ledger"));
+            ledger.record_live(&sample, false).expect("it writes");
+        }
+    });
+    let summary = yard.run(&mut |event| {
+        if let BatchEvent::SceneStarted { pid, .. } = event {
+            has_begun.send(*pid).expect("somebody writes");
+        }
+    });
+    drop(ends_with_the_test);
+    writer.join().expect("it writes");
+    summary.expect("it runs")
+}
+
+#[test]
+fn a_clock_that_jumped_ahead_ends_no_process_that_works() {
+    let summary = run_under_a_clock_that_is_off("busy", -7200.0);
+    let scene = &summary.scenes[0];
+    assert_eq!((scene.state, scene.failures), (JobState::Done, 0), "{:?}", scene.error);
+}
+
+#[test]
+fn a_clock_that_jumped_back_hides_no_process_in_which_nothing_moves() {
+    let summary = run_under_a_clock_that_is_off("idle", 7200.0);
+    let scene = &summary.scenes[0];
+    assert_eq!(scene.state, JobState::Dead);
+    assert!(scene.error.as_deref().is_some_and(|e| e.starts_with("nothing moved for")), "{:?}", scene.error);
 }
 
 #[test]

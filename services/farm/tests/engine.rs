@@ -2,9 +2,10 @@
 
 use segwild_farm::conformance::{Site, broken};
 use segwild_farm::{
-    Change, Completed, EmbeddedEngine, Engine, EngineError, ErrorClass, Fate, Job, JobStatus, Lease, Needs,
-    Offer, Published, Retry, SimulatedClock,
+    Change, Clock, Completed, EmbeddedEngine, Engine, EngineError, ErrorClass, Fate, Job, JobStatus, Lease,
+    Needs, Offer, Published, Retry, SimulatedClock,
 };
+use segwild_flow::clock::Steady;
 use std::sync::Arc;
 
 /// What is wrong with the engine of a site.
@@ -21,6 +22,20 @@ enum Fault {
     NoRoomNeeded,
     /// Gives small jobs the room that a more urgent one waits for.
     SmallOnesFirst,
+    /// Measures rests and leases by the wall clock.
+    WallClockAlone,
+}
+
+/// A clock that takes a jump for time that passed.
+struct WallAlone(SimulatedClock);
+
+impl Clock for WallAlone {
+    fn now(&self) -> f64 {
+        self.0.now()
+    }
+    fn steady(&self) -> Steady {
+        Steady { since: "the wall".into(), seconds: self.0.now() }
+    }
 }
 
 struct Here {
@@ -37,20 +52,28 @@ impl Here {
 
     fn embedded(&self) -> EmbeddedEngine {
         let path = self.folder.path().join("jobs.sqlite");
-        EmbeddedEngine::with_clock(path, Arc::new(self.clock.clone())).expect("an engine")
+        let clock: Arc<dyn Clock> = match self.fault {
+            Fault::WallClockAlone => Arc::new(WallAlone(self.clock.clone())),
+            _ => Arc::new(self.clock.clone()),
+        };
+        EmbeddedEngine::with_clock(path, clock).expect("an engine")
     }
 }
 
 impl Site for Here {
     fn engine(&self) -> Box<dyn Engine> {
         match self.fault {
-            Fault::None => Box::new(self.embedded()),
+            Fault::None | Fault::WallClockAlone => Box::new(self.embedded()),
             fault => Box::new(Faulty(self.embedded(), fault)),
         }
     }
 
     fn pass(&self, seconds: f64) {
         self.clock.pass(seconds);
+    }
+
+    fn jump(&self, seconds: f64) {
+        self.clock.jump(seconds);
     }
 }
 
@@ -104,6 +127,8 @@ fn the_suite_finds_what_is_broken() {
         (Fault::DeafToHeartbeats, "heartbeat holds"),
         (Fault::NoRoomNeeded, "does not fit"),
         (Fault::SmallOnesFirst, "not given to a less urgent one"),
+        (Fault::WallClockAlone, "a rest lasts as long"),
+        (Fault::WallClockAlone, "a lease lasts as long"),
     ] {
         let found = broken(&|| Here::site(fault));
         assert!(found.iter().any(|(name, _)| name.contains(word)), "`{word}` was not found: {found:?}");
@@ -129,6 +154,43 @@ fn what_was_published_survives_its_process() {
     let again = engine.claim(&offer).unwrap().expect("it can be claimed at once");
     assert_eq!((again.attempt, engine.jobs().unwrap()[0].failures), (2, 0));
     assert!(matches!(engine.complete(&lease, "late"), Err(EngineError::Lost { .. })));
+}
+
+#[test]
+fn a_rest_that_ends_later_than_it_lasts_is_over_when_the_machine_was_started_anew() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("jobs.sqlite");
+    let at = |since: &'static str, wall: f64| -> Arc<dyn Clock> { Arc::new(Standing { since, wall }) };
+    let free = Needs { cores: 1, ..Needs::default() };
+    let offer = Offer { worker: "w".into(), free, whole: free, lease_s: 60.0 };
+    let before = EmbeddedEngine::with_clock(&path, at("the first start", 1e9)).unwrap();
+    before.publish(&job("a")).unwrap();
+    let lease = before.claim(&offer).unwrap().expect("a lease");
+    before.fail(&lease, ErrorClass::Retryable, "no luck").unwrap();
+    assert!(before.claim(&offer).unwrap().is_none(), "it rests");
+    // The machine's clock comes up an hour early.
+    let after = EmbeddedEngine::with_clock(&path, at("the second start", 1e9 - 3600.0)).unwrap();
+    assert!(after.claim(&offer).unwrap().is_some(), "the rest is over");
+    assert_eq!(
+        (after.jumps().unwrap(), after.jumps().unwrap()),
+        (vec![-3600.0], vec![]),
+        "it is said, and once"
+    );
+}
+
+/// A clock of one start of the machine, at a standstill.
+struct Standing {
+    since: &'static str,
+    wall: f64,
+}
+
+impl Clock for Standing {
+    fn now(&self) -> f64 {
+        self.wall
+    }
+    fn steady(&self) -> Steady {
+        Steady { since: self.since.into(), seconds: 5.0 }
+    }
 }
 
 #[test]

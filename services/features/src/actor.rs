@@ -82,8 +82,8 @@ pub enum FeatureOutcome {
     EmbedFailed {
         /// Index of the view.
         view: usize,
-        /// Why.
-        error: String,
+        /// Why, and how often it was tried.
+        given_up: Quarantined,
     },
     /// The field is done.
     Field(Box<FeatureField>),
@@ -274,10 +274,10 @@ impl<O: Message + From<FeatureOutcome>> Actor for FeatureActor<O> {
         given_up: &Quarantined,
         _: &Context,
     ) -> Result<(), Failure> {
-        let error = given_up.error.clone();
+        let given_up = given_up.clone();
         let outcome = match task {
-            Some(FeatureTask::Embed { view, .. }) => FeatureOutcome::EmbedFailed { view, error },
-            _ => FeatureOutcome::FieldFailed(error),
+            Some(FeatureTask::Embed { view, .. }) => FeatureOutcome::EmbedFailed { view, given_up },
+            _ => FeatureOutcome::FieldFailed(given_up.error),
         };
         self.out.blocking_send(outcome.into())?;
         Ok(())

@@ -95,6 +95,17 @@ pub enum Event {
         /// Why.
         error: String,
     },
+    /// An actor gave up a message. Who sent it is told as well, and says what that means for the photo or the stage.
+    GivenUp {
+        /// The actor.
+        actor: String,
+        /// The message's label.
+        label: String,
+        /// Why its last attempt failed.
+        error: String,
+        /// How often it was tried.
+        attempts: u32,
+    },
     /// One view's work failed for good; the rest goes on.
     ViewFailed {
         /// The stage or actor.
@@ -191,7 +202,8 @@ impl Event {
             | StageSkipped { stage, .. }
             | StageFailed { stage, .. }
             | ViewFailed { stage, .. } => Some(stage),
-            ActorRestarted { actor, .. }
+            GivenUp { actor, .. }
+            | ActorRestarted { actor, .. }
             | ActorFailed { actor, .. }
             | ActorStuck { actor, .. }
             | ActorRecovered { actor, .. } => Some(actor),
@@ -204,7 +216,7 @@ impl Event {
     pub fn level(&self) -> Level {
         use Event::*;
         match self {
-            StageProgress { .. } | Metric { .. } => Level::Detail,
+            StageProgress { .. } | GivenUp { .. } | Metric { .. } => Level::Detail,
             StageStarted { .. } | StageFinished { .. } | StageSkipped { .. } | ActorRecovered { .. } => {
                 Level::Info
             }

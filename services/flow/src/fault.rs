@@ -65,9 +65,11 @@ enum Action {
     Stall,
     /// The wall clock stands a day back.
     Jump,
+    /// The wall clock stands a day ahead.
+    Leap,
 }
 
-const ACTIONS: [(&str, Action); 9] = [
+const ACTIONS: [(&str, Action); 10] = [
     ("kill", Action::Kill),
     ("full", Action::Full),
     ("read-only", Action::ReadOnly),
@@ -77,11 +79,12 @@ const ACTIONS: [(&str, Action); 9] = [
     ("panic", Action::Panic),
     ("stall", Action::Stall),
     ("jump", Action::Jump),
+    ("leap", Action::Leap),
 ];
 
 /// How long a stall lasts: longer than anybody waits, and yet no process stays for ever.
 const STALL: Duration = Duration::from_secs(600);
-/// How far the clock jumps back, in seconds.
+/// How far the clock jumps, in seconds.
 const JUMP_S: f64 = 86_400.0;
 
 /// A fault that makes no sense.
@@ -175,7 +178,7 @@ fn act(action: Action, point: &str) -> io::Result<()> {
             std::thread::park_timeout(STALL);
             Ok(())
         }
-        Action::Corrupt | Action::Torn | Action::Jump => Ok(()),
+        Action::Corrupt | Action::Torn | Action::Jump | Action::Leap => Ok(()),
     }
 }
 
@@ -219,7 +222,12 @@ pub(crate) fn bytes<'a>(name: &str, bytes: Cow<'a, [u8]>) -> io::Result<Cow<'a, 
 
 /// How far the wall clock is off, in seconds.
 pub(crate) fn clock_jump() -> f64 {
-    if strike("clock").contains(&Action::Jump) { -JUMP_S } else { 0.0 }
+    let jump = |action| match action {
+        Action::Jump => -JUMP_S,
+        Action::Leap => JUMP_S,
+        _ => 0.0,
+    };
+    strike("clock").into_iter().map(jump).sum()
 }
 
 #[cfg(test)]

@@ -14,7 +14,7 @@
 
 pub mod actor;
 pub mod cache;
-mod clock;
+pub mod clock;
 pub mod codec;
 mod compute;
 pub mod control;

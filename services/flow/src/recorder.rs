@@ -21,9 +21,10 @@
 use std::collections::BTreeSet;
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 use crate::cache::Cache;
+use crate::clock;
 use crate::cpu;
 use crate::events::{Event, Events, Sink};
 use crate::ledger::{Ledger, LiveActor, LiveMailbox, LiveMetric, LiveSample, LiveStage, LiveWorker};
@@ -150,8 +151,8 @@ impl Watched {
         }
     }
 
-    fn sample(&self, began: f64) -> LiveSample {
-        let now = unix_time();
+    fn sample(&self) -> LiveSample {
+        let now = clock::now();
         let reports = self.observer.as_ref().map(Observer::snapshot).unwrap_or_default();
         let own = reports.iter().filter_map(|a| a.mailbox.clone());
         let mailboxes = own.chain(self.mailboxes.iter().map(|m| m.stats())).map(live_mailbox).collect();
@@ -159,8 +160,8 @@ impl Watched {
         LiveSample {
             time: now,
             pid: std::process::id(),
-            began,
-            moved: began,
+            began: now,
+            moved: now,
             rss_bytes: usage.map(|u| u.rss_bytes),
             peak_rss_bytes: usage.map(|u| u.peak_rss_bytes),
             threads: usage.map(|u| u.threads),
@@ -226,33 +227,24 @@ fn live_mailbox(m: MailboxStats) -> LiveMailbox {
     }
 }
 
-fn unix_time() -> f64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |d| d.as_secs_f64())
-}
-
-/// What changes when, and only when, work moves.
-fn movement(sample: &LiveSample) -> (u64, u64) {
-    let steps = sample.metrics.iter().filter_map(|m| m.step).sum::<u64>();
-    let done = sample.stages.iter().map(|s| s.done).sum::<u64>() + steps;
-    (sample.actors.iter().map(|a| a.messages).sum(), done)
-}
-
 fn record(shared: &Shared, ledger: &Ledger) {
-    let began = unix_time();
+    let began = Instant::now();
     let (mut moved, mut seen) = (began, None);
     let mut past_every = EVERY;
     let mut past_at: Option<Instant> = None;
     loop {
         let (mut sample, ended) = {
             let watched = lock(&shared.watched);
-            (watched.sample(began), watched.ended)
+            (watched.sample(), watched.ended)
         };
-        let movement = movement(&sample);
+        let movement = sample.movement();
         if seen.is_some_and(|before| before != movement) {
-            moved = sample.time;
+            moved = Instant::now();
         }
         seen = Some(movement);
-        sample.moved = moved;
+        // Time that passed, dated by the wall clock of this moment: a clock that jumps makes nobody look stuck.
+        sample.began = sample.time - began.elapsed().as_secs_f64();
+        sample.moved = sample.time - moved.elapsed().as_secs_f64();
         let past = ended || past_at.is_none_or(|at| at.elapsed() >= past_every);
         let written = ledger.record_live(&sample, past).and_then(|()| {
             if past && ledger.thin_past()? {

@@ -407,9 +407,9 @@ fn after_failure<M>(
         _ if failure.is_storage() => return Some(Life::Over(Exit::Storage(failure.message.clone()))),
         message => {
             let quarantined = Quarantined { label, error: failure.message.clone(), attempts: attempt };
-            context.events.tell(Event::ViewFailed {
-                stage: cell.name.to_string(),
-                view: quarantined.label.clone(),
+            context.events.tell(Event::GivenUp {
+                actor: cell.name.to_string(),
+                label: quarantined.label.clone(),
                 error: quarantined.error.clone(),
                 attempts: attempt,
             });

@@ -45,7 +45,7 @@ fn a_view_that_fails_for_good_is_named_and_the_rest_goes_on() {
     ];
     assert_eq!(actor.quarantined, given_up);
     assert_eq!((actor.messages, actor.retries), (3, 2));
-    let told = events.iter().filter(|e| matches!(e, Event::ViewFailed { .. })).count();
+    let told = events.iter().filter(|e| matches!(e, Event::GivenUp { .. })).count();
     assert_eq!(told, 2);
     assert!(report.finished(), "quarantine is no failure of the actor");
 }

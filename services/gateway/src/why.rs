@@ -96,8 +96,13 @@ fn no_work(actor: &str, stages: &[StageView]) -> String {
     }
 }
 
-/// Scenes wait for their turn, for room, or for the end of a rest.
-pub(crate) fn scenes(all: &mut [SceneView], turns: &BTreeMap<&str, Turn<'_>>, batch_runs: bool) {
+/// Scenes wait for their turn, for room, for the end of a rest, or for what keeps their process from beginning.
+pub(crate) fn scenes(
+    all: &mut [SceneView],
+    turns: &BTreeMap<&str, Turn<'_>>,
+    waits: &BTreeMap<String, String>,
+    batch_runs: bool,
+) {
     for scene in all.iter_mut() {
         let in_use = scene.run.as_ref().and_then(|run| run.owner.clone());
         scene.why = match scene.state {
@@ -106,6 +111,7 @@ pub(crate) fn scenes(all: &mut [SceneView], turns: &BTreeMap<&str, Turn<'_>>, ba
             SceneState::Running if in_use.is_none() => Some("its process is starting or stopping".into()),
             SceneState::Running => None,
             SceneState::Waiting if !batch_runs => Some("no process runs this batch".into()),
+            SceneState::Waiting if waits.contains_key(&scene.name) => waits.get(&scene.name).cloned(),
             SceneState::Waiting => Some(match (scene.rests_s, &scene.error) {
                 (Some(s), Some(error)) => format!("tries again in {} after: {error}", duration(s)),
                 (Some(s), None) => format!("begins in {}", duration(s)),

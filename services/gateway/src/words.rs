@@ -58,6 +58,9 @@ pub fn event(message: &str) -> String {
         ViewFailed { stage, view, error, attempts } => {
             format!("{stage}: photo {view} failed after {attempts} attempts: {error}")
         }
+        GivenUp { actor, label, error, attempts } => {
+            format!("{actor} gave up `{label}` after {attempts} attempts: {error}")
+        }
         ActorRestarted { actor, cause, restarts, .. } => {
             format!("{actor} was restarted ({restarts}): {cause}")
         }

@@ -64,6 +64,36 @@ fn a_scene_that_waits_for_an_accelerator_says_so_and_who_goes_first() {
 }
 
 #[test]
+fn a_scene_that_was_taken_and_cannot_begin_waits_and_says_for_what() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let folder = BatchFolder::create(&dir.path().join("batch")).expect("a folder");
+    let engine = EmbeddedEngine::open(folder.engine_file()).expect("an engine");
+    let budget = Needs { cores: 2, memory_bytes: 1 << 30, accelerators: 0 };
+    let needs = Needs { cores: 1, ..budget };
+    let job = Job { id: "held".into(), payload: "{}".into(), priority: 0, needs, retry: Retry::default() };
+    engine.publish(&job).expect("it is published");
+    let offer = Offer { worker: "batch".into(), free: budget, whole: budget, lease_s: 1e9 };
+    let lease = engine.claim(&offer).expect("it works").expect("a lease");
+    let record = BatchRecord { manifest: "b.toml".into(), budget, pid: std::process::id(), began: now() };
+    let path = folder.path();
+    std::fs::write(path.join("batch.json"), serde_json::to_vec(&record).expect("JSON")).expect("it writes");
+    let lock = std::fs::File::create(path.join("batch.lock")).expect("a lock file");
+    lock.lock().expect("it locks");
+    let seen = || {
+        let View::Batch(batch) = view(path) else { panic!("a batch") };
+        (batch.scenes[0].state, batch.scenes[0].why.clone(), batch.used.cores)
+    };
+    engine.note_wait(&lease, Some("its run folder is in use by process 7")).expect("it is noted");
+    let why = Some("its run folder is in use by process 7".to_owned());
+    assert_eq!(seen(), (SceneState::Waiting, why, 1), "and its part of the budget is taken");
+    engine.note_wait(&lease, None).expect("it is noted");
+    assert_eq!(seen().0, SceneState::Running);
+    engine.note_wait(&lease, Some("again")).expect("it is noted");
+    engine.release_all("the batch that held it ended early").expect("it is released");
+    assert_eq!(seen().1.as_deref(), Some("about to begin"), "nobody has taken it");
+}
+
+#[test]
 fn cores_that_the_last_scene_was_lent_are_in_use() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let (path, ledger, _lock) = batch_in(dir.path());

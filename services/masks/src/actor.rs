@@ -77,7 +77,7 @@ pub enum MaskOutcome {
         /// Index of the view.
         view: usize,
         /// The sky's pixels.
-        sky: Result<Arc<Mask>, String>,
+        sky: Result<Arc<Mask>, Quarantined>,
         /// Seconds it took; `None` if it was in the cache.
         seconds: Option<f64>,
     },
@@ -86,7 +86,7 @@ pub enum MaskOutcome {
         /// Index of the view.
         view: usize,
         /// How many there are.
-        masks: Result<usize, String>,
+        masks: Result<usize, Quarantined>,
         /// Seconds they took; `None` if they were in the cache.
         seconds: Option<f64>,
     },
@@ -196,11 +196,11 @@ impl<O: Message + From<MaskOutcome>> Actor for MaskActor<O> {
         given_up: &Quarantined,
         _: &Context,
     ) -> Result<(), Failure> {
-        let error = given_up.error.clone();
+        let given_up = given_up.clone();
         let outcome = match task {
-            Some(MaskTask::Sky { view, .. }) => MaskOutcome::Sky { view, sky: Err(error), seconds: None },
+            Some(MaskTask::Sky { view, .. }) => MaskOutcome::Sky { view, sky: Err(given_up), seconds: None },
             Some(MaskTask::Masks { view, .. }) => {
-                MaskOutcome::Masks { view, masks: Err(error), seconds: None }
+                MaskOutcome::Masks { view, masks: Err(given_up), seconds: None }
             }
             None => return Ok(()),
         };

@@ -5,12 +5,12 @@
 
 use crate::Settings;
 use rayon::prelude::*;
-use segwild_features::FeatureSettings;
+use segwild_features::{Compression, FeatureSettings};
 use segwild_flow::Key;
 use segwild_masks::{MaskSettings, MaskSource};
 use segwild_scene::settings::Group;
 use segwild_scene::{Scene, View};
-use segwild_trainer::TrainSettings;
+use segwild_trainer::{LookKind, TrainSettings};
 use segwild_vision::Providers;
 use std::collections::BTreeSet;
 
@@ -32,20 +32,35 @@ pub struct Keys {
     pub geometry: Key,
     /// The scene at the snapshot step.
     pub snapshot: Key,
+    snapshot_step: u32,
     /// Per view, its masks.
     pub masks: Vec<Key>,
     /// Per view, which of its pixels can be trusted.
     pub visibility: Vec<Key>,
     /// The feature field.
     pub features: Key,
+    /// Whether the masks have a part in the field.
+    masks_in_field: bool,
     /// How the training went.
     pub history: Key,
     /// The scores of the held-out photos.
     pub evaluation: Key,
 }
 
-/// Settings that change how fast or in how much memory something is made, and not what.
-const WITHOUT_EFFECT: [&str; 2] = ["photo_cache_mib", "feature_memory"];
+/// Settings that a group's artefacts do not depend on. Some change how fast or in how much memory something is made, and
+/// not what; others matter only together with another setting.
+fn without_effect(settings: &Settings) -> Vec<&'static str> {
+    let (train, features) = (&settings.train, &settings.features);
+    // Where the snapshot is taken is in the snapshot's own name.
+    let mut names = vec!["photo_cache_mib", "feature_memory", "snapshot_at"];
+    let idle = [
+        ("lr_code", train.look != LookKind::Embed),
+        ("decoder_lr", features.compression != Compression::Learned),
+        ("weight_compact", !features.compactness),
+    ];
+    names.extend(idle.iter().filter(|(_, idle)| *idle).map(|(name, _)| *name));
+    names
+}
 
 /// What is in a scene's photos: the hash of each, or why it cannot be read.
 #[derive(Clone, Debug)]
@@ -110,7 +125,7 @@ impl Keys {
             Some(steps) => Key::of("geometry").key("training", &training).value("steps", steps).finish(),
             None => training,
         };
-        let snapshot = snapshot_of(&training.to_string());
+        let snapshot = snapshot_of(&training, settings.train.snapshot_step());
         let masks: Vec<Key> = views
             .clone()
             .map(|i| {
@@ -143,8 +158,10 @@ impl Keys {
             .part("settings", text::<FeatureSettings>(settings))
             .key("geometry", &geometry);
         for i in views {
-            features =
-                features.key(&format!("embedding {i}"), &embedding[i]).key(&format!("masks {i}"), &masks[i]);
+            features = features.key(&format!("embedding {i}"), &embedding[i]);
+            if settings.features.compactness {
+                features = features.key(&format!("masks {i}"), &masks[i]);
+            }
         }
         Keys {
             digests,
@@ -156,6 +173,8 @@ impl Keys {
             masks,
             visibility,
             features: features.finish(),
+            masks_in_field: settings.features.compactness,
+            snapshot_step: settings.train.snapshot_step(),
             history: history_of(&geometry.to_string()),
             evaluation: Key::of("evaluate").key("geometry", &geometry).finish(),
         }
@@ -178,8 +197,7 @@ impl Keys {
         let geometry = if self.geometry == self.training { training } else { lacking(&self.geometry) };
         Keys {
             geometry,
-            // As the ledger's checkpoints tell it, from the training's.
-            snapshot: snapshot_of(&training.to_string()),
+            snapshot: snapshot_of(&training, self.snapshot_step),
             masks: self.masks.iter().map(lacking).collect(),
             visibility: self.visibility.iter().map(lacking).collect(),
             features: lacking(&self.features),
@@ -197,11 +215,13 @@ impl Keys {
         masks: &BTreeSet<usize>,
         visibility: &BTreeSet<usize>,
     ) -> Key {
-        let parts = [("embedding", embeddings), ("masks", masks), ("visibility", visibility)];
-        parts.iter().fold(self.features, |key, (what, views)| match views.is_empty() {
-            true => key,
-            false => lacking(&key, what, views),
-        })
+        let parts = [
+            ("embedding", embeddings, true),
+            ("masks", masks, self.masks_in_field),
+            ("visibility", visibility, true),
+        ];
+        let lack = parts.iter().filter(|(_, views, matters)| *matters && !views.is_empty());
+        lack.fold(self.features, |key, (what, views, _)| lacking(&key, what, views))
     }
 
     /// The name of the scores without those of some photos.
@@ -243,9 +263,9 @@ fn lacking(whole: &Key, what: &str, views: &BTreeSet<usize>) -> Key {
     Key::of(whole.domain()).key("whole", whole).part(&format!("without {what}"), list.join(" ")).finish()
 }
 
-/// The snapshot's key, from its training's as the ledger writes it.
-pub(crate) fn snapshot_of(training: &str) -> Key {
-    Key::of("snapshot").part("geometry", training).finish()
+/// The snapshot's key: of a training, at a step.
+fn snapshot_of(training: &Key, step: u32) -> Key {
+    Key::of("snapshot").key("training", training).value("step", step).finish()
 }
 
 /// The history's key, from its trained scene's as the ledger writes it.
@@ -279,9 +299,10 @@ fn points_digest(scene: &Scene) -> String {
 
 /// A group's settings as text, one per line.
 fn text<G: Group>(settings: &Settings) -> String {
+    let idle = without_effect(settings);
     G::FIELDS
         .iter()
-        .filter(|f| !WITHOUT_EFFECT.contains(&f.name))
+        .filter(|f| !idle.contains(&f.name))
         .map(|f| format!("{}={}\n", f.name, settings.get(f.name).unwrap_or_default()))
         .collect()
 }

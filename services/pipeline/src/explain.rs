@@ -4,7 +4,7 @@
 //! ([`Keys`]); a changed setting is a cause of a stage if it alone changes the stage's key.
 
 use crate::artefacts::{Digests, Keys};
-use crate::graph::STAGES;
+use crate::graph::{STAGES, UNTIL_STEP};
 use crate::{RunError, RunFolder, Settings, Until};
 use segwild_flow::ledger::{StageRow, State};
 use segwild_flow::{Cache, Ledger};
@@ -33,6 +33,20 @@ pub enum Verdict {
         /// From this step.
         step: u32,
     },
+    /// The training stands as far as was asked for, and is not over.
+    Stands {
+        /// At this step.
+        step: u32,
+    },
+    /// The trained scene is there; its snapshot, which masks are drawn on, is made by training again so far.
+    SnapshotAgain {
+        /// From the checkpoint at this step; 0 is the start.
+        from: u32,
+        /// To this step.
+        to: u32,
+    },
+    /// The training stops before its snapshot, which this waits for.
+    NotReached,
     /// It would be done from the start.
     Made,
 }
@@ -53,6 +67,11 @@ pub struct Plan {
 struct Situation {
     scene: Scene,
     keys: Keys,
+    /// The step that the training ends at, or is to stop at.
+    goal: u32,
+    /// The step that the training ends at by its settings.
+    end: u32,
+    snapshot_step: u32,
 }
 
 fn situation(path: &Path, settings: &Settings, steps: Option<u32>) -> Result<Situation, RunError> {
@@ -60,7 +79,8 @@ fn situation(path: &Path, settings: &Settings, steps: Option<u32>) -> Result<Sit
     let providers = Providers::from_settings(&settings.vision)?;
     let engine = CpuEngine::default();
     let keys = Keys::of(&scene, Digests::read(&scene), settings, &providers, engine.name(), steps);
-    Ok(Situation { scene, keys })
+    let (end, snapshot_step) = (settings.train.steps, settings.train.snapshot_step());
+    Ok(Situation { scene, keys, goal: steps.unwrap_or(end), end, snapshot_step })
 }
 
 /// Says what [`crate::run()`] would do with these settings, without doing it. Works while another process runs.
@@ -88,15 +108,16 @@ pub fn explain(
     let cache = Cache::at(folder.path().join("cache"));
     let mut plans = Vec::new();
     for stage in STAGES {
-        let verdict = verdict(stage, &now, &cache, ledger.as_ref())?;
+        let verdict = verdict(stage, &now, &cache, folder, ledger.as_ref())?;
         let why = match (&verdict, &before) {
-            (Verdict::Reused, _) => Vec::new(),
+            (Verdict::Reused | Verdict::Stands { .. } | Verdict::NotReached, _) => Vec::new(),
             (_, None) => vec!["the run is new".into()],
             _ if stage == "report" => vec!["it is written at the end of every run".into()],
-            (_, Some(before)) => before.why(stage, &now, ledger.as_ref())?,
+            (_, Some(before)) => before.why(stage, &now, &verdict, ledger.as_ref())?,
         };
         plans.push(Plan { stage, verdict, why });
-        if until == Until::stage(stage) {
+        // A training that is not over has nothing to give to the stages after it.
+        if until == Until::stage(stage) || stage == "geometry" && now.goal < now.end {
             break;
         }
     }
@@ -107,9 +128,16 @@ fn verdict(
     stage: &str,
     now: &Situation,
     cache: &Cache,
+    folder: &RunFolder,
     ledger: Option<&Ledger>,
 ) -> Result<Verdict, RunError> {
     let keys = &now.keys;
+    if stage == "geometry" {
+        return geometry(now, cache, folder, ledger);
+    }
+    if stage == "masks" && now.goal < now.snapshot_step && !cache.contains(&keys.snapshot) {
+        return Ok(Verdict::NotReached);
+    }
     let per_view = match stage {
         "sky" => Some((&keys.sky, true)),
         "embed" => Some((&keys.embedding, false)),
@@ -128,7 +156,6 @@ fn verdict(
         });
     }
     let there = match stage {
-        "geometry" => cache.contains(&keys.geometry) && cache.contains(&keys.snapshot),
         "features" => cache.contains(&keys.features),
         "evaluate" => match ledger {
             Some(ledger) => ledger.stage_is_done(stage, &keys.stage(stage))?,
@@ -136,16 +163,40 @@ fn verdict(
         },
         _ => false,
     };
-    if there {
+    Ok(if there { Verdict::Reused } else { Verdict::Made })
+}
+
+/// What would become of the training: what `Coordinator::begin_geometry` would find.
+fn geometry(
+    now: &Situation,
+    cache: &Cache,
+    folder: &RunFolder,
+    ledger: Option<&Ledger>,
+) -> Result<Verdict, RunError> {
+    let (trained, snapshot) = (cache.contains(&now.keys.geometry), cache.contains(&now.keys.snapshot));
+    if trained && snapshot {
         return Ok(Verdict::Reused);
     }
-    if stage == "geometry"
-        && let Some(ledger) = ledger
-        && let Some(row) = ledger.checkpoints(stage, &keys.training)?.first()
-    {
-        return Ok(Verdict::GoesOn { step: row.step as u32 });
+    let mut steps: Vec<u32> = Vec::new();
+    if let Some(ledger) = ledger {
+        let rows = ledger.checkpoints("geometry", &now.keys.training)?;
+        // One whose content has changed is passed over by the run; so is one that is gone.
+        let whole = rows.iter().filter(|row| {
+            let bytes = std::fs::read(folder.checkpoints().join(&row.file));
+            bytes.is_ok_and(|bytes| blake3::hash(&bytes).to_hex().as_str() == row.digest)
+        });
+        // Without the snapshot, the training has to pass its step again.
+        steps.extend(whole.map(|row| row.step as u32).filter(|&step| snapshot || step < now.snapshot_step));
     }
-    Ok(Verdict::Made)
+    let last_before = |end: u32| steps.iter().copied().filter(|&step| step <= end).max();
+    if trained {
+        let from = last_before(now.snapshot_step).unwrap_or(0);
+        return Ok(Verdict::SnapshotAgain { from, to: now.snapshot_step });
+    }
+    if let Some(step) = last_before(u32::MAX).filter(|&step| now.goal < now.end && step >= now.goal) {
+        return Ok(Verdict::Stands { step });
+    }
+    Ok(last_before(now.goal).map_or(Verdict::Made, |step| Verdict::GoesOn { step }))
 }
 
 /// What the run was made of when it was last begun.
@@ -166,20 +217,24 @@ struct Before {
 impl Before {
     fn read(ledger: &Ledger, path: &Path, settings: &Settings) -> Result<Before, RunError> {
         let mut old = settings.clone();
-        let mut changed = Vec::new();
+        let (mut changed, mut until) = (Vec::new(), None);
         for (name, value) in ledger.settings()? {
+            if name == UNTIL_STEP {
+                until = value.parse().ok();
+                continue;
+            }
             let new = settings.get(&name).unwrap_or_default();
             // A setting that this program no longer has, or whose old value it refuses, is as good as new.
             if new != value && old.set(&name, &value).is_ok() {
                 changed.push((name, value, new));
             }
         }
-        let then = situation(path, &old, None)?;
+        let then = situation(path, &old, until)?;
         let mut alone = Vec::new();
         for (name, _, value) in &changed {
             let mut one = old.clone();
             one.set(name, value).map_err(crate::SettingsError::from)?;
-            alone.push(situation(path, &one, None)?.keys);
+            alone.push(situation(path, &one, until)?.keys);
         }
         let mut given_up = Vec::new();
         for (stage, keys) in [
@@ -220,14 +275,21 @@ impl Before {
         format!("given up before and tried again: {}{more}", names.join(", "))
     }
 
-    fn why(&self, stage: &str, now: &Situation, ledger: Option<&Ledger>) -> Result<Vec<String>, RunError> {
+    fn why(
+        &self,
+        stage: &str,
+        now: &Situation,
+        verdict: &Verdict,
+        ledger: Option<&Ledger>,
+    ) -> Result<Vec<String>, RunError> {
         let Some(row) = self.stages.iter().find(|row| row.name == stage) else {
             return Ok(vec!["it was not done before".into()]);
         };
         let mut why = Vec::new();
         let then = self.then.keys.stage(stage);
         for ((name, old, new), keys) in self.changed.iter().zip(&self.alone) {
-            if keys.stage(stage) != then {
+            let snapshot = stage == "geometry" && keys.snapshot != self.then.keys.snapshot;
+            if keys.stage(stage) != then || snapshot {
                 why.push(format!("{name}: {} -> {}", shown(old), shown(new)));
             }
         }
@@ -235,8 +297,12 @@ impl Before {
             let lacked = row.key == self.lacking.stage(stage).to_string();
             why.push(if lacked { self.tried_again() } else { self.inputs(ledger)? });
         }
-        if why.is_empty() && now.keys.stage(stage).to_string() != row.key {
-            why.push("it goes on past the steps of before".into());
+        let (was, goal) = (self.then.goal, now.goal);
+        if was != goal && (why.is_empty() && now.keys.stage(stage).to_string() != row.key) {
+            why.push(format!("the training is to end at step {goal}, and was to end at step {was}"));
+            if stage == "geometry" && *verdict == Verdict::Made {
+                why.push(format!("there is no checkpoint of it at or before step {goal}"));
+            }
         }
         if why.is_empty() {
             why.push(match row.state {

@@ -25,6 +25,9 @@ use std::time::Instant;
 /// The stages, in the order in which they end.
 pub const STAGES: [&str; 7] = ["sky", "embed", "masks", "geometry", "features", "evaluate", "report"];
 
+/// What the ledger keeps the step under at which a run was asked to stop.
+pub(crate) const UNTIL_STEP: &str = "until step";
+
 /// What a stage waits for: whole stages, but for `masks`, which waits for the snapshot that `geometry` takes on its way.
 /// `features` may begin while the last masks are being made.
 ///
@@ -128,11 +131,15 @@ pub fn run(
     let recorder = Recorder::start(&ledger, &options.events)
         .map_err(|e| files::FileError::new("start the live view of", folder.path(), e))?;
     folder.write("segwild.toml", settings.to_toml().as_bytes())?;
-    let named: Vec<(&str, String)> = Settings::catalogue()
+    let mut named: Vec<(&str, String)> = Settings::catalogue()
         .iter()
         .flat_map(|(_, _, fields)| fields.iter())
         .map(|f| (f.name, settings.get(f.name).unwrap_or_default()))
         .collect();
+    // Beside the settings, for the names of what is made depend on it.
+    if let Some(Until::Step(step)) = options.until {
+        named.push((UNTIL_STEP, step.to_string()));
+    }
     ledger.set_settings(named.iter().map(|(n, v)| (*n, v.as_str())))?;
 
     let path = std::path::absolute(scene).unwrap_or_else(|_| scene.to_owned());

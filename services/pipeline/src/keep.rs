@@ -1,14 +1,16 @@
 //! What stays in the cache: listing, verifying, sweeping.
 
-use crate::artefacts::{history_of, snapshot_of};
+use crate::artefacts::history_of;
 use crate::{RunError, RunFolder};
 use segwild_flow::ledger::CheckpointRow;
 use segwild_flow::{Artefact, Cache, Ledger, LedgerError, Swept};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// What the ledger records the present training's snapshot under, beside the stages.
+/// What the ledger records the present training and its snapshot under, beside the stages.
 pub(crate) const SNAPSHOT: &str = "snapshot";
+/// The training's row there.
+pub(crate) const TRAINING: &str = "training";
 
 /// One kind of artefact in a run's cache.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
@@ -29,7 +31,7 @@ pub struct CacheLine {
 fn in_use(ledger: &Ledger) -> Result<BTreeSet<String>, LedgerError> {
     let mut keys = BTreeSet::new();
     keys.extend(ledger.views("visibility")?.into_iter().map(|view| view.key));
-    keys.extend(present_snapshot(ledger)?);
+    keys.extend(ledger.views(SNAPSHOT)?.into_iter().map(|view| view.key));
     for stage in ledger.stages()? {
         for view in ledger.views(&stage.name)? {
             keys.insert(view.key);
@@ -42,14 +44,13 @@ fn in_use(ledger: &Ledger) -> Result<BTreeSet<String>, LedgerError> {
     Ok(keys)
 }
 
-/// The snapshot of the training that the run stands at.
-fn present_snapshot(ledger: &Ledger) -> Result<Option<String>, LedgerError> {
-    if let Some(view) = ledger.views(SNAPSHOT)?.into_iter().next() {
-        return Ok(Some(view.key));
+/// The training that the run stands at, whichever step it was last asked to go to.
+fn present_training(ledger: &Ledger) -> Result<Option<String>, LedgerError> {
+    if let Some(row) = ledger.views(SNAPSHOT)?.into_iter().find(|row| row.view == TRAINING) {
+        return Ok(Some(row.key));
     }
-    // A run that was written before snapshots were recorded went no further than its settings' steps.
-    let geometry = ledger.stages()?.into_iter().find(|stage| stage.name == "geometry");
-    Ok(geometry.map(|stage| snapshot_of(&stage.key).to_string()))
+    // A run that was written before trainings were recorded went no further than its settings' steps.
+    Ok(ledger.stages()?.into_iter().find(|stage| stage.name == "geometry").map(|stage| stage.key))
 }
 
 /// What a run's cache holds, by kind. Works while another process uses the run.
@@ -87,10 +88,9 @@ pub fn cache_verify(folder: &RunFolder, mut told: impl FnMut(&Artefact, &str)) -
 pub fn cache_gc(folder: &RunFolder, limit: u64, pretend: bool) -> Result<Swept, RunError> {
     let ledger = Ledger::open(folder.ledger())?;
     let mut swept = sweep(&ledger, &folder.cache()?, limit, pretend)?;
-    // Checkpoints of trainings under other settings than the present ones. The snapshot tells the training, whichever
-    // step it was last asked to go to.
-    let present = present_snapshot(&ledger)?;
-    let other = |c: &CheckpointRow| Some(snapshot_of(&c.key).to_string()) != present;
+    // Checkpoints of trainings under other settings than the present ones.
+    let present = present_training(&ledger)?;
+    let other = |c: &CheckpointRow| Some(&c.key) != present.as_ref();
     for old in ledger.all_checkpoints("geometry")?.into_iter().filter(other) {
         let path = folder.checkpoints().join(&old.file);
         swept.files += 1;

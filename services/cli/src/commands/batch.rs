@@ -6,7 +6,9 @@ use crate::failure::{Failure, plain};
 use crate::operators::{listen, listen_args};
 use crate::progress::{duration, on_ctrl_c};
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
-use segwild_farm::{BatchEvent, BatchOptions, BatchSummary, JobState, StopBatch, StopLevel, batch};
+use segwild_farm::{
+    BatchEvent, BatchOptions, BatchSummary, JobState, JobStatus, StopBatch, StopLevel, batch,
+};
 use segwild_pipeline::Until;
 use std::path::{Path, PathBuf};
 
@@ -114,7 +116,19 @@ fn in_words(event: &BatchEvent) -> String {
         }
         BatchEvent::SceneDied { scene, error } => format!("{scene} was given up: {error}"),
         BatchEvent::SceneStopped { scene } => format!("{scene} stopped; it can go on"),
+        BatchEvent::ClockJumped { seconds } if *seconds < 0.0 => {
+            format!("the clock was set back by {}; rests last as long as they should", duration(-seconds))
+        }
+        BatchEvent::ClockJumped { seconds } => format!(
+            "the clock went ahead by {}: it was set, or the machine slept; rests last as long as they should",
+            duration(*seconds)
+        ),
     }
+}
+
+/// The attempts that count: a kill or a stop of the batch ended the others, and is none of the scene's doing.
+fn attempts(scene: &JobStatus) -> u32 {
+    scene.failures + u32::from(scene.state == JobState::Done)
 }
 
 fn table(summary: &BatchSummary) -> Result<(), Failure> {
@@ -127,7 +141,7 @@ fn table(summary: &BatchSummary) -> Result<(), Failure> {
         };
         let time = scene.started.zip(scene.ended).map_or("-".into(), |(a, b)| duration((b - a).max(0.0)));
         let error = scene.error.as_deref().map_or(String::new(), |e| format!("  {e}"));
-        print_line(&format!("{:width$}  {state:8} {:>8} {time:>12}{error}", scene.job.id, scene.attempt))?;
+        print_line(&format!("{:width$}  {state:8} {:>8} {time:>12}{error}", scene.job.id, attempts(scene)))?;
     }
     print_line(&format!(
         "{} done, {} given up, {} waiting, {}",

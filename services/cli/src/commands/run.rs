@@ -50,6 +50,9 @@ fn tell_plan(
             Verdict::Reused => "reused".to_owned(),
             Verdict::Partly { made, of } => format!("made for {made} of {of} photos"),
             Verdict::GoesOn { step } => format!("goes on from step {step}"),
+            Verdict::Stands { step } => format!("stands at step {step}"),
+            Verdict::SnapshotAgain { from, to } => format!("again from step {from} to {to}"),
+            Verdict::NotReached => "waits for the snapshot".to_owned(),
             Verdict::Made => "made".to_owned(),
         };
         print_line(format!("{stage:>9}  {what:24} {}", why.join("; ")).trim_end())?;

@@ -4,7 +4,7 @@ use super::{path, print_json, print_line};
 use crate::failure::Failure;
 use crate::progress::duration;
 use clap::{Arg, ArgAction, ArgMatches, Command};
-use segwild_gateway::view::{BatchView, RunView, Runs, StageView};
+use segwild_gateway::view::{BatchView, RunView, Runs, SceneState, StageView};
 use segwild_gateway::words::bytes;
 use segwild_gateway::{Target, View};
 use std::sync::mpsc;
@@ -108,8 +108,10 @@ fn tell_batch(batch: &BatchView) -> Result<(), Failure> {
         None => print_line("no process is running this batch")?,
     }
     for scene in &batch.scenes {
-        let time =
-            scene.wall_s.map_or(String::new(), |s| format!("attempt {}, {}", scene.attempt, duration(s)));
+        // A kill or a stop of the batch ended the others, and they do not count.
+        let now = u32::from(matches!(scene.state, SceneState::Running | SceneState::Done));
+        let attempt = (scene.failures + now).max(1);
+        let time = scene.wall_s.map_or(String::new(), |s| format!("attempt {attempt}, {}", duration(s)));
         let until = scene.until.as_deref().map_or(String::new(), |until| format!(" (until {until})"));
         let why = scene.why.as_deref().map_or(String::new(), |w| format!("  {w}"));
         print_line(&format!("{}: {}{until} {time}{why}", scene.name, scene.state.word()))?;

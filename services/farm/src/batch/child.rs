@@ -31,13 +31,24 @@ pub(super) struct Worker {
     /// The machine's cores that it runs on; none: on any.
     pub cpus: Vec<u32>,
     pub asked_to_stop: bool,
+    /// When the lease was last renewed.
+    pub renewed: Instant,
     /// Why it was ended, if it was for want of progress.
     pub hung: Option<String>,
-    looked: Instant,
+    /// Why it could not be begun when it was taken.
+    pub waits: Option<String>,
+    still: Still,
     scene: SceneJob,
     process: Option<Process>,
     taken: Instant,
-    waits_told: bool,
+}
+
+/// For how long nothing has moved in a process, by this process's own clock.
+struct Still {
+    looked: Instant,
+    /// How far its work was then.
+    seen: Option<(u64, u64)>,
+    seconds: f64,
 }
 
 struct Process {
@@ -51,9 +62,15 @@ struct Process {
 
 impl Worker {
     pub fn new(lease: Lease, scene: SceneJob, granted: Needs, cpus: Vec<u32>) -> Self {
-        let (taken, waits_told) = (Instant::now(), false);
-        let (asked_to_stop, hung, process, looked) = (false, None, None, taken);
-        Self { lease, granted, cpus, asked_to_stop, hung, looked, scene, process, taken, waits_told }
+        let taken = Instant::now();
+        let still = Still { looked: taken, seen: None, seconds: 0.0 };
+        let (asked_to_stop, hung, process, renewed) = (false, None, None, taken);
+        Self { lease, granted, cpus, asked_to_stop, renewed, hung, waits: None, still, scene, process, taken }
+    }
+
+    /// Whether its process was begun.
+    pub fn has_begun(&self) -> bool {
+        self.process.is_some()
     }
 
     pub fn seconds(&self) -> f64 {
@@ -84,7 +101,8 @@ impl Worker {
             if self.taken.elapsed() > FOLDER_WAIT {
                 return Some(Ended::NotStarted(reason));
             }
-            if !std::mem::replace(&mut self.waits_told, true) {
+            if self.waits.is_none() {
+                self.waits = Some(reason.clone());
                 tell(&BatchEvent::SceneWaits { scene: self.scene.name.clone(), reason });
             }
             return None;
@@ -94,10 +112,11 @@ impl Worker {
                 tell(&BatchEvent::SceneStarted {
                     scene: self.scene.name.clone(),
                     pid: process.child.id(),
-                    attempt: self.lease.attempt,
+                    attempt: self.lease.failures + 1,
                     cores: self.granted.cores,
                 });
                 self.process = Some(process);
+                self.still = Still { looked: Instant::now(), seen: None, seconds: 0.0 };
                 None
             }
             Err(error) => Some(Ended::NotStarted(format!("its process cannot be started: {error}"))),
@@ -112,7 +131,7 @@ impl Worker {
 
     fn begin(&self, folder: &BatchFolder, program: &Path) -> std::io::Result<Process> {
         let mut log = File::options().create(true).append(true).open(folder.log(&self.scene.name))?;
-        writeln!(log, "== attempt {} on {} cores", self.lease.attempt, self.granted.cores)?;
+        writeln!(log, "== attempt {} on {} cores", self.lease.failures + 1, self.granted.cores)?;
         let log_from = log.metadata()?.len();
         let mut command = Command::new(program);
         command
@@ -157,22 +176,27 @@ impl Worker {
         }
     }
 
-    /// Ends the process if nothing has moved in it for too long, by what it writes into its run's ledger.
-    pub fn look_for_progress(&mut self, patience_s: f64, now: f64) {
+    /// Ends the process if nothing has moved in it for too long: if what it writes into its run's ledger has stayed the
+    /// same over the time that was seen to pass here. Whatever the wall clock does meanwhile, and however long the
+    /// machine sleeps or this process is held, no more passes than lies between two looks.
+    pub fn look_for_progress(&mut self, patience_s: f64) {
         let Some(process) = &mut self.process else { return };
         let every = Duration::from_secs_f64((patience_s / 4.0).clamp(0.1, 10.0));
-        if self.looked.elapsed() < every || self.hung.is_some() {
+        let passed = self.still.looked.elapsed();
+        if passed < every || self.hung.is_some() {
             return;
         }
-        self.looked = Instant::now();
+        self.still.looked = Instant::now();
         let ledger = Ledger::open_read_only(self.scene.out.join("run.sqlite")).ok();
         let live = ledger.and_then(|ledger| ledger.live().ok().flatten());
-        // Before it writes of itself, all there is to go by is when it began.
-        let since_began = process.began.elapsed().as_secs_f64();
-        let still_s =
-            live.filter(|live| live.pid == process.child.id()).map_or(since_began, |live| now - live.moved);
-        if still_s.min(since_began) > patience_s {
-            self.hung = Some(format!("nothing moved for {still_s:.0} s"));
+        let seen = live.filter(|live| live.pid == process.child.id()).map(|live| live.movement());
+        if seen == self.still.seen {
+            self.still.seconds += passed.min(2 * every).as_secs_f64();
+        } else {
+            (self.still.seen, self.still.seconds) = (seen, 0.0);
+        }
+        if self.still.seconds > patience_s {
+            self.hung = Some(format!("nothing moved for {:.0} s", self.still.seconds));
             // One that has ended by itself is as good.
             let _ = process.child.kill();
         }

@@ -37,6 +37,8 @@ use child::{Ended, Worker};
 const LEASE_S: f64 = 60.0;
 /// How often processes are looked at.
 const TICK: Duration = Duration::from_millis(100);
+/// A jump of the clock that is worth a word, in seconds.
+const JUMP_TOLD_S: f64 = 60.0;
 /// How often work is asked for when nothing has changed.
 const ASK_EVERY: Duration = Duration::from_secs(1);
 
@@ -134,6 +136,11 @@ pub enum BatchEvent {
         /// The scene.
         scene: String,
     },
+    /// The wall clock was set, or the machine slept. Nothing depends on it.
+    ClockJumped {
+        /// By how much, in seconds; back is negative.
+        seconds: f64,
+    },
 }
 
 /// How a batch ended.
@@ -213,7 +220,7 @@ struct Batch<'a> {
 impl Batch<'_> {
     /// Says whether it was interrupted.
     fn conduct(&mut self) -> Result<bool, BatchError> {
-        let mut asked: Option<Instant> = None;
+        let (mut asked, mut clocks_read): (Option<Instant>, Option<Instant>) = (None, None);
         loop {
             let stop = self.options.stop.level();
             for worker in &mut self.workers {
@@ -224,10 +231,16 @@ impl Batch<'_> {
                 }
             }
             for worker in &mut self.workers {
-                worker.look_for_progress(self.manifest.patience_s, SystemClock.now());
+                worker.look_for_progress(self.manifest.patience_s);
             }
             let changed = self.reap()?;
             self.beat()?;
+            if clocks_read.is_none_or(|at| at.elapsed() >= ASK_EVERY) {
+                clocks_read = Some(Instant::now());
+                for seconds in self.engine.jumps()?.into_iter().filter(|s| s.abs() >= JUMP_TOLD_S) {
+                    (self.tell)(&BatchEvent::ClockJumped { seconds });
+                }
+            }
             if stop > StopLevel::Run {
                 if self.workers.is_empty() {
                     let jobs = self.engine.jobs()?;
@@ -294,8 +307,16 @@ impl Batch<'_> {
         let mut i = 0;
         // In the order in which they were claimed: the most urgent process is begun first.
         while i < self.workers.len() {
-            let ended = self.workers[i].advance(self.folder, &self.options.program, self.tell);
+            let worker = &mut self.workers[i];
+            let (waited, had_begun) = (worker.waits.is_some(), worker.has_begun());
+            let ended = worker.advance(self.folder, &self.options.program, self.tell);
             let Some(ended) = ended else {
+                // Who looks at the batch sees who waits, and why.
+                let begins = waited && worker.has_begun() && !had_begun;
+                if begins || !waited && worker.waits.is_some() {
+                    let reason = worker.waits.as_deref().filter(|_| !begins);
+                    lost(self.engine.note_wait(&worker.lease, reason))?;
+                }
                 i += 1;
                 continue;
             };
@@ -330,7 +351,8 @@ impl Batch<'_> {
         let (scene, error) = (lease.job.id.clone(), error.to_owned());
         match self.engine.fail(lease, class, &error) {
             Ok(Fate::Retry { due }) => {
-                let delay_s = (due - SystemClock.now()).max(0.0);
+                // Between the two readings the clock may have jumped.
+                let delay_s = (due - SystemClock.now()).clamp(0.0, lease.job.retry.longest_delay_s);
                 (self.tell)(&BatchEvent::SceneRetries { scene, error, delay_s });
             }
             Ok(Fate::Dead) => (self.tell)(&BatchEvent::SceneDied { scene, error }),
@@ -341,13 +363,13 @@ impl Batch<'_> {
         Ok(())
     }
 
-    /// Renews leases that are a third over. By the wall clock, so that a machine that slept renews first of all.
+    /// Renews leases that are a third over.
     fn beat(&mut self) -> Result<(), BatchError> {
-        let now = SystemClock.now();
         for worker in &mut self.workers {
-            if worker.lease.until - now > LEASE_S * 2.0 / 3.0 && worker.lease.until - now <= LEASE_S {
+            if worker.renewed.elapsed().as_secs_f64() < LEASE_S / 3.0 {
                 continue;
             }
+            worker.renewed = Instant::now();
             match self.engine.heartbeat(&worker.lease) {
                 Ok(until) => worker.lease.until = until,
                 // Somebody else has the scene: two must not work on it.

@@ -156,6 +156,21 @@ impl LiveSample {
     fn done(&self) -> u64 {
         self.stages.iter().map(|s| s.done).sum()
     }
+
+    /// What changes when, and only when, work moves: messages handled, units of work and steps done. Who waits for
+    /// progress compares two of these, and counts the time between by its own clock.
+    ///
+    /// ```
+    /// use segwild_flow::ledger::{LiveSample, LiveStage};
+    /// let stage = |done| LiveStage { stage: "sky".into(), done, total: None, rate: 0.0, eta_s: None };
+    /// let sample = |time, done| LiveSample { time, stages: vec![stage(done)], ..LiveSample::default() };
+    /// assert_eq!(sample(1.0, 4).movement(), sample(9.0, 4).movement());
+    /// assert_ne!(sample(1.0, 4).movement(), sample(1.0, 5).movement());
+    /// ```
+    pub fn movement(&self) -> (u64, u64) {
+        let steps = self.metrics.iter().filter_map(|m| m.step).sum::<u64>();
+        (self.actors.iter().map(|a| a.messages).sum(), self.done() + steps)
+    }
 }
 
 /// One point of a run's past.

@@ -1,5 +1,6 @@
 //! A batch and its scenes.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use segwild_farm::{BatchFolder, ChangeKind, Engine, Job, JobState, JobStatus, Needs, SceneJob, turns};
@@ -12,7 +13,7 @@ use crate::{ViewError, why};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SceneState {
-    /// Waits for its turn, for room, or for the end of its rest.
+    /// Waits for its turn, for room, for the end of its rest, or for its run folder.
     Waiting,
     /// A process works on it.
     Running,
@@ -109,13 +110,17 @@ impl BatchView {
         let owner = folder.owner().map(|owner| owner.to_string());
         let engine = folder.engine()?;
         let (record, jobs) = (folder.record(), engine.jobs()?);
+        let waits = engine.waits()?;
         let mut scenes: Vec<SceneView> =
-            jobs.iter().map(|job| scene(job, runs, owner.is_some(), now)).collect();
+            jobs.iter().map(|job| scene(job, runs, &waits, owner.is_some(), now)).collect();
         let budget = record.as_ref().map(|r| r.budget).unwrap_or_default();
         let mut used = Needs::default();
-        for scene in scenes.iter().filter(|s| s.state == SceneState::Running) {
+        // Who cannot begin yet has its part of the budget all the same.
+        let held = |s: &&SceneView| s.state == SceneState::Running || s.is_held_up(&waits, owner.is_some());
+        for scene in scenes.iter().filter(held) {
             // The last scene is given idle cores as well.
-            let given = scene.run.as_ref().filter(|run| run.running).and_then(|run| run.cores);
+            let mine = scene.run.as_ref().filter(|run| run.running && scene.state == SceneState::Running);
+            let given = mine.and_then(|run| run.cores);
             used.cores += given.unwrap_or(0).max(scene.needs.cores);
             used.memory_bytes += scene.needs.memory_bytes;
             used.accelerators += scene.needs.accelerators;
@@ -125,7 +130,7 @@ impl BatchView {
         waiting.sort_by_key(|job| std::cmp::Reverse(job.priority));
         let turns = turns(&waiting, &used.taken_from(&budget), &budget);
         let turns = waiting.iter().map(|job| job.id.as_str()).zip(turns).collect();
-        why::scenes(&mut scenes, &turns, owner.is_some());
+        why::scenes(&mut scenes, &turns, &waits, owner.is_some());
         let whole = std::path::absolute(folder.path()).unwrap_or_else(|_| folder.path().to_owned());
         Ok(BatchView {
             name: name_of(&whole),
@@ -148,7 +153,20 @@ impl BatchView {
     }
 }
 
-fn scene(status: &JobStatus, runs: &mut Runs, batch_runs: bool, now: f64) -> SceneView {
+impl SceneView {
+    /// Whether the batch has taken it and cannot begin its process yet.
+    fn is_held_up(&self, waits: &BTreeMap<String, String>, batch_runs: bool) -> bool {
+        batch_runs && self.state == SceneState::Waiting && waits.contains_key(&self.name)
+    }
+}
+
+fn scene(
+    status: &JobStatus,
+    runs: &mut Runs,
+    waits: &BTreeMap<String, String>,
+    batch_runs: bool,
+    now: f64,
+) -> SceneView {
     let job = &status.job;
     let scene = serde_json::from_str::<SceneJob>(&job.payload).ok();
     let (out, until) = scene.map(|s| (s.out, s.until)).unwrap_or_default();
@@ -158,7 +176,7 @@ fn scene(status: &JobStatus, runs: &mut Runs, batch_runs: bool, now: f64) -> Sce
         JobState::Done => SceneState::Done,
         JobState::Dead => SceneState::Dead,
         // A lease that a killed batch left behind is no work.
-        JobState::Leased if batch_runs => SceneState::Running,
+        JobState::Leased if batch_runs && !waits.contains_key(&job.id) => SceneState::Running,
         JobState::Leased | JobState::Pending => SceneState::Waiting,
     };
     let end = if state == SceneState::Running { Some(now) } else { status.ended };
@@ -171,7 +189,8 @@ fn scene(status: &JobStatus, runs: &mut Runs, batch_runs: bool, now: f64) -> Sce
         failures: status.failures,
         attempts: job.retry.attempts,
         error: status.error.clone(),
-        rests_s: Some(status.due - now).filter(|&s| s > 0.0 && state == SceneState::Waiting),
+        rests_s: Some((status.due - now).min(job.retry.longest_delay_s))
+            .filter(|&s| s > 0.0 && state == SceneState::Waiting),
         started: status.started,
         wall_s: status.started.zip(end).map(|(a, b)| (b - a).max(0.0)),
         why: None,

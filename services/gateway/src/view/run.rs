@@ -404,7 +404,9 @@ fn stages(
             started: row.and_then(|r| r.started),
             wall_s: row.and_then(|r| {
                 let end = r.ended.or(going.then_some(now))?;
-                Some((end - r.started?).max(0.0))
+                // A stage that goes on began in this process, whose age does not depend on the wall clock.
+                let most = if going { (now - sample.began).max(0.0) } else { f64::MAX };
+                Some((end - r.started?).clamp(0.0, most))
             }),
             cpu_s: row.and_then(|r| r.cpu_s),
             runs: row.map_or(0, |r| r.runs),

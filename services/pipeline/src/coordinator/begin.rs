@@ -6,7 +6,7 @@ use crate::checkpoints::Keeper;
 use crate::folder::{FEATURES, MODEL};
 use crate::history::{self, Moment};
 use crate::inputs::{Drawn, Inputs, VISIBILITY};
-use crate::keep::SNAPSHOT;
+use crate::keep::{SNAPSHOT, TRAINING};
 use crate::outcome::Outcome;
 use segwild_features::{FeatureField, FeatureTask};
 use segwild_flow::ledger::ViewOutcome;
@@ -26,7 +26,8 @@ impl Coordinator<'_> {
         let snapshot: Option<Model> = self.cache.get_typed(&self.keys.snapshot, MODEL)?;
         let snapshot_kept = snapshot.is_some();
         self.state.snapshot = snapshot.map(Arc::new);
-        if let (Some(model), true) = (done, snapshot_kept) {
+        let snapshot_step = self.settings.train.snapshot_step();
+        if let Some(model) = done {
             match self.cache.get_typed::<Vec<Moment>>(&self.keys.history, HISTORY)? {
                 Some(moments) => history::replace(self.folder, &moments)?,
                 // The one in the folder is that of the training that the run stands at.
@@ -35,21 +36,24 @@ impl Coordinator<'_> {
                 }
                 None => {}
             }
-            self.skip_stage("geometry", &self.keys.geometry)?;
-            return self.take_model(Arc::new(model));
+            self.take_model(Arc::new(model))?;
+            if snapshot_kept {
+                return self.skip_stage("geometry", &self.keys.geometry);
+            }
+            self.state.only_to_snapshot = true;
         }
         self.ledger.begin_stage("geometry", &self.keys.geometry)?;
         // Without the snapshot the training is done again from a checkpoint before it, or from the start.
-        let snapshot_step = self.settings.train.snapshot_step();
         let before = if snapshot_kept { u32::MAX } else { snapshot_step };
+        let until = if self.state.only_to_snapshot { snapshot_step } else { self.steps };
         let checkpoint = match self.stands_at(before)? {
-            Some(step) => {
+            Some(step) if !self.state.only_to_snapshot => {
                 self.state.paused = Some(step);
                 return Ok(());
             }
-            None => self.find_checkpoint(before.min(self.steps.saturating_add(1))),
+            _ => self.find_checkpoint(before.min(self.steps.saturating_add(1))),
         };
-        bars.geometry = Some(self.options.events.stage("geometry", Some(self.steps.into())));
+        bars.geometry = Some(self.options.events.stage("geometry", Some(until.into())));
         let (scene, size, skies) = (self.scene.clone(), self.settings.scene.size, self.skies.clone());
         let (stopper, tainted) = (self.options.stopper.clone(), self.tainted.clone());
         let photos = move |view: usize| -> Result<TrainPhoto, String> {
@@ -69,7 +73,7 @@ impl Coordinator<'_> {
             scene: self.scene.clone(),
             photos: Arc::new(photos) as Arc<dyn Photos>,
             settings: self.settings.train.clone(),
-            until: self.steps,
+            until,
             checkpoint,
             checkpoint_every: Duration::from_secs(self.settings.run.checkpoint_every.max(1).into()),
         };
@@ -101,7 +105,10 @@ impl Coordinator<'_> {
 
     /// Writes down which training is the present one: what belongs to another may leave the cache.
     pub(super) fn name_training(&self) -> Result<(), RunError> {
-        Ok(self.ledger.record_view(SNAPSHOT, SNAPSHOT, &self.keys.snapshot, &ViewOutcome::cached())?)
+        let rows = [(SNAPSHOT, &self.keys.snapshot), (TRAINING, &self.keys.training)];
+        Ok(rows
+            .into_iter()
+            .try_for_each(|(row, key)| self.ledger.record_view(SNAPSHOT, row, key, &ViewOutcome::cached()))?)
     }
 
     /// The step the training stands at, when that is as far as was asked for and not its end.
@@ -236,7 +243,7 @@ impl Coordinator<'_> {
 }
 
 /// How often a photo is compared with the trained scene before it is left out.
-const ATTEMPTS: u32 = 3;
+pub(super) const ATTEMPTS: u32 = 3;
 
 /// Sees to it that the cache says which pixels of a photo can be trusted.
 fn see(inputs: &Inputs, view: usize, context: &Context) -> Result<(), Failure> {

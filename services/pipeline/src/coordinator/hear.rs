@@ -1,5 +1,6 @@
 //! What the coordinator does with what the actors say.
 
+use super::begin::ATTEMPTS;
 use super::{Bars, Coordinator, HISTORY};
 use crate::RunError;
 use crate::folder::{FEATURES, MODEL};
@@ -7,7 +8,7 @@ use crate::history::{self, Moment};
 use crate::outcome::Outcome;
 use segwild_features::{FeatureField, FeatureOutcome};
 use segwild_flow::ledger::ViewOutcome;
-use segwild_flow::{Event, Failure, Key, StageProgress};
+use segwild_flow::{Event, Failure, Key, Quarantined, StageProgress};
 use segwild_masks::MaskOutcome;
 use segwild_scene::{Skipped, ply};
 use segwild_trainer::{Model, TrainOutcome};
@@ -53,9 +54,9 @@ impl Coordinator<'_> {
                 self.state.embed_open -= 1;
                 self.close("embed", self.state.embed_open, &mut bars.embed)
             }
-            Outcome::Feature(FeatureOutcome::EmbedFailed { view, error }) => {
+            Outcome::Feature(FeatureOutcome::EmbedFailed { view, given_up }) => {
                 let key = self.keys.embedding[view];
-                self.view_done("embed", view, &key, Some(&error), None, &mut bars.embed)?;
+                self.view_done("embed", view, &key, Some(&given_up), None, &mut bars.embed)?;
                 self.state.embed_open -= 1;
                 self.close("embed", self.state.embed_open, &mut bars.embed)
             }
@@ -76,7 +77,9 @@ impl Coordinator<'_> {
     fn hear_visibility(&mut self, failed: Vec<(usize, String)>) -> Result<(), RunError> {
         for (view, error) in &failed {
             let key = self.keys.visibility[*view];
-            self.view_done("visibility", *view, &key, Some(error), None, &mut None)?;
+            let label = self.scene.views[*view].name.clone();
+            let given_up = Quarantined { label, error: error.clone(), attempts: ATTEMPTS };
+            self.view_done("visibility", *view, &key, Some(&given_up), None, &mut None)?;
         }
         self.state.unseen = failed.into_iter().map(|(view, _)| view).collect();
         self.state.visible = true;
@@ -127,11 +130,13 @@ impl Coordinator<'_> {
                 if let Some(bar) = &mut bars.geometry {
                     bar.cached(u64::from(step).saturating_sub(bar.done()));
                 }
-                history::trim(self.folder, step)
+                if self.state.only_to_snapshot { Ok(()) } else { history::trim(self.folder, step) }
             }
             TrainOutcome::Progress { step, loss, psnr, splats, left_out } => {
                 let moment = Moment { step, loss, psnr, splats, left_out };
-                history::append(self.folder, &moment)?;
+                if !self.state.only_to_snapshot {
+                    history::append(self.folder, &moment)?;
+                }
                 if let Some(bar) = &mut bars.geometry {
                     bar.advance(u64::from(step).saturating_sub(bar.done()));
                 }
@@ -156,6 +161,14 @@ impl Coordinator<'_> {
                 self.keeper().save(&checkpoint)?;
                 let seconds = began.elapsed().as_secs_f64();
                 self.options.events.metric("geometry", "checkpoint_s", seconds, None);
+                Ok(())
+            }
+            TrainOutcome::Paused(_) | TrainOutcome::Done(..) if self.state.only_to_snapshot => {
+                self.state.only_to_snapshot = false;
+                self.ledger.finish_stage("geometry", &self.keys.geometry, None)?;
+                if let Some(bar) = bars.geometry.take() {
+                    bar.finish();
+                }
                 Ok(())
             }
             TrainOutcome::Paused(step) => {
@@ -194,7 +207,7 @@ impl Coordinator<'_> {
         stage: &'static str,
         view: usize,
         key: &Key,
-        error: Option<&String>,
+        error: Option<&Quarantined>,
         seconds: Option<f64>,
         bar: &mut Option<StageProgress>,
     ) -> Result<(), RunError> {
@@ -204,17 +217,18 @@ impl Coordinator<'_> {
             if self.cache.was_damaged(key) {
                 // It was made once: a result without it would be another one than that of the run before.
                 let reason = format!(
-                    "photo {name}: what was made of it was damaged in the cache and cannot be made again ({error}); \
-                     run again"
+                    "photo {name}: what was made of it was damaged in the cache and cannot be made again ({}); \
+                     run again",
+                    error.error
                 );
                 self.state.failed.get_or_insert((stage, Failure::fatal(reason)));
             }
             let failures =
-                self.state.failures.entry(stage).or_insert_with(|| (0, format!("{name}: {error}")));
+                self.state.failures.entry(stage).or_insert_with(|| (0, format!("{name}: {}", error.error)));
             failures.0 += 1;
         }
         let outcome = match (error, seconds) {
-            (Some(error), _) => ViewOutcome::failed(1, error.clone()),
+            (Some(error), _) => ViewOutcome::failed(error.attempts, error.error.clone()),
             (None, Some(seconds)) => ViewOutcome::done(seconds),
             (None, None) => ViewOutcome::cached(),
         };
@@ -227,11 +241,11 @@ impl Coordinator<'_> {
                 self.options.events.tell(Event::ViewFailed {
                     stage: stage.into(),
                     view: name.clone(),
-                    error: error.clone(),
-                    attempts: 1,
+                    error: error.error.clone(),
+                    attempts: error.attempts,
                 });
                 if !self.state.skipped.iter().any(|s| s.name == name) {
-                    self.state.skipped.push(Skipped { name, reason: format!("{stage}: {error}") });
+                    self.state.skipped.push(Skipped { name, reason: format!("{stage}: {}", error.error) });
                 }
             }
             (None, Some(_)) => {

@@ -65,6 +65,8 @@ pub struct State {
     /// Which pixels can be trusted is known of every photo.
     pub visible: bool,
     pub field_asked: bool,
+    /// The trained scene is there, and the training is done again up to the snapshot alone.
+    pub only_to_snapshot: bool,
     /// The training stands at this step, as far as was asked for, and is not over.
     pub paused: Option<u32>,
     pub made: usize,
@@ -385,6 +387,7 @@ impl Coordinator<'_> {
             && (!self.wants("masks")
                 || s.masks_begun && s.masks_open == 0
                 || s.paused.is_some() && !s.masks_begun && s.snapshot.is_none())
+            && !s.only_to_snapshot
             && (!self.wants("geometry") || s.model.is_some() || s.paused.is_some())
             && (!self.wants("features") || s.field.is_some())
     }
