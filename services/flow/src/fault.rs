@@ -24,8 +24,9 @@ use crate::meter::lock;
 
 /// The points, and what passes there. An actor's own points are `NAME.handle`; names that begin with `test.` are
 /// free for tests.
-pub const POINTS: [(&str, &str); 17] = [
+pub const POINTS: [(&str, &str); 18] = [
     ("trainer.handle", "the trainer takes an order"),
+    ("coordinator.hear", "the coordinator hears of an actor"),
     ("masks.handle", "the masks actor takes a photo"),
     ("features.handle", "the features actor takes a photo, or the field"),
     ("segmenter.handle", "the segmenter takes the prompts of a selection"),

@@ -24,7 +24,7 @@ use segwild_features::{FeatureActor, FeatureField, FeatureTask};
 use segwild_flow::ledger::{State as Progress, ViewRow};
 use segwild_flow::{
     ActorOptions, Cache, Event, Exit, Failure, Guest, Ledger, Limits, Message, Phase, Receiver, Recorder,
-    Report, Sender, StageProgress, System, SystemOptions, mailbox,
+    Report, Sender, StageProgress, System, SystemOptions, fault, mailbox,
 };
 use segwild_masks::{MaskActor, MaskMaker, MaskTask};
 use segwild_raster::Engine;
@@ -311,6 +311,10 @@ impl Coordinator<'_> {
             guest.waits();
             let heard = inbox.recv_timeout(Duration::from_millis(200));
             guest.busy(&heard.as_ref().map_or_else(|_| String::new(), Message::label));
+            if heard.is_ok() {
+                fault::point("coordinator.hear")
+                    .map_err(|e| RunError::Stage { stage: "flow", reason: e.to_string() })?;
+            }
             match heard {
                 Ok(_) if self.tainted.load(Ordering::Acquire) => {
                     return match self.skies.lost() {
