@@ -31,9 +31,9 @@ fn an_actor_that_stands_still_is_named_and_others_that_wait_are_not() {
     let dir = folder();
     for (fault, actor, item) in [
         ("stall@coordinator.hear:5", "coordinator", "hears of "),
-        ("stall@masks.handle:3", "masks", "sky 2"),
+        ("stall@masks.handle:3", "masks", "sky photo_"),
         ("stall@trainer.step:30", "trainer", "60 steps"),
-        ("stall@features.handle:4", "features", "embed 3"),
+        ("stall@features.handle:4", "features", "embed photo_"),
     ] {
         let run = dir.path().join(actor);
         let args = again(&run, &["--stuck-after", "1", "--listen", "127.0.0.1:0", "--fault", fault]);

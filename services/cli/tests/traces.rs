@@ -143,11 +143,14 @@ fn a_second_run_and_a_selection_leave_the_first_runs_timeline() {
     completes(&again(&run, &[]));
     assert!(select(&run, &[]).status.success());
     let kept: Vec<_> = std::fs::read_dir(run.join("traces")).expect("a folder").flatten().collect();
-    let ends = |end: &str| kept.iter().find(|e| e.file_name().to_string_lossy().ends_with(end));
-    let earlier = ends(".trace.json").filter(|e| !e.file_name().to_string_lossy().starts_with("selection"));
-    let earlier = std::fs::read(earlier.expect("the first run's").path()).expect("it reads");
+    let find = |of_selection: bool| {
+        let fits =
+            |name: &str| name.ends_with(".trace.json") && name.starts_with("selection") == of_selection;
+        let found = kept.iter().find(|e| fits(&e.file_name().to_string_lossy()));
+        std::fs::read(found.expect("it is kept").path()).expect("it reads")
+    };
+    let earlier = find(false);
     assert!(earlier == first, "it is as it was");
     assert_ne!(std::fs::read(run.join("trace.json")).expect("a trace"), first);
-    let selection = std::fs::read_to_string(ends("selection-it.trace.json").expect("the click's").path());
-    assert!(selection.expect("it reads").contains("segmenter"));
+    assert!(text(&find(true)).contains("segmenter"));
 }

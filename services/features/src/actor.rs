@@ -248,6 +248,14 @@ struct Refused(String);
 impl<O: Message + From<FeatureOutcome>> Actor for FeatureActor<O> {
     type Message = FeatureTask;
 
+    fn label(&self, task: &FeatureTask) -> String {
+        let view = match task {
+            FeatureTask::Embed { view, .. } => self.scene.views.get(*view),
+            FeatureTask::Field { .. } => None,
+        };
+        view.map_or_else(|| task.label(), |view| format!("embed {}", view.name))
+    }
+
     fn handle(&mut self, task: FeatureTask, context: &Context) -> Result<(), Failure> {
         let outcome = match task {
             FeatureTask::Embed { view, key } => {

@@ -89,6 +89,12 @@ pub trait Actor: Sized + 'static {
         Ok(())
     }
 
+    /// What the timeline, a stuck worker and a message that was given up are called by; the message's own label, unless
+    /// the actor knows better what its numbers stand for.
+    fn label(&self, message: &Self::Message) -> String {
+        message.label()
+    }
+
     /// Handles a message. Long work calls [`Context::progress`] and looks at [`Context::stopping`].
     ///
     /// # Errors

@@ -348,7 +348,7 @@ fn live<A: Actor>(
         if context.stopping() {
             return Life::Over(Exit::Stopped);
         }
-        let (label, copy) = (message.label(), message.again());
+        let (label, copy) = (actor.label(&message), message.again());
         context.pulse.enter(WorkerState::Busy, &label);
         let handled = guard(|| {
             if fault::armed() {

@@ -167,6 +167,14 @@ impl MaskMaker {
 impl<O: Message + From<MaskOutcome>> Actor for MaskActor<O> {
     type Message = MaskTask;
 
+    fn label(&self, task: &MaskTask) -> String {
+        let (what, view) = match task {
+            MaskTask::Sky { view, .. } => ("sky", *view),
+            MaskTask::Masks { view, .. } => ("masks", *view),
+        };
+        self.maker.scene.views.get(view).map_or_else(|| task.label(), |view| format!("{what} {}", view.name))
+    }
+
     fn handle(&mut self, task: MaskTask, _: &Context) -> Result<(), Failure> {
         let began = Instant::now();
         let took = |origin| (origin == Origin::Made).then(|| began.elapsed().as_secs_f64());
