@@ -342,7 +342,8 @@ fn run_worker(cell: &Arc<Cell>, context: Context, mut body: Body) {
     context.pulse.note_cpu();
     context.pulse.enter(WorkerState::Ended, "");
     if let Exit::Failed(error) | Exit::Storage(error) = &exit {
-        tracing::error!("{} failed: {error}", cell.name);
+        // Told below; here for who follows the log.
+        tracing::warn!("{} failed: {error}", cell.name);
         context.events.tell(Event::ActorFailed { actor: cell.name.to_string(), error: error.clone() });
         if cell.options.vital {
             context.stopper.stop();

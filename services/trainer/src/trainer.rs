@@ -499,7 +499,11 @@ fn no_photos(skipped: &[(String, String)]) -> TrainError {
     if skipped.is_empty() {
         return TrainError::NoPhotos("the scene has none that is not held out".into());
     }
-    let reasons: Vec<String> = skipped.iter().map(|(name, reason)| format!("`{name}`: {reason}")).collect();
+    let mut reasons: Vec<String> =
+        skipped.iter().take(3).map(|(name, reason)| format!("`{name}`: {reason}")).collect();
+    if skipped.len() > reasons.len() {
+        reasons.push(format!("and {} more", skipped.len() - reasons.len()));
+    }
     TrainError::NoPhotos(reasons.join("; "))
 }
 
