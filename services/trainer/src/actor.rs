@@ -104,7 +104,6 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
         }
         self.send(TrainOutcome::Began { step: trainer.steps_done(), upcoming: trainer.upcoming() })?;
         let mut saved = Instant::now();
-        let (mut sums, mut since) = ([0.0f32; 3], 0);
         while trainer.steps_done() < order.until {
             if context.stopping() {
                 self.send(TrainOutcome::Checkpoint(Arc::new(trainer.checkpoint())))?;
@@ -113,14 +112,11 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
             let step = trainer.step().map_err(Failure::fatal)?;
             context.progress();
             fault::point("trainer.step")?;
-            sums = [sums[0] + step.loss, sums[1] + step.psnr, sums[2] + step.left_out];
-            since += 1;
             let last = step.step >= order.until;
             if step.step % REPORT_EVERY == 0 || last {
-                let [loss, psnr, left_out] = sums.map(|s| s / since as f32);
+                let [loss, psnr, left_out] = trainer.means();
                 let (step, splats) = (step.step, step.splats);
                 self.send(TrainOutcome::Progress { step, loss, psnr, splats, left_out })?;
-                (sums, since) = ([0.0; 3], 0);
             }
             if step.step == order.settings.snapshot_step() {
                 self.send(TrainOutcome::Snapshot(Arc::new(trainer.snapshot())))?;

@@ -93,6 +93,8 @@ pub(crate) struct State {
     pixel: f32,
     /// Most splats.
     cap: u64,
+    /// Sums of loss, PSNR and share left out since they were last asked for, and over how many steps.
+    since: ([f32; 3], u32),
 }
 
 /// A training that can be continued: with the same scene, photos and settings it ends in the same bytes as
@@ -164,6 +166,7 @@ impl Trainer {
             pause_until: 0,
             pixel: start.pixel,
             cap: cap as u64,
+            since: ([0.0; 3], 0),
         };
         for warning in &start.warnings {
             tracing::warn!("{warning}");
@@ -232,6 +235,13 @@ impl Trainer {
     /// Steps done.
     pub fn steps_done(&self) -> u32 {
         self.state.step
+    }
+
+    /// Means of loss, PSNR in dB and share left out over the steps since this was last asked, by this trainer or by the
+    /// one whose checkpoint it goes on from.
+    pub fn means(&mut self) -> [f32; 3] {
+        let (sums, steps) = std::mem::take(&mut self.state.since);
+        sums.map(|sum| sum / steps.max(1) as f32)
     }
 
     /// Whether all steps are done.
@@ -356,6 +366,9 @@ impl Trainer {
         if dropped > 0 {
             change.get_or_insert_default().removed += dropped;
         }
+        let (sums, steps) = &mut self.state.since;
+        *sums = [sums[0] + loss, sums[1] + psnr, sums[2] + left_out];
+        *steps += 1;
         Ok(StepReport {
             step: self.state.step,
             steps: self.settings.steps,
