@@ -266,3 +266,26 @@ fn a_report_and_a_snapshot_are_json_and_a_table() {
     let table = report.to_string();
     assert!(table.lines().next().unwrap().contains("blocked s") && table.contains("finished"), "{table}");
 }
+
+#[test]
+fn restarts_count_within_their_window_only() {
+    let fails_six_times = |window: Duration| {
+        let system = System::new(SystemOptions::default()).unwrap();
+        let pause = Duration::from_millis(10);
+        let budget = RestartBudget { restarts: 2, window, first_delay: pause, longest_delay: pause };
+        let mut left = 6;
+        let send = move |_: &Context| {
+            if left == 0 {
+                return Ok(());
+            }
+            left -= 1;
+            Err(Failure::restart("not yet"))
+        };
+        system.source("source", ActorOptions { budget, ..quick() }, send).unwrap();
+        let report = system.join();
+        (report.finished(), report.actor("source").unwrap().restarts)
+    };
+    assert_eq!(fails_six_times(Duration::from_secs(60)), (false, 2));
+    // Each restart is forgotten before the next.
+    assert_eq!(fails_six_times(Duration::from_millis(1)), (true, 6));
+}

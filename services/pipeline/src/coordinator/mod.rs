@@ -1,7 +1,17 @@
 //! Feeds the actors of one scene and listens to them.
 //!
-//! `ingest -> { sky(view)*, embed(view)*, geometry }`; geometry publishes a snapshot at a fixed step
-//! `-> intrinsic render(view)* -> masks(view)*` while it trains on; at its end `-> feature field`.
+//! Three of the four actors work here: `masks`, `trainer` and `features` (a click starts the fourth, `segmenter`, in a
+//! process of its own: `segment.rs`). Beside them stand sources, threads that only feed: `ingest` asks for skies,
+//! `photos` for embeddings, `intrinsic renders` for masks, `visibility` compares photos with the trained scene.
+//!
+//! ```text
+//! ingest            -> masks:    sky(view)*      -> trainer, which waits for the sky of each photo it comes to
+//! photos            -> features: embed(view)*
+//!                      trainer:  geometry        -> snapshot at a fixed step, the trained scene at the end
+//! intrinsic renders -> masks:    masks(view)*       from the snapshot, while geometry trains on
+//! visibility        -> coordinator                  from the trained scene, while masks are made
+//!                      features: field              from embeddings, visibility and masks
+//! ```
 //!
 //! What is made without a sky that was given up bears another name than what a run with that sky makes. So everything
 //! that is named after the training, but for the training itself, waits until each sky is known ([`Coordinator::go_on`]).
