@@ -45,6 +45,9 @@ pub(crate) struct Pulse {
     pub actor: Arc<str>,
     pub worker: u32,
     timeline: Timeline,
+    /// Whether only work worth a look is drawn: a thread that listens to thousands of short messages would fill the
+    /// timeline with them.
+    pub coarse: bool,
     current: Mutex<Current>,
     /// Counts signs of progress.
     beat: AtomicU64,
@@ -80,6 +83,7 @@ impl Pulse {
             actor,
             worker,
             timeline,
+            coarse: false,
             current: Mutex::new(current),
             beat: AtomicU64::new(0),
             zones: AtomicU32::new(0),
@@ -103,6 +107,9 @@ impl Pulse {
         drop(current);
         // The moment between two messages is no work worth drawing.
         if old == WorkerState::Busy && old_label.is_empty() && now - since < Duration::from_micros(100) {
+            return (old, old_label);
+        }
+        if self.coarse && (old != WorkerState::Busy || now - since < Duration::from_millis(1)) {
             return (old, old_label);
         }
         let kind = match old {

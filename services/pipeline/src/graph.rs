@@ -295,7 +295,6 @@ pub fn run(
                     Ok(ledger.record_view("evaluate", name, &key, &outcome)?)
                 })
             });
-            traces.write(&report)?;
             if let Some(lost) = coordinator.skies.lost() {
                 return Err(RunError::of_stage("sky", &lost));
             }

@@ -18,6 +18,7 @@ use crate::supervise::{ActorOptions, Cell};
 /// let system = System::new(SystemOptions::default())?;
 /// let me = system.guest("coordinator")?;
 /// me.busy("reads the answers");
+/// std::thread::sleep(std::time::Duration::from_millis(2)); // work that is worth drawing
 /// me.waits();
 /// drop(me);
 /// let report = system.join();
@@ -40,7 +41,9 @@ impl System {
     /// When the system is stopping.
     pub fn guest(&self, name: &str) -> Result<Guest, SpawnError> {
         let name: Arc<str> = name.into();
-        let pulse = Arc::new(Pulse::new(name.clone(), 0, self.shared.timeline.clone()));
+        let mut pulse = Pulse::new(name.clone(), 0, self.shared.timeline.clone());
+        pulse.coarse = true;
+        let pulse = Arc::new(pulse);
         let options = ActorOptions { vital: false, ..ActorOptions::default() };
         let cell = Arc::new(Cell::new(options, vec![pulse.clone()], name, None));
         self.enrol(&cell)?;
