@@ -86,6 +86,10 @@ fn no_room(mailbox: &str, mailboxes: &[LiveMailbox]) -> String {
 
 /// An empty mailbox: the next stage of the actor says why.
 fn no_work(actor: &str, stages: &[StageView]) -> String {
+    let going: Vec<&str> = stages.iter().filter(|s| s.state == "running").map(|s| s.name.as_str()).collect();
+    if actor == "coordinator" && !going.is_empty() {
+        return format!("nothing to hear: {} under way", going.join(", "));
+    }
     let next = stages_of(actor)
         .iter()
         .find_map(|name| stages.iter().find(|s| s.name == *name && s.state != "done" && s.state != "failed"));
