@@ -82,6 +82,20 @@ pub trait PromptSegmenter: Send + Sync {
     fn refine(&self, image: &Image, certainty: &Image) -> Result<ScoredMask, VisionError>;
 }
 
+/// Refuses a certainty that [`PromptSegmenter::refine`] cannot lay over its image.
+pub(crate) fn check_certainty(image: &Image, certainty: &Image) -> Result<(), VisionError> {
+    if (certainty.width, certainty.height) != (image.width, image.height)
+        || certainty.channels == 0
+        || certainty.data.len() != certainty.pixels() * certainty.channels
+    {
+        return Err(VisionError::Image(format!(
+            "the certainty is {} x {} x {} but the photo is {} x {}",
+            certainty.width, certainty.height, certainty.channels, image.width, image.height
+        )));
+    }
+    Ok(())
+}
+
 /// Where the sky is.
 pub trait SkyDetector: Send + Sync {
     /// Names the model and its parameters.

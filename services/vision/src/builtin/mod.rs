@@ -324,15 +324,7 @@ impl PromptSegmenter for Builtin {
     }
 
     fn refine(&self, image: &Image, certainty: &Image) -> Result<ScoredMask, VisionError> {
-        if (certainty.width, certainty.height) != (image.width, image.height)
-            || certainty.channels == 0
-            || certainty.data.len() != certainty.pixels() * certainty.channels
-        {
-            return Err(VisionError::Image(format!(
-                "the certainty is {} x {} x {} but the photo is {} x {}",
-                certainty.width, certainty.height, certainty.channels, image.width, image.height
-            )));
-        }
+        crate::provider::check_certainty(image, certainty)?;
         let analysis = self.analysis(image)?;
         let plane = Plane::new(image.width, image.height, certainty.plane(0).to_vec());
         let plane = plane.pooled_to(analysis.tree.width, analysis.tree.height);

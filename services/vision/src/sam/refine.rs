@@ -14,15 +14,7 @@ const SURE: f32 = 6.0;
 impl Sam {
     pub(super) fn snap(&self, image: &Image, certainty: &Image) -> Result<ScoredMask, VisionError> {
         check(image)?;
-        if (certainty.width, certainty.height) != (image.width, image.height)
-            || certainty.channels == 0
-            || certainty.data.len() != certainty.pixels() * certainty.channels
-        {
-            return Err(VisionError::Image(format!(
-                "the certainty is {} x {} x {} but the photo is {} x {}",
-                certainty.width, certainty.height, certainty.channels, image.width, image.height
-            )));
-        }
+        crate::provider::check_certainty(image, certainty)?;
         let (w, h) = (image.width as u32, image.height as u32);
         let rough = Mask::over(w, h, certainty.plane(0), 0.5);
         if rough.is_empty() {
