@@ -118,6 +118,16 @@ fn clicks_become_an_object_that_can_be_drawn_scored_and_replayed() {
 
     let truth = show(&place().scene.join("truth").join(name));
     assert!(works(&["eval", &run, "--truth", &truth, "--selection", "thing"]).contains("mean"));
+    // One true mask that cannot be read costs that photo alone.
+    let copy = dir.path().join("truth");
+    std::fs::create_dir(&copy).expect("a folder");
+    for (k, file) in std::fs::read_dir(&truth).expect("masks").enumerate() {
+        let file = file.expect("a mask");
+        let to = copy.join(file.file_name());
+        if k == 0 { std::fs::write(to, b"no PNG").map(|()| 0) } else { std::fs::copy(file.path(), to) }.expect("a copy");
+    }
+    let output = segwild(&["eval", &run, "--truth", &show(&copy), "--selection", "thing"]);
+    assert!(output.status.success() && text(&output.stderr).contains("this photo does not count"));
     let out = show(&dir.path().join("pictures"));
     let only =
         ["render", &run, "--photo", &click.photo, "--selection", "thing", "--mode", "only", "--out", &out];

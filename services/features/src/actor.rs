@@ -192,14 +192,15 @@ impl<O: Message + From<FeatureOutcome>> FeatureActor<O> {
             context.progress();
         }
         let pca = samples.fit(self.settings.channels as usize, self.settings.keep_variance)?;
-        context.events().info(
-            Some("features"),
-            format!(
-                "{} channels keep {:.1} % of the embedding's variance",
-                pca.channels,
-                100.0 * pca.explained_variance()
-            ),
+        let kept = format!(
+            "{} channels keep {:.1} % of the embedding's variance",
+            pca.channels,
+            100.0 * pca.explained_variance()
         );
+        let asked = self.settings.channels as usize;
+        let fewer = format!("; it has no more, so the {asked} asked for are not filled");
+        let fewer = if pca.channels < asked && self.settings.keep_variance >= 1.0 { &*fewer } else { "" };
+        context.events().info(Some("features"), kept + fewer);
         let targets = InputTargets {
             scene: &self.scene,
             inputs,

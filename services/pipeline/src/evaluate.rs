@@ -56,6 +56,8 @@ pub struct Score {
     pub amodal_iou: f64,
     /// Per photo, the prompted ones too.
     pub photos: Vec<MaskScore>,
+    /// True masks that could not be read, and why: their photos do not count.
+    pub unread: Vec<String>,
 }
 
 /// How often a photo is scored before it is left out.
@@ -134,14 +136,20 @@ pub fn score(folder: &RunFolder, selection: &str, truth: &Path) -> Result<Score,
     }
     let splats = folder.load()?.model.splats.len();
     Selected::read(folder, selection, splats)?; // masks of a scene that was trained anew since are not this run's
-    let mut photos = Vec::new();
+    let (mut photos, mut unread) = (Vec::new(), Vec::new());
     let names = png_names(intake.photos.iter().map(String::as_str));
     for (photo, name) in intake.photos.iter().zip(names) {
         let file = truth.join(&name);
         if !file.is_file() {
             continue;
         }
-        let truth = Mask::read_png(&file)?;
+        let truth = match Mask::read_png(&file) {
+            Ok(truth) => truth,
+            Err(error) => {
+                unread.push(error.to_string());
+                continue;
+            }
+        };
         if truth.is_empty() {
             continue; // the photo does not show the object
         }
@@ -163,8 +171,11 @@ pub fn score(folder: &RunFolder, selection: &str, truth: &Path) -> Result<Score,
     }
     let others: Vec<&MaskScore> = photos.iter().filter(|p| !p.prompted).collect();
     if others.is_empty() {
-        let reason =
-            "it holds no true mask (PHOTO_STEM.png) of a photo of this run that was not prompted".into();
+        let mut reason =
+            "it holds no true mask (PHOTO_STEM.png) of a photo of this run that was not prompted".to_owned();
+        if let Some(first) = unread.first() {
+            reason += &format!("; {} could not be read, the first: {first}", unread.len());
+        }
         return Err(RunError::Folder { path: truth.to_owned(), reason });
     }
     let mean =
@@ -176,5 +187,6 @@ pub fn score(folder: &RunFolder, selection: &str, truth: &Path) -> Result<Score,
         boundary_iou: mean(|p| p.boundary_iou),
         amodal_iou: mean(|p| p.amodal_iou),
         photos,
+        unread,
     })
 }

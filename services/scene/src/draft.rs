@@ -12,6 +12,8 @@ use std::path::{Path, PathBuf};
 pub(crate) struct Draft {
     pub photos: Vec<DraftPhoto>,
     pub points: Vec<DraftPoint>,
+    /// What is odd about it, though it can be used.
+    pub notes: Vec<String>,
     /// The file or folder it was read from.
     pub source: PathBuf,
 }
@@ -83,7 +85,7 @@ pub(crate) fn from_colmap(dir: &Path) -> Result<Draft, SceneError> {
         DraftPoint { position: DVec3::from(point.position), colour: point.colour, track }
     });
     let points = points.collect();
-    Ok(Draft { photos, points, source: dir.to_owned() })
+    Ok(Draft { photos, points, notes: Vec::new(), source: dir.to_owned() })
 }
 
 fn pose_of(image: &ImageRecord) -> Result<DraftPose, String> {

@@ -253,6 +253,18 @@ impl Lens {
         }
     }
 
+    /// Share of the pinhole's picture that the photo can fill, in [0, 1]. The rest lies where the lens, by its parameters, folds the
+    /// photo over, or where it does not reach.
+    pub fn filled(&self) -> f64 {
+        const STEPS: u32 = 24;
+        let (w, h) = (f64::from(self.width), f64::from(self.height));
+        let at = |k: u32, size: f64| (f64::from(k) + 0.5) / f64::from(STEPS) * size;
+        let shows = |p: [f64; 2]| (0.0..=w).contains(&p[0]) && (0.0..=h).contains(&p[1]);
+        let cells = (0..STEPS).flat_map(|y| (0..STEPS).map(move |x| [at(x, w), at(y, h)]));
+        let filled = cells.filter(|&cell| self.distort(cell).is_some_and(shows)).count();
+        filled as f64 / f64::from(STEPS * STEPS)
+    }
+
     /// The same lens for a photo resized to `width` x `height`.
     pub fn resized(&self, width: u32, height: u32) -> Lens {
         let scale = [f64::from(width) / f64::from(self.width), f64::from(height) / f64::from(self.height)];

@@ -86,6 +86,12 @@ impl Scene {
             views.push(checked.into_view(name, &frame));
         }
         hold_out(&mut views, split.as_ref(), settings.hold_out)?;
+        if let Some(first) = views.iter().find(|v| !v.test)
+            && views.iter().filter(|v| !v.test).all(View::is_masked_out)
+        {
+            let reason = format!("the masks of things to ignore leave nothing of any photo; the first is {}", first.name);
+            return Err(SceneError::NothingUsable { path: draft.source.clone(), reason });
+        }
         let lenses: Vec<_> = draft.photos.iter().map(|p| p.lens.as_ref().ok()).collect();
         let points: Vec<Point> = draft
             .points
@@ -128,7 +134,7 @@ impl Scene {
 
 /// What is odd about a reconstruction, though it can be used.
 fn notes(draft: &Draft, views: usize, points: usize, view_of: &[Option<u32>]) -> Vec<String> {
-    let mut notes = Vec::new();
+    let mut notes = draft.notes.clone();
     let (source, all) = (draft.source.display(), draft.points.len());
     let count = |odd: &dyn Fn(&DraftPoint) -> bool| draft.points.iter().filter(|p| odd(p)).count();
     let broken = count(&|p| !p.position.is_finite());
@@ -318,6 +324,13 @@ fn check(
     let lens = photo.lens.as_ref().map_err(String::clone)?;
     let (width, height) = Header::read(&path)?.size_for(lens.width(), lens.height())?;
     let lens = lens.resized(width, height);
+    let filled = lens.filled();
+    if filled < HALF {
+        return Err(format!(
+            "its lens cannot be right: of the undistorted picture only {:.0} % can be filled from the photo",
+            100.0 * filled
+        ));
+    }
     let camera = lens.pinhole();
     if let Some(mask) = usable.as_ref().filter(|mask| !mask.is_file()) {
         return Err(format!("there is no file {}, which is to be its mask", mask.display()));
@@ -325,6 +338,9 @@ fn check(
     let lens = lens.is_distorted().then_some(lens);
     Ok(Checked { photo: Photo { path, ignore, usable, lens, seal }, camera, pose })
 }
+
+/// Least share of the undistorted picture that a photo must fill for its lens to be believed.
+const HALF: f64 = 0.5;
 
 /// What the mask of a photo may be called.
 fn mask_names(name: &str) -> [String; 2] {

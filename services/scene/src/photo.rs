@@ -60,9 +60,7 @@ impl View {
             let photographed = photographed(&lens);
             valid = Some(valid.map_or(photographed.clone(), |v| v.and(&photographed)));
         }
-        let ignore = self.photo.ignore.iter().map(|path| (path, true));
-        let usable = self.photo.usable.iter().map(|path| (path, false));
-        for (path, white) in ignore.chain(usable) {
+        for (path, white) in self.masks() {
             let ignored = self.ignored(path, white, &camera)?;
             valid = Some(valid.map_or_else(|| ignored.not(), |v| v.minus(&ignored)));
         }
@@ -85,6 +83,22 @@ impl View {
         let path = &self.photo.path;
         let bytes = std::fs::read(path).map_err(|e| self.photo_error(path, e.to_string()))?;
         Ok(blake3::hash(&bytes).to_hex().to_string())
+    }
+
+    /// Its masks, and whether white is ignored in them.
+    fn masks(&self) -> impl Iterator<Item = (&Path, bool)> {
+        let ignore = self.photo.ignore.iter().map(|path| (path.as_path(), true));
+        ignore.chain(self.photo.usable.iter().map(|path| (path.as_path(), false)))
+    }
+
+    /// Whether its masks leave nothing of it; a mask that cannot be read leaves all.
+    pub(crate) fn is_masked_out(&self) -> bool {
+        let mut rest = Mask::full(self.camera.width, self.camera.height);
+        for (path, white) in self.masks() {
+            let Ok(ignored) = self.ignored(path, white, &self.camera) else { return false };
+            rest = rest.minus(&ignored);
+        }
+        rest.is_empty()
     }
 
     fn photo_error(&self, path: &Path, reason: String) -> SceneError {

@@ -83,18 +83,19 @@ pub(crate) fn read(path: &Path, images: Option<&Path>) -> Result<Draft, SceneErr
         let pose = pose_of(&frame.transform_matrix);
         photos.push(DraftPhoto { name, file: Some(file), usable, lens, pose });
     }
-    let points = match &transforms.ply_file_path {
-        None => Vec::new(),
-        Some(ply) => {
-            let point = |p: ply::Coloured| DraftPoint {
-                position: DVec3::from(p.position),
-                colour: p.colour,
-                track: Vec::new(),
-            };
-            ply::read_points(&folder.join(ply))?.into_iter().map(point).collect()
+    let (mut points, mut notes) = (Vec::new(), Vec::new());
+    if let Some(ply) = transforms.ply_file_path.as_ref().map(|ply| folder.join(ply)) {
+        let point = |p: ply::Coloured| DraftPoint {
+            position: DVec3::from(p.position),
+            colour: p.colour,
+            track: Vec::new(),
+        };
+        match ply.is_file() {
+            true => points = ply::read_points(&ply)?.into_iter().map(point).collect(),
+            false => notes.push(format!("{}: its points are to be in {}, which is not there", path.display(), ply.display())),
         }
-    };
-    Ok(Draft { photos, points, source: path.to_owned() })
+    }
+    Ok(Draft { photos, points, notes, source: path.to_owned() })
 }
 
 /// Replaces the bare words NaN and Infinity, which Python's json writes, outside strings.

@@ -458,3 +458,44 @@ fn one_camera_of_an_unknown_model_does_not_cost_the_others() {
     let reason = &scene.skipped[0].reason;
     assert!(reason.contains("camera 8 has the model EQUIRECTANGULAR"), "{reason}");
 }
+
+#[test]
+fn a_lens_that_folds_the_photo_over_is_not_trained_with() {
+    let dir = temp();
+    let mut reconstruction = line(3);
+    let camera = &mut reconstruction.cameras[0];
+    (camera.model, camera.params) = (Model::SimpleRadial, vec![50.0, 20.0, 15.0, -5.0]);
+    write(dir.path(), &reconstruction);
+    let words = message(open(dir.path()));
+    assert!(words.contains("its lens cannot be right") && words.contains("can be filled"), "{words}");
+    // A lens as they are is no such thing.
+    reconstruction.cameras[0].params[3] = -0.2;
+    write(dir.path(), &reconstruction);
+    assert_eq!(open(dir.path()).unwrap().views.len(), 3);
+}
+
+#[test]
+fn points_that_are_not_where_transforms_json_says_do_not_cost_the_scene() {
+    let dir = temp();
+    write_photo(dir.path(), "photo00.png");
+    let head = format!(r#""ply_file_path": "sparse_pc.ply", {INTRINSICS}"#);
+    write_transforms(dir.path(), &[("images/photo00.png", 0.0)], &head);
+    let scene = open(dir.path()).unwrap();
+    assert_eq!((scene.views.len(), scene.points.len()), (1, 0));
+    assert!(scene.notes.iter().any(|n| n.contains("sparse_pc.ply, which is not there")), "{:?}", scene.notes);
+}
+
+#[test]
+fn masks_that_ignore_everything_are_refused_before_anything_is_computed() {
+    let dir = temp();
+    write(dir.path(), &line(2));
+    std::fs::create_dir(dir.path().join("masks")).unwrap();
+    let all = |name: &str, mask: Mask| mask.write_png(&dir.path().join("masks").join(name)).unwrap();
+    all("photo00.png", Mask::full(40, 30));
+    all("photo01.png", Mask::full(40, 30));
+    let settings = SceneSettings { ignore: "masks".into(), ..SceneSettings::default() };
+    let words = message(Scene::open(dir.path(), &settings));
+    assert!(words.contains("leave nothing of any photo") && words.contains("photo00.png"), "{words}");
+    all("photo01.png", Mask::from_fn(40, 30, |x, _| x > 0));
+    assert_eq!(Scene::open(dir.path(), &settings).unwrap().views.len(), 2);
+}

@@ -21,6 +21,9 @@ pub fn eval(matches: &ArgMatches) -> Result<(), Failure> {
     if json {
         return print_json(&score);
     }
+    for unread in &score.unread {
+        eprintln!("warning: {unread}; this photo does not count");
+    }
     print_line(&format!("{:>7} {:>7} {:>7} {:>7}  photo", "IoU", "acc", "B-IoU", "amodal"))?;
     for p in &score.photos {
         let note = if p.prompted { " (prompted, not in the mean)" } else { "" };
