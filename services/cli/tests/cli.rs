@@ -124,7 +124,8 @@ fn clicks_become_an_object_that_can_be_drawn_scored_and_replayed() {
     for (k, file) in std::fs::read_dir(&truth).expect("masks").enumerate() {
         let file = file.expect("a mask");
         let to = copy.join(file.file_name());
-        if k == 0 { std::fs::write(to, b"no PNG").map(|()| 0) } else { std::fs::copy(file.path(), to) }.expect("a copy");
+        if k == 0 { std::fs::write(to, b"no PNG").map(|()| 0) } else { std::fs::copy(file.path(), to) }
+            .expect("a copy");
     }
     let output = segwild(&["eval", &run, "--truth", &show(&copy), "--selection", "thing"]);
     assert!(output.status.success() && text(&output.stderr).contains("this photo does not count"));

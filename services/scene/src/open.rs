@@ -89,7 +89,10 @@ impl Scene {
         if let Some(first) = views.iter().find(|v| !v.test)
             && views.iter().filter(|v| !v.test).all(View::is_masked_out)
         {
-            let reason = format!("the masks of things to ignore leave nothing of any photo; the first is {}", first.name);
+            let reason = format!(
+                "the masks of things to ignore leave nothing of any photo; the first is {}",
+                first.name
+            );
             return Err(SceneError::NothingUsable { path: draft.source.clone(), reason });
         }
         let lenses: Vec<_> = draft.photos.iter().map(|p| p.lens.as_ref().ok()).collect();

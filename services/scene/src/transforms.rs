@@ -92,7 +92,11 @@ pub(crate) fn read(path: &Path, images: Option<&Path>) -> Result<Draft, SceneErr
         };
         match ply.is_file() {
             true => points = ply::read_points(&ply)?.into_iter().map(point).collect(),
-            false => notes.push(format!("{}: its points are to be in {}, which is not there", path.display(), ply.display())),
+            false => notes.push(format!(
+                "{}: its points are to be in {}, which is not there",
+                path.display(),
+                ply.display()
+            )),
         }
     }
     Ok(Draft { photos, points, notes, source: path.to_owned() })

@@ -88,6 +88,7 @@ impl Judge<'_> {
             (Some(bins), Some(s)) => bins[bin(s.merit(i))],
             _ => self.settings.unseen_prior,
         };
+        let hangs = self.hangs_together(&evidence, &stray, &hint);
         let anchors: Vec<Belief> = (0..n)
             .map(|i| {
                 if self.is_frozen(i) {
@@ -95,7 +96,7 @@ impl Judge<'_> {
                 }
                 // What resembles the clicks speaks for itself a little, and more the better features tell.
                 let hint = hint(i);
-                let say = HINT * (2.0 * hint - 1.0).max(0.0).powi(2);
+                let say = if hangs[i] { HINT * (2.0 * hint - 1.0).max(0.0).powi(2) } else { 0.0 };
                 let (mut inside, mut total) = (hint * say, say);
                 if !stray[i] {
                     inside += evidence.inside[i];
@@ -130,6 +131,28 @@ impl Judge<'_> {
         let (graph, (positive, negative)) = (self.graph, self.hits);
         components::keep_clicked(graph, self.splats, &mut kept, &evidence.inside, positive, negative, LARGE);
         inside.iter().zip(&kept).map(|(inside, kept)| *inside && !kept).collect()
+    }
+
+    /// Splats that hang together with what the masks hold, through splats that resemble the clicks and that no mask puts
+    /// outside. A thing elsewhere may look just like the one that was clicked: resemblance alone says nothing for it.
+    fn hangs_together(&self, evidence: &Evidence, stray: &[bool], hint: &impl Fn(usize) -> f32) -> Vec<bool> {
+        let (rho, gamma) = (self.settings.rho, self.settings.gamma);
+        let mut reached = vec![false; self.graph.len()];
+        let mut open: Vec<usize> = (0..self.graph.len())
+            .filter(|&i| !self.is_frozen(i) && !stray[i] && evidence.label(i, rho, gamma) == Some(true))
+            .collect();
+        open.iter().for_each(|&i| reached[i] = true);
+        while let Some(i) = open.pop() {
+            for edge in self.graph.edges(i) {
+                let j = self.graph.neighbour(edge);
+                let carries = hint(j) > 0.5 && evidence.label(j, rho, gamma) != Some(false);
+                if carries && !reached[j] && !self.is_frozen(j) {
+                    reached[j] = true;
+                    open.push(j);
+                }
+            }
+        }
+        reached
     }
 
     /// How likely a splat of some similarity lies inside, per bin, learned from the splats that masks decided:

@@ -351,6 +351,54 @@ fn one_photo_selects_the_statue_for_the_whole_circle() {
 }
 
 #[test]
+fn a_twin_that_the_prompted_photo_does_not_see_is_not_selected() {
+    let (mut world, views) = square();
+    let mut dice = Dice(5);
+    // The same statue once more, right behind the first as the first photo sees it.
+    let behind = Vec3::new(0.0, 0.0, 0.8);
+    let mut ball =
+        |at: Vec3, radii, count, colour| world.ball(4, at + behind, radii, count, colour, &mut dice);
+    ball(Vec3::new(0.0, -0.3, 0.0), Vec3::new(0.12, 0.28, 0.12), 1500, [0.4, 0.6, 0.5]);
+    ball(Vec3::new(0.0, 0.1, 0.0), Vec3::new(0.2, 0.15, 0.2), 1200, [0.7, 0.6, 0.5]);
+    // Embeddings cannot tell them apart.
+    let alike = World { thing: world.thing.iter().map(|t| t % 4).collect(), ..World::default() };
+    let field = features(&alike, 4);
+    let engine = engine();
+    let region = |v: &PosedView, t| {
+        visible_mask(&engine, &world.splats, &world.is(t), &options(), &v.camera, &v.pose).unwrap()
+    };
+    let truth: Vec<Vec<Mask>> = views.iter().map(|v| [0, 1, 2, 4].map(|t| region(v, t)).to_vec()).collect();
+    let (x, y) = truth[0][0].pixels().nth(truth[0][0].count() / 2).unwrap();
+    let points = [click(x as f32 + 0.5, y as f32 + 0.5)];
+    let prompts = [PromptedView { view: 0, mask: &truth[0][0], points: &points }];
+    let settings = SegmentSettings::default();
+    let request = Request {
+        engine: &engine,
+        options: options(),
+        splats: &world.splats,
+        views: &views,
+        prompts: &prompts,
+        features: Some(&field),
+        graph: None,
+        frozen: Some(&world.is(3)),
+        settings: &settings,
+    };
+    let mut snap = |view: usize, certainty: &segwild_scene::Image| {
+        let mut mask = Mask::empty(160, 120);
+        for region in &truth[view] {
+            let sum: f32 = region.pixels().map(|(x, y)| certainty.at(0, x as usize, y as usize)).sum();
+            if sum > 0.6 * region.count() as f32 {
+                mask = mask.or(region);
+            }
+        }
+        Some((mask, 0.9))
+    };
+    let labels = select(&request, Some(&mut snap)).unwrap().labels;
+    assert!(world.share(0, &labels) > 0.9, "{}", world.share(0, &labels));
+    assert!(world.share(4, &labels) < 0.05, "{}", world.share(4, &labels));
+}
+
+#[test]
 fn threads_units_and_order_of_splats_change_nothing() {
     let square = Square::new();
     let (world, sky) = (&square.world, square.world.is(3));
