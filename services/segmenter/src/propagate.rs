@@ -114,10 +114,12 @@ pub(crate) fn propagate(
         }
         visits.push(visit);
     }
-    let order: Vec<usize> = visits.iter().map(|v| v.view).collect();
+    let mut order: Vec<usize> = visits.iter().map(|v| v.view).collect();
     for _ in 1..request.settings.propagate {
         let mut sum = prompted.clone();
         visits.clear();
+        // Backwards: a provider that remembers the photos it saw last need not look at those anew.
+        order.reverse();
         for &index in &order {
             let (visit, evidence) = call_on(request, judge, &state, index, refine)?;
             if let Some(evidence) = evidence {
