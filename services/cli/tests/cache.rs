@@ -54,11 +54,9 @@ fn the_cache_is_listed_verified_and_swept() {
 
 /// Bytes of a run's cache: all, and those that the run uses as it stands.
 fn held(run: &Path) -> (u64, u64) {
-    let lines: serde_json::Value =
-        serde_json::from_str(&works(&["cache", "ls", &show(run), "--json"])).expect("JSON");
+    let lines = lines(&works(&["cache", "ls", &show(run), "--json"]));
     let sum = |field: &str| {
-        let lines = lines.as_array().expect("a list").iter();
-        lines.map(|line| line[field].as_u64().unwrap_or_else(|| panic!("no {field}: {line}"))).sum()
+        lines.iter().map(|line| line[field].as_u64().unwrap_or_else(|| panic!("no {field}: {line}"))).sum()
     };
     (sum("bytes"), sum("used_bytes"))
 }

@@ -69,6 +69,9 @@ pub enum RunError {
     /// What was asked for does not exist in this run.
     #[error("{0}")]
     Request(String),
+    /// What was given beside the scene cannot be used.
+    #[error("{0}")]
+    Input(String),
     /// Stopped by the user.
     #[error("stopped; the same command goes on from here")]
     Interrupted,

@@ -132,7 +132,7 @@ pub fn score(folder: &RunFolder, selection: &str, truth: &Path) -> Result<Score,
     let intake = folder.intake()?;
     let prompted = Replay::of(folder, selection)?.prompts;
     if !truth.is_dir() {
-        return Err(RunError::Request(format!("--truth {}: there is no such folder", truth.display())));
+        return Err(RunError::Input(format!("--truth {}: there is no such folder", truth.display())));
     }
     let splats = folder.load()?.model.splats.len();
     Selected::read(folder, selection, splats)?; // masks of a scene that was trained anew since are not this run's
@@ -171,12 +171,14 @@ pub fn score(folder: &RunFolder, selection: &str, truth: &Path) -> Result<Score,
     }
     let others: Vec<&MaskScore> = photos.iter().filter(|p| !p.prompted).collect();
     if others.is_empty() {
-        let mut reason =
-            "it holds no true mask (PHOTO_STEM.png) of a photo of this run that was not prompted".to_owned();
+        let mut reason = format!(
+            "--truth {}: it holds no true mask (PHOTO_STEM.png) of a photo of this run that was not prompted",
+            truth.display()
+        );
         if let Some(first) = unread.first() {
             reason += &format!("; {} could not be read, the first: {first}", unread.len());
         }
-        return Err(RunError::Folder { path: truth.to_owned(), reason });
+        return Err(RunError::Input(reason));
     }
     let mean =
         |pick: fn(&MaskScore) -> f64| others.iter().map(|p| pick(p)).sum::<f64>() / others.len() as f64;

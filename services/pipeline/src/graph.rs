@@ -130,6 +130,9 @@ pub fn run(
     folder.remove_litter();
     let recorder = Recorder::start(&ledger, &options.events)
         .map_err(|e| files::FileError::new("start the live view of", folder.path(), e))?;
+    let path = std::path::absolute(scene).unwrap_or_else(|_| scene.to_owned());
+    let scene = Arc::new(Scene::open(&path, &settings.scene)?);
+    // Only now: a setting that the scene refuses must not come back with the next run.
     folder.write("segwild.toml", settings.to_toml().as_bytes())?;
     let mut named: Vec<(&str, String)> = Settings::catalogue()
         .iter()
@@ -141,9 +144,6 @@ pub fn run(
         named.push((UNTIL_STEP, step.to_string()));
     }
     ledger.set_settings(named.iter().map(|(n, v)| (*n, v.as_str())))?;
-
-    let path = std::path::absolute(scene).unwrap_or_else(|_| scene.to_owned());
-    let scene = Arc::new(Scene::open(&path, &settings.scene)?);
     for words in Skipped::in_words(&scene.skipped).into_iter().chain(scene.notes.iter().cloned()) {
         options.events.warn(Some("ingest"), words);
     }

@@ -61,6 +61,19 @@ impl Replay {
     }
 }
 
+/// Refuses prompts that mean no object whatever the photos show.
+pub(crate) fn check_all(prompts: &[PhotoPrompts]) -> Result<(), RunError> {
+    prompts.iter().try_for_each(PhotoPrompts::check)?;
+    let says_where =
+        |p: &PhotoPrompts| !p.prompts.boxes.is_empty() || p.prompts.points.iter().any(|p| p.inside);
+    if !prompts.is_empty() && !prompts.iter().any(says_where) {
+        return Err(RunError::Request(
+            "all clicks say where the object is not: say with a click or a box where it is".into(),
+        ));
+    }
+    Ok(())
+}
+
 impl PhotoPrompts {
     /// Refuses prompts that cannot mean an object.
     pub(crate) fn check(&self) -> Result<(), RunError> {
@@ -69,17 +82,15 @@ impl PhotoPrompts {
             return Err(SegmentError::NoPrompt.into());
         }
         let refuse = |reason: String| Err(RunError::Request(format!("photo {}: {reason}", self.photo)));
-        if boxes.is_empty() && points.iter().all(|p| !p.inside) {
-            return refuse(
-                "all clicks say where the object is not: say with a click or a box where it is".into(),
-            );
-        }
         let both = points
             .iter()
             .filter(|p| p.inside)
             .find(|p| points.iter().any(|q| !q.inside && (p.x, p.y) == (q.x, q.y)));
         if let Some(p) = both {
             return refuse(format!("({}, {}) is said to be inside and outside", p.x, p.y));
+        }
+        if let Some(b) = boxes.iter().find(|b| b.x0 == b.x1 || b.y0 == b.y1) {
+            return refuse(format!("the box {},{},{},{} holds nothing", b.x0, b.y0, b.x1, b.y1));
         }
         match granularity {
             Some(g) if !(0.0..=1.0).contains(g) => refuse(format!("granularity {g}: expected 0 to 1")),

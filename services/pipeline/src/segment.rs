@@ -2,7 +2,7 @@
 
 use crate::accelerator::leased;
 use crate::folder::Loaded;
-use crate::prompts::png_names;
+use crate::prompts::{check_all, png_names};
 use crate::{PhotoPrompts, Replay, RunError, RunFolder, report, traces};
 use segwild_flow::{
     ActorOptions, FileError, Limits, Phase, Stopper, System, SystemOptions, codec, fault, files, mailbox,
@@ -101,6 +101,10 @@ pub struct SegmentOutcome {
     pub agreeing: usize,
     /// Photos that were asked and disagreed.
     pub disagreeing: usize,
+    /// IoU of the selection with the masks that the prompts mean, in the prompted photos.
+    pub agreement: f32,
+    /// Whether only the prompted photos decided, for the others took the selection elsewhere.
+    pub alone: bool,
     /// Seconds from the prompts to the selection, the scene being loaded.
     pub select_s: f64,
     /// Seconds in all.
@@ -142,6 +146,7 @@ pub fn segment(
         .iter()
         .map(|v| PosedView { name: v.name.clone(), camera: v.camera.scaled_to(size), pose: v.pose })
         .collect();
+    check_all(prompts)?;
     let mut asked = Vec::new();
     for p in prompts {
         let view = scene.view_named(&p.photo).ok_or_else(|| {
@@ -153,7 +158,6 @@ pub fn segment(
                 near.join(", ")
             ))
         })?;
-        p.check()?;
         let (full, small) = (&scene.views[view].camera, &views[view].camera);
         let (sx, sy) = (small.width as f32 / full.width as f32, small.height as f32 / full.height as f32);
         for point in &p.prompts.points {
@@ -250,6 +254,8 @@ pub fn segment(
         dropped: cut.dropped.len(),
         joined: cut.joined.len(),
         photos: 0,
+        agreement: selection.agreement,
+        alone: selection.alone,
         agreeing: count(Verdict::Accepted),
         disagreeing: count(Verdict::Disagrees),
         select_s,

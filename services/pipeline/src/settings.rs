@@ -108,22 +108,32 @@ impl Settings {
         settings
     }
 
-    /// Defaults of the preset, then the file, then the flags: later wins. Flags are `(name, value)` pairs.
+    /// Defaults of the preset, then the file, then the flags: later wins. Flags are `(name, value)` pairs. A flag that names
+    /// another preset than the file also takes along what the file only says because its preset did.
     pub fn layered(file: Option<&Path>, flags: &[(String, String)]) -> Result<Settings, SettingsError> {
         let values = match file {
             Some(file) => read_pairs(file)?,
             None => Vec::new(),
         };
+        let in_file = |e: SettingError| SettingsError::File {
+            file: file.map(Path::to_path_buf).unwrap_or_default(),
+            reason: e.to_string(),
+        };
         let mut chosen = RunSettings::default();
-        for (name, value) in values.iter().chain(flags).filter(|(name, _)| name == "preset") {
+        for (name, value) in values.iter().filter(|(name, _)| name == "preset") {
+            chosen.set(name, value).map_err(in_file)?;
+        }
+        let filed = Settings::preset(chosen.preset);
+        for (name, value) in flags.iter().filter(|(name, _)| name == "preset") {
             chosen.set(name, value)?;
         }
         let mut settings = Settings::preset(chosen.preset);
         for (name, value) in &values {
-            settings.set(name, value).map_err(|e| SettingsError::File {
-                file: file.map(Path::to_path_buf).unwrap_or_default(),
-                reason: e.to_string(),
-            })?;
+            let mut probe = filed.clone();
+            probe.set(name, value).map_err(in_file)?;
+            if chosen.preset == filed.run.preset || probe != filed {
+                settings.set(name, value).map_err(in_file)?;
+            }
         }
         for (name, value) in flags {
             settings.set(name, value)?;
@@ -247,6 +257,20 @@ mod tests {
         assert_eq!(settings.run.preset, Preset::Draft);
         assert_eq!(settings.train, Settings::preset(Preset::Draft).train);
         assert_eq!(settings.segment.tau, 0.3);
+    }
+
+    #[test]
+    fn another_preset_is_obeyed_in_a_folder_that_remembers_all_settings() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("segwild.toml");
+        let mut draft = Settings::preset(Preset::Draft);
+        draft.set("tau", "0.4").unwrap();
+        std::fs::write(&file, draft.to_toml()).unwrap();
+        let flags = [("preset".to_owned(), "best".to_owned())];
+        let mut best = Settings::preset(Preset::Best);
+        best.set("tau", "0.4").unwrap();
+        assert_eq!(Settings::layered(Some(&file), &flags).unwrap(), best);
+        assert_eq!(Settings::layered(Some(&file), &[]).unwrap(), draft);
     }
 
     #[test]

@@ -35,7 +35,7 @@ pub struct Segmented {
     pub selection: Selection,
     /// Its spikes, cut.
     pub cut: Cut,
-    /// Per prompted photo, the mask that its prompts mean.
+    /// Per photo on which something says where the object is, the mask that its prompts mean.
     pub masks: Vec<(usize, ScoredMask)>,
 }
 
@@ -66,6 +66,11 @@ pub struct SegmentActor {
     pub graph: Option<Graph>,
 }
 
+/// Whether prompts only say where the object is not.
+fn refuses(prompts: &Prompts) -> bool {
+    prompts.boxes.is_empty() && prompts.points.iter().all(|p| !p.inside)
+}
+
 impl SegmentActor {
     fn segment(&mut self, task: &SegmentTask, context: &Context) -> Result<Segmented, SegmentError> {
         if self.graph.as_ref().is_none_or(|g| g.len() != self.splats.len()) {
@@ -77,7 +82,11 @@ impl SegmentActor {
             let name = self.views.get(*view).map_or_else(String::new, |v| v.name.clone());
             let provider = |reason: String| SegmentError::Provider { photo: name.clone(), reason };
             let image = (self.photos)(*view).map_err(provider)?;
-            let mask = self.segmenter.segment(&image, prompts).map_err(|e| provider(e.to_string()))?;
+            // Where all clicks say where the object is not, the photo tells what it is that they are on.
+            let refused = refuses(prompts);
+            let mut asked = prompts.clone();
+            asked.points.iter_mut().for_each(|p| p.inside |= refused);
+            let mask = self.segmenter.segment(&image, &asked).map_err(|e| provider(e.to_string()))?;
             masks.push((*view, mask));
         }
         let prompted: Vec<PromptedView> = masks
@@ -86,6 +95,7 @@ impl SegmentActor {
             .map(|((view, mask), (_, prompts))| PromptedView {
                 view: *view,
                 mask: &mask.mask,
+                refused: refuses(prompts),
                 points: &prompts.points,
             })
             .collect();
@@ -112,7 +122,8 @@ impl SegmentActor {
         };
         let selection = select(&request, Some(&mut refine))?;
         let cut = cut(&request, &selection)?;
-        Ok(Segmented { selection, cut, masks })
+        let said = masks.into_iter().zip(&task.prompts).filter(|(_, (_, prompts))| !refuses(prompts));
+        Ok(Segmented { selection, cut, masks: said.map(|(mask, _)| mask).collect() })
     }
 }
 

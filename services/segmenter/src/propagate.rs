@@ -54,6 +54,14 @@ pub struct Visit {
     pub voice: Vec<u8>,
 }
 
+impl Visit {
+    /// The same photo where it must not count.
+    pub(crate) fn disregarded(self) -> Visit {
+        let verdict = if self.verdict == Verdict::Accepted { Verdict::Disagrees } else { self.verdict };
+        Visit { verdict, mask: None, voice: Vec::new(), ..self }
+    }
+}
+
 /// Whether a photo's refined mask counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
@@ -94,7 +102,9 @@ pub(crate) fn propagate(
     refine: &mut Refine,
 ) -> Result<(State, Vec<Visit>), SegmentError> {
     let mut open: Vec<(usize, Bits)> = Vec::new();
-    for index in (0..request.views.len()).filter(|v| request.prompts.iter().all(|p| p.view != *v)) {
+    for index in
+        (0..request.views.len()).filter(|v| request.prompts.iter().all(|p| p.refused || p.view != *v))
+    {
         open.push((index, seen_by(request, index)?));
     }
     let mut state = judge.weigh(prompted.clone(), Vec::new(), STEPS);

@@ -1,7 +1,7 @@
 //! Prompts to labels on splats (method, section 6).
 
 use crate::coverage::{centre, coverage, soft, unoccluded, visible};
-use crate::judge::{Judge, Similarities};
+use crate::judge::{Judge, Similarities, State};
 use crate::settings::{ComponentRule, CutBy, EvidenceMode, SegmentSettings, SimilarityUse};
 use crate::{
     Cut, CutView, Evidence, FeatureField, Graph, Hit, Juror, SegmentError, Visit, components, propagate,
@@ -16,6 +16,9 @@ const CLICK_ALPHA: f32 = 0.1;
 
 /// Steps that labels are carried along the graph before anything is decided.
 pub(crate) const STEPS: u32 = 64;
+
+/// IoU with the prompted masks under which a selection that was carried to other photos is of something else.
+const ELSEWHERE: f32 = 0.25;
 
 /// Share of a splat's evidence that must lie inside, and evidence in views that it must have, for it to count as astride
 /// the outline.
@@ -45,6 +48,9 @@ pub struct PromptedView<'a> {
     pub view: usize,
     /// The mask that the prompts mean, at any size that covers the photo edge to edge.
     pub mask: &'a Mask,
+    /// Whether the mask is of something that is not meant: all that was said on this photo is where the object is not. Of
+    /// what lies outside the mask it says nothing.
+    pub refused: bool,
     /// The clicks, in pixels of the view's camera; may be empty (a box or a mask was the prompt).
     pub points: &'a [PointPrompt],
 }
@@ -92,6 +98,10 @@ pub struct Selection {
     pub visits: Vec<Visit>,
     /// Connected parts taken away.
     pub parts_removed: usize,
+    /// IoU of the selection with the prompted masks, in visible light of the prompted photos.
+    pub agreement: f32,
+    /// Whether only the prompted photos decide: carried to the others, the selection went elsewhere.
+    pub alone: bool,
 }
 
 /// Selects the splats that the prompts mean. With `refine`, the selection is carried to all other views and back
@@ -124,9 +134,40 @@ pub fn select(request: &Request, refine: Option<&mut Refine>) -> Result<Selectio
         prompted.add(&prompted_evidence(request, prompt)?, settings.prompt_weight);
     }
     let (state, visits) = match refine {
-        Some(refine) if settings.propagate > 0 => propagate::propagate(request, &judge, prompted, refine)?,
-        _ => (judge.weigh(prompted, Vec::new(), STEPS), Vec::new()),
+        Some(refine) if settings.propagate > 0 => {
+            propagate::propagate(request, &judge, prompted.clone(), refine)?
+        }
+        _ => (judge.weigh(prompted.clone(), Vec::new(), STEPS), Vec::new()),
     };
+    let decide = |state, visits| decide(request, &judge, &prompted, state, visits);
+    let carried = decide(state, visits);
+    let elsewhere = carried.as_ref().map_or(true, |s| s.agreement < ELSEWHERE && !s.visits.is_empty());
+    if !elsewhere || settings.propagate == 0 {
+        return carried;
+    }
+    // The other photos speak of something else: then what was prompted is all that is known.
+    let own = decide(judge.weigh(prompted.clone(), Vec::new(), STEPS), Vec::new());
+    match (carried, own) {
+        (Ok(carried), Ok(own)) if own.agreement < 2.0 * carried.agreement => Ok(carried),
+        (Ok(carried), Ok(own)) => {
+            let visits = carried.visits.into_iter().map(Visit::disregarded).collect();
+            Ok(Selection { visits, alone: true, ..own })
+        }
+        (Err(_), Ok(own)) => Ok(Selection { alone: true, ..own }),
+        (carried, Err(_)) => carried,
+    }
+}
+
+/// From what is believed to the selection.
+fn decide(
+    request: &Request,
+    judge: &Judge,
+    prompted: &Evidence,
+    state: State,
+    visits: Vec<Visit>,
+) -> Result<Selection, SegmentError> {
+    let (settings, splats, graph) = (request.settings, request.splats, judge.graph);
+    let (positive, negative) = judge.hits;
     let mut labels = judge.labels(&state);
     none_left(&labels, "none lies in the masks and resembles the clicks")?;
     if settings.graph_cut {
@@ -137,24 +178,25 @@ pub fn select(request: &Request, refine: Option<&mut Refine>) -> Result<Selectio
     let mut parts_removed = 0;
     if settings.components == ComponentRule::Clicked {
         let share = settings.component_share;
-        parts_removed = components::keep_clicked(
-            graph,
-            splats,
-            &mut labels,
-            &state.evidence.inside,
-            &positive,
-            &negative,
-            share,
-        );
+        let inside = &state.evidence.inside;
+        parts_removed =
+            components::keep_clicked(graph, splats, &mut labels, inside, positive, negative, share);
         none_left(&labels, "every connected part holds a negative click")?;
     }
+    let sum = |of: &[f32], labelled: bool| -> f64 {
+        of.iter().zip(&labels).filter(|(_, l)| **l || !labelled).map(|(x, _)| f64::from(*x)).sum()
+    };
+    let either = sum(&prompted.inside, false) + sum(&prompted.outside, true);
+    let agreement = if either > 0.0 { sum(&prompted.inside, true) / either } else { 1.0 };
     Ok(Selection {
         labels,
         score: state.probability,
-        similarity: judge.similarities.map(|s| s.positive),
+        similarity: judge.similarities.as_ref().map(|s| s.positive.clone()),
         evidence: state.evidence,
         visits,
         parts_removed,
+        agreement: agreement as f32,
+        alone: false,
     })
 }
 
@@ -163,9 +205,7 @@ pub fn select(request: &Request, refine: Option<&mut Refine>) -> Result<Selectio
 pub fn cut(request: &Request, selection: &Selection) -> Result<Cut, SegmentError> {
     let accepted = || selection.visits.iter().filter_map(|v| Some((v, v.mask.as_ref()?)));
     if request.settings.cut_by == CutBy::Photos && accepted().next().is_some() {
-        let own: Vec<Vec<u8>> = request
-            .prompts
-            .iter()
+        let own: Vec<Vec<u8>> = meant(request)
             .map(|prompt| Ok(prompted_evidence(request, prompt)?.voices()))
             .collect::<Result<_, SegmentError>>()?;
         let juror = |view: usize, mask, voice, weight| {
@@ -173,8 +213,7 @@ pub fn cut(request: &Request, selection: &Selection) -> Result<Cut, SegmentError
             Juror { camera: view.camera, pose: view.pose, mask, voice, weight }
         };
         let weight = request.settings.prompt_weight;
-        let prompted =
-            request.prompts.iter().zip(&own).map(|(p, voice)| juror(p.view, p.mask, voice, weight));
+        let prompted = meant(request).zip(&own).map(|(p, voice)| juror(p.view, p.mask, voice, weight));
         let others = accepted().map(|(v, mask)| juror(v.view, mask, &v.voice, v.agreement));
         let jury: Vec<Juror> = prompted.chain(others).collect();
         let settings = request.settings;
@@ -191,16 +230,14 @@ pub fn cut(request: &Request, selection: &Selection) -> Result<Cut, SegmentError
         return Ok(Cut::by_jury(request.splats, labels, &astride, &jury, settings.spikes, near));
     }
     let mut sees = Vec::with_capacity(request.prompts.len());
-    for prompt in request.prompts {
+    for prompt in meant(request) {
         let view = view(request, prompt.view)?;
         let camera = working_camera(request, view, Some(prompt.mask));
         let projected = project(request, view, &camera)?;
         let whole = unoccluded(request.splats, &camera, &view.pose, &request.options);
         sees.push(visible(&*projected, &whole, (camera.width, camera.height), request.settings.seen));
     }
-    let views: Vec<CutView> = request
-        .prompts
-        .iter()
+    let views: Vec<CutView> = meant(request)
         .zip(&sees)
         .map(|(prompt, sees)| {
             let view = &request.views[prompt.view];
@@ -208,6 +245,11 @@ pub fn cut(request: &Request, selection: &Selection) -> Result<Cut, SegmentError
         })
         .collect();
     Ok(Cut::new(request.splats, &selection.labels, &views, request.settings.spikes, request.options.near))
+}
+
+/// The prompts that say where the object is.
+fn meant<'a>(request: &Request<'a>) -> impl Iterator<Item = &'a PromptedView<'a>> {
+    request.prompts.iter().filter(|p| !p.refused)
 }
 
 fn none_left(labels: &[bool], reason: &'static str) -> Result<(), SegmentError> {
@@ -222,7 +264,7 @@ fn check(request: &Request) -> Result<(), SegmentError> {
     fits("rows of features", request.features.map_or(n, FeatureField::len))?;
     fits("nodes of the neighbour graph", request.graph.map_or(n, Graph::len))?;
     fits("frozen flags", request.frozen.map_or(n, <[bool]>::len))?;
-    if request.prompts.is_empty() {
+    if meant(request).next().is_none() {
         return Err(SegmentError::NoPrompt);
     }
     let s = request.settings;
@@ -358,6 +400,10 @@ fn prompted_evidence(request: &Request, prompt: &PromptedView) -> Result<Evidenc
     let view = view(request, prompt.view)?;
     let camera = working_camera(request, view, Some(prompt.mask));
     let projected = project(request, view, &camera)?;
+    if prompt.refused {
+        let (nothing, weights) = (Mask::empty(1, 1), soft(prompt.mask, camera.width, camera.height));
+        return Ok(view_evidence(request, &*projected, view, &camera, &nothing, &weights));
+    }
     let weights = vec![1.0; camera.width as usize * camera.height as usize];
     Ok(view_evidence(request, &*projected, view, &camera, prompt.mask, &weights))
 }

@@ -40,7 +40,7 @@ struct Case<'a> {
 
 impl Case<'_> {
     fn run(&self) -> Result<Selection, SegmentError> {
-        let prompts = [PromptedView { view: 0, mask: self.mask, points: self.points }];
+        let prompts = [PromptedView { view: 0, mask: self.mask, points: self.points, refused: false }];
         let request = Request {
             engine: self.engine,
             options: options(),
@@ -286,7 +286,8 @@ impl Square {
         settings: &SegmentSettings,
         refine: bool,
     ) -> Selection {
-        let prompts = [PromptedView { view: first, mask: &self.truth[first][0], points: &[] }];
+        let prompts =
+            [PromptedView { view: first, mask: &self.truth[first][0], points: &[], refused: false }];
         let request = Request {
             engine,
             options: options(),
@@ -350,6 +351,70 @@ fn one_photo_selects_the_statue_for_the_whole_circle() {
     }
 }
 
+impl Square {
+    /// A request from photo `first` whose prompts mean these things.
+    fn with<T>(
+        &self,
+        prompts: &[PromptedView],
+        settings: &SegmentSettings,
+        work: impl FnOnce(&Request) -> T,
+    ) -> T {
+        let (engine, sky) = (engine(), self.world.is(3));
+        work(&Request {
+            engine: &engine,
+            options: options(),
+            splats: &self.world.splats,
+            views: &self.views,
+            prompts,
+            features: None,
+            graph: None,
+            frozen: Some(&sky),
+            settings,
+        })
+    }
+}
+
+#[test]
+fn photos_that_take_the_selection_elsewhere_are_not_followed() {
+    let square = Square::new();
+    let prompts = [PromptedView { view: 0, mask: &square.truth[0][0], points: &[], refused: false }];
+    let settings =
+        SegmentSettings { propagate_gate: 0.0, prompt_weight: 0.01, ..SegmentSettings::default() };
+    // All photos speak of the tree.
+    let mut tree = |view: usize, _: &segwild_scene::Image| Some((square.truth[view][1].clone(), 1.0));
+    let selection = square.with(&prompts, &settings, |request| {
+        let selection = select(request, Some(&mut tree)).unwrap();
+        cut(request, &selection).unwrap();
+        selection
+    });
+    assert!(selection.alone && selection.agreement > 0.7, "{}", selection.agreement);
+    assert!(square.world.share(0, &selection.labels) > 0.3);
+    assert_eq!(square.world.share(1, &selection.labels), 0.0);
+    assert!(selection.visits.iter().all(|v| v.mask.is_none()), "their masks cut nothing");
+}
+
+#[test]
+fn a_click_on_another_photo_can_say_what_is_not_meant() {
+    let square = Square::new();
+    // Statue and tree in the first photo, as if the tree had leaked in; the tree clicked away in another.
+    let both = square.truth[0][0].or(&square.truth[0][1]);
+    let leaked = PromptedView { view: 0, mask: &both, points: &[], refused: false };
+    let settings = SegmentSettings::default();
+    let share = |prompts: &[PromptedView]| {
+        let labels = square.with(prompts, &settings, |request| select(request, None).unwrap().labels);
+        (square.world.share(0, &labels), square.world.share(1, &labels))
+    };
+    let before = share(&[leaked]);
+    let (x, y) = square.truth[4][1].pixels().nth(square.truth[4][1].count() / 2).unwrap();
+    let points = [PointPrompt { x: x as f32 + 0.5, y: y as f32 + 0.5, inside: false }];
+    let refusal = PromptedView { view: 4, mask: &square.truth[4][1], points: &points, refused: true };
+    let after = share(&[leaked, refusal]);
+    assert!(before.1 > 0.3 && after.1 < 0.5 * before.1, "{before:?} {after:?}");
+    assert!(after.0 > 0.95 * before.0, "{before:?} {after:?}");
+    let alone = square.with(&[refusal], &settings, |request| select(request, None).unwrap_err());
+    assert!(matches!(alone, SegmentError::NoPrompt));
+}
+
 #[test]
 fn a_twin_that_the_prompted_photo_does_not_see_is_not_selected() {
     let (mut world, views) = square();
@@ -370,7 +435,7 @@ fn a_twin_that_the_prompted_photo_does_not_see_is_not_selected() {
     let truth: Vec<Vec<Mask>> = views.iter().map(|v| [0, 1, 2, 4].map(|t| region(v, t)).to_vec()).collect();
     let (x, y) = truth[0][0].pixels().nth(truth[0][0].count() / 2).unwrap();
     let points = [click(x as f32 + 0.5, y as f32 + 0.5)];
-    let prompts = [PromptedView { view: 0, mask: &truth[0][0], points: &points }];
+    let prompts = [PromptedView { view: 0, mask: &truth[0][0], points: &points, refused: false }];
     let settings = SegmentSettings::default();
     let request = Request {
         engine: &engine,
@@ -442,7 +507,7 @@ fn the_cut_makes_the_object_fit_its_mask_better() {
     // What the photo shows: the wall without spikes.
     let mask = front_mask(&walls().0, &view);
     let points = [click(80.0, 60.0)];
-    let prompts = [PromptedView { view: 0, mask: &mask, points: &points }];
+    let prompts = [PromptedView { view: 0, mask: &mask, points: &points, refused: false }];
     let settings = SegmentSettings { components: ComponentRule::All, ..SegmentSettings::default() };
     let request = Request {
         engine: &engine,

@@ -30,7 +30,7 @@ pub fn cache(matches: &ArgMatches) -> Result<(), Failure> {
 fn list(folder: &RunFolder, json: bool) -> Result<(), Failure> {
     let lines = cache_list(folder)?;
     if json {
-        return print_json(&lines);
+        return lines.iter().try_for_each(print_json);
     }
     for l in &lines {
         let spare = match l.files - l.used {

@@ -45,9 +45,9 @@ pub fn doctor(matches: &ArgMatches) -> Result<(), Failure> {
         Err(error) => found.push(("seeing", error.to_string())),
     }
     if matches.get_flag("json") {
-        let list: Vec<_> =
-            found.iter().map(|(what, is)| serde_json::json!({ "what": what, "is": is })).collect();
-        return print_json(&list);
+        return found
+            .iter()
+            .try_for_each(|(what, is)| print_json(&serde_json::json!({ "what": what, "is": is })));
     }
     for (what, is) in found {
         print_line(&format!("{what:>14}  {is}"))?;

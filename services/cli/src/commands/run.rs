@@ -6,8 +6,8 @@ use crate::operators::{keep_to_cores, listen, stop_with_parent};
 use crate::progress::{duration, show, stop_on_ctrl_c};
 use clap::ArgMatches;
 use segwild_flow::{Events, Stopper};
-use segwild_pipeline::{Plan, RunFolder, RunOptions, Settings, Summary, Until, Verdict};
-use segwild_scene::Skipped;
+use segwild_pipeline::{Plan, RunError, RunFolder, RunOptions, Settings, Summary, Until, Verdict};
+use segwild_scene::{SceneError, Skipped};
 use std::path::{Path, PathBuf};
 
 /// Runs a scene, or what is left of it.
@@ -43,7 +43,7 @@ fn tell_plan(
 ) -> Result<(), Failure> {
     let plans = segwild_pipeline::explain(scene, &RunFolder::at(out), settings, until)?;
     if json {
-        return print_json(&plans);
+        return plans.iter().try_for_each(print_json);
     }
     for Plan { stage, verdict, why } in plans {
         let what = match verdict {
@@ -80,6 +80,8 @@ pub fn run_scene(
     let events = Events::new();
     stop_on_ctrl_c(&stopper)?;
     let sink = show(&events, json)?;
+    // A scene that is not there is no reason to make a folder.
+    std::fs::metadata(scene).map_err(SceneError::io(scene)).map_err(RunError::from)?;
     let folder = RunFolder::create(out)?;
     let options = RunOptions { events, stopper, providers: None, until };
     let done = segwild_pipeline::run(scene, &folder, settings, &options);

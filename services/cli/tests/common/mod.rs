@@ -262,3 +262,14 @@ pub fn made(said: &str) -> u64 {
         serde_json::from_str(said.lines().last().expect("a last line")).expect("JSON");
     summary["summary"]["made"].as_u64().expect("a number")
 }
+
+/// What `--json` prints: one object a line.
+#[allow(dead_code, reason = "the tests share it, not all use it")]
+pub fn lines(said: &str) -> Vec<serde_json::Value> {
+    let object = |line| {
+        let value: serde_json::Value = serde_json::from_str(line).unwrap_or_else(|e| panic!("{e}: {line}"));
+        assert!(value.is_object(), "no object: {line}");
+        value
+    };
+    said.lines().map(object).collect()
+}
