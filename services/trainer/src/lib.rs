@@ -10,6 +10,7 @@ mod density;
 mod error;
 mod evaluate;
 mod initial;
+mod light;
 mod looks;
 
 mod model;
@@ -29,6 +30,7 @@ pub use background::Background;
 pub use density::Change;
 pub use error::TrainError;
 pub use evaluate::{Evaluation, Protocol, ViewScore, evaluate};
+pub use light::{Light, Lighting, render_lit};
 pub use model::{Model, Stats, render_view};
 pub use photos::{Photos, TrainPhoto};
 pub use settings::{DensityKind, LookKind, Preset, TrainSettings};
