@@ -134,6 +134,7 @@ pub fn program() -> Command {
                 .about("Score held-out photos, and selections against true masks")
                 .arg(run())
                 .arg(path("truth", "Folder of true masks, one PNG per photo"))
+                .arg(path("strangers", "Score the run's pictures of strangers against true ones, one PNG per photo"))
                 .arg(
                     Arg::new("selection").long("selection").value_name("NAME").help("The selection to score"),
                 )

@@ -88,7 +88,7 @@ pub(crate) fn held_out(
     let source = scene.clone();
     let photos: Arc<dyn Photos> = Arc::new(move |view: usize| -> Result<TrainPhoto, String> {
         let loaded = source.views[view].load(size).map_err(|e| e.to_string())?;
-        Ok(TrainPhoto { image: loaded.image, valid: loaded.valid, sky: sky(view)? })
+        Ok(TrainPhoto { image: loaded.image, valid: loaded.valid, sky: sky(view)?, strangers: None })
     });
     // One at a time: an evaluation keeps its renders.
     let score = |view: usize| -> Result<_, String> {

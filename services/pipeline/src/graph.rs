@@ -8,6 +8,7 @@ use crate::coordinator::{Coordinator, State};
 use crate::evaluate::{HeldOut, held_out};
 use crate::folder::Intake;
 use crate::skies::Skies;
+use crate::strangers::{Corrections, Known};
 use crate::traces::Traces;
 use crate::{RunError, RunFolder, Settings, Until, keep, memory, report};
 use segwild_flow::ledger::ViewOutcome;
@@ -182,8 +183,18 @@ pub fn run(
         Some(Until::Step(step)) => step,
         _ => settings.train.steps,
     };
-    let keys = Keys::new(&scene, settings, &providers, engine.name(), Some(steps));
+    let corrections = Corrections::find(&scene, folder, &settings.scene.strangers)?;
+    if let Some(words) = corrections.in_words(&scene) {
+        options.events.info(Some("ingest"), words);
+    }
+    let keys = Keys::new(&scene, settings, &providers, &corrections, engine.name(), Some(steps));
     let cache = folder.cache()?;
+    let known = Known {
+        corrections: Arc::new(corrections),
+        network: providers.strangers.clone(),
+        cache: cache.clone(),
+        keys: Arc::new(keys.known_strangers.clone()),
+    };
     recorder.cache(&cache);
     let last = match options.until {
         Some(Until::Stage(stage)) => STAGES.iter().position(|s| *s == stage).unwrap_or(STAGES.len()),
@@ -218,6 +229,8 @@ pub fn run(
         last,
         steps,
         skies: Arc::new(skies),
+        known,
+        segmenter: providers.segmenter.clone(),
         embedder: providers.embedder.clone(),
         maker: Arc::new(maker),
         masks_known: Arc::new(Board::new("masks")),

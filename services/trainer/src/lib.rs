@@ -22,6 +22,7 @@ mod robust;
 mod sampler;
 mod schedule;
 mod settings;
+mod strangers;
 mod trainer;
 mod witness;
 
@@ -34,4 +35,5 @@ pub use light::{Light, Lighting, render_lit};
 pub use model::{Model, Stats, render_view};
 pub use photos::{Photos, TrainPhoto};
 pub use settings::{DensityKind, LookKind, Preset, TrainSettings};
+pub use strangers::{Strangeness, strangeness};
 pub use trainer::{Checkpoint, StepReport, Trainer, splat_cap};

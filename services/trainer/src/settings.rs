@@ -55,7 +55,7 @@ segwild_scene::settings! {
         /// Leave out pixels that keep contradicting the scene: strangers, cars, other transients.
         robust: bool = true,
         /// Largest share of a photo that may be left out as transient.
-        robust_share: f32 = 0.2 => 0.0..=0.6,
+        robust_share: f32 = 0.35 => 0.0..=0.6,
         /// Seed of everything random; the same seed gives the same bytes.
         seed: u64 = 1,
         /// Learning rate of the centres at the start, in pixels of the photo at the scene's median depth.

@@ -116,7 +116,7 @@ fn photos(scene: &Scene, sky: bool, change: impl Fn(usize, &mut Image)) -> Arc<d
         .map(|(i, view)| {
             let (mut image, mask) = photo_of(view);
             change(i, &mut image);
-            TrainPhoto { image, valid: None, sky: sky.then_some(mask) }
+            TrainPhoto { image, valid: None, sky: sky.then_some(mask), strangers: None }
         })
         .collect();
     Arc::new(move |i: usize| Ok(all[i].clone()))

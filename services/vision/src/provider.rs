@@ -96,6 +96,14 @@ pub(crate) fn check_certainty(image: &Image, certainty: &Image) -> Result<(), Vi
     Ok(())
 }
 
+/// Who does not belong to the place: persons and vehicles.
+pub trait StrangerDetector: Send + Sync {
+    /// Names the model and its parameters.
+    fn key(&self) -> String;
+    /// Their pixels.
+    fn strangers(&self, image: &Image) -> Result<Mask, VisionError>;
+}
+
 /// Where the sky is.
 pub trait SkyDetector: Send + Sync {
     /// Names the model and its parameters.

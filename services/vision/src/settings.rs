@@ -4,7 +4,7 @@ use crate::onnx::{MEMORY_MIB, Runtime};
 use crate::registry::{DEEPLAB, EDGES, SKY};
 use crate::{
     Builtin, EdgeDetector, EdgeNetwork, Embedder, MaskProposer, PromptSegmenter, SkyDetector, SkyNetwork,
-    VisionError,
+    StrangerDetector, StrangerNetwork, VisionError,
 };
 use segwild_scene::{Image, Mask};
 use std::path::{Path, PathBuf};
@@ -73,6 +73,9 @@ segwild_scene::settings! {
         edges: EdgeChoice = EdgeChoice::Auto,
         /// How the sky is found: auto, builtin, network, deeplab or none.
         sky: SkyChoice = SkyChoice::Auto,
+        /// A network over the classes of Cityscapes (such as `deeplab_cityscapes_513.onnx`) whose persons and vehicles are left
+        /// out of the training from the start. Empty: none.
+        strangers_network: String = String::new(),
         /// What finds masks and answers clicks: auto (SAM if its files are there), builtin or sam.
         masks: ModelChoice = ModelChoice::Auto,
         /// What describes photos for the feature field: auto (SAM if its files are there), builtin or sam.
@@ -112,6 +115,8 @@ pub struct Providers {
     pub segmenter: Arc<dyn PromptSegmenter>,
     /// Sky.
     pub sky: Arc<dyn SkyDetector>,
+    /// Persons and vehicles, if a network for them was named.
+    pub strangers: Option<Arc<dyn StrangerDetector>>,
     /// What was found and chosen, a sentence each.
     pub notes: Vec<String>,
 }
@@ -204,7 +209,16 @@ impl Providers {
                 Some(sam) => (sam.clone(), sam),
                 None => (builtin.clone(), builtin),
             };
-        Ok(Providers { embedder, proposer, segmenter, sky, notes })
+        let strangers: Option<Arc<dyn StrangerDetector>> = match settings.strangers_network.as_str() {
+            "" => None,
+            file => {
+                let runtime = Runtime::find_within(&settings.onnxruntime, settings.network_memory)?;
+                let network = StrangerNetwork::load(&runtime, Path::new(file), settings.network_threads)?;
+                notes.push(format!("persons and vehicles: network {file}"));
+                Some(Arc::new(network))
+            }
+        };
+        Ok(Providers { embedder, proposer, segmenter, sky, strangers, notes })
     }
 }
 

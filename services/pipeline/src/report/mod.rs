@@ -6,6 +6,7 @@ use crate::evaluate::HeldOut;
 use crate::folder::Loaded;
 use crate::history::{self, Moment};
 use crate::render::{Mode, Painter, What};
+use crate::strangers::picture_of;
 use crate::{RunError, RunFolder, Selected};
 use html::Series;
 use segwild_flow::codec::Decode;
@@ -251,6 +252,9 @@ fn photos(
             }
             text.push_str(&html::figure(&picture, "sky"));
         }
+        if let Some(strangers) = strangers_picture(folder, loaded, view, &photo.image) {
+            text.push_str(&html::figure(&strangers, "strangers, left out"));
+        }
         text.push_str("</div>");
         Ok((text, missing))
     };
@@ -276,6 +280,21 @@ fn photos(
         }
     }
     Ok((text, left_out))
+}
+
+/// A photo with its strangers in red; `None` where there are none, or no picture of them.
+fn strangers_picture(folder: &RunFolder, loaded: &Loaded, view: usize, photo: &Image) -> Option<Image> {
+    let mask =
+        Mask::read_png(&picture_of(folder, &loaded.scene, view)).ok().filter(|mask| !mask.is_empty())?;
+    let mask = mask.resized(photo.width as u32, photo.height as u32);
+    let (mut picture, n) = (photo.clone(), photo.pixels());
+    for (x, y) in mask.pixels() {
+        let i = y as usize * photo.width + x as usize;
+        picture.data[i] = 0.6 + 0.4 * picture.data[i];
+        picture.data[n + i] *= 0.4;
+        picture.data[2 * n + i] *= 0.4;
+    }
+    Some(picture)
 }
 
 /// Masks in colours of their own, small ones over large ones.
