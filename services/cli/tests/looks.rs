@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{copied_run, folder, place, refuses, show, works};
+use common::{QUICK, copied_run, folder, json, place, refuses, scene, show, works};
 use segwild_scene::{Image, ply};
 use std::path::Path;
 
@@ -147,4 +147,29 @@ fn one_object_has_a_look_of_its_own_on_screen_and_in_files() {
         &["no photo `nobody.jpg`"],
     );
     assert!(std::fs::read_to_string(path.join("report.html")).expect("a report").contains("<h2>Looks</h2>"));
+}
+
+#[test]
+fn auto_says_what_it_chose_and_why_and_shares_its_work_with_the_look_by_name() {
+    let dir = folder();
+    let run = show(&dir.path().join("run"));
+    let with = |look: &str, flags: &[&str]| {
+        works(&[&["run", &show(scene()), "--out", &run, "--look", look][..], &QUICK, flags].concat())
+    };
+    let said = with("auto", &["--json"]);
+    let choice = json(&std::fs::read(dir.path().join("run/look.json")).expect("the choice"));
+    let look = choice["look"].as_str().expect("a look").to_owned();
+    let why = choice["why"].as_str().expect("a reason");
+    assert!(said.contains(why), "the run says why: {why}");
+    assert!(why.starts_with(&look) && why.contains("points") && why.contains("held out"), "{why}");
+    let report = std::fs::read_to_string(dir.path().join("run/report.html")).expect("a report");
+    assert!(report.contains(&format!("chosen {look}")));
+    // Decided once, and the same scene as by name.
+    let reused = |look: &str| {
+        let plan = with(look, &["--explain", "--json"]);
+        assert!(plan.contains("\"geometry\""), "{plan}");
+        plan.lines().filter(|line| !line.contains("\"report\"")).all(|line| line.contains("\"reused\""))
+    };
+    assert!(reused("auto"), "{}", with("auto", &["--explain"]));
+    assert!(reused(&look), "{}", with(&look, &["--explain"]));
 }

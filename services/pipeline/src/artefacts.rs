@@ -77,20 +77,8 @@ impl Digests {
 }
 
 impl Keys {
-    /// Reads every photo once and names everything that a run of these settings makes; `steps` when it trains past
-    /// the settings' own.
-    pub fn new(
-        scene: &Scene,
-        settings: &Settings,
-        providers: &Providers,
-        corrections: &Corrections,
-        engine: &str,
-        steps: Option<u32>,
-    ) -> Keys {
-        Keys::of(scene, Digests::read(scene), settings, providers, corrections, engine, steps)
-    }
-
-    /// As [`Keys::new`], of photos that were read before.
+    /// Names everything that a run of these settings makes of photos that were read; `steps` when it trains past the
+    /// settings' own.
     pub fn of(
         scene: &Scene,
         Digests(digests): Digests,

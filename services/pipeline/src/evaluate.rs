@@ -80,7 +80,7 @@ pub(crate) fn held_out(
         return Ok(None);
     }
     let (protocol, words) = match settings.train.look {
-        LookKind::None => (Protocol::Plain, "whole photo, no look fitted"),
+        LookKind::None | LookKind::Auto => (Protocol::Plain, "whole photo, no look fitted"),
         LookKind::Affine | LookKind::Embed => {
             (Protocol::Halves, "look fitted on the left half, right half scored")
         }

@@ -4,6 +4,7 @@
 //! ([`Keys`]); a changed setting is a cause of a stage if it alone changes the stage's key.
 
 use crate::artefacts::{Digests, Keys};
+use crate::choice;
 use crate::graph::{STAGES, UNTIL_STEP};
 use crate::strangers::Corrections;
 use crate::{RunError, RunFolder, Settings, Until};
@@ -89,7 +90,16 @@ fn situation(
     let corrections = Corrections::find(&scene, folder, &settings.scene.strangers)?;
     let corrected = corrections.in_words(&scene);
     let digests = Digests::read(&scene);
-    let keys = Keys::of(&scene, digests, settings, &providers, &corrections, engine.name(), steps);
+    let name = |settings: &Settings| {
+        Keys::of(&scene, digests.clone(), settings, &providers, &corrections, engine.name(), steps)
+    };
+    let mut keys = name(settings);
+    if choice::is_open(settings) {
+        // Not known yet: whatever the look will be, all that depends on it is to be made.
+        if let Some(choice) = choice::kept(&Cache::at(folder.path().join("cache")), &keys)? {
+            keys = name(&choice::decided(settings, &choice));
+        }
+    }
     let (end, snapshot_step) = (settings.train.steps, settings.train.snapshot_step());
     Ok(Situation { scene, keys, corrected, goal: steps.unwrap_or(end), end, snapshot_step })
 }

@@ -168,6 +168,12 @@ impl Known {
         Ok(())
     }
 
+    /// As [`Known::tell`], without the network, which was asked at another size.
+    pub fn tell_hand(&self, view: usize, photo: &mut TrainPhoto) {
+        let (w, h) = (photo.image.width as u32, photo.image.height as u32);
+        photo.strangers = self.corrections.mask(view, w, h);
+    }
+
     /// The strangers that are known of a photo before training, for its picture.
     fn mask(&self, view: usize) -> Option<Mask> {
         self.network.as_ref()?;

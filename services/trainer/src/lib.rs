@@ -6,6 +6,7 @@
 
 mod actor;
 mod background;
+mod choice;
 mod density;
 mod error;
 mod evaluate;
@@ -28,6 +29,7 @@ mod witness;
 
 pub use actor::{FindCheckpoint, TrainActor, TrainOrder, TrainOutcome};
 pub use background::Background;
+pub use choice::{LookChoice, RUNGS, SIZE as CHOICE_SIZE, ShortFit, Tracks, choose_look};
 pub use density::Change;
 pub use error::TrainError;
 pub use evaluate::{Evaluation, Protocol, ViewScore, evaluate};

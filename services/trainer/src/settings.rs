@@ -24,6 +24,8 @@ segwild_scene::choice! {
         Affine = "affine",
         /// The same, and light that falls on each splat in its own way: sun and shadow.
         Embed = "embed",
+        /// The lowest of these that suffices, by what points and short fits say before the training.
+        Auto = "auto",
     }
 }
 
@@ -105,7 +107,13 @@ impl Preset {
 impl TrainSettings {
     /// Refuses values outside their range, in words.
     pub fn check(&self) -> Result<(), TrainError> {
-        Group::check(self).map_err(|e| TrainError::Setting(e.to_string()))
+        Group::check(self).map_err(|e| TrainError::Setting(e.to_string()))?;
+        match self.look {
+            LookKind::Auto => Err(TrainError::Setting(
+                "`look` is `auto`, which is decided before the training (`choose_look`)".into(),
+            )),
+            _ => Ok(()),
+        }
     }
 
     /// The step after which [`crate::Trainer::snapshot`] is to be taken for the mask stage; at least 1.

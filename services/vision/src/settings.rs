@@ -196,7 +196,14 @@ impl Providers {
                 Arc::new(NoSky)
             }
             None => {
-                notes.push("sky: built-in detector".into());
+                let why = match settings.sky {
+                    SkyChoice::Auto if settings.models.is_empty() => {
+                        " (colour and boundaries; no folder of models is set)"
+                    }
+                    SkyChoice::Auto => " (colour and boundaries; there is no usable network)",
+                    _ => " (asked for)",
+                };
+                notes.push(format!("sky: built-in detector{why}"));
                 builtin.clone()
             }
         };
@@ -268,7 +275,12 @@ fn sky(
             });
         match network {
             Ok(network) => {
-                notes.push(format!("sky: network {}", path.display()));
+                let why = match (settings.sky, name) {
+                    (SkyChoice::Auto, SKY) => " (first choice: it is made for skies)",
+                    (SkyChoice::Auto, _) => " (second choice: there is no usable sky network)",
+                    _ => " (asked for)",
+                };
+                notes.push(format!("sky: network {}{why}", path.display()));
                 return Ok(Some(Arc::new(network)));
             }
             Err(error) if demanded => return Err(error),

@@ -2,12 +2,13 @@
 
 mod html;
 
+use crate::choice;
 use crate::evaluate::HeldOut;
 use crate::folder::Loaded;
 use crate::history::{self, Moment};
 use crate::render::{Mode, Painter, What};
 use crate::strangers::picture_of;
-use crate::{RunError, RunFolder, Selected};
+use crate::{LookChoice, RunError, RunFolder, Selected};
 use html::Series;
 use segwild_flow::codec::Decode;
 use segwild_flow::ledger::State;
@@ -59,6 +60,13 @@ fn summary(folder: &RunFolder, loaded: &Loaded) -> Result<String, RunError> {
     row("points", intake.points.to_string());
     row("splats", loaded.model.splats.len().to_string());
     row("steps", loaded.model.stats.step.to_string());
+    // What was chosen for another run in this folder says nothing of one whose look was given.
+    let chosen =
+        folder.read_json::<LookChoice>(choice::FILE).ok().filter(|_| choice::is_open(&loaded.settings));
+    row(
+        "look",
+        chosen.map_or_else(|| loaded.model.look.as_look().name().to_owned(), |c| format!("chosen {}", c.why)),
+    );
     if let Some(psnr) = loaded.model.stats.psnr {
         row("PSNR on training photos", format!("{psnr:.2} dB"));
     }
