@@ -99,7 +99,17 @@ impl Keys {
                 .finish()
         };
         let views = 0..scene.views.len();
-        let sky: Vec<Key> = views.clone().map(|i| photo("sky", i, &providers.sky.key())).collect();
+        let sky: Vec<Key> = views
+            .clone()
+            .map(|i| {
+                let key = photo("sky", i, &providers.sky.key());
+                if !providers.sky.by_points() {
+                    return key;
+                }
+                let seen = scene.seen_by(i, 1, 1);
+                Key::of("sky").key("photo", &key).part("points", format!("{seen:?}")).finish()
+            })
+            .collect();
         let embedding: Vec<Key> =
             views.clone().map(|i| photo("embedding", i, &providers.embedder.key())).collect();
 

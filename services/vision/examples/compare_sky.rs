@@ -38,7 +38,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
     }
     let scene = Scene::open(&path, &SceneSettings { size, ..SceneSettings::default() })?;
-    let mut choices = vec![SkyChoice::Builtin];
+    let mut choices = vec![SkyChoice::Builtin, SkyChoice::Geometry];
     if !models.is_empty() {
         choices.extend([SkyChoice::Network, SkyChoice::Deeplab]);
     }
@@ -66,13 +66,15 @@ fn main() -> Result<(), Box<dyn Error>> {
         let mut skies = Vec::new();
         for (provider, tally) in providers.iter().zip(&mut tallies) {
             let began = std::time::Instant::now();
-            let sky = provider.sky.sky(&photo.image)?;
+            // Half of the points are shown to who asks, and the others counted.
+            let seen = scene.seen_by(index, w as usize, h as usize);
+            let shown: Vec<[f32; 2]> = seen.iter().copied().step_by(2).collect();
+            let sky = provider.sky.sky_above(&photo.image, &shown)?;
             tally.seconds += began.elapsed().as_secs_f64();
             tally.share += sky.count() as f64 / f64::from(w * h);
-            let (sx, sy) = (w as f32 / view.camera.width as f32, h as f32 / view.camera.height as f32);
-            for o in scene.points.iter().flat_map(|p| &p.track).filter(|o| o.view as usize == index) {
+            for at in seen.iter().skip(1).step_by(2) {
                 tally.seen.1 += 1;
-                tally.seen.0 += usize::from(sky.at(o.pixel[0] * sx, o.pixel[1] * sy));
+                tally.seen.0 += usize::from(sky.at(at[0], at[1]));
             }
             if let Some(object) = &object {
                 tally.object.0 += sky.overlap(object);

@@ -2,6 +2,7 @@
 //! networks run by ort.
 
 mod builtin;
+mod geometry;
 mod networks;
 mod onnx;
 mod provider;

@@ -114,4 +114,12 @@ pub trait SkyDetector: Send + Sync {
     }
     /// The sky's pixels.
     fn sky(&self, image: &Image) -> Result<Mask, VisionError>;
+    /// Whether the points that a photo saw decide, so that they are part of every key.
+    fn by_points(&self) -> bool {
+        false
+    }
+    /// The sky's pixels in a photo of which the reconstruction saw these points (pixel positions): they are no sky.
+    fn sky_above(&self, image: &Image, _seen: &[[f32; 2]]) -> Result<Mask, VisionError> {
+        self.sky(image)
+    }
 }

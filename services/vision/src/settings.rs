@@ -1,5 +1,6 @@
 //! Settings of the vision models, and the providers that they name.
 
+use crate::geometry::GeometrySky;
 use crate::onnx::{MEMORY_MIB, Runtime};
 use crate::registry::{DEEPLAB, EDGES, SKY};
 use crate::{
@@ -33,6 +34,8 @@ segwild_scene::choice! {
         Network = "network",
         /// The network `deeplab_cityscapes_513.onnx`, the paper's kind; an error without it.
         Deeplab = "deeplab",
+        /// Where the reconstruction saw nothing, above what it saw.
+        Geometry = "geometry",
         /// Nothing is sky.
         None = "none",
     }
@@ -71,7 +74,7 @@ segwild_scene::settings! {
         models: String = String::new(),
         /// Where boundaries come from: auto, builtin or network.
         edges: EdgeChoice = EdgeChoice::Auto,
-        /// How the sky is found: auto, builtin, network, deeplab or none.
+        /// How the sky is found: auto, builtin, network, deeplab, geometry or none.
         sky: SkyChoice = SkyChoice::Auto,
         /// A network over the classes of Cityscapes (such as `deeplab_cityscapes_513.onnx`) whose persons and vehicles are left
         /// out of the training from the start. Empty: none.
@@ -195,6 +198,10 @@ impl Providers {
                 notes.push("sky: none".into());
                 Arc::new(NoSky)
             }
+            None if settings.sky == SkyChoice::Geometry => {
+                notes.push("sky: by the points that photos saw (asked for)".into());
+                Arc::new(GeometrySky(builtin.clone()))
+            }
             None => {
                 let why = match settings.sky {
                     SkyChoice::Auto if settings.models.is_empty() => {
@@ -265,7 +272,7 @@ fn sky(
         SkyChoice::Auto => &[(SKY, false), (DEEPLAB, false)],
         SkyChoice::Network => &[(SKY, true)],
         SkyChoice::Deeplab => &[(DEEPLAB, true)],
-        SkyChoice::Builtin | SkyChoice::None => &[],
+        SkyChoice::Builtin | SkyChoice::Geometry | SkyChoice::None => &[],
     };
     for &(name, demanded) in names {
         let Some(path) = file(settings, name, demanded)? else { continue };
