@@ -68,7 +68,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let skies: Vec<Mask> = scene.views.iter().map(|v| truth(&v.name).sky()).collect();
     let photos = Arc::new(move |view: usize| -> Result<TrainPhoto, String> {
         let loaded = source.views[view].load(pixels).map_err(|e| e.to_string())?;
-        Ok(TrainPhoto { image: loaded.image, valid: loaded.valid, sky: Some(skies[view].clone()) })
+        Ok(TrainPhoto {
+            image: loaded.image,
+            valid: loaded.valid,
+            sky: Some(skies[view].clone()),
+            strangers: None,
+        })
     });
     let test: Vec<usize> = (0..scene.views.len()).filter(|&i| scene.views[i].test).collect();
     let held_out = evaluate(model, &engine, scene, photos, &test, Protocol::Halves)?;

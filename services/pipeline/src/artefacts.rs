@@ -4,6 +4,7 @@
 //! depends on it.
 
 use crate::Settings;
+use crate::strangers::Corrections;
 use rayon::prelude::*;
 use segwild_features::{Compression, FeatureSettings};
 use segwild_flow::Key;
@@ -37,6 +38,8 @@ pub struct Keys {
     pub masks: Vec<Key>,
     /// Per view, which of its pixels can be trusted.
     pub visibility: Vec<Key>,
+    /// Per view, the persons and vehicles that a network finds.
+    pub known_strangers: Vec<Key>,
     /// The feature field.
     pub features: Key,
     /// Whether the masks have a part in the field.
@@ -74,24 +77,14 @@ impl Digests {
 }
 
 impl Keys {
-    /// Reads every photo once and names everything that a run of these settings makes; `steps` when it trains past
-    /// the settings' own.
-    pub fn new(
-        scene: &Scene,
-        settings: &Settings,
-        providers: &Providers,
-        engine: &str,
-        steps: Option<u32>,
-    ) -> Keys {
-        Keys::of(scene, Digests::read(scene), settings, providers, engine, steps)
-    }
-
-    /// As [`Keys::new`], of photos that were read before.
+    /// Names everything that a run of these settings makes of photos that were read; `steps` when it trains past the
+    /// settings' own.
     pub fn of(
         scene: &Scene,
         Digests(digests): Digests,
         settings: &Settings,
         providers: &Providers,
+        corrections: &Corrections,
         engine: &str,
         steps: Option<u32>,
     ) -> Keys {
@@ -106,9 +99,23 @@ impl Keys {
                 .finish()
         };
         let views = 0..scene.views.len();
-        let sky: Vec<Key> = views.clone().map(|i| photo("sky", i, &providers.sky.key())).collect();
+        let sky: Vec<Key> = views
+            .clone()
+            .map(|i| {
+                let key = photo("sky", i, &providers.sky.key());
+                if !providers.sky.by_points() {
+                    return key;
+                }
+                let seen = scene.seen_by(i, 1, 1);
+                Key::of("sky").key("photo", &key).part("points", format!("{seen:?}")).finish()
+            })
+            .collect();
         let embedding: Vec<Key> =
             views.clone().map(|i| photo("embedding", i, &providers.embedder.key())).collect();
+
+        let network = providers.strangers.as_ref().map(|network| network.key());
+        let known_strangers: Vec<Key> =
+            views.clone().map(|i| photo("strangers", i, network.as_deref().unwrap_or("none"))).collect();
 
         let mut training = Key::of("geometry")
             .value("format", FORMAT)
@@ -119,6 +126,14 @@ impl Keys {
             training = training
                 .part(&format!("view {i}"), format!("{} {:?} {}", view.name, view.pose, view.test))
                 .key(&format!("sky {i}"), &sky[i]);
+            // Nothing where nothing is known, so that what was made before persons could say anything keeps its name.
+            match corrections.digest(i).filter(|_| !view.test) {
+                Some(digest) => training = training.part(&format!("strangers {i}"), digest),
+                None if network.is_some() => {
+                    training = training.key(&format!("strangers {i}"), &known_strangers[i]);
+                }
+                None => {}
+            }
         }
         let training = training.finish();
         let geometry = match steps.filter(|&steps| steps > settings.train.steps) {
@@ -172,6 +187,7 @@ impl Keys {
             snapshot,
             masks,
             visibility,
+            known_strangers,
             features: features.finish(),
             masks_in_field: settings.features.compactness,
             snapshot_step: settings.train.snapshot_step(),
@@ -229,9 +245,14 @@ impl Keys {
         if photos.is_empty() { self.evaluation } else { lacking(&self.evaluation, "score", photos) }
     }
 
+    /// The name of what a view's picture of strangers is made from, which `segmenter` has drawn.
+    pub fn strangers(&self, view: usize, segmenter: &str) -> Key {
+        Key::of("strangers").key("visibility", &self.visibility[view]).part("model", segmenter).finish()
+    }
+
     /// The photo that an artefact is made of and the kind of artefact, by its name as the ledger writes it.
     pub fn view_of(&self, key: &str) -> Option<usize> {
-        let all = [&self.sky, &self.embedding, &self.masks, &self.visibility];
+        let all = [&self.sky, &self.embedding, &self.masks, &self.visibility, &self.known_strangers];
         all.into_iter().find_map(|keys| keys.iter().position(|k| k.to_string() == key))
     }
 

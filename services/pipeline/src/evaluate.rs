@@ -82,7 +82,7 @@ pub(crate) fn held_out(
         return Ok(None);
     }
     let (protocol, words) = match settings.train.look {
-        LookKind::None => (Protocol::Plain, "whole photo, no look fitted"),
+        LookKind::None | LookKind::Auto => (Protocol::Plain, "whole photo, no look fitted"),
         LookKind::Affine | LookKind::Embed => {
             (Protocol::Halves, "look fitted on the left half, right half scored")
         }
@@ -90,7 +90,7 @@ pub(crate) fn held_out(
     let source = scene.clone();
     let photos: Arc<dyn Photos> = Arc::new(move |view: usize| -> Result<TrainPhoto, String> {
         let loaded = source.views[view].load(size).map_err(|e| e.to_string())?;
-        Ok(TrainPhoto { image: loaded.image, valid: loaded.valid, sky: sky(view)? })
+        Ok(TrainPhoto { image: loaded.image, valid: loaded.valid, sky: sky(view)?, strangers: None })
     });
     // One at a time: an evaluation keeps its renders.
     let score = |view: usize| -> Result<_, String> {

@@ -4,7 +4,9 @@
 //! ([`Keys`]); a changed setting is a cause of a stage if it alone changes the stage's key.
 
 use crate::artefacts::{Digests, Keys};
+use crate::choice;
 use crate::graph::{STAGES, UNTIL_STEP};
+use crate::strangers::Corrections;
 use crate::{RunError, RunFolder, Settings, Until};
 use segwild_flow::ledger::{StageRow, State};
 use segwild_flow::{Cache, Ledger};
@@ -67,6 +69,8 @@ pub struct Plan {
 struct Situation {
     scene: Scene,
     keys: Keys,
+    /// Which photos' strangers were put right by hand, in words.
+    corrected: Option<String>,
     /// The step that the training ends at, or is to stop at.
     goal: u32,
     /// The step that the training ends at by its settings.
@@ -74,13 +78,30 @@ struct Situation {
     snapshot_step: u32,
 }
 
-fn situation(path: &Path, settings: &Settings, steps: Option<u32>) -> Result<Situation, RunError> {
+fn situation(
+    path: &Path,
+    folder: &RunFolder,
+    settings: &Settings,
+    steps: Option<u32>,
+) -> Result<Situation, RunError> {
     let scene = Scene::open(path, &settings.scene)?;
     let providers = Providers::from_settings(&settings.vision)?;
     let engine = CpuEngine::default();
-    let keys = Keys::of(&scene, Digests::read(&scene), settings, &providers, engine.name(), steps);
+    let corrections = Corrections::find(&scene, folder, &settings.scene.strangers)?;
+    let corrected = corrections.in_words(&scene);
+    let digests = Digests::read(&scene);
+    let name = |settings: &Settings| {
+        Keys::of(&scene, digests.clone(), settings, &providers, &corrections, engine.name(), steps)
+    };
+    let mut keys = name(settings);
+    if choice::is_open(settings) {
+        // Not known yet: whatever the look will be, all that depends on it is to be made.
+        if let Some(choice) = choice::kept(&Cache::at(folder.path().join("cache")), &keys)? {
+            keys = name(&choice::decided(settings, &choice));
+        }
+    }
     let (end, snapshot_step) = (settings.train.steps, settings.train.snapshot_step());
-    Ok(Situation { scene, keys, goal: steps.unwrap_or(end), end, snapshot_step })
+    Ok(Situation { scene, keys, corrected, goal: steps.unwrap_or(end), end, snapshot_step })
 }
 
 /// Says what [`crate::run()`] would do with these settings, without doing it. Works while another process runs.
@@ -96,13 +117,13 @@ pub fn explain(
         Some(Until::Step(step)) => Some(step),
         _ => None,
     };
-    let now = situation(&path, &settings, steps)?;
+    let now = situation(&path, folder, &settings, steps)?;
     let ledger = match folder.ledger().is_file() {
         true => Some(Ledger::open_read_only(folder.ledger())?),
         false => None,
     };
     let before = match &ledger {
-        Some(ledger) => Some(Before::read(ledger, &path, &settings)?),
+        Some(ledger) => Some(Before::read(ledger, &path, folder, &settings)?),
         None => None,
     };
     let cache = Cache::at(folder.path().join("cache"));
@@ -215,7 +236,12 @@ struct Before {
 }
 
 impl Before {
-    fn read(ledger: &Ledger, path: &Path, settings: &Settings) -> Result<Before, RunError> {
+    fn read(
+        ledger: &Ledger,
+        path: &Path,
+        folder: &RunFolder,
+        settings: &Settings,
+    ) -> Result<Before, RunError> {
         let mut old = settings.clone();
         let (mut changed, mut until) = (Vec::new(), None);
         for (name, value) in ledger.settings()? {
@@ -229,12 +255,12 @@ impl Before {
                 changed.push((name, value, new));
             }
         }
-        let then = situation(path, &old, until)?;
+        let then = situation(path, folder, &old, until)?;
         let mut alone = Vec::new();
         for (name, _, value) in &changed {
             let mut one = old.clone();
             one.set(name, value).map_err(crate::SettingsError::from)?;
-            alone.push(situation(path, &one, until)?.keys);
+            alone.push(situation(path, folder, &one, until)?.keys);
         }
         let mut given_up = Vec::new();
         for (stage, keys) in [
@@ -338,7 +364,10 @@ impl Before {
             }
         }
         Ok(match odd.len() {
-            0 => "points or cameras have changed, or the run was made by another version".into(),
+            0 => match &self.then.corrected {
+                Some(words) => words.clone(),
+                None => "points, cameras or masks of strangers have changed, or the run was made by another version".into(),
+            },
             1..=3 => odd.join(", "),
             n => format!("{} and {} more photos", odd[..2].join(", "), n - 2),
         })

@@ -11,6 +11,7 @@
 //! RUN/history.jsonl     loss, PSNR and splats over the steps
 //! RUN/timeline.json     who did what when; RUN/trace.json the same for Perfetto, RUN/trace.otlp.json for OpenTelemetry
 //! RUN/evaluation.json   held-out scores
+//! RUN/strangers/PHOTO.png  who was left out of a photo; one that a person changes is obeyed by the next run
 //! RUN/selections/NAME/  what `segment` made
 //! RUN/report.html       everything above to look at
 //! ```

@@ -2,12 +2,14 @@
 
 use crate::accelerator::leased;
 use crate::anew::Anew;
-use crate::artefacts::Keys;
+use crate::artefacts::{Digests, Keys};
 use crate::board::Board;
+use crate::choice::{self, Chooser};
 use crate::coordinator::{Coordinator, State};
 use crate::evaluate::{HeldOut, held_out};
 use crate::folder::Intake;
 use crate::skies::Skies;
+use crate::strangers::{Corrections, Known};
 use crate::traces::Traces;
 use crate::{RunError, RunFolder, Settings, Until, keep, memory, report};
 use segwild_flow::ledger::ViewOutcome;
@@ -182,9 +184,35 @@ pub fn run(
         Some(Until::Step(step)) => step,
         _ => settings.train.steps,
     };
-    let keys = Keys::new(&scene, settings, &providers, engine.name(), Some(steps));
+    let corrections = Corrections::find(&scene, folder, &settings.scene.strangers)?;
+    if let Some(words) = corrections.in_words(&scene) {
+        options.events.info(Some("ingest"), words);
+    }
+    let digests = Digests::read(&scene);
+    let name = |settings: &Settings| {
+        Keys::of(&scene, digests.clone(), settings, &providers, &corrections, engine.name(), Some(steps))
+    };
+    let mut keys = name(settings);
     let cache = folder.cache()?;
+    let known = Known {
+        corrections: Arc::new(corrections.clone()),
+        network: providers.strangers.clone(),
+        cache: cache.clone(),
+        keys: Arc::new(keys.known_strangers.clone()),
+    };
     recorder.cache(&cache);
+    let mut decided = settings.clone();
+    if choice::is_open(settings) {
+        let (engine, sky, known) = (&engine, &providers.sky, &known);
+        let chooser = Chooser { folder, cache: &cache, scene: &scene, settings, engine, sky, known };
+        let (with_look, choice) = chooser.choose(&keys, &|| options.stopper.phase() != Phase::Running)?;
+        // Kept as long as the run stands at it.
+        ledger.record_view(keep::SNAPSHOT, "look", &choice::key(&keys), &ViewOutcome::cached())?;
+        options.events.info(Some("geometry"), format!("look {}", choice.why));
+        keys = name(&with_look);
+        decided = with_look;
+    }
+    let settings = &decided;
     let last = match options.until {
         Some(Until::Stage(stage)) => STAGES.iter().position(|s| *s == stage).unwrap_or(STAGES.len()),
         // A training that is not over has nothing to give to the stages after it.
@@ -218,6 +246,8 @@ pub fn run(
         last,
         steps,
         skies: Arc::new(skies),
+        known,
+        segmenter: providers.segmenter.clone(),
         embedder: providers.embedder.clone(),
         maker: Arc::new(maker),
         masks_known: Arc::new(Board::new("masks")),

@@ -1,18 +1,20 @@
 //! What the feature field is made of, as its actor reads it: out of the cache, or made anew where it was damaged there.
 
+use crate::RunFolder;
 use crate::anew::{Anew, Kept};
 use crate::artefacts::Keys;
 use crate::board::Board;
 use crate::folder::MODEL;
 use crate::skies::Skies;
+use crate::strangers::{Album, Known};
 use crate::visibility::visibility;
 use segwild_features::{EMBEDDING, FieldInputs, describe};
-use segwild_flow::Failure;
+use segwild_flow::{Context, Failure};
 use segwild_masks::{MaskMaker, MaskSource, Snapshot};
 use segwild_raster::Engine;
 use segwild_scene::{Embedding, Image, Mask, MaskSet, Scene};
-use segwild_trainer::{Model, render_view};
-use segwild_vision::Embedder;
+use segwild_trainer::{Model, TrainPhoto, render_view};
+use segwild_vision::{Embedder, PromptSegmenter};
 use std::sync::Arc;
 
 /// Kind of the cache's records of what can be trusted in a photo.
@@ -64,13 +66,50 @@ pub struct Inputs {
     pub embedder: Arc<dyn Embedder>,
     /// Makes masks.
     pub maker: Arc<MaskMaker>,
+    /// What is known of strangers.
+    pub known: Known,
 }
 
 impl Inputs {
     /// Compares a photo with the trained scene.
     pub fn look(&self, view: usize) -> Result<Mask, Failure> {
         let (posed, sky) = (&self.anew.scene.views[view], self.skies.read(view)?);
-        Ok(visibility(&self.model, &*self.engine, posed, view, sky.as_ref(), self.size)?)
+        let strangers = &self.known.corrections;
+        Ok(visibility(&self.model, &*self.engine, posed, view, sky.as_ref(), strangers, self.size)?)
+    }
+
+    /// Leaves a picture of each photo's strangers in the run folder; what is to be said of single photos.
+    pub fn picture_strangers(
+        &self,
+        folder: &RunFolder,
+        views: &[usize],
+        segmenter: &dyn PromptSegmenter,
+        context: &Context,
+    ) -> Result<Vec<String>, Failure> {
+        let album = Album {
+            folder,
+            scene: &self.anew.scene,
+            model: &self.model,
+            engine: &*self.engine,
+            segmenter,
+            known: &self.known,
+        };
+        let photo = |view: usize| -> Result<TrainPhoto, Failure> {
+            let loaded = self.anew.scene.views[view].load(self.size).map_err(Failure::retry)?;
+            let (image, valid, sky) = (loaded.image, loaded.valid, self.skies.read(view)?);
+            let mut photo = TrainPhoto { image, valid, sky, strangers: None };
+            self.known.tell(view, &mut photo).map_err(Failure::retry)?;
+            Ok(photo)
+        };
+        album.write(
+            views,
+            |view| self.keys.strangers(view, &segmenter.key()),
+            photo,
+            |_| {
+                context.progress();
+                context.check()
+            },
+        )
     }
 
     fn make_masks(&self, view: usize) -> Result<MaskSet, Failure> {

@@ -9,6 +9,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// What the ledger records the present training and its snapshot under, beside the stages.
 pub(crate) const SNAPSHOT: &str = "snapshot";
+/// What the ledger records under which name what a network has found of strangers.
+pub(crate) const STRANGERS: &str = "strangers";
 /// The training's row there.
 pub(crate) const TRAINING: &str = "training";
 
@@ -31,6 +33,7 @@ pub struct CacheLine {
 fn in_use(ledger: &Ledger) -> Result<BTreeSet<String>, LedgerError> {
     let mut keys = BTreeSet::new();
     keys.extend(ledger.views("visibility")?.into_iter().map(|view| view.key));
+    keys.extend(ledger.views(STRANGERS)?.into_iter().map(|view| view.key));
     keys.extend(ledger.views(SNAPSHOT)?.into_iter().map(|view| view.key));
     for stage in ledger.stages()? {
         for view in ledger.views(&stage.name)? {

@@ -145,8 +145,16 @@ impl Settings {
     pub fn anchored(&self) -> Settings {
         let mut settings = self.clone();
         let Settings { scene, vision, .. } = &mut settings;
-        let SceneSettings { images, ignore, split, .. } = scene;
-        for path in [images, ignore, split, &mut vision.models, &mut vision.onnxruntime] {
+        let SceneSettings { images, ignore, strangers, split, .. } = scene;
+        for path in [
+            images,
+            ignore,
+            split,
+            strangers,
+            &mut vision.models,
+            &mut vision.strangers_network,
+            &mut vision.onnxruntime,
+        ] {
             if !path.is_empty()
                 && Path::new(&*path).exists()
                 && let Ok(whole) = std::path::absolute(&*path)

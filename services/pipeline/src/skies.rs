@@ -88,7 +88,8 @@ impl Skies {
         let kept = Kept { view, what: "sky", kind: "sky", key: &self.keys[view] };
         let sky = self.anew.read(kept, || {
             let photo = self.anew.scene.views[view].load(self.size).map_err(Failure::retry)?;
-            Ok(self.detector.sky(&photo.image)?)
+            let seen = self.anew.scene.seen_by(view, photo.image.width, photo.image.height);
+            Ok(self.detector.sky_above(&photo.image, &seen)?)
         });
         sky.map(Some).inspect_err(|failure| {
             lock(&self.lost).get_or_insert_with(|| failure.clone());

@@ -1,5 +1,6 @@
 //! How far each pixel of a photo can be trusted (VM): not where it is sky, ignored, or shows what the scene does not.
 
+use crate::strangers::Corrections;
 use segwild_raster::Engine;
 use segwild_scene::{Mask, View};
 use segwild_trainer::{Model, TrainError, render_view};
@@ -18,6 +19,7 @@ pub fn visibility(
     view: &View,
     index: usize,
     sky: Option<&Mask>,
+    strangers: &Corrections,
     size: u32,
 ) -> Result<Mask, TrainError> {
     let photo =
@@ -35,6 +37,7 @@ pub fn visibility(
     let limit = (TOLERANCE * sorted[n / 2]).max(HARMLESS);
     let sky = sky.map(|s| s.resized(camera.width, camera.height));
     let valid = photo.valid.as_ref().map(|v| v.resized(camera.width, camera.height));
+    let corrected = strangers.mask(index, camera.width, camera.height);
     let mut out = Mask::empty(camera.width, camera.height);
     for i in 0..n {
         // A stranger is a blob: the mean over 3 x 3 must be off, not a lone edge pixel.
@@ -46,7 +49,8 @@ pub fn visibility(
                 count += 1.0;
             }
         }
-        let shown = sum / count <= limit;
+        // A person's word goes over the residual.
+        let shown = corrected.as_ref().map_or(sum / count <= limit, |c| !c.index(i));
         let barred = sky.as_ref().is_some_and(|s| s.index(i)) || valid.as_ref().is_some_and(|v| !v.index(i));
         out.set(x as u32, y as u32, shown && !barred);
     }

@@ -53,6 +53,9 @@ settings! {
         images: String = String::new(),
         /// Folder of masks of things to ignore, white = ignore, each named as its photo with the ending .png; empty = none.
         ignore: String = String::new(),
+        /// Folder of masks of strangers put right by hand, white = stranger, each named as its photo with the ending .png: of
+        /// such a photo exactly that is left out; empty = those changed in the run's own folder `strangers`.
+        strangers: String = String::new(),
         /// Split file of Photo Tourism (.tsv) that says which photos take part and which are for testing; empty = found
         /// by itself in the scene's folder.
         split: String = String::new(),

@@ -120,6 +120,14 @@ pub struct Scene {
 }
 
 impl Scene {
+    /// Where a view saw the reconstructed points, in pixels of its photo at a size of `width` x `height`.
+    pub fn seen_by(&self, view: usize, width: usize, height: usize) -> Vec<[f32; 2]> {
+        let camera = &self.views[view].camera;
+        let (sx, sy) = (width as f32 / camera.width as f32, height as f32 / camera.height as f32);
+        let of_view = self.points.iter().flat_map(|p| &p.track).filter(|o| o.view as usize == view);
+        of_view.map(|o| [o.pixel[0] * sx, o.pixel[1] * sy]).collect()
+    }
+
     /// Index of the view a person means by `name`: its full name, or its stem if that is unambiguous.
     pub fn view_named(&self, name: &str) -> Option<usize> {
         if let Some(i) = self.views.iter().position(|v| v.name == name) {

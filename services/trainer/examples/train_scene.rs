@@ -55,7 +55,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             }
             None => None,
         };
-        Ok(TrainPhoto { image: photo.image, valid: photo.valid, sky })
+        Ok(TrainPhoto { image: photo.image, valid: photo.valid, sky, strangers: None })
     });
     let fits = train.look != segwild_trainer::LookKind::None;
     let engine = Arc::new(CpuEngine::new());

@@ -22,6 +22,9 @@ pub enum TrainError {
     /// A checkpoint does not belong to this scene or is damaged.
     #[error("checkpoint refused: {0}")]
     Checkpoint(String),
+    /// Somebody asked for a stop.
+    #[error("stopped")]
+    Stopped,
     /// The rasteriser refused.
     #[error(transparent)]
     Raster(#[from] RasterError),

@@ -6,10 +6,12 @@
 
 mod actor;
 mod background;
+mod choice;
 mod density;
 mod error;
 mod evaluate;
 mod initial;
+mod light;
 mod looks;
 
 mod model;
@@ -21,15 +23,19 @@ mod robust;
 mod sampler;
 mod schedule;
 mod settings;
+mod strangers;
 mod trainer;
 mod witness;
 
 pub use actor::{FindCheckpoint, TrainActor, TrainOrder, TrainOutcome};
 pub use background::Background;
+pub use choice::{LookChoice, RUNGS, SIZE as CHOICE_SIZE, ShortFit, Tracks, choose_look};
 pub use density::Change;
 pub use error::TrainError;
 pub use evaluate::{Evaluation, Protocol, ViewScore, evaluate};
+pub use light::{Light, Lighting, render_lit};
 pub use model::{Model, Stats, render_view};
 pub use photos::{Photos, TrainPhoto};
 pub use settings::{DensityKind, LookKind, Preset, TrainSettings};
+pub use strangers::{Strangeness, strangeness};
 pub use trainer::{Checkpoint, StepReport, Trainer, splat_cap};

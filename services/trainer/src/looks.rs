@@ -14,7 +14,8 @@ pub(crate) const IDENTITY: Affine = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0
 /// no photo is named.
 pub(crate) fn begin(settings: &TrainSettings, views: usize) -> AnyLook {
     match settings.look {
-        LookKind::None => AnyLook::None(NoLook),
+        // `auto` comes to no training: the settings are checked first.
+        LookKind::None | LookKind::Auto => AnyLook::None(NoLook),
         LookKind::Affine => {
             let mut look = AffineLook::new(views + 1);
             look.rate = settings.lr_look;

@@ -14,6 +14,8 @@ pub struct TrainPhoto {
     pub valid: Option<Mask>,
     /// Pixels of the sky; `None`: not known, which is not the same as no sky.
     pub sky: Option<Mask>,
+    /// Pixels of strangers, as a person has put them right: these are left out, and no others. `None`: to be found.
+    pub strangers: Option<Mask>,
 }
 
 /// Where photos come from. A call may block until the photo (and its sky) is there.
@@ -51,6 +53,8 @@ pub(crate) struct Stored {
     pub levels: Vec<Level>,
     /// Whether the sky is known.
     pub has_sky: bool,
+    /// Whether it is known who is a stranger; they are not valid, then.
+    pub strangers_known: bool,
 }
 
 /// Sizes kept per photo.
@@ -109,9 +113,9 @@ impl Level {
 
 impl Stored {
     /// Checks a photo and packs it.
-    fn pack(name: &str, photo: &TrainPhoto) -> Result<Stored, TrainError> {
+    pub fn pack(name: &str, photo: &TrainPhoto) -> Result<Stored, TrainError> {
         let refuse = |reason: String| TrainError::Photo { name: name.to_owned(), reason };
-        let TrainPhoto { image, valid, sky } = photo;
+        let TrainPhoto { image, valid, sky, strangers } = photo;
         let n = image.pixels();
         if image.channels != 3 || n == 0 || image.data.len() != 3 * n {
             return Err(refuse(format!(
@@ -127,7 +131,7 @@ impl Stored {
                 p / image.width
             )));
         }
-        for (what, mask) in [("valid", valid), ("sky", sky)] {
+        for (what, mask) in [("valid", valid), ("sky", sky), ("strangers'", strangers)] {
             if let Some(m) = mask
                 && (m.width() as usize, m.height() as usize) != (image.width, image.height)
             {
@@ -142,13 +146,19 @@ impl Stored {
         }
         let flags: Vec<u8> = (0..n)
             .map(|i| {
-                let valid = valid.as_ref().is_none_or(|m| m.index(i));
+                let stranger = strangers.as_ref().is_some_and(|m| m.index(i));
+                let valid = valid.as_ref().is_none_or(|m| m.index(i)) && !stranger;
                 let sky = sky.as_ref().is_some_and(|m| m.index(i));
                 (u8::from(valid) * VALID) | (u8::from(sky) * SKY)
             })
             .collect();
         if flags.iter().all(|f| f & VALID == 0) {
-            return Err(refuse("every pixel is masked out; check its ignore mask".into()));
+            let which = if strangers.is_some() {
+                "its masks of strangers and of what to ignore"
+            } else {
+                "its ignore mask"
+            };
+            return Err(refuse(format!("every pixel is masked out; check {which}")));
         }
         let rgb = image.data.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8).collect();
         let mut levels = vec![Level { width: image.width, height: image.height, rgb, flags }];
@@ -160,7 +170,7 @@ impl Stored {
             let next = last.half();
             levels.push(next);
         }
-        Ok(Stored { levels, has_sky: sky.is_some() })
+        Ok(Stored { levels, has_sky: sky.is_some(), strangers_known: strangers.is_some() })
     }
 
     fn bytes(&self) -> usize {
@@ -240,7 +250,7 @@ mod tests {
     use std::sync::atomic::{AtomicUsize, Ordering};
 
     fn photo(v: f32) -> TrainPhoto {
-        TrainPhoto { image: Image::filled(65, 40, 3, v), valid: None, sky: None }
+        TrainPhoto { image: Image::filled(65, 40, 3, v), valid: None, sky: None, strangers: None }
     }
 
     #[test]

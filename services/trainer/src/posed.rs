@@ -1,7 +1,7 @@
 //! The views as training knows them: where they stood, and which points they saw.
 
 use crate::photos::{Level, Stored};
-use segwild_scene::{Camera, Pose, Scene, View};
+use segwild_scene::{Camera, Point, Pose, Scene, View};
 
 /// How far a point that a photo saw vouches for its pixel: a residual there counts for the rest.
 const TRUST: f32 = 0.9;
@@ -42,18 +42,38 @@ impl Posed {
     }
 }
 
+impl Posed {
+    fn of(view: &View) -> Posed {
+        Posed { name: view.name.clone(), camera: view.camera, pose: view.pose, sightings: Vec::new() }
+    }
+
+    fn saw(&mut self, point: &Point, pixel: [f32; 2]) {
+        let at = [pixel[0] / self.camera.width as f32, pixel[1] / self.camera.height as f32];
+        self.sightings.push((point.colour, at));
+    }
+}
+
 pub(crate) fn posed(scene: &Scene) -> Vec<Posed> {
-    let of = |v: &View| Posed { name: v.name.clone(), camera: v.camera, pose: v.pose, sightings: Vec::new() };
-    let mut views: Vec<Posed> = scene.views.iter().map(of).collect();
+    let mut views: Vec<Posed> = scene.views.iter().map(Posed::of).collect();
     for point in &scene.points {
         for o in &point.track {
             if let Some(view) = views.get_mut(o.view as usize) {
-                let at = [o.pixel[0] / view.camera.width as f32, o.pixel[1] / view.camera.height as f32];
-                view.sightings.push((point.colour, at));
+                view.saw(point, o.pixel);
             }
         }
     }
     views
+}
+
+/// One of them.
+pub(crate) fn posed_view(scene: &Scene, view: usize) -> Posed {
+    let mut posed = Posed::of(&scene.views[view]);
+    for point in &scene.points {
+        for o in point.track.iter().filter(|o| o.view as usize == view) {
+            posed.saw(point, o.pixel);
+        }
+    }
+    posed
 }
 
 /// Colours of a view's points, and what its photo shows there.

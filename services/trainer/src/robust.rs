@@ -40,9 +40,7 @@ impl Robust {
         active: bool,
     ) -> Option<Vec<f32>> {
         let height = residual.len() / width;
-        // Edges that are off by a pixel give thin residuals, people give blobs: blur first.
-        let radius = (width.max(height) / 160).max(1);
-        let smooth = box_mean(residual, width, height, radius);
+        let smooth = smoothed(residual, width);
         let mut fresh = vec![0.0f32; BINS];
         let mut total = 0.0;
         for (i, &r) in smooth.iter().enumerate() {
@@ -86,6 +84,19 @@ impl Robust {
         }
         Some(majority(&out, width, height).iter().map(|&o| f32::from(1 - o)).collect())
     }
+}
+
+/// A residual, blurred: edges that are off by a pixel give thin residuals, people give blobs.
+pub(crate) fn smoothed(residual: &[f32], width: usize) -> Vec<f32> {
+    let height = residual.len() / width;
+    box_mean(residual, width, height, (width.max(height) / 160).max(1))
+}
+
+/// The smoothed residual from which a pixel of this photo counts as transient; `None` where no pixel counts.
+pub(crate) fn limit(smooth: &[f32], counts: impl Fn(usize) -> bool, share: f32) -> Option<f32> {
+    let mut histogram = vec![0.0f32; BINS];
+    smooth.iter().enumerate().filter(|&(i, _)| counts(i)).for_each(|(_, &r)| histogram[bin(r)] += 1.0);
+    (histogram.iter().sum::<f32>() > 0.0).then(|| threshold(&histogram, share))
 }
 
 /// Per pixel, whether a photo contradicts what the scene shows there, judged by this residual alone.

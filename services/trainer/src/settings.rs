@@ -24,6 +24,8 @@ segwild_scene::choice! {
         Affine = "affine",
         /// The same, and light that falls on each splat in its own way: sun and shadow.
         Embed = "embed",
+        /// The lowest of these that suffices, by what points and short fits say before the training.
+        Auto = "auto",
     }
 }
 
@@ -55,7 +57,7 @@ segwild_scene::settings! {
         /// Leave out pixels that keep contradicting the scene: strangers, cars, other transients.
         robust: bool = true,
         /// Largest share of a photo that may be left out as transient.
-        robust_share: f32 = 0.2 => 0.0..=0.6,
+        robust_share: f32 = 0.35 => 0.0..=0.6,
         /// Seed of everything random; the same seed gives the same bytes.
         seed: u64 = 1,
         /// Learning rate of the centres at the start, in pixels of the photo at the scene's median depth.
@@ -105,7 +107,13 @@ impl Preset {
 impl TrainSettings {
     /// Refuses values outside their range, in words.
     pub fn check(&self) -> Result<(), TrainError> {
-        Group::check(self).map_err(|e| TrainError::Setting(e.to_string()))
+        Group::check(self).map_err(|e| TrainError::Setting(e.to_string()))?;
+        match self.look {
+            LookKind::Auto => Err(TrainError::Setting(
+                "`look` is `auto`, which is decided before the training (`choose_look`)".into(),
+            )),
+            _ => Ok(()),
+        }
     }
 
     /// The step after which [`crate::Trainer::snapshot`] is to be taken for the mask stage; at least 1.

@@ -318,6 +318,7 @@ impl Trainer {
         // What counts.
         let residual = mean_difference(&shown, &target);
         let active = self.settings.robust && self.schedule.robust(step) && step >= self.state.pause_until;
+        let active = active && !stored.strangers_known;
         let trusted = self.views[view].trusted(photo);
         let doubted: Vec<f32> = residual.iter().zip(&trusted).map(|(r, t)| r * (1.0 - t)).collect();
         let kept = self.state.robust.weights(view, &doubted, photo.width, |i| photo.counts(i), active);
@@ -419,8 +420,8 @@ impl Trainer {
             for (r, t) in residual.iter_mut().zip(&self.views[view].trusted(photo)) {
                 *r *= 1.0 - t;
             }
-            let contradicted =
-                robust::contradicted(&residual, photo.width, |i| photo.counts(i), self.settings.robust_share);
+            let share = if stored.strangers_known { 0.0 } else { self.settings.robust_share };
+            let contradicted = robust::contradicted(&residual, photo.width, |i| photo.counts(i), share);
             witness.hear(&*projected, photo.width, &contradicted, |i| photo.counts(i));
         }
         let kept = witness.borne_out();

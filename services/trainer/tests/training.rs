@@ -2,10 +2,10 @@
 
 use glam::{DVec3, Vec3};
 use segwild_raster::{Channels, CpuEngine, Engine, ProjectOptions};
-use segwild_scene::{Camera, Frame, Image, Mask, Photo, Point, Pose, Scene, Seal, Splats, View};
+use segwild_scene::{Camera, Frame, Image, Mask, Observation, Photo, Point, Pose, Scene, Seal, Splats, View};
 use segwild_trainer::{
     Checkpoint, DensityKind, LookKind, Model, Photos, Protocol, TrainError, TrainPhoto, TrainSettings,
-    Trainer, evaluate, render_view,
+    Trainer, choose_look, evaluate, render_view,
 };
 use std::sync::Arc;
 
@@ -116,7 +116,7 @@ fn photos(scene: &Scene, sky: bool, change: impl Fn(usize, &mut Image)) -> Arc<d
         .map(|(i, view)| {
             let (mut image, mask) = photo_of(view);
             change(i, &mut image);
-            TrainPhoto { image, valid: None, sky: sky.then_some(mask) }
+            TrainPhoto { image, valid: None, sky: sky.then_some(mask), strangers: None }
         })
         .collect();
     Arc::new(move |i: usize| Ok(all[i].clone()))
@@ -381,4 +381,41 @@ fn looks_are_learnt_and_the_left_half_gives_the_right_halfs_look() {
     };
     let (with, without) = (own(&affine), own(&of(LookKind::None)));
     assert!(with > 24.0 && with > without + 1.0, "its own look {with} dB, one look {without} dB");
+}
+
+#[test]
+fn auto_takes_no_look_where_photos_share_a_light_and_a_look_where_they_differ() {
+    let mut scene = scene(14);
+    let views = scene.views.clone();
+    for point in &mut scene.points {
+        let sees = |(i, view): (usize, &View)| {
+            let at = view.camera.pixel(view.pose.to_camera(point.position));
+            view.camera.contains(at).then(|| Observation { view: i as u32, pixel: at.to_array() })
+        };
+        point.track = views.iter().enumerate().filter_map(sees).collect();
+    }
+    let tint = |i: usize, c: usize, v: f32| {
+        v * [1.0, 0.6, 0.35, 0.8][i % 4] * [1.0, 0.9, 0.7][(c + i) % 3] + 0.03 * (i % 3) as f32
+    };
+    let choose = |photos: Arc<dyn Photos>| {
+        let settings = TrainSettings { look: LookKind::Auto, ..settings(400) };
+        choose_look(engine(), &scene, photos, &settings, &|| false).unwrap()
+    };
+    let same = choose(photos(&scene, true, |_, _| ()));
+    assert_eq!(same.look, LookKind::None, "{}", same.why);
+    assert!(same.why.starts_with("none: ") && same.fits.len() >= 2 && same.held_out >= 2, "{}", same.why);
+    let tinted = |i: usize, image: &mut Image| {
+        for c in 0..3 {
+            image.plane_mut(c).iter_mut().for_each(|v| *v = tint(i, c, *v));
+        }
+    };
+    let differs = choose(photos(&scene, true, tinted));
+    assert!(differs.look != LookKind::None, "{}", differs.why);
+    assert_eq!(choose(photos(&scene, true, tinted)), differs, "the same again");
+    // What nobody has decided is not trained with.
+    let open = TrainSettings { look: LookKind::Auto, ..settings(10) };
+    let refused = Trainer::new(engine(), &scene, photos(&scene, false, |_, _| ()), open).err().unwrap();
+    assert!(refused.to_string().contains("auto"), "{refused}");
+    let stopped = choose_look(engine(), &scene, photos(&scene, false, |_, _| ()), &settings(400), &|| true);
+    assert!(matches!(stopped, Err(TrainError::Stopped)), "{stopped:?}");
 }

@@ -2,6 +2,7 @@
 //! networks run by ort.
 
 mod builtin;
+mod geometry;
 mod networks;
 mod onnx;
 mod provider;
@@ -10,9 +11,11 @@ mod sam;
 mod settings;
 
 pub use builtin::{Builtin, EdgeDetector, Meaning, Question, Step, Weights};
-pub use networks::{EdgeNetwork, SkyNetwork};
+pub use networks::{EdgeNetwork, SkyNetwork, StrangerNetwork};
 pub use onnx::Runtime;
-pub use provider::{Embedder, MaskProposer, PromptSegmenter, SkyDetector, VisionError, Work};
+pub use provider::{
+    Embedder, MaskProposer, PromptSegmenter, SkyDetector, StrangerDetector, VisionError, Work,
+};
 pub use registry::{Family, ModelFile, models_in};
 pub use sam::Sam;
 pub use settings::{DeviceChoice, EdgeChoice, ModelChoice, Providers, SkyChoice, VisionSettings};

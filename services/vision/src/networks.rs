@@ -1,7 +1,7 @@
-//! The networks: boundaries and sky.
+//! The networks: boundaries, sky, persons and vehicles.
 
 use crate::onnx::{Network, Runtime};
-use crate::{EdgeDetector, SkyDetector, VisionError};
+use crate::{EdgeDetector, SkyDetector, StrangerDetector, VisionError};
 use segwild_scene::{Image, Mask};
 use std::path::Path;
 
@@ -135,24 +135,30 @@ impl SkyNetwork {
         if !self.classes {
             return self.network.run(standardised(fitted, IMAGENET));
         }
-        let half = 128.0 / 255.0;
-        let scores = self.network.run(standardised(fitted, [(half, half); 3]))?;
-        if scores.channels != CITYSCAPES.1 {
-            return Err(VisionError::Model(format!(
-                "{}: answered {} classes",
-                self.network.name(),
-                scores.channels
-            )));
-        }
-        let mut out = Image::zeros(scores.width, scores.height, 1);
-        for i in 0..scores.pixels() {
-            let score = |c: usize| scores.data[c * scores.pixels() + i];
-            let top = (0..scores.channels).map(score).fold(f32::NEG_INFINITY, f32::max);
-            let sum: f32 = (0..scores.channels).map(|c| (score(c) - top).exp()).sum();
-            out.data[i] = (score(CITYSCAPES.0) - top).exp() / sum;
-        }
-        Ok(out)
+        class_probability(&self.network, fitted, |class| class == CITYSCAPES.0)
     }
+}
+
+/// Probability per pixel of some classes of Cityscapes together.
+fn class_probability(
+    network: &Network,
+    fitted: Image,
+    wanted: impl Fn(usize) -> bool,
+) -> Result<Image, VisionError> {
+    let half = 128.0 / 255.0;
+    let scores = network.run(standardised(fitted, [(half, half); 3]))?;
+    if scores.channels != CITYSCAPES.1 {
+        return Err(VisionError::Model(format!("{}: answered {} classes", network.name(), scores.channels)));
+    }
+    let mut out = Image::zeros(scores.width, scores.height, 1);
+    for i in 0..scores.pixels() {
+        let score = |c: usize| scores.data[c * scores.pixels() + i];
+        let top = (0..scores.channels).map(score).fold(f32::NEG_INFINITY, f32::max);
+        let of = |c: usize| (score(c) - top).exp();
+        let sum: f32 = (0..scores.channels).map(of).sum();
+        out.data[i] = (0..scores.channels).filter(|&c| wanted(c)).map(of).sum::<f32>() / sum;
+    }
+    Ok(out)
 }
 
 impl SkyDetector for SkyNetwork {
@@ -164,5 +170,43 @@ impl SkyDetector for SkyNetwork {
         crate::builtin::check(image)?;
         let map = self.probability(image)?.resized(image.width, image.height);
         Ok(Mask::over(image.width as u32, image.height as u32, map.plane(0), self.confidence))
+    }
+}
+
+/// Cityscapes' train ids of what moves: person, rider, car, truck, bus, train, motorcycle, bicycle.
+const MOVING: std::ops::RangeInclusive<usize> = 11..=18;
+
+/// A network over the classes of Cityscapes whose persons and vehicles are strangers.
+pub struct StrangerNetwork {
+    network: Network,
+}
+
+impl StrangerNetwork {
+    /// Loads a file; what does not fit is said in words.
+    pub fn load(runtime: &Runtime, path: &Path, threads: u32) -> Result<StrangerNetwork, VisionError> {
+        let network = Network::load(runtime, path, threads)?;
+        if network.answers.is_some_and(|c| c != CITYSCAPES.1) {
+            return Err(VisionError::Model(format!(
+                "{}: answers {} maps; a network of strangers answers the {} classes of Cityscapes",
+                network.name(),
+                network.answers.unwrap_or(0),
+                CITYSCAPES.1
+            )));
+        }
+        Ok(StrangerNetwork { network })
+    }
+}
+
+impl StrangerDetector for StrangerNetwork {
+    fn key(&self) -> String {
+        format!("strangers-{}", self.network.key())
+    }
+
+    fn strangers(&self, image: &Image) -> Result<Mask, VisionError> {
+        crate::builtin::check(image)?;
+        let [h, w] = self.network.size.map(|n| n.unwrap_or(513));
+        let map = class_probability(&self.network, image.resized(w, h), |class| MOVING.contains(&class))?;
+        let map = map.resized(image.width, image.height);
+        Ok(Mask::over(image.width as u32, image.height as u32, map.plane(0), 0.5))
     }
 }

@@ -96,6 +96,14 @@ pub(crate) fn check_certainty(image: &Image, certainty: &Image) -> Result<(), Vi
     Ok(())
 }
 
+/// Who does not belong to the place: persons and vehicles.
+pub trait StrangerDetector: Send + Sync {
+    /// Names the model and its parameters.
+    fn key(&self) -> String;
+    /// Their pixels.
+    fn strangers(&self, image: &Image) -> Result<Mask, VisionError>;
+}
+
 /// Where the sky is.
 pub trait SkyDetector: Send + Sync {
     /// Names the model and its parameters.
@@ -106,4 +114,12 @@ pub trait SkyDetector: Send + Sync {
     }
     /// The sky's pixels.
     fn sky(&self, image: &Image) -> Result<Mask, VisionError>;
+    /// Whether the points that a photo saw decide, so that they are part of every key.
+    fn by_points(&self) -> bool {
+        false
+    }
+    /// The sky's pixels in a photo of which the reconstruction saw these points (pixel positions): they are no sky.
+    fn sky_above(&self, image: &Image, _seen: &[[f32; 2]]) -> Result<Mask, VisionError> {
+        self.sky(image)
+    }
 }

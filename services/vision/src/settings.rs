@@ -1,10 +1,11 @@
 //! Settings of the vision models, and the providers that they name.
 
+use crate::geometry::GeometrySky;
 use crate::onnx::{MEMORY_MIB, Runtime};
 use crate::registry::{DEEPLAB, EDGES, SKY};
 use crate::{
     Builtin, EdgeDetector, EdgeNetwork, Embedder, MaskProposer, PromptSegmenter, SkyDetector, SkyNetwork,
-    VisionError,
+    StrangerDetector, StrangerNetwork, VisionError,
 };
 use segwild_scene::{Image, Mask};
 use std::path::{Path, PathBuf};
@@ -33,6 +34,8 @@ segwild_scene::choice! {
         Network = "network",
         /// The network `deeplab_cityscapes_513.onnx`, the paper's kind; an error without it.
         Deeplab = "deeplab",
+        /// Where the reconstruction saw nothing, above what it saw.
+        Geometry = "geometry",
         /// Nothing is sky.
         None = "none",
     }
@@ -71,8 +74,11 @@ segwild_scene::settings! {
         models: String = String::new(),
         /// Where boundaries come from: auto, builtin or network.
         edges: EdgeChoice = EdgeChoice::Auto,
-        /// How the sky is found: auto, builtin, network, deeplab or none.
+        /// How the sky is found: auto, builtin, network, deeplab, geometry or none.
         sky: SkyChoice = SkyChoice::Auto,
+        /// A network over the classes of Cityscapes (such as `deeplab_cityscapes_513.onnx`) whose persons and vehicles are left
+        /// out of the training from the start. Empty: none.
+        strangers_network: String = String::new(),
         /// What finds masks and answers clicks: auto (SAM if its files are there), builtin or sam.
         masks: ModelChoice = ModelChoice::Auto,
         /// What describes photos for the feature field: auto (SAM if its files are there), builtin or sam.
@@ -112,6 +118,8 @@ pub struct Providers {
     pub segmenter: Arc<dyn PromptSegmenter>,
     /// Sky.
     pub sky: Arc<dyn SkyDetector>,
+    /// Persons and vehicles, if a network for them was named.
+    pub strangers: Option<Arc<dyn StrangerDetector>>,
     /// What was found and chosen, a sentence each.
     pub notes: Vec<String>,
 }
@@ -190,8 +198,19 @@ impl Providers {
                 notes.push("sky: none".into());
                 Arc::new(NoSky)
             }
+            None if settings.sky == SkyChoice::Geometry => {
+                notes.push("sky: by the points that photos saw (asked for)".into());
+                Arc::new(GeometrySky(builtin.clone()))
+            }
             None => {
-                notes.push("sky: built-in detector".into());
+                let why = match settings.sky {
+                    SkyChoice::Auto if settings.models.is_empty() => {
+                        " (colour and boundaries; no folder of models is set)"
+                    }
+                    SkyChoice::Auto => " (colour and boundaries; there is no usable network)",
+                    _ => " (asked for)",
+                };
+                notes.push(format!("sky: built-in detector{why}"));
                 builtin.clone()
             }
         };
@@ -204,7 +223,16 @@ impl Providers {
                 Some(sam) => (sam.clone(), sam),
                 None => (builtin.clone(), builtin),
             };
-        Ok(Providers { embedder, proposer, segmenter, sky, notes })
+        let strangers: Option<Arc<dyn StrangerDetector>> = match settings.strangers_network.as_str() {
+            "" => None,
+            file => {
+                let runtime = Runtime::find_within(&settings.onnxruntime, settings.network_memory)?;
+                let network = StrangerNetwork::load(&runtime, Path::new(file), settings.network_threads)?;
+                notes.push(format!("persons and vehicles: network {file}"));
+                Some(Arc::new(network))
+            }
+        };
+        Ok(Providers { embedder, proposer, segmenter, sky, strangers, notes })
     }
 }
 
@@ -244,7 +272,7 @@ fn sky(
         SkyChoice::Auto => &[(SKY, false), (DEEPLAB, false)],
         SkyChoice::Network => &[(SKY, true)],
         SkyChoice::Deeplab => &[(DEEPLAB, true)],
-        SkyChoice::Builtin | SkyChoice::None => &[],
+        SkyChoice::Builtin | SkyChoice::Geometry | SkyChoice::None => &[],
     };
     for &(name, demanded) in names {
         let Some(path) = file(settings, name, demanded)? else { continue };
@@ -254,7 +282,12 @@ fn sky(
             });
         match network {
             Ok(network) => {
-                notes.push(format!("sky: network {}", path.display()));
+                let why = match (settings.sky, name) {
+                    (SkyChoice::Auto, SKY) => " (first choice: it is made for skies)",
+                    (SkyChoice::Auto, _) => " (second choice: there is no usable sky network)",
+                    _ => " (asked for)",
+                };
+                notes.push(format!("sky: network {}{why}", path.display()));
                 return Ok(Some(Arc::new(network)));
             }
             Err(error) if demanded => return Err(error),

@@ -189,6 +189,7 @@ pub fn counted(providers: &Providers) -> (Providers, Calls) {
         proposer: counted.clone(),
         segmenter: counted.clone(),
         sky: counted,
+        strangers: None,
         notes: providers.notes.clone(),
     };
     (providers, calls)

@@ -6,7 +6,7 @@ use crate::checkpoints::Keeper;
 use crate::folder::{FEATURES, MODEL};
 use crate::history::{self, Moment};
 use crate::inputs::{Drawn, Inputs, VISIBILITY};
-use crate::keep::{SNAPSHOT, TRAINING};
+use crate::keep::{SNAPSHOT, STRANGERS, TRAINING};
 use crate::outcome::Outcome;
 use segwild_features::{FeatureField, FeatureTask};
 use segwild_flow::ledger::ViewOutcome;
@@ -56,6 +56,11 @@ impl Coordinator<'_> {
         bars.geometry = Some(self.options.events.stage("geometry", Some(until.into())));
         let (scene, size, skies) = (self.scene.clone(), self.settings.scene.size, self.skies.clone());
         let (stopper, tainted) = (self.options.stopper.clone(), self.tainted.clone());
+        let strangers = self.known.clone();
+        for view in self.views(false).into_iter().filter(|_| strangers.network.is_some()) {
+            let (name, key) = (&self.scene.views[view].name, &self.keys.known_strangers[view]);
+            self.ledger.record_view(STRANGERS, name, key, &ViewOutcome::cached())?;
+        }
         let photos = move |view: usize| -> Result<TrainPhoto, String> {
             let posed = &scene.views[view];
             let loaded = posed.load(size).map_err(|e| {
@@ -67,7 +72,10 @@ impl Coordinator<'_> {
             if known.is_none() || sky.is_err() {
                 tainted.store(true, Ordering::Release);
             }
-            Ok(TrainPhoto { image: loaded.image, valid: loaded.valid, sky: sky.map_err(|e| e.to_string())? })
+            let (image, valid, sky) = (loaded.image, loaded.valid, sky.map_err(|e| e.to_string())?);
+            let mut photo = TrainPhoto { image, valid, sky, strangers: None };
+            strangers.tell(view, &mut photo)?;
+            Ok(photo)
         };
         let order = TrainOrder {
             scene: self.scene.clone(),
@@ -167,9 +175,12 @@ impl Coordinator<'_> {
             masks_known: self.masks_known.clone(),
             embedder: self.embedder.clone(),
             maker: self.maker.clone(),
+            known: self.known.clone(),
         });
         self.state.inputs = Some(inputs.clone());
         let (views, out) = (self.views(false), to.own.clone());
+        let (folder, segmenter, events) =
+            (self.folder.clone(), self.segmenter.clone(), self.options.events.clone());
         system.source("visibility", ActorOptions::default(), move |context| {
             let mut failed = Vec::new();
             for &view in &views {
@@ -178,7 +189,13 @@ impl Coordinator<'_> {
                     seen => seen?,
                 }
             }
+            let seen: Vec<usize> =
+                views.iter().copied().filter(|view| failed.iter().all(|(f, _)| f != view)).collect();
             out.blocking_send(Outcome::Visibility(failed))?;
+            // The field needs no pictures and does not wait for them.
+            for note in inputs.picture_strangers(&folder, &seen, &*segmenter, context)? {
+                events.warn(Some("geometry"), note);
+            }
             Ok(())
         })?;
         Ok(())

@@ -29,6 +29,7 @@ use crate::graph::{RunOptions, STAGES};
 use crate::inputs::Inputs;
 use crate::outcome::Outcome;
 use crate::skies::Skies;
+use crate::strangers::Known;
 use crate::{RunError, RunFolder, Settings};
 use segwild_features::{FeatureActor, FeatureField, FeatureTask};
 use segwild_flow::ledger::{State as Progress, ViewRow};
@@ -40,7 +41,7 @@ use segwild_masks::{MaskActor, MaskMaker, MaskTask};
 use segwild_raster::Engine;
 use segwild_scene::{Scene, Skipped};
 use segwild_trainer::{Model, TrainActor, TrainOrder, TrainOutcome};
-use segwild_vision::{Embedder, Providers};
+use segwild_vision::{Embedder, PromptSegmenter, Providers};
 use speed::MaskSpeed;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -117,6 +118,9 @@ pub struct Coordinator<'a> {
     /// The step of the training to stop after.
     pub steps: u32,
     pub skies: Arc<Skies>,
+    /// What is known of strangers before anything is trained.
+    pub known: Known,
+    pub segmenter: Arc<dyn PromptSegmenter>,
     pub embedder: Arc<dyn Embedder>,
     pub maker: Arc<MaskMaker>,
     /// Per view, whether its masks are in the cache; `false` when they were given up.

@@ -1,0 +1,372 @@
+//! Strangers as pictures: what each photo shows that the scene does not, for a person to look at and put right.
+//!
+//! `RUN/strangers/PHOTO.png` is white where a stranger stands. `made.json` beside them says which pixels this program
+//! has written and from what. A picture with other pixels is a person's: it is never written over, and the next run
+//! leaves out of the photo exactly what it says, whatever the program would find.
+
+use crate::prompts::png_names;
+use crate::{RunError, RunFolder};
+use segwild_flow::{Cache, Failure, FileError, Key};
+use segwild_raster::Engine;
+use segwild_scene::{Mask, Scene, View};
+use segwild_trainer::{Model, TrainPhoto, strangeness};
+use segwild_vision::{PromptSegmenter, StrangerDetector};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Most of a photo that may be strangers when they are looked for in the trained scene.
+const MOST: f32 = 0.6;
+/// Where the pictures are in the run folder, and what says who made them.
+const FOLDER: &str = "strangers";
+const MADE: &str = "strangers/made.json";
+/// Kind of the cache's records of what the network finds.
+const KIND: &str = "strangers";
+
+/// What this program has made of one photo.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+struct Made {
+    /// The name of what it was made from.
+    key: String,
+    /// The pixels written last, and those before: either may be in the file when a run is killed.
+    pixels: Vec<String>,
+}
+
+/// Hash of a mask's size and pixels: an editor may write the same pixels in other bytes.
+fn pixels(mask: &Mask) -> String {
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(format!("{} {}", mask.width(), mask.height()).as_bytes());
+    for (x, y) in mask.pixels() {
+        hasher.update(&x.to_le_bytes());
+        hasher.update(&y.to_le_bytes());
+    }
+    hasher.finalize().to_hex()[..32].to_owned()
+}
+
+/// Masks that persons have put right, by view.
+#[derive(Clone, Debug, Default)]
+pub struct Corrections(Vec<Option<Correction>>);
+
+#[derive(Clone, Debug)]
+struct Correction {
+    file: PathBuf,
+    mask: Mask,
+    digest: String,
+}
+
+impl Corrections {
+    /// Finds the pictures that a person made or changed: in the folder that was named, else in the run's own.
+    ///
+    /// # Errors
+    /// Names the picture that cannot be read or does not fit its photo.
+    pub fn find(scene: &Scene, folder: &RunFolder, named: &str) -> Result<Corrections, RunError> {
+        if !named.is_empty() && !Path::new(named).is_dir() {
+            return Err(RunError::Request(format!("--strangers {named}: there is no such folder")));
+        }
+        let made: BTreeMap<String, Made> = folder.read_json(MADE).unwrap_or_default();
+        let own = folder.path().join(FOLDER);
+        let mut found = Vec::new();
+        for (view, name) in scene.views.iter().zip(names(scene)) {
+            let known = |mask: &Mask| made.get(&name).is_some_and(|m| m.pixels.contains(&pixels(mask)));
+            let read = |file: PathBuf| -> Result<Option<Correction>, RunError> {
+                if !file.is_file() {
+                    return Ok(None);
+                }
+                let mask = Mask::read_png(&file)?;
+                fits(&mask, view, &file)?;
+                Ok(Some(Correction { digest: pixels(&mask), file, mask }))
+            };
+            let given = if named.is_empty() { None } else { read(Path::new(named).join(&name))? };
+            let own = || Ok::<_, RunError>(read(own.join(&name))?.filter(|c| !known(&c.mask)));
+            found.push(match given {
+                Some(given) => Some(given),
+                None => own()?,
+            });
+        }
+        if !named.is_empty() && found.iter().flatten().all(|c| !c.file.starts_with(named)) {
+            let reason = "it holds no PNG with the name of a photo of this scene";
+            return Err(RunError::Request(format!("--strangers {named}: {reason}")));
+        }
+        Ok(Corrections(found))
+    }
+
+    /// What a view's is, for names of what is made with it.
+    pub fn digest(&self, view: usize) -> Option<&str> {
+        Some(self.0.get(view)?.as_ref()?.digest.as_str())
+    }
+
+    /// A view's, at the size of its loaded photo.
+    pub fn mask(&self, view: usize, width: u32, height: u32) -> Option<Mask> {
+        Some(self.0.get(view)?.as_ref()?.mask.resized(width, height))
+    }
+
+    /// Which photos have one, in words; `None` when none has.
+    pub fn in_words(&self, scene: &Scene) -> Option<String> {
+        let names: Vec<&str> = (0..self.0.len())
+            .filter(|&view| self.0[view].is_some())
+            .map(|view| scene.views[view].name.as_str())
+            .collect();
+        let listed = names.iter().take(3).copied().collect::<Vec<_>>().join(", ");
+        match names.len() {
+            0 => None,
+            1..=3 => Some(format!("strangers as they were put right by hand: {listed}")),
+            n => Some(format!("strangers as they were put right by hand: {listed} and {} more", n - 3)),
+        }
+    }
+}
+
+/// Refuses a mask of another shape than its photo's.
+fn fits(mask: &Mask, view: &View, file: &Path) -> Result<(), RunError> {
+    let (w, h) = (f64::from(mask.width()), f64::from(mask.height()));
+    let (pw, ph) = (f64::from(view.camera.width), f64::from(view.camera.height));
+    // Either size may be rounded by half a pixel.
+    let off = (w * ph - h * pw).abs();
+    if w > 0.0 && h > 0.0 && off <= 0.51 * (pw.max(ph) + w.max(h)) {
+        return Ok(());
+    }
+    let reason = format!("it has {w} x {h} pixels, which does not fit {}'s {pw} x {ph}", view.name);
+    Err(RunError::Folder { path: file.to_owned(), reason })
+}
+
+fn names(scene: &Scene) -> Vec<String> {
+    png_names(scene.views.iter().map(|v| v.name.as_str()))
+}
+
+/// Where the run keeps the picture of a view's strangers.
+pub(crate) fn picture_of(folder: &RunFolder, scene: &Scene, view: usize) -> PathBuf {
+    folder.path().join(FOLDER).join(&names(scene)[view])
+}
+
+/// What is known of a photo's strangers before anything is trained.
+#[derive(Clone)]
+pub struct Known {
+    /// By hand.
+    pub corrections: Arc<Corrections>,
+    /// By a network.
+    pub network: Option<Arc<dyn StrangerDetector>>,
+    /// Where the network's answers are kept.
+    pub cache: Cache,
+    /// Their names, by view.
+    pub keys: Arc<Vec<Key>>,
+}
+
+impl Known {
+    /// Writes what is known into a photo: what a person put right stands as it is; what the network finds is left out,
+    /// and more may be found.
+    pub fn tell(&self, view: usize, photo: &mut TrainPhoto) -> Result<(), String> {
+        let (w, h) = (photo.image.width as u32, photo.image.height as u32);
+        if let Some(mask) = self.corrections.mask(view, w, h) {
+            photo.strangers = Some(mask);
+        } else if let Some(network) = &self.network {
+            let find = || network.strangers(&photo.image);
+            let (mask, _) =
+                self.cache.get_or_make(&self.keys[view], KIND, find).map_err(|e| e.to_string())?;
+            let valid = photo.valid.take().unwrap_or_else(|| Mask::full(w, h));
+            photo.valid = Some(valid.minus(&mask));
+        }
+        Ok(())
+    }
+
+    /// As [`Known::tell`], without the network, which was asked at another size.
+    pub fn tell_hand(&self, view: usize, photo: &mut TrainPhoto) {
+        let (w, h) = (photo.image.width as u32, photo.image.height as u32);
+        photo.strangers = self.corrections.mask(view, w, h);
+    }
+
+    /// The strangers that are known of a photo before training, for its picture.
+    fn mask(&self, view: usize) -> Option<Mask> {
+        self.network.as_ref()?;
+        self.cache.get_typed(&self.keys[view], KIND).ok().flatten()
+    }
+}
+
+/// Makes the pictures of a run's strangers.
+pub(crate) struct Album<'a> {
+    pub folder: &'a RunFolder,
+    pub scene: &'a Scene,
+    pub model: &'a Model,
+    pub engine: &'a dyn Engine,
+    pub segmenter: &'a dyn PromptSegmenter,
+    pub known: &'a Known,
+}
+
+impl Album<'_> {
+    /// Writes the pictures of these views that are not there already; `key` names what a view's is made from, and
+    /// `photo` loads it. Returns what is to be said of single photos.
+    pub fn write(
+        &self,
+        views: &[usize],
+        key: impl Fn(usize) -> Key,
+        photo: impl Fn(usize) -> Result<TrainPhoto, Failure>,
+        mut told: impl FnMut(&str) -> Result<(), Failure>,
+    ) -> Result<Vec<String>, Failure> {
+        let (names, mut notes) = (names(self.scene), Vec::new());
+        let before: BTreeMap<String, Made> = self.folder.read_json(MADE).unwrap_or_default();
+        let mut after = BTreeMap::new();
+        let mut pictures = Vec::new();
+        for &view in views {
+            let (name, key) = (&names[view], key(view).to_string());
+            let file = self.folder.path().join(FOLDER).join(name);
+            let made = before.get(name).cloned().unwrap_or_default();
+            let there = Mask::read_png(&file).ok().map(|mask| pixels(&mask));
+            let ours = there.as_ref().is_none_or(|there| made.pixels.contains(there));
+            if !ours || (there.is_some() && made.key == key) {
+                after.insert(name.clone(), made);
+                continue;
+            }
+            told(&self.scene.views[view].name)?;
+            let photo = photo(view)?;
+            let (mask, psnr) = self.strangers(view, &photo)?;
+            notes.extend(odd(&self.scene.views[view].name, name, &mask, psnr));
+            let new = pixels(&mask);
+            let pixels = [Some(new), there].into_iter().flatten().collect();
+            after.insert(name.clone(), Made { key, pixels });
+            pictures.push((file, mask));
+        }
+        let failed = |e: RunError| Failure::storage(e.to_string());
+        let dir = self.folder.path().join(FOLDER);
+        std::fs::create_dir_all(&dir)
+            .map_err(|e| Failure::storage(FileError::new("create", &dir, e).to_string()))?;
+        // Said before it is done: a picture of this program is never taken for a person's.
+        self.folder.write_json(MADE, &after).map_err(failed)?;
+        for (file, mask) in pictures {
+            mask.write_png(&file).map_err(|e| Failure::storage(e.to_string()))?;
+        }
+        Ok(notes)
+    }
+
+    /// The strangers of a photo: what contradicts the trained scene, out to the photo's own boundaries, and what was
+    /// known before.
+    fn strangers(&self, view: usize, photo: &TrainPhoto) -> Result<(Mask, f32), Failure> {
+        let compared = strangeness(self.model, self.engine, self.scene, view, photo, MOST)?;
+        if let Some(mask) = &photo.strangers {
+            return Ok((mask.clone(), compared.psnr));
+        }
+        let found = match compared.certainty {
+            Some(certainty) => self.segmenter.refine(&photo.image, &certainty)?.mask,
+            None => Mask::empty(photo.image.width as u32, photo.image.height as u32),
+        };
+        let all = self.known.mask(view).map_or(found.clone(), |known| found.or(&known));
+        Ok((all, compared.psnr))
+    }
+}
+
+/// A photo that fits worse than this, and in which hardly anything stands out, has another trouble than strangers.
+const MISFIT: f32 = 12.0;
+
+/// What is odd about a photo's mask: that nearly all of it is strange, or hardly anything of one that does not fit at all.
+fn odd(photo: &str, picture: &str, mask: &Mask, psnr: f32) -> Option<String> {
+    let share = mask.count() as f32 / (f64::from(mask.width()) * f64::from(mask.height())).max(1.0) as f32;
+    let percent = 100.0 * share;
+    if share > MOST {
+        return Some(format!(
+            "photo {photo}: {percent:.0} % of it contradicts the scene; put {FOLDER}/{picture} right, or leave the photo out"
+        ));
+    }
+    (psnr < MISFIT && share < 0.05).then(|| {
+        format!(
+            "photo {photo} does not fit the scene ({psnr:.1} dB), and only {percent:.0} % of it stands out as strange: its \
+             pose may be wrong, or its light beyond the look; paint its strangers into {FOLDER}/{picture}, or leave it out"
+        )
+    })
+}
+
+/// Score of the strangers of one photo.
+#[derive(Clone, Debug, Serialize)]
+pub struct StrangerScore {
+    /// The photo's name.
+    pub photo: String,
+    /// Intersection over union with the true mask; 1 where both are empty.
+    pub iou: f64,
+    /// Share of the photo that is truly covered.
+    pub covered: f64,
+    /// Share of the photo that was taken for a stranger and is none.
+    pub false_share: f64,
+}
+
+/// Scores of a run's strangers.
+#[derive(Clone, Debug, Serialize)]
+pub struct StrangerScores {
+    /// Mean over the photos that show strangers.
+    pub iou: f64,
+    /// Over all pixels of all photos together.
+    pub pooled_iou: f64,
+    /// Mean share of the photos that was taken for a stranger and is none.
+    pub false_share: f64,
+    /// Per photo.
+    pub photos: Vec<StrangerScore>,
+}
+
+/// Scores a run's pictures of strangers against true ones in `truth`, one PNG per photo.
+pub fn score_strangers(folder: &RunFolder, truth: &Path) -> Result<StrangerScores, RunError> {
+    let intake = folder.intake()?;
+    if !truth.is_dir() {
+        return Err(RunError::Request(format!("--strangers {}: there is no such folder", truth.display())));
+    }
+    let mut photos = Vec::new();
+    let (mut both, mut either) = (0.0, 0.0);
+    let names = png_names(intake.photos.iter().map(String::as_str));
+    for (photo, name) in intake.photos.iter().zip(names).filter(|(photo, _)| !intake.held_out.contains(photo))
+    {
+        let (found, file) = (folder.path().join(FOLDER).join(&name), truth.join(&name));
+        if !(found.is_file() && file.is_file()) {
+            continue;
+        }
+        let truth = Mask::read_png(&file)?;
+        let found = Mask::read_png(&found)?.resized(truth.width(), truth.height());
+        let n = f64::from(truth.width()) * f64::from(truth.height());
+        both += found.overlap(&truth) as f64;
+        either += found.or(&truth).count() as f64;
+        photos.push(StrangerScore {
+            photo: photo.clone(),
+            iou: if found.is_empty() && truth.is_empty() { 1.0 } else { found.iou(&truth) },
+            covered: truth.count() as f64 / n,
+            false_share: found.minus(&truth).count() as f64 / n,
+        });
+    }
+    if photos.is_empty() {
+        let reason = "it holds no true mask of a photo of this run whose strangers were looked for".into();
+        return Err(RunError::Folder { path: truth.to_owned(), reason });
+    }
+    let mean = |values: Vec<f64>| values.iter().sum::<f64>() / values.len().max(1) as f64;
+    Ok(StrangerScores {
+        iou: mean(photos.iter().filter(|p| p.covered > 0.0).map(|p| p.iou).collect()),
+        pooled_iou: if either > 0.0 { both / either } else { 1.0 },
+        false_share: mean(photos.iter().map(|p| p.false_share).collect()),
+        photos,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_mask_of_everything_and_one_of_nothing_are_named() {
+        let words = |mask: &Mask, psnr| odd("a.jpg", "a.png", mask, psnr);
+        let all = words(&Mask::full(40, 30), 20.0).expect("all of it");
+        assert!(all.contains("a.jpg") && all.contains("100 %") && all.contains("strangers/a.png"), "{all}");
+        let none = words(&Mask::empty(40, 30), 9.0).expect("nothing, and it does not fit");
+        assert!(none.contains("a.jpg") && none.contains("9.0 dB"), "{none}");
+        assert!(words(&Mask::empty(40, 30), 25.0).is_none(), "it fits, and nobody stands before it");
+        assert!(words(&Mask::from_fn(40, 30, |x, _| x < 8), 9.0).is_none(), "strangers explain it");
+    }
+
+    #[test]
+    fn the_same_pixels_in_another_file_are_the_same_mask() {
+        let dir = tempfile::tempdir().unwrap();
+        let mask = Mask::from_fn(13, 7, |x, y| (x + y) % 3 == 0);
+        // An editor writes colours and other bytes.
+        let picture = segwild_scene::Image {
+            width: 13,
+            height: 7,
+            channels: 3,
+            data: (0..3 * 91).map(|i| f32::from(u8::from(mask.index(i % 91)))).collect(),
+        };
+        let file = dir.path().join("a.png");
+        picture.write_png(&file).unwrap();
+        assert_eq!(pixels(&Mask::read_png(&file).unwrap()), pixels(&mask));
+        assert_ne!(pixels(&mask.not()), pixels(&mask));
+    }
+}
