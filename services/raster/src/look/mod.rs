@@ -5,9 +5,11 @@
 
 mod affine;
 mod embed;
+mod gsw;
 
 pub use affine::AffineLook;
 pub use embed::{EmbedLook, RANK};
+pub use gsw::{Glance, GswLook, GswWidth, HIDDEN, Impression, Sight, VECTOR};
 
 use segwild_scene::Image;
 use wincode::{SchemaRead, SchemaWrite};
@@ -86,6 +88,8 @@ pub enum AnyLook {
     Affine(AffineLook),
     /// [`EmbedLook`].
     Embed(EmbedLook),
+    /// [`GswLook`].
+    Gsw(GswLook),
 }
 
 impl AnyLook {
@@ -95,6 +99,7 @@ impl AnyLook {
             AnyLook::None(look) => look,
             AnyLook::Affine(look) => look,
             AnyLook::Embed(look) => look,
+            AnyLook::Gsw(look) => look,
         }
     }
 
@@ -104,6 +109,46 @@ impl AnyLook {
             AnyLook::None(look) => look,
             AnyLook::Affine(look) => look,
             AnyLook::Embed(look) => look,
+            AnyLook::Gsw(look) => look,
+        }
+    }
+
+    /// What the look makes of a view's photo before it colours splats; `draw` is given in training and differs from step
+    /// to step.
+    pub fn impression(&self, view: usize, draw: Option<u64>) -> Option<Impression> {
+        match self {
+            AnyLook::Gsw(look) => look.impression(view, draw),
+            _ => None,
+        }
+    }
+
+    /// Colours of the splats in sight in a view, from their own; `light` is [`AnyLook::impression`] of the view.
+    pub fn colour(
+        &self,
+        view: usize,
+        light: Option<&Impression>,
+        sight: &Sight,
+        colours: Vec<f32>,
+    ) -> Vec<f32> {
+        match self {
+            AnyLook::Gsw(look) => look.tint(view, light, sight, colours),
+            _ => self.as_look().tint(view, sight.codes, colours),
+        }
+    }
+
+    /// From the gradient of [`AnyLook::colour`]'s result to those of its colours and codes; keeps the gradient of the
+    /// look's own parameters for [`Look::step`].
+    pub fn colour_backward(
+        &mut self,
+        view: usize,
+        light: Option<&Impression>,
+        sight: &Sight,
+        colours: &[f32],
+        grad: Vec<f32>,
+    ) -> (Vec<f32>, Vec<f32>) {
+        match self {
+            AnyLook::Gsw(look) => look.tint_backward(view, light, sight, colours, grad),
+            _ => self.as_look_mut().tint_backward(view, sight.codes, colours, grad),
         }
     }
 }

@@ -1,0 +1,349 @@
+//! The rung `gsw`: the light of a photo is what a network reads in it (GS-W; method, section 3).
+//!
+//! A UNet makes maps of the photo. A splat reads two of them at coordinates of its own, which are trained, and one where
+//! the photo shows it: the light on it (`dynamic`). With what it is made of (`intrinsic`, trained per splat) small
+//! networks fuse that into a vector, which says how the splat looks in this photo from any side, and is what is kept of
+//! a look. A last network makes a colour of vector and direction.
+//!
+//! Where this goes beyond the paper: the colour is added to the splat's own, in the photo's colour matrix, as in
+//! [`super::EmbedLook`]: a run of a thousand steps begins with the scene's colours and not with a network's noise, and
+//! exposure is fitted, not guessed. The UNet also gets the mean and deviation of the photo's colours round its norms,
+//! which would take them away. In some steps it sees a part of the photo only, so that it can be asked about half a photo.
+
+mod glance;
+mod nets;
+mod points;
+
+pub use glance::Glance;
+pub use nets::{GswWidth, HIDDEN, VECTOR};
+
+use super::Look;
+use super::affine::{IDENTITY, NUMBERS};
+use crate::adam::Adam;
+use nets::{DYNAMIC, INTRINSIC, MAPS, Networks, SAMPLE};
+use segwild_nets::{Map, Tape, scatter, take};
+use segwild_scene::{Camera, Pose, Random};
+use std::ops::Range;
+use wincode::{SchemaRead, SchemaWrite};
+
+/// Numbers of a splat's code: what it is made of, then its coordinates on each map.
+const CODE: usize = INTRINSIC + 2 * MAPS;
+/// How much faster a splat's coordinates move than the rest of its code: they are kept divided by this.
+const COORDINATE: f32 = 0.3;
+/// Share of the steps in which the UNet sees a part of the photo.
+const PARTLY: f32 = 0.4;
+/// Share of the steps in which no light is read, so that the scene without any is a scene.
+const DARK: f32 = 0.1;
+/// Size of the last layer's weights to start with, against those of the other layers: near the look below this one.
+const QUIET: f32 = 0.02;
+
+/// The networks, and what is kept of each photo.
+#[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
+pub struct GswLook {
+    /// Learning rate of matrices.
+    pub rate: f32,
+    /// Learning rate of the UNet.
+    pub net_rate: f32,
+    /// Learning rate of the small networks.
+    pub point_rate: f32,
+    /// Pull of matrices towards the identity, as in [`super::AffineLook`].
+    pub pull: f32,
+    paper: bool,
+    seed: u64,
+    weights: Vec<f32>,
+    net_moments: Adam,
+    point_moments: Adam,
+    matrices: Vec<[f32; NUMBERS]>,
+    matrix_moments: Vec<Adam>,
+    glances: Vec<Option<Glance>>,
+    /// Gradients since the last step.
+    grads: Option<Grads>,
+}
+
+#[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
+struct Grads {
+    view: u64,
+    weights: Vec<f32>,
+    matrix: [f32; NUMBERS],
+}
+
+/// What the splats are, for a look that depends on more than their colours.
+#[derive(Clone, Copy, Debug)]
+pub struct Sight<'a> {
+    /// Centres.
+    pub means: &'a [[f32; 3]],
+    /// What splats keep for the look, `[splat][code_size]`.
+    pub codes: &'a [f32],
+    /// Above 0 for splats in sight; the others need no colour.
+    pub radii: &'a [f32],
+    /// Where they are looked at from.
+    pub eye: [f32; 3],
+}
+
+/// What the UNet made of a photo.
+#[derive(Clone, Debug)]
+pub struct Impression {
+    /// The maps as splats read them: `[pixel][SAMPLE]` each.
+    maps: [Vec<f32>; MAPS + 1],
+    width: usize,
+    height: usize,
+    glance: Glance,
+    /// How much of the light falls: 1 as in the photo.
+    strength: f32,
+    /// In training: what the step draws, and what the backward pass needs.
+    training: Option<(u64, Box<Tape>)>,
+}
+
+impl GswLook {
+    /// Networks drawn by `seed`, and identities for `views` photos.
+    pub fn new(views: usize, seed: u64, width: GswWidth) -> GswLook {
+        let nets = Networks::of(width);
+        let mut random = Random::stream(seed, 0x6773_7721);
+        let mut weights = nets.layout.begin(|| random.normal());
+        weights[nets.last()].iter_mut().for_each(|w| *w *= QUIET);
+        GswLook {
+            rate: 2e-3,
+            net_rate: 2e-3,
+            point_rate: 2e-3,
+            pull: 1e-3,
+            paper: width == GswWidth::Paper,
+            seed,
+            net_moments: Adam::new(1, nets.border).with(0.9, 0.999, 1e-8),
+            point_moments: Adam::new(1, weights.len() - nets.border).with(0.9, 0.999, 1e-8),
+            weights,
+            matrices: vec![IDENTITY; views],
+            matrix_moments: vec![Adam::new(1, NUMBERS); views],
+            glances: vec![None; views],
+            grads: None,
+        }
+    }
+
+    fn nets(&self) -> &'static Networks {
+        Networks::of(if self.paper { GswWidth::Paper } else { GswWidth::Cpu })
+    }
+
+    /// Whether its parts fit each other and `views` photos.
+    pub fn consistent(&self, views: usize) -> bool {
+        let nets = self.nets();
+        let lists = [self.matrices.len(), self.matrix_moments.len(), self.glances.len()];
+        let moments = [self.net_moments.len(), self.point_moments.len()];
+        self.weights.len() == nets.layout.len()
+            && moments == [nets.border, self.weights.len() - nets.border]
+            && lists.iter().all(|&n| n == views)
+            && self.matrix_moments.iter().all(|m| m.len() == NUMBERS)
+            && self.glances.iter().flatten().all(Glance::is_whole)
+            && self.grads.is_none()
+    }
+
+    /// A photo's matrix, row by row; the identity for a photo that is not known.
+    pub fn matrix(&self, view: usize) -> [f32; NUMBERS] {
+        self.matrices.get(view).copied().unwrap_or(IDENTITY)
+    }
+
+    /// Sets a photo's matrix and forgets its optimiser's moments. Ignores photos that are not known.
+    pub fn set_matrix(&mut self, view: usize, matrix: [f32; NUMBERS]) {
+        if let Some(slot) = self.matrices.get_mut(view) {
+            *slot = matrix;
+            self.matrix_moments[view] = Adam::new(1, NUMBERS);
+        }
+    }
+
+    /// A photo, at the size of the network. `colour` tells of each of its `size` pixels the colour, or that nothing is
+    /// known of it.
+    pub fn glance(
+        &self,
+        size: (usize, usize),
+        camera: &Camera,
+        pose: &Pose,
+        colour: impl Fn(usize) -> Option<[f32; 3]>,
+    ) -> Glance {
+        Glance::new(self.nets().side, size, camera, pose, colour)
+    }
+
+    /// Keeps what a photo shows. Ignores photos that are not known.
+    pub fn set_glance(&mut self, view: usize, glance: Glance) {
+        if let Some(slot) = self.glances.get_mut(view) {
+            *slot = Some(glance);
+        }
+    }
+
+    /// The last layer of the colour head: of each channel its factors, and its offset.
+    pub fn last_layer(&self) -> [([f32; HIDDEN], f32); 3] {
+        let last = &self.weights[self.nets().last()];
+        std::array::from_fn(|c| (std::array::from_fn(|k| last[3 * k + c]), last[3 * HIDDEN + c]))
+    }
+
+    /// Puts another last layer in its place.
+    pub fn set_last_layer(&mut self, layer: &[([f32; HIDDEN], f32); 3]) {
+        let range = self.nets().last();
+        let last = &mut self.weights[range];
+        for (c, (factors, offset)) in layer.iter().enumerate() {
+            factors.iter().enumerate().for_each(|(k, v)| last[3 * k + c] = *v);
+            last[3 * HIDDEN + c] = *offset;
+        }
+    }
+
+    /// Forgets what only training needs.
+    pub fn forget_training(&mut self) {
+        let nets = self.nets();
+        self.net_moments = Adam::new(1, nets.border);
+        self.point_moments = Adam::new(1, self.weights.len() - nets.border);
+    }
+
+    /// What splats begin with: nothing of what they are made of, and coordinates that mix their positions, so that
+    /// neighbours read the same light.
+    pub fn first_codes(&self, means: &[[f32; 3]]) -> Vec<f32> {
+        let axis = |k: usize| {
+            let mut values: Vec<f32> = means.iter().map(|m| m[k]).filter(|v| v.is_finite()).collect();
+            values.sort_by(f32::total_cmp);
+            let at = |share: f32| values.get((share * values.len() as f32) as usize).copied().unwrap_or(0.0);
+            (at(0.02), at(0.98).max(at(0.02) + 1e-6))
+        };
+        let axes = [axis(0), axis(1), axis(2)];
+        let mut random = Random::stream(self.seed, 0x636f_6f72);
+        let mixes: [[f32; 3]; 2 * MAPS] = std::array::from_fn(|_| {
+            let mix = [random.uniform(), random.uniform(), random.uniform()];
+            let total = mix.iter().sum::<f32>().max(1e-3);
+            mix.map(|v| v / total)
+        });
+        let mut out = vec![0.0; means.len() * CODE];
+        for (code, mean) in out.chunks_exact_mut(CODE).zip(means) {
+            let at: [f32; 3] = std::array::from_fn(|k| {
+                let (low, high) = axes[k];
+                (2.0 * (mean[k] - low) / (high - low) - 1.0).clamp(-1.0, 1.0)
+            });
+            for (to, mix) in code[INTRINSIC..].iter_mut().zip(&mixes) {
+                *to = (0..3).map(|k| mix[k] * at[k]).sum::<f32>() / COORDINATE;
+            }
+        }
+        out
+    }
+
+    /// What the UNet makes of a view's photo; `None` for a photo that is not known: no light, the same for all.
+    /// `draw` is given in training and differs from step to step.
+    pub fn impression(&self, view: usize, draw: Option<u64>) -> Option<Impression> {
+        let glance = self.glances.get(view)?.as_ref()?;
+        let mut seen = 0.0..1.0;
+        if let Some(draw) = draw {
+            let mut random = Random::stream(self.seed, draw);
+            if random.uniform() < DARK {
+                return None;
+            }
+            if random.uniform() < PARTLY {
+                seen = if random.uniform() < 0.5 { 0.0..0.5 } else { 0.5..1.0 };
+            }
+        }
+        Some(self.impression_of(glance, seen, draw))
+    }
+
+    /// What the UNet makes of a photo that is not one of the known views'.
+    pub fn impression_of_glance(&self, glance: &Glance) -> Impression {
+        self.impression_of(glance, 0.0..1.0, None)
+    }
+
+    fn impression_of(&self, glance: &Glance, seen: Range<f32>, draw: Option<u64>) -> Impression {
+        let (image, beside) = glance.planes(seen);
+        let tape = self.nets().unet.forward(&self.weights, image, &beside);
+        Impression {
+            maps: std::array::from_fn(|k| take(&tape.maps, k * SAMPLE, SAMPLE)),
+            width: tape.maps.width,
+            height: tape.maps.height,
+            glance: glance.clone(),
+            strength: 1.0,
+            training: draw.map(|draw| (draw, Box::new(tape))),
+        }
+    }
+
+    /// The vectors of all splats in a mix of photos, each with its weight; no photo: without light.
+    pub fn vectors(&self, photos: &[(&Impression, f32)], sight: &Sight) -> Vec<f32> {
+        points::vectors(self, photos, sight)
+    }
+
+    /// Colours of the splats in sight from their own colours, vectors and a matrix.
+    pub fn colours(
+        &self,
+        vectors: &[f32],
+        matrix: &[f32; NUMBERS],
+        sight: &Sight,
+        colours: Vec<f32>,
+    ) -> Vec<f32> {
+        points::colours(self, vectors, matrix, sight, colours)
+    }
+
+    /// What the colour head has before its last layer, `[splat][HIDDEN]`; 0 for splats out of sight.
+    pub fn hidden(&self, vectors: &[f32], sight: &Sight) -> Vec<f32> {
+        points::hidden(self, vectors, sight)
+    }
+
+    /// Colours of the splats in sight in a view, from their own; `light` is [`GswLook::impression`] of the view.
+    pub fn tint(
+        &self,
+        view: usize,
+        light: Option<&Impression>,
+        sight: &Sight,
+        colours: Vec<f32>,
+    ) -> Vec<f32> {
+        points::tint(self, &self.matrix(view), light, sight, colours)
+    }
+
+    /// From the gradient of [`GswLook::tint`]'s result to those of its colours and codes; keeps the gradient of the
+    /// look's own parameters for [`Look::step`].
+    pub fn tint_backward(
+        &mut self,
+        view: usize,
+        light: Option<&Impression>,
+        sight: &Sight,
+        colours: &[f32],
+        grad: Vec<f32>,
+    ) -> (Vec<f32>, Vec<f32>) {
+        let back = points::backward(self, &self.matrix(view), light, sight, colours, grad);
+        let nets = self.nets();
+        let mut weights = vec![0.0; self.weights.len()];
+        weights[nets.border..].copy_from_slice(&back.weights);
+        if let Some(Impression { training: Some((_, tape)), width, height, .. }) = light {
+            let mut maps = Map::zeros(DYNAMIC, *height, *width);
+            for (k, map) in back.maps.iter().enumerate() {
+                scatter(map, &mut maps, k * SAMPLE, SAMPLE);
+            }
+            nets.unet.backward(&self.weights, tape, &maps, None, &mut weights);
+        }
+        self.grads = Some(Grads { view: view as u64, weights, matrix: back.matrix });
+        (back.colours, back.codes)
+    }
+}
+
+impl Impression {
+    /// The same light, so many times as strong.
+    pub fn scaled(mut self, strength: f32) -> Impression {
+        self.strength = strength;
+        self
+    }
+}
+
+impl Look for GswLook {
+    fn name(&self) -> &'static str {
+        "gsw"
+    }
+
+    fn parameters(&self) -> usize {
+        self.weights.len() + self.matrices.len() * NUMBERS
+    }
+
+    fn code_size(&self) -> usize {
+        CODE
+    }
+
+    fn step(&mut self, scale: f32) {
+        let Some(Grads { view, weights, mut matrix }) = self.grads.take() else { return };
+        let border = self.nets().border;
+        let (net, point) = self.weights.split_at_mut(border);
+        self.net_moments.step(net, &weights[..border], self.net_rate * scale);
+        self.point_moments.step(point, &weights[border..], self.point_rate * scale);
+        if let Some(own) = self.matrices.get_mut(view as usize) {
+            for k in 0..NUMBERS {
+                matrix[k] += self.pull * (own[k] - IDENTITY[k]);
+            }
+            self.matrix_moments[view as usize].step(own, &matrix, self.rate * scale);
+        }
+    }
+}

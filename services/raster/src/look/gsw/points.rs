@@ -1,0 +1,345 @@
+//! From maps to colours, splat by splat, and back.
+//!
+//! Splats are taken in pieces, each by one task; sums over splats are taken piece by piece, in order. The backward pass
+//! runs a piece forward again, which costs less than keeping what all splats had on the way.
+
+use super::nets::{DYNAMIC, HIDDEN, INTRINSIC, MAPS, Networks, SAMPLE, VECTOR};
+use super::{CODE, COORDINATE, GswLook, Impression, Sight};
+use crate::look::affine::NUMBERS;
+use rayon::prelude::*;
+use segwild_nets::{Activations, Spot};
+use segwild_scene::Random;
+
+/// Splats that one task works on.
+const PIECE: usize = 512;
+/// Share of the numbers of light that a training step leaves out.
+const DROPPED: f32 = 0.1;
+/// Weight of what coordinates are off the map, per coordinate.
+const OFF_MAP: f32 = 1e-3;
+
+/// A piece of splats on its way to colours.
+struct Run {
+    light: Activations,
+    fuse: Activations,
+    colour: Option<Activations>,
+    /// Where each splat reads the maps, if there are any.
+    spots: Vec<[Option<Spot>; MAPS + 1]>,
+    /// What each number of light was multiplied with, in training.
+    kept: Vec<f32>,
+}
+
+fn spots(light: &Impression, mean: [f32; 3], code: &[f32]) -> [Option<Spot>; MAPS + 1] {
+    let (w, h) = (light.width, light.height);
+    std::array::from_fn(|k| {
+        if k < MAPS {
+            let at = [code[INTRINSIC + 2 * k], code[INTRINSIC + 2 * k + 1]];
+            return Some(Spot::new(w, h, at.map(|v| v * COORDINATE)));
+        }
+        // From shares of the sides to the coordinates of pixels' centres.
+        let centre = |share: f32, n: usize| match n {
+            1 => 0.0,
+            _ => 2.0 * (share * n as f32 - 0.5) / (n - 1) as f32 - 1.0,
+        };
+        light.glance.place(mean).map(|[u, v]| Spot::new(w, h, [centre(u, w), centre(v, h)]))
+    })
+}
+
+/// The light that a splat reads.
+fn read(light: &Impression, spots: &[Option<Spot>; MAPS + 1], out: &mut [f32]) {
+    for ((spot, map), out) in spots.iter().zip(&light.maps).zip(out.chunks_exact_mut(SAMPLE)) {
+        if let Some(spot) = spot {
+            spot.read(map, out);
+        }
+    }
+}
+
+/// Sines and cosines of the position at rising frequencies, each from the one below by the double angle.
+fn encode(mean: [f32; 3], octaves: usize, out: &mut [f32]) {
+    out[..3].copy_from_slice(&mean);
+    for k in 0..3 {
+        let (mut s, mut c) = mean[k].sin_cos();
+        for o in 0..octaves {
+            out[3 + 6 * o + 2 * k] = s;
+            out[4 + 6 * o + 2 * k] = c;
+            (s, c) = (2.0 * s * c, 1.0 - 2.0 * s * s);
+        }
+    }
+}
+
+/// Runs the splats `which` up to their vectors, in the weighted lights.
+fn run(
+    look: &GswLook,
+    nets: &Networks,
+    lights: &[(&Impression, f32)],
+    sight: &Sight,
+    which: &[usize],
+) -> Run {
+    let width = nets.light.ends().0;
+    let mut x = vec![0.0; which.len() * width];
+    let draw = lights.first().and_then(|(light, _)| light.training.as_ref()).map(|(draw, _)| *draw);
+    let mut kept = Vec::new();
+    let mut all_spots = Vec::new();
+    let mut read_here = [0.0; DYNAMIC];
+    for (x, &i) in x.chunks_exact_mut(width).zip(which) {
+        let (mean, code) = (sight.means[i], &sight.codes[i * CODE..(i + 1) * CODE]);
+        for (light, weight) in lights {
+            let spots = spots(light, mean, code);
+            read_here.fill(0.0);
+            read(light, &spots, &mut read_here);
+            let weight = weight * light.strength;
+            x[..DYNAMIC].iter_mut().zip(&read_here).for_each(|(x, v)| *x += weight * v);
+            if draw.is_some() {
+                all_spots.push(spots);
+            }
+        }
+        if let Some(draw) = draw {
+            let mut random = Random::stream(draw, i as u64);
+            for x in &mut x[..DYNAMIC] {
+                let keep = if random.uniform() < DROPPED { 0.0 } else { 1.0 / (1.0 - DROPPED) };
+                *x *= keep;
+                kept.push(keep);
+            }
+        }
+        x[DYNAMIC..DYNAMIC + INTRINSIC].copy_from_slice(&code[..INTRINSIC]);
+        encode(mean, nets.octaves, &mut x[DYNAMIC + INTRINSIC..]);
+    }
+    let light = nets.light.forward(&look.weights, x);
+    let made = nets.light.ends().1;
+    let mut x = Vec::with_capacity(which.len() * (made + INTRINSIC));
+    for (made, &i) in light.result().chunks_exact(made).zip(which) {
+        x.extend_from_slice(made);
+        x.extend_from_slice(&sight.codes[i * CODE..][..INTRINSIC]);
+    }
+    let fuse = nets.fuse.forward(&look.weights, x);
+    Run { light, fuse, colour: None, spots: all_spots, kept }
+}
+
+/// Runs vectors on to colours.
+fn head(look: &GswLook, nets: &Networks, vectors: &[f32], sight: &Sight, which: &[usize]) -> Activations {
+    let mut x = Vec::with_capacity(which.len() * (VECTOR + 3));
+    for (vector, &i) in vectors.chunks_exact(VECTOR).zip(which) {
+        x.extend_from_slice(vector);
+        let to: [f32; 3] = std::array::from_fn(|k| sight.means[i][k] - sight.eye[k]);
+        let long = to.iter().map(|v| v * v).sum::<f32>().sqrt().max(1e-12);
+        x.extend(to.map(|v| v / long));
+    }
+    nets.colour.forward(&look.weights, x)
+}
+
+fn in_sight(sight: &Sight) -> Vec<usize> {
+    (0..sight.means.len()).filter(|&i| sight.radii[i] > 0.0).collect()
+}
+
+fn through(matrix: &[f32; NUMBERS], colour: &mut [f32], more: &[f32]) {
+    let [r, g, b] = [colour[0], colour[1], colour[2]];
+    for c in 0..3 {
+        let m = &matrix[4 * c..4 * c + 4];
+        colour[c] = m[0] * r + m[1] * g + m[2] * b + m[3] + more[c];
+    }
+}
+
+pub(super) fn tint(
+    look: &GswLook,
+    matrix: &[f32; NUMBERS],
+    light: Option<&Impression>,
+    sight: &Sight,
+    mut colours: Vec<f32>,
+) -> Vec<f32> {
+    let nets = look.nets();
+    let which = in_sight(sight);
+    let lights: Vec<(&Impression, f32)> = light.map(|l| (l, 1.0)).into_iter().collect();
+    let made: Vec<Vec<f32>> = which
+        .par_chunks(PIECE)
+        .map(|which| {
+            let run = run(look, nets, &lights, sight, which);
+            head(look, nets, run.fuse.result(), sight, which).result().to_vec()
+        })
+        .collect();
+    for (&i, made) in which.iter().zip(made.iter().flat_map(|m| m.chunks_exact(3))) {
+        through(matrix, &mut colours[3 * i..3 * i + 3], made);
+    }
+    colours
+}
+
+pub(super) fn vectors(look: &GswLook, lights: &[(&Impression, f32)], sight: &Sight) -> Vec<f32> {
+    let nets = look.nets();
+    let all: Vec<usize> = (0..sight.means.len()).collect();
+    let pieces: Vec<Vec<f32>> = all
+        .par_chunks(PIECE)
+        .map(|which| run(look, nets, lights, sight, which).fuse.result().to_vec())
+        .collect();
+    pieces.concat()
+}
+
+/// The head's activations of the splats in sight, piece by piece.
+fn heads<T: Send>(
+    look: &GswLook,
+    vectors: &[f32],
+    sight: &Sight,
+    which: &[usize],
+    take: impl Fn(Activations) -> T + Sync,
+) -> Vec<T> {
+    let nets = look.nets();
+    which
+        .par_chunks(PIECE)
+        .map(|which| {
+            let own: Vec<f32> =
+                which.iter().flat_map(|&i| &vectors[i * VECTOR..][..VECTOR]).copied().collect();
+            take(head(look, nets, &own, sight, which))
+        })
+        .collect()
+}
+
+pub(super) fn colours(
+    look: &GswLook,
+    vectors: &[f32],
+    matrix: &[f32; NUMBERS],
+    sight: &Sight,
+    mut colours: Vec<f32>,
+) -> Vec<f32> {
+    let which = in_sight(sight);
+    let made = heads(look, vectors, sight, &which, |a| a.result().to_vec());
+    for (&i, made) in which.iter().zip(made.iter().flat_map(|m| m.chunks_exact(3))) {
+        through(matrix, &mut colours[3 * i..3 * i + 3], made);
+    }
+    colours
+}
+
+pub(super) fn hidden(look: &GswLook, vectors: &[f32], sight: &Sight) -> Vec<f32> {
+    let which = in_sight(sight);
+    let made = heads(look, vectors, sight, &which, |a| a.before_last().to_vec());
+    let mut out = vec![0.0; sight.means.len() * HIDDEN];
+    for (&i, made) in which.iter().zip(made.iter().flat_map(|m| m.chunks_exact(HIDDEN))) {
+        out[i * HIDDEN..(i + 1) * HIDDEN].copy_from_slice(made);
+    }
+    out
+}
+
+/// What [`backward`] finds.
+pub(super) struct Back {
+    /// Of the splats' own colours.
+    pub colours: Vec<f32>,
+    /// Of their codes.
+    pub codes: Vec<f32>,
+    /// Of the small networks' weights.
+    pub weights: Vec<f32>,
+    pub matrix: [f32; NUMBERS],
+    /// Of the maps, `[pixel][SAMPLE]`.
+    pub maps: [Vec<f32>; MAPS + 1],
+}
+
+/// What one piece finds.
+struct Piece {
+    colours: Vec<f32>,
+    codes: Vec<f32>,
+    weights: Vec<f32>,
+    matrix: [f32; NUMBERS],
+    spots: Vec<[Option<Spot>; MAPS + 1]>,
+    light: Vec<f32>,
+}
+
+pub(super) fn backward(
+    look: &GswLook,
+    matrix: &[f32; NUMBERS],
+    light: Option<&Impression>,
+    sight: &Sight,
+    colours: &[f32],
+    grad: Vec<f32>,
+) -> Back {
+    let nets = look.nets();
+    // Splats that no pixel asks about have no part in the sums.
+    let which: Vec<usize> =
+        in_sight(sight).into_iter().filter(|&i| grad[3 * i..3 * i + 3] != [0.0; 3]).collect();
+    let lights: Vec<(&Impression, f32)> = light.map(|l| (l, 1.0)).into_iter().collect();
+    let turned = [&nets.light, &nets.fuse, &nets.colour].map(|net| net.turned(&look.weights));
+    let pieces: Vec<Piece> = which
+        .par_chunks(PIECE)
+        .map(|which| {
+            let mut run = run(look, nets, &lights, sight, which);
+            run.colour = Some(head(look, nets, run.fuse.result(), sight, which));
+            piece_backward(nets, &turned, run, (light, sight, which), (matrix, colours, &grad))
+        })
+        .collect();
+    let mut back = Back {
+        colours: grad,
+        codes: vec![0.0; sight.codes.len()],
+        weights: vec![0.0; look.weights.len() - nets.border],
+        matrix: [0.0; NUMBERS],
+        maps: std::array::from_fn(|k| vec![0.0; light.map_or(0, |l| l.maps[k].len())]),
+    };
+    for (piece, which) in pieces.iter().zip(which.chunks(PIECE)) {
+        back.weights.iter_mut().zip(&piece.weights).for_each(|(sum, v)| *sum += v);
+        back.matrix.iter_mut().zip(piece.matrix).for_each(|(sum, v)| *sum += v);
+        for (k, &i) in which.iter().enumerate() {
+            back.colours[3 * i..3 * i + 3].copy_from_slice(&piece.colours[3 * k..3 * k + 3]);
+            back.codes[i * CODE..(i + 1) * CODE].copy_from_slice(&piece.codes[k * CODE..(k + 1) * CODE]);
+        }
+    }
+    back.maps.par_iter_mut().enumerate().for_each(|(m, map)| {
+        for piece in &pieces {
+            for (spots, light) in piece.spots.iter().zip(piece.light.chunks_exact(DYNAMIC)) {
+                if let Some(spot) = &spots[m] {
+                    spot.add(&light[m * SAMPLE..(m + 1) * SAMPLE], map);
+                }
+            }
+        }
+    });
+    back
+}
+
+fn piece_backward(
+    nets: &Networks,
+    turned: &[Vec<Vec<f32>>; 3],
+    run: Run,
+    (light, sight, which): (Option<&Impression>, &Sight, &[usize]),
+    (matrix, colours, grad): (&[f32; NUMBERS], &[f32], &[f32]),
+) -> Piece {
+    let mut weights = vec![0.0; nets.layout.len() - nets.border];
+    let mut part = |range: std::ops::Range<usize>| range.start - nets.border..range.end - nets.border;
+    let (mut own_colours, mut own_matrix) = (Vec::with_capacity(3 * which.len()), [0.0; NUMBERS]);
+    let mut out = Vec::with_capacity(3 * which.len());
+    for &i in which {
+        let (g, colour) = (&grad[3 * i..3 * i + 3], &colours[3 * i..3 * i + 3]);
+        out.extend_from_slice(g);
+        for c in 0..3 {
+            for k in 0..3 {
+                own_matrix[4 * c + k] += g[c] * colour[k];
+            }
+            own_matrix[4 * c + 3] += g[c];
+        }
+        own_colours.extend((0..3).map(|c| (0..3).map(|k| matrix[4 * k + c] * g[k]).sum::<f32>()));
+    }
+    let head = run.colour.as_ref().expect("run to its end");
+    let own = part(nets.colour.range());
+    let out = nets.colour.backward(&turned[2], head, out, &mut weights[own], VECTOR);
+    let made = nets.light.ends().1;
+    let own = part(nets.fuse.range());
+    let out = nets.fuse.backward(&turned[1], &run.fuse, out, &mut weights[own], made + INTRINSIC);
+    let mut codes = vec![0.0; which.len() * CODE];
+    let mut to_light = Vec::with_capacity(which.len() * made);
+    for (out, code) in out.chunks_exact(made + INTRINSIC).zip(codes.chunks_exact_mut(CODE)) {
+        to_light.extend_from_slice(&out[..made]);
+        code[..INTRINSIC].copy_from_slice(&out[made..]);
+    }
+    let own = part(nets.light.range());
+    let wanted = DYNAMIC + INTRINSIC;
+    let out = nets.light.backward(&turned[0], &run.light, to_light, &mut weights[own], wanted);
+    let mut to_maps = Vec::with_capacity(if light.is_some() { which.len() * DYNAMIC } else { 0 });
+    for (k, (out, code)) in out.chunks_exact(wanted).zip(codes.chunks_exact_mut(CODE)).enumerate() {
+        code[..INTRINSIC].iter_mut().zip(&out[DYNAMIC..]).for_each(|(sum, v)| *sum += v);
+        let Some(light) = light.filter(|_| !run.spots.is_empty()) else { continue };
+        let from = to_maps.len();
+        to_maps.extend(out[..DYNAMIC].iter().zip(&run.kept[k * DYNAMIC..]).map(|(g, keep)| g * keep));
+        let of_code = &sight.codes[which[k] * CODE + INTRINSIC..][..2 * MAPS];
+        for m in 0..MAPS {
+            let Some(spot) = &run.spots[k][m] else { continue };
+            let slope = spot.slope(&to_maps[from + m * SAMPLE..][..SAMPLE], &light.maps[m]);
+            for a in 0..2 {
+                let at = of_code[2 * m + a] * COORDINATE;
+                let off = if at.abs() > 1.0 { OFF_MAP * at.signum() / sight.means.len() as f32 } else { 0.0 };
+                code[INTRINSIC + 2 * m + a] = COORDINATE * (slope[a] + off);
+            }
+        }
+    }
+    Piece { colours: own_colours, codes, weights, matrix: own_matrix, spots: run.spots, light: to_maps }
+}
