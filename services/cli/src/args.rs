@@ -89,16 +89,13 @@ pub fn program() -> Command {
                         .value_parser(value_parser!(u32).range(2..))
                         .help("Pictures along the path through the photos"),
                 )
-                .arg(Arg::new("look").long("look").value_name("PHOTO").help(
-                    "Draw under this photo's look; `none` for the scene's own [default: the view's own]",
-                ))
+                .args(looks("view's own; on a path from photo to photo"))
                 .arg(Arg::new("selection").long("selection").value_name("NAME").help("Draw this selection"))
                 .arg(
                     Arg::new("mode")
                         .long("mode")
-                        .value_parser(["highlight", "only", "without"])
-                        .default_value("highlight")
-                        .help("How the selection is drawn"),
+                        .value_parser(["highlight", "only", "without", "scene"])
+                        .help("How the selection is drawn [default: highlight; scene, as it is, with --object-look]"),
                 )
                 .arg(
                     Arg::new("what")
@@ -115,6 +112,21 @@ pub fn program() -> Command {
                         .help("Long side of the pictures [default: as trained]"),
                 )
                 .arg(path("out", "Folder for the pictures [default: RUN/renders]"))
+                .arg(json()),
+        )
+        .subcommand(
+            Command::new("bake")
+                .about("Write splats under a look as a .ply that any viewer shows: the scene or a selection")
+                .arg(run())
+                .args(looks("scene's own"))
+                .arg(Arg::new("selection").long("selection").value_name("NAME").help("The selection that is meant"))
+                .arg(
+                    Arg::new("mode")
+                        .long("mode")
+                        .value_parser(["only", "without", "scene"])
+                        .help("What is written [default: only the selection; the scene with --object-look or no selection]"),
+                )
+                .arg(path("out", "The file [default: RUN/baked.ply]"))
                 .arg(json()),
         )
         .subcommand(
@@ -278,6 +290,32 @@ fn path(name: &'static str, help: &'static str) -> Arg {
 
 fn positions(id: &'static str, form: &'static str, help: &'static str) -> Arg {
     Arg::new(id).long(id).value_name(form).action(ArgAction::Append).allow_hyphen_values(true).help(help)
+}
+
+/// Which look, for the scene and for the selection.
+fn looks(default: &str) -> [Arg; 5] {
+    let look = |id: &'static str, help: String| {
+        Arg::new(id).long(id).value_name("PHOTO").action(ArgAction::Append).help(help)
+    };
+    let strength = |id: &'static str, help| {
+        Arg::new(id).long(id).value_name("X").value_parser(value_parser!(f32)).default_value("1").help(help)
+    };
+    [
+        look(
+            "look",
+            format!(
+                "Under this photo's look; `none` for the scene's own; again for a way between looks [default: the {default}]"
+            ),
+        ),
+        look("object-look", "Another look for the selected object, in the same way".into()),
+        strength("strength", "Strength of the look: 0 is the scene's own look, 1 the photo's, up to 2"),
+        strength("object-strength", "The same for the object's look"),
+        Arg::new("between")
+            .long("between")
+            .value_name("T")
+            .value_parser(value_parser!(f32))
+            .help("One look between those given: 0 is the first, 1 the last"),
+    ]
 }
 
 /// Adds a flag for every setting of every table.

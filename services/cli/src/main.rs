@@ -32,6 +32,7 @@ fn main() -> ExitCode {
         Some(("run", m)) => commands::run::run(m),
         Some(("segment", m)) => commands::segment::segment(m),
         Some(("render", m)) => commands::render::render(m),
+        Some(("bake", m)) => commands::bake::bake(m),
         Some(("eval", m)) => commands::eval::eval(m),
         Some(("batch", m)) => commands::batch::batch(m),
         Some(("top", m)) => commands::top::top(m),

@@ -1,12 +1,13 @@
 //! Pictures of a trained scene: a photo's view, a path through several, under any look, with a selection.
 
 use crate::folder::Loaded;
+use crate::light::{LookRequest, find};
 use crate::{RunError, RunFolder, Selected};
 use glam::{Mat3, Quat, Vec3};
 use segwild_features::FeatureColours;
 use segwild_raster::{Channels, CpuEngine, Engine};
 use segwild_scene::{Camera, Image, Pose, Scene};
-use segwild_trainer::{Model, render_view};
+use segwild_trainer::{Light, Lighting, Model, render_lit};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -19,6 +20,8 @@ pub enum Mode {
     Only,
     /// The scene without it.
     Without,
+    /// In the scene, as it is.
+    Scene,
 }
 
 /// What is drawn.
@@ -41,8 +44,13 @@ pub struct RenderRequest {
     pub photos: Vec<String>,
     /// Pictures along a path through the photos; `None`: one per photo.
     pub frames: Option<u32>,
-    /// Whose look: `None` the view's own (on a path, the nearest photo's), `Some("none")` the scene's own.
-    pub look: Option<String>,
+    /// The look; without a photo it is the view's own, and on a path it goes from photo to photo. Several looks are gone
+    /// through over the frames.
+    pub look: LookRequest,
+    /// Another look for the selected object.
+    pub object_look: Option<LookRequest>,
+    /// Where between the looks, if two or more are given and no frames: 0 is the first, 1 the last.
+    pub between: Option<f32>,
     /// A selection and how to draw it.
     pub selection: Option<(String, Mode)>,
     /// What is drawn.
@@ -66,21 +74,11 @@ pub struct Drawn {
 pub fn render(folder: &RunFolder, request: &RenderRequest) -> Result<Vec<Drawn>, RunError> {
     let loaded = folder.load()?;
     let engine = CpuEngine::default();
-    let find = |name: &str| {
-        loaded
-            .scene
-            .view_named(name)
-            .ok_or_else(|| RunError::Request(format!("this run has no photo `{name}`")))
-    };
     let chosen: Vec<usize> = match request.photos.is_empty() {
         true => (0..loaded.scene.views.len()).collect(),
-        false => request.photos.iter().map(|n| find(n)).collect::<Result<_, _>>()?,
+        false => request.photos.iter().map(|n| find(&loaded.scene, n)).collect::<Result<_, _>>()?,
     };
-    let look = match request.look.as_deref() {
-        None => None,
-        Some("none") => Some(None),
-        Some(name) => Some(Some(find(name)?)),
-    };
+    check_looks(request)?;
     let selected = match &request.selection {
         Some((name, mode)) => Some((Selected::read(folder, name, loaded.model.splats.len())?, *mode)),
         None => None,
@@ -88,8 +86,10 @@ pub fn render(folder: &RunFolder, request: &RenderRequest) -> Result<Vec<Drawn>,
     let size = request.width.unwrap_or(loaded.settings.scene.size);
     let shots = match request.frames {
         None => chosen.iter().map(|&v| Shot::of_view(&loaded.scene, v, size)).collect(),
-        Some(_) if chosen.len() < 2 => {
-            return Err(RunError::Request("a path needs two photos or more: give --photo twice".into()));
+        // One view, and a walk between looks.
+        Some(frames) if chosen.len() == 1 => {
+            let still = |f| Shot { name: frame_name(f), ..Shot::of_view(&loaded.scene, chosen[0], size) };
+            (0..frames).map(still).collect()
         }
         Some(frames) => path(&loaded.scene, &chosen, frames, size),
     };
@@ -97,14 +97,50 @@ pub fn render(folder: &RunFolder, request: &RenderRequest) -> Result<Vec<Drawn>,
     std::fs::create_dir_all(&out).map_err(|e| segwild_flow::FileError::new("create", &out, e))?;
     let painter = Painter::new(&loaded, &engine, selected, request.what)?;
     let mut drawn = Vec::new();
-    for shot in shots {
-        let look = look.unwrap_or(Some(shot.view));
-        let image = painter.paint(&shot.camera, &shot.pose, look)?;
+    let lights = request.look.lights(&loaded.scene, &painter.model)?;
+    let object_lights = match &request.object_look {
+        Some(look) => Some(look.lights(&loaded.scene, &painter.model)?),
+        None => None,
+    };
+    let last = shots.len().saturating_sub(1).max(1) as f32;
+    for (f, shot) in shots.into_iter().enumerate() {
+        let share = request.frames.map_or(request.between.unwrap_or(0.0), |_| f as f32 / last);
+        let light = lights.at(share).unwrap_or_else(|| painter.own(&shot, request.look.strength));
+        let lighting = painter.lighting(light, object_lights.as_ref().and_then(|lights| lights.at(share)));
+        let image = painter.paint(&shot.camera, &shot.pose, &lighting)?;
         let file = out.join(format!("{}.png", shot.name.replace(['/', '\\'], "_")));
         image.write_png(&file)?;
         drawn.push(Drawn { file, view: shot.name });
     }
     Ok(drawn)
+}
+
+/// Refuses looks that do not fit together or to what is drawn.
+fn check_looks(request: &RenderRequest) -> Result<(), RunError> {
+    let looks = || std::iter::once(&request.look).chain(&request.object_look);
+    let refuse = |text: &str| Err(RunError::Request(text.into()));
+    let ways = looks().any(|look| look.photos.len() > 1);
+    if request.object_look.is_some() && request.selection.is_none() {
+        return refuse("an object's own look needs --selection NAME");
+    }
+    if request.object_look.as_ref().is_some_and(|look| look.photos.is_empty()) {
+        return refuse("the object's look names no photo");
+    }
+    if ways && request.frames.is_none() && request.between.is_none() {
+        return refuse("two looks need --frames N, a walk between them, or --between T, 0 to 1");
+    }
+    if request.between.is_some() && (request.frames.is_some() || looks().all(LookRequest::is_one)) {
+        return refuse("--between needs two looks, and no --frames");
+    }
+    if request.between.is_some_and(|t| !(0.0..=1.0).contains(&t)) {
+        return refuse("--between is a share from 0 to 1");
+    }
+    if request.frames.is_some() && request.photos.len() < 2 && !(request.photos.len() == 1 && ways) {
+        return refuse(
+            "a path needs two photos or more: give --photo twice; or one --photo and two looks to go between",
+        );
+    }
+    Ok(())
 }
 
 /// One picture to take.
@@ -114,13 +150,19 @@ struct Shot {
     pose: Pose,
     /// The view whose look it has.
     view: usize,
+    /// On the way to another view: which, and how far.
+    towards: (usize, f32),
+}
+
+fn frame_name(frame: u32) -> String {
+    format!("path-{frame:04}")
 }
 
 impl Shot {
     fn of_view(scene: &Scene, view: usize, size: u32) -> Shot {
         let v = &scene.views[view];
         let name = v.name.rsplit_once('.').map_or(v.name.as_str(), |(stem, _)| stem).to_owned();
-        Shot { name, camera: v.camera.scaled_to(size), pose: v.pose, view }
+        Shot { name, camera: v.camera.scaled_to(size), pose: v.pose, view, towards: (view, 0.0) }
     }
 }
 
@@ -148,9 +190,9 @@ fn path(scene: &Scene, through: &[usize], frames: u32, size: u32) -> Vec<Shot> {
                 cy: first.height as f32 / 2.0,
                 ..first
             };
-            let nearest = through[if t < 0.5 { k } else { k + 1 } as usize];
             let pose = Pose { rotation, translation: -(rotation * centre) };
-            Shot { name: format!("path-{f:04}"), camera, pose, view: nearest }
+            let (view, next) = (through[k as usize], through[k as usize + 1]);
+            Shot { name: frame_name(f), camera, pose, view, towards: (next, t) }
         })
         .collect()
 }
@@ -169,7 +211,9 @@ const TINT: [f32; 3] = [1.0, 0.35, 0.1];
 pub(crate) struct Painter<'a> {
     engine: &'a dyn Engine,
     model: Model,
-    indicator: Option<Vec<f32>>,
+    /// Per splat, whether it is of the selection.
+    whose: Option<Vec<bool>>,
+    highlight: bool,
     only: bool,
     what: What,
     features: Option<(&'a segwild_features::FeatureField, FeatureColours)>,
@@ -183,26 +227,22 @@ impl<'a> Painter<'a> {
         what: What,
     ) -> Result<Painter<'a>, RunError> {
         let mut model = loaded.model.clone();
-        let (mut indicator, mut only) = (None, false);
+        let (mut whose, mut highlight, mut only) = (None, false, false);
         if let Some((selected, mode)) = selected {
             model.splats = selected.cut_scene(&model.splats);
-            match mode {
-                Mode::Highlight => {
-                    indicator = Some(selected.labels.iter().map(|&l| f32::from(u8::from(l))).collect());
+            let mut labels = selected.labels;
+            if let Mode::Only | Mode::Without = mode {
+                if what == What::Features {
+                    let text = "features are drawn for the whole scene: leave --mode or use --mode highlight";
+                    return Err(RunError::Request(text.into()));
                 }
-                Mode::Only | Mode::Without => {
-                    let keep: Vec<usize> = (0..selected.labels.len())
-                        .filter(|&i| selected.labels[i] == (mode == Mode::Only))
-                        .collect();
-                    model.select(&keep);
-                    only = mode == Mode::Only;
-                    if what == What::Features {
-                        let text =
-                            "features are drawn for the whole scene: leave --mode or use --mode highlight";
-                        return Err(RunError::Request(text.into()));
-                    }
-                }
+                only = mode == Mode::Only;
+                let keep: Vec<usize> = (0..labels.len()).filter(|&i| labels[i] == only).collect();
+                model.select(&keep);
+                labels = vec![only; keep.len()];
             }
+            whose = Some(labels);
+            highlight = mode == Mode::Highlight;
         }
         let features = match (what, &loaded.field) {
             (What::Features, Some(field)) => Some((field, FeatureColours::of(field)?)),
@@ -213,15 +253,33 @@ impl<'a> Painter<'a> {
             }
             _ => None,
         };
-        Ok(Painter { engine, model, indicator, only, what, features })
+        Ok(Painter { engine, model, whose, highlight, only, what, features })
+    }
+
+    /// The light of a view, or on the way from one to the next.
+    fn own(&self, shot: &Shot, strength: f32) -> Light {
+        let (next, t) = shot.towards;
+        let light = |view| self.model.light(Some(view));
+        let own = if t == 0.0 { light(shot.view) } else { light(shot.view).towards(&light(next), t) };
+        self.model.strengthened(&own, strength)
+    }
+
+    /// The scene in one light, the selection in another if there is one.
+    fn lighting(&self, scene: Light, object: Option<Light>) -> Lighting {
+        Lighting { scene, object: self.whose.clone().zip(object) }
+    }
+
+    /// The light of a view's photo; the scene's own if none is named.
+    pub(crate) fn light(&self, view: Option<usize>) -> Lighting {
+        self.model.light(view).into()
     }
 
     /// One picture, in [0, 1].
-    pub(crate) fn paint(&self, camera: &Camera, pose: &Pose, look: Option<usize>) -> Result<Image, RunError> {
+    pub(crate) fn paint(&self, camera: &Camera, pose: &Pose, lighting: &Lighting) -> Result<Image, RunError> {
         let options = self.model.options();
         let splats = &self.model.splats;
         if self.what == What::Colour {
-            let mut image = render_view(&self.model, self.engine, camera, pose, look)?;
+            let mut image = render_lit(&self.model, self.engine, camera, pose, lighting)?;
             let blend = |values: &[f32]| -> Result<_, RunError> {
                 Ok(self.engine.project(splats, camera, pose, &options)?.blend(&Channels { count: 1, values }))
             };
@@ -229,7 +287,7 @@ impl<'a> Painter<'a> {
             if self.only {
                 // Over white, so that the object is seen as the object it is.
                 let alpha = blend(&vec![0.0; splats.len()])?.alpha;
-                let behind = render_background(&self.model, camera, pose, look);
+                let behind = lighting.scene.background().paint(camera, pose);
                 for c in 0..3 {
                     for i in 0..n {
                         let over = 1.0 - alpha.data[i];
@@ -238,8 +296,9 @@ impl<'a> Painter<'a> {
                     }
                 }
             }
-            if let Some(indicator) = &self.indicator {
-                let share = blend(indicator)?.image;
+            if let Some(whose) = self.whose.as_ref().filter(|_| self.highlight) {
+                let indicator: Vec<f32> = whose.iter().map(|&w| f32::from(u8::from(w))).collect();
+                let share = blend(&indicator)?.image;
                 for c in 0..3 {
                     for i in 0..n {
                         let s = 0.45 * share.data[i].clamp(0.0, 1.0);
@@ -264,11 +323,6 @@ impl<'a> Painter<'a> {
             }
         }
     }
-}
-
-/// What stands behind the splats.
-fn render_background(model: &Model, camera: &Camera, pose: &Pose, look: Option<usize>) -> Image {
-    model.background(look).paint(camera, pose)
 }
 
 /// Inverse depth between its 1 and 99 % quantiles; black where nothing is.

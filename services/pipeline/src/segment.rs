@@ -2,6 +2,7 @@
 
 use crate::accelerator::leased;
 use crate::folder::Loaded;
+use crate::light::{self, find};
 use crate::prompts::png_names;
 use crate::{PhotoPrompts, Replay, RunError, RunFolder, report, traces};
 use segwild_flow::{
@@ -144,15 +145,7 @@ pub fn segment(
         .collect();
     let mut asked = Vec::new();
     for p in prompts {
-        let view = scene.view_named(&p.photo).ok_or_else(|| {
-            let near: Vec<&str> = scene.views.iter().take(5).map(|v| v.name.as_str()).collect();
-            RunError::Request(format!(
-                "this run has no photo `{}`; it has {} photos: {}, ...",
-                p.photo,
-                scene.views.len(),
-                near.join(", ")
-            ))
-        })?;
+        let view = find(&scene, &p.photo)?;
         p.check()?;
         let (full, small) = (&scene.views[view].camera, &views[view].camera);
         let (sx, sy) = (small.width as f32 / full.width as f32, small.height as f32 / full.height as f32);
@@ -174,6 +167,8 @@ pub fn segment(
     if asked.is_empty() {
         return Err(SegmentError::NoPrompt.into());
     }
+    // As other programs will show them. Before the work, so that a photo that is not there is said at once.
+    let in_colour = light::shown(&scene, &model, &settings.object_look)?;
     let features = match &field {
         Some(f) => Some(Arc::new(segwild_segmenter::FeatureField::new(f.channels, f.values.clone())?)),
         None => None,
@@ -241,7 +236,7 @@ pub fn segment(
     let target = folder.selection(name);
     let Segmented { selection, cut, masks } = *segmented;
     let selected = Selected::new(&selection.labels, &cut);
-    let object = Object::new(&model.splats, &selection.labels, &cut);
+    let object = Object::new(&in_colour, &selection.labels, &cut);
     let count = |verdict: Verdict| selection.visits.iter().filter(|v| v.verdict == verdict).count();
     let mut outcome = SegmentOutcome {
         folder: target.clone(),
@@ -280,7 +275,7 @@ pub fn segment(
         let labels: Vec<u8> = selected.labels.iter().map(|&l| u8::from(l)).collect();
         ply::write_with(
             &aside.join("labels.ply"),
-            &selected.cut_scene(&model.splats).to_file_frame(&scene.frame),
+            &selected.cut_scene(&in_colour).to_file_frame(&scene.frame),
             &[("label", &labels)],
         )?;
         pass()?;

@@ -105,5 +105,7 @@ segwild_scene::settings! {
         spikes: SpikeMode = SpikeMode::Axis,
         /// Whose masks cut them.
         cut_by: CutBy = CutBy::Photos,
+        /// Photo under whose look `object.ply` and `labels.ply` are written. Empty: the scene's own look.
+        object_look: String = String::new(),
     }
 }

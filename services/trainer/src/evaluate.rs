@@ -5,8 +5,8 @@ use crate::background::Background;
 use crate::looks::{self, Lit};
 use crate::model::{Model, compose};
 use crate::photos::{PhotoCache, Photos, level_camera};
-use segwild_raster::{AffineLook, AnyLook, Channels, Engine, Look, RANK};
-use segwild_scene::{Image, Scene};
+use segwild_raster::{AffineLook, AnyLook, Channels, Engine, HIDDEN, Look, RANK};
+use segwild_scene::{Image, Scene, Splats};
 use std::sync::Arc;
 
 /// How a held-out photo is scored.
@@ -70,6 +70,9 @@ pub fn evaluate(
         let frame = blend(3, &colours);
         let (mut look, mut index) = (model.look.clone(), model.look_index(None));
         let mut background = model.background(None);
+        let mut tinted = None;
+        let eye = pose.centre();
+        let direction = |i: usize| (model.splats.mean(i) - eye).normalize_or_zero().to_array();
         if protocol == Protocol::Halves {
             let left = |i: usize| i % w < w / 2;
             if stored.has_sky {
@@ -109,10 +112,30 @@ pub fn evaluate(
                     let fitted = looks::fit_embed(trained, &model.trained_on, light);
                     (look, index) = (AnyLook::Embed(fitted), 0);
                 }
+                AnyLook::Gsw(trained) => {
+                    // The network, too, sees the left half only.
+                    let glance = looks::glance(trained, photo, &camera, &pose, left);
+                    let light = trained.impression_of_glance(&glance);
+                    let Splats { means, .. } = &model.splats;
+                    let tone = trained.tone_of(&[(&light, 1.0)], &looks::IDENTITY, means, &model.codes);
+                    let hidden = blend(HIDDEN, &trained.hidden(&tone, &direction)).image;
+                    let mut fitted = trained.clone();
+                    let pixels = pairs.map(|(scene, alpha, seen, i)| {
+                        (scene, alpha, std::array::from_fn(|k| hidden.data[k * n + i]), seen)
+                    });
+                    let matrix = looks::fit_gsw(&mut fitted, &model.trained_on, pixels);
+                    let tone = tone.with_matrix(&matrix);
+                    tinted = Some(fitted.shade(&tone, &model.codes, &direction, colours.clone()));
+                }
             }
         }
-        let frame = match &look {
-            AnyLook::Embed(look) => blend(3, &look.tint(index, &model.codes, colours)),
+        let frame = match (&look, tinted) {
+            (_, Some(tinted)) => blend(3, &tinted),
+            (AnyLook::Embed(look), None) => blend(3, &look.tint(index, &model.codes, colours)),
+            (AnyLook::Gsw(look), None) => {
+                let tone = look.tone(index, &model.splats.means, &model.codes);
+                blend(3, &look.shade(&tone, &model.codes, &direction, colours))
+            }
             _ => frame,
         };
         let render = compose(&frame, &look, index, &background, &camera, &pose);

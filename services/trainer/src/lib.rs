@@ -10,6 +10,7 @@ mod density;
 mod error;
 mod evaluate;
 mod initial;
+mod light;
 mod looks;
 
 mod model;
@@ -21,6 +22,8 @@ mod robust;
 mod sampler;
 mod schedule;
 mod settings;
+mod state;
+mod step;
 mod trainer;
 mod witness;
 
@@ -29,7 +32,9 @@ pub use background::Background;
 pub use density::Change;
 pub use error::TrainError;
 pub use evaluate::{Evaluation, Protocol, ViewScore, evaluate};
+pub use light::{Light, Lighting, render_lit};
 pub use model::{Model, Stats, render_view};
 pub use photos::{Photos, TrainPhoto};
+pub use segwild_raster::GswWidth;
 pub use settings::{DensityKind, LookKind, Preset, TrainSettings};
 pub use trainer::{Checkpoint, StepReport, Trainer, splat_cap};

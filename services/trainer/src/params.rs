@@ -16,6 +16,8 @@ pub(crate) struct Rates {
     pub colour: f32,
     /// Of what splats keep for the look.
     pub code: f32,
+    /// How much of that rate codes that nothing needs fade by.
+    pub code_fade: f32,
 }
 
 /// Splats with their optimisers, one per property; the base colour and the higher degrees are two.
@@ -36,9 +38,6 @@ pub(crate) struct Params {
 /// Share of the base colour's learning rate that higher degrees take.
 const HIGHER: f32 = 1.0 / 20.0;
 
-/// How fast codes fade that nothing needs: a stranger in one photo leaves a trace in them that others do not confirm.
-const CODE_DECAY: f32 = 0.5;
-
 /// The codes of the splats at `which` among `n`, in that order.
 pub(crate) fn select(codes: &[f32], n: usize, which: &[usize]) -> Vec<f32> {
     let size = codes.len().checked_div(n).unwrap_or(0);
@@ -46,9 +45,10 @@ pub(crate) fn select(codes: &[f32], n: usize, which: &[usize]) -> Vec<f32> {
 }
 
 impl Params {
-    /// Splats to begin with; `code_size` numbers each for the look, 0 at first.
-    pub fn new(splats: Splats, code_size: usize) -> Params {
+    /// Splats to begin with, and what each keeps for the look.
+    pub fn new(splats: Splats, codes: Vec<f32>) -> Params {
         let n = splats.len();
+        let code_size = codes.len().checked_div(n).unwrap_or(0);
         Params {
             means: Adam::new(n, 3),
             log_scales: Adam::new(n, 3),
@@ -56,7 +56,7 @@ impl Params {
             opacities: Adam::new(n, 1),
             base: Adam::new(n, 3),
             higher: Adam::new(if splats.sh_degree > 0 { n } else { 0 }, splats.sh_stride() - 3),
-            codes: vec![0.0; n * code_size],
+            codes,
             code_moments: Adam::new(if code_size > 0 { n } else { 0 }, code_size),
             splats,
         }
@@ -102,7 +102,7 @@ impl Params {
             return;
         }
         self.code_moments.step_visible(&mut self.codes, grads, rates.code, radii);
-        let keep = 1.0 - CODE_DECAY * rates.code;
+        let keep = 1.0 - rates.code_fade * rates.code;
         for (code, _) in self.codes.chunks_exact_mut(size).zip(radii).filter(|(_, r)| **r > 0.0) {
             code.iter_mut().for_each(|v| *v *= keep);
         }

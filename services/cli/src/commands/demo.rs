@@ -8,7 +8,7 @@ use segwild_bench::oracle::OracleOptions;
 use segwild_bench::synthetic::{Kind, SyntheticOptions};
 use segwild_bench::trial::{ProviderKind, Trial};
 use segwild_flow::Stopper;
-use segwild_pipeline::{Mode, PhotoPrompts, Preset, RenderRequest, Settings, What, render};
+use segwild_pipeline::{LookRequest, Mode, PhotoPrompts, Preset, RenderRequest, Settings, What, render};
 use std::path::PathBuf;
 
 /// Objects that the demo selects.
@@ -66,7 +66,9 @@ pub fn demo(matches: &ArgMatches) -> Result<(), Failure> {
         let request = RenderRequest {
             photos: vec![photo],
             frames: None,
-            look: None,
+            look: LookRequest::default(),
+            object_look: None,
+            between: None,
             selection: Some((object.name.clone(), Mode::Only)),
             what: What::Colour,
             width: None,

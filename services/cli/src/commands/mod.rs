@@ -1,5 +1,6 @@
 //! One module per command: its arguments in, a pipeline call, words out.
 
+pub mod bake;
 pub mod batch;
 pub mod bench;
 pub mod cache;

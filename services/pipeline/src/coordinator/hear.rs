@@ -5,6 +5,7 @@ use super::{Bars, Coordinator, HISTORY};
 use crate::RunError;
 use crate::folder::{FEATURES, MODEL};
 use crate::history::{self, Moment};
+use crate::light;
 use crate::outcome::Outcome;
 use segwild_features::{FeatureField, FeatureOutcome};
 use segwild_flow::ledger::ViewOutcome;
@@ -282,7 +283,7 @@ impl Coordinator<'_> {
 
     pub(super) fn take_model(&mut self, model: Arc<Model>) -> Result<(), RunError> {
         self.folder.write_record("model.bin", MODEL, &*model)?;
-        let splats = model.splats.to_file_frame(&self.scene.frame);
+        let splats = light::shown(&self.scene, &model, "")?.to_file_frame(&self.scene.frame);
         ply::write(&self.folder.path().join("scene.ply"), &splats)?;
         self.state.model = Some(model);
         Ok(())

@@ -11,7 +11,7 @@ use html::Series;
 use segwild_flow::codec::Decode;
 use segwild_flow::ledger::State;
 use segwild_flow::{Cache, FileError, Key, Ledger, SpanKind, TimelineRecord, fault};
-use segwild_raster::{CpuEngine, Engine};
+use segwild_raster::{AnyLook, Channels, CpuEngine, Engine};
 use segwild_scene::{Image, Mask, MaskSet, Skipped};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -23,6 +23,7 @@ pub fn write_report(folder: &RunFolder) -> Result<Vec<Skipped>, RunError> {
     let engine = CpuEngine::default();
     let mut body = String::new();
     body.push_str(&summary(folder, &loaded)?);
+    body.push_str(&looks(folder, &loaded, &engine)?);
     body.push_str(&objects(folder, &loaded, &engine)?);
     let (pictures, left_out) = photos(folder, &loaded, &engine)?;
     body.push_str(&pictures);
@@ -96,12 +97,70 @@ fn objects(folder: &RunFolder, loaded: &Loaded, engine: &dyn Engine) -> Result<S
         for view in spread(loaded, 4) {
             let v = &loaded.scene.views[view];
             let camera = v.camera.scaled_to(loaded.settings.scene.size.min(360));
-            text.push_str(&html::figure(&highlight.paint(&camera, &v.pose, Some(view))?, &v.name));
-            text.push_str(&html::figure(&only.paint(&camera, &v.pose, Some(view))?, "alone"));
+            text.push_str(&html::figure(
+                &highlight.paint(&camera, &v.pose, &highlight.light(Some(view)))?,
+                &v.name,
+            ));
+            text.push_str(&html::figure(&only.paint(&camera, &v.pose, &only.light(Some(view)))?, "alone"));
             pass(folder)?;
         }
         text.push_str("</div>");
     }
+    Ok(text)
+}
+
+/// Looks that one view is shown under.
+const LOOKS: usize = 6;
+
+/// One view under several photos' looks, from the darkest to the brightest; nothing where all photos share one look.
+fn looks(folder: &RunFolder, loaded: &Loaded, engine: &dyn Engine) -> Result<String, RunError> {
+    let model = &loaded.model;
+    if matches!(model.look, AnyLook::None(_)) {
+        return Ok(String::new());
+    }
+    let known = (0..model.names.len()).filter(|&v| model.look_index(Some(v)) == v);
+    let small = |view: usize| loaded.scene.views[view].camera.scaled_to(loaded.settings.scene.size.min(360));
+    let painter = Painter::new(loaded, engine, None, What::Colour)?;
+    let paint = |view: usize, look: Option<usize>, side: u32| {
+        let camera = small(view).scaled_to(side);
+        painter.paint(&camera, &loaded.scene.views[view].pose, &painter.light(look))
+    };
+    // The view before which most of the scene stands.
+    let Some(first) = known.clone().next() else { return Ok(String::new()) };
+    let covered = |view: usize| -> Result<f32, RunError> {
+        let camera = small(view).scaled_to(48);
+        let projected =
+            engine.project(&model.splats, &camera, &loaded.scene.views[view].pose, &model.options())?;
+        let alpha = projected.blend(&Channels { count: 1, values: &vec![0.0; model.splats.len()] }).alpha;
+        Ok(alpha.data.iter().sum::<f32>() / alpha.pixels() as f32)
+    };
+    let mut view = (first, 0.0);
+    for v in known.clone() {
+        let share = covered(v)?;
+        if share > view.1 {
+            view = (v, share);
+        }
+    }
+    let view = view.0;
+    let mut by_light = Vec::new();
+    for look in known {
+        let image = paint(view, Some(look), 48)?;
+        by_light.push((image.data.iter().sum::<f32>(), look));
+    }
+    by_light.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    let count = LOOKS.min(by_light.len());
+    let mut text = format!(
+        "<h2>Looks</h2><p>{} under the looks of other photos, darkest first. <code>segwild render --photo PHOTO --look \
+         OTHER</code> draws more of them, <code>segwild bake</code> writes one into a <code>.ply</code>.</p><div class=\"row\">",
+        html::escape(&loaded.scene.views[view].name)
+    );
+    let side = small(view).width.max(small(view).height);
+    for k in 0..count {
+        let look = by_light[k * (by_light.len() - 1) / (count - 1).max(1)].1;
+        text.push_str(&html::figure(&paint(view, Some(look), side)?, &model.names[look]));
+        pass(folder)?;
+    }
+    text.push_str("</div>");
     Ok(text)
 }
 
@@ -160,11 +219,20 @@ fn photos(
         pass(folder)?;
         text.push_str("<div class=\"row\">");
         text.push_str(&html::figure(&photo.image, &format!("{}{held}", v.name)));
-        text.push_str(&html::figure(&colour.paint(&camera, &v.pose, Some(view))?, "render, own look"));
-        text.push_str(&html::figure(&colour.paint(&camera, &v.pose, None)?, "render, the scene's look"));
-        text.push_str(&html::figure(&depth.paint(&camera, &v.pose, None)?, "depth"));
+        text.push_str(&html::figure(
+            &colour.paint(&camera, &v.pose, &colour.light(Some(view)))?,
+            "render, own look",
+        ));
+        text.push_str(&html::figure(
+            &colour.paint(&camera, &v.pose, &colour.light(None))?,
+            "render, the scene's look",
+        ));
+        text.push_str(&html::figure(&depth.paint(&camera, &v.pose, &depth.light(None))?, "depth"));
         if let Some(features) = &features {
-            text.push_str(&html::figure(&features.paint(&camera, &v.pose, None)?, "features"));
+            text.push_str(&html::figure(
+                &features.paint(&camera, &v.pose, &features.light(None))?,
+                "features",
+            ));
         }
         if let Some(set) = kept::<MaskSet>(&cache, masks.get(&v.name), "masks", &mut missing) {
             text.push_str(&html::figure(&mask_picture(&set), &format!("{} masks", set.masks.len())));

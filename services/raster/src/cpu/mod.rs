@@ -6,7 +6,7 @@
 mod bin;
 mod kernels;
 mod project;
-mod sh;
+pub(crate) mod sh;
 pub(crate) mod simd;
 mod tile;
 mod wide;

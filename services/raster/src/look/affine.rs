@@ -1,6 +1,6 @@
 //! The rung `affine`: a colour matrix per photo.
 
-use super::Look;
+use super::{Look, Tone, through};
 use crate::adam::Adam;
 use segwild_scene::Image;
 use wincode::{SchemaRead, SchemaWrite};
@@ -154,6 +154,21 @@ impl Look for AffineLook {
             }
             self.optimisers[view].step(&mut self.matrices[view], &grad, self.rate * scale);
         }
+    }
+
+    fn tone(&self, view: usize, _: &[[f32; 3]], _: &[f32]) -> Tone {
+        Tone(self.matrix(view).to_vec())
+    }
+
+    fn shade(
+        &self,
+        tone: &Tone,
+        _: &[f32],
+        _: &(dyn Fn(usize) -> [f32; 3] + Sync),
+        mut colours: Vec<f32>,
+    ) -> Vec<f32> {
+        through(&tone.0, &mut colours);
+        colours
     }
 }
 

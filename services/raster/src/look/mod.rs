@@ -2,14 +2,20 @@
 //!
 //! A look has two places to act: on the splats' colours before they are blended (`tint`) and on the blended
 //! image (`apply`). `affine` acts on the image; `embed`, for which splats have codes of their own, on the colours.
+//!
+//! Once it is trained, a look of any rung is the same kind of thing: a [`Tone`] per photo, numbers between which one goes
+//! in a straight line, and what a tone makes of the splats' colours (`shade`). Blending two photos' looks, strengthening
+//! one, putting one on an object alone and writing one into a file ([`bake`]) know nothing of rungs.
 
 mod affine;
+mod bake;
 mod embed;
 mod gsw;
 
 pub use affine::AffineLook;
+pub use bake::bake;
 pub use embed::{EmbedLook, RANK};
-pub use gsw::{Glance, GswLook, GswWidth, HIDDEN, Impression, Sight, VECTOR};
+pub use gsw::{Glance, GswLook, GswWidth, HIDDEN, Impression, Sight};
 
 use segwild_scene::Image;
 use wincode::{SchemaRead, SchemaWrite};
@@ -28,6 +34,17 @@ pub trait Look: Send + Sync {
     /// Numbers that each splat has for this look beside its colour: its code.
     fn code_size(&self) -> usize {
         0
+    }
+
+    /// How much of their learning rate codes fade by in a step: what a stranger in one photo leaves in them, others do
+    /// not confirm.
+    fn code_fade(&self) -> f32 {
+        0.5
+    }
+
+    /// Codes of splats at these centres to begin with.
+    fn first_codes(&self, means: &[[f32; 3]]) -> Vec<f32> {
+        vec![0.0; means.len() * self.code_size()]
     }
 
     /// Colours of the splats in a view, from their own colours, `[splat][r, g, b]`, and codes,
@@ -61,6 +78,48 @@ pub trait Look: Send + Sync {
 
     /// One optimiser step with the gradients kept since the last one. `scale` multiplies the learning rate.
     fn step(&mut self, scale: f32);
+
+    /// What is particular to a view, of splats with these centres and codes.
+    fn tone(&self, view: usize, means: &[[f32; 3]], codes: &[f32]) -> Tone;
+
+    /// Colours of the splats as a photo of this tone shows them, from their own. Blended, over the photo's background,
+    /// they are what [`Look::tint`] and [`Look::apply`] make of the view together: weights of splats and background add
+    /// up to 1, so what is affine in the colours may be done before blending or after. `direction` is the unit vector
+    /// from the camera to a splat.
+    fn shade(
+        &self,
+        tone: &Tone,
+        codes: &[f32],
+        direction: &(dyn Fn(usize) -> [f32; 3] + Sync),
+        colours: Vec<f32>,
+    ) -> Vec<f32>;
+}
+
+/// What one photo's look comes to, as numbers; which, the rung knows. Straight lines between tones are looks again.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tone(pub Vec<f32>);
+
+impl Tone {
+    /// The tone a share `t` of the way to another; past 1 it goes on beyond it.
+    ///
+    /// # Panics
+    /// If the tones are not of the same look.
+    pub fn towards(&self, other: &Tone, t: f32) -> Tone {
+        assert_eq!(self.0.len(), other.0.len(), "tones of one look");
+        // Exact at both ends.
+        Tone(self.0.iter().zip(&other.0).map(|(a, b)| a * (1.0 - t) + b * t).collect())
+    }
+}
+
+/// Colours, `[splat][r, g, b]`, through a 3x4 matrix.
+fn through(matrix: &[f32], colours: &mut [f32]) {
+    for colour in colours.chunks_exact_mut(3) {
+        let [r, g, b] = [colour[0], colour[1], colour[2]];
+        for c in 0..3 {
+            let row = &matrix[4 * c..4 * c + 4];
+            colour[c] = row[0] * r + row[1] * g + row[2] * b + row[3];
+        }
+    }
 }
 
 /// The rung `none`: all photos show the scene as it is.
@@ -77,6 +136,20 @@ impl Look for NoLook {
     }
 
     fn step(&mut self, _: f32) {}
+
+    fn tone(&self, _: usize, _: &[[f32; 3]], _: &[f32]) -> Tone {
+        Tone(Vec::new())
+    }
+
+    fn shade(
+        &self,
+        _: &Tone,
+        _: &[f32],
+        _: &(dyn Fn(usize) -> [f32; 3] + Sync),
+        colours: Vec<f32>,
+    ) -> Vec<f32> {
+        colours
+    }
 }
 
 /// A look of any rung, as it is stored.

@@ -15,12 +15,12 @@ mod nets;
 mod points;
 
 pub use glance::Glance;
-pub use nets::{GswWidth, HIDDEN, VECTOR};
+pub use nets::{GswWidth, HIDDEN};
 
-use super::Look;
+use super::{Look, Tone, through};
 use super::affine::{IDENTITY, NUMBERS};
 use crate::adam::Adam;
-use nets::{DYNAMIC, INTRINSIC, MAPS, Networks, SAMPLE};
+use nets::{DYNAMIC, INTRINSIC, MAPS, Networks, SAMPLE, VECTOR};
 use segwild_nets::{Map, Tape, scatter, take};
 use segwild_scene::{Camera, Pose, Random};
 use std::ops::Range;
@@ -88,8 +88,6 @@ pub struct Impression {
     width: usize,
     height: usize,
     glance: Glance,
-    /// How much of the light falls: 1 as in the photo.
-    strength: f32,
     /// In training: what the step draws, and what the backward pass needs.
     training: Option<(u64, Box<Tape>)>,
 }
@@ -190,35 +188,6 @@ impl GswLook {
         self.point_moments = Adam::new(1, self.weights.len() - nets.border);
     }
 
-    /// What splats begin with: nothing of what they are made of, and coordinates that mix their positions, so that
-    /// neighbours read the same light.
-    pub fn first_codes(&self, means: &[[f32; 3]]) -> Vec<f32> {
-        let axis = |k: usize| {
-            let mut values: Vec<f32> = means.iter().map(|m| m[k]).filter(|v| v.is_finite()).collect();
-            values.sort_by(f32::total_cmp);
-            let at = |share: f32| values.get((share * values.len() as f32) as usize).copied().unwrap_or(0.0);
-            (at(0.02), at(0.98).max(at(0.02) + 1e-6))
-        };
-        let axes = [axis(0), axis(1), axis(2)];
-        let mut random = Random::stream(self.seed, 0x636f_6f72);
-        let mixes: [[f32; 3]; 2 * MAPS] = std::array::from_fn(|_| {
-            let mix = [random.uniform(), random.uniform(), random.uniform()];
-            let total = mix.iter().sum::<f32>().max(1e-3);
-            mix.map(|v| v / total)
-        });
-        let mut out = vec![0.0; means.len() * CODE];
-        for (code, mean) in out.chunks_exact_mut(CODE).zip(means) {
-            let at: [f32; 3] = std::array::from_fn(|k| {
-                let (low, high) = axes[k];
-                (2.0 * (mean[k] - low) / (high - low) - 1.0).clamp(-1.0, 1.0)
-            });
-            for (to, mix) in code[INTRINSIC..].iter_mut().zip(&mixes) {
-                *to = (0..3).map(|k| mix[k] * at[k]).sum::<f32>() / COORDINATE;
-            }
-        }
-        out
-    }
-
     /// What the UNet makes of a view's photo; `None` for a photo that is not known: no light, the same for all.
     /// `draw` is given in training and differs from step to step.
     pub fn impression(&self, view: usize, draw: Option<u64>) -> Option<Impression> {
@@ -249,30 +218,27 @@ impl GswLook {
             width: tape.maps.width,
             height: tape.maps.height,
             glance: glance.clone(),
-            strength: 1.0,
             training: draw.map(|draw| (draw, Box::new(tape))),
         }
     }
 
-    /// The vectors of all splats in a mix of photos, each with its weight; no photo: without light.
-    pub fn vectors(&self, photos: &[(&Impression, f32)], sight: &Sight) -> Vec<f32> {
-        points::vectors(self, photos, sight)
-    }
-
-    /// Colours of the splats in sight from their own colours, vectors and a matrix.
-    pub fn colours(
+    /// What is particular to a mix of photos, each with its weight and its matrix, of splats with these centres and codes;
+    /// no photo: without light. Weights of one photo other than 1 make its light stronger or weaker.
+    pub fn tone_of(
         &self,
-        vectors: &[f32],
+        photos: &[(&Impression, f32)],
         matrix: &[f32; NUMBERS],
-        sight: &Sight,
-        colours: Vec<f32>,
-    ) -> Vec<f32> {
-        points::colours(self, vectors, matrix, sight, colours)
+        means: &[[f32; 3]],
+        codes: &[f32],
+    ) -> Tone {
+        let mut tone = matrix.to_vec();
+        tone.extend(points::vectors(self, photos, means, codes));
+        Tone(tone)
     }
 
-    /// What the colour head has before its last layer, `[splat][HIDDEN]`; 0 for splats out of sight.
-    pub fn hidden(&self, vectors: &[f32], sight: &Sight) -> Vec<f32> {
-        points::hidden(self, vectors, sight)
+    /// What the colour head has before its last layer, `[splat][HIDDEN]`, in a tone.
+    pub fn hidden(&self, tone: &Tone, direction: &(dyn Fn(usize) -> [f32; 3] + Sync)) -> Vec<f32> {
+        points::heads(self, &tone.0[NUMBERS..], direction, |made| made.before_last().to_vec()).concat()
     }
 
     /// Colours of the splats in sight in a view, from their own; `light` is [`GswLook::impression`] of the view.
@@ -312,10 +278,10 @@ impl GswLook {
     }
 }
 
-impl Impression {
-    /// The same light, so many times as strong.
-    pub fn scaled(mut self, strength: f32) -> Impression {
-        self.strength = strength;
+impl Tone {
+    /// The same light in another matrix, of a tone of [`GswLook`].
+    pub fn with_matrix(mut self, matrix: &[f32; NUMBERS]) -> Tone {
+        self.0[..NUMBERS].copy_from_slice(matrix);
         self
     }
 }
@@ -333,6 +299,40 @@ impl Look for GswLook {
         CODE
     }
 
+    /// Coordinates have no middle to fade to.
+    fn code_fade(&self) -> f32 {
+        0.0
+    }
+
+    /// What splats begin with: nothing of what they are made of, and coordinates that mix their positions, so that
+    /// neighbours read the same light.
+    fn first_codes(&self, means: &[[f32; 3]]) -> Vec<f32> {
+        let axis = |k: usize| {
+            let mut values: Vec<f32> = means.iter().map(|m| m[k]).filter(|v| v.is_finite()).collect();
+            values.sort_by(f32::total_cmp);
+            let at = |share: f32| values.get((share * values.len() as f32) as usize).copied().unwrap_or(0.0);
+            (at(0.02), at(0.98).max(at(0.02) + 1e-6))
+        };
+        let axes = [axis(0), axis(1), axis(2)];
+        let mut random = Random::stream(self.seed, 0x636f_6f72);
+        let mixes: [[f32; 3]; 2 * MAPS] = std::array::from_fn(|_| {
+            let mix = [random.uniform(), random.uniform(), random.uniform()];
+            let total = mix.iter().sum::<f32>().max(1e-3);
+            mix.map(|v| v / total)
+        });
+        let mut out = vec![0.0; means.len() * CODE];
+        for (code, mean) in out.chunks_exact_mut(CODE).zip(means) {
+            let at: [f32; 3] = std::array::from_fn(|k| {
+                let (low, high) = axes[k];
+                (2.0 * (mean[k] - low) / (high - low) - 1.0).clamp(-1.0, 1.0)
+            });
+            for (to, mix) in code[INTRINSIC..].iter_mut().zip(&mixes) {
+                *to = (0..3).map(|k| mix[k] * at[k]).sum::<f32>() / COORDINATE;
+            }
+        }
+        out
+    }
+
     fn step(&mut self, scale: f32) {
         let Some(Grads { view, weights, mut matrix }) = self.grads.take() else { return };
         let border = self.nets().border;
@@ -345,5 +345,26 @@ impl Look for GswLook {
             }
             self.matrix_moments[view as usize].step(own, &matrix, self.rate * scale);
         }
+    }
+
+    fn tone(&self, view: usize, means: &[[f32; 3]], codes: &[f32]) -> Tone {
+        let light = self.impression(view, None);
+        let lights: Vec<(&Impression, f32)> = light.iter().map(|light| (light, 1.0)).collect();
+        self.tone_of(&lights, &self.matrix(view), means, codes)
+    }
+
+    fn shade(
+        &self,
+        Tone(tone): &Tone,
+        _: &[f32],
+        direction: &(dyn Fn(usize) -> [f32; 3] + Sync),
+        mut colours: Vec<f32>,
+    ) -> Vec<f32> {
+        assert_eq!(tone.len(), NUMBERS + colours.len() / 3 * VECTOR, "tone: length");
+        let (matrix, vectors) = tone.split_at(NUMBERS);
+        let more = points::heads(self, vectors, direction, |made| made.result().to_vec());
+        through(matrix, &mut colours);
+        colours.iter_mut().zip(more.iter().flatten()).for_each(|(colour, more)| *colour += more);
+        colours
     }
 }

@@ -23,7 +23,7 @@ pub(super) const DYNAMIC: usize = SAMPLE * (MAPS + 1);
 /// Numbers of what a splat is made of, in every photo.
 pub(super) const INTRINSIC: usize = 48;
 /// Numbers that say how a splat looks in a photo, from any side: what is kept per look.
-pub const VECTOR: usize = 48;
+pub(super) const VECTOR: usize = 48;
 /// Numbers of the colour head before its last layer.
 pub const HIDDEN: usize = 48;
 /// Planes of what the UNet is given: colours, and whether they are known.

@@ -3,9 +3,10 @@
 //! Splats are taken in pieces, each by one task; sums over splats are taken piece by piece, in order. The backward pass
 //! runs a piece forward again, which costs less than keeping what all splats had on the way.
 
-use super::nets::{DYNAMIC, HIDDEN, INTRINSIC, MAPS, Networks, SAMPLE, VECTOR};
+use super::nets::{DYNAMIC, INTRINSIC, MAPS, Networks, SAMPLE, VECTOR};
 use super::{CODE, COORDINATE, GswLook, Impression, Sight};
 use crate::look::affine::NUMBERS;
+use crate::look::through;
 use rayon::prelude::*;
 use segwild_nets::{Activations, Spot};
 use segwild_scene::Random;
@@ -17,11 +18,10 @@ const DROPPED: f32 = 0.1;
 /// Weight of what coordinates are off the map, per coordinate.
 const OFF_MAP: f32 = 1e-3;
 
-/// A piece of splats on its way to colours.
+/// A piece of splats on its way to vectors.
 struct Run {
     light: Activations,
     fuse: Activations,
-    colour: Option<Activations>,
     /// Where each splat reads the maps, if there are any.
     spots: Vec<[Option<Spot>; MAPS + 1]>,
     /// What each number of light was multiplied with, in training.
@@ -71,7 +71,7 @@ fn run(
     look: &GswLook,
     nets: &Networks,
     lights: &[(&Impression, f32)],
-    sight: &Sight,
+    (means, codes): (&[[f32; 3]], &[f32]),
     which: &[usize],
 ) -> Run {
     let width = nets.light.ends().0;
@@ -81,12 +81,11 @@ fn run(
     let mut all_spots = Vec::new();
     let mut read_here = [0.0; DYNAMIC];
     for (x, &i) in x.chunks_exact_mut(width).zip(which) {
-        let (mean, code) = (sight.means[i], &sight.codes[i * CODE..(i + 1) * CODE]);
+        let (mean, code) = (means[i], &codes[i * CODE..(i + 1) * CODE]);
         for (light, weight) in lights {
             let spots = spots(light, mean, code);
             read_here.fill(0.0);
             read(light, &spots, &mut read_here);
-            let weight = weight * light.strength;
             x[..DYNAMIC].iter_mut().zip(&read_here).for_each(|(x, v)| *x += weight * v);
             if draw.is_some() {
                 all_spots.push(spots);
@@ -108,34 +107,31 @@ fn run(
     let mut x = Vec::with_capacity(which.len() * (made + INTRINSIC));
     for (made, &i) in light.result().chunks_exact(made).zip(which) {
         x.extend_from_slice(made);
-        x.extend_from_slice(&sight.codes[i * CODE..][..INTRINSIC]);
+        x.extend_from_slice(&codes[i * CODE..][..INTRINSIC]);
     }
     let fuse = nets.fuse.forward(&look.weights, x);
-    Run { light, fuse, colour: None, spots: all_spots, kept }
+    Run { light, fuse, spots: all_spots, kept }
 }
 
-/// Runs vectors on to colours.
-fn head(look: &GswLook, nets: &Networks, vectors: &[f32], sight: &Sight, which: &[usize]) -> Activations {
-    let mut x = Vec::with_capacity(which.len() * (VECTOR + 3));
-    for (vector, &i) in vectors.chunks_exact(VECTOR).zip(which) {
+/// Runs vectors on to colours; `direction` is that of the piece's splats.
+fn head(look: &GswLook, nets: &Networks, vectors: &[f32], direction: impl Fn(usize) -> [f32; 3]) -> Activations {
+    let mut x = Vec::with_capacity(vectors.len() / VECTOR * (VECTOR + 3));
+    for (k, vector) in vectors.chunks_exact(VECTOR).enumerate() {
         x.extend_from_slice(vector);
-        let to: [f32; 3] = std::array::from_fn(|k| sight.means[i][k] - sight.eye[k]);
-        let long = to.iter().map(|v| v * v).sum::<f32>().sqrt().max(1e-12);
-        x.extend(to.map(|v| v / long));
+        x.extend_from_slice(&direction(k));
     }
     nets.colour.forward(&look.weights, x)
 }
 
-fn in_sight(sight: &Sight) -> Vec<usize> {
-    (0..sight.means.len()).filter(|&i| sight.radii[i] > 0.0).collect()
+/// The unit vector from the camera to a splat.
+fn direction(sight: &Sight, i: usize) -> [f32; 3] {
+    let to: [f32; 3] = std::array::from_fn(|k| sight.means[i][k] - sight.eye[k]);
+    let long = to.iter().map(|v| v * v).sum::<f32>().sqrt().max(1e-12);
+    to.map(|v| v / long)
 }
 
-fn through(matrix: &[f32; NUMBERS], colour: &mut [f32], more: &[f32]) {
-    let [r, g, b] = [colour[0], colour[1], colour[2]];
-    for c in 0..3 {
-        let m = &matrix[4 * c..4 * c + 4];
-        colour[c] = m[0] * r + m[1] * g + m[2] * b + m[3] + more[c];
-    }
+fn in_sight(sight: &Sight) -> Vec<usize> {
+    (0..sight.means.len()).filter(|&i| sight.radii[i] > 0.0).collect()
 }
 
 pub(super) fn tint(
@@ -151,68 +147,39 @@ pub(super) fn tint(
     let made: Vec<Vec<f32>> = which
         .par_chunks(PIECE)
         .map(|which| {
-            let run = run(look, nets, &lights, sight, which);
-            head(look, nets, run.fuse.result(), sight, which).result().to_vec()
+            let run = run(look, nets, &lights, (sight.means, sight.codes), which);
+            let towards = |k: usize| direction(sight, which[k]);
+            head(look, nets, run.fuse.result(), towards).result().to_vec()
         })
         .collect();
     for (&i, made) in which.iter().zip(made.iter().flat_map(|m| m.chunks_exact(3))) {
-        through(matrix, &mut colours[3 * i..3 * i + 3], made);
+        let colour = &mut colours[3 * i..3 * i + 3];
+        through(matrix, colour);
+        colour.iter_mut().zip(made).for_each(|(colour, more)| *colour += more);
     }
     colours
 }
 
-pub(super) fn vectors(look: &GswLook, lights: &[(&Impression, f32)], sight: &Sight) -> Vec<f32> {
-    let nets = look.nets();
-    let all: Vec<usize> = (0..sight.means.len()).collect();
-    let pieces: Vec<Vec<f32>> = all
-        .par_chunks(PIECE)
-        .map(|which| run(look, nets, lights, sight, which).fuse.result().to_vec())
-        .collect();
-    pieces.concat()
-}
-
-/// The head's activations of the splats in sight, piece by piece.
-fn heads<T: Send>(
+pub(super) fn vectors(
     look: &GswLook,
-    vectors: &[f32],
-    sight: &Sight,
-    which: &[usize],
-    take: impl Fn(Activations) -> T + Sync,
-) -> Vec<T> {
-    let nets = look.nets();
-    which
-        .par_chunks(PIECE)
-        .map(|which| {
-            let own: Vec<f32> =
-                which.iter().flat_map(|&i| &vectors[i * VECTOR..][..VECTOR]).copied().collect();
-            take(head(look, nets, &own, sight, which))
-        })
-        .collect()
-}
-
-pub(super) fn colours(
-    look: &GswLook,
-    vectors: &[f32],
-    matrix: &[f32; NUMBERS],
-    sight: &Sight,
-    mut colours: Vec<f32>,
+    lights: &[(&Impression, f32)],
+    means: &[[f32; 3]],
+    codes: &[f32],
 ) -> Vec<f32> {
-    let which = in_sight(sight);
-    let made = heads(look, vectors, sight, &which, |a| a.result().to_vec());
-    for (&i, made) in which.iter().zip(made.iter().flat_map(|m| m.chunks_exact(3))) {
-        through(matrix, &mut colours[3 * i..3 * i + 3], made);
-    }
-    colours
+    let all: Vec<usize> = (0..means.len()).collect();
+    let piece = |which: &[usize]| run(look, look.nets(), lights, (means, codes), which).fuse.result().to_vec();
+    all.par_chunks(PIECE).map(piece).collect::<Vec<_>>().concat()
 }
 
-pub(super) fn hidden(look: &GswLook, vectors: &[f32], sight: &Sight) -> Vec<f32> {
-    let which = in_sight(sight);
-    let made = heads(look, vectors, sight, &which, |a| a.before_last().to_vec());
-    let mut out = vec![0.0; sight.means.len() * HIDDEN];
-    for (&i, made) in which.iter().zip(made.iter().flat_map(|m| m.chunks_exact(HIDDEN))) {
-        out[i * HIDDEN..(i + 1) * HIDDEN].copy_from_slice(made);
-    }
-    out
+/// Runs the vectors of all splats on to colours, and takes what is wanted of each piece.
+pub(super) fn heads(
+    look: &GswLook,
+    vectors: &[f32],
+    direction: &(dyn Fn(usize) -> [f32; 3] + Sync),
+    take: impl Fn(Activations) -> Vec<f32> + Sync,
+) -> Vec<Vec<f32>> {
+    let piece = |(p, vectors)| take(head(look, look.nets(), vectors, |k| direction(p * PIECE + k)));
+    vectors.par_chunks(PIECE * VECTOR).enumerate().map(piece).collect()
 }
 
 /// What [`backward`] finds.
@@ -255,9 +222,9 @@ pub(super) fn backward(
     let pieces: Vec<Piece> = which
         .par_chunks(PIECE)
         .map(|which| {
-            let mut run = run(look, nets, &lights, sight, which);
-            run.colour = Some(head(look, nets, run.fuse.result(), sight, which));
-            piece_backward(nets, &turned, run, (light, sight, which), (matrix, colours, &grad))
+            let run = run(look, nets, &lights, (sight.means, sight.codes), which);
+            let colour = head(look, nets, run.fuse.result(), |k| direction(sight, which[k]));
+            piece_backward(nets, &turned, (run, colour), (light, sight, which), (matrix, colours, &grad))
         })
         .collect();
     let mut back = Back {
@@ -290,12 +257,12 @@ pub(super) fn backward(
 fn piece_backward(
     nets: &Networks,
     turned: &[Vec<Vec<f32>>; 3],
-    run: Run,
+    (run, head): (Run, Activations),
     (light, sight, which): (Option<&Impression>, &Sight, &[usize]),
     (matrix, colours, grad): (&[f32; NUMBERS], &[f32], &[f32]),
 ) -> Piece {
     let mut weights = vec![0.0; nets.layout.len() - nets.border];
-    let mut part = |range: std::ops::Range<usize>| range.start - nets.border..range.end - nets.border;
+    let part = |range: std::ops::Range<usize>| range.start - nets.border..range.end - nets.border;
     let (mut own_colours, mut own_matrix) = (Vec::with_capacity(3 * which.len()), [0.0; NUMBERS]);
     let mut out = Vec::with_capacity(3 * which.len());
     for &i in which {
@@ -309,9 +276,8 @@ fn piece_backward(
         }
         own_colours.extend((0..3).map(|c| (0..3).map(|k| matrix[4 * k + c] * g[k]).sum::<f32>()));
     }
-    let head = run.colour.as_ref().expect("run to its end");
     let own = part(nets.colour.range());
-    let out = nets.colour.backward(&turned[2], head, out, &mut weights[own], VECTOR);
+    let out = nets.colour.backward(&turned[2], &head, out, &mut weights[own], VECTOR);
     let made = nets.light.ends().1;
     let own = part(nets.fuse.range());
     let out = nets.fuse.backward(&turned[1], &run.fuse, out, &mut weights[own], made + INTRINSIC);

@@ -1,0 +1,112 @@
+//! The light that a trained scene is drawn in: a photo's look, something between several, or two at once.
+
+use crate::TrainError;
+use crate::background::Background;
+use crate::model::Model;
+use crate::pixels::add_behind;
+use segwild_raster::{Channels, Engine, Tone, bake};
+use segwild_scene::{Camera, Image, Pose, Splats};
+
+/// A look taken out of the model: what it makes of splats' colours, and what stands behind them, in its own colours.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Light {
+    tone: Tone,
+    background: Background,
+}
+
+impl Light {
+    /// The light a share `t` of the way to another: 0 is this one, 1 the other, and past 1 it goes on beyond it.
+    pub fn towards(&self, other: &Light, t: f32) -> Light {
+        Light {
+            tone: self.tone.towards(&other.tone, t),
+            background: self.background.towards(&other.background, t),
+        }
+    }
+
+    /// What stands behind the splats in this light.
+    pub fn background(&self) -> &Background {
+        &self.background
+    }
+}
+
+/// How a scene is lit.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Lighting {
+    /// The light of everything, and of what stands behind.
+    pub scene: Light,
+    /// Another light for some splats: per splat whether it has it.
+    pub object: Option<(Vec<bool>, Light)>,
+}
+
+impl From<Light> for Lighting {
+    fn from(scene: Light) -> Lighting {
+        Lighting { scene, object: None }
+    }
+}
+
+impl Model {
+    /// The light of a view's photo: the mean one where the photo took no part or none is named.
+    pub fn light(&self, view: Option<usize>) -> Light {
+        let tone = self.look.as_look().tone(self.look_index(view), &self.splats.means, &self.codes);
+        Light { tone, background: self.background(view) }
+    }
+
+    /// A light with another strength: 0 is the mean light, 1 the light as it is, 2 twice as far from the mean.
+    pub fn strengthened(&self, light: &Light, strength: f32) -> Light {
+        if strength == 1.0 { light.clone() } else { self.light(None).towards(light, strength) }
+    }
+
+    /// The splats' colours under a lighting, from their own colours towards a camera.
+    fn lit(&self, lighting: &Lighting, pose: &Pose, colours: Vec<f32>) -> Vec<f32> {
+        let eye = pose.centre();
+        let direction = |i: usize| (self.splats.mean(i) - eye).normalize_or_zero().to_array();
+        let under =
+            |light: &Light, colours| self.look.as_look().shade(&light.tone, &self.codes, &direction, colours);
+        let Some((whose, light)) = &lighting.object else { return under(&lighting.scene, colours) };
+        let (mut all, object) = (under(&lighting.scene, colours.clone()), under(light, colours));
+        mix(&mut all, &object, whose, 3);
+        all
+    }
+
+    /// The splats with a lighting's colours as their own, for programs that know nothing of looks. See
+    /// [`segwild_raster::bake`].
+    ///
+    /// # Panics
+    /// If the lighting is of another model.
+    pub fn baked(&self, lighting: &Lighting) -> Splats {
+        let under = |light: &Light| bake(self.look.as_look(), &light.tone, &self.splats, &self.codes);
+        let mut all = under(&lighting.scene);
+        if let Some((whose, light)) = &lighting.object {
+            let stride = all.sh_stride();
+            mix(&mut all.sh, &under(light).sh, whose, stride);
+        }
+        all
+    }
+}
+
+/// Takes the other's numbers for the splats that are marked.
+fn mix(all: &mut [f32], other: &[f32], whose: &[bool], stride: usize) {
+    assert_eq!(all.len(), whose.len() * stride, "a mark per splat");
+    for ((to, from), _) in
+        all.chunks_exact_mut(stride).zip(other.chunks_exact(stride)).zip(whose).filter(|(_, marked)| **marked)
+    {
+        to.copy_from_slice(from);
+    }
+}
+
+/// The scene from a camera under a lighting, over its background; sRGB in [0, 1].
+pub fn render_lit(
+    model: &Model,
+    engine: &dyn Engine,
+    camera: &Camera,
+    pose: &Pose,
+    lighting: &Lighting,
+) -> Result<Image, TrainError> {
+    let projected = engine.project(&model.splats, camera, pose, &model.options())?;
+    let colours = model.lit(lighting, pose, projected.shade());
+    let frame = projected.blend(&Channels { count: 3, values: &colours });
+    let mut image = frame.image;
+    add_behind(&mut image, &frame.alpha, &lighting.scene.background.paint(camera, pose));
+    image.data.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
+    Ok(image)
+}

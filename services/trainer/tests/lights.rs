@@ -1,0 +1,200 @@
+//! Looks as a tool: a trained scene in any photo's light, between lights, in two at once, and written into splats.
+
+use glam::Vec3;
+use segwild_raster::{AffineLook, AnyLook, CpuEngine, EmbedLook, NoLook};
+use segwild_scene::{Camera, Image, Pose, Random, Splats};
+use segwild_trainer::{Background, Lighting, Model, Stats, render_lit, render_view};
+
+const SPLATS: usize = 300;
+const PHOTOS: usize = 3;
+
+fn eye() -> (Camera, Pose) {
+    let camera = Camera { width: 64, height: 48, fx: 60.0, fy: 60.0, cx: 32.0, cy: 24.0 };
+    (camera, Pose::look_at(Vec3::new(0.3, -0.2, -2.5), Vec3::ZERO, Vec3::NEG_Y))
+}
+
+/// A matrix near the identity, offset and all.
+fn matrix(random: &mut Random) -> [f32; 12] {
+    std::array::from_fn(|i| f32::from(u8::from(i % 5 == 0)) * 0.9 + 0.1 * random.uniform())
+}
+
+/// Splats of moderate colours, which no look of these photos turns darker than black, and three photos' looks.
+fn model(rung: &str, sh_degree: u32) -> Model {
+    let mut random = Random::new(7);
+    let mut splats = Splats { sh_degree, ..Splats::default() };
+    for _ in 0..SPLATS {
+        splats.means.push(std::array::from_fn(|_| 1.6 * random.uniform() - 0.8));
+        splats.log_scales.push(std::array::from_fn(|_| -2.5 + 0.5 * random.uniform()));
+        splats.rotations.push(std::array::from_fn(|_| random.normal()));
+        splats.opacities.push(2.0 * random.normal());
+        let spread = |k: usize| if k < 3 { 0.5 } else { 0.12 };
+        splats.sh.extend((0..splats.sh_stride()).map(|k| spread(k) * (2.0 * random.uniform() - 1.0)));
+    }
+    let look = match rung {
+        "none" => AnyLook::None(NoLook),
+        "affine" => {
+            let mut look = AffineLook::new(PHOTOS + 1);
+            (0..=PHOTOS).for_each(|view| look.set_matrix(view, matrix(&mut random)));
+            AnyLook::Affine(look)
+        }
+        _ => {
+            let mut look = EmbedLook::new(PHOTOS + 1, 5);
+            (0..=PHOTOS).for_each(|view| look.set_matrix(view, matrix(&mut random)));
+            AnyLook::Embed(look)
+        }
+    };
+    let codes = (0..look.as_look().code_size() * SPLATS).map(|_| 0.06 * random.normal()).collect();
+    let background = |_| Some(Background::constant(std::array::from_fn(|_| random.uniform())));
+    Model {
+        splats,
+        codes,
+        look,
+        backgrounds: (0..PHOTOS).map(background).collect(),
+        names: (0..PHOTOS).map(|i| format!("{i}.jpg")).collect(),
+        trained_on: (0..PHOTOS as u32).collect(),
+        antialias: true,
+        stats: Stats { step: 1, psnr: None },
+    }
+}
+
+fn draw(model: &Model, lighting: &Lighting) -> Image {
+    let (camera, pose) = eye();
+    render_lit(model, &CpuEngine::new(), &camera, &pose, lighting).expect("a picture")
+}
+
+/// Largest difference between two pictures.
+fn apart(a: &Image, b: &Image) -> f32 {
+    a.data.iter().zip(&b.data).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+}
+
+#[test]
+fn a_photos_light_is_what_its_look_was_trained_to_be() {
+    let (camera, pose) = eye();
+    for rung in ["none", "affine", "embed"] {
+        let model = model(rung, 2);
+        for view in [None, Some(0), Some(2)] {
+            let trained = render_view(&model, &CpuEngine::new(), &camera, &pose, view).unwrap();
+            let off = apart(&draw(&model, &model.light(view).into()), &trained);
+            assert!(off < 2e-3, "{rung}, {view:?}: {off}"); // the trained one undoes the look on what is behind
+        }
+    }
+}
+
+#[test]
+fn baked_splats_drawn_plainly_are_the_scene_under_that_look() {
+    for rung in ["none", "affine", "embed"] {
+        for degree in 0..=3 {
+            let model = model(rung, degree);
+            let light = model.light(Some(1));
+            let lit = draw(&model, &light.clone().into());
+            let plain = Model {
+                splats: model.baked(&light.clone().into()),
+                codes: Vec::new(),
+                look: AnyLook::None(NoLook),
+                ..model.clone()
+            };
+            // Over the same background, which a file of splats does not hold.
+            let drawn = draw(&plain, &plain.light(Some(1)).into());
+            let off = apart(&lit, &drawn);
+            assert!(off < 2e-6 * (1.0 + 3.0 * degree as f32), "{rung}, degree {degree}: {off}");
+            let raw = Model { splats: model.splats.clone(), ..plain };
+            let unbaked = apart(&lit, &draw(&raw, &raw.light(Some(1)).into()));
+            assert!(rung == "none" || unbaked > 0.05, "{rung}, degree {degree}: {unbaked}");
+        }
+    }
+}
+
+#[test]
+fn an_affine_look_acts_on_the_higher_harmonics_by_its_matrix() {
+    let model = model("affine", 3);
+    let AnyLook::Affine(look) = &model.look else { unreachable!("as asked for") };
+    let m = look.matrix(1);
+    let baked = model.baked(&model.light(Some(1)).into());
+    for (i, (before, after)) in model.splats.sh.chunks(3).zip(baked.sh.chunks(3)).enumerate() {
+        let base = i % 16 == 0;
+        for c in 0..3 {
+            let turned: f32 = (0..3).map(|k| m[4 * c + k] * before[k]).sum();
+            // The constant one carries the offset, and the 0.5 that colours are counted from.
+            let shift = (0..3).map(|k| 0.5 * m[4 * c + k]).sum::<f32>() + m[4 * c + 3] - 0.5;
+            let wanted = if base { turned + shift / 0.282_094_79 } else { turned };
+            assert!((after[c] - wanted).abs() < 2e-5, "coefficient {i}, channel {c}: {} {wanted}", after[c]);
+        }
+    }
+}
+
+#[test]
+fn a_way_between_two_lights_begins_and_ends_in_them() {
+    for rung in ["none", "affine", "embed"] {
+        let model = model(rung, 1);
+        let (a, b) = (model.light(Some(0)), model.light(Some(2)));
+        assert_eq!((a.towards(&b, 0.0), a.towards(&b, 1.0)), (a.clone(), b.clone()));
+        let [first, half, last] = [0.0, 0.5, 1.0].map(|t| draw(&model, &a.towards(&b, t).into()));
+        let mean = |i: usize| 0.5 * (first.data[i] + last.data[i]);
+        let off = (0..half.data.len()).map(|i| (half.data[i] - mean(i)).abs()).fold(0.0, f32::max);
+        assert!(off < 1e-5, "{rung}: light adds up, so that half way is the mean of both ({off})");
+    }
+}
+
+#[test]
+fn strength_0_is_the_scenes_own_look_and_2_is_twice_as_far() {
+    let model = model("embed", 1);
+    let (own, photo) = (model.light(None), model.light(Some(1)));
+    assert_eq!(model.strengthened(&photo, 0.0), own);
+    assert_eq!(model.strengthened(&photo, 1.0), photo);
+    let twice = model.strengthened(&photo, 2.0);
+    assert!(apart(&draw(&model, &own.towards(&twice, 0.5).into()), &draw(&model, &photo.into())) < 1e-5);
+}
+
+#[test]
+fn an_object_has_its_own_light_and_the_rest_keeps_the_scenes() {
+    let model = model("embed", 2);
+    let (day, night) = (model.light(Some(0)), model.light(Some(1)));
+    // Everything, nothing, half of the splats.
+    let with = |whose: Vec<bool>| Lighting { scene: day.clone(), object: Some((whose, night.clone())) };
+    let all_day = draw(&model, &day.clone().into());
+    assert_eq!(draw(&model, &with(vec![false; SPLATS])), all_day);
+    let left: Vec<bool> = model.splats.means.iter().map(|m| m[0] < -0.35).collect();
+    let lighting = with(left.clone());
+    let both = draw(&model, &lighting);
+    // What shows none of the object is as it was; what shows nothing else is as the object's light makes it.
+    let only = |wanted: bool| {
+        let mut part = model.clone();
+        let keep: Vec<usize> = (0..SPLATS).filter(|&i| left[i] == wanted).collect();
+        part.select(&keep);
+        part
+    };
+    let (camera, pose) = eye();
+    let cover = |part: &Model| {
+        let white = Model {
+            look: AnyLook::None(NoLook),
+            codes: Vec::new(),
+            splats: Splats { sh: vec![0.0; part.splats.sh.len()], ..part.splats.clone() },
+            backgrounds: vec![Some(Background::constant([0.0; 3])); PHOTOS],
+            ..part.clone()
+        };
+        render_view(&white, &CpuEngine::new(), &camera, &pose, Some(0)).unwrap()
+    };
+    let (object, rest) = (cover(&only(true)), cover(&only(false)));
+    let dark = draw(&model, &Lighting { scene: night.clone(), object: None });
+    let (mut same, mut changed) = (0, 0);
+    for i in 0..object.pixels() {
+        let off = |other: &Image| (0..3).any(|c| (both.plane(c)[i] - other.plane(c)[i]).abs() > 1e-5);
+        if object.data[i] == 0.0 {
+            assert!(!off(&all_day), "pixel {i}");
+            same += 1;
+        }
+        if rest.data[i] == 0.0 && object.data[i] > 0.49 {
+            assert!(!off(&dark), "pixel {i}");
+        }
+        changed += usize::from(object.data[i] > 0.2 && off(&all_day));
+    }
+    assert!(same > 100 && changed > 100, "{same} as they were, {changed} under the other light");
+    // The same two lights, written into the splats.
+    let plain = Model {
+        splats: model.baked(&lighting),
+        codes: Vec::new(),
+        look: AnyLook::None(NoLook),
+        ..model.clone()
+    };
+    assert!(apart(&draw(&plain, &plain.light(Some(0)).into()), &both) < 1e-5);
+}
