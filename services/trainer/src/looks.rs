@@ -6,6 +6,7 @@ use crate::posed::{Posed, colour_pairs};
 use crate::{LookKind, TrainSettings};
 use segwild_raster::{AffineLook, AnyLook, EmbedLook, Glance, GswLook, HIDDEN, NoLook, RANK};
 use segwild_scene::{Camera, Pose};
+use std::sync::Arc;
 
 /// A colour matrix with offset, row-major 3 x 4: `c' = M (c, 1)`.
 pub(crate) type Affine = [f32; 12];
@@ -62,7 +63,7 @@ pub(crate) fn glance(
     camera: &Camera,
     pose: &Pose,
     open: impl Fn(usize) -> bool,
-) -> Glance {
+) -> Arc<Glance> {
     let colour = |i: usize| (open(i) && photo.valid(i)).then(|| photo.colour(i));
     look.glance((photo.width, photo.height), camera, pose, colour)
 }
@@ -211,7 +212,10 @@ fn fit_rows<const N: usize, P>(
 }
 
 /// Mean and variance over the photos of what `row` says of each.
-fn usual<const N: usize>(photos: &[u32], row: impl Fn(usize, usize) -> [f64; N]) -> ([[f64; N]; 3], [[f64; N]; 3]) {
+fn usual<const N: usize>(
+    photos: &[u32],
+    row: impl Fn(usize, usize) -> [f64; N],
+) -> ([[f64; N]; 3], [[f64; N]; 3]) {
     let n = photos.len().max(1) as f64;
     let (mut mean, mut variance) = ([[0.0; N]; 3], [[0.0; N]; 3]);
     for c in 0..3 {

@@ -1,5 +1,6 @@
 //! One step of the training.
 
+use crate::TrainError;
 use crate::density::{Change, Seen, Surroundings};
 use crate::looks;
 use crate::model::options;
@@ -13,7 +14,6 @@ use crate::robust;
 use crate::state::{Drawn, mean_quality};
 use crate::trainer::{StepReport, Trainer};
 use crate::witness::Witness;
-use crate::TrainError;
 use segwild_raster::{Channels, FrameGrad, Sight, photometric};
 use segwild_scene::{Image, Splats};
 

@@ -169,7 +169,7 @@ fn resuming_gives_the_bytes_of_not_stopping_and_threads_do_not_matter() {
     };
     let photos = photos(&scene, true, look);
     let all = [DensityKind::Budget, DensityKind::Gradient, DensityKind::Mcmc];
-    let looks = [LookKind::Affine, LookKind::Embed, LookKind::Embed];
+    let looks = [LookKind::Affine, LookKind::Embed, LookKind::Gsw];
     for (density, look) in all.into_iter().zip(looks) {
         let s = TrainSettings { density, look, robust: true, ..settings(120) };
         let run = |threads: usize, stops: &[u32]| {
@@ -199,20 +199,26 @@ fn resuming_gives_the_bytes_of_not_stopping_and_threads_do_not_matter() {
 fn a_checkpoint_of_another_scene_or_a_damaged_one_is_refused() {
     let six = scene(6);
     let photos = photos(&six, false, |_, _| ());
-    let trainer = Trainer::new(engine(), &six, photos.clone(), settings(10)).unwrap();
-    let refused = Trainer::resume(engine(), &scene(5), photos.clone(), trainer.checkpoint()).err().unwrap();
-    assert!(matches!(refused, TrainError::Checkpoint(_)), "{refused}");
-    let mut whole = bytes(&trainer.checkpoint());
-    assert!(wincode::deserialize::<Checkpoint>(&whole[..whole.len() / 2]).is_err());
-    // Flipped bits are refused by someone, or give a checkpoint that still works: never a panic.
-    for at in (0..whole.len()).step_by(997) {
-        whole[at] ^= 0x55;
-        if let Ok(damaged) = wincode::deserialize::<Checkpoint>(&whole)
-            && let Ok(mut trainer) = Trainer::resume(engine(), &six, photos.clone(), damaged)
-        {
-            drop(trainer.step());
+    // Of the look with most parts there is most to damage, and few places are enough.
+    for (look, every) in [(LookKind::None, 997), (LookKind::Gsw, 40_009)] {
+        let settings = TrainSettings { look, ..settings(10) };
+        let mut trainer = Trainer::new(engine(), &six, photos.clone(), settings).unwrap();
+        let other = Trainer::resume(engine(), &scene(5), photos.clone(), trainer.checkpoint());
+        let refused = other.err().unwrap();
+        assert!(matches!(refused, TrainError::Checkpoint(_)), "{refused}");
+        trainer.step().unwrap();
+        let mut whole = bytes(&trainer.checkpoint());
+        assert!(wincode::deserialize::<Checkpoint>(&whole[..whole.len() / 2]).is_err());
+        // Flipped bits are refused by someone, or give a checkpoint that still works: never a panic.
+        for at in (0..whole.len()).step_by(every) {
+            whole[at] ^= 0x55;
+            if let Ok(damaged) = wincode::deserialize::<Checkpoint>(&whole)
+                && let Ok(mut trainer) = Trainer::resume(engine(), &six, photos.clone(), damaged)
+            {
+                drop(trainer.step());
+            }
+            whole[at] ^= 0x55;
         }
-        whole[at] ^= 0x55;
     }
 }
 
@@ -331,7 +337,7 @@ fn strangers_leave_no_ghost() {
 }
 
 #[test]
-fn light_that_differs_from_place_to_place_is_learnt_by_embed_and_not_by_affine() {
+fn light_that_differs_from_place_to_place_is_learnt_by_embed_and_gsw_and_not_by_affine() {
     let scene = scene(12);
     // A beam from another side in each photo.
     let light = |i: usize, at: [f32; 3]| {
@@ -345,8 +351,9 @@ fn light_that_differs_from_place_to_place_is_learnt_by_embed_and_not_by_affine()
         let model = train(&scene, photos.clone(), TrainSettings { look, ..settings(800) });
         evaluate(&model, &*engine(), &scene, photos.clone(), &[11], Protocol::Halves).unwrap().psnr
     };
-    let (affine, embed) = (score(LookKind::Affine), score(LookKind::Embed));
+    let (affine, embed, gsw) = (score(LookKind::Affine), score(LookKind::Embed), score(LookKind::Gsw));
     assert!(embed > affine + 2.0, "embed {embed} dB, affine {affine} dB");
+    assert!(gsw > affine + 2.0, "gsw {gsw} dB, affine {affine} dB");
 }
 
 #[test]

@@ -17,13 +17,14 @@ mod points;
 pub use glance::Glance;
 pub use nets::{GswWidth, HIDDEN};
 
-use super::{Look, Tone, through};
 use super::affine::{IDENTITY, NUMBERS};
+use super::{Look, Tone, through};
 use crate::adam::Adam;
 use nets::{DYNAMIC, INTRINSIC, MAPS, Networks, SAMPLE, VECTOR};
 use segwild_nets::{Map, Tape, scatter, take};
 use segwild_scene::{Camera, Pose, Random};
 use std::ops::Range;
+use std::sync::Arc;
 use wincode::{SchemaRead, SchemaWrite};
 
 /// Numbers of a splat's code: what it is made of, then its coordinates on each map.
@@ -55,7 +56,8 @@ pub struct GswLook {
     point_moments: Adam,
     matrices: Vec<[f32; NUMBERS]>,
     matrix_moments: Vec<Adam>,
-    glances: Vec<Option<Glance>>,
+    /// Shared with checkpoints and snapshots.
+    glances: Vec<Option<Arc<Glance>>>,
     /// Gradients since the last step.
     grads: Option<Grads>,
 }
@@ -87,7 +89,7 @@ pub struct Impression {
     maps: [Vec<f32>; MAPS + 1],
     width: usize,
     height: usize,
-    glance: Glance,
+    glance: Arc<Glance>,
     /// In training: what the step draws, and what the backward pass needs.
     training: Option<(u64, Box<Tape>)>,
 }
@@ -129,7 +131,7 @@ impl GswLook {
             && moments == [nets.border, self.weights.len() - nets.border]
             && lists.iter().all(|&n| n == views)
             && self.matrix_moments.iter().all(|m| m.len() == NUMBERS)
-            && self.glances.iter().flatten().all(Glance::is_whole)
+            && self.glances.iter().flatten().all(|glance| glance.is_whole())
             && self.grads.is_none()
     }
 
@@ -154,12 +156,12 @@ impl GswLook {
         camera: &Camera,
         pose: &Pose,
         colour: impl Fn(usize) -> Option<[f32; 3]>,
-    ) -> Glance {
-        Glance::new(self.nets().side, size, camera, pose, colour)
+    ) -> Arc<Glance> {
+        Arc::new(Glance::new(self.nets().side, size, camera, pose, colour))
     }
 
     /// Keeps what a photo shows. Ignores photos that are not known.
-    pub fn set_glance(&mut self, view: usize, glance: Glance) {
+    pub fn set_glance(&mut self, view: usize, glance: Arc<Glance>) {
         if let Some(slot) = self.glances.get_mut(view) {
             *slot = Some(glance);
         }
@@ -206,11 +208,11 @@ impl GswLook {
     }
 
     /// What the UNet makes of a photo that is not one of the known views'.
-    pub fn impression_of_glance(&self, glance: &Glance) -> Impression {
+    pub fn impression_of_glance(&self, glance: &Arc<Glance>) -> Impression {
         self.impression_of(glance, 0.0..1.0, None)
     }
 
-    fn impression_of(&self, glance: &Glance, seen: Range<f32>, draw: Option<u64>) -> Impression {
+    fn impression_of(&self, glance: &Arc<Glance>, seen: Range<f32>, draw: Option<u64>) -> Impression {
         let (image, beside) = glance.planes(seen);
         let tape = self.nets().unet.forward(&self.weights, image, &beside);
         Impression {

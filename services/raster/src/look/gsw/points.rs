@@ -114,7 +114,12 @@ fn run(
 }
 
 /// Runs vectors on to colours; `direction` is that of the piece's splats.
-fn head(look: &GswLook, nets: &Networks, vectors: &[f32], direction: impl Fn(usize) -> [f32; 3]) -> Activations {
+fn head(
+    look: &GswLook,
+    nets: &Networks,
+    vectors: &[f32],
+    direction: impl Fn(usize) -> [f32; 3],
+) -> Activations {
     let mut x = Vec::with_capacity(vectors.len() / VECTOR * (VECTOR + 3));
     for (k, vector) in vectors.chunks_exact(VECTOR).enumerate() {
         x.extend_from_slice(vector);
@@ -167,7 +172,8 @@ pub(super) fn vectors(
     codes: &[f32],
 ) -> Vec<f32> {
     let all: Vec<usize> = (0..means.len()).collect();
-    let piece = |which: &[usize]| run(look, look.nets(), lights, (means, codes), which).fuse.result().to_vec();
+    let piece =
+        |which: &[usize]| run(look, look.nets(), lights, (means, codes), which).fuse.result().to_vec();
     all.par_chunks(PIECE).map(piece).collect::<Vec<_>>().concat()
 }
 
