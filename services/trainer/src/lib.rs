@@ -25,6 +25,7 @@ mod settings;
 mod state;
 mod step;
 mod trainer;
+mod visibility;
 mod witness;
 
 pub use actor::{FindCheckpoint, TrainActor, TrainOrder, TrainOutcome};

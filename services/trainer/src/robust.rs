@@ -88,6 +88,24 @@ impl Robust {
     }
 }
 
+/// The residual, smoothed, in units of that at which a pixel would be left out, judged by this residual alone.
+pub(crate) fn relative(
+    residual: &[f32],
+    width: usize,
+    counts: impl Fn(usize) -> bool,
+    share: f32,
+) -> Vec<f32> {
+    let height = residual.len() / width;
+    let mut smooth = box_mean(residual, width, height, (width.max(height) / 160).max(1));
+    let mut histogram = vec![0.0f32; BINS];
+    for (_, &r) in smooth.iter().enumerate().filter(|(i, _)| counts(*i)) {
+        histogram[bin(r)] += 1.0;
+    }
+    let threshold = threshold(&histogram, share);
+    smooth.iter_mut().for_each(|r| *r /= threshold);
+    smooth
+}
+
 /// Per pixel, whether a photo contradicts what the scene shows there, judged by this residual alone.
 pub(crate) fn contradicted(
     residual: &[f32],

@@ -13,6 +13,7 @@ use crate::pixels::{
 use crate::robust;
 use crate::state::{Drawn, mean_quality};
 use crate::trainer::{StepReport, Trainer};
+use crate::visibility;
 use crate::witness::Witness;
 use segwild_raster::{Channels, FrameGrad, Sight, photometric};
 use segwild_scene::{Image, Splats};
@@ -48,7 +49,16 @@ impl Trainer {
         let trusted = self.views[view].trusted(photo);
         let doubted: Vec<f32> = residual.iter().zip(&trusted).map(|(r, t)| r * (1.0 - t)).collect();
         let kept = self.state.robust.weights(view, &doubted, photo.width, |i| photo.counts(i), active);
-        let (weights, left_out) = pixel_weights(photo, kept.as_deref());
+        let (mut visible, mut blame) = (None, Vec::new());
+        if let Some(light) = light.as_ref().filter(|_| active) {
+            let share = self.settings.robust_share;
+            let ratio = robust::relative(&doubted, photo.width, |i| photo.counts(i), share);
+            blame = visibility::blame(light, &ratio, photo);
+            if self.schedule.visible(step) {
+                visible = visibility::weights(light, photo, kept.as_deref(), share);
+            }
+        }
+        let (weights, left_out) = pixel_weights(photo, visible.as_deref().or(kept.as_deref()));
         let psnr = weighted_psnr(&shown, &target, &weights.data);
         self.state.quality[view] = Some(psnr);
         // Loss and its gradient on the way back: look, background, sky, splats.
@@ -75,7 +85,7 @@ impl Trainer {
         };
         let look = &mut self.state.look;
         let (colour_grads, code_grads) =
-            look.colour_backward(view, light.as_ref(), &sight, &colours, colour_grads);
+            look.colour_backward(view, light.as_ref(), &sight, &colours, colour_grads, &blame);
         let sh_grads = projected.shade_backward(&colour_grads, &mut grads);
         let error = error_at_centres(&residual, &weights.data, photo, projected.as_ref());
         let seen = Seen {

@@ -210,7 +210,7 @@ impl AnyLook {
     }
 
     /// From the gradient of [`AnyLook::colour`]'s result to those of its colours and codes; keeps the gradient of the
-    /// look's own parameters for [`Look::step`].
+    /// look's own parameters for [`Look::step`]. `blame` as for [`GswLook::tint_backward`].
     pub fn colour_backward(
         &mut self,
         view: usize,
@@ -218,9 +218,10 @@ impl AnyLook {
         sight: &Sight,
         colours: &[f32],
         grad: Vec<f32>,
+        blame: &[Option<f32>],
     ) -> (Vec<f32>, Vec<f32>) {
         match self {
-            AnyLook::Gsw(look) => look.tint_backward(view, light, sight, colours, grad),
+            AnyLook::Gsw(look) => look.tint_backward(view, light, sight, colours, grad, blame),
             _ => self.as_look_mut().tint_backward(view, sight.codes, colours, grad),
         }
     }

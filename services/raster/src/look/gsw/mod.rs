@@ -21,8 +21,8 @@ use super::affine::{IDENTITY, NUMBERS};
 use super::{Look, Tone, through};
 use crate::adam::Adam;
 use nets::{DYNAMIC, INTRINSIC, MAPS, Networks, SAMPLE, VECTOR};
-use segwild_nets::{Map, Tape, scatter, take};
-use segwild_scene::{Camera, Pose, Random};
+use segwild_nets::{HeadTape, Map, Tape, scatter, take};
+use segwild_scene::{Camera, Image, Pose, Random};
 use std::ops::Range;
 use std::sync::Arc;
 use wincode::{SchemaRead, SchemaWrite};
@@ -90,6 +90,10 @@ pub struct Impression {
     width: usize,
     height: usize,
     glance: Arc<Glance>,
+    /// How sure the network is, before the sigmoid, that a part of the photo shows the scene.
+    visible: HeadTape,
+    /// Whether the network saw the whole photo.
+    whole: bool,
     /// In training: what the step draws, and what the backward pass needs.
     training: Option<(u64, Box<Tape>)>,
 }
@@ -213,9 +217,12 @@ impl GswLook {
     }
 
     fn impression_of(&self, glance: &Arc<Glance>, seen: Range<f32>, draw: Option<u64>) -> Impression {
+        let whole = seen == (0.0..1.0);
         let (image, beside) = glance.planes(seen);
         let tape = self.nets().unet.forward(&self.weights, image, &beside);
         Impression {
+            visible: self.nets().visible.forward(&self.weights, tape.bottleneck()),
+            whole,
             maps: std::array::from_fn(|k| take(&tape.maps, k * SAMPLE, SAMPLE)),
             width: tape.maps.width,
             height: tape.maps.height,
@@ -255,7 +262,8 @@ impl GswLook {
     }
 
     /// From the gradient of [`GswLook::tint`]'s result to those of its colours and codes; keeps the gradient of the
-    /// look's own parameters for [`Look::step`].
+    /// look's own parameters for [`Look::step`]. `blame` is what [`Impression::visible`] is to learn from, of each part
+    /// of the photo, in its order: how much of what would be taken for a stranger the scene fails to show there.
     pub fn tint_backward(
         &mut self,
         view: usize,
@@ -263,20 +271,56 @@ impl GswLook {
         sight: &Sight,
         colours: &[f32],
         grad: Vec<f32>,
+        blame: &[Option<f32>],
     ) -> (Vec<f32>, Vec<f32>) {
         let back = points::backward(self, &self.matrix(view), light, sight, colours, grad);
         let nets = self.nets();
         let mut weights = vec![0.0; self.weights.len()];
         weights[nets.border..].copy_from_slice(&back.weights);
-        if let Some(Impression { training: Some((_, tape)), width, height, .. }) = light {
+        if let Some(Impression { training: Some((_, tape)), width, height, visible, .. }) = light {
             let mut maps = Map::zeros(DYNAMIC, *height, *width);
             for (k, map) in back.maps.iter().enumerate() {
                 scatter(map, &mut maps, k * SAMPLE, SAMPLE);
             }
-            nets.unet.backward(&self.weights, tape, &maps, None, &mut weights);
+            let bottleneck = (blame.len() == visible.plane.data.len()).then(|| {
+                let grad = visibility_gradient(&visible.plane, blame);
+                nets.visible.backward(&self.weights, visible, &grad, &mut weights)
+            });
+            nets.unet.backward(&self.weights, tape, &maps, bottleneck.as_ref(), &mut weights);
         }
         self.grads = Some(Grads { view: view as u64, weights, matrix: back.matrix });
         (back.colours, back.codes)
+    }
+}
+
+/// Weight of what visibility learns beside the loss of colours.
+const VISIBILITY: f32 = 0.1;
+
+fn sigmoid(v: f32) -> f32 {
+    1.0 / (1.0 + (-v).exp())
+}
+
+/// Gradient, before the sigmoid, of the mean of `b v + (1 - v)²` over the parts of the photo of which something is known;
+/// `v` is their visibility and `b` what they are blamed for. Its least is at `v = 1 - b / 2`.
+fn visibility_gradient(plane: &Map, blame: &[Option<f32>]) -> Map {
+    let mut grad = Map::zeros(1, plane.height, plane.width);
+    let known = blame.iter().flatten().count().max(1) as f32;
+    for ((to, from), blame) in grad.data.iter_mut().zip(&plane.data).zip(blame) {
+        if let Some(blame) = blame {
+            let v = sigmoid(*from);
+            *to = VISIBILITY / known * (blame.clamp(0.0, 2.0) - 2.0 * (1.0 - v)) * v * (1.0 - v);
+        }
+    }
+    grad
+}
+
+impl Impression {
+    /// How sure the network is that each part of the photo shows the scene and no stranger, in [0, 1], one plane of a
+    /// quarter of the network's image; `None` if it has not seen the whole photo.
+    pub fn visible(&self) -> Option<Image> {
+        let Map { width, height, data, .. } = &self.visible.plane;
+        let data = data.iter().map(|&v| sigmoid(v)).collect();
+        self.whole.then_some(Image { width: *width, height: *height, channels: 1, data })
     }
 }
 
