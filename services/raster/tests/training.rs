@@ -185,8 +185,10 @@ fn glanced(n: usize) -> (GswLook, Vec<[f32; 3]>, Camera, Pose) {
         look.set_glance(view, glance);
     }
     // The last layer begins near 0, which would hide what is before it.
-    let layer = std::array::from_fn(|_| (random.vector(-0.5, 0.5), 0.1));
-    look.set_last_layer(&layer);
+    for view in 0..3 {
+        let layer = random.many(look.layer(view).len(), -0.5, 0.5);
+        look.set_layer(view, &layer);
+    }
     (look, means, camera, pose)
 }
 
@@ -245,14 +247,19 @@ fn gsw_look_matches_finite_differences() {
         along(what, &own, 0.02, &|s| loss(&look, &moved(&codes, &own, s), &colours));
     }
     // The networks: a step of Adam at a small rate goes down.
-    (trained.net_rate, trained.point_rate, trained.rate) = (1e-5, 0.0, 0.0);
+    (trained.net_rate, trained.point_rate, trained.rate, trained.shift_rate) = (1e-5, 0.0, 0.0, 0.0);
     let before = loss(&look, &codes, &colours);
     let mut networks = trained.clone();
     networks.step(1.0);
     assert!(loss(&networks, &codes, &colours) < before - 1e-3, "the UNet's step");
-    (trained.net_rate, trained.point_rate) = (0.0, 1e-5);
+    let mut networks = trained.clone();
+    (networks.net_rate, networks.point_rate) = (0.0, 1e-5);
+    networks.step(1.0);
+    assert!(loss(&networks, &codes, &colours) < before - 1e-3, "the small networks' step");
+    (trained.net_rate, trained.shift_rate) = (0.0, 1e-5);
     trained.step(1.0);
-    assert!(loss(&trained, &codes, &colours) < before - 1e-3, "the small networks' step");
+    assert!(loss(&trained, &codes, &colours) < before - 1e-3, "the step of the photo's own layer");
+    assert_eq!(trained.layer(1), look.layer(1), "another photo's");
     // Splats out of sight keep their colours and have no gradient.
     let shown = look.tint(0, light.as_ref(), &sight(&means, &codes, &radii, eye), colours.clone());
     assert_eq!(shown[9..12], colours[9..12]);
@@ -282,9 +289,10 @@ fn gsw_tones_are_what_was_trained_and_can_be_baked() {
         tones.push(tone);
     }
     assert!(tones[0] != tones[1] && tones[0] != tones[2]);
-    // Strength 0 of a photo's light is no light, with the photo's matrix.
+    // Strength 0 of a photo's light is no light.
     let light = look.impression(0, None).expect("seen");
-    let none = look.tone_of(&[(&light, 0.0)], &look.matrix(0), &means, &codes);
+    let own = (&look.matrix(2), look.layer(2));
+    let none = look.tone_of(&[(&light, 0.0)], (own.0, &own.1), &means, &codes);
     assert_eq!(none, look.tone(2, &means, &codes));
     // In a file without a network: the colours that are nearest. The head is not a sum of harmonics, but smooth.
     let splats = Splats {

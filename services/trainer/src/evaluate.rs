@@ -117,15 +117,16 @@ pub fn evaluate(
                     let glance = looks::glance(trained, photo, &camera, &pose, left);
                     let light = trained.impression_of_glance(&glance);
                     let Splats { means, .. } = &model.splats;
-                    let tone = trained.tone_of(&[(&light, 1.0)], &looks::IDENTITY, means, &model.codes);
+                    let layer = trained.layer(index);
+                    let own = (&looks::IDENTITY, layer.as_slice());
+                    let tone = trained.tone_of(&[(&light, 1.0)], own, means, &model.codes);
                     let hidden = blend(HIDDEN, &trained.hidden(&tone, &direction)).image;
-                    let mut fitted = trained.clone();
                     let pixels = pairs.map(|(scene, alpha, seen, i)| {
                         (scene, alpha, std::array::from_fn(|k| hidden.data[k * n + i]), seen)
                     });
-                    let matrix = looks::fit_gsw(&mut fitted, &model.trained_on, pixels);
-                    let tone = tone.with_matrix(&matrix);
-                    tinted = Some(fitted.shade(&tone, &model.codes, &direction, colours.clone()));
+                    let (matrix, layer) = looks::fit_gsw(trained, &model.trained_on, pixels);
+                    let tone = tone.with(&matrix, &layer);
+                    tinted = Some(trained.shade(&tone, &model.codes, &direction, colours.clone()));
                 }
             }
         }

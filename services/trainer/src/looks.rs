@@ -35,6 +35,7 @@ pub(crate) fn begin(settings: &TrainSettings, views: usize) -> AnyLook {
             look.rate = settings.lr_look;
             look.net_rate = settings.lr_net;
             look.point_rate = settings.lr_net;
+            look.shift_rate = 2.5 * settings.lr_look;
             AnyLook::Gsw(look)
         }
     }
@@ -87,8 +88,14 @@ pub(crate) fn set_mean(look: &mut AnyLook, past: usize, known: impl Iterator<Ite
             embed.set_vector(past, vector);
         }
         AnyLook::Gsw(gsw) => {
-            let matrices: Vec<_> = known.map(|v| gsw.matrix(v)).collect();
+            let matrices: Vec<_> = known.clone().map(|v| gsw.matrix(v)).collect();
             gsw.set_matrix(past, mean(&matrices));
+            let n = known.clone().count().max(1) as f32;
+            let mut layer = vec![0.0; gsw.layer(past).len()];
+            for view in known {
+                layer.iter_mut().zip(gsw.layer(view)).for_each(|(sum, v)| *sum += v / n);
+            }
+            gsw.set_layer(past, &layer);
         }
     }
 }
@@ -255,30 +262,24 @@ pub(crate) fn fit_embed(
     fitted
 }
 
-/// How far the last layer of the colour head may go for one photo.
-const FREEDOM: f64 = 0.05;
-
 /// The matrix and the last layer of the colour head for one photo that was not trained on, by least squares that prefers
-/// matrices such as the trained photos have and the layer as it was trained. `pixels` tell scene colour, alpha, what the
-/// head has before its last layer, and what the photo shows without what is behind the scene.
+/// such as the trained photos have. `pixels` tell scene colour, alpha, what the head has before its last layer, and what
+/// the photo shows without what is behind the scene.
 pub(crate) fn fit_gsw(
-    trained: &mut GswLook,
+    trained: &GswLook,
     photos: &[u32],
     pixels: impl Iterator<Item = ([f32; 3], f32, [f32; HIDDEN], [f32; 3])> + Clone,
-) -> Affine {
+) -> (Affine, Vec<f32>) {
     const UNKNOWN: usize = 4 + HIDDEN;
-    let mut layer = trained.last_layer();
-    let (mut mean, mut variance) = usual(photos, |view, c| -> [f64; UNKNOWN] {
-        let matrix = trained.matrix(view);
-        std::array::from_fn(|i| if i < 4 { f64::from(matrix[4 * c + i]) } else { 0.0 })
+    let (mean, variance) = usual(photos, |view, c| -> [f64; UNKNOWN] {
+        let (matrix, layer) = (trained.matrix(view), trained.layer(view));
+        std::array::from_fn(|i| match i {
+            0..3 => f64::from(matrix[4 * c + i]),
+            // Two offsets that add up.
+            3 => f64::from(matrix[4 * c + 3]) + f64::from(layer[3 * HIDDEN + c]),
+            _ => f64::from(layer[3 * (i - 4) + c]),
+        })
     });
-    for c in 0..3 {
-        mean[c][3] += f64::from(layer[c].1);
-        for k in 0..HIDDEN {
-            mean[c][4 + k] = f64::from(layer[c].0[k]);
-            variance[c][4 + k] = FREEDOM * FREEDOM;
-        }
-    }
     type Pixel = ([f32; 3], f32, [f32; HIDDEN], [f32; 3]);
     let x = |(scene, alpha, hidden, _): &Pixel, _: usize| -> [f32; UNKNOWN] {
         std::array::from_fn(|i| match i {
@@ -288,12 +289,11 @@ pub(crate) fn fit_gsw(
         })
     };
     let rows = fit_rows(&mean, &variance, pixels, x, |pixel| pixel.3);
-    for (layer, row) in layer.iter_mut().zip(&rows) {
-        // The offset is with the matrix now.
-        *layer = (std::array::from_fn(|k| row[4 + k]), 0.0);
+    let mut layer = vec![0.0; 3 * HIDDEN + 3];
+    for (k, to) in layer[..3 * HIDDEN].iter_mut().enumerate() {
+        *to = rows[k % 3][4 + k / 3];
     }
-    trained.set_last_layer(&layer);
-    std::array::from_fn(|i| rows[i / 4][i % 4])
+    (std::array::from_fn(|i| rows[i / 4][i % 4]), layer)
 }
 
 fn dot(look: &Affine, row: usize, x: &[f32; 4]) -> f32 {

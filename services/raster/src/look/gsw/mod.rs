@@ -7,7 +7,8 @@
 //!
 //! Where this goes beyond the paper: the colour is added to the splat's own, in the photo's colour matrix, as in
 //! [`super::EmbedLook`]: a run of a thousand steps begins with the scene's colours and not with a network's noise, and
-//! exposure is fitted, not guessed. The UNet also gets the mean and deviation of the photo's colours round its norms,
+//! exposure is fitted, not guessed. What the last layer adds up may differ a little from photo to photo, for what a
+//! network cannot read in a photo. The UNet also gets the mean and deviation of the photo's colours round its norms,
 //! which would take them away. In some steps it sees a part of the photo only, so that it can be asked about half a photo.
 
 mod glance;
@@ -20,7 +21,7 @@ pub use nets::{GswWidth, HIDDEN};
 use super::affine::{IDENTITY, NUMBERS};
 use super::{Look, Tone, through};
 use crate::adam::Adam;
-use nets::{DYNAMIC, INTRINSIC, MAPS, Networks, SAMPLE, VECTOR};
+use nets::{DYNAMIC, INTRINSIC, LAYER, MAPS, Networks, SAMPLE, VECTOR};
 use segwild_nets::{HeadTape, Map, Tape, scatter, take};
 use segwild_scene::{Camera, Image, Pose, Random};
 use std::ops::Range;
@@ -47,19 +48,33 @@ pub struct GswLook {
     pub net_rate: f32,
     /// Learning rate of the small networks.
     pub point_rate: f32,
-    /// Pull of matrices towards the identity, as in [`super::AffineLook`].
+    /// Learning rate of what photos' last layers differ in.
+    pub shift_rate: f32,
+    /// Pull of matrices towards the identity, as in [`super::AffineLook`], and of last layers towards the common one.
     pub pull: f32,
     paper: bool,
     seed: u64,
     weights: Vec<f32>,
     net_moments: Adam,
     point_moments: Adam,
-    matrices: Vec<[f32; NUMBERS]>,
-    matrix_moments: Vec<Adam>,
-    /// Shared with checkpoints and snapshots.
-    glances: Vec<Option<Arc<Glance>>>,
+    /// The last layer of the colour head that is common to all photos.
+    layer: Vec<f32>,
+    layer_moments: Adam,
+    photos: Vec<Photo>,
     /// Gradients since the last step.
     grads: Option<Grads>,
+}
+
+/// What is kept of a photo.
+#[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
+struct Photo {
+    matrix: [f32; NUMBERS],
+    matrix_moments: Adam,
+    /// What its last layer differs in from the common one, as that is laid out.
+    shift: Vec<f32>,
+    shift_moments: Adam,
+    /// Shared with checkpoints and snapshots.
+    glance: Option<Arc<Glance>>,
 }
 
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
@@ -67,6 +82,7 @@ struct Grads {
     view: u64,
     weights: Vec<f32>,
     matrix: [f32; NUMBERS],
+    layer: Vec<f32>,
 }
 
 /// What the splats are, for a look that depends on more than their colours.
@@ -103,21 +119,31 @@ impl GswLook {
     pub fn new(views: usize, seed: u64, width: GswWidth) -> GswLook {
         let nets = Networks::of(width);
         let mut random = Random::stream(seed, 0x6773_7721);
-        let mut weights = nets.layout.begin(|| random.normal());
-        weights[nets.last()].iter_mut().for_each(|w| *w *= QUIET);
+        let weights = nets.layout.begin(|| random.normal());
+        let deviation = QUIET * (2.0 / HIDDEN as f32).sqrt();
+        let layer = (0..LAYER).map(|k| if k < 3 * HIDDEN { deviation * random.normal() } else { 0.0 });
+        let photo = Photo {
+            matrix: IDENTITY,
+            matrix_moments: Adam::new(1, NUMBERS),
+            shift: vec![0.0; LAYER],
+            shift_moments: Adam::new(1, LAYER),
+            glance: None,
+        };
+        let moments = |n: usize| Adam::new(1, n).with(0.9, 0.999, 1e-8);
         GswLook {
             rate: 2e-3,
             net_rate: 2e-3,
             point_rate: 2e-3,
+            shift_rate: 5e-3,
             pull: 1e-3,
             paper: width == GswWidth::Paper,
             seed,
-            net_moments: Adam::new(1, nets.border).with(0.9, 0.999, 1e-8),
-            point_moments: Adam::new(1, weights.len() - nets.border).with(0.9, 0.999, 1e-8),
+            net_moments: moments(nets.border),
+            point_moments: moments(weights.len() - nets.border),
             weights,
-            matrices: vec![IDENTITY; views],
-            matrix_moments: vec![Adam::new(1, NUMBERS); views],
-            glances: vec![None; views],
+            layer: layer.collect(),
+            layer_moments: moments(LAYER),
+            photos: vec![photo; views],
             grads: None,
         }
     }
@@ -129,26 +155,49 @@ impl GswLook {
     /// Whether its parts fit each other and `views` photos.
     pub fn consistent(&self, views: usize) -> bool {
         let nets = self.nets();
-        let lists = [self.matrices.len(), self.matrix_moments.len(), self.glances.len()];
-        let moments = [self.net_moments.len(), self.point_moments.len()];
+        let moments = [self.net_moments.len(), self.point_moments.len(), self.layer_moments.len()];
+        let photo = |photo: &Photo| {
+            let sizes = [photo.matrix_moments.len(), photo.shift.len(), photo.shift_moments.len()];
+            sizes == [NUMBERS, LAYER, LAYER] && photo.glance.as_ref().is_none_or(|glance| glance.is_whole())
+        };
         self.weights.len() == nets.layout.len()
-            && moments == [nets.border, self.weights.len() - nets.border]
-            && lists.iter().all(|&n| n == views)
-            && self.matrix_moments.iter().all(|m| m.len() == NUMBERS)
-            && self.glances.iter().flatten().all(|glance| glance.is_whole())
+            && moments == [nets.border, self.weights.len() - nets.border, LAYER]
+            && self.layer.len() == LAYER
+            && self.photos.len() == views
+            && self.photos.iter().all(photo)
             && self.grads.is_none()
     }
 
     /// A photo's matrix, row by row; the identity for a photo that is not known.
     pub fn matrix(&self, view: usize) -> [f32; NUMBERS] {
-        self.matrices.get(view).copied().unwrap_or(IDENTITY)
+        self.photos.get(view).map_or(IDENTITY, |photo| photo.matrix)
     }
 
     /// Sets a photo's matrix and forgets its optimiser's moments. Ignores photos that are not known.
     pub fn set_matrix(&mut self, view: usize, matrix: [f32; NUMBERS]) {
-        if let Some(slot) = self.matrices.get_mut(view) {
-            *slot = matrix;
-            self.matrix_moments[view] = Adam::new(1, NUMBERS);
+        if let Some(photo) = self.photos.get_mut(view) {
+            photo.matrix = matrix;
+            photo.matrix_moments = Adam::new(1, NUMBERS);
+        }
+    }
+
+    /// The last layer of a photo's colour head: `[HIDDEN][3]`, then `[3]` offsets. The common one for a photo that is not
+    /// known.
+    pub fn layer(&self, view: usize) -> Vec<f32> {
+        let Some(photo) = self.photos.get(view) else { return self.layer.clone() };
+        self.layer.iter().zip(&photo.shift).map(|(common, shift)| common + shift).collect()
+    }
+
+    /// Sets the last layer of a photo's colour head and forgets its optimiser's moments. Ignores photos that are not
+    /// known.
+    ///
+    /// # Panics
+    /// If the layer has another length.
+    pub fn set_layer(&mut self, view: usize, layer: &[f32]) {
+        assert_eq!(layer.len(), LAYER, "layer: length");
+        if let Some(photo) = self.photos.get_mut(view) {
+            photo.shift = layer.iter().zip(&self.layer).map(|(own, common)| own - common).collect();
+            photo.shift_moments = Adam::new(1, LAYER);
         }
     }
 
@@ -166,24 +215,8 @@ impl GswLook {
 
     /// Keeps what a photo shows. Ignores photos that are not known.
     pub fn set_glance(&mut self, view: usize, glance: Arc<Glance>) {
-        if let Some(slot) = self.glances.get_mut(view) {
-            *slot = Some(glance);
-        }
-    }
-
-    /// The last layer of the colour head: of each channel its factors, and its offset.
-    pub fn last_layer(&self) -> [([f32; HIDDEN], f32); 3] {
-        let last = &self.weights[self.nets().last()];
-        std::array::from_fn(|c| (std::array::from_fn(|k| last[3 * k + c]), last[3 * HIDDEN + c]))
-    }
-
-    /// Puts another last layer in its place.
-    pub fn set_last_layer(&mut self, layer: &[([f32; HIDDEN], f32); 3]) {
-        let range = self.nets().last();
-        let last = &mut self.weights[range];
-        for (c, (factors, offset)) in layer.iter().enumerate() {
-            factors.iter().enumerate().for_each(|(k, v)| last[3 * k + c] = *v);
-            last[3 * HIDDEN + c] = *offset;
+        if let Some(photo) = self.photos.get_mut(view) {
+            photo.glance = Some(glance);
         }
     }
 
@@ -197,7 +230,7 @@ impl GswLook {
     /// What the UNet makes of a view's photo; `None` for a photo that is not known: no light, the same for all.
     /// `draw` is given in training and differs from step to step.
     pub fn impression(&self, view: usize, draw: Option<u64>) -> Option<Impression> {
-        let glance = self.glances.get(view)?.as_ref()?;
+        let glance = self.photos.get(view)?.glance.as_ref()?;
         let mut seen = 0.0..1.0;
         if let Some(draw) = draw {
             let mut random = Random::stream(self.seed, draw);
@@ -231,23 +264,23 @@ impl GswLook {
         }
     }
 
-    /// What is particular to a mix of photos, each with its weight and its matrix, of splats with these centres and codes;
-    /// no photo: without light. Weights of one photo other than 1 make its light stronger or weaker.
+    /// What is particular to a mix of photos, each with its weight, seen with a matrix and a last layer, of splats with
+    /// these centres and codes; no photo: without light. Weights of one photo other than 1 make its light stronger or
+    /// weaker.
     pub fn tone_of(
         &self,
         photos: &[(&Impression, f32)],
-        matrix: &[f32; NUMBERS],
+        (matrix, layer): (&[f32; NUMBERS], &[f32]),
         means: &[[f32; 3]],
         codes: &[f32],
     ) -> Tone {
-        let mut tone = matrix.to_vec();
-        tone.extend(points::vectors(self, photos, means, codes));
-        Tone(tone)
+        let vectors = points::vectors(self, photos, means, codes);
+        Tone([matrix, layer, &vectors].concat())
     }
 
     /// What the colour head has before its last layer, `[splat][HIDDEN]`, in a tone.
     pub fn hidden(&self, tone: &Tone, direction: &(dyn Fn(usize) -> [f32; 3] + Sync)) -> Vec<f32> {
-        points::heads(self, &tone.0[NUMBERS..], direction, |made| made.before_last().to_vec()).concat()
+        points::heads(self, &tone.0[NUMBERS + LAYER..], None, direction).concat()
     }
 
     /// Colours of the splats in sight in a view, from their own; `light` is [`GswLook::impression`] of the view.
@@ -258,7 +291,7 @@ impl GswLook {
         sight: &Sight,
         colours: Vec<f32>,
     ) -> Vec<f32> {
-        points::tint(self, &self.matrix(view), light, sight, colours)
+        points::tint(self, (&self.matrix(view), &self.layer(view)), light, sight, colours)
     }
 
     /// From the gradient of [`GswLook::tint`]'s result to those of its colours and codes; keeps the gradient of the
@@ -273,7 +306,8 @@ impl GswLook {
         grad: Vec<f32>,
         blame: &[Option<f32>],
     ) -> (Vec<f32>, Vec<f32>) {
-        let back = points::backward(self, &self.matrix(view), light, sight, colours, grad);
+        let (matrix, layer) = (self.matrix(view), self.layer(view));
+        let back = points::backward(self, (&matrix, &layer), light, sight, colours, grad);
         let nets = self.nets();
         let mut weights = vec![0.0; self.weights.len()];
         weights[nets.border..].copy_from_slice(&back.weights);
@@ -288,7 +322,7 @@ impl GswLook {
             });
             nets.unet.backward(&self.weights, tape, &maps, bottleneck.as_ref(), &mut weights);
         }
-        self.grads = Some(Grads { view: view as u64, weights, matrix: back.matrix });
+        self.grads = Some(Grads { view: view as u64, weights, matrix: back.matrix, layer: back.layer });
         (back.colours, back.codes)
     }
 }
@@ -325,9 +359,10 @@ impl Impression {
 }
 
 impl Tone {
-    /// The same light in another matrix, of a tone of [`GswLook`].
-    pub fn with_matrix(mut self, matrix: &[f32; NUMBERS]) -> Tone {
+    /// The same light with another matrix and another last layer, of a tone of [`GswLook`].
+    pub fn with(mut self, matrix: &[f32; NUMBERS], layer: &[f32]) -> Tone {
         self.0[..NUMBERS].copy_from_slice(matrix);
+        self.0[NUMBERS..NUMBERS + LAYER].copy_from_slice(layer);
         self
     }
 }
@@ -338,7 +373,7 @@ impl Look for GswLook {
     }
 
     fn parameters(&self) -> usize {
-        self.weights.len() + self.matrices.len() * NUMBERS
+        self.weights.len() + LAYER + self.photos.len() * (NUMBERS + LAYER)
     }
 
     fn code_size(&self) -> usize {
@@ -380,23 +415,26 @@ impl Look for GswLook {
     }
 
     fn step(&mut self, scale: f32) {
-        let Some(Grads { view, weights, mut matrix }) = self.grads.take() else { return };
+        let Some(Grads { view, weights, mut matrix, mut layer }) = self.grads.take() else { return };
         let border = self.nets().border;
         let (net, point) = self.weights.split_at_mut(border);
         self.net_moments.step(net, &weights[..border], self.net_rate * scale);
         self.point_moments.step(point, &weights[border..], self.point_rate * scale);
-        if let Some(own) = self.matrices.get_mut(view as usize) {
+        self.layer_moments.step(&mut self.layer, &layer, self.point_rate * scale);
+        if let Some(photo) = self.photos.get_mut(view as usize) {
             for k in 0..NUMBERS {
-                matrix[k] += self.pull * (own[k] - IDENTITY[k]);
+                matrix[k] += self.pull * (photo.matrix[k] - IDENTITY[k]);
             }
-            self.matrix_moments[view as usize].step(own, &matrix, self.rate * scale);
+            photo.matrix_moments.step(&mut photo.matrix, &matrix, self.rate * scale);
+            layer.iter_mut().zip(&photo.shift).for_each(|(grad, shift)| *grad += self.pull * shift);
+            photo.shift_moments.step(&mut photo.shift, &layer, self.shift_rate * scale);
         }
     }
 
     fn tone(&self, view: usize, means: &[[f32; 3]], codes: &[f32]) -> Tone {
         let light = self.impression(view, None);
         let lights: Vec<(&Impression, f32)> = light.iter().map(|light| (light, 1.0)).collect();
-        self.tone_of(&lights, &self.matrix(view), means, codes)
+        self.tone_of(&lights, (&self.matrix(view), &self.layer(view)), means, codes)
     }
 
     fn shade(
@@ -406,9 +444,10 @@ impl Look for GswLook {
         direction: &(dyn Fn(usize) -> [f32; 3] + Sync),
         mut colours: Vec<f32>,
     ) -> Vec<f32> {
-        assert_eq!(tone.len(), NUMBERS + colours.len() / 3 * VECTOR, "tone: length");
-        let (matrix, vectors) = tone.split_at(NUMBERS);
-        let more = points::heads(self, vectors, direction, |made| made.result().to_vec());
+        assert_eq!(tone.len(), NUMBERS + LAYER + colours.len() / 3 * VECTOR, "tone: length");
+        let (matrix, rest) = tone.split_at(NUMBERS);
+        let (layer, vectors) = rest.split_at(LAYER);
+        let more = points::heads(self, vectors, Some(layer), direction);
         through(matrix, &mut colours);
         colours.iter_mut().zip(more.iter().flatten()).for_each(|(colour, more)| *colour += more);
         colours

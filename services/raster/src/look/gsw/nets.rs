@@ -1,7 +1,6 @@
 //! The networks of the rung `gsw`, in two widths.
 
 use segwild_nets::{Head, Layout, Mlp, Shape, UNet};
-use std::ops::Range;
 use std::sync::OnceLock;
 
 segwild_scene::choice! {
@@ -26,6 +25,8 @@ pub(super) const INTRINSIC: usize = 48;
 pub(super) const VECTOR: usize = 48;
 /// Numbers of the colour head before its last layer.
 pub const HIDDEN: usize = 48;
+/// Numbers of the colour head's last layer: `[HIDDEN][3]`, then `[3]` offsets.
+pub(super) const LAYER: usize = 3 * HIDDEN + 3;
 /// Planes of what the UNet is given: colours, and whether they are known.
 pub(super) const PLANES: usize = 4;
 /// Planes that go round the UNet: the same at half the size, and mean and deviation of the colours.
@@ -41,8 +42,10 @@ pub(super) struct Networks {
     pub light: Mlp,
     /// From light and substance to the vector.
     pub fuse: Mlp,
-    /// From vector and direction to a colour.
+    /// From vector and direction to what colours are made of.
     pub colour: Mlp,
+    /// From that to a colour. Its weights are a slice of their own: photos differ in them.
+    pub last: Mlp,
     /// Where the weights of UNet and head end and those of the others begin.
     pub border: usize,
     /// Long side of the photo as the UNet gets it.
@@ -95,12 +98,8 @@ impl Networks {
         let last = light[light.len() - 1];
         let light = Mlp::new(&mut layout, "light", &sizes, true);
         let fuse = Mlp::new(&mut layout, "fuse", &[last + INTRINSIC, VECTOR, VECTOR], true);
-        let colour = Mlp::new(&mut layout, "colour", &[VECTOR + 3, HIDDEN, 3], false);
-        Networks { layout, unet, visible, light, fuse, colour, border, side, octaves }
-    }
-
-    /// The last layer of the colour head: `[HIDDEN][3]`, then `[3]` offsets.
-    pub fn last(&self) -> Range<usize> {
-        self.colour.last()
+        let colour = Mlp::new(&mut layout, "colour", &[VECTOR + 3, HIDDEN], true);
+        let last = Mlp::new(&mut Layout::new(), "last", &[HIDDEN, 3], false);
+        Networks { layout, unet, visible, light, fuse, colour, last, border, side, octaves }
     }
 }

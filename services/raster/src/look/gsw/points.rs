@@ -3,7 +3,7 @@
 //! Splats are taken in pieces, each by one task; sums over splats are taken piece by piece, in order. The backward pass
 //! runs a piece forward again, which costs less than keeping what all splats had on the way.
 
-use super::nets::{DYNAMIC, INTRINSIC, MAPS, Networks, SAMPLE, VECTOR};
+use super::nets::{DYNAMIC, HIDDEN, INTRINSIC, LAYER, MAPS, Networks, SAMPLE, VECTOR};
 use super::{CODE, COORDINATE, GswLook, Impression, Sight};
 use crate::look::affine::NUMBERS;
 use crate::look::through;
@@ -141,7 +141,7 @@ fn in_sight(sight: &Sight) -> Vec<usize> {
 
 pub(super) fn tint(
     look: &GswLook,
-    matrix: &[f32; NUMBERS],
+    (matrix, layer): (&[f32; NUMBERS], &[f32]),
     light: Option<&Impression>,
     sight: &Sight,
     mut colours: Vec<f32>,
@@ -154,7 +154,8 @@ pub(super) fn tint(
         .map(|which| {
             let run = run(look, nets, &lights, (sight.means, sight.codes), which);
             let towards = |k: usize| direction(sight, which[k]);
-            head(look, nets, run.fuse.result(), towards).result().to_vec()
+            let made = head(look, nets, run.fuse.result(), towards).result().to_vec();
+            nets.last.forward(layer, made).result().to_vec()
         })
         .collect();
     for (&i, made) in which.iter().zip(made.iter().flat_map(|m| m.chunks_exact(3))) {
@@ -177,14 +178,19 @@ pub(super) fn vectors(
     all.par_chunks(PIECE).map(piece).collect::<Vec<_>>().concat()
 }
 
-/// Runs the vectors of all splats on to colours, and takes what is wanted of each piece.
+/// Runs the vectors of all splats on to what colours are made of, and on to colours where there is a last `layer`;
+/// pieces of it.
 pub(super) fn heads(
     look: &GswLook,
     vectors: &[f32],
+    layer: Option<&[f32]>,
     direction: &(dyn Fn(usize) -> [f32; 3] + Sync),
-    take: impl Fn(Activations) -> Vec<f32> + Sync,
 ) -> Vec<Vec<f32>> {
-    let piece = |(p, vectors)| take(head(look, look.nets(), vectors, |k| direction(p * PIECE + k)));
+    let nets = look.nets();
+    let piece = |(p, vectors)| {
+        let made = head(look, nets, vectors, |k| direction(p * PIECE + k)).result().to_vec();
+        layer.map_or(made.clone(), |layer| nets.last.forward(layer, made).result().to_vec())
+    };
     vectors.par_chunks(PIECE * VECTOR).enumerate().map(piece).collect()
 }
 
@@ -197,6 +203,8 @@ pub(super) struct Back {
     /// Of the small networks' weights.
     pub weights: Vec<f32>,
     pub matrix: [f32; NUMBERS],
+    /// Of the colour head's last layer.
+    pub layer: Vec<f32>,
     /// Of the maps, `[pixel][SAMPLE]`.
     pub maps: [Vec<f32>; MAPS + 1],
 }
@@ -207,13 +215,14 @@ struct Piece {
     codes: Vec<f32>,
     weights: Vec<f32>,
     matrix: [f32; NUMBERS],
+    layer: Vec<f32>,
     spots: Vec<[Option<Spot>; MAPS + 1]>,
     light: Vec<f32>,
 }
 
 pub(super) fn backward(
     look: &GswLook,
-    matrix: &[f32; NUMBERS],
+    (matrix, layer): (&[f32; NUMBERS], &[f32]),
     light: Option<&Impression>,
     sight: &Sight,
     colours: &[f32],
@@ -224,13 +233,21 @@ pub(super) fn backward(
     let which: Vec<usize> =
         in_sight(sight).into_iter().filter(|&i| grad[3 * i..3 * i + 3] != [0.0; 3]).collect();
     let lights: Vec<(&Impression, f32)> = light.map(|l| (l, 1.0)).into_iter().collect();
-    let turned = [&nets.light, &nets.fuse, &nets.colour].map(|net| net.turned(&look.weights));
+    let [a, b, c] = [&nets.light, &nets.fuse, &nets.colour].map(|net| net.turned(&look.weights));
+    let turned = [a, b, c, nets.last.turned(layer)];
     let pieces: Vec<Piece> = which
         .par_chunks(PIECE)
         .map(|which| {
             let run = run(look, nets, &lights, (sight.means, sight.codes), which);
             let colour = head(look, nets, run.fuse.result(), |k| direction(sight, which[k]));
-            piece_backward(nets, &turned, (run, colour), (light, sight, which), (matrix, colours, &grad))
+            let last = nets.last.forward(layer, colour.result().to_vec());
+            piece_backward(
+                nets,
+                &turned,
+                (run, colour, last),
+                (light, sight, which),
+                (matrix, colours, &grad),
+            )
         })
         .collect();
     let mut back = Back {
@@ -238,11 +255,13 @@ pub(super) fn backward(
         codes: vec![0.0; sight.codes.len()],
         weights: vec![0.0; look.weights.len() - nets.border],
         matrix: [0.0; NUMBERS],
+        layer: vec![0.0; layer.len()],
         maps: std::array::from_fn(|k| vec![0.0; light.map_or(0, |l| l.maps[k].len())]),
     };
     for (piece, which) in pieces.iter().zip(which.chunks(PIECE)) {
         back.weights.iter_mut().zip(&piece.weights).for_each(|(sum, v)| *sum += v);
         back.matrix.iter_mut().zip(piece.matrix).for_each(|(sum, v)| *sum += v);
+        back.layer.iter_mut().zip(&piece.layer).for_each(|(sum, v)| *sum += v);
         for (k, &i) in which.iter().enumerate() {
             back.colours[3 * i..3 * i + 3].copy_from_slice(&piece.colours[3 * k..3 * k + 3]);
             back.codes[i * CODE..(i + 1) * CODE].copy_from_slice(&piece.codes[k * CODE..(k + 1) * CODE]);
@@ -262,8 +281,8 @@ pub(super) fn backward(
 
 fn piece_backward(
     nets: &Networks,
-    turned: &[Vec<Vec<f32>>; 3],
-    (run, head): (Run, Activations),
+    turned: &[Vec<Vec<f32>>; 4],
+    (run, head, last): (Run, Activations, Activations),
     (light, sight, which): (Option<&Impression>, &Sight, &[usize]),
     (matrix, colours, grad): (&[f32; NUMBERS], &[f32], &[f32]),
 ) -> Piece {
@@ -282,6 +301,8 @@ fn piece_backward(
         }
         own_colours.extend((0..3).map(|c| (0..3).map(|k| matrix[4 * k + c] * g[k]).sum::<f32>()));
     }
+    let mut layer = vec![0.0; LAYER];
+    let out = nets.last.backward(&turned[3], &last, out, &mut layer, HIDDEN);
     let own = part(nets.colour.range());
     let out = nets.colour.backward(&turned[2], &head, out, &mut weights[own], VECTOR);
     let made = nets.light.ends().1;
@@ -313,5 +334,13 @@ fn piece_backward(
             }
         }
     }
-    Piece { colours: own_colours, codes, weights, matrix: own_matrix, spots: run.spots, light: to_maps }
+    Piece {
+        colours: own_colours,
+        codes,
+        weights,
+        matrix: own_matrix,
+        layer,
+        spots: run.spots,
+        light: to_maps,
+    }
 }
