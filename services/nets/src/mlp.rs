@@ -62,7 +62,8 @@ impl Mlp {
         for (layer, range) in self.weights.iter().enumerate() {
             let [input, output] = [self.sizes[layer], self.sizes[layer + 1]];
             let (matrix, offsets) = weights[range.clone()].split_at(input * output);
-            let mut out: Vec<f32> = (0..points).flat_map(|_| offsets).copied().collect();
+            let mut out = vec![0.0; points * output];
+            out.chunks_exact_mut(output).for_each(|point| point.copy_from_slice(offsets));
             let x = Strided::of(&all[layer], input);
             product(x, (matrix, output), [points, input, output], (&mut out, output), true);
             if self.relu_after(layer) {

@@ -88,7 +88,12 @@ pub fn evaluate(
             let n = w * h;
             let codes = match &model.look {
                 AnyLook::Embed(_) => blend(3 * RANK, &model.codes).image,
+                AnyLook::Gsw(look) => blend(3 * RANK, &look.codes_below(&model.codes)).image,
                 _ => Image::zeros(0, 0, 0),
+            };
+            let lit = |(scene, alpha, seen, i): ([f32; 3], f32, [f32; 3], usize)| {
+                let light = std::array::from_fn(|k| codes.data[k * n + i]);
+                Lit { scene, alpha, light, seen }
             };
             let pairs = (0..n).filter(|&i| left(i) && photo.counts(i)).map(|i| {
                 let (c, alpha) = (photo.colour(i), frame.alpha.data[i]);
@@ -105,11 +110,7 @@ pub fn evaluate(
                     (look, index) = (AnyLook::Affine(fitted), 0);
                 }
                 AnyLook::Embed(trained) => {
-                    let light = pairs.map(|(scene, alpha, seen, i)| {
-                        let light = std::array::from_fn(|k| codes.data[k * n + i]);
-                        Lit { scene, alpha, light, seen }
-                    });
-                    let fitted = looks::fit_embed(trained, &model.trained_on, light);
+                    let fitted = looks::fit_embed(trained, &model.trained_on, pairs.map(lit));
                     (look, index) = (AnyLook::Embed(fitted), 0);
                 }
                 AnyLook::Gsw(trained) => {
@@ -117,15 +118,15 @@ pub fn evaluate(
                     let glance = looks::glance(trained, photo, &camera, &pose, left);
                     let light = trained.impression_of_glance(&glance);
                     let Splats { means, .. } = &model.splats;
-                    let layer = trained.layer(index);
-                    let own = (&looks::IDENTITY, layer.as_slice());
-                    let tone = trained.tone_of(&[(&light, 1.0)], own, means, &model.codes);
+                    let below = trained.below.tone(index, means, &model.codes);
+                    let tone = trained.tone_of(&[(&light, 1.0)], &below, means, &model.codes);
                     let hidden = blend(HIDDEN, &trained.hidden(&tone, &direction)).image;
-                    let pixels = pairs.map(|(scene, alpha, seen, i)| {
-                        (scene, alpha, std::array::from_fn(|k| hidden.data[k * n + i]), seen)
+                    let pixels = pairs.map(|pair| {
+                        let i = pair.3;
+                        (lit(pair), std::array::from_fn(|k| hidden.data[k * n + i]))
                     });
-                    let (matrix, layer) = looks::fit_gsw(trained, &model.trained_on, pixels);
-                    let tone = tone.with(&matrix, &layer);
+                    let (below, layer) = looks::fit_gsw(trained, &model.trained_on, pixels);
+                    let tone = tone.with(&below.tone(0, means, &model.codes), &layer);
                     tinted = Some(trained.shade(&tone, &model.codes, &direction, colours.clone()));
                 }
             }

@@ -32,10 +32,10 @@ pub(crate) fn begin(settings: &TrainSettings, views: usize) -> AnyLook {
         }
         LookKind::Gsw => {
             let mut look = GswLook::new(views + 1, settings.seed, settings.gsw_width);
-            look.rate = settings.lr_look;
+            look.below.rate = settings.lr_look;
+            look.below.vector_rate = 5.0 * settings.lr_look;
             look.net_rate = settings.lr_net;
             look.point_rate = settings.lr_net;
-            look.shift_rate = 2.5 * settings.lr_look;
             AnyLook::Gsw(look)
         }
     }
@@ -50,7 +50,7 @@ pub(crate) fn start(look: &mut AnyLook, view: usize, seen: &Posed, stored: &Stor
         AnyLook::Affine(affine) => affine.set_matrix(view, fitted()),
         AnyLook::Embed(embed) => embed.set_matrix(view, fitted()),
         AnyLook::Gsw(gsw) => {
-            gsw.set_matrix(view, fitted());
+            gsw.below.set_matrix(view, fitted());
             let photo = &stored.levels[0];
             gsw.set_glance(view, glance(gsw, photo, &seen.camera, &seen.pose, |_| true));
         }
@@ -77,27 +77,20 @@ pub(crate) fn set_mean(look: &mut AnyLook, past: usize, known: impl Iterator<Ite
             let matrices: Vec<_> = known.map(|v| affine.matrix(v)).collect();
             affine.set_matrix(past, mean(&matrices));
         }
-        AnyLook::Embed(embed) => {
-            let matrices: Vec<_> = known.clone().map(|v| embed.matrix(v)).collect();
-            embed.set_matrix(past, mean(&matrices));
-            let n = known.clone().count().max(1) as f32;
-            let mut vector = embed.vector(past).map(|_| 0.0);
-            for view in known {
-                vector.iter_mut().zip(embed.vector(view)).for_each(|(sum, v)| *sum += v / n);
-            }
-            embed.set_vector(past, vector);
-        }
-        AnyLook::Gsw(gsw) => {
-            let matrices: Vec<_> = known.clone().map(|v| gsw.matrix(v)).collect();
-            gsw.set_matrix(past, mean(&matrices));
-            let n = known.clone().count().max(1) as f32;
-            let mut layer = vec![0.0; gsw.layer(past).len()];
-            for view in known {
-                layer.iter_mut().zip(gsw.layer(view)).for_each(|(sum, v)| *sum += v / n);
-            }
-            gsw.set_layer(past, &layer);
-        }
+        AnyLook::Embed(embed) => set_mean_vector(embed, past, known),
+        AnyLook::Gsw(gsw) => set_mean_vector(&mut gsw.below, past, known),
     }
+}
+
+fn set_mean_vector(embed: &mut EmbedLook, past: usize, known: impl Iterator<Item = usize> + Clone) {
+    let matrices: Vec<_> = known.clone().map(|v| embed.matrix(v)).collect();
+    embed.set_matrix(past, mean(&matrices));
+    let n = known.clone().count().max(1) as f32;
+    let mut vector = embed.vector(past).map(|_| 0.0);
+    for view in known {
+        vector.iter_mut().zip(embed.vector(view)).for_each(|(sum, v)| *sum += v / n);
+    }
+    embed.set_vector(past, vector);
 }
 
 /// What a view's look does to the blended image, and so to what is behind the splats.
@@ -236,6 +229,31 @@ fn usual<const N: usize>(
     (mean, variance)
 }
 
+/// Unknowns per channel of the look `embed`.
+const EMBED: usize = 4 + RANK;
+
+/// What a channel of the look `embed` multiplies its unknowns with.
+fn embed_x(pixel: &Lit, c: usize) -> [f32; EMBED] {
+    std::array::from_fn(|i| match i {
+        0..3 => pixel.scene[i],
+        3 => pixel.alpha,
+        _ => pixel.light[c * RANK + i - 4],
+    })
+}
+
+fn embed_row(look: &EmbedLook, view: usize, c: usize) -> [f64; EMBED] {
+    let (matrix, vector) = (look.matrix(view), look.vector(view));
+    std::array::from_fn(|i| f64::from(if i < 4 { matrix[4 * c + i] } else { vector[c * RANK + i - 4] }))
+}
+
+/// A look of one photo, at index 0, of rows that begin with those of the look `embed`.
+fn embed_of<const N: usize>(rows: &[[f32; N]; 3]) -> EmbedLook {
+    let mut fitted = EmbedLook::new(1, 0);
+    fitted.set_matrix(0, std::array::from_fn(|i| rows[i / 4][i % 4]));
+    fitted.set_vector(0, std::array::from_fn(|k| rows[k / RANK][4 + k % RANK]));
+    fitted
+}
+
 /// The look of one photo that was not trained on, by least squares that prefers the identity and vectors such as the
 /// trained photos have. A look of one photo, at index 0.
 pub(crate) fn fit_embed(
@@ -243,57 +261,41 @@ pub(crate) fn fit_embed(
     photos: &[u32],
     pixels: impl Iterator<Item = Lit> + Clone,
 ) -> EmbedLook {
-    const UNKNOWN: usize = 4 + RANK;
-    let (mean, variance) = usual(photos, |view, c| -> [f64; UNKNOWN] {
-        let (matrix, vector) = (trained.matrix(view), trained.vector(view));
-        std::array::from_fn(|i| f64::from(if i < 4 { matrix[4 * c + i] } else { vector[c * RANK + i - 4] }))
-    });
-    let x = |pixel: &Lit, c: usize| -> [f32; UNKNOWN] {
-        std::array::from_fn(|i| match i {
-            0..3 => pixel.scene[i],
-            3 => pixel.alpha,
-            _ => pixel.light[c * RANK + i - 4],
-        })
-    };
-    let rows = fit_rows(&mean, &variance, pixels, x, |pixel| pixel.seen);
-    let mut fitted = EmbedLook::new(1, 0);
-    fitted.set_matrix(0, std::array::from_fn(|i| rows[i / 4][i % 4]));
-    fitted.set_vector(0, std::array::from_fn(|k| rows[k / RANK][4 + k % RANK]));
-    fitted
+    let (mean, variance) = usual(photos, |view, c| embed_row(trained, view, c));
+    embed_of(&fit_rows(&mean, &variance, pixels, embed_x, |pixel| pixel.seen))
 }
 
-/// The matrix and the last layer of the colour head for one photo that was not trained on, by least squares that prefers
-/// such as the trained photos have. `pixels` tell scene colour, alpha, what the head has before its last layer, and what
-/// the photo shows without what is behind the scene.
+/// How far the last layer of the colour head may go for one photo.
+const FREEDOM: f64 = 0.05;
+
+/// The look of one photo that was not trained on: of the rung below, as [`fit_embed`], and the last layer of the colour
+/// head, near to as it was trained. `pixels` tell, too, what the head has before that layer.
 pub(crate) fn fit_gsw(
     trained: &GswLook,
     photos: &[u32],
-    pixels: impl Iterator<Item = ([f32; 3], f32, [f32; HIDDEN], [f32; 3])> + Clone,
-) -> (Affine, Vec<f32>) {
-    const UNKNOWN: usize = 4 + HIDDEN;
-    let (mean, variance) = usual(photos, |view, c| -> [f64; UNKNOWN] {
-        let (matrix, layer) = (trained.matrix(view), trained.layer(view));
-        std::array::from_fn(|i| match i {
-            0..3 => f64::from(matrix[4 * c + i]),
-            // Two offsets that add up.
-            3 => f64::from(matrix[4 * c + 3]) + f64::from(layer[3 * HIDDEN + c]),
-            _ => f64::from(layer[3 * (i - 4) + c]),
-        })
-    });
-    type Pixel = ([f32; 3], f32, [f32; HIDDEN], [f32; 3]);
-    let x = |(scene, alpha, hidden, _): &Pixel, _: usize| -> [f32; UNKNOWN] {
-        std::array::from_fn(|i| match i {
-            0..3 => scene[i],
-            3 => *alpha,
-            _ => hidden[i - 4],
-        })
-    };
-    let rows = fit_rows(&mean, &variance, pixels, x, |pixel| pixel.3);
-    let mut layer = vec![0.0; 3 * HIDDEN + 3];
-    for (k, to) in layer[..3 * HIDDEN].iter_mut().enumerate() {
-        *to = rows[k % 3][4 + k / 3];
+    pixels: impl Iterator<Item = (Lit, [f32; HIDDEN])> + Clone,
+) -> (EmbedLook, Vec<f32>) {
+    const UNKNOWN: usize = EMBED + HIDDEN;
+    let layer = trained.layer();
+    let (below, below_variance) = usual(photos, |view, c| embed_row(&trained.below, view, c));
+    let (mut mean, mut variance) = ([[0.0; UNKNOWN]; 3], [[FREEDOM * FREEDOM; UNKNOWN]; 3]);
+    for c in 0..3 {
+        mean[c][..EMBED].copy_from_slice(&below[c]);
+        variance[c][..EMBED].copy_from_slice(&below_variance[c]);
+        // Two offsets that add up.
+        mean[c][3] += f64::from(layer[3 * HIDDEN + c]);
+        (0..HIDDEN).for_each(|k| mean[c][EMBED + k] = f64::from(layer[3 * k + c]));
     }
-    (std::array::from_fn(|i| rows[i / 4][i % 4]), layer)
+    let x = |(pixel, hidden): &(Lit, [f32; HIDDEN]), c: usize| -> [f32; UNKNOWN] {
+        let below = embed_x(pixel, c);
+        std::array::from_fn(|i| if i < EMBED { below[i] } else { hidden[i - EMBED] })
+    };
+    let rows = fit_rows(&mean, &variance, pixels, x, |(pixel, _)| pixel.seen);
+    let mut layer = vec![0.0; layer.len()];
+    for (k, to) in layer[..3 * HIDDEN].iter_mut().enumerate() {
+        *to = rows[k % 3][EMBED + k / 3];
+    }
+    (embed_of(&rows), layer)
 }
 
 fn dot(look: &Affine, row: usize, x: &[f32; 4]) -> f32 {

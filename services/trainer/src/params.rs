@@ -2,6 +2,7 @@
 
 use segwild_raster::{Adam, SplatGrads};
 use segwild_scene::Splats;
+use std::ops::Range;
 use wincode::{SchemaRead, SchemaWrite};
 
 /// Learning rates of one step.
@@ -16,8 +17,6 @@ pub(crate) struct Rates {
     pub colour: f32,
     /// Of what splats keep for the look.
     pub code: f32,
-    /// How much of that rate codes that nothing needs fade by.
-    pub code_fade: f32,
 }
 
 /// Splats with their optimisers, one per property; the base colour and the higher degrees are two.
@@ -37,6 +36,9 @@ pub(crate) struct Params {
 
 /// Share of the base colour's learning rate that higher degrees take.
 const HIGHER: f32 = 1.0 / 20.0;
+
+/// How much of their rate codes fade by in a step.
+const CODE_DECAY: f32 = 0.5;
 
 /// The codes of the splats at `which` among `n`, in that order.
 pub(crate) fn select(codes: &[f32], n: usize, which: &[usize]) -> Vec<f32> {
@@ -95,16 +97,16 @@ impl Params {
         }
     }
 
-    /// One optimiser step of the codes, of splats with `radii` above 0.
-    pub fn update_codes(&mut self, grads: &[f32], radii: &[f32], rates: &Rates) {
+    /// One optimiser step of the codes, of splats with `radii` above 0; numbers that are `fading` fade.
+    pub fn update_codes(&mut self, grads: &[f32], radii: &[f32], rates: &Rates, fading: Range<usize>) {
         let size = self.code_size();
         if size == 0 {
             return;
         }
         self.code_moments.step_visible(&mut self.codes, grads, rates.code, radii);
-        let keep = 1.0 - rates.code_fade * rates.code;
+        let keep = 1.0 - CODE_DECAY * rates.code;
         for (code, _) in self.codes.chunks_exact_mut(size).zip(radii).filter(|(_, r)| **r > 0.0) {
-            code.iter_mut().for_each(|v| *v *= keep);
+            code[fading.clone()].iter_mut().for_each(|v| *v *= keep);
         }
     }
 

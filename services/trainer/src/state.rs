@@ -92,6 +92,7 @@ impl State {
         }
         let size = self.look.as_look().code_size();
         let whole = match &self.look {
+            AnyLook::Embed(look) => look.consistent(views + 1),
             AnyLook::Gsw(look) => look.consistent(views + 1),
             _ => true,
         };

@@ -101,7 +101,8 @@ impl Trainer {
         self.state.strategy.as_dyn().regularise(&self.state.params.splats, &mut grads);
         let rates = self.rates(step);
         self.state.params.update(&grads, &sh_grads, &rates);
-        self.state.params.update_codes(&code_grads, &radii, &rates);
+        let fading = self.state.look.as_look().fading();
+        self.state.params.update_codes(&code_grads, &radii, &rates, fading);
         self.state.look.as_look_mut().step(self.schedule.late_factor(step));
         self.state.step += 1;
         let dropped = self.drop_unwitnessed()?;
@@ -135,7 +136,6 @@ impl Trainer {
             rotation: s.lr_rotation * late,
             colour: s.lr_colour * late,
             code: s.lr_code * late,
-            code_fade: self.state.look.as_look().code_fade(),
         }
     }
 

@@ -18,6 +18,7 @@ pub use embed::{EmbedLook, RANK};
 pub use gsw::{Glance, GswLook, GswWidth, HIDDEN, Impression, Sight};
 
 use segwild_scene::Image;
+use std::ops::Range;
 use wincode::{SchemaRead, SchemaWrite};
 
 /// The appearance of photos, trained along with the splats.
@@ -36,10 +37,10 @@ pub trait Look: Send + Sync {
         0
     }
 
-    /// How much of their learning rate codes fade by in a step: what a stranger in one photo leaves in them, others do
-    /// not confirm.
-    fn code_fade(&self) -> f32 {
-        0.5
+    /// Which numbers of a code fade where nothing needs them: what a stranger in one photo leaves in them, others do not
+    /// confirm.
+    fn fading(&self) -> Range<usize> {
+        0..0
     }
 
     /// Codes of splats at these centres to begin with.

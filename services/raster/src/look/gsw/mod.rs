@@ -2,14 +2,14 @@
 //!
 //! A UNet makes maps of the photo. A splat reads two of them at coordinates of its own, which are trained, and one where
 //! the photo shows it: the light on it (`dynamic`). With what it is made of (`intrinsic`, trained per splat) small
-//! networks fuse that into a vector, which says how the splat looks in this photo from any side, and is what is kept of
-//! a look. A last network makes a colour of vector and direction.
+//! networks fuse that into a vector, which says how the splat looks in this photo from any side. A last network makes a
+//! colour of vector and direction; what its first layer makes of the vector alone is what is kept of a look.
 //!
-//! Where this goes beyond the paper: the colour is added to the splat's own, in the photo's colour matrix, as in
-//! [`super::EmbedLook`]: a run of a thousand steps begins with the scene's colours and not with a network's noise, and
-//! exposure is fitted, not guessed. What the last layer adds up may differ a little from photo to photo, for what a
-//! network cannot read in a photo. The UNet also gets the mean and deviation of the photo's colours round its norms,
-//! which would take them away. In some steps it sees a part of the photo only, so that it can be asked about half a photo.
+//! Where this goes beyond the paper: the light is added to the look of the rung below, [`EmbedLook`], so that a run of a
+//! thousand steps begins with the scene's colours and not with a network's noise, and what no network can read in a photo
+//! (its exposure, a sun behind the camera) is fitted and not guessed. The UNet also gets the mean and deviation of the
+//! photo's colours round its norms, which would take them away. In some steps it sees a part of the photo only, so that
+//! it can be asked about half a photo.
 
 mod glance;
 mod nets;
@@ -18,18 +18,18 @@ mod points;
 pub use glance::Glance;
 pub use nets::{GswWidth, HIDDEN};
 
-use super::affine::{IDENTITY, NUMBERS};
-use super::{Look, Tone, through};
+use super::embed::{CODE as BELOW, PHOTO};
+use super::{EmbedLook, Look, Tone};
 use crate::adam::Adam;
-use nets::{DYNAMIC, INTRINSIC, LAYER, MAPS, Networks, SAMPLE, VECTOR};
-use segwild_nets::{HeadTape, Map, Tape, scatter, take};
+use nets::{DYNAMIC, INTRINSIC, LAYER, MAPS, Networks, PLANES, SAMPLE};
+use segwild_nets::{HeadTape, Layer, Map, Tape, scatter, take};
 use segwild_scene::{Camera, Image, Pose, Random};
 use std::ops::Range;
 use std::sync::Arc;
 use wincode::{SchemaRead, SchemaWrite};
 
-/// Numbers of a splat's code: what it is made of, then its coordinates on each map.
-const CODE: usize = INTRINSIC + 2 * MAPS;
+/// Numbers of a splat's code: what it is made of, its coordinates on each map, and its code of the rung below.
+const CODE: usize = INTRINSIC + 2 * MAPS + BELOW;
 /// How much faster a splat's coordinates move than the rest of its code: they are kept divided by this.
 const COORDINATE: f32 = 0.3;
 /// Share of the steps in which the UNet sees a part of the photo.
@@ -42,46 +42,29 @@ const QUIET: f32 = 0.02;
 /// The networks, and what is kept of each photo.
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
 pub struct GswLook {
-    /// Learning rate of matrices.
-    pub rate: f32,
+    /// Matrices and vectors of the photos.
+    pub below: EmbedLook,
     /// Learning rate of the UNet.
     pub net_rate: f32,
     /// Learning rate of the small networks.
     pub point_rate: f32,
-    /// Learning rate of what photos' last layers differ in.
-    pub shift_rate: f32,
-    /// Pull of matrices towards the identity, as in [`super::AffineLook`], and of last layers towards the common one.
-    pub pull: f32,
     paper: bool,
     seed: u64,
     weights: Vec<f32>,
     net_moments: Adam,
     point_moments: Adam,
-    /// The last layer of the colour head that is common to all photos.
+    /// The last layer of the colour head.
     layer: Vec<f32>,
     layer_moments: Adam,
-    photos: Vec<Photo>,
+    /// The photos, shared with checkpoints and snapshots.
+    glances: Vec<Option<Arc<Glance>>>,
     /// Gradients since the last step.
     grads: Option<Grads>,
 }
 
-/// What is kept of a photo.
-#[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
-struct Photo {
-    matrix: [f32; NUMBERS],
-    matrix_moments: Adam,
-    /// What its last layer differs in from the common one, as that is laid out.
-    shift: Vec<f32>,
-    shift_moments: Adam,
-    /// Shared with checkpoints and snapshots.
-    glance: Option<Arc<Glance>>,
-}
-
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
 struct Grads {
-    view: u64,
     weights: Vec<f32>,
-    matrix: [f32; NUMBERS],
     layer: Vec<f32>,
 }
 
@@ -115,27 +98,37 @@ pub struct Impression {
 }
 
 impl GswLook {
-    /// Networks drawn by `seed`, and identities for `views` photos.
+    /// Numbers that a splat keeps.
+    pub const CODE_SIZE: usize = CODE;
+
+    /// Number of weights of networks of a width.
+    pub fn weights(width: GswWidth) -> usize {
+        Networks::of(width).layout.len()
+    }
+
+    /// The layers of networks of a width, in the order of their weights: what another engine needs to run them.
+    pub fn layers(width: GswWidth) -> &'static [Layer] {
+        Networks::of(width).layout.layers()
+    }
+
+    /// Bytes that a photo takes in a look of a width, at most.
+    pub fn photo_bytes(width: GswWidth) -> usize {
+        let side = Networks::of(width).side;
+        PLANES * side * side + 4 * 3 * PHOTO
+    }
+
+    /// Networks and vectors drawn by `seed`, and identities for `views` photos.
     pub fn new(views: usize, seed: u64, width: GswWidth) -> GswLook {
         let nets = Networks::of(width);
         let mut random = Random::stream(seed, 0x6773_7721);
         let weights = nets.layout.begin(|| random.normal());
         let deviation = QUIET * (2.0 / HIDDEN as f32).sqrt();
         let layer = (0..LAYER).map(|k| if k < 3 * HIDDEN { deviation * random.normal() } else { 0.0 });
-        let photo = Photo {
-            matrix: IDENTITY,
-            matrix_moments: Adam::new(1, NUMBERS),
-            shift: vec![0.0; LAYER],
-            shift_moments: Adam::new(1, LAYER),
-            glance: None,
-        };
         let moments = |n: usize| Adam::new(1, n).with(0.9, 0.999, 1e-8);
         GswLook {
-            rate: 2e-3,
+            below: EmbedLook::new(views, seed),
             net_rate: 2e-3,
             point_rate: 2e-3,
-            shift_rate: 5e-3,
-            pull: 1e-3,
             paper: width == GswWidth::Paper,
             seed,
             net_moments: moments(nets.border),
@@ -143,7 +136,7 @@ impl GswLook {
             weights,
             layer: layer.collect(),
             layer_moments: moments(LAYER),
-            photos: vec![photo; views],
+            glances: vec![None; views],
             grads: None,
         }
     }
@@ -156,49 +149,31 @@ impl GswLook {
     pub fn consistent(&self, views: usize) -> bool {
         let nets = self.nets();
         let moments = [self.net_moments.len(), self.point_moments.len(), self.layer_moments.len()];
-        let photo = |photo: &Photo| {
-            let sizes = [photo.matrix_moments.len(), photo.shift.len(), photo.shift_moments.len()];
-            sizes == [NUMBERS, LAYER, LAYER] && photo.glance.as_ref().is_none_or(|glance| glance.is_whole())
-        };
         self.weights.len() == nets.layout.len()
             && moments == [nets.border, self.weights.len() - nets.border, LAYER]
             && self.layer.len() == LAYER
-            && self.photos.len() == views
-            && self.photos.iter().all(photo)
+            && self.below.consistent(views)
+            && self.glances.len() == views
+            && self.glances.iter().flatten().all(|glance| glance.is_whole())
             && self.grads.is_none()
     }
 
-    /// A photo's matrix, row by row; the identity for a photo that is not known.
-    pub fn matrix(&self, view: usize) -> [f32; NUMBERS] {
-        self.photos.get(view).map_or(IDENTITY, |photo| photo.matrix)
+    /// What splats keep for the rung below, `[splat][CODE_SIZE]` of that.
+    pub fn codes_below(&self, codes: &[f32]) -> Vec<f32> {
+        below_of(codes)
     }
 
-    /// Sets a photo's matrix and forgets its optimiser's moments. Ignores photos that are not known.
-    pub fn set_matrix(&mut self, view: usize, matrix: [f32; NUMBERS]) {
-        if let Some(photo) = self.photos.get_mut(view) {
-            photo.matrix = matrix;
-            photo.matrix_moments = Adam::new(1, NUMBERS);
-        }
+    /// The last layer of the colour head: `[HIDDEN][3]`, then `[3]` offsets.
+    pub fn layer(&self) -> &[f32] {
+        &self.layer
     }
 
-    /// The last layer of a photo's colour head: `[HIDDEN][3]`, then `[3]` offsets. The common one for a photo that is not
-    /// known.
-    pub fn layer(&self, view: usize) -> Vec<f32> {
-        let Some(photo) = self.photos.get(view) else { return self.layer.clone() };
-        self.layer.iter().zip(&photo.shift).map(|(common, shift)| common + shift).collect()
-    }
-
-    /// Sets the last layer of a photo's colour head and forgets its optimiser's moments. Ignores photos that are not
-    /// known.
+    /// Sets the last layer of the colour head.
     ///
     /// # Panics
-    /// If the layer has another length.
-    pub fn set_layer(&mut self, view: usize, layer: &[f32]) {
-        assert_eq!(layer.len(), LAYER, "layer: length");
-        if let Some(photo) = self.photos.get_mut(view) {
-            photo.shift = layer.iter().zip(&self.layer).map(|(own, common)| own - common).collect();
-            photo.shift_moments = Adam::new(1, LAYER);
-        }
+    /// If it has another length.
+    pub fn set_layer(&mut self, layer: &[f32]) {
+        self.layer.copy_from_slice(layer);
     }
 
     /// A photo, at the size of the network. `colour` tells of each of its `size` pixels the colour, or that nothing is
@@ -215,8 +190,8 @@ impl GswLook {
 
     /// Keeps what a photo shows. Ignores photos that are not known.
     pub fn set_glance(&mut self, view: usize, glance: Arc<Glance>) {
-        if let Some(photo) = self.photos.get_mut(view) {
-            photo.glance = Some(glance);
+        if let Some(slot) = self.glances.get_mut(view) {
+            *slot = Some(glance);
         }
     }
 
@@ -230,7 +205,7 @@ impl GswLook {
     /// What the UNet makes of a view's photo; `None` for a photo that is not known: no light, the same for all.
     /// `draw` is given in training and differs from step to step.
     pub fn impression(&self, view: usize, draw: Option<u64>) -> Option<Impression> {
-        let glance = self.photos.get(view)?.glance.as_ref()?;
+        let glance = self.glances.get(view)?.as_ref()?;
         let mut seen = 0.0..1.0;
         if let Some(draw) = draw {
             let mut random = Random::stream(self.seed, draw);
@@ -264,23 +239,22 @@ impl GswLook {
         }
     }
 
-    /// What is particular to a mix of photos, each with its weight, seen with a matrix and a last layer, of splats with
-    /// these centres and codes; no photo: without light. Weights of one photo other than 1 make its light stronger or
-    /// weaker.
+    /// What is particular to a mix of photos, each with its weight, of splats with these centres and codes, on a tone of the
+    /// rung below; no photo: without light. Weights of one photo other than 1 make its light stronger or weaker.
     pub fn tone_of(
         &self,
         photos: &[(&Impression, f32)],
-        (matrix, layer): (&[f32; NUMBERS], &[f32]),
+        below: &Tone,
         means: &[[f32; 3]],
         codes: &[f32],
     ) -> Tone {
-        let vectors = points::vectors(self, photos, means, codes);
-        Tone([matrix, layer, &vectors].concat())
+        let kept = points::kept(self, photos, means, codes);
+        Tone([&below.0, &self.layer, &kept].map(|part| part.as_slice()).concat())
     }
 
     /// What the colour head has before its last layer, `[splat][HIDDEN]`, in a tone.
     pub fn hidden(&self, tone: &Tone, direction: &(dyn Fn(usize) -> [f32; 3] + Sync)) -> Vec<f32> {
-        points::heads(self, &tone.0[NUMBERS + LAYER..], None, direction).concat()
+        points::hidden(self, &tone.0[PHOTO + LAYER..], direction)
     }
 
     /// Colours of the splats in sight in a view, from their own; `light` is [`GswLook::impression`] of the view.
@@ -291,7 +265,8 @@ impl GswLook {
         sight: &Sight,
         colours: Vec<f32>,
     ) -> Vec<f32> {
-        points::tint(self, (&self.matrix(view), &self.layer(view)), light, sight, colours)
+        let colours = self.below.tint(view, &below_of(sight.codes), colours);
+        points::tint(self, light, sight, colours)
     }
 
     /// From the gradient of [`GswLook::tint`]'s result to those of its colours and codes; keeps the gradient of the
@@ -306,8 +281,11 @@ impl GswLook {
         grad: Vec<f32>,
         blame: &[Option<f32>],
     ) -> (Vec<f32>, Vec<f32>) {
-        let (matrix, layer) = (self.matrix(view), self.layer(view));
-        let back = points::backward(self, (&matrix, &layer), light, sight, colours, grad);
+        let mut back = points::backward(self, light, sight, &grad);
+        let (colour_grads, below) = self.below.tint_backward(view, &below_of(sight.codes), colours, grad);
+        for (to, from) in back.codes.chunks_exact_mut(CODE).zip(below.chunks_exact(BELOW)) {
+            to[CODE - BELOW..].copy_from_slice(from);
+        }
         let nets = self.nets();
         let mut weights = vec![0.0; self.weights.len()];
         weights[nets.border..].copy_from_slice(&back.weights);
@@ -322,8 +300,8 @@ impl GswLook {
             });
             nets.unet.backward(&self.weights, tape, &maps, bottleneck.as_ref(), &mut weights);
         }
-        self.grads = Some(Grads { view: view as u64, weights, matrix: back.matrix, layer: back.layer });
-        (back.colours, back.codes)
+        self.grads = Some(Grads { weights, layer: back.layer });
+        (colour_grads, back.codes)
     }
 }
 
@@ -359,12 +337,17 @@ impl Impression {
 }
 
 impl Tone {
-    /// The same light with another matrix and another last layer, of a tone of [`GswLook`].
-    pub fn with(mut self, matrix: &[f32; NUMBERS], layer: &[f32]) -> Tone {
-        self.0[..NUMBERS].copy_from_slice(matrix);
-        self.0[NUMBERS..NUMBERS + LAYER].copy_from_slice(layer);
+    /// The same light on another tone of the rung below and with another last layer, of a tone of [`GswLook`].
+    pub fn with(mut self, below: &Tone, layer: &[f32]) -> Tone {
+        self.0[..PHOTO].copy_from_slice(&below.0);
+        self.0[PHOTO..PHOTO + LAYER].copy_from_slice(layer);
         self
     }
+}
+
+/// The codes of the rung below, side by side.
+fn below_of(codes: &[f32]) -> Vec<f32> {
+    codes.chunks_exact(CODE).flat_map(|code| &code[CODE - BELOW..]).copied().collect()
 }
 
 impl Look for GswLook {
@@ -373,16 +356,16 @@ impl Look for GswLook {
     }
 
     fn parameters(&self) -> usize {
-        self.weights.len() + LAYER + self.photos.len() * (NUMBERS + LAYER)
+        self.weights.len() + LAYER + self.below.parameters()
     }
 
     fn code_size(&self) -> usize {
         CODE
     }
 
-    /// Coordinates have no middle to fade to.
-    fn code_fade(&self) -> f32 {
-        0.0
+    /// What a splat is made of stays, and coordinates have no middle to fade to.
+    fn fading(&self) -> Range<usize> {
+        CODE - BELOW..CODE
     }
 
     /// What splats begin with: nothing of what they are made of, and coordinates that mix their positions, so that
@@ -407,7 +390,7 @@ impl Look for GswLook {
                 let (low, high) = axes[k];
                 (2.0 * (mean[k] - low) / (high - low) - 1.0).clamp(-1.0, 1.0)
             });
-            for (to, mix) in code[INTRINSIC..].iter_mut().zip(&mixes) {
+            for (to, mix) in code[INTRINSIC..CODE - BELOW].iter_mut().zip(&mixes) {
                 *to = (0..3).map(|k| mix[k] * at[k]).sum::<f32>() / COORDINATE;
             }
         }
@@ -415,41 +398,33 @@ impl Look for GswLook {
     }
 
     fn step(&mut self, scale: f32) {
-        let Some(Grads { view, weights, mut matrix, mut layer }) = self.grads.take() else { return };
+        self.below.step(scale);
+        let Some(Grads { weights, layer }) = self.grads.take() else { return };
         let border = self.nets().border;
         let (net, point) = self.weights.split_at_mut(border);
         self.net_moments.step(net, &weights[..border], self.net_rate * scale);
         self.point_moments.step(point, &weights[border..], self.point_rate * scale);
         self.layer_moments.step(&mut self.layer, &layer, self.point_rate * scale);
-        if let Some(photo) = self.photos.get_mut(view as usize) {
-            for k in 0..NUMBERS {
-                matrix[k] += self.pull * (photo.matrix[k] - IDENTITY[k]);
-            }
-            photo.matrix_moments.step(&mut photo.matrix, &matrix, self.rate * scale);
-            layer.iter_mut().zip(&photo.shift).for_each(|(grad, shift)| *grad += self.pull * shift);
-            photo.shift_moments.step(&mut photo.shift, &layer, self.shift_rate * scale);
-        }
     }
 
     fn tone(&self, view: usize, means: &[[f32; 3]], codes: &[f32]) -> Tone {
         let light = self.impression(view, None);
         let lights: Vec<(&Impression, f32)> = light.iter().map(|light| (light, 1.0)).collect();
-        self.tone_of(&lights, (&self.matrix(view), &self.layer(view)), means, codes)
+        self.tone_of(&lights, &self.below.tone(view, means, codes), means, codes)
     }
 
     fn shade(
         &self,
         Tone(tone): &Tone,
-        _: &[f32],
+        codes: &[f32],
         direction: &(dyn Fn(usize) -> [f32; 3] + Sync),
-        mut colours: Vec<f32>,
+        colours: Vec<f32>,
     ) -> Vec<f32> {
-        assert_eq!(tone.len(), NUMBERS + LAYER + colours.len() / 3 * VECTOR, "tone: length");
-        let (matrix, rest) = tone.split_at(NUMBERS);
-        let (layer, vectors) = rest.split_at(LAYER);
-        let more = points::heads(self, vectors, Some(layer), direction);
-        through(matrix, &mut colours);
-        colours.iter_mut().zip(more.iter().flatten()).for_each(|(colour, more)| *colour += more);
+        assert_eq!(tone.len(), PHOTO + LAYER + colours.len() / 3 * HIDDEN, "tone: length");
+        let (below, rest) = tone.split_at(PHOTO);
+        let (layer, kept) = rest.split_at(LAYER);
+        let mut colours = self.below.shade(&Tone(below.to_vec()), &below_of(codes), direction, colours);
+        points::add_light(self, kept, layer, direction, &mut colours);
         colours
     }
 }

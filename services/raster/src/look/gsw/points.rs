@@ -5,10 +5,8 @@
 
 use super::nets::{DYNAMIC, HIDDEN, INTRINSIC, LAYER, MAPS, Networks, SAMPLE, VECTOR};
 use super::{CODE, COORDINATE, GswLook, Impression, Sight};
-use crate::look::affine::NUMBERS;
-use crate::look::through;
 use rayon::prelude::*;
-use segwild_nets::{Activations, Spot};
+use segwild_nets::{Activations, Spot, Strided, product};
 use segwild_scene::Random;
 
 /// Splats that one task works on.
@@ -141,7 +139,6 @@ fn in_sight(sight: &Sight) -> Vec<usize> {
 
 pub(super) fn tint(
     look: &GswLook,
-    (matrix, layer): (&[f32; NUMBERS], &[f32]),
     light: Option<&Impression>,
     sight: &Sight,
     mut colours: Vec<f32>,
@@ -155,54 +152,98 @@ pub(super) fn tint(
             let run = run(look, nets, &lights, (sight.means, sight.codes), which);
             let towards = |k: usize| direction(sight, which[k]);
             let made = head(look, nets, run.fuse.result(), towards).result().to_vec();
-            nets.last.forward(layer, made).result().to_vec()
+            nets.last.forward(&look.layer, made).result().to_vec()
         })
         .collect();
     for (&i, made) in which.iter().zip(made.iter().flat_map(|m| m.chunks_exact(3))) {
-        let colour = &mut colours[3 * i..3 * i + 3];
-        through(matrix, colour);
-        colour.iter_mut().zip(made).for_each(|(colour, more)| *colour += more);
+        colours[3 * i..3 * i + 3].iter_mut().zip(made).for_each(|(colour, more)| *colour += more);
     }
     colours
 }
 
-pub(super) fn vectors(
+/// What is kept of a look, `[splat][HIDDEN]`: what the vectors of all splats add to the colour head's hidden numbers,
+/// whatever the direction.
+pub(super) fn kept(
     look: &GswLook,
     lights: &[(&Impression, f32)],
     means: &[[f32; 3]],
     codes: &[f32],
 ) -> Vec<f32> {
+    let nets = look.nets();
+    let (matrix, offsets) = head_weights(look, nets);
     let all: Vec<usize> = (0..means.len()).collect();
-    let piece =
-        |which: &[usize]| run(look, look.nets(), lights, (means, codes), which).fuse.result().to_vec();
+    let piece = |which: &[usize]| {
+        let run = run(look, nets, lights, (means, codes), which);
+        let mut out = vec![0.0; which.len() * HIDDEN];
+        out.chunks_exact_mut(HIDDEN).for_each(|splat| splat.copy_from_slice(offsets));
+        let vectors = Strided::of(run.fuse.result(), VECTOR);
+        let sizes = [which.len(), VECTOR, HIDDEN];
+        product(vectors, (&matrix[..VECTOR * HIDDEN], HIDDEN), sizes, (&mut out, HIDDEN), true);
+        out
+    };
     all.par_chunks(PIECE).map(piece).collect::<Vec<_>>().concat()
 }
 
-/// Runs the vectors of all splats on to what colours are made of, and on to colours where there is a last `layer`;
-/// pieces of it.
-pub(super) fn heads(
+/// Matrix, `[VECTOR + 3][HIDDEN]`, and offsets of the colour head.
+fn head_weights<'a>(look: &'a GswLook, nets: &Networks) -> (&'a [f32], &'a [f32]) {
+    look.weights[nets.colour.range()].split_at((VECTOR + 3) * HIDDEN)
+}
+
+/// The colour head's hidden numbers of a splat, from what is kept of it and the direction.
+fn hidden_of(kept: &[f32], [x, y, z]: [f32; 3], of_direction: &[f32]) -> [f32; HIDDEN] {
+    let (a, rest) = of_direction.split_at(HIDDEN);
+    let (b, c) = rest.split_at(HIDDEN);
+    std::array::from_fn(|k| (kept[k] + a[k] * x + b[k] * y + c[k] * z).max(0.0))
+}
+
+/// The colour head's hidden numbers, `[splat][HIDDEN]`, from what is kept.
+pub(super) fn hidden(
     look: &GswLook,
-    vectors: &[f32],
-    layer: Option<&[f32]>,
+    kept: &[f32],
     direction: &(dyn Fn(usize) -> [f32; 3] + Sync),
-) -> Vec<Vec<f32>> {
-    let nets = look.nets();
-    let piece = |(p, vectors)| {
-        let made = head(look, nets, vectors, |k| direction(p * PIECE + k)).result().to_vec();
-        layer.map_or(made.clone(), |layer| nets.last.forward(layer, made).result().to_vec())
-    };
-    vectors.par_chunks(PIECE * VECTOR).enumerate().map(piece).collect()
+) -> Vec<f32> {
+    let of_direction = &head_weights(look, look.nets()).0[VECTOR * HIDDEN..];
+    let mut out = vec![0.0; kept.len()];
+    out.par_chunks_exact_mut(HIDDEN)
+        .zip(kept.par_chunks_exact(HIDDEN))
+        .enumerate()
+        .for_each(|(i, (out, kept))| out.copy_from_slice(&hidden_of(kept, direction(i), of_direction)));
+    out
+}
+
+/// Adds to colours what the colour head makes of what is kept, with a last `layer`.
+pub(super) fn add_light(
+    look: &GswLook,
+    kept: &[f32],
+    layer: &[f32],
+    direction: &(dyn Fn(usize) -> [f32; 3] + Sync),
+    colours: &mut [f32],
+) {
+    let of_direction = &head_weights(look, look.nets()).0[VECTOR * HIDDEN..];
+    // Channel by channel, so that the sums run over neighbours.
+    let rows: [[f32; HIDDEN]; 3] = std::array::from_fn(|c| std::array::from_fn(|k| layer[3 * k + c]));
+    let splats = colours.par_chunks_mut(3 * PIECE).zip(kept.par_chunks(HIDDEN * PIECE)).enumerate();
+    splats.for_each(|(p, (colours, kept))| {
+        for (k, (colour, kept)) in colours.chunks_exact_mut(3).zip(kept.chunks_exact(HIDDEN)).enumerate() {
+            let hidden = hidden_of(kept, direction(p * PIECE + k), of_direction);
+            for c in 0..3 {
+                // Sixteen strands, which the compiler makes vectors of.
+                let mut strands = [0.0f32; 16];
+                for (row, hidden) in rows[c].chunks_exact(16).zip(hidden.chunks_exact(16)) {
+                    (0..16).for_each(|l| strands[l] += row[l] * hidden[l]);
+                }
+                colour[c] += strands.iter().sum::<f32>() + layer[3 * HIDDEN + c];
+            }
+        }
+    });
 }
 
 /// What [`backward`] finds.
 pub(super) struct Back {
-    /// Of the splats' own colours.
-    pub colours: Vec<f32>,
-    /// Of their codes.
+    /// Of the splats' codes.
     pub codes: Vec<f32>,
     /// Of the small networks' weights.
     pub weights: Vec<f32>,
-    pub matrix: [f32; NUMBERS],
     /// Of the colour head's last layer.
     pub layer: Vec<f32>,
     /// Of the maps, `[pixel][SAMPLE]`.
@@ -211,59 +252,40 @@ pub(super) struct Back {
 
 /// What one piece finds.
 struct Piece {
-    colours: Vec<f32>,
     codes: Vec<f32>,
     weights: Vec<f32>,
-    matrix: [f32; NUMBERS],
     layer: Vec<f32>,
     spots: Vec<[Option<Spot>; MAPS + 1]>,
     light: Vec<f32>,
 }
 
-pub(super) fn backward(
-    look: &GswLook,
-    (matrix, layer): (&[f32; NUMBERS], &[f32]),
-    light: Option<&Impression>,
-    sight: &Sight,
-    colours: &[f32],
-    grad: Vec<f32>,
-) -> Back {
+pub(super) fn backward(look: &GswLook, light: Option<&Impression>, sight: &Sight, grad: &[f32]) -> Back {
     let nets = look.nets();
     // Splats that no pixel asks about have no part in the sums.
     let which: Vec<usize> =
         in_sight(sight).into_iter().filter(|&i| grad[3 * i..3 * i + 3] != [0.0; 3]).collect();
     let lights: Vec<(&Impression, f32)> = light.map(|l| (l, 1.0)).into_iter().collect();
     let [a, b, c] = [&nets.light, &nets.fuse, &nets.colour].map(|net| net.turned(&look.weights));
-    let turned = [a, b, c, nets.last.turned(layer)];
+    let turned = [a, b, c, nets.last.turned(&look.layer)];
     let pieces: Vec<Piece> = which
         .par_chunks(PIECE)
         .map(|which| {
             let run = run(look, nets, &lights, (sight.means, sight.codes), which);
             let colour = head(look, nets, run.fuse.result(), |k| direction(sight, which[k]));
-            let last = nets.last.forward(layer, colour.result().to_vec());
-            piece_backward(
-                nets,
-                &turned,
-                (run, colour, last),
-                (light, sight, which),
-                (matrix, colours, &grad),
-            )
+            let last = nets.last.forward(&look.layer, colour.result().to_vec());
+            piece_backward(nets, &turned, (run, colour, last), (light, sight, which), grad)
         })
         .collect();
     let mut back = Back {
-        colours: grad,
         codes: vec![0.0; sight.codes.len()],
         weights: vec![0.0; look.weights.len() - nets.border],
-        matrix: [0.0; NUMBERS],
-        layer: vec![0.0; layer.len()],
+        layer: vec![0.0; LAYER],
         maps: std::array::from_fn(|k| vec![0.0; light.map_or(0, |l| l.maps[k].len())]),
     };
     for (piece, which) in pieces.iter().zip(which.chunks(PIECE)) {
         back.weights.iter_mut().zip(&piece.weights).for_each(|(sum, v)| *sum += v);
-        back.matrix.iter_mut().zip(piece.matrix).for_each(|(sum, v)| *sum += v);
         back.layer.iter_mut().zip(&piece.layer).for_each(|(sum, v)| *sum += v);
         for (k, &i) in which.iter().enumerate() {
-            back.colours[3 * i..3 * i + 3].copy_from_slice(&piece.colours[3 * k..3 * k + 3]);
             back.codes[i * CODE..(i + 1) * CODE].copy_from_slice(&piece.codes[k * CODE..(k + 1) * CODE]);
         }
     }
@@ -284,23 +306,11 @@ fn piece_backward(
     turned: &[Vec<Vec<f32>>; 4],
     (run, head, last): (Run, Activations, Activations),
     (light, sight, which): (Option<&Impression>, &Sight, &[usize]),
-    (matrix, colours, grad): (&[f32; NUMBERS], &[f32], &[f32]),
+    grad: &[f32],
 ) -> Piece {
     let mut weights = vec![0.0; nets.layout.len() - nets.border];
     let part = |range: std::ops::Range<usize>| range.start - nets.border..range.end - nets.border;
-    let (mut own_colours, mut own_matrix) = (Vec::with_capacity(3 * which.len()), [0.0; NUMBERS]);
-    let mut out = Vec::with_capacity(3 * which.len());
-    for &i in which {
-        let (g, colour) = (&grad[3 * i..3 * i + 3], &colours[3 * i..3 * i + 3]);
-        out.extend_from_slice(g);
-        for c in 0..3 {
-            for k in 0..3 {
-                own_matrix[4 * c + k] += g[c] * colour[k];
-            }
-            own_matrix[4 * c + 3] += g[c];
-        }
-        own_colours.extend((0..3).map(|c| (0..3).map(|k| matrix[4 * k + c] * g[k]).sum::<f32>()));
-    }
+    let out = which.iter().flat_map(|&i| &grad[3 * i..3 * i + 3]).copied().collect();
     let mut layer = vec![0.0; LAYER];
     let out = nets.last.backward(&turned[3], &last, out, &mut layer, HIDDEN);
     let own = part(nets.colour.range());
@@ -334,13 +344,5 @@ fn piece_backward(
             }
         }
     }
-    Piece {
-        colours: own_colours,
-        codes,
-        weights,
-        matrix: own_matrix,
-        layer,
-        spots: run.spots,
-        light: to_maps,
-    }
+    Piece { codes, weights, layer, spots: run.spots, light: to_maps }
 }
