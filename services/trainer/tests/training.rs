@@ -1,7 +1,7 @@
 //! Training on tiny scenes whose truth is known: a coloured plane with a bump, drawn by the engine itself.
 
 use glam::{DVec3, Vec3};
-use segwild_raster::{Channels, CpuEngine, Engine, ProjectOptions};
+use segwild_raster::{AnyLook, Channels, CpuEngine, Engine, ProjectOptions};
 use segwild_scene::{Camera, Frame, Image, Mask, Photo, Point, Pose, Scene, Seal, Splats, View};
 use segwild_trainer::{
     Checkpoint, DensityKind, LookKind, Model, Photos, Protocol, TrainError, TrainPhoto, TrainSettings,
@@ -297,15 +297,15 @@ fn the_sky_stays_empty_and_is_painted_behind() {
     assert!(segwild_raster::psnr(&render, &photo, None) > 24.0);
 }
 
-#[test]
-fn strangers_leave_no_ghost() {
-    let scene = scene(8);
-    // In every photo a red block stands somewhere else.
-    let place = |i: usize| (6 + 8 * i as u32 % 56, 24u32);
-    let block = |i: usize, x: u32, y: u32| {
-        (place(i).0..place(i).0 + 9).contains(&x) && (place(i).1..place(i).1 + 22).contains(&y)
-    };
-    let photos = photos(&scene, false, |i, image| {
+/// In every photo a red block stands somewhere else.
+fn block(i: usize, x: u32, y: u32) -> bool {
+    let left = 6 + 8 * i as u32 % 56;
+    (left..left + 9).contains(&x) && (24..46).contains(&y)
+}
+
+/// Photos of a scene with that block in them.
+fn with_strangers(scene: &Scene) -> Arc<dyn Photos> {
+    photos(scene, false, |i, image| {
         for y in 0..H {
             for x in (0..W).filter(|&x| block(i, x, y)) {
                 for (c, v) in [0.95, 0.05, 0.05].iter().enumerate() {
@@ -313,7 +313,13 @@ fn strangers_leave_no_ghost() {
                 }
             }
         }
-    });
+    })
+}
+
+#[test]
+fn strangers_leave_no_ghost() {
+    let scene = scene(8);
+    let photos = with_strangers(&scene);
     let ghost = |robust: bool| {
         let model = train(&scene, photos.clone(), TrainSettings { robust, ..settings(500) });
         let mut sum = 0.0;
@@ -334,6 +340,27 @@ fn strangers_leave_no_ghost() {
         with > without + 2.0 && with > 17.0,
         "behind the strangers: {with} dB with masks, {without} dB without"
     );
+}
+
+#[test]
+fn the_network_sees_strangers_and_does_not_take_the_scene_for_them() {
+    let scene = scene(8);
+    let photos = with_strangers(&scene);
+    let settings = TrainSettings { robust: true, look: LookKind::Gsw, ..settings(500) };
+    let model = train(&scene, photos, settings);
+    let AnyLook::Gsw(look) = &model.look else { panic!("as asked for") };
+    let (mut stranger, mut rest) = ((0.0, 0), (0.0, 0));
+    for i in 0..7 {
+        let map = look.impression(i, None).unwrap().visible().expect("the whole photo was seen");
+        for k in 0..map.pixels() {
+            let pixel = |at: usize, n: usize, of: u32| ((at as f32 + 0.5) / n as f32 * of as f32) as u32;
+            let (x, y) = (pixel(k % map.width, map.width, W), pixel(k / map.width, map.height, H));
+            let sum = if block(i, x, y) { &mut stranger } else { &mut rest };
+            *sum = (sum.0 + map.data[k], sum.1 + 1);
+        }
+    }
+    let (stranger, rest) = (stranger.0 / stranger.1 as f32, rest.0 / rest.1 as f32);
+    assert!(stranger < 0.5 && rest > 0.7, "visibility of strangers {stranger}, of the scene {rest}");
 }
 
 #[test]
