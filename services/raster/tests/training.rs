@@ -316,7 +316,7 @@ fn looks_are_stored_and_read() {
     let mut look = AffineLook::new(3);
     look.set_matrix(2, [0.25; 12]);
     let gsw = GswLook::new(2, 1, GswWidth::Cpu);
-    let others = [AnyLook::Embed(EmbedLook::new(2, 1)), AnyLook::Gsw(gsw), AnyLook::None(NoLook)];
+    let others = [AnyLook::Embed(EmbedLook::new(2, 1)), AnyLook::Gsw(Box::new(gsw)), AnyLook::None(NoLook)];
     for look in [AnyLook::Affine(look)].into_iter().chain(others) {
         let bytes = wincode::serialize(&look).expect("it is plain data");
         let read: AnyLook = wincode::deserialize(&bytes).expect("what was written");

@@ -36,7 +36,7 @@ pub(crate) fn begin(settings: &TrainSettings, views: usize) -> AnyLook {
             look.below.vector_rate = 5.0 * settings.lr_look;
             look.net_rate = settings.lr_net;
             look.point_rate = settings.lr_net;
-            AnyLook::Gsw(look)
+            AnyLook::Gsw(Box::new(look))
         }
     }
 }
@@ -176,7 +176,7 @@ fn fit_rows<const N: usize, P>(
 ) -> [[f32; N]; 3] {
     let mut rows = usual.map(|row| row.map(|v| v as f32));
     for round in 0..4 {
-        let mut ata = vec![[[0.0f64; N]; N]; 3];
+        let mut ata = [[[0.0f64; N]; N]; 3];
         let mut atb = [[[0.0f64; 1]; N]; 3];
         for pixel in pixels.clone() {
             let (x, seen) = ([x(&pixel, 0), x(&pixel, 1), x(&pixel, 2)], seen(&pixel));

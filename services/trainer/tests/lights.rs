@@ -49,7 +49,7 @@ fn model(rung: &str, sh_degree: u32) -> Model {
                 let glance = look.glance((64, 48), &camera, &pose, colour);
                 look.set_glance(view, glance);
             }
-            AnyLook::Gsw(look)
+            AnyLook::Gsw(Box::new(look))
         }
         _ => {
             let mut look = EmbedLook::new(PHOTOS + 1, 5);

@@ -163,7 +163,7 @@ pub enum AnyLook {
     /// [`EmbedLook`].
     Embed(EmbedLook),
     /// [`GswLook`].
-    Gsw(GswLook),
+    Gsw(Box<GswLook>),
 }
 
 impl AnyLook {
@@ -173,7 +173,7 @@ impl AnyLook {
             AnyLook::None(look) => look,
             AnyLook::Affine(look) => look,
             AnyLook::Embed(look) => look,
-            AnyLook::Gsw(look) => look,
+            AnyLook::Gsw(look) => &**look,
         }
     }
 
@@ -183,7 +183,7 @@ impl AnyLook {
             AnyLook::None(look) => look,
             AnyLook::Affine(look) => look,
             AnyLook::Embed(look) => look,
-            AnyLook::Gsw(look) => look,
+            AnyLook::Gsw(look) => &mut **look,
         }
     }
 

@@ -119,7 +119,7 @@ impl Glance {
     pub(super) fn place(&self, [x, y, z]: [f32; 3]) -> Option<[f32; 2]> {
         let p = self.pose.map(|r| r[0] * x + r[1] * y + r[2] * z + r[3]);
         let camera = &self.camera;
-        if !(p[2] > NEAR) {
+        if p[2] <= NEAR || !p[2].is_finite() {
             return None;
         }
         let u = (camera.fx * p[0] / p[2] + camera.cx) / camera.width as f32;
