@@ -285,7 +285,7 @@ fn gsw_tones_are_what_was_trained_and_can_be_baked() {
     // Strength 0 of a photo's light is no light.
     let light = look.impression(0, None).expect("seen");
     let below = look.below.tone(2, &means, &codes);
-    let none = look.tone_of(&[(&light, 0.0)], &below, &means, &codes);
+    let none = look.tone_of(&[(&light, 0.0)], (&below, look.layer()), &means, &codes);
     assert_eq!(none, look.tone(2, &means, &codes));
     // In a file without a network: the colours that are nearest. The head is not a sum of harmonics, but smooth.
     let splats = Splats {

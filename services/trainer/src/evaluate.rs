@@ -119,14 +119,16 @@ pub fn evaluate(
                     let light = trained.impression_of_glance(&glance);
                     let Splats { means, .. } = &model.splats;
                     let below = trained.below.tone(index, means, &model.codes);
-                    let tone = trained.tone_of(&[(&light, 1.0)], &below, means, &model.codes);
+                    let own = (&below, trained.layer());
+                    let tone = trained.tone_of(&[(&light, 1.0)], own, means, &model.codes);
                     let hidden = blend(HIDDEN, &trained.hidden(&tone, &direction)).image;
                     let pixels = pairs.map(|pair| {
                         let i = pair.3;
                         (lit(pair), std::array::from_fn(|k| hidden.data[k * n + i]))
                     });
                     let (below, layer) = looks::fit_gsw(trained, &model.trained_on, pixels);
-                    let tone = tone.with(&below.tone(0, means, &model.codes), &layer);
+                    let own = (&below.tone(0, means, &model.codes), layer.as_slice());
+                    let tone = trained.tone_of(&[(&light, 1.0)], own, means, &model.codes);
                     tinted = Some(trained.shade(&tone, &model.codes, &direction, colours.clone()));
                 }
             }

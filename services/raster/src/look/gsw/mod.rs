@@ -18,6 +18,7 @@ mod points;
 pub use glance::Glance;
 pub use nets::{GswWidth, HIDDEN};
 
+use super::affine::NUMBERS;
 use super::embed::{CODE as BELOW, PHOTO};
 use super::{EmbedLook, Look, Tone};
 use crate::adam::Adam;
@@ -240,21 +241,28 @@ impl GswLook {
     }
 
     /// What is particular to a mix of photos, each with its weight, of splats with these centres and codes, on a tone of the
-    /// rung below; no photo: without light. Weights of one photo other than 1 make its light stronger or weaker.
+    /// rung below and with a last layer; no photo: without light. Weights of one photo other than 1 make its light
+    /// stronger or weaker.
     pub fn tone_of(
         &self,
         photos: &[(&Impression, f32)],
-        below: &Tone,
+        (below, layer): (&Tone, &[f32]),
         means: &[[f32; 3]],
         codes: &[f32],
     ) -> Tone {
         let kept = points::kept(self, photos, means, codes);
-        Tone([&below.0, &self.layer, &kept].map(|part| part.as_slice()).concat())
+        // What the rung below gives each splat whatever its colour: codes are not asked again for every picture.
+        let black = vec![0.0; 3 * means.len()];
+        let own = self.below.shade(below, &below_of(codes), &|_| [0.0; 3], black);
+        Tone([&below.0[..NUMBERS], layer, &kept, &own].concat())
     }
 
     /// What the colour head has before its last layer, `[splat][HIDDEN]`, in a tone.
     pub fn hidden(&self, tone: &Tone, direction: &(dyn Fn(usize) -> [f32; 3] + Sync)) -> Vec<f32> {
-        points::hidden(self, &tone.0[PHOTO + LAYER..], direction)
+        {
+            let (kept, _) = split(&tone.0[NUMBERS + LAYER..]);
+            points::hidden(self, kept, direction)
+        }
     }
 
     /// Colours of the splats in sight in a view, from their own; `light` is [`GswLook::impression`] of the view.
@@ -336,13 +344,9 @@ impl Impression {
     }
 }
 
-impl Tone {
-    /// The same light on another tone of the rung below and with another last layer, of a tone of [`GswLook`].
-    pub fn with(mut self, below: &Tone, layer: &[f32]) -> Tone {
-        self.0[..PHOTO].copy_from_slice(&below.0);
-        self.0[PHOTO..PHOTO + LAYER].copy_from_slice(layer);
-        self
-    }
+/// Of the splats' part of a tone: what is kept of them, and their colours without their own.
+fn split(splats: &[f32]) -> (&[f32], &[f32]) {
+    splats.split_at(splats.len() / (HIDDEN + 3) * HIDDEN)
 }
 
 /// The codes of the rung below, side by side.
@@ -410,21 +414,21 @@ impl Look for GswLook {
     fn tone(&self, view: usize, means: &[[f32; 3]], codes: &[f32]) -> Tone {
         let light = self.impression(view, None);
         let lights: Vec<(&Impression, f32)> = light.iter().map(|light| (light, 1.0)).collect();
-        self.tone_of(&lights, &self.below.tone(view, means, codes), means, codes)
+        self.tone_of(&lights, (&self.below.tone(view, means, codes), &self.layer), means, codes)
     }
 
     fn shade(
         &self,
         Tone(tone): &Tone,
-        codes: &[f32],
+        _: &[f32],
         direction: &(dyn Fn(usize) -> [f32; 3] + Sync),
-        colours: Vec<f32>,
+        mut colours: Vec<f32>,
     ) -> Vec<f32> {
-        assert_eq!(tone.len(), PHOTO + LAYER + colours.len() / 3 * HIDDEN, "tone: length");
-        let (below, rest) = tone.split_at(PHOTO);
-        let (layer, kept) = rest.split_at(LAYER);
-        let mut colours = self.below.shade(&Tone(below.to_vec()), &below_of(codes), direction, colours);
-        points::add_light(self, kept, layer, direction, &mut colours);
+        assert_eq!(tone.len(), NUMBERS + LAYER + colours.len() / 3 * (HIDDEN + 3), "tone: length");
+        let (matrix, rest) = tone.split_at(NUMBERS);
+        let (layer, splats) = rest.split_at(LAYER);
+        let (kept, own) = split(splats);
+        points::add_light(self, kept, (matrix, own), layer, direction, &mut colours);
         colours
     }
 }

@@ -211,10 +211,12 @@ pub(super) fn hidden(
     out
 }
 
-/// Adds to colours what the colour head makes of what is kept, with a last `layer`.
+/// Puts colours through the matrix, and adds what splats have without them and what the colour head makes of what is kept,
+/// with a last `layer`.
 pub(super) fn add_light(
     look: &GswLook,
     kept: &[f32],
+    (matrix, own): (&[f32], &[f32]),
     layer: &[f32],
     direction: &(dyn Fn(usize) -> [f32; 3] + Sync),
     colours: &mut [f32],
@@ -222,17 +224,21 @@ pub(super) fn add_light(
     let of_direction = &head_weights(look, look.nets()).0[VECTOR * HIDDEN..];
     // Channel by channel, so that the sums run over neighbours.
     let rows: [[f32; HIDDEN]; 3] = std::array::from_fn(|c| std::array::from_fn(|k| layer[3 * k + c]));
-    let splats = colours.par_chunks_mut(3 * PIECE).zip(kept.par_chunks(HIDDEN * PIECE)).enumerate();
-    splats.for_each(|(p, (colours, kept))| {
-        for (k, (colour, kept)) in colours.chunks_exact_mut(3).zip(kept.chunks_exact(HIDDEN)).enumerate() {
+    let pieces = colours.par_chunks_mut(3 * PIECE).zip(own.par_chunks(3 * PIECE));
+    pieces.zip(kept.par_chunks(HIDDEN * PIECE)).enumerate().for_each(|(p, ((colours, own), kept))| {
+        let splats = colours.chunks_exact_mut(3).zip(own.chunks_exact(3)).zip(kept.chunks_exact(HIDDEN));
+        for (k, ((colour, own), kept)) in splats.enumerate() {
             let hidden = hidden_of(kept, direction(p * PIECE + k), of_direction);
+            let [r, g, b] = [colour[0], colour[1], colour[2]];
             for c in 0..3 {
                 // Sixteen strands, which the compiler makes vectors of.
                 let mut strands = [0.0f32; 16];
                 for (row, hidden) in rows[c].chunks_exact(16).zip(hidden.chunks_exact(16)) {
                     (0..16).for_each(|l| strands[l] += row[l] * hidden[l]);
                 }
-                colour[c] += strands.iter().sum::<f32>() + layer[3 * HIDDEN + c];
+                let m = &matrix[4 * c..4 * c + 3];
+                let below = m[0] * r + m[1] * g + m[2] * b + own[c];
+                colour[c] = below + strands.iter().sum::<f32>() + layer[3 * HIDDEN + c];
             }
         }
     });
