@@ -57,7 +57,9 @@ fn without_effect(settings: &Settings) -> Vec<&'static str> {
     // Where the snapshot is taken is in the snapshot's own name.
     let mut names = vec!["photo_cache_mib", "feature_memory", "snapshot_at"];
     let idle = [
-        ("lr_code", train.look != LookKind::Embed),
+        ("lr_code", !matches!(train.look, LookKind::Embed | LookKind::Gsw)),
+        ("lr_net", train.look != LookKind::Gsw),
+        ("gsw_width", train.look != LookKind::Gsw),
         ("decoder_lr", features.compression != Compression::Learned),
         ("weight_compact", !features.compactness),
     ];

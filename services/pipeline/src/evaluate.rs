@@ -83,7 +83,7 @@ pub(crate) fn held_out(
     }
     let (protocol, words) = match settings.train.look {
         LookKind::None | LookKind::Auto => (Protocol::Plain, "whole photo, no look fitted"),
-        LookKind::Affine | LookKind::Embed => {
+        LookKind::Affine | LookKind::Embed | LookKind::Gsw => {
             (Protocol::Halves, "look fitted on the left half, right half scored")
         }
     };

@@ -5,8 +5,9 @@
 //! the splats and to the size of one photo, plus three caches with limits of their own, which shrink to fit the budget.
 
 use crate::{RunError, Settings};
+use segwild_raster::{EmbedLook, GswLook};
 use segwild_scene::Scene;
-use segwild_trainer::splat_cap;
+use segwild_trainer::{LookKind, TrainSettings, splat_cap};
 use std::fmt;
 use std::path::Path;
 
@@ -86,6 +87,8 @@ fn fixed(settings: &Settings, scene: &Scene) -> f64 {
     let splats = splat_cap(&settings.train, scene, size) as f64;
     let bands = f64::from((settings.train.sh_degree + 1).pow(2));
     let training = 4.0 * (11.0 + 3.0 * bands) * COPIES + PER_SPLAT;
+    let (codes, look) = look(&settings.train, scene.views.len());
+    let training = training + 4.0 * codes * COPIES;
     let field = 4.0 * f64::from(settings.features.channels) * FEATURE_COPIES + 4.0 * (11.0 + 3.0 * bands);
     let pixels = scene.views.iter().map(|v| {
         let camera = v.camera.scaled_to(size);
@@ -96,9 +99,25 @@ fn fixed(settings: &Settings, scene: &Scene) -> f64 {
     let bytes = splats * training.max(field)
         + pixels.fold(0.0, f64::max) * 4.0 * PER_PIXEL
         + samples
+        + look
         + scene.views.len() as f64 * PER_PHOTO
         + observations as f64 * PER_OBSERVATION;
     BASE + bytes / MIB
+}
+
+/// What the photos' looks take: numbers per splat, and bytes for all photos together.
+fn look(train: &TrainSettings, photos: usize) -> (f64, f64) {
+    match train.look {
+        LookKind::None | LookKind::Affine => (0.0, 0.0),
+        // The dearest that `auto` may choose.
+        LookKind::Embed | LookKind::Auto => (EmbedLook::CODE_SIZE as f64, 0.0),
+        LookKind::Gsw => {
+            // Photos are kept once, and once more while a checkpoint is written.
+            let photos = 2.0 * photos as f64 * GswLook::photo_bytes(train.gsw_width) as f64;
+            let networks = 4.0 * GswLook::weights(train.gsw_width) as f64 * COPIES;
+            (GswLook::CODE_SIZE as f64, photos + networks)
+        }
+    }
 }
 
 /// The settings with caches that fit the memory budget, if there is one.

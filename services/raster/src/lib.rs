@@ -12,5 +12,8 @@ pub mod reference;
 pub use adam::Adam;
 pub use cpu::{CpuEngine, Isa};
 pub use engine::{Channels, Engine, Frame, FrameGrad, ProjectOptions, Projected, RasterError, SplatGrads};
-pub use look::{AffineLook, AnyLook, EmbedLook, Look, NoLook, RANK, Tone, bake};
+pub use look::{
+    AffineLook, AnyLook, EmbedLook, Glance, GswLook, GswWidth, HIDDEN, Impression, Look, NoLook, RANK, Sight,
+    Tone, bake,
+};
 pub use loss::{photometric, psnr, ssim};

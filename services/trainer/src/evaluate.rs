@@ -5,8 +5,8 @@ use crate::background::Background;
 use crate::looks::{self, Lit};
 use crate::model::{Model, compose};
 use crate::photos::{PhotoCache, Photos, level_camera};
-use segwild_raster::{AffineLook, AnyLook, Channels, Engine, Look, RANK};
-use segwild_scene::{Image, Scene};
+use segwild_raster::{AffineLook, AnyLook, Channels, Engine, HIDDEN, Look, RANK};
+use segwild_scene::{Image, Scene, Splats};
 use std::sync::Arc;
 
 /// How a held-out photo is scored.
@@ -70,6 +70,9 @@ pub fn evaluate(
         let frame = blend(3, &colours);
         let (mut look, mut index) = (model.look.clone(), model.look_index(None));
         let mut background = model.background(None);
+        let mut tinted = None;
+        let eye = pose.centre();
+        let direction = |i: usize| (model.splats.mean(i) - eye).normalize_or_zero().to_array();
         if protocol == Protocol::Halves {
             let left = |i: usize| i % w < w / 2;
             if stored.has_sky {
@@ -85,7 +88,12 @@ pub fn evaluate(
             let n = w * h;
             let codes = match &model.look {
                 AnyLook::Embed(_) => blend(3 * RANK, &model.codes).image,
+                AnyLook::Gsw(look) => blend(3 * RANK, &look.codes_below(&model.codes)).image,
                 _ => Image::zeros(0, 0, 0),
+            };
+            let lit = |(scene, alpha, seen, i): ([f32; 3], f32, [f32; 3], usize)| {
+                let light = std::array::from_fn(|k| codes.data[k * n + i]);
+                Lit { scene, alpha, light, seen }
             };
             let pairs = (0..n).filter(|&i| left(i) && photo.counts(i)).map(|i| {
                 let (c, alpha) = (photo.colour(i), frame.alpha.data[i]);
@@ -102,17 +110,36 @@ pub fn evaluate(
                     (look, index) = (AnyLook::Affine(fitted), 0);
                 }
                 AnyLook::Embed(trained) => {
-                    let light = pairs.map(|(scene, alpha, seen, i)| {
-                        let light = std::array::from_fn(|k| codes.data[k * n + i]);
-                        Lit { scene, alpha, light, seen }
-                    });
-                    let fitted = looks::fit_embed(trained, &model.trained_on, light);
+                    let fitted = looks::fit_embed(trained, &model.trained_on, pairs.map(lit));
                     (look, index) = (AnyLook::Embed(fitted), 0);
+                }
+                AnyLook::Gsw(trained) => {
+                    // The network, too, sees the left half only.
+                    let glance = looks::glance(trained, photo, &camera, &pose, left);
+                    let light = trained.impression_of_glance(&glance);
+                    let Splats { means, .. } = &model.splats;
+                    let below = trained.below.tone(index, means, &model.codes);
+                    let own = (&below, trained.layer());
+                    let tone = trained.tone_of(&[(&light, 1.0)], own, means, &model.codes);
+                    let hidden = blend(HIDDEN, &trained.hidden(&tone, &direction)).image;
+                    let pixels = pairs.map(|pair| {
+                        let i = pair.3;
+                        (lit(pair), std::array::from_fn(|k| hidden.data[k * n + i]))
+                    });
+                    let (below, layer) = looks::fit_gsw(trained, &model.trained_on, pixels);
+                    let own = (&below.tone(0, means, &model.codes), layer.as_slice());
+                    let tone = trained.tone_of(&[(&light, 1.0)], own, means, &model.codes);
+                    tinted = Some(trained.shade(&tone, &model.codes, &direction, colours.clone()));
                 }
             }
         }
-        let frame = match &look {
-            AnyLook::Embed(look) => blend(3, &look.tint(index, &model.codes, colours)),
+        let frame = match (&look, tinted) {
+            (_, Some(tinted)) => blend(3, &tinted),
+            (AnyLook::Embed(look), None) => blend(3, &look.tint(index, &model.codes, colours)),
+            (AnyLook::Gsw(look), None) => {
+                let tone = look.tone(index, &model.splats.means, &model.codes);
+                blend(3, &look.shade(&tone, &model.codes, &direction, colours))
+            }
             _ => frame,
         };
         let render = compose(&frame, &look, index, &background, &camera, &pose);

@@ -47,7 +47,7 @@ impl From<Light> for Lighting {
 impl Model {
     /// The light of a view's photo: the mean one where the photo took no part or none is named.
     pub fn light(&self, view: Option<usize>) -> Light {
-        let tone = self.look.as_look().tone(self.look_index(view), &self.codes);
+        let tone = self.look.as_look().tone(self.look_index(view), &self.splats.means, &self.codes);
         Light { tone, background: self.background(view) }
     }
 

@@ -1,8 +1,12 @@
 //! How each photo's colours differ from the scene's: fits for the affine rung (method, section 3).
 
 use crate::background::solve;
+use crate::photos::{Level, Stored};
+use crate::posed::{Posed, colour_pairs};
 use crate::{LookKind, TrainSettings};
-use segwild_raster::{AffineLook, AnyLook, EmbedLook, NoLook, RANK};
+use segwild_raster::{AffineLook, AnyLook, EmbedLook, Glance, GswLook, HIDDEN, NoLook, RANK};
+use segwild_scene::{Camera, Pose};
+use std::sync::Arc;
 
 /// A colour matrix with offset, row-major 3 x 4: `c' = M (c, 1)`.
 pub(crate) type Affine = [f32; 12];
@@ -27,17 +31,43 @@ pub(crate) fn begin(settings: &TrainSettings, views: usize) -> AnyLook {
             look.vector_rate = 5.0 * settings.lr_look;
             AnyLook::Embed(look)
         }
+        LookKind::Gsw => {
+            let mut look = GswLook::new(views + 1, settings.seed, settings.gsw_width);
+            look.below.rate = settings.lr_look;
+            look.below.vector_rate = 5.0 * settings.lr_look;
+            look.net_rate = settings.lr_net;
+            look.point_rate = settings.lr_net;
+            AnyLook::Gsw(Box::new(look))
+        }
     }
 }
 
 /// Starts a photo's look from what its points show.
-pub(crate) fn start(look: &mut AnyLook, view: usize, pairs: &[([f32; 3], [f32; 3])]) {
+pub(crate) fn start(look: &mut AnyLook, view: usize, seen: &Posed, stored: &Stored) {
+    let pairs = colour_pairs(seen, stored);
     let fitted = || fit(pairs.iter().map(|(a, b)| (*a, 1.0, *b, 1.0)));
     match look {
         AnyLook::None(_) => {}
         AnyLook::Affine(affine) => affine.set_matrix(view, fitted()),
         AnyLook::Embed(embed) => embed.set_matrix(view, fitted()),
+        AnyLook::Gsw(gsw) => {
+            gsw.below.set_matrix(view, fitted());
+            let photo = &stored.levels[0];
+            gsw.set_glance(view, glance(gsw, photo, &seen.camera, &seen.pose, |_| true));
+        }
     }
+}
+
+/// The photo as the network of `look` sees it, where it is `open`.
+pub(crate) fn glance(
+    look: &GswLook,
+    photo: &Level,
+    camera: &Camera,
+    pose: &Pose,
+    open: impl Fn(usize) -> bool,
+) -> Arc<Glance> {
+    let colour = |i: usize| (open(i) && photo.valid(i)).then(|| photo.colour(i));
+    look.glance((photo.width, photo.height), camera, pose, colour)
 }
 
 /// Sets the look past the last photo's to the mean of these photos' looks.
@@ -48,24 +78,27 @@ pub(crate) fn set_mean(look: &mut AnyLook, past: usize, known: impl Iterator<Ite
             let matrices: Vec<_> = known.map(|v| affine.matrix(v)).collect();
             affine.set_matrix(past, mean(&matrices));
         }
-        AnyLook::Embed(embed) => {
-            let matrices: Vec<_> = known.clone().map(|v| embed.matrix(v)).collect();
-            embed.set_matrix(past, mean(&matrices));
-            let n = known.clone().count().max(1) as f32;
-            let mut vector = embed.vector(past).map(|_| 0.0);
-            for view in known {
-                vector.iter_mut().zip(embed.vector(view)).for_each(|(sum, v)| *sum += v / n);
-            }
-            embed.set_vector(past, vector);
-        }
+        AnyLook::Embed(embed) => set_mean_vector(embed, past, known),
+        AnyLook::Gsw(gsw) => set_mean_vector(&mut gsw.below, past, known),
     }
+}
+
+fn set_mean_vector(embed: &mut EmbedLook, past: usize, known: impl Iterator<Item = usize> + Clone) {
+    let matrices: Vec<_> = known.clone().map(|v| embed.matrix(v)).collect();
+    embed.set_matrix(past, mean(&matrices));
+    let n = known.clone().count().max(1) as f32;
+    let mut vector = embed.vector(past).map(|_| 0.0);
+    for view in known {
+        vector.iter_mut().zip(embed.vector(view)).for_each(|(sum, v)| *sum += v / n);
+    }
+    embed.set_vector(past, vector);
 }
 
 /// What a view's look does to the blended image, and so to what is behind the splats.
 pub(crate) fn matrix(look: &AnyLook, view: usize) -> Affine {
     match look {
         // Acts on the splats alone: what is behind them has the photo's colours already.
-        AnyLook::None(_) | AnyLook::Embed(_) => IDENTITY,
+        AnyLook::None(_) | AnyLook::Embed(_) | AnyLook::Gsw(_) => IDENTITY,
         AnyLook::Affine(affine) => affine.matrix(view),
     }
 }
@@ -132,6 +165,96 @@ const DOUBT: f32 = 0.08;
 /// Neighbouring pixels are wrong together: so many of them say what one would.
 const TOGETHER: f64 = 30.0;
 
+/// Rows of a look per channel, by least squares that prefers `usual` rows, as far as `variance` says how usual they are:
+/// `seen` is to be the product of row and `x(pixel, channel)`. Refitted with less weight on what does not fit, so that
+/// a stranger in the photo does not tint it.
+fn fit_rows<const N: usize, P>(
+    usual: &[[f64; N]; 3],
+    variance: &[[f64; N]; 3],
+    pixels: impl Iterator<Item = P> + Clone,
+    x: impl Fn(&P, usize) -> [f32; N],
+    seen: impl Fn(&P) -> [f32; 3],
+) -> [[f32; N]; 3] {
+    let mut rows = usual.map(|row| row.map(|v| v as f32));
+    for round in 0..4 {
+        let mut ata = [[[0.0f64; N]; N]; 3];
+        let mut atb = [[[0.0f64; 1]; N]; 3];
+        for pixel in pixels.clone() {
+            let (x, seen) = ([x(&pixel, 0), x(&pixel, 1), x(&pixel, 2)], seen(&pixel));
+            let shown = |c: usize| -> f32 { x[c].iter().zip(rows[c]).map(|(x, m)| x * m).sum() };
+            let off = (0..3).map(|c| (shown(c) - seen[c]).abs()).sum::<f32>() / 3.0;
+            let w = if round == 0 { 1.0 } else { 1.0 / (1.0 + (off / DOUBT).powi(2)) };
+            if !w.is_finite() {
+                continue;
+            }
+            for c in 0..3 {
+                for i in 0..N {
+                    let wx = w * x[c][i];
+                    for j in 0..=i {
+                        ata[c][i][j] += f64::from(wx * x[c][j]);
+                    }
+                    atb[c][i][0] += f64::from(wx * seen[c]);
+                }
+            }
+        }
+        for c in 0..3 {
+            for i in 0..N {
+                let ridge = f64::from(DOUBT).powi(2) * TOGETHER / variance[c][i].max(1e-8);
+                ata[c][i][i] += ridge;
+                atb[c][i][0] += ridge * usual[c][i];
+                for j in 0..i {
+                    ata[c][j][i] = ata[c][i][j];
+                }
+            }
+            rows[c] = solve(ata[c], atb[c]).map(|v| v[0] as f32);
+        }
+    }
+    rows
+}
+
+/// Mean and variance over the photos of what `row` says of each.
+fn usual<const N: usize>(
+    photos: &[u32],
+    row: impl Fn(usize, usize) -> [f64; N],
+) -> ([[f64; N]; 3], [[f64; N]; 3]) {
+    let n = photos.len().max(1) as f64;
+    let (mut mean, mut variance) = ([[0.0; N]; 3], [[0.0; N]; 3]);
+    for c in 0..3 {
+        let rows: Vec<[f64; N]> = photos.iter().map(|&view| row(view as usize, c)).collect();
+        for i in 0..N {
+            mean[c][i] = rows.iter().map(|row| row[i]).sum::<f64>() / n;
+            let of = rows.iter().map(|row| (row[i] - mean[c][i]).powi(2)).sum::<f64>() / n;
+            variance[c][i] = of.max(1e-4);
+        }
+    }
+    (mean, variance)
+}
+
+/// Unknowns per channel of the look `embed`.
+const EMBED: usize = 4 + RANK;
+
+/// What a channel of the look `embed` multiplies its unknowns with.
+fn embed_x(pixel: &Lit, c: usize) -> [f32; EMBED] {
+    std::array::from_fn(|i| match i {
+        0..3 => pixel.scene[i],
+        3 => pixel.alpha,
+        _ => pixel.light[c * RANK + i - 4],
+    })
+}
+
+fn embed_row(look: &EmbedLook, view: usize, c: usize) -> [f64; EMBED] {
+    let (matrix, vector) = (look.matrix(view), look.vector(view));
+    std::array::from_fn(|i| f64::from(if i < 4 { matrix[4 * c + i] } else { vector[c * RANK + i - 4] }))
+}
+
+/// A look of one photo, at index 0, of rows that begin with those of the look `embed`.
+fn embed_of<const N: usize>(rows: &[[f32; N]; 3]) -> EmbedLook {
+    let mut fitted = EmbedLook::new(1, 0);
+    fitted.set_matrix(0, std::array::from_fn(|i| rows[i / 4][i % 4]));
+    fitted.set_vector(0, std::array::from_fn(|k| rows[k / RANK][4 + k % RANK]));
+    fitted
+}
+
 /// The look of one photo that was not trained on, by least squares that prefers the identity and vectors such as the
 /// trained photos have. A look of one photo, at index 0.
 pub(crate) fn fit_embed(
@@ -139,67 +262,41 @@ pub(crate) fn fit_embed(
     photos: &[u32],
     pixels: impl Iterator<Item = Lit> + Clone,
 ) -> EmbedLook {
-    const UNKNOWN: usize = 4 + RANK;
-    // What the trained photos' rows are like: their mean, and how far they are from it.
-    let photos: Vec<usize> = photos.iter().map(|&view| view as usize).collect();
-    let row = |view: usize, c: usize| -> [f64; UNKNOWN] {
-        let (matrix, vector) = (trained.matrix(view), trained.vector(view));
-        std::array::from_fn(|i| f64::from(if i < 4 { matrix[4 * c + i] } else { vector[c * RANK + i - 4] }))
-    };
-    let n = photos.len().max(1) as f64;
-    let mut usual = [[0.0; UNKNOWN]; 3];
-    let mut variance = [[0.0; UNKNOWN]; 3];
+    let (mean, variance) = usual(photos, |view, c| embed_row(trained, view, c));
+    embed_of(&fit_rows(&mean, &variance, pixels, embed_x, |pixel| pixel.seen))
+}
+
+/// How far the last layer of the colour head may go for one photo.
+const FREEDOM: f64 = 0.05;
+
+/// The look of one photo that was not trained on: of the rung below, as [`fit_embed`], and the last layer of the colour
+/// head, near to as it was trained. `pixels` tell, too, what the head has before that layer.
+pub(crate) fn fit_gsw(
+    trained: &GswLook,
+    photos: &[u32],
+    pixels: impl Iterator<Item = (Lit, [f32; HIDDEN])> + Clone,
+) -> (EmbedLook, Vec<f32>) {
+    const UNKNOWN: usize = EMBED + HIDDEN;
+    let layer = trained.layer();
+    let (below, below_variance) = usual(photos, |view, c| embed_row(&trained.below, view, c));
+    let (mut mean, mut variance) = ([[0.0; UNKNOWN]; 3], [[FREEDOM * FREEDOM; UNKNOWN]; 3]);
     for c in 0..3 {
-        for i in 0..UNKNOWN {
-            usual[c][i] = photos.iter().map(|&view| row(view, c)[i]).sum::<f64>() / n;
-            let off = |view: &usize| (row(*view, c)[i] - usual[c][i]).powi(2);
-            variance[c][i] = photos.iter().map(off).sum::<f64>() / n;
-        }
+        mean[c][..EMBED].copy_from_slice(&below[c]);
+        variance[c][..EMBED].copy_from_slice(&below_variance[c]);
+        // Two offsets that add up.
+        mean[c][3] += f64::from(layer[3 * HIDDEN + c]);
+        (0..HIDDEN).for_each(|k| mean[c][EMBED + k] = f64::from(layer[3 * k + c]));
     }
-    let mut rows = usual.map(|row| row.map(|v| v as f32));
-    for round in 0..4 {
-        let known = rows;
-        for (c, row) in rows.iter_mut().enumerate() {
-            let (mut ata, mut atb) = ([[0.0f64; UNKNOWN]; UNKNOWN], [[0.0f64; 1]; UNKNOWN]);
-            for pixel in pixels.clone() {
-                let regressors = |c: usize| -> [f32; UNKNOWN] {
-                    std::array::from_fn(|i| match i {
-                        0..3 => pixel.scene[i],
-                        3 => pixel.alpha,
-                        _ => pixel.light[c * RANK + i - 4],
-                    })
-                };
-                let shown =
-                    |c: usize| -> f32 { regressors(c).iter().zip(known[c]).map(|(x, m)| x * m).sum() };
-                let off = (0..3).map(|c| (shown(c) - pixel.seen[c]).abs()).sum::<f32>() / 3.0;
-                let w = if round == 0 { 1.0 } else { 1.0 / (1.0 + (off / DOUBT).powi(2)) };
-                if !w.is_finite() {
-                    continue;
-                }
-                let x = regressors(c);
-                for i in 0..UNKNOWN {
-                    for j in 0..=i {
-                        ata[i][j] += f64::from(w * x[i] * x[j]);
-                    }
-                    atb[i][0] += f64::from(w * x[i] * pixel.seen[c]);
-                }
-            }
-            for i in 0..UNKNOWN {
-                let noise = f64::from(DOUBT).powi(2) * TOGETHER;
-                let (ridge, prior) = (noise / variance[c][i].max(1e-4), usual[c][i]);
-                ata[i][i] += ridge;
-                atb[i][0] += ridge * prior;
-                for j in 0..i {
-                    ata[j][i] = ata[i][j];
-                }
-            }
-            *row = solve(ata, atb).map(|v| v[0] as f32);
-        }
+    let x = |(pixel, hidden): &(Lit, [f32; HIDDEN]), c: usize| -> [f32; UNKNOWN] {
+        let below = embed_x(pixel, c);
+        std::array::from_fn(|i| if i < EMBED { below[i] } else { hidden[i - EMBED] })
+    };
+    let rows = fit_rows(&mean, &variance, pixels, x, |(pixel, _)| pixel.seen);
+    let mut layer = vec![0.0; layer.len()];
+    for (k, to) in layer[..3 * HIDDEN].iter_mut().enumerate() {
+        *to = rows[k % 3][EMBED + k / 3];
     }
-    let mut fitted = EmbedLook::new(1, 0);
-    fitted.set_matrix(0, std::array::from_fn(|i| rows[i / 4][i % 4]));
-    fitted.set_vector(0, std::array::from_fn(|k| rows[k / RANK][4 + k % RANK]));
-    fitted
+    (embed_of(&rows), layer)
 }
 
 fn dot(look: &Affine, row: usize, x: &[f32; 4]) -> f32 {

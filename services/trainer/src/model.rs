@@ -5,7 +5,7 @@ use crate::background::Background;
 use crate::looks;
 use crate::params::select;
 use crate::pixels::add_behind;
-use segwild_raster::{AnyLook, Channels, Engine, Frame, ProjectOptions};
+use segwild_raster::{AnyLook, Channels, Engine, Frame, ProjectOptions, Sight};
 use segwild_scene::{Camera, Image, Pose, Splats};
 use wincode::{SchemaRead, SchemaWrite};
 
@@ -81,7 +81,14 @@ pub(crate) fn draw(
     pose: &Pose,
 ) -> Result<Frame, TrainError> {
     let projected = engine.project(&model.splats, camera, pose, &model.options())?;
-    let colours = model.look.as_look().tint(index, &model.codes, projected.shade());
+    let sight = Sight {
+        means: &model.splats.means,
+        codes: &model.codes,
+        radii: projected.radii(),
+        eye: pose.centre().to_array(),
+    };
+    let light = model.look.impression(index, None);
+    let colours = model.look.colour(index, light.as_ref(), &sight, projected.shade());
     Ok(projected.blend(&Channels { count: 3, values: &colours }))
 }
 

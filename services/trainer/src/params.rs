@@ -2,6 +2,7 @@
 
 use segwild_raster::{Adam, SplatGrads};
 use segwild_scene::Splats;
+use std::ops::Range;
 use wincode::{SchemaRead, SchemaWrite};
 
 /// Learning rates of one step.
@@ -36,7 +37,7 @@ pub(crate) struct Params {
 /// Share of the base colour's learning rate that higher degrees take.
 const HIGHER: f32 = 1.0 / 20.0;
 
-/// How fast codes fade that nothing needs: a stranger in one photo leaves a trace in them that others do not confirm.
+/// How much of their rate codes fade by in a step.
 const CODE_DECAY: f32 = 0.5;
 
 /// The codes of the splats at `which` among `n`, in that order.
@@ -46,9 +47,10 @@ pub(crate) fn select(codes: &[f32], n: usize, which: &[usize]) -> Vec<f32> {
 }
 
 impl Params {
-    /// Splats to begin with; `code_size` numbers each for the look, 0 at first.
-    pub fn new(splats: Splats, code_size: usize) -> Params {
+    /// Splats to begin with, and what each keeps for the look.
+    pub fn new(splats: Splats, codes: Vec<f32>) -> Params {
         let n = splats.len();
+        let code_size = codes.len().checked_div(n).unwrap_or(0);
         Params {
             means: Adam::new(n, 3),
             log_scales: Adam::new(n, 3),
@@ -56,7 +58,7 @@ impl Params {
             opacities: Adam::new(n, 1),
             base: Adam::new(n, 3),
             higher: Adam::new(if splats.sh_degree > 0 { n } else { 0 }, splats.sh_stride() - 3),
-            codes: vec![0.0; n * code_size],
+            codes,
             code_moments: Adam::new(if code_size > 0 { n } else { 0 }, code_size),
             splats,
         }
@@ -95,8 +97,8 @@ impl Params {
         }
     }
 
-    /// One optimiser step of the codes, of splats with `radii` above 0.
-    pub fn update_codes(&mut self, grads: &[f32], radii: &[f32], rates: &Rates) {
+    /// One optimiser step of the codes, of splats with `radii` above 0; numbers that are `fading` fade.
+    pub fn update_codes(&mut self, grads: &[f32], radii: &[f32], rates: &Rates, fading: Range<usize>) {
         let size = self.code_size();
         if size == 0 {
             return;
@@ -104,7 +106,7 @@ impl Params {
         self.code_moments.step_visible(&mut self.codes, grads, rates.code, radii);
         let keep = 1.0 - CODE_DECAY * rates.code;
         for (code, _) in self.codes.chunks_exact_mut(size).zip(radii).filter(|(_, r)| **r > 0.0) {
-            code.iter_mut().for_each(|v| *v *= keep);
+            code[fading.clone()].iter_mut().for_each(|v| *v *= keep);
         }
     }
 

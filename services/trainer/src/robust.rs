@@ -99,6 +99,19 @@ pub(crate) fn limit(smooth: &[f32], counts: impl Fn(usize) -> bool, share: f32) 
     (histogram.iter().sum::<f32>() > 0.0).then(|| threshold(&histogram, share))
 }
 
+/// The residual, smoothed, in units of that at which a pixel would be left out, judged by this residual alone.
+pub(crate) fn relative(
+    residual: &[f32],
+    width: usize,
+    counts: impl Fn(usize) -> bool,
+    share: f32,
+) -> Vec<f32> {
+    let mut smooth = smoothed(residual, width);
+    let threshold = limit(&smooth, counts, share).unwrap_or(FLOOR);
+    smooth.iter_mut().for_each(|r| *r /= threshold);
+    smooth
+}
+
 /// Per pixel, whether a photo contradicts what the scene shows there, judged by this residual alone.
 pub(crate) fn contradicted(
     residual: &[f32],

@@ -58,6 +58,11 @@ impl Schedule {
         self.share(step) >= 0.15
     }
 
+    /// Whether what the network takes for strangers is left out: when it has had time to learn it.
+    pub fn visible(&self, step: u32) -> bool {
+        self.share(step) >= 0.3
+    }
+
     /// Whether the photos are asked, after so many steps, which splats they bear out: eight times, from the time
     /// transients are left out until enough steps are left to heal what is torn.
     pub fn witness(&self, step: u32) -> bool {

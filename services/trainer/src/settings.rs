@@ -1,6 +1,7 @@
 //! What a person can say about training.
 
 use crate::TrainError;
+use segwild_raster::GswWidth;
 use segwild_scene::settings::Group;
 
 segwild_scene::choice! {
@@ -26,6 +27,8 @@ segwild_scene::choice! {
         Embed = "embed",
         /// The lowest of these that suffices, by what points and short fits say before the training.
         Auto = "auto",
+        /// The light is what a network reads in the photo (GS-W).
+        Gsw = "gsw",
     }
 }
 
@@ -54,6 +57,8 @@ segwild_scene::settings! {
         sh_degree: u32 = 2 => 0..=3,
         /// How much each photo may differ in light and camera.
         look: LookKind = LookKind::Affine,
+        /// How wide the networks of the look `gsw` are.
+        gsw_width: GswWidth = GswWidth::Cpu,
         /// Leave out pixels that keep contradicting the scene: strangers, cars, other transients.
         robust: bool = true,
         /// Largest share of a photo that may be left out as transient.
@@ -72,7 +77,9 @@ segwild_scene::settings! {
         lr_colour: f32 = 0.005 => 0.0..=10.0,
         /// Learning rate of the per-photo look.
         lr_look: f32 = 0.002 => 0.0..=10.0,
-        /// Learning rate of what splats keep for the look `embed`.
+        /// Learning rate of the networks of the look `gsw`.
+        lr_net: f32 = 0.002 => 0.0..=10.0,
+        /// Learning rate of what splats keep for the looks `embed` and `gsw`.
         lr_code: f32 = 0.01 => 0.0..=10.0,
         /// Weight of 1 - SSIM in the loss; the rest is L1. The paper's 0.2 is for photos of one light: SSIM cares less for
         /// what a photo's light and camera change.

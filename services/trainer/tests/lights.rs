@@ -1,7 +1,7 @@
 //! Looks as a tool: a trained scene in any photo's light, between lights, in two at once, and written into splats.
 
 use glam::Vec3;
-use segwild_raster::{AffineLook, AnyLook, CpuEngine, EmbedLook, NoLook};
+use segwild_raster::{AffineLook, AnyLook, CpuEngine, EmbedLook, GswLook, GswWidth, NoLook};
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
 use segwild_trainer::{Background, Lighting, Model, Stats, render_lit, render_view};
 
@@ -37,6 +37,20 @@ fn model(rung: &str, sh_degree: u32) -> Model {
             (0..=PHOTOS).for_each(|view| look.set_matrix(view, matrix(&mut random)));
             AnyLook::Affine(look)
         }
+        "gsw" => {
+            let mut look = GswLook::new(PHOTOS + 1, 5, GswWidth::Cpu);
+            (0..=PHOTOS).for_each(|view| look.below.set_matrix(view, matrix(&mut random)));
+            let layer: Vec<f32> = look.layer().iter().map(|_| 0.1 * random.normal()).collect();
+            look.set_layer(&layer);
+            for view in 0..PHOTOS {
+                let (camera, pose) = eye();
+                let colours: Vec<f32> = (0..3 * 64 * 48).map(|_| random.uniform()).collect();
+                let colour = |i: usize| Some([colours[3 * i], colours[3 * i + 1], colours[3 * i + 2]]);
+                let glance = look.glance((64, 48), &camera, &pose, colour);
+                look.set_glance(view, glance);
+            }
+            AnyLook::Gsw(Box::new(look))
+        }
         _ => {
             let mut look = EmbedLook::new(PHOTOS + 1, 5);
             (0..=PHOTOS).for_each(|view| look.set_matrix(view, matrix(&mut random)));
@@ -70,7 +84,7 @@ fn apart(a: &Image, b: &Image) -> f32 {
 #[test]
 fn a_photos_light_is_what_its_look_was_trained_to_be() {
     let (camera, pose) = eye();
-    for rung in ["none", "affine", "embed"] {
+    for rung in ["none", "affine", "embed", "gsw"] {
         let model = model(rung, 2);
         for view in [None, Some(0), Some(2)] {
             let trained = render_view(&model, &CpuEngine::new(), &camera, &pose, view).unwrap();

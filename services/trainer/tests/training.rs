@@ -1,7 +1,7 @@
 //! Training on tiny scenes whose truth is known: a coloured plane with a bump, drawn by the engine itself.
 
 use glam::{DVec3, Vec3};
-use segwild_raster::{Channels, CpuEngine, Engine, ProjectOptions};
+use segwild_raster::{AnyLook, Channels, CpuEngine, Engine, ProjectOptions};
 use segwild_scene::{Camera, Frame, Image, Mask, Observation, Photo, Point, Pose, Scene, Seal, Splats, View};
 use segwild_trainer::{
     Checkpoint, DensityKind, LookKind, Model, Photos, Protocol, TrainError, TrainPhoto, TrainSettings,
@@ -169,7 +169,7 @@ fn resuming_gives_the_bytes_of_not_stopping_and_threads_do_not_matter() {
     };
     let photos = photos(&scene, true, look);
     let all = [DensityKind::Budget, DensityKind::Gradient, DensityKind::Mcmc];
-    let looks = [LookKind::Affine, LookKind::Embed, LookKind::Embed];
+    let looks = [LookKind::Affine, LookKind::Embed, LookKind::Gsw];
     for (density, look) in all.into_iter().zip(looks) {
         let s = TrainSettings { density, look, robust: true, ..settings(120) };
         let run = |threads: usize, stops: &[u32]| {
@@ -199,20 +199,26 @@ fn resuming_gives_the_bytes_of_not_stopping_and_threads_do_not_matter() {
 fn a_checkpoint_of_another_scene_or_a_damaged_one_is_refused() {
     let six = scene(6);
     let photos = photos(&six, false, |_, _| ());
-    let trainer = Trainer::new(engine(), &six, photos.clone(), settings(10)).unwrap();
-    let refused = Trainer::resume(engine(), &scene(5), photos.clone(), trainer.checkpoint()).err().unwrap();
-    assert!(matches!(refused, TrainError::Checkpoint(_)), "{refused}");
-    let mut whole = bytes(&trainer.checkpoint());
-    assert!(wincode::deserialize::<Checkpoint>(&whole[..whole.len() / 2]).is_err());
-    // Flipped bits are refused by someone, or give a checkpoint that still works: never a panic.
-    for at in (0..whole.len()).step_by(997) {
-        whole[at] ^= 0x55;
-        if let Ok(damaged) = wincode::deserialize::<Checkpoint>(&whole)
-            && let Ok(mut trainer) = Trainer::resume(engine(), &six, photos.clone(), damaged)
-        {
-            drop(trainer.step());
+    // Of the look with most parts there is most to damage, and few places are enough.
+    for (look, every) in [(LookKind::None, 997), (LookKind::Gsw, 40_009)] {
+        let settings = TrainSettings { look, ..settings(10) };
+        let mut trainer = Trainer::new(engine(), &six, photos.clone(), settings).unwrap();
+        let other = Trainer::resume(engine(), &scene(5), photos.clone(), trainer.checkpoint());
+        let refused = other.err().unwrap();
+        assert!(matches!(refused, TrainError::Checkpoint(_)), "{refused}");
+        trainer.step().unwrap();
+        let mut whole = bytes(&trainer.checkpoint());
+        assert!(wincode::deserialize::<Checkpoint>(&whole[..whole.len() / 2]).is_err());
+        // Flipped bits are refused by someone, or give a checkpoint that still works: never a panic.
+        for at in (0..whole.len()).step_by(every) {
+            whole[at] ^= 0x55;
+            if let Ok(damaged) = wincode::deserialize::<Checkpoint>(&whole)
+                && let Ok(mut trainer) = Trainer::resume(engine(), &six, photos.clone(), damaged)
+            {
+                drop(trainer.step());
+            }
+            whole[at] ^= 0x55;
         }
-        whole[at] ^= 0x55;
     }
 }
 
@@ -291,15 +297,15 @@ fn the_sky_stays_empty_and_is_painted_behind() {
     assert!(segwild_raster::psnr(&render, &photo, None) > 24.0);
 }
 
-#[test]
-fn strangers_leave_no_ghost() {
-    let scene = scene(8);
-    // In every photo a red block stands somewhere else.
-    let place = |i: usize| (6 + 8 * i as u32 % 56, 24u32);
-    let block = |i: usize, x: u32, y: u32| {
-        (place(i).0..place(i).0 + 9).contains(&x) && (place(i).1..place(i).1 + 22).contains(&y)
-    };
-    let photos = photos(&scene, false, |i, image| {
+/// In every photo a red block stands somewhere else.
+fn block(i: usize, x: u32, y: u32) -> bool {
+    let left = 6 + 8 * i as u32 % 56;
+    (left..left + 9).contains(&x) && (24..46).contains(&y)
+}
+
+/// Photos of a scene with that block in them.
+fn with_strangers(scene: &Scene) -> Arc<dyn Photos> {
+    photos(scene, false, |i, image| {
         for y in 0..H {
             for x in (0..W).filter(|&x| block(i, x, y)) {
                 for (c, v) in [0.95, 0.05, 0.05].iter().enumerate() {
@@ -307,7 +313,13 @@ fn strangers_leave_no_ghost() {
                 }
             }
         }
-    });
+    })
+}
+
+#[test]
+fn strangers_leave_no_ghost() {
+    let scene = scene(8);
+    let photos = with_strangers(&scene);
     let ghost = |robust: bool| {
         let model = train(&scene, photos.clone(), TrainSettings { robust, ..settings(500) });
         let mut sum = 0.0;
@@ -331,7 +343,28 @@ fn strangers_leave_no_ghost() {
 }
 
 #[test]
-fn light_that_differs_from_place_to_place_is_learnt_by_embed_and_not_by_affine() {
+fn the_network_sees_strangers_and_does_not_take_the_scene_for_them() {
+    let scene = scene(8);
+    let photos = with_strangers(&scene);
+    let settings = TrainSettings { robust: true, look: LookKind::Gsw, ..settings(500) };
+    let model = train(&scene, photos, settings);
+    let AnyLook::Gsw(look) = &model.look else { panic!("as asked for") };
+    let (mut stranger, mut rest) = ((0.0, 0), (0.0, 0));
+    for i in 0..7 {
+        let map = look.impression(i, None).unwrap().visible().expect("the whole photo was seen");
+        for k in 0..map.pixels() {
+            let pixel = |at: usize, n: usize, of: u32| ((at as f32 + 0.5) / n as f32 * of as f32) as u32;
+            let (x, y) = (pixel(k % map.width, map.width, W), pixel(k / map.width, map.height, H));
+            let sum = if block(i, x, y) { &mut stranger } else { &mut rest };
+            *sum = (sum.0 + map.data[k], sum.1 + 1);
+        }
+    }
+    let (stranger, rest) = (stranger.0 / stranger.1 as f32, rest.0 / rest.1 as f32);
+    assert!(stranger < 0.5 && rest > 0.7, "visibility of strangers {stranger}, of the scene {rest}");
+}
+
+#[test]
+fn light_that_differs_from_place_to_place_is_learnt_by_embed_and_gsw_and_not_by_affine() {
     let scene = scene(12);
     // A beam from another side in each photo.
     let light = |i: usize, at: [f32; 3]| {
@@ -345,8 +378,9 @@ fn light_that_differs_from_place_to_place_is_learnt_by_embed_and_not_by_affine()
         let model = train(&scene, photos.clone(), TrainSettings { look, ..settings(800) });
         evaluate(&model, &*engine(), &scene, photos.clone(), &[11], Protocol::Halves).unwrap().psnr
     };
-    let (affine, embed) = (score(LookKind::Affine), score(LookKind::Embed));
+    let (affine, embed, gsw) = (score(LookKind::Affine), score(LookKind::Embed), score(LookKind::Gsw));
     assert!(embed > affine + 2.0, "embed {embed} dB, affine {affine} dB");
+    assert!(gsw > affine + 2.0, "gsw {gsw} dB, affine {affine} dB");
 }
 
 #[test]

@@ -156,7 +156,7 @@ impl Look for AffineLook {
         }
     }
 
-    fn tone(&self, view: usize, _: &[f32]) -> Tone {
+    fn tone(&self, view: usize, _: &[[f32; 3]], _: &[f32]) -> Tone {
         Tone(self.matrix(view).to_vec())
     }
 

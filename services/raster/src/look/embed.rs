@@ -5,14 +5,15 @@ use super::{Look, Tone};
 use crate::adam::Adam;
 use rayon::prelude::*;
 use segwild_scene::Random;
+use std::ops::Range;
 use wincode::{SchemaRead, SchemaWrite};
 
 /// Numbers per colour channel in a photo's vector and in a splat's code.
 pub const RANK: usize = 8;
 /// Length of a splat's code.
-const CODE: usize = 3 * RANK;
+pub(super) const CODE: usize = 3 * RANK;
 /// What is trained of a photo: matrix and vector.
-const PHOTO: usize = NUMBERS + CODE;
+pub(super) const PHOTO: usize = NUMBERS + CODE;
 /// Splats that one task works on; sums over splats are taken in pieces of this size, whoever takes them.
 const PIECE: usize = 4096;
 
@@ -41,6 +42,9 @@ pub struct EmbedLook {
 const SPREAD: f32 = 0.3;
 
 impl EmbedLook {
+    /// Numbers that a splat keeps.
+    pub const CODE_SIZE: usize = CODE;
+
     /// Identities for `views` photos, with vectors drawn by `seed`.
     pub fn new(views: usize, seed: u64) -> EmbedLook {
         let photo = |view: usize| {
@@ -63,6 +67,17 @@ impl EmbedLook {
             vector_optimisers: vec![Adam::new(1, CODE); views],
             grads: Vec::new(),
         }
+    }
+
+    /// Whether its parts fit each other and `views` photos.
+    pub fn consistent(&self, views: usize) -> bool {
+        let fit = |moments: &[Adam], size: usize| {
+            moments.len() == views && moments.iter().all(|moments| moments.len() == size)
+        };
+        self.photos.len() == views
+            && fit(&self.matrix_optimisers, NUMBERS)
+            && fit(&self.vector_optimisers, CODE)
+            && self.grads.iter().all(|(view, _)| *view < views)
     }
 
     fn photo(&self, view: usize) -> [f32; PHOTO] {
@@ -119,11 +134,15 @@ impl Look for EmbedLook {
         CODE
     }
 
+    fn fading(&self) -> Range<usize> {
+        0..CODE
+    }
+
     fn tint(&self, view: usize, codes: &[f32], colours: Vec<f32>) -> Vec<f32> {
         self.shade(&Tone(self.photo(view).to_vec()), codes, &|_| [0.0; 3], colours)
     }
 
-    fn tone(&self, view: usize, _: &[f32]) -> Tone {
+    fn tone(&self, view: usize, _: &[[f32; 3]], _: &[f32]) -> Tone {
         Tone(self.photo(view).to_vec())
     }
 

@@ -10,12 +10,15 @@
 mod affine;
 mod bake;
 mod embed;
+mod gsw;
 
 pub use affine::AffineLook;
 pub use bake::bake;
 pub use embed::{EmbedLook, RANK};
+pub use gsw::{Glance, GswLook, GswWidth, HIDDEN, Impression, Sight};
 
 use segwild_scene::Image;
+use std::ops::Range;
 use wincode::{SchemaRead, SchemaWrite};
 
 /// The appearance of photos, trained along with the splats.
@@ -32,6 +35,17 @@ pub trait Look: Send + Sync {
     /// Numbers that each splat has for this look beside its colour: its code.
     fn code_size(&self) -> usize {
         0
+    }
+
+    /// Which numbers of a code fade where nothing needs them: what a stranger in one photo leaves in them, others do not
+    /// confirm.
+    fn fading(&self) -> Range<usize> {
+        0..0
+    }
+
+    /// Codes of splats at these centres to begin with.
+    fn first_codes(&self, means: &[[f32; 3]]) -> Vec<f32> {
+        vec![0.0; means.len() * self.code_size()]
     }
 
     /// Colours of the splats in a view, from their own colours, `[splat][r, g, b]`, and codes,
@@ -66,8 +80,8 @@ pub trait Look: Send + Sync {
     /// One optimiser step with the gradients kept since the last one. `scale` multiplies the learning rate.
     fn step(&mut self, scale: f32);
 
-    /// What is particular to a view, of splats with these codes.
-    fn tone(&self, view: usize, codes: &[f32]) -> Tone;
+    /// What is particular to a view, of splats with these centres and codes.
+    fn tone(&self, view: usize, means: &[[f32; 3]], codes: &[f32]) -> Tone;
 
     /// Colours of the splats as a photo of this tone shows them, from their own. Blended, over the photo's background,
     /// they are what [`Look::tint`] and [`Look::apply`] make of the view together: weights of splats and background add
@@ -124,7 +138,7 @@ impl Look for NoLook {
 
     fn step(&mut self, _: f32) {}
 
-    fn tone(&self, _: usize, _: &[f32]) -> Tone {
+    fn tone(&self, _: usize, _: &[[f32; 3]], _: &[f32]) -> Tone {
         Tone(Vec::new())
     }
 
@@ -148,6 +162,8 @@ pub enum AnyLook {
     Affine(AffineLook),
     /// [`EmbedLook`].
     Embed(EmbedLook),
+    /// [`GswLook`].
+    Gsw(Box<GswLook>),
 }
 
 impl AnyLook {
@@ -157,6 +173,7 @@ impl AnyLook {
             AnyLook::None(look) => look,
             AnyLook::Affine(look) => look,
             AnyLook::Embed(look) => look,
+            AnyLook::Gsw(look) => &**look,
         }
     }
 
@@ -166,6 +183,47 @@ impl AnyLook {
             AnyLook::None(look) => look,
             AnyLook::Affine(look) => look,
             AnyLook::Embed(look) => look,
+            AnyLook::Gsw(look) => &mut **look,
+        }
+    }
+
+    /// What the look makes of a view's photo before it colours splats; `draw` is given in training and differs from step
+    /// to step.
+    pub fn impression(&self, view: usize, draw: Option<u64>) -> Option<Impression> {
+        match self {
+            AnyLook::Gsw(look) => look.impression(view, draw),
+            _ => None,
+        }
+    }
+
+    /// Colours of the splats in sight in a view, from their own; `light` is [`AnyLook::impression`] of the view.
+    pub fn colour(
+        &self,
+        view: usize,
+        light: Option<&Impression>,
+        sight: &Sight,
+        colours: Vec<f32>,
+    ) -> Vec<f32> {
+        match self {
+            AnyLook::Gsw(look) => look.tint(view, light, sight, colours),
+            _ => self.as_look().tint(view, sight.codes, colours),
+        }
+    }
+
+    /// From the gradient of [`AnyLook::colour`]'s result to those of its colours and codes; keeps the gradient of the
+    /// look's own parameters for [`Look::step`]. `blame` as for [`GswLook::tint_backward`].
+    pub fn colour_backward(
+        &mut self,
+        view: usize,
+        light: Option<&Impression>,
+        sight: &Sight,
+        colours: &[f32],
+        grad: Vec<f32>,
+        blame: &[Option<f32>],
+    ) -> (Vec<f32>, Vec<f32>) {
+        match self {
+            AnyLook::Gsw(look) => look.tint_backward(view, light, sight, colours, grad, blame),
+            _ => self.as_look_mut().tint_backward(view, sight.codes, colours, grad),
         }
     }
 }

@@ -224,7 +224,7 @@ mod tests {
 
     #[test]
     fn splitting_and_relocating_hardly_change_the_image() {
-        let mut params = Params::new(splats(), 5);
+        let mut params = Params::new(splats(), vec![0.0; 5 * 60]);
         let before = image(&params.splats);
         let mean = before.data.iter().map(|v| v.abs()).sum::<f32>() / before.data.len() as f32;
         let which: Vec<usize> = (0..60).step_by(2).collect();
@@ -252,7 +252,7 @@ mod tests {
 
     #[test]
     fn arrays_stay_consistent_whatever_is_mapped() {
-        let mut params = Params::new(splats(), 5);
+        let mut params = Params::new(splats(), vec![0.0; 5 * 60]);
         params.remap(&[3, 3, 59, 0]);
         params.raise_sh_degree(3);
         params.consistent().unwrap();

@@ -1,0 +1,111 @@
+//! Everything that a training changes, and how it draws a view.
+
+use crate::TrainError;
+use crate::background::Background;
+use crate::density::Strategy;
+use crate::looks;
+use crate::params::Params;
+use crate::pixels::add_behind;
+use crate::robust::Robust;
+use crate::sampler::Sampler;
+use segwild_raster::{AnyLook, Channels, Frame, Impression, Projected, Sight};
+use segwild_scene::{Camera, Image, Pose, Random};
+use wincode::{SchemaRead, SchemaWrite};
+
+/// A view drawn as its photo would show it.
+pub(crate) struct Drawn {
+    /// What the look made of the photo.
+    pub light: Option<Impression>,
+    /// Colour per splat, its own and in the photo's light.
+    pub colours: Vec<f32>,
+    pub channels: Vec<f32>,
+    pub frame: Frame,
+    /// What stands behind the splats, in the scene's colours.
+    pub behind: Image,
+    /// Splats before what is behind, in the scene's colours.
+    pub scene: Image,
+    /// The same in the photo's colours.
+    pub shown: Image,
+}
+
+/// Everything that a step changes: what a checkpoint holds.
+#[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
+pub(crate) struct State {
+    pub step: u32,
+    pub params: Params,
+    pub strategy: Strategy,
+    pub look: AnyLook,
+    /// Per view of the scene, in the photo's colours; `None` until the photo was looked at.
+    pub backgrounds: Vec<Option<Background>>,
+    pub robust: Robust,
+    pub sampler: Sampler,
+    pub random: Random,
+    /// Per view, -10 log10 of the last squared error at the present size.
+    pub quality: Vec<Option<f32>>,
+    /// Photos that turned out not to be usable: name and reason.
+    pub skipped: Vec<(String, String)>,
+    /// Until this step residuals say nothing of transients.
+    pub pause_until: u32,
+    /// Scene units per full-size pixel at the scene's median depth.
+    pub pixel: f32,
+    /// Most splats.
+    pub cap: u64,
+    /// Sums of loss, PSNR and share left out since they were last asked for, and over how many steps.
+    pub since: ([f32; 3], u32),
+}
+
+impl State {
+    /// Draws a view that was looked at before; `draw` as for [`AnyLook::impression`].
+    pub fn draw(
+        &self,
+        view: usize,
+        projected: &dyn Projected,
+        camera: &Camera,
+        pose: &Pose,
+        draw: Option<u64>,
+    ) -> Drawn {
+        let colours = projected.shade();
+        let light = self.look.impression(view, draw);
+        let sight = self.sight(projected, pose);
+        let channels = self.look.colour(view, light.as_ref(), &sight, colours.clone());
+        let frame = projected.blend(&Channels { count: 3, values: &channels });
+        let matrix = looks::matrix(&self.look, view);
+        let background = self.backgrounds[view].as_ref().expect("set at the first look");
+        let behind = background.before(&matrix).paint(camera, pose);
+        let mut scene = frame.image.clone();
+        add_behind(&mut scene, &frame.alpha, &behind);
+        let shown = self.look.as_look().apply(view, &scene);
+        Drawn { light, colours, channels, frame, behind, scene, shown }
+    }
+
+    /// The splats from a camera, for the look.
+    pub fn sight<'a>(&'a self, projected: &'a dyn Projected, pose: &Pose) -> Sight<'a> {
+        let Params { splats, codes, .. } = &self.params;
+        Sight { means: &splats.means, codes, radii: projected.radii(), eye: pose.centre().to_array() }
+    }
+
+    /// Refuses a state whose parts do not fit each other or the scene.
+    pub fn check(&self, views: usize) -> Result<(), TrainError> {
+        let per_view = [self.backgrounds.len(), self.quality.len()];
+        if per_view.iter().any(|&n| n != views) || self.sampler.views().iter().any(|&v| v >= views) {
+            return Err(TrainError::Checkpoint("it is damaged: its lists of photos differ in length".into()));
+        }
+        let size = self.look.as_look().code_size();
+        let whole = match &self.look {
+            AnyLook::Embed(look) => look.consistent(views + 1),
+            AnyLook::Gsw(look) => look.consistent(views + 1),
+            _ => true,
+        };
+        if !whole || self.params.codes.len() != size * self.params.splats.len() {
+            return Err(TrainError::Checkpoint("it is damaged: its look does not fit its splats".into()));
+        }
+        self.params.consistent().map_err(|e| TrainError::Checkpoint(format!("it is damaged: {e}")))
+    }
+}
+
+/// Mean over the photos seen at the present size, when most of them were.
+pub(crate) fn mean_quality(views: &[usize], quality: &[Option<f32>]) -> Option<f32> {
+    let known: Vec<f32> = views.iter().filter_map(|&v| quality[v]).collect();
+    (!known.is_empty() && known.len() * 10 >= views.len().min(100) * 9)
+        .then(|| known.iter().sum::<f32>() / known.len() as f32)
+}
