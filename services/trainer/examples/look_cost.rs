@@ -34,7 +34,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (of, size) = (scene.clone(), open.size);
     let photos = Arc::new(move |i: usize| -> Result<TrainPhoto, String> {
         let photo = of.views[i].load(size).map_err(|e| e.to_string())?;
-        Ok(TrainPhoto { image: photo.image, valid: photo.valid, sky: None })
+        Ok(TrainPhoto { image: photo.image, valid: photo.valid, sky: None, strangers: None })
     });
     let engine = Arc::new(CpuEngine::new());
     let looks = [LookKind::None, LookKind::Affine, LookKind::Embed, LookKind::Gsw];
