@@ -16,7 +16,7 @@ const NOTHING: &[&str] = &[];
 
 /// Every setting of the groups `train`, `masks` and `features`: another value, and the stages that depend on it where
 /// the others have their defaults.
-const TABLE: [(&str, &str, &[&str]); 47] = [
+const TABLE: [(&str, &str, &[&str]); 49] = [
     ("steps", "61", GEOMETRY),
     ("splats", "500", GEOMETRY),
     ("density", "mcmc", GEOMETRY),
@@ -33,6 +33,9 @@ const TABLE: [(&str, &str, &[&str]); 47] = [
     ("lr_look", "0.001", GEOMETRY),
     // Without the look `embed`, splats keep no code.
     ("lr_code", "0.02", NOTHING),
+    // Only the look `gsw` has networks.
+    ("lr_net", "0.5", NOTHING),
+    ("gsw_width", "paper", NOTHING),
     ("lambda_ssim", "0.4", GEOMETRY),
     ("sky_weight", "0.4", GEOMETRY),
     ("coarse", "0.4", GEOMETRY),

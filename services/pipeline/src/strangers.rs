@@ -244,7 +244,15 @@ impl Album<'_> {
             return Ok((mask.clone(), compared.psnr));
         }
         let found = match compared.certainty {
-            Some(certainty) => self.segmenter.refine(&photo.image, &certainty)?.mask,
+            // A provider that sees no thing there leaves the scene's own word.
+            Some(certainty) => match self.segmenter.refine(&photo.image, &certainty) {
+                Ok(snapped) => snapped.mask,
+                Err(_) => {
+                    let (w, h) = (certainty.width as u32, certainty.height as u32);
+                    Mask::over(w, h, certainty.plane(0), 0.5)
+                        .resized(photo.image.width as u32, photo.image.height as u32)
+                }
+            },
             None => Mask::empty(photo.image.width as u32, photo.image.height as u32),
         };
         let all = self.known.mask(view).map_or(found.clone(), |known| found.or(&known));

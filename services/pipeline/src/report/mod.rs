@@ -25,7 +25,12 @@ pub fn write_report(folder: &RunFolder) -> Result<Vec<Skipped>, RunError> {
     let engine = CpuEngine::default();
     let mut body = String::new();
     body.push_str(&summary(folder, &loaded)?);
-    body.push_str(&looks(folder, &loaded, &engine)?);
+    match looks(&loaded, &engine) {
+        Ok(looks) => body.push_str(&looks),
+        Err(error) => {
+            body.push_str(&format!("<p>Looks are not shown: {}</p>", html::escape(&error.to_string())))
+        }
+    }
     body.push_str(&objects(folder, &loaded, &engine)?);
     let (pictures, left_out) = photos(folder, &loaded, &engine)?;
     body.push_str(&pictures);
@@ -122,7 +127,7 @@ fn objects(folder: &RunFolder, loaded: &Loaded, engine: &dyn Engine) -> Result<S
 const LOOKS: usize = 6;
 
 /// One view under several photos' looks, from the darkest to the brightest; nothing where all photos share one look.
-fn looks(folder: &RunFolder, loaded: &Loaded, engine: &dyn Engine) -> Result<String, RunError> {
+fn looks(loaded: &Loaded, engine: &dyn Engine) -> Result<String, RunError> {
     let model = &loaded.model;
     if matches!(model.look, AnyLook::None(_)) {
         return Ok(String::new());
@@ -167,7 +172,6 @@ fn looks(folder: &RunFolder, loaded: &Loaded, engine: &dyn Engine) -> Result<Str
     for k in 0..count {
         let look = by_light[k * (by_light.len() - 1) / (count - 1).max(1)].1;
         text.push_str(&html::figure(&paint(view, Some(look), side)?, &model.names[look]));
-        pass(folder)?;
     }
     text.push_str("</div>");
     Ok(text)
