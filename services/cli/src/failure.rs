@@ -55,6 +55,7 @@ pub fn plain(message: &str) -> String {
 impl From<RunError> for Failure {
     fn from(error: RunError) -> Failure {
         let code = match &error {
+            RunError::Engine(_) => exit::INPUT,
             RunError::Scene(_) | RunError::Vision(_) => exit::INPUT,
             RunError::Settings(_) | RunError::Request(_) => exit::USAGE,
             RunError::Folder { .. }

@@ -5,10 +5,9 @@
 
 use crate::artefacts::{Digests, Keys};
 use crate::graph::{STAGES, UNTIL_STEP};
-use crate::{RunError, RunFolder, Settings, Until};
+use crate::{RunError, RunFolder, Settings, Until, choose_engine};
 use segwild_flow::ledger::{StageRow, State};
 use segwild_flow::{Cache, Ledger};
-use segwild_raster::{CpuEngine, Engine};
 use segwild_scene::Scene;
 use segwild_vision::Providers;
 use serde::Serialize;
@@ -77,7 +76,7 @@ struct Situation {
 fn situation(path: &Path, settings: &Settings, steps: Option<u32>) -> Result<Situation, RunError> {
     let scene = Scene::open(path, &settings.scene)?;
     let providers = Providers::from_settings(&settings.vision)?;
-    let engine = CpuEngine::default();
+    let engine = choose_engine(&settings.run)?.engine;
     let keys = Keys::of(&scene, Digests::read(&scene), settings, &providers, engine.name(), steps);
     let (end, snapshot_step) = (settings.train.steps, settings.train.snapshot_step());
     Ok(Situation { scene, keys, goal: steps.unwrap_or(end), end, snapshot_step })

@@ -10,6 +10,7 @@ mod artefacts;
 mod board;
 mod checkpoints;
 mod coordinator;
+mod engine;
 mod error;
 mod evaluate;
 mod explain;
@@ -32,6 +33,7 @@ mod visibility;
 
 pub use accelerator::accelerator;
 pub use artefacts::Keys;
+pub use engine::{Chosen, EngineKind, choose_engine};
 pub use error::RunError;
 pub use evaluate::{HeldOut, MaskScore, Score, score};
 pub use explain::{Plan, Verdict, explain};

@@ -1,10 +1,10 @@
 //! Pictures of a trained scene: a photo's view, a path through several, under any look, with a selection.
 
 use crate::folder::Loaded;
-use crate::{RunError, RunFolder, Selected};
+use crate::{RunError, RunFolder, Selected, choose_engine};
 use glam::{Mat3, Quat, Vec3};
 use segwild_features::FeatureColours;
-use segwild_raster::{Channels, CpuEngine, Engine};
+use segwild_raster::{Channels, Engine};
 use segwild_scene::{Camera, Image, Pose, Scene};
 use segwild_trainer::{Model, render_view};
 use serde::Serialize;
@@ -65,7 +65,7 @@ pub struct Drawn {
 /// Draws what is asked for.
 pub fn render(folder: &RunFolder, request: &RenderRequest) -> Result<Vec<Drawn>, RunError> {
     let loaded = folder.load()?;
-    let engine = CpuEngine::default();
+    let engine = choose_engine(&loaded.settings.run)?.engine;
     let find = |name: &str| {
         loaded
             .scene
@@ -95,7 +95,7 @@ pub fn render(folder: &RunFolder, request: &RenderRequest) -> Result<Vec<Drawn>,
     };
     let out = request.out.clone().unwrap_or_else(|| folder.path().join("renders"));
     std::fs::create_dir_all(&out).map_err(|e| segwild_flow::FileError::new("create", &out, e))?;
-    let painter = Painter::new(&loaded, &engine, selected, request.what)?;
+    let painter = Painter::new(&loaded, &*engine, selected, request.what)?;
     let mut drawn = Vec::new();
     for shot in shots {
         let look = look.unwrap_or(Some(shot.view));
