@@ -55,7 +55,9 @@ pub fn plain(message: &str) -> String {
 impl From<RunError> for Failure {
     fn from(error: RunError) -> Failure {
         let code = match &error {
-            RunError::Scene(_) | RunError::Vision(_) | RunError::Input(_) => exit::INPUT,
+            RunError::Scene(_) | RunError::Vision(_) | RunError::Input(_) | RunError::Engine(_) => {
+                exit::INPUT
+            }
             RunError::Settings(_) | RunError::Request(_) => exit::USAGE,
             RunError::Folder { .. }
             | RunError::File(_)

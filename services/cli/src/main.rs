@@ -18,6 +18,10 @@ fn wants_json(matches: &clap::ArgMatches) -> bool {
 }
 
 fn main() -> ExitCode {
+    // A layer of Mesa asks the desktop which GPU it draws on, and complains on stderr where there is none. The order
+    // of adapters is our own (`segwild_gpu::adapters`).
+    // SAFETY: no other thread runs yet.
+    unsafe { std::env::set_var("NODEVICE_SELECT", "1") };
     let matches = args::program().get_matches();
     let level = std::env::var("SEGWILD_LOG").unwrap_or_else(|_| "error".into());
     // What a person should know is told as an event; the log is for those who look for more.

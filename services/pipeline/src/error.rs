@@ -3,6 +3,7 @@
 use crate::SettingsError;
 use segwild_features::FeatureError;
 use segwild_flow::{CacheError, CodecError, Failure, FileError, LedgerError, SpawnError};
+use segwild_gpu::GpuError;
 use segwild_raster::RasterError;
 use segwild_scene::SceneError;
 use segwild_segmenter::SegmentError;
@@ -78,6 +79,9 @@ pub enum RunError {
     /// The machine refuses a thread.
     #[error(transparent)]
     Spawn(#[from] SpawnError),
+    /// The accelerator that was asked for cannot be used.
+    #[error("{0}. `--engine cpu` needs none; `segwild doctor` lists what there is")]
+    Engine(#[from] GpuError),
     /// The rasteriser refused.
     #[error(transparent)]
     Raster(#[from] RasterError),

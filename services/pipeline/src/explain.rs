@@ -7,10 +7,9 @@ use crate::artefacts::{Digests, Keys};
 use crate::choice;
 use crate::graph::{STAGES, UNTIL_STEP};
 use crate::strangers::Corrections;
-use crate::{RunError, RunFolder, Settings, Until};
+use crate::{RunError, RunFolder, Settings, Until, choose_engine};
 use segwild_flow::ledger::{StageRow, State};
 use segwild_flow::{Cache, Ledger};
-use segwild_raster::{CpuEngine, Engine};
 use segwild_scene::Scene;
 use segwild_vision::Providers;
 use serde::Serialize;
@@ -86,7 +85,7 @@ fn situation(
 ) -> Result<Situation, RunError> {
     let scene = Scene::open(path, &settings.scene)?;
     let providers = Providers::from_settings(&settings.vision)?;
-    let engine = CpuEngine::default();
+    let engine = choose_engine(&settings.run)?.engine;
     let corrections = Corrections::find(&scene, folder, &settings.scene.strangers)?;
     let corrected = corrections.in_words(&scene);
     let digests = Digests::read(&scene);

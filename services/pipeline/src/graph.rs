@@ -11,11 +11,10 @@ use crate::folder::Intake;
 use crate::skies::Skies;
 use crate::strangers::{Corrections, Known};
 use crate::traces::Traces;
-use crate::{RunError, RunFolder, Settings, Until, keep, memory, report};
+use crate::{Chosen, RunError, RunFolder, Settings, Until, choose_engine, keep, memory, report};
 use segwild_flow::ledger::ViewOutcome;
 use segwild_flow::{Cache, Event, Events, Failure, Ledger, Phase, Recorder, Stopper, cpu, files, trace};
 use segwild_masks::{MaskMaker, sasm};
-use segwild_raster::{CpuEngine, Engine};
 use segwild_scene::{Scene, Skipped};
 use segwild_vision::Providers;
 use serde::Serialize;
@@ -179,7 +178,8 @@ pub fn run(
     for note in &providers.notes {
         options.events.info(None, note.clone());
     }
-    let engine: Arc<dyn Engine> = Arc::new(CpuEngine::default());
+    let Chosen { engine, why } = choose_engine(&settings.run)?;
+    options.events.info(None, format!("splats are computed by {why}"));
     let steps = match options.until {
         Some(Until::Step(step)) => step,
         _ => settings.train.steps,

@@ -11,6 +11,7 @@ mod board;
 mod checkpoints;
 mod choice;
 mod coordinator;
+mod engine;
 mod error;
 mod evaluate;
 mod explain;
@@ -35,6 +36,7 @@ mod visibility;
 
 pub use accelerator::accelerator;
 pub use artefacts::Keys;
+pub use engine::{Chosen, EngineKind, choose_engine};
 pub use error::RunError;
 pub use evaluate::{HeldOut, MaskScore, Score, score};
 pub use explain::{Plan, Verdict, explain};

@@ -2,10 +2,10 @@
 
 use crate::folder::Loaded;
 use crate::light::{LookRequest, find};
-use crate::{RunError, RunFolder, Selected};
+use crate::{RunError, RunFolder, Selected, choose_engine};
 use glam::{Mat3, Quat, Vec3};
 use segwild_features::FeatureColours;
-use segwild_raster::{Channels, CpuEngine, Engine};
+use segwild_raster::{Channels, Engine};
 use segwild_scene::{Camera, Image, Pose, Scene};
 use segwild_trainer::{Light, Lighting, Model, render_lit};
 use serde::Serialize;
@@ -73,7 +73,7 @@ pub struct Drawn {
 /// Draws what is asked for.
 pub fn render(folder: &RunFolder, request: &RenderRequest) -> Result<Vec<Drawn>, RunError> {
     let loaded = folder.load()?;
-    let engine = CpuEngine::default();
+    let engine = choose_engine(&loaded.settings.run)?.engine;
     let chosen: Vec<usize> = match request.photos.is_empty() {
         true => (0..loaded.scene.views.len()).collect(),
         false => request.photos.iter().map(|n| find(&loaded.scene, n)).collect::<Result<_, _>>()?,
@@ -95,7 +95,7 @@ pub fn render(folder: &RunFolder, request: &RenderRequest) -> Result<Vec<Drawn>,
     };
     let out = request.out.clone().unwrap_or_else(|| folder.path().join("renders"));
     std::fs::create_dir_all(&out).map_err(|e| segwild_flow::FileError::new("create", &out, e))?;
-    let painter = Painter::new(&loaded, &engine, selected, request.what)?;
+    let painter = Painter::new(&loaded, &*engine, selected, request.what)?;
     let mut drawn = Vec::new();
     let lights = request.look.lights(&loaded.scene, &painter.model)?;
     let object_lights = match &request.object_look {

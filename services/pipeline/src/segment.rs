@@ -4,11 +4,11 @@ use crate::accelerator::leased;
 use crate::folder::Loaded;
 use crate::light::{self, find};
 use crate::prompts::{check_all, png_names};
-use crate::{PhotoPrompts, Replay, RunError, RunFolder, report, traces};
+use crate::{PhotoPrompts, Replay, RunError, RunFolder, choose_engine, report, traces};
 use segwild_flow::{
     ActorOptions, FileError, Limits, Phase, Stopper, System, SystemOptions, codec, fault, files, mailbox,
 };
-use segwild_raster::{Channels, CpuEngine, Engine};
+use segwild_raster::{Channels, Engine};
 use segwild_scene::{Image, Mask, Scene, Splats, ply};
 use segwild_segmenter::{
     Cut, Geometry, Object, PosedView, SegmentActor, SegmentError, SegmentReply, SegmentSettings, SegmentTask,
@@ -178,7 +178,7 @@ pub fn segment(
         None => None,
     };
 
-    let engine: Arc<dyn Engine> = Arc::new(CpuEngine::default());
+    let engine = choose_engine(&made_with.run)?.engine;
     let scene = Arc::new(scene);
     let photos = {
         let scene = scene.clone();

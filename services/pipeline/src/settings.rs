@@ -1,5 +1,6 @@
 //! All settings of a run in one struct: flags, `segwild.toml` and `docs/settings.md` are made from it.
 
+use crate::EngineKind;
 use segwild_features::FeatureSettings;
 use segwild_masks::MaskSettings;
 use segwild_scene::settings::{Field, Group, SettingError};
@@ -18,6 +19,10 @@ settings! {
         preset: Preset = Preset::Standard,
         /// Compute threads; 0 takes all cores. The result does not depend on it.
         threads: u32 = 0 => 0..=256,
+        /// What computes the splats. `auto` takes an accelerator that is no program on the CPU, where there is one.
+        engine: EngineKind = EngineKind::Cpu,
+        /// Part of the accelerator's name, where there are several; empty takes the best. `segwild doctor` lists them.
+        adapter: String = String::new(),
         /// Seconds between checkpoints of the training; an interrupted run loses no more than this.
         checkpoint_every: u32 = 30 => 1..,
         /// Most MiB of memory that the run may take; 0 sets no limit. Caches shrink to fit; what cannot fit is refused.

@@ -8,6 +8,47 @@ pub enum RasterError {
     /// Arrays of the splats differ in length, or the frame has no pixel.
     #[error("{0}")]
     Shape(String),
+    /// The device that draws refused or failed.
+    #[error("{0}")]
+    Device(String),
+}
+
+/// Largest width or height of a frame: tiles are counted in 16 bits.
+const MAX_SIDE: u32 = 1 << 19;
+
+/// Refuses splats and cameras that no engine can draw.
+pub fn check(splats: &Splats, camera: &Camera) -> Result<(), RasterError> {
+    let n = splats.len();
+    let lengths = [
+        ("log_scales", splats.log_scales.len(), n),
+        ("rotations", splats.rotations.len(), n),
+        ("opacities", splats.opacities.len(), n),
+        ("sh", splats.sh.len(), n * splats.sh_stride()),
+    ];
+    for (name, len, wanted) in lengths {
+        if len != wanted {
+            let text = format!("splats: {name} has {len} items where {n} splats need {wanted}");
+            return Err(RasterError::Shape(text));
+        }
+    }
+    if splats.sh_degree > 3 {
+        return Err(RasterError::Shape(format!("splats: SH degree {} is above 3", splats.sh_degree)));
+    }
+    if n > u32::MAX as usize {
+        return Err(RasterError::Shape(format!("splats: {n} are more than can be numbered")));
+    }
+    let Camera { width, height, fx, fy, cx, cy } = *camera;
+    if width == 0 || height == 0 || width > MAX_SIDE || height > MAX_SIDE {
+        return Err(RasterError::Shape(format!(
+            "camera: a frame of {width} x {height} pixels cannot be drawn"
+        )));
+    }
+    let focal = |f: f32| f.is_finite() && f > 0.0;
+    if !focal(fx) || !focal(fy) || !cx.is_finite() || !cy.is_finite() {
+        let text = format!("camera: focal lengths {fx}, {fy} and principal point {cx}, {cy} make no image");
+        return Err(RasterError::Shape(text));
+    }
+    Ok(())
 }
 
 /// How splats are projected.

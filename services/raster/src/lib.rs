@@ -8,12 +8,17 @@ mod engine;
 mod look;
 mod loss;
 pub mod reference;
+mod sh;
+mod shade;
 
 pub use adam::Adam;
-pub use cpu::{CpuEngine, Isa};
-pub use engine::{Channels, Engine, Frame, FrameGrad, ProjectOptions, Projected, RasterError, SplatGrads};
+pub use cpu::{ALPHA_MAX, ALPHA_MIN, CpuEngine, Isa, LOG2_ALPHA_MIN, SLACK, T_MIN, jacobian_limits};
+pub use engine::{
+    Channels, Engine, Frame, FrameGrad, ProjectOptions, Projected, RasterError, SplatGrads, check,
+};
 pub use look::{
     AffineLook, AnyLook, EmbedLook, Glance, GswLook, GswWidth, HIDDEN, Impression, Look, NoLook, RANK, Sight,
     Tone, bake,
 };
 pub use loss::{photometric, psnr, ssim};
+pub use shade::{shade, shade_backward};

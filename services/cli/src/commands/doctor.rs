@@ -3,7 +3,8 @@
 use super::{path, print_json, print_line};
 use crate::failure::Failure;
 use clap::ArgMatches;
-use segwild_pipeline::Settings;
+use segwild_gpu::Adapter;
+use segwild_pipeline::{RunSettings, Settings, choose_engine};
 use segwild_vision::{ModelFile, Providers, Runtime, VisionSettings, models_in};
 
 /// Says what this machine offers and what is used instead of what is missing.
@@ -14,7 +15,18 @@ pub fn doctor(matches: &ArgMatches) -> Result<(), Failure> {
     let mut found: Vec<(&str, String)> = Vec::new();
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     found.push(("cores", cores.to_string()));
-    found.push(("splat kernels", format!("CPU, {:?}", segwild_raster::CpuEngine::default().isa())));
+    let adapters = segwild_gpu::adapters();
+    if adapters.is_empty() {
+        found.push(("accelerator", "none: no Vulkan, Metal or Direct3D 12 driver answers".into()));
+    }
+    found.extend(adapters.iter().map(|adapter| ("accelerator", accelerator(adapter))));
+    found.push((
+        "splats",
+        match choose_engine(&RunSettings::default()) {
+            Ok(chosen) => format!("computed by {} (`--engine`, `--adapter`)", chosen.why),
+            Err(error) => error.to_string(),
+        },
+    ));
     found.push((
         "ONNX Runtime",
         match Runtime::find("") {
@@ -53,6 +65,13 @@ pub fn doctor(matches: &ArgMatches) -> Result<(), Failure> {
         print_line(&format!("{what:>14}  {is}"))?;
     }
     Ok(())
+}
+
+/// An accelerator in one line: what it is, and its limits.
+fn accelerator(adapter: &Adapter) -> String {
+    let Adapter { name, backend, kind, driver, binding, shared } = adapter;
+    let (binding, shared) = (binding >> 20, shared >> 10);
+    format!("{name}: {kind}, {backend}, {driver}; arrays of {binding} MiB, {shared} KiB shared by a group")
 }
 
 /// A network file in one line: what it is by its name, how large, its hash, its terms.

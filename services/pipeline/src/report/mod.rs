@@ -8,12 +8,12 @@ use crate::folder::Loaded;
 use crate::history::{self, Moment};
 use crate::render::{Mode, Painter, What};
 use crate::strangers::picture_of;
-use crate::{LookChoice, RunError, RunFolder, Selected};
+use crate::{LookChoice, RunError, RunFolder, Selected, choose_engine};
 use html::Series;
 use segwild_flow::codec::Decode;
 use segwild_flow::ledger::State;
 use segwild_flow::{Cache, FileError, Key, Ledger, SpanKind, TimelineRecord, fault};
-use segwild_raster::{AnyLook, Channels, CpuEngine, Engine};
+use segwild_raster::{AnyLook, Channels, Engine};
 use segwild_scene::{Image, Mask, MaskSet, Skipped};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -22,17 +22,17 @@ use std::fmt::Write as _;
 /// photos that are not shown whole, and why.
 pub fn write_report(folder: &RunFolder) -> Result<Vec<Skipped>, RunError> {
     let loaded = folder.load()?;
-    let engine = CpuEngine::default();
+    let engine = choose_engine(&loaded.settings.run)?.engine;
     let mut body = String::new();
     body.push_str(&summary(folder, &loaded)?);
-    match looks(&loaded, &engine) {
+    match looks(&loaded, &*engine) {
         Ok(looks) => body.push_str(&looks),
         Err(error) => {
             body.push_str(&format!("<p>Looks are not shown: {}</p>", html::escape(&error.to_string())))
         }
     }
-    body.push_str(&objects(folder, &loaded, &engine)?);
-    let (pictures, left_out) = photos(folder, &loaded, &engine)?;
+    body.push_str(&objects(folder, &loaded, &*engine)?);
+    let (pictures, left_out) = photos(folder, &loaded, &*engine)?;
     body.push_str(&pictures);
     body.push_str(&curves(folder));
     body.push_str(&stages(folder));

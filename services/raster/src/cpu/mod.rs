@@ -6,13 +6,15 @@
 mod bin;
 mod kernels;
 mod project;
-pub(crate) mod sh;
 pub(crate) mod simd;
 mod tile;
 mod wide;
 
+pub use project::{ALPHA_MAX, ALPHA_MIN, LOG2_ALPHA_MIN, SLACK, T_MIN, jacobian_limits};
 pub use simd::Isa;
 
+use crate::engine::check;
+use crate::shade::{shade, shade_backward};
 use crate::{Channels, Engine, Frame, FrameGrad, ProjectOptions, Projected, RasterError, SplatGrads};
 use bin::Bins;
 use glam::Vec3;
@@ -25,8 +27,6 @@ use wide::{BlendWide, GatherWide, WIDE, Weights};
 
 /// Splats that one task sums or shades.
 const CHUNK: usize = 512;
-/// Largest width or height of a frame: tiles are counted in 16 bits.
-const MAX_SIDE: u32 = 1 << 19;
 
 /// Memory that views take turns to use.
 #[derive(Default)]
@@ -70,40 +70,6 @@ impl CpuEngine {
     fn give(&self, buffers: Buffers) {
         self.pool.lock().unwrap_or_else(PoisonError::into_inner).push(buffers);
     }
-}
-
-fn check(splats: &Splats, camera: &Camera) -> Result<(), RasterError> {
-    let n = splats.len();
-    let lengths = [
-        ("log_scales", splats.log_scales.len(), n),
-        ("rotations", splats.rotations.len(), n),
-        ("opacities", splats.opacities.len(), n),
-        ("sh", splats.sh.len(), n * splats.sh_stride()),
-    ];
-    for (name, len, wanted) in lengths {
-        if len != wanted {
-            let text = format!("splats: {name} has {len} items where {n} splats need {wanted}");
-            return Err(RasterError::Shape(text));
-        }
-    }
-    if splats.sh_degree > 3 {
-        return Err(RasterError::Shape(format!("splats: SH degree {} is above 3", splats.sh_degree)));
-    }
-    if n > u32::MAX as usize {
-        return Err(RasterError::Shape(format!("splats: {n} are more than can be numbered")));
-    }
-    let Camera { width, height, fx, fy, cx, cy } = *camera;
-    if width == 0 || height == 0 || width > MAX_SIDE || height > MAX_SIDE {
-        return Err(RasterError::Shape(format!(
-            "camera: a frame of {width} x {height} pixels cannot be drawn"
-        )));
-    }
-    let focal = |f: f32| f.is_finite() && f > 0.0;
-    if !focal(fx) || !focal(fy) || !cx.is_finite() || !cy.is_finite() {
-        let text = format!("camera: focal lengths {fx}, {fy} and principal point {cx}, {cy} make no image");
-        return Err(RasterError::Shape(text));
-    }
-    Ok(())
 }
 
 impl Engine for CpuEngine {
@@ -180,25 +146,6 @@ impl CpuView<'_> {
         assert_eq!(size, wanted, "{what}: width, height, channels");
         assert_eq!(image.data.len(), image.width * image.height * image.channels, "{what}: numbers");
     }
-
-    /// Direction from the eye to a splat and one over its distance.
-    fn direction(&self, i: usize) -> ([f32; 3], f32) {
-        let d = self.splats.mean(i) - self.eye;
-        let inverse = 1.0 / d.length();
-        if inverse.is_finite() { ((d * inverse).to_array(), inverse) } else { ([0.0, 0.0, 1.0], 0.0) }
-    }
-
-    /// Colour before it is clamped.
-    fn raw_colour(&self, i: usize, basis: &[f32; 16]) -> [f32; 3] {
-        let stride = self.splats.sh_stride();
-        let mut colour = [0.5; 3];
-        for (b, sh) in basis.iter().zip(self.splats.sh[i * stride..(i + 1) * stride].chunks_exact(3)) {
-            for c in 0..3 {
-                colour[c] += b * sh[c];
-            }
-        }
-        colour
-    }
 }
 
 impl Projected for CpuView<'_> {
@@ -215,20 +162,7 @@ impl Projected for CpuView<'_> {
     }
 
     fn shade(&self) -> Vec<f32> {
-        let mut colours = vec![0.0; self.splats.len() * 3];
-        colours.par_chunks_mut(CHUNK * 3).enumerate().for_each(|(chunk, out)| {
-            for (k, out) in out.chunks_exact_mut(3).enumerate() {
-                let i = chunk * CHUNK + k;
-                if self.bins.radii[i] > 0.0 {
-                    let basis = sh::basis(self.splats.sh_degree, self.direction(i).0);
-                    let colour = self.raw_colour(i, &basis);
-                    for c in 0..3 {
-                        out[c] = if colour[c].is_finite() { colour[c].max(0.0) } else { 0.0 };
-                    }
-                }
-            }
-        });
-        colours
+        shade(self.splats, self.eye, &self.bins.radii)
     }
 
     fn blend(&self, channels: &Channels) -> Frame {
@@ -391,54 +325,7 @@ impl Projected for CpuView<'_> {
     }
 
     fn shade_backward(&self, colours: &[f32], grads: &mut SplatGrads) -> Vec<f32> {
-        let (n, stride, degree) = (self.splats.len(), self.splats.sh_stride(), self.splats.sh_degree);
-        assert_eq!(colours.len(), n * 3, "gradient of the colours");
-        assert_eq!(grads.means.len(), n, "gradient of the means");
-        let mut out = vec![0.0; n * stride];
-        out.par_chunks_mut(CHUNK * stride).zip(grads.means.par_chunks_mut(CHUNK)).enumerate().for_each(
-            |(chunk, (out, means))| {
-                for (k, (out, mean)) in out.chunks_exact_mut(stride).zip(means).enumerate() {
-                    let i = chunk * CHUNK + k;
-                    if self.bins.radii[i] > 0.0 {
-                        self.shade_one_backward(i, degree, &colours[i * 3..i * 3 + 3], out, mean);
-                    }
-                }
-            },
-        );
-        out
-    }
-}
-
-impl CpuView<'_> {
-    fn shade_one_backward(&self, i: usize, degree: u32, grad: &[f32], out: &mut [f32], mean: &mut [f32; 3]) {
-        let (direction, inverse) = self.direction(i);
-        let basis = sh::basis(degree, direction);
-        let raw = self.raw_colour(i, &basis);
-        let mut g = [0.0; 3];
-        for c in 0..3 {
-            g[c] = if raw[c] > 0.0 && raw[c].is_finite() && grad[c].is_finite() { grad[c] } else { 0.0 };
-        }
-        for (b, out) in basis.iter().zip(out.chunks_exact_mut(3)) {
-            for c in 0..3 {
-                out[c] = b * g[c];
-            }
-        }
-        if degree == 0 {
-            return;
-        }
-        let stride = self.splats.sh_stride();
-        let mut db = [0.0; 16];
-        for (d, sh) in db.iter_mut().zip(self.splats.sh[i * stride..(i + 1) * stride].chunks_exact(3)) {
-            *d = sh[0] * g[0] + sh[1] * g[1] + sh[2] * g[2];
-        }
-        let d = Vec3::from(sh::basis_backward(degree, direction, &db));
-        let unit = Vec3::from(direction);
-        let moved = (d - unit * d.dot(unit)) * inverse;
-        if moved.is_finite() {
-            for k in 0..3 {
-                mean[k] += moved[k];
-            }
-        }
+        shade_backward(self.splats, self.eye, &self.bins.radii, colours, grads)
     }
 }
 

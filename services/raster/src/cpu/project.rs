@@ -8,17 +8,17 @@ use crate::ProjectOptions;
 use segwild_scene::{Camera, Pose, Splats};
 
 /// Pixels with a smaller alpha are skipped.
-pub(crate) const ALPHA_MIN: f32 = 1.0 / 255.0;
+pub const ALPHA_MIN: f32 = 1.0 / 255.0;
 /// Largest alpha of one splat at one pixel.
-pub(crate) const ALPHA_MAX: f32 = 0.999;
+pub const ALPHA_MAX: f32 = 0.999;
 /// A pixel that lets less light through is finished.
-pub(crate) const T_MIN: f32 = 1e-4;
+pub const T_MIN: f32 = 1e-4;
 /// Base-2 logarithm of [`ALPHA_MIN`].
-pub(crate) const LOG2_ALPHA_MIN: f32 = -7.994_353_4;
+pub const LOG2_ALPHA_MIN: f32 = -7.994_353_4;
 /// `q / 2` in units of base-2 logarithms.
 const HALF_LOG2_E: f32 = 0.5 * std::f32::consts::LOG2_E;
 /// Slack of footprint extents in pixels, so that rounding never loses a pixel.
-pub(crate) const SLACK: f32 = 0.01;
+pub const SLACK: f32 = 0.01;
 /// How far beyond the frame, in widths or heights, the perspective is still followed when the Jacobian is
 /// taken; farther out the linearisation would smear a splat over the whole image.
 const JACOBIAN_MARGIN: f32 = 0.15;
@@ -145,6 +145,17 @@ fn rotation_matrix([w, x, y, z]: [f32; 4]) -> Mat {
     ]
 }
 
+/// Range of x/z (first two) and of y/z in which the Jacobian follows the perspective.
+pub fn jacobian_limits(camera: &Camera) -> [f32; 4] {
+    let (width, height) = (camera.width as f32, camera.height as f32);
+    [
+        (-JACOBIAN_MARGIN * width - camera.cx) / camera.fx,
+        ((1.0 + JACOBIAN_MARGIN) * width - camera.cx) / camera.fx,
+        (-JACOBIAN_MARGIN * height - camera.cy) / camera.fy,
+        ((1.0 + JACOBIAN_MARGIN) * height - camera.cy) / camera.fy,
+    ]
+}
+
 impl Projector {
     pub fn new(camera: &Camera, pose: &Pose, options: &ProjectOptions) -> Projector {
         let r = pose.rotation.to_cols_array_2d();
@@ -154,13 +165,7 @@ impl Projector {
                 w[i][j] = r[j][i];
             }
         }
-        let (width, height) = (camera.width as f32, camera.height as f32);
-        let limits = [
-            (-JACOBIAN_MARGIN * width - camera.cx) / camera.fx,
-            ((1.0 + JACOBIAN_MARGIN) * width - camera.cx) / camera.fx,
-            (-JACOBIAN_MARGIN * height - camera.cy) / camera.fy,
-            ((1.0 + JACOBIAN_MARGIN) * height - camera.cy) / camera.fy,
-        ];
+        let limits = jacobian_limits(camera);
         Projector {
             width: camera.width as usize,
             height: camera.height as usize,

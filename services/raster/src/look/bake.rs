@@ -1,7 +1,7 @@
 //! Colours under a look, written back as spherical harmonics: splats that any program shows under that look.
 
 use super::{Look, Tone};
-use crate::cpu::sh;
+use crate::sh;
 use rayon::prelude::*;
 use segwild_scene::Splats;
 

@@ -1,0 +1,184 @@
+//! Which accelerators there are, and which one is taken.
+
+use crate::GpuError;
+use wgpu::{Backends, DeviceType, Instance, InstanceDescriptor, Limits};
+
+/// An accelerator, as its driver describes it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Adapter {
+    /// Its name.
+    pub name: String,
+    /// `Vulkan`, `Metal` or `Dx12`.
+    pub backend: String,
+    /// `discrete`, `integrated`, `virtual`, `software` or `unknown`.
+    pub kind: &'static str,
+    /// The driver's name and version.
+    pub driver: String,
+    /// Bytes that one array may have.
+    pub binding: u64,
+    /// Bytes that threads of a group share.
+    pub shared: u64,
+}
+
+impl Adapter {
+    /// Whether it is a program on the CPU: much slower than the CPU engine, so it is only taken by its name.
+    pub fn is_software(&self) -> bool {
+        self.kind == "software"
+    }
+}
+
+/// Which accelerator to take.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Choice {
+    /// The best that is not software.
+    Hardware,
+    /// The first whose name contains this, in any case; software too.
+    Named(String),
+}
+
+/// All accelerators, best first.
+pub fn adapters() -> Vec<Adapter> {
+    list().iter().map(describe).collect()
+}
+
+fn list() -> Vec<wgpu::Adapter> {
+    let instance = Instance::new(InstanceDescriptor::new_without_display_handle());
+    let mut found = pollster::block_on(instance.enumerate_adapters(Backends::PRIMARY));
+    found.sort_by_key(|adapter| match adapter.get_info().device_type {
+        DeviceType::DiscreteGpu => 0,
+        DeviceType::IntegratedGpu => 1,
+        DeviceType::VirtualGpu => 2,
+        DeviceType::Other => 3,
+        DeviceType::Cpu => 4,
+    });
+    found
+}
+
+fn describe(adapter: &wgpu::Adapter) -> Adapter {
+    let (info, limits) = (adapter.get_info(), adapter.limits());
+    Adapter {
+        kind: match info.device_type {
+            DeviceType::DiscreteGpu => "discrete",
+            DeviceType::IntegratedGpu => "integrated",
+            DeviceType::VirtualGpu => "virtual",
+            DeviceType::Other => "unknown",
+            DeviceType::Cpu => "software",
+        },
+        backend: format!("{:?}", info.backend),
+        driver: format!("{} {}", info.driver, info.driver_info).trim().to_owned(),
+        name: info.name,
+        binding: limits.max_storage_buffer_binding_size.min(limits.max_buffer_size),
+        shared: u64::from(limits.max_compute_workgroup_storage_size),
+    }
+}
+
+/// Opens the accelerator of this choice.
+pub(crate) fn open(choice: &Choice) -> Result<(Adapter, wgpu::Device, wgpu::Queue), GpuError> {
+    let all = list();
+    let described: Vec<Adapter> = all.iter().map(describe).collect();
+    let at = match choice {
+        Choice::Hardware => described.iter().position(|adapter| !adapter.is_software()),
+        Choice::Named(part) => {
+            let part = part.to_lowercase();
+            described.iter().position(|adapter| adapter.name.to_lowercase().contains(&part))
+        }
+    };
+    let Some(at) = at else { return Err(GpuError::NoAdapter(none_of(choice, &described))) };
+    let limits = wanted(&described[at], &all[at].limits())?;
+    let (device, queue) = pollster::block_on(all[at].request_device(&wgpu::DeviceDescriptor {
+        label: Some("segwild"),
+        required_limits: limits,
+        ..Default::default()
+    }))
+    .map_err(|error| GpuError::Failed { adapter: described[at].name.clone(), why: error.to_string() })?;
+    Ok((described[at].clone(), device, queue))
+}
+
+fn none_of(choice: &Choice, all: &[Adapter]) -> String {
+    let names = all.iter().map(|a| format!("{} ({})", a.name, a.kind)).collect::<Vec<_>>().join(", ");
+    match (choice, all.is_empty()) {
+        (_, true) => "no accelerator was found: no Vulkan, Metal or Direct3D 12 driver answers".to_owned(),
+        (Choice::Hardware, false) => format!(
+            "the only accelerators here are programs on the CPU, slower than the CPU engine: {names}; `--adapter` takes one \
+             by its name all the same"
+        ),
+        (Choice::Named(part), false) => {
+            format!("no accelerator's name contains `{part}`; there are: {names}")
+        }
+    }
+}
+
+/// The least that WebGPU promises is what the kernels need; only the size of an array is asked for as large as it goes.
+fn wanted(adapter: &Adapter, offered: &Limits) -> Result<Limits, GpuError> {
+    let least = Limits::default();
+    let checks = [
+        (
+            "storage buffers per kernel",
+            u64::from(offered.max_storage_buffers_per_shader_stage),
+            u64::from(least.max_storage_buffers_per_shader_stage),
+        ),
+        (
+            "threads per group",
+            u64::from(offered.max_compute_invocations_per_workgroup),
+            u64::from(least.max_compute_invocations_per_workgroup),
+        ),
+        (
+            "memory per group",
+            u64::from(offered.max_compute_workgroup_storage_size),
+            u64::from(least.max_compute_workgroup_storage_size),
+        ),
+        (
+            "groups per dimension",
+            u64::from(offered.max_compute_workgroups_per_dimension),
+            u64::from(least.max_compute_workgroups_per_dimension),
+        ),
+    ];
+    for (what, offered, needed) in checks {
+        if offered < needed {
+            return Err(GpuError::TooSmall { adapter: adapter.name.clone(), what, offered, needed });
+        }
+    }
+    Ok(Limits {
+        max_storage_buffer_binding_size: offered.max_storage_buffer_binding_size,
+        max_buffer_size: offered.max_buffer_size,
+        ..least.or_worse_values_from(offered)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn llvmpipe() -> Adapter {
+        Adapter {
+            name: "llvmpipe (LLVM 15)".into(),
+            backend: "Vulkan".into(),
+            kind: "software",
+            driver: "Mesa".into(),
+            binding: 1 << 27,
+            shared: 1 << 15,
+        }
+    }
+
+    #[test]
+    fn a_missing_adapter_is_told_with_what_there_is() {
+        assert!(none_of(&Choice::Hardware, &[]).contains("no Vulkan"));
+        let text = none_of(&Choice::Hardware, &[llvmpipe()]);
+        assert!(
+            text.contains("slower than the CPU engine") && text.contains("llvmpipe (LLVM 15) (software)"),
+            "{text}"
+        );
+        let text = none_of(&Choice::Named("radeon".into()), &[llvmpipe()]);
+        assert!(text.contains("`radeon`") && text.contains("llvmpipe"), "{text}");
+    }
+
+    #[test]
+    fn a_limit_that_is_too_small_is_named_with_its_number() {
+        let offered = Limits { max_storage_buffers_per_shader_stage: 4, ..Limits::default() };
+        let error = wanted(&llvmpipe(), &offered).expect_err("four buffers are too few");
+        assert_eq!(
+            error.to_string(),
+            "llvmpipe (LLVM 15): storage buffers per kernel is 4 where the kernels need 8"
+        );
+    }
+}

@@ -1,0 +1,293 @@
+//! The device: buffers that are used again, kernels that are built once, work in order.
+//!
+//! A lock lets one caller at a time speak to the device ([`Work`]): what a thread of its own would give, without
+//! copying what callers only lend. It also keeps a buffer that was given back in the middle of a run from being
+//! written by another before that run is handed in.
+
+use crate::GpuError;
+use crate::adapter::{Adapter, Choice, open};
+use crate::shaders::{Kernel, source};
+use bytemuck::Pod;
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use wgpu::{BufferUsages, ComputePipeline};
+
+/// Kernels between two hand-ins; each has its four numbers in the arena.
+const JOBS: usize = 256;
+/// Distance of two jobs' numbers in the arena.
+const JOB_STRIDE: u64 = 256;
+/// Groups per dimension that every device offers.
+const GROUPS: u64 = 65_535;
+
+/// Locks, whatever a panic of another left behind: nothing here is left half done.
+pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// What is done to a kernel's text before it is compiled.
+pub(crate) type Edit = Box<dyn Fn(&Kernel, String) -> String + Send + Sync>;
+
+type Free = Arc<Mutex<Vec<wgpu::Buffer>>>;
+
+/// A buffer of the pool, given back when it is dropped. It may be longer than what was asked for, and holds anything.
+pub(crate) struct Lent {
+    buffer: Option<wgpu::Buffer>,
+    /// Bytes asked for.
+    bytes: u64,
+    free: Free,
+}
+
+impl Lent {
+    fn raw(&self) -> &wgpu::Buffer {
+        self.buffer.as_ref().expect("it is taken out in drop only")
+    }
+}
+
+impl Drop for Lent {
+    fn drop(&mut self) {
+        lock(&self.free).extend(self.buffer.take());
+    }
+}
+
+/// An opened accelerator.
+pub(crate) struct Device {
+    pub adapter: Adapter,
+    device: wgpu::Device,
+    queue: wgpu::Queue,
+    limit: u64,
+    kernels: Mutex<HashMap<(&'static str, u32), Arc<ComputePipeline>>>,
+    free: Free,
+    staging: Free,
+    arena: wgpu::Buffer,
+    /// The first thing that went wrong.
+    failed: Arc<Mutex<Option<String>>>,
+    turn: Mutex<()>,
+    edit: Edit,
+}
+
+impl Device {
+    pub fn open(choice: &Choice, edit: Edit) -> Result<Device, GpuError> {
+        let (adapter, device, queue) = open(choice)?;
+        let failed = Arc::new(Mutex::new(None));
+        let note = Arc::clone(&failed);
+        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
+            lock(&note).get_or_insert(error.to_string());
+        }));
+        let note = Arc::clone(&failed);
+        device.set_device_lost_callback(move |reason, text| {
+            lock(&note).get_or_insert(format!("the device was lost ({reason:?}): {text}"));
+        });
+        let arena = device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("jobs"),
+            size: JOBS as u64 * JOB_STRIDE,
+            usage: BufferUsages::UNIFORM | BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        let limits = device.limits();
+        Ok(Device {
+            adapter,
+            limit: limits.max_storage_buffer_binding_size.min(limits.max_buffer_size),
+            device,
+            queue,
+            kernels: Mutex::default(),
+            free: Free::default(),
+            staging: Free::default(),
+            arena,
+            failed,
+            turn: Mutex::new(()),
+            edit,
+        })
+    }
+
+    /// Begins work; waits for its turn.
+    pub fn work(&self) -> Work<'_> {
+        let turn = lock(&self.turn);
+        let encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        Work { device: self, encoder, jobs: Vec::new(), dirty: false, _turn: turn }
+    }
+
+    fn check(&self) -> Result<(), GpuError> {
+        match &*lock(&self.failed) {
+            Some(why) => Err(GpuError::Failed { adapter: self.adapter.name.clone(), why: why.clone() }),
+            None => Ok(()),
+        }
+    }
+
+    fn kernel(&self, kernel: &Kernel, blocks: u32) -> Arc<ComputePipeline> {
+        let mut kernels = lock(&self.kernels);
+        let built = kernels.entry((kernel.name, blocks)).or_insert_with(|| {
+            let module = self.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+                label: Some(kernel.name),
+                source: wgpu::ShaderSource::Wgsl((self.edit)(kernel, source(kernel, blocks)).into()),
+            });
+            Arc::new(self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+                label: Some(kernel.name),
+                layout: None,
+                module: &module,
+                entry_point: Some(kernel.entry),
+                compilation_options: wgpu::PipelineCompilationOptions {
+                    zero_initialize_workgroup_memory: false,
+                    ..Default::default()
+                },
+                cache: None,
+            }))
+        });
+        Arc::clone(built)
+    }
+
+    /// The shortest free buffer that holds so many bytes and is not much longer, or a new one.
+    fn pick(&self, free: &Free, what: &'static str, bytes: u64, usage: BufferUsages) -> Lent {
+        let mut held = lock(free);
+        let fits = |size: u64| size >= bytes && size <= 2 * bytes + (1 << 16);
+        let best = (0..held.len()).filter(|&i| fits(held[i].size())).min_by_key(|&i| held[i].size());
+        let buffer = best.map(|i| held.swap_remove(i));
+        drop(held);
+        let buffer = buffer.unwrap_or_else(|| {
+            // A quarter more, so that the next view's array, which is about as long, finds room.
+            let size = (bytes + bytes / 4).min(self.limit.max(bytes)).next_multiple_of(256);
+            self.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some(what),
+                size,
+                usage,
+                mapped_at_creation: false,
+            })
+        });
+        Lent { buffer: Some(buffer), bytes, free: Arc::clone(free) }
+    }
+}
+
+/// One caller's turn at the device.
+pub(crate) struct Work<'d> {
+    device: &'d Device,
+    encoder: wgpu::CommandEncoder,
+    jobs: Vec<[u32; 4]>,
+    dirty: bool,
+    _turn: MutexGuard<'d, ()>,
+}
+
+impl Work<'_> {
+    /// Room for `count` items.
+    pub fn take<T>(&mut self, what: &'static str, count: usize) -> Result<Lent, GpuError> {
+        // Never empty, and never shorter than a vec4: kernels bind it all the same.
+        let bytes = (count as u64 * size_of::<T>() as u64).max(16);
+        if bytes > self.device.limit {
+            return Err(GpuError::TooLarge {
+                adapter: self.device.adapter.name.clone(),
+                what,
+                bytes,
+                limit: self.device.limit,
+            });
+        }
+        let usage =
+            BufferUsages::STORAGE | BufferUsages::UNIFORM | BufferUsages::COPY_SRC | BufferUsages::COPY_DST;
+        Ok(self.device.pick(&self.device.free, what, bytes, usage))
+    }
+
+    /// Brings items to the device.
+    pub fn upload<T: Pod>(&mut self, what: &'static str, items: &[T]) -> Result<Lent, GpuError> {
+        // Uploads overtake what has not been handed in, and the buffer may be one that such work still uses.
+        self.hand_in();
+        let lent = self.take::<T>(what, items.len())?;
+        if !items.is_empty() {
+            self.device.queue.write_buffer(lent.raw(), 0, bytemuck::cast_slice(items));
+        }
+        Ok(lent)
+    }
+
+    /// Sets a buffer to 0.
+    pub fn clear(&mut self, lent: &Lent) {
+        self.dirty = true;
+        self.encoder.clear_buffer(lent.raw(), 0, Some(lent.bytes));
+    }
+
+    /// Runs a kernel in so many groups. Binding 0 is its job, the buffers follow.
+    pub fn run(&mut self, kernel: &Kernel, blocks: u32, job: [u32; 4], buffers: &[&Lent], groups: usize) {
+        if groups == 0 {
+            return;
+        }
+        if self.jobs.len() == JOBS {
+            self.hand_in();
+        }
+        let pipeline = self.device.kernel(kernel, blocks);
+        let binding = |buffer, offset, size| {
+            wgpu::BindingResource::Buffer(wgpu::BufferBinding {
+                buffer,
+                offset,
+                size: wgpu::BufferSize::new(size),
+            })
+        };
+        let at = self.jobs.len() as u64 * JOB_STRIDE;
+        let mut entries =
+            vec![wgpu::BindGroupEntry { binding: 0, resource: binding(&self.device.arena, at, 16) }];
+        for (k, lent) in buffers.iter().enumerate() {
+            let resource = binding(lent.raw(), 0, lent.bytes);
+            entries.push(wgpu::BindGroupEntry { binding: k as u32 + 1, resource });
+        }
+        let group = self.device.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some(kernel.name),
+            layout: &pipeline.get_bind_group_layout(0),
+            entries: &entries,
+        });
+        self.jobs.push(job);
+        self.dirty = true;
+        let mut pass = self.encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+            label: Some(kernel.name),
+            timestamp_writes: None,
+        });
+        pass.set_pipeline(&pipeline);
+        pass.set_bind_group(0, &group, &[]);
+        let columns = (groups as u64).min(GROUPS);
+        pass.dispatch_workgroups(columns as u32, (groups as u64).div_ceil(columns) as u32, 1);
+    }
+
+    /// Hands what has been recorded to the device, which does it in this order.
+    pub fn hand_in(&mut self) {
+        if !self.dirty {
+            return;
+        }
+        let mut bytes = vec![0u8; self.jobs.len() * JOB_STRIDE as usize];
+        for (place, job) in bytes.chunks_exact_mut(JOB_STRIDE as usize).zip(&self.jobs) {
+            place[..16].copy_from_slice(bytemuck::cast_slice(job));
+        }
+        if !bytes.is_empty() {
+            self.device.queue.write_buffer(&self.device.arena, 0, &bytes);
+        }
+        let next = self.device.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let encoder = std::mem::replace(&mut self.encoder, next);
+        self.device.queue.submit([encoder.finish()]);
+        self.jobs.clear();
+        self.dirty = false;
+    }
+
+    /// Hands in, waits, and brings the first `count` items back.
+    pub fn read<T: Pod>(&mut self, from: &Lent, count: usize) -> Result<Vec<T>, GpuError> {
+        self.read_at(from, 0, count)
+    }
+
+    /// Hands in, waits, and brings `count` items back, from item `first` on.
+    pub fn read_at<T: Pod>(&mut self, from: &Lent, first: usize, count: usize) -> Result<Vec<T>, GpuError> {
+        let mut out = vec![T::zeroed(); count];
+        if count == 0 {
+            return Ok(out);
+        }
+        let bytes = (count * size_of::<T>()) as u64;
+        let start = (first * size_of::<T>()) as u64;
+        debug_assert!(start + bytes <= from.bytes);
+        let usage = BufferUsages::MAP_READ | BufferUsages::COPY_DST;
+        let staging = self.device.pick(&self.device.staging, "read back", bytes, usage);
+        self.dirty = true;
+        self.encoder.copy_buffer_to_buffer(from.raw(), start, staging.raw(), 0, bytes);
+        self.hand_in();
+        let slice = staging.raw().slice(..bytes);
+        slice.map_async(wgpu::MapMode::Read, |_| {});
+        let fail = |why: String| GpuError::Failed { adapter: self.device.adapter.name.clone(), why };
+        let polled = self.device.device.poll(wgpu::PollType::wait_indefinitely());
+        self.device.check()?;
+        polled.map_err(|error| fail(error.to_string()))?;
+        let view = slice.get_mapped_range().map_err(|error| fail(error.to_string()))?;
+        bytemuck::cast_slice_mut::<T, u8>(&mut out).copy_from_slice(&view);
+        drop(view);
+        staging.raw().unmap();
+        Ok(out)
+    }
+}

@@ -1,0 +1,300 @@
+//! The engine: projection, the two sorts, and what tiles hold.
+
+use crate::GpuError;
+use crate::adapter::{Adapter, Choice};
+use crate::device::{Device, Lent, Work};
+use crate::shaders::{
+    BUCKET_COUNT, BUCKETS, EMIT, HISTOGRAM, Kernel, ORDER, PROJECT, RANGES, SCAN, SCAN_ADD, SCATTER,
+};
+use crate::view::GpuView;
+use bytemuck::{Pod, Zeroable};
+use rayon::prelude::*;
+use segwild_raster::{Engine, ProjectOptions, Projected, RasterError, check, jacobian_limits};
+use segwild_scene::{Camera, Pose, Splats};
+
+/// Width and height of a tile; as in `shaders/shared/common.wgsl`.
+const TILE: u32 = 16;
+/// Entries of a bucket.
+const BUCKET: usize = 64;
+/// Threads of a group that does one item per thread.
+const GROUP: usize = 256;
+/// Numbers that a group of the scan and of the sort holds.
+const BLOCK: usize = 1024;
+/// Bits of one pass of the radix sort.
+const DIGIT: u32 = 4;
+
+/// The rasteriser for accelerators. Make one and keep it: kernels are compiled on first use, and its memory is used
+/// again from view to view.
+pub struct GpuEngine {
+    pub(crate) device: Device,
+}
+
+impl GpuEngine {
+    /// Opens an accelerator.
+    pub fn new(choice: &Choice) -> Result<GpuEngine, GpuError> {
+        GpuEngine::with_edit(choice, |_, text| text)
+    }
+
+    /// The same with kernels whose text was changed: how tests plant a fault.
+    #[doc(hidden)]
+    pub fn with_edit(
+        choice: &Choice,
+        edit: impl Fn(&Kernel, String) -> String + Send + Sync + 'static,
+    ) -> Result<GpuEngine, GpuError> {
+        let device = Device::open(choice, Box::new(edit))?;
+        tracing::info!(adapter = device.adapter.name, backend = device.adapter.backend, "accelerator opened");
+        Ok(GpuEngine { device })
+    }
+
+    /// The accelerator in use.
+    pub fn adapter(&self) -> &Adapter {
+        &self.device.adapter
+    }
+}
+
+/// `View` of `shaders/shared/view.wgsl`.
+#[derive(Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+struct View {
+    rows: [[f32; 4]; 3],
+    lens: [f32; 4],
+    limits: [f32; 4],
+    options: [f32; 4],
+    frame: [u32; 4],
+}
+
+/// What a view keeps on the device.
+pub(crate) struct Binned {
+    pub view: Lent,
+    pub means: Lent,
+    pub log_scales: Lent,
+    pub rotations: Lent,
+    pub footprints: Lent,
+    pub slots: Lent,
+    pub entries: Lent,
+    pub tiles: Lent,
+    pub buckets: Lent,
+    pub tile_count: usize,
+    /// Pairs of a splat and a tile.
+    pub pairs: usize,
+    /// No fewer than there are buckets: known without asking the device.
+    pub bucket_bound: usize,
+}
+
+impl Engine for GpuEngine {
+    fn name(&self) -> &'static str {
+        "gpu"
+    }
+
+    fn project<'a>(
+        &'a self,
+        splats: &'a Splats,
+        camera: &Camera,
+        pose: &Pose,
+        options: &ProjectOptions,
+    ) -> Result<Box<dyn Projected + 'a>, RasterError> {
+        check(splats, camera)?;
+        let refused = |error: GpuError| RasterError::Device(error.to_string());
+        let (binned, seen) = bin(&mut self.device.work(), splats, camera, pose, options).map_err(refused)?;
+        let eye = pose.centre();
+        let size = [camera.width as usize, camera.height as usize];
+        Ok(Box::new(GpuView::new(&self.device, splats, eye, size, binned, &seen)))
+    }
+}
+
+fn bin(
+    work: &mut Work,
+    splats: &Splats,
+    camera: &Camera,
+    pose: &Pose,
+    options: &ProjectOptions,
+) -> Result<(Binned, Vec<[f32; 4]>), GpuError> {
+    let n = splats.len();
+    let (columns, rows) = (camera.width.div_ceil(TILE), camera.height.div_ceil(TILE));
+    let tile_count = (columns * rows) as usize;
+    let turn = pose.rotation.to_cols_array_2d();
+    let shift = pose.translation.to_array();
+    let row = |i: usize| [turn[0][i], turn[1][i], turn[2][i], shift[i]];
+    let view = View {
+        rows: [row(0), row(1), row(2)],
+        lens: [camera.fx, camera.fy, camera.cx, camera.cy],
+        limits: jacobian_limits(camera),
+        options: [options.low_pass, f32::from(u8::from(options.antialias)), options.near, 0.0],
+        frame: [camera.width, camera.height, columns, rows],
+    };
+    let with = |v: [f32; 3], w: f32| [v[0], v[1], v[2], w];
+    let means: Vec<[f32; 4]> =
+        splats.means.par_iter().zip(&splats.opacities).map(|(&mean, &o)| with(mean, o)).collect();
+    let scales: Vec<[f32; 4]> = splats.log_scales.par_iter().map(|&scale| with(scale, 0.0)).collect();
+    let view = work.upload("the view", &[view])?;
+    let means = work.upload("the splats' centres", &means)?;
+    let log_scales = work.upload("the splats' scales", &scales)?;
+    let rotations = work.upload("the splats' rotations", &splats.rotations)?;
+
+    let footprints = work.take::<[f32; 8]>("the splats' footprints", n)?;
+    let seen = work.take::<[f32; 4]>("depths and centres", n)?;
+    let counts = work.take::<u32>("counts of tiles", n)?;
+    let keys = work.take::<u32>("the splats' sort keys", n)?;
+    let order = work.take::<u32>("the splats' order", n)?;
+    work.run(
+        &PROJECT,
+        1,
+        [n as u32, 0, 0, 0],
+        &[&view, &means, &log_scales, &rotations, &footprints, &seen, &counts, &keys, &order],
+        n.div_ceil(GROUP),
+    );
+    let (_, order) = sort(work, keys, order, n, u32::BITS)?;
+    let starts = work.take::<u32>("the splats' first slots", n + 1)?;
+    work.run(&ORDER, 1, [n as u32, 0, 0, 0], &[&order, &counts, &starts], (n + 1).div_ceil(GROUP));
+    drop(counts);
+    scan(work, &starts, n + 1)?;
+    let seen: Vec<[f32; 4]> = work.read(&seen, n)?;
+    let pairs = work.read_at::<u32>(&starts, n, 1)?[0] as usize;
+
+    let slots = work.take::<[u32; 2]>("the splats' slots", n)?;
+    let tile_keys = work.take::<u32>("the pairs' tiles", pairs)?;
+    let tile_pairs = work.take::<u32>("the pairs' order", pairs)?;
+    let owners = work.take::<u32>("the pairs' splats", pairs)?;
+    work.run(
+        &EMIT,
+        1,
+        [n as u32, tile_count as u32, 0, 0],
+        &[&view, &order, &starts, &footprints, &slots, &tile_keys, &tile_pairs, &owners],
+        n.div_ceil(GROUP),
+    );
+    drop((order, starts));
+    // One more than the tiles: what belongs to none has the number behind the last.
+    let bits = u32::BITS - (tile_count as u32).leading_zeros();
+    let (tile_keys, tile_pairs) = sort(work, tile_keys, tile_pairs, pairs, bits)?;
+    let entries = work.take::<[u32; 2]>("the tiles' entries", pairs)?;
+    let tiles = work.take::<[u32; 4]>("the tiles", tile_count)?;
+    work.clear(&tiles);
+    work.run(
+        &RANGES,
+        1,
+        [pairs as u32, tile_count as u32, 0, 0],
+        &[&tile_keys, &tile_pairs, &owners, &entries, &tiles],
+        pairs.div_ceil(GROUP),
+    );
+    drop((tile_keys, tile_pairs, owners));
+
+    let bucket_bound = if pairs == 0 { 0 } else { pairs / BUCKET + tile_count.min(pairs) };
+    let buckets = work.take::<[u32; 4]>("the buckets", bucket_bound)?;
+    work.clear(&buckets);
+    let first = work.take::<u32>("the tiles' first buckets", tile_count)?;
+    let job = [tile_count as u32, 0, 0, 0];
+    work.run(&BUCKET_COUNT, 1, job, &[&tiles, &first], tile_count.div_ceil(GROUP));
+    scan(work, &first, tile_count)?;
+    work.run(&BUCKETS, 1, job, &[&tiles, &first, &buckets], tile_count.div_ceil(GROUP));
+    work.hand_in();
+    drop(first);
+    let binned = Binned {
+        view,
+        means,
+        log_scales,
+        rotations,
+        footprints,
+        slots,
+        entries,
+        tiles,
+        buckets,
+        tile_count,
+        pairs,
+        bucket_bound,
+    };
+    Ok((binned, seen))
+}
+
+/// Replaces numbers by the sum of those before each.
+fn scan(work: &mut Work, data: &Lent, count: usize) -> Result<(), GpuError> {
+    let blocks = count.div_ceil(BLOCK);
+    let sums = work.take::<u32>("a running sum", blocks)?;
+    let job = [count as u32, 0, 0, 0];
+    work.run(&SCAN, 1, job, &[data, &sums], blocks);
+    if blocks > 1 {
+        scan(work, &sums, blocks)?;
+        work.run(&SCAN_ADD, 1, job, &[data, &sums], count.div_ceil(GROUP));
+    }
+    Ok(())
+}
+
+/// Stable radix sort of items by the lowest `bits` of their keys.
+fn sort(work: &mut Work, keys: Lent, items: Lent, count: usize, bits: u32) -> Result<(Lent, Lent), GpuError> {
+    if count == 0 {
+        return Ok((keys, items));
+    }
+    let blocks = count.div_ceil(BLOCK);
+    let (mut from, mut to) =
+        ((keys, items), (work.take::<u32>("sort keys", count)?, work.take::<u32>("sorted items", count)?));
+    let counts = work.take::<u32>("digits", blocks << DIGIT)?;
+    for pass in 0..bits.div_ceil(DIGIT) {
+        let job = [count as u32, pass * DIGIT, blocks as u32, 0];
+        work.run(&HISTOGRAM, 1, job, &[&from.0, &counts], blocks);
+        scan(work, &counts, blocks << DIGIT)?;
+        work.run(&SCATTER, 1, job, &[&from.0, &from.1, &counts, &to.0, &to.1], blocks);
+        std::mem::swap(&mut from, &mut to);
+    }
+    Ok(from)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use segwild_scene::Random;
+
+    #[test]
+    fn running_sums_go_over_three_levels_of_blocks() {
+        let Some(engine) = crate::common::engine("running_sums_go_over_three_levels_of_blocks") else {
+            return;
+        };
+        for count in [1, 1023, 1024, 1025, BLOCK * BLOCK + 7] {
+            let mut random = Random::new(3);
+            let numbers: Vec<u32> = (0..count).map(|_| random.below(4) as u32).collect();
+            let mut work = engine.device.work();
+            let data = work.upload("numbers", &numbers).expect("it fits");
+            scan(&mut work, &data, count).expect("it runs");
+            let before = |sum: &mut u32, n: &u32| Some(std::mem::replace(sum, *sum + *n));
+            let wanted: Vec<u32> = numbers.iter().scan(0, before).collect();
+            assert_eq!(work.read::<u32>(&data, count).expect("it comes back"), wanted, "{count} numbers");
+        }
+    }
+
+    #[test]
+    fn a_running_sum_that_does_not_fit_stays_at_the_largest_number() {
+        let test = "a_running_sum_that_does_not_fit_stays_at_the_largest_number";
+        let Some(engine) = crate::common::engine(test) else { return };
+        let numbers = vec![1u32 << 20; 5000];
+        let mut work = engine.device.work();
+        let data = work.upload("numbers", &numbers).expect("it fits");
+        scan(&mut work, &data, numbers.len()).expect("it runs");
+        let sums: Vec<u32> = work.read(&data, numbers.len()).expect("it comes back");
+        assert_eq!((sums[4095], sums[4096], sums[4999]), (4095 << 20, u32::MAX, u32::MAX));
+    }
+
+    #[test]
+    fn the_sort_keeps_the_order_of_equal_keys() {
+        let Some(engine) = crate::common::engine("the_sort_keeps_the_order_of_equal_keys") else { return };
+        for (count, bits) in [(0, 8), (1, 4), (1024, 4), (5000, 13), (70_000, 32)] {
+            let mut random = Random::new(count as u64);
+            let keys: Vec<u32> = (0..count).map(|_| (random.bits() as u32) >> (32 - bits) & !6).collect();
+            let items: Vec<u32> = (0..count as u32).collect();
+            let mut work = engine.device.work();
+            let (a, b) = (work.upload("keys", &keys), work.upload("items", &items));
+            let sorted = sort(&mut work, a.expect("fits"), b.expect("fits"), count, bits).expect("it runs");
+            let mut wanted = items;
+            wanted.sort_by_key(|&i| keys[i as usize]);
+            assert_eq!(work.read::<u32>(&sorted.1, count).expect("it comes back"), wanted, "{count} items");
+        }
+    }
+
+    #[test]
+    fn an_array_that_cannot_be_bound_is_refused_with_its_size() {
+        let test = "an_array_that_cannot_be_bound_is_refused_with_its_size";
+        let Some(engine) = crate::common::engine(test) else { return };
+        let most = engine.adapter().binding as usize;
+        let error = engine.device.work().take::<u8>("the image", most + 16).err().expect("it is too long");
+        let text = error.to_string();
+        assert!(text.contains("the image") && text.contains(&(most + 16).to_string()), "{text}");
+        assert!(text.contains(&most.to_string()) && text.contains(&engine.adapter().name), "{text}");
+    }
+}

@@ -1,0 +1,66 @@
+//! The accelerator engine: the kernels of `shaders/` behind [`segwild_raster::Engine`], through wgpu (Vulkan, Metal,
+//! Direct3D 12).
+//!
+//! Each kernel bears the name of its twin in the CPU engine (`services/raster/src/cpu/`) and is tested against it.
+//! What one view needs stays on the device from `project` to `backward`; channels go up, and images and gradients
+//! come back, at the trait's boundary. Colours from spherical harmonics are computed on the host, by the CPU
+//! engine's own code: they are cheap, and the trait wants them there.
+
+#[cfg(test)]
+extern crate self as segwild_gpu;
+
+mod adapter;
+#[cfg(test)]
+#[path = "../tests/common/mod.rs"]
+mod common;
+mod device;
+mod engine;
+mod shaders;
+mod view;
+
+pub use adapter::{Adapter, Choice, adapters};
+pub use engine::GpuEngine;
+pub use shaders::{KERNELS, Kernel, source};
+
+/// Why the accelerator engine refused, or stopped.
+#[derive(Debug, Clone, thiserror::Error)]
+pub enum GpuError {
+    /// There is no adapter, or none that was asked for.
+    #[error("{0}")]
+    NoAdapter(String),
+    /// The adapter cannot do what every kernel needs.
+    #[error("{adapter}: {what} is {offered} where the kernels need {needed}")]
+    TooSmall {
+        /// Its name.
+        adapter: String,
+        /// Which limit.
+        what: &'static str,
+        /// What the adapter offers.
+        offered: u64,
+        /// What is needed.
+        needed: u64,
+    },
+    /// One array of this view does not fit.
+    #[error(
+        "{what} would take {bytes} bytes where {adapter} binds at most {limit} at once: draw smaller frames, fewer \
+         splats or fewer channels, or use --engine cpu"
+    )]
+    TooLarge {
+        /// Its name.
+        adapter: String,
+        /// What the array holds.
+        what: &'static str,
+        /// How long it would be.
+        bytes: u64,
+        /// How long it may be.
+        limit: u64,
+    },
+    /// The device failed: lost, out of memory, or a kernel that its driver does not compile.
+    #[error("the accelerator {adapter} failed: {why}")]
+    Failed {
+        /// Its name.
+        adapter: String,
+        /// What the driver said.
+        why: String,
+    },
+}

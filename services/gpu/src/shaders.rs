@@ -1,0 +1,82 @@
+//! The kernels' sources: files of `shaders/`, carried by the program, with their imports put in.
+
+use segwild_raster::{ALPHA_MAX, ALPHA_MIN, LOG2_ALPHA_MIN, SLACK, T_MIN};
+
+/// A kernel: a file of `shaders/`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Kernel {
+    /// Name of the file.
+    pub name: &'static str,
+    /// Name of the function in it.
+    pub entry: &'static str,
+    /// The numbers of vec4 of channels it is built for: one program each.
+    pub blocks: &'static [u32],
+    text: &'static str,
+}
+
+macro_rules! kernels {
+    ($($constant:ident = $name:literal . $entry:literal, $blocks:expr;)*) => {
+        $(
+            #[doc = concat!("`shaders/", $name, ".wgsl`.")]
+            pub(crate) const $constant: Kernel = Kernel {
+                name: $name,
+                entry: $entry,
+                blocks: &$blocks,
+                text: include_str!(concat!("../../../shaders/", $name, ".wgsl")),
+            };
+        )*
+        /// All kernels.
+        pub const KERNELS: &[Kernel] = &[$($constant),*];
+    };
+}
+
+kernels! {
+    PROJECT = "project"."project", [1];
+    HISTOGRAM = "histogram"."histogram", [1];
+    SCAN = "scan"."scan", [1];
+    SCAN_ADD = "scan_add"."scan_add", [1];
+    SCATTER = "scatter"."scatter", [1];
+    ORDER = "order"."order", [1];
+    EMIT = "emit"."emit", [1];
+    RANGES = "ranges"."ranges", [1];
+    BUCKET_COUNT = "bucket_count"."bucket_count", [1];
+    BUCKETS = "buckets"."buckets_of", [1];
+    BLEND = "blend"."blend", [1, 4];
+    GATHER = "gather"."gather", [1, 2];
+    SUM_SLOTS = "sum_slots"."sum_slots", [1];
+    FRONT = "front"."front", [0, 1, 2];
+    BACKWARD = "backward"."backward", [0, 1, 2];
+    UNPROJECT = "unproject"."unproject", [1];
+}
+
+/// What `#import name` stands for.
+const SHARED: &[(&str, &str)] = &[
+    ("common", include_str!("../../../shaders/shared/common.wgsl")),
+    ("view", include_str!("../../../shaders/shared/view.wgsl")),
+    ("footprint", include_str!("../../../shaders/shared/footprint.wgsl")),
+    ("cover", include_str!("../../../shaders/shared/cover.wgsl")),
+    ("path", include_str!("../../../shaders/shared/path.wgsl")),
+    ("lean", include_str!("../../../shaders/shared/lean.wgsl")),
+];
+
+/// The whole text of a kernel for so many vec4 of channels: the CPU engine's cut-offs, then the file with its imports.
+///
+/// # Panics
+/// If the file imports what is not in `shaders/shared/`; a test builds every kernel.
+pub fn source(kernel: &Kernel, blocks: u32) -> String {
+    let mut text = format!(
+        "const ALPHA_MIN: f32 = {ALPHA_MIN:e}f;\nconst ALPHA_MAX: f32 = {ALPHA_MAX:e}f;\n\
+         const T_MIN: f32 = {T_MIN:e}f;\nconst LOG2_ALPHA_MIN: f32 = {LOG2_ALPHA_MIN:e}f;\n\
+         const SLACK: f32 = {SLACK:e}f;\nconst BLOCKS: u32 = {blocks}u;\n"
+    );
+    for line in kernel.text.lines() {
+        let Some(name) = line.strip_prefix("#import ") else {
+            text.push_str(line);
+            text.push('\n');
+            continue;
+        };
+        let part = SHARED.iter().find(|(known, _)| *known == name.trim());
+        text.push_str(part.unwrap_or_else(|| panic!("{}.wgsl imports {name}", kernel.name)).1);
+    }
+    text
+}

@@ -1,0 +1,324 @@
+//! Splats as one view sees them: blending, gathering and gradients.
+//!
+//! Channels travel in blocks of whole vec4: `[splat][block]` and `[pixel][block]`, filled up with zeros.
+
+use crate::GpuError;
+use crate::device::{Device, Lent, Work, lock};
+use crate::engine::Binned;
+use crate::shaders::{BACKWARD, BLEND, FRONT, GATHER, SUM_SLOTS, UNPROJECT};
+use glam::Vec3;
+use rayon::prelude::*;
+use segwild_raster::{Channels, Frame, FrameGrad, Projected, SplatGrads, shade, shade_backward};
+use segwild_scene::{Image, Splats};
+use std::sync::Mutex;
+
+/// Pixels of a tile.
+const PIXELS: usize = 256;
+/// Most vec4 that `front` and `backward` hold near; more are read from memory as they come.
+const NEAR: usize = 2;
+/// Items that one task packs.
+const CHUNK: usize = 1 << 14;
+
+/// Splats as one view sees them, on the device.
+pub(crate) struct GpuView<'a> {
+    device: &'a Device,
+    splats: &'a Splats,
+    eye: Vec3,
+    width: usize,
+    height: usize,
+    depths: Vec<f32>,
+    radii: Vec<f32>,
+    centres: Vec<[f32; 2]>,
+    on: Binned,
+    /// Light per pixel at the start of each bucket, once something was blended.
+    lights: Mutex<Option<Lent>>,
+}
+
+/// What the kernels leave per splat, `unproject.wgsl`'s four vec4.
+type Grads = [[f32; 4]; 4];
+
+impl<'a> GpuView<'a> {
+    pub fn new(
+        device: &'a Device,
+        splats: &'a Splats,
+        eye: Vec3,
+        [width, height]: [usize; 2],
+        on: Binned,
+        seen: &[[f32; 4]],
+    ) -> GpuView<'a> {
+        GpuView {
+            device,
+            splats,
+            eye,
+            width,
+            height,
+            depths: seen.iter().map(|s| s[0]).collect(),
+            radii: seen.iter().map(|s| s[1]).collect(),
+            centres: seen.iter().map(|s| [s[2], s[3]]).collect(),
+            on,
+            lights: Mutex::new(None),
+        }
+    }
+
+    fn pixels(&self) -> usize {
+        self.width * self.height
+    }
+
+    /// The trait has no way to fail past `project`. A panic with the reason ends the actor's step, which its
+    /// supervisor tells and the run's ledger outlives.
+    fn or_stop<T>(result: Result<T, GpuError>) -> T {
+        result.unwrap_or_else(|error| panic!("{error}"))
+    }
+
+    fn assert_image(&self, image: &Image, channels: usize, what: &str) {
+        let size = (image.width, image.height, image.channels);
+        assert_eq!(size, (self.width, self.height, channels), "{what}: width, height, channels");
+        assert_eq!(image.data.len(), self.pixels() * channels, "{what}: numbers");
+    }
+
+    /// One run of `blend`; `values` are the channels' or, where only the light is wanted, anything.
+    fn blend_block(
+        &self,
+        work: &mut Work,
+        blocks: usize,
+        values: &Lent,
+        first: bool,
+        alpha: &Lent,
+        lights: &Lent,
+    ) -> Result<Lent, GpuError> {
+        let image = work.take::<[f32; 4]>("the image", self.pixels() * blocks)?;
+        let on = &self.on;
+        work.run(
+            &BLEND,
+            blocks as u32,
+            [u32::from(first), 0, 0, 0],
+            &[&on.view, &on.footprints, &on.entries, &on.tiles, values, &image, alpha, lights],
+            on.tile_count,
+        );
+        Ok(image)
+    }
+
+    fn take_lights(&self, work: &mut Work) -> Result<Lent, GpuError> {
+        work.take::<f32>("the light at the buckets", self.on.bucket_bound * PIXELS)
+    }
+
+    fn try_blend(&self, channels: &Channels) -> Result<Frame, GpuError> {
+        let Channels { count, values } = *channels;
+        let (n, pixels) = (self.splats.len(), self.pixels());
+        let mut image = Image::zeros(self.width, self.height, count);
+        let mut work = self.device.work();
+        let alpha = work.take::<f32>("alpha", pixels)?;
+        let lights = self.take_lights(&mut work)?;
+        let blocks = if count <= 4 { 1 } else { 4 };
+        let mut first = 0;
+        loop {
+            let packed = pack_splats(values, n, count, first, blocks, false);
+            let up = work.upload("the splats' channels", &packed)?;
+            let drawn = self.blend_block(&mut work, blocks, &up, first == 0, &alpha, &lights)?;
+            if count > 0 {
+                let drawn: Vec<f32> = work.read(&drawn, pixels * blocks * 4)?;
+                unpack_image(&drawn, blocks * 4, first, &mut image);
+            }
+            first += blocks * 4;
+            if first >= count {
+                break;
+            }
+        }
+        let alpha = Image { data: work.read(&alpha, pixels)?, ..Image::zeros(self.width, self.height, 1) };
+        drop(work);
+        *lock(&self.lights) = Some(lights);
+        Ok(Frame { image, alpha })
+    }
+
+    /// Runs with the light at the buckets, which the last blend left or a blend of nothing makes.
+    fn with_lights<T>(
+        &self,
+        work: &mut Work,
+        run: impl FnOnce(&mut Work, &Lent) -> Result<T, GpuError>,
+    ) -> Result<T, GpuError> {
+        let mut held = lock(&self.lights);
+        if held.is_none() {
+            let values = work.take::<[f32; 4]>("the splats' channels", self.splats.len())?;
+            let alpha = work.take::<f32>("alpha", self.pixels())?;
+            let lights = self.take_lights(work)?;
+            self.blend_block(work, 1, &values, true, &alpha, &lights)?;
+            *held = Some(lights);
+        }
+        run(work, held.as_ref().expect("it was made above"))
+    }
+
+    fn try_gather(&self, work: &mut Work, image: &Image) -> Result<Vec<f32>, GpuError> {
+        let (n, count, on) = (self.splats.len(), image.channels, &self.on);
+        let mut out = vec![0.0; n * count];
+        if out.is_empty() || on.pairs == 0 {
+            return Ok(out);
+        }
+        let blocks = if count <= 4 { 1 } else { 2 };
+        self.with_lights(work, |work, lights| {
+            for first in (0..count).step_by(blocks * 4) {
+                let up = work.upload("the image", &pack_image(image, first, blocks, None))?;
+                let slots = work.take::<[f32; 4]>("the sums per splat and tile", on.pairs * blocks)?;
+                // Pairs that belong to no tile write nothing.
+                work.clear(&slots);
+                work.run(
+                    &GATHER,
+                    blocks as u32,
+                    [on.bucket_bound as u32, 0, 0, 0],
+                    &[&on.view, &on.footprints, &on.entries, &on.buckets, &up, lights, &slots],
+                    on.bucket_bound,
+                );
+                let sums = work.take::<[f32; 4]>("the sums per splat", n * blocks)?;
+                let job = [n as u32, blocks as u32, 0, 0];
+                work.run(&SUM_SLOTS, 1, job, &[&on.slots, &slots, &sums], (n * blocks).div_ceil(256));
+                let sums: Vec<f32> = work.read(&sums, n * blocks * 4)?;
+                let many = (count - first).min(blocks * 4);
+                out.par_chunks_mut(count).zip(sums.par_chunks(blocks * 4)).for_each(|(out, sums)| {
+                    out[first..first + many].copy_from_slice(&sums[..many]);
+                });
+            }
+            Ok(())
+        })?;
+        Ok(out)
+    }
+
+    fn try_backward(&self, channels: &Channels, grad: &FrameGrad) -> Result<SplatGrads, GpuError> {
+        let Channels { count, values } = *channels;
+        let (n, on) = (self.splats.len(), &self.on);
+        let mut work = self.device.work();
+        let work = &mut work;
+        let by_value = self.try_gather(work, grad.image)?;
+        let grads = if on.pairs == 0 {
+            vec![Grads::default(); n]
+        } else {
+            self.try_geometry(work, count, values, grad)?
+        };
+        Ok(SplatGrads {
+            means: grads.iter().map(|g| [g[0][0], g[0][1], g[0][2]]).collect(),
+            opacities: grads.iter().map(|g| g[0][3]).collect(),
+            log_scales: grads.iter().map(|g| [g[1][0], g[1][1], g[1][2]]).collect(),
+            screen: grads.iter().map(|g| g[1][3]).collect(),
+            rotations: grads.iter().map(|g| g[2]).collect(),
+            screen_abs: grads.iter().map(|g| g[3][0]).collect(),
+            values: by_value,
+        })
+    }
+
+    fn try_geometry(
+        &self,
+        work: &mut Work,
+        count: usize,
+        values: &[f32],
+        grad: &FrameGrad,
+    ) -> Result<Vec<Grads>, GpuError> {
+        let (n, on) = (self.splats.len(), &self.on);
+        // Alpha is one more channel, of value 1.
+        let blocks = (count + usize::from(grad.alpha.is_some())).max(1).div_ceil(4);
+        let built = if blocks <= NEAR { blocks as u32 } else { 0 };
+        let packed = pack_splats(values, n, count, 0, blocks, grad.alpha.is_some());
+        let values = work.upload("the splats' channels", &packed)?;
+        let grads = work.upload("the image's gradients", &pack_image(grad.image, 0, blocks, grad.alpha))?;
+        let states = work.take::<[f32; 2]>("the state at the buckets", on.bucket_bound * PIXELS)?;
+        let totals = work.take::<f32>("the pixels' totals", on.tile_count * PIXELS)?;
+        let job = [blocks as u32, on.bucket_bound as u32, 0, 0];
+        work.run(
+            &FRONT,
+            built,
+            job,
+            &[&on.view, &on.footprints, &on.entries, &on.tiles, &values, &grads, &states, &totals],
+            on.tile_count,
+        );
+        let moments = work.take::<[f32; 8]>("the moments per splat and tile", on.pairs)?;
+        work.clear(&moments);
+        let reads =
+            [&on.view, &on.footprints, &on.entries, &on.buckets, &values, &grads, &states, &totals, &moments];
+        work.run(&BACKWARD, built, job, &reads, on.bucket_bound);
+        let out = work.take::<Grads>("the gradients", n)?;
+        let job = [n as u32, 0, 0, 0];
+        let reads = [&on.view, &on.means, &on.log_scales, &on.rotations, &on.slots, &moments, &out];
+        work.run(&UNPROJECT, 1, job, &reads, n.div_ceil(64));
+        work.read(&out, n)
+    }
+}
+
+impl Projected for GpuView<'_> {
+    fn depths(&self) -> &[f32] {
+        &self.depths
+    }
+
+    fn radii(&self) -> &[f32] {
+        &self.radii
+    }
+
+    fn centres(&self) -> &[[f32; 2]] {
+        &self.centres
+    }
+
+    fn shade(&self) -> Vec<f32> {
+        shade(self.splats, self.eye, &self.radii)
+    }
+
+    fn blend(&self, channels: &Channels) -> Frame {
+        assert_eq!(channels.values.len(), self.splats.len() * channels.count, "channels: values");
+        Self::or_stop(self.try_blend(channels))
+    }
+
+    fn gather(&self, image: &Image) -> Vec<f32> {
+        self.assert_image(image, image.channels, "gather");
+        Self::or_stop(self.try_gather(&mut self.device.work(), image))
+    }
+
+    fn backward(&self, channels: &Channels, frame: &Frame, grad: &FrameGrad) -> SplatGrads {
+        assert_eq!(channels.values.len(), self.splats.len() * channels.count, "channels: values");
+        self.assert_image(&frame.image, channels.count, "frame");
+        self.assert_image(grad.image, channels.count, "gradient");
+        if let Some(alpha) = grad.alpha {
+            self.assert_image(alpha, 1, "gradient of alpha");
+        }
+        Self::or_stop(self.try_backward(channels, grad))
+    }
+
+    fn shade_backward(&self, colours: &[f32], grads: &mut SplatGrads) -> Vec<f32> {
+        shade_backward(self.splats, self.eye, &self.radii, colours, grads)
+    }
+}
+
+/// Channels `first..first + 4 blocks` of every splat; with `one`, a channel of value 1 follows the last.
+fn pack_splats(values: &[f32], n: usize, count: usize, first: usize, blocks: usize, one: bool) -> Vec<f32> {
+    let wide = blocks * 4;
+    let mut out = vec![0.0; n * wide];
+    let many = count.saturating_sub(first).min(wide);
+    out.par_chunks_mut(wide).with_min_len(CHUNK / wide).enumerate().for_each(|(i, out)| {
+        out[..many].copy_from_slice(&values[i * count + first..i * count + first + many]);
+        if one {
+            out[many] = 1.0;
+        }
+    });
+    out
+}
+
+/// Planes `first..first + 4 blocks` of an image, pixel by pixel; `alpha` is the plane after the last.
+fn pack_image(image: &Image, first: usize, blocks: usize, alpha: Option<&Image>) -> Vec<f32> {
+    let (pixels, wide) = (image.width * image.height, blocks * 4);
+    let mut planes: Vec<&[f32]> =
+        image.data.chunks_exact(pixels).skip(first).take((image.channels - first).min(wide)).collect();
+    planes.extend(alpha.map(|alpha| alpha.data.as_slice()));
+    let mut out = vec![0.0; pixels * wide];
+    out.par_chunks_mut(CHUNK * wide).enumerate().for_each(|(chunk, out)| {
+        for (c, plane) in planes.iter().enumerate() {
+            for (out, &x) in out[c..].iter_mut().step_by(wide).zip(&plane[chunk * CHUNK..]) {
+                *out = x;
+            }
+        }
+    });
+    out
+}
+
+/// Puts `wide` numbers per pixel into the planes from `first` on, as many as there are.
+fn unpack_image(packed: &[f32], wide: usize, first: usize, image: &mut Image) {
+    let pixels = image.width * image.height;
+    image.data.par_chunks_mut(pixels).skip(first).take(wide).enumerate().for_each(|(c, plane)| {
+        for (x, &from) in plane.iter_mut().zip(packed[c..].iter().step_by(wide)) {
+            *x = from;
+        }
+    });
+}

@@ -1,0 +1,72 @@
+//! An accelerator for tests, and scenes.
+#![allow(dead_code)]
+
+use glam::Vec3;
+use segwild_gpu::{Choice, GpuEngine, adapters};
+use segwild_scene::{Camera, Image, Pose, Random, Splats};
+use std::sync::OnceLock;
+
+/// The engine that the tests of this process share: on the adapter that `SEGWILD_GPU_ADAPTER` names, else on the best
+/// one, software included. Without any it says that `test` is skipped; with `SEGWILD_GPU_TESTS=require` it fails.
+pub fn engine(test: &str) -> Option<&'static GpuEngine> {
+    static ENGINE: OnceLock<Option<GpuEngine>> = OnceLock::new();
+    let engine = ENGINE.get_or_init(|| {
+        let name = std::env::var("SEGWILD_GPU_ADAPTER").ok();
+        let name = name.or_else(|| adapters().first().map(|adapter| adapter.name.clone()))?;
+        Some(GpuEngine::new(&Choice::Named(name)).expect("an adapter that is listed can be opened"))
+    });
+    match engine {
+        Some(engine) => println!("{test}: on {}", engine.adapter().name),
+        None => {
+            let required = std::env::var("SEGWILD_GPU_TESTS").is_ok_and(|v| v == "require");
+            assert!(
+                !required,
+                "{test}: no Vulkan, Metal or Direct3D 12 adapter, and SEGWILD_GPU_TESTS=require"
+            );
+            println!(
+                "skipped: {test}: no Vulkan, Metal or Direct3D 12 adapter (mesa-vulkan-drivers has one)"
+            );
+        }
+    }
+    engine.as_ref()
+}
+
+pub fn uniform(random: &mut Random, from: f32, to: f32) -> f32 {
+    from + (to - from) * random.uniform()
+}
+
+pub fn many(random: &mut Random, count: usize, from: f32, to: f32) -> Vec<f32> {
+    (0..count).map(|_| uniform(random, from, to)).collect()
+}
+
+pub fn image(seed: u64, width: usize, height: usize, channels: usize) -> Image {
+    Image {
+        width,
+        height,
+        channels,
+        data: many(&mut Random::new(seed), width * height * channels, -1.0, 1.0),
+    }
+}
+
+/// A camera whose principal point is off the middle, and a pose that looks at the origin from the side.
+pub fn view(width: u32, height: u32) -> (Camera, Pose) {
+    let (w, h) = (width as f32, height as f32);
+    let camera = Camera { width, height, fx: 1.1 * w, fy: 1.05 * w, cx: 0.47 * w, cy: 0.52 * h };
+    (camera, Pose::look_at(Vec3::new(0.3, -0.4, -1.6), Vec3::new(0.02, 0.01, 0.0), Vec3::new(0.1, -1.0, 0.0)))
+}
+
+/// `count` splats in a ball in front of [`view`], some beyond its edges, with scales of `sizes`.
+pub fn splats(seed: u64, count: usize, sizes: (f32, f32)) -> Splats {
+    let random = &mut Random::new(seed);
+    fn vector<const N: usize>(random: &mut Random, from: f32, to: f32) -> [f32; N] {
+        std::array::from_fn(|_| uniform(random, from, to))
+    }
+    Splats {
+        means: (0..count).map(|_| vector(random, -0.7, 0.7)).collect(),
+        log_scales: (0..count).map(|_| vector(random, sizes.0.ln(), sizes.1.ln())).collect(),
+        rotations: (0..count).map(|_| vector(random, -1.0, 1.0)).collect(),
+        opacities: many(random, count, -3.0, 4.0),
+        sh_degree: 1,
+        sh: many(random, count * 12, -0.5, 0.5),
+    }
+}

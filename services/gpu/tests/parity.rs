@@ -1,0 +1,344 @@
+//! Each kernel against its twin in the CPU engine, on the same splats.
+//!
+//! Numbers agree tightly, except where a splat stands at a cut-off (alpha 1/255, light 1e-4, alpha 0.999): there the
+//! engines may decide otherwise, and a small share of numbers may differ by what one splat at a cut-off is worth.
+//!
+//! Not compared: centres of splats behind the camera, which mean nothing.
+
+mod common;
+
+use common::{engine, image, many, splats, view};
+use segwild_gpu::{Choice, GpuEngine};
+use segwild_raster::{Channels, CpuEngine, Engine, Frame, FrameGrad, ProjectOptions, Projected, SplatGrads};
+use segwild_scene::{Camera, Pose, Random, Splats};
+
+/// How far numbers may lie apart, in units of their size plus the array's root mean square.
+struct Tolerance {
+    /// For all but a share.
+    tight: f32,
+    /// That share.
+    flips: f32,
+    /// For all.
+    loose: f32,
+}
+
+const BLENDED: Tolerance = Tolerance { tight: 5e-5, flips: 0.01, loose: 0.02 };
+const GRADIENTS: Tolerance = Tolerance { tight: 5e-4, flips: 0.01, loose: 0.1 };
+
+fn compare(what: &str, got: &[f32], wanted: &[f32], allowed: &Tolerance) {
+    assert_eq!(got.len(), wanted.len(), "{what}: length");
+    let rms = (wanted.iter().map(|w| f64::from(*w).powi(2)).sum::<f64>() / wanted.len().max(1) as f64).sqrt();
+    let (mut flips, mut worst) = (0, (0.0, 0));
+    for (i, (&g, &w)) in got.iter().zip(wanted).enumerate() {
+        assert!(g.is_finite(), "{what}: number {i} is {g} where {w} is right");
+        let error = (g - w).abs() / (w.abs() + rms as f32 + 1e-20);
+        flips += usize::from(error > allowed.tight);
+        if error > worst.0 {
+            worst = (error, i);
+        }
+    }
+    let (error, i) = worst;
+    assert!(error <= allowed.loose, "{what}: number {i} is {} where {} is right", got[i], wanted[i]);
+    let most = (allowed.flips * wanted.len() as f32).ceil() as usize;
+    assert!(flips <= most, "{what}: {flips} of {} are off, the worst by {error}", wanted.len());
+}
+
+/// Both engines' projections of one view.
+struct Both<'a> {
+    name: String,
+    cpu: Box<dyn Projected + 'a>,
+    gpu: Box<dyn Projected + 'a>,
+    count: usize,
+    size: (usize, usize),
+}
+
+impl<'a> Both<'a> {
+    fn new(
+        name: &str,
+        cpu: &'a CpuEngine,
+        gpu: &'a GpuEngine,
+        splats: &'a Splats,
+        (camera, pose): &(Camera, Pose),
+        options: &ProjectOptions,
+    ) -> Both<'a> {
+        Both {
+            name: name.to_owned(),
+            cpu: cpu.project(splats, camera, pose, options).expect("the CPU engine draws it"),
+            gpu: gpu.project(splats, camera, pose, options).expect("the accelerator draws it"),
+            count: splats.len(),
+            size: (camera.width as usize, camera.height as usize),
+        }
+    }
+
+    fn project(&self) {
+        let name = &self.name;
+        let (a, b) = (self.gpu.radii(), self.cpu.radii());
+        let other = (0..self.count).filter(|&i| (a[i] > 0.0) != (b[i] > 0.0)).collect::<Vec<_>>();
+        assert!(other.len() * 100 <= self.count, "{name}: culled by one engine only: {other:?}");
+        let seen: Vec<usize> = (0..self.count).filter(|&i| a[i] > 0.0 && b[i] > 0.0).collect();
+        let exact = Tolerance { tight: 1e-4, flips: 0.0, loose: 1e-4 };
+        let of = |values: &[f32]| seen.iter().map(|&i| values[i]).collect::<Vec<_>>();
+        compare(&format!("{name}: radii"), &of(a), &of(b), &exact);
+        compare(&format!("{name}: depths"), &of(self.gpu.depths()), &of(self.cpu.depths()), &exact);
+        let centres = |c: &[[f32; 2]]| seen.iter().flat_map(|&i| c[i]).collect::<Vec<_>>();
+        compare(
+            &format!("{name}: centres"),
+            &centres(self.gpu.centres()),
+            &centres(self.cpu.centres()),
+            &exact,
+        );
+    }
+
+    fn blend(&self, channels: &Channels) -> (Frame, Frame) {
+        let (name, c) = (&self.name, channels.count);
+        let (a, b) = (self.gpu.blend(channels), self.cpu.blend(channels));
+        compare(&format!("{name}: blend of {c} channels"), &a.image.data, &b.image.data, &BLENDED);
+        compare(&format!("{name}: alpha of {c} channels"), &a.alpha.data, &b.alpha.data, &BLENDED);
+        (a, b)
+    }
+
+    fn gather(&self, channels: usize) {
+        let target = image(77, self.size.0, self.size.1, channels);
+        let what = format!("{}: gather of {channels} channels", self.name);
+        compare(&what, &self.gpu.gather(&target), &self.cpu.gather(&target), &GRADIENTS);
+    }
+
+    fn backward(&self, channels: &Channels, frames: &(Frame, Frame), with_alpha: bool) {
+        let (w, h) = self.size;
+        let grad = image(78, w, h, channels.count);
+        let alpha = image(79, w, h, 1);
+        let grad = FrameGrad { image: &grad, alpha: with_alpha.then_some(&alpha) };
+        let a = self.gpu.backward(channels, &frames.0, &grad);
+        let b = self.cpu.backward(channels, &frames.1, &grad);
+        for ((what, got), (_, wanted)) in arrays(&a).into_iter().zip(arrays(&b)) {
+            let what = format!("{}: backward of {} channels, {what}", self.name, channels.count);
+            compare(&what, got, wanted, &GRADIENTS);
+        }
+    }
+
+    /// All kernels for one number of channels.
+    fn all(&self, channels: usize) {
+        self.project();
+        let values = many(&mut Random::new(5), self.count * channels, -1.0, 1.0);
+        let channels = Channels { count: channels, values: &values };
+        let frames = self.blend(&channels);
+        self.gather(channels.count);
+        self.backward(&channels, &frames, true);
+    }
+}
+
+fn arrays(g: &SplatGrads) -> [(&'static str, &[f32]); 7] {
+    [
+        ("means", g.means.as_flattened()),
+        ("log scales", g.log_scales.as_flattened()),
+        ("rotations", g.rotations.as_flattened()),
+        ("opacities", &g.opacities),
+        ("values", &g.values),
+        ("screen", &g.screen),
+        ("screen_abs", &g.screen_abs),
+    ]
+}
+
+#[test]
+fn random_splats_for_many_channel_counts() {
+    let Some(gpu) = engine("random_splats_for_many_channel_counts") else { return };
+    let cpu = CpuEngine::new();
+    let scene = splats(1, 300, (0.01, 0.15));
+    let (view, options) = (view(70, 52), ProjectOptions::default());
+    for channels in [1, 3, 5, 16, 64] {
+        Both::new("random", &cpu, gpu, &scene, &view, &options).all(channels);
+    }
+}
+
+#[test]
+fn gather_needs_no_blend_before_it() {
+    let Some(gpu) = engine("gather_needs_no_blend_before_it") else { return };
+    let cpu = CpuEngine::new();
+    let scene = splats(2, 200, (0.02, 0.1));
+    let both = Both::new("gather first", &cpu, gpu, &scene, &view(40, 40), &ProjectOptions::default());
+    both.gather(3);
+    let none = Channels { count: 0, values: &[] };
+    let frames = both.blend(&none);
+    both.gather(1);
+    both.backward(&none, &frames, true);
+    both.backward(&none, &frames, false);
+}
+
+#[test]
+fn antialiasing_and_a_low_pass_of_nothing() {
+    let Some(gpu) = engine("antialiasing_and_a_low_pass_of_nothing") else { return };
+    let cpu = CpuEngine::new();
+    let scene = splats(3, 200, (0.01, 0.1));
+    for options in [
+        ProjectOptions { antialias: true, ..ProjectOptions::default() },
+        ProjectOptions { low_pass: 0.0, ..ProjectOptions::default() },
+        ProjectOptions { near: 1.5, ..ProjectOptions::default() },
+    ] {
+        Both::new(&format!("{options:?}"), &cpu, gpu, &scene, &view(50, 34), &options).all(3);
+    }
+}
+
+#[test]
+fn adversarial_splats() {
+    let Some(gpu) = engine("adversarial_splats") else { return };
+    let cpu = CpuEngine::new();
+    let touched = |touch: &dyn Fn(usize, &mut Splats)| {
+        let mut scene = splats(4, 120, (0.01, 0.1));
+        for i in 0..scene.len() {
+            touch(i, &mut scene);
+        }
+        scene
+    };
+    let cases: [(&str, Splats); 8] = [
+        (
+            "screen-wide",
+            touched(&|i, s| {
+                if i % 4 == 0 {
+                    s.log_scales[i] = [1.5; 3]
+                }
+            }),
+        ),
+        ("one pixel", touched(&|i, s| s.log_scales[i] = [-9.0, -8.0, -9.5])),
+        ("needles", touched(&|i, s| s.log_scales[i] = [-0.5, -7.0, -7.0])),
+        (
+            "mostly off screen",
+            touched(&|i, s| {
+                if i % 3 > 0 {
+                    s.means[i][0] += 3.0
+                }
+            }),
+        ),
+        ("all off screen", touched(&|i, s| s.means[i][1] += 30.0)),
+        ("identical depths", touched(&|i, s| s.means[i] = s.means[i % 3])),
+        ("opaque", touched(&|i, s| s.opacities[i] = 12.0)),
+        ("hardly there", touched(&|i, s| s.opacities[i] = if i % 2 == 0 { -5.2 } else { -5.6 })),
+    ];
+    for (name, scene) in &cases {
+        Both::new(name, &cpu, gpu, scene, &view(66, 50), &ProjectOptions::default()).all(3);
+    }
+}
+
+#[test]
+fn thousands_of_splats_on_one_pixel() {
+    let Some(gpu) = engine("thousands_of_splats_on_one_pixel") else { return };
+    let cpu = CpuEngine::new();
+    let mut scene = splats(6, 3000, (0.005, 0.02));
+    for i in 0..scene.len() {
+        scene.means[i] = scene.means[i].map(|x| x * 0.01);
+        // Weak enough that light is left behind a thousand of them.
+        scene.opacities[i] = -4.8;
+    }
+    Both::new("thousands", &cpu, gpu, &scene, &view(36, 20), &ProjectOptions::default()).all(3);
+}
+
+#[test]
+fn no_splats_and_one() {
+    let Some(gpu) = engine("no_splats_and_one") else { return };
+    let cpu = CpuEngine::new();
+    for count in [0, 1] {
+        let scene = splats(7, count, (0.1, 0.2));
+        let name = format!("{count} splats");
+        Both::new(&name, &cpu, gpu, &scene, &view(17, 1), &ProjectOptions::default()).all(3);
+    }
+}
+
+#[test]
+fn the_same_view_twice_gives_the_same_bytes() {
+    let Some(gpu) = engine("the_same_view_twice_gives_the_same_bytes") else { return };
+    let scene = splats(8, 300, (0.02, 0.2));
+    let (camera, pose) = view(64, 48);
+    let run = || {
+        let projected = gpu.project(&scene, &camera, &pose, &ProjectOptions::default()).expect("drawn");
+        let values = projected.shade();
+        let channels = Channels { count: 3, values: &values };
+        let frame = projected.blend(&channels);
+        let (grad, alpha) = (image(9, 64, 48, 3), image(10, 64, 48, 1));
+        let grads = projected.backward(&channels, &frame, &FrameGrad { image: &grad, alpha: Some(&alpha) });
+        (frame, grads)
+    };
+    assert_eq!(run(), run());
+}
+
+#[test]
+fn poison_is_culled_or_harmless() {
+    let Some(gpu) = engine("poison_is_culled_or_harmless") else { return };
+    let cpu = CpuEngine::new();
+    let mut good = splats(11, 12, (0.02, 0.2));
+    good.means[0] = [0.02, 0.01, 0.0];
+    let numbers = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, f32::MIN, 1e30, -1e30];
+    let mut cases: Vec<(String, Splats)> = Vec::new();
+    let mut with = |name: String, touch: &dyn Fn(&mut Splats)| {
+        let mut scene = good.clone();
+        touch(&mut scene);
+        cases.push((name, scene));
+    };
+    for bad in numbers {
+        with(format!("mean {bad}"), &|s| s.means[0][1] = bad);
+        with(format!("depth {bad}"), &|s| s.means[0][2] = bad);
+        with(format!("log scale {bad}"), &|s| s.log_scales[0][2] = bad);
+        with(format!("log scales {bad}"), &|s| s.log_scales[0] = [bad; 3]);
+        with(format!("rotation {bad}"), &|s| s.rotations[0][3] = bad);
+        with(format!("opacity {bad}"), &|s| s.opacities[0] = bad);
+    }
+    with("zero quaternion".into(), &|s| s.rotations[0] = [0.0; 4]);
+    with("no extent".into(), &|s| s.log_scales[0] = [-100.0; 3]);
+    with("wide".into(), &|s| s.log_scales[0] = [2e4f32.ln(); 3]);
+    let view = view(48, 36);
+    for (name, scene) in &cases {
+        let both = Both::new(name, &cpu, gpu, scene, &view, &ProjectOptions::default());
+        let culled = |view: &dyn Projected| view.radii().iter().map(|&r| r == 0.0).collect::<Vec<_>>();
+        assert_eq!(culled(&*both.gpu), culled(&*both.cpu), "{name}: culled");
+        both.all(3);
+    }
+}
+
+/// A kernel, a piece of its text, what stands there instead, and the comparison that must see it.
+const FAULTS: &[(&str, &str, &str, &str)] = &[
+    ("project", "0.5 * (p.sxx + p.syy)", "0.6 * (p.sxx + p.syy)", "radii"),
+    ("project", "HALF_LOG2_E / p.syy;", "HALF_LOG2_E / p.sxx;", "blend"),
+    ("histogram", ">> job.y) & 15u", ">> job.y) & 7u", "blend"),
+    ("scan", "plus(before, held[k])", "held[k]", "blend"),
+    ("scan_add", "i / 1024u", "i / 2048u", "blend"),
+    ("scatter", "+ before + rank[k]", "+ before", "blend"),
+    ("order", "counts[sorted[k]]", "counts[sorted[k] ^ 1u]", "blend"),
+    ("emit", "column < columns.y &&", "column + 1u < columns.y &&", "blend"),
+    ("ranges", "1u] = j + 1u", "1u] = j", "blend"),
+    ("bucket_count", "+ BUCKET - 1u", "", "gather"),
+    ("buckets", "min(BUCKET, range.y - entry)", "min(BUCKET - 1u, range.y - entry)", "gather"),
+    ("blend", "min(hit.raw, ALPHA_MAX) * light", "min(hit.raw, 0.9) * light", "blend"),
+    ("blend", "] = light;", "] = 0.9 * light;", "gather"),
+    ("gather", "min(hit.raw, ALPHA_MAX) * t", "min(hit.raw, 0.9) * t", "gather"),
+    ("sum_slots", "k < own.y", "k + 1u < own.y", "gather"),
+    ("front", "passed += weight * lean", "passed += 0.9 * weight * lean", "backward"),
+    ("backward", "let rest = behind[p] - passed;", "let rest = behind[p];", "backward"),
+    ("backward", "abs(x), abs(y)", "x, y", "screen_abs"),
+    ("unproject", "0.5 * a * a", "0.4 * a * a", "backward"),
+    ("unproject", "dot(dq, p.quat)", "0.9 * dot(dq, p.quat)", "rotations"),
+];
+
+#[test]
+fn a_fault_in_any_kernel_is_seen() {
+    let Some(gpu) = engine("a_fault_in_any_kernel_is_seen") else { return };
+    let choice = Choice::Named(gpu.adapter().name.clone());
+    let cpu = CpuEngine::new();
+    // More than a bucket in a tile, and more than a block of the sort.
+    let scene = splats(12, 1500, (0.005, 0.08));
+    let (view, options) = (view(50, 34), ProjectOptions::default());
+    Both::new("without a fault", &cpu, gpu, &scene, &view, &options).all(3);
+    for &(kernel, text, fault, seen_by) in FAULTS {
+        let broken = GpuEngine::with_edit(&choice, move |built, whole| {
+            if built.name != kernel {
+                return whole;
+            }
+            assert!(whole.contains(text), "{kernel}.wgsl no longer holds `{text}`");
+            whole.replace(text, fault)
+        });
+        let broken = broken.expect("the adapter opens again");
+        let words = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+            Both::new(kernel, &cpu, &broken, &scene, &view, &options).all(3);
+        }))
+        .expect_err(&format!("{kernel}: `{fault}` was not seen"));
+        let words = words.downcast_ref::<String>().cloned().unwrap_or_default();
+        assert!(words.contains(seen_by), "{kernel}: `{fault}` was to be seen in {seen_by}, and was: {words}");
+    }
+}

@@ -1,0 +1,84 @@
+//! Which engine computes the splats.
+
+use crate::{RunError, RunSettings};
+use segwild_gpu::{Choice, GpuEngine};
+use segwild_raster::{CpuEngine, Engine};
+use std::sync::Arc;
+
+segwild_scene::choice! {
+    /// What computes the splats.
+    pub enum EngineKind {
+        /// An accelerator that is no program on the CPU, where there is one; else the CPU.
+        Auto = "auto",
+        /// The CPU engine.
+        Cpu = "cpu",
+        /// An accelerator.
+        Gpu = "gpu",
+    }
+}
+
+/// An engine, and why it was taken.
+#[derive(Clone)]
+pub struct Chosen {
+    /// The engine.
+    pub engine: Arc<dyn Engine>,
+    /// What it is and why, in words.
+    pub why: String,
+}
+
+impl Chosen {
+    fn cpu(why: &str) -> Chosen {
+        let engine = CpuEngine::default();
+        let why = format!("the CPU engine ({:?}): {why}", engine.isa());
+        Chosen { engine: Arc::new(engine), why }
+    }
+
+    fn gpu(engine: GpuEngine) -> Chosen {
+        let adapter = engine.adapter();
+        let why = format!("the accelerator {} ({}, {})", adapter.name, adapter.kind, adapter.backend);
+        Chosen { engine: Arc::new(engine), why }
+    }
+}
+
+/// Opens the engine of these settings.
+pub fn choose_engine(settings: &RunSettings) -> Result<Chosen, RunError> {
+    let choice = match settings.adapter.as_str() {
+        "" => Choice::Hardware,
+        name => Choice::Named(name.to_owned()),
+    };
+    match settings.engine {
+        EngineKind::Cpu => Ok(Chosen::cpu("`--engine auto` takes an accelerator, where there is one")),
+        EngineKind::Gpu => Ok(Chosen::gpu(GpuEngine::new(&choice)?)),
+        // An adapter that was named is wanted, not wished for.
+        EngineKind::Auto if !settings.adapter.is_empty() => Ok(Chosen::gpu(GpuEngine::new(&choice)?)),
+        EngineKind::Auto => match GpuEngine::new(&choice) {
+            Ok(engine) => Ok(Chosen::gpu(engine)),
+            Err(reason) => Ok(Chosen::cpu(&reason.to_string())),
+        },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn auto_never_takes_a_software_adapter() {
+        let settings = RunSettings { engine: EngineKind::Auto, ..RunSettings::default() };
+        let chosen = choose_engine(&settings).expect("auto always finds one");
+        let hardware = segwild_gpu::adapters().iter().any(|adapter| !adapter.is_software());
+        assert_eq!(chosen.engine.name(), if hardware { "gpu" } else { "cpu" }, "{}", chosen.why);
+    }
+
+    #[test]
+    fn an_adapter_that_is_not_there_is_refused_with_what_there_is() {
+        for engine in [EngineKind::Auto, EngineKind::Gpu] {
+            let settings =
+                RunSettings { engine, adapter: "no such adapter".into(), ..RunSettings::default() };
+            let error = choose_engine(&settings).map(|chosen| chosen.why).expect_err("there is none");
+            let text = error.to_string();
+            assert!(text.contains("no such adapter") || text.contains("no accelerator was found"), "{text}");
+            assert!(text.contains("--engine cpu"), "{text}");
+        }
+    }
+}

@@ -1,0 +1,103 @@
+// What `backward` begins from at each bucket: the light, and the gradient times what has been passed, per pixel; and
+// the gradient times the whole. The same walk as `blend`, with the dot product of values and gradients as the value.
+#import common
+#import view
+#import footprint
+
+// x: vec4 per splat and per pixel.
+@group(0) @binding(0) var<uniform> job: vec4u;
+@group(0) @binding(1) var<uniform> view: View;
+@group(0) @binding(2) var<storage, read> footprints: array<vec4f>;
+@group(0) @binding(3) var<storage, read> entries: array<vec2u>;
+@group(0) @binding(4) var<storage, read> tiles: array<vec4u>;
+@group(0) @binding(5) var<storage, read> values: array<vec4f>;
+@group(0) @binding(6) var<storage, read> grads: array<vec4f>;
+// Light and front, `[bucket][pixel of the tile]`.
+@group(0) @binding(7) var<storage, read_write> states: array<vec2f>;
+// `[tile][pixel of the tile]`.
+@group(0) @binding(8) var<storage, read_write> totals: array<f32>;
+#import lean
+
+var<workgroup> lit: atomic<u32>;
+var<workgroup> print_p: array<vec4f, BUCKET>;
+var<workgroup> print_q: array<vec4f, BUCKET>;
+var<workgroup> splats: array<u32, BUCKET>;
+var<workgroup> value: array<vec4f, BUCKET * HELD>;
+
+@compute @workgroup_size(256)
+fn front(
+    @builtin(workgroup_id) id: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let tile = group_of(id, groups);
+    if tile >= view.frame.z * view.frame.w {
+        return;
+    }
+    let range = tiles[tile];
+    let at = pixel_of(tile, local, view.frame.z);
+    let inside = at.x < view.frame.x && at.y < view.frame.y;
+    let place = at.y * view.frame.x + at.x;
+    let pixel = vec2f(at) + 0.5;
+    var light = select(0.0, 1.0, inside);
+    var passed = 0.0;
+    var grad: array<vec4f, HELD>;
+    if inside {
+        for (var b = 0u; b < BLOCKS; b += 1u) {
+            grad[b] = grads[place * BLOCKS + b];
+        }
+    }
+
+    var bucket = range.z;
+    var next = range.x;
+    for (; next < range.y; next += BUCKET) {
+        if local == 0u {
+            atomicStore(&lit, 0u);
+        }
+        workgroupBarrier();
+        if light >= T_MIN {
+            atomicStore(&lit, 1u);
+        }
+        let count = min(BUCKET, range.y - next);
+        let k = local % BUCKET;
+        if k < count {
+            let splat = entries[next + k].x;
+            let lane = local / BUCKET;
+            if lane == 0u {
+                splats[k] = splat;
+                print_p[k] = footprints[2u * splat];
+                print_q[k] = footprints[2u * splat + 1u];
+            }
+            if lane < BLOCKS {
+                value[k * HELD + lane] = values[splat * BLOCKS + lane];
+            }
+        }
+        workgroupBarrier();
+        if atomicLoad(&lit) == 0u {
+            break;
+        }
+        states[bucket * PIXELS + local] = vec2f(light, passed);
+        bucket += 1u;
+        for (var i = 0u; i < count && light >= T_MIN; i += 1u) {
+            let hit = touch(footprint(print_p[i], print_q[i]), pixel);
+            if hit.raw >= ALPHA_MIN {
+                let weight = min(hit.raw, ALPHA_MAX) * light;
+                light -= weight;
+                var lean = 0.0;
+                if BLOCKS == 0u {
+                    lean = lean_far(splats[i], place, job.x);
+                }
+                for (var b = 0u; b < BLOCKS; b += 1u) {
+                    lean += dot(value[i * HELD + b], grad[b]);
+                }
+                passed += weight * lean;
+            }
+        }
+        workgroupBarrier();
+    }
+    for (; next < range.y; next += BUCKET) {
+        states[bucket * PIXELS + local] = vec2f(0.0, passed);
+        bucket += 1u;
+    }
+    totals[tile * PIXELS + local] = passed;
+}
