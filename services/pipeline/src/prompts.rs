@@ -133,12 +133,19 @@ mod tests {
         use segwild_scene::PointPrompt;
         let of = |points: Vec<PointPrompt>, granularity| {
             let prompts = Prompts { points, granularity, ..Prompts::default() };
-            PhotoPrompts { photo: "a.jpg".into(), prompts }.check().map_err(|e| e.to_string())
+            check_all(&[PhotoPrompts { photo: "a.jpg".into(), prompts }]).map_err(|e| e.to_string())
         };
         let at = |inside| PointPrompt { x: 3.0, y: 4.0, inside };
         assert_eq!(of(vec![at(true)], Some(1.0)), Ok(()));
         assert!(of(vec![at(false)], None).unwrap_err().contains("where it is"));
         assert!(of(vec![at(true), at(false)], None).unwrap_err().contains("(3, 4) is said to be inside and"));
+        // One photo may say where the object is, and another only where it is not.
+        let on = |photo: &str, inside| {
+            let prompts = Prompts { points: vec![at(inside)], ..Prompts::default() };
+            PhotoPrompts { photo: photo.into(), prompts }
+        };
+        assert!(check_all(&[on("a.jpg", true), on("b.jpg", false)]).is_ok());
+        assert!(check_all(&[on("a.jpg", false), on("b.jpg", false)]).is_err());
         for g in [7.0, -0.1, f32::NAN] {
             assert!(of(vec![at(true)], Some(g)).unwrap_err().contains("granularity"), "{g}");
         }

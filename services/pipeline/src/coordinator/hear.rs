@@ -121,7 +121,7 @@ impl Coordinator<'_> {
         Ok(())
     }
 
-    fn hear_trainer(&mut self, outcome: TrainOutcome, bars: &mut Bars) -> Result<(), RunError> {
+    pub(super) fn hear_trainer(&mut self, outcome: TrainOutcome, bars: &mut Bars) -> Result<(), RunError> {
         match outcome {
             TrainOutcome::Began { step, upcoming } => {
                 self.skies.prefer(&upcoming);

@@ -141,6 +141,7 @@ pub(crate) struct Inboxes {
 }
 
 /// Progress of the stages that go view by view or step by step.
+#[derive(Default)]
 pub(crate) struct Bars {
     sky: Option<StageProgress>,
     embed: Option<StageProgress>,
@@ -238,8 +239,11 @@ impl Coordinator<'_> {
             let rest = scope.spawn(|| {
                 let mut late = Vec::new();
                 while let Some(outcome) = inbox.blocking_recv() {
-                    if let Outcome::Train(TrainOutcome::Checkpoint(checkpoint)) = outcome {
-                        late.push(checkpoint);
+                    if let Outcome::Train(
+                        outcome @ (TrainOutcome::Checkpoint(_) | TrainOutcome::Progress { .. }),
+                    ) = outcome
+                    {
+                        late.push(outcome);
                     }
                 }
                 late
@@ -249,8 +253,9 @@ impl Coordinator<'_> {
             (report, rest.join().unwrap_or_default())
         });
         let sound = !self.tainted.load(Ordering::Acquire) && self.intact().is_ok();
-        for checkpoint in drained.1.iter().filter(|_| sound) {
-            self.keeper().save(checkpoint)?;
+        // The way to a checkpoint belongs to it: who goes on from there does not report it again.
+        for outcome in drained.1.into_iter().filter(|_| sound) {
+            self.hear_trainer(outcome, &mut Bars::default())?;
         }
         Ok((drained.0, outcome))
     }
