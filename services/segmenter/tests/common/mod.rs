@@ -3,7 +3,7 @@
 use glam::{Quat, Vec3};
 use segwild_raster::{CpuEngine, ProjectOptions};
 use segwild_scene::{Camera, Pose, Splats};
-use segwild_segmenter::PosedView;
+use segwild_segmenter::{FeatureField, PosedView};
 
 /// Numbers in [0, 1) from a seed.
 pub struct Dice(pub u64);
@@ -114,4 +114,16 @@ pub fn walls() -> (World, PosedView) {
     world.wall(3, Vec3::new(0.0, 0.0, 30.0), 40.0, 30, [0.5, 0.7, 1.0], &mut dice);
     let view = posed("front.jpg", Vec3::ZERO, Vec3::Z);
     (world, view)
+}
+
+/// One unit vector per thing, slightly noisy.
+pub fn features(world: &World, channels: usize) -> FeatureField {
+    let mut dice = Dice(99);
+    let values = world
+        .thing
+        .iter()
+        .flat_map(|&t| (0..channels).map(move |c| f32::from(u8::from(c == t))).collect::<Vec<_>>())
+        .map(|v| v + 0.02 * (dice.next() - 0.5))
+        .collect();
+    FeatureField::new(channels, values).unwrap()
 }
