@@ -5,6 +5,7 @@ pub mod flow;
 pub mod metrics;
 pub mod oracle;
 pub mod perturb;
+pub mod record;
 pub mod synthetic;
 pub mod table;
 pub mod trial;
