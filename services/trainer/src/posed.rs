@@ -25,16 +25,22 @@ impl Posed {
         let (w, h) = (photo.width, photo.height);
         let sigma = w.max(h) as f32 * NEARBY;
         let reach = (3.0 * sigma).ceil() as i32;
-        let bell: Vec<f32> = (0..=reach).map(|d| (-0.5 * (d as f32 / sigma).powi(2)).exp()).collect();
+        let bell: Vec<f32> = (-reach..=reach).map(|d| (-0.5 * (d as f32 / sigma).powi(2)).exp()).collect();
         let mut out = vec![0.0f32; w * h];
         for (_, at) in &self.sightings {
+            // Far outside reaches as little as anywhere outside, and fits the numbers.
+            let at = at.map(|v| v.clamp(-1.0, 2.0));
             let (cx, cy) = ((at[0] * w as f32) as i32, (at[1] * h as f32) as i32);
+            let (left, right) = ((cx - reach).max(0), (cx + reach + 1).min(w as i32));
+            if left >= right {
+                continue;
+            }
+            let across = &bell[(left - cx + reach) as usize..(right - cx + reach) as usize];
             for y in (cy - reach).max(0)..(cy + reach + 1).min(h as i32) {
-                for x in (cx - reach).max(0)..(cx + reach + 1).min(w as i32) {
-                    let near =
-                        bell[(x - cx).unsigned_abs() as usize] * bell[(y - cy).unsigned_abs() as usize];
-                    let o = &mut out[y as usize * w + x as usize];
-                    *o = o.max(TRUST * near);
+                let down = bell[(y - cy + reach) as usize];
+                let row = &mut out[y as usize * w..][left as usize..right as usize];
+                for (o, near) in row.iter_mut().zip(across) {
+                    *o = o.max(TRUST * (near * down));
                 }
             }
         }

@@ -26,8 +26,9 @@ impl Robust {
         Robust { share, histograms: vec![Vec::new(); photos] }
     }
 
-    /// Takes in the residual of a photo and returns a weight per pixel, 0 for transients; `None` while
-    /// `active` is false (warm-up, or the opacities were just reset) or nothing stands out.
+    /// Takes in the residual of a photo and returns a weight per pixel, 0 for transients; `None`
+    /// where nothing stands out. Not to be asked in the warm-up, nor while opacities recover from a reset: such
+    /// residuals would spoil the histograms.
     ///
     /// `residual` is one number per pixel, mean absolute colour difference; `counts` says which pixels take
     /// part at all.
@@ -37,26 +38,23 @@ impl Robust {
         residual: &[f32],
         width: usize,
         counts: impl Fn(usize) -> bool,
-        active: bool,
     ) -> Option<Vec<f32>> {
         let height = residual.len() / width;
-        let smooth = smoothed(residual, width);
+        let bins: Vec<Option<u8>> = smoothed(residual, width)
+            .iter()
+            .enumerate()
+            .map(|(i, &r)| counts(i).then(|| bin(r) as u8))
+            .collect();
         let mut fresh = vec![0.0f32; BINS];
-        let mut total = 0.0;
-        for (i, &r) in smooth.iter().enumerate() {
-            if counts(i) {
-                fresh[bin(r)] += 1.0;
-                total += 1.0;
-            }
+        for b in bins.iter().flatten() {
+            fresh[usize::from(*b)] += 1.0;
         }
+        let total: f32 = fresh.iter().sum();
         if total == 0.0 {
             return None;
         }
         for f in &mut fresh {
             *f /= total;
-        }
-        if !active {
-            return None;
         }
         let held = &mut self.histograms[photo];
         if held.is_empty() {
@@ -74,11 +72,8 @@ impl Robust {
         if over(threshold) > 1.5 * self.share {
             threshold = threshold.max(self::threshold(&fresh, self.share));
         }
-        let out: Vec<u8> = smooth
-            .iter()
-            .enumerate()
-            .map(|(i, &r)| u8::from(counts(i) && bin_top(bin(r)) > threshold))
-            .collect();
+        let over: [u8; BINS] = std::array::from_fn(|b| u8::from(bin_top(b) > threshold));
+        let out: Vec<u8> = bins.iter().map(|b| b.map_or(0, |b| over[usize::from(b)])).collect();
         if out.iter().all(|&o| o == 0) {
             return None;
         }
@@ -119,7 +114,7 @@ pub(crate) fn contradicted(
     counts: impl Fn(usize) -> bool,
     share: f32,
 ) -> Vec<bool> {
-    let kept = Robust::new(1, share).weights(0, residual, width, counts, true);
+    let kept = Robust::new(1, share).weights(0, residual, width, counts);
     kept.map_or(vec![false; residual.len()], |kept| kept.iter().map(|&k| k == 0.0).collect())
 }
 
@@ -153,12 +148,20 @@ fn threshold(histogram: &[f32], share: f32) -> f32 {
 /// Mean over a square window of half width `r`, cut off at the border.
 pub(crate) fn box_mean(values: &[f32], width: usize, height: usize, r: usize) -> Vec<f32> {
     let mut rows = vec![0.0f32; values.len()];
-    for y in 0..height {
-        let row = &values[y * width..(y + 1) * width];
-        for x in 0..width {
+    let inner = r.min(width)..width.saturating_sub(r).max(r.min(width));
+    for (row, means) in values.chunks_exact(width).zip(rows.chunks_exact_mut(width)) {
+        for x in (0..inner.start).chain(inner.end..width) {
             let (a, b) = (x.saturating_sub(r), (x + r + 1).min(width));
-            rows[y * width + x] = row[a..b].iter().sum::<f32>() / (b - a) as f32;
+            means[x] = row[a..b].iter().sum::<f32>() / (b - a) as f32;
         }
+        // Whole windows, a shifted row at a time.
+        let means = &mut means[inner.clone()];
+        for shift in 0..2 * r + 1 {
+            for (m, v) in means.iter_mut().zip(&row[shift..]) {
+                *m += v;
+            }
+        }
+        means.iter_mut().for_each(|m| *m /= (2 * r + 1) as f32);
     }
     let mut out = vec![0.0f32; values.len()];
     for y in 0..height {
@@ -179,14 +182,21 @@ pub(crate) fn box_mean(values: &[f32], width: usize, height: usize, r: usize) ->
 /// 3 x 3 majority; at the border of the pixels there are.
 fn majority(out: &[u8], width: usize, height: usize) -> Vec<u8> {
     let mut result = vec![0; out.len()];
+    let mut columns = vec![0u8; width];
     for y in 0..height {
         let (y0, y1) = (y.saturating_sub(1), (y + 2).min(height));
-        for x in 0..width {
-            let (x0, x1) = (x.saturating_sub(1), (x + 2).min(width));
-            let votes: usize = (y0..y1)
-                .map(|v| out[v * width + x0..v * width + x1].iter().map(|&o| o as usize).sum::<usize>())
-                .sum();
-            result[y * width + x] = u8::from(2 * votes > (y1 - y0) * (x1 - x0));
+        columns.fill(0);
+        for row in out[y0 * width..y1 * width].chunks_exact(width) {
+            columns.iter_mut().zip(row).for_each(|(c, o)| *c += o);
+        }
+        let rows = (y1 - y0) as u8;
+        let result = &mut result[y * width..(y + 1) * width];
+        let (first, last) = (&columns[..width.min(2)], &columns[width.saturating_sub(2)..]);
+        let voted = |votes: u8, pixels: u8| u8::from(2 * votes > pixels * rows);
+        result[0] = voted(first.iter().sum(), first.len() as u8);
+        result[width - 1] = voted(last.iter().sum(), last.len() as u8);
+        for (r, c) in result.iter_mut().skip(1).zip(columns.windows(3)) {
+            *r = voted(c[0] + c[1] + c[2], 3);
         }
     }
     result
@@ -213,14 +223,14 @@ mod tests {
         for _ in 0..6 {
             let residual: Vec<f32> =
                 (0..W * H).map(|i| if stranger(i) { 0.3 } else { 0.03 * r.uniform() } + 0.01).collect();
-            last = robust.weights(0, &residual, W, |_| true, true);
+            last = robust.weights(0, &residual, W, |_| true);
         }
         let w = last.unwrap();
         let wrong = (0..W * H).filter(|&i| stranger(i) == (w[i] > 0.5)).count();
         assert!(wrong < 90, "{wrong} pixels on the wrong side"); // the outline is 84 pixels long
         // A one-pixel line of large residual, an edge off by one, stays.
         let line: Vec<f32> = (0..W * H).map(|i| if i % W == 40 { 0.15 } else { 0.02 }).collect();
-        assert_eq!(kept(&Robust::new(1, 0.2).weights(0, &line, W, |_| true, true)), 1.0);
+        assert_eq!(kept(&Robust::new(1, 0.2).weights(0, &line, W, |_| true)), 1.0);
     }
 
     #[test]
@@ -230,26 +240,25 @@ mod tests {
         // Wrong everywhere, wildly wrong, not a number anywhere: at most about the share goes.
         for _ in 0..5 {
             let bad: Vec<f32> = (0..W * H).map(|_| 0.4 + 0.4 * r.uniform()).collect();
-            assert!(kept(&robust.weights(0, &bad, W, |_| true, true)) >= 0.7);
+            assert!(kept(&robust.weights(0, &bad, W, |_| true)) >= 0.7);
             let half: Vec<f32> = (0..W * H).map(|i| if i % W < 40 { 0.9 } else { 0.0 }).collect();
-            assert!(kept(&robust.weights(1, &half, W, |_| true, true)) >= 0.4);
+            assert!(kept(&robust.weights(1, &half, W, |_| true)) >= 0.4);
             let nan = vec![f32::NAN; W * H];
-            assert!(kept(&robust.weights(2, &nan, W, |_| true, true)) >= 0.7);
+            assert!(kept(&robust.weights(2, &nan, W, |_| true)) >= 0.7);
         }
-        // A perfect photo loses nothing; nor does any photo in the warm-up.
-        assert!(robust.weights(0, &vec![0.001; W * H], W, |_| true, true).is_none());
-        assert!(robust.weights(0, &vec![0.9; W * H], W, |_| true, false).is_none());
-        assert!(robust.weights(0, &vec![0.9; W * H], W, |_| false, true).is_none());
+        // A perfect photo loses nothing.
+        assert!(robust.weights(0, &vec![0.001; W * H], W, |_| true).is_none());
+        assert!(robust.weights(0, &vec![0.9; W * H], W, |_| false).is_none());
     }
 
     #[test]
     fn a_sudden_change_does_not_empty_a_photo() {
         let mut robust = Robust::new(1, 0.2);
         for _ in 0..10 {
-            robust.weights(0, &vec![0.01; W * H], W, |_| true, true);
+            robust.weights(0, &vec![0.01; W * H], W, |_| true);
         }
         let mut r = Random::new(4);
         let worse: Vec<f32> = (0..W * H).map(|_| 0.3 + 0.1 * r.uniform()).collect();
-        assert!(kept(&robust.weights(0, &worse, W, |_| true, true)) >= 0.7);
+        assert!(kept(&robust.weights(0, &worse, W, |_| true)) >= 0.7);
     }
 }

@@ -47,9 +47,12 @@ impl Trainer {
         let residual = mean_difference(&shown, &target);
         let active = self.settings.robust && self.schedule.robust(step) && step >= self.state.pause_until;
         let active = active && !stored.strangers_known;
-        let trusted = self.views[view].trusted(photo);
-        let doubted: Vec<f32> = residual.iter().zip(&trusted).map(|(r, t)| r * (1.0 - t)).collect();
-        let kept = self.state.robust.weights(view, &doubted, photo.width, |i| photo.counts(i), active);
+        let (mut kept, mut doubted) = (None, Vec::new());
+        if active {
+            let trusted = self.views[view].trusted(photo);
+            doubted = residual.iter().zip(&trusted).map(|(r, t)| r * (1.0 - t)).collect();
+            kept = self.state.robust.weights(view, &doubted, photo.width, |i| photo.counts(i));
+        }
         let (mut visible, mut blame) = (None, Vec::new());
         if let Some(light) = light.as_ref().filter(|_| active) {
             let share = self.settings.robust_share;

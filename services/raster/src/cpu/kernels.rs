@@ -3,7 +3,7 @@
 use super::bin::{Bins, Entry};
 use super::project::{Footprint, Moments};
 use super::simd::{Kernel, LANES, Simd};
-use super::tile::{Block, PLANE, Place, Plane, STRIDE, Visit, walk};
+use super::tile::{Block, PLANE, Place, Plane, STRIDE, Visit, copy_row, walk};
 use std::marker::PhantomData;
 
 /// Numbers per slot before the values: the fields of [`Moments`].
@@ -76,7 +76,7 @@ impl Task<'_> {
             let at = (plane * self.height + place.y + row) * self.width + place.x;
             // SAFETY: the tile owns its pixels in every plane.
             let to = unsafe { image.part(at, place.width) };
-            to.copy_from_slice(&from.0[row * STRIDE..row * STRIDE + place.width]);
+            copy_row(to, &from.0[row * STRIDE..row * STRIDE + place.width]);
         }
     }
 }

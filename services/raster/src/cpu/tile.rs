@@ -47,8 +47,18 @@ impl Place {
     pub fn read(&self, plane: &[f32], width: usize, into: &mut Plane) {
         for row in 0..self.height {
             let from = (self.y + row) * width + self.x;
-            into.0[row * STRIDE..row * STRIDE + self.width].copy_from_slice(&plane[from..from + self.width]);
+            let to = &mut into.0[row * STRIDE..row * STRIDE + self.width];
+            copy_row(to, &plane[from..from + self.width]);
         }
+    }
+}
+
+/// Copies a row of a tile. Most are whole, and a copy of known size is a few registers instead of a call.
+#[inline(always)]
+pub(crate) fn copy_row(to: &mut [f32], from: &[f32]) {
+    match (<&mut [f32; WIDTH]>::try_from(&mut *to), <&[f32; WIDTH]>::try_from(from)) {
+        (Ok(to), Ok(from)) => *to = *from,
+        _ => to.copy_from_slice(from),
     }
 }
 
