@@ -9,7 +9,7 @@
 //! the one half of EVERY later is tested on; a folder of WEIGHT 0 is only tested on.
 //!
 //! A round plays all photos as a person would: a box, a click somewhere in the object, a click in its middle, and then
-//! corrections in the middle of the largest mistake. Everything that each click could have meant is remembered
+//! corrections in the middle of the largest mistake; and once two clicks, one at each end of the object. Everything that each click could have meant is remembered
 //! with its IoU. The weights then climb the expected IoU of the soft choice, over all rounds so far: what was chosen with
 //! the weights of one round decides which mistakes the next one is asked to correct.
 
@@ -92,6 +92,24 @@ fn elsewhere(mask: &Mask, number: usize) -> Option<(f32, f32)> {
     Some((x as f32 + 0.5, y as f32 + 0.5))
 }
 
+/// Clicks in the middle of both ends of an object, the larger share first: what a person points at who sees two parts.
+fn ends(mask: &Mask) -> Option<[(f32, f32); 2]> {
+    let bounds = box_of(mask);
+    let (wide, high) = (bounds.x1 - bounds.x0, bounds.y1 - bounds.y0);
+    let along = |x: f32, y: f32| {
+        if high >= wide { (y + 0.5 - bounds.y0) / high } else { (x + 0.5 - bounds.x0) / wide }
+    };
+    let part = |near: bool| {
+        let inside = |x: u32, y: u32| {
+            let (x, y) = (x as f32, y as f32);
+            let along = along(x, y);
+            mask.at(x, y) && if near { along < 0.6 } else { along > 0.65 }
+        };
+        most_interior(&Mask::from_fn(mask.width(), mask.height(), inside))
+    };
+    Some([part(true)?, part(false)?])
+}
+
 /// Plays one object; gives the questions and the IoU after one click, and after each correction.
 fn play(see: &Builtin, photo: &Photo, object: &[Mask], number: usize) -> Outcome<(Vec<Case>, Vec<f64>)> {
     let mut questions = Vec::new();
@@ -119,6 +137,11 @@ fn play(see: &Builtin, photo: &Photo, object: &[Mask], number: usize) -> Outcome
             let held: Vec<Mask> = object.iter().filter(|m| m.at(x, y)).cloned().collect();
             ask(&Prompts::click(x, y), &held, &mut questions)?;
         }
+    }
+    if let Some([a, b]) = ends(outer) {
+        let mut prompts = Prompts::click(a.0, a.1);
+        prompts.points.extend(Prompts::click(b.0, b.1).points);
+        ask(&prompts, whole, &mut questions)?;
     }
     let mut prompts = Prompts::click(middle.0, middle.1);
     let mut series = Vec::new();
