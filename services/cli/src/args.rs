@@ -95,6 +95,7 @@ pub fn program() -> Command {
                     Arg::new("mode")
                         .long("mode")
                         .value_parser(["highlight", "only", "without", "scene"])
+                        .requires("selection")
                         .help("How the selection is drawn [default: highlight; scene, as it is, with --object-look]"),
                 )
                 .arg(

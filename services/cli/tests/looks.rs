@@ -59,6 +59,7 @@ fn a_view_is_drawn_under_other_photos_looks_between_them_and_in_any_strength() {
     let wrong = |flags: &[&str], words: &[&str]| {
         refuses(&[&["render", &run, "--photo", view, "--out", &out], flags].concat(), 2, words);
     };
+    wrong(&["--mode", "only"], &["--selection <NAME>"]); // was drawn plain, as if nothing had been asked
     wrong(&["--look", "nobody.jpg"], &["no photo `nobody.jpg`"]);
     wrong(&["--look", view, "--look", other], &["--frames", "--between"]);
     wrong(&["--look", view, "--between", "0.5"], &["two looks"]);
@@ -172,4 +173,31 @@ fn auto_says_what_it_chose_and_why_and_shares_its_work_with_the_look_by_name() {
     };
     assert!(reused("auto"), "{}", with("auto", &["--explain"]));
     assert!(reused(&look), "{}", with(&look, &["--explain"]));
+}
+
+#[test]
+fn a_budget_is_decided_once_said_with_its_evidence_and_undone_by_name() {
+    let dir = folder();
+    let run = show(&dir.path().join("run"));
+    let with = |flags: &[&str]| {
+        let steps = ["--steps", "600", "--look", "affine", "--until", "geometry"];
+        works(&[&["run", &show(scene()), "--out", &run][..], &QUICK[..2], &steps, flags].concat())
+    };
+    let said = with(&["--budget", "auto", "--json"]);
+    let choice = json(&std::fs::read(dir.path().join("run/budget.json")).expect("the choice"));
+    let why = choice["why"].as_str().expect("a reason");
+    assert!(said.contains(why) && why.contains("held out") && why.contains("dB"), "{why}");
+    let steps = choice["steps"].as_u64().expect("steps");
+    let trained =
+        |said: &str| said.lines().rfind(|line| line.contains("\"geometry\"")).map(str::to_owned);
+    assert!(steps <= 600 && trained(&said).is_some(), "{said}");
+    let history = std::fs::read_to_string(dir.path().join("run/history.jsonl")).expect("a history");
+    let last = json(history.lines().last().expect("a line").as_bytes());
+    assert_eq!(last["step"].as_u64(), Some(steps), "as many steps as were decided");
+    // Remembered, and not decided again; `fixed` is what the settings say.
+    let plan = with(&["--explain", "--json"]);
+    assert!(plan.lines().any(|line| line.contains("\"geometry\"") && line.contains("\"reused\"")), "{plan}");
+    let plan = with(&["--budget", "fixed", "--explain", "--json"]);
+    let reused = plan.lines().any(|line| line.contains("\"geometry\"") && line.contains("\"reused\""));
+    assert_eq!(reused, steps == 600 && choice["splats"].as_u64() == Some(0), "{plan}");
 }

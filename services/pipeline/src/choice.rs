@@ -1,67 +1,171 @@
-//! `--look auto`: the choice is made once, kept under the name of all it depends on, and said.
+//! `--look auto` and `--budget auto`: each choice is made once, kept under the name of all it depends on, and said.
 
 use crate::artefacts::Keys;
 use crate::strangers::Known;
-use crate::{RunError, RunFolder, Settings};
+use crate::{Budget, RunError, RunFolder, Settings};
 use segwild_flow::{Cache, CacheError, Key};
 use segwild_raster::Engine;
 use segwild_scene::{Mask, Scene};
-use segwild_trainer::{CHOICE_SIZE, LookChoice, LookKind, TrainError, TrainPhoto, choose_look};
+use segwild_trainer::{
+    BudgetChoice, CHOICE_SIZE, LookChoice, LookKind, Photos, TrainError, TrainPhoto, choose_budget,
+    choose_look, trial_size,
+};
 use segwild_vision::SkyDetector;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Kind of the cache's record.
-const KIND: &str = "look";
-/// Where the run folder says it.
-pub(crate) const FILE: &str = "look.json";
+/// Where the run folder says which look was chosen.
+pub(crate) const LOOK_FILE: &str = "look.json";
+/// Where the run folder says how much is spent.
+pub(crate) const BUDGET_FILE: &str = "budget.json";
 
-/// The name of a choice, from the keys of a training whose look is `auto`.
-pub(crate) fn key(keys: &Keys) -> Key {
-    Key::of(KIND).key("training", &keys.training).finish()
+/// Something that is chosen before the training.
+pub(crate) trait Choice: Serialize + DeserializeOwned {
+    /// Kind of the cache's record.
+    const KIND: &'static str;
+    /// Where the run folder says it.
+    const FILE: &'static str;
+    /// Whether it is still to be chosen.
+    fn is_open(settings: &Settings) -> bool;
+    /// The settings with it decided.
+    fn decided(&self, settings: &Settings) -> Settings;
+    /// Why, in a sentence.
+    fn why(&self) -> &str;
+}
+
+impl Choice for LookChoice {
+    const KIND: &'static str = "look";
+    const FILE: &'static str = LOOK_FILE;
+    fn is_open(settings: &Settings) -> bool {
+        settings.train.look == LookKind::Auto
+    }
+    fn decided(&self, settings: &Settings) -> Settings {
+        let mut settings = settings.clone();
+        settings.train.look = self.look;
+        settings
+    }
+    fn why(&self) -> &str {
+        &self.why
+    }
+}
+
+impl Choice for BudgetChoice {
+    const KIND: &'static str = "budget";
+    const FILE: &'static str = BUDGET_FILE;
+    fn is_open(settings: &Settings) -> bool {
+        settings.run.budget == Budget::Auto
+    }
+    fn decided(&self, settings: &Settings) -> Settings {
+        let mut settings = settings.clone();
+        (settings.train.steps, settings.train.splats) = (self.steps, self.splats);
+        settings
+    }
+    fn why(&self) -> &str {
+        &self.why
+    }
+}
+
+/// The name of a choice, from the keys of a training for which it is still open.
+fn key<C: Choice>(keys: &Keys) -> Key {
+    Key::of(C::KIND).key("training", &keys.training).finish()
 }
 
 /// The choice, if it was made before.
-pub(crate) fn kept(cache: &Cache, keys: &Keys) -> Result<Option<LookChoice>, CacheError> {
-    let text: Option<String> = cache.get_typed(&key(keys), KIND)?;
+fn kept<C: Choice>(cache: &Cache, keys: &Keys) -> Result<Option<C>, CacheError> {
+    let text: Option<String> = cache.get_typed(&key::<C>(keys), C::KIND)?;
     Ok(text.and_then(|text| serde_json::from_str(&text).ok()))
 }
 
-/// What a choice is made from.
+/// The settings as far as choices that were made before decide them. `keys` names what is made under settings.
+pub(crate) fn decided_before(
+    cache: &Cache,
+    settings: &Settings,
+    keys: &dyn Fn(&Settings) -> Keys,
+) -> Result<Settings, CacheError> {
+    let mut settings = settings.clone();
+    if LookChoice::is_open(&settings) {
+        match kept::<LookChoice>(cache, &keys(&settings))? {
+            Some(choice) => settings = choice.decided(&settings),
+            None => return Ok(settings),
+        }
+    }
+    if BudgetChoice::is_open(&settings) {
+        match kept::<BudgetChoice>(cache, &keys(&settings))? {
+            Some(choice) => settings = choice.decided(&settings),
+            None => return Ok(settings),
+        }
+    }
+    Ok(settings)
+}
+
+/// What choices are made from.
 pub(crate) struct Chooser<'a> {
     pub folder: &'a RunFolder,
     pub cache: &'a Cache,
     pub scene: &'a Arc<Scene>,
-    pub settings: &'a Settings,
     pub engine: &'a Arc<dyn Engine>,
     pub sky: &'a Arc<dyn SkyDetector>,
     pub known: &'a Known,
+    /// Names what is made under settings.
+    pub keys: &'a dyn Fn(&Settings) -> Keys,
+    /// Ends the work.
+    pub stopping: &'a dyn Fn() -> bool,
 }
 
 impl Chooser<'_> {
-    /// The settings with the look decided, and the choice; `keys` are those of the settings as they are.
+    /// Decides what is still open: first the look, then how much of it is spent. `told` hears of each choice: its kind,
+    /// the name it is kept under, and why.
     pub fn choose(
         &self,
-        keys: &Keys,
-        stopping: &dyn Fn() -> bool,
-    ) -> Result<(Settings, LookChoice), RunError> {
-        let choice = match kept(self.cache, keys)? {
+        settings: &Settings,
+        mut told: impl FnMut(&'static str, &Key, &str) -> Result<(), RunError>,
+    ) -> Result<Settings, RunError> {
+        let scene = &**self.scene;
+        let look = |settings: &Settings| {
+            let photos = self.photos(CHOICE_SIZE.min(settings.scene.size));
+            choose_look(self.engine.clone(), scene, photos, &settings.train, self.stopping)
+        };
+        let budget = |settings: &Settings| {
+            let size = settings.scene.size;
+            let photos = self.photos(trial_size(size));
+            choose_budget(self.engine.clone(), scene, photos, &settings.train, size, self.stopping)
+        };
+        let settings = self.one::<LookChoice>(settings, look, &mut told)?;
+        self.one::<BudgetChoice>(&settings, budget, &mut told)
+    }
+
+    fn one<C: Choice>(
+        &self,
+        settings: &Settings,
+        make: impl Fn(&Settings) -> Result<C, TrainError>,
+        told: &mut impl FnMut(&'static str, &Key, &str) -> Result<(), RunError>,
+    ) -> Result<Settings, RunError> {
+        if !C::is_open(settings) {
+            return Ok(settings.clone());
+        }
+        let keys = (self.keys)(settings);
+        let choice = match kept::<C>(self.cache, &keys)? {
             Some(choice) => choice,
             None => {
-                let choice = self.decide(stopping)?;
+                let choice = make(settings).map_err(|error| match error {
+                    TrainError::Stopped => RunError::Interrupted,
+                    error => RunError::Stage { stage: "geometry", reason: error.to_string() },
+                })?;
                 let text = serde_json::to_string(&choice).unwrap_or_default();
-                self.cache.put_typed(&key(keys), KIND, &text)?;
+                self.cache.put_typed(&key::<C>(&keys), C::KIND, &text)?;
                 choice
             }
         };
-        self.folder.write_json(FILE, &choice)?;
-        Ok((decided(self.settings, &choice), choice))
+        self.folder.write_json(C::FILE, &choice)?;
+        told(C::KIND, &key::<C>(&keys), choice.why())?;
+        Ok(choice.decided(settings))
     }
 
-    fn decide(&self, stopping: &dyn Fn() -> bool) -> Result<LookChoice, RunError> {
+    /// Photos of a long side, few and small and asked for again and again.
+    fn photos(&self, size: u32) -> Arc<dyn Photos> {
         let (scene, sky, known) = (self.scene.clone(), self.sky.clone(), self.known.clone());
-        let size = CHOICE_SIZE.min(self.settings.scene.size);
-        // Few and small, and asked for again and again.
         let held: Mutex<BTreeMap<usize, Result<TrainPhoto, String>>> = Mutex::default();
         let read = move |view: usize| -> Result<TrainPhoto, String> {
             let loaded = scene.views[view].load(size).map_err(|e| e.to_string())?;
@@ -72,27 +176,9 @@ impl Chooser<'_> {
             known.tell_hand(view, &mut photo);
             Ok(photo)
         };
-        let photos = Arc::new(move |view: usize| {
+        Arc::new(move |view: usize| {
             let mut held = held.lock().unwrap_or_else(PoisonError::into_inner);
             held.entry(view).or_insert_with(|| read(view)).clone()
-        });
-        choose_look(self.engine.clone(), self.scene, photos, &self.settings.train, stopping).map_err(
-            |error| match error {
-                TrainError::Stopped => RunError::Interrupted,
-                error => RunError::Stage { stage: "geometry", reason: error.to_string() },
-            },
-        )
+        })
     }
-}
-
-/// The settings with a look decided.
-pub(crate) fn decided(settings: &Settings, choice: &LookChoice) -> Settings {
-    let mut settings = settings.clone();
-    settings.train.look = choice.look;
-    settings
-}
-
-/// Whether a look is still to be chosen.
-pub(crate) fn is_open(settings: &Settings) -> bool {
-    settings.train.look == LookKind::Auto
 }

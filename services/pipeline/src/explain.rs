@@ -92,13 +92,10 @@ fn situation(
     let name = |settings: &Settings| {
         Keys::of(&scene, digests.clone(), settings, &providers, &corrections, engine.name(), steps)
     };
-    let mut keys = name(settings);
-    if choice::is_open(settings) {
-        // Not known yet: whatever the look will be, all that depends on it is to be made.
-        if let Some(choice) = choice::kept(&Cache::at(folder.path().join("cache")), &keys)? {
-            keys = name(&choice::decided(settings, &choice));
-        }
-    }
+    // What is not decided yet: whatever it will be, all that depends on it is to be made.
+    let cache = Cache::at(folder.path().join("cache"));
+    let settings = choice::decided_before(&cache, settings, &name)?;
+    let keys = name(&settings);
     let (end, snapshot_step) = (settings.train.steps, settings.train.snapshot_step());
     Ok(Situation { scene, keys, corrected, goal: steps.unwrap_or(end), end, snapshot_step })
 }

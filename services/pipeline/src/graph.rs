@@ -4,7 +4,7 @@ use crate::accelerator::leased;
 use crate::anew::Anew;
 use crate::artefacts::{Digests, Keys};
 use crate::board::Board;
-use crate::choice::{self, Chooser};
+use crate::choice::Chooser;
 use crate::coordinator::{Coordinator, State};
 use crate::evaluate::{HeldOut, held_out};
 use crate::folder::Intake;
@@ -180,9 +180,9 @@ pub fn run(
     }
     let Chosen { engine, why } = choose_engine(&settings.run)?;
     options.events.info(None, format!("splats are computed by {why}"));
-    let steps = match options.until {
-        Some(Until::Step(step)) => step,
-        _ => settings.train.steps,
+    let asked = match options.until {
+        Some(Until::Step(step)) => Some(step),
+        _ => None,
     };
     let corrections = Corrections::find(&scene, folder, &settings.scene.strangers)?;
     if let Some(words) = corrections.in_words(&scene) {
@@ -190,9 +190,9 @@ pub fn run(
     }
     let digests = Digests::read(&scene);
     let name = |settings: &Settings| {
-        Keys::of(&scene, digests.clone(), settings, &providers, &corrections, engine.name(), Some(steps))
+        Keys::of(&scene, digests.clone(), settings, &providers, &corrections, engine.name(), asked)
     };
-    let mut keys = name(settings);
+    let keys = name(settings);
     let cache = folder.cache()?;
     let known = Known {
         corrections: Arc::new(corrections.clone()),
@@ -201,18 +201,24 @@ pub fn run(
         keys: Arc::new(keys.known_strangers.clone()),
     };
     recorder.cache(&cache);
-    let mut decided = settings.clone();
-    if choice::is_open(settings) {
-        let (engine, sky, known) = (&engine, &providers.sky, &known);
-        let chooser = Chooser { folder, cache: &cache, scene: &scene, settings, engine, sky, known };
-        let (with_look, choice) = chooser.choose(&keys, &|| options.stopper.phase() != Phase::Running)?;
+    let chooser = Chooser {
+        folder,
+        cache: &cache,
+        scene: &scene,
+        engine: &engine,
+        sky: &providers.sky,
+        known: &known,
+        keys: &name,
+        stopping: &|| options.stopper.phase() != Phase::Running,
+    };
+    let settings = &chooser.choose(settings, |kind, key, why| {
         // Kept as long as the run stands at it.
-        ledger.record_view(keep::SNAPSHOT, "look", &choice::key(&keys), &ViewOutcome::cached())?;
-        options.events.info(Some("geometry"), format!("look {}", choice.why));
-        keys = name(&with_look);
-        decided = with_look;
-    }
-    let settings = &decided;
+        ledger.record_view(keep::SNAPSHOT, kind, key, &ViewOutcome::cached())?;
+        options.events.info(Some("geometry"), format!("{kind} {why}"));
+        Ok(())
+    })?;
+    let keys = name(settings);
+    let steps = asked.unwrap_or(settings.train.steps);
     let last = match options.until {
         Some(Until::Stage(stage)) => STAGES.iter().position(|s| *s == stage).unwrap_or(STAGES.len()),
         // A training that is not over has nothing to give to the stages after it.

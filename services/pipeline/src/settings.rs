@@ -4,19 +4,33 @@ use crate::EngineKind;
 use segwild_features::FeatureSettings;
 use segwild_masks::MaskSettings;
 use segwild_scene::settings::{Field, Group, SettingError};
-use segwild_scene::{SceneSettings, settings};
+use segwild_scene::{SceneSettings, choice, settings};
 use segwild_segmenter::SegmentSettings;
-use segwild_trainer::{Preset, TrainSettings};
+use segwild_trainer::{LookKind, Preset, TrainSettings};
 use segwild_vision::VisionSettings;
 use serde::{Deserialize, Serialize};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
+
+choice! {
+    /// Who decides how much a scene gets.
+    pub enum Budget {
+        /// The settings, as they are.
+        Fixed = "fixed",
+        /// The scene: the least steps, splats, channels and look that suffice, found by short trainings that are scored on
+        /// photos held out of them. `steps` is the most that is spent.
+        Auto = "auto",
+    }
+}
 
 settings! {
     /// The run as a whole.
     pub struct RunSettings("run") {
         /// How much time to spend; sets the defaults of the other settings.
         preset: Preset = Preset::Standard,
+        /// Who decides how much the scene gets: `fixed` is what the settings say, `auto` the least steps, splats, channels and
+        /// look that suffice, at most `steps`; what is set by itself stays as it is set.
+        budget: Budget = Budget::Fixed,
         /// Compute threads; 0 takes all cores. The result does not depend on it.
         threads: u32 = 0 => 0..=256,
         /// What computes the splats. `auto` takes an accelerator that is no program on the CPU, where there is one.
@@ -37,6 +51,9 @@ settings! {
         report_photos: u32 = 8,
     }
 }
+
+/// Share of the embedding's variance that is worth channels under `--budget auto`.
+const KEEP_VARIANCE: f32 = 0.99;
 
 /// Why settings cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -102,6 +119,17 @@ compose! {
 }
 
 impl Settings {
+    /// The defaults of a preset under a budget.
+    pub fn defaults(preset: Preset, budget: Budget) -> Settings {
+        let mut settings = Settings::preset(preset);
+        settings.run.budget = budget;
+        if budget == Budget::Auto {
+            settings.train.look = LookKind::Auto;
+            settings.features.keep_variance = KEEP_VARIANCE;
+        }
+        settings
+    }
+
     /// The defaults of a preset.
     pub fn preset(preset: Preset) -> Settings {
         let mut settings = Settings { train: preset.settings(), ..Settings::default() };
@@ -114,7 +142,7 @@ impl Settings {
     }
 
     /// Defaults of the preset, then the file, then the flags: later wins. Flags are `(name, value)` pairs. A flag that names
-    /// another preset than the file also takes along what the file only says because its preset did.
+    /// another preset or budget than the file also takes along what the file only says because its own did.
     pub fn layered(file: Option<&Path>, flags: &[(String, String)]) -> Result<Settings, SettingsError> {
         let values = match file {
             Some(file) => read_pairs(file)?,
@@ -125,18 +153,20 @@ impl Settings {
             reason: e.to_string(),
         };
         let mut chosen = RunSettings::default();
-        for (name, value) in values.iter().filter(|(name, _)| name == "preset") {
+        let above = |name: &str| name == "preset" || name == "budget";
+        for (name, value) in values.iter().filter(|(name, _)| above(name)) {
             chosen.set(name, value).map_err(in_file)?;
         }
-        let filed = Settings::preset(chosen.preset);
-        for (name, value) in flags.iter().filter(|(name, _)| name == "preset") {
+        let filed = Settings::defaults(chosen.preset, chosen.budget);
+        for (name, value) in flags.iter().filter(|(name, _)| above(name)) {
             chosen.set(name, value)?;
         }
-        let mut settings = Settings::preset(chosen.preset);
+        let mut settings = Settings::defaults(chosen.preset, chosen.budget);
+        let as_filed = (chosen.preset, chosen.budget) == (filed.run.preset, filed.run.budget);
         for (name, value) in &values {
             let mut probe = filed.clone();
             probe.set(name, value).map_err(in_file)?;
-            if chosen.preset == filed.run.preset || probe != filed {
+            if as_filed || probe != filed {
                 settings.set(name, value).map_err(in_file)?;
             }
         }

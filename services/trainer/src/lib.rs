@@ -32,7 +32,10 @@ mod witness;
 
 pub use actor::{FindCheckpoint, TrainActor, TrainOrder, TrainOutcome};
 pub use background::Background;
-pub use choice::{LookChoice, RUNGS, SIZE as CHOICE_SIZE, ShortFit, Tracks, choose_look};
+pub use choice::{
+    BudgetChoice, LookChoice, RUNGS, SIZE as CHOICE_SIZE, ShortFit, Tracks, choose_budget, choose_look,
+    trial_size,
+};
 pub use density::Change;
 pub use error::TrainError;
 pub use evaluate::{Evaluation, Protocol, ViewScore, evaluate};

@@ -5,7 +5,7 @@ use segwild_raster::{AnyLook, Channels, CpuEngine, Engine, ProjectOptions};
 use segwild_scene::{Camera, Frame, Image, Mask, Observation, Photo, Point, Pose, Scene, Seal, Splats, View};
 use segwild_trainer::{
     Checkpoint, DensityKind, LookKind, Model, Photos, Protocol, TrainError, TrainPhoto, TrainSettings,
-    Trainer, choose_look, evaluate, render_view,
+    Trainer, choose_budget, choose_look, evaluate, render_view,
 };
 use std::sync::Arc;
 
@@ -451,5 +451,33 @@ fn auto_takes_no_look_where_photos_share_a_light_and_a_look_where_they_differ() 
     let refused = Trainer::new(engine(), &scene, photos(&scene, false, |_, _| ()), open).err().unwrap();
     assert!(refused.to_string().contains("auto"), "{refused}");
     let stopped = choose_look(engine(), &scene, photos(&scene, false, |_, _| ()), &settings(400), &|| true);
+    assert!(matches!(stopped, Err(TrainError::Stopped)), "{stopped:?}");
+}
+
+#[test]
+fn a_budget_spends_little_where_more_gains_little_and_all_where_every_doubling_pays() {
+    let scene = scene(14);
+    // Grain that no splat explains: what can be learnt is soon learnt.
+    let grain = |i: usize, image: &mut Image| {
+        image.data.iter_mut().enumerate().for_each(|(k, v)| *v += 0.2 * (noise(i, k) - 0.5));
+    };
+    let choose = |steps: u32| {
+        let settings = TrainSettings { look: LookKind::None, ..settings(steps) };
+        choose_budget(engine(), &scene, photos(&scene, false, grain), &settings, 80, &|| false).unwrap()
+    };
+    let ample = choose(4000);
+    assert!(ample.steps <= 1000, "{}", ample.why);
+    assert!(ample.why.contains("held out") && ample.fits.len() >= 2, "{}", ample.why);
+    assert_eq!(choose(4000), ample, "the same again");
+    let scarce = choose(200);
+    assert_eq!(scarce.steps, 200, "{}", scarce.why);
+    // Where nothing can be held out nothing can be known.
+    let few = self::scene(5);
+    let settings = TrainSettings { look: LookKind::None, ..settings(4000) };
+    let of_few =
+        choose_budget(engine(), &few, photos(&few, false, |_, _| ()), &settings, 80, &|| false).unwrap();
+    assert_eq!((of_few.steps, of_few.fits.len()), (4000, 0), "{}", of_few.why);
+    assert!(of_few.why.contains("too few"), "{}", of_few.why);
+    let stopped = choose_budget(engine(), &scene, photos(&scene, false, |_, _| ()), &settings, 80, &|| true);
     assert!(matches!(stopped, Err(TrainError::Stopped)), "{stopped:?}");
 }

@@ -93,12 +93,9 @@ pub fn run_scene(
 /// Says how it went.
 pub fn tell(summary: &Summary, out: &Path) -> Result<(), Failure> {
     let memory = summary.peak_bytes.map_or(String::new(), |b| format!(", {} MiB at most", b >> 20));
-    print_line(&format!(
-        "{} photos, {} splats, {}{memory}",
-        summary.photos,
-        summary.splats,
-        duration(summary.wall_s)
-    ))?;
+    // A run that ended before any splat was there has nothing to say of them.
+    let splats = if summary.splats > 0 { format!(", {} splats", summary.splats) } else { String::new() };
+    print_line(&format!("{} photos{splats}, {}{memory}", summary.photos, duration(summary.wall_s)))?;
     if let Some(step) = summary.paused_at {
         print_line(&format!(
             "stopped at step {step} of the training; a later `--until`, or none, goes on from there"

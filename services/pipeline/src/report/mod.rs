@@ -2,13 +2,13 @@
 
 mod html;
 
-use crate::choice;
+use crate::choice::{BUDGET_FILE, Choice, LOOK_FILE};
 use crate::evaluate::HeldOut;
 use crate::folder::Loaded;
 use crate::history::{self, Moment};
 use crate::render::{Mode, Painter, What};
 use crate::strangers::picture_of;
-use crate::{LookChoice, RunError, RunFolder, Selected, choose_engine};
+use crate::{BudgetChoice, LookChoice, RunError, RunFolder, Selected, choose_engine};
 use html::Series;
 use segwild_flow::codec::Decode;
 use segwild_flow::ledger::State;
@@ -67,11 +67,18 @@ fn summary(folder: &RunFolder, loaded: &Loaded) -> Result<String, RunError> {
     row("steps", loaded.model.stats.step.to_string());
     // What was chosen for another run in this folder says nothing of one whose look was given.
     let chosen =
-        folder.read_json::<LookChoice>(choice::FILE).ok().filter(|_| choice::is_open(&loaded.settings));
+        folder.read_json::<LookChoice>(LOOK_FILE).ok().filter(|_| LookChoice::is_open(&loaded.settings));
     row(
         "look",
         chosen.map_or_else(|| loaded.model.look.as_look().name().to_owned(), |c| format!("chosen {}", c.why)),
     );
+    let spent = folder
+        .read_json::<BudgetChoice>(BUDGET_FILE)
+        .ok()
+        .filter(|_| BudgetChoice::is_open(&loaded.settings));
+    if let Some(spent) = spent {
+        row("budget", format!("chosen {}", spent.why));
+    }
     if let Some(psnr) = loaded.model.stats.psnr {
         row("PSNR on training photos", format!("{psnr:.2} dB"));
     }

@@ -1,0 +1,168 @@
+//! How many steps and splats a scene needs: trainings at reduced size, each twice as long as the one before, until
+//! another doubling would not pay; then with fewer splats, until that costs (method, section 9).
+
+use super::{ShortFit, Trials};
+use crate::{Photos, TrainError, TrainSettings, splat_cap};
+use segwild_raster::Engine;
+use segwild_scene::Scene;
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// Long side of the photos that are tried on: half of those trained on, within these.
+const SIZES: (u32, u32) = (160, 480);
+/// The shortest training tried, as a share of the longest, and in steps.
+const SHORTEST: (u32, u32) = (16, 125);
+/// What all further doublings together must promise on the photos held out, in dB, for the next to be made.
+const WORTH: f32 = 0.15;
+/// How much of a doubling's gain the next one keeps: where only one gain is known, and the bounds of what two tell.
+const KEEPS: (f32, f32, f32) = (0.5, 0.3, 0.75);
+/// What leaving out half of the splats may cost on the photos held out, in dB.
+const CHEAP: f32 = 0.1;
+/// Halvings of the splats that are tried.
+const HALVINGS: u32 = 3;
+
+/// How much a training is to spend, and on what grounds.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct BudgetChoice {
+    /// Optimiser steps.
+    pub steps: u32,
+    /// Most splats; 0 lets the scene decide, as in the settings.
+    pub splats: usize,
+    /// Why, in a sentence.
+    pub why: String,
+    /// The fits that were tried, in the order in which they were.
+    pub fits: Vec<ShortFit>,
+    /// Photos that these were scored on.
+    pub held_out: usize,
+}
+
+/// The long side of the photos to try on, where photos of `size` are trained on.
+pub fn trial_size(size: u32) -> u32 {
+    (size / 2).clamp(SIZES.0, SIZES.1).min(size)
+}
+
+/// Chooses the least steps and splats that suffice, `settings.steps` at most. `photos` gives photos of a long side of
+/// [`trial_size`] of `size`, which is that of the training; `stopping` ends the work. The same scene, photos and settings
+/// give the same choice.
+pub fn choose_budget(
+    engine: Arc<dyn Engine>,
+    scene: &Scene,
+    photos: Arc<dyn Photos>,
+    settings: &TrainSettings,
+    size: u32,
+    stopping: &dyn Fn() -> bool,
+) -> Result<BudgetChoice, TrainError> {
+    let trials = Trials::new(engine, scene, photos, stopping);
+    let whole = BudgetChoice {
+        steps: settings.steps,
+        splats: settings.splats,
+        why: String::new(),
+        fits: Vec::new(),
+        held_out: trials.held_out.len(),
+    };
+    if trials.held_out.is_empty() {
+        let why =
+            format!("all {} steps: {} photos are too few to hold any out", whole.steps, trials.usable.len());
+        return Ok(BudgetChoice { why, ..whole });
+    }
+    let mut fits: Vec<ShortFit> = Vec::new();
+    let mut steps = (settings.steps / SHORTEST.0).max(SHORTEST.1);
+    let mut promise = f32::INFINITY;
+    while steps < settings.steps {
+        fits.push(trials.fit(TrainSettings { steps, ..settings.clone() })?);
+        promise = promised(&fits.iter().map(|fit| fit.psnr).collect::<Vec<_>>());
+        if promise < WORTH {
+            break;
+        }
+        steps *= 2;
+    }
+    if fits.is_empty() {
+        let why = format!(
+            "all {steps} steps: shorter trainings than {} tell nothing",
+            SHORTEST.1,
+            steps = whole.steps
+        );
+        return Ok(BudgetChoice { why, ..whole });
+    }
+    let told = |fits: &[ShortFit]| -> String {
+        let each = fits.iter().map(|f| format!("{:.2} dB ({} steps, {} splats)", f.psnr, f.steps, f.splats));
+        each.collect::<Vec<_>>().join(", ")
+    };
+    let held_out = trials.held_out.len();
+    if promise >= WORTH {
+        let why = format!(
+            "all {} steps, for each doubling still paid; on {held_out} photos held out: {}",
+            settings.steps,
+            told(&fits)
+        );
+        return Ok(BudgetChoice { why, fits, ..whole });
+    }
+    // The shorter of two that are as good.
+    let best = fits.iter().map(|fit| fit.psnr).fold(f32::MIN, f32::max);
+    let chosen = fits.iter().find(|fit| best - fit.psnr < WORTH / 3.0).unwrap_or(&fits[0]).clone();
+    let doublings = fits.len();
+    let cap = splat_cap(settings, &trials.scene, trial_size(size));
+    let mut enough = chosen.clone();
+    for _ in 0..HALVINGS {
+        let half =
+            TrainSettings { steps: chosen.steps, splats: enough.splats.div_ceil(2), ..settings.clone() };
+        let fit = trials.fit(half)?;
+        fits.push(fit.clone());
+        if chosen.psnr - fit.psnr > CHEAP {
+            break;
+        }
+        enough = fit;
+    }
+    let splats = match enough == chosen {
+        true => settings.splats,
+        // The same share of what the scene could bear at its full size.
+        false => {
+            let share = enough.splats as f64 / cap.max(1) as f64;
+            (share * splat_cap(settings, scene, size) as f64).ceil() as usize
+        }
+    };
+    let most =
+        if splats > 0 { format!("at most {splats} splats") } else { "splats as the scene decides".into() };
+    let why = format!(
+        "{} of {} steps, {most}; on {held_out} photos held out, at half size: {}; all further doublings promise {promise:.2} dB; \
+         with fewer splats: {}",
+        chosen.steps,
+        settings.steps,
+        told(&fits[..doublings]),
+        told(&fits[doublings..])
+    );
+    Ok(BudgetChoice { steps: chosen.steps, splats, why, fits, ..whole })
+}
+
+/// What all further doublings together promise, from the scores of the doublings so far, in dB: their gains shrink
+/// as they did so far.
+fn promised(scores: &[f32]) -> f32 {
+    let gains: Vec<f32> = scores.windows(2).map(|w| w[1] - w[0]).collect();
+    let Some(&last) = gains.last() else { return f32::INFINITY };
+    let keeps = match gains[..] {
+        [.., before, last] if before > 0.0 => (last / before).clamp(KEEPS.1, KEEPS.2),
+        _ => KEEPS.0,
+    };
+    last.max(0.0) * keeps / (1.0 - keeps)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_further_steps_promise_follows_the_gains_so_far() {
+        assert_eq!(promised(&[20.0]), f32::INFINITY);
+        assert_eq!(promised(&[20.0, 21.0]), 1.0);
+        assert_eq!(promised(&[20.0, 21.0, 21.5]), 0.5);
+        // Gains that do not shrink promise much, and never without end; a loss promises nothing.
+        assert!((promised(&[20.0, 21.0, 22.0]) - 3.0).abs() < 1e-5);
+        assert_eq!(promised(&[20.0, 21.0, 20.9]), 0.0);
+        assert_eq!(promised(&[20.0, 19.0, 20.0]), 1.0);
+    }
+
+    #[test]
+    fn photos_are_tried_on_at_half_their_size_and_never_larger() {
+        assert_eq!([1000, 640, 320, 120].map(trial_size), [480, 320, 160, 120]);
+    }
+}
