@@ -1,0 +1,40 @@
+//! `segwild bench`: one module per benchmark, each with its arguments, a call into `segwild_bench`, and words out.
+
+mod flow;
+mod synthetic;
+
+use crate::failure::Failure;
+use clap::{ArgMatches, Command};
+use std::str::FromStr;
+
+/// The command's arguments. Without the name of a benchmark it is `synthetic`.
+pub fn command() -> Command {
+    synthetic::with_args(Command::new("bench").about("Measure: how accurate, how fast, how steady"))
+        .args_conflicts_with_subcommands(true)
+        .subcommand(synthetic::command())
+        .subcommand(flow::command())
+}
+
+/// Measures what was asked for.
+pub fn bench(matches: &ArgMatches) -> Result<(), Failure> {
+    match matches.subcommand() {
+        Some(("flow", m)) => flow::flow(m),
+        Some(("synthetic", m)) => synthetic::synthetic(m),
+        _ => synthetic::synthetic(matches),
+    }
+}
+
+/// The words of a flag that takes several, with commas between them.
+fn list(matches: &ArgMatches, name: &str) -> Vec<String> {
+    let text = matches.get_one::<String>(name).map_or("", String::as_str);
+    text.split(',').map(str::trim).filter(|t| !t.is_empty()).map(str::to_owned).collect()
+}
+
+/// The whole numbers of a flag that takes several, with commas between them.
+fn numbers<T: FromStr>(matches: &ArgMatches, name: &str) -> Result<Vec<T>, Failure> {
+    let read = |text: String| {
+        text.parse()
+            .map_err(|_| Failure::usage(format!("--{name} {text}: expected whole numbers with commas")))
+    };
+    list(matches, name).into_iter().map(read).collect()
+}
