@@ -80,6 +80,7 @@ fn segment_code(error: &SegmentError) -> u8 {
         SegmentError::EmptySpace { .. }
         | SegmentError::Background { .. }
         | SegmentError::EmptyMask { .. }
+        | SegmentError::NoFeatures
         | SegmentError::NothingSelected { .. } => exit::NOTHING,
         SegmentError::Provider { .. } => exit::INPUT,
         SegmentError::Shape(_) | SegmentError::Raster { .. } => exit::FAILED,

@@ -91,6 +91,12 @@ pub enum SegmentError {
         /// The photo.
         photo: String,
     },
+    /// Resemblance is to decide, and there is nothing to resemble.
+    #[error(
+        "resemblance alone is to decide (`similarity_use` = alone), but the scene has no feature field, or the clicks hit \
+         nothing that has a feature: finish the run, click elsewhere, or let masks decide (`similarity_use` = unseen)"
+    )]
+    NoFeatures,
     /// No splat is left.
     #[error("no splat belongs to the prompts ({reason}): click on another place, or lower `tau` or `rho`")]
     NothingSelected {
