@@ -106,6 +106,20 @@ pub enum SegmentError {
 }
 
 impl SegmentError {
+    /// Whether the prompts were understood and mean nothing that is there, which a benchmark counts as a miss; all else
+    /// is a mistake in the request or a failure.
+    pub fn is_nothing(&self) -> bool {
+        use SegmentError::{Background, EmptyMask, EmptySpace, NothingSelected, Provider};
+        matches!(
+            self,
+            EmptySpace { .. }
+                | Background { .. }
+                | EmptyMask { .. }
+                | NothingSelected { .. }
+                | Provider { .. }
+        )
+    }
+
     pub(crate) fn raster(photo: &str) -> impl Fn(RasterError) -> SegmentError + '_ {
         move |source| SegmentError::Raster { photo: photo.to_owned(), source }
     }

@@ -1,6 +1,11 @@
 //! `segwild bench`: one module per benchmark, each with its arguments, a call into `segwild_bench`, and words out.
 
+mod common;
 mod flow;
+mod folder;
+mod lego;
+mod photo_tourism;
+mod scribbles;
 mod synthetic;
 
 use crate::failure::Failure;
@@ -12,14 +17,24 @@ pub fn command() -> Command {
     synthetic::with_args(Command::new("bench").about("Measure: how accurate, how fast, how steady"))
         .args_conflicts_with_subcommands(true)
         .subcommand(synthetic::command())
+        .subcommand(folder::command())
+        .subcommand(photo_tourism::command())
+        .subcommand(lego::command())
+        .subcommand(scribbles::nvos_command())
+        .subcommand(scribbles::spin_nerf_command())
         .subcommand(flow::command())
 }
 
 /// Measures what was asked for.
 pub fn bench(matches: &ArgMatches) -> Result<(), Failure> {
     match matches.subcommand() {
-        Some(("flow", m)) => flow::flow(m),
         Some(("synthetic", m)) => synthetic::synthetic(m),
+        Some(("folder", m)) => folder::folder(m),
+        Some(("photo-tourism", m)) => photo_tourism::photo_tourism(m),
+        Some(("lego", m)) => lego::lego(m),
+        Some(("nvos", m)) => scribbles::nvos(m),
+        Some(("spin-nerf", m)) => scribbles::spin_nerf(m),
+        Some(("flow", m)) => flow::flow(m),
         _ => synthetic::synthetic(matches),
     }
 }
