@@ -1,14 +1,13 @@
 //! NeRF-W's controlled experiment: the same photos clean, in other colours, with a striped square before them, and both;
 //! what each costs on clean test photos (method, section 11).
 
-use super::{ProtocolError, Told, keep};
+use super::{Base, ProtocolError, Told, keep};
 use crate::ablation::{FULL, Variant};
 use crate::oracle::OracleOptions;
 use crate::perturb::{Affine, Square};
 use crate::record::{Record, Results};
 use crate::synthetic::{LookKind, SyntheticOptions, SyntheticScene, generate};
 use crate::trial::{ProviderKind, Trial, TrialError};
-use segwild_pipeline::Settings;
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -82,7 +81,7 @@ pub struct LegoProtocol {
     /// The scenes, but for their seeds, looks and strangers, of which they have none.
     pub scene: SyntheticOptions,
     /// What all rows have in common.
-    pub settings: Settings,
+    pub base: Base,
 }
 
 /// Measures PSNR and SSIM of the clean test photos for every row and perturbation, and the gap to the clean run. Rows
@@ -108,7 +107,7 @@ pub fn lego(
             let dir = out.join(format!("lego-{seed}-{}", perturbation.name()));
             let trial = Trial::of(&dir, scene, ProviderKind::Oracle, &OracleOptions::default())?;
             for row in ROWS.iter().filter(|r| only.is_empty() || only.iter().any(|o| o == r.name)) {
-                let mut settings = row.settings(&options.settings)?;
+                let mut settings = options.base.row(row)?;
                 // Pictures are asked about, not objects: no time is spent on features.
                 (settings.features.refine_steps, settings.masks.prompt_budget) = (0, 1);
                 let Some(held) = trial.held_out(&settings)? else { continue };

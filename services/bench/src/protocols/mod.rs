@@ -23,6 +23,7 @@ use crate::ablation::{VARIANTS, Variant};
 use crate::record::{Record, Results};
 use crate::rivals::{RIVALS, row};
 use crate::trial::TrialError;
+use segwild_pipeline::{Settings, SettingsError};
 use std::path::Path;
 
 /// Which rows a table has when none is named.
@@ -46,6 +47,29 @@ impl Table {
         }
         let named = |name: &String| row(name).ok_or_else(|| TrialError::Row(name.clone()).into());
         only.iter().map(named).collect()
+    }
+}
+
+/// What all rows have in common.
+#[derive(Clone, Debug, Default)]
+pub struct Base {
+    /// The settings that rows start from.
+    pub settings: Settings,
+    /// Settings that hold whatever a row says, by name: to tune a rival.
+    pub changes: Vec<(String, String)>,
+}
+
+impl Base {
+    /// A row's settings.
+    ///
+    /// # Errors
+    /// When there is no setting of a name, or a value is out of its range.
+    pub fn row(&self, row: &Variant) -> Result<Settings, ProtocolError> {
+        let mut settings = row.settings(&self.settings)?;
+        for (name, value) in &self.changes {
+            settings.set(name, value).map_err(SettingsError::from)?;
+        }
+        Ok(settings)
     }
 }
 

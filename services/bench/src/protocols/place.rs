@@ -1,6 +1,6 @@
 //! A scene of real photos with true masks of some of them, and what is asked of it.
 
-use super::{Missing, ProtocolError, Told, keep};
+use super::{Base, Missing, ProtocolError, Told, keep};
 use crate::ablation::Variant;
 use crate::metrics::{self, MaskScore};
 use crate::record::{Record, Results};
@@ -91,7 +91,7 @@ pub fn measure(
     out: &Path,
     place: &Place,
     rows: &[&Variant],
-    base: &Settings,
+    base: &Base,
     results: &mut Results,
     told: Told,
 ) -> Result<(), ProtocolError> {
@@ -103,7 +103,7 @@ pub fn measure(
     }
     let folder = RunFolder::create(&out.join(format!("{}-{}", file_name(&place.name), place.seed)))?;
     for row in rows {
-        let mut settings = row.settings(base)?;
+        let mut settings = base.row(row)?;
         settings.train.seed = place.seed;
         if let Some(split) = &place.split {
             settings.scene.split = split.display().to_string();

@@ -1,11 +1,11 @@
 //! Synthetic places, whose truth is known exactly: one click per object, or several at random (method, section 11).
 
-use super::{ProtocolError, Table, Told, clicks, keep};
+use super::{Base, ProtocolError, Table, Told, clicks, keep};
 use crate::oracle::OracleOptions;
 use crate::record::{Record, Results};
 use crate::synthetic::{Kind, ObjectTruth, SyntheticOptions};
 use crate::trial::{ProviderKind, Trial};
-use segwild_pipeline::{PhotoPrompts, Settings};
+use segwild_pipeline::PhotoPrompts;
 use segwild_scene::Prompts;
 use std::path::Path;
 
@@ -28,7 +28,7 @@ pub struct SyntheticProtocol {
     /// The scenes, but for their seeds.
     pub scene: SyntheticOptions,
     /// What all rows have in common.
-    pub settings: Settings,
+    pub base: Base,
 }
 
 /// Measures every row on every scene. Geometry that rows share is trained once per scene: what a row does not change
@@ -45,7 +45,7 @@ pub fn synthetic(
         let dir = out.join(format!("seed-{seed}"));
         let trial = Trial::new(&dir, &scene, options.providers, &options.faults)?;
         for row in &rows {
-            let settings = row.settings(&options.settings)?;
+            let settings = options.base.row(row)?;
             trial.train(&settings)?;
             let session = trial.session(&settings)?;
             for object in trial.manifest().objects.iter().filter(|o| o.kind == Kind::Object) {

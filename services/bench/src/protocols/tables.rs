@@ -265,3 +265,65 @@ pub fn page(results: &Results, title: &str, tables: &[String]) -> String {
     }
     text
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn record(setting: &str, seed: u64, target: &str, prompt: u32, iou: f64) -> Record {
+        let numbers = [("iou", iou), ("accuracy", 0.9), ("worst", iou - 0.1), ("hidden", 1.0 - iou)];
+        Record {
+            protocol: "synthetic".into(),
+            scene: format!("seed {seed}"),
+            setting: setting.into(),
+            target: target.into(),
+            seed,
+            prompt,
+            numbers: numbers.map(|(name, value)| (name.to_owned(), value)).into(),
+            ..Record::default()
+        }
+    }
+
+    fn results() -> Results {
+        let mut results = Results::default();
+        for r in [
+            record("full", 1, "lintel", 0, 0.8),
+            record("full", 1, "lintel", 1, 0.6),
+            record("full", 1, "dome", 0, 0.9),
+            record("full", 2, "lintel", 0, 1.0),
+            record("saga", 1, "lintel", 0, 0.25),
+        ] {
+            results.put(r);
+        }
+        results
+    }
+
+    #[test]
+    fn an_object_counts_once_however_many_prompts_it_had_and_a_seed_once_however_many_objects() {
+        let spread = over_seeds(&results(), "iou", |r| r.setting == "full").unwrap();
+        assert_eq!(spread.count, 2);
+        // Seed 1: lintel .7 and dome .9; seed 2: 1.
+        assert!((spread.mean - 0.9).abs() < 1e-12, "{spread}");
+        let table = summary(&results());
+        let full = table.lines().find(|l| l.starts_with("| full |")).unwrap();
+        // The worst of an object's prompts, the most that leaked, and the worst object.
+        assert!(
+            full.contains("| 0.833 |") && full.contains("| 0.4000 |") && full.contains("lintel 0.600"),
+            "{full}"
+        );
+    }
+
+    #[test]
+    fn tables_in_the_papers_layout_have_its_figures_beside_ours() {
+        let table = paper_targets(&results());
+        let row =
+            |begins: &str| table.lines().find(|l| l.starts_with(begins)).unwrap_or_else(|| panic!("{table}"));
+        assert!(row("| saga | paper |").contains(" 0.913 | 0.840 |"));
+        assert!(row("| saga | here | 0.250 / 0.900 | – |").ends_with("| 0.250 |"));
+        // Clicked twice with .7 on average on seed 1, and once with 1 on seed 2.
+        assert!(row("| full | here | 0.850 / 0.900 |").contains("0.900 ±"));
+        let table = paper_ablation(&results());
+        let full = table.lines().find(|l| l.contains("0.930 | 0.827 | 0.846 |")).unwrap();
+        assert!(full.contains("– | – | – |"), "the paper's query was not measured: {full}");
+    }
+}

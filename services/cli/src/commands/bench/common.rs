@@ -5,9 +5,9 @@ use crate::args::{given, json, path, with_settings};
 use crate::commands::{path as path_of, print_json, print_line, use_threads};
 use crate::exit;
 use crate::failure::Failure;
-use clap::{Arg, ArgMatches, Command};
+use clap::{Arg, ArgAction, ArgMatches, Command};
 use segwild_bench::protocols::tables::page;
-use segwild_bench::protocols::{Place, Table, measure};
+use segwild_bench::protocols::{Base, Place, ProtocolError, Table, measure};
 use segwild_bench::record::{Made, Record, Results};
 use segwild_pipeline::{Settings, SettingsError};
 use std::path::{Path, PathBuf};
@@ -28,7 +28,19 @@ pub fn with_common(command: Command, seeds: &'static str, folder: &'static str) 
                 .value_name("ROWS")
                 .help("Rows to compute, with commas, of whichever table [default: all of the table]"),
         )
+        .arg(
+            Arg::new("change")
+                .long("change")
+                .value_name("NAME=VALUE")
+                .action(ArgAction::Append)
+                .help("A setting that holds whatever a row says: to tune a rival"),
+        )
         .arg(path("out", folder))
+        .arg(
+            Arg::new("keep").long("keep").action(ArgAction::SetTrue).help(
+                "Keep what OUT/results.json has of other rows, scenes and prompts [default: begin anew]",
+            ),
+        )
         .arg(path("page", "Write the tables to this file, with what made them"))
         .arg(json())
 }
@@ -61,7 +73,7 @@ pub struct Asked {
     /// Seeds.
     pub seeds: Vec<u64>,
     /// What all rows have in common.
-    pub settings: Settings,
+    pub base: Base,
     /// Results so far: none.
     pub results: Results,
     /// Whether to print JSON.
@@ -77,17 +89,33 @@ pub fn asked(matches: &ArgMatches, folder: &str) -> Result<Asked, Failure> {
     flags.extend(given(matches));
     let settings = Settings::layered(None, &flags)?;
     use_threads(settings.run.threads);
+    let mut changes = Vec::new();
+    for text in matches.get_many::<String>("change").into_iter().flatten() {
+        let (name, value) = text
+            .split_once('=')
+            .ok_or_else(|| Failure::usage(format!("--change {text}: expected NAME=VALUE, as in tau=0.9")))?;
+        Settings::default().set(name, value).map_err(SettingsError::from)?;
+        changes.push((name.to_owned(), value.to_owned()));
+    }
     std::fs::create_dir_all(&out).map_err(|e| cannot_write(&out, &e))?;
-    match std::fs::remove_file(out.join("photos.jsonl")) {
-        Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(cannot_write(&out, &e)),
-        _ => {}
+    let mut results = Results { made: Made::here(command_line()), records: Vec::new() };
+    let (file, photos) = (out.join("results.json"), out.join("photos.jsonl"));
+    if matches.get_flag("keep") && file.is_file() {
+        let before = Results::read(&file).map_err(ProtocolError::from)?;
+        // What is kept was made by another command.
+        if before.made.command != results.made.command {
+            results.made.command = format!("{} && {}", before.made.command, results.made.command);
+        }
+        results.records = before.records;
+    } else if photos.is_file() {
+        std::fs::remove_file(&photos).map_err(|e| cannot_write(&photos, &e))?;
     }
     Ok(Asked {
         out,
         only: list(matches, "only"),
         seeds: numbers(matches, "seeds")?,
-        settings,
-        results: Results { made: Made::here(command_line()), records: Vec::new() },
+        base: Base { settings, changes },
+        results,
         json: matches.get_flag("json"),
         page: path_of(matches, "page"),
     })
@@ -100,7 +128,10 @@ fn command_line() -> String {
     while let Some(word) = given.next() {
         if word == "--out" || word == "--page" {
             given.next();
-        } else if !word.starts_with("--out=") && !word.starts_with("--page=") && word != "--json" {
+        } else if !["--out=", "--page="].iter().any(|p| word.starts_with(p))
+            && word != "--json"
+            && word != "--keep"
+        {
             words.push(word);
         }
     }
@@ -143,13 +174,13 @@ pub fn finish(asked: &Asked, title: &str, tables: &[String]) -> Result<(), Failu
 pub fn measure_places(
     asked: &mut Asked,
     table: Table,
-    places: impl Fn(&Settings, u64) -> Result<Vec<Place>, segwild_bench::protocols::ProtocolError>,
+    places: impl Fn(&Settings, u64) -> Result<Vec<Place>, ProtocolError>,
 ) -> Result<(), Failure> {
     let rows = table.rows(&asked.only)?;
     let mut told = tell(asked.json);
     for &seed in &asked.seeds {
-        for place in places(&asked.settings, seed)? {
-            measure(&asked.out, &place, &rows, &asked.settings, &mut asked.results, &mut told)?;
+        for place in places(&asked.base.settings, seed)? {
+            measure(&asked.out, &place, &rows, &asked.base, &mut asked.results, &mut told)?;
         }
     }
     Ok(())
@@ -163,7 +194,7 @@ pub fn default_setting(
     value: &str,
 ) -> Result<(), Failure> {
     if given(matches).iter().all(|(given, _)| given != name) {
-        asked.settings.set(name, value).map_err(SettingsError::from)?;
+        asked.base.settings.set(name, value).map_err(SettingsError::from)?;
     }
     Ok(())
 }

@@ -27,7 +27,7 @@ pub fn lego(matches: &ArgMatches) -> Result<(), Failure> {
         only: asked.only.clone(),
         seeds: asked.seeds.clone(),
         scene: scene(matches),
-        settings: asked.settings.clone(),
+        base: asked.base.clone(),
     };
     measure(&asked.out, &options, &mut asked.results, &mut tell(asked.json))?;
     finish(&asked, "Perturbed photos", &[tables::perturbations(&asked.results)])

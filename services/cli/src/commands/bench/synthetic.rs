@@ -96,7 +96,7 @@ pub fn synthetic(matches: &ArgMatches) -> Result<(), Failure> {
             units: *matches.get_one::<f64>("units").expect("it has a default"),
             ..scene(matches)
         },
-        settings: asked.settings.clone(),
+        base: asked.base.clone(),
     };
     measure(&asked.out, &options, &mut asked.results, &mut tell(asked.json))?;
     let results = &asked.results;
