@@ -7,11 +7,12 @@ use crate::synthetic::{
 };
 use segwild_flow::Stopper;
 use segwild_pipeline::{
-    PhotoPrompts, RunError, RunFolder, RunOptions, Selected, Settings, Until, run, segment,
+    HeldOut, PhotoPrompts, RunError, RunFolder, RunOptions, Selected, Settings, Until, run, segment,
 };
 use segwild_scene::{BoxPrompt, Mask, PointPrompt, Prompts, SceneError, Splats};
 use segwild_vision::{Providers, VisionError};
 use serde::Serialize;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
@@ -90,6 +91,27 @@ pub struct ObjectScore {
     pub hidden: f64,
     /// Splats that the spike cut shortened, dropped or took a piece of.
     pub cut: usize,
+    /// Seconds from the prompts to the selection, the scene being loaded; `None` where nothing was selected.
+    pub select_s: Option<f64>,
+}
+
+impl ObjectScore {
+    /// The numbers by the names that records have for them.
+    pub fn numbers(&self) -> BTreeMap<String, f64> {
+        let mut numbers = vec![
+            ("iou", self.iou),
+            ("worst", self.worst),
+            ("accuracy", self.accuracy),
+            ("boundary_iou", self.boundary_iou),
+            ("amodal_iou", self.amodal_iou),
+            ("amodal_boundary_iou", self.amodal_boundary_iou),
+            ("label_iou", self.label_iou),
+            ("hidden", self.hidden),
+            ("photos", self.photos as f64),
+        ];
+        numbers.extend(self.select_s.map(|s| ("select_s", s)));
+        numbers.into_iter().map(|(name, value)| (name.to_owned(), value)).collect()
+    }
 }
 
 /// A scene, its truth and its run.
@@ -111,7 +133,16 @@ impl Trial {
         providers: ProviderKind,
         faults: &OracleOptions,
     ) -> Result<Trial, TrialError> {
-        let scene = generate(options)?;
+        Trial::of(dir, generate(options)?, providers, faults)
+    }
+
+    /// The same for a scene that was made, and perhaps changed, before.
+    pub fn of(
+        dir: &Path,
+        scene: SyntheticScene,
+        providers: ProviderKind,
+        faults: &OracleOptions,
+    ) -> Result<Trial, TrialError> {
         let scene_dir = dir.join("scene");
         let manifest = scene.write(&scene_dir)?;
         let folder = RunFolder::create(&dir.join("run"))?;
@@ -157,6 +188,13 @@ impl Trial {
         let options = RunOptions { until: Until::stage("features"), providers, ..RunOptions::default() };
         run(&self.scene_dir, &self.folder, settings, &options)?;
         Ok(())
+    }
+
+    /// Trains the scene and scores the photos that are held out.
+    pub fn held_out(&self, settings: &Settings) -> Result<Option<HeldOut>, TrialError> {
+        let providers = Some(self.providers(settings)?);
+        let options = RunOptions { until: Until::stage("evaluate"), providers, ..RunOptions::default() };
+        Ok(run(&self.scene_dir, &self.folder, settings, &options)?.held_out)
     }
 
     /// Clicks every object once, in the training photo that shows it best, and scores what is selected. `told` hears
@@ -282,10 +320,12 @@ impl Session<'_> {
             label_iou: 0.0,
             hidden: 0.0,
             cut: 0,
+            select_s: None,
         };
         let (settings, providers) = (&self.settings.segment, Some(&self.providers));
         match segment(&trial.folder, name, &[prompts], settings, providers, &Stopper::new()) {
             Ok(outcome) => {
+                score.select_s = Some(outcome.select_s);
                 score.cut = outcome.cut + outcome.dropped + outcome.joined;
                 trial.masks(object.id, &mut score)?;
                 let selected = Selected::read(&trial.folder, name, self.splats.len())?.labels;
@@ -294,7 +334,7 @@ impl Session<'_> {
                 let hidden = trial.scene.instance_named(HIDDEN);
                 score.hidden = hidden.map_or(0.0, |wall| leakage(&selected, &self.labels, wall));
             }
-            Err(RunError::Segment(_)) => {} // nothing selected is nothing right
+            Err(RunError::Segment(error)) if error.is_nothing() => {} // nothing selected is nothing right
             Err(other) => return Err(other.into()),
         }
         Ok(score)

@@ -200,67 +200,7 @@ pub fn program() -> Command {
                 .arg(path("models", "Folder of network files to look at"))
                 .arg(json()),
         )
-        .subcommand(
-            with_settings(Command::new("bench").about("Measure: the ablation table on synthetic scenes"))
-                .args_conflicts_with_subcommands(true)
-                .subcommand(
-                    Command::new("flow")
-                        .about("Measure what the dataflow promises: overlap, accelerator, cost, cache, kills, memory")
-                        .arg(
-                            Arg::new("only")
-                                .long("only")
-                                .value_name("ROWS")
-                                .help("Rows to measure, with commas [default: all]"),
-                        )
-                        .arg(number("kills", "50", "Runs that are killed").value_parser(value_parser!(u32).range(1..)))
-                        .arg(
-                            Arg::new("photos")
-                                .long("photos")
-                                .value_name("FEW,MANY")
-                                .default_value("100,1000")
-                                .help("Photos of the two scenes whose memory is compared"),
-                        )
-                        .arg(path("out", "Folder for scenes and runs [default: .bench/flow]"))
-                        .arg(path("page", "Write the table to this file, as a page; rows not measured now are as they were last"))
-                        .arg(json()),
-                )
-                .arg(
-                    Arg::new("providers")
-                        .long("providers")
-                        .value_parser(["oracle", "builtin"])
-                        .default_value("oracle")
-                        .help("Who looks at the photos: the truth with faults, or what the settings name"),
-                )
-                .arg(number("photos", "60", "Training photos of each scene").value_parser(value_parser!(u32)))
-                .arg(number("pixels", "480", "Long side of the photos").value_parser(value_parser!(u32)))
-                .arg(
-                    number("occlusion", "0.1", "Share of each photo that strangers cover, 0 to 0.4")
-                        .value_parser(value_parser!(f32)),
-                )
-                .arg(
-                    number("kinship", "0", "How much all built things are alike to the oracle's embedding, 0 to 1")
-                        .value_parser(value_parser!(f32)),
-                )
-                .arg(
-                    number("units", "1", "File units per unit of the place: nothing may depend on it")
-                        .value_parser(value_parser!(f64)),
-                )
-                .arg(
-                    Arg::new("seeds")
-                        .long("seeds")
-                        .value_name("LIST")
-                        .default_value("1,2")
-                        .help("Seeds of the synthetic scenes, with commas"),
-                )
-                .arg(
-                    Arg::new("only")
-                        .long("only")
-                        .value_name("ROWS")
-                        .help("Rows of the table to compute, with commas [default: all]"),
-                )
-                .arg(path("out", "Folder for scenes, runs and tables [default: .bench]"))
-                .arg(json()),
-        )
+        .subcommand(crate::commands::bench::command())
 }
 
 /// The run folder.
@@ -268,7 +208,8 @@ pub fn run() -> Arg {
     Arg::new("run").required(true).value_parser(value_parser!(PathBuf)).help("Run folder")
 }
 
-fn number(name: &'static str, default: &'static str, help: &'static str) -> Arg {
+/// A flag that takes a number.
+pub fn number(name: &'static str, default: &'static str, help: &'static str) -> Arg {
     Arg::new(name).long(name).value_name("N").default_value(default).help(help)
 }
 
@@ -286,7 +227,8 @@ pub fn json() -> Arg {
     Arg::new("json").long("json").action(ArgAction::SetTrue).help("One JSON object per line instead of text")
 }
 
-fn path(name: &'static str, help: &'static str) -> Arg {
+/// A flag that takes a path.
+pub fn path(name: &'static str, help: &'static str) -> Arg {
     Arg::new(name).long(name).value_name("PATH").value_parser(value_parser!(PathBuf)).help(help)
 }
 
@@ -321,7 +263,7 @@ fn looks(default: &str) -> [Arg; 5] {
 }
 
 /// Adds a flag for every setting of every table.
-fn with_settings(mut command: Command) -> Command {
+pub fn with_settings(mut command: Command) -> Command {
     for (table, _, _) in Settings::catalogue() {
         command = with_table(command, table);
     }

@@ -1,0 +1,75 @@
+//! `segwild bench flow`
+
+use super::{list, numbers};
+use crate::args::{json, number, path};
+use crate::commands::{path as path_of, print_json, print_line};
+use crate::failure::Failure;
+use clap::{Arg, ArgMatches, Command, value_parser};
+use segwild_bench::flow::{FlowOptions, Row, measured, page};
+use std::path::PathBuf;
+
+/// The benchmark's arguments.
+pub fn command() -> Command {
+    Command::new("flow")
+        .about("Measure what the dataflow promises: overlap, accelerator, cost, cache, kills, memory")
+        .arg(
+            Arg::new("only")
+                .long("only")
+                .value_name("ROWS")
+                .help("Rows to measure, with commas [default: all]"),
+        )
+        .arg(number("kills", "50", "Runs that are killed").value_parser(value_parser!(u32).range(1..)))
+        .arg(
+            Arg::new("photos")
+                .long("photos")
+                .value_name("FEW,MANY")
+                .default_value("100,1000")
+                .help("Photos of the two scenes whose memory is compared"),
+        )
+        .arg(path("out", "Folder for scenes and runs [default: .bench/flow]"))
+        .arg(path(
+            "page",
+            "Write the table to this file, as a page; rows not measured now are as they were last",
+        ))
+        .arg(json())
+}
+
+/// Prints the ratios that the dataflow promises.
+pub fn flow(matches: &ArgMatches) -> Result<(), Failure> {
+    let json = matches.get_flag("json");
+    let [few, many] = numbers(matches, "photos")?[..] else {
+        return Err(Failure::usage("--photos: expected two numbers with a comma, as in 100,1000"));
+    };
+    let options = FlowOptions {
+        dir: path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench/flow")),
+        program: std::env::current_exe()?,
+        only: list(matches, "only"),
+        kills: *matches.get_one::<u32>("kills").expect("it has a default") as usize,
+        photos: [few, many],
+    };
+    let told = |row: &Row| {
+        let _ = if json {
+            print_json(row)
+        } else {
+            let verdict = if row.holds() { "holds" } else { "OVER " };
+            print_line(&format!(
+                "{verdict} {:>15} {:>7.3} (<= {}) {}: {}",
+                row.name, row.value, row.bar, row.what, row.from
+            ))
+        };
+    };
+    let rows = segwild_bench::flow::flow(&options, told)?;
+    if let Some(file) = path_of(matches, "page") {
+        std::fs::write(&file, page(&measured(&options.dir))).map_err(|e| Failure {
+            message: format!("cannot write {}: {e}", file.display()),
+            code: crate::exit::FAILED,
+        })?;
+    }
+    match rows.iter().filter(|r| !r.holds()).count() {
+        0 => Ok(()),
+        n => Err(Failure {
+            message: format!("{n} of {} promises are not kept", rows.len()),
+            code: crate::exit::FAILED,
+        }),
+    }
+}

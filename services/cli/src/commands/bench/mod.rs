@@ -1,0 +1,55 @@
+//! `segwild bench`: one module per benchmark, each with its arguments, a call into `segwild_bench`, and words out.
+
+mod common;
+mod flow;
+mod folder;
+mod lego;
+mod photo_tourism;
+mod scribbles;
+mod synthetic;
+
+use crate::failure::Failure;
+use clap::{ArgMatches, Command};
+use std::str::FromStr;
+
+/// The command's arguments. Without the name of a benchmark it is `synthetic`.
+pub fn command() -> Command {
+    synthetic::with_args(Command::new("bench").about("Measure: how accurate, how fast, how steady"))
+        .args_conflicts_with_subcommands(true)
+        .subcommand(synthetic::command())
+        .subcommand(folder::command())
+        .subcommand(photo_tourism::command())
+        .subcommand(lego::command())
+        .subcommand(scribbles::nvos_command())
+        .subcommand(scribbles::spin_nerf_command())
+        .subcommand(flow::command())
+}
+
+/// Measures what was asked for.
+pub fn bench(matches: &ArgMatches) -> Result<(), Failure> {
+    match matches.subcommand() {
+        Some(("synthetic", m)) => synthetic::synthetic(m),
+        Some(("folder", m)) => folder::folder(m),
+        Some(("photo-tourism", m)) => photo_tourism::photo_tourism(m),
+        Some(("lego", m)) => lego::lego(m),
+        Some(("nvos", m)) => scribbles::nvos(m),
+        Some(("spin-nerf", m)) => scribbles::spin_nerf(m),
+        Some(("flow", m)) => flow::flow(m),
+        _ => synthetic::synthetic(matches),
+    }
+}
+
+/// The words of a flag that takes several, with commas between them.
+fn list(matches: &ArgMatches, name: &str) -> Vec<String> {
+    let text = matches.get_one::<String>(name).map_or("", String::as_str);
+    text.split(',').map(str::trim).filter(|t| !t.is_empty()).map(str::to_owned).collect()
+}
+
+/// The whole numbers of a flag that takes several, with commas between them.
+fn numbers<T: FromStr>(matches: &ArgMatches, name: &str) -> Result<Vec<T>, Failure> {
+    let read = |text: String| {
+        text.parse()
+            .map_err(|_| Failure::usage(format!("--{name} {text}: expected whole numbers with commas")))
+    };
+    list(matches, name).into_iter().map(read).collect()
+}
