@@ -188,8 +188,7 @@ fn a_budget_is_decided_once_said_with_its_evidence_and_undone_by_name() {
     let why = choice["why"].as_str().expect("a reason");
     assert!(said.contains(why) && why.contains("held out") && why.contains("dB"), "{why}");
     let steps = choice["steps"].as_u64().expect("steps");
-    let trained =
-        |said: &str| said.lines().rfind(|line| line.contains("\"geometry\"")).map(str::to_owned);
+    let trained = |said: &str| said.lines().rfind(|line| line.contains("\"geometry\"")).map(str::to_owned);
     assert!(steps <= 600 && trained(&said).is_some(), "{said}");
     let history = std::fs::read_to_string(dir.path().join("run/history.jsonl")).expect("a history");
     let last = json(history.lines().last().expect("a line").as_bytes());

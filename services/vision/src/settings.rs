@@ -1,6 +1,6 @@
 //! Settings of the vision models, and the providers that they name.
 
-use crate::geometry::GeometrySky;
+use crate::geometry::{ColourSky, GeometrySky};
 use crate::onnx::{MEMORY_MIB, Runtime};
 use crate::registry::{DEEPLAB, EDGES, SKY};
 use crate::{
@@ -211,7 +211,7 @@ impl Providers {
                     _ => " (asked for)",
                 };
                 notes.push(format!("sky: built-in detector{why}"));
-                builtin.clone()
+                Arc::new(ColourSky(builtin.clone()))
             }
         };
         let embedder: Arc<dyn Embedder> = match by_sam(settings.embedder) {

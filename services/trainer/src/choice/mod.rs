@@ -83,8 +83,7 @@ impl<'a> Trials<'a> {
             }
             trainer.step()?;
         }
-        let model = trainer.snapshot();
-        let photos = self.photos.clone();
+        let (model, photos) = (trainer.snapshot(), self.photos.clone());
         let scored = evaluate(&model, &*self.engine, &self.scene, photos, &self.held_out, Protocol::Halves)?;
         Ok(ShortFit { look, steps, splats: model.splats.len(), psnr: scored.psnr, ssim: scored.ssim })
     }
