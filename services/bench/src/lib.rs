@@ -1,10 +1,13 @@
 //! Protocols, the synthetic wild scene, metrics, tables and charts.
 
 pub mod ablation;
+pub mod chart;
 pub mod flow;
 pub mod metrics;
 pub mod oracle;
 pub mod perturb;
+pub mod plot;
+pub mod point;
 pub mod record;
 pub mod synthetic;
 pub mod table;

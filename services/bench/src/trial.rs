@@ -11,12 +11,13 @@ use segwild_pipeline::{
 };
 use segwild_scene::{BoxPrompt, Mask, PointPrompt, Prompts, SceneError, Splats};
 use segwild_vision::{Providers, VisionError};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
 /// Who looks at the photos of a trial.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum ProviderKind {
     /// The truth, with faults of a known size: what the method is worth whatever the 2D models are.
     Oracle,
@@ -129,6 +130,11 @@ impl Trial {
     /// What `truth.json` says.
     pub fn manifest(&self) -> &Manifest {
         &self.manifest
+    }
+
+    /// Where the scene was written.
+    pub fn scene_dir(&self) -> &Path {
+        &self.scene_dir
     }
 
     /// The run.

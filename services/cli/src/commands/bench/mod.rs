@@ -1,5 +1,6 @@
 //! `segwild bench`: one module per benchmark, each with its arguments, a call into `segwild_bench`, and words out.
 
+mod chart;
 mod flow;
 mod synthetic;
 
@@ -12,12 +13,16 @@ pub fn command() -> Command {
     synthetic::with_args(Command::new("bench").about("Measure: how accurate, how fast, how steady"))
         .args_conflicts_with_subcommands(true)
         .subcommand(synthetic::command())
+        .subcommand(chart::command())
+        .subcommand(chart::point_command())
         .subcommand(flow::command())
 }
 
 /// Measures what was asked for.
 pub fn bench(matches: &ArgMatches) -> Result<(), Failure> {
     match matches.subcommand() {
+        Some(("chart", m)) => chart::chart(m),
+        Some(("point", _)) => chart::point(),
         Some(("flow", m)) => flow::flow(m),
         Some(("synthetic", m)) => synthetic::synthetic(m),
         _ => synthetic::synthetic(matches),
@@ -37,4 +42,10 @@ fn numbers<T: FromStr>(matches: &ArgMatches, name: &str) -> Result<Vec<T>, Failu
             .map_err(|_| Failure::usage(format!("--{name} {text}: expected whole numbers with commas")))
     };
     list(matches, name).into_iter().map(read).collect()
+}
+
+/// The command line as it was given, by which pages say how they were made.
+fn command_line() -> String {
+    let words: Vec<String> = std::env::args().skip(1).collect();
+    format!("segwild {}", words.join(" "))
 }
