@@ -2,6 +2,7 @@
 
 pub mod ablation;
 pub mod chart;
+pub mod compare;
 pub mod flow;
 pub mod metrics;
 pub mod oracle;

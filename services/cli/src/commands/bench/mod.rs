@@ -1,6 +1,7 @@
 //! `segwild bench`: one module per benchmark, each with its arguments, a call into `segwild_bench`, and words out.
 
 mod chart;
+mod compare;
 mod flow;
 mod synthetic;
 
@@ -15,6 +16,7 @@ pub fn command() -> Command {
         .subcommand(synthetic::command())
         .subcommand(chart::command())
         .subcommand(chart::point_command())
+        .subcommand(compare::command())
         .subcommand(flow::command())
 }
 
@@ -22,6 +24,7 @@ pub fn command() -> Command {
 pub fn bench(matches: &ArgMatches) -> Result<(), Failure> {
     match matches.subcommand() {
         Some(("chart", m)) => chart::chart(m),
+        Some(("compare", m)) => compare::compare(m),
         Some(("point", _)) => chart::point(),
         Some(("flow", m)) => flow::flow(m),
         Some(("synthetic", m)) => synthetic::synthetic(m),
