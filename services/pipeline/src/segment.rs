@@ -4,12 +4,13 @@ use crate::accelerator::leased;
 use crate::folder::Loaded;
 use crate::light::{self, find};
 use crate::prompts::{check_all, png_names};
+use crate::strangers::picture_of;
 use crate::{PhotoPrompts, Replay, RunError, RunFolder, choose_engine, report, traces};
 use segwild_flow::{
     ActorOptions, FileError, Limits, Phase, Stopper, System, SystemOptions, codec, fault, files, mailbox,
 };
 use segwild_raster::{Channels, Engine};
-use segwild_scene::{Image, Mask, Scene, Splats, ply};
+use segwild_scene::{Image, Mask, Scene, ScoredMask, Splats, ply};
 use segwild_segmenter::{
     Cut, Geometry, Object, PosedView, SegmentActor, SegmentError, SegmentReply, SegmentSettings, SegmentTask,
     Segmented, Verdict,
@@ -106,6 +107,8 @@ pub struct SegmentOutcome {
     pub agreement: f32,
     /// Whether only the prompted photos decided, for the others took the selection elsewhere.
     pub alone: bool,
+    /// What is doubtful about the prompts, in words.
+    pub notes: Vec<String>,
     /// Seconds from the prompts to the selection, the scene being loaded.
     pub select_s: f64,
     /// Seconds in all.
@@ -251,6 +254,7 @@ pub fn segment(
         photos: 0,
         agreement: selection.agreement,
         alone: selection.alone,
+        notes: doubts(folder, &scene, prompts, &masks),
         agreeing: count(Verdict::Accepted),
         disagreeing: count(Verdict::Disagrees),
         select_s,
@@ -303,6 +307,58 @@ pub fn segment(
     })?;
     report::write_report(folder)?;
     Ok(outcome)
+}
+
+/// A click this close to the edge of what it was taken to mean, in pixels of the working size, may as well have meant
+/// what is on the other side.
+const EDGE: f32 = 2.0;
+/// But not on something that is nowhere much deeper.
+const DEEPER: f32 = 4.0;
+
+/// What is doubtful about prompts that did select something: clicks on strangers, and clicks at an edge.
+fn doubts(
+    folder: &RunFolder,
+    scene: &Scene,
+    prompts: &[PhotoPrompts],
+    masks: &[(usize, ScoredMask)],
+) -> Vec<String> {
+    let mut words = Vec::new();
+    for p in prompts {
+        let Ok(view) = find(scene, &p.photo) else { continue };
+        let camera = &scene.views[view].camera;
+        let inside = |mask: &Mask, x: f32, y: f32| {
+            let scale = |v: f32, of: u32, to: u32| {
+                ((v / of.max(1) as f32 * to as f32) as u32).min(to.saturating_sub(1))
+            };
+            let (u, v) = (scale(x, camera.width, mask.width()), scale(y, camera.height, mask.height()));
+            (mask.get(u, v), (v * mask.width() + u) as usize)
+        };
+        let stranger = Mask::read_png(&picture_of(folder, scene, view)).ok();
+        let meant = masks.iter().find(|(v, _)| *v == view).map(|(_, m)| &m.mask);
+        let depths = meant.map(|m| m.not().distances());
+        for point in p.prompts.points.iter().filter(|p| p.inside) {
+            let (x, y) = (point.x, point.y);
+            if stranger.as_ref().is_some_and(|s| inside(s, x, y).0) {
+                words.push(format!(
+                    "photo {}: the click at ({x}, {y}) lies on what was taken for a stranger; what it selects may be what stands \
+                     behind: click in a photo where nobody stands before it",
+                    p.photo
+                ));
+            }
+            if let (Some(mask), Some(depths)) = (meant, &depths) {
+                let (hit, at) = inside(mask, x, y);
+                let deepest = depths.iter().copied().fold(0.0, f32::max);
+                if !hit || (depths[at] < EDGE && deepest > DEEPER * depths[at]) {
+                    words.push(format!(
+                        "photo {}: the click at ({x}, {y}) lies at the edge of what it was taken to mean (see prompted/): a click \
+                         deeper inside is safer",
+                        p.photo
+                    ));
+                }
+            }
+        }
+    }
+    words
 }
 
 /// The error with its position as the person gave it: in pixels of the photo at full size.

@@ -39,6 +39,9 @@ pub fn segment(matches: &ArgMatches) -> Result<(), Failure> {
         done.disagreeing,
         duration(done.select_s)
     ))?;
+    for note in &done.notes {
+        print_line(&format!("warning: {note}"))?;
+    }
     if done.alone {
         print_line("the other photos took it for something else: the prompted photos alone decide")?;
     } else if done.agreement < FAITHFUL {
