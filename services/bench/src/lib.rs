@@ -10,6 +10,7 @@ pub mod perturb;
 pub mod plot;
 pub mod point;
 pub mod record;
+pub mod stability;
 pub mod synthetic;
 pub mod table;
 pub mod trial;

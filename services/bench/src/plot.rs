@@ -71,6 +71,8 @@ pub struct Panel {
     pub names: Vec<String>,
     /// The measurements.
     pub series: Vec<Series>,
+    /// Whether the y axis goes down to 0.
+    pub y_from_zero: bool,
     /// Corners of a front: drawn as steps, better up and to the left.
     pub front: Vec<(f64, f64)>,
 }
@@ -309,7 +311,8 @@ impl Panel {
             })
         };
         let x = Axis::around(&ends(0).collect::<Vec<_>>(), self.log_x, &self.names);
-        let y = Axis::around(&ends(1).collect::<Vec<_>>(), self.log_y, &[]);
+        let zero = self.y_from_zero.then_some(0.0);
+        let y = Axis::around(&ends(1).chain(zero).collect::<Vec<_>>(), self.log_y, &[]);
         let (left, right, low) = (x.from, x.to, y.from);
         let names_of_x = self.names.clone();
         let mut chart = ChartBuilder::on(area)

@@ -5,7 +5,9 @@
 
 use crate::oracle::OracleOptions;
 use crate::record::Record;
-use crate::synthetic::{Kind, SyntheticOptions};
+use crate::stability::Harm;
+use crate::synthetic::random::Rng;
+use crate::synthetic::{Kind, ObjectTruth, SyntheticOptions, SyntheticPhoto, generate};
 use crate::trial::{ProviderKind, Trial, TrialError};
 use segwild_flow::{Event, Events, Stopper, cpu};
 use segwild_pipeline::{
@@ -64,10 +66,31 @@ pub struct Job {
     pub faults: OracleOptions,
     /// Settings by name, later ones winning.
     pub settings: Vec<(String, String)>,
+    /// What is wrong with a synthetic scene.
+    #[serde(default)]
+    pub harm: Harm,
+    /// Where objects of a synthetic scene are clicked.
+    #[serde(default)]
+    pub prompting: Prompting,
     /// Seed of the training.
     pub seed: u64,
     /// Folder for the scene and the run.
     pub dir: PathBuf,
+}
+
+/// Where objects of a synthetic scene are clicked.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Prompting {
+    /// Deepest inside, in the photo that shows the object best; with the built-in provider, as a person tells it.
+    #[default]
+    Best,
+    /// So many pixels from there, in a random direction.
+    Beside(f32),
+    /// So many pixels inside the outline, in the same photo.
+    Inside(f32),
+    /// So many times anywhere on the object, each in a random photo that shows it.
+    Random(u32),
 }
 
 /// Why a point cannot be measured.
@@ -154,42 +177,85 @@ pub fn measure(job: &Job) -> Result<Vec<Record>, PointError> {
 }
 
 fn synthetic(job: &Job, options: &SyntheticOptions, settings: &Settings) -> Result<Vec<Record>, PointError> {
-    let trial = Trial::new(&job.dir, options, job.providers, &job.faults)?;
+    let mut scene = generate(options).map_err(TrialError::from)?;
+    job.harm.apply(&mut scene, job.seed);
+    let trial = Trial::of(&job.dir, scene, job.providers, &job.faults)?;
     let providers = trial.providers(settings)?;
     let mut first = trained(job, trial.scene_dir(), trial.folder(), settings, providers)?;
     let session = trial.session(settings)?;
     let mut targets = Vec::new();
     let began = Instant::now();
     for object in trial.manifest().objects.iter().filter(|o| o.kind == Kind::Object) {
-        let Some(click) = object.clicks.first() else { continue };
-        // The oracle knows the whole from one click; the built-in provider is told as a person would tell it.
-        let prompts = match job.providers {
-            ProviderKind::Oracle => {
-                PhotoPrompts { photo: click.photo.clone(), prompts: Prompts::click(click.x, click.y) }
-            }
-            ProviderKind::Builtin => match trial.prompts(object) {
-                Some(prompts) => prompts,
-                None => continue,
-            },
-        };
-        let s = session.score(object, prompts)?;
-        targets.push(job.record(
-            &s.object,
-            0,
-            &[
+        for (k, prompts) in clicks(job, &trial, object).into_iter().enumerate() {
+            let s = session.score(object, prompts)?;
+            let numbers = [
                 ("iou", s.iou),
                 ("boundary_iou", s.boundary_iou),
                 ("accuracy", s.accuracy),
                 ("amodal_iou", s.amodal_iou),
                 ("label_iou", s.label_iou),
                 ("hidden", s.hidden),
-            ],
-        ));
+            ];
+            targets.push(Record { notes: s.notes, ..job.record(&s.object, k as u32, &numbers) });
+        }
     }
     first.numbers.insert("click_s".into(), began.elapsed().as_secs_f64() / targets.len().max(1) as f64);
     targets.insert(0, first);
     Ok(targets)
 }
+
+/// What is said of an object, each time anew.
+fn clicks(job: &Job, trial: &Trial, object: &ObjectTruth) -> Vec<PhotoPrompts> {
+    let Some(best) = object.clicks.first() else { return Vec::new() };
+    let one =
+        |photo: &str, x: f32, y: f32| PhotoPrompts { photo: photo.into(), prompts: Prompts::click(x, y) };
+    let shown = trial.scene().photos.iter().find(|p| p.name == best.photo);
+    let mut rng = Rng::new(job.seed, (31 << 32) + u64::from(object.id));
+    match job.prompting {
+        // The oracle knows the whole from one click; the built-in provider is told as a person would tell it.
+        Prompting::Best if job.providers == ProviderKind::Builtin => {
+            trial.prompts(object).into_iter().collect()
+        }
+        Prompting::Best => vec![one(&best.photo, best.x, best.y)],
+        Prompting::Beside(away) => {
+            let angle = std::f32::consts::TAU * rng.unit();
+            let (w, h) = shown.map_or((1, 1), |p| (p.camera.width, p.camera.height));
+            let x = (best.x + away * angle.cos()).clamp(0.5, w as f32 - 0.5);
+            let y = (best.y + away * angle.sin()).clamp(0.5, h as f32 - 0.5);
+            vec![one(&best.photo, x, y)]
+        }
+        Prompting::Inside(depth) => {
+            let Some(photo) = shown else { return Vec::new() };
+            let seen = photo.mask(object.id).minus(&photo.transients);
+            let depths = seen.not().distances();
+            let off = |x: u32, y: u32| (depths[(y * seen.width() + x) as usize] - depth).abs();
+            let nearest = seen.pixels().min_by(|a, b| off(a.0, a.1).total_cmp(&off(b.0, b.1)));
+            nearest.map(|(x, y)| one(&best.photo, x as f32 + 0.5, y as f32 + 0.5)).into_iter().collect()
+        }
+        Prompting::Random(times) => {
+            let shows = |p: &&SyntheticPhoto| {
+                let seen = p.mask(object.id).minus(&p.transients).count();
+                !p.test && seen * SHOWN >= p.instances.len()
+            };
+            let photos: Vec<&SyntheticPhoto> = trial.scene().photos.iter().filter(shows).collect();
+            let mut all = Vec::new();
+            for _ in 0..times {
+                if photos.is_empty() {
+                    break;
+                }
+                let photo = photos[rng.below(photos.len())];
+                let pixels: Vec<(u32, u32)> =
+                    photo.mask(object.id).minus(&photo.transients).pixels().collect();
+                let (x, y) = pixels[rng.below(pixels.len())];
+                all.push(one(&photo.name, x as f32 + 0.5, y as f32 + 0.5));
+            }
+            all
+        }
+    }
+}
+
+/// A photo shows an object when at least one pixel in this many is the object's.
+const SHOWN: usize = 200;
 
 fn folder(job: &Job, path: &Path, settings: &Settings) -> Result<Vec<Record>, PointError> {
     let truth = path.join("truth");

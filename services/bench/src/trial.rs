@@ -91,6 +91,9 @@ pub struct ObjectScore {
     pub hidden: f64,
     /// Splats that the spike cut shortened, dropped or took a piece of.
     pub cut: usize,
+    /// What the program said about the prompts: doubts, or why it refused.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub notes: Vec<String>,
 }
 
 /// A scene, its truth and its run.
@@ -112,7 +115,16 @@ impl Trial {
         providers: ProviderKind,
         faults: &OracleOptions,
     ) -> Result<Trial, TrialError> {
-        let scene = generate(options)?;
+        Trial::of(dir, generate(options)?, providers, faults)
+    }
+
+    /// A trial of a set that is there already.
+    pub fn of(
+        dir: &Path,
+        scene: SyntheticScene,
+        providers: ProviderKind,
+        faults: &OracleOptions,
+    ) -> Result<Trial, TrialError> {
         let scene_dir = dir.join("scene");
         let manifest = scene.write(&scene_dir)?;
         let folder = RunFolder::create(&dir.join("run"))?;
@@ -288,11 +300,13 @@ impl Session<'_> {
             label_iou: 0.0,
             hidden: 0.0,
             cut: 0,
+            notes: Vec::new(),
         };
         let (settings, providers) = (&self.settings.segment, Some(&self.providers));
         match segment(&trial.folder, name, &[prompts], settings, providers, &Stopper::new()) {
             Ok(outcome) => {
                 score.cut = outcome.cut + outcome.dropped + outcome.joined;
+                score.notes = outcome.notes;
                 trial.masks(object.id, &mut score)?;
                 let selected = Selected::read(&trial.folder, name, self.splats.len())?.labels;
                 let opacity = |i: usize| f64::from(self.splats.opacity(i));
@@ -300,7 +314,8 @@ impl Session<'_> {
                 let hidden = trial.scene.instance_named(HIDDEN);
                 score.hidden = hidden.map_or(0.0, |wall| leakage(&selected, &self.labels, wall));
             }
-            Err(RunError::Segment(_)) => {} // nothing selected is nothing right
+            // Nothing selected is nothing right.
+            Err(RunError::Segment(refused)) => score.notes.push(refused.to_string()),
             Err(other) => return Err(other.into()),
         }
         Ok(score)

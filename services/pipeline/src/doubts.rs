@@ -14,6 +14,8 @@ const ASTRAY: f32 = 0.02;
 const MANY_ASTRAY: f32 = 0.15;
 /// Cameras that stand this close together, as a share of how far away things are, tell no depth.
 const TOGETHER: f32 = 0.01;
+/// Scenes of tourist photos come to 22 dB and more on the photos they are trained on.
+const UNLIKE: f32 = 19.0;
 /// Photos held out fall short of those trained on by 4 dB on good scenes (`liberty`), by 7 on 20 photos of a place.
 const BY_HEART: f32 = 8.0;
 /// Photos named in a sentence.
@@ -134,6 +136,16 @@ fn together(scene: &Scene) -> Option<String> {
     })
 }
 
+/// Whether a trained scene shows its own photos badly.
+pub(crate) fn unlike(train: f32) -> Option<String> {
+    (train < UNLIKE).then(|| {
+        format!(
+            "the trained scene shows its own photos at only {train:.1} dB (good ones 22 and more): strangers in most photos, \
+             poses that do not fit, or light beyond the look"
+        )
+    })
+}
+
 /// Whether a scene knows the photos it was trained on much better than others.
 pub(crate) fn by_heart(train: f32, held_out: f32) -> Option<String> {
     (train - held_out > BY_HEART).then(|| {
@@ -222,6 +234,12 @@ mod tests {
         assert!(doubts(&few)[0].starts_with("too few photos: what 3"), "{:?}", doubts(&few));
         let said = doubts(&arc(0.01));
         assert!(said.len() == 1 && said[0].starts_with("all photos are taken from one spot"), "{said:?}");
+    }
+
+    #[test]
+    fn a_scene_unlike_its_photos_is_named() {
+        assert_eq!(unlike(22.3), None);
+        assert!(unlike(17.4).unwrap().contains("17.4 dB"));
     }
 
     #[test]

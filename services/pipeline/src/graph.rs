@@ -337,6 +337,9 @@ pub fn run(
             ledger.finish_stage("evaluate", &coordinator.keys.evaluation_without(&unscored), None)?;
         }
     }
+    if let Some(words) = model.as_ref().and_then(|m| m.stats.psnr).and_then(doubts::unlike) {
+        options.events.warn(Some("geometry"), words);
+    }
     let learnt = model.as_ref().and_then(|m| m.stats.psnr).zip(scores.as_ref().map(|s| s.psnr));
     if let Some(words) = learnt.and_then(|(train, held)| doubts::by_heart(train, held)) {
         options.events.warn(Some("evaluate"), words);

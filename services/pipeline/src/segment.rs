@@ -107,12 +107,41 @@ pub struct SegmentOutcome {
     pub agreement: f32,
     /// Whether only the prompted photos decided, for the others took the selection elsewhere.
     pub alone: bool,
-    /// What is doubtful about the prompts, in words.
+    /// What is doubtful about the prompts and the selection, a sentence each.
     pub notes: Vec<String>,
     /// Seconds from the prompts to the selection, the scene being loaded.
     pub select_s: f64,
     /// Seconds in all.
     pub wall_s: f64,
+}
+
+/// So few photos that disagree are nothing to speak of.
+const OPPOSED: usize = 4;
+/// Under this share of agreement a selection is doubtful.
+const FAITHFUL: f32 = 0.5;
+
+impl SegmentOutcome {
+    /// What is doubtful about the selection itself, a sentence each.
+    fn doubts(&self) -> Vec<String> {
+        let mut words = Vec::new();
+        if self.alone {
+            words
+                .push("the other photos took it for something else: the prompted photos alone decide".into());
+        } else if self.agreement < FAITHFUL {
+            words.push(format!(
+                "of what the prompts mean and what was selected in the prompted photos, only {:.0} % is both: look at \
+                 prompted/ and masks/, and click once more where they differ",
+                100.0 * self.agreement
+            ));
+        }
+        if self.disagreeing > OPPOSED.max(self.agreeing) {
+            words.push(format!(
+                "{} photos disagree with the selection and {} agree: their masks, or the camera poses, do not fit",
+                self.disagreeing, self.agreeing
+            ));
+        }
+        words
+    }
 }
 
 /// Selects what the prompts mean and writes it to the run's `selections/NAME`.
@@ -260,6 +289,7 @@ pub fn segment(
         select_s,
         wall_s: 0.0,
     };
+    outcome.notes.extend(outcome.doubts());
     files::write_folder(&target, |aside| -> Result<(), RunError> {
         let dir = |sub: &str| -> Result<PathBuf, RunError> {
             let path = aside.join(sub);

@@ -287,13 +287,16 @@ fn share_of(mask: &Mask) -> f32 {
     mask.count() as f32 / (f64::from(mask.width()) * f64::from(mask.height())).max(1.0) as f32
 }
 
-/// From this share on strangers cover so much of most photos that what they hide is hardly seen from two sides.
-const CROWDED: f32 = 0.25;
+/// A photo of which this share contradicts the scene is crowded. What is found is less than what is there: of 25 % that
+/// strangers truly cover about 20 % is found, and hardly more however much they cover.
+const CROWDED: f32 = 0.2;
+/// Share of the photos that must be crowded for all of them to be spoken of.
+const MANY: f32 = 0.34;
 
-/// What is to be said where most photos contradict the scene.
+/// What is to be said where many photos contradict the scene.
 fn crowded(shares: &[f32]) -> Option<String> {
     let many = shares.iter().filter(|s| **s > CROWDED).count();
-    (2 * many > shares.len()).then(|| {
+    (shares.len() > 2 && many as f32 > MANY * shares.len() as f32).then(|| {
         format!(
             "in {many} of {} photos more than {:.0} % contradicts the scene: strangers in most of them, light beyond the look, or \
              poses that do not fit",

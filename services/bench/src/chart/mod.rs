@@ -10,8 +10,9 @@ pub use page::{ChartPage, Verdict, write};
 pub use sweeps::{SWEEPS, Sweep};
 
 use crate::oracle::OracleOptions;
-use crate::point::{self, Job, Place, PointError};
+use crate::point::{self, Job, Place, PointError, Prompting};
 use crate::record::{Made, Record, RecordError, Results};
+use crate::stability::Harm;
 use crate::trial::ProviderKind;
 use segwild_pipeline::SettingsError;
 use serde::{Deserialize, Serialize};
@@ -169,6 +170,8 @@ impl Plan {
             providers: base.providers,
             faults: base.faults.clone(),
             settings: self.settings.clone(),
+            harm: Harm::default(),
+            prompting: Prompting::Best,
             seed,
             dir: options.out.join("point"),
         }

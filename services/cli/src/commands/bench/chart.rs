@@ -42,7 +42,7 @@ pub fn command() -> Command {
         .arg(number("photos", "24", "Training photos of a synthetic place").value_parser(value_parser!(u32)))
         .arg(number("pixels", "240", "Long side of a synthetic place's photos").value_parser(value_parser!(u32)))
         .arg(
-            number("occlusion", "0.1", "Share of each synthetic photo that strangers cover, 0 to 0.4")
+            number("occlusion", "0.1", "Share of each synthetic photo that strangers cover, 0 to 0.6")
                 .value_parser(value_parser!(f32)),
         )
         .arg(

@@ -3,6 +3,7 @@
 mod chart;
 mod compare;
 mod flow;
+mod stability;
 mod synthetic;
 
 use crate::failure::Failure;
@@ -18,6 +19,7 @@ pub fn command() -> Command {
         .subcommand(chart::point_command())
         .subcommand(compare::command())
         .subcommand(flow::command())
+        .subcommand(stability::command())
 }
 
 /// Measures what was asked for.
@@ -25,6 +27,7 @@ pub fn bench(matches: &ArgMatches) -> Result<(), Failure> {
     match matches.subcommand() {
         Some(("chart", m)) => chart::chart(m),
         Some(("compare", m)) => compare::compare(m),
+        Some(("stability", m)) => stability::stability(m),
         Some(("point", _)) => chart::point(),
         Some(("flow", m)) => flow::flow(m),
         Some(("synthetic", m)) => synthetic::synthetic(m),

@@ -33,7 +33,7 @@ pub fn with_args(command: Command) -> Command {
         .arg(number("photos", "60", "Training photos of each scene").value_parser(value_parser!(u32)))
         .arg(number("pixels", "480", "Long side of the photos").value_parser(value_parser!(u32)))
         .arg(
-            number("occlusion", "0.1", "Share of each photo that strangers cover, 0 to 0.4")
+            number("occlusion", "0.1", "Share of each photo that strangers cover, 0 to 0.6")
                 .value_parser(value_parser!(f32)),
         )
         .arg(
