@@ -10,6 +10,8 @@ pub mod perturb;
 pub mod plot;
 pub mod point;
 pub mod record;
+pub mod scale;
+pub mod slice;
 pub mod stability;
 pub mod synthetic;
 pub mod table;

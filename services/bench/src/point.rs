@@ -3,6 +3,7 @@
 //! Cost is only comparable between processes that did one thing each: [`apart`] starts a program for every [`Job`],
 //! and nothing is shared between two of them.
 
+use crate::flow::{Calls, counted};
 use crate::oracle::OracleOptions;
 use crate::record::Record;
 use crate::stability::Harm;
@@ -11,9 +12,10 @@ use crate::synthetic::{Kind, ObjectTruth, SyntheticOptions, SyntheticPhoto, gene
 use crate::trial::{ProviderKind, Trial, TrialError};
 use segwild_flow::{Event, Events, Stopper, cpu};
 use segwild_pipeline::{
-    PhotoPrompts, RunError, RunFolder, RunOptions, Settings, SettingsError, Summary, Until, run, score,
-    segment,
+    Loaded, PhotoPrompts, RunError, RunFolder, RunOptions, Settings, SettingsError, Summary, Until, run,
+    score, segment,
 };
+use segwild_raster::{CpuEngine, Engine};
 use segwild_scene::{BoxPrompt, Mask, PointPrompt, Prompts, Scene, SceneError};
 use segwild_vision::Providers;
 use serde::{Deserialize, Serialize};
@@ -72,6 +74,10 @@ pub struct Job {
     /// Where objects of a synthetic scene are clicked.
     #[serde(default)]
     pub prompting: Prompting,
+    /// Whether work is counted beside the quality: `steps`, `calls` of the providers, and `pairs` of a splat and a tile
+    /// that one look at every training photo draws. Counts do not depend on how busy a machine is.
+    #[serde(default)]
+    pub count: bool,
     /// Seed of the training.
     pub seed: u64,
     /// Folder for the scene and the run.
@@ -91,6 +97,8 @@ pub enum Prompting {
     Inside(f32),
     /// So many times anywhere on the object, each in a random photo that shows it.
     Random(u32),
+    /// Nowhere: only the training counts.
+    Nowhere,
 }
 
 /// Why a point cannot be measured.
@@ -232,6 +240,7 @@ fn clicks(job: &Job, trial: &Trial, object: &ObjectTruth) -> Vec<PhotoPrompts> {
             let nearest = seen.pixels().min_by(|a, b| off(a.0, a.1).total_cmp(&off(b.0, b.1)));
             nearest.map(|(x, y)| one(&best.photo, x as f32 + 0.5, y as f32 + 0.5)).into_iter().collect()
         }
+        Prompting::Nowhere => Vec::new(),
         Prompting::Random(times) => {
             let shows = |p: &&SyntheticPhoto| {
                 let seen = p.mask(object.id).minus(&p.transients).count();
@@ -296,6 +305,7 @@ fn trained(
     settings: &Settings,
     providers: Providers,
 ) -> Result<Record, PointError> {
+    let (providers, calls) = if job.count { counted(&providers) } else { (providers, Calls::default()) };
     let events = Events::new();
     let listener = events.subscribe();
     let options = RunOptions {
@@ -320,12 +330,47 @@ fn trained(
     ];
     let known = more.into_iter().filter_map(|(name, value)| Some((name.to_owned(), value?)));
     record.numbers.extend(known);
+    if job.count {
+        let steps = settings.train.steps + settings.features.refine_steps;
+        record.numbers.insert("steps".into(), f64::from(steps));
+        record.numbers.insert("calls".into(), calls.count() as f64);
+        record.numbers.insert("pairs".into(), pairs(folder, settings)? as f64);
+    }
     while let Some(told) = listener.try_next() {
         if let Event::Warning { message, .. } = &told.event {
             record.notes.push(message.clone());
         }
     }
     Ok(record)
+}
+
+/// Side of a tile in pixels, as in both engines.
+const TILE: f32 = 16.0;
+
+/// Pairs of a splat and a tile that it may reach, over the training photos.
+fn pairs(folder: &RunFolder, settings: &Settings) -> Result<usize, PointError> {
+    let Loaded { scene, model, .. } = folder.load()?;
+    let engine = CpuEngine::new();
+    let mut pairs = 0;
+    for view in scene.views.iter().filter(|v| !v.test) {
+        let camera = view.camera.scaled_to(settings.scene.size);
+        let projected =
+            engine.project(&model.splats, &camera, &view.pose, &model.options()).map_err(RunError::from)?;
+        let tiles = |at: f32, radius: f32, size: u32| {
+            let last = ((size.max(1) - 1) as f32 / TILE).floor();
+            let from = ((at - radius) / TILE).floor().max(0.0);
+            let to = ((at + radius) / TILE).floor().min(last);
+            (to - from + 1.0).max(0.0) as usize
+        };
+        pairs += projected
+            .radii()
+            .iter()
+            .zip(projected.centres())
+            .filter(|(radius, _)| **radius > 0.0)
+            .map(|(&radius, &[x, y])| tiles(x, radius, camera.width) * tiles(y, radius, camera.height))
+            .sum::<usize>();
+    }
+    Ok(pairs)
 }
 
 const MIB: f64 = (1 << 20) as f64;

@@ -172,6 +172,7 @@ impl Plan {
             settings: self.settings.clone(),
             harm: Harm::default(),
             prompting: Prompting::Best,
+            count: false,
             seed,
             dir: options.out.join("point"),
         }

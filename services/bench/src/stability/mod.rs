@@ -161,6 +161,7 @@ fn job(options: &StabilityOptions, seed: u64) -> Job {
         settings: options.settings.clone(),
         harm: Harm::default(),
         prompting: Prompting::Best,
+        count: false,
         seed,
         dir: PathBuf::new(),
     }

@@ -3,6 +3,8 @@
 mod chart;
 mod compare;
 mod flow;
+mod scale;
+mod slice;
 mod stability;
 mod synthetic;
 
@@ -19,6 +21,8 @@ pub fn command() -> Command {
         .subcommand(chart::point_command())
         .subcommand(compare::command())
         .subcommand(flow::command())
+        .subcommand(scale::command())
+        .subcommand(slice::command())
         .subcommand(stability::command())
 }
 
@@ -27,6 +31,8 @@ pub fn bench(matches: &ArgMatches) -> Result<(), Failure> {
     match matches.subcommand() {
         Some(("chart", m)) => chart::chart(m),
         Some(("compare", m)) => compare::compare(m),
+        Some(("scale", m)) => scale::scale(m),
+        Some(("slice", m)) => slice::slice(m),
         Some(("stability", m)) => stability::stability(m),
         Some(("point", _)) => chart::point(),
         Some(("flow", m)) => flow::flow(m),
