@@ -11,8 +11,8 @@ use segwild_bench::trial::{ProviderKind, Trial};
 use segwild_pipeline::{RunOptions, Settings, run};
 use segwild_raster::{Channels, CpuEngine, Engine};
 use segwild_scene::Mask;
-use segwild_segmenter::Evidence;
 use segwild_segmenter::coverage::{coverage, soft, unoccluded};
+use segwild_segmenter::{Evidence, Vote};
 use segwild_trainer::{Protocol, TrainPhoto, evaluate};
 use std::sync::Arc;
 
@@ -59,7 +59,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let ones = vec![1.0; (w * h) as usize];
         for (object, evidence) in objects.iter().zip(&mut evidence) {
             let inside = soft(&truth(&view.name).mask(object.id), w, h);
-            evidence.add(&coverage(&*projected, &whole, &inside, &ones, (w, h), 0.0), 1.0);
+            evidence.add(&coverage(&*projected, &whole, &inside, &ones, (w, h), 0.0, Vote::View), 1.0);
         }
     }
     let labels = trial.scene().label(&scene.frame, &model.splats.means);

@@ -5,16 +5,24 @@ use crate::synthetic::random::Rng;
 use segwild_scene::{Image, Mask};
 use serde::{Deserialize, Serialize};
 
-/// Side of the square in pixels; the experiment's photos are 800 x 800.
+/// Side of the square in pixels on the experiment's photos, which are 800 x 800; on others it has the same share of the
+/// long side.
 pub const SQUARE: usize = 200;
-/// Number of its upright stripes, 20 px wide each.
+/// Long side of the experiment's photos.
+const PHOTO: usize = 800;
+/// Number of its upright stripes, 20 px wide each in the experiment.
 pub const STRIPES: usize = 10;
+
+/// Side of the square on a photo.
+fn side(width: usize, height: usize) -> usize {
+    (width.max(height) * SQUARE / PHOTO).max(STRIPES)
+}
 
 /// Why a photo cannot be perturbed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PerturbError {
     /// The photo is smaller than the square.
-    #[error("a photo of {width}x{height} has no room for a square of {SQUARE} px; use larger photos")]
+    #[error("a photo of {width}x{height} has no room for a square of a quarter of its long side")]
     Small {
         /// Width of the photo.
         width: usize,
@@ -64,6 +72,8 @@ pub struct Square {
     pub left: usize,
     /// Its top row.
     pub top: usize,
+    /// Its side in pixels.
+    pub side: usize,
     /// The stripes' colours, from the left.
     pub stripes: Vec<[f32; 3]>,
 }
@@ -71,13 +81,15 @@ pub struct Square {
 impl Square {
     /// The square of one photo: anywhere it fits, in random colours.
     pub fn random(seed: u64, photo: u64, width: usize, height: usize) -> Result<Square, PerturbError> {
-        if width < SQUARE || height < SQUARE {
+        let side = side(width, height);
+        if width < side || height < side {
             return Err(PerturbError::Small { width, height });
         }
         let mut rng = Rng::new(seed, (13 << 32) + photo);
         Ok(Square {
-            left: rng.below(width - SQUARE + 1),
-            top: rng.below(height - SQUARE + 1),
+            left: rng.below(width - side + 1),
+            top: rng.below(height - side + 1),
+            side,
             stripes: (0..STRIPES).map(|_| rng.triple(0.0, 1.0).to_array()).collect(),
         })
     }
@@ -88,19 +100,19 @@ impl Square {
             return Err(PerturbError::Planes(image.channels));
         }
         let (width, height) = (image.width, image.height);
-        if self.left + SQUARE > width || self.top + SQUARE > height {
+        if self.left + self.side > width || self.top + self.side > height {
             return Err(PerturbError::Small { width, height });
         }
         let mut out = image.clone();
-        for (c, y) in (0..3).flat_map(|c| (self.top..self.top + SQUARE).map(move |y| (c, y))) {
-            for x in 0..SQUARE {
-                let stripe = self.stripes[x * self.stripes.len() / SQUARE];
+        for (c, y) in (0..3).flat_map(|c| (self.top..self.top + self.side).map(move |y| (c, y))) {
+            for x in 0..self.side {
+                let stripe = self.stripes[x * self.stripes.len() / self.side];
                 out.data[(c * height + y) * width + self.left + x] = stripe[c];
             }
         }
         let inside = |x: u32, y: u32| {
-            (self.left..self.left + SQUARE).contains(&(x as usize))
-                && (self.top..self.top + SQUARE).contains(&(y as usize))
+            (self.left..self.left + self.side).contains(&(x as usize))
+                && (self.top..self.top + self.side).contains(&(y as usize))
         };
         Ok((out, Mask::from_fn(width as u32, height as u32, inside)))
     }

@@ -7,11 +7,12 @@ use crate::synthetic::{
 };
 use segwild_flow::Stopper;
 use segwild_pipeline::{
-    PhotoPrompts, RunError, RunFolder, RunOptions, Selected, Settings, Until, run, segment,
+    HeldOut, PhotoPrompts, RunError, RunFolder, RunOptions, Selected, Settings, Until, run, segment,
 };
 use segwild_scene::{BoxPrompt, Mask, PointPrompt, Prompts, SceneError, Splats};
 use segwild_vision::{Providers, VisionError};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
@@ -94,6 +95,27 @@ pub struct ObjectScore {
     /// What the program said about the prompts: doubts, or why it refused.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub notes: Vec<String>,
+    /// Seconds from the prompts to the selection, the scene being loaded; `None` where nothing was selected.
+    pub select_s: Option<f64>,
+}
+
+impl ObjectScore {
+    /// The numbers by the names that records have for them.
+    pub fn numbers(&self) -> BTreeMap<String, f64> {
+        let mut numbers = vec![
+            ("iou", self.iou),
+            ("worst", self.worst),
+            ("accuracy", self.accuracy),
+            ("boundary_iou", self.boundary_iou),
+            ("amodal_iou", self.amodal_iou),
+            ("amodal_boundary_iou", self.amodal_boundary_iou),
+            ("label_iou", self.label_iou),
+            ("hidden", self.hidden),
+            ("photos", self.photos as f64),
+        ];
+        numbers.extend(self.select_s.map(|s| ("select_s", s)));
+        numbers.into_iter().map(|(name, value)| (name.to_owned(), value)).collect()
+    }
 }
 
 /// A scene, its truth and its run.
@@ -118,7 +140,7 @@ impl Trial {
         Trial::of(dir, generate(options)?, providers, faults)
     }
 
-    /// A trial of a set that is there already.
+    /// The same for a scene that was made, and perhaps changed, before.
     pub fn of(
         dir: &Path,
         scene: SyntheticScene,
@@ -175,6 +197,13 @@ impl Trial {
         let options = RunOptions { until: Until::stage("features"), providers, ..RunOptions::default() };
         run(&self.scene_dir, &self.folder, settings, &options)?;
         Ok(())
+    }
+
+    /// Trains the scene and scores the photos that are held out.
+    pub fn held_out(&self, settings: &Settings) -> Result<Option<HeldOut>, TrialError> {
+        let providers = Some(self.providers(settings)?);
+        let options = RunOptions { until: Until::stage("evaluate"), providers, ..RunOptions::default() };
+        Ok(run(&self.scene_dir, &self.folder, settings, &options)?.held_out)
     }
 
     /// Clicks every object once, in the training photo that shows it best, and scores what is selected. `told` hears
@@ -301,10 +330,12 @@ impl Session<'_> {
             hidden: 0.0,
             cut: 0,
             notes: Vec::new(),
+            select_s: None,
         };
         let (settings, providers) = (&self.settings.segment, Some(&self.providers));
         match segment(&trial.folder, name, &[prompts], settings, providers, &Stopper::new()) {
             Ok(outcome) => {
+                score.select_s = Some(outcome.select_s);
                 score.cut = outcome.cut + outcome.dropped + outcome.joined;
                 score.notes = outcome.notes;
                 trial.masks(object.id, &mut score)?;
@@ -315,7 +346,7 @@ impl Session<'_> {
                 score.hidden = hidden.map_or(0.0, |wall| leakage(&selected, &self.labels, wall));
             }
             // Nothing selected is nothing right.
-            Err(RunError::Segment(refused)) => score.notes.push(refused.to_string()),
+            Err(RunError::Segment(error)) if error.is_nothing() => score.notes.push(error.to_string()),
             Err(other) => return Err(other.into()),
         }
         Ok(score)

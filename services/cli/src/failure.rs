@@ -2,6 +2,7 @@
 
 use crate::exit;
 use segwild_bench::flow::FlowError;
+use segwild_bench::protocols::ProtocolError;
 use segwild_bench::synthetic::SyntheticError;
 use segwild_bench::trial::TrialError;
 use segwild_farm::BatchError;
@@ -80,6 +81,7 @@ fn segment_code(error: &SegmentError) -> u8 {
         SegmentError::EmptySpace { .. }
         | SegmentError::Background { .. }
         | SegmentError::EmptyMask { .. }
+        | SegmentError::NoFeatures
         | SegmentError::NothingSelected { .. } => exit::NOTHING,
         SegmentError::Provider { .. } => exit::INPUT,
         SegmentError::Shape(_) | SegmentError::Raster { .. } => exit::FAILED,
@@ -153,6 +155,23 @@ impl From<TrialError> for Failure {
             TrialError::Scene(e) => RunError::from(e).into(),
             TrialError::Row(_) => Failure::usage(error.to_string()),
             TrialError::Metric { .. } => Failure { message: error.to_string(), code: exit::FAILED },
+        }
+    }
+}
+
+impl From<ProtocolError> for Failure {
+    fn from(error: ProtocolError) -> Failure {
+        match error {
+            ProtocolError::Trial(e) => e.into(),
+            ProtocolError::Run(e) => e.into(),
+            ProtocolError::Settings(e) => e.into(),
+            ProtocolError::Scene(e) => RunError::from(e).into(),
+            ProtocolError::Missing(_) | ProtocolError::File { .. } => {
+                Failure { message: error.to_string(), code: exit::INPUT }
+            }
+            ProtocolError::Record(_) | ProtocolError::Perturb(_) | ProtocolError::Metric { .. } => {
+                Failure { message: error.to_string(), code: exit::FAILED }
+            }
         }
     }
 }

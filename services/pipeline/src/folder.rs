@@ -16,12 +16,14 @@
 //! RUN/report.html       everything above to look at
 //! ```
 
+use crate::prompts::png_names;
 use crate::{RunError, Settings};
 use segwild_features::FeatureField;
 use segwild_flow::{Cache, codec, files};
 use segwild_scene::{Frame, Scene, Skipped};
 use segwild_trainer::Model;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Kind of the record in `model.bin`, and of models in the cache.
@@ -133,6 +135,13 @@ impl RunFolder {
         }
         let known = if known.is_empty() { "there is none yet".to_owned() } else { known.join(", ") };
         Err(RunError::Request(format!("this run has no selection named `{name}` ({known})")))
+    }
+
+    /// File name of each photo's mask in a selection's `masks` and `amodal`.
+    pub fn mask_files(&self) -> Result<BTreeMap<String, String>, RunError> {
+        let photos = self.intake()?.photos;
+        let files = png_names(photos.iter().map(String::as_str));
+        Ok(photos.into_iter().zip(files).collect())
     }
 
     /// Seconds from the prompts of a selection to its splats, where that was written down.

@@ -1,6 +1,7 @@
 //! What masks on photos say about splats (method, section 6).
 
 use crate::screen::Shape;
+use crate::settings::Vote;
 use rayon::prelude::*;
 use segwild_raster::{ProjectOptions, Projected};
 use segwild_scene::{Camera, Image, Mask, Pose, Splats};
@@ -13,7 +14,7 @@ const ALPHA_MIN: f32 = 1.0 / 255.0;
 const VOTE_FLOOR: f32 = 1.0;
 
 /// Evidence for and against each splat, summed over views. The unit is a view: one that sees a splat whole
-/// and large adds 1 to the two together.
+/// and large adds 1 to the two together; with [`Vote::Light`] it is a pixel's light.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Evidence {
     /// `A_1`: visible light of the splat inside the masks.
@@ -84,7 +85,7 @@ pub fn unoccluded(splats: &Splats, camera: &Camera, pose: &Pose, options: &Proje
 
 /// Evidence of one view in coverage mode. `inside` and `weight` have one number per pixel: how much of the
 /// pixel the mask covers times the pixel's weight, and the weight. Splats of whose light less than the share
-/// `seen` reaches the camera are not decided. Weights are in [0, 1].
+/// `seen` reaches the camera are not decided. Weights are in [0, 1]. `worth` is the unit of the evidence.
 pub fn coverage(
     projected: &dyn Projected,
     unoccluded: &[f32],
@@ -92,6 +93,7 @@ pub fn coverage(
     weight: &[f32],
     size: (u32, u32),
     seen: f32,
+    worth: Vote,
 ) -> Evidence {
     let mut data = Vec::with_capacity(2 * inside.len());
     data.extend_from_slice(inside);
@@ -102,7 +104,10 @@ pub fn coverage(
     for (i, sum) in sums.chunks_exact(2).enumerate() {
         let (within, all) = (sum[0].min(sum[1]), sum[1]);
         if all > 0.0 && all >= seen * unoccluded[i] {
-            let vote = 1.0 / (unoccluded[i].max(all) + VOTE_FLOOR);
+            let vote = match worth {
+                Vote::View => 1.0 / (unoccluded[i].max(all) + VOTE_FLOOR),
+                Vote::Light => 1.0,
+            };
             evidence.inside[i] = within * vote;
             evidence.outside[i] = (all - within) * vote;
         }

@@ -91,6 +91,12 @@ pub enum SegmentError {
         /// The photo.
         photo: String,
     },
+    /// Resemblance is to decide, and there is nothing to resemble.
+    #[error(
+        "resemblance alone is to decide (`similarity_use` = alone), but the scene has no feature field, or the clicks hit \
+         nothing that has a feature: finish the run, click elsewhere, or let masks decide (`similarity_use` = unseen)"
+    )]
+    NoFeatures,
     /// No splat is left.
     #[error("no splat belongs to the prompts ({reason}): click on another place, or lower `tau` or `rho`")]
     NothingSelected {
@@ -100,6 +106,20 @@ pub enum SegmentError {
 }
 
 impl SegmentError {
+    /// Whether the prompts were understood and mean nothing that is there, which a benchmark counts as a miss; all else
+    /// is a mistake in the request or a failure.
+    pub fn is_nothing(&self) -> bool {
+        use SegmentError::{Background, EmptyMask, EmptySpace, NothingSelected, Provider};
+        matches!(
+            self,
+            EmptySpace { .. }
+                | Background { .. }
+                | EmptyMask { .. }
+                | NothingSelected { .. }
+                | Provider { .. }
+        )
+    }
+
     pub(crate) fn raster(photo: &str) -> impl Fn(RasterError) -> SegmentError + '_ {
         move |source| SegmentError::Raster { photo: photo.to_owned(), source }
     }

@@ -1,6 +1,6 @@
 //! From evidence to beliefs to labels: the one place where masks, features and neighbours are weighed.
 
-use crate::settings::{ComponentRule, SegmentSettings, SimilarityUse};
+use crate::settings::{ComponentRule, SegmentSettings, SimilarityUse, Undecided};
 use crate::spread::{Belief, spread};
 use crate::{Evidence, Graph, Hit, components};
 use segwild_scene::Splats;
@@ -192,7 +192,7 @@ impl Judge<'_> {
         Some(bins)
     }
 
-    /// The labels: masks decide where they reach, resemblance together with connection elsewhere.
+    /// The labels: masks decide where they reach, resemblance together with connection elsewhere; or resemblance alone.
     pub fn labels(&self, state: &State) -> Vec<bool> {
         let s = self.settings;
         (0..self.graph.len())
@@ -201,15 +201,19 @@ impl Judge<'_> {
                     return false;
                 }
                 let passes = |used: bool| !used || self.similarities.as_ref().is_none_or(|x| x.passes(i, s));
+                if s.similarity_use == SimilarityUse::Alone {
+                    return passes(true);
+                }
                 match state.evidence.label(i, s.rho, s.gamma) {
                     Some(inside) => inside && passes(s.similarity_use == SimilarityUse::Gate),
+                    None if s.undecided == Undecided::Out => false,
                     None => {
                         let belief = state.beliefs[i];
                         belief.weight >= CONNECTED
                             && belief.inside > 0.5 * belief.weight
                             && state.probability[i] > 0.5
                             && passes(match s.similarity_use {
-                                SimilarityUse::Gate => true,
+                                SimilarityUse::Gate | SimilarityUse::Alone => true,
                                 SimilarityUse::Unseen => belief.weight < SURROUNDED,
                                 SimilarityUse::Off => false,
                             })

@@ -35,7 +35,9 @@ pub use object::{Object, amodal_mask, cut_scene, visible_mask};
 pub use propagate::{Verdict, Visit};
 pub use query::{FeatureField, Hit, hit};
 pub use select::{PosedView, PromptedView, Refine, Request, Selection, cut, select};
-pub use settings::{ComponentRule, CutBy, EvidenceMode, SegmentSettings, SimilarityUse, SpikeMode};
+pub use settings::{
+    ComponentRule, CutBy, EvidenceMode, SegmentSettings, SimilarityUse, SpikeMode, Undecided, Vote,
+};
 pub use sgc::{Cut, CutView, Geometry};
 pub use smooth::graph_cut;
 pub use spread::{Belief, spread};

@@ -111,6 +111,12 @@ pub fn select(request: &Request, refine: Option<&mut Refine>) -> Result<Selectio
     let (settings, splats) = (request.settings, request.splats);
     let (positive, negative) = hits(request)?;
     let similarities = similarities(request, &positive, &negative)?;
+    // Where masks decide nothing, there is nothing to carry to other photos.
+    let alone = settings.similarity_use == SimilarityUse::Alone;
+    if alone && similarities.is_none() {
+        return Err(SegmentError::NoFeatures);
+    }
+    let rounds = if alone { 0 } else { settings.propagate };
     let built;
     let graph = match request.graph {
         Some(graph) => graph,
@@ -134,15 +140,13 @@ pub fn select(request: &Request, refine: Option<&mut Refine>) -> Result<Selectio
         prompted.add(&prompted_evidence(request, prompt)?, settings.prompt_weight);
     }
     let (state, visits) = match refine {
-        Some(refine) if settings.propagate > 0 => {
-            propagate::propagate(request, &judge, prompted.clone(), refine)?
-        }
+        Some(refine) if rounds > 0 => propagate::propagate(request, &judge, prompted.clone(), refine)?,
         _ => (judge.weigh(prompted.clone(), Vec::new(), STEPS), Vec::new()),
     };
     let decide = |state, visits| decide(request, &judge, &prompted, state, visits);
     let carried = decide(state, visits);
     let elsewhere = carried.as_ref().map_or(true, |s| s.agreement < ELSEWHERE && !s.visits.is_empty());
-    if !elsewhere || settings.propagate == 0 {
+    if !elsewhere || rounds == 0 {
         return carried;
     }
     // The other photos speak of something else: then what was prompted is all that is known.
@@ -423,7 +427,7 @@ pub(crate) fn view_evidence(
         EvidenceMode::Coverage => {
             let mut inside = soft(mask, size.0, size.1);
             inside.iter_mut().zip(weights).for_each(|(inside, weight)| *inside *= weight);
-            coverage(projected, &whole(), &inside, weights, size, settings.seen)
+            coverage(projected, &whole(), &inside, weights, size, settings.seen, settings.vote)
         }
         EvidenceMode::Centre => {
             let seen = settings.centre_visible.then(|| visible(projected, &whole(), size, settings.seen));

@@ -17,8 +17,30 @@ segwild_scene::choice! {
         Gate = "gate",
         /// Only splats that no mask decides.
         Unseen = "unseen",
+        /// Every selected splat, and nothing else decides: masks take no part (Feature 3DGS, SAGA).
+        Alone = "alone",
         /// None: features take no part.
         Off = "off"
+    }
+}
+
+segwild_scene::choice! {
+    /// What one photo's mask is worth as evidence on a splat.
+    pub enum Vote {
+        /// The share of the splat's light that the photo sees: a photo counts once, however large the splat is on it.
+        View = "view",
+        /// The light itself, in pixels (FlashSplat): close photos count more.
+        Light = "light"
+    }
+}
+
+segwild_scene::choice! {
+    /// What becomes of splats that no mask decides.
+    pub enum Undecided {
+        /// They follow their neighbours, and what resembles the clicks.
+        Neighbours = "neighbours",
+        /// They are left out (FlashSplat, projection).
+        Out = "out"
     }
 }
 
@@ -69,11 +91,15 @@ segwild_scene::settings! {
         similarity_use: SimilarityUse = SimilarityUse::Unseen,
         /// How masks decide splats.
         evidence_mode: EvidenceMode = EvidenceMode::Coverage,
+        /// What one photo's mask is worth in coverage mode.
+        vote: Vote = Vote::View,
+        /// What becomes of splats that no mask decides.
+        undecided: Undecided = Undecided::Neighbours,
         /// In centre mode, let masks decide only splats that the view sees.
         centre_visible: bool = false,
         /// Share of a splat's evidence that must lie inside the masks.
         rho: f32 = 0.5 => 0.0..=1.0,
-        /// Extra evidence against selecting, in views: larger keeps fewer splats.
+        /// Extra evidence against selecting, in views (in pixels with `vote` = light): larger keeps fewer splats.
         gamma: f32 = 0.0 => -1e4..=1e4,
         /// Share of a splat's light that must reach the camera for the view to decide it.
         seen: f32 = 0.2 => 0.0..=1.0,

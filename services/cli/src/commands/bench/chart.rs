@@ -105,7 +105,7 @@ pub fn chart(matches: &ArgMatches) -> Result<(), Failure> {
     let builtin = folder || matches.get_one::<String>("providers").is_some_and(|p| p == "builtin");
     let options = ChartOptions {
         program: std::env::current_exe()?,
-        command: super::command_line(),
+        command: super::common::command_line(),
         only: list(matches, "only"),
         seeds: numbers(matches, "seeds")?,
         base: Base {

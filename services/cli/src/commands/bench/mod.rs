@@ -1,9 +1,14 @@
 //! `segwild bench`: one module per benchmark, each with its arguments, a call into `segwild_bench`, and words out.
 
 mod chart;
+mod common;
 mod compare;
 mod flow;
+mod folder;
+mod lego;
+mod photo_tourism;
 mod scale;
+mod scribbles;
 mod slice;
 mod stability;
 mod synthetic;
@@ -17,6 +22,11 @@ pub fn command() -> Command {
     synthetic::with_args(Command::new("bench").about("Measure: how accurate, how fast, how steady"))
         .args_conflicts_with_subcommands(true)
         .subcommand(synthetic::command())
+        .subcommand(folder::command())
+        .subcommand(photo_tourism::command())
+        .subcommand(lego::command())
+        .subcommand(scribbles::nvos_command())
+        .subcommand(scribbles::spin_nerf_command())
         .subcommand(chart::command())
         .subcommand(chart::point_command())
         .subcommand(compare::command())
@@ -35,8 +45,13 @@ pub fn bench(matches: &ArgMatches) -> Result<(), Failure> {
         Some(("slice", m)) => slice::slice(m),
         Some(("stability", m)) => stability::stability(m),
         Some(("point", _)) => chart::point(),
-        Some(("flow", m)) => flow::flow(m),
         Some(("synthetic", m)) => synthetic::synthetic(m),
+        Some(("folder", m)) => folder::folder(m),
+        Some(("photo-tourism", m)) => photo_tourism::photo_tourism(m),
+        Some(("lego", m)) => lego::lego(m),
+        Some(("nvos", m)) => scribbles::nvos(m),
+        Some(("spin-nerf", m)) => scribbles::spin_nerf(m),
+        Some(("flow", m)) => flow::flow(m),
         _ => synthetic::synthetic(matches),
     }
 }
@@ -54,10 +69,4 @@ fn numbers<T: FromStr>(matches: &ArgMatches, name: &str) -> Result<Vec<T>, Failu
             .map_err(|_| Failure::usage(format!("--{name} {text}: expected whole numbers with commas")))
     };
     list(matches, name).into_iter().map(read).collect()
-}
-
-/// The command line as it was given, by which pages say how they were made.
-fn command_line() -> String {
-    let words: Vec<String> = std::env::args().skip(1).collect();
-    format!("segwild {}", words.join(" "))
 }

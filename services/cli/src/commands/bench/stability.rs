@@ -52,7 +52,7 @@ pub fn stability(matches: &ArgMatches) -> Result<(), Failure> {
     let photos = of("photos") as usize;
     let options = StabilityOptions {
         out: path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench/stability")),
-        command: super::command_line(),
+        command: super::common::command_line(),
         only: list(matches, "only"),
         seeds: numbers(matches, "seeds")?,
         scene: SyntheticOptions { train: photos, long_side: of("pixels"), ..scene },

@@ -1,28 +1,27 @@
 //! `segwild bench synthetic`
 
-use super::{list, numbers};
-use crate::args::{given, json, number, path, with_settings};
-use crate::commands::{path as path_of, print_json, print_line, use_threads};
+use super::common::{asked, finish, table, tell, with_common, with_table};
+use crate::args::number;
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
-use segwild_bench::ablation::{AblationOptions, Cell, ablation, markdown};
 use segwild_bench::oracle::OracleOptions;
-use segwild_bench::synthetic::SyntheticOptions;
+use segwild_bench::protocols::synthetic::{SyntheticProtocol, synthetic as measure};
+use segwild_bench::protocols::{Table, tables};
+use segwild_bench::synthetic::{LookKind, SyntheticOptions};
 use segwild_bench::trial::ProviderKind;
-use segwild_pipeline::Settings;
-use std::path::PathBuf;
+use segwild_scene::settings::Value;
 
 /// The benchmark's arguments.
 pub fn command() -> Command {
     with_args(
-        Command::new("synthetic")
-            .about("The ablation table on synthetic places, whose truth is known exactly"),
+        Command::new("synthetic").about("Find the objects of synthetic places, whose truth is known exactly"),
     )
 }
 
 /// Adds them to a command.
 pub fn with_args(command: Command) -> Command {
-    with_settings(command)
+    let command = with_common(command, "1,2", "Folder for scenes, runs and results [default: .bench]");
+    with_scene(with_table(command, "ablation"), "60", "480")
         .arg(
             Arg::new("providers")
                 .long("providers")
@@ -30,11 +29,24 @@ pub fn with_args(command: Command) -> Command {
                 .default_value("oracle")
                 .help("Who looks at the photos: the truth with faults, or what the settings name"),
         )
-        .arg(number("photos", "60", "Training photos of each scene").value_parser(value_parser!(u32)))
-        .arg(number("pixels", "480", "Long side of the photos").value_parser(value_parser!(u32)))
+        .arg(
+            number(
+                "prompts",
+                "1",
+                "Clicks from which each object is found, one at a time; more than 1 lie anywhere on it",
+            )
+            .value_parser(value_parser!(u32).range(1..)),
+        )
         .arg(
             number("occlusion", "0.1", "Share of each photo that strangers cover, 0 to 0.6")
                 .value_parser(value_parser!(f32)),
+        )
+        .arg(
+            Arg::new("light")
+                .long("light")
+                .value_parser(clap::builder::PossibleValuesParser::new(LookKind::CHOICES))
+                .default_value("mixed")
+                .help("What differs from photo to photo"),
         )
         .arg(
             number("kinship", "0", "How much all built things are alike to the oracle's embedding, 0 to 1")
@@ -44,76 +56,65 @@ pub fn with_args(command: Command) -> Command {
             number("units", "1", "File units per unit of the place: nothing may depend on it")
                 .value_parser(value_parser!(f64)),
         )
-        .arg(
-            Arg::new("seeds")
-                .long("seeds")
-                .value_name("LIST")
-                .default_value("1,2")
-                .help("Seeds of the synthetic scenes, with commas"),
-        )
-        .arg(
-            Arg::new("only")
-                .long("only")
-                .value_name("ROWS")
-                .help("Rows of the table to compute, with commas [default: all]"),
-        )
-        .arg(path("out", "Folder for scenes, runs and tables [default: .bench]"))
-        .arg(json())
 }
 
-/// Prints the ablation table.
-pub fn synthetic(matches: &ArgMatches) -> Result<(), Failure> {
-    let out = path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench"));
-    let providers = match matches.get_one::<String>("providers").map(String::as_str) {
-        Some("builtin") => ProviderKind::Builtin,
-        _ => ProviderKind::Oracle,
-    };
-    let json = matches.get_flag("json");
-    // A table needs many trainings: the quickest preset unless another is asked for.
-    let mut flags = vec![("preset".to_owned(), "draft".to_owned())];
-    flags.extend(given(matches));
-    let settings = Settings::layered(None, &flags)?;
-    use_threads(settings.run.threads);
+/// Adds what a synthetic scene is made of.
+pub fn with_scene(command: Command, photos: &'static str, pixels: &'static str) -> Command {
+    command
+        .arg(number("photos", photos, "Training photos of each scene").value_parser(value_parser!(u32)))
+        .arg(number("pixels", pixels, "Long side of the photos").value_parser(value_parser!(u32)))
+}
+
+/// The scene that was asked for, but for its seed.
+pub fn scene(matches: &ArgMatches) -> SyntheticOptions {
     let number = |name: &str| *matches.get_one::<u32>(name).expect("it has a default");
     let photos = number("photos") as usize;
-    let options = AblationOptions {
-        seeds: numbers(matches, "seeds")?,
-        only: list(matches, "only"),
-        providers,
-        faults: OracleOptions {
-            kinship: *matches.get_one::<f32>("kinship").expect("it has a default"),
-            ..OracleOptions::default()
-        },
+    SyntheticOptions {
+        train: photos,
+        test: photos.div_ceil(5),
+        long_side: number("pixels"),
+        ..SyntheticOptions::default()
+    }
+}
+
+/// Prints the tables.
+pub fn synthetic(matches: &ArgMatches) -> Result<(), Failure> {
+    let mut asked = asked(matches, ".bench")?;
+    let number = |name: &str| *matches.get_one::<f32>(name).expect("it has a default");
+    let word = |name: &str| matches.get_one::<String>(name).map_or("", String::as_str);
+    let table = table(matches);
+    let options = SyntheticProtocol {
+        table,
+        only: asked.only.clone(),
+        seeds: asked.seeds.clone(),
+        prompts: *matches.get_one::<u32>("prompts").expect("it has a default") as usize,
+        providers: if word("providers") == "builtin" { ProviderKind::Builtin } else { ProviderKind::Oracle },
+        faults: OracleOptions { kinship: number("kinship"), ..OracleOptions::default() },
         scene: SyntheticOptions {
-            train: photos,
-            test: photos.div_ceil(5),
-            long_side: number("pixels"),
-            occlusion: *matches.get_one::<f32>("occlusion").expect("it has a default"),
+            occlusion: number("occlusion"),
+            look: LookKind::read(word("light")).map_err(Failure::usage)?,
             units: *matches.get_one::<f64>("units").expect("it has a default"),
-            ..SyntheticOptions::default()
+            ..scene(matches)
         },
-        settings,
+        base: asked.base.clone(),
     };
-    let told = |cell: &Cell| {
-        let _ = if json {
-            print_json(cell)
-        } else {
-            let s = &cell.score;
-            print_line(&format!(
-                "seed {} {:>20} {:>16} IoU {:.3} (worst of {} photos {:.3}) amodal {:.3} boundary {:.3} 3D {:.3} hidden {:.4}",
-                cell.seed,
-                cell.variant,
-                s.object,
-                s.iou,
-                s.photos,
-                s.worst,
-                s.amodal_iou,
-                s.boundary_iou,
-                s.label_iou,
-                s.hidden
-            ))
-        };
-    };
-    let cells = ablation(&out, &options, told)?;
-    if json { Ok(()) } else { print_line(&format!("\n{}", markdown(&cells))) }
+    measure(&asked.out, &options, &mut asked.results, &mut tell(asked.json))?;
+    let results = &asked.results;
+    let mut shown = vec![tables::summary(results)];
+    match table {
+        Table::Rivals => {
+            let words = "In the layout of the paper's Table 1 (IoU / accuracy; the paper's figures are of its own photos):";
+            shown.push(format!("{words}\n\n{}", tables::paper_targets(results)));
+        }
+        Table::Ablation => {
+            let words =
+                "In the layout of the paper's Table 2 (IoU; the paper's figures are of its own photos):";
+            shown.push(format!("{words}\n\n{}", tables::paper_ablation(results)));
+        }
+    }
+    let rows = table.rows(&asked.only)?;
+    shown.extend(
+        rows.iter().find(|r| r.name == "full").or(rows.first()).map(|r| tables::objects(results, r.name)),
+    );
+    finish(&asked, "Synthetic places", &shown)
 }

@@ -1,0 +1,159 @@
+//! Any scene with true masks beside it: `SCENE/truth/PHOTO.png` of one object, or `SCENE/truth/OBJECT/PHOTO.png` of
+//! several.
+
+use super::place::{photo_of, photos, stem};
+use super::{Missing, Place, ProtocolError, Question, clicks};
+use segwild_pipeline::{PhotoPrompts, Settings};
+use segwild_scene::{Mask, Prompts, Random, SceneError};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Rows at which the parts of an object meet, by the stem of a photo: a click goes into each part.
+pub type Parts = BTreeMap<String, Vec<u32>>;
+
+/// Which photos are clicked, and where.
+#[derive(Clone, Debug)]
+pub struct FolderProtocol {
+    /// The scene.
+    pub scene: PathBuf,
+    /// Stems of the photos to click; drawn if empty.
+    pub references: Vec<String>,
+    /// So many are drawn for each object by the seed of the training, from those that show it well.
+    pub draw: usize,
+    /// Clicks per photo, by [`clicks::inside`].
+    pub clicks: usize,
+    /// Where the parts of the object meet; in the photos that it lists, each part gets one click, by [`clicks::parts`].
+    pub parts: Parts,
+}
+
+/// A photo shows an object well when it covers at least one pixel in this many.
+const WELL: usize = 50;
+
+/// What lies in a synthetic scene's `truth` and is no mask of an object.
+const NO_OBJECT: [&str; 6] = ["clean", "sky", "transient", "instance", "part", "depth"];
+
+const LAYOUT: &str = "Put the true masks where the photos are:\n\
+    SCENE/images/a.jpg, b.jpg, ..   the photos, with sparse/0/ or transforms.json, as for `segwild run`\n\
+    SCENE/truth/a.png, b.png, ..    white where the object is, one file per photo, named as the photo\n\
+    SCENE/truth/OBJECT/a.png, ..    the same, a folder per object, if there are several";
+
+/// Reads a file of [`Parts`].
+///
+/// # Errors
+/// When it cannot be read or is something else.
+pub fn read_parts(file: &Path) -> Result<Parts, ProtocolError> {
+    let text = std::fs::read(file).map_err(SceneError::io(file))?;
+    serde_json::from_slice(&text).map_err(|e| ProtocolError::File {
+        file: file.display().to_string(),
+        reason: format!("expected rows by photo, as in {{\"IMG_01\": [240]}}: {e}"),
+    })
+}
+
+/// The scene and its questions: every object, each from several photos.
+///
+/// # Errors
+/// When the scene or its truth is not there, or a reference photo does not show the object.
+pub fn place(options: &FolderProtocol, settings: &Settings, seed: u64) -> Result<Place, ProtocolError> {
+    let photos = photos(&options.scene, settings)?;
+    let objects = objects(&options.scene, &photos)?;
+    let mut questions = Vec::new();
+    for (at, (target, truth)) in objects.into_iter().enumerate() {
+        let mut random = Random::stream(seed, at as u64);
+        for (prompt, (photo, mask)) in
+            references(options, &target, &truth, &mut random)?.into_iter().enumerate()
+        {
+            let points = match options.parts.get(stem(&photo)) {
+                Some(rows) => clicks::parts(&mask, rows),
+                None => clicks::inside(&mask, options.clicks),
+            };
+            let prompts = Prompts { points, ..Prompts::default() };
+            questions.push(Question {
+                target: target.clone(),
+                prompt: prompt as u32,
+                prompts: vec![PhotoPrompts { photo, prompts }],
+                truth: truth.clone(),
+            });
+        }
+    }
+    let name = std::path::absolute(&options.scene).unwrap_or_else(|_| options.scene.clone());
+    let name = name.file_name().map_or_else(|| "scene".into(), |n| n.to_string_lossy().into_owned());
+    Ok(Place {
+        protocol: "folder",
+        name,
+        scene: options.scene.clone(),
+        seed,
+        questions,
+        split: None,
+        held_out: false,
+    })
+}
+
+/// The objects and their true masks, by name.
+type Objects = BTreeMap<String, Vec<(String, PathBuf)>>;
+
+fn objects(scene: &Path, photos: &[String]) -> Result<Objects, ProtocolError> {
+    let truth = scene.join("truth");
+    let missing = |what: String| Missing { what: vec![what], layout: LAYOUT.into() };
+    if !truth.is_dir() {
+        return Err(ProtocolError::Missing(missing(format!("the true masks: {}", truth.display()))));
+    }
+    let mut objects = Objects::new();
+    for (path, is_folder) in entries(&truth)? {
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        if is_folder && !NO_OBJECT.contains(&name.as_str()) {
+            let masks = entries(&path)?.into_iter().filter_map(|(file, _)| named(photos, file)).collect();
+            objects.insert(name, masks);
+        } else if let Some(mask) = named(photos, path).filter(|_| !is_folder) {
+            objects.entry("object".into()).or_default().push(mask);
+        }
+    }
+    objects.retain(|_, masks: &mut Vec<_>| !masks.is_empty());
+    if objects.is_empty() {
+        let what = format!("a mask in {} that is named as a photo of the scene", truth.display());
+        return Err(ProtocolError::Missing(missing(what)));
+    }
+    Ok(objects)
+}
+
+/// What lies in a folder, sorted, and whether it is a folder.
+pub(super) fn entries(folder: &Path) -> Result<Vec<(PathBuf, bool)>, SceneError> {
+    let list = std::fs::read_dir(folder).map_err(SceneError::io(folder))?;
+    let mut list: Vec<(PathBuf, bool)> = list.flatten().map(|e| (e.path(), e.path().is_dir())).collect();
+    list.sort();
+    Ok(list)
+}
+
+/// A mask with the photo that it is of.
+fn named(photos: &[String], file: PathBuf) -> Option<(String, PathBuf)> {
+    let name = file.file_name()?.to_string_lossy().into_owned();
+    let photo = photo_of(photos, stem(&name)).filter(|_| name.ends_with(".png"))?;
+    Some((photo.clone(), file))
+}
+
+/// The photos to click for an object, with its true masks there.
+fn references(
+    options: &FolderProtocol,
+    target: &str,
+    truth: &[(String, PathBuf)],
+    random: &mut Random,
+) -> Result<Vec<(String, Mask)>, ProtocolError> {
+    let read = |(photo, file): &(String, PathBuf)| -> Result<(String, Mask), ProtocolError> {
+        Ok((photo.clone(), Mask::read_png(file)?))
+    };
+    if !options.references.is_empty() {
+        let find = |wanted: &String| {
+            // The stem, or how it begins: the names that archives give are long.
+            let fits = |t: &&(String, PathBuf)| t.0 == *wanted || stem(&t.0).starts_with(wanted.as_str());
+            truth.iter().find(fits).ok_or_else(|| {
+                let what = format!("{target}: a photo with a true mask whose name begins with `{wanted}`");
+                ProtocolError::Missing(Missing { what: vec![what], layout: LAYOUT.into() })
+            })
+        };
+        return options.references.iter().map(|wanted| read(find(wanted)?)).collect();
+    }
+    let mut all: Vec<(String, Mask)> = truth.iter().map(read).collect::<Result<_, _>>()?;
+    all.retain(|(_, mask)| mask.count() * WELL >= mask.width() as usize * mask.height() as usize);
+    random.shuffle(&mut all);
+    all.truncate(options.draw);
+    Ok(all)
+}

@@ -1,0 +1,84 @@
+//! Benchmarks that others can repeat: a scene, what is asked of it, what is true, and the numbers.
+//!
+//! Each protocol finds its scenes and questions ([`Place`], or a synthetic [`crate::trial::Trial`]), puts every row
+//! ([`crate::ablation::Variant`]) through them, and leaves [`Results`] in `OUT/results.json`. Tables are printed from
+//! those ([`tables`]).
+
+pub mod clicks;
+mod error;
+pub mod folder;
+pub mod lego;
+pub mod nvos;
+pub mod paper;
+pub mod photo_tourism;
+pub mod place;
+pub mod spin_nerf;
+pub mod synthetic;
+pub mod tables;
+
+pub use error::{Missing, ProtocolError};
+pub use place::{Place, Question, measure};
+
+use crate::ablation::{VARIANTS, Variant};
+use crate::record::{Record, Results};
+use crate::rivals::{RIVALS, row};
+use crate::trial::TrialError;
+use segwild_pipeline::{Settings, SettingsError};
+use std::path::Path;
+
+/// Which rows a table has when none is named.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Table {
+    /// One part of the method changed at a time (the paper's Table 2).
+    Ablation,
+    /// Other methods (the paper's Table 1).
+    Rivals,
+}
+
+impl Table {
+    /// Its rows, or those of either table that are named.
+    ///
+    /// # Errors
+    /// When there is no row of a name.
+    pub fn rows(self, only: &[String]) -> Result<Vec<&'static Variant>, ProtocolError> {
+        if only.is_empty() {
+            let all = if self == Table::Rivals { RIVALS } else { VARIANTS };
+            return Ok(all.iter().collect());
+        }
+        let named = |name: &String| row(name).ok_or_else(|| TrialError::Row(name.clone()).into());
+        only.iter().map(named).collect()
+    }
+}
+
+/// What all rows have in common.
+#[derive(Clone, Debug, Default)]
+pub struct Base {
+    /// The settings that rows start from.
+    pub settings: Settings,
+    /// Settings that hold whatever a row says, by name: to tune a rival.
+    pub changes: Vec<(String, String)>,
+}
+
+impl Base {
+    /// A row's settings.
+    ///
+    /// # Errors
+    /// When there is no setting of a name, or a value is out of its range.
+    pub fn row(&self, row: &Variant) -> Result<Settings, ProtocolError> {
+        let mut settings = row.settings(&self.settings)?;
+        for (name, value) in &self.changes {
+            settings.set(name, value).map_err(SettingsError::from)?;
+        }
+        Ok(settings)
+    }
+}
+
+/// Who hears of every measurement as it is made.
+pub type Told<'a> = &'a mut dyn FnMut(&Record);
+
+/// Adds a measurement and keeps the results as they are by now, so that what was measured before an error is not lost.
+fn keep(results: &mut Results, record: Record, out: &Path, told: Told) -> Result<(), ProtocolError> {
+    told(&record);
+    results.put(record);
+    Ok(results.write(&out.join("results.json"))?)
+}

@@ -1,0 +1,226 @@
+//! A scene of real photos with true masks of some of them, and what is asked of it.
+
+use super::{Base, Missing, ProtocolError, Told, keep};
+use crate::ablation::Variant;
+use crate::metrics::{self, MaskScore};
+use crate::record::{Record, Results};
+use segwild_flow::Stopper;
+use segwild_pipeline::{PhotoPrompts, RunError, RunFolder, RunOptions, Settings, Until, run, segment};
+use segwild_scene::{Mask, Scene, SceneError};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// A scene and its questions.
+#[derive(Clone, Debug)]
+pub struct Place {
+    /// The protocol that asks.
+    pub protocol: &'static str,
+    /// Name of the scene.
+    pub name: String,
+    /// Where it lies.
+    pub scene: PathBuf,
+    /// Its split file, where that does not lie beside the photos.
+    pub split: Option<PathBuf>,
+    /// Seed of the training.
+    pub seed: u64,
+    /// What is asked.
+    pub questions: Vec<Question>,
+    /// Whether photos that the scene's split holds out are scored as well.
+    pub held_out: bool,
+}
+
+/// One object, the prompts it is to be found from, and the photos on which that is scored.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Question {
+    /// The object.
+    pub target: String,
+    /// Which of several prompts for it.
+    pub prompt: u32,
+    /// The prompts.
+    pub prompts: Vec<PhotoPrompts>,
+    /// Photos, and the object's true mask on each. Those without a pixel of it do not count.
+    pub truth: Vec<(String, PathBuf)>,
+}
+
+/// How one photo's mask fits, as `photos.jsonl` lists them.
+#[derive(Clone, Debug, Serialize)]
+pub struct PhotoScore {
+    /// The scene.
+    pub scene: String,
+    /// The row.
+    pub setting: String,
+    /// The object.
+    pub target: String,
+    /// Seed of the training.
+    pub seed: u64,
+    /// Which of several prompts.
+    pub prompt: u32,
+    /// The photo.
+    pub photo: String,
+    /// How well the visible mask fits.
+    #[serde(flatten)]
+    pub score: MaskScore,
+}
+
+/// The photos of a scene, by name.
+///
+/// # Errors
+/// When there is no scene, in words that say what to put where.
+pub fn photos(scene: &Path, settings: &Settings) -> Result<Vec<String>, ProtocolError> {
+    Ok(Scene::open(scene, &settings.scene)?.views.into_iter().map(|v| v.name).collect())
+}
+
+/// The name of a file without its folder and ending.
+pub(super) fn stem(name: &str) -> &str {
+    let name = name.rsplit(['/', '\\']).next().unwrap_or(name);
+    name.rsplit_once('.').map_or(name, |(stem, _)| stem)
+}
+
+/// The photo of a stem.
+pub(super) fn photo_of<'a>(photos: &'a [String], wanted: &str) -> Option<&'a String> {
+    photos.iter().find(|p| stem(p) == wanted)
+}
+
+/// Puts rows through a scene: trains (what rows share only once), asks every question, scores it. Leaves
+/// `results.json` and `photos.jsonl`, a line per photo.
+///
+/// # Errors
+/// When a run fails, or a true mask cannot be read.
+pub fn measure(
+    out: &Path,
+    place: &Place,
+    rows: &[&Variant],
+    base: &Base,
+    results: &mut Results,
+    told: Told,
+) -> Result<(), ProtocolError> {
+    if place.questions.is_empty() && !place.held_out {
+        return Err(ProtocolError::Missing(Missing {
+            what: vec![format!("a question to ask of {}", place.scene.display())],
+            layout: "a target needs a reference photo and a true mask of at least one other photo".into(),
+        }));
+    }
+    let folder = RunFolder::create(&out.join(format!("{}-{}", file_name(&place.name), place.seed)))?;
+    for row in rows {
+        let mut settings = base.row(row)?;
+        settings.train.seed = place.seed;
+        if let Some(split) = &place.split {
+            settings.scene.split = split.display().to_string();
+        }
+        let until = (!place.held_out).then(|| Until::stage("features")).flatten();
+        let summary = run(&place.scene, &folder, &settings, &RunOptions { until, ..RunOptions::default() })?;
+        let record = |target: &str, prompt, numbers| Record {
+            protocol: place.protocol.into(),
+            scene: place.name.clone(),
+            setting: row.name.into(),
+            target: target.into(),
+            seed: place.seed,
+            prompt,
+            numbers,
+            ..Record::default()
+        };
+        if let Some(held) = summary.held_out {
+            let numbers = [("psnr", held.psnr), ("ssim", held.ssim)];
+            let numbers = numbers.map(|(name, value)| (name.to_owned(), f64::from(value)));
+            let record = Record { notes: vec![held.protocol], ..record("", 0, BTreeMap::from(numbers)) };
+            keep(results, record, out, told)?;
+        }
+        for question in &place.questions {
+            let (numbers, photos) = ask(&folder, question, &settings)?;
+            let line = |(photo, score): (String, MaskScore)| PhotoScore {
+                scene: place.name.clone(),
+                setting: row.name.into(),
+                target: question.target.clone(),
+                seed: place.seed,
+                prompt: question.prompt,
+                photo,
+                score,
+            };
+            append(&out.join("photos.jsonl"), photos.into_iter().map(line))?;
+            let clicked: Vec<&str> = question.prompts.iter().map(|p| p.photo.as_str()).collect();
+            let notes = vec![format!("clicked {}", clicked.join(", "))];
+            let record = Record { notes, ..record(&question.target, question.prompt, numbers) };
+            keep(results, record, out, told)?;
+        }
+    }
+    Ok(())
+}
+
+/// A name that can be a file's.
+fn file_name(name: &str) -> String {
+    name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect()
+}
+
+type Scores = Vec<(String, MaskScore)>;
+
+/// Selects, and scores the masks of the photos that were not clicked. Nothing selected is nothing right.
+fn ask(
+    folder: &RunFolder,
+    question: &Question,
+    settings: &Settings,
+) -> Result<(BTreeMap<String, f64>, Scores), ProtocolError> {
+    let name = format!("{}-{}", file_name(&question.target), question.prompt);
+    let selected = segment(folder, &name, &question.prompts, &settings.segment, None, &Stopper::new());
+    let selected = match selected {
+        Ok(outcome) => Some(outcome),
+        Err(RunError::Segment(error)) if error.is_nothing() => None,
+        Err(other) => return Err(other.into()),
+    };
+    let files = folder.mask_files()?;
+    let (mut visible, mut amodal) = (Vec::new(), Vec::new());
+    for (photo, file) in &question.truth {
+        if question.prompts.iter().any(|p| p.photo == *photo) {
+            continue;
+        }
+        let truth = Mask::read_png(file)?;
+        if truth.is_empty() {
+            continue;
+        }
+        let (w, h) = (truth.width(), truth.height());
+        let of = |kind: &str| -> Result<MaskScore, ProtocolError> {
+            let mask = match (&selected, files.get(photo)) {
+                (Some(outcome), Some(file)) => {
+                    let mask = Mask::read_png(&outcome.folder.join(kind).join(file))?;
+                    if (mask.width(), mask.height()) == (w, h) { mask } else { mask.resized(w, h) }
+                }
+                _ => Mask::empty(w, h),
+            };
+            metrics::score(&mask, &truth, None).map_err(|source| ProtocolError::Metric {
+                target: question.target.clone(),
+                photo: photo.clone(),
+                source,
+            })
+        };
+        visible.push((photo.clone(), of("masks")?));
+        amodal.push(of("amodal")?.iou);
+    }
+    let mean = |of: fn(&MaskScore) -> f64| {
+        visible.iter().map(|(_, s)| of(s)).sum::<f64>() / visible.len().max(1) as f64
+    };
+    let mut numbers = vec![
+        ("iou", mean(|s| s.iou)),
+        ("accuracy", mean(|s| s.accuracy)),
+        ("boundary_iou", mean(|s| s.boundary_iou)),
+        ("amodal_iou", amodal.iter().sum::<f64>() / amodal.len().max(1) as f64),
+        ("worst", visible.iter().map(|(_, s)| s.iou).fold(f64::INFINITY, f64::min)),
+        ("photos", visible.len() as f64),
+    ];
+    numbers.extend(selected.iter().flat_map(|o| [("select_s", o.select_s), ("splats", o.splats as f64)]));
+    Ok((numbers.into_iter().map(|(name, value)| (name.to_owned(), value)).collect(), visible))
+}
+
+/// Adds lines to a file of JSON lines.
+fn append<T: Serialize>(file: &Path, lines: impl Iterator<Item = T>) -> Result<(), ProtocolError> {
+    use std::io::Write;
+    let open = || std::fs::OpenOptions::new().create(true).append(true).open(file);
+    let write = || -> std::io::Result<()> {
+        let mut to = std::io::BufWriter::new(open()?);
+        for line in lines {
+            serde_json::to_writer(&mut to, &line)?;
+            to.write_all(b"\n")?;
+        }
+        to.flush()
+    };
+    Ok(write().map_err(SceneError::io(file))?)
+}

@@ -1,0 +1,104 @@
+//! SPIn-NeRF's multi-view masks (Mirzaei et al. 2023): the target's true mask on one photo is where it is clicked, those of
+//! all others score it.
+
+use super::folder::entries;
+use super::place::{photo_of, photos, stem};
+use super::{Missing, Place, ProtocolError, Question, clicks};
+use segwild_pipeline::{PhotoPrompts, Settings};
+use segwild_scene::{Mask, Prompts};
+use std::path::{Path, PathBuf};
+
+/// Which data, and how it is clicked.
+#[derive(Clone, Debug)]
+pub struct SpinNerfProtocol {
+    /// Folder of the scenes.
+    pub root: PathBuf,
+    /// Scenes to measure; all if empty.
+    pub only: Vec<String>,
+    /// Clicks on the reference photo, by [`clicks::inside`].
+    pub clicks: usize,
+}
+
+/// How the data must lie.
+pub const LAYOUT: &str = "The masks are published with SPIn-NeRF (\"MVSeg\"), the photos with the data sets that it names. Put them so:\n\
+    ROOT/SCENE/images, sparse/0          the photos and COLMAP's reconstruction, as for `segwild run`\n\
+    ROOT/SCENE/label/PHOTO.png           the target's mask on each photo, named as the photo; images_4/label/ will do\n\
+    The first photo by name that has a mask is clicked, the others are scored.";
+
+/// Where a scene's masks may lie.
+const LABELS: [&str; 3] = ["label", "images_4/label", "images/label"];
+
+/// The scenes, each with its question.
+///
+/// # Errors
+/// When something is missing: all of it, with what to put where.
+pub fn places(
+    options: &SpinNerfProtocol,
+    settings: &Settings,
+    seed: u64,
+) -> Result<Vec<Place>, ProtocolError> {
+    let mut missing = Vec::new();
+    let names: Vec<PathBuf> = match entries(&options.root) {
+        _ if !options.only.is_empty() => options.only.iter().map(|name| options.root.join(name)).collect(),
+        Ok(list) => list.into_iter().filter(|e| e.1).map(|e| e.0).collect(),
+        Err(_) => Vec::new(),
+    };
+    if names.is_empty() {
+        missing.push(format!("a scene in {}", options.root.display()));
+    }
+    let mut places = Vec::new();
+    for scene in names {
+        match place(&scene, options.clicks, settings, seed)? {
+            Ok(place) => places.push(place),
+            Err(what) => missing.push(what),
+        }
+    }
+    if missing.is_empty() {
+        Ok(places)
+    } else {
+        Err(ProtocolError::Missing(Missing { what: missing, layout: LAYOUT.into() }))
+    }
+}
+
+/// A scene with its question, or what it lacks.
+fn place(
+    scene: &Path,
+    clicks: usize,
+    settings: &Settings,
+    seed: u64,
+) -> Result<Result<Place, String>, ProtocolError> {
+    let name = scene.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    if !scene.is_dir() {
+        return Ok(Err(format!("the scene {}", scene.display())));
+    }
+    let Some(labels) = LABELS.iter().map(|l| scene.join(l)).find(|l| l.is_dir()) else {
+        return Ok(Err(format!("the masks of {name}: {}", scene.join(LABELS[0]).display())));
+    };
+    let photos = photos(scene, settings)?;
+    let mut truth = Vec::new();
+    for (file, _) in entries(&labels)? {
+        let mask = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let photo = photo_of(&photos, stem(&mask)).filter(|_| mask.ends_with(".png"));
+        truth.extend(photo.map(|photo| (photo.clone(), file.clone())));
+    }
+    if truth.len() < 2 {
+        let (n, labels) = (truth.len(), labels.display());
+        return Ok(Err(format!("two masks in {labels} that are named as photos of {name}: there are {n}")));
+    }
+    let (photo, file) = truth.remove(0);
+    let points = clicks::inside(&Mask::read_png(&file)?, clicks);
+    if points.is_empty() {
+        return Ok(Err(format!("a white pixel in {}, the reference photo's mask", file.display())));
+    }
+    let prompts = vec![PhotoPrompts { photo, prompts: Prompts { points, ..Prompts::default() } }];
+    let questions = vec![Question { target: name.clone(), prompt: 0, prompts, truth }];
+    Ok(Ok(Place {
+        protocol: "spin-nerf",
+        name,
+        scene: scene.into(),
+        seed,
+        questions,
+        split: None,
+        held_out: false,
+    }))
+}

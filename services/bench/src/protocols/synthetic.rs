@@ -1,0 +1,87 @@
+//! Synthetic places, whose truth is known exactly: one click per object, or several at random (method, section 11).
+
+use super::{Base, ProtocolError, Table, Told, clicks, keep};
+use crate::oracle::OracleOptions;
+use crate::record::{Record, Results};
+use crate::synthetic::{Kind, ObjectTruth, SyntheticOptions};
+use crate::trial::{ProviderKind, Trial};
+use segwild_pipeline::PhotoPrompts;
+use segwild_scene::Prompts;
+use std::path::Path;
+
+/// What is measured.
+#[derive(Clone, Debug)]
+pub struct SyntheticProtocol {
+    /// The rows, if none is named.
+    pub table: Table,
+    /// Rows to compute; all of the table if empty.
+    pub only: Vec<String>,
+    /// Seeds of the scenes.
+    pub seeds: Vec<u64>,
+    /// Clicks that each object is found from, one at a time: 1 is the click in its middle; more are drawn anywhere inside
+    /// what is seen of it.
+    pub prompts: usize,
+    /// Who looks at the photos.
+    pub providers: ProviderKind,
+    /// How the oracle errs.
+    pub faults: OracleOptions,
+    /// The scenes, but for their seeds.
+    pub scene: SyntheticOptions,
+    /// What all rows have in common.
+    pub base: Base,
+}
+
+/// Measures every row on every scene. Geometry that rows share is trained once per scene: what a row does not change
+/// comes from the content cache of the scene's run.
+pub fn synthetic(
+    out: &Path,
+    options: &SyntheticProtocol,
+    results: &mut Results,
+    told: Told,
+) -> Result<(), ProtocolError> {
+    let rows = options.table.rows(&options.only)?;
+    for &seed in &options.seeds {
+        let scene = SyntheticOptions { seed, ..options.scene.clone() };
+        let dir = out.join(format!("seed-{seed}"));
+        let trial = Trial::new(&dir, &scene, options.providers, &options.faults)?;
+        for row in &rows {
+            let settings = options.base.row(row)?;
+            trial.train(&settings)?;
+            let session = trial.session(&settings)?;
+            for object in trial.manifest().objects.iter().filter(|o| o.kind == Kind::Object) {
+                for (prompt, prompts) in asked(&trial, object, options.prompts).into_iter().enumerate() {
+                    let score = session.score(object, prompts)?;
+                    let record = Record {
+                        protocol: "synthetic".into(),
+                        scene: format!("seed {seed}"),
+                        setting: row.name.into(),
+                        target: score.object.clone(),
+                        seed,
+                        prompt: prompt as u32,
+                        numbers: score.numbers(),
+                        ..Record::default()
+                    };
+                    keep(results, record, out, told)?;
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+/// The clicks that an object is found from, in the training photo that shows it best: in its middle, or so many at
+/// random. None where no photo shows it well enough.
+fn asked(trial: &Trial, object: &ObjectTruth, count: usize) -> Vec<PhotoPrompts> {
+    let Some(click) = object.clicks.first() else { return Vec::new() };
+    let on = |x, y| PhotoPrompts { photo: click.photo.clone(), prompts: Prompts::click(x, y) };
+    let photo = trial.scene().photos.iter().find(|p| p.name == click.photo);
+    match photo {
+        Some(photo) if count > 1 => {
+            let seen = photo.mask(object.id).minus(&photo.transients);
+            let seed = trial.manifest().options.seed;
+            let clicks = clicks::random(&seen, count, seed, u64::from(object.id));
+            clicks.into_iter().map(|p| on(p.x, p.y)).collect()
+        }
+        _ => vec![on(click.x, click.y)],
+    }
+}

@@ -1,0 +1,200 @@
+//! What the protocols have in common: rows, seeds, where results go, and how they are told.
+
+use super::{list, numbers};
+use crate::args::{given, json, path, with_settings};
+use crate::commands::{path as path_of, print_json, print_line, use_threads};
+use crate::exit;
+use crate::failure::Failure;
+use clap::{Arg, ArgAction, ArgMatches, Command};
+use segwild_bench::protocols::tables::page;
+use segwild_bench::protocols::{Base, Place, ProtocolError, Table, measure};
+use segwild_bench::record::{Made, Record, Results};
+use segwild_pipeline::{Settings, SettingsError};
+use std::path::{Path, PathBuf};
+
+/// Adds the flags that every protocol has: those of all settings, `--seeds`, `--only`, `--out`, `--page`, `--json`.
+pub fn with_common(command: Command, seeds: &'static str, folder: &'static str) -> Command {
+    with_settings(command)
+        .arg(
+            Arg::new("seeds")
+                .long("seeds")
+                .value_name("LIST")
+                .default_value(seeds)
+                .help("Seeds, with commas: of synthetic scenes, or of the training on given photos"),
+        )
+        .arg(
+            Arg::new("only")
+                .long("only")
+                .value_name("ROWS")
+                .help("Rows to compute, with commas, of whichever table [default: all of the table]"),
+        )
+        .arg(
+            Arg::new("change")
+                .long("change")
+                .value_name("NAME=VALUE")
+                .action(ArgAction::Append)
+                .help("A setting that holds whatever a row says: to tune a rival"),
+        )
+        .arg(path("out", folder))
+        .arg(
+            Arg::new("keep").long("keep").action(ArgAction::SetTrue).help(
+                "Keep what OUT/results.json has of other rows, scenes and prompts [default: begin anew]",
+            ),
+        )
+        .arg(path("page", "Write the tables to this file, with what made them"))
+        .arg(json())
+}
+
+/// Adds `--table`.
+pub fn with_table(command: Command, default: &'static str) -> Command {
+    command.arg(
+        Arg::new("table")
+            .long("table")
+            .value_parser(["ablation", "rivals"])
+            .default_value(default)
+            .help("Rows: one part of the method changed at a time, or other methods"),
+    )
+}
+
+/// The table that was asked for.
+pub fn table(matches: &ArgMatches) -> Table {
+    match matches.get_one::<String>("table").map(String::as_str) {
+        Some("rivals") => Table::Rivals,
+        _ => Table::Ablation,
+    }
+}
+
+/// What a protocol was asked for.
+pub struct Asked {
+    /// Where scenes, runs and results go.
+    pub out: PathBuf,
+    /// Rows by name; empty for all.
+    pub only: Vec<String>,
+    /// Seeds.
+    pub seeds: Vec<u64>,
+    /// What all rows have in common.
+    pub base: Base,
+    /// Results so far: none.
+    pub results: Results,
+    /// Whether to print JSON.
+    pub json: bool,
+    page: Option<PathBuf>,
+}
+
+/// Reads the common flags, and begins a new set of results in the folder.
+pub fn asked(matches: &ArgMatches, folder: &str) -> Result<Asked, Failure> {
+    let out = path_of(matches, "out").unwrap_or_else(|| PathBuf::from(folder));
+    // A table needs many trainings: the quickest preset unless another is asked for.
+    let mut flags = vec![("preset".to_owned(), "draft".to_owned())];
+    flags.extend(given(matches));
+    let settings = Settings::layered(None, &flags)?;
+    use_threads(settings.run.threads);
+    let mut changes = Vec::new();
+    for text in matches.get_many::<String>("change").into_iter().flatten() {
+        let (name, value) = text
+            .split_once('=')
+            .ok_or_else(|| Failure::usage(format!("--change {text}: expected NAME=VALUE, as in tau=0.9")))?;
+        Settings::default().set(name, value).map_err(SettingsError::from)?;
+        changes.push((name.to_owned(), value.to_owned()));
+    }
+    std::fs::create_dir_all(&out).map_err(|e| cannot_write(&out, &e))?;
+    let mut results = Results { made: Made::here(command_line()), records: Vec::new() };
+    let (file, photos) = (out.join("results.json"), out.join("photos.jsonl"));
+    if matches.get_flag("keep") && file.is_file() {
+        let before = Results::read(&file).map_err(ProtocolError::from)?;
+        // What is kept was made by another command.
+        if before.made.command != results.made.command {
+            results.made.command = format!("{} && {}", before.made.command, results.made.command);
+        }
+        results.records = before.records;
+    } else if photos.is_file() {
+        std::fs::remove_file(&photos).map_err(|e| cannot_write(&photos, &e))?;
+    }
+    Ok(Asked {
+        out,
+        only: list(matches, "only"),
+        seeds: numbers(matches, "seeds")?,
+        base: Base { settings, changes },
+        results,
+        json: matches.get_flag("json"),
+        page: path_of(matches, "page"),
+    })
+}
+
+/// The command as it was given, without the folder of the program and what only says where the output goes.
+pub fn command_line() -> String {
+    let mut words = vec!["segwild".to_owned()];
+    let mut given = std::env::args().skip(1);
+    while let Some(word) = given.next() {
+        if word == "--out" || word == "--page" {
+            given.next();
+        } else if !["--out=", "--page="].iter().any(|p| word.starts_with(p))
+            && word != "--json"
+            && word != "--keep"
+        {
+            words.push(word);
+        }
+    }
+    words.join(" ")
+}
+
+fn cannot_write(file: &Path, error: &std::io::Error) -> Failure {
+    Failure { message: format!("cannot write {}: {error}", file.display()), code: exit::FAILED }
+}
+
+/// Tells of a measurement.
+pub fn tell(json: bool) -> impl FnMut(&Record) {
+    move |record: &Record| {
+        let _ = if json {
+            print_json(record)
+        } else {
+            let shown = record.numbers.iter().map(|(name, value)| format!("{name} {value:.3}"));
+            let shown: Vec<String> = shown.collect();
+            let Record { scene, setting, target, prompt, .. } = record;
+            print_line(&format!("{scene} {setting:>20} {target:>16} {prompt}: {}", shown.join(" ")))
+        };
+    }
+}
+
+/// Prints the tables, and writes the page if one was asked for.
+pub fn finish(asked: &Asked, title: &str, tables: &[String]) -> Result<(), Failure> {
+    if let Some(file) = &asked.page {
+        std::fs::write(file, page(&asked.results, title, tables)).map_err(|e| cannot_write(file, &e))?;
+    }
+    if asked.json {
+        return Ok(());
+    }
+    for table in tables {
+        print_line(&format!("\n{}", table.trim_end()))?;
+    }
+    print_line(&format!("\nresults: {}", asked.out.join("results.json").display()))
+}
+
+/// Puts the rows through places, each made for every seed.
+pub fn measure_places(
+    asked: &mut Asked,
+    table: Table,
+    places: impl Fn(&Settings, u64) -> Result<Vec<Place>, ProtocolError>,
+) -> Result<(), Failure> {
+    let rows = table.rows(&asked.only)?;
+    let mut told = tell(asked.json);
+    for &seed in &asked.seeds {
+        for place in places(&asked.base.settings, seed)? {
+            measure(&asked.out, &place, &rows, &asked.base, &mut asked.results, &mut told)?;
+        }
+    }
+    Ok(())
+}
+
+/// A setting's default for one benchmark, where the person did not give it.
+pub fn default_setting(
+    matches: &ArgMatches,
+    asked: &mut Asked,
+    name: &str,
+    value: &str,
+) -> Result<(), Failure> {
+    if given(matches).iter().all(|(given, _)| given != name) {
+        asked.base.settings.set(name, value).map_err(SettingsError::from)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,67 @@
+//! `segwild bench folder`
+
+use super::common::{asked, finish, measure_places, table, with_common, with_table};
+use super::list;
+use crate::args::{number, path};
+use crate::commands::path as path_of;
+use crate::failure::Failure;
+use clap::{Arg, ArgMatches, Command, value_parser};
+use segwild_bench::protocols::folder::{FolderProtocol, Parts, place, read_parts};
+use segwild_bench::protocols::tables;
+use std::path::PathBuf;
+
+/// The benchmark's arguments.
+pub fn command() -> Command {
+    let command =
+        Command::new("folder").about("Find the objects of a scene that has true masks in SCENE/truth");
+    let command = with_common(command, "1", "Folder for runs and results [default: .bench/folder]");
+    with_table(command, "rivals")
+        .arg(
+            Arg::new("scene")
+                .required(true)
+                .value_parser(value_parser!(PathBuf))
+                .help("The scene: photos, reconstruction, and truth/PHOTO.png or truth/OBJECT/PHOTO.png"),
+        )
+        .arg(Arg::new("references").long("references").value_name("PHOTOS").help(
+            "Photos to click, with commas, by their names or how those begin [default: drawn by the seed]",
+        ))
+        .arg(
+            number("draw", "4", "So many photos are drawn for each object")
+                .value_parser(value_parser!(u32).range(1..)),
+        )
+        .arg(
+            number(
+                "clicks",
+                "1",
+                "Clicks on each photo: where the true mask is deepest, and then away from there",
+            )
+            .value_parser(value_parser!(u32).range(1..)),
+        )
+        .arg(path(
+            "parts",
+            "JSON file of the rows at which an object's parts meet, by photo: one click into each part",
+        ))
+}
+
+/// Prints the tables.
+pub fn folder(matches: &ArgMatches) -> Result<(), Failure> {
+    let mut asked = asked(matches, ".bench/folder")?;
+    let number = |name: &str| *matches.get_one::<u32>(name).expect("it has a default") as usize;
+    let options = FolderProtocol {
+        scene: path_of(matches, "scene").expect("clap requires it"),
+        references: list(matches, "references"),
+        draw: number("draw"),
+        clicks: number("clicks"),
+        parts: match path_of(matches, "parts") {
+            Some(file) => read_parts(&file)?,
+            None => Parts::new(),
+        },
+    };
+    measure_places(&mut asked, table(matches), |settings, seed| Ok(vec![place(&options, settings, seed)?]))?;
+    let results = &asked.results;
+    let mut shown = vec![tables::summary(results)];
+    let first = asked.only.first().map_or("full", String::as_str);
+    let first = if asked.only.iter().any(|o| o == "full") { "full" } else { first };
+    shown.push(tables::objects(results, first));
+    finish(&asked, &results.records.first().map_or(String::new(), |r| r.scene.clone()), &shown)
+}

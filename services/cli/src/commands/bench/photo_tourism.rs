@@ -1,0 +1,56 @@
+//! `segwild bench photo-tourism`
+
+use super::common::{asked, finish, measure_places, table, with_common, with_table};
+use super::list;
+use crate::args::number;
+use crate::commands::path as path_of;
+use crate::failure::Failure;
+use clap::{Arg, ArgMatches, Command, value_parser};
+use segwild_bench::protocols::photo_tourism::{LAYOUT, PhotoTourismProtocol, places};
+use segwild_bench::protocols::tables;
+use std::path::PathBuf;
+
+/// The benchmark's arguments.
+pub fn command() -> Command {
+    let command = Command::new("photo-tourism")
+        .about("The paper's nine targets in three places of Photo Tourism, and PSNR on held-out photos")
+        .after_help(LAYOUT);
+    with_table(
+        with_common(command, "1", "Folder for runs and results [default: .bench/photo-tourism]"),
+        "rivals",
+    )
+    .arg(Arg::new("root").required(true).value_parser(value_parser!(PathBuf)).help("Folder of the places"))
+    .arg(
+        Arg::new("scenes")
+            .long("scenes")
+            .value_name("PLACES")
+            .help("Places, with commas: brandenburg_gate, trevi_fountain, taj_mahal [default: all]"),
+    )
+    .arg(
+        number(
+            "clicks",
+            "1",
+            "Clicks on each reference photo: where its mask is deepest, and then away from there",
+        )
+        .value_parser(value_parser!(u32).range(1..)),
+    )
+}
+
+/// Prints the tables.
+pub fn photo_tourism(matches: &ArgMatches) -> Result<(), Failure> {
+    let mut asked = asked(matches, ".bench/photo-tourism")?;
+    let options = PhotoTourismProtocol {
+        root: path_of(matches, "root").expect("clap requires it"),
+        only: list(matches, "scenes"),
+        clicks: *matches.get_one::<u32>("clicks").expect("it has a default") as usize,
+    };
+    measure_places(&mut asked, table(matches), |settings, seed| places(&options, settings, seed))?;
+    let results = &asked.results;
+    let shown = [
+        tables::paper_targets(results),
+        tables::paper_ablation(results),
+        tables::summary(results),
+        tables::held_out(results),
+    ];
+    finish(&asked, "Photo Tourism", &shown)
+}
