@@ -209,7 +209,7 @@ impl Axis {
         let most = line.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let (least, most) = if least <= most { (least, most) } else { (0.0, 1.0) };
         let tiny = if log { 0.2 } else { (0.02 * most.abs()).max(1e-6) };
-        let room = (0.07 * (most - least)).max(tiny);
+        let room = (0.1 * (most - least)).max(tiny);
         let back = |v: f64| if log { v.exp() } else { v };
         if !names.is_empty() {
             return Axis { from: -0.5, to: names.len() as f64 - 0.5, log: false, names: names.to_vec() };
@@ -353,6 +353,7 @@ impl Panel {
                 .map_err(fail)?;
         }
         let mut notes = Vec::new();
+        let mut lettered: Vec<(i32, i32)> = Vec::new();
         for series in &self.series {
             let which = names.iter().position(|n| *n == series.name).unwrap_or(0);
             let colour = COLOURS[which % COLOURS.len()];
@@ -385,10 +386,20 @@ impl Panel {
                     chart.draw_series([spot + body]).map_err(fail)?;
                 }
                 if !mark.label.is_empty() {
-                    let up = if mark.chosen { -16.0 } else { -11.0 };
+                    // Not over the words of a neighbour.
+                    let (x, y) = chart.backend_coord(&at);
+                    let mut up = px(if mark.chosen { -16.0 } else { -11.0 });
+                    let wide = px(6.4 * mark.label.chars().count() as f64);
+                    let meets = |up: i32| {
+                        lettered.iter().any(|(u, v)| (u - x).abs() < wide && (v - y - up).abs() < px(12.0))
+                    };
+                    while meets(up) && up > px(-60.0) {
+                        up -= px(12.0);
+                    }
+                    lettered.push((x, y + up));
                     let words = Text::new(
                         mark.label.clone(),
-                        (0, px(up)),
+                        (0, up),
                         style(11.0 * scale, mark.chosen).pos(Pos::new(HPos::Center, VPos::Bottom)),
                     );
                     chart.draw_series([EmptyElement::at(at) + words]).map_err(fail)?;

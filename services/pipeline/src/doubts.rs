@@ -3,8 +3,8 @@
 
 use segwild_scene::{NEAR, Scene};
 
-/// Fewer photos than this guess more than they see.
-const FEW: usize = 10;
+/// Fewer photos than this guess more than they see: of a synthetic place, 12 find objects a quarter worse than 40.
+const FEW: usize = 15;
 /// Half of the observations lie farther from their points than this share of a photo's long side: 5 px of 640. Good
 /// reconstructions stay under 1 px.
 const MISFIT: f32 = 0.008;
@@ -173,12 +173,12 @@ mod tests {
     use glam::Vec3;
     use segwild_scene::{Camera, Frame, Observation, Photo, Point, Pose, Seal, View};
 
-    /// Twelve cameras on an arc, and points that they see exactly.
+    /// Sixteen cameras on an arc, and points that they see exactly.
     fn arc(radius: f32) -> Scene {
         let camera = Camera { width: 200, height: 100, fx: 150.0, fy: 150.0, cx: 100.0, cy: 50.0 };
-        let views: Vec<View> = (0..12)
+        let views: Vec<View> = (0..16)
             .map(|i| {
-                let eye = Vec3::new(radius * (i as f32 / 11.0 - 0.5), 0.0, -4.0);
+                let eye = Vec3::new(radius * (i as f32 / 15.0 - 0.5), 0.0, -4.0);
                 let pose = Pose::look_at(eye, Vec3::ZERO, Vec3::NEG_Y);
                 let path = format!("{i}.png").into();
                 let photo = Photo { path, ignore: None, usable: None, lens: None, seal: Seal::default() };

@@ -32,7 +32,7 @@ pub struct ChartOptions {
     pub program: PathBuf,
     /// The command line that makes it again.
     pub command: String,
-    /// Names of [`SWEEPS`]; all when empty.
+    /// Names of [`SWEEPS`], or of single points as in `look=embed`; all when empty.
     pub only: Vec<String>,
     /// Seeds of the training: what error bars are over.
     pub seeds: Vec<u64>,
@@ -114,7 +114,8 @@ pub enum Told<'a> {
 /// # Errors
 /// When the default cannot be measured, or results cannot be kept. A point that fails is told of and left out.
 pub fn chart(options: &ChartOptions, mut told: impl FnMut(Told)) -> Result<Results, ChartError> {
-    if let Some(odd) = options.only.iter().find(|o| SWEEPS.iter().all(|s| s.name != o.as_str())) {
+    let known = |o: &str| SWEEPS.iter().any(|s| s.name == o || s.values.iter().any(|v| one(s, v) == o));
+    if let Some(odd) = options.only.iter().find(|o| !known(o)) {
         return Err(ChartError::Sweep(odd.clone()));
     }
     io(&options.out, std::fs::create_dir_all(&options.out))?;
@@ -183,9 +184,11 @@ impl Plan {
 fn plans(options: &ChartOptions) -> Result<Vec<Plan>, ChartError> {
     let base = &options.base.settings;
     let mut plans = vec![Plan { setting: DEFAULT.into(), at: None, settings: base.clone() }];
-    let wanted = |s: &&Sweep| options.only.is_empty() || options.only.iter().any(|o| o == s.name);
-    for sweep in SWEEPS.iter().filter(wanted) {
-        for value in sweep.values {
+    let wanted = |s: &Sweep, value: &str| {
+        options.only.is_empty() || options.only.iter().any(|o| o == s.name || *o == one(s, value))
+    };
+    for sweep in SWEEPS {
+        for value in sweep.values.iter().filter(|v| wanted(sweep, v)) {
             if !sweep.is_base(base, value)? && !(sweep.setting == "size" && too_large(options, value)) {
                 let (setting, at) = sweep.setting_of(value);
                 plans.push(Plan { setting, at, settings: sweep.settings(base, value) });
@@ -193,6 +196,11 @@ fn plans(options: &ChartOptions) -> Result<Vec<Plan>, ChartError> {
         }
     }
     Ok(plans)
+}
+
+/// How a person names one point of a sweep.
+fn one(sweep: &Sweep, value: &str) -> String {
+    format!("{}={value}", sweep.name)
 }
 
 /// Whether synthetic photos have fewer pixels than a value of `size` asks for: such a point would be the default's.

@@ -280,14 +280,28 @@ impl ChartPage {
         text
     }
 
+    /// What the bars and ± are over.
+    fn spread_words(&self) -> &'static str {
+        let seeds: BTreeSet<u64> = self.results.records.iter().map(|r| r.seed).collect();
+        if seeds.len() > 1 {
+            "± and bars are the standard deviation over training seeds."
+        } else {
+            "There is one training seed, and so no telling how large the noise is."
+        }
+    }
+
     /// The tables, one per sweep, in Markdown.
     pub fn markdown(&self, figures: &[&str]) -> String {
         let made = &self.results.made;
         let mut text = format!(
             "# {}\n\nThis page is generated: `{}`, by segwild {} on {}. One setting is varied at a time around the default; every \
-             point is a training of its own in a process of its own. ± is the standard deviation over training seeds. CPU \
+             point is a training of its own in a process of its own. {} CPU \
              time and memory are of the run up to the held-out scores; memory is without what the process held before.\n\n",
-            self.title, made.command, made.version, made.machine
+            self.title,
+            made.command,
+            made.version,
+            made.machine,
+            self.spread_words()
         );
         for figure in figures {
             let _ = writeln!(text, "![{figure}]({figure})\n");
@@ -314,10 +328,11 @@ impl ChartPage {
             "<!doctype html>\n<html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\n\
              <title>{title}</title>\n<style>{STYLE}</style>\n<h1>{title}</h1>\n<p>Made by <code>{}</code>, segwild {}, on {}. One \
              setting is varied at a time around the default; every point is a training of its own in a process of its own. \
-             Bars and ± are the standard deviation over training seeds. Point at a mark to read its numbers.</p>\n",
+             {} Point at a mark to read its numbers.</p>\n",
             escaped(&made.command),
             escaped(&made.version),
             escaped(&made.machine),
+            self.spread_words(),
             title = escaped(&self.title),
         );
         text += "<ul>\n";

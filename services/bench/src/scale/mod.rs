@@ -132,7 +132,8 @@ fn run(options: &ScaleOptions, axis: &str, size: u32) -> Result<Record, ScaleErr
         train: photos as usize,
         test: 2,
         long_side: of("pixels", PIXELS),
-        points: 3000,
+        // Where splats grow, there are points enough to start with.
+        points: of("splats", 3000) as usize * 21 / 20,
         ..SyntheticOptions::default()
     };
     let splats = of("splats", 4000);
@@ -143,6 +144,10 @@ fn run(options: &ScaleOptions, axis: &str, size: u32) -> Result<Record, ScaleErr
         ("splats", splats.to_string()),
         // Every run grows to what it is allowed.
         ("grow_gain", "0".into()),
+        // Caches of a fixed size, full in all.
+        ("photo_cache_mib", "4".into()),
+        ("feature_memory", "8".into()),
+        ("vision_memory", "16".into()),
     ];
     let job = Job {
         protocol: PROTOCOL.into(),

@@ -20,7 +20,7 @@ pub fn markdown(results: &Results) -> String {
         "# How it grows\n\nThis page is generated: `{}`, by segwild {} on {}. Slopes are of log-log fits: 1 is linear, 0 does not \
          grow; the last is between the two largest sizes, where fixed costs count least. Kernel passes are CPU milliseconds over \
          splats of 0.5 to 3 px (at a width of 400); whole runs are synthetic places with the built-in provider, 16 photos of 128 \
-         px and 300 steps unless that is what grows, each in a process of its own.\n",
+         px and 300 steps unless that is what grows, caches of a fixed size, each in a process of its own.\n",
         made.command, made.version, made.machine
     );
     for axis in AXES {

@@ -56,7 +56,7 @@ pub fn command() -> Command {
             Arg::new("only")
                 .long("only")
                 .value_name("SWEEPS")
-                .help("Sweeps to measure, with commas: preset, steps, splats, channels, size, look, refine, prompts, density [default: all]"),
+                .help("Sweeps to measure, with commas: preset, steps, splats, channels, size, look, refine, prompts, density, or single points of them as in look=embed [default: all]"),
         )
         .arg(path("out", "Folder for results; what is there is not measured again [default: .bench/chart]"))
         .arg(path("page", "Folder for the page, figures and data [default: the folder of the results]"))
@@ -90,8 +90,9 @@ pub fn chart(matches: &ArgMatches) -> Result<(), Failure> {
                 occlusion: *matches.get_one::<f32>("occlusion").expect("it has a default"),
                 ..SyntheticOptions::default()
             };
+            let places = if seeds.len() == 1 { "place" } else { "places" };
             let about =
-                format!("{} synthetic place(s) of {photos} photos, {} px", seeds.len(), options.long_side);
+                format!("{} synthetic {places} of {photos} photos, {} px", seeds.len(), options.long_side);
             (
                 seeds
                     .iter()

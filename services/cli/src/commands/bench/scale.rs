@@ -27,7 +27,7 @@ pub fn command() -> Command {
         .arg(sizes("kernel-pixels", "160,320,640,1280", "Widths of the kernels' frame"))
         .arg(sizes("kernel-channels", "3,16,32,64,128", "Channels of the kernels' frame"))
         .arg(sizes("photos", "10,30,100,300", "Photos of whole runs"))
-        .arg(sizes("splats", "1000,4000,16000", "Most splats of whole runs"))
+        .arg(sizes("splats", "2000,16000,64000", "Most splats of whole runs"))
         .arg(sizes("pixels", "80,160,320", "Long sides of the photos of whole runs"))
         .arg(path("out", "Folder for results; what is there is not measured again [default: .bench/scale]"))
         .arg(path("page", "Write the page to this file"))
