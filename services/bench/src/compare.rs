@@ -134,7 +134,7 @@ impl fmt::Display for Line {
 
 /// Everything that both results have, worst first.
 pub fn compare(old: &Results, new: &Results, options: CompareOptions) -> Vec<Line> {
-    let mut groups: BTreeMap<(String, String), Vec<(&Record, f64, Option<f64>)>> = BTreeMap::new();
+    let mut groups: BTreeMap<(String, String), Vec<Pair>> = BTreeMap::new();
     for record in &old.records {
         let twin = new.records.iter().find(|r| r.same(record));
         for (number, &value) in &record.numbers {
@@ -168,13 +168,16 @@ pub fn compare(old: &Results, new: &Results, options: CompareOptions) -> Vec<Lin
     lines
 }
 
+/// A measurement, its old value, and the new one where there is one.
+type Pair<'a> = (&'a Record, f64, Option<f64>);
+
 fn name(record: &Record) -> String {
     let at = record.at.map_or(String::new(), |at| format!(" {at}"));
     format!("{} {}{at}", record.protocol, record.setting)
 }
 
 /// One number of one setting, not judged yet, and its difference in margins.
-fn line(setting: &str, number: &str, all: &[(&Record, f64, Option<f64>)]) -> Option<(Line, f64)> {
+fn line(setting: &str, number: &str, all: &[Pair]) -> Option<(Line, f64)> {
     let pairs: Vec<(&Record, f64, f64)> =
         all.iter().filter_map(|&(r, old, new)| Some((r, old, new?))).collect();
     let mut line = Line {

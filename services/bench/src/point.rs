@@ -277,8 +277,14 @@ fn folder(job: &Job, path: &Path, settings: &Settings) -> Result<Vec<Record>, Po
     for (k, prompts) in shown.iter().enumerate() {
         let began = Instant::now();
         let name = format!("object-{k}");
-        let made =
-            segment(&run, &name, &[prompts.clone()], &settings.segment, Some(&providers), &Stopper::new());
+        let made = segment(
+            &run,
+            &name,
+            std::slice::from_ref(prompts),
+            &settings.segment,
+            Some(&providers),
+            &Stopper::new(),
+        );
         click_s += began.elapsed().as_secs_f64();
         let numbers = match made {
             Ok(_) => {

@@ -189,7 +189,9 @@ fn plans(options: &ChartOptions) -> Result<Vec<Plan>, ChartError> {
     };
     for sweep in SWEEPS {
         for value in sweep.values.iter().filter(|v| wanted(sweep, v)) {
-            if !sweep.is_base(base, value)? && !(sweep.setting == "size" && too_large(options, value)) {
+            let nothing_new =
+                sweep.is_base(base, value)? || sweep.setting == "size" && too_large(options, value);
+            if !nothing_new {
                 let (setting, at) = sweep.setting_of(value);
                 plans.push(Plan { setting, at, settings: sweep.settings(base, value) });
             }
