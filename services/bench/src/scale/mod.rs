@@ -89,7 +89,9 @@ pub fn scale(options: &ScaleOptions, mut told: impl FnMut(&Record)) -> Result<Re
         }
         for size in sizes(options, axis) {
             let at = Some(f64::from(size));
-            if results.records.iter().any(|r| r.setting == axis && r.at == at) {
+            // Of objects, `at` is how many there were to click on.
+            let known = |r: &&Record| r.at == at || r.numbers.get(PER_OBJECT) == at.as_ref();
+            if results.records.iter().filter(|r| r.setting == axis).any(|r| known(&r)) {
                 continue;
             }
             let record = match axis {
@@ -118,6 +120,8 @@ fn sizes(options: &ScaleOptions, axis: &str) -> Vec<u32> {
     }
 }
 
+/// Clicks on each object.
+const PER_OBJECT: &str = "clicks_per_object";
 /// Photos, steps and pixels of a whole run in which something else grows.
 const PHOTOS: u32 = 16;
 const STEPS: u32 = 300;
@@ -177,6 +181,7 @@ fn run(options: &ScaleOptions, axis: &str, size: u32) -> Result<Record, ScaleErr
         record.at = Some(clicks as f64);
         record.numbers.retain(|name, _| name == "peak_mib");
         record.numbers.insert("all_clicks_s".into(), each * clicks as f64);
+        record.numbers.insert(PER_OBJECT.into(), f64::from(size));
     } else {
         record.numbers.retain(|name, _| ["cpu_s", "wall_s", "peak_mib", "splats"].contains(&name.as_str()));
     }

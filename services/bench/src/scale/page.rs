@@ -134,7 +134,11 @@ fn large(results: &Results) -> String {
         let (from, to) = match (reached.first(), reached.last()) {
             // Runs that did not keep the splats they were allowed say nothing of what a splat takes.
             (Some(first), Some(last)) if last.1 > 0.7 * more => (first.1, last.1),
-            _ => return text,
+            _ => {
+                return text
+                    + "\nMemory is not extrapolated: these runs did not keep the splats they were allowed, and so do not say what \
+                       a splat takes.\n";
+            }
         };
         let each = (most - less) / (to - from);
         let gib = each * LARGE_SPLATS / 1024.0;
