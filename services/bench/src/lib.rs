@@ -1,13 +1,20 @@
 //! Protocols, the synthetic wild scene, metrics, tables and charts.
 
 pub mod ablation;
+pub mod chart;
+pub mod compare;
 pub mod flow;
 pub mod metrics;
 pub mod oracle;
 pub mod perturb;
+pub mod plot;
+pub mod point;
 pub mod protocols;
 pub mod record;
 pub mod rivals;
+pub mod scale;
+pub mod slice;
+pub mod stability;
 pub mod synthetic;
 pub mod table;
 pub mod trial;

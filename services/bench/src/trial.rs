@@ -11,13 +11,14 @@ use segwild_pipeline::{
 };
 use segwild_scene::{BoxPrompt, Mask, PointPrompt, Prompts, SceneError, Splats};
 use segwild_vision::{Providers, VisionError};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
 /// Who looks at the photos of a trial.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum ProviderKind {
     /// The truth, with faults of a known size: what the method is worth whatever the 2D models are.
     Oracle,
@@ -91,6 +92,9 @@ pub struct ObjectScore {
     pub hidden: f64,
     /// Splats that the spike cut shortened, dropped or took a piece of.
     pub cut: usize,
+    /// What the program said about the prompts: doubts, or why it refused.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub notes: Vec<String>,
     /// Seconds from the prompts to the selection, the scene being loaded; `None` where nothing was selected.
     pub select_s: Option<f64>,
 }
@@ -160,6 +164,11 @@ impl Trial {
     /// What `truth.json` says.
     pub fn manifest(&self) -> &Manifest {
         &self.manifest
+    }
+
+    /// Where the scene was written.
+    pub fn scene_dir(&self) -> &Path {
+        &self.scene_dir
     }
 
     /// The run.
@@ -320,6 +329,7 @@ impl Session<'_> {
             label_iou: 0.0,
             hidden: 0.0,
             cut: 0,
+            notes: Vec::new(),
             select_s: None,
         };
         let (settings, providers) = (&self.settings.segment, Some(&self.providers));
@@ -327,6 +337,7 @@ impl Session<'_> {
             Ok(outcome) => {
                 score.select_s = Some(outcome.select_s);
                 score.cut = outcome.cut + outcome.dropped + outcome.joined;
+                score.notes = outcome.notes;
                 trial.masks(object.id, &mut score)?;
                 let selected = Selected::read(&trial.folder, name, self.splats.len())?.labels;
                 let opacity = |i: usize| f64::from(self.splats.opacity(i));
@@ -334,7 +345,8 @@ impl Session<'_> {
                 let hidden = trial.scene.instance_named(HIDDEN);
                 score.hidden = hidden.map_or(0.0, |wall| leakage(&selected, &self.labels, wall));
             }
-            Err(RunError::Segment(error)) if error.is_nothing() => {} // nothing selected is nothing right
+            // Nothing selected is nothing right.
+            Err(RunError::Segment(error)) if error.is_nothing() => score.notes.push(error.to_string()),
             Err(other) => return Err(other.into()),
         }
         Ok(score)

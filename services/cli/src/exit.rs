@@ -16,6 +16,8 @@ pub const INCOMPLETE: u8 = 4;
 pub const NOTHING: u8 = 5;
 /// The run folder is in use by another process, is not writable, or is damaged.
 pub const FOLDER: u8 = 6;
+/// A comparison that was told to fail found something worse.
+pub const WORSE: u8 = 7;
 /// Stopped by the user; resumable.
 pub const INTERRUPTED: u8 = 130;
 
@@ -38,4 +40,5 @@ pub const HELP: &str = "Exit codes:
   4    a stage failed, or scenes of a batch were given up; what was computed is kept, the same command continues
   5    the prompts select nothing
   6    the run folder is in use, not writable, or damaged
+  7    `bench compare --fail` found something worse
   130  stopped by you; the same command continues";

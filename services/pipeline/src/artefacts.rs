@@ -76,6 +76,11 @@ impl Digests {
     pub fn read(scene: &Scene) -> Digests {
         Digests(scene.views.par_iter().map(|v| photo_digest(v).map_err(|e| e.to_string())).collect())
     }
+
+    /// One per view; `None` where the photo cannot be read.
+    pub fn all(&self) -> Vec<Option<&str>> {
+        self.0.iter().map(|d| d.as_deref().ok()).collect()
+    }
 }
 
 impl Keys {

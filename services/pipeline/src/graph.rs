@@ -11,7 +11,7 @@ use crate::folder::Intake;
 use crate::skies::Skies;
 use crate::strangers::{Corrections, Known};
 use crate::traces::Traces;
-use crate::{Chosen, RunError, RunFolder, Settings, Until, choose_engine, keep, memory, report};
+use crate::{Chosen, RunError, RunFolder, Settings, Until, choose_engine, doubts, keep, memory, report};
 use segwild_flow::ledger::ViewOutcome;
 use segwild_flow::{Cache, Event, Events, Failure, Ledger, Phase, Recorder, Stopper, cpu, files, trace};
 use segwild_masks::{MaskMaker, sasm};
@@ -189,6 +189,9 @@ pub fn run(
         options.events.info(Some("ingest"), words);
     }
     let digests = Digests::read(&scene);
+    for doubt in doubts::doubts(&scene).into_iter().chain(doubts::copies(&scene, &digests.all())) {
+        options.events.warn(Some("ingest"), doubt);
+    }
     let name = |settings: &Settings| {
         Keys::of(&scene, digests.clone(), settings, &providers, &corrections, engine.name(), asked)
     };
@@ -339,6 +342,13 @@ pub fn run(
             progress.finish();
             ledger.finish_stage("evaluate", &coordinator.keys.evaluation_without(&unscored), None)?;
         }
+    }
+    if let Some(words) = model.as_ref().and_then(|m| m.stats.psnr).and_then(doubts::unlike) {
+        options.events.warn(Some("geometry"), words);
+    }
+    let learnt = model.as_ref().and_then(|m| m.stats.psnr).zip(scores.as_ref().map(|s| s.psnr));
+    if let Some(words) = learnt.and_then(|(train, held)| doubts::by_heart(train, held)) {
+        options.events.warn(Some("evaluate"), words);
     }
     let (key, cache) = (coordinator.keys.stage("report"), coordinator.cache.clone());
     let (splats, train_psnr) = model.as_ref().map_or((None, None), |m| (Some(m.splats.len()), m.stats.psnr));

@@ -11,6 +11,7 @@ mod board;
 mod checkpoints;
 mod choice;
 mod coordinator;
+mod doubts;
 mod engine;
 mod error;
 mod evaluate;

@@ -4,12 +4,13 @@ use crate::accelerator::leased;
 use crate::folder::Loaded;
 use crate::light::{self, find};
 use crate::prompts::{check_all, png_names};
+use crate::strangers::picture_of;
 use crate::{PhotoPrompts, Replay, RunError, RunFolder, choose_engine, report, traces};
 use segwild_flow::{
     ActorOptions, FileError, Limits, Phase, Stopper, System, SystemOptions, codec, fault, files, mailbox,
 };
 use segwild_raster::{Channels, Engine};
-use segwild_scene::{Image, Mask, Scene, Splats, ply};
+use segwild_scene::{Image, Mask, Scene, ScoredMask, Splats, ply};
 use segwild_segmenter::{
     Cut, Geometry, Object, PosedView, SegmentActor, SegmentError, SegmentReply, SegmentSettings, SegmentTask,
     Segmented, Verdict,
@@ -106,10 +107,41 @@ pub struct SegmentOutcome {
     pub agreement: f32,
     /// Whether only the prompted photos decided, for the others took the selection elsewhere.
     pub alone: bool,
+    /// What is doubtful about the prompts and the selection, a sentence each.
+    pub notes: Vec<String>,
     /// Seconds from the prompts to the selection, the scene being loaded.
     pub select_s: f64,
     /// Seconds in all.
     pub wall_s: f64,
+}
+
+/// So few photos that disagree are nothing to speak of.
+const OPPOSED: usize = 4;
+/// Under this share of agreement a selection is doubtful.
+const FAITHFUL: f32 = 0.5;
+
+impl SegmentOutcome {
+    /// What is doubtful about the selection itself, a sentence each.
+    fn doubts(&self) -> Vec<String> {
+        let mut words = Vec::new();
+        if self.alone {
+            words
+                .push("the other photos took it for something else: the prompted photos alone decide".into());
+        } else if self.agreement < FAITHFUL {
+            words.push(format!(
+                "of what the prompts mean and what was selected in the prompted photos, only {:.0} % is both: look at \
+                 prompted/ and masks/, and click once more where they differ",
+                100.0 * self.agreement
+            ));
+        }
+        if self.disagreeing > OPPOSED.max(self.agreeing) {
+            words.push(format!(
+                "{} photos disagree with the selection and {} agree: their masks, or the camera poses, do not fit",
+                self.disagreeing, self.agreeing
+            ));
+        }
+        words
+    }
 }
 
 /// Selects what the prompts mean and writes it to the run's `selections/NAME`.
@@ -251,11 +283,13 @@ pub fn segment(
         photos: 0,
         agreement: selection.agreement,
         alone: selection.alone,
+        notes: doubts(folder, &scene, prompts, &masks),
         agreeing: count(Verdict::Accepted),
         disagreeing: count(Verdict::Disagrees),
         select_s,
         wall_s: 0.0,
     };
+    outcome.notes.extend(outcome.doubts());
     files::write_folder(&target, |aside| -> Result<(), RunError> {
         let dir = |sub: &str| -> Result<PathBuf, RunError> {
             let path = aside.join(sub);
@@ -303,6 +337,58 @@ pub fn segment(
     })?;
     report::write_report(folder)?;
     Ok(outcome)
+}
+
+/// A click this close to the edge of what it was taken to mean, in pixels of the working size, may as well have meant
+/// what is on the other side.
+const EDGE: f32 = 2.0;
+/// But not on something that is nowhere much deeper.
+const DEEPER: f32 = 4.0;
+
+/// What is doubtful about prompts that did select something: clicks on strangers, and clicks at an edge.
+fn doubts(
+    folder: &RunFolder,
+    scene: &Scene,
+    prompts: &[PhotoPrompts],
+    masks: &[(usize, ScoredMask)],
+) -> Vec<String> {
+    let mut words = Vec::new();
+    for p in prompts {
+        let Ok(view) = find(scene, &p.photo) else { continue };
+        let camera = &scene.views[view].camera;
+        let inside = |mask: &Mask, x: f32, y: f32| {
+            let scale = |v: f32, of: u32, to: u32| {
+                ((v / of.max(1) as f32 * to as f32) as u32).min(to.saturating_sub(1))
+            };
+            let (u, v) = (scale(x, camera.width, mask.width()), scale(y, camera.height, mask.height()));
+            (mask.get(u, v), (v * mask.width() + u) as usize)
+        };
+        let stranger = Mask::read_png(&picture_of(folder, scene, view)).ok();
+        let meant = masks.iter().find(|(v, _)| *v == view).map(|(_, m)| &m.mask);
+        let depths = meant.map(|m| m.not().distances());
+        for point in p.prompts.points.iter().filter(|p| p.inside) {
+            let (x, y) = (point.x, point.y);
+            if stranger.as_ref().is_some_and(|s| inside(s, x, y).0) {
+                words.push(format!(
+                    "photo {}: the click at ({x}, {y}) lies on what was taken for a stranger; what it selects may be what stands \
+                     behind: click in a photo where nobody stands before it",
+                    p.photo
+                ));
+            }
+            if let (Some(mask), Some(depths)) = (meant, &depths) {
+                let (hit, at) = inside(mask, x, y);
+                let deepest = depths.iter().copied().fold(0.0, f32::max);
+                if !hit || (depths[at] < EDGE && deepest > DEEPER * depths[at]) {
+                    words.push(format!(
+                        "photo {}: the click at ({x}, {y}) lies at the edge of what it was taken to mean (see prompted/): a click \
+                         deeper inside is safer",
+                        p.photo
+                    ));
+                }
+            }
+        }
+    }
+    words
 }
 
 /// The error with its position as the person gave it: in pixels of the photo at full size.

@@ -205,6 +205,7 @@ impl Album<'_> {
         let before: BTreeMap<String, Made> = self.folder.read_json(MADE).unwrap_or_default();
         let mut after = BTreeMap::new();
         let mut pictures = Vec::new();
+        let mut shares = Vec::new();
         for &view in views {
             let (name, key) = (&names[view], key(view).to_string());
             let file = self.folder.path().join(FOLDER).join(name);
@@ -219,11 +220,13 @@ impl Album<'_> {
             let photo = photo(view)?;
             let (mask, psnr) = self.strangers(view, &photo)?;
             notes.extend(odd(&self.scene.views[view].name, name, &mask, psnr));
+            shares.push(share_of(&mask));
             let new = pixels(&mask);
             let pixels = [Some(new), there].into_iter().flatten().collect();
             after.insert(name.clone(), Made { key, pixels });
             pictures.push((file, mask));
         }
+        notes.extend(crowded(&shares));
         let failed = |e: RunError| Failure::storage(e.to_string());
         let dir = self.folder.path().join(FOLDER);
         std::fs::create_dir_all(&dir)
@@ -265,7 +268,7 @@ const MISFIT: f32 = 12.0;
 
 /// What is odd about a photo's mask: that nearly all of it is strange, or hardly anything of one that does not fit at all.
 fn odd(photo: &str, picture: &str, mask: &Mask, psnr: f32) -> Option<String> {
-    let share = mask.count() as f32 / (f64::from(mask.width()) * f64::from(mask.height())).max(1.0) as f32;
+    let share = share_of(mask);
     let percent = 100.0 * share;
     if share > MOST {
         return Some(format!(
@@ -276,6 +279,29 @@ fn odd(photo: &str, picture: &str, mask: &Mask, psnr: f32) -> Option<String> {
         format!(
             "photo {photo} does not fit the scene ({psnr:.1} dB), and only {percent:.0} % of it stands out as strange: its \
              pose may be wrong, or its light beyond the look; paint its strangers into {FOLDER}/{picture}, or leave it out"
+        )
+    })
+}
+
+fn share_of(mask: &Mask) -> f32 {
+    mask.count() as f32 / (f64::from(mask.width()) * f64::from(mask.height())).max(1.0) as f32
+}
+
+/// A photo of which this share contradicts the scene is crowded. What is found is less than what is there: of 25 % that
+/// strangers truly cover about 20 % is found, and hardly more however much they cover.
+const CROWDED: f32 = 0.2;
+/// Share of the photos that must be crowded for all of them to be spoken of.
+const MANY: f32 = 0.34;
+
+/// What is to be said where many photos contradict the scene.
+fn crowded(shares: &[f32]) -> Option<String> {
+    let many = shares.iter().filter(|s| **s > CROWDED).count();
+    (shares.len() > 2 && many as f32 > MANY * shares.len() as f32).then(|| {
+        format!(
+            "in {many} of {} photos more than {:.0} % contradicts the scene: strangers in most of them, light beyond the look, or \
+             poses that do not fit",
+            shares.len(),
+            100.0 * CROWDED
         )
     })
 }

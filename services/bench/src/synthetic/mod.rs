@@ -66,7 +66,7 @@ pub struct SyntheticOptions {
     pub test: usize,
     /// Long side of every photo in pixels.
     pub long_side: u32,
-    /// Share of each training photo that strangers cover, 0 to 0.4.
+    /// Share of each training photo that strangers cover, 0 to 0.6.
     pub occlusion: f32,
     /// What differs from photo to photo.
     pub look: LookKind,
@@ -114,8 +114,8 @@ impl SyntheticOptions {
         if !(16..=4096).contains(&self.long_side) {
             return refuse("the long side of the photos is 16 to 4096 pixels");
         }
-        if !(0.0..=0.4).contains(&self.occlusion) {
-            return refuse("strangers cover a share of 0 to 0.4 of a photo");
+        if !(0.0..=0.6).contains(&self.occlusion) {
+            return refuse("strangers cover a share of 0 to 0.6 of a photo");
         }
         if !(0.0..=2.0).contains(&self.look_strength) {
             return refuse("the strength of the looks is 0 to 2");

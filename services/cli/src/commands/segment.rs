@@ -8,9 +8,6 @@ use segwild_flow::Stopper;
 use segwild_pipeline::{PhotoPrompts, Replay, RunFolder, Settings};
 use segwild_scene::{BoxPrompt, PointPrompt, Prompts};
 
-/// IoU of a selection with the masks of its prompts under which a person is told.
-const FAITHFUL: f32 = 0.5;
-
 /// Clicks to an object.
 pub fn segment(matches: &ArgMatches) -> Result<(), Failure> {
     let folder = RunFolder::open(&path(matches, "run").expect("clap requires it"))?;
@@ -39,14 +36,8 @@ pub fn segment(matches: &ArgMatches) -> Result<(), Failure> {
         done.disagreeing,
         duration(done.select_s)
     ))?;
-    if done.alone {
-        print_line("the other photos took it for something else: the prompted photos alone decide")?;
-    } else if done.agreement < FAITHFUL {
-        print_line(&format!(
-            "of what the prompts mean and what was selected in the prompted photos, only {:.0} % is both: look at prompted/ \
-             and masks/, and click once more where they differ",
-            100.0 * done.agreement
-        ))?;
+    for note in &done.notes {
+        print_line(&format!("warning: {note}"))?;
     }
     print_line(&format!("object: {}", done.folder.join("object.ply").display()))?;
     print_line(&format!("masks:  {}", done.folder.join("masks").display()))

@@ -122,7 +122,7 @@ pub fn asked(matches: &ArgMatches, folder: &str) -> Result<Asked, Failure> {
 }
 
 /// The command as it was given, without the folder of the program and what only says where the output goes.
-fn command_line() -> String {
+pub fn command_line() -> String {
     let mut words = vec!["segwild".to_owned()];
     let mut given = std::env::args().skip(1);
     while let Some(word) = given.next() {

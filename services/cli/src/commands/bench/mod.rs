@@ -1,11 +1,16 @@
 //! `segwild bench`: one module per benchmark, each with its arguments, a call into `segwild_bench`, and words out.
 
+mod chart;
 mod common;
+mod compare;
 mod flow;
 mod folder;
 mod lego;
 mod photo_tourism;
+mod scale;
 mod scribbles;
+mod slice;
+mod stability;
 mod synthetic;
 
 use crate::failure::Failure;
@@ -22,12 +27,24 @@ pub fn command() -> Command {
         .subcommand(lego::command())
         .subcommand(scribbles::nvos_command())
         .subcommand(scribbles::spin_nerf_command())
+        .subcommand(chart::command())
+        .subcommand(chart::point_command())
+        .subcommand(compare::command())
         .subcommand(flow::command())
+        .subcommand(scale::command())
+        .subcommand(slice::command())
+        .subcommand(stability::command())
 }
 
 /// Measures what was asked for.
 pub fn bench(matches: &ArgMatches) -> Result<(), Failure> {
     match matches.subcommand() {
+        Some(("chart", m)) => chart::chart(m),
+        Some(("compare", m)) => compare::compare(m),
+        Some(("scale", m)) => scale::scale(m),
+        Some(("slice", m)) => slice::slice(m),
+        Some(("stability", m)) => stability::stability(m),
+        Some(("point", _)) => chart::point(),
         Some(("synthetic", m)) => synthetic::synthetic(m),
         Some(("folder", m)) => folder::folder(m),
         Some(("photo-tourism", m)) => photo_tourism::photo_tourism(m),

@@ -38,7 +38,7 @@ pub fn with_args(command: Command) -> Command {
             .value_parser(value_parser!(u32).range(1..)),
         )
         .arg(
-            number("occlusion", "0.1", "Share of each photo that strangers cover, 0 to 0.4")
+            number("occlusion", "0.1", "Share of each photo that strangers cover, 0 to 0.6")
                 .value_parser(value_parser!(f32)),
         )
         .arg(

@@ -1,0 +1,239 @@
+//! The chart: accuracy against time and memory, one setting varied at a time around a default.
+//!
+//! Every point is trained from nothing in a process of its own, once per seed, and kept in `results.json` as soon as it
+//! is known: a second start goes on where the first one stopped.
+
+mod page;
+mod sweeps;
+
+pub use page::{ChartPage, Verdict, write};
+pub use sweeps::{SWEEPS, Sweep};
+
+use crate::oracle::OracleOptions;
+use crate::point::{self, Job, Place, PointError, Prompting};
+use crate::record::{Made, Record, RecordError, Results};
+use crate::stability::Harm;
+use crate::trial::ProviderKind;
+use segwild_pipeline::SettingsError;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// The setting under which the default is recorded.
+pub const DEFAULT: &str = "default";
+/// The protocol under which points are recorded.
+pub const PROTOCOL: &str = "chart";
+
+/// What to chart.
+#[derive(Clone, Debug)]
+pub struct ChartOptions {
+    /// Folder for `results.json`, and for scenes and runs while they are made.
+    pub out: PathBuf,
+    /// The `segwild` program.
+    pub program: PathBuf,
+    /// The command line that makes it again.
+    pub command: String,
+    /// Names of [`SWEEPS`], or of single points as in `look=embed`; all when empty.
+    pub only: Vec<String>,
+    /// Seeds of the training: what error bars are over.
+    pub seeds: Vec<u64>,
+    /// What must stay the same for points to be comparable.
+    pub base: Base,
+}
+
+/// What all points of a chart have in common.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Base {
+    /// The scenes; a point is their mean.
+    pub places: Vec<Place>,
+    /// Who looks at the photos.
+    pub providers: ProviderKind,
+    /// How the oracle errs.
+    pub faults: OracleOptions,
+    /// The default's settings, by name.
+    pub settings: Vec<(String, String)>,
+}
+
+/// Why a chart cannot be made.
+#[derive(Debug, thiserror::Error)]
+pub enum ChartError {
+    /// A sweep was asked for that does not exist.
+    #[error(
+        "there is no sweep `{0}`; the sweeps are preset, steps, splats, channels, size, look, refine, prompts, density"
+    )]
+    Sweep(String),
+    /// The folder holds points of another chart.
+    #[error("{0} holds points of other scenes or another default: give another --out, or remove it")]
+    Other(PathBuf),
+    /// A setting was refused.
+    #[error(transparent)]
+    Settings(#[from] SettingsError),
+    /// Results cannot be read or written.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    /// Not even the default could be measured.
+    #[error(transparent)]
+    Point(#[from] PointError),
+    /// A figure cannot be drawn.
+    #[error(transparent)]
+    Plot(#[from] crate::plot::PlotError),
+    /// A file of the chart.
+    #[error("{path}: {source}")]
+    Io {
+        /// Which file.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+}
+
+pub(crate) fn io<T>(path: &Path, result: std::io::Result<T>) -> Result<T, ChartError> {
+    result.map_err(|source| ChartError::Io { path: path.into(), source })
+}
+
+/// What a caller hears while points are measured.
+#[derive(Clone, Debug)]
+pub enum Told<'a> {
+    /// A point was measured, or was known.
+    Point {
+        /// Its records, the scene's first.
+        records: &'a [Record],
+        /// Whether it was known from an earlier start.
+        known: bool,
+    },
+    /// A point could not be measured; the next start tries again.
+    Failed {
+        /// Sweep and value.
+        point: &'a str,
+        /// Why.
+        error: &'a PointError,
+    },
+}
+
+/// Measures every point that is not known yet; all that is known afterwards.
+///
+/// # Errors
+/// When the default cannot be measured, or results cannot be kept. A point that fails is told of and left out.
+pub fn chart(options: &ChartOptions, mut told: impl FnMut(Told)) -> Result<Results, ChartError> {
+    let known = |o: &str| SWEEPS.iter().any(|s| s.name == o || s.values.iter().any(|v| one(s, v) == o));
+    if let Some(odd) = options.only.iter().find(|o| !known(o)) {
+        return Err(ChartError::Sweep(odd.clone()));
+    }
+    io(&options.out, std::fs::create_dir_all(&options.out))?;
+    same_base(options)?;
+    let file = options.out.join("results.json");
+    let mut results = if file.is_file() { Results::read(&file)? } else { Results::default() };
+    results.made = Made::here(options.command.clone());
+    for plan in plans(options)? {
+        for place in &options.base.places {
+            for &seed in &options.seeds {
+                let job = plan.job(options, place, seed);
+                let known: Vec<Record> = results.records.iter().filter(|r| of(r, &job)).cloned().collect();
+                if known.iter().any(|r| r.target.is_empty()) {
+                    told(Told::Point { records: &known, known: true });
+                    continue;
+                }
+                empty(&job.dir)?;
+                match point::apart(&options.program, &job) {
+                    Ok(records) => {
+                        told(Told::Point { records: &records, known: false });
+                        records.into_iter().for_each(|r| results.put(r));
+                        results.write(&file)?;
+                    }
+                    Err(error) if plan.setting == DEFAULT => return Err(error.into()),
+                    Err(error) => told(Told::Failed { point: &plan.name(), error: &error }),
+                }
+                empty(&job.dir)?;
+            }
+        }
+    }
+    Ok(results)
+}
+
+/// A point that is to be measured.
+struct Plan {
+    setting: String,
+    at: Option<f64>,
+    settings: Vec<(String, String)>,
+}
+
+impl Plan {
+    fn name(&self) -> String {
+        self.at.map_or(self.setting.clone(), |at| format!("{} {at}", self.setting))
+    }
+
+    fn job(&self, options: &ChartOptions, place: &Place, seed: u64) -> Job {
+        let base = &options.base;
+        Job {
+            protocol: PROTOCOL.into(),
+            setting: self.setting.clone(),
+            at: self.at,
+            place: place.clone(),
+            providers: base.providers,
+            faults: base.faults.clone(),
+            settings: self.settings.clone(),
+            harm: Harm::default(),
+            prompting: Prompting::Best,
+            count: false,
+            seed,
+            dir: options.out.join("point"),
+        }
+    }
+}
+
+/// The points, the default first. A value that is the default's own is not measured twice.
+fn plans(options: &ChartOptions) -> Result<Vec<Plan>, ChartError> {
+    let base = &options.base.settings;
+    let mut plans = vec![Plan { setting: DEFAULT.into(), at: None, settings: base.clone() }];
+    let wanted = |s: &Sweep, value: &str| {
+        options.only.is_empty() || options.only.iter().any(|o| o == s.name || *o == one(s, value))
+    };
+    for sweep in SWEEPS {
+        for value in sweep.values.iter().filter(|v| wanted(sweep, v)) {
+            let nothing_new =
+                sweep.is_base(base, value)? || sweep.setting == "size" && too_large(options, value);
+            if !nothing_new {
+                let (setting, at) = sweep.setting_of(value);
+                plans.push(Plan { setting, at, settings: sweep.settings(base, value) });
+            }
+        }
+    }
+    Ok(plans)
+}
+
+/// How a person names one point of a sweep.
+fn one(sweep: &Sweep, value: &str) -> String {
+    format!("{}={value}", sweep.name)
+}
+
+/// Whether synthetic photos have fewer pixels than a value of `size` asks for: such a point would be the default's.
+fn too_large(options: &ChartOptions, value: &str) -> bool {
+    let long_side = |place: &Place| match place {
+        Place::Synthetic(scene) => Some(scene.long_side),
+        Place::Folder(_) => None,
+    };
+    let most = options.base.places.iter().filter_map(long_side).max();
+    value.parse::<u32>().ok().zip(most).is_some_and(|(value, most)| value >= most)
+}
+
+/// Whether a record is of the job's point.
+fn of(record: &Record, job: &Job) -> bool {
+    record.setting == job.setting
+        && record.at == job.at
+        && record.seed == job.seed
+        && record.scene == job.place.name()
+}
+
+/// Refuses a folder with points of another chart; marks an empty one as this chart's.
+fn same_base(options: &ChartOptions) -> Result<(), ChartError> {
+    let file = options.out.join("base.json");
+    let here = serde_json::to_value(&options.base).unwrap_or_default();
+    let Ok(text) = std::fs::read(&file) else {
+        return io(&file, std::fs::write(&file, format!("{here:#}\n")));
+    };
+    let there: serde_json::Value = serde_json::from_slice(&text).unwrap_or_default();
+    if there == here { Ok(()) } else { Err(ChartError::Other(options.out.clone())) }
+}
+
+fn empty(dir: &Path) -> Result<(), ChartError> {
+    if dir.exists() { io(dir, std::fs::remove_dir_all(dir)) } else { Ok(()) }
+}

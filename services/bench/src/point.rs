@@ -1,0 +1,472 @@
+//! One point of a sweep: a scene trained under some settings, clicked and scored, and what that cost.
+//!
+//! Cost is only comparable between processes that did one thing each: [`apart`] starts a program for every [`Job`],
+//! and nothing is shared between two of them.
+
+use crate::flow::{Calls, counted};
+use crate::oracle::OracleOptions;
+use crate::record::Record;
+use crate::stability::Harm;
+use crate::synthetic::random::Rng;
+use crate::synthetic::{Kind, ObjectTruth, SyntheticOptions, SyntheticPhoto, generate};
+use crate::trial::{ProviderKind, Trial, TrialError};
+use segwild_flow::{Event, Events, Stopper, cpu};
+use segwild_pipeline::{
+    Loaded, PhotoPrompts, RunError, RunFolder, RunOptions, Settings, SettingsError, Summary, Until, run,
+    score, segment,
+};
+use segwild_raster::{CpuEngine, Engine};
+use segwild_scene::{BoxPrompt, Mask, PointPrompt, Prompts, Scene, SceneError};
+use segwild_vision::Providers;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::Instant;
+
+/// Photos of a folder that are clicked, one after the other.
+const REFERENCES: usize = 3;
+
+/// Where the photos come from, and what is true of them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Place {
+    /// A synthetic place: every object is clicked once.
+    Synthetic(SyntheticOptions),
+    /// A folder of photos with true masks of one object in `truth/`: it is shown in three photos, one after the other,
+    /// by a box and two clicks.
+    Folder(PathBuf),
+}
+
+impl Place {
+    /// What records and pages call it.
+    pub fn name(&self) -> String {
+        match self {
+            Place::Synthetic(options) => format!("seed {}", options.seed),
+            Place::Folder(path) => {
+                path.file_name().map_or_else(|| "scene".into(), |n| n.to_string_lossy().into_owned())
+            }
+        }
+    }
+}
+
+/// What to measure.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Job {
+    /// [`Record::protocol`] of what comes out.
+    pub protocol: String,
+    /// [`Record::setting`].
+    pub setting: String,
+    /// [`Record::at`].
+    pub at: Option<f64>,
+    /// The scene.
+    pub place: Place,
+    /// Who looks at the photos.
+    pub providers: ProviderKind,
+    /// How the oracle errs, where it looks.
+    pub faults: OracleOptions,
+    /// Settings by name, later ones winning.
+    pub settings: Vec<(String, String)>,
+    /// What is wrong with a synthetic scene.
+    #[serde(default)]
+    pub harm: Harm,
+    /// Where objects of a synthetic scene are clicked.
+    #[serde(default)]
+    pub prompting: Prompting,
+    /// Whether work is counted beside the quality: `steps`, `calls` of the providers, and `pairs` of a splat and a tile
+    /// that one look at every training photo draws. Counts do not depend on how busy a machine is.
+    #[serde(default)]
+    pub count: bool,
+    /// Seed of the training.
+    pub seed: u64,
+    /// Folder for the scene and the run.
+    pub dir: PathBuf,
+}
+
+/// Where objects of a synthetic scene are clicked.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Prompting {
+    /// Deepest inside, in the photo that shows the object best; with the built-in provider, as a person tells it.
+    #[default]
+    Best,
+    /// So many pixels from there, in a random direction.
+    Beside(f32),
+    /// So many pixels inside the outline, in the same photo.
+    Inside(f32),
+    /// So many times anywhere on the object, each in a random photo that shows it.
+    Random(u32),
+    /// Nowhere: only the training counts.
+    Nowhere,
+}
+
+/// Why a point cannot be measured.
+#[derive(Debug, thiserror::Error)]
+pub enum PointError {
+    /// Training or scoring failed.
+    #[error(transparent)]
+    Trial(#[from] TrialError),
+    /// A folder has no true mask that can be shown to the program.
+    #[error(
+        "{0} has no mask in `truth/` that covers a tenth of a percent of its photo: there is nothing to score"
+    )]
+    NoTruth(PathBuf),
+    /// A process of its own could not be started, or did not answer.
+    #[error("a point was not measured: {0}")]
+    Child(String),
+}
+
+impl From<RunError> for PointError {
+    fn from(error: RunError) -> PointError {
+        TrialError::from(error).into()
+    }
+}
+
+impl From<SceneError> for PointError {
+    fn from(error: SceneError) -> PointError {
+        TrialError::from(error).into()
+    }
+}
+
+impl Job {
+    /// The settings in force.
+    pub fn settings(&self) -> Result<Settings, SettingsError> {
+        let mut pairs = self.settings.clone();
+        pairs.push(("seed".into(), self.seed.to_string()));
+        Settings::layered(None, &pairs)
+    }
+
+    fn record(&self, target: &str, prompt: u32, numbers: &[(&str, f64)]) -> Record {
+        Record {
+            protocol: self.protocol.clone(),
+            scene: self.place.name(),
+            setting: self.setting.clone(),
+            at: self.at,
+            target: target.into(),
+            seed: self.seed,
+            prompt,
+            numbers: numbers.iter().map(|(name, value)| ((*name).to_owned(), *value)).collect(),
+            notes: Vec::new(),
+        }
+    }
+}
+
+/// Measures in a process of its own: `program bench point` reads the job from its standard input and writes the records
+/// to its standard output.
+pub fn apart(program: &Path, job: &Job) -> Result<Vec<Record>, PointError> {
+    let failed = |what: String| PointError::Child(what);
+    let text = serde_json::to_vec(job).map_err(|e| failed(e.to_string()))?;
+    let mut child = Command::new(program)
+        .args(["bench", "point"])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .map_err(|e| failed(format!("{}: {e}", program.display())))?;
+    if let Some(mut input) = child.stdin.take() {
+        input.write_all(&text).map_err(|e| failed(e.to_string()))?;
+    }
+    let output = child.wait_with_output().map_err(|e| failed(e.to_string()))?;
+    if !output.status.success() {
+        let said = String::from_utf8_lossy(&output.stderr);
+        return Err(failed(format!("{}: {}", output.status, said.trim())));
+    }
+    serde_json::from_slice(&output.stdout).map_err(|e| failed(e.to_string()))
+}
+
+/// Measures here: the scene's record first, then one per target.
+pub fn measure(job: &Job) -> Result<Vec<Record>, PointError> {
+    let settings = job.settings().map_err(RunError::from)?;
+    match &job.place {
+        Place::Synthetic(options) => synthetic(job, options, &settings),
+        Place::Folder(path) => folder(job, path, &settings),
+    }
+}
+
+fn synthetic(job: &Job, options: &SyntheticOptions, settings: &Settings) -> Result<Vec<Record>, PointError> {
+    let mut scene = generate(options).map_err(TrialError::from)?;
+    job.harm.apply(&mut scene, job.seed);
+    let trial = Trial::of(&job.dir, scene, job.providers, &job.faults)?;
+    let providers = trial.providers(settings)?;
+    let mut first = trained(job, trial.scene_dir(), trial.folder(), settings, providers)?;
+    let session = trial.session(settings)?;
+    let mut targets = Vec::new();
+    let began = Instant::now();
+    for object in trial.manifest().objects.iter().filter(|o| o.kind == Kind::Object) {
+        for (k, prompts) in clicks(job, &trial, object).into_iter().enumerate() {
+            let s = session.score(object, prompts)?;
+            let numbers = [
+                ("iou", s.iou),
+                ("boundary_iou", s.boundary_iou),
+                ("accuracy", s.accuracy),
+                ("amodal_iou", s.amodal_iou),
+                ("label_iou", s.label_iou),
+                ("hidden", s.hidden),
+            ];
+            targets.push(Record { notes: s.notes, ..job.record(&s.object, k as u32, &numbers) });
+        }
+    }
+    first.numbers.insert("click_s".into(), began.elapsed().as_secs_f64() / targets.len().max(1) as f64);
+    targets.insert(0, first);
+    Ok(targets)
+}
+
+/// What is said of an object, each time anew.
+fn clicks(job: &Job, trial: &Trial, object: &ObjectTruth) -> Vec<PhotoPrompts> {
+    let Some(best) = object.clicks.first() else { return Vec::new() };
+    let one =
+        |photo: &str, x: f32, y: f32| PhotoPrompts { photo: photo.into(), prompts: Prompts::click(x, y) };
+    let shown = trial.scene().photos.iter().find(|p| p.name == best.photo);
+    let mut rng = Rng::new(job.seed, (31 << 32) + u64::from(object.id));
+    match job.prompting {
+        // The oracle knows the whole from one click; the built-in provider is told as a person would tell it.
+        Prompting::Best if job.providers == ProviderKind::Builtin => {
+            trial.prompts(object).into_iter().collect()
+        }
+        Prompting::Best => vec![one(&best.photo, best.x, best.y)],
+        Prompting::Beside(away) => {
+            let angle = std::f32::consts::TAU * rng.unit();
+            let (w, h) = shown.map_or((1, 1), |p| (p.camera.width, p.camera.height));
+            let x = (best.x + away * angle.cos()).clamp(0.5, w as f32 - 0.5);
+            let y = (best.y + away * angle.sin()).clamp(0.5, h as f32 - 0.5);
+            vec![one(&best.photo, x, y)]
+        }
+        Prompting::Inside(depth) => {
+            let Some(photo) = shown else { return Vec::new() };
+            let seen = photo.mask(object.id).minus(&photo.transients);
+            let depths = seen.not().distances();
+            let off = |x: u32, y: u32| (depths[(y * seen.width() + x) as usize] - depth).abs();
+            let nearest = seen.pixels().min_by(|a, b| off(a.0, a.1).total_cmp(&off(b.0, b.1)));
+            nearest.map(|(x, y)| one(&best.photo, x as f32 + 0.5, y as f32 + 0.5)).into_iter().collect()
+        }
+        Prompting::Nowhere => Vec::new(),
+        Prompting::Random(times) => {
+            let shows = |p: &&SyntheticPhoto| {
+                let seen = p.mask(object.id).minus(&p.transients).count();
+                !p.test && seen * SHOWN >= p.instances.len()
+            };
+            let photos: Vec<&SyntheticPhoto> = trial.scene().photos.iter().filter(shows).collect();
+            let mut all = Vec::new();
+            for _ in 0..times {
+                if photos.is_empty() {
+                    break;
+                }
+                let photo = photos[rng.below(photos.len())];
+                let pixels: Vec<(u32, u32)> =
+                    photo.mask(object.id).minus(&photo.transients).pixels().collect();
+                let (x, y) = pixels[rng.below(pixels.len())];
+                all.push(one(&photo.name, x as f32 + 0.5, y as f32 + 0.5));
+            }
+            all
+        }
+    }
+}
+
+/// A photo shows an object when at least one pixel in this many is the object's.
+const SHOWN: usize = 200;
+
+fn folder(job: &Job, path: &Path, settings: &Settings) -> Result<Vec<Record>, PointError> {
+    let truth = path.join("truth");
+    let shown = references(path, &truth, settings)?;
+    let run = RunFolder::create(&job.dir.join("run"))?;
+    let providers = Providers::from_settings(&settings.vision).map_err(TrialError::from)?;
+    let mut first = trained(job, path, &run, settings, providers.clone())?;
+    let mut targets = Vec::new();
+    let mut click_s = 0.0;
+    for (k, prompts) in shown.iter().enumerate() {
+        let began = Instant::now();
+        let name = format!("object-{k}");
+        let made = segment(
+            &run,
+            &name,
+            std::slice::from_ref(prompts),
+            &settings.segment,
+            Some(&providers),
+            &Stopper::new(),
+        );
+        click_s += began.elapsed().as_secs_f64();
+        let numbers = match made {
+            Ok(_) => {
+                let s = score(&run, &name, &truth)?;
+                [s.iou, s.boundary_iou, s.accuracy, s.amodal_iou]
+            }
+            Err(RunError::Segment(_)) => [0.0; 4], // nothing selected is nothing right
+            Err(other) => return Err(other.into()),
+        };
+        let names = ["iou", "boundary_iou", "accuracy", "amodal_iou"];
+        let numbers: Vec<(&str, f64)> = names.into_iter().zip(numbers).collect();
+        targets.push(job.record("object", k as u32, &numbers));
+    }
+    first.numbers.insert("click_s".into(), click_s / shown.len() as f64);
+    targets.insert(0, first);
+    Ok(targets)
+}
+
+/// Trains up to the held-out scores: what it cost and what it said.
+fn trained(
+    job: &Job,
+    scene: &Path,
+    folder: &RunFolder,
+    settings: &Settings,
+    providers: Providers,
+) -> Result<Record, PointError> {
+    let (providers, calls) = if job.count { counted(&providers) } else { (providers, Calls::default()) };
+    let events = Events::new();
+    let listener = events.subscribe();
+    let options = RunOptions {
+        events,
+        providers: Some(providers),
+        until: Until::stage("evaluate"),
+        ..RunOptions::default()
+    };
+    let before = forget_peak();
+    let (cpu_before, began) = (cpu::process_seconds(), Instant::now());
+    let Summary { splats, held_out, train_psnr, .. } = run(scene, folder, settings, &options)?;
+    let wall = began.elapsed().as_secs_f64();
+    let cpu_s = cpu::process_seconds().zip(cpu_before).map(|(after, before)| after - before);
+    let peak = cpu::peak_memory().zip(before).map(|(peak, before)| peak.saturating_sub(before) as f64 / MIB);
+    let mut record = job.record("", 0, &[("wall_s", wall), ("splats", splats as f64)]);
+    let more = [
+        ("cpu_s", cpu_s),
+        ("peak_mib", peak),
+        ("psnr", held_out.as_ref().map(|h| f64::from(h.psnr))),
+        ("ssim", held_out.as_ref().map(|h| f64::from(h.ssim))),
+        ("train_psnr", train_psnr.map(f64::from)),
+    ];
+    let known = more.into_iter().filter_map(|(name, value)| Some((name.to_owned(), value?)));
+    record.numbers.extend(known);
+    if job.count {
+        let steps = settings.train.steps + settings.features.refine_steps;
+        record.numbers.insert("steps".into(), f64::from(steps));
+        record.numbers.insert("calls".into(), calls.count() as f64);
+        record.numbers.insert("pairs".into(), pairs(folder, settings)? as f64);
+    }
+    while let Some(told) = listener.try_next() {
+        if let Event::Warning { message, .. } = &told.event {
+            record.notes.push(message.clone());
+        }
+    }
+    Ok(record)
+}
+
+/// Side of a tile in pixels, as in both engines.
+const TILE: f32 = 16.0;
+
+/// Pairs of a splat and a tile that it may reach, over the training photos.
+fn pairs(folder: &RunFolder, settings: &Settings) -> Result<usize, PointError> {
+    let Loaded { scene, model, .. } = folder.load()?;
+    let engine = CpuEngine::new();
+    let mut pairs = 0;
+    for view in scene.views.iter().filter(|v| !v.test) {
+        let camera = view.camera.scaled_to(settings.scene.size);
+        let projected =
+            engine.project(&model.splats, &camera, &view.pose, &model.options()).map_err(RunError::from)?;
+        let tiles = |at: f32, radius: f32, size: u32| {
+            let last = ((size.max(1) - 1) as f32 / TILE).floor();
+            let from = ((at - radius) / TILE).floor().max(0.0);
+            let to = ((at + radius) / TILE).floor().min(last);
+            (to - from + 1.0).max(0.0) as usize
+        };
+        pairs += projected
+            .radii()
+            .iter()
+            .zip(projected.centres())
+            .filter(|(radius, _)| **radius > 0.0)
+            .map(|(&radius, &[x, y])| tiles(x, radius, camera.width) * tiles(y, radius, camera.height))
+            .sum::<usize>();
+    }
+    Ok(pairs)
+}
+
+const MIB: f64 = (1 << 20) as f64;
+
+/// Lets the system forget the most memory that this process held, so that what comes is measured and not the making of
+/// the scene; what it holds now, in bytes.
+fn forget_peak() -> Option<u64> {
+    // Where this is refused, the peak is that of the whole process, and what is held now no part of it.
+    std::fs::write("/proc/self/clear_refs", "5").ok()?;
+    cpu::peak_memory()
+}
+
+/// Photos to show the object in, each with what a person would point at. Those in the middle of the range of what the
+/// object covers, evenly over the names, so that neither a close-up of a part nor a speck is among them.
+fn references(scene: &Path, truth: &Path, settings: &Settings) -> Result<Vec<PhotoPrompts>, PointError> {
+    let opened = Scene::open(scene, &settings.scene)?;
+    let mut able = Vec::new();
+    for view in opened.views.iter().filter(|v| !v.test) {
+        let file = truth.join(Path::new(&view.name).with_extension("png"));
+        if !file.is_file() {
+            continue;
+        }
+        let mask = Mask::read_png(&file)?;
+        let share = mask.count() as f64 / f64::from(mask.width() * mask.height()).max(1.0);
+        if share >= 0.001 {
+            able.push((share, view.name.clone(), mask));
+        }
+    }
+    if able.is_empty() {
+        return Err(PointError::NoTruth(scene.into()));
+    }
+    able.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let middle = able.len() / 4..able.len() - able.len() / 4;
+    let mut middle: Vec<_> = able.drain(middle).collect();
+    middle.sort_by(|a, b| a.1.cmp(&b.1));
+    let n = REFERENCES.min(middle.len());
+    let chosen = (0..n).map(|k| &middle[(2 * k + 1) * middle.len() / (2 * n)]);
+    Ok(chosen
+        .map(|(_, name, mask)| PhotoPrompts { photo: name.clone(), prompts: pointed_at(mask) })
+        .collect())
+}
+
+/// A box around a mask, and a click deep inside its upper and its lower half: what a person points at who wants a
+/// statue and its pedestal.
+fn pointed_at(mask: &Mask) -> Prompts {
+    let mut prompts = Prompts::default();
+    let rows: Vec<u32> = mask.pixels().map(|(_, y)| y).collect();
+    let Some(&middle) = rows.get(rows.len() / 2) else { return prompts };
+    let columns = || mask.pixels().map(|(x, _)| x);
+    prompts.boxes.push(BoxPrompt {
+        x0: columns().min().unwrap_or(0) as f32,
+        y0: rows[0] as f32,
+        x1: columns().max().unwrap_or(0) as f32 + 1.0,
+        y1: rows[rows.len() - 1] as f32 + 1.0,
+    });
+    for upper in [true, false] {
+        let half = Mask::from_fn(mask.width(), mask.height(), |x, y| (y < middle) == upper && mask.get(x, y));
+        let depth = half.not().distances();
+        let deepest = half.pixels().map(|(x, y)| (depth[(y * mask.width() + x) as usize], x, y));
+        if let Some((_, x, y)) = deepest.max_by(|a, b| a.0.total_cmp(&b.0)) {
+            prompts.points.push(PointPrompt { x: x as f32 + 0.5, y: y as f32 + 0.5, inside: true });
+        }
+    }
+    prompts
+}
+
+/// Mean of a number over the targets and prompts of one training, or the number itself where it speaks of the whole
+/// scene; by name.
+pub fn means(records: &[&Record]) -> BTreeMap<String, f64> {
+    let mut sums: BTreeMap<String, (f64, u32)> = BTreeMap::new();
+    for (name, value) in records.iter().flat_map(|r| &r.numbers) {
+        let entry = sums.entry(name.clone()).or_default();
+        *entry = (entry.0 + value, entry.1 + 1);
+    }
+    sums.into_iter().map(|(name, (sum, n))| (name, sum / f64::from(n))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_mask_is_pointed_at_in_both_halves() {
+        let mask = Mask::from_fn(40, 60, |x, y| (10..20).contains(&x) && (10..50).contains(&y));
+        let prompts = pointed_at(&mask);
+        let b = &prompts.boxes[0];
+        assert_eq!([b.x0, b.y0, b.x1, b.y1], [10.0, 10.0, 20.0, 50.0]);
+        assert_eq!(prompts.points.len(), 2);
+        assert!(prompts.points.iter().all(|p| p.inside && mask.get(p.x as u32, p.y as u32)));
+        assert!(prompts.points[0].y < 30.0 && prompts.points[1].y >= 30.0);
+        assert!(pointed_at(&Mask::empty(4, 4)).points.is_empty());
+    }
+}

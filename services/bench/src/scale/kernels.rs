@@ -1,0 +1,80 @@
+//! The kernels alone: a frame full of small splats.
+
+use super::{PROTOCOL, ScaleError};
+use crate::record::Record;
+use crate::synthetic::random::Rng;
+use glam::Vec3;
+use segwild_flow::cpu;
+use segwild_raster::{Channels, CpuEngine, Engine, FrameGrad, ProjectOptions};
+use segwild_scene::{Camera, Pose, Splats};
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+/// Least seconds over which a pass is repeated: processor time is counted in steps of 10 ms.
+const LEAST: f64 = 0.3;
+
+/// CPU milliseconds of each pass over `splats` splats of 0.5 to 3 px (at a width of 400) that fill a frame.
+pub(super) fn measure(
+    axis: &str,
+    size: u32,
+    splats: u32,
+    width: u32,
+    channels: u32,
+) -> Result<Record, ScaleError> {
+    let (scene, values) = frame(splats, channels);
+    let height = width * 3 / 4;
+    let (w, h) = (width as f32, height as f32);
+    let camera = Camera { width, height, fx: w, fy: w, cx: w / 2.0, cy: h / 2.0 };
+    let pose = Pose::look_at(Vec3::ZERO, Vec3::Z, Vec3::NEG_Y);
+    let options = ProjectOptions::default();
+    let engine = CpuEngine::new();
+    let mut numbers = BTreeMap::new();
+    let project = timed(|| drop(engine.project(&scene, &camera, &pose, &options)));
+    let projected = engine.project(&scene, &camera, &pose, &options)?;
+    let channels = Channels { count: channels as usize, values: &values };
+    let forward = timed(|| drop(projected.blend(&channels)));
+    let frame = projected.blend(&channels);
+    let grad = FrameGrad { image: &frame.image, alpha: Some(&frame.alpha) };
+    let backward = timed(|| drop(projected.backward(&channels, &frame, &grad)));
+    let gather = timed(|| drop(projected.gather(&frame.image)));
+    for (name, ms) in
+        [("project_ms", project), ("forward_ms", forward), ("backward_ms", backward), ("gather_ms", gather)]
+    {
+        numbers.insert(name.to_owned(), ms);
+    }
+    Ok(Record {
+        protocol: PROTOCOL.into(),
+        scene: "kernels".into(),
+        setting: axis.into(),
+        at: Some(f64::from(size)),
+        numbers,
+        ..Record::default()
+    })
+}
+
+fn frame(count: u32, channels: u32) -> (Splats, Vec<f32>) {
+    let mut rng = Rng::new(7, 0);
+    let mut splats = Splats { sh_degree: 0, ..Splats::default() };
+    for _ in 0..count {
+        let z = rng.range(1.0, 3.0);
+        splats.means.push([rng.range(-0.5, 0.5) * z, rng.range(-0.375, 0.375) * z, z]);
+        splats.log_scales.push([(); 3].map(|()| (rng.range(0.5, 3.0) * z / 400.0).ln()));
+        splats.rotations.push([(); 4].map(|()| rng.range(-0.5, 0.5)));
+        splats.opacities.push(rng.range(-2.0, 2.0));
+        splats.sh.extend([0.1, 0.0, -0.1]);
+    }
+    (splats, (0..count * channels).map(|_| rng.unit()).collect())
+}
+
+/// Mean CPU milliseconds of a call, on all threads together.
+fn timed(mut work: impl FnMut()) -> f64 {
+    work();
+    let (began, before) = (Instant::now(), cpu::process_seconds());
+    let mut calls = 0;
+    while calls < 3 || began.elapsed().as_secs_f64() < LEAST {
+        work();
+        calls += 1;
+    }
+    let spent = cpu::process_seconds().zip(before).map(|(after, before)| after - before);
+    spent.unwrap_or_else(|| began.elapsed().as_secs_f64()).max(1e-4) * 1e3 / f64::from(calls)
+}

@@ -1,0 +1,261 @@
+//! How time and memory grow: with splats, photos, pixels, channels and objects; the slopes; and what they say of a scene
+//! that does not fit here.
+
+mod kernels;
+mod page;
+
+pub use page::{markdown, write};
+
+use crate::metrics::Spread;
+use crate::oracle::OracleOptions;
+use crate::point::{self, Job, Place, PointError, Prompting};
+use crate::record::{Made, Record, RecordError, Results};
+use crate::stability::Harm;
+use crate::synthetic::SyntheticOptions;
+use crate::trial::ProviderKind;
+use std::path::PathBuf;
+
+/// The protocol under which everything here is recorded.
+pub const PROTOCOL: &str = "scale";
+/// What grows, in the order of the page.
+pub const AXES: [&str; 7] =
+    ["kernels splats", "kernels pixels", "kernels channels", "photos", "splats", "pixels", "objects"];
+
+/// What to measure. An axis with fewer than two sizes is left out.
+#[derive(Clone, Debug)]
+pub struct ScaleOptions {
+    /// Folder for `results.json`, and for scenes and runs while they are made.
+    pub out: PathBuf,
+    /// The `segwild` program.
+    pub program: PathBuf,
+    /// The command line that makes it again.
+    pub command: String,
+    /// Axes to measure; all when empty.
+    pub only: Vec<String>,
+    /// Splats of the kernels' frame.
+    pub kernel_splats: Vec<u32>,
+    /// Widths of the kernels' frame in pixels.
+    pub kernel_pixels: Vec<u32>,
+    /// Channels of the kernels' frame.
+    pub kernel_channels: Vec<u32>,
+    /// Photos of whole runs.
+    pub photos: Vec<u32>,
+    /// Most splats of whole runs.
+    pub splats: Vec<u32>,
+    /// Long sides of the photos of whole runs.
+    pub pixels: Vec<u32>,
+}
+
+/// Why scale cannot be measured.
+#[derive(Debug, thiserror::Error)]
+pub enum ScaleError {
+    /// An axis was asked for that does not exist.
+    #[error(
+        "there is no axis `{0}`; they are kernels splats, kernels pixels, kernels channels, photos, splats, pixels, objects"
+    )]
+    Axis(String),
+    /// A run failed.
+    #[error(transparent)]
+    Point(#[from] PointError),
+    /// The kernels refused.
+    #[error("the kernels refused: {0}")]
+    Raster(#[from] segwild_raster::RasterError),
+    /// Results cannot be read or written.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    /// A file of the benchmark.
+    #[error("{path}: {source}")]
+    Io {
+        /// Which file.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+}
+
+/// Measures what is not known yet; `told` hears of every size.
+pub fn scale(options: &ScaleOptions, mut told: impl FnMut(&Record)) -> Result<Results, ScaleError> {
+    if let Some(odd) = options.only.iter().find(|o| !AXES.contains(&o.as_str())) {
+        return Err(ScaleError::Axis(odd.clone()));
+    }
+    let io = |source| ScaleError::Io { path: options.out.clone(), source };
+    std::fs::create_dir_all(&options.out).map_err(io)?;
+    let file = options.out.join("results.json");
+    let mut results = if file.is_file() { Results::read(&file)? } else { Results::default() };
+    results.made = Made::here(options.command.clone());
+    for axis in AXES {
+        if !(options.only.is_empty() || options.only.iter().any(|o| o == axis)) {
+            continue;
+        }
+        for size in sizes(options, axis) {
+            let at = Some(f64::from(size));
+            // Of objects, `at` is how many there were to click on.
+            let known = |r: &&Record| r.at == at || r.numbers.get(PER_OBJECT) == at.as_ref();
+            if results.records.iter().filter(|r| r.setting == axis).any(|r| known(&r)) {
+                continue;
+            }
+            let record = match axis {
+                "kernels splats" => kernels::measure(axis, size, size, 400, 3)?,
+                "kernels pixels" => kernels::measure(axis, size, 20_000, size, 3)?,
+                "kernels channels" => kernels::measure(axis, size, 20_000, 400, size)?,
+                _ => run(options, axis, size)?,
+            };
+            told(&record);
+            results.put(record);
+            results.write(&file)?;
+        }
+    }
+    Ok(results)
+}
+
+fn sizes(options: &ScaleOptions, axis: &str) -> Vec<u32> {
+    match axis {
+        "kernels splats" => options.kernel_splats.clone(),
+        "kernels pixels" => options.kernel_pixels.clone(),
+        "kernels channels" => options.kernel_channels.clone(),
+        "photos" => options.photos.clone(),
+        "splats" => options.splats.clone(),
+        "pixels" => options.pixels.clone(),
+        _ => vec![1, 2, 4],
+    }
+}
+
+/// Clicks on each object.
+const PER_OBJECT: &str = "clicks_per_object";
+/// Photos, steps and pixels of a whole run in which something else grows.
+const PHOTOS: u32 = 16;
+const STEPS: u32 = 300;
+const PIXELS: u32 = 128;
+
+/// A whole run with the built-in provider, in a process of its own, up to the held-out scores.
+fn run(options: &ScaleOptions, axis: &str, size: u32) -> Result<Record, ScaleError> {
+    let of = |name: &str, usual: u32| if axis == name { size } else { usual };
+    let photos = of("photos", PHOTOS);
+    let scene = SyntheticOptions {
+        seed: 1,
+        train: photos as usize,
+        test: 2,
+        long_side: of("pixels", PIXELS),
+        // Where splats grow, there are points enough to start with.
+        points: of("splats", 3000) as usize * 21 / 20,
+        ..SyntheticOptions::default()
+    };
+    let splats = of("splats", 4000);
+    let settings = [
+        ("preset", "draft".to_owned()),
+        ("steps", STEPS.to_string()),
+        ("refine_steps", "60".into()),
+        ("splats", splats.to_string()),
+        // Every run grows to what it is allowed; this strategy gives no splat away either.
+        ("grow_gain", "0".into()),
+        ("density", if axis == "splats" { "mcmc" } else { "budget" }.into()),
+        // Caches of a fixed size, full in all.
+        ("photo_cache_mib", "4".into()),
+        ("feature_memory", "8".into()),
+        ("vision_memory", "16".into()),
+    ];
+    let job = Job {
+        protocol: PROTOCOL.into(),
+        setting: axis.into(),
+        at: Some(f64::from(size)),
+        place: Place::Synthetic(scene),
+        providers: ProviderKind::Builtin,
+        faults: OracleOptions::default(),
+        settings: settings.map(|(name, value)| (name.to_owned(), value)).to_vec(),
+        harm: Harm::default(),
+        prompting: match axis {
+            "objects" => Prompting::Random(size),
+            _ => Prompting::Nowhere,
+        },
+        count: false,
+        seed: 1,
+        dir: options.out.join("run"),
+    };
+    let _ = std::fs::remove_dir_all(&job.dir);
+    let records = point::apart(&options.program, &job)?;
+    let _ = std::fs::remove_dir_all(&job.dir);
+    let clicks = records.iter().filter(|r| !r.target.is_empty()).count();
+    let mut record = records.into_iter().find(|r| r.target.is_empty()).unwrap_or_default();
+    if axis == "objects" {
+        let each = record.numbers.get("click_s").copied().unwrap_or(f64::NAN);
+        record.at = Some(clicks as f64);
+        record.numbers.retain(|name, _| name == "peak_mib");
+        record.numbers.insert("all_clicks_s".into(), each * clicks as f64);
+        record.numbers.insert(PER_OBJECT.into(), f64::from(size));
+    } else {
+        record.numbers.retain(|name, _| ["cpu_s", "wall_s", "peak_mib", "splats"].contains(&name.as_str()));
+    }
+    Ok(record)
+}
+
+/// A power law through measurements: `factor * size ^ slope`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Fit {
+    /// The exponent: 1 is linear, 0 does not grow.
+    pub slope: f64,
+    /// Value at size 1.
+    pub factor: f64,
+    /// Exponent between the two largest sizes: what small sizes owe to fixed costs is gone there.
+    pub last: f64,
+}
+
+impl Fit {
+    /// Least squares on logarithms; `None` of fewer than two positive points.
+    pub fn of(points: &[(f64, f64)]) -> Option<Fit> {
+        let mut logs: Vec<(f64, f64)> =
+            points.iter().filter(|p| p.0 > 0.0 && p.1 > 0.0).map(|p| (p.0.ln(), p.1.ln())).collect();
+        logs.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mean = |pick: fn(&(f64, f64)) -> f64| Spread::of(&logs.iter().map(pick).collect::<Vec<_>>());
+        let (x, y) = (mean(|p| p.0)?.mean, mean(|p| p.1)?.mean);
+        let across: f64 = logs.iter().map(|p| (p.0 - x) * (p.0 - x)).sum();
+        if across <= 0.0 {
+            return None;
+        }
+        let slope = logs.iter().map(|p| (p.0 - x) * (p.1 - y)).sum::<f64>() / across;
+        let (a, b) = (logs[logs.len() - 2], logs[logs.len() - 1]);
+        Some(Fit { slope, factor: (y - slope * x).exp(), last: (b.1 - a.1) / (b.0 - a.0) })
+    }
+}
+
+/// The measurements of one number along one axis, smallest size first.
+pub fn along(results: &Results, axis: &str, number: &str) -> Vec<(f64, f64)> {
+    let of = results.records.iter().filter(|r| r.setting == axis);
+    let mut points: Vec<(f64, f64)> = of.filter_map(|r| Some((r.at?, *r.numbers.get(number)?))).collect();
+    points.sort_by(|a, b| a.0.total_cmp(&b.0));
+    points
+}
+
+/// A value at a size that was not measured, from the largest measured one on by the growth between the two largest;
+/// growth is taken to be at least `least`, since what is linear looks flat where fixed costs rule.
+pub fn beyond(points: &[(f64, f64)], size: f64, least: f64) -> Option<f64> {
+    let fit = Fit::of(points)?;
+    let (at, value) = *points.last()?;
+    Some(value * (size / at).powf(fit.last.max(least)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn slopes_are_those_of_power_laws() {
+        let fit = Fit::of(&[(1.0, 3.0), (10.0, 300.0), (100.0, 30_000.0)]).unwrap();
+        assert!(
+            (fit.slope - 2.0).abs() < 1e-9
+                && (fit.factor - 3.0).abs() < 1e-9
+                && (fit.last - 2.0).abs() < 1e-9
+        );
+        assert_eq!(Fit::of(&[(5.0, 1.0)]), None);
+        assert_eq!(Fit::of(&[(5.0, 1.0), (5.0, 2.0)]), None);
+        let flat = beyond(&[(1.0, 8.0), (10.0, 8.0)], 100.0, 1.0).unwrap();
+        assert!((flat - 80.0).abs() < 1e-9, "{flat}");
+    }
+
+    #[test]
+    fn kernels_are_measured_and_cost_something() {
+        let record = kernels::measure("kernels splats", 500, 500, 64, 3).unwrap();
+        for name in ["project_ms", "forward_ms", "backward_ms", "gather_ms"] {
+            assert!(record.numbers[name] > 0.0, "{name}");
+        }
+    }
+}

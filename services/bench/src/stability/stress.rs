@@ -1,0 +1,250 @@
+//! What is done to a scene, to what looks at it, or to the clicks, and how much of it.
+
+use crate::point::{Job, Place, Prompting};
+use crate::synthetic::random::Rng;
+use crate::synthetic::{SyntheticOptions, SyntheticScene};
+use glam::{DMat3, DVec3};
+use serde::{Deserialize, Serialize};
+
+/// One kind of stress and how much of it.
+#[derive(Clone, Copy)]
+pub struct Stress {
+    /// Its name.
+    pub name: &'static str,
+    /// What is done.
+    pub meaning: &'static str,
+    /// What the amounts are, on an axis.
+    pub axis: &'static str,
+    /// The amounts.
+    pub values: &'static [f64],
+    /// Whether the axis grows by factors.
+    pub log: bool,
+    /// The amount with which others are compared: none of the stress, or the default.
+    pub calm: f64,
+    /// Puts an amount into a job.
+    pub apply: fn(&mut Job, f64),
+}
+
+/// What is wrong with a set that is written: the photos are as they were.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Harm {
+    /// Every camera is turned about a random axis, by so many degrees (standard deviation).
+    pub turn: f64,
+    /// Every camera is moved by such a share of the cameras' mean distance from their centre (standard deviation).
+    pub shift: f64,
+    /// The whole place lies so many times its cameras' mean distance away from the file's origin.
+    pub offset: f64,
+    /// So many photos, the first ones, are written over the others in turn, with the others' poses; 0 for none.
+    pub copies: usize,
+}
+
+impl Harm {
+    /// Does it.
+    pub fn apply(&self, scene: &mut SyntheticScene, seed: u64) {
+        let centres: Vec<DVec3> = scene.photos.iter().map(centre).collect();
+        let mean = centres.iter().sum::<DVec3>() / centres.len().max(1) as f64;
+        let size = centres.iter().map(|c| (*c - mean).length()).sum::<f64>() / centres.len().max(1) as f64;
+        let away = DVec3::new(1.0, -0.7, 0.4).normalize() * (self.offset * size);
+        for (i, photo) in scene.photos.iter_mut().enumerate() {
+            let mut rng = Rng::new(seed, (29 << 32) + i as u64);
+            let mut gauss = || f64::from(rng.normal());
+            let axis = DVec3::new(gauss(), gauss(), gauss()).normalize_or(DVec3::X);
+            let angle = gauss() * self.turn.to_radians();
+            let moved = DVec3::new(gauss(), gauss(), gauss()) * (self.shift * size / 3f64.sqrt());
+            let rotation = DMat3::from_axis_angle(axis, angle) * photo.pose.rotation.as_dmat3();
+            let translation = -(rotation * (centres[i] + moved + away));
+            if self.turn > 0.0 || self.shift > 0.0 {
+                photo.pose.rotation = rotation.as_mat3();
+            }
+            if *self != Harm::default() {
+                photo.translation = translation;
+                photo.pose.translation = translation.as_vec3();
+            }
+        }
+        scene.points.iter_mut().for_each(|p| p.position += away);
+        if self.copies > 0 {
+            let first: Vec<_> = scene.photos.iter().take(self.copies).cloned().collect();
+            for (i, photo) in scene.photos.iter_mut().enumerate().skip(self.copies) {
+                let other = &first[i % first.len()];
+                if (other.camera.width, other.camera.height) == (photo.camera.width, photo.camera.height) {
+                    photo.photo = other.photo.clone();
+                }
+            }
+        }
+    }
+}
+
+fn centre(photo: &crate::synthetic::SyntheticPhoto) -> DVec3 {
+    -(photo.pose.rotation.as_dmat3().transpose() * photo.translation)
+}
+
+fn scene(job: &mut Job, change: impl Fn(&mut SyntheticOptions)) {
+    if let Place::Synthetic(options) = &mut job.place {
+        change(options);
+    }
+}
+
+fn set(job: &mut Job, name: &str, value: impl ToString) {
+    job.settings.push((name.into(), value.to_string()));
+}
+
+/// The stresses, in the order of the page.
+pub const STRESSES: &[Stress] = &[
+    Stress {
+        name: "occluders",
+        meaning: "strangers cover this share of every photo",
+        axis: "share covered",
+        values: &[0.0, 0.1, 0.25, 0.4, 0.5, 0.6],
+        log: false,
+        calm: 0.0,
+        apply: |job, v| scene(job, |s| s.occlusion = v as f32),
+    },
+    Stress {
+        name: "light",
+        meaning: "looks differ from photo to photo by so many times the usual range",
+        axis: "strength of the looks",
+        values: &[0.0, 0.5, 1.0, 1.5, 2.0],
+        log: false,
+        calm: 0.0,
+        apply: |job, v| scene(job, |s| s.look_strength = v as f32),
+    },
+    Stress {
+        name: "photos",
+        meaning: "photos trained on",
+        axis: "photos",
+        values: &[40.0, 20.0, 12.0, 8.0, 5.0, 3.0],
+        log: true,
+        calm: 40.0,
+        apply: |job, v| scene(job, |s| s.train = v as usize),
+    },
+    Stress {
+        name: "turned cameras",
+        meaning: "every pose is turned by so many degrees about a random axis (standard deviation)",
+        axis: "degrees",
+        values: &[0.0, 0.1, 0.3, 1.0, 3.0],
+        log: false,
+        calm: 0.0,
+        apply: |job, v| job.harm.turn = v,
+    },
+    Stress {
+        name: "moved cameras",
+        meaning: "every pose is moved by this share of the cameras' distance (standard deviation)",
+        axis: "share of the distance",
+        values: &[0.0, 0.003, 0.01, 0.03, 0.1],
+        log: false,
+        calm: 0.0,
+        apply: |job, v| job.harm.shift = v,
+    },
+    Stress {
+        name: "false points",
+        meaning: "share of the reconstructed points that lie anywhere",
+        axis: "share of outliers",
+        values: &[0.0, 0.02, 0.2, 0.5, 0.9],
+        log: false,
+        calm: 0.0,
+        apply: |job, v| scene(job, |s| s.outliers = v as f32),
+    },
+    Stress {
+        name: "copies",
+        meaning: "different photos; all others are copies of these under other poses",
+        axis: "different photos",
+        values: &[20.0, 10.0, 4.0, 1.0],
+        log: true,
+        calm: 20.0,
+        apply: |job, v| job.harm.copies = if v >= 20.0 { 0 } else { v as usize },
+    },
+    Stress {
+        name: "units",
+        meaning: "the same place in other units",
+        axis: "file units per unit",
+        values: &[1e-3, 1.0, 1e3],
+        log: true,
+        calm: 1.0,
+        apply: |job, v| scene(job, |s| s.units = v),
+    },
+    Stress {
+        name: "far from the origin",
+        meaning: "the place lies so many times its size away from the file's origin, as in map coordinates",
+        axis: "sizes away",
+        values: &[0.0, 1e3, 1e6],
+        log: false,
+        calm: 0.0,
+        apply: |job, v| job.harm.offset = v,
+    },
+    Stress {
+        name: "missing masks",
+        meaning: "share of the masks that the provider does not give",
+        axis: "share missing",
+        values: &[0.0, 0.1, 0.3, 0.6, 0.9],
+        log: false,
+        calm: 0.0,
+        apply: |job, v| job.faults.drop = v as f32,
+    },
+    Stress {
+        name: "merged masks",
+        meaning: "share of the masks that run into a neighbour",
+        axis: "share merged",
+        values: &[0.0, 0.05, 0.3, 0.6, 0.9],
+        log: false,
+        calm: 0.0,
+        apply: |job, v| job.faults.merge = v as f32,
+    },
+    Stress {
+        name: "wandering boundaries",
+        meaning: "masks whose boundaries are off by up to so many pixels, of 160",
+        axis: "pixels",
+        values: &[0.0, 3.0, 6.0, 12.0, 24.0],
+        log: false,
+        calm: 0.0,
+        apply: |job, v| job.faults.wobble = v as f32,
+    },
+    Stress {
+        name: "noisy descriptors",
+        meaning: "noise on each cell of the embedding, beside codes of length 1",
+        axis: "length of the noise",
+        values: &[0.0, 0.25, 1.0, 2.0, 4.0],
+        log: false,
+        calm: 0.0,
+        apply: |job, v| job.faults.noise = v as f32,
+    },
+    Stress {
+        name: "click beside the middle",
+        meaning: "the click lies so many pixels, of 160, from where it was meant",
+        axis: "pixels",
+        values: &[0.0, 2.0, 4.0, 8.0, 16.0],
+        log: false,
+        calm: 0.0,
+        apply: |job, v| job.prompting = Prompting::Beside(v as f32),
+    },
+    Stress {
+        name: "click near the border",
+        meaning: "the click lies so many pixels inside the object's outline",
+        axis: "pixels inside",
+        values: &[8.0, 4.0, 2.0, 1.0],
+        log: false,
+        calm: 8.0,
+        apply: |job, v| job.prompting = Prompting::Inside(v as f32),
+    },
+    Stress {
+        name: "random clicks",
+        meaning: "ten clicks anywhere on each object, in any photo that shows it",
+        axis: "clicks",
+        values: &[10.0],
+        log: false,
+        calm: 10.0,
+        apply: |job, v| job.prompting = Prompting::Random(v as u32),
+    },
+    Stress {
+        name: "tau",
+        meaning: "resemblance from which a splat may belong to the object, asked of every splat as the paper does",
+        axis: "tau",
+        values: &[0.1, 0.3, 0.5, 0.7, 0.9],
+        log: false,
+        calm: 0.5,
+        apply: |job, v| {
+            set(job, "similarity_use", "gate");
+            set(job, "tau", v);
+        },
+    },
+];

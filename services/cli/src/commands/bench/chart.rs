@@ -1,0 +1,192 @@
+//! `segwild bench chart`, and `segwild bench point`, which measures one of its points in a process of its own.
+
+use super::{list, numbers};
+use crate::args::{given, json, number, path, with_settings};
+use crate::commands::{path as path_of, print_json, print_line};
+use crate::exit;
+use crate::failure::Failure;
+use clap::{Arg, ArgMatches, Command, value_parser};
+use segwild_bench::chart::{Base, ChartError, ChartOptions, Told, chart as measure_all, write};
+use segwild_bench::oracle::OracleOptions;
+use segwild_bench::point::{Job, Place, PointError, means, measure};
+use segwild_bench::record::Record;
+use segwild_bench::synthetic::SyntheticOptions;
+use segwild_bench::trial::ProviderKind;
+use std::path::PathBuf;
+
+/// The benchmark's arguments.
+pub fn command() -> Command {
+    let command = Command::new("chart")
+        .about("Accuracy against time and memory: one setting varied at a time around a default")
+        .arg(
+            Arg::new("scene")
+                .long("scene")
+                .value_name("PATH")
+                .value_parser(value_parser!(PathBuf))
+                .help("A folder of photos with true masks in `truth/` [default: synthetic places]"),
+        )
+        .arg(
+            Arg::new("places")
+                .long("places")
+                .value_name("LIST")
+                .default_value("1")
+                .help("Seeds of the synthetic places, with commas; a point is their mean"),
+        )
+        .arg(
+            Arg::new("seeds")
+                .long("seeds")
+                .value_name("LIST")
+                .default_value("1,2")
+                .help("Seeds of the training, with commas: what the error bars are over"),
+        )
+        .arg(number("photos", "24", "Training photos of a synthetic place").value_parser(value_parser!(u32)))
+        .arg(number("pixels", "240", "Long side of a synthetic place's photos").value_parser(value_parser!(u32)))
+        .arg(
+            number("occlusion", "0.1", "Share of each synthetic photo that strangers cover, 0 to 0.6")
+                .value_parser(value_parser!(f32)),
+        )
+        .arg(
+            Arg::new("providers")
+                .long("providers")
+                .value_parser(["oracle", "builtin"])
+                .default_value("oracle")
+                .help("Who looks at synthetic photos: the truth with faults, or what the settings name"),
+        )
+        .arg(
+            Arg::new("only")
+                .long("only")
+                .value_name("SWEEPS")
+                .help("Sweeps to measure, with commas: preset, steps, splats, channels, size, look, refine, prompts, density, or single points of them as in look=embed [default: all]"),
+        )
+        .arg(path("out", "Folder for results; what is there is not measured again [default: .bench/chart]"))
+        .arg(path("page", "Folder for the page, figures and data [default: the folder of the results]"))
+        .arg(json());
+    with_settings(command)
+}
+
+/// The hidden command that measures one point.
+pub fn point_command() -> Command {
+    Command::new("point").about("Measure one point, given as JSON on standard input").hide(true)
+}
+
+/// Measures what is not known yet, and writes the page.
+pub fn chart(matches: &ArgMatches) -> Result<(), Failure> {
+    let out = path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench/chart"));
+    let json = matches.get_flag("json");
+    let photos = *matches.get_one::<u32>("photos").expect("it has a default") as usize;
+    let (places, about) = match path_of(matches, "scene") {
+        Some(scene) => {
+            let scene = std::path::absolute(&scene)?;
+            let place = Place::Folder(scene);
+            let name = place.name();
+            (vec![place], name)
+        }
+        None => {
+            let seeds: Vec<u64> = numbers(matches, "places")?;
+            let options = SyntheticOptions {
+                train: photos,
+                test: photos.div_ceil(5),
+                long_side: *matches.get_one::<u32>("pixels").expect("it has a default"),
+                occlusion: *matches.get_one::<f32>("occlusion").expect("it has a default"),
+                ..SyntheticOptions::default()
+            };
+            let places = if seeds.len() == 1 { "place" } else { "places" };
+            let about =
+                format!("{} synthetic {places} of {photos} photos, {} px", seeds.len(), options.long_side);
+            (
+                seeds
+                    .iter()
+                    .map(|&seed| Place::Synthetic(SyntheticOptions { seed, ..options.clone() }))
+                    .collect(),
+                about,
+            )
+        }
+    };
+    let folder = matches!(places[..], [Place::Folder(_)]);
+    let builtin = folder || matches.get_one::<String>("providers").is_some_and(|p| p == "builtin");
+    let options = ChartOptions {
+        program: std::env::current_exe()?,
+        command: super::common::command_line(),
+        only: list(matches, "only"),
+        seeds: numbers(matches, "seeds")?,
+        base: Base {
+            places,
+            providers: if builtin { ProviderKind::Builtin } else { ProviderKind::Oracle },
+            faults: OracleOptions::default(),
+            settings: given(matches),
+        },
+        out: out.clone(),
+    };
+    let results = measure_all(&options, |told| tell(&told, json))?;
+    let page = path_of(matches, "page").unwrap_or(out);
+    let verdicts = write(&page, &results, &about)?;
+    if json {
+        return Ok(());
+    }
+    for verdict in verdicts {
+        print_line(&verdict.words())?;
+    }
+    print_line(&format!("page: {}", page.join("index.html").display()))
+}
+
+fn tell(told: &Told, json: bool) {
+    let _ = match told {
+        Told::Point { records, .. } if json => records.iter().try_for_each(print_json),
+        Told::Point { records, known } => {
+            let Some(first) = records.iter().find(|r| r.target.is_empty()) else { return };
+            let all = means(&records.iter().collect::<Vec<&Record>>());
+            let of = |name: &str| all.get(name).copied().unwrap_or(f64::NAN);
+            let at = first.at.map_or(String::new(), |at| format!(" {at}"));
+            print_line(&format!(
+                "{:>18} {} seed {}: IoU {:.3}, {:.2} dB, {:.1} CPU-s, {:.0} MiB, {:.0} splats{}",
+                first.setting.clone() + &at,
+                first.scene,
+                first.seed,
+                of("iou"),
+                of("psnr"),
+                of("cpu_s"),
+                of("peak_mib"),
+                of("splats"),
+                if *known { " (known)" } else { "" }
+            ))
+        }
+        Told::Failed { point, error } => {
+            eprintln!("warning: {point} could not be measured: {error}");
+            Ok(())
+        }
+    };
+}
+
+/// Measures the point that standard input describes.
+pub fn point() -> Result<(), Failure> {
+    let job: Job = serde_json::from_reader(std::io::stdin())
+        .map_err(|e| Failure::usage(format!("the point cannot be read: {e}")))?;
+    crate::commands::use_threads(job.settings()?.run.threads);
+    print_json(&measure(&job)?)
+}
+
+impl From<PointError> for Failure {
+    fn from(error: PointError) -> Failure {
+        match error {
+            PointError::Trial(e) => e.into(),
+            PointError::NoTruth(_) => Failure { message: error.to_string(), code: exit::INPUT },
+            PointError::Child(_) => Failure { message: error.to_string(), code: exit::FAILED },
+        }
+    }
+}
+
+impl From<ChartError> for Failure {
+    fn from(error: ChartError) -> Failure {
+        match error {
+            ChartError::Settings(e) => e.into(),
+            ChartError::Point(e) => e.into(),
+            ChartError::Sweep(_) => Failure::usage(error.to_string()),
+            ChartError::Other(_) | ChartError::Record(_) => {
+                Failure { message: error.to_string(), code: exit::FOLDER }
+            }
+            ChartError::Plot(_) | ChartError::Io { .. } => {
+                Failure { message: error.to_string(), code: exit::FAILED }
+            }
+        }
+    }
+}

@@ -1,0 +1,88 @@
+//! `segwild bench scale`
+
+use super::{list, numbers};
+use crate::args::{json, path};
+use crate::commands::{path as path_of, print_json, print_line};
+use crate::exit;
+use crate::failure::Failure;
+use clap::{Arg, ArgMatches, Command};
+use segwild_bench::record::Record;
+use segwild_bench::scale::{AXES, Fit, ScaleError, ScaleOptions, along, scale as measure_all, write};
+use std::path::PathBuf;
+
+/// The benchmark's arguments.
+pub fn command() -> Command {
+    let sizes = |name: &'static str, default: &'static str, help: &'static str| {
+        Arg::new(name).long(name).value_name("LIST").default_value(default).help(help)
+    };
+    Command::new("scale")
+        .about("How time and memory grow, with slopes: splats, photos, pixels, channels, objects")
+        .arg(
+            Arg::new("only")
+                .long("only")
+                .value_name("AXES")
+                .help("Axes to measure, with commas: kernels splats, kernels pixels, kernels channels, photos, splats, pixels, objects [default: all]"),
+        )
+        .arg(sizes("kernel-splats", "1000,10000,100000,500000,2000000", "Splats of the kernels' frame"))
+        .arg(sizes("kernel-pixels", "160,320,640,1280", "Widths of the kernels' frame"))
+        .arg(sizes("kernel-channels", "3,16,32,64,128", "Channels of the kernels' frame"))
+        .arg(sizes("photos", "10,30,100,300", "Photos of whole runs"))
+        .arg(sizes("splats", "2000,16000,64000", "Most splats of whole runs"))
+        .arg(sizes("pixels", "80,160,320", "Long sides of the photos of whole runs"))
+        .arg(path("out", "Folder for results; what is there is not measured again [default: .bench/scale]"))
+        .arg(path("page", "Write the page to this file"))
+        .arg(json())
+}
+
+/// Measures what is not known yet, and prints the slopes.
+pub fn scale(matches: &ArgMatches) -> Result<(), Failure> {
+    let options = ScaleOptions {
+        out: path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench/scale")),
+        program: std::env::current_exe()?,
+        command: super::common::command_line(),
+        only: list(matches, "only"),
+        kernel_splats: numbers(matches, "kernel-splats")?,
+        kernel_pixels: numbers(matches, "kernel-pixels")?,
+        kernel_channels: numbers(matches, "kernel-channels")?,
+        photos: numbers(matches, "photos")?,
+        splats: numbers(matches, "splats")?,
+        pixels: numbers(matches, "pixels")?,
+    };
+    let json = matches.get_flag("json");
+    let told = |record: &Record| {
+        let numbers: Vec<String> = record.numbers.iter().map(|(n, v)| format!("{n} {v:.2}")).collect();
+        let at = record.at.unwrap_or(0.0);
+        let line = format!("{:>16} {at:>9}: {}", record.setting, numbers.join(", "));
+        let _ = if json { print_json(record) } else { print_line(&line) };
+    };
+    let results = measure_all(&options, told)?;
+    if let Some(page) = path_of(matches, "page") {
+        write(&page, &results)?;
+    }
+    if json {
+        return Ok(());
+    }
+    for axis in AXES {
+        for number in
+            ["project_ms", "forward_ms", "backward_ms", "gather_ms", "cpu_s", "all_clicks_s", "peak_mib"]
+        {
+            if let Some(fit) = Fit::of(&along(&results, axis, number)) {
+                print_line(&format!("{axis}: {number} slope {:.2}, last {:.2}", fit.slope, fit.last))?;
+            }
+        }
+    }
+    Ok(())
+}
+
+impl From<ScaleError> for Failure {
+    fn from(error: ScaleError) -> Failure {
+        match error {
+            ScaleError::Axis(_) => Failure::usage(error.to_string()),
+            ScaleError::Point(e) => e.into(),
+            ScaleError::Record(_) => Failure { message: error.to_string(), code: exit::FOLDER },
+            ScaleError::Raster(_) | ScaleError::Io { .. } => {
+                Failure { message: error.to_string(), code: exit::FAILED }
+            }
+        }
+    }
+}

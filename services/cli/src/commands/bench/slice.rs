@@ -1,0 +1,32 @@
+//! `segwild bench slice`
+
+use crate::args::{given, path, with_settings};
+use crate::commands::{path as path_of, print_line, use_threads};
+use crate::exit;
+use crate::failure::Failure;
+use clap::{ArgMatches, Command};
+use segwild_bench::slice::slice as measure;
+use segwild_pipeline::Settings;
+use std::path::PathBuf;
+
+/// The benchmark's arguments.
+pub fn command() -> Command {
+    let command = Command::new("slice")
+        .about(
+            "Quality and counted work on two tiny places, for `bench compare --strict` against what is kept",
+        )
+        .arg(path("out", "File for the results [default: .bench/slice.json]"));
+    with_settings(command)
+}
+
+/// Measures and writes the results.
+pub fn slice(matches: &ArgMatches) -> Result<(), Failure> {
+    let file = path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench/slice.json"));
+    let changes = given(matches);
+    use_threads(Settings::layered(None, &changes)?.run.threads);
+    let folder = file.with_extension("runs");
+    let results = measure(&folder, &changes, super::common::command_line())?;
+    let _ = std::fs::remove_dir_all(&folder);
+    results.write(&file).map_err(|e| Failure { message: e.to_string(), code: exit::FOLDER })?;
+    print_line(&format!("{} records: {}", results.records.len(), file.display()))
+}

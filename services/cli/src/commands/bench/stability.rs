@@ -1,0 +1,109 @@
+//! `segwild bench stability`
+
+use super::{list, numbers};
+use crate::args::{given, json, number, path, with_settings};
+use crate::commands::{path as path_of, print_json, print_line, use_threads};
+use crate::exit;
+use crate::failure::Failure;
+use clap::{Arg, ArgMatches, Command, value_parser};
+use segwild_bench::point::means;
+use segwild_bench::record::Record;
+use segwild_bench::stability::{
+    StabilityError, StabilityOptions, curves, defaults, stability as measure_all, write,
+};
+use segwild_bench::synthetic::SyntheticOptions;
+use segwild_pipeline::Settings;
+use std::path::PathBuf;
+
+/// The benchmark's arguments.
+pub fn command() -> Command {
+    let command = Command::new("stability")
+        .about("Where it fails, and whether it says so: quality against each kind of stress")
+        .arg(
+            Arg::new("only")
+                .long("only")
+                .value_name("ROWS")
+                .help("Stresses to measure, with commas; also seeds, bytes and kernels [default: all]"),
+        )
+        .arg(
+            Arg::new("seeds")
+                .long("seeds")
+                .value_name("LIST")
+                .default_value("1")
+                .help("Seeds of the places and of the trainings, with commas"),
+        )
+        .arg(number("photos", "20", "Training photos of a place").value_parser(value_parser!(u32)))
+        .arg(number("pixels", "160", "Long side of the photos").value_parser(value_parser!(u32)))
+        .arg(path(
+            "out",
+            "Folder for results; what is there is not measured again [default: .bench/stability]",
+        ))
+        .arg(path("page", "Write the page to this file, and its figure beside it"))
+        .arg(json());
+    with_settings(command)
+}
+
+/// Measures what is not known yet, and says where the curves break.
+pub fn stability(matches: &ArgMatches) -> Result<(), Failure> {
+    let (scene, mut settings) = defaults();
+    settings.extend(given(matches));
+    use_threads(Settings::layered(None, &settings)?.run.threads);
+    let of = |name: &str| *matches.get_one::<u32>(name).expect("it has a default");
+    let photos = of("photos") as usize;
+    let options = StabilityOptions {
+        out: path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench/stability")),
+        command: super::common::command_line(),
+        only: list(matches, "only"),
+        seeds: numbers(matches, "seeds")?,
+        scene: SyntheticOptions { train: photos, long_side: of("pixels"), ..scene },
+        settings,
+    };
+    let json = matches.get_flag("json");
+    let told = |records: &[Record]| {
+        let _ = if json { records.iter().try_for_each(print_json) } else { tell(records) };
+    };
+    let results = measure_all(&options, told)?;
+    if let Some(page) = path_of(matches, "page") {
+        write(&page, &results)?;
+    }
+    if json {
+        return Ok(());
+    }
+    for curve in curves(&results) {
+        let Some(at) = curve.breaks else { continue };
+        let said =
+            curve.announced.first().map_or("and nothing is said".into(), |s| format!("announced: {s}"));
+        print_line(&format!("{} breaks at {at}, {said}", curve.name))?;
+    }
+    Ok(())
+}
+
+fn tell(records: &[Record]) -> Result<(), Failure> {
+    let Some(first) = records.first() else { return Ok(()) };
+    let all = means(&records.iter().collect::<Vec<_>>());
+    let numbers: Vec<String> = ["iou", "psnr", "same", "off", "finite"]
+        .iter()
+        .filter_map(|name| Some(format!("{name} {:.3}", all.get(*name)?)))
+        .collect();
+    let at = first.at.map_or(String::new(), |at| format!(" {at}"));
+    let said = first.notes.join("; ");
+    print_line(&format!(
+        "{:>24} seed {}: {} {said}",
+        first.setting.clone() + &at,
+        first.seed,
+        numbers.join(" ")
+    ))
+}
+
+impl From<StabilityError> for Failure {
+    fn from(error: StabilityError) -> Failure {
+        match error {
+            StabilityError::Point(e) => e.into(),
+            StabilityError::Row(..) => Failure::usage(error.to_string()),
+            StabilityError::Record(_) => Failure { message: error.to_string(), code: exit::FOLDER },
+            StabilityError::Plot(_) | StabilityError::Io { .. } => {
+                Failure { message: error.to_string(), code: exit::FAILED }
+            }
+        }
+    }
+}
