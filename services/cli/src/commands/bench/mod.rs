@@ -7,6 +7,7 @@ mod lego;
 mod photo_tourism;
 mod scribbles;
 mod synthetic;
+mod tables;
 
 use crate::failure::Failure;
 use clap::{ArgMatches, Command};
@@ -22,6 +23,7 @@ pub fn command() -> Command {
         .subcommand(lego::command())
         .subcommand(scribbles::nvos_command())
         .subcommand(scribbles::spin_nerf_command())
+        .subcommand(tables::command())
         .subcommand(flow::command())
 }
 
@@ -34,6 +36,7 @@ pub fn bench(matches: &ArgMatches) -> Result<(), Failure> {
         Some(("lego", m)) => lego::lego(m),
         Some(("nvos", m)) => scribbles::nvos(m),
         Some(("spin-nerf", m)) => scribbles::spin_nerf(m),
+        Some(("tables", m)) => tables::tables(m),
         Some(("flow", m)) => flow::flow(m),
         _ => synthetic::synthetic(matches),
     }
