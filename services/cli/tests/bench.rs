@@ -40,6 +40,8 @@ fn a_table_of_rivals_is_printed_kept_and_written_as_a_page() {
     assert!(text.contains("--only gs-w") && text.contains("--only flashsplat-one"), "what made it: {text}");
     assert!(!text.contains("--page") && text.contains("cores"), "{text}");
     let file = dir.path().join("results.json");
+    // The same tables from the results alone, without measuring again.
+    assert_eq!(works(&["bench", "tables", &show(&file), "--title", "Synthetic places"]), text);
     let results = json(&std::fs::read(file).expect("results"));
     let records = results["records"].as_array().expect("records");
     assert!(records.len() >= 2 && records.iter().all(|r| r["numbers"]["iou"].is_number()), "{results}");

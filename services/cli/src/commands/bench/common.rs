@@ -6,7 +6,7 @@ use crate::commands::{path as path_of, print_json, print_line, use_threads};
 use crate::exit;
 use crate::failure::Failure;
 use clap::{Arg, ArgAction, ArgMatches, Command};
-use segwild_bench::protocols::tables::page;
+use segwild_bench::protocols::tables::{all, page};
 use segwild_bench::protocols::{Base, Place, ProtocolError, Table, measure};
 use segwild_bench::record::{Made, Record, Results};
 use segwild_pipeline::{Settings, SettingsError};
@@ -138,7 +138,7 @@ pub fn command_line() -> String {
     words.join(" ")
 }
 
-fn cannot_write(file: &Path, error: &std::io::Error) -> Failure {
+pub fn cannot_write(file: &Path, error: &std::io::Error) -> Failure {
     Failure { message: format!("cannot write {}: {error}", file.display()), code: exit::FAILED }
 }
 
@@ -157,14 +157,15 @@ pub fn tell(json: bool) -> impl FnMut(&Record) {
 }
 
 /// Prints the tables, and writes the page if one was asked for.
-pub fn finish(asked: &Asked, title: &str, tables: &[String]) -> Result<(), Failure> {
+pub fn finish(asked: &Asked, title: &str) -> Result<(), Failure> {
     if let Some(file) = &asked.page {
-        std::fs::write(file, page(&asked.results, title, tables)).map_err(|e| cannot_write(file, &e))?;
+        let text = page(title, std::slice::from_ref(&asked.results));
+        std::fs::write(file, text).map_err(|e| cannot_write(file, &e))?;
     }
     if asked.json {
         return Ok(());
     }
-    for table in tables {
+    for table in all(&asked.results) {
         print_line(&format!("\n{}", table.trim_end()))?;
     }
     print_line(&format!("\nresults: {}", asked.out.join("results.json").display()))

@@ -7,7 +7,6 @@ use crate::commands::path as path_of;
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_bench::protocols::folder::{FolderProtocol, Parts, place, read_parts};
-use segwild_bench::protocols::tables;
 use std::path::PathBuf;
 
 /// The benchmark's arguments.
@@ -58,10 +57,6 @@ pub fn folder(matches: &ArgMatches) -> Result<(), Failure> {
         },
     };
     measure_places(&mut asked, table(matches), |settings, seed| Ok(vec![place(&options, settings, seed)?]))?;
-    let results = &asked.results;
-    let mut shown = vec![tables::summary(results)];
-    let first = asked.only.first().map_or("full", String::as_str);
-    let first = if asked.only.iter().any(|o| o == "full") { "full" } else { first };
-    shown.push(tables::objects(results, first));
-    finish(&asked, &results.records.first().map_or(String::new(), |r| r.scene.clone()), &shown)
+    let title = asked.results.records.first().map_or_else(String::new, |r| r.scene.clone());
+    finish(&asked, &title)
 }

@@ -5,7 +5,6 @@ use super::synthetic::{scene, with_scene};
 use crate::failure::Failure;
 use clap::{ArgMatches, Command};
 use segwild_bench::protocols::lego::{LegoProtocol, lego as measure};
-use segwild_bench::protocols::tables;
 
 /// The benchmark's arguments.
 pub fn command() -> Command {
@@ -30,5 +29,5 @@ pub fn lego(matches: &ArgMatches) -> Result<(), Failure> {
         base: asked.base.clone(),
     };
     measure(&asked.out, &options, &mut asked.results, &mut tell(asked.json))?;
-    finish(&asked, "Perturbed photos", &[tables::perturbations(&asked.results)])
+    finish(&asked, "Perturbed photos")
 }

@@ -12,6 +12,7 @@ mod scribbles;
 mod slice;
 mod stability;
 mod synthetic;
+mod tables;
 
 use crate::failure::Failure;
 use clap::{ArgMatches, Command};
@@ -30,6 +31,7 @@ pub fn command() -> Command {
         .subcommand(chart::command())
         .subcommand(chart::point_command())
         .subcommand(compare::command())
+        .subcommand(tables::command())
         .subcommand(flow::command())
         .subcommand(scale::command())
         .subcommand(slice::command())
@@ -51,6 +53,7 @@ pub fn bench(matches: &ArgMatches) -> Result<(), Failure> {
         Some(("lego", m)) => lego::lego(m),
         Some(("nvos", m)) => scribbles::nvos(m),
         Some(("spin-nerf", m)) => scribbles::spin_nerf(m),
+        Some(("tables", m)) => tables::tables(m),
         Some(("flow", m)) => flow::flow(m),
         _ => synthetic::synthetic(matches),
     }

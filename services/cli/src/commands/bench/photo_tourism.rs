@@ -7,7 +7,6 @@ use crate::commands::path as path_of;
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_bench::protocols::photo_tourism::{LAYOUT, PhotoTourismProtocol, places};
-use segwild_bench::protocols::tables;
 use std::path::PathBuf;
 
 /// The benchmark's arguments.
@@ -45,12 +44,5 @@ pub fn photo_tourism(matches: &ArgMatches) -> Result<(), Failure> {
         clicks: *matches.get_one::<u32>("clicks").expect("it has a default") as usize,
     };
     measure_places(&mut asked, table(matches), |settings, seed| places(&options, settings, seed))?;
-    let results = &asked.results;
-    let shown = [
-        tables::paper_targets(results),
-        tables::paper_ablation(results),
-        tables::summary(results),
-        tables::held_out(results),
-    ];
-    finish(&asked, "Photo Tourism", &shown)
+    finish(&asked, "Photo Tourism")
 }

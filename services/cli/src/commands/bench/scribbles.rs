@@ -6,7 +6,7 @@ use crate::args::number;
 use crate::commands::path as path_of;
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
-use segwild_bench::protocols::{nvos, spin_nerf, tables};
+use segwild_bench::protocols::{nvos, spin_nerf};
 use std::path::PathBuf;
 
 fn with_args(command: Command, folder: &'static str, clicks: &'static str, help: &'static str) -> Command {
@@ -45,7 +45,7 @@ pub fn nvos(matches: &ArgMatches) -> Result<(), Failure> {
         clicks: *matches.get_one::<u32>("clicks").expect("it has a default") as usize,
     };
     measure_places(&mut asked, table(matches), |settings, seed| nvos::places(&options, settings, seed))?;
-    tell(&asked, "NVOS")
+    finish(&asked, "NVOS")
 }
 
 /// Prints the tables of SPIn-NeRF.
@@ -57,12 +57,5 @@ pub fn spin_nerf(matches: &ArgMatches) -> Result<(), Failure> {
         clicks: *matches.get_one::<u32>("clicks").expect("it has a default") as usize,
     };
     measure_places(&mut asked, table(matches), |settings, seed| spin_nerf::places(&options, settings, seed))?;
-    tell(&asked, "SPIn-NeRF")
-}
-
-fn tell(asked: &super::common::Asked, title: &str) -> Result<(), Failure> {
-    let results = &asked.results;
-    let mut shown = vec![tables::summary(results)];
-    shown.extend(results.records.last().map(|r| tables::objects(results, &r.setting)));
-    finish(asked, title, &shown)
+    finish(&asked, "SPIn-NeRF")
 }

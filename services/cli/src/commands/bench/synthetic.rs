@@ -6,7 +6,6 @@ use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_bench::oracle::OracleOptions;
 use segwild_bench::protocols::synthetic::{SyntheticProtocol, synthetic as measure};
-use segwild_bench::protocols::{Table, tables};
 use segwild_bench::synthetic::{LookKind, SyntheticOptions};
 use segwild_bench::trial::ProviderKind;
 use segwild_scene::settings::Value;
@@ -82,9 +81,8 @@ pub fn synthetic(matches: &ArgMatches) -> Result<(), Failure> {
     let mut asked = asked(matches, ".bench")?;
     let number = |name: &str| *matches.get_one::<f32>(name).expect("it has a default");
     let word = |name: &str| matches.get_one::<String>(name).map_or("", String::as_str);
-    let table = table(matches);
     let options = SyntheticProtocol {
-        table,
+        table: table(matches),
         only: asked.only.clone(),
         seeds: asked.seeds.clone(),
         prompts: *matches.get_one::<u32>("prompts").expect("it has a default") as usize,
@@ -99,22 +97,5 @@ pub fn synthetic(matches: &ArgMatches) -> Result<(), Failure> {
         base: asked.base.clone(),
     };
     measure(&asked.out, &options, &mut asked.results, &mut tell(asked.json))?;
-    let results = &asked.results;
-    let mut shown = vec![tables::summary(results)];
-    match table {
-        Table::Rivals => {
-            let words = "In the layout of the paper's Table 1 (IoU / accuracy; the paper's figures are of its own photos):";
-            shown.push(format!("{words}\n\n{}", tables::paper_targets(results)));
-        }
-        Table::Ablation => {
-            let words =
-                "In the layout of the paper's Table 2 (IoU; the paper's figures are of its own photos):";
-            shown.push(format!("{words}\n\n{}", tables::paper_ablation(results)));
-        }
-    }
-    let rows = table.rows(&asked.only)?;
-    shown.extend(
-        rows.iter().find(|r| r.name == "full").or(rows.first()).map(|r| tables::objects(results, r.name)),
-    );
-    finish(&asked, "Synthetic places", &shown)
+    finish(&asked, "Synthetic places")
 }

@@ -1,0 +1,44 @@
+//! `segwild bench tables`
+
+use super::common::cannot_write;
+use crate::args::path;
+use crate::commands::{path as path_of, print_line};
+use crate::failure::Failure;
+use clap::{Arg, ArgMatches, Command, value_parser};
+use segwild_bench::protocols::ProtocolError;
+use segwild_bench::protocols::tables::page;
+use segwild_bench::record::Results;
+use std::path::PathBuf;
+
+/// The command's arguments.
+pub fn command() -> Command {
+    Command::new("tables")
+        .about("Print the tables of results that are there, or write them as one page")
+        .arg(
+            Arg::new("results")
+                .required(true)
+                .num_args(1..)
+                .value_parser(value_parser!(PathBuf))
+                .help("Files results.json that benchmarks left"),
+        )
+        .arg(
+            Arg::new("title")
+                .long("title")
+                .value_name("TEXT")
+                .default_value("Measured")
+                .help("Title of the page"),
+        )
+        .arg(path("page", "Write the tables to this file, with what made them [default: print them]"))
+}
+
+/// Prints or writes the tables.
+pub fn tables(matches: &ArgMatches) -> Result<(), Failure> {
+    let files = matches.get_many::<PathBuf>("results").into_iter().flatten();
+    let sets: Vec<Results> =
+        files.map(|file| Results::read(file).map_err(ProtocolError::from)).collect::<Result<_, _>>()?;
+    let text = page(matches.get_one::<String>("title").expect("it has a default"), &sets);
+    match path_of(matches, "page") {
+        Some(file) => std::fs::write(&file, text).map_err(|e| cannot_write(&file, &e)),
+        None => print_line(text.trim_end()),
+    }
+}
