@@ -102,7 +102,7 @@ segwild_scene::settings! {
         /// Extra evidence against selecting, in views (in pixels with `vote` = light): larger keeps fewer splats.
         gamma: f32 = 0.0 => -1e4..=1e4,
         /// Share of a splat's light that must reach the camera for the view to decide it.
-        seen: f32 = 0.2 => 0.0..=1.0,
+        seen: f32 = 0.0 => 0.0..=1.0,
         /// Long side in pixels at which masks are compared with the splats; 0 takes the mask's own size.
         evidence_size: u32 = 480,
         /// Nearest neighbours per splat in the graph that carries labels to unseen splats.

@@ -48,7 +48,7 @@ segwild_scene::settings! {
     /// Training of the splats. Schedules are fractions of `steps`, so any number of steps is a whole training.
     pub struct TrainSettings("train") {
         /// Optimiser steps; each looks at one photo.
-        steps: u32 = 4000 => 1..=10_000_000,
+        steps: u32 = 1500 => 1..=10_000_000,
         /// Most splats allowed; 0 lets the scene decide (points, photos, pixels).
         splats: usize = 0,
         /// How the number of splats is controlled.
@@ -106,7 +106,7 @@ impl Preset {
         match self {
             Preset::Draft => TrainSettings { steps: 1000, sh_degree: 1, ..standard },
             Preset::Standard => standard,
-            Preset::Best => TrainSettings { steps: 15_000, sh_degree: 3, ..standard },
+            Preset::Best => TrainSettings { steps: 4000, sh_degree: 3, ..standard },
         }
     }
 }
