@@ -58,6 +58,7 @@ const PROJECTION: Changes = &[
 const FLASHSPLAT: Changes = &[
     ("vote", "light"),
     ("seen", "0"),
+    ("least_evidence", "0"),
     ("undecided", "out"),
     ("similarity_use", "off"),
     ("components", "all"),

@@ -40,11 +40,12 @@ impl Evidence {
         (total > 0.0).then(|| self.inside[splat] / total)
     }
 
-    /// The label that the evidence gives, `None` where there is none: inside wins where
+    /// The label that the evidence gives, `None` where there is none or less than `least`: inside wins where
     /// `A_1 (1 - rho) >= (A_0 + gamma) rho`, which at `rho` 0.5 is the larger of `A_1` and `A_0 + gamma`.
-    pub fn label(&self, splat: usize, rho: f32, gamma: f32) -> Option<bool> {
+    pub fn label(&self, splat: usize, rho: f32, gamma: f32, least: f32) -> Option<bool> {
         let (inside, outside) = (self.inside[splat], self.outside[splat]);
-        (inside + outside > 0.0).then_some(inside * (1.0 - rho) >= (outside + gamma) * rho)
+        let known = inside + outside;
+        (known > 0.0 && known >= least).then_some(inside * (1.0 - rho) >= (outside + gamma) * rho)
     }
 
     /// How well one view sees each splat, in 1/255 of a view that sees it whole and large.

@@ -124,9 +124,10 @@ impl Judge<'_> {
         if self.settings.components == ComponentRule::All {
             return vec![false; n];
         }
-        let (rho, gamma) = (self.settings.rho, self.settings.gamma);
-        let inside: Vec<bool> =
-            (0..n).map(|i| !self.is_frozen(i) && evidence.label(i, rho, gamma) == Some(true)).collect();
+        let SegmentSettings { rho, gamma, least_evidence: least, .. } = *self.settings;
+        let inside: Vec<bool> = (0..n)
+            .map(|i| !self.is_frozen(i) && evidence.label(i, rho, gamma, least) == Some(true))
+            .collect();
         let mut kept = inside.clone();
         let (graph, (positive, negative)) = (self.graph, self.hits);
         components::keep_clicked(graph, self.splats, &mut kept, &evidence.inside, positive, negative, LARGE);
@@ -136,16 +137,18 @@ impl Judge<'_> {
     /// Splats that hang together with what the masks hold, through splats that resemble the clicks and that no mask puts
     /// outside. A thing elsewhere may look just like the one that was clicked: resemblance alone says nothing for it.
     fn hangs_together(&self, evidence: &Evidence, stray: &[bool], hint: &impl Fn(usize) -> f32) -> Vec<bool> {
-        let (rho, gamma) = (self.settings.rho, self.settings.gamma);
+        let SegmentSettings { rho, gamma, least_evidence: least, .. } = *self.settings;
         let mut reached = vec![false; self.graph.len()];
         let mut open: Vec<usize> = (0..self.graph.len())
-            .filter(|&i| !self.is_frozen(i) && !stray[i] && evidence.label(i, rho, gamma) == Some(true))
+            .filter(|&i| {
+                !self.is_frozen(i) && !stray[i] && evidence.label(i, rho, gamma, least) == Some(true)
+            })
             .collect();
         open.iter().for_each(|&i| reached[i] = true);
         while let Some(i) = open.pop() {
             for edge in self.graph.edges(i) {
                 let j = self.graph.neighbour(edge);
-                let carries = hint(j) > 0.5 && evidence.label(j, rho, gamma) != Some(false);
+                let carries = hint(j) > 0.5 && evidence.label(j, rho, gamma, least) != Some(false);
                 if carries && !reached[j] && !self.is_frozen(j) {
                     reached[j] = true;
                     open.push(j);
@@ -204,7 +207,7 @@ impl Judge<'_> {
                 if s.similarity_use == SimilarityUse::Alone {
                     return passes(true);
                 }
-                match state.evidence.label(i, s.rho, s.gamma) {
+                match state.evidence.label(i, s.rho, s.gamma, s.least_evidence) {
                     Some(inside) => inside && passes(s.similarity_use == SimilarityUse::Gate),
                     None if s.undecided == Undecided::Out => false,
                     None => {

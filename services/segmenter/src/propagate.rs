@@ -4,7 +4,7 @@
 use crate::coverage::{soft, unoccluded, visible};
 use crate::judge::{Judge, State};
 use crate::select::{STEPS, project, view_evidence, working_camera};
-use crate::{Evidence, Refine, Request, SegmentError};
+use crate::{Evidence, Refine, Request, SegmentError, SegmentSettings};
 use segwild_raster::Channels;
 use segwild_scene::{Image, Mask};
 
@@ -156,7 +156,8 @@ fn seen_by(request: &Request, index: usize) -> Result<Bits, SegmentError> {
 /// The open view in which the largest share of what could be the object is decided, and that share.
 fn most_known(judge: &Judge, state: &State, open: &[(usize, Bits)]) -> (usize, f32) {
     let n = state.probability.len();
-    let label = |i: usize| state.evidence.label(i, judge.settings.rho, judge.settings.gamma);
+    let SegmentSettings { rho, gamma, least_evidence, .. } = *judge.settings;
+    let label = |i: usize| state.evidence.label(i, rho, gamma, least_evidence);
     let object = Bits::new((0..n).map(|i| !judge.is_frozen(i) && label(i) == Some(true)));
     let could_be = Bits::new((0..n).map(|i| !judge.is_frozen(i) && label(i) != Some(false)));
     let mut best = (0, usize::MAX, -1.0);

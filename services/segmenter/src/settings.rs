@@ -103,6 +103,9 @@ segwild_scene::settings! {
         gamma: f32 = 0.0 => -1e4..=1e4,
         /// Share of a splat's light that must reach the camera for the view to decide it.
         seen: f32 = 0.0 => 0.0..=1.0,
+        /// Least evidence of all views together that decides a splat, in views (in pixels with `vote` = light): what is
+        /// known less of follows its neighbours.
+        least_evidence: f32 = 0.03 => 0.0..=1e4,
         /// Long side in pixels at which masks are compared with the splats; 0 takes the mask's own size.
         evidence_size: u32 = 480,
         /// Nearest neighbours per splat in the graph that carries labels to unseen splats.

@@ -161,7 +161,10 @@ fn one_photo_selects_the_statue_for_the_whole_circle() {
 fn photos_that_take_the_selection_elsewhere_are_not_followed() {
     let square = Square::new();
     let prompts = [PromptedView { view: 0, mask: &square.truth[0][0], points: &[], refused: false }];
-    let settings = SegmentSettings { propagate_gate: 0.0, prompt_weight: 0.01, ..SegmentSettings::default() };
+    // A hundredth of a photo's word is to count.
+    let (propagate_gate, prompt_weight, least_evidence) = (0.0, 0.01, 0.0);
+    let settings =
+        SegmentSettings { propagate_gate, prompt_weight, least_evidence, ..SegmentSettings::default() };
     // All photos speak of the tree.
     let mut tree = |view: usize, _: &segwild_scene::Image| Some((square.truth[view][1].clone(), 1.0));
     let selection = square.with(&prompts, &settings, |request| {

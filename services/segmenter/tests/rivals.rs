@@ -85,7 +85,8 @@ fn what_no_mask_decides_can_be_left_out() {
     world.ball(0, Vec3::new(0.0, 0.0, 2.0), Vec3::splat(0.4), 1200, [0.7, 0.4, 0.2], &mut dice);
     let views = [posed("front.jpg", Vec3::ZERO, Vec3::Z)];
     let share = |undecided| {
-        let settings = SegmentSettings { undecided, ..SegmentSettings::default() };
+        // What a photo sees less than a fifth of it does not decide.
+        let settings = SegmentSettings { undecided, seen: 0.2, ..SegmentSettings::default() };
         let found = labels(&world, &views, &[Mask::full(160, 120)], None, settings).unwrap();
         world.share(0, &found)
     };
