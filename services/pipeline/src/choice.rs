@@ -16,11 +16,6 @@ use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Where the run folder says which look was chosen.
-pub(crate) const LOOK_FILE: &str = "look.json";
-/// Where the run folder says how much is spent.
-pub(crate) const BUDGET_FILE: &str = "budget.json";
-
 /// Something that is chosen before the training.
 pub(crate) trait Choice: Serialize + DeserializeOwned {
     /// Kind of the cache's record.
@@ -37,7 +32,7 @@ pub(crate) trait Choice: Serialize + DeserializeOwned {
 
 impl Choice for LookChoice {
     const KIND: &'static str = "look";
-    const FILE: &'static str = LOOK_FILE;
+    const FILE: &'static str = "look.json";
     fn is_open(settings: &Settings) -> bool {
         settings.train.look == LookKind::Auto
     }
@@ -53,7 +48,7 @@ impl Choice for LookChoice {
 
 impl Choice for BudgetChoice {
     const KIND: &'static str = "budget";
-    const FILE: &'static str = BUDGET_FILE;
+    const FILE: &'static str = "budget.json";
     fn is_open(settings: &Settings) -> bool {
         settings.run.budget == Budget::Auto
     }

@@ -2,7 +2,7 @@
 
 mod html;
 
-use crate::choice::{BUDGET_FILE, Choice, LOOK_FILE};
+use crate::choice::Choice;
 use crate::evaluate::HeldOut;
 use crate::folder::Loaded;
 use crate::history::{self, Moment};
@@ -66,14 +66,16 @@ fn summary(folder: &RunFolder, loaded: &Loaded) -> Result<String, RunError> {
     row("splats", loaded.model.splats.len().to_string());
     row("steps", loaded.model.stats.step.to_string());
     // What was chosen for another run in this folder says nothing of one whose look was given.
-    let chosen =
-        folder.read_json::<LookChoice>(LOOK_FILE).ok().filter(|_| LookChoice::is_open(&loaded.settings));
+    let chosen = folder
+        .read_json::<LookChoice>(LookChoice::FILE)
+        .ok()
+        .filter(|_| LookChoice::is_open(&loaded.settings));
     row(
         "look",
         chosen.map_or_else(|| loaded.model.look.as_look().name().to_owned(), |c| format!("chosen {}", c.why)),
     );
     let spent = folder
-        .read_json::<BudgetChoice>(BUDGET_FILE)
+        .read_json::<BudgetChoice>(BudgetChoice::FILE)
         .ok()
         .filter(|_| BudgetChoice::is_open(&loaded.settings));
     if let Some(spent) = spent {

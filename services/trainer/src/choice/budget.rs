@@ -127,10 +127,11 @@ pub fn choose_budget(
     let most =
         if splats > 0 { format!("at most {splats} splats") } else { "splats as the scene decides".into() };
     let why = format!(
-        "{} of {} steps, {most}; on {held_out} photos held out, at half size: {}; all further doublings promise {promise:.2} dB; \
+        "{} of {} steps, {most}; on {held_out} photos held out, at {} px: {}; all further doublings promise {promise:.2} dB; \
          with fewer splats: {}",
         chosen.steps,
         settings.steps,
+        trial_size(size),
         told(&fits[..doublings]),
         told(&fits[doublings..])
     );
