@@ -30,6 +30,9 @@ const SURROUNDED: f32 = 0.5;
 /// boundaries have spoken.
 const ODDS: [f64; 2] = [0.5, 20.0];
 
+/// The lowest that resemblance can say at even odds: [`ODDS`] as a probability.
+pub(crate) const LEAST_HINT: f32 = 1.0 / 3.0;
+
 /// Share of the evidence that a part without a click must hold for anything to be concluded from it.
 const LARGE: f32 = 0.25;
 
@@ -72,6 +75,8 @@ pub(crate) struct State {
     pub beliefs: Vec<Belief>,
     /// Probability of every splat to lie inside, 0 for frozen ones.
     pub probability: Vec<f32>,
+    /// How likely each splat lies inside by its resemblance to the clicks alone.
+    pub hint: Vec<f32>,
 }
 
 impl Judge<'_> {
@@ -110,10 +115,11 @@ impl Judge<'_> {
             })
             .collect();
         spread(self.graph, &self.affinities, &anchors, self.settings.spread_decay, steps, &mut beliefs);
+        let hints: Vec<f32> = (0..n).map(hint).collect();
         let probability = (0..n)
-            .map(|i| if self.is_frozen(i) { 0.0 } else { beliefs[i].probability(hint(i)).clamp(0.0, 1.0) })
+            .map(|i| if self.is_frozen(i) { 0.0 } else { beliefs[i].probability(hints[i]).clamp(0.0, 1.0) })
             .collect();
-        State { evidence, beliefs, probability }
+        State { evidence, beliefs, probability, hint: hints }
     }
 
     /// Splats that the masks take in and that hang together neither with a click nor with much else: a mask that

@@ -2,7 +2,7 @@
 //! what the splats only guess, and what was learned there decides splats that no prompt saw.
 
 use crate::coverage::{soft, unoccluded, visible};
-use crate::judge::{Judge, State};
+use crate::judge::{Judge, LEAST_HINT, State};
 use crate::select::{STEPS, project, view_evidence, working_camera};
 use crate::{Evidence, Refine, Request, SegmentError, SegmentSettings};
 use segwild_raster::Channels;
@@ -28,9 +28,12 @@ const DOUBT: f32 = 0.3;
 /// the photo, and another photo may know better.
 const GUESS: f32 = 0.3;
 
-/// What a photo is told of a splat of which nothing is known: a little over one half. A part wrongly left out is
-/// rendered as background and confirmed by every later photo; one wrongly let in meets photos that contradict it.
-const OPEN: f32 = 0.55;
+/// What a photo is told of a splat of which nothing is known: where it resembles the clicks least, and where it
+/// resembles them as much as the rest of the object does. The second is over one half: a part wrongly left out is
+/// rendered as background and confirmed by every later photo, one wrongly let in meets photos that contradict it. But
+/// what only a few photos show, such as the ground below an object that all others see from below, is let in for good
+/// by the first of them if nothing speaks against it.
+const OPEN: [f32; 2] = [0.4, 0.6];
 
 /// Evidence, in views, of which a photo is told half: less leaves the splat open for the photo to judge.
 const HALF_TOLD: f32 = 1.0;
@@ -173,16 +176,18 @@ fn most_known(judge: &Judge, state: &State, open: &[(usize, Bits)]) -> (usize, f
 
 /// What a photo is told of a splat: what masks said of it, and where that is little, what its neighbours suggest. That
 /// only its neighbourhood speaks against a splat counts less than what speaks for it: a photo told that it is
-/// outside would confirm that, and so would all later ones. Resemblance to the clicks has no say here: they show one side
-/// of the object, and the photo's own boundaries judge the other side better.
+/// outside would confirm that, and so would all later ones. Resemblance to the clicks says only what surely is
+/// something else: they show one side of the object, and the photo's own boundaries judge the other side better.
 fn certainty_of(judge: &Judge, state: &State, splat: usize) -> f32 {
     if judge.is_frozen(splat) {
         return 0.0;
     }
     let total = state.evidence.total(splat);
     let told = total / (total + HALF_TOLD);
-    let around = state.beliefs[splat].probability(OPEN);
-    let rest = if around < OPEN { OPEN + HEARSAY * (around - OPEN) } else { around };
+    let resembles = ((state.hint[splat] - LEAST_HINT) / (0.5 - LEAST_HINT)).clamp(0.0, 1.0);
+    let open = OPEN[0] + (OPEN[1] - OPEN[0]) * resembles;
+    let around = state.beliefs[splat].probability(open);
+    let rest = if around < open { open + HEARSAY * (around - open) } else { around };
     (state.evidence.rho(splat).unwrap_or(0.0) * told + (1.0 - told) * rest).clamp(0.0, 1.0)
 }
 

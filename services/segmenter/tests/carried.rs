@@ -249,6 +249,57 @@ fn a_twin_that_the_prompted_photo_does_not_see_is_not_selected() {
 }
 
 #[test]
+fn ground_that_only_photos_from_above_show_is_not_let_in_by_the_first_of_them() {
+    let mut world = World::default();
+    let mut dice = Dice(3);
+    world.ball(0, Vec3::new(0.0, -0.2, 0.0), Vec3::new(0.14, 0.4, 0.14), 2500, [0.4, 0.6, 0.5], &mut dice);
+    world.ball(1, Vec3::new(0.0, 0.2, 0.0), Vec3::new(0.5, 0.08, 0.5), 2500, [0.7, 0.7, 0.7], &mut dice);
+    world.ball(3, Vec3::ZERO, Vec3::splat(20.0), 800, [0.5, 0.7, 1.0], &mut dice);
+    // Nine photos look up at the statue, three look down on what it stands on.
+    let views: Vec<PosedView> = (0..12)
+        .map(|i| {
+            let (sin, cos) = (i as f32 * std::f32::consts::TAU / 12.0).sin_cos();
+            let (height, target) = if i % 4 == 3 { (0.9, 0.0) } else { (0.0, -0.75) };
+            posed(&format!("{i:02}.jpg"), Vec3::new(sin, -height, -cos), Vec3::new(0.0, target, 0.0))
+        })
+        .collect();
+    let engine = engine();
+    let region = |v: &PosedView, t| {
+        visible_mask(&engine, &world.splats, &world.is(t), &options(), &v.camera, &v.pose).unwrap()
+    };
+    let truth: Vec<[Mask; 2]> = views.iter().map(|v| [0, 1].map(|t| region(v, t))).collect();
+    assert!(truth[0][1].is_empty() && !truth[3][1].is_empty());
+    let field = features(&world, 4);
+    let (x, y) = truth[0][0].pixels().nth(truth[0][0].count() / 2).unwrap();
+    let points = [click(x as f32 + 0.5, y as f32 + 0.5)];
+    let prompts = [PromptedView { view: 0, mask: &truth[0][0], points: &points, refused: false }];
+    let request = Request {
+        engine: &engine,
+        options: options(),
+        splats: &world.splats,
+        views: &views,
+        prompts: &prompts,
+        features: Some(&field),
+        graph: None,
+        frozen: Some(&world.is(3)),
+        settings: &SegmentSettings::default(),
+    };
+    let mut snap = |view: usize, certainty: &segwild_scene::Image| {
+        let mut mask = Mask::empty(160, 120);
+        for region in &truth[view] {
+            let sum: f32 = region.pixels().map(|(x, y)| certainty.at(0, x as usize, y as usize)).sum();
+            if sum > 0.5 * region.count() as f32 {
+                mask = mask.or(region);
+            }
+        }
+        Some((mask, 0.9))
+    };
+    let labels = select(&request, Some(&mut snap)).unwrap().labels;
+    assert!(world.share(0, &labels) > 0.9, "{}", world.share(0, &labels));
+    assert!(world.share(1, &labels) < 0.05, "{}", world.share(1, &labels));
+}
+
+#[test]
 fn threads_units_and_order_of_splats_change_nothing() {
     let square = Square::new();
     let (world, sky) = (&square.world, square.world.is(3));
