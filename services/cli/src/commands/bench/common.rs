@@ -84,10 +84,7 @@ pub struct Asked {
 /// Reads the common flags, and begins a new set of results in the folder.
 pub fn asked(matches: &ArgMatches, folder: &str) -> Result<Asked, Failure> {
     let out = path_of(matches, "out").unwrap_or_else(|| PathBuf::from(folder));
-    // A table needs many trainings: the quickest preset unless another is asked for.
-    let mut flags = vec![("preset".to_owned(), "draft".to_owned())];
-    flags.extend(given(matches));
-    let settings = Settings::layered(None, &flags)?;
+    let settings = Settings::layered(None, &given(matches))?;
     use_threads(settings.run.threads);
     let mut changes = Vec::new();
     for text in matches.get_many::<String>("change").into_iter().flatten() {
