@@ -38,7 +38,11 @@ const LARGE: f32 = 0.25;
 
 /// Fused similarities of every splat.
 pub(crate) struct Similarities {
+    /// To the positive clicks.
     pub positive: Vec<f32>,
+    /// To the kinds of surface that the prompted masks hold, or to the clicks where that is more; empty: to the clicks.
+    pub held: Vec<f32>,
+    /// To the negative clicks.
     pub negative: Option<Vec<f32>>,
 }
 
@@ -50,9 +54,9 @@ impl Similarities {
         s >= settings.tau && clear
     }
 
-    /// One number in [-1, 1] that grows with the resemblance.
+    /// One number in [-1, 1] that grows with the resemblance to what was clicked and what came with it.
     fn merit(&self, splat: usize) -> f32 {
-        let s = self.positive[splat];
+        let s = self.held.get(splat).copied().unwrap_or(self.positive[splat]);
         self.negative.as_ref().map_or(s, |n| 0.5 * (s - n[splat]))
     }
 }

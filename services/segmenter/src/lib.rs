@@ -12,6 +12,7 @@ mod error;
 mod graph;
 mod judge;
 mod jury;
+mod kinds;
 mod maxflow;
 mod object;
 mod propagate;

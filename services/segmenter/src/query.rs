@@ -65,6 +65,22 @@ impl FeatureField {
         if scale > 0.0 { (dot(self.row(a), self.row(b)) * scale).clamp(-1.0, 1.0) } else { 0.0 }
     }
 
+    /// Whether a splat's vector has a direction.
+    pub(crate) fn has_direction(&self, splat: usize) -> bool {
+        self.inverse_norms[splat] > 0.0
+    }
+
+    /// Adds `weight` times a splat's unit vector.
+    pub(crate) fn add_direction(&self, splat: usize, weight: f32, sum: &mut [f32]) {
+        let scale = weight * self.inverse_norms[splat];
+        sum.iter_mut().zip(self.row(splat)).for_each(|(sum, x)| *sum += scale * x);
+    }
+
+    /// Cosine of a splat's vector and a unit vector.
+    pub(crate) fn cosine_to(&self, splat: usize, unit: &[f32]) -> f32 {
+        dot(self.row(splat), unit) * self.inverse_norms[splat]
+    }
+
     /// Fused similarity of every splat to some clicks: `sum_i softmax_i(s_i / temperature) s_i`, `s_i` the cosine
     /// to click `i` (paper, Eq. 27). It lies between the mean and the largest. Reads the field once.
     ///

@@ -2,6 +2,7 @@
 
 use crate::coverage::{centre, coverage, soft, unoccluded, visible};
 use crate::judge::{Judge, Similarities, State};
+use crate::kinds::kinds;
 use crate::settings::{ComponentRule, CutBy, EvidenceMode, SegmentSettings, SimilarityUse};
 use crate::{
     Cut, CutView, Evidence, FeatureField, Graph, Hit, Juror, SegmentError, Visit, components, propagate,
@@ -110,7 +111,7 @@ pub fn select(request: &Request, refine: Option<&mut Refine>) -> Result<Selectio
     check(request)?;
     let (settings, splats) = (request.settings, request.splats);
     let (positive, negative) = hits(request)?;
-    let similarities = similarities(request, &positive, &negative)?;
+    let mut similarities = similarities(request, &positive, &negative)?;
     // Where masks decide nothing, there is nothing to carry to other photos.
     let alone = settings.similarity_use == SimilarityUse::Alone;
     if alone && similarities.is_none() {
@@ -126,6 +127,17 @@ pub fn select(request: &Request, refine: Option<&mut Refine>) -> Result<Selectio
         }
     };
     let features = request.features.filter(|_| settings.similarity_use != SimilarityUse::Off);
+    let mut prompted = Evidence::none(splats.len());
+    for prompt in request.prompts {
+        prompted.add(&prompted_evidence(request, prompt)?, settings.prompt_weight);
+    }
+    if let (Some(field), Some(found)) = (features, &mut similarities) {
+        let kinds = kinds(field, &prompted);
+        if !kinds.is_empty() {
+            found.held = field.similarity(&kinds, settings.click_temperature)?;
+            found.held.iter_mut().zip(&found.positive).for_each(|(held, clicked)| *held = held.max(*clicked));
+        }
+    }
     let judge = Judge {
         splats,
         graph,
@@ -135,10 +147,6 @@ pub fn select(request: &Request, refine: Option<&mut Refine>) -> Result<Selectio
         frozen: request.frozen,
         settings,
     };
-    let mut prompted = Evidence::none(splats.len());
-    for prompt in request.prompts {
-        prompted.add(&prompted_evidence(request, prompt)?, settings.prompt_weight);
-    }
     let (state, visits) = match refine {
         Some(refine) if rounds > 0 => propagate::propagate(request, &judge, prompted.clone(), refine)?,
         _ => (judge.weigh(prompted.clone(), Vec::new(), STEPS), Vec::new()),
@@ -375,6 +383,7 @@ fn similarities(
     let temperature = request.settings.click_temperature;
     Ok(Some(Similarities {
         positive: field.similarity(&ask, temperature)?,
+        held: Vec::new(),
         negative: if refuse.is_empty() { None } else { Some(field.similarity(&refuse, temperature)?) },
     }))
 }

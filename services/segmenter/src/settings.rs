@@ -129,7 +129,7 @@ segwild_scene::settings! {
         /// Least agreement (IoU) between a photo's refined mask and what is already known, for the mask to count.
         propagate_gate: f32 = 0.6 => 0.0..=1.0,
         /// How much the prompted masks count against those of other photos.
-        prompt_weight: f32 = 2.0 => 0.0..=1e4,
+        prompt_weight: f32 = 1.0 => 0.0..=1e4,
         /// How spikes are cut.
         spikes: SpikeMode = SpikeMode::Axis,
         /// Whose masks cut them.
