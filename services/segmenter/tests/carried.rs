@@ -6,13 +6,22 @@ mod common;
 use common::{Dice, World, engine, features, options, posed};
 use glam::Vec3;
 use segwild_raster::Engine;
-use segwild_scene::{Mask, PointPrompt, Splats};
+use segwild_scene::{Image, Mask, PointPrompt, Splats};
 use segwild_segmenter::{
     PosedView, PromptedView, Request, SegmentError, SegmentSettings, Selection, cut, select, visible_mask,
 };
 
 fn click(x: f32, y: f32) -> PointPrompt {
     PointPrompt { x, y, inside: true }
+}
+
+/// The regions of a photo that are inside with a mean certainty over `least`.
+fn likelier(regions: &[Mask], certainty: &Image, least: f32) -> Mask {
+    let inside = |region: &&Mask| {
+        let sum: f32 = region.pixels().map(|(x, y)| certainty.at(0, x as usize, y as usize)).sum();
+        sum > least * region.count() as f32
+    };
+    regions.iter().filter(inside).fold(Mask::empty(160, 120), |mask, region| mask.or(region))
 }
 
 /// A statue on a plinth (thing 0), a tree beside it (1), ground (2) and a sky shell (3); photos all around.
@@ -86,14 +95,8 @@ impl Square {
         };
         // A 2D segmenter that knows the photo's regions but not which is meant: it takes those that are more
         // likely inside than not. In every fifth photo it is wrong, and sure of it.
-        let mut snap = |view: usize, certainty: &segwild_scene::Image| {
-            let mut mask = Mask::empty(160, 120);
-            for region in &self.truth[view] {
-                let sum: f32 = region.pixels().map(|(x, y)| certainty.at(0, x as usize, y as usize)).sum();
-                if sum > 0.5 * region.count() as f32 {
-                    mask = mask.or(region);
-                }
-            }
+        let mut snap = |view: usize, certainty: &Image| {
+            let mut mask = likelier(&self.truth[view], certainty, 0.5);
             if view % 5 == 3 {
                 mask = self.truth[view][2].clone();
             }
@@ -233,16 +236,7 @@ fn a_twin_that_the_prompted_photo_does_not_see_is_not_selected() {
         frozen: Some(&world.is(3)),
         settings: &settings,
     };
-    let mut snap = |view: usize, certainty: &segwild_scene::Image| {
-        let mut mask = Mask::empty(160, 120);
-        for region in &truth[view] {
-            let sum: f32 = region.pixels().map(|(x, y)| certainty.at(0, x as usize, y as usize)).sum();
-            if sum > 0.6 * region.count() as f32 {
-                mask = mask.or(region);
-            }
-        }
-        Some((mask, 0.9))
-    };
+    let mut snap = |view: usize, certainty: &Image| Some((likelier(&truth[view], certainty, 0.6), 0.9));
     let labels = select(&request, Some(&mut snap)).unwrap().labels;
     assert!(world.share(0, &labels) > 0.9, "{}", world.share(0, &labels));
     assert!(world.share(4, &labels) < 0.05, "{}", world.share(4, &labels));
@@ -284,16 +278,7 @@ fn ground_that_only_photos_from_above_show_is_not_let_in_by_the_first_of_them() 
         frozen: Some(&world.is(3)),
         settings: &SegmentSettings::default(),
     };
-    let mut snap = |view: usize, certainty: &segwild_scene::Image| {
-        let mut mask = Mask::empty(160, 120);
-        for region in &truth[view] {
-            let sum: f32 = region.pixels().map(|(x, y)| certainty.at(0, x as usize, y as usize)).sum();
-            if sum > 0.5 * region.count() as f32 {
-                mask = mask.or(region);
-            }
-        }
-        Some((mask, 0.9))
-    };
+    let mut snap = |view: usize, certainty: &Image| Some((likelier(&truth[view], certainty, 0.5), 0.9));
     let labels = select(&request, Some(&mut snap)).unwrap().labels;
     assert!(world.share(0, &labels) > 0.9, "{}", world.share(0, &labels));
     assert!(world.share(1, &labels) < 0.05, "{}", world.share(1, &labels));
