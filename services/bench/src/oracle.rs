@@ -10,7 +10,7 @@ use crate::synthetic::SyntheticScene;
 use crate::synthetic::random::{Rng, noise};
 use glam::Vec3;
 use segwild_scene::{Image, Mask, Prompts, ScoredMask};
-use segwild_vision::{MaskProposer, PromptSegmenter, SkyDetector, VisionError};
+use segwild_vision::{MaskProposer, PromptSegmenter, Prompted, SkyDetector, VisionError};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
@@ -316,7 +316,7 @@ impl PromptSegmenter for Oracle {
         self.key.clone()
     }
 
-    fn segment(&self, image: &Image, prompts: &Prompts) -> Result<ScoredMask, VisionError> {
+    fn prompted(&self, image: &Image, prompts: &Prompts) -> Result<Prompted, VisionError> {
         let sight = self.recognise(image)?;
         let fine = prompts.granularity.is_some_and(|g| g < FINE);
         let known = &self.views[sight.view];
@@ -346,7 +346,7 @@ impl PromptSegmenter for Oracle {
             let out = if shared { Thing::Part(known.parts[i]) } else { whole };
             found.mask = found.mask.minus(&self.exact_mask(sight, image, &[out]));
         }
-        Ok(found)
+        Ok(Prompted::sure(found))
     }
 
     fn refine(&self, image: &Image, certainty: &Image) -> Result<ScoredMask, VisionError> {

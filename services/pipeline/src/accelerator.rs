@@ -2,7 +2,9 @@
 
 use segwild_flow::Lease;
 use segwild_scene::{Embedding, Image, Mask, Prompts, ScoredMask};
-use segwild_vision::{Embedder, MaskProposer, PromptSegmenter, Providers, SkyDetector, VisionError, Work};
+use segwild_vision::{
+    Embedder, MaskProposer, PromptSegmenter, Prompted, Providers, SkyDetector, VisionError, Work,
+};
 use std::sync::{Arc, LazyLock};
 
 /// The one accelerator, for whatever this process computes on it. A batch gives it to one process at a time.
@@ -65,9 +67,9 @@ impl PromptSegmenter for Leased<dyn PromptSegmenter> {
     fn key(&self) -> String {
         self.0.key()
     }
-    fn segment(&self, image: &Image, prompts: &Prompts) -> Result<ScoredMask, VisionError> {
+    fn prompted(&self, image: &Image, prompts: &Prompts) -> Result<Prompted, VisionError> {
         let _held = accelerator().acquire_urgent("a selection");
-        self.0.segment(image, prompts)
+        self.0.prompted(image, prompts)
     }
     fn refine(&self, image: &Image, certainty: &Image) -> Result<ScoredMask, VisionError> {
         let _held = accelerator().acquire_urgent("a selection");

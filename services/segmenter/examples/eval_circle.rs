@@ -81,7 +81,8 @@ fn main() -> Result<(), Box<dyn Error>> {
             true => truths[first].clone(),
             false => segmenter.segment(&photos[first], &prompts)?.mask,
         };
-        let prompted = [PromptedView { view: first, mask: &mask, points: &points, refused: false }];
+        let prompted =
+            [PromptedView { view: first, mask: &mask, open: None, points: &points, refused: false }];
         let request = Request {
             engine: &engine,
             options,

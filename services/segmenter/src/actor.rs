@@ -77,7 +77,7 @@ impl SegmentActor {
             let _zone = context.busy_zone("neighbour graph");
             self.graph = Some(Graph::new(&self.splats, task.settings.neighbours));
         }
-        let mut masks = Vec::new();
+        let mut answers = Vec::new();
         for (view, prompts) in &task.prompts {
             let name = self.views.get(*view).map_or_else(String::new, |v| v.name.clone());
             let provider = |reason: String| SegmentError::Provider { photo: name.clone(), reason };
@@ -86,15 +86,16 @@ impl SegmentActor {
             let refused = refuses(prompts);
             let mut asked = prompts.clone();
             asked.points.iter_mut().for_each(|p| p.inside |= refused);
-            let mask = self.segmenter.segment(&image, &asked).map_err(|e| provider(e.to_string()))?;
-            masks.push((*view, mask));
+            let found = self.segmenter.prompted(&image, &asked).map_err(|e| provider(e.to_string()))?;
+            answers.push((*view, found));
         }
-        let prompted: Vec<PromptedView> = masks
+        let prompted: Vec<PromptedView> = answers
             .iter()
             .zip(&task.prompts)
-            .map(|((view, mask), (_, prompts))| PromptedView {
+            .map(|((view, found), (_, prompts))| PromptedView {
                 view: *view,
-                mask: &mask.mask,
+                mask: &found.answer.mask,
+                open: Some(&found.open),
                 refused: refuses(prompts),
                 points: &prompts.points,
             })
@@ -122,8 +123,9 @@ impl SegmentActor {
         };
         let selection = select(&request, Some(&mut refine))?;
         let cut = cut(&request, &selection)?;
-        let said = masks.into_iter().zip(&task.prompts).filter(|(_, (_, prompts))| !refuses(prompts));
-        Ok(Segmented { selection, cut, masks: said.map(|(mask, _)| mask).collect() })
+        let said = answers.into_iter().zip(&task.prompts).filter(|(_, (_, prompts))| !refuses(prompts));
+        let masks = said.map(|((view, found), _)| (view, found.answer)).collect();
+        Ok(Segmented { selection, cut, masks })
     }
 }
 

@@ -31,7 +31,7 @@ const SURROUNDED: f32 = 0.5;
 const ODDS: [f64; 2] = [0.5, 20.0];
 
 /// The lowest that resemblance can say at even odds: [`ODDS`] as a probability.
-pub(crate) const LEAST_HINT: f32 = 1.0 / 3.0;
+pub(crate) const LEAST_HINT: f32 = (ODDS[0] / (1.0 + ODDS[0])) as f32;
 
 /// Share of the evidence that a part without a click must hold for anything to be concluded from it.
 const LARGE: f32 = 0.25;
@@ -79,7 +79,7 @@ pub(crate) struct State {
     pub beliefs: Vec<Belief>,
     /// Probability of every splat to lie inside, 0 for frozen ones.
     pub probability: Vec<f32>,
-    /// How likely each splat lies inside by its resemblance to the clicks alone.
+    /// How likely each splat lies inside by its resemblance to what was clicked and came with it ([`Similarities::held`]) alone.
     pub hint: Vec<f32>,
 }
 

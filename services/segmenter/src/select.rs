@@ -21,6 +21,9 @@ pub(crate) const STEPS: u32 = 64;
 /// IoU with the prompted masks under which a selection that was carried to other photos is of something else.
 const ELSEWHERE: f32 = 0.25;
 
+/// Weight of a pixel outside of the prompted mask that is as likely meant as not.
+const LEAST_SAID: f32 = 0.1;
+
 /// Share of a splat's evidence that must lie inside, and evidence in views that it must have, for it to count as astride
 /// the outline.
 const ASTRIDE: (f32, f32) = (0.2, 0.2);
@@ -49,6 +52,9 @@ pub struct PromptedView<'a> {
     pub view: usize,
     /// The mask that the prompts mean, at any size that covers the photo edge to edge.
     pub mask: &'a Mask,
+    /// How likely each pixel is meant although the mask leaves it out: one plane in [0, 1] over the photo edge to edge.
+    /// `None` where the mask is certain.
+    pub open: Option<&'a Image>,
     /// Whether the mask is of something that is not meant: all that was said on this photo is where the object is not. Of
     /// what lies outside the mask it says nothing.
     pub refused: bool,
@@ -111,7 +117,11 @@ pub fn select(request: &Request, refine: Option<&mut Refine>) -> Result<Selectio
     check(request)?;
     let (settings, splats) = (request.settings, request.splats);
     let (positive, negative) = hits(request)?;
-    let mut similarities = similarities(request, &positive, &negative)?;
+    let mut prompted = Evidence::none(splats.len());
+    for prompt in request.prompts {
+        prompted.add(&prompted_evidence(request, prompt)?, settings.prompt_weight);
+    }
+    let similarities = similarities(request, &prompted, &positive, &negative)?;
     // Where masks decide nothing, there is nothing to carry to other photos.
     let alone = settings.similarity_use == SimilarityUse::Alone;
     if alone && similarities.is_none() {
@@ -127,17 +137,6 @@ pub fn select(request: &Request, refine: Option<&mut Refine>) -> Result<Selectio
         }
     };
     let features = request.features.filter(|_| settings.similarity_use != SimilarityUse::Off);
-    let mut prompted = Evidence::none(splats.len());
-    for prompt in request.prompts {
-        prompted.add(&prompted_evidence(request, prompt)?, settings.prompt_weight);
-    }
-    if let (Some(field), Some(found)) = (features, &mut similarities) {
-        let kinds = kinds(field, &prompted);
-        if !kinds.is_empty() {
-            found.held = field.similarity(&kinds, settings.click_temperature)?;
-            found.held.iter_mut().zip(&found.positive).for_each(|(held, clicked)| *held = held.max(*clicked));
-        }
-    }
     let judge = Judge {
         splats,
         graph,
@@ -361,6 +360,7 @@ fn hits(request: &Request) -> Result<(Vec<Hit>, Vec<Hit>), SegmentError> {
 
 fn similarities(
     request: &Request,
+    prompted: &Evidence,
     positive: &[Hit],
     negative: &[Hit],
 ) -> Result<Option<Similarities>, SegmentError> {
@@ -381,9 +381,13 @@ fn similarities(
         return Ok(None);
     }
     let temperature = request.settings.click_temperature;
+    let positive = field.similarity(&ask, temperature)?;
+    let kinds = kinds(field, prompted);
+    let mut held = if kinds.is_empty() { Vec::new() } else { field.similarity(&kinds, temperature)? };
+    held.iter_mut().zip(&positive).for_each(|(held, clicked)| *held = held.max(*clicked));
     Ok(Some(Similarities {
-        positive: field.similarity(&ask, temperature)?,
-        held: Vec::new(),
+        positive,
+        held,
         negative: if refuse.is_empty() { None } else { Some(field.similarity(&refuse, temperature)?) },
     }))
 }
@@ -417,7 +421,15 @@ fn prompted_evidence(request: &Request, prompt: &PromptedView) -> Result<Evidenc
         let (nothing, weights) = (Mask::empty(1, 1), soft(prompt.mask, camera.width, camera.height));
         return Ok(view_evidence(request, &*projected, view, &camera, &nothing, &weights));
     }
-    let weights = vec![1.0; camera.width as usize * camera.height as usize];
+    let mut weights = vec![1.0; camera.width as usize * camera.height as usize];
+    if let Some(open) = prompt.open {
+        // What the mask holds was pointed at; where it ends is a guess. A pixel that may as well be meant says little.
+        let open = open.resized(camera.width as usize, camera.height as usize);
+        for (weight, chance) in weights.iter_mut().zip(open.plane(0)) {
+            let said = 1.0 - 2.0 * chance;
+            *weight = if said.is_nan() { 1.0 } else { said.clamp(LEAST_SAID, 1.0) };
+        }
+    }
     Ok(view_evidence(request, &*projected, view, &camera, prompt.mask, &weights))
 }
 

@@ -8,7 +8,8 @@ use glam::Vec3;
 use segwild_raster::Engine;
 use segwild_scene::{Image, Mask, PointPrompt, Splats};
 use segwild_segmenter::{
-    PosedView, PromptedView, Request, SegmentError, SegmentSettings, Selection, cut, select, visible_mask,
+    FeatureField, PosedView, PromptedView, Request, SegmentError, SegmentSettings, Selection, cut, select,
+    visible_mask,
 };
 
 fn click(x: f32, y: f32) -> PointPrompt {
@@ -80,8 +81,13 @@ impl Square {
         settings: &SegmentSettings,
         refine: bool,
     ) -> Selection {
-        let prompts =
-            [PromptedView { view: first, mask: &self.truth[first][0], points: &[], refused: false }];
+        let prompts = [PromptedView {
+            view: first,
+            mask: &self.truth[first][0],
+            open: None,
+            points: &[],
+            refused: false,
+        }];
         let request = Request {
             engine,
             options: options(),
@@ -163,7 +169,8 @@ fn one_photo_selects_the_statue_for_the_whole_circle() {
 #[test]
 fn photos_that_take_the_selection_elsewhere_are_not_followed() {
     let square = Square::new();
-    let prompts = [PromptedView { view: 0, mask: &square.truth[0][0], points: &[], refused: false }];
+    let prompts =
+        [PromptedView { view: 0, mask: &square.truth[0][0], open: None, points: &[], refused: false }];
     // A hundredth of a photo's word is to count.
     let (propagate_gate, prompt_weight, least_evidence) = (0.0, 0.01, 0.0);
     let settings =
@@ -186,7 +193,7 @@ fn a_click_on_another_photo_can_say_what_is_not_meant() {
     let square = Square::new();
     // Statue and tree in the first photo, as if the tree had leaked in; the tree clicked away in another.
     let both = square.truth[0][0].or(&square.truth[0][1]);
-    let leaked = PromptedView { view: 0, mask: &both, points: &[], refused: false };
+    let leaked = PromptedView { view: 0, mask: &both, open: None, points: &[], refused: false };
     let settings = SegmentSettings::default();
     let share = |prompts: &[PromptedView]| {
         let labels = square.with(prompts, &settings, |request| select(request, None).unwrap().labels);
@@ -195,12 +202,84 @@ fn a_click_on_another_photo_can_say_what_is_not_meant() {
     let before = share(&[leaked]);
     let (x, y) = square.truth[4][1].pixels().nth(square.truth[4][1].count() / 2).unwrap();
     let points = [PointPrompt { x: x as f32 + 0.5, y: y as f32 + 0.5, inside: false }];
-    let refusal = PromptedView { view: 4, mask: &square.truth[4][1], points: &points, refused: true };
+    let refusal =
+        PromptedView { view: 4, mask: &square.truth[4][1], open: None, points: &points, refused: true };
     let after = share(&[leaked, refusal]);
     assert!(before.1 > 0.3 && after.1 < 0.5 * before.1, "{before:?} {after:?}");
     assert!(after.0 > 0.95 * before.0, "{before:?} {after:?}");
     let alone = square.with(&[refusal], &settings, |request| select(request, None).unwrap_err());
     assert!(matches!(alone, SegmentError::NoPrompt));
+}
+
+/// What each photo shows of some things.
+fn regions(world: &World, views: &[PosedView], things: &[usize]) -> Vec<Vec<Mask>> {
+    let engine = engine();
+    let region = |v: &PosedView, t: usize| {
+        visible_mask(&engine, &world.splats, &world.is(t), &options(), &v.camera, &v.pose).unwrap()
+    };
+    views.iter().map(|v| things.iter().map(|t| region(v, *t)).collect()).collect()
+}
+
+/// The labels that a click in the middle of the first photo's first region gives, carried to photos that take every region
+/// whose mean certainty is over `least`; `open`: what the first photo leaves open.
+fn carried(
+    world: &World,
+    views: &[PosedView],
+    truth: &[Vec<Mask>],
+    field: &FeatureField,
+    open: Option<&Image>,
+    least: f32,
+) -> Vec<bool> {
+    let engine = engine();
+    let mask = &truth[0][0];
+    let (x, y) = mask.pixels().nth(mask.count() / 2).unwrap();
+    let points = [click(x as f32 + 0.5, y as f32 + 0.5)];
+    let prompts = [PromptedView { view: 0, mask, open, points: &points, refused: false }];
+    let request = Request {
+        engine: &engine,
+        options: options(),
+        splats: &world.splats,
+        views,
+        prompts: &prompts,
+        features: Some(field),
+        graph: None,
+        frozen: Some(&world.is(3)),
+        settings: &SegmentSettings::default(),
+    };
+    let mut snap = |view: usize, certainty: &Image| Some((likelier(&truth[view], certainty, least), 0.9));
+    select(&request, Some(&mut snap)).unwrap().labels
+}
+
+#[test]
+fn a_part_that_the_click_left_open_is_not_held_against_it() {
+    let mut world = World::default();
+    let mut dice = Dice(4);
+    world.ball(0, Vec3::new(0.0, -0.25, 0.0), Vec3::new(0.16, 0.3, 0.16), 2500, [0.4, 0.6, 0.5], &mut dice);
+    world.ball(1, Vec3::new(0.0, 0.2, 0.0), Vec3::new(0.2, 0.18, 0.2), 2500, [0.7, 0.7, 0.6], &mut dice);
+    world.ball(3, Vec3::ZERO, Vec3::splat(20.0), 800, [0.5, 0.7, 1.0], &mut dice);
+    let views: Vec<PosedView> = (0..10)
+        .map(|i| {
+            let (sin, cos) = (i as f32 * std::f32::consts::TAU / 10.0).sin_cos();
+            posed(&format!("{i:02}.jpg"), Vec3::new(1.2 * sin, -0.1, -1.2 * cos), Vec3::ZERO)
+        })
+        .collect();
+    // Statue and pedestal resemble each other; the first photo's mask holds the statue alone.
+    let truth = regions(&world, &views, &[0, 1]);
+    let thing = world.thing.iter().map(|t| if *t == 1 { 0 } else { *t }).collect();
+    let alike = World { thing, ..World::default() };
+    let field = features(&alike, 4);
+    let share = |open: Option<&Image>| {
+        let labels = carried(&world, &views, &truth, &field, open, 0.35);
+        (world.share(0, &labels), world.share(1, &labels))
+    };
+    let mut open = Image::zeros(160, 120, 1);
+    let pedestal = &truth[0][1];
+    (0..160 * 120).filter(|&i| pedestal.index(i)).for_each(|i| open.data[i] = 0.45);
+    let (sure, doubted) = (share(None), share(Some(&open)));
+    assert!(sure.0 > 0.9 && sure.1 < 0.05, "a mask that leaves nothing open: {sure:?}");
+    assert!(doubted.0 > 0.9 && doubted.1 > 0.9, "{doubted:?}");
+    open.data.fill(f32::NAN);
+    assert_eq!(share(Some(&open)), sure, "what is no number opens nothing");
 }
 
 #[test]
@@ -216,28 +295,8 @@ fn a_twin_that_the_prompted_photo_does_not_see_is_not_selected() {
     // Embeddings cannot tell them apart.
     let alike = World { thing: world.thing.iter().map(|t| t % 4).collect(), ..World::default() };
     let field = features(&alike, 4);
-    let engine = engine();
-    let region = |v: &PosedView, t| {
-        visible_mask(&engine, &world.splats, &world.is(t), &options(), &v.camera, &v.pose).unwrap()
-    };
-    let truth: Vec<Vec<Mask>> = views.iter().map(|v| [0, 1, 2, 4].map(|t| region(v, t)).to_vec()).collect();
-    let (x, y) = truth[0][0].pixels().nth(truth[0][0].count() / 2).unwrap();
-    let points = [click(x as f32 + 0.5, y as f32 + 0.5)];
-    let prompts = [PromptedView { view: 0, mask: &truth[0][0], points: &points, refused: false }];
-    let settings = SegmentSettings::default();
-    let request = Request {
-        engine: &engine,
-        options: options(),
-        splats: &world.splats,
-        views: &views,
-        prompts: &prompts,
-        features: Some(&field),
-        graph: None,
-        frozen: Some(&world.is(3)),
-        settings: &settings,
-    };
-    let mut snap = |view: usize, certainty: &Image| Some((likelier(&truth[view], certainty, 0.6), 0.9));
-    let labels = select(&request, Some(&mut snap)).unwrap().labels;
+    let truth = regions(&world, &views, &[0, 1, 2, 4]);
+    let labels = carried(&world, &views, &truth, &field, None, 0.6);
     assert!(world.share(0, &labels) > 0.9, "{}", world.share(0, &labels));
     assert!(world.share(4, &labels) < 0.05, "{}", world.share(4, &labels));
 }
@@ -257,29 +316,9 @@ fn ground_that_only_photos_from_above_show_is_not_let_in_by_the_first_of_them() 
             posed(&format!("{i:02}.jpg"), Vec3::new(sin, -height, -cos), Vec3::new(0.0, target, 0.0))
         })
         .collect();
-    let engine = engine();
-    let region = |v: &PosedView, t| {
-        visible_mask(&engine, &world.splats, &world.is(t), &options(), &v.camera, &v.pose).unwrap()
-    };
-    let truth: Vec<[Mask; 2]> = views.iter().map(|v| [0, 1].map(|t| region(v, t))).collect();
+    let truth = regions(&world, &views, &[0, 1]);
     assert!(truth[0][1].is_empty() && !truth[3][1].is_empty());
-    let field = features(&world, 4);
-    let (x, y) = truth[0][0].pixels().nth(truth[0][0].count() / 2).unwrap();
-    let points = [click(x as f32 + 0.5, y as f32 + 0.5)];
-    let prompts = [PromptedView { view: 0, mask: &truth[0][0], points: &points, refused: false }];
-    let request = Request {
-        engine: &engine,
-        options: options(),
-        splats: &world.splats,
-        views: &views,
-        prompts: &prompts,
-        features: Some(&field),
-        graph: None,
-        frozen: Some(&world.is(3)),
-        settings: &SegmentSettings::default(),
-    };
-    let mut snap = |view: usize, certainty: &Image| Some((likelier(&truth[view], certainty, 0.5), 0.9));
-    let labels = select(&request, Some(&mut snap)).unwrap().labels;
+    let labels = carried(&world, &views, &truth, &features(&world, 4), None, 0.5);
     assert!(world.share(0, &labels) > 0.9, "{}", world.share(0, &labels));
     assert!(world.share(1, &labels) < 0.05, "{}", world.share(1, &labels));
 }

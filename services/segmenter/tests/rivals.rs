@@ -28,6 +28,7 @@ fn labels(
         .map(|(view, mask)| PromptedView {
             view,
             mask,
+            open: None,
             points: if view == 0 { &MIDDLE } else { &[] },
             refused: false,
         })

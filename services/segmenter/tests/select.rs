@@ -29,7 +29,8 @@ struct Case<'a> {
 
 impl Case<'_> {
     fn run(&self) -> Result<Selection, SegmentError> {
-        let prompts = [PromptedView { view: 0, mask: self.mask, points: self.points, refused: false }];
+        let prompts =
+            [PromptedView { view: 0, mask: self.mask, open: None, points: self.points, refused: false }];
         let request = Request {
             engine: self.engine,
             options: options(),
@@ -234,7 +235,7 @@ fn the_cut_makes_the_object_fit_its_mask_better() {
     // What the photo shows: the wall without spikes.
     let mask = front_mask(&walls().0, &view);
     let points = [click(80.0, 60.0)];
-    let prompts = [PromptedView { view: 0, mask: &mask, points: &points, refused: false }];
+    let prompts = [PromptedView { view: 0, mask: &mask, open: None, points: &points, refused: false }];
     let settings = SegmentSettings { components: ComponentRule::All, ..SegmentSettings::default() };
     let request = Request {
         engine: &engine,

@@ -14,7 +14,7 @@ pub use builtin::{Builtin, EdgeDetector, Meaning, Question, Step, Weights};
 pub use networks::{EdgeNetwork, SkyNetwork, StrangerNetwork};
 pub use onnx::Runtime;
 pub use provider::{
-    Embedder, MaskProposer, PromptSegmenter, SkyDetector, StrangerDetector, VisionError, Work,
+    Embedder, MaskProposer, PromptSegmenter, Prompted, SkyDetector, StrangerDetector, VisionError, Work,
 };
 pub use registry::{Family, ModelFile, models_in};
 pub use sam::Sam;

@@ -67,6 +67,24 @@ pub trait MaskProposer: Send + Sync {
     }
 }
 
+/// What a person's prompts mean in one photo.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Prompted {
+    /// The mask, with scores.
+    pub answer: ScoredMask,
+    /// How likely each pixel is meant although the mask leaves it out, in [0, 1], one plane of the photo's size: what
+    /// the mask holds was pointed at, but where it ends is a guess. 0 in the mask.
+    pub open: Image,
+}
+
+impl Prompted {
+    /// A mask that leaves nothing open.
+    pub fn sure(answer: ScoredMask) -> Prompted {
+        let (width, height) = (answer.mask.width() as usize, answer.mask.height() as usize);
+        Prompted { answer, open: Image::zeros(width, height, 1) }
+    }
+}
+
 /// The mask a person's prompts mean.
 pub trait PromptSegmenter: Send + Sync {
     /// Names the model and its parameters.
@@ -75,8 +93,12 @@ pub trait PromptSegmenter: Send + Sync {
     fn accelerator(&self) -> bool {
         false
     }
+    /// The mask that the prompts mean, and what else they could mean.
+    fn prompted(&self, image: &Image, prompts: &Prompts) -> Result<Prompted, VisionError>;
     /// The mask that the prompts mean, with scores.
-    fn segment(&self, image: &Image, prompts: &Prompts) -> Result<ScoredMask, VisionError>;
+    fn segment(&self, image: &Image, prompts: &Prompts) -> Result<ScoredMask, VisionError> {
+        Ok(self.prompted(image, prompts)?.answer)
+    }
     /// Snaps a rough mask (a rendered selection, say) to the image's own boundaries. `certainty` has one
     /// number per pixel in [0, 1]: how likely the pixel belongs to the object.
     fn refine(&self, image: &Image, certainty: &Image) -> Result<ScoredMask, VisionError>;

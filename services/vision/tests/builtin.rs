@@ -65,6 +65,53 @@ fn a_click_gives_the_part_and_two_clicks_the_whole() {
     assert!(see.segment(&image, &fine).unwrap().mask.minus(&all).is_empty(), "levels nest");
 }
 
+/// A block before a wall, its right half in a shade: the photo, and both halves.
+fn half_shaded(shade: f32) -> (Image, Mask, Mask) {
+    let part = |x0, x1| Mask::from_fn(240, 180, |x, y| (x0..x1).contains(&x) && (50..130).contains(&y));
+    let (lit, shaded) = (part(70, 125), part(125, 170));
+    let mut image = Image::zeros(240, 180, 3);
+    for i in 0..240 * 180 {
+        let (x, y) = (i % 240, i / 240);
+        let (colour, light) = if lit.index(i) {
+            ([0.75, 0.6, 0.35], 1.0)
+        } else if shaded.index(i) {
+            ([0.75, 0.6, 0.35], shade)
+        } else {
+            ([0.45, 0.5, 0.6], 1.0)
+        };
+        for (c, colour) in colour.iter().enumerate() {
+            image.data[c * 240 * 180 + i] = (light * colour + 0.03 * noise(x, y, c)).clamp(0.0, 1.0);
+        }
+    }
+    (image, lit, shaded)
+}
+
+#[test]
+fn what_a_click_may_also_have_meant_is_left_open_until_somebody_says_no() {
+    let (image, lit, shaded) = half_shaded(0.65);
+    let wall = lit.or(&shaded).not();
+    let see = Builtin::new();
+    let ask = |points: &[(f32, f32, bool)]| {
+        let points = points.iter().map(|&(x, y, inside)| PointPrompt { x, y, inside }).collect();
+        let found = see.prompted(&image, &Prompts { points, ..Prompts::default() }).unwrap();
+        let (mask, open) = (found.answer.mask, found.open);
+        assert_eq!((open.width, open.height, open.channels), (240, 180, 1));
+        assert!((0..open.pixels()).all(|i| open.data[i] == 0.0 || !mask.index(i)), "open inside the mask");
+        let mean = |part: &Mask| {
+            let sum: f32 = part.pixels().map(|(x, y)| open.at(0, x as usize, y as usize)).sum();
+            sum / part.count() as f32
+        };
+        (mean(&shaded), mean(&wall), mask)
+    };
+    let (on_shaded, on_wall, mask) = ask(&[(100.0, 90.0, true)]);
+    assert!(mask.iou(&lit) > 0.95, "{}", mask.iou(&lit));
+    assert!(on_shaded > 0.2 && on_wall < 0.02, "{on_shaded} {on_wall}");
+    let (on_shaded, _, mask) = ask(&[(100.0, 90.0, true), (150.0, 90.0, false)]);
+    assert!(mask.iou(&lit) > 0.95 && on_shaded == 0.0, "refused: {on_shaded}");
+    let (_, _, mask) = ask(&[(100.0, 90.0, true), (150.0, 90.0, true)]);
+    assert!(mask.iou(&lit.or(&shaded)) > 0.95, "both: {}", mask.iou(&lit.or(&shaded)));
+}
+
 #[test]
 fn a_box_gives_what_it_holds() {
     let (image, top, base) = tower(240, 180, 1.0);

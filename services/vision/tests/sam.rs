@@ -106,8 +106,14 @@ fn a_click_gives_three_nested_masks_whatever_the_interface() {
             assert!(nested.iter().all(|m| m.stability > 0.9 && m.stability <= 1.0), "{what}");
         }
         // The mask that it scores highest is the answer to a click.
-        let answer = all.segmenter.segment(&image, &Prompts::click(40.0, 40.0)).unwrap();
+        let found = all.segmenter.prompted(&image, &Prompts::click(40.0, 40.0)).unwrap();
+        let answer = found.answer;
         is(&answer, &expected[1], what);
+        // The chance that its logits give a pixel, for those that it leaves out.
+        let fits =
+            |(i, p): (usize, &f32)| if answer.mask.index(i) { *p == 0.0 } else { (0.0..=0.5).contains(p) };
+        assert!(found.open.data.iter().enumerate().all(fits), "{what}");
+        assert!(found.open.data.iter().any(|p| *p > 0.0), "{what}");
         assert_eq!(answer.predicted_iou, 0.95, "{what}");
         for (granularity, expected) in [(0.0, &expected[0]), (0.5, &expected[1])] {
             let prompts = Prompts { granularity: Some(granularity), ..Prompts::click(40.0, 40.0) };

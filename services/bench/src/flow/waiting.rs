@@ -2,7 +2,9 @@
 //! a count of how often any provider is called.
 
 use segwild_scene::{Embedding, Image, Mask, Prompts, ScoredMask};
-use segwild_vision::{Embedder, MaskProposer, PromptSegmenter, Providers, SkyDetector, VisionError, Work};
+use segwild_vision::{
+    Embedder, MaskProposer, PromptSegmenter, Prompted, Providers, SkyDetector, VisionError, Work,
+};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
@@ -157,9 +159,9 @@ impl PromptSegmenter for Counted {
     fn accelerator(&self) -> bool {
         self.0.segmenter.accelerator()
     }
-    fn segment(&self, image: &Image, prompts: &Prompts) -> Result<ScoredMask, VisionError> {
+    fn prompted(&self, image: &Image, prompts: &Prompts) -> Result<Prompted, VisionError> {
         self.1.one();
-        self.0.segmenter.segment(image, prompts)
+        self.0.segmenter.prompted(image, prompts)
     }
     fn refine(&self, image: &Image, certainty: &Image) -> Result<ScoredMask, VisionError> {
         self.1.one();

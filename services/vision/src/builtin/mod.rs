@@ -25,7 +25,7 @@ mod tree;
 mod watershed;
 mod weights;
 
-use crate::{Embedder, MaskProposer, PromptSegmenter, SkyDetector, VisionError};
+use crate::{Embedder, MaskProposer, PromptSegmenter, Prompted, SkyDetector, VisionError};
 use analysis::Analysis;
 pub(crate) use analysis::check;
 pub(crate) use memory::{Memory, Weighed};
@@ -145,7 +145,7 @@ impl Builtin {
         image: &Image,
         prompts: &Prompts,
         hear: Option<&mut select::Listener>,
-    ) -> Result<ScoredMask, VisionError> {
+    ) -> Result<Prompted, VisionError> {
         let analysis = self.analysis(image)?;
         let (w, h) = (image.width as f32, image.height as f32);
         if let Some(p) = prompts.points.iter().find(|p| !(p.x >= 0.0 && p.y >= 0.0 && p.x < w && p.y < h)) {
@@ -161,10 +161,10 @@ impl Builtin {
             let key = blake3::Hasher::new().update(photo.as_bytes()).update(said).finalize();
             self.answers.slot(key)
         };
-        let answer =
-            select::select(&analysis, &prompts, Means { weights: &self.weights, kept: &kept, hear })?;
+        let found = select::select(&analysis, &prompts, Means { weights: &self.weights, kept: &kept, hear })?;
         self.answers.trim();
-        Ok(at_size_of(image, answer))
+        let open = found.open.resized(image.width, image.height);
+        Ok(Prompted { answer: at_size_of(image, found.answer), open })
     }
 
     /// The answer to prompts, and the question that the last of them asked; `None` where it agreed with what was chosen
@@ -185,7 +185,7 @@ impl Builtin {
                 meanings: offers.iter().map(meaning).collect(),
             });
         };
-        let answer = self.select(image, prompts, Some(&mut hear))?;
+        let answer = self.select(image, prompts, Some(&mut hear))?.answer;
         Ok((answer, last))
     }
 
@@ -319,7 +319,7 @@ impl PromptSegmenter for Builtin {
         self.name("segment")
     }
 
-    fn segment(&self, image: &Image, prompts: &Prompts) -> Result<ScoredMask, VisionError> {
+    fn prompted(&self, image: &Image, prompts: &Prompts) -> Result<Prompted, VisionError> {
         self.select(image, prompts, None)
     }
 

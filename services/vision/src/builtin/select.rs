@@ -14,8 +14,8 @@ use super::steps::{Chosen, Click, Offer, Rules, choose, cuts, held_together, off
 use super::traits::Step;
 use super::tree::Hierarchy;
 use super::weights::Weights;
-use crate::VisionError;
-use segwild_scene::{BoxPrompt, Prompts, ScoredMask};
+use crate::{Prompted, VisionError};
+use segwild_scene::{BoxPrompt, Image, Prompts, ScoredMask};
 use std::sync::Arc;
 
 /// Cost that no other outweighs.
@@ -165,15 +165,11 @@ pub(crate) struct Means<'a, 'h> {
 }
 
 /// The mask that prompts mean.
-pub(crate) fn select(
-    analysis: &Analysis,
-    prompts: &Prompts,
-    means: Means,
-) -> Result<ScoredMask, VisionError> {
+pub(crate) fn select(analysis: &Analysis, prompts: &Prompts, means: Means) -> Result<Prompted, VisionError> {
     let meant = Meant::read(&analysis.tree, prompts)?;
     let ground = Ground::of(analysis);
     Ok(match prompts.granularity {
-        Some(g) if !meant.positive.is_empty() => by_level(&ground, &meant, g),
+        Some(g) if !meant.positive.is_empty() => Prompted::sure(by_level(&ground, &meant, g)),
         _ => by_evidence(&ground, &meant, means),
     })
 }
@@ -267,12 +263,12 @@ fn by_level(ground: &Ground, meant: &Meant, granularity: f32) -> ScoredMask {
 }
 
 /// The prompts one after another. Every answer is the one that was given before the next prompt was added.
-fn by_evidence(ground: &Ground, meant: &Meant, mut means: Means) -> ScoredMask {
+fn by_evidence(ground: &Ground, meant: &Meant, mut means: Means) -> Prompted {
     let tree = &ground.analysis.tree;
     let open = |i: usize| meant.open(i);
     let nothing = vec![false; tree.leaves];
     let mut said = meant.bounds.map_or_else(Vec::new, |_| meant.boxes_said());
-    let mut answer = Arc::new(Chosen { set: nothing.clone(), expected: 0.0, alike: 0.0 });
+    let mut answer = Arc::new(Chosen::nothing(tree.leaves));
     // Boxes are taken together with the first click.
     let begun = usize::from(meant.bounds.is_some() && meant.clicks.is_empty());
     for k in 0..meant.clicks.len() + begun {
@@ -320,7 +316,7 @@ fn by_evidence(ground: &Ground, meant: &Meant, mut means: Means) -> ScoredMask {
                 next = whole;
             }
         }
-        answer = slot.get_or_init(|| Arc::new(next)).clone();
+        answer = slot.get_or_init(|| Arc::new(next.after(&answer))).clone();
     }
     let mut inside = answer.set.clone();
     (0..tree.leaves).filter(|&i| !meant.open(i)).for_each(|i| inside[i] = false);
@@ -328,10 +324,26 @@ fn by_evidence(ground: &Ground, meant: &Meant, mut means: Means) -> ScoredMask {
     if !inside.contains(&true) {
         meant.touched(tree).into_iter().for_each(|l| inside[l] = true);
     }
-    ScoredMask {
+    let mut open: Vec<f32> = answer.open.iter().map(|p| p.min(1.0)).collect();
+    (0..tree.leaves).filter(|&i| inside[i] || !meant.open(i)).for_each(|i| open[i] = 0.0);
+    meant.negative.iter().for_each(|click| close(ground, &mut open, click.leaf));
+    let open = tree.labels.iter().map(|&l| open[l as usize]).collect();
+    let open = Image { width: tree.width, height: tree.height, channels: 1, data: open };
+    let answer = ScoredMask {
         mask: tree.mask(&inside),
         predicted_iou: answer.expected.clamp(0.0, 1.0),
         stability: answer.alike.min(1.0),
+    };
+    Prompted { answer, open }
+}
+
+/// Takes away what is open around a superpixel and hangs together: somebody said that it is not meant.
+fn close(ground: &Ground, open: &mut [f32], leaf: u32) {
+    let mut stack = vec![leaf];
+    while let Some(i) = stack.pop() {
+        if std::mem::take(&mut open[i as usize]) > 0.0 {
+            stack.extend(&ground.around[i as usize]);
+        }
     }
 }
 

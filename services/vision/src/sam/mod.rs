@@ -16,7 +16,7 @@ mod refine;
 use crate::builtin::{Memory, Weighed, check, content};
 use crate::onnx::{Device, Model, Options, Runtime};
 use crate::registry::Pair;
-use crate::{Embedder, MaskProposer, PromptSegmenter, VisionError, VisionSettings, Work};
+use crate::{Embedder, MaskProposer, PromptSegmenter, Prompted, VisionError, VisionSettings, Work};
 pub(crate) use choice::chosen;
 use decoder::{Decoder, INSIDE, Query};
 use encoder::{Encoded, Encoder};
@@ -257,7 +257,7 @@ impl PromptSegmenter for Sam {
         self.device == Device::Cuda
     }
 
-    fn segment(&self, image: &Image, prompts: &Prompts) -> Result<ScoredMask, VisionError> {
+    fn prompted(&self, image: &Image, prompts: &Prompts) -> Result<Prompted, VisionError> {
         check(image)?;
         let groups = prompt::groups(image, prompts)?;
         let (encoded, photo) = self.encoded(image)?;
@@ -273,11 +273,17 @@ impl PromptSegmenter for Sam {
             });
         }
         let plane = plane.unwrap_or_else(|| vec![f32::NEG_INFINITY; image.pixels()]);
-        Ok(ScoredMask {
+        let answer = ScoredMask {
             mask: Mask::over(image.width as u32, image.height as u32, &plane, 0.0),
             predicted_iou: score,
             stability: stability(&plane, self.stability_offset),
-        })
+        };
+        let chance = |(i, logit): (usize, &f32)| {
+            if answer.mask.index(i) { 0.0 } else { 1.0 / (1.0 + (-logit).exp()) }
+        };
+        let data = plane.iter().enumerate().map(chance).collect();
+        let open = Image { width: image.width, height: image.height, channels: 1, data };
+        Ok(Prompted { answer, open })
     }
 
     fn refine(&self, image: &Image, certainty: &Image) -> Result<ScoredMask, VisionError> {
