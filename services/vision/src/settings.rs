@@ -26,7 +26,8 @@ segwild_scene::choice! {
 segwild_scene::choice! {
     /// How the sky is found.
     pub enum SkyChoice {
-        /// The sky network if its file is in the models' folder, else DeepLab if its is, else the built-in detector.
+        /// The built-in detector, over the edge network's boundaries where that is used: on `liberty` selections are better by it
+        /// than by the sky network.
         Auto = "auto",
         /// The built-in detector.
         Builtin = "builtin",
@@ -207,7 +208,10 @@ impl Providers {
                     SkyChoice::Auto if settings.models.is_empty() => {
                         " (colour and boundaries; no folder of models is set)"
                     }
-                    SkyChoice::Auto => " (colour and boundaries; there is no usable network)",
+                    SkyChoice::Auto => {
+                        " (colour and boundaries: what stands before the sky keeps its outline better than by a network; \
+                         `sky = \"network\"` takes one)"
+                    }
                     _ => " (asked for)",
                 };
                 notes.push(format!("sky: built-in detector{why}"));
@@ -268,31 +272,14 @@ fn sky(
     settings: &VisionSettings,
     notes: &mut Vec<String>,
 ) -> Result<Option<Arc<dyn SkyDetector>>, VisionError> {
-    let names: &[(&str, bool)] = match settings.sky {
-        SkyChoice::Auto => &[(SKY, false), (DEEPLAB, false)],
-        SkyChoice::Network => &[(SKY, true)],
-        SkyChoice::Deeplab => &[(DEEPLAB, true)],
-        SkyChoice::Builtin | SkyChoice::Geometry | SkyChoice::None => &[],
+    let name = match settings.sky {
+        SkyChoice::Network => SKY,
+        SkyChoice::Deeplab => DEEPLAB,
+        SkyChoice::Auto | SkyChoice::Builtin | SkyChoice::Geometry | SkyChoice::None => return Ok(None),
     };
-    for &(name, demanded) in names {
-        let Some(path) = file(settings, name, demanded)? else { continue };
-        let network =
-            Runtime::find_within(&settings.onnxruntime, settings.network_memory).and_then(|runtime| {
-                SkyNetwork::load(&runtime, &path, settings.network_threads, settings.sky_confidence)
-            });
-        match network {
-            Ok(network) => {
-                let why = match (settings.sky, name) {
-                    (SkyChoice::Auto, SKY) => " (first choice: it is made for skies)",
-                    (SkyChoice::Auto, _) => " (second choice: there is no usable sky network)",
-                    _ => " (asked for)",
-                };
-                notes.push(format!("sky: network {}{why}", path.display()));
-                return Ok(Some(Arc::new(network)));
-            }
-            Err(error) if demanded => return Err(error),
-            Err(error) => notes.push(format!("sky: {name} cannot be used: {error}")),
-        }
-    }
-    Ok(None)
+    let Some(path) = file(settings, name, true)? else { return Ok(None) };
+    let runtime = Runtime::find_within(&settings.onnxruntime, settings.network_memory)?;
+    let network = SkyNetwork::load(&runtime, &path, settings.network_threads, settings.sky_confidence)?;
+    notes.push(format!("sky: network {} (asked for)", path.display()));
+    Ok(Some(Arc::new(network)))
 }

@@ -45,6 +45,9 @@ fn networks_serve_when_they_are_given() {
     let all = Providers::from_settings(&settings).unwrap();
     assert!(all.notes.iter().any(|n| n.starts_with("boundaries: network")), "{:?}", all.notes);
     assert!(all.embedder.key().contains("+edges-"), "the network is part of every key");
+    // Selections are better by the built-in detector's skies, and somebody who has the network is told how to take it.
+    let told = |n: &String| n.starts_with("sky: built-in detector") && n.contains("network");
+    assert!(all.notes.iter().any(told), "{:?}", all.notes);
     let image = photo();
     // A box beside the click: the network's soft outline leaves a click alone several shapes to choose from.
     let corners = segwild_scene::BoxPrompt { x0: 27.0, y0: 17.0, x1: 63.0, y1: 63.0 };
@@ -55,6 +58,7 @@ fn networks_serve_when_they_are_given() {
     assert!(mask.iou(&square) > 0.85, "{}", mask.iou(&square));
     for sky in [SkyChoice::Network, SkyChoice::Deeplab] {
         let these = Providers::from_settings(&VisionSettings { sky, ..settings.clone() }).unwrap();
+        assert!(these.notes.iter().any(|n| n.starts_with("sky: network")), "{:?}", these.notes);
         let mask = these.sky.sky(&image).unwrap();
         assert_eq!((mask.width(), mask.height()), (100, 75));
         assert!(!mask.at(45.0, 55.0), "{sky}: the square's foot is no sky");
