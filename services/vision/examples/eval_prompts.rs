@@ -10,12 +10,11 @@ mod common;
 
 use common::{
     Manifest, Object, Outcome, THE_ONE, beside, box_of, correction, cpu, mean, most_interior, option,
-    overlay, two_clicks,
+    overlay, provider, two_clicks,
 };
 use segwild_scene::{Image, Mask, MaskSet, Prompts, ScoredMask};
-use segwild_vision::{Builtin, EdgeNetwork, MaskProposer, PromptSegmenter, Runtime};
+use segwild_vision::{Builtin, MaskProposer, PromptSegmenter};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 /// Granularities that are asked for.
 const LEVELS: [f32; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
@@ -199,17 +198,7 @@ fn main() -> Outcome<()> {
         }
         Err(_) => (Vec::new(), folder.clone()),
     };
-    let see = match option("--models") {
-        Some(models) => {
-            let runtime = Runtime::find("")?;
-            Builtin::with_edges(Arc::new(EdgeNetwork::load(
-                &runtime,
-                &Path::new(&models).join("edges_bsds.onnx"),
-                1,
-            )?))
-        }
-        None => Builtin::new(),
-    };
+    let see = provider()?;
     let mut files: Vec<PathBuf> =
         std::fs::read_dir(&photos)?.map(|e| e.map(|e| e.path())).collect::<Result<_, _>>()?;
     files.sort();

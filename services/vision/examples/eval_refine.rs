@@ -1,15 +1,15 @@
 //! How well a rough selection is snapped to the photo: true masks are spoiled as a guess carried over from other photos
 //! is, and given to `refine`.
 //!
-//! `cargo run -p segwild-vision --example eval_refine -- DIR [--every 2] [--skip 1] [--long 320] [--object NAME]`; DIR is a
-//! synthetic set or a folder with `images` and `truth/STEM.png`, as `liberty`.
+//! `cargo run -p segwild-vision --example eval_refine -- DIR [--every 2] [--skip 1] [--long 320] [--object NAME]
+//! [--models DIR]`; DIR is a synthetic set or a folder with `images` and `truth/STEM.png`, as `liberty`.
 
 #[allow(dead_code, reason = "the examples share it, none uses all of it")]
 mod common;
 
-use common::{Outcome, cpu, known, mean, option};
+use common::{Outcome, cpu, known, mean, option, provider};
 use segwild_scene::{Image, Mask};
-use segwild_vision::{Builtin, PromptSegmenter};
+use segwild_vision::PromptSegmenter;
 use std::path::PathBuf;
 
 /// Ways to spoil a mask.
@@ -89,7 +89,7 @@ fn main() -> Outcome<()> {
     let skip: usize = option("--skip").map_or(Ok(0), |t| t.parse())?;
     let long: f32 = option("--long").map_or(Ok(320.0), |t| t.parse())?;
     let object = option("--object");
-    let see = Builtin::new();
+    let see = provider()?;
     let mut rows = vec![Vec::new(); WAYS.len()];
     let (mut seconds, mut count) = (0.0, 0);
     for photo in known(&folder, long)?.into_iter().skip(skip).step_by(every.max(1)) {

@@ -1,7 +1,9 @@
 //! What the measurements share: clicks that a person would make, pictures, means.
 
 use segwild_scene::{BoxPrompt, Image, Mask, PointPrompt};
+use segwild_vision::{Builtin, EdgeNetwork, Runtime};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// An outcome of an example.
 pub type Outcome<T> = Result<T, Box<dyn std::error::Error>>;
@@ -11,6 +13,13 @@ pub fn option(name: &str) -> Option<String> {
     let mut args = std::env::args();
     args.find(|a| a == name)?;
     args.next()
+}
+
+/// The built-in provider, with the edge network of the folder after `--models` if there is one.
+pub fn provider() -> Outcome<Builtin> {
+    let Some(models) = option("--models") else { return Ok(Builtin::new()) };
+    let file = Path::new(&models).join("edges_bsds.onnx");
+    Ok(Builtin::with_edges(Arc::new(EdgeNetwork::load(&Runtime::find("")?, &file, 1)?)))
 }
 
 /// The pixel of the mask farthest from everything else.
