@@ -1,0 +1,7 @@
+//! Every integration test of the crate in one program: it links once.
+
+mod dataflow;
+mod objects;
+mod places;
+mod protocols;
+mod synthetic;

@@ -1,0 +1,46 @@
+//! `segwild bench`: what it says where data is missing, and what it leaves.
+
+use crate::common::*;
+
+#[test]
+fn benchmarks_without_their_data_say_what_to_put_where() {
+    let dir = folder();
+    let (none, out) = (show(&dir.path().join("none")), show(&dir.path().join("out")));
+    let bench = |args: &[&str], code, words: &[&str]| {
+        let all: Vec<&str> = ["bench"].iter().chain(args).chain(&["--out", &out]).copied().collect();
+        refuses(&all, code, words);
+    };
+    bench(&["photo-tourism", &none], 3, &["Brandenburg Gate", "taj_mahal", "truth/lintel/PHOTO.png"]);
+    bench(&["nvos", &none], 3, &["scribbles", "pos_*.png"]);
+    bench(&["spin-nerf", &none], 3, &["ROOT/SCENE/label"]);
+    bench(&["folder", &none], 3, &["none"]);
+    bench(&["synthetic", "--only", "no-such-row"], 2, &["no-such-row"]);
+    bench(&["synthetic", "--seeds", "one"], 2, &["--seeds one", "whole numbers"]);
+    bench(&["synthetic", "--change", "tau=7"], 2, &["-1 to 1"]);
+}
+
+#[test]
+fn a_table_of_rivals_is_printed_kept_and_written_as_a_page() {
+    let dir = folder();
+    let (out, page) = (show(dir.path()), dir.path().join("page.md"));
+    let bench = |row: &str, more: &[&str]| {
+        let small = ["--photos", "6", "--pixels", "80", "--steps", "40", "--refine-steps", "0"];
+        let rest = ["--prompt-budget", "8", "--seeds", "5", "--only", row, "--out", &out];
+        let start = ["bench", "synthetic", "--table", "rivals"];
+        let all: Vec<&str> = start.iter().chain(&small).chain(&rest).chain(more).copied().collect();
+        works(&all)
+    };
+    let said = bench("gs-w", &[]);
+    assert!(said.contains("| gs-w | paper | 0.803 |") && said.contains("| gs-w | here |"), "{said}");
+    let said = bench("flashsplat-one", &["--keep", "--page", &show(&page)]);
+    assert!(said.contains("| gs-w | here |") && said.contains("| flashsplat-one | here |"), "{said}");
+    let text = std::fs::read_to_string(&page).expect("a page");
+    assert!(text.contains("--only gs-w") && text.contains("--only flashsplat-one"), "what made it: {text}");
+    assert!(!text.contains("--page") && text.contains("cores"), "{text}");
+    let file = dir.path().join("results.json");
+    // The same tables from the results alone, without measuring again.
+    assert_eq!(works(&["bench", "tables", &show(&file), "--title", "Synthetic places"]), text);
+    let results = json(&std::fs::read(file).expect("results"));
+    let records = results["records"].as_array().expect("records");
+    assert!(records.len() >= 2 && records.iter().all(|r| r["numbers"]["iou"].is_number()), "{results}");
+}

@@ -1,0 +1,210 @@
+//! The cache of a run: damaged artefacts, listing, sweeping, a limit.
+
+use crate::common::*;
+use std::path::Path;
+
+#[test]
+fn a_damaged_artefact_is_made_again() {
+    let dir = folder();
+    let run = copied_run(&dir);
+    let (said, _) = completes(&again(&run, &["--fault", "corrupt@cache.read:5", "--json"]));
+    let summary = said.lines().last().expect("a summary");
+    assert!(summary.contains("\"made\":1,"), "{summary}");
+    same_as_untouched(&run);
+}
+
+#[test]
+fn the_cache_is_listed_verified_and_swept() {
+    let dir = folder();
+    let path = copied_run(&dir);
+    let run = show(&path);
+    completes(&again(&path, &["--prompt-budget", "30"]));
+    let list = works(&["cache", "ls", &run]);
+    assert!(list.contains("masks") && list.contains("8 (") && list.contains("of other settings"), "{list}");
+    assert!(works(&["cache", "verify", &run]).contains("0 damaged"));
+    let dry = works(&["cache", "gc", &run, "--dry-run"]);
+    let done = works(&["cache", "gc", &run]);
+    assert_eq!(dry.split(',').next(), done.split(',').next());
+    assert!(!works(&["cache", "ls", &run]).contains("other settings"));
+    // What is used stays: nothing is made again.
+    let (said, _) = completes(&again(&path, &["--prompt-budget", "30", "--json"]));
+    assert!(said.lines().last().is_some_and(|l| l.contains("\"made\":0,")), "{said}");
+
+    let shelves = std::fs::read_dir(path.join("cache/masks.d")).expect("masks").flatten();
+    let mut files = shelves.flat_map(|shelf| std::fs::read_dir(shelf.path()).expect("a shelf").flatten());
+    let file = files.next().expect("a file").path();
+    let mut bytes = std::fs::read(&file).expect("bytes");
+    *bytes.last_mut().expect("a byte") ^= 1;
+    std::fs::write(&file, bytes).expect("it is written");
+    refuses(&["cache", "verify", &run], 6, &["1 of", "damaged", "makes them anew"]);
+    let (said, _) = completes(&again(&path, &["--prompt-budget", "30", "--json"]));
+    assert!(said.lines().last().is_some_and(|l| l.contains("\"made\":1,")), "{said}");
+    // A run may sweep behind itself.
+    completes(&again(&path, &["--prompt-budget", "31"]));
+    let (_, told) = completes(&again(&path, &["--prompt-budget", "31", "--cache-limit", "1"]));
+    let bytes: u64 = works(&["cache", "ls", &run, "--json"])
+        .split("\"bytes\":")
+        .skip(1)
+        .filter_map(|t| t.split(',').next()?.parse::<u64>().ok())
+        .sum();
+    assert!(bytes <= 1 << 20 || told.contains("left the cache"), "{bytes} {told}");
+}
+
+/// Bytes of a run's cache: all, and those that the run uses as it stands.
+fn held(run: &Path) -> (u64, u64) {
+    let lines = lines(&works(&["cache", "ls", &show(run), "--json"]));
+    let sum = |field: &str| {
+        lines.iter().map(|line| line[field].as_u64().unwrap_or_else(|| panic!("no {field}: {line}"))).sum()
+    };
+    (sum("bytes"), sum("used_bytes"))
+}
+
+#[test]
+fn a_cache_limit_smaller_than_the_run_takes_nothing_that_the_run_needs_and_all_else() {
+    let dir = folder();
+    let run = copied_run(&dir);
+    let (_, needed) = held(&run);
+    // Other settings of every stage leave artefacts behind: of the training, the masks, the field.
+    for other in [["--steps", "50"], ["--prompt-budget", "30"], ["--refine-steps", "5"], ["--until", "70"]] {
+        completes(&again(&run, &other));
+    }
+    let (all, _) = held(&run);
+    assert!(all > needed + (1 << 20), "the others left {} bytes beside {needed}", all - needed);
+    completes(&again(&run, &["--cache-limit", "1"]));
+    let (all, used) = held(&run);
+    assert_eq!(used, needed, "what the run needs is there, and counted as such");
+    assert!(all <= (1 << 20).max(needed), "{all} bytes are left of a limit of 1 MiB");
+    has_what_an_untouched_run_has(&run);
+    let (said, _) = completes(&again(&run, &["--cache-limit", "1", "--json"]));
+    assert_eq!(made(&said), 0, "{said}");
+    // Swept of everything else, nothing is missing either.
+    works(&["cache", "gc", &show(&run)]);
+    same_as_untouched(&run);
+    let (said, _) = completes(&again(&run, &["--json"]));
+    assert_eq!(made(&said), 0, "{said}");
+}
+
+#[test]
+fn a_run_under_a_cache_limit_from_its_start_ends_in_the_same_bytes_also_when_it_is_killed() {
+    let dir = folder();
+    let run = dir.path().join("run");
+    let limited = |more: &[&str]| again(&run, &[&["--cache-limit", "1"], more].concat());
+    for fault in ["kill@masks.handle:14", "kill@features.step:9"] {
+        assert_eq!(output(&limited(&["--fault", fault])).status.code(), None, "{fault}");
+    }
+    completes(&limited(&[]));
+    same_as_untouched(&run);
+}
+
+#[test]
+fn sweeping_keeps_the_checkpoints_of_a_training_that_went_past_its_steps() {
+    let dir = folder();
+    let run = dir.path().join("run");
+    completes(&again(&run, &["--until", "80"]));
+    works(&["cache", "gc", &show(&run)]);
+    let (_, told) = completes(&again(&run, &["--until", "100"]));
+    assert!(told.contains("goes on from step 80"), "{told}");
+}
+
+/// Damages the first artefact of a kind.
+fn damage(run: &Path, kind: &str) {
+    let shelves = std::fs::read_dir(run.join(format!("cache/{kind}.d"))).expect("artefacts").flatten();
+    let mut files = shelves.flat_map(|shelf| std::fs::read_dir(shelf.path()).expect("a shelf").flatten());
+    let file = files.next().expect("a file").path();
+    let mut bytes = std::fs::read(&file).expect("bytes");
+    *bytes.last_mut().expect("a byte") ^= 1;
+    std::fs::write(&file, bytes).expect("it is written");
+}
+
+#[test]
+fn damage_of_any_kind_is_said_once_and_made_anew() {
+    for kind in ["sky", "embedding", "masks", "visibility", "geometry", "snapshot", "history", "features"] {
+        let dir = folder();
+        let run = copied_run(&dir);
+        damage(&run, kind);
+        let (_, told) = completes(&again(&run, &[]));
+        assert_eq!(told.matches(&format!("the cache's {kind} record")).count(), 1, "{kind}: {told}");
+        assert!(told.contains("its hash does not fit its bytes): it is made anew"), "{kind}: {told}");
+        assert!(!told.contains("failed"), "{kind}: {told}");
+        same_as_untouched(&run);
+    }
+}
+
+#[test]
+fn masks_that_were_damaged_and_cannot_be_made_again_end_the_run_and_change_nothing() {
+    let dir = folder();
+    let run = copied_run(&dir);
+    damage(&run, "masks");
+    let output = output(&again(&run, &["--fault", "fail@masks.make:1+"]));
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(4), "{said}");
+    assert!(said.contains("damaged in the cache and cannot be made again"), "{said}");
+    let name = Path::new("features.bin");
+    assert_eq!(results(&run)[name], results(&place().run)[name]);
+    completes(&again(&run, &[]));
+    same_as_untouched(&run);
+}
+
+#[test]
+fn an_input_of_the_field_that_is_torn_when_it_is_read_is_made_anew() {
+    let dir = folder();
+    let mut said = Vec::new();
+    // Over all reads of a run that has everything but the field.
+    for read in (12..84).step_by(6) {
+        let run = dir.path().join(read.to_string());
+        copy_folder(&place().run, &run);
+        std::fs::remove_dir_all(run.join("cache/features.d")).expect("it goes");
+        let (_, told) = completes(&again(&run, &["--fault", &format!("torn@cache.read:{read}")]));
+        let name = Path::new("features.bin");
+        assert_eq!(results(&run)[name], results(&place().run)[name], "read {read}: {told}");
+        said.extend(told.lines().filter(|line| line.contains("made anew")).map(str::to_owned));
+        // What the report found damaged, the next run makes.
+        completes(&again(&run, &[]));
+        same_as_untouched(&run);
+    }
+    assert!(said.len() >= 8, "{said:#?}");
+}
+
+#[test]
+fn a_photo_that_cannot_be_compared_with_the_scene_is_left_out_and_tried_again() {
+    let dir = folder();
+    let run = dir.path().join("run");
+    let faults = [3, 4, 5].map(|n| format!("fail@visibility.photo:{n}"));
+    let faults: Vec<&str> = faults.iter().flat_map(|fault| ["--fault", fault]).collect();
+    let (_, told) = completes(&again(&run, &faults));
+    assert_eq!(told.matches("visibility photo").count(), 1, "{told}");
+    let name = Path::new("features.bin");
+    assert_ne!(results(&run)[name], results(&place().run)[name], "a photo less changes something");
+    let args = again(&run, &["--explain"]);
+    let plan = works(&args.iter().map(String::as_str).collect::<Vec<_>>());
+    assert!(plan.contains("given up before and tried again: visibility of"), "{plan}");
+    completes(&again(&run, &[]));
+    has_what_an_untouched_run_has(&run);
+    // An error that passes costs an attempt.
+    let other = dir.path().join("other");
+    completes(&again(&other, &["--fault", "fail@visibility.photo:3"]));
+    same_as_untouched(&other);
+}
+
+#[test]
+fn a_photo_that_cannot_be_scored_or_drawn_is_named_and_the_others_go_on() {
+    let dir = folder();
+    let run = dir.path().join("run");
+    let faults =
+        ["evaluate.photo:1", "evaluate.photo:2", "evaluate.photo:3", "report.picture:2", "report.picture:3"];
+    let faults = faults.map(|fault| format!("fail@{fault}"));
+    let faults: Vec<&str> = faults.iter().flat_map(|fault| ["--fault", fault]).collect();
+    let (_, told) = completes(&again(&run, &faults));
+    assert!(told.contains("is not scored: a fault on purpose"), "{told}");
+    assert!(told.contains("is not shown whole in the report"), "{told}");
+    let scores = json(&std::fs::read(run.join("evaluation.json")).expect("scores"));
+    assert_eq!(scores["photos"].as_array().map(Vec::len), Some(1), "{scores}");
+    let args = again(&run, &["--explain"]);
+    let plan = works(&args.iter().map(String::as_str).collect::<Vec<_>>());
+    assert!(plan.contains("given up before and tried again: evaluate of"), "{plan}");
+    completes(&again(&run, &[]));
+    same_as_untouched(&run);
+    let other = dir.path().join("other");
+    completes(&again(&other, &["--fault", "fail@evaluate.photo:1", "--fault", "fail@report.picture:2"]));
+    same_as_untouched(&other);
+}

@@ -1,0 +1,273 @@
+//! The program as a person meets it: whole runs on a small synthetic place, and every kind of bad input, with the
+//! sentence and the exit code that were promised.
+
+use crate::common::*;
+use std::path::Path;
+use std::process::Command;
+
+#[test]
+fn a_run_leaves_what_other_tools_open() {
+    let place = place();
+    for file in [
+        "segwild.toml",
+        "scene.json",
+        "scene.ply",
+        "model.bin",
+        "features.bin",
+        "report.html",
+        "evaluation.json",
+    ] {
+        assert!(place.run.join(file).is_file(), "{file} is missing");
+    }
+    let splats = segwild_scene::ply::read(&place.run.join("scene.ply")).expect("the scene opens");
+    assert!(splats.len() > 100);
+    let report = std::fs::read_to_string(place.run.join("report.html")).expect("a report");
+    assert!(
+        report.contains("data:image/jpeg;base64,") && !report.contains("src=\"http"),
+        "one self-contained file"
+    );
+    let said = works(&["eval", &show(&place.run)]);
+    assert!(said.contains("dB") && said.contains("left half"), "{said}");
+    let status = works(&["status", &show(&place.run), "--json"]);
+    let status: serde_json::Value = serde_json::from_str(&status).expect("JSON");
+    assert_eq!(status["running"], false);
+    assert!(status["stages"].as_array().expect("stages").iter().all(|s| s["state"] == "done"), "{status}");
+}
+
+#[test]
+fn a_second_run_does_no_work_twice() {
+    let dir = folder();
+    let run = copied_run(&dir);
+    let scene = show(&place().scene);
+    let model = std::fs::read(run.join("model.bin")).expect("a model");
+    let said = works(&["run", &scene, "--out", &show(&run), "--json"]);
+    let summary = said.lines().find(|l| l.contains("\"summary\"")).expect("a summary line");
+    let summary: serde_json::Value = serde_json::from_str(summary).expect("JSON");
+    assert_eq!(summary["summary"]["made"], 0, "{summary}");
+    assert!(summary["summary"]["cached"].as_u64() > Some(8), "{summary}");
+    assert_eq!(std::fs::read(run.join("model.bin")).expect("a model"), model);
+    // A setting of the last stages leaves the geometry alone.
+    let said = works(&["run", &scene, "--out", &show(&run), "--json", "--channels", "16"]);
+    let skipped = said.lines().filter(|l| l.contains("stage_skipped")).collect::<Vec<_>>().join("\n");
+    assert!(skipped.contains("geometry") && !skipped.contains("features"), "{said}");
+    assert_eq!(std::fs::read(run.join("model.bin")).expect("a model"), model);
+}
+
+#[test]
+fn a_killed_run_ends_in_the_same_bytes() {
+    let dir = folder();
+    let run = show(&dir.path().join("run"));
+    let scene = show(&place().scene);
+    let args = [&["run", &scene, "--out", &run, "--checkpoint-every", "1"][..], &QUICK].concat();
+    let Guarded(child) = &mut in_background(&args);
+    // Killed once the training has begun, wherever it is then.
+    let history = dir.path().join("run/history.jsonl");
+    while child.try_wait().expect("a child").is_none() {
+        if std::fs::read_to_string(&history).is_ok_and(|t| !t.is_empty()) {
+            child.kill().expect("it can be killed");
+        }
+        std::thread::yield_now();
+    }
+    works(&args);
+    for file in ["model.bin", "features.bin"] {
+        let bytes = |run: &Path| std::fs::read(run.join(file)).expect("it is there");
+        assert!(bytes(Path::new(&run)) == bytes(&place().run), "{file} depends on the interruption");
+    }
+}
+
+#[test]
+fn clicks_become_an_object_that_can_be_drawn_scored_and_replayed() {
+    let dir = folder();
+    let path = copied_run(&dir);
+    let run = show(&path);
+    let manifest = &place().manifest;
+    let (name, click) = manifest
+        .objects
+        .iter()
+        .filter(|o| o.name != "ground" && !o.clicks.is_empty())
+        .flat_map(|o| o.clicks.iter().map(move |c| (&o.name, c)))
+        .max_by_key(|(_, c)| c.visible)
+        .expect("an object that shows");
+    let at = format!("{},{}", click.x, click.y);
+    works(&["segment", &run, "--photo", &click.photo, "--in", &at, "--name", "thing"]);
+    let thing = path.join("selections/thing");
+    let object = segwild_scene::ply::read(&thing.join("object.ply")).expect("the object opens");
+    let labels = segwild_scene::ply::read_extra(&thing.join("labels.ply"), "label").expect("it opens");
+    let labels = labels.expect("it has labels");
+    assert_eq!(labels.iter().filter(|&&l| l == 1).count(), object.len());
+    assert!(labels.len() > object.len());
+    assert_eq!(std::fs::read_dir(thing.join("masks")).expect("masks").count(), 10, "one mask per photo");
+
+    // The file holds how they were used as well as the clicks.
+    let other = ["--tau", "0.3", "--propagate", "0", "--spikes", "off", "--evidence-mode", "centre"];
+    let click_again = ["segment", &run, "--photo", &click.photo, "--in", &at, "--name", "other"];
+    works(&[&click_again[..], &other].concat());
+    let read = |name: &str| {
+        let file = path.join("selections").join(name).join("object.ply");
+        segwild_scene::ply::read(&file).expect("it opens")
+    };
+    assert!(read("other") != object, "other settings select other splats");
+    for (name, object) in [("thing", object), ("other", read("other"))] {
+        let prompts = show(&path.join("selections").join(name).join("prompts.json"));
+        works(&["segment", &run, "--prompts", &prompts, "--name", "again"]);
+        assert!(read("again") == object, "{name}: the same prompts select the same splats");
+        refuses(&["segment", &run, "--prompts", &prompts, "--photo", "a", "--in", "1,1"], 2, &["--prompts"]);
+    }
+
+    let truth = show(&place().scene.join("truth").join(name));
+    assert!(works(&["eval", &run, "--truth", &truth, "--selection", "thing"]).contains("mean"));
+    // One true mask that cannot be read costs that photo alone.
+    let copy = dir.path().join("truth");
+    std::fs::create_dir(&copy).expect("a folder");
+    for (k, file) in std::fs::read_dir(&truth).expect("masks").enumerate() {
+        let file = file.expect("a mask");
+        let to = copy.join(file.file_name());
+        if k == 0 { std::fs::write(to, b"no PNG").map(|()| 0) } else { std::fs::copy(file.path(), to) }
+            .expect("a copy");
+    }
+    let output = segwild(&["eval", &run, "--truth", &show(&copy), "--selection", "thing"]);
+    assert!(output.status.success() && text(&output.stderr).contains("this photo does not count"));
+    let out = show(&dir.path().join("pictures"));
+    let only =
+        ["render", &run, "--photo", &click.photo, "--selection", "thing", "--mode", "only", "--out", &out];
+    let picture = segwild_scene::Image::read(Path::new(works(&only).trim())).expect("a picture");
+    assert_eq!(picture.width.max(picture.height), 96);
+    let photos: Vec<&str> = manifest.photos.iter().take(2).map(|p| p.name.as_str()).collect();
+    let path = ["render", &run, "--photo", photos[0], "--photo", photos[1], "--frames", "3", "--out", &out];
+    assert_eq!(works(&path).lines().count(), 3);
+    for what in ["depth", "alpha", "features"] {
+        works(&["render", &run, "--photo", photos[0], "--what", what, "--look", photos[1], "--out", &out]);
+    }
+}
+
+#[test]
+fn bad_clicks_are_answered_in_words() {
+    let run = show(&place().run);
+    let photo = place().manifest.photos[0].name.as_str();
+    refuses(
+        &["segment", &run, "--photo", "nobody.png", "--in", "1,1"],
+        2,
+        &["no photo `nobody.png`", "10 photos"],
+    );
+    refuses(&["segment", &run, "--photo", photo, "--in", "1;1"], 2, &["--in 1;1", "2 numbers"]);
+    refuses(&["segment", &run, "--photo", photo, "--in", "nan,1"], 2, &["2 numbers"]);
+    refuses(&["segment", &run, "--in", "1,1"], 2, &["before --photo"]);
+    refuses(&["segment", &run, "--photo", photo], 2, &["nothing is prompted"]);
+    refuses(&["segment", &run, "--photo", photo, "--in", "9999,3"], 2, &["outside", photo]);
+    refuses(
+        &["segment", &run, "--photo", photo, "--in", "1,1", "--name", "../x"],
+        2,
+        &["cannot name a selection"],
+    );
+    refuses(&["render", &run, "--selection", "none-such"], 2, &["no selection named `none-such`"]);
+    refuses(&["segment", &run, "--photo", photo, "--out", "3,3"], 2, &["where it is"]);
+    refuses(&["segment", &run, "--photo", photo, "--in", "3,3", "--out", "3,3"], 2, &["inside and outside"]);
+    refuses(&["segment", &run, "--photo", photo, "--in", "3,3", "--granularity", "nan"], 2, &["0 to 1"]);
+    refuses(&["eval", &run, "--truth", "/nowhere"], 2, &["no selection named `object`"]);
+    // Who asked for JSON is told in JSON, too.
+    let output = segwild(&["eval", &run, "--truth", "/nowhere", "--json"]);
+    let told = json(&output.stdout);
+    assert_eq!(told["exit_code"], 2);
+    assert!(told["error"].as_str().is_some_and(|e| e.contains("no selection")), "{told}");
+}
+
+#[test]
+fn bad_scenes_are_answered_in_words() {
+    let dir = folder();
+    let out = show(&dir.path().join("out"));
+    refuses(&["run", "/nowhere/at/all", "--out", &out], 3, &["/nowhere/at/all"]);
+    let empty = dir.path().join("empty");
+    std::fs::create_dir(&empty).expect("a folder");
+    refuses(&["run", &show(&empty), "--out", &out], 3, &["looked for", "COLMAP", "transforms.json"]);
+
+    let cut = dir.path().join("cut");
+    copy_folder(&place().scene, &cut);
+    let images = cut.join("sparse/0/images.bin");
+    let bytes = std::fs::read(&images).expect("a file");
+    std::fs::write(&images, &bytes[..bytes.len() / 2]).expect("it is written");
+    refuses(&["run", &show(&cut), "--out", &out], 3, &["images.bin", "cut short", "byte"]);
+
+    let none = dir.path().join("none");
+    copy_folder(&place().scene, &none);
+    std::fs::remove_dir_all(none.join("images")).expect("it goes");
+    std::fs::create_dir(none.join("images")).expect("a folder");
+    refuses(&["run", &show(&none), "--out", &out], 3, &["nothing usable"]);
+}
+
+#[test]
+fn one_bad_photo_is_skipped_by_name_and_the_rest_goes_on() {
+    let place = place();
+    let dir = folder();
+    let scene = dir.path().join("scene");
+    copy_folder(&place.scene, &scene);
+    let names: Vec<&str> =
+        place.manifest.photos.iter().filter(|p| !p.test).map(|p| p.name.as_str()).collect();
+    std::fs::remove_file(scene.join("images").join(names[0])).expect("it goes");
+    std::fs::write(scene.join("images").join(names[1]), b"this is no picture").expect("it is written");
+    let out = show(&dir.path().join("out"));
+    let said = works(&[&["run", &show(&scene), "--out", &out, "--until", "geometry"][..], &QUICK].concat());
+    for name in &names[..2] {
+        assert!(
+            said.lines().any(|l| l.starts_with("photo") && l.contains(name) && l.contains("left out")),
+            "{name} is not named: {said}"
+        );
+    }
+}
+
+#[test]
+fn bad_settings_are_answered_in_words() {
+    let scene = show(&place().scene);
+    let dir = folder();
+    let out = show(&dir.path().join("out"));
+    refuses(&["run", &scene, "--out", &out, "--steps", "many"], 2, &["`many` does not fit `steps`"]);
+    refuses(&["run", &scene, "--out", &out, "--preset", "fast"], 2, &["draft", "standard", "best"]);
+    let file = dir.path().join("my.toml");
+    std::fs::write(&file, "[train]\nstpes = 3\n").expect("it is written");
+    refuses(&["run", &scene, "--out", &out, "--config", &show(&file)], 2, &["my.toml", "stpes"]);
+    refuses(&["run", &scene, "--out", &out, "--models", "/nowhere"], 3, &["/nowhere"]);
+}
+
+#[test]
+fn a_folder_that_is_no_run_is_said_to_be_none() {
+    let dir = folder();
+    for command in ["segment", "render", "eval", "status"] {
+        refuses(
+            &[command, &show(dir.path()), "--photo", "a"][..if command == "segment" { 4 } else { 2 }],
+            6,
+            &["no run folder", "segwild run"],
+        );
+    }
+}
+
+#[test]
+fn a_damaged_model_is_named() {
+    let dir = folder();
+    let run = copied_run(&dir);
+    let bytes = std::fs::read(run.join("model.bin")).expect("a model");
+    std::fs::write(run.join("model.bin"), &bytes[..bytes.len() - 9]).expect("it is written");
+    refuses(&["render", &show(&run)], 6, &["model.bin", "run again"]);
+}
+
+#[test]
+fn the_settings_page_is_up_to_date() {
+    let page = works(&["doctor", "--settings"]);
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/settings.md");
+    let kept = std::fs::read_to_string(&file).unwrap_or_default();
+    assert!(
+        page.trim() == kept.trim(),
+        "docs/settings.md is out of date: `segwild doctor --settings > docs/settings.md`"
+    );
+}
+
+#[test]
+fn a_reader_that_goes_away_is_no_error() {
+    let mut child = Command::new(env!("CARGO_BIN_EXE_segwild"))
+        .args(["doctor", "--settings"])
+        .stdout(std::process::Stdio::piped())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    drop(child.stdout.take());
+    let output = child.wait_with_output().expect("it ends");
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+}

@@ -1,0 +1,20 @@
+//! Every integration test of the crate in one program: it links once.
+
+mod common;
+
+mod bench;
+mod cache;
+mod charts;
+mod cli;
+mod depends;
+mod disk;
+mod kills;
+mod looks;
+mod operators;
+mod photos;
+mod resume;
+mod sam_runs;
+mod skies;
+mod strangers;
+mod stuck;
+mod traces;

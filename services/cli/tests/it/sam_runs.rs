@@ -1,0 +1,105 @@
+//! A run by networks of the SAM family: its masks, its embeddings and a click into it; what is kept, and what is made anew
+//! when a file changes. The networks are small ones of the same interfaces.
+
+#[path = "../../../vision/tests/toy/mod.rs"]
+mod toy;
+
+use crate::common::*;
+use toy::{Decoder, Fault, SAM, Takes, can_run, decoder, encoder};
+
+#[test]
+fn a_run_by_sam_is_whole_kept_and_made_anew_when_a_file_changes() {
+    if !can_run("a_run_by_sam_is_whole_kept_and_made_anew_when_a_file_changes") {
+        return;
+    }
+    let dir = folder();
+    let (models, run) = (dir.path().join("models"), dir.path().join("run"));
+    toy::write_usual(&models);
+    let models_flag = show(&models);
+    let args = again(&run, &["--models", &models_flag, "--json"]);
+    let (said, _) = completes(&args);
+    assert!(said.contains("masks, clicks and refinement: SAM"), "{said}");
+    assert!(said.contains("descriptors: SAM"), "{said}");
+    // 8 photos of a sky, an embedding and masks each, and the skies of 2 that are held out.
+    assert_eq!(made(&said), 26, "{said}");
+    // 8 photos and 8 renders were encoded; 8 times the budget's prompts answered, at most.
+    let told = said.lines().find(|l| l.contains("pictures encoded")).expect("the speed is told");
+    assert!(told.contains("16 pictures encoded in") && told.contains("prompts answered at"), "{told}");
+    let rate = json(said.lines().find(|l| l.contains("prompts_per_s")).expect("a metric").as_bytes());
+    assert!(rate["value"].as_f64().is_some_and(|v| v > 0.0), "{rate}");
+
+    // Once more: nothing is made, so no network is asked.
+    let before = results(&run);
+    let (said, _) = completes(&args);
+    assert_eq!(made(&said), 0, "{said}");
+    assert!(!said.contains("pictures encoded"), "{said}");
+    assert_eq!(results(&run), before);
+
+    // A click is answered by the networks, and selects something.
+    let picked = select(&run, &[]);
+    assert_eq!(picked.status.code(), Some(0), "{}", text(&picked.stderr));
+    let summary = std::fs::read(run.join("selections/it/summary.json")).expect("it is there");
+    assert!(json(&summary)["splats"].as_u64().is_some_and(|n| n > 0), "{}", text(&summary));
+
+    // Another decoder: the masks are made anew, and nothing else per photo.
+    let other = decoder(Decoder { masks: 3, ..SAM });
+    toy::write(&models, "mobile_sam", &encoder(Takes::Planes, Fault::None), &other);
+    let (said, _) = completes(&args);
+    assert_eq!(made(&said), 8, "{said}");
+    // Another encoder: the embeddings as well.
+    let packed = encoder(Takes::Pixels(toy::PIXEL_KINDS[1]), Fault::None);
+    toy::write(&models, "mobile_sam", &packed, &other);
+    let (said, _) = completes(&args);
+    assert_eq!(made(&said), 16, "{said}");
+}
+
+#[test]
+fn half_a_pair_stops_a_run_that_asks_for_sam_and_no_other() {
+    if !can_run("half_a_pair_stops_a_run_that_asks_for_sam_and_no_other") {
+        return;
+    }
+    let dir = folder();
+    let models = dir.path().join("models");
+    toy::write_usual(&models);
+    std::fs::remove_file(models.join("mobile_sam_decoder.onnx")).expect("it goes");
+    let (models, run) = (show(&models), show(&dir.path().join("run")));
+    let scene = show(scene());
+    refuses(
+        &["run", &scene, "--out", &run, "--models", &models, "--masks", "sam"],
+        3,
+        &["mobile_sam_encoder.onnx is an encoder without its decoder"],
+    );
+    let run = show(&dir.path().join("another"));
+    let args = [&["run", &scene, "--out", &run, "--models", &models, "--until", "sky"][..], &QUICK].concat();
+    works(&args);
+}
+
+#[test]
+fn the_doctor_lists_networks_with_their_hash_and_licence() {
+    if !can_run("the_doctor_lists_networks_with_their_hash_and_licence") {
+        return;
+    }
+    let dir = folder();
+    let models = dir.path().to_owned();
+    toy::write_usual(&models);
+    std::fs::write(models.join("edges_bsds.onnx"), b"\x89PNG and so on").expect("it is written");
+    std::fs::write(models.join("strange.onnx"), b"").expect("it is written");
+    let page = works(&["doctor", "--models", &show(&models)]);
+    let file = std::fs::read(models.join("mobile_sam_encoder.onnx")).expect("it is there");
+    let hash = blake3::hash(&file).to_hex().to_string();
+    let line = page.lines().find(|l| l.contains("mobile_sam_encoder.onnx:")).expect("it is listed");
+    assert!(line.contains("MobileSAM, encoder") && line.contains(&hash), "{line}");
+    assert!(line.contains("licence: Apache-2.0"), "{line}");
+    assert!(page.contains(
+        "edges_bsds.onnx: edge network, boundaries, cannot be used: is no network: it is a picture"
+    ));
+    assert!(page.contains("strange.onnx: a name that is not known"), "{page}");
+    assert!(
+        page.contains("SAM: MobileSAM `mobile_sam`") && page.contains("masks, clicks and refinement: SAM")
+    );
+    // And without any: what is used instead.
+    let bare = folder();
+    let page = works(&["doctor", "--models", &show(bare.path())]);
+    assert!(page.contains("holds no .onnx file") && page.contains("built-in (SAM is not there"), "{page}");
+    assert!(works(&["doctor"]).contains("no folder of models is given"));
+}

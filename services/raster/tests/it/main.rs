@@ -1,0 +1,9 @@
+//! Every integration test of the crate in one program: it links once.
+
+mod common;
+
+mod loss;
+mod poison;
+mod properties;
+mod reference;
+mod training;

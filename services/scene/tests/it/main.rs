@@ -1,0 +1,9 @@
+//! Every integration test of the crate in one program: it links once.
+
+mod common;
+
+mod formats;
+mod open;
+mod photos;
+mod shapes;
+mod shared_data;

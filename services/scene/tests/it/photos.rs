@@ -1,0 +1,259 @@
+//! Loading pixels.
+
+use crate::common::{SIZE, line, open, picture, write};
+use image::ImageEncoder;
+use segwild_scene::colmap::{self, CameraRecord, Keypoint, Model};
+use segwild_scene::lens::Lens;
+use segwild_scene::{Image, Mask, Scene, SceneError, SceneSettings, Seal, View};
+use std::path::Path;
+
+fn difference(a: &Image, b: &Image) -> f32 {
+    assert_eq!((a.width, a.height, a.channels), (b.width, b.height, b.channels));
+    a.data.iter().zip(&b.data).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+}
+
+/// A scene of one photo, whose file the test then replaces.
+fn one(dir: &Path) -> View {
+    write(dir, &line(1));
+    let mut view = open(dir).unwrap().views.remove(0);
+    view.photo.seal = Seal::default();
+    view
+}
+
+fn encode(path: &Path, bytes: &[u8], size: (usize, usize), colour: image::ExtendedColorType) {
+    let file = std::fs::File::create(path).unwrap();
+    image::codecs::png::PngEncoder::new(file)
+        .write_image(bytes, size.0 as u32, size.1 as u32, colour)
+        .unwrap();
+}
+
+#[test]
+fn every_depth_and_channel_layout_decodes_to_the_same_picture() {
+    let dir = tempfile::tempdir().unwrap();
+    let view = one(dir.path());
+    let grey: Vec<u8> = (0..SIZE.0 * SIZE.1).map(|i| (i * 7 % 256) as u8).collect();
+    let n = grey.len();
+    let wanted: Vec<f32> = (0..3 * n).map(|i| f32::from(grey[i % n]) / 255.0).collect();
+    let deep = |bytes: Vec<u8>| bytes.iter().flat_map(|&b| [b, b]).collect::<Vec<u8>>();
+    let spread = |k: usize, alpha: bool| {
+        let pixel = move |&b: &u8| (0..k).map(move |c| if alpha && c + 1 == k { 255 } else { b });
+        grey.iter().flat_map(pixel).collect::<Vec<u8>>()
+    };
+    use image::ExtendedColorType::*;
+    for (colour, bytes) in [
+        (L8, grey.clone()),
+        (La8, spread(2, true)),
+        (Rgb8, spread(3, false)),
+        (Rgba8, spread(4, true)),
+        (L16, deep(grey.clone())),
+        (Rgb16, deep(spread(3, false))),
+        (Rgba16, deep(spread(4, true))),
+    ] {
+        encode(&view.photo.path, &bytes, SIZE, colour);
+        let photo = view.load(1000).unwrap();
+        assert!(photo.image.data.iter().zip(&wanted).all(|(a, b)| (a - b).abs() < 1e-6), "{colour:?}");
+        assert!(photo.valid.is_none_or(|v| v.count() == n), "{colour:?}");
+        assert_eq!(view.load(20).unwrap().image.width, 20);
+    }
+    // Transparent pixels are not to be trusted.
+    let mut clear = spread(4, true);
+    clear[3] = 0;
+    encode(&view.photo.path, &clear, SIZE, Rgba8);
+    let valid = view.load(1000).unwrap().valid.unwrap();
+    assert!(!valid.get(0, 0) && valid.count() == n - 1);
+}
+
+#[test]
+fn sizes_decide_whether_exif_turns_a_photo() {
+    let dir = tempfile::tempdir().unwrap();
+    let view = one(dir.path());
+    let upright = picture(SIZE.0, SIZE.1);
+    // The same picture as a camera held sideways stores it: turned 90 degrees back.
+    let byte = |v: f32| (v * 255.0).round() as u8;
+    let stored = |turned: bool| {
+        let (w, h) = if turned { (SIZE.1, SIZE.0) } else { SIZE };
+        let pixel = |x: usize, y: usize| if turned { (SIZE.0 - 1 - y, x) } else { (x, y) };
+        let at = |i: usize| pixel(i % w, i / w);
+        let bytes: Vec<u8> = (0..w * h)
+            .flat_map(|i| (0..3).map(move |c| (c, at(i))))
+            .map(|(c, (x, y))| byte(upright.at(c, x, y)))
+            .collect();
+        (bytes, w as u32, h as u32)
+    };
+    // TIFF, little endian, one entry: orientation 6 (turn 90 degrees clockwise to view).
+    let exif = b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0".to_vec();
+    for turned in [false, true] {
+        let (bytes, w, h) = stored(turned);
+        let mut encoder =
+            image::codecs::png::PngEncoder::new(std::fs::File::create(&view.photo.path).unwrap());
+        encoder.set_exif_metadata(exif.clone()).unwrap();
+        encoder.write_image(&bytes, w, h, image::ExtendedColorType::Rgb8).unwrap();
+        let photo = view.load(1000).unwrap();
+        assert!(difference(&photo.image, &upright) < 0.51 / 255.0, "stored turned: {turned}");
+        assert_eq!(open(dir.path()).unwrap().views[0].camera, view.camera);
+    }
+}
+
+#[test]
+fn a_file_of_another_size_scales_the_camera_and_another_shape_is_an_error() {
+    let dir = tempfile::tempdir().unwrap();
+    let view = one(dir.path());
+    picture(20, 15).write_png(&view.photo.path).unwrap();
+    let half = open(dir.path()).unwrap();
+    let camera = half.views[0].camera;
+    assert_eq!((camera.width, camera.height, camera.fx, camera.cx), (20, 15, 25.0, 10.0));
+    for point in &half.points {
+        let p = camera.pixel(half.views[0].pose.to_camera(point.position));
+        assert!(p.distance(point.track[0].pixel.into()) < 1e-4);
+    }
+    picture(20, 20).write_png(&view.photo.path).unwrap();
+    let error = view.load(100).unwrap_err().to_string();
+    assert!(
+        error.contains("photo00.png") && error.contains("20 x 20") && error.contains("40 x 30"),
+        "{error}"
+    );
+}
+
+#[test]
+fn photos_that_do_not_decode_are_errors_that_name_them() {
+    let dir = tempfile::tempdir().unwrap();
+    let view = one(dir.path());
+    let whole = std::fs::read(&view.photo.path).unwrap();
+    std::fs::write(&view.photo.path, &whole[..whole.len() / 2]).unwrap();
+    for _ in 0..2 {
+        let error = view.load(640).unwrap_err();
+        assert!(matches!(&error, SceneError::Photo { name, .. } if name == "photo00.png"), "{error}");
+        std::fs::remove_file(&view.photo.path).ok();
+    }
+    assert!(matches!(view.digest(), Err(SceneError::Photo { .. })));
+    // A header that promises more pixels than memory: refused, not allocated.
+    let mut huge = whole.clone();
+    huge[16..24].copy_from_slice(&[0, 1, 0x6a, 0, 0, 1, 0x0f, 0x80]);
+    std::fs::write(&view.photo.path, &huge).unwrap();
+    assert!(view.load(640).is_err());
+}
+
+/// A smooth colour for each pinhole pixel of a 200 x 150 photo.
+fn scene_colour(c: usize, p: [f64; 2]) -> f32 {
+    let (u, v) = (p[0] / 200.0, p[1] / 150.0);
+    (0.5 + 0.35 * (7.0 * u + (c as f64 + 1.0) * 4.0 * v).sin()) as f32
+}
+
+#[test]
+fn a_distorted_photo_loads_as_the_pinhole_would_have_taken_it() {
+    for (model, params) in [
+        (Model::SimpleRadial, vec![150.0, 99.0, 76.0, -0.12]),
+        (Model::OpenCv, vec![150.0, 155.0, 99.0, 76.0, -0.1, 0.03, 2e-3, -3e-3]),
+        (Model::OpenCv, vec![150.0, 155.0, 99.0, 76.0, 0.12, 0.0, 0.0, 0.0]),
+        (Model::OpenCvFisheye, vec![140.0, 140.0, 100.0, 75.0, 0.02, -0.01, 0.0, 0.0]),
+        (
+            Model::ThinPrismFisheye,
+            vec![140.0, 140.0, 100.0, 75.0, 0.02, 0.0, 1e-3, 1e-3, 0.0, 0.0, 1e-3, -1e-3],
+        ),
+        (Model::Fov, vec![150.0, 150.0, 100.0, 75.0, 0.6]),
+        (Model::Division, vec![150.0, 150.0, 100.0, 75.0, -0.1]),
+    ] {
+        let dir = tempfile::tempdir().unwrap();
+        let lens = Lens::new(model, 200, 150, &params).unwrap();
+        let mut r = line(1);
+        r.cameras = vec![CameraRecord { id: 7, model, width: 200, height: 150, params }];
+        // Keypoints lie where the lens puts them.
+        let pinhole = lens.pinhole();
+        r.images[0].keypoints = r
+            .points
+            .iter()
+            .map(|p| {
+                let [x, y, z] = p.position;
+                let at = pinhole.pixel(glam::DVec3::new(x, y, z).as_vec3());
+                Keypoint {
+                    pixel: lens.distort([f64::from(at.x), f64::from(at.y)]).unwrap(),
+                    point: Some(p.id),
+                }
+            })
+            .collect();
+        colmap::write(&dir.path().join("sparse/0"), &r).unwrap();
+        let mut photo = Image::zeros(200, 150, 3);
+        for i in 0..photo.data.len() {
+            let (c, y, x) = (i / 30_000, i / 200 % 150, i % 200);
+            let seen = lens.undistort([x as f64 + 0.5, y as f64 + 0.5]);
+            photo.data[i] = seen.map_or(0.5, |p| scene_colour(c, p));
+        }
+        std::fs::create_dir_all(dir.path().join("images")).unwrap();
+        photo.write_png(&dir.path().join("images/photo00.png")).unwrap();
+
+        let scene = open(dir.path()).unwrap();
+        let view = &scene.views[0];
+        for point in &scene.points {
+            let p = view.camera.pixel(view.pose.to_camera(point.position));
+            assert!(p.distance(point.track[0].pixel.into()) < 1e-3, "{model:?}");
+        }
+        let loaded = view.load(200).unwrap();
+        let valid = loaded.valid.unwrap();
+        assert!(valid.count() > 20_000, "{model:?}: {} pixels are valid", valid.count());
+        for (x, y) in
+            valid.pixels().filter(|&(x, y)| lens.distort([f64::from(x) + 0.5, f64::from(y) + 0.5]).is_some())
+        {
+            for c in 0..3 {
+                let wanted = scene_colour(c, [f64::from(x) + 0.5, f64::from(y) + 0.5]);
+                let got = loaded.image.at(c, x as usize, y as usize);
+                assert!((got - wanted).abs() < 0.012, "{model:?} at {x}, {y}: {got}, not {wanted}");
+            }
+        }
+        // Pincushion leaves corners that were never photographed; they are marked.
+        let all_there = [(0.0, 0.0), (200.0, 0.0), (0.0, 150.0), (200.0, 150.0)].iter().all(|&(x, y)| {
+            lens.distort([x, y]).is_some_and(|p| p[0] >= 0.0 && p[1] >= 0.0 && p[0] <= 200.0 && p[1] <= 150.0)
+        });
+        assert_eq!(all_there, valid.count() == 30_000, "{model:?}");
+        let small = view.load(100).unwrap();
+        assert!(difference(&small.image, &loaded.image.resized(100, 75)) < 0.03 || !all_there, "{model:?}");
+    }
+}
+
+#[test]
+fn masks_of_things_to_ignore_follow_the_photo() {
+    let dir = tempfile::tempdir().unwrap();
+    write(dir.path(), &line(3));
+    let masks = dir.path().join("ignore");
+    std::fs::create_dir(&masks).unwrap();
+    let settings = SceneSettings { ignore: "ignore".into(), ..SceneSettings::default() };
+    let error = Scene::open(dir.path(), &settings).unwrap_err().to_string();
+    assert!(error.contains("ignore") && error.contains("photo00.png"), "{error}");
+    // Stem + .png, and file name + .png; the second at twice the size.
+    let speck = Mask::from_fn(40, 30, |x, y| (x, y) == (11, 7));
+    speck.write_png(&masks.join("photo00.png")).unwrap();
+    Mask::from_fn(80, 60, |x, _| x < 20).write_png(&masks.join("photo01.png.png")).unwrap();
+    let scene = Scene::open(dir.path(), &settings).unwrap();
+    let valid = |i: usize, size| scene.views[i].load(size).unwrap().valid;
+    assert_eq!(valid(0, 40).unwrap().not(), speck);
+    // However small the photo gets, what a person marked stays marked.
+    assert_eq!(valid(0, 20).unwrap().not(), Mask::from_fn(20, 15, |x, y| (x, y) == (5, 3)));
+    assert_eq!(valid(1, 40).unwrap(), Mask::from_fn(40, 30, |x, _| x >= 10));
+    assert_eq!(valid(2, 40), None);
+    Mask::full(30, 30).write_png(&masks.join("photo00.png")).unwrap();
+    let error = scene.views[0].load(40).unwrap_err().to_string();
+    assert!(error.contains("photo00.png") && error.contains("was changed or taken away"), "{error}");
+    let scene = Scene::open(dir.path(), &settings).unwrap();
+    let error = scene.views[0].load(40).unwrap_err().to_string();
+    assert!(error.contains("photo00.png") && error.contains("30 x 30"), "{error}");
+}
+
+#[test]
+fn a_truncated_jpeg_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let view = one(dir.path());
+    let rgb: Vec<u8> = (0..SIZE.0 * SIZE.1 * 3).map(|i| (i * i % 251) as u8).collect();
+    let mut jpeg = Vec::new();
+    let encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(&mut jpeg, 95);
+    encoder.write_image(&rgb, SIZE.0 as u32, SIZE.1 as u32, image::ExtendedColorType::Rgb8).unwrap();
+    std::fs::write(&view.photo.path, &jpeg).unwrap();
+    view.load(640).unwrap();
+    std::fs::write(&view.photo.path, &jpeg[..jpeg.len() * 2 / 3]).unwrap();
+    let refused = view.load(640).map(|_| ()).unwrap_err().to_string();
+    assert!(refused.contains("photo00.png") && refused.contains("cut short"), "{refused}");
+    // Bytes behind the end, as phones append them, do no harm; the end of a thumbnail is not the end of the photo.
+    std::fs::write(&view.photo.path, [&jpeg[..], b"and a trailer"].concat()).unwrap();
+    view.load(640).unwrap();
+    let thumbnail = [&jpeg[..2], b"\xff\xe1\x00\x06ab\xff\xd9", &jpeg[2..jpeg.len() - 2]].concat();
+    std::fs::write(&view.photo.path, thumbnail).unwrap();
+    assert!(open(dir.path()).unwrap_err().to_string().contains("cut short"));
+}

@@ -1,0 +1,354 @@
+//! Selections that are carried from the prompted photo to the others.
+
+#[allow(dead_code, reason = "the tests share it, none uses all of it")]
+use crate::common::{Dice, World, engine, features, options, posed};
+use glam::Vec3;
+use segwild_raster::Engine;
+use segwild_scene::{Image, Mask, PointPrompt, Splats};
+use segwild_segmenter::{
+    FeatureField, PosedView, PromptedView, Request, SegmentError, SegmentSettings, Selection, cut, select,
+    visible_mask,
+};
+
+fn click(x: f32, y: f32) -> PointPrompt {
+    PointPrompt { x, y, inside: true }
+}
+
+/// The regions of a photo that are inside with a mean certainty over `least`.
+fn likelier(regions: &[Mask], certainty: &Image, least: f32) -> Mask {
+    let inside = |region: &&Mask| {
+        let sum: f32 = region.pixels().map(|(x, y)| certainty.at(0, x as usize, y as usize)).sum();
+        sum > least * region.count() as f32
+    };
+    regions.iter().filter(inside).fold(Mask::empty(160, 120), |mask, region| mask.or(region))
+}
+
+/// A statue on a plinth (thing 0), a tree beside it (1), ground (2) and a sky shell (3); photos all around.
+fn square() -> (World, Vec<PosedView>) {
+    let mut world = World::default();
+    let mut dice = Dice(8);
+    world.ball(0, Vec3::new(0.0, -0.3, 0.0), Vec3::new(0.14, 0.3, 0.14), 1500, [0.4, 0.6, 0.5], &mut dice);
+    world.ball(0, Vec3::new(0.0, 0.1, 0.0), Vec3::new(0.22, 0.16, 0.22), 1200, [0.7, 0.6, 0.5], &mut dice);
+    world.ball(1, Vec3::new(0.45, 0.0, 0.25), Vec3::new(0.15, 0.25, 0.15), 900, [0.2, 0.5, 0.2], &mut dice);
+    for i in 0..50 {
+        for k in 0..50 {
+            let at = |n: i32, d: &mut Dice| (n as f32 - 24.5 + 0.2 * d.next()) * 0.06;
+            let p = Vec3::new(at(i, &mut dice), 0.25, at(k, &mut dice));
+            world.disc(2, p, Vec3::NEG_Y, 0.04, [0.5, 0.5, 0.45]);
+        }
+    }
+    world.ball(3, Vec3::ZERO, Vec3::splat(20.0), 800, [0.5, 0.7, 1.0], &mut dice);
+    let views = (0..20)
+        .map(|i| {
+            let turn = i as f32 * std::f32::consts::TAU / 20.0;
+            let (r, h) = (1.2 + 0.3 * dice.next(), 0.1 + 0.4 * dice.next());
+            posed(
+                &format!("{i:02}.jpg"),
+                Vec3::new(r * turn.sin(), -h, -r * turn.cos()),
+                Vec3::new(0.0, -0.15, 0.0),
+            )
+        })
+        .collect();
+    (world, views)
+}
+
+struct Square {
+    world: World,
+    views: Vec<PosedView>,
+    /// Per view and thing: the true pixels.
+    truth: Vec<Vec<Mask>>,
+}
+
+impl Square {
+    fn new() -> Square {
+        let (world, views) = square();
+        let engine = engine();
+        let of = |v: &PosedView, t| {
+            visible_mask(&engine, &world.splats, &world.is(t), &options(), &v.camera, &v.pose).unwrap()
+        };
+        let truth = views.iter().map(|v| (0..4).map(|t| of(v, t)).collect()).collect();
+        Square { world, views, truth }
+    }
+
+    fn select(
+        &self,
+        first: usize,
+        engine: &dyn Engine,
+        splats: &Splats,
+        frozen: &[bool],
+        settings: &SegmentSettings,
+        refine: bool,
+    ) -> Selection {
+        let prompts = [PromptedView {
+            view: first,
+            mask: &self.truth[first][0],
+            open: None,
+            points: &[],
+            refused: false,
+        }];
+        let request = Request {
+            engine,
+            options: options(),
+            splats,
+            views: &self.views,
+            prompts: &prompts,
+            features: None,
+            graph: None,
+            frozen: Some(frozen),
+            skies: None,
+            settings,
+        };
+        // A 2D segmenter that knows the photo's regions but not which is meant: it takes those that are more
+        // likely inside than not. In every fifth photo it is wrong, and sure of it.
+        let mut snap = |view: usize, certainty: &Image| {
+            let mut mask = likelier(&self.truth[view], certainty, 0.5);
+            if view % 5 == 3 {
+                mask = self.truth[view][2].clone();
+            }
+            Some((mask, 0.9))
+        };
+        select(&request, refine.then_some(&mut snap)).unwrap()
+    }
+
+    /// A request from photo `first` whose prompts mean these things.
+    fn with<T>(
+        &self,
+        prompts: &[PromptedView],
+        settings: &SegmentSettings,
+        work: impl FnOnce(&Request) -> T,
+    ) -> T {
+        let (engine, sky) = (engine(), self.world.is(3));
+        work(&Request {
+            engine: &engine,
+            options: options(),
+            splats: &self.world.splats,
+            views: &self.views,
+            prompts,
+            features: None,
+            graph: None,
+            frozen: Some(&sky),
+            skies: None,
+            settings,
+        })
+    }
+
+    fn mean_iou(&self, splats: &Splats, labels: &[bool], first: usize) -> f64 {
+        let engine = engine();
+        let others = (0..self.views.len()).filter(|v| *v != first);
+        let ious: Vec<f64> = others
+            .map(|v| {
+                let (camera, pose) = (&self.views[v].camera, &self.views[v].pose);
+                visible_mask(&engine, splats, labels, &options(), camera, pose)
+                    .unwrap()
+                    .iou(&self.truth[v][0])
+            })
+            .collect();
+        ious.iter().sum::<f64>() / ious.len() as f64
+    }
+}
+
+#[test]
+fn one_photo_selects_the_statue_for_the_whole_circle() {
+    let square = Square::new();
+    let (engine, splats, sky) = (engine(), &square.world.splats, square.world.is(3));
+    let settings = SegmentSettings::default();
+    for first in [0, 7] {
+        let selection = square.select(first, &engine, splats, &sky, &settings, true);
+        let iou = square.mean_iou(splats, &selection.labels, first);
+        let alone = square.select(first, &engine, splats, &sky, &settings, false);
+        let base = square.mean_iou(splats, &alone.labels, first);
+        eprintln!("from photo {first}: IoU on the others {iou:.3}, without propagation {base:.3}");
+        assert!(iou > 0.95 && base < iou, "{iou} {base}");
+        let accepted = |v: &&segwild_segmenter::Visit| v.verdict == segwild_segmenter::Verdict::Accepted;
+        assert!(selection.visits.iter().filter(accepted).count() >= 12);
+        assert!(selection.visits.iter().filter(|v| v.view % 5 == 3).all(|v| v.mask.is_none()));
+        assert_eq!(square.world.share(3, &selection.labels), 0.0);
+    }
+}
+
+#[test]
+fn photos_that_take_the_selection_elsewhere_are_not_followed() {
+    let square = Square::new();
+    let prompts =
+        [PromptedView { view: 0, mask: &square.truth[0][0], open: None, points: &[], refused: false }];
+    // A hundredth of a photo's word is to count.
+    let (propagate_gate, prompt_weight, least_evidence) = (0.0, 0.01, 0.0);
+    let settings =
+        SegmentSettings { propagate_gate, prompt_weight, least_evidence, ..SegmentSettings::default() };
+    // All photos speak of the tree.
+    let mut tree = |view: usize, _: &segwild_scene::Image| Some((square.truth[view][1].clone(), 1.0));
+    let selection = square.with(&prompts, &settings, |request| {
+        let selection = select(request, Some(&mut tree)).unwrap();
+        cut(request, &selection).unwrap();
+        selection
+    });
+    assert!(selection.alone && selection.agreement > 0.7, "{}", selection.agreement);
+    assert!(square.world.share(0, &selection.labels) > 0.3);
+    assert_eq!(square.world.share(1, &selection.labels), 0.0);
+    assert!(selection.visits.iter().all(|v| v.mask.is_none()), "their masks cut nothing");
+}
+
+#[test]
+fn a_click_on_another_photo_can_say_what_is_not_meant() {
+    let square = Square::new();
+    // Statue and tree in the first photo, as if the tree had leaked in; the tree clicked away in another.
+    let both = square.truth[0][0].or(&square.truth[0][1]);
+    let leaked = PromptedView { view: 0, mask: &both, open: None, points: &[], refused: false };
+    let settings = SegmentSettings::default();
+    let share = |prompts: &[PromptedView]| {
+        let labels = square.with(prompts, &settings, |request| select(request, None).unwrap().labels);
+        (square.world.share(0, &labels), square.world.share(1, &labels))
+    };
+    let before = share(&[leaked]);
+    let (x, y) = square.truth[4][1].pixels().nth(square.truth[4][1].count() / 2).unwrap();
+    let points = [PointPrompt { x: x as f32 + 0.5, y: y as f32 + 0.5, inside: false }];
+    let refusal =
+        PromptedView { view: 4, mask: &square.truth[4][1], open: None, points: &points, refused: true };
+    let after = share(&[leaked, refusal]);
+    assert!(before.1 > 0.3 && after.1 < 0.5 * before.1, "{before:?} {after:?}");
+    assert!(after.0 > 0.95 * before.0, "{before:?} {after:?}");
+    let alone = square.with(&[refusal], &settings, |request| select(request, None).unwrap_err());
+    assert!(matches!(alone, SegmentError::NoPrompt));
+}
+
+/// What each photo shows of some things.
+fn regions(world: &World, views: &[PosedView], things: &[usize]) -> Vec<Vec<Mask>> {
+    let engine = engine();
+    let region = |v: &PosedView, t: usize| {
+        visible_mask(&engine, &world.splats, &world.is(t), &options(), &v.camera, &v.pose).unwrap()
+    };
+    views.iter().map(|v| things.iter().map(|t| region(v, *t)).collect()).collect()
+}
+
+/// The labels that a click in the middle of the first photo's first region gives, carried to photos that take every region
+/// whose mean certainty is over `least`; `open`: what the first photo leaves open.
+fn carried(
+    world: &World,
+    views: &[PosedView],
+    truth: &[Vec<Mask>],
+    field: &FeatureField,
+    open: Option<&Image>,
+    least: f32,
+) -> Vec<bool> {
+    let engine = engine();
+    let mask = &truth[0][0];
+    let (x, y) = mask.pixels().nth(mask.count() / 2).unwrap();
+    let points = [click(x as f32 + 0.5, y as f32 + 0.5)];
+    let prompts = [PromptedView { view: 0, mask, open, points: &points, refused: false }];
+    let request = Request {
+        engine: &engine,
+        options: options(),
+        splats: &world.splats,
+        views,
+        prompts: &prompts,
+        features: Some(field),
+        graph: None,
+        frozen: Some(&world.is(3)),
+        skies: None,
+        settings: &SegmentSettings::default(),
+    };
+    let mut snap = |view: usize, certainty: &Image| Some((likelier(&truth[view], certainty, least), 0.9));
+    select(&request, Some(&mut snap)).unwrap().labels
+}
+
+#[test]
+fn a_part_that_the_click_left_open_is_not_held_against_it() {
+    let mut world = World::default();
+    let mut dice = Dice(4);
+    world.ball(0, Vec3::new(0.0, -0.25, 0.0), Vec3::new(0.16, 0.3, 0.16), 2500, [0.4, 0.6, 0.5], &mut dice);
+    world.ball(1, Vec3::new(0.0, 0.2, 0.0), Vec3::new(0.2, 0.18, 0.2), 2500, [0.7, 0.7, 0.6], &mut dice);
+    world.ball(3, Vec3::ZERO, Vec3::splat(20.0), 800, [0.5, 0.7, 1.0], &mut dice);
+    let views: Vec<PosedView> = (0..10)
+        .map(|i| {
+            let (sin, cos) = (i as f32 * std::f32::consts::TAU / 10.0).sin_cos();
+            posed(&format!("{i:02}.jpg"), Vec3::new(1.2 * sin, -0.1, -1.2 * cos), Vec3::ZERO)
+        })
+        .collect();
+    // Statue and pedestal resemble each other; the first photo's mask holds the statue alone.
+    let truth = regions(&world, &views, &[0, 1]);
+    let thing = world.thing.iter().map(|t| if *t == 1 { 0 } else { *t }).collect();
+    let alike = World { thing, ..World::default() };
+    let field = features(&alike, 4);
+    let share = |open: Option<&Image>| {
+        let labels = carried(&world, &views, &truth, &field, open, 0.35);
+        (world.share(0, &labels), world.share(1, &labels))
+    };
+    let mut open = Image::zeros(160, 120, 1);
+    let pedestal = &truth[0][1];
+    (0..160 * 120).filter(|&i| pedestal.index(i)).for_each(|i| open.data[i] = 0.45);
+    let (sure, doubted) = (share(None), share(Some(&open)));
+    assert!(sure.0 > 0.9 && sure.1 < 0.05, "a mask that leaves nothing open: {sure:?}");
+    assert!(doubted.0 > 0.9 && doubted.1 > 0.9, "{doubted:?}");
+    open.data.fill(f32::NAN);
+    assert_eq!(share(Some(&open)), sure, "what is no number opens nothing");
+}
+
+#[test]
+fn a_twin_that_the_prompted_photo_does_not_see_is_not_selected() {
+    let (mut world, views) = square();
+    let mut dice = Dice(5);
+    // The same statue once more, right behind the first as the first photo sees it.
+    let behind = Vec3::new(0.0, 0.0, 0.8);
+    let mut ball =
+        |at: Vec3, radii, count, colour| world.ball(4, at + behind, radii, count, colour, &mut dice);
+    ball(Vec3::new(0.0, -0.3, 0.0), Vec3::new(0.12, 0.28, 0.12), 1500, [0.4, 0.6, 0.5]);
+    ball(Vec3::new(0.0, 0.1, 0.0), Vec3::new(0.2, 0.15, 0.2), 1200, [0.7, 0.6, 0.5]);
+    // Embeddings cannot tell them apart.
+    let alike = World { thing: world.thing.iter().map(|t| t % 4).collect(), ..World::default() };
+    let field = features(&alike, 4);
+    let truth = regions(&world, &views, &[0, 1, 2, 4]);
+    let labels = carried(&world, &views, &truth, &field, None, 0.6);
+    assert!(world.share(0, &labels) > 0.9, "{}", world.share(0, &labels));
+    assert!(world.share(4, &labels) < 0.05, "{}", world.share(4, &labels));
+}
+
+#[test]
+fn ground_that_only_photos_from_above_show_is_not_let_in_by_the_first_of_them() {
+    let mut world = World::default();
+    let mut dice = Dice(3);
+    world.ball(0, Vec3::new(0.0, -0.2, 0.0), Vec3::new(0.14, 0.4, 0.14), 2500, [0.4, 0.6, 0.5], &mut dice);
+    world.ball(1, Vec3::new(0.0, 0.2, 0.0), Vec3::new(0.5, 0.08, 0.5), 2500, [0.7, 0.7, 0.7], &mut dice);
+    world.ball(3, Vec3::ZERO, Vec3::splat(20.0), 800, [0.5, 0.7, 1.0], &mut dice);
+    // Nine photos look up at the statue, three look down on what it stands on.
+    let views: Vec<PosedView> = (0..12)
+        .map(|i| {
+            let (sin, cos) = (i as f32 * std::f32::consts::TAU / 12.0).sin_cos();
+            let (height, target) = if i % 4 == 3 { (0.9, 0.0) } else { (0.0, -0.75) };
+            posed(&format!("{i:02}.jpg"), Vec3::new(sin, -height, -cos), Vec3::new(0.0, target, 0.0))
+        })
+        .collect();
+    let truth = regions(&world, &views, &[0, 1]);
+    assert!(truth[0][1].is_empty() && !truth[3][1].is_empty());
+    let labels = carried(&world, &views, &truth, &features(&world, 4), None, 0.5);
+    assert!(world.share(0, &labels) > 0.9, "{}", world.share(0, &labels));
+    assert!(world.share(1, &labels) < 0.05, "{}", world.share(1, &labels));
+}
+
+#[test]
+fn threads_units_and_order_of_splats_change_nothing() {
+    let square = Square::new();
+    let (world, sky) = (&square.world, square.world.is(3));
+    let settings =
+        SegmentSettings { graph_cut: true, propagate: 1, propagate_views: 5, ..SegmentSettings::default() };
+    let plain = square.select(0, &engine(), &world.splats, &sky, &settings, true);
+    // Threads.
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
+    let threaded = pool.install(|| square.select(0, &engine(), &world.splats, &sky, &settings, true));
+    assert_eq!(plain, threaded);
+    // Order of the splats.
+    let n = world.len();
+    let order: Vec<usize> = (0..n).map(|i| (i * 1009 + 17) % n).collect();
+    let turned: Vec<bool> = order.iter().map(|&i| sky[i]).collect();
+    let shuffled = square.select(0, &engine(), &world.splats.select(&order), &turned, &settings, true);
+    let differ = order.iter().enumerate().filter(|(k, i)| shuffled.labels[*k] != plain.labels[**i]).count();
+    assert!(differ <= n / 1000, "{differ} of {n}");
+    // Units.
+    let mut large = world.splats.clone();
+    large.means.iter_mut().flatten().for_each(|x| *x *= 1000.0);
+    large.log_scales.iter_mut().flatten().for_each(|x| *x += 1000f32.ln());
+    let mut far = Square { world: world.clone(), views: square.views.clone(), truth: square.truth.clone() };
+    far.views.iter_mut().for_each(|v| v.pose.translation *= 1000.0);
+    let scaled = far.select(0, &engine(), &large, &sky, &settings, true);
+    let differ = scaled.labels.iter().zip(&plain.labels).filter(|(a, b)| a != b).count();
+    assert!(differ <= n / 1000, "{differ} of {n}");
+}

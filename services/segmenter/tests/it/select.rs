@@ -1,0 +1,267 @@
+//! Selections on scenes of known objects.
+
+#[allow(dead_code, reason = "the tests share it, none uses all of it")]
+use crate::common::{Dice, World, engine, features, options, posed, walls};
+use glam::{Vec2, Vec3};
+use segwild_raster::Engine;
+use segwild_scene::{Mask, PointPrompt, Splats};
+use segwild_segmenter::{
+    ComponentRule, Cut, EvidenceMode, FeatureField, PosedView, PromptedView, Request, SegmentError,
+    SegmentSettings, Selection, SimilarityUse, amodal_mask, cut, hit, select, visible_mask,
+};
+
+fn click(x: f32, y: f32) -> PointPrompt {
+    PointPrompt { x, y, inside: true }
+}
+
+struct Case<'a> {
+    engine: &'a dyn Engine,
+    splats: &'a Splats,
+    view: &'a PosedView,
+    mask: &'a Mask,
+    points: &'a [PointPrompt],
+    features: Option<&'a FeatureField>,
+    frozen: Option<&'a [bool]>,
+    settings: SegmentSettings,
+}
+
+impl Case<'_> {
+    fn run(&self) -> Result<Selection, SegmentError> {
+        let prompts =
+            [PromptedView { view: 0, mask: self.mask, open: None, points: self.points, refused: false }];
+        let request = Request {
+            engine: self.engine,
+            options: options(),
+            splats: self.splats,
+            views: std::slice::from_ref(self.view),
+            prompts: &prompts,
+            features: self.features,
+            graph: None,
+            frozen: self.frozen,
+            skies: None,
+            settings: &self.settings,
+        };
+        select(&request, None)
+    }
+}
+
+fn front_mask(world: &World, view: &PosedView) -> Mask {
+    visible_mask(&engine(), &world.splats, &world.is(0), &options(), &view.camera, &view.pose).unwrap()
+}
+
+#[test]
+fn the_hidden_wall_stays_out_by_coverage_and_comes_along_by_centre() {
+    let (world, view) = walls();
+    let (engine, mask) = (engine(), front_mask(&world, &view));
+    assert!(mask.count() > 3000);
+    let same = FeatureField::new(1, vec![1.0; world.len()]).unwrap();
+    let with = |mode, features| {
+        let settings = SegmentSettings { evidence_mode: mode, ..SegmentSettings::default() };
+        let points = [click(80.0, 60.0)];
+        let case = Case {
+            engine: &engine,
+            splats: &world.splats,
+            view: &view,
+            mask: &mask,
+            points: &points,
+            features,
+            frozen: None,
+            settings,
+        };
+        case.run().unwrap().labels
+    };
+    // Even features that tell the walls not apart must not bring the hidden one in.
+    for features in [None, Some(&same)] {
+        let labels = with(EvidenceMode::Coverage, features);
+        assert_eq!((world.share(1, &labels), world.share(3, &labels)), (0.0, 0.0));
+        assert!(world.share(0, &labels) > 0.97, "{}", world.share(0, &labels));
+    }
+    let labels = with(EvidenceMode::Centre, None);
+    assert!(world.share(1, &labels) > 0.9 && world.share(0, &labels) > 0.9);
+}
+
+#[test]
+fn a_click_reads_what_the_full_render_shows_and_opacity_does_not_matter() {
+    let (world, view) = walls();
+    let (engine, field) = (engine(), features(&world, 8));
+    let at = Vec2::new(70.3, 52.8);
+    let read = |splats: &Splats| {
+        let hit = hit(&engine, splats, &options(), &view.camera, &view.pose, at, 0).unwrap();
+        (hit.feature(&field).unwrap(), hit.alpha)
+    };
+    let (feature, alpha) = read(&world.splats);
+    let projected = engine.project(&world.splats, &view.camera, &view.pose, &options()).unwrap();
+    let frame = projected.blend(&segwild_raster::Channels { count: 8, values: field.values() });
+    let a = frame.alpha.at(0, 70, 52);
+    assert!((a - alpha).abs() < 1e-4);
+    for c in 0..8 {
+        assert!((frame.image.at(c, 70, 52) / a - feature[c]).abs() < 1e-3);
+    }
+    // Against one thing's features alone the cosine stays as everything becomes more transparent.
+    let near: Vec<usize> = (0..world.len()).filter(|&i| world.thing[i] == 0).collect();
+    let alone = world.splats.select(&near);
+    let one = FeatureField::new(3, [0.6, -0.3, 0.2].repeat(near.len())).unwrap();
+    let mut faint = alone.clone();
+    for (i, o) in faint.opacities.iter_mut().enumerate() {
+        let scaled = 0.3 * alone.opacity(i);
+        *o = (scaled / (1.0 - scaled)).ln();
+    }
+    let cosine = |splats: &Splats| {
+        let hit = hit(&engine, splats, &options(), &view.camera, &view.pose, at, 1).unwrap();
+        (one.similarity(&[hit.feature(&one).unwrap()], 0.1).unwrap()[0], hit.alpha)
+    };
+    let ((full, thick), (thin, weak)) = (cosine(&alone), cosine(&faint));
+    assert!((full - thin).abs() < 1e-6 && weak < 0.8 * thick, "{full} {thin} {thick} {weak}");
+}
+
+#[test]
+fn clicks_that_cannot_be_served_are_refused_in_words() {
+    let (world, view) = walls();
+    let (engine, mask) = (engine(), front_mask(&world, &view));
+    let sky = world.is(3);
+    let lone = world.splats.select(&(0..900).collect::<Vec<_>>());
+    let settings = SegmentSettings::default();
+    let run = |splats: &Splats, mask: &Mask, points: &[PointPrompt], frozen: Option<&[bool]>| {
+        let case = Case {
+            engine: &engine,
+            splats,
+            view: &view,
+            mask,
+            points,
+            features: None,
+            frozen,
+            settings: settings.clone(),
+        };
+        case.run()
+    };
+    let all = &world.splats;
+    let cases = [
+        (run(all, &mask, &[click(3.0, 3.0)], Some(&sky)), "on the sky"),
+        (run(&lone, &mask, &[click(3.0, 3.0)], None), "nothing at the click (3, 3)"),
+        (run(all, &mask, &[click(160.0, 3.0)], None), "outside its 160 x 120 pixels"),
+        (run(all, &mask, &[click(f32::NAN, 3.0)], None), "outside its 160 x 120 pixels"),
+        (run(all, &Mask::empty(160, 120), &[click(80.0, 60.0)], None), "mask of the prompts is empty"),
+        (run(&Splats::default(), &mask, &[], None), "no splat belongs"),
+        (run(all, &mask, &[], Some(&vec![true; world.len()])), "no splat belongs"),
+        (run(all, &mask, &[], Some(&[true])), "1 frozen flags for 2700 splats"),
+    ];
+    for (result, words) in cases {
+        let text = result.expect_err(words).to_string();
+        assert!(text.contains(words), "{text}");
+    }
+    // A mask alone is a prompt as well.
+    assert!(world.share(0, &run(all, &mask, &[], Some(&sky)).unwrap().labels) > 0.97);
+}
+
+#[test]
+fn features_that_are_no_numbers_change_nothing_but_themselves() {
+    let (world, view) = walls();
+    let (engine, mask, field) = (engine(), front_mask(&world, &view), features(&world, 8));
+    let mut values = field.values().to_vec();
+    for i in (0..world.len()).step_by(9) {
+        values[i * 8 + 3] = f32::NAN;
+    }
+    let broken = FeatureField::new(8, values).unwrap();
+    let mut splats = world.splats.clone();
+    splats.means[5] = [f32::NAN; 3];
+    let points = [click(80.0, 60.0)];
+    let case = Case {
+        engine: &engine,
+        splats: &splats,
+        view: &view,
+        mask: &mask,
+        points: &points,
+        features: Some(&broken),
+        frozen: None,
+        settings: SegmentSettings::default(),
+    };
+    let selection = case.run().unwrap();
+    assert!(world.share(0, &selection.labels) > 0.97 && world.share(1, &selection.labels) == 0.0);
+    assert!(!selection.labels[5] && selection.score.iter().all(|s| (0.0..=1.0).contains(s)));
+    let none = FeatureField::new(8, vec![f32::NAN; 8 * world.len()]).unwrap();
+    assert!(world.share(0, &Case { features: Some(&none), ..case }.run().unwrap().labels) > 0.97);
+}
+
+#[test]
+fn a_negative_click_takes_its_thing_out() {
+    // Two balls side by side; the mask wrongly covers both, features and the negative click tell them apart.
+    let mut world = World::default();
+    let mut dice = Dice(4);
+    world.ball(0, Vec3::new(-0.3, 0.0, 2.0), Vec3::splat(0.3), 900, [0.7, 0.4, 0.2], &mut dice);
+    world.ball(1, Vec3::new(0.3, 0.0, 2.0), Vec3::splat(0.3), 900, [0.7, 0.4, 0.2], &mut dice);
+    let view = posed("both.jpg", Vec3::ZERO, Vec3::Z);
+    let engine = engine();
+    let mask =
+        visible_mask(&engine, &world.splats, &vec![true; world.len()], &options(), &view.camera, &view.pose)
+            .unwrap();
+    let centre = |i: f32| view.camera.pixel(view.pose.to_camera(Vec3::new(i * 0.3, 0.0, 1.7)));
+    let (yes, no) = (centre(-1.0), centre(1.0));
+    // The features resemble each other: tau alone lets both pass.
+    let values = world.thing.iter().flat_map(|&t| if t == 0 { [1.0, 0.4] } else { [1.0, -0.1] }).collect();
+    let field = FeatureField::new(2, values).unwrap();
+    let settings = SegmentSettings { similarity_use: SimilarityUse::Gate, ..SegmentSettings::default() };
+    let run = |points: &[PointPrompt]| {
+        let case = Case {
+            engine: &engine,
+            splats: &world.splats,
+            view: &view,
+            mask: &mask,
+            points,
+            features: Some(&field),
+            frozen: None,
+            settings: settings.clone(),
+        };
+        case.run().unwrap().labels
+    };
+    let labels = run(&[click(yes.x, yes.y)]);
+    assert!(world.share(1, &labels) > 0.3);
+    let labels = run(&[click(yes.x, yes.y), PointPrompt { x: no.x, y: no.y, inside: false }]);
+    assert!(world.share(0, &labels) > 0.4 && world.share(1, &labels) == 0.0);
+}
+
+#[test]
+fn the_cut_makes_the_object_fit_its_mask_better() {
+    // The front wall with spikes that stick out of it to the right.
+    let (mut world, view) = walls();
+    let mut dice = Dice(31);
+    for _ in 0..60 {
+        let p = Vec3::new(0.47, dice.next() - 0.5, 1.99);
+        world.disc(0, p, Vec3::NEG_Z, 0.01, [0.8, 0.3, 0.2]);
+        world.splats.log_scales.last_mut().unwrap()[0] = 0.08f32.ln();
+        *world.splats.rotations.last_mut().unwrap() = [1.0, 0.0, 0.0, 0.0];
+    }
+    let engine = engine();
+    // What the photo shows: the wall without spikes.
+    let mask = front_mask(&walls().0, &view);
+    let points = [click(80.0, 60.0)];
+    let prompts = [PromptedView { view: 0, mask: &mask, open: None, points: &points, refused: false }];
+    let settings = SegmentSettings { components: ComponentRule::All, ..SegmentSettings::default() };
+    let request = Request {
+        engine: &engine,
+        options: options(),
+        splats: &world.splats,
+        views: std::slice::from_ref(&view),
+        prompts: &prompts,
+        features: None,
+        graph: None,
+        frozen: None,
+        skies: None,
+        settings: &settings,
+    };
+    let selection = select(&request, None).unwrap();
+    let cut = cut(&request, &selection).unwrap();
+    assert!(cut.changed.len() > 20);
+    let (scene, labels) = segwild_segmenter::cut_scene(&world.splats, &selection.labels, &cut);
+    let fit = |splats: &Splats, labels: &[bool]| {
+        amodal_mask(&engine, splats, labels, &options(), &view.camera, &view.pose).unwrap().iou(&mask)
+    };
+    let (before, after) = (fit(&world.splats, &selection.labels), fit(&scene, &labels));
+    eprintln!("IoU before the cut {before:.4}, after {after:.4}");
+    assert!(after > before + 0.02 && after > 0.97, "{before} {after}");
+    let object = segwild_segmenter::Object::new(&world.splats, &selection.labels, &cut);
+    assert_eq!(object.splats, scene.select(&object.indices.iter().map(|&i| i as usize).collect::<Vec<_>>()));
+    assert_eq!(
+        Cut::default(),
+        Cut::new(&world.splats, &vec![false; world.len()], &[], settings.spikes, 0.01)
+    );
+}
