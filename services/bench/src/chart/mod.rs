@@ -4,9 +4,11 @@
 //! is known: a second start goes on where the first one stopped.
 
 mod page;
+mod points;
 mod sweeps;
 
-pub use page::{ChartPage, Verdict, write};
+pub use page::{ChartPage, write};
+pub use points::Verdict;
 pub use sweeps::{SWEEPS, Sweep};
 
 use crate::oracle::OracleOptions;

@@ -1,82 +1,12 @@
 //! The chart as files: figures, tables, data, and one page that holds them all.
 
+use super::points::{CHEAPER, COSTS, MEASURES, Point, Verdict, cost_words, point};
 use super::{ChartError, DEFAULT, SWEEPS, Sweep, io};
-use crate::metrics::Spread;
 use crate::plot::{Figure, Mark, Panel, Series, escaped, front};
-use crate::point::means;
-use crate::record::{Record, Results};
-use std::collections::{BTreeMap, BTreeSet};
+use crate::record::Results;
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::path::Path;
-
-/// A point: its numbers over the seeds, each the mean over scenes and targets.
-#[derive(Clone, Debug)]
-struct Point {
-    sweep: Option<&'static Sweep>,
-    value: String,
-    chosen: bool,
-    numbers: BTreeMap<String, Spread>,
-}
-
-impl Point {
-    fn mean(&self, number: &str) -> Option<f64> {
-        self.numbers.get(number).map(|s| s.mean)
-    }
-
-    fn name(&self) -> String {
-        match self.sweep {
-            Some(sweep) => format!("{} {}", sweep.name, self.value),
-            None => self.value.clone(),
-        }
-    }
-}
-
-/// How the default stands among the points, by one measure of worth and one of cost.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Verdict {
-    /// `iou` or `psnr`.
-    pub worth: &'static str,
-    /// `cpu_s` or `peak_mib`.
-    pub cost: &'static str,
-    /// Points that are worth more than noise more, for no more.
-    pub better: Vec<String>,
-    /// Points that are worth as much, up to noise, for less than [`CHEAPER`] of its cost.
-    pub cheaper: Vec<String>,
-}
-
-/// A point has to cost less than this share of the default's cost to count as cheaper.
-pub const CHEAPER: f64 = 0.8;
-
-impl Verdict {
-    /// Whether nothing beats the default.
-    pub fn on_front(&self) -> bool {
-        self.better.is_empty() && self.cheaper.is_empty()
-    }
-
-    /// In words.
-    pub fn words(&self) -> String {
-        let (worth, cost) = (MEASURES[usize::from(self.worth == "psnr")].1, cost_words(self.cost));
-        if self.on_front() {
-            return format!("{worth} against {cost}: the default is on the front.");
-        }
-        let mut text = format!("{worth} against {cost}: the default is behind the front.");
-        if !self.better.is_empty() {
-            let _ = write!(text, " Better for no more: {}.", self.better.join("; "));
-        }
-        if !self.cheaper.is_empty() {
-            let _ = write!(text, " As good for less: {}.", self.cheaper.join("; "));
-        }
-        text
-    }
-}
-
-/// What is good: name of the number, words, and the least difference that means anything.
-const MEASURES: [(&str, &str, f64); 2] = [("iou", "IoU", 0.005), ("psnr", "held-out PSNR in dB", 0.1)];
-const COSTS: [&str; 2] = ["cpu_s", "peak_mib"];
-
-fn cost_words(cost: &str) -> &'static str {
-    if cost == "cpu_s" { "CPU time" } else { "peak memory" }
-}
 
 /// A chart that is ready to be written.
 pub struct ChartPage {
@@ -442,33 +372,6 @@ fn shown(number: &str, value: f64) -> String {
     }
 }
 
-fn point(results: &Results, (setting, at): (&str, Option<f64>)) -> Point {
-    let records: Vec<&Record> =
-        results.records.iter().filter(|r| r.setting == setting && r.at == at).collect();
-    let seeds: BTreeSet<u64> = records.iter().map(|r| r.seed).collect();
-    let mut values: BTreeMap<String, Vec<f64>> = BTreeMap::new();
-    for seed in seeds {
-        let scenes: BTreeSet<&str> =
-            records.iter().filter(|r| r.seed == seed).map(|r| r.scene.as_str()).collect();
-        let mut sums: BTreeMap<String, Vec<f64>> = BTreeMap::new();
-        for scene in scenes {
-            let here: Vec<&Record> =
-                records.iter().copied().filter(|r| r.seed == seed && r.scene == scene).collect();
-            means(&here).into_iter().for_each(|(name, v)| sums.entry(name).or_default().push(v));
-        }
-        for (name, v) in sums {
-            values.entry(name).or_default().push(v.iter().sum::<f64>() / v.len() as f64);
-        }
-    }
-    let numbers = values.into_iter().filter_map(|(name, v)| Some((name, Spread::of(&v)?))).collect();
-    let sweep = SWEEPS.iter().find(|s| setting.split(' ').next() == Some(s.name));
-    let value = match at {
-        Some(at) => at.to_string(),
-        None => setting.split_once(' ').map_or(setting, |s| s.1).to_owned(),
-    };
-    Point { sweep, value, chosen: setting == DEFAULT, numbers }
-}
-
 /// Text inside a data URI.
 fn percent(text: &str) -> String {
     let mut out = String::new();
@@ -509,6 +412,7 @@ pub fn write(folder: &Path, results: &Results, about: &str) -> Result<Vec<Verdic
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::record::Record;
 
     fn record(setting: &str, at: Option<f64>, seed: u64, target: &str, numbers: &[(&str, f64)]) -> Record {
         let numbers = numbers.iter().map(|(n, v)| ((*n).to_owned(), *v)).collect();
