@@ -40,7 +40,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let scene = Scene::open(&path, &SceneSettings { size, ..SceneSettings::default() })?;
     let mut choices = vec![SkyChoice::Builtin, SkyChoice::Geometry];
     if !models.is_empty() {
-        choices.extend([SkyChoice::Network, SkyChoice::Deeplab]);
+        choices.extend([SkyChoice::Network, SkyChoice::Both, SkyChoice::Deeplab]);
     }
     let providers = choices
         .iter()

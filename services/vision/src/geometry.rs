@@ -1,7 +1,7 @@
 //! Sky by geometry: where the reconstruction saw nothing, above what it saw, out to the photo's boundaries; and sky by
-//! colour, doubted where the reconstruction saw something in it.
+//! colour, doubted where the reconstruction saw something in it, alone or together with a network's.
 
-use crate::{Builtin, PromptSegmenter, SkyDetector, VisionError};
+use crate::{Builtin, PromptSegmenter, SkyDetector, SkyNetwork, VisionError};
 use segwild_scene::{Image, Mask};
 use std::sync::Arc;
 
@@ -66,10 +66,40 @@ impl SkyDetector for ColourSky {
     }
 
     fn sky_above(&self, image: &Image, seen: &[[f32; 2]]) -> Result<Mask, VisionError> {
-        let sky = self.sky(image)?;
-        let none = seen.len() >= FEW && peopled(&sky, seen);
-        Ok(if none { Mask::empty(sky.width(), sky.height()) } else { sky })
+        Ok(undoubted(self.sky(image)?, seen))
     }
+}
+
+/// Finds what a network or [`ColourSky`] takes for sky. Each misses what the other finds: colour stops at the edge of a
+/// bank of clouds, a network does not see a hazy sky above water. Skies that only one of them empties are filled with
+/// splats that float before the photos' next neighbours.
+pub(crate) struct JointSky {
+    pub network: SkyNetwork,
+    pub colour: ColourSky,
+}
+
+impl SkyDetector for JointSky {
+    fn key(&self) -> String {
+        format!("{}-or-{}", self.network.key(), self.colour.key())
+    }
+
+    fn by_points(&self) -> bool {
+        true
+    }
+
+    fn sky(&self, image: &Image) -> Result<Mask, VisionError> {
+        self.sky_above(image, &[])
+    }
+
+    fn sky_above(&self, image: &Image, seen: &[[f32; 2]]) -> Result<Mask, VisionError> {
+        Ok(undoubted(self.network.sky(image)?, seen).or(&self.colour.sky_above(image, seen)?))
+    }
+}
+
+/// A sky, or none where points that the photo saw say so.
+fn undoubted(sky: Mask, seen: &[[f32; 2]]) -> Mask {
+    let none = seen.len() >= FEW && peopled(&sky, seen);
+    if none { Mask::empty(sky.width(), sky.height()) } else { sky }
 }
 
 /// Whether points lie where there should be nothing.

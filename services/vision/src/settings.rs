@@ -1,6 +1,6 @@
 //! Settings of the vision models, and the providers that they name.
 
-use crate::geometry::{ColourSky, GeometrySky};
+use crate::geometry::{ColourSky, GeometrySky, JointSky};
 use crate::onnx::{MEMORY_MIB, Runtime};
 use crate::registry::{DEEPLAB, EDGES, SKY};
 use crate::{
@@ -26,13 +26,15 @@ segwild_scene::choice! {
 segwild_scene::choice! {
     /// How the sky is found.
     pub enum SkyChoice {
-        /// The built-in detector, over the edge network's boundaries where that is used: on `liberty` selections are better by it
-        /// than by the sky network.
+        /// The built-in detector, over the edge network's boundaries where that is used: on `liberty` selections are better by its
+        /// skies than by any others.
         Auto = "auto",
         /// The built-in detector.
         Builtin = "builtin",
         /// The network `sky_small_384.onnx`; an error without it.
         Network = "network",
+        /// That network together with the built-in detector: each misses skies that the other finds.
+        Both = "both",
         /// The network `deeplab_cityscapes_513.onnx`, the paper's kind; an error without it.
         Deeplab = "deeplab",
         /// Where the reconstruction saw nothing, above what it saw.
@@ -75,7 +77,7 @@ segwild_scene::settings! {
         models: String = String::new(),
         /// Where boundaries come from: auto, builtin or network.
         edges: EdgeChoice = EdgeChoice::Auto,
-        /// How the sky is found: auto, builtin, network, deeplab, geometry or none.
+        /// How the sky is found: auto, builtin, network, both, deeplab, geometry or none.
         sky: SkyChoice = SkyChoice::Auto,
         /// A network over the classes of Cityscapes (such as `deeplab_cityscapes_513.onnx`) whose persons and vehicles are left
         /// out of the training from the start. Empty: none.
@@ -193,7 +195,7 @@ impl Providers {
         };
         notes.push(told("descriptors", by_sam(settings.embedder).is_some()));
         notes.push(told("masks, clicks and refinement", by_sam(settings.masks).is_some()));
-        let sky: Arc<dyn SkyDetector> = match sky(settings, &mut notes)? {
+        let sky: Arc<dyn SkyDetector> = match sky(settings, &builtin, &mut notes)? {
             Some(network) => network,
             None if settings.sky == SkyChoice::None => {
                 notes.push("sky: none".into());
@@ -205,16 +207,13 @@ impl Providers {
             }
             None => {
                 let why = match settings.sky {
-                    SkyChoice::Auto if settings.models.is_empty() => {
-                        " (colour and boundaries; no folder of models is set)"
-                    }
+                    SkyChoice::Auto if settings.models.is_empty() => "no folder of models is set",
                     SkyChoice::Auto => {
-                        " (colour and boundaries: what stands before the sky keeps its outline better than by a network; \
-                         `sky = \"network\"` takes one)"
+                        "selections are better by it than by a network; `sky = \"both\"` takes that as well"
                     }
-                    _ => " (asked for)",
+                    _ => "asked for",
                 };
-                notes.push(format!("sky: built-in detector{why}"));
+                notes.push(format!("sky: built-in detector (colour and boundaries; {why})"));
                 Arc::new(ColourSky(builtin.clone()))
             }
         };
@@ -270,16 +269,21 @@ fn edges(
 
 fn sky(
     settings: &VisionSettings,
+    builtin: &Arc<Builtin>,
     notes: &mut Vec<String>,
 ) -> Result<Option<Arc<dyn SkyDetector>>, VisionError> {
     let name = match settings.sky {
-        SkyChoice::Network => SKY,
+        SkyChoice::Network | SkyChoice::Both => SKY,
         SkyChoice::Deeplab => DEEPLAB,
         SkyChoice::Auto | SkyChoice::Builtin | SkyChoice::Geometry | SkyChoice::None => return Ok(None),
     };
     let Some(path) = file(settings, name, true)? else { return Ok(None) };
     let runtime = Runtime::find_within(&settings.onnxruntime, settings.network_memory)?;
     let network = SkyNetwork::load(&runtime, &path, settings.network_threads, settings.sky_confidence)?;
-    notes.push(format!("sky: network {} (asked for)", path.display()));
-    Ok(Some(Arc::new(network)))
+    let with = if settings.sky == SkyChoice::Both { " together with the built-in detector" } else { "" };
+    notes.push(format!("sky: network {}{with} (asked for)", path.display()));
+    Ok(Some(match settings.sky {
+        SkyChoice::Both => Arc::new(JointSky { network, colour: ColourSky(builtin.clone()) }),
+        _ => Arc::new(network),
+    }))
 }

@@ -56,13 +56,33 @@ fn networks_serve_when_they_are_given() {
     let mask = all.segmenter.segment(&image, &prompts).unwrap().mask;
     let square = segwild_scene::Mask::from_fn(100, 75, |x, y| (30..60).contains(&x) && (20..60).contains(&y));
     assert!(mask.iou(&square) > 0.85, "{}", mask.iou(&square));
-    for sky in [SkyChoice::Network, SkyChoice::Deeplab] {
+    for sky in [SkyChoice::Network, SkyChoice::Both, SkyChoice::Deeplab] {
         let these = Providers::from_settings(&VisionSettings { sky, ..settings.clone() }).unwrap();
         assert!(these.notes.iter().any(|n| n.starts_with("sky: network")), "{:?}", these.notes);
         let mask = these.sky.sky(&image).unwrap();
         assert_eq!((mask.width(), mask.height()), (100, 75));
         assert!(!mask.at(45.0, 55.0), "{sky}: the square's foot is no sky");
     }
+}
+
+#[test]
+fn the_sky_of_a_network_and_of_the_colours_is_taken_together_and_taken_back_where_points_lie() {
+    let test = "the_sky_of_a_network_and_of_the_colours_is_taken_together_and_taken_back_where_points_lie";
+    let Some(models) = models(test) else { return };
+    let of = |sky| {
+        let settings = VisionSettings { models: models.clone(), sky, ..VisionSettings::default() };
+        Providers::from_settings(&settings).unwrap().sky
+    };
+    let (image, both) = (photo(), of(SkyChoice::Both));
+    let apart = [of(SkyChoice::Network), of(SkyChoice::Builtin)].map(|s| s.sky(&image).unwrap());
+    assert!(apart.iter().all(|sky| sky.count() > 1000), "each finds one: {:?}", apart.map(|s| s.count()));
+    assert_eq!(both.sky(&image).unwrap(), apart[0].or(&apart[1]));
+    // A grid of points over the whole photo: nothing there is open.
+    let points: Vec<[f32; 2]> =
+        (0..300).map(|i| [(i % 20) as f32 * 5.0 + 2.5, (i / 20) as f32 * 5.0 + 2.5]).collect();
+    assert!(both.by_points() && both.sky_above(&image, &points).unwrap().is_empty());
+    let unlike = [SkyChoice::Both, SkyChoice::Network, SkyChoice::Builtin].map(|sky| of(sky).key());
+    assert!(unlike[0] != unlike[1] && unlike[0] != unlike[2], "{unlike:?}");
 }
 
 #[test]
