@@ -5,7 +5,7 @@ use crate::folder::Loaded;
 use crate::light::{self, find};
 use crate::prompts::{check_all, png_names};
 use crate::strangers::picture_of;
-use crate::{PhotoPrompts, Replay, RunError, RunFolder, choose_engine, report, traces};
+use crate::{PhotoPrompts, Replay, RunError, RunFolder, choose_engine, report, skies, traces};
 use segwild_flow::{
     ActorOptions, FileError, Limits, Phase, Stopper, System, SystemOptions, codec, fault, files, mailbox,
 };
@@ -218,6 +218,7 @@ pub fn segment(
             Ok(scene.views[view].load(size).map_err(|e| e.to_string())?.image)
         })
     };
+    let skies = Arc::new(skies::of_run(folder, &scene, size, providers.sky.clone())?);
     let barred: Vec<bool> = scene.views.iter().map(|v| v.test).collect();
     let system = System::new(SystemOptions {
         stopper: stopper.clone(),
@@ -240,6 +241,7 @@ pub fn segment(
                 barred: barred.clone(),
                 features: features.clone(),
                 photos: photos.clone(),
+                skies: skies.clone(),
                 segmenter: segmenter.clone(),
                 graph: None,
             })

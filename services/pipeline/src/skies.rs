@@ -2,10 +2,12 @@
 
 use crate::anew::{Anew, Kept};
 use crate::board::Board;
-use segwild_flow::{Failure, Key};
-use segwild_scene::Mask;
+use crate::{RunError, RunFolder};
+use segwild_flow::ledger::State;
+use segwild_flow::{Cache, Failure, Key, Ledger};
+use segwild_scene::{Mask, Scene};
 use segwild_vision::SkyDetector;
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
@@ -100,4 +102,28 @@ impl Skies {
     pub fn lost(&self) -> Option<Failure> {
         lock(&self.lost).clone()
     }
+}
+
+/// Reads the skies that a run has found, at the long side `size` that it found them at; one that has gone from the cache is
+/// looked for anew, one that was given up is not known.
+pub(crate) fn of_run(
+    folder: &RunFolder,
+    scene: &Arc<Scene>,
+    size: u32,
+    detector: Arc<dyn SkyDetector>,
+) -> Result<impl Fn(usize) -> Option<Mask> + Send + Sync + use<>, RunError> {
+    let rows = Ledger::open_read_only(folder.ledger())?.views("sky")?;
+    let done = rows.into_iter().filter(|row| row.outcome.state == State::Done);
+    let keys: BTreeMap<String, Key> =
+        done.filter_map(|row| Some((row.view, Key::parse("sky", &row.key)?))).collect();
+    let (cache, scene) = (Cache::at(folder.path().join("cache")), scene.clone());
+    Ok(move |view: usize| {
+        let key = keys.get(&scene.views[view].name)?;
+        if let Ok(Some(sky)) = cache.get_typed(key, "sky") {
+            return Some(sky);
+        }
+        let photo = scene.views[view].load(size).ok()?;
+        let seen = scene.seen_by(view, photo.image.width, photo.image.height);
+        detector.sky_above(&photo.image, &seen).ok()
+    })
 }

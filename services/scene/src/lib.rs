@@ -30,6 +30,7 @@ mod splats;
 mod split;
 mod transforms;
 mod view;
+mod window;
 
 pub use camera::{Camera, Pose};
 pub use embedding::Embedding;
@@ -42,6 +43,7 @@ pub use random::Random;
 pub use seal::Seal;
 pub use splats::Splats;
 pub use view::{Frame, Observation, Photo, Point, Scene, Skipped, View};
+pub use window::box_mean;
 
 /// Distance before which nothing is drawn, in units of the scene extent (method, section 0).
 pub const NEAR: f32 = 0.01;

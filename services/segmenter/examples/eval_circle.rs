@@ -92,6 +92,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             features: None,
             graph: Some(&graph),
             frozen: None,
+            skies: None,
             settings: &settings,
         };
         let mut refine = |view: usize, certainty: &Image| {

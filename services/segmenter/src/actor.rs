@@ -2,7 +2,7 @@
 
 use crate::{
     Cut, FeatureField, Graph, PosedView, PromptedView, Request, SegmentError, SegmentSettings, Selection,
-    cut, select,
+    SkyReader, cut, select,
 };
 use segwild_flow::{Actor, Context, Failure, Message, Sender};
 use segwild_raster::{Engine, ProjectOptions};
@@ -60,6 +60,8 @@ pub struct SegmentActor {
     pub features: Option<Arc<FeatureField>>,
     /// Reads photos.
     pub photos: Arc<PhotoReader>,
+    /// Reads the photos' skies.
+    pub skies: Arc<SkyReader>,
     /// Turns prompts into masks.
     pub segmenter: Arc<dyn PromptSegmenter>,
     /// The neighbour graph, made at the first task.
@@ -109,6 +111,7 @@ impl SegmentActor {
             features: self.features.as_deref(),
             graph: self.graph.as_ref(),
             frozen: None,
+            skies: Some(&*self.skies),
             settings: &task.settings,
         };
         let mut refine = |view: usize, certainty: &Image| -> Option<(Mask, f32)> {

@@ -13,6 +13,7 @@ mod graph;
 mod judge;
 mod jury;
 mod kinds;
+mod lacking;
 mod maxflow;
 mod object;
 mod propagate;
@@ -35,7 +36,7 @@ pub use maxflow::FlowNetwork;
 pub use object::{Object, amodal_mask, cut_scene, visible_mask};
 pub use propagate::{Verdict, Visit};
 pub use query::{FeatureField, Hit, hit};
-pub use select::{PosedView, PromptedView, Refine, Request, Selection, cut, select};
+pub use select::{PosedView, PromptedView, Refine, Request, Selection, SkyReader, cut, select};
 pub use settings::{
     ComponentRule, CutBy, EvidenceMode, SegmentSettings, SimilarityUse, SpikeMode, Undecided, Vote,
 };

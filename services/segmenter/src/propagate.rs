@@ -3,6 +3,7 @@
 
 use crate::coverage::{soft, unoccluded, visible};
 use crate::judge::{Judge, LEAST_HINT, State};
+use crate::lacking;
 use crate::select::{STEPS, project, view_evidence, working_camera};
 use crate::{Evidence, Refine, Request, SegmentError, SegmentSettings};
 use segwild_raster::Channels;
@@ -210,15 +211,25 @@ fn call_on(
         .collect();
     let frame = projected.blend(&Channels { count: 2, values: &values });
     let clean = |x: f32| if x.is_nan() { 0.0 } else { x.clamp(0.0, 1.0) };
-    let certainty = Image {
+    let mut certainty = Image {
         width: camera.width as usize,
         height: camera.height as usize,
         channels: 1,
         data: frame.image.plane(0).iter().map(|&x| clean(x)).collect(),
     };
+    let lacking = match request.skies.and_then(|read| read(index)) {
+        Some(sky) => lacking::complete(&mut certainty, &frame.alpha, &sky),
+        None => vec![0.0; certainty.data.len()],
+    };
     // Where there is nothing there is no object: that, too, is known.
-    let known: Vec<f32> =
-        frame.image.plane(1).iter().zip(&frame.alpha.data).map(|(&d, &a)| clean(d + 1.0 - a)).collect();
+    let known: Vec<f32> = frame
+        .image
+        .plane(1)
+        .iter()
+        .zip(&frame.alpha.data)
+        .zip(&lacking)
+        .map(|((&d, &a), l)| clean(d + 1.0 - a - l))
+        .collect();
     let verdict =
         |verdict, agreement| (Visit { view: index, verdict, agreement, mask: None, voice: Vec::new() }, None);
     let shown = certainty.data.iter().filter(|c| **c > 0.5).count();

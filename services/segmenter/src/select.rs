@@ -67,6 +67,9 @@ pub struct PromptedView<'a> {
 /// size and how much it trusts it, in [0, 1]; `None` when it cannot tell.
 pub type Refine<'a> = dyn FnMut(usize, &Image) -> Option<(Mask, f32)> + 'a;
 
+/// Reads the sky of a view at any size that covers the photo edge to edge; `None` where it is not known.
+pub type SkyReader = dyn Fn(usize) -> Option<Mask> + Send + Sync;
+
 /// Everything a selection is made from.
 #[derive(Clone, Copy)]
 pub struct Request<'a> {
@@ -86,6 +89,8 @@ pub struct Request<'a> {
     pub graph: Option<&'a Graph>,
     /// Splats that can never be selected, such as the sky; one flag per splat.
     pub frozen: Option<&'a [bool]>,
+    /// Reads the skies of the views, if there are any.
+    pub skies: Option<&'a SkyReader>,
     /// How to weigh.
     pub settings: &'a SegmentSettings,
 }

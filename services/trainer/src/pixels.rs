@@ -102,7 +102,7 @@ pub(crate) fn error_at_centres(
 ) -> Vec<f32> {
     let (w, h) = (photo.width, photo.height);
     let counted: Vec<f32> = residual.iter().zip(weights).map(|(r, w)| r * w).collect();
-    let smooth = crate::robust::box_mean(&counted, w, h, 2);
+    let smooth = segwild_scene::box_mean(&counted, w, h, 2);
     projected
         .centres()
         .iter()

@@ -1,6 +1,7 @@
 //! Leaving out what contradicts the scene: strangers, cars, umbrellas (method, section 3, the sibling of a
 //! visibility map for affine looks; after RobustNeRF and SpotLessSplats).
 
+use segwild_scene::box_mean;
 use wincode::{SchemaRead, SchemaWrite};
 
 /// Residual histograms per photo, and the masks they give.
@@ -143,40 +144,6 @@ fn quantile(histogram: &[f32], q: f32) -> f32 {
 /// that fits nowhere is not emptied.
 fn threshold(histogram: &[f32], share: f32) -> f32 {
     quantile(histogram, 1.0 - share).max(CONTRAST * quantile(histogram, 0.5)).max(FLOOR)
-}
-
-/// Mean over a square window of half width `r`, cut off at the border.
-pub(crate) fn box_mean(values: &[f32], width: usize, height: usize, r: usize) -> Vec<f32> {
-    let mut rows = vec![0.0f32; values.len()];
-    let inner = r.min(width)..width.saturating_sub(r).max(r.min(width));
-    for (row, means) in values.chunks_exact(width).zip(rows.chunks_exact_mut(width)) {
-        for x in (0..inner.start).chain(inner.end..width) {
-            let (a, b) = (x.saturating_sub(r), (x + r + 1).min(width));
-            means[x] = row[a..b].iter().sum::<f32>() / (b - a) as f32;
-        }
-        // Whole windows, a shifted row at a time.
-        let means = &mut means[inner.clone()];
-        for shift in 0..2 * r + 1 {
-            for (m, v) in means.iter_mut().zip(&row[shift..]) {
-                *m += v;
-            }
-        }
-        means.iter_mut().for_each(|m| *m /= (2 * r + 1) as f32);
-    }
-    let mut out = vec![0.0f32; values.len()];
-    for y in 0..height {
-        let (a, b) = (y.saturating_sub(r), (y + r + 1).min(height));
-        let line = &mut out[y * width..(y + 1) * width];
-        for k in a..b {
-            for (o, v) in line.iter_mut().zip(&rows[k * width..(k + 1) * width]) {
-                *o += v;
-            }
-        }
-        for o in line {
-            *o /= (b - a) as f32;
-        }
-    }
-    out
 }
 
 /// 3 x 3 majority; at the border of the pixels there are.
