@@ -70,9 +70,8 @@ impl SkyDetector for ColourSky {
     }
 }
 
-/// Finds what a network or [`ColourSky`] takes for sky. Each misses what the other finds: colour stops at the edge of a
-/// bank of clouds, a network does not see a hazy sky above water. Skies that only one of them empties are filled with
-/// splats that float before the photos' next neighbours.
+/// Finds what a network or [`ColourSky`] takes for sky. Each misses what the other finds, and a sky that is missed is filled
+/// with splats that float: colour stops at the edge of a bank of clouds, a network does not see a hazy sky above water.
 pub(crate) struct JointSky {
     pub network: SkyNetwork,
     pub colour: ColourSky,
