@@ -81,13 +81,7 @@ fn clicks_become_an_object_that_can_be_drawn_scored_and_replayed() {
     let path = copied_run(&dir);
     let run = show(&path);
     let manifest = &place().manifest;
-    let (name, click) = manifest
-        .objects
-        .iter()
-        .filter(|o| o.name != "ground" && !o.clicks.is_empty())
-        .flat_map(|o| o.clicks.iter().map(move |c| (&o.name, c)))
-        .max_by_key(|(_, c)| c.visible)
-        .expect("an object that shows");
+    let (name, click) = clearest();
     let at = format!("{},{}", click.x, click.y);
     works(&["segment", &run, "--photo", &click.photo, "--in", &at, "--name", "thing"]);
     let thing = path.join("selections/thing");

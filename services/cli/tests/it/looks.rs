@@ -1,6 +1,6 @@
 //! Looks at the command line: on views, on one object, between photos, in files.
 
-use crate::common::{QUICK, copied_run, folder, json, place, refuses, scene, show, works};
+use crate::common::{QUICK, clearest, copied_run, folder, json, place, refuses, scene, show, works};
 use segwild_scene::{Image, ply};
 use std::path::Path;
 
@@ -74,13 +74,7 @@ fn one_object_has_a_look_of_its_own_on_screen_and_in_files() {
     let path = copied_run(&dir);
     let (run, out) = (show(&path), dir.path().join("pictures"));
     let manifest = &place().manifest;
-    let (_, click) = manifest
-        .objects
-        .iter()
-        .filter(|o| o.name != "ground" && !o.clicks.is_empty())
-        .flat_map(|o| o.clicks.iter().map(move |c| (&o.name, c)))
-        .max_by_key(|(_, c)| c.visible)
-        .expect("an object that shows");
+    let (_, click) = clearest();
     let view = click.photo.as_str();
     let other = manifest.photos.iter().find(|p| !p.test && p.name != view).expect("another");
     let other = other.name.as_str();

@@ -1,6 +1,6 @@
 //! What the program's tests share: a small synthetic place, a finished run on it, and the program itself.
 
-use segwild_bench::synthetic::{LookKind, Manifest, SyntheticOptions, generate};
+use segwild_bench::synthetic::{Click, LookKind, Manifest, SyntheticOptions, generate};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
@@ -246,6 +246,13 @@ pub fn has_all_of(run: &Path, expected: &BTreeMap<PathBuf, blake3::Hash>) {
     for (file, hash) in expected {
         assert_eq!(ours.get(file), Some(hash), "{} differs or is missing", file.display());
     }
+}
+
+/// The object of the place that some photo shows best, and a click into it there.
+pub fn clearest() -> (&'static str, &'static Click) {
+    let things = place().manifest.objects.iter().filter(|o| o.name != "ground");
+    let clicks = things.flat_map(|o| o.clicks.iter().map(move |c| (o.name.as_str(), c)));
+    clicks.max_by_key(|(_, c)| c.visible).expect("an object that shows")
 }
 
 /// Clicks into an object of the place, in a run of it.
