@@ -4,7 +4,7 @@ use crate::anew::{Anew, Kept};
 use crate::board::Board;
 use crate::{RunError, RunFolder};
 use segwild_flow::ledger::State;
-use segwild_flow::{Cache, Failure, Key, Ledger};
+use segwild_flow::{Events, Failure, Key, Ledger};
 use segwild_scene::{Mask, Scene};
 use segwild_vision::SkyDetector;
 use std::collections::{BTreeMap, VecDeque};
@@ -87,12 +87,7 @@ impl Skies {
         if !self.found(view) {
             return Ok(None);
         }
-        let kept = Kept { view, what: "sky", kind: "sky", key: &self.keys[view] };
-        let sky = self.anew.read(kept, || {
-            let photo = self.anew.scene.views[view].load(self.size).map_err(Failure::retry)?;
-            let seen = self.anew.scene.seen_by(view, photo.image.width, photo.image.height);
-            Ok(self.detector.sky_above(&photo.image, &seen)?)
-        });
+        let sky = kept_or_found(&self.anew, view, &self.keys[view], self.size, &*self.detector);
         sky.map(Some).inspect_err(|failure| {
             lock(&self.lost).get_or_insert_with(|| failure.clone());
         })
@@ -104,8 +99,22 @@ impl Skies {
     }
 }
 
-/// Reads the skies that a run has found, at the long side `size` that it found them at; one that has gone from the cache is
-/// looked for anew, one that was given up is not known.
+/// A view's sky out of the cache, or found as it was found first.
+fn kept_or_found(
+    anew: &Anew,
+    view: usize,
+    key: &Key,
+    size: u32,
+    detector: &dyn SkyDetector,
+) -> Result<Mask, Failure> {
+    anew.read(Kept { view, what: "sky", kind: "sky", key }, || {
+        let photo = anew.scene.views[view].load(size).map_err(Failure::retry)?;
+        let seen = anew.scene.seen_by(view, photo.image.width, photo.image.height);
+        Ok(detector.sky_above(&photo.image, &seen)?)
+    })
+}
+
+/// Reads the skies that a run has found, at the long side `size` that it found them at; one that was given up is not known.
 pub(crate) fn of_run(
     folder: &RunFolder,
     scene: &Arc<Scene>,
@@ -116,14 +125,9 @@ pub(crate) fn of_run(
     let done = rows.into_iter().filter(|row| row.outcome.state == State::Done);
     let keys: BTreeMap<String, Key> =
         done.filter_map(|row| Some((row.view, Key::parse("sky", &row.key)?))).collect();
-    let (cache, scene) = (Cache::at(folder.path().join("cache")), scene.clone());
+    let anew = Anew { scene: scene.clone(), cache: folder.cache()?, events: Events::new() };
     Ok(move |view: usize| {
-        let key = keys.get(&scene.views[view].name)?;
-        if let Ok(Some(sky)) = cache.get_typed(key, "sky") {
-            return Some(sky);
-        }
-        let photo = scene.views[view].load(size).ok()?;
-        let seen = scene.seen_by(view, photo.image.width, photo.image.height);
-        detector.sky_above(&photo.image, &seen).ok()
+        let key = keys.get(&anew.scene.views[view].name)?;
+        kept_or_found(&anew, view, key, size, &*detector).ok()
     })
 }

@@ -221,7 +221,7 @@ fn call_on(
         Some(sky) => lacking::complete(&mut certainty, &frame.alpha, &sky),
         None => vec![0.0; certainty.data.len()],
     };
-    // Where there is nothing there is no object: that, too, is known.
+    // Where there is nothing, and nothing is lacking, there is no object: that, too, is known.
     let known: Vec<f32> = frame
         .image
         .plane(1)

@@ -1,7 +1,6 @@
 //! Selections that are carried from the prompted photo to the others.
 
-#[allow(dead_code, reason = "the tests share it, none uses all of it")]
-use crate::common::{Dice, World, engine, features, options, posed};
+use crate::common::{Dice, World, engine, features, options, posed, request};
 use glam::Vec3;
 use segwild_raster::Engine;
 use segwild_scene::{Image, Mask, PointPrompt, Splats};
@@ -62,11 +61,7 @@ struct Square {
 impl Square {
     fn new() -> Square {
         let (world, views) = square();
-        let engine = engine();
-        let of = |v: &PosedView, t| {
-            visible_mask(&engine, &world.splats, &world.is(t), &options(), &v.camera, &v.pose).unwrap()
-        };
-        let truth = views.iter().map(|v| (0..4).map(|t| of(v, t)).collect()).collect();
+        let truth = regions(&world, &views, &[0, 1, 2, 3]);
         Square { world, views, truth }
     }
 
@@ -86,18 +81,8 @@ impl Square {
             points: &[],
             refused: false,
         }];
-        let request = Request {
-            engine,
-            options: options(),
-            splats,
-            views: &self.views,
-            prompts: &prompts,
-            features: None,
-            graph: None,
-            frozen: Some(frozen),
-            skies: None,
-            settings,
-        };
+        let request = request(engine, splats, &self.views, &prompts, settings);
+        let request = Request { frozen: Some(frozen), ..request };
         // A 2D segmenter that knows the photo's regions but not which is meant: it takes those that are more
         // likely inside than not. In every fifth photo it is wrong, and sure of it.
         let mut snap = |view: usize, certainty: &Image| {
@@ -118,18 +103,8 @@ impl Square {
         work: impl FnOnce(&Request) -> T,
     ) -> T {
         let (engine, sky) = (engine(), self.world.is(3));
-        work(&Request {
-            engine: &engine,
-            options: options(),
-            splats: &self.world.splats,
-            views: &self.views,
-            prompts,
-            features: None,
-            graph: None,
-            frozen: Some(&sky),
-            skies: None,
-            settings,
-        })
+        let request = request(&engine, &self.world.splats, &self.views, prompts, settings);
+        work(&Request { frozen: Some(&sky), ..request })
     }
 
     fn mean_iou(&self, splats: &Splats, labels: &[bool], first: usize) -> f64 {
@@ -235,18 +210,9 @@ fn carried(
     let (x, y) = mask.pixels().nth(mask.count() / 2).unwrap();
     let points = [click(x as f32 + 0.5, y as f32 + 0.5)];
     let prompts = [PromptedView { view: 0, mask, open, points: &points, refused: false }];
-    let request = Request {
-        engine: &engine,
-        options: options(),
-        splats: &world.splats,
-        views,
-        prompts: &prompts,
-        features: Some(field),
-        graph: None,
-        frozen: Some(&world.is(3)),
-        skies: None,
-        settings: &SegmentSettings::default(),
-    };
+    let (settings, sky) = (SegmentSettings::default(), world.is(3));
+    let request = request(&engine, &world.splats, views, &prompts, &settings);
+    let request = Request { features: Some(field), frozen: Some(&sky), ..request };
     let mut snap = |view: usize, certainty: &Image| Some((likelier(&truth[view], certainty, least), 0.9));
     select(&request, Some(&mut snap)).unwrap().labels
 }

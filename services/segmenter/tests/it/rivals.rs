@@ -1,7 +1,6 @@
 //! The ways of selecting that other methods use, as settings of ours.
 
-#[allow(dead_code, reason = "the tests share it, none uses all of it")]
-use crate::common::{Dice, World, engine, features, options, posed, walls};
+use crate::common::{Dice, World, engine, features, posed, request, walls};
 use glam::Vec3;
 use segwild_scene::{Mask, PointPrompt};
 use segwild_segmenter::{
@@ -31,19 +30,8 @@ fn labels(
             refused: false,
         })
         .collect();
-    let request = Request {
-        engine: &engine,
-        options: options(),
-        splats: &world.splats,
-        views,
-        prompts: &prompts,
-        features,
-        graph: None,
-        frozen: None,
-        skies: None,
-        settings: &settings,
-    };
-    Ok(select(&request, None)?.labels)
+    let request = request(&engine, &world.splats, views, &prompts, &settings);
+    Ok(select(&Request { features, ..request }, None)?.labels)
 }
 
 #[test]

@@ -1,7 +1,6 @@
 //! Selections on scenes of known objects.
 
-#[allow(dead_code, reason = "the tests share it, none uses all of it")]
-use crate::common::{Dice, World, engine, features, options, posed, walls};
+use crate::common::{Dice, World, engine, features, options, posed, request, walls};
 use glam::{Vec2, Vec3};
 use segwild_raster::Engine;
 use segwild_scene::{Mask, PointPrompt, Splats};
@@ -29,19 +28,9 @@ impl Case<'_> {
     fn run(&self) -> Result<Selection, SegmentError> {
         let prompts =
             [PromptedView { view: 0, mask: self.mask, open: None, points: self.points, refused: false }];
-        let request = Request {
-            engine: self.engine,
-            options: options(),
-            splats: self.splats,
-            views: std::slice::from_ref(self.view),
-            prompts: &prompts,
-            features: self.features,
-            graph: None,
-            frozen: self.frozen,
-            skies: None,
-            settings: &self.settings,
-        };
-        select(&request, None)
+        let views = std::slice::from_ref(self.view);
+        let request = request(self.engine, self.splats, views, &prompts, &self.settings);
+        select(&Request { features: self.features, frozen: self.frozen, ..request }, None)
     }
 }
 
@@ -236,18 +225,7 @@ fn the_cut_makes_the_object_fit_its_mask_better() {
     let points = [click(80.0, 60.0)];
     let prompts = [PromptedView { view: 0, mask: &mask, open: None, points: &points, refused: false }];
     let settings = SegmentSettings { components: ComponentRule::All, ..SegmentSettings::default() };
-    let request = Request {
-        engine: &engine,
-        options: options(),
-        splats: &world.splats,
-        views: std::slice::from_ref(&view),
-        prompts: &prompts,
-        features: None,
-        graph: None,
-        frozen: None,
-        skies: None,
-        settings: &settings,
-    };
+    let request = request(&engine, &world.splats, std::slice::from_ref(&view), &prompts, &settings);
     let selection = select(&request, None).unwrap();
     let cut = cut(&request, &selection).unwrap();
     assert!(cut.changed.len() > 20);

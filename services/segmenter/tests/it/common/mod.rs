@@ -1,9 +1,9 @@
 //! Small scenes of known objects.
 
 use glam::{Quat, Vec3};
-use segwild_raster::{CpuEngine, ProjectOptions};
+use segwild_raster::{CpuEngine, Engine, ProjectOptions};
 use segwild_scene::{Camera, Pose, Splats};
-use segwild_segmenter::{FeatureField, PosedView};
+use segwild_segmenter::{FeatureField, PosedView, PromptedView, Request, SegmentSettings};
 
 /// Numbers in [0, 1) from a seed.
 pub struct Dice(pub u64);
@@ -126,4 +126,26 @@ pub fn features(world: &World, channels: usize) -> FeatureField {
         .map(|v| v + 0.02 * (dice.next() - 0.5))
         .collect();
     FeatureField::new(channels, values).unwrap()
+}
+
+/// A request with nothing but what it needs.
+pub fn request<'a>(
+    engine: &'a dyn Engine,
+    splats: &'a Splats,
+    views: &'a [PosedView],
+    prompts: &'a [PromptedView<'a>],
+    settings: &'a SegmentSettings,
+) -> Request<'a> {
+    Request {
+        engine,
+        options: options(),
+        splats,
+        views,
+        prompts,
+        features: None,
+        graph: None,
+        frozen: None,
+        skies: None,
+        settings,
+    }
 }
