@@ -1,6 +1,6 @@
 //! The trainer behind a mailbox: one order trains one scene, and what comes of it is sent on as it comes.
 
-use crate::{Checkpoint, Model, Photos, TrainSettings, Trainer};
+use crate::{Checkpoint, Model, Photos, TrainError, TrainSettings, Trainer};
 use segwild_flow::{Actor, Context, Failure, Message, Quarantined, Sender, fault};
 use segwild_raster::Engine;
 use segwild_scene::{Scene, Skipped};
@@ -95,9 +95,15 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
         let (engine, scene, photos) = (self.engine.clone(), &*order.scene, order.photos.clone());
         let started = match (order.checkpoint)()? {
             Some(checkpoint) => Trainer::resume(engine, scene, photos, checkpoint),
-            None => Trainer::new(engine, scene, photos, order.settings.clone()),
+            None => Trainer::cross_checked(engine, scene, photos, order.settings.clone(), &|| {
+                context.progress();
+                context.stopping()
+            }),
         };
-        let mut trainer = started.map_err(Failure::fatal)?;
+        let mut trainer = started.map_err(|e| match e {
+            TrainError::Stopped => Failure::stopped(),
+            e => Failure::fatal(e),
+        })?;
         trainer.hold_photos(order.settings.photo_cache_mib);
         for warning in trainer.warnings() {
             context.events().warn(Some("geometry"), warning.clone());

@@ -4,9 +4,9 @@ use crate::TrainError;
 use crate::background::Background;
 use crate::looks::{self, Lit};
 use crate::model::{Model, compose};
-use crate::photos::{PhotoCache, Photos, level_camera};
-use segwild_raster::{AffineLook, AnyLook, Channels, Engine, HIDDEN, Look, RANK};
-use segwild_scene::{Image, Scene, Splats};
+use crate::photos::{PhotoCache, Photos, Stored};
+use segwild_raster::{AnyLook, Channels, Engine, HIDDEN, Look, RANK};
+use segwild_scene::{Image, Scene, Splats, View};
 use std::sync::Arc;
 
 /// How a held-out photo is scored.
@@ -60,93 +60,19 @@ pub fn evaluate(
     for &view in views {
         let stored = cache.get(view)?;
         let photo = &stored.levels[0];
-        let (w, h) = (photo.width, photo.height);
-        let full = scene.views[view].camera.resized(w as u32, h as u32);
-        let camera = level_camera(&full, 0, photo);
-        let pose = scene.views[view].pose;
-        let projected = engine.project(&model.splats, &camera, &pose, &model.options())?;
-        let colours = projected.shade();
-        let blend = |count, values: &[f32]| projected.blend(&Channels { count, values });
-        let frame = blend(3, &colours);
-        let (mut look, mut index) = (model.look.clone(), model.look_index(None));
-        let mut background = model.background(None);
-        let mut tinted = None;
-        let eye = pose.centre();
-        let direction = |i: usize| (model.splats.mean(i) - eye).normalize_or_zero().to_array();
-        if protocol == Protocol::Halves {
-            let left = |i: usize| i % w < w / 2;
-            if stored.has_sky {
-                let open = |i: usize| (1.0 - frame.alpha.data[i]).max(0.0).powi(2);
-                let seen = |i: usize| {
-                    let weight = if photo.sky(i) { 1.0 } else { open(i) };
-                    (left(i) && photo.valid(i) && weight > 0.01).then(|| (photo.colour(i), weight))
-                };
-                let sky = Background::fit(&camera, &pose, 2, seen);
-                background = sky.unwrap_or(background);
-            }
-            let behind = background.paint(&camera, &pose);
-            let n = w * h;
-            let codes = match &model.look {
-                AnyLook::Embed(_) => blend(3 * RANK, &model.codes).image,
-                AnyLook::Gsw(look) => blend(3 * RANK, &look.codes_below(&model.codes)).image,
-                _ => Image::zeros(0, 0, 0),
-            };
-            let lit = |(scene, alpha, seen, i): ([f32; 3], f32, [f32; 3], usize)| {
-                let light = std::array::from_fn(|k| codes.data[k * n + i]);
-                Lit { scene, alpha, light, seen }
-            };
-            let pairs = (0..n).filter(|&i| left(i) && photo.counts(i)).map(|i| {
-                let (c, alpha) = (photo.colour(i), frame.alpha.data[i]);
-                let scene = [0, 1, 2].map(|k| frame.image.data[k * n + i]);
-                let seen = [0, 1, 2].map(|k| c[k] - (1.0 - alpha) * behind.data[k * n + i]);
-                (scene, alpha, seen, i)
-            });
-            let plain = pairs.clone().map(|(scene, alpha, seen, _)| (scene, alpha, seen, 1.0));
-            match &model.look {
-                AnyLook::None(_) => {}
-                AnyLook::Affine(_) => {
-                    let mut fitted = AffineLook::new(1);
-                    fitted.set_matrix(0, looks::fit(plain));
-                    (look, index) = (AnyLook::Affine(fitted), 0);
-                }
-                AnyLook::Embed(trained) => {
-                    let fitted = looks::fit_embed(trained, &model.trained_on, pairs.map(lit));
-                    (look, index) = (AnyLook::Embed(fitted), 0);
-                }
-                AnyLook::Gsw(trained) => {
-                    // The network, too, sees the left half only.
-                    let glance = looks::glance(trained, photo, &camera, &pose, left);
-                    let light = trained.impression_of_glance(&glance);
-                    let Splats { means, .. } = &model.splats;
-                    let below = trained.below.tone(index, means, &model.codes);
-                    let own = (&below, trained.layer());
-                    let tone = trained.tone_of(&[(&light, 1.0)], own, means, &model.codes);
-                    let hidden = blend(HIDDEN, &trained.hidden(&tone, &direction)).image;
-                    let pixels = pairs.map(|pair| {
-                        let i = pair.3;
-                        (lit(pair), std::array::from_fn(|k| hidden.data[k * n + i]))
-                    });
-                    let (below, layer) = looks::fit_gsw(trained, &model.trained_on, pixels);
-                    let own = (&below.tone(0, means, &model.codes), layer.as_slice());
-                    let tone = trained.tone_of(&[(&light, 1.0)], own, means, &model.codes);
-                    tinted = Some(trained.shade(&tone, &model.codes, &direction, colours.clone()));
-                }
-            }
-        }
-        let frame = match (&look, tinted) {
-            (_, Some(tinted)) => blend(3, &tinted),
-            (AnyLook::Embed(look), None) => blend(3, &look.tint(index, &model.codes, colours)),
-            (AnyLook::Gsw(look), None) => {
-                let tone = look.tone(index, &model.splats.means, &model.codes);
-                blend(3, &look.shade(&tone, &model.codes, &direction, colours))
-            }
-            _ => frame,
+        let w = photo.width;
+        let left = |i: usize| i % w < w / 2;
+        let fitted: Option<&dyn Fn(usize) -> bool> = match protocol {
+            Protocol::Plain => None,
+            Protocol::Halves => Some(&left),
         };
-        let render = compose(&frame, &look, index, &background, &camera, &pose);
+        let Unseen { shown: render, .. } =
+            draw_unseen(model, engine, &scene.views[view], &stored, 0, fitted)?;
         let target = photo.image();
         let from = if protocol == Protocol::Halves { w / 2 } else { 0 };
         let scored = |i: usize| f32::from(u8::from(i % w >= from && photo.valid(i)));
-        let mask = Image { width: w, height: h, channels: 1, data: (0..w * h).map(scored).collect() };
+        let data = (0..photo.pixels()).map(scored).collect();
+        let mask = Image { width: w, height: photo.height, channels: 1, data };
         let psnr = segwild_raster::psnr(&render, &target, Some(&mask));
         let ssim = segwild_raster::ssim(&render, &target, Some(&mask));
         out.views.push(ViewScore { view, name: scene.views[view].name.clone(), psnr, ssim });
@@ -156,4 +82,103 @@ pub fn evaluate(
     out.psnr = out.views.iter().map(|v| v.psnr).sum::<f32>() / n;
     out.ssim = out.views.iter().map(|v| v.ssim).sum::<f32>() / n;
     Ok(out)
+}
+
+/// A photo that the scene was not trained on, as the scene would show it.
+pub(crate) struct Unseen {
+    /// sRGB in [0, 1].
+    pub shown: Image,
+    /// How much of it is the scene's, and not what is behind.
+    pub alpha: Image,
+}
+
+/// Draws one at a level of its size, in the look and before the sky that its pixels `fitted` have; in the mean look
+/// where none are to be fitted.
+pub(crate) fn draw_unseen(
+    model: &Model,
+    engine: &dyn Engine,
+    view: &View,
+    stored: &Stored,
+    level: usize,
+    fitted: Option<&dyn Fn(usize) -> bool>,
+) -> Result<Unseen, TrainError> {
+    let photo = stored.level(level).1;
+    let n = photo.pixels();
+    let (camera, pose) = (stored.camera(&view.camera, level), view.pose);
+    let projected = engine.project(&model.splats, &camera, &pose, &model.options())?;
+    let colours = projected.shade();
+    let blend = |count, values: &[f32]| projected.blend(&Channels { count, values });
+    let frame = blend(3, &colours);
+    let (mut look, mut index) = (model.look.clone(), model.look_index(None));
+    let mut background = model.background(None);
+    let mut tinted = None;
+    let eye = pose.centre();
+    let direction = |i: usize| (model.splats.mean(i) - eye).normalize_or_zero().to_array();
+    if let Some(within) = fitted {
+        if stored.has_sky {
+            let open = |i: usize| (1.0 - frame.alpha.data[i]).max(0.0).powi(2);
+            let seen = |i: usize| {
+                let weight = if photo.sky(i) { 1.0 } else { open(i) };
+                (within(i) && photo.valid(i) && weight > 0.01).then(|| (photo.colour(i), weight))
+            };
+            let sky = Background::fit(&camera, &pose, 2, seen);
+            background = sky.unwrap_or(background);
+        }
+        let behind = background.paint(&camera, &pose);
+        let codes = match &model.look {
+            AnyLook::Embed(_) => blend(3 * RANK, &model.codes).image,
+            AnyLook::Gsw(look) => blend(3 * RANK, &look.codes_below(&model.codes)).image,
+            _ => Image::zeros(0, 0, 0),
+        };
+        let lit = |(scene, alpha, seen, i): ([f32; 3], f32, [f32; 3], usize)| {
+            let light = std::array::from_fn(|k| codes.data[k * n + i]);
+            Lit { scene, alpha, light, seen }
+        };
+        let pairs = (0..n).filter(|&i| within(i) && photo.counts(i)).map(|i| {
+            let (c, alpha) = (photo.colour(i), frame.alpha.data[i]);
+            let scene = [0, 1, 2].map(|k| frame.image.data[k * n + i]);
+            let seen = [0, 1, 2].map(|k| c[k] - (1.0 - alpha) * behind.data[k * n + i]);
+            (scene, alpha, seen, i)
+        });
+        match &model.look {
+            AnyLook::None(_) => {}
+            AnyLook::Affine(trained) => {
+                let fitted = looks::fit_affine(trained, &model.trained_on, pairs);
+                (look, index) = (AnyLook::Affine(fitted), 0);
+            }
+            AnyLook::Embed(trained) => {
+                let fitted = looks::fit_embed(trained, &model.trained_on, pairs.map(lit));
+                (look, index) = (AnyLook::Embed(fitted), 0);
+            }
+            AnyLook::Gsw(trained) => {
+                // The network, too, sees no more than that.
+                let glance = looks::glance(trained, photo, &camera, &pose, within);
+                let light = trained.impression_of_glance(&glance);
+                let Splats { means, .. } = &model.splats;
+                let below = trained.below.tone(index, means, &model.codes);
+                let own = (&below, trained.layer());
+                let tone = trained.tone_of(&[(&light, 1.0)], own, means, &model.codes);
+                let hidden = blend(HIDDEN, &trained.hidden(&tone, &direction)).image;
+                let pixels = pairs.map(|pair| {
+                    let i = pair.3;
+                    (lit(pair), std::array::from_fn(|k| hidden.data[k * n + i]))
+                });
+                let (below, layer) = looks::fit_gsw(trained, &model.trained_on, pixels);
+                let own = (&below.tone(0, means, &model.codes), layer.as_slice());
+                let tone = trained.tone_of(&[(&light, 1.0)], own, means, &model.codes);
+                tinted = Some(trained.shade(&tone, &model.codes, &direction, colours.clone()));
+            }
+        }
+    }
+    let frame = match (&look, tinted) {
+        (_, Some(tinted)) => blend(3, &tinted),
+        (AnyLook::Embed(look), None) => blend(3, &look.tint(index, &model.codes, colours)),
+        (AnyLook::Gsw(look), None) => {
+            let tone = look.tone(index, &model.splats.means, &model.codes);
+            blend(3, &look.shade(&tone, &model.codes, &direction, colours))
+        }
+        _ => frame,
+    };
+    let shown = compose(&frame, &look, index, &background, &camera, &pose);
+    Ok(Unseen { shown, alpha: frame.alpha })
 }

@@ -26,6 +26,7 @@ mod settings;
 mod state;
 mod step;
 mod strangers;
+mod suspects;
 mod trainer;
 mod visibility;
 mod witness;

@@ -85,6 +85,12 @@ impl Level {
         self.flags[i] & VALID != 0
     }
 
+    /// Whether a pixel lies in a mask of the photo, of whatever size.
+    pub fn lies_in(&self, i: usize, mask: &Mask) -> bool {
+        let of = |at: usize, size: usize, other: u32| (at * other as usize / size) as u32;
+        mask.get(of(i % self.width, self.width, mask.width()), of(i / self.width, self.height, mask.height()))
+    }
+
     pub fn colour(&self, i: usize) -> [f32; 3] {
         let n = self.pixels();
         [0, 1, 2].map(|c| f32::from(self.rgb[c * n + i]) * (1.0 / 255.0))
@@ -177,6 +183,13 @@ impl Stored {
         self.levels.iter().map(|l| l.rgb.len() + l.flags.len()).sum()
     }
 
+    /// The camera of a level, given the photo's.
+    pub fn camera(&self, photo: &Camera, level: usize) -> Camera {
+        let full = photo.resized(self.levels[0].width as u32, self.levels[0].height as u32);
+        let (level, size) = self.level(level);
+        level_camera(&full, level, size)
+    }
+
     /// The level asked for, or the smallest there is.
     pub fn level(&self, level: usize) -> (usize, &Level) {
         let l = level.min(self.levels.len() - 1);
@@ -211,6 +224,12 @@ pub(crate) struct PhotoCache {
 impl PhotoCache {
     pub fn new(source: Arc<dyn Photos>, names: Vec<String>, limit: usize) -> PhotoCache {
         PhotoCache { source, names, held: BTreeMap::new(), clock: 0, bytes: 0, limit }
+    }
+
+    /// The cache with all it holds; what is left in its place holds nothing.
+    pub fn take(&mut self) -> PhotoCache {
+        let empty = PhotoCache::new(self.source.clone(), self.names.clone(), self.limit);
+        std::mem::replace(self, empty)
     }
 
     /// Another budget, in bytes.

@@ -19,6 +19,8 @@ const BINS: usize = 128;
 const DECAY: f32 = 0.7;
 /// Residuals under this are never transient: fine texture that is not learnt yet looks like this.
 const FLOOR: f32 = 0.06;
+/// What was suspected before is left out from this share of the residual on.
+pub(crate) const SUSPECT: f32 = 0.5;
 /// A transient stands out from its photo by this factor over the median.
 const CONTRAST: f32 = 3.0;
 
@@ -32,13 +34,14 @@ impl Robust {
     /// residuals would spoil the histograms.
     ///
     /// `residual` is one number per pixel, mean absolute colour difference; `counts` says which pixels take
-    /// part at all.
+    /// part at all, `suspected` which were taken for strangers before.
     pub fn weights(
         &mut self,
         photo: usize,
         residual: &[f32],
         width: usize,
         counts: impl Fn(usize) -> bool,
+        suspected: impl Fn(usize) -> bool,
     ) -> Option<Vec<f32>> {
         let height = residual.len() / width;
         let bins: Vec<Option<u8>> = smoothed(residual, width)
@@ -73,8 +76,11 @@ impl Robust {
         if over(threshold) > 1.5 * self.share {
             threshold = threshold.max(self::threshold(&fresh, self.share));
         }
-        let over: [u8; BINS] = std::array::from_fn(|b| u8::from(bin_top(b) > threshold));
-        let out: Vec<u8> = bins.iter().map(|b| b.map_or(0, |b| over[usize::from(b)])).collect();
+        let over = |t: f32| -> [u8; BINS] { std::array::from_fn(|b| u8::from(bin_top(b) > t)) };
+        let over = [over(threshold), over(SUSPECT * threshold)];
+        let out =
+            |(i, b): (usize, &Option<u8>)| b.map_or(0, |b| over[usize::from(suspected(i))][usize::from(b)]);
+        let out: Vec<u8> = bins.iter().enumerate().map(out).collect();
         if out.iter().all(|&o| o == 0) {
             return None;
         }
@@ -115,7 +121,7 @@ pub(crate) fn contradicted(
     counts: impl Fn(usize) -> bool,
     share: f32,
 ) -> Vec<bool> {
-    let kept = Robust::new(1, share).weights(0, residual, width, counts);
+    let kept = Robust::new(1, share).weights(0, residual, width, counts, |_| false);
     kept.map_or(vec![false; residual.len()], |kept| kept.iter().map(|&k| k == 0.0).collect())
 }
 
@@ -190,14 +196,14 @@ mod tests {
         for _ in 0..6 {
             let residual: Vec<f32> =
                 (0..W * H).map(|i| if stranger(i) { 0.3 } else { 0.03 * r.uniform() } + 0.01).collect();
-            last = robust.weights(0, &residual, W, |_| true);
+            last = robust.weights(0, &residual, W, |_| true, |_| false);
         }
         let w = last.unwrap();
         let wrong = (0..W * H).filter(|&i| stranger(i) == (w[i] > 0.5)).count();
         assert!(wrong < 90, "{wrong} pixels on the wrong side"); // the outline is 84 pixels long
         // A one-pixel line of large residual, an edge off by one, stays.
         let line: Vec<f32> = (0..W * H).map(|i| if i % W == 40 { 0.15 } else { 0.02 }).collect();
-        assert_eq!(kept(&Robust::new(1, 0.2).weights(0, &line, W, |_| true)), 1.0);
+        assert_eq!(kept(&Robust::new(1, 0.2).weights(0, &line, W, |_| true, |_| false)), 1.0);
     }
 
     #[test]
@@ -207,25 +213,25 @@ mod tests {
         // Wrong everywhere, wildly wrong, not a number anywhere: at most about the share goes.
         for _ in 0..5 {
             let bad: Vec<f32> = (0..W * H).map(|_| 0.4 + 0.4 * r.uniform()).collect();
-            assert!(kept(&robust.weights(0, &bad, W, |_| true)) >= 0.7);
+            assert!(kept(&robust.weights(0, &bad, W, |_| true, |_| false)) >= 0.7);
             let half: Vec<f32> = (0..W * H).map(|i| if i % W < 40 { 0.9 } else { 0.0 }).collect();
-            assert!(kept(&robust.weights(1, &half, W, |_| true)) >= 0.4);
+            assert!(kept(&robust.weights(1, &half, W, |_| true, |_| false)) >= 0.4);
             let nan = vec![f32::NAN; W * H];
-            assert!(kept(&robust.weights(2, &nan, W, |_| true)) >= 0.7);
+            assert!(kept(&robust.weights(2, &nan, W, |_| true, |_| false)) >= 0.7);
         }
         // A perfect photo loses nothing.
-        assert!(robust.weights(0, &vec![0.001; W * H], W, |_| true).is_none());
-        assert!(robust.weights(0, &vec![0.9; W * H], W, |_| false).is_none());
+        assert!(robust.weights(0, &vec![0.001; W * H], W, |_| true, |_| false).is_none());
+        assert!(robust.weights(0, &vec![0.9; W * H], W, |_| false, |_| false).is_none());
     }
 
     #[test]
     fn a_sudden_change_does_not_empty_a_photo() {
         let mut robust = Robust::new(1, 0.2);
         for _ in 0..10 {
-            robust.weights(0, &vec![0.01; W * H], W, |_| true);
+            robust.weights(0, &vec![0.01; W * H], W, |_| true, |_| false);
         }
         let mut r = Random::new(4);
         let worse: Vec<f32> = (0..W * H).map(|_| 0.3 + 0.1 * r.uniform()).collect();
-        assert!(kept(&robust.weights(0, &worse, W, |_| true)) >= 0.7);
+        assert!(kept(&robust.weights(0, &worse, W, |_| true, |_| false)) >= 0.7);
     }
 }

@@ -13,11 +13,18 @@ pub(crate) struct Schedule {
     steps: u32,
     coarse: f32,
     sh_degree: u32,
+    /// Halvings of the photo at the end.
+    finest: usize,
 }
 
 impl Schedule {
     pub fn new(settings: &TrainSettings) -> Schedule {
-        Schedule { steps: settings.steps, coarse: settings.coarse, sh_degree: settings.sh_degree }
+        Schedule { steps: settings.steps, coarse: settings.coarse, sh_degree: settings.sh_degree, finest: 0 }
+    }
+
+    /// The same on photos that are halved so many times at the least.
+    pub fn no_finer_than(self, finest: usize) -> Schedule {
+        Schedule { finest, ..self }
     }
 
     /// 1 at the last step, and after it: who trains on past the end keeps its rates.
@@ -28,13 +35,14 @@ impl Schedule {
     /// Halvings of the photo at a step: two for the first third of the coarse part, then one, then none.
     pub fn level(&self, step: u32) -> usize {
         let t = self.share(step);
-        if t < self.coarse * 0.3333 {
+        let level = if t < self.coarse * 0.3333 {
             2
         } else if t < self.coarse {
             1
         } else {
             0
-        }
+        };
+        level.max(self.finest)
     }
 
     /// Degree of the colours in use at a step: all of them by 60 % of the run.

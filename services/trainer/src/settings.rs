@@ -63,6 +63,9 @@ segwild_scene::settings! {
         robust: bool = true,
         /// Largest share of a photo that may be left out as transient.
         robust_share: f32 = 0.35 => 0.0..=0.6,
+        /// Trainings, short and on small photos, that look for strangers before the training itself: each leaves out its
+        /// part of the photos and says what it does not find in them. 0 or 2 and more.
+        cross_checks: u32 = 2 => 0..=8,
         /// Seed of everything random; the same seed gives the same bytes.
         seed: u64 = 1,
         /// Learning rate of the centres at the start, in pixels of the photo at the scene's median depth.
@@ -115,6 +118,11 @@ impl TrainSettings {
     /// Refuses values outside their range, in words.
     pub fn check(&self) -> Result<(), TrainError> {
         Group::check(self).map_err(|e| TrainError::Setting(e.to_string()))?;
+        if self.cross_checks == 1 {
+            let why =
+                "`cross_checks` is 1, and a training that leaves out all photos has none: 0, or 2 and more";
+            return Err(TrainError::Setting(why.into()));
+        }
         match self.look {
             LookKind::Auto => Err(TrainError::Setting(
                 "`look` is `auto`, which is decided before the training (`choose_look`)".into(),

@@ -9,7 +9,7 @@ use crate::pixels::add_behind;
 use crate::robust::Robust;
 use crate::sampler::Sampler;
 use segwild_raster::{AnyLook, Channels, Frame, Impression, Projected, Sight};
-use segwild_scene::{Camera, Image, Pose, Random};
+use segwild_scene::{Camera, Image, Mask, Pose, Random};
 use wincode::{SchemaRead, SchemaWrite};
 
 /// A view drawn as its photo would show it.
@@ -38,6 +38,8 @@ pub(crate) struct State {
     /// Per view of the scene, in the photo's colours; `None` until the photo was looked at.
     pub backgrounds: Vec<Option<Background>>,
     pub robust: Robust,
+    /// Per view, what is taken for strangers before any look at it.
+    pub suspects: Vec<Option<Mask>>,
     pub sampler: Sampler,
     pub random: Random,
     /// Per view, -10 log10 of the last squared error at the present size.
@@ -86,7 +88,7 @@ impl State {
 
     /// Refuses a state whose parts do not fit each other or the scene.
     pub fn check(&self, views: usize) -> Result<(), TrainError> {
-        let per_view = [self.backgrounds.len(), self.quality.len()];
+        let per_view = [self.backgrounds.len(), self.quality.len(), self.suspects.len()];
         if per_view.iter().any(|&n| n != views) || self.sampler.views().iter().any(|&v| v >= views) {
             return Err(TrainError::Checkpoint("it is damaged: its lists of photos differ in length".into()));
         }

@@ -51,7 +51,13 @@ impl Trainer {
         if active {
             let trusted = self.views[view].trusted(photo);
             doubted = residual.iter().zip(&trusted).map(|(r, t)| r * (1.0 - t)).collect();
-            kept = self.state.robust.weights(view, &doubted, photo.width, |i| photo.counts(i));
+            let suspects = self.state.suspects[view].as_ref();
+            let suspected = |i| suspects.is_some_and(|s| photo.lies_in(i, s));
+            kept = self.state.robust.weights(view, &doubted, photo.width, |i| photo.counts(i), suspected);
+        } else if let Some(suspects) = self.state.suspects[view].as_ref().filter(|_| !stored.strangers_known)
+        {
+            kept =
+                Some((0..photo.pixels()).map(|i| f32::from(u8::from(!photo.lies_in(i, suspects)))).collect());
         }
         let (mut visible, mut blame) = (None, Vec::new());
         if let Some(light) = light.as_ref().filter(|_| active) {

@@ -11,10 +11,11 @@ use crate::robust::Robust;
 use crate::sampler::Sampler;
 use crate::schedule::Schedule;
 use crate::state::{State, mean_quality};
+use crate::suspects::suspects;
 use crate::{TrainError, TrainSettings};
 use segwild_raster::{AnyLook, Engine};
 use segwild_scene::Random;
-use segwild_scene::{Camera, Scene, Skipped};
+use segwild_scene::{Camera, Mask, Scene, Skipped};
 use std::sync::Arc;
 use wincode::{SchemaRead, SchemaWrite};
 
@@ -79,8 +80,35 @@ impl Trainer {
         settings: TrainSettings,
     ) -> Result<Trainer, TrainError> {
         settings.check()?;
-        let mut train: Vec<usize> = (0..scene.views.len()).filter(|&i| !scene.views[i].test).collect();
+        let cache = photo_cache(scene, photos, &settings);
+        Trainer::begin(engine, scene, cache, settings, 0)
+    }
+
+    /// The same after a look for strangers by [`TrainSettings::cross_checks`] other trainings; `stopping` ends these.
+    pub fn cross_checked(
+        engine: Arc<dyn Engine>,
+        scene: &Scene,
+        photos: Arc<dyn Photos>,
+        settings: TrainSettings,
+        stopping: &dyn Fn() -> bool,
+    ) -> Result<Trainer, TrainError> {
+        settings.check()?;
         let mut cache = photo_cache(scene, photos, &settings);
+        let found = suspects(&engine, scene, &mut cache, &settings, stopping)?;
+        let mut trainer = Trainer::begin(engine, scene, cache, settings, 0)?;
+        trainer.state.suspects = found;
+        Ok(trainer)
+    }
+
+    /// Starts from the scene's points, on photos that are halved `finest` times at the least.
+    pub(crate) fn begin(
+        engine: Arc<dyn Engine>,
+        scene: &Scene,
+        mut cache: PhotoCache,
+        settings: TrainSettings,
+        finest: usize,
+    ) -> Result<Trainer, TrainError> {
+        let mut train: Vec<usize> = (0..scene.views.len()).filter(|&i| !scene.views[i].test).collect();
         let mut skipped = Vec::new();
         // The first usable photo tells the size trained at.
         let first = loop {
@@ -96,7 +124,7 @@ impl Trainer {
                 Err(other) => return Err(other),
             }
         };
-        let size = &first.1.levels[0];
+        let (_, size) = first.1.level(finest);
         let long_side = size.width.max(size.height) as u32;
         let mut eyes: Vec<Option<Eye>> = vec![None; scene.views.len()];
         for &i in &train {
@@ -104,7 +132,7 @@ impl Trainer {
         }
         let cap = cap(&settings, scene.points.len(), train.len(), size.pixels());
         let mut random = Random::new(settings.seed);
-        let schedule = Schedule::new(&settings);
+        let schedule = Schedule::new(&settings).no_finer_than(finest);
         let start = initial_splats(scene, &eyes, schedule.sh_degree(0), cap, &mut random);
         let look = looks::begin(&settings, scene.views.len());
         let codes = look.as_look().first_codes(&start.splats.means);
@@ -115,6 +143,7 @@ impl Trainer {
             look,
             backgrounds: vec![None; scene.views.len()],
             robust: Robust::new(scene.views.len(), settings.robust_share),
+            suspects: vec![None; scene.views.len()],
             sampler: Sampler::new(&train),
             random,
             quality: vec![None; scene.views.len()],
@@ -208,6 +237,12 @@ impl Trainer {
     /// What was odd about the start, in words.
     pub fn warnings(&self) -> &[String] {
         &self.warnings
+    }
+
+    /// What of a view's photo is left out from the start, at whatever size: other photos do not show it. `None` where nothing
+    /// is known.
+    pub fn suspects(&self, view: usize) -> Option<&Mask> {
+        self.state.suspects[view].as_ref()
     }
 
     /// The photos in the order in which the next steps look at them, each at least once: what to have ready first.

@@ -14,7 +14,7 @@ const NOTHING: &[&str] = &[];
 
 /// Every setting of the groups `train`, `masks` and `features`: another value, and the stages that depend on it where
 /// the others have their defaults.
-const TABLE: [(&str, &str, &[&str]); 49] = [
+const TABLE: [(&str, &str, &[&str]); 50] = [
     ("steps", "61", GEOMETRY),
     ("splats", "500", GEOMETRY),
     ("density", "mcmc", GEOMETRY),
@@ -22,6 +22,7 @@ const TABLE: [(&str, &str, &[&str]); 49] = [
     ("look", "none", GEOMETRY),
     ("robust", "false", GEOMETRY),
     ("robust_share", "0.1", GEOMETRY),
+    ("cross_checks", "3", GEOMETRY),
     ("seed", "2", GEOMETRY),
     ("lr_mean", "0.4", GEOMETRY),
     ("lr_opacity", "0.04", GEOMETRY),

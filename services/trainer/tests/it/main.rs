@@ -1,0 +1,7 @@
+//! Every integration test of the crate in one program: it links once.
+
+mod wall;
+
+mod lights;
+mod strangers;
+mod training;
