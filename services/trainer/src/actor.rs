@@ -108,6 +108,12 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
         for warning in trainer.warnings() {
             context.events().warn(Some("geometry"), warning.clone());
         }
+        let suspected = trainer.suspected();
+        if suspected > 0.0 {
+            let share = 100.0 * suspected;
+            let said = format!("{share:.0} % of the photos show what others do not: left out from the start");
+            context.events().info(Some("geometry"), said);
+        }
         self.send(TrainOutcome::Began { step: trainer.steps_done(), upcoming: trainer.upcoming() })?;
         let mut saved = Instant::now();
         while trainer.steps_done() < order.until {

@@ -15,7 +15,7 @@ use segwild_scene::{Mask, Scene, box_mean};
 use std::sync::Arc;
 
 /// Steps of each training: a share of the whole training's, within these.
-const STEPS: (u32, u32, u32) = (5, 150, 600);
+const STEPS: (u32, u32, u32) = (10, 100, 400);
 /// Halvings of the photos.
 const FINEST: usize = 1;
 /// With fewer photos than this, what is left when some are left out tells nothing.
@@ -73,17 +73,13 @@ pub(crate) fn suspects(
             found[view] = unknown(&**engine, scene, &model, view, photos, settings.robust_share)?;
         }
     }
-    let shares =
-        found.iter().flatten().map(|mask: &Mask| mask.count() as f32 / (mask.width() * mask.height()) as f32);
-    let share = shares.clone().sum::<f32>() / shares.count().max(1) as f32;
-    if share < LEAST {
-        return Ok(vec![None; scene.views.len()]);
-    }
-    tracing::info!(
-        "{:.0} % of the photos is nothing that other photos show: left out from the start",
-        100.0 * share
-    );
-    Ok(found)
+    Ok(if share(&found) < LEAST { vec![None; scene.views.len()] } else { found })
+}
+
+/// Mean share of the photos that is suspected, of those of which something is known; 0 of none.
+pub(crate) fn share(suspects: &[Option<Mask>]) -> f32 {
+    let shares = suspects.iter().flatten().map(|m| m.count() as f32 / (m.width() * m.height()) as f32);
+    shares.clone().sum::<f32>() / shares.count().max(1) as f32
 }
 
 /// What a photo shows that a scene trained without it does not.

@@ -11,7 +11,7 @@ use crate::robust::Robust;
 use crate::sampler::Sampler;
 use crate::schedule::Schedule;
 use crate::state::{State, mean_quality};
-use crate::suspects::suspects;
+use crate::suspects::{share, suspects};
 use crate::{TrainError, TrainSettings};
 use segwild_raster::{AnyLook, Engine};
 use segwild_scene::Random;
@@ -243,6 +243,11 @@ impl Trainer {
     /// is known.
     pub fn suspects(&self, view: usize) -> Option<&Mask> {
         self.state.suspects[view].as_ref()
+    }
+
+    /// Mean share of the photos that is so left out.
+    pub fn suspected(&self) -> f32 {
+        share(&self.state.suspects)
     }
 
     /// The photos in the order in which the next steps look at them, each at least once: what to have ready first.
