@@ -6,6 +6,7 @@ pub mod compare;
 pub mod flow;
 pub mod metrics;
 pub mod oracle;
+pub mod page;
 pub mod perturb;
 pub mod plot;
 pub mod point;

@@ -198,7 +198,7 @@ impl Stored {
 }
 
 /// The camera of a level: every halving drops an odd last row or column, the rest is exact.
-pub(crate) fn level_camera(full: &Camera, level: usize, size: &Level) -> Camera {
+fn level_camera(full: &Camera, level: usize, size: &Level) -> Camera {
     let s = 0.5f32.powi(level as i32);
     Camera {
         width: size.width as u32,

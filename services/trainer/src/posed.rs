@@ -21,7 +21,7 @@ pub(crate) struct Posed {
 impl Posed {
     /// How far each pixel is known to show the scene itself, in [0, [`TRUST`]]: near a point that this photo and others
     /// saw, whatever its residual, stands no stranger.
-    pub fn trusted(&self, photo: &Level) -> Vec<f32> {
+    fn trusted(&self, photo: &Level) -> Vec<f32> {
         let (w, h) = (photo.width, photo.height);
         let sigma = w.max(h) as f32 * NEARBY;
         let reach = (3.0 * sigma).ceil() as i32;
@@ -49,6 +49,11 @@ impl Posed {
 }
 
 impl Posed {
+    /// A residual, as far as no point vouches for its pixel.
+    pub fn doubted(&self, residual: &[f32], photo: &Level) -> Vec<f32> {
+        residual.iter().zip(self.trusted(photo)).map(|(r, t)| r * (1.0 - t)).collect()
+    }
+
     fn of(view: &View) -> Posed {
         Posed { name: view.name.clone(), camera: view.camera, pose: view.pose, sightings: Vec::new() }
     }

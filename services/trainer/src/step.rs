@@ -5,7 +5,6 @@ use crate::density::{Change, Seen, Surroundings};
 use crate::looks;
 use crate::model::options;
 use crate::params::Rates;
-use crate::photos::level_camera;
 use crate::pixels::{
     alpha_gradient, error_at_centres, first_background, learn_constant, learn_sky, mean_difference,
     pixel_weights, weighted_psnr,
@@ -49,8 +48,7 @@ impl Trainer {
         let active = active && !stored.strangers_known;
         let (mut kept, mut doubted) = (None, Vec::new());
         if active {
-            let trusted = self.views[view].trusted(photo);
-            doubted = residual.iter().zip(&trusted).map(|(r, t)| r * (1.0 - t)).collect();
+            doubted = self.views[view].doubted(&residual, photo);
             let suspects = self.state.suspects[view].as_ref();
             let suspected = |i| suspects.is_some_and(|s| photo.lies_in(i, s));
             kept = self.state.robust.weights(view, &doubted, photo.width, |i| photo.counts(i), suspected);
@@ -169,10 +167,7 @@ impl Trainer {
             let splats = &self.state.params.splats;
             let projected = engine.project(splats, &camera, &pose, &options(self.settings.antialias))?;
             let shown = self.state.draw(view, &*projected, &camera, &pose, None).shown;
-            let mut residual = mean_difference(&shown, &photo.image());
-            for (r, t) in residual.iter_mut().zip(&self.views[view].trusted(photo)) {
-                *r *= 1.0 - t;
-            }
+            let residual = self.views[view].doubted(&mean_difference(&shown, &photo.image()), photo);
             let share = if stored.strangers_known { 0.0 } else { self.settings.robust_share };
             let contradicted = robust::contradicted(&residual, photo.width, |i| photo.counts(i), share);
             witness.hear(&*projected, photo.width, &contradicted, |i| photo.counts(i));
@@ -196,10 +191,8 @@ impl Trainer {
             let mut sum = vec![0.0f32; splats.len()];
             for &view in &views {
                 let stored = photos.get(view)?;
-                let full =
-                    posed[view].camera.resized(stored.levels[0].width as u32, stored.levels[0].height as u32);
                 let (level, size) = stored.level(1);
-                let camera = level_camera(&full, level, size);
+                let camera = stored.camera(&posed[view].camera, level);
                 let projected = engine.project(splats, &camera, &posed[view].pose, &options(antialias))?;
                 let seen =
                     projected.gather(&Image::filled(size.width, size.height, 1, 4f32.powi(level as i32)));

@@ -2,7 +2,7 @@
 
 use crate::TrainError;
 use crate::model::{Model, render_view};
-use crate::photos::{Stored, TrainPhoto, level_camera};
+use crate::photos::{Stored, TrainPhoto};
 use crate::pixels::{mean_difference, pixel_weights, weighted_psnr};
 use crate::posed::posed_view;
 use crate::robust;
@@ -40,14 +40,11 @@ pub fn strangeness(
     let stored = Stored::pack(&posed.name, photo)?;
     let level = &stored.levels[0];
     let (w, h) = (level.width, level.height);
-    let camera = level_camera(&posed.camera.resized(w as u32, h as u32), 0, level);
+    let camera = stored.camera(&posed.camera, 0);
     let shown = render_view(model, engine, &camera, &posed.pose, Some(view))?;
     let target = level.image();
     let psnr = weighted_psnr(&shown, &target, &pixel_weights(level, None).0.data);
-    let mut residual = mean_difference(&shown, &target);
-    for (r, t) in residual.iter_mut().zip(&posed.trusted(level)) {
-        *r *= 1.0 - t;
-    }
+    let residual = posed.doubted(&mean_difference(&shown, &target), level);
     let smooth = robust::smoothed(&residual, w);
     let Some(limit) = robust::limit(&smooth, |i| level.counts(i), share) else {
         return Ok(Strangeness { certainty: None, psnr });

@@ -6,12 +6,12 @@
 //! says what it does not find there.
 
 use crate::evaluate::{Unseen, draw_unseen};
-use crate::photos::PhotoCache;
+use crate::photos::{PhotoCache, Stored};
 use crate::pixels::mean_difference;
-use crate::posed::posed_view;
+use crate::posed::Posed;
 use crate::{LookKind, Model, TrainError, TrainSettings, Trainer, robust};
 use segwild_raster::Engine;
-use segwild_scene::{Mask, Scene, box_mean};
+use segwild_scene::{Mask, Scene, View, box_mean};
 use std::sync::Arc;
 
 /// Steps of each training: a share of the whole training's, within these.
@@ -64,13 +64,20 @@ pub(crate) fn suspects(
             }
             match trainer.step() {
                 Err(TrainError::NoPhotos(_)) => return Ok(vec![None; scene.views.len()]),
-                step => drop(step?),
+                step => {
+                    step?;
+                }
             }
         }
         let model = trainer.snapshot();
+        let posed = trainer.views;
         *photos = trainer.photos;
         for view in held {
-            found[view] = unknown(&**engine, scene, &model, view, photos, settings.robust_share)?;
+            // One that cannot be read is named where it is trained on.
+            if let Ok(stored) = photos.get(view) {
+                let (at, share) = (&scene.views[view], settings.robust_share);
+                found[view] = unknown(&**engine, &model, at, &posed[view], &stored, share)?;
+            }
         }
     }
     Ok(if share(&found) < LEAST { vec![None; scene.views.len()] } else { found })
@@ -85,29 +92,21 @@ pub(crate) fn share(suspects: &[Option<Mask>]) -> f32 {
 /// What a photo shows that a scene trained without it does not.
 fn unknown(
     engine: &dyn Engine,
-    scene: &Scene,
     model: &Model,
-    view: usize,
-    photos: &mut PhotoCache,
+    view: &View,
+    posed: &Posed,
+    stored: &Stored,
     share: f32,
 ) -> Result<Option<Mask>, TrainError> {
-    // One that cannot be read is named where it is trained on.
-    let Ok(stored) = photos.get(view) else { return Ok(None) };
     if stored.strangers_known {
         return Ok(None);
     }
     let photo = stored.level(FINEST).1;
     let (w, n) = (photo.width, photo.pixels());
-    let Unseen { shown, alpha } =
-        draw_unseen(model, engine, &scene.views[view], &stored, FINEST, Some(&|_| true))?;
-    let trusted = posed_view(scene, view).trusted(photo);
+    let Unseen { shown, alpha } = draw_unseen(model, engine, view, stored, FINEST, Some(&|_| true))?;
+    let mut residual = posed.doubted(&mean_difference(&shown, &photo.image()), photo);
     // Where nothing was trained, nothing is said.
-    let residual: Vec<f32> = mean_difference(&shown, &photo.image())
-        .iter()
-        .zip(&trusted)
-        .zip(&alpha.data)
-        .map(|((r, t), a)| r * (1.0 - t) * a)
-        .collect();
+    residual.iter_mut().zip(&alpha.data).for_each(|(r, alpha)| *r *= alpha);
     let ratio = robust::relative(&residual, w, |i| photo.counts(i), share);
     let over = |i: usize| f32::from(u8::from(photo.counts(i) && ratio[i] > robust::SUSPECT));
     let over: Vec<f32> = (0..n).map(over).collect();

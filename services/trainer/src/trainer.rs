@@ -5,7 +5,7 @@ use crate::initial::{Eye, initial_splats};
 use crate::looks;
 use crate::model::{Model, Stats};
 use crate::params::Params;
-use crate::photos::{PhotoCache, Photos, Stored, level_camera};
+use crate::photos::{PhotoCache, Photos, Stored};
 use crate::posed::{Posed, posed};
 use crate::robust::Robust;
 use crate::sampler::Sampler;
@@ -283,9 +283,7 @@ impl Trainer {
 
     /// The camera of a view at a level of its photo.
     pub(crate) fn camera(&self, view: usize, stored: &Stored, level: usize) -> Camera {
-        let size = &stored.levels[0];
-        let full = self.views[view].camera.resized(size.width as u32, size.height as u32);
-        level_camera(&full, level, &stored.levels[level])
+        stored.camera(&self.views[view].camera, level)
     }
 
     /// The scene as it is now.

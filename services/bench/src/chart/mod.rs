@@ -12,11 +12,11 @@ pub use points::Verdict;
 pub use sweeps::{SWEEPS, Sweep};
 
 use crate::oracle::OracleOptions;
+use crate::page::{PageError, io};
 use crate::point::{self, Job, Place, PointError, Prompting};
-use crate::record::{Made, Record, RecordError, Results};
+use crate::record::{Made, Record, Results};
 use crate::stability::Harm;
 use crate::trial::ProviderKind;
-use segwild_pipeline::SettingsError;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -55,43 +55,6 @@ pub struct Base {
     pub settings: Vec<(String, String)>,
 }
 
-/// Why a chart cannot be made.
-#[derive(Debug, thiserror::Error)]
-pub enum ChartError {
-    /// A sweep was asked for that does not exist.
-    #[error(
-        "there is no sweep `{0}`; the sweeps are preset, steps, splats, channels, size, look, refine, prompts, density"
-    )]
-    Sweep(String),
-    /// The folder holds points of another chart.
-    #[error("{0} holds points of other scenes or another default: give another --out, or remove it")]
-    Other(PathBuf),
-    /// A setting was refused.
-    #[error(transparent)]
-    Settings(#[from] SettingsError),
-    /// Results cannot be read or written.
-    #[error(transparent)]
-    Record(#[from] RecordError),
-    /// Not even the default could be measured.
-    #[error(transparent)]
-    Point(#[from] PointError),
-    /// A figure cannot be drawn.
-    #[error(transparent)]
-    Plot(#[from] crate::plot::PlotError),
-    /// A file of the chart.
-    #[error("{path}: {source}")]
-    Io {
-        /// Which file.
-        path: PathBuf,
-        /// The system's error.
-        source: std::io::Error,
-    },
-}
-
-pub(crate) fn io<T>(path: &Path, result: std::io::Result<T>) -> Result<T, ChartError> {
-    result.map_err(|source| ChartError::Io { path: path.into(), source })
-}
-
 /// What a caller hears while points are measured.
 #[derive(Clone, Debug)]
 pub enum Told<'a> {
@@ -115,11 +78,10 @@ pub enum Told<'a> {
 ///
 /// # Errors
 /// When the default cannot be measured, or results cannot be kept. A point that fails is told of and left out.
-pub fn chart(options: &ChartOptions, mut told: impl FnMut(Told)) -> Result<Results, ChartError> {
+pub fn chart(options: &ChartOptions, mut told: impl FnMut(Told)) -> Result<Results, PageError> {
     let known = |o: &str| SWEEPS.iter().any(|s| s.name == o || s.values.iter().any(|v| one(s, v) == o));
-    if let Some(odd) = options.only.iter().find(|o| !known(o)) {
-        return Err(ChartError::Sweep(odd.clone()));
-    }
+    let names: Vec<&str> = SWEEPS.iter().map(|s| s.name).collect();
+    PageError::refuse("sweep", &options.only, &names, known)?;
     io(&options.out, std::fs::create_dir_all(&options.out))?;
     same_base(options)?;
     let file = options.out.join("results.json");
@@ -183,7 +145,7 @@ impl Plan {
 }
 
 /// The points, the default first. A value that is the default's own is not measured twice.
-fn plans(options: &ChartOptions) -> Result<Vec<Plan>, ChartError> {
+fn plans(options: &ChartOptions) -> Result<Vec<Plan>, PageError> {
     let base = &options.base.settings;
     let mut plans = vec![Plan { setting: DEFAULT.into(), at: None, settings: base.clone() }];
     let wanted = |s: &Sweep, value: &str| {
@@ -226,16 +188,16 @@ fn of(record: &Record, job: &Job) -> bool {
 }
 
 /// Refuses a folder with points of another chart; marks an empty one as this chart's.
-fn same_base(options: &ChartOptions) -> Result<(), ChartError> {
+fn same_base(options: &ChartOptions) -> Result<(), PageError> {
     let file = options.out.join("base.json");
     let here = serde_json::to_value(&options.base).unwrap_or_default();
     let Ok(text) = std::fs::read(&file) else {
         return io(&file, std::fs::write(&file, format!("{here:#}\n")));
     };
     let there: serde_json::Value = serde_json::from_slice(&text).unwrap_or_default();
-    if there == here { Ok(()) } else { Err(ChartError::Other(options.out.clone())) }
+    if there == here { Ok(()) } else { Err(PageError::Other(options.out.clone())) }
 }
 
-fn empty(dir: &Path) -> Result<(), ChartError> {
+fn empty(dir: &Path) -> Result<(), PageError> {
     if dir.exists() { io(dir, std::fs::remove_dir_all(dir)) } else { Ok(()) }
 }

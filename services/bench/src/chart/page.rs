@@ -1,7 +1,8 @@
 //! The chart as files: figures, tables, data, and one page that holds them all.
 
 use super::points::{CHEAPER, COSTS, MEASURES, Point, Verdict, cost_words, point};
-use super::{ChartError, DEFAULT, SWEEPS, Sweep, io};
+use super::{DEFAULT, SWEEPS, Sweep};
+use crate::page::{PageError, io};
 use crate::plot::{Figure, Mark, Panel, Series, escaped, front};
 use crate::record::Results;
 use std::collections::BTreeSet;
@@ -252,7 +253,7 @@ impl ChartPage {
     }
 
     /// The page: figures, tables and data in one file that needs nothing else.
-    pub fn html(&self) -> Result<String, ChartError> {
+    pub fn html(&self) -> Result<String, PageError> {
         let made = &self.results.made;
         let mut text = format!(
             "<!doctype html>\n<html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\n\
@@ -394,7 +395,7 @@ const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1340px;ma
  li.bad::marker{content:'✗ ';color:#d55e00}";
 
 /// Writes the chart to a folder: `index.html`, `README.md`, `chart` and `sweeps` as SVG and PNG, `results` as JSON and CSV.
-pub fn write(folder: &Path, results: &Results, about: &str) -> Result<Vec<Verdict>, ChartError> {
+pub fn write(folder: &Path, results: &Results, about: &str) -> Result<Vec<Verdict>, PageError> {
     let page = ChartPage::new(results, about);
     io(folder, std::fs::create_dir_all(folder))?;
     let put = |name: &str, bytes: &[u8]| io(&folder.join(name), std::fs::write(folder.join(name), bytes));

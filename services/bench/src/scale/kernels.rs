@@ -1,6 +1,7 @@
 //! The kernels alone: a frame full of small splats.
 
-use super::{PROTOCOL, ScaleError};
+use super::PROTOCOL;
+use crate::page::PageError;
 use crate::record::Record;
 use crate::synthetic::random::Rng;
 use glam::Vec3;
@@ -20,7 +21,7 @@ pub(super) fn measure(
     splats: u32,
     width: u32,
     channels: u32,
-) -> Result<Record, ScaleError> {
+) -> Result<Record, PageError> {
     let (scene, values) = frame(splats, channels);
     let height = width * 3 / 4;
     let (w, h) = (width as f32, height as f32);

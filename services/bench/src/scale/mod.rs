@@ -8,8 +8,9 @@ pub use page::{markdown, write};
 
 use crate::metrics::Spread;
 use crate::oracle::OracleOptions;
-use crate::point::{self, Job, Place, PointError, Prompting};
-use crate::record::{Made, Record, RecordError, Results};
+use crate::page::{PageError, io};
+use crate::point::{self, Job, Place, Prompting};
+use crate::record::{Made, Record, Results};
 use crate::stability::Harm;
 use crate::synthetic::SyntheticOptions;
 use crate::trial::ProviderKind;
@@ -46,40 +47,10 @@ pub struct ScaleOptions {
     pub pixels: Vec<u32>,
 }
 
-/// Why scale cannot be measured.
-#[derive(Debug, thiserror::Error)]
-pub enum ScaleError {
-    /// An axis was asked for that does not exist.
-    #[error(
-        "there is no axis `{0}`; they are kernels splats, kernels pixels, kernels channels, photos, splats, pixels, objects"
-    )]
-    Axis(String),
-    /// A run failed.
-    #[error(transparent)]
-    Point(#[from] PointError),
-    /// The kernels refused.
-    #[error("the kernels refused: {0}")]
-    Raster(#[from] segwild_raster::RasterError),
-    /// Results cannot be read or written.
-    #[error(transparent)]
-    Record(#[from] RecordError),
-    /// A file of the benchmark.
-    #[error("{path}: {source}")]
-    Io {
-        /// Which file.
-        path: PathBuf,
-        /// The system's error.
-        source: std::io::Error,
-    },
-}
-
 /// Measures what is not known yet; `told` hears of every size.
-pub fn scale(options: &ScaleOptions, mut told: impl FnMut(&Record)) -> Result<Results, ScaleError> {
-    if let Some(odd) = options.only.iter().find(|o| !AXES.contains(&o.as_str())) {
-        return Err(ScaleError::Axis(odd.clone()));
-    }
-    let io = |source| ScaleError::Io { path: options.out.clone(), source };
-    std::fs::create_dir_all(&options.out).map_err(io)?;
+pub fn scale(options: &ScaleOptions, mut told: impl FnMut(&Record)) -> Result<Results, PageError> {
+    PageError::refuse("axis", &options.only, &AXES, |o| AXES.contains(&o))?;
+    io(&options.out, std::fs::create_dir_all(&options.out))?;
     let file = options.out.join("results.json");
     let mut results = if file.is_file() { Results::read(&file)? } else { Results::default() };
     results.made = Made::here(options.command.clone());
@@ -128,7 +99,7 @@ const STEPS: u32 = 300;
 const PIXELS: u32 = 128;
 
 /// A whole run with the built-in provider, in a process of its own, up to the held-out scores.
-fn run(options: &ScaleOptions, axis: &str, size: u32) -> Result<Record, ScaleError> {
+fn run(options: &ScaleOptions, axis: &str, size: u32) -> Result<Record, PageError> {
     let of = |name: &str, usual: u32| if axis == name { size } else { usual };
     let photos = of("photos", PHOTOS);
     let scene = SyntheticOptions {

@@ -1,6 +1,7 @@
 //! The page: measurements, slopes, and the large scene on paper.
 
-use super::{AXES, Fit, ScaleError, along, beyond};
+use super::{AXES, Fit, along, beyond};
+use crate::page::{PageError, io};
 use crate::plot::short;
 use crate::record::Results;
 use std::collections::BTreeSet;
@@ -161,6 +162,6 @@ fn large(results: &Results) -> String {
 }
 
 /// Writes the page to a file.
-pub fn write(page: &Path, results: &Results) -> Result<(), ScaleError> {
-    std::fs::write(page, markdown(results)).map_err(|source| ScaleError::Io { path: page.into(), source })
+pub fn write(page: &Path, results: &Results) -> Result<(), PageError> {
+    io(page, std::fs::write(page, markdown(results)))
 }

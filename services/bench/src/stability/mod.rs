@@ -13,8 +13,9 @@ pub use page::{markdown, write};
 pub use stress::{Harm, STRESSES, Stress};
 
 use crate::oracle::OracleOptions;
-use crate::point::{Job, Place, PointError, Prompting, means, measure};
-use crate::record::{Made, Record, RecordError, Results};
+use crate::page::{PageError, io};
+use crate::point::{Job, Place, Prompting, means, measure};
+use crate::record::{Made, Record, Results};
 use crate::synthetic::SyntheticOptions;
 use crate::trial::ProviderKind;
 use std::collections::{BTreeMap, BTreeSet};
@@ -45,31 +46,6 @@ pub struct StabilityOptions {
     pub settings: Vec<(String, String)>,
 }
 
-/// Why stability cannot be measured.
-#[derive(Debug, thiserror::Error)]
-pub enum StabilityError {
-    /// A row was asked for that does not exist.
-    #[error("there is no row `{0}`; the rows are {1}")]
-    Row(String, String),
-    /// A training failed that should not.
-    #[error(transparent)]
-    Point(#[from] PointError),
-    /// Results cannot be read or written.
-    #[error(transparent)]
-    Record(#[from] RecordError),
-    /// A figure cannot be drawn.
-    #[error(transparent)]
-    Plot(#[from] crate::plot::PlotError),
-    /// A file of the benchmark.
-    #[error("{path}: {source}")]
-    Io {
-        /// Which file.
-        path: PathBuf,
-        /// The system's error.
-        source: std::io::Error,
-    },
-}
-
 /// The place and the settings by default: small, so that all curves together take minutes.
 pub fn defaults() -> (SyntheticOptions, Vec<(String, String)>) {
     let scene =
@@ -79,17 +55,11 @@ pub fn defaults() -> (SyntheticOptions, Vec<(String, String)>) {
 }
 
 /// Measures what is not known yet; `told` hears of every amount of every stress.
-pub fn stability(
-    options: &StabilityOptions,
-    mut told: impl FnMut(&[Record]),
-) -> Result<Results, StabilityError> {
+pub fn stability(options: &StabilityOptions, mut told: impl FnMut(&[Record])) -> Result<Results, PageError> {
     let names: Vec<&str> = STRESSES.iter().map(|s| s.name).chain(MORE).collect();
-    if let Some(odd) = options.only.iter().find(|o| !names.contains(&o.as_str())) {
-        return Err(StabilityError::Row(odd.clone(), names.join(", ")));
-    }
+    PageError::refuse("row", &options.only, &names, |o| names.contains(&o))?;
     let wanted = |name: &str| options.only.is_empty() || options.only.iter().any(|o| o == name);
-    let io = |source| StabilityError::Io { path: options.out.clone(), source };
-    std::fs::create_dir_all(&options.out).map_err(io)?;
+    io(&options.out, std::fs::create_dir_all(&options.out))?;
     let file = options.out.join("results.json");
     let mut results = if file.is_file() { Results::read(&file)? } else { Results::default() };
     results.made = Made::here(options.command.clone());
@@ -174,7 +144,7 @@ fn at(
     measured: &mut BTreeMap<String, Vec<Record>>,
     setting: &str,
     value: Option<f64>,
-) -> Result<Vec<Record>, StabilityError> {
+) -> Result<Vec<Record>, PageError> {
     let whole = digest(&(&job.place, &job.faults, &job.harm, job.seed, &job.settings, &job.prompting));
     let scene = digest(&(&job.place, &job.faults, &job.harm, job.seed));
     if !measured.contains_key(&whole) {
@@ -192,7 +162,7 @@ fn digest(what: &impl serde::Serialize) -> String {
 }
 
 /// Whether the same training gives the same bytes: again, and on one, two and four threads. `same` is 1 or 0.
-fn bytes(options: &StabilityOptions) -> Result<Record, StabilityError> {
+fn bytes(options: &StabilityOptions) -> Result<Record, PageError> {
     let seed = options.seeds.first().copied().unwrap_or(1);
     let mut digests = Vec::new();
     for (k, threads) in [1, 2, 4, 1].into_iter().enumerate() {
@@ -210,9 +180,7 @@ fn bytes(options: &StabilityOptions) -> Result<Record, StabilityError> {
         selections.sort();
         files.extend(selections);
         for file in files.iter().filter(|f| f.is_file()) {
-            let bytes =
-                std::fs::read(file).map_err(|source| StabilityError::Io { path: file.clone(), source })?;
-            hasher.update(&bytes);
+            hasher.update(&io(file, std::fs::read(file))?);
         }
         digests.push((files.len(), hasher.finalize().to_hex()[..16].to_owned()));
         let _ = std::fs::remove_dir_all(&job.dir);

@@ -1,7 +1,8 @@
 //! The page: every curve, where it breaks, and what is said there.
 
-use super::{BREAKS, Curve, STRESSES, StabilityError, curves};
+use super::{BREAKS, Curve, STRESSES, curves};
 use crate::metrics::Spread;
+use crate::page::{PageError, io};
 use crate::plot::{Figure, Mark, Panel, Series, short};
 use crate::point::means;
 use crate::record::{Record, Results};
@@ -181,10 +182,8 @@ pub fn figure(results: &Results) -> Figure {
 }
 
 /// Writes the page to a file, with its figure beside it as SVG and PNG.
-pub fn write(page: &Path, results: &Results) -> Result<(), StabilityError> {
-    let put = |path: &Path, bytes: &[u8]| {
-        std::fs::write(path, bytes).map_err(|source| StabilityError::Io { path: path.into(), source })
-    };
+pub fn write(page: &Path, results: &Results) -> Result<(), PageError> {
+    let put = |path: &Path, bytes: &[u8]| io(path, std::fs::write(path, bytes));
     let figure = figure(results);
     let (svg, png) = (page.with_extension("svg"), page.with_extension("png"));
     let shown = png.file_name().map(|n| n.to_string_lossy().into_owned());

@@ -3,12 +3,11 @@
 use super::{list, numbers};
 use crate::args::{given, json, number, path, with_settings};
 use crate::commands::{path as path_of, print_json, print_line};
-use crate::exit;
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
-use segwild_bench::chart::{Base, ChartError, ChartOptions, Told, chart as measure_all, write};
+use segwild_bench::chart::{Base, ChartOptions, Told, chart as measure_all, write};
 use segwild_bench::oracle::OracleOptions;
-use segwild_bench::point::{Job, Place, PointError, means, measure};
+use segwild_bench::point::{Job, Place, means, measure};
 use segwild_bench::record::Record;
 use segwild_bench::synthetic::SyntheticOptions;
 use segwild_bench::trial::ProviderKind;
@@ -163,30 +162,4 @@ pub fn point() -> Result<(), Failure> {
         .map_err(|e| Failure::usage(format!("the point cannot be read: {e}")))?;
     crate::commands::use_threads(job.settings()?.run.threads);
     print_json(&measure(&job)?)
-}
-
-impl From<PointError> for Failure {
-    fn from(error: PointError) -> Failure {
-        match error {
-            PointError::Trial(e) => e.into(),
-            PointError::NoTruth(_) => Failure { message: error.to_string(), code: exit::INPUT },
-            PointError::Child(_) => Failure { message: error.to_string(), code: exit::FAILED },
-        }
-    }
-}
-
-impl From<ChartError> for Failure {
-    fn from(error: ChartError) -> Failure {
-        match error {
-            ChartError::Settings(e) => e.into(),
-            ChartError::Point(e) => e.into(),
-            ChartError::Sweep(_) => Failure::usage(error.to_string()),
-            ChartError::Other(_) | ChartError::Record(_) => {
-                Failure { message: error.to_string(), code: exit::FOLDER }
-            }
-            ChartError::Plot(_) | ChartError::Io { .. } => {
-                Failure { message: error.to_string(), code: exit::FAILED }
-            }
-        }
-    }
 }

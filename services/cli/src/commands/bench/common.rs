@@ -6,6 +6,8 @@ use crate::commands::{path as path_of, print_json, print_line, use_threads};
 use crate::exit;
 use crate::failure::Failure;
 use clap::{Arg, ArgAction, ArgMatches, Command};
+use segwild_bench::page::PageError;
+use segwild_bench::point::PointError;
 use segwild_bench::protocols::tables::{all, page};
 use segwild_bench::protocols::{Base, Place, ProtocolError, Table, measure};
 use segwild_bench::record::{Made, Record, Results};
@@ -195,4 +197,30 @@ pub fn default_setting(
         asked.base.settings.set(name, value).map_err(SettingsError::from)?;
     }
     Ok(())
+}
+
+impl From<PointError> for Failure {
+    fn from(error: PointError) -> Failure {
+        match error {
+            PointError::Trial(e) => e.into(),
+            PointError::NoTruth(_) => Failure { message: error.to_string(), code: exit::INPUT },
+            PointError::Child(_) => Failure { message: error.to_string(), code: exit::FAILED },
+        }
+    }
+}
+
+impl From<PageError> for Failure {
+    fn from(error: PageError) -> Failure {
+        match error {
+            PageError::Settings(e) => e.into(),
+            PageError::Point(e) => e.into(),
+            PageError::Unknown { .. } => Failure::usage(error.to_string()),
+            PageError::Other(_) | PageError::Record(_) => {
+                Failure { message: error.to_string(), code: exit::FOLDER }
+            }
+            PageError::Plot(_) | PageError::Raster(_) | PageError::Io { .. } => {
+                Failure { message: error.to_string(), code: exit::FAILED }
+            }
+        }
+    }
 }

@@ -3,11 +3,10 @@
 use super::{list, numbers};
 use crate::args::{json, path};
 use crate::commands::{path as path_of, print_json, print_line};
-use crate::exit;
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command};
 use segwild_bench::record::Record;
-use segwild_bench::scale::{AXES, Fit, ScaleError, ScaleOptions, along, scale as measure_all, write};
+use segwild_bench::scale::{AXES, Fit, ScaleOptions, along, scale as measure_all, write};
 use std::path::PathBuf;
 
 /// The benchmark's arguments.
@@ -72,17 +71,4 @@ pub fn scale(matches: &ArgMatches) -> Result<(), Failure> {
         }
     }
     Ok(())
-}
-
-impl From<ScaleError> for Failure {
-    fn from(error: ScaleError) -> Failure {
-        match error {
-            ScaleError::Axis(_) => Failure::usage(error.to_string()),
-            ScaleError::Point(e) => e.into(),
-            ScaleError::Record(_) => Failure { message: error.to_string(), code: exit::FOLDER },
-            ScaleError::Raster(_) | ScaleError::Io { .. } => {
-                Failure { message: error.to_string(), code: exit::FAILED }
-            }
-        }
-    }
 }

@@ -3,14 +3,11 @@
 use super::{list, numbers};
 use crate::args::{given, json, number, path, with_settings};
 use crate::commands::{path as path_of, print_json, print_line, use_threads};
-use crate::exit;
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_bench::point::means;
 use segwild_bench::record::Record;
-use segwild_bench::stability::{
-    StabilityError, StabilityOptions, curves, defaults, stability as measure_all, write,
-};
+use segwild_bench::stability::{StabilityOptions, curves, defaults, stability as measure_all, write};
 use segwild_bench::synthetic::SyntheticOptions;
 use segwild_pipeline::Settings;
 use std::path::PathBuf;
@@ -93,17 +90,4 @@ fn tell(records: &[Record]) -> Result<(), Failure> {
         first.seed,
         numbers.join(" ")
     ))
-}
-
-impl From<StabilityError> for Failure {
-    fn from(error: StabilityError) -> Failure {
-        match error {
-            StabilityError::Point(e) => e.into(),
-            StabilityError::Row(..) => Failure::usage(error.to_string()),
-            StabilityError::Record(_) => Failure { message: error.to_string(), code: exit::FOLDER },
-            StabilityError::Plot(_) | StabilityError::Io { .. } => {
-                Failure { message: error.to_string(), code: exit::FAILED }
-            }
-        }
-    }
 }

@@ -1,0 +1,69 @@
+//! What the measurements that become pages have in common: why one cannot be made.
+
+use crate::plot::PlotError;
+use crate::point::PointError;
+use crate::record::RecordError;
+use segwild_pipeline::SettingsError;
+use segwild_raster::RasterError;
+use std::path::{Path, PathBuf};
+
+/// Why a chart, curves or slopes cannot be measured or written.
+#[derive(Debug, thiserror::Error)]
+pub enum PageError {
+    /// Something was asked for that does not exist.
+    #[error("there is no {what} `{asked}`; there are {known}")]
+    Unknown {
+        /// What it was taken for: a sweep, a row, an axis.
+        what: &'static str,
+        /// What was asked for.
+        asked: String,
+        /// What there is, with commas.
+        known: String,
+    },
+    /// The folder holds points that do not compare.
+    #[error("{0} holds points of other scenes or another default: give another --out, or remove it")]
+    Other(PathBuf),
+    /// A setting was refused.
+    #[error(transparent)]
+    Settings(#[from] SettingsError),
+    /// A run failed that should not.
+    #[error(transparent)]
+    Point(#[from] PointError),
+    /// The kernels refused.
+    #[error("the kernels refused: {0}")]
+    Raster(#[from] RasterError),
+    /// Results cannot be read or written.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    /// A figure cannot be drawn.
+    #[error(transparent)]
+    Plot(#[from] PlotError),
+    /// A file of the benchmark.
+    #[error("{path}: {source}")]
+    Io {
+        /// Which file.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+}
+
+impl PageError {
+    /// Refuses the first of `asked` that is not `known`.
+    pub(crate) fn refuse(
+        what: &'static str,
+        asked: &[String],
+        known: &[&str],
+        is_known: impl Fn(&str) -> bool,
+    ) -> Result<(), PageError> {
+        match asked.iter().find(|asked| !is_known(asked)) {
+            Some(asked) => Err(PageError::Unknown { what, asked: asked.clone(), known: known.join(", ") }),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Names the file that something was done to.
+pub(crate) fn io<T>(path: &Path, result: std::io::Result<T>) -> Result<T, PageError> {
+    result.map_err(|source| PageError::Io { path: path.into(), source })
+}
