@@ -145,7 +145,8 @@ fn the_look_for_strangers_ends_when_it_is_to_stop_and_is_left_out_where_few_phot
     let stopped = Trainer::cross_checked(engine(), &scene, all.clone(), settings.clone(), &stopping);
     assert!(matches!(stopped, Err(TrainError::Stopped)) && asked.get() == 41);
     // Every second photo is damaged: one of the two trainings has none.
-    let half = move |i: usize| if i % 2 == 0 { Err("it is damaged".to_owned()) } else { all.photo(i) };
+    let half =
+        move |i: usize| if i.is_multiple_of(2) { Err("it is damaged".to_owned()) } else { all.photo(i) };
     let trainer = Trainer::cross_checked(engine(), &scene, Arc::new(half), settings, &|| false).unwrap();
     assert!((0..scene.views.len()).all(|view| trainer.suspects(view).is_none()));
     trainer.finish().unwrap();
