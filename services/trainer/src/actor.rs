@@ -111,7 +111,8 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
         let suspected = trainer.suspected();
         if suspected > 0.0 {
             let share = 100.0 * suspected;
-            let said = format!("{share:.0} % of the photos show what others do not: left out from the start");
+            let said =
+                format!("{share:.0} % of what the photos show is in no other: left out from the start");
             context.events().info(Some("geometry"), said);
         }
         self.send(TrainOutcome::Began { step: trainer.steps_done(), upcoming: trainer.upcoming() })?;
