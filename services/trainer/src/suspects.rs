@@ -20,7 +20,7 @@ const STEPS: (u32, u32, u32) = (10, 100, 400);
 const FINEST: usize = 1;
 /// With fewer photos than this, what is left when some are left out tells nothing.
 const FEW: usize = 20;
-/// Mean share of the photos from which it is used. With nobody in front .00 to .06 was found on six scenes, real and
+/// Mean share of the photos from which it is used. With nobody in front .00 to .06 was found on five scenes, real and
 /// synthetic; with 10 % covered .13 to .14, where it neither helps nor harms; with 25 % .23, where it does help.
 const LEAST: f32 = 0.16;
 /// The smallest blob, as a part of the photo's long side to each side, and how much of it must contradict.
