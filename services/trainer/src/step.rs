@@ -47,15 +47,13 @@ impl Trainer {
         let active = self.settings.robust && self.schedule.robust(step) && step >= self.state.pause_until;
         let active = active && !stored.strangers_known;
         let (mut kept, mut doubted) = (None, Vec::new());
+        let suspects = self.state.suspects[view].as_ref().filter(|_| !stored.strangers_known);
+        let suspected = |i| suspects.is_some_and(|s| photo.lies_in(i, s));
         if active {
             doubted = self.views[view].doubted(&residual, photo);
-            let suspects = self.state.suspects[view].as_ref();
-            let suspected = |i| suspects.is_some_and(|s| photo.lies_in(i, s));
             kept = self.state.robust.weights(view, &doubted, photo.width, |i| photo.counts(i), suspected);
-        } else if let Some(suspects) = self.state.suspects[view].as_ref().filter(|_| !stored.strangers_known)
-        {
-            kept =
-                Some((0..photo.pixels()).map(|i| f32::from(u8::from(!photo.lies_in(i, suspects)))).collect());
+        } else if suspects.is_some() {
+            kept = Some((0..photo.pixels()).map(|i| f32::from(u8::from(!suspected(i)))).collect());
         }
         let (mut visible, mut blame) = (None, Vec::new());
         if let Some(light) = light.as_ref().filter(|_| active) {
