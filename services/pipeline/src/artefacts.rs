@@ -16,7 +16,7 @@ use segwild_vision::Providers;
 use std::collections::BTreeSet;
 
 /// Raised when the bytes that a stage makes from the same input change.
-const FORMAT: u32 = 1;
+const FORMAT: u32 = 2;
 
 /// The keys of one run.
 #[derive(Clone, Debug)]

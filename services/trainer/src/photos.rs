@@ -81,6 +81,11 @@ impl Level {
         self.flags[i] == VALID | SKY
     }
 
+    /// Share of the pixels that are no sky.
+    pub fn ground(&self) -> f32 {
+        (0..self.pixels()).filter(|&i| !self.sky(i)).count() as f32 / self.pixels().max(1) as f32
+    }
+
     pub fn valid(&self, i: usize) -> bool {
         self.flags[i] & VALID != 0
     }

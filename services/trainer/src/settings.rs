@@ -49,7 +49,7 @@ segwild_scene::settings! {
     pub struct TrainSettings("train") {
         /// Optimiser steps; each looks at one photo.
         steps: u32 = 1500 => 1..=10_000_000,
-        /// Most splats allowed; 0 lets the scene decide (points, photos, pixels).
+        /// Most splats allowed; 0 lets the scene decide (photos, pixels, sky, points).
         splats: usize = 0,
         /// How the number of splats is controlled.
         density: DensityKind = DensityKind::Budget,

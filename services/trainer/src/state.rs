@@ -7,6 +7,7 @@ use crate::looks;
 use crate::params::Params;
 use crate::pixels::add_behind;
 use crate::robust::Robust;
+use crate::room::Room;
 use crate::sampler::Sampler;
 use segwild_raster::{AnyLook, Channels, Frame, Impression, Projected, Sight};
 use segwild_scene::{Camera, Image, Mask, Pose, Random};
@@ -50,8 +51,8 @@ pub(crate) struct State {
     pub pause_until: u32,
     /// Scene units per full-size pixel at the scene's median depth.
     pub pixel: f32,
-    /// Most splats.
-    pub cap: u64,
+    /// How many splats there may be.
+    pub room: Room,
     /// Sums of loss, PSNR and share left out since they were last asked for, and over how many steps.
     pub since: ([f32; 3], u32),
 }

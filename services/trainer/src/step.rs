@@ -34,6 +34,7 @@ impl Trainer {
             let full = self.camera(view, &stored, 0);
             self.state.backgrounds[view] = Some(first_background(&stored, &full, &pose));
             looks::start(&mut self.state.look, view, &self.views[view], &stored);
+            self.state.room.look_at(photo.ground());
         }
         let engine = self.engine.clone();
         let projected =
@@ -204,7 +205,7 @@ impl Trainer {
         let mut around = Surroundings {
             step: state.step,
             pixel: state.pixel,
-            cap: state.cap as usize,
+            cap: state.room.splats(),
             quality,
             random: &mut state.random,
             contribution: &mut contribution,

@@ -8,6 +8,7 @@ use crate::params::Params;
 use crate::photos::{PhotoCache, Photos, Stored};
 use crate::posed::{Posed, posed};
 use crate::robust::Robust;
+use crate::room::Room;
 use crate::sampler::Sampler;
 use crate::schedule::Schedule;
 use crate::state::{State, mean_quality};
@@ -130,10 +131,10 @@ impl Trainer {
         for &i in &train {
             eyes[i] = Some((scene.views[i].camera.scaled_to(long_side), scene.views[i].pose));
         }
-        let cap = cap(&settings, scene.points.len(), train.len(), size.pixels());
+        let room = Room::new(&settings, scene.points.len(), train.len(), size.pixels());
         let mut random = Random::new(settings.seed);
         let schedule = Schedule::new(&settings).no_finer_than(finest);
-        let start = initial_splats(scene, &eyes, schedule.sh_degree(0), cap, &mut random);
+        let start = initial_splats(scene, &eyes, schedule.sh_degree(0), room.splats(), &mut random);
         let look = looks::begin(&settings, scene.views.len());
         let codes = look.as_look().first_codes(&start.splats.means);
         let state = State {
@@ -150,7 +151,7 @@ impl Trainer {
             skipped,
             pause_until: 0,
             pixel: start.pixel,
-            cap: cap as u64,
+            room,
             since: ([0.0; 3], 0),
         };
         for warning in &start.warnings {
@@ -331,25 +332,4 @@ fn no_photos(skipped: &[(String, String)]) -> TrainError {
         reasons.push(format!("and {} more", skipped.len() - reasons.len()));
     }
     TrainError::NoPhotos(reasons.join("; "))
-}
-
-/// Most splats that a training on this scene may come to, at the size photos are trained at (long side).
-pub fn splat_cap(settings: &TrainSettings, scene: &Scene, long_side: u32) -> usize {
-    let train: Vec<_> = scene.views.iter().filter(|v| !v.test).collect();
-    let pixels = train.iter().map(|v| {
-        let camera = v.camera.scaled_to(long_side);
-        camera.width as usize * camera.height as usize
-    });
-    cap(settings, scene.points.len(), train.len(), pixels.max().unwrap_or(0))
-}
-
-/// Most splats: as the settings say, or what points, photos and pixels can support.
-fn cap(settings: &TrainSettings, points: usize, photos: usize, pixels: usize) -> usize {
-    if settings.splats > 0 {
-        return settings.splats;
-    }
-    // A splat needs some pixels in several photos to be determined; photos of one place overlap, so their
-    // pixels count by the square root.
-    let supported = pixels as f32 * (photos as f32).sqrt() / 26.0;
-    (supported as usize).max(points.min(20_000)).clamp(2_000, 200_000)
 }
