@@ -337,10 +337,11 @@ fn trained(
     let known = more.into_iter().filter_map(|(name, value)| Some((name.to_owned(), value?)));
     record.numbers.extend(known);
     if job.count {
-        let steps = settings.train.steps + settings.features.refine_steps;
+        let loaded = folder.load()?;
+        let steps = settings.decided(&loaded.scene).train.steps + settings.features.refine_steps;
         record.numbers.insert("steps".into(), f64::from(steps));
         record.numbers.insert("calls".into(), calls.count() as f64);
-        record.numbers.insert("pairs".into(), pairs(folder, settings)? as f64);
+        record.numbers.insert("pairs".into(), pairs(&loaded, settings)? as f64);
     }
     while let Some(told) = listener.try_next() {
         if let Event::Warning { message, .. } = &told.event {
@@ -354,8 +355,7 @@ fn trained(
 const TILE: f32 = 16.0;
 
 /// Pairs of a splat and a tile that it may reach, over the training photos.
-fn pairs(folder: &RunFolder, settings: &Settings) -> Result<usize, PointError> {
-    let Loaded { scene, model, .. } = folder.load()?;
+fn pairs(Loaded { scene, model, .. }: &Loaded, settings: &Settings) -> Result<usize, PointError> {
     let engine = CpuEngine::new();
     let mut pairs = 0;
     for view in scene.views.iter().filter(|v| !v.test) {

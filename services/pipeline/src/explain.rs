@@ -85,6 +85,7 @@ fn situation(
 ) -> Result<Situation, RunError> {
     let scene = Scene::open(path, &settings.scene)?;
     let providers = Providers::from_settings(&settings.vision)?;
+    let settings = &settings.decided(&scene);
     let engine = choose_engine(&settings.run)?.engine;
     let corrections = Corrections::find(&scene, folder, &settings.scene.strangers)?;
     let corrected = corrections.in_words(&scene);

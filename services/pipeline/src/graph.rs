@@ -169,7 +169,7 @@ pub fn run(
         ),
     );
 
-    let settings = &memory::within_budget(settings, &scene)?;
+    let settings = &memory::within_budget(&settings.decided(&scene), &scene)?;
     let providers = match &options.providers {
         Some(providers) => providers.clone(),
         None => Providers::from_settings(&settings.vision)?,

@@ -4,7 +4,7 @@ use crate::EngineKind;
 use segwild_features::FeatureSettings;
 use segwild_masks::MaskSettings;
 use segwild_scene::settings::{Field, Group, SettingError};
-use segwild_scene::{SceneSettings, choice, settings};
+use segwild_scene::{Scene, SceneSettings, choice, settings};
 use segwild_segmenter::SegmentSettings;
 use segwild_trainer::{LookKind, Preset, TrainSettings};
 use segwild_vision::VisionSettings;
@@ -128,6 +128,12 @@ impl Settings {
             settings.features.keep_variance = KEEP_VARIANCE;
         }
         settings
+    }
+
+    /// With all that the scene decides by what it has: how many steps its photos ask for.
+    #[must_use]
+    pub fn decided(&self, scene: &Scene) -> Settings {
+        Settings { train: self.train.decided(scene), ..self.clone() }
     }
 
     /// The defaults of a preset.

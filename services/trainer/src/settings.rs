@@ -2,7 +2,11 @@
 
 use crate::TrainError;
 use segwild_raster::GswWidth;
+use segwild_scene::Scene;
 use segwild_scene::settings::Group;
+
+/// Steps for the square root of the photos, at an effort of 1.
+const STEPS: f32 = 200.0;
 
 segwild_scene::choice! {
     /// How the number of splats is controlled.
@@ -47,8 +51,10 @@ segwild_scene::choice! {
 segwild_scene::settings! {
     /// Training of the splats. Schedules are fractions of `steps`, so any number of steps is a whole training.
     pub struct TrainSettings("train") {
-        /// Optimiser steps; each looks at one photo.
-        steps: u32 = 1500 => 1..=10_000_000,
+        /// Optimiser steps; each looks at one photo. 0 lets the scene decide: 200 for the square root of its photos.
+        steps: u32 = 0 => 0..=10_000_000,
+        /// How many times as many steps, where the scene decides. More than 2 learns the photos by heart.
+        effort: f32 = 1.0 => 0.01..=100.0,
         /// Most splats allowed; 0 lets the scene decide (photos, pixels, sky, points).
         splats: usize = 0,
         /// How the number of splats is controlled.
@@ -107,9 +113,9 @@ impl Preset {
     pub fn settings(self) -> TrainSettings {
         let standard = TrainSettings::default();
         match self {
-            Preset::Draft => TrainSettings { steps: 1000, sh_degree: 1, ..standard },
+            Preset::Draft => TrainSettings { effort: 0.5, sh_degree: 1, ..standard },
             Preset::Standard => standard,
-            Preset::Best => TrainSettings { steps: 4000, sh_degree: 3, ..standard },
+            Preset::Best => TrainSettings { effort: 1.5, sh_degree: 3, ..standard },
         }
     }
 }
@@ -131,8 +137,38 @@ impl TrainSettings {
         }
     }
 
+    /// With as many steps as the scene's photos ask for, where that is left to the scene.
+    #[must_use]
+    pub fn decided(&self, scene: &Scene) -> TrainSettings {
+        let photos = scene.views.iter().filter(|v| !v.test).count();
+        // What was decided by the effort says so itself.
+        TrainSettings { steps: self.steps_for(photos), effort: 1.0, ..self.clone() }
+    }
+
+    /// Photos of one place overlap: they count by the square root (docs/measured.md).
+    fn steps_for(&self, photos: usize) -> u32 {
+        match self.steps {
+            0 => (self.effort * STEPS * (photos as f32).sqrt()).round().max(1.0) as u32,
+            told => told,
+        }
+    }
+
     /// The step after which [`crate::Trainer::snapshot`] is to be taken for the mask stage; at least 1.
     pub fn snapshot_step(&self) -> u32 {
         ((f64::from(self.snapshot_at) * f64::from(self.steps)).round() as u32).clamp(1, self.steps)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn four_times_the_photos_take_twice_the_steps() {
+        let standard = TrainSettings::default();
+        assert_eq!((standard.steps_for(25), standard.steps_for(100)), (1000, 2000));
+        assert_eq!(Preset::Draft.settings().steps_for(25), 500);
+        assert_eq!(standard.steps_for(0), 1, "a scene without photos is refused in other words");
+        assert_eq!(TrainSettings { steps: 77, ..Preset::Best.settings() }.steps_for(25), 77);
     }
 }

@@ -81,6 +81,7 @@ impl Trainer {
         settings: TrainSettings,
     ) -> Result<Trainer, TrainError> {
         settings.check()?;
+        let settings = settings.decided(scene);
         let cache = photo_cache(scene, photos, &settings);
         Trainer::begin(engine, scene, cache, settings, 0)
     }
@@ -94,6 +95,7 @@ impl Trainer {
         stopping: &dyn Fn() -> bool,
     ) -> Result<Trainer, TrainError> {
         settings.check()?;
+        let settings = settings.decided(scene);
         let mut cache = photo_cache(scene, photos, &settings);
         let found = suspects(&engine, scene, &mut cache, &settings, stopping)?;
         let mut trainer = Trainer::begin(engine, scene, cache, settings, 0)?;

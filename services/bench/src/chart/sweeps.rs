@@ -29,7 +29,12 @@ const fn sweep(
 /// The sweeps, in the order of the legend.
 pub const SWEEPS: &[Sweep] = &[
     sweep("preset", "all settings at once", "preset", &["draft", "standard", "best"]),
-    sweep("steps", "training steps", "steps", &["250", "500", "1000", "2000", "4000", "8000"]),
+    sweep(
+        "steps",
+        "training steps, as a multiple of what the number of photos asks for",
+        "effort",
+        &["0.125", "0.25", "0.5", "1", "2", "4", "8"],
+    ),
     sweep("splats", "most splats allowed", "splats", &["1000", "2500", "5000", "10000", "20000", "40000"]),
     sweep("channels", "numbers per splat that describe it", "channels", &["4", "8", "16", "32", "64"]),
     sweep(
@@ -83,7 +88,7 @@ impl Sweep {
 }
 
 /// The settings that a preset decides.
-const PRESET: &[&str] = &["preset", "steps", "sh_degree", "refine_steps", "prompt_budget"];
+const PRESET: &[&str] = &["preset", "steps", "effort", "sh_degree", "refine_steps", "prompt_budget"];
 
 #[cfg(test)]
 mod tests {
@@ -101,7 +106,7 @@ mod tests {
             let sweep = SWEEPS.iter().find(|s| s.name == name).unwrap();
             sweep.values.iter().copied().filter(|v| sweep.is_base(&base, v).unwrap()).collect()
         };
-        assert_eq!(found("steps"), ["1000"]);
+        assert_eq!(found("steps"), ["0.5"]);
         assert_eq!(found("preset"), ["draft"]);
         assert_eq!(found("refine"), ["60"]);
         assert!(found("density").is_empty(), "it has another number of splats");

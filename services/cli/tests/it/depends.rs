@@ -14,8 +14,10 @@ const NOTHING: &[&str] = &[];
 
 /// Every setting of the groups `train`, `masks` and `features`: another value, and the stages that depend on it where
 /// the others have their defaults.
-const TABLE: [(&str, &str, &[&str]); 50] = [
+const TABLE: [(&str, &str, &[&str]); 51] = [
     ("steps", "61", GEOMETRY),
+    // The run says how many steps: nothing is left to the scene.
+    ("effort", "2", &[]),
     ("splats", "500", GEOMETRY),
     ("density", "mcmc", GEOMETRY),
     ("sh_degree", "1", GEOMETRY),

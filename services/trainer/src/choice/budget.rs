@@ -56,6 +56,7 @@ pub fn choose_budget(
     size: u32,
     stopping: &dyn Fn() -> bool,
 ) -> Result<BudgetChoice, TrainError> {
+    let settings = &settings.decided(scene);
     let trials = Trials::new(engine, scene, photos, stopping);
     let whole = BudgetChoice {
         steps: settings.steps,

@@ -46,6 +46,7 @@ pub fn choose_look(
     settings: &TrainSettings,
     stopping: &dyn Fn() -> bool,
 ) -> Result<LookChoice, TrainError> {
+    let settings = &settings.decided(scene);
     let trials = Trials::new(engine, scene, photos.clone(), stopping);
     let tracks = tracks(scene, &*photos, &trials.usable);
     let guess = match tracks {
