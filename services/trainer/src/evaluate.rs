@@ -5,7 +5,7 @@ use crate::background::Background;
 use crate::looks::{self, Lit};
 use crate::model::{Model, compose};
 use crate::photos::{PhotoCache, Photos, Stored};
-use segwild_raster::{AnyLook, Channels, Engine, HIDDEN, Look, RANK};
+use segwild_raster::{AffineLook, AnyLook, Channels, Engine, HIDDEN, Look, RANK};
 use segwild_scene::{Image, Scene, Splats, View};
 use std::sync::Arc;
 
@@ -142,8 +142,12 @@ pub(crate) fn draw_unseen(
         });
         match &model.look {
             AnyLook::None(_) => {}
-            AnyLook::Affine(trained) => {
-                let fitted = looks::fit_affine(trained, &model.trained_on, pairs);
+            AnyLook::Affine(_) => {
+                let mut fitted = AffineLook::new(1);
+                fitted.set_matrix(
+                    0,
+                    looks::fit(pairs.map(|(scene, alpha, seen, _)| (scene, alpha, seen, 1.0))),
+                );
                 (look, index) = (AnyLook::Affine(fitted), 0);
             }
             AnyLook::Embed(trained) => {

@@ -230,27 +230,6 @@ fn usual<const N: usize>(
     (mean, variance)
 }
 
-/// The colour matrix of one photo that was not trained on, by least squares that prefers such as the trained photos have:
-/// half a photo tells what the whole has in common with others, not what lies beyond it. A look of one photo, at index 0;
-/// entries are scene colour (premultiplied), alpha, photo colour, and what nothing here asks.
-pub(crate) fn fit_affine<T>(
-    trained: &AffineLook,
-    photos: &[u32],
-    pixels: impl Iterator<Item = ([f32; 3], f32, [f32; 3], T)> + Clone,
-) -> AffineLook {
-    let (mean, variance) = usual(photos, |view, c| {
-        let matrix = trained.matrix(view);
-        std::array::from_fn(|i| f64::from(matrix[4 * c + i]))
-    });
-    let x = |(scene, alpha, ..): &([f32; 3], f32, [f32; 3], T), _| -> [f32; 4] {
-        [scene[0], scene[1], scene[2], *alpha]
-    };
-    let rows = fit_rows(&mean, &variance, pixels, x, |pixel| pixel.2);
-    let mut fitted = AffineLook::new(1);
-    fitted.set_matrix(0, std::array::from_fn(|i| rows[i / 4][i % 4]));
-    fitted
-}
-
 /// Unknowns per channel of the look `embed`.
 const EMBED: usize = 4 + RANK;
 
