@@ -5,6 +5,9 @@
 
 use crate::flow::{Calls, counted};
 use crate::oracle::OracleOptions;
+use crate::protocols::clicks;
+use crate::protocols::folder::Parts;
+use crate::protocols::place::stem;
 use crate::record::Record;
 use crate::stability::Harm;
 use crate::synthetic::random::Rng;
@@ -34,9 +37,14 @@ const REFERENCES: usize = 3;
 pub enum Place {
     /// A synthetic place: every object is clicked once.
     Synthetic(SyntheticOptions),
-    /// A folder of photos with true masks of one object in `truth/`: it is shown in three photos, one after the other,
-    /// by a box and two clicks.
-    Folder(PathBuf),
+    /// A folder of photos with true masks of one object in `truth/`: it is shown in three photos, one after the other.
+    Folder {
+        /// The scene.
+        path: PathBuf,
+        /// Where the object's parts meet: of the photos that this lists, by a click into each part; by a box and two clicks
+        /// in any photo if it lists none.
+        parts: Parts,
+    },
 }
 
 impl Place {
@@ -44,7 +52,7 @@ impl Place {
     pub fn name(&self) -> String {
         match self {
             Place::Synthetic(options) => format!("seed {}", options.seed),
-            Place::Folder(path) => {
+            Place::Folder { path, .. } => {
                 path.file_name().map_or_else(|| "scene".into(), |n| n.to_string_lossy().into_owned())
             }
         }
@@ -180,7 +188,7 @@ pub fn measure(job: &Job) -> Result<Vec<Record>, PointError> {
     let settings = job.settings().map_err(RunError::from)?;
     match &job.place {
         Place::Synthetic(options) => synthetic(job, options, &settings),
-        Place::Folder(path) => folder(job, path, &settings),
+        Place::Folder { path, parts } => folder(job, path, parts, &settings),
     }
 }
 
@@ -266,9 +274,9 @@ fn clicks(job: &Job, trial: &Trial, object: &ObjectTruth) -> Vec<PhotoPrompts> {
 /// A photo shows an object when at least one pixel in this many is the object's.
 const SHOWN: usize = 200;
 
-fn folder(job: &Job, path: &Path, settings: &Settings) -> Result<Vec<Record>, PointError> {
+fn folder(job: &Job, path: &Path, parts: &Parts, settings: &Settings) -> Result<Vec<Record>, PointError> {
     let truth = path.join("truth");
-    let shown = references(path, &truth, settings)?;
+    let shown = references(path, &truth, parts, settings)?;
     let run = RunFolder::create(&job.dir.join("run"))?;
     let providers = Providers::from_settings(&settings.vision).map_err(TrialError::from)?;
     let mut first = trained(job, path, &run, settings, providers.clone())?;
@@ -391,10 +399,16 @@ fn forget_peak() -> Option<u64> {
 
 /// Photos to show the object in, each with what a person would point at. Those in the middle of the range of what the
 /// object covers, evenly over the names, so that neither a close-up of a part nor a speck is among them.
-fn references(scene: &Path, truth: &Path, settings: &Settings) -> Result<Vec<PhotoPrompts>, PointError> {
+fn references(
+    scene: &Path,
+    truth: &Path,
+    parts: &Parts,
+    settings: &Settings,
+) -> Result<Vec<PhotoPrompts>, PointError> {
     let opened = Scene::open(scene, &settings.scene)?;
     let mut able = Vec::new();
-    for view in opened.views.iter().filter(|v| !v.test) {
+    let listed = |name: &str| parts.is_empty() || parts.contains_key(stem(name));
+    for view in opened.views.iter().filter(|v| !v.test && listed(&v.name)) {
         let file = truth.join(Path::new(&view.name).with_extension("png"));
         if !file.is_file() {
             continue;
@@ -415,7 +429,13 @@ fn references(scene: &Path, truth: &Path, settings: &Settings) -> Result<Vec<Pho
     let n = REFERENCES.min(middle.len());
     let chosen = (0..n).map(|k| &middle[(2 * k + 1) * middle.len() / (2 * n)]);
     Ok(chosen
-        .map(|(_, name, mask)| PhotoPrompts { photo: name.clone(), prompts: pointed_at(mask) })
+        .map(|(_, name, mask)| {
+            let prompts = match parts.get(stem(name)) {
+                Some(rows) => Prompts { points: clicks::parts(mask, rows), ..Prompts::default() },
+                None => pointed_at(mask),
+            };
+            PhotoPrompts { photo: name.clone(), prompts }
+        })
         .collect())
 }
 

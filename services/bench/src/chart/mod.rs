@@ -173,7 +173,7 @@ fn one(sweep: &Sweep, value: &str) -> String {
 fn too_large(options: &ChartOptions, value: &str) -> bool {
     let long_side = |place: &Place| match place {
         Place::Synthetic(scene) => Some(scene.long_side),
-        Place::Folder(_) => None,
+        Place::Folder { .. } => None,
     };
     let most = options.base.places.iter().filter_map(long_side).max();
     value.parse::<u32>().ok().zip(most).is_some_and(|(value, most)| value >= most)

@@ -58,6 +58,7 @@ pub const SWEEPS: &[Sweep] = &[
         values: &["budget", "gradient", "mcmc"],
         common: &[("splats", "5000"), ("grow_gain", "0")],
     },
+    sweep("budget", "who decides how much the scene gets", "budget", &["auto"]),
 ];
 
 impl Sweep {

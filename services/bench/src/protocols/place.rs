@@ -72,7 +72,7 @@ pub fn photos(scene: &Path, settings: &Settings) -> Result<Vec<String>, Protocol
 }
 
 /// The name of a file without its folder and ending.
-pub(super) fn stem(name: &str) -> &str {
+pub(crate) fn stem(name: &str) -> &str {
     let name = name.rsplit(['/', '\\']).next().unwrap_or(name);
     name.rsplit_once('.').map_or(name, |(stem, _)| stem)
 }

@@ -4,13 +4,16 @@ use super::{list, numbers};
 use crate::args::{given, json, number, path, with_settings};
 use crate::commands::{path as path_of, print_json, print_line};
 use crate::failure::Failure;
+use clap::builder::PossibleValuesParser;
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_bench::chart::{Base, ChartOptions, Told, chart as measure_all, write};
 use segwild_bench::oracle::OracleOptions;
 use segwild_bench::point::{Job, Place, means, measure};
+use segwild_bench::protocols::folder::{Parts, read_parts};
 use segwild_bench::record::Record;
-use segwild_bench::synthetic::SyntheticOptions;
+use segwild_bench::synthetic::{LookKind, SyntheticOptions};
 use segwild_bench::trial::ProviderKind;
+use segwild_scene::settings::Value;
 use std::path::PathBuf;
 
 /// The benchmark's arguments.
@@ -24,6 +27,10 @@ pub fn command() -> Command {
                 .value_parser(value_parser!(PathBuf))
                 .help("A folder of photos with true masks in `truth/` [default: synthetic places]"),
         )
+        .arg(path(
+            "parts",
+            "With --scene, JSON file of the rows at which the object's parts meet, by photo: these are clicked, each part once",
+        ))
         .arg(
             Arg::new("places")
                 .long("places")
@@ -45,6 +52,13 @@ pub fn command() -> Command {
                 .value_parser(value_parser!(f32)),
         )
         .arg(
+            Arg::new("light")
+                .long("light")
+                .value_parser(PossibleValuesParser::new(LookKind::CHOICES))
+                .default_value("mixed")
+                .help("What differs from photo to photo of a synthetic place"),
+        )
+        .arg(
             Arg::new("providers")
                 .long("providers")
                 .value_parser(["oracle", "builtin"])
@@ -55,7 +69,7 @@ pub fn command() -> Command {
             Arg::new("only")
                 .long("only")
                 .value_name("SWEEPS")
-                .help("Sweeps to measure, with commas: preset, steps, splats, channels, size, look, refine, prompts, density, or single points of them as in look=embed [default: all]"),
+                .help("Sweeps to measure, with commas: preset, steps, splats, channels, size, look, refine, prompts, density, budget, or single points of them as in look=embed [default: all]"),
         )
         .arg(path("out", "Folder for results; what is there is not measured again [default: .bench/chart]"))
         .arg(path("page", "Folder for the page, figures and data [default: the folder of the results]"))
@@ -76,7 +90,11 @@ pub fn chart(matches: &ArgMatches) -> Result<(), Failure> {
     let (places, about) = match path_of(matches, "scene") {
         Some(scene) => {
             let scene = std::path::absolute(&scene)?;
-            let place = Place::Folder(scene);
+            let parts = match path_of(matches, "parts") {
+                Some(file) => read_parts(&file)?,
+                None => Parts::new(),
+            };
+            let place = Place::Folder { path: scene, parts };
             let name = place.name();
             (vec![place], name)
         }
@@ -87,6 +105,8 @@ pub fn chart(matches: &ArgMatches) -> Result<(), Failure> {
                 test: photos.div_ceil(5),
                 long_side: *matches.get_one::<u32>("pixels").expect("it has a default"),
                 occlusion: *matches.get_one::<f32>("occlusion").expect("it has a default"),
+                look: LookKind::read(matches.get_one::<String>("light").expect("it has a default"))
+                    .map_err(Failure::usage)?,
                 ..SyntheticOptions::default()
             };
             let places = if seeds.len() == 1 { "place" } else { "places" };
@@ -101,7 +121,7 @@ pub fn chart(matches: &ArgMatches) -> Result<(), Failure> {
             )
         }
     };
-    let folder = matches!(places[..], [Place::Folder(_)]);
+    let folder = matches!(places[..], [Place::Folder { .. }]);
     let builtin = folder || matches.get_one::<String>("providers").is_some_and(|p| p == "builtin");
     let options = ChartOptions {
         program: std::env::current_exe()?,
