@@ -15,6 +15,7 @@ use crate::oracle::OracleOptions;
 use crate::page::{PageError, io};
 use crate::point::{self, Job, Place, PointError, Prompting};
 use crate::record::{Made, Record, Results};
+use crate::scale::kernels::pace;
 use crate::stability::Harm;
 use crate::trial::ProviderKind;
 use serde::{Deserialize, Serialize};
@@ -97,8 +98,13 @@ pub fn chart(options: &ChartOptions, mut told: impl FnMut(Told)) -> Result<Resul
                     continue;
                 }
                 empty(&job.dir)?;
+                let before = pace()?;
                 match point::apart(&options.program, &job) {
-                    Ok(records) => {
+                    Ok(mut records) => {
+                        let pace = (before + pace()?) / 2.0;
+                        records.iter_mut().filter(|r| r.target.is_empty()).for_each(|r| {
+                            r.numbers.insert(PACE.into(), pace);
+                        });
                         told(Told::Point { records: &records, known: false });
                         records.into_iter().for_each(|r| results.put(r));
                         results.write(&file)?;
@@ -112,6 +118,9 @@ pub fn chart(options: &ChartOptions, mut told: impl FnMut(Told)) -> Result<Resul
     }
     Ok(results)
 }
+
+/// CPU milliseconds of the same work before and after a point was measured.
+const PACE: &str = "pace_ms";
 
 /// A point that is to be measured.
 struct Plan {

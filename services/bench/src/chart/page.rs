@@ -1,6 +1,6 @@
 //! The chart as files: figures, tables, data, and one page that holds them all.
 
-use super::points::{CHEAPER, COSTS, MEASURES, Point, Verdict, cost_words, point};
+use super::points::{CHEAPER, COSTS, MEASURES, Point, Verdict, cost_words, pace_words, point};
 use super::{DEFAULT, SWEEPS, Sweep};
 use crate::page::{PageError, io};
 use crate::plot::{Figure, Mark, Panel, Series, escaped, front};
@@ -227,12 +227,13 @@ impl ChartPage {
         let mut text = format!(
             "# {}\n\nThis page is generated: `{}`, by segwild {} on {}. One setting is varied at a time around the default; every \
              point is a training of its own in a process of its own. {} CPU \
-             time and memory are of the run up to the held-out scores; memory is without what the process held before.\n\n",
+             time and memory are of the run up to the held-out scores; memory is without what the process held before.{}\n\n",
             self.title,
             made.command,
             made.version,
             made.machine,
-            self.spread_words()
+            self.spread_words(),
+            pace_words(&self.results)
         );
         for figure in figures {
             let _ = writeln!(text, "![{figure}]({figure})\n");

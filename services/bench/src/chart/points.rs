@@ -1,6 +1,6 @@
 //! The points of a chart, and how the default stands among them.
 
-use super::{DEFAULT, SWEEPS, Sweep};
+use super::{DEFAULT, PACE, SWEEPS, Sweep};
 use crate::metrics::Spread;
 use crate::point::means;
 use crate::record::{Record, Results};
@@ -72,15 +72,51 @@ impl Verdict {
 pub(super) const MEASURES: [(&str, &str, f64); 2] =
     [("iou", "IoU", 0.005), ("psnr", "held-out PSNR in dB", 0.1)];
 pub(super) const COSTS: [&str; 2] = ["cpu_s", "peak_mib"];
+/// What takes longer where the machine is slower.
+const TIMES: [&str; 3] = ["cpu_s", "wall_s", "click_s"];
 
 pub(super) fn cost_words(cost: &str) -> &'static str {
     if cost == "cpu_s" { "CPU time" } else { "peak memory" }
 }
 
+/// The middle one of all paces at which points were measured, in ms.
+pub(super) fn usual_pace(results: &Results) -> Option<f64> {
+    let mut paces: Vec<f64> = results.records.iter().filter_map(|r| r.numbers.get(PACE).copied()).collect();
+    paces.sort_by(f64::total_cmp);
+    paces.get(paces.len() / 2).copied()
+}
+
+/// A record with the times it would have had at that pace of the machine.
+fn at_pace(record: &Record, usual: Option<f64>) -> Record {
+    let mut record = record.clone();
+    if let (Some(usual), Some(&pace)) = (usual, record.numbers.get(PACE)) {
+        for name in TIMES {
+            record.numbers.entry(name.to_owned()).and_modify(|time| *time *= usual / pace);
+        }
+    }
+    record
+}
+
+/// Says how times were made comparable, where they were.
+pub(super) fn pace_words(results: &Results) -> String {
+    let Some(usual) = usual_pace(results) else { return String::new() };
+    let paces = || results.records.iter().filter_map(|r| r.numbers.get(PACE)).map(|pace| pace / usual);
+    let (least, most) = (paces().fold(f64::INFINITY, f64::min), paces().fold(0.0, f64::max));
+    format!(
+        " Times are those at the machine's usual pace: the same drawing, before and after each point, took {least:.2} to {most:.2} of \
+         its usual time, and so much is divided out (the data have both)."
+    )
+}
+
 /// A point of a sweep, or the one of a setting, from all that was measured there.
 pub(super) fn point(results: &Results, (setting, at): (&str, Option<f64>)) -> Point {
-    let records: Vec<&Record> =
-        results.records.iter().filter(|r| r.setting == setting && r.at == at).collect();
+    let records: Vec<Record> = results
+        .records
+        .iter()
+        .filter(|r| r.setting == setting && r.at == at)
+        .map(|r| at_pace(r, usual_pace(results)))
+        .collect();
+    let records: Vec<&Record> = records.iter().collect();
     let seeds: BTreeSet<u64> = records.iter().map(|r| r.seed).collect();
     let mut values: BTreeMap<String, Vec<f64>> = BTreeMap::new();
     for seed in seeds {
@@ -103,4 +139,24 @@ pub(super) fn point(results: &Results, (setting, at): (&str, Option<f64>)) -> Po
         None => setting.split_once(' ').map_or(setting, |s| s.1).to_owned(),
     };
     Point { sweep, value, chosen: setting == DEFAULT, numbers }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_busy_host_adds_is_divided_out() {
+        let mut results = Results::default();
+        for (seed, cpu, pace) in [(1, 10.0, 5.0), (2, 16.0, 8.0), (3, 12.0, 6.0)] {
+            let numbers =
+                [("cpu_s", cpu), (PACE, pace), ("psnr", 20.0)].map(|(n, v)| (n.to_owned(), v)).into();
+            results.put(Record { setting: DEFAULT.into(), seed, numbers, ..Record::default() });
+        }
+        let point = point(&results, (DEFAULT, None));
+        assert_eq!(point.numbers["cpu_s"], Spread::of(&[12.0, 12.0, 12.0]).unwrap());
+        assert_eq!(point.mean("psnr"), Some(20.0));
+        assert!(pace_words(&results).contains("took 0.83 to 1.33 of"), "{}", pace_words(&results));
+        assert_eq!(pace_words(&Results::default()), "");
+    }
 }

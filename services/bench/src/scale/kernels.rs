@@ -14,6 +14,37 @@ use std::time::Instant;
 /// Least seconds over which a pass is repeated: processor time is counted in steps of 10 ms.
 const LEAST: f64 = 0.3;
 
+/// How fast this machine is now: CPU milliseconds of drawing and differentiating a frame. What else runs on the host makes
+/// the same work take up to twice as long from one minute to the next.
+pub(crate) fn pace() -> Result<f64, PageError> {
+    let (splats, colours) = frame(20_000, 3);
+    let (camera, pose, options) = (camera(400), pose(), ProjectOptions::default());
+    let engine = CpuEngine::new();
+    let channels = Channels { count: 3, values: &colours };
+    let step = || -> Result<(), PageError> {
+        let projected = engine.project(&splats, &camera, &pose, &options)?;
+        let frame = projected.blend(&channels);
+        drop(projected.backward(
+            &channels,
+            &frame,
+            &FrameGrad { image: &frame.image, alpha: Some(&frame.alpha) },
+        ));
+        Ok(())
+    };
+    step()?;
+    Ok(timed(|| step().unwrap_or_default()))
+}
+
+fn camera(width: u32) -> Camera {
+    let height = width * 3 / 4;
+    let (w, h) = (width as f32, height as f32);
+    Camera { width, height, fx: w, fy: w, cx: w / 2.0, cy: h / 2.0 }
+}
+
+fn pose() -> Pose {
+    Pose::look_at(Vec3::ZERO, Vec3::Z, Vec3::NEG_Y)
+}
+
 /// CPU milliseconds of each pass over `splats` splats of 0.5 to 3 px (at a width of 400) that fill a frame.
 pub(super) fn measure(
     axis: &str,
@@ -23,10 +54,7 @@ pub(super) fn measure(
     channels: u32,
 ) -> Result<Record, PageError> {
     let (scene, values) = frame(splats, channels);
-    let height = width * 3 / 4;
-    let (w, h) = (width as f32, height as f32);
-    let camera = Camera { width, height, fx: w, fy: w, cx: w / 2.0, cy: h / 2.0 };
-    let pose = Pose::look_at(Vec3::ZERO, Vec3::Z, Vec3::NEG_Y);
+    let (camera, pose) = (camera(width), pose());
     let options = ProjectOptions::default();
     let engine = CpuEngine::new();
     let mut numbers = BTreeMap::new();

@@ -1,7 +1,7 @@
 //! How time and memory grow: with splats, photos, pixels, channels and objects; the slopes; and what they say of a scene
 //! that does not fit here.
 
-mod kernels;
+pub(crate) mod kernels;
 mod page;
 
 pub use page::{markdown, write};

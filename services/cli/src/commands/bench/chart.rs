@@ -1,19 +1,17 @@
 //! `segwild bench chart`, and `segwild bench point`, which measures one of its points in a process of its own.
 
+use super::common::{light, light_of, parts, parts_of};
 use super::{list, numbers};
 use crate::args::{given, json, number, path, with_settings};
 use crate::commands::{path as path_of, print_json, print_line};
 use crate::failure::Failure;
-use clap::builder::PossibleValuesParser;
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_bench::chart::{Base, ChartOptions, Told, chart as measure_all, write};
 use segwild_bench::oracle::OracleOptions;
 use segwild_bench::point::{Job, Place, means, measure};
-use segwild_bench::protocols::folder::{Parts, read_parts};
 use segwild_bench::record::Record;
-use segwild_bench::synthetic::{LookKind, SyntheticOptions};
+use segwild_bench::synthetic::SyntheticOptions;
 use segwild_bench::trial::ProviderKind;
-use segwild_scene::settings::Value;
 use std::path::PathBuf;
 
 /// The benchmark's arguments.
@@ -27,10 +25,7 @@ pub fn command() -> Command {
                 .value_parser(value_parser!(PathBuf))
                 .help("A folder of photos with true masks in `truth/` [default: synthetic places]"),
         )
-        .arg(path(
-            "parts",
-            "With --scene, JSON file of the rows at which the object's parts meet, by photo: these are clicked, each part once",
-        ))
+        .arg(parts())
         .arg(
             Arg::new("places")
                 .long("places")
@@ -51,13 +46,7 @@ pub fn command() -> Command {
             number("occlusion", "0.1", "Share of each synthetic photo that strangers cover, 0 to 0.6")
                 .value_parser(value_parser!(f32)),
         )
-        .arg(
-            Arg::new("light")
-                .long("light")
-                .value_parser(PossibleValuesParser::new(LookKind::CHOICES))
-                .default_value("mixed")
-                .help("What differs from photo to photo of a synthetic place"),
-        )
+        .arg(light())
         .arg(
             Arg::new("providers")
                 .long("providers")
@@ -90,11 +79,7 @@ pub fn chart(matches: &ArgMatches) -> Result<(), Failure> {
     let (places, about) = match path_of(matches, "scene") {
         Some(scene) => {
             let scene = std::path::absolute(&scene)?;
-            let parts = match path_of(matches, "parts") {
-                Some(file) => read_parts(&file)?,
-                None => Parts::new(),
-            };
-            let place = Place::Folder { path: scene, parts };
+            let place = Place::Folder { path: scene, parts: parts_of(matches)? };
             let name = place.name();
             (vec![place], name)
         }
@@ -105,8 +90,7 @@ pub fn chart(matches: &ArgMatches) -> Result<(), Failure> {
                 test: photos.div_ceil(5),
                 long_side: *matches.get_one::<u32>("pixels").expect("it has a default"),
                 occlusion: *matches.get_one::<f32>("occlusion").expect("it has a default"),
-                look: LookKind::read(matches.get_one::<String>("light").expect("it has a default"))
-                    .map_err(Failure::usage)?,
+                look: light_of(matches)?,
                 ..SyntheticOptions::default()
             };
             let places = if seeds.len() == 1 { "place" } else { "places" };

@@ -5,13 +5,17 @@ use crate::args::{given, json, path, with_settings};
 use crate::commands::{path as path_of, print_json, print_line, use_threads};
 use crate::exit;
 use crate::failure::Failure;
+use clap::builder::PossibleValuesParser;
 use clap::{Arg, ArgAction, ArgMatches, Command};
 use segwild_bench::page::PageError;
 use segwild_bench::point::PointError;
+use segwild_bench::protocols::folder::{Parts, read_parts};
 use segwild_bench::protocols::tables::{all, page};
 use segwild_bench::protocols::{Base, Place, ProtocolError, Table, measure};
 use segwild_bench::record::{Made, Record, Results};
+use segwild_bench::synthetic::LookKind;
 use segwild_pipeline::{Settings, SettingsError};
+use segwild_scene::settings::Value;
 use std::path::{Path, PathBuf};
 
 /// Adds the flags that every protocol has: those of all settings, `--seeds`, `--only`, `--out`, `--page`, `--json`.
@@ -45,6 +49,30 @@ pub fn with_common(command: Command, seeds: &'static str, folder: &'static str) 
         )
         .arg(path("page", "Write the tables to this file, with what made them"))
         .arg(json())
+}
+
+/// `--light` of synthetic places.
+pub fn light() -> Arg {
+    Arg::new("light")
+        .long("light")
+        .value_parser(PossibleValuesParser::new(LookKind::CHOICES))
+        .default_value("mixed")
+        .help("What differs from photo to photo of a synthetic place")
+}
+
+/// What [`light`] was given.
+pub fn light_of(matches: &ArgMatches) -> Result<LookKind, Failure> {
+    LookKind::read(matches.get_one::<String>("light").expect("it has a default")).map_err(Failure::usage)
+}
+
+/// `--parts` of an object on given photos.
+pub fn parts() -> Arg {
+    path("parts", "JSON file of the rows at which an object's parts meet, by photo: one click into each part")
+}
+
+/// What [`parts`] was given; none otherwise.
+pub fn parts_of(matches: &ArgMatches) -> Result<Parts, ProtocolError> {
+    path_of(matches, "parts").map_or_else(|| Ok(Parts::new()), |file| read_parts(&file))
 }
 
 /// Adds `--table`.

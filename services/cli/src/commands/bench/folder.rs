@@ -1,12 +1,12 @@
 //! `segwild bench folder`
 
-use super::common::{asked, finish, measure_places, table, with_common, with_table};
+use super::common::{asked, finish, measure_places, parts, parts_of, table, with_common, with_table};
 use super::list;
-use crate::args::{number, path};
+use crate::args::number;
 use crate::commands::path as path_of;
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
-use segwild_bench::protocols::folder::{FolderProtocol, Parts, place, read_parts};
+use segwild_bench::protocols::folder::{FolderProtocol, place};
 use std::path::PathBuf;
 
 /// The benchmark's arguments.
@@ -36,10 +36,7 @@ pub fn command() -> Command {
             )
             .value_parser(value_parser!(u32).range(1..)),
         )
-        .arg(path(
-            "parts",
-            "JSON file of the rows at which an object's parts meet, by photo: one click into each part",
-        ))
+        .arg(parts())
 }
 
 /// Prints the tables.
@@ -51,10 +48,7 @@ pub fn folder(matches: &ArgMatches) -> Result<(), Failure> {
         references: list(matches, "references"),
         draw: number("draw"),
         clicks: number("clicks"),
-        parts: match path_of(matches, "parts") {
-            Some(file) => read_parts(&file)?,
-            None => Parts::new(),
-        },
+        parts: parts_of(matches)?,
     };
     measure_places(&mut asked, table(matches), |settings, seed| Ok(vec![place(&options, settings, seed)?]))?;
     let title = asked.results.records.first().map_or_else(String::new, |r| r.scene.clone());

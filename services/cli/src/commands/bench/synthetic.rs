@@ -1,14 +1,13 @@
 //! `segwild bench synthetic`
 
-use super::common::{asked, finish, table, tell, with_common, with_table};
+use super::common::{asked, finish, light, light_of, table, tell, with_common, with_table};
 use crate::args::number;
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_bench::oracle::OracleOptions;
 use segwild_bench::protocols::synthetic::{SyntheticProtocol, synthetic as measure};
-use segwild_bench::synthetic::{LookKind, SyntheticOptions};
+use segwild_bench::synthetic::SyntheticOptions;
 use segwild_bench::trial::ProviderKind;
-use segwild_scene::settings::Value;
 
 /// The benchmark's arguments.
 pub fn command() -> Command {
@@ -40,13 +39,7 @@ pub fn with_args(command: Command) -> Command {
             number("occlusion", "0.1", "Share of each photo that strangers cover, 0 to 0.6")
                 .value_parser(value_parser!(f32)),
         )
-        .arg(
-            Arg::new("light")
-                .long("light")
-                .value_parser(clap::builder::PossibleValuesParser::new(LookKind::CHOICES))
-                .default_value("mixed")
-                .help("What differs from photo to photo"),
-        )
+        .arg(light())
         .arg(
             number("kinship", "0", "How much all built things are alike to the oracle's embedding, 0 to 1")
                 .value_parser(value_parser!(f32)),
@@ -90,7 +83,7 @@ pub fn synthetic(matches: &ArgMatches) -> Result<(), Failure> {
         faults: OracleOptions { kinship: number("kinship"), ..OracleOptions::default() },
         scene: SyntheticOptions {
             occlusion: number("occlusion"),
-            look: LookKind::read(word("light")).map_err(Failure::usage)?,
+            look: light_of(matches)?,
             units: *matches.get_one::<f64>("units").expect("it has a default"),
             ..scene(matches)
         },
