@@ -351,7 +351,7 @@ mod tests {
             ("[segment]\ntua = 0.4\n", "[segment] has no setting `tua`"),
             ("[sgement]\n", "there is no table [sgement]"),
             ("[segment]\ntau = \"much\"\n", "`much` does not fit `tau`"),
-            ("[train]\nsteps = 0\n", "expected 1 to 10000000"),
+            ("[train]\neffort = 0\n", "expected 0.01 to 100"),
             ("[segment]\ntau = 7\n", "expected -1 to 1"),
             ("[segment\n", "segwild.toml"),
         ] {

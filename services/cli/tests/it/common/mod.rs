@@ -87,8 +87,9 @@ pub struct Place {
     pub manifest: Manifest,
 }
 
-pub const QUICK: [&str; 8] =
-    ["--size", "96", "--steps", "60", "--refine-steps", "4", "--prompt-budget", "24"];
+/// Few steps leave new splats no time to become opaque: no more of them than the photos need.
+pub const QUICK: [&str; 10] =
+    ["--size", "96", "--steps", "60", "--splats", "2000", "--refine-steps", "4", "--prompt-budget", "24"];
 
 struct Photographed {
     dir: tempfile::TempDir,
