@@ -54,7 +54,7 @@ impl Choice for BudgetChoice {
     }
     fn decided(&self, settings: &Settings) -> Settings {
         let mut settings = settings.clone();
-        (settings.train.steps, settings.train.splats) = (self.steps, self.splats);
+        settings.train.steps = self.steps;
         settings
     }
     fn why(&self) -> &str {

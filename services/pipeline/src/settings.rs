@@ -17,7 +17,7 @@ choice! {
     pub enum Budget {
         /// The settings, as they are.
         Fixed = "fixed",
-        /// The scene: the least steps, splats, channels and look that suffice, found by short trainings that are scored on
+        /// The scene: the least steps, channels and look that suffice, found by short trainings that are scored on
         /// photos held out of them. `steps` is the most that is spent.
         Auto = "auto",
     }
@@ -28,8 +28,8 @@ settings! {
     pub struct RunSettings("run") {
         /// How much time to spend; sets the defaults of the other settings.
         preset: Preset = Preset::Standard,
-        /// Who decides how much the scene gets: `fixed` is what the settings say, `auto` the least steps, splats, channels and
-        /// look that suffice, at most `steps`; what is set by itself stays as it is set.
+        /// Who decides how much the scene gets: `fixed` is what the settings say, `auto` the least steps, channels and look that
+        /// suffice, at most `steps`; what is set by itself stays as it is set.
         budget: Budget = Budget::Fixed,
         /// Compute threads; 0 takes all cores. The result does not depend on it.
         threads: u32 = 0 => 0..=256,

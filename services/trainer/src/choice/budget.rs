@@ -1,37 +1,34 @@
-//! How many steps and splats a scene needs: trainings at reduced size, each twice as long as the one before, until
-//! another doubling would not pay; then with fewer splats, until that costs (method, section 9).
+//! How many steps a scene needs: trainings at reduced size, each twice as long as the one before, until another
+//! doubling would not pay (method, section 9). How many splats is decided while they grow: where more gain nothing,
+//! growing ends.
+//!
+//! What is paid is SSIM on photos held out. PSNR hardly falls where a tenth of what a click can select is lost: with an
+//! eighth of the steps, or a quarter of the splats (docs/measured.md).
 //!
 //! Each is a whole training from coarse to fine. Going on from the one before would take half the steps, but what is
 //! trained on fine photos for long with few splats to move is worth less on photos held out: on `fern` 1 dB less than
 //! before, where the whole training gains 3.
 
 use super::{ShortFit, Trials};
-use crate::{Photos, TrainError, TrainSettings, splat_cap};
+use crate::{Photos, TrainError, TrainSettings};
 use segwild_raster::Engine;
 use segwild_scene::Scene;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 /// Long side of the photos that are tried on: half of those trained on, within these.
-const SIZES: (u32, u32) = (160, 480);
+const SIZES: (u32, u32) = (96, 480);
 /// The shortest training tried, as a share of the longest, and in steps.
 const SHORTEST: (u32, u32) = (16, 125);
-/// What all further doublings together must promise on the photos held out, in dB, for the next to be made.
-const WORTH: f32 = 0.15;
+/// What all further doublings together must promise on the photos held out, in SSIM, for the next to be made.
+const WORTH: f32 = 0.005;
 /// How much of a doubling's gain the next one keeps: where only one gain is known, and the bounds of what two tell.
 const KEEPS: (f32, f32, f32) = (0.5, 0.3, 0.75);
-/// What leaving out half of the splats may cost on the photos held out, in dB.
-const CHEAP: f32 = 0.1;
-/// Halvings of the splats that are tried.
-const HALVINGS: u32 = 3;
-
 /// How much a training is to spend, and on what grounds.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BudgetChoice {
     /// Optimiser steps.
     pub steps: u32,
-    /// Most splats; 0 lets the scene decide, as in the settings.
-    pub splats: usize,
     /// Why, in a sentence.
     pub why: String,
     /// The fits that were tried, in the order in which they were.
@@ -45,7 +42,7 @@ pub fn trial_size(size: u32) -> u32 {
     (size / 2).clamp(SIZES.0, SIZES.1).min(size)
 }
 
-/// Chooses the least steps and splats that suffice, `settings.steps` at most. `photos` gives photos of a long side of
+/// Chooses the least steps that suffice, `settings.steps` at most. `photos` gives photos of a long side of
 /// [`trial_size`] of `size`, which is that of the training; `stopping` ends the work. The same scene, photos and settings
 /// give the same choice.
 pub fn choose_budget(
@@ -60,7 +57,6 @@ pub fn choose_budget(
     let trials = Trials::new(engine, scene, photos, stopping);
     let whole = BudgetChoice {
         steps: settings.steps,
-        splats: settings.splats,
         why: String::new(),
         fits: Vec::new(),
         held_out: trials.held_out.len(),
@@ -75,7 +71,7 @@ pub fn choose_budget(
     let mut promise = f32::INFINITY;
     while steps < settings.steps {
         fits.push(trials.fit(TrainSettings { steps, ..settings.clone() })?);
-        promise = promised(&fits.iter().map(|fit| fit.psnr).collect::<Vec<_>>());
+        promise = promised(&fits.iter().map(|fit| fit.ssim).collect::<Vec<_>>());
         if promise < WORTH {
             break;
         }
@@ -90,13 +86,13 @@ pub fn choose_budget(
         return Ok(BudgetChoice { why, ..whole });
     }
     let told = |fits: &[ShortFit]| -> String {
-        let each = fits.iter().map(|f| format!("{:.2} dB ({} steps, {} splats)", f.psnr, f.steps, f.splats));
+        let each = fits.iter().map(|f| format!("{:.3} ({} steps, {} splats)", f.ssim, f.steps, f.splats));
         each.collect::<Vec<_>>().join(", ")
     };
     let held_out = trials.held_out.len();
     if promise >= WORTH {
         let why = format!(
-            "all {} steps, for each doubling still paid; on {held_out} photos held out: {}",
+            "all {} steps, for each doubling still paid; SSIM on {held_out} photos held out: {}",
             settings.steps,
             told(&fits)
         );
@@ -104,43 +100,18 @@ pub fn choose_budget(
     }
     // The last, though one before it may have done: finer photos take longer.
     let Some(chosen) = fits.last().cloned() else { return Ok(whole) };
-    let doublings = fits.len();
-    let cap = splat_cap(settings, &trials.scene, trial_size(size));
-    let mut enough = chosen.clone();
-    for _ in 0..HALVINGS {
-        let half =
-            TrainSettings { steps: chosen.steps, splats: enough.splats.div_ceil(2), ..settings.clone() };
-        let fit = trials.fit(half)?;
-        fits.push(fit.clone());
-        if chosen.psnr - fit.psnr > CHEAP {
-            break;
-        }
-        enough = fit;
-    }
-    let splats = match enough == chosen {
-        true => settings.splats,
-        // The same share of what the scene could bear at its full size.
-        false => {
-            let share = enough.splats as f64 / cap.max(1) as f64;
-            (share * splat_cap(settings, scene, size) as f64).ceil() as usize
-        }
-    };
-    let most =
-        if splats > 0 { format!("at most {splats} splats") } else { "splats as the scene decides".into() };
     let why = format!(
-        "{} of {} steps, {most}; on {held_out} photos held out, at {} px: {}; all further doublings promise {promise:.2} dB; \
-         with fewer splats: {}",
+        "{} of {} steps; SSIM on {held_out} photos held out, at {} px: {}; all further doublings promise {promise:.3}",
         chosen.steps,
         settings.steps,
         trial_size(size),
-        told(&fits[..doublings]),
-        told(&fits[doublings..])
+        told(&fits)
     );
-    Ok(BudgetChoice { steps: chosen.steps, splats, why, fits, ..whole })
+    Ok(BudgetChoice { steps: chosen.steps, why, fits, ..whole })
 }
 
-/// What all further doublings together promise, from the scores of the doublings so far, in dB: their gains shrink
-/// as they did so far.
+/// What all further doublings together promise, from the scores of the doublings so far: their gains shrink as they
+/// did so far.
 fn promised(scores: &[f32]) -> f32 {
     let gains: Vec<f32> = scores.windows(2).map(|w| w[1] - w[0]).collect();
     let Some(&last) = gains.last() else { return f32::INFINITY };
@@ -168,6 +139,6 @@ mod tests {
 
     #[test]
     fn photos_are_tried_on_at_half_their_size_and_never_larger() {
-        assert_eq!([1000, 640, 320, 120].map(trial_size), [480, 320, 160, 120]);
+        assert_eq!([1000, 640, 160, 80].map(trial_size), [480, 320, 96, 80]);
     }
 }
