@@ -110,11 +110,12 @@ pub(super) fn pace_words(results: &Results) -> String {
 
 /// A point of a sweep, or the one of a setting, from all that was measured there.
 pub(super) fn point(results: &Results, (setting, at): (&str, Option<f64>)) -> Point {
+    let usual = usual_pace(results);
     let records: Vec<Record> = results
         .records
         .iter()
         .filter(|r| r.setting == setting && r.at == at)
-        .map(|r| at_pace(r, usual_pace(results)))
+        .map(|r| at_pace(r, usual))
         .collect();
     let records: Vec<&Record> = records.iter().collect();
     let seeds: BTreeSet<u64> = records.iter().map(|r| r.seed).collect();
