@@ -24,7 +24,7 @@ segwild_scene::settings! {
         /// Long side in pixels at which features are rendered. Larger is sharper at the borders and slower.
         feature_size: u32 = 128 => 16..=4096,
         /// Steps that refine the lifted features, one photo each; 0 keeps them as lifted.
-        refine_steps: u32 = 300,
+        refine_steps: u32 = 60,
         /// Pixels compared with one another in a step.
         pixels_per_step: u32 = 1024 => 2..=65_536,
         /// Weight of the embedding loss.

@@ -141,7 +141,6 @@ impl Settings {
         let mut settings = Settings { train: preset.settings(), ..Settings::default() };
         settings.run.preset = preset;
         if preset == Preset::Draft {
-            settings.features.refine_steps = 60;
             settings.masks.prompt_budget = 128;
         }
         settings
