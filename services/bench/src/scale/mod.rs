@@ -119,6 +119,8 @@ fn run(options: &ScaleOptions, axis: &str, size: u32) -> Result<Record, PageErro
         ("splats", splats.to_string()),
         // Every run grows to what it is allowed; this strategy gives no splat away either.
         ("grow_gain", "0".into()),
+        // Nor may photos too few and small to bear them out take any away.
+        ("robust", "false".into()),
         ("density", if axis == "splats" { "mcmc" } else { "budget" }.into()),
         // Caches of a fixed size, full in all.
         ("photo_cache_mib", "4".into()),
