@@ -118,14 +118,14 @@ impl Chooser<'_> {
         mut told: impl FnMut(&'static str, &Key, &str) -> Result<(), RunError>,
     ) -> Result<Settings, RunError> {
         let scene = &**self.scene;
+        let trial_size = |settings: &Settings| trial_size(scene, settings.scene.size);
         let look = |settings: &Settings| {
-            let photos = self.photos(CHOICE_SIZE.min(settings.scene.size));
+            let photos = self.photos(CHOICE_SIZE.min(trial_size(settings)));
             choose_look(self.engine.clone(), scene, photos, &settings.train, self.stopping)
         };
         let budget = |settings: &Settings| {
-            let size = settings.scene.size;
-            let photos = self.photos(trial_size(size));
-            choose_budget(self.engine.clone(), scene, photos, &settings.train, size, self.stopping)
+            let photos = self.photos(trial_size(settings));
+            choose_budget(self.engine.clone(), scene, photos, &settings.train, self.stopping)
         };
         let settings = self.one::<LookChoice>(settings, look, &mut told)?;
         self.one::<BudgetChoice>(&settings, budget, &mut told)

@@ -4,8 +4,8 @@ use crate::TrainError;
 use crate::background::Background;
 use crate::looks::{self, Lit};
 use crate::model::{Model, compose};
-use crate::photos::{PhotoCache, Photos, Stored};
-use segwild_raster::{AffineLook, AnyLook, Channels, Engine, HIDDEN, Look, RANK};
+use crate::photos::{Level, PhotoCache, Photos, Stored};
+use segwild_raster::{AffineLook, AnyLook, Channels, Engine, HIDDEN, Look, RANK, psnr, ssim};
 use segwild_scene::{Image, Scene, Splats, View};
 use std::sync::Arc;
 
@@ -68,13 +68,8 @@ pub fn evaluate(
         };
         let Unseen { shown: render, .. } =
             draw_unseen(model, engine, &scene.views[view], &stored, 0, fitted)?;
-        let target = photo.image();
         let from = if protocol == Protocol::Halves { w / 2 } else { 0 };
-        let scored = |i: usize| f32::from(u8::from(i % w >= from && photo.valid(i)));
-        let data = (0..photo.pixels()).map(scored).collect();
-        let mask = Image { width: w, height: photo.height, channels: 1, data };
-        let psnr = segwild_raster::psnr(&render, &target, Some(&mask));
-        let ssim = segwild_raster::ssim(&render, &target, Some(&mask));
+        let (psnr, ssim) = score(&render, photo, |i| i % w >= from);
         out.views.push(ViewScore { view, name: scene.views[view].name.clone(), psnr, ssim });
         out.renders.push(render);
     }
@@ -82,6 +77,15 @@ pub fn evaluate(
     out.psnr = out.views.iter().map(|v| v.psnr).sum::<f32>() / n;
     out.ssim = out.views.iter().map(|v| v.ssim).sum::<f32>() / n;
     Ok(out)
+}
+
+/// PSNR in dB and SSIM of a render, over the photo's valid pixels `within`.
+pub(crate) fn score(render: &Image, photo: &Level, within: impl Fn(usize) -> bool) -> (f32, f32) {
+    let scored = |i: usize| f32::from(u8::from(within(i) && photo.valid(i)));
+    let data = (0..photo.pixels()).map(scored).collect();
+    let mask = Image { width: photo.width, height: photo.height, channels: 1, data };
+    let target = photo.image();
+    (psnr(render, &target, Some(&mask)), ssim(render, &target, Some(&mask)))
 }
 
 /// A photo that the scene was not trained on, as the scene would show it.

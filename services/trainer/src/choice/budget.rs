@@ -12,7 +12,7 @@
 use super::{ShortFit, Trials};
 use crate::{Photos, TrainError, TrainSettings};
 use segwild_raster::Engine;
-use segwild_scene::Scene;
+use segwild_scene::{Scene, View};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -21,9 +21,12 @@ const SIZES: (u32, u32) = (96, 480);
 /// The shortest training tried, as a share of the longest, and in steps.
 const SHORTEST: (u32, u32) = (16, 125);
 /// What all further doublings together must promise on the photos held out, in SSIM, for the next to be made.
-const WORTH: f32 = 0.005;
+const WORTH: f32 = 0.002;
 /// How much of a doubling's gain the next one keeps: where only one gain is known, and the bounds of what two tell.
 const KEEPS: (f32, f32, f32) = (0.5, 0.3, 0.75);
+/// The same where gains shrink fast: if not even so an end is in sight, no longer trial is made.
+const KEEPS_AT_BEST: f32 = 0.4;
+
 /// How much a training is to spend, and on what grounds.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BudgetChoice {
@@ -37,24 +40,30 @@ pub struct BudgetChoice {
     pub held_out: usize,
 }
 
-/// The long side of the photos to try on, where photos of `size` are trained on.
-pub fn trial_size(size: u32) -> u32 {
-    (size / 2).clamp(SIZES.0, SIZES.1).min(size)
+/// The long side of the photos to try on, where photos are scaled down to `size` for the training.
+pub fn trial_size(scene: &Scene, size: u32) -> u32 {
+    let long_side = |v: &View| {
+        let camera = v.camera.scaled_to(size);
+        camera.width.max(camera.height)
+    };
+    trial_size_of(scene.views.iter().map(long_side).max().unwrap_or(size))
+}
+
+fn trial_size_of(trained_on: u32) -> u32 {
+    (trained_on / 2).clamp(SIZES.0, SIZES.1).min(trained_on)
 }
 
 /// Chooses the least steps that suffice, `settings.steps` at most. `photos` gives photos of a long side of
-/// [`trial_size`] of `size`, which is that of the training; `stopping` ends the work. The same scene, photos and settings
-/// give the same choice.
+/// [`trial_size`]; `stopping` ends the work. The same scene, photos and settings give the same choice.
 pub fn choose_budget(
     engine: Arc<dyn Engine>,
     scene: &Scene,
     photos: Arc<dyn Photos>,
     settings: &TrainSettings,
-    size: u32,
     stopping: &dyn Fn() -> bool,
 ) -> Result<BudgetChoice, TrainError> {
     let settings = &settings.decided(scene);
-    let trials = Trials::new(engine, scene, photos, stopping);
+    let mut trials = Trials::new(engine, scene, photos, stopping);
     let whole = BudgetChoice {
         steps: settings.steps,
         why: String::new(),
@@ -66,17 +75,18 @@ pub fn choose_budget(
             format!("all {} steps: {} photos are too few to hold any out", whole.steps, trials.usable.len());
         return Ok(BudgetChoice { why, ..whole });
     }
-    let mut fits: Vec<ShortFit> = Vec::new();
     let mut steps = (settings.steps / SHORTEST.0).max(SHORTEST.1);
     let mut promise = f32::INFINITY;
     while steps < settings.steps {
-        fits.push(trials.fit(TrainSettings { steps, ..settings.clone() })?);
-        promise = promised(&fits.iter().map(|fit| fit.ssim).collect::<Vec<_>>());
-        if promise < WORTH {
+        trials.fit(TrainSettings { steps, ..settings.clone() })?;
+        let scores: Vec<f32> = trials.fits.iter().map(|fit| fit.ssim).collect();
+        promise = promised(&scores);
+        if promise < WORTH || ends_at(&scores, steps) >= settings.steps as f32 {
             break;
         }
         steps *= 2;
     }
+    let (held_out, fits) = (trials.held_out.len(), trials.fits);
     if fits.is_empty() {
         let why = format!(
             "all {steps} steps: shorter trainings than {} tell nothing",
@@ -89,10 +99,9 @@ pub fn choose_budget(
         let each = fits.iter().map(|f| format!("{:.3} ({} steps, {} splats)", f.ssim, f.steps, f.splats));
         each.collect::<Vec<_>>().join(", ")
     };
-    let held_out = trials.held_out.len();
     if promise >= WORTH {
         let why = format!(
-            "all {} steps, for each doubling still paid; SSIM on {held_out} photos held out: {}",
+            "all {} steps, for each doubling pays; SSIM on {held_out} photos held out: {}",
             settings.steps,
             told(&fits)
         );
@@ -101,10 +110,9 @@ pub fn choose_budget(
     // The last, though one before it may have done: finer photos take longer.
     let Some(chosen) = fits.last().cloned() else { return Ok(whole) };
     let why = format!(
-        "{} of {} steps; SSIM on {held_out} photos held out, at {} px: {}; all further doublings promise {promise:.3}",
+        "{} of {} steps; SSIM on {held_out} photos held out: {}; all further doublings promise {promise:.3}",
         chosen.steps,
         settings.steps,
-        trial_size(size),
         told(&fits)
     );
     Ok(BudgetChoice { steps: chosen.steps, why, fits, ..whole })
@@ -120,6 +128,15 @@ fn promised(scores: &[f32]) -> f32 {
         _ => KEEPS.0,
     };
     last.max(0.0) * keeps / (1.0 - keeps)
+}
+
+/// The steps at which no more is worth while, after doublings up to `steps` with these scores, if gains shrink fast from
+/// now on.
+fn ends_at(scores: &[f32], steps: u32) -> f32 {
+    let [.., before, last] = scores[..] else { return 0.0 };
+    let promise = (last - before).max(0.0) * KEEPS_AT_BEST / (1.0 - KEEPS_AT_BEST);
+    let doublings = (WORTH / promise.max(WORTH)).log(KEEPS_AT_BEST).ceil();
+    steps as f32 * doublings.exp2()
 }
 
 #[cfg(test)]
@@ -138,7 +155,16 @@ mod tests {
     }
 
     #[test]
+    fn trials_end_where_not_even_gains_that_shrink_fast_come_to_an_end() {
+        // .07 promises .047 at best, and .0012 after four more doublings.
+        assert_eq!(ends_at(&[0.675, 0.745], 250), 4000.0);
+        assert_eq!(ends_at(&[0.745, 0.747], 250), 250.0);
+        assert_eq!(ends_at(&[0.745, 0.740], 250), 250.0);
+        assert_eq!(ends_at(&[0.745], 250), 0.0, "one score tells nothing");
+    }
+
+    #[test]
     fn photos_are_tried_on_at_half_their_size_and_never_larger() {
-        assert_eq!([1000, 640, 160, 80].map(trial_size), [480, 320, 96, 80]);
+        assert_eq!([1000, 640, 160, 80].map(trial_size_of), [480, 320, 96, 80]);
     }
 }

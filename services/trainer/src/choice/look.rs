@@ -17,7 +17,7 @@ pub const RUNGS: [LookKind; 3] = [LookKind::None, LookKind::Affine, LookKind::Em
 const WORTH: f32 = 0.15;
 /// Share of the points' colour variance that an affine look must explain for photos to be taken to differ in light.
 const DIFFERS: f32 = 0.3;
-/// Long side of the photos that are looked at and tried on.
+/// Long side of the photos that are looked at and tried on, at most.
 pub const SIZE: u32 = 160;
 /// Steps of a short fit: a share of the whole training's, within these.
 const STEPS: (u32, u32) = (300, 600);
@@ -37,7 +37,7 @@ pub struct LookChoice {
     pub held_out: usize,
 }
 
-/// Chooses the lowest rung that suffices. `photos` gives photos of a long side of [`SIZE`]; `stopping` ends the work.
+/// Chooses the lowest rung that suffices. `photos` gives photos of a long side of [`SIZE`] at most; `stopping` ends the work.
 /// The same scene, photos and settings give the same choice.
 pub fn choose_look(
     engine: Arc<dyn Engine>,
@@ -47,7 +47,7 @@ pub fn choose_look(
     stopping: &dyn Fn() -> bool,
 ) -> Result<LookChoice, TrainError> {
     let settings = &settings.decided(scene);
-    let trials = Trials::new(engine, scene, photos.clone(), stopping);
+    let mut trials = Trials::new(engine, scene, photos.clone(), stopping);
     let tracks = tracks(scene, &*photos, &trials.usable);
     let guess = match tracks {
         Some(tracks) if tracks.explained() >= DIFFERS => 1,
@@ -65,31 +65,33 @@ pub fn choose_look(
         return Ok(LookChoice { look, why, tracks, fits: Vec::new(), held_out: 0 });
     }
     let steps = (settings.steps / 8).clamp(STEPS.0, STEPS.1);
-    let mut fits: Vec<ShortFit> = Vec::new();
-    let mut score = |rung: usize| -> Result<f32, TrainError> {
-        let look = RUNGS[rung];
-        if let Some(done) = fits.iter().find(|fit| fit.look == look) {
-            return Ok(done.psnr);
+    let mut pays = |dearer: usize| -> Result<bool, TrainError> {
+        let looks = [dearer - 1, dearer].map(|rung| RUNGS[rung]);
+        for look in looks {
+            if trials.fits.iter().all(|fit| fit.look != look) {
+                trials.fit(TrainSettings { look, steps, ..settings.clone() })?;
+            }
         }
-        let fit = trials.fit(TrainSettings { look, steps, ..settings.clone() })?;
-        let psnr = fit.psnr;
-        fits.push(fit);
-        Ok(psnr)
+        // Scores change with what else was tried: they are asked for when both are there.
+        let psnr =
+            looks.map(|look| trials.fits.iter().find(|fit| fit.look == look).map_or(0.0, |fit| fit.psnr));
+        Ok(psnr[1] - psnr[0] >= WORTH)
     };
     let mut rung = guess;
     // Up while it pays; if it did not pay at once, down while nothing is lost by it.
-    while rung + 1 < RUNGS.len() && score(rung + 1)? - score(rung)? >= WORTH {
+    while rung + 1 < RUNGS.len() && pays(rung + 1)? {
         rung += 1;
     }
-    while rung > 0 && rung <= guess && score(rung)? - score(rung - 1)? < WORTH {
+    while rung > 0 && rung <= guess && !pays(rung)? {
         rung -= 1;
     }
+    let (held_out, fits) = (trials.held_out.len(), trials.fits);
     let look = RUNGS[rung];
     let scores: Vec<String> = fits.iter().map(|fit| format!("{} {:.2} dB", fit.look, fit.psnr)).collect();
     let why = format!(
         "{look}: {said}; on {} photos held out of fits of {steps} steps: {}",
-        trials.held_out.len(),
+        held_out,
         scores.join(", ")
     );
-    Ok(LookChoice { look, why, tracks, fits, held_out: trials.held_out.len() })
+    Ok(LookChoice { look, why, tracks, fits, held_out })
 }

@@ -8,9 +8,13 @@ pub use budget::{BudgetChoice, choose_budget, trial_size};
 pub use look::{LookChoice, RUNGS, SIZE, choose_look};
 pub use tracks::Tracks;
 
-use crate::{LookKind, Photos, Protocol, TrainError, TrainSettings, Trainer, evaluate};
+use crate::evaluate::{draw_unseen, score};
+use crate::photos::Stored;
+use crate::pixels::mean_difference;
+use crate::posed::{Posed, posed_view};
+use crate::{LookKind, Photos, TrainError, TrainSettings, Trainer, robust};
 use segwild_raster::Engine;
-use segwild_scene::Scene;
+use segwild_scene::{Image, Scene};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -30,7 +34,8 @@ pub struct ShortFit {
     pub steps: u32,
     /// The splats it came to.
     pub splats: usize,
-    /// Mean PSNR on the photos held out of it, in dB: the look fitted on the left half, the right half scored.
+    /// Mean PSNR on the photos held out of it, in dB: the look fitted on the left half, the right half scored, without
+    /// what contradicts all fits it is compared with.
     pub psnr: f32,
     /// Mean SSIM.
     pub ssim: f32,
@@ -45,8 +50,21 @@ struct Trials<'a> {
     /// Photos looked at.
     usable: Vec<usize>,
     /// Photos that fits are scored on; none where there are too few.
-    held_out: Vec<usize>,
+    held_out: Vec<Held>,
+    /// What was tried, in that order.
+    fits: Vec<ShortFit>,
     stopping: &'a dyn Fn() -> bool,
+}
+
+/// A photo that fits are scored on.
+struct Held {
+    view: usize,
+    posed: Posed,
+    photo: Stored,
+    /// What each fit shows in its place.
+    renders: Vec<Image>,
+    /// Per pixel, whether it contradicts every fit. A stranger does, whatever is tried, and tells nothing of it.
+    strange: Vec<bool>,
 }
 
 impl<'a> Trials<'a> {
@@ -64,18 +82,29 @@ impl<'a> Trials<'a> {
         let mut held_out = Vec::new();
         if usable.len() >= FEW {
             let every = HELD_OUT.0.max(usable.len().div_ceil(HELD_OUT.1));
-            held_out = usable.iter().copied().skip(every / 2).step_by(every).collect();
+            held_out = usable
+                .iter()
+                .skip(every / 2)
+                .step_by(every)
+                .filter_map(|&view| {
+                    let photo = photos.photo(view).ok()?;
+                    let photo = Stored::pack(&scene.views[view].name, &photo).ok()?;
+                    let strange = vec![true; photo.levels[0].pixels()];
+                    Some(Held { view, posed: posed_view(scene, view), photo, renders: Vec::new(), strange })
+                })
+                .collect();
         }
         let mut apart = scene.clone();
         for (view, v) in apart.views.iter_mut().enumerate() {
-            v.test = v.test || held_out.contains(&view) || !usable.contains(&view);
+            v.test = v.test || held_out.iter().any(|held| held.view == view) || !usable.contains(&view);
         }
-        Trials { engine, photos, scene: apart, usable, held_out, stopping }
+        Trials { engine, photos, scene: apart, usable, held_out, fits: Vec::new(), stopping }
     }
 
-    /// Trains once and scores what came of it.
-    fn fit(&self, settings: TrainSettings) -> Result<ShortFit, TrainError> {
+    /// Trains once, and scores what came of it and all that was tried before.
+    fn fit(&mut self, settings: TrainSettings) -> Result<(), TrainError> {
         let (look, steps) = (settings.look, settings.steps);
+        let share = settings.robust.then_some(settings.robust_share);
         let mut trainer = Trainer::new(self.engine.clone(), &self.scene, self.photos.clone(), settings)?;
         while !trainer.is_done() {
             if (self.stopping)() {
@@ -83,8 +112,29 @@ impl<'a> Trials<'a> {
             }
             trainer.step()?;
         }
-        let (model, photos) = (trainer.snapshot(), self.photos.clone());
-        let scored = evaluate(&model, &*self.engine, &self.scene, photos, &self.held_out, Protocol::Halves)?;
-        Ok(ShortFit { look, steps, splats: model.splats.len(), psnr: scored.psnr, ssim: scored.ssim })
+        let model = trainer.snapshot();
+        self.fits.push(ShortFit { look, steps, splats: model.splats.len(), psnr: 0.0, ssim: 0.0 });
+        for held in &mut self.held_out {
+            let view = &self.scene.views[held.view];
+            let photo = &held.photo.levels[0];
+            let w = photo.width;
+            let left = |i: usize| i % w < w / 2;
+            let shown = draw_unseen(&model, &*self.engine, view, &held.photo, 0, Some(&left))?.shown;
+            let residual = held.posed.doubted(&mean_difference(&shown, &photo.image()), photo);
+            let against = robust::contradicted(&residual, w, |i| photo.counts(i), share.unwrap_or(0.0));
+            held.strange.iter_mut().zip(against).for_each(|(s, a)| *s &= a && share.is_some());
+            held.renders.push(shown);
+        }
+        for (k, fit) in self.fits.iter_mut().enumerate() {
+            let scores = self.held_out.iter().map(|held| {
+                let photo = &held.photo.levels[0];
+                let right = |i: usize| i % photo.width >= photo.width / 2;
+                score(&held.renders[k], photo, |i| right(i) && !held.strange[i])
+            });
+            let (psnr, ssim) = scores.fold((0.0, 0.0), |sum, s| (sum.0 + s.0, sum.1 + s.1));
+            let n = self.held_out.len() as f32;
+            (fit.psnr, fit.ssim) = (psnr / n, ssim / n);
+        }
+        Ok(())
     }
 }

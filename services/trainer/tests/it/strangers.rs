@@ -3,7 +3,9 @@
 use crate::wall::*;
 use segwild_raster::AnyLook;
 use segwild_scene::{Image, Mask, Scene};
-use segwild_trainer::{LookKind, Photos, TrainError, TrainPhoto, TrainSettings, Trainer, render_view};
+use segwild_trainer::{
+    LookKind, Photos, TrainError, TrainPhoto, TrainSettings, Trainer, choose_look, render_view,
+};
 use std::cell::Cell;
 use std::sync::Arc;
 
@@ -150,4 +152,28 @@ fn the_look_for_strangers_ends_when_it_is_to_stop_and_is_left_out_where_few_phot
     let trainer = Trainer::cross_checked(engine(), &scene, Arc::new(half), settings, &|| false).unwrap();
     assert!((0..scene.views.len()).all(|view| trainer.suspects(view).is_none()));
     trainer.finish().unwrap();
+}
+
+#[test]
+fn a_stranger_in_a_photo_held_out_does_not_count_against_what_is_tried() {
+    let scene = scene(14);
+    let tried = |photos: Arc<dyn Photos>| {
+        let settings = TrainSettings { look: LookKind::Auto, robust: true, ..settings(400) };
+        choose_look(engine(), &scene, photos, &settings, &|| false).unwrap().fits[0].psnr
+    };
+    // In the right halves, where fits are scored, of the two photos that are held out.
+    let strangers = |i: usize, image: &mut Image| {
+        for c in 0..3 {
+            for row in image.plane_mut(c).chunks_exact_mut(W as usize).take(40).skip(10) {
+                row[40 + 3 * (i % 5)..][..12].fill([0.95, 0.05, 0.05][c]);
+            }
+        }
+    };
+    let strangers = photos(&scene, false, move |i, image| {
+        if [3, 9].contains(&i) {
+            strangers(i, image);
+        }
+    });
+    let (nobody, somebody) = (tried(photos(&scene, false, |_, _| ())), tried(strangers));
+    assert!(somebody > nobody - 3.0, "{somebody} dB with strangers in front, {nobody} dB without");
 }

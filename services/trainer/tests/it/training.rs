@@ -258,7 +258,7 @@ fn a_budget_spends_little_where_more_gains_little_and_all_where_every_doubling_p
     };
     let choose = |steps: u32| {
         let settings = TrainSettings { look: LookKind::None, ..settings(steps) };
-        choose_budget(engine(), &scene, photos(&scene, false, grain), &settings, 80, &|| false).unwrap()
+        choose_budget(engine(), &scene, photos(&scene, false, grain), &settings, &|| false).unwrap()
     };
     let ample = choose(4000);
     assert!(ample.steps <= 1000, "{}", ample.why);
@@ -269,10 +269,9 @@ fn a_budget_spends_little_where_more_gains_little_and_all_where_every_doubling_p
     // Where nothing can be held out nothing can be known.
     let few = self::scene(5);
     let settings = TrainSettings { look: LookKind::None, ..settings(4000) };
-    let of_few =
-        choose_budget(engine(), &few, photos(&few, false, |_, _| ()), &settings, 80, &|| false).unwrap();
+    let of_few = choose_budget(engine(), &few, photos(&few, false, |_, _| ()), &settings, &|| false).unwrap();
     assert_eq!((of_few.steps, of_few.fits.len()), (4000, 0), "{}", of_few.why);
     assert!(of_few.why.contains("too few"), "{}", of_few.why);
-    let stopped = choose_budget(engine(), &scene, photos(&scene, false, |_, _| ()), &settings, 80, &|| true);
+    let stopped = choose_budget(engine(), &scene, photos(&scene, false, |_, _| ()), &settings, &|| true);
     assert!(matches!(stopped, Err(TrainError::Stopped)), "{stopped:?}");
 }
