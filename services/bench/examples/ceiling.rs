@@ -59,7 +59,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let ones = vec![1.0; (w * h) as usize];
         for (object, evidence) in objects.iter().zip(&mut evidence) {
             let inside = soft(&truth(&view.name).mask(object.id), w, h);
-            evidence.add(&coverage(&*projected, &whole, &inside, &ones, (w, h), 0.0, Vote::View), 1.0);
+            evidence.add(&coverage(&*projected, &whole, &inside, &ones, (w, h), 0.0, Vote::View)?, 1.0);
         }
     }
     let labels = trial.scene().label(&scene.frame, &model.splats.means);
@@ -100,7 +100,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             let projected =
                 engine.project(&model.splats, &full.scaled_to(pixels * 2), &view.pose, &options)?;
             for (k, indicator) in [&hard, &rho, &surface].into_iter().enumerate() {
-                let frame = projected.blend(&Channels { count: 1, values: indicator });
+                let frame = projected.blend(&Channels { count: 1, values: indicator })?;
                 let wide = frame.image.resized(full.width as usize, full.height as usize);
                 let drawn = Mask::over(full.width, full.height, wide.plane(0), 0.5);
                 let iou = metrics::score(&drawn, &mask, None)?.iou;

@@ -138,9 +138,10 @@ impl From<SceneError> for PointError {
 }
 
 impl Job {
-    /// The settings in force.
+    /// The settings in force. What is compared is scored alike, whatever its look.
     pub fn settings(&self) -> Result<Settings, SettingsError> {
-        let mut pairs = self.settings.clone();
+        let mut pairs = vec![("scoring".to_owned(), "halves".to_owned())];
+        pairs.extend(self.settings.iter().cloned());
         pairs.push(("seed".into(), self.seed.to_string()));
         Settings::layered(None, &pairs)
     }

@@ -198,6 +198,17 @@ pub fn program() -> Command {
                         .help("Print the reference page of all settings"),
                 )
                 .arg(path("models", "Folder of network files to look at"))
+                .arg(
+                    Arg::new("kernels")
+                        .long("kernels")
+                        .value_name("ADAPTER")
+                        .num_args(0..=1)
+                        .default_missing_value("")
+                        .help(
+                            "Compare every kernel on an accelerator (part of its name; the best one if left out) with \
+                             the CPU engine, and say which is the first to diverge",
+                        ),
+                )
                 .arg(json()),
         )
         .subcommand(crate::commands::bench::command())

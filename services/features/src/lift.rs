@@ -51,7 +51,7 @@ impl Lifter {
                 *out = v * weight.max(0.0);
             }
         }
-        let gathered = projected.gather(&weighted);
+        let gathered = projected.gather(&weighted)?;
         if gathered.len() != self.weights.len() * (c + 1) {
             return Err(FeatureError::Shape(format!(
                 "{name}: a projection of {} splats, wanted {}",

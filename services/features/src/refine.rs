@@ -98,7 +98,7 @@ fn refine(
             Random::stream(settings.feature_seed, (step / count) as u64).draw(&mut order, count);
         }
         let view = views.get(order[step % count])?;
-        let frame = view.projected.blend(&field.channels());
+        let frame = view.projected.blend(&field.channels())?;
         let mut grad = Image::zeros(frame.image.width, frame.image.height, channels);
 
         let rendered = view.average.forward(&frame.image);
@@ -117,7 +117,7 @@ fn refine(
             let members = views.members(order[step % count], &view)?;
             compact = add_compactness(members, &frame.image, settings, &mut random, &mut grad);
         }
-        let values = view.projected.gather(&grad);
+        let values = view.projected.gather(&grad)?;
         adam.step(&mut field.values, &values);
         let done =
             Progress::Refined { done: step + 1, of: settings.refine_steps as usize, embedding, compact };

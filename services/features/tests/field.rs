@@ -156,7 +156,7 @@ fn lifting_is_the_weighted_mean_of_what_each_splat_is_seen_in() {
         for i in (0..cards.splats.len()).step_by(37) {
             let mut one = vec![0.0; cards.splats.len()];
             one[i] = 1.0;
-            let share = projected.blend(&Channels { count: 1, values: &one }).image;
+            let share = projected.blend(&Channels { count: 1, values: &one }).unwrap().image;
             for p in 0..96 * 64 {
                 let w = f64::from(share.data[p]) * f64::from(validity.data[p]);
                 weights[i] += w;
@@ -221,12 +221,12 @@ fn losses_reach_the_features_through_the_engine() {
     };
     let validity: Vec<f32> = (0..96 * 64).map(|_| random().abs()).collect();
     let loss = |values: &[f32], grad: &mut Image| {
-        let frame = projected.blend(&Channels { count: c, values });
+        let frame = projected.blend(&Channels { count: c, values }).unwrap();
         embedding_loss(&frame.image, &target, &validity, grad)
     };
     let mut grad = Image::zeros(96, 64, c);
     loss(&values, &mut grad);
-    let slopes = projected.gather(&grad);
+    let slopes = projected.gather(&grad).unwrap();
     let mut scratch = Image::zeros(96, 64, c);
     for i in (0..n * c).step_by(29) {
         let at = |step: f32, scratch: &mut Image| {
@@ -454,7 +454,7 @@ fn colours_show_what_features_tell_apart() {
     let field = field_after(&cards, &pca, 0);
     let engine = CpuEngine::new();
     let projected = engine.project(&cards.splats, &camera(), &pose(1), &ProjectOptions::default()).unwrap();
-    let frame = projected.blend(&field.channels());
+    let frame = projected.blend(&field.channels()).unwrap();
     let picture = FeatureColours::of(&field).unwrap().paint(&frame);
     assert_eq!((picture.width, picture.height, picture.channels), (96, 64, 3));
     assert!(picture.data.iter().all(|v| (0.0..=1.0).contains(v)));
@@ -465,9 +465,9 @@ fn colours_show_what_features_tell_apart() {
     assert_eq!(std::array::from_fn(|c| picture.at(c, 0, 0)), [0.0; 3], "nothing there");
     // One feature everywhere, or none, is grey or black, not an error.
     let flat = FeatureField { values: vec![0.5; field.values.len()], ..field.clone() };
-    let frame = projected.blend(&flat.channels());
+    let frame = projected.blend(&flat.channels()).unwrap();
     assert_eq!(FeatureColours::of(&flat).unwrap().paint(&frame).at(0, 30, 32), 0.5);
     let zero = FeatureField { values: vec![0.0; field.values.len()], ..field };
-    let frame = projected.blend(&zero.channels());
+    let frame = projected.blend(&zero.channels()).unwrap();
     assert!(FeatureColours::of(&zero).unwrap().paint(&frame).data.iter().all(|&v| v == 0.0));
 }

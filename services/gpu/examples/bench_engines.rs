@@ -54,13 +54,13 @@ fn measure(engine: &dyn Engine, splats: &Splats, width: u32, channels: usize) ->
     let mut grad = Image::zeros(width as usize, height as usize, channels.count);
     grad.data.fill_with(|| random.uniform() - 0.5);
     let projected = project();
-    let frame = projected.blend(&channels);
+    let frame = projected.blend(&channels).unwrap();
     let grad_of = FrameGrad { image: &grad, alpha: None };
     [
         best(|| drop(project())),
-        best(|| drop(projected.blend(&channels))),
-        best(|| drop(projected.gather(&grad))),
-        best(|| drop(projected.backward(&channels, &frame, &grad_of))),
+        best(|| drop(projected.blend(&channels).unwrap())),
+        best(|| drop(projected.gather(&grad).unwrap())),
+        best(|| drop(projected.backward(&channels, &frame, &grad_of).unwrap())),
     ]
 }
 

@@ -94,15 +94,15 @@ impl Engine for GpuEngine {
         options: &ProjectOptions,
     ) -> Result<Box<dyn Projected + 'a>, RasterError> {
         check(splats, camera)?;
-        let refused = |error: GpuError| RasterError::Device(error.to_string());
-        let (binned, seen) = bin(&mut self.device.work(), splats, camera, pose, options).map_err(refused)?;
+        let (binned, seen) = bin(&mut self.device.work(), splats, camera, pose, options)?;
         let eye = pose.centre();
         let size = [camera.width as usize, camera.height as usize];
         Ok(Box::new(GpuView::new(&self.device, splats, eye, size, binned, &seen)))
     }
 }
 
-fn bin(
+/// Projects, culls, sorts and bins; returns depths, radii and centres beside what stays on the device.
+pub(crate) fn bin(
     work: &mut Work,
     splats: &Splats,
     camera: &Camera,
@@ -206,7 +206,7 @@ fn bin(
 }
 
 /// Replaces numbers by the sum of those before each.
-fn scan(work: &mut Work, data: &Lent, count: usize) -> Result<(), GpuError> {
+pub(crate) fn scan(work: &mut Work, data: &Lent, count: usize) -> Result<(), GpuError> {
     let blocks = count.div_ceil(BLOCK);
     let sums = work.take::<u32>("a running sum", blocks)?;
     let job = [count as u32, 0, 0, 0];
@@ -219,7 +219,13 @@ fn scan(work: &mut Work, data: &Lent, count: usize) -> Result<(), GpuError> {
 }
 
 /// Stable radix sort of items by the lowest `bits` of their keys.
-fn sort(work: &mut Work, keys: Lent, items: Lent, count: usize, bits: u32) -> Result<(Lent, Lent), GpuError> {
+pub(crate) fn sort(
+    work: &mut Work,
+    keys: Lent,
+    items: Lent,
+    count: usize,
+    bits: u32,
+) -> Result<(Lent, Lent), GpuError> {
     if count == 0 {
         return Ok((keys, items));
     }

@@ -10,6 +10,7 @@
 extern crate self as segwild_gpu;
 
 mod adapter;
+mod check;
 #[cfg(test)]
 #[path = "../tests/common/mod.rs"]
 mod common;
@@ -19,6 +20,7 @@ mod shaders;
 mod view;
 
 pub use adapter::{Adapter, Choice, adapters};
+pub use check::{Checked, Tolerance, check};
 pub use engine::GpuEngine;
 pub use shaders::{KERNELS, Kernel, source};
 
@@ -43,7 +45,7 @@ pub enum GpuError {
     /// One array of this view does not fit.
     #[error(
         "{what} would take {bytes} bytes where {adapter} binds at most {limit} at once: draw smaller frames, fewer \
-         splats or fewer channels, or use --engine cpu"
+         splats or fewer channels"
     )]
     TooLarge {
         /// Its name.
@@ -63,4 +65,10 @@ pub enum GpuError {
         /// What the driver said.
         why: String,
     },
+}
+
+impl From<GpuError> for segwild_raster::RasterError {
+    fn from(error: GpuError) -> Self {
+        segwild_raster::RasterError::Device(error.to_string())
+    }
 }

@@ -8,7 +8,7 @@ use crate::engine::Binned;
 use crate::shaders::{BACKWARD, BLEND, FRONT, GATHER, SUM_SLOTS, UNPROJECT};
 use glam::Vec3;
 use rayon::prelude::*;
-use segwild_raster::{Channels, Frame, FrameGrad, Projected, SplatGrads, shade, shade_backward};
+use segwild_raster::{Channels, Frame, FrameGrad, Projected, RasterError, SplatGrads, shade, shade_backward};
 use segwild_scene::{Image, Splats};
 use std::sync::Mutex;
 
@@ -62,12 +62,6 @@ impl<'a> GpuView<'a> {
 
     fn pixels(&self) -> usize {
         self.width * self.height
-    }
-
-    /// The trait has no way to fail past `project`. A panic with the reason ends the actor's step, which its
-    /// supervisor tells and the run's ledger outlives.
-    fn or_stop<T>(result: Result<T, GpuError>) -> T {
-        result.unwrap_or_else(|error| panic!("{error}"))
     }
 
     fn assert_image(&self, image: &Image, channels: usize, what: &str) {
@@ -257,24 +251,29 @@ impl Projected for GpuView<'_> {
         shade(self.splats, self.eye, &self.radii)
     }
 
-    fn blend(&self, channels: &Channels) -> Frame {
+    fn blend(&self, channels: &Channels) -> Result<Frame, RasterError> {
         assert_eq!(channels.values.len(), self.splats.len() * channels.count, "channels: values");
-        Self::or_stop(self.try_blend(channels))
+        Ok(self.try_blend(channels)?)
     }
 
-    fn gather(&self, image: &Image) -> Vec<f32> {
+    fn gather(&self, image: &Image) -> Result<Vec<f32>, RasterError> {
         self.assert_image(image, image.channels, "gather");
-        Self::or_stop(self.try_gather(&mut self.device.work(), image))
+        Ok(self.try_gather(&mut self.device.work(), image)?)
     }
 
-    fn backward(&self, channels: &Channels, frame: &Frame, grad: &FrameGrad) -> SplatGrads {
+    fn backward(
+        &self,
+        channels: &Channels,
+        frame: &Frame,
+        grad: &FrameGrad,
+    ) -> Result<SplatGrads, RasterError> {
         assert_eq!(channels.values.len(), self.splats.len() * channels.count, "channels: values");
         self.assert_image(&frame.image, channels.count, "frame");
         self.assert_image(grad.image, channels.count, "gradient");
         if let Some(alpha) = grad.alpha {
             self.assert_image(alpha, 1, "gradient of alpha");
         }
-        Self::or_stop(self.try_backward(channels, grad))
+        Ok(self.try_backward(channels, grad)?)
     }
 
     fn shade_backward(&self, colours: &[f32], grads: &mut SplatGrads) -> Vec<f32> {

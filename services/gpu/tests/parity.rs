@@ -8,39 +8,15 @@
 mod common;
 
 use common::{engine, image, many, splats, view};
-use segwild_gpu::{Choice, GpuEngine};
+use segwild_gpu::{Choice, GpuEngine, Tolerance, check};
 use segwild_raster::{Channels, CpuEngine, Engine, Frame, FrameGrad, ProjectOptions, Projected, SplatGrads};
 use segwild_scene::{Camera, Pose, Random, Splats};
 
-/// How far numbers may lie apart, in units of their size plus the array's root mean square.
-struct Tolerance {
-    /// For all but a share.
-    tight: f32,
-    /// That share.
-    flips: f32,
-    /// For all.
-    loose: f32,
-}
-
-const BLENDED: Tolerance = Tolerance { tight: 5e-5, flips: 0.01, loose: 0.02 };
-const GRADIENTS: Tolerance = Tolerance { tight: 5e-4, flips: 0.01, loose: 0.1 };
+const BLENDED: Tolerance = Tolerance::BLENDED;
+const GRADIENTS: Tolerance = Tolerance::GRADIENTS;
 
 fn compare(what: &str, got: &[f32], wanted: &[f32], allowed: &Tolerance) {
-    assert_eq!(got.len(), wanted.len(), "{what}: length");
-    let rms = (wanted.iter().map(|w| f64::from(*w).powi(2)).sum::<f64>() / wanted.len().max(1) as f64).sqrt();
-    let (mut flips, mut worst) = (0, (0.0, 0));
-    for (i, (&g, &w)) in got.iter().zip(wanted).enumerate() {
-        assert!(g.is_finite(), "{what}: number {i} is {g} where {w} is right");
-        let error = (g - w).abs() / (w.abs() + rms as f32 + 1e-20);
-        flips += usize::from(error > allowed.tight);
-        if error > worst.0 {
-            worst = (error, i);
-        }
-    }
-    let (error, i) = worst;
-    assert!(error <= allowed.loose, "{what}: number {i} is {} where {} is right", got[i], wanted[i]);
-    let most = (allowed.flips * wanted.len() as f32).ceil() as usize;
-    assert!(flips <= most, "{what}: {flips} of {} are off, the worst by {error}", wanted.len());
+    allowed.compare(what, got, wanted).unwrap_or_else(|off| panic!("{off}"));
 }
 
 /// Both engines' projections of one view.
@@ -76,7 +52,7 @@ impl<'a> Both<'a> {
         let other = (0..self.count).filter(|&i| (a[i] > 0.0) != (b[i] > 0.0)).collect::<Vec<_>>();
         assert!(other.len() * 100 <= self.count, "{name}: culled by one engine only: {other:?}");
         let seen: Vec<usize> = (0..self.count).filter(|&i| a[i] > 0.0 && b[i] > 0.0).collect();
-        let exact = Tolerance { tight: 1e-4, flips: 0.0, loose: 1e-4 };
+        let exact = Tolerance::PROJECTED;
         let of = |values: &[f32]| seen.iter().map(|&i| values[i]).collect::<Vec<_>>();
         compare(&format!("{name}: radii"), &of(a), &of(b), &exact);
         compare(&format!("{name}: depths"), &of(self.gpu.depths()), &of(self.cpu.depths()), &exact);
@@ -91,7 +67,7 @@ impl<'a> Both<'a> {
 
     fn blend(&self, channels: &Channels) -> (Frame, Frame) {
         let (name, c) = (&self.name, channels.count);
-        let (a, b) = (self.gpu.blend(channels), self.cpu.blend(channels));
+        let (a, b) = (self.gpu.blend(channels).unwrap(), self.cpu.blend(channels).unwrap());
         compare(&format!("{name}: blend of {c} channels"), &a.image.data, &b.image.data, &BLENDED);
         compare(&format!("{name}: alpha of {c} channels"), &a.alpha.data, &b.alpha.data, &BLENDED);
         (a, b)
@@ -100,7 +76,7 @@ impl<'a> Both<'a> {
     fn gather(&self, channels: usize) {
         let target = image(77, self.size.0, self.size.1, channels);
         let what = format!("{}: gather of {channels} channels", self.name);
-        compare(&what, &self.gpu.gather(&target), &self.cpu.gather(&target), &GRADIENTS);
+        compare(&what, &self.gpu.gather(&target).unwrap(), &self.cpu.gather(&target).unwrap(), &GRADIENTS);
     }
 
     fn backward(&self, channels: &Channels, frames: &(Frame, Frame), with_alpha: bool) {
@@ -108,8 +84,8 @@ impl<'a> Both<'a> {
         let grad = image(78, w, h, channels.count);
         let alpha = image(79, w, h, 1);
         let grad = FrameGrad { image: &grad, alpha: with_alpha.then_some(&alpha) };
-        let a = self.gpu.backward(channels, &frames.0, &grad);
-        let b = self.cpu.backward(channels, &frames.1, &grad);
+        let a = self.gpu.backward(channels, &frames.0, &grad).unwrap();
+        let b = self.cpu.backward(channels, &frames.1, &grad).unwrap();
         for ((what, got), (_, wanted)) in arrays(&a).into_iter().zip(arrays(&b)) {
             let what = format!("{}: backward of {} channels, {what}", self.name, channels.count);
             compare(&what, got, wanted, &GRADIENTS);
@@ -251,9 +227,10 @@ fn the_same_view_twice_gives_the_same_bytes() {
         let projected = gpu.project(&scene, &camera, &pose, &ProjectOptions::default()).expect("drawn");
         let values = projected.shade();
         let channels = Channels { count: 3, values: &values };
-        let frame = projected.blend(&channels);
+        let frame = projected.blend(&channels).unwrap();
         let (grad, alpha) = (image(9, 64, 48, 3), image(10, 64, 48, 1));
-        let grads = projected.backward(&channels, &frame, &FrameGrad { image: &grad, alpha: Some(&alpha) });
+        let grads =
+            projected.backward(&channels, &frame, &FrameGrad { image: &grad, alpha: Some(&alpha) }).unwrap();
         (frame, grads)
     };
     assert_eq!(run(), run());
@@ -325,6 +302,9 @@ fn a_fault_in_any_kernel_is_seen() {
     let scene = splats(12, 1500, (0.005, 0.08));
     let (view, options) = (view(50, 34), ProjectOptions::default());
     Both::new("without a fault", &cpu, gpu, &scene, &view, &options).all(3);
+    for step in check(gpu).expect("every kernel runs") {
+        assert!(step.off.is_none(), "without a fault: {step:?}");
+    }
     for &(kernel, text, fault, seen_by) in FAULTS {
         let broken = GpuEngine::with_edit(&choice, move |built, whole| {
             if built.name != kernel {
@@ -340,5 +320,9 @@ fn a_fault_in_any_kernel_is_seen() {
         .expect_err(&format!("{kernel}: `{fault}` was not seen"));
         let words = words.downcast_ref::<String>().cloned().unwrap_or_default();
         assert!(words.contains(seen_by), "{kernel}: `{fault}` was to be seen in {seen_by}, and was: {words}");
+        let checked = check(&broken).expect("every kernel runs");
+        let first = checked.iter().find(|step| step.off.is_some());
+        let first = first.unwrap_or_else(|| panic!("{kernel}: `{fault}` was not found"));
+        assert!(first.kernels.contains(&kernel), "{kernel}: `{fault}` was taken for {first:?}");
     }
 }

@@ -4,6 +4,7 @@
 //! depends on it.
 
 use crate::Settings;
+use crate::evaluate::protocol_of;
 use crate::strangers::Corrections;
 use rayon::prelude::*;
 use segwild_features::{Compression, FeatureSettings};
@@ -199,7 +200,10 @@ impl Keys {
             masks_in_field: settings.features.compactness,
             snapshot_step: settings.train.snapshot_step(),
             history: history_of(&geometry.to_string()),
-            evaluation: Key::of("evaluate").key("geometry", &geometry).finish(),
+            evaluation: Key::of("evaluate")
+                .key("geometry", &geometry)
+                .part("protocol", format!("{:?}", protocol_of(settings)))
+                .finish(),
         }
     }
 

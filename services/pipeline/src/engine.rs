@@ -2,7 +2,7 @@
 
 use crate::{RunError, RunSettings};
 use segwild_gpu::{Choice, GpuEngine};
-use segwild_raster::{CpuEngine, Engine};
+use segwild_raster::{CpuEngine, Engine, SpareEngine};
 use std::sync::Arc;
 
 segwild_scene::choice! {
@@ -14,6 +14,16 @@ segwild_scene::choice! {
         Cpu = "cpu",
         /// An accelerator.
         Gpu = "gpu",
+    }
+}
+
+segwild_scene::choice! {
+    /// What happens when the accelerator fails in the middle of something.
+    pub enum WhenLost {
+        /// The run stops, and the same command goes on with it.
+        Stop = "stop",
+        /// The CPU engine takes over.
+        Cpu = "cpu",
     }
 }
 
@@ -33,26 +43,38 @@ impl Chosen {
         Chosen { engine: Arc::new(engine), why }
     }
 
-    fn gpu(engine: GpuEngine) -> Chosen {
+    fn gpu(engine: GpuEngine, when_lost: WhenLost, told: impl Fn(String) + Send + Sync + 'static) -> Chosen {
         let adapter = engine.adapter();
         let why = format!("the accelerator {} ({}, {})", adapter.name, adapter.kind, adapter.backend);
-        Chosen { engine: Arc::new(engine), why }
+        let engine: Arc<dyn Engine> = match when_lost {
+            WhenLost::Stop => Arc::new(engine),
+            WhenLost::Cpu => {
+                let told = move |why: &str| told(format!("{why}; the CPU engine goes on"));
+                Arc::new(SpareEngine::new(Box::new(engine), Box::new(CpuEngine::default()), told))
+            }
+        };
+        Chosen { engine, why }
     }
 }
 
-/// Opens the engine of these settings.
-pub fn choose_engine(settings: &RunSettings) -> Result<Chosen, RunError> {
+/// Opens the engine of these settings. `told` hears if it is replaced later, and why.
+pub fn choose_engine(
+    settings: &RunSettings,
+    told: impl Fn(String) + Send + Sync + 'static,
+) -> Result<Chosen, RunError> {
     let choice = match settings.adapter.as_str() {
         "" => Choice::Hardware,
         name => Choice::Named(name.to_owned()),
     };
     match settings.engine {
         EngineKind::Cpu => Ok(Chosen::cpu("`--engine auto` takes an accelerator, where there is one")),
-        EngineKind::Gpu => Ok(Chosen::gpu(GpuEngine::new(&choice)?)),
+        EngineKind::Gpu => Ok(Chosen::gpu(GpuEngine::new(&choice)?, settings.when_lost, told)),
         // An adapter that was named is wanted, not wished for.
-        EngineKind::Auto if !settings.adapter.is_empty() => Ok(Chosen::gpu(GpuEngine::new(&choice)?)),
+        EngineKind::Auto if !settings.adapter.is_empty() => {
+            Ok(Chosen::gpu(GpuEngine::new(&choice)?, settings.when_lost, told))
+        }
         EngineKind::Auto => match GpuEngine::new(&choice) {
-            Ok(engine) => Ok(Chosen::gpu(engine)),
+            Ok(engine) => Ok(Chosen::gpu(engine, settings.when_lost, told)),
             Err(reason) => Ok(Chosen::cpu(&reason.to_string())),
         },
     }
@@ -65,7 +87,7 @@ mod tests {
     #[test]
     fn auto_never_takes_a_software_adapter() {
         let settings = RunSettings { engine: EngineKind::Auto, ..RunSettings::default() };
-        let chosen = choose_engine(&settings).expect("auto always finds one");
+        let chosen = choose_engine(&settings, drop).expect("auto always finds one");
         let hardware = segwild_gpu::adapters().iter().any(|adapter| !adapter.is_software());
         assert_eq!(chosen.engine.name(), if hardware { "gpu" } else { "cpu" }, "{}", chosen.why);
     }
@@ -75,7 +97,7 @@ mod tests {
         for engine in [EngineKind::Auto, EngineKind::Gpu] {
             let settings =
                 RunSettings { engine, adapter: "no such adapter".into(), ..RunSettings::default() };
-            let error = choose_engine(&settings).map(|chosen| chosen.why).expect_err("there is none");
+            let error = choose_engine(&settings, drop).map(|chosen| chosen.why).expect_err("there is none");
             let text = error.to_string();
             assert!(text.contains("no such adapter") || text.contains("no accelerator was found"), "{text}");
             assert!(text.contains("--engine cpu"), "{text}");

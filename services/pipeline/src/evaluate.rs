@@ -1,7 +1,7 @@
 //! Scores: held-out photos by the official protocol, selections against true masks (method, section 10).
 
 use crate::prompts::{Replay, png_names};
-use crate::{RunError, RunFolder, Selected, Settings};
+use crate::{RunError, RunFolder, Scoring, Selected, Settings};
 use segwild_flow::fault;
 use segwild_raster::Engine;
 use segwild_scene::{Mask, Scene};
@@ -81,11 +81,10 @@ pub(crate) fn held_out(
     if views.is_empty() {
         return Ok(None);
     }
-    let (protocol, words) = match settings.train.look {
-        LookKind::None | LookKind::Auto => (Protocol::Plain, "whole photo, no look fitted"),
-        LookKind::Affine | LookKind::Embed | LookKind::Gsw => {
-            (Protocol::Halves, "look fitted on the left half, right half scored")
-        }
+    let protocol = protocol_of(settings);
+    let words = match protocol {
+        Protocol::Plain => "whole photo, no look fitted",
+        Protocol::Halves => "look fitted on the left half, right half scored",
     };
     let source = scene.clone();
     let photos: Arc<dyn Photos> = Arc::new(move |view: usize| -> Result<TrainPhoto, String> {
@@ -124,6 +123,16 @@ pub(crate) fn held_out(
     let held = HeldOut { protocol: words.into(), psnr, ssim, photos: scores };
     folder.write_json("evaluation.json", &held)?;
     Ok(Some(held))
+}
+
+/// How photos held out are scored under these settings.
+pub(crate) fn protocol_of(settings: &Settings) -> Protocol {
+    match (settings.run.scoring, settings.train.look) {
+        (Scoring::Halves, _) | (Scoring::Auto, LookKind::Affine | LookKind::Embed | LookKind::Gsw) => {
+            Protocol::Halves
+        }
+        (Scoring::Plain, _) | (Scoring::Auto, LookKind::None | LookKind::Auto) => Protocol::Plain,
+    }
 }
 
 /// Scores a selection's masks against the true ones in `truth`, one PNG per photo, named as the photo.

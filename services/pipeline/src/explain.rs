@@ -86,7 +86,7 @@ fn situation(
     let scene = Scene::open(path, &settings.scene)?;
     let providers = Providers::from_settings(&settings.vision)?;
     let settings = &settings.decided(&scene);
-    let engine = choose_engine(&settings.run)?.engine;
+    let engine = choose_engine(&settings.run, drop)?.engine;
     let corrections = Corrections::find(&scene, folder, &settings.scene.strangers)?;
     let corrected = corrections.in_words(&scene);
     let digests = Digests::read(&scene);

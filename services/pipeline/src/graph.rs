@@ -178,7 +178,8 @@ pub fn run(
     for note in &providers.notes {
         options.events.info(None, note.clone());
     }
-    let Chosen { engine, why } = choose_engine(&settings.run)?;
+    let events = options.events.clone();
+    let Chosen { engine, why } = choose_engine(&settings.run, move |lost| events.warn(None, lost))?;
     options.events.info(None, format!("splats are computed by {why}"));
     let asked = match options.until {
         Some(Until::Step(step)) => Some(step),
@@ -221,6 +222,12 @@ pub fn run(
         Ok(())
     })?;
     let keys = name(settings);
+    // The same training by another engine: what it left is gone on from where this one left nothing.
+    let elsewhere = ["cpu", "gpu"].into_iter().filter(|other| *other != engine.name()).map(|other| {
+        let keys = Keys::of(&scene, digests.clone(), settings, &providers, &corrections, other, asked);
+        (other, keys.training)
+    });
+    let elsewhere = elsewhere.collect();
     let steps = asked.unwrap_or(settings.train.steps);
     let last = match options.until {
         Some(Until::Stage(stage)) => STAGES.iter().position(|s| *s == stage).unwrap_or(STAGES.len()),
@@ -249,6 +256,7 @@ pub fn run(
         scene: scene.clone(),
         engine,
         full_keys: keys.clone(),
+        elsewhere,
         keys,
         names,
         cache,

@@ -37,7 +37,7 @@ mod visibility;
 
 pub use accelerator::accelerator;
 pub use artefacts::Keys;
-pub use engine::{Chosen, EngineKind, choose_engine};
+pub use engine::{Chosen, EngineKind, WhenLost, choose_engine};
 pub use error::RunError;
 pub use evaluate::{HeldOut, MaskScore, Score, score};
 pub use explain::{Plan, Verdict, explain};
@@ -51,6 +51,6 @@ pub use render::{Drawn, Mode, RenderRequest, What, render};
 pub use report::write_report;
 pub use segment::{SegmentOutcome, Selected, Shortened, segment};
 pub use segwild_trainer::{BudgetChoice, LookChoice, Preset};
-pub use settings::{Budget, RunSettings, Settings, SettingsError};
+pub use settings::{Budget, RunSettings, Scoring, Settings, SettingsError};
 pub use strangers::{StrangerScore, StrangerScores, score_strangers};
 pub use until::Until;

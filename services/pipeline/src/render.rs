@@ -73,7 +73,7 @@ pub struct Drawn {
 /// Draws what is asked for.
 pub fn render(folder: &RunFolder, request: &RenderRequest) -> Result<Vec<Drawn>, RunError> {
     let loaded = folder.load()?;
-    let engine = choose_engine(&loaded.settings.run)?.engine;
+    let engine = choose_engine(&loaded.settings.run, |lost| tracing::warn!("{lost}"))?.engine;
     let chosen: Vec<usize> = match request.photos.is_empty() {
         true => (0..loaded.scene.views.len()).collect(),
         false => request.photos.iter().map(|n| find(&loaded.scene, n)).collect::<Result<_, _>>()?,
@@ -281,7 +281,10 @@ impl<'a> Painter<'a> {
         if self.what == What::Colour {
             let mut image = render_lit(&self.model, self.engine, camera, pose, lighting)?;
             let blend = |values: &[f32]| -> Result<_, RunError> {
-                Ok(self.engine.project(splats, camera, pose, &options)?.blend(&Channels { count: 1, values }))
+                Ok(self
+                    .engine
+                    .project(splats, camera, pose, &options)?
+                    .blend(&Channels { count: 1, values })?)
             };
             let n = image.pixels();
             if self.only {
@@ -312,13 +315,13 @@ impl<'a> Painter<'a> {
         let projected = self.engine.project(splats, camera, pose, &options)?;
         match (self.what, &self.features) {
             (What::Features, Some((field, colours))) => {
-                Ok(colours.paint(&projected.blend(&field.channels())))
+                Ok(colours.paint(&projected.blend(&field.channels())?))
             }
             (What::Alpha, _) => {
-                Ok(projected.blend(&Channels { count: 1, values: &vec![0.0; splats.len()] }).alpha)
+                Ok(projected.blend(&Channels { count: 1, values: &vec![0.0; splats.len()] })?.alpha)
             }
             _ => {
-                let frame = projected.blend(&Channels { count: 1, values: projected.depths() });
+                let frame = projected.blend(&Channels { count: 1, values: projected.depths() })?;
                 Ok(bright_when_near(&frame.image, &frame.alpha))
             }
         }

@@ -210,7 +210,7 @@ pub fn segment(
         None => None,
     };
 
-    let engine = choose_engine(&made_with.run)?.engine;
+    let engine = choose_engine(&made_with.run, |lost| tracing::warn!("{lost}"))?.engine;
     let scene = Arc::new(scene);
     let photos = {
         let scene = scene.clone();
@@ -430,7 +430,7 @@ fn object_masks(
     let camera = full.scaled_to(size * FINER);
     let shares = |splats: &Splats, indicator: &[f32]| -> Result<Mask, RunError> {
         let projected = engine.project(splats, &camera, &view.pose, options)?;
-        let frame = projected.blend(&Channels { count: 1, values: indicator });
+        let frame = projected.blend(&Channels { count: 1, values: indicator })?;
         let wide = frame.image.resized(full.width as usize, full.height as usize);
         Ok(Mask::over(full.width, full.height, wide.plane(0), 0.5))
     };

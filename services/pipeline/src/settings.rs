@@ -1,6 +1,6 @@
 //! All settings of a run in one struct: flags, `segwild.toml` and `docs/settings.md` are made from it.
 
-use crate::EngineKind;
+use crate::{EngineKind, WhenLost};
 use segwild_features::FeatureSettings;
 use segwild_masks::MaskSettings;
 use segwild_scene::settings::{Field, Group, SettingError};
@@ -23,6 +23,18 @@ choice! {
     }
 }
 
+choice! {
+    /// How photos held out are scored.
+    pub enum Scoring {
+        /// By the look: whole photos where all share one.
+        Auto = "auto",
+        /// The whole photo, with no look fitted to it.
+        Plain = "plain",
+        /// The look fitted on the left half, the right half scored.
+        Halves = "halves",
+    }
+}
+
 settings! {
     /// The run as a whole.
     pub struct RunSettings("run") {
@@ -37,6 +49,12 @@ settings! {
         engine: EngineKind = EngineKind::Cpu,
         /// Part of the accelerator's name, where there are several; empty takes the best. `segwild doctor` lists them.
         adapter: String = String::new(),
+        /// What happens when the accelerator fails in the middle: `stop` ends the run, which the same command continues, under
+        /// `--engine cpu` too; `cpu` lets the CPU engine take over.
+        when_lost: WhenLost = WhenLost::Stop,
+        /// How photos held out are scored: `halves` fits the look on the left half and scores the right one, the official
+        /// protocol of photos in the wild; `plain` scores whole photos. `auto` is `plain` for the look `none` only.
+        scoring: Scoring = Scoring::Auto,
         /// Seconds between checkpoints of the training; an interrupted run loses no more than this.
         checkpoint_every: u32 = 30 => 1..,
         /// Most MiB of memory that the run may take; 0 sets no limit. Caches shrink to fit; what cannot fit is refused.

@@ -72,25 +72,28 @@ fn measure(engine: &CpuEngine, splats: &Splats, width: u32, channels: usize) -> 
     let input = Channels { count: channels, values: &values };
     let times = {
         let projected = project();
-        let frame = projected.blend(&input);
+        let frame = projected.blend(&input).unwrap();
         if let Some(pass) = std::env::args().nth(2) {
             // One pass alone, for a profiler.
             let (mut calls, start) = (0, Instant::now());
             while start.elapsed().as_secs_f64() < 3.0 {
                 match pass.as_str() {
                     "project" => drop(project()),
-                    "forward" => drop(projected.blend(&input)),
-                    "gather" => drop(projected.gather(&grad)),
-                    _ => drop(projected.backward(&input, &frame, &FrameGrad { image: &grad, alpha: None })),
+                    "forward" => drop(projected.blend(&input).unwrap()),
+                    "gather" => drop(projected.gather(&grad).unwrap()),
+                    _ => drop(
+                        projected.backward(&input, &frame, &FrameGrad { image: &grad, alpha: None }).unwrap(),
+                    ),
                 }
                 calls += 1;
             }
             println!("{pass}: {:.2} ms", start.elapsed().as_secs_f64() * 1e3 / f64::from(calls));
         }
-        let forward = time(|| drop(projected.blend(&input)));
-        let backward =
-            time(|| drop(projected.backward(&input, &frame, &FrameGrad { image: &grad, alpha: None })));
-        let gather = time(|| drop(projected.gather(&grad)));
+        let forward = time(|| drop(projected.blend(&input).unwrap()));
+        let backward = time(|| {
+            drop(projected.backward(&input, &frame, &FrameGrad { image: &grad, alpha: None }).unwrap())
+        });
+        let gather = time(|| drop(projected.gather(&grad).unwrap()));
         (forward, backward, gather)
     };
     let bin = time(|| drop(project()));
@@ -130,10 +133,11 @@ fn step(engine: &CpuEngine, start: &Splats, width: u32) {
         let projected = engine.project(&splats, &camera, &pose, &options).expect("a scene in order");
         let colours = projected.shade();
         let channels = Channels { count: 3, values: &colours };
-        let frame = projected.blend(&channels);
+        let frame = projected.blend(&channels).unwrap();
         let (loss, grad) = photometric(&frame.image, &target, None, 0.2);
         losses.push(loss);
-        let mut grads = projected.backward(&channels, &frame, &FrameGrad { image: &grad, alpha: None });
+        let mut grads =
+            projected.backward(&channels, &frame, &FrameGrad { image: &grad, alpha: None }).unwrap();
         let by_colour = std::mem::take(&mut grads.values);
         let sh = projected.shade_backward(&by_colour, &mut grads);
         drop(projected);

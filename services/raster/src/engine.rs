@@ -9,7 +9,7 @@ pub enum RasterError {
     #[error("{0}")]
     Shape(String),
     /// The device that draws refused or failed.
-    #[error("{0}")]
+    #[error("{0}; what was computed is kept: run again, or with --engine cpu")]
     Device(String),
 }
 
@@ -129,7 +129,8 @@ pub trait Engine: Send + Sync {
     ) -> Result<Box<dyn Projected + 'a>, RasterError>;
 }
 
-/// Splats as one view sees them, ready to blend any channel set.
+/// Splats as one view sees them, ready to blend any channel set. What a device computes fails where the device does;
+/// images and channels of another size than the view's are a caller's mistake and panic.
 pub trait Projected: Send + Sync {
     /// Depth along the optical axis per splat, in scene units; also of culled splats.
     fn depths(&self) -> &[f32];
@@ -145,14 +146,19 @@ pub trait Projected: Send + Sync {
     fn shade(&self) -> Vec<f32>;
 
     /// Blends front to back.
-    fn blend(&self, channels: &Channels) -> Frame;
+    fn blend(&self, channels: &Channels) -> Result<Frame, RasterError>;
 
     /// The transpose of [`Projected::blend`]: `sum over pixels of alpha T image[c]`, as `[splat][channel]`.
     /// Lifting, coverage and contribution are this sum over images of targets, masks and ones.
-    fn gather(&self, image: &Image) -> Vec<f32>;
+    fn gather(&self, image: &Image) -> Result<Vec<f32>, RasterError>;
 
     /// Gradients of every parameter for a frame that [`Projected::blend`] made from the same channels.
-    fn backward(&self, channels: &Channels, frame: &Frame, grad: &FrameGrad) -> SplatGrads;
+    fn backward(
+        &self,
+        channels: &Channels,
+        frame: &Frame,
+        grad: &FrameGrad,
+    ) -> Result<SplatGrads, RasterError>;
 
     /// Carries the gradient of [`Projected::shade`]'s colours back to the SH coefficients (returned, laid out
     /// as [`Splats::sh`]) and, through the view direction, to `grads.means`.

@@ -10,6 +10,7 @@ mod loss;
 pub mod reference;
 mod sh;
 mod shade;
+mod spare;
 
 pub use adam::Adam;
 pub use cpu::{ALPHA_MAX, ALPHA_MIN, CpuEngine, Isa, LOG2_ALPHA_MIN, SLACK, T_MIN, jacobian_limits};
@@ -22,3 +23,4 @@ pub use look::{
 };
 pub use loss::{photometric, psnr, ssim};
 pub use shade::{shade, shade_backward};
+pub use spare::SpareEngine;

@@ -3,7 +3,7 @@
 use crate::screen::Shape;
 use crate::settings::Vote;
 use rayon::prelude::*;
-use segwild_raster::{ProjectOptions, Projected};
+use segwild_raster::{ProjectOptions, Projected, RasterError};
 use segwild_scene::{Camera, Image, Mask, Pose, Splats};
 
 /// Alpha below which a rasteriser skips a splat (method, section 1).
@@ -95,12 +95,12 @@ pub fn coverage(
     size: (u32, u32),
     seen: f32,
     worth: Vote,
-) -> Evidence {
+) -> Result<Evidence, RasterError> {
     let mut data = Vec::with_capacity(2 * inside.len());
     data.extend_from_slice(inside);
     data.extend_from_slice(weight);
     let image = Image { width: size.0 as usize, height: size.1 as usize, channels: 2, data };
-    let sums = projected.gather(&image);
+    let sums = projected.gather(&image)?;
     let mut evidence = Evidence::none(unoccluded.len());
     for (i, sum) in sums.chunks_exact(2).enumerate() {
         let (within, all) = (sum[0].min(sum[1]), sum[1]);
@@ -113,7 +113,7 @@ pub fn coverage(
             evidence.outside[i] = (all - within) * vote;
         }
     }
-    evidence
+    Ok(evidence)
 }
 
 /// Evidence of one view in centre mode: each splat in the frame whose centre lies in the mask is inside. What
@@ -132,9 +132,14 @@ pub fn centre(projected: &dyn Projected, mask: &Mask, near: f32, visible: Option
 }
 
 /// Which splats a view sees: at least the share `seen` of their light reaches the camera.
-pub fn visible(projected: &dyn Projected, unoccluded: &[f32], size: (u32, u32), seen: f32) -> Vec<bool> {
-    let sums = projected.gather(&Image::filled(size.0 as usize, size.1 as usize, 1, 1.0));
-    sums.iter().zip(unoccluded).map(|(&sum, &all)| sum > 0.0 && sum >= seen * all).collect()
+pub fn visible(
+    projected: &dyn Projected,
+    unoccluded: &[f32],
+    size: (u32, u32),
+    seen: f32,
+) -> Result<Vec<bool>, RasterError> {
+    let sums = projected.gather(&Image::filled(size.0 as usize, size.1 as usize, 1, 1.0))?;
+    Ok(sums.iter().zip(unoccluded).map(|(&sum, &all)| sum > 0.0 && sum >= seen * all).collect())
 }
 
 /// A mask at another size: the share of each new pixel that it covers when it shrinks, the pixel under the

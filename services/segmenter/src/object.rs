@@ -56,7 +56,7 @@ pub fn visible_mask(
     }
     let indicator: Vec<f32> = labels.iter().map(|&l| f32::from(u8::from(l))).collect();
     let frame =
-        engine.project(splats, camera, pose, options)?.blend(&Channels { count: 1, values: &indicator });
+        engine.project(splats, camera, pose, options)?.blend(&Channels { count: 1, values: &indicator })?;
     Ok(Mask::over(camera.width, camera.height, frame.image.plane(0), HALF))
 }
 

@@ -153,7 +153,9 @@ fn seen_by(request: &Request, index: usize) -> Result<Bits, SegmentError> {
     let projected = project(request, view, &camera)?;
     let whole = unoccluded(request.splats, &camera, &view.pose, &request.options);
     Ok(Bits::new(
-        visible(&*projected, &whole, (camera.width, camera.height), request.settings.seen).into_iter(),
+        visible(&*projected, &whole, (camera.width, camera.height), request.settings.seen)
+            .map_err(SegmentError::raster(&view.name))?
+            .into_iter(),
     ))
 }
 
@@ -209,7 +211,8 @@ fn call_on(
         .enumerate()
         .flat_map(|(i, b)| [certainty_of(judge, state, i), b.weight.min(1.0)])
         .collect();
-    let frame = projected.blend(&Channels { count: 2, values: &values });
+    let frame =
+        projected.blend(&Channels { count: 2, values: &values }).map_err(SegmentError::raster(&view.name))?;
     let clean = |x: f32| if x.is_nan() { 0.0 } else { x.clamp(0.0, 1.0) };
     let mut certainty = Image {
         width: camera.width as usize,
@@ -259,7 +262,7 @@ fn call_on(
         .map(|((&m, &c), &k)| if k > 0.8 && (m - c).abs() > 0.8 { DOUBT } else { GUESS + (1.0 - GUESS) * k })
         .collect();
     let mut evidence = Evidence::none(request.splats.len());
-    let seen = view_evidence(request, &*projected, view, &camera, &mask, &weights);
+    let seen = view_evidence(request, &*projected, view, &camera, &mask, &weights)?;
     evidence.add(&seen, trust);
     let voice = seen.voices();
     Ok((

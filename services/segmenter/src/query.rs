@@ -179,7 +179,7 @@ pub fn hit(
         ..*camera
     };
     let projected = engine.project(splats, &crop, pose, options)?;
-    let shares = projected.gather(&Image::filled(side as usize, side as usize, 1, 1.0));
+    let shares = projected.gather(&Image::filled(side as usize, side as usize, 1, 1.0))?;
     let scale = 1.0 / (side * side) as f32;
     let splats: Vec<(u32, f32)> = shares
         .iter()

@@ -251,7 +251,8 @@ pub fn cut(request: &Request, selection: &Selection) -> Result<Cut, SegmentError
         let camera = working_camera(request, view, Some(prompt.mask));
         let projected = project(request, view, &camera)?;
         let whole = unoccluded(request.splats, &camera, &view.pose, &request.options);
-        sees.push(visible(&*projected, &whole, (camera.width, camera.height), request.settings.seen));
+        let seen = visible(&*projected, &whole, (camera.width, camera.height), request.settings.seen);
+        sees.push(seen.map_err(SegmentError::raster(&view.name))?);
     }
     let views: Vec<CutView> = meant(request)
         .zip(&sees)
@@ -424,7 +425,7 @@ fn prompted_evidence(request: &Request, prompt: &PromptedView) -> Result<Evidenc
     let projected = project(request, view, &camera)?;
     if prompt.refused {
         let (nothing, weights) = (Mask::empty(1, 1), soft(prompt.mask, camera.width, camera.height));
-        return Ok(view_evidence(request, &*projected, view, &camera, &nothing, &weights));
+        return view_evidence(request, &*projected, view, &camera, &nothing, &weights);
     }
     let mut weights = vec![1.0; camera.width as usize * camera.height as usize];
     if let Some(open) = prompt.open {
@@ -435,7 +436,7 @@ fn prompted_evidence(request: &Request, prompt: &PromptedView) -> Result<Evidenc
             *weight = if said.is_nan() { 1.0 } else { said.clamp(LEAST_SAID, 1.0) };
         }
     }
-    Ok(view_evidence(request, &*projected, view, &camera, prompt.mask, &weights))
+    view_evidence(request, &*projected, view, &camera, prompt.mask, &weights)
 }
 
 /// What one view's mask says, by the mode of the settings. `weights`: one number in [0, 1] per pixel.
@@ -446,7 +447,7 @@ pub(crate) fn view_evidence(
     camera: &Camera,
     mask: &Mask,
     weights: &[f32],
-) -> Evidence {
+) -> Result<Evidence, SegmentError> {
     let (settings, size) = (request.settings, (camera.width, camera.height));
     let whole = || unoccluded(request.splats, camera, &view.pose, &request.options);
     match settings.evidence_mode {
@@ -454,10 +455,12 @@ pub(crate) fn view_evidence(
             let mut inside = soft(mask, size.0, size.1);
             inside.iter_mut().zip(weights).for_each(|(inside, weight)| *inside *= weight);
             coverage(projected, &whole(), &inside, weights, size, settings.seen, settings.vote)
+                .map_err(SegmentError::raster(&view.name))
         }
         EvidenceMode::Centre => {
             let seen = settings.centre_visible.then(|| visible(projected, &whole(), size, settings.seen));
-            centre(projected, &mask.resized(size.0, size.1), request.options.near, seen.as_deref())
+            let seen = seen.transpose().map_err(SegmentError::raster(&view.name))?;
+            Ok(centre(projected, &mask.resized(size.0, size.1), request.options.near, seen.as_deref()))
         }
     }
 }

@@ -67,7 +67,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let began = cpu();
         for _ in 0..PICTURES {
             let projected = engine.project(&model.splats, &camera, &pose, &model.options())?;
-            projected.blend(&Channels { count: 3, values: &projected.shade() });
+            projected.blend(&Channels { count: 3, values: &projected.shade() }).unwrap();
         }
         let plain = (cpu() - began) / PICTURES as f64;
         let began = cpu();

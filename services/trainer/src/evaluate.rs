@@ -112,7 +112,7 @@ pub(crate) fn draw_unseen(
     let projected = engine.project(&model.splats, &camera, &pose, &model.options())?;
     let colours = projected.shade();
     let blend = |count, values: &[f32]| projected.blend(&Channels { count, values });
-    let frame = blend(3, &colours);
+    let frame = blend(3, &colours)?;
     let (mut look, mut index) = (model.look.clone(), model.look_index(None));
     let mut background = model.background(None);
     let mut tinted = None;
@@ -130,8 +130,8 @@ pub(crate) fn draw_unseen(
         }
         let behind = background.paint(&camera, &pose);
         let codes = match &model.look {
-            AnyLook::Embed(_) => blend(3 * RANK, &model.codes).image,
-            AnyLook::Gsw(look) => blend(3 * RANK, &look.codes_below(&model.codes)).image,
+            AnyLook::Embed(_) => blend(3 * RANK, &model.codes)?.image,
+            AnyLook::Gsw(look) => blend(3 * RANK, &look.codes_below(&model.codes))?.image,
             _ => Image::zeros(0, 0, 0),
         };
         let lit = |(scene, alpha, seen, i): ([f32; 3], f32, [f32; 3], usize)| {
@@ -166,7 +166,7 @@ pub(crate) fn draw_unseen(
                 let below = trained.below.tone(index, means, &model.codes);
                 let own = (&below, trained.layer());
                 let tone = trained.tone_of(&[(&light, 1.0)], own, means, &model.codes);
-                let hidden = blend(HIDDEN, &trained.hidden(&tone, &direction)).image;
+                let hidden = blend(HIDDEN, &trained.hidden(&tone, &direction))?.image;
                 let pixels = pairs.map(|pair| {
                     let i = pair.3;
                     (lit(pair), std::array::from_fn(|k| hidden.data[k * n + i]))
@@ -179,11 +179,11 @@ pub(crate) fn draw_unseen(
         }
     }
     let frame = match (&look, tinted) {
-        (_, Some(tinted)) => blend(3, &tinted),
-        (AnyLook::Embed(look), None) => blend(3, &look.tint(index, &model.codes, colours)),
+        (_, Some(tinted)) => blend(3, &tinted)?,
+        (AnyLook::Embed(look), None) => blend(3, &look.tint(index, &model.codes, colours))?,
         (AnyLook::Gsw(look), None) => {
             let tone = look.tone(index, &model.splats.means, &model.codes);
-            blend(3, &look.shade(&tone, &model.codes, &direction, colours))
+            blend(3, &look.shade(&tone, &model.codes, &direction, colours))?
         }
         _ => frame,
     };

@@ -104,7 +104,7 @@ pub fn render_lit(
 ) -> Result<Image, TrainError> {
     let projected = engine.project(&model.splats, camera, pose, &model.options())?;
     let colours = model.lit(lighting, pose, projected.shade());
-    let frame = projected.blend(&Channels { count: 3, values: &colours });
+    let frame = projected.blend(&Channels { count: 3, values: &colours })?;
     let mut image = frame.image;
     add_behind(&mut image, &frame.alpha, &lighting.scene.background.paint(camera, pose));
     image.data.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));

@@ -89,7 +89,7 @@ pub(crate) fn draw(
     };
     let light = model.look.impression(index, None);
     let colours = model.look.colour(index, light.as_ref(), &sight, projected.shade());
-    Ok(projected.blend(&Channels { count: 3, values: &colours }))
+    Ok(projected.blend(&Channels { count: 3, values: &colours })?)
 }
 
 /// The scene from a camera, in the look of one of its photos (`None`: the mean look, one light for all), over

@@ -66,19 +66,19 @@ impl State {
         camera: &Camera,
         pose: &Pose,
         draw: Option<u64>,
-    ) -> Drawn {
+    ) -> Result<Drawn, TrainError> {
         let colours = projected.shade();
         let light = self.look.impression(view, draw);
         let sight = self.sight(projected, pose);
         let channels = self.look.colour(view, light.as_ref(), &sight, colours.clone());
-        let frame = projected.blend(&Channels { count: 3, values: &channels });
+        let frame = projected.blend(&Channels { count: 3, values: &channels })?;
         let matrix = looks::matrix(&self.look, view);
         let background = self.backgrounds[view].as_ref().expect("set at the first look");
         let behind = background.before(&matrix).paint(camera, pose);
         let mut scene = frame.image.clone();
         add_behind(&mut scene, &frame.alpha, &behind);
         let shown = self.look.as_look().apply(view, &scene);
-        Drawn { light, colours, channels, frame, behind, scene, shown }
+        Ok(Drawn { light, colours, channels, frame, behind, scene, shown })
     }
 
     /// The splats from a camera, for the look.

@@ -41,7 +41,7 @@ impl Trainer {
             engine.project(&self.state.params.splats, &camera, &pose, &options(self.settings.antialias))?;
         let draw = Some(u64::from(step));
         let Drawn { light, colours, channels, frame, behind, scene, shown } =
-            self.state.draw(view, &*projected, &camera, &pose, draw);
+            self.state.draw(view, &*projected, &camera, &pose, draw)?;
         let target = photo.image();
         // What counts.
         let residual = mean_difference(&shown, &target);
@@ -82,7 +82,7 @@ impl Trainer {
             &Channels { count: 3, values: &channels },
             &frame,
             &FrameGrad { image: &grad, alpha: Some(&alpha_grad) },
-        );
+        )?;
         let colour_grads = std::mem::take(&mut grads.values);
         let sight = Sight {
             means: &self.state.params.splats.means,
@@ -165,11 +165,11 @@ impl Trainer {
             let pose = self.views[view].pose;
             let splats = &self.state.params.splats;
             let projected = engine.project(splats, &camera, &pose, &options(self.settings.antialias))?;
-            let shown = self.state.draw(view, &*projected, &camera, &pose, None).shown;
+            let shown = self.state.draw(view, &*projected, &camera, &pose, None)?.shown;
             let residual = self.views[view].doubted(&mean_difference(&shown, &photo.image()), photo);
             let share = if stored.strangers_known { 0.0 } else { self.settings.robust_share };
             let contradicted = robust::contradicted(&residual, photo.width, |i| photo.counts(i), share);
-            witness.hear(&*projected, photo.width, &contradicted, |i| photo.counts(i));
+            witness.hear(&*projected, photo.width, &contradicted, |i| photo.counts(i))?;
         }
         let kept = witness.borne_out();
         if kept.is_empty() || kept.len() == n {
@@ -194,7 +194,7 @@ impl Trainer {
                 let camera = stored.camera(&posed[view].camera, level);
                 let projected = engine.project(splats, &camera, &posed[view].pose, &options(antialias))?;
                 let seen =
-                    projected.gather(&Image::filled(size.width, size.height, 1, 4f32.powi(level as i32)));
+                    projected.gather(&Image::filled(size.width, size.height, 1, 4f32.powi(level as i32)))?;
                 for (s, v) in sum.iter_mut().zip(seen) {
                     *s += v;
                 }

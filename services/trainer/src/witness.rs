@@ -3,7 +3,7 @@
 //! Left alone they stay for good: the other photos' robust masks take them for strangers too, and then nothing
 //! pulls at them.
 
-use segwild_raster::Projected;
+use segwild_raster::{Projected, RasterError};
 use segwild_scene::Image;
 
 /// Photos that must bear a splat out for it to stay.
@@ -30,20 +30,21 @@ impl Witness {
         width: usize,
         contradicted: &[bool],
         counts: impl Fn(usize) -> bool,
-    ) {
+    ) -> Result<(), RasterError> {
         let mut votes = Image::zeros(width, contradicted.len() / width, 2);
         for (i, &against) in contradicted.iter().enumerate() {
             if counts(i) {
                 votes.plane_mut(usize::from(against))[i] = 1.0;
             }
         }
-        let light = projected.gather(&votes);
+        let light = projected.gather(&votes)?;
         for (i, light) in light.chunks_exact(2).enumerate() {
             let voice = 1.0 / (light[0] + light[1] + 1.0);
             self.in_favour[i] += light[0] * voice;
             self.against[i] += light[1] * voice;
         }
         self.photos += 1;
+        Ok(())
     }
 
     /// The splats that stay. With few photos fewer witnesses must do; a splat that no photo sees is not judged.
@@ -93,7 +94,7 @@ mod tests {
             };
             let projected = engine.project(&splats, &camera, &pose, &ProjectOptions::default()).unwrap();
             let seen: Vec<bool> = (0..48 * 48).map(|i| contradicted(photo, i)).collect();
-            witness.hear(&*projected, 48, &seen, |_| true);
+            witness.hear(&*projected, 48, &seen, |_| true).unwrap();
         }
         witness.borne_out()
     }

@@ -23,12 +23,12 @@ pub(crate) fn pace() -> Result<f64, PageError> {
     let channels = Channels { count: 3, values: &colours };
     let step = || -> Result<(), PageError> {
         let projected = engine.project(&splats, &camera, &pose, &options)?;
-        let frame = projected.blend(&channels);
+        let frame = projected.blend(&channels)?;
         drop(projected.backward(
             &channels,
             &frame,
             &FrameGrad { image: &frame.image, alpha: Some(&frame.alpha) },
-        ));
+        )?);
         Ok(())
     };
     step()?;
@@ -62,7 +62,7 @@ pub(super) fn measure(
     let projected = engine.project(&scene, &camera, &pose, &options)?;
     let channels = Channels { count: channels as usize, values: &values };
     let forward = timed(|| drop(projected.blend(&channels)));
-    let frame = projected.blend(&channels);
+    let frame = projected.blend(&channels)?;
     let grad = FrameGrad { image: &frame.image, alpha: Some(&frame.alpha) };
     let backward = timed(|| drop(projected.backward(&channels, &frame, &grad)));
     let gather = timed(|| drop(projected.gather(&frame.image)));

@@ -5,7 +5,9 @@ use crate::record::Record;
 use crate::synthetic::random::Rng;
 use glam::{DQuat, Vec3};
 use segwild_raster::reference::{Parameters, Reference};
-use segwild_raster::{Channels, CpuEngine, Engine, FrameGrad, ProjectOptions};
+use segwild_raster::{
+    Channels, CpuEngine, Engine, Frame, FrameGrad, ProjectOptions, RasterError, SplatGrads,
+};
 use segwild_scene::{Camera, Pose, Splats};
 use std::collections::BTreeMap;
 
@@ -40,15 +42,17 @@ fn kernel(size: f64) -> Record {
     let options = ProjectOptions::default();
     let mut numbers = BTreeMap::new();
     let mut notes = Vec::new();
-    match CpuEngine::new().project(&splats, &camera, &pose, &options) {
-        Ok(projected) => {
-            let channels = Channels { count: 3, values: &values };
-            let frame = projected.blend(&channels);
-            let grads = projected.backward(
-                &channels,
-                &frame,
-                &FrameGrad { image: &frame.image, alpha: Some(&frame.alpha) },
-            );
+    let engine = CpuEngine::new();
+    let drawn = || -> Result<(Frame, SplatGrads), RasterError> {
+        let projected = engine.project(&splats, &camera, &pose, &options)?;
+        let channels = Channels { count: 3, values: &values };
+        let frame = projected.blend(&channels)?;
+        let grad = FrameGrad { image: &frame.image, alpha: Some(&frame.alpha) };
+        let grads = projected.backward(&channels, &frame, &grad)?;
+        Ok((frame, grads))
+    };
+    match drawn() {
+        Ok((frame, grads)) => {
             let finite = frame.image.data.iter().chain(&frame.alpha.data).all(|v| v.is_finite())
                 && grads.means.as_flattened().iter().all(|v| v.is_finite())
                 && grads.log_scales.as_flattened().iter().all(|v| v.is_finite())

@@ -1,9 +1,10 @@
 //! `segwild doctor`
 
 use super::{path, print_json, print_line};
+use crate::exit;
 use crate::failure::Failure;
 use clap::ArgMatches;
-use segwild_gpu::Adapter;
+use segwild_gpu::{Adapter, Choice, GpuEngine, GpuError, check};
 use segwild_pipeline::{RunSettings, Settings, choose_engine};
 use segwild_vision::{ModelFile, Providers, Runtime, VisionSettings, models_in};
 
@@ -11,6 +12,9 @@ use segwild_vision::{ModelFile, Providers, Runtime, VisionSettings, models_in};
 pub fn doctor(matches: &ArgMatches) -> Result<(), Failure> {
     if matches.get_flag("settings") {
         return print_line(Settings::to_markdown().trim_end());
+    }
+    if let Some(adapter) = matches.get_one::<String>("kernels") {
+        return kernels(adapter, matches.get_flag("json"));
     }
     let mut found: Vec<(&str, String)> = Vec::new();
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
@@ -22,7 +26,7 @@ pub fn doctor(matches: &ArgMatches) -> Result<(), Failure> {
     found.extend(adapters.iter().map(|adapter| ("accelerator", accelerator(adapter))));
     found.push((
         "splats",
-        match choose_engine(&RunSettings::default()) {
+        match choose_engine(&RunSettings::default(), drop) {
             Ok(chosen) => format!("computed by {} (`--engine`, `--adapter`)", chosen.why),
             Err(error) => error.to_string(),
         },
@@ -65,6 +69,37 @@ pub fn doctor(matches: &ArgMatches) -> Result<(), Failure> {
         print_line(&format!("{what:>14}  {is}"))?;
     }
     Ok(())
+}
+
+/// Compares every kernel on an accelerator with the CPU engine.
+fn kernels(adapter: &str, json: bool) -> Result<(), Failure> {
+    let choice = match adapter {
+        "" => Choice::Hardware,
+        name => Choice::Named(name.to_owned()),
+    };
+    let failed = |e: GpuError| Failure { message: e.to_string(), code: exit::FAILED };
+    let engine =
+        GpuEngine::new(&choice).map_err(|e| Failure { message: e.to_string(), code: exit::INPUT })?;
+    let name = &engine.adapter().name;
+    let checked = check(&engine).map_err(failed)?;
+    for step in &checked {
+        let names = step.kernels.join(", ");
+        match json {
+            true => print_json(&serde_json::json!({ "kernels": step.kernels, "off": step.off }))?,
+            false => print_line(&format!("{names:>26}  {}", step.off.as_deref().unwrap_or("as on the CPU")))?,
+        }
+    }
+    match checked.iter().find(|step| step.off.is_some()) {
+        None => Ok(()),
+        Some(first) => Err(Failure {
+            message: format!(
+                "{name} computes otherwise than the CPU, first in {}: use --engine cpu, and report this with the driver's \
+                 version",
+                first.kernels.join(", ")
+            ),
+            code: exit::FAILED,
+        }),
+    }
 }
 
 /// An accelerator in one line: what it is, and its limits.

@@ -93,10 +93,26 @@ impl Coordinator<'_> {
         let (folder, ledger, events) =
             (self.folder.clone(), self.ledger.clone(), self.options.events.clone());
         let (key, kept) = (self.keys.training, self.settings.run.keep_checkpoints as usize);
+        let elsewhere = self.elsewhere.clone();
         Arc::new(move || {
-            let keeper = Keeper { folder: &folder, ledger: &ledger, events: &events, key: &key, kept };
-            // What is damaged is passed over; only the ledger can refuse.
-            keeper.last_before(before).map_err(Failure::storage)
+            let last = |key| {
+                let keeper = Keeper { folder: &folder, ledger: &ledger, events: &events, key, kept };
+                // What is damaged is passed over; only the ledger can refuse.
+                keeper.last_before(before).map_err(Failure::storage)
+            };
+            if let Some(own) = last(&key)? {
+                return Ok(Some(own));
+            }
+            for (engine, key) in &elsewhere {
+                if let Some(checkpoint) = last(key)? {
+                    let step = checkpoint.step();
+                    let message =
+                        format!("it goes on from step {step}, to which the {engine} engine trained");
+                    events.info(Some("geometry"), message);
+                    return Ok(Some(checkpoint));
+                }
+            }
+            Ok(None)
         })
     }
 

@@ -34,8 +34,8 @@ use crate::{RunError, RunFolder, Settings};
 use segwild_features::{FeatureActor, FeatureField, FeatureTask};
 use segwild_flow::ledger::{State as Progress, ViewRow};
 use segwild_flow::{
-    ActorOptions, Cache, Event, Exit, Failure, Guest, Ledger, Limits, Message, Phase, Receiver, Recorder,
-    Report, Sender, StageProgress, System, SystemOptions, fault, mailbox,
+    ActorOptions, Cache, Event, Exit, Failure, Guest, Key, Ledger, Limits, Message, Phase, Receiver,
+    Recorder, Report, Sender, StageProgress, System, SystemOptions, fault, mailbox,
 };
 use segwild_masks::{MaskActor, MaskMaker, MaskTask};
 use segwild_raster::Engine;
@@ -108,6 +108,8 @@ pub struct Coordinator<'a> {
     pub engine: Arc<dyn Engine>,
     /// The names of what a run makes that finds every sky.
     pub full_keys: Keys,
+    /// This training by other engines, whose checkpoints serve where it has none of its own.
+    pub elsewhere: Vec<(&'static str, Key)>,
     /// The names of what this run makes, as far as is known.
     pub keys: Keys,
     /// The same, for who says of a damaged artefact what it is.

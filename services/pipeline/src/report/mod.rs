@@ -22,7 +22,7 @@ use std::fmt::Write as _;
 /// photos that are not shown whole, and why.
 pub fn write_report(folder: &RunFolder) -> Result<Vec<Skipped>, RunError> {
     let loaded = folder.load()?;
-    let engine = choose_engine(&loaded.settings.run)?.engine;
+    let engine = choose_engine(&loaded.settings.run, |lost| tracing::warn!("{lost}"))?.engine;
     let mut body = String::new();
     body.push_str(&summary(folder, &loaded)?);
     match looks(&loaded, &*engine) {
@@ -154,7 +154,7 @@ fn looks(loaded: &Loaded, engine: &dyn Engine) -> Result<String, RunError> {
         let camera = small(view).scaled_to(48);
         let projected =
             engine.project(&model.splats, &camera, &loaded.scene.views[view].pose, &model.options())?;
-        let alpha = projected.blend(&Channels { count: 1, values: &vec![0.0; model.splats.len()] }).alpha;
+        let alpha = projected.blend(&Channels { count: 1, values: &vec![0.0; model.splats.len()] })?.alpha;
         Ok(alpha.data.iter().sum::<f32>() / alpha.pixels() as f32)
     };
     let mut view = (first, 0.0);

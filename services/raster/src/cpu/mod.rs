@@ -165,7 +165,7 @@ impl Projected for CpuView<'_> {
         shade(self.splats, self.eye, &self.bins.radii)
     }
 
-    fn blend(&self, channels: &Channels) -> Frame {
+    fn blend(&self, channels: &Channels) -> Result<Frame, RasterError> {
         let Channels { count, values } = *channels;
         assert_eq!(values.len(), self.splats.len() * count, "channels: values");
         let (width, height) = (self.projector.width, self.projector.height);
@@ -197,15 +197,15 @@ impl Projected for CpuView<'_> {
                 }
             }
         });
-        Frame { image, alpha }
+        Ok(Frame { image, alpha })
     }
 
-    fn gather(&self, image: &Image) -> Vec<f32> {
+    fn gather(&self, image: &Image) -> Result<Vec<f32>, RasterError> {
         let count = image.channels;
         self.assert_image(image, count, "gather");
         let mut out = vec![0.0; self.splats.len() * count];
         if count == 0 {
-            return out;
+            return Ok(out);
         }
         self.with_slots(count, |slots| {
             let shared = Shared::new(slots);
@@ -240,10 +240,15 @@ impl Projected for CpuView<'_> {
                 }
             });
         });
-        out
+        Ok(out)
     }
 
-    fn backward(&self, channels: &Channels, frame: &Frame, grad: &FrameGrad) -> SplatGrads {
+    fn backward(
+        &self,
+        channels: &Channels,
+        frame: &Frame,
+        grad: &FrameGrad,
+    ) -> Result<SplatGrads, RasterError> {
         let Channels { count, values } = *channels;
         let n = self.splats.len();
         assert_eq!(values.len(), n * count, "channels: values");
@@ -321,7 +326,7 @@ impl Projected for CpuView<'_> {
                     },
                 );
         });
-        out
+        Ok(out)
     }
 
     fn shade_backward(&self, colours: &[f32], grads: &mut SplatGrads) -> Vec<f32> {

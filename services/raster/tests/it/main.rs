@@ -6,4 +6,5 @@ mod loss;
 mod poison;
 mod properties;
 mod reference;
+mod spare;
 mod training;

@@ -14,13 +14,13 @@ fn survives(name: &str, splats: &Splats) -> bool {
         let projected = engine.project(splats, &camera, &pose, &options).unwrap();
         let colours = projected.shade();
         let channels = Channels { count: 3, values: &colours };
-        let frame = projected.blend(&channels);
+        let frame = projected.blend(&channels).unwrap();
         let grad = Random(1).image(48, 36, 3);
         let alpha = Random(2).image(48, 36, 1);
         let mut grads =
-            projected.backward(&channels, &frame, &FrameGrad { image: &grad, alpha: Some(&alpha) });
+            projected.backward(&channels, &frame, &FrameGrad { image: &grad, alpha: Some(&alpha) }).unwrap();
         let sh = projected.shade_backward(&grads.values.clone(), &mut grads);
-        let gathered = projected.gather(&grad);
+        let gathered = projected.gather(&grad).unwrap();
         let all = [
             ("image", &frame.image.data[..]),
             ("alpha", &frame.alpha.data),

@@ -22,14 +22,19 @@ fn everything(
     let values = random.many(splats.len() * count, -1.0, 1.0);
     let channels = Channels { count, values: &values };
     let projected = engine.project(splats, camera, pose, &ProjectOptions::default()).unwrap();
-    let frame = projected.blend(&channels);
+    let frame = projected.blend(&channels).unwrap();
     let grad = random.image(frame.image.width, frame.image.height, count);
-    let mut grads =
-        projected.backward(&channels, &frame, &FrameGrad { image: &grad, alpha: Some(&frame.alpha) });
+    let mut grads = projected
+        .backward(&channels, &frame, &FrameGrad { image: &grad, alpha: Some(&frame.alpha) })
+        .unwrap();
     let sh = projected.shade_backward(&random.many(splats.len() * 3, -1.0, 1.0), &mut grads);
     let SplatGrads { means, log_scales, rotations, opacities, values, screen, screen_abs } = grads;
-    let mut out =
-        vec![bits(&frame.image.data), bits(&frame.alpha.data), bits(&projected.gather(&grad)), bits(&sh)];
+    let mut out = vec![
+        bits(&frame.image.data),
+        bits(&frame.alpha.data),
+        bits(&projected.gather(&grad).unwrap()),
+        bits(&sh),
+    ];
     out.extend([bits(means.as_flattened()), bits(log_scales.as_flattened()), bits(rotations.as_flattened())]);
     out.extend([bits(&opacities), bits(&values), bits(&screen), bits(&screen_abs), bits(&projected.shade())]);
     out
@@ -88,7 +93,7 @@ proptest! {
         let projected = engine.project(&splats, &camera, &pose, &ProjectOptions::default()).unwrap();
         for channels in [1, 3, 9] {
             let ones = vec![1.0; count * channels];
-            let frame = projected.blend(&Channels { count: channels, values: &ones });
+            let frame = projected.blend(&Channels { count: channels, values: &ones }).unwrap();
             for c in 0..channels {
                 prop_assert_eq!(frame.image.plane(c), frame.alpha.plane(0));
             }
@@ -105,8 +110,8 @@ proptest! {
         let projected = engine.project(&splats, &camera, &pose, &ProjectOptions::default()).unwrap();
         let values = random.many(count * channels, -1.0, 1.0);
         let image = random.image(45, 37, channels);
-        let blended = projected.blend(&Channels { count: channels, values: &values }).image;
-        let gathered = projected.gather(&image);
+        let blended = projected.blend(&Channels { count: channels, values: &values }).unwrap().image;
+        let gathered = projected.gather(&image).unwrap();
         let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>();
         let size = |a: &[f32], b: &[f32]| dot(a, a).sqrt() * dot(b, b).sqrt() + 1e-9;
         let (left, right) = (dot(&blended.data, &image.data), dot(&values, &gathered));
@@ -132,13 +137,13 @@ proptest! {
         );
         let (ca, cb) = (a.shade(), b.shade());
         let (fa, fb) = (
-            a.blend(&Channels { count: 3, values: &ca }),
-            b.blend(&Channels { count: 3, values: &cb }),
+            a.blend(&Channels { count: 3, values: &ca }).unwrap(),
+            b.blend(&Channels { count: 3, values: &cb }).unwrap(),
         );
         prop_assert_eq!(&fa, &fb);
         let grad = random.image(50, 40, 3);
-        let ga = a.backward(&Channels { count: 3, values: &ca }, &fa, &FrameGrad { image: &grad, alpha: None });
-        let gb = b.backward(&Channels { count: 3, values: &cb }, &fb, &FrameGrad { image: &grad, alpha: None });
+        let ga = a.backward(&Channels { count: 3, values: &ca }, &fa, &FrameGrad { image: &grad, alpha: None }).unwrap();
+        let gb = b.backward(&Channels { count: 3, values: &cb }, &fb, &FrameGrad { image: &grad, alpha: None }).unwrap();
         for (k, &i) in order.iter().enumerate() {
             prop_assert_eq!(ga.means[i], gb.means[k]);
             prop_assert_eq!(ga.rotations[i], gb.rotations[k]);
@@ -162,7 +167,7 @@ proptest! {
         let render = |splats: &Splats, pose: &Pose, options: &ProjectOptions| -> Image {
             let projected = engine.project(splats, &camera, pose, options).unwrap();
             let colours = projected.shade();
-            projected.blend(&Channels { count: 3, values: &colours }).image
+            projected.blend(&Channels { count: 3, values: &colours }).unwrap().image
         };
         let (a, b) = (render(&scene, &pose, &options), render(&large, &far, &wide));
         for (x, y) in a.data.iter().zip(&b.data) {
@@ -195,14 +200,16 @@ fn wrong_shapes_are_refused_in_words() {
     assert!(refused(&good, &Camera { fx: f32::NAN, ..camera }).contains("NaN"));
     let none = Splats::default();
     let projected = engine.project(&none, &camera, &pose, &ProjectOptions::default()).unwrap();
-    let frame = projected.blend(&Channels { count: 3, values: &[] });
+    let frame = projected.blend(&Channels { count: 3, values: &[] }).unwrap();
     assert!(frame.alpha.data.iter().all(|&a| a == 0.0));
     assert_eq!(
-        projected.backward(
-            &Channels { count: 3, values: &[] },
-            &frame,
-            &FrameGrad { image: &frame.image, alpha: None }
-        ),
+        projected
+            .backward(
+                &Channels { count: 3, values: &[] },
+                &frame,
+                &FrameGrad { image: &frame.image, alpha: None }
+            )
+            .unwrap(),
         SplatGrads::default()
     );
     let behind = Pose::look_at(Vec3::new(0.0, 0.0, 9.0), Vec3::new(0.0, 0.0, 18.0), Vec3::Y);

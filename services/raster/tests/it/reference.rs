@@ -33,7 +33,7 @@ fn compare(splats: &Splats, camera: &Camera, pose: &Pose, options: ProjectOption
     let engine = CpuEngine::new();
     let projected = engine.project(splats, camera, pose, &options).unwrap();
     let channels = Channels { count, values: &values };
-    let frame = projected.blend(&channels);
+    let frame = projected.blend(&channels).unwrap();
     let pixels = frame.alpha.pixels();
     let sure = |k: usize| !wanted.unsure[k % pixels];
     assert!(
@@ -53,8 +53,9 @@ fn compare(splats: &Splats, camera: &Camera, pose: &Pose, options: ProjectOption
     let mut grad_alpha = random.image(frame.image.width, frame.image.height, 1);
     zero_unsure(&mut grad_image, &wanted.unsure);
     zero_unsure(&mut grad_alpha, &wanted.unsure);
-    let got =
-        projected.backward(&channels, &frame, &FrameGrad { image: &grad_image, alpha: Some(&grad_alpha) });
+    let got = projected
+        .backward(&channels, &frame, &FrameGrad { image: &grad_image, alpha: Some(&grad_alpha) })
+        .unwrap();
     let as64 = |image: &Image| image.data.iter().map(|&v| f64::from(v)).collect::<Vec<_>>();
     let wanted = reference.backward(&parameters, &values64, count, &as64(&grad_image), &as64(&grad_alpha));
     let errors = [

@@ -80,7 +80,7 @@ fn a_click_reads_what_the_full_render_shows_and_opacity_does_not_matter() {
     };
     let (feature, alpha) = read(&world.splats);
     let projected = engine.project(&world.splats, &view.camera, &view.pose, &options()).unwrap();
-    let frame = projected.blend(&segwild_raster::Channels { count: 8, values: field.values() });
+    let frame = projected.blend(&segwild_raster::Channels { count: 8, values: field.values() }).unwrap();
     let a = frame.alpha.at(0, 70, 52);
     assert!((a - alpha).abs() < 1e-4);
     for c in 0..8 {

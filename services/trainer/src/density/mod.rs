@@ -215,7 +215,7 @@ mod tests {
         let engine = CpuEngine::new();
         let projected = engine.project(splats, &camera, &pose, &ProjectOptions::default()).unwrap();
         let colours = projected.shade();
-        projected.blend(&Channels { count: 3, values: &colours }).image
+        projected.blend(&Channels { count: 3, values: &colours }).unwrap().image
     }
 
     fn difference(a: &Image, b: &Image) -> f32 {

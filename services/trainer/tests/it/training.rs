@@ -147,7 +147,8 @@ fn the_sky_stays_empty_and_is_painted_behind() {
     let (photo, sky) = photo_of(view);
     let engine = engine();
     let projected = engine.project(&model.splats, &view.camera, &view.pose, &model.options()).unwrap();
-    let alpha = projected.blend(&Channels { count: 1, values: &vec![1.0; model.splats.len()] }).alpha;
+    let alpha =
+        projected.blend(&Channels { count: 1, values: &vec![1.0; model.splats.len()] }).unwrap().alpha;
     drop(projected);
     let inner = sky.eroded(3.0);
     assert!(inner.count() > 300);

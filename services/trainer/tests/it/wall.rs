@@ -92,7 +92,7 @@ pub fn photo_lit(view: &View, light: impl Fn([f32; 3]) -> f32) -> (Image, Mask) 
     for (colour, at) in colours.chunks_exact_mut(3).zip(&splats.means) {
         colour.iter_mut().for_each(|v| *v *= light(*at));
     }
-    let frame = projected.blend(&Channels { count: 3, values: &colours });
+    let frame = projected.blend(&Channels { count: 3, values: &colours }).unwrap();
     let mut image = frame.image;
     let n = image.pixels();
     for c in 0..3 {

@@ -1,0 +1,308 @@
+//! Which kernel a device gets wrong: each step of a frame against the CPU engine or against what is known, in the order in
+//! which they depend on one another. The first that diverges is where to look.
+
+use crate::device::{Lent, Work};
+use crate::engine::{Binned, bin, scan, sort};
+use crate::{GpuEngine, GpuError};
+use bytemuck::Pod;
+use glam::Vec3;
+use segwild_raster::{
+    ALPHA_MAX, ALPHA_MIN, Channels, CpuEngine, Engine, FrameGrad, ProjectOptions, RasterError,
+};
+use segwild_scene::{Camera, Image, Pose, Random, Splats};
+
+/// How far numbers may lie apart, in units of their size plus the array's root mean square.
+#[derive(Clone, Copy, Debug)]
+pub struct Tolerance {
+    /// For all but a share.
+    pub tight: f32,
+    /// That share: what stands at a cut-off may be decided otherwise.
+    pub flips: f32,
+    /// For all.
+    pub loose: f32,
+}
+
+impl Tolerance {
+    /// Depths, radii, centres.
+    pub const PROJECTED: Tolerance = Tolerance { tight: 1e-4, flips: 0.0, loose: 1e-4 };
+    /// Images.
+    pub const BLENDED: Tolerance = Tolerance { tight: 5e-5, flips: 0.01, loose: 0.02 };
+    /// Sums over pixels.
+    pub const GRADIENTS: Tolerance = Tolerance { tight: 5e-4, flips: 0.01, loose: 0.1 };
+
+    /// Says what is off, if more is than may be.
+    pub fn compare(&self, what: &str, got: &[f32], wanted: &[f32]) -> Result<(), String> {
+        if got.len() != wanted.len() {
+            return Err(format!("{what}: {} numbers, not {}", got.len(), wanted.len()));
+        }
+        let squares = wanted.iter().map(|w| f64::from(*w).powi(2)).sum::<f64>();
+        let rms = (squares / wanted.len().max(1) as f64).sqrt() as f32;
+        let (mut flips, mut worst) = (0, (0.0, 0));
+        for (i, (&g, &w)) in got.iter().zip(wanted).enumerate() {
+            if !g.is_finite() {
+                return Err(format!("{what}: number {i} is {g} where {w} is right"));
+            }
+            let error = (g - w).abs() / (w.abs() + rms + 1e-20);
+            flips += usize::from(error > self.tight);
+            if error > worst.0 {
+                worst = (error, i);
+            }
+        }
+        let (error, i) = worst;
+        if error > self.loose {
+            return Err(format!("{what}: number {i} is {} where {} is right", got[i], wanted[i]));
+        }
+        if flips > (self.flips * wanted.len() as f32).ceil() as usize {
+            return Err(format!("{what}: {flips} of {} are off, the worst by {error}", wanted.len()));
+        }
+        Ok(())
+    }
+}
+
+/// One step of a frame, compared.
+#[derive(Clone, Debug)]
+pub struct Checked {
+    /// The kernels that it runs, and that no step before it vouches for.
+    pub kernels: &'static [&'static str],
+    /// What is off.
+    pub off: Option<String>,
+}
+
+/// Width and height of the frame.
+const SIZE: (u32, u32) = (100, 68);
+/// Splats: more than a bucket in a tile, and more than a block of the sort.
+const SPLATS: usize = 1500;
+/// Splats whose footprints are compared, each alone.
+const ALONE: usize = 40;
+/// Pixels of a tile's side, and entries of a bucket, as in `shaders/shared/common.wgsl`.
+const TILE: usize = 16;
+const BUCKET: u32 = 64;
+
+/// Compares every kernel. Steps after one that is off may be off for its sake.
+pub fn check(engine: &GpuEngine) -> Result<Vec<Checked>, GpuError> {
+    let mut checked = Vec::new();
+    let mut add = |kernels, off: Result<(), String>| checked.push(Checked { kernels, off: off.err() });
+    let (splats, camera, pose) = scene();
+    let options = ProjectOptions { antialias: true, ..ProjectOptions::default() };
+    let mut work = engine.device.work();
+    add(&["scan", "scan_add"], sums(&mut work)?);
+    add(&["histogram", "scatter"], sorted(&mut work)?);
+    let (binned, seen) = bin(&mut work, &splats, &camera, &pose, &options)?;
+    let lists = Lists::read(&mut work, &binned, splats.len(), &seen)?;
+    drop(work);
+    let drawn = |error: RasterError| GpuError::Failed {
+        adapter: engine.adapter().name.clone(),
+        why: error.to_string(),
+    };
+    let cpu = CpuEngine::new();
+    let right = cpu.project(&splats, &camera, &pose, &options).map_err(drawn)?;
+    let mut footprints = projected(&seen, right.depths(), right.radii(), right.centres());
+    for i in (0..splats.len()).step_by(splats.len() / ALONE) {
+        let alone = splats.select(&[i]);
+        let alone = cpu.project(&alone, &camera, &pose, &options).map_err(drawn)?;
+        let alpha = alone.blend(&Channels { count: 0, values: &[] }).map_err(drawn)?.alpha;
+        footprints = footprints.and_then(|()| lists.shape(i, &alpha));
+    }
+    add(&["project"], footprints);
+    add(&["order", "emit", "ranges"], lists.tiles_are_right());
+    add(&["bucket_count", "buckets"], lists.buckets_are_right());
+    let mut random = Random::new(5);
+    let values: Vec<f32> = (0..3 * splats.len()).map(|_| random.uniform() - 0.5).collect();
+    let channels = Channels { count: 3, values: &values };
+    let found = engine.project(&splats, &camera, &pose, &options).map_err(drawn)?;
+    let (a, b) = (found.blend(&channels).map_err(drawn)?, right.blend(&channels).map_err(drawn)?);
+    let blended = Tolerance::BLENDED.compare("colours", &a.image.data, &b.image.data);
+    add(&["blend"], blended.and_then(|()| Tolerance::BLENDED.compare("alpha", &a.alpha.data, &b.alpha.data)));
+    let mut image = |channels| Image {
+        data: (0..(SIZE.0 * SIZE.1) as usize * channels).map(|_| random.uniform() - 0.5).collect(),
+        ..Image::zeros(SIZE.0 as usize, SIZE.1 as usize, channels)
+    };
+    let (grad, alpha) = (image(3), image(1));
+    let sums = (found.gather(&grad).map_err(drawn)?, right.gather(&grad).map_err(drawn)?);
+    // What `blend` leaves for the passes behind it, the light at each bucket, is seen here first.
+    add(&["blend", "gather", "sum_slots"], Tolerance::GRADIENTS.compare("sums", &sums.0, &sums.1));
+    let grad = FrameGrad { image: &grad, alpha: Some(&alpha) };
+    let g = found.backward(&channels, &a, &grad).map_err(drawn)?;
+    let w = right.backward(&channels, &b, &grad).map_err(drawn)?;
+    let pairs = [
+        ("centres", g.means.as_flattened(), w.means.as_flattened()),
+        ("log scales", g.log_scales.as_flattened(), w.log_scales.as_flattened()),
+        ("rotations", g.rotations.as_flattened(), w.rotations.as_flattened()),
+        ("opacities", &g.opacities, &w.opacities),
+        ("values", &g.values, &w.values),
+        ("screen", &g.screen, &w.screen),
+        ("absolute screen", &g.screen_abs, &w.screen_abs),
+    ];
+    let gradients = pairs.into_iter().try_for_each(|(what, got, wanted)| {
+        Tolerance::GRADIENTS.compare(&format!("gradients of {what}"), got, wanted)
+    });
+    add(&["front", "backward", "unproject"], gradients);
+    Ok(checked)
+}
+
+/// A ball of splats before a camera, some beyond its edges.
+fn scene() -> (Splats, Camera, Pose) {
+    let random = &mut Random::new(12);
+    let mut within = |from: f32, to: f32| from + (to - from) * random.uniform();
+    let mut splats = Splats { sh_degree: 0, ..Splats::default() };
+    for _ in 0..SPLATS {
+        splats.means.push([0; 3].map(|_| within(-0.7, 0.7)));
+        splats.log_scales.push([0; 3].map(|_| within(-5.3, -2.5)));
+        splats.rotations.push([0; 4].map(|_| within(-1.0, 1.0)));
+        splats.opacities.push(within(-3.0, 4.0));
+        splats.sh.extend([0.0; 3]);
+    }
+    let (width, height) = SIZE;
+    let (w, h) = (width as f32, height as f32);
+    let camera = Camera { width, height, fx: 1.1 * w, fy: 1.05 * w, cx: 0.47 * w, cy: 0.52 * h };
+    (splats, camera, Pose::look_at(Vec3::new(0.3, -0.4, -1.6), Vec3::ZERO, Vec3::new(0.1, -1.0, 0.0)))
+}
+
+/// Running sums over three levels of blocks.
+fn sums(work: &mut Work) -> Result<Result<(), String>, GpuError> {
+    let count = (1 << 20) + 7;
+    let mut random = Random::new(3);
+    let numbers: Vec<u32> = (0..count).map(|_| random.below(4) as u32).collect();
+    let data = work.upload("numbers", &numbers)?;
+    scan(work, &data, count)?;
+    let before = |sum: &mut u32, n: &u32| Some(std::mem::replace(sum, *sum + *n));
+    Ok(equal("running sums", &work.read::<u32>(&data, count)?, numbers.iter().scan(0, before)))
+}
+
+/// Items sorted by keys of which many are equal.
+fn sorted(work: &mut Work) -> Result<Result<(), String>, GpuError> {
+    let count = 70_000;
+    let mut random = Random::new(4);
+    let keys: Vec<u32> = (0..count).map(|_| random.bits() as u32 & !6).collect();
+    let items: Vec<u32> = (0..count as u32).collect();
+    let (held, order) = (work.upload("keys", &keys)?, work.upload("items", &items)?);
+    let (_, order) = sort(work, held, order, count, u32::BITS)?;
+    let mut wanted = items;
+    wanted.sort_by_key(|&i| keys[i as usize]);
+    Ok(equal("sorted items", &work.read::<u32>(&order, count)?, wanted.into_iter()))
+}
+
+fn equal(what: &str, got: &[u32], wanted: impl Iterator<Item = u32>) -> Result<(), String> {
+    match got.iter().zip(wanted).enumerate().find(|(_, (g, w))| **g != *w) {
+        Some((i, (g, w))) => Err(format!("{what}: number {i} is {g} where {w} is right")),
+        None => Ok(()),
+    }
+}
+
+fn projected(seen: &[[f32; 4]], depths: &[f32], radii: &[f32], centres: &[[f32; 2]]) -> Result<(), String> {
+    let both: Vec<usize> = (0..seen.len()).filter(|&i| seen[i][1] > 0.0 && radii[i] > 0.0).collect();
+    let one = (0..seen.len()).filter(|&i| (seen[i][1] > 0.0) != (radii[i] > 0.0)).count();
+    if one * 100 > seen.len() {
+        return Err(format!("{one} of {} splats are culled by one engine only", seen.len()));
+    }
+    let compare = |what, got: &dyn Fn(usize) -> f32, wanted: &dyn Fn(usize) -> f32| {
+        let of = |f: &dyn Fn(usize) -> f32| both.iter().map(|&i| f(i)).collect::<Vec<_>>();
+        Tolerance::PROJECTED.compare(what, &of(got), &of(wanted))
+    };
+    compare("depths", &|i| seen[i][0], &|i| depths[i])?;
+    compare("radii", &|i| seen[i][1], &|i| radii[i])?;
+    compare("columns of centres", &|i| seen[i][2], &|i| centres[i][0])?;
+    compare("rows of centres", &|i| seen[i][3], &|i| centres[i][1])
+}
+
+/// What a view keeps on the device, read back.
+struct Lists {
+    /// Position, slope, a; e, log2 of the opacity, 1/a, reach.
+    footprints: Vec<[f32; 8]>,
+    depths: Vec<f32>,
+    radii: Vec<f32>,
+    /// Splat and slot.
+    entries: Vec<[u32; 2]>,
+    /// First entry, the one after the last, first bucket.
+    tiles: Vec<[u32; 4]>,
+    /// Tile, first entry, entries.
+    buckets: Vec<[u32; 4]>,
+}
+
+impl Lists {
+    fn read(work: &mut Work, on: &Binned, splats: usize, seen: &[[f32; 4]]) -> Result<Lists, GpuError> {
+        fn all<T: Pod>(work: &mut Work, from: &Lent, count: usize) -> Result<Vec<T>, GpuError> {
+            work.read::<T>(from, count)
+        }
+        Ok(Lists {
+            footprints: all(work, &on.footprints, splats)?,
+            depths: seen.iter().map(|s| s[0]).collect(),
+            radii: seen.iter().map(|s| s[1]).collect(),
+            entries: all(work, &on.entries, on.pairs)?,
+            tiles: all(work, &on.tiles, on.tile_count)?,
+            buckets: all(work, &on.buckets, on.bucket_bound)?,
+        })
+    }
+
+    /// Opacity of a splat at the centre of a pixel; 0 of a culled one.
+    fn alpha(&self, splat: usize, x: usize, y: usize) -> f32 {
+        if self.radii[splat] == 0.0 {
+            return 0.0;
+        }
+        let [fx, fy, slope, a, e, lo, ..] = self.footprints[splat];
+        let dy = y as f32 + 0.5 - fy;
+        let u = x as f32 + 0.5 - fx - slope * dy;
+        (lo - e * dy * dy - a * u * u).exp2().min(ALPHA_MAX)
+    }
+
+    /// Whether a splat looks as it does when it is drawn alone.
+    fn shape(&self, splat: usize, alone: &Image) -> Result<(), String> {
+        for (k, &wanted) in alone.data.iter().enumerate() {
+            let found = self.alpha(splat, k % alone.width, k / alone.width);
+            // Next to the cut-off one may be drawn and the other not.
+            if (found - wanted).abs() > 1e-3 && (found > 1.1 * ALPHA_MIN || wanted > 1.1 * ALPHA_MIN) {
+                return Err(format!("splat {splat} covers pixel {k} by {found} where {wanted} is right"));
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether each tile has the splats that reach it, each once, nearest first.
+    fn tiles_are_right(&self) -> Result<(), String> {
+        let (width, height) = (SIZE.0 as usize, SIZE.1 as usize);
+        let columns = width.div_ceil(TILE);
+        for (tile, &[from, to, ..]) in self.tiles.iter().enumerate() {
+            let Some(entries) = self.entries.get(from as usize..to as usize) else {
+                return Err(format!("tile {tile} has entries {from} to {to} of {}", self.entries.len()));
+            };
+            let splats: Vec<usize> = entries.iter().map(|e| e[0] as usize).collect();
+            if let Some(odd) = splats.iter().find(|&&i| i >= self.depths.len()) {
+                return Err(format!("tile {tile} has splat {odd} of {}", self.depths.len()));
+            }
+            if let Some(pair) = splats.windows(2).find(|w| self.depths[w[0]] > self.depths[w[1]]) {
+                return Err(format!("tile {tile} has splat {} before the nearer {}", pair[0], pair[1]));
+            }
+            let (left, top) = (tile % columns * TILE, tile / columns * TILE);
+            for splat in 0..self.depths.len() {
+                let listed = splats.iter().filter(|&&i| i == splat).count();
+                let mut pixels = (top..height.min(top + TILE))
+                    .flat_map(|y| (left..width.min(left + TILE)).map(move |x| (x, y)));
+                let reaches = pixels.any(|(x, y)| self.alpha(splat, x, y) > 1.01 * ALPHA_MIN);
+                if listed > 1 || (reaches && listed == 0) {
+                    return Err(format!("tile {tile} has splat {splat} {listed} times where once is right"));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether buckets hold each tile's entries, all of them, in order.
+    fn buckets_are_right(&self) -> Result<(), String> {
+        let mut wanted = Vec::new();
+        for (tile, &[from, to, first, _]) in self.tiles.iter().enumerate() {
+            if from < to && first as usize != wanted.len() {
+                return Err(format!("tile {tile} has bucket {first} first where {} is right", wanted.len()));
+            }
+            let entries = (from..to).step_by(BUCKET as usize);
+            wanted.extend(entries.map(|entry| [tile as u32, entry, BUCKET.min(to - entry), 0]));
+        }
+        wanted.resize(self.buckets.len().max(wanted.len()), [0; 4]);
+        match self.buckets.iter().zip(&wanted).position(|(found, wanted)| found != wanted) {
+            Some(i) => Err(format!("bucket {i} is {:?} where {:?} is right", self.buckets[i], wanted[i])),
+            None if self.buckets.len() < wanted.len() => {
+                Err(format!("{} buckets are missing", wanted.len() - self.buckets.len()))
+            }
+            None => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,60 @@
+//! A device that fails in the middle: an error with its name, and the CPU engine goes on where it is asked to.
+
+mod common;
+
+use common::{engine, image, splats, view};
+use segwild_gpu::{Choice, GpuEngine};
+use segwild_raster::{
+    Channels, CpuEngine, Engine, FrameGrad, ProjectOptions, RasterError, SpareEngine, SplatGrads,
+};
+use std::sync::{Arc, Mutex};
+
+/// The tests' adapter, whose driver does not compile one kernel.
+fn without(kernel: &'static str, adapter: &str) -> GpuEngine {
+    let edit = move |k: &segwild_gpu::Kernel, text: String| {
+        if k.name == kernel { text.replace("@compute", "this is no kernel @compute") } else { text }
+    };
+    GpuEngine::with_edit(&Choice::Named(adapter.to_owned()), edit).expect("it opens")
+}
+
+fn gradients(engine: &dyn Engine) -> Result<SplatGrads, RasterError> {
+    let scene = splats(5, 200, (0.02, 0.2));
+    let (camera, pose) = view(48, 32);
+    let projected = engine.project(&scene, &camera, &pose, &ProjectOptions::default())?;
+    let colours = projected.shade();
+    let channels = Channels { count: 3, values: &colours };
+    let frame = projected.blend(&channels)?;
+    projected.backward(&channels, &frame, &FrameGrad { image: &image(6, 48, 32, 3), alpha: None })
+}
+
+#[test]
+fn a_kernel_that_does_not_compile_is_an_error_that_names_the_device() {
+    let Some(gpu) = engine("a_kernel_that_does_not_compile_is_an_error_that_names_the_device") else {
+        return;
+    };
+    let adapter = &gpu.adapter().name;
+    for kernel in ["project", "blend", "gather", "unproject"] {
+        let error = gradients(&without(kernel, adapter)).expect_err("one kernel is none");
+        let text = error.to_string();
+        assert!(matches!(error, RasterError::Device(_)), "{kernel}: {text}");
+        assert!(text.contains(adapter.as_str()) && text.contains(kernel), "{kernel}: {text}");
+    }
+}
+
+#[test]
+fn the_cpu_engine_takes_over_in_the_middle_of_a_step() {
+    let Some(gpu) = engine("the_cpu_engine_takes_over_in_the_middle_of_a_step") else { return };
+    let wanted = gradients(&CpuEngine::new()).expect("the CPU engine computes");
+    let told = Arc::new(Mutex::new(Vec::new()));
+    let hear = told.clone();
+    let lost = without("unproject", &gpu.adapter().name);
+    let hear = move |why: &str| hear.lock().expect("nothing panics").push(why.to_owned());
+    let engine = SpareEngine::new(Box::new(lost), Box::new(CpuEngine::new()), hear);
+    let half = gradients(&engine).expect("the CPU engine goes on");
+    let close = |a: &[[f32; 3]], b: &[[f32; 3]]| {
+        a.as_flattened().iter().zip(b.as_flattened()).all(|(a, b)| (a - b).abs() <= 1e-3 * (1.0 + b.abs()))
+    };
+    assert!(close(&half.means, &wanted.means), "the frame that was begun");
+    assert!(gradients(&engine).expect("the CPU engine goes on") == wanted, "the next one");
+    assert_eq!(told.lock().expect("nothing panics").len(), 1);
+}

@@ -1,0 +1,98 @@
+//! The same scene trained and selected whole by either engine, and a training that moves from one to the other.
+
+use segwild_bench::oracle::OracleOptions;
+use segwild_bench::point::{Job, Place, Prompting, measure};
+use segwild_bench::stability::Harm;
+use segwild_bench::synthetic::{LookKind, SyntheticOptions, generate};
+use segwild_bench::trial::ProviderKind;
+use segwild_pipeline::{RunFolder, RunOptions, Settings, Until, run};
+use std::path::Path;
+
+/// The adapter that takes part: the one that `SEGWILD_GPU_ADAPTER` names, else the first, software included.
+fn adapter(test: &str) -> Option<String> {
+    let named = std::env::var("SEGWILD_GPU_ADAPTER").ok();
+    let found = named.or_else(|| segwild_gpu::adapters().first().map(|adapter| adapter.name.clone()));
+    if found.is_none() {
+        let required = std::env::var("SEGWILD_GPU_TESTS").is_ok_and(|v| v == "require");
+        assert!(!required, "{test}: no Vulkan, Metal or Direct3D 12 adapter, and SEGWILD_GPU_TESTS=require");
+        println!("skipped: {test}: no Vulkan, Metal or Direct3D 12 adapter (mesa-vulkan-drivers has one)");
+    }
+    found
+}
+
+fn place(photos: usize, pixels: u32) -> SyntheticOptions {
+    SyntheticOptions {
+        seed: 3,
+        train: photos,
+        test: 4,
+        long_side: pixels,
+        occlusion: 0.0,
+        look: LookKind::None,
+        ..SyntheticOptions::default()
+    }
+}
+
+/// Held-out PSNR in dB, and mean IoU of a click per object.
+fn scores(dir: &Path, engine: &[(&str, &str)]) -> (f64, f64) {
+    let small = [("steps", "200"), ("splats", "2000"), ("size", "96")];
+    let settings = small.iter().chain(engine).map(|&(name, value)| (name.into(), value.into())).collect();
+    let job = Job {
+        protocol: "engines".into(),
+        setting: "engine".into(),
+        at: None,
+        place: Place::Synthetic(place(16, 96)),
+        providers: ProviderKind::Oracle,
+        faults: OracleOptions::default(),
+        settings,
+        harm: Harm::default(),
+        prompting: Prompting::default(),
+        count: false,
+        seed: 1,
+        dir: dir.into(),
+    };
+    let records = measure(&job).expect("it trains and selects");
+    let objects: Vec<f64> = records.iter().filter_map(|r| r.numbers.get("iou").copied()).collect();
+    assert!(objects.len() > 4, "{} objects", objects.len());
+    (records[0].numbers["psnr"], objects.iter().sum::<f64>() / objects.len() as f64)
+}
+
+#[test]
+fn whole_trainings_and_selections_of_both_engines_agree() {
+    let Some(adapter) = adapter("whole_trainings_and_selections_of_both_engines_agree") else { return };
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let (cpu_db, cpu_iou) = scores(&dir.path().join("cpu"), &[("engine", "cpu")]);
+    let gpu = [("engine", "gpu"), ("adapter", adapter.as_str())];
+    let (gpu_db, gpu_iou) = scores(&dir.path().join("gpu"), &gpu);
+    println!("cpu {cpu_db:.2} dB, IoU {cpu_iou:.4}; {adapter} {gpu_db:.2} dB, IoU {gpu_iou:.4}");
+    assert!((cpu_db - gpu_db).abs() < 0.2, "held out: cpu {cpu_db} dB, {adapter} {gpu_db} dB");
+    assert!((cpu_iou - gpu_iou).abs() < 0.005, "IoU: cpu {cpu_iou}, {adapter} {gpu_iou}");
+}
+
+#[test]
+fn a_training_that_one_engine_began_is_ended_by_the_other() {
+    let Some(adapter) = adapter("a_training_that_one_engine_began_is_ended_by_the_other") else { return };
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let scene = dir.path().join("place");
+    generate(&place(8, 64)).and_then(|place| place.write(&scene)).expect("a synthetic place");
+    let folder = RunFolder::create(&dir.path().join("run")).expect("a folder");
+    let mut told = String::new();
+    let mut go = |engine: &[(&str, &str)], until: Option<Until>| {
+        let mut settings = Settings::default();
+        let small = [("size", "64"), ("steps", "40"), ("splats", "500"), ("prompt_budget", "8")];
+        for (name, value) in small.iter().chain(engine) {
+            settings.set(name, value).expect("a setting");
+        }
+        let options = RunOptions { until, ..RunOptions::default() };
+        let listener = options.events.subscribe();
+        let done = run(&scene, &folder, &settings, &options);
+        while let Some(event) = listener.try_next() {
+            told.push_str(&format!("{:?}\n", event.event));
+        }
+        done
+    };
+    let gpu = [("engine", "gpu"), ("adapter", adapter.as_str())];
+    go(&gpu, Some(Until::Step(10))).expect("it pauses");
+    let done = go(&[("engine", "cpu")], None).expect("it ends");
+    assert!(done.train_psnr.is_some_and(f32::is_finite), "{:?}", done.train_psnr);
+    assert!(told.contains("goes on from step 10, to which the gpu engine trained"), "{told}");
+}
