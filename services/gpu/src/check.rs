@@ -1,10 +1,9 @@
 //! Which kernel a device gets wrong: each step of a frame against the CPU engine or against what is known, in the order in
 //! which they depend on one another. The first that diverges is where to look.
 
-use crate::device::{Lent, Work};
+use crate::device::Work;
 use crate::engine::{Binned, bin, scan, sort};
 use crate::{GpuEngine, GpuError};
-use bytemuck::Pod;
 use glam::Vec3;
 use segwild_raster::{
     ALPHA_MAX, ALPHA_MIN, Channels, CpuEngine, Engine, FrameGrad, ProjectOptions, RasterError,
@@ -85,8 +84,9 @@ pub fn check(engine: &GpuEngine) -> Result<Vec<Checked>, GpuError> {
     let (splats, camera, pose) = scene();
     let options = ProjectOptions { antialias: true, ..ProjectOptions::default() };
     let mut work = engine.device.work();
-    add(&["scan", "scan_add"], sums(&mut work)?);
-    add(&["histogram", "scatter"], sorted(&mut work)?);
+    // Over three levels of blocks.
+    add(&["scan", "scan_add"], sums(&mut work, (1 << 20) + 7)?);
+    add(&["histogram", "scatter"], sorted(&mut work, 70_000, u32::BITS)?);
     let (binned, seen) = bin(&mut work, &splats, &camera, &pose, &options)?;
     let lists = Lists::read(&mut work, &binned, splats.len(), &seen)?;
     drop(work);
@@ -158,9 +158,8 @@ fn scene() -> (Splats, Camera, Pose) {
     (splats, camera, Pose::look_at(Vec3::new(0.3, -0.4, -1.6), Vec3::ZERO, Vec3::new(0.1, -1.0, 0.0)))
 }
 
-/// Running sums over three levels of blocks.
-fn sums(work: &mut Work) -> Result<Result<(), String>, GpuError> {
-    let count = (1 << 20) + 7;
+/// Running sums of so many numbers.
+pub(crate) fn sums(work: &mut Work, count: usize) -> Result<Result<(), String>, GpuError> {
     let mut random = Random::new(3);
     let numbers: Vec<u32> = (0..count).map(|_| random.below(4) as u32).collect();
     let data = work.upload("numbers", &numbers)?;
@@ -169,14 +168,13 @@ fn sums(work: &mut Work) -> Result<Result<(), String>, GpuError> {
     Ok(equal("running sums", &work.read::<u32>(&data, count)?, numbers.iter().scan(0, before)))
 }
 
-/// Items sorted by keys of which many are equal.
-fn sorted(work: &mut Work) -> Result<Result<(), String>, GpuError> {
-    let count = 70_000;
-    let mut random = Random::new(4);
-    let keys: Vec<u32> = (0..count).map(|_| random.bits() as u32 & !6).collect();
+/// So many items sorted by keys of so many bits, of which many are equal.
+pub(crate) fn sorted(work: &mut Work, count: usize, bits: u32) -> Result<Result<(), String>, GpuError> {
+    let mut random = Random::new(count as u64);
+    let keys: Vec<u32> = (0..count).map(|_| (random.bits() as u32) >> (u32::BITS - bits) & !6).collect();
     let items: Vec<u32> = (0..count as u32).collect();
     let (held, order) = (work.upload("keys", &keys)?, work.upload("items", &items)?);
-    let (_, order) = sort(work, held, order, count, u32::BITS)?;
+    let (_, order) = sort(work, held, order, count, bits)?;
     let mut wanted = items;
     wanted.sort_by_key(|&i| keys[i as usize]);
     Ok(equal("sorted items", &work.read::<u32>(&order, count)?, wanted.into_iter()))
@@ -221,16 +219,13 @@ struct Lists {
 
 impl Lists {
     fn read(work: &mut Work, on: &Binned, splats: usize, seen: &[[f32; 4]]) -> Result<Lists, GpuError> {
-        fn all<T: Pod>(work: &mut Work, from: &Lent, count: usize) -> Result<Vec<T>, GpuError> {
-            work.read::<T>(from, count)
-        }
         Ok(Lists {
-            footprints: all(work, &on.footprints, splats)?,
+            footprints: work.read(&on.footprints, splats)?,
             depths: seen.iter().map(|s| s[0]).collect(),
             radii: seen.iter().map(|s| s[1]).collect(),
-            entries: all(work, &on.entries, on.pairs)?,
-            tiles: all(work, &on.tiles, on.tile_count)?,
-            buckets: all(work, &on.buckets, on.bucket_bound)?,
+            entries: work.read(&on.entries, on.pairs)?,
+            tiles: work.read(&on.tiles, on.tile_count)?,
+            buckets: work.read(&on.buckets, on.bucket_bound)?,
         })
     }
 

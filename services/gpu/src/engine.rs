@@ -246,7 +246,7 @@ pub(crate) fn sort(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use segwild_scene::Random;
+    use crate::check;
 
     #[test]
     fn running_sums_go_over_three_levels_of_blocks() {
@@ -254,14 +254,8 @@ mod tests {
             return;
         };
         for count in [1, 1023, 1024, 1025, BLOCK * BLOCK + 7] {
-            let mut random = Random::new(3);
-            let numbers: Vec<u32> = (0..count).map(|_| random.below(4) as u32).collect();
-            let mut work = engine.device.work();
-            let data = work.upload("numbers", &numbers).expect("it fits");
-            scan(&mut work, &data, count).expect("it runs");
-            let before = |sum: &mut u32, n: &u32| Some(std::mem::replace(sum, *sum + *n));
-            let wanted: Vec<u32> = numbers.iter().scan(0, before).collect();
-            assert_eq!(work.read::<u32>(&data, count).expect("it comes back"), wanted, "{count} numbers");
+            let right = check::sums(&mut engine.device.work(), count).expect("it runs");
+            assert_eq!(right, Ok(()), "{count} numbers");
         }
     }
 
@@ -281,15 +275,8 @@ mod tests {
     fn the_sort_keeps_the_order_of_equal_keys() {
         let Some(engine) = crate::common::engine("the_sort_keeps_the_order_of_equal_keys") else { return };
         for (count, bits) in [(0, 8), (1, 4), (1024, 4), (5000, 13), (70_000, 32)] {
-            let mut random = Random::new(count as u64);
-            let keys: Vec<u32> = (0..count).map(|_| (random.bits() as u32) >> (32 - bits) & !6).collect();
-            let items: Vec<u32> = (0..count as u32).collect();
-            let mut work = engine.device.work();
-            let (a, b) = (work.upload("keys", &keys), work.upload("items", &items));
-            let sorted = sort(&mut work, a.expect("fits"), b.expect("fits"), count, bits).expect("it runs");
-            let mut wanted = items;
-            wanted.sort_by_key(|&i| keys[i as usize]);
-            assert_eq!(work.read::<u32>(&sorted.1, count).expect("it comes back"), wanted, "{count} items");
+            let right = check::sorted(&mut engine.device.work(), count, bits).expect("it runs");
+            assert_eq!(right, Ok(()), "{count} items");
         }
     }
 

@@ -73,10 +73,9 @@ pub fn doctor(matches: &ArgMatches) -> Result<(), Failure> {
 
 /// Compares every kernel on an accelerator with the CPU engine.
 fn kernels(adapter: &str, json: bool) -> Result<(), Failure> {
-    let choice = match adapter {
-        "" => Choice::Hardware,
-        name => Choice::Named(name.to_owned()),
-    };
+    let best = || segwild_gpu::adapters().into_iter().next().map(|adapter| adapter.name);
+    let named = if adapter.is_empty() { best() } else { Some(adapter.to_owned()) };
+    let choice = named.map_or(Choice::Hardware, Choice::Named);
     let failed = |e: GpuError| Failure { message: e.to_string(), code: exit::FAILED };
     let engine =
         GpuEngine::new(&choice).map_err(|e| Failure { message: e.to_string(), code: exit::INPUT })?;

@@ -254,6 +254,17 @@ fn the_settings_page_is_up_to_date() {
 }
 
 #[test]
+fn the_doctor_compares_the_kernels_of_an_accelerator() {
+    refuses(&["doctor", "--kernels", "no such adapter"], 3, &["accelerator"]);
+    if segwild(&["doctor"]).stdout.windows(6).any(|w| w == b"none: ") {
+        println!("skipped: the_doctor_compares_the_kernels_of_an_accelerator: no accelerator answers");
+        return;
+    }
+    let told = works(&["doctor", "--kernels"]);
+    assert!(told.contains("unproject") && told.lines().all(|line| line.contains("as on the CPU")), "{told}");
+}
+
+#[test]
 fn a_reader_that_goes_away_is_no_error() {
     let mut child = Command::new(env!("CARGO_BIN_EXE_segwild"))
         .args(["doctor", "--settings"])
