@@ -94,5 +94,5 @@ fn a_training_that_one_engine_began_is_ended_by_the_other() {
     go(&gpu, Some(Until::Step(10))).expect("it pauses");
     let done = go(&[("engine", "cpu")], None).expect("it ends");
     assert!(done.train_psnr.is_some_and(f32::is_finite), "{:?}", done.train_psnr);
-    assert!(told.contains("goes on from step 10, to which the gpu engine trained"), "{told}");
+    assert!(told.contains("the gpu engine trained up to step 10: this one takes over"), "{told}");
 }

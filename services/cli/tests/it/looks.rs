@@ -172,7 +172,7 @@ fn a_budget_is_decided_once_said_with_its_evidence_and_undone_by_name() {
     let dir = folder();
     let run = show(&dir.path().join("run"));
     let with = |flags: &[&str]| {
-        let steps = ["--steps", "600", "--look", "affine", "--until", "geometry"];
+        let steps = ["--steps", "2000", "--look", "affine", "--until", "geometry"];
         works(&[&["run", &show(scene()), "--out", &run][..], &QUICK[..2], &steps, flags].concat())
     };
     let said = with(&["--budget", "auto", "--json"]);
@@ -181,7 +181,7 @@ fn a_budget_is_decided_once_said_with_its_evidence_and_undone_by_name() {
     assert!(said.contains(why) && why.contains("held out") && why.contains("SSIM"), "{why}");
     let steps = choice["steps"].as_u64().expect("steps");
     let trained = |said: &str| said.lines().rfind(|line| line.contains("\"geometry\"")).map(str::to_owned);
-    assert!(steps <= 600 && trained(&said).is_some(), "{said}");
+    assert!(steps <= 2000 && trained(&said).is_some(), "{said}");
     let history = std::fs::read_to_string(dir.path().join("run/history.jsonl")).expect("a history");
     let last = json(history.lines().last().expect("a line").as_bytes());
     assert_eq!(last["step"].as_u64(), Some(steps), "as many steps as were decided");
@@ -190,5 +190,5 @@ fn a_budget_is_decided_once_said_with_its_evidence_and_undone_by_name() {
     assert!(plan.lines().any(|line| line.contains("\"geometry\"") && line.contains("\"reused\"")), "{plan}");
     let plan = with(&["--budget", "fixed", "--explain", "--json"]);
     let reused = plan.lines().any(|line| line.contains("\"geometry\"") && line.contains("\"reused\""));
-    assert_eq!(reused, steps == 600, "{plan}");
+    assert_eq!(reused, steps == 2000, "{plan}");
 }

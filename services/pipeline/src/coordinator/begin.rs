@@ -107,7 +107,7 @@ impl Coordinator<'_> {
                 if let Some(checkpoint) = last(key)? {
                     let step = checkpoint.step();
                     let message =
-                        format!("it goes on from step {step}, to which the {engine} engine trained");
+                        format!("the {engine} engine trained up to step {step}: this one takes over");
                     events.info(Some("geometry"), message);
                     return Ok(Some(checkpoint));
                 }
