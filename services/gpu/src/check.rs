@@ -2,11 +2,12 @@
 //! which they depend on one another. The first that diverges is where to look.
 
 use crate::device::Work;
-use crate::engine::{Binned, bin, scan, sort};
+use crate::engine::{BUCKET, Binned, TILE, bin, scan, sort};
 use crate::{GpuEngine, GpuError};
 use glam::Vec3;
 use segwild_raster::{
-    ALPHA_MAX, ALPHA_MIN, Channels, CpuEngine, Engine, FrameGrad, ProjectOptions, RasterError,
+    ALPHA_MAX, ALPHA_MIN, Channels, CpuEngine, Engine, FrameGrad, ProjectOptions, Projected, RasterError,
+    SplatGrads,
 };
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
 
@@ -73,12 +74,8 @@ const SIZE: (u32, u32) = (100, 68);
 const SPLATS: usize = 1500;
 /// Splats whose footprints are compared, each alone.
 const ALONE: usize = 40;
-/// Pixels of a tile's side, and entries of a bucket, as in `shaders/shared/common.wgsl`.
-const TILE: usize = 16;
-const BUCKET: u32 = 64;
-
 /// Compares every kernel. Steps after one that is off may be off for its sake.
-pub fn check(engine: &GpuEngine) -> Result<Vec<Checked>, GpuError> {
+pub fn check(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
     let mut checked = Vec::new();
     let mut add = |kernels, off: Result<(), String>| checked.push(Checked { kernels, off: off.err() });
     let (splats, camera, pose) = scene();
@@ -90,17 +87,14 @@ pub fn check(engine: &GpuEngine) -> Result<Vec<Checked>, GpuError> {
     let (binned, seen) = bin(&mut work, &splats, &camera, &pose, &options)?;
     let lists = Lists::read(&mut work, &binned, splats.len(), &seen)?;
     drop(work);
-    let drawn = |error: RasterError| GpuError::Failed {
-        adapter: engine.adapter().name.clone(),
-        why: error.to_string(),
-    };
     let cpu = CpuEngine::new();
-    let right = cpu.project(&splats, &camera, &pose, &options).map_err(drawn)?;
-    let mut footprints = projected(&seen, right.depths(), right.radii(), right.centres());
+    let right = cpu.project(&splats, &camera, &pose, &options)?;
+    let found = engine.project(&splats, &camera, &pose, &options)?;
+    let mut footprints = projected(&*found, &*right);
     for i in (0..splats.len()).step_by(splats.len() / ALONE) {
         let alone = splats.select(&[i]);
-        let alone = cpu.project(&alone, &camera, &pose, &options).map_err(drawn)?;
-        let alpha = alone.blend(&Channels { count: 0, values: &[] }).map_err(drawn)?.alpha;
+        let alone = cpu.project(&alone, &camera, &pose, &options)?;
+        let alpha = alone.blend(&Channels { count: 0, values: &[] })?.alpha;
         footprints = footprints.and_then(|()| lists.shape(i, &alpha));
     }
     add(&["project"], footprints);
@@ -109,8 +103,7 @@ pub fn check(engine: &GpuEngine) -> Result<Vec<Checked>, GpuError> {
     let mut random = Random::new(5);
     let values: Vec<f32> = (0..3 * splats.len()).map(|_| random.uniform() - 0.5).collect();
     let channels = Channels { count: 3, values: &values };
-    let found = engine.project(&splats, &camera, &pose, &options).map_err(drawn)?;
-    let (a, b) = (found.blend(&channels).map_err(drawn)?, right.blend(&channels).map_err(drawn)?);
+    let (a, b) = (found.blend(&channels)?, right.blend(&channels)?);
     let blended = Tolerance::BLENDED.compare("colours", &a.image.data, &b.image.data);
     add(&["blend"], blended.and_then(|()| Tolerance::BLENDED.compare("alpha", &a.alpha.data, &b.alpha.data)));
     let mut image = |channels| Image {
@@ -118,25 +111,13 @@ pub fn check(engine: &GpuEngine) -> Result<Vec<Checked>, GpuError> {
         ..Image::zeros(SIZE.0 as usize, SIZE.1 as usize, channels)
     };
     let (grad, alpha) = (image(3), image(1));
-    let sums = (found.gather(&grad).map_err(drawn)?, right.gather(&grad).map_err(drawn)?);
+    let sums = (found.gather(&grad)?, right.gather(&grad)?);
     // What `blend` leaves for the passes behind it, the light at each bucket, is seen here first.
     add(&["blend", "gather", "sum_slots"], Tolerance::GRADIENTS.compare("sums", &sums.0, &sums.1));
     let grad = FrameGrad { image: &grad, alpha: Some(&alpha) };
-    let g = found.backward(&channels, &a, &grad).map_err(drawn)?;
-    let w = right.backward(&channels, &b, &grad).map_err(drawn)?;
-    let pairs = [
-        ("centres", g.means.as_flattened(), w.means.as_flattened()),
-        ("log scales", g.log_scales.as_flattened(), w.log_scales.as_flattened()),
-        ("rotations", g.rotations.as_flattened(), w.rotations.as_flattened()),
-        ("opacities", &g.opacities, &w.opacities),
-        ("values", &g.values, &w.values),
-        ("screen", &g.screen, &w.screen),
-        ("absolute screen", &g.screen_abs, &w.screen_abs),
-    ];
-    let gradients = pairs.into_iter().try_for_each(|(what, got, wanted)| {
-        Tolerance::GRADIENTS.compare(&format!("gradients of {what}"), got, wanted)
-    });
-    add(&["front", "backward", "unproject"], gradients);
+    let g = found.backward(&channels, &a, &grad)?;
+    let w = right.backward(&channels, &b, &grad)?;
+    add(&["front", "backward", "unproject"], gradients(&g, &w));
     Ok(checked)
 }
 
@@ -187,20 +168,35 @@ fn equal(what: &str, got: &[u32], wanted: impl Iterator<Item = u32>) -> Result<(
     }
 }
 
-fn projected(seen: &[[f32; 4]], depths: &[f32], radii: &[f32], centres: &[[f32; 2]]) -> Result<(), String> {
-    let both: Vec<usize> = (0..seen.len()).filter(|&i| seen[i][1] > 0.0 && radii[i] > 0.0).collect();
-    let one = (0..seen.len()).filter(|&i| (seen[i][1] > 0.0) != (radii[i] > 0.0)).count();
-    if one * 100 > seen.len() {
-        return Err(format!("{one} of {} splats are culled by one engine only", seen.len()));
+/// Compares projections: which splats are seen, and of those seen by both how far, how large and where.
+pub fn projected(got: &dyn Projected, wanted: &dyn Projected) -> Result<(), String> {
+    let (a, b) = (got.radii(), wanted.radii());
+    let other: Vec<usize> = (0..b.len()).filter(|&i| (a[i] > 0.0) != (b[i] > 0.0)).collect();
+    if other.len() * 100 > b.len() {
+        return Err(format!("culled by one engine only: {other:?}"));
     }
-    let compare = |what, got: &dyn Fn(usize) -> f32, wanted: &dyn Fn(usize) -> f32| {
-        let of = |f: &dyn Fn(usize) -> f32| both.iter().map(|&i| f(i)).collect::<Vec<_>>();
-        Tolerance::PROJECTED.compare(what, &of(got), &of(wanted))
-    };
-    compare("depths", &|i| seen[i][0], &|i| depths[i])?;
-    compare("radii", &|i| seen[i][1], &|i| radii[i])?;
-    compare("columns of centres", &|i| seen[i][2], &|i| centres[i][0])?;
-    compare("rows of centres", &|i| seen[i][3], &|i| centres[i][1])
+    let seen: Vec<usize> = (0..b.len()).filter(|&i| a[i] > 0.0 && b[i] > 0.0).collect();
+    let of = |values: &[f32]| seen.iter().map(|&i| values[i]).collect::<Vec<_>>();
+    Tolerance::PROJECTED.compare("radii", &of(a), &of(b))?;
+    Tolerance::PROJECTED.compare("depths", &of(got.depths()), &of(wanted.depths()))?;
+    // Those of splats behind the camera mean nothing, and are not seen.
+    let centres = |c: &[[f32; 2]]| seen.iter().flat_map(|&i| c[i]).collect::<Vec<_>>();
+    Tolerance::PROJECTED.compare("centres", &centres(got.centres()), &centres(wanted.centres()))
+}
+
+/// Compares gradients, each array by its name.
+pub fn gradients(got: &SplatGrads, wanted: &SplatGrads) -> Result<(), String> {
+    type Array = fn(&SplatGrads) -> &[f32];
+    let arrays: [(&str, Array); 7] = [
+        ("means", |g| g.means.as_flattened()),
+        ("log scales", |g| g.log_scales.as_flattened()),
+        ("rotations", |g| g.rotations.as_flattened()),
+        ("opacities", |g| &g.opacities),
+        ("values", |g| &g.values),
+        ("screen", |g| &g.screen),
+        ("screen_abs", |g| &g.screen_abs),
+    ];
+    arrays.into_iter().try_for_each(|(what, of)| Tolerance::GRADIENTS.compare(what, of(got), of(wanted)))
 }
 
 /// What a view keeps on the device, read back.
@@ -255,7 +251,8 @@ impl Lists {
     /// Whether each tile has the splats that reach it, each once, nearest first.
     fn tiles_are_right(&self) -> Result<(), String> {
         let (width, height) = (SIZE.0 as usize, SIZE.1 as usize);
-        let columns = width.div_ceil(TILE);
+        let side = TILE as usize;
+        let columns = width.div_ceil(side);
         for (tile, &[from, to, ..]) in self.tiles.iter().enumerate() {
             let Some(entries) = self.entries.get(from as usize..to as usize) else {
                 return Err(format!("tile {tile} has entries {from} to {to} of {}", self.entries.len()));
@@ -267,11 +264,11 @@ impl Lists {
             if let Some(pair) = splats.windows(2).find(|w| self.depths[w[0]] > self.depths[w[1]]) {
                 return Err(format!("tile {tile} has splat {} before the nearer {}", pair[0], pair[1]));
             }
-            let (left, top) = (tile % columns * TILE, tile / columns * TILE);
+            let (left, top) = (tile % columns * side, tile / columns * side);
             for splat in 0..self.depths.len() {
                 let listed = splats.iter().filter(|&&i| i == splat).count();
-                let mut pixels = (top..height.min(top + TILE))
-                    .flat_map(|y| (left..width.min(left + TILE)).map(move |x| (x, y)));
+                let mut pixels = (top..height.min(top + side))
+                    .flat_map(|y| (left..width.min(left + side)).map(move |x| (x, y)));
                 let reaches = pixels.any(|(x, y)| self.alpha(splat, x, y) > 1.01 * ALPHA_MIN);
                 if listed > 1 || (reaches && listed == 0) {
                     return Err(format!("tile {tile} has splat {splat} {listed} times where once is right"));
@@ -288,8 +285,12 @@ impl Lists {
             if from < to && first as usize != wanted.len() {
                 return Err(format!("tile {tile} has bucket {first} first where {} is right", wanted.len()));
             }
-            let entries = (from..to).step_by(BUCKET as usize);
-            wanted.extend(entries.map(|entry| [tile as u32, entry, BUCKET.min(to - entry), 0]));
+            // A device that is wrong may say anything.
+            if to as usize > self.entries.len() {
+                return Err(format!("tile {tile} ends at entry {to} of {}", self.entries.len()));
+            }
+            let entries = (from..to).step_by(BUCKET);
+            wanted.extend(entries.map(|entry| [tile as u32, entry, (BUCKET as u32).min(to - entry), 0]));
         }
         wanted.resize(self.buckets.len().max(wanted.len()), [0; 4]);
         match self.buckets.iter().zip(&wanted).position(|(found, wanted)| found != wanted) {

@@ -13,9 +13,9 @@ use segwild_raster::{Engine, ProjectOptions, Projected, RasterError, check, jaco
 use segwild_scene::{Camera, Pose, Splats};
 
 /// Width and height of a tile; as in `shaders/shared/common.wgsl`.
-const TILE: u32 = 16;
+pub(crate) const TILE: u32 = 16;
 /// Entries of a bucket.
-const BUCKET: usize = 64;
+pub(crate) const BUCKET: usize = 64;
 /// Threads of a group that does one item per thread.
 const GROUP: usize = 256;
 /// Numbers that a group of the scan and of the sort holds.

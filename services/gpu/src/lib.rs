@@ -20,7 +20,7 @@ mod shaders;
 mod view;
 
 pub use adapter::{Adapter, Choice, adapters};
-pub use check::{Checked, Tolerance, check};
+pub use check::{Checked, Tolerance, check, gradients, projected};
 pub use engine::GpuEngine;
 pub use shaders::{KERNELS, Kernel, source};
 

@@ -8,8 +8,8 @@
 mod common;
 
 use common::{engine, image, many, splats, view};
-use segwild_gpu::{Choice, GpuEngine, Tolerance, check};
-use segwild_raster::{Channels, CpuEngine, Engine, Frame, FrameGrad, ProjectOptions, Projected, SplatGrads};
+use segwild_gpu::{Choice, GpuEngine, Tolerance, check, gradients, projected};
+use segwild_raster::{Channels, CpuEngine, Engine, Frame, FrameGrad, ProjectOptions, Projected};
 use segwild_scene::{Camera, Pose, Random, Splats};
 
 const BLENDED: Tolerance = Tolerance::BLENDED;
@@ -47,22 +47,7 @@ impl<'a> Both<'a> {
     }
 
     fn project(&self) {
-        let name = &self.name;
-        let (a, b) = (self.gpu.radii(), self.cpu.radii());
-        let other = (0..self.count).filter(|&i| (a[i] > 0.0) != (b[i] > 0.0)).collect::<Vec<_>>();
-        assert!(other.len() * 100 <= self.count, "{name}: culled by one engine only: {other:?}");
-        let seen: Vec<usize> = (0..self.count).filter(|&i| a[i] > 0.0 && b[i] > 0.0).collect();
-        let exact = Tolerance::PROJECTED;
-        let of = |values: &[f32]| seen.iter().map(|&i| values[i]).collect::<Vec<_>>();
-        compare(&format!("{name}: radii"), &of(a), &of(b), &exact);
-        compare(&format!("{name}: depths"), &of(self.gpu.depths()), &of(self.cpu.depths()), &exact);
-        let centres = |c: &[[f32; 2]]| seen.iter().flat_map(|&i| c[i]).collect::<Vec<_>>();
-        compare(
-            &format!("{name}: centres"),
-            &centres(self.gpu.centres()),
-            &centres(self.cpu.centres()),
-            &exact,
-        );
+        projected(&*self.gpu, &*self.cpu).unwrap_or_else(|off| panic!("{}: {off}", self.name));
     }
 
     fn blend(&self, channels: &Channels) -> (Frame, Frame) {
@@ -86,10 +71,8 @@ impl<'a> Both<'a> {
         let grad = FrameGrad { image: &grad, alpha: with_alpha.then_some(&alpha) };
         let a = self.gpu.backward(channels, &frames.0, &grad).unwrap();
         let b = self.cpu.backward(channels, &frames.1, &grad).unwrap();
-        for ((what, got), (_, wanted)) in arrays(&a).into_iter().zip(arrays(&b)) {
-            let what = format!("{}: backward of {} channels, {what}", self.name, channels.count);
-            compare(&what, got, wanted, &GRADIENTS);
-        }
+        let what = format!("{}: backward of {} channels", self.name, channels.count);
+        gradients(&a, &b).unwrap_or_else(|off| panic!("{what}, {off}"));
     }
 
     /// All kernels for one number of channels.
@@ -101,18 +84,6 @@ impl<'a> Both<'a> {
         self.gather(channels.count);
         self.backward(&channels, &frames, true);
     }
-}
-
-fn arrays(g: &SplatGrads) -> [(&'static str, &[f32]); 7] {
-    [
-        ("means", g.means.as_flattened()),
-        ("log scales", g.log_scales.as_flattened()),
-        ("rotations", g.rotations.as_flattened()),
-        ("opacities", &g.opacities),
-        ("values", &g.values),
-        ("screen", &g.screen),
-        ("screen_abs", &g.screen_abs),
-    ]
 }
 
 #[test]

@@ -80,6 +80,11 @@ pub fn choose_engine(
     }
 }
 
+/// What to do with the loss of an engine where no run listens.
+pub(crate) fn log_loss(lost: String) {
+    tracing::warn!("{lost}");
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -37,6 +37,7 @@ mod visibility;
 
 pub use accelerator::accelerator;
 pub use artefacts::Keys;
+pub(crate) use engine::log_loss;
 pub use engine::{Chosen, EngineKind, WhenLost, choose_engine};
 pub use error::RunError;
 pub use evaluate::{HeldOut, MaskScore, Score, score};

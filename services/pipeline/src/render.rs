@@ -2,7 +2,7 @@
 
 use crate::folder::Loaded;
 use crate::light::{LookRequest, find};
-use crate::{RunError, RunFolder, Selected, choose_engine};
+use crate::{RunError, RunFolder, Selected, choose_engine, log_loss};
 use glam::{Mat3, Quat, Vec3};
 use segwild_features::FeatureColours;
 use segwild_raster::{Channels, Engine};
@@ -73,7 +73,7 @@ pub struct Drawn {
 /// Draws what is asked for.
 pub fn render(folder: &RunFolder, request: &RenderRequest) -> Result<Vec<Drawn>, RunError> {
     let loaded = folder.load()?;
-    let engine = choose_engine(&loaded.settings.run, |lost| tracing::warn!("{lost}"))?.engine;
+    let engine = choose_engine(&loaded.settings.run, log_loss)?.engine;
     let chosen: Vec<usize> = match request.photos.is_empty() {
         true => (0..loaded.scene.views.len()).collect(),
         false => request.photos.iter().map(|n| find(&loaded.scene, n)).collect::<Result<_, _>>()?,

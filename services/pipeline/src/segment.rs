@@ -5,7 +5,7 @@ use crate::folder::Loaded;
 use crate::light::{self, find};
 use crate::prompts::{check_all, png_names};
 use crate::strangers::picture_of;
-use crate::{PhotoPrompts, Replay, RunError, RunFolder, choose_engine, report, skies, traces};
+use crate::{PhotoPrompts, Replay, RunError, RunFolder, choose_engine, log_loss, report, skies, traces};
 use segwild_flow::{
     ActorOptions, FileError, Limits, Phase, Stopper, System, SystemOptions, codec, fault, files, mailbox,
 };
@@ -210,7 +210,7 @@ pub fn segment(
         None => None,
     };
 
-    let engine = choose_engine(&made_with.run, |lost| tracing::warn!("{lost}"))?.engine;
+    let engine = choose_engine(&made_with.run, log_loss)?.engine;
     let scene = Arc::new(scene);
     let photos = {
         let scene = scene.clone();

@@ -4,7 +4,7 @@ use super::{path, print_json, print_line};
 use crate::exit;
 use crate::failure::Failure;
 use clap::ArgMatches;
-use segwild_gpu::{Adapter, Choice, GpuEngine, GpuError, check};
+use segwild_gpu::{Adapter, Choice, GpuEngine, check};
 use segwild_pipeline::{RunSettings, Settings, choose_engine};
 use segwild_vision::{ModelFile, Providers, Runtime, VisionSettings, models_in};
 
@@ -76,11 +76,10 @@ fn kernels(adapter: &str, json: bool) -> Result<(), Failure> {
     let best = || segwild_gpu::adapters().into_iter().next().map(|adapter| adapter.name);
     let named = if adapter.is_empty() { best() } else { Some(adapter.to_owned()) };
     let choice = named.map_or(Choice::Hardware, Choice::Named);
-    let failed = |e: GpuError| Failure { message: e.to_string(), code: exit::FAILED };
     let engine =
         GpuEngine::new(&choice).map_err(|e| Failure { message: e.to_string(), code: exit::INPUT })?;
     let name = &engine.adapter().name;
-    let checked = check(&engine).map_err(failed)?;
+    let checked = check(&engine).map_err(|e| Failure { message: e.to_string(), code: exit::FAILED })?;
     for step in &checked {
         let names = step.kernels.join(", ");
         match json {

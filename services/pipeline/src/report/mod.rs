@@ -8,7 +8,7 @@ use crate::folder::Loaded;
 use crate::history::{self, Moment};
 use crate::render::{Mode, Painter, What};
 use crate::strangers::picture_of;
-use crate::{BudgetChoice, LookChoice, RunError, RunFolder, Selected, choose_engine};
+use crate::{BudgetChoice, LookChoice, RunError, RunFolder, Selected, choose_engine, log_loss};
 use html::Series;
 use segwild_flow::codec::Decode;
 use segwild_flow::ledger::State;
@@ -22,7 +22,7 @@ use std::fmt::Write as _;
 /// photos that are not shown whole, and why.
 pub fn write_report(folder: &RunFolder) -> Result<Vec<Skipped>, RunError> {
     let loaded = folder.load()?;
-    let engine = choose_engine(&loaded.settings.run, |lost| tracing::warn!("{lost}"))?.engine;
+    let engine = choose_engine(&loaded.settings.run, log_loss)?.engine;
     let mut body = String::new();
     body.push_str(&summary(folder, &loaded)?);
     match looks(&loaded, &*engine) {

@@ -121,8 +121,13 @@ impl<'a> Trials<'a> {
             let left = |i: usize| i % w < w / 2;
             let shown = draw_unseen(&model, &*self.engine, view, &held.photo, 0, Some(&left))?.shown;
             let residual = held.posed.doubted(&mean_difference(&shown, &photo.image()), photo);
-            let against = robust::contradicted(&residual, w, |i| photo.counts(i), share.unwrap_or(0.0));
-            held.strange.iter_mut().zip(against).for_each(|(s, a)| *s &= a && share.is_some());
+            match share {
+                Some(share) => {
+                    let against = robust::contradicted(&residual, w, |i| photo.counts(i), share);
+                    held.strange.iter_mut().zip(against).for_each(|(strange, against)| *strange &= against);
+                }
+                None => held.strange.fill(false),
+            }
             held.renders.push(shown);
         }
         for (k, fit) in self.fits.iter_mut().enumerate() {
