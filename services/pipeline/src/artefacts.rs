@@ -57,8 +57,10 @@ fn without_effect(settings: &Settings) -> Vec<&'static str> {
     let (train, features) = (&settings.train, &settings.features);
     // Where the snapshot is taken is in the snapshot's own name.
     let mut names = vec!["photo_cache_mib", "feature_memory", "snapshot_at"];
+    let no_codes = !matches!(train.look, LookKind::Embed | LookKind::Gsw);
     let idle = [
-        ("lr_code", !matches!(train.look, LookKind::Embed | LookKind::Gsw)),
+        ("lr_code", no_codes),
+        ("codes_from", no_codes),
         ("lr_net", train.look != LookKind::Gsw),
         ("gsw_width", train.look != LookKind::Gsw),
         ("decoder_lr", features.compression != Compression::Learned),

@@ -12,6 +12,7 @@ const LATE_DECAY: f32 = 0.2;
 pub(crate) struct Schedule {
     steps: u32,
     coarse: f32,
+    codes_from: f32,
     sh_degree: u32,
     /// Halvings of the photo at the end.
     finest: usize,
@@ -19,7 +20,8 @@ pub(crate) struct Schedule {
 
 impl Schedule {
     pub fn new(settings: &TrainSettings) -> Schedule {
-        Schedule { steps: settings.steps, coarse: settings.coarse, sh_degree: settings.sh_degree, finest: 0 }
+        let &TrainSettings { steps, coarse, codes_from, sh_degree, .. } = settings;
+        Schedule { steps, coarse, codes_from, sh_degree, finest: 0 }
     }
 
     /// The same on photos that are halved so many times at the least.
@@ -58,6 +60,11 @@ impl Schedule {
     /// Factor on every other learning rate: constant, then falling, so that the end settles.
     pub fn late_factor(&self, step: u32) -> f32 {
         LATE_DECAY.powf((2.0 * self.share(step) - 1.0).max(0.0))
+    }
+
+    /// Factor on the learning rate of the splats' codes: as for the others, once shapes have settled without them.
+    pub fn code_factor(&self, step: u32) -> f32 {
+        if self.share(step) < self.codes_from { 0.0 } else { self.late_factor(step) }
     }
 
     /// Whether transients are left out at a step: not before the scene explains anything, and not so late that they

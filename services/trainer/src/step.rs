@@ -142,7 +142,7 @@ impl Trainer {
             scale: s.lr_scale * late,
             rotation: s.lr_rotation * late,
             colour: s.lr_colour * late,
-            code: s.lr_code * late,
+            code: s.lr_code * self.schedule.code_factor(step),
         }
     }
 

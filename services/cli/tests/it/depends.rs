@@ -14,7 +14,7 @@ const NOTHING: &[&str] = &[];
 
 /// Every setting of the groups `train`, `masks` and `features`: another value, and the stages that depend on it where
 /// the others have their defaults.
-const TABLE: [(&str, &str, &[&str]); 51] = [
+const TABLE: [(&str, &str, &[&str]); 52] = [
     ("steps", "61", GEOMETRY),
     // The run says how many steps: nothing is left to the scene.
     ("effort", "2", &[]),
@@ -34,6 +34,7 @@ const TABLE: [(&str, &str, &[&str]); 51] = [
     ("lr_look", "0.001", GEOMETRY),
     // Without the look `embed`, splats keep no code.
     ("lr_code", "0.02", NOTHING),
+    ("codes_from", "0.2", NOTHING),
     // Only the look `gsw` has networks.
     ("lr_net", "0.5", NOTHING),
     ("gsw_width", "paper", NOTHING),
@@ -76,7 +77,7 @@ const TABLE: [(&str, &str, &[&str]); 51] = [
 /// The same where there is a learned decoder, and light of its own on each splat, and no masks have a part in the field.
 fn otherwise(name: &str, stages: &'static [&'static str]) -> &'static [&'static str] {
     match name {
-        "lr_code" => GEOMETRY,
+        "lr_code" | "codes_from" => GEOMETRY,
         "snapshot_at" => &["masks", "geometry"],
         "weight_compact" => NOTHING,
         "decoder_lr" => FEATURES,

@@ -180,6 +180,23 @@ fn light_that_differs_from_place_to_place_is_learnt_by_embed_and_gsw_and_not_by_
 }
 
 #[test]
+fn codes_learn_nothing_before_their_share_of_the_steps() {
+    let scene = scene(6);
+    let photos =
+        photos(&scene, true, |i, image| image.data.iter_mut().for_each(|v| *v *= 0.7 + 0.05 * i as f32));
+    for look in [LookKind::Embed, LookKind::Gsw] {
+        let codes = |lr_code: f32, steps: u32| {
+            let s = TrainSettings { look, lr_code, codes_from: 0.25, ..settings(80) };
+            let mut trainer = Trainer::new(engine(), &scene, photos.clone(), s).unwrap();
+            (0..steps).for_each(|_| drop(trainer.step().unwrap()));
+            trainer.snapshot().codes
+        };
+        assert_eq!(codes(0.01, 20), codes(0.05, 20), "{look}: learnt too early");
+        assert_ne!(codes(0.01, 24), codes(0.05, 24), "{look}: never learnt");
+    }
+}
+
+#[test]
 fn looks_are_learnt_and_the_left_half_gives_the_right_halfs_look() {
     let scene = scene(8);
     // Day, dusk, night, each photo its own.
