@@ -6,11 +6,15 @@ use crate::device::{Device, Lent, Work};
 use crate::shaders::{
     BUCKET_COUNT, BUCKETS, EMIT, HISTOGRAM, Kernel, ORDER, PROJECT, RANGES, SCAN, SCAN_ADD, SCATTER,
 };
+use crate::training::GpuTraining;
 use crate::view::GpuView;
 use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
-use segwild_raster::{Engine, ProjectOptions, Projected, RasterError, check, jacobian_limits};
+use segwild_raster::{
+    Engine, Held, ProjectOptions, Projected, RasterError, Resident, check, jacobian_limits,
+};
 use segwild_scene::{Camera, Pose, Splats};
+use std::sync::Arc;
 
 /// Width and height of a tile; as in `shaders/shared/common.wgsl`.
 pub(crate) const TILE: u32 = 16;
@@ -26,7 +30,7 @@ const DIGIT: u32 = 4;
 /// The rasteriser for accelerators. Make one and keep it: kernels are compiled on first use, and its memory is used
 /// again from view to view.
 pub struct GpuEngine {
-    pub(crate) device: Device,
+    pub(crate) device: Arc<Device>,
 }
 
 impl GpuEngine {
@@ -41,7 +45,7 @@ impl GpuEngine {
         choice: &Choice,
         edit: impl Fn(&Kernel, String) -> String + Send + Sync + 'static,
     ) -> Result<GpuEngine, GpuError> {
-        let device = Device::open(choice, Box::new(edit))?;
+        let device = Arc::new(Device::open(choice, Box::new(edit))?);
         tracing::info!(adapter = device.adapter.name, backend = device.adapter.backend, "accelerator opened");
         Ok(GpuEngine { device })
     }
@@ -63,17 +67,56 @@ struct View {
     frame: [u32; 4],
 }
 
+/// The splats' shapes on the device.
+pub(crate) struct Cloud {
+    /// Centre, and the opacity's logit.
+    pub means: Lent,
+    /// Filled up with a 0.
+    pub log_scales: Lent,
+    pub rotations: Lent,
+    pub splats: usize,
+}
+
+impl Cloud {
+    pub fn upload(work: &mut Work, splats: &Splats) -> Result<Cloud, GpuError> {
+        let means: Vec<[f32; 4]> =
+            splats.means.par_iter().zip(&splats.opacities).map(|(&mean, &o)| with(mean, o)).collect();
+        let scales: Vec<[f32; 4]> = splats.log_scales.par_iter().map(|&scale| with(scale, 0.0)).collect();
+        Ok(Cloud {
+            means: work.upload("the splats' centres", &means)?,
+            log_scales: work.upload("the splats' scales", &scales)?,
+            rotations: work.upload("the splats' rotations", &splats.rotations)?,
+            splats: splats.len(),
+        })
+    }
+
+    /// Centres, opacities, log scales and rotations, into splats that have the rest.
+    pub fn read(&self, work: &mut Work, into: &mut Splats) -> Result<(), GpuError> {
+        let means: Vec<[f32; 4]> = work.read(&self.means, self.splats)?;
+        let scales: Vec<[f32; 4]> = work.read(&self.log_scales, self.splats)?;
+        into.means = means.iter().map(|&[x, y, z, _]| [x, y, z]).collect();
+        into.opacities = means.iter().map(|mean| mean[3]).collect();
+        into.log_scales = scales.iter().map(|&[x, y, z, _]| [x, y, z]).collect();
+        into.rotations = work.read(&self.rotations, self.splats)?;
+        Ok(())
+    }
+}
+
+fn with([x, y, z]: [f32; 3], w: f32) -> [f32; 4] {
+    [x, y, z, w]
+}
+
 /// What a view keeps on the device.
 pub(crate) struct Binned {
     pub view: Lent,
-    pub means: Lent,
-    pub log_scales: Lent,
-    pub rotations: Lent,
+    pub cloud: Arc<Cloud>,
     pub footprints: Lent,
     pub slots: Lent,
     pub entries: Lent,
     pub tiles: Lent,
     pub buckets: Lent,
+    pub splats: usize,
+    pub pixels: usize,
     pub tile_count: usize,
     /// Pairs of a splat and a tile.
     pub pairs: usize,
@@ -94,22 +137,37 @@ impl Engine for GpuEngine {
         options: &ProjectOptions,
     ) -> Result<Box<dyn Projected + 'a>, RasterError> {
         check(splats, camera)?;
-        let (binned, seen) = bin(&mut self.device.work(), splats, camera, pose, options)?;
+        let mut work = self.device.work();
+        let cloud = Arc::new(Cloud::upload(&mut work, splats)?);
+        let (binned, seen) = bin(&mut work, cloud, camera, pose, options)?;
+        let seen = work.read(&seen, splats.len())?;
+        drop(work);
         let eye = pose.centre();
         let size = [camera.width as usize, camera.height as usize];
         Ok(Box::new(GpuView::new(&self.device, splats, eye, size, binned, &seen)))
     }
+
+    fn settle(&self, held: &mut dyn FnMut() -> Held) -> Result<Option<Box<dyn Resident>>, RasterError> {
+        match GpuTraining::new(&self.device, &held()) {
+            Ok(training) => Ok(Some(Box::new(training))),
+            Err(error @ GpuError::TooLarge { .. }) => {
+                tracing::warn!("splats stay on the host while they are trained: {error}");
+                Ok(None)
+            }
+            Err(error) => Err(error.into()),
+        }
+    }
 }
 
-/// Projects, culls, sorts and bins; returns depths, radii and centres beside what stays on the device.
+/// Projects, culls, sorts and bins; depth, radius and centre of each splat beside what a view keeps.
 pub(crate) fn bin(
     work: &mut Work,
-    splats: &Splats,
+    cloud: Arc<Cloud>,
     camera: &Camera,
     pose: &Pose,
     options: &ProjectOptions,
-) -> Result<(Binned, Vec<[f32; 4]>), GpuError> {
-    let n = splats.len();
+) -> Result<(Binned, Lent), GpuError> {
+    let n = cloud.splats;
     let (columns, rows) = (camera.width.div_ceil(TILE), camera.height.div_ceil(TILE));
     let tile_count = (columns * rows) as usize;
     let turn = pose.rotation.to_cols_array_2d();
@@ -122,15 +180,8 @@ pub(crate) fn bin(
         options: [options.low_pass, f32::from(u8::from(options.antialias)), options.near, 0.0],
         frame: [camera.width, camera.height, columns, rows],
     };
-    let with = |v: [f32; 3], w: f32| [v[0], v[1], v[2], w];
-    let means: Vec<[f32; 4]> =
-        splats.means.par_iter().zip(&splats.opacities).map(|(&mean, &o)| with(mean, o)).collect();
-    let scales: Vec<[f32; 4]> = splats.log_scales.par_iter().map(|&scale| with(scale, 0.0)).collect();
     let view = work.upload("the view", &[view])?;
-    let means = work.upload("the splats' centres", &means)?;
-    let log_scales = work.upload("the splats' scales", &scales)?;
-    let rotations = work.upload("the splats' rotations", &splats.rotations)?;
-
+    let Cloud { means, log_scales, rotations, .. } = &*cloud;
     let footprints = work.take::<[f32; 8]>("the splats' footprints", n)?;
     let seen = work.take::<[f32; 4]>("depths and centres", n)?;
     let counts = work.take::<u32>("counts of tiles", n)?;
@@ -140,7 +191,7 @@ pub(crate) fn bin(
         &PROJECT,
         1,
         [n as u32, 0, 0, 0],
-        &[&view, &means, &log_scales, &rotations, &footprints, &seen, &counts, &keys, &order],
+        &[&view, means, log_scales, rotations, &footprints, &seen, &counts, &keys, &order],
         n.div_ceil(GROUP),
     );
     let (_, order) = sort(work, keys, order, n, u32::BITS)?;
@@ -148,7 +199,6 @@ pub(crate) fn bin(
     work.run(&ORDER, 1, [n as u32, 0, 0, 0], &[&order, &counts, &starts], (n + 1).div_ceil(GROUP));
     drop(counts);
     scan(work, &starts, n + 1)?;
-    let seen: Vec<[f32; 4]> = work.read(&seen, n)?;
     let pairs = work.read_at::<u32>(&starts, n, 1)?[0] as usize;
 
     let slots = work.take::<[u32; 2]>("the splats' slots", n)?;
@@ -190,14 +240,14 @@ pub(crate) fn bin(
     drop(first);
     let binned = Binned {
         view,
-        means,
-        log_scales,
-        rotations,
+        cloud,
         footprints,
         slots,
         entries,
         tiles,
         buckets,
+        splats: n,
+        pixels: camera.width as usize * camera.height as usize,
         tile_count,
         pairs,
         bucket_bound,

@@ -3,8 +3,8 @@
 //!
 //! Each kernel bears the name of its twin in the CPU engine (`services/raster/src/cpu/`) and is tested against it.
 //! What one view needs stays on the device from `project` to `backward`; channels go up, and images and gradients
-//! come back, at the trait's boundary. Colours from spherical harmonics are computed on the host, by the CPU
-//! engine's own code: they are cheap, and the trait wants them there.
+//! come back, at the trait's boundary. Splats in training stay there too, with their optimiser (`training.rs`): then an
+//! image and its gradient are all that crosses.
 
 #[cfg(test)]
 extern crate self as segwild_gpu;
@@ -16,11 +16,13 @@ mod check;
 mod common;
 mod device;
 mod engine;
+mod passes;
 mod shaders;
+mod training;
 mod view;
 
 pub use adapter::{Adapter, Choice, adapters};
-pub use check::{Checked, Tolerance, check, gradients, projected};
+pub use check::{Checked, Tolerance, check, gradients, held, projected, training as check_training};
 pub use engine::GpuEngine;
 pub use shaders::{KERNELS, Kernel, source};
 

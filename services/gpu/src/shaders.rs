@@ -47,6 +47,10 @@ kernels! {
     FRONT = "front"."front", [0, 1, 2];
     BACKWARD = "backward"."backward", [0, 1, 2];
     UNPROJECT = "unproject"."unproject", [1];
+    SHADE = "shade"."shade", [1];
+    SHADE_BACKWARD = "shade_backward"."shade_backward", [1];
+    OBSERVE = "observe"."observe", [1];
+    ADAM = "adam"."adam", [1];
 }
 
 /// What `#import name` stands for.
@@ -56,6 +60,7 @@ const SHARED: &[(&str, &str)] = &[
     ("footprint", include_str!("../../../shaders/shared/footprint.wgsl")),
     ("cover", include_str!("../../../shaders/shared/cover.wgsl")),
     ("path", include_str!("../../../shaders/shared/path.wgsl")),
+    ("harmonics", include_str!("../../../shaders/shared/harmonics.wgsl")),
     ("lean", include_str!("../../../shaders/shared/lean.wgsl")),
 ];
 

@@ -1,21 +1,15 @@
-//! Splats as one view sees them: blending, gathering and gradients.
-//!
-//! Channels travel in blocks of whole vec4: `[splat][block]` and `[pixel][block]`, filled up with zeros.
+//! Splats as one view sees them, for a host that keeps them: channels go up, images and gradients come back.
 
 use crate::GpuError;
 use crate::device::{Device, Lent, Work, lock};
 use crate::engine::Binned;
-use crate::shaders::{BACKWARD, BLEND, FRONT, GATHER, SUM_SLOTS, UNPROJECT};
+use crate::passes::Grads;
 use glam::Vec3;
 use rayon::prelude::*;
 use segwild_raster::{Channels, Frame, FrameGrad, Projected, RasterError, SplatGrads, shade, shade_backward};
 use segwild_scene::{Image, Splats};
 use std::sync::Mutex;
 
-/// Pixels of a tile.
-const PIXELS: usize = 256;
-/// Most vec4 that `front` and `backward` hold near; more are read from memory as they come.
-const NEAR: usize = 2;
 /// Items that one task packs.
 const CHUNK: usize = 1 << 14;
 
@@ -33,9 +27,6 @@ pub(crate) struct GpuView<'a> {
     /// Light per pixel at the start of each bucket, once something was blended.
     lights: Mutex<Option<Lent>>,
 }
-
-/// What the kernels leave per splat, `unproject.wgsl`'s four vec4.
-type Grads = [[f32; 4]; 4];
 
 impl<'a> GpuView<'a> {
     pub fn new(
@@ -70,45 +61,19 @@ impl<'a> GpuView<'a> {
         assert_eq!(image.data.len(), self.pixels() * channels, "{what}: numbers");
     }
 
-    /// One run of `blend`; `values` are the channels' or, where only the light is wanted, anything.
-    fn blend_block(
-        &self,
-        work: &mut Work,
-        blocks: usize,
-        values: &Lent,
-        first: bool,
-        alpha: &Lent,
-        lights: &Lent,
-    ) -> Result<Lent, GpuError> {
-        let image = work.take::<[f32; 4]>("the image", self.pixels() * blocks)?;
-        let on = &self.on;
-        work.run(
-            &BLEND,
-            blocks as u32,
-            [u32::from(first), 0, 0, 0],
-            &[&on.view, &on.footprints, &on.entries, &on.tiles, values, &image, alpha, lights],
-            on.tile_count,
-        );
-        Ok(image)
-    }
-
-    fn take_lights(&self, work: &mut Work) -> Result<Lent, GpuError> {
-        work.take::<f32>("the light at the buckets", self.on.bucket_bound * PIXELS)
-    }
-
     fn try_blend(&self, channels: &Channels) -> Result<Frame, GpuError> {
         let Channels { count, values } = *channels;
         let (n, pixels) = (self.splats.len(), self.pixels());
         let mut image = Image::zeros(self.width, self.height, count);
         let mut work = self.device.work();
         let alpha = work.take::<f32>("alpha", pixels)?;
-        let lights = self.take_lights(&mut work)?;
+        let lights = self.on.lights(&mut work)?;
         let blocks = if count <= 4 { 1 } else { 4 };
         let mut first = 0;
         loop {
             let packed = pack_splats(values, n, count, first, blocks, false);
             let up = work.upload("the splats' channels", &packed)?;
-            let drawn = self.blend_block(&mut work, blocks, &up, first == 0, &alpha, &lights)?;
+            let drawn = self.on.blend(&mut work, blocks, &up, first == 0, &alpha, &lights)?;
             if count > 0 {
                 let drawn: Vec<f32> = work.read(&drawn, pixels * blocks * 4)?;
                 unpack_image(&drawn, blocks * 4, first, &mut image);
@@ -134,8 +99,8 @@ impl<'a> GpuView<'a> {
         if held.is_none() {
             let values = work.take::<[f32; 4]>("the splats' channels", self.splats.len())?;
             let alpha = work.take::<f32>("alpha", self.pixels())?;
-            let lights = self.take_lights(work)?;
-            self.blend_block(work, 1, &values, true, &alpha, &lights)?;
+            let lights = self.on.lights(work)?;
+            self.on.blend(work, 1, &values, true, &alpha, &lights)?;
             *held = Some(lights);
         }
         run(work, held.as_ref().expect("it was made above"))
@@ -151,19 +116,7 @@ impl<'a> GpuView<'a> {
         self.with_lights(work, |work, lights| {
             for first in (0..count).step_by(blocks * 4) {
                 let up = work.upload("the image", &pack_image(image, first, blocks, None))?;
-                let slots = work.take::<[f32; 4]>("the sums per splat and tile", on.pairs * blocks)?;
-                // Pairs that belong to no tile write nothing.
-                work.clear(&slots);
-                work.run(
-                    &GATHER,
-                    blocks as u32,
-                    [on.bucket_bound as u32, 0, 0, 0],
-                    &[&on.view, &on.footprints, &on.entries, &on.buckets, &up, lights, &slots],
-                    on.bucket_bound,
-                );
-                let sums = work.take::<[f32; 4]>("the sums per splat", n * blocks)?;
-                let job = [n as u32, blocks as u32, 0, 0];
-                work.run(&SUM_SLOTS, 1, job, &[&on.slots, &slots, &sums], (n * blocks).div_ceil(256));
+                let sums = on.gather(work, blocks, &up, lights)?;
                 let sums: Vec<f32> = work.read(&sums, n * blocks * 4)?;
                 let many = (count - first).min(blocks * 4);
                 out.par_chunks_mut(count).zip(sums.par_chunks(blocks * 4)).for_each(|(out, sums)| {
@@ -207,29 +160,10 @@ impl<'a> GpuView<'a> {
         let (n, on) = (self.splats.len(), &self.on);
         // Alpha is one more channel, of value 1.
         let blocks = (count + usize::from(grad.alpha.is_some())).max(1).div_ceil(4);
-        let built = if blocks <= NEAR { blocks as u32 } else { 0 };
         let packed = pack_splats(values, n, count, 0, blocks, grad.alpha.is_some());
         let values = work.upload("the splats' channels", &packed)?;
         let grads = work.upload("the image's gradients", &pack_image(grad.image, 0, blocks, grad.alpha))?;
-        let states = work.take::<[f32; 2]>("the state at the buckets", on.bucket_bound * PIXELS)?;
-        let totals = work.take::<f32>("the pixels' totals", on.tile_count * PIXELS)?;
-        let job = [blocks as u32, on.bucket_bound as u32, 0, 0];
-        work.run(
-            &FRONT,
-            built,
-            job,
-            &[&on.view, &on.footprints, &on.entries, &on.tiles, &values, &grads, &states, &totals],
-            on.tile_count,
-        );
-        let moments = work.take::<[f32; 8]>("the moments per splat and tile", on.pairs)?;
-        work.clear(&moments);
-        let reads =
-            [&on.view, &on.footprints, &on.entries, &on.buckets, &values, &grads, &states, &totals, &moments];
-        work.run(&BACKWARD, built, job, &reads, on.bucket_bound);
-        let out = work.take::<Grads>("the gradients", n)?;
-        let job = [n as u32, 0, 0, 0];
-        let reads = [&on.view, &on.means, &on.log_scales, &on.rotations, &on.slots, &moments, &out];
-        work.run(&UNPROJECT, 1, job, &reads, n.div_ceil(64));
+        let out = on.backward(work, blocks, &values, &grads)?;
         work.read(&out, n)
     }
 }
@@ -296,7 +230,7 @@ fn pack_splats(values: &[f32], n: usize, count: usize, first: usize, blocks: usi
 }
 
 /// Planes `first..first + 4 blocks` of an image, pixel by pixel; `alpha` is the plane after the last.
-fn pack_image(image: &Image, first: usize, blocks: usize, alpha: Option<&Image>) -> Vec<f32> {
+pub(crate) fn pack_image(image: &Image, first: usize, blocks: usize, alpha: Option<&Image>) -> Vec<f32> {
     let (pixels, wide) = (image.width * image.height, blocks * 4);
     let mut planes: Vec<&[f32]> =
         image.data.chunks_exact(pixels).skip(first).take((image.channels - first).min(wide)).collect();
@@ -313,7 +247,7 @@ fn pack_image(image: &Image, first: usize, blocks: usize, alpha: Option<&Image>)
 }
 
 /// Puts `wide` numbers per pixel into the planes from `first` on, as many as there are.
-fn unpack_image(packed: &[f32], wide: usize, first: usize, image: &mut Image) {
+pub(crate) fn unpack_image(packed: &[f32], wide: usize, first: usize, image: &mut Image) {
     let pixels = image.width * image.height;
     image.data.par_chunks_mut(pixels).skip(first).take(wide).enumerate().for_each(|(c, plane)| {
         for (x, &from) in plane.iter_mut().zip(packed[c..].iter().step_by(wide)) {

@@ -8,7 +8,7 @@
 mod common;
 
 use common::{engine, image, many, splats, view};
-use segwild_gpu::{Choice, GpuEngine, Tolerance, check, gradients, projected};
+use segwild_gpu::{Choice, GpuEngine, Kernel, Tolerance, check, check_training, gradients, held, projected};
 use segwild_raster::{Channels, CpuEngine, Engine, Frame, FrameGrad, ProjectOptions, Projected};
 use segwild_scene::{Camera, Pose, Random, Splats};
 
@@ -264,6 +264,97 @@ const FAULTS: &[(&str, &str, &str, &str)] = &[
     ("unproject", "dot(dq, p.quat)", "0.9 * dot(dq, p.quat)", "rotations"),
 ];
 
+/// The same of the kernels of training, which only [`check`] sees.
+const TRAINING_FAULTS: &[(&str, &str, &str)] = &[
+    ("shade", "colour += b[k]", "colour += 0.9 * b[k]"),
+    ("observe", "before.z + 1.0", "before.z"),
+    ("observe", "view.frame.x + u32(splat.z)", "view.frame.x + u32(splat.w)"),
+    ("adam", "sqrt(held)", "held"),
+    ("adam", "lane >= rules.item.w", "lane > rules.item.w"),
+    ("adam", "rule.beta2 * second[k]", "rule.beta1 * second[k]"),
+    ("shade_backward", "= b[k] * g.y", "= b[k] * g.x"),
+    ("shade_backward", "direction.xyz * dot(d", "0.5 * direction.xyz * dot(d"),
+];
+
+/// The adapter with a piece of a kernel's text replaced.
+fn broken(choice: &Choice, kernel: &'static str, text: &'static str, fault: &'static str) -> GpuEngine {
+    let edit = move |built: &Kernel, whole: String| {
+        if built.name != kernel {
+            return whole;
+        }
+        assert!(whole.contains(text), "{kernel}.wgsl no longer holds `{text}`");
+        whole.replace(text, fault)
+    };
+    GpuEngine::with_edit(choice, edit).expect("the adapter opens again")
+}
+
+/// Asserts that [`check`] lays the fault to the kernel that has it.
+fn is_laid_to(broken: &GpuEngine, kernel: &str, fault: &str) {
+    let checked = check(broken).expect("every kernel runs");
+    let first = checked.iter().find(|step| step.off.is_some());
+    let first = first.unwrap_or_else(|| panic!("{kernel}: `{fault}` was not found"));
+    assert!(first.kernels.contains(&kernel), "{kernel}: `{fault}` was taken for {first:?}");
+}
+
+#[test]
+fn a_fault_in_any_kernel_of_training_is_seen() {
+    let Some(gpu) = engine("a_fault_in_any_kernel_of_training_is_seen") else { return };
+    let choice = Choice::Named(gpu.adapter().name.clone());
+    for &(kernel, text, fault) in TRAINING_FAULTS {
+        is_laid_to(&broken(&choice, kernel, text, fault), kernel, fault);
+    }
+}
+
+#[test]
+fn steps_of_training_agree_for_every_degree_of_colour() {
+    let Some(gpu) = engine("steps_of_training_agree_for_every_degree_of_colour") else { return };
+    let (camera, pose) = view(70, 45);
+    for (count, degree) in [(0, 1), (1, 2), (300, 0), (300, 1), (300, 2), (300, 3)] {
+        let mut scene = splats(31, count, (0.02, 0.2));
+        scene.sh_degree = degree;
+        let random = &mut segwild_scene::Random::new(5);
+        scene.sh = (0..count * scene.sh_stride()).map(|_| 2.0 * random.uniform() - 1.0).collect();
+        // Some out of sight.
+        scene.means.iter_mut().step_by(7).for_each(|mean| mean[0] += 9.0);
+        let options = ProjectOptions { antialias: degree % 2 == 0, ..ProjectOptions::default() };
+        for step in check_training(gpu, &held(scene), &camera, &pose, &options).expect("it trains") {
+            assert!(step.off.is_none(), "{count} splats of degree {degree}: {step:?}");
+        }
+    }
+}
+
+#[test]
+fn gradients_that_are_no_numbers_leave_splats_that_are() {
+    let Some(gpu) = engine("gradients_that_are_no_numbers_leave_splats_that_are") else { return };
+    let (camera, pose) = view(40, 30);
+    let held = held(splats(32, 60, (0.05, 0.3)));
+    let mut away = gpu.settle(&mut || held.clone()).expect("it settles").expect("it fits");
+    let mut bad = image(3, 40, 30, 3);
+    for (k, number) in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX].into_iter().enumerate() {
+        bad.data[300 * k + 77] = number;
+    }
+    let error = image(4, 40, 30, 1);
+    let rule = segwild_raster::Rule { beta1: 0.9, beta2: 0.999, rate: 0.1, epsilon: 0.0 };
+    let [means, log_scales, rotations, opacities, base, higher] = [rule; 6];
+    let rules = segwild_raster::Rules { means, log_scales, rotations, opacities, base, higher };
+    for _ in 0..3 {
+        away.draw(&camera, &pose, &ProjectOptions::default()).expect("it draws");
+        away.learn(&FrameGrad { image: &bad, alpha: None }, &error, &rules).expect("it learns");
+    }
+    let after = away.fetch().expect("it comes back");
+    for splats in [&after.splats, &after.first, &after.second] {
+        let numbers = [
+            splats.means.as_flattened(),
+            splats.log_scales.as_flattened(),
+            splats.rotations.as_flattened(),
+            &splats.opacities,
+            &splats.sh,
+        ];
+        assert!(numbers.iter().all(|of| of.iter().all(|v| v.is_finite())), "{splats:?}");
+    }
+    assert!(after.splats != held.splats, "nothing was learnt");
+}
+
 #[test]
 fn a_fault_in_any_kernel_is_seen() {
     let Some(gpu) = engine("a_fault_in_any_kernel_is_seen") else { return };
@@ -277,23 +368,13 @@ fn a_fault_in_any_kernel_is_seen() {
         assert!(step.off.is_none(), "without a fault: {step:?}");
     }
     for &(kernel, text, fault, seen_by) in FAULTS {
-        let broken = GpuEngine::with_edit(&choice, move |built, whole| {
-            if built.name != kernel {
-                return whole;
-            }
-            assert!(whole.contains(text), "{kernel}.wgsl no longer holds `{text}`");
-            whole.replace(text, fault)
-        });
-        let broken = broken.expect("the adapter opens again");
+        let broken = broken(&choice, kernel, text, fault);
         let words = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
             Both::new(kernel, &cpu, &broken, &scene, &view, &options).all(3);
         }))
         .expect_err(&format!("{kernel}: `{fault}` was not seen"));
         let words = words.downcast_ref::<String>().cloned().unwrap_or_default();
         assert!(words.contains(seen_by), "{kernel}: `{fault}` was to be seen in {seen_by}, and was: {words}");
-        let checked = check(&broken).expect("every kernel runs");
-        let first = checked.iter().find(|step| step.off.is_some());
-        let first = first.unwrap_or_else(|| panic!("{kernel}: `{fault}` was not found"));
-        assert!(first.kernels.contains(&kernel), "{kernel}: `{fault}` was taken for {first:?}");
+        is_laid_to(&broken, kernel, fault);
     }
 }

@@ -50,7 +50,16 @@ impl Adam {
     /// # Panics
     /// If `parameters` or `grads` has another length than this group.
     pub fn step(&mut self, parameters: &mut [f32], grads: &[f32], rate: f32) {
-        self.update(parameters, grads, rate, None);
+        let rule = self.advance(rate);
+        self.update(parameters, grads, rule, None);
+    }
+
+    /// One step for all parameters, by a rule from elsewhere.
+    ///
+    /// # Panics
+    /// If `parameters` or `grads` has another length than this group.
+    pub fn step_by(&mut self, parameters: &mut [f32], grads: &[f32], rule: Rule) {
+        self.update(parameters, grads, rule, None);
     }
 
     /// One step for the items with `radii` above 0 ([`crate::Projected::radii`]); the others keep their values
@@ -59,24 +68,43 @@ impl Adam {
     /// # Panics
     /// If the lengths do not belong together.
     pub fn step_visible(&mut self, parameters: &mut [f32], grads: &[f32], rate: f32, radii: &[f32]) {
-        self.update(parameters, grads, rate, Some(radii));
+        let rule = self.advance(rate);
+        self.update(parameters, grads, rule, Some(radii));
     }
 
-    fn update(&mut self, parameters: &mut [f32], grads: &[f32], rate: f32, radii: Option<&[f32]>) {
+    /// Begins a step that is done elsewhere: by this rule.
+    pub fn advance(&mut self, rate: f32) -> Rule {
+        self.steps += 1;
+        let power = |beta: f32| 1.0 - f64::from(beta).powi(self.steps.min(1 << 20) as i32);
+        let root = power(self.beta2).sqrt();
+        Rule {
+            beta1: self.beta1,
+            beta2: self.beta2,
+            rate: (f64::from(rate) * root / power(self.beta1)) as f32,
+            epsilon: (f64::from(self.epsilon) * root) as f32,
+        }
+    }
+
+    /// First and second moments, one of each per parameter.
+    pub fn moments(&self) -> [&[f32]; 2] {
+        [&self.first, &self.second]
+    }
+
+    /// Puts moments in the place of these.
+    ///
+    /// # Panics
+    /// If there are not as many.
+    pub fn set_moments(&mut self, first: Vec<f32>, second: Vec<f32>) {
+        assert_eq!([first.len(), second.len()], [self.len(); 2], "moments: length");
+        (self.first, self.second) = (first, second);
+    }
+
+    fn update(&mut self, parameters: &mut [f32], grads: &[f32], rule: Rule, radii: Option<&[f32]>) {
         assert_eq!(parameters.len(), self.first.len(), "parameters: length");
         assert_eq!(grads.len(), self.first.len(), "gradients: length");
         if let Some(radii) = radii {
             assert_eq!(radii.len() * self.item, self.first.len(), "radii: length");
         }
-        self.steps += 1;
-        let power = |beta: f32| 1.0 - f64::from(beta).powi(self.steps.min(1 << 20) as i32);
-        let root = power(self.beta2).sqrt();
-        let rule = Rule {
-            beta1: self.beta1,
-            beta2: self.beta2,
-            rate: (f64::from(rate) * root / power(self.beta1)) as f32,
-            epsilon: (f64::from(self.epsilon) * root) as f32,
-        };
         let isa = Isa::detect_once();
         let item = self.item;
         let chunk = CHUNK.div_ceil(item) * item;
@@ -134,13 +162,18 @@ impl Adam {
     }
 }
 
-#[derive(Clone, Copy)]
-struct Rule {
-    beta1: f32,
-    beta2: f32,
-    /// Rate and epsilon after the bias correction.
-    rate: f32,
-    epsilon: f32,
+/// How one step goes: `m = beta1 m + (1 - beta1) g`, `v = beta2 v + (1 - beta2) g²`, and the parameter less
+/// `rate m / (sqrt(v) + epsilon)`. What is not finite counts as 0.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Rule {
+    /// Decay of the first moment.
+    pub beta1: f32,
+    /// Decay of the second.
+    pub beta2: f32,
+    /// Learning rate, after the bias correction.
+    pub rate: f32,
+    /// Epsilon, after the bias correction.
+    pub epsilon: f32,
 }
 
 struct Update<'a> {

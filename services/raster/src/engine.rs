@@ -1,5 +1,6 @@
 //! What a rasteriser must do.
 
+use crate::{Held, Resident};
 use segwild_scene::{Camera, Image, Pose, Splats};
 
 /// Why a rasteriser refused.
@@ -127,6 +128,12 @@ pub trait Engine: Send + Sync {
         pose: &Pose,
         options: &ProjectOptions,
     ) -> Result<Box<dyn Projected + 'a>, RasterError>;
+
+    /// Takes splats, which it asks for, to where this engine computes, to be trained there. `None` where that is the host
+    /// anyway, or where they do not fit.
+    fn settle(&self, _held: &mut dyn FnMut() -> Held) -> Result<Option<Box<dyn Resident>>, RasterError> {
+        Ok(None)
+    }
 }
 
 /// Splats as one view sees them, ready to blend any channel set. What a device computes fails where the device does;

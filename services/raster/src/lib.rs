@@ -8,11 +8,12 @@ mod engine;
 mod look;
 mod loss;
 pub mod reference;
+mod resident;
 mod sh;
 mod shade;
 mod spare;
 
-pub use adam::Adam;
+pub use adam::{Adam, Rule};
 pub use cpu::{ALPHA_MAX, ALPHA_MIN, CpuEngine, Isa, LOG2_ALPHA_MIN, SLACK, T_MIN, jacobian_limits};
 pub use engine::{
     Channels, Engine, Frame, FrameGrad, ProjectOptions, Projected, RasterError, SplatGrads, check,
@@ -22,5 +23,6 @@ pub use look::{
     Tone, bake,
 };
 pub use loss::{photometric, psnr, ssim};
+pub use resident::{Held, Resident, Rules};
 pub use shade::{shade, shade_backward};
 pub use spare::SpareEngine;

@@ -57,8 +57,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         println!("{look}: {:.1} ms CPU a step, {splats} splats", spent / f64::from(steps - steps / 2));
     }
     const PICTURES: usize = 200;
-    for (look, trainer, ..) in &trainers {
-        let model = trainer.snapshot();
+    for (look, trainer, ..) in &mut trainers {
+        let model = trainer.snapshot()?;
         let view = *model.trained_on.first().ok_or("no photo was trained on")? as usize;
         let (camera, pose) = (scene.views[view].camera.scaled_to(size), scene.views[view].pose);
         let began = cpu();

@@ -90,7 +90,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     for skipped in trainer.skipped() {
         println!("skipped {}: {}", skipped.name, skipped.reason);
     }
-    let model = trainer.snapshot();
+    let model = trainer.snapshot()?;
     let held_out: Vec<usize> = (0..scene.views.len()).filter(|&i| scene.views[i].test).collect();
     let protocol = if fits { Protocol::Halves } else { Protocol::Plain };
     let score = evaluate(&model, engine.as_ref(), &scene, photos.clone(), &held_out, protocol)?;

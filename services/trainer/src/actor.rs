@@ -119,7 +119,7 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
         let mut saved = Instant::now();
         while trainer.steps_done() < order.until {
             if context.stopping() {
-                self.send(TrainOutcome::Checkpoint(Arc::new(trainer.checkpoint())))?;
+                self.send(TrainOutcome::Checkpoint(Arc::new(trainer.checkpoint().map_err(Failure::fatal)?)))?;
                 return Err(Failure::stopped());
             }
             let step = trainer.step().map_err(Failure::fatal)?;
@@ -132,12 +132,12 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
                 self.send(TrainOutcome::Progress { step, loss, psnr, splats, left_out })?;
             }
             if step.step == order.settings.snapshot_step() {
-                self.send(TrainOutcome::Snapshot(Arc::new(trainer.snapshot())))?;
+                self.send(TrainOutcome::Snapshot(Arc::new(trainer.snapshot().map_err(Failure::fatal)?)))?;
             }
             // With a report, so that who goes on from here reports over the same steps as who never stopped. The
             // last one is there to go on from later, with more steps.
             if last || step.step % REPORT_EVERY == 0 && saved.elapsed() >= order.checkpoint_every {
-                self.send(TrainOutcome::Checkpoint(Arc::new(trainer.checkpoint())))?;
+                self.send(TrainOutcome::Checkpoint(Arc::new(trainer.checkpoint().map_err(Failure::fatal)?)))?;
                 saved = Instant::now();
             }
         }

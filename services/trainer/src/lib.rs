@@ -5,12 +5,14 @@
 //! look and its background, and what keeps contradicting the scene is left out (method, sections 2, 3, 9).
 
 mod actor;
+mod away;
 mod background;
 mod choice;
 mod density;
 mod error;
 mod evaluate;
 mod initial;
+mod judge;
 mod light;
 mod looks;
 

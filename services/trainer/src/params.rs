@@ -1,7 +1,7 @@
 //! The splats as an optimiser sees them.
 
-use segwild_raster::{Adam, SplatGrads};
-use segwild_scene::Splats;
+use segwild_raster::{Adam, Held, Projected, Rules, Sight, SplatGrads};
+use segwild_scene::{Pose, Splats};
 use std::ops::Range;
 use wincode::{SchemaRead, SchemaWrite};
 
@@ -46,6 +46,30 @@ pub(crate) fn select(codes: &[f32], n: usize, which: &[usize]) -> Vec<f32> {
     which.iter().flat_map(|&i| &codes[i * size..(i + 1) * size]).copied().collect()
 }
 
+/// The constant part of the colours and their higher degrees, which lie interleaved in items of `k`.
+fn apart(values: &[f32], k: usize) -> (Vec<f32>, Vec<f32>) {
+    let n = values.len() / k;
+    let (mut base, mut higher) = (Vec::with_capacity(3 * n), Vec::with_capacity((k - 3) * n));
+    for splat in values.chunks_exact(k) {
+        base.extend_from_slice(&splat[..3]);
+        higher.extend_from_slice(&splat[3..]);
+    }
+    (base, higher)
+}
+
+/// The reverse of [`apart`].
+fn together(base: &[f32], higher: &[f32], k: usize) -> Vec<f32> {
+    if k == 3 {
+        return base.to_vec();
+    }
+    let mut values = Vec::with_capacity(base.len() + higher.len());
+    for (base, higher) in base.chunks_exact(3).zip(higher.chunks_exact(k - 3)) {
+        values.extend_from_slice(base);
+        values.extend_from_slice(higher);
+    }
+    values
+}
+
 impl Params {
     /// Splats to begin with, and what each keeps for the look.
     pub fn new(splats: Splats, codes: Vec<f32>) -> Params {
@@ -64,6 +88,12 @@ impl Params {
         }
     }
 
+    /// The splats from a camera, for the look.
+    pub fn sight<'a>(&'a self, projected: &'a dyn Projected, pose: &Pose) -> Sight<'a> {
+        let Params { splats, codes, .. } = self;
+        Sight { means: &splats.means, codes, radii: projected.radii(), eye: pose.centre().to_array() }
+    }
+
     /// One optimiser step; `sh` are the gradients of [`Splats::sh`].
     pub fn update(&mut self, grads: &SplatGrads, sh: &[f32], rates: &Rates) {
         let s = &mut self.splats;
@@ -77,23 +107,61 @@ impl Params {
         }
         // The two groups lie interleaved: take them apart, step, put them back.
         let k = s.sh_stride();
-        let apart = |values: &[f32]| {
-            let n = values.len() / k;
-            let (mut base, mut higher) = (Vec::with_capacity(3 * n), Vec::with_capacity((k - 3) * n));
-            for splat in values.chunks_exact(k) {
-                base.extend_from_slice(&splat[..3]);
-                higher.extend_from_slice(&splat[3..]);
-            }
-            (base, higher)
-        };
-        let ((mut base, mut higher), (base_grads, higher_grads)) = (apart(&s.sh), apart(sh));
+        let ((mut base, mut higher), (base_grads, higher_grads)) = (apart(&s.sh, k), apart(sh, k));
         self.base.step(&mut base, &base_grads, rates.colour);
         self.higher.step(&mut higher, &higher_grads, rates.colour * HIGHER);
-        for ((splat, b), h) in
-            s.sh.chunks_exact_mut(k).zip(base.chunks_exact(3)).zip(higher.chunks_exact(k - 3))
-        {
-            splat[..3].copy_from_slice(b);
-            splat[3..].copy_from_slice(h);
+        s.sh = together(&base, &higher, k);
+    }
+
+    /// Begins a step that is done where the splats are.
+    pub fn advance(&mut self, rates: &Rates) -> Rules {
+        let base = self.base.advance(rates.colour);
+        let higher = match self.splats.sh_degree {
+            0 => base,
+            _ => self.higher.advance(rates.colour * HIGHER),
+        };
+        Rules {
+            means: self.means.advance(rates.mean),
+            log_scales: self.log_scales.advance(rates.scale),
+            rotations: self.rotations.advance(rates.rotation),
+            opacities: self.opacities.advance(rates.opacity),
+            base,
+            higher,
+        }
+    }
+
+    /// All but the codes, to be trained elsewhere.
+    pub fn held(&self, sums: Vec<[f32; 4]>) -> Held {
+        let moments = |which: usize| {
+            let of = |adam: &Adam| adam.moments()[which].to_vec();
+            Splats {
+                means: of(&self.means).as_chunks().0.to_vec(),
+                log_scales: of(&self.log_scales).as_chunks().0.to_vec(),
+                rotations: of(&self.rotations).as_chunks().0.to_vec(),
+                opacities: of(&self.opacities),
+                sh: together(&of(&self.base), &of(&self.higher), self.splats.sh_stride()),
+                sh_degree: self.splats.sh_degree,
+            }
+        };
+        Held { splats: self.splats.clone(), first: moments(0), second: moments(1), sums }
+    }
+
+    /// Takes back what [`Params::held`] gave away, as many splats as there were.
+    pub fn take_back(&mut self, held: Held) {
+        let Held { splats, first, second, sums: _ } = held;
+        self.splats = splats;
+        let flat = |of: &[[f32; 3]]| of.as_flattened().to_vec();
+        self.means.set_moments(flat(&first.means), flat(&second.means));
+        self.log_scales.set_moments(flat(&first.log_scales), flat(&second.log_scales));
+        let rotations = [first.rotations, second.rotations].map(|of| of.as_flattened().to_vec());
+        let [a, b] = rotations;
+        self.rotations.set_moments(a, b);
+        self.opacities.set_moments(first.opacities, second.opacities);
+        let k = self.splats.sh_stride();
+        let ((base, higher), (base2, higher2)) = (apart(&first.sh, k), apart(&second.sh, k));
+        self.base.set_moments(base, base2);
+        if self.splats.sh_degree > 0 {
+            self.higher.set_moments(higher, higher2);
         }
     }
 

@@ -93,23 +93,23 @@ pub(crate) fn alpha_gradient(
     out
 }
 
-/// Mean error around the centre of every splat that is seen, for density control.
-pub(crate) fn error_at_centres(
-    residual: &[f32],
-    weights: &[f32],
-    photo: &Level,
-    projected: &dyn Projected,
-) -> Vec<f32> {
-    let (w, h) = (photo.width, photo.height);
+/// Mean error around every pixel of those that count, one plane.
+pub(crate) fn error_around(residual: &[f32], weights: &[f32], photo: &Level) -> Image {
+    let (width, height) = (photo.width, photo.height);
     let counted: Vec<f32> = residual.iter().zip(weights).map(|(r, w)| r * w).collect();
-    let smooth = segwild_scene::box_mean(&counted, w, h, 2);
+    Image { width, height, channels: 1, data: segwild_scene::box_mean(&counted, width, height, 2) }
+}
+
+/// A plane at the centre of every splat that is seen, for density control; 0 outside the frame.
+pub(crate) fn at_centres(plane: &Image, projected: &dyn Projected) -> Vec<f32> {
+    let (w, h) = (plane.width as f32, plane.height as f32);
     projected
         .centres()
         .iter()
         .zip(projected.radii())
         .map(|(c, &r)| {
-            let inside = r > 0.0 && c[0] >= 0.0 && c[1] >= 0.0 && c[0] < w as f32 && c[1] < h as f32;
-            if inside { smooth[c[1] as usize * w + c[0] as usize] } else { 0.0 }
+            let inside = r > 0.0 && c[0] >= 0.0 && c[1] >= 0.0 && c[0] < w && c[1] < h;
+            if inside { plane.data[c[1] as usize * plane.width + c[0] as usize] } else { 0.0 }
         })
         .collect()
 }

@@ -2,24 +2,30 @@
 
 use crate::TrainError;
 use crate::background::Background;
-use crate::density::Strategy;
+use crate::density::{Density, Strategy};
+use crate::judge::PhotoSide;
 use crate::looks;
 use crate::params::Params;
 use crate::pixels::add_behind;
 use crate::robust::Robust;
 use crate::room::Room;
 use crate::sampler::Sampler;
-use segwild_raster::{AnyLook, Channels, Frame, Impression, Projected, Sight};
+use segwild_raster::{AnyLook, Channels, Frame, Impression, Projected};
 use segwild_scene::{Camera, Image, Mask, Pose, Random};
 use wincode::{SchemaRead, SchemaWrite};
 
-/// A view drawn as its photo would show it.
+/// A view drawn from splats as its photo would show it.
 pub(crate) struct Drawn {
     /// What the look made of the photo.
     pub light: Option<Impression>,
     /// Colour per splat, its own and in the photo's light.
     pub colours: Vec<f32>,
     pub channels: Vec<f32>,
+    pub shown: Shown,
+}
+
+/// What is made of a frame that splats gave.
+pub(crate) struct Shown {
     pub frame: Frame,
     /// What stands behind the splats, in the scene's colours.
     pub behind: Image,
@@ -27,6 +33,43 @@ pub(crate) struct Drawn {
     pub scene: Image,
     /// The same in the photo's colours.
     pub shown: Image,
+}
+
+/// A view's look and what is behind the splats there.
+#[derive(Clone, Copy)]
+pub(crate) struct Painter<'a> {
+    pub view: usize,
+    pub look: &'a AnyLook,
+    pub background: &'a Background,
+}
+
+impl Painter<'_> {
+    /// Draws the view; `draw` as for [`AnyLook::impression`].
+    pub fn draw(
+        &self,
+        params: &Params,
+        projected: &dyn Projected,
+        camera: &Camera,
+        pose: &Pose,
+        draw: Option<u64>,
+    ) -> Result<Drawn, TrainError> {
+        let colours = projected.shade();
+        let light = self.look.impression(self.view, draw);
+        let sight = params.sight(projected, pose);
+        let channels = self.look.colour(self.view, light.as_ref(), &sight, colours.clone());
+        let frame = projected.blend(&Channels { count: 3, values: &channels })?;
+        Ok(Drawn { light, colours, channels, shown: self.show(frame, camera, pose) })
+    }
+
+    /// What is behind the splats behind a frame of them, and the look upon it.
+    pub fn show(&self, frame: Frame, camera: &Camera, pose: &Pose) -> Shown {
+        let matrix = looks::matrix(self.look, self.view);
+        let behind = self.background.before(&matrix).paint(camera, pose);
+        let mut scene = frame.image.clone();
+        add_behind(&mut scene, &frame.alpha, &behind);
+        let shown = self.look.as_look().apply(self.view, &scene);
+        Shown { frame, behind, scene, shown }
+    }
 }
 
 /// Everything that a step changes: what a checkpoint holds.
@@ -58,33 +101,24 @@ pub(crate) struct State {
 }
 
 impl State {
-    /// Draws a view that was looked at before; `draw` as for [`AnyLook::impression`].
-    pub fn draw(
-        &self,
-        view: usize,
-        projected: &dyn Projected,
-        camera: &Camera,
-        pose: &Pose,
-        draw: Option<u64>,
-    ) -> Result<Drawn, TrainError> {
-        let colours = projected.shade();
-        let light = self.look.impression(view, draw);
-        let sight = self.sight(projected, pose);
-        let channels = self.look.colour(view, light.as_ref(), &sight, colours.clone());
-        let frame = projected.blend(&Channels { count: 3, values: &channels })?;
-        let matrix = looks::matrix(&self.look, view);
+    /// What draws a view that was looked at before.
+    pub fn painter(&self, view: usize) -> Painter<'_> {
         let background = self.backgrounds[view].as_ref().expect("set at the first look");
-        let behind = background.before(&matrix).paint(camera, pose);
-        let mut scene = frame.image.clone();
-        add_behind(&mut scene, &frame.alpha, &behind);
-        let shown = self.look.as_look().apply(view, &scene);
-        Ok(Drawn { light, colours, channels, frame, behind, scene, shown })
+        Painter { view, look: &self.look, background }
     }
 
-    /// The splats from a camera, for the look.
-    pub fn sight<'a>(&'a self, projected: &'a dyn Projected, pose: &Pose) -> Sight<'a> {
-        let Params { splats, codes, .. } = &self.params;
-        Sight { means: &splats.means, codes, radii: projected.radii(), eye: pose.centre().to_array() }
+    /// What a step changes: the splats and their density control, and what it changes beside them.
+    pub fn halves(&mut self, view: usize) -> (&mut Params, &mut dyn Density, PhotoSide<'_>) {
+        let side = PhotoSide {
+            look: &mut self.look,
+            background: self.backgrounds[view].as_mut().expect("set at the first look"),
+            robust: &mut self.robust,
+            suspects: self.suspects[view].as_ref(),
+            quality: &mut self.quality[view],
+            step: self.step,
+            pause_until: self.pause_until,
+        };
+        (&mut self.params, self.strategy.as_dyn(), side)
     }
 
     /// Refuses a state whose parts do not fit each other or the scene.

@@ -2,19 +2,16 @@
 
 use crate::TrainError;
 use crate::density::{Change, Seen, Surroundings};
+use crate::judge::{Judged, Looked};
 use crate::looks;
 use crate::model::options;
 use crate::params::Rates;
-use crate::pixels::{
-    alpha_gradient, error_at_centres, first_background, learn_constant, learn_sky, mean_difference,
-    pixel_weights, weighted_psnr,
-};
+use crate::pixels::{at_centres, first_background, mean_difference};
 use crate::robust;
 use crate::state::{Drawn, mean_quality};
 use crate::trainer::{StepReport, Trainer};
-use crate::visibility;
 use crate::witness::Witness;
-use segwild_raster::{Channels, FrameGrad, Sight, photometric};
+use segwild_raster::Channels;
 use segwild_scene::{Image, Splats};
 
 impl Trainer {
@@ -26,7 +23,11 @@ impl Trainer {
         if step > 0 && wanted != self.schedule.level(step - 1) {
             self.state.quality.fill(None);
         }
-        self.state.params.raise_sh_degree(self.schedule.sh_degree(step));
+        let degree = self.schedule.sh_degree(step);
+        if degree > self.state.params.splats.sh_degree {
+            self.come_home()?;
+            self.state.params.raise_sh_degree(degree);
+        }
         let (level, photo) = stored.level(wanted);
         let camera = self.camera(view, &stored, level);
         let pose = self.views[view].pose;
@@ -36,80 +37,10 @@ impl Trainer {
             looks::start(&mut self.state.look, view, &self.views[view], &stored);
             self.state.room.look_at(photo.ground());
         }
-        let engine = self.engine.clone();
-        let projected =
-            engine.project(&self.state.params.splats, &camera, &pose, &options(self.settings.antialias))?;
-        let draw = Some(u64::from(step));
-        let Drawn { light, colours, channels, frame, behind, scene, shown } =
-            self.state.draw(view, &*projected, &camera, &pose, draw)?;
-        let target = photo.image();
-        // What counts.
-        let residual = mean_difference(&shown, &target);
-        let active = self.settings.robust && self.schedule.robust(step) && step >= self.state.pause_until;
-        let active = active && !stored.strangers_known;
-        let (mut kept, mut doubted) = (None, Vec::new());
-        let suspects = self.state.suspects[view].as_ref().filter(|_| !stored.strangers_known);
-        let suspected = |i| suspects.is_some_and(|s| photo.lies_in(i, s));
-        if active {
-            doubted = self.views[view].doubted(&residual, photo);
-            kept = self.state.robust.weights(view, &doubted, photo.width, |i| photo.counts(i), suspected);
-        } else if suspects.is_some() {
-            kept = Some((0..photo.pixels()).map(|i| f32::from(u8::from(!suspected(i)))).collect());
-        }
-        let (mut visible, mut blame) = (None, Vec::new());
-        if let Some(light) = light.as_ref().filter(|_| active) {
-            let share = self.settings.robust_share;
-            let ratio = robust::relative(&doubted, photo.width, |i| photo.counts(i), share);
-            blame = visibility::blame(light, &ratio, photo);
-            if self.schedule.visible(step) {
-                visible = visibility::weights(light, photo, kept.as_deref(), share);
-            }
-        }
-        let (weights, left_out) = pixel_weights(photo, visible.as_deref().or(kept.as_deref()));
-        let psnr = weighted_psnr(&shown, &target, &weights.data);
-        self.state.quality[view] = Some(psnr);
-        // Loss and its gradient on the way back: look, background, sky, splats.
-        let (loss, grad) = photometric(&shown, &target, Some(&weights), self.settings.lambda_ssim);
-        let grad = self.state.look.as_look_mut().backward(view, &scene, &grad);
-        let alpha_grad = alpha_gradient(&grad, &behind, &frame.alpha, photo, self.settings.sky_weight);
-        let background = self.state.backgrounds[view].as_mut().expect("just set");
-        if stored.has_sky {
-            learn_sky(background, photo, &camera, &pose, &frame.alpha, &weights.data);
-        } else {
-            learn_constant(background, &shown, &target, &frame.alpha, &weights.data);
-        }
-        let mut grads = projected.backward(
-            &Channels { count: 3, values: &channels },
-            &frame,
-            &FrameGrad { image: &grad, alpha: Some(&alpha_grad) },
-        )?;
-        let colour_grads = std::mem::take(&mut grads.values);
-        let sight = Sight {
-            means: &self.state.params.splats.means,
-            codes: &self.state.params.codes,
-            radii: projected.radii(),
-            eye: pose.centre().to_array(),
-        };
-        let look = &mut self.state.look;
-        let (colour_grads, code_grads) =
-            look.colour_backward(view, light.as_ref(), &sight, &colours, colour_grads, &blame);
-        let sh_grads = projected.shade_backward(&colour_grads, &mut grads);
-        let error = error_at_centres(&residual, &weights.data, photo, projected.as_ref());
-        let seen = Seen {
-            radii: projected.radii(),
-            grads: &grads,
-            error: &error,
-            long_side: photo.width.max(photo.height) as f32,
-        };
-        self.state.strategy.as_dyn().observe(&seen);
-        let radii = projected.radii().to_vec();
-        drop(projected);
-        // Update.
-        self.state.strategy.as_dyn().regularise(&self.state.params.splats, &mut grads);
-        let rates = self.rates(step);
-        self.state.params.update(&grads, &sh_grads, &rates);
-        let fading = self.state.look.as_look().fading();
-        self.state.params.update_codes(&code_grads, &radii, &rates, fading);
+        self.leave()?;
+        let looked = Looked { view, stored: &stored, photo, camera, pose };
+        let judged = if self.is_away() { self.learn_away(&looked)? } else { self.learn_here(&looked)? };
+        let Judged { loss, psnr, left_out, .. } = judged;
         self.state.look.as_look_mut().step(self.schedule.late_factor(step));
         self.state.step += 1;
         let dropped = self.drop_unwitnessed()?;
@@ -133,7 +64,43 @@ impl Trainer {
         })
     }
 
-    fn rates(&self, step: u32) -> Rates {
+    /// The splats' half of a step, on the host.
+    fn learn_here(&mut self, looked: &Looked) -> Result<Judged, TrainError> {
+        let &Looked { view, photo, ref camera, ref pose, .. } = looked;
+        let step = self.state.step;
+        let rates = self.rates(step);
+        let (params, strategy, mut side) = self.state.halves(view);
+        let view_options = options(self.settings.antialias);
+        let projected = self.engine.project(&params.splats, camera, pose, &view_options)?;
+        let draw = Some(u64::from(step));
+        let Drawn { light, colours, channels, shown } =
+            side.painter(view).draw(params, &*projected, camera, pose, draw)?;
+        let posed = &self.views[view];
+        let judged = side.judge(&self.settings, &self.schedule, posed, looked, light.as_ref(), &shown);
+        let channels = Channels { count: 3, values: &channels };
+        let mut grads = projected.backward(&channels, &shown.frame, &judged.grad())?;
+        let colour_grads = std::mem::take(&mut grads.values);
+        let sight = params.sight(&*projected, pose);
+        let (colour_grads, code_grads) =
+            side.look.colour_backward(view, light.as_ref(), &sight, &colours, colour_grads, &judged.blame);
+        let sh_grads = projected.shade_backward(&colour_grads, &mut grads);
+        let error = at_centres(&judged.error, projected.as_ref());
+        let seen = Seen {
+            radii: projected.radii(),
+            grads: &grads,
+            error: &error,
+            long_side: photo.width.max(photo.height) as f32,
+        };
+        strategy.observe(&seen);
+        let radii = projected.radii().to_vec();
+        drop(projected);
+        strategy.regularise(&params.splats, &mut grads);
+        params.update(&grads, &sh_grads, &rates);
+        params.update_codes(&code_grads, &radii, &rates, side.look.as_look().fading());
+        Ok(judged)
+    }
+
+    pub(crate) fn rates(&self, step: u32) -> Rates {
         let s = &self.settings;
         let late = self.schedule.late_factor(step);
         Rates {
@@ -151,6 +118,7 @@ impl Trainer {
         if !self.settings.robust || !self.schedule.witness(self.state.step) {
             return Ok(0);
         }
+        self.come_home()?;
         let n = self.state.params.splats.len();
         let mut witness = Witness::new(n);
         let engine = self.engine.clone();
@@ -165,7 +133,8 @@ impl Trainer {
             let pose = self.views[view].pose;
             let splats = &self.state.params.splats;
             let projected = engine.project(splats, &camera, &pose, &options(self.settings.antialias))?;
-            let shown = self.state.draw(view, &*projected, &camera, &pose, None)?.shown;
+            let painter = self.state.painter(view);
+            let shown = painter.draw(&self.state.params, &*projected, &camera, &pose, None)?.shown.shown;
             let residual = self.views[view].doubted(&mean_difference(&shown, &photo.image()), photo);
             let share = if stored.strangers_known { 0.0 } else { self.settings.robust_share };
             let contradicted = robust::contradicted(&residual, photo.width, |i| photo.counts(i), share);
@@ -182,6 +151,10 @@ impl Trainer {
 
     /// Lets the density strategy act on the splats as they are after the step.
     fn control_density(&mut self) -> Result<Option<Change>, TrainError> {
+        if !self.state.strategy.as_dyn().acts(self.state.step) {
+            return Ok(None);
+        }
+        self.come_home()?;
         let views = self.state.sampler.views();
         let quality = mean_quality(&views, &self.state.quality);
         let engine = self.engine.clone();

@@ -69,7 +69,7 @@ pub(crate) fn suspects(
                 }
             }
         }
-        let model = trainer.snapshot();
+        let model = trainer.snapshot()?;
         let posed = trainer.views;
         *photos = trainer.photos;
         for view in held {

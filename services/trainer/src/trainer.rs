@@ -14,7 +14,7 @@ use crate::schedule::Schedule;
 use crate::state::{State, mean_quality};
 use crate::suspects::{share, suspects};
 use crate::{TrainError, TrainSettings};
-use segwild_raster::{AnyLook, Engine};
+use segwild_raster::{AnyLook, Engine, Resident};
 use segwild_scene::Random;
 use segwild_scene::{Camera, Mask, Scene, Skipped};
 use std::sync::Arc;
@@ -52,6 +52,10 @@ pub struct Trainer {
     pub(crate) photos: PhotoCache,
     warnings: Vec<String>,
     pub(crate) state: State,
+    /// The splats while they are where the engine computes; those of the state are then old.
+    pub(crate) away: Option<Box<dyn Resident>>,
+    /// Whether they may go there.
+    pub(crate) may_leave: bool,
 }
 
 /// A training that can be continued: with the same scene, photos and settings it ends in the same bytes as
@@ -167,6 +171,8 @@ impl Trainer {
             warnings: start.warnings,
             state,
             settings,
+            away: None,
+            may_leave: true,
         })
     }
 
@@ -196,7 +202,17 @@ impl Trainer {
         let photos = photo_cache(scene, photos, &settings);
         let schedule = Schedule::new(&settings);
         let state = checkpoint.state;
-        Ok(Trainer { engine, schedule, views: posed(scene), photos, warnings: Vec::new(), state, settings })
+        Ok(Trainer {
+            engine,
+            schedule,
+            views: posed(scene),
+            photos,
+            warnings: Vec::new(),
+            state,
+            settings,
+            away: None,
+            may_leave: true,
+        })
     }
 
     /// Holds so many MiB of decoded photos from now on. What is trained does not depend on it.
@@ -205,14 +221,15 @@ impl Trainer {
     }
 
     /// Everything needed to continue later.
-    pub fn checkpoint(&self) -> Checkpoint {
+    pub fn checkpoint(&mut self) -> Result<Checkpoint, TrainError> {
+        self.come_home()?;
         use segwild_scene::settings::Group;
         let settings = TrainSettings::FIELDS
             .iter()
             .map(|f| (f.name.to_owned(), self.settings.get(f.name).expect("a field of the group")))
             .collect();
         let names = self.views.iter().map(|v| v.name.clone()).collect();
-        Checkpoint { settings, names, state: self.state.clone() }
+        Ok(Checkpoint { settings, names, state: self.state.clone() })
     }
 
     /// The settings of this run.
@@ -290,7 +307,8 @@ impl Trainer {
     }
 
     /// The scene as it is now.
-    pub fn snapshot(&self) -> Model {
+    pub fn snapshot(&mut self) -> Result<Model, TrainError> {
+        self.come_home()?;
         let state = &self.state;
         let mut look = state.look.clone();
         let known = (0..self.views.len()).filter(|&v| state.backgrounds[v].is_some());
@@ -298,7 +316,7 @@ impl Trainer {
         if let AnyLook::Gsw(look) = &mut look {
             look.forget_training();
         }
-        Model {
+        Ok(Model {
             splats: state.params.splats.clone(),
             codes: state.params.codes.clone(),
             look,
@@ -307,7 +325,7 @@ impl Trainer {
             trained_on: state.sampler.views().iter().map(|&v| v as u32).collect(),
             antialias: self.settings.antialias,
             stats: Stats { step: state.step, psnr: mean_quality(&state.sampler.views(), &state.quality) },
-        }
+        })
     }
 
     /// Does the steps that are left, then hands the scene over.
@@ -315,7 +333,7 @@ impl Trainer {
         while !self.is_done() {
             self.step()?;
         }
-        Ok(self.snapshot())
+        self.snapshot()
     }
 }
 

@@ -112,7 +112,7 @@ impl<'a> Trials<'a> {
             }
             trainer.step()?;
         }
-        let model = trainer.snapshot();
+        let model = trainer.snapshot()?;
         self.fits.push(ShortFit { look, steps, splats: model.splats.len(), psnr: 0.0, ssim: 0.0 });
         for held in &mut self.held_out {
             let view = &self.scene.views[held.view];

@@ -52,6 +52,14 @@ impl Budget {
         }
     }
 
+    fn prunes(&self, step: u32) -> bool {
+        self.prune_at.contains(&step)
+    }
+
+    fn grows(&self, step: u32) -> bool {
+        step >= self.from && step <= self.until && step.is_multiple_of(self.every)
+    }
+
     /// Splats there should be at a step: geometric from the first count to the cap over the first three
     /// quarters of the growing time.
     fn target(&self, step: u32, cap: usize) -> usize {
@@ -101,13 +109,17 @@ impl Density for Budget {
         self.stats.keep(kept);
     }
 
+    fn stats(&mut self) -> Option<&mut Stats> {
+        Some(&mut self.stats)
+    }
+
+    fn acts(&self, step: u32) -> bool {
+        self.prunes(step) || self.grows(step)
+    }
+
     fn act(&mut self, params: &mut Params, around: &mut Surroundings) -> Result<Option<Change>, TrainError> {
         let step = around.step;
-        let prune = self.prune_at.contains(&step);
-        let grow = step >= self.from && step <= self.until && step.is_multiple_of(self.every);
-        if !prune && !grow {
-            return Ok(None);
-        }
+        let (prune, grow) = (self.prunes(step), self.grows(step));
         let n = params.splats.len();
         let mut keep: Vec<bool> = (0..n)
             .map(|i| {

@@ -49,11 +49,16 @@ impl Density for Gradient {
         self.stats.keep(kept);
     }
 
+    fn stats(&mut self) -> Option<&mut Stats> {
+        Some(&mut self.stats)
+    }
+
+    fn acts(&self, step: u32) -> bool {
+        step >= self.from && step <= self.until && step.is_multiple_of(self.every)
+    }
+
     fn act(&mut self, params: &mut Params, around: &mut Surroundings) -> Result<Option<Change>, TrainError> {
         let step = around.step;
-        if step < self.from || step > self.until || !step.is_multiple_of(self.every) {
-            return Ok(None);
-        }
         let n = params.splats.len();
         let room = around.cap.saturating_sub(n);
         let wanted: Vec<f32> = (0..n)

@@ -123,6 +123,11 @@ impl Density for Mcmc {
         }
     }
 
+    /// At every step: it shakes the splats.
+    fn acts(&self, _step: u32) -> bool {
+        true
+    }
+
     fn act(&mut self, params: &mut Params, around: &mut Surroundings) -> Result<Option<Change>, TrainError> {
         let step = around.step;
         let mut change = None;

@@ -69,7 +69,16 @@ pub(crate) trait Density {
     /// Hears that only these splats are left, in this order.
     fn keep(&mut self, _kept: &[usize]) {}
 
-    /// Changes the splats after an optimiser step; `None` on most steps.
+    /// What it adds up over the steps, if that and nothing else is what it does between its acts: then the splats may be
+    /// elsewhere meanwhile.
+    fn stats(&mut self) -> Option<&mut Stats> {
+        None
+    }
+
+    /// Whether it acts after so many steps.
+    fn acts(&self, step: u32) -> bool;
+
+    /// Changes the splats after an optimiser step after which it [`Density::acts`].
     fn act(&mut self, params: &mut Params, around: &mut Surroundings) -> Result<Option<Change>, TrainError>;
 }
 
@@ -134,6 +143,18 @@ impl Stats {
         for sums in [&mut self.gradient, &mut self.error, &mut self.seen, &mut self.radius] {
             *sums = kept.iter().map(|&i| sums[i]).collect();
         }
+    }
+
+    /// Per splat the sums in the order of [`segwild_raster::Held::sums`].
+    pub fn rows(&self) -> Vec<[f32; 4]> {
+        let sums = self.gradient.iter().zip(&self.error).zip(&self.seen).zip(&self.radius);
+        sums.map(|(((&g, &e), &s), &r)| [g, e, s, r]).collect()
+    }
+
+    /// The sums that such rows say.
+    pub fn of_rows(rows: &[[f32; 4]]) -> Stats {
+        let column = |k: usize| rows.iter().map(|row| row[k]).collect();
+        Stats { gradient: column(0), error: column(1), seen: column(2), radius: column(3) }
     }
 
     /// Mean of a sum over the steps that saw splat `i`.

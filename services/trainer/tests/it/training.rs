@@ -41,13 +41,13 @@ fn resuming_gives_the_bytes_of_not_stopping_and_threads_do_not_matter() {
                     while trainer.steps_done() < stop {
                         trainer.step().unwrap();
                     }
-                    let held = wincode::deserialize(&bytes(&trainer.checkpoint())).unwrap();
+                    let held = wincode::deserialize(&bytes(&trainer.checkpoint().unwrap())).unwrap();
                     trainer = Trainer::resume(engine(), &scene, photos.clone(), held).unwrap();
                 }
                 while !trainer.is_done() {
                     trainer.step().unwrap();
                 }
-                bytes(&trainer.checkpoint())
+                bytes(&trainer.checkpoint().unwrap())
             })
         };
         let straight = run(1, &[]);
@@ -64,11 +64,11 @@ fn a_checkpoint_of_another_scene_or_a_damaged_one_is_refused() {
     for (look, every) in [(LookKind::None, 997), (LookKind::Gsw, 40_009)] {
         let settings = TrainSettings { look, ..settings(10) };
         let mut trainer = Trainer::new(engine(), &six, photos.clone(), settings).unwrap();
-        let other = Trainer::resume(engine(), &scene(5), photos.clone(), trainer.checkpoint());
+        let other = Trainer::resume(engine(), &scene(5), photos.clone(), trainer.checkpoint().unwrap());
         let refused = other.err().unwrap();
         assert!(matches!(refused, TrainError::Checkpoint(_)), "{refused}");
         trainer.step().unwrap();
-        let mut whole = bytes(&trainer.checkpoint());
+        let mut whole = bytes(&trainer.checkpoint().unwrap());
         assert!(wincode::deserialize::<Checkpoint>(&whole[..whole.len() / 2]).is_err());
         // Flipped bits are refused by someone, or give a checkpoint that still works: never a panic.
         for at in (0..whole.len()).step_by(every) {
@@ -124,7 +124,7 @@ fn a_photo_that_is_not_a_number_is_left_out_by_name_and_the_rest_goes_on() {
     }
     let skipped = trainer.skipped();
     assert!(skipped.len() == 1 && skipped[0].name == "01.jpg", "{skipped:?}");
-    assert_sane(&trainer.snapshot(), 1500);
+    assert_sane(&trainer.snapshot().unwrap(), 1500);
 
     let none = photos(&scene, false, |_, image| image.data[0] = f32::INFINITY);
     let error = Trainer::new(engine(), &scene, none, settings(30)).err().unwrap().to_string();
@@ -189,7 +189,7 @@ fn codes_learn_nothing_before_their_share_of_the_steps() {
             let s = TrainSettings { look, lr_code, codes_from: 0.25, ..settings(80) };
             let mut trainer = Trainer::new(engine(), &scene, photos.clone(), s).unwrap();
             (0..steps).for_each(|_| drop(trainer.step().unwrap()));
-            trainer.snapshot().codes
+            trainer.snapshot().unwrap().codes
         };
         assert_eq!(codes(0.01, 20), codes(0.05, 20), "{look}: learnt too early");
         assert_ne!(codes(0.01, 24), codes(0.05, 24), "{look}: never learnt");

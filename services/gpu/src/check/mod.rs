@@ -1,8 +1,12 @@
 //! Which kernel a device gets wrong: each step of a frame against the CPU engine or against what is known, in the order in
 //! which they depend on one another. The first that diverges is where to look.
 
+mod training;
+
+pub use training::{held, training};
+
 use crate::device::Work;
-use crate::engine::{BUCKET, Binned, TILE, bin, scan, sort};
+use crate::engine::{BUCKET, Binned, Cloud, TILE, bin, scan, sort};
 use crate::{GpuEngine, GpuError};
 use glam::Vec3;
 use segwild_raster::{
@@ -10,6 +14,7 @@ use segwild_raster::{
     SplatGrads,
 };
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
+use std::sync::Arc;
 
 /// How far numbers may lie apart, in units of their size plus the array's root mean square.
 #[derive(Clone, Copy, Debug)]
@@ -84,7 +89,9 @@ pub fn check(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
     // Over three levels of blocks.
     add(&["scan", "scan_add"], sums(&mut work, (1 << 20) + 7)?);
     add(&["histogram", "scatter"], sorted(&mut work, 70_000, u32::BITS)?);
-    let (binned, seen) = bin(&mut work, &splats, &camera, &pose, &options)?;
+    let cloud = Arc::new(Cloud::upload(&mut work, &splats)?);
+    let (binned, seen) = bin(&mut work, cloud, &camera, &pose, &options)?;
+    let seen: Vec<[f32; 4]> = work.read(&seen, splats.len())?;
     let lists = Lists::read(&mut work, &binned, splats.len(), &seen)?;
     drop(work);
     let cpu = CpuEngine::new();
@@ -118,6 +125,10 @@ pub fn check(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
     let g = found.backward(&channels, &a, &grad)?;
     let w = right.backward(&channels, &b, &grad)?;
     add(&["front", "backward", "unproject"], gradients(&g, &w));
+    let mut coloured = splats.clone();
+    coloured.sh_degree = 3;
+    coloured.sh = (0..splats.len() * coloured.sh_stride()).map(|_| 0.5 * random.uniform() - 0.25).collect();
+    checked.extend(training(engine, &held(coloured), &camera, &pose, &options)?);
     Ok(checked)
 }
 

@@ -1,0 +1,155 @@
+//! The kernels of training: one step on the device against the same step on the host.
+
+use super::{Checked, Tolerance};
+use crate::GpuEngine;
+use segwild_raster::{
+    Adam, Channels, CpuEngine, Engine, Frame, FrameGrad, Held, ProjectOptions, RasterError, Rule, Rules,
+};
+use segwild_scene::{Camera, Image, Pose, Random, Splats};
+
+/// Moments such as a training has, for splats in the middle of one.
+pub fn held(splats: Splats) -> Held {
+    let random = &mut Random::new(21);
+    let mut like = |from: f32, to: f32| {
+        let mut within = || from + (to - from) * random.uniform();
+        Splats {
+            means: splats.means.iter().map(|_| [0; 3].map(|_| within())).collect(),
+            log_scales: splats.means.iter().map(|_| [0; 3].map(|_| within())).collect(),
+            rotations: splats.means.iter().map(|_| [0; 4].map(|_| within())).collect(),
+            opacities: splats.means.iter().map(|_| within()).collect(),
+            sh: splats.sh.iter().map(|_| within()).collect(),
+            sh_degree: splats.sh_degree,
+        }
+    };
+    let (first, second) = (like(-0.5, 0.5), like(0.1, 1.0));
+    let sums = splats.means.iter().map(|_| [0; 4].map(|_| random.uniform())).collect();
+    Held { splats, first, second, sums }
+}
+
+/// Compares one step of training on the device, of splats in sight of a camera, with the host's.
+pub fn training(
+    engine: &GpuEngine,
+    held: &Held,
+    camera: &Camera,
+    pose: &Pose,
+    options: &ProjectOptions,
+) -> Result<Vec<Checked>, RasterError> {
+    let random = &mut Random::new(22);
+    let (width, height) = (camera.width as usize, camera.height as usize);
+    let mut image = |channels: usize| Image {
+        data: (0..width * height * channels).map(|_| random.uniform() - 0.5).collect(),
+        ..Image::zeros(width, height, channels)
+    };
+    let (by_colour, by_alpha, error) = (image(3), image(1), image(1));
+    let grad = FrameGrad { image: &by_colour, alpha: Some(&by_alpha) };
+    let rule = |rate: f32| Rule { beta1: 0.9, beta2: 0.95, rate, epsilon: 1e-6 };
+    let rules = Rules {
+        means: rule(0.01),
+        log_scales: rule(0.02),
+        rotations: rule(0.03),
+        opacities: rule(0.04),
+        base: rule(0.05),
+        higher: rule(0.06),
+    };
+    let (frame, wanted) = on_the_host(held, camera, pose, options, &grad, &error, &rules)?;
+    let Some(mut away) = engine.settle(&mut || held.clone())? else {
+        return Err(RasterError::Shape("the splats do not fit where they are to be trained".into()));
+    };
+    let drawn = away.draw(camera, pose, options)?;
+    away.learn(&grad, &error, &rules)?;
+    let got = away.fetch()?;
+    let blended = Tolerance::BLENDED
+        .compare("colours", &drawn.image.data, &frame.image.data)
+        .and_then(|()| Tolerance::BLENDED.compare("alpha", &drawn.alpha.data, &frame.alpha.data));
+    let sums = Tolerance::GRADIENTS.compare("sums", got.sums.as_flattened(), wanted.sums.as_flattened());
+    type Array = fn(&Splats) -> &[f32];
+    let compare = |name: &str, of: Array| {
+        let moved = |held: &Held, before: &Held| -> Vec<f32> {
+            of(&held.splats).iter().zip(of(&before.splats)).map(|(a, b)| a - b).collect()
+        };
+        let tolerance = Tolerance::GRADIENTS;
+        tolerance.compare(&format!("first moments of the {name}"), of(&got.first), of(&wanted.first))?;
+        tolerance.compare(&format!("second moments of the {name}"), of(&got.second), of(&wanted.second))?;
+        tolerance.compare(&format!("steps of the {name}"), &moved(&got, held), &moved(&wanted, held))
+    };
+    // Colours and their directions have no part in these.
+    let shapes: [(&str, Array); 3] = [
+        ("log scales", |s| s.log_scales.as_flattened()),
+        ("rotations", |s| s.rotations.as_flattened()),
+        ("opacities", |s| &s.opacities),
+    ];
+    let coloured: [(&str, Array); 2] = [("harmonics", |s| &s.sh), ("centres", |s| s.means.as_flattened())];
+    let all = |of: &[(&str, Array)]| of.iter().try_for_each(|&(name, of)| compare(name, of));
+    Ok(vec![
+        Checked { kernels: &["shade"], off: blended.err() },
+        Checked { kernels: &["observe"], off: sums.err() },
+        Checked { kernels: &["adam"], off: all(&shapes).err() },
+        Checked { kernels: &["shade_backward"], off: all(&coloured).err() },
+    ])
+}
+
+/// The same step by the CPU engine: what it drew, and what became of the splats.
+fn on_the_host(
+    held: &Held,
+    camera: &Camera,
+    pose: &Pose,
+    options: &ProjectOptions,
+    grad: &FrameGrad,
+    error: &Image,
+    rules: &Rules,
+) -> Result<(Frame, Held), RasterError> {
+    let cpu = CpuEngine::new();
+    let splats = &held.splats;
+    let projected = cpu.project(splats, camera, pose, options)?;
+    let colours = projected.shade();
+    let channels = Channels { count: 3, values: &colours };
+    let frame = projected.blend(&channels)?;
+    let mut grads = projected.backward(&channels, &frame, grad)?;
+    let by_colour = std::mem::take(&mut grads.values);
+    let sh_grads = projected.shade_backward(&by_colour, &mut grads);
+    let mut after = held.clone();
+    let (width, long) = (camera.width as f32, camera.width.max(camera.height) as f32);
+    for (i, sums) in after.sums.iter_mut().enumerate() {
+        let (radius, [x, y]) = (projected.radii()[i], projected.centres()[i]);
+        if radius > 0.0 {
+            let inside = x >= 0.0 && y >= 0.0 && x < width && y < camera.height as f32;
+            let here = if inside { error.data[y as usize * error.width + x as usize] } else { 0.0 };
+            let share = sums[3].max(radius / long);
+            *sums = [sums[0] + grads.screen_abs[i], sums[1] + here, sums[2] + 1.0, share];
+        }
+    }
+    let Held { splats: s, first, second, .. } = &mut after;
+    let mut step = |p: &mut [f32], m: &mut [f32], v: &mut [f32], g: &[f32], rule: Rule| {
+        let mut adam = Adam::new(p.len(), 1);
+        adam.set_moments(m.to_vec(), v.to_vec());
+        adam.step_by(p, g, rule);
+        let [first, second] = adam.moments();
+        m.copy_from_slice(first);
+        v.copy_from_slice(second);
+    };
+    macro_rules! flat {
+        ($field:ident, $grads:expr, $rule:expr) => {
+            step(
+                s.$field.as_flattened_mut(),
+                first.$field.as_flattened_mut(),
+                second.$field.as_flattened_mut(),
+                $grads.as_flattened(),
+                $rule,
+            )
+        };
+    }
+    flat!(means, grads.means, rules.means);
+    flat!(log_scales, grads.log_scales, rules.log_scales);
+    flat!(rotations, grads.rotations, rules.rotations);
+    let opacities = (&mut s.opacities, &mut first.opacities, &mut second.opacities);
+    step(opacities.0, opacities.1, opacities.2, &grads.opacities, rules.opacities);
+    let k = s.sh_stride();
+    for (i, g) in sh_grads.chunks_exact(k).enumerate() {
+        for (from, to, rule) in [(0, 3, rules.base), (3, k, rules.higher)] {
+            let at = i * k + from..i * k + to;
+            let (p, m) = (&mut s.sh[at.clone()], &mut first.sh[at.clone()]);
+            step(p, m, &mut second.sh[at], &g[from..to], rule);
+        }
+    }
+    Ok((frame, after))
+}

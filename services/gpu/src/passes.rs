@@ -1,0 +1,119 @@
+//! What is done with splats once they are binned: blending, sums over pixels, gradients. All of it stays on the device.
+//!
+//! Channels travel in blocks of whole vec4: `[splat][block]` and `[pixel][block]`, filled up with zeros.
+
+use crate::GpuError;
+use crate::device::{Lent, Work};
+use crate::engine::Binned;
+use crate::shaders::{BACKWARD, BLEND, FRONT, GATHER, SUM_SLOTS, UNPROJECT};
+
+/// Pixels of a tile.
+const PIXELS: usize = 256;
+/// Most vec4 that `front` and `backward` hold near; more are read from memory as they come.
+const NEAR: usize = 2;
+
+/// What the kernels leave per splat, `unproject.wgsl`'s four vec4.
+pub(crate) type Grads = [[f32; 4]; 4];
+
+impl Binned {
+    /// Room for the light at the buckets, which [`Binned::blend`] leaves for the passes behind it.
+    pub fn lights(&self, work: &mut Work) -> Result<Lent, GpuError> {
+        work.take::<f32>("the light at the buckets", self.bucket_bound * PIXELS)
+    }
+
+    /// The image of `blocks` vec4 of channels; the `first` of several runs writes alpha and lights too.
+    pub fn blend(
+        &self,
+        work: &mut Work,
+        blocks: usize,
+        values: &Lent,
+        first: bool,
+        alpha: &Lent,
+        lights: &Lent,
+    ) -> Result<Lent, GpuError> {
+        let image = work.take::<[f32; 4]>("the image", self.pixels * blocks)?;
+        work.run(
+            &BLEND,
+            blocks as u32,
+            [u32::from(first), 0, 0, 0],
+            &[&self.view, &self.footprints, &self.entries, &self.tiles, values, &image, alpha, lights],
+            self.tile_count,
+        );
+        Ok(image)
+    }
+
+    /// Sums over pixels of what each splat contributes times the image, of `blocks` (1 or 2) vec4.
+    pub fn gather(
+        &self,
+        work: &mut Work,
+        blocks: usize,
+        image: &Lent,
+        lights: &Lent,
+    ) -> Result<Lent, GpuError> {
+        let sums = work.take::<[f32; 4]>("the sums per splat", self.splats * blocks)?;
+        if self.pairs == 0 {
+            work.clear(&sums);
+            return Ok(sums);
+        }
+        let slots = work.take::<[f32; 4]>("the sums per splat and tile", self.pairs * blocks)?;
+        // Pairs that belong to no tile write nothing.
+        work.clear(&slots);
+        work.run(
+            &GATHER,
+            blocks as u32,
+            [self.bucket_bound as u32, 0, 0, 0],
+            &[&self.view, &self.footprints, &self.entries, &self.buckets, image, lights, &slots],
+            self.bucket_bound,
+        );
+        let job = [self.splats as u32, blocks as u32, 0, 0];
+        let groups = (self.splats * blocks).div_ceil(256);
+        work.run(&SUM_SLOTS, 1, job, &[&self.slots, &slots, &sums], groups);
+        Ok(sums)
+    }
+
+    /// Gradients of the geometry ([`Grads`]), from those of an image of `blocks` vec4.
+    pub fn backward(
+        &self,
+        work: &mut Work,
+        blocks: usize,
+        values: &Lent,
+        image: &Lent,
+    ) -> Result<Lent, GpuError> {
+        let out = work.take::<Grads>("the gradients", self.splats)?;
+        if self.pairs == 0 {
+            work.clear(&out);
+            return Ok(out);
+        }
+        let built = if blocks <= NEAR { blocks as u32 } else { 0 };
+        let states = work.take::<[f32; 2]>("the state at the buckets", self.bucket_bound * PIXELS)?;
+        let totals = work.take::<f32>("the pixels' totals", self.tile_count * PIXELS)?;
+        let job = [blocks as u32, self.bucket_bound as u32, 0, 0];
+        work.run(
+            &FRONT,
+            built,
+            job,
+            &[&self.view, &self.footprints, &self.entries, &self.tiles, values, image, &states, &totals],
+            self.tile_count,
+        );
+        let moments = work.take::<[f32; 8]>("the moments per splat and tile", self.pairs)?;
+        work.clear(&moments);
+        let reads = [
+            &self.view,
+            &self.footprints,
+            &self.entries,
+            &self.buckets,
+            values,
+            image,
+            &states,
+            &totals,
+            &moments,
+        ];
+        work.run(&BACKWARD, built, job, &reads, self.bucket_bound);
+        let job = [self.splats as u32, 0, 0, 0];
+        let cloud = &self.cloud;
+        let reads =
+            [&self.view, &cloud.means, &cloud.log_scales, &cloud.rotations, &self.slots, &moments, &out];
+        work.run(&UNPROJECT, 1, job, &reads, self.splats.div_ceil(64));
+        Ok(out)
+    }
+}

@@ -1,0 +1,236 @@
+//! Splats in training, with their optimiser and what density control wants to know of them. Per step an image comes back,
+//! and its gradient and one plane of errors go up; the splats do not move.
+
+use crate::GpuError;
+use crate::device::{Device, Lent, Work};
+use crate::engine::{Binned, Cloud, bin};
+use crate::shaders::{ADAM, OBSERVE, SHADE, SHADE_BACKWARD};
+use crate::view::{pack_image, unpack_image};
+use bytemuck::{Pod, Zeroable};
+use segwild_raster::{Frame, FrameGrad, Held, ProjectOptions, RasterError, Resident, Rule, Rules, check};
+use segwild_scene::{Camera, Image, Pose, Splats};
+use std::sync::Arc;
+
+/// Threads of a group.
+const GROUP: usize = 256;
+
+/// Splats or their moments.
+struct Numbers {
+    shapes: Arc<Cloud>,
+    /// `[splat][basis function][r, g, b]`.
+    sh: Lent,
+}
+
+impl Numbers {
+    fn upload(work: &mut Work, splats: &Splats) -> Result<Numbers, GpuError> {
+        let shapes = Arc::new(Cloud::upload(work, splats)?);
+        Ok(Numbers { shapes, sh: work.upload("the splats' harmonics", &splats.sh)? })
+    }
+
+    fn read(&self, work: &mut Work, sh_degree: u32) -> Result<Splats, GpuError> {
+        let mut splats = Splats { sh_degree, ..Splats::default() };
+        self.shapes.read(work, &mut splats)?;
+        splats.sh = work.read(&self.sh, self.shapes.splats * splats.sh_stride())?;
+        Ok(splats)
+    }
+}
+
+/// What was drawn last.
+struct Drawn {
+    on: Binned,
+    /// Depth, radius, centre per splat.
+    seen: Lent,
+    colours: Lent,
+    lights: Lent,
+    size: [usize; 2],
+}
+
+/// Splats in training on the device.
+pub(crate) struct GpuTraining {
+    device: Arc<Device>,
+    sh_degree: u32,
+    splats: Numbers,
+    first: Numbers,
+    second: Numbers,
+    /// For density control: gradient, error, steps, radius.
+    sums: Lent,
+    drawn: Option<Drawn>,
+}
+
+/// `Rules` of `adam.wgsl`.
+#[derive(Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+struct AdamRules {
+    first: [f32; 4],
+    second: [f32; 4],
+    item: [u32; 4],
+}
+
+/// A group of parameters, as `adam` sees it.
+struct Group<'a> {
+    /// Its arrays: of the splats, of first and of second moments.
+    of: fn(&Numbers) -> &Lent,
+    grads: &'a Lent,
+    /// Where the gradients of the first item begin, and how far those of the next are.
+    from: usize,
+    stride: usize,
+    /// Numbers of an item; of these, how many are parameters, and how many follow the first of two rules.
+    width: usize,
+    live: usize,
+    split: usize,
+    rules: [Rule; 2],
+}
+
+impl GpuTraining {
+    pub fn new(device: &Arc<Device>, held: &Held) -> Result<GpuTraining, GpuError> {
+        let mut work = device.work();
+        Ok(GpuTraining {
+            sh_degree: held.splats.sh_degree,
+            splats: Numbers::upload(&mut work, &held.splats)?,
+            first: Numbers::upload(&mut work, &held.first)?,
+            second: Numbers::upload(&mut work, &held.second)?,
+            sums: work.upload("the sums for density control", &held.sums)?,
+            drawn: None,
+            device: device.clone(),
+        })
+    }
+
+    fn count(&self) -> usize {
+        self.splats.shapes.splats
+    }
+
+    /// Numbers of a splat's harmonics.
+    fn sh_stride(&self) -> usize {
+        3 * (self.sh_degree as usize + 1).pow(2)
+    }
+
+    fn try_draw(
+        &mut self,
+        camera: &Camera,
+        pose: &Pose,
+        options: &ProjectOptions,
+    ) -> Result<Frame, GpuError> {
+        // Its buffers are used again.
+        self.drawn = None;
+        let n = self.count();
+        let mut work = self.device.work();
+        let (on, seen) = bin(&mut work, self.splats.shapes.clone(), camera, pose, options)?;
+        let colours = work.take::<[f32; 4]>("the splats' colours", n)?;
+        let job = [n as u32, self.sh_degree, 0, 0];
+        let shapes = &self.splats.shapes;
+        work.run(
+            &SHADE,
+            1,
+            job,
+            &[&on.view, &shapes.means, &seen, &self.splats.sh, &colours],
+            n.div_ceil(GROUP),
+        );
+        let alpha = work.take::<f32>("alpha", on.pixels)?;
+        let lights = on.lights(&mut work)?;
+        let image = on.blend(&mut work, 1, &colours, true, &alpha, &lights)?;
+        let drawn: Vec<f32> = work.read(&image, on.pixels * 4)?;
+        let size = [camera.width as usize, camera.height as usize];
+        let mut frame =
+            Frame { image: Image::zeros(size[0], size[1], 3), alpha: Image::zeros(size[0], size[1], 1) };
+        unpack_image(&drawn, 4, 0, &mut frame.image);
+        frame.alpha.data.iter_mut().zip(drawn.chunks_exact(4)).for_each(|(to, from)| *to = from[3]);
+        drop(work);
+        self.drawn = Some(Drawn { on, seen, colours, lights, size });
+        Ok(frame)
+    }
+
+    fn try_learn(&mut self, grad: &FrameGrad, error: &Image, rules: &Rules) -> Result<(), GpuError> {
+        let Drawn { on, seen, colours, lights, size } = self.drawn.take().expect("something was drawn");
+        let [width, height] = size;
+        assert_eq!(
+            (grad.image.width, grad.image.height, grad.image.channels),
+            (width, height, 3),
+            "gradient"
+        );
+        assert_eq!(error.data.len(), width * height, "error: numbers");
+        let n = self.count();
+        let work = &mut self.device.work();
+        let image = work.upload("the image's gradients", &pack_image(grad.image, 0, 1, grad.alpha))?;
+        let error = work.upload("the errors", &error.data)?;
+        let by_colour = on.gather(work, 1, &image, &lights)?;
+        let grads = on.backward(work, 1, &colours, &image)?;
+        let sh_grads = work.take::<f32>("the harmonics' gradients", n * self.sh_stride())?;
+        let shapes = &self.splats.shapes;
+        let buffers = [&on.view, &shapes.means, &seen, &self.splats.sh, &by_colour, &sh_grads, &grads];
+        let job = [n as u32, self.sh_degree, 0, 0];
+        work.run(&SHADE_BACKWARD, 1, job, &buffers, n.div_ceil(GROUP));
+        let buffers = [&on.view, &seen, &grads, &error, &self.sums];
+        work.run(&OBSERVE, 1, [n as u32, 0, 0, 0], &buffers, n.div_ceil(GROUP));
+        let shape = |of, from, live, split, rules| Group {
+            of,
+            grads: &grads,
+            from,
+            stride: 16,
+            width: 4,
+            live,
+            split,
+            rules,
+        };
+        let width = self.sh_stride();
+        let groups = [
+            shape(|of| &of.shapes.means, 0, 4, 3, [rules.means, rules.opacities]),
+            shape(|of| &of.shapes.log_scales, 4, 3, 3, [rules.log_scales; 2]),
+            shape(|of| &of.shapes.rotations, 8, 4, 4, [rules.rotations; 2]),
+            Group {
+                of: |of| &of.sh,
+                grads: &sh_grads,
+                from: 0,
+                stride: width,
+                width,
+                live: width,
+                split: 3,
+                rules: [rules.base, rules.higher],
+            },
+        ];
+        for group in groups {
+            self.step(work, &group)?;
+        }
+        work.hand_in();
+        Ok(())
+    }
+
+    fn step(&self, work: &mut Work, group: &Group) -> Result<(), GpuError> {
+        let rule = |Rule { beta1, beta2, rate, epsilon }: Rule| [beta1, beta2, rate, epsilon];
+        let rules = AdamRules {
+            first: rule(group.rules[0]),
+            second: rule(group.rules[1]),
+            item: [group.from, group.stride, group.live, group.split].map(|v| v as u32),
+        };
+        let rules = work.upload("the rules", &[rules])?;
+        let numbers = self.count() * group.width;
+        let [splats, first, second] = [&self.splats, &self.first, &self.second].map(group.of);
+        let job = [numbers as u32, group.width as u32, 0, 0];
+        work.run(&ADAM, 1, job, &[&rules, group.grads, splats, first, second], numbers.div_ceil(GROUP));
+        Ok(())
+    }
+
+    fn try_fetch(&mut self) -> Result<Held, GpuError> {
+        let mut work = self.device.work();
+        Ok(Held {
+            splats: self.splats.read(&mut work, self.sh_degree)?,
+            first: self.first.read(&mut work, self.sh_degree)?,
+            second: self.second.read(&mut work, self.sh_degree)?,
+            sums: work.read(&self.sums, self.count())?,
+        })
+    }
+}
+
+impl Resident for GpuTraining {
+    fn draw(&mut self, camera: &Camera, pose: &Pose, options: &ProjectOptions) -> Result<Frame, RasterError> {
+        check(&Splats::default(), camera)?;
+        Ok(self.try_draw(camera, pose, options)?)
+    }
+
+    fn learn(&mut self, grad: &FrameGrad, error: &Image, rules: &Rules) -> Result<(), RasterError> {
+        Ok(self.try_learn(grad, error, rules)?)
+    }
+
+    fn fetch(&mut self) -> Result<Held, RasterError> {
+        Ok(self.try_fetch()?)
+    }
+}
