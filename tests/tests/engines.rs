@@ -96,3 +96,31 @@ fn a_training_that_one_engine_began_is_ended_by_the_other() {
     assert!(done.train_psnr.is_some_and(f32::is_finite), "{:?}", done.train_psnr);
     assert!(told.contains("the gpu engine trained up to step 10: this one takes over"), "{told}");
 }
+
+#[test]
+fn splats_that_come_home_in_the_middle_end_in_the_same_bytes() {
+    let test = "splats_that_come_home_in_the_middle_end_in_the_same_bytes";
+    let Some(adapter) = adapter(test) else { return };
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let scene = dir.path().join("place");
+    generate(&place(8, 64)).and_then(|place| place.write(&scene)).expect("a synthetic place");
+    // With colours of every degree, growth, pruning, strangers and photos asked for witness in between.
+    let small =
+        [("size", "64"), ("steps", "60"), ("splats", "700"), ("sh_degree", "3"), ("prompt_budget", "8")];
+    let train = |name: &str, stops: &[u32]| {
+        let folder = RunFolder::create(&dir.path().join(name)).expect("a folder");
+        let mut settings = Settings::default();
+        for (name, value) in small.iter().chain(&[("engine", "gpu"), ("adapter", adapter.as_str())]) {
+            settings.set(name, value).expect("a setting");
+        }
+        let stops = stops.iter().map(|&step| Some(Until::Step(step))).chain([None]);
+        for until in stops {
+            run(&scene, &folder, &settings, &RunOptions { until, ..RunOptions::default() })
+                .expect("it trains");
+        }
+        std::fs::read(dir.path().join(name).join("scene.ply")).expect("the trained splats")
+    };
+    let straight = train("straight", &[]);
+    assert!(straight.len() > 10_000, "{} bytes", straight.len());
+    assert!(straight == train("stopped", &[7, 21, 50]), "stopping matters");
+}

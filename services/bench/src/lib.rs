@@ -3,6 +3,7 @@
 pub mod ablation;
 pub mod chart;
 pub mod compare;
+pub mod engine;
 pub mod flow;
 pub mod metrics;
 pub mod oracle;

@@ -32,6 +32,9 @@ pub enum PageError {
     /// The kernels refused.
     #[error("the kernels refused: {0}")]
     Raster(#[from] RasterError),
+    /// There is no accelerator, or it failed.
+    #[error(transparent)]
+    Gpu(#[from] segwild_gpu::GpuError),
     /// Results cannot be read or written.
     #[error(transparent)]
     Record(#[from] RecordError),

@@ -108,9 +108,13 @@ impl Device {
 
     fn check(&self) -> Result<(), GpuError> {
         match &*lock(&self.failed) {
-            Some(why) => Err(GpuError::Failed { adapter: self.adapter.name.clone(), why: why.clone() }),
+            Some(why) => Err(self.failure(why.clone())),
             None => Ok(()),
         }
+    }
+
+    fn failure(&self, why: String) -> GpuError {
+        GpuError::Failed { adapter: self.adapter.name.clone(), why }
     }
 
     fn kernel(&self, kernel: &Kernel, blocks: u32) -> Arc<ComputePipeline> {
@@ -200,6 +204,12 @@ impl Work<'_> {
         self.encoder.clear_buffer(lent.raw(), 0, Some(lent.bytes));
     }
 
+    /// Copies the first bytes of one buffer to another.
+    pub fn copy(&mut self, from: &Lent, to: &Lent, bytes: usize) {
+        self.dirty = true;
+        self.encoder.copy_buffer_to_buffer(from.raw(), 0, to.raw(), 0, bytes as u64);
+    }
+
     /// Runs a kernel in so many groups. Binding 0 is its job, the buffers follow.
     pub fn run(&mut self, kernel: &Kernel, blocks: u32, job: [u32; 4], buffers: &[&Lent], groups: usize) {
         if groups == 0 {
@@ -259,6 +269,14 @@ impl Work<'_> {
         self.dirty = false;
     }
 
+    /// Hands in, and waits until all is done.
+    pub fn wait(&mut self) -> Result<(), GpuError> {
+        self.hand_in();
+        let polled = self.device.device.poll(wgpu::PollType::wait_indefinitely());
+        self.device.check()?;
+        polled.map(drop).map_err(|error| self.device.failure(error.to_string()))
+    }
+
     /// Hands in, waits, and brings the first `count` items back.
     pub fn read<T: Pod>(&mut self, from: &Lent, count: usize) -> Result<Vec<T>, GpuError> {
         self.read_at(from, 0, count)
@@ -280,11 +298,8 @@ impl Work<'_> {
         self.hand_in();
         let slice = staging.raw().slice(..bytes);
         slice.map_async(wgpu::MapMode::Read, |_| {});
-        let fail = |why: String| GpuError::Failed { adapter: self.device.adapter.name.clone(), why };
-        let polled = self.device.device.poll(wgpu::PollType::wait_indefinitely());
-        self.device.check()?;
-        polled.map_err(|error| fail(error.to_string()))?;
-        let view = slice.get_mapped_range().map_err(|error| fail(error.to_string()))?;
+        self.wait()?;
+        let view = slice.get_mapped_range().map_err(|error| self.device.failure(error.to_string()))?;
         bytemuck::cast_slice_mut::<T, u8>(&mut out).copy_from_slice(&view);
         drop(view);
         staging.raw().unmap();

@@ -18,6 +18,7 @@ mod device;
 mod engine;
 mod passes;
 mod shaders;
+mod speed;
 mod training;
 mod view;
 
@@ -25,6 +26,7 @@ pub use adapter::{Adapter, Choice, adapters};
 pub use check::{Checked, Tolerance, check, gradients, held, projected, training as check_training};
 pub use engine::GpuEngine;
 pub use shaders::{KERNELS, Kernel, source};
+pub use speed::{Reach, Timed, reach, speed};
 
 /// Why the accelerator engine refused, or stopped.
 #[derive(Debug, Clone, thiserror::Error)]

@@ -51,6 +51,7 @@ kernels! {
     SHADE_BACKWARD = "shade_backward"."shade_backward", [1];
     OBSERVE = "observe"."observe", [1];
     ADAM = "adam"."adam", [1];
+    RATE = "rate"."rate", [1];
 }
 
 /// What `#import name` stands for.

@@ -4,6 +4,7 @@
 use crate::GpuError;
 use crate::device::{Device, Lent, Work};
 use crate::engine::{Binned, Cloud, bin};
+use crate::passes::Grads;
 use crate::shaders::{ADAM, OBSERVE, SHADE, SHADE_BACKWARD};
 use crate::view::{pack_image, unpack_image};
 use bytemuck::{Pod, Zeroable};
@@ -64,6 +65,14 @@ struct AdamRules {
     first: [f32; 4],
     second: [f32; 4],
     item: [u32; 4],
+}
+
+/// Gradients of everything that is trained.
+pub(crate) struct StepGrads {
+    /// Of [`Grads`].
+    shapes: Lent,
+    /// As [`Numbers::sh`].
+    sh: Lent,
 }
 
 /// A group of parameters, as `adam` sees it.
@@ -161,9 +170,16 @@ impl GpuTraining {
         work.run(&SHADE_BACKWARD, 1, job, &buffers, n.div_ceil(GROUP));
         let buffers = [&on.view, &seen, &grads, &error, &self.sums];
         work.run(&OBSERVE, 1, [n as u32, 0, 0, 0], &buffers, n.div_ceil(GROUP));
+        self.adam(work, &StepGrads { shapes: grads, sh: sh_grads }, rules)?;
+        work.hand_in();
+        Ok(())
+    }
+
+    /// The optimiser's step of every group of parameters.
+    pub fn adam(&self, work: &mut Work, grads: &StepGrads, rules: &Rules) -> Result<(), GpuError> {
         let shape = |of, from, live, split, rules| Group {
             of,
-            grads: &grads,
+            grads: &grads.shapes,
             from,
             stride: 16,
             width: 4,
@@ -178,7 +194,7 @@ impl GpuTraining {
             shape(|of| &of.shapes.rotations, 8, 4, 4, [rules.rotations; 2]),
             Group {
                 of: |of| &of.sh,
-                grads: &sh_grads,
+                grads: &grads.sh,
                 from: 0,
                 stride: width,
                 width,
@@ -187,11 +203,19 @@ impl GpuTraining {
                 rules: [rules.base, rules.higher],
             },
         ];
-        for group in groups {
-            self.step(work, &group)?;
-        }
+        groups.iter().try_for_each(|group| self.step(work, group))
+    }
+
+    /// Gradients of 0.
+    pub fn some_gradients(&self) -> Result<StepGrads, GpuError> {
+        let mut work = self.device.work();
+        let n = self.count();
+        let shapes = work.take::<Grads>("the gradients", n)?;
+        let sh = work.take::<f32>("the harmonics' gradients", n * self.sh_stride())?;
+        work.clear(&shapes);
+        work.clear(&sh);
         work.hand_in();
-        Ok(())
+        Ok(StepGrads { shapes, sh })
     }
 
     fn step(&self, work: &mut Work, group: &Group) -> Result<(), GpuError> {

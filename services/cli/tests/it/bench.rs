@@ -44,3 +44,30 @@ fn a_table_of_rivals_is_printed_kept_and_written_as_a_page() {
     let records = results["records"].as_array().expect("records");
     assert!(records.len() >= 2 && records.iter().all(|r| r["numbers"]["iou"].is_number()), "{results}");
 }
+
+#[test]
+fn the_accelerators_speed_is_measured_or_its_absence_told() {
+    let dir = folder();
+    let page = dir.path().join("engine.md");
+    let shown = show(&page);
+    let bench = |adapter| {
+        let small = ["bench", "engine", "--splats", "300", "--sizes", "48x32", "--channels", "3,20"];
+        [&small[..], &["--page", shown.as_str(), "--adapter", adapter]].concat()
+    };
+    refuses(&bench("no such thing"), 2, &["accelerator"]);
+    let Some(adapter) = segwild_gpu::adapters().into_iter().next() else {
+        println!("skipped: no Vulkan, Metal or Direct3D 12 adapter (mesa-vulkan-drivers has one)");
+        return;
+    };
+    works(&bench(&adapter.name));
+    let text = std::fs::read_to_string(&page).expect("a page");
+    assert!(text.contains(&adapter.name) && text.contains("GB/s"), "{text}");
+    for target in ["300 splats, 48 x 32, 3 channels", "300 splats, 48 x 32, 20 channels"] {
+        let (_, rows) = text.split_once(target).expect("its table");
+        for pass in ["project, sort, bin", "sort", "shade", "blend", "gather", "backward", "adam"] {
+            let row = rows.lines().find(|l| l.starts_with(&format!("| {pass} |"))).expect("its row");
+            let ms = row.split('|').nth(2).and_then(|ms| ms.trim().parse::<f64>().ok());
+            assert!(ms.is_some_and(|ms| ms > 0.0), "{row}");
+        }
+    }
+}

@@ -119,7 +119,7 @@ fn on_the_host(
         }
     }
     let Held { splats: s, first, second, .. } = &mut after;
-    let mut step = |p: &mut [f32], m: &mut [f32], v: &mut [f32], g: &[f32], rule: Rule| {
+    let step = |p: &mut [f32], m: &mut [f32], v: &mut [f32], g: &[f32], rule: Rule| {
         let mut adam = Adam::new(p.len(), 1);
         adam.set_moments(m.to_vec(), v.to_vec());
         adam.step_by(p, g, rule);

@@ -14,6 +14,7 @@ use segwild_bench::protocols::tables::{all, page};
 use segwild_bench::protocols::{Base, Place, ProtocolError, Table, measure};
 use segwild_bench::record::{Made, Record, Results};
 use segwild_bench::synthetic::LookKind;
+use segwild_gpu::GpuError;
 use segwild_pipeline::{Settings, SettingsError};
 use segwild_scene::settings::Value;
 use std::path::{Path, PathBuf};
@@ -242,11 +243,13 @@ impl From<PageError> for Failure {
         match error {
             PageError::Settings(e) => e.into(),
             PageError::Point(e) => e.into(),
-            PageError::Unknown { .. } => Failure::usage(error.to_string()),
+            PageError::Unknown { .. } | PageError::Gpu(GpuError::NoAdapter(_)) => {
+                Failure::usage(error.to_string())
+            }
             PageError::Other(_) | PageError::Record(_) => {
                 Failure { message: error.to_string(), code: exit::FOLDER }
             }
-            PageError::Plot(_) | PageError::Raster(_) | PageError::Io { .. } => {
+            PageError::Plot(_) | PageError::Raster(_) | PageError::Gpu(_) | PageError::Io { .. } => {
                 Failure { message: error.to_string(), code: exit::FAILED }
             }
         }

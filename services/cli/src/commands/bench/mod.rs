@@ -3,6 +3,7 @@
 mod chart;
 mod common;
 mod compare;
+mod engine;
 mod flow;
 mod folder;
 mod lego;
@@ -33,6 +34,7 @@ pub fn command() -> Command {
         .subcommand(compare::command())
         .subcommand(tables::command())
         .subcommand(flow::command())
+        .subcommand(engine::command())
         .subcommand(scale::command())
         .subcommand(slice::command())
         .subcommand(stability::command())
@@ -55,6 +57,7 @@ pub fn bench(matches: &ArgMatches) -> Result<(), Failure> {
         Some(("spin-nerf", m)) => scribbles::spin_nerf(m),
         Some(("tables", m)) => tables::tables(m),
         Some(("flow", m)) => flow::flow(m),
+        Some(("engine", m)) => engine::engine(m),
         _ => synthetic::synthetic(matches),
     }
 }

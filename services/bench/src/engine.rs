@@ -1,0 +1,223 @@
+//! How fast the accelerator engine is: every pass against its floor on the device, and against the CPU engine.
+
+use crate::page::{PageError, io};
+use crate::record::{Made, Record, Results};
+use crate::synthetic::random::Rng;
+use glam::Vec3;
+use segwild_gpu::{Choice, GpuEngine, Reach, reach, speed};
+use segwild_raster::{Channels, CpuEngine, Engine, FrameGrad, ProjectOptions, RasterError};
+use segwild_scene::{Camera, Pose, Splats};
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::path::Path;
+use std::time::Instant;
+
+/// Name of the benchmark in its records.
+pub const PROTOCOL: &str = "engine";
+/// The pass that is a whole step, but for the photo's half of it.
+pub const STEP: &str = "splats' half of a step";
+
+/// What is measured.
+#[derive(Clone, Debug)]
+pub struct EngineOptions {
+    /// The command line, for the page.
+    pub command: String,
+    /// Which accelerator.
+    pub choice: Choice,
+    /// Numbers of splats.
+    pub splats: Vec<u32>,
+    /// Frames, width and height.
+    pub sizes: Vec<(u32, u32)>,
+    /// Channels, each on the smallest frame and with the fewest splats, after three on all.
+    pub channels: Vec<u32>,
+    /// Whether the CPU engine does the same beside it.
+    pub cpu: bool,
+}
+
+/// Measures every combination; `told` hears each record.
+pub fn engine(options: &EngineOptions, mut told: impl FnMut(&Record)) -> Result<Results, PageError> {
+    let gpu = GpuEngine::new(&options.choice)?;
+    let mut made = Made::here(options.command.clone());
+    let adapter = gpu.adapter();
+    made.machine =
+        format!("{} ({}, {}) beside {}", adapter.name, adapter.backend, adapter.driver, made.machine);
+    let reach = reach(&gpu)?;
+    let mut results = Results { made, records: Vec::new() };
+    let mut put = |record: Record| {
+        told(&record);
+        results.records.push(record);
+    };
+    let numbers =
+        [("bytes_per_s".to_owned(), reach.bytes), ("operations_per_s".to_owned(), reach.operations)];
+    put(record("reach", "", BTreeMap::from(numbers)));
+    let mut work: Vec<(u32, (u32, u32), u32)> = Vec::new();
+    for &size in &options.sizes {
+        work.extend(options.splats.iter().map(|&splats| (splats, size, 3)));
+    }
+    if let (Some(&size), Some(&splats)) = (options.sizes.first(), options.splats.first()) {
+        work.extend(options.channels.iter().filter(|&&c| c != 3).map(|&c| (splats, size, c)));
+    }
+    for (splats, size, channels) in work {
+        let target = format!("{splats} splats, {} x {}, {channels} channels", size.0, size.1);
+        match measure(&gpu, reach, splats, size, channels, options.cpu) {
+            Ok(rows) => rows.into_iter().for_each(|(pass, numbers)| put(record(pass, &target, numbers))),
+            // What does not fit on this device is a result too.
+            Err(error) => {
+                put(Record { notes: vec![error.to_string()], ..record("refused", &target, BTreeMap::new()) });
+            }
+        }
+    }
+    Ok(results)
+}
+
+fn record(pass: &str, target: &str, numbers: BTreeMap<String, f64>) -> Record {
+    Record {
+        protocol: PROTOCOL.into(),
+        setting: pass.into(),
+        target: target.into(),
+        numbers,
+        ..Record::default()
+    }
+}
+
+type Row = (&'static str, BTreeMap<String, f64>);
+
+fn measure(
+    gpu: &GpuEngine,
+    reach: Reach,
+    splats: u32,
+    (width, height): (u32, u32),
+    channels: u32,
+    with_cpu: bool,
+) -> Result<Vec<Row>, RasterError> {
+    let scene = frame(splats, width, height);
+    let (w, h) = (width as f32, height as f32);
+    let camera = Camera { width, height, fx: w, fy: w, cx: w / 2.0, cy: h / 2.0 };
+    let pose = Pose::look_at(Vec3::ZERO, Vec3::Z, Vec3::NEG_Y);
+    let timed = speed(gpu, reach, &scene, &camera, &pose, channels as usize)?;
+    let beside =
+        if with_cpu { on_the_cpu(&scene, &camera, &pose, channels as usize)? } else { BTreeMap::new() };
+    Ok(timed
+        .into_iter()
+        .map(|row| {
+            let mut numbers = BTreeMap::from([("ms".to_owned(), row.ms)]);
+            if row.floor_ms > 0.0 {
+                numbers.insert("floor_ms".into(), row.floor_ms);
+                numbers.insert("share".into(), row.floor_ms / row.ms);
+            }
+            if let Some(cpu) = beside.get(row.pass) {
+                numbers.insert("cpu_ms".into(), *cpu);
+                numbers.insert("ratio".into(), cpu / row.ms);
+            }
+            (row.pass, numbers)
+        })
+        .collect())
+}
+
+/// Milliseconds of the same passes by the CPU engine, the best of three.
+fn on_the_cpu(
+    splats: &Splats,
+    camera: &Camera,
+    pose: &Pose,
+    channels: usize,
+) -> Result<BTreeMap<&'static str, f64>, RasterError> {
+    let engine = CpuEngine::new();
+    let options = ProjectOptions { antialias: true, ..ProjectOptions::default() };
+    let values = vec![0.5; splats.len() * channels];
+    let values = Channels { count: channels, values: &values };
+    let projected = engine.project(splats, camera, pose, &options)?;
+    let drawn = projected.blend(&values)?;
+    let grad = FrameGrad { image: &drawn.image, alpha: None };
+    let best = |work: &mut dyn FnMut()| {
+        let once = |_| {
+            let began = Instant::now();
+            work();
+            began.elapsed().as_secs_f64() * 1e3
+        };
+        (0..3).map(once).fold(f64::INFINITY, f64::min)
+    };
+    Ok(BTreeMap::from([
+        ("project, sort, bin", best(&mut || drop(engine.project(splats, camera, pose, &options)))),
+        ("shade", best(&mut || drop(projected.shade()))),
+        ("blend", best(&mut || drop(projected.blend(&values)))),
+        ("gather", best(&mut || drop(projected.gather(&drawn.image)))),
+        ("backward", best(&mut || drop(projected.backward(&values, &drawn, &grad)))),
+    ]))
+}
+
+/// Splats that fill a frame, of standard deviations such that as many lie on a pixel however many there are: 0.5 to 3
+/// pixels where there is one for each pixel.
+fn frame(count: u32, width: u32, height: u32) -> Splats {
+    const DEGREE: u32 = 3;
+    let mut rng = Rng::new(7, 0);
+    let mut splats = Splats { sh_degree: DEGREE, ..Splats::default() };
+    let (w, aspect) = (width as f32, height as f32 / width as f32);
+    let spread = (w * height as f32 / count.max(1) as f32).sqrt();
+    for _ in 0..count {
+        let z = rng.range(1.0, 3.0);
+        splats.means.push([rng.range(-0.5, 0.5) * z, rng.range(-0.5, 0.5) * aspect * z, z]);
+        splats.log_scales.push([(); 3].map(|()| (rng.range(0.5, 3.0) * spread * z / w).ln()));
+        splats.rotations.push([(); 4].map(|()| rng.range(-0.5, 0.5)));
+        splats.opacities.push(rng.range(-2.0, 2.0));
+        splats.sh.extend((0..splats.sh_stride()).map(|_| 0.1 * rng.range(-1.0, 1.0)));
+    }
+    splats
+}
+
+/// The page in Markdown.
+pub fn markdown(results: &Results) -> String {
+    let made = &results.made;
+    let mut text = format!(
+        "# The accelerator engine's speed\n\nThis page is generated: `{}`, by segwild {} on {}. Each pass is repeated and waited \
+         for once; its floor is the longer of its arrays, each moved once, at the bandwidth of a copy, and its operations, at \
+         every pixel of every tile that a splat touches, at the rate of a kernel that only multiplies and adds. The CPU's \
+         milliseconds are of wall clock on all its cores.\n",
+        made.command, made.version, made.machine
+    );
+    let number = |record: &Record, name: &str| record.numbers.get(name).copied();
+    let mut targets: Vec<&str> = Vec::new();
+    for record in &results.records {
+        if record.setting == "reach" {
+            let giga = |name| number(record, name).unwrap_or(0.0) / 1e9;
+            let _ = writeln!(
+                text,
+                "\nA copy moves {:.1} GB/s, a multiply-add chain does {:.1} GFLOP/s.",
+                giga("bytes_per_s"),
+                giga("operations_per_s")
+            );
+        } else if !targets.contains(&record.target.as_str()) {
+            targets.push(&record.target);
+        }
+    }
+    for target in targets {
+        let _ = writeln!(text, "\n## {target}\n");
+        let rows: Vec<&Record> = results.records.iter().filter(|r| r.target == target).collect();
+        if let Some(refused) = rows.iter().find(|r| r.setting == "refused") {
+            let _ = writeln!(text, "Refused: {}.", refused.notes.join("; "));
+            continue;
+        }
+        text.push_str("| pass | ms | floor, ms | share of the floor | CPU, ms | CPU / this |\n|---|---:|---:|---:|---:|---:|\n");
+        for row in &rows {
+            let cell = |name: &str, places: usize| {
+                number(row, name).map_or(String::new(), |v| format!("{v:.places$}"))
+            };
+            let share = number(row, "share").map_or(String::new(), |v| format!("{:.1} %", 100.0 * v));
+            let cells = [cell("ms", 3), cell("floor_ms", 3), share, cell("cpu_ms", 2), cell("ratio", 2)];
+            let _ = writeln!(text, "| {} | {} |", row.setting, cells.join(" | "));
+        }
+        let mut far: Vec<(f64, &str)> =
+            rows.iter().filter_map(|r| Some((number(r, "share")?, r.setting.as_str()))).collect();
+        far.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let far: Vec<&str> = far.iter().take(3).map(|f| f.1).collect();
+        let _ = writeln!(text, "\nFurthest from their floors: {}.", far.join("; "));
+        if let Some(ms) = rows.iter().find(|r| r.setting == STEP).and_then(|r| number(r, "ms")) {
+            let _ = writeln!(text, "{:.1} steps a second, without the photo's half.", 1e3 / ms);
+        }
+    }
+    text
+}
+
+/// Writes the page.
+pub fn write(page: &Path, results: &Results) -> Result<(), PageError> {
+    io(page, std::fs::write(page, markdown(results)))
+}

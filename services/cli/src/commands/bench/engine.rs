@@ -1,0 +1,72 @@
+//! `segwild bench engine`
+
+use super::{list, numbers};
+use crate::args::{json, path};
+use crate::commands::{path as path_of, print_json, print_line};
+use crate::failure::Failure;
+use clap::{Arg, ArgAction, ArgMatches, Command};
+use segwild_bench::engine::{EngineOptions, engine as measure_all, write};
+use segwild_bench::record::Record;
+use segwild_gpu::Choice;
+
+/// The benchmark's arguments.
+pub fn command() -> Command {
+    let sizes = |name: &'static str, default: &'static str, help: &'static str| {
+        Arg::new(name).long(name).value_name("LIST").default_value(default).help(help)
+    };
+    Command::new("engine")
+        .about("How fast the accelerator engine is: each pass against its floor and the CPU engine")
+        .arg(
+            Arg::new("adapter")
+                .long("adapter")
+                .value_name("NAME")
+                .help("Part of the accelerator's name [default: the best that is no program on the CPU]"),
+        )
+        .arg(sizes("splats", "10000,100000,1000000,5000000", "Numbers of splats"))
+        .arg(sizes("sizes", "640x480,1920x1080,3840x2160", "Frames, in pixels"))
+        .arg(sizes("channels", "3,16,64", "Channels, on the first frame with the first number of splats"))
+        .arg(
+            Arg::new("no-cpu")
+                .long("no-cpu")
+                .action(ArgAction::SetTrue)
+                .help("Leave out the CPU engine beside it"),
+        )
+        .arg(path("page", "Write the page to this file"))
+        .arg(json())
+}
+
+/// Measures, and prints as it goes.
+pub fn engine(matches: &ArgMatches) -> Result<(), Failure> {
+    let size = |text: String| {
+        let sides = text.split_once('x').and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
+        sides.ok_or_else(|| Failure::usage(format!("--sizes: `{text}` is no frame such as 640x480")))
+    };
+    let options = EngineOptions {
+        command: super::common::command_line(),
+        choice: matches.get_one::<String>("adapter").cloned().map_or(Choice::Hardware, Choice::Named),
+        splats: numbers(matches, "splats")?,
+        sizes: list(matches, "sizes").into_iter().map(size).collect::<Result<_, _>>()?,
+        channels: numbers(matches, "channels")?,
+        cpu: !matches.get_flag("no-cpu"),
+    };
+    let json = matches.get_flag("json");
+    let mut last = String::new();
+    let told = |record: &Record| {
+        if json {
+            let _ = print_json(record);
+            return;
+        }
+        if record.target != last {
+            last.clone_from(&record.target);
+            let _ = print_line(&last);
+        }
+        let numbers: Vec<String> = record.numbers.iter().map(|(n, v)| format!("{n} {v:.3}")).collect();
+        let said = [numbers.join(", "), record.notes.join("; ")].concat();
+        let _ = print_line(&format!("  {:<24} {said}", record.setting));
+    };
+    let results = measure_all(&options, told)?;
+    if let Some(page) = path_of(matches, "page") {
+        write(&page, &results)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,253 @@
+//! How long each pass takes, and how long it must take on this device at the least.
+//!
+//! The floor of a pass is the longer of two times: its arrays, each read or written once, at the bandwidth of a copy; and
+//! its operations at the rate of a kernel that does nothing else. Operations are those of every pair of a splat and a tile
+//! at every pixel of the tile, as if no light ran out.
+
+use crate::device::Work;
+use crate::engine::{Cloud, bin, sort};
+use crate::shaders::{RATE, SHADE};
+use crate::training::GpuTraining;
+use crate::{GpuEngine, GpuError};
+use segwild_raster::{FrameGrad, Held, ProjectOptions, RasterError, Resident, Rule, Rules};
+use segwild_scene::{Camera, Image, Pose, Splats};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Least seconds over which a pass is repeated, and most repetitions.
+const LEAST: f64 = 0.25;
+const MOST: usize = 200;
+/// Pixels of a tile.
+const PIXELS: f64 = 256.0;
+/// Operations of one splat at one pixel: footprint and blending, and what a vec4 of channels and the way back add.
+const TOUCH: f64 = 14.0;
+const PER_BLOCK: f64 = 8.0;
+const BACK: f64 = 40.0;
+
+/// How the views are projected.
+const OPTIONS: ProjectOptions = ProjectOptions { low_pass: 0.3, antialias: true, near: segwild_scene::NEAR };
+
+/// What the device reaches when it does only that.
+#[derive(Clone, Copy, Debug)]
+pub struct Reach {
+    /// Bytes read and written in a second by a copy.
+    pub bytes: f64,
+    /// Operations in a second.
+    pub operations: f64,
+}
+
+impl Reach {
+    /// Milliseconds that so many bytes and operations take at the least.
+    fn floor_ms(&self, bytes: f64, operations: f64) -> f64 {
+        1e3 * (bytes / self.bytes).max(operations / self.operations)
+    }
+}
+
+/// One pass over one view.
+#[derive(Clone, Debug)]
+pub struct Timed {
+    /// Its name: kernels of `shaders/`, or what they do together.
+    pub pass: &'static str,
+    /// Milliseconds of wall clock.
+    pub ms: f64,
+    /// The least that it takes; 0 where it is not one pass of the device.
+    pub floor_ms: f64,
+}
+
+/// Mean milliseconds of work that is handed in over and over and waited for once.
+fn timed(work: &mut Work, mut pass: impl FnMut(&mut Work) -> Result<(), GpuError>) -> Result<f64, GpuError> {
+    // Compiles, and takes what memory it needs.
+    pass(work)?;
+    work.wait()?;
+    let mut calls = 1;
+    loop {
+        let began = Instant::now();
+        for _ in 0..calls {
+            pass(work)?;
+        }
+        work.wait()?;
+        let spent = began.elapsed().as_secs_f64();
+        if spent >= LEAST || calls >= MOST {
+            return Ok(spent * 1e3 / calls as f64);
+        }
+        calls = ((1.5 * LEAST / spent.max(1e-6)) as usize * calls).clamp(2 * calls, MOST.max(2 * calls));
+    }
+}
+
+/// Measures what the device reaches.
+pub fn reach(engine: &GpuEngine) -> Result<Reach, GpuError> {
+    let mut work = engine.device.work();
+    let bytes = engine.adapter().binding.min(256 << 20) as usize / 16 * 16;
+    let (from, to) = (work.take::<u8>("a copy's source", bytes)?, work.take::<u8>("a copy", bytes)?);
+    work.clear(&from);
+    let ms = timed(&mut work, |work| {
+        work.copy(&from, &to, bytes);
+        Ok(())
+    })?;
+    let threads = 1 << 20;
+    let turns = 256;
+    let out = work.take::<f32>("sums", threads)?;
+    let rate = timed(&mut work, |work| {
+        work.run(&RATE, 1, [threads as u32, turns, 0, 0], &[&out], threads / 256);
+        Ok(())
+    })?;
+    let operations = threads as f64 * f64::from(turns) * 16.0;
+    Ok(Reach { bytes: 2.0 * bytes as f64 * 1e3 / ms, operations: operations * 1e3 / rate })
+}
+
+/// Times every pass over a view, of `channels` channels where these matter, and a step of training at last.
+pub fn speed(
+    engine: &GpuEngine,
+    reach: Reach,
+    splats: &Splats,
+    camera: &Camera,
+    pose: &Pose,
+    channels: usize,
+) -> Result<Vec<Timed>, RasterError> {
+    let mut rows = {
+        let mut bench = Bench { work: engine.device.work(), reach, rows: Vec::new() };
+        bench.passes(splats, camera, pose, channels.div_ceil(4).max(1))?;
+        bench.rows
+    };
+    rows.extend(training(engine, reach, splats, camera, pose)?);
+    Ok(rows)
+}
+
+/// Passes that are timed one after the other.
+struct Bench<'a> {
+    work: Work<'a>,
+    reach: Reach,
+    rows: Vec<Timed>,
+}
+
+impl Bench<'_> {
+    /// Times a pass that moves so many bytes at the least, and does so many operations.
+    fn row(
+        &mut self,
+        pass: &'static str,
+        bytes: f64,
+        operations: f64,
+        run: impl FnMut(&mut Work) -> Result<(), GpuError>,
+    ) -> Result<(), GpuError> {
+        let ms = timed(&mut self.work, run)?;
+        self.rows.push(Timed { pass, ms, floor_ms: self.reach.floor_ms(bytes, operations) });
+        Ok(())
+    }
+
+    fn passes(
+        &mut self,
+        splats: &Splats,
+        camera: &Camera,
+        pose: &Pose,
+        blocks: usize,
+    ) -> Result<(), GpuError> {
+        let options = OPTIONS;
+        let (count, n) = (splats.len(), splats.len() as f64);
+        let cloud = Arc::new(Cloud::upload(&mut self.work, splats)?);
+        let sh = self.work.upload("the splats' harmonics", &splats.sh)?;
+        let (on, seen) = bin(&mut self.work, cloud.clone(), camera, pose, &options)?;
+        let (pairs, pixels) = (on.pairs as f64, on.pixels as f64);
+        // A splat's twelve numbers in, its footprint, depth and centre out; a pair's tile, splat and slot.
+        self.row("project, sort, bin", n * (48.0 + 48.0) + pairs * 16.0, n * 200.0, |work| {
+            bin(work, cloud.clone(), camera, pose, &options).map(drop)
+        })?;
+        let keys: Vec<u32> = (0..count as u32).map(|i| i.wrapping_mul(2_654_435_761)).collect();
+        let keys = self.work.upload("keys", &keys)?;
+        self.row("sort", n * 16.0, 0.0, |work| {
+            let (from, items) = (work.take::<u32>("sort keys", count)?, work.take::<u32>("items", count)?);
+            work.copy(&keys, &from, 4 * count);
+            sort(work, from, items, count, u32::BITS).map(drop)
+        })?;
+        let colours = self.work.take::<[f32; 4]>("the splats' colours", count)?;
+        let stride = splats.sh_stride() as f64;
+        self.row("shade", n * (48.0 + 4.0 * stride), n * 8.0 * stride, |work| {
+            let buffers = [&on.view, &cloud.means, &seen, &sh, &colours];
+            work.run(&SHADE, 1, [count as u32, splats.sh_degree, 0, 0], &buffers, count.div_ceil(256));
+            Ok(())
+        })?;
+        // Pairs at pixels, and what every pass over the pairs reads.
+        let (touched, read) = (pairs * PIXELS, pairs * 40.0);
+        let wide = 16.0 * blocks as f64;
+        let values = self.work.take::<[f32; 4]>("the splats' channels", count * blocks)?;
+        let image = self.work.take::<[f32; 4]>("the image", on.pixels * blocks)?;
+        self.work.clear(&values);
+        self.work.clear(&image);
+        let alpha = self.work.take::<f32>("alpha", on.pixels)?;
+        let lights = on.lights(&mut self.work)?;
+        let kept = on.bucket_bound as f64 * PIXELS * 4.0;
+        let per_block = PER_BLOCK * blocks as f64;
+        let moved = read + n * wide + pixels * (wide + 4.0) + kept;
+        self.row("blend", moved, touched * (TOUCH + per_block), |work| {
+            let at_once = if blocks == 1 { 1 } else { 4 };
+            for first in (0..blocks).step_by(at_once) {
+                on.blend(work, at_once, &values, first == 0, &alpha, &lights)?;
+            }
+            Ok(())
+        })?;
+        let moved = read + n * wide + pixels * wide + kept;
+        self.row("gather", moved, touched * (TOUCH + per_block), |work| {
+            let at_once = blocks.min(2);
+            for _ in (0..blocks).step_by(at_once) {
+                on.gather(work, at_once, &image, &lights)?;
+            }
+            Ok(())
+        })?;
+        // The gradients of values and of shapes. What is behind each pixel is kept at the buckets in between.
+        let moved = 3.0 * read + n * (2.0 * wide + 112.0) + 2.0 * pixels * wide + 5.0 * kept;
+        let operations = touched * (3.0 * (TOUCH + per_block) + BACK);
+        self.row("backward", moved, operations, |work| {
+            let at_once = blocks.min(2);
+            for _ in (0..blocks).step_by(at_once) {
+                on.gather(work, at_once, &image, &lights)?;
+            }
+            on.backward(work, blocks, &values, &image).map(drop)
+        })
+    }
+}
+
+/// Times drawing and learning of splats that stay, as a step of training asks for it.
+fn training(
+    engine: &GpuEngine,
+    reach: Reach,
+    splats: &Splats,
+    camera: &Camera,
+    pose: &Pose,
+) -> Result<Vec<Timed>, RasterError> {
+    let n = splats.len();
+    let zero = Splats {
+        means: vec![[0.0; 3]; n],
+        log_scales: vec![[0.0; 3]; n],
+        rotations: vec![[0.0; 4]; n],
+        opacities: vec![0.0; n],
+        sh: vec![0.0; splats.sh.len()],
+        sh_degree: splats.sh_degree,
+    };
+    let held = Held { splats: splats.clone(), first: zero.clone(), second: zero, sums: vec![[0.0; 4]; n] };
+    let mut away = GpuTraining::new(&engine.device, &held)?;
+    // Nothing moves: what is timed stays the same.
+    let rule = Rule { beta1: 0.9, beta2: 0.999, rate: 0.0, epsilon: 1e-15 };
+    let [means, log_scales, rotations, opacities, base, higher] = [rule; 6];
+    let rules = Rules { means, log_scales, rotations, opacities, base, higher };
+    let numbers = (n * (12 + splats.sh_stride())) as f64;
+    let grads = away.some_gradients()?;
+    let mut work = engine.device.work();
+    let ms = timed(&mut work, |work| away.adam(work, &grads, &rules))?;
+    drop(work);
+    let mut rows = vec![Timed { pass: "adam", ms, floor_ms: reach.floor_ms(numbers * 28.0, numbers * 12.0) }];
+    let (width, height) = (camera.width as usize, camera.height as usize);
+    let (image, error) = (Image::filled(width, height, 3, 1e-3), Image::filled(width, height, 1, 0.1));
+    let (began, mut steps) = (Instant::now(), -1.0);
+    let mut begun = began;
+    while steps < 3.0 || begun.elapsed().as_secs_f64() < LEAST {
+        if steps == 0.0 {
+            begun = Instant::now();
+        }
+        away.draw(camera, pose, &OPTIONS)?;
+        away.learn(&FrameGrad { image: &image, alpha: None }, &error, &rules)?;
+        steps += 1.0;
+    }
+    engine.device.work().wait()?;
+    let ms = begun.elapsed().as_secs_f64() * 1e3 / steps;
+    rows.push(Timed { pass: "splats' half of a step", ms, floor_ms: 0.0 });
+    Ok(rows)
+}
