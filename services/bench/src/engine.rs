@@ -49,7 +49,11 @@ pub fn engine(options: &EngineOptions, mut told: impl FnMut(&Record)) -> Result<
     };
     let numbers =
         [("bytes_per_s".to_owned(), reach.bytes), ("operations_per_s".to_owned(), reach.operations)];
-    put(record("reach", "", BTreeMap::from(numbers)));
+    let mut reached = record("reach", "", BTreeMap::from(numbers));
+    if gpu.adapter().is_software() {
+        reached.notes.push("This adapter is a program on the CPU: these are no figures of a GPU".into());
+    }
+    put(reached);
     let mut work: Vec<(u32, (u32, u32), u32)> = Vec::new();
     for &size in &options.sizes {
         work.extend(options.splats.iter().map(|&splats| (splats, size, 3)));
@@ -185,6 +189,7 @@ pub fn markdown(results: &Results) -> String {
                 giga("bytes_per_s"),
                 giga("operations_per_s")
             );
+            record.notes.iter().for_each(|note| drop(writeln!(text, "\n**{note}.**")));
         } else if !targets.contains(&record.target.as_str()) {
             targets.push(&record.target);
         }
