@@ -18,13 +18,15 @@ struct Rules {
     item: vec4u,
 }
 
-// x: numbers, y: numbers of an item.
+// x: numbers, y: numbers of an item, z: 1 if splats out of sight keep their own, w: bits of what is kept of a parameter.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<uniform> rules: Rules;
 @group(0) @binding(2) var<storage, read> grads: array<f32>;
 @group(0) @binding(3) var<storage, read_write> parameters: array<f32>;
 @group(0) @binding(4) var<storage, read_write> first: array<f32>;
 @group(0) @binding(5) var<storage, read_write> second: array<f32>;
+// Depth, radius, centre per splat.
+@group(0) @binding(6) var<storage, read> seen: array<vec4f>;
 
 const LARGEST: f32 = 3.4028235e38;
 
@@ -39,7 +41,7 @@ fn adam(
         return;
     }
     let lane = k % job.y;
-    if lane >= rules.item.z {
+    if lane >= rules.item.z || (job.z == 1u && !(seen[k / job.y].y > 0.0)) {
         return;
     }
     var rule = rules.first;
@@ -55,7 +57,5 @@ fn adam(
     first[k] = m;
     second[k] = held;
     let step = rule.rate * m / (sqrt(held) + rule.epsilon);
-    if finite(step) {
-        parameters[k] -= step;
-    }
+    parameters[k] = (parameters[k] - select(0.0, step, finite(step))) * bitcast<f32>(job.w);
 }

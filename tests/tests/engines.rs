@@ -107,10 +107,12 @@ fn splats_that_come_home_in_the_middle_end_in_the_same_bytes() {
     // With colours of every degree, growth, pruning, strangers and photos asked for witness in between.
     let small =
         [("size", "64"), ("steps", "60"), ("splats", "700"), ("sh_degree", "3"), ("prompt_budget", "8")];
-    let train = |name: &str, stops: &[u32]| {
-        let folder = RunFolder::create(&dir.path().join(name)).expect("a folder");
+    let train = |look: &str, name: &str, stops: &[u32]| {
+        let name = format!("{look}-{name}");
+        let folder = RunFolder::create(&dir.path().join(&name)).expect("a folder");
         let mut settings = Settings::default();
-        for (name, value) in small.iter().chain(&[("engine", "gpu"), ("adapter", adapter.as_str())]) {
+        let how = [("engine", "gpu"), ("adapter", adapter.as_str()), ("look", look)];
+        for (name, value) in small.iter().chain(&how) {
             settings.set(name, value).expect("a setting");
         }
         let stops = stops.iter().map(|&step| Some(Until::Step(step))).chain([None]);
@@ -118,9 +120,11 @@ fn splats_that_come_home_in_the_middle_end_in_the_same_bytes() {
             run(&scene, &folder, &settings, &RunOptions { until, ..RunOptions::default() })
                 .expect("it trains");
         }
-        std::fs::read(dir.path().join(name).join("scene.ply")).expect("the trained splats")
+        std::fs::read(dir.path().join(&name).join("scene.ply")).expect("the trained splats")
     };
-    let straight = train("straight", &[]);
-    assert!(straight.len() > 10_000, "{} bytes", straight.len());
-    assert!(straight == train("stopped", &[7, 21, 50]), "stopping matters");
+    for look in ["affine", "embed"] {
+        let straight = train(look, "straight", &[]);
+        assert!(straight.len() > 10_000, "{} bytes", straight.len());
+        assert!(straight == train(look, "stopped", &[7, 21, 50]), "{look}: stopping matters");
+    }
 }

@@ -189,7 +189,9 @@ pub fn markdown(results: &Results) -> String {
                 giga("bytes_per_s"),
                 giga("operations_per_s")
             );
-            record.notes.iter().for_each(|note| drop(writeln!(text, "\n**{note}.**")));
+            for note in &record.notes {
+                let _ = writeln!(text, "\n**{note}.**");
+            }
         } else if !targets.contains(&record.target.as_str()) {
             targets.push(&record.target);
         }

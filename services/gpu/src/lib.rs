@@ -23,7 +23,9 @@ mod training;
 mod view;
 
 pub use adapter::{Adapter, Choice, adapters};
-pub use check::{Checked, Tolerance, check, gradients, held, projected, training as check_training};
+pub use check::{
+    Checked, Tolerance, check, gradients, held, held_with_codes, projected, training as check_training,
+};
 pub use engine::GpuEngine;
 pub use shaders::{KERNELS, Kernel, source};
 pub use speed::{Reach, Timed, reach, speed};

@@ -49,6 +49,8 @@ kernels! {
     UNPROJECT = "unproject"."unproject", [1];
     SHADE = "shade"."shade", [1];
     SHADE_BACKWARD = "shade_backward"."shade_backward", [1];
+    TINT = "tint"."tint", [1];
+    TINT_BACKWARD = "tint_backward"."tint_backward", [1];
     OBSERVE = "observe"."observe", [1];
     ADAM = "adam"."adam", [1];
     RATE = "rate"."rate", [1];
@@ -62,6 +64,7 @@ const SHARED: &[(&str, &str)] = &[
     ("cover", include_str!("../../../shaders/shared/cover.wgsl")),
     ("path", include_str!("../../../shaders/shared/path.wgsl")),
     ("harmonics", include_str!("../../../shaders/shared/harmonics.wgsl")),
+    ("light", include_str!("../../../shaders/shared/light.wgsl")),
     ("lean", include_str!("../../../shaders/shared/lean.wgsl")),
 ];
 

@@ -222,17 +222,23 @@ fn training(
         sh: vec![0.0; splats.sh.len()],
         sh_degree: splats.sh_degree,
     };
-    let held = Held { splats: splats.clone(), first: zero.clone(), second: zero, sums: vec![[0.0; 4]; n] };
+    let held = Held {
+        splats: splats.clone(),
+        first: zero.clone(),
+        second: zero,
+        sums: vec![[0.0; 4]; n],
+        ..Held::default()
+    };
     let mut away = GpuTraining::new(&engine.device, &held)?;
     // Nothing moves: what is timed stays the same.
     let rule = Rule { beta1: 0.9, beta2: 0.999, rate: 0.0, epsilon: 1e-15 };
-    let [means, log_scales, rotations, opacities, base, higher] = [rule; 6];
-    let rules = Rules { means, log_scales, rotations, opacities, base, higher };
+    let rules = Rules::all(rule);
     let numbers = (n * (12 + splats.sh_stride())) as f64;
     let grads = away.some_gradients()?;
     let mut work = engine.device.work();
-    let ms = timed(&mut work, |work| away.adam(work, &grads, &rules))?;
-    drop(work);
+    let seen = work.take::<[f32; 4]>("depths and centres", n)?;
+    let ms = timed(&mut work, |work| away.adam(work, &grads, &seen, &rules))?;
+    drop((work, seen));
     let mut rows = vec![Timed { pass: "adam", ms, floor_ms: reach.floor_ms(numbers * 28.0, numbers * 12.0) }];
     let (width, height) = (camera.width as usize, camera.height as usize);
     let (image, error) = (Image::filled(width, height, 3, 1e-3), Image::filled(width, height, 1, 0.1));
@@ -242,7 +248,7 @@ fn training(
         if steps == 0.0 {
             begun = Instant::now();
         }
-        away.draw(camera, pose, &OPTIONS)?;
+        away.draw(camera, pose, &OPTIONS, None)?;
         away.learn(&FrameGrad { image: &image, alpha: None }, &error, &rules)?;
         steps += 1.0;
     }

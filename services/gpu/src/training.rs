@@ -5,10 +5,13 @@ use crate::GpuError;
 use crate::device::{Device, Lent, Work};
 use crate::engine::{Binned, Cloud, bin};
 use crate::passes::Grads;
-use crate::shaders::{ADAM, OBSERVE, SHADE, SHADE_BACKWARD};
+use crate::shaders::{ADAM, OBSERVE, SHADE, SHADE_BACKWARD, TINT, TINT_BACKWARD};
 use crate::view::{pack_image, unpack_image};
 use bytemuck::{Pod, Zeroable};
-use segwild_raster::{Frame, FrameGrad, Held, ProjectOptions, RasterError, Resident, Rule, Rules, check};
+use segwild_raster::{
+    Codes, EmbedLook, Frame, FrameGrad, Held, Light, ProjectOptions, RasterError, Resident, Rule, Rules,
+    check,
+};
 use segwild_scene::{Camera, Image, Pose, Splats};
 use std::sync::Arc;
 
@@ -41,9 +44,24 @@ struct Drawn {
     on: Binned,
     /// Depth, radius, centre per splat.
     seen: Lent,
+    /// The splats' own colours, and those in the photo's light, where there is one.
     colours: Lent,
+    lit: Option<Lit>,
     lights: Lent,
     size: [usize; 2],
+}
+
+/// Splats in a photo's light.
+struct Lit {
+    photo: Lent,
+    tinted: Lent,
+}
+
+/// Codes of splats and their moments.
+struct GpuCodes {
+    values: Lent,
+    first: Lent,
+    second: Lent,
 }
 
 /// Splats in training on the device.
@@ -55,6 +73,7 @@ pub(crate) struct GpuTraining {
     second: Numbers,
     /// For density control: gradient, error, steps, radius.
     sums: Lent,
+    codes: Option<GpuCodes>,
     drawn: Option<Drawn>,
 }
 
@@ -77,8 +96,8 @@ pub(crate) struct StepGrads {
 
 /// A group of parameters, as `adam` sees it.
 struct Group<'a> {
-    /// Its arrays: of the splats, of first and of second moments.
-    of: fn(&Numbers) -> &Lent,
+    /// Its arrays: parameters, first and second moments.
+    arrays: [&'a Lent; 3],
     grads: &'a Lent,
     /// Where the gradients of the first item begin, and how far those of the next are.
     from: usize,
@@ -88,6 +107,8 @@ struct Group<'a> {
     live: usize,
     split: usize,
     rules: [Rule; 2],
+    /// Of splats in sight only, which keep this much of what they come to.
+    seen: Option<f32>,
 }
 
 impl GpuTraining {
@@ -99,6 +120,14 @@ impl GpuTraining {
             first: Numbers::upload(&mut work, &held.first)?,
             second: Numbers::upload(&mut work, &held.second)?,
             sums: work.upload("the sums for density control", &held.sums)?,
+            codes: match &held.codes.values {
+                none if none.is_empty() => None,
+                values => Some(GpuCodes {
+                    values: work.upload("the splats' codes", values)?,
+                    first: work.upload("the codes' first moments", &held.codes.first)?,
+                    second: work.upload("the codes' second moments", &held.codes.second)?,
+                }),
+            },
             drawn: None,
             device: device.clone(),
         })
@@ -118,6 +147,7 @@ impl GpuTraining {
         camera: &Camera,
         pose: &Pose,
         options: &ProjectOptions,
+        light: Option<&Light>,
     ) -> Result<Frame, GpuError> {
         // Its buffers are used again.
         self.drawn = None;
@@ -134,9 +164,21 @@ impl GpuTraining {
             &[&on.view, &shapes.means, &seen, &self.splats.sh, &colours],
             n.div_ceil(GROUP),
         );
+        let lit = match light {
+            Some(light) => {
+                let codes = self.codes.as_ref().expect("light falls on codes");
+                let photo = work.upload("the photo's light", light)?;
+                let tinted = work.take::<[f32; 4]>("the tinted colours", n)?;
+                let buffers = [&photo, &colours, &codes.values, &tinted];
+                work.run(&TINT, 1, [n as u32, 0, 0, 0], &buffers, n.div_ceil(GROUP));
+                Some(Lit { photo, tinted })
+            }
+            None => None,
+        };
         let alpha = work.take::<f32>("alpha", on.pixels)?;
         let lights = on.lights(&mut work)?;
-        let image = on.blend(&mut work, 1, &colours, true, &alpha, &lights)?;
+        let values = lit.as_ref().map_or(&colours, |lit| &lit.tinted);
+        let image = on.blend(&mut work, 1, values, true, &alpha, &lights)?;
         let drawn: Vec<f32> = work.read(&image, on.pixels * 4)?;
         let size = [camera.width as usize, camera.height as usize];
         let mut frame =
@@ -144,12 +186,17 @@ impl GpuTraining {
         unpack_image(&drawn, 4, 0, &mut frame.image);
         frame.alpha.data.iter_mut().zip(drawn.chunks_exact(4)).for_each(|(to, from)| *to = from[3]);
         drop(work);
-        self.drawn = Some(Drawn { on, seen, colours, lights, size });
+        self.drawn = Some(Drawn { on, seen, colours, lit, lights, size });
         Ok(frame)
     }
 
-    fn try_learn(&mut self, grad: &FrameGrad, error: &Image, rules: &Rules) -> Result<(), GpuError> {
-        let Drawn { on, seen, colours, lights, size } = self.drawn.take().expect("something was drawn");
+    fn try_learn(
+        &mut self,
+        grad: &FrameGrad,
+        error: &Image,
+        rules: &Rules,
+    ) -> Result<Option<Light>, GpuError> {
+        let Drawn { on, seen, colours, lit, lights, size } = self.drawn.take().expect("something was drawn");
         let [width, height] = size;
         assert_eq!(
             (grad.image.width, grad.image.height, grad.image.channels),
@@ -162,7 +209,19 @@ impl GpuTraining {
         let image = work.upload("the image's gradients", &pack_image(grad.image, 0, 1, grad.alpha))?;
         let error = work.upload("the errors", &error.data)?;
         let by_colour = on.gather(work, 1, &image, &lights)?;
-        let grads = on.backward(work, 1, &colours, &image)?;
+        let values = lit.as_ref().map_or(&colours, |lit| &lit.tinted);
+        let grads = on.backward(work, 1, values, &image)?;
+        // Where there is light, `by_colour` is of the tinted colours before, and of the splats' own after.
+        let by_light = match (&lit, &self.codes) {
+            (Some(lit), Some(codes)) => {
+                let code_grads = work.take::<[f32; EmbedLook::CODE_SIZE]>("the codes' gradients", n)?;
+                let sums = work.take::<Light>("the light's gradients", n.div_ceil(GROUP))?;
+                let buffers = [&lit.photo, &colours, &codes.values, &by_colour, &code_grads, &sums];
+                work.run(&TINT_BACKWARD, 1, [n as u32, 0, 0, 0], &buffers, n.div_ceil(GROUP));
+                Some((code_grads, sums))
+            }
+            _ => None,
+        };
         let sh_grads = work.take::<f32>("the harmonics' gradients", n * self.sh_stride())?;
         let shapes = &self.splats.shapes;
         let buffers = [&on.view, &shapes.means, &seen, &self.splats.sh, &by_colour, &sh_grads, &grads];
@@ -170,15 +229,40 @@ impl GpuTraining {
         work.run(&SHADE_BACKWARD, 1, job, &buffers, n.div_ceil(GROUP));
         let buffers = [&on.view, &seen, &grads, &error, &self.sums];
         work.run(&OBSERVE, 1, [n as u32, 0, 0, 0], &buffers, n.div_ceil(GROUP));
-        self.adam(work, &StepGrads { shapes: grads, sh: sh_grads }, rules)?;
-        work.hand_in();
-        Ok(())
+        self.adam(work, &StepGrads { shapes: grads, sh: sh_grads }, &seen, rules)?;
+        let Some((code_grads, sums)) = by_light else {
+            work.hand_in();
+            return Ok(None);
+        };
+        let codes = self.codes.as_ref().expect("light falls on codes");
+        let width = EmbedLook::CODE_SIZE;
+        let group = Group {
+            arrays: [&codes.values, &codes.first, &codes.second],
+            grads: &code_grads,
+            from: 0,
+            stride: width,
+            width,
+            live: width,
+            split: width,
+            rules: [rules.codes; 2],
+            seen: Some(rules.kept),
+        };
+        self.step(work, &group, &seen)?;
+        let sums: Vec<[f32; size_of::<Light>() / 4]> = work.read(&sums, n.div_ceil(GROUP))?;
+        Ok(Some(std::array::from_fn(|k| sums.iter().map(|part| f64::from(part[k])).sum::<f64>() as f32)))
     }
 
     /// The optimiser's step of every group of parameters.
-    pub fn adam(&self, work: &mut Work, grads: &StepGrads, rules: &Rules) -> Result<(), GpuError> {
-        let shape = |of, from, live, split, rules| Group {
-            of,
+    pub fn adam(
+        &self,
+        work: &mut Work,
+        grads: &StepGrads,
+        seen: &Lent,
+        rules: &Rules,
+    ) -> Result<(), GpuError> {
+        let all = [&self.splats, &self.first, &self.second];
+        let shape = |of: fn(&Cloud) -> &Lent, from, live, split, rules| Group {
+            arrays: all.map(|numbers| of(&numbers.shapes)),
             grads: &grads.shapes,
             from,
             stride: 16,
@@ -186,14 +270,15 @@ impl GpuTraining {
             live,
             split,
             rules,
+            seen: None,
         };
         let width = self.sh_stride();
         let groups = [
-            shape(|of| &of.shapes.means, 0, 4, 3, [rules.means, rules.opacities]),
-            shape(|of| &of.shapes.log_scales, 4, 3, 3, [rules.log_scales; 2]),
-            shape(|of| &of.shapes.rotations, 8, 4, 4, [rules.rotations; 2]),
+            shape(|of| &of.means, 0, 4, 3, [rules.means, rules.opacities]),
+            shape(|of| &of.log_scales, 4, 3, 3, [rules.log_scales; 2]),
+            shape(|of| &of.rotations, 8, 4, 4, [rules.rotations; 2]),
             Group {
-                of: |of| &of.sh,
+                arrays: all.map(|numbers| &numbers.sh),
                 grads: &grads.sh,
                 from: 0,
                 stride: width,
@@ -201,9 +286,10 @@ impl GpuTraining {
                 live: width,
                 split: 3,
                 rules: [rules.base, rules.higher],
+                seen: None,
             },
         ];
-        groups.iter().try_for_each(|group| self.step(work, group))
+        groups.iter().try_for_each(|group| self.step(work, group, seen))
     }
 
     /// Gradients of 0.
@@ -218,7 +304,7 @@ impl GpuTraining {
         Ok(StepGrads { shapes, sh })
     }
 
-    fn step(&self, work: &mut Work, group: &Group) -> Result<(), GpuError> {
+    fn step(&self, work: &mut Work, group: &Group, seen: &Lent) -> Result<(), GpuError> {
         let rule = |Rule { beta1, beta2, rate, epsilon }: Rule| [beta1, beta2, rate, epsilon];
         let rules = AdamRules {
             first: rule(group.rules[0]),
@@ -227,9 +313,11 @@ impl GpuTraining {
         };
         let rules = work.upload("the rules", &[rules])?;
         let numbers = self.count() * group.width;
-        let [splats, first, second] = [&self.splats, &self.first, &self.second].map(group.of);
-        let job = [numbers as u32, group.width as u32, 0, 0];
-        work.run(&ADAM, 1, job, &[&rules, group.grads, splats, first, second], numbers.div_ceil(GROUP));
+        let [parameters, first, second] = group.arrays;
+        let only_seen = u32::from(group.seen.is_some());
+        let job = [numbers as u32, group.width as u32, only_seen, group.seen.unwrap_or(1.0).to_bits()];
+        let buffers = [&rules, group.grads, parameters, first, second, seen];
+        work.run(&ADAM, 1, job, &buffers, numbers.div_ceil(GROUP));
         Ok(())
     }
 
@@ -240,17 +328,40 @@ impl GpuTraining {
             first: self.first.read(&mut work, self.sh_degree)?,
             second: self.second.read(&mut work, self.sh_degree)?,
             sums: work.read(&self.sums, self.count())?,
+            codes: match &self.codes {
+                None => Codes::default(),
+                Some(codes) => {
+                    let numbers = self.count() * EmbedLook::CODE_SIZE;
+                    let mut read = |of: &Lent| work.read(of, numbers);
+                    Codes {
+                        values: read(&codes.values)?,
+                        first: read(&codes.first)?,
+                        second: read(&codes.second)?,
+                    }
+                }
+            },
         })
     }
 }
 
 impl Resident for GpuTraining {
-    fn draw(&mut self, camera: &Camera, pose: &Pose, options: &ProjectOptions) -> Result<Frame, RasterError> {
+    fn draw(
+        &mut self,
+        camera: &Camera,
+        pose: &Pose,
+        options: &ProjectOptions,
+        light: Option<&Light>,
+    ) -> Result<Frame, RasterError> {
         check(&Splats::default(), camera)?;
-        Ok(self.try_draw(camera, pose, options)?)
+        Ok(self.try_draw(camera, pose, options, light)?)
     }
 
-    fn learn(&mut self, grad: &FrameGrad, error: &Image, rules: &Rules) -> Result<(), RasterError> {
+    fn learn(
+        &mut self,
+        grad: &FrameGrad,
+        error: &Image,
+        rules: &Rules,
+    ) -> Result<Option<Light>, RasterError> {
         Ok(self.try_learn(grad, error, rules)?)
     }
 

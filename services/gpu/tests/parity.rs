@@ -8,7 +8,9 @@
 mod common;
 
 use common::{engine, image, many, splats, view};
-use segwild_gpu::{Choice, GpuEngine, Kernel, Tolerance, check, check_training, gradients, held, projected};
+use segwild_gpu::{
+    Choice, GpuEngine, Kernel, Tolerance, check, check_training, gradients, held, held_with_codes, projected,
+};
 use segwild_raster::{Channels, CpuEngine, Engine, Frame, FrameGrad, ProjectOptions, Projected};
 use segwild_scene::{Camera, Pose, Random, Splats};
 
@@ -267,6 +269,11 @@ const FAULTS: &[(&str, &str, &str, &str)] = &[
 /// The same of the kernels of training, which only [`check`] sees.
 const TRAINING_FAULTS: &[(&str, &str, &str)] = &[
     ("shade", "colour += b[k]", "colour += 0.9 * b[k]"),
+    ("tint", "codes[at + 1u]", "codes[at]"),
+    ("tint_backward", "g[k] * own", "0.9 * g[k] * own"),
+    ("tint_backward", "codes[6u * i + k - 3u]", "codes[6u * i]"),
+    ("tint_backward", "= g[c] * photo.vector[2u * c + 1u]", "= g[c] * photo.vector[2u * c]"),
+    ("tint_backward", "back += g[c] * photo", "back += photo"),
     ("observe", "before.z + 1.0", "before.z"),
     ("observe", "view.frame.x + u32(splat.z)", "view.frame.x + u32(splat.w)"),
     ("adam", "sqrt(held)", "held"),
@@ -317,8 +324,10 @@ fn steps_of_training_agree_for_every_degree_of_colour() {
         // Some out of sight.
         scene.means.iter_mut().step_by(7).for_each(|mean| mean[0] += 9.0);
         let options = ProjectOptions { antialias: degree % 2 == 0, ..ProjectOptions::default() };
-        for step in check_training(gpu, &held(scene), &camera, &pose, &options).expect("it trains") {
-            assert!(step.off.is_none(), "{count} splats of degree {degree}: {step:?}");
+        for held in [held(scene.clone()), held_with_codes(scene)] {
+            for step in check_training(gpu, &held, &camera, &pose, &options).expect("it trains") {
+                assert!(step.off.is_none(), "{count} splats of degree {degree}: {step:?}");
+            }
         }
     }
 }
@@ -335,10 +344,9 @@ fn gradients_that_are_no_numbers_leave_splats_that_are() {
     }
     let error = image(4, 40, 30, 1);
     let rule = segwild_raster::Rule { beta1: 0.9, beta2: 0.999, rate: 0.1, epsilon: 0.0 };
-    let [means, log_scales, rotations, opacities, base, higher] = [rule; 6];
-    let rules = segwild_raster::Rules { means, log_scales, rotations, opacities, base, higher };
+    let rules = segwild_raster::Rules::all(rule);
     for _ in 0..3 {
-        away.draw(&camera, &pose, &ProjectOptions::default()).expect("it draws");
+        away.draw(&camera, &pose, &ProjectOptions::default(), None).expect("it draws");
         away.learn(&FrameGrad { image: &bad, alpha: None }, &error, &rules).expect("it learns");
     }
     let after = away.fetch().expect("it comes back");

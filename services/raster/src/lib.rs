@@ -19,10 +19,10 @@ pub use engine::{
     Channels, Engine, Frame, FrameGrad, ProjectOptions, Projected, RasterError, SplatGrads, check,
 };
 pub use look::{
-    AffineLook, AnyLook, EmbedLook, Glance, GswLook, GswWidth, HIDDEN, Impression, Look, NoLook, RANK, Sight,
-    Tone, bake,
+    AffineLook, AnyLook, EmbedLook, Glance, GswLook, GswWidth, HIDDEN, Impression, Light, Look, NoLook, RANK,
+    Sight, Tone, bake,
 };
 pub use loss::{photometric, psnr, ssim};
-pub use resident::{Held, Resident, Rules};
+pub use resident::{Codes, Held, Resident, Rules};
 pub use shade::{shade, shade_backward};
 pub use spare::SpareEngine;

@@ -15,11 +15,10 @@ impl Trainer {
         self.away.is_some()
     }
 
-    /// Sends the splats to where the engine computes, if they gain by it: looks and strategies that deal with single
-    /// splats at every step want them here.
+    /// Sends the splats to where the engine computes, unless the look's network or the
+    /// strategy deals with single splats at every step.
     pub(crate) fn leave(&mut self) -> Result<(), TrainError> {
-        let on_image = matches!(self.state.look, AnyLook::None(_) | AnyLook::Affine(_));
-        if self.is_away() || !self.may_leave || !on_image {
+        if self.is_away() || !self.may_leave || matches!(self.state.look, AnyLook::Gsw(_)) {
             return Ok(());
         }
         let Some(stats) = self.state.strategy.as_dyn().stats() else { return Ok(()) };
@@ -45,14 +44,21 @@ impl Trainer {
     pub(crate) fn learn_away(&mut self, looked: &Looked) -> Result<Judged, TrainError> {
         let &Looked { view, ref camera, ref pose, .. } = looked;
         let away = self.away.as_mut().expect("the splats are away");
-        let frame = away.draw(camera, pose, &options(self.settings.antialias))?;
+        let light = match &self.state.look {
+            AnyLook::Embed(look) => Some(look.photo(view)),
+            _ => None,
+        };
+        let frame = away.draw(camera, pose, &options(self.settings.antialias), light.as_ref())?;
         let shown = self.state.painter(view).show(frame, camera, pose);
         let (_, _, mut photo) = self.state.halves(view);
         let judged = photo.judge(&self.settings, &self.schedule, &self.views[view], looked, None, &shown);
         let rates = self.rates(self.state.step);
         let rules = self.state.params.advance(&rates);
         let away = self.away.as_mut().expect("the splats are away");
-        away.learn(&judged.grad(), &judged.error, &rules)?;
+        let light = away.learn(&judged.grad(), &judged.error, &rules)?;
+        if let (AnyLook::Embed(look), Some(light)) = (&mut self.state.look, light) {
+            look.add_gradient(view, &light);
+        }
         Ok(judged)
     }
 }

@@ -1,6 +1,6 @@
 //! The splats as an optimiser sees them.
 
-use segwild_raster::{Adam, Held, Projected, Rules, Sight, SplatGrads};
+use segwild_raster::{Adam, Codes, Held, Projected, Rules, Sight, SplatGrads};
 use segwild_scene::{Pose, Splats};
 use std::ops::Range;
 use wincode::{SchemaRead, SchemaWrite};
@@ -39,6 +39,11 @@ const HIGHER: f32 = 1.0 / 20.0;
 
 /// How much of their rate codes fade by in a step.
 const CODE_DECAY: f32 = 0.5;
+
+/// What a step leaves of a code that fades.
+fn kept(rates: &Rates) -> f32 {
+    1.0 - CODE_DECAY * rates.code
+}
 
 /// The codes of the splats at `which` among `n`, in that order.
 pub(crate) fn select(codes: &[f32], n: usize, which: &[usize]) -> Vec<f32> {
@@ -127,10 +132,12 @@ impl Params {
             opacities: self.opacities.advance(rates.opacity),
             base,
             higher,
+            codes: if self.codes.is_empty() { base } else { self.code_moments.advance(rates.code) },
+            kept: kept(rates),
         }
     }
 
-    /// All but the codes, to be trained elsewhere.
+    /// All of it, to be trained elsewhere.
     pub fn held(&self, sums: Vec<[f32; 4]>) -> Held {
         let moments = |which: usize| {
             let of = |adam: &Adam| adam.moments()[which].to_vec();
@@ -143,12 +150,16 @@ impl Params {
                 sh_degree: self.splats.sh_degree,
             }
         };
-        Held { splats: self.splats.clone(), first: moments(0), second: moments(1), sums }
+        let [first, second] = self.code_moments.moments().map(<[f32]>::to_vec);
+        let codes = Codes { values: self.codes.clone(), first, second };
+        Held { splats: self.splats.clone(), first: moments(0), second: moments(1), sums, codes }
     }
 
     /// Takes back what [`Params::held`] gave away, as many splats as there were.
     pub fn take_back(&mut self, held: Held) {
-        let Held { splats, first, second, sums: _ } = held;
+        let Held { splats, first, second, codes, sums: _ } = held;
+        self.codes = codes.values;
+        self.code_moments.set_moments(codes.first, codes.second);
         self.splats = splats;
         let flat = |of: &[[f32; 3]]| of.as_flattened().to_vec();
         self.means.set_moments(flat(&first.means), flat(&second.means));
@@ -172,7 +183,7 @@ impl Params {
             return;
         }
         self.code_moments.step_visible(&mut self.codes, grads, rates.code, radii);
-        let keep = 1.0 - CODE_DECAY * rates.code;
+        let keep = kept(rates);
         for (code, _) in self.codes.chunks_exact_mut(size).zip(radii).filter(|(_, r)| **r > 0.0) {
             code[fading.clone()].iter_mut().for_each(|v| *v *= keep);
         }

@@ -3,7 +3,7 @@
 
 mod training;
 
-pub use training::{held, training};
+pub use training::{held, held_with_codes, training};
 
 use crate::device::Work;
 use crate::engine::{BUCKET, Binned, Cloud, TILE, bin, scan, sort};
@@ -128,7 +128,8 @@ pub fn check(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
     let mut coloured = splats.clone();
     coloured.sh_degree = 3;
     coloured.sh = (0..splats.len() * coloured.sh_stride()).map(|_| 0.5 * random.uniform() - 0.25).collect();
-    checked.extend(training(engine, &held(coloured), &camera, &pose, &options)?);
+    checked.extend(training(engine, &held(coloured.clone()), &camera, &pose, &options)?);
+    checked.extend(training(engine, &held_with_codes(coloured), &camera, &pose, &options)?);
     Ok(checked)
 }
 

@@ -3,7 +3,8 @@
 use super::{Checked, Tolerance};
 use crate::GpuEngine;
 use segwild_raster::{
-    Adam, Channels, CpuEngine, Engine, Frame, FrameGrad, Held, ProjectOptions, RasterError, Rule, Rules,
+    Adam, Channels, Codes, CpuEngine, EmbedLook, Engine, Frame, FrameGrad, Held, Light, Look, ProjectOptions,
+    RasterError, Rule, Rules,
 };
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
 
@@ -23,7 +24,17 @@ pub fn held(splats: Splats) -> Held {
     };
     let (first, second) = (like(-0.5, 0.5), like(0.1, 1.0));
     let sums = splats.means.iter().map(|_| [0; 4].map(|_| random.uniform())).collect();
-    Held { splats, first, second, sums }
+    Held { splats, first, second, sums, codes: Codes::default() }
+}
+
+/// The same with codes.
+pub fn held_with_codes(splats: Splats) -> Held {
+    let random = &mut Random::new(23);
+    let numbers = splats.len() * EmbedLook::CODE_SIZE;
+    let mut like =
+        |from: f32, to: f32| (0..numbers).map(|_| from + (to - from) * random.uniform()).collect::<Vec<_>>();
+    let codes = Codes { values: like(-0.1, 0.1), first: like(-0.5, 0.5), second: like(0.1, 1.0) };
+    Held { codes, ..held(splats) }
 }
 
 /// Compares one step of training on the device, of splats in sight of a camera, with the host's.
@@ -50,13 +61,19 @@ pub fn training(
         opacities: rule(0.04),
         base: rule(0.05),
         higher: rule(0.06),
+        codes: rule(0.07),
+        kept: 0.97,
     };
-    let (frame, wanted) = on_the_host(held, camera, pose, options, &grad, &error, &rules)?;
+    // With another light than the first photos' to begin with.
+    let mut look = EmbedLook::new(1, 24);
+    look.set_matrix(0, [0.9, 0.1, -0.05, 0.02, 0.05, 1.1, 0.1, -0.03, -0.1, 0.05, 0.8, 0.04]);
+    let light = (!held.codes.values.is_empty()).then(|| look.photo(0));
+    let (frame, wanted, by_light) = on_the_host(held, camera, pose, options, &grad, &error, &rules, &look)?;
     let Some(mut away) = engine.settle(&mut || held.clone())? else {
         return Err(RasterError::Shape("the splats do not fit where they are to be trained".into()));
     };
-    let drawn = away.draw(camera, pose, options)?;
-    away.learn(&grad, &error, &rules)?;
+    let drawn = away.draw(camera, pose, options, light.as_ref())?;
+    let lit = away.learn(&grad, &error, &rules)?;
     let got = away.fetch()?;
     let blended = Tolerance::BLENDED
         .compare("colours", &drawn.image.data, &frame.image.data)
@@ -80,15 +97,36 @@ pub fn training(
     ];
     let coloured: [(&str, Array); 2] = [("harmonics", |s| &s.sh), ("centres", |s| s.means.as_flattened())];
     let all = |of: &[(&str, Array)]| of.iter().try_for_each(|&(name, of)| compare(name, of));
-    Ok(vec![
-        Checked { kernels: &["shade"], off: blended.err() },
-        Checked { kernels: &["observe"], off: sums.err() },
-        Checked { kernels: &["adam"], off: all(&shapes).err() },
-        Checked { kernels: &["shade_backward"], off: all(&coloured).err() },
-    ])
+    let tinted = || {
+        let (Some(lit), Some(light)) = (lit, by_light) else { return Ok(()) };
+        let (got, wanted, before) = (&got.codes, &wanted.codes, &held.codes);
+        let moved = |after: &Codes| -> Vec<f32> {
+            after.values.iter().zip(&before.values).map(|(a, b)| a - b).collect()
+        };
+        let tolerance = Tolerance::GRADIENTS;
+        tolerance.compare("the light's gradient", &lit, &light)?;
+        tolerance.compare("first moments of the codes", &got.first, &wanted.first)?;
+        tolerance.compare("second moments of the codes", &got.second, &wanted.second)?;
+        tolerance.compare("steps of the codes", &moved(got), &moved(wanted))
+    };
+    let (shapes, coloured) = (all(&shapes), all(&coloured));
+    let off = |kernels, off: Result<(), String>| Checked { kernels, off: off.err() };
+    Ok(if light.is_some() {
+        // The other kernels are vouched for by the splats without codes.
+        let rest = tinted().and(coloured).and(sums).and(shapes);
+        vec![off(&["tint"], blended), off(&["tint_backward", "adam"], rest)]
+    } else {
+        vec![
+            off(&["shade"], blended),
+            off(&["observe"], sums),
+            off(&["adam"], shapes),
+            off(&["shade_backward"], coloured),
+        ]
+    })
 }
 
-/// The same step by the CPU engine: what it drew, and what became of the splats.
+/// The same step by the CPU engine: what it drew, what became of the splats, and the gradient of the light.
+#[expect(clippy::too_many_arguments, reason = "a whole step of training")]
 fn on_the_host(
     held: &Held,
     camera: &Camera,
@@ -97,15 +135,24 @@ fn on_the_host(
     grad: &FrameGrad,
     error: &Image,
     rules: &Rules,
-) -> Result<(Frame, Held), RasterError> {
+    look: &EmbedLook,
+) -> Result<(Frame, Held, Option<Light>), RasterError> {
     let cpu = CpuEngine::new();
     let splats = &held.splats;
     let projected = cpu.project(splats, camera, pose, options)?;
     let colours = projected.shade();
-    let channels = Channels { count: 3, values: &colours };
+    let mut look = look.clone();
+    let codes = &held.codes.values;
+    let lit = !codes.is_empty();
+    let tinted = if lit { look.tint(0, codes, colours.clone()) } else { colours.clone() };
+    let channels = Channels { count: 3, values: &tinted };
     let frame = projected.blend(&channels)?;
     let mut grads = projected.backward(&channels, &frame, grad)?;
-    let by_colour = std::mem::take(&mut grads.values);
+    let mut by_colour = std::mem::take(&mut grads.values);
+    let mut by_code = Vec::new();
+    if lit {
+        (by_colour, by_code) = look.tint_backward(0, codes, &colours, by_colour);
+    }
     let sh_grads = projected.shade_backward(&by_colour, &mut grads);
     let mut after = held.clone();
     let (width, long) = (camera.width as f32, camera.width.max(camera.height) as f32);
@@ -151,5 +198,15 @@ fn on_the_host(
             step(p, m, &mut second.sh[at], &g[from..to], rule);
         }
     }
-    Ok((frame, after))
+    if lit {
+        let Codes { values, first, second } = &mut after.codes;
+        let size = EmbedLook::CODE_SIZE;
+        for i in (0..held.splats.len()).filter(|&i| projected.radii()[i] > 0.0) {
+            let at = i * size..(i + 1) * size;
+            let (p, m) = (&mut values[at.clone()], &mut first[at.clone()]);
+            step(p, m, &mut second[at.clone()], &by_code[at.clone()], rules.codes);
+            values[at].iter_mut().for_each(|v| *v *= rules.kept);
+        }
+    }
+    Ok((frame, after, lit.then(|| look.gradient(0)).flatten()))
 }

@@ -54,8 +54,9 @@ pub(crate) struct Bins {
 }
 
 impl Bins {
-    /// Projects all splats and deals them to tiles.
-    pub fn fill(&mut self, isa: Isa, splats: &Splats, projector: &Projector) {
+    /// Projects all splats and deals them to tiles; refuses more pairs of a splat and a tile than can be numbered, and says
+    /// how many they are.
+    pub fn fill(&mut self, isa: Isa, splats: &Splats, projector: &Projector) -> Result<(), u64> {
         let n = splats.len();
         self.columns = projector.width.div_ceil(WIDTH);
         self.rows = projector.height.div_ceil(HEIGHT);
@@ -95,6 +96,7 @@ impl Bins {
                 );
             });
 
+        numbered(&self.slots[1..])?;
         self.starts.clear();
         self.starts.resize(self.columns * self.rows + 1, 0);
         for span in self.spans.iter().flatten() {
@@ -130,6 +132,7 @@ impl Bins {
                 }
             }
         }
+        Ok(())
     }
 
     /// Entries of a tile, nearest first.
@@ -218,6 +221,12 @@ fn cover(f: &Footprint, tip: f32, projector: &Projector, spans: &mut Vec<Span>) 
     count
 }
 
+/// Refuses counts whose sum is no 32-bit number.
+fn numbered(counts: &[u32]) -> Result<(), u64> {
+    let sum = counts.iter().map(|&count| u64::from(count)).sum();
+    if sum > u64::from(u32::MAX) { Err(sum) } else { Ok(()) }
+}
+
 /// Turns counts, shifted by one place, into starts.
 fn prefix_sum(counts: &mut [u32]) {
     let mut sum = 0;
@@ -254,5 +263,16 @@ fn sort_by_key(items: &mut Vec<(u32, u32)>, swap: &mut Vec<(u32, u32)>) {
             *bucket += 1;
         }
         std::mem::swap(items, swap);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pairs_that_cannot_be_numbered_are_refused_with_their_number() {
+        assert_eq!(numbered(&[u32::MAX - 3, 1, 2]), Ok(()));
+        assert_eq!(numbered(&[u32::MAX - 3, 2, 2]), Err(1 << 32));
     }
 }

@@ -87,7 +87,11 @@ impl Engine for CpuEngine {
         check(splats, camera)?;
         let projector = Projector::new(camera, pose, options);
         let mut buffers = self.take();
-        buffers.bins.fill(self.isa, splats, &projector);
+        buffers.bins.fill(self.isa, splats, &projector).map_err(|pairs| {
+            RasterError::Shape(format!(
+                "{pairs} pairs of a splat and a tile are more than can be numbered: draw smaller frames or fewer splats"
+            ))
+        })?;
         let Buffers { bins, slots } = buffers;
         let eye = pose.centre();
         Ok(Box::new(CpuView { engine: self, splats, projector, eye, bins, slots: Mutex::new(slots) }))

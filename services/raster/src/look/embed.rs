@@ -14,6 +14,8 @@ pub const RANK: usize = 8;
 pub(super) const CODE: usize = 3 * RANK;
 /// What is trained of a photo: matrix and vector.
 pub(super) const PHOTO: usize = NUMBERS + CODE;
+/// What is trained of a photo: its matrix with offset, row by row, and its vector, `[channel][rank]`.
+pub type Light = [f32; PHOTO];
 /// Splats that one task works on; sums over splats are taken in pieces of this size, whoever takes them.
 const PIECE: usize = 4096;
 
@@ -80,7 +82,8 @@ impl EmbedLook {
             && self.grads.iter().all(|(view, _)| *view < views)
     }
 
-    fn photo(&self, view: usize) -> [f32; PHOTO] {
+    /// All that is trained of a photo; matrix identity and vector 0 for one that is not known.
+    pub fn photo(&self, view: usize) -> Light {
         self.photos.get(view).copied().unwrap_or_else(|| {
             let mut neutral = [0.0; PHOTO];
             neutral[..NUMBERS].copy_from_slice(&IDENTITY);
@@ -98,6 +101,21 @@ impl EmbedLook {
     pub fn vector(&self, view: usize) -> [f32; CODE] {
         let photo = self.photo(view);
         std::array::from_fn(|i| photo[NUMBERS + i])
+    }
+
+    /// Keeps a gradient of [`EmbedLook::photo`] for the next step. Ignores photos that are not known.
+    pub fn add_gradient(&mut self, view: usize, grad: &Light) {
+        if view < self.photos.len() {
+            match self.grads.iter_mut().find(|(v, _)| *v == view) {
+                Some((_, kept)) => kept.iter_mut().zip(grad).for_each(|(kept, v)| *kept += v),
+                None => self.grads.push((view, *grad)),
+            }
+        }
+    }
+
+    /// The gradient of [`EmbedLook::photo`] kept for the next step, if the photo took part since the last.
+    pub fn gradient(&self, view: usize) -> Option<Light> {
+        self.grads.iter().find(|(v, _)| *v == view).map(|(_, grad)| *grad)
     }
 
     /// Sets a photo's matrix and forgets its optimiser's moments. Ignores photos that are not known.
@@ -208,14 +226,9 @@ impl Look for EmbedLook {
                 sums
             })
             .collect();
-        if view < self.photos.len() {
-            let mut sum = [0.0; PHOTO];
-            pieces.iter().for_each(|piece| sum.iter_mut().zip(piece).for_each(|(sum, v)| *sum += v));
-            match self.grads.iter_mut().find(|(v, _)| *v == view) {
-                Some((_, kept)) => kept.iter_mut().zip(sum).for_each(|(kept, v)| *kept += v),
-                None => self.grads.push((view, sum)),
-            }
-        }
+        let mut sum = [0.0; PHOTO];
+        pieces.iter().for_each(|piece| sum.iter_mut().zip(piece).for_each(|(sum, v)| *sum += v));
+        self.add_gradient(view, &sum);
         (grad, code_grads)
     }
 

@@ -14,7 +14,7 @@ mod gsw;
 
 pub use affine::AffineLook;
 pub use bake::bake;
-pub use embed::{EmbedLook, RANK};
+pub use embed::{EmbedLook, Light, RANK};
 pub use gsw::{Glance, GswLook, GswWidth, HIDDEN, Impression, Sight};
 
 use segwild_scene::Image;
