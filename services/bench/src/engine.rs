@@ -174,8 +174,8 @@ pub fn markdown(results: &Results) -> String {
     let mut text = format!(
         "# The accelerator engine's speed\n\nThis page is generated: `{}`, by segwild {} on {}. Each pass is repeated and waited \
          for once; its floor is the longer of its arrays, each moved once, at the bandwidth of a copy, and its operations, at \
-         every pixel of every tile that a splat touches, at the rate of a kernel that only multiplies and adds. The CPU's \
-         milliseconds are of wall clock on all its cores.\n",
+         every pixel of every tile that a splat touches, at the rate of a kernel that only multiplies and adds (where \
+         light runs out early, less is done). The CPU's milliseconds are of wall clock on all its cores.\n",
         made.command, made.version, made.machine
     );
     let number = |record: &Record, name: &str| record.numbers.get(name).copied();
