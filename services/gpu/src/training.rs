@@ -92,6 +92,8 @@ pub(crate) struct StepGrads {
     shapes: Lent,
     /// As [`Numbers::sh`].
     sh: Lent,
+    /// As [`GpuCodes::values`].
+    codes: Option<Lent>,
 }
 
 /// A group of parameters, as `adam` sees it.
@@ -109,6 +111,17 @@ struct Group<'a> {
     rules: [Rule; 2],
     /// Of splats in sight only, which keep this much of what they come to.
     seen: Option<f32>,
+}
+
+impl Group<'_> {
+    fn rules(&self) -> AdamRules {
+        let rule = |Rule { beta1, beta2, rate, epsilon }: Rule| [beta1, beta2, rate, epsilon];
+        AdamRules {
+            first: rule(self.rules[0]),
+            second: rule(self.rules[1]),
+            item: [self.from, self.stride, self.live, self.split].map(|v| v as u32),
+        }
+    }
 }
 
 impl GpuTraining {
@@ -229,25 +242,10 @@ impl GpuTraining {
         work.run(&SHADE_BACKWARD, 1, job, &buffers, n.div_ceil(GROUP));
         let buffers = [&on.view, &seen, &grads, &error, &self.sums];
         work.run(&OBSERVE, 1, [n as u32, 0, 0, 0], &buffers, n.div_ceil(GROUP));
-        self.adam(work, &StepGrads { shapes: grads, sh: sh_grads }, &seen, rules)?;
-        let Some((code_grads, sums)) = by_light else {
-            work.hand_in();
-            return Ok(None);
-        };
-        let codes = self.codes.as_ref().expect("light falls on codes");
-        let width = EmbedLook::CODE_SIZE;
-        let group = Group {
-            arrays: [&codes.values, &codes.first, &codes.second],
-            grads: &code_grads,
-            from: 0,
-            stride: width,
-            width,
-            live: width,
-            split: width,
-            rules: [rules.codes; 2],
-            seen: Some(rules.kept),
-        };
-        self.step(work, &group, &seen)?;
+        let (codes, by_light) = by_light.unzip();
+        self.adam(work, &StepGrads { shapes: grads, sh: sh_grads, codes }, &seen, rules)?;
+        work.hand_in();
+        let Some(sums) = by_light else { return Ok(None) };
         let sums: Vec<[f32; size_of::<Light>() / 4]> = work.read(&sums, n.div_ceil(GROUP))?;
         Ok(Some(std::array::from_fn(|k| sums.iter().map(|part| f64::from(part[k])).sum::<f64>() as f32)))
     }
@@ -273,7 +271,7 @@ impl GpuTraining {
             seen: None,
         };
         let width = self.sh_stride();
-        let groups = [
+        let mut groups = vec![
             shape(|of| &of.means, 0, 4, 3, [rules.means, rules.opacities]),
             shape(|of| &of.log_scales, 4, 3, 3, [rules.log_scales; 2]),
             shape(|of| &of.rotations, 8, 4, 4, [rules.rotations; 2]),
@@ -289,7 +287,34 @@ impl GpuTraining {
                 seen: None,
             },
         ];
-        groups.iter().try_for_each(|group| self.step(work, group, seen))
+        if let (Some(codes), Some(grads)) = (&self.codes, &grads.codes) {
+            let width = EmbedLook::CODE_SIZE;
+            groups.push(Group {
+                arrays: [&codes.values, &codes.first, &codes.second],
+                grads,
+                from: 0,
+                stride: width,
+                width,
+                live: width,
+                split: width,
+                rules: [rules.codes; 2],
+                seen: Some(rules.kept),
+            });
+        }
+        // What goes up hands in what stands before it: all at once.
+        let rules = groups
+            .iter()
+            .map(|group| work.upload("the rules", &[group.rules()]))
+            .collect::<Result<Vec<_>, _>>()?;
+        for (group, rules) in groups.iter().zip(&rules) {
+            let numbers = self.count() * group.width;
+            let [parameters, first, second] = group.arrays;
+            let only_seen = u32::from(group.seen.is_some());
+            let job = [numbers as u32, group.width as u32, only_seen, group.seen.unwrap_or(1.0).to_bits()];
+            let buffers = [rules, group.grads, parameters, first, second, seen];
+            work.run(&ADAM, 1, job, &buffers, numbers.div_ceil(GROUP));
+        }
+        Ok(())
     }
 
     /// Gradients of 0.
@@ -301,24 +326,7 @@ impl GpuTraining {
         work.clear(&shapes);
         work.clear(&sh);
         work.hand_in();
-        Ok(StepGrads { shapes, sh })
-    }
-
-    fn step(&self, work: &mut Work, group: &Group, seen: &Lent) -> Result<(), GpuError> {
-        let rule = |Rule { beta1, beta2, rate, epsilon }: Rule| [beta1, beta2, rate, epsilon];
-        let rules = AdamRules {
-            first: rule(group.rules[0]),
-            second: rule(group.rules[1]),
-            item: [group.from, group.stride, group.live, group.split].map(|v| v as u32),
-        };
-        let rules = work.upload("the rules", &[rules])?;
-        let numbers = self.count() * group.width;
-        let [parameters, first, second] = group.arrays;
-        let only_seen = u32::from(group.seen.is_some());
-        let job = [numbers as u32, group.width as u32, only_seen, group.seen.unwrap_or(1.0).to_bits()];
-        let buffers = [&rules, group.grads, parameters, first, second, seen];
-        work.run(&ADAM, 1, job, &buffers, numbers.div_ceil(GROUP));
-        Ok(())
+        Ok(StepGrads { shapes, sh, codes: None })
     }
 
     fn try_fetch(&mut self) -> Result<Held, GpuError> {
