@@ -2,6 +2,7 @@
 
 use crate::page::{PageError, io};
 use crate::record::{Made, Record, Results};
+use crate::scale::kernels::filling;
 use crate::synthetic::random::Rng;
 use glam::Vec3;
 use segwild_gpu::{Choice, GpuEngine, Reach, reach, speed};
@@ -153,18 +154,11 @@ fn on_the_cpu(
 /// pixels where there is one for each pixel.
 fn frame(count: u32, width: u32, height: u32) -> Splats {
     const DEGREE: u32 = 3;
+    let (w, h) = (width as f32, height as f32);
     let mut rng = Rng::new(7, 0);
-    let mut splats = Splats { sh_degree: DEGREE, ..Splats::default() };
-    let (w, aspect) = (width as f32, height as f32 / width as f32);
-    let spread = (w * height as f32 / count.max(1) as f32).sqrt();
-    for _ in 0..count {
-        let z = rng.range(1.0, 3.0);
-        splats.means.push([rng.range(-0.5, 0.5) * z, rng.range(-0.5, 0.5) * aspect * z, z]);
-        splats.log_scales.push([(); 3].map(|()| (rng.range(0.5, 3.0) * spread * z / w).ln()));
-        splats.rotations.push([(); 4].map(|()| rng.range(-0.5, 0.5)));
-        splats.opacities.push(rng.range(-2.0, 2.0));
-        splats.sh.extend((0..splats.sh_stride()).map(|_| 0.1 * rng.range(-1.0, 1.0)));
-    }
+    let mut splats = filling(&mut rng, count, h / w, (w * h / count.max(1) as f32).sqrt() / w);
+    splats.sh_degree = DEGREE;
+    splats.sh = (0..splats.len() * splats.sh_stride()).map(|_| 0.1 * rng.range(-1.0, 1.0)).collect();
     splats
 }
 

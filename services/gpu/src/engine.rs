@@ -21,7 +21,7 @@ pub(crate) const TILE: u32 = 16;
 /// Entries of a bucket.
 pub(crate) const BUCKET: usize = 64;
 /// Threads of a group that does one item per thread.
-const GROUP: usize = 256;
+pub(crate) const GROUP: usize = 256;
 /// Numbers that a group of the scan and of the sort holds.
 const BLOCK: usize = 1024;
 /// Bits of one pass of the radix sort.

@@ -4,11 +4,11 @@
 
 use crate::GpuError;
 use crate::device::{Lent, Work};
-use crate::engine::Binned;
+use crate::engine::{Binned, GROUP};
 use crate::shaders::{BACKWARD, BLEND, FRONT, GATHER, SUM_SLOTS, UNPROJECT};
 
 /// Pixels of a tile.
-const PIXELS: usize = 256;
+pub(crate) const PIXELS: usize = 256;
 /// Most vec4 that `front` and `backward` hold near; more are read from memory as they come.
 const NEAR: usize = 2;
 
@@ -66,7 +66,7 @@ impl Binned {
             self.bucket_bound,
         );
         let job = [self.splats as u32, blocks as u32, 0, 0];
-        let groups = (self.splats * blocks).div_ceil(256);
+        let groups = (self.splats * blocks).div_ceil(GROUP);
         work.run(&SUM_SLOTS, 1, job, &[&self.slots, &slots, &sums], groups);
         Ok(sums)
     }

@@ -5,7 +5,8 @@
 //! at every pixel of the tile, as if no light ran out.
 
 use crate::device::Work;
-use crate::engine::{Cloud, bin, sort};
+use crate::engine::{Cloud, GROUP, bin, sort};
+use crate::passes::PIXELS;
 use crate::shaders::{RATE, SHADE};
 use crate::training::GpuTraining;
 use crate::{GpuEngine, GpuError};
@@ -17,8 +18,6 @@ use std::time::Instant;
 /// Least seconds over which a pass is repeated, and most repetitions.
 const LEAST: f64 = 0.25;
 const MOST: usize = 200;
-/// Pixels of a tile.
-const PIXELS: f64 = 256.0;
 /// Operations of one splat at one pixel: footprint and blending, and what a vec4 of channels and the way back add.
 const TOUCH: f64 = 14.0;
 const PER_BLOCK: f64 = 8.0;
@@ -88,7 +87,7 @@ pub fn reach(engine: &GpuEngine) -> Result<Reach, GpuError> {
     let turns = 256;
     let out = work.take::<f32>("sums", threads)?;
     let rate = timed(&mut work, |work| {
-        work.run(&RATE, 1, [threads as u32, turns, 0, 0], &[&out], threads / 256);
+        work.run(&RATE, 1, [threads as u32, turns, 0, 0], &[&out], threads / GROUP);
         Ok(())
     })?;
     let operations = threads as f64 * f64::from(turns) * 16.0;
@@ -141,15 +140,14 @@ impl Bench<'_> {
         pose: &Pose,
         blocks: usize,
     ) -> Result<(), GpuError> {
-        let options = OPTIONS;
         let (count, n) = (splats.len(), splats.len() as f64);
         let cloud = Arc::new(Cloud::upload(&mut self.work, splats)?);
         let sh = self.work.upload("the splats' harmonics", &splats.sh)?;
-        let (on, seen) = bin(&mut self.work, cloud.clone(), camera, pose, &options)?;
+        let (on, seen) = bin(&mut self.work, cloud.clone(), camera, pose, &OPTIONS)?;
         let (pairs, pixels) = (on.pairs as f64, on.pixels as f64);
         // A splat's twelve numbers in, its footprint, depth and centre out; a pair's tile, splat and slot.
         self.row("project, sort, bin", n * (48.0 + 48.0) + pairs * 16.0, n * 200.0, |work| {
-            bin(work, cloud.clone(), camera, pose, &options).map(drop)
+            bin(work, cloud.clone(), camera, pose, &OPTIONS).map(drop)
         })?;
         let keys: Vec<u32> = (0..count as u32).map(|i| i.wrapping_mul(2_654_435_761)).collect();
         let keys = self.work.upload("keys", &keys)?;
@@ -162,11 +160,11 @@ impl Bench<'_> {
         let stride = splats.sh_stride() as f64;
         self.row("shade", n * (48.0 + 4.0 * stride), n * 8.0 * stride, |work| {
             let buffers = [&on.view, &cloud.means, &seen, &sh, &colours];
-            work.run(&SHADE, 1, [count as u32, splats.sh_degree, 0, 0], &buffers, count.div_ceil(256));
+            work.run(&SHADE, 1, [count as u32, splats.sh_degree, 0, 0], &buffers, count.div_ceil(GROUP));
             Ok(())
         })?;
         // Pairs at pixels, and what every pass over the pairs reads.
-        let (touched, read) = (pairs * PIXELS, pairs * 40.0);
+        let (touched, read) = (pairs * PIXELS as f64, pairs * 40.0);
         let wide = 16.0 * blocks as f64;
         let values = self.work.take::<[f32; 4]>("the splats' channels", count * blocks)?;
         let image = self.work.take::<[f32; 4]>("the image", on.pixels * blocks)?;
@@ -174,7 +172,7 @@ impl Bench<'_> {
         self.work.clear(&image);
         let alpha = self.work.take::<f32>("alpha", on.pixels)?;
         let lights = on.lights(&mut self.work)?;
-        let kept = on.bucket_bound as f64 * PIXELS * 4.0;
+        let kept = (on.bucket_bound * PIXELS * 4) as f64;
         let per_block = PER_BLOCK * blocks as f64;
         let moved = read + n * wide + pixels * (wide + 4.0) + kept;
         self.row("blend", moved, touched * (TOUCH + per_block), |work| {
@@ -185,21 +183,19 @@ impl Bench<'_> {
             Ok(())
         })?;
         let moved = read + n * wide + pixels * wide + kept;
-        self.row("gather", moved, touched * (TOUCH + per_block), |work| {
+        let gather = |work: &mut Work| -> Result<(), GpuError> {
             let at_once = blocks.min(2);
             for _ in (0..blocks).step_by(at_once) {
                 on.gather(work, at_once, &image, &lights)?;
             }
             Ok(())
-        })?;
+        };
+        self.row("gather", moved, touched * (TOUCH + per_block), gather)?;
         // The gradients of values and of shapes. What is behind each pixel is kept at the buckets in between.
         let moved = 3.0 * read + n * (2.0 * wide + 112.0) + 2.0 * pixels * wide + 5.0 * kept;
         let operations = touched * (3.0 * (TOUCH + per_block) + BACK);
         self.row("backward", moved, operations, |work| {
-            let at_once = blocks.min(2);
-            for _ in (0..blocks).step_by(at_once) {
-                on.gather(work, at_once, &image, &lights)?;
-            }
+            gather(work)?;
             on.backward(work, blocks, &values, &image).map(drop)
         })
     }

@@ -3,7 +3,7 @@
 
 use crate::GpuError;
 use crate::device::{Device, Lent, Work};
-use crate::engine::{Binned, Cloud, bin};
+use crate::engine::{Binned, Cloud, GROUP, bin};
 use crate::passes::Grads;
 use crate::shaders::{ADAM, OBSERVE, SHADE, SHADE_BACKWARD, TINT, TINT_BACKWARD};
 use crate::view::{pack_image, unpack_image};
@@ -14,9 +14,6 @@ use segwild_raster::{
 };
 use segwild_scene::{Camera, Image, Pose, Splats};
 use std::sync::Arc;
-
-/// Threads of a group.
-const GROUP: usize = 256;
 
 /// Splats or their moments.
 struct Numbers {

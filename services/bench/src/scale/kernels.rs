@@ -83,16 +83,24 @@ pub(super) fn measure(
 
 fn frame(count: u32, channels: u32) -> (Splats, Vec<f32>) {
     let mut rng = Rng::new(7, 0);
+    let splats = filling(&mut rng, count, 0.75, 1.0 / 400.0);
+    (splats, (0..count * channels).map(|_| rng.unit()).collect())
+}
+
+/// Splats that fill a frame of this height over width, of one colour, with standard deviations of 0.5 to 3 times `pixel`,
+/// a share of the frame's width.
+pub(crate) fn filling(rng: &mut Rng, count: u32, aspect: f32, pixel: f32) -> Splats {
+    let half = aspect / 2.0;
     let mut splats = Splats { sh_degree: 0, ..Splats::default() };
     for _ in 0..count {
         let z = rng.range(1.0, 3.0);
-        splats.means.push([rng.range(-0.5, 0.5) * z, rng.range(-0.375, 0.375) * z, z]);
-        splats.log_scales.push([(); 3].map(|()| (rng.range(0.5, 3.0) * z / 400.0).ln()));
+        splats.means.push([rng.range(-0.5, 0.5) * z, rng.range(-half, half) * z, z]);
+        splats.log_scales.push([(); 3].map(|()| (rng.range(0.5, 3.0) * z * pixel).ln()));
         splats.rotations.push([(); 4].map(|()| rng.range(-0.5, 0.5)));
         splats.opacities.push(rng.range(-2.0, 2.0));
         splats.sh.extend([0.1, 0.0, -0.1]);
     }
-    (splats, (0..count * channels).map(|_| rng.unit()).collect())
+    splats
 }
 
 /// Mean CPU milliseconds of a call, on all threads together.
