@@ -27,6 +27,8 @@ struct Rules {
 @group(0) @binding(5) var<storage, read_write> second: array<f32>;
 // Depth, radius, centre per splat.
 @group(0) @binding(6) var<storage, read> seen: array<vec4f>;
+// Of `emit`: nothing is learnt from a view for which there was no room.
+@group(0) @binding(7) var<storage, read> found: array<u32>;
 
 const LARGEST: f32 = 3.4028235e38;
 
@@ -37,7 +39,7 @@ fn adam(
     @builtin(local_invocation_index) local: u32,
 ) {
     let k = group_of(id, groups) * 256u + local;
-    if k >= job.x {
+    if k >= job.x || found[1] == 0u {
         return;
     }
     let lane = k % job.y;

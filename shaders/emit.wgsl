@@ -1,11 +1,12 @@
 // Deals the splats to tiles, nearest first: pairs of a splat and a tile (twin: `Bins::fill` in cpu/bin.rs). A splat's
-// pairs lie one behind the other: they are its slots.
+// pairs lie one behind the other: they are its slots. There is room for so many pairs, which is filled up; where it does
+// not do, that is noted and what was made of the view means nothing.
 #import common
 #import view
 #import footprint
 #import cover
 
-// x: splats, y: tiles.
+// x: splats, y: tiles, z: room for pairs.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<uniform> view: View;
 @group(0) @binding(2) var<storage, read> sorted: array<u32>;
@@ -16,6 +17,8 @@
 @group(0) @binding(6) var<storage, read_write> tiles: array<u32>;
 @group(0) @binding(7) var<storage, read_write> pairs: array<u32>;
 @group(0) @binding(8) var<storage, read_write> owners: array<u32>;
+// How many pairs there are, and 1 if there is room for them.
+@group(0) @binding(9) var<storage, read_write> found: array<u32>;
 
 @compute @workgroup_size(256)
 fn emit(
@@ -24,12 +27,23 @@ fn emit(
     @builtin(local_invocation_index) local: u32,
 ) {
     let k = group_of(id, groups) * 256u + local;
+    let pairs_found = starts[job.x];
+    if k == 0u {
+        found[0] = pairs_found;
+        found[1] = u32(pairs_found <= job.z);
+    }
+    if k >= pairs_found && k < job.z {
+        // Behind all tiles.
+        tiles[k] = job.y;
+        pairs[k] = k;
+        owners[k] = 0u;
+    }
     if k >= job.x {
         return;
     }
     let splat = sorted[k];
-    var slot = starts[k];
-    let end = starts[k + 1u];
+    var slot = min(starts[k], job.z);
+    let end = min(starts[k + 1u], job.z);
     slots[splat] = vec2u(slot, end - slot);
     if slot == end {
         return;

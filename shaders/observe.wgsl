@@ -13,6 +13,8 @@
 @group(0) @binding(4) var<storage, read> error: array<f32>;
 // Screen gradient, error at the centre, steps that saw it, largest radius as a share of the frame's long side.
 @group(0) @binding(5) var<storage, read_write> sums: array<vec4f>;
+// Of `emit`: nothing is noted of a view for which there was no room.
+@group(0) @binding(6) var<storage, read> found: array<u32>;
 
 @compute @workgroup_size(256)
 fn observe(
@@ -21,7 +23,7 @@ fn observe(
     @builtin(local_invocation_index) local: u32,
 ) {
     let i = group_of(id, groups) * 256u + local;
-    if i >= job.x {
+    if i >= job.x || found[1] == 0u {
         return;
     }
     let splat = seen[i];

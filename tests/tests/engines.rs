@@ -56,6 +56,11 @@ fn scores(dir: &Path, engine: &[(&str, &str)]) -> (f64, f64) {
     (records[0].numbers["psnr"], objects.iter().sum::<f64>() / objects.len() as f64)
 }
 
+/// How far one run's mean IoU may lie from the other engine's. A training of 200 steps goes elsewhere by rounding alone:
+/// the CPU engine beside itself, with a loss that differs in its seventh digit, is up to .021 off, the engines up to .022;
+/// their means over five seeds are .001 apart (docs/measured.md).
+const APART: f64 = 0.04;
+
 #[test]
 fn whole_trainings_and_selections_of_both_engines_agree() {
     let Some(adapter) = adapter("whole_trainings_and_selections_of_both_engines_agree") else { return };
@@ -65,7 +70,7 @@ fn whole_trainings_and_selections_of_both_engines_agree() {
     let (gpu_db, gpu_iou) = scores(&dir.path().join("gpu"), &gpu);
     println!("cpu {cpu_db:.2} dB, IoU {cpu_iou:.4}; {adapter} {gpu_db:.2} dB, IoU {gpu_iou:.4}");
     assert!((cpu_db - gpu_db).abs() < 0.2, "held out: cpu {cpu_db} dB, {adapter} {gpu_db} dB");
-    assert!((cpu_iou - gpu_iou).abs() < 0.005, "IoU: cpu {cpu_iou}, {adapter} {gpu_iou}");
+    assert!((cpu_iou - gpu_iou).abs() < APART, "IoU: cpu {cpu_iou}, {adapter} {gpu_iou}");
 }
 
 #[test]

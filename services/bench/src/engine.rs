@@ -15,8 +15,8 @@ use std::time::Instant;
 
 /// Name of the benchmark in its records.
 pub const PROTOCOL: &str = "engine";
-/// The pass that is a whole step, but for the photo's half of it.
-pub const STEP: &str = "splats' half of a step";
+
+pub use segwild_gpu::STEP;
 
 /// What is measured.
 #[derive(Clone, Debug)]
@@ -212,7 +212,7 @@ pub fn markdown(results: &Results) -> String {
         let far: Vec<&str> = far.iter().take(3).map(|f| f.1).collect();
         let _ = writeln!(text, "\nFurthest from their floors: {}.", far.join("; "));
         if let Some(ms) = rows.iter().find(|r| r.setting == STEP).and_then(|r| number(r, "ms")) {
-            let _ = writeln!(text, "{:.1} steps a second, without the photo's half.", 1e3 / ms);
+            let _ = writeln!(text, "{:.1} steps a second.", 1e3 / ms);
         }
     }
     text

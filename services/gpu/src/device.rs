@@ -9,6 +9,7 @@ use crate::adapter::{Adapter, Choice, open};
 use crate::shaders::{Kernel, source};
 use bytemuck::Pod;
 use std::collections::HashMap;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use wgpu::{BufferUsages, ComputePipeline};
 
@@ -58,6 +59,9 @@ pub(crate) struct Device {
     kernels: Mutex<HashMap<(&'static str, u32), Arc<ComputePipeline>>>,
     free: Free,
     staging: Free,
+    /// Bytes of all buffers there are, and how many there may be; 0 sets no limit.
+    held: AtomicU64,
+    budget: AtomicU64,
     arena: wgpu::Buffer,
     /// The first thing that went wrong.
     failed: Arc<Mutex<Option<String>>>,
@@ -92,6 +96,8 @@ impl Device {
             kernels: Mutex::default(),
             free: Free::default(),
             staging: Free::default(),
+            held: AtomicU64::new(0),
+            budget: AtomicU64::new(0),
             arena,
             failed,
             turn: Mutex::new(()),
@@ -139,24 +145,72 @@ impl Device {
         Arc::clone(built)
     }
 
+    /// Holds buffers of so many bytes at the most from now on; 0 sets no limit.
+    pub fn keep_within(&self, bytes: u64) {
+        self.budget.store(bytes, Ordering::Relaxed);
+    }
+
+    /// Bytes of the device's memory that are taken.
+    pub fn held(&self) -> u64 {
+        self.held.load(Ordering::Relaxed)
+    }
+
+    /// How many there may be; 0 sets no limit.
+    pub fn budget(&self) -> u64 {
+        self.budget.load(Ordering::Relaxed)
+    }
+
     /// The shortest free buffer that holds so many bytes and is not much longer, or a new one.
-    fn pick(&self, free: &Free, what: &'static str, bytes: u64, usage: BufferUsages) -> Lent {
+    fn pick(
+        &self,
+        free: &Free,
+        what: &'static str,
+        bytes: u64,
+        usage: BufferUsages,
+    ) -> Result<Lent, GpuError> {
         let mut held = lock(free);
         let fits = |size: u64| size >= bytes && size <= 2 * bytes + (1 << 16);
         let best = (0..held.len()).filter(|&i| fits(held[i].size())).min_by_key(|&i| held[i].size());
         let buffer = best.map(|i| held.swap_remove(i));
         drop(held);
-        let buffer = buffer.unwrap_or_else(|| {
-            // A quarter more, so that the next view's array, which is about as long, finds room.
-            let size = (bytes + bytes / 4).min(self.limit.max(bytes)).next_multiple_of(256);
-            self.device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some(what),
-                size,
-                usage,
-                mapped_at_creation: false,
-            })
-        });
-        Lent { buffer: Some(buffer), bytes, free: Arc::clone(free) }
+        let buffer = match buffer {
+            Some(buffer) => buffer,
+            None => {
+                let size = self.make_room(what, bytes)?;
+                self.held.fetch_add(size, Ordering::Relaxed);
+                self.device.create_buffer(&wgpu::BufferDescriptor {
+                    label: Some(what),
+                    size,
+                    usage,
+                    mapped_at_creation: false,
+                })
+            }
+        };
+        Ok(Lent { buffer: Some(buffer), bytes, free: Arc::clone(free) })
+    }
+
+    /// How long a new buffer for so many bytes may be; within a budget, free ones give way to it.
+    fn make_room(&self, what: &'static str, bytes: u64) -> Result<u64, GpuError> {
+        // A quarter more, so that the next view's array, which is about as long, finds room.
+        let ample = (bytes + bytes / 4).min(self.limit.max(bytes)).next_multiple_of(256);
+        let (least, budget) = (bytes.next_multiple_of(256), self.budget());
+        if budget == 0 || self.held() + ample <= budget {
+            return Ok(ample);
+        }
+        for free in [&self.free, &self.staging] {
+            let mut free = lock(free);
+            free.sort_by_key(wgpu::Buffer::size);
+            while self.held() + least > budget
+                && let Some(longest) = free.pop()
+            {
+                self.held.fetch_sub(longest.size(), Ordering::Relaxed);
+            }
+        }
+        if self.held() + least > budget {
+            let adapter = self.adapter.name.clone();
+            return Err(GpuError::OverBudget { adapter, what, bytes, held: self.held(), budget });
+        }
+        Ok(least)
     }
 }
 
@@ -184,7 +238,12 @@ impl Work<'_> {
         }
         let usage =
             BufferUsages::STORAGE | BufferUsages::UNIFORM | BufferUsages::COPY_SRC | BufferUsages::COPY_DST;
-        Ok(self.device.pick(&self.device.free, what, bytes, usage))
+        self.device.pick(&self.device.free, what, bytes, usage)
+    }
+
+    /// How many bytes buffers may have altogether; 0 sets no limit.
+    pub fn budget(&self) -> u64 {
+        self.device.budget()
     }
 
     /// Brings items to the device.
@@ -204,10 +263,10 @@ impl Work<'_> {
         self.encoder.clear_buffer(lent.raw(), 0, Some(lent.bytes));
     }
 
-    /// Copies the first bytes of one buffer to another.
-    pub fn copy(&mut self, from: &Lent, to: &Lent, bytes: usize) {
+    /// Copies the first bytes of one buffer to another, from its byte `at` on.
+    pub fn copy_to(&mut self, from: &Lent, to: &Lent, at: usize, bytes: usize) {
         self.dirty = true;
-        self.encoder.copy_buffer_to_buffer(from.raw(), 0, to.raw(), 0, bytes as u64);
+        self.encoder.copy_buffer_to_buffer(from.raw(), 0, to.raw(), at as u64, bytes as u64);
     }
 
     /// Runs a kernel in so many groups. Binding 0 is its job, the buffers follow.
@@ -292,7 +351,7 @@ impl Work<'_> {
         let start = (first * size_of::<T>()) as u64;
         debug_assert!(start + bytes <= from.bytes);
         let usage = BufferUsages::MAP_READ | BufferUsages::COPY_DST;
-        let staging = self.device.pick(&self.device.staging, "read back", bytes, usage);
+        let staging = self.device.pick(&self.device.staging, "read back", bytes, usage)?;
         self.dirty = true;
         self.encoder.copy_buffer_to_buffer(from.raw(), start, staging.raw(), 0, bytes);
         self.hand_in();

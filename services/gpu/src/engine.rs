@@ -2,6 +2,7 @@
 
 use crate::GpuError;
 use crate::adapter::{Adapter, Choice};
+use crate::compare::Shelf;
 use crate::device::{Device, Lent, Work};
 use crate::shaders::{
     BUCKET_COUNT, BUCKETS, EMIT, HISTOGRAM, Kernel, ORDER, PROJECT, RANGES, SCAN, SCAN_ADD, SCATTER,
@@ -31,6 +32,7 @@ const DIGIT: u32 = 4;
 /// again from view to view.
 pub struct GpuEngine {
     pub(crate) device: Arc<Device>,
+    pub(crate) shelf: Arc<Shelf>,
 }
 
 impl GpuEngine {
@@ -47,7 +49,22 @@ impl GpuEngine {
     ) -> Result<GpuEngine, GpuError> {
         let device = Arc::new(Device::open(choice, Box::new(edit))?);
         tracing::info!(adapter = device.adapter.name, backend = device.adapter.backend, "accelerator opened");
-        Ok(GpuEngine { device })
+        Ok(GpuEngine { device, shelf: Arc::default() })
+    }
+
+    /// Takes so many bytes of the accelerator's memory at the most from now on; 0 sets no limit.
+    pub fn keep_within(&self, bytes: u64) {
+        self.device.keep_within(bytes);
+    }
+
+    /// How many may be taken; 0 sets no limit.
+    pub fn budget(&self) -> u64 {
+        self.device.budget()
+    }
+
+    /// Bytes of the accelerator's memory that are taken.
+    pub fn held(&self) -> u64 {
+        self.device.held()
     }
 
     /// The accelerator in use.
@@ -118,8 +135,10 @@ pub(crate) struct Binned {
     pub splats: usize,
     pub pixels: usize,
     pub tile_count: usize,
-    /// Pairs of a splat and a tile.
+    /// Room for pairs of a splat and a tile; as many as there are, where that was asked.
     pub pairs: usize,
+    /// How many there are, and 1 if there is room for them.
+    pub found: Lent,
     /// No fewer than there are buckets: known without asking the device.
     pub bucket_bound: usize,
 }
@@ -139,7 +158,7 @@ impl Engine for GpuEngine {
         check(splats, camera)?;
         let mut work = self.device.work();
         let cloud = Arc::new(Cloud::upload(&mut work, splats)?);
-        let (binned, seen) = bin(&mut work, cloud, camera, pose, options)?;
+        let (binned, seen) = bin(&mut work, cloud, camera, pose, options, None)?;
         let seen = work.read(&seen, splats.len())?;
         drop(work);
         let eye = pose.centre();
@@ -148,9 +167,9 @@ impl Engine for GpuEngine {
     }
 
     fn settle(&self, held: &mut dyn FnMut() -> Held) -> Result<Option<Box<dyn Resident>>, RasterError> {
-        match GpuTraining::new(&self.device, &held()) {
+        match GpuTraining::new(&self.device, &self.shelf, &held()) {
             Ok(training) => Ok(Some(Box::new(training))),
-            Err(error @ GpuError::TooLarge { .. }) => {
+            Err(error @ (GpuError::TooLarge { .. } | GpuError::OverBudget { .. })) => {
                 tracing::warn!("splats stay on the host while they are trained: {error}");
                 Ok(None)
             }
@@ -159,13 +178,15 @@ impl Engine for GpuEngine {
     }
 }
 
-/// Projects, culls, sorts and bins; depth, radius and centre of each splat beside what a view keeps.
+/// Projects, culls, sorts and bins; depth, radius and centre of each splat beside what a view keeps. `room` for pairs of a
+/// splat and a tile is taken on trust ([`Binned::found`] tells); without it the device is asked, which makes it wait.
 pub(crate) fn bin(
     work: &mut Work,
     cloud: Arc<Cloud>,
     camera: &Camera,
     pose: &Pose,
     options: &ProjectOptions,
+    room: Option<usize>,
 ) -> Result<(Binned, Lent), GpuError> {
     let n = cloud.splats;
     let (columns, rows) = (camera.width.div_ceil(TILE), camera.height.div_ceil(TILE));
@@ -199,7 +220,11 @@ pub(crate) fn bin(
     work.run(&ORDER, 1, [n as u32, 0, 0, 0], &[&order, &counts, &starts], (n + 1).div_ceil(GROUP));
     drop(counts);
     scan(work, &starts, n + 1)?;
-    let pairs = work.read_at::<u32>(&starts, n, 1)?[0] as usize;
+    let pairs = match room {
+        Some(room) => room,
+        None => work.read_at::<u32>(&starts, n, 1)?[0] as usize,
+    };
+    let found = work.take::<u32>("how many pairs there are", 2)?;
 
     let slots = work.take::<[u32; 2]>("the splats' slots", n)?;
     let tile_keys = work.take::<u32>("the pairs' tiles", pairs)?;
@@ -208,9 +233,9 @@ pub(crate) fn bin(
     work.run(
         &EMIT,
         1,
-        [n as u32, tile_count as u32, 0, 0],
-        &[&view, &order, &starts, &footprints, &slots, &tile_keys, &tile_pairs, &owners],
-        n.div_ceil(GROUP),
+        [n as u32, tile_count as u32, pairs as u32, 0],
+        &[&view, &order, &starts, &footprints, &slots, &tile_keys, &tile_pairs, &owners, &found],
+        n.max(pairs).max(1).div_ceil(GROUP),
     );
     drop((order, starts));
     // One more than the tiles: what belongs to none has the number behind the last.
@@ -250,6 +275,7 @@ pub(crate) fn bin(
         pixels: camera.width as usize * camera.height as usize,
         tile_count,
         pairs,
+        found,
         bucket_bound,
     };
     Ok((binned, seen))

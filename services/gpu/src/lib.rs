@@ -14,9 +14,11 @@ mod check;
 #[cfg(test)]
 #[path = "../tests/common/mod.rs"]
 mod common;
+mod compare;
 mod device;
 mod engine;
 mod passes;
+mod room;
 mod shaders;
 mod speed;
 mod training;
@@ -24,11 +26,13 @@ mod view;
 
 pub use adapter::{Adapter, Choice, adapters};
 pub use check::{
-    Checked, Tolerance, check, gradients, held, held_with_codes, projected, training as check_training,
+    Checked, Sitter, Tolerance, check, compared, gradients, held, held_with_codes, projected, sitters,
+    training as check_training,
 };
 pub use engine::GpuEngine;
+pub use room::{LEAST_PHOTOS, training_bytes};
 pub use shaders::{KERNELS, Kernel, source};
-pub use speed::{Reach, Timed, reach, speed};
+pub use speed::{Reach, STEP, Timed, reach, speed};
 
 /// Why the accelerator engine refused, or stopped.
 #[derive(Debug, Clone, thiserror::Error)]
@@ -62,6 +66,23 @@ pub enum GpuError {
         bytes: u64,
         /// How long it may be.
         limit: u64,
+    },
+    /// All arrays together are to take less.
+    #[error(
+        "{what} would take {bytes} bytes of {adapter}'s memory, of which {held} are taken and {budget} allowed: give more by \
+         --memory-budget, or lower --splats or --size"
+    )]
+    OverBudget {
+        /// Its name.
+        adapter: String,
+        /// What the array holds.
+        what: &'static str,
+        /// How long it would be.
+        bytes: u64,
+        /// Bytes of the others.
+        held: u64,
+        /// How many there may be.
+        budget: u64,
     },
     /// The device failed: lost, out of memory, or a kernel that its driver does not compile.
     #[error("the accelerator {adapter} failed: {why}")]

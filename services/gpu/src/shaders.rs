@@ -1,5 +1,6 @@
 //! The kernels' sources: files of `shaders/`, carried by the program, with their imports put in.
 
+use segwild_raster::compare::{self, Target};
 use segwild_raster::{ALPHA_MAX, ALPHA_MIN, LOG2_ALPHA_MIN, SLACK, T_MIN};
 
 /// A kernel: a file of `shaders/`.
@@ -53,8 +54,38 @@ kernels! {
     TINT_BACKWARD = "tint_backward"."tint_backward", [1];
     OBSERVE = "observe"."observe", [1];
     ADAM = "adam"."adam", [1];
+    COMPOSE = "compose"."compose", [1];
+    BOX_MEAN = "box_mean"."box_mean", [1];
+    TALLY = "tally"."tally", [1];
+    LIMITS = "limits"."limits_of", [1];
+    WEIGH = "weigh"."weigh", [1];
+    STRUCTURE = "structure"."structure", [1];
+    SLOPE = "slope"."slope", [1];
+    GRADE = "grade"."grade", [1];
+    SKY_SUMS = "sky_sums"."sky_sums", [1];
+    COLOUR_SUMS = "colour_sums"."colour_sums", [1];
+    TOTAL = "total"."total", [1];
     RATE = "rate"."rate", [1];
 }
+
+/// What a photo is compared by (`raster/src/compare/`).
+const COMPARED: [(&str, f32); 7] = [
+    ("DECAY", compare::DECAY),
+    ("FLOOR", compare::FLOOR),
+    ("SUSPECTED", compare::SUSPECT),
+    ("CONTRAST", compare::CONTRAST),
+    ("SURPRISE", compare::SURPRISE),
+    ("LEAST_OPEN", compare::LEAST_OPEN),
+    ("LEAST_SEEN", compare::LEAST_SEEN),
+];
+const COUNTED: [(&str, u32); 6] = [
+    ("BINS", compare::BINS as u32),
+    ("STRIDE", compare::STRIDE as u32),
+    ("COUNTS", Target::COUNTS as u32),
+    ("SKY", Target::SKY as u32),
+    ("INNER", Target::INNER as u32),
+    ("SUSPECT", Target::SUSPECT as u32),
+];
 
 /// What `#import name` stands for.
 const SHARED: &[(&str, &str)] = &[
@@ -65,10 +96,14 @@ const SHARED: &[(&str, &str)] = &[
     ("path", include_str!("../../../shaders/shared/path.wgsl")),
     ("harmonics", include_str!("../../../shaders/shared/harmonics.wgsl")),
     ("light", include_str!("../../../shaders/shared/light.wgsl")),
+    ("sitting", include_str!("../../../shaders/shared/sitting.wgsl")),
+    ("behind", include_str!("../../../shaders/shared/behind.wgsl")),
+    ("bins", include_str!("../../../shaders/shared/bins.wgsl")),
+    ("window", include_str!("../../../shaders/shared/window.wgsl")),
     ("lean", include_str!("../../../shaders/shared/lean.wgsl")),
 ];
 
-/// The whole text of a kernel for so many vec4 of channels: the CPU engine's cut-offs, then the file with its imports.
+/// The whole text of a kernel for so many vec4 of channels: the twins' own numbers, then the file with its imports.
 ///
 /// # Panics
 /// If the file imports what is not in `shaders/shared/`; a test builds every kernel.
@@ -78,6 +113,12 @@ pub fn source(kernel: &Kernel, blocks: u32) -> String {
          const T_MIN: f32 = {T_MIN:e}f;\nconst LOG2_ALPHA_MIN: f32 = {LOG2_ALPHA_MIN:e}f;\n\
          const SLACK: f32 = {SLACK:e}f;\nconst BLOCKS: u32 = {blocks}u;\n"
     );
+    for (name, value) in COMPARED {
+        text.push_str(&format!("const {name}: f32 = {value:e}f;\n"));
+    }
+    for (name, value) in COUNTED {
+        text.push_str(&format!("const {name}: u32 = {value}u;\n"));
+    }
     for line in kernel.text.lines() {
         let Some(name) = line.strip_prefix("#import ") else {
             text.push_str(line);

@@ -4,14 +4,16 @@
 //! its operations at the rate of a kernel that does nothing else. Operations are those of every pair of a splat and a tile
 //! at every pixel of the tile, as if no light ran out.
 
+use crate::compare::{Asked, Photo, compare};
 use crate::device::Work;
 use crate::engine::{Cloud, GROUP, bin, sort};
 use crate::passes::PIXELS;
 use crate::shaders::{RATE, SHADE};
 use crate::training::GpuTraining;
 use crate::{GpuEngine, GpuError};
-use segwild_raster::{FrameGrad, Held, ProjectOptions, RasterError, Resident, Rule, Rules};
-use segwild_scene::{Camera, Image, Pose, Splats};
+use segwild_raster::compare::{LeaveOut, Residuals, Sitting, Target};
+use segwild_raster::{Held, ProjectOptions, RasterError, Resident, Rule, Rules, Step};
+use segwild_scene::{Camera, Pose, Splats};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -80,7 +82,7 @@ pub fn reach(engine: &GpuEngine) -> Result<Reach, GpuError> {
     let (from, to) = (work.take::<u8>("a copy's source", bytes)?, work.take::<u8>("a copy", bytes)?);
     work.clear(&from);
     let ms = timed(&mut work, |work| {
-        work.copy(&from, &to, bytes);
+        work.copy_to(&from, &to, 0, bytes);
         Ok(())
     })?;
     let threads = 1 << 20;
@@ -143,17 +145,17 @@ impl Bench<'_> {
         let (count, n) = (splats.len(), splats.len() as f64);
         let cloud = Arc::new(Cloud::upload(&mut self.work, splats)?);
         let sh = self.work.upload("the splats' harmonics", &splats.sh)?;
-        let (on, seen) = bin(&mut self.work, cloud.clone(), camera, pose, &OPTIONS)?;
+        let (on, seen) = bin(&mut self.work, cloud.clone(), camera, pose, &OPTIONS, None)?;
         let (pairs, pixels) = (on.pairs as f64, on.pixels as f64);
         // A splat's twelve numbers in, its footprint, depth and centre out; a pair's tile, splat and slot.
         self.row("project, sort, bin", n * (48.0 + 48.0) + pairs * 16.0, n * 200.0, |work| {
-            bin(work, cloud.clone(), camera, pose, &OPTIONS).map(drop)
+            bin(work, cloud.clone(), camera, pose, &OPTIONS, None).map(drop)
         })?;
         let keys: Vec<u32> = (0..count as u32).map(|i| i.wrapping_mul(2_654_435_761)).collect();
         let keys = self.work.upload("keys", &keys)?;
         self.row("sort", n * 16.0, 0.0, |work| {
             let (from, items) = (work.take::<u32>("sort keys", count)?, work.take::<u32>("items", count)?);
-            work.copy(&keys, &from, 4 * count);
+            work.copy_to(&keys, &from, 0, 4 * count);
             sort(work, from, items, count, u32::BITS).map(drop)
         })?;
         let colours = self.work.take::<[f32; 4]>("the splats' colours", count)?;
@@ -201,7 +203,25 @@ impl Bench<'_> {
     }
 }
 
-/// Times drawing and learning of splats that stay, as a step of training asks for it.
+/// The pass that is a whole step of training.
+pub const STEP: &str = "a whole step";
+
+/// A photo with some sky above.
+fn some_photo(width: usize, height: usize) -> Target {
+    let pixel = |i: usize| {
+        let sky = i < width * height / 4;
+        [
+            i as u8,
+            (i >> 3) as u8,
+            (i >> 6) as u8,
+            if sky { Target::SKY | Target::INNER } else { Target::COUNTS },
+        ]
+    };
+    let pixels = (0..width * height).map(pixel).collect();
+    Target { width, height, pixels, trust: vec![0.1; width * height] }
+}
+
+/// Times steps of splats that stay, as training asks for them.
 fn training(
     engine: &GpuEngine,
     reach: Reach,
@@ -225,7 +245,7 @@ fn training(
         sums: vec![[0.0; 4]; n],
         ..Held::default()
     };
-    let mut away = GpuTraining::new(&engine.device, &held)?;
+    let mut away = GpuTraining::new(&engine.device, &engine.shelf, &held)?;
     // Nothing moves: what is timed stays the same.
     let rule = Rule { beta1: 0.9, beta2: 0.999, rate: 0.0, epsilon: 1e-15 };
     let rules = Rules::all(rule);
@@ -233,23 +253,58 @@ fn training(
     let grads = away.some_gradients()?;
     let mut work = engine.device.work();
     let seen = work.take::<[f32; 4]>("depths and centres", n)?;
-    let ms = timed(&mut work, |work| away.adam(work, &grads, &seen, &rules))?;
-    drop((work, seen));
+    let found = work.upload("how many pairs there are", &[0u32, 1])?;
+    let groups = away.groups(&mut work, &rules)?;
+    let ms = timed(&mut work, |work| {
+        away.adam(work, &grads, &seen, &found, &groups);
+        Ok(())
+    })?;
     let mut rows = vec![Timed { pass: "adam", ms, floor_ms: reach.floor_ms(numbers * 28.0, numbers * 12.0) }];
     let (width, height) = (camera.width as usize, camera.height as usize);
-    let (image, error) = (Image::filled(width, height, 3, 1e-3), Image::filled(width, height, 1, 0.1));
+    let target = some_photo(width, height);
+    let sitting = Sitting {
+        camera,
+        pose,
+        matrix: Some([1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]),
+        behind: &[[0.5; 3]],
+        has_sky: true,
+        leave_out: LeaveOut::Residual(Residuals { before: &[], share: 0.35 }),
+        lambda_ssim: 0.2,
+        sky_weight: 0.1,
+    };
+    let photo = Photo::upload(&mut work, &target)?;
+    let asked = Asked::upload(&mut work, &sitting)?;
+    let cloud = Arc::new(Cloud::upload(&mut work, splats)?);
+    let (on, _) = bin(&mut work, cloud, camera, pose, &OPTIONS, None)?;
+    let image = work.take::<[f32; 4]>("the image", width * height)?;
+    work.clear(&image);
+    let ms = timed(&mut work, |work| compare(work, &on.view, &image, &photo, &asked, &sitting).map(drop))?;
+    let pixels = (width * height) as f64;
+    // Colour and alpha, the photo and its trust in; what is shown, its residual and weight, likeness and gradients on the
+    // way; the image's gradient and the error out. Windows of eleven by eleven are two rows of eleven each.
+    let (bytes, operations) = (pixels * 4.0 * 120.0, pixels * 3.0 * 11.0 * 2.0 * 11.0);
+    rows.push(Timed { pass: "compare", ms, floor_ms: reach.floor_ms(bytes, operations) });
+    drop((work, on, image, asked, photo, seen, found, groups));
+    let step = Step {
+        options: &OPTIONS,
+        light: None,
+        sitting,
+        // No training has this number.
+        key: [u64::MAX, splats.len() as u64, pixels as u64],
+        target: &|| some_photo(width, height),
+        rules: &rules,
+    };
     let (began, mut steps) = (Instant::now(), -1.0);
     let mut begun = began;
     while steps < 3.0 || begun.elapsed().as_secs_f64() < LEAST {
         if steps == 0.0 {
             begun = Instant::now();
         }
-        away.draw(camera, pose, &OPTIONS, None)?;
-        away.learn(&FrameGrad { image: &image, alpha: None }, &error, &rules)?;
+        away.step(&step)?;
         steps += 1.0;
     }
     engine.device.work().wait()?;
     let ms = begun.elapsed().as_secs_f64() * 1e3 / steps;
-    rows.push(Timed { pass: "splats' half of a step", ms, floor_ms: 0.0 });
+    rows.push(Timed { pass: STEP, ms, floor_ms: 0.0 });
     Ok(rows)
 }

@@ -1,18 +1,18 @@
-//! Splats in training, with their optimiser and what density control wants to know of them. Per step an image comes back,
-//! and its gradient and one plane of errors go up; the splats do not move.
+//! Splats in training, with their optimiser and what density control wants to know of them. A step is handed to the device
+//! at once, and what comes back of it is what the photo said; the splats do not move.
 
 use crate::GpuError;
+use crate::compare::{Asked, Heard, LIGHT, Photo, Shelf, compare, total};
 use crate::device::{Device, Lent, Work};
 use crate::engine::{Binned, Cloud, GROUP, bin};
 use crate::passes::Grads;
 use crate::shaders::{ADAM, OBSERVE, SHADE, SHADE_BACKWARD, TINT, TINT_BACKWARD};
-use crate::view::{pack_image, unpack_image};
 use bytemuck::{Pod, Zeroable};
+use segwild_raster::compare::Said;
 use segwild_raster::{
-    Codes, EmbedLook, Frame, FrameGrad, Held, Light, ProjectOptions, RasterError, Resident, Rule, Rules,
-    check,
+    Codes, EmbedLook, Held, Light, ProjectOptions, RasterError, Resident, Rule, Rules, Step, check,
 };
-use segwild_scene::{Camera, Image, Pose, Splats};
+use segwild_scene::{Camera, Pose, Splats};
 use std::sync::Arc;
 
 /// Splats or their moments.
@@ -36,22 +36,24 @@ impl Numbers {
     }
 }
 
-/// What was drawn last.
-struct Drawn {
-    on: Binned,
+/// A view that was drawn.
+pub(crate) struct Drawn<'a> {
+    pub on: Binned,
     /// Depth, radius, centre per splat.
     seen: Lent,
     /// The splats' own colours, and those in the photo's light, where there is one.
     colours: Lent,
-    lit: Option<Lit>,
+    lit: Option<Lit<'a>>,
     lights: Lent,
-    size: [usize; 2],
+    /// Colour and alpha.
+    pub image: Lent,
 }
 
 /// Splats in a photo's light.
-struct Lit {
+struct Lit<'a> {
     photo: Lent,
     tinted: Lent,
+    codes: &'a GpuCodes,
 }
 
 /// Codes of splats and their moments.
@@ -64,6 +66,7 @@ struct GpuCodes {
 /// Splats in training on the device.
 pub(crate) struct GpuTraining {
     device: Arc<Device>,
+    shelf: Arc<Shelf>,
     sh_degree: u32,
     splats: Numbers,
     first: Numbers,
@@ -71,7 +74,6 @@ pub(crate) struct GpuTraining {
     /// For density control: gradient, error, steps, radius.
     sums: Lent,
     codes: Option<GpuCodes>,
-    drawn: Option<Drawn>,
 }
 
 /// `Rules` of `adam.wgsl`.
@@ -94,10 +96,7 @@ pub(crate) struct StepGrads {
 }
 
 /// A group of parameters, as `adam` sees it.
-struct Group<'a> {
-    /// Its arrays: parameters, first and second moments.
-    arrays: [&'a Lent; 3],
-    grads: &'a Lent,
+struct Group {
     /// Where the gradients of the first item begin, and how far those of the next are.
     from: usize,
     stride: usize,
@@ -110,7 +109,7 @@ struct Group<'a> {
     seen: Option<f32>,
 }
 
-impl Group<'_> {
+impl Group {
     fn rules(&self) -> AdamRules {
         let rule = |Rule { beta1, beta2, rate, epsilon }: Rule| [beta1, beta2, rate, epsilon];
         AdamRules {
@@ -121,8 +120,11 @@ impl Group<'_> {
     }
 }
 
+/// The optimiser's groups, with their rules on the device.
+pub(crate) struct Groups(Vec<(Group, Lent)>);
+
 impl GpuTraining {
-    pub fn new(device: &Arc<Device>, held: &Held) -> Result<GpuTraining, GpuError> {
+    pub fn new(device: &Arc<Device>, shelf: &Arc<Shelf>, held: &Held) -> Result<GpuTraining, GpuError> {
         let mut work = device.work();
         Ok(GpuTraining {
             sh_degree: held.splats.sh_degree,
@@ -138,8 +140,8 @@ impl GpuTraining {
                     second: work.upload("the codes' second moments", &held.codes.second)?,
                 }),
             },
-            drawn: None,
             device: device.clone(),
+            shelf: shelf.clone(),
         })
     }
 
@@ -152,166 +154,177 @@ impl GpuTraining {
         3 * (self.sh_degree as usize + 1).pow(2)
     }
 
-    fn try_draw(
-        &mut self,
+    fn try_step(&self, step: &Step) -> Result<(Said, Option<Light>), GpuError> {
+        loop {
+            let work = &mut self.device.work();
+            let (photo, room) = self.shelf.take(work, step.key, step.target, self.count())?;
+            let heard = match self.once(work, step, &photo, room) {
+                // More room than the view needs, perhaps.
+                Err(GpuError::TooLarge { .. } | GpuError::OverBudget { .. }) if room.is_some() => {
+                    self.shelf.clear();
+                    self.once(work, step, &photo, None)?
+                }
+                heard => heard?,
+            };
+            let (pairs, fits) = heard.pairs();
+            self.shelf.note(step.key, pairs, self.count());
+            // Without room nothing was learnt; there will be, now that it is known how much it takes.
+            if fits {
+                return Ok((heard.said(&step.sitting), step.light.map(|_| heard.light())));
+            }
+        }
+    }
+
+    /// A step, all of it handed to the device at once, with room for so many pairs of a splat and a tile.
+    fn once(
+        &self,
+        work: &mut Work,
+        step: &Step,
+        photo: &Photo,
+        room: Option<usize>,
+    ) -> Result<Heard, GpuError> {
+        let sitting = &step.sitting;
+        // What goes up hands in what stands before it: all of it goes first.
+        let asked = Asked::upload(work, sitting)?;
+        let groups = self.groups(work, step.rules)?;
+        let drawn = self.draw(work, sitting.camera, sitting.pose, step.options, step.light, room)?;
+        let graded = compare(work, &drawn.on.view, &drawn.image, photo, &asked, sitting)?;
+        self.learn(work, &drawn, &graded.grads, &graded.error, &groups, &asked.said)?;
+        Heard::read(work, &asked.said, &drawn.on.found)
+    }
+
+    /// Draws the splats, in a photo's light if there is one.
+    pub fn draw(
+        &self,
+        work: &mut Work,
         camera: &Camera,
         pose: &Pose,
         options: &ProjectOptions,
         light: Option<&Light>,
-    ) -> Result<Frame, GpuError> {
-        // Its buffers are used again.
-        self.drawn = None;
+        room: Option<usize>,
+    ) -> Result<Drawn<'_>, GpuError> {
         let n = self.count();
-        let mut work = self.device.work();
-        let (on, seen) = bin(&mut work, self.splats.shapes.clone(), camera, pose, options)?;
+        let shapes = &self.splats.shapes;
+        let light = light.map(|light| work.upload("the photo's light", light)).transpose()?;
+        let (on, seen) = bin(work, shapes.clone(), camera, pose, options, room)?;
         let colours = work.take::<[f32; 4]>("the splats' colours", n)?;
         let job = [n as u32, self.sh_degree, 0, 0];
-        let shapes = &self.splats.shapes;
-        work.run(
-            &SHADE,
-            1,
-            job,
-            &[&on.view, &shapes.means, &seen, &self.splats.sh, &colours],
-            n.div_ceil(GROUP),
-        );
+        let buffers = [&on.view, &shapes.means, &seen, &self.splats.sh, &colours];
+        work.run(&SHADE, 1, job, &buffers, n.div_ceil(GROUP));
         let lit = match light {
-            Some(light) => {
+            Some(photo) => {
                 let codes = self.codes.as_ref().expect("light falls on codes");
-                let photo = work.upload("the photo's light", light)?;
                 let tinted = work.take::<[f32; 4]>("the tinted colours", n)?;
                 let buffers = [&photo, &colours, &codes.values, &tinted];
                 work.run(&TINT, 1, [n as u32, 0, 0, 0], &buffers, n.div_ceil(GROUP));
-                Some(Lit { photo, tinted })
+                Some(Lit { photo, tinted, codes })
             }
             None => None,
         };
         let alpha = work.take::<f32>("alpha", on.pixels)?;
-        let lights = on.lights(&mut work)?;
+        let lights = on.lights(work)?;
         let values = lit.as_ref().map_or(&colours, |lit| &lit.tinted);
-        let image = on.blend(&mut work, 1, values, true, &alpha, &lights)?;
-        let drawn: Vec<f32> = work.read(&image, on.pixels * 4)?;
-        let size = [camera.width as usize, camera.height as usize];
-        let mut frame =
-            Frame { image: Image::zeros(size[0], size[1], 3), alpha: Image::zeros(size[0], size[1], 1) };
-        unpack_image(&drawn, 4, 0, &mut frame.image);
-        frame.alpha.data.iter_mut().zip(drawn.chunks_exact(4)).for_each(|(to, from)| *to = from[3]);
-        drop(work);
-        self.drawn = Some(Drawn { on, seen, colours, lit, lights, size });
-        Ok(frame)
+        let image = on.blend(work, 1, values, true, &alpha, &lights)?;
+        Ok(Drawn { on, seen, colours, lit, lights, image })
     }
 
-    fn try_learn(
-        &mut self,
-        grad: &FrameGrad,
-        error: &Image,
-        rules: &Rules,
-    ) -> Result<Option<Light>, GpuError> {
-        let Drawn { on, seen, colours, lit, lights, size } = self.drawn.take().expect("something was drawn");
-        let [width, height] = size;
-        assert_eq!(
-            (grad.image.width, grad.image.height, grad.image.channels),
-            (width, height, 3),
-            "gradient"
-        );
-        assert_eq!(error.data.len(), width * height, "error: numbers");
-        let n = self.count();
-        let work = &mut self.device.work();
-        let image = work.upload("the image's gradients", &pack_image(grad.image, 0, 1, grad.alpha))?;
-        let error = work.upload("the errors", &error.data)?;
-        let by_colour = on.gather(work, 1, &image, &lights)?;
-        let values = lit.as_ref().map_or(&colours, |lit| &lit.tinted);
-        let grads = on.backward(work, 1, values, &image)?;
-        // Where there is light, `by_colour` is of the tinted colours before, and of the splats' own after.
-        let by_light = match (&lit, &self.codes) {
-            (Some(lit), Some(codes)) => {
-                let code_grads = work.take::<[f32; EmbedLook::CODE_SIZE]>("the codes' gradients", n)?;
-                let sums = work.take::<Light>("the light's gradients", n.div_ceil(GROUP))?;
-                let buffers = [&lit.photo, &colours, &codes.values, &by_colour, &code_grads, &sums];
-                work.run(&TINT_BACKWARD, 1, [n as u32, 0, 0, 0], &buffers, n.div_ceil(GROUP));
-                Some((code_grads, sums))
-            }
-            _ => None,
-        };
-        let sh_grads = work.take::<f32>("the harmonics' gradients", n * self.sh_stride())?;
-        let shapes = &self.splats.shapes;
-        let buffers = [&on.view, &shapes.means, &seen, &self.splats.sh, &by_colour, &sh_grads, &grads];
-        let job = [n as u32, self.sh_degree, 0, 0];
-        work.run(&SHADE_BACKWARD, 1, job, &buffers, n.div_ceil(GROUP));
-        let buffers = [&on.view, &seen, &grads, &error, &self.sums];
-        work.run(&OBSERVE, 1, [n as u32, 0, 0, 0], &buffers, n.div_ceil(GROUP));
-        let (codes, by_light) = by_light.unzip();
-        self.adam(work, &StepGrads { shapes: grads, sh: sh_grads, codes }, &seen, rules)?;
-        work.hand_in();
-        let Some(sums) = by_light else { return Ok(None) };
-        let sums: Vec<[f32; size_of::<Light>() / 4]> = work.read(&sums, n.div_ceil(GROUP))?;
-        Ok(Some(std::array::from_fn(|k| sums.iter().map(|part| f64::from(part[k])).sum::<f64>() as f32)))
-    }
-
-    /// The optimiser's step of every group of parameters.
-    pub fn adam(
+    /// The optimiser's step by the gradients of what was drawn, of colour and alpha; the sums for density control, which
+    /// take the error at the centres; the gradient of the light, into `said`.
+    pub fn learn(
         &self,
         work: &mut Work,
-        grads: &StepGrads,
-        seen: &Lent,
-        rules: &Rules,
+        drawn: &Drawn,
+        by_image: &Lent,
+        error: &Lent,
+        groups: &Groups,
+        said: &Lent,
     ) -> Result<(), GpuError> {
-        let all = [&self.splats, &self.first, &self.second];
-        let shape = |of: fn(&Cloud) -> &Lent, from, live, split, rules| Group {
-            arrays: all.map(|numbers| of(&numbers.shapes)),
-            grads: &grads.shapes,
+        let Drawn { on, seen, colours, lit, lights, .. } = drawn;
+        let n = self.count();
+        let each = n.div_ceil(GROUP);
+        let shapes = &self.splats.shapes;
+        let by_colour = on.gather(work, 1, by_image, lights)?;
+        let values = lit.as_ref().map_or(colours, |lit| &lit.tinted);
+        let grads = on.backward(work, 1, values, by_image)?;
+        // Where there is light, `by_colour` is of the tinted colours before, and of the splats' own after.
+        let by_code = match lit {
+            Some(Lit { photo, codes, .. }) => {
+                let by_code = work.take::<[f32; EmbedLook::CODE_SIZE]>("the codes' gradients", n)?;
+                let sums = work.take::<Light>("the light's gradients", each)?;
+                let buffers = [photo, colours, &codes.values, &by_colour, &by_code, &sums];
+                work.run(&TINT_BACKWARD, 1, [n as u32, 0, 0, 0], &buffers, each);
+                total(work, &sums, each, size_of::<Light>() / 4, said, LIGHT);
+                Some(by_code)
+            }
+            None => None,
+        };
+        let by_sh = work.take::<f32>("the harmonics' gradients", n * self.sh_stride())?;
+        let buffers = [&on.view, &shapes.means, seen, &self.splats.sh, &by_colour, &by_sh, &grads];
+        work.run(&SHADE_BACKWARD, 1, [n as u32, self.sh_degree, 0, 0], &buffers, each);
+        let buffers = [&on.view, seen, &grads, error, &self.sums, &on.found];
+        work.run(&OBSERVE, 1, [n as u32, 0, 0, 0], &buffers, each);
+        self.adam(work, &StepGrads { shapes: grads, sh: by_sh, codes: by_code }, seen, &on.found, groups);
+        Ok(())
+    }
+
+    /// The groups of parameters under these rules: centres and opacities, scales, rotations, harmonics and, where there
+    /// are some, codes.
+    pub fn groups(&self, work: &mut Work, rules: &Rules) -> Result<Groups, GpuError> {
+        let shape = |from, live, split, rules| Group {
             from,
-            stride: 16,
+            stride: size_of::<Grads>() / 4,
             width: 4,
             live,
             split,
             rules,
             seen: None,
         };
-        let width = self.sh_stride();
+        let whole = |width, split, rules, seen| Group {
+            from: 0,
+            stride: width,
+            width,
+            live: width,
+            split,
+            rules,
+            seen,
+        };
         let mut groups = vec![
-            shape(|of| &of.means, 0, 4, 3, [rules.means, rules.opacities]),
-            shape(|of| &of.log_scales, 4, 3, 3, [rules.log_scales; 2]),
-            shape(|of| &of.rotations, 8, 4, 4, [rules.rotations; 2]),
-            Group {
-                arrays: all.map(|numbers| &numbers.sh),
-                grads: &grads.sh,
-                from: 0,
-                stride: width,
-                width,
-                live: width,
-                split: 3,
-                rules: [rules.base, rules.higher],
-                seen: None,
-            },
+            shape(0, 4, 3, [rules.means, rules.opacities]),
+            shape(4, 3, 3, [rules.log_scales; 2]),
+            shape(8, 4, 4, [rules.rotations; 2]),
+            whole(self.sh_stride(), 3, [rules.base, rules.higher], None),
+        ];
+        if self.codes.is_some() {
+            let width = EmbedLook::CODE_SIZE;
+            groups.push(whole(width, width, [rules.codes; 2], Some(rules.kept)));
+        }
+        let up = groups.into_iter().map(|group| {
+            let rules = work.upload("the rules", &[group.rules()])?;
+            Ok((group, rules))
+        });
+        up.collect::<Result<_, _>>().map(Groups)
+    }
+
+    /// The optimiser's step of every group of parameters.
+    pub fn adam(&self, work: &mut Work, grads: &StepGrads, seen: &Lent, found: &Lent, groups: &Groups) {
+        let all = [&self.splats, &self.first, &self.second];
+        let shapes = |of: fn(&Cloud) -> &Lent| (all.map(|numbers| of(&numbers.shapes)), &grads.shapes);
+        let mut arrays = vec![
+            shapes(|of| &of.means),
+            shapes(|of| &of.log_scales),
+            shapes(|of| &of.rotations),
+            (all.map(|numbers| &numbers.sh), &grads.sh),
         ];
         if let (Some(codes), Some(grads)) = (&self.codes, &grads.codes) {
-            let width = EmbedLook::CODE_SIZE;
-            groups.push(Group {
-                arrays: [&codes.values, &codes.first, &codes.second],
-                grads,
-                from: 0,
-                stride: width,
-                width,
-                live: width,
-                split: width,
-                rules: [rules.codes; 2],
-                seen: Some(rules.kept),
-            });
+            arrays.push(([&codes.values, &codes.first, &codes.second], grads));
         }
-        // What goes up hands in what stands before it: all at once.
-        let rules = groups
-            .iter()
-            .map(|group| work.upload("the rules", &[group.rules()]))
-            .collect::<Result<Vec<_>, _>>()?;
-        for (group, rules) in groups.iter().zip(&rules) {
+        for (([parameters, first, second], grads), (group, rules)) in arrays.into_iter().zip(&groups.0) {
             let numbers = self.count() * group.width;
-            let [parameters, first, second] = group.arrays;
             let only_seen = u32::from(group.seen.is_some());
             let job = [numbers as u32, group.width as u32, only_seen, group.seen.unwrap_or(1.0).to_bits()];
-            let buffers = [rules, group.grads, parameters, first, second, seen];
+            let buffers = [rules, grads, parameters, first, second, seen, found];
             work.run(&ADAM, 1, job, &buffers, numbers.div_ceil(GROUP));
         }
-        Ok(())
     }
 
     /// Gradients of 0.
@@ -350,24 +363,9 @@ impl GpuTraining {
 }
 
 impl Resident for GpuTraining {
-    fn draw(
-        &mut self,
-        camera: &Camera,
-        pose: &Pose,
-        options: &ProjectOptions,
-        light: Option<&Light>,
-    ) -> Result<Frame, RasterError> {
-        check(&Splats::default(), camera)?;
-        Ok(self.try_draw(camera, pose, options, light)?)
-    }
-
-    fn learn(
-        &mut self,
-        grad: &FrameGrad,
-        error: &Image,
-        rules: &Rules,
-    ) -> Result<Option<Light>, RasterError> {
-        Ok(self.try_learn(grad, error, rules)?)
+    fn step(&mut self, step: &Step) -> Result<(Said, Option<Light>), RasterError> {
+        check(&Splats::default(), step.sitting.camera)?;
+        Ok(self.try_step(step)?)
     }
 
     fn fetch(&mut self) -> Result<Held, RasterError> {

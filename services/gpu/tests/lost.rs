@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{engine, image, splats, view};
+use common::{engine, image, splats, step, view};
 use segwild_gpu::{Choice, GpuEngine, held_with_codes};
 use segwild_raster::{
     Channels, CpuEngine, EmbedLook, Engine, FrameGrad, Held, ProjectOptions, RasterError, Rule, Rules,
@@ -45,20 +45,22 @@ fn a_kernel_that_does_not_compile_is_an_error_that_names_the_device() {
 #[test]
 fn a_training_whose_kernel_does_not_compile_ends_in_words() {
     let Some(gpu) = engine("a_training_whose_kernel_does_not_compile_ends_in_words") else { return };
-    let (camera, pose) = view(48, 32);
+    let view = view(48, 32);
     let settled = held_with_codes(splats(7, 100, (0.02, 0.2)));
-    let (grad, error) = (image(8, 48, 32, 3), image(9, 48, 32, 1));
     let rules = Rules::all(Rule { beta1: 0.9, beta2: 0.999, rate: 0.01, epsilon: 1e-8 });
     let light = EmbedLook::new(1, 3).photo(0);
-    for kernel in ["shade", "tint", "tint_backward", "shade_backward", "observe", "adam"] {
+    let compared =
+        ["compose", "tally", "limits", "weigh", "structure", "slope", "grade", "sky_sums", "total"];
+    for kernel in
+        ["shade", "tint", "tint_backward", "shade_backward", "observe", "adam"].into_iter().chain(compared)
+    {
         let broken = without(kernel, &gpu.adapter().name);
-        let step = || -> Result<Held, RasterError> {
+        let learn = || -> Result<Held, RasterError> {
             let mut away = broken.settle(&mut || settled.clone())?.expect("it fits");
-            away.draw(&camera, &pose, &ProjectOptions::default(), Some(&light))?;
-            away.learn(&FrameGrad { image: &grad, alpha: None }, &error, &rules)?;
+            step(&mut *away, &view, Some(&light), &rules, 1, 0.1)?;
             away.fetch()
         };
-        let error = step().expect_err("one kernel is none");
+        let error = learn().expect_err("one kernel is none");
         let text = error.to_string();
         assert!(matches!(error, RasterError::Device(_)) && text.contains(kernel), "{kernel}: {text}");
     }

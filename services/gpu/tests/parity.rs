@@ -7,11 +7,12 @@
 
 mod common;
 
-use common::{engine, image, many, splats, view};
+use common::{engine, image, many, splats, step, view};
 use segwild_gpu::{
-    Choice, GpuEngine, Kernel, Tolerance, check, check_training, gradients, held, held_with_codes, projected,
+    Choice, GpuEngine, Kernel, LEAST_PHOTOS, Tolerance, check, check_training, compared, gradients, held,
+    held_with_codes, projected, sitters, training_bytes,
 };
-use segwild_raster::{Channels, CpuEngine, Engine, Frame, FrameGrad, ProjectOptions, Projected};
+use segwild_raster::{Channels, CpuEngine, Engine, Frame, FrameGrad, ProjectOptions, Projected, RasterError};
 use segwild_scene::{Camera, Pose, Random, Splats};
 
 const BLENDED: Tolerance = Tolerance::BLENDED;
@@ -283,6 +284,39 @@ const TRAINING_FAULTS: &[(&str, &str, &str)] = &[
     ("shade_backward", "direction.xyz * dot(d", "0.5 * direction.xyz * dot(d"),
 ];
 
+/// Faults in the kernels of the photo's half of a step.
+const COMPARISON_FAULTS: &[(&str, &str, &str)] = &[
+    ("compose", "(1.0 - drawn.w) * behind", "behind"),
+    ("compose", "doubt = 1.0 - trust[i]", "doubt = 1.0 - 0.1 * trust[i]"),
+    ("compose", "dot(sitting.matrix[c], scene)", "dot(sitting.matrix[c].xyz, scene.xyz)"),
+    ("box_mean", "at + job.z + 1u", "at + job.z"),
+    ("box_mean", "if job.w == 1u", "if job.w == 2u"),
+    ("tally", "has(photo[i], COUNTS)", "has(photo[i], SKY)"),
+    ("limits", "DECAY * before[b]", "before[b]"),
+    ("limits", "CONTRAST * quantile(of_held, 0.5)", "9.0 * quantile(of_held, 0.5)"),
+    ("limits", "limit = max(limit, threshold(false, share));", ""),
+    ("limits", "SUSPECTED * limit", "limit"),
+    ("weigh", "select(0u, 1u, has(pixel, SUSPECT))", "0u"),
+    ("weigh", "2u * votes >", "votes >"),
+    ("weigh", "weight * dot(lack, lack)", "dot(lack, lack)"),
+    ("weigh", "counted[i] = weight * shown[i].w", "counted[i] = shown[i].w"),
+    ("structure", "2.0 * (m.w - product)", "2.0 * m.w"),
+    ("structure", "along[middle - tap * TILE] +", "along[middle] +"),
+    ("structure", "by_squares = -ssim", "by_squares = ssim"),
+    ("slope", "f32(d > 0.0) - f32(d < 0.0)", "f32(d > 0.0)"),
+    ("slope", "2.0 * x * by.y", "x * by.y"),
+    ("slope", "y * by.z", "x * by.z"),
+    ("grade", "g.y * sitting.matrix[1].xyz", "g.y * sitting.matrix[2].xyz"),
+    ("grade", "-dot(by_scene, back)", "dot(by_scene, back)"),
+    ("grade", "drawn.w, LEAST_OPEN", "drawn.w, 0.95"),
+    ("grade", "g[c] * scene", "g[0] * scene"),
+    ("sky_sums", "seen[p][12] * seen[p][a]", "seen[p][a]"),
+    ("sky_sums", "open * open * weights[i]", "open * weights[i]"),
+    ("sky_sums", "9u + (local - PRODUCTS) % 3u", "9u"),
+    ("colour_sums", "* open * vec4f", "* vec4f"),
+    ("total", "parts[k * job.y + column]", "parts[k * job.y]"),
+];
+
 /// The adapter with a piece of a kernel's text replaced.
 fn broken(choice: &Choice, kernel: &'static str, text: &'static str, fault: &'static str) -> GpuEngine {
     let edit = move |built: &Kernel, whole: String| {
@@ -313,6 +347,15 @@ fn a_fault_in_any_kernel_of_training_is_seen() {
 }
 
 #[test]
+fn a_fault_in_any_kernel_of_a_photos_comparison_is_seen() {
+    let Some(gpu) = engine("a_fault_in_any_kernel_of_a_photos_comparison_is_seen") else { return };
+    let choice = Choice::Named(gpu.adapter().name.clone());
+    for &(kernel, text, fault) in COMPARISON_FAULTS {
+        is_laid_to(&broken(&choice, kernel, text, fault), kernel, fault);
+    }
+}
+
+#[test]
 fn steps_of_training_agree_for_every_degree_of_colour() {
     let Some(gpu) = engine("steps_of_training_agree_for_every_degree_of_colour") else { return };
     let (camera, pose) = view(70, 45);
@@ -333,21 +376,93 @@ fn steps_of_training_agree_for_every_degree_of_colour() {
 }
 
 #[test]
+fn photos_say_the_same_on_the_device() {
+    let Some(gpu) = engine("photos_say_the_same_on_the_device") else { return };
+    // Whole tiles and parts of them; fewer pixels than a window has; a residual's window of two pixels.
+    for size in [(64, 48), (70, 45), (9, 3), (1, 1), (330, 40)] {
+        for sitter in sitters(size) {
+            for part in compared(gpu, &sitter).expect("it runs") {
+                assert!(part.off.is_none(), "{size:?}: {part:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_step_without_room_for_its_pairs_is_done_again_and_learns_the_same() {
+    let test = "a_step_without_room_for_its_pairs_is_done_again_and_learns_the_same";
+    let Some(gpu) = engine(test) else { return };
+    let rules = segwild_raster::Rules::all(segwild_raster::Rule {
+        beta1: 0.9,
+        beta2: 0.999,
+        rate: 0.01,
+        epsilon: 1e-8,
+    });
+    // Points first, then the same splats large: the pairs of the second step are many times those of the first.
+    let (small, large) = (splats(33, 400, (0.001, 0.002)), splats(33, 400, (0.2, 0.6)));
+    let view = view(160, 120);
+    let learn = |scenes: &[&Splats], key| {
+        let mut after = None;
+        for &scene in scenes {
+            let mut away = gpu.settle(&mut || held(scene.clone())).expect("it settles").expect("it fits");
+            let said = step(&mut *away, &view, None, &rules, key, 0.1).expect("it learns");
+            after = Some((away.fetch().expect("it comes back"), said));
+        }
+        after.expect("there was a step")
+    };
+    let (surprised, prepared) = (learn(&[&small, &large], 51), learn(&[&large], 52));
+    assert!(surprised.0.splats.means != large.means, "nothing was learnt");
+    assert!(surprised == prepared);
+}
+
+#[test]
+fn the_memory_that_a_training_takes_is_known_before_and_a_budget_is_kept() {
+    let test = "the_memory_that_a_training_takes_is_known_before_and_a_budget_is_kept";
+    let Some(gpu) = engine(test) else { return };
+    let open = || GpuEngine::new(&Choice::Named(gpu.adapter().name.clone())).expect("it opens again");
+    let rules = segwild_raster::Rules::all(segwild_raster::Rule {
+        beta1: 0.9,
+        beta2: 0.999,
+        rate: 1e-4,
+        epsilon: 1e-8,
+    });
+    let scene = splats(35, 6000, (0.01, 0.04));
+    let learn = |engine: &GpuEngine| -> Result<(), RasterError> {
+        let mut away =
+            engine.settle(&mut || held(scene.clone()))?.ok_or(RasterError::Shape("refused".into()))?;
+        for (key, size) in [(1, (320, 240)), (2, (160, 120)), (3, (300, 250)), (1, (320, 240))] {
+            step(&mut *away, &view(size.0, size.1), None, &rules, key, 0.1)?;
+            let (held, budget) = (engine.held(), engine.budget());
+            assert!(budget == 0 || held <= budget, "{held} of {budget} bytes");
+        }
+        Ok(())
+    };
+    let free = open();
+    learn(&free).expect("it learns");
+    let (taken, estimate) = (free.held(), training_bytes(6000, 320 * 240, 0, false));
+    println!("{taken} bytes taken, {estimate} estimated");
+    assert!(taken <= estimate + LEAST_PHOTOS && estimate < 3 * taken, "{taken} taken, {estimate} estimated");
+    // With less than was taken free buffers give way; with next to nothing it is refused in words.
+    let near = open();
+    near.keep_within(taken * 9 / 10);
+    learn(&near).expect("it learns");
+    let tight = open();
+    tight.keep_within(1 << 20);
+    let error = learn(&tight).expect_err("no room").to_string();
+    assert!(error.contains("--memory-budget") || error.contains("refused"), "{error}");
+}
+
+#[test]
 fn gradients_that_are_no_numbers_leave_splats_that_are() {
     let Some(gpu) = engine("gradients_that_are_no_numbers_leave_splats_that_are") else { return };
-    let (camera, pose) = view(40, 30);
+    let view = view(40, 30);
     let held = held(splats(32, 60, (0.05, 0.3)));
     let mut away = gpu.settle(&mut || held.clone()).expect("it settles").expect("it fits");
-    let mut bad = image(3, 40, 30, 3);
-    for (k, number) in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX].into_iter().enumerate() {
-        bad.data[300 * k + 77] = number;
-    }
-    let error = image(4, 40, 30, 1);
     let rule = segwild_raster::Rule { beta1: 0.9, beta2: 0.999, rate: 0.1, epsilon: 0.0 };
     let rules = segwild_raster::Rules::all(rule);
-    for _ in 0..3 {
-        away.draw(&camera, &pose, &ProjectOptions::default(), None).expect("it draws");
-        away.learn(&FrameGrad { image: &bad, alpha: None }, &error, &rules).expect("it learns");
+    // The sky's share of the gradient, in the pixels that have some.
+    for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, 0.1] {
+        step(&mut *away, &view, None, &rules, 3, bad).expect("it learns");
     }
     let after = away.fetch().expect("it comes back");
     for splats in [&after.splats, &after.first, &after.second] {

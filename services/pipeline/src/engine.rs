@@ -1,7 +1,7 @@
 //! Which engine computes the splats.
 
 use crate::{RunError, RunSettings};
-use segwild_gpu::{Choice, GpuEngine};
+use segwild_gpu::{Choice, GpuEngine, GpuError};
 use segwild_raster::{CpuEngine, Engine, SpareEngine};
 use std::sync::Arc;
 
@@ -66,14 +66,19 @@ pub fn choose_engine(
         "" => Choice::Hardware,
         name => Choice::Named(name.to_owned()),
     };
+    let open = || -> Result<GpuEngine, GpuError> {
+        let engine = GpuEngine::new(&choice)?;
+        engine.keep_within(u64::from(settings.memory_budget) << 20);
+        Ok(engine)
+    };
     match settings.engine {
         EngineKind::Cpu => Ok(Chosen::cpu("`--engine auto` takes an accelerator, where there is one")),
-        EngineKind::Gpu => Ok(Chosen::gpu(GpuEngine::new(&choice)?, settings.when_lost, told)),
+        EngineKind::Gpu => Ok(Chosen::gpu(open()?, settings.when_lost, told)),
         // An adapter that was named is wanted, not wished for.
         EngineKind::Auto if !settings.adapter.is_empty() => {
-            Ok(Chosen::gpu(GpuEngine::new(&choice)?, settings.when_lost, told))
+            Ok(Chosen::gpu(open()?, settings.when_lost, told))
         }
-        EngineKind::Auto => match GpuEngine::new(&choice) {
+        EngineKind::Auto => match open() {
             Ok(engine) => Ok(Chosen::gpu(engine, settings.when_lost, told)),
             Err(reason) => Ok(Chosen::cpu(&reason.to_string())),
         },

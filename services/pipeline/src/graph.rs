@@ -180,6 +180,9 @@ pub fn run(
     }
     let events = options.events.clone();
     let Chosen { engine, why } = choose_engine(&settings.run, move |lost| events.warn(None, lost))?;
+    if engine.name() == "gpu" {
+        memory::fits_accelerator(settings, &scene)?;
+    }
     options.events.info(None, format!("splats are computed by {why}"));
     let asked = match options.until {
         Some(Until::Step(step)) => Some(step),

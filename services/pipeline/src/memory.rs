@@ -90,14 +90,10 @@ fn fixed(settings: &Settings, scene: &Scene) -> f64 {
     let (codes, look) = look(&settings.train, scene.views.len());
     let training = training + 4.0 * codes * COPIES;
     let field = 4.0 * f64::from(settings.features.channels) * FEATURE_COPIES + 4.0 * (11.0 + 3.0 * bands);
-    let pixels = scene.views.iter().map(|v| {
-        let camera = v.camera.scaled_to(size);
-        f64::from(camera.width) * f64::from(camera.height)
-    });
     let samples = f64::from(settings.features.pca_samples) * 4.0 * 64.0;
     let observations: usize = scene.points.iter().map(|p| p.track.len()).sum();
     let bytes = splats * training.max(field)
-        + pixels.fold(0.0, f64::max) * 4.0 * PER_PIXEL
+        + pixels(settings, scene) as f64 * 4.0 * PER_PIXEL
         + samples
         + look
         + scene.views.len() as f64 * PER_PHOTO
@@ -118,6 +114,32 @@ fn look(train: &TrainSettings, photos: usize) -> (f64, f64) {
             (GswLook::CODE_SIZE as f64, photos + networks)
         }
     }
+}
+
+/// Refuses a training that takes more of an accelerator's memory than the budget allows.
+///
+/// # Errors
+/// In words, with the numbers.
+pub(crate) fn fits_accelerator(settings: &Settings, scene: &Scene) -> Result<(), RunError> {
+    let budget = settings.run.memory_budget;
+    let splats = splat_cap(&settings.train, scene, settings.scene.size);
+    let coded = matches!(settings.train.look, LookKind::Embed | LookKind::Auto);
+    let bytes = segwild_gpu::training_bytes(splats, pixels(settings, scene), settings.train.sh_degree, coded);
+    let need = ((bytes + segwild_gpu::LEAST_PHOTOS) as f64 / MIB).ceil() as u32;
+    if budget == 0 || need <= budget {
+        return Ok(());
+    }
+    let size = settings.scene.size;
+    Err(RunError::Request(format!(
+        "training {splats} splats on photos of {size} px takes about {need} MiB of the accelerator's memory, and \
+         --memory-budget allows {budget}: give more, lower --splats or --size, or take --engine cpu"
+    )))
+}
+
+/// Pixels of the largest photo.
+fn pixels(settings: &Settings, scene: &Scene) -> usize {
+    let cameras = scene.views.iter().map(|v| v.camera.scaled_to(settings.scene.size));
+    cameras.map(|camera| camera.width as usize * camera.height as usize).max().unwrap_or(0)
 }
 
 /// The settings with caches that fit the memory budget, if there is one.
@@ -177,6 +199,23 @@ mod tests {
             refused.contains(&format!("{least_mib} MiB")) && refused.contains("1000 splats"),
             "{refused}"
         );
+    }
+
+    #[test]
+    fn a_training_that_an_accelerator_has_no_room_for_is_refused_with_its_size() {
+        let frame = Frame { origin: Default::default(), scale: 1.0 };
+        let scene =
+            Scene { views: Vec::new(), points: Vec::new(), skipped: Vec::new(), notes: Vec::new(), frame };
+        let mut settings = Settings::default();
+        settings.train.splats = 1_000_000;
+        assert!(fits_accelerator(&settings, &scene).is_ok(), "no budget");
+        settings.run.memory_budget = 1000;
+        let refused = fits_accelerator(&settings, &scene).expect_err("too little").to_string();
+        for word in ["1000000 splats", "--memory-budget allows 1000", "--engine cpu"] {
+            assert!(refused.contains(word), "{refused}");
+        }
+        settings.run.memory_budget = 8000;
+        assert!(fits_accelerator(&settings, &scene).is_ok());
     }
 
     #[test]

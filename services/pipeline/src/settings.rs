@@ -57,7 +57,8 @@ settings! {
         scoring: Scoring = Scoring::Auto,
         /// Seconds between checkpoints of the training; an interrupted run loses no more than this.
         checkpoint_every: u32 = 30 => 1..,
-        /// Most MiB of memory that the run may take; 0 sets no limit. Caches shrink to fit; what cannot fit is refused.
+        /// Most MiB of memory that the run may take, and as many of an accelerator's own; 0 sets no limit. Caches shrink to
+        /// fit; what cannot fit is refused.
         memory_budget: u32 = 0,
         /// Checkpoints of the training that are kept; with 2, a damaged one has another to fall back on.
         keep_checkpoints: u32 = 2 => 1..,

@@ -3,6 +3,7 @@
 //! One trait, [`Engine`], and its implementations; losses, optimiser and looks beside it.
 
 mod adam;
+pub mod compare;
 mod cpu;
 mod engine;
 mod look;
@@ -23,6 +24,6 @@ pub use look::{
     Sight, Tone, bake,
 };
 pub use loss::{photometric, psnr, ssim};
-pub use resident::{Codes, Held, Resident, Rules};
+pub use resident::{Codes, Held, Resident, Rules, Step};
 pub use shade::{shade, shade_backward};
 pub use spare::SpareEngine;

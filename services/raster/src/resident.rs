@@ -1,8 +1,9 @@
 //! Splats that stay where an engine computes for as long as they are trained.
 
+use crate::compare::{Said, Sitting, Target};
 use crate::look::Light;
-use crate::{Frame, FrameGrad, ProjectOptions, RasterError, Rule};
-use segwild_scene::{Camera, Image, Pose, Splats};
+use crate::{ProjectOptions, RasterError, Rule};
+use segwild_scene::Splats;
 
 /// Splats, and what their optimiser and density control know of them: what goes to a device and comes back.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -60,30 +61,30 @@ impl Rules {
     }
 }
 
-/// Splats in training on a device: projection, colours, blending, gradients, sums for density control and the optimiser
-/// (method, sections 1 and 2) run there, and what crosses is an image and its gradient. A host gets the splats when it
-/// asks.
-pub trait Resident: Send {
-    /// Draws the splats in their own colours or, where they have codes, in the light of a photo
-    /// ([`crate::EmbedLook::photo`]).
-    ///
-    /// # Panics
-    /// If there is light and no codes.
-    fn draw(
-        &mut self,
-        camera: &Camera,
-        pose: &Pose,
-        options: &ProjectOptions,
-        light: Option<&Light>,
-    ) -> Result<Frame, RasterError>;
+/// What a step of training looks at.
+pub struct Step<'a> {
+    /// How splats are projected.
+    pub options: &'a ProjectOptions,
+    /// The photo's light ([`crate::EmbedLook::photo`]), upon splats that have codes.
+    pub light: Option<&'a Light>,
+    /// Under what the photo is compared.
+    pub sitting: Sitting<'a>,
+    /// Names the photo at its size: within a process, no two targets differ under the same key.
+    pub key: [u64; 3],
+    /// The photo; not asked for if it is still there.
+    pub target: &'a dyn Fn() -> Target,
+    /// How far the optimiser goes.
+    pub rules: &'a Rules,
+}
 
-    /// One step of the optimiser, by the gradients of the frame drawn last. `error`, one plane of its size, is what the
-    /// sums of density control take at the centres. Returns the gradient of the light.
+/// Splats in training on a device: a whole step, from projection to the optimiser (method, sections 1 to 3), runs there,
+/// and what crosses is what the photo said. A host gets the splats when it asks.
+pub trait Resident: Send {
+    /// One step: what the photo said of the splats as they were before it, and the gradient of the light.
     ///
     /// # Panics
-    /// If nothing was drawn since the last step, or the sizes differ.
-    fn learn(&mut self, grad: &FrameGrad, error: &Image, rules: &Rules)
-    -> Result<Option<Light>, RasterError>;
+    /// If there is light and no codes, or the target is not of the camera's size.
+    fn step(&mut self, step: &Step) -> Result<(Said, Option<Light>), RasterError>;
 
     /// The splats as they are now.
     fn fetch(&mut self) -> Result<Held, RasterError>;

@@ -1,13 +1,14 @@
-//! Training while the splats are where the engine computes: what crosses is an image and its gradient.
+//! Training while the splats are where the engine computes: what crosses is what a photo says of them, in a few numbers.
 //!
 //! They come home whenever something looks at them: density control, a finer degree of colours, photos asked for witness,
 //! a checkpoint. Numbers travel as they are, so a run does not depend on when that is.
 
 use crate::TrainError;
-use crate::judge::{Judged, Looked};
+use crate::judge::Looked;
 use crate::model::options;
 use crate::trainer::Trainer;
-use segwild_raster::AnyLook;
+use segwild_raster::compare::Said;
+use segwild_raster::{AnyLook, Step};
 
 impl Trainer {
     /// Whether the splats are where the engine computes.
@@ -40,25 +41,32 @@ impl Trainer {
         Ok(())
     }
 
-    /// The splats' half of a step, where they are.
-    pub(crate) fn learn_away(&mut self, looked: &Looked) -> Result<Judged, TrainError> {
-        let &Looked { view, ref camera, ref pose, .. } = looked;
-        let away = self.away.as_mut().expect("the splats are away");
-        let light = match &self.state.look {
+    /// The step where the splats are.
+    pub(crate) fn learn_away(&mut self, looked: &Looked) -> Result<Said, TrainError> {
+        let &Looked { view, level, .. } = looked;
+        let rates = self.rates(self.state.step);
+        let (settings, posed) = (&self.settings, &self.views[view]);
+        let (params, _, mut side) = self.state.halves(view);
+        let behind = side.behind(view);
+        let light = match &*side.look {
             AnyLook::Embed(look) => Some(look.photo(view)),
             _ => None,
         };
-        let frame = away.draw(camera, pose, &options(self.settings.antialias), light.as_ref())?;
-        let shown = self.state.painter(view).show(frame, camera, pose);
-        let (_, _, mut photo) = self.state.halves(view);
-        let judged = photo.judge(&self.settings, &self.schedule, &self.views[view], looked, None, &shown);
-        let rates = self.rates(self.state.step);
-        let rules = self.state.params.advance(&rates);
+        let wanted = settings.robust && !looked.stored.strangers_known;
+        let step = Step {
+            options: &options(settings.antialias),
+            light: light.as_ref(),
+            sitting: side.sitting(settings, &self.schedule, looked, &behind),
+            key: [self.id, view as u64, level as u64],
+            target: &|| side.target(looked, posed, wanted),
+            rules: &params.advance(&rates),
+        };
         let away = self.away.as_mut().expect("the splats are away");
-        let light = away.learn(&judged.grad(), &judged.error, &rules)?;
-        if let (AnyLook::Embed(look), Some(light)) = (&mut self.state.look, light) {
+        let (said, light) = away.step(&step)?;
+        side.hear(looked, &said);
+        if let (AnyLook::Embed(look), Some(light)) = (&mut *side.look, light) {
             look.add_gradient(view, &light);
         }
-        Ok(judged)
+        Ok(said)
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::looks::Affine;
 use glam::Vec3;
-use rayon::prelude::*;
+use segwild_raster::compare::{self, BASES, ColourSums, Seen, SkySums};
 use segwild_scene::{Camera, Image, Pose};
 use wincode::{SchemaRead, SchemaWrite};
 
@@ -16,21 +16,6 @@ pub struct Background {
 
 /// Weight of the mean colour all around, as a share of the weight of what was seen.
 const PRIOR: f64 = 0.05;
-
-/// Basis functions of order 2.
-const BASES: usize = 9;
-
-fn basis(d: Vec3) -> [f32; BASES] {
-    let Vec3 { x, y, z } = d;
-    // Without the usual constants: they would only rescale the coefficients. The first is 1.
-    [1.0, x, y, z, x * y, y * z, x * z, x * x - y * y, 3.0 * z * z - 1.0]
-}
-
-/// World direction of the ray through a pixel's centre, normalised.
-fn direction(camera: &Camera, pose: &Pose, x: usize, y: usize) -> Vec3 {
-    let ray = camera.ray(glam::Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
-    (pose.rotation.transpose() * ray).normalize()
-}
 
 impl Background {
     /// One colour.
@@ -47,51 +32,46 @@ impl Background {
         stride: usize,
         seen: impl Fn(usize) -> Option<([f32; 3], f32)>,
     ) -> Option<Background> {
-        let (w, h) = (camera.width as usize, camera.height as usize);
-        let mut ata = [[0.0f64; BASES]; BASES];
-        let mut atb = [[0.0f64; 3]; BASES];
-        let (mut total, mut looked) = (0.0f64, 0.0f64);
-        let mut add = |d: Vec3, colour: [f64; 3], weight: f64| {
-            let b = basis(d).map(f64::from);
-            for i in 0..BASES {
-                let wb = weight * b[i];
-                for j in 0..=i {
-                    ata[i][j] += wb * b[j];
-                }
-                for c in 0..3 {
-                    atb[i][c] += wb * colour[c];
-                }
-            }
-        };
-        let mut mean = [0.0f64; 3];
-        for y in (0..h).step_by(stride) {
-            for x in (0..w).step_by(stride) {
-                looked += 1.0;
-                let Some((colour, weight)) = seen(y * w + x) else { continue };
-                let (colour, weight) = (colour.map(f64::from), f64::from(weight));
-                total += weight;
-                for c in 0..3 {
-                    mean[c] += weight * colour[c];
-                }
-                add(direction(camera, pose, x, y), colour, weight);
-            }
-        }
-        if total * 500.0 < looked || total == 0.0 {
+        Background::of_sums(SkySums::of(camera, pose, stride, seen))
+    }
+
+    /// The same from sums over the pixels.
+    fn of_sums(mut sums: SkySums) -> Option<Background> {
+        if sums.total * 500.0 < sums.looked || sums.total == 0.0 {
             return None;
         }
-        // The mean colour, seen from the corners, edges and faces of a cube all around.
-        let mean = mean.map(|m| m / total);
+        // The mean colour, seen from the corners, edges and faces of a cube all around. The first basis function is 1.
+        let mean = sums.colours[0].map(|m| m / sums.total);
         for k in (0..27).filter(|&k| k != 13) {
             let d = Vec3::new((k % 3) as f32 - 1.0, (k / 3 % 3) as f32 - 1.0, (k / 9) as f32 - 1.0);
-            add(d.normalize(), mean, PRIOR * total / 26.0);
+            sums.add(d.normalize(), mean, PRIOR * sums.total / 26.0);
         }
         for i in 0..BASES {
             for j in 0..i {
-                ata[j][i] = ata[i][j];
+                sums.products[j][i] = sums.products[i][j];
             }
         }
-        let coefficients = solve(ata, atb).iter().map(|row| row.map(|v| v as f32)).collect();
+        let coefficients =
+            solve(sums.products, sums.colours).iter().map(|row| row.map(|v| v as f32)).collect();
         Some(Background { coefficients })
+    }
+
+    /// Learns from what a photo shows. A sky is refitted, a quarter of the way per visit. One colour moves towards that which
+    /// fits best behind the splats: least squares in closed form, half of the way per visit.
+    pub(crate) fn learn(&mut self, seen: &Seen) {
+        match seen {
+            Seen::Sky(sums) => {
+                if let Some(fitted) = Background::of_sums(SkySums::clone(sums)) {
+                    *self = self.towards(&fitted, 0.25);
+                }
+            }
+            Seen::Colour(ColourSums { pull, total }) => {
+                let [colour] = self.coefficients.as_mut_slice() else { return };
+                for c in 0..3 {
+                    colour[c] = (colour[c] + 0.5 * pull[c] / total).clamp(0.0, 1.0);
+                }
+            }
+        }
     }
 
     /// The background that lies a share `t` of the way towards another.
@@ -127,37 +107,14 @@ impl Background {
         Background { coefficients: crate::looks::undo(look, &self.coefficients) }
     }
 
-    /// Colour in a direction; far from what it was fitted to it is kept within what looks can need.
+    /// Colour in a direction ([`compare::behind`]).
     pub fn colour(&self, direction: Vec3) -> [f32; 3] {
-        let mut out = [0.0; 3];
-        for (b, c) in basis(direction).iter().zip(&self.coefficients) {
-            for k in 0..3 {
-                out[k] += b * c[k];
-            }
-        }
-        out.map(|v| v.clamp(-1.0, 2.0))
+        compare::behind(&self.coefficients, direction)
     }
 
     /// The background of a whole frame.
     pub fn paint(&self, camera: &Camera, pose: &Pose) -> Image {
-        let (w, h) = (camera.width as usize, camera.height as usize);
-        let mut image = Image::zeros(w, h, 3);
-        if let [colour] = self.coefficients.as_slice() {
-            for c in 0..3 {
-                image.plane_mut(c).fill(colour[c]);
-            }
-            return image;
-        }
-        let (red, rest) = image.data.split_at_mut(w * h);
-        let (green, blue) = rest.split_at_mut(w * h);
-        red.par_chunks_mut(w).zip(green.par_chunks_mut(w)).zip(blue.par_chunks_mut(w)).enumerate().for_each(
-            |(y, ((r, g), b))| {
-                for x in 0..w {
-                    [r[x], g[x], b[x]] = self.colour(direction(camera, pose, x, y));
-                }
-            },
-        );
-        image
+        compare::paint(&self.coefficients, camera, pose)
     }
 }
 
@@ -198,6 +155,7 @@ pub(crate) fn solve<const N: usize, const M: usize>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use segwild_raster::compare::direction;
 
     fn camera() -> (Camera, Pose) {
         let camera = Camera { width: 40, height: 30, fx: 40.0, fy: 40.0, cx: 20.0, cy: 15.0 };

@@ -1,23 +1,23 @@
-//! The photo's half of a step: what a photo says of an image of the scene. The splats' half is drawing them and learning
-//! from the image's gradient, wherever they are.
+//! The photo's half of a step: what it is compared under, and what look, background and robust masks learn from that. The
+//! comparison itself is where the splats are ([`segwild_raster::compare`]).
 
+use crate::TrainSettings;
 use crate::background::Background;
+use crate::looks::{self, Affine};
 use crate::photos::{Level, Stored};
-use crate::pixels::{
-    alpha_gradient, error_around, learn_constant, learn_sky, mean_difference, pixel_weights, weighted_psnr,
-};
 use crate::posed::Posed;
-use crate::robust::{self, Robust};
+use crate::robust::Robust;
 use crate::schedule::Schedule;
-use crate::state::{Painter, Shown};
-use crate::{TrainSettings, visibility};
-use segwild_raster::{AnyLook, FrameGrad, Impression, photometric};
-use segwild_scene::{Camera, Image, Mask, Pose};
+use crate::state::Painter;
+use segwild_raster::AnyLook;
+use segwild_raster::compare::{LeaveOut, Said, Sitting, Target};
+use segwild_scene::{Camera, Mask, Pose};
 
 /// The photo that a step looks at, at the size it looks at.
 pub(crate) struct Looked<'a> {
     pub view: usize,
     pub stored: &'a Stored,
+    pub level: usize,
     pub photo: &'a Level,
     pub camera: Camera,
     pub pose: Pose,
@@ -35,83 +35,66 @@ pub(crate) struct PhotoSide<'a> {
     pub pause_until: u32,
 }
 
-/// What the photo says.
-pub(crate) struct Judged {
-    pub loss: f32,
-    /// Of the pixels that count, in dB.
-    pub psnr: f32,
-    /// Share of them left out as transient.
-    pub left_out: f32,
-    /// Gradients of the frame's image and of its alpha.
-    pub image: Image,
-    pub alpha: Image,
-    /// Mean error around each pixel, one plane, for density control.
-    pub error: Image,
-    /// For the network of the look `gsw`: see [`segwild_raster::GswLook::tint_backward`].
-    pub blame: Vec<Option<f32>>,
-}
-
-impl Judged {
-    /// What enters the backward pass.
-    pub fn grad(&self) -> FrameGrad<'_> {
-        FrameGrad { image: &self.image, alpha: Some(&self.alpha) }
-    }
-}
-
 impl PhotoSide<'_> {
     /// What draws the photo's view.
     pub fn painter(&self, view: usize) -> Painter<'_> {
         Painter { view, look: self.look, background: self.background }
     }
 
-    /// Compares, and lets look, background and robust masks learn from it.
-    pub fn judge(
-        &mut self,
+    /// The photo, with what is known of its pixels; how far points vouch for them only where that is `wanted`.
+    pub fn target(&self, looked: &Looked, posed: &Posed, wanted: bool) -> Target {
+        let suspects = self.suspects.filter(|_| !looked.stored.strangers_known);
+        let trust = if wanted { posed.trusted(looked.photo) } else { Vec::new() };
+        looked.photo.target(suspects, trust)
+    }
+
+    /// The colours behind the splats, in the scene's colours.
+    pub fn behind(&self, view: usize) -> Background {
+        self.background.before(&looks::matrix(self.look, view))
+    }
+
+    /// What the photo is compared under, before such a background.
+    pub fn sitting<'a>(
+        &'a self,
         settings: &TrainSettings,
         schedule: &Schedule,
-        posed: &Posed,
-        looked: &Looked,
-        light: Option<&Impression>,
-        drawn: &Shown,
-    ) -> Judged {
-        let &Looked { view, stored, photo, ref camera, ref pose } = looked;
-        let Shown { frame, behind, scene, shown } = drawn;
-        let target = photo.image();
-        // What counts.
-        let residual = mean_difference(shown, &target);
+        looked: &'a Looked,
+        behind: &'a Background,
+    ) -> Sitting<'a> {
+        let unknown = !looked.stored.strangers_known;
         let active = settings.robust && schedule.robust(self.step) && self.step >= self.pause_until;
-        let active = active && !stored.strangers_known;
-        let (mut kept, mut doubted) = (None, Vec::new());
-        let suspects = self.suspects.filter(|_| !stored.strangers_known);
-        let suspected = |i| suspects.is_some_and(|s| photo.lies_in(i, s));
-        if active {
-            doubted = posed.doubted(&residual, photo);
-            kept = self.robust.weights(view, &doubted, photo.width, |i| photo.counts(i), suspected);
-        } else if suspects.is_some() {
-            kept = Some((0..photo.pixels()).map(|i| f32::from(u8::from(!suspected(i)))).collect());
-        }
-        let (mut visible, mut blame) = (None, Vec::new());
-        if let Some(light) = light.filter(|_| active) {
-            let share = settings.robust_share;
-            let ratio = robust::relative(&doubted, photo.width, |i| photo.counts(i), share);
-            blame = visibility::blame(light, &ratio, photo);
-            if schedule.visible(self.step) {
-                visible = visibility::weights(light, photo, kept.as_deref(), share);
-            }
-        }
-        let (weights, left_out) = pixel_weights(photo, visible.as_deref().or(kept.as_deref()));
-        let psnr = weighted_psnr(shown, &target, &weights.data);
-        *self.quality = Some(psnr);
-        // Loss and its gradient on the way back: look, background, sky.
-        let (loss, grad) = photometric(shown, &target, Some(&weights), settings.lambda_ssim);
-        let image = self.look.as_look_mut().backward(view, scene, &grad);
-        let alpha = alpha_gradient(&image, behind, &frame.alpha, photo, settings.sky_weight);
-        if stored.has_sky {
-            learn_sky(self.background, photo, camera, pose, &frame.alpha, &weights.data);
+        let leave_out = if active && unknown {
+            LeaveOut::Residual(self.robust.known(looked.view))
+        } else if self.suspects.is_some() && unknown {
+            LeaveOut::Suspects
         } else {
-            learn_constant(self.background, shown, &target, &frame.alpha, &weights.data);
+            LeaveOut::None
+        };
+        let matrix: Option<Affine> = match &*self.look {
+            AnyLook::Affine(look) => Some(look.matrix(looked.view)),
+            AnyLook::None(_) | AnyLook::Embed(_) | AnyLook::Gsw(_) => None,
+        };
+        Sitting {
+            camera: &looked.camera,
+            pose: &looked.pose,
+            matrix,
+            behind: &behind.coefficients,
+            has_sky: looked.stored.has_sky,
+            leave_out,
+            lambda_ssim: settings.lambda_ssim,
+            sky_weight: settings.sky_weight,
         }
-        let error = error_around(&residual, &weights.data, photo);
-        Judged { loss, psnr, left_out, image, alpha, error, blame }
+    }
+
+    /// Lets look, background and robust masks learn from what the photo said.
+    pub fn hear(&mut self, looked: &Looked, said: &Said) {
+        *self.quality = Some(said.psnr);
+        if let Some(residuals) = &said.residuals {
+            self.robust.hear(looked.view, residuals.clone());
+        }
+        if let (AnyLook::Affine(look), Some(grad)) = (&mut *self.look, &said.matrix) {
+            look.add_gradient(looked.view, grad);
+        }
+        self.background.learn(&said.behind);
     }
 }

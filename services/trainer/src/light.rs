@@ -3,7 +3,7 @@
 use crate::TrainError;
 use crate::background::Background;
 use crate::model::Model;
-use crate::pixels::add_behind;
+use segwild_raster::compare::add_behind;
 use segwild_raster::{Channels, Engine, Tone, bake};
 use segwild_scene::{Camera, Image, Pose, Splats};
 

@@ -4,7 +4,7 @@ use crate::TrainError;
 use crate::background::Background;
 use crate::looks;
 use crate::params::select;
-use crate::pixels::add_behind;
+use segwild_raster::compare::add_behind;
 use segwild_raster::{AnyLook, Channels, Engine, Frame, ProjectOptions, Sight};
 use segwild_scene::{Camera, Image, Pose, Splats};
 use wincode::{SchemaRead, SchemaWrite};

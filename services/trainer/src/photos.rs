@@ -1,6 +1,7 @@
 //! Photos as the trainer needs them: asked for one at a time, kept as bytes, at several sizes.
 
 use crate::TrainError;
+use segwild_raster::compare::Target;
 use segwild_scene::{Camera, Image, Mask};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -99,6 +100,31 @@ impl Level {
     pub fn colour(&self, i: usize) -> [f32; 3] {
         let n = self.pixels();
         [0, 1, 2].map(|c| f32::from(self.rgb[c * n + i]) * (1.0 / 255.0))
+    }
+
+    /// The photo with what is known of its pixels besides: which were suspected before, and how far each is known to show
+    /// the scene itself.
+    pub fn target(&self, suspects: Option<&Mask>, trust: Vec<f32>) -> Target {
+        let (n, w, h) = (self.pixels(), self.width, self.height);
+        let inner = |i: usize| {
+            let (x, y) = (i % w, i / w);
+            self.sky(i)
+                && (x == 0 || self.sky(i - 1))
+                && (x + 1 == w || self.sky(i + 1))
+                && (y == 0 || self.sky(i - w))
+                && (y + 1 == h || self.sky(i + w))
+        };
+        let pixel = |i: usize| {
+            let flags = [
+                (self.counts(i), Target::COUNTS),
+                (self.sky(i), Target::SKY),
+                (inner(i), Target::INNER),
+                (suspects.is_some_and(|mask| self.lies_in(i, mask)), Target::SUSPECT),
+            ];
+            let flags = flags.iter().filter(|(holds, _)| *holds).map(|(_, flag)| flag).sum();
+            [self.rgb[i], self.rgb[n + i], self.rgb[2 * n + i], flags]
+        };
+        Target { width: w, height: h, pixels: (0..n).map(pixel).collect(), trust }
     }
 
     /// Half the size: each pixel is the mean of four; it is valid if all four are, sky if three are.

@@ -1,10 +1,9 @@
-//! Leaving out what contradicts the scene: strangers, cars, umbrellas (method, section 3, the sibling of a
-//! visibility map for affine looks; after RobustNeRF and SpotLessSplats).
+//! What every photo's residuals were so far, by which strangers are left out ([`segwild_raster::compare::leave_out`]).
 
-use segwild_scene::box_mean;
+use segwild_raster::compare::Residuals;
 use wincode::{SchemaRead, SchemaWrite};
 
-/// Residual histograms per photo, and the masks they give.
+/// Residual histograms per photo.
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
 pub(crate) struct Robust {
     /// Largest share of a photo left out.
@@ -13,225 +12,18 @@ pub(crate) struct Robust {
     histograms: Vec<Vec<f32>>,
 }
 
-/// Bins over residuals in [0, 1).
-const BINS: usize = 128;
-/// What a visit keeps of the histogram before it.
-const DECAY: f32 = 0.7;
-/// Residuals under this are never transient: fine texture that is not learnt yet looks like this.
-const FLOOR: f32 = 0.06;
-/// What was suspected before is left out from this share of the residual on.
-pub(crate) const SUSPECT: f32 = 0.5;
-/// A transient stands out from its photo by this factor over the median.
-const CONTRAST: f32 = 3.0;
-
 impl Robust {
     pub fn new(photos: usize, share: f32) -> Robust {
         Robust { share, histograms: vec![Vec::new(); photos] }
     }
 
-    /// Takes in the residual of a photo and returns a weight per pixel, 0 for transients; `None`
-    /// where nothing stands out. Not to be asked in the warm-up, nor while opacities recover from a reset: such
-    /// residuals would spoil the histograms.
-    ///
-    /// `residual` is one number per pixel, mean absolute colour difference; `counts` says which pixels take
-    /// part at all, `suspected` which were taken for strangers before.
-    pub fn weights(
-        &mut self,
-        photo: usize,
-        residual: &[f32],
-        width: usize,
-        counts: impl Fn(usize) -> bool,
-        suspected: impl Fn(usize) -> bool,
-    ) -> Option<Vec<f32>> {
-        let height = residual.len() / width;
-        let bins: Vec<Option<u8>> = smoothed(residual, width)
-            .iter()
-            .enumerate()
-            .map(|(i, &r)| counts(i).then(|| bin(r) as u8))
-            .collect();
-        let mut fresh = vec![0.0f32; BINS];
-        for b in bins.iter().flatten() {
-            fresh[usize::from(*b)] += 1.0;
-        }
-        let total: f32 = fresh.iter().sum();
-        if total == 0.0 {
-            return None;
-        }
-        for f in &mut fresh {
-            *f /= total;
-        }
-        let held = &mut self.histograms[photo];
-        if held.is_empty() {
-            *held = fresh.clone();
-        } else {
-            for (h, f) in held.iter_mut().zip(&fresh) {
-                *h = DECAY * *h + (1.0 - DECAY) * f;
-            }
-        }
-        let mut threshold = threshold(held, self.share);
-        let over =
-            |t: f32| fresh.iter().enumerate().filter(|&(b, _)| bin_top(b) > t).map(|(_, f)| f).sum::<f32>();
-        // The photo changed faster than its history (a new level, a reset): trust this visit alone, so that
-        // never more than the share goes.
-        if over(threshold) > 1.5 * self.share {
-            threshold = threshold.max(self::threshold(&fresh, self.share));
-        }
-        let over = |t: f32| -> [u8; BINS] { std::array::from_fn(|b| u8::from(bin_top(b) > t)) };
-        let over = [over(threshold), over(SUSPECT * threshold)];
-        let out =
-            |(i, b): (usize, &Option<u8>)| b.map_or(0, |b| over[usize::from(suspected(i))][usize::from(b)]);
-        let out: Vec<u8> = bins.iter().enumerate().map(out).collect();
-        if out.iter().all(|&o| o == 0) {
-            return None;
-        }
-        Some(majority(&out, width, height).iter().map(|&o| f32::from(1 - o)).collect())
-    }
-}
-
-/// A residual, blurred: edges that are off by a pixel give thin residuals, people give blobs.
-pub(crate) fn smoothed(residual: &[f32], width: usize) -> Vec<f32> {
-    let height = residual.len() / width;
-    box_mean(residual, width, height, (width.max(height) / 160).max(1))
-}
-
-/// The smoothed residual from which a pixel of this photo counts as transient; `None` where no pixel counts.
-pub(crate) fn limit(smooth: &[f32], counts: impl Fn(usize) -> bool, share: f32) -> Option<f32> {
-    let mut histogram = vec![0.0f32; BINS];
-    smooth.iter().enumerate().filter(|&(i, _)| counts(i)).for_each(|(_, &r)| histogram[bin(r)] += 1.0);
-    (histogram.iter().sum::<f32>() > 0.0).then(|| threshold(&histogram, share))
-}
-
-/// The residual, smoothed, in units of that at which a pixel would be left out, judged by this residual alone.
-pub(crate) fn relative(
-    residual: &[f32],
-    width: usize,
-    counts: impl Fn(usize) -> bool,
-    share: f32,
-) -> Vec<f32> {
-    let mut smooth = smoothed(residual, width);
-    let threshold = limit(&smooth, counts, share).unwrap_or(FLOOR);
-    smooth.iter_mut().for_each(|r| *r /= threshold);
-    smooth
-}
-
-/// Per pixel, whether a photo contradicts what the scene shows there, judged by this residual alone.
-pub(crate) fn contradicted(
-    residual: &[f32],
-    width: usize,
-    counts: impl Fn(usize) -> bool,
-    share: f32,
-) -> Vec<bool> {
-    let kept = Robust::new(1, share).weights(0, residual, width, counts, |_| false);
-    kept.map_or(vec![false; residual.len()], |kept| kept.iter().map(|&k| k == 0.0).collect())
-}
-
-fn bin(r: f32) -> usize {
-    // A residual that is not a number falls in the last bin.
-    if r.is_nan() { BINS - 1 } else { ((r * BINS as f32) as usize).min(BINS - 1) }
-}
-
-fn bin_top(bin: usize) -> f32 {
-    (bin + 1) as f32 / BINS as f32
-}
-
-fn quantile(histogram: &[f32], q: f32) -> f32 {
-    let total: f32 = histogram.iter().sum();
-    let mut sum = 0.0;
-    for (b, h) in histogram.iter().enumerate() {
-        sum += h;
-        if sum >= q * total {
-            return bin_top(b);
-        }
-    }
-    1.0
-}
-
-/// At most `share` is over it; and only what stands out, so that a photo that fits loses nothing and one
-/// that fits nowhere is not emptied.
-fn threshold(histogram: &[f32], share: f32) -> f32 {
-    quantile(histogram, 1.0 - share).max(CONTRAST * quantile(histogram, 0.5)).max(FLOOR)
-}
-
-/// 3 x 3 majority; at the border of the pixels there are.
-fn majority(out: &[u8], width: usize, height: usize) -> Vec<u8> {
-    let mut result = vec![0; out.len()];
-    let mut columns = vec![0u8; width];
-    for y in 0..height {
-        let (y0, y1) = (y.saturating_sub(1), (y + 2).min(height));
-        columns.fill(0);
-        for row in out[y0 * width..y1 * width].chunks_exact(width) {
-            columns.iter_mut().zip(row).for_each(|(c, o)| *c += o);
-        }
-        let rows = (y1 - y0) as u8;
-        let result = &mut result[y * width..(y + 1) * width];
-        let (first, last) = (&columns[..width.min(2)], &columns[width.saturating_sub(2)..]);
-        let voted = |votes: u8, pixels: u8| u8::from(2 * votes > pixels * rows);
-        result[0] = voted(first.iter().sum(), first.len() as u8);
-        result[width - 1] = voted(last.iter().sum(), last.len() as u8);
-        for (r, c) in result.iter_mut().skip(1).zip(columns.windows(3)) {
-            *r = voted(c[0] + c[1] + c[2], 3);
-        }
-    }
-    result
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use segwild_scene::Random;
-
-    const W: usize = 80;
-    const H: usize = 60;
-
-    fn kept(weights: &Option<Vec<f32>>) -> f32 {
-        weights.as_ref().map_or(1.0, |w| w.iter().sum::<f32>() / w.len() as f32)
+    /// What is known of a photo's residuals.
+    pub fn known(&self, photo: usize) -> Residuals<'_> {
+        Residuals { before: &self.histograms[photo], share: self.share }
     }
 
-    #[test]
-    fn a_stranger_is_left_out_and_texture_is_not() {
-        let mut r = Random::new(5);
-        let mut robust = Robust::new(1, 0.2);
-        let stranger = |i: usize| (20..32).contains(&(i % W)) && (25..55).contains(&(i / W));
-        let mut last = None;
-        for _ in 0..6 {
-            let residual: Vec<f32> =
-                (0..W * H).map(|i| if stranger(i) { 0.3 } else { 0.03 * r.uniform() } + 0.01).collect();
-            last = robust.weights(0, &residual, W, |_| true, |_| false);
-        }
-        let w = last.unwrap();
-        let wrong = (0..W * H).filter(|&i| stranger(i) == (w[i] > 0.5)).count();
-        assert!(wrong < 90, "{wrong} pixels on the wrong side"); // the outline is 84 pixels long
-        // A one-pixel line of large residual, an edge off by one, stays.
-        let line: Vec<f32> = (0..W * H).map(|i| if i % W == 40 { 0.15 } else { 0.02 }).collect();
-        assert_eq!(kept(&Robust::new(1, 0.2).weights(0, &line, W, |_| true, |_| false)), 1.0);
-    }
-
-    #[test]
-    fn neither_all_nor_a_bad_photo_is_left_out() {
-        let mut r = Random::new(9);
-        let mut robust = Robust::new(3, 0.2);
-        // Wrong everywhere, wildly wrong, not a number anywhere: at most about the share goes.
-        for _ in 0..5 {
-            let bad: Vec<f32> = (0..W * H).map(|_| 0.4 + 0.4 * r.uniform()).collect();
-            assert!(kept(&robust.weights(0, &bad, W, |_| true, |_| false)) >= 0.7);
-            let half: Vec<f32> = (0..W * H).map(|i| if i % W < 40 { 0.9 } else { 0.0 }).collect();
-            assert!(kept(&robust.weights(1, &half, W, |_| true, |_| false)) >= 0.4);
-            let nan = vec![f32::NAN; W * H];
-            assert!(kept(&robust.weights(2, &nan, W, |_| true, |_| false)) >= 0.7);
-        }
-        // A perfect photo loses nothing.
-        assert!(robust.weights(0, &vec![0.001; W * H], W, |_| true, |_| false).is_none());
-        assert!(robust.weights(0, &vec![0.9; W * H], W, |_| false, |_| false).is_none());
-    }
-
-    #[test]
-    fn a_sudden_change_does_not_empty_a_photo() {
-        let mut robust = Robust::new(1, 0.2);
-        for _ in 0..10 {
-            robust.weights(0, &vec![0.01; W * H], W, |_| true, |_| false);
-        }
-        let mut r = Random::new(4);
-        let worse: Vec<f32> = (0..W * H).map(|_| 0.3 + 0.1 * r.uniform()).collect();
-        assert!(kept(&robust.weights(0, &worse, W, |_| true, |_| false)) >= 0.7);
+    /// Takes in what a visit showed.
+    pub fn hear(&mut self, photo: usize, residuals: Vec<f32>) {
+        self.histograms[photo] = residuals;
     }
 }

@@ -6,10 +6,10 @@ use crate::density::{Density, Strategy};
 use crate::judge::PhotoSide;
 use crate::looks;
 use crate::params::Params;
-use crate::pixels::add_behind;
 use crate::robust::Robust;
 use crate::room::Room;
 use crate::sampler::Sampler;
+use segwild_raster::compare::add_behind;
 use segwild_raster::{AnyLook, Channels, Frame, Impression, Projected};
 use segwild_scene::{Camera, Image, Mask, Pose, Random};
 use wincode::{SchemaRead, SchemaWrite};
@@ -21,18 +21,7 @@ pub(crate) struct Drawn {
     /// Colour per splat, its own and in the photo's light.
     pub colours: Vec<f32>,
     pub channels: Vec<f32>,
-    pub shown: Shown,
-}
-
-/// What is made of a frame that splats gave.
-pub(crate) struct Shown {
     pub frame: Frame,
-    /// What stands behind the splats, in the scene's colours.
-    pub behind: Image,
-    /// Splats before what is behind, in the scene's colours.
-    pub scene: Image,
-    /// The same in the photo's colours.
-    pub shown: Image,
 }
 
 /// A view's look and what is behind the splats there.
@@ -49,7 +38,6 @@ impl Painter<'_> {
         &self,
         params: &Params,
         projected: &dyn Projected,
-        camera: &Camera,
         pose: &Pose,
         draw: Option<u64>,
     ) -> Result<Drawn, TrainError> {
@@ -58,17 +46,16 @@ impl Painter<'_> {
         let sight = params.sight(projected, pose);
         let channels = self.look.colour(self.view, light.as_ref(), &sight, colours.clone());
         let frame = projected.blend(&Channels { count: 3, values: &channels })?;
-        Ok(Drawn { light, colours, channels, shown: self.show(frame, camera, pose) })
+        Ok(Drawn { light, colours, channels, frame })
     }
 
-    /// What is behind the splats behind a frame of them, and the look upon it.
-    pub fn show(&self, frame: Frame, camera: &Camera, pose: &Pose) -> Shown {
+    /// What is behind the splats behind a frame of them, and the look upon it: the photo's colours.
+    pub fn show(&self, frame: &Frame, camera: &Camera, pose: &Pose) -> Image {
         let matrix = looks::matrix(self.look, self.view);
         let behind = self.background.before(&matrix).paint(camera, pose);
         let mut scene = frame.image.clone();
         add_behind(&mut scene, &frame.alpha, &behind);
-        let shown = self.look.as_look().apply(self.view, &scene);
-        Shown { frame, behind, scene, shown }
+        self.look.as_look().apply(self.view, &scene)
     }
 }
 

@@ -2,16 +2,17 @@
 
 use crate::TrainError;
 use crate::density::{Change, Seen, Surroundings};
-use crate::judge::{Judged, Looked};
+use crate::judge::Looked;
 use crate::looks;
 use crate::model::options;
 use crate::params::Rates;
-use crate::pixels::{at_centres, first_background, mean_difference};
-use crate::robust;
+use crate::pixels::{at_centres, first_background};
 use crate::state::{Drawn, mean_quality};
 use crate::trainer::{StepReport, Trainer};
+use crate::visibility;
 use crate::witness::Witness;
-use segwild_raster::Channels;
+use segwild_raster::compare::{self, Compared, LeaveOut, Said, mean_difference};
+use segwild_raster::{Channels, FrameGrad};
 use segwild_scene::{Image, Splats};
 
 impl Trainer {
@@ -38,9 +39,9 @@ impl Trainer {
             self.state.room.look_at(photo.ground());
         }
         self.leave()?;
-        let looked = Looked { view, stored: &stored, photo, camera, pose };
-        let judged = if self.is_away() { self.learn_away(&looked)? } else { self.learn_here(&looked)? };
-        let Judged { loss, psnr, left_out, .. } = judged;
+        let looked = Looked { view, stored: &stored, level, photo, camera, pose };
+        let Said { loss, psnr, left_out, .. } =
+            if self.is_away() { self.learn_away(&looked)? } else { self.learn_here(&looked)? };
         self.state.look.as_look_mut().step(self.schedule.late_factor(step));
         self.state.step += 1;
         let dropped = self.drop_unwitnessed()?;
@@ -64,27 +65,38 @@ impl Trainer {
         })
     }
 
-    /// The splats' half of a step, on the host.
-    fn learn_here(&mut self, looked: &Looked) -> Result<Judged, TrainError> {
+    /// The step on the host.
+    fn learn_here(&mut self, looked: &Looked) -> Result<Said, TrainError> {
         let &Looked { view, photo, ref camera, ref pose, .. } = looked;
         let step = self.state.step;
         let rates = self.rates(step);
+        let (settings, schedule, posed) = (&self.settings, &self.schedule, &self.views[view]);
         let (params, strategy, mut side) = self.state.halves(view);
-        let view_options = options(self.settings.antialias);
-        let projected = self.engine.project(&params.splats, camera, pose, &view_options)?;
-        let draw = Some(u64::from(step));
-        let Drawn { light, colours, channels, shown } =
-            side.painter(view).draw(params, &*projected, camera, pose, draw)?;
-        let posed = &self.views[view];
-        let judged = side.judge(&self.settings, &self.schedule, posed, looked, light.as_ref(), &shown);
+        let projected = self.engine.project(&params.splats, camera, pose, &options(settings.antialias))?;
+        let Drawn { light, colours, channels, frame } =
+            side.painter(view).draw(params, &*projected, pose, Some(u64::from(step)))?;
+        let behind = side.behind(view);
+        let sitting = side.sitting(settings, schedule, looked, &behind);
+        let target = side.target(looked, posed, matches!(sitting.leave_out, LeaveOut::Residual(_)));
+        // The network of the look `gsw` has its own say about what is visible, and is blamed for it.
+        let mut blame = Vec::new();
+        let mut weigh = |doubted: &[f32], kept: Option<&[f32]>| {
+            let (light, share) = (light.as_ref()?, settings.robust_share);
+            let ratio = compare::relative(doubted, photo.width, |i| photo.counts(i), share);
+            blame = visibility::blame(light, &ratio, photo);
+            schedule.visible(step).then(|| visibility::weights(light, photo, kept, share))?
+        };
+        let Compared { said, image, alpha, error } = compare::compare(&frame, &target, &sitting, &mut weigh);
+        side.hear(looked, &said);
         let channels = Channels { count: 3, values: &channels };
-        let mut grads = projected.backward(&channels, &shown.frame, &judged.grad())?;
+        let grad = FrameGrad { image: &image, alpha: Some(&alpha) };
+        let mut grads = projected.backward(&channels, &frame, &grad)?;
         let colour_grads = std::mem::take(&mut grads.values);
         let sight = params.sight(&*projected, pose);
         let (colour_grads, code_grads) =
-            side.look.colour_backward(view, light.as_ref(), &sight, &colours, colour_grads, &judged.blame);
+            side.look.colour_backward(view, light.as_ref(), &sight, &colours, colour_grads, &blame);
         let sh_grads = projected.shade_backward(&colour_grads, &mut grads);
-        let error = at_centres(&judged.error, projected.as_ref());
+        let error = at_centres(&error, projected.as_ref());
         let seen = Seen {
             radii: projected.radii(),
             grads: &grads,
@@ -97,7 +109,7 @@ impl Trainer {
         strategy.regularise(&params.splats, &mut grads);
         params.update(&grads, &sh_grads, &rates);
         params.update_codes(&code_grads, &radii, &rates, side.look.as_look().fading());
-        Ok(judged)
+        Ok(said)
     }
 
     pub(crate) fn rates(&self, step: u32) -> Rates {
@@ -134,10 +146,11 @@ impl Trainer {
             let splats = &self.state.params.splats;
             let projected = engine.project(splats, &camera, &pose, &options(self.settings.antialias))?;
             let painter = self.state.painter(view);
-            let shown = painter.draw(&self.state.params, &*projected, &camera, &pose, None)?.shown.shown;
+            let drawn = painter.draw(&self.state.params, &*projected, &pose, None)?;
+            let shown = painter.show(&drawn.frame, &camera, &pose);
             let residual = self.views[view].doubted(&mean_difference(&shown, &photo.image()), photo);
             let share = if stored.strangers_known { 0.0 } else { self.settings.robust_share };
-            let contradicted = robust::contradicted(&residual, photo.width, |i| photo.counts(i), share);
+            let contradicted = compare::contradicted(&residual, photo.width, |i| photo.counts(i), share);
             witness.hear(&*projected, photo.width, &contradicted, |i| photo.counts(i))?;
         }
         let kept = witness.borne_out();

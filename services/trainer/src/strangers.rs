@@ -3,10 +3,9 @@
 use crate::TrainError;
 use crate::model::{Model, render_view};
 use crate::photos::{Stored, TrainPhoto};
-use crate::pixels::{mean_difference, pixel_weights, weighted_psnr};
 use crate::posed::posed_view;
-use crate::robust;
 use segwild_raster::Engine;
+use segwild_raster::compare::{limit, mean_difference, smoothed, weighted_psnr};
 use segwild_scene::{Image, Scene};
 
 /// Where the certainty is one half, as a share of the residual that training leaves out: by then the scene has learnt a
@@ -43,10 +42,11 @@ pub fn strangeness(
     let camera = stored.camera(&posed.camera, 0);
     let shown = render_view(model, engine, &camera, &posed.pose, Some(view))?;
     let target = level.image();
-    let psnr = weighted_psnr(&shown, &target, &pixel_weights(level, None).0.data);
+    let weights: Vec<f32> = (0..w * h).map(|i| f32::from(u8::from(level.counts(i)))).collect();
+    let psnr = weighted_psnr(&shown, &target, &weights);
     let residual = posed.doubted(&mean_difference(&shown, &target), level);
-    let smooth = robust::smoothed(&residual, w);
-    let Some(limit) = robust::limit(&smooth, |i| level.counts(i), share) else {
+    let smooth = smoothed(&residual, w);
+    let Some(limit) = limit(&smooth, |i| level.counts(i), share) else {
         return Ok(Strangeness { certainty: None, psnr });
     };
     let certainty = |i: usize| {

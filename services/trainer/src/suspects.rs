@@ -7,10 +7,10 @@
 
 use crate::evaluate::{Unseen, draw_unseen};
 use crate::photos::{PhotoCache, Stored};
-use crate::pixels::mean_difference;
 use crate::posed::Posed;
-use crate::{LookKind, Model, TrainError, TrainSettings, Trainer, robust};
+use crate::{LookKind, Model, TrainError, TrainSettings, Trainer};
 use segwild_raster::Engine;
+use segwild_raster::compare::{SUSPECT, mean_difference, relative};
 use segwild_scene::{Mask, Scene, View, box_mean};
 use std::sync::Arc;
 
@@ -107,8 +107,8 @@ fn unknown(
     let mut residual = posed.doubted(&mean_difference(&shown, &photo.image()), photo);
     // Where nothing was trained, nothing is said.
     residual.iter_mut().zip(&alpha.data).for_each(|(r, alpha)| *r *= alpha);
-    let ratio = robust::relative(&residual, w, |i| photo.counts(i), share);
-    let over = |i: usize| f32::from(u8::from(photo.counts(i) && ratio[i] > robust::SUSPECT));
+    let ratio = relative(&residual, w, |i| photo.counts(i), share);
+    let over = |i: usize| f32::from(u8::from(photo.counts(i) && ratio[i] > SUSPECT));
     let over: Vec<f32> = (0..n).map(over).collect();
     // People and cars are blobs; what is off at edges, and where too few photos were left, is thin.
     let mean = |of: &[f32]| box_mean(of, w, photo.height, (w.max(photo.height) / BLOB).max(1));

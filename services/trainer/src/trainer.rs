@@ -18,7 +18,11 @@ use segwild_raster::{AnyLook, Engine, Resident};
 use segwild_scene::Random;
 use segwild_scene::{Camera, Mask, Scene, Skipped};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use wincode::{SchemaRead, SchemaWrite};
+
+/// Trainers that there were in this process.
+static TRAINERS: AtomicU64 = AtomicU64::new(0);
 
 /// What one step did.
 #[derive(Clone, Debug, PartialEq)]
@@ -52,6 +56,8 @@ pub struct Trainer {
     pub(crate) photos: PhotoCache,
     warnings: Vec<String>,
     pub(crate) state: State,
+    /// Unlike that of any other trainer of the process: engines keep photos by it.
+    pub(crate) id: u64,
     /// The splats while they are where the engine computes; those of the state are then old.
     pub(crate) away: Option<Box<dyn Resident>>,
     /// Whether they may go there.
@@ -171,6 +177,7 @@ impl Trainer {
             warnings: start.warnings,
             state,
             settings,
+            id: TRAINERS.fetch_add(1, Ordering::Relaxed),
             away: None,
             may_leave: true,
         })
@@ -210,6 +217,7 @@ impl Trainer {
             warnings: Vec::new(),
             state,
             settings,
+            id: TRAINERS.fetch_add(1, Ordering::Relaxed),
             away: None,
             may_leave: true,
         })

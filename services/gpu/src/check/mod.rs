@@ -1,8 +1,10 @@
 //! Which kernel a device gets wrong: each step of a frame against the CPU engine or against what is known, in the order in
 //! which they depend on one another. The first that diverges is where to look.
 
+mod compare;
 mod training;
 
+pub use compare::{Sitter, compared, sitters};
 pub use training::{held, held_with_codes, training};
 
 use crate::device::Work;
@@ -90,7 +92,7 @@ pub fn check(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
     add(&["scan", "scan_add"], sums(&mut work, (1 << 20) + 7)?);
     add(&["histogram", "scatter"], sorted(&mut work, 70_000, u32::BITS)?);
     let cloud = Arc::new(Cloud::upload(&mut work, &splats)?);
-    let (binned, seen) = bin(&mut work, cloud, &camera, &pose, &options)?;
+    let (binned, seen) = bin(&mut work, cloud, &camera, &pose, &options, None)?;
     let seen: Vec<[f32; 4]> = work.read(&seen, splats.len())?;
     let lists = Lists::read(&mut work, &binned, splats.len(), &seen)?;
     drop(work);
@@ -130,6 +132,9 @@ pub fn check(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
     coloured.sh = (0..splats.len() * coloured.sh_stride()).map(|_| 0.5 * random.uniform() - 0.25).collect();
     checked.extend(training(engine, &held(coloured.clone()), &camera, &pose, &options)?);
     checked.extend(training(engine, &held_with_codes(coloured), &camera, &pose, &options)?);
+    for sitter in sitters(SIZE) {
+        checked.extend(compared(engine, &sitter)?);
+    }
     Ok(checked)
 }
 

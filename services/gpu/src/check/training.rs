@@ -1,10 +1,13 @@
 //! The kernels of training: one step on the device against the same step on the host.
 
 use super::{Checked, Tolerance};
-use crate::GpuEngine;
+use crate::compare::{Heard, room_for_said};
+use crate::training::GpuTraining;
+use crate::view::pack_image;
+use crate::{GpuEngine, GpuError};
 use segwild_raster::{
     Adam, Channels, Codes, CpuEngine, EmbedLook, Engine, Frame, FrameGrad, Held, Light, Look, ProjectOptions,
-    RasterError, Rule, Rules,
+    RasterError, Resident, Rule, Rules,
 };
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
 
@@ -69,15 +72,12 @@ pub fn training(
     look.set_matrix(0, [0.9, 0.1, -0.05, 0.02, 0.05, 1.1, 0.1, -0.03, -0.1, 0.05, 0.8, 0.04]);
     let light = (!held.codes.values.is_empty()).then(|| look.photo(0));
     let (frame, wanted, by_light) = on_the_host(held, camera, pose, options, &grad, &error, &rules, &look)?;
-    let Some(mut away) = engine.settle(&mut || held.clone())? else {
-        return Err(RasterError::Shape("the splats do not fit where they are to be trained".into()));
-    };
-    let drawn = away.draw(camera, pose, options, light.as_ref())?;
-    let lit = away.learn(&grad, &error, &rules)?;
+    let mut away = GpuTraining::new(&engine.device, &engine.shelf, held)?;
+    let (drawn, lit) =
+        on_the_device(engine, &away, camera, pose, options, light.as_ref(), &grad, &error, &rules)?;
     let got = away.fetch()?;
-    let blended = Tolerance::BLENDED
-        .compare("colours", &drawn.image.data, &frame.image.data)
-        .and_then(|()| Tolerance::BLENDED.compare("alpha", &drawn.alpha.data, &frame.alpha.data));
+    let wide = pack_image(&frame.image, 0, 1, Some(&frame.alpha));
+    let blended = Tolerance::BLENDED.compare("colours and alpha", &drawn, &wide);
     let sums = Tolerance::GRADIENTS.compare("sums", got.sums.as_flattened(), wanted.sums.as_flattened());
     type Array = fn(&Splats) -> &[f32];
     let compare = |name: &str, of: Array| {
@@ -114,7 +114,7 @@ pub fn training(
     Ok(if light.is_some() {
         // The other kernels are vouched for by the splats without codes.
         let rest = tinted().and(coloured).and(sums).and(shapes);
-        vec![off(&["tint"], blended), off(&["tint_backward", "adam"], rest)]
+        vec![off(&["tint"], blended), off(&["tint_backward", "adam", "total"], rest)]
     } else {
         vec![
             off(&["shade"], blended),
@@ -123,6 +123,29 @@ pub fn training(
             off(&["shade_backward"], coloured),
         ]
     })
+}
+
+/// A step of splats there by these gradients: what it drew, colour and alpha, and the gradient of the light.
+#[expect(clippy::too_many_arguments, reason = "a whole step of training")]
+fn on_the_device(
+    engine: &GpuEngine,
+    away: &GpuTraining,
+    camera: &Camera,
+    pose: &Pose,
+    options: &ProjectOptions,
+    light: Option<&Light>,
+    grad: &FrameGrad,
+    error: &Image,
+    rules: &Rules,
+) -> Result<(Vec<f32>, Option<Light>), GpuError> {
+    let work = &mut engine.device.work();
+    let by_image = work.upload("the image's gradients", &pack_image(grad.image, 0, 1, grad.alpha))?;
+    let error = work.upload("the errors", &error.data)?;
+    let (groups, said) = (away.groups(work, rules)?, room_for_said(work)?);
+    let drawn = away.draw(work, camera, pose, options, light, None)?;
+    away.learn(work, &drawn, &by_image, &error, &groups, &said)?;
+    let heard = Heard::read(work, &said, &drawn.on.found)?;
+    Ok((work.read(&drawn.image, drawn.on.pixels * 4)?, light.map(|_| heard.light())))
 }
 
 /// The same step by the CPU engine: what it drew, what became of the splats, and the gradient of the light.

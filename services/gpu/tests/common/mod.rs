@@ -3,6 +3,8 @@
 
 use glam::Vec3;
 use segwild_gpu::{Choice, GpuEngine, adapters};
+use segwild_raster::compare::{LeaveOut, Residuals, Said, Sitting, Target};
+use segwild_raster::{Light, ProjectOptions, RasterError, Resident, Rules, Step};
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
 use std::sync::OnceLock;
 
@@ -69,4 +71,41 @@ pub fn splats(seed: u64, count: usize, sizes: (f32, f32)) -> Splats {
         sh_degree: 1,
         sh: many(random, count * 12, -0.5, 0.5),
     }
+}
+
+/// A photo of noise with some sky.
+pub fn photo(seed: u64, width: usize, height: usize) -> Target {
+    let random = &mut Random::new(seed);
+    let pixel = |i: usize| {
+        let sky = i < width * height / 5;
+        let flags = if sky { Target::SKY | Target::INNER } else { Target::COUNTS };
+        [0, 1, 2, 3].map(|c| if c < 3 { random.below(256) as u8 } else { flags })
+    };
+    let pixels = (0..width * height).map(pixel).collect();
+    Target { width, height, pixels, trust: Vec::new() }
+}
+
+/// One step of training on [`photo`], which is kept under `key`.
+pub fn step(
+    away: &mut dyn Resident,
+    (camera, pose): &(Camera, Pose),
+    light: Option<&Light>,
+    rules: &Rules,
+    key: u64,
+    sky_weight: f32,
+) -> Result<Said, RasterError> {
+    let sitting = Sitting {
+        camera,
+        pose,
+        matrix: None,
+        behind: &[[0.5; 3]],
+        has_sky: true,
+        leave_out: LeaveOut::Residual(Residuals { before: &[], share: 0.3 }),
+        lambda_ssim: 0.2,
+        sky_weight,
+    };
+    let target = || photo(7, camera.width as usize, camera.height as usize);
+    let options = ProjectOptions::default();
+    let step = Step { options: &options, light, sitting, key: [0, key, 0], target: &target, rules };
+    Ok(away.step(&step)?.0)
 }

@@ -48,6 +48,16 @@ impl AffineLook {
         }
     }
 
+    /// Keeps a gradient of a photo's matrix for the next step. Ignores photos that are not known.
+    pub fn add_gradient(&mut self, view: usize, grad: &[f32; NUMBERS]) {
+        if view < self.matrices.len() {
+            match self.grads.iter_mut().find(|(v, _)| *v == view) {
+                Some((_, kept)) => kept.iter_mut().zip(grad).for_each(|(kept, v)| *kept += v),
+                None => self.grads.push((view, *grad)),
+            }
+        }
+    }
+
     /// Sets a photo's matrix to the least-squares fit of `image` to `target` where `weight` is not 0, with a
     /// ridge of `ridge` pixels' worth towards the identity; as the official protocol fits the look on half a photo.
     ///
@@ -105,45 +115,12 @@ impl Look for AffineLook {
     }
 
     fn apply(&self, view: usize, image: &Image) -> Image {
-        assert_eq!(image.channels, 3, "planes");
-        let (m, pixels) = (self.matrix(view), image.pixels());
-        let mut out = Image::zeros(image.width, image.height, 3);
-        for c in 0..3 {
-            let [a, b, d, e] = [m[c * 4], m[c * 4 + 1], m[c * 4 + 2], m[c * 4 + 3]];
-            let [r, g, bl] = [image.plane(0), image.plane(1), image.plane(2)];
-            for (p, out) in out.data[c * pixels..(c + 1) * pixels].iter_mut().enumerate() {
-                *out = a * r[p] + b * g[p] + d * bl[p] + e;
-            }
-        }
-        out
+        apply_matrix(&self.matrix(view), image)
     }
 
     fn backward(&mut self, view: usize, image: &Image, grad: &Image) -> Image {
-        assert_eq!((image.channels, grad.channels), (3, 3), "planes");
-        assert_eq!(image.data.len(), grad.data.len(), "sizes");
-        let (m, pixels) = (self.matrix(view), image.pixels());
-        let mut out = Image::zeros(image.width, image.height, 3);
-        for k in 0..3 {
-            let [a, b, d] = [m[k], m[4 + k], m[8 + k]];
-            let [r, g, bl] = [grad.plane(0), grad.plane(1), grad.plane(2)];
-            for (p, out) in out.data[k * pixels..(k + 1) * pixels].iter_mut().enumerate() {
-                *out = a * r[p] + b * g[p] + d * bl[p];
-            }
-        }
-        if view < self.matrices.len() {
-            let mut sums = [0.0; NUMBERS];
-            for c in 0..3 {
-                let g = grad.plane(c);
-                for k in 0..3 {
-                    sums[c * 4 + k] = dot(g, image.plane(k));
-                }
-                sums[c * 4 + 3] = g.chunks(PIECE).map(|g| f64::from(lanes(g, |v| v))).sum::<f64>() as f32;
-            }
-            match self.grads.iter_mut().find(|(v, _)| *v == view) {
-                Some((_, kept)) => kept.iter_mut().zip(sums).for_each(|(kept, sum)| *kept += sum),
-                None => self.grads.push((view, sums)),
-            }
-        }
+        let (out, sums) = matrix_backward(&self.matrix(view), image, grad);
+        self.add_gradient(view, &sums);
         out
     }
 
@@ -170,6 +147,49 @@ impl Look for AffineLook {
         through(&tone.0, &mut colours);
         colours
     }
+}
+
+/// Colours through a matrix with offset, row by row; three planes.
+///
+/// # Panics
+/// If the image has not three planes.
+pub(crate) fn apply_matrix(m: &[f32; NUMBERS], image: &Image) -> Image {
+    assert_eq!(image.channels, 3, "planes");
+    let pixels = image.pixels();
+    let mut out = Image::zeros(image.width, image.height, 3);
+    for c in 0..3 {
+        let [a, b, d, e] = [m[c * 4], m[c * 4 + 1], m[c * 4 + 2], m[c * 4 + 3]];
+        let [r, g, bl] = [image.plane(0), image.plane(1), image.plane(2)];
+        for (p, out) in out.data[c * pixels..(c + 1) * pixels].iter_mut().enumerate() {
+            *out = a * r[p] + b * g[p] + d * bl[p] + e;
+        }
+    }
+    out
+}
+
+/// From the gradient of [`apply_matrix`]'s result to those of the image and of the matrix.
+///
+/// # Panics
+/// If the images have not three planes, or differ in size.
+pub(crate) fn matrix_backward(m: &[f32; NUMBERS], image: &Image, grad: &Image) -> (Image, [f32; NUMBERS]) {
+    assert_eq!((image.channels, grad.channels), (3, 3), "planes");
+    assert_eq!(image.data.len(), grad.data.len(), "sizes");
+    let pixels = image.pixels();
+    let mut out = Image::zeros(image.width, image.height, 3);
+    let mut sums = [0.0; NUMBERS];
+    for k in 0..3 {
+        let [a, b, d] = [m[k], m[4 + k], m[8 + k]];
+        let [r, g, bl] = [grad.plane(0), grad.plane(1), grad.plane(2)];
+        for (p, out) in out.data[k * pixels..(k + 1) * pixels].iter_mut().enumerate() {
+            *out = a * r[p] + b * g[p] + d * bl[p];
+        }
+        let g = grad.plane(k);
+        for c in 0..3 {
+            sums[k * 4 + c] = dot(g, image.plane(c));
+        }
+        sums[k * 4 + 3] = g.chunks(PIECE).map(|g| f64::from(lanes(g, |v| v))).sum::<f64>() as f32;
+    }
+    (out, sums)
 }
 
 /// Sum of `f` in eight strands, which the compiler makes vectors of.

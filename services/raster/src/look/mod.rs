@@ -13,6 +13,7 @@ mod embed;
 mod gsw;
 
 pub use affine::AffineLook;
+pub(crate) use affine::{apply_matrix, matrix_backward};
 pub use bake::bake;
 pub use embed::{EmbedLook, Light, RANK};
 pub use gsw::{Glance, GswLook, GswWidth, HIDDEN, Impression, Sight};

@@ -10,10 +10,10 @@ pub use tracks::Tracks;
 
 use crate::evaluate::{draw_unseen, score};
 use crate::photos::Stored;
-use crate::pixels::mean_difference;
 use crate::posed::{Posed, posed_view};
-use crate::{LookKind, Photos, TrainError, TrainSettings, Trainer, robust};
+use crate::{LookKind, Photos, TrainError, TrainSettings, Trainer};
 use segwild_raster::Engine;
+use segwild_raster::compare::{contradicted, mean_difference};
 use segwild_scene::{Image, Scene};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -123,7 +123,7 @@ impl<'a> Trials<'a> {
             let residual = held.posed.doubted(&mean_difference(&shown, &photo.image()), photo);
             match share {
                 Some(share) => {
-                    let against = robust::contradicted(&residual, w, |i| photo.counts(i), share);
+                    let against = contradicted(&residual, w, |i| photo.counts(i), share);
                     held.strange.iter_mut().zip(against).for_each(|(strange, against)| *strange &= against);
                 }
                 None => held.strange.fill(false),

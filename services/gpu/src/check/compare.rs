@@ -1,0 +1,265 @@
+//! The kernels of the photo's half of a step: a photo compared on the device against the same on the host.
+
+use super::{Checked, Tolerance};
+use crate::compare::{Asked, Graded, Heard, Photo, compare};
+use crate::engine::{Cloud, bin};
+use crate::view::pack_image;
+use crate::{GpuEngine, GpuError};
+use glam::Vec3;
+use segwild_raster::compare::{
+    self as host, BASES, BINS, Compared, LeaveOut, Residuals, Said, Seen, Sitting, Target, leave_out,
+    smoothed,
+};
+use segwild_raster::{AffineLook, Frame, Look, ProjectOptions, RasterError};
+use segwild_scene::{Camera, Image, Pose, Random, Splats};
+use std::sync::Arc;
+
+/// A photo, an image of the scene, and under what they are compared.
+#[derive(Clone, Debug)]
+pub struct Sitter {
+    /// What it is an example of.
+    pub name: &'static str,
+    frame: Frame,
+    target: Target,
+    camera: Camera,
+    pose: Pose,
+    matrix: Option<[f32; 12]>,
+    behind: Vec<[f32; 3]>,
+    leave: Leave,
+}
+
+#[derive(Clone, Debug)]
+enum Leave {
+    None,
+    Suspects,
+    /// With the shares of earlier visits.
+    Residual(Vec<f32>),
+}
+
+impl Sitter {
+    fn sitting(&self) -> Sitting<'_> {
+        Sitting {
+            camera: &self.camera,
+            pose: &self.pose,
+            matrix: self.matrix,
+            behind: &self.behind,
+            has_sky: self.behind.len() > 1,
+            leave_out: match &self.leave {
+                Leave::None => LeaveOut::None,
+                Leave::Suspects => LeaveOut::Suspects,
+                Leave::Residual(before) => LeaveOut::Residual(Residuals { before, share: 0.3 }),
+            },
+            lambda_ssim: 0.2,
+            sky_weight: 0.1,
+        }
+    }
+}
+
+/// Photos of this size that between them ask all there is to ask: one colour or a sky behind, a matrix or none, nothing
+/// left out, or suspects, or what stands out at the first visit and later, in a photo that changed and in one that did not.
+pub fn sitters((width, height): (u32, u32)) -> Vec<Sitter> {
+    let random = &mut Random::new(41);
+    let (w, h) = (width as usize, height as usize);
+    let camera = Camera {
+        width,
+        height,
+        fx: 1.1 * w as f32,
+        fy: 1.05 * w as f32,
+        cx: 0.47 * w as f32,
+        cy: 0.52 * h as f32,
+    };
+    let pose = Pose::look_at(Vec3::new(0.3, -0.4, -1.6), Vec3::ZERO, Vec3::new(0.1, -1.0, 0.0));
+    let matrix = [0.9, 0.1, -0.05, 0.02, 0.05, 1.1, 0.1, -0.03, -0.1, 0.05, 0.8, 0.04];
+    // A photo of waves, an image of nearly the same, and a stranger before a third of it.
+    let wave = |x: usize, y: usize, c: usize| {
+        0.5 + 0.3 * (0.31 * x as f32 + 0.17 * y as f32 + c as f32).sin() * (0.07 * (x * y) as f32).cos()
+    };
+    let stranger = |x: usize, y: usize| 5 * x < 2 * w && 3 * x > w / 2 && 2 * y > h;
+    let mut target = Target { width: w, height: h, ..Target::default() };
+    let (mut image, mut alpha) = (Image::zeros(w, h, 3), Image::zeros(w, h, 1));
+    for i in 0..w * h {
+        let (x, y) = (i % w, i / w);
+        let sky = 4 * y < h;
+        let mut flags = if sky { Target::SKY } else { Target::COUNTS };
+        if sky && 4 * (y + 1) < h {
+            flags |= Target::INNER;
+        }
+        if random.below(40) == 0 {
+            flags = 0;
+        }
+        if stranger(x + 3, y) {
+            flags |= Target::SUSPECT;
+        }
+        alpha.data[i] = if sky { 0.3 * random.uniform() } else { 1.0 - 0.2 * random.uniform() };
+        let mut pixel = [0, 0, 0, flags];
+        for c in 0..3 {
+            let seen = if stranger(x, y) { 0.9 - 0.4 * wave(y, x, c) } else { wave(x, y, c) };
+            pixel[c] = (255.0 * seen) as u8;
+            image.data[c * w * h + i] = alpha.data[i] * (wave(x, y, c) + 0.1 * random.uniform() - 0.05);
+        }
+        target.pixels.push(pixel);
+        target.trust.push(if x % 9 < 3 { 0.9 * random.uniform() } else { 0.0 });
+    }
+    let sky: Vec<[f32; 3]> = (0..BASES).map(|_| [0; 3].map(|_| 0.8 * random.uniform() - 0.2)).collect();
+    // Of a photo that showed much, and of one that showed next to nothing.
+    let much: Vec<f32> = (0..BINS).map(|b| if b < 60 { 1.0 / 60.0 } else { 0.0 }).collect();
+    let little: Vec<f32> = (0..BINS).map(|b| if b < 4 { 0.25 } else { 0.0 }).collect();
+    let untrusted = Target { trust: Vec::new(), ..target.clone() };
+    let base = Sitter {
+        name: "one colour behind, nothing left out",
+        frame: Frame { image, alpha },
+        target: untrusted,
+        camera,
+        pose,
+        matrix: None,
+        behind: vec![[0.4, 0.5, 0.7]],
+        leave: Leave::None,
+    };
+    let first = Leave::Residual(Vec::new());
+    let mut darker = base.frame.clone();
+    darker.image.data.iter_mut().for_each(|v| *v *= 0.5);
+    vec![
+        base.clone(),
+        Sitter { name: "suspects left out", leave: Leave::Suspects, ..base.clone() },
+        Sitter { name: "what stands out left out", leave: first, target: target.clone(), ..base.clone() },
+        Sitter {
+            name: "a photo seen before, a sky, a matrix",
+            leave: Leave::Residual(much),
+            target: target.clone(),
+            matrix: Some(matrix),
+            behind: sky.clone(),
+            ..base.clone()
+        },
+        Sitter {
+            name: "a photo that changed",
+            frame: darker,
+            leave: Leave::Residual(little),
+            target,
+            behind: sky,
+            ..base
+        },
+    ]
+}
+
+/// Numbers that are off by rounding alone, but for a few at a cut-off.
+const SUMS: Tolerance = Tolerance { tight: 1e-3, flips: 0.0, loose: 1e-3 };
+/// Shown colours and residuals.
+const SHOWN: Tolerance = Tolerance { tight: 1e-5, flips: 0.0, loose: 1e-5 };
+/// Weights: a pixel whose residual lies at the edge of a bin falls on either side.
+const WEIGHTS: Tolerance = Tolerance { tight: 1e-6, flips: 0.002, loose: 2.0 };
+/// Gradients, next to such a pixel as well.
+const SLOPES: Tolerance = Tolerance { tight: 1e-3, flips: 0.02, loose: 10.0 };
+
+/// Compares a photo on the device with the same on the host, kernel by kernel.
+pub fn compared(engine: &GpuEngine, sitter: &Sitter) -> Result<Vec<Checked>, RasterError> {
+    let sitting = sitter.sitting();
+    let Sitter { frame, target, .. } = sitter;
+    let wanted = host::compare(frame, target, &sitting, &mut |_, _| None);
+    let got = on_the_device(engine, sitter)?;
+    let shown = shown(sitter);
+    let residual = host::mean_difference(&shown, &target.image());
+    let mut checked = Vec::new();
+    let mut add = |kernels, off: Result<(), String>| {
+        checked.push(Checked { kernels, off: off.err().map(|off| format!("{}: {off}", sitter.name)) });
+    };
+    let planes = [shown.plane(0), shown.plane(1), shown.plane(2), &residual];
+    let packed: Vec<f32> = (0..residual.len()).flat_map(|i| planes.map(|plane| plane[i])).collect();
+    add(&["compose"], SHOWN.compare("shown colours and residuals", &got.shown, &packed));
+    let mut weights: Vec<f32> =
+        (0..residual.len()).map(|i| f32::from(u8::from(target.is(i, Target::COUNTS)))).collect();
+    let suspected = |i: usize| target.is(i, Target::SUSPECT);
+    match &sitting.leave_out {
+        LeaveOut::None => {}
+        LeaveOut::Suspects => {
+            weights.iter_mut().enumerate().filter(|(i, _)| suspected(*i)).for_each(|(_, w)| *w = 0.0);
+        }
+        LeaveOut::Residual(known) => {
+            let doubted = target.doubted(&residual);
+            let smooth = smoothed(&doubted, target.width);
+            add(&["compose", "box_mean"], SHOWN.compare("smoothed residuals", &got.smoothed, &smooth));
+            let counts = |i: usize| target.is(i, Target::COUNTS);
+            let (kept, _) = leave_out(known, &doubted, target.width, counts, suspected);
+            if let Some(kept) = kept {
+                weights.iter_mut().zip(kept).for_each(|(w, k)| *w *= k);
+            }
+            let (got, wanted) = (&got.said.residuals, &wanted.said.residuals);
+            add(&["tally", "limits"], SHARES.compare("shares", some(got), some(wanted)));
+        }
+    }
+    add(&["weigh", "limits"], WEIGHTS.compare("weights", &got.weights, &weights));
+    let quality = |said: &Said| [said.psnr, said.left_out];
+    add(&["weigh", "total"], SUMS.compare("quality", &quality(&got.said), &quality(&wanted.said)));
+    add(&["box_mean", "weigh"], GRADED.compare("errors", &got.error, &wanted.error.data));
+    let Compared { said, image, alpha, .. } = wanted;
+    add(&["structure", "slope"], SUMS.compare("loss", &[got.said.loss], &[said.loss]));
+    let wide = pack_image(&image, 0, 1, Some(&alpha));
+    let kernels: &[&str] =
+        if sitting.matrix.is_some() { &["grade"] } else { &["structure", "slope", "grade"] };
+    add(kernels, SLOPES.compare("gradients", &got.grads, &wide));
+    if let (Some(got), Some(wanted)) = (&got.said.matrix, &said.matrix) {
+        add(&["grade"], SUMS.compare("gradient of the matrix", got, wanted));
+    }
+    let sums = |said: &Said| match &said.behind {
+        Seen::Sky(sums) => {
+            let numbers = sums.products.as_flattened().iter().chain(sums.colours.as_flattened());
+            numbers.chain(&[sums.total, sums.looked]).map(|&v| v as f32).collect::<Vec<_>>()
+        }
+        Seen::Colour(sums) => [sums.pull.as_slice(), &[sums.total]].concat(),
+    };
+    let kernels: &[&str] = if sitting.has_sky { &["sky_sums"] } else { &["colour_sums"] };
+    add(kernels, SUMS.compare("sums of what is behind", &sums(&got.said), &sums(&said)));
+    Ok(checked)
+}
+
+/// Shares of a histogram: a pixel at the edge of a bin falls on either side.
+const SHARES: Tolerance = Tolerance { tight: 0.02, flips: 0.1, loose: 0.1 };
+/// Errors around pixels, next to one that is decided otherwise as well.
+const GRADED: Tolerance = Tolerance { tight: 1e-3, flips: 0.02, loose: 2.0 };
+
+fn some(shares: &Option<Vec<f32>>) -> &[f32] {
+    shares.as_deref().unwrap_or_default()
+}
+
+/// What the host shows.
+fn shown(sitter: &Sitter) -> Image {
+    let mut scene = sitter.frame.image.clone();
+    let behind = host::paint(&sitter.behind, &sitter.camera, &sitter.pose);
+    host::add_behind(&mut scene, &sitter.frame.alpha, &behind);
+    let Some(matrix) = sitter.matrix else { return scene };
+    let mut look = AffineLook::new(1);
+    look.set_matrix(0, matrix);
+    look.apply(0, &scene)
+}
+
+/// What the device makes of a photo.
+struct Got {
+    shown: Vec<f32>,
+    smoothed: Vec<f32>,
+    weights: Vec<f32>,
+    grads: Vec<f32>,
+    error: Vec<f32>,
+    said: Said,
+}
+
+fn on_the_device(engine: &GpuEngine, sitter: &Sitter) -> Result<Got, GpuError> {
+    let sitting = sitter.sitting();
+    let work = &mut engine.device.work();
+    let cloud = Arc::new(Cloud::upload(work, &Splats::default())?);
+    let (on, _) = bin(work, cloud, &sitter.camera, &sitter.pose, &ProjectOptions::default(), None)?;
+    let frame = &sitter.frame;
+    let image = work.upload("the image", &pack_image(&frame.image, 0, 1, Some(&frame.alpha)))?;
+    let photo = Photo::upload(work, &sitter.target)?;
+    let asked = Asked::upload(work, &sitting)?;
+    let Graded { shown, smoothed, weights, grads, error } =
+        compare(work, &on.view, &image, &photo, &asked, &sitting)?;
+    let n = sitter.target.pixels.len();
+    let said = Heard::read(work, &asked.said, &on.found)?.said(&sitting);
+    Ok(Got {
+        shown: work.read(&shown, 4 * n)?,
+        smoothed: work.read(&smoothed, n)?,
+        weights: work.read(&weights, n)?,
+        grads: work.read(&grads, 4 * n)?,
+        error: work.read(&error, n)?,
+        said,
+    })
+}

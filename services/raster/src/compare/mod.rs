@@ -1,0 +1,403 @@
+//! The photo's half of a step of training (method, sections 2 and 3): what a photo says of an image of the scene. The
+//! splats' half is drawing them and learning from the image's gradient.
+//!
+//! [`compare`] has no memory: what it learns of the photo's look, of what stands behind the splats and of how large
+//! residuals are comes back as sums ([`Said`]), so that it may run wherever the image is.
+
+mod behind;
+mod robust;
+
+pub use behind::{
+    BASES, ColourSums, HOLD, LEAST_SEEN, STRIDE, Seen, SkySums, basis, behind, direction, paint,
+};
+pub use robust::{
+    BINS, CONTRAST, DECAY, FLOOR, Residuals, SURPRISE, SUSPECT, contradicted, leave_out, limit, limits,
+    relative, smoothed, window,
+};
+
+use crate::look::{apply_matrix, matrix_backward};
+use crate::{Frame, photometric};
+use segwild_scene::{Camera, Image, Pose, box_mean};
+
+/// Half width of the window over which errors are averaged for density control.
+pub const ERROR_WINDOW: usize = 2;
+/// Least share of the light from behind by which an alpha's gradient is divided in the sky.
+pub const LEAST_OPEN: f32 = 0.05;
+
+/// A photo at the size at which it is looked at, and what is known of its pixels.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Target {
+    /// Pixels across.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Red, green, blue and flags ([`Target::COUNTS`] and the others), row by row.
+    pub pixels: Vec<[u8; 4]>,
+    /// How far each pixel is known to show the scene itself, in [0, 1]: its residual says that much less of strangers.
+    /// Empty: nowhere.
+    pub trust: Vec<f32>,
+}
+
+impl Target {
+    /// Takes part in the colour loss: may be trained on, and is no sky.
+    pub const COUNTS: u8 = 1;
+    /// Is sky.
+    pub const SKY: u8 = 2;
+    /// Is sky, and so are its four neighbours: the border of a sky mask is the part that is wrong.
+    pub const INNER: u8 = 4;
+    /// Was taken for a stranger's before any look at it.
+    pub const SUSPECT: u8 = 8;
+
+    /// Whether a pixel has a flag.
+    pub fn is(&self, i: usize, flag: u8) -> bool {
+        self.pixels[i][3] & flag != 0
+    }
+
+    /// A pixel's colour in [0, 1].
+    pub fn colour(&self, i: usize) -> [f32; 3] {
+        let [r, g, b, _] = self.pixels[i];
+        [r, g, b].map(|v| f32::from(v) * (1.0 / 255.0))
+    }
+
+    /// The colours, three planes.
+    pub fn image(&self) -> Image {
+        let plane = |c: usize| self.pixels.iter().map(move |p| f32::from(p[c]) * (1.0 / 255.0));
+        let data = plane(0).chain(plane(1)).chain(plane(2)).collect();
+        Image { width: self.width, height: self.height, channels: 3, data }
+    }
+
+    /// A residual, as far as nothing vouches for its pixel.
+    pub fn doubted(&self, residual: &[f32]) -> Vec<f32> {
+        if self.trust.is_empty() {
+            return residual.to_vec();
+        }
+        residual.iter().zip(&self.trust).map(|(r, t)| r * (1.0 - t)).collect()
+    }
+}
+
+/// Which pixels a comparison leaves out.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum LeaveOut<'a> {
+    /// None of those that count.
+    None,
+    /// Those that were taken for strangers' before.
+    Suspects,
+    /// Those whose residual stands out ([`leave_out`]).
+    Residual(Residuals<'a>),
+}
+
+/// Under what a photo is compared with an image of the scene.
+#[derive(Clone, Copy, Debug)]
+pub struct Sitting<'a> {
+    /// The photo's camera, at the target's size.
+    pub camera: &'a Camera,
+    /// Where it stood.
+    pub pose: &'a Pose,
+    /// The photo's colours from the scene's, row by row with an offset; `None`: they are the same.
+    pub matrix: Option<[f32; 12]>,
+    /// Coefficients of what stands behind the splats, in the scene's colours: one, or [`BASES`] of them.
+    pub behind: &'a [[f32; 3]],
+    /// Whether what stands behind is learnt as a sky, in the photo's colours, or as one colour.
+    pub has_sky: bool,
+    /// What is left out.
+    pub leave_out: LeaveOut<'a>,
+    /// Share of SSIM in the loss.
+    pub lambda_ssim: f32,
+    /// Weight of the sky's term: the mean over pixels of -ln(1 - alpha) in the sky.
+    pub sky_weight: f32,
+}
+
+/// What a comparison says of the photo.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Said {
+    /// [`photometric`].
+    pub loss: f32,
+    /// Of the pixels that count and are not left out, in dB; 0 where there are none.
+    pub psnr: f32,
+    /// Share of those that count that were left out.
+    pub left_out: f32,
+    /// Decaying histogram of residuals, with this visit's; `None` where they were not asked, or no pixel counts.
+    pub residuals: Option<Vec<f32>>,
+    /// Gradient of [`Sitting::matrix`], where there is one.
+    pub matrix: Option<[f32; 12]>,
+    /// What stands behind.
+    pub behind: Seen,
+}
+
+/// A photo compared with an image.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Compared {
+    /// In numbers.
+    pub said: Said,
+    /// Gradient of the image, three planes.
+    pub image: Image,
+    /// Gradient of its alpha.
+    pub alpha: Image,
+    /// Mean error around each pixel, one plane, for density control.
+    pub error: Image,
+}
+
+/// What else decides which pixels count: it gets the residuals as far as nothing vouches for them and the weights that were
+/// found, and may give others.
+pub type Weigh<'a> = dyn FnMut(&[f32], Option<&[f32]>) -> Option<Vec<f32>> + 'a;
+
+/// Compares a photo with a frame of the scene. `weigh` is asked where [`LeaveOut::Residual`] is wanted.
+///
+/// # Panics
+/// If frame and target differ in size.
+pub fn compare(frame: &Frame, target: &Target, sitting: &Sitting, weigh: &mut Weigh) -> Compared {
+    let Composed { behind, scene, shown, residual } = compose(frame, target, sitting);
+    let photo = target.image();
+    let mut residuals = None;
+    let kept = match sitting.leave_out {
+        LeaveOut::None => None,
+        LeaveOut::Suspects => {
+            let keep = |p: &[u8; 4]| f32::from(u8::from(p[3] & Target::SUSPECT == 0));
+            Some(target.pixels.iter().map(keep).collect())
+        }
+        LeaveOut::Residual(before) => {
+            let doubted = target.doubted(&residual);
+            let counts = |i: usize| target.is(i, Target::COUNTS);
+            let (kept, held) =
+                leave_out(&before, &doubted, target.width, counts, |i| target.is(i, Target::SUSPECT));
+            residuals = held;
+            weigh(&doubted, kept.as_deref()).or(kept)
+        }
+    };
+    let (weights, left_out) = pixel_weights(target, kept.as_deref());
+    let psnr = weighted_psnr(&shown, &photo, &weights.data);
+    let (loss, grad) = photometric(&shown, &photo, Some(&weights), sitting.lambda_ssim);
+    let (image, matrix) = match &sitting.matrix {
+        Some(matrix) => {
+            let (image, sums) = matrix_backward(matrix, &scene, &grad);
+            (image, Some(sums))
+        }
+        None => (grad, None),
+    };
+    let alpha = alpha_gradient(&image, &behind, &frame.alpha, target, sitting.sky_weight);
+    let behind = if sitting.has_sky {
+        let sums = SkySums::of_photo(sitting.camera, sitting.pose, target, &frame.alpha, &weights.data);
+        Seen::Sky(Box::new(sums))
+    } else {
+        Seen::Colour(ColourSums::of(&shown, &photo, &frame.alpha, &weights.data))
+    };
+    let error = error_around(&residual, &weights);
+    Compared { said: Said { loss, psnr, left_out, residuals, matrix, behind }, image, alpha, error }
+}
+
+/// A frame as its photo would show it.
+struct Composed {
+    /// What stands behind the splats, in the scene's colours.
+    behind: Image,
+    /// Splats before it, likewise.
+    scene: Image,
+    /// The same in the photo's colours.
+    shown: Image,
+    /// Mean absolute difference of the colours per pixel.
+    residual: Vec<f32>,
+}
+
+fn compose(frame: &Frame, target: &Target, sitting: &Sitting) -> Composed {
+    let behind = paint(sitting.behind, sitting.camera, sitting.pose);
+    let mut scene = frame.image.clone();
+    add_behind(&mut scene, &frame.alpha, &behind);
+    let shown = match &sitting.matrix {
+        Some(matrix) => apply_matrix(matrix, &scene),
+        None => scene.clone(),
+    };
+    let residual = mean_difference(&shown, &target.image());
+    Composed { behind, scene, shown, residual }
+}
+
+/// Mean absolute colour difference per pixel.
+pub fn mean_difference(a: &Image, b: &Image) -> Vec<f32> {
+    let n = a.pixels();
+    let mut out = vec![0.0f32; n];
+    for c in 0..3 {
+        for ((o, x), y) in out.iter_mut().zip(a.plane(c)).zip(b.plane(c)) {
+            *o += (x - y).abs() * (1.0 / 3.0);
+        }
+    }
+    out
+}
+
+/// Adds `(1 - alpha) * behind`.
+pub fn add_behind(image: &mut Image, alpha: &Image, behind: &Image) {
+    for c in 0..3 {
+        let plane = image.plane_mut(c);
+        for ((v, a), b) in plane.iter_mut().zip(&alpha.data).zip(behind.plane(c)) {
+            *v += (1.0 - a) * b;
+        }
+    }
+}
+
+/// Weight per pixel (1 counts, 0 does not), and the share of the counted pixels that `kept` leaves out.
+pub fn pixel_weights(target: &Target, kept: Option<&[f32]>) -> (Image, f32) {
+    let data = (0..target.pixels.len()).map(|i| f32::from(u8::from(target.is(i, Target::COUNTS)))).collect();
+    let mut weights = Image { width: target.width, height: target.height, channels: 1, data };
+    let Some(kept) = kept else { return (weights, 0.0) };
+    let before: f32 = weights.data.iter().sum();
+    for (w, k) in weights.data.iter_mut().zip(kept) {
+        *w *= k;
+    }
+    let after: f32 = weights.data.iter().sum();
+    (weights, left_out_share(before, after))
+}
+
+/// Share of the weight `before` that is gone `after`.
+pub fn left_out_share(before: f32, after: f32) -> f32 {
+    if before > 0.0 { 1.0 - after / before } else { 0.0 }
+}
+
+/// -10 log10 of the weighted mean squared error; 0 dB where no pixel counts.
+pub fn weighted_psnr(a: &Image, b: &Image, weights: &[f32]) -> f32 {
+    let mut sum = 0.0f64;
+    for c in 0..3 {
+        // Rows in f32, their sums in f64: exact enough and fast.
+        for ((x, y), w) in a.plane(c).chunks(256).zip(b.plane(c).chunks(256)).zip(weights.chunks(256)) {
+            let part: f32 = x.iter().zip(y).zip(w).map(|((x, y), w)| w * (x - y) * (x - y)).sum();
+            sum += f64::from(part);
+        }
+    }
+    psnr_of(sum, weights.iter().map(|&w| f64::from(w)).sum::<f64>())
+}
+
+/// The same from the sum of the three channels' weighted squared errors, and that of the weights.
+pub fn psnr_of(squares: f64, weights: f64) -> f32 {
+    let total = 3.0 * weights;
+    if total == 0.0 { 0.0 } else { (-10.0 * (squares / total).max(1e-10).log10()) as f32 }
+}
+
+/// Gradient with respect to the accumulated alpha: what is behind shines through where it is low, and the
+/// sky is to be empty.
+///
+/// The sky's term is `weight * mean over pixels of -ln(1 - A)` on [`Target::INNER`] pixels.
+fn alpha_gradient(grad: &Image, behind: &Image, alpha: &Image, target: &Target, weight: f32) -> Image {
+    let n = alpha.pixels();
+    let mut out = Image::zeros(alpha.width, alpha.height, 1);
+    for c in 0..3 {
+        for ((o, g), b) in out.data.iter_mut().zip(grad.plane(c)).zip(behind.plane(c)) {
+            *o -= g * b;
+        }
+    }
+    if weight > 0.0 {
+        let per_pixel = weight / n as f32;
+        for (i, (o, a)) in out.data.iter_mut().zip(&alpha.data).enumerate() {
+            if target.is(i, Target::INNER) {
+                *o += per_pixel / (1.0 - a).max(LEAST_OPEN);
+            }
+        }
+    }
+    out
+}
+
+/// Mean error around every pixel of those that count, one plane.
+fn error_around(residual: &[f32], weights: &Image) -> Image {
+    let counted: Vec<f32> = residual.iter().zip(&weights.data).map(|(r, w)| r * w).collect();
+    let data = box_mean(&counted, weights.width, weights.height, ERROR_WINDOW);
+    Image { data, ..*weights }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Vec3;
+    use segwild_scene::Random;
+
+    const W: usize = 13;
+    const H: usize = 9;
+
+    /// A photo with some sky, an image that is not like it, and a sky behind.
+    fn example() -> (Frame, Target, Camera, Pose, Vec<[f32; 3]>) {
+        let random = &mut Random::new(6);
+        let camera = Camera { width: W as u32, height: H as u32, fx: 14.0, fy: 13.0, cx: 6.0, cy: 5.0 };
+        let pose = Pose::look_at(Vec3::new(0.2, -0.3, -1.0), Vec3::ZERO, Vec3::NEG_Y);
+        let mut target = Target { width: W, height: H, ..Target::default() };
+        for i in 0..W * H {
+            let flags = if i < 4 * W { Target::SKY | Target::INNER } else { Target::COUNTS };
+            target.pixels.push([0, 1, 2, 3].map(|c| if c < 3 { random.below(256) as u8 } else { flags }));
+        }
+        let mut image = |channels| Image {
+            data: (0..W * H * channels).map(|_| 0.1 + 0.7 * random.uniform()).collect(),
+            ..Image::zeros(W, H, channels)
+        };
+        let frame = Frame { image: image(3), alpha: image(1) };
+        let behind = (0..BASES).map(|k| [0.3 / (k + 1) as f32, 0.2, 0.4 - 0.05 * k as f32]).collect();
+        (frame, target, camera, pose, behind)
+    }
+
+    const MATRIX: [f32; 12] = [0.9, 0.1, -0.05, 0.02, 0.05, 1.1, 0.1, -0.03, -0.1, 0.05, 0.8, 0.04];
+
+    fn sitting<'a>(camera: &'a Camera, pose: &'a Pose, behind: &'a [[f32; 3]]) -> Sitting<'a> {
+        Sitting {
+            camera,
+            pose,
+            matrix: Some(MATRIX),
+            behind,
+            has_sky: true,
+            leave_out: LeaveOut::None,
+            lambda_ssim: 0.2,
+            sky_weight: 0.1,
+        }
+    }
+
+    /// The loss with the sky's term.
+    fn loss(frame: &Frame, target: &Target, sitting: &Sitting) -> f64 {
+        let said = compare(frame, target, sitting, &mut |_, _| None).said;
+        let sky =
+            |i: usize| if target.is(i, Target::INNER) { -(1.0 - frame.alpha.data[i]).ln() } else { 0.0 };
+        let sky: f64 = (0..W * H).map(|i| f64::from(sky(i))).sum();
+        f64::from(said.loss) + f64::from(sitting.sky_weight) * sky / (W * H) as f64
+    }
+
+    #[test]
+    fn gradients_are_finite_differences_of_the_loss() {
+        let (frame, target, camera, pose, behind) = example();
+        let sitting = sitting(&camera, &pose, &behind);
+        let Compared { said, image, alpha, .. } = compare(&frame, &target, &sitting, &mut |_, _| None);
+        let step = 4e-3f32;
+        let close = |what: &str, got: f32, up: f64, down: f64| {
+            let wanted = (up - down) / f64::from(2.0 * step);
+            assert!(
+                (f64::from(got) - wanted).abs() < 2e-4 + 0.05 * wanted.abs(),
+                "{what}: {got}, not {wanted}"
+            );
+        };
+        for k in (0..3 * W * H).step_by(5) {
+            let moved = |by: f32| {
+                let mut frame = frame.clone();
+                frame.image.data[k] += by;
+                loss(&frame, &target, &sitting)
+            };
+            close(&format!("colour {k}"), image.data[k], moved(step), moved(-step));
+        }
+        for k in (0..W * H).step_by(3) {
+            let moved = |by: f32| {
+                let mut frame = frame.clone();
+                frame.alpha.data[k] += by;
+                loss(&frame, &target, &sitting)
+            };
+            close(&format!("alpha {k}"), alpha.data[k], moved(step), moved(-step));
+        }
+        let sums = said.matrix.expect("there is a matrix");
+        for (k, &got) in sums.iter().enumerate() {
+            let moved = |by: f32| {
+                let mut matrix = MATRIX;
+                matrix[k] += by;
+                loss(&frame, &target, &Sitting { matrix: Some(matrix), ..sitting })
+            };
+            close(&format!("number {k} of the matrix"), got, moved(step), moved(-step));
+        }
+    }
+
+    #[test]
+    fn a_pixel_that_does_not_count_teaches_nothing() {
+        let (mut frame, mut target, camera, pose, behind) = example();
+        let sitting = Sitting { sky_weight: 0.0, ..sitting(&camera, &pose, &behind) };
+        target.pixels.iter_mut().for_each(|p| p[3] = 0);
+        frame.image.data[7] = 1e30;
+        let Compared { said, image, alpha, error } = compare(&frame, &target, &sitting, &mut |_, _| None);
+        assert_eq!((said.psnr, said.left_out), (0.0, 0.0));
+        assert!(image.data.iter().chain(&alpha.data).chain(&error.data).all(|v| *v == 0.0));
+    }
+}

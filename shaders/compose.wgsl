@@ -1,0 +1,47 @@
+// A frame as its photo would show it, and how far it is from the photo (twin: `compose` in raster/src/compare/mod.rs). One
+// thread per pixel.
+#import common
+#import view
+#import sitting
+#import behind
+
+// x: pixels, y: 1 if some pixels are trusted.
+@group(0) @binding(0) var<uniform> job: vec4u;
+@group(0) @binding(1) var<uniform> view: View;
+@group(0) @binding(2) var<uniform> sitting: Sitting;
+// Colour and alpha.
+@group(0) @binding(3) var<storage, read> image: array<vec4f>;
+@group(0) @binding(4) var<storage, read> photo: array<u32>;
+@group(0) @binding(5) var<storage, read> trust: array<f32>;
+// In the photo's colours, and the mean absolute difference.
+@group(0) @binding(6) var<storage, read_write> shown: array<vec4f>;
+// That difference as far as nothing vouches for the pixel.
+@group(0) @binding(7) var<storage, read_write> doubted: array<f32>;
+
+@compute @workgroup_size(256)
+fn compose(
+    @builtin(workgroup_id) id: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let i = group_of(id, groups) * 256u + local;
+    if i >= job.x {
+        return;
+    }
+    let drawn = image[i];
+    var colour = drawn.xyz + (1.0 - drawn.w) * behind(view, sitting, i);
+    if sitting.kinds.y == 1u {
+        let scene = vec4f(colour, 1.0);
+        for (var c = 0u; c < 3u; c += 1u) {
+            colour[c] = dot(sitting.matrix[c], scene);
+        }
+    }
+    let apart = abs(colour - colour_of(photo[i])) * (1.0 / 3.0);
+    let residual = apart.x + apart.y + apart.z;
+    shown[i] = vec4f(colour, residual);
+    var doubt = 1.0;
+    if job.y == 1u {
+        doubt = 1.0 - trust[i];
+    }
+    doubted[i] = residual * doubt;
+}

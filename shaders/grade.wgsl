@@ -1,0 +1,66 @@
+// From the gradient of what is shown to those of the blended image, of its alpha and of the photo's matrix (twins:
+// `matrix_backward` in raster/src/look/affine.rs, `alpha_gradient` in raster/src/compare/mod.rs). One thread per pixel.
+#import common
+#import view
+#import sitting
+#import behind
+
+// x: pixels.
+@group(0) @binding(0) var<uniform> job: vec4u;
+@group(0) @binding(1) var<uniform> view: View;
+@group(0) @binding(2) var<uniform> sitting: Sitting;
+@group(0) @binding(3) var<storage, read> image: array<vec4f>;
+@group(0) @binding(4) var<storage, read> photo: array<u32>;
+// Channel by channel.
+@group(0) @binding(5) var<storage, read> by_shown: array<f32>;
+// Of colour and alpha.
+@group(0) @binding(6) var<storage, read_write> grads: array<vec4f>;
+// Per group, of the matrix's rows.
+@group(0) @binding(7) var<storage, read_write> parts: array<vec4f>;
+
+var<workgroup> part: array<vec4f, 256>;
+
+@compute @workgroup_size(256)
+fn grade(
+    @builtin(workgroup_id) id: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let group = group_of(id, groups);
+    let i = group * 256u + local;
+    let there = i < job.x;
+    var g = vec3f(0.0);
+    var scene = vec4f(0.0);
+    if there {
+        let drawn = image[i];
+        let back = behind(view, sitting, i);
+        g = vec3f(by_shown[i], by_shown[job.x + i], by_shown[2u * job.x + i]);
+        scene = vec4f(drawn.xyz + (1.0 - drawn.w) * back, 1.0);
+        var by_scene = g;
+        if sitting.kinds.y == 1u {
+            by_scene = g.x * sitting.matrix[0].xyz + g.y * sitting.matrix[1].xyz + g.z * sitting.matrix[2].xyz;
+        }
+        var by_alpha = -dot(by_scene, back);
+        if has(photo[i], INNER) {
+            by_alpha += sitting.numbers.y / max(1.0 - drawn.w, LEAST_OPEN);
+        }
+        grads[i] = vec4f(by_scene, by_alpha);
+    }
+    if sitting.kinds.y != 1u {
+        return;
+    }
+    for (var c = 0u; c < 3u; c += 1u) {
+        part[local] = g[c] * scene;
+        workgroupBarrier();
+        for (var half = 128u; half > 0u; half /= 2u) {
+            if local < half {
+                part[local] += part[local + half];
+            }
+            workgroupBarrier();
+        }
+        if local == 0u && group * 256u < job.x {
+            parts[3u * group + c] = part[0];
+        }
+        workgroupBarrier();
+    }
+}

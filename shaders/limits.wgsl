@@ -1,0 +1,76 @@
+// From which residual on a pixel is left out (twin: `limits` in raster/src/compare/robust.rs). One thread: it goes over the
+// bins a few times.
+#import common
+#import sitting
+#import bins
+
+// x: 1 if the photo was seen before, y: where its residuals go.
+@group(0) @binding(0) var<uniform> job: vec4u;
+@group(0) @binding(1) var<uniform> sitting: Sitting;
+@group(0) @binding(2) var<storage, read> counts: array<u32>;
+// Decaying shares of earlier visits.
+@group(0) @binding(3) var<storage, read> before: array<f32>;
+// The limit, and that of what was suspected before.
+@group(0) @binding(4) var<storage, read_write> limits: array<f32>;
+// BINS shares with this visit's, and how many pixels counted.
+@group(0) @binding(5) var<storage, read_write> said: array<f32>;
+
+const NONE: f32 = 3.4028235e38;
+
+var<private> fresh: array<f32, BINS>;
+var<private> held: array<f32, BINS>;
+
+fn quantile(of_held: bool, q: f32) -> f32 {
+    var total = 0.0;
+    for (var b = 0u; b < BINS; b += 1u) {
+        total += select(fresh[b], held[b], of_held);
+    }
+    var sum = 0.0;
+    for (var b = 0u; b < BINS; b += 1u) {
+        sum += select(fresh[b], held[b], of_held);
+        if sum >= q * total {
+            return bin_top(b);
+        }
+    }
+    return 1.0;
+}
+
+fn threshold(of_held: bool, share: f32) -> f32 {
+    return max(max(quantile(of_held, 1.0 - share), CONTRAST * quantile(of_held, 0.5)), FLOOR);
+}
+
+@compute @workgroup_size(1)
+fn limits_of() {
+    var pixels = 0u;
+    for (var b = 0u; b < BINS; b += 1u) {
+        pixels += counts[b];
+    }
+    said[job.y + BINS] = f32(pixels);
+    if pixels == 0u {
+        limits[0] = NONE;
+        limits[1] = NONE;
+        return;
+    }
+    for (var b = 0u; b < BINS; b += 1u) {
+        fresh[b] = f32(counts[b]) / f32(pixels);
+        held[b] = fresh[b];
+        if job.x == 1u {
+            held[b] = DECAY * before[b] + (1.0 - DECAY) * fresh[b];
+        }
+        said[job.y + b] = held[b];
+    }
+    let share = sitting.numbers.z;
+    var limit = threshold(true, share);
+    var over = 0.0;
+    for (var b = 0u; b < BINS; b += 1u) {
+        if bin_top(b) > limit {
+            over += fresh[b];
+        }
+    }
+    // The photo changed faster than its history: this visit alone is trusted, so that never more than the share goes.
+    if over > SURPRISE * share {
+        limit = max(limit, threshold(false, share));
+    }
+    limits[0] = limit;
+    limits[1] = SUSPECTED * limit;
+}
