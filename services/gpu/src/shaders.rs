@@ -54,6 +54,7 @@ kernels! {
     TINT_BACKWARD = "tint_backward"."tint_backward", [1];
     OBSERVE = "observe"."observe", [1];
     ADAM = "adam"."adam", [1];
+    SELECT = "select"."select_items", [1];
     COMPOSE = "compose"."compose", [1];
     BOX_MEAN = "box_mean"."box_mean", [1];
     TALLY = "tally"."tally", [1];

@@ -6,11 +6,11 @@ use crate::compare::{Asked, Heard, LIGHT, Photo, Shelf, compare, total};
 use crate::device::{Device, Lent, Work};
 use crate::engine::{Binned, Cloud, GROUP, bin};
 use crate::passes::Grads;
-use crate::shaders::{ADAM, OBSERVE, SHADE, SHADE_BACKWARD, TINT, TINT_BACKWARD};
+use crate::shaders::{ADAM, OBSERVE, SELECT, SHADE, SHADE_BACKWARD, TINT, TINT_BACKWARD};
 use bytemuck::{Pod, Zeroable};
 use segwild_raster::compare::Said;
 use segwild_raster::{
-    Codes, EmbedLook, Held, Light, ProjectOptions, RasterError, Resident, Rule, Rules, Step, check,
+    Codes, EmbedLook, Held, Light, ProjectOptions, RasterError, Reshaped, Resident, Rule, Rules, Step, check,
 };
 use segwild_scene::{Camera, Pose, Splats};
 use std::sync::Arc;
@@ -54,6 +54,12 @@ struct Lit<'a> {
     photo: Lent,
     tinted: Lent,
     codes: &'a GpuCodes,
+}
+
+/// Of which splats before the splats come, and which are forgotten.
+struct Parents {
+    rows: Lent,
+    count: usize,
 }
 
 /// Codes of splats and their moments.
@@ -143,10 +149,6 @@ impl GpuTraining {
             device: device.clone(),
             shelf: shelf.clone(),
         })
-    }
-
-    fn count(&self) -> usize {
-        self.splats.shapes.splats
     }
 
     /// Numbers of a splat's harmonics.
@@ -339,6 +341,72 @@ impl GpuTraining {
         Ok(StepGrads { shapes, sh, codes: None })
     }
 
+    /// What is known of the splats at `parents`, in their order, in items of so many numbers. `learnt`: of those that are
+    /// forgotten nothing is; and of an item no more than the first `known`.
+    fn select(
+        work: &mut Work,
+        from: &Lent,
+        width: usize,
+        parents: &Parents,
+        learnt: bool,
+        known: usize,
+    ) -> Result<Lent, GpuError> {
+        let numbers = parents.count * width;
+        let after = work.take::<f32>("what is known of the splats", numbers)?;
+        let job = [numbers as u32, width as u32, u32::from(learnt), known as u32];
+        work.run(&SELECT, 1, job, &[&parents.rows, from, &after], numbers.div_ceil(GROUP));
+        Ok(after)
+    }
+
+    fn try_reshape(&mut self, reshaped: &Reshaped) -> Result<(), GpuError> {
+        let work = &mut self.device.work();
+        let count = reshaped.parents.len();
+        let rows: Vec<[u32; 2]> =
+            reshaped.parents.iter().zip(&reshaped.forgotten).map(|(&p, &f)| [p, u32::from(f)]).collect();
+        let shapes = Arc::new(Cloud::upload(work, &reshaped.shapes)?);
+        let parents = Parents { rows: work.upload("the splats' parents", &rows)?, count };
+        let sh_stride = self.sh_stride();
+        // Of a centre and opacity, the opacity comes last.
+        let opacities = if reshaped.opacities_forgotten { 3 } else { 4 };
+        let mut moments = |of: &Numbers| -> Result<Numbers, GpuError> {
+            let mut select = |from, width, known| Self::select(work, from, width, &parents, true, known);
+            let shapes = Arc::new(Cloud {
+                means: select(&of.shapes.means, 4, opacities)?,
+                log_scales: select(&of.shapes.log_scales, 4, 4)?,
+                rotations: select(&of.shapes.rotations, 4, 4)?,
+                splats: count,
+            });
+            Ok(Numbers { shapes, sh: select(&of.sh, sh_stride, sh_stride)? })
+        };
+        let (first, second) = (moments(&self.first)?, moments(&self.second)?);
+        let sh = Self::select(work, &self.splats.sh, sh_stride, &parents, false, sh_stride)?;
+        let codes = match &self.codes {
+            None => None,
+            Some(codes) => {
+                let width = EmbedLook::CODE_SIZE;
+                let mut select = |from, learnt| Self::select(work, from, width, &parents, learnt, width);
+                Some(GpuCodes {
+                    values: select(&codes.values, false)?,
+                    first: select(&codes.first, true)?,
+                    second: select(&codes.second, true)?,
+                })
+            }
+        };
+        let sums = work.take::<[f32; 4]>("the sums for density control", count)?;
+        work.clear(&sums);
+        work.hand_in();
+        (self.splats, self.first, self.second) = (Numbers { shapes, sh }, first, second);
+        (self.sums, self.codes) = (sums, codes);
+        Ok(())
+    }
+
+    fn try_shapes(&mut self) -> Result<(Splats, Vec<[f32; 4]>), GpuError> {
+        let work = &mut self.device.work();
+        let mut splats = Splats { sh: vec![0.0; 3 * self.count()], ..Splats::default() };
+        self.splats.shapes.read(work, &mut splats)?;
+        Ok((splats, work.read(&self.sums, self.count())?))
+    }
+
     fn try_fetch(&mut self) -> Result<Held, GpuError> {
         let mut work = self.device.work();
         Ok(Held {
@@ -366,6 +434,22 @@ impl Resident for GpuTraining {
     fn step(&mut self, step: &Step) -> Result<(Said, Option<Light>), RasterError> {
         check(&Splats::default(), step.sitting.camera)?;
         Ok(self.try_step(step)?)
+    }
+
+    fn count(&self) -> usize {
+        self.splats.shapes.splats
+    }
+
+    fn shapes(&mut self) -> Result<(Splats, Vec<[f32; 4]>), RasterError> {
+        Ok(self.try_shapes()?)
+    }
+
+    fn reshape(&mut self, reshaped: &Reshaped) -> Result<bool, RasterError> {
+        match self.try_reshape(reshaped) {
+            Ok(()) => Ok(true),
+            Err(GpuError::TooLarge { .. } | GpuError::OverBudget { .. }) => Ok(false),
+            Err(error) => Err(error.into()),
+        }
     }
 
     fn fetch(&mut self) -> Result<Held, RasterError> {

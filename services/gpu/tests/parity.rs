@@ -269,6 +269,9 @@ const FAULTS: &[(&str, &str, &str, &str)] = &[
 
 /// The same of the kernels of training, which only [`check`] sees.
 const TRAINING_FAULTS: &[(&str, &str, &str)] = &[
+    ("select", "parent.x * job.y + lane", "parent.x * job.y"),
+    ("select", "parent.y == 1u", "parent.y == 2u"),
+    ("select", "lane < job.w", "lane <= job.w"),
     ("shade", "colour += b[k]", "colour += 0.9 * b[k]"),
     ("tint", "codes[at + 1u]", "codes[at]"),
     ("tint_backward", "g[k] * own", "0.9 * g[k] * own"),

@@ -93,9 +93,10 @@ impl Adam {
     /// Puts moments in the place of these.
     ///
     /// # Panics
-    /// If there are not as many.
+    /// If they are not those of whole items, as many of one as of the other.
     pub fn set_moments(&mut self, first: Vec<f32>, second: Vec<f32>) {
-        assert_eq!([first.len(), second.len()], [self.len(); 2], "moments: length");
+        assert_eq!(first.len(), second.len(), "moments: length");
+        assert!(first.len().is_multiple_of(self.item.max(1)), "moments: items");
         (self.first, self.second) = (first, second);
     }
 

@@ -24,6 +24,6 @@ pub use look::{
     Sight, Tone, bake,
 };
 pub use loss::{photometric, psnr, ssim};
-pub use resident::{Codes, Held, Resident, Rules, Step};
+pub use resident::{Codes, Held, Reshaped, Resident, Rules, Step};
 pub use shade::{shade, shade_backward};
 pub use spare::SpareEngine;

@@ -61,6 +61,19 @@ impl Rules {
     }
 }
 
+/// Splats as density control left them: new shapes, and of which splat before each has everything else.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Reshaped {
+    /// Centres, scales, rotations and opacities; black, as [`Splats::uncoloured`] makes them.
+    pub shapes: Splats,
+    /// Per splat, the one before whose colours, code and moments it takes.
+    pub parents: Vec<u32>,
+    /// Per splat, whether the optimiser knows nothing of it.
+    pub forgotten: Vec<bool>,
+    /// Whether the optimiser knows nothing of any opacity.
+    pub opacities_forgotten: bool,
+}
+
 /// What a step of training looks at.
 pub struct Step<'a> {
     /// How splats are projected.
@@ -85,6 +98,16 @@ pub trait Resident: Send {
     /// # Panics
     /// If there is light and no codes, or the target is not of the camera's size.
     fn step(&mut self, step: &Step) -> Result<(Said, Option<Light>), RasterError>;
+
+    /// How many splats there are.
+    fn count(&self) -> usize;
+
+    /// The splats without colours, as [`Splats::uncoloured`] gives them, and [`Held::sums`]: what density control asks for.
+    fn shapes(&mut self) -> Result<(Splats, Vec<[f32; 4]>), RasterError>;
+
+    /// Takes them as density control left them; sums begin anew. `false` if there is no room for them: then nothing has
+    /// changed.
+    fn reshape(&mut self, reshaped: &Reshaped) -> Result<bool, RasterError>;
 
     /// The splats as they are now.
     fn fetch(&mut self) -> Result<Held, RasterError>;

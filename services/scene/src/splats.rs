@@ -81,6 +81,18 @@ impl Splats {
 }
 
 impl Splats {
+    /// The same shapes in black, with no directions: what density control works on.
+    pub fn uncoloured(&self) -> Splats {
+        Splats {
+            means: self.means.clone(),
+            log_scales: self.log_scales.clone(),
+            rotations: self.rotations.clone(),
+            opacities: self.opacities.clone(),
+            sh_degree: 0,
+            sh: vec![0.0; 3 * self.len()],
+        }
+    }
+
     /// The splats of a normalised scene in the units and at the place of its file.
     pub fn to_file_frame(&self, frame: &Frame) -> Splats {
         let origin = frame.origin.to_array();

@@ -1,14 +1,16 @@
 //! Training while the splats are where the engine computes: what crosses is what a photo says of them, in a few numbers.
 //!
-//! They come home whenever something looks at them: density control, a finer degree of colours, photos asked for witness,
-//! a checkpoint. Numbers travel as they are, so a run does not depend on when that is.
+//! Density control asks for their shapes, and what it makes of them goes back. They come home whenever something looks at
+//! all of them: a finer degree of colours, photos asked for witness, a checkpoint. Numbers travel as they are, so a run does
+//! not depend on when that is.
 
 use crate::TrainError;
+use crate::density::{Reshaping, Stats};
 use crate::judge::Looked;
 use crate::model::options;
 use crate::trainer::Trainer;
 use segwild_raster::compare::Said;
-use segwild_raster::{AnyLook, Step};
+use segwild_raster::{AnyLook, Reshaped, Step};
 
 impl Trainer {
     /// Whether the splats are where the engine computes.
@@ -29,12 +31,44 @@ impl Trainer {
         Ok(())
     }
 
+    /// How many splats there are, wherever they are.
+    pub(crate) fn splats(&self) -> usize {
+        self.away.as_ref().map_or(self.state.params.splats.len(), |away| away.count())
+    }
+
+    /// What density control works on.
+    pub(crate) fn lend_shapes(&mut self) -> Result<Reshaping, TrainError> {
+        let Some(away) = &mut self.away else { return Ok(self.state.params.lend()) };
+        let (splats, sums) = away.shapes()?;
+        if let Some(stats) = self.state.strategy.as_dyn().stats() {
+            *stats = Stats::of_rows(&sums);
+        }
+        // No step of the optimiser there leaves anything that is no number.
+        let sound = vec![true; splats.len()];
+        Ok(Reshaping::new(splats, sound))
+    }
+
+    /// Has the splats be as density control left them, here if there is no room for them where they are.
+    pub(crate) fn take_shapes(&mut self, reshaped: Reshaped) -> Result<(), TrainError> {
+        if let Some(away) = &mut self.away {
+            if away.reshape(&reshaped)? {
+                return Ok(());
+            }
+            self.come_home()?;
+            if let Some(stats) = self.state.strategy.as_dyn().stats() {
+                *stats = Stats::new(reshaped.parents.len());
+            }
+        }
+        self.state.params.reshape(reshaped);
+        Ok(())
+    }
+
     /// Has the splats here again.
     pub(crate) fn come_home(&mut self) -> Result<(), TrainError> {
         let Some(away) = &mut self.away else { return Ok(()) };
         let held = away.fetch()?;
         if let Some(stats) = self.state.strategy.as_dyn().stats() {
-            *stats = crate::density::Stats::of_rows(&held.sums);
+            *stats = Stats::of_rows(&held.sums);
         }
         self.state.params.take_back(held);
         self.away = None;

@@ -1,6 +1,7 @@
 //! The splats as an optimiser sees them.
 
-use segwild_raster::{Adam, Codes, Held, Projected, Rules, Sight, SplatGrads};
+use crate::density::Reshaping;
+use segwild_raster::{Adam, Codes, Held, Projected, Reshaped, Rules, Sight, SplatGrads};
 use segwild_scene::{Pose, Splats};
 use std::ops::Range;
 use wincode::{SchemaRead, SchemaWrite};
@@ -155,7 +156,7 @@ impl Params {
         Held { splats: self.splats.clone(), first: moments(0), second: moments(1), sums, codes }
     }
 
-    /// Takes back what [`Params::held`] gave away, as many splats as there were.
+    /// Takes back what [`Params::held`] gave away; there may be other splats by now.
     pub fn take_back(&mut self, held: Held) {
         let Held { splats, first, second, codes, sums: _ } = held;
         self.codes = codes.values;
@@ -174,6 +175,35 @@ impl Params {
         if self.splats.sh_degree > 0 {
             self.higher.set_moments(higher, higher2);
         }
+    }
+
+    /// What density control works on.
+    pub fn lend(&self) -> Reshaping {
+        let s = &self.splats;
+        let k = s.sh_stride();
+        let finite = |numbers: &[f32]| numbers.iter().all(|v| v.is_finite());
+        let sound = match finite(&s.sh) {
+            true => vec![true; s.len()],
+            false => s.sh.chunks_exact(k).map(finite).collect(),
+        };
+        Reshaping::new(s.uncoloured(), sound)
+    }
+
+    /// Takes back what came of [`Params::lend`].
+    pub fn reshape(&mut self, reshaped: Reshaped) {
+        let Reshaped { shapes, parents, forgotten, opacities_forgotten } = reshaped;
+        let same = parents.len() == self.splats.len() && parents.iter().zip(0..).all(|(&p, i)| p == i);
+        if !same {
+            let parents: Vec<usize> = parents.iter().map(|&p| p as usize).collect();
+            self.remap(&parents);
+        }
+        let forgotten = (0..forgotten.len()).filter(|&i| forgotten[i]);
+        self.groups().for_each(|g| g.forget(forgotten.clone()));
+        if opacities_forgotten {
+            self.opacities.forget(0..parents.len());
+        }
+        let sh = std::mem::take(&mut self.splats.sh);
+        self.splats = Splats { sh, sh_degree: self.splats.sh_degree, ..shapes };
     }
 
     /// One optimiser step of the codes, of splats with `radii` above 0; numbers that are `fading` fade.
@@ -207,16 +237,6 @@ impl Params {
         self.codes = select(&self.codes, self.splats.len(), parents);
         self.splats = self.splats.select(parents);
         self.groups().for_each(|g| g.select(parents));
-    }
-
-    /// Makes the optimiser forget some splats.
-    pub fn forget(&mut self, which: impl Iterator<Item = usize> + Clone) {
-        self.groups().for_each(|g| g.forget(which.clone()));
-    }
-
-    /// Makes the optimiser forget all opacities, after a reset.
-    pub fn forget_opacities(&mut self) {
-        self.opacities.forget(0..self.splats.len());
     }
 
     /// Gives the colours more basis functions, zero at first; never fewer.

@@ -60,7 +60,7 @@ impl Trainer {
             psnr,
             left_out,
             size: (photo.width, photo.height),
-            splats: self.state.params.splats.len(),
+            splats: self.splats(),
             change,
         })
     }
@@ -167,7 +167,7 @@ impl Trainer {
         if !self.state.strategy.as_dyn().acts(self.state.step) {
             return Ok(None);
         }
-        self.come_home()?;
+        let mut reshaping = self.lend_shapes()?;
         let views = self.state.sampler.views();
         let quality = mean_quality(&views, &self.state.quality);
         let engine = self.engine.clone();
@@ -196,10 +196,11 @@ impl Trainer {
             random: &mut state.random,
             contribution: &mut contribution,
         };
-        let change = state.strategy.as_dyn().act(&mut state.params, &mut around)?;
+        let change = state.strategy.as_dyn().act(&mut reshaping, &mut around)?;
+        self.take_shapes(reshaping.done())?;
         if let Some(change) = &change {
             if change.opacity_reset {
-                state.pause_until = state.step + self.schedule.reset_pause();
+                self.state.pause_until = self.state.step + self.schedule.reset_pause();
             }
             if let Some(note) = &change.note {
                 tracing::info!("{note}");

@@ -7,7 +7,7 @@ use crate::view::pack_image;
 use crate::{GpuEngine, GpuError};
 use segwild_raster::{
     Adam, Channels, Codes, CpuEngine, EmbedLook, Engine, Frame, FrameGrad, Held, Light, Look, ProjectOptions,
-    RasterError, Resident, Rule, Rules,
+    RasterError, Reshaped, Resident, Rule, Rules,
 };
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
 
@@ -110,18 +110,78 @@ pub fn training(
         tolerance.compare("steps of the codes", &moved(got), &moved(wanted))
     };
     let (shapes, coloured) = (all(&shapes), all(&coloured));
+    let reshaped = reshaped(engine, held)?;
     let off = |kernels, off: Result<(), String>| Checked { kernels, off: off.err() };
     Ok(if light.is_some() {
         // The other kernels are vouched for by the splats without codes.
         let rest = tinted().and(coloured).and(sums).and(shapes);
-        vec![off(&["tint"], blended), off(&["tint_backward", "adam", "total"], rest)]
+        vec![
+            off(&["select"], reshaped),
+            off(&["tint"], blended),
+            off(&["tint_backward", "adam", "total"], rest),
+        ]
     } else {
         vec![
+            off(&["select"], reshaped),
             off(&["shade"], blended),
             off(&["observe"], sums),
             off(&["adam"], shapes),
             off(&["shade_backward"], coloured),
         ]
+    })
+}
+
+/// Compares splats as density control might leave them: some gone, some twice, some forgotten.
+fn reshaped(engine: &GpuEngine, held: &Held) -> Result<Result<(), String>, RasterError> {
+    let random = &mut Random::new(25);
+    let n = held.splats.len();
+    let parents: Vec<usize> = (0..n).filter(|i| i % 5 != 2).chain((0..n).step_by(3)).collect();
+    let forgotten: Vec<bool> = parents.iter().map(|_| random.below(3) == 0).collect();
+    let mut shapes = held.splats.uncoloured().select(&parents);
+    shapes.means.iter_mut().for_each(|mean| mean[1] += 0.5);
+    let of = |splats: &Splats, forget: bool| {
+        let mut splats = splats.select(&parents);
+        let k = splats.sh_stride();
+        for i in (0..parents.len()).filter(|&i| forget && forgotten[i]) {
+            (splats.means[i], splats.log_scales[i], splats.rotations[i]) = ([0.0; 3], [0.0; 3], [0.0; 4]);
+            splats.sh[i * k..(i + 1) * k].fill(0.0);
+        }
+        splats
+    };
+    let moments = |splats| Splats { opacities: vec![0.0; parents.len()], ..of(splats, true) };
+    let codes = |codes: &[f32], forget: bool| -> Vec<f32> {
+        let size = codes.len().checked_div(n).unwrap_or(0);
+        let code = |(k, &i): (usize, &usize)| {
+            let known = if forget && forgotten[k] { 0.0 } else { 1.0 };
+            codes[i * size..(i + 1) * size].iter().map(move |v| known * v)
+        };
+        parents.iter().enumerate().flat_map(code).collect()
+    };
+    let coloured = of(&held.splats, false);
+    let wanted = Held {
+        splats: Splats { sh: coloured.sh, sh_degree: coloured.sh_degree, ..shapes.clone() },
+        first: moments(&held.first),
+        second: moments(&held.second),
+        sums: vec![[0.0; 4]; parents.len()],
+        codes: Codes {
+            values: codes(&held.codes.values, false),
+            first: codes(&held.codes.first, true),
+            second: codes(&held.codes.second, true),
+        },
+    };
+    let mut away = GpuTraining::new(&engine.device, &engine.shelf, held)?;
+    let asked = away.shapes()?;
+    let parents = parents.iter().map(|&i| i as u32).collect();
+    if !away.reshape(&Reshaped { shapes, parents, forgotten, opacities_forgotten: true })? {
+        return Err(RasterError::Shape("the splats do not fit where they are trained".into()));
+    }
+    let got = away.fetch()?;
+    Ok(if asked != (held.splats.uncoloured(), held.sums.clone()) {
+        Err("shapes and sums: they came back as others".into())
+    } else if got != wanted {
+        Err(format!("{n} splats, reshaped: the numbers of some are another's"))
+    } else {
+        Ok(())
     })
 }
 

@@ -1,7 +1,6 @@
 //! Grow while it pays, where gradient and error are large; prune what no photo needs (method, section 9).
 
-use super::{Change, Density, Seen, Stats, Surroundings, healthy, split_in_two, top};
-use crate::params::Params;
+use super::{Change, Density, Reshaping, Seen, Stats, Surroundings, split_in_two, top};
 use crate::{TrainError, TrainSettings};
 use wincode::{SchemaRead, SchemaWrite};
 
@@ -117,19 +116,15 @@ impl Density for Budget {
         self.prunes(step) || self.grows(step)
     }
 
-    fn act(&mut self, params: &mut Params, around: &mut Surroundings) -> Result<Option<Change>, TrainError> {
+    fn act(&mut self, all: &mut Reshaping, around: &mut Surroundings) -> Result<Option<Change>, TrainError> {
         let step = around.step;
         let (prune, grow) = (self.prunes(step), self.grows(step));
-        let n = params.splats.len();
+        let n = all.len();
         let mut keep: Vec<bool> = (0..n)
-            .map(|i| {
-                healthy(&params.splats, i)
-                    && params.splats.opacity(i) >= FAINT
-                    && self.stats.radius[i] < LARGE
-            })
+            .map(|i| all.healthy(i) && all.splats.opacity(i) >= FAINT && self.stats.radius[i] < LARGE)
             .collect();
         if prune {
-            let contribution = (around.contribution)(&params.splats)?;
+            let contribution = (around.contribution)(&all.splats)?;
             for i in 0..n {
                 keep[i] &= contribution[i] >= UNSEEN;
             }
@@ -146,11 +141,11 @@ impl Density for Budget {
         let kept: Vec<usize> = (0..n).filter(|&i| keep[i]).collect();
         // A scene that lost every splat keeps them all: nothing is better than nothing to draw.
         if !kept.is_empty() && kept.len() < n {
-            params.remap(&kept);
+            all.remap(&kept);
             scores = kept.iter().map(|&i| scores[i]).collect();
         }
         if grow {
-            let n = params.splats.len();
+            let n = all.len();
             if !self.stopped || around.quality.is_none() {
                 note = self.judge(around.quality, n);
                 self.stopped = note.is_some();
@@ -159,11 +154,11 @@ impl Density for Budget {
                 let target = self.target(step, around.cap).min((n as f64 * (1.0 + STRIDE)) as usize);
                 let chosen = top(&scores, target.saturating_sub(n));
                 added = chosen.len();
-                split_in_two(params, &chosen);
+                split_in_two(all, &chosen);
             }
         }
-        let removed = n + added - params.splats.len();
-        self.stats = Stats::new(params.splats.len());
+        let removed = n + added - all.len();
+        self.stats = Stats::new(all.len());
         Ok(Some(Change { added, removed, opacity_reset: false, note }))
     }
 }

@@ -1,9 +1,8 @@
 //! Clone, split, prune and opacity reset by gradient threshold (Kerbl et al. 2023; absolute gradients as in
 //! AbsGS), with its schedule scaled to the length of the run.
 
-use super::{Change, Density, Seen, Stats, Surroundings, healthy};
+use super::{Change, Density, Reshaping, Seen, Stats, Surroundings};
 use crate::initial::logit;
-use crate::params::Params;
 use crate::{TrainError, TrainSettings};
 use glam::Vec3;
 use wincode::{SchemaRead, SchemaWrite};
@@ -57,9 +56,9 @@ impl Density for Gradient {
         step >= self.from && step <= self.until && step.is_multiple_of(self.every)
     }
 
-    fn act(&mut self, params: &mut Params, around: &mut Surroundings) -> Result<Option<Change>, TrainError> {
+    fn act(&mut self, all: &mut Reshaping, around: &mut Surroundings) -> Result<Option<Change>, TrainError> {
         let step = around.step;
-        let n = params.splats.len();
+        let n = all.splats.len();
         let room = around.cap.saturating_sub(n);
         let wanted: Vec<f32> = (0..n)
             .map(|i| self.stats.mean(&self.stats.gradient, i))
@@ -68,37 +67,36 @@ impl Density for Gradient {
         let chosen = super::top(&wanted, room);
         let large = SPLIT_PIXELS * around.pixel;
         let (split, clone): (Vec<usize>, Vec<usize>) =
-            chosen.iter().partition(|&&i| params.splats.scale(i).max_element() > large);
+            chosen.iter().partition(|&&i| all.splats.scale(i).max_element() > large);
         // Originals, one extra of each clone, one extra of each split (its original becomes the other part).
         let parents: Vec<usize> = (0..n).chain(clone.iter().copied()).chain(split.iter().copied()).collect();
-        params.remap(&parents);
-        params.forget(n..parents.len());
+        all.remap(&parents);
+        all.forget(n..parents.len());
         for (k, &i) in split.iter().enumerate() {
-            let (axes, scale, centre) =
-                (params.splats.rotation(i), params.splats.scale(i), params.splats.mean(i));
+            let (axes, scale, centre) = (all.splats.rotation(i), all.splats.scale(i), all.splats.mean(i));
             for j in [i, n + clone.len() + k] {
                 let offset =
                     Vec3::new(around.random.normal(), around.random.normal(), around.random.normal());
-                params.splats.means[j] = (centre + axes * (scale * offset)).into();
-                params.splats.log_scales[j] = scale.to_array().map(|s| (s / 1.6).ln());
+                all.splats.means[j] = (centre + axes * (scale * offset)).into();
+                all.splats.log_scales[j] = scale.to_array().map(|s| (s / 1.6).ln());
             }
         }
-        let keep: Vec<usize> = (0..params.splats.len())
-            .filter(|&i| healthy(&params.splats, i) && params.splats.opacity(i) >= FAINT)
+        let keep: Vec<usize> = (0..all.splats.len())
+            .filter(|&i| all.healthy(i) && all.splats.opacity(i) >= FAINT)
             .filter(|&i| self.stats.radius.get(i).is_none_or(|&r| r < 1.0))
             .collect();
-        let removed = params.splats.len() - keep.len();
+        let removed = all.splats.len() - keep.len();
         if removed > 0 && !keep.is_empty() {
-            params.remap(&keep);
+            all.remap(&keep);
         }
         let opacity_reset = step.is_multiple_of(self.reset_every) && step < self.until;
         if opacity_reset {
-            for o in &mut params.splats.opacities {
+            for o in &mut all.splats.opacities {
                 *o = o.min(logit(RESET));
             }
-            params.forget_opacities();
+            all.forget_opacities();
         }
-        self.stats = Stats::new(params.splats.len());
+        self.stats = Stats::new(all.splats.len());
         Ok(Some(Change { added: chosen.len(), removed, opacity_reset, note: None }))
     }
 }

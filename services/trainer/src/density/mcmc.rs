@@ -1,9 +1,8 @@
 //! Densification as sampling (Kheradmand et al. 2024): a cap, dead splats relocated onto living ones so that
 //! the image stays, and noise on the centres of faint splats.
 
-use super::{Change, Density, Seen, Surroundings, healthy};
+use super::{Change, Density, Reshaping, Seen, Surroundings};
 use crate::initial::logit;
-use crate::params::Params;
 use crate::{TrainError, TrainSettings};
 use glam::Vec3;
 use segwild_raster::SplatGrads;
@@ -128,27 +127,27 @@ impl Density for Mcmc {
         true
     }
 
-    fn act(&mut self, params: &mut Params, around: &mut Surroundings) -> Result<Option<Change>, TrainError> {
+    fn act(&mut self, all: &mut Reshaping, around: &mut Surroundings) -> Result<Option<Change>, TrainError> {
         let step = around.step;
         let mut change = None;
         if step >= self.from && step <= self.until && step.is_multiple_of(self.every) {
-            let n = params.splats.len();
-            let lives = |i: usize| healthy(&params.splats, i) && params.splats.opacity(i) > DEAD;
+            let n = all.splats.len();
+            let lives = |i: usize| all.healthy(i) && all.splats.opacity(i) > DEAD;
             let (alive, dead): (Vec<usize>, Vec<usize>) = (0..n).partition(|&i| lives(i));
             if !alive.is_empty() {
                 let grown = (n + n / 20 + 1).min(around.cap.max(n));
                 let mut targets = dead.clone();
                 targets.extend(n..grown);
-                let sources = draw(&params.splats, &alive, targets.len(), around.random);
+                let sources = draw(&all.splats, &alive, targets.len(), around.random);
                 let mut parents: Vec<usize> = (0..grown).collect();
                 targets.iter().zip(&sources).for_each(|(&target, &source)| parents[target] = source);
-                params.remap(&parents);
-                place_copies(&mut params.splats, &sources, &targets);
-                params.forget(sources.iter().chain(&targets).copied());
+                all.remap(&parents);
+                place_copies(&mut all.splats, &sources, &targets);
+                all.forget(sources.iter().chain(&targets).copied());
                 change = Some(Change { added: grown - n, removed: dead.len(), ..Change::default() });
             }
         }
-        self.shake(&mut params.splats, step, around.random);
+        self.shake(&mut all.splats, step, around.random);
         Ok(change)
     }
 }

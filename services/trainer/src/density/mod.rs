@@ -3,13 +3,14 @@
 mod budget;
 mod gradient;
 mod mcmc;
+mod reshaping;
 
 pub(crate) use budget::Budget;
 pub(crate) use gradient::Gradient;
 pub(crate) use mcmc::Mcmc;
+pub(crate) use reshaping::Reshaping;
 
 use crate::initial::logit;
-use crate::params::Params;
 use crate::{DensityKind, TrainError, TrainSettings};
 use glam::Vec3;
 use segwild_raster::SplatGrads;
@@ -79,7 +80,11 @@ pub(crate) trait Density {
     fn acts(&self, step: u32) -> bool;
 
     /// Changes the splats after an optimiser step after which it [`Density::acts`].
-    fn act(&mut self, params: &mut Params, around: &mut Surroundings) -> Result<Option<Change>, TrainError>;
+    fn act(
+        &mut self,
+        splats: &mut Reshaping,
+        around: &mut Surroundings,
+    ) -> Result<Option<Change>, TrainError>;
 }
 
 /// One of the strategies, as a checkpoint holds it.
@@ -163,30 +168,20 @@ impl Stats {
     }
 }
 
-/// Whether every number of a splat is finite and its size is sane: a splat that fails is removed.
-pub(crate) fn healthy(splats: &Splats, i: usize) -> bool {
-    let k = splats.sh_stride();
-    splats.means[i].iter().all(|v| v.is_finite() && v.abs() < 1e6)
-        && splats.log_scales[i].iter().all(|v| v.is_finite() && *v < 12.0)
-        && splats.rotations[i].iter().all(|v| v.is_finite())
-        && splats.opacities[i].is_finite()
-        && splats.sh[i * k..(i + 1) * k].iter().all(|v| v.is_finite())
-}
-
 /// Replaces splats by two halves each, along their longest axis; the second halves go to the end.
 ///
 /// A Gaussian of deviation s becomes two at +-d with deviation s' such that d^2 + s'^2 = s^2; the other axes
 /// shrink a little and the opacity falls, so that the image hardly changes. The optimiser forgets both: its
 /// first steps on new splats are then its longest, which is what puts them to use in short runs.
-pub(crate) fn split_in_two(params: &mut Params, which: &[usize]) {
+pub(crate) fn split_in_two(all: &mut Reshaping, which: &[usize]) {
     const OFFSET: f32 = 0.7;
     const SHRINK: f32 = 0.714;
     const NARROW: f32 = 0.85;
-    let n = params.splats.len();
+    let n = all.len();
     let parents: Vec<usize> = (0..n).chain(which.iter().copied()).collect();
-    params.remap(&parents);
-    params.forget((n..parents.len()).chain(which.iter().copied()));
-    let splats = &mut params.splats;
+    all.remap(&parents);
+    all.forget((n..parents.len()).chain(which.iter().copied()));
+    let splats = &mut all.splats;
     for (k, &i) in which.iter().enumerate() {
         let scale = splats.scale(i);
         let axis = (0..3).max_by(|&a, &b| scale[a].total_cmp(&scale[b])).expect("three axes");
@@ -213,6 +208,7 @@ pub(crate) fn top(scores: &[f32], count: usize) -> Vec<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::params::Params;
     use segwild_raster::{Channels, CpuEngine, Engine, ProjectOptions};
     use segwild_scene::{Camera, Image, Pose};
 
@@ -249,7 +245,9 @@ mod tests {
         let before = image(&params.splats);
         let mean = before.data.iter().map(|v| v.abs()).sum::<f32>() / before.data.len() as f32;
         let which: Vec<usize> = (0..60).step_by(2).collect();
-        split_in_two(&mut params, &which);
+        let mut reshaping = params.lend();
+        split_in_two(&mut reshaping, &which);
+        params.reshape(reshaping.done());
         assert_eq!(params.splats.len(), 90);
         params.consistent().unwrap();
         let split = difference(&before, &image(&params.splats));
@@ -277,9 +275,11 @@ mod tests {
         params.remap(&[3, 3, 59, 0]);
         params.raise_sh_degree(3);
         params.consistent().unwrap();
-        params.remap(&[1, 2]);
-        params.forget(0..2);
-        params.forget_opacities();
+        let mut reshaping = params.lend();
+        reshaping.remap(&[1, 2]);
+        reshaping.forget(0..2);
+        reshaping.forget_opacities();
+        params.reshape(reshaping.done());
         params.consistent().unwrap();
         assert_eq!((params.splats.len(), params.splats.sh_degree, params.splats.sh.len()), (2, 3, 96));
         assert_eq!(top(&[0.5, 0.0, 2.0, 0.5, -1.0], 3), [2, 0, 3]);
