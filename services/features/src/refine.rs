@@ -57,6 +57,8 @@ pub fn build(
     options: &ProjectOptions,
     progress: &mut dyn FnMut(Progress) -> ControlFlow<()>,
 ) -> Result<FeatureField, FeatureError> {
+    let held = engine.hold(splats)?;
+    let engine = held.as_deref().unwrap_or(engine);
     let mut views = Views::new(engine, splats, source, pca, settings, options);
     let mut lifter = Lifter::new(splats.len(), pca.channels);
     for i in 0..source.len() {

@@ -156,14 +156,16 @@ impl Engine for GpuEngine {
         options: &ProjectOptions,
     ) -> Result<Box<dyn Projected + 'a>, RasterError> {
         check(splats, camera)?;
-        let mut work = self.device.work();
-        let cloud = Arc::new(Cloud::upload(&mut work, splats)?);
-        let (binned, seen) = bin(&mut work, cloud, camera, pose, options, None)?;
-        let seen = work.read(&seen, splats.len())?;
-        drop(work);
-        let eye = pose.centre();
-        let size = [camera.width as usize, camera.height as usize];
-        Ok(Box::new(GpuView::new(&self.device, splats, eye, size, binned, &seen)))
+        let cloud = Arc::new(Cloud::upload(&mut self.device.work(), splats)?);
+        self.project_cloud(splats, cloud, camera, pose, options)
+    }
+
+    fn hold<'a>(&'a self, splats: &'a Splats) -> Result<Option<Box<dyn Engine + 'a>>, RasterError> {
+        match Cloud::upload(&mut self.device.work(), splats) {
+            Ok(cloud) => Ok(Some(Box::new(Holding { engine: self, splats, cloud: Arc::new(cloud) }))),
+            Err(GpuError::TooLarge { .. } | GpuError::OverBudget { .. }) => Ok(None),
+            Err(error) => Err(error.into()),
+        }
     }
 
     fn settle(&self, held: &mut dyn FnMut() -> Held) -> Result<Option<Box<dyn Resident>>, RasterError> {
@@ -175,6 +177,57 @@ impl Engine for GpuEngine {
             }
             Err(error) => Err(error.into()),
         }
+    }
+}
+
+/// The engine with splats that are on its device.
+struct Holding<'s> {
+    engine: &'s GpuEngine,
+    splats: &'s Splats,
+    cloud: Arc<Cloud>,
+}
+
+impl Engine for Holding<'_> {
+    fn name(&self) -> &'static str {
+        self.engine.name()
+    }
+
+    fn project<'a>(
+        &'a self,
+        splats: &'a Splats,
+        camera: &Camera,
+        pose: &Pose,
+        options: &ProjectOptions,
+    ) -> Result<Box<dyn Projected + 'a>, RasterError> {
+        // They are borrowed for as long as this lives: the same place holds the same splats.
+        if !std::ptr::eq(splats, self.splats) {
+            return self.engine.project(splats, camera, pose, options);
+        }
+        check(splats, camera)?;
+        self.engine.project_cloud(splats, self.cloud.clone(), camera, pose, options)
+    }
+
+    fn settle(&self, held: &mut dyn FnMut() -> Held) -> Result<Option<Box<dyn Resident>>, RasterError> {
+        self.engine.settle(held)
+    }
+}
+
+impl GpuEngine {
+    fn project_cloud<'a>(
+        &'a self,
+        splats: &'a Splats,
+        cloud: Arc<Cloud>,
+        camera: &Camera,
+        pose: &Pose,
+        options: &ProjectOptions,
+    ) -> Result<Box<dyn Projected + 'a>, RasterError> {
+        let mut work = self.device.work();
+        let (binned, seen) = bin(&mut work, cloud, camera, pose, options, None)?;
+        let seen = work.read(&seen, splats.len())?;
+        drop(work);
+        let eye = pose.centre();
+        let size = [camera.width as usize, camera.height as usize];
+        Ok(Box::new(GpuView::new(&self.device, splats, eye, size, binned, &seen)))
     }
 }
 

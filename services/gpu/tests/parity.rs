@@ -504,3 +504,23 @@ fn a_fault_in_any_kernel_is_seen() {
         is_laid_to(&broken, kernel, fault);
     }
 }
+
+#[test]
+fn splats_that_are_held_are_drawn_as_they_are_and_others_as_others() {
+    let test = "splats_that_are_held_are_drawn_as_they_are_and_others_as_others";
+    let Some(gpu) = engine(test) else { return };
+    let (mine, other) = (splats(61, 300, (0.02, 0.2)), splats(62, 300, (0.02, 0.2)));
+    let draw = |engine: &dyn Engine, splats: &Splats, size: (u32, u32)| {
+        let (camera, pose) = view(size.0, size.1);
+        let projected =
+            engine.project(splats, &camera, &pose, &ProjectOptions::default()).expect("it projects");
+        let colours = projected.shade();
+        projected.blend(&Channels { count: 3, values: &colours }).expect("it blends")
+    };
+    let held = gpu.hold(&mine).expect("it is brought there").expect("it fits");
+    for size in [(64, 48), (50, 70)] {
+        assert!(draw(&*held, &mine, size) == draw(gpu, &mine, size));
+        assert!(draw(&*held, &other, size) == draw(gpu, &other, size));
+        assert!(draw(&*held, &mine, size) != draw(&*held, &other, size));
+    }
+}

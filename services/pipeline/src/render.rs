@@ -95,7 +95,9 @@ pub fn render(folder: &RunFolder, request: &RenderRequest) -> Result<Vec<Drawn>,
     };
     let out = request.out.clone().unwrap_or_else(|| folder.path().join("renders"));
     std::fs::create_dir_all(&out).map_err(|e| segwild_flow::FileError::new("create", &out, e))?;
-    let painter = Painter::new(&loaded, &*engine, selected, request.what)?;
+    let painter = Painter::new(&loaded, selected, request.what)?;
+    let held = engine.hold(&painter.model.splats)?;
+    let engine = held.as_deref().unwrap_or(&*engine);
     let mut drawn = Vec::new();
     let lights = request.look.lights(&loaded.scene, &painter.model)?;
     let object_lights = match &request.object_look {
@@ -107,7 +109,7 @@ pub fn render(folder: &RunFolder, request: &RenderRequest) -> Result<Vec<Drawn>,
         let share = request.frames.map_or(request.between.unwrap_or(0.0), |_| f as f32 / last);
         let light = lights.at(share).unwrap_or_else(|| painter.own(&shot, request.look.strength));
         let lighting = painter.lighting(light, object_lights.as_ref().and_then(|lights| lights.at(share)));
-        let image = painter.paint(&shot.camera, &shot.pose, &lighting)?;
+        let image = painter.paint(engine, &shot.camera, &shot.pose, &lighting)?;
         let file = out.join(format!("{}.png", shot.name.replace(['/', '\\'], "_")));
         image.write_png(&file)?;
         drawn.push(Drawn { file, view: shot.name });
@@ -209,7 +211,6 @@ const TINT: [f32; 3] = [1.0, 0.35, 0.1];
 
 /// Draws one kind of picture of one scene.
 pub(crate) struct Painter<'a> {
-    engine: &'a dyn Engine,
     model: Model,
     /// Per splat, whether it is of the selection.
     whose: Option<Vec<bool>>,
@@ -222,7 +223,6 @@ pub(crate) struct Painter<'a> {
 impl<'a> Painter<'a> {
     pub(crate) fn new(
         loaded: &'a Loaded,
-        engine: &'a dyn Engine,
         selected: Option<(Selected, Mode)>,
         what: What,
     ) -> Result<Painter<'a>, RunError> {
@@ -253,7 +253,7 @@ impl<'a> Painter<'a> {
             }
             _ => None,
         };
-        Ok(Painter { engine, model, whose, highlight, only, what, features })
+        Ok(Painter { model, whose, highlight, only, what, features })
     }
 
     /// The light of a view, or on the way from one to the next.
@@ -275,16 +275,19 @@ impl<'a> Painter<'a> {
     }
 
     /// One picture, in [0, 1].
-    pub(crate) fn paint(&self, camera: &Camera, pose: &Pose, lighting: &Lighting) -> Result<Image, RunError> {
+    pub(crate) fn paint(
+        &self,
+        engine: &dyn Engine,
+        camera: &Camera,
+        pose: &Pose,
+        lighting: &Lighting,
+    ) -> Result<Image, RunError> {
         let options = self.model.options();
         let splats = &self.model.splats;
         if self.what == What::Colour {
-            let mut image = render_lit(&self.model, self.engine, camera, pose, lighting)?;
+            let mut image = render_lit(&self.model, engine, camera, pose, lighting)?;
             let blend = |values: &[f32]| -> Result<_, RunError> {
-                Ok(self
-                    .engine
-                    .project(splats, camera, pose, &options)?
-                    .blend(&Channels { count: 1, values })?)
+                Ok(engine.project(splats, camera, pose, &options)?.blend(&Channels { count: 1, values })?)
             };
             let n = image.pixels();
             if self.only {
@@ -312,7 +315,7 @@ impl<'a> Painter<'a> {
             }
             return Ok(image);
         }
-        let projected = self.engine.project(splats, camera, pose, &options)?;
+        let projected = engine.project(splats, camera, pose, &options)?;
         match (self.what, &self.features) {
             (What::Features, Some((field, colours))) => {
                 Ok(colours.paint(&projected.blend(&field.channels())?))

@@ -9,8 +9,8 @@ use crate::{PhotoPrompts, Replay, RunError, RunFolder, choose_engine, log_loss, 
 use segwild_flow::{
     ActorOptions, FileError, Limits, Phase, Stopper, System, SystemOptions, codec, fault, files, mailbox,
 };
-use segwild_raster::{Channels, Engine};
-use segwild_scene::{Image, Mask, Scene, ScoredMask, Splats, ply};
+use segwild_raster::{Channels, Engine, ProjectOptions};
+use segwild_scene::{Image, Mask, Scene, ScoredMask, Splats, View, ply};
 use segwild_segmenter::{
     Cut, Geometry, Object, PosedView, SegmentActor, SegmentError, SegmentReply, SegmentSettings, SegmentTask,
     Segmented, Verdict,
@@ -326,9 +326,13 @@ pub fn segment(
             mask.mask.resized(full.width, full.height).write_png(&prompt_dir.join(&names[*view]))?;
         }
         let cut_splats = selected.cut_scene(&model.splats);
+        let in_sight = MaskSource::new(&*engine, &cut_splats, &selected.labels, model.options())?;
+        let keep: Vec<usize> = (0..cut_splats.len()).filter(|&i| selected.labels[i]).collect();
+        let alone = cut_splats.select(&keep);
+        let whole = vec![true; keep.len()];
+        let alone = MaskSource::new(&*engine, &alone, &whole, model.options())?;
         for (view, name) in scene.views.iter().zip(&names) {
-            let (visible, amodal) =
-                object_masks(&*engine, &cut_splats, &selected.labels, &model.options(), view, size)?;
+            let (visible, amodal) = (in_sight.mask(view, size)?, alone.mask(view, size)?);
             outcome.photos += usize::from(!visible.is_empty());
             visible.write_png(&mask_dir.join(name))?;
             amodal.write_png(&amodal_dir.join(name))?;
@@ -417,31 +421,39 @@ fn in_photo_pixels(error: SegmentError, scene: &Scene, size: u32) -> SegmentErro
     }
 }
 
-/// The object's visible and amodal mask on the photo's own pixel grid.
-fn object_masks(
-    engine: &dyn Engine,
-    splats: &Splats,
-    labels: &[bool],
-    options: &segwild_raster::ProjectOptions,
-    view: &segwild_scene::View,
-    size: u32,
-) -> Result<(Mask, Mask), RunError> {
-    let full = &view.camera;
-    let camera = full.scaled_to(size * FINER);
-    let shares = |splats: &Splats, indicator: &[f32]| -> Result<Mask, RunError> {
-        let projected = engine.project(splats, &camera, &view.pose, options)?;
-        let frame = projected.blend(&Channels { count: 1, values: indicator })?;
+/// Draws masks of labelled splats among all that there are.
+struct MaskSource<'a> {
+    engine: &'a dyn Engine,
+    /// The engine with these splats in it, where it computes elsewhere.
+    held: Option<Box<dyn Engine + 'a>>,
+    splats: &'a Splats,
+    /// 1 for labelled splats.
+    indicator: Vec<f32>,
+    options: ProjectOptions,
+}
+
+impl<'a> MaskSource<'a> {
+    fn new(
+        engine: &'a dyn Engine,
+        splats: &'a Splats,
+        labels: &[bool],
+        options: ProjectOptions,
+    ) -> Result<MaskSource<'a>, RunError> {
+        let indicator = labels.iter().map(|&l| f32::from(u8::from(l))).collect();
+        Ok(MaskSource { engine, held: engine.hold(splats)?, splats, indicator, options })
+    }
+
+    /// The pixels of a photo, on its own grid, of which the labelled splats are more than half.
+    fn mask(&self, view: &View, size: u32) -> Result<Mask, RunError> {
+        let full = &view.camera;
+        if self.splats.is_empty() {
+            return Ok(Mask::empty(full.width, full.height));
+        }
+        let camera = full.scaled_to(size * FINER);
+        let engine = self.held.as_deref().unwrap_or(self.engine);
+        let projected = engine.project(self.splats, &camera, &view.pose, &self.options)?;
+        let frame = projected.blend(&Channels { count: 1, values: &self.indicator })?;
         let wide = frame.image.resized(full.width as usize, full.height as usize);
         Ok(Mask::over(full.width, full.height, wide.plane(0), 0.5))
-    };
-    let indicator: Vec<f32> = labels.iter().map(|&l| f32::from(u8::from(l))).collect();
-    let visible = shares(splats, &indicator)?;
-    let keep: Vec<usize> = (0..splats.len()).filter(|&i| labels[i]).collect();
-    let object = splats.select(&keep);
-    let amodal = if object.is_empty() {
-        Mask::empty(full.width, full.height)
-    } else {
-        shares(&object, &vec![1.0; keep.len()])?
-    };
-    Ok((visible, amodal))
+    }
 }

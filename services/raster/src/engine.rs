@@ -129,6 +129,13 @@ pub trait Engine: Send + Sync {
         options: &ProjectOptions,
     ) -> Result<Box<dyn Projected + 'a>, RasterError>;
 
+    /// Brings splats to where this engine computes once, for many views of them: what it returns is the same engine, and
+    /// projects these very splats without bringing them there again. `None` where that is the host anyway, or where they
+    /// do not fit.
+    fn hold<'a>(&'a self, _splats: &'a Splats) -> Result<Option<Box<dyn Engine + 'a>>, RasterError> {
+        Ok(None)
+    }
+
     /// Takes splats, which it asks for, to where this engine computes, to be trained there. `None` where that is the host
     /// anyway, or where they do not fit.
     fn settle(&self, _held: &mut dyn FnMut() -> Held) -> Result<Option<Box<dyn Resident>>, RasterError> {

@@ -102,8 +102,9 @@ impl SegmentActor {
                 points: &prompts.points,
             })
             .collect();
+        let held = self.engine.hold(&self.splats).map_err(SegmentError::raster("the scene"))?;
         let request = Request {
-            engine: &*self.engine,
+            engine: held.as_deref().unwrap_or(&*self.engine),
             options: self.options,
             splats: &self.splats,
             views: &self.views,

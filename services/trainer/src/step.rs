@@ -134,6 +134,9 @@ impl Trainer {
         let n = self.state.params.splats.len();
         let mut witness = Witness::new(n);
         let engine = self.engine.clone();
+        let splats = &self.state.params.splats;
+        let held = engine.hold(splats)?;
+        let engine = held.as_deref().unwrap_or(&*engine);
         let level = self.schedule.level(self.state.step).max(1);
         for view in self.state.sampler.views() {
             if self.state.backgrounds[view].is_none() {
@@ -143,7 +146,6 @@ impl Trainer {
             let (level, photo) = stored.level(level);
             let camera = self.camera(view, &stored, level);
             let pose = self.views[view].pose;
-            let splats = &self.state.params.splats;
             let projected = engine.project(splats, &camera, &pose, &options(self.settings.antialias))?;
             let painter = self.state.painter(view);
             let drawn = painter.draw(&self.state.params, &*projected, &pose, None)?;
@@ -153,6 +155,7 @@ impl Trainer {
             let contradicted = compare::contradicted(&residual, photo.width, |i| photo.counts(i), share);
             witness.hear(&*projected, photo.width, &contradicted, |i| photo.counts(i))?;
         }
+        drop(held);
         let kept = witness.borne_out();
         if kept.is_empty() || kept.len() == n {
             return Ok(0);
@@ -173,6 +176,8 @@ impl Trainer {
         let engine = self.engine.clone();
         let (photos, posed, antialias) = (&mut self.photos, &self.views, self.settings.antialias);
         let mut contribution = |splats: &Splats| {
+            let held = engine.hold(splats)?;
+            let engine = held.as_deref().unwrap_or(&*engine);
             let mut sum = vec![0.0f32; splats.len()];
             for &view in &views {
                 let stored = photos.get(view)?;

@@ -114,17 +114,19 @@ fn objects(folder: &RunFolder, loaded: &Loaded, engine: &dyn Engine) -> Result<S
             "<h2>Object: {}</h2><p>{count} splats. <code>selections/{0}/object.ply</code>, masks beside it.</p><div class=\"row\">",
             html::escape(&name)
         );
-        let highlight =
-            Painter::new(loaded, engine, Some((selected.clone(), Mode::Highlight)), What::Colour)?;
-        let only = Painter::new(loaded, engine, Some((selected, Mode::Only)), What::Colour)?;
+        let highlight = Painter::new(loaded, Some((selected.clone(), Mode::Highlight)), What::Colour)?;
+        let only = Painter::new(loaded, Some((selected, Mode::Only)), What::Colour)?;
         for view in spread(loaded, 4) {
             let v = &loaded.scene.views[view];
             let camera = v.camera.scaled_to(loaded.settings.scene.size.min(360));
             text.push_str(&html::figure(
-                &highlight.paint(&camera, &v.pose, &highlight.light(Some(view)))?,
+                &highlight.paint(engine, &camera, &v.pose, &highlight.light(Some(view)))?,
                 &v.name,
             ));
-            text.push_str(&html::figure(&only.paint(&camera, &v.pose, &only.light(Some(view)))?, "alone"));
+            text.push_str(&html::figure(
+                &only.paint(engine, &camera, &v.pose, &only.light(Some(view)))?,
+                "alone",
+            ));
             pass(folder)?;
         }
         text.push_str("</div>");
@@ -143,10 +145,10 @@ fn looks(loaded: &Loaded, engine: &dyn Engine) -> Result<String, RunError> {
     }
     let known = (0..model.names.len()).filter(|&v| model.look_index(Some(v)) == v);
     let small = |view: usize| loaded.scene.views[view].camera.scaled_to(loaded.settings.scene.size.min(360));
-    let painter = Painter::new(loaded, engine, None, What::Colour)?;
+    let painter = Painter::new(loaded, None, What::Colour)?;
     let paint = |view: usize, look: Option<usize>, side: u32| {
         let camera = small(view).scaled_to(side);
-        painter.paint(&camera, &loaded.scene.views[view].pose, &painter.light(look))
+        painter.paint(engine, &camera, &loaded.scene.views[view].pose, &painter.light(look))
     };
     // The view before which most of the scene stands.
     let Some(first) = known.clone().next() else { return Ok(String::new()) };
@@ -226,10 +228,10 @@ fn photos(
     let cache = folder.cache()?;
     let (masks, skies) = (made(folder, "masks")?, made(folder, "sky")?);
     let mut text = String::from("<h2>Photos</h2>");
-    let colour = Painter::new(loaded, engine, None, What::Colour)?;
-    let depth = Painter::new(loaded, engine, None, What::Depth)?;
+    let colour = Painter::new(loaded, None, What::Colour)?;
+    let depth = Painter::new(loaded, None, What::Depth)?;
     let features = match &loaded.field {
-        Some(_) => Some(Painter::new(loaded, engine, None, What::Features)?),
+        Some(_) => Some(Painter::new(loaded, None, What::Features)?),
         None => None,
     };
     let row = |view: usize| -> Result<(String, Option<String>), RunError> {
@@ -242,17 +244,17 @@ fn photos(
         text.push_str("<div class=\"row\">");
         text.push_str(&html::figure(&photo.image, &format!("{}{held}", v.name)));
         text.push_str(&html::figure(
-            &colour.paint(&camera, &v.pose, &colour.light(Some(view)))?,
+            &colour.paint(engine, &camera, &v.pose, &colour.light(Some(view)))?,
             "render, own look",
         ));
         text.push_str(&html::figure(
-            &colour.paint(&camera, &v.pose, &colour.light(None))?,
+            &colour.paint(engine, &camera, &v.pose, &colour.light(None))?,
             "render, the scene's look",
         ));
-        text.push_str(&html::figure(&depth.paint(&camera, &v.pose, &depth.light(None))?, "depth"));
+        text.push_str(&html::figure(&depth.paint(engine, &camera, &v.pose, &depth.light(None))?, "depth"));
         if let Some(features) = &features {
             text.push_str(&html::figure(
-                &features.paint(&camera, &v.pose, &features.light(None))?,
+                &features.paint(engine, &camera, &v.pose, &features.light(None))?,
                 "features",
             ));
         }
