@@ -6,6 +6,7 @@
 //! splats, cameras and masks.
 
 mod actor;
+mod behind;
 mod components;
 pub mod coverage;
 mod error;

@@ -1,5 +1,6 @@
 //! Prompts to labels on splats (method, section 6).
 
+use crate::behind;
 use crate::coverage::{centre, coverage, soft, unoccluded, visible};
 use crate::judge::{Judge, Similarities, State};
 use crate::kinds::kinds;
@@ -436,7 +437,13 @@ fn prompted_evidence(request: &Request, prompt: &PromptedView) -> Result<Evidenc
             *weight = if said.is_nan() { 1.0 } else { said.clamp(LEAST_SAID, 1.0) };
         }
     }
-    view_evidence(request, &*projected, view, &camera, prompt.mask, &weights)
+    let mut evidence = view_evidence(request, &*projected, view, &camera, prompt.mask, &weights)?;
+    if request.settings.evidence_mode == EvidenceMode::Coverage {
+        let inside = soft(prompt.mask, camera.width, camera.height);
+        behind::doubt(&mut evidence, &*projected, prompt, inside, &view.camera, &camera)
+            .map_err(SegmentError::raster(&view.name))?;
+    }
+    Ok(evidence)
 }
 
 /// What one view's mask says, by the mode of the settings. `weights`: one number in [0, 1] per pixel.

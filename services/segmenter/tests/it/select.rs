@@ -39,6 +39,37 @@ fn front_mask(world: &World, view: &PosedView) -> Mask {
 }
 
 #[test]
+fn a_mask_that_takes_along_what_stands_behind_is_not_carried_on() {
+    let (mut world, mut dice) = (World::default(), Dice(5));
+    world.wall(0, Vec3::new(0.0, 0.0, 2.0), 0.2, 20, [0.6, 0.6, 0.5], &mut dice);
+    world.wall(1, Vec3::new(0.0, 0.0, 5.0), 2.0, 40, [0.6, 0.6, 0.5], &mut dice);
+    let view = posed("front.jpg", Vec3::ZERO, Vec3::Z);
+    // A third of the mask is wall that looks just like what stands before it.
+    let front = front_mask(&world, &view);
+    let piece = Mask::from_fn(160, 120, |x, y| (93..108).contains(&x) && (47..73).contains(&y));
+    let mask = front.or(&piece);
+    let engine = engine();
+    let select = |points: &[PointPrompt]| {
+        let case = Case {
+            engine: &engine,
+            splats: &world.splats,
+            view: &view,
+            mask: &mask,
+            points,
+            features: None,
+            frozen: None,
+            settings: SegmentSettings::default(),
+        };
+        case.run().unwrap().labels
+    };
+    let labels = select(&[click(80.0, 60.0)]);
+    assert!(world.share(0, &labels) > 0.95, "{}", world.share(0, &labels));
+    assert_eq!(world.share(1, &labels), 0.0);
+    // Whoever clicks both means both.
+    assert!(world.share(1, &select(&[click(80.0, 60.0), click(100.0, 60.0)])) > 0.02);
+}
+
+#[test]
 fn the_hidden_wall_stays_out_by_coverage_and_comes_along_by_centre() {
     let (world, view) = walls();
     let (engine, mask) = (engine(), front_mask(&world, &view));
