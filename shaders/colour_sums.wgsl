@@ -2,6 +2,7 @@
 // per pixel.
 #import common
 #import sitting
+#import sum4
 
 // x: pixels.
 @group(0) @binding(0) var<uniform> job: vec4u;
@@ -11,8 +12,6 @@
 @group(0) @binding(4) var<storage, read> weights: array<f32>;
 // Per group: the pull, and the sum of its weights.
 @group(0) @binding(5) var<storage, read_write> parts: array<vec4f>;
-
-var<workgroup> part: array<vec4f, 256>;
 
 @compute @workgroup_size(256)
 fn colour_sums(
@@ -27,15 +26,8 @@ fn colour_sums(
         let open = 1.0 - image[i].w;
         mine = weights[i] * open * vec4f(colour_of(photo[i]) - shown[i].xyz, open);
     }
-    part[local] = mine;
-    workgroupBarrier();
-    for (var half = 128u; half > 0u; half /= 2u) {
-        if local < half {
-            part[local] += part[local + half];
-        }
-        workgroupBarrier();
-    }
+    let sum = sum_of_group(local, mine);
     if local == 0u && group * 256u < job.x {
-        parts[group] = part[0];
+        parts[group] = sum;
     }
 }

@@ -4,6 +4,7 @@
 #import view
 #import sitting
 #import behind
+#import sum4
 
 // x: pixels.
 @group(0) @binding(0) var<uniform> job: vec4u;
@@ -17,8 +18,6 @@
 @group(0) @binding(6) var<storage, read_write> grads: array<vec4f>;
 // Per group, of the matrix's rows.
 @group(0) @binding(7) var<storage, read_write> parts: array<vec4f>;
-
-var<workgroup> part: array<vec4f, 256>;
 
 @compute @workgroup_size(256)
 fn grade(
@@ -50,17 +49,9 @@ fn grade(
         return;
     }
     for (var c = 0u; c < 3u; c += 1u) {
-        part[local] = g[c] * scene;
-        workgroupBarrier();
-        for (var half = 128u; half > 0u; half /= 2u) {
-            if local < half {
-                part[local] += part[local + half];
-            }
-            workgroupBarrier();
-        }
+        let sum = sum_of_group(local, g[c] * scene);
         if local == 0u && group * 256u < job.x {
-            parts[3u * group + c] = part[0];
+            parts[3u * group + c] = sum;
         }
-        workgroupBarrier();
     }
 }

@@ -4,6 +4,7 @@
 #import view
 #import sitting
 #import window
+#import sum
 
 // x: tiles, y: the channel, z: pixels.
 @group(0) @binding(0) var<uniform> job: vec4u;
@@ -21,7 +22,6 @@
 // Three numbers each, plane by plane: vec3f would take the room of four.
 var<workgroup> near: array<f32, 3 * WIDE * WIDE>;
 var<workgroup> along: array<f32, 3 * WIDE * TILE>;
-var<workgroup> difference: array<f32, 256>;
 
 fn near_at(k: u32) -> vec3f {
     return vec3f(near[k], near[WIDE * WIDE + k], near[2u * WIDE * WIDE + k]);
@@ -80,15 +80,8 @@ fn slope(
         let by_score = -lambda / count * (by.x + 2.0 * x * by.y + y * by.z);
         by_shown[job.y * job.z + i] = weight * (by_difference + by_score);
     }
-    difference[local] = apart;
-    workgroupBarrier();
-    for (var half = 128u; half > 0u; half /= 2u) {
-        if local < half {
-            difference[local] += difference[local + half];
-        }
-        workgroupBarrier();
-    }
+    let difference = sum_of_group(local, apart);
     if local == 0u && tile < job.x {
-        parts[job.y * job.x + tile] = difference[0];
+        parts[job.y * job.x + tile] = difference;
     }
 }

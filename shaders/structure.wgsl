@@ -4,6 +4,7 @@
 #import view
 #import sitting
 #import window
+#import sum
 
 // x: tiles, y: the channel.
 @group(0) @binding(0) var<uniform> job: vec4u;
@@ -23,7 +24,6 @@ const C2: f32 = 0.0009;
 var<workgroup> pair: array<vec2f, WIDE * WIDE>;
 // Means, sum of squares and product, averaged along rows.
 var<workgroup> along: array<vec4f, WIDE * TILE>;
-var<workgroup> score: array<f32, 256>;
 
 fn maps(x: vec2f) -> vec4f {
     return vec4f(x, dot(x, x), x.x * x.y);
@@ -77,15 +77,8 @@ fn structure(
         let by_product = 2.0 * a1 * inverse;
         slopes[u32(place.y) * view.frame.x + u32(place.x)] = vec4f(by_mean, by_squares, by_product, 0.0);
     }
-    score[local] = select(0.0, ssim, there);
-    workgroupBarrier();
-    for (var half = 128u; half > 0u; half /= 2u) {
-        if local < half {
-            score[local] += score[local + half];
-        }
-        workgroupBarrier();
-    }
+    let score = sum_of_group(local, select(0.0, ssim, there));
     if local == 0u && tile < job.x {
-        parts[job.y * job.x + tile] = score[0];
+        parts[job.y * job.x + tile] = score;
     }
 }

@@ -1,8 +1,9 @@
 // From the gradients of the tinted colours to those of the splats' own, of their codes, and of what is the photo's (twin:
 // `EmbedLook::tint_backward` in raster/src/look/embed.rs). One thread per splat; each group leaves the sums over its own
-// splats, which the host adds up.
+// splats, which `total` adds up.
 #import common
 #import light
+#import sum4
 
 // x: splats.
 @group(0) @binding(0) var<uniform> job: vec4u;
@@ -14,8 +15,6 @@
 @group(0) @binding(5) var<storage, read_write> code_grads: array<vec4f>;
 // PHOTO_VECS per group.
 @group(0) @binding(6) var<storage, read_write> sums: array<vec4f>;
-
-var<workgroup> part: array<vec4f, 256>;
 
 @compute @workgroup_size(256)
 fn tint_backward(
@@ -48,17 +47,9 @@ fn tint_backward(
                 mine = g[(k - 3u) / 2u] * codes[6u * i + k - 3u];
             }
         }
-        part[local] = mine;
-        workgroupBarrier();
-        for (var half = 128u; half > 0u; half /= 2u) {
-            if local < half {
-                part[local] += part[local + half];
-            }
-            workgroupBarrier();
-        }
+        let sum = sum_of_group(local, mine);
         if local == 0u && group * 256u < job.x {
-            sums[PHOTO_VECS * group + k] = part[0];
+            sums[PHOTO_VECS * group + k] = sum;
         }
-        workgroupBarrier();
     }
 }

@@ -1,12 +1,11 @@
 // Sums over groups of what each left. A group per sum.
 #import common
+#import sum
 
 // x: groups, y: sums of each, z: where the totals go.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<storage, read> parts: array<f32>;
 @group(0) @binding(2) var<storage, read_write> said: array<f32>;
-
-var<workgroup> part: array<f32, 256>;
 
 @compute @workgroup_size(256)
 fn total(
@@ -19,15 +18,8 @@ fn total(
     for (var k = local; k < job.x; k += 256u) {
         sum += parts[k * job.y + column];
     }
-    part[local] = sum;
-    workgroupBarrier();
-    for (var half = 128u; half > 0u; half /= 2u) {
-        if local < half {
-            part[local] += part[local + half];
-        }
-        workgroupBarrier();
-    }
+    let all = sum_of_group(local, sum);
     if local == 0u && column < job.y {
-        said[job.z + column] = part[0];
+        said[job.z + column] = all;
     }
 }

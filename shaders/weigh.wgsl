@@ -3,6 +3,7 @@
 #import common
 #import sitting
 #import bins
+#import sum4
 
 // x: width, y: height.
 @group(0) @binding(0) var<uniform> job: vec4u;
@@ -17,8 +18,6 @@
 @group(0) @binding(7) var<storage, read_write> counted: array<f32>;
 // Per group: pixels that count, what is left of them, and the squares of what they lack.
 @group(0) @binding(8) var<storage, read_write> parts: array<vec4f>;
-
-var<workgroup> part: array<vec4f, 256>;
 
 fn stands_out(i: u32) -> u32 {
     let pixel = photo[i];
@@ -65,15 +64,8 @@ fn weigh(
         counted[i] = weight * shown[i].w;
         mine = vec4f(f32(counts), weight, weight * dot(lack, lack), 0.0);
     }
-    part[local] = mine;
-    workgroupBarrier();
-    for (var half = 128u; half > 0u; half /= 2u) {
-        if local < half {
-            part[local] += part[local + half];
-        }
-        workgroupBarrier();
-    }
+    let sum = sum_of_group(local, mine);
     if local == 0u && group * 256u < job.x * job.y {
-        parts[group] = part[0];
+        parts[group] = sum;
     }
 }

@@ -3,7 +3,6 @@
 use crate::GpuError;
 use crate::device::{Lent, Work, lock};
 use crate::engine::{GROUP, TILE};
-use crate::passes::PIXELS;
 use crate::room::photos_kept;
 use crate::shaders::{
     BOX_MEAN, COLOUR_SUMS, COMPOSE, GRADE, LIMITS, SKY_SUMS, SLOPE, STRUCTURE, TALLY, TOTAL, WEIGH,
@@ -239,7 +238,6 @@ pub(crate) fn compare(
     let by_shown = work.take::<f32>("the gradients of what is shown", 3 * n)?;
     let slopes = work.take::<[f32; 4]>("slopes of the likeness", n)?;
     let tiles = width.div_ceil(TILE as usize) * height.div_ceil(TILE as usize);
-    debug_assert_eq!(PIXELS, (TILE * TILE) as usize);
     let scores = work.take::<f32>("scores of likeness", 3 * tiles)?;
     let differences = work.take::<f32>("sums of differences", 3 * tiles)?;
     for channel in 0..3 {

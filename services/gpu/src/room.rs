@@ -4,10 +4,9 @@ use crate::compare::LENGTH;
 use crate::engine::TILE;
 use segwild_raster::EmbedLook;
 
-/// Pairs of a splat and a tile per splat. Splats are made about as large as it takes to cover the frame, so that many
-/// splats have few each and few have many, but not more of them together than [`PAIRS_PER_TILE`] says.
+/// Pairs of a splat and a tile that splats have where there are many of them, each.
 const PAIRS_PER_SPLAT: f64 = 8.0;
-/// Pairs of a tile whose pixels are covered by as many splats as light passes through.
+/// And that a tile has where there are few and large ones: few splats cover many tiles each.
 const PAIRS_PER_TILE: f64 = 600.0;
 /// Bytes per pair: twice its tile and its place while they are sorted, its splat, its entry, sums and moments, and a share
 /// of what is kept at every bucket.

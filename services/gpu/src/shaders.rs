@@ -101,6 +101,8 @@ const SHARED: &[(&str, &str)] = &[
     ("behind", include_str!("../../../shaders/shared/behind.wgsl")),
     ("bins", include_str!("../../../shaders/shared/bins.wgsl")),
     ("window", include_str!("../../../shaders/shared/window.wgsl")),
+    ("sum", include_str!("../../../shaders/shared/sum.wgsl")),
+    ("sum4", include_str!("../../../shaders/shared/sum4.wgsl")),
     ("lean", include_str!("../../../shaders/shared/lean.wgsl")),
 ];
 
