@@ -19,7 +19,7 @@ const WITHIN: f32 = 0.5;
 const CLEAR: f64 = 1.0;
 const APART: f64 = 2.0;
 
-/// Most light that the middle half of the way between the two layers may hold, as a share of the fainter layer: a street that
+/// Most light that the middle half of the way between the two layers may hold, as a share of the far layer: a street that
 /// leads away is deep as well, but fills all depths. Spread evenly, the light there would be half of a layer's.
 const EMPTY: f64 = 0.4;
 
@@ -99,7 +99,8 @@ fn end_of_near_layer(seen: &[Seen], clicked: f64, pixel: f64) -> Option<f64> {
         let (middle, reach) = (0.5 * (from + to), 0.25 * (to - from));
         let midway: f64 = left.iter().filter(|s| (s.depth - middle).abs() < reach).map(|s| s.light).sum();
         let apart = between - clicked >= CLEAR * width && to - from >= APART * width;
-        if !apart || midway > EMPTY * light(near).min(light(far)) {
+        // What a mask takes along is less than what is meant: if most lies behind, the near layer is a haze before it.
+        if !apart || light(far) > light(near) || midway > EMPTY * light(far) {
             break;
         }
         (left, end) = (near, Some(between));
@@ -175,6 +176,12 @@ mod tests {
         let wall = (0..400).map(|i| 1.0 + 0.01 * f64::from(i));
         let wall = wall.map(|depth| Seen { depth, light: 10.0 / depth.powi(3) }).collect();
         assert_eq!(end(vec![wall], 1.1), None);
+    }
+
+    #[test]
+    fn a_haze_before_what_was_clicked_does_not_take_its_place() {
+        // Seen through the haze, the click seems to lie before the thing itself.
+        assert_eq!(end(vec![layer(1.0, 1.02, 100), layer(2.0, 2.2, 6000)], 1.2), None);
     }
 
     #[test]
