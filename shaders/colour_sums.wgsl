@@ -2,7 +2,9 @@
 // per pixel.
 #import common
 #import sitting
-#import sum4
+#import sum
+
+alias Summed = vec4f;
 
 // x: pixels.
 @group(0) @binding(0) var<uniform> job: vec4u;

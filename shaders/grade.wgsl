@@ -4,7 +4,9 @@
 #import view
 #import sitting
 #import behind
-#import sum4
+#import sum
+
+alias Summed = vec4f;
 
 // x: pixels.
 @group(0) @binding(0) var<uniform> job: vec4u;

@@ -6,6 +6,8 @@
 #import window
 #import sum
 
+alias Summed = f32;
+
 // x: tiles, y: the channel.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<uniform> view: View;

@@ -3,7 +3,9 @@
 // splats, which `total` adds up.
 #import common
 #import light
-#import sum4
+#import sum
+
+alias Summed = vec4f;
 
 // x: splats.
 @group(0) @binding(0) var<uniform> job: vec4u;

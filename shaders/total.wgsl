@@ -2,6 +2,8 @@
 #import common
 #import sum
 
+alias Summed = f32;
+
 // x: groups, y: sums of each, z: where the totals go.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<storage, read> parts: array<f32>;

@@ -3,7 +3,9 @@
 #import common
 #import sitting
 #import bins
-#import sum4
+#import sum
+
+alias Summed = vec4f;
 
 // x: width, y: height.
 @group(0) @binding(0) var<uniform> job: vec4u;

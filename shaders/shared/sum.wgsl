@@ -1,7 +1,7 @@
-// The sum over a group's threads; all of them call it.
-var<workgroup> part: array<f32, 256>;
+// The sum over a group's threads, of what the kernel calls `Summed`; all of them call it.
+var<workgroup> part: array<Summed, 256>;
 
-fn sum_of_group(local: u32, mine: f32) -> f32 {
+fn sum_of_group(local: u32, mine: Summed) -> Summed {
     part[local] = mine;
     workgroupBarrier();
     for (var half = 128u; half > 0u; half /= 2u) {

@@ -163,7 +163,7 @@ impl Engine for GpuEngine {
     fn hold<'a>(&'a self, splats: &'a Splats) -> Result<Option<Box<dyn Engine + 'a>>, RasterError> {
         match Cloud::upload(&mut self.device.work(), splats) {
             Ok(cloud) => Ok(Some(Box::new(Holding { engine: self, splats, cloud: Arc::new(cloud) }))),
-            Err(GpuError::TooLarge { .. } | GpuError::OverBudget { .. }) => Ok(None),
+            Err(error) if error.is_want_of_room() => Ok(None),
             Err(error) => Err(error.into()),
         }
     }
@@ -171,7 +171,7 @@ impl Engine for GpuEngine {
     fn settle(&self, held: &mut dyn FnMut() -> Held) -> Result<Option<Box<dyn Resident>>, RasterError> {
         match GpuTraining::new(&self.device, &self.shelf, &held()) {
             Ok(training) => Ok(Some(Box::new(training))),
-            Err(error @ (GpuError::TooLarge { .. } | GpuError::OverBudget { .. })) => {
+            Err(error) if error.is_want_of_room() => {
                 tracing::warn!("splats stay on the host while they are trained: {error}");
                 Ok(None)
             }

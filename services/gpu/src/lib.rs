@@ -94,6 +94,13 @@ pub enum GpuError {
     },
 }
 
+impl GpuError {
+    /// Whether it is for want of room alone: with less to hold the device would go on.
+    pub(crate) fn is_want_of_room(&self) -> bool {
+        matches!(self, GpuError::TooLarge { .. } | GpuError::OverBudget { .. })
+    }
+}
+
 impl From<GpuError> for segwild_raster::RasterError {
     fn from(error: GpuError) -> Self {
         segwild_raster::RasterError::Device(error.to_string())

@@ -102,7 +102,6 @@ const SHARED: &[(&str, &str)] = &[
     ("bins", include_str!("../../../shaders/shared/bins.wgsl")),
     ("window", include_str!("../../../shaders/shared/window.wgsl")),
     ("sum", include_str!("../../../shaders/shared/sum.wgsl")),
-    ("sum4", include_str!("../../../shaders/shared/sum4.wgsl")),
     ("lean", include_str!("../../../shaders/shared/lean.wgsl")),
 ];
 

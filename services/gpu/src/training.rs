@@ -162,7 +162,7 @@ impl GpuTraining {
             let (photo, room) = self.shelf.take(work, step.key, step.target, self.count())?;
             let heard = match self.once(work, step, &photo, room) {
                 // More room than the view needs, perhaps.
-                Err(GpuError::TooLarge { .. } | GpuError::OverBudget { .. }) if room.is_some() => {
+                Err(error) if error.is_want_of_room() && room.is_some() => {
                     self.shelf.clear();
                     self.once(work, step, &photo, None)?
                 }
@@ -447,7 +447,7 @@ impl Resident for GpuTraining {
     fn reshape(&mut self, reshaped: &Reshaped) -> Result<bool, RasterError> {
         match self.try_reshape(reshaped) {
             Ok(()) => Ok(true),
-            Err(GpuError::TooLarge { .. } | GpuError::OverBudget { .. }) => Ok(false),
+            Err(error) if error.is_want_of_room() => Ok(false),
             Err(error) => Err(error.into()),
         }
     }

@@ -2,11 +2,11 @@
 
 mod common;
 
-use common::{engine, image, splats, step, view};
+use common::{engine, image, rules, splats, step, view};
 use segwild_gpu::{Choice, GpuEngine, held_with_codes};
 use segwild_raster::{
-    Channels, CpuEngine, EmbedLook, Engine, FrameGrad, Held, ProjectOptions, RasterError, Rule, Rules,
-    SpareEngine, SplatGrads,
+    Channels, CpuEngine, EmbedLook, Engine, FrameGrad, Held, ProjectOptions, RasterError, SpareEngine,
+    SplatGrads,
 };
 use std::sync::{Arc, Mutex};
 
@@ -47,7 +47,7 @@ fn a_training_whose_kernel_does_not_compile_ends_in_words() {
     let Some(gpu) = engine("a_training_whose_kernel_does_not_compile_ends_in_words") else { return };
     let view = view(48, 32);
     let settled = held_with_codes(splats(7, 100, (0.02, 0.2)));
-    let rules = Rules::all(Rule { beta1: 0.9, beta2: 0.999, rate: 0.01, epsilon: 1e-8 });
+    let rules = rules(0.01);
     let light = EmbedLook::new(1, 3).photo(0);
     let compared =
         ["compose", "tally", "limits", "weigh", "structure", "slope", "grade", "sky_sums", "total"];

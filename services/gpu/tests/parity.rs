@@ -7,9 +7,9 @@
 
 mod common;
 
-use common::{engine, image, many, splats, step, view};
+use common::{broken, engine, image, is_laid_to, many, rules, splats, step, view};
 use segwild_gpu::{
-    Choice, GpuEngine, Kernel, LEAST_PHOTOS, Tolerance, check, check_training, compared, gradients, held,
+    Choice, GpuEngine, LEAST_PHOTOS, Tolerance, check, check_training, compared, gradients, held,
     held_with_codes, projected, sitters, training_bytes,
 };
 use segwild_raster::{Channels, CpuEngine, Engine, Frame, FrameGrad, ProjectOptions, Projected, RasterError};
@@ -267,97 +267,6 @@ const FAULTS: &[(&str, &str, &str, &str)] = &[
     ("unproject", "dot(dq, p.quat)", "0.9 * dot(dq, p.quat)", "rotations"),
 ];
 
-/// The same of the kernels of training, which only [`check`] sees.
-const TRAINING_FAULTS: &[(&str, &str, &str)] = &[
-    ("select", "parent.x * job.y + lane", "parent.x * job.y"),
-    ("select", "parent.y == 1u", "parent.y == 2u"),
-    ("select", "lane < job.w", "lane <= job.w"),
-    ("shade", "colour += b[k]", "colour += 0.9 * b[k]"),
-    ("tint", "codes[at + 1u]", "codes[at]"),
-    ("tint_backward", "g[k] * own", "0.9 * g[k] * own"),
-    ("tint_backward", "codes[6u * i + k - 3u]", "codes[6u * i]"),
-    ("tint_backward", "= g[c] * photo.vector[2u * c + 1u]", "= g[c] * photo.vector[2u * c]"),
-    ("tint_backward", "back += g[c] * photo", "back += photo"),
-    ("observe", "before.z + 1.0", "before.z"),
-    ("observe", "view.frame.x + u32(splat.z)", "view.frame.x + u32(splat.w)"),
-    ("adam", "sqrt(held)", "held"),
-    ("adam", "lane >= rules.item.w", "lane > rules.item.w"),
-    ("adam", "rule.beta2 * second[k]", "rule.beta1 * second[k]"),
-    ("shade_backward", "= b[k] * g.y", "= b[k] * g.x"),
-    ("shade_backward", "direction.xyz * dot(d", "0.5 * direction.xyz * dot(d"),
-];
-
-/// Faults in the kernels of the photo's half of a step.
-const COMPARISON_FAULTS: &[(&str, &str, &str)] = &[
-    ("compose", "(1.0 - drawn.w) * behind", "behind"),
-    ("compose", "doubt = 1.0 - trust[i]", "doubt = 1.0 - 0.1 * trust[i]"),
-    ("compose", "dot(sitting.matrix[c], scene)", "dot(sitting.matrix[c].xyz, scene.xyz)"),
-    ("box_mean", "at + job.z + 1u", "at + job.z"),
-    ("box_mean", "if job.w == 1u", "if job.w == 2u"),
-    ("tally", "has(photo[i], COUNTS)", "has(photo[i], SKY)"),
-    ("limits", "DECAY * before[b]", "before[b]"),
-    ("limits", "CONTRAST * quantile(of_held, 0.5)", "9.0 * quantile(of_held, 0.5)"),
-    ("limits", "limit = max(limit, threshold(false, share));", ""),
-    ("limits", "SUSPECTED * limit", "limit"),
-    ("weigh", "select(0u, 1u, has(pixel, SUSPECT))", "0u"),
-    ("weigh", "2u * votes >", "votes >"),
-    ("weigh", "weight * dot(lack, lack)", "dot(lack, lack)"),
-    ("weigh", "counted[i] = weight * shown[i].w", "counted[i] = shown[i].w"),
-    ("structure", "2.0 * (m.w - product)", "2.0 * m.w"),
-    ("structure", "along[middle - tap * TILE] +", "along[middle] +"),
-    ("structure", "by_squares = -ssim", "by_squares = ssim"),
-    ("slope", "f32(d > 0.0) - f32(d < 0.0)", "f32(d > 0.0)"),
-    ("slope", "2.0 * x * by.y", "x * by.y"),
-    ("slope", "y * by.z", "x * by.z"),
-    ("grade", "g.y * sitting.matrix[1].xyz", "g.y * sitting.matrix[2].xyz"),
-    ("grade", "-dot(by_scene, back)", "dot(by_scene, back)"),
-    ("grade", "drawn.w, LEAST_OPEN", "drawn.w, 0.95"),
-    ("grade", "g[c] * scene", "g[0] * scene"),
-    ("sky_sums", "seen[p][12] * seen[p][a]", "seen[p][a]"),
-    ("sky_sums", "open * open * weights[i]", "open * weights[i]"),
-    ("sky_sums", "9u + (local - PRODUCTS) % 3u", "9u"),
-    ("colour_sums", "* open * vec4f", "* vec4f"),
-    ("total", "parts[k * job.y + column]", "parts[k * job.y]"),
-];
-
-/// The adapter with a piece of a kernel's text replaced.
-fn broken(choice: &Choice, kernel: &'static str, text: &'static str, fault: &'static str) -> GpuEngine {
-    let edit = move |built: &Kernel, whole: String| {
-        if built.name != kernel {
-            return whole;
-        }
-        assert!(whole.contains(text), "{kernel}.wgsl no longer holds `{text}`");
-        whole.replace(text, fault)
-    };
-    GpuEngine::with_edit(choice, edit).expect("the adapter opens again")
-}
-
-/// Asserts that [`check`] lays the fault to the kernel that has it.
-fn is_laid_to(broken: &GpuEngine, kernel: &str, fault: &str) {
-    let checked = check(broken).expect("every kernel runs");
-    let first = checked.iter().find(|step| step.off.is_some());
-    let first = first.unwrap_or_else(|| panic!("{kernel}: `{fault}` was not found"));
-    assert!(first.kernels.contains(&kernel), "{kernel}: `{fault}` was taken for {first:?}");
-}
-
-#[test]
-fn a_fault_in_any_kernel_of_training_is_seen() {
-    let Some(gpu) = engine("a_fault_in_any_kernel_of_training_is_seen") else { return };
-    let choice = Choice::Named(gpu.adapter().name.clone());
-    for &(kernel, text, fault) in TRAINING_FAULTS {
-        is_laid_to(&broken(&choice, kernel, text, fault), kernel, fault);
-    }
-}
-
-#[test]
-fn a_fault_in_any_kernel_of_a_photos_comparison_is_seen() {
-    let Some(gpu) = engine("a_fault_in_any_kernel_of_a_photos_comparison_is_seen") else { return };
-    let choice = Choice::Named(gpu.adapter().name.clone());
-    for &(kernel, text, fault) in COMPARISON_FAULTS {
-        is_laid_to(&broken(&choice, kernel, text, fault), kernel, fault);
-    }
-}
-
 #[test]
 fn steps_of_training_agree_for_every_degree_of_colour() {
     let Some(gpu) = engine("steps_of_training_agree_for_every_degree_of_colour") else { return };
@@ -395,12 +304,7 @@ fn photos_say_the_same_on_the_device() {
 fn a_step_without_room_for_its_pairs_is_done_again_and_learns_the_same() {
     let test = "a_step_without_room_for_its_pairs_is_done_again_and_learns_the_same";
     let Some(gpu) = engine(test) else { return };
-    let rules = segwild_raster::Rules::all(segwild_raster::Rule {
-        beta1: 0.9,
-        beta2: 0.999,
-        rate: 0.01,
-        epsilon: 1e-8,
-    });
+    let rules = rules(0.01);
     // Points first, then the same splats large: the pairs of the second step are many times those of the first.
     let (small, large) = (splats(33, 400, (0.001, 0.002)), splats(33, 400, (0.2, 0.6)));
     let view = view(160, 120);
@@ -423,12 +327,7 @@ fn the_memory_that_a_training_takes_is_known_before_and_a_budget_is_kept() {
     let test = "the_memory_that_a_training_takes_is_known_before_and_a_budget_is_kept";
     let Some(gpu) = engine(test) else { return };
     let open = || GpuEngine::new(&Choice::Named(gpu.adapter().name.clone())).expect("it opens again");
-    let rules = segwild_raster::Rules::all(segwild_raster::Rule {
-        beta1: 0.9,
-        beta2: 0.999,
-        rate: 1e-4,
-        epsilon: 1e-8,
-    });
+    let rules = rules(1e-4);
     let scene = splats(35, 6000, (0.01, 0.04));
     let learn = |engine: &GpuEngine| -> Result<(), RasterError> {
         let mut away =

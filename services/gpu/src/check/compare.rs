@@ -150,6 +150,11 @@ const WEIGHTS: Tolerance = Tolerance { tight: 1e-6, flips: 0.002, loose: 2.0 };
 /// Gradients, next to such a pixel as well.
 const SLOPES: Tolerance = Tolerance { tight: 1e-3, flips: 0.02, loose: 10.0 };
 
+/// Shares of a histogram: a pixel at the edge of a bin falls on either side.
+const SHARES: Tolerance = Tolerance { tight: 0.02, flips: 0.1, loose: 0.1 };
+/// Errors around pixels, next to one that is decided otherwise as well.
+const GRADED: Tolerance = Tolerance { tight: 1e-3, flips: 0.02, loose: 2.0 };
+
 /// Compares a photo on the device with the same on the host, kernel by kernel.
 pub fn compared(engine: &GpuEngine, sitter: &Sitter) -> Result<Vec<Checked>, RasterError> {
     let sitting = sitter.sitting();
@@ -210,11 +215,6 @@ pub fn compared(engine: &GpuEngine, sitter: &Sitter) -> Result<Vec<Checked>, Ras
     add(kernels, SUMS.compare("sums of what is behind", &sums(&got.said), &sums(&said)));
     Ok(checked)
 }
-
-/// Shares of a histogram: a pixel at the edge of a bin falls on either side.
-const SHARES: Tolerance = Tolerance { tight: 0.02, flips: 0.1, loose: 0.1 };
-/// Errors around pixels, next to one that is decided otherwise as well.
-const GRADED: Tolerance = Tolerance { tight: 1e-3, flips: 0.02, loose: 2.0 };
 
 fn some(shares: &Option<Vec<f32>>) -> &[f32] {
     shares.as_deref().unwrap_or_default()

@@ -2,9 +2,9 @@
 #![allow(dead_code)]
 
 use glam::Vec3;
-use segwild_gpu::{Choice, GpuEngine, adapters};
+use segwild_gpu::{Choice, GpuEngine, Kernel, adapters, check};
 use segwild_raster::compare::{LeaveOut, Residuals, Said, Sitting, Target};
-use segwild_raster::{Light, ProjectOptions, RasterError, Resident, Rules, Step};
+use segwild_raster::{Light, ProjectOptions, RasterError, Resident, Rule, Rules, Step};
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
 use std::sync::OnceLock;
 
@@ -108,4 +108,29 @@ pub fn step(
     let options = ProjectOptions::default();
     let step = Step { options: &options, light, sitting, key: [0, key, 0], target: &target, rules };
     Ok(away.step(&step)?.0)
+}
+
+/// The optimiser's usual rules at one rate.
+pub fn rules(rate: f32) -> Rules {
+    Rules::all(Rule { beta1: 0.9, beta2: 0.999, rate, epsilon: 1e-8 })
+}
+
+/// The adapter with a piece of a kernel's text replaced.
+pub fn broken(choice: &Choice, kernel: &'static str, text: &'static str, fault: &'static str) -> GpuEngine {
+    let edit = move |built: &Kernel, whole: String| {
+        if built.name != kernel {
+            return whole;
+        }
+        assert!(whole.contains(text), "{kernel}.wgsl no longer holds `{text}`");
+        whole.replace(text, fault)
+    };
+    GpuEngine::with_edit(choice, edit).expect("the adapter opens again")
+}
+
+/// Asserts that [`check`] lays the fault to the kernel that has it.
+pub fn is_laid_to(broken: &GpuEngine, kernel: &str, fault: &str) {
+    let checked = check(broken).expect("every kernel runs");
+    let first = checked.iter().find(|step| step.off.is_some());
+    let first = first.unwrap_or_else(|| panic!("{kernel}: `{fault}` was not found"));
+    assert!(first.kernels.contains(&kernel), "{kernel}: `{fault}` was taken for {first:?}");
 }

@@ -232,7 +232,7 @@ pub fn add_behind(image: &mut Image, alpha: &Image, behind: &Image) {
 }
 
 /// Weight per pixel (1 counts, 0 does not), and the share of the counted pixels that `kept` leaves out.
-pub fn pixel_weights(target: &Target, kept: Option<&[f32]>) -> (Image, f32) {
+fn pixel_weights(target: &Target, kept: Option<&[f32]>) -> (Image, f32) {
     let data = (0..target.pixels.len()).map(|i| f32::from(u8::from(target.is(i, Target::COUNTS)))).collect();
     let mut weights = Image { width: target.width, height: target.height, channels: 1, data };
     let Some(kept) = kept else { return (weights, 0.0) };
