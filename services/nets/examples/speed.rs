@@ -41,17 +41,17 @@ fn main() {
         [("narrow", narrow, 160, 128), ("paper", paper, 160, 128), ("paper", paper, 256, 192)]
     {
         let mut layout = Layout::new();
-        let net = UNet::new(&mut layout, "net", &shape);
+        let net = UNet::new(&mut layout, ["net", "head"], &shape);
         let weights = layout.begin(|| 0.5);
         let image = Map { channels: 4, height, width, data: vec![0.5; 4 * width * height] };
         let beside = Map::zeros(10, height / 2, width / 2);
         let (mut forward, mut backward) = (f64::MAX, f64::MAX);
         for _ in 0..5 {
             let began = Instant::now();
-            let tape = net.forward(&weights, image.clone(), &beside);
+            let tape = net.forward(&weights, image.clone(), beside.clone());
             let half = began.elapsed().as_secs_f64();
             let mut sums = vec![0.0; layout.len()];
-            net.backward(&weights, &tape, &tape.maps, None, &mut sums);
+            net.backward(&weights, &tape, tape.of(net.maps).clone(), None, &mut sums);
             forward = forward.min(half);
             backward = backward.min(began.elapsed().as_secs_f64() - half);
         }

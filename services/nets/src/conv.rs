@@ -168,6 +168,25 @@ impl Conv {
         Conv { input, output, kernel, stride, weights }
     }
 
+    /// What it is.
+    pub fn kind(&self) -> Kind {
+        let Conv { input, output, kernel, stride, .. } = *self;
+        Kind::Conv { input, output, kernel, stride }
+    }
+
+    /// Where its weights lie.
+    pub fn weights(&self) -> Range<usize> {
+        self.weights.clone()
+    }
+
+    pub(crate) fn planes(&self) -> [usize; 2] {
+        [self.input, self.output]
+    }
+
+    pub(crate) fn stride(&self) -> usize {
+        self.stride
+    }
+
     fn border(&self) -> usize {
         self.kernel / 2
     }
@@ -278,6 +297,20 @@ impl Up {
     /// From `input` to `output` planes.
     pub fn new(layout: &mut Layout, name: &str, [input, output]: [usize; 2]) -> Up {
         Up { input, output, weights: layout.push(name, Kind::Up { input, output }) }
+    }
+
+    /// What it is.
+    pub fn kind(&self) -> Kind {
+        Kind::Up { input: self.input, output: self.output }
+    }
+
+    /// Where its weights lie.
+    pub fn weights(&self) -> Range<usize> {
+        self.weights.clone()
+    }
+
+    pub(crate) fn planes(&self) -> [usize; 2] {
+        [self.input, self.output]
     }
 
     /// The planes at twice the size.

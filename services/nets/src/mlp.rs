@@ -47,6 +47,14 @@ impl Mlp {
         self.weights.last().expect("a layer").clone()
     }
 
+    /// Its layers: what each is, where its weights lie, and whether a ReLU follows it.
+    pub fn layers(&self) -> impl Iterator<Item = (Kind, Range<usize>, bool)> {
+        self.weights.iter().enumerate().map(|(k, weights)| {
+            let kind = Kind::Dense { input: self.sizes[k], output: self.sizes[k + 1] };
+            (kind, weights.clone(), self.relu_after(k))
+        })
+    }
+
     fn relu_after(&self, layer: usize) -> bool {
         layer + 1 < self.weights.len() || self.last_relu
     }

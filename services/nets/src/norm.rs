@@ -20,8 +20,8 @@ pub struct NormState {
     scale: Vec<f32>,
 }
 
-/// Added to the variance.
-const EPSILON: f64 = 1e-5;
+/// What [`GroupNorm`] adds to the variance.
+pub const EPSILON: f64 = 1e-5;
 
 impl GroupNorm {
     /// `channels` planes in `groups` groups of equal size.
@@ -31,6 +31,16 @@ impl GroupNorm {
     pub fn new(layout: &mut Layout, name: &str, channels: usize, groups: usize) -> GroupNorm {
         assert!(groups > 0 && channels.is_multiple_of(groups), "{channels} planes in {groups} groups");
         GroupNorm { channels, groups, weights: layout.push(name, Kind::Norm { channels, groups }) }
+    }
+
+    /// What it is.
+    pub fn kind(&self) -> Kind {
+        Kind::Norm { channels: self.channels, groups: self.groups }
+    }
+
+    /// Where its weights lie.
+    pub fn weights(&self) -> Range<usize> {
+        self.weights.clone()
     }
 
     /// Normalised planes.

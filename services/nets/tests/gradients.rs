@@ -1,6 +1,6 @@
 //! Every layer against plain f64 loops: its result, and its gradients by central differences of the loops.
 
-use segwild_nets::{Conv, GroupNorm, Head, Layout, Map, Mlp, Shape, Spot, UNet, Up, scatter, take};
+use segwild_nets::{Conv, GroupNorm, Layout, Map, Mlp, Shape, Spot, UNet, Up, scatter, take};
 
 /// Numbers in [-1, 1).
 struct Noise(u64);
@@ -313,8 +313,7 @@ fn shape() -> Shape {
 #[test]
 fn a_whole_network_falls_as_its_gradient_says_whatever_the_number_of_threads() {
     let mut layout = Layout::new();
-    let net = UNet::new(&mut layout, "net", &shape());
-    let head = Head::new(&mut layout, "head", &shape());
+    let net = UNet::new(&mut layout, ["net", "head"], &shape());
     let mut noise = Noise(7);
     let weights = layout.begin(|| 1.7 * noise.next());
     let (image, beside) = (noise.map(4, 64, 96), noise.map(2, 32, 48));
@@ -322,15 +321,13 @@ fn a_whole_network_falls_as_its_gradient_says_whatever_the_number_of_threads() {
     let head_pull = noise.map(1, 16, 24);
     let dot = |a: &Map, b: &Map| a.data.iter().zip(&b.data).map(|(a, b)| f64::from(a * b)).sum::<f64>();
     let run = |weights: &[f32]| {
-        let tape = net.forward(weights, image.clone(), &beside);
-        let plane = head.forward(weights, tape.bottleneck());
-        (dot(&tape.maps, &pull) + dot(&plane.plane, &head_pull), tape, plane)
+        let tape = net.forward(weights, image.clone(), beside.clone());
+        (dot(tape.of(net.maps), &pull) + dot(tape.of(net.plane), &head_pull), tape)
     };
     let gradient = || {
-        let (_, tape, plane) = run(&weights);
+        let (_, tape) = run(&weights);
         let mut sums = vec![0.0; layout.len()];
-        let bottleneck = head.backward(&weights, &plane, &head_pull, &mut sums);
-        net.backward(&weights, &tape, &pull, Some(&bottleneck), &mut sums);
+        net.backward(&weights, &tape, pull.clone(), Some(head_pull.clone()), &mut sums);
         sums
     };
     let pool = |n| rayon::ThreadPoolBuilder::new().num_threads(n).build().unwrap();
@@ -359,30 +356,30 @@ fn a_whole_network_falls_as_its_gradient_says_whatever_the_number_of_threads() {
 #[test]
 fn a_poisoned_image_stays_where_it_is_and_does_not_panic() {
     let mut layout = Layout::new();
-    let net = UNet::new(&mut layout, "net", &shape());
+    let net = UNet::new(&mut layout, ["net", "head"], &shape());
     let mut noise = Noise(8);
     let weights = layout.begin(|| 1.7 * noise.next());
     for poison in [f32::NAN, f32::INFINITY, -f32::MAX, f32::MIN_POSITIVE / 4.0] {
         let mut image = noise.map(4, 32, 32);
         image.data[500] = poison;
-        let tape = net.forward(&weights, image, &Map::zeros(2, 16, 16));
+        let tape = net.forward(&weights, image, Map::zeros(2, 16, 16));
         let mut sums = vec![0.0; layout.len()];
-        net.backward(&weights, &tape, &noise.map(6, 16, 16), None, &mut sums);
+        net.backward(&weights, &tape, noise.map(6, 16, 16), None, &mut sums);
         if poison.abs() < 1.0 {
             assert!(sums.iter().all(|g| g.is_finite()), "a denormal number is a number");
         }
     }
     // An image without any contrast has no variance to divide by.
-    let tape = net.forward(&weights, Map::zeros(4, 32, 32), &Map::zeros(2, 16, 16));
+    let tape = net.forward(&weights, Map::zeros(4, 32, 32), Map::zeros(2, 16, 16));
     let mut sums = vec![0.0; layout.len()];
-    net.backward(&weights, &tape, &noise.map(6, 16, 16), None, &mut sums);
-    assert!(tape.maps.data.iter().chain(&sums).all(|v| v.is_finite()));
+    net.backward(&weights, &tape, noise.map(6, 16, 16), None, &mut sums);
+    assert!(tape.of(net.maps).data.iter().chain(&sums).all(|v| v.is_finite()));
 }
 
 #[test]
 fn a_network_learns_to_copy_an_image_at_half_its_size() {
     let mut layout = Layout::new();
-    let net = UNet::new(&mut layout, "net", &Shape { output: 1, ..shape() });
+    let net = UNet::new(&mut layout, ["net", "head"], &Shape { output: 1, ..shape() });
     let mut noise = Noise(9);
     let mut weights = layout.begin(|| 1.7 * noise.next());
     let image = noise.map(4, 32, 64);
@@ -391,12 +388,12 @@ fn a_network_learns_to_copy_an_image_at_half_its_size() {
     let wanted: Vec<f32> = (0..16 * 32).map(|i| image.plane(1)[2 * (i / 32) * 64 + 2 * (i % 32)]).collect();
     let mut losses = Vec::new();
     for _ in 0..150 {
-        let tape = net.forward(&weights, image.clone(), &beside);
-        let mut grad = tape.maps.clone();
+        let tape = net.forward(&weights, image.clone(), beside.clone());
+        let mut grad = tape.of(net.maps).clone();
         grad.data.iter_mut().zip(&wanted).for_each(|(v, w)| *v -= w);
         losses.push(grad.data.iter().map(|v| v * v).sum::<f32>() / wanted.len() as f32);
         let mut sums = vec![0.0; layout.len()];
-        net.backward(&weights, &tape, &grad, None, &mut sums);
+        net.backward(&weights, &tape, grad, None, &mut sums);
         weights.iter_mut().zip(&sums).for_each(|(w, g)| *w -= 2e-4 * g);
     }
     let (first, last) = (losses[0], losses[149]);

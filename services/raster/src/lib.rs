@@ -20,8 +20,8 @@ pub use engine::{
     Channels, Engine, Frame, FrameGrad, ProjectOptions, Projected, RasterError, SplatGrads, check,
 };
 pub use look::{
-    AffineLook, AnyLook, EmbedLook, Glance, GswLook, GswWidth, HIDDEN, Impression, Light, Look, NoLook, RANK,
-    Sight, Tone, bake,
+    AffineLook, AnyLook, EmbedLook, Glance, Glimpse, GswLook, GswWidth, HIDDEN, HeldNetworks, Impression,
+    Light, Look, NoLook, RANK, Sight, Tone, bake, gsw,
 };
 pub use loss::{photometric, psnr, ssim};
 pub use resident::{Codes, Held, Reshaped, Resident, Rules, Step};

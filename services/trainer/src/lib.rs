@@ -31,7 +31,6 @@ mod step;
 mod strangers;
 mod suspects;
 mod trainer;
-mod visibility;
 mod witness;
 
 pub use actor::{FindCheckpoint, TrainActor, TrainOrder, TrainOutcome};

@@ -9,10 +9,9 @@ use crate::params::Rates;
 use crate::pixels::{at_centres, first_background};
 use crate::state::{Drawn, mean_quality};
 use crate::trainer::{StepReport, Trainer};
-use crate::visibility;
 use crate::witness::Witness;
-use segwild_raster::compare::{self, Compared, LeaveOut, Said, mean_difference};
-use segwild_raster::{Channels, FrameGrad};
+use segwild_raster::compare::{self, Compared, LeaveOut, Said, Seeing, mean_difference};
+use segwild_raster::{Channels, FrameGrad, Impression};
 use segwild_scene::{Image, Splats};
 
 impl Trainer {
@@ -79,14 +78,10 @@ impl Trainer {
         let sitting = side.sitting(settings, schedule, looked, &behind);
         let target = side.target(looked, posed, matches!(sitting.leave_out, LeaveOut::Residual(_)));
         // The network of the look `gsw` has its own say about what is visible, and is blamed for it.
-        let mut blame = Vec::new();
-        let mut weigh = |doubted: &[f32], kept: Option<&[f32]>| {
-            let (light, share) = (light.as_ref()?, settings.robust_share);
-            let ratio = compare::relative(doubted, photo.width, |i| photo.counts(i), share);
-            blame = visibility::blame(light, &ratio, photo);
-            schedule.visible(step).then(|| visibility::weights(light, photo, kept, share))?
-        };
-        let Compared { said, image, alpha, error } = compare::compare(&frame, &target, &sitting, &mut weigh);
+        let map = light.as_ref().and_then(Impression::visible);
+        let seeing = map.as_ref().map(|map| Seeing { map, decides: schedule.visible(step) });
+        let compared = compare::compare(&frame, &target, &sitting, seeing.as_ref());
+        let Compared { said, image, alpha, error, blame, .. } = compared;
         side.hear(looked, &said);
         let channels = Channels { count: 3, values: &channels };
         let grad = FrameGrad { image: &image, alpha: Some(&alpha) };

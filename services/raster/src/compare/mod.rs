@@ -6,6 +6,7 @@
 
 mod behind;
 mod robust;
+mod visible;
 
 pub use behind::{
     BASES, ColourSums, HOLD, LEAST_SEEN, STRIDE, Seen, SkySums, basis, behind, direction, paint,
@@ -14,6 +15,7 @@ pub use robust::{
     BINS, CONTRAST, DECAY, FLOOR, Residuals, SURPRISE, SUSPECT, contradicted, leave_out, limit, limits,
     relative, smoothed, window,
 };
+pub use visible::{HIDDEN, LEAST, MOST, SURE, Seeing, WRONG};
 
 use crate::look::{apply_matrix, matrix_backward};
 use crate::{Frame, photometric};
@@ -135,20 +137,22 @@ pub struct Compared {
     pub alpha: Image,
     /// Mean error around each pixel, one plane, for density control.
     pub error: Image,
+    /// Weight of each pixel, one plane: 0 where it does not count or is left out.
+    pub weights: Image,
+    /// Per part of [`Seeing::map`], how much of what would be taken for a stranger the scene fails to show there, `None`
+    /// where no pixel counts; empty where that was not asked.
+    pub blame: Vec<Option<f32>>,
 }
 
-/// What else decides which pixels count: it gets the residuals as far as nothing vouches for them and the weights that were
-/// found, and may give others.
-pub type Weigh<'a> = dyn FnMut(&[f32], Option<&[f32]>) -> Option<Vec<f32>> + 'a;
-
-/// Compares a photo with a frame of the scene. `weigh` is asked where [`LeaveOut::Residual`] is wanted.
+/// Compares a photo with a frame of the scene. What a network sees of the photo has a say where [`LeaveOut::Residual`] is
+/// wanted.
 ///
 /// # Panics
 /// If frame and target differ in size.
-pub fn compare(frame: &Frame, target: &Target, sitting: &Sitting, weigh: &mut Weigh) -> Compared {
+pub fn compare(frame: &Frame, target: &Target, sitting: &Sitting, seeing: Option<&Seeing>) -> Compared {
     let Composed { behind, scene, shown, residual } = compose(frame, target, sitting);
     let photo = target.image();
-    let mut residuals = None;
+    let (mut residuals, mut blame) = (None, Vec::new());
     let kept = match sitting.leave_out {
         LeaveOut::None => None,
         LeaveOut::Suspects => {
@@ -161,7 +165,12 @@ pub fn compare(frame: &Frame, target: &Target, sitting: &Sitting, weigh: &mut We
             let (kept, held) =
                 leave_out(&before, &doubted, target.width, counts, |i| target.is(i, Target::SUSPECT));
             residuals = held;
-            weigh(&doubted, kept.as_deref()).or(kept)
+            let seen = seeing.and_then(|&Seeing { map, decides }| {
+                let ratio = relative(&doubted, target.width, counts, before.share);
+                blame = visible::blame(map, &ratio, target);
+                decides.then(|| visible::weights(map, target, kept.as_deref(), before.share))?
+            });
+            seen.or(kept)
         }
     };
     let (weights, left_out) = pixel_weights(target, kept.as_deref());
@@ -182,7 +191,14 @@ pub fn compare(frame: &Frame, target: &Target, sitting: &Sitting, weigh: &mut We
         Seen::Colour(ColourSums::of(&shown, &photo, &frame.alpha, &weights.data))
     };
     let error = error_around(&residual, &weights);
-    Compared { said: Said { loss, psnr, left_out, residuals, matrix, behind }, image, alpha, error }
+    Compared {
+        said: Said { loss, psnr, left_out, residuals, matrix, behind },
+        image,
+        alpha,
+        error,
+        weights,
+        blame,
+    }
 }
 
 /// A frame as its photo would show it.
@@ -343,7 +359,7 @@ mod tests {
 
     /// The loss with the sky's term.
     fn loss(frame: &Frame, target: &Target, sitting: &Sitting) -> f64 {
-        let said = compare(frame, target, sitting, &mut |_, _| None).said;
+        let said = compare(frame, target, sitting, None).said;
         let sky =
             |i: usize| if target.is(i, Target::INNER) { -(1.0 - frame.alpha.data[i]).ln() } else { 0.0 };
         let sky: f64 = (0..W * H).map(|i| f64::from(sky(i))).sum();
@@ -354,7 +370,7 @@ mod tests {
     fn gradients_are_finite_differences_of_the_loss() {
         let (frame, target, camera, pose, behind) = example();
         let sitting = sitting(&camera, &pose, &behind);
-        let Compared { said, image, alpha, .. } = compare(&frame, &target, &sitting, &mut |_, _| None);
+        let Compared { said, image, alpha, .. } = compare(&frame, &target, &sitting, None);
         let step = 4e-3f32;
         let close = |what: &str, got: f32, up: f64, down: f64| {
             let wanted = (up - down) / f64::from(2.0 * step);
@@ -396,7 +412,7 @@ mod tests {
         let sitting = Sitting { sky_weight: 0.0, ..sitting(&camera, &pose, &behind) };
         target.pixels.iter_mut().for_each(|p| p[3] = 0);
         frame.image.data[7] = 1e30;
-        let Compared { said, image, alpha, error } = compare(&frame, &target, &sitting, &mut |_, _| None);
+        let Compared { said, image, alpha, error, .. } = compare(&frame, &target, &sitting, None);
         assert_eq!((said.psnr, said.left_out), (0.0, 0.0));
         assert!(image.data.iter().chain(&alpha.data).chain(&error.data).all(|v| *v == 0.0));
     }

@@ -10,13 +10,13 @@
 mod affine;
 mod bake;
 mod embed;
-mod gsw;
+pub mod gsw;
 
 pub use affine::AffineLook;
 pub(crate) use affine::{apply_matrix, matrix_backward};
 pub use bake::bake;
 pub use embed::{EmbedLook, Light, RANK};
-pub use gsw::{Glance, GswLook, GswWidth, HIDDEN, Impression, Sight};
+pub use gsw::{Glance, Glimpse, GswLook, GswWidth, HIDDEN, HeldNetworks, Impression, Sight};
 
 use segwild_scene::Image;
 use std::ops::Range;

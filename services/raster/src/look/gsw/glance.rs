@@ -115,6 +115,11 @@ impl Glance {
         (image, beside)
     }
 
+    /// The camera that took it, and where it stood: world to camera, rotation row by row, each followed by its translation.
+    pub fn stand(&self) -> (&Camera, &[[f32; 4]; 3]) {
+        (&self.camera, &self.pose)
+    }
+
     /// Where in the photo a point is, as shares of width and height, if it is in front of the camera and in the frame.
     pub(super) fn place(&self, [x, y, z]: [f32; 3]) -> Option<[f32; 2]> {
         let p = self.pose.map(|r| r[0] * x + r[1] * y + r[2] * z + r[3]);

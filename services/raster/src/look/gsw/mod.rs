@@ -16,28 +16,32 @@ mod nets;
 mod points;
 
 pub use glance::Glance;
-pub use nets::{GswWidth, HIDDEN};
+pub use nets::{BESIDE, DYNAMIC, GswWidth, HIDDEN, INTRINSIC, LAYER, MAPS, Networks, PLANES, SAMPLE, VECTOR};
+pub use points::{DROPPED, OFF_MAP};
 
 use super::affine::NUMBERS;
-use super::embed::{CODE as BELOW, PHOTO};
+use super::embed::PHOTO;
 use super::{EmbedLook, Look, Tone};
-use crate::adam::Adam;
-use nets::{DYNAMIC, INTRINSIC, LAYER, MAPS, Networks, PLANES, SAMPLE};
-use segwild_nets::{HeadTape, Layer, Map, Tape, scatter, take};
+use crate::adam::{Adam, Rule};
+use segwild_nets::{Layer, Map, Tape, scatter, take};
 use segwild_scene::{Camera, Image, Pose, Random};
 use std::ops::Range;
 use std::sync::Arc;
 use wincode::{SchemaRead, SchemaWrite};
 
+/// Numbers of a splat's code that are those of the rung below, the last ones.
+pub const BELOW: usize = EmbedLook::CODE_SIZE;
 /// Numbers of a splat's code: what it is made of, its coordinates on each map, and its code of the rung below.
-const CODE: usize = INTRINSIC + 2 * MAPS + BELOW;
+pub const CODE: usize = INTRINSIC + 2 * MAPS + BELOW;
 /// How much faster a splat's coordinates move than the rest of its code: they are kept divided by this.
-const COORDINATE: f32 = 0.3;
+pub const COORDINATE: f32 = 0.3;
 /// Share of the steps in which the UNet sees a part of the photo.
 const PARTLY: f32 = 0.4;
 /// Share of the steps in which no light is read, so that the scene without any is a scene, and the rung below learns what
 /// it can: with a tenth, photos held out are half a dB worse.
 const DARK: f32 = 0.5;
+/// All columns of a photo.
+const WHOLE: Range<f32> = 0.0..1.0;
 /// Size of the last layer's weights to start with, against those of the other layers: near the look below this one.
 const QUIET: f32 = 0.02;
 
@@ -83,6 +87,33 @@ pub struct Sight<'a> {
     pub eye: [f32; 3],
 }
 
+/// What the UNet is given of a photo, to be run elsewhere.
+#[derive(Debug)]
+pub struct Glimpse<'a> {
+    /// Of [`PLANES`] planes.
+    pub image: Map,
+    /// Of [`BESIDE`] planes, at half the size.
+    pub beside: Map,
+    /// Whether it is the whole photo.
+    pub whole: bool,
+    /// The photo.
+    pub glance: &'a Glance,
+}
+
+/// The networks with what the optimiser knows of them, to be trained elsewhere: the weights of [`Networks`], then the
+/// colour head's last layer.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HeldNetworks {
+    /// How wide they are.
+    pub width: GswWidth,
+    /// The weights.
+    pub weights: Vec<f32>,
+    /// Their first moments.
+    pub first: Vec<f32>,
+    /// And second ones.
+    pub second: Vec<f32>,
+}
+
 /// What the UNet made of a photo.
 #[derive(Clone, Debug)]
 pub struct Impression {
@@ -92,7 +123,7 @@ pub struct Impression {
     height: usize,
     glance: Arc<Glance>,
     /// How sure the network is, before the sigmoid, that a part of the photo shows the scene.
-    visible: HeadTape,
+    visible: Map,
     /// Whether the network saw the whole photo.
     whole: bool,
     /// In training: what the step draws, and what the backward pass needs.
@@ -143,8 +174,13 @@ impl GswLook {
         }
     }
 
+    /// How wide the networks are.
+    pub fn width(&self) -> GswWidth {
+        if self.paper { GswWidth::Paper } else { GswWidth::Cpu }
+    }
+
     fn nets(&self) -> &'static Networks {
-        Networks::of(if self.paper { GswWidth::Paper } else { GswWidth::Cpu })
+        Networks::of(self.width())
     }
 
     /// Whether its parts fit each other and `views` photos.
@@ -197,6 +233,49 @@ impl GswLook {
         }
     }
 
+    /// The networks, to be trained elsewhere.
+    pub fn held(&self) -> HeldNetworks {
+        let moments = [&self.net_moments, &self.point_moments, &self.layer_moments].map(Adam::moments);
+        let [first, second] = [0, 1].map(|which| moments.map(|of| of[which]).concat());
+        HeldNetworks {
+            width: self.width(),
+            weights: [self.weights.as_slice(), &self.layer].concat(),
+            first,
+            second,
+        }
+    }
+
+    /// Takes back what [`GswLook::held`] gave away.
+    ///
+    /// # Panics
+    /// If it is of other networks.
+    pub fn take_back(&mut self, held: HeldNetworks) {
+        let HeldNetworks { mut weights, first, second, .. } = held;
+        let (border, all) = (self.nets().border, self.weights.len());
+        self.layer.copy_from_slice(&weights.split_off(all));
+        self.weights.copy_from_slice(&weights);
+        let ends = [0..border, border..all, all..all + LAYER];
+        let groups = [&mut self.net_moments, &mut self.point_moments, &mut self.layer_moments];
+        for (moments, at) in groups.into_iter().zip(ends) {
+            moments.set_moments(first[at.clone()].to_vec(), second[at].to_vec());
+        }
+    }
+
+    /// Begins a step of the networks that is done elsewhere: by these rules, of UNet and head, and of the others. `scale` as
+    /// for [`Look::step`].
+    pub fn advance(&mut self, scale: f32) -> [Rule; 2] {
+        let net = self.net_moments.advance(self.net_rate * scale);
+        let point = self.point_moments.advance(self.point_rate * scale);
+        let layer = self.layer_moments.advance(self.point_rate * scale);
+        debug_assert_eq!(point, layer, "they make their steps together");
+        [net, point]
+    }
+
+    /// The gradients kept for the next step: of the networks' weights, and of the last layer's.
+    pub fn gradients(&self) -> Option<[&[f32]; 2]> {
+        self.grads.as_ref().map(|grads| [grads.weights.as_slice(), &grads.layer])
+    }
+
     /// Forgets what only training needs.
     pub fn forget_training(&mut self) {
         let nets = self.nets();
@@ -207,8 +286,23 @@ impl GswLook {
     /// What the UNet makes of a view's photo; `None` for a photo that is not known: no light, the same for all.
     /// `draw` is given in training and differs from step to step.
     pub fn impression(&self, view: usize, draw: Option<u64>) -> Option<Impression> {
+        let (glance, seen) = self.glimpse_of(view, draw)?;
+        Some(self.impression_of(glance, seen, draw))
+    }
+
+    /// What the UNet is given of a view's photo in a step that draws `draw`, for whoever runs it elsewhere; `None` as of
+    /// [`GswLook::impression`].
+    pub fn glimpse(&self, view: usize, draw: u64) -> Option<Glimpse<'_>> {
+        let (glance, seen) = self.glimpse_of(view, Some(draw))?;
+        let whole = seen == WHOLE;
+        let (image, beside) = glance.planes(seen);
+        Some(Glimpse { image, beside, whole, glance })
+    }
+
+    /// A view's photo, and which of its columns are seen.
+    fn glimpse_of(&self, view: usize, draw: Option<u64>) -> Option<(&Arc<Glance>, Range<f32>)> {
         let glance = self.glances.get(view)?.as_ref()?;
-        let mut seen = 0.0..1.0;
+        let mut seen = WHOLE;
         if let Some(draw) = draw {
             let mut random = Random::stream(self.seed, draw);
             if random.uniform() < DARK {
@@ -218,24 +312,26 @@ impl GswLook {
                 seen = if random.uniform() < 0.5 { 0.0..0.5 } else { 0.5..1.0 };
             }
         }
-        Some(self.impression_of(glance, seen, draw))
+        Some((glance, seen))
     }
 
     /// What the UNet makes of a photo that is not one of the known views'.
     pub fn impression_of_glance(&self, glance: &Arc<Glance>) -> Impression {
-        self.impression_of(glance, 0.0..1.0, None)
+        self.impression_of(glance, WHOLE, None)
     }
 
     fn impression_of(&self, glance: &Arc<Glance>, seen: Range<f32>, draw: Option<u64>) -> Impression {
-        let whole = seen == (0.0..1.0);
+        let whole = seen == WHOLE;
         let (image, beside) = glance.planes(seen);
-        let tape = self.nets().unet.forward(&self.weights, image, &beside);
+        let unet = &self.nets().unet;
+        let tape = unet.forward(&self.weights, image, beside);
+        let maps = tape.of(unet.maps);
         Impression {
-            visible: self.nets().visible.forward(&self.weights, tape.bottleneck()),
+            visible: tape.of(unet.plane).clone(),
             whole,
-            maps: std::array::from_fn(|k| take(&tape.maps, k * SAMPLE, SAMPLE)),
-            width: tape.maps.width,
-            height: tape.maps.height,
+            maps: std::array::from_fn(|k| take(maps, k * SAMPLE, SAMPLE)),
+            width: maps.width,
+            height: maps.height,
             glance: glance.clone(),
             training: draw.map(|draw| (draw, Box::new(tape))),
         }
@@ -303,11 +399,8 @@ impl GswLook {
             for (k, map) in back.maps.iter().enumerate() {
                 scatter(map, &mut maps, k * SAMPLE, SAMPLE);
             }
-            let bottleneck = (blame.len() == visible.plane.data.len()).then(|| {
-                let grad = visibility_gradient(&visible.plane, blame);
-                nets.visible.backward(&self.weights, visible, &grad, &mut weights)
-            });
-            nets.unet.backward(&self.weights, tape, &maps, bottleneck.as_ref(), &mut weights);
+            let plane = (blame.len() == visible.data.len()).then(|| visibility_gradient(visible, blame));
+            nets.unet.backward(&self.weights, tape, maps, plane, &mut weights);
         }
         self.grads = Some(Grads { weights, layer: back.layer });
         (colour_grads, back.codes)
@@ -315,7 +408,7 @@ impl GswLook {
 }
 
 /// Weight of what visibility learns beside the loss of colours.
-const VISIBILITY: f32 = 0.1;
+pub const VISIBILITY: f32 = 0.1;
 
 fn sigmoid(v: f32) -> f32 {
     1.0 / (1.0 + (-v).exp())
@@ -339,7 +432,7 @@ impl Impression {
     /// How sure the network is that each part of the photo shows the scene and no stranger, in [0, 1], one plane of a
     /// quarter of the network's image; `None` if it has not seen the whole photo.
     pub fn visible(&self) -> Option<Image> {
-        let Map { width, height, data, .. } = &self.visible.plane;
+        let Map { width, height, data, .. } = &self.visible;
         let data = data.iter().map(|&v| sigmoid(v)).collect();
         self.whole.then_some(Image { width: *width, height: *height, channels: 1, data })
     }

@@ -1,6 +1,6 @@
 //! The networks of the rung `gsw`, in two widths.
 
-use segwild_nets::{Head, Layout, Mlp, Shape, UNet};
+use segwild_nets::{Layout, Mlp, Shape, UNet};
 use std::sync::OnceLock;
 
 segwild_scene::choice! {
@@ -14,30 +14,30 @@ segwild_scene::choice! {
 }
 
 /// Numbers read from one map.
-pub(super) const SAMPLE: usize = 16;
+pub const SAMPLE: usize = 16;
 /// Maps that are read at a splat's own coordinates; one more is read where the photo shows the splat.
-pub(super) const MAPS: usize = 2;
+pub const MAPS: usize = 2;
 /// Numbers of the light that falls on a splat in a photo: what is read from the maps.
-pub(super) const DYNAMIC: usize = SAMPLE * (MAPS + 1);
+pub const DYNAMIC: usize = SAMPLE * (MAPS + 1);
 /// Numbers of what a splat is made of, in every photo.
-pub(super) const INTRINSIC: usize = 48;
+pub const INTRINSIC: usize = 48;
 /// Numbers that say how a splat looks in a photo, from any side: what is kept per look.
-pub(super) const VECTOR: usize = 48;
+pub const VECTOR: usize = 48;
 /// Numbers of the colour head before its last layer.
 pub const HIDDEN: usize = 48;
 /// Numbers of the colour head's last layer: `[HIDDEN][3]`, then `[3]` offsets.
-pub(super) const LAYER: usize = 3 * HIDDEN + 3;
+pub const LAYER: usize = 3 * HIDDEN + 3;
 /// Planes of what the UNet is given: colours, and whether they are known.
-pub(super) const PLANES: usize = 4;
+pub const PLANES: usize = 4;
 /// Planes that go round the UNet: the same at half the size, and mean and deviation of the colours.
-pub(super) const BESIDE: usize = PLANES + 6;
+pub const BESIDE: usize = PLANES + 6;
 
 /// The networks of one width; their weights lie in one slice.
-pub(super) struct Networks {
+pub struct Networks {
+    /// Where they lie.
     pub layout: Layout,
+    /// Of a photo; its head tells what of it is the scene, and not strangers.
     pub unet: UNet,
-    /// What a photo shows of the scene, and not of strangers.
-    pub visible: Head,
     /// From a photo to the light on a splat.
     pub light: Mlp,
     /// From light and substance to the vector.
@@ -55,6 +55,7 @@ pub(super) struct Networks {
 }
 
 impl Networks {
+    /// Those of a width.
     pub fn of(width: GswWidth) -> &'static Networks {
         static CPU: OnceLock<Networks> = OnceLock::new();
         static PAPER: OnceLock<Networks> = OnceLock::new();
@@ -90,8 +91,7 @@ impl Networks {
 
     fn new(shape: &Shape, light: &[usize], side: usize, octaves: usize) -> Networks {
         let mut layout = Layout::new();
-        let unet = UNet::new(&mut layout, "unet", shape);
-        let visible = Head::new(&mut layout, "visible", shape);
+        let unet = UNet::new(&mut layout, ["unet", "visible"], shape);
         let border = layout.len();
         let encoded = DYNAMIC + INTRINSIC + 3 + 6 * octaves;
         let sizes = [&[encoded], light].concat();
@@ -100,6 +100,6 @@ impl Networks {
         let fuse = Mlp::new(&mut layout, "fuse", &[last + INTRINSIC, VECTOR, VECTOR], true);
         let colour = Mlp::new(&mut layout, "colour", &[VECTOR + 3, HIDDEN], true);
         let last = Mlp::new(&mut Layout::new(), "last", &[HIDDEN, 3], false);
-        Networks { layout, unet, visible, light, fuse, colour, last, border, side, octaves }
+        Networks { layout, unet, light, fuse, colour, last, border, side, octaves }
     }
 }

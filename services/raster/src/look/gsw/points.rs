@@ -7,14 +7,13 @@ use super::nets::{DYNAMIC, HIDDEN, INTRINSIC, LAYER, MAPS, Networks, SAMPLE, VEC
 use super::{CODE, COORDINATE, GswLook, Impression, Sight};
 use rayon::prelude::*;
 use segwild_nets::{Activations, Spot, Strided, product};
-use segwild_scene::Random;
 
 /// Splats that one task works on.
 const PIECE: usize = 512;
 /// Share of the numbers of light that a training step leaves out.
-const DROPPED: f32 = 0.1;
+pub const DROPPED: f32 = 0.1;
 /// Weight of what coordinates are off the map, per coordinate.
-const OFF_MAP: f32 = 1e-3;
+pub const OFF_MAP: f32 = 1e-3;
 
 /// A piece of splats on its way to vectors.
 struct Run {
@@ -49,6 +48,17 @@ fn read(light: &Impression, spots: &[Option<Spot>; MAPS + 1], out: &mut [f32]) {
             spot.read(map, out);
         }
     }
+}
+
+/// Whether a step that draws `draw` leaves out a number of a splat's light. Words of 32 bits only, which every device has.
+fn is_dropped(draw: u64, splat: usize, number: usize) -> bool {
+    let mix = |x: u32| {
+        let x = (x ^ (x >> 16)).wrapping_mul(0x7feb_352d);
+        let x = (x ^ (x >> 15)).wrapping_mul(0x846c_a68b);
+        x ^ (x >> 16)
+    };
+    let word = mix(mix(mix(draw as u32) ^ splat as u32) ^ number as u32);
+    ((word >> 8) as f32) * (1.0 / (1 << 24) as f32) < DROPPED
 }
 
 /// Sines and cosines of the position at rising frequencies, each from the one below by the double angle.
@@ -90,9 +100,8 @@ fn run(
             }
         }
         if let Some(draw) = draw {
-            let mut random = Random::stream(draw, i as u64);
-            for x in &mut x[..DYNAMIC] {
-                let keep = if random.uniform() < DROPPED { 0.0 } else { 1.0 / (1.0 - DROPPED) };
+            for (number, x) in x[..DYNAMIC].iter_mut().enumerate() {
+                let keep = if is_dropped(draw, i, number) { 0.0 } else { 1.0 / (1.0 - DROPPED) };
                 *x *= keep;
                 kept.push(keep);
             }

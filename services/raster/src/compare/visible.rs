@@ -4,39 +4,43 @@
 //! stranger's. These units follow the photo's median and the largest share that may be left out, so that a map that hides
 //! all is never the best one, nor one that hides nothing where something stands out.
 
-use crate::photos::Level;
-use segwild_raster::Impression;
+use super::Target;
+use segwild_scene::Image;
+
+/// A photo's map, of one plane: how sure the network is that a part of the photo shows the scene, in [0, 1].
+#[derive(Clone, Copy, Debug)]
+pub struct Seeing<'a> {
+    /// The map, smaller than the photo.
+    pub map: &'a Image,
+    /// Whether it may take the robust mask's place.
+    pub decides: bool,
+}
 
 /// Visibility from which a pixel counts in full, and under which it does not count.
-const SURE: f32 = 0.5;
-const HIDDEN: f32 = 0.25;
-/// A map may leave out so many times what the robust mask leaves out at most, and must leave out such a share of what it
-/// does leave out.
-const MOST: f32 = 1.5;
-const LEAST: f32 = 0.3;
+pub const SURE: f32 = 0.5;
+/// See [`SURE`].
+pub const HIDDEN: f32 = 0.25;
+/// A map may leave out so many times what the robust mask may leave out at most.
+pub const MOST: f32 = 1.5;
+/// And must leave out such a share of what it does leave out.
+pub const LEAST: f32 = 0.3;
+/// More than so many times the limit is no more a stranger than that: one pixel that is wrong by far is none.
+pub const WRONG: f32 = 4.0;
 
 /// Per part of the photo that the map tells of, the mean of `ratio` over its pixels that count.
-pub(crate) fn blame(light: &Impression, ratio: &[f32], photo: &Level) -> Vec<Option<f32>> {
-    let Some(map) = light.visible() else { return Vec::new() };
+pub(super) fn blame(map: &Image, ratio: &[f32], photo: &Target) -> Vec<Option<f32>> {
     let mut sums = vec![(0.0f32, 0u32); map.pixels()];
-    for (i, ratio) in ratio.iter().enumerate().filter(|(i, _)| photo.counts(*i)) {
+    for (i, ratio) in ratio.iter().enumerate().filter(|(i, _)| photo.is(*i, Target::COUNTS)) {
         let (x, y) = (i % photo.width * map.width / photo.width, i / photo.width * map.height / photo.height);
         let sum = &mut sums[y * map.width + x];
-        // One pixel that is wrong by far is no stranger.
-        *sum = (sum.0 + ratio.min(4.0), sum.1 + 1);
+        *sum = (sum.0 + ratio.min(WRONG), sum.1 + 1);
     }
     sums.into_iter().map(|(sum, n)| (n > 0).then(|| sum / n as f32)).collect()
 }
 
 /// Weight of each pixel by the map; `None` where the map cannot be trusted beside what the robust mask keeps: one that
 /// leaves out much more than `share`, or next to nothing where the mask leaves out something.
-pub(crate) fn weights(
-    light: &Impression,
-    photo: &Level,
-    kept: Option<&[f32]>,
-    share: f32,
-) -> Option<Vec<f32>> {
-    let map = light.visible()?;
+pub(super) fn weights(map: &Image, photo: &Target, kept: Option<&[f32]>, share: f32) -> Option<Vec<f32>> {
     let weight = |i: usize| {
         let at = |k: usize, of: usize, n: usize| (((k as f32 + 0.5) / of as f32) * n as f32 - 0.5).max(0.0);
         let (x, y) =
@@ -47,8 +51,8 @@ pub(crate) fn weights(
         let row = |y: usize| map.data[y * map.width + x0] * (1.0 - fx) + map.data[y * map.width + x1] * fx;
         ((row(y0) * (1.0 - fy) + row(y1) * fy - HIDDEN) / (SURE - HIDDEN)).clamp(0.0, 1.0)
     };
-    let weights: Vec<f32> = (0..photo.pixels()).map(weight).collect();
-    is_sane(&weights, kept, |i| photo.counts(i), share).then_some(weights)
+    let weights: Vec<f32> = (0..photo.pixels.len()).map(weight).collect();
+    is_sane(&weights, kept, |i| photo.is(i, Target::COUNTS), share).then_some(weights)
 }
 
 fn is_sane(weights: &[f32], kept: Option<&[f32]>, counts: impl Fn(usize) -> bool, share: f32) -> bool {
