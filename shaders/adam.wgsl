@@ -18,7 +18,8 @@ struct Rules {
     item: vec4u,
 }
 
-// x: numbers, y: numbers of an item, z: 1 if splats out of sight keep their own, w: bits of what is kept of a parameter.
+// x: numbers, y: numbers of an item, z: 1 if splats out of sight keep their own, w: bits of what is kept of a parameter that
+// follows the second rule.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<uniform> rules: Rules;
 @group(0) @binding(2) var<storage, read> grads: array<f32>;
@@ -59,5 +60,6 @@ fn adam(
     first[k] = m;
     second[k] = held;
     let step = rule.rate * m / (sqrt(held) + rule.epsilon);
-    parameters[k] = (parameters[k] - select(0.0, step, finite(step))) * bitcast<f32>(job.w);
+    let kept = select(1.0, bitcast<f32>(job.w), lane >= rules.item.w);
+    parameters[k] = (parameters[k] - select(0.0, step, finite(step))) * kept;
 }

@@ -10,7 +10,7 @@
 @group(0) @binding(2) var<storage, read> counts: array<u32>;
 // Decaying shares of earlier visits.
 @group(0) @binding(3) var<storage, read> before: array<f32>;
-// The limit, and that of what was suspected before.
+// The limit, that of what was suspected before, and that of this visit alone.
 @group(0) @binding(4) var<storage, read_write> limits: array<f32>;
 // BINS shares with this visit's, and how many pixels counted.
 @group(0) @binding(5) var<storage, read_write> said: array<f32>;
@@ -49,6 +49,7 @@ fn limits_of() {
     if pixels == 0u {
         limits[0] = NONE;
         limits[1] = NONE;
+        limits[2] = FLOOR;
         return;
     }
     for (var b = 0u; b < BINS; b += 1u) {
@@ -73,4 +74,5 @@ fn limits_of() {
     }
     limits[0] = limit;
     limits[1] = SUSPECTED * limit;
+    limits[2] = threshold(false, share);
 }

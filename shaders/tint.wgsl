@@ -2,7 +2,7 @@
 #import common
 #import light
 
-// x: splats.
+// x: splats, y: vec4 of a code, z: where those of this look begin.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<uniform> photo: Photo;
 // Red, green, blue, and 1.
@@ -23,7 +23,7 @@ fn tint(
     let own = colours[i];
     var colour = vec4f(0.0, 0.0, 0.0, own.w);
     for (var c = 0u; c < 3u; c += 1u) {
-        let at = 6u * i + 2u * c;
+        let at = job.y * i + job.z + 2u * c;
         let light = dot(photo.vector[2u * c], codes[at]) + dot(photo.vector[2u * c + 1u], codes[at + 1u]);
         colour[c] = dot(photo.matrix[c], vec4f(own.xyz, 1.0)) + light;
     }

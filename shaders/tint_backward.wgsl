@@ -7,7 +7,7 @@
 
 alias Summed = vec4f;
 
-// x: splats.
+// x: splats, y: vec4 of a code, z: where those of this look begin.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<uniform> photo: Photo;
 @group(0) @binding(2) var<storage, read> colours: array<vec4f>;
@@ -29,14 +29,15 @@ fn tint_backward(
     let there = i < job.x;
     var g = vec3f(0.0);
     var own = vec4f(0.0);
+    let code = job.y * i + job.z;
     if there {
         g = grads[i].xyz;
         own = vec4f(colours[i].xyz, 1.0);
         var back = vec3f(0.0);
         for (var c = 0u; c < 3u; c += 1u) {
             back += g[c] * photo.matrix[c].xyz;
-            code_grads[6u * i + 2u * c] = g[c] * photo.vector[2u * c];
-            code_grads[6u * i + 2u * c + 1u] = g[c] * photo.vector[2u * c + 1u];
+            code_grads[code + 2u * c] = g[c] * photo.vector[2u * c];
+            code_grads[code + 2u * c + 1u] = g[c] * photo.vector[2u * c + 1u];
         }
         grads[i] = vec4f(back, grads[i].w);
     }
@@ -46,7 +47,7 @@ fn tint_backward(
             if k < 3u {
                 mine = g[k] * own;
             } else {
-                mine = g[(k - 3u) / 2u] * codes[6u * i + k - 3u];
+                mine = g[(k - 3u) / 2u] * codes[code + k - 3u];
             }
         }
         let sum = sum_of_group(local, mine);

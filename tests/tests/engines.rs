@@ -127,7 +127,7 @@ fn splats_that_come_home_in_the_middle_end_in_the_same_bytes() {
         }
         std::fs::read(dir.path().join(&name).join("scene.ply")).expect("the trained splats")
     };
-    for look in ["affine", "embed"] {
+    for look in ["affine", "embed", "gsw"] {
         let straight = train(look, "straight", &[]);
         assert!(straight.len() > 10_000, "{} bytes", straight.len());
         assert!(straight == train(look, "stopped", &[7, 21, 50]), "{look}: stopping matters");

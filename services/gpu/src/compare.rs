@@ -3,9 +3,11 @@
 use crate::GpuError;
 use crate::device::{Lent, Work, lock};
 use crate::engine::{GROUP, TILE};
+use crate::nets::Visible;
 use crate::room::photos_kept;
 use crate::shaders::{
-    BOX_MEAN, COLOUR_SUMS, COMPOSE, GRADE, LIMITS, SKY_SUMS, SLOPE, STRUCTURE, TALLY, TOTAL, WEIGH,
+    BLAME, BOX_MEAN, COLOUR_SUMS, COMPOSE, GRADE, LIMITS, PREFER, SEE, SKY_SUMS, SLOPE, STRUCTURE, TALLY,
+    TOTAL, WEIGH,
 };
 use bytemuck::{Pod, Zeroable};
 use segwild_raster::compare::{
@@ -193,6 +195,8 @@ pub(crate) struct Graded {
     pub grads: Lent,
     /// Mean error around each pixel.
     pub error: Lent,
+    /// What the visibility map is to learn from, where that was asked.
+    pub blames: Option<Lent>,
 }
 
 /// Compares a photo with an image, colour and alpha, that was drawn of the view.
@@ -203,6 +207,7 @@ pub(crate) fn compare(
     photo: &Photo,
     asked: &Asked,
     sitting: &Sitting,
+    visible: Option<&Visible>,
 ) -> Result<Graded, GpuError> {
     let [width, height] = photo.size;
     assert_eq!([sitting.camera.width as usize, sitting.camera.height as usize], photo.size, "target: size");
@@ -231,6 +236,20 @@ pub(crate) fn compare(
     let job = [width as u32, height as u32, 0, 0];
     let buffers = [sheet, pixels, &smoothed, &limits, &shown, &weights, &counted, &parts];
     work.run(&WEIGH, 1, job, &buffers, groups);
+    let mut blames = None;
+    if let (Some(visible), LeaveOut::Residual(_)) = (visible, sitting.leave_out) {
+        blames = Some(blame(work, photo, &smoothed, &limits, visible)?);
+        if visible.decides {
+            let seen = work.take::<f32>("what the network sees", n)?;
+            let left_out = work.take::<f32>("what it leaves out", 4)?;
+            let packed = |[width, height]: [usize; 2]| (width | height << 16) as u32;
+            let job = [packed(photo.size), packed(visible.size), visible.place as u32, 0];
+            work.run(&SEE, 1, job, &[pixels, visible.maps, &weights, &seen, &parts], groups);
+            total(work, &parts, groups, 4, &left_out, 0);
+            let buffers = [sheet, pixels, &seen, &left_out, &shown, &weights, &counted, &parts];
+            work.run(&PREFER, 1, [n as u32, 0, 0, 0], &buffers, groups);
+        }
+    }
     total(work, &parts, groups, 4, said, WEIGHED);
     let error = box_mean(work, &counted, photo.size, ERROR_WINDOW)?;
     drop(counted);
@@ -269,7 +288,22 @@ pub(crate) fn compare(
         work.run(&COLOUR_SUMS, 1, [n as u32, 0, 0, 0], &buffers, groups);
         total(work, &parts, groups, 4, said, BEHIND);
     }
-    Ok(Graded { shown, smoothed, weights, grads, error })
+    Ok(Graded { shown, smoothed, weights, grads, error, blames })
+}
+
+/// What each part of a photo is blamed for.
+fn blame(
+    work: &mut Work,
+    photo: &Photo,
+    smoothed: &Lent,
+    limits: &Lent,
+    visible: &Visible,
+) -> Result<Lent, GpuError> {
+    let ([width, height], [across, down]) = (photo.size, visible.size);
+    let blames = work.take::<f32>("what parts of the photo are blamed for", across * down)?;
+    let job = [width, height, across, down].map(|n| n as u32);
+    work.run(&BLAME, 1, job, &[&photo.pixels, smoothed, limits, &blames], (across * down).div_ceil(GROUP));
+    Ok(blames)
 }
 
 /// Mean of each pixel over a square window of half width `r`.

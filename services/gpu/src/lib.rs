@@ -17,6 +17,7 @@ mod common;
 mod compare;
 mod device;
 mod engine;
+mod nets;
 mod passes;
 mod room;
 mod shaders;
@@ -26,8 +27,8 @@ mod view;
 
 pub use adapter::{Adapter, Choice, adapters};
 pub use check::{
-    Checked, Sitter, Tolerance, check, compared, gradients, held, held_with_codes, projected, sitters,
-    training as check_training,
+    Checked, Sitter, Tolerance, check, check_photos, compared, gradients, held, held_with_codes, projected,
+    sitters, training as check_training,
 };
 pub use engine::GpuEngine;
 pub use room::{LEAST_PHOTOS, training_bytes};

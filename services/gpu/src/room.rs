@@ -2,7 +2,7 @@
 
 use crate::compare::LENGTH;
 use crate::engine::TILE;
-use segwild_raster::EmbedLook;
+use segwild_raster::GswWidth;
 
 /// Pairs of a splat and a tile that splats have where there are many of them, each.
 const PAIRS_PER_SPLAT: f64 = 8.0;
@@ -31,16 +31,23 @@ pub(crate) fn photos_kept(budget: u64) -> u64 {
 }
 
 /// About how many bytes of an accelerator's memory it takes to train so many splats on photos of so many pixels, beside
-/// the photos that stay there. `coded`: whether splats have codes for the look `embed`.
-pub fn training_bytes(splats: usize, pixels: usize, sh_degree: u32, coded: bool) -> u64 {
+/// the photos that stay there. `code_size` are the numbers that splats keep for their look, `networks` those of the look `gsw`.
+pub fn training_bytes(
+    splats: usize,
+    pixels: usize,
+    sh_degree: u32,
+    code_size: usize,
+    networks: Option<GswWidth>,
+) -> u64 {
     let (n, pixels) = (splats as f64, pixels as f64);
     let harmonics = 3.0 * f64::from((sh_degree + 1).pow(2));
-    let codes = if coded { EmbedLook::CODE_SIZE as f64 } else { 0.0 };
+    let codes = code_size as f64;
     let tiles = (pixels / f64::from(TILE * TILE)).ceil();
     let pairs = (n * PAIRS_PER_SPLAT).max((tiles * PAIRS_PER_TILE).min(n * tiles));
     let bytes = n * (4.0 * (SHAPE + harmonics + codes) * COPIES + PER_SPLAT)
         + pairs * PER_PAIR
         + pixels * PER_PIXEL
+        + networks.map_or(0, |width| crate::nets::bytes(width, splats)) as f64
         + 4.0 * LENGTH as f64;
     (AMPLE * bytes) as u64
 }

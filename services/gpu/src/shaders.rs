@@ -1,7 +1,7 @@
 //! The kernels' sources: files of `shaders/`, carried by the program, with their imports put in.
 
 use segwild_raster::compare::{self, Target};
-use segwild_raster::{ALPHA_MAX, ALPHA_MIN, LOG2_ALPHA_MIN, SLACK, T_MIN};
+use segwild_raster::{ALPHA_MAX, ALPHA_MIN, LOG2_ALPHA_MIN, SLACK, T_MIN, gsw};
 
 /// A kernel: a file of `shaders/`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -66,11 +66,29 @@ kernels! {
     SKY_SUMS = "sky_sums"."sky_sums", [1];
     COLOUR_SUMS = "colour_sums"."colour_sums", [1];
     TOTAL = "total"."total", [1];
+    CONVOLVE = "convolve"."convolve", [1];
+    CONVOLVE_WEIGHTS = "convolve_weights"."convolve_weights", [1];
+    SUM_WEIGHTS = "sum_weights"."sum_weights", [1];
+    NORM = "norm"."norm", [1];
+    NORM_BACKWARD = "norm_backward"."norm_backward", [1];
+    JOIN = "join"."join", [1];
+    GATE = "gate"."gate", [1];
+    IN_SIGHT = "in_sight"."in_sight", [1];
+    PICK = "pick"."pick", [1];
+    READ_LIGHT = "read_light"."read_light", [1];
+    READ_LIGHT_BACKWARD = "read_light_backward"."read_light_backward", [1];
+    MAP_SUMS = "map_sums"."map_sums", [1];
+    ADD_LIGHT = "add_light"."add_light", [1];
+    TAKE_LIGHT = "take_light"."take_light", [1];
+    BLAME = "blame"."blame", [1];
+    VISIBILITY = "visibility"."visibility", [1];
+    SEE = "see"."see", [1];
+    PREFER = "prefer"."prefer", [1];
     RATE = "rate"."rate", [1];
 }
 
 /// What a photo is compared by (`raster/src/compare/`).
-const COMPARED: [(&str, f32); 7] = [
+const COMPARED: [(&str, f32); 12] = [
     ("DECAY", compare::DECAY),
     ("FLOOR", compare::FLOOR),
     ("SUSPECTED", compare::SUSPECT),
@@ -78,6 +96,25 @@ const COMPARED: [(&str, f32); 7] = [
     ("SURPRISE", compare::SURPRISE),
     ("LEAST_OPEN", compare::LEAST_OPEN),
     ("LEAST_SEEN", compare::LEAST_SEEN),
+    ("SURE", compare::SURE),
+    ("HIDDEN", compare::HIDDEN),
+    ("MOST", compare::MOST),
+    ("LEAST", compare::LEAST),
+    ("WRONG", compare::WRONG),
+];
+/// The look `gsw` (`raster/src/look/gsw/`), and what its networks are made of.
+const LIT: [(&str, f32); 4] = [
+    ("COORDINATE", gsw::COORDINATE),
+    ("DROPPED", gsw::DROPPED),
+    ("VISIBILITY", gsw::VISIBILITY),
+    ("EPSILON", segwild_nets::EPSILON as f32),
+];
+const LIGHT: [(&str, u32); 5] = [
+    ("SAMPLE", gsw::SAMPLE as u32),
+    ("MAPS", gsw::MAPS as u32),
+    ("INTRINSIC", gsw::INTRINSIC as u32),
+    ("VECTOR", gsw::VECTOR as u32),
+    ("CODE", gsw::CODE as u32),
 ];
 const COUNTED: [(&str, u32); 6] = [
     ("BINS", compare::BINS as u32),
@@ -103,6 +140,8 @@ const SHARED: &[(&str, &str)] = &[
     ("window", include_str!("../../../shaders/shared/window.wgsl")),
     ("sum", include_str!("../../../shaders/shared/sum.wgsl")),
     ("lean", include_str!("../../../shaders/shared/lean.wgsl")),
+    ("layer", include_str!("../../../shaders/shared/layer.wgsl")),
+    ("reader", include_str!("../../../shaders/shared/reader.wgsl")),
 ];
 
 /// The whole text of a kernel for so many vec4 of channels: the twins' own numbers, then the file with its imports.
@@ -115,10 +154,10 @@ pub fn source(kernel: &Kernel, blocks: u32) -> String {
          const T_MIN: f32 = {T_MIN:e}f;\nconst LOG2_ALPHA_MIN: f32 = {LOG2_ALPHA_MIN:e}f;\n\
          const SLACK: f32 = {SLACK:e}f;\nconst BLOCKS: u32 = {blocks}u;\n"
     );
-    for (name, value) in COMPARED {
+    for (name, value) in COMPARED.into_iter().chain(LIT) {
         text.push_str(&format!("const {name}: f32 = {value:e}f;\n"));
     }
-    for (name, value) in COUNTED {
+    for (name, value) in COUNTED.into_iter().chain(LIGHT) {
         text.push_str(&format!("const {name}: u32 = {value}u;\n"));
     }
     for line in kernel.text.lines() {

@@ -254,9 +254,9 @@ fn training(
     let mut work = engine.device.work();
     let seen = work.take::<[f32; 4]>("depths and centres", n)?;
     let found = work.upload("how many pairs there are", &[0u32, 1])?;
-    let groups = away.groups(&mut work, &rules)?;
+    let groups = away.groups(&mut work, &rules, None)?;
     let ms = timed(&mut work, |work| {
-        away.adam(work, &grads, &seen, &found, &groups);
+        away.adam(work, &grads, None, &seen, &found, &groups);
         Ok(())
     })?;
     let mut rows = vec![Timed { pass: "adam", ms, floor_ms: reach.floor_ms(numbers * 28.0, numbers * 12.0) }];
@@ -278,7 +278,8 @@ fn training(
     let (on, _) = bin(&mut work, cloud, camera, pose, &OPTIONS, None)?;
     let image = work.take::<[f32; 4]>("the image", width * height)?;
     work.clear(&image);
-    let ms = timed(&mut work, |work| compare(work, &on.view, &image, &photo, &asked, &sitting).map(drop))?;
+    let ms =
+        timed(&mut work, |work| compare(work, &on.view, &image, &photo, &asked, &sitting, None).map(drop))?;
     let pixels = (width * height) as f64;
     // Numbers that its kernels read and write per pixel: 11 to compose, 18 to find what is left out, 63 for the loss, 12 for
     // its way back. A window of eleven by eleven is eleven numbers twice, for four maps on the way and three back.
@@ -288,6 +289,7 @@ fn training(
     let step = Step {
         options: &OPTIONS,
         light: None,
+        networks: None,
         sitting,
         // No training has this number.
         key: [u64::MAX, splats.len() as u64, pixels as u64],

@@ -2,15 +2,17 @@
 //! at once, and what comes back of it is what the photo said; the splats do not move.
 
 use crate::GpuError;
-use crate::compare::{Asked, Heard, LIGHT, Photo, Shelf, compare, total};
+use crate::compare::{Asked, Graded, Heard, LIGHT, Photo, Shelf, compare, total};
 use crate::device::{Device, Lent, Work};
 use crate::engine::{Binned, Cloud, GROUP, bin};
+use crate::nets::{GpuNetworks, Lighting, PIECE};
 use crate::passes::Grads;
 use crate::shaders::{ADAM, OBSERVE, SELECT, SHADE, SHADE_BACKWARD, TINT, TINT_BACKWARD};
 use bytemuck::{Pod, Zeroable};
 use segwild_raster::compare::Said;
 use segwild_raster::{
-    Codes, EmbedLook, Held, Light, ProjectOptions, RasterError, Reshaped, Resident, Rule, Rules, Step, check,
+    Codes, EmbedLook, Held, Light, NetworksStep, ProjectOptions, RasterError, Reshaped, Resident, Rule,
+    Rules, Step, check,
 };
 use segwild_scene::{Camera, Pose, Splats};
 use std::sync::Arc;
@@ -54,6 +56,14 @@ struct Lit<'a> {
     photo: Lent,
     tinted: Lent,
     codes: &'a GpuCodes,
+    lighting: Option<Lighting<'a>>,
+}
+
+impl<'a> Drawn<'a> {
+    /// What the networks of the look `gsw` made of it.
+    pub fn lighting(&self) -> Option<&Lighting<'a>> {
+        self.lit.as_ref()?.lighting.as_ref()
+    }
 }
 
 /// Of which splats before the splats come, and which are forgotten.
@@ -67,6 +77,20 @@ struct GpuCodes {
     values: Lent,
     first: Lent,
     second: Lent,
+    /// Numbers of a code.
+    width: usize,
+}
+
+impl GpuCodes {
+    /// Numbers of a code that come before those of the look `embed`.
+    fn before(&self) -> usize {
+        self.width - EmbedLook::CODE_SIZE
+    }
+
+    /// A job over so many splats, for those of the look `embed`.
+    fn job(&self, splats: usize) -> [u32; 4] {
+        [splats, self.width / 4, self.before() / 4, 0].map(|n| n as u32)
+    }
 }
 
 /// Splats in training on the device.
@@ -80,6 +104,7 @@ pub(crate) struct GpuTraining {
     /// For density control: gradient, error, steps, radius.
     sums: Lent,
     codes: Option<GpuCodes>,
+    networks: Option<GpuNetworks>,
 }
 
 /// `Rules` of `adam.wgsl`.
@@ -106,12 +131,13 @@ struct Group {
     /// Where the gradients of the first item begin, and how far those of the next are.
     from: usize,
     stride: usize,
-    /// Numbers of an item; of these, how many are parameters, and how many follow the first of two rules.
+    /// How many items, and numbers of each; of these, how many are parameters, and how many follow the first of two rules.
+    items: usize,
     width: usize,
     live: usize,
     split: usize,
     rules: [Rule; 2],
-    /// Of splats in sight only, which keep this much of what they come to.
+    /// Of splats in sight only, which keep this much of what follows the second.
     seen: Option<f32>,
 }
 
@@ -144,7 +170,12 @@ impl GpuTraining {
                     values: work.upload("the splats' codes", values)?,
                     first: work.upload("the codes' first moments", &held.codes.first)?,
                     second: work.upload("the codes' second moments", &held.codes.second)?,
+                    width: values.len() / held.splats.len(),
                 }),
+            },
+            networks: match &held.networks {
+                Some(networks) => Some(GpuNetworks::upload(&mut work, networks)?),
+                None => None,
             },
             device: device.clone(),
             shelf: shelf.clone(),
@@ -188,38 +219,60 @@ impl GpuTraining {
         let sitting = &step.sitting;
         // What goes up hands in what stands before it: all of it goes first.
         let asked = Asked::upload(work, sitting)?;
-        let groups = self.groups(work, step.rules)?;
-        let drawn = self.draw(work, sitting.camera, sitting.pose, step.options, step.light, room)?;
-        let graded = compare(work, &drawn.on.view, &drawn.image, photo, &asked, sitting)?;
-        self.learn(work, &drawn, &graded.grads, &graded.error, &groups, &asked.said)?;
+        let groups = self.groups(work, step.rules, step.networks.as_ref())?;
+        let lighting = self.lighting(work, step.networks.as_ref(), sitting.pose)?;
+        let light = step.light.map(|light| (light, lighting));
+        let drawn = self.draw(work, sitting.camera, sitting.pose, step.options, light, room)?;
+        let decides = step.networks.as_ref().is_some_and(|networks| networks.decides);
+        let visible = drawn.lighting().and_then(|lighting| lighting.visible(decides));
+        let graded = compare(work, &drawn.on.view, &drawn.image, photo, &asked, sitting, visible.as_ref())?;
+        let Graded { grads, error, blames, .. } = &graded;
+        self.learn(work, &drawn, (grads, error, blames.as_ref()), &groups, &asked.said)?;
         Heard::read(work, &asked.said, &drawn.on.found)
     }
 
-    /// Draws the splats, in a photo's light if there is one.
-    pub fn draw(
+    /// What a step of the networks needs, for a view from such a pose.
+    pub fn lighting(
         &self,
+        work: &mut Work,
+        step: Option<&NetworksStep>,
+        pose: &Pose,
+    ) -> Result<Option<Lighting<'_>>, GpuError> {
+        let (Some(networks), Some(step)) = (&self.networks, step) else { return Ok(None) };
+        Lighting::upload(work, networks, step, pose.centre(), self.count(), PIECE).map(Some)
+    }
+
+    /// Draws the splats, in a photo's light if there is one, and in what networks read in it.
+    pub fn draw<'a>(
+        &'a self,
         work: &mut Work,
         camera: &Camera,
         pose: &Pose,
         options: &ProjectOptions,
-        light: Option<&Light>,
+        light: Option<(&Light, Option<Lighting<'a>>)>,
         room: Option<usize>,
-    ) -> Result<Drawn<'_>, GpuError> {
+    ) -> Result<Drawn<'a>, GpuError> {
         let n = self.count();
         let shapes = &self.splats.shapes;
-        let light = light.map(|light| work.upload("the photo's light", light)).transpose()?;
+        let light = match light {
+            Some((light, lighting)) => Some((work.upload("the photo's light", light)?, lighting)),
+            None => None,
+        };
         let (on, seen) = bin(work, shapes.clone(), camera, pose, options, room)?;
         let colours = work.take::<[f32; 4]>("the splats' colours", n)?;
         let job = [n as u32, self.sh_degree, 0, 0];
         let buffers = [&on.view, &shapes.means, &seen, &self.splats.sh, &colours];
         work.run(&SHADE, 1, job, &buffers, n.div_ceil(GROUP));
         let lit = match light {
-            Some(photo) => {
+            Some((photo, lighting)) => {
                 let codes = self.codes.as_ref().expect("light falls on codes");
                 let tinted = work.take::<[f32; 4]>("the tinted colours", n)?;
                 let buffers = [&photo, &colours, &codes.values, &tinted];
-                work.run(&TINT, 1, [n as u32, 0, 0, 0], &buffers, n.div_ceil(GROUP));
-                Some(Lit { photo, tinted, codes })
+                work.run(&TINT, 1, codes.job(n), &buffers, n.div_ceil(GROUP));
+                if let Some(lighting) = &lighting {
+                    lighting.tint(work, &seen, &shapes.means, &codes.values, &tinted)?;
+                }
+                Some(Lit { photo, tinted, codes, lighting })
             }
             None => None,
         };
@@ -236,8 +289,7 @@ impl GpuTraining {
         &self,
         work: &mut Work,
         drawn: &Drawn,
-        by_image: &Lent,
-        error: &Lent,
+        (by_image, error, blames): (&Lent, &Lent, Option<&Lent>),
         groups: &Groups,
         said: &Lent,
     ) -> Result<(), GpuError> {
@@ -250,11 +302,15 @@ impl GpuTraining {
         let grads = on.backward(work, 1, values, by_image)?;
         // Where there is light, `by_colour` is of the tinted colours before, and of the splats' own after.
         let by_code = match lit {
-            Some(Lit { photo, codes, .. }) => {
-                let by_code = work.take::<[f32; EmbedLook::CODE_SIZE]>("the codes' gradients", n)?;
+            Some(Lit { photo, codes, lighting, .. }) => {
+                let by_code = work.take::<f32>("the codes' gradients", n * codes.width)?;
+                if let Some(lighting) = lighting {
+                    let known = (&shapes.means, &codes.values);
+                    lighting.backward(work, &by_colour, known, &by_code, blames)?;
+                }
                 let sums = work.take::<Light>("the light's gradients", each)?;
                 let buffers = [photo, colours, &codes.values, &by_colour, &by_code, &sums];
-                work.run(&TINT_BACKWARD, 1, [n as u32, 0, 0, 0], &buffers, each);
+                work.run(&TINT_BACKWARD, 1, codes.job(n), &buffers, each);
                 total(work, &sums, each, size_of::<Light>() / 4, said, LIGHT);
                 Some(by_code)
             }
@@ -265,25 +321,34 @@ impl GpuTraining {
         work.run(&SHADE_BACKWARD, 1, [n as u32, self.sh_degree, 0, 0], &buffers, each);
         let buffers = [&on.view, seen, &grads, error, &self.sums, &on.found];
         work.run(&OBSERVE, 1, [n as u32, 0, 0, 0], &buffers, each);
-        self.adam(work, &StepGrads { shapes: grads, sh: by_sh, codes: by_code }, seen, &on.found, groups);
+        let grads = StepGrads { shapes: grads, sh: by_sh, codes: by_code };
+        let weights = drawn.lighting().map(|lighting| &lighting.weight_grads);
+        self.adam(work, &grads, weights, seen, &on.found, groups);
         Ok(())
     }
 
     /// The groups of parameters under these rules: centres and opacities, scales, rotations, harmonics and, where there
     /// are some, codes.
-    pub fn groups(&self, work: &mut Work, rules: &Rules) -> Result<Groups, GpuError> {
+    pub fn groups(
+        &self,
+        work: &mut Work,
+        rules: &Rules,
+        networks: Option<&NetworksStep>,
+    ) -> Result<Groups, GpuError> {
         let shape = |from, live, split, rules| Group {
             from,
             stride: size_of::<Grads>() / 4,
+            items: self.count(),
             width: 4,
             live,
             split,
             rules,
             seen: None,
         };
-        let whole = |width, split, rules, seen| Group {
+        let whole = |items, width, split, rules, seen| Group {
             from: 0,
             stride: width,
+            items,
             width,
             live: width,
             split,
@@ -294,11 +359,13 @@ impl GpuTraining {
             shape(0, 4, 3, [rules.means, rules.opacities]),
             shape(4, 3, 3, [rules.log_scales; 2]),
             shape(8, 4, 4, [rules.rotations; 2]),
-            whole(self.sh_stride(), 3, [rules.base, rules.higher], None),
+            whole(self.count(), self.sh_stride(), 3, [rules.base, rules.higher], None),
         ];
-        if self.codes.is_some() {
-            let width = EmbedLook::CODE_SIZE;
-            groups.push(whole(width, width, [rules.codes; 2], Some(rules.kept)));
+        if let Some(codes) = &self.codes {
+            groups.push(whole(self.count(), codes.width, codes.before(), [rules.codes; 2], Some(rules.kept)));
+        }
+        if let (Some(networks), Some(step)) = (&self.networks, networks) {
+            groups.push(whole(1, networks.len(), networks.nets().border, step.rules, None));
         }
         let up = groups.into_iter().map(|group| {
             let rules = work.upload("the rules", &[group.rules()])?;
@@ -307,8 +374,16 @@ impl GpuTraining {
         up.collect::<Result<_, _>>().map(Groups)
     }
 
-    /// The optimiser's step of every group of parameters.
-    pub fn adam(&self, work: &mut Work, grads: &StepGrads, seen: &Lent, found: &Lent, groups: &Groups) {
+    /// The optimiser's step of every group of parameters; `weights` are the gradients of the networks'.
+    pub fn adam(
+        &self,
+        work: &mut Work,
+        grads: &StepGrads,
+        weights: Option<&Lent>,
+        seen: &Lent,
+        found: &Lent,
+        groups: &Groups,
+    ) {
         let all = [&self.splats, &self.first, &self.second];
         let shapes = |of: fn(&Cloud) -> &Lent| (all.map(|numbers| of(&numbers.shapes)), &grads.shapes);
         let mut arrays = vec![
@@ -320,8 +395,11 @@ impl GpuTraining {
         if let (Some(codes), Some(grads)) = (&self.codes, &grads.codes) {
             arrays.push(([&codes.values, &codes.first, &codes.second], grads));
         }
+        if let (Some(networks), Some(weights)) = (&self.networks, weights) {
+            arrays.push(([&networks.weights, &networks.first, &networks.second], weights));
+        }
         for (([parameters, first, second], grads), (group, rules)) in arrays.into_iter().zip(&groups.0) {
-            let numbers = self.count() * group.width;
+            let numbers = group.items * group.width;
             let only_seen = u32::from(group.seen.is_some());
             let job = [numbers as u32, group.width as u32, only_seen, group.seen.unwrap_or(1.0).to_bits()];
             let buffers = [rules, grads, parameters, first, second, seen, found];
@@ -383,12 +461,13 @@ impl GpuTraining {
         let codes = match &self.codes {
             None => None,
             Some(codes) => {
-                let width = EmbedLook::CODE_SIZE;
+                let width = codes.width;
                 let mut select = |from, learnt| Self::select(work, from, width, &parents, learnt, width);
                 Some(GpuCodes {
                     values: select(&codes.values, false)?,
                     first: select(&codes.first, true)?,
                     second: select(&codes.second, true)?,
+                    width,
                 })
             }
         };
@@ -417,7 +496,7 @@ impl GpuTraining {
             codes: match &self.codes {
                 None => Codes::default(),
                 Some(codes) => {
-                    let numbers = self.count() * EmbedLook::CODE_SIZE;
+                    let numbers = self.count() * codes.width;
                     let mut read = |of: &Lent| work.read(of, numbers);
                     Codes {
                         values: read(&codes.values)?,
@@ -425,6 +504,10 @@ impl GpuTraining {
                         second: read(&codes.second)?,
                     }
                 }
+            },
+            networks: match &self.networks {
+                Some(networks) => Some(networks.read(&mut work)?),
+                None => None,
             },
         })
     }

@@ -3,8 +3,8 @@
 
 mod common;
 
-use common::{broken, engine, is_laid_to};
-use segwild_gpu::Choice;
+use common::{are_laid_to, engine};
+use segwild_gpu::{Choice, check, check_photos};
 
 /// The same of the kernels of training, which only [`check`] sees.
 const TRAINING_FAULTS: &[(&str, &str, &str)] = &[
@@ -14,7 +14,7 @@ const TRAINING_FAULTS: &[(&str, &str, &str)] = &[
     ("shade", "colour += b[k]", "colour += 0.9 * b[k]"),
     ("tint", "codes[at + 1u]", "codes[at]"),
     ("tint_backward", "g[k] * own", "0.9 * g[k] * own"),
-    ("tint_backward", "codes[6u * i + k - 3u]", "codes[6u * i]"),
+    ("tint_backward", "codes[code + k - 3u]", "codes[code]"),
     ("tint_backward", "= g[c] * photo.vector[2u * c + 1u]", "= g[c] * photo.vector[2u * c]"),
     ("tint_backward", "back += g[c] * photo", "back += photo"),
     ("observe", "before.z + 1.0", "before.z"),
@@ -59,20 +59,78 @@ const COMPARISON_FAULTS: &[(&str, &str, &str)] = &[
     ("total", "parts[k * job.y + column]", "parts[k * job.y]"),
 ];
 
+/// Faults in the kernels of the look `gsw`.
+const NETWORK_FAULTS: &[(&str, &str, &str)] = &[
+    ("convolve", "taps - 1u - k % taps", "k % taps"),
+    ("convolve", "vec2u(seen) % layer.gap != vec2u(0u)", "vec2u(seen) % layer.gap > vec2u(7u)"),
+    ("convolve", "pixel.x >= layer.in_width", "pixel.x > layer.in_width"),
+    ("convolve", "2u * (column % width) + plane % 2u", "2u * (column % width)"),
+    ("convolve", "offset = to / 4u", "offset = to"),
+    ("convolve", "max(made, 0.0)", "made"),
+    ("convolve", "made += maps[place];", ""),
+    ("convolve_weights", "min(room, in_sight - min(in_sight, first))", "min(room, in_sight)"),
+    ("convolve_weights", "seen = 1.0;", "seen = 0.9;"),
+    ("convolve_weights", "slice * SLICE; start", "slice * 512u; start"),
+    ("convolve_weights", "layer.writes + quarter(o, at", "layer.writes + quarter(o / 2u, at"),
+    ("sum_weights", "slice < job.y", "slice + 1u < job.y"),
+    ("sum_weights", "layer.offsets + plane / shared_by", "layer.offsets + plane"),
+    ("norm", "off * off", "abs(off)"),
+    ("norm", "+ EPSILON", "+ 1.0"),
+    ("norm", "+ k / n;", ";"),
+    ("norm_backward", "maps[layer.other + at] * means.y", "means.y"),
+    ("norm_backward", "- means.x", ""),
+    ("norm_backward", "+= sums.y", "+= sums.x"),
+    ("join", "made += maps[layer.other + k];", ""),
+    ("join", "made += maps[layer.writes + k];", ""),
+    ("gate", "maps[at] > 0.0", "maps[at] > 0.5"),
+    ("in_sight", "seen[i].y > 0.0", "seen[i].y >= 0.0"),
+    ("pick", "splats[places[i]] = i", "splats[places[i]] = places[i]"),
+    ("read_light", "codes[at + 1u]) * COORDINATE", "codes[at + 1u]) * 0.2"),
+    ("read_light", "far.y * near.x, far.y * far.x", "far.y * far.x, far.y * near.x"),
+    ("read_light", "c = 1.0 - 2.0 * s * s", "c = 1.0 - s * s"),
+    ("read_light", "mean - reader.eye.xyz", "mean"),
+    ("read_light", "kept(reader, i, d)", "kept(reader, k, d)"),
+    ("add_light", "points[at + job.x]", "points[at]"),
+    ("take_light", "job.z + c * job.x + k", "job.z + k"),
+    ("read_light_backward", "to_vector + to_light", "to_vector"),
+    ("read_light_backward", "upper.y - upper.x", "upper.x - upper.y"),
+    ("read_light_backward", "* spot.slope", ""),
+    ("read_light_backward", "point_grads[here] = g", "point_grads[here] = 0.5 * g"),
+    ("read_light_backward", "reader.frame.w * sign(at)", "-900.0 * reader.frame.w * sign(at)"),
+    ("map_sums", "each.x * each.y", "each.x"),
+    ("map_sums", "keys[middle] < key", "keys[middle] <= key"),
+    ("map_sums", "grads[to] += sums[s]", "grads[to] = sums[s]"),
+    ("visibility", "2.0 * (1.0 - v)", "(1.0 - v)"),
+    ("visibility", "clamp(blames[k], 0.0, 2.0)", "blames[k]"),
+    ("blame", "smoothed[i] / limits[2]", "smoothed[i] / limits[0]"),
+    ("blame", "has(photo[i], COUNTS)", "has(photo[i], SKY)"),
+    ("blame", "limits[2], WRONG)", "limits[2], 1.0)"),
+    ("limits", "limits[2] = threshold(false, share)", "limits[2] = 2.0 * threshold(false, share)"),
+    ("see", "/ (SURE - HIDDEN)", "/ SURE"),
+    ("see", "high.x, low.y", "low.x, low.y"),
+    ("prefer", "counts * seen[i]", "seen[i]"),
+    ("prefer", "own <= MOST * sitting.numbers.z", "own <= 99.0 * sitting.numbers.z"),
+    ("prefer", "counted[i] = weight * shown[i].w", "counted[i] = shown[i].w"),
+    ("prefer", "weight * dot(lack, lack)", "dot(lack, lack)"),
+];
+
 #[test]
 fn a_fault_in_any_kernel_of_training_is_seen() {
     let Some(gpu) = engine("a_fault_in_any_kernel_of_training_is_seen") else { return };
     let choice = Choice::Named(gpu.adapter().name.clone());
-    for &(kernel, text, fault) in TRAINING_FAULTS {
-        is_laid_to(&broken(&choice, kernel, text, fault), kernel, fault);
-    }
+    are_laid_to(check, &choice, TRAINING_FAULTS);
 }
 
 #[test]
 fn a_fault_in_any_kernel_of_a_photos_comparison_is_seen() {
     let Some(gpu) = engine("a_fault_in_any_kernel_of_a_photos_comparison_is_seen") else { return };
     let choice = Choice::Named(gpu.adapter().name.clone());
-    for &(kernel, text, fault) in COMPARISON_FAULTS {
-        is_laid_to(&broken(&choice, kernel, text, fault), kernel, fault);
-    }
+    are_laid_to(check_photos, &choice, COMPARISON_FAULTS);
+}
+
+#[test]
+fn a_fault_in_any_kernel_of_a_looks_networks_is_seen() {
+    let Some(gpu) = engine("a_fault_in_any_kernel_of_a_looks_networks_is_seen") else { return };
+    let choice = Choice::Named(gpu.adapter().name.clone());
+    are_laid_to(check_photos, &choice, NETWORK_FAULTS);
 }

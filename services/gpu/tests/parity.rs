@@ -7,7 +7,7 @@
 
 mod common;
 
-use common::{broken, engine, image, is_laid_to, many, rules, splats, step, view};
+use common::{broken, engine, image, many, misled, rules, splats, step, view};
 use segwild_gpu::{
     Choice, GpuEngine, LEAST_PHOTOS, Tolerance, check, check_training, compared, gradients, held,
     held_with_codes, projected, sitters, training_bytes,
@@ -341,7 +341,7 @@ fn the_memory_that_a_training_takes_is_known_before_and_a_budget_is_kept() {
     };
     let free = open();
     learn(&free).expect("it learns");
-    let (taken, estimate) = (free.held(), training_bytes(6000, 320 * 240, 0, false));
+    let (taken, estimate) = (free.held(), training_bytes(6000, 320 * 240, 0, 0, None));
     println!("{taken} bytes taken, {estimate} estimated");
     assert!(taken <= estimate + LEAST_PHOTOS && estimate < 3 * taken, "{taken} taken, {estimate} estimated");
     // With less than was taken free buffers give way; with next to nothing it is refused in words.
@@ -400,7 +400,7 @@ fn a_fault_in_any_kernel_is_seen() {
         .expect_err(&format!("{kernel}: `{fault}` was not seen"));
         let words = words.downcast_ref::<String>().cloned().unwrap_or_default();
         assert!(words.contains(seen_by), "{kernel}: `{fault}` was to be seen in {seen_by}, and was: {words}");
-        is_laid_to(&broken, kernel, fault);
+        assert_eq!(misled(check, &broken, kernel, fault), None);
     }
 }
 

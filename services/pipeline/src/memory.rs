@@ -123,8 +123,14 @@ fn look(train: &TrainSettings, photos: usize) -> (f64, f64) {
 pub(crate) fn fits_accelerator(settings: &Settings, scene: &Scene) -> Result<(), RunError> {
     let budget = settings.run.memory_budget;
     let splats = splat_cap(&settings.train, scene, settings.scene.size);
-    let coded = matches!(settings.train.look, LookKind::Embed | LookKind::Auto);
-    let bytes = segwild_gpu::training_bytes(splats, pixels(settings, scene), settings.train.sh_degree, coded);
+    let (code_size, networks) = match settings.train.look {
+        LookKind::None | LookKind::Affine => (0, None),
+        // `auto` may come to it.
+        LookKind::Embed | LookKind::Auto => (EmbedLook::CODE_SIZE, None),
+        LookKind::Gsw => (GswLook::CODE_SIZE, Some(settings.train.gsw_width)),
+    };
+    let pixels = pixels(settings, scene);
+    let bytes = segwild_gpu::training_bytes(splats, pixels, settings.train.sh_degree, code_size, networks);
     let need = ((bytes + segwild_gpu::LEAST_PHOTOS) as f64 / MIB).ceil() as u32;
     if budget == 0 || need <= budget {
         return Ok(());

@@ -24,6 +24,6 @@ pub use look::{
     Light, Look, NoLook, RANK, Sight, Tone, bake, gsw,
 };
 pub use loss::{photometric, psnr, ssim};
-pub use resident::{Codes, Held, Reshaped, Resident, Rules, Step};
+pub use resident::{Codes, Held, NetworksStep, Reshaped, Resident, Rules, Step};
 pub use shade::{shade, shade_backward};
 pub use spare::SpareEngine;

@@ -1,7 +1,7 @@
 //! Splats that stay where an engine computes for as long as they are trained.
 
 use crate::compare::{Said, Sitting, Target};
-use crate::look::Light;
+use crate::look::{Glimpse, HeldNetworks, Light};
 use crate::{ProjectOptions, RasterError, Rule};
 use segwild_scene::Splats;
 
@@ -17,11 +17,13 @@ pub struct Held {
     /// Running sums per splat since density control acted: screen gradient, error at the centre, steps that saw it, and
     /// the largest radius as a share of the frame's long side.
     pub sums: Vec<[f32; 4]>,
-    /// What splats keep for the look [`crate::EmbedLook`], with moments; empty without it.
+    /// What splats keep for the look [`crate::EmbedLook`], or [`crate::GswLook`], with moments; empty without either.
     pub codes: Codes,
+    /// The networks of the look [`crate::GswLook`].
+    pub networks: Option<HeldNetworks>,
 }
 
-/// Codes of splats, `[splat][EmbedLook::CODE_SIZE]`.
+/// Codes of splats, `[splat][code_size]` of their look; the last `EmbedLook::CODE_SIZE` of each fade.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Codes {
     /// The codes.
@@ -74,12 +76,27 @@ pub struct Reshaped {
     pub opacities_forgotten: bool,
 }
 
+/// A step of the networks of the look [`crate::GswLook`].
+#[derive(Debug)]
+pub struct NetworksStep<'a> {
+    /// What the network of the photo is given; `None`: no light is read.
+    pub glimpse: Option<Glimpse<'a>>,
+    /// What the step draws.
+    pub draw: u64,
+    /// Whether what the network sees of the photo may take the robust mask's place.
+    pub decides: bool,
+    /// How far the optimiser goes: of the photo's network, and of the others.
+    pub rules: [Rule; 2],
+}
+
 /// What a step of training looks at.
 pub struct Step<'a> {
     /// How splats are projected.
     pub options: &'a ProjectOptions,
     /// The photo's light ([`crate::EmbedLook::photo`]), upon splats that have codes.
     pub light: Option<&'a Light>,
+    /// What the networks do, where there are some.
+    pub networks: Option<NetworksStep<'a>>,
     /// Under what the photo is compared.
     pub sitting: Sitting<'a>,
     /// Names the photo at its size: within a process, no two targets differ under the same key.

@@ -10,7 +10,7 @@ use crate::judge::Looked;
 use crate::model::options;
 use crate::trainer::Trainer;
 use segwild_raster::compare::Said;
-use segwild_raster::{AnyLook, Reshaped, Step};
+use segwild_raster::{AnyLook, EmbedLook, Held, NetworksStep, Reshaped, Step};
 
 impl Trainer {
     /// Whether the splats are where the engine computes.
@@ -18,15 +18,19 @@ impl Trainer {
         self.away.is_some()
     }
 
-    /// Sends the splats to where the engine computes, unless the look's network or the
-    /// strategy deals with single splats at every step.
+    /// Sends the splats to where the engine computes, and the look's networks with them, unless the strategy deals with
+    /// single splats at every step.
     pub(crate) fn leave(&mut self) -> Result<(), TrainError> {
-        if self.is_away() || !self.may_leave || matches!(self.state.look, AnyLook::Gsw(_)) {
+        if self.is_away() || !self.may_leave {
             return Ok(());
         }
         let Some(stats) = self.state.strategy.as_dyn().stats() else { return Ok(()) };
-        let params = &self.state.params;
-        self.away = self.engine.settle(&mut || params.held(stats.rows()))?;
+        let (params, look) = (&self.state.params, &self.state.look);
+        let networks = || match look {
+            AnyLook::Gsw(look) => Some(look.held()),
+            AnyLook::None(_) | AnyLook::Affine(_) | AnyLook::Embed(_) => None,
+        };
+        self.away = self.engine.settle(&mut || Held { networks: networks(), ..params.held(stats.rows()) })?;
         self.may_leave = self.is_away();
         Ok(())
     }
@@ -66,7 +70,10 @@ impl Trainer {
     /// Has the splats here again.
     pub(crate) fn come_home(&mut self) -> Result<(), TrainError> {
         let Some(away) = &mut self.away else { return Ok(()) };
-        let held = away.fetch()?;
+        let mut held = away.fetch()?;
+        if let (AnyLook::Gsw(look), Some(networks)) = (&mut self.state.look, held.networks.take()) {
+            look.take_back(networks);
+        }
         if let Some(stats) = self.state.strategy.as_dyn().stats() {
             *stats = Stats::of_rows(&held.sums);
         }
@@ -78,19 +85,30 @@ impl Trainer {
     /// The step where the splats are.
     pub(crate) fn learn_away(&mut self, looked: &Looked) -> Result<Said, TrainError> {
         let &Looked { view, level, .. } = looked;
-        let rates = self.rates(self.state.step);
-        let (settings, posed) = (&self.settings, &self.views[view]);
+        let step = self.state.step;
+        let rates = self.rates(step);
+        let (settings, schedule, posed) = (&self.settings, &self.schedule, &self.views[view]);
         let (params, _, mut side) = self.state.halves(view);
         let behind = side.behind(view);
-        let light = match &*side.look {
-            AnyLook::Embed(look) => Some(look.photo(view)),
+        let rules = match &mut *side.look {
+            AnyLook::Gsw(look) => Some(look.advance(schedule.late_factor(step))),
+            AnyLook::None(_) | AnyLook::Affine(_) | AnyLook::Embed(_) => None,
+        };
+        let light = below(side.look).map(|look| look.photo(view));
+        let networks = match (&*side.look, rules) {
+            (AnyLook::Gsw(look), Some(rules)) => {
+                let draw = u64::from(step);
+                let glimpse = look.glimpse(view, draw);
+                Some(NetworksStep { glimpse, draw, decides: schedule.visible(step), rules })
+            }
             _ => None,
         };
         let wanted = settings.robust && !looked.stored.strangers_known;
         let step = Step {
             options: &options(settings.antialias),
             light: light.as_ref(),
-            sitting: side.sitting(settings, &self.schedule, looked, &behind),
+            networks,
+            sitting: side.sitting(settings, schedule, looked, &behind),
             key: [self.id, view as u64, level as u64],
             target: &|| side.target(looked, posed, wanted),
             rules: &params.advance(&rates),
@@ -98,9 +116,23 @@ impl Trainer {
         let away = self.away.as_mut().expect("the splats are away");
         let (said, light) = away.step(&step)?;
         side.hear(looked, &said);
-        if let (AnyLook::Embed(look), Some(light)) = (&mut *side.look, light) {
+        let look = match &mut *side.look {
+            AnyLook::Embed(look) => Some(look),
+            AnyLook::Gsw(look) => Some(&mut look.below),
+            AnyLook::None(_) | AnyLook::Affine(_) => None,
+        };
+        if let (Some(look), Some(light)) = (look, light) {
             look.add_gradient(view, &light);
         }
         Ok(said)
+    }
+}
+
+/// The look `embed`, or that which lies below networks.
+fn below(look: &AnyLook) -> Option<&EmbedLook> {
+    match look {
+        AnyLook::Embed(look) => Some(look),
+        AnyLook::Gsw(look) => Some(&look.below),
+        AnyLook::None(_) | AnyLook::Affine(_) => None,
     }
 }

@@ -153,12 +153,19 @@ impl Params {
         };
         let [first, second] = self.code_moments.moments().map(<[f32]>::to_vec);
         let codes = Codes { values: self.codes.clone(), first, second };
-        Held { splats: self.splats.clone(), first: moments(0), second: moments(1), sums, codes }
+        Held {
+            splats: self.splats.clone(),
+            first: moments(0),
+            second: moments(1),
+            sums,
+            codes,
+            networks: None,
+        }
     }
 
     /// Takes back what [`Params::held`] gave away; there may be other splats by now.
     pub fn take_back(&mut self, held: Held) {
-        let Held { splats, first, second, codes, sums: _ } = held;
+        let Held { splats, first, second, codes, sums: _, networks: _ } = held;
         self.codes = codes.values;
         self.code_moments.set_moments(codes.first, codes.second);
         self.splats = splats;

@@ -3,12 +3,12 @@
 use super::{Checked, Tolerance};
 use crate::compare::{Asked, Graded, Heard, Photo, compare};
 use crate::engine::{Cloud, bin};
+use crate::nets::Visible;
 use crate::view::pack_image;
 use crate::{GpuEngine, GpuError};
 use glam::Vec3;
 use segwild_raster::compare::{
-    self as host, BASES, BINS, Compared, LeaveOut, Residuals, Said, Seen, Sitting, Target, leave_out,
-    smoothed,
+    self as host, BASES, BINS, Compared, LeaveOut, Residuals, Said, Seeing, Seen, Sitting, Target, smoothed,
 };
 use segwild_raster::{AffineLook, Frame, Look, ProjectOptions, RasterError};
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
@@ -26,6 +26,8 @@ pub struct Sitter {
     matrix: Option<[f32; 12]>,
     behind: Vec<[f32; 3]>,
     leave: Leave,
+    /// What a network sees of the photo; it decides what is left out.
+    map: Option<Image>,
 }
 
 #[derive(Clone, Debug)]
@@ -114,8 +116,20 @@ pub fn sitters((width, height): (u32, u32)) -> Vec<Sitter> {
         matrix: None,
         behind: vec![[0.4, 0.5, 0.7]],
         leave: Leave::None,
+        map: None,
     };
     let first = Leave::Residual(Vec::new());
+    // Of a size that does not divide the photo's; a blur where the stranger is.
+    let (across, down) = ((w / 7).max(1), (h / 6).max(1));
+    let seen = |stranger_is: f32, others_are: f32| {
+        let at = |i: usize| (i % across * w / across, i / across * h / down);
+        let value = |i: usize| {
+            let (x, y) = at(i);
+            let sure = if stranger(x, y) { stranger_is } else { others_are };
+            (sure + 0.05 * (i as f32).sin()).clamp(0.02, 0.98)
+        };
+        Image { data: (0..across * down).map(value).collect(), ..Image::zeros(across, down, 1) }
+    };
     let mut darker = base.frame.clone();
     darker.image.data.iter_mut().for_each(|v| *v *= 0.5);
     vec![
@@ -124,7 +138,7 @@ pub fn sitters((width, height): (u32, u32)) -> Vec<Sitter> {
         Sitter { name: "what stands out left out", leave: first, target: target.clone(), ..base.clone() },
         Sitter {
             name: "a photo seen before, a sky, a matrix",
-            leave: Leave::Residual(much),
+            leave: Leave::Residual(much.clone()),
             target: target.clone(),
             matrix: Some(matrix),
             behind: sky.clone(),
@@ -134,8 +148,22 @@ pub fn sitters((width, height): (u32, u32)) -> Vec<Sitter> {
             name: "a photo that changed",
             frame: darker,
             leave: Leave::Residual(little),
-            target,
+            target: target.clone(),
             behind: sky,
+            ..base.clone()
+        },
+        Sitter {
+            name: "a photo whose network sees the stranger",
+            leave: Leave::Residual(much.clone()),
+            target: target.clone(),
+            map: Some(seen(0.3, 0.9)),
+            ..base.clone()
+        },
+        Sitter {
+            name: "a photo of which its network sees next to nothing",
+            leave: Leave::Residual(Vec::new()),
+            target,
+            map: Some(seen(0.05, 0.15)),
             ..base
         },
     ]
@@ -159,7 +187,8 @@ const GRADED: Tolerance = Tolerance { tight: 1e-3, flips: 0.02, loose: 2.0 };
 pub fn compared(engine: &GpuEngine, sitter: &Sitter) -> Result<Vec<Checked>, RasterError> {
     let sitting = sitter.sitting();
     let Sitter { frame, target, .. } = sitter;
-    let wanted = host::compare(frame, target, &sitting, &mut |_, _| None);
+    let seeing = sitter.map.as_ref().map(|map| Seeing { map, decides: true });
+    let wanted = host::compare(frame, target, &sitting, seeing.as_ref());
     let got = on_the_device(engine, sitter)?;
     let shown = shown(sitter);
     let residual = host::mean_difference(&shown, &target.image());
@@ -170,31 +199,21 @@ pub fn compared(engine: &GpuEngine, sitter: &Sitter) -> Result<Vec<Checked>, Ras
     let planes = [shown.plane(0), shown.plane(1), shown.plane(2), &residual];
     let packed: Vec<f32> = (0..residual.len()).flat_map(|i| planes.map(|plane| plane[i])).collect();
     add(&["compose"], SHOWN.compare("shown colours and residuals", &got.shown, &packed));
-    let mut weights: Vec<f32> =
-        (0..residual.len()).map(|i| f32::from(u8::from(target.is(i, Target::COUNTS)))).collect();
-    let suspected = |i: usize| target.is(i, Target::SUSPECT);
-    match &sitting.leave_out {
-        LeaveOut::None => {}
-        LeaveOut::Suspects => {
-            weights.iter_mut().enumerate().filter(|(i, _)| suspected(*i)).for_each(|(_, w)| *w = 0.0);
-        }
-        LeaveOut::Residual(known) => {
-            let doubted = target.doubted(&residual);
-            let smooth = smoothed(&doubted, target.width);
-            add(&["compose", "box_mean"], SHOWN.compare("smoothed residuals", &got.smoothed, &smooth));
-            let counts = |i: usize| target.is(i, Target::COUNTS);
-            let (kept, _) = leave_out(known, &doubted, target.width, counts, suspected);
-            if let Some(kept) = kept {
-                weights.iter_mut().zip(kept).for_each(|(w, k)| *w *= k);
-            }
-            let (got, wanted) = (&got.said.residuals, &wanted.said.residuals);
-            add(&["tally", "limits"], SHARES.compare("shares", some(got), some(wanted)));
-        }
+    if let LeaveOut::Residual(_) = sitting.leave_out {
+        let smooth = smoothed(&target.doubted(&residual), target.width);
+        add(&["compose", "box_mean"], SHOWN.compare("smoothed residuals", &got.smoothed, &smooth));
+        let (got, wanted) = (&got.said.residuals, &wanted.said.residuals);
+        add(&["tally", "limits"], SHARES.compare("shares", some(got), some(wanted)));
     }
-    add(&["weigh", "limits"], WEIGHTS.compare("weights", &got.weights, &weights));
+    if let Some(blames) = &got.blames {
+        let wanted: Vec<f32> = wanted.blame.iter().map(|blame| blame.unwrap_or(-1.0)).collect();
+        add(&["blame", "limits"], SUMS.compare("blames", blames, &wanted));
+    }
+    let kernels: &[&str] = if sitter.map.is_some() { &["see", "prefer"] } else { &["weigh", "limits"] };
+    add(kernels, WEIGHTS.compare("weights", &got.weights, &wanted.weights.data));
     let quality = |said: &Said| [said.psnr, said.left_out];
-    add(&["weigh", "total"], SUMS.compare("quality", &quality(&got.said), &quality(&wanted.said)));
-    add(&["box_mean", "weigh"], GRADED.compare("errors", &got.error, &wanted.error.data));
+    add(&["weigh", "total", "prefer"], SUMS.compare("quality", &quality(&got.said), &quality(&wanted.said)));
+    add(&["box_mean", "weigh", "prefer"], GRADED.compare("errors", &got.error, &wanted.error.data));
     let Compared { said, image, alpha, .. } = wanted;
     add(&["structure", "slope"], SUMS.compare("loss", &[got.said.loss], &[said.loss]));
     let wide = pack_image(&image, 0, 1, Some(&alpha));
@@ -238,6 +257,7 @@ struct Got {
     weights: Vec<f32>,
     grads: Vec<f32>,
     error: Vec<f32>,
+    blames: Option<Vec<f32>>,
     said: Said,
 }
 
@@ -250,8 +270,13 @@ fn on_the_device(engine: &GpuEngine, sitter: &Sitter) -> Result<Got, GpuError> {
     let image = work.upload("the image", &pack_image(&frame.image, 0, 1, Some(&frame.alpha)))?;
     let photo = Photo::upload(work, &sitter.target)?;
     let asked = Asked::upload(work, &sitting)?;
-    let Graded { shown, smoothed, weights, grads, error } =
-        compare(work, &on.view, &image, &photo, &asked, &sitting)?;
+    let odds = |sure: &f32| (sure / (1.0 - sure)).ln();
+    let map: Vec<f32> = sitter.map.iter().flat_map(|map| map.data.iter().map(odds)).collect();
+    let maps = work.upload("what a network sees", &map)?;
+    let seen = |map: &Image| Visible { maps: &maps, place: 0, size: [map.width, map.height], decides: true };
+    let visible = sitter.map.as_ref().map(seen);
+    let graded = compare(work, &on.view, &image, &photo, &asked, &sitting, visible.as_ref())?;
+    let Graded { shown, smoothed, weights, grads, error, blames } = graded;
     let n = sitter.target.pixels.len();
     let said = Heard::read(work, &asked.said, &on.found)?.said(&sitting);
     Ok(Got {
@@ -260,6 +285,10 @@ fn on_the_device(engine: &GpuEngine, sitter: &Sitter) -> Result<Got, GpuError> {
         weights: work.read(&weights, n)?,
         grads: work.read(&grads, 4 * n)?,
         error: work.read(&error, n)?,
+        blames: match blames {
+            Some(blames) => Some(work.read(&blames, map.len())?),
+            None => None,
+        },
         said,
     })
 }

@@ -2,9 +2,11 @@
 //! which they depend on one another. The first that diverges is where to look.
 
 mod compare;
+mod networks;
 mod training;
 
 pub use compare::{Sitter, compared, sitters};
+pub use networks::networks;
 pub use training::{held, held_with_codes, training};
 
 use crate::device::Work;
@@ -81,6 +83,9 @@ const SIZE: (u32, u32) = (100, 68);
 const SPLATS: usize = 1500;
 /// Splats whose footprints are compared, each alone.
 const ALONE: usize = 40;
+/// Splats that go through networks: more than one piece of them.
+const FEW: usize = 500;
+
 /// Compares every kernel. Steps after one that is off may be off for its sake.
 pub fn check(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
     let mut checked = Vec::new();
@@ -132,6 +137,15 @@ pub fn check(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
     coloured.sh = (0..splats.len() * coloured.sh_stride()).map(|_| 0.5 * random.uniform() - 0.25).collect();
     checked.extend(training(engine, &held(coloured.clone()), &camera, &pose, &options)?);
     checked.extend(training(engine, &held_with_codes(coloured), &camera, &pose, &options)?);
+    checked.extend(check_photos(engine)?);
+    Ok(checked)
+}
+
+/// Compares the kernels of a photo's half of a step, those of its networks among them.
+pub fn check_photos(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
+    let (splats, camera, pose) = scene();
+    let few = splats.select(&(0..FEW).collect::<Vec<_>>());
+    let mut checked = networks(engine, &few, &camera, &pose)?;
     for sitter in sitters(SIZE) {
         checked.extend(compared(engine, &sitter)?);
     }

@@ -27,7 +27,7 @@ pub fn held(splats: Splats) -> Held {
     };
     let (first, second) = (like(-0.5, 0.5), like(0.1, 1.0));
     let sums = splats.means.iter().map(|_| [0; 4].map(|_| random.uniform())).collect();
-    Held { splats, first, second, sums, codes: Codes::default() }
+    Held { splats, first, second, sums, codes: Codes::default(), networks: None }
 }
 
 /// The same with codes.
@@ -168,6 +168,7 @@ fn reshaped(engine: &GpuEngine, held: &Held) -> Result<Result<(), String>, Raste
             first: codes(&held.codes.first, true),
             second: codes(&held.codes.second, true),
         },
+        networks: held.networks.clone(),
     };
     let mut away = GpuTraining::new(&engine.device, &engine.shelf, held)?;
     let asked = away.shapes()?;
@@ -201,9 +202,9 @@ fn on_the_device(
     let work = &mut engine.device.work();
     let by_image = work.upload("the image's gradients", &pack_image(grad.image, 0, 1, grad.alpha))?;
     let error = work.upload("the errors", &error.data)?;
-    let (groups, said) = (away.groups(work, rules)?, room_for_said(work)?);
-    let drawn = away.draw(work, camera, pose, options, light, None)?;
-    away.learn(work, &drawn, &by_image, &error, &groups, &said)?;
+    let (groups, said) = (away.groups(work, rules, None)?, room_for_said(work)?);
+    let drawn = away.draw(work, camera, pose, options, light.map(|light| (light, None)), None)?;
+    away.learn(work, &drawn, (&by_image, &error, None), &groups, &said)?;
     let heard = Heard::read(work, &said, &drawn.on.found)?;
     Ok((work.read(&drawn.image, drawn.on.pixels * 4)?, light.map(|_| heard.light())))
 }

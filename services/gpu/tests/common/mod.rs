@@ -2,7 +2,7 @@
 #![allow(dead_code)]
 
 use glam::Vec3;
-use segwild_gpu::{Choice, GpuEngine, Kernel, adapters, check};
+use segwild_gpu::{Checked, Choice, GpuEngine, Kernel, adapters};
 use segwild_raster::compare::{LeaveOut, Residuals, Said, Sitting, Target};
 use segwild_raster::{Light, ProjectOptions, RasterError, Resident, Rule, Rules, Step};
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
@@ -106,7 +106,8 @@ pub fn step(
     };
     let target = || photo(7, camera.width as usize, camera.height as usize);
     let options = ProjectOptions::default();
-    let step = Step { options: &options, light, sitting, key: [0, key, 0], target: &target, rules };
+    let step =
+        Step { options: &options, light, networks: None, sitting, key: [0, key, 0], target: &target, rules };
     Ok(away.step(&step)?.0)
 }
 
@@ -127,10 +128,33 @@ pub fn broken(choice: &Choice, kernel: &'static str, text: &'static str, fault: 
     GpuEngine::with_edit(choice, edit).expect("the adapter opens again")
 }
 
-/// Asserts that [`check`] lays the fault to the kernel that has it.
-pub fn is_laid_to(broken: &GpuEngine, kernel: &str, fault: &str) {
-    let checked = check(broken).expect("every kernel runs");
-    let first = checked.iter().find(|step| step.off.is_some());
-    let first = first.unwrap_or_else(|| panic!("{kernel}: `{fault}` was not found"));
-    assert!(first.kernels.contains(&kernel), "{kernel}: `{fault}` was taken for {first:?}");
+/// What is said where a check does not lay the fault to the kernel that has it.
+pub fn misled(
+    check: impl Fn(&GpuEngine) -> Result<Vec<Checked>, RasterError>,
+    broken: &GpuEngine,
+    kernel: &str,
+    fault: &str,
+) -> Option<String> {
+    let checked = match check(broken) {
+        Ok(checked) => checked,
+        Err(error) => return Some(format!("{kernel}: `{fault}` does not run: {error}")),
+    };
+    match checked.iter().find(|step| step.off.is_some()) {
+        None => Some(format!("{kernel}: `{fault}` was not found")),
+        Some(first) if first.kernels.contains(&kernel) => None,
+        Some(first) => Some(format!("{kernel}: `{fault}` was taken for {first:?}")),
+    }
+}
+
+/// Asserts that a check lays each fault, a kernel, a piece of its text and what it is replaced with, to the kernel that has it.
+pub fn are_laid_to(
+    check: impl Fn(&GpuEngine) -> Result<Vec<Checked>, RasterError>,
+    choice: &Choice,
+    faults: &[(&'static str, &'static str, &'static str)],
+) {
+    let missed = faults.iter().filter_map(|&(kernel, text, fault)| {
+        misled(&check, &broken(choice, kernel, text, fault), kernel, fault)
+    });
+    let missed: Vec<String> = missed.collect();
+    assert!(missed.is_empty(), "{}", missed.join("\n"));
 }

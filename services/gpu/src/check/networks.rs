@@ -1,0 +1,285 @@
+//! The kernels of the look `gsw`: its networks on the device against the same on the host.
+
+use super::{Checked, Tolerance};
+use crate::GpuEngine;
+use crate::GpuError;
+use crate::nets::{GpuNetworks, Lighting, Plan, Tape, Weights};
+use segwild_nets::{Conv, Form, Graph, Layout, Map, Op, What};
+use segwild_raster::gsw::{BELOW, CODE, LAYER, Networks};
+use segwild_raster::{
+    CpuEngine, Engine, GswLook, GswWidth, Look, NetworksStep, ProjectOptions, RasterError, Rule, Sight,
+};
+use segwild_scene::{Camera, Pose, Random, Splats};
+
+/// A photo of this size: more pixels at half of it than a slice of the weights' gradients has, and borders on all sides.
+const PHOTO: (usize, usize) = (96, 64);
+/// Splats of a piece: the scene has several, of which the last is not full.
+const PIECE: usize = 200;
+
+fn noise(random: &mut Random, n: usize) -> Vec<f32> {
+    (0..n).map(|_| random.uniform() - 0.5).collect()
+}
+
+/// A look of one photo that a camera took.
+fn look(camera: &Camera, pose: &Pose) -> GswLook {
+    let mut look = GswLook::new(1, 31, GswWidth::Cpu);
+    let (w, h) = PHOTO;
+    let wave =
+        |i: usize, c: usize| 0.5 + 0.4 * (0.2 * (i % w) as f32 + 0.13 * (i / w * (c + 1)) as f32).sin();
+    let colour = |i: usize| (i % 7 != 3).then(|| [0, 1, 2].map(|c| wave(i, c)));
+    let glance = look.glance((w, h), camera, pose, colour);
+    look.set_glance(0, glance);
+    // The last layer begins next to nothing, which would hide all before it.
+    let random = &mut Random::new(32);
+    let layer = noise(random, LAYER);
+    look.set_layer(&layer);
+    look.below.set_matrix(0, [0.9, 0.1, -0.05, 0.02, 0.05, 1.1, 0.1, -0.03, -0.1, 0.05, 0.8, 0.04]);
+    look
+}
+
+/// A step that reads light, of the whole photo or a part.
+fn draw_of(look: &GswLook, whole: bool) -> u64 {
+    let is = |&draw: &u64| look.glimpse(0, draw).is_some_and(|glimpse| glimpse.whole == whole);
+    (0..1000).find(is).expect("one in a thousand")
+}
+
+/// Compares the networks of splats in sight of a camera, and of a photo.
+pub fn networks(
+    engine: &GpuEngine,
+    splats: &Splats,
+    camera: &Camera,
+    pose: &Pose,
+) -> Result<Vec<Checked>, RasterError> {
+    let look = look(camera, pose);
+    let mut checked = small(engine)?;
+    checked.extend(photo(engine, &look)?);
+    for (name, draw) in [
+        ("a photo", Some(draw_of(&look, true))),
+        ("half a photo", Some(draw_of(&look, false))),
+        ("no light", None),
+    ] {
+        let view = View { splats, camera, pose };
+        let found = lighting(engine, &look, &view, draw)?;
+        checked.extend(
+            found
+                .into_iter()
+                .map(|checked| Checked { off: checked.off.map(|off| format!("{name}: {off}")), ..checked }),
+        );
+    }
+    // What is as it should be is said once.
+    let mut fine: Vec<&[&str]> = Vec::new();
+    checked.retain(|checked| {
+        let first = !fine.contains(&checked.kernels);
+        if checked.off.is_none() && first {
+            fine.push(checked.kernels);
+        }
+        checked.off.is_some() || first
+    });
+    Ok(checked)
+}
+
+/// A network in which a map is read in ways that no [`UNet`](segwild_nets::UNet) has.
+fn small(engine: &GpuEngine) -> Result<Vec<Checked>, GpuError> {
+    let mut layout = Layout::new();
+    let mut graph = Graph::given(&[Form { channels: 3, halved: 0 }]);
+    let first = graph.conv(Conv::new(&mut layout, "first", [3, 40], 3, 1), 0, true);
+    let second = graph.conv(Conv::new(&mut layout, "second", [40, 40], 1, 1), first, false);
+    let joined = graph.join([first, second], true);
+    let all = graph.beside([joined, first]);
+    let random = &mut Random::new(35);
+    let weights = noise(random, layout.len());
+    let image = Map { data: noise(random, 3 * 11 * 13), channels: 3, height: 11, width: 13 };
+    network(engine, &graph, weights, vec![image], &[all])
+}
+
+/// The network of a photo.
+fn photo(engine: &GpuEngine, look: &GswLook) -> Result<Vec<Checked>, GpuError> {
+    let unet = &Networks::of(GswWidth::Cpu).unet;
+    let glimpse = look.glimpse(0, draw_of(look, true)).expect("there is light");
+    let mut weights = look.held().weights;
+    // Norms begin as ones that change nothing.
+    let random = &mut Random::new(36);
+    let changes = noise(random, weights.len());
+    weights.iter_mut().zip(changes).for_each(|(weight, by)| *weight += 0.2 * by);
+    let given = vec![glimpse.image, glimpse.beside];
+    network(engine, &unet.graph, weights, given, &[unet.maps, unet.plane])
+}
+
+/// A network that is given maps of one height and width, or half of these: every map on the way, and the gradients of every
+/// layer from some of its results, those that nothing reads.
+fn network(
+    engine: &GpuEngine,
+    graph: &Graph,
+    weights: Vec<f32>,
+    given: Vec<Map>,
+    results: &[usize],
+) -> Result<Vec<Checked>, GpuError> {
+    let random = &mut Random::new(33);
+    let image = [given[0].height, given[0].width];
+    let numbers: Vec<f32> = given.iter().flat_map(|map| map.data.iter().copied()).collect();
+    let right = graph.forward(&weights, given);
+    let pull = |&id: &usize| {
+        let data = noise(random, right.of(id).data.len());
+        (id, Map { data, ..right.of(id).clone() })
+    };
+    let pulls: Vec<(usize, Map)> = results.iter().map(pull).collect();
+    let mut wanted = vec![0.0; weights.len()];
+    graph.backward(&weights, &right, pulls.clone(), &mut wanted);
+
+    let plan = Plan::of(graph, image);
+    let work = &mut engine.device.work();
+    let values = work.upload("weights", &weights)?;
+    let grads = work.upload("gradients", &vec![0.0f32; weights.len()])?;
+    let any = work.upload("splats in sight", &[0u32])?;
+    let up = work.upload("what the network is given", &numbers)?;
+    let mut held = Vec::new();
+    for (id, map) in &pulls {
+        held.push((*id, map.data.len(), work.upload("gradients", &map.data)?));
+    }
+    let tape = Tape::new(work, &plan)?;
+    work.copy_to(&up, &tape.maps, 0, 4 * numbers.len());
+    tape.forward(work, &plan, &values, &any, 0);
+    for (id, numbers, pull) in held {
+        work.copy_to(&pull, &tape.grads, 4 * plan.place(id), 4 * numbers);
+    }
+    tape.backward(work, &plan, Weights { values: &values, grads: &grads }, &any, 0);
+    let maps: Vec<f32> = work.read(&tape.maps, plan.maps())?;
+    let got: Vec<f32> = work.read(&grads, weights.len())?;
+
+    let mut checked = Vec::new();
+    let ops = graph.ops();
+    // What only a norm reads is not kept on the host.
+    let normed = |op: &Op| ops.iter().any(|next| matches!(next.what, What::Norm(_)) && next.from == op.to);
+    for op in ops.iter().filter(|op| !normed(op)) {
+        let kernels: &[&str] = match op.what {
+            What::Conv(_) | What::Up(_) => &["convolve"],
+            What::Norm(_) => &["norm", "convolve"],
+            What::Join(_) | What::Beside(_) => &["join"],
+        };
+        let map = &right.of(op.to).data;
+        let got = &maps[plan.place(op.to)..][..map.len()];
+        let off = MAPS.compare(&format!("map {}", op.to), got, map).err();
+        checked.push(Checked { kernels, off });
+    }
+    for op in ops.iter().rev() {
+        let (kernels, own): (&[&str], _) = match &op.what {
+            What::Conv(layer) => (
+                &["convolve_weights", "sum_weights", "norm_backward", "gate", "join", "convolve"],
+                layer.weights(),
+            ),
+            What::Up(layer) => {
+                (&["convolve_weights", "sum_weights", "convolve", "join", "gate"], layer.weights())
+            }
+            What::Norm(layer) => (&["norm_backward", "gate", "join", "convolve"], layer.weights()),
+            What::Join(_) | What::Beside(_) => continue,
+        };
+        let what = format!("gradients of the weights from {} on", own.start);
+        let off = Tolerance::GRADIENTS.compare(&what, &got[own.clone()], &wanted[own]).err();
+        checked.push(Checked { kernels, off });
+    }
+    Ok(checked)
+}
+
+/// Maps of a network, of numbers that many sums led to.
+const MAPS: Tolerance = Tolerance { tight: 1e-4, flips: 0.0, loose: 1e-3 };
+
+struct View<'a> {
+    splats: &'a Splats,
+    camera: &'a Camera,
+    pose: &'a Pose,
+}
+
+/// What splats read in a photo and what becomes of it, forward and back; `draw`: what the step draws, or no light is read.
+fn lighting(
+    engine: &GpuEngine,
+    look: &GswLook,
+    view: &View,
+    draw: Option<u64>,
+) -> Result<Vec<Checked>, RasterError> {
+    let View { splats, camera, pose } = *view;
+    let n = splats.len();
+    let random = &mut Random::new(34);
+    let codes: Vec<f32> = noise(random, n * CODE).into_iter().map(|v| 8.0 * v).collect();
+    let (colours, grad) = (noise(random, 3 * n), noise(random, 3 * n));
+    let cpu = CpuEngine::new();
+    let projected = cpu.project(splats, camera, pose, &ProjectOptions::default())?;
+    let radii = projected.radii();
+    let eye = pose.centre();
+    let sight = Sight { means: &splats.means, codes: &codes, radii, eye: eye.to_array() };
+    let mut right = look.clone();
+    let light = draw.and_then(|draw| right.impression(0, Some(draw)));
+    let below = right.below.tint(0, &right.codes_below(&codes), colours.clone());
+    let tinted = right.tint(0, light.as_ref(), &sight, colours.clone());
+    let map = light.as_ref().and_then(|light| light.visible());
+    let blame: Vec<Option<f32>> = map.map_or(Vec::new(), |map| {
+        (0..map.pixels()).map(|i| (i % 5 != 1).then(|| 2.5 * random.uniform())).collect()
+    });
+    let (_, by_code) = right.tint_backward(0, light.as_ref(), &sight, &colours, grad.clone(), &blame);
+    let wanted = right.gradients().expect("kept for the next step").concat();
+
+    let rules = [Rule { beta1: 0.9, beta2: 0.999, rate: 0.0, epsilon: 1e-8 }; 2];
+    let glimpse = draw.and_then(|draw| look.glimpse(0, draw));
+    let step = NetworksStep { glimpse, draw: draw.unwrap_or(0), decides: false, rules };
+    let work = &mut engine.device.work();
+    let held = GpuNetworks::upload(work, &look.held())?;
+    let wide = |values: &[f32]| -> Vec<[f32; 4]> {
+        values.chunks_exact(3).map(|v| [v[0], v[1], v[2], 1.0]).collect()
+    };
+    let seen: Vec<[f32; 4]> = radii.iter().map(|&radius| [1.0, radius, 0.0, 0.0]).collect();
+    let means: Vec<[f32; 4]> = splats.means.iter().map(|&[x, y, z]| [x, y, z, 0.0]).collect();
+    let seen = work.upload("depths and radii", &seen)?;
+    let means = work.upload("centres", &means)?;
+    let there = work.upload("codes", &codes)?;
+    let blames: Vec<f32> = blame.iter().map(|blame| blame.unwrap_or(-1.0)).collect();
+    let blamed = match blames.is_empty() {
+        true => None,
+        false => Some(work.upload("blames", &blames)?),
+    };
+    let by_colour = work.upload("gradients", &wide(&grad))?;
+    let shown = work.upload("colours", &wide(&below))?;
+    let lighting = Lighting::upload(work, &held, &step, eye, n, PIECE)?;
+    lighting.tint(work, &seen, &means, &there, &shown)?;
+    let by_there = work.take::<f32>("gradients of the codes", n * CODE)?;
+    work.clear(&by_there);
+    lighting.backward(work, &by_colour, (&means, &there), &by_there, blamed.as_ref())?;
+    let shown: Vec<[f32; 4]> = work.read(&shown, n)?;
+    let by_there: Vec<f32> = work.read(&by_there, n * CODE)?;
+    let weights: Vec<f32> = work.read(&lighting.weight_grads, held.len())?;
+
+    let visible: Vec<usize> = (0..n).filter(|&i| radii[i] > 0.0).collect();
+    let shown: Vec<f32> = visible.iter().flat_map(|&i| &shown[i][..3]).copied().collect();
+    let tinted: Vec<f32> = visible.iter().flat_map(|&i| &tinted[3 * i..3 * i + 3]).copied().collect();
+    let own = CODE - BELOW;
+    let codes_of = |codes: &[f32]| -> Vec<f32> {
+        visible.iter().flat_map(|&i| &codes[i * CODE..i * CODE + own]).copied().collect()
+    };
+    let border = held.nets().border;
+    // What sees strangers is less than the rest by far.
+    let layers = held.nets().layout.layers();
+    let head =
+        layers.iter().find(|layer| layer.name.starts_with("visible")).map_or(border, |l| l.weights.start);
+    let compare =
+        |what: &str, got: &[f32], wanted: &[f32]| Tolerance::GRADIENTS.compare(what, got, wanted).err();
+    Ok(vec![
+        Checked {
+            kernels: &["in_sight", "pick", "read_light", "add_light"],
+            off: Tolerance::BLENDED.compare("tinted colours", &shown, &tinted).err(),
+        },
+        Checked {
+            kernels: &["take_light", "convolve_weights", "in_sight", "pick"],
+            off: compare("gradients of the small networks", &weights[border..], &wanted[border..]),
+        },
+        Checked {
+            kernels: &["read_light_backward"],
+            off: compare("gradients of the codes", &codes_of(&by_there), &codes_of(&by_code)),
+        },
+        Checked {
+            kernels: &["map_sums", "read_light_backward", "visibility"],
+            off: compare("gradients of the photo's network", &weights[..head], &wanted[..head]),
+        },
+        Checked {
+            kernels: &["visibility"],
+            off: compare("gradients of its head", &weights[head..border], &wanted[head..border]),
+        },
+    ])
+}

@@ -1,0 +1,8 @@
+//! The networks of the look `gsw` on the device, forward and back: kernel by kernel what `segwild_nets` and
+//! `raster/src/look/gsw/` do.
+
+mod plan;
+mod points;
+
+pub(crate) use plan::{Plan, Tape, Weights};
+pub(crate) use points::{GpuNetworks, Lighting, PIECE, Visible, bytes};

@@ -1,0 +1,435 @@
+//! A network as a list of kernels, forward and back.
+//!
+//! All maps of a network lie in one array, and their gradients in another at the same places; weights lie in a third, as they
+//! do on the host. Every kernel reads what it is about from one table of [`Layer`]s.
+
+use crate::GpuError;
+use crate::device::{Lent, Work};
+use crate::engine::GROUP;
+use crate::shaders::{CONVOLVE, CONVOLVE_WEIGHTS, GATE, JOIN, Kernel, NORM, NORM_BACKWARD, SUM_WEIGHTS};
+use bytemuck::{Pod, Zeroable};
+use segwild_nets::{Graph, Id, Kind, What};
+use std::ops::Range;
+
+/// `Layer` of `shaders/shared/layer.wgsl`.
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[repr(C)]
+struct Layer {
+    reads: u32,
+    writes: u32,
+    weights: u32,
+    offsets: u32,
+    input: u32,
+    output: u32,
+    kernel: u32,
+    border: u32,
+    input_size: [u32; 2],
+    output_size: [u32; 2],
+    step: u32,
+    gap: u32,
+    by_output: u32,
+    by_input: u32,
+    other: u32,
+    flags: u32,
+    unused: [u32; 2],
+}
+
+const NONE: u32 = u32::MAX;
+const RELU: u32 = 1;
+const ADD: u32 = 2;
+const TURNED: u32 = 4;
+const READ_QUARTERS: u32 = 8;
+const WRITE_QUARTERS: u32 = 16;
+const COUNTED: u32 = 32;
+
+/// Planes and columns that a group of `convolve` makes.
+const CONVOLVED: [usize; 2] = [32, 64];
+/// Columns of a slice of `convolve_weights`, and planes and weights of each that a group takes.
+const SLICE: usize = 1024;
+const WEIGHED: usize = 32;
+
+/// A kernel that a network runs.
+#[derive(Clone, Copy, Debug)]
+enum Run {
+    /// From maps to maps, or from gradients to gradients.
+    Convolve {
+        layer: u32,
+        groups: usize,
+    },
+    /// From maps and gradients to those of the weights.
+    Weights {
+        layer: u32,
+        groups: usize,
+        slices: usize,
+        numbers: usize,
+    },
+    Norm {
+        layer: u32,
+        groups: usize,
+    },
+    Join {
+        layer: u32,
+        numbers: usize,
+    },
+    /// Of the gradients from a place on.
+    Gate {
+        at: usize,
+        numbers: usize,
+    },
+}
+
+/// A network's kernels for one size of what it is given.
+#[derive(Debug)]
+pub(crate) struct Plan {
+    layers: Vec<Layer>,
+    forward: Vec<Run>,
+    backward: Vec<Run>,
+    /// Where each map begins.
+    places: Vec<usize>,
+    /// Numbers of maps, and of their gradients.
+    maps: usize,
+    grads: usize,
+    /// Most numbers that the slices of a layer's columns leave.
+    parts: usize,
+}
+
+impl Plan {
+    fn empty() -> Plan {
+        let (forward, backward) = (Vec::new(), Vec::new());
+        Plan { layers: Vec::new(), forward, backward, places: Vec::new(), maps: 0, grads: 0, parts: 0 }
+    }
+
+    /// The kernels of a network for images of this height and width.
+    pub fn of(graph: &Graph, image: [usize; 2]) -> Plan {
+        let mut plan = Plan::empty();
+        let size = |id: Id| graph.forms()[id].size(image).map(|n| n as u32);
+        for form in graph.forms() {
+            plan.places.push(plan.maps);
+            plan.maps += form.channels * form.size(image).iter().product::<usize>();
+        }
+        plan.grads = plan.maps;
+        let mut normal = Vec::new();
+        let mut forms = Vec::new();
+        for op in graph.ops() {
+            let form = graph.forms()[op.from];
+            let numbers = form.channels * form.size(image).iter().product::<usize>();
+            normal.push(plan.maps);
+            let mut layer = Layer {
+                reads: plan.places[op.from] as u32,
+                writes: plan.places[op.to] as u32,
+                ..Layer::between(size(op.from), size(op.to))
+            };
+            layer.flags = if op.relu { RELU } else { 0 };
+            match &op.what {
+                What::Conv(conv) => layer.is(conv.kind(), conv.weights()),
+                What::Up(up) => layer.is(up.kind(), up.weights()),
+                What::Norm(norm) => {
+                    layer.is(norm.kind(), norm.weights());
+                    layer.other = plan.maps as u32;
+                    plan.maps += numbers + layer.groups();
+                }
+                What::Join(other) => layer.other = plan.places[*other] as u32,
+                What::Beside(_) => {}
+            }
+            forms.push(layer);
+            match &op.what {
+                What::Conv(_) | What::Up(_) => plan.convolve(layer, true),
+                What::Norm(_) => {
+                    let (groups, layer) = (layer.groups(), plan.layer(layer));
+                    plan.forward.push(Run::Norm { layer, groups });
+                }
+                What::Join(_) => plan.join(layer, numbers, true),
+                What::Beside(other) => {
+                    plan.join(layer, numbers, true);
+                    let form = graph.forms()[*other];
+                    let reads = plan.places[*other] as u32;
+                    let rest = form.channels * form.size(image).iter().product::<usize>();
+                    plan.join(Layer { reads, writes: layer.writes + numbers as u32, ..layer }, rest, true);
+                }
+            }
+        }
+        plan.turn(graph, image, &forms);
+        plan
+    }
+
+    /// The way back of a network whose layers forward are these.
+    fn turn(&mut self, graph: &Graph, image: [usize; 2], forms: &[Layer]) {
+        let numbers =
+            |id: Id| graph.forms()[id].channels * graph.forms()[id].size(image).iter().product::<usize>();
+        // Maps whose gradients there are by then: more is added to them.
+        let mut begun: Vec<bool> =
+            (0..graph.forms().len()).map(|id| graph.ops().iter().all(|op| !op.reads(id))).collect();
+        let mut flags = |id: Id| if std::mem::replace(&mut begun[id], true) { ADD } else { 0 };
+        for (op, &layer) in graph.ops().iter().zip(forms).rev() {
+            let at = self.places[op.to];
+            if op.relu {
+                self.backward.push(Run::Gate { at, numbers: numbers(op.to) });
+            }
+            let plain = Layer { flags: 0, other: NONE, reads: layer.writes, ..layer };
+            match &op.what {
+                What::Conv(_) | What::Up(_) => {
+                    self.weigh(layer);
+                    if op.from >= graph.inputs() {
+                        let back = layer.back(flags(op.from));
+                        self.convolve(back, false);
+                    }
+                }
+                What::Norm(_) => {
+                    let (groups, layer) = (layer.groups(), self.layer(layer));
+                    self.backward.push(Run::Norm { layer, groups });
+                }
+                What::Join(other) | What::Beside(other) => {
+                    let rest = match op.what {
+                        What::Join(_) => 0,
+                        _ => numbers(op.from) as u32,
+                    };
+                    for (id, start) in [(op.from, 0), (*other, rest)] {
+                        if id >= graph.inputs() {
+                            let (reads, writes) = (plain.reads + start, self.places[id] as u32);
+                            let flags = flags(id);
+                            self.join(Layer { reads, writes, flags, ..plain }, numbers(id), false);
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// The kernels of dense layers over pieces of so many splats, in chains; each link reads `from` and writes `to`, which are
+    /// planes of an array of `planes`. A link's gradient is asked of its first `wanted` inputs.
+    pub fn of_points(chain: &[Link], planes: usize, room: usize) -> Plan {
+        let mut plan = Plan::empty();
+        (plan.maps, plan.grads) = (planes * room, planes * room);
+        for link in chain {
+            let layer = link.layer(room);
+            plan.convolve(layer, true);
+        }
+        for link in chain.iter().rev() {
+            let layer = link.layer(room);
+            if link.relu {
+                plan.backward.push(Run::Gate { at: link.to * room, numbers: link.output * room });
+            }
+            plan.weigh(layer);
+            let back = Layer { output: link.wanted as u32, ..layer.back(COUNTED) };
+            plan.convolve(back, false);
+        }
+        plan
+    }
+
+    fn layer(&mut self, layer: Layer) -> u32 {
+        self.layers.push(layer);
+        self.layers.len() as u32 - 1
+    }
+
+    fn convolve(&mut self, layer: Layer, forward: bool) {
+        let groups = (layer.output as usize).div_ceil(CONVOLVED[0]) * layer.columns().div_ceil(CONVOLVED[1]);
+        let run = Run::Convolve { layer: self.layer(layer), groups };
+        if forward { self.forward.push(run) } else { self.backward.push(run) }
+    }
+
+    fn weigh(&mut self, layer: Layer) {
+        let (output, wide) =
+            (layer.output as usize, (layer.input * layer.kernel * layer.kernel) as usize + 1);
+        let slices = layer.columns().div_ceil(SLICE);
+        let groups = output.div_ceil(WEIGHED) * wide.div_ceil(WEIGHED) * slices;
+        self.parts = self.parts.max(slices * output * wide);
+        let layer = self.layer(layer);
+        self.backward.push(Run::Weights { layer, groups, slices, numbers: output * wide });
+    }
+
+    fn join(&mut self, layer: Layer, numbers: usize, forward: bool) {
+        let run = Run::Join { layer: self.layer(layer), numbers };
+        if forward { self.forward.push(run) } else { self.backward.push(run) }
+    }
+
+    /// Where a map begins.
+    pub fn place(&self, map: Id) -> usize {
+        self.places[map]
+    }
+
+    /// Numbers of all maps.
+    pub fn maps(&self) -> usize {
+        self.maps
+    }
+
+    /// Bytes that its maps, gradients and slices take on the device.
+    pub fn bytes(&self) -> usize {
+        4 * (self.maps + self.grads + self.parts)
+    }
+}
+
+/// A dense layer between planes.
+#[derive(Clone, Debug)]
+pub(crate) struct Link {
+    /// `[in][out]`, then offsets.
+    pub weights: Range<usize>,
+    pub input: usize,
+    pub output: usize,
+    /// First planes of what it reads and of what it writes.
+    pub from: usize,
+    pub to: usize,
+    pub relu: bool,
+    pub wanted: usize,
+}
+
+impl Link {
+    fn layer(&self, room: usize) -> Layer {
+        let mut layer = Layer {
+            reads: (self.from * room) as u32,
+            writes: (self.to * room) as u32,
+            ..Layer::between([1, room as u32], [1, room as u32])
+        };
+        layer.flags = COUNTED | if self.relu { RELU } else { 0 };
+        layer.is(Kind::Dense { input: self.input, output: self.output }, self.weights.clone());
+        layer
+    }
+}
+
+impl Layer {
+    /// One that does nothing yet, between maps of such a height and width.
+    fn between([in_height, in_width]: [u32; 2], [out_height, out_width]: [u32; 2]) -> Layer {
+        Layer {
+            input_size: [in_width, in_height],
+            output_size: [out_width, out_height],
+            kernel: 1,
+            step: 1,
+            gap: 1,
+            other: NONE,
+            ..Layer::zeroed()
+        }
+    }
+
+    fn is(&mut self, kind: Kind, weights: Range<usize>) {
+        let all = |n: usize| n as u32;
+        let (input, output, kernel) = match kind {
+            Kind::Conv { input, output, kernel, stride } => {
+                (self.step, self.border) = (all(stride), all(kernel / 2));
+                (self.by_output, self.by_input) = (all(input * kernel * kernel), all(kernel * kernel));
+                (input, output, kernel)
+            }
+            Kind::Up { input, output } => {
+                // Each pixel's four are planes of their own, as many and as wide as what is read.
+                self.output_size = self.input_size;
+                self.flags |= WRITE_QUARTERS;
+                (self.by_output, self.by_input) = (all(input), 1);
+                (input, 4 * output, 1)
+            }
+            // A group's planes are in the kernel's place.
+            Kind::Norm { channels, groups } => (channels, channels, channels / groups),
+            Kind::Dense { input, output } => {
+                (self.by_output, self.by_input) = (1, all(output));
+                (input, output, 1)
+            }
+        };
+        (self.input, self.output, self.kernel) = (all(input), all(output), all(kernel));
+        let offsets = match kind {
+            Kind::Conv { output, .. } | Kind::Up { output, .. } | Kind::Dense { output, .. } => output,
+            Kind::Norm { channels, .. } => channels,
+        };
+        (self.weights, self.offsets) = (all(weights.start), all(weights.end - offsets));
+    }
+
+    fn groups(&self) -> usize {
+        (self.input / self.kernel) as usize
+    }
+
+    fn columns(&self) -> usize {
+        self.output_size.iter().map(|&n| n as usize).product()
+    }
+
+    /// The way back of a convolution or dense layer, from the gradients of what it writes to those of what it reads.
+    fn back(&self, flags: u32) -> Layer {
+        let quarters = if self.flags & WRITE_QUARTERS != 0 { READ_QUARTERS } else { 0 };
+        Layer {
+            reads: self.writes,
+            writes: self.reads,
+            offsets: NONE,
+            input: self.output,
+            output: self.input,
+            border: self.kernel - 1 - self.border,
+            input_size: self.output_size,
+            output_size: self.input_size,
+            step: 1,
+            gap: self.step,
+            by_output: self.by_input,
+            by_input: self.by_output,
+            flags: flags | quarters | TURNED,
+            ..*self
+        }
+    }
+}
+
+/// Networks' weights on the device, and where their gradients go.
+#[derive(Clone, Copy)]
+pub(crate) struct Weights<'a> {
+    pub values: &'a Lent,
+    pub grads: &'a Lent,
+}
+
+/// What a network makes of what it is given, on the device.
+pub(crate) struct Tape {
+    layers: Lent,
+    pub maps: Lent,
+    pub grads: Lent,
+    parts: Lent,
+}
+
+impl Tape {
+    /// Room for what a network makes.
+    pub fn new(work: &mut Work, plan: &Plan) -> Result<Tape, GpuError> {
+        Ok(Tape {
+            layers: work.upload("a network's layers", &plan.layers)?,
+            maps: work.take::<f32>("a network's maps", plan.maps)?,
+            grads: work.take::<f32>("the gradients of a network's maps", plan.grads)?,
+            parts: work.take::<f32>("parts of the weights' gradients", plan.parts)?,
+        })
+    }
+
+    /// Runs what lies at the network's first maps. `in_sight` and `first` as for the kernels.
+    pub fn forward(&self, work: &mut Work, plan: &Plan, weights: &Lent, in_sight: &Lent, first: usize) {
+        let Tape { layers, maps, .. } = self;
+        for run in &plan.forward {
+            match *run {
+                Run::Convolve { layer, groups } => {
+                    let job = [layer, first as u32, 0, 0];
+                    work.run(&CONVOLVE, 1, job, &[layers, weights, maps, in_sight], groups);
+                }
+                Run::Norm { layer, groups } => {
+                    work.run(&NORM, 1, [layer, 0, 0, 0], &[layers, weights, maps], groups);
+                }
+                Run::Join { layer, numbers } => each(work, &JOIN, layer, numbers, &[layers, maps]),
+                Run::Weights { .. } | Run::Gate { .. } => unreachable!("on the way back only"),
+            }
+        }
+    }
+
+    /// Adds to the gradients of the weights, from those of the maps that nothing reads.
+    pub fn backward(&self, work: &mut Work, plan: &Plan, weights: Weights, in_sight: &Lent, first: usize) {
+        let Tape { layers, maps, grads, parts } = self;
+        for run in &plan.backward {
+            match *run {
+                Run::Convolve { layer, groups } => {
+                    let job = [layer, first as u32, 0, 0];
+                    work.run(&CONVOLVE, 1, job, &[layers, weights.values, grads, in_sight], groups);
+                }
+                Run::Weights { layer, groups, slices, numbers } => {
+                    let job = [layer, first as u32, slices as u32, 0];
+                    work.run(&CONVOLVE_WEIGHTS, 1, job, &[layers, maps, grads, parts, in_sight], groups);
+                    let job = [layer, slices as u32, 0, 0];
+                    work.run(&SUM_WEIGHTS, 1, job, &[layers, parts, weights.grads], numbers.div_ceil(GROUP));
+                }
+                Run::Norm { layer, groups } => {
+                    let buffers = [layers, weights.values, maps, grads, weights.grads];
+                    work.run(&NORM_BACKWARD, 1, [layer, 0, 0, 0], &buffers, groups);
+                }
+                Run::Join { layer, numbers } => each(work, &JOIN, layer, numbers, &[layers, grads]),
+                Run::Gate { at, numbers } => each(work, &GATE, at as u32, numbers, &[maps, grads]),
+            }
+        }
+    }
+}
+
+/// A kernel with a thread per number.
+fn each(work: &mut Work, kernel: &Kernel, what: u32, numbers: usize, buffers: &[&Lent]) {
+    work.run(kernel, 1, [what, numbers as u32, 0, 0], buffers, numbers.div_ceil(GROUP));
+}

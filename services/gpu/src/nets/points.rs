@@ -1,0 +1,352 @@
+//! A step of the look `gsw` on the device: a network of the photo, and small ones of the splats in sight, which go through
+//! them piece by piece, so that what they have on the way takes the same room however many they are. Twin:
+//! `raster/src/look/gsw/points.rs`.
+
+use super::plan::{Link, Plan, Tape, Weights};
+use crate::GpuError;
+use crate::device::{Lent, Work};
+use crate::engine::{GROUP, scan, sort};
+use crate::shaders::{
+    ADD_LIGHT, IN_SIGHT, MAP_SUMS, PICK, READ_LIGHT, READ_LIGHT_BACKWARD, TAKE_LIGHT, VISIBILITY,
+};
+use bytemuck::{Pod, Zeroable};
+use glam::Vec3;
+use segwild_nets::{Kind, Mlp};
+use segwild_raster::gsw::{DYNAMIC, HIDDEN, INTRINSIC, LAYER, MAPS, Networks, OFF_MAP, VECTOR};
+use segwild_raster::{Glimpse, GswWidth, HeldNetworks, NetworksStep};
+use segwild_scene::NEAR;
+
+/// Splats of a piece, at most.
+pub(crate) const PIECE: usize = 1 << 15;
+
+/// The networks with what the optimiser knows of them.
+pub(crate) struct GpuNetworks {
+    pub width: GswWidth,
+    pub weights: Lent,
+    pub first: Lent,
+    pub second: Lent,
+}
+
+impl GpuNetworks {
+    pub fn upload(work: &mut Work, held: &HeldNetworks) -> Result<GpuNetworks, GpuError> {
+        Ok(GpuNetworks {
+            width: held.width,
+            weights: work.upload("the networks' weights", &held.weights)?,
+            first: work.upload("the weights' first moments", &held.first)?,
+            second: work.upload("the weights' second moments", &held.second)?,
+        })
+    }
+
+    pub fn read(&self, work: &mut Work) -> Result<HeldNetworks, GpuError> {
+        let mut read = |of: &Lent| work.read(of, self.len());
+        let [weights, first, second] = [read(&self.weights)?, read(&self.first)?, read(&self.second)?];
+        Ok(HeldNetworks { width: self.width, weights, first, second })
+    }
+
+    pub fn nets(&self) -> &'static Networks {
+        Networks::of(self.width)
+    }
+
+    /// Number of weights.
+    pub fn len(&self) -> usize {
+        self.nets().layout.len() + LAYER
+    }
+}
+
+/// Where the planes of splats lie: what each network is given, and what it makes.
+struct Planes {
+    links: Vec<Link>,
+    /// Inputs of the network for vectors: light first, `made` planes of it.
+    fuse: usize,
+    made: usize,
+    /// Inputs of the network for colours: the vector, and the direction.
+    colour: usize,
+    /// Colours.
+    output: usize,
+    /// Shares of the spots on the maps.
+    spots: usize,
+    all: usize,
+}
+
+impl Planes {
+    fn of(nets: &Networks) -> Planes {
+        let mut all = nets.light.ends().0;
+        let mut take = |planes: usize| {
+            all += planes;
+            all - planes
+        };
+        let made = nets.light.ends().1;
+        let (fuse, colour) = (take(made + INTRINSIC), take(VECTOR + 3));
+        let (hidden, output, spots) = (take(HIDDEN), take(3), take(2 * (MAPS + 1)));
+        let mut links = Vec::new();
+        // A chain's first input and last output have their places; what is between is nobody else's.
+        let mut chain = |mlp: &Mlp, shift: usize, from: usize, to: usize, wanted: usize| {
+            let (mut at, mut wanted) = (from, Some(wanted));
+            let last = mlp.layers().count() - 1;
+            for (k, (kind, weights, relu)) in mlp.layers().enumerate() {
+                let Kind::Dense { input, output } = kind else { unreachable!("dense layers only") };
+                let to = if k == last { to } else { take(output) };
+                links.push(Link {
+                    weights: weights.start + shift..weights.end + shift,
+                    input,
+                    output,
+                    from: at,
+                    to,
+                    relu,
+                    wanted: wanted.take().unwrap_or(input),
+                });
+                at = to;
+            }
+        };
+        chain(&nets.light, 0, 0, fuse, DYNAMIC + INTRINSIC);
+        chain(&nets.fuse, 0, fuse, colour, made + INTRINSIC);
+        chain(&nets.colour, 0, colour, hidden, VECTOR);
+        chain(&nets.last, nets.layout.len(), hidden, output, HIDDEN);
+        Planes { links, fuse, made, colour, output, spots, all }
+    }
+}
+
+/// `Reader` of `shaders/shared/reader.wgsl`.
+#[derive(Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+struct Reader {
+    pose: [[f32; 4]; 3],
+    lens: [f32; 4],
+    frame: [f32; 4],
+    eye: [f32; 4],
+    map: [u32; 4],
+    room: [u32; 4],
+    more: [u32; 4],
+}
+
+/// A photo in its network.
+struct Seen {
+    plan: Plan,
+    tape: Tape,
+    given: Lent,
+    /// Numbers that are given.
+    numbers: usize,
+    /// Width and height of the image.
+    size: [usize; 2],
+    whole: bool,
+}
+
+/// One step of the networks.
+pub(crate) struct Lighting<'a> {
+    networks: &'a GpuNetworks,
+    photo: Option<Seen>,
+    points: Plan,
+    tape: Tape,
+    planes: Planes,
+    reader: Lent,
+    room: usize,
+    splats: usize,
+    /// Splats in sight, and how many.
+    which: Lent,
+    count: Lent,
+    /// What is read where by the splats of a piece, and 0, 1, 2.
+    keys: Lent,
+    items: Lent,
+    /// Gradients of all weights.
+    pub weight_grads: Lent,
+}
+
+/// The visibility map of a photo.
+pub(crate) struct Visible<'a> {
+    pub maps: &'a Lent,
+    /// Where it begins, before the sigmoid.
+    pub place: usize,
+    /// Width and height.
+    pub size: [usize; 2],
+    /// Whether it may take the robust mask's place.
+    pub decides: bool,
+}
+
+impl<'a> Lighting<'a> {
+    /// Brings what a step needs to the device; `eye` is where so many splats are looked at from, which go through the networks
+    /// in pieces of so many.
+    pub fn upload(
+        work: &mut Work,
+        networks: &'a GpuNetworks,
+        step: &NetworksStep,
+        eye: Vec3,
+        splats: usize,
+        piece: usize,
+    ) -> Result<Lighting<'a>, GpuError> {
+        let nets = networks.nets();
+        let planes = Planes::of(nets);
+        let room = splats.clamp(1, piece);
+        let points = Plan::of_points(&planes.links, planes.all, room);
+        let tape = Tape::new(work, &points)?;
+        let photo = step.glimpse.as_ref().map(|glimpse| Seen::upload(work, nets, glimpse)).transpose()?;
+        let at = |plane: usize| (plane * room) as u32;
+        let mut reader = Reader {
+            eye: [eye.x, eye.y, eye.z, 0.0],
+            room: [room as u32, 0, at(planes.fuse), at(planes.colour)],
+            more: [at(planes.spots), planes.made as u32, nets.octaves as u32, step.draw as u32],
+            ..Reader::zeroed()
+        };
+        if let (Some(photo), Some(glimpse)) = (&photo, &step.glimpse) {
+            let (camera, pose) = glimpse.glance.stand();
+            let [width, height] = photo.size.map(|n| (n / 2) as u32);
+            reader.pose = *pose;
+            reader.lens = [camera.fx, camera.fy, camera.cx, camera.cy];
+            let off_map = OFF_MAP / splats as f32;
+            reader.frame = [camera.width as f32, camera.height as f32, NEAR, off_map];
+            reader.map = [width, height, photo.plan.place(nets.unet.maps) as u32, 1];
+        }
+        let items: Vec<u32> = (0..((MAPS + 1) * room) as u32).collect();
+        Ok(Lighting {
+            reader: work.upload("how splats read light", &[reader])?,
+            items: work.upload("the splats' numbers", &items)?,
+            which: work.take::<u32>("the splats in sight", splats)?,
+            count: work.take::<u32>("how many are in sight", 1)?,
+            keys: work.take::<u32>("where splats read", items.len())?,
+            weight_grads: work.take::<f32>("the weights' gradients", networks.len())?,
+            networks,
+            photo,
+            points,
+            tape,
+            planes,
+            room,
+            splats,
+        })
+    }
+
+    /// The photo's visibility map, if its network saw all of it; once colours were tinted.
+    pub fn visible(&self, decides: bool) -> Option<Visible<'_>> {
+        let Seen { plan, tape, size, .. } = self.photo.as_ref().filter(|photo| photo.whole)?;
+        let place = plan.place(self.networks.nets().unet.plane);
+        Some(Visible { maps: &tape.maps, place, size: size.map(|n| n / 4), decides })
+    }
+
+    /// Adds the photo's light to the colours of the splats in sight. `seen` are their depths and radii, `means` their centres.
+    pub fn tint(
+        &self,
+        work: &mut Work,
+        seen: &Lent,
+        means: &Lent,
+        codes: &Lent,
+        colours: &Lent,
+    ) -> Result<(), GpuError> {
+        let n = self.splats;
+        let places = work.take::<u32>("places of the splats in sight", n + 1)?;
+        let job = [n as u32, 0, 0, 0];
+        work.run(&IN_SIGHT, 1, job, &[seen, &places], (n + 1).div_ceil(GROUP));
+        scan(work, &places, n + 1)?;
+        work.run(&PICK, 1, job, &[&places, &self.which, &self.count], n.max(1).div_ceil(GROUP));
+        if let Some(photo) = &self.photo {
+            work.copy_to(&photo.given, &photo.tape.maps, 0, 4 * photo.numbers);
+            photo.tape.forward(work, &photo.plan, &self.networks.weights, &self.count, 0);
+        }
+        for first in self.pieces() {
+            self.run_piece(work, first, means, codes);
+            let output = (self.planes.output * self.room) as u32;
+            let job = [self.room as u32, first as u32, output, 0];
+            let buffers = [&self.which, &self.count, &self.tape.maps, colours];
+            work.run(&ADD_LIGHT, 1, job, &buffers, self.room.div_ceil(GROUP));
+        }
+        Ok(())
+    }
+
+    fn pieces(&self) -> impl Iterator<Item = usize> + use<> {
+        (0..self.splats).step_by(self.room)
+    }
+
+    /// The small networks of the piece that begins with a splat in sight.
+    fn run_piece(&self, work: &mut Work, first: usize, means: &Lent, codes: &Lent) {
+        // Where there is no photo nothing of it is read.
+        let maps = self.photo.as_ref().map_or(means, |photo| &photo.tape.maps);
+        let job = [self.splats as u32, first as u32, 0, 0];
+        let Lighting { reader, which, count, tape, keys, .. } = self;
+        let buffers = [reader, which, count, means, codes, maps, &tape.maps, keys];
+        work.run(&READ_LIGHT, 1, job, &buffers, self.room.div_ceil(GROUP));
+        tape.forward(work, &self.points, &self.networks.weights, count, first);
+    }
+
+    /// Gradients of the codes of splats in sight, without those of the look below, and of all weights, from those of the colours
+    /// that [`Lighting::tint`] left and of what `blames` say of the visibility map.
+    pub fn backward(
+        &self,
+        work: &mut Work,
+        by_colour: &Lent,
+        (means, codes): (&Lent, &Lent),
+        by_code: &Lent,
+        blames: Option<&Lent>,
+    ) -> Result<(), GpuError> {
+        let Lighting { networks, photo, reader, which, count, tape, room, .. } = self;
+        let weights = Weights { values: &networks.weights, grads: &self.weight_grads };
+        let each = room.div_ceil(GROUP);
+        work.clear(&self.weight_grads);
+        let maps = photo.as_ref().map_or(means, |photo| &photo.tape.maps);
+        for first in self.pieces() {
+            // Of a single piece all is still there.
+            if self.splats > *room {
+                self.run_piece(work, first, means, codes);
+            }
+            let output = (self.planes.output * room) as u32;
+            let job = [*room as u32, first as u32, output, 0];
+            work.run(&TAKE_LIGHT, 1, job, &[which, count, by_colour, &tape.grads], each);
+            tape.backward(work, &self.points, weights, count, first);
+            let job = [self.splats as u32, first as u32, 0, 0];
+            let buffers = [reader, which, count, codes, maps, &tape.grads, by_code];
+            work.run(&READ_LIGHT_BACKWARD, 1, job, &buffers, each);
+            if let Some(photo) = photo {
+                self.sum_maps(work, photo, first)?;
+            }
+        }
+        if let Some(Seen { plan, tape, size, .. }) = photo {
+            let parts = size.iter().map(|n| n / 4).product::<usize>();
+            let place = plan.place(networks.nets().unet.plane);
+            let job = [parts as u32, place as u32, u32::from(blames.is_some()), 0];
+            // Where nothing is blamed nothing of it is read.
+            let blames = blames.unwrap_or(&self.items);
+            work.run(&VISIBILITY, 1, job, &[blames, &tape.maps, &tape.grads], 1);
+            tape.backward(work, plan, weights, count, 0);
+        }
+        Ok(())
+    }
+
+    /// Adds the gradients of the light that a piece read to those of the photo's maps.
+    fn sum_maps(&self, work: &mut Work, photo: &Seen, first: usize) -> Result<(), GpuError> {
+        let count = (MAPS + 1) * self.room;
+        let pixels = photo.size.iter().map(|n| n / 2).product::<usize>();
+        let [keys, items] =
+            [work.take::<u32>("where splats read", count)?, work.take::<u32>("splats", count)?];
+        work.copy_to(&self.keys, &keys, 0, 4 * count);
+        work.copy_to(&self.items, &items, 0, 4 * count);
+        let bits = u32::BITS - (((MAPS + 1) * (pixels + 1)) as u32).leading_zeros();
+        let (keys, items) = sort(work, keys, items, count, bits)?;
+        let job = [0, first as u32, 0, 0];
+        let Tape { maps, grads, .. } = &self.tape;
+        let buffers = [&self.reader, &keys, &items, maps, grads, &photo.tape.grads];
+        work.run(&MAP_SUMS, 1, job, &buffers, ((MAPS + 1) * pixels).div_ceil(GROUP));
+        Ok(())
+    }
+}
+
+impl Seen {
+    fn upload(work: &mut Work, nets: &Networks, glimpse: &Glimpse) -> Result<Seen, GpuError> {
+        let image = &glimpse.image;
+        let plan = Plan::of(&nets.unet.graph, [image.height, image.width]);
+        let given = [image.data.as_slice(), &glimpse.beside.data].concat();
+        Ok(Seen {
+            given: work.upload("the photo for its network", &given)?,
+            tape: Tape::new(work, &plan)?,
+            plan,
+            numbers: given.len(),
+            size: [image.width, image.height],
+            whole: glimpse.whole,
+        })
+    }
+}
+
+/// About how many bytes networks take on the device, beside the splats' codes, to be trained on so many splats.
+pub(crate) fn bytes(width: GswWidth, splats: usize) -> usize {
+    let nets = Networks::of(width);
+    let planes = Planes::of(nets);
+    let room = splats.clamp(1, PIECE);
+    let photo = Plan::of(&nets.unet.graph, [nets.side; 2]);
+    let weights = 4 * 4 * (nets.layout.len() + LAYER);
+    Plan::of_points(&planes.links, planes.all, room).bytes() + photo.bytes() + weights + 4 * splats
+}

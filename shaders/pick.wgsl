@@ -1,0 +1,25 @@
+// The splats in sight one after the other, from running sums of `in_sight` (twin: `in_sight` in
+// raster/src/look/gsw/points.rs). One thread per splat.
+#import common
+
+// x: splats.
+@group(0) @binding(0) var<uniform> job: vec4u;
+@group(0) @binding(1) var<storage, read> places: array<u32>;
+@group(0) @binding(2) var<storage, read_write> splats: array<u32>;
+// How many they are.
+@group(0) @binding(3) var<storage, read_write> count: array<u32>;
+
+@compute @workgroup_size(256)
+fn pick(
+    @builtin(workgroup_id) id: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let i = group_of(id, groups) * 256u + local;
+    if i < job.x && places[i + 1u] > places[i] {
+        splats[places[i]] = i;
+    }
+    if i == 0u {
+        count[0] = places[job.x];
+    }
+}
