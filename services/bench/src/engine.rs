@@ -33,11 +33,14 @@ pub struct EngineOptions {
     pub channels: Vec<u32>,
     /// Whether the CPU engine does the same beside it.
     pub cpu: bool,
+    /// Whether kernels go by subgroups where the accelerator has some.
+    pub subgroups: bool,
 }
 
 /// Measures every combination; `told` hears each record.
 pub fn engine(options: &EngineOptions, mut told: impl FnMut(&Record)) -> Result<Results, PageError> {
-    let gpu = GpuEngine::new(&options.choice)?;
+    let open = if options.subgroups { GpuEngine::new } else { GpuEngine::without_subgroups };
+    let gpu = open(&options.choice)?;
     let mut made = Made::here(options.command.clone());
     let adapter = gpu.adapter();
     made.machine =

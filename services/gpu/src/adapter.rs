@@ -1,7 +1,7 @@
 //! Which accelerators there are, and which one is taken.
 
 use crate::GpuError;
-use wgpu::{Backends, DeviceType, Instance, InstanceDescriptor, Limits};
+use wgpu::{Backends, DeviceType, Features, Instance, InstanceDescriptor, Limits};
 
 /// An accelerator, as its driver describes it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -18,6 +18,8 @@ pub struct Adapter {
     pub binding: u64,
     /// Bytes that threads of a group share.
     pub shared: u64,
+    /// Fewest and most threads of a subgroup; `None` where kernels do without, because it has none or by choice.
+    pub subgroups: Option<(u32, u32)>,
 }
 
 impl Adapter {
@@ -69,13 +71,20 @@ fn describe(adapter: &wgpu::Adapter) -> Adapter {
         name: info.name,
         binding: limits.max_storage_buffer_binding_size.min(limits.max_buffer_size),
         shared: u64::from(limits.max_compute_workgroup_storage_size),
+        subgroups: adapter
+            .features()
+            .contains(Features::SUBGROUP)
+            .then_some((info.subgroup_min_size, info.subgroup_max_size)),
     }
 }
 
-/// Opens the accelerator of this choice.
-pub(crate) fn open(choice: &Choice) -> Result<(Adapter, wgpu::Device, wgpu::Queue), GpuError> {
+/// Opens the accelerator of this choice, with `subgroups` if it has some.
+pub(crate) fn open(
+    choice: &Choice,
+    subgroups: bool,
+) -> Result<(Adapter, wgpu::Device, wgpu::Queue), GpuError> {
     let all = list();
-    let described: Vec<Adapter> = all.iter().map(describe).collect();
+    let mut described: Vec<Adapter> = all.iter().map(describe).collect();
     let at = match choice {
         Choice::Hardware => described.iter().position(|adapter| !adapter.is_software()),
         Choice::Named(part) => {
@@ -85,13 +94,16 @@ pub(crate) fn open(choice: &Choice) -> Result<(Adapter, wgpu::Device, wgpu::Queu
     };
     let Some(at) = at else { return Err(GpuError::NoAdapter(none_of(choice, &described))) };
     let limits = wanted(&described[at], &all[at].limits())?;
+    let mut adapter = described.swap_remove(at);
+    adapter.subgroups = adapter.subgroups.filter(|_| subgroups);
     let (device, queue) = pollster::block_on(all[at].request_device(&wgpu::DeviceDescriptor {
         label: Some("segwild"),
         required_limits: limits,
+        required_features: if adapter.subgroups.is_some() { Features::SUBGROUP } else { Features::empty() },
         ..Default::default()
     }))
-    .map_err(|error| GpuError::Failed { adapter: described[at].name.clone(), why: error.to_string() })?;
-    Ok((described[at].clone(), device, queue))
+    .map_err(|error| GpuError::Failed { adapter: adapter.name.clone(), why: error.to_string() })?;
+    Ok((adapter, device, queue))
 }
 
 fn none_of(choice: &Choice, all: &[Adapter]) -> String {
@@ -157,6 +169,7 @@ mod tests {
             driver: "Mesa".into(),
             binding: 1 << 27,
             shared: 1 << 15,
+            subgroups: Some((8, 8)),
         }
     }
 

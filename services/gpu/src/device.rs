@@ -70,8 +70,8 @@ pub(crate) struct Device {
 }
 
 impl Device {
-    pub fn open(choice: &Choice, edit: Edit) -> Result<Device, GpuError> {
-        let (adapter, device, queue) = open(choice)?;
+    pub fn open(choice: &Choice, subgroups: bool, edit: Edit) -> Result<Device, GpuError> {
+        let (adapter, device, queue) = open(choice, subgroups)?;
         let failed = Arc::new(Mutex::new(None));
         let note = Arc::clone(&failed);
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
@@ -126,9 +126,10 @@ impl Device {
     fn kernel(&self, kernel: &Kernel, blocks: u32) -> Arc<ComputePipeline> {
         let mut kernels = lock(&self.kernels);
         let built = kernels.entry((kernel.name, blocks)).or_insert_with(|| {
+            let text = (self.edit)(kernel, source(kernel, blocks, self.adapter.subgroups.is_some()));
             let module = self.device.create_shader_module(wgpu::ShaderModuleDescriptor {
                 label: Some(kernel.name),
-                source: wgpu::ShaderSource::Wgsl((self.edit)(kernel, source(kernel, blocks)).into()),
+                source: wgpu::ShaderSource::Wgsl(text.into()),
             });
             Arc::new(self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
                 label: Some(kernel.name),

@@ -38,16 +38,22 @@ pub struct GpuEngine {
 impl GpuEngine {
     /// Opens an accelerator.
     pub fn new(choice: &Choice) -> Result<GpuEngine, GpuError> {
-        GpuEngine::with_edit(choice, |_, text| text)
+        GpuEngine::with_edit(choice, true, |_, text| text)
+    }
+
+    /// The same without subgroups, whether or not the accelerator has some.
+    pub fn without_subgroups(choice: &Choice) -> Result<GpuEngine, GpuError> {
+        GpuEngine::with_edit(choice, false, |_, text| text)
     }
 
     /// The same with kernels whose text was changed: how tests plant a fault.
     #[doc(hidden)]
     pub fn with_edit(
         choice: &Choice,
+        subgroups: bool,
         edit: impl Fn(&Kernel, String) -> String + Send + Sync + 'static,
     ) -> Result<GpuEngine, GpuError> {
-        let device = Arc::new(Device::open(choice, Box::new(edit))?);
+        let device = Arc::new(Device::open(choice, subgroups, Box::new(edit))?);
         tracing::info!(adapter = device.adapter.name, backend = device.adapter.backend, "accelerator opened");
         Ok(GpuEngine { device, shelf: Arc::default() })
     }
@@ -379,33 +385,45 @@ mod tests {
 
     #[test]
     fn running_sums_go_over_three_levels_of_blocks() {
-        let Some(engine) = crate::common::engine("running_sums_go_over_three_levels_of_blocks") else {
-            return;
-        };
-        for count in [1, 1023, 1024, 1025, BLOCK * BLOCK + 7] {
-            let right = check::sums(&mut engine.device.work(), count).expect("it runs");
-            assert_eq!(right, Ok(()), "{count} numbers");
+        for engine in crate::common::either_way("running_sums_go_over_three_levels_of_blocks") {
+            let by = engine.adapter().subgroups;
+            for count in [1, 1023, 1024, 1025, BLOCK * BLOCK + 7] {
+                let right = check::sums(&mut engine.device.work(), count).expect("it runs");
+                assert_eq!(right, Ok(()), "{count} numbers, by subgroups of {by:?}");
+            }
         }
     }
 
     #[test]
     fn a_running_sum_that_does_not_fit_stays_at_the_largest_number() {
-        let test = "a_running_sum_that_does_not_fit_stays_at_the_largest_number";
-        let Some(engine) = crate::common::engine(test) else { return };
-        let numbers = vec![1u32 << 20; 5000];
-        let mut work = engine.device.work();
-        let data = work.upload("numbers", &numbers).expect("it fits");
-        scan(&mut work, &data, numbers.len()).expect("it runs");
-        let sums: Vec<u32> = work.read(&data, numbers.len()).expect("it comes back");
-        assert_eq!((sums[4095], sums[4096], sums[4999]), (4095 << 20, u32::MAX, u32::MAX));
+        for engine in crate::common::either_way("a_running_sum_that_does_not_fit_stays_at_the_largest_number")
+        {
+            let by = engine.adapter().subgroups;
+            let mut work = engine.device.work();
+            let mut sums_of = |numbers: &[u32]| -> Vec<u32> {
+                let data = work.upload("numbers", numbers).expect("it fits");
+                scan(&mut work, &data, numbers.len()).expect("it runs");
+                work.read(&data, numbers.len()).expect("it comes back")
+            };
+            let sums = sums_of(&[1 << 20; 5000]);
+            assert_eq!((sums[4095], sums[4096], sums[4999]), (4095 << 20, u32::MAX, u32::MAX), "{by:?}");
+            // Inside one block: between the numbers of a thread, and between threads.
+            let sums = sums_of(&[u32::MAX - 1, 1, 1, 0, 7, u32::MAX, 0, 0, 1]);
+            let most = u32::MAX;
+            assert_eq!(sums, [0, most - 1, most, most, most, most, most, most, most], "{by:?}");
+            let sums = sums_of(&[0xffff_8001; 1000]);
+            assert_eq!((sums[1], sums[2], sums[999]), (0xffff_8001, most, most), "{by:?}");
+        }
     }
 
     #[test]
     fn the_sort_keeps_the_order_of_equal_keys() {
-        let Some(engine) = crate::common::engine("the_sort_keeps_the_order_of_equal_keys") else { return };
-        for (count, bits) in [(0, 8), (1, 4), (1024, 4), (5000, 13), (70_000, 32)] {
-            let right = check::sorted(&mut engine.device.work(), count, bits).expect("it runs");
-            assert_eq!(right, Ok(()), "{count} items");
+        for engine in crate::common::either_way("the_sort_keeps_the_order_of_equal_keys") {
+            let by = engine.adapter().subgroups;
+            for (count, bits) in [(0, 8), (1, 4), (1024, 4), (5000, 13), (70_000, 32)] {
+                let right = check::sorted(&mut engine.device.work(), count, bits).expect("it runs");
+                assert_eq!(right, Ok(()), "{count} items, by subgroups of {by:?}");
+            }
         }
     }
 

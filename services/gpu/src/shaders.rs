@@ -139,16 +139,22 @@ const SHARED: &[(&str, &str)] = &[
     ("bins", include_str!("../../../shaders/shared/bins.wgsl")),
     ("window", include_str!("../../../shaders/shared/window.wgsl")),
     ("sum", include_str!("../../../shaders/shared/sum.wgsl")),
+    ("running", include_str!("../../../shaders/shared/running.wgsl")),
     ("lean", include_str!("../../../shaders/shared/lean.wgsl")),
     ("layer", include_str!("../../../shaders/shared/layer.wgsl")),
     ("reader", include_str!("../../../shaders/shared/reader.wgsl")),
 ];
 
-/// The whole text of a kernel for so many vec4 of channels: the twins' own numbers, then the file with its imports.
+/// What stands for some of these where the device has subgroups.
+const BY_SUBGROUPS: &[(&str, &str)] =
+    &[("running", include_str!("../../../shaders/shared/running_subgroups.wgsl"))];
+
+/// The whole text of a kernel for so many vec4 of channels: the twins' own numbers, then the file with its imports, which
+/// may be others for a device that has `subgroups`.
 ///
 /// # Panics
 /// If the file imports what is not in `shaders/shared/`; a test builds every kernel.
-pub fn source(kernel: &Kernel, blocks: u32) -> String {
+pub fn source(kernel: &Kernel, blocks: u32, subgroups: bool) -> String {
     let mut text = format!(
         "const ALPHA_MIN: f32 = {ALPHA_MIN:e}f;\nconst ALPHA_MAX: f32 = {ALPHA_MAX:e}f;\n\
          const T_MIN: f32 = {T_MIN:e}f;\nconst LOG2_ALPHA_MIN: f32 = {LOG2_ALPHA_MIN:e}f;\n\
@@ -166,7 +172,8 @@ pub fn source(kernel: &Kernel, blocks: u32) -> String {
             text.push('\n');
             continue;
         };
-        let part = SHARED.iter().find(|(known, _)| *known == name.trim());
+        let rather = if subgroups { BY_SUBGROUPS } else { &[] };
+        let part = rather.iter().chain(SHARED).find(|(known, _)| *known == name.trim());
         text.push_str(part.unwrap_or_else(|| panic!("{}.wgsl imports {name}", kernel.name)).1);
     }
     text

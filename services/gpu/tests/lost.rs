@@ -15,7 +15,7 @@ fn without(kernel: &'static str, adapter: &str) -> GpuEngine {
     let edit = move |k: &segwild_gpu::Kernel, text: String| {
         if k.name == kernel { text.replace("@compute", "this is no kernel @compute") } else { text }
     };
-    GpuEngine::with_edit(&Choice::Named(adapter.to_owned()), edit).expect("it opens")
+    GpuEngine::with_edit(&Choice::Named(adapter.to_owned()), true, edit).expect("it opens")
 }
 
 fn gradients(engine: &dyn Engine) -> Result<SplatGrads, RasterError> {

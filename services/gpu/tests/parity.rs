@@ -250,7 +250,7 @@ const FAULTS: &[(&str, &str, &str, &str)] = &[
     ("histogram", ">> job.y) & 15u", ">> job.y) & 7u", "blend"),
     ("scan", "plus(before, held[k])", "held[k]", "blend"),
     ("scan_add", "i / 1024u", "i / 2048u", "blend"),
-    ("scatter", "+ before + rank[k]", "+ before", "blend"),
+    ("scatter", "+ rank[k]", "", "blend"),
     ("order", "counts[sorted[k]]", "counts[sorted[k] ^ 1u]", "blend"),
     ("emit", "column < columns.y &&", "column + 1u < columns.y &&", "blend"),
     ("ranges", "1u] = j + 1u", "1u] = j", "blend"),

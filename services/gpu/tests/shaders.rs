@@ -7,10 +7,11 @@ use segwild_gpu::{KERNELS, source};
 const STORAGE_BUFFERS: usize = 8;
 const SHARED_BYTES: u32 = 16 << 10;
 
-/// The kernel as naga reads it, or what is wrong in it.
-fn valid(text: &str) -> Result<naga::Module, String> {
+/// The kernel as naga reads it for a device with or without subgroups, or what is wrong in it.
+fn valid(text: &str, subgroups: bool) -> Result<naga::Module, String> {
     let module = naga::front::wgsl::parse_str(text).map_err(|error| error.emit_to_string(text))?;
-    Validator::new(ValidationFlags::all(), Capabilities::empty())
+    let offered = if subgroups { Capabilities::SUBGROUP } else { Capabilities::empty() };
+    Validator::new(ValidationFlags::all(), offered)
         .validate(&module)
         .map_err(|error| error.emit_to_string(text))?;
     Ok(module)
@@ -19,10 +20,12 @@ fn valid(text: &str) -> Result<naga::Module, String> {
 #[test]
 fn every_kernel_is_valid_and_within_what_every_device_offers() {
     for kernel in KERNELS {
-        for &blocks in kernel.blocks {
-            let text = source(kernel, blocks);
-            let name = format!("{} for {blocks} blocks", kernel.name);
-            let module = valid(&text).unwrap_or_else(|error| panic!("{name}: {error}"));
+        let built = kernel.blocks.iter().flat_map(|&blocks| [(blocks, false), (blocks, true)]);
+        for (blocks, subgroups) in built {
+            let text = source(kernel, blocks, subgroups);
+            let by = if subgroups { ", by subgroups" } else { "" };
+            let name = format!("{} for {blocks} blocks{by}", kernel.name);
+            let module = valid(&text, subgroups).unwrap_or_else(|error| panic!("{name}: {error}"));
             let entry = &module.entry_points[0];
             assert_eq!((module.entry_points.len(), entry.name.as_str()), (1, kernel.entry), "{name}");
             let threads: u32 = entry.workgroup_size.iter().product();
@@ -46,11 +49,23 @@ fn every_kernel_is_valid_and_within_what_every_device_offers() {
 #[test]
 fn a_kernel_that_is_not_valid_is_seen() {
     let kernel = KERNELS.iter().find(|kernel| kernel.name == "histogram").expect("there is one");
-    let text = source(kernel, 1);
+    let text = source(kernel, 1, false);
     let mistyped = text.replace("let digit", "let digit: f32").replace("block * 1024u", "block * 1024.0");
-    assert!(valid(&mistyped).is_err(), "a whole number times a fraction");
-    assert!(valid(&text).is_ok());
+    assert!(valid(&mistyped, false).is_err(), "a whole number times a fraction");
+    assert!(valid(&text, false).is_ok());
     let unbound =
         text.replace("@binding(2) var<storage, read_write>", "@binding(1) var<storage, read_write>");
-    assert!(unbound != text && valid(&unbound).is_err(), "two arrays at one place");
+    assert!(unbound != text && valid(&unbound, false).is_err(), "two arrays at one place");
+}
+
+#[test]
+fn running_sums_and_the_sort_go_by_subgroups_where_there_are_some() {
+    let others = KERNELS.iter().filter(|kernel| source(kernel, 1, true) != source(kernel, 1, false));
+    let others: Vec<_> = others.collect();
+    assert_eq!(others.iter().map(|kernel| kernel.name).collect::<Vec<_>>(), ["scan", "scatter"]);
+    for kernel in others {
+        let error =
+            valid(&source(kernel, 1, true), false).expect_err("a device without subgroups refuses it");
+        assert!(error.to_lowercase().contains("subgroup") || error.contains("apabilit"), "{error}");
+    }
 }

@@ -102,9 +102,16 @@ fn kernels(adapter: &str, json: bool) -> Result<(), Failure> {
 
 /// An accelerator in one line: what it is, and its limits.
 fn accelerator(adapter: &Adapter) -> String {
-    let Adapter { name, backend, kind, driver, binding, shared } = adapter;
+    let Adapter { name, backend, kind, driver, binding, shared, subgroups } = adapter;
     let (binding, shared) = (binding >> 20, shared >> 10);
-    format!("{name}: {kind}, {backend}, {driver}; arrays of {binding} MiB, {shared} KiB shared by a group")
+    let subgroups = match subgroups {
+        Some((least, most)) if least == most => format!("sums and sorts by subgroups of {least} threads"),
+        Some((least, most)) => format!("sums and sorts by subgroups of {least} to {most} threads"),
+        None => "no subgroups".to_owned(),
+    };
+    format!(
+        "{name}: {kind}, {backend}, {driver}; arrays of {binding} MiB, {shared} KiB shared by a group; {subgroups}"
+    )
 }
 
 /// A network file in one line: what it is by its name, how large, its hash, its terms.

@@ -260,6 +260,9 @@ fn the_doctor_compares_the_kernels_of_an_accelerator() {
         println!("skipped: the_doctor_compares_the_kernels_of_an_accelerator: no accelerator answers");
         return;
     }
+    let found = works(&["doctor"]);
+    let device = found.lines().find(|line| line.contains("shared by a group")).expect("what it offers");
+    assert!(device.contains("subgroups"), "{device}");
     let told = works(&["doctor", "--kernels"]);
     assert!(told.contains("unproject") && told.lines().all(|line| line.contains("as on the CPU")), "{told}");
 }

@@ -33,6 +33,19 @@ pub fn engine(test: &str) -> Option<&'static GpuEngine> {
     engine.as_ref()
 }
 
+/// [`engine`], and the same adapter without subgroups; says so where that has none anyway.
+pub fn either_way(test: &str) -> Vec<&'static GpuEngine> {
+    static PLAIN: OnceLock<GpuEngine> = OnceLock::new();
+    let Some(engine) = engine(test) else { return Vec::new() };
+    if engine.adapter().subgroups.is_none() {
+        println!("skipped: {test} by subgroups: {} has none", engine.adapter().name);
+        return vec![engine];
+    }
+    let choice = Choice::Named(engine.adapter().name.clone());
+    let plain = PLAIN.get_or_init(|| GpuEngine::without_subgroups(&choice).expect("it opens again"));
+    vec![engine, plain]
+}
+
 pub fn uniform(random: &mut Random, from: f32, to: f32) -> f32 {
     from + (to - from) * random.uniform()
 }
@@ -118,6 +131,17 @@ pub fn rules(rate: f32) -> Rules {
 
 /// The adapter with a piece of a kernel's text replaced.
 pub fn broken(choice: &Choice, kernel: &'static str, text: &'static str, fault: &'static str) -> GpuEngine {
+    broken_with(true, choice, kernel, text, fault)
+}
+
+/// The same with `subgroups`, if the adapter has some, or without.
+pub fn broken_with(
+    subgroups: bool,
+    choice: &Choice,
+    kernel: &'static str,
+    text: &'static str,
+    fault: &'static str,
+) -> GpuEngine {
     let edit = move |built: &Kernel, whole: String| {
         if built.name != kernel {
             return whole;
@@ -125,7 +149,7 @@ pub fn broken(choice: &Choice, kernel: &'static str, text: &'static str, fault: 
         assert!(whole.contains(text), "{kernel}.wgsl no longer holds `{text}`");
         whole.replace(text, fault)
     };
-    GpuEngine::with_edit(choice, edit).expect("the adapter opens again")
+    GpuEngine::with_edit(choice, subgroups, edit).expect("the adapter opens again")
 }
 
 /// What is said where a check does not lay the fault to the kernel that has it.

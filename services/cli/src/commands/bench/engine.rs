@@ -31,6 +31,12 @@ pub fn command() -> Command {
                 .action(ArgAction::SetTrue)
                 .help("Leave out the CPU engine beside it"),
         )
+        .arg(
+            Arg::new("no-subgroups")
+                .long("no-subgroups")
+                .action(ArgAction::SetTrue)
+                .help("Sum and sort without subgroups, even where the accelerator has some"),
+        )
         .arg(path("page", "Write the page to this file"))
         .arg(json())
 }
@@ -48,6 +54,7 @@ pub fn engine(matches: &ArgMatches) -> Result<(), Failure> {
         sizes: list(matches, "sizes").into_iter().map(size).collect::<Result<_, _>>()?,
         channels: numbers(matches, "channels")?,
         cpu: !matches.get_flag("no-cpu"),
+        subgroups: !matches.get_flag("no-subgroups"),
     };
     let json = matches.get_flag("json");
     let mut last = String::new();

@@ -1,0 +1,37 @@
+// For each of a group's 256 threads the sum of what those before it have: PARTS numbers of the kind that the kernel calls
+// `Counted`, whole ones, so that no order changes them. All threads call it. `running_subgroups.wgsl` is the same for
+// devices that have subgroups.
+var<workgroup> counted: array<Counted, 256 * PARTS>;
+
+// A thread's place in the order in which is summed: `number` of 256.
+struct Place {
+    number: u32,
+}
+
+fn place_in_group(local: u32) -> Place {
+    return Place(local);
+}
+
+fn sum_before(place: Place, mine: array<Counted, PARTS>) -> array<Counted, PARTS> {
+    var sums = mine;
+    for (var p = 0u; p < PARTS; p += 1u) {
+        counted[p * 256u + place.number] = sums[p];
+    }
+    workgroupBarrier();
+    for (var step = 1u; step < 256u; step *= 2u) {
+        if place.number >= step {
+            for (var p = 0u; p < PARTS; p += 1u) {
+                sums[p] += counted[p * 256u + place.number - step];
+            }
+        }
+        workgroupBarrier();
+        for (var p = 0u; p < PARTS; p += 1u) {
+            counted[p * 256u + place.number] = sums[p];
+        }
+        workgroupBarrier();
+    }
+    for (var p = 0u; p < PARTS; p += 1u) {
+        sums[p] -= mine[p];
+    }
+    return sums;
+}

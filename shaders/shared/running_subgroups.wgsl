@@ -1,0 +1,45 @@
+// What `running.wgsl` does, by subgroups: two barriers instead of seventeen. Nothing is taken for granted of them: neither
+// how many threads each has, nor that all have as many, nor which. So threads get places anew, those of a subgroup one behind
+// the other. Which subgroup comes first may differ from run to run; sums of whole numbers do not.
+var<workgroup> counted: array<Counted, 256 * PARTS>;
+// Subgroups that have their places, in the upper half, and threads.
+var<workgroup> taken: atomic<u32>;
+
+// A thread's place in the order in which is summed: `number` of 256, in the subgroup of this `rank`, whose last it may be.
+struct Place {
+    number: u32,
+    rank: u32,
+    is_last: bool,
+}
+
+fn place_in_group(local: u32) -> Place {
+    if local == 0u {
+        atomicStore(&taken, 0u);
+    }
+    workgroupBarrier();
+    let lane = subgroupExclusiveAdd(1u);
+    let lanes = subgroupAdd(1u);
+    var first = 0u;
+    if lane == 0u {
+        first = atomicAdd(&taken, (1u << 16u) + lanes);
+    }
+    first = subgroupBroadcastFirst(first);
+    return Place((first & 0xffffu) + lane, first >> 16u, lane + 1u == lanes);
+}
+
+fn sum_before(place: Place, mine: array<Counted, PARTS>) -> array<Counted, PARTS> {
+    var sums: array<Counted, PARTS>;
+    for (var p = 0u; p < PARTS; p += 1u) {
+        sums[p] = subgroupExclusiveAdd(mine[p]);
+        if place.is_last {
+            counted[place.rank * PARTS + p] = sums[p] + mine[p];
+        }
+    }
+    workgroupBarrier();
+    for (var s = 0u; s < place.rank; s += 1u) {
+        for (var p = 0u; p < PARTS; p += 1u) {
+            sums[p] += counted[s * PARTS + p];
+        }
+    }
+    return sums;
+}
