@@ -1,7 +1,7 @@
 //! The feature field: what a scene's splats know besides their looks.
 
 use crate::{Decoder, Pca};
-use segwild_raster::Channels;
+use segwild_raster::{Channels, Kept};
 use wincode::{SchemaRead, SchemaWrite};
 
 /// Features of a scene's splats and what they mean.
@@ -21,6 +21,11 @@ impl FeatureField {
     /// The features as the rasteriser blends them.
     pub fn channels(&self) -> Channels<'_> {
         Channels { count: self.channels, values: &self.values }
+    }
+
+    /// The same, to be blended into many views.
+    pub fn kept(&self) -> Kept<'_> {
+        Kept::new(self.channels, &self.values)
     }
 
     /// Number of splats.

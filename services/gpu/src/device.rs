@@ -62,6 +62,8 @@ pub(crate) struct Device {
     /// Bytes of all buffers there are, and how many there may be; 0 sets no limit.
     held: AtomicU64,
     budget: AtomicU64,
+    /// Bytes that were uploaded since it was opened.
+    brought: AtomicU64,
     arena: wgpu::Buffer,
     /// The first thing that went wrong.
     failed: Arc<Mutex<Option<String>>>,
@@ -98,6 +100,7 @@ impl Device {
             staging: Free::default(),
             held: AtomicU64::new(0),
             budget: AtomicU64::new(0),
+            brought: AtomicU64::new(0),
             arena,
             failed,
             turn: Mutex::new(()),
@@ -154,6 +157,11 @@ impl Device {
     /// Bytes of the device's memory that are taken.
     pub fn held(&self) -> u64 {
         self.held.load(Ordering::Relaxed)
+    }
+
+    /// Bytes that were uploaded since it was opened.
+    pub fn brought(&self) -> u64 {
+        self.brought.load(Ordering::Relaxed)
     }
 
     /// How many there may be; 0 sets no limit.
@@ -253,6 +261,7 @@ impl Work<'_> {
         self.hand_in();
         let lent = self.take::<T>(what, items.len())?;
         if !items.is_empty() {
+            self.device.brought.fetch_add(size_of_val(items) as u64, Ordering::Relaxed);
             self.device.queue.write_buffer(lent.raw(), 0, bytemuck::cast_slice(items));
         }
         Ok(lent)

@@ -8,13 +8,14 @@ use crate::shaders::{
     BUCKET_COUNT, BUCKETS, EMIT, HISTOGRAM, Kernel, ORDER, PROJECT, RANGES, SCAN, SCAN_ADD, SCATTER,
 };
 use crate::training::GpuTraining;
-use crate::view::GpuView;
+use crate::view::{Brought, GpuView};
 use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
 use segwild_raster::{
-    Engine, Held, ProjectOptions, Projected, RasterError, Resident, check, jacobian_limits,
+    Channels, Engine, Held, ProjectOptions, Projected, RasterError, Resident, check, jacobian_limits,
 };
 use segwild_scene::{Camera, Pose, Splats};
+use std::any::Any;
 use std::sync::Arc;
 
 /// Width and height of a tile; as in `shaders/shared/common.wgsl`.
@@ -71,6 +72,12 @@ impl GpuEngine {
     /// Bytes of the accelerator's memory that are taken.
     pub fn held(&self) -> u64 {
         self.device.held()
+    }
+
+    /// Bytes that were brought to it since it was opened: how tests see what crosses.
+    #[doc(hidden)]
+    pub fn brought(&self) -> u64 {
+        self.device.brought()
     }
 
     /// The accelerator in use.
@@ -174,6 +181,14 @@ impl Engine for GpuEngine {
         }
     }
 
+    fn bring(&self, channels: &Channels) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
+        match Brought::upload(&self.device, channels) {
+            Ok(brought) => Ok(brought.map(|brought| Box::new(brought) as Box<dyn Any + Send + Sync>)),
+            Err(error) if error.is_want_of_room() => Ok(None),
+            Err(error) => Err(error.into()),
+        }
+    }
+
     fn settle(&self, held: &mut dyn FnMut() -> Held) -> Result<Option<Box<dyn Resident>>, RasterError> {
         match GpuTraining::new(&self.device, &self.shelf, &held()) {
             Ok(training) => Ok(Some(Box::new(training))),
@@ -211,6 +226,10 @@ impl Engine for Holding<'_> {
         }
         check(splats, camera)?;
         self.engine.project_cloud(splats, self.cloud.clone(), camera, pose, options)
+    }
+
+    fn bring(&self, channels: &Channels) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
+        self.engine.bring(channels)
     }
 
     fn settle(&self, held: &mut dyn FnMut() -> Held) -> Result<Option<Box<dyn Resident>>, RasterError> {

@@ -2,9 +2,9 @@
 //! Direct3D 12).
 //!
 //! Each kernel bears the name of its twin in the CPU engine (`services/raster/src/cpu/`) and is tested against it.
-//! What one view needs stays on the device from `project` to `backward`; channels go up, and images and gradients
-//! come back, at the trait's boundary. Splats in training stay there too, with their optimiser (`training.rs`): then an
-//! image and its gradient are all that crosses.
+//! What one view needs stays on the device from `project` to `backward`; channels go up, unless they are kept there for
+//! many views, and images and gradients come back, at the trait's boundary. Splats in training stay there too, with their
+//! optimiser (`training.rs`): then an image and its gradient are all that crosses.
 
 #[cfg(test)]
 extern crate self as segwild_gpu;

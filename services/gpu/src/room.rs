@@ -30,6 +30,12 @@ pub(crate) fn photos_kept(budget: u64) -> u64 {
     if budget == 0 { MOST_PHOTOS } else { (budget / 8).clamp(LEAST_PHOTOS, MOST_PHOTOS) }
 }
 
+/// Whether channels of so many bytes may stay on the device: a quarter of a budget for everything is theirs, so that views
+/// find room beside them.
+pub(crate) fn keeps_channels(bytes: u64, budget: u64) -> bool {
+    budget == 0 || bytes <= budget / 4
+}
+
 /// About how many bytes of an accelerator's memory it takes to train so many splats on photos of so many pixels, beside
 /// the photos that stay there. `code_size` are the numbers that splats keep for their look, `networks` those of the look `gsw`.
 pub fn training_bytes(

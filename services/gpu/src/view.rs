@@ -1,17 +1,56 @@
-//! Splats as one view sees them, for a host that keeps them: channels go up, images and gradients come back.
+//! Splats as one view sees them, for a host that keeps them: channels go up, unless they are there already, images and
+//! gradients come back.
 
 use crate::GpuError;
 use crate::device::{Device, Lent, Work, lock};
 use crate::engine::Binned;
 use crate::passes::Grads;
+use crate::room::keeps_channels;
 use glam::Vec3;
 use rayon::prelude::*;
-use segwild_raster::{Channels, Frame, FrameGrad, Projected, RasterError, SplatGrads, shade, shade_backward};
+use segwild_raster::{
+    Channels, Frame, FrameGrad, Kept, Projected, RasterError, SplatGrads, shade, shade_backward,
+};
 use segwild_scene::{Image, Splats};
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 
 /// Items that one task packs.
 const CHUNK: usize = 1 << 14;
+
+/// Channels that stay on a device.
+pub(crate) struct Brought {
+    device: Arc<Device>,
+    /// As many at once as a view blends.
+    parts: Vec<Lent>,
+}
+
+impl Brought {
+    /// `None` where they would take more than their share of the device's memory.
+    pub fn upload(device: &Arc<Device>, channels: &Channels) -> Result<Option<Brought>, GpuError> {
+        let Channels { count, values } = *channels;
+        let n = values.len() / count.max(1);
+        let wide = at_once(count) * 4;
+        let bytes = 4 * (n * count.next_multiple_of(wide)) as u64;
+        let mut work = device.work();
+        if !keeps_channels(bytes, work.budget()) {
+            return Ok(None);
+        }
+        let parts = (0..count)
+            .step_by(wide)
+            .map(|first| {
+                let packed = pack_splats(values, n, count, first, wide / 4, false);
+                work.upload("channels that are kept", &packed)
+            })
+            .collect::<Result<_, _>>()?;
+        drop(work);
+        Ok(Some(Brought { device: device.clone(), parts }))
+    }
+}
+
+/// How many vec4 of so many channels a view blends at once.
+fn at_once(count: usize) -> usize {
+    if count <= 4 { 1 } else { 4 }
+}
 
 /// Splats as one view sees them, on the device.
 pub(crate) struct GpuView<'a> {
@@ -61,19 +100,33 @@ impl<'a> GpuView<'a> {
         assert_eq!(image.data.len(), self.pixels() * channels, "{what}: numbers");
     }
 
-    fn try_blend(&self, channels: &Channels) -> Result<Frame, GpuError> {
+    /// Blends channels, from their copy on the device where there is one.
+    fn try_blend(&self, channels: &Channels, brought: Option<&Brought>) -> Result<Frame, GpuError> {
         let Channels { count, values } = *channels;
         let (n, pixels) = (self.splats.len(), self.pixels());
         let mut image = Image::zeros(self.width, self.height, count);
         let mut work = self.device.work();
         let alpha = work.take::<f32>("alpha", pixels)?;
         let lights = self.on.lights(&mut work)?;
-        let blocks = if count <= 4 { 1 } else { 4 };
+        let blocks = at_once(count);
         let mut first = 0;
         loop {
-            let packed = pack_splats(values, n, count, first, blocks, false);
-            let up = work.upload("the splats' channels", &packed)?;
-            let drawn = self.on.blend(&mut work, blocks, &up, first == 0, &alpha, &lights)?;
+            let up;
+            let values = match brought.and_then(|brought| brought.parts.get(first / (blocks * 4))) {
+                Some(part) => part,
+                None => {
+                    up = match count {
+                        // Blended, but not read.
+                        0 => work.take::<[f32; 4]>("the splats' channels", n)?,
+                        _ => {
+                            let packed = pack_splats(values, n, count, first, blocks, false);
+                            work.upload("the splats' channels", &packed)?
+                        }
+                    };
+                    &up
+                }
+            };
+            let drawn = self.on.blend(&mut work, blocks, values, first == 0, &alpha, &lights)?;
             if count > 0 {
                 let drawn: Vec<f32> = work.read(&drawn, pixels * blocks * 4)?;
                 unpack_image(&drawn, blocks * 4, first, &mut image);
@@ -187,7 +240,16 @@ impl Projected for GpuView<'_> {
 
     fn blend(&self, channels: &Channels) -> Result<Frame, RasterError> {
         assert_eq!(channels.values.len(), self.splats.len() * channels.count, "channels: values");
-        Ok(self.try_blend(channels)?)
+        Ok(self.try_blend(channels, None)?)
+    }
+
+    fn blend_kept(&self, kept: &Kept) -> Result<Frame, RasterError> {
+        let channels = kept.channels();
+        assert_eq!(channels.values.len(), self.splats.len() * channels.count, "channels: values");
+        // A device that is held is nobody else's: the same place is the same device.
+        let brought = kept.away().and_then(|away| away.downcast_ref::<Brought>());
+        let brought = brought.filter(|brought| std::ptr::eq(&*brought.device, self.device));
+        Ok(self.try_blend(&channels, brought)?)
     }
 
     fn gather(&self, image: &Image) -> Result<Vec<f32>, RasterError> {

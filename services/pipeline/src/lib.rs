@@ -22,6 +22,7 @@ mod history;
 mod inputs;
 mod keep;
 mod light;
+mod mask_source;
 mod memory;
 mod outcome;
 mod prompts;

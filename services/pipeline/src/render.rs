@@ -5,7 +5,7 @@ use crate::light::{LookRequest, find};
 use crate::{RunError, RunFolder, Selected, choose_engine, log_loss};
 use glam::{Mat3, Quat, Vec3};
 use segwild_features::FeatureColours;
-use segwild_raster::{Channels, Engine};
+use segwild_raster::{Channels, Engine, Kept};
 use segwild_scene::{Camera, Image, Pose, Scene};
 use segwild_trainer::{Light, Lighting, Model, render_lit};
 use serde::Serialize;
@@ -95,7 +95,7 @@ pub fn render(folder: &RunFolder, request: &RenderRequest) -> Result<Vec<Drawn>,
     };
     let out = request.out.clone().unwrap_or_else(|| folder.path().join("renders"));
     std::fs::create_dir_all(&out).map_err(|e| segwild_flow::FileError::new("create", &out, e))?;
-    let painter = Painter::new(&loaded, selected, request.what)?;
+    let painter = Painter::new(&loaded, selected, request.what, &*engine)?;
     let held = engine.hold(&painter.model.splats)?;
     let engine = held.as_deref().unwrap_or(&*engine);
     let mut drawn = Vec::new();
@@ -206,6 +206,9 @@ fn catmull_rom(a: Vec3, b: Vec3, c: Vec3, d: Vec3, t: f32) -> Vec3 {
         + (3.0 * b - a - 3.0 * c + d) * t * t * t)
 }
 
+/// No channels: what is left is alpha.
+pub(crate) const NOTHING: Channels = Channels { count: 0, values: &[] };
+
 /// Colour that highlights a selection.
 const TINT: [f32; 3] = [1.0, 0.35, 0.1];
 
@@ -214,20 +217,23 @@ pub(crate) struct Painter<'a> {
     model: Model,
     /// Per splat, whether it is of the selection.
     whose: Option<Vec<bool>>,
-    highlight: bool,
+    /// 1 for the splats of the selection, where that is highlighted.
+    highlight: Option<Kept<'static>>,
     only: bool,
     what: What,
-    features: Option<(&'a segwild_features::FeatureField, FeatureColours)>,
+    features: Option<(Kept<'a>, FeatureColours)>,
 }
 
 impl<'a> Painter<'a> {
+    /// What every picture blends is brought to where `engine` computes.
     pub(crate) fn new(
         loaded: &'a Loaded,
         selected: Option<(Selected, Mode)>,
         what: What,
+        engine: &dyn Engine,
     ) -> Result<Painter<'a>, RunError> {
         let mut model = loaded.model.clone();
-        let (mut whose, mut highlight, mut only) = (None, false, false);
+        let (mut whose, mut highlight, mut only) = (None, None, false);
         if let Some((selected, mode)) = selected {
             model.splats = selected.cut_scene(&model.splats);
             let mut labels = selected.labels;
@@ -241,11 +247,20 @@ impl<'a> Painter<'a> {
                 model.select(&keep);
                 labels = vec![only; keep.len()];
             }
+            if mode == Mode::Highlight && what == What::Colour {
+                let indicator: Vec<f32> = labels.iter().map(|&w| f32::from(u8::from(w))).collect();
+                let mut indicator = Kept::new(1, indicator);
+                indicator.bring(engine)?;
+                highlight = Some(indicator);
+            }
             whose = Some(labels);
-            highlight = mode == Mode::Highlight;
         }
         let features = match (what, &loaded.field) {
-            (What::Features, Some(field)) => Some((field, FeatureColours::of(field)?)),
+            (What::Features, Some(field)) => {
+                let mut kept = field.kept();
+                kept.bring(engine)?;
+                Some((kept, FeatureColours::of(field)?))
+            }
             (What::Features, None) => {
                 return Err(RunError::Request(
                     "this run has no feature field yet: finish `segwild run` first".into(),
@@ -286,13 +301,11 @@ impl<'a> Painter<'a> {
         let splats = &self.model.splats;
         if self.what == What::Colour {
             let mut image = render_lit(&self.model, engine, camera, pose, lighting)?;
-            let blend = |values: &[f32]| -> Result<_, RunError> {
-                Ok(engine.project(splats, camera, pose, &options)?.blend(&Channels { count: 1, values })?)
-            };
+            let project = || engine.project(splats, camera, pose, &options);
             let n = image.pixels();
             if self.only {
                 // Over white, so that the object is seen as the object it is.
-                let alpha = blend(&vec![0.0; splats.len()])?.alpha;
+                let alpha = project()?.blend(&NOTHING)?.alpha;
                 let behind = lighting.scene.background().paint(camera, pose);
                 for c in 0..3 {
                     for i in 0..n {
@@ -302,9 +315,8 @@ impl<'a> Painter<'a> {
                     }
                 }
             }
-            if let Some(whose) = self.whose.as_ref().filter(|_| self.highlight) {
-                let indicator: Vec<f32> = whose.iter().map(|&w| f32::from(u8::from(w))).collect();
-                let share = blend(&indicator)?.image;
+            if let Some(indicator) = &self.highlight {
+                let share = project()?.blend_kept(indicator)?.image;
                 for c in 0..3 {
                     for i in 0..n {
                         let s = 0.45 * share.data[i].clamp(0.0, 1.0);
@@ -317,12 +329,8 @@ impl<'a> Painter<'a> {
         }
         let projected = engine.project(splats, camera, pose, &options)?;
         match (self.what, &self.features) {
-            (What::Features, Some((field, colours))) => {
-                Ok(colours.paint(&projected.blend(&field.channels())?))
-            }
-            (What::Alpha, _) => {
-                Ok(projected.blend(&Channels { count: 1, values: &vec![0.0; splats.len()] })?.alpha)
-            }
+            (What::Features, Some((field, colours))) => Ok(colours.paint(&projected.blend_kept(field)?)),
+            (What::Alpha, _) => Ok(projected.blend(&NOTHING)?.alpha),
             _ => {
                 let frame = projected.blend(&Channels { count: 1, values: projected.depths() })?;
                 Ok(bright_when_near(&frame.image, &frame.alpha))

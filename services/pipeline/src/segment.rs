@@ -3,14 +3,14 @@
 use crate::accelerator::leased;
 use crate::folder::Loaded;
 use crate::light::{self, find};
+use crate::mask_source::MaskSource;
 use crate::prompts::{check_all, png_names};
 use crate::strangers::picture_of;
 use crate::{PhotoPrompts, Replay, RunError, RunFolder, choose_engine, log_loss, report, skies, traces};
 use segwild_flow::{
     ActorOptions, FileError, Limits, Phase, Stopper, System, SystemOptions, codec, fault, files, mailbox,
 };
-use segwild_raster::{Channels, Engine, ProjectOptions};
-use segwild_scene::{Image, Mask, Scene, ScoredMask, Splats, View, ply};
+use segwild_scene::{Image, Mask, Scene, ScoredMask, Splats, ply};
 use segwild_segmenter::{
     Cut, Geometry, Object, PosedView, SegmentActor, SegmentError, SegmentReply, SegmentSettings, SegmentTask,
     Segmented, Verdict,
@@ -24,8 +24,6 @@ use wincode::{SchemaRead, SchemaWrite};
 
 /// Kind of the record in `selection.bin`.
 const SELECTION: &str = "selection";
-/// Masks are drawn at most this many times larger than the photos were trained at, then scaled.
-const FINER: u32 = 2;
 
 /// `selection.bin`: a selection that can be drawn again.
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
@@ -332,7 +330,8 @@ pub fn segment(
         let whole = vec![true; keep.len()];
         let alone = MaskSource::new(&*engine, &alone, &whole, model.options())?;
         for (view, name) in scene.views.iter().zip(&names) {
-            let (visible, amodal) = (in_sight.mask(view, size)?, alone.mask(view, size)?);
+            let (visible, amodal) =
+                (in_sight.mask(&view.camera, &view.pose, size)?, alone.mask(&view.camera, &view.pose, size)?);
             outcome.photos += usize::from(!visible.is_empty());
             visible.write_png(&mask_dir.join(name))?;
             amodal.write_png(&amodal_dir.join(name))?;
@@ -418,42 +417,5 @@ fn in_photo_pixels(error: SegmentError, scene: &Scene, size: u32) -> SegmentErro
             SegmentError::Background { photo, x, y }
         }
         other => other,
-    }
-}
-
-/// Draws masks of labelled splats among all that there are.
-struct MaskSource<'a> {
-    engine: &'a dyn Engine,
-    /// The engine with these splats in it, where it computes elsewhere.
-    held: Option<Box<dyn Engine + 'a>>,
-    splats: &'a Splats,
-    /// 1 for labelled splats.
-    indicator: Vec<f32>,
-    options: ProjectOptions,
-}
-
-impl<'a> MaskSource<'a> {
-    fn new(
-        engine: &'a dyn Engine,
-        splats: &'a Splats,
-        labels: &[bool],
-        options: ProjectOptions,
-    ) -> Result<MaskSource<'a>, RunError> {
-        let indicator = labels.iter().map(|&l| f32::from(u8::from(l))).collect();
-        Ok(MaskSource { engine, held: engine.hold(splats)?, splats, indicator, options })
-    }
-
-    /// The pixels of a photo, on its own grid, of which the labelled splats are more than half.
-    fn mask(&self, view: &View, size: u32) -> Result<Mask, RunError> {
-        let full = &view.camera;
-        if self.splats.is_empty() {
-            return Ok(Mask::empty(full.width, full.height));
-        }
-        let camera = full.scaled_to(size * FINER);
-        let engine = self.held.as_deref().unwrap_or(self.engine);
-        let projected = engine.project(self.splats, &camera, &view.pose, &self.options)?;
-        let frame = projected.blend(&Channels { count: 1, values: &self.indicator })?;
-        let wide = frame.image.resized(full.width as usize, full.height as usize);
-        Ok(Mask::over(full.width, full.height, wide.plane(0), 0.5))
     }
 }

@@ -1,7 +1,8 @@
 //! What a rasteriser must do.
 
-use crate::{Held, Resident};
+use crate::{Held, Kept, Resident};
 use segwild_scene::{Camera, Image, Pose, Splats};
+use std::any::Any;
 
 /// Why a rasteriser refused.
 #[derive(Debug, thiserror::Error)]
@@ -136,6 +137,12 @@ pub trait Engine: Send + Sync {
         Ok(None)
     }
 
+    /// Brings channels to where this engine computes, for [`Kept::bring`]: what it returns is its own affair, and keeps them
+    /// there until it is dropped. `None` where that is the host anyway, or where they would take too much room.
+    fn bring(&self, _channels: &Channels) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
+        Ok(None)
+    }
+
     /// Takes splats, which it asks for, to where this engine computes, to be trained there. `None` where that is the host
     /// anyway, or where they do not fit.
     fn settle(&self, _held: &mut dyn FnMut() -> Held) -> Result<Option<Box<dyn Resident>>, RasterError> {
@@ -161,6 +168,11 @@ pub trait Projected: Send + Sync {
 
     /// Blends front to back.
     fn blend(&self, channels: &Channels) -> Result<Frame, RasterError>;
+
+    /// The same of channels that may be where the engine computes.
+    fn blend_kept(&self, kept: &Kept) -> Result<Frame, RasterError> {
+        self.blend(&kept.channels())
+    }
 
     /// The transpose of [`Projected::blend`]: `sum over pixels of alpha T image[c]`, as `[splat][channel]`.
     /// Lifting, coverage and contribution are this sum over images of targets, masks and ones.

@@ -6,6 +6,7 @@ mod adam;
 pub mod compare;
 mod cpu;
 mod engine;
+mod kept;
 mod look;
 mod loss;
 pub mod reference;
@@ -19,6 +20,7 @@ pub use cpu::{ALPHA_MAX, ALPHA_MIN, CpuEngine, Isa, LOG2_ALPHA_MIN, SLACK, T_MIN
 pub use engine::{
     Channels, Engine, Frame, FrameGrad, ProjectOptions, Projected, RasterError, SplatGrads, check,
 };
+pub use kept::Kept;
 pub use look::{
     AffineLook, AnyLook, EmbedLook, Glance, Glimpse, GswLook, GswWidth, HIDDEN, HeldNetworks, Impression,
     Light, Look, NoLook, RANK, Sight, Tone, bake, gsw,

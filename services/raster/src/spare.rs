@@ -1,7 +1,8 @@
 //! An engine with another to fall back on: a device that is lost in the middle costs no run.
 
-use crate::{Channels, Engine, Frame, FrameGrad, ProjectOptions, Projected, RasterError, SplatGrads};
+use crate::{Channels, Engine, Frame, FrameGrad, Kept, ProjectOptions, Projected, RasterError, SplatGrads};
 use segwild_scene::{Camera, Image, Pose, Splats};
+use std::any::Any;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -69,6 +70,10 @@ impl<F: Fn(&str) + Send + Sync> Engine for SpareEngine<F> {
             || self.second.project(splats, camera, pose, options),
         )
     }
+
+    fn bring(&self, channels: &Channels) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
+        self.either(|| self.first.bring(channels), || self.second.bring(channels))
+    }
 }
 
 /// A view that the first engine projected, and the second one too if it has to.
@@ -111,6 +116,11 @@ impl<F: Fn(&str) + Send + Sync> Projected for SpareView<'_, F> {
 
     fn blend(&self, channels: &Channels) -> Result<Frame, RasterError> {
         self.engine.either(|| self.first.blend(channels), || self.second()?.blend(channels))
+    }
+
+    fn blend_kept(&self, kept: &Kept) -> Result<Frame, RasterError> {
+        // What the first engine has of them means nothing to the second, which takes the host's.
+        self.engine.either(|| self.first.blend_kept(kept), || self.second()?.blend_kept(kept))
     }
 
     fn gather(&self, image: &Image) -> Result<Vec<f32>, RasterError> {

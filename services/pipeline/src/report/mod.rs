@@ -6,14 +6,14 @@ use crate::choice::Choice;
 use crate::evaluate::HeldOut;
 use crate::folder::Loaded;
 use crate::history::{self, Moment};
-use crate::render::{Mode, Painter, What};
+use crate::render::{Mode, NOTHING, Painter, What};
 use crate::strangers::picture_of;
 use crate::{BudgetChoice, LookChoice, RunError, RunFolder, Selected, choose_engine, log_loss};
 use html::Series;
 use segwild_flow::codec::Decode;
 use segwild_flow::ledger::State;
 use segwild_flow::{Cache, FileError, Key, Ledger, SpanKind, TimelineRecord, fault};
-use segwild_raster::{AnyLook, Channels, Engine};
+use segwild_raster::{AnyLook, Engine};
 use segwild_scene::{Image, Mask, MaskSet, Skipped};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -114,8 +114,9 @@ fn objects(folder: &RunFolder, loaded: &Loaded, engine: &dyn Engine) -> Result<S
             "<h2>Object: {}</h2><p>{count} splats. <code>selections/{0}/object.ply</code>, masks beside it.</p><div class=\"row\">",
             html::escape(&name)
         );
-        let highlight = Painter::new(loaded, Some((selected.clone(), Mode::Highlight)), What::Colour)?;
-        let only = Painter::new(loaded, Some((selected, Mode::Only)), What::Colour)?;
+        let highlight =
+            Painter::new(loaded, Some((selected.clone(), Mode::Highlight)), What::Colour, engine)?;
+        let only = Painter::new(loaded, Some((selected, Mode::Only)), What::Colour, engine)?;
         for view in spread(loaded, 4) {
             let v = &loaded.scene.views[view];
             let camera = v.camera.scaled_to(loaded.settings.scene.size.min(360));
@@ -145,7 +146,7 @@ fn looks(loaded: &Loaded, engine: &dyn Engine) -> Result<String, RunError> {
     }
     let known = (0..model.names.len()).filter(|&v| model.look_index(Some(v)) == v);
     let small = |view: usize| loaded.scene.views[view].camera.scaled_to(loaded.settings.scene.size.min(360));
-    let painter = Painter::new(loaded, None, What::Colour)?;
+    let painter = Painter::new(loaded, None, What::Colour, engine)?;
     let paint = |view: usize, look: Option<usize>, side: u32| {
         let camera = small(view).scaled_to(side);
         painter.paint(engine, &camera, &loaded.scene.views[view].pose, &painter.light(look))
@@ -156,7 +157,7 @@ fn looks(loaded: &Loaded, engine: &dyn Engine) -> Result<String, RunError> {
         let camera = small(view).scaled_to(48);
         let projected =
             engine.project(&model.splats, &camera, &loaded.scene.views[view].pose, &model.options())?;
-        let alpha = projected.blend(&Channels { count: 1, values: &vec![0.0; model.splats.len()] })?.alpha;
+        let alpha = projected.blend(&NOTHING)?.alpha;
         Ok(alpha.data.iter().sum::<f32>() / alpha.pixels() as f32)
     };
     let mut view = (first, 0.0);
@@ -228,10 +229,10 @@ fn photos(
     let cache = folder.cache()?;
     let (masks, skies) = (made(folder, "masks")?, made(folder, "sky")?);
     let mut text = String::from("<h2>Photos</h2>");
-    let colour = Painter::new(loaded, None, What::Colour)?;
-    let depth = Painter::new(loaded, None, What::Depth)?;
+    let colour = Painter::new(loaded, None, What::Colour, engine)?;
+    let depth = Painter::new(loaded, None, What::Depth, engine)?;
     let features = match &loaded.field {
-        Some(_) => Some(Painter::new(loaded, None, What::Features)?),
+        Some(_) => Some(Painter::new(loaded, None, What::Features, engine)?),
         None => None,
     };
     let row = |view: usize| -> Result<(String, Option<String>), RunError> {

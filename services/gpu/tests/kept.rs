@@ -1,0 +1,116 @@
+//! What stays on the device from view to view: splats, and channels that are kept.
+
+mod common;
+
+use common::{engine, many, splats, view};
+use segwild_gpu::{Choice, GpuEngine};
+use segwild_raster::{Channels, CpuEngine, Engine, Frame, Kept, ProjectOptions, SpareEngine};
+use segwild_scene::{Random, Splats};
+
+const SPLATS: usize = 5000;
+
+fn values(count: usize) -> Vec<f32> {
+    many(&mut Random::new(82), SPLATS * count, -1.0, 1.0)
+}
+
+fn scene() -> Splats {
+    splats(81, SPLATS, (0.01, 0.1))
+}
+
+/// The frames of some views.
+fn draw(engine: &dyn Engine, splats: &Splats, kept: &Kept) -> Vec<Frame> {
+    let frame = |(width, height)| {
+        let (camera, pose) = view(width, height);
+        let projected = engine.project(splats, &camera, &pose, &ProjectOptions::default());
+        projected.and_then(|projected| projected.blend_kept(kept)).expect("it is drawn")
+    };
+    [(64, 48), (50, 70), (33, 20)].map(frame).to_vec()
+}
+
+fn reopened(engine: &GpuEngine) -> GpuEngine {
+    GpuEngine::new(&Choice::Named(engine.adapter().name.clone())).expect("it opens again")
+}
+
+#[test]
+fn channels_that_are_kept_cross_once_for_all_views() {
+    let Some(gpu) = engine("channels_that_are_kept_cross_once_for_all_views") else { return };
+    let scene = scene();
+    let held = gpu.hold(&scene).expect("it is brought there").expect("it fits");
+    // One vec4 at once; four, of which some stay empty; several times four.
+    for count in [1, 3, 20, 64] {
+        let values = values(count);
+        let (once, mut kept) = (Kept::new(count, &values), Kept::new(count, &values));
+        let before = gpu.brought();
+        kept.bring(&*held).expect("it is brought there");
+        let crossed = gpu.brought() - before;
+        let least = (4 * values.len()) as u64;
+        assert!(crossed >= least && crossed <= 4 * least, "{count} channels: {crossed} bytes to keep them");
+        let before = gpu.brought();
+        let frames = draw(&*held, &scene, &kept);
+        let crossed = gpu.brought() - before;
+        // Cameras.
+        assert!(crossed < 1000, "{count} channels: {crossed} bytes for views of what is there");
+        let before = gpu.brought();
+        assert!(frames == draw(&*held, &scene, &once), "{count} channels");
+        let crossed = gpu.brought() - before;
+        assert!(crossed >= 3 * least, "{count} channels: {crossed} bytes where each view asks for all");
+    }
+}
+
+#[test]
+fn alpha_alone_needs_no_channels() {
+    let Some(gpu) = engine("alpha_alone_needs_no_channels") else { return };
+    let scene = scene();
+    let held = gpu.hold(&scene).expect("it is brought there").expect("it fits");
+    let before = gpu.brought();
+    let nothing = draw(&*held, &scene, &Kept::new(0, &[][..]));
+    let crossed = gpu.brought() - before;
+    assert!(crossed < 1000, "{crossed} bytes");
+    let cpu = CpuEngine::new();
+    for engine in [&*held, &cpu] {
+        let zeros = draw(engine, &scene, &Kept::new(1, vec![0.0; SPLATS]));
+        let nothing = draw(engine, &scene, &Kept::new(0, &[][..]));
+        assert!(zeros.iter().zip(&nothing).all(|(a, b)| a.alpha == b.alpha), "{}", engine.name());
+    }
+    assert!(nothing[0].alpha.data.iter().any(|&a| a > 0.5) && nothing[0].image.data.is_empty());
+}
+
+#[test]
+fn channels_of_another_engine_are_blended_from_the_hosts() {
+    let Some(gpu) = engine("channels_of_another_engine_are_blended_from_the_hosts") else { return };
+    let (scene, other, values) = (scene(), reopened(gpu), values(3));
+    let mut kept = Kept::new(3, &values);
+    kept.bring(&other).expect("it is brought there");
+    let wanted = draw(gpu, &scene, &Kept::new(3, &values));
+    assert!(draw(gpu, &scene, &kept) == wanted && draw(&other, &scene, &kept) == wanted);
+    let cpu = CpuEngine::new();
+    assert!(draw(&cpu, &scene, &kept) == draw(&cpu, &scene, &Kept::new(3, &values)));
+    // An engine with another to fall back on keeps them on the first one's device.
+    let spare = SpareEngine::new(Box::new(other), Box::new(CpuEngine::new()), |why: &str| panic!("{why}"));
+    kept.bring(&spare).expect("it is brought there");
+    assert!(kept.away().is_some() && draw(&spare, &scene, &kept) == wanted);
+}
+
+#[test]
+fn channels_that_would_take_too_much_room_are_not_kept_and_drawn_all_the_same() {
+    let test = "channels_that_would_take_too_much_room_are_not_kept_and_drawn_all_the_same";
+    let Some(gpu) = engine(test) else { return };
+    let (scene, values) = (scene(), values(64));
+    let tight = reopened(gpu);
+    // Enough for a view, and less than four times the channels.
+    tight.keep_within((3 * 4 * values.len()) as u64);
+    let mut kept = Kept::new(64, &values);
+    kept.bring(&tight).expect("it is no failure");
+    assert!(kept.away().is_none());
+    assert!(draw(&tight, &scene, &kept) == draw(gpu, &scene, &kept));
+    assert!(tight.held() <= tight.budget(), "{} of {} bytes", tight.held(), tight.budget());
+    tight.keep_within(0);
+    kept.bring(&tight).expect("it is brought there");
+    assert!(kept.away().is_some());
+    // What is dropped leaves its room to others.
+    let taken = tight.held();
+    drop(kept);
+    let channels = Channels { count: 64, values: &values };
+    let again = tight.bring(&channels).expect("it is brought there");
+    assert!(again.is_some() && tight.held() == taken, "{} bytes, not {taken}", tight.held());
+}

@@ -1,0 +1,84 @@
+//! An object's masks on a scene's photos.
+
+use crate::RunError;
+use segwild_raster::{Engine, Kept, ProjectOptions};
+use segwild_scene::{Camera, Mask, Pose, Splats};
+
+/// Masks are drawn at most this many times larger than the photos were trained at, then scaled.
+const FINER: u32 = 2;
+
+/// Draws masks of labelled splats among all that there are.
+pub(crate) struct MaskSource<'a> {
+    engine: &'a dyn Engine,
+    /// The engine with these splats in it, where it computes elsewhere.
+    held: Option<Box<dyn Engine + 'a>>,
+    splats: &'a Splats,
+    /// 1 for labelled splats.
+    indicator: Kept<'static>,
+    options: ProjectOptions,
+}
+
+impl<'a> MaskSource<'a> {
+    pub fn new(
+        engine: &'a dyn Engine,
+        splats: &'a Splats,
+        labels: &[bool],
+        options: ProjectOptions,
+    ) -> Result<MaskSource<'a>, RunError> {
+        let mut indicator = Kept::new(1, labels.iter().map(|&l| f32::from(u8::from(l))).collect::<Vec<_>>());
+        indicator.bring(engine)?;
+        Ok(MaskSource { engine, held: engine.hold(splats)?, splats, indicator, options })
+    }
+
+    /// The pixels of a photo, on its own grid, of which the labelled splats are more than half.
+    pub fn mask(&self, full: &Camera, pose: &Pose, size: u32) -> Result<Mask, RunError> {
+        if self.splats.is_empty() {
+            return Ok(Mask::empty(full.width, full.height));
+        }
+        let camera = full.scaled_to(size * FINER);
+        let engine = self.held.as_deref().unwrap_or(self.engine);
+        let projected = engine.project(self.splats, &camera, pose, &self.options)?;
+        let frame = projected.blend_kept(&self.indicator)?;
+        let wide = frame.image.resized(full.width as usize, full.height as usize);
+        Ok(Mask::over(full.width, full.height, wide.plane(0), 0.5))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Vec3;
+    use segwild_gpu::{Choice, GpuEngine, adapters};
+
+    #[test]
+    fn an_objects_masks_bring_no_splat_to_an_accelerator_twice() {
+        let Some(adapter) = adapters().into_iter().next() else {
+            println!("skipped: an_objects_masks_bring_no_splat_to_an_accelerator_twice: no adapter");
+            return;
+        };
+        let engine = GpuEngine::new(&Choice::Named(adapter.name)).expect("it opens");
+        let n = 3000;
+        let mean = |i: usize| [(i % 60) as f32 / 30.0 - 1.0, (i / 60) as f32 / 25.0 - 1.0, 4.0];
+        let splats = Splats {
+            means: (0..n).map(mean).collect(),
+            log_scales: vec![[-3.0; 3]; n],
+            rotations: vec![[1.0, 0.0, 0.0, 0.0]; n],
+            opacities: vec![4.0; n],
+            sh: vec![0.0; 3 * n],
+            sh_degree: 0,
+        };
+        let labels: Vec<bool> = (0..n).map(|i| i % 60 < 30).collect();
+        let source = MaskSource::new(&engine, &splats, &labels, ProjectOptions::default())
+            .expect("it is brought there");
+        let before = engine.brought();
+        for photo in 0..3 {
+            let camera = Camera { width: 60, height: 40, fx: 80.0, fy: 80.0, cx: 30.0, cy: 20.0 };
+            let eye = Vec3::new(0.1 * photo as f32, 0.0, 0.0);
+            let pose = Pose::look_at(eye, eye + Vec3::Z, Vec3::NEG_Y);
+            let mask = source.mask(&camera, &pose, 60).expect("it is drawn");
+            assert!(mask.get(10, 20) && !mask.get(55, 20), "the left half");
+        }
+        let crossed = engine.brought() - before;
+        assert!(crossed < 1000, "{crossed} bytes for three photos of {n} splats");
+    }
+}
