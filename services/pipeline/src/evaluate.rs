@@ -91,6 +91,9 @@ pub(crate) fn held_out(
         let loaded = source.views[view].load(size).map_err(|e| e.to_string())?;
         Ok(TrainPhoto { image: loaded.image, valid: loaded.valid, sky: sky(view)?, strangers: None })
     });
+    let there = engine.hold(&model.splats);
+    let there = there.map_err(|e| RunError::Stage { stage: "evaluate", reason: e.to_string() })?;
+    let engine = there.as_deref().unwrap_or(engine);
     // One at a time: an evaluation keeps its renders.
     let score = |view: usize| -> Result<_, String> {
         let scored = evaluate(model, engine, scene, photos.clone(), &[view], protocol);

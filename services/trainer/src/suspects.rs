@@ -72,11 +72,13 @@ pub(crate) fn suspects(
         let model = trainer.snapshot()?;
         let posed = trainer.views;
         *photos = trainer.photos;
+        let there = engine.hold(&model.splats)?;
+        let drawing = there.as_deref().unwrap_or(&**engine);
         for view in held {
             // One that cannot be read is named where it is trained on.
             if let Ok(stored) = photos.get(view) {
                 let (at, share) = (&scene.views[view], settings.robust_share);
-                found[view] = unknown(&**engine, &model, at, &posed[view], &stored, share)?;
+                found[view] = unknown(drawing, &model, at, &posed[view], &stored, share)?;
             }
         }
     }

@@ -114,12 +114,14 @@ impl<'a> Trials<'a> {
         }
         let model = trainer.snapshot()?;
         self.fits.push(ShortFit { look, steps, splats: model.splats.len(), psnr: 0.0, ssim: 0.0 });
+        let there = self.engine.hold(&model.splats)?;
+        let drawing = there.as_deref().unwrap_or(&*self.engine);
         for held in &mut self.held_out {
             let view = &self.scene.views[held.view];
             let photo = &held.photo.levels[0];
             let w = photo.width;
             let left = |i: usize| i % w < w / 2;
-            let shown = draw_unseen(&model, &*self.engine, view, &held.photo, 0, Some(&left))?.shown;
+            let shown = draw_unseen(&model, drawing, view, &held.photo, 0, Some(&left))?.shown;
             let residual = held.posed.doubted(&mean_difference(&shown, &photo.image()), photo);
             match share {
                 Some(share) => {
