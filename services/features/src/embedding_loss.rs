@@ -1,8 +1,8 @@
 //! The embedding loss L_FE (method, section 4; paper Eq. 10).
 
-use crate::adam::Adam;
 use crate::matmul::{matmul, transpose};
 use crate::{Decoder, Pca};
+use segwild_raster::RowAdam;
 use segwild_scene::Image;
 
 /// `mean(VM |rendered - target|)` over cells and channels, both images on the embedding's grid and `validity`
@@ -43,8 +43,8 @@ pub(crate) struct LearnedDecoder {
     /// `[channel][embedding channel]`.
     weights: Vec<f32>,
     bias: Vec<f32>,
-    weights_adam: Adam,
-    bias_adam: Adam,
+    weights_adam: RowAdam,
+    bias_adam: RowAdam,
 }
 
 impl LearnedDecoder {
@@ -54,8 +54,8 @@ impl LearnedDecoder {
             scale: pca.scale,
             weights: pca.basis.clone(),
             bias: pca.mean.iter().map(|m| m * pca.scale).collect(),
-            weights_adam: Adam::new(pca.channels, pca.embedding_channels, rate),
-            bias_adam: Adam::new(1, pca.embedding_channels, rate),
+            weights_adam: RowAdam::new(pca.channels, pca.embedding_channels, rate),
+            bias_adam: RowAdam::new(1, pca.embedding_channels, rate),
         }
     }
 

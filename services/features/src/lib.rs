@@ -6,7 +6,6 @@
 //! [`FeatureField`].
 
 mod actor;
-mod adam;
 mod compact;
 mod eigen;
 mod embedding_loss;
@@ -22,7 +21,6 @@ mod settings;
 mod target;
 
 pub use actor::{EMBEDDING, FeatureActor, FeatureOutcome, FeatureTask, FieldInputs, describe};
-pub use adam::Adam;
 pub use compact::{Compactness, compactness};
 pub use embedding_loss::embedding_loss;
 pub use error::FeatureError;

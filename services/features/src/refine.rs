@@ -4,7 +4,6 @@
 //! [`Projected::gather`], the transpose of blending. So a view's projection never changes and is kept as long
 //! as memory allows.
 
-use crate::adam::Adam;
 use crate::compact::compactness;
 use crate::embedding_loss::{LearnedDecoder, embedding_loss};
 use crate::grid::{AreaAverage, bilinear};
@@ -12,7 +11,7 @@ use crate::{
     Compression, FeatureError, FeatureField, FeatureSettings, Lifter, Membership, Pca, TargetSource,
     ViewTarget,
 };
-use segwild_raster::{Engine, ProjectOptions, Projected};
+use segwild_raster::{Engine, Learning, ProjectOptions, Projected};
 use segwild_scene::Random;
 use segwild_scene::{Embedding, Image, Splats};
 use std::ops::ControlFlow;
@@ -91,7 +90,8 @@ fn refine(
         return Ok(());
     }
     let channels = field.channels;
-    let mut adam = Adam::new(field.len(), channels, settings.feature_lr);
+    let mut rows = Learning::new(channels, std::mem::take(&mut field.values), settings.feature_lr);
+    rows.settle(views.engine)?;
     let mut decoder = (settings.compression == Compression::Learned)
         .then(|| LearnedDecoder::new(&field.pca, settings.decoder_lr));
     let mut order: Vec<usize> = (0..count).collect();
@@ -100,7 +100,7 @@ fn refine(
             Random::stream(settings.feature_seed, (step / count) as u64).draw(&mut order, count);
         }
         let view = views.get(order[step % count])?;
-        let frame = view.projected.blend(&field.channels())?;
+        let frame = view.projected.blend_learning(&rows)?;
         let mut grad = Image::zeros(frame.image.width, frame.image.height, channels);
 
         let rendered = view.average.forward(&frame.image);
@@ -119,14 +119,14 @@ fn refine(
             let members = views.members(order[step % count], &view)?;
             compact = add_compactness(members, &frame.image, settings, &mut random, &mut grad);
         }
-        let values = view.projected.gather(&grad)?;
-        adam.step(&mut field.values, &values);
+        view.projected.learn(&mut rows, &grad)?;
         let done =
             Progress::Refined { done: step + 1, of: settings.refine_steps as usize, embedding, compact };
         if progress(done).is_break() {
             break;
         }
     }
+    field.values = rows.finish()?;
     if let Some(decoder) = decoder {
         field.decoder = decoder.finish();
     }

@@ -2,7 +2,8 @@
 
 mod support;
 
-use segwild_features::{Adam, Membership, compactness};
+use segwild_features::{Membership, compactness};
+use segwild_raster::RowAdam;
 use segwild_scene::Mask;
 use support::{columns, cosine, noise, set};
 
@@ -99,7 +100,7 @@ fn toy(steps: usize, sign: f32) -> (f64, f64) {
     let mut random = noise(9);
     // Alike to start with, as features of one wall are.
     let mut features: Vec<f32> = (0..n * c).map(|_| 0.1 + 0.1 * random()).collect();
-    let (mut grad, mut adam) = (vec![0.0; n * c], Adam::new(n, c, 1e-3));
+    let (mut grad, mut adam) = (vec![0.0; n * c], RowAdam::new(n, c, 1e-3));
     for _ in 0..steps {
         compactness(&features, c, &membership.groups, &membership, &mut grad);
         grad.iter_mut().for_each(|g| *g *= sign);

@@ -4,6 +4,7 @@ use crate::GpuError;
 use crate::adapter::{Adapter, Choice};
 use crate::compare::Shelf;
 use crate::device::{Device, Lent, Work};
+use crate::rows::GpuRows;
 use crate::shaders::{
     BUCKET_COUNT, BUCKETS, EMIT, HISTOGRAM, Kernel, ORDER, PROJECT, RANGES, SCAN, SCAN_ADD, SCATTER,
 };
@@ -12,7 +13,8 @@ use crate::view::{Brought, GpuView};
 use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
 use segwild_raster::{
-    Channels, Engine, Held, ProjectOptions, Projected, RasterError, Resident, check, jacobian_limits,
+    Channels, Engine, Held, LearningAway, ProjectOptions, Projected, RasterError, Resident, check,
+    jacobian_limits,
 };
 use segwild_scene::{Camera, Pose, Splats};
 use std::any::Any;
@@ -189,6 +191,18 @@ impl Engine for GpuEngine {
         }
     }
 
+    fn settle_learning(
+        &self,
+        rows: &Channels,
+        rate: f32,
+    ) -> Result<Option<Box<dyn LearningAway>>, RasterError> {
+        match GpuRows::upload(&self.device, rows, rate) {
+            Ok(rows) => Ok(Some(Box::new(rows))),
+            Err(error) if error.is_want_of_room() => Ok(None),
+            Err(error) => Err(error.into()),
+        }
+    }
+
     fn settle(&self, held: &mut dyn FnMut() -> Held) -> Result<Option<Box<dyn Resident>>, RasterError> {
         match GpuTraining::new(&self.device, &self.shelf, &held()) {
             Ok(training) => Ok(Some(Box::new(training))),
@@ -230,6 +244,14 @@ impl Engine for Holding<'_> {
 
     fn bring(&self, channels: &Channels) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
         self.engine.bring(channels)
+    }
+
+    fn settle_learning(
+        &self,
+        rows: &Channels,
+        rate: f32,
+    ) -> Result<Option<Box<dyn LearningAway>>, RasterError> {
+        self.engine.settle_learning(rows, rate)
     }
 
     fn settle(&self, held: &mut dyn FnMut() -> Held) -> Result<Option<Box<dyn Resident>>, RasterError> {

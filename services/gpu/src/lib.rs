@@ -20,6 +20,7 @@ mod engine;
 mod nets;
 mod passes;
 mod room;
+mod rows;
 mod shaders;
 mod speed;
 mod training;

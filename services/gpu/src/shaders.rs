@@ -1,7 +1,7 @@
 //! The kernels' sources: files of `shaders/`, carried by the program, with their imports put in.
 
 use segwild_raster::compare::{self, Target};
-use segwild_raster::{ALPHA_MAX, ALPHA_MIN, LOG2_ALPHA_MIN, SLACK, T_MIN, gsw};
+use segwild_raster::{ALPHA_MAX, ALPHA_MIN, LOG2_ALPHA_MIN, SLACK, T_MIN, gsw, learning};
 
 /// A kernel: a file of `shaders/`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -84,6 +84,8 @@ kernels! {
     VISIBILITY = "visibility"."visibility", [1];
     SEE = "see"."see", [1];
     PREFER = "prefer"."prefer", [1];
+    ROW_STATE = "row_state"."row_state", [1];
+    ROW_STEP = "row_step"."row_step", [1];
     RATE = "rate"."rate", [1];
 }
 
@@ -102,12 +104,15 @@ const COMPARED: [(&str, f32); 12] = [
     ("LEAST", compare::LEAST),
     ("WRONG", compare::WRONG),
 ];
-/// The look `gsw` (`raster/src/look/gsw/`), and what its networks are made of.
-const LIT: [(&str, f32); 4] = [
+/// The look `gsw` (`raster/src/look/gsw/`), what its networks are made of, and rows that learn (`raster/src/learning.rs`).
+const LIT: [(&str, f32); 7] = [
     ("COORDINATE", gsw::COORDINATE),
     ("DROPPED", gsw::DROPPED),
     ("VISIBILITY", gsw::VISIBILITY),
     ("EPSILON", segwild_nets::EPSILON as f32),
+    ("BETA1", learning::BETA1),
+    ("BETA2", learning::BETA2),
+    ("ROOT", learning::EPSILON),
 ];
 const LIGHT: [(&str, u32); 5] = [
     ("SAMPLE", gsw::SAMPLE as u32),

@@ -6,10 +6,11 @@ use crate::device::{Device, Lent, Work, lock};
 use crate::engine::Binned;
 use crate::passes::Grads;
 use crate::room::keeps_channels;
+use crate::rows::GpuRows;
 use glam::Vec3;
 use rayon::prelude::*;
 use segwild_raster::{
-    Channels, Frame, FrameGrad, Kept, Projected, RasterError, SplatGrads, shade, shade_backward,
+    Channels, Frame, FrameGrad, Kept, Learning, Projected, RasterError, SplatGrads, shade, shade_backward,
 };
 use segwild_scene::{Image, Splats};
 use std::sync::{Arc, Mutex};
@@ -35,8 +36,7 @@ impl Brought {
         if !keeps_channels(bytes, work.budget()) {
             return Ok(None);
         }
-        let parts = (0..count)
-            .step_by(wide)
+        let parts = parts_of(count)
             .map(|first| {
                 let packed = pack_splats(values, n, count, first, wide / 4, false);
                 work.upload("channels that are kept", &packed)
@@ -48,8 +48,26 @@ impl Brought {
 }
 
 /// How many vec4 of so many channels a view blends at once.
-fn at_once(count: usize) -> usize {
+pub(crate) fn at_once(count: usize) -> usize {
     if count <= 4 { 1 } else { 4 }
+}
+
+/// How many of them it gathers at once.
+fn gathered_at_once(count: usize) -> usize {
+    if count <= 4 { 1 } else { 2 }
+}
+
+/// The first channels of what is blended at once.
+pub(crate) fn parts_of(count: usize) -> impl Iterator<Item = usize> {
+    (0..count).step_by(at_once(count) * 4)
+}
+
+/// Where a view finds the channels that it blends.
+#[derive(Clone, Copy)]
+enum Found<'a> {
+    Host(&'a [f32]),
+    Kept(&'a Brought),
+    Rows(&'a GpuRows),
 }
 
 /// Splats as one view sees them, on the device.
@@ -100,9 +118,8 @@ impl<'a> GpuView<'a> {
         assert_eq!(image.data.len(), self.pixels() * channels, "{what}: numbers");
     }
 
-    /// Blends channels, from their copy on the device where there is one.
-    fn try_blend(&self, channels: &Channels, brought: Option<&Brought>) -> Result<Frame, GpuError> {
-        let Channels { count, values } = *channels;
+    /// Blends so many channels.
+    fn try_blend(&self, count: usize, channels: Found) -> Result<Frame, GpuError> {
         let (n, pixels) = (self.splats.len(), self.pixels());
         let mut image = Image::zeros(self.width, self.height, count);
         let mut work = self.device.work();
@@ -112,17 +129,17 @@ impl<'a> GpuView<'a> {
         let mut first = 0;
         loop {
             let up;
-            let values = match brought.and_then(|brought| brought.parts.get(first / (blocks * 4))) {
-                Some(part) => part,
-                None => {
-                    up = match count {
-                        // Blended, but not read.
-                        0 => work.take::<[f32; 4]>("the splats' channels", n)?,
-                        _ => {
-                            let packed = pack_splats(values, n, count, first, blocks, false);
-                            work.upload("the splats' channels", &packed)?
-                        }
-                    };
+            let values = match channels {
+                // Blended, but not read.
+                _ if count == 0 => {
+                    up = work.take::<[f32; 4]>("the splats' channels", n)?;
+                    &up
+                }
+                Found::Kept(brought) => &brought.parts[first / (blocks * 4)],
+                Found::Rows(rows) => rows.part(first),
+                Found::Host(values) => {
+                    let packed = pack_splats(values, n, count, first, blocks, false);
+                    up = work.upload("the splats' channels", &packed)?;
                     &up
                 }
             };
@@ -159,13 +176,37 @@ impl<'a> GpuView<'a> {
         run(work, held.as_ref().expect("it was made above"))
     }
 
+    /// Rows that are on this view's device.
+    fn own<'r>(&self, rows: &'r Learning) -> Option<&'r GpuRows> {
+        let own = rows.away()?.as_any().downcast_ref::<GpuRows>();
+        // A device that is held is nobody else's: the same place is the same device.
+        own.filter(|rows| std::ptr::eq(&*rows.device, self.device))
+    }
+
+    fn try_learn(&self, rows: &GpuRows, grad: &Image) -> Result<(), GpuError> {
+        if grad.channels == 0 || self.on.pairs == 0 {
+            return Ok(());
+        }
+        let blocks = gathered_at_once(grad.channels);
+        let work = &mut self.device.work();
+        let grads = self.with_lights(work, |work, lights| {
+            let mut grads = Vec::new();
+            for first in (0..grad.channels).step_by(blocks * 4) {
+                let up = work.upload("the image's gradients", &pack_image(grad, first, blocks, None))?;
+                grads.push(self.on.gather(work, blocks, &up, lights)?);
+            }
+            Ok(grads)
+        })?;
+        rows.step(work, &grads, blocks)
+    }
+
     fn try_gather(&self, work: &mut Work, image: &Image) -> Result<Vec<f32>, GpuError> {
         let (n, count, on) = (self.splats.len(), image.channels, &self.on);
         let mut out = vec![0.0; n * count];
         if out.is_empty() || on.pairs == 0 {
             return Ok(out);
         }
-        let blocks = if count <= 4 { 1 } else { 2 };
+        let blocks = gathered_at_once(count);
         self.with_lights(work, |work, lights| {
             for first in (0..count).step_by(blocks * 4) {
                 let up = work.upload("the image", &pack_image(image, first, blocks, None))?;
@@ -240,7 +281,7 @@ impl Projected for GpuView<'_> {
 
     fn blend(&self, channels: &Channels) -> Result<Frame, RasterError> {
         assert_eq!(channels.values.len(), self.splats.len() * channels.count, "channels: values");
-        Ok(self.try_blend(channels, None)?)
+        Ok(self.try_blend(channels.count, Found::Host(channels.values))?)
     }
 
     fn blend_kept(&self, kept: &Kept) -> Result<Frame, RasterError> {
@@ -249,7 +290,24 @@ impl Projected for GpuView<'_> {
         // A device that is held is nobody else's: the same place is the same device.
         let brought = kept.away().and_then(|away| away.downcast_ref::<Brought>());
         let brought = brought.filter(|brought| std::ptr::eq(&*brought.device, self.device));
-        Ok(self.try_blend(&channels, brought)?)
+        Ok(self.try_blend(channels.count, brought.map_or(Found::Host(channels.values), Found::Kept))?)
+    }
+
+    fn blend_learning(&self, rows: &Learning) -> Result<Frame, RasterError> {
+        match self.own(rows) {
+            Some(rows) => Ok(self.try_blend(rows.count(), Found::Rows(rows))?),
+            None => self.blend(&rows.channels()),
+        }
+    }
+
+    fn learn(&self, rows: &mut Learning, grad: &Image) -> Result<(), RasterError> {
+        let Some(own) = self.own(rows) else {
+            let grads = self.gather(grad)?;
+            rows.step(&grads);
+            return Ok(());
+        };
+        self.assert_image(grad, own.count(), "learn");
+        Ok(self.try_learn(own, grad)?)
     }
 
     fn gather(&self, image: &Image) -> Result<Vec<f32>, RasterError> {
@@ -278,7 +336,14 @@ impl Projected for GpuView<'_> {
 }
 
 /// Channels `first..first + 4 blocks` of every splat; with `one`, a channel of value 1 follows the last.
-fn pack_splats(values: &[f32], n: usize, count: usize, first: usize, blocks: usize, one: bool) -> Vec<f32> {
+pub(crate) fn pack_splats(
+    values: &[f32],
+    n: usize,
+    count: usize,
+    first: usize,
+    blocks: usize,
+    one: bool,
+) -> Vec<f32> {
     let wide = blocks * 4;
     let mut out = vec![0.0; n * wide];
     let many = count.saturating_sub(first).min(wide);

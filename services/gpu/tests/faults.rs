@@ -8,6 +8,12 @@ use segwild_gpu::{Choice, check, check_photos};
 
 /// The same of the kernels of training, which only [`check`] sees.
 const TRAINING_FAULTS: &[(&str, &str, &str)] = &[
+    ("row_state", "!finite4(grad)", "false && !finite4(grad)"),
+    ("row_state", "any(grad != vec4f(0.0))", "grad.x > 0.0"),
+    ("row_step", "steps[i] + (job.w >> 31u)", "steps[i] + 1u"),
+    ("row_step", "(job.z >> 16u) + k", "k"),
+    ("row_step", "sqrt(v * bias2)", "sqrt(v)"),
+    ("row_step", "states[i] != 1u", "states[i] == 0u"),
     ("select", "parent.x * job.y + lane", "parent.x * job.y"),
     ("select", "parent.y == 1u", "parent.y == 2u"),
     ("select", "lane < job.w", "lane <= job.w"),

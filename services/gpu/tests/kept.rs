@@ -2,9 +2,9 @@
 
 mod common;
 
-use common::{engine, many, splats, view};
-use segwild_gpu::{Choice, GpuEngine};
-use segwild_raster::{Channels, CpuEngine, Engine, Frame, Kept, ProjectOptions, SpareEngine};
+use common::{engine, image, many, splats, view};
+use segwild_gpu::{Choice, GpuEngine, Tolerance};
+use segwild_raster::{Channels, CpuEngine, Engine, Frame, Kept, Learning, ProjectOptions, SpareEngine};
 use segwild_scene::{Random, Splats};
 
 const SPLATS: usize = 5000;
@@ -113,4 +113,40 @@ fn channels_that_would_take_too_much_room_are_not_kept_and_drawn_all_the_same() 
     let channels = Channels { count: 64, values: &values };
     let again = tight.bring(&channels).expect("it is brought there");
     assert!(again.is_some() && tight.held() == taken, "{} bytes, not {taken}", tight.held());
+}
+
+#[test]
+fn rows_that_learn_from_view_after_view_stay_where_they_are() {
+    let Some(gpu) = engine("rows_that_learn_from_view_after_view_stay_where_they_are") else { return };
+    let scene = scene();
+    let held = gpu.hold(&scene).expect("it is brought there").expect("it fits");
+    let count = 24;
+    let learn = |rows: &mut Learning| {
+        for (step, (width, height)) in [(64, 48), (50, 70), (33, 20)].into_iter().enumerate() {
+            let (camera, pose) = view(width, height);
+            let projected =
+                held.project(&scene, &camera, &pose, &ProjectOptions::default()).expect("it is seen");
+            let frame = projected.blend_learning(rows).expect("it is drawn");
+            let mut grad = image(83 + step as u64, width as usize, height as usize, count);
+            grad.data.iter_mut().zip(&frame.image.data).for_each(|(g, v)| *g += v);
+            projected.learn(rows, &grad).expect("it is learnt");
+        }
+    };
+    let (mut here, mut there) =
+        (Learning::new(count, values(count), 0.01), Learning::new(count, values(count), 0.01));
+    learn(&mut here);
+    there.settle(&*held).expect("it is brought there");
+    let before = gpu.brought();
+    learn(&mut there);
+    let crossed = gpu.brought() - before;
+    let images = 4 * count * (64 * 48 + 50 * 70 + 33 * 20);
+    assert!(crossed < images as u64 + 1000, "{crossed} bytes where gradients of images are {images}");
+    let (here, there) = (here.finish().expect("they are here"), there.finish().expect("they come back"));
+    Tolerance::PROJECTED.compare("rows", &there, &here).expect("the same is learnt");
+    // What cannot be kept within the budget learns on the host.
+    let small = reopened(gpu);
+    small.keep_within(1 << 16);
+    let mut rows = Learning::new(count, values(count), 0.01);
+    rows.settle(&small).expect("want of room is no failure");
+    assert!(rows.away().is_none());
 }

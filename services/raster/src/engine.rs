@@ -1,6 +1,6 @@
 //! What a rasteriser must do.
 
-use crate::{Held, Kept, Resident};
+use crate::{Held, Kept, Learning, LearningAway, Resident};
 use segwild_scene::{Camera, Image, Pose, Splats};
 use std::any::Any;
 
@@ -143,6 +143,16 @@ pub trait Engine: Send + Sync {
         Ok(None)
     }
 
+    /// Takes rows per splat to where this engine computes, to learn there at this rate ([`Learning::settle`]). `None` where that is the host anyway, or
+    /// where they would take too much room.
+    fn settle_learning(
+        &self,
+        _rows: &Channels,
+        _rate: f32,
+    ) -> Result<Option<Box<dyn LearningAway>>, RasterError> {
+        Ok(None)
+    }
+
     /// Takes splats, which it asks for, to where this engine computes, to be trained there. `None` where that is the host
     /// anyway, or where they do not fit.
     fn settle(&self, _held: &mut dyn FnMut() -> Held) -> Result<Option<Box<dyn Resident>>, RasterError> {
@@ -177,6 +187,24 @@ pub trait Projected: Send + Sync {
     /// The transpose of [`Projected::blend`]: `sum over pixels of alpha T image[c]`, as `[splat][channel]`.
     /// Lifting, coverage and contribution are this sum over images of targets, masks and ones.
     fn gather(&self, image: &Image) -> Result<Vec<f32>, RasterError>;
+
+    /// Blends rows that are learnt.
+    ///
+    /// # Panics
+    /// If they are where another engine computes.
+    fn blend_learning(&self, rows: &Learning) -> Result<Frame, RasterError> {
+        self.blend(&rows.channels())
+    }
+
+    /// Has rows learn from the gradient of the image that [`Projected::blend_learning`] made of them.
+    ///
+    /// # Panics
+    /// As [`Projected::blend_learning`].
+    fn learn(&self, rows: &mut Learning, grad: &Image) -> Result<(), RasterError> {
+        let grads = self.gather(grad)?;
+        rows.step(&grads);
+        Ok(())
+    }
 
     /// Gradients of every parameter for a frame that [`Projected::blend`] made from the same channels.
     fn backward(

@@ -7,6 +7,7 @@ pub mod compare;
 mod cpu;
 mod engine;
 mod kept;
+pub mod learning;
 mod look;
 mod loss;
 pub mod reference;
@@ -21,6 +22,7 @@ pub use engine::{
     Channels, Engine, Frame, FrameGrad, ProjectOptions, Projected, RasterError, SplatGrads, check,
 };
 pub use kept::Kept;
+pub use learning::{Learning, LearningAway, RowAdam};
 pub use look::{
     AffineLook, AnyLook, EmbedLook, Glance, Glimpse, GswLook, GswWidth, HIDDEN, HeldNetworks, Impression,
     Light, Look, NoLook, RANK, Sight, Tone, bake, gsw,

@@ -14,8 +14,8 @@ use crate::engine::{BUCKET, Binned, Cloud, TILE, bin, scan, sort};
 use crate::{GpuEngine, GpuError};
 use glam::Vec3;
 use segwild_raster::{
-    ALPHA_MAX, ALPHA_MIN, Channels, CpuEngine, Engine, FrameGrad, ProjectOptions, Projected, RasterError,
-    SplatGrads,
+    ALPHA_MAX, ALPHA_MIN, Channels, CpuEngine, Engine, FrameGrad, Learning, ProjectOptions, Projected,
+    RasterError, RowAdam, SplatGrads,
 };
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
 use std::sync::Arc;
@@ -128,6 +128,7 @@ pub fn check(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
     let sums = (found.gather(&grad)?, right.gather(&grad)?);
     // What `blend` leaves for the passes behind it, the light at each bucket, is seen here first.
     add(&["blend", "gather", "sum_slots"], Tolerance::GRADIENTS.compare("sums", &sums.0, &sums.1));
+    add(&["row_state", "row_step"], rows(engine, &*found)?);
     let grad = FrameGrad { image: &grad, alpha: Some(&alpha) };
     let g = found.backward(&channels, &a, &grad)?;
     let w = right.backward(&channels, &b, &grad)?;
@@ -168,6 +169,35 @@ fn scene() -> (Splats, Camera, Pose) {
     let (w, h) = (width as f32, height as f32);
     let camera = Camera { width, height, fx: 1.1 * w, fy: 1.05 * w, cx: 0.47 * w, cy: 0.52 * h };
     (splats, camera, Pose::look_at(Vec3::new(0.3, -0.4, -1.6), Vec3::ZERO, Vec3::new(0.1, -1.0, 0.0)))
+}
+
+/// Rows that learn from a view, more of them than are blended at once, beside the host's by the same gradients.
+fn rows(engine: &GpuEngine, view: &dyn Projected) -> Result<Result<(), String>, RasterError> {
+    const ROW: usize = 20;
+    let random = &mut Random::new(6);
+    let values: Vec<f32> = (0..ROW * SPLATS).map(|_| random.uniform() - 0.5).collect();
+    let mut wanted = values.clone();
+    let (mut away, mut adam) = (Learning::new(ROW, values, 0.01), RowAdam::new(SPLATS, ROW, 0.01));
+    away.settle(engine)?;
+    for step in 0..4 {
+        let (width, height) = (SIZE.0 as usize, SIZE.1 as usize);
+        let mut grad = Image::zeros(width, height, ROW);
+        // Not everywhere, and somewhere no number: there rows rest.
+        for (i, v) in grad.data.iter_mut().enumerate() {
+            *v = if (i % width + 20 * step) % width < width / 2 { random.uniform() - 0.5 } else { 0.0 };
+        }
+        if step == 2 {
+            grad.data[width * height / 2] = f32::NAN;
+        }
+        adam.step(&mut wanted, &view.gather(&grad)?);
+        view.learn(&mut away, &grad)?;
+    }
+    let same = view.blend_learning(&away)?;
+    let right = view.blend(&Channels { count: ROW, values: &wanted })?;
+    let got = away.finish()?;
+    Ok(Tolerance::PROJECTED
+        .compare("rows", &got, &wanted)
+        .and_then(|()| Tolerance::BLENDED.compare("rows in a view", &same.image.data, &right.image.data)))
 }
 
 /// Running sums of so many numbers.

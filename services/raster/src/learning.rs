@@ -1,10 +1,15 @@
-//! Adam over rows, one per splat.
+//! Numbers per splat that are learnt from views: the feature field (method, section 4).
 
+use crate::{Channels, Engine, RasterError};
 use rayon::prelude::*;
+use std::any::Any;
 
-const BETA1: f32 = 0.9;
-const BETA2: f32 = 0.999;
-const EPSILON: f32 = 1e-15;
+/// Decay of the first moments.
+pub const BETA1: f32 = 0.9;
+/// And of the second ones.
+pub const BETA2: f32 = 0.999;
+/// Added to the root of the second moments.
+pub const EPSILON: f32 = 1e-15;
 /// Rows per task. Fixed, so that results do not depend on the number of threads.
 const CHUNK: usize = 4096;
 
@@ -13,7 +18,7 @@ const CHUNK: usize = 4096;
 /// A step renders one photo, which leaves most splats of a scene unseen: moving those by stale momentum would
 /// cost time and pull them by nothing that any photo says.
 #[derive(Clone, Debug)]
-pub struct Adam {
+pub struct RowAdam {
     row: usize,
     rate: f32,
     first: Vec<f32>,
@@ -21,14 +26,18 @@ pub struct Adam {
     steps: Vec<u32>,
 }
 
-impl Adam {
+impl RowAdam {
     /// An optimiser of `rows` rows of `row` numbers with learning rate `rate`.
-    pub fn new(rows: usize, row: usize, rate: f32) -> Adam {
-        Adam { row, rate, first: vec![0.0; rows * row], second: vec![0.0; rows * row], steps: vec![0; rows] }
+    pub fn new(rows: usize, row: usize, rate: f32) -> RowAdam {
+        let (first, second) = (vec![0.0; rows * row], vec![0.0; rows * row]);
+        RowAdam { row, rate, first, second, steps: vec![0; rows] }
     }
 
     /// Moves `values` against `grads`, both `[row][number]`, flat. Rows whose gradient is all zero or not
     /// finite stay where they are.
+    ///
+    /// # Panics
+    /// If there are not as many as there are rows for.
     pub fn step(&mut self, values: &mut [f32], grads: &[f32]) {
         assert_eq!((values.len(), grads.len()), (self.first.len(), self.first.len()));
         let (row, rate) = (self.row.max(1), self.rate);
@@ -59,13 +68,76 @@ impl Adam {
     }
 }
 
+/// Rows of numbers, one per splat, and their optimiser ([`RowAdam`]). They are blended by
+/// [`Projected::blend_learning`](crate::Projected::blend_learning) and learn by
+/// [`Projected::learn`](crate::Projected::learn), where they were settled.
+pub struct Learning {
+    values: Vec<f32>,
+    adam: RowAdam,
+    away: Option<Box<dyn LearningAway>>,
+}
+
+/// Rows where an engine computes.
+pub trait LearningAway: Send + Sync {
+    /// The values, `[splat][number]`.
+    fn fetch(&self) -> Result<Vec<f32>, RasterError>;
+
+    /// For the engine to know its own.
+    fn as_any(&self) -> &dyn Any;
+}
+
+impl Learning {
+    /// Rows of `row` numbers, `[splat][number]`, that nothing was learnt of yet; `rate` is the optimiser's.
+    pub fn new(row: usize, values: Vec<f32>, rate: f32) -> Learning {
+        let adam = RowAdam::new(values.len() / row.max(1), row, rate);
+        Learning { values, adam, away: None }
+    }
+
+    /// Takes them to where an engine computes, if it has room for them there.
+    pub fn settle(&mut self, engine: &dyn Engine) -> Result<(), RasterError> {
+        self.away = engine.settle_learning(&self.channels(), self.adam.rate)?;
+        Ok(())
+    }
+
+    /// The rows, as long as they are here.
+    ///
+    /// # Panics
+    /// If they are elsewhere.
+    pub fn channels(&self) -> Channels<'_> {
+        assert!(self.away.is_none(), "rows where another engine computes");
+        Channels { count: self.adam.row, values: &self.values }
+    }
+
+    /// The rows where an engine computes.
+    pub fn away(&self) -> Option<&dyn LearningAway> {
+        self.away.as_deref()
+    }
+
+    /// Has the rows here learn from their gradients, `[splat][number]`.
+    ///
+    /// # Panics
+    /// If they are elsewhere, or the gradients are not as many.
+    pub fn step(&mut self, grads: &[f32]) {
+        assert!(self.away.is_none(), "rows where another engine computes");
+        self.adam.step(&mut self.values, grads);
+    }
+
+    /// The values, `[splat][number]`, wherever they are.
+    pub fn finish(self) -> Result<Vec<f32>, RasterError> {
+        match &self.away {
+            Some(away) => away.fetch(),
+            None => Ok(self.values),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn follows_the_textbook_and_lets_quiet_rows_rest() {
-        let (mut values, mut adam) = (vec![1.0f32, -2.0, 5.0, 5.0, 7.0, 7.0], Adam::new(3, 2, 0.1));
+        let (mut values, mut adam) = (vec![1.0f32, -2.0, 5.0, 5.0, 7.0, 7.0], RowAdam::new(3, 2, 0.1));
         let (mut exact, mut m, mut v) = ([1.0f64, -2.0], [0.0; 2], [0.0; 2]);
         for t in 1..=50 {
             let g = [2.0 * values[0], 0.5 * values[1]];
