@@ -1,6 +1,6 @@
 // A layer's product of weights and what its kernel sees, forward or back to its input (twins: `convolve` in nets/src/conv.rs,
 // `Mlp::forward` and `Mlp::backward` in nets/src/mlp.rs: a dense layer is a kernel of one tap over splats instead of pixels).
-// A group makes 32 planes of 64 columns; a thread four of these planes at two columns.
+// A group makes 32 planes of 128 columns; a thread four of these planes at four columns.
 #import common
 #import layer
 
@@ -13,9 +13,9 @@
 @group(0) @binding(4) var<storage, read> in_sight: array<u32>;
 
 const DEPTH: u32 = 16u;
-// `[plane][depth]` and `[depth][column]`.
-var<workgroup> left: array<f32, 512>;
-var<workgroup> right: array<f32, 1024>;
+// `[depth][four planes]` and `[depth][four columns]`.
+var<workgroup> left: array<vec4f, 128>;
+var<workgroup> right: array<vec4f, 512>;
 
 @compute @workgroup_size(256)
 fn convolve(
@@ -26,54 +26,63 @@ fn convolve(
     let layer = layers[job.x];
     let group = group_of(id, groups);
     let room = layer.out_width * layer.out_height;
-    let across = (room + 63u) / 64u;
+    let across = (room + 127u) / 128u;
     let columns = columns_of(layer, job.y, in_sight[0]);
-    let column = (group % across) * 64u;
+    let column = (group % across) * 128u;
     let plane = (group / across) * 32u;
     let taps = layer.kernel * layer.kernel;
     let depth = layer.input * taps;
-    let mine = (local / 32u) * 4u;
-    var sums: array<vec2f, 4>;
+    var sums: array<vec4f, 4>;
     for (var start = 0u; start < depth; start += DEPTH) {
-        for (var n = local; n < 512u; n += 256u) {
-            let k = start + n % DEPTH;
-            let o = plane + n / DEPTH;
-            var weight = 0.0;
-            if k < depth && o < layer.output {
+        if local < 128u {
+            let k = start + local / 8u;
+            var four = vec4f(0.0);
+            if k < depth {
                 let tap = select(k % taps, taps - 1u - k % taps, is_set(layer, TURNED));
-                weight = weights[layer.weights + o * layer.by_output + (k / taps) * layer.by_input + tap];
-            }
-            left[n] = weight;
-        }
-        for (var n = local; n < 1024u; n += 256u) {
-            let k = start + n / 64u;
-            let at = column + n % 64u;
-            var seen = 0.0;
-            if k < depth && at < columns {
-                let place = tapped(layer, k / taps, k % taps, at);
-                if place != NONE {
-                    seen = maps[place];
+                let first = layer.weights + (k / taps) * layer.by_input + tap;
+                for (var o = 0u; o < 4u; o += 1u) {
+                    let to = plane + (local % 8u) * 4u + o;
+                    if to < layer.output {
+                        four[o] = weights[first + to * layer.by_output];
+                    }
                 }
             }
-            right[n] = seen;
+            left[local] = four;
+        }
+        for (var n = local; n < 512u; n += 256u) {
+            let k = start + n / 32u;
+            var four = vec4f(0.0);
+            if k < depth {
+                for (var c = 0u; c < 4u; c += 1u) {
+                    let at = column + (n % 32u) * 4u + c;
+                    if at < columns {
+                        let place = tapped(layer, k / taps, k % taps, at);
+                        if place != NONE {
+                            four[c] = maps[place];
+                        }
+                    }
+                }
+            }
+            right[n] = four;
         }
         workgroupBarrier();
         for (var k = 0u; k < DEPTH; k += 1u) {
-            let seen = vec2f(right[k * 64u + local % 32u], right[k * 64u + local % 32u + 32u]);
+            let weight = left[k * 8u + local / 32u];
+            let seen = right[k * 32u + local % 32u];
             for (var o = 0u; o < 4u; o += 1u) {
-                sums[o] += left[(mine + o) * DEPTH + k] * seen;
+                sums[o] += weight[o] * seen;
             }
         }
         workgroupBarrier();
     }
     for (var o = 0u; o < 4u; o += 1u) {
-        for (var half = 0u; half < 2u; half += 1u) {
-            let at = column + local % 32u + 32u * half;
-            let to = plane + mine + o;
+        let to = plane + (local / 32u) * 4u + o;
+        for (var c = 0u; c < 4u; c += 1u) {
+            let at = column + (local % 32u) * 4u + c;
             if at >= columns || to >= layer.output {
                 continue;
             }
-            var made = sums[o][half];
+            var made = sums[o][c];
             var place = layer.writes + to * room + at;
             var offset = to;
             if is_set(layer, WRITE_QUARTERS) {

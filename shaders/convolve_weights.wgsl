@@ -1,6 +1,6 @@
 // Gradients of a layer's weights, of a slice of its columns (twins: `Conv::kernel_gradient` in nets/src/conv.rs and
-// `Mlp::backward` in nets/src/mlp.rs); the layer is that of the way forward. A group takes 32 planes and 32 of what each has
-// weights for, the offset last; a thread four of these planes. `sum_weights` adds slices up.
+// `Mlp::backward` in nets/src/mlp.rs); the layer is that of the way forward. A group takes 32 planes and 128 of what each has
+// weights for, the offset last; a thread four of both. `sum_weights` adds slices up.
 #import common
 #import layer
 
@@ -17,10 +17,10 @@ const SLICE: u32 = 1024u;
 @group(0) @binding(4) var<storage, read_write> parts: array<f32>;
 @group(0) @binding(5) var<storage, read> in_sight: array<u32>;
 
-const DEPTH: u32 = 32u;
-// `[plane][column]` and `[weight][column]`, one more so that columns lie in different banks.
-var<workgroup> left: array<f32, 1056>;
-var<workgroup> right: array<f32, 1056>;
+const DEPTH: u32 = 16u;
+// `[column][four planes]` and `[column][four weights]`.
+var<workgroup> left: array<vec4f, 128>;
+var<workgroup> right: array<vec4f, 512>;
 
 @compute @workgroup_size(256)
 fn convolve_weights(
@@ -34,54 +34,63 @@ fn convolve_weights(
     let columns = columns_of(layer, job.y, in_sight[0]);
     let taps = layer.kernel * layer.kernel;
     let wide = layer.input * taps + 1u;
-    let across = (wide + 31u) / 32u;
+    let across = (wide + 127u) / 128u;
     let down = (layer.output + 31u) / 32u;
-    let first = (group % across) * 32u;
+    let first = (group % across) * 128u;
     let plane = ((group / across) % down) * 32u;
     let slice = group / (across * down);
     let end = min(columns, (slice + 1u) * SLICE);
-    var sums: array<f32, 4>;
+    var sums: array<vec4f, 4>;
     for (var start = slice * SLICE; start < end; start += DEPTH) {
-        for (var n = local; n < 1024u; n += 256u) {
-            let at = start + n % DEPTH;
-            let o = plane + n / DEPTH;
-            let k = first + n / DEPTH;
-            var grad = 0.0;
-            if at < end && o < layer.output {
-                var place = layer.writes + o * room + at;
-                if is_set(layer, WRITE_QUARTERS) {
-                    place = layer.writes + quarter(o, at, layer.out_width, layer.out_height);
-                }
-                grad = grads[place];
-            }
-            left[n + n / DEPTH] = grad;
-            var seen = 0.0;
-            if at < end && k < wide {
-                seen = 1.0;
-                if k + 1u < wide {
-                    let place = tapped(layer, k / taps, k % taps, at);
-                    seen = 0.0;
-                    if place != NONE {
-                        seen = maps[place];
+        // Neighbours take neighbouring columns.
+        if local < 128u {
+            let at = start + local % DEPTH;
+            var four = vec4f(0.0);
+            for (var o = 0u; o < 4u; o += 1u) {
+                let row = plane + (local / DEPTH) * 4u + o;
+                if at < end && row < layer.output {
+                    var place = layer.writes + row * room + at;
+                    if is_set(layer, WRITE_QUARTERS) {
+                        place = layer.writes + quarter(row, at, layer.out_width, layer.out_height);
                     }
+                    four[o] = grads[place];
                 }
             }
-            right[n + n / DEPTH] = seen;
+            left[(local % DEPTH) * 8u + local / DEPTH] = four;
+        }
+        for (var n = local; n < 512u; n += 256u) {
+            let at = start + n % DEPTH;
+            var four = vec4f(0.0);
+            for (var c = 0u; c < 4u; c += 1u) {
+                let k = first + (n / DEPTH) * 4u + c;
+                if at < end && k + 1u < wide {
+                    let place = tapped(layer, k / taps, k % taps, at);
+                    if place != NONE {
+                        four[c] = maps[place];
+                    }
+                } else if at < end && k + 1u == wide {
+                    four[c] = 1.0;
+                }
+            }
+            right[(n % DEPTH) * 32u + n / DEPTH] = four;
         }
         workgroupBarrier();
         for (var c = 0u; c < DEPTH; c += 1u) {
-            let seen = right[(local % 32u) * 33u + c];
+            let grad = left[c * 8u + local / 32u];
+            let seen = right[c * 32u + local % 32u];
             for (var o = 0u; o < 4u; o += 1u) {
-                sums[o] += left[((local / 32u) * 4u + o) * 33u + c] * seen;
+                sums[o] += grad[o] * seen;
             }
         }
         workgroupBarrier();
     }
-    let k = first + local % 32u;
     for (var o = 0u; o < 4u; o += 1u) {
         let row = plane + (local / 32u) * 4u + o;
-        if slice < job.z && row < layer.output && k < wide {
-            parts[(slice * layer.output + row) * wide + k] = sums[o];
+        for (var c = 0u; c < 4u; c += 1u) {
+            let k = first + (local % 32u) * 4u + c;
+            if slice < job.z && row < layer.output && k < wide {
+                parts[(slice * layer.output + row) * wide + k] = sums[o][c];
+            }
         }
     }
 }

@@ -18,6 +18,8 @@
 @group(0) @binding(7) var<storage, read_write> points: array<f32>;
 // `[map][splat of the piece]`: the map and the pixel that is read there.
 @group(0) @binding(8) var<storage, read_write> keys: array<u32>;
+// The number of each of these.
+@group(0) @binding(9) var<storage, read_write> items: array<u32>;
 
 fn put(plane: u32, first: u32, k: u32, value: f32) {
     points[first + plane * reader.room.x + k] = value;
@@ -39,6 +41,7 @@ fn read_light(
     if reader.map.w == 1u {
         for (var m = 0u; m <= MAPS; m += 1u) {
             keys[m * room + k] = m * (pixels + 1u) + pixels;
+            items[m * room + k] = m * room + k;
         }
     }
     if !there {

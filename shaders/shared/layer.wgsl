@@ -43,6 +43,8 @@ const READ_QUARTERS: u32 = 8u;
 const WRITE_QUARTERS: u32 = 16u;
 // Columns are splats in sight.
 const COUNTED: u32 = 32u;
+// Of one tap, every pixel by itself: it need not be looked for.
+const PLAIN: u32 = 64u;
 
 fn is_set(layer: Layer, flag: u32) -> bool {
     return (layer.flags & flag) != 0u;
@@ -62,6 +64,9 @@ fn quarter(plane: u32, column: u32, width: u32, height: u32) -> u32 {
 
 // Where the number lies that a tap of an input sees at a column; NONE beyond the border, and between pixels.
 fn tapped(layer: Layer, input: u32, tap: u32, column: u32) -> u32 {
+    if is_set(layer, PLAIN) {
+        return layer.reads + input * layer.in_width * layer.in_height + column;
+    }
     if is_set(layer, READ_QUARTERS) {
         return layer.reads + quarter(input, column, layer.in_width, layer.in_height);
     }

@@ -5,8 +5,8 @@ use crate::record::{Made, Record, Results};
 use crate::scale::kernels::filling;
 use crate::synthetic::random::Rng;
 use glam::Vec3;
-use segwild_gpu::{Choice, GpuEngine, Reach, reach, speed};
-use segwild_raster::{Channels, CpuEngine, Engine, FrameGrad, ProjectOptions, RasterError};
+use segwild_gpu::{Choice, GpuEngine, NETWORKS, Reach, reach, some_look, speed};
+use segwild_raster::{Channels, CpuEngine, Engine, FrameGrad, Look, ProjectOptions, RasterError, Sight};
 use segwild_scene::{Camera, Pose, Splats};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -144,7 +144,19 @@ fn on_the_cpu(
         };
         (0..3).map(once).fold(f64::INFINITY, f64::min)
     };
+    let (mut look, draw) = some_look(camera, pose);
+    let codes = look.first_codes(&splats.means);
+    let radii = vec![1.0; splats.len()];
+    let eye = pose.centre().to_array();
+    let sight = Sight { means: &splats.means, codes: &codes, radii: &radii, eye };
+    let colours = vec![0.5; 3 * splats.len()];
+    let mut networks = || {
+        let light = look.impression(0, Some(draw));
+        drop(look.tint(0, light.as_ref(), &sight, colours.clone()));
+        drop(look.tint_backward(0, light.as_ref(), &sight, &colours, colours.clone(), &[]));
+    };
     Ok(BTreeMap::from([
+        (NETWORKS, best(&mut networks)),
         ("project, sort, bin", best(&mut || drop(engine.project(splats, camera, pose, &options)))),
         ("shade", best(&mut || drop(projected.shade()))),
         ("blend", best(&mut || drop(projected.blend(&values)))),

@@ -1,10 +1,11 @@
 //! The accelerator engine: the kernels of `shaders/` behind [`segwild_raster::Engine`], through wgpu (Vulkan, Metal,
 //! Direct3D 12).
 //!
-//! Each kernel bears the name of its twin in the CPU engine (`services/raster/src/cpu/`) and is tested against it.
+//! Each kernel bears the name of its twin in the CPU engine (`services/raster/src/cpu/`) and is tested against it; those of
+//! networks (`nets/`) have theirs in `services/nets` and `services/raster/src/look/gsw/`.
 //! What one view needs stays on the device from `project` to `backward`; channels go up, unless they are kept there for
 //! many views, and images and gradients come back, at the trait's boundary. Splats in training stay there too, with their
-//! optimiser (`training.rs`): then an image and its gradient are all that crosses.
+//! optimiser, photos and networks (`training.rs`): then a step is handed over at once.
 
 #[cfg(test)]
 extern crate self as segwild_gpu;
@@ -18,6 +19,7 @@ mod compare;
 mod device;
 mod engine;
 mod nets;
+mod optimiser;
 mod passes;
 mod room;
 mod rows;
@@ -34,7 +36,7 @@ pub use check::{
 pub use engine::GpuEngine;
 pub use room::{LEAST_PHOTOS, training_bytes};
 pub use shaders::{KERNELS, Kernel, source};
-pub use speed::{Reach, STEP, Timed, reach, speed};
+pub use speed::{NETWORKS, Reach, STEP, Timed, reach, some_look, speed};
 
 /// Why the accelerator engine refused, or stopped.
 #[derive(Debug, Clone, thiserror::Error)]

@@ -7,12 +7,16 @@
 use crate::compare::{Asked, Photo, compare};
 use crate::device::Work;
 use crate::engine::{Cloud, GROUP, bin, sort};
+use crate::nets::{GpuNetworks, Lighting, PIECE, floor};
 use crate::passes::PIXELS;
 use crate::shaders::{RATE, SHADE};
 use crate::training::GpuTraining;
 use crate::{GpuEngine, GpuError};
 use segwild_raster::compare::{LeaveOut, Residuals, Sitting, Target};
-use segwild_raster::{Held, ProjectOptions, RasterError, Resident, Rule, Rules, Step};
+use segwild_raster::{
+    GswLook, GswWidth, Held, Look, NetworksStep, ProjectOptions, RasterError, Resident, Rule, Rules, Step,
+    gsw,
+};
 use segwild_scene::{Camera, Pose, Splats};
 use std::sync::Arc;
 use std::time::Instant;
@@ -110,6 +114,7 @@ pub fn speed(
         bench.passes(splats, camera, pose, channels.div_ceil(4).max(1))?;
         bench.rows
     };
+    rows.push(networks(engine, reach, splats, camera, pose)?);
     rows.extend(training(engine, reach, splats, camera, pose)?);
     Ok(rows)
 }
@@ -201,6 +206,49 @@ impl Bench<'_> {
             on.backward(work, blocks, &values, &image).map(drop)
         })
     }
+}
+
+/// The pass that is what the look `gsw` adds to a step.
+pub const NETWORKS: &str = "networks of gsw";
+
+/// A look `gsw` of one square photo that a camera took, as long as the network takes it, and a step that reads its light.
+pub fn some_look(camera: &Camera, pose: &Pose) -> (GswLook, u64) {
+    let mut look = GswLook::new(1, 1, GswWidth::Cpu);
+    let side = gsw::Networks::of(GswWidth::Cpu).side;
+    let colour = |i: usize| Some([i % side, i / side, 7].map(|n| n as f32 / side as f32));
+    let glance = look.glance((side, side), camera, pose, colour);
+    look.set_glance(0, glance);
+    let draw = (0..1000).find(|&draw| look.glimpse(0, draw).is_some_and(|glimpse| glimpse.whole));
+    (look, draw.expect("one in a thousand"))
+}
+
+/// Times the networks of the look `gsw`, forward and back, of splats that are all in sight.
+fn networks(
+    engine: &GpuEngine,
+    reach: Reach,
+    splats: &Splats,
+    camera: &Camera,
+    pose: &Pose,
+) -> Result<Timed, GpuError> {
+    let n = splats.len();
+    let (look, draw) = some_look(camera, pose);
+    let rules = [Rule { beta1: 0.9, beta2: 0.999, rate: 0.0, epsilon: 1e-8 }; 2];
+    let step = NetworksStep { glimpse: look.glimpse(0, draw), draw, decides: false, rules };
+    let work = &mut engine.device.work();
+    let held = GpuNetworks::upload(work, &look.held())?;
+    let cloud = Cloud::upload(work, splats)?;
+    let seen = work.upload("depths and radii", &vec![[1.0f32; 4]; n])?;
+    let codes = work.upload("the splats' codes", &look.first_codes(&splats.means))?;
+    let by_code = work.take::<f32>("the codes' gradients", n * GswLook::CODE_SIZE)?;
+    let colours = work.take::<[f32; 4]>("the splats' colours", n)?;
+    work.clear(&colours);
+    let lighting = Lighting::upload(work, &held, &step, pose.centre(), n, PIECE)?;
+    let ms = timed(work, |work| {
+        lighting.tint(work, &seen, &cloud.means, &codes, &colours)?;
+        lighting.backward(work, &colours, (&cloud.means, &codes), &by_code, None)
+    })?;
+    let (bytes, operations) = floor(GswWidth::Cpu, n);
+    Ok(Timed { pass: NETWORKS, ms, floor_ms: reach.floor_ms(bytes, operations) })
 }
 
 /// The pass that is a whole step of training.

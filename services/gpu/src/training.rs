@@ -6,22 +6,21 @@ use crate::compare::{Asked, Graded, Heard, LIGHT, Photo, Shelf, compare, total};
 use crate::device::{Device, Lent, Work};
 use crate::engine::{Binned, Cloud, GROUP, bin};
 use crate::nets::{GpuNetworks, Lighting, PIECE};
+use crate::optimiser::{Groups, StepGrads};
 use crate::passes::Grads;
-use crate::shaders::{ADAM, OBSERVE, SELECT, SHADE, SHADE_BACKWARD, TINT, TINT_BACKWARD};
-use bytemuck::{Pod, Zeroable};
+use crate::shaders::{OBSERVE, SELECT, SHADE, SHADE_BACKWARD, TINT, TINT_BACKWARD};
 use segwild_raster::compare::Said;
 use segwild_raster::{
-    Codes, EmbedLook, Held, Light, NetworksStep, ProjectOptions, RasterError, Reshaped, Resident, Rule,
-    Rules, Step, check,
+    Codes, EmbedLook, Held, Light, NetworksStep, ProjectOptions, RasterError, Reshaped, Resident, Step, check,
 };
 use segwild_scene::{Camera, Pose, Splats};
 use std::sync::Arc;
 
 /// Splats or their moments.
-struct Numbers {
-    shapes: Arc<Cloud>,
+pub(crate) struct Numbers {
+    pub shapes: Arc<Cloud>,
     /// `[splat][basis function][r, g, b]`.
-    sh: Lent,
+    pub sh: Lent,
 }
 
 impl Numbers {
@@ -73,17 +72,17 @@ struct Parents {
 }
 
 /// Codes of splats and their moments.
-struct GpuCodes {
-    values: Lent,
-    first: Lent,
-    second: Lent,
+pub(crate) struct GpuCodes {
+    pub values: Lent,
+    pub first: Lent,
+    pub second: Lent,
     /// Numbers of a code.
-    width: usize,
+    pub width: usize,
 }
 
 impl GpuCodes {
     /// Numbers of a code that come before those of the look `embed`.
-    fn before(&self) -> usize {
+    pub fn before(&self) -> usize {
         self.width - EmbedLook::CODE_SIZE
     }
 
@@ -98,62 +97,14 @@ pub(crate) struct GpuTraining {
     device: Arc<Device>,
     shelf: Arc<Shelf>,
     sh_degree: u32,
-    splats: Numbers,
-    first: Numbers,
-    second: Numbers,
+    pub splats: Numbers,
+    pub first: Numbers,
+    pub second: Numbers,
     /// For density control: gradient, error, steps, radius.
     sums: Lent,
-    codes: Option<GpuCodes>,
-    networks: Option<GpuNetworks>,
+    pub codes: Option<GpuCodes>,
+    pub networks: Option<GpuNetworks>,
 }
-
-/// `Rules` of `adam.wgsl`.
-#[derive(Clone, Copy, Pod, Zeroable)]
-#[repr(C)]
-struct AdamRules {
-    first: [f32; 4],
-    second: [f32; 4],
-    item: [u32; 4],
-}
-
-/// Gradients of everything that is trained.
-pub(crate) struct StepGrads {
-    /// Of [`Grads`].
-    shapes: Lent,
-    /// As [`Numbers::sh`].
-    sh: Lent,
-    /// As [`GpuCodes::values`].
-    codes: Option<Lent>,
-}
-
-/// A group of parameters, as `adam` sees it.
-struct Group {
-    /// Where the gradients of the first item begin, and how far those of the next are.
-    from: usize,
-    stride: usize,
-    /// How many items, and numbers of each; of these, how many are parameters, and how many follow the first of two rules.
-    items: usize,
-    width: usize,
-    live: usize,
-    split: usize,
-    rules: [Rule; 2],
-    /// Of splats in sight only, which keep this much of what follows the second.
-    seen: Option<f32>,
-}
-
-impl Group {
-    fn rules(&self) -> AdamRules {
-        let rule = |Rule { beta1, beta2, rate, epsilon }: Rule| [beta1, beta2, rate, epsilon];
-        AdamRules {
-            first: rule(self.rules[0]),
-            second: rule(self.rules[1]),
-            item: [self.from, self.stride, self.live, self.split].map(|v| v as u32),
-        }
-    }
-}
-
-/// The optimiser's groups, with their rules on the device.
-pub(crate) struct Groups(Vec<(Group, Lent)>);
 
 impl GpuTraining {
     pub fn new(device: &Arc<Device>, shelf: &Arc<Shelf>, held: &Held) -> Result<GpuTraining, GpuError> {
@@ -183,7 +134,7 @@ impl GpuTraining {
     }
 
     /// Numbers of a splat's harmonics.
-    fn sh_stride(&self) -> usize {
+    pub fn sh_stride(&self) -> usize {
         3 * (self.sh_degree as usize + 1).pow(2)
     }
 
@@ -325,86 +276,6 @@ impl GpuTraining {
         let weights = drawn.lighting().map(|lighting| &lighting.weight_grads);
         self.adam(work, &grads, weights, seen, &on.found, groups);
         Ok(())
-    }
-
-    /// The groups of parameters under these rules: centres and opacities, scales, rotations, harmonics and, where there
-    /// are some, codes.
-    pub fn groups(
-        &self,
-        work: &mut Work,
-        rules: &Rules,
-        networks: Option<&NetworksStep>,
-    ) -> Result<Groups, GpuError> {
-        let shape = |from, live, split, rules| Group {
-            from,
-            stride: size_of::<Grads>() / 4,
-            items: self.count(),
-            width: 4,
-            live,
-            split,
-            rules,
-            seen: None,
-        };
-        let whole = |items, width, split, rules, seen| Group {
-            from: 0,
-            stride: width,
-            items,
-            width,
-            live: width,
-            split,
-            rules,
-            seen,
-        };
-        let mut groups = vec![
-            shape(0, 4, 3, [rules.means, rules.opacities]),
-            shape(4, 3, 3, [rules.log_scales; 2]),
-            shape(8, 4, 4, [rules.rotations; 2]),
-            whole(self.count(), self.sh_stride(), 3, [rules.base, rules.higher], None),
-        ];
-        if let Some(codes) = &self.codes {
-            groups.push(whole(self.count(), codes.width, codes.before(), [rules.codes; 2], Some(rules.kept)));
-        }
-        if let (Some(networks), Some(step)) = (&self.networks, networks) {
-            groups.push(whole(1, networks.len(), networks.nets().border, step.rules, None));
-        }
-        let up = groups.into_iter().map(|group| {
-            let rules = work.upload("the rules", &[group.rules()])?;
-            Ok((group, rules))
-        });
-        up.collect::<Result<_, _>>().map(Groups)
-    }
-
-    /// The optimiser's step of every group of parameters; `weights` are the gradients of the networks'.
-    pub fn adam(
-        &self,
-        work: &mut Work,
-        grads: &StepGrads,
-        weights: Option<&Lent>,
-        seen: &Lent,
-        found: &Lent,
-        groups: &Groups,
-    ) {
-        let all = [&self.splats, &self.first, &self.second];
-        let shapes = |of: fn(&Cloud) -> &Lent| (all.map(|numbers| of(&numbers.shapes)), &grads.shapes);
-        let mut arrays = vec![
-            shapes(|of| &of.means),
-            shapes(|of| &of.log_scales),
-            shapes(|of| &of.rotations),
-            (all.map(|numbers| &numbers.sh), &grads.sh),
-        ];
-        if let (Some(codes), Some(grads)) = (&self.codes, &grads.codes) {
-            arrays.push(([&codes.values, &codes.first, &codes.second], grads));
-        }
-        if let (Some(networks), Some(weights)) = (&self.networks, weights) {
-            arrays.push(([&networks.weights, &networks.first, &networks.second], weights));
-        }
-        for (([parameters, first, second], grads), (group, rules)) in arrays.into_iter().zip(&groups.0) {
-            let numbers = group.items * group.width;
-            let only_seen = u32::from(group.seen.is_some());
-            let job = [numbers as u32, group.width as u32, only_seen, group.seen.unwrap_or(1.0).to_bits()];
-            let buffers = [rules, grads, parameters, first, second, seen, found];
-            work.run(&ADAM, 1, job, &buffers, numbers.div_ceil(GROUP));
-        }
     }
 
     /// Gradients of 0.

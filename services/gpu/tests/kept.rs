@@ -2,9 +2,12 @@
 
 mod common;
 
-use common::{engine, image, many, splats, view};
-use segwild_gpu::{Choice, GpuEngine, Tolerance};
-use segwild_raster::{Channels, CpuEngine, Engine, Frame, Kept, Learning, ProjectOptions, SpareEngine};
+use common::{engine, image, many, rules, splats, step_with, view};
+use segwild_gpu::{Choice, GpuEngine, Tolerance, held, some_look, training_bytes};
+use segwild_raster::{
+    Channels, Codes, CpuEngine, Engine, Frame, GswLook, GswWidth, Held, Kept, Learning, Look, NetworksStep,
+    ProjectOptions, SpareEngine,
+};
 use segwild_scene::{Random, Splats};
 
 const SPLATS: usize = 5000;
@@ -149,4 +152,43 @@ fn rows_that_learn_from_view_after_view_stay_where_they_are() {
     let mut rows = Learning::new(count, values(count), 0.01);
     rows.settle(&small).expect("want of room is no failure");
     assert!(rows.away().is_none());
+}
+
+#[test]
+fn a_step_of_networks_brings_its_photo_and_nothing_of_the_splats() {
+    let Some(gpu) = engine("a_step_of_networks_brings_its_photo_and_nothing_of_the_splats") else { return };
+    let gpu = reopened(gpu);
+    let view = view(96, 64);
+    let (look, draw) = some_look(&view.0, &view.1);
+    let splats = scene();
+    let codes = Codes {
+        values: look.first_codes(&splats.means),
+        first: vec![0.0; SPLATS * GswLook::CODE_SIZE],
+        second: vec![0.0; SPLATS * GswLook::CODE_SIZE],
+    };
+    let held = Held { codes, networks: Some(look.held()), ..held(splats) };
+    let mut away = gpu.settle(&mut || held.clone()).expect("it is brought there").expect("it fits");
+    let light = look.below.photo(0);
+    let rule = rules(0.001);
+    let mut learn = |key: u64| {
+        let glimpse = look.glimpse(0, draw).expect("there is light");
+        let photo = 4 * (glimpse.image.data.len() + glimpse.beside.data.len());
+        let step = NetworksStep { glimpse: Some(glimpse), draw, decides: true, rules: [rule.codes; 2] };
+        let before = gpu.brought();
+        let said = step_with(&mut *away, (&view.0, &view.1), Some(&light), Some(step), &rule, key, 0.1);
+        said.expect("it is learnt");
+        (gpu.brought() - before, photo as u64)
+    };
+    // The first look at a photo brings what it is compared with.
+    learn(91);
+    let (crossed, photo) = learn(91);
+    println!("{crossed} bytes, {photo} of them the photo for its network");
+    assert!(crossed >= photo && crossed < photo + (64 << 10), "{crossed} bytes, {photo} the photo's");
+    let (taken, estimate) =
+        (gpu.held(), training_bytes(SPLATS, 96 * 64, 1, GswLook::CODE_SIZE, Some(GswWidth::Cpu)));
+    println!("{taken} bytes taken, {estimate} estimated");
+    assert!(taken <= estimate && estimate <= 6 * taken, "{taken} bytes taken, {estimate} estimated");
+    let after = away.fetch().expect("they come home");
+    let moved = after.networks.expect("and so do the networks").weights;
+    assert!(moved != look.held().weights && moved.iter().all(|weight| weight.is_finite()));
 }

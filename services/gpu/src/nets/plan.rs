@@ -41,12 +41,13 @@ const TURNED: u32 = 4;
 const READ_QUARTERS: u32 = 8;
 const WRITE_QUARTERS: u32 = 16;
 const COUNTED: u32 = 32;
+const PLAIN: u32 = 64;
 
 /// Planes and columns that a group of `convolve` makes.
-const CONVOLVED: [usize; 2] = [32, 64];
+const CONVOLVED: [usize; 2] = [32, 128];
 /// Columns of a slice of `convolve_weights`, and planes and weights of each that a group takes.
 const SLICE: usize = 1024;
-const WEIGHED: usize = 32;
+const WEIGHED: [usize; 2] = [32, 128];
 
 /// A kernel that a network runs.
 #[derive(Clone, Copy, Debug)]
@@ -231,7 +232,7 @@ impl Plan {
         let (output, wide) =
             (layer.output as usize, (layer.input * layer.kernel * layer.kernel) as usize + 1);
         let slices = layer.columns().div_ceil(SLICE);
-        let groups = output.div_ceil(WEIGHED) * wide.div_ceil(WEIGHED) * slices;
+        let groups = output.div_ceil(WEIGHED[0]) * wide.div_ceil(WEIGHED[1]) * slices;
         self.parts = self.parts.max(slices * output * wide);
         let layer = self.layer(layer);
         self.backward.push(Run::Weights { layer, groups, slices, numbers: output * wide });
@@ -250,6 +251,21 @@ impl Plan {
     /// Numbers of all maps.
     pub fn maps(&self) -> usize {
         self.maps
+    }
+
+    /// Multiplications and additions forward and back, and bytes that must move at the least: every map, its gradient and every
+    /// weight written and read once.
+    pub fn floor(&self, weights: usize) -> (f64, f64) {
+        let products = |run: &Run| match *run {
+            Run::Convolve { layer, .. } | Run::Weights { layer, .. } => {
+                let layer = &self.layers[layer as usize];
+                let taps = (layer.input * layer.kernel * layer.kernel) as f64;
+                2.0 * taps * f64::from(layer.output) * layer.columns() as f64
+            }
+            Run::Norm { .. } | Run::Join { .. } | Run::Gate { .. } => 0.0,
+        };
+        let operations = self.forward.iter().chain(&self.backward).map(products).sum();
+        (8.0 * (self.maps + self.grads + weights) as f64, operations)
     }
 
     /// Bytes that its maps, gradients and slices take on the device.
@@ -327,6 +343,13 @@ impl Layer {
             Kind::Norm { channels, .. } => channels,
         };
         (self.weights, self.offsets) = (all(weights.start), all(weights.end - offsets));
+        self.flags |= self.plain();
+    }
+
+    /// [`PLAIN`], if it is.
+    fn plain(&self) -> u32 {
+        let plain = self.kernel * self.step * self.gap == 1 && self.flags & READ_QUARTERS == 0;
+        if plain { PLAIN } else { 0 }
     }
 
     fn groups(&self) -> usize {
@@ -340,7 +363,7 @@ impl Layer {
     /// The way back of a convolution or dense layer, from the gradients of what it writes to those of what it reads.
     fn back(&self, flags: u32) -> Layer {
         let quarters = if self.flags & WRITE_QUARTERS != 0 { READ_QUARTERS } else { 0 };
-        Layer {
+        let back = Layer {
             reads: self.writes,
             writes: self.reads,
             offsets: NONE,
@@ -355,7 +378,8 @@ impl Layer {
             by_input: self.by_output,
             flags: flags | quarters | TURNED,
             ..*self
-        }
+        };
+        Layer { flags: back.flags | back.plain(), ..back }
     }
 }
 

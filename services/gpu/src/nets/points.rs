@@ -144,7 +144,7 @@ pub(crate) struct Lighting<'a> {
     /// Splats in sight, and how many.
     which: Lent,
     count: Lent,
-    /// What is read where by the splats of a piece, and 0, 1, 2.
+    /// What is read where by the splats of a piece, and the number of each.
     keys: Lent,
     items: Lent,
     /// Gradients of all weights.
@@ -195,13 +195,13 @@ impl<'a> Lighting<'a> {
             reader.frame = [camera.width as f32, camera.height as f32, NEAR, off_map];
             reader.map = [width, height, photo.plan.place(nets.unet.maps) as u32, 1];
         }
-        let items: Vec<u32> = (0..((MAPS + 1) * room) as u32).collect();
+        let reads = (MAPS + 1) * room;
         Ok(Lighting {
             reader: work.upload("how splats read light", &[reader])?,
-            items: work.upload("the splats' numbers", &items)?,
+            items: work.take::<u32>("the splats' numbers", reads)?,
             which: work.take::<u32>("the splats in sight", splats)?,
             count: work.take::<u32>("how many are in sight", 1)?,
-            keys: work.take::<u32>("where splats read", items.len())?,
+            keys: work.take::<u32>("where splats read", reads)?,
             weight_grads: work.take::<f32>("the weights' gradients", networks.len())?,
             networks,
             photo,
@@ -258,8 +258,8 @@ impl<'a> Lighting<'a> {
         // Where there is no photo nothing of it is read.
         let maps = self.photo.as_ref().map_or(means, |photo| &photo.tape.maps);
         let job = [self.splats as u32, first as u32, 0, 0];
-        let Lighting { reader, which, count, tape, keys, .. } = self;
-        let buffers = [reader, which, count, means, codes, maps, &tape.maps, keys];
+        let Lighting { reader, which, count, tape, keys, items, .. } = self;
+        let buffers = [reader, which, count, means, codes, maps, &tape.maps, keys, items];
         work.run(&READ_LIGHT, 1, job, &buffers, self.room.div_ceil(GROUP));
         tape.forward(work, &self.points, &self.networks.weights, count, first);
     }
@@ -339,6 +339,17 @@ impl Seen {
             whole: glimpse.whole,
         })
     }
+}
+
+/// [`Plan::floor`] of all networks of a width together, for a photo as long as they take it on all sides and so many splats in
+/// sight.
+pub(crate) fn floor(width: GswWidth, splats: usize) -> (f64, f64) {
+    let nets = Networks::of(width);
+    let planes = Planes::of(nets);
+    let (bytes, operations) = Plan::of(&nets.unet.graph, [nets.side; 2]).floor(nets.border);
+    let small = nets.layout.len() - nets.border + LAYER;
+    let (more, others) = Plan::of_points(&planes.links, planes.all, splats).floor(small);
+    (bytes + more, operations + others)
 }
 
 /// About how many bytes networks take on the device, beside the splats' codes, to be trained on so many splats.

@@ -4,7 +4,7 @@
 use glam::Vec3;
 use segwild_gpu::{Checked, Choice, GpuEngine, Kernel, adapters};
 use segwild_raster::compare::{LeaveOut, Residuals, Said, Sitting, Target};
-use segwild_raster::{Light, ProjectOptions, RasterError, Resident, Rule, Rules, Step};
+use segwild_raster::{Light, NetworksStep, ProjectOptions, RasterError, Resident, Rule, Rules, Step};
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
 use std::sync::OnceLock;
 
@@ -107,6 +107,19 @@ pub fn step(
     key: u64,
     sky_weight: f32,
 ) -> Result<Said, RasterError> {
+    step_with(away, (camera, pose), light, None, rules, key, sky_weight)
+}
+
+/// The same with networks.
+pub fn step_with(
+    away: &mut dyn Resident,
+    (camera, pose): (&Camera, &Pose),
+    light: Option<&Light>,
+    networks: Option<NetworksStep>,
+    rules: &Rules,
+    key: u64,
+    sky_weight: f32,
+) -> Result<Said, RasterError> {
     let sitting = Sitting {
         camera,
         pose,
@@ -119,8 +132,7 @@ pub fn step(
     };
     let target = || photo(7, camera.width as usize, camera.height as usize);
     let options = ProjectOptions::default();
-    let step =
-        Step { options: &options, light, networks: None, sitting, key: [0, key, 0], target: &target, rules };
+    let step = Step { options: &options, light, networks, sitting, key: [0, key, 0], target: &target, rules };
     Ok(away.step(&step)?.0)
 }
 

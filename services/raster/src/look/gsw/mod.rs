@@ -23,7 +23,7 @@ use super::affine::NUMBERS;
 use super::embed::PHOTO;
 use super::{EmbedLook, Look, Tone};
 use crate::adam::{Adam, Rule};
-use segwild_nets::{Layer, Map, Tape, scatter, take};
+use segwild_nets::{Map, Tape, scatter, take};
 use segwild_scene::{Camera, Image, Pose, Random};
 use std::ops::Range;
 use std::sync::Arc;
@@ -137,11 +137,6 @@ impl GswLook {
     /// Number of weights of networks of a width.
     pub fn weights(width: GswWidth) -> usize {
         Networks::of(width).layout.len()
-    }
-
-    /// The layers of networks of a width, in the order of their weights: what another engine needs to run them.
-    pub fn layers(width: GswWidth) -> &'static [Layer] {
-        Networks::of(width).layout.layers()
     }
 
     /// Bytes that a photo takes in a look of a width, at most.
