@@ -57,7 +57,7 @@ fn convolve(
                     let at = column + (n % 32u) * 4u + c;
                     if at < columns {
                         let place = tapped(layer, k / taps, k % taps, at);
-                        if place != NONE {
+                        if place != NOWHERE {
                             four[c] = maps[place];
                         }
                     }
@@ -89,7 +89,7 @@ fn convolve(
                 place = layer.writes + quarter(to, at, layer.out_width, layer.out_height);
                 offset = to / 4u;
             }
-            if layer.offsets != NONE {
+            if layer.offsets != NOWHERE {
                 made += weights[layer.offsets + offset];
             }
             if is_set(layer, ADD) {

@@ -4,9 +4,6 @@
 #import common
 #import layer
 
-// Columns of a slice.
-const SLICE: u32 = 1024u;
-
 // x: layer, y: first splat of the piece, z: slices.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<storage, read> layers: array<Layer>;
@@ -65,7 +62,7 @@ fn convolve_weights(
                 let k = first + (n / DEPTH) * 4u + c;
                 if at < end && k + 1u < wide {
                     let place = tapped(layer, k / taps, k % taps, at);
-                    if place != NONE {
+                    if place != NOWHERE {
                         four[c] = maps[place];
                     }
                 } else if at < end && k + 1u == wide {

@@ -20,7 +20,7 @@ fn join(
         return;
     }
     var made = maps[layer.reads + k];
-    if layer.other != NONE {
+    if layer.other != NOWHERE {
         made += maps[layer.other + k];
     }
     if is_set(layer, ADD) {

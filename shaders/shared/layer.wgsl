@@ -1,10 +1,10 @@
 // A layer of a network on its way forward or back, as the host lays it out (`Layer` in services/gpu/src/nets/plan.rs). Maps
-// lie plane after plane; of splats, each plane has room for a piece of them.
+// lie plane after plane; of splats, each plane has room for a piece of them. The flags are the host's own.
 struct Layer {
     // Where what it reads and what it writes begins.
     reads: u32,
     writes: u32,
-    // Its weights, and its offsets or NONE.
+    // Its weights, and its offsets or NOWHERE.
     weights: u32,
     offsets: u32,
     // Planes.
@@ -31,21 +31,6 @@ struct Layer {
     unused_b: u32,
 }
 
-const NONE: u32 = 0xffffffffu;
-// What is below 0 becomes 0 in the end.
-const RELU: u32 = 1u;
-// Added to what is there.
-const ADD: u32 = 2u;
-// The kernel is turned round.
-const TURNED: u32 = 4u;
-// Four planes read, or written, are the quarters of one: every other pixel of every other row.
-const READ_QUARTERS: u32 = 8u;
-const WRITE_QUARTERS: u32 = 16u;
-// Columns are splats in sight.
-const COUNTED: u32 = 32u;
-// Of one tap, every pixel by itself: it need not be looked for.
-const PLAIN: u32 = 64u;
-
 fn is_set(layer: Layer, flag: u32) -> bool {
     return (layer.flags & flag) != 0u;
 }
@@ -62,7 +47,7 @@ fn quarter(plane: u32, column: u32, width: u32, height: u32) -> u32 {
     return (plane / 4u) * 4u * width * height + row * 2u * width + 2u * (column % width) + plane % 2u;
 }
 
-// Where the number lies that a tap of an input sees at a column; NONE beyond the border, and between pixels.
+// Where the number lies that a tap of an input sees at a column; NOWHERE beyond the border, and between pixels.
 fn tapped(layer: Layer, input: u32, tap: u32, column: u32) -> u32 {
     if is_set(layer, PLAIN) {
         return layer.reads + input * layer.in_width * layer.in_height + column;
@@ -73,11 +58,11 @@ fn tapped(layer: Layer, input: u32, tap: u32, column: u32) -> u32 {
     let at = vec2i(vec2u(column % layer.out_width, column / layer.out_width) * layer.step);
     let seen = at + vec2i(vec2u(tap % layer.kernel, tap / layer.kernel)) - i32(layer.border);
     if seen.x < 0 || seen.y < 0 {
-        return NONE;
+        return NOWHERE;
     }
     let pixel = vec2u(seen) / layer.gap;
     if any(vec2u(seen) % layer.gap != vec2u(0u)) || pixel.x >= layer.in_width || pixel.y >= layer.in_height {
-        return NONE;
+        return NOWHERE;
     }
     return layer.reads + (input * layer.in_height + pixel.y) * layer.in_width + pixel.x;
 }

@@ -1,5 +1,6 @@
 //! The kernels' sources: files of `shaders/`, carried by the program, with their imports put in.
 
+use crate::nets::CONSTANTS;
 use segwild_raster::compare::{self, Target};
 use segwild_raster::{ALPHA_MAX, ALPHA_MIN, LOG2_ALPHA_MIN, SLACK, T_MIN, gsw, learning};
 
@@ -168,7 +169,7 @@ pub fn source(kernel: &Kernel, blocks: u32, subgroups: bool) -> String {
     for (name, value) in COMPARED.into_iter().chain(LIT) {
         text.push_str(&format!("const {name}: f32 = {value:e}f;\n"));
     }
-    for (name, value) in COUNTED.into_iter().chain(LIGHT) {
+    for (name, value) in COUNTED.into_iter().chain(LIGHT).chain(CONSTANTS) {
         text.push_str(&format!("const {name}: u32 = {value}u;\n"));
     }
     for line in kernel.text.lines() {

@@ -4,5 +4,5 @@
 mod plan;
 mod points;
 
-pub(crate) use plan::{Plan, Tape, Weights};
+pub(crate) use plan::{CONSTANTS, Plan, Tape, Weights};
 pub(crate) use points::{GpuNetworks, Lighting, PIECE, Visible, bytes, floor};

@@ -34,19 +34,40 @@ struct Layer {
     unused: [u32; 2],
 }
 
-const NONE: u32 = u32::MAX;
+/// No place; of offsets, none.
+const NOWHERE: u32 = u32::MAX;
+/// What is below 0 becomes 0 in the end.
 const RELU: u32 = 1;
+/// Added to what is there.
 const ADD: u32 = 2;
+/// The kernel is turned round.
 const TURNED: u32 = 4;
+/// Four planes read are the quarters of one: every other pixel of every other row.
 const READ_QUARTERS: u32 = 8;
+/// So are four that are written.
 const WRITE_QUARTERS: u32 = 16;
+/// Columns are splats in sight.
 const COUNTED: u32 = 32;
+/// Of one tap, every pixel by itself: it need not be looked for.
 const PLAIN: u32 = 64;
+/// Columns of a slice of `convolve_weights`.
+const SLICE: usize = 1024;
+/// The same for the kernels.
+pub(crate) const CONSTANTS: [(&str, u32); 9] = [
+    ("NOWHERE", NOWHERE),
+    ("RELU", RELU),
+    ("ADD", ADD),
+    ("TURNED", TURNED),
+    ("READ_QUARTERS", READ_QUARTERS),
+    ("WRITE_QUARTERS", WRITE_QUARTERS),
+    ("COUNTED", COUNTED),
+    ("PLAIN", PLAIN),
+    ("SLICE", SLICE as u32),
+];
 
 /// Planes and columns that a group of `convolve` makes.
 const CONVOLVED: [usize; 2] = [32, 128];
-/// Columns of a slice of `convolve_weights`, and planes and weights of each that a group takes.
-const SLICE: usize = 1024;
+/// Planes, and weights of each, that a group of `convolve_weights` takes.
 const WEIGHED: [usize; 2] = [32, 128];
 
 /// A kernel that a network runs.
@@ -166,7 +187,7 @@ impl Plan {
             if op.relu {
                 self.backward.push(Run::Gate { at, numbers: numbers(op.to) });
             }
-            let plain = Layer { flags: 0, other: NONE, reads: layer.writes, ..layer };
+            let plain = Layer { flags: 0, other: NOWHERE, reads: layer.writes, ..layer };
             match &op.what {
                 What::Conv(_) | What::Up(_) => {
                     self.weigh(layer);
@@ -310,7 +331,7 @@ impl Layer {
             kernel: 1,
             step: 1,
             gap: 1,
-            other: NONE,
+            other: NOWHERE,
             ..Layer::zeroed()
         }
     }
@@ -366,7 +387,7 @@ impl Layer {
         let back = Layer {
             reads: self.writes,
             writes: self.reads,
-            offsets: NONE,
+            offsets: NOWHERE,
             input: self.output,
             output: self.input,
             border: self.kernel - 1 - self.border,
