@@ -25,7 +25,7 @@ pub use compact::{Compactness, compactness};
 pub use embedding_loss::embedding_loss;
 pub use error::FeatureError;
 pub use field::FeatureField;
-pub use lift::Lifter;
+pub use lift::{Lifted, Lifter};
 pub use pca::{Decoder, MAX_SAMPLES, Pca, Samples};
 pub use picture::FeatureColours;
 pub use refine::{Progress, build};

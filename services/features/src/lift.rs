@@ -2,28 +2,36 @@
 
 use crate::FeatureError;
 use crate::error::check_planes;
-use rayon::prelude::*;
-use segwild_raster::Projected;
+use segwild_raster::{Engine, Lifting, Projected};
 use segwild_scene::Image;
-
-/// Splats per task. Fixed, so that results do not depend on the number of threads.
-const CHUNK: usize = 4096;
 
 /// Gathers `f_i = sum(w alpha T t) / sum(w alpha T)` over photos that arrive one at a time: the minimiser of
 /// the weighted squared distance between each splat's feature and the targets t of the pixels it is seen in.
 ///
 /// Sums run in the order in which photos are added, so add them in a fixed order.
-#[derive(Clone, Debug)]
 pub struct Lifter {
-    channels: usize,
-    sums: Vec<f32>,
-    weights: Vec<f32>,
+    splats: usize,
+    sums: Lifting,
+}
+
+/// What photos say of splats.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Lifted {
+    /// The features, `[splat][channel]`, flat; zero for splats that no photo sees.
+    pub values: Vec<f32>,
+    /// How much each splat was seen: `sum(w alpha T)` in pixels.
+    pub weights: Vec<f32>,
 }
 
 impl Lifter {
     /// Room for `splats` features of `channels` numbers.
     pub fn new(splats: usize, channels: usize) -> Lifter {
-        Lifter { channels, sums: vec![0.0; splats * channels], weights: vec![0.0; splats] }
+        Lifter { splats, sums: Lifting::new(splats, channels) }
+    }
+
+    /// Has the sums be where an engine computes, whose projections are added.
+    pub fn settle(&mut self, engine: &dyn Engine) -> Result<(), FeatureError> {
+        Ok(self.sums.settle(engine)?)
     }
 
     /// Adds a photo: `target` has `channels` planes at the size `projected` was made for, `validity` one plane
@@ -38,8 +46,8 @@ impl Lifter {
         let (w, h, c) = (target.width, target.height, target.channels);
         check_planes(name, "feature target", (w, h, c), &target.data)?;
         check_planes(name, "validity map", (w, h, 1), &validity.data)?;
-        if c != self.channels {
-            let want = self.channels;
+        if c != self.sums.row() {
+            let want = self.sums.row();
             return Err(FeatureError::Shape(format!("{name}: a target of {c} channels, wanted {want}")));
         }
         // One plane more for the weights themselves, so that one gather does.
@@ -51,43 +59,23 @@ impl Lifter {
                 *out = v * weight.max(0.0);
             }
         }
-        let gathered = projected.gather(&weighted)?;
-        if gathered.len() != self.weights.len() * (c + 1) {
-            return Err(FeatureError::Shape(format!(
-                "{name}: a projection of {} splats, wanted {}",
-                gathered.len() / (c + 1),
-                self.weights.len()
-            )));
+        let seen = projected.radii().len();
+        if seen != self.splats {
+            let want = self.splats;
+            return Err(FeatureError::Shape(format!("{name}: a projection of {seen} splats, wanted {want}")));
         }
-        self.sums
-            .par_chunks_mut(CHUNK * c)
-            .zip(self.weights.par_chunks_mut(CHUNK))
-            .zip(gathered.par_chunks(CHUNK * (c + 1)))
-            .for_each(|((sums, weights), gathered)| {
-                let rows = gathered.chunks_exact(c + 1);
-                for ((sum, weight), row) in sums.chunks_exact_mut(c).zip(weights).zip(rows) {
-                    // A splat that a kernel could not handle must not poison the others' sums.
-                    if row[c] > 0.0 && row.iter().all(|v| v.is_finite()) {
-                        sum.iter_mut().zip(row).for_each(|(s, g)| *s += g);
-                        *weight += row[c];
-                    }
-                }
-            });
-        Ok(())
+        Ok(projected.lift(&mut self.sums, &weighted)?)
     }
 
-    /// How much each splat was seen: `sum(w alpha T)` in pixels.
-    pub fn weights(&self) -> &[f32] {
-        &self.weights
-    }
-
-    /// The features, `[splat][channel]`, flat; zero for splats that no photo sees.
-    pub fn finish(mut self) -> Vec<f32> {
-        for (sum, &weight) in self.sums.chunks_exact_mut(self.channels).zip(&self.weights) {
+    /// The features.
+    pub fn finish(self) -> Result<Lifted, FeatureError> {
+        let channels = self.sums.row();
+        let (mut values, weights) = self.sums.finish()?;
+        for (sum, &weight) in values.chunks_exact_mut(channels.max(1)).zip(&weights) {
             if weight > 0.0 {
                 sum.iter_mut().for_each(|s| *s /= weight);
             }
         }
-        self.sums
+        Ok(Lifted { values, weights })
     }
 }

@@ -60,6 +60,7 @@ pub fn build(
     let engine = held.as_deref().unwrap_or(engine);
     let mut views = Views::new(engine, splats, source, pca, settings, options);
     let mut lifter = Lifter::new(splats.len(), pca.channels);
+    lifter.settle(engine)?;
     for i in 0..source.len() {
         let view = views.get(i)?;
         let codes = view.codes(pca, settings.compression)?;
@@ -70,7 +71,7 @@ pub fn build(
     }
     let mut field = FeatureField {
         channels: pca.channels,
-        values: lifter.finish(),
+        values: lifter.finish()?.values,
         pca: pca.clone(),
         decoder: pca.decoder(),
     };

@@ -4,7 +4,7 @@ mod support;
 
 use glam::Vec3;
 use segwild_features::{
-    Compression, FeatureColours, FeatureError, FeatureField, FeatureSettings, Lifter, Pca, Progress,
+    Compression, FeatureColours, FeatureError, FeatureField, FeatureSettings, Lifted, Lifter, Pca, Progress,
     TargetSource, ViewTarget, build, embedding_loss,
 };
 use segwild_raster::{Channels, CpuEngine, Engine, ProjectOptions};
@@ -165,8 +165,7 @@ fn lifting_is_the_weighted_mean_of_what_each_splat_is_seen_in() {
             }
         }
     }
-    let seen = lifter.weights().to_vec();
-    let features = lifter.finish();
+    let Lifted { values: features, weights: seen } = lifter.finish().unwrap();
     for i in (0..cards.splats.len()).step_by(37) {
         assert!((f64::from(seen[i]) - weights[i]).abs() < 1e-3 * weights[i] + 1e-4, "{i}");
         for c in 0..2 {

@@ -4,7 +4,7 @@ use crate::GpuError;
 use crate::adapter::{Adapter, Choice};
 use crate::compare::Shelf;
 use crate::device::{Device, Lent, Work};
-use crate::rows::GpuRows;
+use crate::rows::{GpuRows, GpuSums};
 use crate::shaders::{
     BUCKET_COUNT, BUCKETS, EMIT, HISTOGRAM, Kernel, ORDER, PROJECT, RANGES, SCAN, SCAN_ADD, SCATTER,
 };
@@ -13,8 +13,8 @@ use crate::view::{Brought, GpuView};
 use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
 use segwild_raster::{
-    Channels, Engine, Held, LearningAway, ProjectOptions, Projected, RasterError, Resident, check,
-    jacobian_limits,
+    Channels, Engine, Held, LearningAway, LiftingAway, ProjectOptions, Projected, RasterError, Resident,
+    check, jacobian_limits,
 };
 use segwild_scene::{Camera, Pose, Splats};
 use std::any::Any;
@@ -203,6 +203,14 @@ impl Engine for GpuEngine {
         }
     }
 
+    fn settle_lifting(&self, splats: usize, row: usize) -> Result<Option<Box<dyn LiftingAway>>, RasterError> {
+        match GpuSums::new(&self.device, splats, row) {
+            Ok(sums) => Ok(Some(Box::new(sums))),
+            Err(error) if error.is_want_of_room() => Ok(None),
+            Err(error) => Err(error.into()),
+        }
+    }
+
     fn settle(&self, held: &mut dyn FnMut() -> Held) -> Result<Option<Box<dyn Resident>>, RasterError> {
         match GpuTraining::new(&self.device, &self.shelf, &held()) {
             Ok(training) => Ok(Some(Box::new(training))),
@@ -252,6 +260,10 @@ impl Engine for Holding<'_> {
         rate: f32,
     ) -> Result<Option<Box<dyn LearningAway>>, RasterError> {
         self.engine.settle_learning(rows, rate)
+    }
+
+    fn settle_lifting(&self, splats: usize, row: usize) -> Result<Option<Box<dyn LiftingAway>>, RasterError> {
+        self.engine.settle_lifting(splats, row)
     }
 
     fn settle(&self, held: &mut dyn FnMut() -> Held) -> Result<Option<Box<dyn Resident>>, RasterError> {

@@ -87,6 +87,7 @@ kernels! {
     PREFER = "prefer"."prefer", [1];
     ROW_STATE = "row_state"."row_state", [1];
     ROW_STEP = "row_step"."row_step", [1];
+    ROW_ADD = "row_add"."row_add", [1];
     RATE = "rate"."rate", [1];
 }
 

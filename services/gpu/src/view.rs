@@ -6,11 +6,12 @@ use crate::device::{Device, Lent, Work, lock};
 use crate::engine::Binned;
 use crate::passes::Grads;
 use crate::room::keeps_channels;
-use crate::rows::GpuRows;
+use crate::rows::{GpuRows, GpuSums};
 use glam::Vec3;
 use rayon::prelude::*;
 use segwild_raster::{
-    Channels, Frame, FrameGrad, Kept, Learning, Projected, RasterError, SplatGrads, shade, shade_backward,
+    Channels, Frame, FrameGrad, Kept, Learning, Lifting, Projected, RasterError, SplatGrads, shade,
+    shade_backward,
 };
 use segwild_scene::{Image, Splats};
 use std::sync::{Arc, Mutex};
@@ -53,7 +54,7 @@ pub(crate) fn at_once(count: usize) -> usize {
 }
 
 /// How many of them it gathers at once.
-fn gathered_at_once(count: usize) -> usize {
+pub(crate) fn gathered_at_once(count: usize) -> usize {
     if count <= 4 { 1 } else { 2 }
 }
 
@@ -187,17 +188,32 @@ impl<'a> GpuView<'a> {
         if grad.channels == 0 || self.on.pairs == 0 {
             return Ok(());
         }
-        let blocks = gathered_at_once(grad.channels);
         let work = &mut self.device.work();
-        let grads = self.with_lights(work, |work, lights| {
-            let mut grads = Vec::new();
-            for first in (0..grad.channels).step_by(blocks * 4) {
-                let up = work.upload("the image's gradients", &pack_image(grad, first, blocks, None))?;
-                grads.push(self.on.gather(work, blocks, &up, lights)?);
-            }
-            Ok(grads)
-        })?;
+        let (grads, blocks) = self.gathered(work, grad)?;
         rows.step(work, &grads, blocks)
+    }
+
+    fn try_lift(&self, sums: &GpuSums, image: &Image) -> Result<(), GpuError> {
+        if self.on.pairs == 0 {
+            return Ok(());
+        }
+        let work = &mut self.device.work();
+        let (said, blocks) = self.gathered(work, image)?;
+        sums.add(work, &said, blocks)
+    }
+
+    /// What an image says of each splat, in parts of so many vec4, which stay there.
+    fn gathered(&self, work: &mut Work, image: &Image) -> Result<(Vec<Lent>, usize), GpuError> {
+        let blocks = gathered_at_once(image.channels);
+        let parts = self.with_lights(work, |work, lights| {
+            let mut parts = Vec::new();
+            for first in (0..image.channels).step_by(blocks * 4) {
+                let up = work.upload("the image", &pack_image(image, first, blocks, None))?;
+                parts.push(self.on.gather(work, blocks, &up, lights)?);
+            }
+            Ok(parts)
+        })?;
+        Ok((parts, blocks))
     }
 
     fn try_gather(&self, work: &mut Work, image: &Image) -> Result<Vec<f32>, GpuError> {
@@ -298,6 +314,17 @@ impl Projected for GpuView<'_> {
             Some(rows) => Ok(self.try_blend(rows.count(), Found::Rows(rows))?),
             None => self.blend(&rows.channels()),
         }
+    }
+
+    fn lift(&self, sums: &mut Lifting, image: &Image) -> Result<(), RasterError> {
+        let own = sums.away().and_then(|away| away.as_any().downcast_ref::<GpuSums>());
+        let Some(own) = own.filter(|sums| std::ptr::eq(&*sums.device, self.device)) else {
+            sums.add(&self.gather(image)?);
+            return Ok(());
+        };
+        self.assert_image(image, own.count(), "lift");
+        assert_eq!(own.rows(), self.splats.len(), "splats");
+        Ok(self.try_lift(own, image)?)
     }
 
     fn learn(&self, rows: &mut Learning, grad: &Image) -> Result<(), RasterError> {

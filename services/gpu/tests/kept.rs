@@ -5,8 +5,8 @@ mod common;
 use common::{engine, image, many, rules, splats, step_with, view};
 use segwild_gpu::{Choice, GpuEngine, Tolerance, held, some_look, training_bytes};
 use segwild_raster::{
-    Channels, Codes, CpuEngine, Engine, Frame, GswLook, GswWidth, Held, Kept, Learning, Look, NetworksStep,
-    ProjectOptions, SpareEngine,
+    Channels, Codes, CpuEngine, Engine, Frame, GswLook, GswWidth, Held, Kept, Learning, Lifting, Look,
+    NetworksStep, ProjectOptions, SpareEngine,
 };
 use segwild_scene::{Random, Splats};
 
@@ -146,6 +146,18 @@ fn rows_that_learn_from_view_after_view_stay_where_they_are() {
     assert!(crossed < images as u64 + 1000, "{crossed} bytes where gradients of images are {images}");
     let (here, there) = (here.finish().expect("they are here"), there.finish().expect("they come back"));
     Tolerance::PROJECTED.compare("rows", &there, &here).expect("the same is learnt");
+    // Sums over views, too.
+    let mut sums = Lifting::new(SPLATS, count);
+    sums.settle(&*held).expect("there is room");
+    let before = gpu.brought();
+    let (camera, pose) = view(64, 48);
+    let projected = held.project(&scene, &camera, &pose, &ProjectOptions::default()).expect("it is seen");
+    projected.lift(&mut sums, &image(90, 64, 48, count + 1)).expect("it is added");
+    // Eight numbers at once, filled up.
+    let (crossed, images) = (gpu.brought() - before, 4 * (count + 8) * 64 * 48);
+    assert!(crossed < images as u64 + 1000, "{crossed} bytes where an image is {images}");
+    let (sums, weights) = sums.finish().expect("they come back");
+    assert!(sums.len() == SPLATS * count && weights.iter().any(|&weight| weight > 0.0));
     // What cannot be kept within the budget learns on the host.
     let small = reopened(gpu);
     small.keep_within(1 << 16);

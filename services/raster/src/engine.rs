@@ -1,6 +1,6 @@
 //! What a rasteriser must do.
 
-use crate::{Held, Kept, Learning, LearningAway, Resident};
+use crate::{Held, Kept, Learning, LearningAway, Lifting, LiftingAway, Resident};
 use segwild_scene::{Camera, Image, Pose, Splats};
 use std::any::Any;
 
@@ -153,6 +153,16 @@ pub trait Engine: Send + Sync {
         Ok(None)
     }
 
+    /// Makes room for sums of rows of so many numbers per splat where this engine computes, for [`Lifting::settle`]. `None` as
+    /// for [`Engine::settle_learning`].
+    fn settle_lifting(
+        &self,
+        _splats: usize,
+        _row: usize,
+    ) -> Result<Option<Box<dyn LiftingAway>>, RasterError> {
+        Ok(None)
+    }
+
     /// Takes splats, which it asks for, to where this engine computes, to be trained there. `None` where that is the host
     /// anyway, or where they do not fit.
     fn settle(&self, _held: &mut dyn FnMut() -> Held) -> Result<Option<Box<dyn Resident>>, RasterError> {
@@ -187,6 +197,15 @@ pub trait Projected: Send + Sync {
     /// The transpose of [`Projected::blend`]: `sum over pixels of alpha T image[c]`, as `[splat][channel]`.
     /// Lifting, coverage and contribution are this sum over images of targets, masks and ones.
     fn gather(&self, image: &Image) -> Result<Vec<f32>, RasterError>;
+
+    /// Adds [`Projected::gather`] of an image to sums; its last plane is the weight that its pixels have.
+    ///
+    /// # Panics
+    /// If the sums are where another engine computes, or of another number of splats.
+    fn lift(&self, sums: &mut Lifting, image: &Image) -> Result<(), RasterError> {
+        sums.add(&self.gather(image)?);
+        Ok(())
+    }
 
     /// Blends rows that are learnt.
     ///

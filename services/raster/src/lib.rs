@@ -8,6 +8,7 @@ mod cpu;
 mod engine;
 mod kept;
 pub mod learning;
+mod lifting;
 mod look;
 mod loss;
 pub mod reference;
@@ -23,6 +24,7 @@ pub use engine::{
 };
 pub use kept::Kept;
 pub use learning::{Learning, LearningAway, RowAdam};
+pub use lifting::{Lifting, LiftingAway};
 pub use look::{
     AffineLook, AnyLook, EmbedLook, Glance, Glimpse, GswLook, GswWidth, HIDDEN, HeldNetworks, Impression,
     Light, Look, NoLook, RANK, Sight, Tone, bake, gsw,

@@ -14,8 +14,8 @@ use crate::engine::{BUCKET, Binned, Cloud, TILE, bin, scan, sort};
 use crate::{GpuEngine, GpuError};
 use glam::Vec3;
 use segwild_raster::{
-    ALPHA_MAX, ALPHA_MIN, Channels, CpuEngine, Engine, FrameGrad, Learning, ProjectOptions, Projected,
-    RasterError, RowAdam, SplatGrads,
+    ALPHA_MAX, ALPHA_MIN, Channels, CpuEngine, Engine, FrameGrad, Learning, Lifting, ProjectOptions,
+    Projected, RasterError, RowAdam, SplatGrads,
 };
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
 use std::sync::Arc;
@@ -128,7 +128,7 @@ pub fn check(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
     let sums = (found.gather(&grad)?, right.gather(&grad)?);
     // What `blend` leaves for the passes behind it, the light at each bucket, is seen here first.
     add(&["blend", "gather", "sum_slots"], Tolerance::GRADIENTS.compare("sums", &sums.0, &sums.1));
-    add(&["row_state", "row_step"], rows(engine, &*found)?);
+    add(&["row_state", "row_step", "row_add"], rows(engine, &*found)?);
     let grad = FrameGrad { image: &grad, alpha: Some(&alpha) };
     let g = found.backward(&channels, &a, &grad)?;
     let w = right.backward(&channels, &b, &grad)?;
@@ -171,7 +171,8 @@ fn scene() -> (Splats, Camera, Pose) {
     (splats, camera, Pose::look_at(Vec3::new(0.3, -0.4, -1.6), Vec3::ZERO, Vec3::new(0.1, -1.0, 0.0)))
 }
 
-/// Rows that learn from a view, more of them than are blended at once, beside the host's by the same gradients.
+/// Rows that learn from a view, and sums of what it says, more numbers of them than are blended at once, beside the host's by the
+/// same gradients.
 fn rows(engine: &GpuEngine, view: &dyn Projected) -> Result<Result<(), String>, RasterError> {
     const ROW: usize = 20;
     let random = &mut Random::new(6);
@@ -192,11 +193,28 @@ fn rows(engine: &GpuEngine, view: &dyn Projected) -> Result<Result<(), String>, 
         adam.step(&mut wanted, &view.gather(&grad)?);
         view.learn(&mut away, &grad)?;
     }
+    let (mut sums, mut right) = (Lifting::new(SPLATS, ROW), Lifting::new(SPLATS, ROW));
+    sums.settle(engine)?;
+    for step in 0..3 {
+        let (width, height) = (SIZE.0 as usize, SIZE.1 as usize);
+        let mut image = Image::zeros(width, height, ROW + 1);
+        // Weights are such that some splats have none.
+        for (i, v) in image.data.iter_mut().enumerate() {
+            *v = if (i % width + 20 * step) % width < width / 2 { random.uniform() - 0.3 } else { 0.0 };
+        }
+        image.data[width * (height / 2) + step] = f32::NAN;
+        right.add(&view.gather(&image)?);
+        view.lift(&mut sums, &image)?;
+    }
+    let ((sums, weights), (right_sums, right_weights)) = (sums.finish()?, right.finish()?);
+    let lifted = Tolerance::PROJECTED
+        .compare("sums over views", &sums, &right_sums)
+        .and_then(|()| Tolerance::PROJECTED.compare("weights", &weights, &right_weights));
     let same = view.blend_learning(&away)?;
     let right = view.blend(&Channels { count: ROW, values: &wanted })?;
     let got = away.finish()?;
-    Ok(Tolerance::PROJECTED
-        .compare("rows", &got, &wanted)
+    Ok(lifted
+        .and_then(|()| Tolerance::PROJECTED.compare("rows", &got, &wanted))
         .and_then(|()| Tolerance::BLENDED.compare("rows in a view", &same.image.data, &right.image.data)))
 }
 

@@ -1,0 +1,81 @@
+//! What views say of splats, added up: lifting (method, section 4).
+
+use crate::{Engine, RasterError};
+use rayon::prelude::*;
+use std::any::Any;
+
+/// Splats per task. Fixed, so that results do not depend on the number of threads.
+const CHUNK: usize = 4096;
+
+/// Sums over views of what [`Projected::gather`](crate::Projected::gather) gives per splat: rows of numbers, and the weight
+/// that they have there. They grow by [`Projected::lift`](crate::Projected::lift), where they were settled.
+pub struct Lifting {
+    row: usize,
+    sums: Vec<f32>,
+    weights: Vec<f32>,
+    away: Option<Box<dyn LiftingAway>>,
+}
+
+/// Sums where an engine computes.
+pub trait LiftingAway: Send + Sync {
+    /// The sums, `[splat][number]`, and the weights.
+    fn fetch(&self) -> Result<(Vec<f32>, Vec<f32>), RasterError>;
+
+    /// For the engine to know its own.
+    fn as_any(&self) -> &dyn Any;
+}
+
+impl Lifting {
+    /// Rows of `row` numbers for so many splats, of which nothing was said yet.
+    pub fn new(splats: usize, row: usize) -> Lifting {
+        Lifting { row, sums: vec![0.0; splats * row], weights: vec![0.0; splats], away: None }
+    }
+
+    /// Takes them to where an engine computes, if it has room for them there.
+    pub fn settle(&mut self, engine: &dyn Engine) -> Result<(), RasterError> {
+        self.away = engine.settle_lifting(self.weights.len(), self.row)?;
+        Ok(())
+    }
+
+    /// Numbers of a row.
+    pub fn row(&self) -> usize {
+        self.row
+    }
+
+    /// The sums where an engine computes.
+    pub fn away(&self) -> Option<&dyn LiftingAway> {
+        self.away.as_deref()
+    }
+
+    /// Adds what a view says, `[splat][row + 1]`, the weight last. A splat of which it says something that is no number, or
+    /// which has no weight, keeps its sums: one that a kernel could not handle must not poison what others say of it.
+    ///
+    /// # Panics
+    /// If the sums are elsewhere, or of another number of splats.
+    pub fn add(&mut self, said: &[f32]) {
+        assert!(self.away.is_none(), "sums where another engine computes");
+        let c = self.row;
+        assert_eq!(said.len(), self.weights.len() * (c + 1), "splats");
+        self.sums
+            .par_chunks_mut(CHUNK * c.max(1))
+            .zip(self.weights.par_chunks_mut(CHUNK))
+            .zip(said.par_chunks(CHUNK * (c + 1)))
+            .for_each(|((sums, weights), said)| {
+                let rows = said.chunks_exact(c + 1);
+                for ((sum, weight), row) in sums.chunks_exact_mut(c.max(1)).zip(weights).zip(rows) {
+                    if row[c] > 0.0 && row.iter().all(|v| v.is_finite()) {
+                        sum.iter_mut().zip(row).for_each(|(s, g)| *s += g);
+                        *weight += row[c];
+                    }
+                }
+            });
+    }
+
+    /// The sums, `[splat][number]`, and the weights, wherever they are.
+    pub fn finish(self) -> Result<(Vec<f32>, Vec<f32>), RasterError> {
+        match &self.away {
+            Some(away) => away.fetch(),
+            None => Ok((self.sums, self.weights)),
+        }
+    }
+}
