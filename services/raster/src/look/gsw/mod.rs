@@ -11,10 +11,12 @@
 //! photo's colours round its norms, which would take them away. In some steps it sees a part of the photo only, so that
 //! it can be asked about half a photo.
 
+mod away;
 mod glance;
 mod nets;
 mod points;
 
+pub use away::{Glimpse, HeldNetworks};
 pub use glance::Glance;
 pub use nets::{BESIDE, DYNAMIC, GswWidth, HIDDEN, INTRINSIC, LAYER, MAPS, Networks, PLANES, SAMPLE, VECTOR};
 pub use points::{DROPPED, OFF_MAP};
@@ -22,7 +24,7 @@ pub use points::{DROPPED, OFF_MAP};
 use super::affine::NUMBERS;
 use super::embed::PHOTO;
 use super::{EmbedLook, Look, Tone};
-use crate::adam::{Adam, Rule};
+use crate::adam::Adam;
 use segwild_nets::{Map, Tape, scatter, take};
 use segwild_scene::{Camera, Image, Pose, Random};
 use std::ops::Range;
@@ -85,33 +87,6 @@ pub struct Sight<'a> {
     pub radii: &'a [f32],
     /// Where they are looked at from.
     pub eye: [f32; 3],
-}
-
-/// What the UNet is given of a photo, to be run elsewhere.
-#[derive(Debug)]
-pub struct Glimpse<'a> {
-    /// Of [`PLANES`] planes.
-    pub image: Map,
-    /// Of [`BESIDE`] planes, at half the size.
-    pub beside: Map,
-    /// Whether it is the whole photo.
-    pub whole: bool,
-    /// The photo.
-    pub glance: &'a Glance,
-}
-
-/// The networks with what the optimiser knows of them, to be trained elsewhere: the weights of [`Networks`], then the
-/// colour head's last layer.
-#[derive(Clone, Debug, PartialEq)]
-pub struct HeldNetworks {
-    /// How wide they are.
-    pub width: GswWidth,
-    /// The weights.
-    pub weights: Vec<f32>,
-    /// Their first moments.
-    pub first: Vec<f32>,
-    /// And second ones.
-    pub second: Vec<f32>,
 }
 
 /// What the UNet made of a photo.
@@ -228,44 +203,6 @@ impl GswLook {
         }
     }
 
-    /// The networks, to be trained elsewhere.
-    pub fn held(&self) -> HeldNetworks {
-        let moments = [&self.net_moments, &self.point_moments, &self.layer_moments].map(Adam::moments);
-        let [first, second] = [0, 1].map(|which| moments.map(|of| of[which]).concat());
-        HeldNetworks {
-            width: self.width(),
-            weights: [self.weights.as_slice(), &self.layer].concat(),
-            first,
-            second,
-        }
-    }
-
-    /// Takes back what [`GswLook::held`] gave away.
-    ///
-    /// # Panics
-    /// If it is of other networks.
-    pub fn take_back(&mut self, held: HeldNetworks) {
-        let HeldNetworks { mut weights, first, second, .. } = held;
-        let (border, all) = (self.nets().border, self.weights.len());
-        self.layer.copy_from_slice(&weights.split_off(all));
-        self.weights.copy_from_slice(&weights);
-        let ends = [0..border, border..all, all..all + LAYER];
-        let groups = [&mut self.net_moments, &mut self.point_moments, &mut self.layer_moments];
-        for (moments, at) in groups.into_iter().zip(ends) {
-            moments.set_moments(first[at.clone()].to_vec(), second[at].to_vec());
-        }
-    }
-
-    /// Begins a step of the networks that is done elsewhere: by these rules, of UNet and head, and of the others. `scale` as
-    /// for [`Look::step`].
-    pub fn advance(&mut self, scale: f32) -> [Rule; 2] {
-        let net = self.net_moments.advance(self.net_rate * scale);
-        let point = self.point_moments.advance(self.point_rate * scale);
-        let layer = self.layer_moments.advance(self.point_rate * scale);
-        debug_assert_eq!(point, layer, "they make their steps together");
-        [net, point]
-    }
-
     /// The gradients kept for the next step: of the networks' weights, and of the last layer's.
     pub fn gradients(&self) -> Option<[&[f32]; 2]> {
         self.grads.as_ref().map(|grads| [grads.weights.as_slice(), &grads.layer])
@@ -283,15 +220,6 @@ impl GswLook {
     pub fn impression(&self, view: usize, draw: Option<u64>) -> Option<Impression> {
         let (glance, seen) = self.glimpse_of(view, draw)?;
         Some(self.impression_of(glance, seen, draw))
-    }
-
-    /// What the UNet is given of a view's photo in a step that draws `draw`, for whoever runs it elsewhere; `None` as of
-    /// [`GswLook::impression`].
-    pub fn glimpse(&self, view: usize, draw: u64) -> Option<Glimpse<'_>> {
-        let (glance, seen) = self.glimpse_of(view, Some(draw))?;
-        let whole = seen == WHOLE;
-        let (image, beside) = glance.planes(seen);
-        Some(Glimpse { image, beside, whole, glance })
     }
 
     /// A view's photo, and which of its columns are seen.
