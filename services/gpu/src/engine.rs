@@ -176,19 +176,13 @@ impl Engine for GpuEngine {
     }
 
     fn hold<'a>(&'a self, splats: &'a Splats) -> Result<Option<Box<dyn Engine + 'a>>, RasterError> {
-        match Cloud::upload(&mut self.device.work(), splats) {
-            Ok(cloud) => Ok(Some(Box::new(Holding { engine: self, splats, cloud: Arc::new(cloud) }))),
-            Err(error) if error.is_want_of_room() => Ok(None),
-            Err(error) => Err(error.into()),
-        }
+        let cloud = if_there_is_room(Cloud::upload(&mut self.device.work(), splats))?.map(Arc::new);
+        Ok(cloud.map(|cloud| Box::new(Holding { engine: self, splats, cloud }) as Box<dyn Engine + 'a>))
     }
 
     fn bring(&self, channels: &Channels) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
-        match Brought::upload(&self.device, channels) {
-            Ok(brought) => Ok(brought.map(|brought| Box::new(brought) as Box<dyn Any + Send + Sync>)),
-            Err(error) if error.is_want_of_room() => Ok(None),
-            Err(error) => Err(error.into()),
-        }
+        let brought = if_there_is_room(Brought::upload(&self.device, channels))?.flatten();
+        Ok(brought.map(|brought| Box::new(brought) as Box<dyn Any + Send + Sync>))
     }
 
     fn settle_learning(
@@ -196,19 +190,13 @@ impl Engine for GpuEngine {
         rows: &Channels,
         rate: f32,
     ) -> Result<Option<Box<dyn LearningAway>>, RasterError> {
-        match GpuRows::upload(&self.device, rows, rate) {
-            Ok(rows) => Ok(Some(Box::new(rows))),
-            Err(error) if error.is_want_of_room() => Ok(None),
-            Err(error) => Err(error.into()),
-        }
+        let rows = if_there_is_room(GpuRows::upload(&self.device, rows, rate))?;
+        Ok(rows.map(|rows| Box::new(rows) as Box<dyn LearningAway>))
     }
 
     fn settle_lifting(&self, splats: usize, row: usize) -> Result<Option<Box<dyn LiftingAway>>, RasterError> {
-        match GpuSums::new(&self.device, splats, row) {
-            Ok(sums) => Ok(Some(Box::new(sums))),
-            Err(error) if error.is_want_of_room() => Ok(None),
-            Err(error) => Err(error.into()),
-        }
+        let sums = if_there_is_room(GpuSums::new(&self.device, splats, row))?;
+        Ok(sums.map(|sums| Box::new(sums) as Box<dyn LiftingAway>))
     }
 
     fn settle(&self, held: &mut dyn FnMut() -> Held) -> Result<Option<Box<dyn Resident>>, RasterError> {
@@ -220,6 +208,15 @@ impl Engine for GpuEngine {
             }
             Err(error) => Err(error.into()),
         }
+    }
+}
+
+/// What was made on the device; `None` where there is no room for it.
+fn if_there_is_room<T>(made: Result<T, GpuError>) -> Result<Option<T>, RasterError> {
+    match made {
+        Ok(made) => Ok(Some(made)),
+        Err(error) if error.is_want_of_room() => Ok(None),
+        Err(error) => Err(error.into()),
     }
 }
 

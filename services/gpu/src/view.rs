@@ -177,11 +177,14 @@ impl<'a> GpuView<'a> {
         run(work, held.as_ref().expect("it was made above"))
     }
 
+    /// Whether this is the view's device. One that is held is nobody else's: the same place is the same device.
+    fn is_mine(&self, device: &Arc<Device>) -> bool {
+        std::ptr::eq(&**device, self.device)
+    }
+
     /// Rows that are on this view's device.
     fn own<'r>(&self, rows: &'r Learning) -> Option<&'r GpuRows> {
-        let own = rows.away()?.as_any().downcast_ref::<GpuRows>();
-        // A device that is held is nobody else's: the same place is the same device.
-        own.filter(|rows| std::ptr::eq(&*rows.device, self.device))
+        rows.away()?.as_any().downcast_ref::<GpuRows>().filter(|rows| self.is_mine(&rows.device))
     }
 
     fn try_learn(&self, rows: &GpuRows, grad: &Image) -> Result<(), GpuError> {
@@ -303,9 +306,8 @@ impl Projected for GpuView<'_> {
     fn blend_kept(&self, kept: &Kept) -> Result<Frame, RasterError> {
         let channels = kept.channels();
         assert_eq!(channels.values.len(), self.splats.len() * channels.count, "channels: values");
-        // A device that is held is nobody else's: the same place is the same device.
         let brought = kept.away().and_then(|away| away.downcast_ref::<Brought>());
-        let brought = brought.filter(|brought| std::ptr::eq(&*brought.device, self.device));
+        let brought = brought.filter(|brought| self.is_mine(&brought.device));
         Ok(self.try_blend(channels.count, brought.map_or(Found::Host(channels.values), Found::Kept))?)
     }
 
@@ -318,7 +320,7 @@ impl Projected for GpuView<'_> {
 
     fn lift(&self, sums: &mut Lifting, image: &Image) -> Result<(), RasterError> {
         let own = sums.away().and_then(|away| away.as_any().downcast_ref::<GpuSums>());
-        let Some(own) = own.filter(|sums| std::ptr::eq(&*sums.device, self.device)) else {
+        let Some(own) = own.filter(|sums| self.is_mine(&sums.device)) else {
             sums.add(&self.gather(image)?);
             return Ok(());
         };

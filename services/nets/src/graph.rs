@@ -21,6 +21,11 @@ impl Form {
     pub fn size(&self, [height, width]: [usize; 2]) -> [usize; 2] {
         [height >> self.halved, width >> self.halved]
     }
+
+    /// Numbers in it, for an image of so many rows and numbers in a row.
+    pub fn numbers(&self, image: [usize; 2]) -> usize {
+        self.channels * self.size(image).iter().product::<usize>()
+    }
 }
 
 /// What makes one map of others.

@@ -47,12 +47,12 @@ impl Mlp {
         self.weights.last().expect("a layer").clone()
     }
 
-    /// Its layers: what each is, where its weights lie, and whether a ReLU follows it.
-    pub fn layers(&self) -> impl Iterator<Item = (Kind, Range<usize>, bool)> {
-        self.weights.iter().enumerate().map(|(k, weights)| {
-            let kind = Kind::Dense { input: self.sizes[k], output: self.sizes[k + 1] };
-            (kind, weights.clone(), self.relu_after(k))
-        })
+    /// Its layers: numbers in and out, where the weights lie, and whether a ReLU follows.
+    pub fn layers(&self) -> impl Iterator<Item = ([usize; 2], Range<usize>, bool)> {
+        self.weights
+            .iter()
+            .enumerate()
+            .map(|(k, weights)| ([self.sizes[k], self.sizes[k + 1]], weights.clone(), self.relu_after(k)))
     }
 
     fn relu_after(&self, layer: usize) -> bool {

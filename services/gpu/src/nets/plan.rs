@@ -127,15 +127,12 @@ impl Plan {
         let size = |id: Id| graph.forms()[id].size(image).map(|n| n as u32);
         for form in graph.forms() {
             plan.places.push(plan.maps);
-            plan.maps += form.channels * form.size(image).iter().product::<usize>();
+            plan.maps += form.numbers(image);
         }
         plan.grads = plan.maps;
-        let mut normal = Vec::new();
         let mut forms = Vec::new();
         for op in graph.ops() {
-            let form = graph.forms()[op.from];
-            let numbers = form.channels * form.size(image).iter().product::<usize>();
-            normal.push(plan.maps);
+            let numbers = graph.forms()[op.from].numbers(image);
             let mut layer = Layer {
                 reads: plan.places[op.from] as u32,
                 writes: plan.places[op.to] as u32,
@@ -163,9 +160,8 @@ impl Plan {
                 What::Join(_) => plan.join(layer, numbers, true),
                 What::Beside(other) => {
                     plan.join(layer, numbers, true);
-                    let form = graph.forms()[*other];
                     let reads = plan.places[*other] as u32;
-                    let rest = form.channels * form.size(image).iter().product::<usize>();
+                    let rest = graph.forms()[*other].numbers(image);
                     plan.join(Layer { reads, writes: layer.writes + numbers as u32, ..layer }, rest, true);
                 }
             }
@@ -176,8 +172,7 @@ impl Plan {
 
     /// The way back of a network whose layers forward are these.
     fn turn(&mut self, graph: &Graph, image: [usize; 2], forms: &[Layer]) {
-        let numbers =
-            |id: Id| graph.forms()[id].channels * graph.forms()[id].size(image).iter().product::<usize>();
+        let numbers = |id: Id| graph.forms()[id].numbers(image);
         // Maps whose gradients there are by then: more is added to them.
         let mut begun: Vec<bool> =
             (0..graph.forms().len()).map(|id| graph.ops().iter().all(|op| !op.reads(id))).collect();

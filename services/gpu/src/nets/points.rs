@@ -11,7 +11,7 @@ use crate::shaders::{
 };
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
-use segwild_nets::{Kind, Mlp};
+use segwild_nets::Mlp;
 use segwild_raster::gsw::{DYNAMIC, HIDDEN, INTRINSIC, LAYER, MAPS, Networks, OFF_MAP, VECTOR};
 use segwild_raster::{Glimpse, GswWidth, HeldNetworks, NetworksStep};
 use segwild_scene::NEAR;
@@ -83,8 +83,7 @@ impl Planes {
         let mut chain = |mlp: &Mlp, shift: usize, from: usize, to: usize, wanted: usize| {
             let (mut at, mut wanted) = (from, Some(wanted));
             let last = mlp.layers().count() - 1;
-            for (k, (kind, weights, relu)) in mlp.layers().enumerate() {
-                let Kind::Dense { input, output } = kind else { unreachable!("dense layers only") };
+            for (k, ([input, output], weights, relu)) in mlp.layers().enumerate() {
                 let to = if k == last { to } else { take(output) };
                 links.push(Link {
                     weights: weights.start + shift..weights.end + shift,
