@@ -1,5 +1,5 @@
 // Adds what a view says of rows to their sums, of those that it sees and of which all is a number (twin: `Lifting::add` in
-// raster/src/lifting.rs). One thread per row.
+// raster/src/field/lifting.rs). One thread per row.
 #import common
 
 // x: rows, y: vec4 of a row's part, z: where the weight lies in the last part.

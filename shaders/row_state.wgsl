@@ -1,5 +1,5 @@
 // What a part of the gradients of rows says of each row: whether anything is learnt of it, and whether something is no number
-// (twin: `Learning::step` in raster/src/learning.rs). One thread per row.
+// (twin: `RowAdam::step` in raster/src/field/rows.rs). One thread per row.
 #import common
 
 // x: rows, y: vec4 of a row's part.

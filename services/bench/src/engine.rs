@@ -5,9 +5,14 @@ use crate::record::{Made, Record, Results};
 use crate::scale::kernels::filling;
 use crate::synthetic::random::Rng;
 use glam::Vec3;
-use segwild_gpu::{Choice, GpuEngine, NETWORKS, Reach, reach, some_look, speed};
+use rayon::prelude::*;
+use segwild_gpu::{
+    CLICKS, Choice, FIELD_RULE, GpuEngine, LOSSES, NETWORKS, Reach, SIMILARITY, reach, some_look,
+    some_question, speed,
+};
+use segwild_raster::field::{Queries, score};
 use segwild_raster::{Channels, CpuEngine, Engine, FrameGrad, Look, ProjectOptions, RasterError, Sight};
-use segwild_scene::{Camera, Pose, Splats};
+use segwild_scene::{Camera, Pose, Random, Splats};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -155,8 +160,25 @@ fn on_the_cpu(
         drop(look.tint(0, light.as_ref(), &sight, colours.clone()));
         drop(look.tint_backward(0, light.as_ref(), &sight, &colours, colours.clone(), &[]));
     };
+    let question = some_question(camera, channels);
+    let asked = question.make(&mut Random::new(3));
+    let mut field = question.refining(vec![0.0; channels], FIELD_RULE);
+    let mut losses = || drop(field.judge(&drawn.image, &asked.asked(), &asked.drawn()));
+    let units = vec![vec![0.5; channels]; CLICKS];
+    let queries = Queries { channels, units: &units, sharpness: 10.0 };
+    let norms = vec![1.0; splats.len()];
+    let mut similar = vec![0.0; splats.len()];
+    // As the segmenter does it, but in one piece per thread.
+    let piece = splats.len().div_ceil(rayon::current_num_threads()).max(1);
+    let mut similarity = || {
+        let rows = values.values.par_chunks(piece * channels).zip(norms.par_chunks(piece));
+        let out = similar.par_chunks_mut(piece).zip(rows);
+        out.for_each(|(out, (values, norms))| score(&queries, values, norms, out));
+    };
     Ok(BTreeMap::from([
         (NETWORKS, best(&mut networks)),
+        (LOSSES, best(&mut losses)),
+        (SIMILARITY, best(&mut similarity)),
         ("project, sort, bin", best(&mut || drop(engine.project(splats, camera, pose, &options)))),
         ("shade", best(&mut || drop(projected.shade()))),
         ("blend", best(&mut || drop(projected.blend(&values)))),

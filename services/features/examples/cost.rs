@@ -63,13 +63,13 @@ fn main() {
     build(&engine, &splats, &&targets[..], &pca, &settings, &ProjectOptions::default(), &mut |p| {
         match p {
             Progress::Lifted { done: 20, .. } => lifted = Some(start.elapsed()),
-            Progress::Refined { embedding, compact, .. } => {
-                first.get_or_insert((embedding, compact));
-                if let Progress::Refined { done: 300, .. } = p {
-                    println!("losses {:?} -> {:?}", first.expect("set above"), (embedding, compact));
+            Progress::Refined { done, of, losses: Some(losses) } => {
+                first.get_or_insert(losses);
+                if done == of {
+                    println!("{:?} -> {losses:?}", first.expect("set above"));
                 }
             }
-            Progress::Lifted { .. } => {}
+            _ => {}
         }
         ControlFlow::Continue(())
     })
@@ -77,6 +77,7 @@ fn main() {
     let lifted = lifted.expect("20 views");
     let refined = start.elapsed() - lifted;
     println!(
-        "{n} splats x {channels} channels at {size} px: 20 views lifted in {lifted:.2?}, 300 steps in {refined:.2?}"
+        "{n} splats x {channels} channels at {size} px: 20 views lifted in {lifted:.2?}, {} steps in {refined:.2?}",
+        settings.refine_steps
     );
 }

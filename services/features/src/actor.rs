@@ -216,16 +216,11 @@ impl<O: Message + From<FeatureOutcome>> FeatureActor<O> {
             context.progress();
             broken = broken.take().or_else(|| fault::point("features.step").err());
             progress.advance(1);
-            if let Progress::Refined { done, embedding, compact, .. } = step
-                && done % 20 == 0
-            {
-                context.events().metric(
-                    "features",
-                    "embedding_loss",
-                    f64::from(embedding),
-                    Some(done as u64),
-                );
-                context.events().metric("features", "compact_loss", f64::from(compact), Some(done as u64));
+            if let Progress::Refined { done, losses: Some(losses), .. } = step {
+                let told = [("embedding_loss", losses.embedding), ("compact_loss", losses.compact)];
+                for (name, loss) in told {
+                    context.events().metric("features", name, f64::from(loss), Some(done as u64));
+                }
             }
             if context.stopping() || broken.is_some() {
                 ControlFlow::Break(())

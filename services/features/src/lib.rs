@@ -2,18 +2,15 @@
 //! section 4; paper Eq. 9-14).
 //!
 //! Embeddings are sampled ([`Samples`]), compressed ([`Pca`]) and become targets ([`ViewTarget`]); [`build`]
-//! lifts these onto the splats ([`Lifter`]) and refines them by the embedding loss and [`compactness`] to a
+//! lifts these onto the splats ([`Lifter`]) and refines them by the losses of [`segwild_raster::field`] to a
 //! [`FeatureField`].
 
 mod actor;
-mod compact;
+mod bilinear;
 mod eigen;
-mod embedding_loss;
 mod error;
 mod field;
-mod grid;
 mod lift;
-mod matmul;
 mod pca;
 mod picture;
 mod refine;
@@ -21,8 +18,6 @@ mod settings;
 mod target;
 
 pub use actor::{EMBEDDING, FeatureActor, FeatureOutcome, FeatureTask, FieldInputs, describe};
-pub use compact::{Compactness, compactness};
-pub use embedding_loss::embedding_loss;
 pub use error::FeatureError;
 pub use field::FeatureField;
 pub use lift::{Lifted, Lifter};
@@ -30,4 +25,4 @@ pub use pca::{Decoder, MAX_SAMPLES, Pca, Samples};
 pub use picture::FeatureColours;
 pub use refine::{Progress, build};
 pub use settings::{Compression, FeatureSettings};
-pub use target::{Membership, TargetSource, ViewTarget};
+pub use target::{TargetSource, ViewTarget};

@@ -2,7 +2,8 @@
 
 use crate::FeatureError;
 use crate::error::check_planes;
-use segwild_raster::{Engine, Lifting, Projected};
+use segwild_raster::field::Lifting;
+use segwild_raster::{Engine, Projected};
 use segwild_scene::Image;
 
 /// Gathers `f_i = sum(w alpha T t) / sum(w alpha T)` over photos that arrive one at a time: the minimiser of

@@ -1,8 +1,8 @@
 //! Compression of embeddings by principal components (method, section 4a).
 
 use crate::error::check_planes;
-use crate::matmul::{matmul, transpose};
 use crate::{FeatureError, eigen};
+use segwild_nets::{matmul, transpose};
 use segwild_scene::Random;
 use segwild_scene::{Embedding, Image, Mask};
 use wincode::{SchemaRead, SchemaWrite};

@@ -4,21 +4,24 @@
 //! [`Projected::gather`], the transpose of blending. So a view's projection never changes and is kept as long
 //! as memory allows.
 
-use crate::compact::compactness;
-use crate::embedding_loss::{LearnedDecoder, embedding_loss};
-use crate::grid::{AreaAverage, bilinear};
+use crate::bilinear::bilinear;
 use crate::{
-    Compression, FeatureError, FeatureField, FeatureSettings, Lifter, Membership, Pca, TargetSource,
-    ViewTarget,
+    Compression, Decoder, FeatureError, FeatureField, FeatureSettings, Lifter, Pca, TargetSource, ViewTarget,
 };
-use segwild_raster::{Engine, Learning, ProjectOptions, Projected};
-use segwild_scene::Random;
-use segwild_scene::{Embedding, Image, Splats};
+use segwild_raster::field::{
+    AreaAverage, Asked, Drawn, FieldLosses, FieldRule, LearnedDecoder, Membership, Refining,
+};
+use segwild_raster::{Engine, ProjectOptions, Projected};
+use segwild_scene::{Embedding, Image, Random, Splats};
+use std::any::Any;
 use std::ops::ControlFlow;
 use std::sync::{Arc, OnceLock};
 
 /// Pixels trusted less than this take no part in compactness (method, section 4).
 const TRUSTED: f32 = 0.5;
+
+/// Steps between two whose losses are told: they are asked of wherever they were computed, which may have to wait for it.
+const TOLD: usize = 20;
 
 /// How far [`build`] is.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,10 +39,8 @@ pub enum Progress {
         done: usize,
         /// Steps in all.
         of: usize,
-        /// Embedding loss on this step's photo, before weighting.
-        embedding: f32,
-        /// Compactness loss on this step's photo, before weighting; 0 when it is off or the photo has no masks.
-        compact: f32,
+        /// The losses on this step's photo, of the first and of every twentieth step.
+        losses: Option<FieldLosses>,
     },
 }
 
@@ -86,50 +87,53 @@ fn refine(
     progress: &mut dyn FnMut(Progress) -> ControlFlow<()>,
 ) -> Result<(), FeatureError> {
     let settings = views.settings;
-    let count = views.source.len();
+    let (count, of) = (views.source.len(), settings.refine_steps as usize);
     if count == 0 || field.is_empty() {
         return Ok(());
     }
-    let channels = field.channels;
-    let mut rows = Learning::new(channels, std::mem::take(&mut field.values), settings.feature_lr);
-    rows.settle(views.engine)?;
-    let mut decoder = (settings.compression == Compression::Learned)
-        .then(|| LearnedDecoder::new(&field.pca, settings.decoder_lr));
+    let pca = &field.pca;
+    // It starts at the principal components' decoder: from a random one, features need tens of thousands of steps before they
+    // mean anything.
+    let offsets: Vec<f32> = pca.mean.iter().map(|m| m * pca.scale).collect();
+    let decoder = (settings.compression == Compression::Learned)
+        .then(|| LearnedDecoder::new(&pca.basis, &offsets, settings.decoder_lr));
+    let rule = FieldRule {
+        embedding: settings.weight_embedding,
+        compact: settings.weight_compact,
+        rate: settings.feature_lr,
+    };
+    let mut refining = Refining::new(field.channels, std::mem::take(&mut field.values), decoder, rule);
+    refining.settle(views.engine)?;
     let mut order: Vec<usize> = (0..count).collect();
-    for step in 0..settings.refine_steps as usize {
+    for step in 0..of {
         if step % count == 0 {
             Random::stream(settings.feature_seed, (step / count) as u64).draw(&mut order, count);
         }
-        let view = views.get(order[step % count])?;
-        let frame = view.projected.blend_learning(&rows)?;
-        let mut grad = Image::zeros(frame.image.width, frame.image.height, channels);
-
-        let rendered = view.average.forward(&frame.image);
-        let mut cell_grad = Image::zeros(rendered.width, rendered.height, channels);
-        let embedding = match &mut decoder {
-            Some(decoder) => {
-                decoder.step(&rendered, &view.target.target, &view.cell_validity, &mut cell_grad)
-            }
-            None => embedding_loss(&rendered, &view.target.target, &view.cell_validity, &mut cell_grad),
-        };
-        view.average.transposed(&cell_grad, settings.weight_embedding, &mut grad);
-
-        let mut compact = 0.0;
-        if settings.compactness && settings.weight_compact > 0.0 {
+        let photo = order[step % count];
+        let view = views.get(photo)?;
+        let nobody = Members::default();
+        let (members, pixels) = if settings.compactness && settings.weight_compact > 0.0 {
+            let members = views.members(photo, &view)?;
             let mut random = Random::stream(!settings.feature_seed, step as u64);
-            let members = views.members(order[step % count], &view)?;
-            compact = add_compactness(members, &frame.image, settings, &mut random, &mut grad);
-        }
-        view.projected.learn(&mut rows, &grad)?;
-        let done =
-            Progress::Refined { done: step + 1, of: settings.refine_steps as usize, embedding, compact };
-        if progress(done).is_break() {
+            (members, members.draw(settings.pixels_per_step as usize, &mut random))
+        } else {
+            (&nobody, Vec::new())
+        };
+        let drawn = Drawn { pixels: &pixels, membership: &members.membership };
+        view.projected.refine(&mut refining, &view.asked(), &drawn)?;
+        let done = step + 1;
+        let losses = if step == 0 || done % TOLD == 0 { Some(refining.losses()?) } else { None };
+        if progress(Progress::Refined { done, of, losses }).is_break() {
             break;
         }
     }
-    field.values = rows.finish()?;
-    if let Some(decoder) = decoder {
-        field.decoder = decoder.finish();
+    let refined = refining.finish()?;
+    field.values = refined.values;
+    if let Some(mut weights) = refined.decoder {
+        weights.iter_mut().for_each(|w| *w /= field.pca.scale);
+        let bias = weights.split_off(field.pca.basis.len());
+        let embedding_channels = bias.len();
+        field.decoder = Decoder { channels: field.channels, embedding_channels, weights, bias };
     }
     Ok(())
 }
@@ -138,23 +142,50 @@ fn refine(
 struct Prepared<'a> {
     projected: Box<dyn Projected + 'a>,
     target: Arc<ViewTarget>,
+    /// By how much the target is multiplied to be in the field's units.
+    scale: f32,
     /// VM at the render's size.
     validity: Image,
     /// VM on the target's grid.
     cell_validity: Vec<f32>,
     average: AreaAverage,
+    /// What of it is where the engine computes.
+    away: Option<Box<dyn Any + Send + Sync>>,
     /// What its masks say, once it was asked.
     members: OnceLock<Members>,
 }
 
 /// What a view's masks say of its pixels.
+#[derive(Default)]
 struct Members {
     membership: Membership,
     /// Pixels that compactness may draw: trusted and in a mask.
     drawable: Vec<u32>,
 }
 
+impl Members {
+    /// So many of the drawable pixels at the most.
+    fn draw(&self, most: usize, random: &mut Random) -> Vec<u32> {
+        let mut pixels = self.drawable.clone();
+        let count = pixels.len().min(most);
+        random.draw(&mut pixels, count);
+        pixels.truncate(count);
+        pixels
+    }
+}
+
 impl Prepared<'_> {
+    /// What it asks of the features that are seen in it.
+    fn asked(&self) -> Asked<'_> {
+        Asked {
+            target: &self.target.target,
+            scale: self.scale,
+            validity: &self.cell_validity,
+            average: &self.average,
+            away: self.away.as_deref(),
+        }
+    }
+
     /// The target as codes.
     fn codes(&self, pca: &Pca, compression: Compression) -> Result<Image, FeatureError> {
         let Image { width, height, channels, ref data } = self.target.target;
@@ -167,34 +198,6 @@ impl Prepared<'_> {
     }
 }
 
-/// Draws pixels, adds the weighted gradient of their compactness to `grad` and returns the loss.
-fn add_compactness(
-    members: &Members,
-    rendered: &Image,
-    settings: &FeatureSettings,
-    random: &mut Random,
-    grad: &mut Image,
-) -> f32 {
-    let (n, c) = (rendered.pixels(), rendered.channels);
-    let mut pixels = members.drawable.clone();
-    let count = pixels.len().min(settings.pixels_per_step as usize);
-    random.draw(&mut pixels, count);
-    pixels.truncate(count);
-    let mut features = Vec::with_capacity(count * c);
-    for &p in &pixels {
-        features.extend((0..c).map(|k| rendered.data[k * n + p as usize]));
-    }
-    let groups: Vec<u32> = pixels.iter().map(|&p| members.membership.groups[p as usize]).collect();
-    let mut pull = vec![0.0; features.len()];
-    let result = compactness(&features, c, &groups, &members.membership, &mut pull);
-    for (pull, &p) in pull.chunks_exact(c).zip(&pixels) {
-        for (k, g) in pull.iter().enumerate() {
-            grad.data[k * n + p as usize] += settings.weight_compact * g;
-        }
-    }
-    result.loss
-}
-
 /// The prepared views, kept while memory allows.
 struct Views<'a> {
     engine: &'a dyn Engine,
@@ -202,8 +205,9 @@ struct Views<'a> {
     source: &'a dyn TargetSource,
     settings: &'a FeatureSettings,
     options: &'a ProjectOptions,
-    /// Channels and name of what targets must hold.
+    /// Channels and name of what targets must hold, and what they are multiplied by.
     wanted: (usize, &'static str),
+    scale: f32,
     kept: Vec<Option<Arc<Prepared<'a>>>>,
     room: usize,
 }
@@ -217,27 +221,32 @@ impl<'a> Views<'a> {
         settings: &'a FeatureSettings,
         options: &'a ProjectOptions,
     ) -> Views<'a> {
-        let wanted = match settings.compression {
-            Compression::Pca => (pca.channels, "codes"),
-            Compression::Learned => (pca.embedding_channels, "the embedding"),
+        let (wanted, scale) = match settings.compression {
+            Compression::Pca => ((pca.channels, "codes"), 1.0),
+            Compression::Learned => ((pca.embedding_channels, "the embedding"), pca.scale),
         };
         let kept = (0..source.len()).map(|_| None).collect();
         let room = settings.feature_memory as usize * (1 << 20);
-        Views { engine, splats, source, settings, options, wanted, kept, room }
+        Views { engine, splats, source, settings, options, wanted, scale, kept, room }
     }
 
     fn get(&mut self, i: usize) -> Result<Arc<Prepared<'a>>, FeatureError> {
         if let Some(view) = &self.kept[i] {
             return Ok(view.clone());
         }
-        let view = Arc::new(self.prepare(i)?);
+        let mut view = self.prepare(i)?;
         // A projection holds its splats' screen-space state and its tiles' lists; the engine does not say how
         // much, so count generously.
         let visible = view.projected.radii().iter().filter(|&&r| r > 0.0).count();
         let pixels = 4 * view.validity.pixels() * 3;
         let bytes = 24 * self.splats.len() + 256 * visible + pixels + view.target.bytes();
-        if bytes <= self.room {
+        let keep = bytes <= self.room;
+        if keep {
             self.room -= bytes;
+            view.away = self.engine.bring_asked(&view.asked())?;
+        }
+        let view = Arc::new(view);
+        if keep {
             self.kept[i] = Some(view.clone());
         }
         Ok(view)
@@ -262,8 +271,17 @@ impl<'a> Views<'a> {
         let cells = AreaAverage::new((vm.width, vm.height), (grid.width, grid.height)).forward(&vm).data;
         let validity = AreaAverage::new((vm.width, vm.height), (w, h)).forward(&vm);
         let average = AreaAverage::new((w, h), (grid.width, grid.height));
-        let members = OnceLock::new();
-        Ok(Prepared { projected, validity, cell_validity: cells, average, members, target })
+        let (scale, members) = (self.scale, OnceLock::new());
+        Ok(Prepared {
+            projected,
+            scale,
+            validity,
+            cell_validity: cells,
+            average,
+            away: None,
+            members,
+            target,
+        })
     }
 
     /// What the masks of a view say; the first call asks for them.

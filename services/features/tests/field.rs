@@ -5,8 +5,9 @@ mod support;
 use glam::Vec3;
 use segwild_features::{
     Compression, FeatureColours, FeatureError, FeatureField, FeatureSettings, Lifted, Lifter, Pca, Progress,
-    TargetSource, ViewTarget, build, embedding_loss,
+    TargetSource, ViewTarget, build,
 };
+use segwild_raster::field::embedding_loss;
 use segwild_raster::{Channels, CpuEngine, Engine, ProjectOptions};
 use segwild_scene::{Camera, Embedding, Image, Mask, Pose, Splats};
 use std::ops::ControlFlow;
@@ -221,7 +222,7 @@ fn losses_reach_the_features_through_the_engine() {
     let validity: Vec<f32> = (0..96 * 64).map(|_| random().abs()).collect();
     let loss = |values: &[f32], grad: &mut Image| {
         let frame = projected.blend(&Channels { count: c, values }).unwrap();
-        embedding_loss(&frame.image, &target, &validity, grad)
+        embedding_loss(&frame.image, (&target, 1.0), &validity, grad)
     };
     let mut grad = Image::zeros(96, 64, c);
     loss(&values, &mut grad);
@@ -288,19 +289,20 @@ fn both_losses_fall_and_a_person_can_stop() {
     let pca = pca(&cards, 8);
     let targets = targets(&cards, &pca, Compression::Pca);
     let engine = CpuEngine::new();
-    let (mut embedding, mut compact, mut lifted) = (Vec::new(), Vec::new(), 0);
+    let (mut told, mut lifted, mut refined) = (Vec::new(), 0, 0);
     let mut listen = |progress: Progress| {
         match progress {
             Progress::Lifted { done, of } => {
                 lifted += 1;
                 assert_eq!((done, of), (lifted, 4));
             }
-            Progress::Refined { embedding: e, compact: c, .. } => {
-                embedding.push(e);
-                compact.push(c);
+            Progress::Refined { done, of, losses } => {
+                refined += 1;
+                assert_eq!((done, of, losses.is_some()), (refined, 500, done == 1 || done % 20 == 0));
+                told.extend(losses);
             }
         }
-        if embedding.len() == 120 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        if refined == 120 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
     build(
         &engine,
@@ -312,10 +314,9 @@ fn both_losses_fall_and_a_person_can_stop() {
         &mut listen,
     )
     .unwrap();
-    assert_eq!((lifted, embedding.len()), (4, 120));
-    let mean = |v: &[f32]| v.iter().sum::<f32>() / v.len() as f32;
-    assert!(mean(&embedding[100..]) < mean(&embedding[..20]), "{embedding:?}");
-    assert!(mean(&compact[100..]) < mean(&compact[..20]), "{compact:?}");
+    assert_eq!((lifted, refined), (4, 120));
+    let (first, last) = (told[0], told[told.len() - 1]);
+    assert!(last.embedding < first.embedding && last.compact < first.compact, "{told:?}");
 }
 
 #[test]

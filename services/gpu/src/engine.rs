@@ -4,17 +4,20 @@ use crate::GpuError;
 use crate::adapter::{Adapter, Choice};
 use crate::compare::Shelf;
 use crate::device::{Device, Lent, Work};
-use crate::rows::{GpuRows, GpuSums};
+use crate::field::{GpuAsked, GpuField, GpuSums};
+use crate::holding::Holding;
+use crate::kept::Brought;
+use crate::room::settles;
 use crate::shaders::{
     BUCKET_COUNT, BUCKETS, EMIT, HISTOGRAM, Kernel, ORDER, PROJECT, RANGES, SCAN, SCAN_ADD, SCATTER,
 };
 use crate::training::GpuTraining;
-use crate::view::{Brought, GpuView};
+use crate::view::GpuView;
 use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
+use segwild_raster::field::{Asked, LiftingAway, Queries, Refining, RefiningAway};
 use segwild_raster::{
-    Channels, Engine, Held, LearningAway, LiftingAway, ProjectOptions, Projected, RasterError, Resident,
-    check, jacobian_limits,
+    Channels, Engine, Held, Kept, ProjectOptions, Projected, RasterError, Resident, check, jacobian_limits,
 };
 use segwild_scene::{Camera, Pose, Splats};
 use std::any::Any;
@@ -185,16 +188,31 @@ impl Engine for GpuEngine {
         Ok(brought.map(|brought| Box::new(brought) as Box<dyn Any + Send + Sync>))
     }
 
-    fn settle_learning(
-        &self,
-        rows: &Channels,
-        rate: f32,
-    ) -> Result<Option<Box<dyn LearningAway>>, RasterError> {
-        let rows = if_there_is_room(GpuRows::upload(&self.device, rows, rate))?;
-        Ok(rows.map(|rows| Box::new(rows) as Box<dyn LearningAway>))
+    fn settle_refining(&self, field: &Refining) -> Result<Option<Box<dyn RefiningAway>>, RasterError> {
+        if !settles(GpuField::bytes(field), self.budget()) {
+            return Ok(None);
+        }
+        let field = if_there_is_room(GpuField::upload(&self.device, field))?;
+        Ok(field.map(|field| Box::new(field) as Box<dyn RefiningAway>))
+    }
+
+    fn bring_asked(&self, asked: &Asked) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
+        let kept = if_there_is_room(GpuAsked::keep(&self.device, asked))?.flatten();
+        Ok(kept.map(|kept| Box::new(kept) as Box<dyn Any + Send + Sync>))
+    }
+
+    fn similarity(&self, features: &Kept, queries: &Queries) -> Result<Option<Vec<f32>>, RasterError> {
+        let brought = features.away().and_then(|away| away.downcast_ref::<Brought>());
+        match brought.filter(|brought| brought.is_on(&self.device)) {
+            Some(brought) => if_there_is_room(brought.similarity(queries)),
+            None => Ok(None),
+        }
     }
 
     fn settle_lifting(&self, splats: usize, row: usize) -> Result<Option<Box<dyn LiftingAway>>, RasterError> {
+        if !settles(GpuSums::bytes(splats, row), self.budget()) {
+            return Ok(None);
+        }
         let sums = if_there_is_room(GpuSums::new(&self.device, splats, row))?;
         Ok(sums.map(|sums| Box::new(sums) as Box<dyn LiftingAway>))
     }
@@ -220,56 +238,8 @@ fn if_there_is_room<T>(made: Result<T, GpuError>) -> Result<Option<T>, RasterErr
     }
 }
 
-/// The engine with splats that are on its device.
-struct Holding<'s> {
-    engine: &'s GpuEngine,
-    splats: &'s Splats,
-    cloud: Arc<Cloud>,
-}
-
-impl Engine for Holding<'_> {
-    fn name(&self) -> &'static str {
-        self.engine.name()
-    }
-
-    fn project<'a>(
-        &'a self,
-        splats: &'a Splats,
-        camera: &Camera,
-        pose: &Pose,
-        options: &ProjectOptions,
-    ) -> Result<Box<dyn Projected + 'a>, RasterError> {
-        // They are borrowed for as long as this lives: the same place holds the same splats.
-        if !std::ptr::eq(splats, self.splats) {
-            return self.engine.project(splats, camera, pose, options);
-        }
-        check(splats, camera)?;
-        self.engine.project_cloud(splats, self.cloud.clone(), camera, pose, options)
-    }
-
-    fn bring(&self, channels: &Channels) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
-        self.engine.bring(channels)
-    }
-
-    fn settle_learning(
-        &self,
-        rows: &Channels,
-        rate: f32,
-    ) -> Result<Option<Box<dyn LearningAway>>, RasterError> {
-        self.engine.settle_learning(rows, rate)
-    }
-
-    fn settle_lifting(&self, splats: usize, row: usize) -> Result<Option<Box<dyn LiftingAway>>, RasterError> {
-        self.engine.settle_lifting(splats, row)
-    }
-
-    fn settle(&self, held: &mut dyn FnMut() -> Held) -> Result<Option<Box<dyn Resident>>, RasterError> {
-        self.engine.settle(held)
-    }
-}
-
 impl GpuEngine {
-    fn project_cloud<'a>(
+    pub(crate) fn project_cloud<'a>(
         &'a self,
         splats: &'a Splats,
         cloud: Arc<Cloud>,

@@ -18,11 +18,13 @@ mod common;
 mod compare;
 mod device;
 mod engine;
+mod field;
+mod holding;
+mod kept;
 mod nets;
 mod optimiser;
 mod passes;
 mod room;
-mod rows;
 mod shaders;
 mod speed;
 mod training;
@@ -30,13 +32,16 @@ mod view;
 
 pub use adapter::{Adapter, Choice, adapters};
 pub use check::{
-    Checked, Sitter, Tolerance, check, check_photos, compared, gradients, held, held_with_codes, projected,
-    sitters, training as check_training,
+    Checked, Made, Question, Sitter, Tolerance, check, check_field, check_photos, compared, gradients, held,
+    held_with_codes, projected, sitters, training as check_training,
 };
 pub use engine::GpuEngine;
 pub use room::{LEAST_PHOTOS, training_bytes};
 pub use shaders::{KERNELS, Kernel, source};
-pub use speed::{NETWORKS, Reach, STEP, Timed, reach, some_look, speed};
+pub use speed::{
+    CLICKS, FIELD_RULE, LOSSES, NETWORKS, Reach, SIMILARITY, STEP, Timed, reach, some_look, some_question,
+    speed,
+};
 
 /// Why the accelerator engine refused, or stopped.
 #[derive(Debug, Clone, thiserror::Error)]

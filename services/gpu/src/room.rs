@@ -36,6 +36,12 @@ pub(crate) fn keeps_channels(bytes: u64, budget: u64) -> bool {
     budget == 0 || bytes <= budget / 4
 }
 
+/// Whether what learns from views, or is added up over them, may be on the device with so many bytes: half of a budget for
+/// everything.
+pub(crate) fn settles(bytes: u64, budget: u64) -> bool {
+    budget == 0 || bytes <= budget / 2
+}
+
 /// About how many bytes of an accelerator's memory it takes to train so many splats on photos of so many pixels, beside
 /// the photos that stay there. `code_size` are the numbers that splats keep for their look, `networks` those of the look `gsw`.
 pub fn training_bytes(

@@ -2,7 +2,7 @@
 
 use crate::nets::CONSTANTS;
 use segwild_raster::compare::{self, Target};
-use segwild_raster::{ALPHA_MAX, ALPHA_MIN, LOG2_ALPHA_MIN, SLACK, T_MIN, gsw, learning};
+use segwild_raster::{ALPHA_MAX, ALPHA_MIN, LOG2_ALPHA_MIN, SLACK, T_MIN, field, gsw};
 
 /// A kernel: a file of `shaders/`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -85,6 +85,17 @@ kernels! {
     VISIBILITY = "visibility"."visibility", [1];
     SEE = "see"."see", [1];
     PREFER = "prefer"."prefer", [1];
+    AREA_AVERAGE = "area_average"."area_average", [1, 4];
+    AREA_SPREAD = "area_spread"."area_spread", [1, 2];
+    EMBEDDING_LOSS = "embedding_loss"."embedding_loss", [1];
+    DRAWN = "drawn"."drawn", [1, 4];
+    UNITS = "units"."units", [1];
+    MATES = "mates"."mates", [1];
+    PAIRS = "pairs"."pairs", [1];
+    PULL = "pull"."pull", [1];
+    ADD_PULL = "add_pull"."add_pull", [1, 2];
+    COSINES = "cosines"."cosines", [1, 4];
+    FUSE = "fuse"."fuse", [1];
     ROW_STATE = "row_state"."row_state", [1];
     ROW_STEP = "row_step"."row_step", [1];
     ROW_ADD = "row_add"."row_add", [1];
@@ -106,17 +117,19 @@ const COMPARED: [(&str, f32); 12] = [
     ("LEAST", compare::LEAST),
     ("WRONG", compare::WRONG),
 ];
-/// The look `gsw` (`raster/src/look/gsw/`), what its networks are made of, and rows that learn (`raster/src/learning.rs`).
-const LIT: [(&str, f32); 7] = [
+/// The look `gsw` (`raster/src/look/gsw/`), what its networks are made of, and the feature field (`raster/src/field/`).
+const LIT: [(&str, f32); 8] = [
     ("COORDINATE", gsw::COORDINATE),
     ("DROPPED", gsw::DROPPED),
     ("VISIBILITY", gsw::VISIBILITY),
     ("EPSILON", segwild_nets::EPSILON as f32),
-    ("BETA1", learning::BETA1),
-    ("BETA2", learning::BETA2),
-    ("ROOT", learning::EPSILON),
+    ("BETA1", field::BETA1),
+    ("BETA2", field::BETA2),
+    ("ROOT", field::EPSILON),
+    ("SHORTEST", field::SHORTEST),
 ];
-const LIGHT: [(&str, u32); 5] = [
+const LIGHT: [(&str, u32); 6] = [
+    ("NO_MASK", field::Membership::NONE),
     ("SAMPLE", gsw::SAMPLE as u32),
     ("MAPS", gsw::MAPS as u32),
     ("INTRINSIC", gsw::INTRINSIC as u32),
@@ -148,6 +161,8 @@ const SHARED: &[(&str, &str)] = &[
     ("sum", include_str!("../../../shaders/shared/sum.wgsl")),
     ("running", include_str!("../../../shaders/shared/running.wgsl")),
     ("lean", include_str!("../../../shaders/shared/lean.wgsl")),
+    ("cells", include_str!("../../../shaders/shared/cells.wgsl")),
+    ("masks", include_str!("../../../shaders/shared/masks.wgsl")),
     ("layer", include_str!("../../../shaders/shared/layer.wgsl")),
     ("reader", include_str!("../../../shaders/shared/reader.wgsl")),
 ];

@@ -4,20 +4,25 @@
 //! its operations at the rate of a kernel that does nothing else. Operations are those of every pair of a splat and a tile
 //! at every pixel of the tile, as if no light ran out.
 
+use crate::check::Question;
 use crate::compare::{Asked, Photo, compare};
 use crate::device::Work;
 use crate::engine::{Cloud, GROUP, bin, sort};
+use crate::field::{GpuAsked, GpuField};
+use crate::kept::Brought;
 use crate::nets::{GpuNetworks, Lighting, PIECE, floor};
 use crate::passes::PIXELS;
 use crate::shaders::{RATE, SHADE};
 use crate::training::GpuTraining;
+use crate::view::{at_once, gathered_at_once, parts_of};
 use crate::{GpuEngine, GpuError};
 use segwild_raster::compare::{LeaveOut, Residuals, Sitting, Target};
+use segwild_raster::field::{FieldRule, Queries};
 use segwild_raster::{
-    GswLook, GswWidth, Held, Look, NetworksStep, ProjectOptions, RasterError, Resident, Rule, Rules, Step,
-    gsw,
+    Channels, GswLook, GswWidth, Held, Look, NetworksStep, ProjectOptions, RasterError, Resident, Rule,
+    Rules, Step, gsw,
 };
-use segwild_scene::{Camera, Pose, Splats};
+use segwild_scene::{Camera, Pose, Random, Splats};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -115,6 +120,8 @@ pub fn speed(
         bench.rows
     };
     rows.push(networks(engine, reach, splats, camera, pose)?);
+    rows.push(losses(engine, reach, some_question(camera, channels))?);
+    rows.push(similarity(engine, reach, splats.len(), channels)?);
     rows.extend(training(engine, reach, splats, camera, pose)?);
     Ok(rows)
 }
@@ -249,6 +256,67 @@ fn networks(
     })?;
     let (bytes, operations) = floor(GswWidth::Cpu, n);
     Ok(Timed { pass: NETWORKS, ms, floor_ms: reach.floor_ms(bytes, operations) })
+}
+
+/// The pass that is what a photo asks of the feature field: its losses with a learned decoder, and what they say of the image.
+pub const LOSSES: &str = "losses of the field";
+
+/// What a photo asks by a usual embedding, with masks as a photo has them.
+pub fn some_question(camera: &Camera, channels: usize) -> Question {
+    let size = (camera.width, camera.height);
+    Question { size, channels, decoded: Some(256), grid: [64, 48], pixels: 1024, masks: 60 }
+}
+
+/// What the losses weigh.
+pub const FIELD_RULE: FieldRule = FieldRule { embedding: 0.7, compact: 0.3, rate: 0.0 };
+
+/// Times the losses of the feature field.
+fn losses(engine: &GpuEngine, reach: Reach, question: Question) -> Result<Timed, GpuError> {
+    let made = question.make(&mut Random::new(3));
+    let channels = question.channels;
+    let field = question.refining(vec![0.0; channels], FIELD_RULE);
+    let field = GpuField::upload(&engine.device, &field)?;
+    let pixels = (question.size.0 * question.size.1) as usize;
+    let work = &mut engine.device.work();
+    let asked = GpuAsked::upload(&engine.device, work, &made.asked())?;
+    let blocks = at_once(channels);
+    let image = work.take::<[f32; 4]>("the image", pixels * blocks)?;
+    work.clear(&image);
+    let ms = timed(work, |work| {
+        let step = field.begin(work, &asked, &made.drawn())?;
+        for first in parts_of(channels) {
+            step.take(work, first / 4, blocks, &image);
+        }
+        step.judge(work)?;
+        let blocks = gathered_at_once(channels);
+        for first in (0..channels).step_by(4 * blocks) {
+            step.gradients(work, first / 4, blocks)?;
+        }
+        Ok(())
+    })?;
+    let (c, cells) = (channels as f64, (question.grid[0] * question.grid[1]) as f64);
+    let (outputs, drawn) = (question.decoded.map_or(0.0, |n| n as f64), question.pixels as f64);
+    // Image, target and weights; forward and twice back, and of pairs once.
+    let bytes = 4.0 * (2.0 * c * pixels as f64 + outputs * (cells + 6.0 * c) + 2.0 * c * drawn);
+    let operations = 2.0 * (3.0 * c * outputs * cells + 2.0 * c * drawn * drawn + 2.0 * c * pixels as f64);
+    Ok(Timed { pass: LOSSES, ms, floor_ms: reach.floor_ms(bytes, operations) })
+}
+
+/// The pass that compares every splat's features with those of clicks.
+pub const SIMILARITY: &str = "similarity to 4 clicks";
+/// So many.
+pub const CLICKS: usize = 4;
+
+fn similarity(engine: &GpuEngine, reach: Reach, splats: usize, channels: usize) -> Result<Timed, GpuError> {
+    let values = vec![0.5; splats * channels];
+    let kept = Brought::upload(&engine.device, &Channels { count: channels, values: &values })?;
+    let units = vec![vec![0.5; channels]; CLICKS];
+    let queries = Queries { channels, units: &units, sharpness: 10.0 };
+    let Some(kept) = kept else { return Ok(Timed { pass: SIMILARITY, ms: 0.0, floor_ms: 0.0 }) };
+    let ms = timed(&mut engine.device.work(), |work| kept.resemblance(work, &queries).map(drop))?;
+    let (n, c) = (splats as f64, channels as f64);
+    let floor_ms = reach.floor_ms(4.0 * n * (c + 1.0), 2.0 * n * c * (CLICKS + 1) as f64);
+    Ok(Timed { pass: SIMILARITY, ms, floor_ms })
 }
 
 /// The pass that is a whole step of training.

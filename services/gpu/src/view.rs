@@ -4,49 +4,20 @@
 use crate::GpuError;
 use crate::device::{Device, Lent, Work, lock};
 use crate::engine::Binned;
+use crate::field::{GpuAsked, GpuField, GpuSums};
+use crate::kept::Brought;
 use crate::passes::Grads;
-use crate::room::keeps_channels;
-use crate::rows::{GpuRows, GpuSums};
 use glam::Vec3;
 use rayon::prelude::*;
+use segwild_raster::field::{Asked, Drawn, Lifting, Refining};
 use segwild_raster::{
-    Channels, Frame, FrameGrad, Kept, Learning, Lifting, Projected, RasterError, SplatGrads, shade,
-    shade_backward,
+    Channels, Frame, FrameGrad, Kept, Projected, RasterError, SplatGrads, shade, shade_backward,
 };
 use segwild_scene::{Image, Splats};
 use std::sync::{Arc, Mutex};
 
 /// Items that one task packs.
 const CHUNK: usize = 1 << 14;
-
-/// Channels that stay on a device.
-pub(crate) struct Brought {
-    device: Arc<Device>,
-    /// As many at once as a view blends.
-    parts: Vec<Lent>,
-}
-
-impl Brought {
-    /// `None` where they would take more than their share of the device's memory.
-    pub fn upload(device: &Arc<Device>, channels: &Channels) -> Result<Option<Brought>, GpuError> {
-        let Channels { count, values } = *channels;
-        let n = values.len() / count.max(1);
-        let wide = at_once(count) * 4;
-        let bytes = 4 * (n * count.next_multiple_of(wide)) as u64;
-        let mut work = device.work();
-        if !keeps_channels(bytes, work.budget()) {
-            return Ok(None);
-        }
-        let parts = parts_of(count)
-            .map(|first| {
-                let packed = pack_splats(values, n, count, first, wide / 4, false);
-                work.upload("channels that are kept", &packed)
-            })
-            .collect::<Result<_, _>>()?;
-        drop(work);
-        Ok(Some(Brought { device: device.clone(), parts }))
-    }
-}
 
 /// How many vec4 of so many channels a view blends at once.
 pub(crate) fn at_once(count: usize) -> usize {
@@ -68,12 +39,11 @@ pub(crate) fn parts_of(count: usize) -> impl Iterator<Item = usize> {
 enum Found<'a> {
     Host(&'a [f32]),
     Kept(&'a Brought),
-    Rows(&'a GpuRows),
 }
 
 /// Splats as one view sees them, on the device.
 pub(crate) struct GpuView<'a> {
-    device: &'a Device,
+    device: &'a Arc<Device>,
     splats: &'a Splats,
     eye: Vec3,
     width: usize,
@@ -88,7 +58,7 @@ pub(crate) struct GpuView<'a> {
 
 impl<'a> GpuView<'a> {
     pub fn new(
-        device: &'a Device,
+        device: &'a Arc<Device>,
         splats: &'a Splats,
         eye: Vec3,
         [width, height]: [usize; 2],
@@ -136,8 +106,7 @@ impl<'a> GpuView<'a> {
                     up = work.take::<[f32; 4]>("the splats' channels", n)?;
                     &up
                 }
-                Found::Kept(brought) => &brought.parts[first / (blocks * 4)],
-                Found::Rows(rows) => rows.part(first),
+                Found::Kept(brought) => brought.part(first),
                 Found::Host(values) => {
                     let packed = pack_splats(values, n, count, first, blocks, false);
                     up = work.upload("the splats' channels", &packed)?;
@@ -179,21 +148,38 @@ impl<'a> GpuView<'a> {
 
     /// Whether this is the view's device. One that is held is nobody else's: the same place is the same device.
     fn is_mine(&self, device: &Arc<Device>) -> bool {
-        std::ptr::eq(&**device, self.device)
+        Arc::ptr_eq(device, self.device)
     }
 
-    /// Rows that are on this view's device.
-    fn own<'r>(&self, rows: &'r Learning) -> Option<&'r GpuRows> {
-        rows.away()?.as_any().downcast_ref::<GpuRows>().filter(|rows| self.is_mine(&rows.device))
-    }
-
-    fn try_learn(&self, rows: &GpuRows, grad: &Image) -> Result<(), GpuError> {
-        if grad.channels == 0 || self.on.pairs == 0 {
-            return Ok(());
-        }
+    fn try_refine(&self, field: &GpuField, asked: &Asked, drawn: &Drawn) -> Result<(), GpuError> {
         let work = &mut self.device.work();
-        let (grads, blocks) = self.gathered(work, grad)?;
-        rows.step(work, &grads, blocks)
+        let kept = asked.away.and_then(|away| away.downcast_ref::<GpuAsked>());
+        let up;
+        let asked = match kept.filter(|asked| self.is_mine(&asked.device)) {
+            Some(asked) => asked,
+            None => {
+                up = GpuAsked::upload(self.device, work, asked)?;
+                &up
+            }
+        };
+        let count = field.rows.count();
+        let step = field.begin(work, asked, drawn)?;
+        let (grads, blocks) = self.with_lights(work, |work, lights| {
+            let blocks = at_once(count);
+            let alpha = work.take::<f32>("alpha", self.pixels())?;
+            for first in parts_of(count) {
+                let image = self.on.blend(work, blocks, field.rows.part(first), false, &alpha, lights)?;
+                step.take(work, first / 4, blocks, &image);
+            }
+            step.judge(work)?;
+            let blocks = gathered_at_once(count);
+            let grads = (0..count).step_by(blocks * 4).map(|first| {
+                let image = step.gradients(work, first / 4, blocks)?;
+                self.on.gather(work, blocks, &image, lights)
+            });
+            Ok((grads.collect::<Result<Vec<_>, _>>()?, blocks))
+        })?;
+        step.finish(work, &grads, blocks)
     }
 
     fn try_lift(&self, sums: &GpuSums, image: &Image) -> Result<(), GpuError> {
@@ -307,15 +293,8 @@ impl Projected for GpuView<'_> {
         let channels = kept.channels();
         assert_eq!(channels.values.len(), self.splats.len() * channels.count, "channels: values");
         let brought = kept.away().and_then(|away| away.downcast_ref::<Brought>());
-        let brought = brought.filter(|brought| self.is_mine(&brought.device));
+        let brought = brought.filter(|brought| brought.is_on(self.device));
         Ok(self.try_blend(channels.count, brought.map_or(Found::Host(channels.values), Found::Kept))?)
-    }
-
-    fn blend_learning(&self, rows: &Learning) -> Result<Frame, RasterError> {
-        match self.own(rows) {
-            Some(rows) => Ok(self.try_blend(rows.count(), Found::Rows(rows))?),
-            None => self.blend(&rows.channels()),
-        }
     }
 
     fn lift(&self, sums: &mut Lifting, image: &Image) -> Result<(), RasterError> {
@@ -329,14 +308,13 @@ impl Projected for GpuView<'_> {
         Ok(self.try_lift(own, image)?)
     }
 
-    fn learn(&self, rows: &mut Learning, grad: &Image) -> Result<(), RasterError> {
-        let Some(own) = self.own(rows) else {
-            let grads = self.gather(grad)?;
-            rows.step(&grads);
-            return Ok(());
+    fn refine(&self, field: &mut Refining, asked: &Asked, drawn: &Drawn) -> Result<(), RasterError> {
+        let own = field.away().and_then(|away| away.as_any().downcast_ref::<GpuField>());
+        let Some(own) = own.filter(|field| self.is_mine(&field.device)) else {
+            return field.learn(self, asked, drawn);
         };
-        self.assert_image(grad, own.count(), "learn");
-        Ok(self.try_learn(own, grad)?)
+        assert_eq!(asked.average.from(), (self.width, self.height), "refine: width, height");
+        Ok(self.try_refine(own, asked, drawn)?)
     }
 
     fn gather(&self, image: &Image) -> Result<Vec<f32>, RasterError> {

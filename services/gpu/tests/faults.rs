@@ -4,19 +4,10 @@
 mod common;
 
 use common::{are_laid_to, engine};
-use segwild_gpu::{Choice, check, check_photos};
+use segwild_gpu::{Choice, check, check_field, check_photos};
 
 /// The same of the kernels of training, which only [`check`] sees.
 const TRAINING_FAULTS: &[(&str, &str, &str)] = &[
-    ("row_state", "!finite4(grad)", "false && !finite4(grad)"),
-    ("row_state", "any(grad != vec4f(0.0))", "grad.x > 0.0"),
-    ("row_step", "steps[i] + (job.w >> 31u)", "steps[i] + 1u"),
-    ("row_step", "(job.z >> 16u) + k", "k"),
-    ("row_step", "sqrt(v * bias2)", "sqrt(v)"),
-    ("row_step", "states[i] != 1u", "states[i] == 0u"),
-    ("row_add", "(states[i] & 2u) != 0u", "states[i] == 9u"),
-    ("row_add", "+ job.z]", "]"),
-    ("row_add", "sums[i * job.y + k] +=", "sums[i * job.y + k] ="),
     ("select", "parent.x * job.y + lane", "parent.x * job.y"),
     ("select", "parent.y == 1u", "parent.y == 2u"),
     ("select", "lane < job.w", "lane <= job.w"),
@@ -123,6 +114,60 @@ const NETWORK_FAULTS: &[(&str, &str, &str)] = &[
     ("prefer", "weight * dot(lack, lack)", "dot(lack, lack)"),
 ];
 
+/// Faults in the kernels of the feature field.
+const FIELD_FAULTS: &[(&str, &str, &str)] = &[
+    ("row_state", "!finite4(grad)", "false && !finite4(grad)"),
+    ("row_state", "any(grad != vec4f(0.0))", "grad.x > 0.0"),
+    ("row_step", "steps[i] + (job.w >> 31u)", "steps[i] + 1u"),
+    ("row_step", "(job.z >> 16u) + k", "k"),
+    ("row_step", "sqrt(v * bias2)", "sqrt(v)"),
+    ("row_step", "states[i] != 1u", "states[i] == 0u"),
+    ("row_add", "(states[i] & 2u) != 0u", "states[i] == 9u"),
+    ("row_add", "+ job.z]", "]"),
+    ("row_add", "sums[i * job.y + k] +=", "sums[i * job.y + k] ="),
+    ("area_average", "share_of(row, y) * image", "image"),
+    ("area_average", "channel < job.y", "channel < 3u"),
+    ("area_average", "4u * (job.x + block)", "4u * block"),
+    ("area_average", "cell / cells[2]", "cell % cells[2]"),
+    ("area_spread", "bitcast<f32>(job.z) * sum", "sum"),
+    ("area_spread", "across + 1u]; x", "across]; x"),
+    ("area_spread", "y * cells[2] + x", "y * cells[2]"),
+    ("area_spread", "4u * (job.x + block)", "4u * block"),
+    ("embedding_loss", "select(0.0, 1.0, off < 0.0)", "0.0"),
+    ("embedding_loss", "trusted * bitcast<f32>(job.w)", "bitcast<f32>(job.w)"),
+    ("embedding_loss", "trust[i % job.z]", "trust[0]"),
+    ("embedding_loss", "abs(off)", "off * off"),
+    ("drawn", "image[pixels[pixel]", "image[pixels[pixel / 2u]"),
+    ("drawn", "channel < job.y", "channel < 4u"),
+    ("drawn", "pixels[pixel] * BLOCKS + block", "pixels[pixel] * BLOCKS"),
+    ("units", "groups_of[i] == NO_MASK", "groups_of[i] == 0u"),
+    ("units", "!finite(squares)", "false"),
+    ("units", "squares += v * v", "squares += abs(v)"),
+    ("mates", "other != pixel && ", ""),
+    ("mates", "lengths[pixel] > 0.0", "true"),
+    ("mates", "vec2f(0.0, 1.0), vec2f(1.0, 0.0)", "vec2f(1.0, 0.0), vec2f(0.0, 1.0)"),
+    ("mates", "> 0.0;", "> 0.6;"),
+    ("pairs", "other != pixel && ", ""),
+    ("pairs", "cosine > 0.0", "true"),
+    ("pairs", "-likeness * near", "-near"),
+    ("pairs", "losses[pixel] += all", "losses[pixel] = all"),
+    ("pairs", "said[0] * weight", "weight"),
+    ("pairs", "piece.reads + k", "k"),
+    ("pull", "2.0 * (grad", "(grad"),
+    ("pull", "- along * features[c * job.x + pixel]", ""),
+    ("pull", ") / length", ")"),
+    ("pull", "pulls[c * job.x + pixel]", "pulls[c * job.x + k]"),
+    ("cosines", "sums[first + q] += product", "sums[first + q] = product"),
+    ("cosines", "q * job.z + job.w + b", "q * job.z + b"),
+    ("cosines", "sums[first + job.y] += squares", "sums[first + job.y] = squares"),
+    ("fuse", "!finite(squares) || ", ""),
+    ("fuse", "(cosine - top) * bitcast<f32>(job.z)", "(cosine - top)"),
+    ("fuse", "sum / weight", "top"),
+    ("fuse", "clamp(sums[first + q] * norm, -1.0, 1.0);", "sums[first + q];"),
+    ("add_pull", "+= sum", "= sum"),
+    ("add_pull", "4u * (job.x + block)", "4u * block"),
+];
+
 #[test]
 fn a_fault_in_any_kernel_of_training_is_seen() {
     let Some(gpu) = engine("a_fault_in_any_kernel_of_training_is_seen") else { return };
@@ -142,4 +187,11 @@ fn a_fault_in_any_kernel_of_a_looks_networks_is_seen() {
     let Some(gpu) = engine("a_fault_in_any_kernel_of_a_looks_networks_is_seen") else { return };
     let choice = Choice::Named(gpu.adapter().name.clone());
     are_laid_to(check_photos, &choice, NETWORK_FAULTS);
+}
+
+#[test]
+fn a_fault_in_any_kernel_of_the_feature_field_is_seen() {
+    let Some(gpu) = engine("a_fault_in_any_kernel_of_the_feature_field_is_seen") else { return };
+    let choice = Choice::Named(gpu.adapter().name.clone());
+    are_laid_to(check_field, &choice, FIELD_FAULTS);
 }

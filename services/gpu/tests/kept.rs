@@ -4,11 +4,14 @@ mod common;
 
 use common::{engine, image, many, rules, splats, step_with, view};
 use segwild_gpu::{Choice, GpuEngine, Tolerance, held, some_look, training_bytes};
-use segwild_raster::{
-    Channels, Codes, CpuEngine, Engine, Frame, GswLook, GswWidth, Held, Kept, Learning, Lifting, Look,
-    NetworksStep, ProjectOptions, SpareEngine,
+use segwild_raster::field::{
+    AreaAverage, Asked, Drawn, FieldRule, LearnedDecoder, Lifting, Membership, Refining,
 };
-use segwild_scene::{Random, Splats};
+use segwild_raster::{
+    Channels, Codes, CpuEngine, Engine, Frame, GswLook, GswWidth, Held, Kept, Look, NetworksStep,
+    ProjectOptions, SpareEngine,
+};
+use segwild_scene::{Image, Mask, MaskSet, Random, ScoredMask, Splats};
 
 const SPLATS: usize = 5000;
 
@@ -118,35 +121,76 @@ fn channels_that_would_take_too_much_room_are_not_kept_and_drawn_all_the_same() 
     assert!(again.is_some() && tight.held() == taken, "{} bytes, not {taken}", tight.held());
 }
 
+/// What a photo asks of a view of this size, and how pixels of it are held by masks.
+fn asked(seed: u64, width: u32, height: u32, planes: usize) -> (Image, AreaAverage, Membership) {
+    let grid = (width as usize / 3, height as usize / 4);
+    let masks = [0, 7, 20].map(|first| {
+        let mask = Mask::from_fn(width, height, |x, _| x >= first && x < first + 10);
+        ScoredMask { mask, predicted_iou: 1.0, stability: 1.0 }
+    });
+    let masks = MaskSet { width, height, masks: masks.to_vec() };
+    let (wide, high) = (width as usize, height as usize);
+    let average = AreaAverage::new((wide, high), grid);
+    (image(seed, grid.0, grid.1, planes), average, Membership::new(&masks, wide, high))
+}
+
 #[test]
-fn rows_that_learn_from_view_after_view_stay_where_they_are() {
-    let Some(gpu) = engine("rows_that_learn_from_view_after_view_stay_where_they_are") else { return };
+fn a_step_of_the_feature_field_brings_the_pixels_that_it_draws_and_nothing_of_splats_and_photos() {
+    let test = "a_step_of_the_feature_field_brings_the_pixels_that_it_draws_and_nothing_of_splats_and_photos";
+    let Some(gpu) = engine(test) else { return };
     let scene = scene();
     let held = gpu.hold(&scene).expect("it is brought there").expect("it fits");
-    let count = 24;
-    let learn = |rows: &mut Learning| {
+    let (count, decoded) = (24, 40);
+    let rule = FieldRule { embedding: 0.7, compact: 0.3, rate: 0.01 };
+    let refine = |field: &mut Refining, learned: bool| {
+        let mut crossed = 0;
         for (step, (width, height)) in [(64, 48), (50, 70), (33, 20)].into_iter().enumerate() {
             let (camera, pose) = view(width, height);
             let projected =
                 held.project(&scene, &camera, &pose, &ProjectOptions::default()).expect("it is seen");
-            let frame = projected.blend_learning(rows).expect("it is drawn");
-            let mut grad = image(83 + step as u64, width as usize, height as usize, count);
-            grad.data.iter_mut().zip(&frame.image.data).for_each(|(g, v)| *g += v);
-            projected.learn(rows, &grad).expect("it is learnt");
+            let planes = if learned { decoded } else { count };
+            let (target, average, membership) = asked(83 + step as u64, width, height, planes);
+            let validity = vec![0.8; target.pixels()];
+            let mut asked =
+                Asked { target: &target, scale: 0.5, validity: &validity, average: &average, away: None };
+            let away = held.bring_asked(&asked).expect("it is brought there");
+            asked.away = away.as_deref();
+            let pixels: Vec<u32> = (0..width * height).step_by(3).collect();
+            let drawn = Drawn { pixels: &pixels, membership: &membership };
+            let before = gpu.brought();
+            projected.refine(field, &asked, &drawn).expect("it is learnt");
+            crossed += gpu.brought() - before;
         }
+        (crossed, field.losses().expect("they are told"))
     };
-    let (mut here, mut there) =
-        (Learning::new(count, values(count), 0.01), Learning::new(count, values(count), 0.01));
-    learn(&mut here);
-    there.settle(&*held).expect("it is brought there");
-    let before = gpu.brought();
-    learn(&mut there);
-    let crossed = gpu.brought() - before;
-    let images = 4 * count * (64 * 48 + 50 * 70 + 33 * 20);
-    assert!(crossed < images as u64 + 1000, "{crossed} bytes where gradients of images are {images}");
-    let (here, there) = (here.finish().expect("they are here"), there.finish().expect("they come back"));
-    Tolerance::PROJECTED.compare("rows", &there, &here).expect("the same is learnt");
-    // Sums over views, too.
+    for learned in [false, true] {
+        let decoder = learned.then(|| {
+            let numbers = many(&mut Random::new(84), (count + 1) * decoded, -0.2, 0.2);
+            LearnedDecoder::new(&numbers[..count * decoded], &numbers[count * decoded..], 0.01)
+        });
+        let mut here = Refining::new(count, values(count), decoder.clone(), rule);
+        let mut there = Refining::new(count, values(count), decoder, rule);
+        there.settle(&*held).expect("it is brought there");
+        assert!(there.away().is_some());
+        let ((_, wanted), (crossed, losses)) = (refine(&mut here, learned), refine(&mut there, learned));
+        // Places and masks of the pixels, and the tables of the networks that compare them.
+        let pixels = 4 * (64 * 48 + 50 * 70 + 33 * 20) / 3;
+        assert!(crossed < 2 * pixels + 3000, "{crossed} bytes for drawn pixels of {pixels}");
+        let [got, wanted] = [losses, wanted].map(|losses| [losses.embedding, losses.compact]);
+        Tolerance::BLENDED.compare("losses", &got, &wanted).expect("the same is told");
+        let (here, there) = (here.finish().expect("they are here"), there.finish().expect("they come back"));
+        Tolerance::GRADIENTS.compare("features", &there.values, &here.values).expect("the same is learnt");
+        let [there, here] = [there, here].map(|refined| refined.decoder.unwrap_or_default());
+        Tolerance::GRADIENTS.compare("decoder", &there, &here).expect("the same is learnt");
+        assert_eq!(here.is_empty(), !learned);
+    }
+}
+
+#[test]
+fn sums_over_views_stay_where_they_are() {
+    let Some(gpu) = engine("sums_over_views_stay_where_they_are") else { return };
+    let (scene, count) = (scene(), 24);
+    let held = gpu.hold(&scene).expect("it is brought there").expect("it fits");
     let mut sums = Lifting::new(SPLATS, count);
     sums.settle(&*held).expect("there is room");
     let before = gpu.brought();
@@ -158,12 +202,40 @@ fn rows_that_learn_from_view_after_view_stay_where_they_are() {
     assert!(crossed < images as u64 + 1000, "{crossed} bytes where an image is {images}");
     let (sums, weights) = sums.finish().expect("they come back");
     assert!(sums.len() == SPLATS * count && weights.iter().any(|&weight| weight > 0.0));
-    // What cannot be kept within the budget learns on the host.
-    let small = reopened(gpu);
-    small.keep_within(1 << 16);
-    let mut rows = Learning::new(count, values(count), 0.01);
-    rows.settle(&small).expect("want of room is no failure");
-    assert!(rows.away().is_none());
+}
+
+#[test]
+fn a_field_that_leaves_too_little_room_for_its_steps_is_refined_on_the_host() {
+    let test = "a_field_that_leaves_too_little_room_for_its_steps_is_refined_on_the_host";
+    let Some(gpu) = engine(test) else { return };
+    let (scene, count) = (scene(), 24);
+    let rule = FieldRule { embedding: 1.0, compact: 0.0, rate: 0.01 };
+    let (target, average, membership) = asked(95, 64, 48, count);
+    let validity = vec![1.0; target.pixels()];
+    let asked = Asked { target: &target, scale: 1.0, validity: &validity, average: &average, away: None };
+    let drawn = Drawn { pixels: &[], membership: &membership };
+    // From where nothing settles to where all does: nowhere does a step want of room.
+    let mut settled = Vec::new();
+    for megabytes in [3, 4, 5, 6, 8, 24] {
+        let small = reopened(gpu);
+        small.keep_within(megabytes << 20);
+        let mut field = Refining::new(count, values(count), None, rule);
+        let mut sums = Lifting::new(SPLATS, count);
+        field.settle(&small).expect("want of room is no failure");
+        let (camera, pose) = view(64, 48);
+        let projected = small.project(&scene, &camera, &pose, &ProjectOptions::default());
+        let projected = projected.unwrap_or_else(|error| panic!("{megabytes} MiB: {error}"));
+        projected
+            .refine(&mut field, &asked, &drawn)
+            .unwrap_or_else(|error| panic!("{megabytes} MiB: {error}"));
+        settled.push(field.away().is_some());
+        drop(field);
+        sums.settle(&small).expect("want of room is no failure");
+        projected
+            .lift(&mut sums, &image(96, 64, 48, count + 1))
+            .unwrap_or_else(|error| panic!("{megabytes} MiB: {error}"));
+    }
+    assert!(!settled[0] && settled[5] && settled.is_sorted(), "{settled:?}");
 }
 
 #[test]

@@ -11,6 +11,7 @@ mod conv;
 mod graph;
 mod layer;
 mod map;
+mod matmul;
 mod mlp;
 #[cfg(test)]
 mod noise;
@@ -23,6 +24,7 @@ pub use conv::{Conv, Up};
 pub use graph::{Form, Graph, Id, Op, Tape, What};
 pub use layer::{Kind, Layer, Layout};
 pub use map::Map;
+pub use matmul::{matmul, transpose};
 pub use mlp::{Activations, Mlp};
 pub use norm::{EPSILON, GroupNorm, NormState};
 pub use product::{Strided, product};

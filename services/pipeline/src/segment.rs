@@ -203,12 +203,15 @@ pub fn segment(
     }
     // As other programs will show them. Before the work, so that a photo that is not there is said at once.
     let in_colour = light::shown(&scene, &model, &settings.object_look)?;
-    let features = match &field {
-        Some(f) => Some(Arc::new(segwild_segmenter::FeatureField::new(f.channels, f.values.clone())?)),
+    let engine = choose_engine(&made_with.run, log_loss)?.engine;
+    let features = match field {
+        Some(field) => {
+            let mut features = segwild_segmenter::FeatureField::new(field.channels, field.values)?;
+            features.bring(&*engine)?;
+            Some(Arc::new(features))
+        }
         None => None,
     };
-
-    let engine = choose_engine(&made_with.run, log_loss)?.engine;
     let scene = Arc::new(scene);
     let photos = {
         let scene = scene.clone();

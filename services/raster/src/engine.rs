@@ -1,6 +1,7 @@
 //! What a rasteriser must do.
 
-use crate::{Held, Kept, Learning, LearningAway, Lifting, LiftingAway, Resident};
+use crate::field::{Asked, Drawn, Lifting, LiftingAway, Queries, Refining, RefiningAway};
+use crate::{Held, Kept, Resident};
 use segwild_scene::{Camera, Image, Pose, Splats};
 use std::any::Any;
 
@@ -143,18 +144,25 @@ pub trait Engine: Send + Sync {
         Ok(None)
     }
 
-    /// Takes rows per splat to where this engine computes, to learn there at this rate ([`Learning::settle`]). `None` where that is the host anyway, or
-    /// where they would take too much room.
-    fn settle_learning(
-        &self,
-        _rows: &Channels,
-        _rate: f32,
-    ) -> Result<Option<Box<dyn LearningAway>>, RasterError> {
+    /// Takes features to where this engine computes, to be refined there ([`Refining::settle`]). `None` where that is the host
+    /// anyway, or where they would take too much room.
+    fn settle_refining(&self, _field: &Refining) -> Result<Option<Box<dyn RefiningAway>>, RasterError> {
+        Ok(None)
+    }
+
+    /// Brings what a photo asks of features to where this engine computes, for many steps ([`Asked::away`]). `None` as for
+    /// [`Engine::bring`].
+    fn bring_asked(&self, _asked: &Asked) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
+        Ok(None)
+    }
+
+    /// [`score`](crate::field::score) of features that were brought to where this engine computes; `None` where they were not.
+    fn similarity(&self, _features: &Kept, _queries: &Queries) -> Result<Option<Vec<f32>>, RasterError> {
         Ok(None)
     }
 
     /// Makes room for sums of rows of so many numbers per splat where this engine computes, for [`Lifting::settle`]. `None` as
-    /// for [`Engine::settle_learning`].
+    /// for [`Engine::settle_refining`].
     fn settle_lifting(
         &self,
         _splats: usize,
@@ -207,22 +215,12 @@ pub trait Projected: Send + Sync {
         Ok(())
     }
 
-    /// Blends rows that are learnt.
+    /// One step of features by what a photo asks of this view and by how drawn pixels compare.
     ///
     /// # Panics
-    /// If they are where another engine computes.
-    fn blend_learning(&self, rows: &Learning) -> Result<Frame, RasterError> {
-        self.blend(&rows.channels())
-    }
-
-    /// Has rows learn from the gradient of the image that [`Projected::blend_learning`] made of them.
-    ///
-    /// # Panics
-    /// As [`Projected::blend_learning`].
-    fn learn(&self, rows: &mut Learning, grad: &Image) -> Result<(), RasterError> {
-        let grads = self.gather(grad)?;
-        rows.step(&grads);
-        Ok(())
+    /// If the features are where another engine computes, or sizes differ.
+    fn refine(&self, field: &mut Refining, asked: &Asked, drawn: &Drawn) -> Result<(), RasterError> {
+        field.learn(self, asked, drawn)
     }
 
     /// Gradients of every parameter for a frame that [`Projected::blend`] made from the same channels.

@@ -6,9 +6,8 @@ mod adam;
 pub mod compare;
 mod cpu;
 mod engine;
+pub mod field;
 mod kept;
-pub mod learning;
-mod lifting;
 mod look;
 mod loss;
 pub mod reference;
@@ -23,8 +22,6 @@ pub use engine::{
     Channels, Engine, Frame, FrameGrad, ProjectOptions, Projected, RasterError, SplatGrads, check,
 };
 pub use kept::Kept;
-pub use learning::{Learning, LearningAway, RowAdam};
-pub use lifting::{Lifting, LiftingAway};
 pub use look::{
     AffineLook, AnyLook, EmbedLook, Glance, Glimpse, GswLook, GswWidth, HIDDEN, HeldNetworks, Impression,
     Light, Look, NoLook, RANK, Sight, Tone, bake, gsw,

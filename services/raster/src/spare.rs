@@ -1,5 +1,6 @@
 //! An engine with another to fall back on: a device that is lost in the middle costs no run.
 
+use crate::field::Queries;
 use crate::{Channels, Engine, Frame, FrameGrad, Kept, ProjectOptions, Projected, RasterError, SplatGrads};
 use segwild_scene::{Camera, Image, Pose, Splats};
 use std::any::Any;
@@ -73,6 +74,10 @@ impl<F: Fn(&str) + Send + Sync> Engine for SpareEngine<F> {
 
     fn bring(&self, channels: &Channels) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
         self.either(|| self.first.bring(channels), || self.second.bring(channels))
+    }
+
+    fn similarity(&self, features: &Kept, queries: &Queries) -> Result<Option<Vec<f32>>, RasterError> {
+        self.either(|| self.first.similarity(features, queries), || self.second.similarity(features, queries))
     }
 }
 

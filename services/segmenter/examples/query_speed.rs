@@ -4,6 +4,7 @@
 //! similarity to one, two and four clicks, and their ratio.
 
 use rayon::prelude::*;
+use segwild_raster::CpuEngine;
 use segwild_segmenter::FeatureField;
 use std::hint::black_box;
 use std::time::Instant;
@@ -51,9 +52,9 @@ fn main() -> Result<(), segwild_segmenter::SegmentError> {
     println!("reading {megabytes:.0} MB once: {plain:.2} ms ({:.1} GB/s)", megabytes / plain);
     for clicks in [1, 2, 4] {
         let ask: Vec<Vec<f32>> = (0..clicks).map(|c| field.row(c * 1000).to_vec()).collect();
-        field.similarity(&ask, 0.1)?;
+        field.similarity(&CpuEngine::new(), &ask, 0.1)?;
         let time = best(|| {
-            black_box(field.similarity(black_box(&ask), 0.1)).ok();
+            black_box(field.similarity(&CpuEngine::new(), black_box(&ask), 0.1)).ok();
         });
         println!("{clicks} click(s): {time:.2} ms, {:.2} x the read", time / plain);
     }

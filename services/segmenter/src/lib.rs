@@ -19,7 +19,6 @@ mod maxflow;
 mod object;
 mod propagate;
 mod query;
-mod score;
 mod screen;
 mod select;
 mod settings;

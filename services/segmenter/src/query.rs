@@ -1,20 +1,18 @@
 //! Clicks against the feature field (method, section 6; paper Eq. 25-28).
 
 use crate::SegmentError;
-use crate::score::{Queries, dot, score};
 use glam::Vec2;
 use rayon::prelude::*;
-use segwild_raster::{Engine, ProjectOptions};
+use segwild_raster::field::{Queries, dot, score};
+use segwild_raster::{Engine, Kept, ProjectOptions};
 use segwild_scene::{Camera, Image, Pose, Splats};
 
 /// Rows that one task scores: fixed, so that nothing depends on the number of threads.
 const ROWS: usize = 2048;
 
 /// One feature vector per splat, ready to be asked.
-#[derive(Clone, Debug, PartialEq)]
 pub struct FeatureField {
-    channels: usize,
-    values: Vec<f32>,
+    features: Kept<'static>,
     inverse_norms: Vec<f32>,
 }
 
@@ -31,12 +29,17 @@ impl FeatureField {
             .par_chunks(channels * ROWS)
             .flat_map_iter(|rows| rows.chunks_exact(channels).map(|row| inverse_norm(dot(row, row))))
             .collect();
-        Ok(FeatureField { channels, values, inverse_norms })
+        Ok(FeatureField { features: Kept::new(channels, values), inverse_norms })
+    }
+
+    /// Brings the values to where an engine computes, if it keeps any: it then says there what resembles clicks.
+    pub fn bring(&mut self, engine: &dyn Engine) -> Result<(), SegmentError> {
+        self.features.bring(engine).map_err(SegmentError::raster("the features"))
     }
 
     /// Numbers per splat.
     pub fn channels(&self) -> usize {
-        self.channels
+        self.features.channels().count
     }
 
     /// Number of splats.
@@ -51,12 +54,13 @@ impl FeatureField {
 
     /// The values, `[splat][channel]`, flat.
     pub fn values(&self) -> &[f32] {
-        &self.values
+        self.features.channels().values
     }
 
     /// One splat's vector.
     pub fn row(&self, splat: usize) -> &[f32] {
-        &self.values[splat * self.channels..(splat + 1) * self.channels]
+        let channels = self.channels();
+        &self.values()[splat * channels..(splat + 1) * channels]
     }
 
     /// Cosine of two splats' vectors, in [-1, 1]; 0 where one has no direction.
@@ -82,10 +86,16 @@ impl FeatureField {
     }
 
     /// Fused similarity of every splat to some clicks: `sum_i softmax_i(s_i / temperature) s_i`, `s_i` the cosine
-    /// to click `i` (paper, Eq. 27). It lies between the mean and the largest. Reads the field once.
+    /// to click `i` (paper, Eq. 27). It lies between the mean and the largest. Reads the field once, where the engine has it if
+    /// it was brought there.
     ///
     /// `clicks` are feature vectors of [`FeatureField::channels`] numbers; those without a direction are refused.
-    pub fn similarity(&self, clicks: &[Vec<f32>], temperature: f32) -> Result<Vec<f32>, SegmentError> {
+    pub fn similarity(
+        &self,
+        engine: &dyn Engine,
+        clicks: &[Vec<f32>],
+        temperature: f32,
+    ) -> Result<Vec<f32>, SegmentError> {
         if temperature.is_nan() || temperature <= 0.0 {
             return Err(SegmentError::Setting {
                 name: "click_temperature",
@@ -97,12 +107,12 @@ impl FeatureField {
             return Err(SegmentError::NoPrompt);
         }
         let mut queries = Vec::with_capacity(clicks.len());
+        let channels = self.channels();
         for click in clicks {
-            if click.len() != self.channels {
+            if click.len() != channels {
                 return Err(SegmentError::Shape(format!(
-                    "a click has {} feature values, the field has {} channels",
-                    click.len(),
-                    self.channels
+                    "a click has {} feature values, the field has {channels} channels",
+                    click.len()
                 )));
             }
             let scale = inverse_norm(dot(click, click));
@@ -113,9 +123,13 @@ impl FeatureField {
             }
             queries.push(click.iter().map(|x| x * scale).collect::<Vec<f32>>());
         }
+        let queries = Queries { channels, units: &queries, sharpness: 1.0 / temperature };
+        let there = engine.similarity(&self.features, &queries);
+        if let Some(fused) = there.map_err(SegmentError::raster("the features"))? {
+            return Ok(fused);
+        }
         let mut fused = vec![0.0; self.len()];
-        let rows = self.values.par_chunks(ROWS * self.channels).zip(self.inverse_norms.par_chunks(ROWS));
-        let queries = Queries { channels: self.channels, units: &queries, sharpness: 1.0 / temperature };
+        let rows = self.values().par_chunks(ROWS * channels).zip(self.inverse_norms.par_chunks(ROWS));
         fused
             .par_chunks_mut(ROWS)
             .zip(rows)

@@ -388,14 +388,19 @@ fn similarities(
         return Ok(None);
     }
     let temperature = request.settings.click_temperature;
-    let positive = field.similarity(&ask, temperature)?;
+    let positive = field.similarity(request.engine, &ask, temperature)?;
     let kinds = kinds(field, prompted);
-    let mut held = if kinds.is_empty() { Vec::new() } else { field.similarity(&kinds, temperature)? };
+    let mut held =
+        if kinds.is_empty() { Vec::new() } else { field.similarity(request.engine, &kinds, temperature)? };
     held.iter_mut().zip(&positive).for_each(|(held, clicked)| *held = held.max(*clicked));
     Ok(Some(Similarities {
         positive,
         held,
-        negative: if refuse.is_empty() { None } else { Some(field.similarity(&refuse, temperature)?) },
+        negative: if refuse.is_empty() {
+            None
+        } else {
+            Some(field.similarity(request.engine, &refuse, temperature)?)
+        },
     }))
 }
 

@@ -2,11 +2,14 @@
 //! which they depend on one another. The first that diverges is where to look.
 
 mod compare;
+mod field;
 mod networks;
+mod question;
 mod training;
 
 pub use compare::{Sitter, compared, sitters};
 pub use networks::networks;
+pub use question::{Made, Question};
 pub use training::{held, held_with_codes, training};
 
 use crate::device::Work;
@@ -14,8 +17,8 @@ use crate::engine::{BUCKET, Binned, Cloud, TILE, bin, scan, sort};
 use crate::{GpuEngine, GpuError};
 use glam::Vec3;
 use segwild_raster::{
-    ALPHA_MAX, ALPHA_MIN, Channels, CpuEngine, Engine, FrameGrad, Learning, Lifting, ProjectOptions,
-    Projected, RasterError, RowAdam, SplatGrads,
+    ALPHA_MAX, ALPHA_MIN, Channels, CpuEngine, Engine, FrameGrad, ProjectOptions, Projected, RasterError,
+    SplatGrads,
 };
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
 use std::sync::Arc;
@@ -128,7 +131,6 @@ pub fn check(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
     let sums = (found.gather(&grad)?, right.gather(&grad)?);
     // What `blend` leaves for the passes behind it, the light at each bucket, is seen here first.
     add(&["blend", "gather", "sum_slots"], Tolerance::GRADIENTS.compare("sums", &sums.0, &sums.1));
-    add(&["row_state", "row_step", "row_add"], rows(engine, &*found)?);
     let grad = FrameGrad { image: &grad, alpha: Some(&alpha) };
     let g = found.backward(&channels, &a, &grad)?;
     let w = right.backward(&channels, &b, &grad)?;
@@ -139,6 +141,8 @@ pub fn check(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
     checked.extend(training(engine, &held(coloured.clone()), &camera, &pose, &options)?);
     checked.extend(training(engine, &held_with_codes(coloured), &camera, &pose, &options)?);
     checked.extend(check_photos(engine)?);
+    // Its products are the networks'.
+    checked.extend(field::field(engine, &*found)?);
     Ok(checked)
 }
 
@@ -151,6 +155,12 @@ pub fn check_photos(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
         checked.extend(compared(engine, &sitter)?);
     }
     Ok(checked)
+}
+
+/// Compares the kernels of the feature field.
+pub fn check_field(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
+    let (splats, camera, pose) = scene();
+    field::field(engine, &*engine.project(&splats, &camera, &pose, &ProjectOptions::default())?)
 }
 
 /// A ball of splats before a camera, some beyond its edges.
@@ -169,53 +179,6 @@ fn scene() -> (Splats, Camera, Pose) {
     let (w, h) = (width as f32, height as f32);
     let camera = Camera { width, height, fx: 1.1 * w, fy: 1.05 * w, cx: 0.47 * w, cy: 0.52 * h };
     (splats, camera, Pose::look_at(Vec3::new(0.3, -0.4, -1.6), Vec3::ZERO, Vec3::new(0.1, -1.0, 0.0)))
-}
-
-/// Rows that learn from a view, and sums of what it says, more numbers of them than are blended at once, beside the host's by the
-/// same gradients.
-fn rows(engine: &GpuEngine, view: &dyn Projected) -> Result<Result<(), String>, RasterError> {
-    const ROW: usize = 20;
-    let random = &mut Random::new(6);
-    let values: Vec<f32> = (0..ROW * SPLATS).map(|_| random.uniform() - 0.5).collect();
-    let mut wanted = values.clone();
-    let (mut away, mut adam) = (Learning::new(ROW, values, 0.01), RowAdam::new(SPLATS, ROW, 0.01));
-    away.settle(engine)?;
-    for step in 0..4 {
-        let (width, height) = (SIZE.0 as usize, SIZE.1 as usize);
-        let mut grad = Image::zeros(width, height, ROW);
-        // Not everywhere, and somewhere no number: there rows rest.
-        for (i, v) in grad.data.iter_mut().enumerate() {
-            *v = if (i % width + 20 * step) % width < width / 2 { random.uniform() - 0.5 } else { 0.0 };
-        }
-        if step == 2 {
-            grad.data[width * height / 2] = f32::NAN;
-        }
-        adam.step(&mut wanted, &view.gather(&grad)?);
-        view.learn(&mut away, &grad)?;
-    }
-    let (mut sums, mut right) = (Lifting::new(SPLATS, ROW), Lifting::new(SPLATS, ROW));
-    sums.settle(engine)?;
-    for step in 0..3 {
-        let (width, height) = (SIZE.0 as usize, SIZE.1 as usize);
-        let mut image = Image::zeros(width, height, ROW + 1);
-        // Weights are such that some splats have none.
-        for (i, v) in image.data.iter_mut().enumerate() {
-            *v = if (i % width + 20 * step) % width < width / 2 { random.uniform() - 0.3 } else { 0.0 };
-        }
-        image.data[width * (height / 2) + step] = f32::NAN;
-        right.add(&view.gather(&image)?);
-        view.lift(&mut sums, &image)?;
-    }
-    let ((sums, weights), (right_sums, right_weights)) = (sums.finish()?, right.finish()?);
-    let lifted = Tolerance::PROJECTED
-        .compare("sums over views", &sums, &right_sums)
-        .and_then(|()| Tolerance::PROJECTED.compare("weights", &weights, &right_weights));
-    let same = view.blend_learning(&away)?;
-    let right = view.blend(&Channels { count: ROW, values: &wanted })?;
-    let got = away.finish()?;
-    Ok(lifted
-        .and_then(|()| Tolerance::PROJECTED.compare("rows", &got, &wanted))
-        .and_then(|()| Tolerance::BLENDED.compare("rows in a view", &same.image.data, &right.image.data)))
 }
 
 /// Running sums of so many numbers.

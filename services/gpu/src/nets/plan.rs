@@ -3,67 +3,13 @@
 //! All maps of a network lie in one array, and their gradients in another at the same places; weights lie in a third, as they
 //! do on the host. Every kernel reads what it is about from one table of [`Layer`]s.
 
+use super::layer::{ADD, COUNTED, Layer, NOWHERE, PLAIN, RELU, SLICE};
 use crate::GpuError;
 use crate::device::{Lent, Work};
 use crate::engine::GROUP;
 use crate::shaders::{CONVOLVE, CONVOLVE_WEIGHTS, GATE, JOIN, Kernel, NORM, NORM_BACKWARD, SUM_WEIGHTS};
-use bytemuck::{Pod, Zeroable};
 use segwild_nets::{Graph, Id, Kind, What};
 use std::ops::Range;
-
-/// `Layer` of `shaders/shared/layer.wgsl`.
-#[derive(Clone, Copy, Debug, Pod, Zeroable)]
-#[repr(C)]
-struct Layer {
-    reads: u32,
-    writes: u32,
-    weights: u32,
-    offsets: u32,
-    input: u32,
-    output: u32,
-    kernel: u32,
-    border: u32,
-    input_size: [u32; 2],
-    output_size: [u32; 2],
-    step: u32,
-    gap: u32,
-    by_output: u32,
-    by_input: u32,
-    other: u32,
-    flags: u32,
-    unused: [u32; 2],
-}
-
-/// No place; of offsets, none.
-const NOWHERE: u32 = u32::MAX;
-/// What is below 0 becomes 0 in the end.
-const RELU: u32 = 1;
-/// Added to what is there.
-const ADD: u32 = 2;
-/// The kernel is turned round.
-const TURNED: u32 = 4;
-/// Four planes read are the quarters of one: every other pixel of every other row.
-const READ_QUARTERS: u32 = 8;
-/// So are four that are written.
-const WRITE_QUARTERS: u32 = 16;
-/// Columns are splats in sight.
-const COUNTED: u32 = 32;
-/// Of one tap, every pixel by itself: it need not be looked for.
-const PLAIN: u32 = 64;
-/// Columns of a slice of `convolve_weights`.
-const SLICE: usize = 1024;
-/// The same for the kernels.
-pub(crate) const CONSTANTS: [(&str, u32); 9] = [
-    ("NOWHERE", NOWHERE),
-    ("RELU", RELU),
-    ("ADD", ADD),
-    ("TURNED", TURNED),
-    ("READ_QUARTERS", READ_QUARTERS),
-    ("WRITE_QUARTERS", WRITE_QUARTERS),
-    ("COUNTED", COUNTED),
-    ("PLAIN", PLAIN),
-    ("SLICE", SLICE as u32),
-];
 
 /// Planes and columns that a group of `convolve` makes.
 const CONVOLVED: [usize; 2] = [32, 128];
@@ -233,6 +179,47 @@ impl Plan {
         plan
     }
 
+    /// The kernels of the products of so many pixels' units with themselves, `[channel][pixel]`, at pieces of `room` columns:
+    /// forward, the columns' cosines with every pixel; back, the gradients of the columns' units from those of the cosines. The
+    /// units are the weights, and the first of the maps.
+    pub fn of_pairs(channels: usize, pixels: usize, room: usize) -> Plan {
+        let mut plan = Plan::empty();
+        let room = room.min(pixels);
+        (plan.maps, plan.grads) = (channels * pixels + pixels * room, channels * room + pixels * room);
+        let all = |n: usize| n as u32;
+        for first in (0..pixels).step_by(room.max(1)) {
+            let columns = [1, all(room.min(pixels - first))];
+            let forward = Layer {
+                reads: all(first),
+                writes: all(channels * pixels),
+                offsets: NOWHERE,
+                input: all(channels),
+                output: all(pixels),
+                by_output: 1,
+                by_input: all(pixels),
+                flags: PLAIN,
+                ..Layer::between([1, all(pixels)], columns)
+            };
+            plan.convolve(forward, true);
+            let back = Layer {
+                reads: all(channels * room),
+                writes: 0,
+                input: all(pixels),
+                output: all(channels),
+                by_output: all(pixels),
+                by_input: 1,
+                ..Layer { input_size: forward.output_size, ..forward }
+            };
+            plan.convolve(back, false);
+        }
+        plan
+    }
+
+    /// Pieces of [`Plan::of_pairs`].
+    pub fn pieces(&self) -> usize {
+        self.forward.len()
+    }
+
     fn layer(&mut self, layer: Layer) -> u32 {
         self.layers.push(layer);
         self.layers.len() as u32 - 1
@@ -317,88 +304,6 @@ impl Link {
     }
 }
 
-impl Layer {
-    /// One that does nothing yet, between maps of such a height and width.
-    fn between([in_height, in_width]: [u32; 2], [out_height, out_width]: [u32; 2]) -> Layer {
-        Layer {
-            input_size: [in_width, in_height],
-            output_size: [out_width, out_height],
-            kernel: 1,
-            step: 1,
-            gap: 1,
-            other: NOWHERE,
-            ..Layer::zeroed()
-        }
-    }
-
-    fn is(&mut self, kind: Kind, weights: Range<usize>) {
-        let all = |n: usize| n as u32;
-        let (input, output, kernel) = match kind {
-            Kind::Conv { input, output, kernel, stride } => {
-                (self.step, self.border) = (all(stride), all(kernel / 2));
-                (self.by_output, self.by_input) = (all(input * kernel * kernel), all(kernel * kernel));
-                (input, output, kernel)
-            }
-            Kind::Up { input, output } => {
-                // Each pixel's four are planes of their own, as many and as wide as what is read.
-                self.output_size = self.input_size;
-                self.flags |= WRITE_QUARTERS;
-                (self.by_output, self.by_input) = (all(input), 1);
-                (input, 4 * output, 1)
-            }
-            // A group's planes are in the kernel's place.
-            Kind::Norm { channels, groups } => (channels, channels, channels / groups),
-            Kind::Dense { input, output } => {
-                (self.by_output, self.by_input) = (1, all(output));
-                (input, output, 1)
-            }
-        };
-        (self.input, self.output, self.kernel) = (all(input), all(output), all(kernel));
-        let offsets = match kind {
-            Kind::Conv { output, .. } | Kind::Up { output, .. } | Kind::Dense { output, .. } => output,
-            Kind::Norm { channels, .. } => channels,
-        };
-        (self.weights, self.offsets) = (all(weights.start), all(weights.end - offsets));
-        self.flags |= self.plain();
-    }
-
-    /// [`PLAIN`], if it is.
-    fn plain(&self) -> u32 {
-        let plain = self.kernel * self.step * self.gap == 1 && self.flags & READ_QUARTERS == 0;
-        if plain { PLAIN } else { 0 }
-    }
-
-    fn groups(&self) -> usize {
-        (self.input / self.kernel) as usize
-    }
-
-    fn columns(&self) -> usize {
-        self.output_size.iter().map(|&n| n as usize).product()
-    }
-
-    /// The way back of a convolution or dense layer, from the gradients of what it writes to those of what it reads.
-    fn back(&self, flags: u32) -> Layer {
-        let quarters = if self.flags & WRITE_QUARTERS != 0 { READ_QUARTERS } else { 0 };
-        let back = Layer {
-            reads: self.writes,
-            writes: self.reads,
-            offsets: NOWHERE,
-            input: self.output,
-            output: self.input,
-            border: self.kernel - 1 - self.border,
-            input_size: self.output_size,
-            output_size: self.input_size,
-            step: 1,
-            gap: self.step,
-            by_output: self.by_input,
-            by_input: self.by_output,
-            flags: flags | quarters | TURNED,
-            ..*self
-        };
-        Layer { flags: back.flags | back.plain(), ..back }
-    }
-}
-
 /// Networks' weights on the device, and where their gradients go.
 #[derive(Clone, Copy)]
 pub(crate) struct Weights<'a> {
@@ -408,7 +313,7 @@ pub(crate) struct Weights<'a> {
 
 /// What a network makes of what it is given, on the device.
 pub(crate) struct Tape {
-    layers: Lent,
+    pub layers: Lent,
     pub maps: Lent,
     pub grads: Lent,
     parts: Lent,
@@ -430,10 +335,7 @@ impl Tape {
         let Tape { layers, maps, .. } = self;
         for run in &plan.forward {
             match *run {
-                Run::Convolve { layer, groups } => {
-                    let job = [layer, first as u32, 0, 0];
-                    work.run(&CONVOLVE, 1, job, &[layers, weights, maps, in_sight], groups);
-                }
+                Run::Convolve { .. } => self.convolve(work, *run, maps, weights, in_sight, first),
                 Run::Norm { layer, groups } => {
                     work.run(&NORM, 1, [layer, 0, 0, 0], &[layers, weights, maps], groups);
                 }
@@ -448,10 +350,7 @@ impl Tape {
         let Tape { layers, maps, grads, parts } = self;
         for run in &plan.backward {
             match *run {
-                Run::Convolve { layer, groups } => {
-                    let job = [layer, first as u32, 0, 0];
-                    work.run(&CONVOLVE, 1, job, &[layers, weights.values, grads, in_sight], groups);
-                }
+                Run::Convolve { .. } => self.convolve(work, *run, grads, weights.values, in_sight, first),
                 Run::Weights { layer, groups, slices, numbers } => {
                     let job = [layer, first as u32, slices as u32, 0];
                     work.run(&CONVOLVE_WEIGHTS, 1, job, &[layers, maps, grads, parts, in_sight], groups);
@@ -466,6 +365,30 @@ impl Tape {
                 Run::Gate { at, numbers } => each(work, &GATE, at as u32, numbers, &[maps, grads]),
             }
         }
+    }
+
+    /// A piece of [`Plan::of_pairs`], forward. `any` is bound and not read.
+    pub fn forward_piece(&self, work: &mut Work, plan: &Plan, piece: usize, units: &Lent, any: &Lent) {
+        self.convolve(work, plan.forward[piece], &self.maps, units, any, 0);
+    }
+
+    /// And back.
+    pub fn backward_piece(&self, work: &mut Work, plan: &Plan, piece: usize, units: &Lent, any: &Lent) {
+        self.convolve(work, plan.backward[piece], &self.grads, units, any, 0);
+    }
+
+    fn convolve(
+        &self,
+        work: &mut Work,
+        run: Run,
+        maps: &Lent,
+        weights: &Lent,
+        in_sight: &Lent,
+        first: usize,
+    ) {
+        let Run::Convolve { layer, groups } = run else { return };
+        let buffers = [&self.layers, weights, maps, in_sight];
+        work.run(&CONVOLVE, 1, [layer, first as u32, 0, 0], &buffers, groups);
     }
 }
 

@@ -2,6 +2,7 @@
 
 mod common;
 
+mod field;
 mod loss;
 mod poison;
 mod properties;

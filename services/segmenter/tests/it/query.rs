@@ -1,6 +1,7 @@
 //! Similarities against an f64 reference, and hostile features.
 
 use proptest::prelude::*;
+use segwild_raster::CpuEngine;
 use segwild_segmenter::{FeatureField, Hit, SegmentError};
 
 fn reference(row: &[f32], clicks: &[Vec<f32>], temperature: f64) -> f64 {
@@ -30,7 +31,7 @@ proptest! {
         let values: Vec<f32> = (0..rows * channels).map(value).collect();
         let clicks: Vec<Vec<f32>> = (0..clicks).map(|c| (0..channels).map(|k| value(1000 + c * 131 + k)).collect()).collect();
         let field = FeatureField::new(channels, values).unwrap();
-        let got = field.similarity(&clicks, temperature).unwrap();
+        let got = field.similarity(&CpuEngine::new(), &clicks, temperature).unwrap();
         for i in 0..rows {
             let want = reference(field.row(i), &clicks, f64::from(temperature));
             prop_assert!((f64::from(got[i]) - want).abs() < 1e-4 + 1e-4 / f64::from(temperature), "{} for {}", got[i], want);
@@ -42,7 +43,7 @@ proptest! {
 fn fusion_lies_between_mean_and_largest() {
     let field = FeatureField::new(2, vec![1.0, 0.0]).unwrap();
     let clicks = vec![vec![1.0, 0.0], vec![0.0, 1.0]];
-    let at = |t| field.similarity(&clicks, t).unwrap()[0];
+    let at = |t| field.similarity(&CpuEngine::new(), &clicks, t).unwrap()[0];
     assert!((at(1e4) - 0.5).abs() < 1e-3 && (at(1e-3) - 1.0).abs() < 1e-6);
     let e = std::f32::consts::E;
     assert!((at(1.0) - e / (e + 1.0)).abs() < 1e-6);
@@ -52,7 +53,7 @@ fn fusion_lies_between_mean_and_largest() {
 fn features_that_are_no_numbers_resemble_nothing() {
     let values = vec![1.0, 2.0, f32::NAN, 1.0, f32::INFINITY, 0.0, 0.0, 0.0, 1e30, 1e30, 1e-30, 0.0];
     let field = FeatureField::new(2, values).unwrap();
-    let s = field.similarity(&[vec![1.0, 2.0]], 0.1).unwrap();
+    let s = field.similarity(&CpuEngine::new(), &[vec![1.0, 2.0]], 0.1).unwrap();
     assert!((s[0] - 1.0).abs() < 1e-6 && s[1..].iter().all(|&s| s == 0.0), "{s:?}");
     // They spoil no click either.
     let hit = Hit { splats: vec![(0, 0.5), (1, 0.4)], alpha: 0.9 };
@@ -63,10 +64,11 @@ fn features_that_are_no_numbers_resemble_nothing() {
 #[test]
 fn what_cannot_be_asked_is_refused_in_words() {
     let field = FeatureField::new(2, vec![1.0, 2.0]).unwrap();
-    let refusal = |clicks: &[Vec<f32>], t| field.similarity(clicks, t).unwrap_err().to_string();
+    let refusal =
+        |clicks: &[Vec<f32>], t| field.similarity(&CpuEngine::new(), clicks, t).unwrap_err().to_string();
     assert!(refusal(&[vec![1.0]], 0.1).contains("2 channels"));
     assert!(refusal(&[vec![0.0, f32::NAN]], 0.1).contains("no usable feature"));
     assert!(refusal(&[vec![1.0, 0.0]], 0.0).contains("click_temperature"));
-    assert!(matches!(field.similarity(&[], 0.1), Err(SegmentError::NoPrompt)));
+    assert!(matches!(field.similarity(&CpuEngine::new(), &[], 0.1), Err(SegmentError::NoPrompt)));
     assert!(FeatureField::new(0, vec![]).is_err() && FeatureField::new(3, vec![0.0; 4]).is_err());
 }

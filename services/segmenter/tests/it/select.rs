@@ -128,7 +128,7 @@ fn a_click_reads_what_the_full_render_shows_and_opacity_does_not_matter() {
     }
     let cosine = |splats: &Splats| {
         let hit = hit(&engine, splats, &options(), &view.camera, &view.pose, at, 1).unwrap();
-        (one.similarity(&[hit.feature(&one).unwrap()], 0.1).unwrap()[0], hit.alpha)
+        (one.similarity(&engine, &[hit.feature(&one).unwrap()], 0.1).unwrap()[0], hit.alpha)
     };
     let ((full, thick), (thin, weak)) = (cosine(&alone), cosine(&faint));
     assert!((full - thin).abs() < 1e-6 && weak < 0.8 * thick, "{full} {thin} {thick} {weak}");

@@ -1,11 +1,31 @@
 //! The compactness loss against an f64 reference, central differences and the toy image of the method.
 
-mod support;
+use segwild_raster::field::{Membership, RowAdam, compactness};
+use segwild_scene::{Mask, MaskSet, Random, ScoredMask};
 
-use segwild_features::{Membership, compactness};
-use segwild_raster::RowAdam;
-use segwild_scene::Mask;
-use support::{columns, cosine, noise, set};
+/// Numbers in [-1, 1).
+fn noise(seed: u64) -> impl FnMut() -> f32 {
+    let mut random = Random::new(seed);
+    move || 2.0 * random.uniform() - 1.0
+}
+
+/// Masks with full scores.
+fn set(width: u32, height: u32, masks: Vec<Mask>) -> MaskSet {
+    let masks =
+        masks.into_iter().map(|mask| ScoredMask { mask, predicted_iou: 1.0, stability: 1.0 }).collect();
+    MaskSet { width, height, masks }
+}
+
+/// The columns `from..to`.
+fn columns(width: u32, height: u32, from: u32, to: u32) -> Mask {
+    Mask::from_fn(width, height, |x, _| x >= from && x < to)
+}
+
+/// Cosine of two vectors.
+fn cosine(a: &[f32], b: &[f32]) -> f64 {
+    let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(x, y)| f64::from(*x) * f64::from(*y)).sum::<f64>();
+    dot(a, b) / (dot(a, a) * dot(b, b)).sqrt()
+}
 
 /// The loss as the method states it, pair by pair in f64.
 fn reference(features: &[f64], c: usize, groups: &[u32], sets: &[Vec<u32>]) -> f64 {

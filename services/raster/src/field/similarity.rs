@@ -10,7 +10,8 @@ const LANES: usize = 16;
 const BLOCK: usize = 64;
 
 /// Unit vectors to compare with.
-pub(crate) struct Queries<'a> {
+#[derive(Clone, Copy, Debug)]
+pub struct Queries<'a> {
     /// Numbers per row.
     pub channels: usize,
     /// The unit vectors.
@@ -21,7 +22,7 @@ pub(crate) struct Queries<'a> {
 
 /// Fused similarity of each row: `sum_i softmax_i(s_i sharpness) s_i` (paper, Eq. 27). `inverse_norms` has one number per
 /// row; 0 makes the similarity 0 whatever the row holds.
-pub(crate) fn score(queries: &Queries, values: &[f32], inverse_norms: &[f32], out: &mut [f32]) {
+pub fn score(queries: &Queries, values: &[f32], inverse_norms: &[f32], out: &mut [f32]) {
     #[cfg(target_arch = "x86_64")]
     {
         if is_x86_feature_detected!("avx512f") {
@@ -84,7 +85,7 @@ fn score_rows<const WIDTH: usize>(queries: &Queries, values: &[f32], inverse_nor
 
 /// Dot product with a fixed order of additions.
 #[inline(always)]
-pub(crate) fn dot(a: &[f32], b: &[f32]) -> f32 {
+pub fn dot(a: &[f32], b: &[f32]) -> f32 {
     let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
     let mut lanes = [0.0f32; LANES];
     for (x, y) in a.iter().zip(b) {

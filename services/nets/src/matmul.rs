@@ -1,14 +1,17 @@
-//! The one dense kernel that compression and the losses need: a matrix product.
+//! Whole matrices, row-major.
 
+use crate::product::{Strided, product};
 use rayon::prelude::*;
-use segwild_nets::{Strided, product};
 
 /// Rows per task. Fixed, so that the result does not depend on the number of threads.
 const TASK: usize = 48;
 
 /// `out = a b` with `a` of `rows` x `inner`, `b` of `inner` x `columns`, all row-major. Every sum runs over
-/// `inner` in order, whatever the blocking.
-pub(crate) fn matmul(a: &[f32], b: &[f32], rows: usize, inner: usize, columns: usize, out: &mut [f32]) {
+/// `inner` in order, whatever the blocking and the number of threads.
+///
+/// # Panics
+/// If a slice is not as long as its matrix.
+pub fn matmul(a: &[f32], b: &[f32], rows: usize, inner: usize, columns: usize, out: &mut [f32]) {
     assert_eq!((a.len(), b.len(), out.len()), (rows * inner, inner * columns, rows * columns));
     if columns == 0 {
         return;
@@ -26,8 +29,8 @@ pub(crate) fn matmul(a: &[f32], b: &[f32], rows: usize, inner: usize, columns: u
     }
 }
 
-/// `row-major [rows][columns]` to `[columns][rows]`.
-pub(crate) fn transpose(a: &[f32], rows: usize, columns: usize) -> Vec<f32> {
+/// `[rows][columns]` to `[columns][rows]`.
+pub fn transpose(a: &[f32], rows: usize, columns: usize) -> Vec<f32> {
     let mut out = vec![0.0; a.len()];
     for (j, out) in out.chunks_exact_mut(rows.max(1)).enumerate() {
         for (i, out) in out.iter_mut().enumerate() {
@@ -40,15 +43,15 @@ pub(crate) fn transpose(a: &[f32], rows: usize, columns: usize) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use segwild_scene::Random;
+    use crate::noise::Noise;
 
     #[test]
     fn agrees_with_f64_at_odd_sizes() {
-        let mut random = Random::new(1);
+        let mut random = Noise(1);
         for (m, k, n) in [(1, 1, 1), (6, 16, 16), (7, 3, 17), (100, 65, 33), (13, 0, 5), (0, 4, 4), (5, 4, 0)]
         {
-            let a: Vec<f32> = (0..m * k).map(|_| random.normal()).collect();
-            let b: Vec<f32> = (0..k * n).map(|_| random.normal()).collect();
+            let a: Vec<f32> = random.vec(m * k);
+            let b: Vec<f32> = random.vec(k * n);
             let mut out = vec![f32::NAN; m * n];
             matmul(&a, &b, m, k, n, &mut out);
             for i in 0..m {

@@ -5,11 +5,11 @@
 //! S = 0. The paper's sign would pull apart what shares a mask. Pairs of a pixel with itself do not count:
 //! their cosine is 1 whatever the features.
 
-use crate::matmul::{matmul, transpose};
-use crate::target::Membership;
+use super::Membership;
+use segwild_nets::{matmul, transpose};
 
 /// Features shorter than this have no direction and take no part.
-const SHORTEST: f32 = 1e-6;
+pub const SHORTEST: f32 = 1e-6;
 /// Pairs summed side by side, so that the compiler may use SIMD.
 const LANES: usize = 8;
 

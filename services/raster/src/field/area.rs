@@ -1,4 +1,4 @@
-//! Images between the render's grid and the embedding's.
+//! From the render's grid to the embedding's and back.
 
 use segwild_scene::Image;
 
@@ -7,7 +7,7 @@ use segwild_scene::Image;
 /// An embedding cell speaks for the pixels under it, so a render is compared with it by its average there:
 /// this leaves the features free to be sharper than the embedding.
 #[derive(Clone, Debug)]
-pub(crate) struct AreaAverage {
+pub struct AreaAverage {
     columns: Vec<Window>,
     rows: Vec<Window>,
     from: (usize, usize),
@@ -15,22 +15,41 @@ pub(crate) struct AreaAverage {
 
 /// Which inputs an output averages, and their weights (which sum to 1).
 #[derive(Clone, Debug)]
-struct Window {
-    start: usize,
-    weights: Vec<f32>,
+pub struct Window {
+    /// The first of them.
+    pub start: usize,
+    /// One per input.
+    pub weights: Vec<f32>,
 }
 
 impl AreaAverage {
-    pub(crate) fn new(from: (usize, usize), to: (usize, usize)) -> AreaAverage {
+    /// From a width and height to another.
+    pub fn new(from: (usize, usize), to: (usize, usize)) -> AreaAverage {
         AreaAverage { columns: windows(from.0, to.0), rows: windows(from.1, to.1), from }
     }
 
-    fn to(&self) -> (usize, usize) {
+    /// Which columns of the input a column of the output averages, and their weights.
+    pub fn columns(&self) -> &[Window] {
+        &self.columns
+    }
+
+    /// The same of rows.
+    pub fn rows(&self) -> &[Window] {
+        &self.rows
+    }
+
+    /// Width and height of what is averaged.
+    pub fn from(&self) -> (usize, usize) {
+        self.from
+    }
+
+    /// And of the averages.
+    pub fn to(&self) -> (usize, usize) {
         (self.columns.len(), self.rows.len())
     }
 
     /// Averages every plane.
-    pub(crate) fn forward(&self, image: &Image) -> Image {
+    pub fn forward(&self, image: &Image) -> Image {
         let (w, h) = self.to();
         if (w, h) == self.from {
             return image.clone();
@@ -56,7 +75,7 @@ impl AreaAverage {
     }
 
     /// Adds the transpose of [`AreaAverage::forward`], times `factor`, to `out`.
-    pub(crate) fn transposed(&self, image: &Image, factor: f32, out: &mut Image) {
+    pub fn transposed(&self, image: &Image, factor: f32, out: &mut Image) {
         let (w, _) = self.to();
         let mut row = vec![0.0; self.from.0];
         for c in 0..image.channels {
@@ -91,38 +110,6 @@ fn windows(from: usize, to: usize) -> Vec<Window> {
             Window { start, weights }
         })
         .collect()
-}
-
-/// Bilinear interpolation between cell centres; beyond the outermost centres the border cell holds.
-pub(crate) fn bilinear(image: &Image, width: usize, height: usize) -> Image {
-    if (image.width, image.height) == (width, height) {
-        return image.clone();
-    }
-    let taps = |from: usize, to: usize| -> Vec<(usize, usize, f32)> {
-        (0..to)
-            .map(|i| {
-                let at = ((i as f64 + 0.5) * from as f64 / to as f64 - 0.5).clamp(0.0, (from - 1) as f64);
-                (at as usize, (at as usize + 1).min(from - 1), at.fract() as f32)
-            })
-            .collect()
-    };
-    let (columns, rows) = (taps(image.width, width), taps(image.height, height));
-    let mut out = Image::zeros(width, height, image.channels);
-    let mut row = vec![0.0; image.width];
-    for c in 0..image.channels {
-        let plane = image.plane(c);
-        let line = |y: usize| &plane[y * image.width..(y + 1) * image.width];
-        for (y, &(above, below, t)) in rows.iter().enumerate() {
-            for (r, (a, b)) in row.iter_mut().zip(line(above).iter().zip(line(below))) {
-                *r = a + t * (b - a);
-            }
-            let out = &mut out.plane_mut(c)[y * width..(y + 1) * width];
-            for (out, &(left, right, t)) in out.iter_mut().zip(&columns) {
-                *out = row[left] + t * (row[right] - row[left]);
-            }
-        }
-    }
-    out
 }
 
 #[cfg(test)]
@@ -164,16 +151,5 @@ mod tests {
             data: vec![1.0, 3.0, 5.0, 9.0],
         });
         assert_eq!(halves.data, [2.0, 7.0]);
-    }
-
-    #[test]
-    fn bilinear_keeps_ramps_and_borders() {
-        let ramp =
-            Image { width: 4, height: 2, channels: 1, data: vec![0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0] };
-        let up = bilinear(&ramp, 8, 4);
-        assert_eq!(up.data[..8], [0.0, 0.25, 0.75, 1.25, 1.75, 2.25, 2.75, 3.0]);
-        assert_eq!(up.at(0, 0, 3), 4.0);
-        assert_eq!(bilinear(&ramp, 4, 2), ramp);
-        assert!(bilinear(&Image::filled(1, 1, 3, 2.0), 5, 7).data.iter().all(|&v| v == 2.0));
     }
 }

@@ -1,8 +1,6 @@
-//! Numbers per splat that are learnt from views: the feature field (method, section 4).
+//! The optimiser of rows of numbers.
 
-use crate::{Channels, Engine, RasterError};
 use rayon::prelude::*;
-use std::any::Any;
 
 /// Decay of the first moments.
 pub const BETA1: f32 = 0.9;
@@ -31,6 +29,11 @@ impl RowAdam {
     pub fn new(rows: usize, row: usize, rate: f32) -> RowAdam {
         let (first, second) = (vec![0.0; rows * row], vec![0.0; rows * row]);
         RowAdam { row, rate, first, second, steps: vec![0; rows] }
+    }
+
+    /// The learning rate.
+    pub fn rate(&self) -> f32 {
+        self.rate
     }
 
     /// Moves `values` against `grads`, both `[row][number]`, flat. Rows whose gradient is all zero or not
@@ -65,69 +68,6 @@ impl RowAdam {
                     }
                 }
             });
-    }
-}
-
-/// Rows of numbers, one per splat, and their optimiser ([`RowAdam`]). They are blended by
-/// [`Projected::blend_learning`](crate::Projected::blend_learning) and learn by
-/// [`Projected::learn`](crate::Projected::learn), where they were settled.
-pub struct Learning {
-    values: Vec<f32>,
-    adam: RowAdam,
-    away: Option<Box<dyn LearningAway>>,
-}
-
-/// Rows where an engine computes.
-pub trait LearningAway: Send + Sync {
-    /// The values, `[splat][number]`.
-    fn fetch(&self) -> Result<Vec<f32>, RasterError>;
-
-    /// For the engine to know its own.
-    fn as_any(&self) -> &dyn Any;
-}
-
-impl Learning {
-    /// Rows of `row` numbers, `[splat][number]`, that nothing was learnt of yet; `rate` is the optimiser's.
-    pub fn new(row: usize, values: Vec<f32>, rate: f32) -> Learning {
-        let adam = RowAdam::new(values.len() / row.max(1), row, rate);
-        Learning { values, adam, away: None }
-    }
-
-    /// Takes them to where an engine computes, if it has room for them there.
-    pub fn settle(&mut self, engine: &dyn Engine) -> Result<(), RasterError> {
-        self.away = engine.settle_learning(&self.channels(), self.adam.rate)?;
-        Ok(())
-    }
-
-    /// The rows, as long as they are here.
-    ///
-    /// # Panics
-    /// If they are elsewhere.
-    pub fn channels(&self) -> Channels<'_> {
-        assert!(self.away.is_none(), "rows where another engine computes");
-        Channels { count: self.adam.row, values: &self.values }
-    }
-
-    /// The rows where an engine computes.
-    pub fn away(&self) -> Option<&dyn LearningAway> {
-        self.away.as_deref()
-    }
-
-    /// Has the rows here learn from their gradients, `[splat][number]`.
-    ///
-    /// # Panics
-    /// If they are elsewhere, or the gradients are not as many.
-    pub fn step(&mut self, grads: &[f32]) {
-        assert!(self.away.is_none(), "rows where another engine computes");
-        self.adam.step(&mut self.values, grads);
-    }
-
-    /// The values, `[splat][number]`, wherever they are.
-    pub fn finish(self) -> Result<Vec<f32>, RasterError> {
-        match &self.away {
-            Some(away) => away.fetch(),
-            None => Ok(self.values),
-        }
     }
 }
 

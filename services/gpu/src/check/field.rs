@@ -1,0 +1,208 @@
+//! The feature field's kernels beside the host's losses and optimiser.
+
+use super::question::{Made, Question};
+use super::{Checked, SIZE, SPLATS, Tolerance};
+use crate::field::{GpuAsked, GpuField, GpuRows};
+use crate::view::{at_once, gathered_at_once, pack_image, pack_splats, parts_of, unpack_image};
+use crate::{GpuEngine, GpuError};
+use segwild_raster::field::{FieldRule, Lifting, Queries, RefiningAway, RowAdam, dot, score};
+use segwild_raster::{Channels, Engine, Kept, Projected, RasterError};
+use segwild_scene::{Image, Random};
+
+const RULE: FieldRule = FieldRule { embedding: 0.7, compact: 0.3, rate: 0.01 };
+
+/// Compares rows that learn and sums over views, then what photos ask and what pairs of pixels say: of few channels and of
+/// more than are blended at once, on grids that are finer and coarser than the view, with and without a decoder.
+pub fn field(engine: &GpuEngine, view: &dyn Projected) -> Result<Vec<Checked>, RasterError> {
+    let mut checked =
+        vec![Checked { kernels: &["row_state", "row_step", "row_add"], off: rows(engine, view)?.err() }];
+    for question in [
+        Question { size: SIZE, channels: 20, decoded: None, grid: [24, 17], pixels: 700, masks: 70 },
+        Question { size: SIZE, channels: 3, decoded: None, grid: [130, 68], pixels: 2500, masks: 9 },
+        Question { size: SIZE, channels: 20, decoded: Some(30), grid: [40, 31], pixels: 0, masks: 0 },
+    ] {
+        let off = judged(&question, engine, FieldRule { compact: 0.0, ..RULE }, false)?.err();
+        checked.push(Checked { kernels: &["area_average", "embedding_loss", "area_spread"], off });
+        let off = judged(&question, engine, FieldRule { embedding: 0.0, ..RULE }, true)?.err();
+        checked.push(Checked { kernels: &["drawn", "units", "mates", "pairs", "pull", "add_pull"], off });
+    }
+    checked.push(Checked { kernels: &["blend", "gather"], off: steps(engine, view)?.err() });
+    for (channels, queries) in [(3, 1), (20, 5)] {
+        let off = resemblance(engine, channels, queries)?.err();
+        checked.push(Checked { kernels: &["cosines", "fuse"], off });
+    }
+    Ok(checked)
+}
+
+/// Rows that learn from a view, and sums of what it says, more numbers of them than are blended at once, beside the host's by the
+/// same gradients.
+fn rows(engine: &GpuEngine, view: &dyn Projected) -> Result<Result<(), String>, RasterError> {
+    const ROW: usize = 20;
+    let random = &mut Random::new(6);
+    let values: Vec<f32> = (0..ROW * SPLATS).map(|_| random.uniform() - 0.5).collect();
+    let mut wanted = values.clone();
+    let channels = Channels { count: ROW, values: &values };
+    let away = GpuRows::upload(&engine.device, &channels, RULE.rate, at_once(ROW))?;
+    let mut adam = RowAdam::new(SPLATS, ROW, RULE.rate);
+    for step in 0..4 {
+        let (width, height) = (SIZE.0 as usize, SIZE.1 as usize);
+        let mut grad = Image::zeros(width, height, ROW);
+        // Not everywhere, and somewhere no number: there rows rest.
+        for (i, v) in grad.data.iter_mut().enumerate() {
+            *v = if (i % width + 20 * step) % width < width / 2 { random.uniform() - 0.5 } else { 0.0 };
+        }
+        if step == 2 {
+            grad.data[width * height / 2] = f32::NAN;
+        }
+        let grads = view.gather(&grad)?;
+        adam.step(&mut wanted, &grads);
+        let (mut work, blocks) = (engine.device.work(), gathered_at_once(ROW));
+        let parts = (0..ROW)
+            .step_by(4 * blocks)
+            .map(|first| work.upload("gradients", &pack_splats(&grads, SPLATS, ROW, first, blocks, false)));
+        let parts = parts.collect::<Result<Vec<_>, GpuError>>()?;
+        away.step(&mut work, &parts, blocks)?;
+    }
+    let (mut sums, mut right) = (Lifting::new(SPLATS, ROW), Lifting::new(SPLATS, ROW));
+    sums.settle(engine)?;
+    for step in 0..3 {
+        let (width, height) = (SIZE.0 as usize, SIZE.1 as usize);
+        let mut image = Image::zeros(width, height, ROW + 1);
+        // Weights are such that some splats have none.
+        for (i, v) in image.data.iter_mut().enumerate() {
+            *v = if (i % width + 20 * step) % width < width / 2 { random.uniform() - 0.3 } else { 0.0 };
+        }
+        image.data[width * (height / 2) + step] = f32::NAN;
+        right.add(&view.gather(&image)?);
+        view.lift(&mut sums, &image)?;
+    }
+    let ((sums, weights), (right_sums, right_weights)) = (sums.finish()?, right.finish()?);
+    Ok(Tolerance::PROJECTED
+        .compare("rows", &away.fetch()?, &wanted)
+        .and_then(|()| Tolerance::PROJECTED.compare("sums over views", &sums, &right_sums))
+        .and_then(|()| Tolerance::PROJECTED.compare("weights", &weights, &right_weights)))
+}
+
+/// How much rows resemble some queries; some rows have no direction or are no numbers.
+fn resemblance(
+    engine: &GpuEngine,
+    channels: usize,
+    queries: usize,
+) -> Result<Result<(), String>, RasterError> {
+    let random = &mut Random::new(10);
+    let mut many = |n: usize| (0..n).map(|_| random.uniform() - 0.5).collect::<Vec<f32>>();
+    let mut values = many(channels * SPLATS);
+    values[channels..2 * channels].fill(0.0);
+    for (row, odd) in [(2, f32::NAN), (3, f32::INFINITY), (4, 1e30)] {
+        values[row * channels + 1] = odd;
+    }
+    let unit = |v: Vec<f32>| {
+        let length = dot(&v, &v).sqrt();
+        v.iter().map(|v| v / length).collect()
+    };
+    let units: Vec<Vec<f32>> = (0..queries).map(|_| unit(many(channels))).collect();
+    let queries = Queries { channels, units: &units, sharpness: 3.0 };
+    let norms: Vec<f32> = values.chunks_exact(channels).map(|row| 1.0 / dot(row, row).sqrt()).collect();
+    let norms: Vec<f32> = norms.iter().map(|&n| if n.is_finite() { n } else { 0.0 }).collect();
+    let mut wanted = vec![0.0; SPLATS];
+    score(&queries, &values, &norms, &mut wanted);
+    let mut kept = Kept::new(channels, values);
+    kept.bring(engine)?;
+    let got = engine.similarity(&kept, &queries)?;
+    Ok(got
+        .ok_or("nothing was kept".into())
+        .and_then(|got| Tolerance::PROJECTED.compare("how much rows resemble what is asked", &got, &wanted)))
+}
+
+/// What the losses say of some images, beside what the host says; some numbers of the images are none.
+fn judged(
+    question: &Question,
+    engine: &GpuEngine,
+    rule: FieldRule,
+    pairs: bool,
+) -> Result<Result<(), String>, RasterError> {
+    let random = &mut Random::new(7);
+    let mut right = question.refining(vec![0.0; question.channels], rule);
+    let away = GpuField::upload(&engine.device, &right)?;
+    let mut same = Ok(());
+    for step in 0..3 {
+        let mut made = question.make(random);
+        let (width, height) = (SIZE.0 as usize, SIZE.1 as usize);
+        let mut image = Image::zeros(width, height, question.channels);
+        image.data.iter_mut().for_each(|v| *v = random.uniform() - 0.3);
+        if step == 1 {
+            made.validity[5] = f32::NAN;
+            for (plane, k) in image.data.chunks_exact_mut(width * height).zip(0..) {
+                let odd = if k == 0 { [f32::NAN, f32::INFINITY, 0.0] } else { [1.0, 1.0, 0.0] };
+                made.pixels.iter().zip(odd).for_each(|(&pixel, odd)| plane[pixel as usize] = odd);
+            }
+        }
+        if !pairs {
+            made.pixels.clear();
+        }
+        let wanted = right.judge(&image, &made.asked(), &made.drawn());
+        let got = told(engine, &away, &image, &made)?;
+        let (losses, found) = (right.losses()?, away.losses()?);
+        let losses = [losses.embedding, losses.compact];
+        same = same
+            .and_then(|()| alike(Tolerance::GRADIENTS, "the image's gradients", &got.data, &wanted.data))
+            .and_then(|()| alike(Tolerance::PROJECTED, "losses", &[found.embedding, found.compact], &losses));
+    }
+    let (got, wanted) = (away.fetch()?.decoder, right.finish()?.decoder);
+    let (got, wanted) = (got.unwrap_or_default(), wanted.unwrap_or_default());
+    Ok(same.and_then(|()| alike(Tolerance::GRADIENTS, "the decoder", &got, &wanted)))
+}
+
+/// The gradients of an image, as the device has them.
+fn told(engine: &GpuEngine, field: &GpuField, image: &Image, made: &Made) -> Result<Image, RasterError> {
+    let mut work = engine.device.work();
+    let asked = GpuAsked::upload(&engine.device, &mut work, &made.asked())?;
+    let step = field.begin(&mut work, &asked, &made.drawn())?;
+    let (pixels, count) = (image.pixels(), image.channels);
+    for first in parts_of(count) {
+        let blocks = at_once(count);
+        let part = work.upload("the image", &pack_image(image, first, blocks, None))?;
+        step.take(&mut work, first / 4, blocks, &part);
+    }
+    step.judge(&mut work)?;
+    let mut out = Image::zeros(image.width, image.height, count);
+    let blocks = gathered_at_once(count);
+    let mut parts = Vec::new();
+    for first in (0..count).step_by(4 * blocks) {
+        let part = step.gradients(&mut work, first / 4, blocks)?;
+        let grads: Vec<f32> = work.read(&part, 4 * blocks * pixels)?;
+        unpack_image(&grads, 4 * blocks, first, &mut out);
+        // Nothing is learnt of them.
+        work.clear(&part);
+        parts.push(part);
+    }
+    step.finish(&mut work, &[], blocks)?;
+    Ok(out)
+}
+
+/// Compares numbers of which some may be none, in both.
+fn alike(tolerance: Tolerance, what: &str, got: &[f32], wanted: &[f32]) -> Result<(), String> {
+    let odd = got.iter().zip(wanted).position(|(g, w)| g.is_finite() != w.is_finite());
+    if let Some(i) = odd {
+        return Err(format!("{what}: number {i} is {} where {} is right", got[i], wanted[i]));
+    }
+    let some = |numbers: &[f32]| numbers.iter().copied().filter(|v| v.is_finite()).collect::<Vec<_>>();
+    tolerance.compare(what, &some(got), &some(wanted))
+}
+
+/// Features that are refined by some steps, beside the host's by the same views.
+fn steps(engine: &GpuEngine, view: &dyn Projected) -> Result<Result<(), String>, RasterError> {
+    let question =
+        Question { size: SIZE, channels: 20, decoded: Some(30), grid: [24, 17], pixels: 200, masks: 12 };
+    let random = &mut Random::new(9);
+    let values: Vec<f32> = (0..question.channels * SPLATS).map(|_| random.uniform() - 0.5).collect();
+    let (mut here, mut there) = (question.refining(values.clone(), RULE), question.refining(values, RULE));
+    there.settle(engine)?;
+    for _ in 0..3 {
+        let made = question.make(random);
+        view.refine(&mut here, &made.asked(), &made.drawn())?;
+        view.refine(&mut there, &made.asked(), &made.drawn())?;
+    }
+    let (here, there) = (here.finish()?, there.finish()?);
+    Ok(alike(Tolerance::GRADIENTS, "features", &there.values, &here.values))
+}

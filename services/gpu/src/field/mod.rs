@@ -1,0 +1,209 @@
+//! The feature field where it is refined (`raster/src/field/`): features, their decoder and their losses.
+
+mod asked;
+mod pairs;
+mod rows;
+mod sums;
+
+pub(crate) use asked::GpuAsked;
+pub(crate) use rows::GpuRows;
+pub(crate) use sums::GpuSums;
+
+use crate::GpuError;
+use crate::device::{Device, Lent, Work, lock};
+use crate::engine::GROUP;
+use crate::nets::{Link, Plan, Tape, Weights};
+use crate::shaders::{AREA_AVERAGE, AREA_SPREAD, EMBEDDING_LOSS};
+use crate::view::at_once;
+use pairs::Pairs;
+use segwild_raster::field::{Drawn, FieldLosses, FieldRule, Refined, Refining, RefiningAway};
+use segwild_raster::{Channels, RasterError};
+use std::any::Any;
+use std::slice;
+use std::sync::{Arc, Mutex};
+
+/// Features on the device, and the decoder that learns beside them.
+pub(crate) struct GpuField {
+    pub device: Arc<Device>,
+    pub rows: GpuRows,
+    decoder: Option<GpuDecoder>,
+    rule: FieldRule,
+    /// What the last step's losses are summed up from.
+    last: Mutex<Option<Last>>,
+}
+
+/// The learned decoder: a dense layer whose offsets are the last of its rows.
+struct GpuDecoder {
+    rows: GpuRows,
+    inputs: usize,
+    outputs: usize,
+}
+
+struct Last {
+    /// What groups of numbers say, and what each number's share is.
+    parts: (Lent, usize),
+    share: f32,
+    /// What drawn pixels say.
+    pairs: Option<(Lent, usize)>,
+}
+
+impl GpuField {
+    /// Bytes that it takes, and a step's gradients beside it.
+    pub fn bytes(field: &Refining) -> u64 {
+        let Channels { count, values } = field.channels();
+        GpuRows::bytes(values.len() / count.max(1), count, at_once(count))
+    }
+
+    /// Brings it there.
+    pub fn upload(device: &Arc<Device>, field: &Refining) -> Result<GpuField, GpuError> {
+        let channels = field.channels();
+        let rows = GpuRows::upload(device, &channels, field.rule().rate, at_once(channels.count))?;
+        let decoder = field.decoder().map(|decoder| {
+            let (inputs, outputs) = decoder.size();
+            let numbers = Channels { count: outputs, values: decoder.numbers() };
+            let rows = GpuRows::upload(device, &numbers, decoder.rate(), outputs.div_ceil(4))?;
+            Ok(GpuDecoder { rows, inputs, outputs })
+        });
+        let (rule, decoder) = (field.rule(), decoder.transpose()?);
+        Ok(GpuField { device: device.clone(), rows, decoder, rule, last: Mutex::default() })
+    }
+
+    /// Begins a step.
+    pub fn begin<'s>(
+        &'s self,
+        work: &mut Work,
+        asked: &'s GpuAsked,
+        drawn: &Drawn,
+    ) -> Result<FieldStep<'s>, GpuError> {
+        let channels = self.rows.count();
+        let (plan, wanted) = match &self.decoder {
+            Some(decoder) => (decoder.plan(asked.cells), decoder.outputs),
+            None => (Plan::of_points(&[], channels, asked.cells), channels),
+        };
+        assert_eq!(asked.planes, wanted, "planes of what is asked");
+        let pairs = (!drawn.pixels.is_empty()).then(|| Pairs::upload(work, drawn, channels)).transpose()?;
+        // Of all cells there are.
+        let count = work.upload("how many cells there are", &[asked.cells as u32])?;
+        Ok(FieldStep { field: self, asked, tape: Tape::new(work, &plan)?, plan, pairs, count })
+    }
+}
+
+impl GpuDecoder {
+    /// Its kernels, for so many cells.
+    fn plan(&self, cells: usize) -> Plan {
+        let (inputs, outputs) = (self.inputs, self.outputs.next_multiple_of(4));
+        let weights = 0..(inputs + 1) * outputs;
+        let link = Link {
+            weights,
+            input: inputs,
+            output: outputs,
+            from: 0,
+            to: inputs,
+            relu: false,
+            wanted: inputs,
+        };
+        Plan::of_points(&[link], inputs + outputs, cells)
+    }
+}
+
+/// A step of the field: first every part of the image is taken, then all is judged, then every part of its gradients is asked.
+pub(crate) struct FieldStep<'s> {
+    field: &'s GpuField,
+    asked: &'s GpuAsked,
+    plan: Plan,
+    /// Planes of cells: features, and what they are decoded to.
+    tape: Tape,
+    pairs: Option<Pairs>,
+    count: Lent,
+}
+
+impl FieldStep<'_> {
+    /// Takes a part of the image, of so many vec4 from the vec4 `first` on.
+    pub fn take(&self, work: &mut Work, first: usize, blocks: usize, image: &Lent) {
+        let job = [first as u32, self.field.rows.count() as u32, 0, 0];
+        let groups = (self.asked.cells * blocks).div_ceil(GROUP);
+        work.run(&AREA_AVERAGE, blocks as u32, job, &[&self.asked.windows, image, &self.tape.maps], groups);
+        if let Some(pairs) = &self.pairs {
+            pairs.take(work, first, blocks, image);
+        }
+    }
+
+    /// Computes the losses; the decoder learns.
+    pub fn judge(&self, work: &mut Work) -> Result<(), GpuError> {
+        let FieldStep { field, asked, plan, tape, count, .. } = self;
+        let cells = asked.cells;
+        let first = field.decoder.as_ref().map_or(0, |decoder| decoder.inputs * cells);
+        if let Some(decoder) = &field.decoder {
+            tape.forward(work, plan, decoder.rows.part(0), count, 0);
+        }
+        let numbers = asked.planes.next_multiple_of(4) * cells;
+        // Planes that fill up have nothing to say, and are no part of the mean.
+        let numbers = if field.decoder.is_some() { numbers } else { asked.planes * cells };
+        let share = 1.0 / (asked.planes * cells).max(1) as f32;
+        let groups = numbers.div_ceil(GROUP);
+        let parts = work.take::<f32>("the embedding loss", groups)?;
+        let job = [first as u32, numbers as u32, cells as u32, share.to_bits()];
+        let buffers = [&tape.maps, &asked.target, &asked.trust, &tape.grads, &parts];
+        work.run(&EMBEDDING_LOSS, 1, job, &buffers, groups);
+        if let Some(decoder) = &field.decoder {
+            let wide = decoder.outputs.div_ceil(4);
+            let grads = work.take::<[f32; 4]>("the decoder's gradients", (decoder.inputs + 1) * wide)?;
+            work.clear(&grads);
+            let weights = Weights { values: decoder.rows.part(0), grads: &grads };
+            tape.backward(work, plan, weights, count, 0);
+            decoder.rows.step(work, slice::from_ref(&grads), wide)?;
+        }
+        if let Some(pairs) = &self.pairs {
+            pairs.compare(work, field.rule.compact)?;
+        }
+        *lock(&field.last) = Some(Last { parts: (parts, groups), share, pairs: None });
+        Ok(())
+    }
+
+    /// A part of the image's gradients.
+    pub fn gradients(&self, work: &mut Work, first: usize, blocks: usize) -> Result<Lent, GpuError> {
+        let [width, height] = self.asked.size;
+        let image = work.take::<[f32; 4]>("the image's gradients", width * height * blocks)?;
+        let rule = self.field.rule;
+        let job = [first as u32, self.field.rows.count() as u32, rule.embedding.to_bits(), 0];
+        let groups = (width * height * blocks).div_ceil(GROUP);
+        work.run(&AREA_SPREAD, blocks as u32, job, &[&self.asked.windows, &self.tape.grads, &image], groups);
+        if let Some(pairs) = &self.pairs {
+            pairs.add(work, first, blocks, &image);
+        }
+        Ok(image)
+    }
+
+    /// Has the features learn from what every part says of them.
+    pub fn finish(self, work: &mut Work, grads: &[Lent], blocks: usize) -> Result<(), GpuError> {
+        self.field.rows.step(work, grads, blocks)?;
+        if let (Some(pairs), Some(last)) = (self.pairs, &mut *lock(&self.field.last)) {
+            last.pairs = Some(pairs.into_losses());
+        }
+        Ok(())
+    }
+}
+
+impl RefiningAway for GpuField {
+    fn fetch(&self) -> Result<Refined, RasterError> {
+        let decoder = self.decoder.as_ref().map(|decoder| decoder.rows.fetch()).transpose()?;
+        Ok(Refined { values: self.rows.fetch()?, decoder })
+    }
+
+    fn losses(&self) -> Result<FieldLosses, RasterError> {
+        let last = lock(&self.last);
+        let Some(Last { parts, share, pairs }) = &*last else { return Ok(FieldLosses::default()) };
+        let mut work = self.device.work();
+        let mut sum = |(said, count): &(Lent, usize)| -> Result<f64, GpuError> {
+            let said: Vec<f32> = work.read(said, *count)?;
+            Ok(said.iter().map(|&part| f64::from(part)).sum())
+        };
+        let embedding = (sum(parts)? * f64::from(*share)) as f32;
+        let compact = pairs.as_ref().map_or(Ok(0.0), &mut sum)? as f32;
+        Ok(FieldLosses { embedding, compact })
+    }
+
+    fn as_any(&self) -> &dyn Any {
+        self
+    }
+}

@@ -1,0 +1,103 @@
+//! Pairs of drawn pixels: the compactness loss (`raster/src/field/compact.rs`).
+//!
+//! Cosines of all pairs are a product of the pixels' units with themselves, and what they say of the units is another: layers
+//! of a network whose weights are the units. Many pixels' pairs are made in pieces of some columns.
+
+use crate::GpuError;
+use crate::device::{Lent, Work};
+use crate::engine::GROUP;
+use crate::nets::{Plan, Tape};
+use crate::shaders::{ADD_PULL, DRAWN, MATES, PAIRS, PULL, TOTAL, UNITS};
+use segwild_raster::field::{Drawn, Membership};
+
+/// Pairs of a piece, but for its last column.
+const PIECE: usize = 1 << 22;
+
+/// Drawn pixels of a view, on the device.
+pub(super) struct Pairs {
+    pixels: usize,
+    channels: usize,
+    /// Their places in the view.
+    places: Lent,
+    /// The set of masks that hold each.
+    groups: Lent,
+    /// Sets of masks as bits, so many words each.
+    sets: Lent,
+    words: usize,
+    /// Plane after plane: features, later units.
+    features: Lent,
+    plan: Plan,
+    tape: Tape,
+    /// Gradients of the features, plane after plane.
+    pulls: Lent,
+    /// What each pixel adds to the loss.
+    losses: Lent,
+}
+
+impl Pairs {
+    /// Brings pixels there.
+    pub fn upload(work: &mut Work, drawn: &Drawn, channels: usize) -> Result<Pairs, GpuError> {
+        let n = drawn.pixels.len();
+        let Membership { groups, .. } = drawn.membership;
+        let groups: Vec<u32> = drawn.pixels.iter().map(|&p| groups[p as usize]).collect();
+        let (bits, words) = drawn.membership.bits();
+        let bits: Vec<u32> = bits.iter().flat_map(|word| [*word as u32, (word >> 32) as u32]).collect();
+        let plan = Plan::of_pairs(channels, n, PIECE / n + 1);
+        Ok(Pairs {
+            pixels: n,
+            channels,
+            places: work.upload("the drawn pixels", drawn.pixels)?,
+            groups: work.upload("the masks of the drawn pixels", &groups)?,
+            sets: work.upload("sets of masks", &bits)?,
+            words: 2 * words,
+            features: work.take::<f32>("the drawn pixels' features", channels * n)?,
+            tape: Tape::new(work, &plan)?,
+            plan,
+            pulls: work.take::<f32>("the gradients of the drawn pixels", channels * n)?,
+            losses: work.take::<f32>("what drawn pixels add to the loss", n)?,
+        })
+    }
+
+    /// Takes the features of a part of the image, of so many vec4 from the vec4 `first` on.
+    pub fn take(&self, work: &mut Work, first: usize, blocks: usize, image: &Lent) {
+        let job = [first, self.channels, self.pixels, 0].map(|n| n as u32);
+        let groups = (self.pixels * blocks).div_ceil(GROUP);
+        work.run(&DRAWN, blocks as u32, job, &[&self.places, image, &self.features], groups);
+    }
+
+    /// Compares all pairs.
+    pub fn compare(&self, work: &mut Work, weight: f32) -> Result<(), GpuError> {
+        let (n, channels, words) = (self.pixels as u32, self.channels as u32, self.words as u32);
+        let Pairs { groups, sets, features, tape, losses, .. } = self;
+        let lengths = work.take::<f32>("the drawn pixels' lengths", self.pixels)?;
+        let counts = work.take::<[f32; 2]>("how many share a mask", self.pixels)?;
+        let said = work.upload("weight and pairs", &[weight, 0.0, 0.0])?;
+        let each = self.pixels.div_ceil(GROUP);
+        work.run(&UNITS, 1, [n, channels, 0, 0], &[groups, features, &tape.maps, &lengths], each);
+        work.run(&MATES, 1, [n, words, 0, 0], &[groups, sets, &lengths, &counts], self.pixels);
+        work.run(&TOTAL, 1, [n, 2, 1, 0], &[&counts, &said], 2);
+        work.clear(losses);
+        for piece in 0..self.plan.pieces() {
+            let layer = 2 * piece as u32;
+            tape.forward_piece(work, &self.plan, piece, features, &lengths);
+            let buffers = [&tape.layers, groups, sets, &said, &tape.maps, &tape.grads, losses];
+            work.run(&PAIRS, 1, [n, words, layer, 0], &buffers, self.pixels);
+            tape.backward_piece(work, &self.plan, piece, features, &lengths);
+            let buffers = [&tape.layers, features, &lengths, &tape.grads, &self.pulls];
+            work.run(&PULL, 1, [n, channels, layer, 0], &buffers, each);
+        }
+        Ok(())
+    }
+
+    /// Adds what was said of the pixels to a part of the image's gradients.
+    pub fn add(&self, work: &mut Work, first: usize, blocks: usize, image: &Lent) {
+        let job = [first, self.channels, self.pixels, 0].map(|n| n as u32);
+        let groups = (self.pixels * blocks).div_ceil(GROUP);
+        work.run(&ADD_PULL, blocks as u32, job, &[&self.places, &self.pulls, image], groups);
+    }
+
+    /// What each pixel adds to the loss, and how many there are.
+    pub fn into_losses(self) -> (Lent, usize) {
+        (self.losses, self.pixels)
+    }
+}

@@ -1,0 +1,115 @@
+//! Rows of numbers, one per splat, and their optimiser (`raster/src/field/rows.rs`).
+
+use crate::GpuError;
+use crate::device::{Device, Lent, Work};
+use crate::engine::GROUP;
+use crate::shaders::{ROW_STATE, ROW_STEP};
+use crate::view::pack_splats;
+use segwild_raster::{Channels, RasterError};
+use std::sync::Arc;
+
+/// Rows, and what their optimiser knows of them.
+pub(crate) struct GpuRows {
+    device: Arc<Device>,
+    count: usize,
+    rows: usize,
+    rate: f32,
+    /// Vec4 of a part's rows.
+    wide: usize,
+    parts: Vec<Part>,
+    /// Steps of every row.
+    steps: Lent,
+}
+
+struct Part {
+    values: Lent,
+    first: Lent,
+    second: Lent,
+}
+
+impl GpuRows {
+    /// Bytes that so many rows of numbers take, and a step's gradients beside them, in parts of so many vec4.
+    pub fn bytes(rows: usize, count: usize, wide: usize) -> u64 {
+        (4 * 4 * rows * count.next_multiple_of(4 * wide)) as u64
+    }
+
+    /// Brings rows there, in parts of so many vec4.
+    pub fn upload(
+        device: &Arc<Device>,
+        channels: &Channels,
+        rate: f32,
+        wide: usize,
+    ) -> Result<GpuRows, GpuError> {
+        let Channels { count, values } = *channels;
+        let rows = values.len() / count.max(1);
+        let mut work = device.work();
+        let mut parts = Vec::new();
+        for first in (0..count).step_by(4 * wide) {
+            let packed = pack_splats(values, rows, count, first, wide, false);
+            let values = work.upload("rows that learn", &packed)?;
+            let [first, second] = [
+                work.take::<f32>("their moments", rows * wide * 4)?,
+                work.take::<f32>("their moments", rows * wide * 4)?,
+            ];
+            work.clear(&first);
+            work.clear(&second);
+            parts.push(Part { values, first, second });
+        }
+        let steps = work.take::<u32>("steps of the rows", rows)?;
+        work.clear(&steps);
+        work.hand_in();
+        drop(work);
+        Ok(GpuRows { device: device.clone(), count, rows, rate, wide, parts, steps })
+    }
+
+    /// Numbers of a row.
+    pub fn count(&self) -> usize {
+        self.count
+    }
+
+    /// The values of the part that begins with a number.
+    pub fn part(&self, first: usize) -> &Lent {
+        &self.parts[first / (4 * self.wide)].values
+    }
+
+    /// One step by these gradients, each of so many vec4 of every row: the first numbers', and so on.
+    pub fn step(&self, work: &mut Work, grads: &[Lent], blocks: usize) -> Result<(), GpuError> {
+        let states = states(work, self.rows, grads, blocks)?;
+        let each = self.rows.div_ceil(GROUP);
+        let wide = self.wide;
+        for (k, grads) in grads.iter().enumerate() {
+            let (part, within) = (k * blocks / wide, k * blocks % wide);
+            let Part { values, first, second } = &self.parts[part];
+            let is_first = if k == 0 { 1 << 31 } else { 0 };
+            let place = (wide | within << 16) as u32;
+            let job = [self.rows as u32, blocks as u32, place, self.rate.to_bits() | is_first];
+            work.run(&ROW_STEP, 1, job, &[grads, &states, values, first, second, &self.steps], each);
+        }
+        work.hand_in();
+        Ok(())
+    }
+
+    /// The values, `[row][number]`.
+    pub fn fetch(&self) -> Result<Vec<f32>, RasterError> {
+        let wide = 4 * self.wide;
+        let mut out = vec![0.0; self.rows * self.count];
+        for (part, first) in self.parts.iter().zip((0..self.count).step_by(wide)) {
+            let values: Vec<f32> = self.device.work().read(&part.values, self.rows * wide)?;
+            let many = (self.count - first).min(wide);
+            for (out, values) in out.chunks_exact_mut(self.count).zip(values.chunks_exact(wide)) {
+                out[first..first + many].copy_from_slice(&values[..many]);
+            }
+        }
+        Ok(out)
+    }
+}
+
+/// Whether something is said of each row, and whether all of it is a number.
+pub fn states(work: &mut Work, rows: usize, said: &[Lent], blocks: usize) -> Result<Lent, GpuError> {
+    let states = work.take::<u32>("what is said of the rows", rows)?;
+    work.clear(&states);
+    for said in said {
+        work.run(&ROW_STATE, 1, [rows as u32, blocks as u32, 0, 0], &[said, &states], rows.div_ceil(GROUP));
+    }
+    Ok(states)
+}

@@ -1,0 +1,88 @@
+//! What views say of splats, added up where it is said (`raster/src/field/lifting.rs`).
+
+use super::rows::states;
+use crate::GpuError;
+use crate::device::{Device, Lent, Work};
+use crate::engine::GROUP;
+use crate::shaders::ROW_ADD;
+use crate::view::gathered_at_once;
+use segwild_raster::RasterError;
+use segwild_raster::field::LiftingAway;
+use std::any::Any;
+use std::sync::Arc;
+
+/// Sums over views.
+pub(crate) struct GpuSums {
+    pub device: Arc<Device>,
+    rows: usize,
+    /// Numbers of a row, without its weight.
+    row: usize,
+    /// As many numbers at once as a view gathers, the weight behind the last.
+    parts: Vec<Lent>,
+}
+
+impl GpuSums {
+    /// Bytes that sums of so many rows of numbers take, and what a view says beside them.
+    pub fn bytes(rows: usize, row: usize) -> u64 {
+        (2 * 4 * rows * (row + 1).next_multiple_of(4 * gathered_at_once(row + 1))) as u64
+    }
+
+    pub fn new(device: &Arc<Device>, rows: usize, row: usize) -> Result<GpuSums, GpuError> {
+        let mut work = device.work();
+        let wide = gathered_at_once(row + 1) * 4;
+        let mut parts = Vec::new();
+        for _ in (0..=row).step_by(wide) {
+            let part = work.take::<f32>("sums over views", rows * wide)?;
+            work.clear(&part);
+            parts.push(part);
+        }
+        work.hand_in();
+        drop(work);
+        Ok(GpuSums { device: device.clone(), rows, row, parts })
+    }
+
+    /// Numbers that a view says of each row, its weight among them.
+    pub fn count(&self) -> usize {
+        self.row + 1
+    }
+
+    /// Splats that there are sums of.
+    pub fn rows(&self) -> usize {
+        self.rows
+    }
+
+    /// Adds what a view says, each of so many vec4 of every row.
+    pub fn add(&self, work: &mut Work, said: &[Lent], blocks: usize) -> Result<(), GpuError> {
+        let Some(last) = said.last() else { return Ok(()) };
+        let states = states(work, self.rows, said, blocks)?;
+        let job = [self.rows, blocks, self.row % (blocks * 4), 0].map(|n| n as u32);
+        for (said, sums) in said.iter().zip(&self.parts) {
+            work.run(&ROW_ADD, 1, job, &[said, &states, last, sums], self.rows.div_ceil(GROUP));
+        }
+        work.hand_in();
+        Ok(())
+    }
+}
+
+impl LiftingAway for GpuSums {
+    fn fetch(&self) -> Result<(Vec<f32>, Vec<f32>), RasterError> {
+        let wide = gathered_at_once(self.count()) * 4;
+        let (mut sums, mut weights) = (vec![0.0; self.rows * self.row], Vec::new());
+        for (k, part) in self.parts.iter().enumerate() {
+            let values: Vec<f32> = self.device.work().read(part, self.rows * wide)?;
+            let first = k * wide;
+            let many = (self.row - first.min(self.row)).min(wide);
+            for (sums, values) in sums.chunks_exact_mut(self.row.max(1)).zip(values.chunks_exact(wide)) {
+                sums[first..first + many].copy_from_slice(&values[..many]);
+            }
+            if many < wide {
+                weights = values.chunks_exact(wide).map(|values| values[many]).collect();
+            }
+        }
+        Ok((sums, weights))
+    }
+
+    fn as_any(&self) -> &dyn Any {
+        self
+    }
+}

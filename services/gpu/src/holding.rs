@@ -1,0 +1,60 @@
+//! An engine that has splats on its device.
+
+use crate::engine::{Cloud, GpuEngine};
+use segwild_raster::field::{Asked, LiftingAway, Queries, Refining, RefiningAway};
+use segwild_raster::{Channels, Engine, Held, Kept, ProjectOptions, Projected, RasterError, Resident, check};
+use segwild_scene::{Camera, Pose, Splats};
+use std::any::Any;
+use std::sync::Arc;
+
+/// The engine with splats that are on its device.
+pub(crate) struct Holding<'s> {
+    pub engine: &'s GpuEngine,
+    pub splats: &'s Splats,
+    pub cloud: Arc<Cloud>,
+}
+
+impl Engine for Holding<'_> {
+    fn name(&self) -> &'static str {
+        self.engine.name()
+    }
+
+    fn project<'a>(
+        &'a self,
+        splats: &'a Splats,
+        camera: &Camera,
+        pose: &Pose,
+        options: &ProjectOptions,
+    ) -> Result<Box<dyn Projected + 'a>, RasterError> {
+        // They are borrowed for as long as this lives: the same place holds the same splats.
+        if !std::ptr::eq(splats, self.splats) {
+            return self.engine.project(splats, camera, pose, options);
+        }
+        check(splats, camera)?;
+        self.engine.project_cloud(splats, self.cloud.clone(), camera, pose, options)
+    }
+
+    fn bring(&self, channels: &Channels) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
+        self.engine.bring(channels)
+    }
+
+    fn settle_refining(&self, field: &Refining) -> Result<Option<Box<dyn RefiningAway>>, RasterError> {
+        self.engine.settle_refining(field)
+    }
+
+    fn bring_asked(&self, asked: &Asked) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
+        self.engine.bring_asked(asked)
+    }
+
+    fn similarity(&self, features: &Kept, queries: &Queries) -> Result<Option<Vec<f32>>, RasterError> {
+        self.engine.similarity(features, queries)
+    }
+
+    fn settle_lifting(&self, splats: usize, row: usize) -> Result<Option<Box<dyn LiftingAway>>, RasterError> {
+        self.engine.settle_lifting(splats, row)
+    }
+
+    fn settle(&self, held: &mut dyn FnMut() -> Held) -> Result<Option<Box<dyn Resident>>, RasterError> {
+        self.engine.settle(held)
+    }
+}

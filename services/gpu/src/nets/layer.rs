@@ -1,0 +1,141 @@
+//! A layer of a network as the kernels read it.
+
+use bytemuck::{Pod, Zeroable};
+use segwild_nets::Kind;
+use std::ops::Range;
+
+/// `Layer` of `shaders/shared/layer.wgsl`.
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[repr(C)]
+pub(super) struct Layer {
+    pub reads: u32,
+    pub writes: u32,
+    pub weights: u32,
+    pub offsets: u32,
+    pub input: u32,
+    pub output: u32,
+    pub kernel: u32,
+    pub border: u32,
+    pub input_size: [u32; 2],
+    pub output_size: [u32; 2],
+    pub step: u32,
+    pub gap: u32,
+    pub by_output: u32,
+    pub by_input: u32,
+    pub other: u32,
+    pub flags: u32,
+    pub unused: [u32; 2],
+}
+
+/// No place; of offsets, none.
+pub(super) const NOWHERE: u32 = u32::MAX;
+/// What is below 0 becomes 0 in the end.
+pub(super) const RELU: u32 = 1;
+/// Added to what is there.
+pub(super) const ADD: u32 = 2;
+/// The kernel is turned round.
+pub(super) const TURNED: u32 = 4;
+/// Four planes read are the quarters of one: every other pixel of every other row.
+pub(super) const READ_QUARTERS: u32 = 8;
+/// So are four that are written.
+pub(super) const WRITE_QUARTERS: u32 = 16;
+/// Columns are splats in sight.
+pub(super) const COUNTED: u32 = 32;
+/// Of one tap, every pixel by itself: it need not be looked for.
+pub(super) const PLAIN: u32 = 64;
+/// Columns of a slice of `convolve_weights`.
+pub(super) const SLICE: usize = 1024;
+/// The same for the kernels.
+pub(crate) const CONSTANTS: [(&str, u32); 9] = [
+    ("NOWHERE", NOWHERE),
+    ("RELU", RELU),
+    ("ADD", ADD),
+    ("TURNED", TURNED),
+    ("READ_QUARTERS", READ_QUARTERS),
+    ("WRITE_QUARTERS", WRITE_QUARTERS),
+    ("COUNTED", COUNTED),
+    ("PLAIN", PLAIN),
+    ("SLICE", SLICE as u32),
+];
+
+impl Layer {
+    /// One that does nothing yet, between maps of such a height and width.
+    pub fn between([in_height, in_width]: [u32; 2], [out_height, out_width]: [u32; 2]) -> Layer {
+        Layer {
+            input_size: [in_width, in_height],
+            output_size: [out_width, out_height],
+            kernel: 1,
+            step: 1,
+            gap: 1,
+            other: NOWHERE,
+            ..Layer::zeroed()
+        }
+    }
+
+    pub fn is(&mut self, kind: Kind, weights: Range<usize>) {
+        let all = |n: usize| n as u32;
+        let (input, output, kernel) = match kind {
+            Kind::Conv { input, output, kernel, stride } => {
+                (self.step, self.border) = (all(stride), all(kernel / 2));
+                (self.by_output, self.by_input) = (all(input * kernel * kernel), all(kernel * kernel));
+                (input, output, kernel)
+            }
+            Kind::Up { input, output } => {
+                // Each pixel's four are planes of their own, as many and as wide as what is read.
+                self.output_size = self.input_size;
+                self.flags |= WRITE_QUARTERS;
+                (self.by_output, self.by_input) = (all(input), 1);
+                (input, 4 * output, 1)
+            }
+            // A group's planes are in the kernel's place.
+            Kind::Norm { channels, groups } => (channels, channels, channels / groups),
+            Kind::Dense { input, output } => {
+                (self.by_output, self.by_input) = (1, all(output));
+                (input, output, 1)
+            }
+        };
+        (self.input, self.output, self.kernel) = (all(input), all(output), all(kernel));
+        let offsets = match kind {
+            Kind::Conv { output, .. } | Kind::Up { output, .. } | Kind::Dense { output, .. } => output,
+            Kind::Norm { channels, .. } => channels,
+        };
+        (self.weights, self.offsets) = (all(weights.start), all(weights.end - offsets));
+        self.flags |= self.plain();
+    }
+
+    /// [`PLAIN`], if it is.
+    pub fn plain(&self) -> u32 {
+        let plain = self.kernel * self.step * self.gap == 1 && self.flags & READ_QUARTERS == 0;
+        if plain { PLAIN } else { 0 }
+    }
+
+    pub fn groups(&self) -> usize {
+        (self.input / self.kernel) as usize
+    }
+
+    pub fn columns(&self) -> usize {
+        self.output_size.iter().map(|&n| n as usize).product()
+    }
+
+    /// The way back of a convolution or dense layer, from the gradients of what it writes to those of what it reads.
+    pub fn back(&self, flags: u32) -> Layer {
+        let quarters = if self.flags & WRITE_QUARTERS != 0 { READ_QUARTERS } else { 0 };
+        let back = Layer {
+            reads: self.writes,
+            writes: self.reads,
+            offsets: NOWHERE,
+            input: self.output,
+            output: self.input,
+            border: self.kernel - 1 - self.border,
+            input_size: self.output_size,
+            output_size: self.input_size,
+            step: 1,
+            gap: self.step,
+            by_output: self.by_input,
+            by_input: self.by_output,
+            flags: flags | quarters | TURNED,
+            ..*self
+        };
+        Layer { flags: back.flags | back.plain(), ..back }
+    }
+}
