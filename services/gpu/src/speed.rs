@@ -261,10 +261,17 @@ fn networks(
 /// The pass that is what a photo asks of the feature field: its losses with a learned decoder, and what they say of the image.
 pub const LOSSES: &str = "losses of the field";
 
-/// What a photo asks by a usual embedding, with masks as a photo has them.
+/// What a photo asks by a usual embedding, with masks as a photo has them, where features are rendered at 128 pixels.
 pub fn some_question(camera: &Camera, channels: usize) -> Question {
-    let size = (camera.width, camera.height);
-    Question { size, channels, decoded: Some(256), grid: [64, 48], pixels: 1024, masks: 60 }
+    let camera = camera.scaled_to(128);
+    Question {
+        size: (camera.width, camera.height),
+        channels,
+        decoded: Some(256),
+        grid: [64, 48],
+        pixels: 1024,
+        masks: 60,
+    }
 }
 
 /// What the losses weigh.

@@ -4,10 +4,11 @@ use super::{list, numbers};
 use crate::args::{json, path};
 use crate::commands::{path as path_of, print_json, print_line};
 use crate::failure::Failure;
-use clap::{Arg, ArgAction, ArgMatches, Command};
-use segwild_bench::engine::{EngineOptions, engine as measure_all, write};
+use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
+use segwild_bench::engine::{EngineOptions, Goal, engine as measure_all, write};
 use segwild_bench::record::Record;
 use segwild_gpu::Choice;
+use std::path::PathBuf;
 
 /// The benchmark's arguments.
 pub fn command() -> Command {
@@ -37,6 +38,23 @@ pub fn command() -> Command {
                 .action(ArgAction::SetTrue)
                 .help("Sum and sort without subgroups, even where the accelerator has some"),
         )
+        .arg(
+            Arg::new("db")
+                .long("db")
+                .value_name("X")
+                .default_value("24")
+                .value_parser(value_parser!(f32))
+                .help("Time a training of a built-in place up to so many dB; 0 leaves it out"),
+        )
+        .arg(
+            Arg::new("size")
+                .long("size")
+                .value_name("N")
+                .default_value("320")
+                .value_parser(value_parser!(u32).range(16..=4096))
+                .help("Long side of that place's photos, in pixels"),
+        )
+        .arg(path("out", "Folder for that place while it is trained [default: .bench/engine]"))
         .arg(path("page", "Write the page to this file"))
         .arg(json())
 }
@@ -47,6 +65,8 @@ pub fn engine(matches: &ArgMatches) -> Result<(), Failure> {
         let sides = text.split_once('x').and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
         sides.ok_or_else(|| Failure::usage(format!("--sizes: `{text}` is no frame such as 640x480")))
     };
+    let db: f32 = *matches.get_one("db").expect("it has a default");
+    let dir = path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench/engine"));
     let options = EngineOptions {
         command: super::common::command_line(),
         choice: matches.get_one::<String>("adapter").cloned().map_or(Choice::Hardware, Choice::Named),
@@ -55,6 +75,7 @@ pub fn engine(matches: &ArgMatches) -> Result<(), Failure> {
         channels: numbers(matches, "channels")?,
         cpu: !matches.get_flag("no-cpu"),
         subgroups: !matches.get_flag("no-subgroups"),
+        goal: (db > 0.0).then(|| Goal { db, size: *matches.get_one("size").expect("it has a default"), dir }),
     };
     let json = matches.get_flag("json");
     let mut last = String::new();

@@ -1,5 +1,9 @@
 //! How fast the accelerator engine is: every pass against its floor on the device, and against the CPU engine.
 
+mod goal;
+
+pub use goal::Goal;
+
 use crate::page::{PageError, io};
 use crate::record::{Made, Record, Results};
 use crate::scale::kernels::filling;
@@ -12,7 +16,7 @@ use segwild_gpu::{
 };
 use segwild_raster::field::{Queries, score};
 use segwild_raster::{Channels, CpuEngine, Engine, FrameGrad, Look, ProjectOptions, RasterError, Sight};
-use segwild_scene::{Camera, Pose, Random, Splats};
+use segwild_scene::{Camera, Image, Pose, Random, Splats};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -40,6 +44,8 @@ pub struct EngineOptions {
     pub cpu: bool,
     /// Whether kernels go by subgroups where the accelerator has some.
     pub subgroups: bool,
+    /// What a training is to reach, if one is timed.
+    pub goal: Option<Goal>,
 }
 
 /// Measures every combination; `told` hears each record.
@@ -78,6 +84,14 @@ pub fn engine(options: &EngineOptions, mut told: impl FnMut(&Record)) -> Result<
             Err(error) => {
                 put(Record { notes: vec![error.to_string()], ..record("refused", &target, BTreeMap::new()) });
             }
+        }
+    }
+    if let Some(goal) = &options.goal {
+        let name = gpu.adapter().name.clone();
+        drop(gpu);
+        put(goal::train(goal, "gpu", &name)?);
+        if options.cpu {
+            put(goal::train(goal, "cpu", "")?);
         }
     }
     Ok(results)
@@ -163,7 +177,9 @@ fn on_the_cpu(
     let question = some_question(camera, channels);
     let asked = question.make(&mut Random::new(3));
     let mut field = question.refining(vec![0.0; channels], FIELD_RULE);
-    let mut losses = || drop(field.judge(&drawn.image, &asked.asked(), &asked.drawn()));
+    let (wide, high) = question.size;
+    let image = Image::zeros(wide as usize, high as usize, channels);
+    let mut losses = || drop(field.judge(&image, &asked.asked(), &asked.drawn()));
     let units = vec![vec![0.5; channels]; CLICKS];
     let queries = Queries { channels, units: &units, sharpness: 10.0 };
     let norms = vec![1.0; splats.len()];
@@ -234,6 +250,10 @@ pub fn markdown(results: &Results) -> String {
             let _ = writeln!(text, "Refused: {}.", refused.notes.join("; "));
             continue;
         }
+        if rows.iter().any(|r| r.setting.starts_with("training")) {
+            trained(&mut text, &rows);
+            continue;
+        }
         text.push_str("| pass | ms | floor, ms | share of the floor | CPU, ms | CPU / this |\n|---|---:|---:|---:|---:|---:|\n");
         for row in &rows {
             let cell = |name: &str, places: usize| {
@@ -249,10 +269,29 @@ pub fn markdown(results: &Results) -> String {
         let far: Vec<&str> = far.iter().take(3).map(|f| f.1).collect();
         let _ = writeln!(text, "\nFurthest from their floors: {}.", far.join("; "));
         if let Some(ms) = rows.iter().find(|r| r.setting == STEP).and_then(|r| number(r, "ms")) {
-            let _ = writeln!(text, "{:.1} steps a second.", 1e3 / ms);
+            let splats =
+                target.split_once(' ').and_then(|(count, _)| count.parse::<f64>().ok()).unwrap_or(0.0);
+            let (steps, millions) = (1e3 / ms, 1e-3 * splats / ms);
+            let _ = writeln!(text, "{steps:.1} steps a second: {millions:.3} million splats a second.");
         }
     }
     text
+}
+
+/// How long trainings took.
+fn trained(text: &mut String, rows: &[&Record]) {
+    text.push_str("| engine | seconds | steps | splats at the end | best, dB |\n|---|---:|---:|---:|---:|\n");
+    for row in rows {
+        let cell = |name: &str, places: usize| {
+            row.numbers.get(name).map_or("not reached".into(), |v| format!("{v:.places$}"))
+        };
+        let cells = [cell("seconds", 1), cell("steps", 0), cell("splats", 0), cell("db", 2)];
+        let engine = row.setting.trim_start_matches("training, ");
+        let _ = writeln!(text, "| {engine} | {} |", cells.join(" | "));
+    }
+    text.push_str(
+        "\nThe mean PSNR of the photos over 100 steps; one light, no strangers, the default steps.\n",
+    );
 }
 
 /// Writes the page.
