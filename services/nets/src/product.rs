@@ -172,31 +172,48 @@ mod x86 {
     vectors!(Avx2, __m256, 8, _mm256_loadu_ps, _mm256_storeu_ps, _mm256_set1_ps, _mm256_fmadd_ps);
 }
 
-/// Runs `blocks` in the widest instruction set of this machine.
-fn run(call: Call, out: &mut [f32]) {
-    #[cfg(target_arch = "x86_64")]
-    {
-        #[target_feature(enable = "avx512f,fma")]
-        fn avx512(call: Call, out: &mut [f32]) {
-            // SAFETY: this function runs only where the instruction set is.
-            unsafe { blocks::<x86::Avx512, 2, 1>(call, out) }
-        }
-        #[target_feature(enable = "avx2,fma")]
-        fn avx2(call: Call, out: &mut [f32]) {
-            // SAFETY: this function runs only where the instruction set is.
-            unsafe { blocks::<x86::Avx2, 2, 2>(call, out) }
-        }
-        if is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("fma") {
-            // SAFETY: the instruction sets were just found on this machine.
-            return unsafe { avx512(call, out) };
-        }
-        if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-            // SAFETY: the instruction sets were just found on this machine.
-            return unsafe { avx2(call, out) };
-        }
-    }
+/// An instruction set's `blocks`.
+type Blocks = unsafe fn(Call, &mut [f32]);
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,fma")]
+fn avx512(call: Call, out: &mut [f32]) {
+    // SAFETY: this function runs only where the instruction set is.
+    unsafe { blocks::<x86::Avx512, 2, 1>(call, out) }
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma")]
+fn avx2(call: Call, out: &mut [f32]) {
+    // SAFETY: this function runs only where the instruction set is.
+    unsafe { blocks::<x86::Avx2, 2, 2>(call, out) }
+}
+
+fn plain(call: Call, out: &mut [f32]) {
     // SAFETY: every machine has plain numbers.
     unsafe { blocks::<Plain, 2, 2>(call, out) }
+}
+
+/// The instruction sets of this machine, the widest first.
+fn offered() -> impl Iterator<Item = Blocks> {
+    #[cfg(target_arch = "x86_64")]
+    let wide = {
+        let fma = is_x86_feature_detected!("fma");
+        [
+            (fma && is_x86_feature_detected!("avx512f"), avx512 as Blocks),
+            (fma && is_x86_feature_detected!("avx2"), avx2 as Blocks),
+        ]
+    };
+    #[cfg(not(target_arch = "x86_64"))]
+    let wide: [(bool, Blocks); 0] = [];
+    wide.into_iter().filter(|(is_there, _)| *is_there).map(|(_, blocks)| blocks).chain([plain as Blocks])
+}
+
+/// Runs `blocks` in the widest instruction set of this machine.
+fn run(call: Call, out: &mut [f32]) {
+    let widest = offered().next().expect("plain numbers are always there");
+    // SAFETY: the instruction set was just found on this machine.
+    unsafe { widest(call, out) }
 }
 
 /// The product, block by block: `W` registers wide, and where that does not fit `N`, which is [`NARROW`] numbers.
@@ -301,6 +318,33 @@ mod tests {
                         assert!((f64::from(out[at]) - exact).abs() < 1e-4, "{m} {k} {n}: {i} {j}");
                     }
                 }
+            }
+        }
+    }
+
+    #[test]
+    fn every_instruction_set_gives_the_same_bytes() {
+        let mut noise = Noise(2);
+        assert!(offered().count() >= 1);
+        for (rows, inner, columns, add) in [
+            (1, 7, 16, false),
+            (6, 64, 32, true),
+            (13, 33, 48, false),
+            (20, 1, 80, true),
+            (7, 300, 112, false),
+        ] {
+            let (left, b) = (noise.vec(rows * inner), noise.vec(inner * columns));
+            let before = noise.vec(rows * columns);
+            let a = Strided::of(&left, inner);
+            let call = Call { a, b: &b, b_width: columns, rows, inner, columns, out_width: columns, add };
+            let mut wanted = before.clone();
+            plain(call, &mut wanted);
+            for blocks in offered() {
+                let mut got = before.clone();
+                // SAFETY: this machine offers the instruction set, and the slices hold what the call says.
+                unsafe { blocks(call, &mut got) };
+                let same = got.iter().zip(&wanted).all(|(g, w)| g.to_bits() == w.to_bits());
+                assert!(same, "{rows} x {inner} x {columns}");
             }
         }
     }

@@ -23,8 +23,8 @@ pub use engine::{
 };
 pub use kept::Kept;
 pub use look::{
-    AffineLook, AnyLook, EmbedLook, Glance, Glimpse, GswLook, GswWidth, HIDDEN, HeldNetworks, Impression,
-    Light, Look, NoLook, RANK, Sight, Tone, bake, gsw,
+    AffineLook, AnyLook, Directions, EmbedLook, Glance, Glimpse, GswLook, GswWidth, HIDDEN, HeldNetworks,
+    Impression, Light, Look, NoLook, RANK, Sight, Tone, bake, gsw,
 };
 pub use loss::{photometric, psnr, ssim};
 pub use resident::{Codes, Held, NetworksStep, Reshaped, Resident, Rules, Step};

@@ -2,6 +2,7 @@
 
 use crate::TrainError;
 use crate::background::Background;
+use crate::light::directions;
 use crate::looks::{self, Lit};
 use crate::model::{Model, compose};
 use crate::photos::{Level, PhotoCache, Photos, Stored};
@@ -117,7 +118,7 @@ pub(crate) fn draw_unseen(
     let mut background = model.background(None);
     let mut tinted = None;
     let eye = pose.centre();
-    let direction = |i: usize| (model.splats.mean(i) - eye).normalize_or_zero().to_array();
+    let direction = directions(&model.splats, eye, projected.radii());
     if let Some(within) = fitted {
         if stored.has_sky {
             let open = |i: usize| (1.0 - frame.alpha.data[i]).max(0.0).powi(2);

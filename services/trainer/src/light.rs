@@ -3,8 +3,9 @@
 use crate::TrainError;
 use crate::background::Background;
 use crate::model::Model;
+use glam::Vec3;
 use segwild_raster::compare::add_behind;
-use segwild_raster::{Channels, Engine, Tone, bake};
+use segwild_raster::{Channels, Engine, Projected, Tone, bake};
 use segwild_scene::{Camera, Image, Pose, Splats};
 
 /// A look taken out of the model: what it makes of splats' colours, and what stands behind them, in its own colours.
@@ -57,9 +58,9 @@ impl Model {
     }
 
     /// The splats' colours under a lighting, from their own colours towards a camera.
-    fn lit(&self, lighting: &Lighting, pose: &Pose, colours: Vec<f32>) -> Vec<f32> {
-        let eye = pose.centre();
-        let direction = |i: usize| (self.splats.mean(i) - eye).normalize_or_zero().to_array();
+    fn lit(&self, lighting: &Lighting, pose: &Pose, projected: &dyn Projected) -> Vec<f32> {
+        let colours = projected.shade();
+        let direction = directions(&self.splats, pose.centre(), projected.radii());
         let under =
             |light: &Light, colours| self.look.as_look().shade(&light.tone, &self.codes, &direction, colours);
         let Some((whose, light)) = &lighting.object else { return under(&lighting.scene, colours) };
@@ -84,6 +85,15 @@ impl Model {
     }
 }
 
+/// The directions from an eye to the splats that it sees, which are those with a radius.
+pub(crate) fn directions<'a>(
+    splats: &'a Splats,
+    eye: Vec3,
+    radii: &'a [f32],
+) -> impl Fn(usize) -> Option<[f32; 3]> + Sync + 'a {
+    move |i| (radii[i] > 0.0).then(|| (splats.mean(i) - eye).normalize_or_zero().to_array())
+}
+
 /// Takes the other's numbers for the splats that are marked.
 fn mix(all: &mut [f32], other: &[f32], whose: &[bool], stride: usize) {
     assert_eq!(all.len(), whose.len() * stride, "a mark per splat");
@@ -103,7 +113,7 @@ pub fn render_lit(
     lighting: &Lighting,
 ) -> Result<Image, TrainError> {
     let projected = engine.project(&model.splats, camera, pose, &model.options())?;
-    let colours = model.lit(lighting, pose, projected.shade());
+    let colours = model.lit(lighting, pose, &*projected);
     let frame = projected.blend(&Channels { count: 3, values: &colours })?;
     let mut image = frame.image;
     add_behind(&mut image, &frame.alpha, &lighting.scene.background.paint(camera, pose));

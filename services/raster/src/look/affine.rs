@@ -1,6 +1,6 @@
 //! The rung `affine`: a colour matrix per photo.
 
-use super::{Look, Tone, through};
+use super::{Directions, Look, Tone, through};
 use crate::adam::Adam;
 use segwild_scene::Image;
 use wincode::{SchemaRead, SchemaWrite};
@@ -137,13 +137,7 @@ impl Look for AffineLook {
         Tone(self.matrix(view).to_vec())
     }
 
-    fn shade(
-        &self,
-        tone: &Tone,
-        _: &[f32],
-        _: &(dyn Fn(usize) -> [f32; 3] + Sync),
-        mut colours: Vec<f32>,
-    ) -> Vec<f32> {
+    fn shade(&self, tone: &Tone, _: &[f32], _: &Directions, mut colours: Vec<f32>) -> Vec<f32> {
         through(&tone.0, &mut colours);
         colours
     }

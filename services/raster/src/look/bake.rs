@@ -35,7 +35,7 @@ pub fn bake(look: &dyn Look, tone: &Tone, splats: &Splats, codes: &[f32]) -> Spl
                 (0..3).map(move |c| 0.5 + sum(c))
             })
             .collect();
-        let shown = look.shade(tone, codes, &|_| *direction, own);
+        let shown = look.shade(tone, codes, &|_| Some(*direction), own);
         sums.par_chunks_exact_mut(3 * bases).zip(shown.par_chunks_exact(3)).for_each(|(sums, shown)| {
             for (k, weight) in weights[..bases].iter().enumerate() {
                 for c in 0..3 {

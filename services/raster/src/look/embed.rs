@@ -1,7 +1,7 @@
 //! The rung `embed`: light that falls on each splat in its own way.
 
 use super::affine::{IDENTITY, NUMBERS};
-use super::{Look, Tone};
+use super::{Directions, Look, Tone};
 use crate::adam::Adam;
 use rayon::prelude::*;
 use segwild_scene::Random;
@@ -157,20 +157,14 @@ impl Look for EmbedLook {
     }
 
     fn tint(&self, view: usize, codes: &[f32], colours: Vec<f32>) -> Vec<f32> {
-        self.shade(&Tone(self.photo(view).to_vec()), codes, &|_| [0.0; 3], colours)
+        self.shade(&Tone(self.photo(view).to_vec()), codes, &|_| Some([0.0; 3]), colours)
     }
 
     fn tone(&self, view: usize, _: &[[f32; 3]], _: &[f32]) -> Tone {
         Tone(self.photo(view).to_vec())
     }
 
-    fn shade(
-        &self,
-        Tone(photo): &Tone,
-        codes: &[f32],
-        _: &(dyn Fn(usize) -> [f32; 3] + Sync),
-        mut colours: Vec<f32>,
-    ) -> Vec<f32> {
+    fn shade(&self, Tone(photo): &Tone, codes: &[f32], _: &Directions, mut colours: Vec<f32>) -> Vec<f32> {
         assert_eq!((codes.len(), photo.len()), (colours.len() * RANK, PHOTO), "codes, tone: length");
         let (m, e) = photo.split_at(NUMBERS);
         colours.par_chunks_mut(3 * PIECE).zip(codes.par_chunks(CODE * PIECE)).for_each(|(colours, codes)| {

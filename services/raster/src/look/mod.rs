@@ -86,16 +86,12 @@ pub trait Look: Send + Sync {
 
     /// Colours of the splats as a photo of this tone shows them, from their own. Blended, over the photo's background,
     /// they are what [`Look::tint`] and [`Look::apply`] make of the view together: weights of splats and background add
-    /// up to 1, so what is affine in the colours may be done before blending or after. `direction` is the unit vector
-    /// from the camera to a splat.
-    fn shade(
-        &self,
-        tone: &Tone,
-        codes: &[f32],
-        direction: &(dyn Fn(usize) -> [f32; 3] + Sync),
-        colours: Vec<f32>,
-    ) -> Vec<f32>;
+    /// up to 1, so what is affine in the colours may be done before blending or after.
+    fn shade(&self, tone: &Tone, codes: &[f32], direction: &Directions, colours: Vec<f32>) -> Vec<f32>;
 }
+
+/// The unit vector from the camera to each splat; `None` of one that nobody sees, which may be given any colour.
+pub type Directions<'a> = dyn Fn(usize) -> Option<[f32; 3]> + Sync + 'a;
 
 /// What one photo's look comes to, as numbers; which, the rung knows. Straight lines between tones are looks again.
 #[derive(Clone, Debug, PartialEq)]
@@ -143,13 +139,7 @@ impl Look for NoLook {
         Tone(Vec::new())
     }
 
-    fn shade(
-        &self,
-        _: &Tone,
-        _: &[f32],
-        _: &(dyn Fn(usize) -> [f32; 3] + Sync),
-        colours: Vec<f32>,
-    ) -> Vec<f32> {
+    fn shade(&self, _: &Tone, _: &[f32], _: &Directions, colours: Vec<f32>) -> Vec<f32> {
         colours
     }
 }

@@ -274,7 +274,7 @@ fn gsw_tones_are_what_was_trained_and_can_be_baked() {
         assert_eq!(light.is_some(), view < 2, "the last one is without light");
         let trained = look.tint(view, light.as_ref(), &sight, colours.clone());
         let tone = look.tone(view, &means, &codes);
-        let shaded = look.shade(&tone, &codes, &direction, colours.clone());
+        let shaded = look.shade(&tone, &codes, &|i| Some(direction(i)), colours.clone());
         let off = trained.iter().zip(&shaded).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
         assert!(off < 1e-4, "view {view}: {off}");
         tones.push(tone);
@@ -300,7 +300,7 @@ fn gsw_tones_are_what_was_trained_and_can_be_baked() {
         std::array::from_fn(|c| 0.5 + (0..4).map(|k| h[k] * sh[12 * i + 3 * k + c]).sum::<f32>())
     };
     let own: Vec<f32> = (0..n).flat_map(|i| base(&splats.sh, i, direction(i))).collect();
-    let wanted = look.shade(&tones[0], &codes, &direction, own.clone());
+    let wanted = look.shade(&tones[0], &codes, &|i| Some(direction(i)), own.clone());
     let shown: Vec<f32> = (0..n).flat_map(|i| base(&baked.sh, i, direction(i))).collect();
     let apart = |a: &[f32], b: &[f32]| {
         (a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f32>() / a.len() as f32).sqrt()

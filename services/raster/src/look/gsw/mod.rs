@@ -23,7 +23,7 @@ pub use points::{DROPPED, OFF_MAP};
 
 use super::affine::NUMBERS;
 use super::embed::PHOTO;
-use super::{EmbedLook, Look, Tone};
+use super::{Directions, EmbedLook, Look, Tone};
 use crate::adam::Adam;
 use segwild_nets::{Map, Tape, scatter, take};
 use segwild_scene::{Camera, Image, Pose, Random};
@@ -273,12 +273,12 @@ impl GswLook {
         let kept = points::kept(self, photos, means, codes);
         // What the rung below gives each splat whatever its colour: codes are not asked again for every picture.
         let black = vec![0.0; 3 * means.len()];
-        let own = self.below.shade(below, &below_of(codes), &|_| [0.0; 3], black);
+        let own = self.below.shade(below, &below_of(codes), &|_| Some([0.0; 3]), black);
         Tone([&below.0[..NUMBERS], layer, &kept, &own].concat())
     }
 
     /// What the colour head has before its last layer, `[splat][HIDDEN]`, in a tone.
-    pub fn hidden(&self, tone: &Tone, direction: &(dyn Fn(usize) -> [f32; 3] + Sync)) -> Vec<f32> {
+    pub fn hidden(&self, tone: &Tone, direction: &Directions) -> Vec<f32> {
         {
             let (kept, _) = split(&tone.0[NUMBERS + LAYER..]);
             points::hidden(self, kept, direction)
@@ -434,13 +434,7 @@ impl Look for GswLook {
         self.tone_of(&lights, (&self.below.tone(view, means, codes), &self.layer), means, codes)
     }
 
-    fn shade(
-        &self,
-        Tone(tone): &Tone,
-        _: &[f32],
-        direction: &(dyn Fn(usize) -> [f32; 3] + Sync),
-        mut colours: Vec<f32>,
-    ) -> Vec<f32> {
+    fn shade(&self, Tone(tone): &Tone, _: &[f32], direction: &Directions, mut colours: Vec<f32>) -> Vec<f32> {
         assert_eq!(tone.len(), NUMBERS + LAYER + colours.len() / 3 * (HIDDEN + 3), "tone: length");
         let (matrix, rest) = tone.split_at(NUMBERS);
         let (layer, splats) = rest.split_at(LAYER);

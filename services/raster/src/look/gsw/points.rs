@@ -4,7 +4,7 @@
 //! runs a piece forward again, which costs less than keeping what all splats had on the way.
 
 use super::nets::{DYNAMIC, HIDDEN, INTRINSIC, LAYER, MAPS, Networks, SAMPLE, VECTOR};
-use super::{CODE, COORDINATE, GswLook, Impression, Sight};
+use super::{CODE, COORDINATE, Directions, GswLook, Impression, Sight};
 use rayon::prelude::*;
 use segwild_nets::{Activations, Spot, Strided, product};
 
@@ -199,24 +199,30 @@ fn head_weights<'a>(look: &'a GswLook, nets: &Networks) -> (&'a [f32], &'a [f32]
 }
 
 /// The colour head's hidden numbers of a splat, from what is kept of it and the direction.
+#[inline(always)]
 fn hidden_of(kept: &[f32], [x, y, z]: [f32; 3], of_direction: &[f32]) -> [f32; HIDDEN] {
+    let (kept, of_direction) = (&kept[..HIDDEN], &of_direction[..3 * HIDDEN]);
     let (a, rest) = of_direction.split_at(HIDDEN);
     let (b, c) = rest.split_at(HIDDEN);
-    std::array::from_fn(|k| (kept[k] + a[k] * x + b[k] * y + c[k] * z).max(0.0))
+    // A loop and no closure: closures are not compiled with their caller's wider instructions.
+    let mut hidden = [0.0; HIDDEN];
+    for k in 0..HIDDEN {
+        hidden[k] = (kept[k] + a[k] * x + b[k] * y + c[k] * z).max(0.0);
+    }
+    hidden
 }
 
-/// The colour head's hidden numbers, `[splat][HIDDEN]`, from what is kept.
-pub(super) fn hidden(
-    look: &GswLook,
-    kept: &[f32],
-    direction: &(dyn Fn(usize) -> [f32; 3] + Sync),
-) -> Vec<f32> {
+/// The colour head's hidden numbers, `[splat][HIDDEN]`, from what is kept; 0 of splats that nobody sees.
+pub(super) fn hidden(look: &GswLook, kept: &[f32], direction: &Directions) -> Vec<f32> {
     let of_direction = &head_weights(look, look.nets()).0[VECTOR * HIDDEN..];
     let mut out = vec![0.0; kept.len()];
-    out.par_chunks_exact_mut(HIDDEN)
-        .zip(kept.par_chunks_exact(HIDDEN))
-        .enumerate()
-        .for_each(|(i, (out, kept))| out.copy_from_slice(&hidden_of(kept, direction(i), of_direction)));
+    out.par_chunks_exact_mut(HIDDEN).zip(kept.par_chunks_exact(HIDDEN)).enumerate().for_each(
+        |(i, (out, kept))| {
+            if let Some(direction) = direction(i) {
+                out.copy_from_slice(&hidden_of(kept, direction, of_direction));
+            }
+        },
+    );
     out
 }
 
@@ -227,30 +233,75 @@ pub(super) fn add_light(
     kept: &[f32],
     (matrix, own): (&[f32], &[f32]),
     layer: &[f32],
-    direction: &(dyn Fn(usize) -> [f32; 3] + Sync),
+    direction: &Directions,
     colours: &mut [f32],
 ) {
     let of_direction = &head_weights(look, look.nets()).0[VECTOR * HIDDEN..];
     // Channel by channel, so that the sums run over neighbours.
     let rows: [[f32; HIDDEN]; 3] = std::array::from_fn(|c| std::array::from_fn(|k| layer[3 * k + c]));
+    let head = Head { of_direction, rows, offsets: &layer[3 * HIDDEN..], matrix };
     let pieces = colours.par_chunks_mut(3 * PIECE).zip(own.par_chunks(3 * PIECE));
     pieces.zip(kept.par_chunks(HIDDEN * PIECE)).enumerate().for_each(|(p, ((colours, own), kept))| {
         let splats = colours.chunks_exact_mut(3).zip(own.chunks_exact(3)).zip(kept.chunks_exact(HIDDEN));
         for (k, ((colour, own), kept)) in splats.enumerate() {
-            let hidden = hidden_of(kept, direction(p * PIECE + k), of_direction);
-            let [r, g, b] = [colour[0], colour[1], colour[2]];
-            for c in 0..3 {
-                // Sixteen strands, which the compiler makes vectors of.
-                let mut strands = [0.0f32; 16];
-                for (row, hidden) in rows[c].chunks_exact(16).zip(hidden.chunks_exact(16)) {
-                    (0..16).for_each(|l| strands[l] += row[l] * hidden[l]);
-                }
-                let m = &matrix[4 * c..4 * c + 3];
-                let below = m[0] * r + m[1] * g + m[2] * b + own[c];
-                colour[c] = below + strands.iter().sum::<f32>() + layer[3 * HIDDEN + c];
+            if let Some(direction) = direction(p * PIECE + k) {
+                head.add(kept, direction, own, colour);
             }
         }
     });
+}
+
+/// The colour head after what is kept, and what the rung below does to colours.
+struct Head<'a> {
+    of_direction: &'a [f32],
+    /// Of the last layer, `[channel][hidden]`, and its offsets.
+    rows: [[f32; HIDDEN]; 3],
+    offsets: &'a [f32],
+    matrix: &'a [f32],
+}
+
+impl Head<'_> {
+    /// A splat's colour. Compiled for wider instructions as well, of which none fuses or reorders anything: the same bytes.
+    fn add(&self, kept: &[f32], direction: [f32; 3], own: &[f32], colour: &mut [f32]) {
+        #[cfg(target_arch = "x86_64")]
+        {
+            #[target_feature(enable = "avx512f")]
+            fn avx512(head: &Head, kept: &[f32], direction: [f32; 3], own: &[f32], colour: &mut [f32]) {
+                head.add_plain(kept, direction, own, colour);
+            }
+            #[target_feature(enable = "avx2")]
+            fn avx2(head: &Head, kept: &[f32], direction: [f32; 3], own: &[f32], colour: &mut [f32]) {
+                head.add_plain(kept, direction, own, colour);
+            }
+            if is_x86_feature_detected!("avx512f") {
+                // SAFETY: the instruction set was just found on this machine.
+                return unsafe { avx512(self, kept, direction, own, colour) };
+            }
+            if is_x86_feature_detected!("avx2") {
+                // SAFETY: the instruction set was just found on this machine.
+                return unsafe { avx2(self, kept, direction, own, colour) };
+            }
+        }
+        self.add_plain(kept, direction, own, colour);
+    }
+
+    #[inline(always)]
+    fn add_plain(&self, kept: &[f32], direction: [f32; 3], own: &[f32], colour: &mut [f32]) {
+        let hidden = hidden_of(kept, direction, self.of_direction);
+        let [r, g, b] = [colour[0], colour[1], colour[2]];
+        for c in 0..3 {
+            // Sixteen strands, which the compiler makes vectors of.
+            let mut strands = [0.0f32; 16];
+            for (row, hidden) in self.rows[c].chunks_exact(16).zip(hidden.chunks_exact(16)) {
+                for l in 0..16 {
+                    strands[l] += row[l] * hidden[l];
+                }
+            }
+            let m = &self.matrix[4 * c..4 * c + 3];
+            let below = m[0] * r + m[1] * g + m[2] * b + own[c];
+            colour[c] = below + strands.iter().sum::<f32>() + self.offsets[c];
+        }
+    }
 }
 
 /// What [`backward`] finds.
