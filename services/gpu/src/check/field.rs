@@ -18,7 +18,7 @@ pub fn field(engine: &GpuEngine, view: &dyn Projected) -> Result<Vec<Checked>, R
         vec![Checked { kernels: &["row_state", "row_step", "row_add"], off: rows(engine, view)?.err() }];
     for question in [
         Question { size: SIZE, channels: 20, decoded: None, grid: [24, 17], pixels: 700, masks: 70 },
-        Question { size: SIZE, channels: 3, decoded: None, grid: [130, 68], pixels: 2500, masks: 9 },
+        Question { size: SIZE, channels: 3, decoded: None, grid: [130, 68], pixels: 1100, masks: 9 },
         Question { size: SIZE, channels: 20, decoded: Some(30), grid: [40, 31], pixels: 0, masks: 0 },
     ] {
         let off = judged(&question, engine, FieldRule { compact: 0.0, ..RULE }, false)?.err();

@@ -136,9 +136,12 @@ impl FieldStep<'_> {
         if let Some(decoder) = &field.decoder {
             tape.forward(work, plan, decoder.rows.part(0), count, 0);
         }
-        let numbers = asked.planes.next_multiple_of(4) * cells;
-        // Planes that fill up have nothing to say, and are no part of the mean.
-        let numbers = if field.decoder.is_some() { numbers } else { asked.planes * cells };
+        // Planes that fill up what is decoded to whole vec4 have nothing to say, and are no part of the mean.
+        let planes = match field.decoder {
+            Some(_) => asked.planes.next_multiple_of(4),
+            None => asked.planes,
+        };
+        let numbers = planes * cells;
         let share = 1.0 / (asked.planes * cells).max(1) as f32;
         let groups = numbers.div_ceil(GROUP);
         let parts = work.take::<f32>("the embedding loss", groups)?;

@@ -11,7 +11,7 @@ use crate::shaders::{ADD_PULL, DRAWN, MATES, PAIRS, PULL, TOTAL, UNITS};
 use segwild_raster::field::{Drawn, Membership};
 
 /// Pairs of a piece, but for its last column.
-const PIECE: usize = 1 << 22;
+const PIECE: usize = 1 << 20;
 
 /// Drawn pixels of a view, on the device.
 pub(super) struct Pairs {
