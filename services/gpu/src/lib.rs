@@ -5,7 +5,8 @@
 //! networks (`nets/`) have theirs in `services/nets` and `services/raster/src/look/gsw/`.
 //! What one view needs stays on the device from `project` to `backward`; channels go up, unless they are kept there for
 //! many views, and images and gradients come back, at the trait's boundary. Splats in training stay there too, with their
-//! optimiser, photos and networks (`training.rs`): then a step is handed over at once.
+//! optimiser, photos and networks (`training.rs`), and so do features while they are refined (`field/`): then a step is handed
+//! over at once.
 
 #[cfg(test)]
 extern crate self as segwild_gpu;

@@ -19,11 +19,6 @@ pub fn set(width: u32, height: u32, masks: Vec<Mask>) -> MaskSet {
     MaskSet { width, height, masks }
 }
 
-/// The columns `from..to`.
-pub fn columns(width: u32, height: u32, from: u32, to: u32) -> Mask {
-    Mask::from_fn(width, height, |x, _| x >= from && x < to)
-}
-
 /// Cosine of two vectors.
 pub fn cosine(a: &[f32], b: &[f32]) -> f64 {
     let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(x, y)| f64::from(*x) * f64::from(*y)).sum::<f64>();
