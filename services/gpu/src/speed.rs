@@ -14,7 +14,7 @@ use crate::nets::{GpuNetworks, Lighting, PIECE, floor};
 use crate::passes::PIXELS;
 use crate::shaders::{RATE, SHADE};
 use crate::training::GpuTraining;
-use crate::view::{at_once, gathered_at_once, parts_of};
+use crate::view::{at_once, gathered_at_once, pack_image, parts_of};
 use crate::{GpuEngine, GpuError};
 use segwild_raster::compare::{LeaveOut, Residuals, Sitting, Target};
 use segwild_raster::field::{FieldRule, Queries};
@@ -279,7 +279,8 @@ pub const FIELD_RULE: FieldRule = FieldRule { embedding: 0.7, compact: 0.3, rate
 
 /// Times the losses of the feature field.
 fn losses(engine: &GpuEngine, reach: Reach, question: Question) -> Result<Timed, GpuError> {
-    let made = question.make(&mut Random::new(3));
+    let random = &mut Random::new(3);
+    let (made, image) = (question.make(random), question.image(random));
     let channels = question.channels;
     let field = question.refining(vec![0.0; channels], FIELD_RULE);
     let field = GpuField::upload(&engine.device, &field)?;
@@ -287,12 +288,13 @@ fn losses(engine: &GpuEngine, reach: Reach, question: Question) -> Result<Timed,
     let work = &mut engine.device.work();
     let asked = GpuAsked::upload(&engine.device, work, &made.asked())?;
     let blocks = at_once(channels);
-    let image = work.take::<[f32; 4]>("the image", pixels * blocks)?;
-    work.clear(&image);
+    let parts = parts_of(channels)
+        .map(|first| Ok((first, work.upload("the image", &pack_image(&image, first, blocks, None))?)));
+    let parts = parts.collect::<Result<Vec<_>, GpuError>>()?;
     let ms = timed(work, |work| {
         let step = field.begin(work, &asked, &made.drawn())?;
-        for first in parts_of(channels) {
-            step.take(work, first / 4, blocks, &image);
+        for (first, image) in &parts {
+            step.take(work, first / 4, blocks, image);
         }
         step.judge(work)?;
         let blocks = gathered_at_once(channels);

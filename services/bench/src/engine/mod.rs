@@ -16,7 +16,7 @@ use segwild_gpu::{
 };
 use segwild_raster::field::{Queries, score};
 use segwild_raster::{Channels, CpuEngine, Engine, FrameGrad, Look, ProjectOptions, RasterError, Sight};
-use segwild_scene::{Camera, Image, Pose, Random, Splats};
+use segwild_scene::{Camera, Pose, Random, Splats};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -175,10 +175,9 @@ fn on_the_cpu(
         drop(look.tint_backward(0, light.as_ref(), &sight, &colours, colours.clone(), &[]));
     };
     let question = some_question(camera, channels);
-    let asked = question.make(&mut Random::new(3));
+    let random = &mut Random::new(3);
+    let (asked, image) = (question.make(random), question.image(random));
     let mut field = question.refining(vec![0.0; channels], FIELD_RULE);
-    let (wide, high) = question.size;
-    let image = Image::zeros(wide as usize, high as usize, channels);
     let mut losses = || drop(field.judge(&image, &asked.asked(), &asked.drawn()));
     let units = vec![vec![0.5; channels]; CLICKS];
     let queries = Queries { channels, units: &units, sharpness: 10.0 };

@@ -128,8 +128,7 @@ fn judged(
     for step in 0..3 {
         let mut made = question.make(random);
         let (width, height) = (SIZE.0 as usize, SIZE.1 as usize);
-        let mut image = Image::zeros(width, height, question.channels);
-        image.data.iter_mut().for_each(|v| *v = random.uniform() - 0.3);
+        let mut image = question.image(random);
         if step == 1 {
             made.validity[5] = f32::NAN;
             for (plane, k) in image.data.chunks_exact_mut(width * height).zip(0..) {
@@ -167,15 +166,12 @@ fn told(engine: &GpuEngine, field: &GpuField, image: &Image, made: &Made) -> Res
     step.judge(&mut work)?;
     let mut out = Image::zeros(image.width, image.height, count);
     let blocks = gathered_at_once(count);
-    let mut parts = Vec::new();
     for first in (0..count).step_by(4 * blocks) {
         let part = step.gradients(&mut work, first / 4, blocks)?;
         let grads: Vec<f32> = work.read(&part, 4 * blocks * pixels)?;
         unpack_image(&grads, 4 * blocks, first, &mut out);
-        // Nothing is learnt of them.
-        work.clear(&part);
-        parts.push(part);
     }
+    // No row learns, but the losses are kept.
     step.finish(&mut work, &[], blocks)?;
     Ok(out)
 }

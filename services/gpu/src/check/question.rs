@@ -71,6 +71,13 @@ impl Question {
         }
     }
 
+    /// A view of features, all of which have a direction.
+    pub fn image(&self, random: &mut Random) -> Image {
+        let mut image = Image::zeros(self.size.0 as usize, self.size.1 as usize, self.channels);
+        image.data.iter_mut().for_each(|v| *v = random.uniform() - 0.3);
+        image
+    }
+
     /// Features that are asked.
     pub fn refining(&self, values: Vec<f32>, rule: FieldRule) -> Refining {
         let random = &mut Random::new(8);

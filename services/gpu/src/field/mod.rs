@@ -194,9 +194,9 @@ impl RefiningAway for GpuField {
     }
 
     fn losses(&self) -> Result<FieldLosses, RasterError> {
-        let last = lock(&self.last);
+        // The device first, as in a step.
+        let (mut work, last) = (self.device.work(), lock(&self.last));
         let Some(Last { parts, share, pairs }) = &*last else { return Ok(FieldLosses::default()) };
-        let mut work = self.device.work();
         let mut sum = |(said, count): &(Lent, usize)| -> Result<f64, GpuError> {
             let said: Vec<f32> = work.read(said, *count)?;
             Ok(said.iter().map(|&part| f64::from(part)).sum())
