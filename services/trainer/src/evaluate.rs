@@ -1,11 +1,12 @@
 //! Quality on photos that were held out (method, sections 3 and 10).
 
 use crate::TrainError;
-use crate::background::Background;
+use crate::background::{Background, PRIOR_OF_HALF};
 use crate::light::directions;
 use crate::looks::{self, Lit};
 use crate::model::{Model, compose};
 use crate::photos::{Level, PhotoCache, Photos, Stored};
+use segwild_raster::compare::SkySums;
 use segwild_raster::{AffineLook, AnyLook, Channels, Engine, HIDDEN, Look, RANK, psnr, ssim};
 use segwild_scene::{Image, Scene, Splats, View};
 use std::sync::Arc;
@@ -126,7 +127,7 @@ pub(crate) fn draw_unseen(
                 let weight = if photo.sky(i) { 1.0 } else { open(i) };
                 (within(i) && photo.valid(i) && weight > 0.01).then(|| (photo.colour(i), weight))
             };
-            let sky = Background::fit(&camera, &pose, 2, seen);
+            let sky = Background::fit(SkySums::of(&camera, &pose, 2, seen), PRIOR_OF_HALF);
             background = sky.unwrap_or(background);
         }
         let behind = background.paint(&camera, &pose);

@@ -1,8 +1,9 @@
 //! Per-pixel pieces of a training step.
 
-use crate::background::Background;
+use crate::background::{Background, PRIOR};
 use crate::photos::Stored;
 use segwild_raster::Projected;
+use segwild_raster::compare::SkySums;
 use segwild_scene::{Camera, Image, Pose};
 
 /// A plane at the centre of every splat that is seen, for density control; 0 outside the frame.
@@ -22,10 +23,9 @@ pub(crate) fn at_centres(plane: &Image, projected: &dyn Projected) -> Vec<f32> {
 /// What a photo shows behind the splats at first: a sky fitted to its sky pixels, or else its mean colour.
 pub(crate) fn first_background(stored: &Stored, camera: &Camera, pose: &Pose) -> Background {
     let photo = &stored.levels[0];
-    let sky = stored
-        .has_sky
-        .then(|| Background::fit(camera, pose, 2, |i| photo.sky(i).then(|| (photo.colour(i), 1.0))))
-        .flatten();
+    let seen = |i: usize| photo.sky(i).then(|| (photo.colour(i), 1.0));
+    let fit = || Background::fit(SkySums::of(camera, pose, 2, seen), PRIOR);
+    let sky = stored.has_sky.then(fit).flatten();
     sky.unwrap_or_else(|| {
         let (mut sum, mut n) = ([0.0f64; 3], 0.0f64);
         for i in (0..photo.pixels()).filter(|&i| photo.valid(i)) {

@@ -25,7 +25,8 @@ pub fn direction(camera: &Camera, pose: &Pose, x: usize, y: usize) -> Vec3 {
     (pose.rotation.transpose() * ray).normalize()
 }
 
-/// Colour in a direction; far from what it was fitted to it is kept within what looks can need.
+/// Colour in a direction, in the scene's colours, unbounded: behind a statue that stands dark before a bright sky it is many
+/// times what a picture holds, and the photo's look brings it back.
 pub fn behind(coefficients: &[[f32; 3]], direction: Vec3) -> [f32; 3] {
     let mut out = [0.0; 3];
     for (b, c) in basis(direction).iter().zip(coefficients) {
@@ -33,7 +34,7 @@ pub fn behind(coefficients: &[[f32; 3]], direction: Vec3) -> [f32; 3] {
             out[k] += b * c[k];
         }
     }
-    out.map(|v| v.clamp(-1.0, 2.0))
+    out
 }
 
 /// The colours behind a whole frame, three planes.
