@@ -3,8 +3,9 @@
 //! Same key, same bytes. A key holds everything the artefact depends on, so a changed setting re-does exactly what
 //! depends on it.
 
-use crate::Settings;
+use crate::{Settings, Until};
 use crate::evaluate::protocol_of;
+use crate::onward::Origin;
 use crate::strangers::Corrections;
 use rayon::prelude::*;
 use segwild_features::{Compression, FeatureSettings};
@@ -70,6 +71,36 @@ fn without_effect(settings: &Settings) -> Vec<&'static str> {
     names
 }
 
+/// Where a training begins and ends.
+#[derive(Clone, Debug)]
+pub enum End {
+    /// At the start, and where its settings say.
+    Settings,
+    /// At the start, and at this step, which may lie past its settings' own.
+    Step(u32),
+    /// Where another ended, and some steps later.
+    Onward(Origin),
+}
+
+impl End {
+    /// That of a run that is to stop there.
+    pub fn of(until: Option<Until>) -> End {
+        match until {
+            Some(Until::Step(step)) => End::Step(step),
+            _ => End::Settings,
+        }
+    }
+
+    /// The step to stop at, if it was named.
+    pub fn step(&self) -> Option<u32> {
+        match self {
+            End::Settings => None,
+            End::Step(step) => Some(*step),
+            End::Onward(origin) => Some(origin.end),
+        }
+    }
+}
+
 /// What is in a scene's photos: the hash of each, or why it cannot be read.
 #[derive(Clone, Debug)]
 pub struct Digests(Vec<Result<String, String>>);
@@ -87,8 +118,7 @@ impl Digests {
 }
 
 impl Keys {
-    /// Names everything that a run of these settings makes of photos that were read; `steps` when it trains past the
-    /// settings' own.
+    /// Names everything that a run of these settings makes of photos that were read.
     pub fn of(
         scene: &Scene,
         Digests(digests): Digests,
@@ -96,7 +126,7 @@ impl Keys {
         providers: &Providers,
         corrections: &Corrections,
         engine: &str,
-        steps: Option<u32>,
+        end: &End,
     ) -> Keys {
         let photo = |domain: &'static str, i: usize, model: &str| {
             let digest = digests[i].as_ref().map_or("unreadable", String::as_str);
@@ -145,12 +175,26 @@ impl Keys {
                 None => {}
             }
         }
-        let training = training.finish();
-        let geometry = match steps.filter(|&steps| steps > settings.train.steps) {
-            Some(steps) => Key::of("geometry").key("training", &training).value("steps", steps).finish(),
-            None => training,
+        let whole = training.finish();
+        let training = match end {
+            End::Onward(origin) => Key::of("geometry")
+                .key("whole", &whole)
+                .key("from", &origin.training)
+                .value("step", origin.step)
+                .value("end", origin.end)
+                .finish(),
+            End::Settings | End::Step(_) => whole,
         };
-        let snapshot = snapshot_of(&training, settings.train.snapshot_step());
+        let geometry = match *end {
+            End::Step(steps) if steps > settings.train.steps => {
+                Key::of("geometry").key("training", &training).value("steps", steps).finish()
+            }
+            _ => training,
+        };
+        let snapshot = match end {
+            End::Onward(origin) => origin.snapshot,
+            _ => snapshot_of(&training, settings.train.snapshot_step()),
+        };
         let masks: Vec<Key> = views
             .clone()
             .map(|i| {

@@ -3,9 +3,10 @@
 //! Nothing is guessed from a table of who depends on what. Every stage has a key made of all it depends on
 //! ([`Keys`]); a changed setting is a cause of a stage if it alone changes the stage's key.
 
-use crate::artefacts::{Digests, Keys};
+use crate::artefacts::{Digests, End, Keys};
 use crate::choice;
 use crate::graph::{STAGES, UNTIL_STEP};
+use crate::onward::{Onward, Origin};
 use crate::strangers::Corrections;
 use crate::{RunError, RunFolder, Settings, Until, choose_engine};
 use segwild_flow::ledger::{StageRow, State};
@@ -70,6 +71,8 @@ struct Situation {
     keys: Keys,
     /// Which photos' strangers were put right by hand, in words.
     corrected: Option<String>,
+    /// Where the training begins, if not at the start.
+    origin: Option<Origin>,
     /// The step that the training ends at, or is to stop at.
     goal: u32,
     /// The step that the training ends at by its settings.
@@ -80,8 +83,9 @@ struct Situation {
 fn situation(
     path: &Path,
     folder: &RunFolder,
+    ledger: Option<&Ledger>,
     settings: &Settings,
-    steps: Option<u32>,
+    end: &End,
 ) -> Result<Situation, RunError> {
     let scene = Scene::open(path, &settings.scene)?;
     let providers = Providers::from_settings(&settings.vision)?;
@@ -90,15 +94,22 @@ fn situation(
     let corrections = Corrections::find(&scene, folder, &settings.scene.strangers)?;
     let corrected = corrections.in_words(&scene);
     let digests = Digests::read(&scene);
-    let name = |settings: &Settings| {
-        Keys::of(&scene, digests.clone(), settings, &providers, &corrections, engine.name(), steps)
+    let named = |settings: &Settings, corrections: &Corrections, end: &End| {
+        Keys::of(&scene, digests.clone(), settings, &providers, corrections, engine.name(), end)
     };
+    let name = |settings: &Settings| named(settings, &corrections, end);
     // What is not decided yet: whatever it will be, all that depends on it is to be made.
     let cache = Cache::at(folder.path().join("cache"));
     let settings = choice::decided_before(&cache, settings, &name)?;
-    let keys = name(&settings);
+    let (mut keys, mut goal, mut origin) = (name(&settings), end.step(), None);
+    if let (End::Settings, Some(ledger)) = (end, ledger) {
+        let named = |corrections: &Corrections, end: &End| named(&settings, corrections, end);
+        if let Some(onward) = Onward::find(folder, ledger, &cache, &settings, &corrections, &named)? {
+            (keys, goal, origin) = (onward.keys, Some(onward.origin.end), Some(onward.origin));
+        }
+    }
     let (end, snapshot_step) = (settings.train.steps, settings.train.snapshot_step());
-    Ok(Situation { scene, keys, corrected, goal: steps.unwrap_or(end), end, snapshot_step })
+    Ok(Situation { scene, keys, corrected, origin, goal: goal.unwrap_or(end), end, snapshot_step })
 }
 
 /// Says what [`crate::run()`] would do with these settings, without doing it. Works while another process runs.
@@ -110,15 +121,11 @@ pub fn explain(
 ) -> Result<Vec<Plan>, RunError> {
     let settings = settings.anchored();
     let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
-    let steps = match until {
-        Some(Until::Step(step)) => Some(step),
-        _ => None,
-    };
-    let now = situation(&path, folder, &settings, steps)?;
     let ledger = match folder.ledger().is_file() {
         true => Some(Ledger::open_read_only(folder.ledger())?),
         false => None,
     };
+    let now = situation(&path, folder, ledger.as_ref(), &settings, &End::of(until))?;
     let before = match &ledger {
         Some(ledger) => Some(Before::read(ledger, &path, folder, &settings)?),
         None => None,
@@ -206,6 +213,8 @@ fn geometry(
         // Without the snapshot, the training has to pass its step again.
         steps.extend(whole.map(|row| row.step as u32).filter(|&step| snapshot || step < now.snapshot_step));
     }
+    // It begins where another ended, until it has a checkpoint of its own.
+    steps.extend(now.origin.as_ref().filter(|_| snapshot).map(|origin| origin.step));
     let last_before = |end: u32| steps.iter().copied().filter(|&step| step <= end).max();
     if trained {
         let from = last_before(now.snapshot_step).unwrap_or(0);
@@ -240,10 +249,10 @@ impl Before {
         settings: &Settings,
     ) -> Result<Before, RunError> {
         let mut old = settings.clone();
-        let (mut changed, mut until) = (Vec::new(), None);
+        let (mut changed, mut end) = (Vec::new(), End::Settings);
         for (name, value) in ledger.settings()? {
             if name == UNTIL_STEP {
-                until = value.parse().ok();
+                end = value.parse().map_or(End::Settings, End::Step);
                 continue;
             }
             let new = settings.get(&name).unwrap_or_default();
@@ -252,12 +261,12 @@ impl Before {
                 changed.push((name, value, new));
             }
         }
-        let then = situation(path, folder, &old, until)?;
+        let then = situation(path, folder, Some(ledger), &old, &end)?;
         let mut alone = Vec::new();
         for (name, _, value) in &changed {
             let mut one = old.clone();
             one.set(name, value).map_err(crate::SettingsError::from)?;
-            alone.push(situation(path, folder, &one, until)?.keys);
+            alone.push(situation(path, folder, Some(ledger), &one, &end)?.keys);
         }
         let mut given_up = Vec::new();
         for (stage, keys) in [

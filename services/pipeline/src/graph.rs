@@ -2,12 +2,13 @@
 
 use crate::accelerator::leased;
 use crate::anew::Anew;
-use crate::artefacts::{Digests, Keys};
+use crate::artefacts::{Digests, End, Keys};
 use crate::board::Board;
 use crate::choice::Chooser;
 use crate::coordinator::{Coordinator, State};
 use crate::evaluate::{HeldOut, held_out};
 use crate::folder::Intake;
+use crate::onward::Onward;
 use crate::skies::Skies;
 use crate::strangers::{Corrections, Known};
 use crate::traces::Traces;
@@ -184,10 +185,7 @@ pub fn run(
         memory::fits_accelerator(settings, &scene)?;
     }
     options.events.info(None, format!("splats are computed by {why}"));
-    let asked = match options.until {
-        Some(Until::Step(step)) => Some(step),
-        _ => None,
-    };
+    let asked = End::of(options.until);
     let corrections = Corrections::find(&scene, folder, &settings.scene.strangers)?;
     if let Some(words) = corrections.in_words(&scene) {
         options.events.info(Some("ingest"), words);
@@ -196,9 +194,10 @@ pub fn run(
     for doubt in doubts::doubts(&scene).into_iter().chain(doubts::copies(&scene, &digests.all())) {
         options.events.warn(Some("ingest"), doubt);
     }
-    let name = |settings: &Settings| {
-        Keys::of(&scene, digests.clone(), settings, &providers, &corrections, engine.name(), asked)
+    let named = |settings: &Settings, corrections: &Corrections, engine: &str, end: &End| {
+        Keys::of(&scene, digests.clone(), settings, &providers, corrections, engine, end)
     };
+    let name = |settings: &Settings| named(settings, &corrections, engine.name(), &asked);
     let keys = name(settings);
     let cache = folder.cache()?;
     let known = Known {
@@ -224,14 +223,23 @@ pub fn run(
         options.events.info(Some("geometry"), format!("{kind} {why}"));
         Ok(())
     })?;
-    let keys = name(settings);
+    let mut keys = name(settings);
     // The same training by another engine: what it left is gone on from where this one left nothing.
     let elsewhere = ["cpu", "gpu"].into_iter().filter(|other| *other != engine.name()).map(|other| {
-        let keys = Keys::of(&scene, digests.clone(), settings, &providers, &corrections, other, asked);
+        let keys = named(settings, &corrections, other, &asked);
         (other, keys.training)
     });
     let elsewhere = elsewhere.collect();
-    let steps = asked.unwrap_or(settings.train.steps);
+    let mut steps = asked.step().unwrap_or(settings.train.steps);
+    let mut origin = None;
+    if let End::Settings = asked {
+        let named = |corrections: &Corrections, end: &End| named(settings, corrections, engine.name(), end);
+        let onward = Onward::find(folder, &ledger, &cache, settings, &corrections, &named)?;
+        if let Some(onward) = onward {
+            onward.remember(folder)?;
+            (steps, keys, origin) = (onward.origin.end, onward.keys, Some(onward.origin));
+        }
+    }
     let last = match options.until {
         Some(Until::Stage(stage)) => STAGES.iter().position(|s| *s == stage).unwrap_or(STAGES.len()),
         // A training that is not over has nothing to give to the stages after it.
@@ -260,6 +268,7 @@ pub fn run(
         engine,
         full_keys: keys.clone(),
         elsewhere,
+        origin,
         keys,
         names,
         cache,

@@ -48,7 +48,7 @@ fn in_use(ledger: &Ledger) -> Result<BTreeSet<String>, LedgerError> {
 }
 
 /// The training that the run stands at, whichever step it was last asked to go to.
-fn present_training(ledger: &Ledger) -> Result<Option<String>, LedgerError> {
+pub(crate) fn present_training(ledger: &Ledger) -> Result<Option<String>, LedgerError> {
     if let Some(row) = ledger.views(SNAPSHOT)?.into_iter().find(|row| row.view == TRAINING) {
         return Ok(Some(row.key));
     }

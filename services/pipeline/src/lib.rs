@@ -24,6 +24,7 @@ mod keep;
 mod light;
 mod mask_source;
 mod memory;
+mod onward;
 mod outcome;
 mod prompts;
 mod render;

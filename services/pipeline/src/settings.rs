@@ -66,6 +66,9 @@ settings! {
         cache_limit: u64 = 0,
         /// Seconds without a sign of life after which a worker is named as stuck.
         stuck_after: u32 = 60 => 1..,
+        /// Share of the steps for which the training goes on from where it ended, after masks of strangers were put right by
+        /// hand; 0 trains from the start.
+        train_on: f32 = 0.0 => 0.0..=10.0,
         /// Photo pairs shown in the report.
         report_photos: u32 = 8,
     }

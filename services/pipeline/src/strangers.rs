@@ -96,6 +96,17 @@ impl Corrections {
         Some(self.0.get(view)?.as_ref()?.digest.as_str())
     }
 
+    /// What all of them are; `None` when there is none.
+    pub fn digest_of_all(&self) -> Option<String> {
+        let mut hasher = blake3::Hasher::new();
+        for (view, one) in self.0.iter().enumerate() {
+            if let Some(one) = one {
+                hasher.update(format!("{view} {}\n", one.digest).as_bytes());
+            }
+        }
+        self.0.iter().any(Option::is_some).then(|| hasher.finalize().to_hex()[..32].to_owned())
+    }
+
     /// A view's, at the size of its loaded photo.
     pub fn mask(&self, view: usize, width: u32, height: u32) -> Option<Mask> {
         Some(self.0.get(view)?.as_ref()?.mask.resized(width, height))

@@ -93,6 +93,66 @@ fn a_png_put_back_wins_and_what_depends_on_it_is_made_anew() {
 }
 
 #[test]
+fn a_correction_is_trained_on_from_where_the_training_ended() {
+    let begin = || {
+        let dir = folder();
+        let run = copied_run(&dir);
+        (dir, run)
+    };
+    let (_kept, run) = begin();
+    let photo = place().manifest.photos.iter().find(|p| !p.test).expect("one is trained on").name.as_str();
+    let picture = |run: &Path| run.join("strangers").join(Path::new(photo).with_extension("png"));
+    let paint = |run: &Path, share: u32| {
+        let mask = Mask::read_png(&picture(run)).expect("it opens");
+        let (w, h) = (mask.width(), mask.height());
+        Mask::from_fn(w, h, |x, _| x < w / share).write_png(&picture(run)).expect("it is written");
+    };
+    let model = |run: &Path| std::fs::read(run.join("model.bin")).expect("a model");
+    let steps = |run: &Path| -> u64 {
+        let history = std::fs::read_to_string(run.join("history.jsonl")).expect("a history");
+        let last: serde_json::Value = serde_json::from_str(history.lines().last().expect("a line")).expect("JSON");
+        last["step"].as_u64().expect("a step")
+    };
+    let on = ["--train-on", "0.25"];
+    let all_reused = |run: &Path, flags: &[&str]| {
+        let plans = plan(run, flags);
+        assert!(plans.iter().all(|p| p.1 || p.0 == "report"), "{plans:?}");
+    };
+    // Nothing was put right: it stands as it is.
+    all_reused(&run, &on);
+    let (first, ended) = (model(&run), steps(&run));
+    paint(&run, 2);
+    for (stage, reused, why) in plan(&run, &on) {
+        let independent = matches!(stage.as_str(), "sky" | "embed" | "masks");
+        assert_eq!(reused, independent, "{stage}: {why}");
+    }
+    assert!(runs(&run, &[&["--explain"], &on[..]].concat()).contains(&format!("goes on from step {ended}")));
+    let said = runs(&run, &on);
+    assert!(said.contains(&format!("goes on from step {ended}")), "{said}");
+    let (second, then) = (model(&run), steps(&run));
+    assert!(second != first && then == ended + ended / 4, "{ended} steps, then {then}");
+    all_reused(&run, &on);
+    // The same from the same is the same.
+    let (_kept_too, other) = begin();
+    paint(&other, 2);
+    runs(&other, &on);
+    assert!(model(&other) == second, "the same correction of the same training, the same scene");
+    // Put right again, it goes on from there; taken back, the first scene is there again.
+    paint(&run, 3);
+    let said = runs(&run, &on);
+    assert!(said.contains(&format!("goes on from step {then}")), "{said}");
+    assert_eq!(steps(&run), then + ended / 4);
+    all_reused(&run, &on);
+    std::fs::remove_file(picture(&run)).expect("it goes");
+    runs(&run, &on);
+    assert!(model(&run) == first, "without the correction the first scene is there again");
+    // Under other settings there is nothing to go on from.
+    paint(&run, 2);
+    let said = runs(&run, &[&["--seed", "9"], &on[..]].concat());
+    assert!(!said.contains("goes on from step"), "{said}");
+}
+
+#[test]
 fn a_mask_that_covers_a_photo_or_does_not_fit_it_is_answered_by_name() {
     let dir = folder();
     let run = copied_run(&dir);

@@ -93,7 +93,7 @@ impl Coordinator<'_> {
         let (folder, ledger, events) =
             (self.folder.clone(), self.ledger.clone(), self.options.events.clone());
         let (key, kept) = (self.keys.training, self.settings.run.keep_checkpoints as usize);
-        let elsewhere = self.elsewhere.clone();
+        let (elsewhere, origin) = (self.elsewhere.clone(), self.origin.clone());
         Arc::new(move || {
             let last = |key| {
                 let keeper = Keeper { folder: &folder, ledger: &ledger, events: &events, key, kept };
@@ -102,6 +102,20 @@ impl Coordinator<'_> {
             };
             if let Some(own) = last(&key)? {
                 return Ok(Some(own));
+            }
+            if let Some(origin) = &origin {
+                let (begun, steps) = (origin.step, origin.end - origin.step);
+                let Some(checkpoint) = last(&origin.training)?.filter(|c| c.step() == begun) else {
+                    let lost = format!(
+                        "the training to go on from has lost its checkpoint of step {begun}: run again, from the start"
+                    );
+                    return Err(Failure::fatal(lost));
+                };
+                let message = format!(
+                    "strangers were put right: the training goes on from step {begun} for {steps} more (--train-on)"
+                );
+                events.info(Some("geometry"), message);
+                return Ok(Some(checkpoint));
             }
             for (engine, key) in &elsewhere {
                 if let Some(checkpoint) = last(key)? {

@@ -27,6 +27,7 @@ use crate::board::Board;
 use crate::checkpoints::Keeper;
 use crate::graph::{RunOptions, STAGES};
 use crate::inputs::Inputs;
+use crate::onward::Origin;
 use crate::outcome::Outcome;
 use crate::skies::Skies;
 use crate::strangers::Known;
@@ -110,6 +111,8 @@ pub struct Coordinator<'a> {
     pub full_keys: Keys,
     /// This training by other engines, whose checkpoints serve where it has none of its own.
     pub elsewhere: Vec<(&'static str, Key)>,
+    /// Where the training begins, if not at the start.
+    pub origin: Option<Origin>,
     /// The names of what this run makes, as far as is known.
     pub keys: Keys,
     /// The same, for who says of a damaged artefact what it is.
