@@ -1,4 +1,4 @@
-//! What the looks cost on a scene: CPU time of a training step, and of a picture in a photo's look that is kept, against
+//! What the looks cost on a scene: wall and CPU time of a training step, and of a picture in a photo's look that is kept, against
 //! one without looks.
 //!
 //! `look_cost SCENE [--steps N] [--size PX]`. The trainings take turns step by step, so that whatever else the machine does
@@ -10,6 +10,7 @@ use segwild_trainer::{LookKind, TrainPhoto, TrainSettings, Trainer, render_lit};
 use std::error::Error;
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::time::Instant;
 
 /// CPU time of this process in ms, all threads.
 fn cpu() -> f64 {
@@ -41,20 +42,24 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut trainers = Vec::new();
     for look in looks {
         let settings = TrainSettings { look, steps, ..TrainSettings::default() };
-        trainers.push((look, Trainer::new(engine.clone(), &scene, photos.clone(), settings)?, 0.0, 0));
+        let trainer = Trainer::new(engine.clone(), &scene, photos.clone(), settings)?;
+        trainers.push((look, trainer, [0.0; 2], 0));
     }
     for step in 0..steps {
         for (_, trainer, spent, splats) in &mut trainers {
-            let began = cpu();
+            let (began, clock) = (cpu(), Instant::now());
             let report = trainer.step()?;
             // At full size, as most of the time goes there.
             if step >= steps / 2 {
-                (*spent, *splats) = (*spent + cpu() - began, report.splats);
+                spent[0] += 1e3 * clock.elapsed().as_secs_f64();
+                spent[1] += cpu() - began;
+                *splats = report.splats;
             }
         }
     }
     for (look, _, spent, splats) in &trainers {
-        println!("{look}: {:.1} ms CPU a step, {splats} splats", spent / f64::from(steps - steps / 2));
+        let [wall, cpu] = spent.map(|ms| ms / f64::from(steps - steps / 2));
+        println!("{look}: {wall:.1} ms a step, {cpu:.1} ms CPU, {splats} splats");
     }
     const PICTURES: usize = 200;
     for (look, trainer, ..) in &mut trainers {
