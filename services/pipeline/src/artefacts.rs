@@ -3,10 +3,10 @@
 //! Same key, same bytes. A key holds everything the artefact depends on, so a changed setting re-does exactly what
 //! depends on it.
 
-use crate::{Settings, Until};
 use crate::evaluate::protocol_of;
 use crate::onward::Origin;
 use crate::strangers::Corrections;
+use crate::{Settings, Until};
 use rayon::prelude::*;
 use segwild_features::{Compression, FeatureSettings};
 use segwild_flow::Key;

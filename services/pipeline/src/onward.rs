@@ -93,8 +93,13 @@ impl Onward {
         if !(cache.contains(&keys.geometry) || kept(&keys.training, None)? || kept(&training, Some(step))?) {
             return Ok(None);
         }
-        let record =
-            Record { root: root_name, corrections: corrected, from, step, training: keys.training.to_string() };
+        let record = Record {
+            root: root_name,
+            corrections: corrected,
+            from,
+            step,
+            training: keys.training.to_string(),
+        };
         Ok(Some(Onward { origin, keys, record }))
     }
 

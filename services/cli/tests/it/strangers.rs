@@ -110,7 +110,8 @@ fn a_correction_is_trained_on_from_where_the_training_ended() {
     let model = |run: &Path| std::fs::read(run.join("model.bin")).expect("a model");
     let steps = |run: &Path| -> u64 {
         let history = std::fs::read_to_string(run.join("history.jsonl")).expect("a history");
-        let last: serde_json::Value = serde_json::from_str(history.lines().last().expect("a line")).expect("JSON");
+        let last: serde_json::Value =
+            serde_json::from_str(history.lines().last().expect("a line")).expect("JSON");
         last["step"].as_u64().expect("a step")
     };
     let on = ["--train-on", "0.25"];

@@ -25,6 +25,7 @@ use super::affine::NUMBERS;
 use super::embed::PHOTO;
 use super::{Directions, EmbedLook, Look, Tone};
 use crate::adam::Adam;
+use rayon::prelude::*;
 use segwild_nets::{Map, Tape, scatter, take};
 use segwild_scene::{Camera, Image, Pose, Random};
 use std::ops::Range;
@@ -368,7 +369,14 @@ fn split(splats: &[f32]) -> (&[f32], &[f32]) {
 
 /// The codes of the rung below, side by side.
 fn below_of(codes: &[f32]) -> Vec<f32> {
-    codes.chunks_exact(CODE).flat_map(|code| &code[CODE - BELOW..]).copied().collect()
+    let mut out = vec![0.0; codes.len() / CODE * BELOW];
+    let pieces = out.par_chunks_mut(512 * BELOW).zip(codes.par_chunks(512 * CODE));
+    pieces.for_each(|(to, from)| {
+        for (to, from) in to.chunks_exact_mut(BELOW).zip(from.chunks_exact(CODE)) {
+            to.copy_from_slice(&from[CODE - BELOW..]);
+        }
+    });
+    out
 }
 
 impl Look for GswLook {
