@@ -107,7 +107,7 @@ impl Coordinator<'_> {
                 let (begun, steps) = (origin.step, origin.end - origin.step);
                 let Some(checkpoint) = last(&origin.training)?.filter(|c| c.step() == begun) else {
                     let lost = format!(
-                        "the training to go on from has lost its checkpoint of step {begun}: run again, from the start"
+                        "the training to go on from has lost its checkpoint of step {begun}: --train-on 0 trains from the start"
                     );
                     return Err(Failure::fatal(lost));
                 };
