@@ -19,6 +19,8 @@ use std::collections::BTreeSet;
 
 /// Raised when the bytes that a stage makes from the same input change.
 const FORMAT: u32 = 2;
+/// The same for the training, whose rules change most often: skies and embeddings, which cost most, stay.
+const TRAINING: u32 = 3;
 
 /// The keys of one run.
 #[derive(Clone, Debug)]
@@ -158,7 +160,7 @@ impl Keys {
             views.clone().map(|i| photo("strangers", i, network.as_deref().unwrap_or("none"))).collect();
 
         let mut training = Key::of("geometry")
-            .value("format", FORMAT)
+            .value("format", TRAINING)
             .part("engine", engine)
             .part("settings", text::<TrainSettings>(settings))
             .part("points", points_digest(scene));
