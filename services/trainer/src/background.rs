@@ -15,7 +15,7 @@ pub struct Background {
 }
 
 /// Weight of the mean colour all around, as a share of the weight of what was seen, where the whole photo tells of its sky.
-/// Five times as much flattens real skies: `liberty` loses .4 dB.
+/// Five times as much flattens real skies: `liberty` loses .3 dB.
 pub(crate) const PRIOR: f64 = 0.01;
 /// The same where half of a photo tells, and the other half is to be shown.
 pub(crate) const PRIOR_OF_HALF: f64 = 0.02;
