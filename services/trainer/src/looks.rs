@@ -27,14 +27,12 @@ pub(crate) fn begin(settings: &TrainSettings, views: usize) -> AnyLook {
         }
         LookKind::Embed => {
             let mut look = EmbedLook::new(views + 1, settings.seed);
-            look.rate = settings.lr_look;
-            look.vector_rate = 5.0 * settings.lr_look;
+            look.set_rate(settings.lr_look);
             AnyLook::Embed(look)
         }
         LookKind::Gsw => {
             let mut look = GswLook::new(views + 1, settings.seed, settings.gsw_width);
-            look.below.rate = settings.lr_look;
-            look.below.vector_rate = 5.0 * settings.lr_look;
+            look.below.set_rate(settings.lr_look);
             look.net_rate = settings.lr_net;
             look.point_rate = settings.lr_net;
             AnyLook::Gsw(Box::new(look))

@@ -92,7 +92,7 @@ segwild_scene::settings! {
         lr_code: f32 = 0.01 => 0.0..=10.0,
         /// Share of the steps before splats keep anything for those looks: shapes that light has not yet painted over fit
         /// their objects better.
-        codes_from: f32 = 0.5 => 0.0..=1.0,
+        codes_from: f32 = 0.25 => 0.0..=1.0,
         /// Weight of 1 - SSIM in the loss; the rest is L1. The paper's 0.2 is for photos of one light: SSIM cares less for
         /// what a photo's light and camera change.
         lambda_ssim: f32 = 0.5 => 0.0..=1.0,

@@ -42,6 +42,9 @@ pub struct EmbedLook {
 
 /// Standard deviation of the vectors to start with: codes start at 0, so something must tell the photos apart.
 const SPREAD: f32 = 0.3;
+/// How many times as fast as its matrix a photo's vector learns. A photo is visited a few dozen times in a training, and
+/// in that time its vector must become another: codes that wait for slow ones paint over shapes instead.
+const PACE: f32 = 80.0;
 
 impl EmbedLook {
     /// Numbers that a splat keeps.
@@ -60,15 +63,21 @@ impl EmbedLook {
             }
             photo
         };
+        let rate = 2e-3;
         EmbedLook {
-            rate: 2e-3,
-            vector_rate: 1e-2,
+            rate,
+            vector_rate: PACE * rate,
             pull: 1e-3,
             photos: (0..views).map(photo).collect(),
             matrix_optimisers: vec![Adam::new(1, NUMBERS); views],
             vector_optimisers: vec![Adam::new(1, CODE); views],
             grads: Vec::new(),
         }
+    }
+
+    /// Sets the learning rate of matrices, and that of vectors with it.
+    pub fn set_rate(&mut self, rate: f32) {
+        (self.rate, self.vector_rate) = (rate, PACE * rate);
     }
 
     /// Whether its parts fit each other and `views` photos.

@@ -169,6 +169,30 @@ fn embed_look_matches_finite_differences() {
     assert_eq!(quiet, [0.0; 3 * RANK]);
 }
 
+/// As many visits as a short training has for a photo.
+#[test]
+fn a_photo_finds_its_light_in_twenty_visits() {
+    let mut random = Random(5);
+    let n = 200;
+    let (colours, codes) = (random.many(3 * n, 0.0, 1.0), random.many(3 * RANK * n, -0.5, 0.5));
+    let mut look = EmbedLook::new(1, 7);
+    let mut lit = look.clone();
+    lit.set_vector(0, look.vector(0).map(|v| -v));
+    let wanted = lit.tint(0, &codes, colours.clone());
+    let missing = |look: &EmbedLook| -> Vec<f32> {
+        let shown = look.tint(0, &codes, colours.clone());
+        shown.iter().zip(&wanted).map(|(shown, wanted)| shown - wanted).collect()
+    };
+    let size = |missing: &[f32]| missing.iter().map(|v| v * v).sum::<f32>().sqrt();
+    let before = size(&missing(&look));
+    for _ in 0..20 {
+        look.tint_backward(0, &codes, &colours, missing(&look));
+        look.step(1.0);
+    }
+    let after = size(&missing(&look));
+    assert!(after < before / 3.0, "{after} of {before}");
+}
+
 /// A place of `n` splats, most in the photo's frame, and a look that saw two photos of it.
 fn glanced(n: usize) -> (GswLook, Vec<[f32; 3]>, Camera, Pose) {
     let mut random = Random(11);
