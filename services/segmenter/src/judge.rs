@@ -30,9 +30,8 @@ const SURROUNDED: f32 = 0.5;
 /// boundaries have spoken.
 const ODDS: [f64; 2] = [0.5, 20.0];
 
-/// Share of what the masks hold that may be odd among it: what resembles the clicks less than all but this much does is
-/// something else. Larger leaves out parts of an object that few splats make up, smaller lets in what masks reach into.
-const ODD: f64 = 0.1;
+/// The lowest that resemblance can say at even odds: [`ODDS`] as a probability.
+pub(crate) const LEAST_HINT: f32 = (ODDS[0] / (1.0 + ODDS[0])) as f32;
 
 /// Share of the evidence that a part without a click must hold for anything to be concluded from it.
 const LARGE: f32 = 0.25;
@@ -80,9 +79,8 @@ pub(crate) struct State {
     pub beliefs: Vec<Belief>,
     /// Probability of every splat to lie inside, 0 for frozen ones.
     pub probability: Vec<f32>,
-    /// How much each splat resembles what the masks hold, in [0, 1]: 1 where it is not odd among it, 0 where nothing of it
-    /// resembles the clicks as little.
-    pub resembles: Vec<f32>,
+    /// How likely each splat lies inside by its resemblance to what was clicked and came with it ([`Similarities::held`]) alone.
+    pub hint: Vec<f32>,
 }
 
 impl Judge<'_> {
@@ -121,29 +119,11 @@ impl Judge<'_> {
             })
             .collect();
         spread(self.graph, &self.affinities, &anchors, self.settings.spread_decay, steps, &mut beliefs);
+        let hints: Vec<f32> = (0..n).map(hint).collect();
         let probability = (0..n)
-            .map(|i| if self.is_frozen(i) { 0.0 } else { beliefs[i].probability(hint(i)).clamp(0.0, 1.0) })
+            .map(|i| if self.is_frozen(i) { 0.0 } else { beliefs[i].probability(hints[i]).clamp(0.0, 1.0) })
             .collect();
-        let resembles = self.resembles(&evidence);
-        State { evidence, beliefs, probability, resembles }
-    }
-
-    /// [`State::resembles`]. It compares with what the masks hold alone: of one stone with its plinth may be all the houses
-    /// around, so that stone makes a splat no likelier to lie inside, and yet the plinth is not odd below its statue.
-    fn resembles(&self, evidence: &Evidence) -> Vec<f32> {
-        let n = self.graph.len();
-        let Some(similarities) = &self.similarities else { return vec![1.0; n] };
-        let mut held = [0.0f64; BINS];
-        for i in (0..n).filter(|&i| !self.is_frozen(i)) {
-            held[bin(similarities.merit(i))] += f64::from(evidence.inside[i]);
-        }
-        let odd = ODD * held.iter().sum::<f64>();
-        let mut no_more = 0.0;
-        let share = held.map(|here| {
-            no_more += here;
-            if odd > 0.0 { (no_more / odd).min(1.0) as f32 } else { 1.0 }
-        });
-        (0..n).map(|i| share[bin(similarities.merit(i))]).collect()
+        State { evidence, beliefs, probability, hint: hints }
     }
 
     /// Splats that the masks take in and that hang together neither with a click nor with much else: a mask that
@@ -259,56 +239,4 @@ impl Judge<'_> {
 
 fn bin(merit: f32) -> usize {
     (((merit + 1.0) * 0.5 * BINS as f32) as usize).min(BINS - 1)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_plinth_of_the_stone_of_all_houses_is_not_odd_below_its_statue() {
-        // Bronze and plinth inside, houses of the plinth's stone outside; then, not seen yet: plinth, bronze, ground, and no
-        // number at all.
-        let rows = [(90, 0.95, 1.0, 0.0), (20, 0.9, 1.0, 0.0), (500, 0.9, 0.0, 1.0)].into_iter().chain([
-            (1, 0.9, 0.0, 0.0),
-            (1, 0.95, 0.0, 0.0),
-            (1, 0.1, 0.0, 0.0),
-            (1, f32::NAN, 0.0, 0.0),
-        ]);
-        let rows: Vec<_> = rows.flat_map(|(count, s, i, o)| std::iter::repeat_n((s, i, o), count)).collect();
-        let n = rows.len();
-        let splats = Splats {
-            means: (0..n).map(|i| [i as f32, 0.0, 0.0]).collect(),
-            log_scales: vec![[0.0; 3]; n],
-            rotations: vec![[1.0, 0.0, 0.0, 0.0]; n],
-            opacities: vec![1.0; n],
-            sh: vec![0.0; 3 * n],
-            sh_degree: 0,
-        };
-        let evidence = Evidence {
-            inside: rows.iter().map(|r| r.1).collect(),
-            outside: rows.iter().map(|r| r.2).collect(),
-        };
-        let graph = Graph::new(&splats, 4);
-        let settings = SegmentSettings::default();
-        let similarities =
-            Similarities { positive: rows.iter().map(|r| r.0).collect(), held: Vec::new(), negative: None };
-        let mut judge = Judge {
-            splats: &splats,
-            graph: &graph,
-            hits: (&[], &[]),
-            affinities: graph.affinities(&splats, None),
-            similarities: Some(similarities),
-            frozen: None,
-            settings: &settings,
-        };
-        let of = |judge: &Judge, evidence: &Evidence| {
-            judge.weigh(evidence.clone(), Vec::new(), 1).resembles[n - 4..].to_vec()
-        };
-        assert_eq!(of(&judge, &evidence), [1.0, 1.0, 0.0, 0.0]);
-        // Where masks hold nothing yet, nothing is odd; nor where nothing tells things apart.
-        assert_eq!(of(&judge, &Evidence::none(n)), [1.0; 4]);
-        judge.similarities = None;
-        assert_eq!(of(&judge, &evidence), [1.0; 4]);
-    }
 }

@@ -2,7 +2,7 @@
 //! what the splats only guess, and what was learned there decides splats that no prompt saw.
 
 use crate::coverage::{soft, unoccluded, visible};
-use crate::judge::{Judge, State};
+use crate::judge::{Judge, LEAST_HINT, State};
 use crate::lacking;
 use crate::select::{STEPS, project, view_evidence, working_camera};
 use crate::{Evidence, Refine, Request, SegmentError, SegmentSettings};
@@ -187,7 +187,8 @@ fn certainty_of(judge: &Judge, state: &State, splat: usize) -> f32 {
     }
     let total = state.evidence.total(splat);
     let told = total / (total + HALF_TOLD);
-    let open = OPEN[0] + (OPEN[1] - OPEN[0]) * state.resembles[splat];
+    let resembles = ((state.hint[splat] - LEAST_HINT) / (0.5 - LEAST_HINT)).clamp(0.0, 1.0);
+    let open = OPEN[0] + (OPEN[1] - OPEN[0]) * resembles;
     let around = state.beliefs[splat].probability(open);
     let rest = if around < open { open + HEARSAY * (around - open) } else { around };
     (state.evidence.rho(splat).unwrap_or(0.0) * told + (1.0 - told) * rest).clamp(0.0, 1.0)
