@@ -1,7 +1,7 @@
 //! What the trained geometry allows: the truth of every photo is lifted to the splats and drawn again, so that
 //! only the splats stand between the result and the truth. Prints a line per object.
 //!
-//! `cargo run -p segwild-bench --example ceiling -- DIR [seed=1] [pixels=320] [photos=60] [occlusion=0.1] [light=mixed] [SETTING=VALUE ...]`;
+//! `cargo run -p segwild-bench --example ceiling -- DIR [seed=1] [pixels=320] [photos=60] [occlusion=0.1] [light=mixed] [points=4000] [SETTING=VALUE ...]`;
 //! what `segwild bench --out DIR` left there with the same settings is not made again.
 
 use segwild_bench::metrics;
@@ -27,6 +27,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             "seed" => options.seed = value.parse()?,
             "pixels" => options.long_side = value.parse()?,
             "photos" => options.train = value.parse()?,
+            "points" => options.points = value.parse()?,
             "light" => options.look = segwild_scene::settings::Value::read(value)?,
             "occlusion" => options.occlusion = value.parse()?,
             _ => settings.push((name.to_owned(), value.to_owned())),

@@ -7,7 +7,7 @@
 use crate::{RunError, Settings};
 use segwild_raster::{EmbedLook, GswLook};
 use segwild_scene::Scene;
-use segwild_trainer::{LookKind, TrainSettings, splat_cap};
+use segwild_trainer::{LookKind, TrainSettings, splat_cap, stereo_bytes};
 use std::fmt;
 use std::path::Path;
 
@@ -92,7 +92,8 @@ fn fixed(settings: &Settings, scene: &Scene) -> f64 {
     let field = 4.0 * f64::from(settings.features.channels) * FEATURE_COPIES + 4.0 * (11.0 + 3.0 * bands);
     let samples = f64::from(settings.features.pca_samples) * 4.0 * 64.0;
     let observations: usize = scene.points.iter().map(|p| p.track.len()).sum();
-    let bytes = splats * training.max(field)
+    let stereo = stereo_bytes(&settings.train, scene.views.len(), pixels(settings, scene));
+    let bytes = (splats * training.max(field)).max(stereo as f64)
         + pixels(settings, scene) as f64 * 4.0 * PER_PIXEL
         + samples
         + look

@@ -59,7 +59,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     });
     let fits = train.look != segwild_trainer::LookKind::None;
     let engine = Arc::new(CpuEngine::new());
-    let mut trainer = Trainer::new(engine.clone(), &scene, photos.clone(), train)?;
+    let mut trainer = Trainer::prepared(engine.clone(), &scene, photos.clone(), train, &|| false)?;
     for warning in trainer.warnings() {
         println!("warning: {warning}");
     }

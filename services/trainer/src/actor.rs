@@ -95,7 +95,7 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
         let (engine, scene, photos) = (self.engine.clone(), &*order.scene, order.photos.clone());
         let started = match (order.checkpoint)()? {
             Some(checkpoint) => Trainer::resume(engine, scene, photos, checkpoint),
-            None => Trainer::cross_checked(engine, scene, photos, order.settings.clone(), &|| {
+            None => Trainer::prepared(engine, scene, photos, order.settings.clone(), &|| {
                 context.progress();
                 context.stopping()
             }),
@@ -113,6 +113,13 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
             let share = 100.0 * suspected;
             let said =
                 format!("{share:.0} % of what the photos show is in no other: left out from the start");
+            context.events().info(Some("geometry"), said);
+        }
+        let between = trainer.between();
+        if between > 0 {
+            let said = format!(
+                "{between} points that photos agree on start splats between those of the reconstruction"
+            );
             context.events().info(Some("geometry"), said);
         }
         self.send(TrainOutcome::Began { step: trainer.steps_done(), upcoming: trainer.upcoming() })?;

@@ -3,7 +3,7 @@
 use glam::{Mat3, Vec3};
 use segwild_scene::Random;
 use segwild_scene::knn;
-use segwild_scene::{Camera, NEAR, Pose, Scene, Splats};
+use segwild_scene::{Camera, NEAR, Point, Pose, Scene, Splats};
 
 /// First basis function of real spherical harmonics: a constant.
 pub(crate) const SH0: f32 = 0.282_094_79;
@@ -19,11 +19,12 @@ pub(crate) struct Initial {
 /// One training camera at the size trained at.
 pub(crate) type Eye = (Camera, Pose);
 
-/// Splats from the reconstruction's points; from random ones where there are none.
+/// Splats from the reconstruction's points and those found between them; from random ones where there are none.
 ///
 /// `eyes` has an entry for every view of the scene that is trained on.
 pub(crate) fn initial_splats(
     scene: &Scene,
+    between: &[Point],
     eyes: &[Option<Eye>],
     sh_degree: u32,
     cap: usize,
@@ -36,7 +37,7 @@ pub(crate) fn initial_splats(
     // Scene units per pixel at each point, from the nearest camera that saw it.
     let mut pixels: Vec<f32> = Vec::new();
     let mut lost = 0;
-    for point in &scene.points {
+    for point in scene.points.iter().chain(between) {
         let tracked = point.track.iter().filter_map(|o| eyes.get(o.view as usize)?.as_ref());
         let pixel = pixel_size(point.position, tracked)
             .or_else(|| pixel_size(point.position, cameras.iter().copied()))
@@ -53,7 +54,7 @@ pub(crate) fn initial_splats(
     if lost > 0 {
         warnings.push(format!(
             "{lost} of {} points lie before no training camera and are left out",
-            scene.points.len()
+            scene.points.len() + between.len()
         ));
     }
     let mut distances = knn::nearest(&positions, 3).mean_distances();
@@ -234,7 +235,7 @@ mod tests {
     #[test]
     fn without_points_random_splats_stand_where_cameras_look() {
         for eyes in [vec![eye(0.0)], vec![eye(-0.5), None, eye(0.5), eye(0.0)]] {
-            let start = initial_splats(&scene(vec![]), &eyes, 1, 500, &mut Random::new(1));
+            let start = initial_splats(&scene(vec![]), &[], &eyes, 1, 500, &mut Random::new(1));
             assert_eq!(start.splats.len(), 500);
             assert!(start.warnings.iter().any(|w| w.contains("random")));
             let cameras: Vec<Eye> = eyes.into_iter().flatten().collect();
@@ -261,7 +262,7 @@ mod tests {
         points.push(Point { position: Vec3::new(80.0, 0.0, 5.0), ..points[0].clone() });
         points.push(Point { position: Vec3::new(0.0, 0.0, -9.0), ..points[0].clone() });
         points.push(Point { position: Vec3::NAN, ..points[0].clone() });
-        let start = initial_splats(&scene(points), &[eye(0.0)], 2, 10_000, &mut Random::new(1));
+        let start = initial_splats(&scene(points), &[], &[eye(0.0)], 2, 10_000, &mut Random::new(1));
         assert_eq!(start.splats.len(), 400, "{:?}", start.warnings);
         let stride = start.splats.sh_stride();
         assert!((start.splats.sh[5 * stride + 2] * SH0 + 0.5 - 0.9).abs() < 1e-6);

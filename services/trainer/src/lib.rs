@@ -7,7 +7,9 @@
 mod actor;
 mod away;
 mod background;
+mod between;
 mod choice;
+
 mod density;
 mod error;
 mod evaluate;
@@ -35,6 +37,7 @@ mod witness;
 
 pub use actor::{FindCheckpoint, TrainActor, TrainOrder, TrainOutcome};
 pub use background::Background;
+pub use between::stereo_bytes;
 pub use choice::{
     BudgetChoice, LookChoice, RUNGS, SIZE as CHOICE_SIZE, ShortFit, Tracks, choose_budget, choose_look,
     trial_size,

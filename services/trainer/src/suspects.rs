@@ -52,7 +52,7 @@ pub(crate) fn suspects(
         let held: Vec<usize> = train.iter().copied().skip(part).step_by(parts).collect();
         let mut apart = scene.clone();
         held.iter().for_each(|&view| apart.views[view].test = true);
-        let begun = Trainer::begin(engine.clone(), &apart, photos.take(), short.clone(), FINEST);
+        let begun = Trainer::begin(engine.clone(), &apart, photos.take(), short.clone(), FINEST, &[]);
         let mut trainer = match begun {
             // Too few can be read to leave any out; whether enough for the training is not for here to say.
             Err(TrainError::NoPhotos(_)) => return Ok(vec![None; scene.views.len()]),

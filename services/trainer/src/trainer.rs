@@ -1,5 +1,6 @@
 //! The training loop.
 
+use crate::between;
 use crate::density::{Change, Strategy};
 use crate::initial::{Eye, initial_splats};
 use crate::looks;
@@ -16,7 +17,7 @@ use crate::suspects::{share, suspects};
 use crate::{TrainError, TrainSettings};
 use segwild_raster::{AnyLook, Engine, Resident};
 use segwild_scene::Random;
-use segwild_scene::{Camera, Mask, Scene, Skipped};
+use segwild_scene::{Camera, Mask, Point, Scene, Skipped};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use wincode::{SchemaRead, SchemaWrite};
@@ -62,6 +63,8 @@ pub struct Trainer {
     pub(crate) away: Option<Box<dyn Resident>>,
     /// Whether they may go there.
     pub(crate) may_leave: bool,
+    /// Points that photos agreed on between those of the reconstruction.
+    between: usize,
 }
 
 /// A training that can be continued: with the same scene, photos and settings it ends in the same bytes as
@@ -93,11 +96,12 @@ impl Trainer {
         settings.check()?;
         let settings = settings.decided(scene);
         let cache = photo_cache(scene, photos, &settings);
-        Trainer::begin(engine, scene, cache, settings, 0)
+        Trainer::begin(engine, scene, cache, settings, 0, &[])
     }
 
-    /// The same after a look for strangers by [`TrainSettings::cross_checks`] other trainings; `stopping` ends these.
-    pub fn cross_checked(
+    /// The same after a look for strangers by [`TrainSettings::cross_checks`] other trainings, and one for points between
+    /// those of the reconstruction ([`TrainSettings::stereo`]); `stopping` ends these.
+    pub fn prepared(
         engine: Arc<dyn Engine>,
         scene: &Scene,
         photos: Arc<dyn Photos>,
@@ -108,18 +112,21 @@ impl Trainer {
         let settings = settings.decided(scene);
         let mut cache = photo_cache(scene, photos, &settings);
         let found = suspects(&engine, scene, &mut cache, &settings, stopping)?;
-        let mut trainer = Trainer::begin(engine, scene, cache, settings, 0)?;
+        let between = between::points(scene, &mut cache, &settings, &found, stopping)?;
+        let mut trainer = Trainer::begin(engine, scene, cache, settings, 0, &between)?;
         trainer.state.suspects = found;
+        trainer.between = between.len();
         Ok(trainer)
     }
 
-    /// Starts from the scene's points, on photos that are halved `finest` times at the least.
+    /// Starts from the scene's points and those `between` them, on photos that are halved `finest` times at the least.
     pub(crate) fn begin(
         engine: Arc<dyn Engine>,
         scene: &Scene,
         mut cache: PhotoCache,
         settings: TrainSettings,
         finest: usize,
+        between: &[Point],
     ) -> Result<Trainer, TrainError> {
         let mut train: Vec<usize> = (0..scene.views.len()).filter(|&i| !scene.views[i].test).collect();
         let mut skipped = Vec::new();
@@ -146,7 +153,7 @@ impl Trainer {
         let room = Room::new(&settings, scene.points.len(), train.len(), size.pixels());
         let mut random = Random::new(settings.seed);
         let schedule = Schedule::new(&settings).no_finer_than(finest);
-        let start = initial_splats(scene, &eyes, schedule.sh_degree(0), room.splats(), &mut random);
+        let start = initial_splats(scene, between, &eyes, schedule.sh_degree(0), room.splats(), &mut random);
         let look = looks::begin(&settings, scene.views.len());
         let codes = look.as_look().first_codes(&start.splats.means);
         let state = State {
@@ -180,6 +187,7 @@ impl Trainer {
             id: TRAINERS.fetch_add(1, Ordering::Relaxed),
             away: None,
             may_leave: true,
+            between: 0,
         })
     }
 
@@ -220,6 +228,7 @@ impl Trainer {
             id: TRAINERS.fetch_add(1, Ordering::Relaxed),
             away: None,
             may_leave: true,
+            between: 0,
         })
     }
 
@@ -276,6 +285,11 @@ impl Trainer {
     /// Mean share of the photos that is so left out.
     pub fn suspected(&self) -> f32 {
         share(&self.state.suspects)
+    }
+
+    /// How many points photos agreed on between those of the reconstruction; 0 after the start.
+    pub fn between(&self) -> usize {
+        self.between
     }
 
     /// The photos in the order in which the next steps look at them, each at least once: what to have ready first.

@@ -2,6 +2,7 @@
 
 mod wall;
 
+mod between;
 mod lights;
 mod strangers;
 mod training;

@@ -84,7 +84,7 @@ fn the_network_sees_strangers_and_does_not_take_the_scene_for_them() {
 /// A training before which others have looked for strangers.
 fn cross_checked(photos: Arc<dyn Photos>, scene: &Scene) -> Trainer {
     let settings = TrainSettings { robust: true, ..settings(1500) };
-    Trainer::cross_checked(engine(), scene, photos, settings, &|| false).unwrap()
+    Trainer::prepared(engine(), scene, photos, settings, &|| false).unwrap()
 }
 
 /// Share of the strangers that a training suspects before its first step, and share of what it suspects that they are.
@@ -144,12 +144,12 @@ fn the_look_for_strangers_ends_when_it_is_to_stop_and_is_left_out_where_few_phot
         asked.get() > 40
     };
     let settings = TrainSettings { robust: true, ..settings(300) };
-    let stopped = Trainer::cross_checked(engine(), &scene, all.clone(), settings.clone(), &stopping);
+    let stopped = Trainer::prepared(engine(), &scene, all.clone(), settings.clone(), &stopping);
     assert!(matches!(stopped, Err(TrainError::Stopped)) && asked.get() == 41);
     // Every second photo is damaged: one of the two trainings has none.
     let half =
         move |i: usize| if i.is_multiple_of(2) { Err("it is damaged".to_owned()) } else { all.photo(i) };
-    let trainer = Trainer::cross_checked(engine(), &scene, Arc::new(half), settings, &|| false).unwrap();
+    let trainer = Trainer::prepared(engine(), &scene, Arc::new(half), settings, &|| false).unwrap();
     assert!((0..scene.views.len()).all(|view| trainer.suspects(view).is_none()));
     trainer.finish().unwrap();
 }
