@@ -58,8 +58,8 @@ segwild_scene::settings! {
         /// Most splats allowed; 0 lets the scene decide (photos, pixels, sky, points).
         splats: usize = 0,
         /// Share of the most splats allowed that start from points: the reconstruction's, and between them points that photos
-        /// agree on when they are compared with one another (stereo; 0.6 is a good share). 0: the reconstruction's alone.
-        stereo: f32 = 0.0 => 0.0..=1.0,
+        /// agree on when they are compared with one another (stereo). 0: the reconstruction's alone.
+        stereo: f32 = 0.6 => 0.0..=1.0,
         /// How the number of splats is controlled.
         density: DensityKind = DensityKind::Budget,
         /// Spherical-harmonics degree of the colours, 0 to 3.
@@ -119,9 +119,9 @@ impl Preset {
     pub fn settings(self) -> TrainSettings {
         let standard = TrainSettings::default();
         match self {
-            Preset::Draft => TrainSettings { effort: 0.5, sh_degree: 1, ..standard },
+            Preset::Draft => TrainSettings { effort: 0.5, sh_degree: 1, stereo: 0.0, ..standard },
             Preset::Standard => standard,
-            Preset::Best => TrainSettings { effort: 1.5, sh_degree: 3, stereo: 0.6, ..standard },
+            Preset::Best => TrainSettings { effort: 1.5, sh_degree: 3, ..standard },
         }
     }
 }

@@ -25,7 +25,7 @@ const TABLE: [(&str, &str, &[&str]); 53] = [
     ("robust", "false", GEOMETRY),
     ("robust_share", "0.1", GEOMETRY),
     ("cross_checks", "3", GEOMETRY),
-    ("stereo", "0.6", GEOMETRY),
+    ("stereo", "0.5", GEOMETRY),
     ("seed", "2", GEOMETRY),
     ("lr_mean", "0.4", GEOMETRY),
     ("lr_opacity", "0.04", GEOMETRY),
