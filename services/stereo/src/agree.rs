@@ -79,7 +79,7 @@ pub(crate) fn points(
             for &(j, o, pixel, near) in &seen {
                 let f = &frames[j];
                 taken[j][o] = true;
-                let there = f.camera.ray(pixel) / near;
+                let there = f.fine.camera.ray(pixel) / near;
                 position += f.pose.rotation.transpose() * (there - f.pose.translation);
                 for (c, sum) in colour.iter_mut().enumerate() {
                     *sum += f.image.at(c, pixel.x as usize, pixel.y as usize);
@@ -89,7 +89,7 @@ pub(crate) fn points(
             let mut track: Vec<Observation> = seen
                 .iter()
                 .map(|&(j, _, pixel, _)| {
-                    let (small, full) = (frames[j].camera, scene.views[frames[j].view].camera);
+                    let (small, full) = (frames[j].fine.camera, scene.views[frames[j].view].camera);
                     let scale = Vec2::new(
                         full.width as f32 / small.width as f32,
                         full.height as f32 / small.height as f32,

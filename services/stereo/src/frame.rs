@@ -16,10 +16,9 @@ pub struct Picture {
 pub(crate) struct Frame {
     /// Its index in the scene.
     pub view: usize,
-    /// At the picture's size.
-    pub camera: Camera,
     pub pose: Pose,
     pub image: Image,
+    /// At the picture's size.
     pub fine: Grey,
     /// At half the size.
     pub coarse: Grey,
@@ -88,7 +87,7 @@ impl Frame {
                 }
             }
         }
-        Frame { view, camera, pose: of.pose, image, fine, coarse, usable, sightings }
+        Frame { view, pose: of.pose, image, fine, coarse, usable, sightings }
     }
 
     /// Whether a pixel shows the scene.

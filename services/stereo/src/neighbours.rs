@@ -23,7 +23,7 @@ pub(crate) fn sources(scene: &Scene, frames: &[Frame], most: usize) -> Vec<Vec<u
                 let angle = a.angle_between(b).to_degrees();
                 let deviation = if angle < ANGLE { SPREAD.0 } else { SPREAD.1 };
                 // Photos from much nearer or farther show it at another size.
-                let size = |v: usize, d: f32| frames[v].camera.fx / d.max(1e-6);
+                let size = |v: usize, d: f32| frames[v].fine.camera.fx / d.max(1e-6);
                 let (s, t) = (size(i, a.length()), size(j, b.length()));
                 let worth = (-0.5 * ((angle - ANGLE) / deviation).powi(2)).exp() * (s.min(t) / s.max(t));
                 if worth.is_finite() {

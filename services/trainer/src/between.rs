@@ -38,6 +38,10 @@ pub(crate) fn points(
     let (mut views, mut pictures) = (Vec::new(), Vec::new());
     let (mut pixels, mut ground) = (0, Vec::new());
     for &view in train.iter().step_by(every) {
+        // A photo may have to wait for its sky.
+        if stopping() {
+            return Err(TrainError::Stopped);
+        }
         let stored = match photos.get(view) {
             Ok(stored) => stored,
             // One that cannot be read is named where it is trained on.

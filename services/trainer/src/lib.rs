@@ -9,7 +9,6 @@ mod away;
 mod background;
 mod between;
 mod choice;
-
 mod density;
 mod error;
 mod evaluate;
