@@ -36,6 +36,11 @@ const GUESS: f32 = 0.3;
 /// by the first of them if nothing speaks against it.
 const OPEN: [f32; 2] = [0.4, 0.6];
 
+/// Share of a splat's evidence that lies inside, of which a photo is told that it is as likely inside as not. Less than one
+/// half for the same reason: a part that a third of the photos hold is told as a part, and each photo judges it by its own
+/// boundaries. How far inside it must lie in the end is [`SegmentSettings::rho`].
+const EVEN: f32 = 0.3;
+
 /// Evidence, in views, of which a photo is told half: less leaves the splat open for the photo to judge.
 const HALF_TOLD: f32 = 1.0;
 
@@ -191,7 +196,14 @@ fn certainty_of(judge: &Judge, state: &State, splat: usize) -> f32 {
     let open = OPEN[0] + (OPEN[1] - OPEN[0]) * resembles;
     let around = state.beliefs[splat].probability(open);
     let rest = if around < open { open + HEARSAY * (around - open) } else { around };
-    (state.evidence.rho(splat).unwrap_or(0.0) * told + (1.0 - told) * rest).clamp(0.0, 1.0)
+    let masks = state.evidence.rho(splat).map_or(0.0, leaning);
+    (masks * told + (1.0 - told) * rest).clamp(0.0, 1.0)
+}
+
+/// What a photo is told of a splat of which a share of the evidence lies inside: its odds against those of [`EVEN`].
+fn leaning(share: f32) -> f32 {
+    let (inside, outside) = (share * (1.0 - EVEN), (1.0 - share) * EVEN);
+    inside / (inside + outside)
 }
 
 /// Renders what is believed into a view, lets the photo refine it, and weighs the answer.
@@ -269,4 +281,18 @@ fn call_on(
         Visit { view: index, verdict: Verdict::Accepted, agreement, mask: Some(mask), voice },
         Some(evidence),
     ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The plinth that every photo left out because the photo before it had.
+    #[test]
+    fn a_part_that_a_third_of_the_masks_hold_is_told_as_a_part() {
+        assert!((leaning(EVEN) - 0.5).abs() < 1e-6);
+        assert!(leaning(0.34) > 0.5 && leaning(0.25) < 0.5);
+        assert_eq!((leaning(0.0), leaning(1.0)), (0.0, 1.0));
+        assert!((1..=20).all(|k| leaning(k as f32 / 20.0) > leaning((k - 1) as f32 / 20.0)));
+    }
 }
