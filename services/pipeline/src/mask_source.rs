@@ -3,6 +3,7 @@
 use crate::RunError;
 use segwild_raster::{Engine, Kept, ProjectOptions};
 use segwild_scene::{Camera, Mask, Pose, Splats};
+use segwild_segmenter::{MaskMode, margin};
 
 /// Masks are drawn at most this many times larger than the photos were trained at, then scaled.
 const FINER: u32 = 2;
@@ -16,6 +17,7 @@ pub(crate) struct MaskSource<'a> {
     /// 1 for labelled splats.
     indicator: Kept<'static>,
     options: ProjectOptions,
+    mode: MaskMode,
 }
 
 impl<'a> MaskSource<'a> {
@@ -24,13 +26,14 @@ impl<'a> MaskSource<'a> {
         splats: &'a Splats,
         labels: &[bool],
         options: ProjectOptions,
+        mode: MaskMode,
     ) -> Result<MaskSource<'a>, RunError> {
         let mut indicator = Kept::new(1, labels.iter().map(|&l| f32::from(u8::from(l))).collect::<Vec<_>>());
         indicator.bring(engine)?;
-        Ok(MaskSource { engine, held: engine.hold(splats)?, splats, indicator, options })
+        Ok(MaskSource { engine, held: engine.hold(splats)?, splats, indicator, options, mode })
     }
 
-    /// The pixels of a photo, on its own grid, of which the labelled splats are more than half.
+    /// The pixels of a photo, on its own grid, that the labelled splats own.
     pub fn mask(&self, full: &Camera, pose: &Pose, size: u32) -> Result<Mask, RunError> {
         if self.splats.is_empty() {
             return Ok(Mask::empty(full.width, full.height));
@@ -39,8 +42,8 @@ impl<'a> MaskSource<'a> {
         let engine = self.held.as_deref().unwrap_or(self.engine);
         let projected = engine.project(self.splats, &camera, pose, &self.options)?;
         let frame = projected.blend_kept(&self.indicator)?;
-        let wide = frame.image.resized(full.width as usize, full.height as usize);
-        Ok(Mask::over(full.width, full.height, wide.plane(0), 0.5))
+        let margin = margin(&frame.image, self.mode).resized(full.width as usize, full.height as usize);
+        Ok(Mask::over(full.width, full.height, margin.plane(0), 0.0))
     }
 }
 
@@ -68,7 +71,7 @@ mod tests {
             sh_degree: 0,
         };
         let labels: Vec<bool> = (0..n).map(|i| i % 60 < 30).collect();
-        let source = MaskSource::new(&engine, &splats, &labels, ProjectOptions::default())
+        let source = MaskSource::new(&engine, &splats, &labels, ProjectOptions::default(), MaskMode::Visible)
             .expect("it is brought there");
         let before = engine.brought();
         for photo in 0..3 {

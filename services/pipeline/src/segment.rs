@@ -12,8 +12,8 @@ use segwild_flow::{
 };
 use segwild_scene::{Image, Mask, Scene, ScoredMask, Splats, ply};
 use segwild_segmenter::{
-    Cut, Geometry, Object, PosedView, SegmentActor, SegmentError, SegmentReply, SegmentSettings, SegmentTask,
-    Segmented, Verdict,
+    Cut, Geometry, MaskMode, Object, PosedView, SegmentActor, SegmentError, SegmentReply, SegmentSettings,
+    SegmentTask, Segmented, Verdict,
 };
 use segwild_vision::Providers;
 use serde::Serialize;
@@ -327,11 +327,12 @@ pub fn segment(
             mask.mask.resized(full.width, full.height).write_png(&prompt_dir.join(&names[*view]))?;
         }
         let cut_splats = selected.cut_scene(&model.splats);
-        let in_sight = MaskSource::new(&*engine, &cut_splats, &selected.labels, model.options())?;
+        let in_sight =
+            MaskSource::new(&*engine, &cut_splats, &selected.labels, model.options(), MaskMode::Visible)?;
         let keep: Vec<usize> = (0..cut_splats.len()).filter(|&i| selected.labels[i]).collect();
         let alone = cut_splats.select(&keep);
         let whole = vec![true; keep.len()];
-        let alone = MaskSource::new(&*engine, &alone, &whole, model.options())?;
+        let alone = MaskSource::new(&*engine, &alone, &whole, model.options(), MaskMode::Amodal)?;
         for (view, name) in scene.views.iter().zip(&names) {
             let (visible, amodal) =
                 (in_sight.mask(&view.camera, &view.pose, size)?, alone.mask(&view.camera, &view.pose, size)?);

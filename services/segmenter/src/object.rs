@@ -2,10 +2,16 @@
 
 use crate::Cut;
 use segwild_raster::{Channels, Engine, ProjectOptions, RasterError};
-use segwild_scene::{Camera, Mask, Pose, Splats};
+use segwild_scene::{Camera, Image, Mask, Pose, Splats, box_mean};
 
-/// Share of a pixel that the object must make up to own it.
+/// What the object must make up of a pixel to own it: of what it makes up of those around, or of all where it is alone.
 const HALF: f32 = 0.5;
+/// The least that it must make up of a pixel, and the most: below it is haze that went astray.
+const OWNING: [f32; 2] = [0.3, 0.5];
+/// Half width of the window around a pixel, as a part of the frame's long side.
+const AROUND: usize = 50;
+/// Long side at which windows are laid, in pixels: what they tell is smooth.
+const COARSE: usize = 400;
 
 /// An object taken out of its scene.
 #[derive(Clone, Debug, PartialEq)]
@@ -42,7 +48,68 @@ pub fn cut_scene(splats: &Splats, labels: &[bool], cut: &Cut) -> (Splats, Vec<bo
     (splats, labels)
 }
 
-/// The pixels that show the object: its share of the pixel is over one half, with the whole scene occluding.
+/// What a mask of an object shows of it (method, section 10).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MaskMode {
+    /// What can be seen of it, with the whole scene occluding.
+    Visible,
+    /// What it would cover if nothing stood before it: its splats are drawn alone.
+    Amodal,
+}
+
+/// How much more of each pixel the object makes up than it takes to own it, of one plane of what it makes up: where this
+/// is positive the pixel belongs to its mask.
+///
+/// Half of a pixel is its own where the object is solid and nothing stands before it. Haze takes a share of everything
+/// behind, and what is thin shows what is behind it: then half of what the object makes up around there will do. Pixels
+/// weigh by the square of what it makes up of them, so that its inside tells, and not its rim. Alone, no haze is before it,
+/// and what a little of it shines through was hidden for good reason: then it takes half of the pixel.
+pub fn margin(share: &Image, mode: MaskMode) -> Image {
+    if mode == MaskMode::Amodal {
+        let mut margin = share.clone();
+        margin.data.iter_mut().for_each(|s| *s -= HALF);
+        return margin;
+    }
+    let (w, h) = (share.width, share.height);
+    let shrink = COARSE as f32 / w.max(h).max(1) as f32;
+    let side = |n: usize| if shrink < 1.0 { ((n as f32 * shrink).round() as usize).max(1) } else { n };
+    let small = share.resized(side(w), side(h));
+    let r = (small.width.max(small.height) / AROUND).max(1);
+    let around = |power: i32| {
+        let powers: Vec<f32> = small.plane(0).iter().map(|s| s.powi(power)).collect();
+        box_mean(&powers, small.width, small.height, r)
+    };
+    let (cubes, squares) = (around(3), around(2));
+    let owning = cubes.iter().zip(&squares).map(|(cubes, squares)| {
+        let inside = if *squares > 0.0 { cubes / squares } else { 0.0 };
+        (HALF * inside).clamp(OWNING[0], OWNING[1])
+    });
+    let owning = Image { width: small.width, height: small.height, channels: 1, data: owning.collect() };
+    let mut margin = owning.resized(w, h);
+    margin.data.iter_mut().zip(share.plane(0)).for_each(|(m, s)| *m = s - *m);
+    margin
+}
+
+/// The pixels that the labelled splats own among all that are given.
+fn mask(
+    engine: &dyn Engine,
+    splats: &Splats,
+    labels: &[bool],
+    options: &ProjectOptions,
+    camera: &Camera,
+    pose: &Pose,
+    mode: MaskMode,
+) -> Result<Mask, RasterError> {
+    if labels.len() != splats.len() {
+        return Err(RasterError::Shape(format!("{} labels for {} splats", labels.len(), splats.len())));
+    }
+    let indicator: Vec<f32> = labels.iter().map(|&l| f32::from(u8::from(l))).collect();
+    let channels = Channels { count: 1, values: &indicator };
+    let share = engine.project(splats, camera, pose, options)?.blend(&channels)?.image;
+    Ok(Mask::over(camera.width, camera.height, margin(&share, mode).plane(0), 0.0))
+}
+
+/// The pixels that show the object, with the whole scene occluding.
 pub fn visible_mask(
     engine: &dyn Engine,
     splats: &Splats,
@@ -51,13 +118,7 @@ pub fn visible_mask(
     camera: &Camera,
     pose: &Pose,
 ) -> Result<Mask, RasterError> {
-    if labels.len() != splats.len() {
-        return Err(RasterError::Shape(format!("{} labels for {} splats", labels.len(), splats.len())));
-    }
-    let indicator: Vec<f32> = labels.iter().map(|&l| f32::from(u8::from(l))).collect();
-    let frame =
-        engine.project(splats, camera, pose, options)?.blend(&Channels { count: 1, values: &indicator })?;
-    Ok(Mask::over(camera.width, camera.height, frame.image.plane(0), HALF))
+    mask(engine, splats, labels, options, camera, pose, MaskMode::Visible)
 }
 
 /// The pixels that the object would cover if nothing stood before it.
@@ -76,6 +137,62 @@ pub fn amodal_mask(
     if keep.is_empty() {
         return Ok(Mask::empty(camera.width, camera.height));
     }
-    // Alone, nothing hides it.
-    visible_mask(engine, &splats.select(&keep), &vec![true; keep.len()], options, camera, pose)
+    mask(engine, &splats.select(&keep), &vec![true; keep.len()], options, camera, pose, MaskMode::Amodal)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SIZE: (usize, usize) = (200, 100);
+
+    /// A block whose rim is a ramp of 3 pixels: `inside` of a pixel where it is whole, and `around` elsewhere.
+    fn block(inside: f32, around: f32) -> Image {
+        let data = (0..SIZE.0 * SIZE.1).map(|i| {
+            let (x, y) = (i % SIZE.0, i / SIZE.0);
+            let ramp = |at: usize, from: f32, to: f32| {
+                let at = at as f32 + 0.5;
+                ((at - from) / 3.0 + 0.5).min((to - at) / 3.0 + 0.5).clamp(0.0, 1.0)
+            };
+            around + (inside - around) * ramp(x, 60.0, 140.0).min(ramp(y, 30.0, 70.0))
+        });
+        Image { width: SIZE.0, height: SIZE.1, channels: 1, data: data.collect() }
+    }
+
+    fn owned(share: &Image) -> Mask {
+        Mask::over(SIZE.0 as u32, SIZE.1 as u32, margin(share, MaskMode::Visible).plane(0), 0.0)
+    }
+
+    fn outline() -> Mask {
+        Mask::from_fn(SIZE.0 as u32, SIZE.1 as u32, |x, y| (60..140).contains(&x) && (30..70).contains(&y))
+    }
+
+    /// The haze that strangers leave before buildings took a strip off every rim, and the whole of what it made up more of.
+    #[test]
+    fn haze_before_an_object_leaves_its_outline_where_it_is() {
+        for inside in [1.0, 0.9, 0.8, 0.7] {
+            let iou = owned(&block(inside, 0.0)).iou(&outline());
+            assert!(iou > 0.96, "{inside}: {iou}");
+            let by_half = Mask::over(SIZE.0 as u32, SIZE.1 as u32, block(inside, 0.0).plane(0), HALF);
+            assert!(iou >= by_half.iou(&outline()), "{inside}");
+        }
+        let thick = block(0.45, 0.0);
+        assert!(owned(&thick).iou(&outline()) > 0.85);
+        assert!(Mask::over(SIZE.0 as u32, SIZE.1 as u32, thick.plane(0), HALF).is_empty());
+    }
+
+    #[test]
+    fn stray_haze_owns_nothing() {
+        assert!(owned(&block(0.29, 0.29)).is_empty());
+        // Nor where a solid object is near.
+        assert!(owned(&block(1.0, 0.25)).iou(&outline()) > 0.9);
+    }
+
+    #[test]
+    fn what_is_no_number_owns_nothing_and_takes_nothing_from_the_rest_of_the_photo() {
+        let mut share = block(1.0, 0.0);
+        let clean = owned(&share);
+        share.data[5 * SIZE.0 + 5] = f32::NAN;
+        assert_eq!(owned(&share), clean);
+    }
 }
