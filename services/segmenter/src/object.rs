@@ -60,10 +60,10 @@ pub enum MaskMode {
 /// How much more of each pixel the object makes up than it takes to own it, of one plane of what it makes up: where this
 /// is positive the pixel belongs to its mask.
 ///
-/// Half of a pixel is its own where the object is solid and nothing stands before it. Haze takes a share of everything
-/// behind, and what is thin shows what is behind it: then half of what the object makes up around there will do. Pixels
-/// weigh by the square of what it makes up of them, so that its inside tells, and not its rim. Alone, no haze is before it,
-/// and what a little of it shines through was hidden for good reason: then it takes half of the pixel.
+/// Half of a pixel is its own where the object is solid and nothing stands before it; so far the method, section 10. Haze
+/// takes a share of everything behind, and what is thin shows what is behind it: then half of what the object makes up
+/// around there will do. Pixels weigh by the square of what it makes up of them, so that its inside tells, and not its rim.
+/// Alone, no haze is before it, and what a little of it shines through was hidden for good reason: then it takes half.
 pub fn margin(share: &Image, mode: MaskMode) -> Image {
     if mode == MaskMode::Amodal {
         let mut margin = share.clone();
