@@ -12,7 +12,7 @@ use segwild_pipeline::{RunOptions, Settings, run};
 use segwild_raster::{Channels, CpuEngine, Engine};
 use segwild_scene::Mask;
 use segwild_segmenter::coverage::{coverage, soft, unoccluded};
-use segwild_segmenter::{Evidence, MaskMode, Vote, margin};
+use segwild_segmenter::{Evidence, MaskMode, Vote, owned};
 use segwild_trainer::{Protocol, TrainPhoto, evaluate};
 use std::sync::Arc;
 
@@ -102,9 +102,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 engine.project(&model.splats, &full.scaled_to(pixels * 2), &view.pose, &options)?;
             for (k, indicator) in [&hard, &rho, &surface].into_iter().enumerate() {
                 let frame = projected.blend(&Channels { count: 1, values: indicator })?;
-                let wide = margin(&frame.image, MaskMode::Visible)
-                    .resized(full.width as usize, full.height as usize);
-                let drawn = Mask::over(full.width, full.height, wide.plane(0), 0.0);
+                let drawn = owned(&frame.image, MaskMode::Visible, (full.width, full.height));
                 let iou = metrics::score(&drawn, &mask, None)?.iou;
                 sums[k] += iou;
                 if k == 0 {

@@ -3,7 +3,7 @@
 use crate::RunError;
 use segwild_raster::{Engine, Kept, ProjectOptions};
 use segwild_scene::{Camera, Mask, Pose, Splats};
-use segwild_segmenter::{MaskMode, margin};
+use segwild_segmenter::{MaskMode, owned};
 
 /// Masks are drawn at most this many times larger than the photos were trained at, then scaled.
 const FINER: u32 = 2;
@@ -42,8 +42,7 @@ impl<'a> MaskSource<'a> {
         let engine = self.held.as_deref().unwrap_or(self.engine);
         let projected = engine.project(self.splats, &camera, pose, &self.options)?;
         let frame = projected.blend_kept(&self.indicator)?;
-        let margin = margin(&frame.image, self.mode).resized(full.width as usize, full.height as usize);
-        Ok(Mask::over(full.width, full.height, margin.plane(0), 0.0))
+        Ok(owned(&frame.image, self.mode, (full.width, full.height)))
     }
 }
 

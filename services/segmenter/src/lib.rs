@@ -33,7 +33,7 @@ pub use error::SegmentError;
 pub use graph::Graph;
 pub use jury::Juror;
 pub use maxflow::FlowNetwork;
-pub use object::{MaskMode, Object, amodal_mask, cut_scene, margin, visible_mask};
+pub use object::{MaskMode, Object, amodal_mask, cut_scene, owned, visible_mask};
 pub use propagate::{Verdict, Visit};
 pub use query::{FeatureField, Hit, hit};
 pub use select::{PosedView, PromptedView, Refine, Request, Selection, SkyReader, cut, select};

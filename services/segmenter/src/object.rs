@@ -6,8 +6,8 @@ use segwild_scene::{Camera, Image, Mask, Pose, Splats, box_mean};
 
 /// What the object must make up of a pixel to own it: of what it makes up of those around, or of all where it is alone.
 const HALF: f32 = 0.5;
-/// The least that it must make up of a pixel, and the most: below it is haze that went astray.
-const OWNING: [f32; 2] = [0.3, 0.5];
+/// The least that it must make up of a pixel: less is haze that went astray.
+const LEAST: f32 = 0.3;
 /// Half width of the window around a pixel, as a part of the frame's long side.
 const AROUND: usize = 50;
 /// Long side at which windows are laid, in pixels: what they tell is smooth.
@@ -57,14 +57,19 @@ pub enum MaskMode {
     Amodal,
 }
 
-/// How much more of each pixel the object makes up than it takes to own it, of one plane of what it makes up: where this
-/// is positive the pixel belongs to its mask.
+/// The pixels that an object owns, at `size`, of one plane of what it makes up of each.
+pub fn owned(share: &Image, mode: MaskMode, size: (u32, u32)) -> Mask {
+    let margin = margin(share, mode).resized(size.0 as usize, size.1 as usize);
+    Mask::over(size.0, size.1, margin.plane(0), 0.0)
+}
+
+/// How much more of each pixel the object makes up than it takes to own it.
 ///
 /// Half of a pixel is its own where the object is solid and nothing stands before it; so far the method, section 10. Haze
 /// takes a share of everything behind, and what is thin shows what is behind it: then half of what the object makes up
 /// around there will do. Pixels weigh by the square of what it makes up of them, so that its inside tells, and not its rim.
 /// Alone, no haze is before it, and what a little of it shines through was hidden for good reason: then it takes half.
-pub fn margin(share: &Image, mode: MaskMode) -> Image {
+fn margin(share: &Image, mode: MaskMode) -> Image {
     if mode == MaskMode::Amodal {
         let mut margin = share.clone();
         margin.data.iter_mut().for_each(|s| *s -= HALF);
@@ -82,31 +87,12 @@ pub fn margin(share: &Image, mode: MaskMode) -> Image {
     let (cubes, squares) = (around(3), around(2));
     let owning = cubes.iter().zip(&squares).map(|(cubes, squares)| {
         let inside = if *squares > 0.0 { cubes / squares } else { 0.0 };
-        (HALF * inside).clamp(OWNING[0], OWNING[1])
+        (HALF * inside).max(LEAST)
     });
     let owning = Image { width: small.width, height: small.height, channels: 1, data: owning.collect() };
     let mut margin = owning.resized(w, h);
     margin.data.iter_mut().zip(share.plane(0)).for_each(|(m, s)| *m = s - *m);
     margin
-}
-
-/// The pixels that the labelled splats own among all that are given.
-fn mask(
-    engine: &dyn Engine,
-    splats: &Splats,
-    labels: &[bool],
-    options: &ProjectOptions,
-    camera: &Camera,
-    pose: &Pose,
-    mode: MaskMode,
-) -> Result<Mask, RasterError> {
-    if labels.len() != splats.len() {
-        return Err(RasterError::Shape(format!("{} labels for {} splats", labels.len(), splats.len())));
-    }
-    let indicator: Vec<f32> = labels.iter().map(|&l| f32::from(u8::from(l))).collect();
-    let channels = Channels { count: 1, values: &indicator };
-    let share = engine.project(splats, camera, pose, options)?.blend(&channels)?.image;
-    Ok(Mask::over(camera.width, camera.height, margin(&share, mode).plane(0), 0.0))
 }
 
 /// The pixels that show the object, with the whole scene occluding.
@@ -118,7 +104,11 @@ pub fn visible_mask(
     camera: &Camera,
     pose: &Pose,
 ) -> Result<Mask, RasterError> {
-    mask(engine, splats, labels, options, camera, pose, MaskMode::Visible)
+    checked(splats, labels)?;
+    let indicator: Vec<f32> = labels.iter().map(|&l| f32::from(u8::from(l))).collect();
+    let frame =
+        engine.project(splats, camera, pose, options)?.blend(&Channels { count: 1, values: &indicator })?;
+    Ok(owned(&frame.image, MaskMode::Visible, (camera.width, camera.height)))
 }
 
 /// The pixels that the object would cover if nothing stood before it.
@@ -130,14 +120,23 @@ pub fn amodal_mask(
     camera: &Camera,
     pose: &Pose,
 ) -> Result<Mask, RasterError> {
-    if labels.len() != splats.len() {
-        return Err(RasterError::Shape(format!("{} labels for {} splats", labels.len(), splats.len())));
-    }
+    checked(splats, labels)?;
     let keep: Vec<usize> = (0..splats.len()).filter(|&i| labels[i]).collect();
     if keep.is_empty() {
         return Ok(Mask::empty(camera.width, camera.height));
     }
-    mask(engine, &splats.select(&keep), &vec![true; keep.len()], options, camera, pose, MaskMode::Amodal)
+    let alone = splats.select(&keep);
+    let whole = vec![1.0; keep.len()];
+    let frame =
+        engine.project(&alone, camera, pose, options)?.blend(&Channels { count: 1, values: &whole })?;
+    Ok(owned(&frame.image, MaskMode::Amodal, (camera.width, camera.height)))
+}
+
+fn checked(splats: &Splats, labels: &[bool]) -> Result<(), RasterError> {
+    if labels.len() == splats.len() {
+        return Ok(());
+    }
+    Err(RasterError::Shape(format!("{} labels for {} splats", labels.len(), splats.len())))
 }
 
 #[cfg(test)]
@@ -159,8 +158,8 @@ mod tests {
         Image { width: SIZE.0, height: SIZE.1, channels: 1, data: data.collect() }
     }
 
-    fn owned(share: &Image) -> Mask {
-        Mask::over(SIZE.0 as u32, SIZE.1 as u32, margin(share, MaskMode::Visible).plane(0), 0.0)
+    fn visible(share: &Image) -> Mask {
+        owned(share, MaskMode::Visible, (SIZE.0 as u32, SIZE.1 as u32))
     }
 
     fn outline() -> Mask {
@@ -171,28 +170,28 @@ mod tests {
     #[test]
     fn haze_before_an_object_leaves_its_outline_where_it_is() {
         for inside in [1.0, 0.9, 0.8, 0.7] {
-            let iou = owned(&block(inside, 0.0)).iou(&outline());
+            let iou = visible(&block(inside, 0.0)).iou(&outline());
             assert!(iou > 0.96, "{inside}: {iou}");
             let by_half = Mask::over(SIZE.0 as u32, SIZE.1 as u32, block(inside, 0.0).plane(0), HALF);
             assert!(iou >= by_half.iou(&outline()), "{inside}");
         }
         let thick = block(0.45, 0.0);
-        assert!(owned(&thick).iou(&outline()) > 0.85);
+        assert!(visible(&thick).iou(&outline()) > 0.85);
         assert!(Mask::over(SIZE.0 as u32, SIZE.1 as u32, thick.plane(0), HALF).is_empty());
     }
 
     #[test]
     fn stray_haze_owns_nothing() {
-        assert!(owned(&block(0.29, 0.29)).is_empty());
+        assert!(visible(&block(0.29, 0.29)).is_empty());
         // Nor where a solid object is near.
-        assert!(owned(&block(1.0, 0.25)).iou(&outline()) > 0.9);
+        assert!(visible(&block(1.0, 0.25)).iou(&outline()) > 0.9);
     }
 
     #[test]
     fn what_is_no_number_owns_nothing_and_takes_nothing_from_the_rest_of_the_photo() {
         let mut share = block(1.0, 0.0);
-        let clean = owned(&share);
+        let clean = visible(&share);
         share.data[5 * SIZE.0 + 5] = f32::NAN;
-        assert_eq!(owned(&share), clean);
+        assert_eq!(visible(&share), clean);
     }
 }
