@@ -8,8 +8,6 @@ use wincode::{SchemaRead, SchemaWrite};
 const FAINT: f32 = 0.01;
 /// A splat that covers less than this many full-size pixels of all photos together is removed.
 const UNSEEN: f32 = 0.5;
-/// A splat whose reach is over this share of a photo's long side is a haze, not a surface, and is removed.
-const LARGE: f32 = 0.5;
 /// Judgements in a row that must find growth not to pay before it stops.
 const PATIENCE: u32 = 3;
 /// Most that one event adds, as a share of the splats there are.
@@ -120,9 +118,8 @@ impl Density for Budget {
         let step = around.step;
         let (prune, grow) = (self.prunes(step), self.grows(step));
         let n = all.len();
-        let mut keep: Vec<bool> = (0..n)
-            .map(|i| all.healthy(i) && all.splats.opacity(i) >= FAINT && self.stats.radius[i] < LARGE)
-            .collect();
+        // However large one looks from close by: the ground before a camera is.
+        let mut keep: Vec<bool> = (0..n).map(|i| all.healthy(i) && all.splats.opacity(i) >= FAINT).collect();
         if prune {
             let contribution = (around.contribution)(&all.splats)?;
             for i in 0..n {
@@ -160,5 +157,39 @@ impl Density for Budget {
         let removed = n + added - all.len();
         self.stats = Stats::new(all.len());
         Ok(Some(Change { added, removed, opacity_reset: false, note }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use segwild_scene::{Random, Splats};
+
+    /// What passes under a camera fills its photo, and is an ordinary splat to all the others.
+    #[test]
+    fn the_ground_before_a_camera_stays_however_large_it_looks() {
+        let mut budget = Budget::new(&TrainSettings { steps: 100, ..TrainSettings::default() }, 3);
+        budget.stats.radius = vec![0.1, 4.0, 0.1];
+        let splats = Splats {
+            means: vec![[0.0; 3]; 3],
+            log_scales: vec![[-3.0; 3]; 3],
+            rotations: vec![[1.0, 0.0, 0.0, 0.0]; 3],
+            // The last is hardly there.
+            opacities: vec![1.0, 1.0, -9.0],
+            sh: vec![0.0; 9],
+            ..Splats::default()
+        };
+        let mut all = Reshaping::new(splats, vec![true; 3]);
+        let mut around = Surroundings {
+            step: 10,
+            pixel: 0.01,
+            cap: 3,
+            quality: None,
+            random: &mut Random::new(1),
+            contribution: &mut |splats| Ok(vec![1.0; splats.len()]),
+        };
+        assert!(budget.acts(10));
+        budget.act(&mut all, &mut around).unwrap();
+        assert_eq!(all.len(), 2);
     }
 }
