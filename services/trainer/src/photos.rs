@@ -52,7 +52,7 @@ const SKY: u8 = 2;
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Stored {
     pub levels: Vec<Level>,
-    /// Whether the sky is known.
+    /// Whether it shows a sky.
     pub has_sky: bool,
     /// Whether it is known who is a stranger; they are not valid, then.
     pub strangers_known: bool,
@@ -207,7 +207,8 @@ impl Stored {
             let next = last.half();
             levels.push(next);
         }
-        Ok(Stored { levels, has_sky: sky.is_some(), strangers_known: strangers.is_some() })
+        let has_sky = sky.as_ref().is_some_and(|sky| !sky.is_empty());
+        Ok(Stored { levels, has_sky, strangers_known: strangers.is_some() })
     }
 
     fn bytes(&self) -> usize {
@@ -321,6 +322,13 @@ mod tests {
         }
         // 0 and 1, then 2 drops 1, then 1 again.
         assert_eq!(loads.load(Ordering::Relaxed), 4);
+    }
+
+    #[test]
+    fn a_photo_in_which_nothing_is_sky_has_none() {
+        let with = |sky| Stored::pack("x", &TrainPhoto { sky, ..photo(0.5) }).unwrap().has_sky;
+        assert!(with(Some(Mask::full(65, 40))));
+        assert!(!with(Some(Mask::empty(65, 40))) && !with(None));
     }
 
     #[test]
