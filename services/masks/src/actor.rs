@@ -183,7 +183,7 @@ impl<O: Message + From<MaskOutcome>> Actor for MaskActor<O> {
                 let (sky, origin) = self.cache.get_or_make(&key, SKY, || {
                     let image = self.maker.photo(view)?;
                     let name = &self.maker.scene.views[view].name;
-                    let seen = self.maker.scene.seen_by(view, image.width, image.height);
+                    let seen = self.maker.scene.points_in(view, image.width, image.height);
                     self.sky.sky_above(&image, &seen).map_err(|e| Refused(format!("photo {name}: {e}")))
                 })?;
                 MaskOutcome::Sky { view, sky: Ok(Arc::new(sky)), seconds: took(origin) }

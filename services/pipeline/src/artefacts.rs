@@ -20,7 +20,7 @@ use std::collections::BTreeSet;
 /// Raised when the bytes that a stage makes from the same input change.
 const FORMAT: u32 = 2;
 /// The same for the training, whose rules change most often: skies and embeddings, which cost most, stay.
-const TRAINING: u32 = 4;
+const TRAINING: u32 = 5;
 
 /// The keys of one run.
 #[derive(Clone, Debug)]
@@ -148,7 +148,7 @@ impl Keys {
                 if !providers.sky.by_points() {
                     return key;
                 }
-                let seen = scene.seen_by(i, 1, 1);
+                let seen = scene.points_in(i, 1, 1);
                 Key::of("sky").key("photo", &key).part("points", format!("{seen:?}")).finish()
             })
             .collect();

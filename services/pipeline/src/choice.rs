@@ -165,7 +165,7 @@ impl Chooser<'_> {
         let read = move |view: usize| -> Result<TrainPhoto, String> {
             let loaded = scene.views[view].load(size).map_err(|e| e.to_string())?;
             // Without its sky a photo still tells something.
-            let seen = scene.seen_by(view, loaded.image.width, loaded.image.height);
+            let seen = scene.points_in(view, loaded.image.width, loaded.image.height);
             let sky: Option<Mask> = sky.sky_above(&loaded.image, &seen).ok();
             let mut photo = TrainPhoto { image: loaded.image, valid: loaded.valid, sky, strangers: None };
             known.tell_hand(view, &mut photo);

@@ -109,7 +109,7 @@ fn kept_or_found(
 ) -> Result<Mask, Failure> {
     anew.read(Kept { view, what: "sky", kind: "sky", key }, || {
         let photo = anew.scene.views[view].load(size).map_err(Failure::retry)?;
-        let seen = anew.scene.seen_by(view, photo.image.width, photo.image.height);
+        let seen = anew.scene.points_in(view, photo.image.width, photo.image.height);
         Ok(detector.sky_above(&photo.image, &seen)?)
     })
 }

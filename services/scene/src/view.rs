@@ -1,7 +1,7 @@
 //! Posed photos and the scene they belong to.
 
-use crate::{Camera, Pose};
-use glam::{DVec3, Vec3};
+use crate::{Camera, NEAR, Pose};
+use glam::{DVec3, Vec2, Vec3};
 use std::path::PathBuf;
 
 /// Where a photo's pixels come from and what must be done to them on load.
@@ -120,12 +120,30 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Where a view saw the reconstructed points, in pixels of its photo at a size of `width` x `height`.
-    pub fn seen_by(&self, view: usize, width: usize, height: usize) -> Vec<[f32; 2]> {
-        let camera = &self.views[view].camera;
+    /// Where points of the reconstruction lie in a view, whether it saw them or not, in pixels of its photo at a size of
+    /// `width` x `height`: of at most 8,192, taken evenly, those that three photos and more saw and agree on. Something
+    /// stands there, if only before them.
+    pub fn points_in(&self, view: usize, width: usize, height: usize) -> Vec<[f32; 2]> {
+        let View { camera, pose, .. } = &self.views[view];
         let (sx, sy) = (width as f32 / camera.width as f32, height as f32 / camera.height as f32);
-        let of_view = self.points.iter().flat_map(|p| &p.track).filter(|o| o.view as usize == view);
-        of_view.map(|o| [o.pixel[0] * sx, o.pixel[1] * sy]).collect()
+        let lies = |p: &Point| {
+            let at = pose.to_camera(p.position);
+            let pixel = (at.z > NEAR).then(|| camera.pixel(at)).filter(|&pixel| camera.contains(pixel))?;
+            Some([pixel.x * sx, pixel.y * sy])
+        };
+        let every = self.points.len().div_ceil(8192).max(1);
+        self.points.iter().step_by(every).filter(|p| self.agreed(p)).filter_map(lies).collect()
+    }
+
+    /// Whether at least three photos saw a point, each within 1 % of its long side of where it lies.
+    fn agreed(&self, point: &Point) -> bool {
+        let close = |seen: &Observation| {
+            let View { camera, pose, .. } = &self.views[seen.view as usize];
+            let at = pose.to_camera(point.position);
+            let off = camera.pixel(at) - Vec2::from(seen.pixel);
+            at.z > NEAR && off.length() < 0.01 * camera.width.max(camera.height) as f32
+        };
+        point.track.len() >= 3 && point.track.iter().all(close)
     }
 
     /// Index of the view a person means by `name`: its full name, or its stem if that is unambiguous.
@@ -139,5 +157,52 @@ impl Scene {
             (Some((i, _)), None) => Some(i),
             _ => None,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Seal;
+
+    #[test]
+    fn points_lie_in_photos_that_did_not_see_them_where_three_others_agree() {
+        let camera = Camera { width: 100, height: 80, fx: 90.0, fy: 90.0, cx: 50.0, cy: 40.0 };
+        let views: Vec<View> = (0..4)
+            .map(|i| View {
+                name: format!("{i}.jpg"),
+                camera,
+                pose: Pose::look_at(Vec3::new(0.2 * i as f32, 0.0, -2.0), Vec3::ZERO, Vec3::NEG_Y),
+                photo: Photo {
+                    path: PathBuf::new(),
+                    ignore: None,
+                    usable: None,
+                    lens: None,
+                    seal: Seal::default(),
+                },
+                test: false,
+            })
+            .collect();
+        let point = |at: Vec3, seen: usize, off: f32| {
+            let see = |view: u32| {
+                let View { camera, pose, .. } = &views[view as usize];
+                let pixel = camera.pixel(pose.to_camera(at)) + Vec2::new(off, 0.0);
+                Observation { view, pixel: pixel.into() }
+            };
+            Point { position: at, colour: [0.5; 3], track: (0..seen as u32).map(see).collect() }
+        };
+        let points = vec![
+            point(Vec3::new(0.1, 0.2, 0.0), 3, 0.4),
+            // Two are too few, and three that do not agree no better; what lies behind or beside the camera lies in no photo.
+            point(Vec3::new(0.1, -0.2, 0.0), 2, 0.0),
+            point(Vec3::new(0.2, 0.2, 0.0), 3, 1.4),
+            point(Vec3::new(0.0, 0.0, -9.0), 3, 0.0),
+            point(Vec3::new(9.0, 0.0, 0.0), 3, 0.0),
+        ];
+        let frame = Frame { origin: DVec3::ZERO, scale: 1.0 };
+        let scene = Scene { views, points, skipped: vec![], notes: vec![], frame };
+        let [at] = scene.points_in(3, 200, 160)[..] else { panic!("{:?}", scene.points_in(3, 200, 160)) };
+        let wanted = camera.pixel(scene.views[3].pose.to_camera(scene.points[0].position)) * 2.0;
+        assert!((Vec2::from(at) - wanted).length() < 1e-3);
     }
 }

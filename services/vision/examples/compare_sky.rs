@@ -67,7 +67,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         for (provider, tally) in providers.iter().zip(&mut tallies) {
             let began = std::time::Instant::now();
             // Half of the points are shown to who asks, and the others counted.
-            let seen = scene.seen_by(index, w as usize, h as usize);
+            let seen = scene.points_in(index, w as usize, h as usize);
             let shown: Vec<[f32; 2]> = seen.iter().copied().step_by(2).collect();
             let sky = provider.sky.sky_above(&photo.image, &shown)?;
             tally.seconds += began.elapsed().as_secs_f64();

@@ -12,13 +12,13 @@ const FEW: usize = 20;
 const BESIDE: f32 = 0.06;
 const ABOVE: f32 = 0.03;
 
-/// Finds the sky by the points that a photo saw. It knows no colours: a night sky is as good as a blue one, and a wall
+/// Finds the sky by the points that lie in a photo. It knows no colours: a night sky is as good as a blue one, and a wall
 /// without points at the top of the photo is taken for sky.
 pub(crate) struct GeometrySky(pub Arc<Builtin>);
 
 impl SkyDetector for GeometrySky {
     fn key(&self) -> String {
-        format!("sky-by-points-1-{}", PromptSegmenter::key(&*self.0))
+        format!("sky-by-points-2-{}", PromptSegmenter::key(&*self.0))
     }
 
     fn by_points(&self) -> bool {
@@ -42,19 +42,22 @@ impl SkyDetector for GeometrySky {
 /// Pixels from the outline of a sky, as a share of the long side, from which a point lies deep in it: what stands before
 /// a sky has points along its outline.
 const DEEP: f32 = 0.01;
-/// Points in a sky, for their size, as a share of those in the photo for its size: from here on it is none. Photos of
-/// `liberty` and `sacre_coeur` have at most .008 deep in theirs, façades taken for sky .1 to 1.
-const PEOPLED: f32 = 0.15;
-/// A sky under this share of the photo is more often a ceiling, and must be clean: so many points of it in all, of so
-/// high a share, and it is none. The ceiling of `fern` is 8 % of its photos, with 5 to 11 points at .07 to .13, and fewer at half the size.
-const SMALL: (f32, usize, f32) = (0.15, 3, 0.05);
+/// Points deep in a sky, for its size, as a share of those in the photo for its size, and how many they must be: from here
+/// on it is none. The skies of `liberty`, `sacre_coeur` and the synthetic places have at most .0057; the walls of `desk`,
+/// which have next to no points, .013 and more, the ceiling of `fern` .004 to .028.
+const PEOPLED: (f32, usize) = (0.01, 4);
+/// The same for one of a sky's parts, which may be false beside a true one: façades and lawns have .1 to 2.
+const PART: (f32, usize) = (0.1, 3);
+/// A sky under this share of the photo is more often a ceiling, and must be clean: so high a share of points of it in all,
+/// and so many, and it is none. The ceiling of `fern` is 8 % of its photos, with few points deep in it.
+const SMALL: (f32, (f32, usize)) = (0.15, (0.05, 3));
 
-/// Finds the sky by colour and boundaries, and takes it back where points that the photo saw lie in it.
+/// Finds the sky by colour and boundaries, and takes it back where points lie in it.
 pub(crate) struct ColourSky(pub Arc<Builtin>);
 
 impl SkyDetector for ColourSky {
     fn key(&self) -> String {
-        format!("{}-doubted-1", SkyDetector::key(&*self.0))
+        format!("{}-doubted-2", SkyDetector::key(&*self.0))
     }
 
     fn by_points(&self) -> bool {
@@ -95,29 +98,54 @@ impl SkyDetector for JointSky {
     }
 }
 
-/// A sky, or none where points that the photo saw say so.
+/// A sky without those of its parts in which points lie; none where too many lie in what is left.
 fn undoubted(sky: Mask, seen: &[[f32; 2]]) -> Mask {
-    let none = seen.len() >= FEW && peopled(&sky, seen);
-    if none { Mask::empty(sky.width(), sky.height()) } else { sky }
+    if seen.len() < FEW || sky.is_empty() {
+        return sky;
+    }
+    let (width, pixels) = (sky.width() as usize, sky.width() as usize * sky.height() as usize);
+    let (parts, count) = sky.components();
+    let inward = sky.not().distances();
+    let deep = DEEP * sky.width().max(sky.height()) as f32;
+    let mut found = vec![Peopled::default(); count + 1];
+    parts.iter().for_each(|&part| found[part as usize].area += 1);
+    for at in seen.iter().filter(|p| sky.at(p[0], p[1])) {
+        let i = at[1] as usize * width + at[0] as usize;
+        let part = &mut found[parts[i] as usize];
+        part.points += 1;
+        part.deep += usize::from(inward[i] > deep);
+    }
+    // Of the points in the photo, for the size of a part of it.
+    let over = |points: usize, area: usize, (share, least): (f32, usize)| {
+        let expected = seen.len() as f32 * area as f32 / pixels as f32;
+        points >= least && points as f32 > share * expected
+    };
+    let kept: Vec<bool> = found.iter().map(|part| !over(part.deep, part.area, PART)).collect();
+    let mut rest = Peopled::default();
+    for (part, _) in found.iter().zip(&kept).skip(1).filter(|(_, kept)| **kept) {
+        rest.area += part.area;
+        rest.points += part.points;
+        rest.deep += part.deep;
+    }
+    let small = (rest.area as f32) < SMALL.0 * pixels as f32;
+    if over(rest.deep, rest.area, PEOPLED) || small && over(rest.points, rest.area, SMALL.1) {
+        return Mask::empty(sky.width(), sky.height());
+    }
+    Mask::from_fn(sky.width(), sky.height(), |x, y| {
+        let part = parts[y as usize * width + x as usize] as usize;
+        part > 0 && kept[part]
+    })
 }
 
-/// Whether points lie where there should be nothing.
-fn peopled(sky: &Mask, seen: &[[f32; 2]]) -> bool {
-    let (w, h) = (sky.width() as usize, sky.height() as usize);
-    let share = sky.count() as f32 / (w * h) as f32;
-    if share == 0.0 {
-        return false;
-    }
-    let inward = sky.not().distances();
-    let deep = DEEP * w.max(h) as f32;
-    let within = |least: f32| {
-        let counts = |p: &&[f32; 2]| sky.at(p[0], p[1]) && inward[p[1] as usize * w + p[0] as usize] > least;
-        seen.iter().filter(counts).count()
-    };
-    let density = |points: usize| points as f32 / seen.len() as f32 / share;
-    let (all, far) = (within(0.0), within(deep));
-    let (small, several, high) = SMALL;
-    far >= 3 && density(far) > PEOPLED || share < small && all >= several && density(all) > high
+/// Points in a part of a sky.
+#[derive(Clone, Copy, Default)]
+struct Peopled {
+    /// Its pixels.
+    area: usize,
+    /// All points in it.
+    points: usize,
+    /// Those that do not lie along its outline.
+    deep: usize,
 }
 
 /// How likely each pixel is open to the sky, by the points alone.
@@ -189,28 +217,43 @@ mod tests {
         assert!(detector.by_points());
     }
 
+    /// What is left of a sky in a photo with 200 points below it, and so many in it.
+    fn left(sky: &Mask, inside: usize) -> Mask {
+        let below = (0..200).map(|i| [(i % 20) as f32 * 5.0, 75.0 + (i / 20) as f32]);
+        let pixels: Vec<(u32, u32)> = sky.pixels().collect();
+        let within = (0..inside).map(|i| {
+            let (x, y) = pixels[pixels.len() * (2 * i + 1) / (2 * inside)];
+            [x as f32 + 0.5, y as f32 + 0.5]
+        });
+        undoubted(sky.clone(), &below.chain(within).collect::<Vec<_>>())
+    }
+
     #[test]
-    fn a_ceiling_or_a_facade_taken_for_sky_is_none_where_points_were_seen_in_it() {
-        let beside = |sky: &Mask, inside: usize| {
-            let mut seen: Vec<[f32; 2]> =
-                (0..200).map(|i| [(i % 20) as f32 * 5.0, 75.0 + (i / 20) as f32]).collect();
-            let pixels: Vec<(u32, u32)> = sky.pixels().collect();
-            seen.extend((0..inside).map(|i| {
-                let (x, y) = pixels[pixels.len() * (2 * i + 1) / (2 * inside)];
-                [x as f32 + 0.5, y as f32 + 0.5]
-            }));
-            peopled(sky, &seen)
-        };
+    fn a_ceiling_or_a_wall_taken_for_sky_is_none_where_points_lie_in_it() {
         let half = Mask::from_fn(100, 100, |_, y| y < 50);
-        assert!(!beside(&half, 0) && !beside(&half, 4), "a kite or two, and what was matched wrongly");
-        assert!(beside(&half, 40), "a façade");
+        for inside in [0, 3] {
+            assert_eq!(left(&half, inside), half, "a kite or two, and what was matched wrongly");
+        }
+        assert!(left(&half, 10).is_empty(), "a wall with next to nothing on it");
+        assert!(left(&half, 60).is_empty(), "a façade");
         let ceiling = Mask::from_fn(100, 100, |x, y| x < 40 && y < 20);
-        assert!(beside(&ceiling, 6) && !beside(&ceiling, 2));
+        assert!(left(&ceiling, 6).is_empty());
+        assert_eq!(left(&ceiling, 2), ceiling);
         // Points on a skyline lie on its very outline.
         let skyline: Vec<[f32; 2]> = (0..100).map(|x| [x as f32 + 0.5, 49.5]).collect();
-        assert!(!peopled(&half, &skyline));
-        assert!(!peopled(&Mask::empty(10, 10), &skyline));
+        assert_eq!(undoubted(half.clone(), &skyline), half);
+        assert!(undoubted(Mask::empty(10, 10), &skyline).is_empty());
         // A point outside the frame is no point in the sky.
-        assert!(!peopled(&half, &vec![[-5.0, -5.0]; 60]));
+        assert_eq!(undoubted(half.clone(), &vec![[-5.0, -5.0]; 60]), half);
+    }
+
+    #[test]
+    fn a_facade_taken_for_sky_does_not_take_the_sky_beside_it_along() {
+        let sky = Mask::from_fn(100, 100, |x, y| x < 70 && y < 40);
+        let facade = Mask::from_fn(100, 100, |x, y| x > 75 && y < 30);
+        let mut seen: Vec<[f32; 2]> =
+            (0..200).map(|i| [(i % 20) as f32 * 5.0, 75.0 + (i / 20) as f32]).collect();
+        seen.extend((0..40).map(|i| [80.0 + (i % 4) as f32 * 4.0, 5.0 + (i / 4) as f32 * 2.0]));
+        assert_eq!(undoubted(sky.or(&facade), &seen), sky);
     }
 }
