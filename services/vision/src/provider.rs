@@ -136,11 +136,11 @@ pub trait SkyDetector: Send + Sync {
     }
     /// The sky's pixels.
     fn sky(&self, image: &Image) -> Result<Mask, VisionError>;
-    /// Whether the points that a photo saw decide, so that they are part of every key.
+    /// Whether the points that lie in a photo decide, so that they are part of every key.
     fn by_points(&self) -> bool {
         false
     }
-    /// The sky's pixels in a photo of which the reconstruction saw these points (pixel positions): they are no sky.
+    /// The sky's pixels in a photo in which these points of the reconstruction lie (pixel positions): they are no sky.
     fn sky_above(&self, image: &Image, _seen: &[[f32; 2]]) -> Result<Mask, VisionError> {
         self.sky(image)
     }

@@ -202,7 +202,7 @@ impl Providers {
                 Arc::new(NoSky)
             }
             None if settings.sky == SkyChoice::Geometry => {
-                notes.push("sky: by the points that photos saw (asked for)".into());
+                notes.push("sky: by the points that lie in photos (asked for)".into());
                 Arc::new(GeometrySky(builtin.clone()))
             }
             None => {
