@@ -43,8 +43,8 @@ impl SkyDetector for GeometrySky {
 /// a sky has points along its outline.
 const DEEP: f32 = 0.01;
 /// Points deep in a sky, for its size, as a share of those in the photo for its size, and how many they must be: from here
-/// on it is none. The skies of `liberty`, `sacre_coeur` and the synthetic places have at most .0057; the walls of `desk`,
-/// which have next to no points, .013 and more, the ceiling of `fern` .004 to .028.
+/// on it is none. All but one of 50 skies of `liberty` and `sacre_coeur` have at most .005; the walls of `desk`, which have
+/// next to no points, .013 and more, the ceiling of `fern` .004 to .028.
 const PEOPLED: (f32, usize) = (0.01, 4);
 /// The same for one of a sky's parts, which may be false beside a true one: façades and lawns have .1 to 2.
 const PART: (f32, usize) = (0.1, 3);
