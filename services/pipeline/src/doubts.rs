@@ -1,7 +1,7 @@
 //! What is doubtful about a scene, said before anything is computed: a run on such a scene ends like any other, and
 //! only its result would show it.
 
-use segwild_scene::{NEAR, Scene};
+use segwild_scene::Scene;
 
 /// Fewer photos than this guess more than they see: of a synthetic place, 12 find objects a quarter worse than 40.
 const FEW: usize = 15;
@@ -64,14 +64,7 @@ fn misfit(scene: &Scene) -> Vec<String> {
     for point in scene.points.iter().filter(|p| !p.track.is_empty()) {
         let mut off: Vec<f32> = Vec::with_capacity(point.track.len());
         for seen in &point.track {
-            let view = &scene.views[seen.view as usize];
-            let p = view.pose.to_camera(point.position);
-            let long = view.camera.width.max(view.camera.height).max(1) as f32;
-            // Behind the camera is as wrong as it can be.
-            let away = match p.z > NEAR {
-                true => (view.camera.pixel(p) - glam::Vec2::from(seen.pixel)).length() / long,
-                false => 1.0,
-            };
+            let away = scene.astray(point, seen);
             off.push(away);
             of_view[seen.view as usize].push(away);
         }

@@ -137,13 +137,16 @@ impl Scene {
 
     /// Whether at least three photos saw a point, each within 1 % of its long side of where it lies.
     fn agreed(&self, point: &Point) -> bool {
-        let close = |seen: &Observation| {
-            let View { camera, pose, .. } = &self.views[seen.view as usize];
-            let at = pose.to_camera(point.position);
-            let off = camera.pixel(at) - Vec2::from(seen.pixel);
-            at.z > NEAR && off.length() < 0.01 * camera.width.max(camera.height) as f32
-        };
-        point.track.len() >= 3 && point.track.iter().all(close)
+        point.track.len() >= 3 && point.track.iter().all(|seen| self.astray(point, seen) < 0.01)
+    }
+
+    /// How far from where a point lies a photo saw it, as a share of the photo's long side; 1 where it lies behind the camera,
+    /// which is as wrong as it can be.
+    pub fn astray(&self, point: &Point, seen: &Observation) -> f32 {
+        let View { camera, pose, .. } = &self.views[seen.view as usize];
+        let at = pose.to_camera(point.position);
+        let long = camera.width.max(camera.height).max(1) as f32;
+        if at.z > NEAR { (camera.pixel(at) - Vec2::from(seen.pixel)).length() / long } else { 1.0 }
     }
 
     /// Index of the view a person means by `name`: its full name, or its stem if that is unambiguous.

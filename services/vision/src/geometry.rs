@@ -122,7 +122,7 @@ fn undoubted(sky: Mask, seen: &[[f32; 2]]) -> Mask {
     };
     let kept: Vec<bool> = found.iter().map(|part| !over(part.deep, part.area, PART)).collect();
     let mut rest = Peopled::default();
-    for (part, _) in found.iter().zip(&kept).skip(1).filter(|(_, kept)| **kept) {
+    for part in (1..=count).filter(|&k| kept[k]).map(|k| found[k]) {
         rest.area += part.area;
         rest.points += part.points;
         rest.deep += part.deep;
