@@ -80,8 +80,8 @@ impl Samples {
         self.values.is_empty()
     }
 
-    /// Fits the components; see [`Pca::fit`].
-    pub fn fit(&self, channels: usize, keep_variance: f32) -> Result<Pca, FeatureError> {
+    /// Fits the components; see [`Pca::fit`]. The cells are gone then: they are tens of MiB that nobody asks for again.
+    pub fn fit(self, channels: usize, keep_variance: f32) -> Result<Pca, FeatureError> {
         if self.is_empty() {
             return Err(FeatureError::NoSamples);
         }

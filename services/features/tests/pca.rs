@@ -111,7 +111,7 @@ fn samples_come_from_trusted_cells_and_do_not_depend_on_chance() {
 fn what_cannot_be_compressed_is_refused_in_words() {
     let good = as_embedding(&plane(60, 4, 2, 1.0), 4, 10);
     let mut samples = Samples::new(100, 2, 0);
-    assert!(matches!(samples.fit(4, 1.0), Err(FeatureError::NoSamples)));
+    assert!(matches!(Samples::new(100, 2, 0).fit(4, 1.0), Err(FeatureError::NoSamples)));
     for poison in [f32::NAN, f32::INFINITY] {
         let mut bad = good.clone();
         bad.data[2 * 60 + 37] = poison;

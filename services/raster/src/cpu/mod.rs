@@ -28,17 +28,25 @@ use wide::{BlendWide, GatherWide, WIDE, Weights};
 /// Splats that one task sums or shades.
 const CHUNK: usize = 512;
 
-/// Memory that views take turns to use.
-#[derive(Default)]
-struct Buffers {
-    bins: Bins,
-    slots: Vec<f32>,
+/// Memory that takes turns: what one gives back, the next goes on with.
+struct Pool<T>(Mutex<Vec<T>>);
+
+impl<T: Default> Pool<T> {
+    fn take(&self) -> T {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default()
+    }
+
+    fn give(&self, memory: T) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).push(memory);
+    }
 }
 
 /// The rasteriser for CPUs. Make one and keep it: its memory is used again from view to view.
 pub struct CpuEngine {
     isa: Isa,
-    pool: Mutex<Vec<Buffers>>,
+    bins: Pool<Bins>,
+    /// Held during a pass only: views are kept by the dozen, and slots of many channels are most of what one would hold.
+    slots: Pool<Vec<f32>>,
 }
 
 impl Default for CpuEngine {
@@ -55,20 +63,13 @@ impl CpuEngine {
 
     /// An engine on one instruction set; the plain one if the processor lacks it.
     pub fn with_isa(isa: Isa) -> CpuEngine {
-        CpuEngine { isa: if isa.available() { isa } else { Isa::Plain }, pool: Mutex::default() }
+        let isa = if isa.available() { isa } else { Isa::Plain };
+        CpuEngine { isa, bins: Pool(Mutex::default()), slots: Pool(Mutex::default()) }
     }
 
     /// The instruction set in use.
     pub fn isa(&self) -> Isa {
         self.isa
-    }
-
-    fn take(&self) -> Buffers {
-        self.pool.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default()
-    }
-
-    fn give(&self, buffers: Buffers) {
-        self.pool.lock().unwrap_or_else(PoisonError::into_inner).push(buffers);
     }
 }
 
@@ -86,15 +87,13 @@ impl Engine for CpuEngine {
     ) -> Result<Box<dyn Projected + 'a>, RasterError> {
         check(splats, camera)?;
         let projector = Projector::new(camera, pose, options);
-        let mut buffers = self.take();
-        buffers.bins.fill(self.isa, splats, &projector).map_err(|pairs| {
+        let mut bins = self.bins.take();
+        bins.fill(self.isa, splats, &projector).map_err(|pairs| {
             RasterError::Shape(format!(
                 "{pairs} pairs of a splat and a tile are more than can be numbered: draw smaller frames or fewer splats"
             ))
         })?;
-        let Buffers { bins, slots } = buffers;
-        let eye = pose.centre();
-        Ok(Box::new(CpuView { engine: self, splats, projector, eye, bins, slots: Mutex::new(slots) }))
+        Ok(Box::new(CpuView { engine: self, splats, projector, eye: pose.centre(), bins }))
     }
 }
 
@@ -105,14 +104,11 @@ struct CpuView<'a> {
     projector: Projector,
     eye: Vec3,
     bins: Bins,
-    slots: Mutex<Vec<f32>>,
 }
 
 impl Drop for CpuView<'_> {
     fn drop(&mut self) {
-        let bins = std::mem::take(&mut self.bins);
-        let slots = std::mem::take(self.slots.get_mut().unwrap_or_else(PoisonError::into_inner));
-        self.engine.give(Buffers { bins, slots });
+        self.engine.bins.give(std::mem::take(&mut self.bins));
     }
 }
 
@@ -134,13 +130,13 @@ impl CpuView<'_> {
 
     /// Runs with slots of `stride` numbers each, which hold anything.
     fn with_slots<T>(&self, stride: usize, work: impl FnOnce(&mut [f32]) -> T) -> T {
-        let mut held = std::mem::take(&mut *self.slots.lock().unwrap_or_else(PoisonError::into_inner));
+        let mut held = self.engine.slots.take();
         let len = self.bins.pairs() * stride;
         if held.len() < len {
             held.resize(len, 0.0);
         }
         let out = work(&mut held[..len]);
-        *self.slots.lock().unwrap_or_else(PoisonError::into_inner) = held;
+        self.engine.slots.give(held);
         out
     }
 
