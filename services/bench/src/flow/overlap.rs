@@ -124,13 +124,14 @@ impl Pair {
     /// Seconds of the longest chain of work that cannot overlap, and in words what it is made of.
     fn chain(&self) -> (f64, String) {
         let [sky, embed, early, rest] = &self.legs[..] else { unreachable!("there are four legs") };
-        // Training can begin with the first sky, masks with the snapshot, the field when all is there.
+        // Training needs every sky before its first step (strangers are looked for in all photos, which then are compared
+        // with each other), masks need the snapshot, the field needs all.
         let (s, e, t1, m) = (sky.stage("sky"), embed.stage("embed"), early.training, early.stage("masks"));
         let t2 = rest.training;
         let end = ["features", "evaluate", "report"].iter().map(|n| rest.stage(n)).sum::<f64>();
-        let chain = (s.max(t1) + t2.max(m)).max(e) + end;
+        let chain = (s + t1 + t2.max(m)).max(e) + end;
         let words = format!(
-            "{chain:.2} s (sky {s:.2} or training {t1:.2}, then training {t2:.2} or masks {m:.2}, or embeddings {e:.2}; \
+            "{chain:.2} s (sky {s:.2}, then training {t1:.2}, then training {t2:.2} or masks {m:.2}, or embeddings {e:.2}; \
              then {end:.2})"
         );
         (chain, words)
