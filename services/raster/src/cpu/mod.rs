@@ -28,7 +28,8 @@ use wide::{BlendWide, GatherWide, WIDE, Weights};
 /// Splats that one task sums or shades.
 const CHUNK: usize = 512;
 
-/// Memory that takes turns: what one gives back, the next goes on with.
+/// Memory used in turns: what one gives back, the next goes on with.
+#[derive(Default)]
 struct Pool<T>(Mutex<Vec<T>>);
 
 impl<T: Default> Pool<T> {
@@ -64,7 +65,7 @@ impl CpuEngine {
     /// An engine on one instruction set; the plain one if the processor lacks it.
     pub fn with_isa(isa: Isa) -> CpuEngine {
         let isa = if isa.available() { isa } else { Isa::Plain };
-        CpuEngine { isa, bins: Pool(Mutex::default()), slots: Pool(Mutex::default()) }
+        CpuEngine { isa, bins: Pool::default(), slots: Pool::default() }
     }
 
     /// The instruction set in use.
