@@ -220,6 +220,10 @@ pub fn segment(
         })
     };
     let skies = Arc::new(skies::of_run(folder, &scene, size, providers.sky.clone())?);
+    let strangers = {
+        let (scene, pictures) = (scene.clone(), folder.clone());
+        Arc::new(move |view: usize| Mask::read_png(&picture_of(&pictures, &scene, view)).ok())
+    };
     let barred: Vec<bool> = scene.views.iter().map(|v| v.test).collect();
     let system = System::new(SystemOptions {
         stopper: stopper.clone(),
@@ -243,6 +247,7 @@ pub fn segment(
                 features: features.clone(),
                 photos: photos.clone(),
                 skies: skies.clone(),
+                strangers: strangers.clone(),
                 segmenter: segmenter.clone(),
                 graph: None,
             })

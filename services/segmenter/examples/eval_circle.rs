@@ -93,6 +93,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             graph: Some(&graph),
             frozen: None,
             skies: None,
+            strangers: None,
             settings: &settings,
         };
         let mut refine = |view: usize, certainty: &Image| {

@@ -1,8 +1,8 @@
 //! The segmenter behind a mailbox: it keeps the scene and its neighbour graph, so that the next click is quick.
 
 use crate::{
-    Cut, FeatureField, Graph, PosedView, PromptedView, Request, SegmentError, SegmentSettings, Selection,
-    SkyReader, cut, select,
+    Cut, FeatureField, Graph, MaskReader, PosedView, PromptedView, Request, SegmentError, SegmentSettings,
+    Selection, cut, select,
 };
 use segwild_flow::{Actor, Context, Failure, Message, Sender};
 use segwild_raster::{Engine, ProjectOptions};
@@ -61,7 +61,9 @@ pub struct SegmentActor {
     /// Reads photos.
     pub photos: Arc<PhotoReader>,
     /// Reads the photos' skies.
-    pub skies: Arc<SkyReader>,
+    pub skies: Arc<MaskReader>,
+    /// Reads what was taken for strangers in the photos.
+    pub strangers: Arc<MaskReader>,
     /// Turns prompts into masks.
     pub segmenter: Arc<dyn PromptSegmenter>,
     /// The neighbour graph, made at the first task.
@@ -113,6 +115,7 @@ impl SegmentActor {
             graph: self.graph.as_ref(),
             frozen: None,
             skies: Some(&*self.skies),
+            strangers: Some(&*self.strangers),
             settings: &task.settings,
         };
         let mut refine = |view: usize, certainty: &Image| -> Option<(Mask, f32)> {

@@ -4,7 +4,7 @@
 use crate::coverage::{soft, unoccluded, visible};
 use crate::judge::{Judge, LEAST_HINT, State};
 use crate::lacking;
-use crate::select::{STEPS, project, view_evidence, working_camera};
+use crate::select::{STEPS, behind_strangers, project, view_evidence, working_camera};
 use crate::{Evidence, Refine, Request, SegmentError, SegmentSettings};
 use segwild_raster::Channels;
 use segwild_scene::{Image, Mask};
@@ -255,6 +255,9 @@ fn call_on(
         return Ok(verdict(Verdict::Declined, 0.0));
     };
     let inside = soft(&mask, camera.width, camera.height);
+    let mut seen = vec![1.0; inside.len()];
+    behind_strangers(request, index, &camera, &inside, &mut seen);
+    let known: Vec<f32> = known.iter().zip(&seen).map(|(known, seen)| known * seen).collect();
     let (mut both, mut either) = (0.0f64, 0.0f64);
     for ((&m, &c), &k) in inside.iter().zip(&certainty.data).zip(&known) {
         let believed = f32::from(u8::from(c > 0.5));
@@ -271,7 +274,10 @@ fn call_on(
         .iter()
         .zip(&certainty.data)
         .zip(&known)
-        .map(|((&m, &c), &k)| if k > 0.8 && (m - c).abs() > 0.8 { DOUBT } else { GUESS + (1.0 - GUESS) * k })
+        .zip(&seen)
+        .map(|(((&m, &c), &k), s)| {
+            s * if k > 0.8 && (m - c).abs() > 0.8 { DOUBT } else { GUESS + (1.0 - GUESS) * k }
+        })
         .collect();
     let mut evidence = Evidence::none(request.splats.len());
     let seen = view_evidence(request, &*projected, view, &camera, &mask, &weights)?;

@@ -25,6 +25,10 @@ const ELSEWHERE: f32 = 0.25;
 /// Weight of a pixel outside of the prompted mask that is as likely meant as not.
 const LEAST_SAID: f32 = 0.1;
 
+/// Share of its weight that a pixel outside of a mask loses to a stranger there. Not all of it: of what is taken for strangers
+/// some is the scene in an odd light.
+const HIDDEN: f32 = 0.7;
+
 /// Share of a splat's evidence that must lie inside, and evidence in views that it must have, for it to count as astride
 /// the outline.
 const ASTRIDE: (f32, f32) = (0.2, 0.2);
@@ -68,8 +72,9 @@ pub struct PromptedView<'a> {
 /// size and how much it trusts it, in [0, 1]; `None` when it cannot tell.
 pub type Refine<'a> = dyn FnMut(usize, &Image) -> Option<(Mask, f32)> + 'a;
 
-/// Reads the sky of a view at any size that covers the photo edge to edge; `None` where it is not known.
-pub type SkyReader = dyn Fn(usize) -> Option<Mask> + Send + Sync;
+/// Reads a mask of a view, its sky or its strangers, at any size that covers the photo edge to edge; `None` where it is not
+/// known.
+pub type MaskReader = dyn Fn(usize) -> Option<Mask> + Send + Sync;
 
 /// Everything a selection is made from.
 #[derive(Clone, Copy)]
@@ -91,7 +96,9 @@ pub struct Request<'a> {
     /// Splats that can never be selected, such as the sky; one flag per splat.
     pub frozen: Option<&'a [bool]>,
     /// Reads the skies of the views, if there are any.
-    pub skies: Option<&'a SkyReader>,
+    pub skies: Option<&'a MaskReader>,
+    /// Reads what is taken for strangers in the views, if that is known.
+    pub strangers: Option<&'a MaskReader>,
     /// How to weigh.
     pub settings: &'a SegmentSettings,
 }
@@ -442,13 +449,30 @@ fn prompted_evidence(request: &Request, prompt: &PromptedView) -> Result<Evidenc
             *weight = if said.is_nan() { 1.0 } else { said.clamp(LEAST_SAID, 1.0) };
         }
     }
+    let inside = soft(prompt.mask, camera.width, camera.height);
+    behind_strangers(request, prompt.view, &camera, &inside, &mut weights);
     let mut evidence = view_evidence(request, &*projected, view, &camera, prompt.mask, &weights)?;
     if request.settings.evidence_mode == EvidenceMode::Coverage {
-        let inside = soft(prompt.mask, camera.width, camera.height);
         behind::doubt(&mut evidence, &*projected, prompt, inside, &view.camera, &camera)
             .map_err(SegmentError::raster(&view.name))?;
     }
     Ok(evidence)
+}
+
+/// Takes the weight of what a stranger hides: a mask that ends at a stranger says nothing of what stands behind. What the mask
+/// holds it has seen, whatever was taken for a stranger there.
+pub(crate) fn behind_strangers(
+    request: &Request,
+    index: usize,
+    camera: &Camera,
+    inside: &[f32],
+    weights: &mut [f32],
+) {
+    let Some(strangers) = request.strangers.and_then(|read| read(index)) else { return };
+    let hidden = soft(&strangers, camera.width, camera.height);
+    for ((weight, inside), hidden) in weights.iter_mut().zip(inside).zip(&hidden) {
+        *weight *= 1.0 - HIDDEN * hidden * (1.0 - inside);
+    }
 }
 
 /// What one view's mask says, by the mode of the settings. `weights`: one number in [0, 1] per pixel.

@@ -5,8 +5,8 @@ use glam::Vec3;
 use segwild_raster::Engine;
 use segwild_scene::{Image, Mask, PointPrompt, Splats};
 use segwild_segmenter::{
-    FeatureField, PosedView, PromptedView, Request, SegmentError, SegmentSettings, Selection, cut, select,
-    visible_mask,
+    FeatureField, MaskReader, PosedView, PromptedView, Request, SegmentError, SegmentSettings, Selection,
+    cut, select, visible_mask,
 };
 
 fn click(x: f32, y: f32) -> PointPrompt {
@@ -196,13 +196,15 @@ fn regions(world: &World, views: &[PosedView], things: &[usize]) -> Vec<Vec<Mask
 }
 
 /// The labels that a click in the middle of the first photo's first region gives, carried to photos that take every region
-/// whose mean certainty is over `least`; `open`: what the first photo leaves open.
+/// whose mean certainty is over `least`; `open`: what the first photo leaves open; `strangers`: what is known to stand before
+/// the scene.
 fn carried(
     world: &World,
     views: &[PosedView],
     truth: &[Vec<Mask>],
     field: &FeatureField,
     open: Option<&Image>,
+    strangers: Option<&MaskReader>,
     least: f32,
 ) -> Vec<bool> {
     let engine = engine();
@@ -212,31 +214,36 @@ fn carried(
     let prompts = [PromptedView { view: 0, mask, open, points: &points, refused: false }];
     let (settings, sky) = (SegmentSettings::default(), world.is(3));
     let request = request(&engine, &world.splats, views, &prompts, &settings);
-    let request = Request { features: Some(field), frozen: Some(&sky), ..request };
+    let request = Request { features: Some(field), frozen: Some(&sky), strangers, ..request };
     let mut snap = |view: usize, certainty: &Image| Some((likelier(&truth[view], certainty, least), 0.9));
     select(&request, Some(&mut snap)).unwrap().labels
 }
 
-#[test]
-fn a_part_that_the_click_left_open_is_not_held_against_it() {
+/// A statue (thing 0) on a pedestal (1) that resembles it, and ten photos around them.
+fn statue_and_pedestal() -> (World, Vec<PosedView>, FeatureField) {
     let mut world = World::default();
     let mut dice = Dice(4);
     world.ball(0, Vec3::new(0.0, -0.25, 0.0), Vec3::new(0.16, 0.3, 0.16), 2500, [0.4, 0.6, 0.5], &mut dice);
     world.ball(1, Vec3::new(0.0, 0.2, 0.0), Vec3::new(0.2, 0.18, 0.2), 2500, [0.7, 0.7, 0.6], &mut dice);
     world.ball(3, Vec3::ZERO, Vec3::splat(20.0), 800, [0.5, 0.7, 1.0], &mut dice);
-    let views: Vec<PosedView> = (0..10)
+    let views = (0..10)
         .map(|i| {
             let (sin, cos) = (i as f32 * std::f32::consts::TAU / 10.0).sin_cos();
             posed(&format!("{i:02}.jpg"), Vec3::new(1.2 * sin, -0.1, -1.2 * cos), Vec3::ZERO)
         })
         .collect();
-    // Statue and pedestal resemble each other; the first photo's mask holds the statue alone.
-    let truth = regions(&world, &views, &[0, 1]);
     let thing = world.thing.iter().map(|t| if *t == 1 { 0 } else { *t }).collect();
-    let alike = World { thing, ..World::default() };
-    let field = features(&alike, 4);
+    let field = features(&World { thing, ..World::default() }, 4);
+    (world, views, field)
+}
+
+#[test]
+fn a_part_that_the_click_left_open_is_not_held_against_it() {
+    let (world, views, field) = statue_and_pedestal();
+    // The first photo's mask holds the statue alone.
+    let truth = regions(&world, &views, &[0, 1]);
     let share = |open: Option<&Image>| {
-        let labels = carried(&world, &views, &truth, &field, open, 0.35);
+        let labels = carried(&world, &views, &truth, &field, open, None, 0.35);
         (world.share(0, &labels), world.share(1, &labels))
     };
     let mut open = Image::zeros(160, 120, 1);
@@ -247,6 +254,30 @@ fn a_part_that_the_click_left_open_is_not_held_against_it() {
     assert!(doubted.0 > 0.9 && doubted.1 > 0.9, "{doubted:?}");
     open.data.fill(f32::NAN);
     assert_eq!(share(Some(&open)), sure, "what is no number opens nothing");
+}
+
+#[test]
+fn a_pedestal_whose_foot_strangers_hide_in_all_other_photos_comes_along_whole() {
+    let (world, views, field) = statue_and_pedestal();
+    let shown = regions(&world, &views, &[0, 1]);
+    // In all photos but the first somebody stands before the lower half of the pedestal, and masks end there.
+    let foot = |pedestal: &Mask| {
+        let (_, middle) = pedestal.pixels().nth(pedestal.count() / 2).unwrap();
+        Mask::from_fn(160, 120, |x, y| y >= middle && pedestal.get(x, y))
+    };
+    let feet: Vec<Mask> = shown.iter().map(|regions| foot(&regions[1])).collect();
+    let seen = |view: usize| {
+        let whole = shown[view][0].or(&shown[view][1]);
+        if view == 0 { whole } else { whole.minus(&feet[view]) }
+    };
+    let truth: Vec<Vec<Mask>> = (0..views.len()).map(|view| vec![seen(view)]).collect();
+    let strangers = move |view: usize| (view > 0).then(|| feet[view].clone());
+    let share = |strangers: Option<&MaskReader>| {
+        let labels = carried(&world, &views, &truth, &field, None, strangers, 0.35);
+        (world.share(0, &labels), world.share(1, &labels))
+    };
+    let (unknown, known) = (share(None), share(Some(&strangers)));
+    assert!(unknown.0 > 0.9 && known.0 > 0.9 && known.1 > unknown.1 + 0.15, "{unknown:?} {known:?}");
 }
 
 #[test]
@@ -263,7 +294,7 @@ fn a_twin_that_the_prompted_photo_does_not_see_is_not_selected() {
     let alike = World { thing: world.thing.iter().map(|t| t % 4).collect(), ..World::default() };
     let field = features(&alike, 4);
     let truth = regions(&world, &views, &[0, 1, 2, 4]);
-    let labels = carried(&world, &views, &truth, &field, None, 0.6);
+    let labels = carried(&world, &views, &truth, &field, None, None, 0.6);
     assert!(world.share(0, &labels) > 0.9, "{}", world.share(0, &labels));
     assert!(world.share(4, &labels) < 0.05, "{}", world.share(4, &labels));
 }
@@ -285,7 +316,7 @@ fn ground_that_only_photos_from_above_show_is_not_let_in_by_the_first_of_them() 
         .collect();
     let truth = regions(&world, &views, &[0, 1]);
     assert!(truth[0][1].is_empty() && !truth[3][1].is_empty());
-    let labels = carried(&world, &views, &truth, &features(&world, 4), None, 0.5);
+    let labels = carried(&world, &views, &truth, &features(&world, 4), None, None, 0.5);
     assert!(world.share(0, &labels) > 0.9, "{}", world.share(0, &labels));
     assert!(world.share(1, &labels) < 0.05, "{}", world.share(1, &labels));
 }
