@@ -1,22 +1,27 @@
 //! Which connected parts of a selection stay (method, section 6).
 
-use crate::{Graph, Hit};
+use crate::{Evidence, Graph, Hit};
 use segwild_scene::Splats;
 
 /// Share of a click's pixel that a splat must make up to stand for the click.
 const SEED: f32 = 0.05;
 
+/// Views in which photos that were not clicked see a splat of a part, in the mean, and share of what they say that must lie
+/// inside, for a part to stay however small it is: a shield beside its bearer, the foot of a plinth whose middle nobody
+/// saw. What masks take along past an outline is seen inside by one photo and outside by the next.
+const BORNE_OUT: (f64, f64) = (0.5, 0.7);
+
 /// Takes away the parts that hold no positive click and less than `share` of the selection's `evidence` (what
-/// masks saw of each splat inside: what no photo saw is no reason to keep a part), and those that hold only negative
-/// clicks. Where no click lies in any part, the heaviest stays. Returns how many parts
-/// went.
+/// masks saw of each splat inside: what no photo saw is no reason to keep a part) without the `others`, what photos that were
+/// not clicked say, bearing it out; and those that hold only negative clicks. Where no click lies in any part, the heaviest
+/// stays. Returns how many parts went.
 pub(crate) fn keep_clicked(
     graph: &Graph,
     splats: &Splats,
     labels: &mut [bool],
     evidence: &[f32],
-    positive: &[Hit],
-    negative: &[Hit],
+    others: Option<&Evidence>,
+    (positive, negative): (&[Hit], &[Hit]),
     share: f32,
 ) -> usize {
     let (part, parts) = graph.components(splats, labels);
@@ -29,6 +34,7 @@ pub(crate) fn keep_clicked(
             weight[*part as usize] += f64::from(seen);
         }
     }
+    let borne_out = others.map_or(vec![false; parts], |others| borne_out(others, &part, parts));
     let holding = |hits: &[Hit]| {
         let mut holds = vec![false; parts];
         for hit in hits {
@@ -42,8 +48,9 @@ pub(crate) fn keep_clicked(
     };
     let (clicked, refused) = (holding(positive), holding(negative));
     let total: f64 = weight.iter().sum();
+    let large = |p: usize| weight[p] >= f64::from(share) * total;
     let mut stays: Vec<bool> =
-        (0..parts).map(|p| clicked[p] || (!refused[p] && weight[p] >= f64::from(share) * total)).collect();
+        (0..parts).map(|p| clicked[p] || (!refused[p] && (large(p) || borne_out[p]))).collect();
     if !clicked.contains(&true) && !stays.contains(&true) {
         let heaviest = (0..parts).fold(0, |best, p| if weight[p] > weight[best] { p } else { best });
         stays[heaviest] = true;
@@ -52,4 +59,21 @@ pub(crate) fn keep_clicked(
         *label = part.is_some_and(|p| stays[p as usize]);
     }
     stays.iter().filter(|s| !**s).count()
+}
+
+/// Which parts photos bear out ([`BORNE_OUT`]).
+fn borne_out(evidence: &Evidence, part: &[Option<u32>], parts: usize) -> Vec<bool> {
+    let mut sums = vec![(0.0f64, 0.0f64, 0u32); parts];
+    for (i, part) in part.iter().enumerate() {
+        if let Some(part) = part {
+            let (inside, total, splats) = &mut sums[*part as usize];
+            *inside += f64::from(evidence.inside[i]);
+            *total += f64::from(evidence.total(i));
+            *splats += 1;
+        }
+    }
+    let (views, share) = BORNE_OUT;
+    sums.iter()
+        .map(|&(inside, total, splats)| total >= views * f64::from(splats) && inside >= share * total)
+        .collect()
 }

@@ -53,6 +53,12 @@ impl Evidence {
         (0..self.inside.len()).map(|i| (255.0 * self.total(i).clamp(0.0, 1.0)).round() as u8).collect()
     }
 
+    /// Without another that was added to it.
+    pub(crate) fn minus(&self, other: &Evidence) -> Evidence {
+        let rest = |sum: &[f32], part: &[f32]| sum.iter().zip(part).map(|(a, b)| (a - b).max(0.0)).collect();
+        Evidence { inside: rest(&self.inside, &other.inside), outside: rest(&self.outside, &other.outside) }
+    }
+
     /// Adds `weight` times another.
     pub fn add(&mut self, other: &Evidence, weight: f32) {
         for (sum, x) in self.inside.iter_mut().zip(&other.inside) {

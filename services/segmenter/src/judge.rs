@@ -139,8 +139,8 @@ impl Judge<'_> {
             .map(|i| !self.is_frozen(i) && evidence.label(i, rho, gamma, least) == Some(true))
             .collect();
         let mut kept = inside.clone();
-        let (graph, (positive, negative)) = (self.graph, self.hits);
-        components::keep_clicked(graph, self.splats, &mut kept, &evidence.inside, positive, negative, LARGE);
+        let (graph, seen) = (self.graph, &evidence.inside);
+        components::keep_clicked(graph, self.splats, &mut kept, seen, None, self.hits, LARGE);
         inside.iter().zip(&kept).map(|(inside, kept)| *inside && !kept).collect()
     }
 

@@ -191,7 +191,6 @@ fn decide(
     visits: Vec<Visit>,
 ) -> Result<Selection, SegmentError> {
     let (settings, splats, graph) = (request.settings, request.splats, judge.graph);
-    let (positive, negative) = judge.hits;
     let mut labels = judge.labels(&state);
     none_left(&labels, "none lies in the masks and resembles the clicks")?;
     if settings.graph_cut {
@@ -203,8 +202,9 @@ fn decide(
     if settings.components == ComponentRule::Clicked {
         let share = settings.component_share;
         let inside = &state.evidence.inside;
+        let others = state.evidence.minus(prompted);
         parts_removed =
-            components::keep_clicked(graph, splats, &mut labels, inside, positive, negative, share);
+            components::keep_clicked(graph, splats, &mut labels, inside, Some(&others), judge.hits, share);
         none_left(&labels, "every connected part holds a negative click")?;
     }
     let sum = |of: &[f32], labelled: bool| -> f64 {

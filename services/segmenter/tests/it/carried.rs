@@ -281,6 +281,33 @@ fn a_pedestal_whose_foot_strangers_hide_in_all_other_photos_comes_along_whole() 
 }
 
 #[test]
+fn a_shield_beside_its_bearer_stays_where_all_photos_show_it() {
+    let mut world = World::default();
+    let mut dice = Dice(6);
+    world.ball(0, Vec3::new(0.0, 0.0, 0.0), Vec3::new(0.16, 0.4, 0.16), 2500, [0.4, 0.6, 0.5], &mut dice);
+    world.ball(1, Vec3::new(0.0, -0.75, 0.0), Vec3::splat(0.08), 30, [0.7, 0.7, 0.6], &mut dice);
+    world.ball(3, Vec3::ZERO, Vec3::splat(20.0), 800, [0.5, 0.7, 1.0], &mut dice);
+    let views: Vec<PosedView> = (0..10)
+        .map(|i| {
+            let (sin, cos) = (i as f32 * std::f32::consts::TAU / 10.0).sin_cos();
+            posed(&format!("{i:02}.jpg"), Vec3::new(1.6 * sin, -0.3, -1.6 * cos), Vec3::new(0.0, -0.2, 0.0))
+        })
+        .collect();
+    let shown = regions(&world, &views, &[0, 1]);
+    let whole = |view: usize| vec![shown[view][0].or(&shown[view][1])];
+    let all: Vec<Vec<Mask>> = (0..10).map(whole).collect();
+    // Or one photo's mask takes it along, and no other does.
+    let one: Vec<Vec<Mask>> =
+        (0..10).map(|view| if view == 0 { whole(0) } else { vec![shown[view][0].clone()] }).collect();
+    let share = |truth: &[Vec<Mask>]| {
+        let labels = carried(&world, &views, truth, &features(&world, 4), None, None, 0.35);
+        (world.share(0, &labels), world.share(1, &labels))
+    };
+    let (all, one) = (share(&all), share(&one));
+    assert!(all.0 > 0.9 && all.1 > 0.9 && one.0 > 0.9 && one.1 < 0.1, "{all:?} {one:?}");
+}
+
+#[test]
 fn a_twin_that_the_prompted_photo_does_not_see_is_not_selected() {
     let (mut world, views) = square();
     let mut dice = Dice(5);
