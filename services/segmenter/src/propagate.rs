@@ -255,6 +255,7 @@ fn call_on(
         return Ok(verdict(Verdict::Declined, 0.0));
     };
     let inside = soft(&mask, camera.width, camera.height);
+    // What a stranger hides counts as less known, and says less on top of that where the mask leaves it out.
     let mut seen = vec![1.0; inside.len()];
     behind_strangers(request, index, &camera, &inside, &mut seen);
     let known: Vec<f32> = known.iter().zip(&seen).map(|(known, seen)| known * seen).collect();

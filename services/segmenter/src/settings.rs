@@ -116,7 +116,8 @@ segwild_scene::settings! {
         unseen_prior: f32 = 0.5 => 0.001..=0.999,
         /// Which connected parts stay.
         components: ComponentRule = ComponentRule::Clicked,
-        /// A part without a click stays as well when it holds this share of what the masks saw of the selection.
+        /// A part without a click stays as well when it holds this share of what the masks saw of the selection, or when most
+        /// of what the other photos say of it lies inside.
         component_share: f32 = 0.05 => 0.0..=1.0,
         /// Smooth the selection by a graph cut over position and colour.
         graph_cut: bool = false,
