@@ -9,7 +9,7 @@ const SEED: f32 = 0.05;
 /// Views in which photos that were not clicked see a splat of a part, in the mean, and share of what they say that must lie
 /// inside, for a part to stay however small it is: a shield beside its bearer, the foot of a plinth whose middle nobody
 /// saw. What masks take along past an outline is seen inside by one photo and outside by the next.
-const BORNE_OUT: (f64, f64) = (0.5, 0.7);
+const BORNE_OUT: (f64, f64) = (1.0, 0.7);
 
 /// Takes away the parts that hold no positive click and less than `share` of the selection's `evidence` (what
 /// masks saw of each splat inside: what no photo saw is no reason to keep a part) without the `others`, what photos that were

@@ -255,13 +255,12 @@ fn call_on(
         return Ok(verdict(Verdict::Declined, 0.0));
     };
     let inside = soft(&mask, camera.width, camera.height);
-    // What a stranger hides counts as less known, and says less on top of that where the mask leaves it out.
+    // What a stranger hides is no disagreement, and says little where the mask leaves it out.
     let mut seen = vec![1.0; inside.len()];
     behind_strangers(request, index, &camera, &inside, &mut seen);
-    let known: Vec<f32> = known.iter().zip(&seen).map(|(known, seen)| known * seen).collect();
     let (mut both, mut either) = (0.0f64, 0.0f64);
-    for ((&m, &c), &k) in inside.iter().zip(&certainty.data).zip(&known) {
-        let believed = f32::from(u8::from(c > 0.5));
+    for (((&m, &c), &k), &s) in inside.iter().zip(&certainty.data).zip(&known).zip(&seen) {
+        let (believed, k) = (f32::from(u8::from(c > 0.5)), k * s);
         both += f64::from(k * m.min(believed));
         either += f64::from(k * m.max(believed));
     }
@@ -276,7 +275,7 @@ fn call_on(
         .zip(&certainty.data)
         .zip(&known)
         .zip(&seen)
-        .map(|(((&m, &c), &k), s)| {
+        .map(|(((&m, &c), &k), &s)| {
             s * if k > 0.8 && (m - c).abs() > 0.8 { DOUBT } else { GUESS + (1.0 - GUESS) * k }
         })
         .collect();
