@@ -5,8 +5,9 @@ use crate::folder::Loaded;
 use crate::light::{self, find};
 use crate::mask_source::MaskSource;
 use crate::prompts::{check_all, png_names};
-use crate::strangers::picture_of;
-use crate::{PhotoPrompts, Replay, RunError, RunFolder, choose_engine, log_loss, report, skies, traces};
+use crate::{
+    PhotoPrompts, Replay, RunError, RunFolder, choose_engine, log_loss, report, skies, strangers, traces,
+};
 use segwild_flow::{
     ActorOptions, FileError, Limits, Phase, Stopper, System, SystemOptions, codec, fault, files, mailbox,
 };
@@ -220,10 +221,7 @@ pub fn segment(
         })
     };
     let skies = Arc::new(skies::of_run(folder, &scene, size, providers.sky.clone())?);
-    let strangers = {
-        let (scene, pictures) = (scene.clone(), folder.clone());
-        Arc::new(move |view: usize| Mask::read_png(&picture_of(&pictures, &scene, view)).ok())
-    };
+    let strangers = Arc::new(strangers::of_run(folder, &scene));
     let barred: Vec<bool> = scene.views.iter().map(|v| v.test).collect();
     let system = System::new(SystemOptions {
         stopper: stopper.clone(),
@@ -367,6 +365,7 @@ fn doubts(
     masks: &[(usize, ScoredMask)],
 ) -> Vec<String> {
     let mut words = Vec::new();
+    let strangers = strangers::of_run(folder, scene);
     for p in prompts {
         let Ok(view) = find(scene, &p.photo) else { continue };
         let camera = &scene.views[view].camera;
@@ -377,7 +376,7 @@ fn doubts(
             let (u, v) = (scale(x, camera.width, mask.width()), scale(y, camera.height, mask.height()));
             (mask.get(u, v), (v * mask.width() + u) as usize)
         };
-        let stranger = Mask::read_png(&picture_of(folder, scene, view)).ok();
+        let stranger = strangers(view);
         let meant = masks.iter().find(|(v, _)| *v == view).map(|(_, m)| &m.mask);
         let depths = meant.map(|m| m.not().distances());
         for point in p.prompts.points.iter().filter(|p| p.inside) {

@@ -144,9 +144,13 @@ fn names(scene: &Scene) -> Vec<String> {
     png_names(scene.views.iter().map(|v| v.name.as_str()))
 }
 
-/// Where the run keeps the picture of a view's strangers.
-pub(crate) fn picture_of(folder: &RunFolder, scene: &Scene, view: usize) -> PathBuf {
-    folder.path().join(FOLDER).join(&names(scene)[view])
+/// Reads the pictures of a run's strangers by view; `None` where there is none that can be read.
+pub(crate) fn of_run(
+    folder: &RunFolder,
+    scene: &Scene,
+) -> impl Fn(usize) -> Option<Mask> + Send + Sync + use<> {
+    let (pictures, names) = (folder.path().join(FOLDER), names(scene));
+    move |view: usize| Mask::read_png(&pictures.join(&names[view])).ok()
 }
 
 /// What is known of a photo's strangers before anything is trained.

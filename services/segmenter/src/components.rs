@@ -11,9 +11,9 @@ const SEED: f32 = 0.05;
 /// saw. What masks take along past an outline is seen inside by one photo and outside by the next.
 const BORNE_OUT: (f64, f64) = (1.0, 0.7);
 
-/// Takes away the parts that hold no positive click and less than `share` of the selection's `evidence` (what
-/// masks saw of each splat inside: what no photo saw is no reason to keep a part) without the `others`, what photos that were
-/// not clicked say, bearing it out; and those that hold only negative clicks. Where no click lies in any part, the heaviest
+/// Takes away the parts that hold no positive click, unless they hold `share` of the selection's `evidence` (what masks saw of
+/// each splat inside: what no photo saw is no reason to keep a part) or the `others`, what photos that were not clicked say,
+/// bear them out; and those that hold only negative clicks. Where no click lies in any part, the heaviest
 /// stays. Returns how many parts went.
 pub(crate) fn keep_clicked(
     graph: &Graph,

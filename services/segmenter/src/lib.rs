@@ -11,6 +11,7 @@ mod components;
 pub mod coverage;
 mod error;
 mod graph;
+mod hidden;
 mod judge;
 mod jury;
 mod kinds;

@@ -3,9 +3,9 @@
 
 use crate::coverage::{soft, unoccluded, visible};
 use crate::judge::{Judge, LEAST_HINT, State};
-use crate::lacking;
-use crate::select::{STEPS, behind_strangers, project, view_evidence, working_camera};
+use crate::select::{STEPS, project, view_evidence, working_camera};
 use crate::{Evidence, Refine, Request, SegmentError, SegmentSettings};
+use crate::{hidden, lacking};
 use segwild_raster::Channels;
 use segwild_scene::{Image, Mask};
 
@@ -256,11 +256,10 @@ fn call_on(
     };
     let inside = soft(&mask, camera.width, camera.height);
     // What a stranger hides is no disagreement, and says little where the mask leaves it out.
-    let mut seen = vec![1.0; inside.len()];
-    behind_strangers(request, index, &camera, &inside, &mut seen);
+    let heard = hidden::heard(&inside, request.strangers_in(index).as_ref(), &camera);
     let (mut both, mut either) = (0.0f64, 0.0f64);
-    for (((&m, &c), &k), &s) in inside.iter().zip(&certainty.data).zip(&known).zip(&seen) {
-        let (believed, k) = (f32::from(u8::from(c > 0.5)), k * s);
+    for (((&m, &c), &k), &h) in inside.iter().zip(&certainty.data).zip(&known).zip(&heard) {
+        let (believed, k) = (f32::from(u8::from(c > 0.5)), k * h);
         both += f64::from(k * m.min(believed));
         either += f64::from(k * m.max(believed));
     }
@@ -274,9 +273,9 @@ fn call_on(
         .iter()
         .zip(&certainty.data)
         .zip(&known)
-        .zip(&seen)
-        .map(|(((&m, &c), &k), &s)| {
-            s * if k > 0.8 && (m - c).abs() > 0.8 { DOUBT } else { GUESS + (1.0 - GUESS) * k }
+        .zip(&heard)
+        .map(|(((&m, &c), &k), &h)| {
+            h * if k > 0.8 && (m - c).abs() > 0.8 { DOUBT } else { GUESS + (1.0 - GUESS) * k }
         })
         .collect();
     let mut evidence = Evidence::none(request.splats.len());

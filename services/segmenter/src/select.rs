@@ -2,6 +2,7 @@
 
 use crate::behind;
 use crate::coverage::{centre, coverage, soft, unoccluded, visible};
+use crate::hidden;
 use crate::judge::{Judge, Similarities, State};
 use crate::kinds::kinds;
 use crate::settings::{ComponentRule, CutBy, EvidenceMode, SegmentSettings, SimilarityUse};
@@ -24,10 +25,6 @@ const ELSEWHERE: f32 = 0.25;
 
 /// Weight of a pixel outside of the prompted mask that is as likely meant as not.
 const LEAST_SAID: f32 = 0.1;
-
-/// Share of its weight that a pixel outside of a mask loses to a stranger there. Not all of it: of what is taken for strangers
-/// some is the scene in an odd light.
-const HIDDEN: f32 = 0.7;
 
 /// Share of a splat's evidence that must lie inside, and evidence in views that it must have, for it to count as astride
 /// the outline.
@@ -101,6 +98,13 @@ pub struct Request<'a> {
     pub strangers: Option<&'a MaskReader>,
     /// How to weigh.
     pub settings: &'a SegmentSettings,
+}
+
+impl Request<'_> {
+    /// What is taken for strangers in a view; `None` where that is not known.
+    pub(crate) fn strangers_in(&self, view: usize) -> Option<Mask> {
+        self.strangers.and_then(|read| read(view))
+    }
 }
 
 /// A selection.
@@ -450,29 +454,15 @@ fn prompted_evidence(request: &Request, prompt: &PromptedView) -> Result<Evidenc
         }
     }
     let inside = soft(prompt.mask, camera.width, camera.height);
-    behind_strangers(request, prompt.view, &camera, &inside, &mut weights);
+    let strangers = request.strangers_in(prompt.view);
+    let heard = hidden::heard(&inside, strangers.as_ref(), &camera);
+    weights.iter_mut().zip(&heard).for_each(|(weight, heard)| *weight *= heard);
     let mut evidence = view_evidence(request, &*projected, view, &camera, prompt.mask, &weights)?;
     if request.settings.evidence_mode == EvidenceMode::Coverage {
         behind::doubt(&mut evidence, &*projected, prompt, inside, &view.camera, &camera)
             .map_err(SegmentError::raster(&view.name))?;
     }
     Ok(evidence)
-}
-
-/// Takes the weight of what a stranger hides: a mask that ends at a stranger says nothing of what stands behind. What the mask
-/// holds it has seen, whatever was taken for a stranger there.
-pub(crate) fn behind_strangers(
-    request: &Request,
-    index: usize,
-    camera: &Camera,
-    inside: &[f32],
-    weights: &mut [f32],
-) {
-    let Some(strangers) = request.strangers.and_then(|read| read(index)) else { return };
-    let hidden = soft(&strangers, camera.width, camera.height);
-    for ((weight, inside), hidden) in weights.iter_mut().zip(inside).zip(&hidden) {
-        *weight *= 1.0 - HIDDEN * hidden * (1.0 - inside);
-    }
 }
 
 /// What one view's mask says, by the mode of the settings. `weights`: one number in [0, 1] per pixel.

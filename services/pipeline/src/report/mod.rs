@@ -7,7 +7,7 @@ use crate::evaluate::HeldOut;
 use crate::folder::Loaded;
 use crate::history::{self, Moment};
 use crate::render::{Mode, NOTHING, Painter, What};
-use crate::strangers::picture_of;
+use crate::strangers;
 use crate::{BudgetChoice, LookChoice, RunError, RunFolder, Selected, choose_engine, log_loss};
 use html::Series;
 use segwild_flow::codec::Decode;
@@ -308,8 +308,7 @@ fn photos(
 
 /// A photo with its strangers in red; `None` where there are none, or no picture of them.
 fn strangers_picture(folder: &RunFolder, loaded: &Loaded, view: usize, photo: &Image) -> Option<Image> {
-    let mask =
-        Mask::read_png(&picture_of(folder, &loaded.scene, view)).ok().filter(|mask| !mask.is_empty())?;
+    let mask = strangers::of_run(folder, &loaded.scene)(view).filter(|mask| !mask.is_empty())?;
     let mask = mask.resized(photo.width as u32, photo.height as u32);
     let (mut picture, n) = (photo.clone(), photo.pixels());
     for (x, y) in mask.pixels() {
