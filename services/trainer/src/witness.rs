@@ -6,7 +6,8 @@
 use segwild_raster::{Projected, RasterError};
 use segwild_scene::Image;
 
-/// Photos that must bear a splat out for it to stay.
+/// Photos that must see a splat for it to stay. Those that contradict what they show of it count: at the rim of a scene
+/// a splat has few photos, and one of them taken for a stranger's must not take it away.
 const WITNESSES: f32 = 2.5;
 /// Voices in favour that a voice against needs beside it for a splat to stay. At the foot of a place strangers stand
 /// before the ground in more than half of the photos, and each of these contradicts it.
@@ -56,7 +57,7 @@ impl Witness {
         (0..self.in_favour.len())
             .filter(|&i| {
                 let (yes, no) = (self.in_favour[i], self.against[i]);
-                yes + no == 0.0 || (yes >= SHARE * no && yes >= least)
+                yes + no == 0.0 || (yes >= SHARE * no && yes + no >= least)
             })
             .collect()
     }
@@ -125,6 +126,13 @@ mod tests {
         let kept = left(0.0, 20, |photo, _| photo % 5 < 3);
         assert_eq!(kept.len(), 10, "{kept:?}");
         assert!(left(0.0, 20, |photo, _| photo % 5 < 4).len() < 10);
+    }
+
+    #[test]
+    fn what_few_photos_see_stays_where_strangers_hide_it_in_one_of_them() {
+        let mut few = Witness::new(3);
+        (few.in_favour, few.against, few.photos) = (vec![2.0, 1.0, 1.0], vec![1.0, 2.5, 0.0], 40);
+        assert_eq!(few.borne_out(), [0], "mostly contradicted, or seen by one alone, goes");
     }
 
     #[test]
