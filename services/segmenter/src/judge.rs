@@ -105,7 +105,7 @@ impl Judge<'_> {
                 }
                 // What resembles the clicks speaks for itself a little, and more the better features tell.
                 let hint = hint(i);
-                let say = if hangs[i] { HINT * (2.0 * hint - 1.0).max(0.0).powi(2) } else { 0.0 };
+                let say = if hangs[i] { HINT * sure(hint).powi(2) } else { 0.0 };
                 let (mut inside, mut total) = (hint * say, say);
                 if !stray[i] {
                     inside += evidence.inside[i];
@@ -235,6 +235,11 @@ impl Judge<'_> {
             })
             .collect()
     }
+}
+
+/// How surely a splat of some [`State::hint`] resembles what was clicked: 0 up to even odds, 1 at certainty.
+pub(crate) fn sure(hint: f32) -> f32 {
+    (2.0 * hint - 1.0).max(0.0)
 }
 
 fn bin(merit: f32) -> usize {

@@ -2,7 +2,7 @@
 //! what the splats only guess, and what was learned there decides splats that no prompt saw.
 
 use crate::coverage::{soft, unoccluded, visible};
-use crate::judge::{Judge, LEAST_HINT, State};
+use crate::judge::{Judge, LEAST_HINT, State, sure};
 use crate::select::{STEPS, project, view_evidence, working_camera};
 use crate::{Evidence, Refine, Request, SegmentError, SegmentSettings};
 use crate::{hidden, lacking};
@@ -221,10 +221,10 @@ fn call_on(
         .beliefs
         .iter()
         .enumerate()
-        .flat_map(|(i, b)| [certainty_of(judge, state, i), b.weight.min(1.0)])
+        .flat_map(|(i, b)| [certainty_of(judge, state, i), b.weight.min(1.0), sure(state.hint[i])])
         .collect();
     let frame =
-        projected.blend(&Channels { count: 2, values: &values }).map_err(SegmentError::raster(&view.name))?;
+        projected.blend(&Channels { count: 3, values: &values }).map_err(SegmentError::raster(&view.name))?;
     let clean = |x: f32| if x.is_nan() { 0.0 } else { x.clamp(0.0, 1.0) };
     let mut certainty = Image {
         width: camera.width as usize,
@@ -256,7 +256,8 @@ fn call_on(
     };
     let inside = soft(&mask, camera.width, camera.height);
     // What a stranger hides is no disagreement, and says little where the mask leaves it out.
-    let heard = hidden::heard(&inside, request.strangers_in(index).as_ref(), &camera);
+    let strangers = request.strangers_in(index);
+    let heard = hidden::heard(&inside, strangers.as_ref(), Some(frame.image.plane(2)), &camera);
     let (mut both, mut either) = (0.0f64, 0.0f64);
     for (((&m, &c), &k), &h) in inside.iter().zip(&certainty.data).zip(&known).zip(&heard) {
         let (believed, k) = (f32::from(u8::from(c > 0.5)), k * h);

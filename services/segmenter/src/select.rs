@@ -455,7 +455,7 @@ fn prompted_evidence(request: &Request, prompt: &PromptedView) -> Result<Evidenc
     }
     let inside = soft(prompt.mask, camera.width, camera.height);
     let strangers = request.strangers_in(prompt.view);
-    let heard = hidden::heard(&inside, strangers.as_ref(), &camera);
+    let heard = hidden::heard(&inside, strangers.as_ref(), None, &camera);
     weights.iter_mut().zip(&heard).for_each(|(weight, heard)| *weight *= heard);
     let mut evidence = view_evidence(request, &*projected, view, &camera, prompt.mask, &weights)?;
     if request.settings.evidence_mode == EvidenceMode::Coverage {
