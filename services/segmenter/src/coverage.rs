@@ -148,6 +148,11 @@ pub fn visible(
     Ok(sums.iter().zip(unoccluded).map(|(&sum, &all)| sum > 0.0 && sum >= seen * all).collect())
 }
 
+/// A rendered share, in [0, 1]; what is no number counts as none.
+pub(crate) fn clean(share: f32) -> f32 {
+    if share.is_nan() { 0.0 } else { share.clamp(0.0, 1.0) }
+}
+
 /// A mask at another size: the share of each new pixel that it covers when it shrinks, the pixel under the
 /// centre when it grows.
 pub fn soft(mask: &Mask, width: u32, height: u32) -> Vec<f32> {

@@ -4,7 +4,7 @@
 //! that is in most photos: told as not the object's, plinths and steps went, and once gone were told to later photos as
 //! background.
 
-use crate::coverage::soft;
+use crate::coverage::{clean, soft};
 use segwild_scene::{Camera, Mask};
 
 /// Share of its weight that a pixel outside of a mask loses to a stranger there. Not all of it: of what is taken for strangers
@@ -23,7 +23,7 @@ pub(crate) fn heard(
     let Some(strangers) = strangers else { return vec![1.0; inside.len()] };
     let mut heard = soft(strangers, frame.width, frame.height);
     for (i, (heard, inside)) in heard.iter_mut().zip(inside).enumerate() {
-        let sure = resembling.map_or(0.0, |r| if r[i].is_nan() { 0.0 } else { r[i].clamp(0.0, 1.0) });
+        let sure = resembling.map_or(0.0, |r| clean(r[i]));
         *heard = 1.0 - (HIDDEN + (1.0 - HIDDEN) * sure) * *heard * (1.0 - inside);
     }
     heard

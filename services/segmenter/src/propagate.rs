@@ -1,7 +1,7 @@
 //! Carrying a selection from the prompted photos to all others and back: each photo's own boundaries correct
 //! what the splats only guess, and what was learned there decides splats that no prompt saw.
 
-use crate::coverage::{soft, unoccluded, visible};
+use crate::coverage::{clean, soft, unoccluded, visible};
 use crate::judge::{Judge, LEAST_HINT, State, sure};
 use crate::select::{STEPS, project, view_evidence, working_camera};
 use crate::{Evidence, Refine, Request, SegmentError, SegmentSettings};
@@ -225,7 +225,6 @@ fn call_on(
         .collect();
     let frame =
         projected.blend(&Channels { count: 3, values: &values }).map_err(SegmentError::raster(&view.name))?;
-    let clean = |x: f32| if x.is_nan() { 0.0 } else { x.clamp(0.0, 1.0) };
     let mut certainty = Image {
         width: camera.width as usize,
         height: camera.height as usize,
@@ -255,7 +254,7 @@ fn call_on(
         return Ok(verdict(Verdict::Declined, 0.0));
     };
     let inside = soft(&mask, camera.width, camera.height);
-    // What a stranger hides is no disagreement, and says little where the mask leaves it out.
+    // What a stranger hides is no disagreement, and says little or nothing where the mask leaves it out.
     let strangers = request.strangers_in(index);
     let heard = hidden::heard(&inside, strangers.as_ref(), Some(frame.image.plane(2)), &camera);
     let (mut both, mut either) = (0.0f64, 0.0f64);
