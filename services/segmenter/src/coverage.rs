@@ -13,14 +13,8 @@ const ALPHA_MIN: f32 = 1.0 / 255.0;
 /// little about where a boundary runs.
 const VOTE_FLOOR: f32 = 1.0;
 
-/// Share of a splat's light that a view must see for its vote to be that share. Of less it is less than in proportion, by
-/// the square root: what comes through gaps lies in pixels that are of what stands before the splat, and many photos
-/// that hardly see a thing would outvote the few that do.
-const PLAIN_SIGHT: f32 = 0.1;
-
-/// Evidence for and against each splat, summed over views. The unit is a view: one that sees a tenth of a large splat's
-/// light adds .1 to the two together, one that sees it whole 3.2, since what little shows says little; with [`Vote::Light`]
-/// it is a pixel's light.
+/// Evidence for and against each splat, summed over views. The unit is a view: one that sees a splat whole
+/// and large adds 1 to the two together; with [`Vote::Light`] it is a pixel's light.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Evidence {
     /// `A_1`: visible light of the splat inside the masks.
@@ -54,7 +48,7 @@ impl Evidence {
         (known > 0.0 && known >= least).then_some(inside * (1.0 - rho) >= (outside + gamma) * rho)
     }
 
-    /// How well one view sees each splat, in 1/255; all from nearly half of a large splat on is 1.
+    /// How well one view sees each splat, in 1/255 of a view that sees it whole and large.
     pub(crate) fn voices(&self) -> Vec<u8> {
         (0..self.inside.len()).map(|i| (255.0 * self.total(i).clamp(0.0, 1.0)).round() as u8).collect()
     }
@@ -118,10 +112,7 @@ pub fn coverage(
         let (within, all) = (sum[0].min(sum[1]), sum[1]);
         if all > 0.0 && all >= seen * unoccluded[i] {
             let vote = match worth {
-                Vote::View => {
-                    let whole = unoccluded[i].max(all);
-                    (all / whole / PLAIN_SIGHT).sqrt() / (whole + VOTE_FLOOR)
-                }
+                Vote::View => 1.0 / (unoccluded[i].max(all) + VOTE_FLOOR),
                 Vote::Light => 1.0,
             };
             evidence.inside[i] = within * vote;

@@ -277,7 +277,7 @@ fn a_pedestal_whose_foot_strangers_hide_in_all_other_photos_comes_along_whole() 
         (world.share(0, &labels), world.share(1, &labels))
     };
     let (unknown, known) = (share(None), share(Some(&strangers)));
-    assert!(unknown.0 > 0.9 && known.0 > 0.9 && known.1 > unknown.1 + 0.1, "{unknown:?} {known:?}");
+    assert!(unknown.0 > 0.9 && known.0 > 0.9 && known.1 > unknown.1 + 0.15, "{unknown:?} {known:?}");
 }
 
 #[test]
