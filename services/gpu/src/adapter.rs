@@ -96,10 +96,12 @@ pub(crate) fn open(
     let limits = wanted(&described[at], &all[at].limits())?;
     let mut adapter = described.swap_remove(at);
     adapter.subgroups = adapter.subgroups.filter(|_| subgroups);
+    let mut features = Features::TIMESTAMP_QUERY;
+    features.set(Features::SUBGROUP, adapter.subgroups.is_some());
     let (device, queue) = pollster::block_on(all[at].request_device(&wgpu::DeviceDescriptor {
         label: Some("segwild"),
         required_limits: limits,
-        required_features: if adapter.subgroups.is_some() { Features::SUBGROUP } else { Features::empty() },
+        required_features: all[at].features() & features,
         ..Default::default()
     }))
     .map_err(|error| GpuError::Failed { adapter: adapter.name.clone(), why: error.to_string() })?;

@@ -6,9 +6,10 @@
 
 use crate::GpuError;
 use crate::adapter::{Adapter, Choice, open};
+use crate::clock::Clock;
 use crate::shaders::{Kernel, source};
 use bytemuck::Pod;
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use wgpu::{BufferUsages, ComputePipeline};
@@ -68,6 +69,7 @@ pub(crate) struct Device {
     /// The first thing that went wrong.
     failed: Arc<Mutex<Option<String>>>,
     turn: Mutex<()>,
+    clock: Mutex<Option<Clock>>,
     edit: Edit,
 }
 
@@ -104,6 +106,7 @@ impl Device {
             arena,
             failed,
             turn: Mutex::new(()),
+            clock: Mutex::new(None),
             edit,
         })
     }
@@ -113,6 +116,18 @@ impl Device {
         let turn = lock(&self.turn);
         let encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         Work { device: self, encoder, jobs: Vec::new(), dirty: false, _turn: turn }
+    }
+
+    /// Times every kernel from now on, if the device has a clock of its own.
+    pub fn start_clock(&self) {
+        if self.device.features().contains(wgpu::Features::TIMESTAMP_QUERY) {
+            *lock(&self.clock) = Some(Clock::new(&self.device, &self.queue, JOBS));
+        }
+    }
+
+    /// Milliseconds of each kernel since; none where the device has no clock.
+    pub fn stop_clock(&self) -> BTreeMap<&'static str, f64> {
+        lock(&self.clock).take().map_or_else(BTreeMap::new, Clock::spent)
     }
 
     fn check(&self) -> Result<(), GpuError> {
@@ -255,6 +270,16 @@ impl Work<'_> {
         self.device.budget()
     }
 
+    /// As [`Device::start_clock`].
+    pub fn start_clock(&self) {
+        self.device.start_clock();
+    }
+
+    /// As [`Device::stop_clock`].
+    pub fn stop_clock(&self) -> BTreeMap<&'static str, f64> {
+        self.device.stop_clock()
+    }
+
     /// Brings items to the device.
     pub fn upload<T: Pod>(&mut self, what: &'static str, items: &[T]) -> Result<Lent, GpuError> {
         // Uploads overtake what has not been handed in, and the buffer may be one that such work still uses.
@@ -309,9 +334,10 @@ impl Work<'_> {
         });
         self.jobs.push(job);
         self.dirty = true;
+        let mut clock = lock(&self.device.clock);
         let mut pass = self.encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
             label: Some(kernel.name),
-            timestamp_writes: None,
+            timestamp_writes: clock.as_mut().map(|clock| clock.moments_of(kernel.name)),
         });
         pass.set_pipeline(&pipeline);
         pass.set_bind_group(0, &group, &[]);
@@ -332,8 +358,15 @@ impl Work<'_> {
             self.device.queue.write_buffer(&self.device.arena, 0, &bytes);
         }
         let next = self.device.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        let encoder = std::mem::replace(&mut self.encoder, next);
+        let mut encoder = std::mem::replace(&mut self.encoder, next);
+        let mut clock = lock(&self.device.clock);
+        if let Some(clock) = &*clock {
+            clock.close(&mut encoder);
+        }
         self.device.queue.submit([encoder.finish()]);
+        if let Some(clock) = &mut *clock {
+            clock.read(&self.device.device);
+        }
         self.jobs.clear();
         self.dirty = false;
     }

@@ -13,6 +13,7 @@ extern crate self as segwild_gpu;
 
 mod adapter;
 mod check;
+mod clock;
 #[cfg(test)]
 #[path = "../tests/common/mod.rs"]
 mod common;

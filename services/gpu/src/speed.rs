@@ -23,6 +23,7 @@ use segwild_raster::{
     Rules, Step, gsw,
 };
 use segwild_scene::{Camera, Pose, Random, Splats};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -62,10 +63,53 @@ pub struct Timed {
     pub ms: f64,
     /// The least that it takes; 0 where it is not one pass of the device.
     pub floor_ms: f64,
+    /// Milliseconds of its kernels by the device's own clock, the slowest first; none where it has no clock. What they lack
+    /// of [`Timed::ms`] goes to handing them in, and to waiting.
+    pub kernels: Vec<(&'static str, f64)>,
+}
+
+/// Mean milliseconds of work, and of each of its kernels.
+struct Spent {
+    ms: f64,
+    kernels: Vec<(&'static str, f64)>,
+}
+
+impl Spent {
+    fn row(self, pass: &'static str, floor_ms: f64) -> Timed {
+        Timed { pass, ms: self.ms, floor_ms, kernels: self.kernels }
+    }
+}
+
+/// Times that kernels are timed one by one.
+const CLOCKED: u32 = 3;
+
+/// What the device's clock says of so many repetitions, the slowest kernel first.
+fn slowest(spent: BTreeMap<&'static str, f64>, repetitions: u32) -> Vec<(&'static str, f64)> {
+    let mut kernels: Vec<_> =
+        spent.into_iter().map(|(name, ms)| (name, ms / f64::from(repetitions))).collect();
+    kernels.sort_by(|a, b| b.1.total_cmp(&a.1));
+    kernels
+}
+
+/// Times work that is handed in over and over and waited for once; then its kernels.
+fn timed(
+    work: &mut Work,
+    mut pass: impl FnMut(&mut Work) -> Result<(), GpuError>,
+) -> Result<Spent, GpuError> {
+    let ms = repeated(work, &mut pass)?;
+    work.start_clock();
+    for _ in 0..CLOCKED {
+        pass(work)?;
+    }
+    work.wait()?;
+    Ok(Spent { ms, kernels: slowest(work.stop_clock(), CLOCKED) })
 }
 
 /// Mean milliseconds of work that is handed in over and over and waited for once.
-fn timed(work: &mut Work, mut pass: impl FnMut(&mut Work) -> Result<(), GpuError>) -> Result<f64, GpuError> {
+fn repeated(
+    work: &mut Work,
+    mut pass: impl FnMut(&mut Work) -> Result<(), GpuError>,
+) -> Result<f64, GpuError> {
     // Compiles, and takes what memory it needs.
     pass(work)?;
     work.wait()?;
@@ -90,14 +134,14 @@ pub fn reach(engine: &GpuEngine) -> Result<Reach, GpuError> {
     let bytes = engine.adapter().binding.min(256 << 20) as usize / 16 * 16;
     let (from, to) = (work.take::<u8>("a copy's source", bytes)?, work.take::<u8>("a copy", bytes)?);
     work.clear(&from);
-    let ms = timed(&mut work, |work| {
+    let ms = repeated(&mut work, |work| {
         work.copy_to(&from, &to, 0, bytes);
         Ok(())
     })?;
     let threads = 1 << 20;
     let turns = 256;
     let out = work.take::<f32>("sums", threads)?;
-    let rate = timed(&mut work, |work| {
+    let rate = repeated(&mut work, |work| {
         work.run(&RATE, 1, [threads as u32, turns, 0, 0], &[&out], threads / GROUP);
         Ok(())
     })?;
@@ -142,8 +186,8 @@ impl Bench<'_> {
         operations: f64,
         run: impl FnMut(&mut Work) -> Result<(), GpuError>,
     ) -> Result<(), GpuError> {
-        let ms = timed(&mut self.work, run)?;
-        self.rows.push(Timed { pass, ms, floor_ms: self.reach.floor_ms(bytes, operations) });
+        let floor = self.reach.floor_ms(bytes, operations);
+        self.rows.push(timed(&mut self.work, run)?.row(pass, floor));
         Ok(())
     }
 
@@ -250,12 +294,12 @@ fn networks(
     let colours = work.take::<[f32; 4]>("the splats' colours", n)?;
     work.clear(&colours);
     let lighting = Lighting::upload(work, &held, &step, pose.centre(), n, PIECE)?;
-    let ms = timed(work, |work| {
+    let spent = timed(work, |work| {
         lighting.tint(work, &seen, &cloud.means, &codes, &colours)?;
         lighting.backward(work, &colours, (&cloud.means, &codes), &by_code, None)
     })?;
     let (bytes, operations) = floor(GswWidth::Cpu, n);
-    Ok(Timed { pass: NETWORKS, ms, floor_ms: reach.floor_ms(bytes, operations) })
+    Ok(spent.row(NETWORKS, reach.floor_ms(bytes, operations)))
 }
 
 /// The pass that is what a photo asks of the feature field: its losses with a learned decoder, and what they say of the image.
@@ -291,7 +335,7 @@ fn losses(engine: &GpuEngine, reach: Reach, question: Question) -> Result<Timed,
     let parts = parts_of(channels)
         .map(|first| Ok((first, work.upload("the image", &pack_image(&image, first, blocks, None))?)));
     let parts = parts.collect::<Result<Vec<_>, GpuError>>()?;
-    let ms = timed(work, |work| {
+    let spent = timed(work, |work| {
         let step = field.begin(work, &asked, &made.drawn())?;
         for (first, image) in &parts {
             step.take(work, first / 4, blocks, image);
@@ -308,7 +352,7 @@ fn losses(engine: &GpuEngine, reach: Reach, question: Question) -> Result<Timed,
     // Image, target and weights; forward and twice back, and of pairs once.
     let bytes = 4.0 * (2.0 * c * pixels as f64 + outputs * (cells + 6.0 * c) + 2.0 * c * drawn);
     let operations = 2.0 * (3.0 * c * outputs * cells + 2.0 * c * drawn * drawn + 2.0 * c * pixels as f64);
-    Ok(Timed { pass: LOSSES, ms, floor_ms: reach.floor_ms(bytes, operations) })
+    Ok(spent.row(LOSSES, reach.floor_ms(bytes, operations)))
 }
 
 /// The pass that compares every splat's features with those of clicks.
@@ -321,11 +365,13 @@ fn similarity(engine: &GpuEngine, reach: Reach, splats: usize, channels: usize) 
     let kept = Brought::upload(&engine.device, &Channels { count: channels, values: &values })?;
     let units = vec![vec![0.5; channels]; CLICKS];
     let queries = Queries { channels, units: &units, sharpness: 10.0 };
-    let Some(kept) = kept else { return Ok(Timed { pass: SIMILARITY, ms: 0.0, floor_ms: 0.0 }) };
-    let ms = timed(&mut engine.device.work(), |work| kept.resemblance(work, &queries).map(drop))?;
+    let Some(kept) = kept else {
+        return Ok(Timed { pass: SIMILARITY, ms: 0.0, floor_ms: 0.0, kernels: Vec::new() });
+    };
+    let spent = timed(&mut engine.device.work(), |work| kept.resemblance(work, &queries).map(drop))?;
     let (n, c) = (splats as f64, channels as f64);
     let floor_ms = reach.floor_ms(4.0 * n * (c + 1.0), 2.0 * n * c * (CLICKS + 1) as f64);
-    Ok(Timed { pass: SIMILARITY, ms, floor_ms })
+    Ok(spent.row(SIMILARITY, floor_ms))
 }
 
 /// The pass that is a whole step of training.
@@ -380,11 +426,11 @@ fn training(
     let seen = work.take::<[f32; 4]>("depths and centres", n)?;
     let found = work.upload("how many pairs there are", &[0u32, 1])?;
     let groups = away.groups(&mut work, &rules, None)?;
-    let ms = timed(&mut work, |work| {
+    let spent = timed(&mut work, |work| {
         away.adam(work, &grads, None, &seen, &found, &groups);
         Ok(())
     })?;
-    let mut rows = vec![Timed { pass: "adam", ms, floor_ms: reach.floor_ms(numbers * 28.0, numbers * 12.0) }];
+    let mut rows = vec![spent.row("adam", reach.floor_ms(numbers * 28.0, numbers * 12.0))];
     let (width, height) = (camera.width as usize, camera.height as usize);
     let target = some_photo(width, height);
     let sitting = Sitting {
@@ -403,13 +449,13 @@ fn training(
     let (on, _) = bin(&mut work, cloud, camera, pose, &OPTIONS, None)?;
     let image = work.take::<[f32; 4]>("the image", width * height)?;
     work.clear(&image);
-    let ms =
+    let spent =
         timed(&mut work, |work| compare(work, &on.view, &image, &photo, &asked, &sitting, None).map(drop))?;
     let pixels = (width * height) as f64;
     // Numbers that its kernels read and write per pixel: 11 to compose, 18 to find what is left out, 63 for the loss, 12 for
     // its way back. A window of eleven by eleven is eleven numbers twice, for four maps on the way and three back.
     let (bytes, operations) = (pixels * 4.0 * 104.0, pixels * 3.0 * 11.0 * 2.0 * 7.0 * 2.0);
-    rows.push(Timed { pass: "compare", ms, floor_ms: reach.floor_ms(bytes, operations) });
+    rows.push(spent.row("compare", reach.floor_ms(bytes, operations)));
     drop((work, on, image, asked, photo, seen, found, groups));
     let step = Step {
         options: &OPTIONS,
@@ -432,6 +478,12 @@ fn training(
     }
     engine.device.work().wait()?;
     let ms = begun.elapsed().as_secs_f64() * 1e3 / steps;
-    rows.push(Timed { pass: STEP, ms, floor_ms: 0.0 });
+    engine.device.start_clock();
+    for _ in 0..CLOCKED {
+        away.step(&step)?;
+    }
+    engine.device.work().wait()?;
+    let kernels = slowest(engine.device.stop_clock(), CLOCKED);
+    rows.push(Timed { pass: STEP, ms, floor_ms: 0.0, kernels });
     Ok(rows)
 }

@@ -27,6 +27,12 @@ pub const PROTOCOL: &str = "engine";
 
 pub use segwild_gpu::STEP;
 
+/// Before the name of a kernel whose milliseconds a record has.
+const KERNEL: &str = "kernel ";
+/// So many are named on the page, if they take such a share of the pass.
+const NAMED: usize = 3;
+const WORTH_NAMING: f64 = 0.05;
+
 /// What is measured.
 #[derive(Clone, Debug)]
 pub struct EngineOptions {
@@ -136,6 +142,7 @@ fn measure(
                 numbers.insert("cpu_ms".into(), *cpu);
                 numbers.insert("ratio".into(), cpu / row.ms);
             }
+            numbers.extend(row.kernels.iter().map(|(kernel, ms)| (format!("{KERNEL}{kernel}"), *ms)));
             (row.pass, numbers)
         })
         .collect())
@@ -221,7 +228,8 @@ pub fn markdown(results: &Results) -> String {
         "# The accelerator engine's speed\n\nThis page is generated: `{}`, by segwild {} on {}. Each pass is repeated and waited \
          for once; its floor is the longer of its arrays, each moved once, at the bandwidth of a copy, and its operations, at \
          every pixel of every tile that a splat touches, at the rate of a kernel that only multiplies and adds (where \
-         light runs out early, less is done). The CPU's milliseconds are of wall clock on all its cores.\n",
+         light runs out early, less is done). The CPU's milliseconds are of wall clock on all its cores; those of kernels are by the device's own clock, all \
+         runs of a kernel in the pass together.\n",
         made.command, made.version, made.machine
     );
     let number = |record: &Record, name: &str| record.numbers.get(name).copied();
@@ -253,14 +261,17 @@ pub fn markdown(results: &Results) -> String {
             trained(&mut text, &rows);
             continue;
         }
-        text.push_str("| pass | ms | floor, ms | share of the floor | CPU, ms | CPU / this |\n|---|---:|---:|---:|---:|---:|\n");
+        text.push_str(
+            "| pass | ms | floor, ms | share of the floor | CPU, ms | CPU / this | slowest kernels, ms |\n\
+             |---|---:|---:|---:|---:|---:|---|\n",
+        );
         for row in &rows {
             let cell = |name: &str, places: usize| {
                 number(row, name).map_or(String::new(), |v| format!("{v:.places$}"))
             };
             let share = number(row, "share").map_or(String::new(), |v| format!("{:.1} %", 100.0 * v));
             let cells = [cell("ms", 3), cell("floor_ms", 3), share, cell("cpu_ms", 2), cell("ratio", 2)];
-            let _ = writeln!(text, "| {} | {} |", row.setting, cells.join(" | "));
+            let _ = writeln!(text, "| {} | {} | {} |", row.setting, cells.join(" | "), slowest(row));
         }
         let mut far: Vec<(f64, &str)> =
             rows.iter().filter_map(|r| Some((number(r, "share")?, r.setting.as_str()))).collect();
@@ -275,6 +286,16 @@ pub fn markdown(results: &Results) -> String {
         }
     }
     text
+}
+
+/// A pass's slowest kernels.
+fn slowest(row: &Record) -> String {
+    let least = WORTH_NAMING * row.numbers.get("ms").copied().unwrap_or(0.0);
+    let kernels = row.numbers.iter().filter_map(|(name, &ms)| Some((name.strip_prefix(KERNEL)?, ms)));
+    let mut kernels: Vec<(&str, f64)> = kernels.filter(|&(_, ms)| ms >= least).collect();
+    kernels.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let named = kernels.iter().take(NAMED).map(|(name, ms)| format!("{name} {ms:.3}"));
+    named.collect::<Vec<_>>().join(", ")
 }
 
 /// How long trainings took.
