@@ -25,19 +25,24 @@ fn convolve(
 ) {
     let layer = layers[job.x];
     let group = group_of(id, groups);
-    let room = layer.out_width * layer.out_height;
-    let across = (room + 127u) / 128u;
+    let across = (layer.out_width * layer.out_height + 127u) / 128u;
     let columns = columns_of(layer, job.y, in_sight[0]);
     let column = (group % across) * 128u;
     let plane = (group / across) * 32u;
-    let taps = layer.kernel * layer.kernel;
-    let depth = layer.input * taps;
+    let depth = layer.input * layer.kernel * layer.kernel;
+    // The columns whose numbers this thread fetches.
+    let mine = column + (local % 32u) * 4u;
+    var pixels: array<vec2u, 4>;
+    for (var c = 0u; c < 4u; c += 1u) {
+        pixels[c] = pixel_of(layer, mine + c);
+    }
     var sums: array<vec4f, 4>;
     for (var start = 0u; start < depth; start += DEPTH) {
         if local < 128u {
             let k = start + local / 8u;
             var four = vec4f(0.0);
             if k < depth {
+                let taps = layer.kernel * layer.kernel;
                 let tap = select(k % taps, taps - 1u - k % taps, is_set(layer, TURNED));
                 let first = layer.weights + (k / taps) * layer.by_input + tap;
                 for (var o = 0u; o < 4u; o += 1u) {
@@ -53,10 +58,10 @@ fn convolve(
             let k = start + n / 32u;
             var four = vec4f(0.0);
             if k < depth {
+                let tap = tap_of(layer, k);
                 for (var c = 0u; c < 4u; c += 1u) {
-                    let at = column + (n % 32u) * 4u + c;
-                    if at < columns {
-                        let place = tapped(layer, k / taps, k % taps, at);
+                    if mine + c < columns {
+                        let place = tapped(layer, tap, pixels[c]);
                         if place != NOWHERE {
                             four[c] = maps[place];
                         }
@@ -78,19 +83,14 @@ fn convolve(
     for (var o = 0u; o < 4u; o += 1u) {
         let to = plane + (local / 32u) * 4u + o;
         for (var c = 0u; c < 4u; c += 1u) {
-            let at = column + (local % 32u) * 4u + c;
-            if at >= columns || to >= layer.output {
+            if mine + c >= columns || to >= layer.output {
                 continue;
             }
             var made = sums[o][c];
-            var place = layer.writes + to * room + at;
-            var offset = to;
-            if is_set(layer, WRITE_QUARTERS) {
-                place = layer.writes + quarter(to, at, layer.out_width, layer.out_height);
-                offset = to / 4u;
-            }
+            let place = written(layer, to, mine + c, pixels[c]);
             if layer.offsets != NOWHERE {
-                made += weights[layer.offsets + offset];
+                // The quarters of a plane have one.
+                made += weights[layer.offsets + select(to, to / 4u, is_set(layer, WRITE_QUARTERS))];
             }
             if is_set(layer, ADD) {
                 made += maps[place];

@@ -4,7 +4,7 @@
 #import common
 #import layer
 
-// x: layer, y: first splat of the piece, z: slices.
+// x: layer, y: first splat of the piece, z: slices, w: columns of each.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<storage, read> layers: array<Layer>;
 @group(0) @binding(2) var<storage, read> maps: array<f32>;
@@ -27,41 +27,41 @@ fn convolve_weights(
 ) {
     let layer = layers[job.x];
     let group = group_of(id, groups);
-    let room = layer.out_width * layer.out_height;
     let columns = columns_of(layer, job.y, in_sight[0]);
-    let taps = layer.kernel * layer.kernel;
-    let wide = layer.input * taps + 1u;
+    let wide = layer.input * layer.kernel * layer.kernel + 1u;
     let across = (wide + 127u) / 128u;
     let down = (layer.output + 31u) / 32u;
     let first = (group % across) * 128u;
     let plane = ((group / across) % down) * 32u;
     let slice = group / (across * down);
-    let end = min(columns, (slice + 1u) * SLICE);
+    let end = min(columns, (slice + 1u) * job.w);
+    // The weights whose numbers this thread fetches.
+    let mine = first + (local / DEPTH) * 4u;
+    var taps: array<Tap, 8>;
+    for (var c = 0u; c < 8u; c += 1u) {
+        taps[c] = tap_of(layer, mine + (c / 4u) * 64u + c % 4u);
+    }
     var sums: array<vec4f, 4>;
-    for (var start = slice * SLICE; start < end; start += DEPTH) {
+    for (var start = slice * job.w; start < end; start += DEPTH) {
         // Neighbours take neighbouring columns.
+        let at = start + local % DEPTH;
+        let pixel = pixel_of(layer, at);
         if local < 128u {
-            let at = start + local % DEPTH;
             var four = vec4f(0.0);
             for (var o = 0u; o < 4u; o += 1u) {
                 let row = plane + (local / DEPTH) * 4u + o;
                 if at < end && row < layer.output {
-                    var place = layer.writes + row * room + at;
-                    if is_set(layer, WRITE_QUARTERS) {
-                        place = layer.writes + quarter(row, at, layer.out_width, layer.out_height);
-                    }
-                    four[o] = grads[place];
+                    four[o] = grads[written(layer, row, at, pixel)];
                 }
             }
             left[(local % DEPTH) * 8u + local / DEPTH] = four;
         }
-        for (var n = local; n < 512u; n += 256u) {
-            let at = start + n % DEPTH;
+        for (var half = 0u; half < 2u; half += 1u) {
             var four = vec4f(0.0);
             for (var c = 0u; c < 4u; c += 1u) {
-                let k = first + (n / DEPTH) * 4u + c;
+                let k = mine + half * 64u + c;
                 if at < end && k + 1u < wide {
-                    let place = tapped(layer, k / taps, k % taps, at);
+                    let place = tapped(layer, taps[half * 4u + c], pixel);
                     if place != NOWHERE {
                         four[c] = maps[place];
                     }
@@ -69,7 +69,7 @@ fn convolve_weights(
                     four[c] = 1.0;
                 }
             }
-            right[(n % DEPTH) * 32u + n / DEPTH] = four;
+            right[(local % DEPTH) * 32u + half * 16u + local / DEPTH] = four;
         }
         workgroupBarrier();
         for (var c = 0u; c < DEPTH; c += 1u) {

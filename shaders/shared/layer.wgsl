@@ -41,28 +41,54 @@ fn columns_of(layer: Layer, first: u32, in_sight: u32) -> u32 {
     return select(room, min(room, in_sight - min(in_sight, first)), is_set(layer, COUNTED));
 }
 
-// Where the quarter `plane % 4` of a plane has its pixel.
-fn quarter(plane: u32, column: u32, width: u32, height: u32) -> u32 {
-    let row = 2u * (column / width) + (plane % 4u) / 2u;
-    return (plane / 4u) * 4u * width * height + row * 2u * width + 2u * (column % width) + plane % 2u;
+// The pixel of a column of what the layer writes.
+fn pixel_of(layer: Layer, column: u32) -> vec2u {
+    return vec2u(column % layer.out_width, column / layer.out_width);
 }
 
-// Where the number lies that a tap of an input sees at a column; NOWHERE beyond the border, and between pixels.
-fn tapped(layer: Layer, input: u32, tap: u32, column: u32) -> u32 {
-    if is_set(layer, PLAIN) {
-        return layer.reads + input * layer.in_width * layer.in_height + column;
+// Where the quarter `plane % 4` of a plane has its pixel.
+fn quarter(plane: u32, pixel: vec2u, width: u32, height: u32) -> u32 {
+    let row = 2u * pixel.y + (plane % 4u) / 2u;
+    return (plane / 4u) * 4u * width * height + row * 2u * width + 2u * pixel.x + plane % 2u;
+}
+
+// Where one of the planes that are written has its pixel.
+fn written(layer: Layer, plane: u32, column: u32, pixel: vec2u) -> u32 {
+    if is_set(layer, WRITE_QUARTERS) {
+        return layer.writes + quarter(plane, pixel, layer.out_width, layer.out_height);
     }
+    return layer.writes + plane * layer.out_width * layer.out_height + column;
+}
+
+// An input, and how far its tap lies from the first one.
+struct Tap {
+    input: u32,
+    by: vec2u,
+}
+
+// The tap that a weight of an output is for.
+fn tap_of(layer: Layer, weight: u32) -> Tap {
+    let taps = layer.kernel * layer.kernel;
+    let tap = weight % taps;
+    return Tap(weight / taps, vec2u(tap % layer.kernel, tap / layer.kernel));
+}
+
+// Where the number lies that a tap sees at a pixel of what is written; NOWHERE beyond the border, and between pixels.
+fn tapped(layer: Layer, tap: Tap, pixel: vec2u) -> u32 {
     if is_set(layer, READ_QUARTERS) {
-        return layer.reads + quarter(input, column, layer.in_width, layer.in_height);
+        return layer.reads + quarter(tap.input, pixel, layer.in_width, layer.in_height);
     }
-    let at = vec2i(vec2u(column % layer.out_width, column / layer.out_width) * layer.step);
-    let seen = at + vec2i(vec2u(tap % layer.kernel, tap / layer.kernel)) - i32(layer.border);
-    if seen.x < 0 || seen.y < 0 {
+    // What lies before the first pixel is huge, and so beyond the last.
+    var seen = pixel * layer.step + tap.by - layer.border;
+    // Dividing is slow, and most layers have nothing between pixels.
+    if layer.gap > 1u {
+        if any(seen % layer.gap != vec2u(0u)) {
+            return NOWHERE;
+        }
+        seen /= layer.gap;
+    }
+    if seen.x >= layer.in_width || seen.y >= layer.in_height {
         return NOWHERE;
     }
-    let pixel = vec2u(seen) / layer.gap;
-    if any(vec2u(seen) % layer.gap != vec2u(0u)) || pixel.x >= layer.in_width || pixel.y >= layer.in_height {
-        return NOWHERE;
-    }
-    return layer.reads + (input * layer.in_height + pixel.y) * layer.in_width + pixel.x;
+    return layer.reads + (tap.input * layer.in_height + seen.y) * layer.in_width + seen.x;
 }

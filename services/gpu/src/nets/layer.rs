@@ -41,12 +41,8 @@ pub(super) const READ_QUARTERS: u32 = 8;
 pub(super) const WRITE_QUARTERS: u32 = 16;
 /// Columns are splats in sight.
 pub(super) const COUNTED: u32 = 32;
-/// Of one tap, every pixel by itself: it need not be looked for.
-pub(super) const PLAIN: u32 = 64;
-/// Columns of a slice of `convolve_weights`.
-pub(super) const SLICE: usize = 1024;
 /// The same for the kernels.
-pub(crate) const CONSTANTS: [(&str, u32); 9] = [
+pub(crate) const CONSTANTS: [(&str, u32); 7] = [
     ("NOWHERE", NOWHERE),
     ("RELU", RELU),
     ("ADD", ADD),
@@ -54,8 +50,6 @@ pub(crate) const CONSTANTS: [(&str, u32); 9] = [
     ("READ_QUARTERS", READ_QUARTERS),
     ("WRITE_QUARTERS", WRITE_QUARTERS),
     ("COUNTED", COUNTED),
-    ("PLAIN", PLAIN),
-    ("SLICE", SLICE as u32),
 ];
 
 impl Layer {
@@ -100,13 +94,6 @@ impl Layer {
             Kind::Norm { channels, .. } => channels,
         };
         (self.weights, self.offsets) = (all(weights.start), all(weights.end - offsets));
-        self.flags |= self.plain();
-    }
-
-    /// [`PLAIN`], if it is.
-    pub fn plain(&self) -> u32 {
-        let plain = self.kernel * self.step * self.gap == 1 && self.flags & READ_QUARTERS == 0;
-        if plain { PLAIN } else { 0 }
     }
 
     pub fn groups(&self) -> usize {
@@ -120,7 +107,7 @@ impl Layer {
     /// The way back of a convolution or dense layer, from the gradients of what it writes to those of what it reads.
     pub fn back(&self, flags: u32) -> Layer {
         let quarters = if self.flags & WRITE_QUARTERS != 0 { READ_QUARTERS } else { 0 };
-        let back = Layer {
+        Layer {
             reads: self.writes,
             writes: self.reads,
             offsets: NOWHERE,
@@ -135,7 +122,6 @@ impl Layer {
             by_input: self.by_output,
             flags: flags | quarters | TURNED,
             ..*self
-        };
-        Layer { flags: back.flags | back.plain(), ..back }
+        }
     }
 }

@@ -3,7 +3,7 @@
 //! All maps of a network lie in one array, and their gradients in another at the same places; weights lie in a third, as they
 //! do on the host. Every kernel reads what it is about from one table of [`Layer`]s.
 
-use super::layer::{ADD, COUNTED, Layer, NOWHERE, PLAIN, RELU, SLICE};
+use super::layer::{ADD, COUNTED, Layer, NOWHERE, RELU};
 use crate::GpuError;
 use crate::device::{Lent, Work};
 use crate::engine::GROUP;
@@ -15,6 +15,12 @@ use std::ops::Range;
 const CONVOLVED: [usize; 2] = [32, 128];
 /// Planes, and weights of each, that a group of `convolve_weights` takes.
 const WEIGHED: [usize; 2] = [32, 128];
+
+/// Groups of `convolve_weights` that keep a device busy.
+const GROUPS: usize = 256;
+/// A slice of the columns has no fewer, and there are no more slices: somebody has to add them up.
+const LEAST_COLUMNS: usize = 64;
+const MOST_SLICES: usize = 64;
 
 /// A kernel that a network runs.
 #[derive(Clone, Copy, Debug)]
@@ -29,6 +35,8 @@ enum Run {
         layer: u32,
         groups: usize,
         slices: usize,
+        /// Of a slice.
+        columns: usize,
         numbers: usize,
     },
     Norm {
@@ -197,7 +205,6 @@ impl Plan {
                 output: all(pixels),
                 by_output: 1,
                 by_input: all(pixels),
-                flags: PLAIN,
                 ..Layer::between([1, all(pixels)], columns)
             };
             plan.convolve(forward, true);
@@ -234,11 +241,14 @@ impl Plan {
     fn weigh(&mut self, layer: Layer) {
         let (output, wide) =
             (layer.output as usize, (layer.input * layer.kernel * layer.kernel) as usize + 1);
-        let slices = layer.columns().div_ceil(SLICE);
-        let groups = output.div_ceil(WEIGHED[0]) * wide.div_ceil(WEIGHED[1]) * slices;
+        let tiles = output.div_ceil(WEIGHED[0]) * wide.div_ceil(WEIGHED[1]);
+        let wanted = GROUPS.div_ceil(tiles).min(MOST_SLICES);
+        let columns = layer.columns().div_ceil(wanted).max(LEAST_COLUMNS);
+        let slices = layer.columns().div_ceil(columns);
+        let groups = tiles * slices;
         self.parts = self.parts.max(slices * output * wide);
         let layer = self.layer(layer);
-        self.backward.push(Run::Weights { layer, groups, slices, numbers: output * wide });
+        self.backward.push(Run::Weights { layer, groups, slices, columns, numbers: output * wide });
     }
 
     fn join(&mut self, layer: Layer, numbers: usize, forward: bool) {
@@ -351,8 +361,8 @@ impl Tape {
         for run in &plan.backward {
             match *run {
                 Run::Convolve { .. } => self.convolve(work, *run, grads, weights.values, in_sight, first),
-                Run::Weights { layer, groups, slices, numbers } => {
-                    let job = [layer, first as u32, slices as u32, 0];
+                Run::Weights { layer, groups, slices, columns, numbers } => {
+                    let job = [layer, first as u32, slices as u32, columns as u32];
                     work.run(&CONVOLVE_WEIGHTS, 1, job, &[layers, maps, grads, parts, in_sight], groups);
                     let job = [layer, slices as u32, 0, 0];
                     work.run(&SUM_WEIGHTS, 1, job, &[layers, parts, weights.grads], numbers.div_ceil(GROUP));
