@@ -75,4 +75,8 @@ impl PromptSegmenter for Leased<dyn PromptSegmenter> {
         let _held = accelerator().acquire_urgent("a selection");
         self.0.refine(image, certainty)
     }
+    fn prepare(&self, image: &Image) {
+        let _held = accelerator().acquire("a photo that is likely to be asked about");
+        self.0.prepare(image);
+    }
 }

@@ -96,11 +96,11 @@ fn main() -> Result<(), Box<dyn Error>> {
             strangers: None,
             settings: &settings,
         };
-        let mut refine = |view: usize, certainty: &Image| {
+        let refine = |view: usize, certainty: &Image| {
             let refined = segmenter.refine(&photos[view], certainty).ok()?;
             Some((refined.mask, refined.predicted_iou.clamp(0.0, 1.0)))
         };
-        let selection = match select(&request, Some(&mut refine)) {
+        let selection = match select(&request, Some(&refine)) {
             Ok(selection) => selection,
             Err(error) => {
                 println!("{}: {error}", views[first].name);

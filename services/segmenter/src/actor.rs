@@ -1,14 +1,15 @@
 //! The segmenter behind a mailbox: it keeps the scene and its neighbour graph, so that the next click is quick.
 
 use crate::{
-    Cut, FeatureField, Graph, MaskReader, PosedView, PromptedView, Request, SegmentError, SegmentSettings,
-    Selection, cut, select,
+    Cut, FeatureField, Graph, MaskReader, PosedView, PromptedView, Refiner, Request, SegmentError,
+    SegmentSettings, Selection, cut, select,
 };
 use segwild_flow::{Actor, Context, Failure, Message, Sender};
 use segwild_raster::{Engine, ProjectOptions};
 use segwild_scene::{Image, Mask, Prompts, ScoredMask, Splats};
 use segwild_vision::PromptSegmenter;
-use std::sync::Arc;
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Reads the photo of a view at the size in which prompts are given; the error says in words why it cannot.
 pub type PhotoReader = dyn Fn(usize) -> Result<Image, String> + Send + Sync;
@@ -118,21 +119,49 @@ impl SegmentActor {
             strangers: Some(&*self.strangers),
             settings: &task.settings,
         };
-        let mut refine = |view: usize, certainty: &Image| -> Option<(Mask, f32)> {
-            context.progress();
-            if self.barred.get(view).copied().unwrap_or(true) {
-                return None;
-            }
-            let photo = (self.photos)(view).ok()?;
-            let wide = certainty.resized(photo.width, photo.height);
-            let refined = self.segmenter.refine(&photo, &wide).ok()?;
-            Some((refined.mask, refined.predicted_iou.clamp(0.0, 1.0)))
-        };
-        let selection = select(&request, Some(&mut refine))?;
+        let photos = Photos { actor: self, context, prepared: Mutex::default() };
+        let selection = select(&request, Some(&photos))?;
         let cut = cut(&request, &selection)?;
         let said = answers.into_iter().zip(&task.prompts).filter(|(_, (_, prompts))| !refuses(prompts));
         let masks = said.map(|((view, found), _)| (view, found.answer)).collect();
         Ok(Segmented { selection, cut, masks })
+    }
+}
+
+/// The photos that a selection is carried to.
+struct Photos<'a> {
+    actor: &'a SegmentActor,
+    context: &'a Context,
+    /// Photos that were read before their turn.
+    prepared: Mutex<HashMap<usize, Image>>,
+}
+
+impl Photos<'_> {
+    fn read(&self, view: usize) -> Option<Image> {
+        let barred = self.actor.barred.get(view).copied().unwrap_or(true);
+        if barred { None } else { (self.actor.photos)(view).ok() }
+    }
+
+    fn prepared(&self) -> MutexGuard<'_, HashMap<usize, Image>> {
+        self.prepared.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Refiner for Photos<'_> {
+    fn refine(&self, view: usize, certainty: &Image) -> Option<(Mask, f32)> {
+        self.context.progress();
+        let read = self.prepared().remove(&view);
+        let photo = read.or_else(|| self.read(view))?;
+        let wide = certainty.resized(photo.width, photo.height);
+        let refined = self.actor.segmenter.refine(&photo, &wide).ok()?;
+        Some((refined.mask, refined.predicted_iou.clamp(0.0, 1.0)))
+    }
+
+    fn prepare(&self, view: usize) {
+        if let Some(photo) = self.read(view) {
+            self.actor.segmenter.prepare(&photo);
+            self.prepared().insert(view, photo);
+        }
     }
 }
 

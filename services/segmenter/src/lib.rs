@@ -37,7 +37,7 @@ pub use maxflow::FlowNetwork;
 pub use object::{MaskMode, Object, amodal_mask, cut_scene, owned, visible_mask};
 pub use propagate::{Verdict, Visit};
 pub use query::{FeatureField, Hit, hit};
-pub use select::{MaskReader, PosedView, PromptedView, Refine, Request, Selection, cut, select};
+pub use select::{MaskReader, PosedView, PromptedView, Refiner, Request, Selection, cut, select};
 pub use settings::{
     ComponentRule, CutBy, EvidenceMode, SegmentSettings, SimilarityUse, SpikeMode, Undecided, Vote,
 };

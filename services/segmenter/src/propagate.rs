@@ -4,10 +4,13 @@
 use crate::coverage::{clean, soft, unoccluded, visible};
 use crate::judge::{Judge, LEAST_HINT, State, sure};
 use crate::select::{STEPS, project, view_evidence, working_camera};
-use crate::{Evidence, Refine, Request, SegmentError, SegmentSettings};
+use crate::spread::Belief;
+use crate::{Evidence, Refiner, Request, SegmentError, SegmentSettings};
 use crate::{hidden, lacking};
-use segwild_raster::Channels;
-use segwild_scene::{Image, Mask};
+use rayon::Scope;
+use rayon::prelude::*;
+use segwild_raster::{Channels, Projected};
+use segwild_scene::{Camera, Image, Mask};
 
 /// Long side in pixels at which the views are compared to find a good order.
 const ORDER_SIZE: u32 = 128;
@@ -101,14 +104,51 @@ impl Bits {
     }
 }
 
+/// Photos that are asked at once in the later rounds, at most: each takes memory.
+const AT_ONCE: usize = 8;
+
+/// Photos that are prepared before their turn in the first round.
+const AHEAD: usize = 4;
+
 /// Rounds over the other views. In the first, views come in the order of how much of what could be the object is
-/// already known in them, and each answer is used at once; the later ones start from the prompts alone with the
-/// beliefs of the round before, so that the order no longer matters.
+/// already known in them, and each answer is used at once, while photos that are likely to be next are prepared; the later
+/// ones start from the prompts alone with the beliefs of the round before, so that the order no longer matters, and ask
+/// several photos at a time.
 pub(crate) fn propagate(
     request: &Request,
     judge: &Judge,
     prompted: Evidence,
-    refine: &mut Refine,
+    refiner: &dyn Refiner,
+) -> Result<(State, Vec<Visit>), SegmentError> {
+    let first = judge.weigh(prompted.clone(), Vec::new(), STEPS);
+    let (mut state, mut visits) = rayon::scope(|scope| first_round(request, judge, first, refiner, scope))?;
+    let mut order: Vec<usize> = visits.iter().map(|v| v.view).collect();
+    for _ in 1..request.settings.propagate {
+        let mut sum = prompted.clone();
+        visits.clear();
+        // Backwards: a provider that remembers the photos it saw last need not look at those anew.
+        order.reverse();
+        let told = told(judge, &state);
+        for some in order.chunks(rayon::current_num_threads().min(AT_ONCE)) {
+            for (visit, evidence) in call_on_some(request, &told, some, refiner)? {
+                if let Some(evidence) = evidence {
+                    sum.add(&evidence, 1.0);
+                }
+                visits.push(visit);
+            }
+        }
+        let beliefs = std::mem::take(&mut state.beliefs);
+        state = judge.weigh(sum, beliefs, STEPS);
+    }
+    Ok((state, visits))
+}
+
+fn first_round<'s>(
+    request: &Request,
+    judge: &Judge,
+    mut state: State,
+    refiner: &'s dyn Refiner,
+    scope: &Scope<'s>,
 ) -> Result<(State, Vec<Visit>), SegmentError> {
     let mut open: Vec<(usize, Bits)> = Vec::new();
     for index in
@@ -116,38 +156,32 @@ pub(crate) fn propagate(
     {
         open.push((index, seen_by(request, index)?));
     }
-    let mut state = judge.weigh(prompted.clone(), Vec::new(), STEPS);
     let mut visits = Vec::new();
-    while !open.is_empty() && visits.len() < request.settings.propagate_views {
-        let (next, known) = most_known(judge, &state, &open);
-        if known <= 0.0 {
+    // Photos that are being prepared, or are prepared and were not visited yet.
+    let mut ahead: Vec<usize> = Vec::new();
+    while visits.len() < request.settings.propagate_views {
+        let order = most_known(judge, &state, &open);
+        let Some((&next, likely)) = order.split_first() else {
             // No open view shows a decided part of the object.
             break;
+        };
+        if rayon::current_num_threads() > 1 {
+            for &view in likely.iter().take(request.settings.propagate_views - visits.len() - 1) {
+                if ahead.len() < AHEAD && !ahead.contains(&view) {
+                    ahead.push(view);
+                    scope.spawn(move |_| refiner.prepare(view));
+                }
+            }
         }
-        let (index, _) = open.swap_remove(next);
-        let (visit, evidence) = call_on(request, judge, &state, index, refine)?;
+        open.retain(|(view, _)| *view != next);
+        ahead.retain(|view| *view != next);
+        let (visit, evidence) = call_on(request, &told(judge, &state), next, refiner)?;
         if let Some(evidence) = evidence {
             let State { evidence: mut sum, beliefs, .. } = state;
             sum.add(&evidence, 1.0);
             state = judge.weigh(sum, beliefs, MORE_STEPS);
         }
         visits.push(visit);
-    }
-    let mut order: Vec<usize> = visits.iter().map(|v| v.view).collect();
-    for _ in 1..request.settings.propagate {
-        let mut sum = prompted.clone();
-        visits.clear();
-        // Backwards: a provider that remembers the photos it saw last need not look at those anew.
-        order.reverse();
-        for &index in &order {
-            let (visit, evidence) = call_on(request, judge, &state, index, refine)?;
-            if let Some(evidence) = evidence {
-                sum.add(&evidence, 1.0);
-            }
-            visits.push(visit);
-        }
-        let beliefs = std::mem::take(&mut state.beliefs);
-        state = judge.weigh(sum, beliefs, STEPS);
     }
     Ok((state, visits))
 }
@@ -164,22 +198,23 @@ fn seen_by(request: &Request, index: usize) -> Result<Bits, SegmentError> {
     ))
 }
 
-/// The open view in which the largest share of what could be the object is decided, and that share.
-fn most_known(judge: &Judge, state: &State, open: &[(usize, Bits)]) -> (usize, f32) {
+/// The open views that show a decided part of the object, those first of which the largest share of what could be the
+/// object is decided.
+fn most_known(judge: &Judge, state: &State, open: &[(usize, Bits)]) -> Vec<usize> {
     let n = state.probability.len();
     let SegmentSettings { rho, gamma, least_evidence, .. } = *judge.settings;
     let label = |i: usize| state.evidence.label(i, rho, gamma, least_evidence);
     let object = Bits::new((0..n).map(|i| !judge.is_frozen(i) && label(i) == Some(true)));
     let could_be = Bits::new((0..n).map(|i| !judge.is_frozen(i) && label(i) != Some(false)));
-    let mut best = (0, usize::MAX, -1.0);
-    for (at, (index, seen)) in open.iter().enumerate() {
-        let known = seen.overlap(&object);
-        let share = if known < FEW { 0.0 } else { known as f32 / seen.overlap(&could_be) as f32 };
-        if share > best.2 || (share == best.2 && *index < best.1) {
-            best = (at, *index, share);
-        }
-    }
-    (best.0, best.2)
+    let mut shares: Vec<(f32, usize)> = open
+        .iter()
+        .filter_map(|(view, seen)| {
+            let known = seen.overlap(&object);
+            (known >= FEW).then(|| (known as f32 / seen.overlap(&could_be) as f32, *view))
+        })
+        .collect();
+    shares.sort_by(|(a, v), (b, w)| b.total_cmp(a).then(v.cmp(w)));
+    shares.into_iter().map(|(_, view)| view).collect()
 }
 
 /// What a photo is told of a splat: what masks said of it, and where that is little, what its neighbours suggest. That
@@ -206,25 +241,85 @@ fn leaning(share: f32) -> f32 {
     inside / (inside + outside)
 }
 
+/// Per splat what a photo is told of it, how much is known of it, and how surely it resembles the clicks.
+fn told(judge: &Judge, state: &State) -> Vec<f32> {
+    let of =
+        |(i, b): (usize, &Belief)| [certainty_of(judge, state, i), b.weight.min(1.0), sure(state.hint[i])];
+    state.beliefs.iter().enumerate().flat_map(of).collect()
+}
+
+/// What a photo is asked about.
+struct Question {
+    view: usize,
+    camera: Camera,
+    /// Per pixel, how likely it is inside.
+    certainty: Image,
+    /// Per pixel, how much is known there.
+    known: Vec<f32>,
+    /// Per pixel, how surely what is there resembles the clicks.
+    resembles: Vec<f32>,
+}
+
+type Answer = Option<(Mask, f32)>;
+
 /// Renders what is believed into a view, lets the photo refine it, and weighs the answer.
 fn call_on(
     request: &Request,
-    judge: &Judge,
-    state: &State,
+    told: &[f32],
     index: usize,
-    refine: &mut Refine,
+    refiner: &dyn Refiner,
 ) -> Result<(Visit, Option<Evidence>), SegmentError> {
     let view = &request.views[index];
     let camera = working_camera(request, view, None);
     let projected = project(request, view, &camera)?;
-    let values: Vec<f32> = state
-        .beliefs
-        .iter()
-        .enumerate()
-        .flat_map(|(i, b)| [certainty_of(judge, state, i), b.weight.min(1.0), sure(state.hint[i])])
-        .collect();
+    let question = question(request, told, index, &camera, &*projected)?;
+    let answer = question.shows().then(|| refiner.refine(index, &question.certainty));
+    hear(request, &question, &*projected, answer)
+}
+
+/// As [`call_on`] for photos that are all told the same. Only the refining is done at once: an engine may be one device. And
+/// views are projected twice, since as many as are asked at once may not fit.
+fn call_on_some(
+    request: &Request,
+    told: &[f32],
+    some: &[usize],
+    refiner: &dyn Refiner,
+) -> Result<Vec<(Visit, Option<Evidence>)>, SegmentError> {
+    let projected = |index: usize| {
+        let view = &request.views[index];
+        let camera = working_camera(request, view, None);
+        Ok((camera, project(request, view, &camera)?))
+    };
+    let mut questions = Vec::with_capacity(some.len());
+    for &index in some {
+        let (camera, projected) = projected(index)?;
+        questions.push(question(request, told, index, &camera, &*projected)?);
+    }
+    let ask = |q: &Question| q.shows().then(|| refiner.refine(q.view, &q.certainty));
+    let answers: Vec<Option<Answer>> = questions.par_iter().map(ask).collect();
+    let heard = questions.iter().zip(answers);
+    heard.map(|(question, answer)| hear(request, question, &*projected(question.view)?.1, answer)).collect()
+}
+
+impl Question {
+    /// Whether enough of the object is in sight for the photo to say anything.
+    fn shows(&self) -> bool {
+        let shown = self.certainty.data.iter().filter(|c| **c > 0.5).count();
+        shown as f32 >= SMALLEST * self.certainty.data.len() as f32
+    }
+}
+
+/// What a photo is to be asked.
+fn question(
+    request: &Request,
+    told: &[f32],
+    index: usize,
+    camera: &Camera,
+    projected: &dyn Projected,
+) -> Result<Question, SegmentError> {
+    let view = &request.views[index];
     let frame =
-        projected.blend(&Channels { count: 3, values: &values }).map_err(SegmentError::raster(&view.name))?;
+        projected.blend(&Channels { count: 3, values: told }).map_err(SegmentError::raster(&view.name))?;
     let mut certainty = Image {
         width: camera.width as usize,
         height: camera.height as usize,
@@ -244,21 +339,32 @@ fn call_on(
         .zip(&lacking)
         .map(|((&d, &a), l)| clean(d + 1.0 - a - l))
         .collect();
+    let resembles = frame.image.plane(2).to_vec();
+    Ok(Question { view: index, camera: *camera, certainty, known, resembles })
+}
+
+/// Weighs a photo's answer; `None` if it was not asked.
+fn hear(
+    request: &Request,
+    question: &Question,
+    projected: &dyn Projected,
+    answer: Option<Answer>,
+) -> Result<(Visit, Option<Evidence>), SegmentError> {
+    let Question { view: index, camera, certainty, known, resembles } = question;
+    let (index, view) = (*index, &request.views[*index]);
     let verdict =
         |verdict, agreement| (Visit { view: index, verdict, agreement, mask: None, voice: Vec::new() }, None);
-    let shown = certainty.data.iter().filter(|c| **c > 0.5).count();
-    if (shown as f32) < SMALLEST * certainty.data.len() as f32 {
-        return Ok(verdict(Verdict::NotVisible, 0.0));
-    }
-    let Some((mask, confidence)) = refine(index, &certainty) else {
-        return Ok(verdict(Verdict::Declined, 0.0));
+    let (mask, confidence) = match answer {
+        None => return Ok(verdict(Verdict::NotVisible, 0.0)),
+        Some(None) => return Ok(verdict(Verdict::Declined, 0.0)),
+        Some(Some(said)) => said,
     };
     let inside = soft(&mask, camera.width, camera.height);
     // What a stranger hides is no disagreement, and says little or nothing where the mask leaves it out.
     let strangers = request.strangers_in(index);
-    let heard = hidden::heard(&inside, strangers.as_ref(), Some(frame.image.plane(2)), &camera);
+    let heard = hidden::heard(&inside, strangers.as_ref(), Some(resembles), camera);
     let (mut both, mut either) = (0.0f64, 0.0f64);
-    for (((&m, &c), &k), &h) in inside.iter().zip(&certainty.data).zip(&known).zip(&heard) {
+    for (((&m, &c), &k), &h) in inside.iter().zip(&certainty.data).zip(known).zip(&heard) {
         let (believed, k) = (f32::from(u8::from(c > 0.5)), k * h);
         both += f64::from(k * m.min(believed));
         either += f64::from(k * m.max(believed));
@@ -272,14 +378,14 @@ fn call_on(
     let weights: Vec<f32> = inside
         .iter()
         .zip(&certainty.data)
-        .zip(&known)
+        .zip(known)
         .zip(&heard)
         .map(|(((&m, &c), &k), &h)| {
             h * if k > 0.8 && (m - c).abs() > 0.8 { DOUBT } else { GUESS + (1.0 - GUESS) * k }
         })
         .collect();
     let mut evidence = Evidence::none(request.splats.len());
-    let seen = view_evidence(request, &*projected, view, &camera, &mask, &weights)?;
+    let seen = view_evidence(request, projected, view, camera, &mask, &weights)?;
     evidence.add(&seen, trust);
     let voice = seen.voices();
     Ok((

@@ -64,10 +64,22 @@ pub struct PromptedView<'a> {
     pub points: &'a [PointPrompt],
 }
 
-/// Snaps a rough mask to a photo. It is given the view's index and, per pixel of a reduced frame, how likely the
-/// pixel belongs to the object (one plane in [0, 1]; about 0.5 where nothing is known). It answers with a mask of any
-/// size and how much it trusts it, in [0, 1]; `None` when it cannot tell.
-pub type Refine<'a> = dyn FnMut(usize, &Image) -> Option<(Mask, f32)> + 'a;
+/// Snaps rough masks to photos, several at a time.
+pub trait Refiner: Sync {
+    /// Is given the view's index and, per pixel of a reduced frame, how likely the pixel belongs to the object (one plane in
+    /// [0, 1]; about 0.5 where nothing is known). It answers with a mask of any size and how much it trusts it, in [0, 1];
+    /// `None` when it cannot tell.
+    fn refine(&self, view: usize, certainty: &Image) -> Option<(Mask, f32)>;
+    /// Hears, on another thread, that a view is likely to be asked about soon: what can be worked out before may be. No answer
+    /// may depend on it.
+    fn prepare(&self, _view: usize) {}
+}
+
+impl<F: Fn(usize, &Image) -> Option<(Mask, f32)> + Sync> Refiner for F {
+    fn refine(&self, view: usize, certainty: &Image) -> Option<(Mask, f32)> {
+        self(view, certainty)
+    }
+}
 
 /// Reads a mask of a view, its sky or its strangers, at any size that covers the photo edge to edge; `None` where it is not
 /// known.
@@ -128,9 +140,9 @@ pub struct Selection {
     pub alone: bool,
 }
 
-/// Selects the splats that the prompts mean. With `refine`, the selection is carried to all other views and back
+/// Selects the splats that the prompts mean. With a `refiner`, the selection is carried to all other views and back
 /// ([`SegmentSettings::propagate`]).
-pub fn select(request: &Request, refine: Option<&mut Refine>) -> Result<Selection, SegmentError> {
+pub fn select(request: &Request, refiner: Option<&dyn Refiner>) -> Result<Selection, SegmentError> {
     check(request)?;
     let (settings, splats) = (request.settings, request.splats);
     let (positive, negative) = hits(request)?;
@@ -163,8 +175,8 @@ pub fn select(request: &Request, refine: Option<&mut Refine>) -> Result<Selectio
         frozen: request.frozen,
         settings,
     };
-    let (state, visits) = match refine {
-        Some(refine) if rounds > 0 => propagate::propagate(request, &judge, prompted.clone(), refine)?,
+    let (state, visits) = match refiner {
+        Some(refiner) if rounds > 0 => propagate::propagate(request, &judge, prompted.clone(), refiner)?,
         _ => (judge.weigh(prompted.clone(), Vec::new(), STEPS), Vec::new()),
     };
     let decide = |state, visits| decide(request, &judge, &prompted, state, visits);

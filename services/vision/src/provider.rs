@@ -102,6 +102,9 @@ pub trait PromptSegmenter: Send + Sync {
     /// Snaps a rough mask (a rendered selection, say) to the image's own boundaries. `certainty` has one
     /// number per pixel in [0, 1]: how likely the pixel belongs to the object.
     fn refine(&self, image: &Image, certainty: &Image) -> Result<ScoredMask, VisionError>;
+    /// Works out what every answer about this photo needs, if there is room to keep it until it is asked for. No answer
+    /// depends on it, and what fails here fails again when it is asked for.
+    fn prepare(&self, _image: &Image) {}
 }
 
 /// Refuses a certainty that [`PromptSegmenter::refine`] cannot lay over its image.

@@ -274,3 +274,18 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn a_photo_that_was_prepared_is_answered_alike() {
+    let (image, top, _) = tower(96, 128, 1.0);
+    let data = (0..image.pixels()).map(|i| f32::from(u8::from(top.index(i)))).collect();
+    let certainty = Image { channels: 1, data, ..image.clone() };
+    let answers = [1 << 30, 1].map(|bytes| {
+        let provider = Builtin::new().within(bytes);
+        // The second time it knows how much an analysis takes, and whether there is room.
+        provider.prepare(&image);
+        provider.prepare(&image);
+        provider.refine(&image, &certainty).unwrap()
+    });
+    assert!(answers.iter().all(|answer| *answer == Builtin::new().refine(&image, &certainty).unwrap()));
+}

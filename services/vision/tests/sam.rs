@@ -226,6 +226,23 @@ fn a_further_click_costs_one_prompt_and_goes_on_from_the_answer_before() {
 }
 
 #[test]
+fn a_photo_that_was_prepared_is_not_encoded_again() {
+    if !can_run("a_photo_that_was_prepared_is_not_encoded_again") {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let all = pair(folder.path(), Takes::Planes, SAM);
+    let image = photo();
+    all.segmenter.prepare(&image);
+    assert_eq!(all.proposer.work().unwrap().encoded, 1);
+    let prompts = Prompts { points: vec![click(40.0, 40.0, true)], ..Prompts::default() };
+    let answer = all.segmenter.segment(&image, &prompts).unwrap();
+    let Work { encoded, prompts: asked, .. } = all.proposer.work().unwrap();
+    assert_eq!((encoded, asked), (1, 1));
+    assert_eq!(answer, providers(folder.path(), |_| ()).segmenter.segment(&image, &prompts).unwrap());
+}
+
+#[test]
 fn the_embedding_covers_the_photo_and_no_padding() {
     if !can_run("the_embedding_covers_the_photo_and_no_padding") {
         return;

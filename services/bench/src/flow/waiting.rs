@@ -167,6 +167,9 @@ impl PromptSegmenter for Counted {
         self.1.one();
         self.0.segmenter.refine(image, certainty)
     }
+    fn prepare(&self, image: &Image) {
+        self.0.segmenter.prepare(image);
+    }
 }
 
 impl SkyDetector for Counted {

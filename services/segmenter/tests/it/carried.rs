@@ -5,9 +5,11 @@ use glam::Vec3;
 use segwild_raster::Engine;
 use segwild_scene::{Image, Mask, PointPrompt, Splats};
 use segwild_segmenter::{
-    FeatureField, MaskReader, PosedView, PromptedView, Request, SegmentError, SegmentSettings, Selection,
-    cut, select, visible_mask,
+    FeatureField, MaskReader, PosedView, PromptedView, Refiner, Request, SegmentError, SegmentSettings,
+    Selection, cut, select, visible_mask,
 };
+use std::collections::BTreeSet;
+use std::sync::Mutex;
 
 fn click(x: f32, y: f32) -> PointPrompt {
     PointPrompt { x, y, inside: true }
@@ -85,14 +87,14 @@ impl Square {
         let request = Request { frozen: Some(frozen), ..request };
         // A 2D segmenter that knows the photo's regions but not which is meant: it takes those that are more
         // likely inside than not. In every fifth photo it is wrong, and sure of it.
-        let mut snap = |view: usize, certainty: &Image| {
+        let snap = |view: usize, certainty: &Image| {
             let mut mask = likelier(&self.truth[view], certainty, 0.5);
             if view % 5 == 3 {
                 mask = self.truth[view][2].clone();
             }
-            Some((mask, 0.9))
+            Some((mask, 0.9_f32))
         };
-        select(&request, refine.then_some(&mut snap)).unwrap()
+        select(&request, refine.then_some(&snap as &dyn Refiner)).unwrap()
     }
 
     /// A request from photo `first` whose prompts mean these things.
@@ -141,6 +143,46 @@ fn one_photo_selects_the_statue_for_the_whole_circle() {
     }
 }
 
+/// Knows which regions a photo has, and writes down which photos it was told of before their turn.
+struct Told<'a> {
+    square: &'a Square,
+    prepared: Mutex<BTreeSet<usize>>,
+    asked: Mutex<BTreeSet<usize>>,
+}
+
+impl Refiner for Told<'_> {
+    fn refine(&self, view: usize, certainty: &Image) -> Option<(Mask, f32)> {
+        self.asked.lock().unwrap().insert(view);
+        Some((likelier(&self.square.truth[view], certainty, 0.5), 0.9))
+    }
+
+    fn prepare(&self, view: usize) {
+        assert!(self.prepared.lock().unwrap().insert(view), "photo {view} is prepared once");
+    }
+}
+
+#[test]
+fn however_many_threads_there_are_the_selection_is_the_same() {
+    let square = Square::new();
+    let prompts =
+        [PromptedView { view: 0, mask: &square.truth[0][0], open: None, points: &[], refused: false }];
+    let settings = SegmentSettings::default();
+    let select = |threads: usize| {
+        let told = Told { square: &square, prepared: Mutex::default(), asked: Mutex::default() };
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let selection = square
+            .with(&prompts, &settings, |request| pool.install(|| select(request, Some(&told)).unwrap()));
+        (selection, told.prepared.into_inner().unwrap(), told.asked.into_inner().unwrap())
+    };
+    let (alone, none, _) = select(1);
+    assert!(none.is_empty(), "a single thread has nobody who could prepare photos");
+    for threads in [2, 5] {
+        let (selection, prepared, asked) = select(threads);
+        assert!(selection == alone, "{threads} threads");
+        assert!(prepared.len() > 4 && prepared.is_subset(&asked), "{prepared:?} of {asked:?}");
+    }
+}
+
 #[test]
 fn photos_that_take_the_selection_elsewhere_are_not_followed() {
     let square = Square::new();
@@ -151,9 +193,9 @@ fn photos_that_take_the_selection_elsewhere_are_not_followed() {
     let settings =
         SegmentSettings { propagate_gate, prompt_weight, least_evidence, ..SegmentSettings::default() };
     // All photos speak of the tree.
-    let mut tree = |view: usize, _: &segwild_scene::Image| Some((square.truth[view][1].clone(), 1.0));
+    let tree = |view: usize, _: &segwild_scene::Image| Some((square.truth[view][1].clone(), 1.0_f32));
     let selection = square.with(&prompts, &settings, |request| {
-        let selection = select(request, Some(&mut tree)).unwrap();
+        let selection = select(request, Some(&tree)).unwrap();
         cut(request, &selection).unwrap();
         selection
     });
@@ -215,8 +257,8 @@ fn carried(
     let (settings, sky) = (SegmentSettings::default(), world.is(3));
     let request = request(&engine, &world.splats, views, &prompts, &settings);
     let request = Request { features: Some(field), frozen: Some(&sky), strangers, ..request };
-    let mut snap = |view: usize, certainty: &Image| Some((likelier(&truth[view], certainty, least), 0.9));
-    select(&request, Some(&mut snap)).unwrap().labels
+    let snap = |view: usize, certainty: &Image| Some((likelier(&truth[view], certainty, least), 0.9_f32));
+    select(&request, Some(&snap)).unwrap().labels
 }
 
 /// A statue (thing 0) on a pedestal (1) that resembles it, and ten photos around them.

@@ -39,6 +39,13 @@ impl<T: Weighed> Memory<T> {
         });
     }
 
+    /// Whether so many values as large as the largest there is would fit.
+    pub fn has_room_for(&self, many: usize) -> bool {
+        let recent = self.recent.lock().unwrap_or_else(PoisonError::into_inner);
+        let largest = recent.iter().filter_map(|(_, slot)| slot.get()).map(|v| v.bytes()).max();
+        largest.unwrap_or(0).saturating_mul(many) <= self.limit
+    }
+
     #[cfg(test)]
     fn count(&self) -> usize {
         self.recent.lock().unwrap_or_else(PoisonError::into_inner).len()
@@ -76,8 +83,10 @@ mod tests {
         drop(put(9, 30));
         assert!(memory.slot(blake3::hash(&[1])).get().is_some());
         assert!(memory.slot(blake3::hash(&[2])).get().is_none(), "was the oldest");
+        assert!(memory.has_room_for(3) && !memory.has_room_for(4));
         let large = put(7, 1000);
         assert!(memory.slot(blake3::hash(&[7])).get().is_some(), "one larger than the limit is kept alone");
         assert_eq!((large.len(), memory.count()), (1000, 1));
+        assert!(!memory.has_room_for(1));
     }
 }

@@ -44,6 +44,8 @@ const VERSION: &str = "builtin-4";
 const MEMORY: usize = 256 << 20;
 /// Memory for answers: some thousand.
 const ANSWERS: usize = 4 << 20;
+/// Analyses that there must be room for, or none is made before it is asked for: it would only push out others.
+pub(crate) const PREPARED: usize = 6;
 /// Photos whose long side is over this are looked at smaller: boundaries are those of things, not of grain.
 const LONG_SIDE: usize = 800;
 
@@ -329,6 +331,12 @@ impl PromptSegmenter for Builtin {
         let plane = Plane::new(image.width, image.height, certainty.plane(0).to_vec());
         let plane = plane.pooled_to(analysis.tree.width, analysis.tree.height);
         Ok(at_size_of(image, refine::snap(&analysis, &plane.data)))
+    }
+
+    fn prepare(&self, image: &Image) {
+        if self.analyses.has_room_for(PREPARED) {
+            drop(self.analysis(image));
+        }
     }
 }
 

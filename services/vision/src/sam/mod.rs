@@ -13,7 +13,7 @@ mod logits;
 mod prompt;
 mod refine;
 
-use crate::builtin::{Memory, Weighed, check, content};
+use crate::builtin::{Memory, PREPARED, Weighed, check, content};
 use crate::onnx::{Device, Model, Options, Runtime};
 use crate::registry::Pair;
 use crate::{Embedder, MaskProposer, PromptSegmenter, Prompted, VisionError, VisionSettings, Work};
@@ -288,5 +288,11 @@ impl PromptSegmenter for Sam {
 
     fn refine(&self, image: &Image, certainty: &Image) -> Result<ScoredMask, VisionError> {
         self.snap(image, certainty)
+    }
+
+    fn prepare(&self, image: &Image) {
+        if self.embeddings.has_room_for(PREPARED) {
+            drop(self.encoded(image));
+        }
     }
 }
