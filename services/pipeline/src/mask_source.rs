@@ -2,7 +2,7 @@
 
 use crate::RunError;
 use segwild_raster::{Engine, Kept, ProjectOptions};
-use segwild_scene::{Camera, Mask, Pose, Splats};
+use segwild_scene::{Camera, Image, Mask, Pose, Splats};
 use segwild_segmenter::{MaskMode, owned};
 
 /// Masks are drawn at most this many times larger than the photos were trained at, then scaled.
@@ -33,16 +33,20 @@ impl<'a> MaskSource<'a> {
         Ok(MaskSource { engine, held: engine.hold(splats)?, splats, indicator, options, mode })
     }
 
-    /// The pixels of a photo, on its own grid, that the labelled splats own.
-    pub fn mask(&self, full: &Camera, pose: &Pose, size: u32) -> Result<Mask, RunError> {
-        if self.splats.is_empty() {
-            return Ok(Mask::empty(full.width, full.height));
-        }
+    /// How much of each pixel the labelled splats make up, finer than the photo at `size`: what its mask is made from.
+    pub fn share(&self, full: &Camera, pose: &Pose, size: u32) -> Result<Image, RunError> {
         let camera = full.scaled_to(size * FINER);
+        if self.splats.is_empty() {
+            return Ok(Image::filled(camera.width as usize, camera.height as usize, 1, 0.0));
+        }
         let engine = self.held.as_deref().unwrap_or(self.engine);
         let projected = engine.project(self.splats, &camera, pose, &self.options)?;
-        let frame = projected.blend_kept(&self.indicator)?;
-        Ok(owned(&frame.image, self.mode, (full.width, full.height)))
+        Ok(projected.blend_kept(&self.indicator)?.image)
+    }
+
+    /// The pixels of a photo, on its own grid, that the labelled splats own.
+    pub fn mask(&self, share: &Image, full: &Camera) -> Mask {
+        owned(share, self.mode, (full.width, full.height))
     }
 }
 
@@ -77,7 +81,8 @@ mod tests {
             let camera = Camera { width: 60, height: 40, fx: 80.0, fy: 80.0, cx: 30.0, cy: 20.0 };
             let eye = Vec3::new(0.1 * photo as f32, 0.0, 0.0);
             let pose = Pose::look_at(eye, eye + Vec3::Z, Vec3::NEG_Y);
-            let mask = source.mask(&camera, &pose, 60).expect("it is drawn");
+            let share = source.share(&camera, &pose, 60).expect("it is drawn");
+            let mask = source.mask(&share, &camera);
             assert!(mask.get(10, 20) && !mask.get(55, 20), "the left half");
         }
         let crossed = engine.brought() - before;

@@ -27,6 +27,9 @@ const FEATURE_COPIES: f64 = 5.0;
 /// Floats per pixel of a photo that all actors together hold at work, the photo that each cache keeps in any case
 /// included. Fitted to runs at 640 px.
 const PER_PIXEL: f64 = 200.0;
+/// The same of each further photo that masks and features look at at once: on `liberty` at 640 px 54 MiB with three more, 38
+/// with seven.
+const PER_LOOKER: f64 = 50.0;
 /// Least MiB that each of the caches is given.
 const LEAST_CACHE: usize = 8;
 /// What a MiB in a cache takes of the process: the allocator's blocks are larger than what is in them, and not every
@@ -94,7 +97,7 @@ fn fixed(settings: &Settings, scene: &Scene) -> f64 {
     let observations: usize = scene.points.iter().map(|p| p.track.len()).sum();
     let stereo = stereo_bytes(&settings.train, scene.views.len(), pixels(settings, scene));
     let bytes = (splats * training.max(field)).max(stereo as f64)
-        + pixels(settings, scene) as f64 * 4.0 * PER_PIXEL
+        + pixels(settings, scene) as f64 * 4.0 * (PER_PIXEL + PER_LOOKER * (settings.lookers() - 1) as f64)
         + samples
         + look
         + scene.views.len() as f64 * PER_PHOTO

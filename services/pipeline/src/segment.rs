@@ -5,13 +5,15 @@ use crate::folder::Loaded;
 use crate::light::{self, find};
 use crate::mask_source::MaskSource;
 use crate::prompts::{check_all, png_names};
+use crate::settings::at_once;
 use crate::{
     PhotoPrompts, Replay, RunError, RunFolder, choose_engine, log_loss, report, skies, strangers, traces,
 };
+use rayon::prelude::*;
 use segwild_flow::{
     ActorOptions, FileError, Limits, Phase, Stopper, System, SystemOptions, codec, fault, files, mailbox,
 };
-use segwild_scene::{Image, Mask, Scene, ScoredMask, Splats, ply};
+use segwild_scene::{Image, Mask, Scene, ScoredMask, Splats, View, ply};
 use segwild_segmenter::{
     Cut, Geometry, MaskMode, Object, PosedView, SegmentActor, SegmentError, SegmentReply, SegmentSettings,
     SegmentTask, Segmented, Verdict,
@@ -336,18 +338,30 @@ pub fn segment(
         let alone = cut_splats.select(&keep);
         let whole = vec![true; keep.len()];
         let alone = MaskSource::new(&*engine, &alone, &whole, model.options(), MaskMode::Amodal)?;
-        for (view, name) in scene.views.iter().zip(&names) {
-            let (visible, amodal) =
-                (in_sight.mask(&view.camera, &view.pose, size)?, alone.mask(&view.camera, &view.pose, size)?);
-            outcome.photos += usize::from(!visible.is_empty());
-            visible.write_png(&mask_dir.join(name))?;
-            amodal.write_png(&amodal_dir.join(name))?;
-            pass()?;
+        // One after the other is drawn, since an engine may be one device; photos are large, and several are written at once.
+        let views: Vec<(&View, &String)> = scene.views.iter().zip(&names).collect();
+        for some in views.chunks(at_once()) {
+            let draw = |(view, _): &(&View, &String)| -> Result<[Image; 2], RunError> {
+                let of = |source: &MaskSource| source.share(&view.camera, &view.pose, size);
+                Ok([of(&in_sight)?, of(&alone)?])
+            };
+            let drawn = some.iter().map(draw).collect::<Result<Vec<_>, _>>()?;
+            let write = |((view, name), [visible, amodal]): (&(&View, &String), &[Image; 2])| {
+                let visible = in_sight.mask(visible, &view.camera);
+                visible.write_png(&mask_dir.join(name))?;
+                alone.mask(amodal, &view.camera).write_png(&amodal_dir.join(name))?;
+                Ok(!visible.is_empty())
+            };
+            let shown = some.par_iter().zip(&drawn).map(write).collect::<Result<Vec<bool>, RunError>>()?;
+            for shown in shown {
+                outcome.photos += usize::from(shown);
+                pass()?;
+            }
         }
         outcome.wall_s = began.elapsed().as_secs_f64();
         json("summary.json", serde_json::to_vec_pretty(&outcome))
     })?;
-    report::write_report(folder)?;
+    report::add_object(folder, name)?;
     Ok(outcome)
 }
 

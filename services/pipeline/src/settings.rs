@@ -140,7 +140,24 @@ compose! {
     segment: SegmentSettings,
 }
 
+/// Photos that are looked at at once, at most: each takes memory.
+const AT_ONCE: usize = 8;
+
+/// Photos that are looked at at once by who has this thread's pool for itself.
+pub(crate) fn at_once() -> usize {
+    rayon::current_num_threads().min(AT_ONCE)
+}
+
 impl Settings {
+    /// Photos that an actor looks at at once beside the training: on half of the cores, for that takes the others.
+    pub(crate) fn lookers(&self) -> usize {
+        let cores = match self.run.threads {
+            0 => std::thread::available_parallelism().map_or(1, usize::from),
+            threads => threads as usize,
+        };
+        (cores / 2).clamp(1, AT_ONCE)
+    }
+
     /// The defaults of a preset under a budget.
     pub fn defaults(preset: Preset, budget: Budget) -> Settings {
         let mut settings = Settings::preset(preset);
@@ -315,6 +332,17 @@ mod tests {
                 assert!(seen.insert(f.name), "{} of [{table}] is the second flag of that name", f.name);
             }
         }
+    }
+
+    #[test]
+    fn half_of_the_cores_look_at_photos_beside_the_training() {
+        let lookers = |threads: u32| {
+            let mut settings = Settings::default();
+            settings.run.threads = threads;
+            settings.lookers()
+        };
+        assert_eq!([1, 2, 3, 4, 9, 256].map(lookers), [1, 1, 1, 2, 4, AT_ONCE]);
+        assert!((1..=AT_ONCE).contains(&lookers(0)));
     }
 
     #[test]

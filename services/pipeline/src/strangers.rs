@@ -5,11 +5,13 @@
 //! leaves out of the photo exactly what it says, whatever the program would find.
 
 use crate::prompts::png_names;
+use crate::settings::at_once;
 use crate::{RunError, RunFolder};
+use rayon::prelude::*;
 use segwild_flow::{Cache, Failure, FileError, Key};
 use segwild_raster::Engine;
 use segwild_scene::{Mask, Scene, View};
-use segwild_trainer::{Model, TrainPhoto, strangeness};
+use segwild_trainer::{Model, Strangeness, TrainPhoto, strangeness};
 use segwild_vision::{PromptSegmenter, StrangerDetector};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -213,14 +215,13 @@ impl Album<'_> {
         &self,
         views: &[usize],
         key: impl Fn(usize) -> Key,
-        photo: impl Fn(usize) -> Result<TrainPhoto, Failure>,
+        photo: impl Fn(usize) -> Result<TrainPhoto, Failure> + Sync,
         mut told: impl FnMut(&str) -> Result<(), Failure>,
     ) -> Result<Vec<String>, Failure> {
         let (names, mut notes) = (names(self.scene), Vec::new());
         let before: BTreeMap<String, Made> = self.folder.read_json(MADE).unwrap_or_default();
         let mut after = BTreeMap::new();
-        let mut pictures = Vec::new();
-        let mut shares = Vec::new();
+        let mut open = Vec::new();
         for &view in views {
             let (name, key) = (&names[view], key(view).to_string());
             let file = self.folder.path().join(FOLDER).join(name);
@@ -229,17 +230,24 @@ impl Album<'_> {
             let ours = there.as_ref().is_none_or(|there| made.pixels.contains(there));
             if !ours || (there.is_some() && made.key == key) {
                 after.insert(name.clone(), made);
-                continue;
+            } else {
+                open.push(Open { view, name, key, file, there });
             }
-            told(&self.scene.views[view].name)?;
-            let photo = photo(view)?;
-            let (mask, psnr) = self.strangers(view, &photo)?;
-            notes.extend(odd(&self.scene.views[view].name, name, &mask, psnr));
-            shares.push(share_of(&mask));
-            let new = pixels(&mask);
-            let pixels = [Some(new), there].into_iter().flatten().collect();
-            after.insert(name.clone(), Made { key, pixels });
-            pictures.push((file, mask));
+        }
+        let mut pictures = Vec::new();
+        let mut shares = Vec::new();
+        for some in open.chunks(at_once()) {
+            for &Open { view, .. } in some {
+                told(&self.scene.views[view].name)?;
+            }
+            let masks = self.strangers(some, &photo)?;
+            for (Open { view, name, key, file, there }, (mask, psnr)) in some.iter().zip(masks) {
+                notes.extend(odd(&self.scene.views[*view].name, name, &mask, psnr));
+                shares.push(share_of(&mask));
+                let pixels = [pixels(&mask)].into_iter().chain(there.clone()).collect();
+                after.insert((*name).clone(), Made { key: key.clone(), pixels });
+                pictures.push((file, mask));
+            }
         }
         notes.extend(crowded(&shares));
         let failed = |e: RunError| Failure::storage(e.to_string());
@@ -249,21 +257,37 @@ impl Album<'_> {
         // Said before it is done: a picture of this program is never taken for a person's.
         self.folder.write_json(MADE, &after).map_err(failed)?;
         for (file, mask) in pictures {
-            mask.write_png(&file).map_err(|e| Failure::storage(e.to_string()))?;
+            mask.write_png(file).map_err(|e| Failure::storage(e.to_string()))?;
         }
         Ok(notes)
     }
 
-    /// The strangers of a photo: what contradicts the trained scene, out to the photo's own boundaries, and what was
-    /// known before.
-    fn strangers(&self, view: usize, photo: &TrainPhoto) -> Result<(Mask, f32), Failure> {
-        let compared = strangeness(self.model, self.engine, self.scene, view, photo, MOST)?;
+    /// The strangers of some photos, and how well each fits: what contradicts the trained scene, out to the photo's own
+    /// boundaries, and what was known before. One after the other is compared with the scene, since an engine may be one device.
+    fn strangers(
+        &self,
+        some: &[Open],
+        photo: &(impl Fn(usize) -> Result<TrainPhoto, Failure> + Sync),
+    ) -> Result<Vec<(Mask, f32)>, Failure> {
+        let photos: Vec<TrainPhoto> =
+            some.par_iter().map(|open| photo(open.view)).collect::<Result<_, Failure>>()?;
+        let compare = |(open, photo): (&Open, &TrainPhoto)| {
+            strangeness(self.model, self.engine, self.scene, open.view, photo, MOST)
+        };
+        let compared = some.iter().zip(&photos).map(compare).collect::<Result<Vec<_>, _>>()?;
+        let snap = |((open, photo), compared): ((&Open, &TrainPhoto), &Strangeness)| {
+            (self.snapped(open.view, photo, compared), compared.psnr)
+        };
+        Ok(some.par_iter().zip(&photos).zip(&compared).map(snap).collect())
+    }
+
+    fn snapped(&self, view: usize, photo: &TrainPhoto, compared: &Strangeness) -> Mask {
         if let Some(mask) = &photo.strangers {
-            return Ok((mask.clone(), compared.psnr));
+            return mask.clone();
         }
-        let found = match compared.certainty {
+        let found = match &compared.certainty {
             // A provider that sees no thing there leaves the scene's own word.
-            Some(certainty) => match self.segmenter.refine(&photo.image, &certainty) {
+            Some(certainty) => match self.segmenter.refine(&photo.image, certainty) {
                 Ok(snapped) => snapped.mask,
                 Err(_) => {
                     let (w, h) = (certainty.width as u32, certainty.height as u32);
@@ -273,9 +297,19 @@ impl Album<'_> {
             },
             None => Mask::empty(photo.image.width as u32, photo.image.height as u32),
         };
-        let all = self.known.mask(view).map_or(found.clone(), |known| found.or(&known));
-        Ok((all, compared.psnr))
+        self.known.mask(view).map_or(found.clone(), |known| found.or(&known))
     }
+}
+
+/// A photo whose picture is to be made.
+struct Open<'a> {
+    view: usize,
+    /// The picture's name, where it goes, and what it is made from.
+    name: &'a String,
+    file: PathBuf,
+    key: String,
+    /// Hash of the pixels of the one that is there.
+    there: Option<String>,
 }
 
 /// A photo that fits worse than this, and in which hardly anything stands out, has another trouble than strangers.

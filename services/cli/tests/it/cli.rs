@@ -83,6 +83,9 @@ fn clicks_become_an_object_that_can_be_drawn_scored_and_replayed() {
     let manifest = &place().manifest;
     let (name, click) = clearest();
     let at = format!("{},{}", click.x, click.y);
+    // That of the run bears the name of the folder it was copied from.
+    let report = path.join("report.html");
+    std::fs::remove_file(&report).expect("it goes");
     works(&["segment", &run, "--photo", &click.photo, "--in", &at, "--name", "thing"]);
     let thing = path.join("selections/thing");
     let object = segwild_scene::ply::read(&thing.join("object.ply")).expect("the object opens");
@@ -107,6 +110,13 @@ fn clicks_become_an_object_that_can_be_drawn_scored_and_replayed() {
         assert!(read("again") == object, "{name}: the same prompts select the same splats");
         refuses(&["segment", &run, "--prompts", &prompts, "--photo", "a", "--in", "1,1"], 2, &["--prompts"]);
     }
+    // A selection is added to the report, which says what it would say if it were written anew.
+    let added = std::fs::read_to_string(&report).expect("a report");
+    assert!(["thing", "other", "again"].iter().all(|name| added.contains(&format!("Object: {name}<"))));
+    std::fs::remove_file(&report).expect("it goes");
+    let prompts = show(&path.join("selections/other/prompts.json"));
+    works(&["segment", &run, "--prompts", &prompts, "--name", "again"]);
+    assert!(std::fs::read_to_string(&report).expect("a report") == added);
 
     let truth = show(&place().scene.join("truth").join(name));
     assert!(works(&["eval", &run, "--truth", &truth, "--selection", "thing"]).contains("mean"));

@@ -199,8 +199,10 @@ impl Coordinator<'_> {
             ..SystemOptions::default()
         })?;
         let limits = Limits { count: 64, bytes: 64 << 20 };
+        // Photos say nothing of each other: on many cores several are looked at at once.
+        let lookers = ActorOptions { workers: self.settings.lookers(), ..ActorOptions::default() };
         // Renders wait here: a few ahead keep the actor busy, more would only fill memory.
-        let few = Limits { count: 4, bytes: 64 << 20 };
+        let few = Limits { count: 4 * lookers.workers, bytes: 64 << 20 };
         let (out, inbox) = mailbox::<Outcome>(NAME, limits);
         self.recorder.watch(system.observer());
         self.recorder.mailbox(&inbox);
@@ -216,11 +218,11 @@ impl Coordinator<'_> {
             Ok(TrainActor { engine: train.engine.clone(), out: train.out.clone() })
         })?;
         let (c, o, sky, maker) = (cache.clone(), out.clone(), providers.sky.clone(), self.maker.clone());
-        system.spawn(masks_in, ActorOptions::default(), move || {
+        system.spawn(masks_in, lookers, move || {
             Ok(MaskActor { sky: sky.clone(), maker: maker.clone(), cache: c.clone(), out: o.clone() })
         })?;
         let (embedder, f) = (self.embedder.clone(), settings.features.clone());
-        system.spawn(features_in, ActorOptions::default(), move || {
+        system.spawn(features_in, lookers, move || {
             Ok(FeatureActor {
                 scene: scene.clone(),
                 size,
