@@ -46,6 +46,11 @@ fn pixel_of(layer: Layer, column: u32) -> vec2u {
     return vec2u(column % layer.out_width, column / layer.out_width);
 }
 
+// The pixel after this one.
+fn after(layer: Layer, pixel: vec2u) -> vec2u {
+    return select(vec2u(0u, pixel.y + 1u), vec2u(pixel.x + 1u, pixel.y), pixel.x + 1u < layer.out_width);
+}
+
 // Where the quarter `plane % 4` of a plane has its pixel.
 fn quarter(plane: u32, pixel: vec2u, width: u32, height: u32) -> u32 {
     let row = 2u * pixel.y + (plane % 4u) / 2u;

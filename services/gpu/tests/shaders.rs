@@ -46,6 +46,46 @@ fn every_kernel_is_valid_and_within_what_every_device_offers() {
     }
 }
 
+/// What is wrong with a line that begins a loop; `None` where it counts towards a bound, or is known to end.
+fn endless(line: &str) -> Option<String> {
+    // A search that halves what is left, and the row of a triangle in which a number lies.
+    let known = ["while low < high {", "while (a + 1u) * (a + 2u) / 2u <= local {"];
+    let line = line.trim();
+    let Some(head) = line.strip_prefix("for (") else {
+        let begins = ["loop", "while", "for"]
+            .iter()
+            .any(|word| line.strip_prefix(word).is_some_and(|rest| rest.starts_with([' ', '(', '{'])));
+        return (begins && !known.contains(&line)).then(|| line.to_owned());
+    };
+    let parts: Vec<&str> = head.split(';').map(str::trim).collect();
+    let counts = parts.len() == 3 && {
+        let step: Vec<&str> = parts[2].split(' ').collect();
+        let compared = |by: &str| parts[1].contains(&format!("{} {by} ", step[0]));
+        match step.get(1) {
+            Some(&("+=" | "*=")) => compared("<") || compared("<="),
+            Some(&"/=") => compared(">"),
+            _ => false,
+        }
+    };
+    (!counts).then(|| line.to_owned())
+}
+
+/// They run without the counters by which wgpu would end those that do not.
+#[test]
+fn every_loop_of_a_kernel_ends() {
+    let mut loops = 0;
+    for kernel in KERNELS {
+        for line in source(kernel, 1, true).lines() {
+            assert_eq!(endless(line), None, "{}", kernel.name);
+            loops += usize::from(line.trim_start().starts_with("for ("));
+        }
+    }
+    assert!(loops > 100, "{loops} loops");
+    for line in ["loop {", "while true {", "for (;;) {", "for (var k = 0u; k < n; j += 1u) {"] {
+        assert!(endless(line).is_some(), "{line}");
+    }
+}
+
 #[test]
 fn a_kernel_that_is_not_valid_is_seen() {
     let kernel = KERNELS.iter().find(|kernel| kernel.name == "histogram").expect("there is one");
