@@ -27,9 +27,9 @@ const FEATURE_COPIES: f64 = 5.0;
 /// Floats per pixel of a photo that all actors together hold at work, the photo that each cache keeps in any case
 /// included. Fitted to runs at 640 px.
 const PER_PIXEL: f64 = 200.0;
-/// The same of each further photo that masks and features look at at once: on `liberty` at 640 px 54 MiB with three more, 38
-/// with seven.
-const PER_LOOKER: f64 = 50.0;
+/// The same of each further photo that masks and features look at at once: `liberty` at 640 px takes 38 to 54 MiB for each on
+/// two cores, 80 to 87 on 16.
+const PER_LOOKER: f64 = 85.0;
 /// Least MiB that each of the caches is given.
 const LEAST_CACHE: usize = 8;
 /// What a MiB in a cache takes of the process: the allocator's blocks are larger than what is in them, and not every
@@ -70,22 +70,44 @@ impl MemoryNeed {
 }
 
 fn need(settings: &Settings, scene: &Scene) -> MemoryNeed {
-    let fixed = fixed(settings, scene);
-    let with = |caches: usize| (fixed + caches as f64 * PER_CACHED).ceil() as u32;
+    let with = |fixed: f64, caches: usize| (fixed + caches as f64 * PER_CACHED).ceil() as u32;
+    let alone = with_one_looker(settings, scene);
+    let all = alone + (settings.lookers() - 1) as f64 * looker(settings, scene);
     // Photos' analyses are held to the end. Of the other two the trainer's photos go before the field is made.
     let caches = settings.vision.vision_memory as usize
         + settings.train.photo_cache_mib.max(settings.features.feature_memory as usize);
-    let least_mib = with(2 * LEAST_CACHE);
+    let least_mib = with(alone, 2 * LEAST_CACHE);
     MemoryNeed {
         least_mib,
-        most_mib: with(caches).max(least_mib),
+        most_mib: with(all, caches).max(least_mib),
         splats: splat_cap(&settings.train, scene, settings.scene.size),
         size: settings.scene.size,
     }
 }
 
+/// Photos that an actor looks at at once beside the training: as many as there are cores for, fewer where half of what a memory
+/// budget leaves for them and for caches does not hold them.
+pub(crate) fn lookers(settings: &Settings, scene: &Scene) -> usize {
+    let (most, budget) = (settings.lookers(), f64::from(settings.run.memory_budget));
+    if budget == 0.0 {
+        return most;
+    }
+    let spare = budget - with_one_looker(settings, scene) - 2.0 * LEAST_CACHE as f64 * PER_CACHED;
+    let room = 0.5 * spare.max(0.0) / looker(settings, scene).max(1e-3);
+    most.min(1 + room as usize)
+}
+
+/// MiB that each looker but the first takes.
+fn looker(settings: &Settings, scene: &Scene) -> f64 {
+    pixels(settings, scene) as f64 * 4.0 * PER_LOOKER / MIB
+}
+
 /// MiB that a run takes beside the caches.
 fn fixed(settings: &Settings, scene: &Scene) -> f64 {
+    with_one_looker(settings, scene) + (lookers(settings, scene) - 1) as f64 * looker(settings, scene)
+}
+
+fn with_one_looker(settings: &Settings, scene: &Scene) -> f64 {
     let size = settings.scene.size;
     let splats = splat_cap(&settings.train, scene, size) as f64;
     let bands = f64::from((settings.train.sh_degree + 1).pow(2));
@@ -97,7 +119,7 @@ fn fixed(settings: &Settings, scene: &Scene) -> f64 {
     let observations: usize = scene.points.iter().map(|p| p.track.len()).sum();
     let stereo = stereo_bytes(&settings.train, scene.views.len(), pixels(settings, scene));
     let bytes = (splats * training.max(field)).max(stereo as f64)
-        + pixels(settings, scene) as f64 * 4.0 * (PER_PIXEL + PER_LOOKER * (settings.lookers() - 1) as f64)
+        + pixels(settings, scene) as f64 * 4.0 * PER_PIXEL
         + samples
         + look
         + scene.views.len() as f64 * PER_PHOTO
@@ -181,7 +203,8 @@ pub(crate) fn within_budget(settings: &Settings, scene: &Scene) -> Result<Settin
 #[cfg(test)]
 mod tests {
     use super::*;
-    use segwild_scene::Frame;
+    use glam::Vec3;
+    use segwild_scene::{Camera, Frame, Photo, Pose, Seal, View};
 
     #[test]
     fn a_budget_is_shared_by_every_cache_that_is_held_at_the_same_time() {
@@ -209,6 +232,32 @@ mod tests {
             refused.contains(&format!("{least_mib} MiB")) && refused.contains("1000 splats"),
             "{refused}"
         );
+    }
+
+    #[test]
+    fn a_budget_has_room_for_fewer_photos_at_once() {
+        let frame = Frame { origin: Default::default(), scale: 1.0 };
+        let camera = Camera { width: 640, height: 480, fx: 500.0, fy: 500.0, cx: 320.0, cy: 240.0 };
+        let photo =
+            Photo { path: "a.jpg".into(), ignore: None, usable: None, lens: None, seal: Seal::default() };
+        let pose = Pose::look_at(Vec3::ZERO, Vec3::Z, Vec3::NEG_Y);
+        let view = View { name: "a.jpg".into(), camera, pose, photo, test: false };
+        let scene =
+            Scene { views: vec![view], points: Vec::new(), skipped: Vec::new(), notes: Vec::new(), frame };
+        let mut settings = Settings::default();
+        settings.run.threads = 16;
+        let MemoryNeed { least_mib, most_mib, .. } = need(&settings, &scene);
+        assert_eq!(lookers(&settings, &scene), 8, "no budget");
+        let mut before = 1;
+        for budget in least_mib..=2 * most_mib {
+            settings.run.memory_budget = budget;
+            let now = lookers(&settings, &scene);
+            assert!(now >= before && now <= 8 && (budget > least_mib + 100 || now == 1), "{budget}: {now}");
+            let fitted = within_budget(&settings, &scene).expect("it fits");
+            assert_eq!(lookers(&fitted, &scene), now);
+            before = now;
+        }
+        assert_eq!(before, 8);
     }
 
     #[test]

@@ -149,7 +149,7 @@ pub(crate) fn at_once() -> usize {
 }
 
 impl Settings {
-    /// Photos that an actor looks at at once beside the training: on half of the cores, for that takes the others.
+    /// Photos that an actor may look at at once beside the training: on half of the cores, for that takes the others.
     pub(crate) fn lookers(&self) -> usize {
         let cores = match self.run.threads {
             0 => std::thread::available_parallelism().map_or(1, usize::from),

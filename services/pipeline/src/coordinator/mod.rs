@@ -27,6 +27,7 @@ use crate::board::Board;
 use crate::checkpoints::Keeper;
 use crate::graph::{RunOptions, STAGES};
 use crate::inputs::Inputs;
+use crate::memory;
 use crate::onward::Origin;
 use crate::outcome::Outcome;
 use crate::skies::Skies;
@@ -200,7 +201,8 @@ impl Coordinator<'_> {
         })?;
         let limits = Limits { count: 64, bytes: 64 << 20 };
         // Photos say nothing of each other: on many cores several are looked at at once.
-        let lookers = ActorOptions { workers: self.settings.lookers(), ..ActorOptions::default() };
+        let lookers =
+            ActorOptions { workers: memory::lookers(self.settings, &self.scene), ..ActorOptions::default() };
         // Renders wait here: a few ahead keep the actor busy, more would only fill memory.
         let few = Limits { count: 4 * lookers.workers, bytes: 64 << 20 };
         let (out, inbox) = mailbox::<Outcome>(NAME, limits);
