@@ -7,7 +7,8 @@ use crate::mask_source::MaskSource;
 use crate::prompts::{check_all, png_names};
 use crate::settings::at_once;
 use crate::{
-    PhotoPrompts, Replay, RunError, RunFolder, choose_engine, log_loss, report, skies, strangers, traces,
+    PhotoPrompts, Replay, RunError, RunFolder, Settings, choose_engine, log_loss, report, skies, strangers,
+    traces,
 };
 use rayon::prelude::*;
 use segwild_flow::{
@@ -18,7 +19,7 @@ use segwild_segmenter::{
     Cut, Geometry, MaskMode, Object, PosedView, SegmentActor, SegmentError, SegmentReply, SegmentSettings,
     SegmentTask, Segmented, Verdict,
 };
-use segwild_vision::Providers;
+use segwild_vision::{Providers, VisionSettings};
 use serde::Serialize;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -170,7 +171,7 @@ pub fn segment(
     let providers = match providers {
         Some(providers) => providers,
         None => {
-            own = Providers::from_settings(&made_with.vision)?;
+            own = Providers::from_settings(&sight(&made_with))?;
             &own
         }
     };
@@ -363,6 +364,17 @@ pub fn segment(
     })?;
     report::add_object(folder, name)?;
     Ok(outcome)
+}
+
+/// How photos are looked at for a click: what the caches of the training and of the feature field may take is free for their
+/// analyses.
+fn sight(settings: &Settings) -> VisionSettings {
+    let mut vision = settings.vision.clone();
+    if settings.run.memory_budget == 0 {
+        let free = (settings.train.photo_cache_mib as u32).max(settings.features.feature_memory);
+        vision.vision_memory = vision.vision_memory.saturating_add(free);
+    }
+    vision
 }
 
 /// A click this close to the edge of what it was taken to mean, in pixels of the working size, may as well have meant

@@ -7,10 +7,12 @@ use crate::select::{STEPS, project, view_evidence, working_camera};
 use crate::spread::Belief;
 use crate::{Evidence, Refiner, Request, SegmentError, SegmentSettings};
 use crate::{hidden, lacking};
-use rayon::Scope;
 use rayon::prelude::*;
+use rayon::{Scope, Yield};
 use segwild_raster::{Channels, Projected};
 use segwild_scene::{Camera, Image, Mask};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Long side in pixels at which the views are compared to find a good order.
 const ORDER_SIZE: u32 = 128;
@@ -157,8 +159,8 @@ fn first_round<'s>(
         open.push((index, seen_by(request, index)?));
     }
     let mut visits = Vec::new();
-    // Photos that are being prepared, or are prepared and were not visited yet.
-    let mut ahead: Vec<usize> = Vec::new();
+    // Photos that are being prepared, or are prepared and were not visited yet; and whether they are.
+    let mut ahead: Vec<(usize, Arc<AtomicBool>)> = Vec::new();
     while visits.len() < request.settings.propagate_views {
         let order = most_known(judge, &state, &open);
         let Some((&next, likely)) = order.split_first() else {
@@ -167,14 +169,22 @@ fn first_round<'s>(
         };
         if rayon::current_num_threads() > 1 {
             for &view in likely.iter().take(request.settings.propagate_views - visits.len() - 1) {
-                if ahead.len() < AHEAD && !ahead.contains(&view) {
-                    ahead.push(view);
-                    scope.spawn(move |_| refiner.prepare(view));
+                if ahead.len() < AHEAD && ahead.iter().all(|(other, _)| *other != view) {
+                    let done = Arc::new(AtomicBool::new(false));
+                    ahead.push((view, done.clone()));
+                    scope.spawn(move |_| {
+                        refiner.prepare(view);
+                        done.store(true, Ordering::Release);
+                    });
                 }
             }
         }
         open.retain(|(view, _)| *view != next);
-        ahead.retain(|view| *view != next);
+        if let Some(at) = ahead.iter().position(|(view, _)| *view == next) {
+            // While another thread is at it, this one prepares what comes after.
+            let (_, done) = ahead.swap_remove(at);
+            while !done.load(Ordering::Acquire) && rayon::yield_now() == Some(Yield::Executed) {}
+        }
         let (visit, evidence) = call_on(request, &told(judge, &state), next, refiner)?;
         if let Some(evidence) = evidence {
             let State { evidence: mut sum, beliefs, .. } = state;
