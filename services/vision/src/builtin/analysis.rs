@@ -8,6 +8,7 @@ use super::tree::{BINS, Hierarchy, Node, Weights};
 use super::watershed::{basins, joined};
 use crate::VisionError;
 use segwild_scene::Image;
+use std::sync::OnceLock;
 
 /// Boundaries, regions and colours of one photo.
 pub(crate) struct Analysis {
@@ -19,8 +20,9 @@ pub(crate) struct Analysis {
     pub edges: Boundaries,
     /// Nested regions.
     pub tree: Hierarchy,
-    /// Other trees over the same superpixels, for more candidates.
-    pub others: Vec<Hierarchy>,
+    /// Other trees over the same superpixels, for more candidates; grown when some are asked for, which skies, descriptions and
+    /// refinements do not.
+    others: OnceLock<Vec<Hierarchy>>,
     /// Texture shares per pixel (five planes).
     pub texture: Vec<Plane>,
 }
@@ -89,7 +91,8 @@ impl Weighed for Analysis {
         let pixels = self.tree.width * self.tree.height;
         // Colours twice, boundaries and their tensor, textures, labels.
         let planes = 6 + 4 + self.texture.len() + 1;
-        let nodes: usize = self.trees().map(|t| t.nodes.len()).sum();
+        // As if all trees were there, as they may soon be.
+        let nodes = self.tree.nodes.len() * (1 + Weights::others().len());
         4 * planes * pixels + nodes * size_of::<Node>() + 16 * self.tree.borders.len()
     }
 }
@@ -102,18 +105,19 @@ impl Analysis {
 
     /// All trees, the main one first.
     pub fn trees(&self) -> impl Iterator<Item = &Hierarchy> {
-        std::iter::once(&self.tree).chain(&self.others)
+        let grown = || Weights::others().into_iter().map(|w| self.tree.regrown(w)).collect();
+        std::iter::once(&self.tree).chain(self.others.get_or_init(grown))
     }
 
     /// Works everything out; `strength` replaces the built-in boundary detector's answer.
     pub fn of(image: &Image, strength: Option<Plane>) -> Analysis {
         let lab = Lab::of(image);
         let normal = lab.normalised();
+        let texture: Vec<Plane> = texture_bins(&normal.l);
         let edges = match strength {
             Some(strength) => Boundaries::from_strength(strength),
-            None => detect(&normal),
+            None => detect(&normal, &texture),
         };
-        let texture: Vec<Plane> = texture_bins(&normal.l);
         let least = (image.pixels() / 19_000).max(4);
         let (labels, count) = basins(&fine(&lab, &edges.strength), least);
         let (labels, count) = joined(&labels, count, &[&lab.l, &lab.a, &lab.b], &edges.strength, SUPERPIXELS);
@@ -124,7 +128,6 @@ impl Analysis {
         let mut planes: Vec<&[f32]> = bins.iter().map(Vec::as_slice).collect();
         planes.extend(texture.iter().map(|p| p.data.as_slice()));
         let tree = Hierarchy::build(labels, count, &edges, &planes);
-        let others = Weights::others().into_iter().map(|w| tree.regrown(w)).collect();
-        Analysis { lab, normal, edges, tree, others, texture }
+        Analysis { lab, normal, edges, tree, others: OnceLock::new(), texture }
     }
 }

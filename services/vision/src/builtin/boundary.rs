@@ -55,14 +55,14 @@ struct Cue {
     weights: [f32; 3],
 }
 
-/// The built-in detector.
-pub(crate) fn detect(normal: &Lab) -> Boundaries {
+/// The built-in detector. `texture` is [`texture_bins`] of the lightness.
+pub(crate) fn detect(normal: &Lab, texture: &[Plane]) -> Boundaries {
     let (w, h) = (normal.l.width, normal.l.height);
     let cues = [
         Cue { bins: soft_bins(&normal.l, 6), weights: [0.8, 0.8, 0.6] },
         Cue { bins: soft_bins(&normal.a, 6), weights: [0.3, 0.5, 0.5] },
         Cue { bins: soft_bins(&normal.b, 6), weights: [0.3, 0.5, 0.5] },
-        Cue { bins: texture_bins(&normal.l), weights: [0.0, 0.15, 0.5] },
+        Cue { bins: texture.to_vec(), weights: [0.0, 0.15, 0.5] },
     ];
     let mut sum = [Plane::zeros(w, h), Plane::zeros(w, h), Plane::zeros(w, h)];
     for cue in cues {
