@@ -68,6 +68,8 @@ pub struct Inputs {
     pub maker: Arc<MaskMaker>,
     /// What is known of strangers.
     pub known: Known,
+    /// Photos looked at at once, for pictures of strangers.
+    pub lookers: usize,
 }
 
 impl Inputs {
@@ -93,6 +95,7 @@ impl Inputs {
             engine: &*self.engine,
             segmenter,
             known: &self.known,
+            at_once: self.lookers,
         };
         let photo = |view: usize| -> Result<TrainPhoto, Failure> {
             let loaded = self.anew.scene.views[view].load(self.size).map_err(Failure::retry)?;

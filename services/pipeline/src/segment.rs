@@ -5,7 +5,7 @@ use crate::folder::Loaded;
 use crate::light::{self, find};
 use crate::mask_source::MaskSource;
 use crate::prompts::{check_all, png_names};
-use crate::settings::at_once;
+use crate::settings::AT_ONCE;
 use crate::{
     PhotoPrompts, Replay, RunError, RunFolder, Settings, choose_engine, log_loss, report, skies, strangers,
     traces,
@@ -341,7 +341,7 @@ pub fn segment(
         let alone = MaskSource::new(&*engine, &alone, &whole, model.options(), MaskMode::Amodal)?;
         // One after the other is drawn, since an engine may be one device; photos are large, and several are written at once.
         let views: Vec<(&View, &String)> = scene.views.iter().zip(&names).collect();
-        for some in views.chunks(at_once()) {
+        for some in views.chunks(rayon::current_num_threads().min(AT_ONCE)) {
             let draw = |(view, _): &(&View, &String)| -> Result<[Image; 2], RunError> {
                 let of = |source: &MaskSource| source.share(&view.camera, &view.pose, size);
                 Ok([of(&in_sight)?, of(&alone)?])

@@ -140,13 +140,8 @@ compose! {
     segment: SegmentSettings,
 }
 
-/// Photos that are looked at at once, at most: each takes memory.
-const AT_ONCE: usize = 8;
-
-/// Photos that are looked at at once by who has this thread's pool for itself.
-pub(crate) fn at_once() -> usize {
-    rayon::current_num_threads().min(AT_ONCE)
-}
+/// Photos that are worked at at once, at most: each takes memory.
+pub(crate) const AT_ONCE: usize = 8;
 
 impl Settings {
     /// Photos that an actor may look at at once beside the training: on half of the cores, for that takes the others.

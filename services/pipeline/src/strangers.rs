@@ -5,7 +5,6 @@
 //! leaves out of the photo exactly what it says, whatever the program would find.
 
 use crate::prompts::png_names;
-use crate::settings::at_once;
 use crate::{RunError, RunFolder};
 use rayon::prelude::*;
 use segwild_flow::{Cache, Failure, FileError, Key};
@@ -206,6 +205,8 @@ pub(crate) struct Album<'a> {
     pub engine: &'a dyn Engine,
     pub segmenter: &'a dyn PromptSegmenter,
     pub known: &'a Known,
+    /// Photos looked at at once.
+    pub at_once: usize,
 }
 
 impl Album<'_> {
@@ -236,7 +237,7 @@ impl Album<'_> {
         }
         let mut pictures = Vec::new();
         let mut shares = Vec::new();
-        for some in open.chunks(at_once()) {
+        for some in open.chunks(self.at_once) {
             for &Open { view, .. } in some {
                 told(&self.scene.views[view].name)?;
             }

@@ -7,6 +7,7 @@ use crate::folder::{FEATURES, MODEL};
 use crate::history::{self, Moment};
 use crate::inputs::{Drawn, Inputs, VISIBILITY};
 use crate::keep::{SNAPSHOT, STRANGERS, TRAINING};
+use crate::memory;
 use crate::outcome::Outcome;
 use segwild_features::{FeatureField, FeatureTask};
 use segwild_flow::ledger::ViewOutcome;
@@ -206,6 +207,7 @@ impl Coordinator<'_> {
             embedder: self.embedder.clone(),
             maker: self.maker.clone(),
             known: self.known.clone(),
+            lookers: memory::lookers(self.settings, &self.scene),
         });
         self.state.inputs = Some(inputs.clone());
         let (views, out) = (self.views(false), to.own.clone());
