@@ -167,7 +167,14 @@ pub fn summary(report: &Report) -> String {
         let longest =
             longest.map_or(String::new(), |(what, s)| format!(", waited longest for {what} ({s:.1} s)"));
         let waited = a.waiting_s + a.blocked_s + a.back_off_s;
-        text += &format!("{:width$}  busy {:>6.1} s, waiting {waited:>6.1} s{longest}\n", a.name, a.busy_s);
+        let together = match a.workers.len() {
+            0 | 1 => String::new(),
+            many => format!(" in {many} workers"),
+        };
+        text += &format!(
+            "{:width$}  busy {:>6.1} s, waiting {waited:>6.1} s{together}{longest}\n",
+            a.name, a.busy_s
+        );
     }
     text
 }

@@ -268,6 +268,25 @@ fn a_report_and_a_snapshot_are_json_and_a_table() {
 }
 
 #[test]
+fn a_summary_says_how_many_workers_an_actors_time_is_of() {
+    let system = System::new(SystemOptions::default()).unwrap();
+    let limits = Limits { count: 8, bytes: 1 << 20 };
+    let (out, sink) = mailbox("sink", limits);
+    for (name, workers) in [("alone", 1), ("many", 3)] {
+        let (tasks, inbox) = mailbox(name, limits);
+        let out = out.clone();
+        let options = ActorOptions { workers, ..quick() };
+        system.spawn(inbox, options, move || Ok(Pass(out.clone(), Duration::ZERO))).unwrap();
+        tasks.blocking_send(View(1)).unwrap();
+    }
+    drop(out);
+    assert_eq!(std::iter::from_fn(|| sink.blocking_recv()).count(), 2);
+    let summary = trace::summary(&system.join());
+    let line = |name: &str| summary.lines().find(|line| line.starts_with(name)).unwrap().to_owned();
+    assert!(line("many").contains(" in 3 workers") && !line("alone").contains("workers"), "{summary}");
+}
+
+#[test]
 fn restarts_count_within_their_window_only() {
     let fails_six_times = |window: Duration| {
         let system = System::new(SystemOptions::default()).unwrap();
