@@ -8,7 +8,7 @@
 use std::thread;
 
 /// How many threads a pool gets when 0 are asked for: one per core.
-pub(crate) fn all_cores() -> usize {
+pub fn all_cores() -> usize {
     thread::available_parallelism().map_or(1, usize::from)
 }
 

@@ -41,6 +41,7 @@ pub mod trace;
 pub use actor::{Actor, Context, Failure, Idle, Quarantined};
 pub use cache::{Artefact, Cache, CacheCounters, CacheError, MakeError, Origin, Swept};
 pub use codec::CodecError;
+pub use compute::all_cores;
 pub use control::{Phase, Stopper};
 pub use events::{Event, EventRecord, Events, Level, Sink, Subscription};
 pub use files::FileError;

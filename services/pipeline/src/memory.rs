@@ -72,7 +72,7 @@ impl MemoryNeed {
 fn need(settings: &Settings, scene: &Scene) -> MemoryNeed {
     let with = |fixed: f64, caches: usize| (fixed + caches as f64 * PER_CACHED).ceil() as u32;
     let alone = with_one_looker(settings, scene);
-    let all = alone + (settings.lookers() - 1) as f64 * looker(settings, scene);
+    let all = alone + (settings.most_lookers() - 1) as f64 * looker(settings, scene);
     // Photos' analyses are held to the end. Of the other two the trainer's photos go before the field is made.
     let caches = settings.vision.vision_memory as usize
         + settings.train.photo_cache_mib.max(settings.features.feature_memory as usize);
@@ -88,7 +88,7 @@ fn need(settings: &Settings, scene: &Scene) -> MemoryNeed {
 /// Photos that an actor looks at at once beside the training: as many as there are cores for, fewer where half of what a memory
 /// budget leaves for them and for caches does not hold them.
 pub(crate) fn lookers(settings: &Settings, scene: &Scene) -> usize {
-    let (most, budget) = (settings.lookers(), f64::from(settings.run.memory_budget));
+    let (most, budget) = (settings.most_lookers(), f64::from(settings.run.memory_budget));
     if budget == 0.0 {
         return most;
     }

@@ -145,9 +145,9 @@ pub(crate) const AT_ONCE: usize = 8;
 
 impl Settings {
     /// Photos that an actor may look at at once beside the training: on half of the cores, for that takes the others.
-    pub(crate) fn lookers(&self) -> usize {
+    pub(crate) fn most_lookers(&self) -> usize {
         let cores = match self.run.threads {
-            0 => std::thread::available_parallelism().map_or(1, usize::from),
+            0 => segwild_flow::all_cores(),
             threads => threads as usize,
         };
         (cores / 2).clamp(1, AT_ONCE)
@@ -334,7 +334,7 @@ mod tests {
         let lookers = |threads: u32| {
             let mut settings = Settings::default();
             settings.run.threads = threads;
-            settings.lookers()
+            settings.most_lookers()
         };
         assert_eq!([1, 2, 3, 4, 9, 256].map(lookers), [1, 1, 1, 2, 4, AT_ONCE]);
         assert!((1..=AT_ONCE).contains(&lookers(0)));

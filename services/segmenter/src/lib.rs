@@ -20,6 +20,7 @@ mod maxflow;
 mod object;
 mod propagate;
 mod query;
+mod refiner;
 mod screen;
 mod select;
 mod settings;
@@ -37,7 +38,8 @@ pub use maxflow::FlowNetwork;
 pub use object::{MaskMode, Object, amodal_mask, cut_scene, owned, visible_mask};
 pub use propagate::{Verdict, Visit};
 pub use query::{FeatureField, Hit, hit};
-pub use select::{MaskReader, PosedView, PromptedView, Refiner, Request, Selection, cut, select};
+pub use refiner::Refiner;
+pub use select::{MaskReader, PosedView, PromptedView, Request, Selection, cut, select};
 pub use settings::{
     ComponentRule, CutBy, EvidenceMode, SegmentSettings, SimilarityUse, SpikeMode, Undecided, Vote,
 };

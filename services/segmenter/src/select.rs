@@ -7,8 +7,8 @@ use crate::judge::{Judge, Similarities, State};
 use crate::kinds::kinds;
 use crate::settings::{ComponentRule, CutBy, EvidenceMode, SegmentSettings, SimilarityUse};
 use crate::{
-    Cut, CutView, Evidence, FeatureField, Graph, Hit, Juror, SegmentError, Visit, components, propagate,
-    smooth,
+    Cut, CutView, Evidence, FeatureField, Graph, Hit, Juror, Refiner, SegmentError, Visit, components,
+    propagate, smooth,
 };
 use glam::Vec2;
 use segwild_raster::{Engine, ProjectOptions, Projected};
@@ -62,23 +62,6 @@ pub struct PromptedView<'a> {
     pub refused: bool,
     /// The clicks, in pixels of the view's camera; may be empty (a box or a mask was the prompt).
     pub points: &'a [PointPrompt],
-}
-
-/// Snaps rough masks to photos, several at a time.
-pub trait Refiner: Sync {
-    /// Is given the view's index and, per pixel of a reduced frame, how likely the pixel belongs to the object (one plane in
-    /// [0, 1]; about 0.5 where nothing is known). It answers with a mask of any size and how much it trusts it, in [0, 1];
-    /// `None` when it cannot tell.
-    fn refine(&self, view: usize, certainty: &Image) -> Option<(Mask, f32)>;
-    /// Hears, on another thread, that a view is likely to be asked about soon: what can be worked out before may be. No answer
-    /// may depend on it.
-    fn prepare(&self, _view: usize) {}
-}
-
-impl<F: Fn(usize, &Image) -> Option<(Mask, f32)> + Sync> Refiner for F {
-    fn refine(&self, view: usize, certainty: &Image) -> Option<(Mask, f32)> {
-        self(view, certainty)
-    }
 }
 
 /// Reads a mask of a view, its sky or its strangers, at any size that covers the photo edge to edge; `None` where it is not

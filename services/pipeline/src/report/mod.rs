@@ -1,14 +1,17 @@
 //! `report.html`: one self-contained page with all that a run did.
 
 mod html;
+mod objects;
+
+pub(crate) use objects::add_object;
 
 use crate::choice::Choice;
 use crate::evaluate::HeldOut;
 use crate::folder::Loaded;
 use crate::history::{self, Moment};
-use crate::render::{Mode, NOTHING, Painter, What};
+use crate::render::{NOTHING, Painter, What};
 use crate::strangers;
-use crate::{BudgetChoice, LookChoice, RunError, RunFolder, Selected, choose_engine, log_loss};
+use crate::{BudgetChoice, LookChoice, RunError, RunFolder, choose_engine, log_loss};
 use html::Series;
 use segwild_flow::codec::Decode;
 use segwild_flow::ledger::State;
@@ -31,11 +34,7 @@ pub fn write_report(folder: &RunFolder) -> Result<Vec<Skipped>, RunError> {
             body.push_str(&format!("<p>Looks are not shown: {}</p>", html::escape(&error.to_string())))
         }
     }
-    body.push_str(&begin_of_objects(folder)?);
-    for name in folder.selections() {
-        body.push_str(&object(folder, &loaded, &name, &*engine)?);
-    }
-    body.push_str(END_OF_OBJECTS);
+    body.push_str(&objects::all(folder, &loaded, &*engine)?);
     let (pictures, left_out) = photos(folder, &loaded, &*engine)?;
     body.push_str(&pictures);
     body.push_str(&curves(folder));
@@ -104,87 +103,6 @@ fn summary(folder: &RunFolder, loaded: &Loaded) -> Result<String, RunError> {
         rows.push(vec!["mean".into(), format!("{:.2}", held.psnr), format!("{:.3}", held.ssim)]);
         text.push_str(&html::table(&rows));
     }
-    Ok(text)
-}
-
-/// Before the selections in the report; says what it was made from.
-fn begin_of_objects(folder: &RunFolder) -> Result<String, RunError> {
-    let mut hasher = blake3::Hasher::new();
-    hasher.update(env!("CARGO_PKG_VERSION").as_bytes());
-    for name in ["segwild.toml", "model.bin", "features.bin"] {
-        let path = folder.path().join(name);
-        let bytes = match std::fs::read(&path) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                return Err(FileError::new("read", &path, error).into());
-            }
-            read => read.unwrap_or_default(),
-        };
-        hasher.update(&(bytes.len() as u64).to_le_bytes()).update(&bytes);
-    }
-    Ok(format!("<!-- objects of {} -->", hasher.finalize()))
-}
-
-const END_OF_OBJECTS: &str = "<!-- end of objects -->";
-const BEGIN_OF_OBJECT: &str = "<!-- object ";
-const AFTER_NAME: &str = " -->";
-
-/// Puts a selection into the report that is there. One that is of another scene is written anew.
-pub(crate) fn add_object(folder: &RunFolder, name: &str) -> Result<(), RunError> {
-    let known = std::fs::read_to_string(folder.report()).unwrap_or_default();
-    let begin = begin_of_objects(folder)?;
-    if !known.contains(&begin) {
-        return write_report(folder).map(drop);
-    }
-    let loaded = folder.load()?;
-    let engine = choose_engine(&loaded.settings.run, log_loss)?.engine;
-    let section = object(folder, &loaded, name, &*engine)?;
-    match with_object(&known, &begin, &folder.selections(), name, &section) {
-        Some(report) => Ok(folder.write("report.html", report.as_bytes())?),
-        None => write_report(folder).map(drop),
-    }
-}
-
-/// A report with a section for the selection of this name among those of the others that there are; `None` if it cannot be
-/// taken apart.
-fn with_object(report: &str, begin: &str, names: &[String], name: &str, section: &str) -> Option<String> {
-    let (before, rest) = report.split_once(begin)?;
-    let (objects, after) = rest.split_once(END_OF_OBJECTS)?;
-    let mut sections = BTreeMap::new();
-    for part in objects.split(BEGIN_OF_OBJECT).skip(1) {
-        sections.insert(part.split_once(AFTER_NAME)?.0, part);
-    }
-    sections.insert(name, section.strip_prefix(BEGIN_OF_OBJECT)?);
-    let kept = names.iter().filter_map(|name| sections.get(name.as_str()));
-    let objects: String = kept.flat_map(|part| [BEGIN_OF_OBJECT, part]).collect();
-    Some([before, begin, &objects, END_OF_OBJECTS, after].concat())
-}
-
-/// A selection from a few of the photos it shows on; nothing if it cannot be read.
-fn object(folder: &RunFolder, loaded: &Loaded, name: &str, engine: &dyn Engine) -> Result<String, RunError> {
-    let Ok(selected) = Selected::read(folder, name, loaded.model.splats.len()) else {
-        return Ok(String::new());
-    };
-    let count = selected.labels.iter().filter(|&&l| l).count();
-    let mut text = format!(
-        "{BEGIN_OF_OBJECT}{0}{AFTER_NAME}<h2>Object: {0}</h2><p>{count} splats. <code>selections/{0}/object.ply</code>, \
-         masks beside it.</p><div class=\"row\">",
-        html::escape(name)
-    );
-    let highlight = Painter::new(loaded, Some((selected.clone(), Mode::Highlight)), What::Colour, engine)?;
-    let only = Painter::new(loaded, Some((selected, Mode::Only)), What::Colour, engine)?;
-    for view in spread(loaded, 4) {
-        let v = &loaded.scene.views[view];
-        let camera = v.camera.scaled_to(loaded.settings.scene.size.min(360));
-        let mut show = |painter: &Painter, caption: &str| -> Result<(), RunError> {
-            let picture = painter.paint(engine, &camera, &v.pose, &painter.light(Some(view)))?;
-            text.push_str(&html::figure(&picture, caption));
-            Ok(())
-        };
-        show(&highlight, &v.name)?;
-        show(&only, "alone")?;
-        pass(folder)?;
-    }
-    text.push_str("</div>");
     Ok(text)
 }
 
@@ -511,31 +429,4 @@ fn skipped(folder: &RunFolder) -> Result<String, RunError> {
     let mut rows = vec![vec!["photo".to_owned(), "why".to_owned()]];
     rows.extend(intake.skipped.into_iter().map(|s| vec![s.name, s.reason]));
     Ok(format!("<h2>Skipped photos</h2>{}", html::table(&rows)))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_selection_takes_its_place_among_the_others() {
-        let section = |name: &str, what: &str| format!("{BEGIN_OF_OBJECT}{name}{AFTER_NAME}<h2>{what}</h2>");
-        let report = |sections: &[String]| {
-            format!("<p>before</p><!-- objects of 7 -->{}{END_OF_OBJECTS}<p>after</p>", sections.concat())
-        };
-        let add = |report: &str, names: &[&str], section: &str| {
-            let names: Vec<String> = names.iter().map(ToString::to_string).collect();
-            with_object(report, "<!-- objects of 7 -->", &names, "b", section)
-        };
-        let (a, b, c) = (section("a", "first"), section("b", "new"), section("c", "last"));
-        let all = report(&[a.clone(), b.clone(), c.clone()]);
-        assert_eq!(add(&report(&[]), &["b"], &b).unwrap(), report(std::slice::from_ref(&b)));
-        assert_eq!(add(&report(&[a.clone(), c.clone()]), &["a", "b", "c"], &b).unwrap(), all);
-        assert_eq!(add(&report(&[a, section("b", "old"), c.clone()]), &["a", "b", "c"], &b).unwrap(), all);
-        // One that has been thrown away since goes.
-        assert_eq!(add(&all, &["b", "c"], &b).unwrap(), report(&[b.clone(), c]));
-        // A report of another scene, and a selection that cannot be shown.
-        assert!(add("<!-- objects of 8 --><!-- end of objects -->", &["b"], &b).is_none());
-        assert!(add("<!-- objects of 7 -->", &["b"], &b).is_none() && add(&all, &["b"], "").is_none());
-    }
 }
