@@ -59,8 +59,11 @@ pub(crate) fn doubt(
     let pixel = clicked / f64::from(frame.fx);
     let Some(end) = end_of_near_layer(&seen, clicked, pixel) else { return Ok(()) };
     for i in (0..depths.len()).filter(|&i| f64::from(depths[i]) > end) {
-        evidence.outside[i] += AGAINST * evidence.inside[i];
-        evidence.inside[i] = 0.0;
+        let all = evidence.seen(i);
+        evidence.outside[i] += AGAINST * std::mem::take(&mut evidence.inside[i]);
+        if all > 0.0 {
+            evidence.known[i] *= evidence.outside[i] / all;
+        }
     }
     Ok(())
 }

@@ -11,15 +11,15 @@ const SEED: f32 = 0.05;
 /// saw. What masks take along past an outline is seen inside by one photo and outside by the next.
 const BORNE_OUT: (f64, f64) = (1.0, 0.7);
 
-/// Takes away the parts that hold no positive click, unless they hold `share` of the selection's `evidence` (what masks saw of
-/// each splat inside: what no photo saw is no reason to keep a part) or the `others`, what photos that were not clicked say,
+/// Takes away the parts that hold no positive click, unless they hold `share` of the selection's `evidence` (what is known
+/// for each splat: what no photo saw is no reason to keep a part) or the `others`, what photos that were not clicked say,
 /// bear them out; and those that hold only negative clicks. Where no click lies in any part, the heaviest
 /// stays. Returns how many parts went.
 pub(crate) fn keep_clicked(
     graph: &Graph,
     splats: &Splats,
     labels: &mut [bool],
-    evidence: &[f32],
+    evidence: &Evidence,
     others: Option<&Evidence>,
     (positive, negative): (&[Hit], &[Hit]),
     share: f32,
@@ -29,9 +29,9 @@ pub(crate) fn keep_clicked(
         return 0;
     }
     let mut weight = vec![0.0f64; parts];
-    for (part, &seen) in part.iter().zip(evidence) {
+    for (i, part) in part.iter().enumerate() {
         if let Some(part) = part {
-            weight[*part as usize] += f64::from(seen);
+            weight[*part as usize] += f64::from(evidence.sides(i).0);
         }
     }
     let borne_out = others.map_or(vec![false; parts], |others| borne_out(others, &part, parts));
@@ -63,17 +63,18 @@ pub(crate) fn keep_clicked(
 
 /// Which parts photos bear out ([`BORNE_OUT`]).
 fn borne_out(evidence: &Evidence, part: &[Option<u32>], parts: usize) -> Vec<bool> {
-    let mut sums = vec![(0.0f64, 0.0f64, 0u32); parts];
+    let mut sums = vec![(0.0f64, 0.0f64, 0.0f64, 0u32); parts];
     for (i, part) in part.iter().enumerate() {
         if let Some(part) = part {
-            let (inside, total, splats) = &mut sums[*part as usize];
-            *inside += f64::from(evidence.inside[i]);
-            *total += f64::from(evidence.total(i));
+            let (inside, known, seen, splats) = &mut sums[*part as usize];
+            *inside += f64::from(evidence.sides(i).0);
+            *known += f64::from(evidence.known[i]);
+            *seen += f64::from(evidence.seen(i));
             *splats += 1;
         }
     }
     let (views, share) = BORNE_OUT;
     sums.iter()
-        .map(|&(inside, total, splats)| total >= views * f64::from(splats) && inside >= share * total)
+        .map(|&(inside, known, seen, splats)| seen >= views * f64::from(splats) && inside >= share * known)
         .collect()
 }

@@ -13,6 +13,10 @@ const ALPHA_MIN: f32 = 1.0 / 255.0;
 /// little about where a boundary runs.
 const VOTE_FLOOR: f32 = 1.0;
 
+/// How much is known of a splat by a photo that sees a share of its light: the share to this power. A tenth that
+/// shows beside something else tells which side that tenth is on, and little of the rest.
+const GLIMPSE: f32 = 1.5;
+
 /// Evidence for and against each splat, summed over views. The unit is a view: one that sees a splat whole
 /// and large adds 1 to the two together; with [`Vote::Light`] it is a pixel's light.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -21,52 +25,63 @@ pub struct Evidence {
     pub inside: Vec<f32>,
     /// `A_0`: visible light of the splat outside the masks.
     pub outside: Vec<f32>,
+    /// How much is known of the splat by them, in the same unit. It says how far the share of the two is to be relied on,
+    /// and is less than their sum where views see little of the splat.
+    pub known: Vec<f32>,
 }
 
 impl Evidence {
     /// No evidence about `splats` splats.
     pub fn none(splats: usize) -> Evidence {
-        Evidence { inside: vec![0.0; splats], outside: vec![0.0; splats] }
+        let none = vec![0.0; splats];
+        Evidence { inside: none.clone(), outside: none.clone(), known: none }
     }
 
-    /// All evidence on a splat, in views.
-    pub fn total(&self, splat: usize) -> f32 {
+    /// What masks say of a splat for and against it together.
+    pub fn seen(&self, splat: usize) -> f32 {
         self.inside[splat] + self.outside[splat]
     }
 
     /// `rho = sum(alpha T M) / sum(alpha T)`, or `None` where no view sees the splat.
     pub fn rho(&self, splat: usize) -> Option<f32> {
-        let total = self.total(splat);
+        let total = self.seen(splat);
         (total > 0.0).then(|| self.inside[splat] / total)
     }
 
-    /// The label that the evidence gives, `None` where there is none or less than `least`: inside wins where
+    /// How much is known for a splat and against it: [`Evidence::known`], divided as `A_1` to `A_0`.
+    pub fn sides(&self, splat: usize) -> (f32, f32) {
+        let known = self.known[splat];
+        self.rho(splat).map_or((0.0, 0.0), |rho| (known * rho, known * (1.0 - rho)))
+    }
+
+    /// The label that the evidence gives, `None` where nothing or less than `least` is known: inside wins where
     /// `A_1 (1 - rho) >= (A_0 + gamma) rho`, which at `rho` 0.5 is the larger of `A_1` and `A_0 + gamma`.
     pub fn label(&self, splat: usize, rho: f32, gamma: f32, least: f32) -> Option<bool> {
-        let (inside, outside) = (self.inside[splat], self.outside[splat]);
-        let known = inside + outside;
+        let (inside, outside, known) = (self.inside[splat], self.outside[splat], self.known[splat]);
         (known > 0.0 && known >= least).then_some(inside * (1.0 - rho) >= (outside + gamma) * rho)
     }
 
     /// How well one view sees each splat, in 1/255 of a view that sees it whole and large.
     pub(crate) fn voices(&self) -> Vec<u8> {
-        (0..self.inside.len()).map(|i| (255.0 * self.total(i).clamp(0.0, 1.0)).round() as u8).collect()
+        (0..self.inside.len()).map(|i| (255.0 * self.seen(i).clamp(0.0, 1.0)).round() as u8).collect()
     }
 
     /// Without another that was added to it.
     pub(crate) fn minus(&self, other: &Evidence) -> Evidence {
         let rest = |sum: &[f32], part: &[f32]| sum.iter().zip(part).map(|(a, b)| (a - b).max(0.0)).collect();
-        Evidence { inside: rest(&self.inside, &other.inside), outside: rest(&self.outside, &other.outside) }
+        Evidence {
+            inside: rest(&self.inside, &other.inside),
+            outside: rest(&self.outside, &other.outside),
+            known: rest(&self.known, &other.known),
+        }
     }
 
     /// Adds `weight` times another.
     pub fn add(&mut self, other: &Evidence, weight: f32) {
-        for (sum, x) in self.inside.iter_mut().zip(&other.inside) {
-            *sum += weight * x;
-        }
-        for (sum, x) in self.outside.iter_mut().zip(&other.outside) {
-            *sum += weight * x;
-        }
+        let add = |sum: &mut [f32], x: &[f32]| sum.iter_mut().zip(x).for_each(|(sum, x)| *sum += weight * x);
+        add(&mut self.inside, &other.inside);
+        add(&mut self.outside, &other.outside);
+        add(&mut self.known, &other.known);
     }
 }
 
@@ -117,6 +132,10 @@ pub fn coverage(
             };
             evidence.inside[i] = within * vote;
             evidence.outside[i] = (all - within) * vote;
+            evidence.known[i] = match worth {
+                Vote::View => (all * vote).powf(GLIMPSE),
+                Vote::Light => all,
+            };
         }
     }
     Ok(evidence)
@@ -132,6 +151,7 @@ pub fn centre(projected: &dyn Projected, mask: &Mask, near: f32, visible: Option
         if depth > near && in_frame && visible.is_none_or(|seen| seen[i]) {
             let side = if mask.at(u, v) { &mut evidence.inside } else { &mut evidence.outside };
             side[i] = 1.0;
+            evidence.known[i] = 1.0;
         }
     }
     evidence

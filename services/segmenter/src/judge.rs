@@ -108,8 +108,8 @@ impl Judge<'_> {
                 let say = if hangs[i] { HINT * sure(hint).powi(2) } else { 0.0 };
                 let (mut inside, mut total) = (hint * say, say);
                 if !stray[i] {
-                    inside += evidence.inside[i];
-                    total += evidence.total(i);
+                    inside += evidence.sides(i).0;
+                    total += evidence.known[i];
                 }
                 if total == 0.0 {
                     return Belief::default();
@@ -139,8 +139,7 @@ impl Judge<'_> {
             .map(|i| !self.is_frozen(i) && evidence.label(i, rho, gamma, least) == Some(true))
             .collect();
         let mut kept = inside.clone();
-        let (graph, seen) = (self.graph, &evidence.inside);
-        components::keep_clicked(graph, self.splats, &mut kept, seen, None, self.hits, LARGE);
+        components::keep_clicked(self.graph, self.splats, &mut kept, evidence, None, self.hits, LARGE);
         inside.iter().zip(&kept).map(|(inside, kept)| *inside && !kept).collect()
     }
 
@@ -179,8 +178,9 @@ impl Judge<'_> {
         let (mut inside, mut outside) = ([SMOOTHING / BINS as f64; BINS], [SMOOTHING / BINS as f64; BINS]);
         for i in (0..self.graph.len()).filter(|&i| !self.is_frozen(i)) {
             let at = bin(similarities.merit(i));
-            inside[at] += f64::from(evidence.inside[i]);
-            outside[at] += f64::from(evidence.outside[i]);
+            let (within, beyond) = evidence.sides(i);
+            inside[at] += f64::from(within);
+            outside[at] += f64::from(beyond);
         }
         let (sum1, sum0) = (inside.iter().sum::<f64>(), outside.iter().sum::<f64>());
         let prior = f64::from(self.settings.unseen_prior);

@@ -20,7 +20,7 @@ const ROUNDS: usize = 6;
 pub(crate) fn kinds(field: &FeatureField, evidence: &Evidence) -> Vec<Vec<f32>> {
     let inside: Vec<(usize, f32)> = (0..field.len())
         .filter(|&i| evidence.rho(i).is_some_and(|rho| rho >= WELL_INSIDE) && field.has_direction(i))
-        .map(|i| (i, evidence.inside[i]))
+        .map(|i| (i, evidence.sides(i).0))
         .collect();
     let total: f32 = inside.iter().map(|(_, weight)| weight).sum();
     let mean = |members: &mut dyn Iterator<Item = (usize, f32)>| {
@@ -77,7 +77,7 @@ mod tests {
         let field = FeatureField::new(3, values).unwrap();
         let inside: Vec<f32> = (0..field.len()).map(|i| f32::from(u8::from(i < 101))).collect();
         let outside = inside.iter().map(|x| 1.0 - x).collect();
-        let found = kinds(&field, &Evidence { inside, outside });
+        let found = kinds(&field, &Evidence { known: inside.clone(), inside, outside });
         let like = |row: [f32; 3]| {
             let norm = row.iter().map(|x| x * x).sum::<f32>().sqrt();
             let cosine = |kind: &Vec<f32>| kind.iter().zip(row).map(|(a, b)| a * b).sum::<f32>() / norm;
@@ -90,7 +90,10 @@ mod tests {
     #[test]
     fn masks_without_a_splat_that_has_a_feature_hold_no_kind() {
         let field = FeatureField::new(2, vec![0.0; 8]).unwrap();
-        assert!(kinds(&field, &Evidence { inside: vec![1.0; 4], outside: vec![0.0; 4] }).is_empty());
+        assert!(
+            kinds(&field, &Evidence { inside: vec![1.0; 4], outside: vec![0.0; 4], known: vec![1.0; 4] })
+                .is_empty()
+        );
         let field = FeatureField::new(2, vec![1.0; 8]).unwrap();
         assert!(kinds(&field, &Evidence::none(4)).is_empty());
     }

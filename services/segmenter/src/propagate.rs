@@ -235,8 +235,8 @@ fn certainty_of(judge: &Judge, state: &State, splat: usize) -> f32 {
     if judge.is_frozen(splat) {
         return 0.0;
     }
-    let total = state.evidence.total(splat);
-    let told = total / (total + HALF_TOLD);
+    let known = state.evidence.known[splat];
+    let told = known / (known + HALF_TOLD);
     let resembles = ((state.hint[splat] - LEAST_HINT) / (0.5 - LEAST_HINT)).clamp(0.0, 1.0);
     let open = OPEN[0] + (OPEN[1] - OPEN[0]) * resembles;
     let around = state.beliefs[splat].probability(open);

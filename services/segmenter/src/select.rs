@@ -26,7 +26,11 @@ const ELSEWHERE: f32 = 0.25;
 /// Weight of a pixel outside of the prompted mask that is as likely meant as not.
 const LEAST_SAID: f32 = 0.1;
 
-/// Share of a splat's evidence that must lie inside, and evidence in views that it must have, for it to count as astride
+/// How much more is known by the photo that was pointed in than by one that was asked: where its mask leaves nothing open,
+/// no other photo is to take for unknown what it puts outside, however little it sees of any splat there.
+const POINTED: f32 = 4.0;
+
+/// Share of a splat's evidence that must lie inside, and views in which it must be known, for it to count as astride
 /// the outline.
 const ASTRIDE: (f32, f32) = (0.2, 0.2);
 
@@ -200,10 +204,9 @@ fn decide(
     let mut parts_removed = 0;
     if settings.components == ComponentRule::Clicked {
         let share = settings.component_share;
-        let inside = &state.evidence.inside;
-        let others = state.evidence.minus(prompted);
+        let (all, others) = (&state.evidence, state.evidence.minus(prompted));
         parts_removed =
-            components::keep_clicked(graph, splats, &mut labels, inside, Some(&others), judge.hits, share);
+            components::keep_clicked(graph, splats, &mut labels, all, Some(&others), judge.hits, share);
         none_left(&labels, "every connected part holds a negative click")?;
     }
     let sum = |of: &[f32], labelled: bool| -> f64 {
@@ -244,9 +247,10 @@ pub fn cut(request: &Request, selection: &Selection) -> Result<Cut, SegmentError
         let evidence = &selection.evidence;
         let astride: Vec<bool> = (0..request.splats.len())
             .map(|i| {
-                let total = evidence.total(i);
                 let barred = selection.labels[i] || request.frozen.is_some_and(|f| f[i]);
-                !barred && total >= ASTRIDE.1 && evidence.inside[i] >= ASTRIDE.0 * total
+                !barred
+                    && evidence.known[i] >= ASTRIDE.1
+                    && evidence.rho(i).is_some_and(|rho| rho >= ASTRIDE.0)
             })
             .collect();
         let labels = &selection.labels;
@@ -456,6 +460,7 @@ fn prompted_evidence(request: &Request, prompt: &PromptedView) -> Result<Evidenc
     if request.settings.evidence_mode == EvidenceMode::Coverage {
         behind::doubt(&mut evidence, &*projected, prompt, inside, &view.camera, &camera)
             .map_err(SegmentError::raster(&view.name))?;
+        evidence.known.iter_mut().for_each(|known| *known *= POINTED);
     }
     Ok(evidence)
 }

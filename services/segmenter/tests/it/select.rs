@@ -4,9 +4,10 @@ use crate::common::{Dice, World, engine, features, options, posed, request, wall
 use glam::{Vec2, Vec3};
 use segwild_raster::Engine;
 use segwild_scene::{Mask, PointPrompt, Splats};
+use segwild_segmenter::coverage::{coverage, unoccluded};
 use segwild_segmenter::{
-    ComponentRule, Cut, EvidenceMode, FeatureField, PosedView, PromptedView, Request, SegmentError,
-    SegmentSettings, Selection, SimilarityUse, amodal_mask, cut, hit, select, visible_mask,
+    ComponentRule, Cut, Evidence, EvidenceMode, FeatureField, PosedView, PromptedView, Request, SegmentError,
+    SegmentSettings, Selection, SimilarityUse, Vote, amodal_mask, cut, hit, select, visible_mask,
 };
 
 fn click(x: f32, y: f32) -> PointPrompt {
@@ -273,4 +274,41 @@ fn the_cut_makes_the_object_fit_its_mask_better() {
         Cut::default(),
         Cut::new(&world.splats, &vec![false; world.len()], &[], settings.spikes, 0.01)
     );
+}
+
+/// A tenth of a splat that shows beside something else decides its side like any other tenth, but makes it no better known
+/// than it is.
+#[test]
+fn what_little_of_a_splat_shows_tells_its_side_and_leaves_it_unknown() {
+    let view = posed("front.jpg", Vec3::ZERO, Vec3::Z);
+    let (engine, size) = (engine(), (view.camera.width, view.camera.height));
+    // Of the disc's mask a half is inside, whatever stands before it.
+    let upper: Vec<f32> =
+        (0..size.0 * size.1).map(|i| f32::from(u8::from(i / size.0 < size.1 / 2))).collect();
+    let evidence = |before: bool| {
+        let mut world = World::default();
+        world.disc(0, Vec3::new(0.0, 0.0, 2.0), Vec3::NEG_Z, 0.2, [0.5; 3]);
+        if before {
+            world.disc(1, Vec3::new(0.0, 0.0, 1.0), Vec3::NEG_Z, 0.2, [0.5; 3]);
+        }
+        let whole = unoccluded(&world.splats, &view.camera, &view.pose, &options());
+        let projected = engine.project(&world.splats, &view.camera, &view.pose, &options()).unwrap();
+        let ones = vec![1.0; upper.len()];
+        let of = |vote| coverage(&*projected, &whole, &upper, &ones, size, 0.0, vote).unwrap();
+        (of(Vote::View), of(Vote::Light))
+    };
+    let ((free, _), (hidden, light)) = (evidence(false), evidence(true));
+    let share = hidden.seen(0) / free.seen(0);
+    assert!(share > 0.02 && share < 0.3, "{share}");
+    assert!((hidden.rho(0).unwrap() - 0.5).abs() < 0.01 && (free.rho(0).unwrap() - 0.5).abs() < 0.01);
+    assert!(hidden.known[0] < 0.6 * share * free.known[0], "{} {}", hidden.known[0], free.known[0]);
+    let (for_it, against) = hidden.sides(0);
+    assert!((for_it + against - hidden.known[0]).abs() < 1e-6);
+    // By light it is known by all that is seen of it.
+    assert_eq!(light.known[0], light.seen(0));
+    // Glimpses add up, and taking one back leaves the others.
+    let mut ten = Evidence::none(2);
+    (0..10).for_each(|_| ten.add(&hidden, 1.0));
+    assert!((ten.known[0] - 10.0 * hidden.known[0]).abs() < 1e-5);
+    assert_eq!(Evidence::none(2).sides(0), (0.0, 0.0));
 }
