@@ -104,8 +104,8 @@ segwild_scene::settings! {
         network_limit: u32 = 600 => 1..,
         /// Probability from which a pixel counts as sky.
         sky_confidence: f32 = 0.5 => 0.0..=1.0,
-        /// Memory in MiB in which photos' analyses and SAM's embeddings are kept for the next prompt; about 8 for a photo of
-        /// 320 px, and 4 for an embedding.
+        /// Memory in MiB in which photos' analyses and SAM's embeddings are kept for the next prompt. Half of it holds analyses,
+        /// of which one takes about 2 at 320 px and 3 at 640; an embedding takes 4.
         vision_memory: u32 = 256,
     }
 }

@@ -2,29 +2,38 @@
 
 use super::boundary::{Boundaries, detect, texture_bins};
 use super::colour::Lab;
+use super::colours::Samples;
 use super::memory::Weighed;
 use super::plane::Plane;
 use super::tree::{BINS, Hierarchy, Node, Weights};
 use super::watershed::{basins, joined};
 use crate::VisionError;
 use segwild_scene::Image;
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
-/// Boundaries, regions and colours of one photo.
+/// Regions of one photo and their colours: all that masks, clicks and refinements ask for.
 pub(crate) struct Analysis {
+    /// Nested regions.
+    pub tree: Hierarchy,
+    /// Other trees over the same superpixels, for more candidates; grown when some are asked for, which skies, descriptions and
+    /// refinements do not.
+    others: OnceLock<Vec<Hierarchy>>,
+    /// Superpixels as points in colour and place.
+    pub samples: Samples,
+}
+
+/// What is known of each pixel, which skies and descriptions are made of: several times as much as the [`Analysis`] that comes of it.
+pub(crate) struct Pixels {
     /// Colours as they are.
     pub lab: Lab,
     /// Colours with the photo's exposure taken out.
     pub normal: Lab,
     /// Where things end.
     pub edges: Boundaries,
-    /// Nested regions.
-    pub tree: Hierarchy,
-    /// Other trees over the same superpixels, for more candidates; grown when some are asked for, which skies, descriptions and
-    /// refinements do not.
-    others: OnceLock<Vec<Hierarchy>>,
     /// Texture shares per pixel (five planes).
     pub texture: Vec<Plane>,
+    /// What came of it.
+    pub analysis: Arc<Analysis>,
 }
 
 /// Refuses what is no RGB photo.
@@ -88,12 +97,18 @@ fn fine(lab: &Lab, strength: &Plane) -> Plane {
 
 impl Weighed for Analysis {
     fn bytes(&self) -> usize {
-        let pixels = self.tree.width * self.tree.height;
-        // Colours twice, boundaries and their tensor, textures, labels.
-        let planes = 6 + 4 + self.texture.len() + 1;
+        let labels = size_of_val(&*self.tree.labels);
         // As if all trees were there, as they may soon be.
         let nodes = self.tree.nodes.len() * (1 + Weights::others().len());
-        4 * planes * pixels + nodes * size_of::<Node>() + 16 * self.tree.borders.len()
+        labels + nodes * size_of::<Node>() + size_of_val(&*self.tree.borders)
+    }
+}
+
+impl Weighed for Pixels {
+    fn bytes(&self) -> usize {
+        // Colours twice, boundaries and their tensor, textures.
+        let planes = 6 + 4 + self.texture.len();
+        4 * planes * self.lab.l.data.len() + self.analysis.bytes()
     }
 }
 
@@ -108,9 +123,12 @@ impl Analysis {
         let grown = || Weights::others().into_iter().map(|w| self.tree.regrown(w)).collect();
         std::iter::once(&self.tree).chain(self.others.get_or_init(grown))
     }
+}
 
-    /// Works everything out; `strength` replaces the built-in boundary detector's answer.
-    pub fn of(image: &Image, strength: Option<Plane>) -> Analysis {
+impl Pixels {
+    /// Works everything out, but for the analysis where it is known; `strength` replaces the built-in boundary detector's
+    /// answer.
+    pub fn of(image: &Image, strength: Option<Plane>, known: Option<Arc<Analysis>>) -> Pixels {
         let lab = Lab::of(image);
         let normal = lab.normalised();
         let texture: Vec<Plane> = texture_bins(&normal.l);
@@ -118,16 +136,23 @@ impl Analysis {
             Some(strength) => Boundaries::from_strength(strength),
             None => detect(&normal, &texture),
         };
-        let least = (image.pixels() / 19_000).max(4);
-        let (labels, count) = basins(&fine(&lab, &edges.strength), least);
-        let (labels, count) = joined(&labels, count, &[&lab.l, &lab.a, &lab.b], &edges.strength, SUPERPIXELS);
-        let mut bins = Vec::with_capacity(BINS);
-        for plane in [&normal.l, &normal.a, &normal.b] {
-            soft8(plane, &mut bins);
-        }
-        let mut planes: Vec<&[f32]> = bins.iter().map(Vec::as_slice).collect();
-        planes.extend(texture.iter().map(|p| p.data.as_slice()));
-        let tree = Hierarchy::build(labels, count, &edges, &planes);
-        Analysis { lab, normal, edges, tree, others: OnceLock::new(), texture }
+        let analysis = known.unwrap_or_else(|| Arc::new(analysed(image, &lab, &normal, &edges, &texture)));
+        Pixels { lab, normal, edges, texture, analysis }
     }
+}
+
+/// Regions by the boundaries, told apart by colour and texture.
+fn analysed(image: &Image, lab: &Lab, normal: &Lab, edges: &Boundaries, texture: &[Plane]) -> Analysis {
+    let least = (image.pixels() / 19_000).max(4);
+    let (labels, count) = basins(&fine(lab, &edges.strength), least);
+    let (labels, count) = joined(&labels, count, &[&lab.l, &lab.a, &lab.b], &edges.strength, SUPERPIXELS);
+    let mut bins = Vec::with_capacity(BINS);
+    for plane in [&normal.l, &normal.a, &normal.b] {
+        soft8(plane, &mut bins);
+    }
+    let mut planes: Vec<&[f32]> = bins.iter().map(Vec::as_slice).collect();
+    planes.extend(texture.iter().map(|p| p.data.as_slice()));
+    let tree = Hierarchy::build(labels, count, edges, &planes);
+    let samples = Samples::of(&tree, lab);
+    Analysis { tree, others: OnceLock::new(), samples }
 }

@@ -1,7 +1,8 @@
 //! A colour model of inside and outside over superpixels: kernel density in colour and place, so that what looks
 //! like the object but lies elsewhere says little.
 
-use super::analysis::Analysis;
+use super::colour::Lab;
+use super::tree::Hierarchy;
 
 /// Superpixels as points in colour and place.
 pub(crate) struct Samples {
@@ -15,16 +16,15 @@ const COLOUR: f32 = 7.0;
 
 impl Samples {
     /// The superpixels of a photo.
-    pub fn of(analysis: &Analysis) -> Samples {
-        let tree = &analysis.tree;
+    pub fn of(tree: &Hierarchy, lab: &Lab) -> Samples {
         let (w, h) = (tree.width, tree.height);
         let diagonal = ((w * w + h * h) as f32).sqrt();
         let mut points = vec![[0.0f32; 5]; tree.leaves];
         for (i, &label) in tree.labels.iter().enumerate() {
             let p = &mut points[label as usize];
-            p[0] += analysis.lab.l.data[i] / COLOUR;
-            p[1] += 1.4 * analysis.lab.a.data[i] / COLOUR;
-            p[2] += 1.4 * analysis.lab.b.data[i] / COLOUR;
+            p[0] += lab.l.data[i] / COLOUR;
+            p[1] += 1.4 * lab.a.data[i] / COLOUR;
+            p[2] += 1.4 * lab.b.data[i] / COLOUR;
             p[3] += (i % w) as f32 / diagonal;
             p[4] += (i / w) as f32 / diagonal;
         }

@@ -7,7 +7,7 @@
 //! 106 channels (9 colour, 10 texture, 3 x 29 of regions) on a grid of 64 cells along the long side, SAM's: the feature field's
 //! compression is made for that size, and finer cells would see single strokes of texture.
 
-use super::analysis::Analysis;
+use super::analysis::{Analysis, Pixels};
 use super::plane::{Plane, span};
 use segwild_scene::Embedding;
 
@@ -23,8 +23,8 @@ const TEXTURE: f32 = 1.0;
 const REGION: f32 = 0.2;
 
 /// Describes a photo.
-pub(crate) fn embed(analysis: &Analysis) -> Embedding {
-    let tree = &analysis.tree;
+pub(crate) fn embed(pixels: &Pixels) -> Embedding {
+    let tree = &pixels.analysis.tree;
     let (w, h) = (tree.width, tree.height);
     let long = w.max(h);
     let cells = |n: usize| ((n * LONG) as f32 / long as f32).round().max(1.0) as usize;
@@ -34,7 +34,7 @@ pub(crate) fn embed(analysis: &Analysis) -> Embedding {
         out.channels += 1;
         out.data.extend(plane.iter().map(|v| weight * (v - centre)));
     };
-    let normal = [&analysis.normal.l, &analysis.normal.a, &analysis.normal.b];
+    let normal = [&pixels.normal.l, &pixels.normal.a, &pixels.normal.b];
     for plane in normal {
         let cell = plane.pooled(gw, gh);
         push(&cell.data, COLOUR, 0.5);
@@ -42,13 +42,13 @@ pub(crate) fn embed(analysis: &Analysis) -> Embedding {
             push(&cell.blurred(sigma).data, COLOUR, 0.5);
         }
     }
-    for plane in &analysis.texture {
+    for plane in &pixels.texture {
         let cell = plane.pooled(gw, gh);
         push(&cell.blurred(0.8).data, TEXTURE, 0.2);
         push(&cell.blurred(2.0).data, TEXTURE, 0.2);
     }
     for level in LEVELS {
-        for plane in region_planes(analysis, level, gw, gh) {
+        for plane in region_planes(&pixels.analysis, level, gw, gh) {
             push(&plane.data, REGION, 0.0);
         }
     }

@@ -26,8 +26,8 @@ mod watershed;
 mod weights;
 
 use crate::{Embedder, MaskProposer, PromptSegmenter, Prompted, SkyDetector, VisionError};
-use analysis::Analysis;
 pub(crate) use analysis::check;
+use analysis::{Analysis, Pixels};
 pub(crate) use memory::{Memory, Weighed};
 use plane::Plane;
 use segwild_scene::{Embedding, Image, Mask, Prompts, ScoredMask};
@@ -40,7 +40,7 @@ pub use weights::Weights;
 
 /// Changes whenever the same photo would give other bytes.
 const VERSION: &str = "builtin-4";
-/// Memory for analyses when nothing else is said: those of about 30 photos of 320 px, or 8 of 640.
+/// Memory for photos when nothing else is said: the analyses of about 70 of 320 px, or 45 of 640.
 const MEMORY: usize = 256 << 20;
 /// Memory for answers: some thousand.
 const ANSWERS: usize = 4 << 20;
@@ -85,6 +85,7 @@ pub struct Builtin {
     edges: Option<Arc<dyn EdgeDetector>>,
     /// Answers of `edges`, which take far longer than the rest of the analysis and are far smaller than it.
     strengths: Memory<Plane>,
+    pixels: Memory<Pixels>,
     analyses: Memory<Analysis>,
     /// What was answered to the prompts of late.
     answers: Memory<Chosen>,
@@ -101,10 +102,12 @@ impl Default for Builtin {
         Builtin {
             weights: Weights::builtin(),
             edges: None,
-            strengths: Memory::new(MEMORY / 4),
-            analyses: Memory::new(MEMORY / 4 * 3),
+            strengths: Memory::new(0),
+            pixels: Memory::new(0),
+            analyses: Memory::new(0),
             answers: Memory::new(ANSWERS),
         }
+        .within(MEMORY)
     }
 }
 
@@ -121,8 +124,13 @@ impl Builtin {
 
     /// Keeps analyses of photos within about that many bytes; the newest one is always kept.
     pub fn within(self, bytes: usize) -> Builtin {
-        // A quarter holds the network's answers for all photos whose analyses fill the rest, and about 15 times more.
-        Builtin { strengths: Memory::new(bytes / 4), analyses: Memory::new(bytes / 4 * 3), ..self }
+        // A click asks for the analyses of all photos, round after round; what is known of pixels is asked for once or twice, soon.
+        Builtin {
+            strengths: Memory::new(bytes / 4),
+            pixels: Memory::new(bytes / 4),
+            analyses: Memory::new(bytes / 2),
+            ..self
+        }
     }
 
     /// Weighs what prompts could mean by other weights than the built-in ones: for learning them.
@@ -191,30 +199,37 @@ impl Builtin {
         Ok((answer, last))
     }
 
-    /// The analysis of a photo, worked out once; two threads that ask for one photo share the work.
+    /// The analysis of a photo.
     fn analysis(&self, image: &Image) -> Result<Arc<Analysis>, VisionError> {
+        match self.analyses.slot(content(&*fitted(image)?)).get() {
+            Some(done) => Ok(done.clone()),
+            None => Ok(self.pixels(image)?.analysis.clone()),
+        }
+    }
+
+    /// What is known of a photo's pixels, and its analysis, worked out once; two threads that ask for one photo share the work.
+    fn pixels(&self, image: &Image) -> Result<Arc<Pixels>, VisionError> {
         let image = &*fitted(image)?;
         let key = content(image);
-        let slot = self.analyses.slot(key);
+        let (slot, analysis) = (self.pixels.slot(key), self.analyses.slot(key));
         if let Some(done) = slot.get() {
             return Ok(done.clone());
         }
-        let strength = self.edges.as_ref().map(|edges| self.strength(&**edges, image, key)).transpose()?;
-        let done = slot.get_or_init(|| Arc::new(Analysis::of(image, strength.as_deref().cloned()))).clone();
+        let strength = self.strength(image, key)?;
+        let known = analysis.get().cloned();
+        let done = slot.get_or_init(|| Arc::new(Pixels::of(image, strength, known))).clone();
+        analysis.get_or_init(|| done.analysis.clone());
+        self.pixels.trim();
         self.analyses.trim();
         Ok(done)
     }
 
-    /// What the edge network says about a photo at the size it is looked at.
-    fn strength(
-        &self,
-        edges: &dyn EdgeDetector,
-        image: &Image,
-        key: blake3::Hash,
-    ) -> Result<Arc<Plane>, VisionError> {
+    /// What the edge network says about a photo at the size it is looked at; `None` without one.
+    fn strength(&self, image: &Image, key: blake3::Hash) -> Result<Option<Plane>, VisionError> {
+        let Some(edges) = &self.edges else { return Ok(None) };
         let slot = self.strengths.slot(key);
         if let Some(done) = slot.get() {
-            return Ok(done.clone());
+            return Ok(Some(Plane::clone(done)));
         }
         let map = edges.edges(image)?;
         if (map.width, map.height, map.channels) != (image.width, image.height, 1) {
@@ -231,7 +246,7 @@ impl Builtin {
         let data = map.data.iter().map(|v| if v.is_finite() { v.clamp(0.0, 1.0) } else { 0.0 }).collect();
         let done = slot.get_or_init(|| Arc::new(Plane::new(image.width, image.height, data))).clone();
         self.strengths.trim();
-        Ok(done)
+        Ok(Some(Plane::clone(&done)))
     }
 
     /// Which region every pixel belongs to at a granularity in [0, 1] (`None`: superpixels); numbers are not in order.
@@ -247,8 +262,7 @@ impl Builtin {
 
     /// Boundary strengths one pixel wide, probability-like, one plane: for pictures and measurements.
     pub fn boundaries(&self, image: &Image) -> Result<Image, VisionError> {
-        let analysis = self.analysis(image)?;
-        let thin = analysis.edges.thinned();
+        let thin = self.pixels(image)?.edges.thinned();
         let map = Image { width: thin.width, height: thin.height, channels: 1, data: thin.data };
         Ok(if (map.width, map.height) == (image.width, image.height) {
             map
@@ -299,7 +313,7 @@ impl Embedder for Builtin {
     }
 
     fn embed(&self, image: &Image) -> Result<Embedding, VisionError> {
-        Ok(embed::embed(&*self.analysis(image)?))
+        Ok(embed::embed(&*self.pixels(image)?))
     }
 }
 
@@ -346,7 +360,31 @@ impl SkyDetector for Builtin {
     }
 
     fn sky(&self, image: &Image) -> Result<Mask, VisionError> {
-        let mask = sky::sky(&*self.analysis(image)?);
+        let mask = sky::sky(&*self.pixels(image)?);
         Ok(mask.resized(image.width as u32, image.height as u32))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A click that asks sixty photos in three rounds looked at each of them three times.
+    #[test]
+    fn photos_asked_round_after_round_are_looked_at_once() {
+        let photo = |k: usize| {
+            let mut image = Image::zeros(320, 240, 3);
+            let value = |i: usize| ((i * 7919 + (i / 320 / 24 + k) * 31) % 101) as f32 / 100.0;
+            image.data.iter_mut().enumerate().for_each(|(i, v)| *v = value(i));
+            image
+        };
+        let builtin = Builtin::new().within(32 << 20);
+        let first: Vec<_> = (0..8).map(|k| builtin.analysis(&photo(k)).unwrap()).collect();
+        for (k, first) in first.iter().enumerate() {
+            assert!(Arc::ptr_eq(first, &builtin.analysis(&photo(k)).unwrap()), "photo {k}");
+        }
+        // Descriptions need the pixels anew, but not the regions.
+        assert!(Arc::ptr_eq(&first[0], &builtin.pixels(&photo(0)).unwrap().analysis));
+        assert!(first[0].bytes() * 3 < builtin.pixels(&photo(0)).unwrap().bytes());
     }
 }

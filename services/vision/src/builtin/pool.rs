@@ -31,7 +31,7 @@ pub(crate) struct Choice {
 pub(crate) struct Ground<'a> {
     pub analysis: &'a Analysis,
     pub places: Places,
-    pub samples: Samples,
+    pub samples: &'a Samples,
     /// Cost per pixel side of passing over every border of the tree.
     pub open: Vec<f32>,
     /// Neighbours of every superpixel.
@@ -62,7 +62,7 @@ impl<'a> Ground<'a> {
             analysis,
             around,
             places: Places::of(analysis),
-            samples: Samples::of(analysis),
+            samples: &analysis.samples,
             open: openness(&analysis.tree),
         }
     }

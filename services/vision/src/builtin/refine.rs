@@ -1,7 +1,6 @@
 //! Snapping a rough probability to the photo's boundaries: a cut over superpixels.
 
 use super::analysis::Analysis;
-use super::colours::Samples;
 use super::cut::Cut;
 use super::plane::Plane;
 use segwild_scene::ScoredMask;
@@ -49,7 +48,7 @@ pub(crate) fn snap(analysis: &Analysis, certainty: &[f32]) -> ScoredMask {
     let prior: Vec<f32> = own.iter().zip(&far).map(|(a, b)| 0.8 * a + 0.2 * b).collect();
     // Superpixels that are surely inside or outside teach the colours.
     let weight: Vec<f32> = prior.iter().map(|p| (2.0 * (p - 0.5).abs()).powi(2)).collect();
-    let colour = Samples::of(analysis).posterior(&prior, &weight, 0.05);
+    let colour = analysis.samples.posterior(&prior, &weight, 0.05);
     let inside = prior
         .iter()
         .zip(&colour)

@@ -1,7 +1,7 @@
 //! Sky without a network: what can be reached from the smooth top of the photo without crossing a clear boundary, and
 //! looks like sky.
 
-use super::analysis::Analysis;
+use super::analysis::{Analysis, Pixels};
 use super::plane::Plane;
 use super::refine::{Energy, cut};
 use super::tree::Weights;
@@ -10,11 +10,12 @@ use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 /// The sky's pixels; none when nothing at the top looks like it.
-pub(crate) fn sky(analysis: &Analysis) -> Mask {
+pub(crate) fn sky(pixels: &Pixels) -> Mask {
+    let analysis = &*pixels.analysis;
     let tree = &analysis.tree;
     let (w, h) = (tree.width, tree.height);
     let nothing = Mask::empty(w as u32, h as u32);
-    let look = looks(analysis);
+    let look = looks(pixels);
     let mut top = vec![0.0f32; tree.leaves];
     for x in 0..w {
         top[tree.labels[x] as usize] += 1.0;
@@ -36,20 +37,17 @@ pub(crate) fn sky(analysis: &Analysis) -> Mask {
 }
 
 /// Log-odds that a superpixel is sky by its own colour and smoothness.
-fn looks(analysis: &Analysis) -> Vec<f32> {
-    let tree = &analysis.tree;
-    let (gx, gy) = analysis.lab.l.blurred(0.8).gradient();
+fn looks(pixels: &Pixels) -> Vec<f32> {
+    let tree = &pixels.analysis.tree;
+    let (gx, gy) = pixels.lab.l.blurred(0.8).gradient();
     let rough = Plane::new(
         tree.width,
         tree.height,
         gx.data.iter().zip(&gy.data).map(|(x, y)| (x * x + y * y).sqrt()).collect(),
     );
     let rough = tree.means(&rough.data);
-    let (l, a, b) = (
-        tree.means(&analysis.lab.l.data),
-        tree.means(&analysis.lab.a.data),
-        tree.means(&analysis.lab.b.data),
-    );
+    let (l, a, b) =
+        (tree.means(&pixels.lab.l.data), tree.means(&pixels.lab.a.data), tree.means(&pixels.lab.b.data));
     let rows: Vec<f32> =
         (0..tree.labels.len()).map(|i| (i / tree.width) as f32 / tree.height as f32).collect();
     let rows = tree.means(&rows);
