@@ -25,8 +25,8 @@ pub struct Evidence {
     pub inside: Vec<f32>,
     /// `A_0`: visible light of the splat outside the masks.
     pub outside: Vec<f32>,
-    /// How much is known of the splat by them, in the same unit. It says how far the share of the two is to be relied on,
-    /// and is less than their sum where views see little of the splat.
+    /// How much is known of the splat by them, in the same unit. It says how far the share of the two is to be relied on:
+    /// less than their sum where views see little of the splat, more where a photo that was pointed in sees it.
     pub known: Vec<f32>,
 }
 
