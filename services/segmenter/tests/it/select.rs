@@ -306,7 +306,7 @@ fn what_little_of_a_splat_shows_tells_its_side_and_leaves_it_unknown() {
     assert!((for_it + against - hidden.known[0]).abs() < 1e-6);
     // By light it is known by all that is seen of it.
     assert_eq!(light.known[0], light.seen(0));
-    // Glimpses add up, and taking one back leaves the others.
+    // Glimpses add up, and where there is none nothing is known.
     let mut ten = Evidence::none(2);
     (0..10).for_each(|_| ten.add(&hidden, 1.0));
     assert!((ten.known[0] - 10.0 * hidden.known[0]).abs() < 1e-5);

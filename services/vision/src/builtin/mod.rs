@@ -85,7 +85,9 @@ pub struct Builtin {
     edges: Option<Arc<dyn EdgeDetector>>,
     /// Answers of `edges`, which take far longer than the rest of the analysis and are far smaller than it.
     strengths: Memory<Plane>,
+    /// What skies and descriptions are made of.
     pixels: Memory<Pixels>,
+    /// What masks, clicks and refinements ask for, of many more photos.
     analyses: Memory<Analysis>,
     /// What was answered to the prompts of late.
     answers: Memory<Chosen>,
@@ -201,16 +203,22 @@ impl Builtin {
 
     /// The analysis of a photo.
     fn analysis(&self, image: &Image) -> Result<Arc<Analysis>, VisionError> {
-        match self.analyses.slot(content(&*fitted(image)?)).get() {
+        let image = &*fitted(image)?;
+        let key = content(image);
+        match self.analyses.slot(key).get() {
             Some(done) => Ok(done.clone()),
-            None => Ok(self.pixels(image)?.analysis.clone()),
+            None => Ok(self.looked_at(image, key)?.analysis.clone()),
         }
     }
 
     /// What is known of a photo's pixels, and its analysis, worked out once; two threads that ask for one photo share the work.
     fn pixels(&self, image: &Image) -> Result<Arc<Pixels>, VisionError> {
         let image = &*fitted(image)?;
-        let key = content(image);
+        self.looked_at(image, content(image))
+    }
+
+    /// As [`Builtin::pixels`], of a photo at the size it is looked at.
+    fn looked_at(&self, image: &Image, key: blake3::Hash) -> Result<Arc<Pixels>, VisionError> {
         let (slot, analysis) = (self.pixels.slot(key), self.analyses.slot(key));
         if let Some(done) = slot.get() {
             return Ok(done.clone());
