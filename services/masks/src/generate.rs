@@ -1,6 +1,6 @@
 //! From prompts to the masks of a photo (method, section 5).
 
-use crate::{MaskSettings, clean};
+use crate::MaskSettings;
 use segwild_scene::{Image, Mask, MaskSet, ScoredMask};
 use segwild_vision::{MaskProposer, VisionError};
 
@@ -118,7 +118,7 @@ pub fn generate(
     }
     // Duplicates go first, so that only what stays is cleaned; cleaning can make new ones.
     let clean = |mask: &mut ScoredMask| {
-        mask.mask = clean::without_specks(&mask.mask, least);
+        mask.mask = mask.mask.without_specks(least);
         mask.mask.count() >= least
     };
     masks.sort_by(|a, b| {
@@ -150,7 +150,7 @@ pub fn generate(
         }
     }
     let mut masks = masks.into_masks();
-    if let Some(sky) = sky.map(|s| clean::without_specks(&s, least)).filter(|s| s.count() >= least) {
+    if let Some(sky) = sky.map(|s| s.without_specks(least)).filter(|s| s.count() >= least) {
         masks.push(ScoredMask { mask: sky, predicted_iou: 1.0, stability: 1.0 });
     }
     tally.kept = masks.len();

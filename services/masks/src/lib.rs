@@ -3,12 +3,10 @@
 //! [`sasm`] says where to prompt, [`generate()`] turns the prompts into a photo's masks.
 
 mod actor;
-mod clean;
 mod generate;
 pub mod sasm;
 mod settings;
 
 pub use actor::{MaskActor, MaskMaker, MaskOutcome, MaskTask, Refused, Snapshot};
-pub use clean::without_specks;
 pub use generate::{Generated, MaskError, Tally, generate};
 pub use settings::{MaskSettings, MaskSource};

@@ -1,6 +1,6 @@
 //! From proposals to a photo's masks.
 
-use segwild_masks::{MaskError, MaskSettings, generate, without_specks};
+use segwild_masks::{MaskError, MaskSettings, generate};
 use segwild_scene::{Image, Mask, ScoredMask};
 use segwild_vision::{MaskProposer, VisionError};
 use std::sync::Mutex;
@@ -149,24 +149,6 @@ fn the_sky_is_one_mask() {
     assert_eq!(generate(&oracle, &image(), &[[1.0, 1.0]], Some(&half), &on).unwrap(), with);
     let none = Mask::empty(W, H);
     assert_eq!(generate(&oracle, &image(), &[[1.0, 1.0]], Some(&none), &on).unwrap(), without);
-}
-
-#[test]
-fn specks_go_and_holes_close() {
-    let mut mask = block(10, 10, 50, 50);
-    for (x, y) in [(20, 20), (21, 20), (70, 5), (71, 6)] {
-        mask.set(x, y, !mask.get(x, y));
-    }
-    assert_eq!(without_specks(&mask, 5), block(10, 10, 50, 50));
-    assert!(without_specks(&mask, 2).get(70, 5), "islands connect over corners");
-    let mut diagonal = block(10, 10, 50, 50);
-    diagonal.set(20, 20, false);
-    diagonal.set(21, 21, false);
-    assert_eq!(without_specks(&diagonal, 2), block(10, 10, 50, 50), "holes do not");
-    assert_eq!(without_specks(&mask, 0), mask);
-    assert!(without_specks(&block(0, 0, 3, 3), 10).is_empty());
-    assert_eq!(without_specks(&Mask::full(W, H), 10), Mask::full(W, H));
-    assert!(without_specks(&Mask::empty(W, H), 10_000).is_empty(), "an empty mask is not a hole");
 }
 
 #[test]

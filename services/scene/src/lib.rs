@@ -24,6 +24,7 @@ mod photo;
 pub mod ply;
 mod prompt;
 mod random;
+mod regions;
 mod seal;
 pub mod settings;
 mod splats;

@@ -1,5 +1,6 @@
 //! Sets of pixels.
 
+use std::ops::Range;
 use wincode::{SchemaRead, SchemaWrite};
 
 /// A bit-packed set of pixels: bit `i % 64` of word `i / 64` is pixel `i = y * width + x`.
@@ -111,6 +112,34 @@ impl Mask {
         } else {
             self.words[i / 64] &= !(1 << (i % 64));
         }
+    }
+
+    /// Puts pixels in, by their indexes, or takes them out.
+    pub(crate) fn fill(&mut self, pixels: Range<usize>, inside: bool) {
+        let mut at = pixels.start;
+        while at < pixels.end {
+            let until = (at / 64 * 64 + 64).min(pixels.end);
+            let bits = (u64::MAX >> (64 - (until - at))) << (at % 64);
+            let word = &mut self.words[at / 64];
+            *word = if inside { *word | bits } else { *word & !bits };
+            at = until;
+        }
+    }
+
+    /// Index of the first pixel from `at` on that is inside, or that is not; the number of pixels where there is none.
+    pub(crate) fn next(&self, at: usize, inside: bool) -> usize {
+        let pixels = self.width as usize * self.height as usize;
+        let wanted = |word: u64| if inside { word } else { !word };
+        let mut k = at / 64;
+        let mut from = u64::MAX << (at % 64);
+        while let Some(&word) = self.words.get(k) {
+            let found = wanted(word) & from;
+            if found != 0 {
+                return (k * 64 + found.trailing_zeros() as usize).min(pixels);
+            }
+            (k, from) = (k + 1, u64::MAX);
+        }
+        pixels
     }
 
     /// Number of pixels in the mask.

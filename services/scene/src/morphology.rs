@@ -74,14 +74,14 @@ impl Mask {
     /// Connected components, diagonal neighbours included: per pixel 0 outside and 1.. inside, and their number.
     /// Components are numbered by their first pixel, row by row.
     pub fn components(&self) -> (Vec<u32>, usize) {
-        label(self, true)
+        self.labelled(true)
     }
 
     /// The mask with its holes of at most `max_area` pixels filled; what touches the frame's border is no hole.
     pub fn fill_holes(&self, max_area: usize) -> Mask {
         let (w, h) = (self.width() as usize, self.height() as usize);
         // Outside is connected by edges only, since the mask is connected across corners.
-        let (labels, count) = label(&self.not(), false);
+        let (labels, count) = self.not().labelled(false);
         let mut area = vec![0usize; count + 1];
         for (i, &l) in labels.iter().enumerate() {
             let (x, y) = (i % w, i / w);
@@ -176,34 +176,4 @@ impl Envelope {
             put(p, self.line[q] + step * step);
         }
     }
-}
-
-/// Flood fill by scanning pixel by pixel; labels in the order of first pixels.
-fn label(mask: &Mask, diagonals: bool) -> (Vec<u32>, usize) {
-    let (w, h) = (mask.width() as usize, mask.height() as usize);
-    let mut labels = vec![0u32; w * h];
-    let mut count = 0;
-    let mut stack = Vec::new();
-    for (x, y) in mask.pixels() {
-        let seed = y as usize * w + x as usize;
-        if labels[seed] != 0 {
-            continue;
-        }
-        count += 1;
-        labels[seed] = count;
-        stack.push(seed);
-        while let Some(i) = stack.pop() {
-            let (x, y) = (i % w, i / w);
-            for v in y.saturating_sub(1)..(y + 2).min(h) {
-                for u in x.saturating_sub(1)..(x + 2).min(w) {
-                    let j = v * w + u;
-                    if (diagonals || u == x || v == y) && labels[j] == 0 && mask.index(j) {
-                        labels[j] = count;
-                        stack.push(j);
-                    }
-                }
-            }
-        }
-    }
-    (labels, count as usize)
 }

@@ -19,6 +19,28 @@ fn squared(mask: &Mask, x: u32, y: u32) -> Option<u32> {
     mask.pixels().map(|(u, v)| u.abs_diff(x).pow(2) + v.abs_diff(y).pow(2)).min()
 }
 
+/// The size of the region that a pixel lies in, by walking through all of it.
+fn size(mask: &Mask, pixel: (u32, u32), diagonals: bool) -> usize {
+    let mut left = mask.clone();
+    let mut walk = vec![pixel];
+    let mut size = 0;
+    while let Some((x, y)) = walk.pop() {
+        if !left.get(x, y) {
+            continue;
+        }
+        left.set(x, y, false);
+        size += 1;
+        for (v, u) in
+            (y.saturating_sub(1)..y + 2).flat_map(|v| (x.saturating_sub(1)..x + 2).map(move |u| (v, u)))
+        {
+            if (diagonals || u == x || v == y) && left.get(u, v) {
+                walk.push((u, v));
+            }
+        }
+    }
+    size
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 200, failure_persistence: None, ..ProptestConfig::default() })]
 
@@ -61,6 +83,15 @@ proptest! {
                 prop_assert!(!mask.get(u, v) || label(u, v) == label(x, y));
             }
         }
+        // What is no speck, and then what is no hole.
+        let least = 2 * width as usize;
+        let islands = Mask::from_fn(w, h, |x, y| mask.get(x, y) && size(&mask, (x, y), true) >= least);
+        let around = islands.not();
+        let hole = |x: u32, y: u32| {
+            !islands.is_empty() && around.get(x, y) && size(&around, (x, y), false) < least
+        };
+        let clean = Mask::from_fn(w, h, |x, y| islands.get(x, y) || hole(x, y));
+        prop_assert_eq!(mask.without_specks(least), clean);
         // Every component is connected: flooding its first pixel by dilation reaches all of it.
         for l in 1..=count as u32 {
             let whole = Mask::from_fn(w, h, |x, y| label(x, y) == l);
@@ -98,4 +129,27 @@ fn boundary_iou_sees_what_iou_does_not() {
     assert_eq!(a.boundary_iou(&a, 0.02), 1.0);
     assert!(a.iou(&b) > 0.9 && a.boundary_iou(&b, 0.02) < 0.45, "{}", a.boundary_iou(&b, 0.02));
     assert_eq!(Mask::empty(5, 5).boundary_iou(&Mask::empty(5, 5), 0.02), 1.0);
+}
+
+#[test]
+fn specks_go_and_holes_close() {
+    const W: u32 = 80;
+    const H: u32 = 60;
+    let block = |x0: u32, y0: u32, x1: u32, y1: u32| {
+        Mask::from_fn(W, H, |x, y| x >= x0 && x < x1 && y >= y0 && y < y1)
+    };
+    let mut mask = block(10, 10, 50, 50);
+    for (x, y) in [(20, 20), (21, 20), (70, 5), (71, 6)] {
+        mask.set(x, y, !mask.get(x, y));
+    }
+    assert_eq!(mask.without_specks(5), block(10, 10, 50, 50));
+    assert!(mask.without_specks(2).get(70, 5), "islands connect over corners");
+    let mut diagonal = block(10, 10, 50, 50);
+    diagonal.set(20, 20, false);
+    diagonal.set(21, 21, false);
+    assert_eq!(diagonal.without_specks(2), block(10, 10, 50, 50), "holes do not");
+    assert_eq!(mask.without_specks(0), mask);
+    assert!(block(0, 0, 3, 3).without_specks(10).is_empty());
+    assert_eq!(Mask::full(W, H).without_specks(10), Mask::full(W, H));
+    assert!(Mask::empty(W, H).without_specks(10_000).is_empty(), "an empty mask is not a hole");
 }
