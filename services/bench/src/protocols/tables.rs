@@ -1,5 +1,6 @@
 //! Results as tables that a person can read, the paper's figures beside ours.
 
+use super::lego::{PLAIN, Perturbation};
 use super::paper::{PAPER, targets};
 use crate::ablation::Variant;
 use crate::metrics::Spread;
@@ -229,7 +230,7 @@ pub fn held_out(results: &Results) -> String {
 
 /// The perturbation experiment: PSNR of each row under each perturbation, and what it lost against the clean run.
 pub fn perturbations(results: &Results) -> String {
-    let names = super::lego::Perturbation::ALL.map(super::lego::Perturbation::name);
+    let names = Perturbation::ALL.map(Perturbation::name);
     let mut text = String::from("| row |");
     names.iter().for_each(|n| text += &format!(" {n}: PSNR, SSIM | gap in dB |"));
     text += "\n|---|";
@@ -241,12 +242,44 @@ pub fn perturbations(results: &Results) -> String {
             rows.push(&r.setting);
         }
     }
-    for setting in rows {
+    for &setting in &rows {
         let _ = write!(text, "| {setting} |");
         for name in names {
             let of = |number| over_seeds(results, number, |r| r.setting == setting && r.target == name);
             let (psnr, ssim) = (cell(of("psnr"), 2), cell(of("ssim"), 3));
             let _ = write!(text, " {psnr}, {ssim} | {} |", cell(of("gap_db"), 2));
+        }
+        text.push('\n');
+    }
+    let others: Vec<&str> = rows.iter().copied().filter(|row| *row != PLAIN).collect();
+    if others.len() < rows.len() && !others.is_empty() {
+        text += &closed(results, &others);
+    }
+    text
+}
+
+/// How much of what a perturbation costs plain splats the other rows win back.
+fn closed(results: &Results, rows: &[&str]) -> String {
+    let [clean, perturbed @ ..] = Perturbation::ALL.map(Perturbation::name);
+    let mean = |setting: &str, name: &str, number: &str| {
+        over_seeds(results, number, |r| r.setting == setting && r.target == name).map(|s| s.mean)
+    };
+    let share = |x: Option<f64>| x.map_or("–".into(), |x| format!("{:.0} %", 100.0 * x));
+    let mut text = format!(
+        "\nHow much of the gap that a perturbation opens is closed: each row's gap beside that of `{PLAIN}`; and, after \
+         the comma, how far the row comes from the perturbed `{PLAIN}` to its own clean photos.\n\n| row |"
+    );
+    perturbed.iter().for_each(|n| text += &format!(" {n} |"));
+    text += &format!("\n|---|{}\n", "---:|".repeat(perturbed.len()));
+    for &row in rows {
+        let _ = write!(text, "| {row} |");
+        for name in perturbed {
+            let of_gaps = || Some(1.0 - mean(row, name, "gap_db")? / mean(PLAIN, name, "gap_db")?);
+            let of_the_way = || {
+                let from = mean(PLAIN, name, "psnr")?;
+                Some((mean(row, name, "psnr")? - from) / (mean(row, clean, "psnr")? - from))
+            };
+            let _ = write!(text, " {}, {} |", share(of_gaps()), share(of_the_way()));
         }
         text.push('\n');
     }

@@ -3,6 +3,8 @@
 use segwild_bench::metrics::{Half, Spread, label_iou, leakage, psnr, score, ssim};
 use segwild_bench::oracle::{Oracle, OracleOptions};
 use segwild_bench::perturb::{Affine, SQUARE, Square, lego};
+use segwild_bench::protocols::tables::perturbations;
+use segwild_bench::record::{Record, Results};
 use segwild_bench::synthetic::{SyntheticOptions, SyntheticScene, generate};
 use segwild_bench::table::ScoreTable;
 use segwild_scene::{BoxPrompt, Image, Mask, PointPrompt, Prompts};
@@ -106,6 +108,26 @@ fn spreads_tables_halves_and_labels() {
         (leakage(&chosen, &labels, 2), leakage(&chosen, &labels, 3), leakage(&chosen, &labels, 9)),
         (1.0, 0.0, 0.0)
     );
+}
+
+#[test]
+fn what_a_row_wins_back_is_said_of_gaps_and_of_the_way_to_its_clean_photos() {
+    let record = |setting: &str, target: &str, psnr: f64, clean: f64| Record {
+        setting: setting.into(),
+        target: target.into(),
+        numbers: [("psnr".to_owned(), psnr), ("gap_db".to_owned(), clean - psnr)].into(),
+        ..Record::default()
+    };
+    let mut results = Results::default();
+    for (setting, clean, occluded) in [("plain", 22.0, 20.0), ("full", 24.0, 23.5)] {
+        results.records.push(record(setting, "clean", clean, clean));
+        results.records.push(record(setting, "occluders", occluded, clean));
+    }
+    let text = perturbations(&results);
+    // Half a dB lost for two; and 3.5 of the 4 dB from the occluded plain splats to its own clean ones.
+    assert!(text.contains("| full | –, – | 75 %, 88 % | –, – |"), "{text}");
+    results.records.retain(|r| r.setting == "full");
+    assert!(!perturbations(&results).contains('%'), "there is nothing to compare with");
 }
 
 #[test]
