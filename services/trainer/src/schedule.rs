@@ -7,6 +7,13 @@ const MEAN_DECAY: f32 = 0.01;
 /// How far the other learning rates fall over the last half.
 const LATE_DECAY: f32 = 0.2;
 
+/// Times that photos are asked which splats they bear out, at most; each in the middle of its part of this time, in
+/// hundredths of the steps.
+const ASKED: u64 = 8;
+const ASKING: (u64, u64) = (24, 88);
+/// What photos are asked in all, for each step: with hundreds of photos eight times each took longer than the training.
+const ASKED_PER_STEP: f64 = 1.0 / 3.0;
+
 /// Schedules of one run.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Schedule {
@@ -78,10 +85,15 @@ impl Schedule {
         self.share(step) >= 0.3
     }
 
-    /// Whether the photos are asked, after so many steps, which splats they bear out: eight times, from the time
-    /// transients are left out until enough steps are left to heal what is torn.
-    pub fn witness(&self, step: u32) -> bool {
-        (0..8).any(|k| step == ((0.28 + 0.08 * f64::from(k)) * f64::from(self.steps)) as u32) && step > 0
+    /// Whether the photos are asked, after so many steps, which splats they bear out: eight times, or fewer where photos
+    /// are many, from the time transients are left out until enough steps are left to heal what is torn.
+    pub fn witness(&self, step: u32, photos: usize) -> bool {
+        let steps = u64::from(self.steps);
+        let times = (steps as f64 * ASKED_PER_STEP / photos.max(1) as f64).round() as u64;
+        let times = times.min(ASKED);
+        let (from, until) = ASKING;
+        let at = |k: u64| steps * (2 * times * from + (until - from) * (2 * k + 1)) / (200 * times);
+        (0..times).any(|k| u64::from(step) == at(k)) && step > 0
     }
 
     /// Steps for which an opacity reset makes residuals say nothing.
@@ -93,6 +105,17 @@ impl Schedule {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn photos_are_asked_eight_times_and_less_often_where_they_are_many() {
+        let asked = |steps: u32, photos: usize| -> Vec<u32> {
+            let s = Schedule::new(&TrainSettings { steps, ..TrainSettings::default() });
+            (0..=steps).filter(|&step| s.witness(step, photos)).collect()
+        };
+        assert_eq!(asked(1000, 40), [280, 360, 440, 520, 600, 680, 760, 840]);
+        assert_eq!(asked(2828, 200), [859, 1221, 1583, 1945, 2307]);
+        assert_eq!((asked(1000, 350), asked(100, 100).len(), asked(1, 1).len()), (vec![560], 0, 0));
+    }
 
     #[test]
     fn any_number_of_steps_is_a_whole_run() {
