@@ -9,6 +9,7 @@ use crate::coordinator::{Coordinator, State};
 use crate::evaluate::{HeldOut, held_out};
 use crate::folder::Intake;
 use crate::onward::Onward;
+use crate::shelf::InCache;
 use crate::skies::Skies;
 use crate::strangers::{Corrections, Known};
 use crate::traces::Traces;
@@ -173,7 +174,7 @@ pub fn run(
     let settings = &memory::within_budget(&settings.decided(&scene), &scene)?;
     let providers = match &options.providers {
         Some(providers) => providers.clone(),
-        None => Providers::from_settings(&settings.vision)?,
+        None => Providers::keeping(&settings.vision, Some(Arc::new(InCache(folder.cache()?))))?,
     };
     let providers = leased(&providers);
     for note in &providers.notes {

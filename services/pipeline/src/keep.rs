@@ -1,6 +1,7 @@
 //! What stays in the cache: listing, verifying, sweeping.
 
 use crate::artefacts::history_of;
+use crate::shelf::REGIONS;
 use crate::{RunError, RunFolder};
 use segwild_flow::ledger::CheckpointRow;
 use segwild_flow::{Artefact, Cache, Ledger, LedgerError, Swept};
@@ -29,8 +30,14 @@ pub struct CacheLine {
     pub used_bytes: u64,
 }
 
+/// Whether the run uses an artefact as it stands. Regions of photos are for clicks, which no ledger knows beforehand.
+fn in_use(ledger: &Ledger) -> Result<impl Fn(&Artefact) -> bool + use<>, LedgerError> {
+    let keys = keys_in_use(ledger)?;
+    Ok(move |artefact: &Artefact| artefact.domain == REGIONS || keys.contains(&artefact.key()))
+}
+
 /// The artefacts that the run uses as it stands, as the ledger writes their keys.
-fn in_use(ledger: &Ledger) -> Result<BTreeSet<String>, LedgerError> {
+fn keys_in_use(ledger: &Ledger) -> Result<BTreeSet<String>, LedgerError> {
     let mut keys = BTreeSet::new();
     keys.extend(ledger.views("visibility")?.into_iter().map(|view| view.key));
     keys.extend(ledger.views(STRANGERS)?.into_iter().map(|view| view.key));
@@ -65,7 +72,7 @@ pub fn cache_list(folder: &RunFolder) -> Result<Vec<CacheLine>, RunError> {
         line.kind.clone_from(&artefact.domain);
         line.files += 1;
         line.bytes += artefact.bytes;
-        if used.contains(&artefact.key()) {
+        if used(&artefact) {
             line.used += 1;
             line.used_bytes += artefact.bytes;
         }
@@ -109,6 +116,5 @@ pub fn cache_gc(folder: &RunFolder, limit: u64, pretend: bool) -> Result<Swept, 
 
 /// As [`cache_gc`], by the process that holds the run.
 pub(crate) fn sweep(ledger: &Ledger, cache: &Cache, limit: u64, pretend: bool) -> Result<Swept, RunError> {
-    let used = in_use(ledger)?;
-    Ok(cache.sweep(limit, |artefact| used.contains(&artefact.key()), pretend)?)
+    Ok(cache.sweep(limit, in_use(ledger)?, pretend)?)
 }

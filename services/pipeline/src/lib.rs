@@ -31,6 +31,7 @@ mod render;
 mod report;
 mod segment;
 mod settings;
+mod shelf;
 mod skies;
 mod strangers;
 mod traces;

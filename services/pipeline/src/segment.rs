@@ -6,6 +6,7 @@ use crate::light::{self, find};
 use crate::mask_source::MaskSource;
 use crate::prompts::{check_all, png_names};
 use crate::settings::AT_ONCE;
+use crate::shelf::InCache;
 use crate::{
     PhotoPrompts, Replay, RunError, RunFolder, Settings, choose_engine, log_loss, report, skies, strangers,
     traces,
@@ -171,7 +172,7 @@ pub fn segment(
     let providers = match providers {
         Some(providers) => providers,
         None => {
-            own = Providers::from_settings(&sight(&made_with))?;
+            own = Providers::keeping(&sight(&made_with), Some(Arc::new(InCache(folder.cache()?))))?;
             &own
         }
     };

@@ -10,7 +10,7 @@ mod registry;
 mod sam;
 mod settings;
 
-pub use builtin::{Builtin, EdgeDetector, Meaning, Question, Step, Weights};
+pub use builtin::{Builtin, EdgeDetector, Meaning, Question, Regions, Shelf, Step, Weights};
 pub use networks::{EdgeNetwork, SkyNetwork, StrangerNetwork};
 pub use onnx::Runtime;
 pub use provider::{

@@ -4,8 +4,8 @@ use crate::geometry::{ColourSky, GeometrySky, JointSky};
 use crate::onnx::{MEMORY_MIB, Runtime};
 use crate::registry::{DEEPLAB, EDGES, SKY};
 use crate::{
-    Builtin, EdgeDetector, EdgeNetwork, Embedder, MaskProposer, PromptSegmenter, SkyDetector, SkyNetwork,
-    StrangerDetector, StrangerNetwork, VisionError,
+    Builtin, EdgeDetector, EdgeNetwork, Embedder, MaskProposer, PromptSegmenter, Shelf, SkyDetector,
+    SkyNetwork, StrangerDetector, StrangerNetwork, VisionError,
 };
 use segwild_scene::{Image, Mask};
 use std::path::{Path, PathBuf};
@@ -162,6 +162,14 @@ impl Providers {
     /// Finds what `settings` ask for. Where `auto` cannot have a network, the built-in provider serves and a note says
     /// why; a network asked for by name that cannot be had is an error.
     pub fn from_settings(settings: &VisionSettings) -> Result<Providers, VisionError> {
+        Providers::keeping(settings, None)
+    }
+
+    /// The same; where the built-in provider answers clicks, it keeps the regions of photos on `shelf`.
+    pub fn keeping(
+        settings: &VisionSettings,
+        shelf: Option<Arc<dyn Shelf>>,
+    ) -> Result<Providers, VisionError> {
         if !settings.models.is_empty() && !Path::new(&settings.models).is_dir() {
             return Err(VisionError::Model(format!(
                 "the folder of models `{}` does not exist: correct `models` or leave it empty for the built-in provider",
@@ -183,8 +191,12 @@ impl Providers {
         };
         // SAM's embeddings and the built-in provider's analyses share what photos may take.
         let shares = if sam.is_some() { 2 } else { 1 };
-        let builtin = Arc::new(builtin.within(settings.vision_memory as usize * (1 << 20) / shares));
         let by_sam = |choice: ModelChoice| sam.clone().filter(|_| choice != ModelChoice::Builtin);
+        let builtin = builtin.within(settings.vision_memory as usize * (1 << 20) / shares);
+        let builtin = Arc::new(match shelf.filter(|_| by_sam(settings.masks).is_none()) {
+            Some(shelf) => builtin.keeping(shelf),
+            None => builtin,
+        });
         let without = match (settings.models.is_empty(), &sam) {
             (false, None) => " (SAM is not there, or not asked for)",
             _ => "",

@@ -208,3 +208,37 @@ fn a_photo_that_cannot_be_scored_or_drawn_is_named_and_the_others_go_on() {
     completes(&again(&other, &["--fault", "fail@evaluate.photo:1", "--fault", "fail@report.picture:2"]));
     same_as_untouched(&other);
 }
+
+#[test]
+fn a_click_takes_the_regions_of_photos_from_the_cache_and_does_without_it() {
+    let dir = folder();
+    let run = copied_run(&dir);
+    let (_, click) = clearest();
+    let at = format!("{},{}", click.x, click.y);
+    let regions = run.join("cache/regions.d");
+    let select = |name: &str| {
+        let args = ["segment", &show(&run), "--photo", &click.photo, "--in", &at, "--name", name];
+        let output = output(&args.map(str::to_owned));
+        assert!(output.status.success(), "{name}: {}", text(&output.stderr));
+        std::fs::read(run.join("selections").join(name).join("object.ply")).expect("an object")
+    };
+    let seen = held_of(&run, "regions");
+    assert_eq!(seen, 10, "the run saw its photos");
+    let object = select("first");
+    assert_eq!(held_of(&run, "regions"), seen, "there was nothing to look for");
+    damage(&run, "regions");
+    assert!(select("damaged") == object);
+    std::fs::remove_dir_all(&regions).expect("it goes");
+    assert!(select("gone") == object);
+    assert!(held_of(&run, "regions") > 0, "the click kept what it saw");
+    // A file where a folder is wanted.
+    std::fs::remove_dir_all(&regions).expect("it goes");
+    std::fs::write(&regions, "a file").expect("it is written");
+    assert!(select("occupied") == object);
+}
+
+/// Artefacts of a kind in a run's cache.
+fn held_of(run: &Path, kind: &str) -> u64 {
+    let lines = lines(&works(&["cache", "ls", &show(run), "--json"]));
+    lines.iter().filter(|line| line["kind"] == kind).filter_map(|line| line["files"].as_u64()).sum()
+}

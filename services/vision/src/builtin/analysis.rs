@@ -113,6 +113,11 @@ impl Weighed for Pixels {
 }
 
 impl Analysis {
+    /// The regions of a photo.
+    pub fn new(tree: Hierarchy, samples: Samples) -> Analysis {
+        Analysis { tree, others: OnceLock::new(), samples }
+    }
+
     /// Factors from a photo's pixels to those of the size it was looked at.
     pub fn scale_from(&self, image: &Image) -> (f32, f32) {
         (self.tree.width as f32 / image.width as f32, self.tree.height as f32 / image.height as f32)
@@ -154,5 +159,5 @@ fn analysed(image: &Image, lab: &Lab, normal: &Lab, edges: &Boundaries, texture:
     planes.extend(texture.iter().map(|p| p.data.as_slice()));
     let tree = Hierarchy::build(labels, count, edges, &planes);
     let samples = Samples::of(&tree, lab);
-    Analysis { tree, others: OnceLock::new(), samples }
+    Analysis::new(tree, samples)
 }

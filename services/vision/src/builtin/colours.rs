@@ -28,11 +28,20 @@ impl Samples {
             p[3] += (i % w) as f32 / diagonal;
             p[4] += (i / w) as f32 / diagonal;
         }
-        let area: Vec<f32> = tree.nodes[..tree.leaves].iter().map(|n| n.area).collect();
-        for (p, &a) in points.iter_mut().zip(&area) {
-            p.iter_mut().for_each(|v| *v /= a);
+        for (p, node) in points.iter_mut().zip(&tree.nodes) {
+            p.iter_mut().for_each(|v| *v /= node.area);
         }
-        Samples { points, area }
+        Samples::at(points, tree)
+    }
+
+    /// The superpixels of a tree, whose points are known.
+    pub fn at(points: Vec<[f32; 5]>, tree: &Hierarchy) -> Samples {
+        Samples { points, area: tree.nodes[..tree.leaves].iter().map(|n| n.area).collect() }
+    }
+
+    /// Each superpixel as a point.
+    pub fn points(&self) -> &[[f32; 5]] {
+        &self.points
     }
 
     /// For every superpixel the share of `inside` among the superpixels that look like it within about

@@ -15,6 +15,7 @@ mod memory;
 mod plane;
 mod pool;
 mod propose;
+mod record;
 mod refine;
 mod select;
 mod shape;
@@ -30,6 +31,7 @@ pub(crate) use analysis::check;
 use analysis::{Analysis, Pixels};
 pub(crate) use memory::{Memory, Weighed};
 use plane::Plane;
+pub use record::{Regions, Shelf};
 use segwild_scene::{Embedding, Image, Mask, Prompts, ScoredMask};
 use select::Means;
 use std::borrow::Cow;
@@ -91,6 +93,8 @@ pub struct Builtin {
     analyses: Memory<Analysis>,
     /// What was answered to the prompts of late.
     answers: Memory<Chosen>,
+    /// Where regions outlive the process.
+    shelf: Option<Arc<dyn Shelf>>,
 }
 
 impl Weighed for Plane {
@@ -108,6 +112,7 @@ impl Default for Builtin {
             pixels: Memory::new(0),
             analyses: Memory::new(0),
             answers: Memory::new(ANSWERS),
+            shelf: None,
         }
         .within(MEMORY)
     }
@@ -133,6 +138,12 @@ impl Builtin {
             analyses: Memory::new(bytes / 2),
             ..self
         }
+    }
+
+    /// Keeps the regions of photos on a shelf, and takes them from there: a click in a process of its own then need not look
+    /// at the photos that the run has looked at.
+    pub fn keeping(self, shelf: Arc<dyn Shelf>) -> Builtin {
+        Builtin { shelf: Some(shelf), ..self }
     }
 
     /// Weighs what prompts could mean by other weights than the built-in ones: for learning them.
@@ -203,30 +214,61 @@ impl Builtin {
 
     /// The analysis of a photo.
     fn analysis(&self, image: &Image) -> Result<Arc<Analysis>, VisionError> {
+        self.analysed(image, self.shelf.as_deref())
+    }
+
+    fn analysed(&self, image: &Image, shelf: Option<&dyn Shelf>) -> Result<Arc<Analysis>, VisionError> {
         let image = &*fitted(image)?;
         let key = content(image);
-        match self.analyses.slot(key).get() {
-            Some(done) => Ok(done.clone()),
-            None => Ok(self.looked_at(image, key)?.analysis.clone()),
+        match self.known(key, shelf) {
+            Some(done) => Ok(done),
+            None => Ok(self.looked_at(image, key, shelf)?.analysis.clone()),
         }
+    }
+
+    /// The analysis of a photo that was looked at before: in this process, or in one that kept its regions.
+    fn known(&self, key: blake3::Hash, shelf: Option<&dyn Shelf>) -> Option<Arc<Analysis>> {
+        let slot = self.analyses.slot(key);
+        if let Some(done) = slot.get() {
+            return Some(done.clone());
+        }
+        let kept = shelf?.regions(&self.shelved(key))?.analysis()?;
+        let done = slot.get_or_init(|| Arc::new(kept)).clone();
+        self.analyses.trim();
+        Some(done)
+    }
+
+    /// The name that the regions of a photo are kept under.
+    fn shelved(&self, key: blake3::Hash) -> String {
+        let edges = self.edges.as_ref().map(|edges| edges.key()).unwrap_or_default();
+        format!("{VERSION}+{edges} {key}")
     }
 
     /// What is known of a photo's pixels, and its analysis, worked out once; two threads that ask for one photo share the work.
     fn pixels(&self, image: &Image) -> Result<Arc<Pixels>, VisionError> {
         let image = &*fitted(image)?;
-        self.looked_at(image, content(image))
+        self.looked_at(image, content(image), self.shelf.as_deref())
     }
 
     /// As [`Builtin::pixels`], of a photo at the size it is looked at.
-    fn looked_at(&self, image: &Image, key: blake3::Hash) -> Result<Arc<Pixels>, VisionError> {
-        let (slot, analysis) = (self.pixels.slot(key), self.analyses.slot(key));
+    fn looked_at(
+        &self,
+        image: &Image,
+        key: blake3::Hash,
+        shelf: Option<&dyn Shelf>,
+    ) -> Result<Arc<Pixels>, VisionError> {
+        let slot = self.pixels.slot(key);
         if let Some(done) = slot.get() {
             return Ok(done.clone());
         }
         let strength = self.strength(image, key)?;
-        let known = analysis.get().cloned();
+        let known = self.known(key, shelf);
+        let found = known.is_none();
         let done = slot.get_or_init(|| Arc::new(Pixels::of(image, strength, known))).clone();
-        analysis.get_or_init(|| done.analysis.clone());
+        if let (true, Some(shelf)) = (found, shelf) {
+            shelf.keep(&self.shelved(key), &Regions::of(&done.analysis));
+        }
+        self.analyses.slot(key).get_or_init(|| done.analysis.clone());
         self.pixels.trim();
         self.analyses.trim();
         Ok(done)
@@ -331,7 +373,8 @@ impl MaskProposer for Builtin {
     }
 
     fn propose(&self, image: &Image, points: &[[f32; 2]]) -> Result<Vec<ScoredMask>, VisionError> {
-        let analysis = self.analysis(image)?;
+        // Of a picture that was drawn of the scene as it was at one step: nobody asks for it again.
+        let analysis = self.analysed(image, None)?;
         let (sx, sy) = analysis.scale_from(image);
         let points: Vec<[f32; 2]> = points.iter().map(|p| [p[0] * sx, p[1] * sy]).collect();
         Ok(propose::propose(&analysis, &points).into_iter().map(|m| at_size_of(image, m)).collect())
@@ -376,16 +419,19 @@ impl SkyDetector for Builtin {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::collections::BTreeMap;
+    use std::sync::Mutex;
+
+    fn photo(k: usize) -> Image {
+        let mut image = Image::zeros(320, 240, 3);
+        let value = |i: usize| ((i * 7919 + (i / 320 / 24 + k) * 31) % 101) as f32 / 100.0;
+        image.data.iter_mut().enumerate().for_each(|(i, v)| *v = value(i));
+        image
+    }
 
     /// A click that asks sixty photos in three rounds looked at each of them three times.
     #[test]
     fn photos_asked_round_after_round_are_looked_at_once() {
-        let photo = |k: usize| {
-            let mut image = Image::zeros(320, 240, 3);
-            let value = |i: usize| ((i * 7919 + (i / 320 / 24 + k) * 31) % 101) as f32 / 100.0;
-            image.data.iter_mut().enumerate().for_each(|(i, v)| *v = value(i));
-            image
-        };
         let builtin = Builtin::new().within(32 << 20);
         let first: Vec<_> = (0..8).map(|k| builtin.analysis(&photo(k)).unwrap()).collect();
         for (k, first) in first.iter().enumerate() {
@@ -394,5 +440,47 @@ mod tests {
         // Descriptions need the pixels anew, but not the regions.
         assert!(Arc::ptr_eq(&first[0], &builtin.pixels(&photo(0)).unwrap().analysis));
         assert!(first[0].bytes() * 3 < builtin.pixels(&photo(0)).unwrap().bytes());
+    }
+
+    /// Counts what is taken from it.
+    #[derive(Default)]
+    struct Kept(Mutex<(BTreeMap<String, Regions>, usize)>);
+
+    impl Shelf for Kept {
+        fn regions(&self, name: &str) -> Option<Regions> {
+            let mut kept = self.0.lock().unwrap();
+            let found = kept.0.get(name).cloned();
+            kept.1 += usize::from(found.is_some());
+            found
+        }
+        fn keep(&self, name: &str, regions: &Regions) {
+            self.0.lock().unwrap().0.insert(name.to_owned(), regions.clone());
+        }
+    }
+
+    #[test]
+    fn a_process_that_finds_kept_regions_answers_as_the_one_that_looked() {
+        let shelf = Arc::new(Kept::default());
+        let answers = |builtin: &Builtin| {
+            let click = builtin.prompted(&photo(1), &Prompts::click(100.0, 90.0)).unwrap();
+            let rough = Image { channels: 1, ..click.open.clone() };
+            let proposed = builtin.propose(&photo(1), &[[40.0, 50.0], [200.0, 120.0]]).unwrap();
+            (click, builtin.refine(&photo(1), &rough).unwrap(), proposed)
+        };
+        let drawn = Builtin::new().keeping(shelf.clone());
+        drawn.propose(&photo(3), &[[40.0, 50.0]]).unwrap();
+        assert!(shelf.0.lock().unwrap().0.is_empty(), "nobody asks for it again");
+        let looked = answers(&Builtin::new().keeping(shelf.clone()));
+        assert_eq!(shelf.0.lock().unwrap().1, 0, "there was nothing to find");
+        assert_eq!(answers(&Builtin::new().keeping(shelf.clone())), looked);
+        assert_eq!(shelf.0.lock().unwrap().1, 1);
+        assert_eq!(answers(&Builtin::new()), looked);
+        // Another photo has regions of its own, and what does not fit is looked for anew.
+        Builtin::new().keeping(shelf.clone()).analysis(&photo(2)).unwrap();
+        assert_eq!(shelf.0.lock().unwrap().0.len(), 2);
+        for regions in shelf.0.lock().unwrap().0.values_mut() {
+            regions.cut_short();
+        }
+        assert_eq!(answers(&Builtin::new().keeping(shelf.clone())), looked);
     }
 }

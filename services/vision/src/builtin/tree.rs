@@ -34,6 +34,23 @@ pub(crate) struct Node {
     pub histogram: [f32; BINS],
 }
 
+impl Node {
+    /// A superpixel, whose pixels are not counted yet.
+    pub fn leaf(i: u32, border: Border, histogram: [f32; BINS]) -> Node {
+        Node {
+            parent: i,
+            children: [i, i],
+            altitude: 0.0,
+            area: 0.0,
+            first: 0,
+            leaves: 1,
+            frame: 0.0,
+            border,
+            histogram,
+        }
+    }
+}
+
 /// A shared border.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Border {
@@ -156,19 +173,8 @@ impl Hierarchy {
     pub fn build(labels: Vec<u32>, leaves: usize, edges: &Boundaries, bins: &[&[f32]]) -> Hierarchy {
         debug_assert_eq!(bins.len(), BINS);
         let (w, h) = (edges.strength.width, edges.strength.height);
-        let mut nodes: Vec<Node> = (0..leaves as u32)
-            .map(|i| Node {
-                parent: i,
-                children: [i, i],
-                altitude: 0.0,
-                area: 0.0,
-                first: 0,
-                leaves: 1,
-                frame: 0.0,
-                border: Border::default(),
-                histogram: [0.0; BINS],
-            })
-            .collect();
+        let mut nodes: Vec<Node> =
+            (0..leaves as u32).map(|i| Node::leaf(i, Border::default(), [0.0; BINS])).collect();
         let mut sides = Vec::new();
         for i in 0..w * h {
             let node = &mut nodes[labels[i] as usize];
@@ -198,8 +204,18 @@ impl Hierarchy {
             nodes[a as usize].border.add(border);
             nodes[b as usize].border.add(border);
         }
-        let (labels, borders) = (Arc::new(labels), Arc::new(borders));
-        let mut tree = Hierarchy { width: w, height: h, labels, nodes, leaves, order: Vec::new(), borders };
+        Hierarchy::of_leaves((w, h), labels, nodes, Arc::new(borders))
+    }
+
+    /// The main tree over superpixels that are known.
+    pub fn of_leaves(
+        (width, height): (usize, usize),
+        labels: Vec<u32>,
+        nodes: Vec<Node>,
+        borders: Arc<Vec<(u32, u32, Border)>>,
+    ) -> Hierarchy {
+        let (labels, leaves) = (Arc::new(labels), nodes.len());
+        let mut tree = Hierarchy { width, height, labels, nodes, leaves, order: Vec::new(), borders };
         tree.grow(Weights::main());
         tree
     }
