@@ -122,7 +122,8 @@ pub fn lego(
                 // Pictures are asked about, not objects: no time is spent on features.
                 (settings.features.refine_steps, settings.masks.prompt_budget) = (0, 1);
                 if row.name == TOLD {
-                    settings.scene.strangers = dir.join("scene/truth/transient").display().to_string();
+                    let truth = trial.scene_dir().join("truth/transient");
+                    settings.scene.strangers = truth.display().to_string();
                 }
                 let Some(held) = trial.held_out(&settings)? else { continue };
                 let psnr = f64::from(held.psnr);

@@ -220,19 +220,19 @@ impl Builtin {
     fn analysed(&self, image: &Image, shelf: Option<&dyn Shelf>) -> Result<Arc<Analysis>, VisionError> {
         let image = &*fitted(image)?;
         let key = content(image);
-        match self.known(key, shelf) {
+        match self.known(image, key, shelf) {
             Some(done) => Ok(done),
             None => Ok(self.looked_at(image, key, shelf)?.analysis.clone()),
         }
     }
 
     /// The analysis of a photo that was looked at before: in this process, or in one that kept its regions.
-    fn known(&self, key: blake3::Hash, shelf: Option<&dyn Shelf>) -> Option<Arc<Analysis>> {
+    fn known(&self, image: &Image, key: blake3::Hash, shelf: Option<&dyn Shelf>) -> Option<Arc<Analysis>> {
         let slot = self.analyses.slot(key);
         if let Some(done) = slot.get() {
             return Some(done.clone());
         }
-        let kept = shelf?.regions(&self.shelved(key))?.analysis()?;
+        let kept = shelf?.regions(&self.shelved(key))?.analysis(image.width, image.height)?;
         let done = slot.get_or_init(|| Arc::new(kept)).clone();
         self.analyses.trim();
         Some(done)
@@ -262,7 +262,7 @@ impl Builtin {
             return Ok(done.clone());
         }
         let strength = self.strength(image, key)?;
-        let known = self.known(key, shelf);
+        let known = self.known(image, key, shelf);
         let found = known.is_none();
         let done = slot.get_or_init(|| Arc::new(Pixels::of(image, strength, known))).clone();
         if let (true, Some(shelf)) = (found, shelf) {

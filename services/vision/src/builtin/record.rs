@@ -65,13 +65,13 @@ impl Regions {
         self.runs.pop();
     }
 
-    /// The analysis that this was kept of; `None` where it is none.
-    pub(super) fn analysis(&self) -> Option<Analysis> {
-        let [width, height] = self.size.map(|n| n as usize);
+    /// The analysis that this was kept of; `None` where it is none of a photo of that size.
+    pub(super) fn analysis(&self, width: usize, height: usize) -> Option<Analysis> {
         let count = self.leaves.len();
         let pixels: usize = self.runs.iter().map(|run| run.1 as usize).sum();
         let fits = count > 0
-            && pixels == width.checked_mul(height)?
+            && self.size.map(|n| n as usize) == [width, height]
+            && pixels == width * height
             && self.runs.iter().all(|run| usize::from(run.0) < count)
             && self.borders.iter().all(|&(a, b, _)| a < b && usize::from(b) < count)
             && (self.histograms.len(), self.points.len()) == (count, count);
