@@ -16,7 +16,7 @@ impl Regions {
     fn of(mask: &Mask, diagonals: bool) -> Regions {
         let (w, n) = (mask.width() as usize, mask.width() as usize * mask.height() as usize);
         let mut runs: Vec<Range<usize>> = Vec::new();
-        // A run's first relative so far; a first run is its own. Smaller is first.
+        // Per run an earlier one of its region, or itself where none is known.
         let mut first: Vec<usize> = Vec::new();
         let mut above = 0;
         let mut at = mask.next(0, true);
