@@ -39,6 +39,11 @@ impl Sampler {
         }
     }
 
+    /// How many views are still drawn from.
+    pub fn count(&self) -> usize {
+        self.views.len()
+    }
+
     /// The views still drawn from, in ascending order.
     pub fn views(&self) -> Vec<usize> {
         let mut views: Vec<usize> = self.views.iter().map(|&v| v as usize).collect();

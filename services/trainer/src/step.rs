@@ -122,8 +122,8 @@ impl Trainer {
 
     /// Removes splats that the photos do not bear out: strangers that one photo put before its camera.
     fn drop_unwitnessed(&mut self) -> Result<usize, TrainError> {
-        let views = self.state.sampler.views();
-        if !self.settings.robust || !self.schedule.witness(self.state.step, views.len()) {
+        let photos = self.state.sampler.count();
+        if !self.settings.robust || !self.schedule.witness(self.state.step, photos) {
             return Ok(0);
         }
         self.come_home()?;
@@ -134,7 +134,7 @@ impl Trainer {
         let held = engine.hold(splats)?;
         let engine = held.as_deref().unwrap_or(&*engine);
         let level = self.schedule.level(self.state.step).max(1);
-        for view in views {
+        for view in self.state.sampler.views() {
             if self.state.backgrounds[view].is_none() {
                 continue;
             }
