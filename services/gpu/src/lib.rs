@@ -34,8 +34,9 @@ mod view;
 
 pub use adapter::{Adapter, Choice, adapters};
 pub use check::{
-    Checked, Made, Question, Sitter, Tolerance, check, check_field, check_photos, compared, gradients, held,
-    held_with_codes, projected, sitters, training as check_training,
+    Checked, Made, Question, STAGES, Sitter, Stage, Tolerance, check, check_comparison, check_field,
+    check_networks, check_splats, compared, gradients, held, held_with_codes, projected, sitters,
+    training as check_training,
 };
 pub use engine::GpuEngine;
 pub use room::{LEAST_PHOTOS, training_bytes};

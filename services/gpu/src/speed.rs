@@ -4,7 +4,7 @@
 //! its operations at the rate of a kernel that does nothing else. Operations are those of every pair of a splat and a tile
 //! at every pixel of the tile, as if no light ran out.
 
-use crate::check::Question;
+use crate::check::{OPTIONS, Question};
 use crate::compare::{Asked, Photo, compare};
 use crate::device::Work;
 use crate::engine::{Cloud, GROUP, bin, sort};
@@ -19,8 +19,7 @@ use crate::{GpuEngine, GpuError};
 use segwild_raster::compare::{LeaveOut, Residuals, Sitting, Target};
 use segwild_raster::field::{FieldRule, Queries};
 use segwild_raster::{
-    Channels, GswLook, GswWidth, Held, Look, NetworksStep, ProjectOptions, RasterError, Resident, Rule,
-    Rules, Step, gsw,
+    Channels, GswLook, GswWidth, Held, Look, NetworksStep, RasterError, Resident, Rule, Rules, Step, gsw,
 };
 use segwild_scene::{Camera, Pose, Random, Splats};
 use std::collections::BTreeMap;
@@ -34,9 +33,6 @@ const MOST: usize = 200;
 const TOUCH: f64 = 14.0;
 const PER_BLOCK: f64 = 8.0;
 const BACK: f64 = 40.0;
-
-/// How the views are projected.
-const OPTIONS: ProjectOptions = ProjectOptions { low_pass: 0.3, antialias: true, near: segwild_scene::NEAR };
 
 /// What the device reaches when it does only that.
 #[derive(Clone, Copy, Debug)]

@@ -1,12 +1,12 @@
-//! Faults planted in the kernels of training, each of which [`segwild_gpu::check`] lays to the kernel that has it. Those of
+//! Faults planted in the kernels of training, each of which a stage of [`segwild_gpu::check`] lays to the kernel that has it. Those of
 //! projection and drawing are in `parity.rs`, whose comparisons must see them as well.
 
 mod common;
 
 use common::{are_laid_to, engine};
-use segwild_gpu::{Choice, check, check_field, check_photos};
+use segwild_gpu::{Choice, check_comparison, check_field, check_networks, check_splats};
 
-/// The same of the kernels of training, which only [`check`] sees.
+/// Faults in the kernels of training that are the splats' own.
 const TRAINING_FAULTS: &[(&str, &str, &str)] = &[
     ("select", "parent.x * job.y + lane", "parent.x * job.y"),
     ("select", "parent.y == 1u", "parent.y == 2u"),
@@ -172,26 +172,26 @@ const FIELD_FAULTS: &[(&str, &str, &str)] = &[
 fn a_fault_in_any_kernel_of_training_is_seen() {
     let Some(gpu) = engine("a_fault_in_any_kernel_of_training_is_seen") else { return };
     let choice = Choice::Named(gpu.adapter().name.clone());
-    are_laid_to(check, &choice, TRAINING_FAULTS);
+    are_laid_to(&[check_splats], &choice, TRAINING_FAULTS);
 }
 
 #[test]
 fn a_fault_in_any_kernel_of_a_photos_comparison_is_seen() {
     let Some(gpu) = engine("a_fault_in_any_kernel_of_a_photos_comparison_is_seen") else { return };
     let choice = Choice::Named(gpu.adapter().name.clone());
-    are_laid_to(check_photos, &choice, COMPARISON_FAULTS);
+    are_laid_to(&[check_comparison], &choice, COMPARISON_FAULTS);
 }
 
 #[test]
 fn a_fault_in_any_kernel_of_a_looks_networks_is_seen() {
     let Some(gpu) = engine("a_fault_in_any_kernel_of_a_looks_networks_is_seen") else { return };
     let choice = Choice::Named(gpu.adapter().name.clone());
-    are_laid_to(check_photos, &choice, NETWORK_FAULTS);
+    are_laid_to(&[check_networks, check_comparison], &choice, NETWORK_FAULTS);
 }
 
 #[test]
 fn a_fault_in_any_kernel_of_the_feature_field_is_seen() {
     let Some(gpu) = engine("a_fault_in_any_kernel_of_the_feature_field_is_seen") else { return };
     let choice = Choice::Named(gpu.adapter().name.clone());
-    are_laid_to(check_field, &choice, FIELD_FAULTS);
+    are_laid_to(&[check_field], &choice, FIELD_FAULTS);
 }

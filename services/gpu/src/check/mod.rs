@@ -88,29 +88,55 @@ const SPLATS: usize = 1500;
 const ALONE: usize = 40;
 /// Splats that go through networks: more than one piece of them.
 const FEW: usize = 500;
+/// How they are projected.
+pub(crate) const OPTIONS: ProjectOptions =
+    ProjectOptions { low_pass: 0.3, antialias: true, near: segwild_scene::NEAR };
+
+/// Some of the kernels, compared.
+pub type Stage = fn(&GpuEngine) -> Result<Vec<Checked>, RasterError>;
+
+/// Every kernel, those first that others build on.
+pub const STAGES: [Stage; 6] =
+    [check_sums, check_view, check_splats, check_networks, check_comparison, check_field];
 
 /// Compares every kernel. Steps after one that is off may be off for its sake.
 pub fn check(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
     let mut checked = Vec::new();
+    for stage in STAGES {
+        checked.extend(stage(engine)?);
+    }
+    Ok(checked)
+}
+
+/// Compares running sums and the sort.
+pub fn check_sums(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
+    let mut work = engine.device.work();
+    let checked = |kernels, off: Result<(), String>| Checked { kernels, off: off.err() };
+    Ok(vec![
+        // Over three levels of blocks.
+        checked(&["scan", "scan_add"], sums(&mut work, (1 << 20) + 7)?),
+        checked(&["histogram", "scatter"], sorted(&mut work, 70_000, u32::BITS)?),
+    ])
+}
+
+/// Compares the kernels that draw a view, and those that bring its gradients back to the splats.
+pub fn check_view(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
+    let mut checked = Vec::new();
     let mut add = |kernels, off: Result<(), String>| checked.push(Checked { kernels, off: off.err() });
     let (splats, camera, pose) = scene();
-    let options = ProjectOptions { antialias: true, ..ProjectOptions::default() };
     let mut work = engine.device.work();
-    // Over three levels of blocks.
-    add(&["scan", "scan_add"], sums(&mut work, (1 << 20) + 7)?);
-    add(&["histogram", "scatter"], sorted(&mut work, 70_000, u32::BITS)?);
     let cloud = Arc::new(Cloud::upload(&mut work, &splats)?);
-    let (binned, seen) = bin(&mut work, cloud, &camera, &pose, &options, None)?;
+    let (binned, seen) = bin(&mut work, cloud, &camera, &pose, &OPTIONS, None)?;
     let seen: Vec<[f32; 4]> = work.read(&seen, splats.len())?;
     let lists = Lists::read(&mut work, &binned, splats.len(), &seen)?;
     drop(work);
     let cpu = CpuEngine::new();
-    let right = cpu.project(&splats, &camera, &pose, &options)?;
-    let found = engine.project(&splats, &camera, &pose, &options)?;
+    let right = cpu.project(&splats, &camera, &pose, &OPTIONS)?;
+    let found = engine.project(&splats, &camera, &pose, &OPTIONS)?;
     let mut footprints = projected(&*found, &*right);
     for i in (0..splats.len()).step_by(splats.len() / ALONE) {
         let alone = splats.select(&[i]);
-        let alone = cpu.project(&alone, &camera, &pose, &options)?;
+        let alone = cpu.project(&alone, &camera, &pose, &OPTIONS)?;
         let alpha = alone.blend(&Channels { count: 0, values: &[] })?.alpha;
         footprints = footprints.and_then(|()| lists.shape(i, &alpha));
     }
@@ -135,22 +161,30 @@ pub fn check(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
     let g = found.backward(&channels, &a, &grad)?;
     let w = right.backward(&channels, &b, &grad)?;
     add(&["front", "backward", "unproject"], gradients(&g, &w));
-    let mut coloured = splats.clone();
-    coloured.sh_degree = 3;
-    coloured.sh = (0..splats.len() * coloured.sh_stride()).map(|_| 0.5 * random.uniform() - 0.25).collect();
-    checked.extend(training(engine, &held(coloured.clone()), &camera, &pose, &options)?);
-    checked.extend(training(engine, &held_with_codes(coloured), &camera, &pose, &options)?);
-    checked.extend(check_photos(engine)?);
-    // Its products are the networks'.
-    checked.extend(field::field(engine, &*found)?);
     Ok(checked)
 }
 
-/// Compares the kernels of a photo's half of a step, those of its networks among them.
-pub fn check_photos(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
+/// Compares the kernels of a step of training that are the splats' own.
+pub fn check_splats(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
+    let (mut splats, camera, pose) = scene();
+    let random = &mut Random::new(6);
+    splats.sh_degree = 3;
+    splats.sh = (0..splats.len() * splats.sh_stride()).map(|_| 0.5 * random.uniform() - 0.25).collect();
+    let mut checked = training(engine, &held(splats.clone()), &camera, &pose, &OPTIONS)?;
+    checked.extend(training(engine, &held_with_codes(splats), &camera, &pose, &OPTIONS)?);
+    Ok(checked)
+}
+
+/// Compares the kernels of the networks of the look `gsw`.
+pub fn check_networks(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
     let (splats, camera, pose) = scene();
     let few = splats.select(&(0..FEW).collect::<Vec<_>>());
-    let mut checked = networks(engine, &few, &camera, &pose)?;
+    networks(engine, &few, &camera, &pose)
+}
+
+/// Compares the kernels of a photo's half of a step.
+pub fn check_comparison(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
+    let mut checked = Vec::new();
     for sitter in sitters(SIZE) {
         checked.extend(compared(engine, &sitter)?);
     }
@@ -160,7 +194,7 @@ pub fn check_photos(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
 /// Compares the kernels of the feature field.
 pub fn check_field(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
     let (splats, camera, pose) = scene();
-    field::field(engine, &*engine.project(&splats, &camera, &pose, &ProjectOptions::default())?)
+    field::field(engine, &*engine.project(&splats, &camera, &pose, &OPTIONS)?)
 }
 
 /// A ball of splats before a camera, some beyond its edges.
