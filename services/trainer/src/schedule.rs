@@ -96,8 +96,9 @@ impl Schedule {
         (0..times).any(|k| u64::from(step) == at(k)) && step > 0
     }
 
-    /// Steps for which an opacity reset makes residuals say nothing.
-    pub fn reset_pause(&self) -> u32 {
+    /// Steps for which residuals say nothing of transients, after an opacity reset and where photos grow finer: what a finer
+    /// photo shows and the scene has yet to learn contradicts it as a stranger does, and what is left out is never learnt.
+    pub fn pause(&self) -> u32 {
         self.steps / 30
     }
 }

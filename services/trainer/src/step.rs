@@ -11,7 +11,7 @@ use crate::state::{Drawn, mean_quality};
 use crate::trainer::{StepReport, Trainer};
 use crate::witness::Witness;
 use segwild_raster::compare::{self, Compared, LeaveOut, Said, Seeing, mean_difference};
-use segwild_raster::{Channels, FrameGrad, Impression};
+use segwild_raster::{AnyLook, Channels, FrameGrad, Impression};
 use segwild_scene::{Image, Splats};
 
 impl Trainer {
@@ -22,6 +22,10 @@ impl Trainer {
         let wanted = self.schedule.level(step);
         if step > 0 && wanted != self.schedule.level(step - 1) {
             self.state.quality.fill(None);
+            // The network of the look `gsw` learns from all visits who is one, and from every residual.
+            if !matches!(self.state.look, AnyLook::Gsw(_)) {
+                self.state.pause_until = step + self.schedule.pause();
+            }
         }
         let degree = self.schedule.sh_degree(step);
         if degree > self.state.params.splats.sh_degree {
@@ -201,7 +205,7 @@ impl Trainer {
         self.take_shapes(reshaping.done())?;
         if let Some(change) = &change {
             if change.opacity_reset {
-                self.state.pause_until = self.state.step + self.schedule.reset_pause();
+                self.state.pause_until = self.state.step + self.schedule.pause();
             }
             if let Some(note) = &change.note {
                 tracing::info!("{note}");

@@ -61,6 +61,25 @@ fn strangers_leave_no_ghost() {
 }
 
 #[test]
+fn what_a_finer_photo_shows_is_not_left_out_before_it_can_be_learnt() {
+    let scene = scene(8);
+    let settings = TrainSettings { robust: true, ..settings(300) };
+    let mut trainer = Trainer::new(engine(), &scene, with_strangers(&scene), settings).unwrap();
+    let mut seen = Vec::new();
+    while !trainer.is_done() {
+        let step = trainer.step().unwrap();
+        seen.push((step.size, step.left_out));
+    }
+    let grew: Vec<usize> = (0..seen.len()).filter(|&i| seen[i].0 != seen[i.max(1) - 1].0).collect();
+    let &[grew] = &grew[..] else { panic!("photos of 72 px are halved once: {grew:?}") };
+    let left_out =
+        |steps: std::ops::Range<usize>| seen[steps].iter().map(|(_, share)| *share).collect::<Vec<_>>();
+    assert!(left_out(grew - 20..grew).iter().all(|&share| share > 0.0), "strangers stand in all of them");
+    assert_eq!(left_out(grew..grew + 10), [0.0; 10]);
+    assert!(left_out(grew + 10..grew + 30).iter().all(|&share| share > 0.0), "and are left out again");
+}
+
+#[test]
 fn the_network_sees_strangers_and_does_not_take_the_scene_for_them() {
     let scene = scene(8);
     let photos = with_strangers(&scene);
