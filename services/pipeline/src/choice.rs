@@ -62,32 +62,37 @@ impl Choice for BudgetChoice {
     }
 }
 
-/// The name of a choice, from the keys of a training for which it is still open.
-fn key<C: Choice>(keys: &Keys) -> Key {
-    Key::of(C::KIND).key("training", &keys.training).finish()
+/// The name of a choice, from the keys of a training for which it is still open, and whether it may go beyond the settings.
+fn key<C: Choice>(keys: &Keys, beyond: bool) -> Key {
+    Key::of(C::KIND).key("training", &keys.training).value("beyond", beyond).finish()
 }
 
 /// The choice, if it was made before.
-fn kept<C: Choice>(cache: &Cache, keys: &Keys) -> Result<Option<C>, CacheError> {
-    let text: Option<String> = cache.get_typed(&key::<C>(keys), C::KIND)?;
+fn kept<C: Choice>(cache: &Cache, key: &Key) -> Result<Option<C>, CacheError> {
+    let text: Option<String> = cache.get_typed(key, C::KIND)?;
     Ok(text.and_then(|text| serde_json::from_str(&text).ok()))
 }
 
-/// The settings as far as choices that were made before decide them. `keys` names what is made under settings.
+/// The settings as far as choices that were made before decide them. `steps_open` says whether the steps were left to the
+/// scene; `keys` names what is made under settings.
 pub(crate) fn decided_before(
     cache: &Cache,
     settings: &Settings,
+    steps_open: bool,
     keys: &dyn Fn(&Settings) -> Keys,
 ) -> Result<Settings, CacheError> {
-    let mut settings = settings.clone();
+    let (mut settings, mut beyond) = (settings.clone(), false);
     if LookChoice::is_open(&settings) {
-        match kept::<LookChoice>(cache, &keys(&settings))? {
-            Some(choice) => settings = choice.decided(&settings),
+        match kept::<LookChoice>(cache, &key::<LookChoice>(&keys(&settings), false))? {
+            Some(choice) => {
+                beyond = steps_open && choice.agrees();
+                settings = choice.decided(&settings);
+            }
             None => return Ok(settings),
         }
     }
     if BudgetChoice::is_open(&settings) {
-        match kept::<BudgetChoice>(cache, &keys(&settings))? {
+        match kept::<BudgetChoice>(cache, &key::<BudgetChoice>(&keys(&settings), beyond))? {
             Some(choice) => settings = choice.decided(&settings),
             None => return Ok(settings),
         }
@@ -103,6 +108,8 @@ pub(crate) struct Chooser<'a> {
     pub engine: &'a Arc<dyn Engine>,
     pub sky: &'a Arc<dyn SkyDetector>,
     pub known: &'a Known,
+    /// Whether the steps were left to the scene.
+    pub steps_open: bool,
     /// Names what is made under settings.
     pub keys: &'a dyn Fn(&Settings) -> Keys,
     /// Ends the work.
@@ -123,25 +130,28 @@ impl Chooser<'_> {
             let photos = self.photos(CHOICE_SIZE.min(trial_size(settings)));
             choose_look(self.engine.clone(), scene, photos, &settings.train, self.stopping)
         };
+        let (settings, look) = self.one::<LookChoice>(settings, false, look, &mut told)?;
+        let beyond = self.steps_open && look.is_some_and(|choice| choice.agrees());
         let budget = |settings: &Settings| {
             let photos = self.photos(trial_size(settings));
-            choose_budget(self.engine.clone(), scene, photos, &settings.train, self.stopping)
+            choose_budget(self.engine.clone(), scene, photos, &settings.train, beyond, self.stopping)
         };
-        let settings = self.one::<LookChoice>(settings, look, &mut told)?;
-        self.one::<BudgetChoice>(&settings, budget, &mut told)
+        let (settings, _) = self.one::<BudgetChoice>(&settings, beyond, budget, &mut told)?;
+        Ok(settings)
     }
 
     fn one<C: Choice>(
         &self,
         settings: &Settings,
+        beyond: bool,
         make: impl Fn(&Settings) -> Result<C, TrainError>,
         told: &mut impl FnMut(&'static str, &Key, &str) -> Result<(), RunError>,
-    ) -> Result<Settings, RunError> {
+    ) -> Result<(Settings, Option<C>), RunError> {
         if !C::is_open(settings) {
-            return Ok(settings.clone());
+            return Ok((settings.clone(), None));
         }
-        let keys = (self.keys)(settings);
-        let choice = match kept::<C>(self.cache, &keys)? {
+        let key = key::<C>(&(self.keys)(settings), beyond);
+        let choice = match kept::<C>(self.cache, &key)? {
             Some(choice) => choice,
             None => {
                 let choice = make(settings).map_err(|error| match error {
@@ -149,13 +159,13 @@ impl Chooser<'_> {
                     error => RunError::Stage { stage: "geometry", reason: error.to_string() },
                 })?;
                 let text = serde_json::to_string(&choice).unwrap_or_default();
-                self.cache.put_typed(&key::<C>(&keys), C::KIND, &text)?;
+                self.cache.put_typed(&key, C::KIND, &text)?;
                 choice
             }
         };
         self.folder.write_json(C::FILE, &choice)?;
-        told(C::KIND, &key::<C>(&keys), choice.why())?;
-        Ok(choice.decided(settings))
+        told(C::KIND, &key, choice.why())?;
+        Ok((choice.decided(settings), Some(choice)))
     }
 
     /// Photos of a long side, few and small and asked for again and again.

@@ -89,6 +89,7 @@ fn situation(
 ) -> Result<Situation, RunError> {
     let scene = Scene::open(path, &settings.scene)?;
     let providers = Providers::from_settings(&settings.vision)?;
+    let steps_open = settings.train.steps == 0;
     let settings = &settings.decided(&scene);
     let engine = choose_engine(&settings.run, drop)?.engine;
     let corrections = Corrections::find(&scene, folder, &settings.scene.strangers)?;
@@ -100,7 +101,7 @@ fn situation(
     let name = |settings: &Settings| named(settings, &corrections, end);
     // What is not decided yet: whatever it will be, all that depends on it is to be made.
     let cache = Cache::at(folder.path().join("cache"));
-    let settings = choice::decided_before(&cache, settings, &name)?;
+    let settings = choice::decided_before(&cache, settings, steps_open, &name)?;
     let (mut keys, mut goal, mut origin) = (name(&settings), end.step(), None);
     if let (End::Settings, Some(ledger)) = (end, ledger) {
         let named = |corrections: &Corrections, end: &End| named(&settings, corrections, end);

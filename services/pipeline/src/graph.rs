@@ -171,6 +171,7 @@ pub fn run(
         ),
     );
 
+    let steps_open = settings.train.steps == 0;
     let settings = &memory::within_budget(&settings.decided(&scene), &scene)?;
     let providers = match &options.providers {
         Some(providers) => providers.clone(),
@@ -215,6 +216,7 @@ pub fn run(
         engine: &engine,
         sky: &providers.sky,
         known: &known,
+        steps_open,
         keys: &name,
         stopping: &|| options.stopper.phase() != Phase::Running,
     };

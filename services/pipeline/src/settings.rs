@@ -18,7 +18,8 @@ choice! {
         /// The settings, as they are.
         Fixed = "fixed",
         /// The scene: the least steps, channels and look that suffice, found by short trainings that are scored on
-        /// photos held out of them. `steps` is the most that is spent.
+        /// photos held out of them. `steps` is the most that is spent; where it is left to the scene and photos agree,
+        /// eight times the scene's own.
         Auto = "auto",
     }
 }
@@ -41,7 +42,8 @@ settings! {
         /// How much time to spend; sets the defaults of the other settings.
         preset: Preset = Preset::Standard,
         /// Who decides how much the scene gets: `fixed` is what the settings say, `auto` the least steps, channels and look that
-        /// suffice, at most `steps`; what is set by itself stays as it is set.
+        /// suffice, at most `steps` (where that is 0 and photos agree, up to eight times the scene's own); what is set by itself
+        /// stays as it is set.
         budget: Budget = Budget::Fixed,
         /// Compute threads; 0 takes all cores. The result does not depend on it.
         threads: u32 = 0 => 0..=256,

@@ -21,6 +21,9 @@ const SIZES: (u32, u32) = (96, 480);
 /// The shortest training tried, as a share of the longest, and in steps: fewer tell nothing, and where a sixteenth is
 /// fewer, trials would take what they could save.
 const SHORTEST: (u32, u32) = (16, 125);
+/// Photos that agree are worth more steps than others, so many times as many at most.
+/// Where light differs and strangers stand in front, more than the scene's own are learnt by heart (docs/measured.md).
+const MORE: u32 = 8;
 /// What all further doublings together must promise on the photos held out, in SSIM, for the next to be made.
 const WORTH: f32 = 0.002;
 /// How much of a doubling's gain the next one keeps: where only one gain is known, and the bounds of what two tell.
@@ -54,16 +57,23 @@ fn trial_size_of(trained_on: u32) -> u32 {
     (trained_on / 2).clamp(SIZES.0, SIZES.1).min(trained_on)
 }
 
-/// Chooses the least steps that suffice, `settings.steps` at most. `photos` gives photos of a long side of
+/// Chooses the least steps that suffice, `settings.steps` at most, or eight times as many where it may go `beyond`: where they
+/// were left to the scene, and its photos agree ([`super::LookChoice::agrees`]). `photos` gives photos of a long side of
 /// [`trial_size`]; `stopping` ends the work. The same scene, photos and settings give the same choice.
 pub fn choose_budget(
     engine: Arc<dyn Engine>,
     scene: &Scene,
     photos: Arc<dyn Photos>,
     settings: &TrainSettings,
+    beyond: bool,
     stopping: &dyn Fn() -> bool,
 ) -> Result<BudgetChoice, TrainError> {
-    let settings = &settings.decided(scene);
+    let mut settings = settings.decided(scene);
+    let own = settings.steps;
+    if beyond {
+        settings.steps = own.saturating_mul(MORE);
+    }
+    let settings = &settings;
     let mut trials = Trials::new(engine, scene, photos, stopping);
     let whole = BudgetChoice {
         steps: settings.steps,
@@ -72,9 +82,8 @@ pub fn choose_budget(
         held_out: trials.held_out.len(),
     };
     if trials.held_out.is_empty() {
-        let why =
-            format!("all {} steps: {} photos are too few to hold any out", whole.steps, trials.usable.len());
-        return Ok(BudgetChoice { why, ..whole });
+        let why = format!("all {own} steps: {} photos are too few to hold any out", trials.usable.len());
+        return Ok(BudgetChoice { steps: own, why, ..whole });
     }
     let mut steps = settings.steps / SHORTEST.0;
     let mut promise = f32::INFINITY;

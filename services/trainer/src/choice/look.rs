@@ -22,6 +22,10 @@ pub const SIZE: u32 = 160;
 /// Steps of a short fit: a share of the whole training's, within these.
 const STEPS: (u32, u32) = (300, 600);
 
+/// Photos agree where those held out of the look's fit are shown with so many dB: `desk` and `fern` have 30, what differs in
+/// light or is crowded 14 to 22.
+const AGREE: f32 = 25.0;
+
 /// Which look was chosen, and on what grounds.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LookChoice {
@@ -35,6 +39,13 @@ pub struct LookChoice {
     pub fits: Vec<ShortFit>,
     /// Photos that these were scored on.
     pub held_out: usize,
+}
+
+impl LookChoice {
+    /// Whether the photos agree about the scene, as far as the fits tell.
+    pub fn agrees(&self) -> bool {
+        self.fits.iter().any(|fit| fit.look == self.look && fit.psnr >= AGREE)
+    }
 }
 
 /// Chooses the lowest rung that suffices. `photos` gives photos of a long side of [`SIZE`] at most; `stopping` ends the work.

@@ -250,6 +250,7 @@ fn auto_takes_no_look_where_photos_share_a_light_and_a_look_where_they_differ() 
     };
     let same = choose(photos(&scene, true, |_, _| ()));
     assert_eq!(same.look, LookKind::None, "{}", same.why);
+    assert!(same.agrees(), "{}", same.why);
     assert!(same.why.starts_with("none: ") && same.fits.len() >= 2 && same.held_out >= 2, "{}", same.why);
     let tinted = |i: usize, image: &mut Image| {
         for c in 0..3 {
@@ -276,7 +277,7 @@ fn a_budget_spends_little_where_more_gains_little_and_all_where_every_doubling_p
     };
     let choose = |steps: u32| {
         let settings = TrainSettings { look: LookKind::None, ..settings(steps) };
-        choose_budget(engine(), &scene, photos(&scene, false, grain), &settings, &|| false).unwrap()
+        choose_budget(engine(), &scene, photos(&scene, false, grain), &settings, false, &|| false).unwrap()
     };
     let ample = choose(4000);
     assert!(ample.steps <= 1000, "{}", ample.why);
@@ -287,11 +288,28 @@ fn a_budget_spends_little_where_more_gains_little_and_all_where_every_doubling_p
     // Where nothing can be held out nothing can be known.
     let few = self::scene(5);
     let settings = TrainSettings { look: LookKind::None, ..settings(4000) };
-    let of_few = choose_budget(engine(), &few, photos(&few, false, |_, _| ()), &settings, &|| false).unwrap();
+    let of_few =
+        choose_budget(engine(), &few, photos(&few, false, |_, _| ()), &settings, false, &|| false).unwrap();
     assert_eq!((of_few.steps, of_few.fits.len()), (4000, 0), "{}", of_few.why);
     assert!(of_few.why.contains("too few"), "{}", of_few.why);
-    let stopped = choose_budget(engine(), &scene, photos(&scene, false, |_, _| ()), &settings, &|| true);
+    let stopped =
+        choose_budget(engine(), &scene, photos(&scene, false, |_, _| ()), &settings, false, &|| true);
     assert!(matches!(stopped, Err(TrainError::Stopped)), "{stopped:?}");
+}
+
+#[test]
+fn a_budget_goes_beyond_the_scenes_own_steps_where_photos_agree() {
+    let scene = scene(14);
+    let choose = |steps: u32, beyond: bool| {
+        let settings = TrainSettings { look: LookKind::None, ..settings(steps) };
+        let clean = photos(&scene, false, |_, _| ());
+        choose_budget(engine(), &scene, clean, &settings, beyond, &|| false).unwrap()
+    };
+    let own = 721; // 200 for the square root of 13
+    let differ = choose(0, false);
+    assert_eq!((differ.steps, differ.fits.len()), (own, 0), "{}", differ.why);
+    let agreed = choose(0, true);
+    assert!(agreed.steps > own && agreed.steps <= 8 * own && !agreed.fits.is_empty(), "{}", agreed.why);
 }
 
 /// A photo whose mask of the sky was empty was given a sky of its own all the same, learnt from whatever no splat covered:
