@@ -1,5 +1,5 @@
-//! Faults planted in the kernels of training, each of which a stage of [`segwild_gpu::check`] lays to the kernel that has it. Those of
-//! projection and drawing are in `parity.rs`, whose comparisons must see them as well.
+//! Faults planted in the kernels of training, each of which a stage of [`segwild_gpu::check`] lays to the kernel that has
+//! it. Those of projection and drawing are in `parity.rs`, whose comparisons must see them as well.
 
 mod common;
 

@@ -75,15 +75,11 @@ pub fn choose_budget(
     }
     let settings = &settings;
     let mut trials = Trials::new(engine, scene, photos, stopping);
-    let whole = BudgetChoice {
-        steps: settings.steps,
-        why: String::new(),
-        fits: Vec::new(),
-        held_out: trials.held_out.len(),
-    };
+    let whole =
+        BudgetChoice { steps: own, why: String::new(), fits: Vec::new(), held_out: trials.held_out.len() };
     if trials.held_out.is_empty() {
         let why = format!("all {own} steps: {} photos are too few to hold any out", trials.usable.len());
-        return Ok(BudgetChoice { steps: own, why, ..whole });
+        return Ok(BudgetChoice { why, ..whole });
     }
     let mut steps = settings.steps / SHORTEST.0;
     let mut promise = f32::INFINITY;
@@ -111,7 +107,7 @@ pub fn choose_budget(
             settings.steps,
             told(&fits)
         );
-        return Ok(BudgetChoice { why, fits, ..whole });
+        return Ok(BudgetChoice { steps: settings.steps, why, fits, ..whole });
     }
     // The last, though one before it may have done: finer photos take longer.
     let Some(chosen) = fits.last().cloned() else { return Ok(whole) };

@@ -300,16 +300,19 @@ fn a_budget_spends_little_where_more_gains_little_and_all_where_every_doubling_p
 #[test]
 fn a_budget_goes_beyond_the_scenes_own_steps_where_photos_agree() {
     let scene = scene(14);
-    let choose = |steps: u32, beyond: bool| {
-        let settings = TrainSettings { look: LookKind::None, ..settings(steps) };
+    let choose = |effort: f32, beyond: bool| {
+        let settings = TrainSettings { look: LookKind::None, effort, ..settings(0) };
         let clean = photos(&scene, false, |_, _| ());
         choose_budget(engine(), &scene, clean, &settings, beyond, &|| false).unwrap()
     };
     let own = 721; // 200 for the square root of 13
-    let differ = choose(0, false);
+    let differ = choose(1.0, false);
     assert_eq!((differ.steps, differ.fits.len()), (own, 0), "{}", differ.why);
-    let agreed = choose(0, true);
+    let agreed = choose(1.0, true);
     assert!(agreed.steps > own && agreed.steps <= 8 * own && !agreed.fits.is_empty(), "{}", agreed.why);
+    // Where trials would take longer than the training nothing speaks for more.
+    let hasty = choose(0.1, true);
+    assert_eq!((hasty.steps, hasty.fits.len()), (72, 0), "{}", hasty.why);
 }
 
 /// A photo whose mask of the sky was empty was given a sky of its own all the same, learnt from whatever no splat covered:
