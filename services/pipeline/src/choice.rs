@@ -62,6 +62,11 @@ impl Choice for BudgetChoice {
     }
 }
 
+/// Whether a budget may go beyond the settings: the steps were left to the scene, and its photos agree.
+fn beyond(steps_open: bool, look: Option<&LookChoice>) -> bool {
+    steps_open && look.is_some_and(LookChoice::agrees)
+}
+
 /// The name of a choice, from the keys of a training for which it is still open, and whether it may go beyond the settings.
 fn key<C: Choice>(keys: &Keys, beyond: bool) -> Key {
     Key::of(C::KIND).key("training", &keys.training).value("beyond", beyond).finish()
@@ -81,18 +86,16 @@ pub(crate) fn decided_before(
     steps_open: bool,
     keys: &dyn Fn(&Settings) -> Keys,
 ) -> Result<Settings, CacheError> {
-    let (mut settings, mut beyond) = (settings.clone(), false);
+    let (mut settings, mut look) = (settings.clone(), None);
     if LookChoice::is_open(&settings) {
         match kept::<LookChoice>(cache, &key::<LookChoice>(&keys(&settings), false))? {
-            Some(choice) => {
-                beyond = steps_open && choice.agrees();
-                settings = choice.decided(&settings);
-            }
+            Some(choice) => settings = look.insert(choice).decided(&settings),
             None => return Ok(settings),
         }
     }
     if BudgetChoice::is_open(&settings) {
-        match kept::<BudgetChoice>(cache, &key::<BudgetChoice>(&keys(&settings), beyond))? {
+        let key = key::<BudgetChoice>(&keys(&settings), beyond(steps_open, look.as_ref()));
+        match kept::<BudgetChoice>(cache, &key)? {
             Some(choice) => settings = choice.decided(&settings),
             None => return Ok(settings),
         }
@@ -131,7 +134,7 @@ impl Chooser<'_> {
             choose_look(self.engine.clone(), scene, photos, &settings.train, self.stopping)
         };
         let (settings, look) = self.one::<LookChoice>(settings, false, look, &mut told)?;
-        let beyond = self.steps_open && look.is_some_and(|choice| choice.agrees());
+        let beyond = beyond(self.steps_open, look.as_ref());
         let budget = |settings: &Settings| {
             let photos = self.photos(trial_size(settings));
             choose_budget(self.engine.clone(), scene, photos, &settings.train, beyond, self.stopping)

@@ -68,12 +68,9 @@ pub fn choose_budget(
     beyond: bool,
     stopping: &dyn Fn() -> bool,
 ) -> Result<BudgetChoice, TrainError> {
-    let mut settings = settings.decided(scene);
+    let settings = &settings.decided(scene);
     let own = settings.steps;
-    if beyond {
-        settings.steps = own.saturating_mul(MORE);
-    }
-    let settings = &settings;
+    let most = if beyond { own.saturating_mul(MORE) } else { own };
     let mut trials = Trials::new(engine, scene, photos, stopping);
     let whole =
         BudgetChoice { steps: own, why: String::new(), fits: Vec::new(), held_out: trials.held_out.len() };
@@ -81,20 +78,20 @@ pub fn choose_budget(
         let why = format!("all {own} steps: {} photos are too few to hold any out", trials.usable.len());
         return Ok(BudgetChoice { why, ..whole });
     }
-    let mut steps = settings.steps / SHORTEST.0;
+    let mut steps = most / SHORTEST.0;
     let mut promise = f32::INFINITY;
-    while (SHORTEST.1..settings.steps).contains(&steps) {
+    while (SHORTEST.1..most).contains(&steps) {
         trials.fit(TrainSettings { steps, ..settings.clone() })?;
         let scores: Vec<f32> = trials.fits.iter().map(|fit| fit.ssim).collect();
         promise = promised(&scores);
-        if promise < WORTH || ends_at(&scores, steps) >= settings.steps as f32 {
+        if promise < WORTH || ends_at(&scores, steps) >= most as f32 {
             break;
         }
         steps *= 2;
     }
     let (held_out, fits) = (trials.held_out.len(), trials.fits);
     if fits.is_empty() {
-        let why = format!("all {} steps: trials pay from {} steps on", whole.steps, SHORTEST.0 * SHORTEST.1);
+        let why = format!("all {own} steps: trials pay from {} steps on", SHORTEST.0 * SHORTEST.1);
         return Ok(BudgetChoice { why, ..whole });
     }
     let told = |fits: &[ShortFit]| -> String {
@@ -103,18 +100,16 @@ pub fn choose_budget(
     };
     if promise >= WORTH {
         let why = format!(
-            "all {} steps, for each doubling pays; SSIM on {held_out} photos held out: {}",
-            settings.steps,
+            "all {most} steps, for each doubling pays; SSIM on {held_out} photos held out: {}",
             told(&fits)
         );
-        return Ok(BudgetChoice { steps: settings.steps, why, fits, ..whole });
+        return Ok(BudgetChoice { steps: most, why, fits, ..whole });
     }
     // The last, though one before it may have done: finer photos take longer.
     let Some(chosen) = fits.last().cloned() else { return Ok(whole) };
     let why = format!(
-        "{} of {} steps; SSIM on {held_out} photos held out: {}; all further doublings promise {promise:.3}",
+        "{} of {most} steps; SSIM on {held_out} photos held out: {}; all further doublings promise {promise:.3}",
         chosen.steps,
-        settings.steps,
         told(&fits)
     );
     Ok(BudgetChoice { steps: chosen.steps, why, fits, ..whole })
