@@ -195,6 +195,7 @@ impl Trainer {
         let state = &mut self.state;
         let mut around = Surroundings {
             step: state.step,
+            level: self.schedule.level(state.step - 1),
             pixel: state.pixel,
             cap: state.room.splats(),
             quality,

@@ -24,6 +24,8 @@ pub(crate) struct Budget {
     /// Steps at which what no photo needs is pruned.
     prune_at: [u32; 2],
     gain: f32,
+    /// Halvings of the photos when it last acted.
+    level: usize,
     /// Quality and count when growth was last judged.
     judged: Option<(f32, f32)>,
     /// Judgements in a row that found growth not to pay.
@@ -43,6 +45,7 @@ impl Budget {
             every: (steps / 25).clamp(5, 150),
             prune_at: [at(0.62), at(0.85)],
             gain: settings.grow_gain,
+            level: usize::MAX,
             judged: None,
             idle: 0,
             stopped: false,
@@ -69,12 +72,7 @@ impl Budget {
     /// Whether growth pays; `Some(note)` when it is to stop. Quality wavers from one visit of the photos to the next, so
     /// growth is only called off when several judgements in a row fall short of the last one that did not.
     fn judge(&mut self, quality: Option<f32>, n: usize) -> Option<String> {
-        let Some(quality) = quality else {
-            // The photos' size changed: qualities before and after do not compare, and finer photos may bear more.
-            self.judged = None;
-            self.idle = 0;
-            return None;
-        };
+        let quality = quality?;
         let now = (quality, (n as f32).ln());
         let Some((before, count)) = self.judged else {
             self.judged = Some(now);
@@ -143,7 +141,11 @@ impl Density for Budget {
         }
         if grow {
             let n = all.len();
-            if !self.stopped || around.quality.is_none() {
+            if self.level != around.level {
+                // Qualities before and after do not compare, and finer photos may bear more.
+                (self.level, self.judged, self.idle, self.stopped) = (around.level, None, 0, false);
+            }
+            if !self.stopped {
                 note = self.judge(around.quality, n);
                 self.stopped = note.is_some();
             }
@@ -165,31 +167,72 @@ mod tests {
     use super::*;
     use segwild_scene::{Random, Splats};
 
+    /// Splats of so many opacity logits, in a row along x, that all photos need.
+    fn row(opacities: &[f32]) -> Reshaping {
+        let n = opacities.len();
+        let splats = Splats {
+            means: (0..n).map(|i| [i as f32, 0.0, 0.0]).collect(),
+            log_scales: vec![[-3.0; 3]; n],
+            rotations: vec![[1.0, 0.0, 0.0, 0.0]; n],
+            opacities: opacities.to_vec(),
+            sh: vec![0.0; 3 * n],
+            ..Splats::default()
+        };
+        Reshaping::new(splats, vec![true; n])
+    }
+
     /// What passes under a camera fills its photo, and is an ordinary splat to all the others.
     #[test]
     fn the_ground_before_a_camera_stays_however_large_it_looks() {
         let mut budget = Budget::new(&TrainSettings { steps: 100, ..TrainSettings::default() }, 3);
         budget.stats.radius = vec![0.1, 4.0, 0.1];
-        let splats = Splats {
-            means: vec![[0.0; 3]; 3],
-            log_scales: vec![[-3.0; 3]; 3],
-            rotations: vec![[1.0, 0.0, 0.0, 0.0]; 3],
-            // The last is hardly there.
-            opacities: vec![1.0, 1.0, -9.0],
-            sh: vec![0.0; 9],
-            ..Splats::default()
-        };
-        let mut all = Reshaping::new(splats, vec![true; 3]);
+        // The last is hardly there.
+        let mut all = row(&[1.0, 1.0, -9.0]);
+        assert!(budget.acts(10));
+        act(&mut budget, &mut all, 10, 2, 0, None);
+        assert_eq!(all.len(), 2);
+    }
+
+    /// Photos that had all been seen again, at their new size, before growth was next asked: then it stayed stopped, and a
+    /// training of four times the steps ended with a quarter fewer splats.
+    #[test]
+    fn growth_that_stopped_on_coarse_photos_goes_on_with_finer_ones_in_long_trainings_too() {
+        let settings = TrainSettings { steps: 1000, ..TrainSettings::default() };
+        let mut all = row(&[1.0; 40]);
+        let mut budget = Budget::new(&settings, all.len());
+        // A quality that never rises ends growth, and it stays ended on photos of that size.
+        for step in [40, 80, 120, 160, 200, 240] {
+            act(&mut budget, &mut all, step, 1000, 2, Some(20.0));
+        }
+        assert!(budget.stopped);
+        let coarse = all.len();
+        act(&mut budget, &mut all, 280, 1000, 2, Some(25.0));
+        assert_eq!(all.len(), coarse);
+        act(&mut budget, &mut all, 320, 1000, 1, Some(20.0));
+        assert!(!budget.stopped && all.len() > coarse, "{coarse} splats before, {} after", all.len());
+    }
+
+    /// One act of a strategy that saw every splat alike.
+    fn act(
+        budget: &mut Budget,
+        all: &mut Reshaping,
+        step: u32,
+        cap: usize,
+        level: usize,
+        quality: Option<f32>,
+    ) {
+        let n = all.len();
+        let Stats { gradient, error, seen, .. } = &mut budget.stats;
+        [gradient, error, seen].into_iter().for_each(|sums| *sums = vec![1.0; n]);
         let mut around = Surroundings {
-            step: 10,
+            step,
+            level,
             pixel: 0.01,
-            cap: 3,
-            quality: None,
+            cap,
+            quality,
             random: &mut Random::new(1),
             contribution: &mut |splats| Ok(vec![1.0; splats.len()]),
         };
-        assert!(budget.acts(10));
-        budget.act(&mut all, &mut around).unwrap();
-        assert_eq!(all.len(), 2);
+        budget.act(all, &mut around).unwrap();
     }
 }

@@ -34,6 +34,8 @@ pub(crate) struct Seen<'a> {
 pub(crate) struct Surroundings<'a> {
     /// Steps done.
     pub step: u32,
+    /// Halvings of the photos of the last step.
+    pub level: usize,
     /// Scene units per full-size pixel at the scene's median depth.
     pub pixel: f32,
     /// Most splats allowed.
