@@ -16,7 +16,8 @@ fn slanted(n: usize, near: f32, slope: f32) -> Vec<[f32; 3]> {
     let mut points = Vec::new();
     for j in 0..n {
         for i in 0..n {
-            let (u, v) = ((i as f32 + 0.5) / n as f32 * 96.0, (j as f32 + 0.5) / n as f32 * 64.0);
+            // Off the borders between pixels, where rounding would say which of the two sees a point.
+            let (u, v) = ((i as f32 + 0.6) / n as f32 * 96.0, (j as f32 + 0.6) / n as f32 * 64.0);
             let z = near + slope * u / 96.0;
             let world = pose().rotation.transpose() * (CAMERA.ray((u, v).into()) * z - pose().translation);
             points.push(world.to_array());
