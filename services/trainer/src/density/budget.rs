@@ -181,6 +181,30 @@ mod tests {
         Reshaping::new(splats, vec![true; n])
     }
 
+    /// One act of a strategy that saw every splat alike.
+    fn act(
+        budget: &mut Budget,
+        all: &mut Reshaping,
+        step: u32,
+        cap: usize,
+        level: usize,
+        quality: Option<f32>,
+    ) {
+        let n = all.len();
+        let Stats { gradient, error, seen, .. } = &mut budget.stats;
+        [gradient, error, seen].into_iter().for_each(|sums| *sums = vec![1.0; n]);
+        let mut around = Surroundings {
+            step,
+            level,
+            pixel: 0.01,
+            cap,
+            quality,
+            random: &mut Random::new(1),
+            contribution: &mut |splats| Ok(vec![1.0; splats.len()]),
+        };
+        budget.act(all, &mut around).unwrap();
+    }
+
     /// What passes under a camera fills its photo, and is an ordinary splat to all the others.
     #[test]
     fn the_ground_before_a_camera_stays_however_large_it_looks() {
@@ -210,29 +234,5 @@ mod tests {
         assert_eq!(all.len(), coarse);
         act(&mut budget, &mut all, 320, 1000, 1, Some(20.0));
         assert!(!budget.stopped && all.len() > coarse, "{coarse} splats before, {} after", all.len());
-    }
-
-    /// One act of a strategy that saw every splat alike.
-    fn act(
-        budget: &mut Budget,
-        all: &mut Reshaping,
-        step: u32,
-        cap: usize,
-        level: usize,
-        quality: Option<f32>,
-    ) {
-        let n = all.len();
-        let Stats { gradient, error, seen, .. } = &mut budget.stats;
-        [gradient, error, seen].into_iter().for_each(|sums| *sums = vec![1.0; n]);
-        let mut around = Surroundings {
-            step,
-            level,
-            pixel: 0.01,
-            cap,
-            quality,
-            random: &mut Random::new(1),
-            contribution: &mut |splats| Ok(vec![1.0; splats.len()]),
-        };
-        budget.act(all, &mut around).unwrap();
     }
 }
