@@ -1,0 +1,5 @@
+//! Points: colours, units, outliers.
+
+use crate::Row;
+
+pub const ROWS: &[Row] = &[];
