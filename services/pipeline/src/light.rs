@@ -1,7 +1,8 @@
 //! Looks as they are asked for: by photo, between photos, stronger or weaker, on the scene and on one object.
 
 use crate::{RunError, RunFolder, Selected};
-use segwild_scene::{Scene, Splats, ply};
+use segwild_scene::ply::Export;
+use segwild_scene::{Scene, Splats};
 use segwild_trainer::{Light, Lighting, Model};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -152,9 +153,14 @@ pub fn bake(folder: &RunFolder, request: &BakeRequest) -> Result<Baked, RunError
         None => None,
     };
     let lighting = Lighting { scene: light(&request.look)?.unwrap_or_else(|| model.light(None)), object };
-    let baked = model.baked(&lighting).to_file_frame(&scene.frame);
-    ply::write(&request.out, &baked)?;
+    let baked = model.baked(&lighting);
+    export(scene, &model).write(&request.out, &baked)?;
     Ok(Baked { file: request.out.clone(), splats: baked.len() })
+}
+
+/// How splats of a trained scene are written for other programs.
+pub(crate) fn export<'a>(scene: &'a Scene, model: &Model) -> Export<'a> {
+    Export { frame: &scene.frame, antialias: model.antialias, extra: &[] }
 }
 
 /// The splats as their file shows them: in the scene's own look, or in that of the photo named.

@@ -15,7 +15,8 @@ use rayon::prelude::*;
 use segwild_flow::{
     ActorOptions, FileError, Limits, Phase, Stopper, System, SystemOptions, codec, fault, files, mailbox,
 };
-use segwild_scene::{Image, Mask, Scene, ScoredMask, Splats, View, ply};
+use segwild_scene::ply::Export;
+use segwild_scene::{Image, Mask, Scene, ScoredMask, Splats, View};
 use segwild_segmenter::{
     Cut, Geometry, MaskMode, Object, PosedView, SegmentActor, SegmentError, SegmentReply, SegmentSettings,
     SegmentTask, Segmented, Verdict,
@@ -321,13 +322,11 @@ pub fn segment(
             .map_err(|source| RunError::Record { path: path.clone(), source })?;
         files::write_atomic(&path, &bytes)?;
         pass()?;
-        ply::write(&aside.join("object.ply"), &object.splats.to_file_frame(&scene.frame))?;
+        let export = light::export(&scene, &model);
+        export.write(&aside.join("object.ply"), &object.splats)?;
         let labels: Vec<u8> = selected.labels.iter().map(|&l| u8::from(l)).collect();
-        ply::write_with(
-            &aside.join("labels.ply"),
-            &selected.cut_scene(&in_colour).to_file_frame(&scene.frame),
-            &[("label", &labels)],
-        )?;
+        let labelled = Export { extra: &[("label", &labels)], ..export };
+        labelled.write(&aside.join("labels.ply"), &selected.cut_scene(&in_colour))?;
         pass()?;
         for (view, mask) in &masks {
             let full = &scene.views[*view].camera;

@@ -4,7 +4,13 @@
 //! f_rest_0.. opacity scale_0..2 rot_0..3`, normals zero. Reading a canonical file and writing it again gives the same
 //! bytes. Values are passed through as they are, even when they are not finite: the renderer culls those.
 
+mod before;
+mod export;
 mod header;
+mod points;
+
+pub use export::Export;
+pub(crate) use points::{Coloured, read_points};
 
 use crate::error::write_whole;
 use crate::{SceneError, Splats};
@@ -71,30 +77,6 @@ pub fn read_extra(path: &Path, name: &str) -> Result<Option<Vec<u8>>, SceneError
     Ok(table.column(name).map(|c| (0..table.len()).map(|row| table.value(row, c) as u8).collect()))
 }
 
-/// A point of a point cloud.
-pub(crate) struct Coloured {
-    pub(crate) position: [f64; 3],
-    pub(crate) colour: [u8; 3],
-}
-
-/// Positions and colours of a point cloud; grey where the file has no colours.
-pub(crate) fn read_points(path: &Path) -> Result<Vec<Coloured>, SceneError> {
-    let bytes = std::fs::read(path).map_err(SceneError::io(path))?;
-    let table = Table::parse(path, &bytes)?;
-    let find = |names: [&str; 3]| match names.map(|n| table.column(n)) {
-        [Some(a), Some(b), Some(c)] => Some([a, b, c]),
-        _ => None,
-    };
-    let position = find(["x", "y", "z"])
-        .ok_or_else(|| SceneError::invalid(path, "header", "there are no properties x, y, z"))?;
-    let colour = find(["red", "green", "blue"]);
-    let point = |row| {
-        let colour = colour.map_or([128; 3], |c| c.map(|c| table.value(row, c) as u8));
-        Coloured { position: position.map(|c| table.value(row, c)), colour }
-    };
-    Ok((0..table.len()).map(point).collect())
-}
-
 /// Writes splats in the canonical layout.
 pub fn write(path: &Path, splats: &Splats) -> Result<(), SceneError> {
     write_with(path, splats, &[])
@@ -106,10 +88,20 @@ pub fn write(path: &Path, splats: &Splats) -> Result<(), SceneError> {
 /// # Panics
 /// When an array of `splats` or an extra one has another length than there are splats.
 pub fn write_with(path: &Path, splats: &Splats, extra: &[(&str, &[u8])]) -> Result<(), SceneError> {
-    write_whole(path, &to_bytes(splats, extra))
+    write_commented(path, splats, extra, &[])
 }
 
-fn to_bytes(splats: &Splats, extra: &[(&str, &[u8])]) -> Vec<u8> {
+/// The same with comments in the header, each without line ends.
+fn write_commented(
+    path: &Path,
+    splats: &Splats,
+    extra: &[(&str, &[u8])],
+    comments: &[String],
+) -> Result<(), SceneError> {
+    write_whole(path, &to_bytes(splats, extra, comments))
+}
+
+fn to_bytes(splats: &Splats, extra: &[(&str, &[u8])], comments: &[String]) -> Vec<u8> {
     let n = splats.len();
     let stride = splats.sh_stride();
     assert!(
@@ -121,7 +113,8 @@ fn to_bytes(splats: &Splats, extra: &[(&str, &[u8])]) -> Vec<u8> {
         "arrays of different lengths"
     );
     let bands = stride / 3 - 1;
-    let mut header = format!("ply\nformat binary_little_endian 1.0\nelement vertex {n}\n");
+    let comments: String = comments.iter().map(|comment| format!("comment {comment}\n")).collect();
+    let mut header = format!("ply\nformat binary_little_endian 1.0\n{comments}element vertex {n}\n");
     let names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"].map(String::from).into_iter();
     let names = names.chain((0..3 * bands).map(|k| format!("f_rest_{k}")));
     let tail =

@@ -103,7 +103,8 @@ segwild_scene::settings! {
         sky_weight: f32 = 0.5 => 0.0..=100.0,
         /// Share of the steps trained on photos at reduced size.
         coarse: f32 = 0.5 => 0.0..=1.0,
-        /// Lower opacities by what the pixel filter widens, so that small splats do not grow brighter.
+        /// Lower opacities by what the pixel filter widens, so that small splats do not grow brighter. False: as plain Gaussian
+        /// splatting does, for viewers that cannot (docs/exports.md).
         antialias: bool = true,
         /// Stop growing when 10 % more splats gain less than this many dB on the training photos.
         grow_gain: f32 = 0.01 => 0.0..=100.0,

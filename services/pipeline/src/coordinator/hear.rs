@@ -11,7 +11,7 @@ use segwild_features::{FeatureField, FeatureOutcome};
 use segwild_flow::ledger::ViewOutcome;
 use segwild_flow::{Event, Failure, Key, Quarantined, StageProgress};
 use segwild_masks::MaskOutcome;
-use segwild_scene::{Skipped, ply};
+use segwild_scene::Skipped;
 use segwild_trainer::{Model, TrainOutcome};
 use std::sync::{Arc, PoisonError};
 use std::time::Instant;
@@ -283,8 +283,8 @@ impl Coordinator<'_> {
 
     pub(super) fn take_model(&mut self, model: Arc<Model>) -> Result<(), RunError> {
         self.folder.write_record("model.bin", MODEL, &*model)?;
-        let splats = light::shown(&self.scene, &model, "")?.to_file_frame(&self.scene.frame);
-        ply::write(&self.folder.path().join("scene.ply"), &splats)?;
+        let splats = light::shown(&self.scene, &model, "")?;
+        light::export(&self.scene, &model).write(&self.folder.path().join("scene.ply"), &splats)?;
         self.state.model = Some(model);
         Ok(())
     }

@@ -1,5 +1,6 @@
 //! The form of a `.ply` file: header, and the values of its vertices.
 
+use super::before::Element;
 use crate::SceneError;
 use std::path::Path;
 
@@ -17,7 +18,7 @@ pub(super) enum Type {
 }
 
 impl Type {
-    fn from_name(name: &str) -> Option<Type> {
+    pub(super) fn from_name(name: &str) -> Option<Type> {
         Some(match name {
             "char" | "int8" => Type::I8,
             "uchar" | "uint8" => Type::U8,
@@ -31,7 +32,7 @@ impl Type {
         })
     }
 
-    fn size(self) -> usize {
+    pub(super) fn size(self) -> usize {
         match self {
             Type::I8 | Type::U8 => 1,
             Type::I16 | Type::U16 => 2,
@@ -45,13 +46,38 @@ impl Type {
             // Through f32, so that text and binary give the same value.
             Type::F32 => word.parse::<f32>().ok().map(f64::from),
             Type::F64 => word.parse().ok(),
-            _ => word.parse::<i64>().ok().map(|v| v as f64),
+            // Some programs write whole numbers with a point.
+            _ => word.parse::<i64>().map(|v| v as f64).or_else(|_| word.parse()).ok(),
+        }
+    }
+
+    /// The value that the first bytes hold.
+    ///
+    /// # Panics
+    /// If there are fewer bytes than [`Type::size`], or the format is text.
+    pub(super) fn value(self, format: Format, bytes: &[u8]) -> f64 {
+        let size = self.size();
+        let mut word = [0u8; 8];
+        word[..size].copy_from_slice(&bytes[..size]);
+        if format == Format::Big {
+            word[..size].reverse();
+        }
+        let [a, b, c, d, ..] = word;
+        match self {
+            Type::I8 => f64::from(a as i8),
+            Type::U8 => f64::from(a),
+            Type::I16 => f64::from(i16::from_le_bytes([a, b])),
+            Type::U16 => f64::from(u16::from_le_bytes([a, b])),
+            Type::I32 => f64::from(i32::from_le_bytes([a, b, c, d])),
+            Type::U32 => f64::from(u32::from_le_bytes([a, b, c, d])),
+            Type::F32 => f64::from(f32::from_le_bytes([a, b, c, d])),
+            Type::F64 => f64::from_le_bytes(word),
         }
     }
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Format {
+pub(super) enum Format {
     Text,
     Little,
     Big,
@@ -81,8 +107,8 @@ enum Data<'a> {
 }
 
 impl<'a> Table<'a> {
-    /// Reads the header, checks that the vertices it promises are there, and finds them. Elements after the vertices
-    /// are passed over.
+    /// Reads the header, checks that the vertices it promises are there, and finds them. Elements before and after the
+    /// vertices are passed over.
     pub(super) fn parse(path: &Path, bytes: &'a [u8]) -> Result<Table<'a>, SceneError> {
         let invalid =
             |line: usize, reason: String| SceneError::invalid(path, format!("header line {line}"), reason);
@@ -91,6 +117,7 @@ impl<'a> Table<'a> {
         let mut format = None;
         let mut vertices: Option<u64> = None;
         let mut other = false;
+        let mut before: Vec<Element> = Vec::new();
         let mut properties: Vec<Property> = Vec::new();
         let mut stride = 0;
         loop {
@@ -123,8 +150,16 @@ impl<'a> Table<'a> {
                 }
                 ["element", name, count] => {
                     other = true;
-                    if vertices.is_none() && count != "0" {
-                        return Err(invalid(number, format!("element `{name}` comes before the vertices")));
+                    if vertices.is_none() {
+                        let count =
+                            count.parse().map_err(|_| invalid(number, format!("`{count}` is no count")))?;
+                        before.push(Element::new(name, count));
+                    }
+                }
+                ["property", ref words @ ..] if other && vertices.is_none() => {
+                    let last = before.last_mut().map(|element| element.add(words));
+                    if last.transpose().map_err(|why| invalid(number, why))? > Some(MOST_PROPERTIES) {
+                        return Err(invalid(number, format!("more than {MOST_PROPERTIES} properties")));
                     }
                 }
                 ["property", ..] if other => {}
@@ -156,6 +191,18 @@ impl<'a> Table<'a> {
         if properties.is_empty() && count > 0 {
             return Err(invalid(number, "the vertices have no properties".into()));
         }
+        let mut lines = number;
+        for element in &before {
+            let Some(length) = element.length(format, &bytes[at..]) else {
+                let reason = format!(
+                    "the file ends within its {} `{}`, which come before the vertices",
+                    element.count, element.name
+                );
+                return Err(SceneError::invalid(path, format!("byte {at}"), reason));
+            };
+            lines += bytes[at..at + length].iter().filter(|&&b| b == b'\n').count();
+            at += length;
+        }
         let body = &bytes[at..];
         // In text every value takes a character and a separator at least.
         let least = if format == Format::Text { 2 * properties.len() } else { stride } as u64;
@@ -175,7 +222,7 @@ impl<'a> Table<'a> {
         let data = match format {
             Format::Little => Data::Little(&body[..rows * stride]),
             Format::Big => Data::Big(&body[..rows * stride]),
-            Format::Text => Data::Text(parse_body(path, number, body, rows, &properties)?),
+            Format::Text => Data::Text(parse_body(path, lines, body, rows, &properties)?),
         };
         Ok(Table { properties, rows, stride, data })
     }
@@ -195,29 +242,17 @@ impl<'a> Table<'a> {
     /// One value. An f32 goes through f64 and back without a change of bits, unless it is a signalling NaN.
     pub(super) fn value(&self, row: usize, column: usize) -> f64 {
         let property = &self.properties[column];
-        let size = property.kind.size();
-        let mut word = [0u8; 8];
-        match &self.data {
+        let (format, bytes) = match &self.data {
             Data::Text(values) => return values[row * self.properties.len() + column],
-            Data::Little(bytes) => {
-                word[..size].copy_from_slice(&bytes[row * self.stride + property.offset..][..size])
-            }
-            Data::Big(bytes) => {
-                word[..size].copy_from_slice(&bytes[row * self.stride + property.offset..][..size]);
-                word[..size].reverse();
-            }
-        }
-        let [a, b, c, d, ..] = word;
-        match property.kind {
-            Type::I8 => f64::from(a as i8),
-            Type::U8 => f64::from(a),
-            Type::I16 => f64::from(i16::from_le_bytes([a, b])),
-            Type::U16 => f64::from(u16::from_le_bytes([a, b])),
-            Type::I32 => f64::from(i32::from_le_bytes([a, b, c, d])),
-            Type::U32 => f64::from(u32::from_le_bytes([a, b, c, d])),
-            Type::F32 => f64::from(f32::from_le_bytes([a, b, c, d])),
-            Type::F64 => f64::from_le_bytes(word),
-        }
+            Data::Little(bytes) => (Format::Little, bytes),
+            Data::Big(bytes) => (Format::Big, bytes),
+        };
+        property.kind.value(format, &bytes[row * self.stride + property.offset..])
+    }
+
+    /// Whether the values of a column need not be whole numbers.
+    pub(super) fn is_float(&self, column: usize) -> bool {
+        matches!(self.properties[column].kind, Type::F32 | Type::F64)
     }
 }
 

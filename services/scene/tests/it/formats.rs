@@ -255,6 +255,61 @@ fn lens() -> impl Strategy<Value = Lens> {
     )
 }
 
+/// The header of a file, and what stands beside it.
+fn said(path: &std::path::Path) -> (String, Option<String>) {
+    let bytes = std::fs::read(path).unwrap();
+    let head = String::from_utf8_lossy(&bytes).into_owned();
+    let head = head[..head.find("end_header").unwrap()].to_owned();
+    (head, std::fs::read_to_string(path.with_extension("offset.json")).ok())
+}
+
+#[test]
+fn a_georeferenced_export_keeps_its_precision_by_an_offset() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("scene.ply");
+    let s = splats(50, 1);
+    for origin in [DVec3::new(448_262.3, 5_411_932.7, 35.0), DVec3::new(4_156_305.1, 671_404.6, -4_774_508.2)]
+    {
+        let frame = Frame { origin, scale: 4.0 };
+        ply::Export { frame: &frame, antialias: true, extra: &[] }.write(&path, &s).unwrap();
+        let (head, beside) = said(&path);
+        let offset = frame.offset();
+        assert!(head.contains(&format!("comment offset {} {} {}\n", offset.x, offset.y, offset.z)), "{head}");
+        let beside: serde_json::Value = serde_json::from_str(&beside.unwrap()).unwrap();
+        assert_eq!(beside["offset"], serde_json::json!(offset.to_array()));
+        let read = ply::read(&path).unwrap();
+        for i in 0..s.len() {
+            let wanted = s.mean(i).as_dvec3() * frame.scale + frame.origin;
+            let off = (read.mean(i).as_dvec3() + offset - wanted).abs().max_element();
+            assert!(off < 1e-6 * frame.scale, "splat {i} is {off} m off");
+        }
+    }
+    // Another scene into the same place: nothing of the old offset is left.
+    let frame = Frame { origin: DVec3::new(100.0, -20.0, 3.0), scale: 4.0 };
+    ply::Export { frame: &frame, antialias: false, extra: &[] }.write(&path, &s).unwrap();
+    let (head, beside) = said(&path);
+    assert!(!head.contains("offset") && beside.is_none(), "{head}");
+}
+
+#[test]
+fn an_export_says_how_it_is_to_be_drawn_and_is_else_as_before() {
+    let dir = tempfile::tempdir().unwrap();
+    let (path, plain) = (dir.path().join("a.ply"), dir.path().join("b.ply"));
+    let (s, frame) = (splats(7, 2), Frame { origin: DVec3::new(1.0, 2.0, 3.0), scale: 2.5 });
+    ply::write_with(&plain, &s.to_file_frame(&frame), &[("label", &[1; 7])]).unwrap();
+    let plain = std::fs::read(&plain).unwrap();
+    for (antialias, mode) in [(true, "mip"), (false, "default")] {
+        ply::Export { frame: &frame, antialias, extra: &[("label", &[1; 7])] }.write(&path, &s).unwrap();
+        let comment = format!("comment SplatRenderMode: {mode}\n");
+        let (head, _) = said(&path);
+        assert_eq!(head.matches("comment").count(), 1);
+        assert!(head.contains(&comment), "{head}");
+        let written = std::fs::read(&path).unwrap();
+        let (at, of) = (head.find(&comment).unwrap(), comment.len());
+        assert!([&written[..at], &written[at + of..]].concat() == plain);
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 400, failure_persistence: None, ..ProptestConfig::default() })]
 

@@ -3,6 +3,7 @@
 mod wall;
 
 mod between;
+mod exports;
 mod lights;
 mod strangers;
 mod training;

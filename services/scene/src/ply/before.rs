@@ -1,0 +1,92 @@
+//! Elements that stand before the vertices of a `.ply`: passed over, whatever they hold.
+
+use super::header::{Format, Type};
+
+/// An element before the vertices.
+pub(super) struct Element {
+    pub name: String,
+    pub count: u64,
+    properties: Vec<Shape>,
+}
+
+#[derive(Clone, Copy)]
+enum Shape {
+    Scalar(Type),
+    /// A number of values, of this type, and the values, of that one.
+    List(Type, Type),
+}
+
+impl Element {
+    pub(super) fn new(name: &str, count: u64) -> Element {
+        Element { name: name.to_owned(), count, properties: Vec::new() }
+    }
+
+    /// Adds the property of a header line without the word `property`; the number of properties, or what is not understood.
+    pub(super) fn add(&mut self, words: &[&str]) -> Result<usize, String> {
+        let kind = |word: &str| Type::from_name(word).ok_or(format!("`{word}` is no type of a property"));
+        let shape = match *words {
+            ["list", count, item, _] => Shape::List(kind(count)?, kind(item)?),
+            [scalar, _] => Shape::Scalar(kind(scalar)?),
+            _ => return Err("a property has a type and a name".into()),
+        };
+        self.properties.push(shape);
+        Ok(self.properties.len())
+    }
+
+    /// Bytes of the element at the start of `body`; `None` where it is cut short.
+    pub(super) fn length(&self, format: Format, body: &[u8]) -> Option<usize> {
+        if self.properties.is_empty() {
+            return Some(0);
+        }
+        if format == Format::Text {
+            return lines(self.count, body);
+        }
+        if let Some(row) = self.fixed() {
+            let length = usize::try_from(self.count.checked_mul(row)?).ok()?;
+            return (length <= body.len()).then_some(length);
+        }
+        let mut at = 0;
+        // Each row takes a byte at least, so that the body bounds the loop.
+        for _ in 0..self.count {
+            for shape in &self.properties {
+                at += shape.length(format, body.get(at..)?)?;
+            }
+        }
+        (at <= body.len()).then_some(at)
+    }
+
+    /// Bytes of a row, if all rows have as many.
+    fn fixed(&self) -> Option<u64> {
+        let size = |shape: &Shape| match shape {
+            Shape::Scalar(kind) => Some(kind.size() as u64),
+            Shape::List(..) => None,
+        };
+        self.properties.iter().map(size).sum()
+    }
+}
+
+impl Shape {
+    fn length(self, format: Format, body: &[u8]) -> Option<usize> {
+        match self {
+            Shape::Scalar(kind) => Some(kind.size()),
+            Shape::List(count, item) => {
+                let n = count.value(format, body.get(..count.size())?);
+                let n = (n >= 0.0 && n <= body.len() as f64).then_some(n as usize)?;
+                count.size().checked_add(n.checked_mul(item.size())?)
+            }
+        }
+    }
+}
+
+/// Bytes of so many lines that are not empty.
+fn lines(count: u64, body: &[u8]) -> Option<usize> {
+    let mut at = 0;
+    let mut left = count;
+    while left > 0 {
+        let rest = body.get(at..).filter(|rest| !rest.is_empty())?;
+        let length = rest.iter().position(|&b| b == b'\n').map_or(rest.len(), |end| end + 1);
+        left -= u64::from(!rest[..length].trim_ascii().is_empty());
+        at += length;
+    }
+    Some(at)
+}

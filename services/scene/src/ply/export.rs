@@ -1,0 +1,98 @@
+//! Splats for other programs: in the units of the reconstruction, near enough to the origin for single precision, in a file
+//! that says how it is to be drawn and what was subtracted.
+
+use super::write_commented;
+use crate::error::write_whole;
+use crate::{Frame, SceneError, Splats};
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// From so many scene extents on, coordinates do not fit single precision: what is half of a millionth of the extent becomes
+/// visible. Georeferenced scenes lie thousands to millions of extents from their origin.
+const FAR: f64 = 500.0;
+
+impl Frame {
+    /// What exported files subtract from positions of the reconstruction: zero, unless the scene lies so far from the origin
+    /// that its positions would lose precision as `f32`. Whole steps of a power of ten, in file units.
+    ///
+    /// ```
+    /// use segwild_scene::Frame;
+    /// let utm = Frame { origin: glam::DVec3::new(448262.3, 5411932.7, 35.0), scale: 4.0 };
+    /// assert_eq!(utm.offset(), glam::DVec3::new(448262.0, 5411933.0, 35.0));
+    /// assert_eq!(Frame { scale: 60_000.0, ..utm }.offset(), glam::DVec3::ZERO);
+    /// ```
+    pub fn offset(&self) -> DVec3 {
+        if self.origin.abs().max_element() <= FAR * self.scale {
+            return DVec3::ZERO;
+        }
+        let digits = self.scale.log10().floor() as i32;
+        match 10f64.powi(digits.abs()) {
+            // Steps below 1 are counted, for they are not binary fractions.
+            many if digits < 0 => (self.origin * many).round() / many,
+            step => (self.origin / step).round() * step,
+        }
+    }
+}
+
+/// How a file of splats was made.
+#[derive(Clone, Copy, Debug)]
+pub struct Export<'a> {
+    /// How the splats' frame lies in the reconstruction's.
+    pub frame: &'a Frame,
+    /// Whether opacities are compensated for the pixel filter (mip mode): a viewer has to do the same.
+    pub antialias: bool,
+    /// More properties of each splat: a name, and a byte per splat.
+    pub extra: &'a [(&'a str, &'a [u8])],
+}
+
+impl Export<'_> {
+    /// Writes splats of the normalised frame in the units of the reconstruction, less [`Frame::offset`]. The header says how
+    /// they are to be drawn (`comment SplatRenderMode: mip`, or `default`) and, where there is one, the offset (`comment offset
+    /// X Y Z`); the latter stands in `NAME.offset.json` beside the file, too.
+    ///
+    /// # Panics
+    /// As [`super::write_with`].
+    pub fn write(&self, path: &Path, splats: &Splats) -> Result<(), SceneError> {
+        let offset = self.frame.offset();
+        let near = Frame { origin: self.frame.origin - offset, scale: self.frame.scale };
+        let mode = if self.antialias { "mip" } else { "default" };
+        let mut comments = vec![format!("SplatRenderMode: {mode}")];
+        if offset != DVec3::ZERO {
+            comments.push(format!("offset {} {} {}", offset.x, offset.y, offset.z));
+        }
+        write_commented(path, &splats.to_file_frame(&near), self.extra, &comments)?;
+        note(path, offset)
+    }
+}
+
+/// What stands beside a file whose positions have an offset.
+#[derive(Serialize, Deserialize)]
+struct Note {
+    /// The file's name.
+    file: String,
+    /// Add this to each position of the file for the coordinates of the reconstruction.
+    offset: [f64; 3],
+}
+
+/// Writes the offset beside a file, and takes away what an earlier file of that name left there.
+fn note(path: &Path, offset: DVec3) -> Result<(), SceneError> {
+    let beside = beside(path);
+    let file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    if offset != DVec3::ZERO {
+        let note = Note { file, offset: offset.to_array() };
+        let text = serde_json::to_vec_pretty(&note)
+            .map_err(|e| SceneError::invalid(&beside, "the offset", e.to_string()))?;
+        return write_whole(&beside, &text);
+    }
+    let old: Option<Note> = std::fs::read(&beside).ok().and_then(|text| serde_json::from_slice(&text).ok());
+    match old {
+        Some(note) if note.file == file => std::fs::remove_file(&beside).map_err(SceneError::io(&beside)),
+        _ => Ok(()),
+    }
+}
+
+/// Where the offset of a file stands.
+fn beside(path: &Path) -> PathBuf {
+    path.with_extension("offset.json")
+}
