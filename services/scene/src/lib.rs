@@ -10,6 +10,7 @@
 //! origin and the scene extent is 1, so nothing depends on the units of the reconstruction.
 
 mod camera;
+mod colourless;
 pub mod colmap;
 mod draft;
 mod embedding;
@@ -34,6 +35,7 @@ mod view;
 mod window;
 
 pub use camera::{Camera, Pose};
+pub use colourless::DARKEST;
 pub use embedding::Embedding;
 pub use error::SceneError;
 pub use image::Image;

@@ -3,7 +3,9 @@
 use crate::draft::{Draft, DraftPhoto, DraftPoint, DraftPose};
 use crate::photo::Header;
 use crate::split::{Part, Split};
-use crate::{Frame, Observation, Photo, Point, Pose, Scene, SceneError, SceneSettings, Seal, Skipped, View};
+use crate::{
+    DARKEST, Frame, Observation, Photo, Point, Pose, Scene, SceneError, SceneSettings, Seal, Skipped, View,
+};
 use crate::{colmap, draft, transforms};
 use glam::{DVec3, Mat3, Vec3};
 use rayon::prelude::*;
@@ -118,7 +120,7 @@ impl Scene {
                 // A point that only unusable photos saw is of no use; one without a track is taken as it is.
                 let lost =
                     !point.track.is_empty() && point.track.iter().all(|(photo, _)| view_of[*photo].is_none());
-                let colour = point.colour.map(|c| f32::from(c) / 255.0);
+                let colour = point.colour.map(|c| (f32::from(c) / 255.0).max(DARKEST));
                 (position.is_finite() && !lost).then_some(Point { position, colour, track })
             })
             .collect();
@@ -131,7 +133,9 @@ impl Scene {
             "scene opened"
         );
         let notes = notes(&draft, views.len(), points.len(), &view_of);
-        Ok(Scene { views, points, skipped, notes, frame })
+        let mut scene = Scene { views, points, skipped, notes, frame };
+        scene.notes.extend(scene.about_colours().map(|words| format!("{}: {words}", draft.source.display())));
+        Ok(scene)
     }
 }
 

@@ -48,7 +48,7 @@ pub struct Observation {
 pub struct Point {
     /// Position in the scene's normalised frame.
     pub position: Vec3,
-    /// sRGB in [0, 1].
+    /// sRGB in [0, 1], no channel under [`crate::DARKEST`] where it comes from a file.
     pub colour: [f32; 3],
     /// The views that saw it, in order; only views of the scene, each at most once, and only pixels inside the frame.
     /// Empty where the file gives no tracks.

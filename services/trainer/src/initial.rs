@@ -3,7 +3,7 @@
 use glam::{Mat3, Vec3};
 use segwild_scene::Random;
 use segwild_scene::knn;
-use segwild_scene::{Camera, NEAR, Point, Pose, Scene, Splats};
+use segwild_scene::{Camera, DARKEST, NEAR, Point, Pose, Scene, Splats};
 
 /// First basis function of real spherical harmonics: a constant.
 pub(crate) const SH0: f32 = 0.282_094_79;
@@ -94,7 +94,7 @@ pub(crate) fn initial_splats(
     let mut sh = vec![0.0; n * stride];
     for (i, c) in colours.iter().enumerate() {
         for k in 0..3 {
-            sh[i * stride + k] = (c[k].clamp(0.0, 1.0) - 0.5) / SH0;
+            sh[i * stride + k] = (c[k].clamp(DARKEST, 1.0) - 0.5) / SH0;
         }
     }
     let log_scales = distances
@@ -247,6 +247,14 @@ mod tests {
                 assert!(seen.count() * 2 >= cameras.len());
             }
         }
+    }
+
+    #[test]
+    fn a_black_point_starts_where_its_colour_can_learn() {
+        let point = Point { position: Vec3::ZERO, colour: [0.0, 1.0, 0.5], track: vec![] };
+        let start = initial_splats(&scene(vec![]), &[point], &[eye(0.0)], 1, 10, &mut Random::new(1));
+        let raw: Vec<f32> = (0..3).map(|c| start.splats.sh[c] * SH0 + 0.5).collect();
+        assert!(raw.iter().all(|&c| c > 1e-3), "a colour of 0 takes no gradient: {raw:?}");
     }
 
     #[test]

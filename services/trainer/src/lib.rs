@@ -9,6 +9,7 @@ mod away;
 mod background;
 mod between;
 mod choice;
+mod colours;
 mod density;
 mod error;
 mod evaluate;

@@ -1,6 +1,7 @@
 //! The training loop.
 
 use crate::between;
+use crate::colours::coloured;
 use crate::density::{Change, Strategy};
 use crate::initial::{Eye, initial_splats};
 use crate::looks;
@@ -18,6 +19,7 @@ use crate::{TrainError, TrainSettings};
 use segwild_raster::{AnyLook, Engine, Resident};
 use segwild_scene::Random;
 use segwild_scene::{Camera, Mask, Point, Scene, Skipped};
+use std::borrow::Cow;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use wincode::{SchemaRead, SchemaWrite};
@@ -95,8 +97,9 @@ impl Trainer {
     ) -> Result<Trainer, TrainError> {
         settings.check()?;
         let settings = settings.decided(scene);
-        let cache = photo_cache(scene, photos, &settings);
-        Trainer::begin(engine, scene, cache, settings, 0, &[])
+        let mut cache = photo_cache(scene, photos, &settings);
+        let scene = coloured(scene, &mut cache, &|| false)?;
+        Trainer::begin(engine, &scene, cache, settings, 0, &[])
     }
 
     /// The same after a look for strangers by [`TrainSettings::cross_checks`] other trainings, and one for points between
@@ -111,6 +114,7 @@ impl Trainer {
         settings.check()?;
         let settings = settings.decided(scene);
         let mut cache = photo_cache(scene, photos, &settings);
+        let scene = &*coloured(scene, &mut cache, stopping)?;
         let found = suspects(&engine, scene, &mut cache, &settings, stopping)?;
         let between = between::points(scene, &mut cache, &settings, &found, stopping)?;
         let mut trainer = Trainer::begin(engine, scene, cache, settings, 0, &between)?;
@@ -214,13 +218,16 @@ impl Trainer {
             return Err(TrainError::Checkpoint(reason));
         }
         checkpoint.state.check(scene.views.len())?;
-        let photos = photo_cache(scene, photos, &settings);
+        let mut photos = photo_cache(scene, photos, &settings);
         let schedule = Schedule::new(&settings);
         let state = checkpoint.state;
+        // Points' colours are asked for when a photo is looked at for the first time.
+        let unseen = state.sampler.views().iter().any(|&view| state.backgrounds[view].is_none());
+        let scene = if unseen { coloured(scene, &mut photos, &|| false)? } else { Cow::Borrowed(scene) };
         Ok(Trainer {
             engine,
             schedule,
-            views: posed(scene),
+            views: posed(&scene),
             photos,
             warnings: Vec::new(),
             state,

@@ -3,6 +3,7 @@
 mod wall;
 
 mod between;
+mod colours;
 mod exports;
 mod lights;
 mod strangers;
