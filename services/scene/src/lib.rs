@@ -10,11 +10,12 @@
 //! origin and the scene extent is 1, so nothing depends on the units of the reconstruction.
 
 mod camera;
-mod colourless;
 pub mod colmap;
+mod colourless;
 mod draft;
 mod embedding;
 mod error;
+mod frame;
 mod image;
 pub mod knn;
 pub mod lens;

@@ -1,13 +1,14 @@
 //! Opening a scene: find what is there, check it against the photos, normalise.
 
 use crate::draft::{Draft, DraftPhoto, DraftPoint, DraftPose};
+use crate::frame::{Placed, Placing};
 use crate::photo::Header;
 use crate::split::{Part, Split};
 use crate::{
     DARKEST, Frame, Observation, Photo, Point, Pose, Scene, SceneError, SceneSettings, Seal, Skipped, View,
 };
 use crate::{colmap, draft, transforms};
-use glam::{DVec3, Mat3, Vec3};
+use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path, PathBuf};
@@ -62,6 +63,13 @@ impl Scene {
                 }
             }
         }
+        let placed = usable.values().filter_map(|(i, checked)| checked.placed(*i, &draft)).collect();
+        let mut placing = Placing::new(&draft, placed);
+        for (photo, reason) in placing.take_misplaced() {
+            let name = draft.photos[photo].name.as_str();
+            usable.remove(name);
+            skip(name, reason);
+        }
         skipped.sort_by(|a, b| a.name.cmp(&b.name));
         if usable.is_empty() {
             return Err(nothing_usable(&draft, &skipped));
@@ -77,10 +85,8 @@ impl Scene {
             return Err(setting("ignore", folder.display().to_string(), &reason));
         }
 
-        let centres: Vec<DVec3> = usable.values().map(|(_, c)| c.pose.centre).collect();
-        let positions: Vec<DVec3> =
-            draft.points.iter().map(|p| p.position).filter(|p| p.is_finite()).collect();
-        let frame = frame_of(&centres, &positions);
+        let frame = placing.frame();
+        let outliers = placing.outliers(&frame);
         let mut view_of = vec![None; draft.photos.len()];
         let mut views = Vec::with_capacity(usable.len());
         for (name, (i, checked)) in usable {
@@ -101,8 +107,9 @@ impl Scene {
         let points: Vec<Point> = draft
             .points
             .par_iter()
-            .filter_map(|point| {
-                if !point.position.is_finite() {
+            .zip(&outliers)
+            .filter_map(|(point, &outlier)| {
+                if !point.position.is_finite() || outlier {
                     return None;
                 }
                 let position = ((point.position - frame.origin) / frame.scale).as_vec3();
@@ -132,7 +139,13 @@ impl Scene {
             source = %draft.source.display(),
             "scene opened"
         );
-        let notes = notes(&draft, views.len(), points.len(), &view_of);
+        let mut notes = notes(&draft, views.len(), points.len(), &view_of);
+        notes.extend(
+            placing
+                .notes(&frame, &outliers)
+                .into_iter()
+                .map(|words| format!("{}: {words}", draft.source.display())),
+        );
         let mut scene = Scene { views, points, skipped, notes, frame };
         scene.notes.extend(scene.about_colours().map(|words| format!("{}: {words}", draft.source.display())));
         Ok(scene)
@@ -183,6 +196,12 @@ struct Checked {
 }
 
 impl Checked {
+    /// Where it stands; `photo` is its index in the draft.
+    fn placed<'a>(&self, photo: usize, draft: &'a Draft) -> Option<Placed<'a>> {
+        let lens = draft.photos[photo].lens.as_ref().ok()?;
+        Some(Placed { photo, pose: self.pose, camera: self.camera, lens })
+    }
+
     fn into_view(self, name: &str, frame: &Frame) -> View {
         let rotation = self.pose.rotation;
         let centre = (self.pose.centre - frame.origin) / frame.scale;
@@ -365,29 +384,6 @@ fn nothing_usable(draft: &Draft, skipped: &[Skipped]) -> SceneError {
         (None, _) => "the reconstruction has no photo".to_owned(),
     };
     SceneError::NothingUsable { path: draft.source.clone(), reason }
-}
-
-/// Cameras nearer together than this part of the points' distance coincide.
-const COINCIDE: f64 = 1e-6;
-
-/// The normalised frame (method, section 0). Where the cameras coincide, or there is one only, they say nothing of the
-/// scale: then it is the median distance of the points, or 1.
-fn frame_of(centres: &[DVec3], points: &[DVec3]) -> Frame {
-    let origin = centres.iter().sum::<DVec3>() / centres.len() as f64;
-    let radius = centres.iter().map(|c| c.distance(origin)).fold(0.0, f64::max);
-    let mut distances: Vec<f64> =
-        points.iter().map(|p| p.distance(origin)).filter(|d| d.is_finite()).collect();
-    distances.sort_by(f64::total_cmp);
-    let median = distances.get(distances.len() / 2).copied().unwrap_or(0.0);
-    let rounding = origin.abs().max_element() * 1e-12;
-    let scale = if radius > (COINCIDE * median).max(rounding) {
-        1.1 * radius
-    } else if median > rounding {
-        median
-    } else {
-        1.0
-    };
-    Frame { origin, scale }
 }
 
 /// The pixel of a sighting after undistortion, if the view shows it. Where the file gives no pixel, the point's own
