@@ -1,6 +1,7 @@
 //! Exit codes: documented constants, so that scripts can tell what happened.
 
 use segwild_farm::ErrorClass;
+use segwild_flow::files::Obstacle;
 
 /// Everything asked for was done.
 pub const OK: u8 = 0;
@@ -29,6 +30,11 @@ pub fn class(code: Option<i32>) -> ErrorClass {
         // A stage that failed goes on from what was computed; a folder may be freed, a disk may be emptied.
         _ => ErrorClass::Retryable,
     }
+}
+
+/// The code for an error of the system: a disk or a folder that will not have a file is [`FOLDER`].
+pub fn of_system(error: &std::io::Error) -> u8 {
+    if Obstacle::of(error) == Obstacle::Other { FAILED } else { FOLDER }
 }
 
 /// Shown by `segwild --help`.

@@ -3,12 +3,15 @@
 use crate::exit;
 use segwild_bench::flow::FlowError;
 use segwild_bench::protocols::ProtocolError;
+use segwild_bench::record::RecordError;
 use segwild_bench::synthetic::SyntheticError;
 use segwild_bench::trial::TrialError;
 use segwild_farm::BatchError;
 use segwild_flow::LedgerError;
+use segwild_flow::files::name::shown;
 use segwild_gateway::{ServeError, ViewError};
 use segwild_pipeline::{RunError, SettingsError};
+use segwild_scene::SceneError;
 use segwild_segmenter::SegmentError;
 
 /// Why the program ends early.
@@ -35,11 +38,12 @@ impl Failure {
     pub fn tell_json(&self) {
         let line = serde_json::json!({ "error": plain(&self.message), "exit_code": self.code });
         // Nobody listening: the exit code says it, too.
-        let _ = crate::commands::print_line(&line.to_string());
+        let _ = crate::commands::print_json(&line);
     }
 }
 
-/// A message without the numbers that the system's errors end in: `(os error 2)` helps nobody.
+/// A message as it is safe to show, for it may hold names that somebody else gave ([`shown`]), and without the numbers that the
+/// system's errors end in: `(os error 2)` helps nobody.
 pub fn plain(message: &str) -> String {
     let mut parts = message.split(" (os error ");
     let mut text = parts.next().unwrap_or_default().to_owned();
@@ -50,12 +54,14 @@ pub fn plain(message: &str) -> String {
             _ => text = text + " (os error " + part,
         }
     }
-    text
+    shown(&text).into_owned()
 }
 
 impl From<RunError> for Failure {
     fn from(error: RunError) -> Failure {
         let code = match &error {
+            // The disk's fault, and not the scene's.
+            RunError::Scene(SceneError::File(_)) => exit::FOLDER,
             RunError::Scene(_) | RunError::Vision(_) | RunError::Input(_) | RunError::Engine(_) => {
                 exit::INPUT
             }
@@ -128,7 +134,10 @@ impl From<ServeError> for Failure {
 
 impl From<SyntheticError> for Failure {
     fn from(error: SyntheticError) -> Failure {
-        Failure { message: error.to_string(), code: exit::FAILED }
+        match error {
+            SyntheticError::Scene(error) => RunError::from(error).into(),
+            other => Failure { message: other.to_string(), code: exit::FAILED },
+        }
     }
 }
 
@@ -139,9 +148,10 @@ impl From<FlowError> for Failure {
             FlowError::Run(e) => e.into(),
             FlowError::Settings(e) => e.into(),
             FlowError::Unknown(_) => Failure::usage(error.to_string()),
-            FlowError::Io { .. } | FlowError::Child(_) => {
-                Failure { message: error.to_string(), code: exit::FAILED }
+            FlowError::Io { ref source, .. } => {
+                Failure { message: error.to_string(), code: exit::of_system(source) }
             }
+            FlowError::Child(_) => Failure { message: error.to_string(), code: exit::FAILED },
         }
     }
 }
@@ -169,6 +179,7 @@ impl From<ProtocolError> for Failure {
             ProtocolError::Missing(_) | ProtocolError::File { .. } => {
                 Failure { message: error.to_string(), code: exit::INPUT }
             }
+            ProtocolError::Record(RecordError::Write(error)) => RunError::from(error).into(),
             ProtocolError::Record(_) | ProtocolError::Perturb(_) | ProtocolError::Metric { .. } => {
                 Failure { message: error.to_string(), code: exit::FAILED }
             }
@@ -178,13 +189,21 @@ impl From<ProtocolError> for Failure {
 
 impl From<std::io::Error> for Failure {
     fn from(error: std::io::Error) -> Failure {
-        Failure { message: error.to_string(), code: exit::FAILED }
+        Failure { message: error.to_string(), code: exit::of_system(&error) }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::plain;
+
+    #[test]
+    fn a_photos_name_sends_nothing_to_the_terminal() {
+        let said =
+            plain("photo \u{1b}]0;owned\u{7}\u{1b}[2J\u{9b}31mx\u{202e}gpj.png\r: cannot be read\n  twice");
+        assert!(!said.chars().any(|c| c.is_control() && c != '\n') && !said.contains('\u{202e}'), "{said:?}");
+        assert!(said.contains("\\u{1b}[2J") && said.contains(": cannot be read\n  twice"), "{said}");
+    }
 
     #[test]
     fn the_numbers_of_the_system_are_left_out() {

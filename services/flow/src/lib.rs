@@ -8,9 +8,9 @@
 //! - [`Events`]: what happens, told to progress bars, `--json` and the ledger without ever holding up a worker.
 //! - [`Cache`]: artefacts by the hash of what they were made from ([`Key`]); verified on every read.
 //! - [`Ledger`]: what a run has done, in SQLite, readable by others while it is written.
-//! - [`fault`]: points where a test lets something go wrong: a kill, a full disk, a torn file.
 //! - [`Recorder`]: what actors and mailboxes are doing, written into the ledger about once a second.
-//! - [`codec`]: binary records with a header; [`files`]: files that are there whole or not at all.
+//! - [`codec`]: binary records with a header.
+//! - [`files`] and [`fault`]: the one writer of files, and faults on purpose, from the floor below.
 
 pub mod actor;
 pub mod cache;
@@ -20,8 +20,6 @@ mod compute;
 pub mod control;
 pub mod cpu;
 pub mod events;
-pub mod fault;
-pub mod files;
 pub mod key;
 pub mod lease;
 pub mod ledger;
@@ -44,7 +42,6 @@ pub use codec::CodecError;
 pub use compute::all_cores;
 pub use control::{Phase, Stopper};
 pub use events::{Event, EventRecord, Events, Level, Sink, Subscription};
-pub use files::FileError;
 pub use key::{Key, KeyBuilder};
 pub use lease::{Lease, LeaseGuard, LeaseStats, Turn};
 pub use ledger::{Ledger, LedgerError};
@@ -54,6 +51,7 @@ pub use meter::{WaitingFor, WorkerState, waiting_for};
 pub use progress::StageProgress;
 pub use recorder::Recorder;
 pub use report::{ActorReport, Exit, Report, WorkerStatus};
+pub use segwild_files::{self as files, FileError, fault};
 pub use supervise::{ActorOptions, RestartBudget};
 pub use system::{Guest, Observer, SpawnError, System, SystemOptions};
 pub use timeline::{Span, SpanKind, Timeline, TimelineRecord};

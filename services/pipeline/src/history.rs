@@ -1,9 +1,8 @@
 //! `history.jsonl`: how the training went, a line every few steps.
 
 use crate::{RunError, RunFolder};
-use segwild_flow::files::FileError;
+use segwild_flow::files;
 use serde::{Deserialize, Serialize};
-use std::io::Write as _;
 use wincode::{SchemaRead, SchemaWrite};
 
 /// A line of the history.
@@ -31,12 +30,7 @@ pub fn read(folder: &RunFolder) -> Vec<Moment> {
 pub fn append(folder: &RunFolder, moment: &Moment) -> Result<(), RunError> {
     let path = folder.history();
     let line = serde_json::to_string(moment).unwrap_or_default();
-    std::fs::OpenOptions::new()
-        .create(true)
-        .append(true)
-        .open(&path)
-        .and_then(|mut file| writeln!(file, "{line}"))
-        .map_err(|e| FileError::new("write", &path, e).into())
+    Ok(files::append_line(&path, &line)?)
 }
 
 /// Drops what was written after the step that training goes on from.
@@ -55,6 +49,7 @@ pub fn replace(folder: &RunFolder, moments: &[Moment]) -> Result<(), RunError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::io::Write as _;
 
     #[test]
     fn going_on_from_a_step_forgets_what_came_after() {

@@ -1,5 +1,6 @@
 //! What can be wrong with the files of a scene, in words a person understands.
 
+use segwild_files::FileError;
 use std::path::{Path, PathBuf};
 
 /// Why a scene, a photo, a mask or a file of splats cannot be read or written.
@@ -13,6 +14,9 @@ pub enum SceneError {
         /// What the system says.
         source: std::io::Error,
     },
+    /// A file cannot be written: the disk's or the folder's fault, and no input's.
+    #[error(transparent)]
+    File(#[from] FileError),
     /// The file ends in the middle of a record.
     #[error(
         "{path}: the file is cut short: {record} starts at byte {offset} and needs {needed} more bytes where only \
@@ -89,13 +93,4 @@ impl SceneError {
     pub fn invalid(path: &Path, place: impl Into<String>, reason: impl Into<String>) -> SceneError {
         SceneError::Invalid { path: path.to_owned(), place: place.into(), reason: reason.into() }
     }
-}
-
-/// Writes a file as a whole: aside first, then renamed, so that a reader never sees half of it.
-pub(crate) fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), SceneError> {
-    let mut aside = path.as_os_str().to_owned();
-    aside.push(".part");
-    let aside = PathBuf::from(aside);
-    std::fs::write(&aside, bytes).map_err(SceneError::io(&aside))?;
-    std::fs::rename(&aside, path).map_err(SceneError::io(path))
 }

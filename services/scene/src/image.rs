@@ -153,11 +153,20 @@ pub(crate) fn write_png(
     height: usize,
     colour: image::ExtendedColorType,
 ) -> Result<(), SceneError> {
+    let out = png(bytes, width as u32, height as u32, colour)
+        .map_err(|e| SceneError::invalid(path, "picture", e.to_string()))?;
+    Ok(segwild_files::write_atomic(path, &out)?)
+}
+
+/// The bytes of a PNG.
+pub(crate) fn png(
+    bytes: &[u8],
+    width: u32,
+    height: u32,
+    colour: image::ExtendedColorType,
+) -> image::ImageResult<Vec<u8>> {
     use image::ImageEncoder;
     let mut out = Vec::new();
-    let encoder = image::codecs::png::PngEncoder::new(&mut out);
-    encoder
-        .write_image(bytes, width as u32, height as u32, colour)
-        .map_err(|e| SceneError::invalid(path, "picture", e.to_string()))?;
-    crate::error::write_whole(path, &out)
+    image::codecs::png::PngEncoder::new(&mut out).write_image(bytes, width, height, colour)?;
+    Ok(out)
 }

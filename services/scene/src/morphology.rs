@@ -12,9 +12,18 @@ impl Mask {
 
     /// Writes the mask as an 8-bit grey PNG: 255 inside, 0 outside.
     pub fn write_png(&self, path: &Path) -> Result<(), SceneError> {
-        let (w, h) = (self.width() as usize, self.height() as usize);
-        let bytes: Vec<u8> = (0..w * h).map(|i| if self.index(i) { 255 } else { 0 }).collect();
-        crate::image::write_png(path, &bytes, w, h, image::ExtendedColorType::L8)
+        Ok(segwild_files::write_atomic(path, &self.png()?)?)
+    }
+
+    /// The bytes of that PNG.
+    ///
+    /// # Errors
+    /// When the mask has no pixel.
+    pub fn png(&self) -> Result<Vec<u8>, SceneError> {
+        let n = self.width() as usize * self.height() as usize;
+        let bytes: Vec<u8> = (0..n).map(|i| if self.index(i) { 255 } else { 0 }).collect();
+        crate::image::png(&bytes, self.width(), self.height(), image::ExtendedColorType::L8)
+            .map_err(|e| SceneError::invalid(Path::new("a mask"), "picture", e.to_string()))
     }
 
     /// Distance in pixels from each pixel's centre to that of the nearest pixel of the mask, row-major: 0 inside,

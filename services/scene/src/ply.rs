@@ -12,9 +12,9 @@ mod points;
 pub use export::Export;
 pub(crate) use points::{Coloured, read_points};
 
-use crate::error::write_whole;
 use crate::{SceneError, Splats};
 use header::Table;
+use segwild_files::write_atomic;
 use std::path::Path;
 
 /// Properties of one vertex without SH coefficients beyond the constant: position, normal, f_dc, opacity, scale, rot.
@@ -98,7 +98,7 @@ fn write_commented(
     extra: &[(&str, &[u8])],
     comments: &[String],
 ) -> Result<(), SceneError> {
-    write_whole(path, &to_bytes(splats, extra, comments))
+    Ok(write_atomic(path, &to_bytes(splats, extra, comments))?)
 }
 
 fn to_bytes(splats: &Splats, extra: &[(&str, &[u8])], comments: &[String]) -> Vec<u8> {

@@ -18,6 +18,7 @@ use crate::record::{Made, Record, Results};
 use crate::scale::kernels::pace;
 use crate::stability::Harm;
 use crate::trial::ProviderKind;
+use segwild_flow::files;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -201,7 +202,7 @@ fn same_base(options: &ChartOptions) -> Result<(), PageError> {
     let file = options.out.join("base.json");
     let here = serde_json::to_value(&options.base).unwrap_or_default();
     let Ok(text) = std::fs::read(&file) else {
-        return io(&file, std::fs::write(&file, format!("{here:#}\n")));
+        return io(&file, files::write_plain(&file, format!("{here:#}\n")));
     };
     let there: serde_json::Value = serde_json::from_slice(&text).unwrap_or_default();
     if there == here { Ok(()) } else { Err(PageError::Other(options.out.clone())) }

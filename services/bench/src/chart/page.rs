@@ -5,6 +5,7 @@ use super::{DEFAULT, SWEEPS, Sweep};
 use crate::page::{PageError, io};
 use crate::plot::{Figure, Mark, Panel, Series, escaped, front};
 use crate::record::Results;
+use segwild_flow::files;
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -399,7 +400,7 @@ const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1340px;ma
 pub fn write(folder: &Path, results: &Results, about: &str) -> Result<Vec<Verdict>, PageError> {
     let page = ChartPage::new(results, about);
     io(folder, std::fs::create_dir_all(folder))?;
-    let put = |name: &str, bytes: &[u8]| io(&folder.join(name), std::fs::write(folder.join(name), bytes));
+    let put = |name: &str, bytes: &[u8]| io(&folder.join(name), files::write_plain(folder.join(name), bytes));
     for (name, figure) in [("chart", page.figure()), ("sweeps", page.sweeps())] {
         put(&format!("{name}.svg"), figure.svg()?.as_bytes())?;
         put(&format!("{name}.png"), &figure.png()?)?;

@@ -10,6 +10,7 @@ use crate::scale::kernels::filling;
 use crate::synthetic::random::Rng;
 use glam::Vec3;
 use rayon::prelude::*;
+use segwild_flow::files;
 use segwild_gpu::{
     CLICKS, Choice, FIELD_RULE, GpuEngine, LOSSES, NETWORKS, Reach, SIMILARITY, reach, some_look,
     some_question, speed,
@@ -316,5 +317,5 @@ fn trained(text: &mut String, rows: &[&Record]) {
 
 /// Writes the page.
 pub fn write(page: &Path, results: &Results) -> Result<(), PageError> {
-    io(page, std::fs::write(page, markdown(results)))
+    io(page, files::write_plain(page, markdown(results)))
 }

@@ -10,6 +10,7 @@ mod waiting;
 pub use waiting::{Calls, Waits, counted, waiting};
 
 use crate::synthetic::{LookKind, Manifest, SyntheticError, SyntheticOptions, generate};
+use segwild_flow::files;
 use segwild_pipeline::{RunError, Settings, SettingsError};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
@@ -138,7 +139,7 @@ fn keep(dir: &Path, new: &[Row]) -> Result<(), FlowError> {
     let path = dir.join(KEPT);
     // Numbers and strings only: nothing here can fail to serialise.
     let text = serde_json::to_string_pretty(&rows).unwrap_or_default();
-    io(format!("write {}", path.display()), std::fs::write(&path, text))
+    io(format!("write {}", path.display()), files::write_plain(&path, text))
 }
 
 /// Every row as it was measured last in this folder, also by earlier calls with other [`FlowOptions::only`]. Empty

@@ -1,7 +1,7 @@
 //! What overlapping is worth, and what it costs.
 
 use super::{FlowError, FlowOptions, Row, Waits, counted, fresh, io, place, settings, waiting};
-use segwild_flow::{Event, Events, cpu};
+use segwild_flow::{Event, Events, cpu, files};
 use segwild_pipeline::{RunFolder, RunOptions, Settings, Until, run};
 use segwild_vision::Providers;
 use std::collections::BTreeMap;
@@ -61,7 +61,10 @@ fn timed(
 /// Keeps the timeline of the run that was just timed, for who looks for its waits: the next run takes its folder.
 fn keep_trace(dir: &Path, number: usize) -> Result<(), FlowError> {
     let kept = dir.join(format!("run-{number}.trace.json"));
-    io("keep the trace", std::fs::copy(dir.join("run/trace.json"), kept)).map(|_| ())
+    io(
+        "keep the trace",
+        std::fs::read(dir.join("run/trace.json")).and_then(|trace| files::write_plain(kept, trace)),
+    )
 }
 
 /// The stages one after another: sky, embeddings, training to the snapshot and then the masks, the rest.

@@ -4,7 +4,7 @@ use super::{Base, Missing, ProtocolError, Told, keep};
 use crate::ablation::Variant;
 use crate::metrics::{self, MaskScore};
 use crate::record::{Record, Results};
-use segwild_flow::Stopper;
+use segwild_flow::{Stopper, files};
 use segwild_pipeline::{PhotoPrompts, RunError, RunFolder, RunOptions, Settings, Until, run, segment};
 use segwild_scene::{Mask, Scene, SceneError};
 use serde::Serialize;
@@ -212,15 +212,10 @@ fn ask(
 
 /// Adds lines to a file of JSON lines.
 fn append<T: Serialize>(file: &Path, lines: impl Iterator<Item = T>) -> Result<(), ProtocolError> {
-    use std::io::Write;
-    let open = || std::fs::OpenOptions::new().create(true).append(true).open(file);
-    let write = || -> std::io::Result<()> {
-        let mut to = std::io::BufWriter::new(open()?);
-        for line in lines {
-            serde_json::to_writer(&mut to, &line)?;
-            to.write_all(b"\n")?;
-        }
-        to.flush()
-    };
-    Ok(write().map_err(SceneError::io(file))?)
+    let lines: Result<Vec<String>, _> = lines.map(|line| serde_json::to_string(&line)).collect();
+    let lines = lines.map_err(|e| SceneError::invalid(file, "line", e.to_string()))?;
+    match lines.is_empty() {
+        true => Ok(()),
+        false => Ok(files::append_line(file, &lines.join("\n")).map_err(SceneError::from)?),
+    }
 }

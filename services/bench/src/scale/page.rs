@@ -4,6 +4,7 @@ use super::{AXES, Fit, along, beyond};
 use crate::page::{PageError, io};
 use crate::plot::short;
 use crate::record::Results;
+use segwild_flow::files;
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -163,5 +164,5 @@ fn large(results: &Results) -> String {
 
 /// Writes the page to a file.
 pub fn write(page: &Path, results: &Results) -> Result<(), PageError> {
-    io(page, std::fs::write(page, markdown(results)))
+    io(page, files::write_plain(page, markdown(results)))
 }

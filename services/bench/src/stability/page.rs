@@ -6,6 +6,7 @@ use crate::page::{PageError, io};
 use crate::plot::{Figure, Mark, Panel, Series, short};
 use crate::point::means;
 use crate::record::{Record, Results};
+use segwild_flow::files;
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -183,7 +184,7 @@ pub fn figure(results: &Results) -> Figure {
 
 /// Writes the page to a file, with its figure beside it as SVG and PNG.
 pub fn write(page: &Path, results: &Results) -> Result<(), PageError> {
-    let put = |path: &Path, bytes: &[u8]| io(path, std::fs::write(path, bytes));
+    let put = |path: &Path, bytes: &[u8]| io(path, files::write_plain(path, bytes));
     let figure = figure(results);
     let (svg, png) = (page.with_extension("svg"), page.with_extension("png"));
     let shown = png.file_name().map(|n| n.to_string_lossy().into_owned());

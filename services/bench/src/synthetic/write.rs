@@ -2,6 +2,7 @@
 
 use super::{Kind, SyntheticError, SyntheticOptions, SyntheticPhoto, SyntheticScene};
 use glam::{DMat3, DQuat};
+use segwild_flow::files;
 use segwild_scene::colmap::{self, CameraRecord, ImageRecord, Keypoint, Model, PointRecord, Reconstruction};
 use segwild_scene::{Image, SceneError};
 use serde::{Deserialize, Serialize};
@@ -95,18 +96,18 @@ impl SyntheticScene {
             ids(photo, &photo.instances).write_png(&named("instance"))?;
             ids(photo, &photo.parts).write_png(&named("part"))?;
             let depth = named("depth").with_extension("pfm");
-            std::fs::write(&depth, pfm(photo)).map_err(SceneError::io(&depth))?;
+            files::write_plain(&depth, pfm(photo)).map_err(SceneError::io(&depth))?;
             for object in &manifest.objects {
                 photo.mask(object.id).write_png(&named(&object.name))?;
             }
         }
         colmap::write(&dir.join("sparse/0"), &self.reconstruction())?;
         let split = dir.join("split.tsv");
-        std::fs::write(&split, self.split()).map_err(SceneError::io(&split))?;
+        files::write_plain(&split, self.split()).map_err(SceneError::io(&split))?;
         let path = dir.join("truth.json");
         let text = serde_json::to_string_pretty(&manifest)
             .map_err(|e| SceneError::invalid(&path, "manifest", e.to_string()))?;
-        std::fs::write(&path, text + "\n").map_err(SceneError::io(&path))?;
+        files::write_plain(&path, text + "\n").map_err(SceneError::io(&path))?;
         Ok(manifest)
     }
 

@@ -1,7 +1,7 @@
 //! `segwild eval`
 
 use super::{path, print_json, print_line};
-use crate::failure::Failure;
+use crate::failure::{Failure, plain};
 use clap::ArgMatches;
 use segwild_pipeline::{HeldOut, RunFolder};
 
@@ -25,7 +25,7 @@ pub fn eval(matches: &ArgMatches) -> Result<(), Failure> {
         return print_json(&score);
     }
     for unread in &score.unread {
-        eprintln!("warning: {unread}; this photo does not count");
+        eprintln!("warning: {}; this photo does not count", plain(unread));
     }
     print_line(&format!("{:>7} {:>7} {:>7} {:>7}  photo", "IoU", "acc", "B-IoU", "amodal"))?;
     for p in &score.photos {

@@ -21,6 +21,60 @@ fn a_full_disk_is_said_and_loses_nothing() {
     same_as_untouched(&run);
 }
 
+/// Runs a command with a full disk from the Nth file on, for N from 1 until it needs no more files: each writer of it is
+/// struck once (`stride` 1). Returns about how many files it writes.
+fn struck_at_every_file(what: &[&str], stride: usize, mut after: impl FnMut(usize)) -> usize {
+    for n in (1..200).step_by(stride) {
+        let fault = format!("full@file.write:{n}");
+        let output = segwild(&[what, &["--fault", fault.as_str()]].concat());
+        let said = text(&output.stderr);
+        if output.status.code() == Some(0) {
+            return n - 1;
+        }
+        assert_eq!(output.status.code(), Some(6), "{what:?} {fault}: {said}");
+        assert!(said.contains("the disk is full") && !said.contains("panicked"), "{what:?} {fault}: {said}");
+        after(n);
+    }
+    panic!("{what:?} writes more than 200 files");
+}
+
+#[test]
+fn a_full_disk_is_a_full_disk_whichever_file_is_written() {
+    let dir = folder();
+    let run = copied_run(&dir);
+    // What a user may have beside ours, under the names that a writer might think of.
+    let theirs =
+        ["scene.ply.part", "model.bin.part", "report.html.tmp", ".scene.ply.tmp"].map(|name| run.join(name));
+    theirs.iter().for_each(|file| std::fs::write(file, "mine").expect("it is written"));
+    let mine = || theirs.iter().all(|file| std::fs::read_to_string(file).is_ok_and(|text| text == "mine"));
+    let args = again(&run, &[]);
+    let args: Vec<&str> = args.iter().map(String::as_str).collect();
+    let files = struck_at_every_file(&args, 1, |n| assert!(mine(), "file {n}"));
+    assert!(files > 8, "settings, scene, networks, model, splats, report, traces: {files}");
+    same_as_untouched(&run);
+    let (_, clicked) = clearest();
+    let (folder, at) = (show(&run), format!("{},{}", clicked.x, clicked.y));
+    let (folder, photo) = (folder.as_str(), clicked.photo.as_str());
+    let click = ["segment", folder, "--photo", photo, "--in", at.as_str()];
+    let selection = run.join("selections/object");
+    let files = struck_at_every_file(&click, 7, |n| {
+        // The trace and the report are beside the selection, before and after it.
+        assert!(
+            !selection.exists() || selection.join("summary.json").is_file(),
+            "half a selection at file {n}"
+        );
+    });
+    assert!(files > 2 * place().manifest.photos.len(), "a mask of each kind for each photo: {files}");
+    let ply = show(&dir.path().join("baked.ply"));
+    assert_eq!(struck_at_every_file(&["bake", folder, "--out", ply.as_str()], 1, |_| {}), 1);
+    let out = show(&dir.path().join("renders"));
+    assert_eq!(
+        struck_at_every_file(&["render", folder, "--photo", photo, "--out", out.as_str()], 1, |_| {}),
+        1
+    );
+    assert!(mine());
+}
+
 /// A file system of our own, unmounted when dropped; `None` where mounting is not allowed.
 struct Mounted(PathBuf);
 impl Mounted {

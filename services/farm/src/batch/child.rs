@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use segwild_flow::Ledger;
+use segwild_flow::{Ledger, files};
 
 use super::{BatchEvent, BatchFolder};
 use crate::engine::Lease;
@@ -130,7 +130,7 @@ impl Worker {
     }
 
     fn begin(&self, folder: &BatchFolder, program: &Path) -> std::io::Result<Process> {
-        let mut log = File::options().create(true).append(true).open(folder.log(&self.scene.name))?;
+        let mut log = files::open_to_append(&folder.log(&self.scene.name)).map_err(|e| e.source)?;
         writeln!(log, "== attempt {} on {} cores", self.lease.failures + 1, self.granted.cores)?;
         let log_from = log.metadata()?.len();
         let mut command = Command::new(program);

@@ -2,8 +2,8 @@
 
 use super::{CameraRecord, ImageRecord, Keypoint, PointRecord, Reconstruction};
 use crate::SceneError;
-use crate::error::write_whole;
 use crate::lens::Model;
+use segwild_files::write_atomic;
 use std::path::Path;
 
 /// COLMAP's mark for a keypoint without a 3D point.
@@ -187,7 +187,7 @@ pub fn write(dir: &Path, reconstruction: &Reconstruction) -> Result<(), SceneErr
         put_u64(&mut out, camera.height);
         put_f64s(&mut out, &camera.params);
     }
-    write_whole(&dir.join("cameras.bin"), &out)?;
+    write_atomic(&dir.join("cameras.bin"), &out)?;
 
     out.clear();
     put_u64(&mut out, reconstruction.images.len() as u64);
@@ -204,7 +204,7 @@ pub fn write(dir: &Path, reconstruction: &Reconstruction) -> Result<(), SceneErr
             put_u64(&mut out, keypoint.point.unwrap_or(NO_POINT));
         }
     }
-    write_whole(&dir.join("images.bin"), &out)?;
+    write_atomic(&dir.join("images.bin"), &out)?;
 
     out.clear();
     put_u64(&mut out, reconstruction.points.len() as u64);
@@ -219,7 +219,7 @@ pub fn write(dir: &Path, reconstruction: &Reconstruction) -> Result<(), SceneErr
             out.extend(keypoint.to_le_bytes());
         }
     }
-    write_whole(&dir.join("points3D.bin"), &out)
+    Ok(write_atomic(&dir.join("points3D.bin"), &out)?)
 }
 
 fn put_u64(out: &mut Vec<u8>, value: u64) {

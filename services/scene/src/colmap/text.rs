@@ -2,8 +2,8 @@
 
 use super::{CameraRecord, ImageRecord, Keypoint, PointRecord, Reconstruction};
 use crate::SceneError;
-use crate::error::write_whole;
 use crate::lens::Model;
+use segwild_files::write_atomic;
 use std::fmt::Write;
 use std::path::Path;
 use std::str::FromStr;
@@ -139,7 +139,7 @@ pub fn write_text(dir: &Path, reconstruction: &Reconstruction) -> Result<(), Sce
     for c in &reconstruction.cameras {
         let _ = writeln!(out, "{} {} {} {} {}", c.id, c.model.name(), c.width, c.height, spaced(&c.params));
     }
-    write_whole(&dir.join("cameras.txt"), out.as_bytes())?;
+    write_atomic(&dir.join("cameras.txt"), out.as_bytes())?;
 
     out = String::from("# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME\n# POINTS2D[] as (X Y POINT3D_ID)\n");
     for i in &reconstruction.images {
@@ -158,7 +158,7 @@ pub fn write_text(dir: &Path, reconstruction: &Reconstruction) -> Result<(), Sce
         };
         let _ = writeln!(out, "{}", i.keypoints.iter().map(keypoint).collect::<Vec<_>>().join(" "));
     }
-    write_whole(&dir.join("images.txt"), out.as_bytes())?;
+    write_atomic(&dir.join("images.txt"), out.as_bytes())?;
 
     out = String::from("# POINT3D_ID X Y Z R G B ERROR TRACK[] as (IMAGE_ID POINT2D_IDX)\n");
     for p in &reconstruction.points {
@@ -169,5 +169,5 @@ pub fn write_text(dir: &Path, reconstruction: &Reconstruction) -> Result<(), Sce
         }
         out.push('\n');
     }
-    write_whole(&dir.join("points3D.txt"), out.as_bytes())
+    Ok(write_atomic(&dir.join("points3D.txt"), out.as_bytes())?)
 }

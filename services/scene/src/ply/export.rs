@@ -2,9 +2,9 @@
 //! that says how it is to be drawn and what was subtracted.
 
 use super::write_commented;
-use crate::error::write_whole;
 use crate::{Frame, SceneError, Splats};
 use glam::DVec3;
+use segwild_files::write_atomic;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -83,7 +83,7 @@ fn note(path: &Path, offset: DVec3) -> Result<(), SceneError> {
         let note = Note { file, offset: offset.to_array() };
         let text = serde_json::to_vec_pretty(&note)
             .map_err(|e| SceneError::invalid(&beside, "the offset", e.to_string()))?;
-        return write_whole(&beside, &text);
+        return Ok(write_atomic(&beside, &text)?);
     }
     let old: Option<Note> = std::fs::read(&beside).ok().and_then(|text| serde_json::from_slice(&text).ok());
     match old {

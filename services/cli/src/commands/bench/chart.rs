@@ -4,7 +4,7 @@ use super::common::{light, light_of, parts, parts_of};
 use super::{list, numbers};
 use crate::args::{given, json, number, path, with_settings};
 use crate::commands::{path as path_of, print_json, print_line};
-use crate::failure::Failure;
+use crate::failure::{Failure, plain};
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_bench::chart::{Base, ChartOptions, Told, chart as measure_all, write};
 use segwild_bench::oracle::OracleOptions;
@@ -154,7 +154,7 @@ fn tell(told: &Told, json: bool) {
             ))
         }
         Told::Failed { point, error } => {
-            eprintln!("warning: {point} could not be measured: {error}");
+            eprintln!("warning: {}", plain(&format!("{point} could not be measured: {error}")));
             Ok(())
         }
     };

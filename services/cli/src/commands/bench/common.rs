@@ -167,7 +167,7 @@ pub fn command_line() -> String {
 }
 
 pub fn cannot_write(file: &Path, error: &std::io::Error) -> Failure {
-    Failure { message: format!("cannot write {}: {error}", file.display()), code: exit::FAILED }
+    Failure { message: format!("cannot write {}: {error}", file.display()), code: exit::of_system(error) }
 }
 
 /// Tells of a measurement.
@@ -188,7 +188,7 @@ pub fn tell(json: bool) -> impl FnMut(&Record) {
 pub fn finish(asked: &Asked, title: &str) -> Result<(), Failure> {
     if let Some(file) = &asked.page {
         let text = page(title, std::slice::from_ref(&asked.results));
-        std::fs::write(file, text).map_err(|e| cannot_write(file, &e))?;
+        segwild_flow::files::write_plain(file, text).map_err(|e| cannot_write(file, &e))?;
     }
     if asked.json {
         return Ok(());
@@ -249,7 +249,10 @@ impl From<PageError> for Failure {
             PageError::Other(_) | PageError::Record(_) => {
                 Failure { message: error.to_string(), code: exit::FOLDER }
             }
-            PageError::Plot(_) | PageError::Raster(_) | PageError::Gpu(_) | PageError::Io { .. } => {
+            PageError::Io { ref source, .. } => {
+                Failure { message: error.to_string(), code: exit::of_system(source) }
+            }
+            PageError::Plot(_) | PageError::Raster(_) | PageError::Gpu(_) => {
                 Failure { message: error.to_string(), code: exit::FAILED }
             }
         }

@@ -1,5 +1,6 @@
 //! `segwild bench flow`
 
+use super::common::cannot_write;
 use super::{list, numbers};
 use crate::args::{json, number, path};
 use crate::commands::{path as path_of, print_json, print_line};
@@ -60,10 +61,8 @@ pub fn flow(matches: &ArgMatches) -> Result<(), Failure> {
     };
     let rows = segwild_bench::flow::flow(&options, told)?;
     if let Some(file) = path_of(matches, "page") {
-        std::fs::write(&file, page(&measured(&options.dir))).map_err(|e| Failure {
-            message: format!("cannot write {}: {e}", file.display()),
-            code: crate::exit::FAILED,
-        })?;
+        segwild_flow::files::write_plain(&file, page(&measured(&options.dir)))
+            .map_err(|e| cannot_write(&file, &e))?;
     }
     match rows.iter().filter(|r| !r.holds()).count() {
         0 => Ok(()),

@@ -38,7 +38,7 @@ pub fn tables(matches: &ArgMatches) -> Result<(), Failure> {
         files.map(|file| Results::read(file).map_err(ProtocolError::from)).collect::<Result<_, _>>()?;
     let text = page(matches.get_one::<String>("title").expect("it has a default"), &sets);
     match path_of(matches, "page") {
-        Some(file) => std::fs::write(&file, text).map_err(|e| cannot_write(&file, &e)),
+        Some(file) => segwild_flow::files::write_plain(&file, text).map_err(|e| cannot_write(&file, &e)),
         None => print_line(text.trim_end()),
     }
 }

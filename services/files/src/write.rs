@@ -1,78 +1,41 @@
 //! Files that are there whole or not at all.
 
-use std::fmt;
-use std::fs::{self, File};
+use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use crate::fault;
+use crate::{FileError, fault};
 
-/// What stood in the way of a file operation.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Obstacle {
-    /// No space or quota left.
-    DiskFull,
-    /// The file system or folder cannot be written.
-    ReadOnly,
-    /// This user may not.
-    Denied,
-    /// A folder of the path is missing or is a file.
-    NoFolder,
-    /// Anything else; the source says what.
-    Other,
+static NUMBER: AtomicU64 = AtomicU64::new(0);
+
+/// Longest part of a name that is kept in the name of the file aside: file systems take 255 bytes in all.
+const STEM: usize = 200;
+
+/// A name that no other writer of this folder uses, in this process or another one. A long stem is cut.
+pub fn unique_name(stem: &str) -> String {
+    let end = (0..=stem.len().min(STEM)).rev().find(|&i| stem.is_char_boundary(i)).unwrap_or(0);
+    format!("{}.{}.{}", &stem[..end], std::process::id(), NUMBER.fetch_add(1, Ordering::Relaxed))
 }
 
-/// A file operation that failed: what, where, why, what to do.
-#[derive(Debug, thiserror::Error)]
-#[error("cannot {action} {}: {}", path.display(), Words(*obstacle, source))]
-pub struct FileError {
-    /// What was tried: `write`, `read`, ..
-    pub action: &'static str,
-    /// On which path.
-    pub path: PathBuf,
-    /// The kind of obstacle.
-    pub obstacle: Obstacle,
-    /// The operating system's error.
-    pub source: io::Error,
-}
-
-struct Words<'a>(Obstacle, &'a io::Error);
-
-impl fmt::Display for Words<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.0 {
-            Obstacle::DiskFull => f.write_str("the disk is full; free some space and run again"),
-            Obstacle::ReadOnly => f.write_str("the folder is on a read-only file system; choose another one"),
-            Obstacle::Denied => f.write_str("permission denied; choose a folder that you may write"),
-            Obstacle::NoFolder => f.write_str("its folder does not exist or is a file"),
-            Obstacle::Other => write!(f, "{}", self.1),
+/// A new file in `folder`: never one that is there already, whoever put it there.
+fn create_aside(folder: &Path, stem: &str) -> io::Result<(PathBuf, File)> {
+    loop {
+        let path = folder.join(unique_name(stem));
+        match OpenOptions::new().write(true).create_new(true).open(&path) {
+            Ok(file) => return Ok((path, file)),
+            Err(e) if e.kind() == io::ErrorKind::AlreadyExists => {}
+            Err(e) => return Err(e),
         }
     }
 }
 
-impl FileError {
-    /// Wraps the operating system's error.
-    pub fn new(action: &'static str, path: &Path, source: io::Error) -> Self {
-        let obstacle = match source.kind() {
-            io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => Obstacle::DiskFull,
-            io::ErrorKind::ReadOnlyFilesystem => Obstacle::ReadOnly,
-            io::ErrorKind::PermissionDenied => Obstacle::Denied,
-            io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => Obstacle::NoFolder,
-            _ => Obstacle::Other,
-        };
-        Self { action, path: path.to_path_buf(), obstacle, source }
-    }
+/// The folder that a path lies in.
+fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-static NUMBER: AtomicU64 = AtomicU64::new(0);
-
-/// A name that no other writer of this folder uses, in this process or another one.
-pub(crate) fn unique_name(stem: &str) -> String {
-    format!("{stem}.{}.{}", std::process::id(), NUMBER.fetch_add(1, Ordering::Relaxed))
-}
-
-pub(crate) fn write_parts(file: &mut File, path: &Path, parts: &[&[u8]]) -> Result<(), FileError> {
+fn write_parts(file: &mut File, path: &Path, parts: &[&[u8]]) -> Result<(), FileError> {
     let written = parts.iter().try_for_each(|part| file.write_all(part)).and_then(|()| file.sync_all());
     written.map_err(|e| FileError::new("write", path, e))
 }
@@ -83,31 +46,41 @@ pub(crate) fn write_parts(file: &mut File, path: &Path, parts: &[&[u8]]) -> Resu
 /// ```
 /// let folder = tempfile::tempdir().unwrap();
 /// let path = folder.path().join("deep/checkpoint.bin");
-/// segwild_flow::files::write_atomic(&path, b"step 500").unwrap();
+/// segwild_files::write_atomic(&path, b"step 500").unwrap();
 /// assert_eq!(std::fs::read(&path).unwrap(), b"step 500");
 /// ```
 ///
 /// # Errors
 /// In words: disk full, read-only, denied.
 pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    write_aside(folder, path, &[bytes])
+    write_aside(folder_of(path), path, &[bytes])
+}
+
+/// As [`write_atomic`], for who names the file in an error of their own.
+///
+/// # Errors
+/// The system's.
+pub fn write_plain(path: impl AsRef<Path>, bytes: impl AsRef<[u8]>) -> io::Result<()> {
+    write_atomic(path.as_ref(), bytes.as_ref()).map_err(|e| e.source)
 }
 
 /// As [`write_atomic`], from parts, by way of a file in `aside`, which must be on the same file system.
-pub(crate) fn write_aside(aside: &Path, path: &Path, parts: &[&[u8]]) -> Result<(), FileError> {
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+///
+/// # Errors
+/// As [`write_atomic`].
+pub fn write_aside(aside: &Path, path: &Path, parts: &[&[u8]]) -> Result<(), FileError> {
+    let folder = folder_of(path);
     for wanted in [aside, folder] {
         fs::create_dir_all(wanted).map_err(|e| FileError::new("create the folder", wanted, e))?;
     }
+    let failed = |e| FileError::new("write", path, e);
     let stem = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-    let temporary = aside.join(unique_name(&format!(".{stem}")));
-    let write = || {
-        fault::point("file.write").map_err(|e| FileError::new("write", path, e))?;
-        let mut file = File::create(&temporary).map_err(|e| FileError::new("write", path, e))?;
+    fault::point("file.write").map_err(failed)?;
+    let (temporary, mut file) = create_aside(aside, &format!(".{stem}")).map_err(failed)?;
+    let mut write = || {
         write_parts(&mut file, path, parts)?;
-        fault::point("file.rename").map_err(|e| FileError::new("write", path, e))?;
-        fs::rename(&temporary, path).map_err(|e| FileError::new("write", path, e))
+        fault::point("file.rename").map_err(failed)?;
+        fs::rename(&temporary, path).map_err(failed)
     };
     write().inspect_err(|_| {
         // The error that matters is the first one; what is left aside is only litter.
@@ -116,12 +89,32 @@ pub(crate) fn write_aside(aside: &Path, path: &Path, parts: &[&[u8]]) -> Result<
     sync_folder(folder)
 }
 
+/// Opens a file to add to its end; it is made, with its folder, if it is not there.
+///
+/// # Errors
+/// In words: disk full, read-only, denied.
+pub fn open_to_append(path: &Path) -> Result<File, FileError> {
+    let folder = folder_of(path);
+    fs::create_dir_all(folder).map_err(|e| FileError::new("create the folder", folder, e))?;
+    fault::point("file.append").map_err(|e| FileError::new("write", path, e))?;
+    OpenOptions::new().create(true).append(true).open(path).map_err(|e| FileError::new("write", path, e))
+}
+
+/// Adds lines to the end of a file. A kill may leave the last one cut short: whoever reads it leaves that one out.
+///
+/// # Errors
+/// In words: disk full, read-only, denied.
+pub fn append_line(path: &Path, lines: &str) -> Result<(), FileError> {
+    let text = format!("{lines}\n");
+    open_to_append(path)?.write_all(text.as_bytes()).map_err(|e| FileError::new("write", path, e))
+}
+
 /// Makes a folder that is there whole or not at all: `fill` writes it aside, in the folder that it is given, and it
 /// then takes the place of the one that was there before. Where the system cannot exchange two folders at once, a kill
 /// between two renames may leave neither in its place.
 ///
 /// ```
-/// use segwild_flow::{FileError, files};
+/// use segwild_files::{self as files, FileError};
 /// let place = tempfile::tempdir().unwrap();
 /// let statue = place.path().join("statue");
 /// for text in ["first", "second"] {
@@ -140,7 +133,7 @@ pub fn write_folder<E: From<FileError>>(
     path: &Path,
     fill: impl FnOnce(&Path) -> Result<(), E>,
 ) -> Result<(), E> {
-    let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let parent = folder_of(path);
     let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
     let aside = parent.join(unique_name(&format!(".{name}")));
     fs::create_dir_all(&aside).map_err(|e| FileError::new("create the folder", &aside, e))?;
@@ -194,7 +187,10 @@ pub fn remove_litter(folder: &Path) {
 }
 
 /// Makes a rename in a folder last through a power cut.
-pub(crate) fn sync_folder(folder: &Path) -> Result<(), FileError> {
+///
+/// # Errors
+/// In words.
+pub fn sync_folder(folder: &Path) -> Result<(), FileError> {
     if cfg!(unix) {
         File::open(folder).and_then(|f| f.sync_all()).map_err(|e| FileError::new("sync", folder, e))?;
     }
@@ -204,6 +200,47 @@ pub(crate) fn sync_folder(folder: &Path) -> Result<(), FileError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Obstacle;
+
+    #[test]
+    fn a_file_of_the_users_named_part_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let (theirs, ours) = (folder.path().join("scene.ply.part"), folder.path().join("scene.ply"));
+        fs::write(&theirs, "mine").unwrap();
+        write_atomic(&ours, b"ply").unwrap();
+        assert_eq!(fs::read(&theirs).unwrap(), b"mine");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
+    }
+
+    #[test]
+    fn a_name_as_long_as_the_file_system_takes_is_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let name = "\u{e9}".repeat(127);
+        write_atomic(&folder.path().join(&name), b"x").unwrap();
+        let error = write_atomic(&folder.path().join("n".repeat(256)), b"x").unwrap_err();
+        assert_eq!(error.obstacle, Obstacle::NameTooLong, "{error}");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_link_that_lies_where_a_file_is_written_aside_is_not_followed() {
+        let folder = tempfile::tempdir().unwrap();
+        let outside = folder.path().join("outside");
+        fs::write(&outside, "theirs").unwrap();
+        let target = folder.path().join("model.bin");
+        // The next thousand names that this process would use aside, whatever other tests write meanwhile.
+        let next: u64 = unique_name("").rsplit('.').next().unwrap().parse().unwrap();
+        for n in next..next + 1000 {
+            let name = format!(".model.bin.{}.{n}", std::process::id());
+            std::os::unix::fs::symlink(&outside, folder.path().join(name)).unwrap();
+        }
+        write_atomic(&target, b"ours").unwrap();
+        assert_eq!(
+            (fs::read(&outside).unwrap(), fs::read(&target).unwrap()),
+            (b"theirs".into(), b"ours".into())
+        );
+    }
 
     #[test]
     fn a_full_disk_is_named() {

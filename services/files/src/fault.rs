@@ -6,7 +6,7 @@
 //! armed a point costs one read of an atomic.
 //!
 //! ```
-//! use segwild_flow::fault;
+//! use segwild_files::fault;
 //! fault::arm(&["full@test.doc:2"]).unwrap();
 //! assert!(fault::point("test.doc").is_ok());
 //! assert_eq!(fault::point("test.doc").unwrap_err().kind(), std::io::ErrorKind::StorageFull);
@@ -17,14 +17,12 @@
 use std::borrow::Cow;
 use std::io;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
-
-use crate::meter::lock;
 
 /// The points, and what passes there. An actor's own points are `NAME.handle`; names that begin with `test.` are
 /// free for tests.
-pub const POINTS: [(&str, &str); 18] = [
+pub const POINTS: [(&str, &str); 19] = [
     ("trainer.handle", "the trainer takes an order"),
     ("coordinator.hear", "the coordinator hears of an actor"),
     ("masks.handle", "the masks actor takes a photo"),
@@ -38,6 +36,7 @@ pub const POINTS: [(&str, &str); 18] = [
     ("report.picture", "a picture of the report has been drawn"),
     ("selection.file", "a file of a selection has been written"),
     ("file.write", "a file of the run is about to be written aside"),
+    ("file.append", "a line is about to be added to a file"),
     ("file.rename", "a file is whole aside, and not yet in its place"),
     ("cache.read", "an artefact has been read and is not yet verified"),
     ("ledger.commit", "a change of the ledger is about to be committed"),
@@ -146,6 +145,10 @@ pub fn arm<S: AsRef<str>>(faults: &[S]) -> Result<(), FaultError> {
     Ok(())
 }
 
+fn lock(faults: &Mutex<Vec<Arc<Fault>>>) -> MutexGuard<'_, Vec<Arc<Fault>>> {
+    faults.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 /// The faults that strike now at a point.
 fn strike(point: &str) -> Vec<Action> {
     if !ARMED.load(Ordering::Acquire) {
@@ -195,12 +198,15 @@ pub fn point(name: &str) -> io::Result<()> {
 }
 
 /// Whether any fault is armed: who would have to build a point's name looks first.
-pub(crate) fn armed() -> bool {
+pub fn armed() -> bool {
     ARMED.load(Ordering::Acquire)
 }
 
 /// Passes a point with bytes, which the fault may damage.
-pub(crate) fn bytes<'a>(name: &str, bytes: Cow<'a, [u8]>) -> io::Result<Cow<'a, [u8]>> {
+///
+/// # Errors
+/// When the armed fault is an error of the disk.
+pub fn bytes<'a>(name: &str, bytes: Cow<'a, [u8]>) -> io::Result<Cow<'a, [u8]>> {
     let mut bytes = bytes;
     for action in strike(name) {
         match action {
@@ -222,7 +228,7 @@ pub(crate) fn bytes<'a>(name: &str, bytes: Cow<'a, [u8]>) -> io::Result<Cow<'a, 
 }
 
 /// How far the wall clock is off, in seconds.
-pub(crate) fn clock_jump() -> f64 {
+pub fn clock_jump() -> f64 {
     let jump = |action| match action {
         Action::Jump => -JUMP_S,
         Action::Leap => JUMP_S,

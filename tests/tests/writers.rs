@@ -1,0 +1,84 @@
+//! Who writes files: one module of `services/files`, and nobody else.
+
+use std::path::{Path, PathBuf};
+
+/// What writes a file, or makes one.
+const WRITERS: [&str; 9] = [
+    "fs::write(",
+    "File::create(",
+    "File::create_new(",
+    "File::options(",
+    "OpenOptions",
+    "fs::copy(",
+    ".save(&",
+    ".save_with_format(",
+    "write_whole(",
+];
+
+/// Who may: the one writer, and what is no writing of contents.
+const MAY: [(&str, &str); 2] = [
+    ("services/files/src/write.rs", "the one writer"),
+    ("services/flow/src/process.rs", "a lock is a file that stays open; it holds a process's number"),
+];
+
+/// The source files below a folder.
+fn sources(folder: &Path) -> Vec<PathBuf> {
+    let (mut found, mut open) = (Vec::new(), vec![folder.to_owned()]);
+    while let Some(next) = open.pop() {
+        for entry in std::fs::read_dir(&next).expect("a folder").flatten() {
+            let path = entry.path();
+            match path.is_dir() {
+                true => open.push(path),
+                false if path.extension().is_some_and(|e| e == "rs") => found.push(path),
+                false => {}
+            }
+        }
+    }
+    found.sort();
+    found
+}
+
+/// The lines of a source that write files, outside of tests and comments.
+fn writing_lines(text: &str) -> Vec<(usize, &str)> {
+    // Unit tests are the last thing in a file.
+    let end = text.find("#[cfg(test)]\nmod ").or_else(|| text.find("mod tests {")).unwrap_or(text.len());
+    let code = text[..end].lines().enumerate().filter(|(_, line)| !line.trim_start().starts_with("//"));
+    // What the kernel is told through /proc is no file.
+    let code = code.filter(|(_, line)| !line.contains("(\"/proc/"));
+    code.filter(|(_, line)| WRITERS.iter().any(|writer| line.contains(writer)))
+        .map(|(i, line)| (i + 1, line.trim()))
+        .collect()
+}
+
+#[test]
+fn files_are_written_by_one_module_only() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the tests crate lies in the workspace");
+    let mut wrong = Vec::new();
+    let mut seen = 0;
+    for service in std::fs::read_dir(root.join("services")).expect("services").flatten() {
+        for source in sources(&service.path().join("src")) {
+            let name = source.strip_prefix(root).expect("inside").display().to_string().replace('\\', "/");
+            seen += 1;
+            if MAY.iter().any(|(may, _)| *may == name) {
+                continue;
+            }
+            let text = std::fs::read_to_string(&source).expect("a source file");
+            wrong.extend(
+                writing_lines(&text).into_iter().map(|(line, code)| format!("{name}:{line}: {code}")),
+            );
+        }
+    }
+    assert!(seen > 100, "the sources are not where they are looked for");
+    assert!(
+        wrong.is_empty(),
+        "use segwild_files (a full disk is armed and told of there):\n{}",
+        wrong.join("\n")
+    );
+}
+
+#[test]
+fn a_new_writer_is_seen() {
+    let text = "use std::fs;\n/// fs::write(\nfn save() {\n    std::fs::write(\"a\", b\"x\")\n}\n#[cfg(test)]\nmod tests {\n fs::write( }\n";
+    assert_eq!(writing_lines(text), [(4, "std::fs::write(\"a\", b\"x\")")]);
+    assert_eq!(writing_lines("let f = File::create(path)?;").len(), 1);
+}
