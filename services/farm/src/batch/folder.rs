@@ -38,6 +38,8 @@ impl BatchFolder {
     /// When it cannot be made.
     pub fn create(path: &Path) -> Result<Self, BatchError> {
         let folder = Self { path: path.to_owned() };
+        let ours = |name: &str| matches!(name, "logs" | "settings") || name.starts_with("batch.");
+        files::stays_inside(path, ours).map_err(std::io::Error::other).map_err(file_error("use", path))?;
         for dir in [folder.path.clone(), folder.path.join("logs"), folder.path.join("settings")] {
             std::fs::create_dir_all(&dir).map_err(file_error("create", &dir))?;
         }

@@ -25,14 +25,17 @@
 //! ```
 
 mod file;
+mod place;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
+use segwild_flow::files::name;
 use segwild_pipeline::{MemoryNeed, Settings, Until};
 use serde::{Deserialize, Serialize};
 
 use self::file::{File, settings};
+use self::place::Places;
 use crate::job::{Job, Needs, Retry};
 use crate::machine;
 
@@ -137,7 +140,7 @@ impl Manifest {
         let base = base.parent().unwrap_or(Path::new("."));
         let folder = std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned());
         let mut jobs = Vec::new();
-        let (mut names, mut outs) = (BTreeSet::new(), BTreeSet::new());
+        let (mut names, mut outs) = (BTreeSet::new(), Places::default());
         for entry in &read.scene {
             let path = base.join(&entry.path);
             let name = entry.name.clone().unwrap_or_else(|| {
@@ -148,19 +151,17 @@ impl Manifest {
                 scene: name.clone(),
                 reason,
             };
-            if name.is_empty()
-                || name.chars().any(|c| c.is_control() || "/\\".contains(c))
-                || name.starts_with('.')
-            {
-                return Err(wrong("its name must be usable as a file's name: set `name`".into()));
+            if let Err(why) = usable(&name) {
+                return Err(wrong(format!(
+                    "its name must be usable as a file's name, and {why}: set `name`"
+                )));
             }
-            if !names.insert(name.clone()) {
+            // Capitals make no other file on some systems, and names become files.
+            if !names.insert(name.to_lowercase()) {
                 return Err(wrong("there are two scenes of this name: set `name`".into()));
             }
             let out = entry.out.as_ref().map_or_else(|| folder.join(&name), |out| base.join(out));
-            if !outs.insert(out.clone()) {
-                return Err(wrong(format!("two scenes run in {}: set `out`", out.display())));
-            }
+            outs.take(&name, &out).map_err(|why| wrong(format!("{why}: set `out`")))?;
             if let Some(name) = entry.unknown.keys().next() {
                 return Err(wrong(format!("there is nothing named `{name}` to be said of a scene")));
             }
@@ -197,6 +198,17 @@ impl Manifest {
             jobs.push((scene, job));
         }
         Ok(Self { budget, patience_s, jobs })
+    }
+}
+
+/// Names that the batch folder needs for itself.
+const KEPT: [&str; 5] = ["logs", "settings", "batch.json", "batch.lock", "batch.sqlite"];
+
+/// Whether a scene's name can be that of its files in the batch folder; else why not.
+fn usable(name: &str) -> Result<(), &'static str> {
+    match KEPT.contains(&name.to_lowercase().as_str()) {
+        true => Err("the batch keeps this one for itself"),
+        false => name::usable(name),
     }
 }
 
@@ -302,6 +314,9 @@ mod tests {
                 "[[scene]]\npath = \"a\"\nout = \"o\"\n[[scene]]\npath = \"b\"\nout = \"o\"\n",
                 "two scenes run in".into(),
             ),
+            ("[[scene]]\npath = \"a\"\nname = \"logs\"\n", "the batch keeps".into()),
+            (&format!("[[scene]]\npath = \"a\"\nname = \"{}\"\n", "n".repeat(101)), "longer than 100".into()),
+            ("[[scene]]\npath = \"a\"\n[[scene]]\npath = \"b/A\"\n", "two scenes of this name".into()),
         ] {
             let message = read(text).unwrap_err();
             assert!(message.contains("batch.toml") && message.contains(&said), "{message}");
