@@ -1,6 +1,6 @@
 //! The feature field: what a scene's splats know besides their looks.
 
-use crate::{Decoder, Pca};
+use crate::{Decoder, FeatureError, Pca};
 use segwild_raster::{Channels, Kept};
 use wincode::{SchemaRead, SchemaWrite};
 
@@ -18,6 +18,28 @@ pub struct FeatureField {
 }
 
 impl FeatureField {
+    /// Refuses a field whose parts do not fit each other: one that comes out of a file may be anybody's.
+    ///
+    /// # Errors
+    /// Says what does not fit.
+    pub fn check(&self) -> Result<(), FeatureError> {
+        let Decoder { channels, embedding_channels, weights, bias } = &self.decoder;
+        let (c, e) = (self.channels, *embedding_channels);
+        let weighs = |n: usize| c.checked_mul(e) == Some(n);
+        let fits = c > 0
+            && self.values.len().is_multiple_of(c)
+            && (*channels, self.pca.channels, self.pca.embedding_channels) == (c, c, e)
+            && weighs(weights.len())
+            && weighs(self.pca.basis.len())
+            && (bias.len(), self.pca.mean.len()) == (e, e);
+        match fits {
+            true => Ok(()),
+            false => Err(FeatureError::Shape(
+                "the feature field is damaged: its parts do not fit each other".into(),
+            )),
+        }
+    }
+
     /// The features as the rasteriser blends them.
     pub fn channels(&self) -> Channels<'_> {
         Channels { count: self.channels, values: &self.values }

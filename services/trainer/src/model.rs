@@ -3,8 +3,9 @@
 use crate::TrainError;
 use crate::background::Background;
 use crate::looks;
-use crate::params::select;
-use segwild_raster::compare::add_behind;
+use crate::params::{select, splats_fit};
+use crate::state::look_fits;
+use segwild_raster::compare::{BASES, add_behind};
 use segwild_raster::{AnyLook, Channels, Engine, Frame, ProjectOptions, Sight};
 use segwild_scene::{Camera, Image, Pose, Splats};
 use wincode::{SchemaRead, SchemaWrite};
@@ -46,6 +47,31 @@ pub(crate) fn options(antialias: bool) -> ProjectOptions {
 }
 
 impl Model {
+    /// Refuses a model whose parts do not fit each other: one that comes out of a file may be anybody's.
+    ///
+    /// # Errors
+    /// Says what does not fit.
+    pub fn check(&self) -> Result<(), TrainError> {
+        let damaged = |what: &str| Err(TrainError::Checkpoint(format!("the model is damaged: {what}")));
+        if let Err(what) = splats_fit(&self.splats) {
+            return damaged(&what);
+        }
+        let views = self.names.len();
+        let sound = |b: &Background| (1..=BASES).contains(&b.coefficients.len());
+        if self.backgrounds.len() != views || self.trained_on.iter().any(|&v| v as usize >= views) {
+            return damaged("its lists of photos differ in length");
+        }
+        if !self.backgrounds.iter().flatten().all(sound) {
+            return damaged("a background has another number of coefficients");
+        }
+        if !look_fits(&self.look, views)
+            || self.codes.len() != self.look.as_look().code_size() * self.splats.len()
+        {
+            return damaged("its look does not fit its splats");
+        }
+        Ok(())
+    }
+
     /// The splats at `keep`, in that order, with all that belongs to them.
     pub fn select(&mut self, keep: &[usize]) {
         self.codes = select(&self.codes, self.splats.len(), keep);

@@ -265,17 +265,10 @@ impl Params {
 
     /// Whether every array has one entry per splat; says which has not.
     pub fn consistent(&self) -> Result<(), String> {
-        let s = &self.splats;
-        let n = s.len();
-        if s.sh_degree > 3 {
-            return Err(format!("spherical harmonics of degree {}", s.sh_degree));
-        }
-        let k = s.sh_stride();
+        splats_fit(&self.splats)?;
+        let n = self.splats.len();
+        let k = self.splats.sh_stride();
         let arrays = [
-            ("log scales", s.log_scales.len() == n),
-            ("rotations", s.rotations.len() == n),
-            ("opacities", s.opacities.len() == n),
-            ("colours", s.sh.len() == n * k),
             ("moments of the centres", self.means.len() == 3 * n),
             ("moments of the scales", self.log_scales.len() == 3 * n),
             ("moments of the rotations", self.rotations.len() == 4 * n),
@@ -284,9 +277,30 @@ impl Params {
             ("codes", self.codes.len().is_multiple_of(n.max(1))),
             ("moments of the codes", self.code_moments.len() == self.codes.len()),
         ];
-        match arrays.iter().find(|(_, fits)| !fits) {
-            Some((name, _)) => Err(format!("{n} splats, but another number of {name}")),
-            None => Ok(()),
-        }
+        all_fit(n, &arrays)
     }
+}
+
+fn all_fit(splats: usize, arrays: &[(&str, bool)]) -> Result<(), String> {
+    match arrays.iter().find(|(_, fits)| !fits) {
+        Some((name, _)) => Err(format!("{splats} splats, but another number of {name}")),
+        None => Ok(()),
+    }
+}
+
+/// Whether splats that come out of a file have one entry each in every array; says which has not.
+pub(crate) fn splats_fit(s: &Splats) -> Result<(), String> {
+    let n = s.len();
+    if s.sh_degree > 3 {
+        return Err(format!("spherical harmonics of degree {}", s.sh_degree));
+    }
+    all_fit(
+        n,
+        &[
+            ("log scales", s.log_scales.len() == n),
+            ("rotations", s.rotations.len() == n),
+            ("opacities", s.opacities.len() == n),
+            ("colours", s.sh.len() == n * s.sh_stride()),
+        ],
+    )
 }

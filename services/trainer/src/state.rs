@@ -115,15 +115,20 @@ impl State {
             return Err(TrainError::Checkpoint("it is damaged: its lists of photos differ in length".into()));
         }
         let size = self.look.as_look().code_size();
-        let whole = match &self.look {
-            AnyLook::Embed(look) => look.consistent(views + 1),
-            AnyLook::Gsw(look) => look.consistent(views + 1),
-            _ => true,
-        };
-        if !whole || self.params.codes.len() != size * self.params.splats.len() {
+        if !look_fits(&self.look, views) || self.params.codes.len() != size * self.params.splats.len() {
             return Err(TrainError::Checkpoint("it is damaged: its look does not fit its splats".into()));
         }
         self.params.consistent().map_err(|e| TrainError::Checkpoint(format!("it is damaged: {e}")))
+    }
+}
+
+/// Whether a look that comes out of a file has all that it keeps for so many views, and for the mean of them.
+pub(crate) fn look_fits(look: &AnyLook, views: usize) -> bool {
+    match look {
+        AnyLook::None(_) => true,
+        AnyLook::Affine(look) => look.consistent(views + 1),
+        AnyLook::Embed(look) => look.consistent(views + 1),
+        AnyLook::Gsw(look) => look.consistent(views + 1),
     }
 }
 

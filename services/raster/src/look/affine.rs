@@ -35,6 +35,11 @@ impl AffineLook {
         }
     }
 
+    /// Whether it has what it keeps per view for `views` of them: one that comes out of a file may not.
+    pub fn consistent(&self, views: usize) -> bool {
+        self.matrices.len() == views && self.optimisers.len() == views
+    }
+
     /// A photo's matrix, row by row; the identity for a photo that is not known.
     pub fn matrix(&self, view: usize) -> [f32; NUMBERS] {
         self.matrices.get(view).copied().unwrap_or(IDENTITY)
