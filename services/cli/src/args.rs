@@ -40,9 +40,13 @@ pub fn program() -> Command {
             .arg(json()),
         )
         .subcommand(
-            with_table(
-                Command::new("segment").about("Click an object in one photo, get it in 3D"),
-                "segment",
+            with_fields(
+                with_table(
+                    Command::new("segment").about("Click an object in one photo, get it in 3D"),
+                    "segment",
+                ),
+                "vision",
+                |name| matches!(name, "models" | "onnxruntime"),
             )
             .arg(run())
             .arg(
@@ -282,12 +286,17 @@ pub fn with_settings(mut command: Command) -> Command {
 }
 
 /// Adds a flag for every setting of one table, under its own heading in the help.
-fn with_table(mut command: Command, table: &str) -> Command {
+fn with_table(command: Command, table: &str) -> Command {
+    with_fields(command, table, |_| true)
+}
+
+/// The same for some of its settings.
+fn with_fields(mut command: Command, table: &str, wanted: fn(&str) -> bool) -> Command {
     for (name, doc, fields) in Settings::catalogue() {
         if name != table {
             continue;
         }
-        for field in fields {
+        for field in fields.iter().filter(|field| wanted(field.name)) {
             let flag: &'static str = field.name.replace('_', "-").leak();
             let default = Settings::default().get(field.name).unwrap_or_default();
             let mut arg = Arg::new(field.name)

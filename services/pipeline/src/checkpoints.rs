@@ -5,6 +5,7 @@ use segwild_flow::files::FileError;
 use segwild_flow::ledger::CheckpointRow;
 use segwild_flow::{Events, Key, Ledger, codec, fault, files};
 use segwild_trainer::Checkpoint;
+use std::path::PathBuf;
 
 /// Kind of the records.
 const CHECKPOINT: &str = "checkpoint";
@@ -42,7 +43,7 @@ impl Keeper<'_> {
         })?;
         for old in self.ledger.checkpoints("geometry", self.key)?.into_iter().skip(self.kept.max(1)) {
             // A file that is gone already is what was wanted.
-            let _ = std::fs::remove_file(self.folder.checkpoints().join(&old.file));
+            let _ = self.folder.checkpoint(&old).map(std::fs::remove_file);
             self.ledger.forget_checkpoint(&old)?;
         }
         Ok(())
@@ -84,10 +85,15 @@ impl Keeper<'_> {
 
     /// The last checkpoint before step `before` that reads back whole; damaged ones are named and passed over.
     pub fn last_before(&self, before: u32) -> Result<Option<Checkpoint>, RunError> {
-        let mut damaged = Vec::new();
+        let mut damaged: Vec<(PathBuf, String)> = Vec::new();
         let mut last = None;
         for row in self.rows()? {
-            let path = self.folder.checkpoints().join(&row.file);
+            let Some(path) = self.folder.checkpoint(&row) else {
+                // Nothing that this program wrote: not read, and above all not removed.
+                self.ledger.forget_checkpoint(&row)?;
+                damaged.push((row.file.into(), "the ledger names a file elsewhere".to_owned()));
+                continue;
+            };
             let read = std::fs::read(&path).map_err(|e| e.to_string()).and_then(|bytes| {
                 if !row.fits(&bytes) {
                     return Err("its content has changed".into());

@@ -1,6 +1,8 @@
 //! Scores: held-out photos by the official protocol, selections against true masks (method, section 10).
 
-use crate::prompts::{Replay, png_names};
+use crate::intact::Intact;
+use crate::pictures::Pictures;
+use crate::prompts::Replay;
 use crate::{RunError, RunFolder, Scoring, Selected, Settings};
 use segwild_flow::fault;
 use segwild_raster::Engine;
@@ -146,12 +148,13 @@ pub fn score(folder: &RunFolder, selection: &str, truth: &Path) -> Result<Score,
     if !truth.is_dir() {
         return Err(RunError::Input(format!("--truth {}: there is no such folder", truth.display())));
     }
+    let intact = Intact::of(folder, selection)?;
     let splats = folder.load()?.model.splats.len();
     Selected::read(folder, selection, splats)?; // masks of a scene that was trained anew since are not this run's
     let (mut photos, mut unread) = (Vec::new(), Vec::new());
-    let names = png_names(intake.photos.iter().map(String::as_str));
-    for (photo, name) in intake.photos.iter().zip(names) {
-        let file = truth.join(&name);
+    let pictures = Pictures::of(intake.photos.iter().map(String::as_str));
+    for (i, photo) in intake.photos.iter().enumerate() {
+        let file = pictures.find(truth, i);
         if !file.is_file() {
             continue;
         }
@@ -166,7 +169,9 @@ pub fn score(folder: &RunFolder, selection: &str, truth: &Path) -> Result<Score,
             continue; // the photo does not show the object
         }
         let read = |sub: &str| -> Result<Mask, RunError> {
-            let mask = Mask::read_png(&folder.selection(selection).join(sub).join(&name))?;
+            let file = pictures.find(&folder.selection(selection).join(sub), i);
+            intact.check(&file)?;
+            let mask = Mask::read_png(&file)?;
             let (w, h) = (truth.width(), truth.height());
             Ok(if (mask.width(), mask.height()) == (w, h) { mask } else { mask.resized(w, h) })
         };

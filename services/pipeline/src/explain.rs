@@ -4,15 +4,15 @@
 //! ([`Keys`]); a changed setting is a cause of a stage if it alone changes the stage's key.
 
 use crate::artefacts::{Digests, End, Keys};
-use crate::choice;
 use crate::graph::{STAGES, UNTIL_STEP};
 use crate::onward::{Onward, Origin};
 use crate::strangers::Corrections;
 use crate::{RunError, RunFolder, Settings, Until, choose_engine};
+use crate::{choice, code};
 use segwild_flow::ledger::{StageRow, State};
 use segwild_flow::{Cache, Ledger};
 use segwild_scene::Scene;
-use segwild_vision::Providers;
+use segwild_vision::{NetworkFile, Providers, VisionSettings};
 use serde::Serialize;
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -69,6 +69,7 @@ pub struct Plan {
 struct Situation {
     scene: Scene,
     keys: Keys,
+    networks: Vec<NetworkFile>,
     /// Which photos' strangers were put right by hand, in words.
     corrected: Option<String>,
     /// Where the training begins, if not at the start.
@@ -110,7 +111,8 @@ fn situation(
         }
     }
     let (end, snapshot_step) = (settings.train.steps, settings.train.snapshot_step());
-    Ok(Situation { scene, keys, corrected, origin, goal: goal.unwrap_or(end), end, snapshot_step })
+    let networks = providers.networks;
+    Ok(Situation { scene, keys, networks, corrected, origin, goal: goal.unwrap_or(end), end, snapshot_step })
 }
 
 /// Says what [`crate::run()`] would do with these settings, without doing it. Works while another process runs.
@@ -208,8 +210,8 @@ fn geometry(
         let rows = ledger.checkpoints("geometry", &now.keys.training)?;
         // One whose content has changed is passed over by the run; so is one that is gone.
         let whole = rows.iter().filter(|row| {
-            let bytes = std::fs::read(folder.checkpoints().join(&row.file));
-            bytes.is_ok_and(|bytes| blake3::hash(&bytes).to_hex().as_str() == row.digest)
+            let bytes = folder.checkpoint(row).and_then(|path| std::fs::read(path).ok());
+            bytes.is_some_and(|bytes| blake3::hash(&bytes).to_hex().as_str() == row.digest)
         });
         // Without the snapshot, the training has to pass its step again.
         steps.extend(whole.map(|row| row.step as u32).filter(|&step| snapshot || step < now.snapshot_step));
@@ -240,6 +242,8 @@ struct Before {
     given_up: Vec<(&'static str, usize)>,
     /// The keys of then for what was made without them.
     lacking: Keys,
+    /// How the networks differ from those that the run was made with.
+    networks: Vec<String>,
 }
 
 impl Before {
@@ -254,6 +258,10 @@ impl Before {
         for (name, value) in ledger.settings()? {
             if name == UNTIL_STEP {
                 end = value.parse().map_or(End::Settings, End::Step);
+                continue;
+            }
+            // Code comes from nobody but whoever asks: see `Code`.
+            if VisionSettings::CODE.contains(&name.as_str()) {
                 continue;
             }
             let new = settings.get(&name).unwrap_or_default();
@@ -295,7 +303,8 @@ impl Before {
         lacking.features =
             lacking.features_without(&by("embed", false), &by("masks", false), &by("visibility", false));
         lacking.evaluation = lacking.evaluation_without(&by("evaluate", true));
-        Ok(Before { stages: ledger.stages()?, changed, then, alone, given_up, lacking })
+        let networks = code::changes(&code::recorded(folder), &then.networks);
+        Ok(Before { stages: ledger.stages()?, changed, then, alone, given_up, lacking, networks })
     }
 
     /// The photos that a stage before had to do without, and that are tried again.
@@ -373,6 +382,7 @@ impl Before {
         Ok(match odd.len() {
             0 => match &self.then.corrected {
                 Some(words) => words.clone(),
+                None if !self.networks.is_empty() => self.networks.join("; "),
                 None => "points, cameras or masks of strangers have changed, or the run was made by another version".into(),
             },
             1..=3 => odd.join(", "),

@@ -10,15 +10,18 @@
 //! RUN/features.bin      the feature field
 //! RUN/history.jsonl     loss, PSNR and splats over the steps
 //! RUN/timeline.json     who did what when; RUN/trace.json the same for Perfetto, RUN/trace.otlp.json for OpenTelemetry
+//! RUN/networks.json     the network files it was made with, and their hashes
 //! RUN/evaluation.json   held-out scores
 //! RUN/strangers/PHOTO.png  who was left out of a photo; one that a person changes is obeyed by the next run
 //! RUN/selections/NAME/  what `segment` made
 //! RUN/report.html       everything above to look at
 //! ```
 
-use crate::prompts::png_names;
+use crate::pictures::Pictures;
 use crate::{RunError, Settings};
 use segwild_features::FeatureField;
+use segwild_flow::files::Stray;
+use segwild_flow::ledger::CheckpointRow;
 use segwild_flow::{Cache, codec, files};
 use segwild_scene::{Frame, Scene, Skipped};
 use segwild_trainer::Model;
@@ -30,6 +33,10 @@ use std::path::{Path, PathBuf};
 pub(crate) const MODEL: &str = "model";
 /// Kind of the record in `features.bin`, and of fields in the cache.
 pub(crate) const FEATURES: &str = "features";
+
+/// What is in the folder and is written into, beside the ledger (`run.sqlite`, its log and its lock).
+const WRITTEN_INTO: [&str; 7] =
+    ["cache", "checkpoints", "history.jsonl", "renders", "selections", "strangers", crate::traces::EARLIER];
 
 /// A run's folder.
 #[derive(Clone, Debug)]
@@ -70,6 +77,7 @@ impl RunFolder {
     /// The folder at `path`, made if it is not there.
     pub fn create(path: &Path) -> Result<RunFolder, RunError> {
         let folder = RunFolder { path: path.to_owned() };
+        folder.stays_inside()?;
         for dir in [folder.path.clone(), folder.checkpoints(), folder.path.join("selections")] {
             std::fs::create_dir_all(&dir)
                 .map_err(|e| files::FileError::new("create the run folder", &dir, e))?;
@@ -89,7 +97,21 @@ impl RunFolder {
             let reason = "this is no run folder; `segwild run SCENE --out FOLDER` makes one".into();
             return Err(RunError::Folder { path: path.to_owned(), reason });
         }
+        folder.stays_inside()?;
         Ok(folder)
+    }
+
+    /// Refuses a folder in which something would be written through a link to elsewhere. What is written as a whole takes
+    /// a link's place; these are written into.
+    fn stays_inside(&self) -> Result<(), RunError> {
+        let ours = |name: &str| WRITTEN_INTO.contains(&name) || name.starts_with("run.");
+        let stray = |Stray { path, reason }| RunError::Folder { path, reason };
+        files::stays_inside(&self.path, ours).map_err(stray)
+    }
+
+    /// The file of a checkpoint that the ledger knows; `None` where it names anything but a file among the checkpoints.
+    pub(crate) fn checkpoint(&self, row: &CheckpointRow) -> Option<PathBuf> {
+        files::name::is_plain(&row.file).then(|| self.checkpoints().join(&row.file))
     }
 
     /// Its path.
@@ -120,8 +142,8 @@ impl RunFolder {
             .flatten()
             .filter(|e| e.path().join("prompts.json").is_file())
             .map(|e| e.file_name().to_string_lossy().into_owned())
-            // Written aside, by a process that was killed or is still at it.
-            .filter(|name| !name.starts_with('.'))
+            // Written aside, by a process that was killed or is still at it; or nothing that this program would write.
+            .filter(|name| files::name::usable(name).is_ok())
             .collect();
         names.sort();
         names
@@ -137,10 +159,10 @@ impl RunFolder {
         Err(RunError::Request(format!("this run has no selection named `{name}` ({known})")))
     }
 
-    /// File name of each photo's mask in a selection's `masks` and `amodal`.
+    /// File of each photo's mask in a selection's `masks` and `amodal`, as they are written now.
     pub fn mask_files(&self) -> Result<BTreeMap<String, String>, RunError> {
         let photos = self.intake()?.photos;
-        let files = png_names(photos.iter().map(String::as_str));
+        let files = Pictures::of(photos.iter().map(String::as_str)).names().to_vec();
         Ok(photos.into_iter().zip(files).collect())
     }
 
@@ -214,9 +236,9 @@ impl RunFolder {
         codec::decode(kind, &bytes).map_err(|source| RunError::Record { path, source })
     }
 
-    /// The settings the run was made with.
+    /// The settings the run was made with, but for what they say of code ([`crate::Code`]).
     pub fn settings(&self) -> Result<Settings, RunError> {
-        Ok(Settings::layered(Some(&self.settings_file()), &[])?)
+        Ok(Settings::recorded(&self.settings_file(), &[])?)
     }
 
     pub(crate) fn intake(&self) -> Result<Intake, RunError> {
@@ -228,6 +250,7 @@ impl RunFolder {
         let settings = self.settings()?;
         let intake = self.intake()?;
         let model: Model = self.read_record("model.bin", MODEL)?;
+        model.check().map_err(|e| self.broken("model.bin", format!("{e}; `segwild run` writes it again")))?;
         let scene = Scene::open(&intake.scene, &settings.scene)?;
         if scene.views.iter().map(|v| &v.name).ne(&model.names) {
             let reason = format!(
@@ -240,6 +263,10 @@ impl RunFolder {
             true => Some(self.read_record::<FeatureField>("features.bin", FEATURES)?),
             false => None,
         };
+        if let Some(field) = &field {
+            let again = |e| self.broken("features.bin", format!("{e}; `segwild run` writes it again"));
+            field.check().map_err(again)?;
+        }
         let field = field.filter(|f| f.len() == model.splats.len());
         Ok(Loaded { settings, scene, model, field })
     }

@@ -5,10 +5,13 @@ use crate::anew::Anew;
 use crate::artefacts::{Digests, End, Keys};
 use crate::board::Board;
 use crate::choice::Chooser;
+use crate::code;
 use crate::coordinator::{Coordinator, State};
 use crate::evaluate::{HeldOut, held_out};
 use crate::folder::Intake;
+use crate::made;
 use crate::onward::Onward;
+use crate::pictures::Pictures;
 use crate::shelf::InCache;
 use crate::skies::Skies;
 use crate::strangers::{Corrections, Known};
@@ -135,6 +138,7 @@ pub fn run(
         .map_err(|e| files::FileError::new("start the live view of", folder.path(), e))?;
     let path = std::path::absolute(scene).unwrap_or_else(|_| scene.to_owned());
     let scene = Arc::new(Scene::open(&path, &settings.scene)?);
+    Pictures::of(scene.views.iter().map(|v| v.name.as_str())).fit(&folder.path().join(made::FOLDER))?;
     // Only now: a setting that the scene refuses must not come back with the next run.
     folder.write("segwild.toml", settings.to_toml().as_bytes())?;
     let mut named: Vec<(&str, String)> = Settings::catalogue()
@@ -178,6 +182,9 @@ pub fn run(
         None => Providers::keeping(&settings.vision, Some(Arc::new(InCache(folder.cache()?))))?,
     };
     let providers = leased(&providers);
+    for changed in code::record(folder, &providers.networks)? {
+        options.events.warn(None, format!("{changed}; what depends on it is made again"));
+    }
     for note in &providers.notes {
         options.events.info(None, note.clone());
     }
@@ -189,6 +196,9 @@ pub fn run(
     options.events.info(None, format!("splats are computed by {why}"));
     let asked = End::of(options.until);
     let corrections = Corrections::find(&scene, folder, &settings.scene.strangers)?;
+    for words in corrections.put_damaged_aside()? {
+        options.events.warn(Some("ingest"), words);
+    }
     if let Some(words) = corrections.in_words(&scene) {
         options.events.info(Some("ingest"), words);
     }

@@ -117,6 +117,7 @@ impl Inputs {
 
     fn make_masks(&self, view: usize) -> Result<MaskSet, Failure> {
         let model = self.anew.cache.get_typed::<Model>(&self.keys.snapshot, MODEL)?;
+        let model = model.filter(|model| model.check().is_ok());
         let gone = || Failure::retry("the snapshot that they were drawn on has gone, too");
         let (engine, scene) = (self.engine.clone(), self.anew.scene.clone());
         let snapshot = Drawn { model: Arc::new(model.ok_or_else(gone)?), engine, scene, size: self.size };

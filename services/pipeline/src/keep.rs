@@ -102,12 +102,12 @@ pub fn cache_gc(folder: &RunFolder, limit: u64, pretend: bool) -> Result<Swept, 
     let present = present_training(&ledger)?;
     let other = |c: &CheckpointRow| Some(&c.key) != present.as_ref();
     for old in ledger.all_checkpoints("geometry")?.into_iter().filter(other) {
-        let path = folder.checkpoints().join(&old.file);
-        swept.files += 1;
-        swept.bytes += std::fs::metadata(&path).map_or(0, |m| m.len());
+        let path = folder.checkpoint(&old);
+        swept.files += usize::from(path.is_some());
+        swept.bytes += path.as_ref().and_then(|path| std::fs::metadata(path).ok()).map_or(0, |m| m.len());
         if !pretend {
-            // A file that is gone already is what was wanted.
-            let _ = std::fs::remove_file(&path);
+            // A file that is gone already is what was wanted; one that is elsewhere is none of ours.
+            let _ = path.map(std::fs::remove_file);
             ledger.forget_checkpoint(&old)?;
         }
     }

@@ -1,10 +1,10 @@
-//! What a selection was made from, and what its files are called.
+//! What a selection was made from.
 
 use crate::{RunError, RunFolder};
-use segwild_scene::Prompts;
+use segwild_scene::{PointPrompt, Prompts};
 use segwild_segmenter::{SegmentError, SegmentSettings};
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::HashSet;
 use std::path::Path;
 
 /// What was said on one photo, in pixels of the photo at its full size.
@@ -61,8 +61,17 @@ impl Replay {
     }
 }
 
+/// Most clicks and boxes of one selection. A person gives a handful, a scribble is some hundreds; each is answered on its own.
+const MOST: usize = 10_000;
+
 /// Refuses prompts that mean no object whatever the photos show.
 pub(crate) fn check_all(prompts: &[PhotoPrompts]) -> Result<(), RunError> {
+    let count: usize = prompts.iter().map(|p| p.prompts.points.len() + p.prompts.boxes.len()).sum();
+    if count > MOST {
+        return Err(RunError::Request(format!(
+            "{count} clicks and boxes are more than the {MOST} that one selection may be made from"
+        )));
+    }
     prompts.iter().try_for_each(PhotoPrompts::check)?;
     let says_where =
         |p: &PhotoPrompts| !p.prompts.boxes.is_empty() || p.prompts.points.iter().any(|p| p.inside);
@@ -82,10 +91,13 @@ impl PhotoPrompts {
             return Err(SegmentError::NoPrompt.into());
         }
         let refuse = |reason: String| Err(RunError::Request(format!("photo {}: {reason}", self.photo)));
-        let both = points
-            .iter()
-            .filter(|p| p.inside)
-            .find(|p| points.iter().any(|q| !q.inside && (p.x, p.y) == (q.x, q.y)));
+        // A zero has two signs and one place.
+        let place = |p: &PointPrompt| [(p.x + 0.0).to_bits(), (p.y + 0.0).to_bits()];
+        let outside: HashSet<_> = points.iter().filter(|p| !p.inside).map(place).collect();
+        let both = points.iter().find(|p| p.inside && outside.contains(&place(p)));
+        if let Some(p) = points.iter().find(|p| !(p.x.is_finite() && p.y.is_finite())) {
+            return refuse(format!("({}, {}) is no place in it", p.x, p.y));
+        }
         if let Some(p) = both {
             return refuse(format!("({}, {}) is said to be inside and outside", p.x, p.y));
         }
@@ -99,38 +111,26 @@ impl PhotoPrompts {
     }
 }
 
-/// File name of each photo's mask: its stem, sub-folders flattened, with the ending `.png`; the whole name where two
-/// photos have one stem.
-pub(crate) fn png_names<'a>(photos: impl Iterator<Item = &'a str> + Clone) -> Vec<String> {
-    let flat = |photo: &str| photo.replace(['/', '\\'], "_");
-    let stem = |photo: &str| {
-        let flat = flat(photo);
-        flat.rsplit_once('.').map_or(flat.clone(), |(stem, _)| stem.to_owned())
-    };
-    let mut seen: BTreeMap<String, usize> = BTreeMap::new();
-    photos.clone().for_each(|photo| *seen.entry(stem(photo)).or_default() += 1);
-    photos
-        .map(|photo| {
-            let stem = stem(photo);
-            let name = if seen[&stem] > 1 { flat(photo) } else { stem };
-            format!("{name}.png")
-        })
-        .collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn photos_of_one_stem_do_not_overwrite_each_others_masks() {
-        let names = png_names(["a/x.jpg", "b.png", "y.jpg", "y.png"].into_iter());
-        assert_eq!(names, ["a_x.png", "b.png", "y.jpg.png", "y.png.png"]);
+    fn two_hundred_thousand_clicks_are_refused_and_ten_thousand_are_looked_through_at_once() {
+        let began = std::time::Instant::now();
+        let of = |count: u32| {
+            let point = |i: u32| PointPrompt { x: i as f32, y: 1.0, inside: i % 2 == 0 };
+            let prompts = Prompts { points: (0..count).map(point).collect(), ..Prompts::default() };
+            check_all(&[PhotoPrompts { photo: "a.jpg".into(), prompts }]).map_err(|e| e.to_string())
+        };
+        assert_eq!(of(MOST as u32), Ok(()));
+        let said = of(200_000).unwrap_err();
+        assert!(said.contains("200000") && said.contains("10000"), "{said}");
+        assert!(began.elapsed().as_secs() < 5, "{:?}", began.elapsed());
     }
 
     #[test]
     fn prompts_that_mean_nothing_are_refused() {
-        use segwild_scene::PointPrompt;
         let of = |points: Vec<PointPrompt>, granularity| {
             let prompts = Prompts { points, granularity, ..Prompts::default() };
             check_all(&[PhotoPrompts { photo: "a.jpg".into(), prompts }]).map_err(|e| e.to_string())

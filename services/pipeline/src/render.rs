@@ -2,6 +2,7 @@
 
 use crate::folder::Loaded;
 use crate::light::{LookRequest, find};
+use crate::pictures::Pictures;
 use crate::{RunError, RunFolder, Selected, choose_engine, log_loss};
 use glam::{Mat3, Quat, Vec3};
 use segwild_features::FeatureColours;
@@ -88,7 +89,11 @@ pub fn render(folder: &RunFolder, request: &RenderRequest) -> Result<Vec<Drawn>,
         None => chosen.iter().map(|&v| Shot::of_view(&loaded.scene, v, size)).collect(),
         // One view, and a walk between looks.
         Some(frames) if chosen.len() == 1 => {
-            let still = |f| Shot { name: frame_name(f), ..Shot::of_view(&loaded.scene, chosen[0], size) };
+            let still = |f| Shot {
+                name: frame_name(f),
+                file: Some(frame_name(f) + ".png"),
+                ..Shot::of_view(&loaded.scene, chosen[0], size)
+            };
             (0..frames).map(still).collect()
         }
         Some(frames) => path(&loaded.scene, &chosen, frames, size),
@@ -105,12 +110,13 @@ pub fn render(folder: &RunFolder, request: &RenderRequest) -> Result<Vec<Drawn>,
         None => None,
     };
     let last = shots.len().saturating_sub(1).max(1) as f32;
+    let pictures = Pictures::of(loaded.scene.views.iter().map(|v| v.name.as_str()));
     for (f, shot) in shots.into_iter().enumerate() {
         let share = request.frames.map_or(request.between.unwrap_or(0.0), |_| f as f32 / last);
         let light = lights.at(share).unwrap_or_else(|| painter.own(&shot, request.look.strength));
         let lighting = painter.lighting(light, object_lights.as_ref().and_then(|lights| lights.at(share)));
         let image = painter.paint(engine, &shot.camera, &shot.pose, &lighting)?;
-        let file = out.join(format!("{}.png", shot.name.replace(['/', '\\'], "_")));
+        let file = out.join(shot.file.as_deref().unwrap_or_else(|| pictures.name(shot.view)));
         image.write_png(&file)?;
         drawn.push(Drawn { file, view: shot.name });
     }
@@ -148,6 +154,8 @@ fn check_looks(request: &RenderRequest) -> Result<(), RunError> {
 /// One picture to take.
 struct Shot {
     name: String,
+    /// The picture's file, if it is not that of its photo.
+    file: Option<String>,
     camera: Camera,
     pose: Pose,
     /// The view whose look it has.
@@ -163,8 +171,14 @@ fn frame_name(frame: u32) -> String {
 impl Shot {
     fn of_view(scene: &Scene, view: usize, size: u32) -> Shot {
         let v = &scene.views[view];
-        let name = v.name.rsplit_once('.').map_or(v.name.as_str(), |(stem, _)| stem).to_owned();
-        Shot { name, camera: v.camera.scaled_to(size), pose: v.pose, view, towards: (view, 0.0) }
+        Shot {
+            name: v.name.rsplit_once('.').map_or(v.name.as_str(), |(stem, _)| stem).to_owned(),
+            file: None,
+            camera: v.camera.scaled_to(size),
+            pose: v.pose,
+            view,
+            towards: (view, 0.0),
+        }
     }
 }
 
@@ -194,7 +208,8 @@ fn path(scene: &Scene, through: &[usize], frames: u32, size: u32) -> Vec<Shot> {
             };
             let pose = Pose { rotation, translation: -(rotation * centre) };
             let (view, next) = (through[k as usize], through[k as usize + 1]);
-            Shot { name: frame_name(f), camera, pose, view, towards: (next, t) }
+            let file = Some(frame_name(f) + ".png");
+            Shot { name: frame_name(f), file, camera, pose, view, towards: (next, t) }
         })
         .collect()
 }

@@ -1,15 +1,16 @@
 //! Clicks in one photo to an object in 3D, written where other tools can open it.
 
 use crate::accelerator::leased;
+use crate::code::{self, Code};
 use crate::folder::Loaded;
+use crate::intact::{self, Intact};
 use crate::light::{self, find};
 use crate::mask_source::MaskSource;
-use crate::prompts::{check_all, png_names};
+use crate::pictures::Pictures;
+use crate::prompts::check_all;
 use crate::settings::AT_ONCE;
-use crate::shelf::InCache;
 use crate::{
-    PhotoPrompts, Replay, RunError, RunFolder, Settings, choose_engine, log_loss, report, skies, strangers,
-    traces,
+    PhotoPrompts, Replay, RunError, RunFolder, choose_engine, log_loss, report, skies, strangers, traces,
 };
 use rayon::prelude::*;
 use segwild_flow::{
@@ -21,7 +22,7 @@ use segwild_segmenter::{
     Cut, Geometry, MaskMode, Object, PosedView, SegmentActor, SegmentError, SegmentReply, SegmentSettings,
     SegmentTask, Segmented, Verdict,
 };
-use segwild_vision::{Providers, VisionSettings};
+use segwild_vision::Providers;
 use serde::Serialize;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -63,6 +64,22 @@ impl Selected {
         Selected { labels, changed: cut.changed.iter().map(after).collect() }
     }
 
+    /// Refuses what no cut can have left: a record may be anybody's.
+    fn check(&self) -> Result<(), String> {
+        let n = self.labels.len();
+        let sound = |s: &Shortened| {
+            let numbers = || s.mean.iter().chain(&s.log_scales).chain(&s.rotation);
+            (s.splat as usize) < n && numbers().all(|x| x.is_finite())
+        };
+        match self.changed.iter().find(|s| !sound(s)) {
+            _ if self.changed.len() > n => {
+                Err(format!("it is damaged: {} splats of {n} are shortened", self.changed.len()))
+            }
+            Some(s) => Err(format!("it is damaged: the shape of splat {} of {n} is none", s.splat)),
+            None => Ok(()),
+        }
+    }
+
     /// The scene with the cut applied.
     pub fn cut_scene(&self, splats: &Splats) -> Splats {
         let mut splats = splats.clone();
@@ -77,6 +94,7 @@ impl Selected {
     pub fn read(folder: &RunFolder, name: &str, splats: usize) -> Result<Selected, RunError> {
         folder.has_selection(name)?;
         let path = folder.selection(name);
+        Intact::of(folder, name)?.check(&path.join("selection.bin"))?;
         let selected: Selected =
             folder.read_record(&format!("selections/{name}/selection.bin"), SELECTION)?;
         if selected.labels.len() != splats {
@@ -84,6 +102,7 @@ impl Selected {
                 "the scene has been trained anew since; segment again (`--prompts` replays the clicks)";
             return Err(RunError::Folder { path, reason: reason.into() });
         }
+        selected.check().map_err(|reason| RunError::Folder { path: path.join("selection.bin"), reason })?;
         Ok(selected)
     }
 }
@@ -119,6 +138,23 @@ pub struct SegmentOutcome {
     pub wall_s: f64,
 }
 
+/// Refuses what cannot name a selection, before anything is computed: it becomes the name of a folder, and of files.
+fn check_name(name: &str) -> Result<(), RunError> {
+    let odd = |c: char| !(c.is_ascii_alphanumeric() || "-_.".contains(c));
+    let wrong = match files::name::usable(name) {
+        Err(why) => why,
+        Ok(()) if name.contains(odd) => "it has other signs",
+        Ok(()) => return Ok(()),
+    };
+    // A name may be as long as its giver likes.
+    let begin: String = name.chars().take(60).collect();
+    let more = if begin.len() < name.len() { ".." } else { "" };
+    let begin = files::name::one_line(&begin);
+    Err(RunError::Request(format!(
+        "`{begin}{more}` cannot name a selection, for {wrong}: use letters, digits, dashes and underscores"
+    )))
+}
+
 /// So few photos that disagree are nothing to speak of.
 const OPPOSED: usize = 4;
 /// Under this share of agreement a selection is doubtful.
@@ -148,7 +184,8 @@ impl SegmentOutcome {
     }
 }
 
-/// Selects what the prompts mean and writes it to the run's `selections/NAME`.
+/// Selects what the prompts mean and writes it to the run's `selections/NAME`. Without `providers` those of
+/// [`crate::providers_for`] serve, with what the environment says of networks.
 pub fn segment(
     folder: &RunFolder,
     name: &str,
@@ -158,14 +195,7 @@ pub fn segment(
     stopper: &Stopper,
 ) -> Result<SegmentOutcome, RunError> {
     let began = Instant::now();
-    if name.is_empty()
-        || !name.chars().all(|c| c.is_ascii_alphanumeric() || "-_.".contains(c))
-        || name.starts_with('.')
-    {
-        return Err(RunError::Request(format!(
-            "`{name}` cannot name a selection: use letters, digits, dashes and underscores"
-        )));
-    }
+    check_name(name)?;
     let loaded = folder.load()?;
     let Loaded { settings: made_with, scene, model, field } = loaded;
     let size = made_with.scene.size;
@@ -173,7 +203,7 @@ pub fn segment(
     let providers = match providers {
         Some(providers) => providers,
         None => {
-            own = Providers::keeping(&sight(&made_with), Some(Arc::new(InCache(folder.cache()?))))?;
+            own = code::providers_for(folder, &Code::given(&[]))?;
             &own
         }
     };
@@ -184,6 +214,8 @@ pub fn segment(
         .map(|v| PosedView { name: v.name.clone(), camera: v.camera.scaled_to(size), pose: v.pose })
         .collect();
     check_all(prompts)?;
+    let pictures = Pictures::of(scene.views.iter().map(|v| v.name.as_str()));
+    pictures.fit(&folder.selection(name))?;
     let mut asked = Vec::new();
     for p in prompts {
         let view = find(&scene, &p.photo)?;
@@ -301,6 +333,7 @@ pub fn segment(
         wall_s: 0.0,
     };
     outcome.notes.extend(outcome.doubts());
+    outcome.notes.extend(code::changes(&code::of_clicks(code::recorded(folder)), &providers.networks));
     files::write_folder(&target, |aside| -> Result<(), RunError> {
         let dir = |sub: &str| -> Result<PathBuf, RunError> {
             let path = aside.join(sub);
@@ -313,7 +346,7 @@ pub fn segment(
             let bytes = value.map_err(|e| RunError::Folder { path: path.clone(), reason: e.to_string() })?;
             Ok(files::write_atomic(&path, &bytes)?)
         };
-        let names = png_names(scene.views.iter().map(|v| v.name.as_str()));
+        let names = pictures.names();
         let (mask_dir, amodal_dir, prompt_dir) = (dir("masks")?, dir("amodal")?, dir("prompted")?);
         let replay = Replay { prompts: prompts.to_vec(), settings: Some(settings.clone()) };
         json("prompts.json", serde_json::to_vec_pretty(&replay))?;
@@ -340,7 +373,7 @@ pub fn segment(
         let whole = vec![true; keep.len()];
         let alone = MaskSource::new(&*engine, &alone, &whole, model.options(), MaskMode::Amodal)?;
         // One after the other is drawn, since an engine may be one device; photos are large, and several are written at once.
-        let views: Vec<(&View, &String)> = scene.views.iter().zip(&names).collect();
+        let views: Vec<(&View, &String)> = scene.views.iter().zip(names).collect();
         for some in views.chunks(rayon::current_num_threads().min(AT_ONCE)) {
             let draw = |(view, _): &(&View, &String)| -> Result<[Image; 2], RunError> {
                 let of = |source: &MaskSource| source.share(&view.camera, &view.pose, size);
@@ -359,22 +392,12 @@ pub fn segment(
                 pass()?;
             }
         }
+        intact::write_list(aside)?;
         outcome.wall_s = began.elapsed().as_secs_f64();
         json("summary.json", serde_json::to_vec_pretty(&outcome))
     })?;
     report::add_object(folder, name)?;
     Ok(outcome)
-}
-
-/// How photos are looked at for a click: what the caches of the training and of the feature field may take is free for their
-/// analyses.
-fn sight(settings: &Settings) -> VisionSettings {
-    let mut vision = settings.vision.clone();
-    if settings.run.memory_budget == 0 {
-        let free = (settings.train.photo_cache_mib as u32).max(settings.features.feature_memory);
-        vision.vision_memory = vision.vision_memory.saturating_add(free);
-    }
-    vision
 }
 
 /// A click this close to the edge of what it was taken to mean, in pixels of the working size, may as well have meant

@@ -189,6 +189,22 @@ impl Settings {
             Some(file) => read_pairs(file)?,
             None => Vec::new(),
         };
+        Settings::layered_over(&values, file, flags)
+    }
+
+    /// As [`Settings::layered`], from the file of a run folder. That is data, which somebody else may have sent: what it
+    /// says of code ([`VisionSettings::CODE`]) is passed over.
+    pub fn recorded(file: &Path, flags: &[(String, String)]) -> Result<Settings, SettingsError> {
+        let mut values = read_pairs(file)?;
+        values.retain(|(name, _)| !VisionSettings::CODE.contains(&name.as_str()));
+        Settings::layered_over(&values, Some(file), flags)
+    }
+
+    fn layered_over(
+        values: &[(String, String)],
+        file: Option<&Path>,
+        flags: &[(String, String)],
+    ) -> Result<Settings, SettingsError> {
         let in_file = |e: SettingError| SettingsError::File {
             file: file.map(Path::to_path_buf).unwrap_or_default(),
             reason: e.to_string(),
@@ -204,7 +220,7 @@ impl Settings {
         }
         let mut settings = Settings::defaults(chosen.preset, chosen.budget);
         let as_filed = (chosen.preset, chosen.budget) == (filed.run.preset, filed.run.budget);
-        for (name, value) in &values {
+        for (name, value) in values {
             let mut probe = filed.clone();
             probe.set(name, value).map_err(in_file)?;
             if as_filed || probe != filed {
@@ -366,6 +382,23 @@ mod tests {
         best.set("tau", "0.4").unwrap();
         assert_eq!(Settings::layered(Some(&file), &flags).unwrap(), best);
         assert_eq!(Settings::layered(Some(&file), &[]).unwrap(), draft);
+    }
+
+    #[test]
+    fn a_run_folder_names_no_code() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("segwild.toml");
+        let mut sent = Settings::default();
+        for name in VisionSettings::CODE {
+            sent.set(name, "/tmp/theirs").unwrap();
+        }
+        sent.set("tau", "0.4").unwrap();
+        std::fs::write(&file, sent.to_toml()).unwrap();
+        let settings = Settings::recorded(&file, &[]).unwrap();
+        assert!(!settings.to_toml().contains("/tmp/theirs"));
+        assert_eq!(settings.segment.tau, 0.4);
+        let flags = [("models".to_owned(), "/mine".to_owned())];
+        assert_eq!(Settings::recorded(&file, &flags).unwrap().vision.models, "/mine");
     }
 
     #[test]

@@ -2,9 +2,11 @@
 //!
 //! `RUN/strangers/PHOTO.png` is white where a stranger stands. `made.json` beside them says which pixels this program
 //! has written and from what. A picture with other pixels is a person's: it is never written over, and the next run
-//! leaves out of the photo exactly what it says, whatever the program would find.
+//! leaves out of the photo exactly what it says, whatever the program would find. What is damaged is made again
+//! ([`crate::made`]).
 
-use crate::prompts::png_names;
+use crate::made::{self, FOLDER, Ledger, MADE, Made, Picture, pixels};
+use crate::pictures::Pictures;
 use crate::{RunError, RunFolder};
 use rayon::prelude::*;
 use segwild_flow::{Cache, Failure, FileError, Key};
@@ -12,42 +14,23 @@ use segwild_raster::Engine;
 use segwild_scene::{Mask, Scene, View};
 use segwild_trainer::{Model, Strangeness, TrainPhoto, strangeness};
 use segwild_vision::{PromptSegmenter, StrangerDetector};
-use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use serde::Serialize;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Most of a photo that may be strangers when they are looked for in the trained scene.
 const MOST: f32 = 0.6;
-/// Where the pictures are in the run folder, and what says who made them.
-const FOLDER: &str = "strangers";
-const MADE: &str = "strangers/made.json";
 /// Kind of the cache's records of what the network finds.
 const KIND: &str = "strangers";
 
-/// What this program has made of one photo.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
-struct Made {
-    /// The name of what it was made from.
-    key: String,
-    /// The pixels written last, and those before: either may be in the file when a run is killed.
-    pixels: Vec<String>,
-}
-
-/// Hash of a mask's size and pixels: an editor may write the same pixels in other bytes.
-fn pixels(mask: &Mask) -> String {
-    let mut hasher = blake3::Hasher::new();
-    hasher.update(format!("{} {}", mask.width(), mask.height()).as_bytes());
-    for (x, y) in mask.pixels() {
-        hasher.update(&x.to_le_bytes());
-        hasher.update(&y.to_le_bytes());
-    }
-    hasher.finalize().to_hex()[..32].to_owned()
-}
-
 /// Masks that persons have put right, by view.
 #[derive(Clone, Debug, Default)]
-pub struct Corrections(Vec<Option<Correction>>);
+pub struct Corrections {
+    found: Vec<Option<Correction>>,
+    /// Pictures of the run's own folder that are nobody's work, and what is wrong with each.
+    damaged: Vec<(PathBuf, String)>,
+}
 
 #[derive(Clone, Debug)]
 struct Correction {
@@ -65,58 +48,63 @@ impl Corrections {
         if !named.is_empty() && !Path::new(named).is_dir() {
             return Err(RunError::Request(format!("--strangers {named}: there is no such folder")));
         }
-        let made: BTreeMap<String, Made> = folder.read_json(MADE).unwrap_or_default();
+        let (pictures, made) = (pictures(scene), Ledger::of(folder));
         let own = folder.path().join(FOLDER);
-        let mut found = Vec::new();
-        for (view, name) in scene.views.iter().zip(names(scene)) {
-            let known = |mask: &Mask| made.get(&name).is_some_and(|m| m.pixels.contains(&pixels(mask)));
-            let read = |file: PathBuf| -> Result<Option<Correction>, RunError> {
-                if !file.is_file() {
-                    return Ok(None);
+        let (mut found, mut damaged) = (Vec::new(), Vec::new());
+        for (i, view) in scene.views.iter().enumerate() {
+            let given =
+                if named.is_empty() { None } else { read(&pictures.find(Path::new(named), i), view)? };
+            let file = pictures.find(&own, i);
+            let of_own = match made::look_at(&file, made.of_photo(&pictures, i))? {
+                Picture::Theirs(mask) => Some(Correction::of(file, mask, view)?),
+                Picture::Damaged(reason) => {
+                    damaged.push((file, reason));
+                    None
                 }
-                let mask = Mask::read_png(&file)?;
-                fits(&mask, view, &file)?;
-                Ok(Some(Correction { digest: pixels(&mask), file, mask }))
+                Picture::None | Picture::Ours(_) => None,
             };
-            let given = if named.is_empty() { None } else { read(Path::new(named).join(&name))? };
-            let own = || Ok::<_, RunError>(read(own.join(&name))?.filter(|c| !known(&c.mask)));
-            found.push(match given {
-                Some(given) => Some(given),
-                None => own()?,
-            });
+            found.push(given.or(of_own));
         }
         if !named.is_empty() && found.iter().flatten().all(|c| !c.file.starts_with(named)) {
             let reason = "it holds no PNG with the name of a photo of this scene";
             return Err(RunError::Request(format!("--strangers {named}: {reason}")));
         }
-        Ok(Corrections(found))
+        Ok(Corrections { found, damaged })
+    }
+
+    /// Puts pictures aside that are nobody's work, so that they are made again; says so, a sentence each.
+    ///
+    /// # Errors
+    /// When one cannot be moved.
+    pub fn put_damaged_aside(&self) -> Result<Vec<String>, RunError> {
+        made::put_aside(&self.damaged)
     }
 
     /// What a view's is, for names of what is made with it.
     pub fn digest(&self, view: usize) -> Option<&str> {
-        Some(self.0.get(view)?.as_ref()?.digest.as_str())
+        Some(self.found.get(view)?.as_ref()?.digest.as_str())
     }
 
     /// What all of them are; `None` when there is none.
     pub fn digest_of_all(&self) -> Option<String> {
         let mut hasher = blake3::Hasher::new();
-        for (view, one) in self.0.iter().enumerate() {
+        for (view, one) in self.found.iter().enumerate() {
             if let Some(one) = one {
                 hasher.update(format!("{view} {}\n", one.digest).as_bytes());
             }
         }
-        self.0.iter().any(Option::is_some).then(|| hasher.finalize().to_hex()[..32].to_owned())
+        self.found.iter().any(Option::is_some).then(|| hasher.finalize().to_hex()[..32].to_owned())
     }
 
     /// A view's, at the size of its loaded photo.
     pub fn mask(&self, view: usize, width: u32, height: u32) -> Option<Mask> {
-        Some(self.0.get(view)?.as_ref()?.mask.resized(width, height))
+        Some(self.found.get(view)?.as_ref()?.mask.resized(width, height))
     }
 
     /// Which photos have one, in words; `None` when none has.
     pub fn in_words(&self, scene: &Scene) -> Option<String> {
-        let names: Vec<&str> = (0..self.0.len())
-            .filter(|&view| self.0[view].is_some())
+        let names: Vec<&str> = (0..self.found.len())
+            .filter(|&view| self.found[view].is_some())
             .map(|view| scene.views[view].name.as_str())
             .collect();
         let listed = names.iter().take(3).copied().collect::<Vec<_>>().join(", ");
@@ -125,6 +113,21 @@ impl Corrections {
             1..=3 => Some(format!("strangers as they were put right by hand: {listed}")),
             n => Some(format!("strangers as they were put right by hand: {listed} and {} more", n - 3)),
         }
+    }
+}
+
+impl Correction {
+    fn of(file: PathBuf, mask: Mask, view: &View) -> Result<Correction, RunError> {
+        fits(&mask, view, &file)?;
+        Ok(Correction { digest: pixels(&mask), file, mask })
+    }
+}
+
+/// A picture that a person names.
+fn read(file: &Path, view: &View) -> Result<Option<Correction>, RunError> {
+    match file.is_file() {
+        true => Correction::of(file.to_owned(), Mask::read_png(file)?, view).map(Some),
+        false => Ok(None),
     }
 }
 
@@ -141,8 +144,8 @@ fn fits(mask: &Mask, view: &View, file: &Path) -> Result<(), RunError> {
     Err(RunError::Folder { path: file.to_owned(), reason })
 }
 
-fn names(scene: &Scene) -> Vec<String> {
-    png_names(scene.views.iter().map(|v| v.name.as_str()))
+fn pictures(scene: &Scene) -> Pictures {
+    Pictures::of(scene.views.iter().map(|v| v.name.as_str()))
 }
 
 /// Reads the pictures of a run's strangers by view; `None` where there is none that can be read.
@@ -150,8 +153,8 @@ pub(crate) fn of_run(
     folder: &RunFolder,
     scene: &Scene,
 ) -> impl Fn(usize) -> Option<Mask> + Send + Sync + use<> {
-    let (pictures, names) = (folder.path().join(FOLDER), names(scene));
-    move |view: usize| Mask::read_png(&pictures.join(&names[view])).ok()
+    let (own, pictures) = (folder.path().join(FOLDER), pictures(scene));
+    move |view: usize| Mask::read_png(&pictures.find(&own, view)).ok()
 }
 
 /// What is known of a photo's strangers before anything is trained.
@@ -219,18 +222,25 @@ impl Album<'_> {
         photo: impl Fn(usize) -> Result<TrainPhoto, Failure> + Sync,
         mut told: impl FnMut(&str) -> Result<(), Failure>,
     ) -> Result<Vec<String>, Failure> {
-        let (names, mut notes) = (names(self.scene), Vec::new());
-        let before: BTreeMap<String, Made> = self.folder.read_json(MADE).unwrap_or_default();
-        let mut after = BTreeMap::new();
-        let mut open = Vec::new();
+        let (named, mut notes) = (pictures(self.scene), Vec::new());
+        let before = Ledger::of(self.folder);
+        let own = self.folder.path().join(FOLDER);
+        let (mut after, mut open) = (BTreeMap::new(), Vec::new());
         for &view in views {
-            let (name, key) = (&names[view], key(view).to_string());
-            let file = self.folder.path().join(FOLDER).join(name);
-            let made = before.get(name).cloned().unwrap_or_default();
-            let there = Mask::read_png(&file).ok().map(|mask| pixels(&mask));
-            let ours = there.as_ref().is_none_or(|there| made.pixels.contains(there));
-            if !ours || (there.is_some() && made.key == key) {
-                after.insert(name.clone(), made);
+            let (name, key) = (named.name(view), key(view).to_string());
+            let made = before.of_photo(&named, view).cloned().unwrap_or_default();
+            let failed = |e: FileError| Failure::storage(e.to_string());
+            let there = match made::look_at(&named.find(&own, view), Some(&made)).map_err(failed)? {
+                Picture::Theirs(_) => {
+                    after.insert(name.to_owned(), made);
+                    continue;
+                }
+                Picture::Ours(there) => Some(there),
+                Picture::None | Picture::Damaged(_) => None,
+            };
+            let file = own.join(name);
+            if there.is_some() && made.key == key && file.is_file() {
+                after.insert(name.to_owned(), made);
             } else {
                 open.push(Open { view, name, key, file, there });
             }
@@ -246,19 +256,16 @@ impl Album<'_> {
                 notes.extend(odd(&self.scene.views[*view].name, name, &mask, psnr));
                 shares.push(share_of(&mask));
                 let pixels = [pixels(&mask)].into_iter().chain(there.clone()).collect();
-                after.insert((*name).clone(), Made { key: key.clone(), pixels });
+                after.insert((*name).to_owned(), Made { key: key.clone(), pixels });
                 pictures.push((file, mask));
             }
         }
         notes.extend(crowded(&shares));
         let failed = |e: RunError| Failure::storage(e.to_string());
-        let dir = self.folder.path().join(FOLDER);
-        std::fs::create_dir_all(&dir)
-            .map_err(|e| Failure::storage(FileError::new("create", &dir, e).to_string()))?;
         // Said before it is done: a picture of this program is never taken for a person's.
         self.folder.write_json(MADE, &after).map_err(failed)?;
         for (file, mask) in pictures {
-            mask.write_png(file).map_err(|e| Failure::storage(e.to_string()))?;
+            made::write(file, &mask).map_err(failed)?;
         }
         Ok(notes)
     }
@@ -306,7 +313,7 @@ impl Album<'_> {
 struct Open<'a> {
     view: usize,
     /// The picture's name, where it goes, and what it is made from.
-    name: &'a String,
+    name: &'a str,
     file: PathBuf,
     key: String,
     /// Hash of the pixels of the one that is there.
@@ -390,10 +397,10 @@ pub fn score_strangers(folder: &RunFolder, truth: &Path) -> Result<StrangerScore
     }
     let mut photos = Vec::new();
     let (mut both, mut either) = (0.0, 0.0);
-    let names = png_names(intake.photos.iter().map(String::as_str));
-    for (photo, name) in intake.photos.iter().zip(names).filter(|(photo, _)| !intake.held_out.contains(photo))
-    {
-        let (found, file) = (folder.path().join(FOLDER).join(&name), truth.join(&name));
+    let pictures = Pictures::of(intake.photos.iter().map(String::as_str));
+    let (own, held_out) = (folder.path().join(FOLDER), intake.held_out.iter().collect::<BTreeSet<_>>());
+    for (i, photo) in intake.photos.iter().enumerate().filter(|(_, photo)| !held_out.contains(photo)) {
+        let (found, file) = (pictures.find(&own, i), pictures.find(truth, i));
         if !(found.is_file() && file.is_file()) {
             continue;
         }

@@ -18,4 +18,6 @@ pub use provider::{
 };
 pub use registry::{Family, ModelFile, models_in};
 pub use sam::Sam;
-pub use settings::{DeviceChoice, EdgeChoice, ModelChoice, Providers, SkyChoice, VisionSettings};
+pub use settings::{
+    DeviceChoice, EdgeChoice, ModelChoice, NetworkFile, Providers, SkyChoice, VisionSettings,
+};

@@ -22,6 +22,11 @@ pub struct EdgeNetwork {
 }
 
 impl EdgeNetwork {
+    /// Hash of its file.
+    pub(crate) fn hash(&self) -> &str {
+        self.network.key()
+    }
+
     /// Loads a file; what does not fit is said in words.
     pub fn load(runtime: &Runtime, path: &Path, threads: u32) -> Result<EdgeNetwork, VisionError> {
         let network = Network::load(runtime, path, threads)?;
@@ -104,6 +109,11 @@ pub struct SkyNetwork {
 }
 
 impl SkyNetwork {
+    /// Hash of its file.
+    pub(crate) fn hash(&self) -> &str {
+        self.network.key()
+    }
+
     /// Loads a file and tells the kind by its answer; what does not fit is said in words. A pixel is sky from
     /// probability `confidence` on.
     pub fn load(
@@ -182,6 +192,11 @@ pub struct StrangerNetwork {
 }
 
 impl StrangerNetwork {
+    /// Hash of its file.
+    pub(crate) fn hash(&self) -> &str {
+        self.network.key()
+    }
+
     /// Loads a file; what does not fit is said in words.
     pub fn load(runtime: &Runtime, path: &Path, threads: u32) -> Result<StrangerNetwork, VisionError> {
         let network = Network::load(runtime, path, threads)?;

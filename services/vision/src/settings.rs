@@ -73,14 +73,15 @@ segwild_scene::settings! {
     pub struct VisionSettings("vision") {
         /// Folder of network files (`edges_bsds.onnx`, `sky_small_384.onnx`, `deeplab_cityscapes_513.onnx`, and pairs of
         /// the SAM family such as `mobile_sam_encoder.onnx` and `mobile_sam_decoder.onnx`).
-        /// Empty: no network is used and the built-in provider does everything.
+        /// Empty: SEGWILD_MODELS; without that no network is used and the built-in provider does everything. A run folder is
+        /// never asked for it.
         models: String = String::new(),
         /// Where boundaries come from: auto, builtin or network.
         edges: EdgeChoice = EdgeChoice::Auto,
         /// How the sky is found: auto, builtin, network, both, deeplab, geometry or none.
         sky: SkyChoice = SkyChoice::Auto,
         /// A network over the classes of Cityscapes (such as `deeplab_cityscapes_513.onnx`) whose persons and vehicles are left
-        /// out of the training from the start. Empty: none.
+        /// out of the training from the start. Empty: none. A run folder is never asked for it.
         strangers_network: String = String::new(),
         /// What finds masks and answers clicks: auto (SAM if its files are there), builtin or sam.
         masks: ModelChoice = ModelChoice::Auto,
@@ -93,7 +94,7 @@ segwild_scene::settings! {
         /// How far SAM's threshold moves, up and down, to tell how stable a mask is (in logits).
         stability_offset: f32 = 1.0 => 0.0..=100.0,
         /// The ONNX Runtime library, which runs the networks. Empty: ORT_DYLIB_PATH, the system's library folders,
-        /// then Python's onnxruntime package.
+        /// then Python's onnxruntime package. A run folder is never asked for it.
         onnxruntime: String = String::new(),
         /// CPU threads per network.
         network_threads: u32 = 1 => 0..=256,
@@ -125,6 +126,31 @@ pub struct Providers {
     pub strangers: Option<Arc<dyn StrangerDetector>>,
     /// What was found and chosen, a sentence each.
     pub notes: Vec<String>,
+    /// The network files that serve.
+    pub networks: Vec<NetworkFile>,
+}
+
+/// A network file that serves.
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct NetworkFile {
+    /// The setting that led to it: `models` or `strangers_network`.
+    pub setting: String,
+    /// Where it is.
+    pub file: PathBuf,
+    /// The first 16 digits of its BLAKE3, hexadecimal; those of weights beside it are in it.
+    pub hash: String,
+}
+
+impl NetworkFile {
+    pub(crate) fn of_models(file: &Path, hash: &str) -> NetworkFile {
+        NetworkFile { setting: "models".into(), file: file.to_owned(), hash: hash.to_owned() }
+    }
+}
+
+impl VisionSettings {
+    /// Settings that name code: a library that is loaded, networks that it executes. They come from whoever runs the program
+    /// (a flag, the environment, a settings file of their own), never from a folder that somebody may have sent.
+    pub const CODE: [&'static str; 3] = ["models", "strangers_network", "onnxruntime"];
 }
 
 /// Nothing is sky: for scenes without any, and for the ablation.
@@ -182,9 +208,10 @@ impl Providers {
                 settings.sky_confidence
             )));
         }
-        let mut notes = Vec::new();
+        let (mut notes, mut networks) = (Vec::new(), Vec::new());
         let sam = crate::sam::chosen(settings, &mut notes)?;
-        let edges = edges(settings, &mut notes)?;
+        networks.extend(sam.iter().flat_map(|sam| sam.files()));
+        let edges = edges(settings, &mut notes, &mut networks)?;
         let builtin = match edges {
             Some(edges) => Builtin::with_edges(edges),
             None => Builtin::new(),
@@ -207,7 +234,7 @@ impl Providers {
         };
         notes.push(told("descriptors", by_sam(settings.embedder).is_some()));
         notes.push(told("masks, clicks and refinement", by_sam(settings.masks).is_some()));
-        let sky: Arc<dyn SkyDetector> = match sky(settings, &builtin, &mut notes)? {
+        let sky: Arc<dyn SkyDetector> = match sky(settings, &builtin, &mut notes, &mut networks)? {
             Some(network) => network,
             None if settings.sky == SkyChoice::None => {
                 notes.push("sky: none".into());
@@ -244,16 +271,21 @@ impl Providers {
                 let runtime = Runtime::find_within(&settings.onnxruntime, settings.network_memory)?;
                 let network = StrangerNetwork::load(&runtime, Path::new(file), settings.network_threads)?;
                 notes.push(format!("persons and vehicles: network {file}"));
+                networks.push(NetworkFile {
+                    setting: "strangers_network".into(),
+                    ..NetworkFile::of_models(Path::new(file), network.hash())
+                });
                 Some(Arc::new(network))
             }
         };
-        Ok(Providers { embedder, proposer, segmenter, sky, strangers, notes })
+        Ok(Providers { embedder, proposer, segmenter, sky, strangers, notes, networks })
     }
 }
 
 fn edges(
     settings: &VisionSettings,
     notes: &mut Vec<String>,
+    networks: &mut Vec<NetworkFile>,
 ) -> Result<Option<Arc<dyn EdgeDetector>>, VisionError> {
     let demanded = settings.edges == EdgeChoice::Network;
     if settings.edges == EdgeChoice::Builtin {
@@ -269,6 +301,7 @@ fn edges(
     match network {
         Ok(network) => {
             notes.push(format!("boundaries: network {}", path.display()));
+            networks.push(NetworkFile::of_models(&path, network.hash()));
             Ok(Some(Arc::new(network)))
         }
         Err(error) if demanded => Err(error),
@@ -283,6 +316,7 @@ fn sky(
     settings: &VisionSettings,
     builtin: &Arc<Builtin>,
     notes: &mut Vec<String>,
+    networks: &mut Vec<NetworkFile>,
 ) -> Result<Option<Arc<dyn SkyDetector>>, VisionError> {
     let name = match settings.sky {
         SkyChoice::Network | SkyChoice::Both => SKY,
@@ -294,6 +328,7 @@ fn sky(
     let network = SkyNetwork::load(&runtime, &path, settings.network_threads, settings.sky_confidence)?;
     let with = if settings.sky == SkyChoice::Both { " together with the built-in detector" } else { "" };
     notes.push(format!("sky: network {}{with} (asked for)", path.display()));
+    networks.push(NetworkFile::of_models(&path, network.hash()));
     Ok(Some(match settings.sky {
         SkyChoice::Both => Arc::new(JointSky { network, colour: ColourSky(builtin.clone()) }),
         _ => Arc::new(network),

@@ -196,6 +196,7 @@ pub fn counted(providers: &Providers) -> (Providers, Calls) {
         sky: counted,
         strangers: None,
         notes: providers.notes.clone(),
+        networks: providers.networks.clone(),
     };
     (providers, calls)
 }

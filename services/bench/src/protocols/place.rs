@@ -5,7 +5,9 @@ use crate::ablation::Variant;
 use crate::metrics::{self, MaskScore};
 use crate::record::{Record, Results};
 use segwild_flow::{Stopper, files};
-use segwild_pipeline::{PhotoPrompts, RunError, RunFolder, RunOptions, Settings, Until, run, segment};
+use segwild_pipeline::{
+    Code, PhotoPrompts, RunError, RunFolder, RunOptions, Settings, Until, providers_for, run, segment,
+};
 use segwild_scene::{Mask, Scene, SceneError};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -161,7 +163,8 @@ fn ask(
     settings: &Settings,
 ) -> Result<(BTreeMap<String, f64>, Scores), ProtocolError> {
     let name = format!("{}-{}", file_name(&question.target), question.prompt);
-    let selected = segment(folder, &name, &question.prompts, &settings.segment, None, &Stopper::new());
+    let eyes = providers_for(folder, &Code::of(&settings.vision))?;
+    let selected = segment(folder, &name, &question.prompts, &settings.segment, Some(&eyes), &Stopper::new());
     let selected = match selected {
         Ok(outcome) => Some(outcome),
         Err(RunError::Segment(error)) if error.is_nothing() => None,

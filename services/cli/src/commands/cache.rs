@@ -4,7 +4,9 @@ use super::{path, print_json, print_line};
 use crate::exit;
 use crate::failure::Failure;
 use clap::ArgMatches;
-use segwild_pipeline::{RunFolder, cache_gc, cache_list, cache_verify};
+use segwild_pipeline::{
+    DamagedFile, RunError, RunFolder, cache_gc, cache_list, cache_verify, verify_selections,
+};
 
 /// Lists, verifies or sweeps a run's cache.
 pub fn cache(matches: &ArgMatches) -> Result<(), Failure> {
@@ -45,26 +47,37 @@ fn list(folder: &RunFolder, json: bool) -> Result<(), Failure> {
 
 fn verify(folder: &RunFolder, json: bool) -> Result<(), Failure> {
     let mut damaged = Vec::new();
-    let all = cache_verify(folder, |artefact, reason| damaged.push((artefact.key(), reason.to_owned())))?;
+    let cached = cache_verify(folder, |artefact, reason| damaged.push((artefact.key(), reason.to_owned())))?;
+    let (written, changed) = verify_selections(folder);
+    let all = cached + written;
     if json {
         let list: Vec<_> =
             damaged.iter().map(|(key, reason)| serde_json::json!({ "key": key, "reason": reason })).collect();
-        print_json(&serde_json::json!({ "files": all, "damaged": list }))?;
+        print_json(&serde_json::json!({ "files": all, "damaged": list, "selections": changed }))?;
     } else {
         for (key, reason) in &damaged {
             print_line(&format!("damaged  {key}: {reason}"))?;
         }
-        print_line(&format!("{all} files, {} damaged", damaged.len()))?;
+        for DamagedFile { file, reason, .. } in &changed {
+            print_line(&format!("damaged  {}: {reason}", file.display()))?;
+        }
+        print_line(&format!("{all} files, {} damaged", damaged.len() + changed.len()))?;
     }
-    match damaged.len() {
-        0 => Ok(()),
-        n => Err(Failure {
-            message: format!(
-                "{n} of {all} files were damaged and moved to {}; `segwild run` makes them anew",
-                folder.path().join("cache/corrupt").display()
-            ),
-            code: exit::FOLDER,
-        }),
+    let mut said = Vec::new();
+    if !damaged.is_empty() {
+        said.push(format!(
+            "{} of {cached} files were damaged and moved to {}; `segwild run` makes them anew",
+            damaged.len(),
+            folder.path().join("cache/corrupt").display()
+        ));
+    }
+    // A sentence for each selection: the command that makes it again.
+    let mut again: Vec<DamagedFile> = changed;
+    again.dedup_by(|a, b| a.selection == b.selection);
+    said.extend(again.into_iter().map(|file| RunError::from(file).to_string()));
+    match said.is_empty() {
+        true => Ok(()),
+        false => Err(Failure { message: said.join("; "), code: exit::FOLDER }),
     }
 }
 

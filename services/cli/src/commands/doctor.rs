@@ -7,6 +7,7 @@ use clap::ArgMatches;
 use segwild_gpu::{Adapter, Choice, GpuEngine, check};
 use segwild_pipeline::{RunSettings, Settings, choose_engine};
 use segwild_vision::{ModelFile, Providers, Runtime, VisionSettings, models_in};
+use std::path::PathBuf;
 
 /// Says what this machine offers and what is used instead of what is missing.
 pub fn doctor(matches: &ArgMatches) -> Result<(), Failure> {
@@ -41,9 +42,12 @@ pub fn doctor(matches: &ArgMatches) -> Result<(), Failure> {
             Err(error) => format!("not usable: {error}. The built-in provider needs none."),
         },
     ));
-    let models = path(matches, "models");
+    let named = || std::env::var_os("SEGWILD_MODELS").filter(|named| !named.is_empty());
+    let models = path(matches, "models").or_else(|| named().map(PathBuf::from));
     match &models {
-        None => found.push(("networks", "no folder of models is given (`--models`)".into())),
+        None => {
+            found.push(("networks", "no folder of models is given (`--models`, or SEGWILD_MODELS)".into()))
+        }
         Some(folder) => match models_in(folder) {
             Ok(files) if files.is_empty() => {
                 found.push(("networks", format!("{} holds no .onnx file", folder.display())));

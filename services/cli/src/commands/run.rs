@@ -6,7 +6,7 @@ use crate::operators::{keep_to_cores, listen, stop_with_parent};
 use crate::progress::{duration, show, stop_on_ctrl_c};
 use clap::ArgMatches;
 use segwild_flow::{Events, Stopper};
-use segwild_pipeline::{Plan, RunError, RunFolder, RunOptions, Settings, Summary, Until, Verdict};
+use segwild_pipeline::{Code, Plan, RunError, RunFolder, RunOptions, Settings, Summary, Until, Verdict};
 use segwild_scene::{SceneError, Skipped};
 use std::path::{Path, PathBuf};
 
@@ -15,9 +15,7 @@ pub fn run(matches: &ArgMatches) -> Result<(), Failure> {
     keep_to_cores(matches)?;
     let scene = path(matches, "scene").expect("clap requires it");
     let out = path(matches, "out").unwrap_or_else(|| default_folder(&scene));
-    let kept = out.join("segwild.toml");
-    let file = path(matches, "config").or_else(|| kept.is_file().then_some(kept));
-    let settings = Settings::layered(file.as_deref(), &crate::args::given(matches))?;
+    let settings = settings(matches, &RunFolder::at(&out))?;
     let json = matches.get_flag("json");
     let until = matches.get_one::<Until>("until").copied();
     if matches.get_flag("explain") {
@@ -31,6 +29,20 @@ pub fn run(matches: &ArgMatches) -> Result<(), Failure> {
         return print_json(&serde_json::json!({ "event": "summary", "folder": out, "summary": summary }));
     }
     tell(&summary, &out)
+}
+
+/// Those of the file that was named, which is the user's own, else those that the run folder remembers; flags over them.
+/// Where code is only the user says.
+fn settings(matches: &ArgMatches, folder: &RunFolder) -> Result<Settings, Failure> {
+    let (own, kept, flags) = (path(matches, "config"), folder.settings_file(), crate::args::given(matches));
+    let mut settings = match own {
+        None if kept.is_file() => Settings::recorded(&kept, &flags)?,
+        own => Settings::layered(own.as_deref(), &flags)?,
+    };
+    let code = Code::given(&flags);
+    code.tell(&mut settings.vision);
+    code.names_networks_of(folder, &settings.vision)?;
+    Ok(settings)
 }
 
 /// Says what a run would do, and why.

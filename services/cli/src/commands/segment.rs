@@ -5,7 +5,7 @@ use crate::failure::Failure;
 use crate::progress::{duration, stop_on_ctrl_c};
 use clap::ArgMatches;
 use segwild_flow::Stopper;
-use segwild_pipeline::{PhotoPrompts, Replay, RunFolder, Settings};
+use segwild_pipeline::{Code, PhotoPrompts, Replay, RunFolder, Settings};
 use segwild_scene::{BoxPrompt, PointPrompt, Prompts};
 
 /// Clicks to an object.
@@ -15,14 +15,17 @@ pub fn segment(matches: &ArgMatches) -> Result<(), Failure> {
     let mut settings: Settings = folder.settings()?;
     // What the selection was made with, then what is asked for now.
     settings.segment = replayed.unwrap_or(settings.segment);
-    for (name, value) in crate::args::given(matches) {
-        settings.set(&name, &value).map_err(segwild_pipeline::SettingsError::from)?;
+    let flags = crate::args::given(matches);
+    for (name, value) in &flags {
+        settings.set(name, value).map_err(segwild_pipeline::SettingsError::from)?;
     }
     use_threads(settings.run.threads);
     let stopper = Stopper::new();
     stop_on_ctrl_c(&stopper)?;
     let name = matches.get_one::<String>("name").expect("it has a default");
-    let done = segwild_pipeline::segment(&folder, name, &prompts, &settings.segment, None, &stopper)?;
+    let providers = segwild_pipeline::providers_for(&folder, &Code::given(&flags))?;
+    let done =
+        segwild_pipeline::segment(&folder, name, &prompts, &settings.segment, Some(&providers), &stopper)?;
     if matches.get_flag("json") {
         return print_json(&done);
     }

@@ -12,6 +12,7 @@ mod kills;
 mod looks;
 mod operators;
 mod photos;
+mod received;
 mod resume;
 mod sam_runs;
 mod skies;

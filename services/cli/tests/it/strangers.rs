@@ -212,3 +212,31 @@ fn strangers_are_found_and_scored_against_the_truth() {
     let wrong = scores["false_share"].as_f64().expect("a number");
     assert!(iou > 0.45 && wrong < 0.06, "IoU {iou}, {wrong} of the photos wrongly left out");
 }
+
+#[test]
+fn a_damaged_machine_made_picture_is_put_aside_and_made_again() {
+    let dir = folder();
+    let run = copied_run(&dir);
+    let trained: Vec<&str> =
+        place().manifest.photos.iter().filter(|p| !p.test).map(|p| p.name.as_str()).collect();
+    let picture = |photo: &str| run.join("strangers").join(Path::new(photo).with_extension("png"));
+    let model = std::fs::read(run.join("model.bin")).expect("a model");
+    let whole: Vec<Vec<u8>> = trained.iter().map(|p| std::fs::read(picture(p)).expect("a picture")).collect();
+    let mut flipped = whole[1].clone();
+    flipped[whole[1].len() / 2] ^= 0x10;
+    for (photo, bytes) in
+        [(trained[0], &whole[0][..whole[0].len() / 2]), (trained[1], &flipped[..]), (trained[2], &[][..])]
+    {
+        std::fs::write(picture(photo), bytes).expect("it is written");
+    }
+    // The list of what this program made is lost as well: each picture says it of itself.
+    std::fs::write(run.join("strangers/made.json"), "{").expect("it is written");
+    let said = runs(&run, &[]);
+    assert!(said.contains("is put aside as") && !said.contains("put right by hand"), "{said}");
+    for (photo, bytes) in trained.iter().zip(&whole) {
+        assert_eq!(&std::fs::read(picture(photo)).expect("it is there again"), bytes, "{photo}");
+    }
+    let aside = picture(trained[0]).with_extension("png.damaged");
+    assert_eq!(std::fs::read(aside).expect("it is kept"), &whole[0][..whole[0].len() / 2]);
+    assert_eq!(std::fs::read(run.join("model.bin")).expect("a model"), model, "nothing was trained again");
+}

@@ -23,8 +23,10 @@ impl Coordinator<'_> {
     /// Takes the trained scene and its snapshot from the cache, or orders the training.
     pub(super) fn begin_geometry(&mut self, to: &Inboxes, bars: &mut Bars) -> Result<(), RunError> {
         self.name_training()?;
-        let done: Option<Model> = self.cache.get_typed(&self.keys.geometry, MODEL)?;
-        let snapshot: Option<Model> = self.cache.get_typed(&self.keys.snapshot, MODEL)?;
+        // A record may be whole and anybody's: one whose parts do not fit is as good as none, and is made again.
+        let sound = |model: &Model| model.check().is_ok();
+        let done = self.cache.get_typed::<Model>(&self.keys.geometry, MODEL)?.filter(sound);
+        let snapshot = self.cache.get_typed::<Model>(&self.keys.snapshot, MODEL)?.filter(sound);
         let snapshot_kept = snapshot.is_some();
         self.state.snapshot = snapshot.map(Arc::new);
         let snapshot_step = self.settings.train.snapshot_step();
@@ -251,6 +253,7 @@ impl Coordinator<'_> {
         }
         if self.state.masks_open == 0
             && let Some(field) = self.cache.get_typed::<FeatureField>(&key, FEATURES)?
+            && field.check().is_ok()
         {
             self.keys.features = key;
             self.skip_stage("features", &key)?;

@@ -1,18 +1,20 @@
 //! The parts a self-contained page is made of: escaped text, tables, pictures inside the file, line charts.
 
 use base64::Engine as _;
+use segwild_flow::files::name::shown;
 use segwild_scene::Image;
 use std::fmt::Write as _;
 
-/// Text made safe for HTML content and attributes.
+/// Text made safe for HTML content and attributes; signs that turn the writing round are written out.
 pub fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
-    for c in text.chars() {
+    for c in shown(text).chars() {
         match c {
             '&' => out.push_str("&amp;"),
             '<' => out.push_str("&lt;"),
             '>' => out.push_str("&gt;"),
             '"' => out.push_str("&quot;"),
+            '\'' => out.push_str("&#39;"),
             _ => out.push(c),
         }
     }

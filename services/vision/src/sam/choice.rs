@@ -43,6 +43,12 @@ fn find(settings: &VisionSettings, notes: &mut Vec<String>) -> Result<Option<Arc
             ),
         };
     }
+    if settings.sam.contains(['/', '\\']) {
+        return missing(format!(
+            "`sam` is `{}`: it is the stem of names in the folder of models, and no path",
+            settings.sam
+        ));
+    }
     let (found, wrong) = pairs(Path::new(&settings.models), &settings.sam);
     let mut found = found.into_iter();
     let Some(pair) = found.next() else {

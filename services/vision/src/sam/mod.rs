@@ -16,6 +16,7 @@ mod refine;
 use crate::builtin::{Memory, PREPARED, Weighed, check, content};
 use crate::onnx::{Device, Model, Options, Runtime};
 use crate::registry::Pair;
+use crate::settings::NetworkFile;
 use crate::{Embedder, MaskProposer, PromptSegmenter, Prompted, VisionError, VisionSettings, Work};
 pub(crate) use choice::chosen;
 use decoder::{Decoder, INSIDE, Query};
@@ -39,6 +40,8 @@ const ANSWERS: usize = 32 << 20;
 pub struct Sam {
     encoder: Encoder,
     decoder: Decoder,
+    /// Where the two are.
+    pair: Pair,
     device: Device,
     stability_offset: f32,
     /// Held while a photo is encoded, so that two who ask for the same one share the work.
@@ -82,6 +85,7 @@ impl Sam {
         Ok(Sam {
             encoder,
             decoder,
+            pair: pair.clone(),
             device,
             stability_offset: settings.stability_offset,
             encoding: Mutex::new(()),
@@ -90,6 +94,15 @@ impl Sam {
             answers: Memory::new(ANSWERS),
             work: Mutex::default(),
         })
+    }
+
+    /// Its two files.
+    pub(crate) fn files(&self) -> [NetworkFile; 2] {
+        let Pair { encoder, decoder, .. } = &self.pair;
+        [
+            NetworkFile::of_models(encoder, self.encoder.key()),
+            NetworkFile::of_models(decoder, self.decoder.key()),
+        ]
     }
 
     /// Names a part. CUDA's numbers differ from a CPU's in the last places.
