@@ -3,6 +3,8 @@
 use crate::SceneError;
 use crate::colmap::{self, ImageRecord};
 use crate::lens::Lens;
+use crate::ply;
+use crate::split::Split;
 use glam::{DMat3, DQuat, DVec3};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -14,6 +16,8 @@ pub(crate) struct Draft {
     pub points: Vec<DraftPoint>,
     /// What is odd about it, though it can be used.
     pub notes: Vec<String>,
+    /// What its own files say of training and testing.
+    pub split: Option<Split>,
     /// The file or folder it was read from.
     pub source: PathBuf,
 }
@@ -22,8 +26,8 @@ pub(crate) struct Draft {
 #[derive(Debug)]
 pub(crate) struct DraftPhoto {
     pub name: String,
-    /// Where its file is, if the reconstruction says so; otherwise it is looked for by name.
-    pub file: Option<PathBuf>,
+    /// Where its file is, if the reconstruction says so, or why it is not there; otherwise it is looked for by name.
+    pub file: Option<Result<PathBuf, String>>,
     /// Its mask of the pixels to use, if the reconstruction names one.
     pub usable: Option<PathBuf>,
     pub lens: Result<Lens, String>,
@@ -47,6 +51,7 @@ pub(crate) struct DraftPoint {
 
 /// The draft of a COLMAP reconstruction in `dir`.
 pub(crate) fn from_colmap(dir: &Path) -> Result<Draft, SceneError> {
+    let mut notes: Vec<String> = colmap::stale(dir).into_iter().collect();
     let reconstruction = colmap::read(dir)?;
     let mut lenses = HashMap::new();
     for camera in &reconstruction.cameras {
@@ -55,6 +60,8 @@ pub(crate) fn from_colmap(dir: &Path) -> Result<Draft, SceneError> {
             .entry(camera.id)
             .or_insert_with(|| Lens::new(camera.model, camera.width, camera.height, &camera.params));
     }
+    let unknown: HashMap<u32, &String> =
+        reconstruction.unknown_cameras.iter().rev().map(|(id, model)| (*id, model)).collect();
     let mut by_id: HashMap<u32, usize> = HashMap::new();
     let mut photos = Vec::with_capacity(reconstruction.images.len());
     for (i, image) in reconstruction.images.iter().enumerate() {
@@ -64,13 +71,13 @@ pub(crate) fn from_colmap(dir: &Path) -> Result<Draft, SceneError> {
         }
         let lens = lenses.get(&image.camera_id).cloned();
         let lens = lens.unwrap_or_else(|| {
-            let unknown = reconstruction.unknown_cameras.iter().find(|(id, _)| *id == image.camera_id);
-            Err(match unknown {
-                Some((id, model)) => format!(
+            let id = image.camera_id;
+            Err(match unknown.get(&id) {
+                Some(model) => format!(
                     "its camera {id} has the model {model}, which is not known here; undistort the photos with COLMAP's \
                      image_undistorter first"
                 ),
-                None => format!("there is no camera {}, which it says it has", image.camera_id),
+                None => format!("there is no camera {id}, which it says it has"),
             })
         });
         photos.push(DraftPhoto { name: image.name.clone(), file: None, usable: None, lens, pose });
@@ -84,8 +91,26 @@ pub(crate) fn from_colmap(dir: &Path) -> Result<Draft, SceneError> {
         let track = point.track.iter().filter_map(sighting).collect();
         DraftPoint { position: DVec3::from(point.position), colour: point.colour, track }
     });
-    let points = points.collect();
-    Ok(Draft { photos, points, notes: Vec::new(), source: dir.to_owned() })
+    let mut points: Vec<DraftPoint> = points.collect();
+    let ply = dir.join("points3D.ply");
+    if !colmap::has_points(dir) && ply.is_file() {
+        points = cloud(&ply)?;
+        notes.push(format!(
+            "the points are those of {}, for there is no points3D.bin or .txt beside it",
+            ply.display()
+        ));
+    }
+    Ok(Draft { photos, points, notes, split: None, source: dir.to_owned() })
+}
+
+/// The points of a cloud, which nobody says who saw.
+pub(crate) fn cloud(ply: &Path) -> Result<Vec<DraftPoint>, SceneError> {
+    let point = |p: ply::Coloured| DraftPoint {
+        position: DVec3::from(p.position),
+        colour: p.colour,
+        track: Vec::new(),
+    };
+    Ok(ply::read_points(ply)?.into_iter().map(point).collect())
 }
 
 fn pose_of(image: &ImageRecord) -> Result<DraftPose, String> {

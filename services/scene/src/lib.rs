@@ -17,10 +17,15 @@ mod embedding;
 mod error;
 mod frame;
 mod image;
+mod keep;
 pub mod knn;
 pub mod lens;
+mod locate;
 mod mask;
+mod mask_files;
+mod mask_image;
 mod morphology;
+mod names;
 mod open;
 mod photo;
 pub mod ply;
@@ -31,6 +36,8 @@ mod seal;
 pub mod settings;
 mod splats;
 mod split;
+mod taken;
+pub mod text;
 mod transforms;
 mod view;
 mod window;
@@ -41,6 +48,7 @@ pub use embedding::Embedding;
 pub use error::SceneError;
 pub use image::Image;
 pub use mask::{Mask, MaskSet, ScoredMask};
+pub use mask_files::MaskFiles;
 pub use photo::LoadedPhoto;
 pub use prompt::{BoxPrompt, PointPrompt, Prompts};
 pub use random::Random;
@@ -57,13 +65,17 @@ settings! {
     pub struct SceneSettings("scene") {
         /// Folder of the photos; empty = found by itself.
         images: String = String::new(),
-        /// Folder of masks of things to ignore, white = ignore, each named as its photo with the ending .png; empty = none.
+        /// Folder of masks of things to ignore, white = ignore, each named as its photo (a/b.png or a/b.jpg.png for a/b.jpg);
+        /// empty = none.
         ignore: String = String::new(),
-        /// Folder of masks of strangers put right by hand, white = stranger, each named as its photo with the ending .png: of
-        /// such a photo exactly that is left out; empty = those changed in the run's own folder `strangers`.
+        /// Folder of masks of what to keep, white = keep, named likewise; empty = the scene's own folder `masks`, if there is one;
+        /// none = no masks.
+        keep_masks: String = String::new(),
+        /// Folder of masks of strangers put right by hand, white = stranger, named likewise: of such a photo exactly that is
+        /// left out; empty = those changed in the run's own folder `strangers`.
         strangers: String = String::new(),
-        /// Split file of Photo Tourism (.tsv) that says which photos take part and which are for testing; empty = found
-        /// by itself in the scene's folder.
+        /// File that says which photos are for training and which for testing: a table of Photo Tourism (.tsv), a split.json,
+        /// or a list (test_list.txt); empty = found by itself in the scene's folder; none = no split.
         split: String = String::new(),
         /// Every n-th photo by name, from the first on, is held out for testing; 0 = as the split says, or none.
         hold_out: u32 = 0,

@@ -4,12 +4,6 @@ use crate::{Mask, SceneError};
 use std::path::Path;
 
 impl Mask {
-    /// Reads a mask from a PNG (or JPEG) of any depth: a pixel over the middle of the range (127 of 255) is inside.
-    pub fn read_png(path: &Path) -> Result<Mask, SceneError> {
-        let grey = crate::image::read_file(path)?.into_luma8();
-        Ok(Mask::from_fn(grey.width(), grey.height(), |x, y| grey.get_pixel(x, y).0[0] > 127))
-    }
-
     /// Writes the mask as an 8-bit grey PNG: 255 inside, 0 outside.
     pub fn write_png(&self, path: &Path) -> Result<(), SceneError> {
         Ok(segwild_files::write_atomic(path, &self.png()?)?)

@@ -2,19 +2,19 @@
 
 use crate::draft::{Draft, DraftPhoto, DraftPoint, DraftPose};
 use crate::frame::{Placed, Placing};
+use crate::keep;
+use crate::locate::{find, find_photos, folder_setting, locate, setting, unheld};
+use crate::mask_files::MaskFiles;
+use crate::names::is_inside;
 use crate::photo::Header;
 use crate::split::{Part, Split};
 use crate::{
     DARKEST, Frame, Observation, Photo, Point, Pose, Scene, SceneError, SceneSettings, Seal, Skipped, View,
 };
-use crate::{colmap, draft, transforms};
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
-use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Component, Path, PathBuf};
-
-/// Folders, relative to the scene's, in which photos are looked for.
-const PHOTO_FOLDERS: [&str; 7] = ["images", "dense/images", "input", "images_2", "images_4", "images_8", "."];
+use std::collections::{BTreeMap, HashSet};
+use std::path::{Path, PathBuf};
 
 impl Scene {
     /// Opens the scene in folder `path`: a COLMAP reconstruction (also a Photo Tourism folder with its split) or
@@ -23,8 +23,7 @@ impl Scene {
     /// Photos that cannot be used are listed in [`Scene::skipped`] with the reason and the rest goes on. Only the heads
     /// of the photos are read here; [`View::load`] reads the pixels.
     pub fn open(path: &Path, settings: &SceneSettings) -> Result<Scene, SceneError> {
-        let (folder, draft, images) = find(path, settings)?;
-        let split = find_split(&folder, settings)?;
+        let (folder, mut draft, images) = find(path, settings)?;
         let ignore = folder_setting("ignore", &settings.ignore, &folder)?;
         if settings.size == 0 {
             return Err(setting("size", "0".into(), "photos need at least one pixel"));
@@ -33,23 +32,31 @@ impl Scene {
             Some(images) => images,
             None => find_photos(&folder, &draft)?,
         };
+        let located = locate(&mut draft, &images);
+        draft.notes.extend(unheld(&draft, &located));
+        let draft = draft;
+        let mut told = Vec::new();
+        let names: Vec<&str> = draft.photos.iter().map(|p| p.name.as_str()).collect();
+        let model = Some(&*draft.source).filter(|source| source.is_dir() && **source != folder);
+        let near: Vec<&Path> = [folder.as_path()].into_iter().chain(model).collect();
+        let split = Split::find(&near, settings, &names, draft.split.clone(), &mut told)?;
+        let keep = keep::find(&folder, &images, ignore.as_deref(), settings, &draft, &mut told)?;
+        let ignored = ignore.as_ref().map(|folder| MaskFiles::new(folder, names.iter().copied()));
 
         let mut skipped = Vec::new();
         let mut skip = |name: &str, reason: String| skipped.push(Skipped { name: name.to_owned(), reason });
         if let Some(split) = &split {
-            let known: BTreeSet<&str> = draft.photos.iter().map(|p| last_part(&p.name)).collect();
-            for (name, part) in &split.rows {
-                if !known.contains(last_part(name)) {
-                    let why =
-                        if *part == Part::NoPose { "the split has no pose of it" } else { "it has no pose" };
-                    skip(name, format!("{why}: the reconstruction did not place it"));
-                }
+            for (name, part) in split.unmatched(&names) {
+                let why =
+                    if *part == Part::NoPose { "the split has no pose of it" } else { "it has no pose" };
+                skip(name, format!("{why}: the reconstruction did not place it"));
             }
         }
         let checked: Vec<Result<Checked, String>> = draft
             .photos
             .par_iter()
-            .map(|photo| check(photo, &images, ignore.as_deref(), split.as_ref()))
+            .zip(located)
+            .map(|(photo, path)| check(photo, path, ignored.as_ref(), keep.as_ref(), split.as_ref()))
             .collect();
         let mut usable: BTreeMap<&str, (usize, Checked)> = BTreeMap::new();
         for (i, (photo, checked)) in draft.photos.iter().zip(checked).enumerate() {
@@ -80,7 +87,7 @@ impl Scene {
             let name = usable.keys().next().copied().unwrap_or_default();
             let reason = format!(
                 "no mask in it is named after a photo; for {name} it would be {}",
-                mask_names(name)[0]
+                MaskFiles::wanted(name)
             );
             return Err(setting("ignore", folder.display().to_string(), &reason));
         }
@@ -113,17 +120,15 @@ impl Scene {
                     return None;
                 }
                 let position = ((point.position - frame.origin) / frame.scale).as_vec3();
-                let mut track: Vec<Observation> = Vec::with_capacity(point.track.len());
-                for &(photo, pixel) in &point.track {
-                    let (Some(view), Some(lens)) = (view_of[photo], lenses[photo]) else { continue };
-                    let pixel = observed(&views[view as usize], lens, position, pixel);
-                    if let Some(pixel) = pixel
-                        && track.iter().all(|o| o.view != view)
-                    {
-                        track.push(Observation { view, pixel });
-                    }
-                }
+                let seen = |&(photo, pixel): &(usize, Option<[f64; 2]>)| {
+                    let (view, lens) = (view_of[photo]?, lenses[photo]?);
+                    let pixel = observed(&views[view as usize], lens, position, pixel)?;
+                    Some(Observation { view, pixel })
+                };
+                let mut track: Vec<Observation> = point.track.iter().filter_map(seen).collect();
+                // Of several sightings in one photo the first counts.
                 track.sort_by_key(|o| o.view);
+                track.dedup_by_key(|o| o.view);
                 // A point that only unusable photos saw is of no use; one without a track is taken as it is.
                 let lost =
                     !point.track.is_empty() && point.track.iter().all(|(photo, _)| view_of[*photo].is_none());
@@ -139,7 +144,9 @@ impl Scene {
             source = %draft.source.display(),
             "scene opened"
         );
-        let mut notes = notes(&draft, views.len(), points.len(), &view_of);
+        told.extend(split.iter().map(|split| split_in_words(split, &views, &draft, settings)));
+        told.extend(notes(&draft, views.len(), points.len(), &view_of));
+        let mut notes = told;
         notes.extend(
             placing
                 .notes(&frame, &outliers)
@@ -213,138 +220,35 @@ impl Checked {
     }
 }
 
-fn setting(setting: &'static str, value: String, reason: &str) -> SceneError {
-    SceneError::Setting { setting, value, reason: reason.to_owned() }
-}
-
-fn last_part(name: &str) -> &str {
-    name.rsplit('/').next().unwrap_or(name)
-}
-
-/// The scene's folder, what its reconstruction says, and the photo folder where that is settled.
-fn find(path: &Path, settings: &SceneSettings) -> Result<(PathBuf, Draft, Option<PathBuf>), SceneError> {
-    let metadata = std::fs::metadata(path).map_err(SceneError::io(path))?;
-    // Absolute, so that folders above can be named and the photos be found again from elsewhere.
-    let path = &std::path::absolute(path).map_err(SceneError::io(path))?;
-    let (folder, json) = if metadata.is_dir() {
-        (path.to_owned(), path.join("transforms.json"))
-    } else {
-        (path.parent().unwrap_or(Path::new("")).to_owned(), path.to_owned())
-    };
-    let images = folder_setting("images", &settings.images, &folder)?;
-    if metadata.is_dir()
-        && let Some(dir) = colmap::find(&folder)
-    {
-        return Ok((folder, draft::from_colmap(&dir)?, images));
-    }
-    let is_json = json.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
-    if is_json && json.is_file() {
-        let draft = transforms::read(&json, images.as_deref())?;
-        // Its photos say themselves where they are.
-        let images = images.unwrap_or_else(|| folder.clone());
-        return Ok((folder, draft, Some(images)));
-    }
-    Err(SceneError::NotAScene {
-        path: path.to_owned(),
-        looked_for: format!(
-            "a COLMAP reconstruction (cameras and images, .bin or .txt, in {}) and nerfstudio's transforms.json",
-            colmap::PLACES.join(", ")
-        ),
-    })
-}
-
-/// The folder a setting names: as it stands, or within the scene's folder.
-fn folder_setting(name: &'static str, value: &str, scene: &Path) -> Result<Option<PathBuf>, SceneError> {
-    if value.is_empty() {
-        return Ok(None);
-    }
-    let places = [PathBuf::from(value), scene.join(value)];
-    let found = places.into_iter().find(|p| p.is_dir());
-    found.map(Some).ok_or_else(|| setting(name, value.to_owned(), "there is no such folder"))
-}
-
-fn find_split(folder: &Path, settings: &SceneSettings) -> Result<Option<Split>, SceneError> {
-    if !settings.split.is_empty() {
-        let places = [PathBuf::from(&settings.split), folder.join(&settings.split)];
-        let found = places.into_iter().find(|p| p.is_file());
-        let found = found.ok_or_else(|| setting("split", settings.split.clone(), "there is no such file"))?;
-        return Split::read(&found).map(Some);
-    }
-    let mut found = Vec::new();
-    for entry in std::fs::read_dir(folder).map_err(SceneError::io(folder))? {
-        let path = entry.map_err(SceneError::io(folder))?.path();
-        if path.extension().is_some_and(|e| e == "tsv") && path.is_file() {
-            found.push(path);
-        }
-    }
-    found.sort();
-    match &found[..] {
-        [] => Ok(None),
-        [one] => Split::read(one).map(Some),
-        [one, two, ..] => {
-            let reason = format!(
-                "there are several splits, such as {} and {}; name one",
-                one.display(),
-                two.display()
-            );
-            Err(setting("split", "nothing".into(), &reason))
-        }
-    }
-}
-
-/// The first folder that holds a photo of the reconstruction.
-fn find_photos(folder: &Path, draft: &Draft) -> Result<PathBuf, SceneError> {
-    let mut places: Vec<PathBuf> = PHOTO_FOLDERS.iter().map(|p| folder.join(p)).collect();
-    // Photos that lie beside the reconstruction's own folder, or beside the one above it, are surely its own.
-    let above = draft.source.ancestors().skip(1).take(2).map(|dir| dir.join("images"));
-    places.splice(0..0, above);
-    let holds =
-        |place: &PathBuf| draft.photos.iter().any(|p| is_inside(&p.name) && place.join(&p.name).is_file());
-    places.iter().find(|p| p.is_dir() && holds(p)).cloned().ok_or_else(|| {
-        let reason = match draft.photos.first() {
-            None => "the reconstruction has no photo".to_owned(),
-            Some(first) => format!(
-                "none of the {} photos of {} was found (the first is {}); looked in {}; name the folder with `images`",
-                draft.photos.len(),
-                draft.source.display(),
-                first.name,
-                PHOTO_FOLDERS.join(", ")
-            ),
-        };
-        SceneError::NothingUsable { path: folder.to_owned(), reason }
-    })
-}
-
-/// Whether a name stays inside the folder it is relative to: names become the names of files that are written.
-fn is_inside(name: &str) -> bool {
-    let path = Path::new(name);
-    !name.is_empty() && path.components().all(|c| matches!(c, Component::Normal(_)))
-}
-
 fn check(
     photo: &DraftPhoto,
-    images: &Path,
-    ignore: Option<&Path>,
+    path: Result<PathBuf, String>,
+    ignored: Option<&MaskFiles>,
+    keep: Option<&MaskFiles>,
     split: Option<&Split>,
 ) -> Result<Checked, String> {
-    if !is_inside(&photo.name) || photo.name.contains('\0') {
+    if !is_inside(&photo.name) {
+        path?;
         return Err("its name is not that of a file inside the photo folder".into());
     }
     match split.map(|s| (s, s.part(&photo.name))) {
         Some((s, None)) => return Err(format!("it is not listed in the split {}", s.path.display())),
+        Some((s, Some(Part::Validation))) => {
+            return Err(format!("the split {} keeps it for validation", s.path.display()));
+        }
         Some((s, Some(Part::NoPose))) => {
             return Err(format!("the split {} gives it no id", s.path.display()));
         }
         _ => {}
     }
     let pose = photo.pose.clone()?;
-    let path = photo.file.clone().unwrap_or_else(|| images.join(&photo.name));
-    if !path.is_file() {
-        return Err(format!("there is no file {}", path.display()));
-    }
-    let ignore =
-        ignore.and_then(|dir| mask_names(&photo.name).into_iter().map(|n| dir.join(n)).find(|p| p.is_file()));
-    let usable = photo.usable.clone();
+    let path = path?;
+    let mask = |masks: Option<&MaskFiles>| masks.map_or(Ok(None), |masks| masks.find(&photo.name));
+    let ignore = mask(ignored)?;
+    let usable = match &photo.usable {
+        Some(mask) => Some(mask.clone()),
+        None => mask(keep)?,
+    };
     let files = [Some(&path), ignore.as_ref(), usable.as_ref()];
     let seal = Seal::on(files.into_iter().flatten().map(PathBuf::as_path));
     let lens = photo.lens.as_ref().map_err(String::clone)?;
@@ -368,14 +272,9 @@ fn check(
 /// Least share of the undistorted picture that a photo must fill for its lens to be believed.
 const HALF: f64 = 0.5;
 
-/// What the mask of a photo may be called.
-fn mask_names(name: &str) -> [String; 2] {
-    let stem = Path::new(name).with_extension("png").to_string_lossy().into_owned();
-    [stem, format!("{name}.png")]
-}
-
 fn nothing_usable(draft: &Draft, skipped: &[Skipped]) -> SceneError {
-    let of_draft = |s: &&Skipped| draft.photos.iter().any(|p| p.name == s.name);
+    let names: HashSet<&str> = draft.photos.iter().map(|p| p.name.as_str()).collect();
+    let of_draft = |s: &&Skipped| names.contains(s.name.as_str());
     let reason = match (skipped.iter().find(of_draft), draft.photos.len()) {
         (Some(first), 1) => format!("its only photo, {}, cannot be used: {}", first.name, first.reason),
         (Some(first), n) => {
@@ -414,6 +313,19 @@ fn observed(
         }
     };
     camera.contains(pixel.into()).then_some(pixel)
+}
+
+/// Which split is taken, and how many photos it gives to what.
+fn split_in_words(split: &Split, views: &[View], draft: &Draft, settings: &SceneSettings) -> String {
+    let tests = views.iter().filter(|view| view.test).count();
+    let of = |photo: &&DraftPhoto| matches!(split.part(&photo.name), Some(Part::Train | Part::Test));
+    let left = draft.photos.len() - draft.photos.iter().filter(of).count();
+    let who = if settings.hold_out > 0 { ", as `hold_out` says" } else { "" };
+    format!(
+        "the split {} is taken: {} photos train, {tests} are held out for testing{who}, {left} are left out; `--split none` takes none",
+        split.path.display(),
+        views.len() - tests
+    )
 }
 
 fn hold_out(views: &mut [View], split: Option<&Split>, every: u32) -> Result<(), SceneError> {

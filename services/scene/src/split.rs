@@ -1,66 +1,327 @@
-//! NeRF-W's split files for Photo Tourism: tab-separated `filename id split dataset`.
+//! Which photos are for training and which for testing: the conventions of several data sets, with one meaning.
+//!
+//! - NeRF-W's tables for Photo Tourism (`*.tsv`: filename, id, split, dataset).
+//! - `split.json` of NeRF On-the-go (`clutter` trains, `extra` tests; names, or numbers into the sorted names of transforms.json),
+//!   and others with `train`, `test` and `val`.
+//! - `train_list.txt` and `test_list.txt` of WildGaussians, `train.txt` and `test.txt` of INRIA: a name a line.
+//! - `train_filenames`, `val_filenames` and `test_filenames` inside nerfstudio's transforms.json.
+//! - Blender's `transforms_train.json`, `transforms_val.json` and `transforms_test.json`.
+//! - RobustNeRF's names: `clutter` trains, `extra` tests.
 
-use crate::SceneError;
-use std::collections::BTreeMap;
+use crate::names::{key, last_part, stem};
+use crate::{SceneError, SceneSettings, text, transforms};
+use serde_json::Value;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 
 /// What the split says of one photo.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Part {
     Train,
+    /// For choosing settings, where there is a test part too: it takes no part here.
+    Validation,
+    /// Held out.
     Test,
     /// A row without an id: the reconstruction has no pose of the photo.
     NoPose,
 }
 
-/// A split file.
+/// A split, whatever it was read from.
 #[derive(Clone, Debug)]
 pub(crate) struct Split {
+    /// What it was read from.
     pub(crate) path: PathBuf,
-    pub(crate) rows: BTreeMap<String, Part>,
+    pub(crate) rows: Vec<(String, Part)>,
+    /// Whether photos that it does not list take no part; otherwise they are for training.
+    closed: bool,
+    by_key: HashMap<String, usize>,
+    /// By the last part, and by that without its ending; of several rows the first.
+    by_last: HashMap<String, usize>,
 }
 
+/// The names of files with a name a line.
+const LISTS: [(&str, Part); 5] = [
+    ("train_list.txt", Part::Train),
+    ("test_list.txt", Part::Test),
+    ("val_list.txt", Part::Validation),
+    ("train.txt", Part::Train),
+    ("test.txt", Part::Test),
+];
+
+/// Keys of JSON files, and what their photos are for.
+const KEYS: [(&str, Part); 12] = [
+    ("clutter", Part::Train),
+    ("train", Part::Train),
+    ("train_filenames", Part::Train),
+    ("extra", Part::Test),
+    ("test", Part::Test),
+    ("test_filenames", Part::Test),
+    ("val", Part::Validation),
+    ("validation", Part::Validation),
+    ("val_filenames", Part::Validation),
+    ("eval", Part::Validation),
+    ("clean", Part::Validation),
+    ("clear", Part::Validation),
+];
+
 impl Split {
-    pub(crate) fn read(path: &Path) -> Result<Split, SceneError> {
-        let bytes = std::fs::read(path).map_err(SceneError::io(path))?;
-        let text =
-            String::from_utf8(bytes).map_err(|_| SceneError::invalid(path, "text", "it is not UTF-8"))?;
-        let mut lines = text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty());
-        let (_, head) =
-            lines.next().ok_or_else(|| SceneError::invalid(path, "line 1", "the file is empty"))?;
-        let heads: Vec<&str> = head.split('\t').map(str::trim).collect();
-        let column = |name: &str| {
-            heads.iter().position(|h| *h == name).ok_or_else(|| {
-                let reason =
-                    format!("there is no column `{name}`; a split has filename, id and split, tab-separated");
-                SceneError::invalid(path, "line 1", reason)
-            })
-        };
-        let (name, id, split) = (column("filename")?, column("id")?, column("split")?);
-        let mut rows = BTreeMap::new();
-        for (i, line) in lines {
-            let cells: Vec<&str> = line.split('\t').map(str::trim).collect();
-            let cell = |c: usize| cells.get(c).copied().unwrap_or("");
-            let invalid = |reason: String| SceneError::invalid(path, format!("line {}", i + 1), reason);
-            if cell(name).is_empty() {
-                return Err(invalid("the row names no photo".into()));
-            }
-            let part = match (cell(id), cell(split)) {
-                ("", _) => Part::NoPose,
-                (_, "train") => Part::Train,
-                (_, "test") => Part::Test,
-                (_, other) => return Err(invalid(format!("`{other}` is neither train nor test"))),
-            };
-            if rows.insert(cell(name).to_owned(), part).is_some() {
-                return Err(invalid(format!("photo {} is listed twice", cell(name))));
-            }
+    /// A split of these rows. Of several rows of one photo, testing counts before validation and that before training. Where
+    /// nothing is for testing, what is for validation is.
+    pub(crate) fn new(path: &Path, rows: impl IntoIterator<Item = (String, Part)>, closed: bool) -> Split {
+        let mut parts: BTreeMap<String, Part> = BTreeMap::new();
+        for (name, part) in rows {
+            let known = parts.entry(name).or_insert(part);
+            *known = part.max(*known);
         }
-        Ok(Split { path: path.to_owned(), rows })
+        let mut rows: Vec<(String, Part)> = parts.into_iter().collect();
+        if rows.iter().all(|(_, part)| *part != Part::Test) {
+            let held = rows.iter_mut().filter(|(_, part)| *part == Part::Validation);
+            held.for_each(|(_, part)| *part = Part::Test);
+        }
+        let (mut by_key, mut by_last) = (HashMap::new(), HashMap::new());
+        for (i, (name, _)) in rows.iter().enumerate() {
+            let key = key(name);
+            let last = last_part(&key).to_owned();
+            by_last.entry(stem(&last).to_owned()).or_insert(i);
+            by_last.entry(last).or_insert(i);
+            by_key.entry(key).or_insert(i);
+        }
+        Split { path: path.to_owned(), rows, closed, by_key, by_last }
     }
 
-    /// What the split says of a photo, known by its whole name or by the last part of it.
-    pub(crate) fn part(&self, name: &str) -> Option<Part> {
-        let last = name.rsplit('/').next().unwrap_or(name);
-        self.rows.get(name).or_else(|| self.rows.get(last)).copied()
+    /// Reads the file that a person named.
+    pub(crate) fn read(path: &Path, photos: &[&str]) -> Result<Split, SceneError> {
+        let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+        match ending.as_str() {
+            "json" => read_json(path, photos),
+            "txt" => {
+                let train =
+                    path.file_name().is_some_and(|n| n.to_string_lossy().to_lowercase().starts_with("train"));
+                let part = if train { Part::Train } else { Part::Test };
+                let mut lists = vec![(path.to_owned(), part)];
+                // Its partner, which says the rest.
+                let partners = LISTS.iter().filter(|(_, other)| *other != part);
+                let beside = |(name, part): &(&str, Part)| (path.with_file_name(name), *part);
+                lists.extend(partners.map(beside).filter(|(path, _)| path.is_file()));
+                read_lists(&lists)
+            }
+            _ => read_table(path),
+        }
     }
+
+    /// Finds the split of a scene, if it has one, and what else is to be said of it. `near` are the folders it may lie in, `photos`
+    /// the names in the reconstruction, `own` what the reconstruction itself says.
+    pub(crate) fn find(
+        near: &[&Path],
+        settings: &SceneSettings,
+        photos: &[&str],
+        own: Option<Split>,
+        notes: &mut Vec<String>,
+    ) -> Result<Option<Split>, SceneError> {
+        if settings.split == "none" {
+            return Ok(None);
+        }
+        let folder = near[0];
+        if !settings.split.is_empty() {
+            let places = [PathBuf::from(&settings.split), folder.join(&settings.split)];
+            let found = places.into_iter().find(|p| p.is_file()).ok_or_else(|| SceneError::Setting {
+                setting: "split",
+                value: settings.split.clone(),
+                reason: "there is no such file".into(),
+            })?;
+            return Split::read(&found, photos).map(Some);
+        }
+        let mut found: Vec<Split> = Vec::new();
+        for path in tables(folder)? {
+            found.push(read_table(&path)?);
+        }
+        let json = folder.join("split.json");
+        if json.is_file() {
+            found.push(read_json(&json, photos)?);
+        }
+        for dir in near {
+            let lists = LISTS.iter().map(|(name, part)| (dir.join(name), *part));
+            let lists: Vec<_> = lists.filter(|(path, _)| path.is_file()).collect();
+            if lists.is_empty() {
+                continue;
+            }
+            let split = read_lists(&lists)?;
+            if photos.iter().any(|photo| split.row(photo).is_some()) {
+                found.push(split);
+            } else {
+                notes.push(format!(
+                    "{}: it names no photo of this scene and is no split of it",
+                    split.path.display()
+                ));
+            }
+        }
+        if let [one, two, ..] = &found[..] {
+            return Err(SceneError::Setting {
+                setting: "split",
+                value: "nothing".into(),
+                reason: format!(
+                    "there are several splits, such as {} and {}; name one",
+                    one.path.display(),
+                    two.path.display()
+                ),
+            });
+        }
+        let own = own.or_else(|| by_names(photos, folder));
+        match (found.pop(), own) {
+            (Some(found), Some(own)) => {
+                notes.push(format!(
+                    "the split {} is taken, and not what {} says",
+                    found.path.display(),
+                    own.path.display()
+                ));
+                Ok(Some(found))
+            }
+            (found, own) => Ok(found.or(own)),
+        }
+    }
+
+    /// What the split says of a photo, known by its whole name or by the last part of it; `None` where it says nothing and that means
+    /// that the photo takes no part.
+    pub(crate) fn part(&self, name: &str) -> Option<Part> {
+        match self.row(name) {
+            Some(row) => Some(self.rows[row].1),
+            None => (!self.closed).then_some(Part::Train),
+        }
+    }
+
+    /// The row of a photo.
+    pub(crate) fn row(&self, name: &str) -> Option<usize> {
+        let key = key(name);
+        let last = last_part(&key);
+        let whole = self.by_key.get(&key).or_else(|| self.by_key.get(last));
+        whole.or_else(|| self.by_last.get(last)).or_else(|| self.by_last.get(stem(last))).copied()
+    }
+
+    /// The rows that are of none of these photos.
+    pub(crate) fn unmatched<'a>(&'a self, photos: &[&str]) -> Vec<&'a (String, Part)> {
+        let matched: BTreeSet<usize> = photos.iter().filter_map(|photo| self.row(photo)).collect();
+        let rows = self.rows.iter().enumerate().filter(|(i, _)| !matched.contains(i));
+        rows.map(|(_, row)| row).collect()
+    }
+}
+
+/// NeRF-W's tables in a folder.
+fn tables(folder: &Path) -> Result<Vec<PathBuf>, SceneError> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(SceneError::io(folder))? {
+        let path = entry.map_err(SceneError::io(folder))?.path();
+        if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("tsv")) && path.is_file() {
+            found.push(path);
+        }
+    }
+    found.sort();
+    Ok(found)
+}
+
+fn read_table(path: &Path) -> Result<Split, SceneError> {
+    let text = text::read(path)?;
+    let mut lines = text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty());
+    let (_, head) = lines.next().ok_or_else(|| SceneError::invalid(path, "line 1", "the file is empty"))?;
+    let heads: Vec<&str> = head.split('\t').map(str::trim).collect();
+    let column = |name: &str| {
+        heads.iter().position(|h| *h == name).ok_or_else(|| {
+            let reason =
+                format!("there is no column `{name}`; a split has filename, id and split, tab-separated");
+            SceneError::invalid(path, "line 1", reason)
+        })
+    };
+    let (name, id, split) = (column("filename")?, column("id")?, column("split")?);
+    let mut rows = BTreeMap::new();
+    for (i, line) in lines {
+        let cells: Vec<&str> = line.split('\t').map(str::trim).collect();
+        let cell = |c: usize| cells.get(c).copied().unwrap_or("");
+        let invalid = |reason: String| SceneError::invalid(path, format!("line {}", i + 1), reason);
+        if cell(name).is_empty() {
+            return Err(invalid("the row names no photo".into()));
+        }
+        let part = match (cell(id), cell(split)) {
+            ("", _) => Part::NoPose,
+            (_, "train") => Part::Train,
+            (_, "test") => Part::Test,
+            (_, other) => return Err(invalid(format!("`{other}` is neither train nor test"))),
+        };
+        if rows.insert(cell(name).to_owned(), part).is_some() {
+            return Err(invalid(format!("photo {} is listed twice", cell(name))));
+        }
+    }
+    Ok(Split::new(path, rows, true))
+}
+
+fn read_lists(lists: &[(PathBuf, Part)]) -> Result<Split, SceneError> {
+    let mut rows = Vec::new();
+    for (path, part) in lists {
+        let text = text::read(path)?;
+        let names = text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
+        rows.extend(names.map(|name| (name.to_owned(), *part)));
+    }
+    let closed = lists.iter().any(|(_, part)| *part == Part::Train);
+    Ok(Split::new(&lists[0].0, rows, closed))
+}
+
+fn read_json(path: &Path, photos: &[&str]) -> Result<Split, SceneError> {
+    let text = text::read(path)?;
+    let invalid = |place: String, reason: String| SceneError::invalid(path, place, reason);
+    let value: Value = serde_json::from_str(&text)
+        .map_err(|e| invalid(format!("line {} column {}", e.line(), e.column()), e.to_string()))?;
+    let known = |(name, part): &(&'static str, Part)| Some((*name, *part, value.get(name)?));
+    let lists: Vec<_> = KEYS.iter().filter_map(known).collect();
+    if lists.is_empty() {
+        let keys = KEYS.map(|(name, _)| name).join(", ");
+        return Err(invalid("text".into(), format!("it is no split: it has none of the lists {keys}")));
+    }
+    let sorted = numbered(path, photos);
+    let mut rows = Vec::new();
+    for (name, part, list) in &lists {
+        let list =
+            list.as_array().ok_or_else(|| invalid((*name).into(), "it is no list of photos".into()))?;
+        for entry in list {
+            let photo = match (entry.as_str(), entry.as_u64()) {
+                (Some(photo), _) => photo.to_owned(),
+                (None, Some(at)) => sorted.get(at as usize).cloned().ok_or_else(|| {
+                    invalid(
+                        (*name).into(),
+                        format!("there is no photo number {at}: there are {}", sorted.len()),
+                    )
+                })?,
+                (None, None) => {
+                    return Err(invalid(
+                        (*name).into(),
+                        format!("{entry} is neither the name nor the number of a photo"),
+                    ));
+                }
+            };
+            rows.push((photo, *part));
+        }
+    }
+    let closed = lists.iter().any(|(_, part, _)| *part == Part::Train);
+    Ok(Split::new(path, rows, closed))
+}
+
+/// What numbers in a split.json stand for: the names of the frames of the transforms.json beside it, or of the photos of the
+/// reconstruction, by their last parts in order.
+fn numbered(split: &Path, photos: &[&str]) -> Vec<String> {
+    let beside = transforms::frame_names(&split.with_file_name("transforms.json"));
+    let names = beside.unwrap_or_else(|| photos.iter().map(|name| (*name).to_owned()).collect());
+    let mut names: Vec<String> = names.iter().map(|name| last_part(name).to_owned()).collect();
+    names.sort();
+    names
+}
+
+/// RobustNeRF's photos say themselves what they are for.
+fn by_names(photos: &[&str], folder: &Path) -> Option<Split> {
+    let part = |name: &str| {
+        let last = last_part(name).to_lowercase();
+        let parts = [("clutter", Part::Train), ("extra", Part::Test), ("clean", Part::Validation)];
+        parts.into_iter().find(|(word, _)| last.contains(word)).map(|(_, part)| part)
+    };
+    let row = |name: &&str| Some(((*name).to_owned(), part(name)?));
+    let rows: Vec<(String, Part)> = photos.iter().map(row).collect::<Option<_>>()?;
+    let some = |wanted: Part| rows.iter().any(|(_, part)| *part == wanted);
+    (some(Part::Train) && some(Part::Test))
+        .then(|| Split::new(&folder.join("(names of the photos)"), rows, true))
 }

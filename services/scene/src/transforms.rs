@@ -1,15 +1,20 @@
-//! nerfstudio's `transforms.json`.
+//! nerfstudio's and instant-ngp's `transforms.json`, and Blender's `transforms_train.json` with its siblings.
 //!
 //! Poses are camera to world with the camera's y up and z backwards (OpenGL); intrinsics are given for all frames, per
 //! frame, or as Blender's `camera_angle_x`.
 
-use crate::draft::{Draft, DraftPhoto, DraftPoint, DraftPose, finite};
+use crate::draft::{Draft, DraftPhoto, DraftPose, finite};
 use crate::lens::{Lens, Model};
+use crate::names::{Listing, is_inside, key, last_part, tidy};
 use crate::photo::Header;
-use crate::{SceneError, ply};
+use crate::split::{Part, Split};
+use crate::{SceneError, draft, locate, text};
 use glam::{DMat3, DVec3};
+use rayon::prelude::*;
 use serde::Deserialize;
+use std::collections::HashMap;
 use std::path::{Component, Path, PathBuf};
+use std::sync::OnceLock;
 
 /// Endings tried when a `file_path` has none, as Blender writes it.
 const ENDINGS: [&str; 6] = ["png", "jpg", "jpeg", "JPG", "PNG", "JPEG"];
@@ -30,8 +35,20 @@ struct Intrinsics {
     k2: Option<f64>,
     k3: Option<f64>,
     k4: Option<f64>,
+    k5: Option<f64>,
+    k6: Option<f64>,
     p1: Option<f64>,
     p2: Option<f64>,
+    /// nerfstudio's other form of the same: k1, k2, k3, k4, p1, p2.
+    distortion_params: Option<Vec<f64>>,
+    /// instant-ngp's words for a fisheye and for what is no lens.
+    is_fisheye: Option<bool>,
+    #[serde(alias = "latlong", alias = "is_equirectangular")]
+    equirectangular: Option<bool>,
+    #[serde(alias = "is_orthographic")]
+    orthographic: Option<bool>,
+    /// Its polynomial of the angle (f-theta).
+    ftheta_p0: Option<f64>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -50,48 +67,83 @@ struct Transforms {
     frames: Vec<Frame>,
     #[serde(default)]
     ply_file_path: Option<String>,
+    train_filenames: Option<Vec<String>>,
+    val_filenames: Option<Vec<String>>,
+    test_filenames: Option<Vec<String>>,
     #[serde(flatten)]
     intrinsics: Intrinsics,
 }
 
-/// The draft of a `transforms.json`; `images` is the folder to look in instead of the one the file names.
-pub(crate) fn read(path: &Path, images: Option<&Path>) -> Result<Draft, SceneError> {
-    let bytes = std::fs::read(path).map_err(SceneError::io(path))?;
-    // Python writes NaN and Infinity, which are no JSON: they become null, that is, missing.
-    let text = String::from_utf8_lossy(&bytes);
-    let text = without_nan(&text);
-    let transforms: Transforms = serde_json::from_str(&text).map_err(|e| {
-        SceneError::invalid(path, format!("line {} column {}", e.line(), e.column()), e.to_string())
-    })?;
-    let folder = path.parent().unwrap_or(Path::new("."));
+/// A file of cameras, and what its photos are for where its name says so.
+struct Sheet {
+    path: PathBuf,
+    part: Option<Part>,
+    transforms: Transforms,
+}
 
-    let listed: Vec<PathBuf> = transforms.frames.iter().map(|f| tidy(&f.file_path)).collect();
-    let common = common_folder(&listed);
-    let mut photos = Vec::with_capacity(listed.len());
-    for (frame, listed) in transforms.frames.iter().zip(&listed) {
-        let short = listed.strip_prefix(&common).unwrap_or(listed);
-        let wanted = images.map_or_else(|| folder.join(listed), |images| images.join(short));
-        let file = with_ending(&wanted);
-        // The name is that of the file that was found.
-        let mut name = short.to_owned();
-        if let Some(file_name) = file.file_name() {
-            name.set_file_name(file_name);
+/// Blender's three files, which are one scene.
+const BLENDER: [(&str, Part); 3] = [
+    ("transforms_train.json", Part::Train),
+    ("transforms_val.json", Part::Validation),
+    ("transforms_test.json", Part::Test),
+];
+
+/// The cameras file of a folder: `transforms.json`, or the first of Blender's.
+pub(crate) fn find(folder: &Path) -> Option<PathBuf> {
+    let names = std::iter::once("transforms.json").chain(BLENDER.map(|(name, _)| name));
+    names.map(|name| folder.join(name)).find(|path| path.is_file())
+}
+
+/// The names of the photos that a transforms.json lists; `None` where there is none that can be read.
+pub(crate) fn frame_names(path: &Path) -> Option<Vec<String>> {
+    let sheet = parse(path, None).ok()?;
+    Some(sheet.transforms.frames.into_iter().map(|frame| frame.file_path).collect())
+}
+
+/// The draft of a `transforms.json`, or of Blender's three files if it is one of them and `all` of the folder is meant; `images` is
+/// the folder to look in instead of the one the file names.
+pub(crate) fn read(path: &Path, images: Option<&Path>, all: bool) -> Result<Draft, SceneError> {
+    let folder = path.parent().unwrap_or(Path::new("."));
+    let beside =
+        BLENDER.map(|(name, part)| (folder.join(name), part)).into_iter().filter(|(p, _)| p.is_file());
+    let beside: Vec<(PathBuf, Part)> = beside.collect();
+    let mut notes = Vec::new();
+    let sheets: Vec<Sheet> = if all && beside.iter().any(|(p, _)| p == path) {
+        beside.iter().map(|(path, part)| parse(path, Some(*part))).collect::<Result<_, _>>()?
+    } else {
+        let others: Vec<String> =
+            beside.iter().filter(|(p, _)| p != path).map(|(p, _)| p.display().to_string()).collect();
+        if !others.is_empty() {
+            notes.push(format!("{} is read, and not {} beside it", path.display(), others.join(", ")));
         }
-        let lens = lens_of(&frame.intrinsics, &transforms.intrinsics, &file);
-        let name = name.to_string_lossy().replace('\\', "/");
-        let usable = frame.mask_path.as_deref().map(|mask| folder.join(tidy(mask)));
-        let pose = pose_of(&frame.transform_matrix);
-        photos.push(DraftPhoto { name, file: Some(file), usable, lens, pose });
-    }
-    let (mut points, mut notes) = (Vec::new(), Vec::new());
-    if let Some(ply) = transforms.ply_file_path.as_ref().map(|ply| folder.join(ply)) {
-        let point = |p: ply::Coloured| DraftPoint {
-            position: DVec3::from(p.position),
-            colour: p.colour,
-            track: Vec::new(),
+        vec![parse(path, None)?]
+    };
+    let files = PhotoFinder::new(folder, images);
+    let listed: Vec<PathBuf> = sheets
+        .iter()
+        .flat_map(|sheet| sheet.transforms.frames.iter().map(|f| PathBuf::from(rooted(&f.file_path))))
+        .collect();
+    let common = common_folder(&listed);
+    let frames: Vec<(&Sheet, &Frame)> =
+        sheets.iter().flat_map(|sheet| sheet.transforms.frames.iter().map(move |f| (sheet, f))).collect();
+    let photo = |(&(sheet, frame), listed): (&(&Sheet, &Frame), &PathBuf)| {
+        let short = listed.strip_prefix(&common).unwrap_or(listed);
+        let file = match images {
+            Some(_) => files.find(&short.to_string_lossy()),
+            None => files.find(&frame.file_path),
         };
+        let at = file.as_deref().unwrap_or(Path::new(""));
+        let lens = lens_of(&frame.intrinsics, &sheet.transforms.intrinsics, at);
+        let usable = frame.mask_path.as_deref().map(|mask| files.beside(mask));
+        let pose = pose_of(&frame.transform_matrix);
+        DraftPhoto { name: files.name(short, &file), file: Some(file), usable, lens, pose }
+    };
+    let photos: Vec<DraftPhoto> = frames.par_iter().zip(&listed).map(photo).collect();
+    let mut points = Vec::new();
+    let ply = sheets.iter().find_map(|sheet| sheet.transforms.ply_file_path.as_ref());
+    if let Some(ply) = ply.map(|ply| files.beside(ply)) {
         match ply.is_file() {
-            true => points = ply::read_points(&ply)?.into_iter().map(point).collect(),
+            true => points = draft::cloud(&ply)?,
             false => notes.push(format!(
                 "{}: its points are to be in {}, which is not there",
                 path.display(),
@@ -99,7 +151,137 @@ pub(crate) fn read(path: &Path, images: Option<&Path>) -> Result<Draft, SceneErr
             )),
         }
     }
-    Ok(Draft { photos, points, notes, source: path.to_owned() })
+    let split = split_of(path, &sheets, &photos);
+    Ok(Draft { photos, points, notes, split, source: path.to_owned() })
+}
+
+fn parse(path: &Path, part: Option<Part>) -> Result<Sheet, SceneError> {
+    // Python writes NaN and Infinity, which are no JSON: they become null, that is, missing.
+    let text = text::read(path)?;
+    let text = without_nan(&text);
+    let transforms: Transforms = serde_json::from_str(&text).map_err(|e| {
+        SceneError::invalid(path, format!("line {} column {}", e.line(), e.column()), e.to_string())
+    })?;
+    Ok(Sheet { path: path.to_owned(), part, transforms })
+}
+
+/// What the files themselves say of training and testing.
+fn split_of(path: &Path, sheets: &[Sheet], photos: &[DraftPhoto]) -> Option<Split> {
+    let mut names = photos.iter().map(|photo| photo.name.clone());
+    if sheets.iter().any(|sheet| sheet.part.is_some()) {
+        let parts =
+            sheets.iter().flat_map(|s| s.transforms.frames.iter().map(|_| s.part.unwrap_or(Part::Train)));
+        let folder = path.parent().unwrap_or(path);
+        let files = sheets.iter().map(|s| last_part(&s.path.to_string_lossy()).to_owned());
+        let source = folder.join(files.collect::<Vec<_>>().join(" + "));
+        return Some(Split::new(&source, names.zip(parts).collect::<Vec<_>>(), true));
+    }
+    let Transforms { frames, train_filenames, val_filenames, test_filenames, .. } = &sheets[0].transforms;
+    let lists =
+        [(train_filenames, Part::Train), (val_filenames, Part::Validation), (test_filenames, Part::Test)];
+    if lists.iter().all(|(list, _)| list.is_none()) {
+        return None;
+    }
+    let known: HashMap<String, String> =
+        frames.iter().map(|frame| key(&frame.file_path)).zip(names.by_ref()).collect();
+    let named = |file: &String| known.get(&key(file)).cloned().unwrap_or_else(|| file.clone());
+    let rows = lists.iter().flat_map(|(list, part)| list.iter().flatten().map(|file| (named(file), *part)));
+    Some(Split::new(path, rows.collect::<Vec<_>>(), train_filenames.is_some()))
+}
+
+/// Finds the files that a transforms.json names, in the scene's folder and nowhere else.
+struct PhotoFinder<'a> {
+    /// Folder of the file, and of the photos.
+    folder: &'a Path,
+    photos: PathBuf,
+    listing: OnceLock<Listing>,
+    below: Vec<(PathBuf, OnceLock<Listing>)>,
+}
+
+impl<'a> PhotoFinder<'a> {
+    fn new(folder: &'a Path, images: Option<&Path>) -> PhotoFinder<'a> {
+        let photos = images.unwrap_or(folder).to_owned();
+        let places = locate::PHOTO_FOLDERS.iter().filter(|place| **place != "." && images.is_none());
+        let below = places.map(|place| folder.join(place)).filter(|place| place.is_dir());
+        let below = below.map(|place| (place, OnceLock::new())).collect();
+        PhotoFinder { folder, photos, listing: OnceLock::new(), below }
+    }
+
+    /// The file of a photo.
+    ///
+    /// # Errors
+    /// In words, when it is not there.
+    fn find(&self, listed: &str) -> Result<PathBuf, String> {
+        let tidied = tidy(listed);
+        let other = (tidied != listed).then_some(tidied.as_str());
+        for name in std::iter::once(listed).chain(other) {
+            if let Some(path) = inside(&self.photos, name).map(|path| with_ending(&path))
+                && path.is_file()
+            {
+                return Ok(path);
+            }
+        }
+        let listings =
+            std::iter::once((&self.photos, &self.listing)).chain(self.below.iter().map(|(p, l)| (p, l)));
+        for (folder, listing) in listings {
+            let listing = listing.get_or_init(|| Listing::of(folder));
+            let endings =
+                ENDINGS.iter().filter(|_| !has_ending(listed)).map(|ending| format!("{listed}.{ending}"));
+            let found =
+                std::iter::once(listed.to_owned()).chain(endings).find_map(|name| listing.tail(&name));
+            if let Some(entry) = found {
+                return Ok(entry.path.clone());
+            }
+        }
+        if inside(&self.photos, listed).is_none() && self.folder.join(listed).is_file() {
+            return Err(format!(
+                "its file {listed} lies outside of the scene's folder {}: copy it there, or name the folder of the photos with `images`",
+                self.folder.display()
+            ));
+        }
+        let candidate = self.listing.get().and_then(|listing| listing.candidate(listed));
+        Err(locate::no_file(&self.photos, listed, candidate))
+    }
+
+    /// What a photo is called: by the file that was found, if one was.
+    fn name(&self, short: &Path, file: &Result<PathBuf, String>) -> String {
+        let Ok(file) = file else { return short.to_string_lossy().into_owned() };
+        let mut name = short.to_owned();
+        if let Some(file_name) = file.file_name() {
+            name.set_file_name(text::line(file_name.as_encoded_bytes()));
+        }
+        let name = name.to_string_lossy().into_owned();
+        match file.strip_prefix(&self.photos) {
+            Ok(within) if !is_inside(&name) => text::line(within.as_os_str().as_encoded_bytes()),
+            _ => name,
+        }
+    }
+
+    /// A file that is named beside the photos; where it would be if it is not there.
+    fn beside(&self, name: &str) -> PathBuf {
+        let wanted = [name.to_owned(), tidy(name)].into_iter().filter_map(|name| inside(self.folder, &name));
+        if let Some(path) = wanted.clone().find(|path| path.is_file()) {
+            return path;
+        }
+        let listing = self.listing.get_or_init(|| Listing::of(&self.photos));
+        let found = listing.tail(name).map(|entry| entry.path.clone());
+        found.or_else(|| wanted.into_iter().next()).unwrap_or_else(|| self.folder.join(tidy(name)))
+    }
+}
+
+/// The file of a name as it stands in a folder; `None` where it would lie outside.
+fn inside(folder: &Path, name: &str) -> Option<PathBuf> {
+    let mut path = PathBuf::new();
+    for component in folder.join(name).components() {
+        match component {
+            Component::CurDir => {}
+            Component::ParentDir => {
+                path.pop();
+            }
+            other => path.push(other),
+        }
+    }
+    path.starts_with(folder).then_some(path)
 }
 
 /// Replaces the bare words NaN and Infinity, which Python's json writes, outside strings.
@@ -124,9 +306,10 @@ fn without_nan(text: &str) -> String {
     out
 }
 
-/// A path without `.` parts.
-fn tidy(path: &str) -> PathBuf {
-    Path::new(path).components().filter(|c| *c != Component::CurDir).collect()
+/// A listed path with `/` between its parts; the root of an absolute one is kept, so that it is a folder like the others.
+fn rooted(listed: &str) -> String {
+    let tidied = tidy(listed);
+    if listed.starts_with('/') { format!("/{tidied}") } else { tidied }
 }
 
 /// The folder that all files share, so that photos are named within it.
@@ -144,8 +327,13 @@ fn common_folder(files: &[PathBuf]) -> PathBuf {
     common
 }
 
+fn has_ending(name: &str) -> bool {
+    let ending = Path::new(name).extension().map(|e| e.to_string_lossy().to_lowercase());
+    ending.is_some_and(|e| locate::PHOTO_ENDINGS.contains(&e.as_str()))
+}
+
 fn with_ending(path: &Path) -> PathBuf {
-    if path.is_file() {
+    if path.is_file() || has_ending(&path.to_string_lossy()) {
         return path.to_owned();
     }
     let ended = ENDINGS.iter().map(|ending| {
@@ -159,7 +347,6 @@ fn with_ending(path: &Path) -> PathBuf {
 
 fn lens_of(frame: &Intrinsics, all: &Intrinsics, file: &Path) -> Result<Lens, String> {
     let get = |field: fn(&Intrinsics) -> Option<f64>| field(frame).or(field(all));
-    let model = frame.camera_model.as_deref().or(all.camera_model.as_deref()).unwrap_or("OPENCV");
     let (width, height) = match (get(|i| i.w), get(|i| i.h)) {
         (Some(w), Some(h)) => {
             let side = |n: f64| if n >= 1.0 && n.fract() == 0.0 { Ok(n as u64) } else { Err(()) };
@@ -184,16 +371,53 @@ fn lens_of(frame: &Intrinsics, all: &Intrinsics, file: &Path) -> Result<Lens, St
     };
     let cx = get(|i| i.cx).unwrap_or(0.5 * width as f64);
     let cy = get(|i| i.cy).unwrap_or(0.5 * height as f64);
-    let k = |field: fn(&Intrinsics) -> Option<f64>| get(field).unwrap_or(0.0);
-    let (k1, k2, k3, k4) = (k(|i| i.k1), k(|i| i.k2), k(|i| i.k3), k(|i| i.k4));
-    match model {
-        "PINHOLE" | "SIMPLE_PINHOLE" => Lens::new(Model::Pinhole, width, height, &[fx, fy, cx, cy]),
-        "OPENCV" | "SIMPLE_RADIAL" | "RADIAL" => {
-            let params = [fx, fy, cx, cy, k1, k2, k(|i| i.p1), k(|i| i.p2)];
-            Lens::new(Model::OpenCv, width, height, &params).map(|lens| lens.with_radial(k3, k4))
+    let pinhole = [fx, fy, cx, cy];
+    // k1 to k6, p1, p2.
+    let k = match frame.distortion_params.as_ref().or(all.distortion_params.as_ref()) {
+        Some(params) => {
+            let at = |i: usize| params.get(i).copied().unwrap_or(0.0);
+            [at(0), at(1), at(2), at(3), 0.0, 0.0, at(4), at(5)]
         }
-        "OPENCV_FISHEYE" | "SIMPLE_RADIAL_FISHEYE" | "RADIAL_FISHEYE" => {
-            Lens::new(Model::OpenCvFisheye, width, height, &[fx, fy, cx, cy, k1, k2, k3, k4])
+        None => {
+            let fields: [fn(&Intrinsics) -> Option<f64>; 8] =
+                [|i| i.k1, |i| i.k2, |i| i.k3, |i| i.k4, |i| i.k5, |i| i.k6, |i| i.p1, |i| i.p2];
+            fields.map(|field| get(field).unwrap_or(0.0))
+        }
+    };
+    distorted(&model_of(frame, all)?, (width, height), pinhole, k)
+}
+
+/// The camera model that a frame names; an error in words where it is none that maps to a pinhole.
+fn model_of(frame: &Intrinsics, all: &Intrinsics) -> Result<String, String> {
+    let says = |field: fn(&Intrinsics) -> Option<bool>| field(frame).or(field(all)) == Some(true);
+    let named = frame.camera_model.as_deref().or(all.camera_model.as_deref()).unwrap_or("OPENCV");
+    let model = named.to_uppercase();
+    if says(|i| i.equirectangular) || model == "EQUIRECTANGULAR" {
+        return Err(
+            "camera model EQUIRECTANGULAR is a panorama: cut perspective photos out of it first".into()
+        );
+    }
+    if says(|i| i.orthographic) || model == "ORTHOPHOTO" {
+        return Err("camera model ORTHOPHOTO has no perspective: no scene can be made from it".into());
+    }
+    if frame.ftheta_p0.or(all.ftheta_p0).is_some() {
+        return Err("instant-ngp's f-theta lens cannot be undistorted; undistort the photos first".into());
+    }
+    Ok(if says(|i| i.is_fisheye) { "OPENCV_FISHEYE".into() } else { model })
+}
+
+fn distorted(model: &str, size: (u64, u64), pinhole: [f64; 4], k: [f64; 8]) -> Result<Lens, String> {
+    let (width, height) = size;
+    let [k1, k2, k3, k4, k5, k6, p1, p2] = k;
+    let lens = |model: Model, more: &[f64]| Lens::new(model, width, height, &[&pinhole[..], more].concat());
+    match model {
+        "PINHOLE" | "SIMPLE_PINHOLE" => lens(Model::Pinhole, &[]),
+        "OPENCV" | "PERSPECTIVE" | "SIMPLE_RADIAL" | "RADIAL" => {
+            lens(Model::OpenCv, &[k1, k2, p1, p2]).map(|lens| lens.with_radial(k3, k4))
+        }
+        "FULL_OPENCV" => lens(Model::FullOpenCv, &[k1, k2, p1, p2, k3, k4, k5, k6]),
+        "OPENCV_FISHEYE" | "FISHEYE" | "SIMPLE_FISHEYE" | "SIMPLE_RADIAL_FISHEYE" | "RADIAL_FISHEYE" => {
+            lens(Model::OpenCvFisheye, &[k1, k2, k3, k4])
         }
         other => Err(format!("camera model {other} cannot be undistorted; undistort the photos first")),
     }

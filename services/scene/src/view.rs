@@ -1,7 +1,9 @@
 //! Posed photos and the scene they belong to.
 
+use crate::names::{key, last_part, stem};
 use crate::{Camera, NEAR, Pose};
 use glam::{DVec3, Vec2, Vec3};
+use std::collections::HashMap;
 use std::path::PathBuf;
 
 /// Where a photo's pixels come from and what must be done to them on load.
@@ -79,8 +81,10 @@ impl Skipped {
     /// ```
     pub fn in_words(all: &[Skipped]) -> Vec<String> {
         let mut reasons: Vec<(&str, Vec<&str>)> = Vec::new();
+        let mut known: HashMap<&str, usize> = HashMap::new();
         for Skipped { name, reason } in all {
-            match reasons.iter_mut().find(|(known, _)| known == reason) {
+            let at = *known.entry(reason).or_insert(reasons.len());
+            match reasons.get_mut(at) {
                 Some((_, names)) => names.push(name),
                 None => reasons.push((reason, vec![name])),
             }
@@ -150,17 +154,22 @@ impl Scene {
         if at.z > NEAR { (camera.pixel(at) - Vec2::from(seen.pixel)).length() / long } else { 1.0 }
     }
 
-    /// Index of the view a person means by `name`: its full name, or its stem if that is unambiguous.
+    /// Index of the view a person means by `name`: its full name; else that without its folders and ending, or with other slashes or
+    /// other case, if only one view has it.
     pub fn view_named(&self, name: &str) -> Option<usize> {
-        if let Some(i) = self.views.iter().position(|v| v.name == name) {
-            return Some(i);
-        }
-        let stem = |s: &str| std::path::Path::new(s).file_stem().map(|s| s.to_string_lossy().into_owned());
-        let mut hits = self.views.iter().enumerate().filter(|(_, v)| stem(&v.name).as_deref() == Some(name));
-        match (hits.next(), hits.next()) {
-            (Some((i, _)), None) => Some(i),
-            _ => None,
-        }
+        let exact = self.views.iter().position(|v| v.name == name);
+        let only = |fits: &dyn Fn(&str) -> bool| {
+            let mut hits = self.views.iter().enumerate().filter(|(_, v)| fits(&v.name));
+            match (hits.next(), hits.next()) {
+                (Some((i, _)), None) => Some(i),
+                _ => None,
+            }
+        };
+        let wanted = key(name);
+        exact
+            .or_else(|| only(&|view| stem(last_part(view)) == name))
+            .or_else(|| only(&|view| key(view) == wanted))
+            .or_else(|| only(&|view| last_part(&key(view)) == wanted))
     }
 }
 

@@ -1,5 +1,246 @@
 //! COLMAP reconstructions: where they lie, what their cameras are, how their names are written.
 
-use crate::Row;
+use crate::base::Files;
+use crate::{Expect, Row};
+use segwild_scene::colmap::{self, Reconstruction};
 
-pub const ROWS: &[Row] = &[];
+/// Keeps the photos of these indexes, as COLMAP does where it makes several models.
+fn part(files: &Files, to: &str, photos: std::ops::Range<usize>) {
+    let mut model = files.model.clone();
+    model.images = model.images[photos].to_vec();
+    let ids: Vec<u32> = model.images.iter().map(|image| image.id).collect();
+    model.points.iter_mut().for_each(|point| point.track.retain(|(id, _)| ids.contains(id)));
+    colmap::write(&files.path(to), &model).expect("a model is written");
+}
+
+fn text(files: &Files) {
+    files.remove("sparse/0");
+    colmap::write_text(&files.path("sparse/0"), &files.model).expect("the model is written");
+}
+
+/// Writes the model as text, each file changed.
+fn text_as(files: &Files, change: impl Fn(Vec<u8>) -> Vec<u8>) {
+    text(files);
+    for name in ["cameras", "images", "points3D"] {
+        let name = format!("sparse/0/{name}.txt");
+        let bytes = std::fs::read(files.path(&name)).expect("the text is there");
+        files.write(&name, change(bytes));
+    }
+}
+
+fn renamed(files: &Files, name: impl Fn(&str) -> String) {
+    files.remodel(|model: &mut Reconstruction| {
+        model.images.iter_mut().for_each(|image| image.name = name(&image.name));
+    });
+}
+
+pub const ROWS: &[Row] = &[
+    Row {
+        name: "several models, the largest is not the first",
+        make: |files| {
+            files.remove("sparse");
+            part(files, "sparse/0", 0..2);
+            part(files, "sparse/1", 2..12);
+        },
+        settings: &[],
+        expect: Expect::Reads {
+            photos: 10,
+            words: &["sparse/1 with 10 photos is taken", "sparse/0 (2)", "2 of the photos"],
+        },
+    },
+    Row {
+        name: "a model in sparse/1 alone",
+        make: |files| files.rename("sparse/0", "sparse/1"),
+        settings: &[],
+        expect: Expect::Reads { photos: 12, words: &[] },
+    },
+    Row {
+        name: "a model in colmap/sparse/0, as nerfstudio puts it",
+        make: |files| files.rename("sparse/0", "colmap/sparse/0"),
+        settings: &[],
+        expect: Expect::Reads { photos: 12, words: &[] },
+    },
+    Row {
+        name: "a model in distorted/sparse/0, as INRIA's script puts it",
+        make: |files| {
+            files.rename("sparse/0", "distorted/sparse/0");
+            files.rename("images", "input");
+        },
+        settings: &[],
+        expect: Expect::Reads { photos: 12, words: &[] },
+    },
+    Row {
+        name: "an undistorted model beside the distorted one",
+        make: |files| colmap::write(&files.path("distorted/sparse/0"), &files.model).expect("written"),
+        settings: &[],
+        expect: Expect::Reads {
+            photos: 12,
+            words: &["/sparse/0 with 12 photos is taken", "distorted/sparse/0 (12)"],
+        },
+    },
+    Row {
+        name: "a model in dense/0/sparse, as COLMAP's automatic reconstructor puts it",
+        make: |files| {
+            files.rename("sparse/0", "dense/0/sparse");
+            files.rename("images", "dense/0/images");
+        },
+        settings: &[],
+        expect: Expect::Reads { photos: 12, words: &[] },
+    },
+    Row {
+        name: "points3D.ply in place of points3D.bin",
+        make: |files| {
+            files.remove("sparse/0/points3D.bin");
+            let head = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n\
+                        property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n";
+            files.write("sparse/0/points3D.ply", format!("{head}0 0 5 10 20 30\n1 0 5 10 20 30\n"));
+        },
+        settings: &[],
+        expect: Expect::Reads { photos: 12, words: &["points3D.ply", "2 of 2 points name no photo"] },
+    },
+    Row {
+        name: "rigs.bin and frames.bin of COLMAP 3.12 beside the model",
+        make: |files| {
+            files.write("sparse/0/rigs.bin", [1, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0]);
+            files.write("sparse/0/frames.bin", [12, 0, 0, 0, 0, 0, 0, 0]);
+        },
+        settings: &[],
+        expect: Expect::Reads { photos: 12, words: &[] },
+    },
+    Row {
+        name: "photos on disk that the model does not hold",
+        make: |files| ["more1.jpg", "more2.png"].iter().for_each(|name| files.photo(name)),
+        settings: &[],
+        expect: Expect::Reads { photos: 12, words: &["2 of the photos", "more1.jpg"] },
+    },
+    Row {
+        name: "text with a byte order mark and CRLF",
+        make: |files| {
+            text_as(files, |bytes| {
+                let text = String::from_utf8(bytes).expect("text").replace('\n', "\r\n");
+                [&b"\xef\xbb\xbf"[..], text.as_bytes()].concat()
+            });
+        },
+        settings: &[],
+        expect: Expect::Reads { photos: 12, words: &[] },
+    },
+    Row {
+        name: "text in UTF-16",
+        make: |files| {
+            text_as(files, |bytes| {
+                [0xff, 0xfe].into_iter().chain(bytes.into_iter().flat_map(|b| [b, 0])).collect()
+            });
+        },
+        settings: &[],
+        expect: Expect::Refuses(&["cameras.txt", "UTF-16", "save it as UTF-8"]),
+    },
+    Row {
+        name: "backslashes in names",
+        make: |files| {
+            files.rename("images", "images2");
+            files.rename("images2", "images/cam 0");
+            renamed(files, |name| format!(r"cam 0\{name}"));
+        },
+        settings: &[],
+        expect: Expect::Holds {
+            photos: 12,
+            check: |scene| assert_eq!(scene.views[0].name, "cam 0/photo00.png"),
+        },
+    },
+    Row {
+        name: "names of another machine, Windows",
+        make: |files| renamed(files, |name| format!(r"C:\Users\x\scene\images\{name}")),
+        settings: &[],
+        expect: Expect::Reads { photos: 12, words: &["12 photos have other names"] },
+    },
+    Row {
+        name: "names of another machine, absolute",
+        make: |files| renamed(files, |name| format!("/home/other/scene/images/{name}")),
+        settings: &[],
+        expect: Expect::Reads { photos: 12, words: &["12 photos have other names"] },
+    },
+    Row {
+        name: "names that begin with ./",
+        make: |files| renamed(files, |name| format!("./{name}")),
+        settings: &[],
+        expect: Expect::Reads { photos: 12, words: &[] },
+    },
+    Row {
+        name: "names whose case differs from the files'",
+        make: |files| renamed(files, |name| name.replace(".png", ".PNG")),
+        settings: &[],
+        expect: Expect::Reads {
+            photos: 12,
+            words: &["12 photos have other names", "photo00.PNG is photo00.png"],
+        },
+    },
+    Row {
+        name: "a photo in another folder than the model says",
+        make: |files| files.rename("images/photo05.png", "images/other/photo05.png"),
+        settings: &[],
+        expect: Expect::Reads {
+            photos: 11,
+            words: &["photo05.png: there is no file", "other/photo05.png may be the one"],
+        },
+    },
+    Row {
+        name: "a photo with another ending than the model says",
+        make: |files| files.rename("images/photo05.png", "images/photo05.jpg"),
+        settings: &[],
+        expect: Expect::Reads { photos: 11, words: &["photo05.jpg may be the one"] },
+    },
+    Row {
+        name: "a name that leads out of the photo folder",
+        make: |files| {
+            files.rename("images/photo05.png", "photo05.png");
+            renamed(files, |name| name.replace("photo05", "../photo05"));
+        },
+        settings: &[],
+        expect: Expect::Reads { photos: 11, words: &["../photo05.png", "inside the photo folder"] },
+    },
+    #[cfg(target_os = "linux")]
+    Row {
+        name: "names in Latin-1",
+        make: |files| {
+            use std::os::unix::ffi::OsStrExt;
+            let latin = std::ffi::OsStr::from_bytes(b"Stra\xdfe.png");
+            let images = files.path("images/x");
+            let images = images.parent().expect("the photo folder");
+            std::fs::rename(images.join("photo05.png"), images.join(latin)).expect("a photo is renamed");
+            // The other lies there as UTF-8.
+            std::fs::rename(images.join("photo06.png"), images.join("Größe.png"))
+                .expect("a photo is renamed");
+            let path = files.path("sparse/0/images.bin");
+            let bytes = std::fs::read(&path).expect("the model is there");
+            let bytes = replace(&bytes, b"photo05.png", b"Stra\xdfe.png");
+            files.write("sparse/0/images.bin", replace(&bytes, b"photo06.png", b"Gr\xf6\xdfe.png"));
+        },
+        settings: &[],
+        expect: Expect::Reads { photos: 12, words: &[] },
+    },
+    Row {
+        name: "an edited .txt beside a stale .bin",
+        make: |files| {
+            let mut edited = files.model.clone();
+            edited.images.pop();
+            colmap::write_text(&files.path("sparse/0"), &edited).expect("written");
+        },
+        settings: &[],
+        expect: Expect::Reads {
+            photos: 12,
+            words: &["the .txt files do not say", "11 photos and 12", "the .bin files are read"],
+        },
+    },
+    Row {
+        name: "the same model as .txt and .bin",
+        make: |files| colmap::write_text(&files.path("sparse/0"), &files.model).expect("written"),
+        settings: &[],
+        expect: Expect::Holds { photos: 12, check: |scene| assert_eq!(scene.notes, [""; 0]) },
+    },
+];
+
+#[cfg(target_os = "linux")]
+fn replace(bytes: &[u8], from: &[u8], to: &[u8]) -> Vec<u8> {
+    let at = bytes.windows(from.len()).position(|window| window == from).expect("the name is there");
+    [&bytes[..at], to, &bytes[at + from.len()..]].concat()
+}

@@ -1,5 +1,217 @@
 //! Splits: which photos are for training and which for testing.
 
-use crate::Row;
+use crate::base::{Files, PHOTOS};
+use crate::transforms::{frames, write};
+use crate::{Expect, Row};
+use segwild_scene::Scene;
 
-pub const ROWS: &[Row] = &[];
+/// The photos held out.
+fn tests(scene: &Scene) -> Vec<&str> {
+    scene.views.iter().filter(|view| view.test).map(|view| view.name.as_str()).collect()
+}
+
+fn first_two(scene: &Scene) {
+    assert_eq!(tests(scene), ["photo00.png", "photo01.png"]);
+}
+
+/// Names of photos, each in quotes.
+fn quoted(photos: std::ops::Range<u32>, folder: &str) -> String {
+    let names: Vec<String> = photos.map(|i| format!("\"{folder}photo{i:02}.png\"")).collect();
+    names.join(", ")
+}
+
+fn lines(photos: std::ops::Range<u32>) -> String {
+    photos.map(|i| format!("photo{i:02}.png\r\n")).collect()
+}
+
+pub const ROWS: &[Row] = &[
+    Row {
+        name: "split.json of names, clutter and extra",
+        make: |files| {
+            files.write(
+                "split.json",
+                format!("{{\"clutter\": [{}], \"extra\": [{}]}}", quoted(2..10, ""), quoted(0..2, "")),
+            );
+        },
+        settings: &[],
+        expect: Expect::Holds { photos: 10, check: first_two },
+    },
+    Row {
+        name: "split.json of numbers beside transforms.json, as NeRF On-the-go has it",
+        make: |files| {
+            files.remove("sparse");
+            write(files, "", &frames(0..PHOTOS, "images/"));
+            files.write("split.json", "{\"clutter\": [2, 3, 4, 5, 6, 7], \"extra\": [0, 1]}");
+        },
+        settings: &[],
+        expect: Expect::Holds { photos: 8, check: first_two },
+    },
+    Row {
+        name: "a split is spoken of",
+        make: |files| files.write("split.json", "{\"clutter\": [2, 3, 4, 5, 6, 7], \"extra\": [0, 1]}"),
+        settings: &[],
+        expect: Expect::Reads {
+            photos: 8,
+            words: &[
+                "split.json is taken: 6 photos train, 2 are held out",
+                "4 are left out",
+                "not listed in the split",
+            ],
+        },
+    },
+    Row {
+        name: "split.json with a number of no photo",
+        make: |files| files.write("split.json", "{\"clutter\": [2, 300], \"extra\": [0, 1]}"),
+        settings: &[],
+        expect: Expect::Refuses(&["split.json", "clutter", "no photo number 300"]),
+    },
+    Row {
+        name: "split.json of something else",
+        make: |files| files.write("split.json", "{\"folds\": 5}"),
+        settings: &[],
+        expect: Expect::Refuses(&["split.json", "it is no split"]),
+    },
+    Row {
+        name: "train_list.txt and test_list.txt",
+        make: |files| {
+            files.write("train_list.txt", lines(2..12));
+            files.write("test_list.txt", lines(0..2));
+        },
+        settings: &[],
+        expect: Expect::Holds { photos: 12, check: first_two },
+    },
+    Row {
+        name: "test_list.txt alone, names without endings",
+        make: |files| files.write("test_list.txt", "\u{feff}photo00\nphoto01\n"),
+        settings: &[],
+        expect: Expect::Holds { photos: 12, check: first_two },
+    },
+    Row {
+        name: "test.txt beside the model, as INRIA has it",
+        make: |files| files.write("sparse/0/test.txt", "photo00.png\nphoto01.png\n"),
+        settings: &[],
+        expect: Expect::Holds { photos: 12, check: first_two },
+    },
+    Row {
+        name: "test.txt of something else",
+        make: |files| files.write("test.txt", "hello\n"),
+        settings: &[],
+        expect: Expect::Reads { photos: 12, words: &["test.txt: it names no photo of this scene"] },
+    },
+    Row {
+        name: "two splits",
+        make: |files| {
+            files.write("test_list.txt", "photo00.png\n");
+            files.write("split.json", "{\"train\": [1], \"test\": [0]}");
+        },
+        settings: &[],
+        expect: Expect::Refuses(&["several splits", "split.json", "test_list.txt", "name one"]),
+    },
+    Row {
+        name: "a named list out of two splits",
+        make: |files| {
+            files.write("test_list.txt", "photo00.png\nphoto01.png\n");
+            files.write("split.json", "{\"train\": [1], \"test\": [0]}");
+        },
+        settings: &[("split", "test_list.txt")],
+        expect: Expect::Holds { photos: 12, check: first_two },
+    },
+    Row {
+        name: "no split is wanted",
+        make: |files| files.write("split.json", "{\"train\": [1], \"test\": [0]}"),
+        settings: &[("split", "none")],
+        expect: Expect::Holds { photos: 12, check: |scene| assert!(tests(scene).is_empty()) },
+    },
+    Row {
+        name: "train_filenames and test_filenames in transforms.json",
+        make: |files| {
+            files.remove("sparse");
+            let head = format!(
+                "\"train_filenames\": [{}], \"val_filenames\": [{}], \"test_filenames\": [{}],",
+                quoted(3..12, "images/"),
+                quoted(2..3, "images/"),
+                quoted(0..2, "./images/")
+            );
+            write(files, &head, &frames(0..PHOTOS, "images/"));
+        },
+        settings: &[],
+        expect: Expect::Holds { photos: 11, check: first_two },
+    },
+    Row {
+        name: "val_filenames where nothing else is for testing",
+        make: |files| {
+            files.remove("sparse");
+            let head = format!(
+                "\"train_filenames\": [{}], \"val_filenames\": [{}],",
+                quoted(2..12, "images/"),
+                quoted(0..2, "images/")
+            );
+            write(files, &head, &frames(0..PHOTOS, "images/"));
+        },
+        settings: &[],
+        expect: Expect::Holds { photos: 12, check: first_two },
+    },
+    Row {
+        name: "Blender's transforms_train, _val and _test",
+        make: |files| {
+            files.remove("sparse");
+            for (part, photos) in [("train", 3..12), ("val", 2..3), ("test", 0..2)] {
+                for i in photos.clone() {
+                    files.rename(&format!("images/photo{i:02}.png"), &format!("{part}/photo{i:02}.png"));
+                }
+                let frames = frames(photos, &format!("./{part}/")).replace(".png\"", "\"");
+                let angle = 2.0 * (24.0f64 / 50.0).atan();
+                files.write(
+                    &format!("transforms_{part}.json"),
+                    format!("{{\"camera_angle_x\": {angle}, \"frames\": [{frames}]}}"),
+                );
+            }
+        },
+        settings: &[],
+        expect: Expect::Holds {
+            photos: 11,
+            check: |scene| {
+                assert_eq!(tests(scene), ["test/photo00.png", "test/photo01.png"]);
+                assert!(
+                    scene
+                        .skipped
+                        .iter()
+                        .any(|s| s.name == "val/photo02.png" && s.reason.contains("validation"))
+                );
+            },
+        },
+    },
+    Row {
+        name: "RobustNeRF's names",
+        make: |files| {
+            let name = |i: u32| match i {
+                0 | 1 => format!("2extra{i:03}.png"),
+                2 => format!("0clean{i:03}.png"),
+                _ => format!("1clutter{i:03}.png"),
+            };
+            for i in 0..PHOTOS {
+                files.rename(&format!("images/photo{i:02}.png"), &format!("images/{}", name(i)));
+            }
+            files.remodel(|model| (0..PHOTOS).for_each(|i| model.images[i as usize].name = name(i)));
+        },
+        settings: &[],
+        expect: Expect::Holds {
+            photos: 11,
+            check: |scene| assert_eq!(tests(scene), ["2extra000.png", "2extra001.png"]),
+        },
+    },
+    Row {
+        name: "a .tsv with a byte order mark and Latin-1",
+        make: |files: &Files| {
+            let mut bytes =
+                b"\xef\xbb\xbffilename\tid\tsplit\tdataset\r\nStra\xdfe.jpg\t9\ttrain\tx\r\n".to_vec();
+            for i in 0..PHOTOS {
+                let part = if i < 2 { "test" } else { "train" };
+                bytes.extend(format!("photo{i:02}.png\t{i}\t{part}\tx\r\n").as_bytes());
+            }
+            files.write("x.tsv", bytes);
+        },
+        settings: &[],
+        expect: Expect::Holds { photos: 12, check: first_two },
+    },
+];

@@ -1,5 +1,153 @@
 //! Files of cameras as JSON: nerfstudio, Blender, instant-ngp.
 
-use crate::Row;
+use crate::base::{Files, PHOTOS};
+use crate::{Expect, Row};
+use segwild_scene::Scene;
+use segwild_scene::colmap::Model;
 
-pub const ROWS: &[Row] = &[];
+/// Frames of the good scene's cameras, the names in this folder.
+pub fn frames(photos: std::ops::Range<u32>, folder: &str) -> String {
+    let frame = |i: u32| {
+        let x = f64::from(i) / f64::from(PHOTOS - 1);
+        let pose = format!("[[1,0,0,{x}],[0,-1,0,0],[0,0,-1,0],[0,0,0,1]]");
+        format!("{{\"file_path\": \"{folder}photo{i:02}.png\", \"transform_matrix\": {pose}}}")
+    };
+    photos.map(frame).collect::<Vec<_>>().join(",\n")
+}
+
+/// Writes a transforms.json with the good scene's intrinsics.
+pub fn write(files: &Files, head: &str, frames: &str) {
+    let intrinsics = r#""fl_x": 50, "fl_y": 50, "cx": 24, "cy": 18, "w": 48, "h": 36"#;
+    files.write("transforms.json", format!("{{{head} {intrinsics}, \"frames\": [{frames}]}}"));
+}
+
+fn only(files: &Files, head: &str, folder: &str) {
+    files.remove("sparse");
+    write(files, head, &frames(0..PHOTOS, folder));
+}
+
+fn lens(scene: &Scene) -> Option<Model> {
+    scene.views[0].photo.lens.as_ref().map(|lens| lens.model())
+}
+
+pub const ROWS: &[Row] = &[
+    Row {
+        name: "instant-ngp's is_fisheye",
+        make: |files| {
+            only(
+                files,
+                r#""is_fisheye": true, "k1": 0.02, "k2": -0.01, "k3": 0.003, "k4": -0.001,"#,
+                "images/",
+            )
+        },
+        settings: &[],
+        expect: Expect::Holds {
+            photos: 12,
+            check: |scene| assert_eq!(lens(scene), Some(Model::OpenCvFisheye)),
+        },
+    },
+    Row {
+        name: "FULL_OPENCV in transforms.json",
+        make: |files| {
+            let head = r#""camera_model": "FULL_OPENCV", "k1": 0.02, "k2": 0.01, "k3": 0.001, "k4": 0.01, "k5": 0.001, "k6": 0.001,
+                "p1": 0.001, "p2": -0.001,"#;
+            only(files, head, "images/");
+        },
+        settings: &[],
+        expect: Expect::Holds { photos: 12, check: |scene| assert_eq!(lens(scene), Some(Model::FullOpenCv)) },
+    },
+    Row {
+        name: "distortion_params of nerfstudio",
+        make: |files| {
+            only(
+                files,
+                r#""camera_model": "OPENCV", "distortion_params": [0.02, 0.01, 0, 0, 0.001, 0.001],"#,
+                "images/",
+            )
+        },
+        settings: &[],
+        expect: Expect::Holds { photos: 12, check: |scene| assert_eq!(lens(scene), Some(Model::OpenCv)) },
+    },
+    Row {
+        name: "panoramas in transforms.json",
+        make: |files| only(files, r#""camera_model": "EQUIRECTANGULAR","#, "images/"),
+        settings: &[],
+        expect: Expect::Refuses(&["EQUIRECTANGULAR", "panorama"]),
+    },
+    Row {
+        name: "orthophotos in transforms.json",
+        make: |files| only(files, r#""camera_model": "ORTHOPHOTO","#, "images/"),
+        settings: &[],
+        expect: Expect::Refuses(&["ORTHOPHOTO", "no perspective"]),
+    },
+    Row {
+        name: "a lens in transforms.json that cannot be undistorted",
+        make: |files| only(files, r#""camera_model": "FISHEYE624","#, "images/"),
+        settings: &[],
+        expect: Expect::Refuses(&["FISHEYE624", "cannot be undistorted"]),
+    },
+    Row {
+        name: "backslashes in file_path",
+        make: |files| only(files, "", r"images\\"),
+        settings: &[],
+        expect: Expect::Holds { photos: 12, check: |scene| assert_eq!(scene.views[0].name, "photo00.png") },
+    },
+    Row {
+        name: "file_path of another machine, Windows",
+        make: |files| only(files, "", r"C:\\Users\\x\\scene\\images\\"),
+        settings: &[],
+        expect: Expect::Holds { photos: 12, check: |scene| assert_eq!(scene.views[0].name, "photo00.png") },
+    },
+    Row {
+        name: "file_path of another machine, absolute, in another folder",
+        make: |files| only(files, "", "/home/other/pictures/"),
+        settings: &[],
+        expect: Expect::Holds { photos: 12, check: |scene| assert_eq!(scene.views[0].name, "photo00.png") },
+    },
+    Row {
+        name: "file_path that leads out of the scene",
+        make: |files| {
+            files.rename("images/photo05.png", "../photo05.png");
+            files.remove("sparse");
+            let good = frames(0..PHOTOS, "images/");
+            write(files, "", &good.replace("images/photo05", "../photo05"));
+        },
+        settings: &[],
+        expect: Expect::Reads { photos: 11, words: &["photo05.png", "lies outside of the scene's folder"] },
+    },
+    Row {
+        name: "transforms.json beside colmap/sparse/0, as nerfstudio's ns-process-data leaves them",
+        make: |files| {
+            files.rename("sparse/0", "colmap/sparse/0");
+            write(files, "", &frames(0..PHOTOS, "images/"));
+        },
+        settings: &[],
+        expect: Expect::Reads { photos: 12, words: &["transforms.json is read, and not", "colmap/sparse/0"] },
+    },
+    Row {
+        name: "transforms.json beside sparse/0",
+        make: |files| write(files, "", &frames(0..PHOTOS, "images/")),
+        settings: &[],
+        expect: Expect::Reads { photos: 12, words: &["sparse/0 is read, and not", "transforms.json"] },
+    },
+    Row {
+        name: "transforms.json with a byte order mark",
+        make: |files| {
+            only(files, "", "images/");
+            let text = std::fs::read(files.path("transforms.json")).expect("it is there");
+            files.write("transforms.json", [&b"\xef\xbb\xbf"[..], &text].concat());
+        },
+        settings: &[],
+        expect: Expect::Reads { photos: 12, words: &[] },
+    },
+    Row {
+        name: "transforms.json in UTF-16",
+        make: |files| {
+            only(files, "", "images/");
+            let text = std::fs::read(files.path("transforms.json")).expect("it is there");
+            files.write("transforms.json", text.into_iter().flat_map(|b| [b, 0]).collect::<Vec<u8>>());
+        },
+        settings: &[],
+        expect: Expect::Refuses(&["transforms.json", "UTF-16"]),
+    },
+];

@@ -143,10 +143,7 @@ pub(super) fn read(dir: &Path) -> Result<Reconstruction, SceneError> {
         let rest = &c.bytes[c.at..];
         let length = rest.iter().position(|&b| b == 0).unwrap_or(rest.len());
         let name = c.take(length + 1)?;
-        let name = match std::str::from_utf8(&name[..length]) {
-            Ok(name) => name.to_owned(),
-            Err(_) => return Err(c.invalid("the photo's name is not UTF-8".into())),
-        };
+        let name = crate::text::line(&name[..length]);
         let n = c.count(24)?;
         let mut keypoints = Vec::with_capacity(n);
         for _ in 0..n {

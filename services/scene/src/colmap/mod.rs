@@ -4,14 +4,18 @@
 //! used is decided by [`crate::Scene::open`].
 
 mod binary;
+mod models;
 mod text;
 
 pub use crate::lens::Model;
 pub use binary::write;
+pub use models::PLACES;
+pub(crate) use models::find;
 pub use text::write_text;
 
 use crate::SceneError;
-use std::path::{Path, PathBuf};
+use std::collections::HashMap;
+use std::path::Path;
 
 /// One line of `cameras`.
 #[derive(Clone, Debug, PartialEq)]
@@ -82,24 +86,68 @@ pub struct Reconstruction {
     pub points: Vec<PointRecord>,
 }
 
-/// Where a reconstruction is looked for inside a scene folder.
-pub const PLACES: [&str; 5] = ["sparse/0", "sparse", "dense/sparse", "dense/sparse/0", "."];
-
-/// The first of [`PLACES`] that holds `cameras` and `images`, both `.bin` or both `.txt`.
-pub fn find(scene: &Path) -> Option<PathBuf> {
-    PLACES.iter().map(|place| if *place == "." { scene.to_owned() } else { scene.join(place) }).find(|dir| {
-        ["bin", "txt"]
-            .iter()
-            .any(|e| ["cameras", "images"].iter().all(|f| dir.join(format!("{f}.{e}")).is_file()))
-    })
-}
-
 /// Reads a reconstruction from the folder that holds its files; `.bin` is preferred to `.txt`.
 /// A folder without `points3D` gives no points.
 pub fn read(dir: &Path) -> Result<Reconstruction, SceneError> {
-    if dir.join("cameras.bin").is_file() && dir.join("images.bin").is_file() {
-        binary::read(dir)
-    } else {
-        text::read(dir)
+    if has(dir, "bin") { binary::read(dir) } else { text::read(dir) }
+}
+
+/// Whether a folder holds `cameras` and `images` of one form.
+fn has(dir: &Path, form: &str) -> bool {
+    ["cameras", "images"].iter().all(|file| dir.join(format!("{file}.{form}")).is_file())
+}
+
+/// Whether a folder holds the points of a reconstruction.
+pub(crate) fn has_points(dir: &Path) -> bool {
+    ["bin", "txt"].iter().any(|form| dir.join(format!("points3D.{form}")).is_file())
+}
+
+/// Where the two forms of a reconstruction differ, in words: somebody edited the `.txt`, and the `.bin` beside it is read.
+pub(crate) fn stale(dir: &Path) -> Option<String> {
+    if !(has(dir, "bin") && has(dir, "txt")) {
+        return None;
     }
+    let differs = match (binary::read(dir), text::read(dir)) {
+        (Ok(bin), Ok(text)) => difference(&bin, &text)?,
+        (Ok(_), Err(error)) => error.to_string(),
+        // What is wrong with the .bin is said when it is read.
+        (Err(_), _) => return None,
+    };
+    Some(format!(
+        "{}: the .txt files do not say what the .bin files say ({differs}); the .bin files are read: remove them to use the .txt",
+        dir.display()
+    ))
+}
+
+/// In what two reconstructions differ, beyond the digits that text leaves out.
+fn difference(a: &Reconstruction, b: &Reconstruction) -> Option<String> {
+    let alike =
+        |x: f64, y: f64| (x - y).abs() <= 1e-4 * (1.0 + x.abs().max(y.abs())) || x.to_bits() == y.to_bits();
+    let all = |x: &[f64], y: &[f64]| x.len() == y.len() && x.iter().zip(y).all(|(x, y)| alike(*x, *y));
+    if a.images.len() != b.images.len() {
+        return Some(format!("{} photos and {}", b.images.len(), a.images.len()));
+    }
+    let others: HashMap<u32, &ImageRecord> = b.images.iter().map(|image| (image.id, image)).collect();
+    for image in &a.images {
+        let same = others.get(&image.id).is_some_and(|other| {
+            image.name == other.name
+                && image.camera_id == other.camera_id
+                && all(&image.rotation, &other.rotation)
+                && all(&image.translation, &other.translation)
+        });
+        if !same {
+            return Some(format!("photo {}", image.name));
+        }
+    }
+    let others: HashMap<u32, &CameraRecord> = b.cameras.iter().map(|camera| (camera.id, camera)).collect();
+    for camera in &a.cameras {
+        let same = others.get(&camera.id).is_some_and(|other| {
+            (camera.model, camera.width, camera.height) == (other.model, other.width, other.height)
+                && all(&camera.params, &other.params)
+        });
+        if !same {
+            return Some(format!("camera {}", camera.id));
+        }
+    }
+    (a.points.len() != b.points.len()).then(|| format!("{} points and {}", b.points.len(), a.points.len()))
 }

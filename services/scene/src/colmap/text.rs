@@ -4,6 +4,7 @@ use super::{CameraRecord, ImageRecord, Keypoint, PointRecord, Reconstruction};
 use crate::SceneError;
 use crate::lens::Model;
 use segwild_files::write_atomic;
+use crate::text;
 use std::fmt::Write;
 use std::path::Path;
 use std::str::FromStr;
@@ -46,14 +47,6 @@ impl<'a> Words<'a> {
     }
 }
 
-fn load(path: &Path) -> Result<String, SceneError> {
-    let bytes = std::fs::read(path).map_err(SceneError::io(path))?;
-    String::from_utf8(bytes).map_err(|e| {
-        let at = e.utf8_error().valid_up_to();
-        SceneError::invalid(path, format!("byte {at}"), "the text is not UTF-8")
-    })
-}
-
 fn is_record(line: &str) -> bool {
     let line = line.trim_start();
     !line.is_empty() && !line.starts_with('#')
@@ -61,7 +54,7 @@ fn is_record(line: &str) -> bool {
 
 pub(super) fn read(dir: &Path) -> Result<Reconstruction, SceneError> {
     let path = dir.join("cameras.txt");
-    let text = load(&path)?;
+    let text = text::read(&path)?;
     let (mut cameras, mut unknown_cameras) = (Vec::new(), Vec::new());
     for (i, line) in text.lines().enumerate().filter(|(_, l)| is_record(l)) {
         let mut words = Words { path: &path, line: i + 1, rest: line };
@@ -80,7 +73,7 @@ pub(super) fn read(dir: &Path) -> Result<Reconstruction, SceneError> {
     }
 
     let path = dir.join("images.txt");
-    let text = load(&path)?;
+    let text = text::read(&path)?;
     let mut images = Vec::new();
     let mut lines = text.lines().enumerate();
     while let Some((i, line)) = lines.next() {
@@ -111,7 +104,7 @@ pub(super) fn read(dir: &Path) -> Result<Reconstruction, SceneError> {
     let path = dir.join("points3D.txt");
     let mut points = Vec::new();
     if path.is_file() {
-        let text = load(&path)?;
+        let text = text::read(&path)?;
         for (i, line) in text.lines().enumerate().filter(|(_, l)| is_record(l)) {
             let mut words = Words { path: &path, line: i + 1, rest: line };
             let id = words.value("point id")?;

@@ -496,3 +496,63 @@ fn masks_that_ignore_everything_are_refused_before_anything_is_computed() {
     all("photo01.png", Mask::from_fn(40, 30, |x, _| x > 0));
     assert_eq!(Scene::open(dir.path(), &settings).unwrap().views.len(), 2);
 }
+
+/// So many photos that are not there must not take minutes.
+const MANY: u32 = 200_000;
+
+#[test]
+fn two_hundred_thousand_missing_photos_take_seconds() {
+    let dir = temp();
+    let mut r = line(3);
+    write(dir.path(), &r);
+    let lost = |i: u32| colmap::ImageRecord {
+        id: 1000 + i,
+        name: format!("lost{i}.png"),
+        keypoints: vec![],
+        camera_id: if i < MANY / 2 { 7 } else { i + 10 },
+        ..r.images[0].clone()
+    };
+    let lost: Vec<_> = (0..MANY).map(lost).collect();
+    r.images.extend(lost);
+    // One point that all of them saw.
+    r.points[0].track.extend((0..MANY).map(|i| (1000 + i, 0)));
+    colmap::write(&dir.path().join("sparse/0"), &r).unwrap();
+    let rows: String = (0..MANY).map(|i| format!("gone{i}.png\n")).collect();
+    std::fs::write(dir.path().join("test_list.txt"), format!("photo00.png\n{rows}")).unwrap();
+    let began = std::time::Instant::now();
+    let scene = open(dir.path()).unwrap();
+    let words = Skipped::in_words(&scene.skipped);
+    assert_eq!((scene.views.len(), scene.skipped.len()), (3, 2 * MANY as usize));
+    assert!(words.len() < 10, "one reason, one sentence: {}", words.len());
+    assert!((0..2000).all(|_| scene.view_named("nobody").is_none()));
+    // A few seconds of computing; the machine may have other work.
+    assert!(began.elapsed().as_secs() < 60, "{:?}", began.elapsed());
+}
+
+#[test]
+fn two_hundred_thousand_missing_frames_of_transforms_json_take_seconds() {
+    let dir = temp();
+    write_photo(dir.path(), "photo00.png");
+    let names: Vec<String> = (0..MANY).map(|i| format!("images/lost{i}.png")).collect();
+    let mut frames = vec![("images/photo00.png", 0.0)];
+    frames.extend(names.iter().map(|name| (name.as_str(), 1.0)));
+    write_transforms(dir.path(), &frames, INTRINSICS);
+    let began = std::time::Instant::now();
+    let scene = open(dir.path()).unwrap();
+    assert_eq!((scene.views.len(), scene.skipped.len()), (1, MANY as usize));
+    assert!(Skipped::in_words(&scene.skipped).len() < 10);
+    assert!(began.elapsed().as_secs() < 60, "{:?}", began.elapsed());
+}
+
+#[test]
+fn a_person_may_name_a_photo_as_another_system_does() {
+    let dir = temp();
+    let mut r = line(3);
+    r.images[0].name = "cam 0/IMG_1.PNG".into();
+    write(dir.path(), &r);
+    let scene = open(dir.path()).unwrap();
+    for name in ["cam 0/IMG_1.PNG", r"cam 0\img_1.png", "IMG_1", "img_1.png"] {
+        assert_eq!(scene.view_named(name), Some(0), "{name}");
+    }
+    assert_eq!(scene.view_named("photo"), None);
+}

@@ -1,0 +1,108 @@
+//! Where the models of a scene lie, and which of several is taken.
+
+use super::has;
+use std::path::{Path, PathBuf};
+
+/// Folders within a scene's that hold `sparse`, or a model itself: COLMAP's own, those of its undistorter and of INRIA's and
+/// nerfstudio's scripts, the nearest first.
+const BASES: [&str; 6] = ["", "dense", "dense/0", "colmap", "undistorted", "distorted"];
+/// So many of them are COLMAP's own.
+const OWN: usize = 3;
+/// Where a reconstruction is looked for inside a scene folder, in words.
+pub const PLACES: [&str; 6] = [
+    "sparse/0 (1, 2, ...)",
+    "sparse",
+    "dense/sparse",
+    "colmap/sparse",
+    "distorted/sparse",
+    "the folder itself",
+];
+
+/// The model that is taken, and what is to be said of the others.
+pub(crate) struct Found {
+    pub dir: PathBuf,
+    /// Whether it lies where COLMAP itself puts it: a cameras file beside it is then another program's copy of it. A model elsewhere
+    /// is rather what that file was made from.
+    pub near: bool,
+    pub note: Option<String>,
+}
+
+/// A model, and how many photos it says it holds.
+struct Candidate {
+    dir: PathBuf,
+    photos: u64,
+}
+
+/// The model of a scene: the largest in the nearest folder that holds any. A folder farther off is taken only where its largest
+/// model is more than twice as large.
+pub(crate) fn find(scene: &Path) -> Option<Found> {
+    let bases: Vec<Vec<Candidate>> = BASES.iter().map(|base| models(scene, base)).collect();
+    let largest = |models: &[Candidate]| models.iter().map(|m| m.photos).max().unwrap_or(0);
+    let most = bases.iter().map(|models| largest(models)).max()?;
+    let near = bases.iter().position(|models| !models.is_empty() && 2 * largest(models) >= most)?;
+    // Of equals the first.
+    let wanted = largest(&bases[near]);
+    let chosen = bases[near].iter().find(|m| m.photos == wanted)?;
+    let mut others: Vec<String> = bases
+        .iter()
+        .flatten()
+        .filter(|m| m.dir != chosen.dir)
+        .map(|m| format!("{} ({})", m.dir.display(), m.photos))
+        .collect();
+    others.dedup();
+    let note = (!others.is_empty()).then(|| {
+        format!(
+            "there are several models: {} with {wanted} photos is taken, and not {}; to take another, name its folder and that of \
+             the photos with `images`",
+            chosen.dir.display(),
+            others.join(", ")
+        )
+    });
+    Some(Found { dir: chosen.dir.clone(), near: near < OWN, note })
+}
+
+/// The models of one base, `sparse/0` and the like first, then `sparse`, then the base itself.
+fn models(scene: &Path, base: &str) -> Vec<Candidate> {
+    let base = if base.is_empty() { scene.to_owned() } else { scene.join(base) };
+    let sparse = base.join("sparse");
+    let mut dirs = numbered(&sparse);
+    dirs.push(sparse);
+    // The base may be a folder of models itself, as COLMAP's mapper writes it.
+    dirs.extend(numbered(&base));
+    dirs.push(base);
+    dirs.into_iter().filter_map(|dir| photos(&dir).map(|photos| Candidate { dir, photos })).collect()
+}
+
+/// Folders whose names are numbers, in order.
+fn numbered(dir: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(dir).into_iter().flatten().flatten();
+    let mut found: Vec<(u64, PathBuf)> = entries
+        .filter_map(|entry| Some((entry.file_name().to_str()?.parse().ok()?, entry.path())))
+        .filter(|(_, path)| path.is_dir())
+        .collect();
+    found.sort();
+    found.into_iter().map(|(_, path)| path).collect()
+}
+
+/// How many photos the model in a folder says it holds; `None` where there is no model. Only of use to compare: the files are read
+/// with care later.
+fn photos(dir: &Path) -> Option<u64> {
+    use std::io::Read;
+    if has(dir, "bin") {
+        let mut count = [0; 8];
+        let read =
+            std::fs::File::open(dir.join("images.bin")).and_then(|mut file| file.read_exact(&mut count));
+        // No file of that length holds so many: a damaged count must not win.
+        let most = std::fs::metadata(dir.join("images.bin")).map_or(0, |m| m.len() / 72);
+        return Some(if read.is_ok() { u64::from_le_bytes(count).min(most) } else { 0 });
+    }
+    if !has(dir, "txt") {
+        return None;
+    }
+    let text = std::fs::read(dir.join("images.txt")).unwrap_or_default();
+    let lines = text
+        .split(|&b| b == b'\n')
+        .filter(|line| !line.starts_with(b"#") && !line.starts_with(b"\xef\xbb\xbf#"));
+    // Two lines each.
+    Some(lines.count() as u64 / 2)
+}

@@ -1,0 +1,111 @@
+//! Folders of masks that other programs write: white is kept.
+
+use crate::draft::Draft;
+use crate::locate::{folder_setting, setting};
+use crate::mask_files::MaskFiles;
+use crate::{Mask, SceneError, SceneSettings};
+use std::path::{Path, PathBuf};
+
+/// Names of such folders.
+const FOLDERS: [&str; 2] = ["masks", "mask"];
+/// So many masks are looked at before the folder is believed.
+const LOOKED_AT: usize = 8;
+
+/// The masks of what to keep of the photos, if the scene has any: the folder that `keep_masks` names, else one that lies beside the
+/// photos, as COLMAP, nerfstudio and LichtFeld write it. What was done is said in `notes`.
+pub(crate) fn find(
+    folder: &Path,
+    images: &Path,
+    ignore: Option<&Path>,
+    settings: &SceneSettings,
+    draft: &Draft,
+    notes: &mut Vec<String>,
+) -> Result<Option<MaskFiles>, SceneError> {
+    if settings.keep_masks == "none" || draft.photos.is_empty() {
+        return Ok(None);
+    }
+    let names = || draft.photos.iter().map(|photo| photo.name.as_str());
+    if let Some(dir) = folder_setting("keep_masks", &settings.keep_masks, folder)? {
+        let masks = MaskFiles::new(&dir, names());
+        let first = draft.photos[0].name.as_str();
+        if found(&masks, names()).is_empty() {
+            let reason = format!(
+                "no mask in it is named after a photo; for {first} it would be {}",
+                MaskFiles::wanted(first)
+            );
+            return Err(setting("keep_masks", settings.keep_masks.clone(), &reason));
+        }
+        return Ok(Some(masks));
+    }
+    // Where the reconstruction names masks itself, those are meant.
+    if draft.photos.iter().any(|photo| photo.usable.is_some()) {
+        return Ok(None);
+    }
+    let taken =
+        [ignore.map(Path::to_owned), folder_setting("strangers", &settings.strangers, folder).ok().flatten()];
+    let Some(dir) =
+        beside(folder, images).filter(|dir| taken.iter().flatten().all(|other| !same(dir, other)))
+    else {
+        return Ok(None);
+    };
+    let masks = MaskFiles::new(&dir, names());
+    let (place, all) = (dir.display(), draft.photos.len());
+    if let Some(both) = names().find_map(|photo| masks.find(photo).err()) {
+        notes.push(format!("the masks in {place} are not used: {both}"));
+        return Ok(None);
+    }
+    let files = found(&masks, names());
+    if files.is_empty() {
+        if !masks.is_empty() {
+            notes.push(format!(
+                "{place}: none of its files is named after a photo, and none is used as a mask"
+            ));
+        }
+        return Ok(None);
+    }
+    let hidden = match hidden(&files) {
+        Ok(hidden) => hidden,
+        Err(error) => {
+            notes.push(format!("the masks in {place} are not used: {error}"));
+            return Ok(None);
+        }
+    };
+    notes.push(format!(
+        "{} of {all} photos have a mask in {place}: what is white in it is kept and the rest left out, as COLMAP and nerfstudio mean \
+         it; `--keep-masks none` uses none of them, and `--ignore {place}` leaves out what is white",
+        files.len()
+    ));
+    let most = hidden.iter().filter(|share| **share > 0.5).count();
+    if 10 * most >= 9 * hidden.len() {
+        notes.push(format!(
+            "the masks in {place} hide more than half of nearly every photo: if what is white is to be left out, say \
+             `--ignore {place}`"
+        ));
+    }
+    Ok(Some(masks))
+}
+
+fn beside(folder: &Path, images: &Path) -> Option<PathBuf> {
+    let bases = [Some(folder), images.parent()];
+    let places = bases.into_iter().flatten().flat_map(|base| FOLDERS.map(|name| base.join(name)));
+    places.into_iter().find(|place| place.is_dir() && !same(place, images))
+}
+
+fn same(a: &Path, b: &Path) -> bool {
+    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
+}
+
+fn found<'a>(masks: &MaskFiles, photos: impl Iterator<Item = &'a str>) -> Vec<PathBuf> {
+    photos.filter_map(|photo| masks.find(photo).ok().flatten()).collect()
+}
+
+/// The shares that some of the masks hide.
+fn hidden(files: &[PathBuf]) -> Result<Vec<f64>, SceneError> {
+    let n = files.len().min(LOOKED_AT);
+    let share = |k: usize| {
+        let mask = Mask::read_png(&files[k * files.len() / n])?;
+        let pixels = f64::from(mask.width()) * f64::from(mask.height());
+        Ok(1.0 - mask.count() as f64 / pixels.max(1.0))
+    };
+    (0..n).map(share).collect()
+}

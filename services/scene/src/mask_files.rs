@@ -1,0 +1,147 @@
+//! Which file is the mask of a photo.
+
+use crate::names::{Entry, Listing, key, last_part, stem};
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+/// Endings of mask files, the usual first.
+const ENDINGS: [&str; 7] = ["png", "jpg", "jpeg", "bmp", "tif", "tiff", "webp"];
+
+/// The masks in a folder, found by the names of photos: the one place that says what a mask file is called.
+///
+/// The mask of photo `a/b.jpg` is `a/b.jpg.png` (as COLMAP names it) or `a/b.png`; failing those, the same with another ending
+/// of pictures; failing those, the same without the folder (`b.png`) or with the folder in the name (`a_b.png`), where no other
+/// photo could mean that file. Upper and lower case count only where two files differ in nothing else.
+#[derive(Debug)]
+pub struct MaskFiles {
+    listing: Listing,
+    /// How many photos have the same last part, or the same name once their folders are part of it, endings aside.
+    short: HashMap<String, usize>,
+}
+
+impl MaskFiles {
+    /// Lists the masks in `folder` for photos of these names, all those of the scene.
+    pub fn new<'a>(folder: &Path, photos: impl IntoIterator<Item = &'a str>) -> MaskFiles {
+        let mut short: HashMap<String, usize> = HashMap::new();
+        for photo in photos {
+            let key = key(photo);
+            for name in without_folder(&key) {
+                *short.entry(stem(&name).to_owned()).or_default() += 1;
+            }
+        }
+        MaskFiles { listing: Listing::of(folder), short }
+    }
+
+    /// The mask of a photo; `None` where it has none.
+    ///
+    /// # Errors
+    /// In words, when two files may be its mask.
+    pub fn find(&self, photo: &str) -> Result<Option<PathBuf>, String> {
+        let (usual, others) = ENDINGS.split_at(1);
+        let key = key(photo);
+        let only = |name: &String| self.short.get(stem(name)).is_none_or(|&n| n <= 1);
+        let short: Vec<String> = without_folder(&key).into_iter().filter(only).collect();
+        let whole = vec![crate::names::tidy(photo)];
+        for (names, endings) in [(&whole, usual), (&whole, others), (&short, usual), (&short, others)] {
+            if let Some(found) = self.one_of(photo, names, endings)? {
+                return Ok(Some(found.path.clone()));
+            }
+        }
+        Ok(None)
+    }
+
+    fn one_of(&self, photo: &str, names: &[String], endings: &[&str]) -> Result<Option<&Entry>, String> {
+        let mut found: Vec<&Entry> = Vec::new();
+        for name in names {
+            for ending in endings {
+                for name in [format!("{name}.{ending}"), format!("{}.{ending}", stem(name))] {
+                    found.extend(self.listing.named(&name));
+                }
+            }
+        }
+        found.dedup();
+        match found[..] {
+            [] => Ok(None),
+            [one] => Ok(Some(one)),
+            [one, two, ..] => Err(format!(
+                "{} and {} may both be the mask of {photo}: keep one of them",
+                one.path.display(),
+                two.path.display()
+            )),
+        }
+    }
+
+    /// What the mask of a photo would be called, for a person.
+    pub fn wanted(photo: &str) -> String {
+        format!("{}.png or {}.png", stem(photo), last_part(photo))
+    }
+
+    /// Whether the folder holds no file at all.
+    pub fn is_empty(&self) -> bool {
+        self.listing.is_empty()
+    }
+}
+
+/// What may be left of a name with folders: its last part, and its folders as part of the name.
+fn without_folder(key: &str) -> Vec<String> {
+    if !key.contains('/') {
+        return vec![key.to_owned()];
+    }
+    vec![last_part(key).to_owned(), key.replace('/', "_")]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn masks_are_found_by_every_programs_name_for_them() {
+        let dir = tempfile::tempdir().unwrap();
+        let photos = [
+            "a.jpg", "b.jpg", "c.jpg", "D.JPG", "in/e.jpg", "x/f.jpg", "y/f.jpg", "in/g.jpg", "h.jpg",
+            "i.jpg",
+        ];
+        let files = [
+            "a.jpg.png",
+            "b.png",
+            "c.PNG",
+            "d.tif",
+            "in/e.bmp",
+            "f.png",
+            "x_f.png",
+            "g.webp",
+            "h.png",
+            "h.jpg.png",
+            "i.jpg",
+            "i.png",
+        ];
+        for name in files {
+            let path = dir.path().join(name);
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(path, b"").unwrap();
+        }
+        let masks = MaskFiles::new(dir.path(), photos);
+        let found = |photo: &str| {
+            let found = masks.find(photo).unwrap();
+            found.map(|p| p.strip_prefix(dir.path()).unwrap().to_string_lossy().into_owned())
+        };
+        let wanted = [
+            ("a.jpg", Some("a.jpg.png")),
+            ("b.jpg", Some("b.png")),
+            ("c.jpg", Some("c.PNG")),
+            ("D.JPG", Some("d.tif")),
+            ("in/e.jpg", Some("in/e.bmp")),
+            // `f.png` may be that of either; the other name says which.
+            ("x/f.jpg", Some("x_f.png")),
+            ("y/f.jpg", None),
+            ("in/g.jpg", Some("g.webp")),
+            // What a program writes as PNG is rather a mask than what has the photo's own name.
+            ("i.jpg", Some("i.png")),
+        ];
+        for (photo, file) in wanted {
+            assert_eq!(found(photo).as_deref(), file, "{photo}");
+        }
+        let both = masks.find("h.jpg").unwrap_err();
+        assert!(both.contains("h.png") && both.contains("h.jpg.png"), "{both}");
+    }
+}
