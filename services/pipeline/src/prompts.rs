@@ -1,13 +1,13 @@
 //! What a selection was made from.
 
 use crate::{RunError, RunFolder};
-use segwild_scene::{PointPrompt, Prompts};
+use segwild_scene::{PointPrompt, Prompts, SceneError};
 use segwild_segmenter::{SegmentError, SegmentSettings};
 use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
 use std::path::Path;
 
-/// What was said on one photo, in pixels of the photo at its full size.
+/// What was said on one photo, in pixels of the photo as taken, at its full size.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PhotoPrompts {
     /// The photo's name.
@@ -39,8 +39,12 @@ impl Replay {
             Whole(Replay),
             List(Vec<PhotoPrompts>),
         }
-        let text = std::fs::read_to_string(file)
-            .map_err(|e| RunError::Request(format!("{}: cannot be read: {e}", file.display())))?;
+        let text = segwild_scene::text::read(file).map_err(|e| match e {
+            SceneError::Io { source, .. } => {
+                RunError::Request(format!("{}: cannot be read: {source}", file.display()))
+            }
+            other => RunError::Request(other.to_string()),
+        })?;
         match serde_json::from_str(&text) {
             Ok(Either::Whole(replay)) => Ok(replay),
             Ok(Either::List(prompts)) => Ok(Replay { prompts, settings: None }),
@@ -127,6 +131,19 @@ mod tests {
         let said = of(200_000).unwrap_err();
         assert!(said.contains("200000") && said.contains("10000"), "{said}");
         assert!(began.elapsed().as_secs() < 5, "{:?}", began.elapsed());
+    }
+
+    #[test]
+    fn prompts_that_a_windows_editor_saved_are_read() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("prompts.json");
+        let text = "[{\"photo\": \"a.jpg\",\r\n \"points\": [{\"x\": 1, \"y\": 2, \"inside\": true}]}]";
+        std::fs::write(&file, [b"\xef\xbb\xbf", text.as_bytes()].concat()).unwrap();
+        assert_eq!(Replay::read(&file).unwrap().prompts[0].photo, "a.jpg");
+        let wide: Vec<u8> = text.encode_utf16().flat_map(u16::to_le_bytes).collect();
+        std::fs::write(&file, [&b"\xff\xfe"[..], &wide].concat()).unwrap();
+        let refused = Replay::read(&file).unwrap_err().to_string();
+        assert!(refused.contains("prompts.json") && refused.contains("UTF-16"), "{refused}");
     }
 
     #[test]

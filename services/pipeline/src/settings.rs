@@ -237,10 +237,11 @@ impl Settings {
     pub fn anchored(&self) -> Settings {
         let mut settings = self.clone();
         let Settings { scene, vision, .. } = &mut settings;
-        let SceneSettings { images, ignore, strangers, split, .. } = scene;
+        let SceneSettings { images, ignore, keep_masks, strangers, split, .. } = scene;
         for path in [
             images,
             ignore,
+            keep_masks,
             split,
             strangers,
             &mut vision.models,
@@ -308,9 +309,10 @@ impl Settings {
 
 /// A settings file as `(name, value)` pairs; the table of each must be the one it belongs to.
 fn read_pairs(file: &Path) -> Result<Vec<(String, String)>, SettingsError> {
-    let text = std::fs::read_to_string(file)
-        .map_err(|source| SettingsError::Read { file: file.to_path_buf(), source })?;
     let wrong = |reason: String| SettingsError::File { file: file.to_path_buf(), reason };
+    let bytes =
+        std::fs::read(file).map_err(|source| SettingsError::Read { file: file.to_path_buf(), source })?;
+    let text = segwild_scene::text::decode(bytes).map_err(wrong)?;
     let tables: toml::Table = text.parse().map_err(|e: toml::de::Error| wrong(e.to_string()))?;
     let catalogue = Settings::catalogue();
     let mut pairs = Vec::new();
@@ -368,6 +370,17 @@ mod tests {
         assert_eq!(settings.run.preset, Preset::Draft);
         assert_eq!(settings.train, Settings::preset(Preset::Draft).train);
         assert_eq!(settings.segment.tau, 0.3);
+    }
+
+    #[test]
+    fn a_settings_file_that_a_windows_editor_saved_is_read() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("segwild.toml");
+        std::fs::write(&file, "\u{feff}[segment]\r\ntau = 0.4\r\n").unwrap();
+        assert_eq!(Settings::layered(Some(&file), &[]).unwrap().segment.tau, 0.4);
+        std::fs::write(&file, b"[\0s\0]\0").unwrap();
+        let refused = Settings::layered(Some(&file), &[]).unwrap_err().to_string();
+        assert!(refused.contains("segwild.toml") && refused.contains("UTF-16"), "{refused}");
     }
 
     #[test]

@@ -115,9 +115,10 @@ impl Manifest {
     /// # Errors
     /// In words, and before anything was begun: what is wrong with the file or with one of its scenes.
     pub fn read(file: &Path, folder: &Path, until: Option<Until>) -> Result<Self, ManifestError> {
-        let text = std::fs::read_to_string(file)
-            .map_err(|source| ManifestError::Read { file: file.to_path_buf(), source })?;
         let wrong = |reason: String| ManifestError::File { file: file.to_path_buf(), reason };
+        let bytes =
+            std::fs::read(file).map_err(|source| ManifestError::Read { file: file.to_path_buf(), source })?;
+        let text = segwild_scene::text::decode(bytes).map_err(wrong)?;
         let read: File = toml::from_str(&text).map_err(|e| wrong(e.to_string()))?;
         if read.scene.is_empty() {
             return Err(wrong("it has no [[scene]]".into()));
@@ -282,6 +283,12 @@ mod tests {
         assert!(second.out.ends_with("elsewhere"));
         assert_eq!((other.needs.cores, other.needs.memory_bytes), (3, 1_000_000));
         assert_eq!(second.settings["preset"], "best");
+    }
+
+    #[test]
+    fn a_manifest_that_a_windows_editor_saved_is_read() {
+        let manifest = read("\u{feff}[[scene]]\r\npath = \"a\"\r\n").unwrap();
+        assert_eq!(manifest.jobs[0].0.name, "a");
     }
 
     #[test]
