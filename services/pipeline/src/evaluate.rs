@@ -6,7 +6,7 @@ use crate::prompts::Replay;
 use crate::{RunError, RunFolder, Scoring, Selected, Settings};
 use segwild_flow::fault;
 use segwild_raster::Engine;
-use segwild_scene::{Mask, Scene};
+use segwild_scene::{Mask, MaskFiles, Scene};
 use segwild_trainer::{LookKind, Model, Photos, Protocol, TrainPhoto, evaluate};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -140,7 +140,8 @@ pub(crate) fn protocol_of(settings: &Settings) -> Protocol {
     }
 }
 
-/// Scores a selection's masks against the true ones in `truth`, one PNG per photo, named as the photo.
+/// Scores a selection's masks against the true ones in `truth`, one picture per photo, named as the photo
+/// ([`MaskFiles`]) and in pixels of the photo as taken.
 /// Photos without a true mask do not count; nor do the prompted ones in the means.
 pub fn score(folder: &RunFolder, selection: &str, truth: &Path) -> Result<Score, RunError> {
     let intake = folder.intake()?;
@@ -152,16 +153,15 @@ pub fn score(folder: &RunFolder, selection: &str, truth: &Path) -> Result<Score,
     let splats = folder.load()?.model.splats.len();
     Selected::read(folder, selection, splats)?; // masks of a scene that was trained anew since are not this run's
     let (mut photos, mut unread) = (Vec::new(), Vec::new());
-    let pictures = Pictures::of(intake.photos.iter().map(String::as_str));
+    let names = intake.photos.iter().map(String::as_str);
+    let (pictures, truths) = (Pictures::of(names.clone()), MaskFiles::new(truth, names));
     for (i, photo) in intake.photos.iter().enumerate() {
-        let file = pictures.find(truth, i);
-        if !file.is_file() {
-            continue;
-        }
-        let truth = match Mask::read_png(&file) {
+        let file = truths.find(photo);
+        let Some(file) = file.transpose() else { continue };
+        let truth = match file.and_then(|file| Mask::read_png(&file).map_err(|e| e.to_string())) {
             Ok(truth) => truth,
             Err(error) => {
-                unread.push(error.to_string());
+                unread.push(error);
                 continue;
             }
         };
@@ -189,7 +189,7 @@ pub fn score(folder: &RunFolder, selection: &str, truth: &Path) -> Result<Score,
     let others: Vec<&MaskScore> = photos.iter().filter(|p| !p.prompted).collect();
     if others.is_empty() {
         let mut reason = format!(
-            "--truth {}: it holds no true mask (PHOTO_STEM.png) of a photo of this run that was not prompted",
+            "--truth {}: it holds no true mask (PHOTO.png) of a photo of this run that was not prompted",
             truth.display()
         );
         if let Some(first) = unread.first() {

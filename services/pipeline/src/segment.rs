@@ -234,7 +234,14 @@ pub fn segment(
                 .into());
             }
         }
-        asked.push((view, p.prompts.scaled(sx, sy)));
+        let inner = scene.views[view].prompts_from_taken(&p.prompts).map_err(|[x, y]| {
+            RunError::Request(format!(
+                "photo {}: ({x}, {y}) lies where the lens bends the photo out of the undistorted one that is worked with; click \
+                 nearer to the middle",
+                p.photo
+            ))
+        })?;
+        asked.push((view, inner.scaled(sx, sy)));
     }
     if asked.is_empty() {
         return Err(SegmentError::NoPrompt.into());
@@ -363,7 +370,8 @@ pub fn segment(
         pass()?;
         for (view, mask) in &masks {
             let full = &scene.views[*view].camera;
-            mask.mask.resized(full.width, full.height).write_png(&prompt_dir.join(&names[*view]))?;
+            let mask = mask.mask.resized(full.width, full.height);
+            scene.views[*view].mask_to_taken(mask).write_png(&prompt_dir.join(&names[*view]))?;
         }
         let cut_splats = selected.cut_scene(&model.splats);
         let in_sight =
@@ -381,9 +389,10 @@ pub fn segment(
             };
             let drawn = some.iter().map(draw).collect::<Result<Vec<_>, _>>()?;
             let write = |((view, name), [visible, amodal]): (&(&View, &String), &[Image; 2])| {
-                let visible = in_sight.mask(visible, &view.camera);
+                let visible = view.mask_to_taken(in_sight.mask(visible, &view.camera));
                 visible.write_png(&mask_dir.join(name))?;
-                alone.mask(amodal, &view.camera).write_png(&amodal_dir.join(name))?;
+                let amodal = view.mask_to_taken(alone.mask(amodal, &view.camera));
+                amodal.write_png(&amodal_dir.join(name))?;
                 Ok(!visible.is_empty())
             };
             let shown = some.par_iter().zip(&drawn).map(write).collect::<Result<Vec<bool>, RunError>>()?;
@@ -428,9 +437,11 @@ fn doubts(
         let stranger = strangers(view);
         let meant = masks.iter().find(|(v, _)| *v == view).map(|(_, m)| &m.mask);
         let depths = meant.map(|m| m.not().distances());
+        let deepest = depths.iter().flatten().copied().fold(0.0, f32::max);
         for point in p.prompts.points.iter().filter(|p| p.inside) {
             let (x, y) = (point.x, point.y);
-            if stranger.as_ref().is_some_and(|s| inside(s, x, y).0) {
+            let Some([u, v]) = scene.views[view].from_taken([x, y]) else { continue };
+            if stranger.as_ref().is_some_and(|s| inside(s, u, v).0) {
                 words.push(format!(
                     "photo {}: the click at ({x}, {y}) lies on what was taken for a stranger; what it selects may be what stands \
                      behind: click in a photo where nobody stands before it",
@@ -438,8 +449,7 @@ fn doubts(
                 ));
             }
             if let (Some(mask), Some(depths)) = (meant, &depths) {
-                let (hit, at) = inside(mask, x, y);
-                let deepest = depths.iter().copied().fold(0.0, f32::max);
+                let (hit, at) = inside(mask, u, v);
                 if !hit || (depths[at] < EDGE && deepest > DEEPER * depths[at]) {
                     words.push(format!(
                         "photo {}: the click at ({x}, {y}) lies at the edge of what it was taken to mean (see prompted/): a click \
@@ -453,16 +463,16 @@ fn doubts(
     words
 }
 
-/// The error with its position as the person gave it: in pixels of the photo at full size.
+/// The error with its position as the person gave it: in pixels of the photo as taken, at full size.
 fn in_photo_pixels(error: SegmentError, scene: &Scene, size: u32) -> SegmentError {
     let full = |photo: &str, x: f32, y: f32| {
         let Some(view) = scene.views.iter().find(|v| v.name == photo) else { return (x, y) };
         let (camera, small) = (view.camera, view.camera.scaled_to(size));
         let round = |v: f32| (v * 10.0).round() / 10.0;
-        (
-            round(x * camera.width as f32 / small.width as f32),
-            round(y * camera.height as f32 / small.height as f32),
-        )
+        let inner =
+            [x * camera.width as f32 / small.width as f32, y * camera.height as f32 / small.height as f32];
+        let [x, y] = view.to_taken(inner).unwrap_or(inner);
+        (round(x), round(y))
     };
     match error {
         SegmentError::EmptySpace { photo, x, y, alpha } => {

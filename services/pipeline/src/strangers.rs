@@ -1,6 +1,6 @@
 //! Strangers as pictures: what each photo shows that the scene does not, for a person to look at and put right.
 //!
-//! `RUN/strangers/PHOTO.png` is white where a stranger stands. `made.json` beside them says which pixels this program
+//! `RUN/strangers/PHOTO.png` is white where a stranger stands, in pixels of the photo as taken. `made.json` beside them says which pixels this program
 //! has written and from what. A picture with other pixels is a person's: it is never written over, and the next run
 //! leaves out of the photo exactly what it says, whatever the program would find. What is damaged is made again
 //! ([`crate::made`]).
@@ -11,11 +11,11 @@ use crate::{RunError, RunFolder};
 use rayon::prelude::*;
 use segwild_flow::{Cache, Failure, FileError, Key};
 use segwild_raster::Engine;
-use segwild_scene::{Mask, Scene, View};
+use segwild_scene::{Mask, MaskFiles, Scene, View};
 use segwild_trainer::{Model, Strangeness, TrainPhoto, strangeness};
 use segwild_vision::{PromptSegmenter, StrangerDetector};
 use serde::Serialize;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -35,8 +35,11 @@ pub struct Corrections {
 #[derive(Clone, Debug)]
 struct Correction {
     file: PathBuf,
+    /// In the undistorted photo.
     mask: Mask,
     digest: String,
+    /// Whether this program wrote these pixels.
+    ours: bool,
 }
 
 impl Corrections {
@@ -50,10 +53,13 @@ impl Corrections {
         }
         let (pictures, made) = (pictures(scene), Ledger::of(folder));
         let own = folder.path().join(FOLDER);
+        let photos = scene.views.iter().map(|v| v.name.as_str());
+        let named_files = (!named.is_empty()).then(|| MaskFiles::new(Path::new(named), photos));
         let (mut found, mut damaged) = (Vec::new(), Vec::new());
         for (i, view) in scene.views.iter().enumerate() {
-            let given =
-                if named.is_empty() { None } else { read(&pictures.find(Path::new(named), i), view)? };
+            let file = named_files.as_ref().map_or(Ok(None), |files| files.find(&view.name));
+            let file = file.map_err(|why| RunError::Request(format!("--strangers {named}: {why}")))?;
+            let given = file.map(|file| read(file, view)).transpose()?;
             let file = pictures.find(&own, i);
             let of_own = match made::look_at(&file, made.of_photo(&pictures, i))? {
                 Picture::Theirs(mask) => Some(Correction::of(file, mask, view)?),
@@ -66,7 +72,7 @@ impl Corrections {
             found.push(given.or(of_own));
         }
         if !named.is_empty() && found.iter().flatten().all(|c| !c.file.starts_with(named)) {
-            let reason = "it holds no PNG with the name of a photo of this scene";
+            let reason = "it holds no picture with the name of a photo of this scene";
             return Err(RunError::Request(format!("--strangers {named}: {reason}")));
         }
         Ok(Corrections { found, damaged })
@@ -119,16 +125,14 @@ impl Corrections {
 impl Correction {
     fn of(file: PathBuf, mask: Mask, view: &View) -> Result<Correction, RunError> {
         fits(&mask, view, &file)?;
-        Ok(Correction { digest: pixels(&mask), file, mask })
+        Ok(Correction { digest: pixels(&mask), file, mask: view.mask_from_taken(mask) })
     }
 }
 
 /// A picture that a person names.
-fn read(file: &Path, view: &View) -> Result<Option<Correction>, RunError> {
-    match file.is_file() {
-        true => Correction::of(file.to_owned(), Mask::read_png(file)?, view).map(Some),
-        false => Ok(None),
-    }
+fn read(file: PathBuf, view: &View) -> Result<Correction, RunError> {
+    let mask = Mask::read_png(&file)?;
+    Correction::of(file, mask, view)
 }
 
 /// Refuses a mask of another shape than its photo's.
@@ -148,13 +152,17 @@ fn pictures(scene: &Scene) -> Pictures {
     Pictures::of(scene.views.iter().map(|v| v.name.as_str()))
 }
 
-/// Reads the pictures of a run's strangers by view; `None` where there is none that can be read.
+/// Reads the pictures of a run's strangers by view, in the undistorted photo; `None` where there is none that can be read.
 pub(crate) fn of_run(
     folder: &RunFolder,
     scene: &Scene,
 ) -> impl Fn(usize) -> Option<Mask> + Send + Sync + use<> {
     let (own, pictures) = (folder.path().join(FOLDER), pictures(scene));
-    move |view: usize| Mask::read_png(&pictures.find(&own, view)).ok()
+    let views = scene.views.clone();
+    move |view: usize| {
+        let taken = Mask::read_png(&pictures.find(&own, view)).ok()?;
+        Some(views[view].mask_from_taken(taken))
+    }
 }
 
 /// What is known of a photo's strangers before anything is trained.
@@ -227,7 +235,11 @@ impl Album<'_> {
         let own = self.folder.path().join(FOLDER);
         let (mut after, mut open) = (BTreeMap::new(), Vec::new());
         for &view in views {
-            let (name, key) = (named.name(view), key(view).to_string());
+            let (name, mut key) = (named.name(view), key(view).to_string());
+            if self.scene.views[view].photo.lens.is_some() {
+                // Pictures of distorted photos were once of the undistorted ones.
+                key += " as taken";
+            }
             let made = before.of_photo(&named, view).cloned().unwrap_or_default();
             let failed = |e: FileError| Failure::storage(e.to_string());
             let there = match made::look_at(&named.find(&own, view), Some(&made)).map_err(failed)? {
@@ -255,6 +267,7 @@ impl Album<'_> {
             for (Open { view, name, key, file, there }, (mask, psnr)) in some.iter().zip(masks) {
                 notes.extend(odd(&self.scene.views[*view].name, name, &mask, psnr));
                 shares.push(share_of(&mask));
+                let mask = self.scene.views[*view].mask_to_taken(mask);
                 let pixels = [pixels(&mask)].into_iter().chain(there.clone()).collect();
                 after.insert((*name).to_owned(), Made { key: key.clone(), pixels });
                 pictures.push((file, mask));
@@ -397,13 +410,14 @@ pub fn score_strangers(folder: &RunFolder, truth: &Path) -> Result<StrangerScore
     }
     let mut photos = Vec::new();
     let (mut both, mut either) = (0.0, 0.0);
-    let pictures = Pictures::of(intake.photos.iter().map(String::as_str));
-    let (own, held_out) = (folder.path().join(FOLDER), intake.held_out.iter().collect::<BTreeSet<_>>());
+    let photos = intake.photos.iter().map(String::as_str);
+    let (pictures, truths) = (Pictures::of(photos.clone()), MaskFiles::new(truth, photos));
+    let (own, held_out) = (folder.path().join(FOLDER), intake.held_out.iter().collect::<HashSet<_>>());
     for (i, photo) in intake.photos.iter().enumerate().filter(|(_, photo)| !held_out.contains(photo)) {
-        let (found, file) = (pictures.find(&own, i), pictures.find(truth, i));
-        if !(found.is_file() && file.is_file()) {
-            continue;
-        }
+        let found = pictures.find(&own, i);
+        let file =
+            truths.find(photo).map_err(|reason| RunError::Folder { path: truth.to_owned(), reason })?;
+        let Some(file) = file.filter(|_| found.is_file()) else { continue };
         let truth = Mask::read_png(&file)?;
         let found = Mask::read_png(&found)?.resized(truth.width(), truth.height());
         let n = f64::from(truth.width()) * f64::from(truth.height());

@@ -8,6 +8,7 @@ mod charts;
 mod cli;
 mod depends;
 mod disk;
+mod distorted;
 mod kills;
 mod looks;
 mod operators;
