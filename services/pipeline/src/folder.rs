@@ -26,7 +26,7 @@ use segwild_flow::{Cache, codec, files};
 use segwild_scene::{Frame, Scene, Skipped};
 use segwild_trainer::Model;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
 
 /// Kind of the record in `model.bin`, and of models in the cache.
@@ -243,6 +243,36 @@ impl RunFolder {
 
     pub(crate) fn intake(&self) -> Result<Intake, RunError> {
         self.read_json("scene.json")
+    }
+
+    /// Refuses a scene that is not the one that this run was made of: its selections and corrected pictures would be taken for those of
+    /// the other. The same scene may have moved, and its photos may have changed where they are.
+    ///
+    /// # Errors
+    /// Names both scenes, and says what to do.
+    pub(crate) fn belongs_to(&self, path: &Path, scene: &Scene) -> Result<(), RunError> {
+        let Ok(known) = self.intake() else { return Ok(()) };
+        let same =
+            |a: &Path, b: &Path| matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b);
+        if known.scene == path || same(&known.scene, path) {
+            return Ok(());
+        }
+        let before: HashSet<&str> = known.photos.iter().map(String::as_str).collect();
+        let kept = scene.views.iter().filter(|view| before.contains(view.name.as_str())).count();
+        let frame = known.frame;
+        let moved = (scene.frame.scale / frame.scale - 1.0).abs() < 0.01
+            && scene.frame.origin.distance(frame.origin) < 0.01 * frame.scale;
+        if 2 * kept >= before.len().max(scene.views.len()) && moved {
+            return Ok(());
+        }
+        Err(RunError::Request(format!(
+            "{} is the run of another scene, {}: of the {} photos of {} it knows {kept}, from other places; give `--out` another folder, or \
+             remove this one",
+            self.path.display(),
+            known.scene.display(),
+            scene.views.len(),
+            path.display()
+        )))
     }
 
     /// Reads a trained run back; the feature field may be missing.

@@ -139,6 +139,7 @@ pub fn run(
     let path = std::path::absolute(scene).unwrap_or_else(|_| scene.to_owned());
     let scene = Arc::new(Scene::open(&path, &settings.scene)?);
     Pictures::of(scene.views.iter().map(|v| v.name.as_str())).fit(&folder.path().join(made::FOLDER))?;
+    folder.belongs_to(&path, &scene)?;
     // Only now: a setting that the scene refuses must not come back with the next run.
     folder.write("segwild.toml", settings.to_toml().as_bytes())?;
     let mut named: Vec<(&str, String)> = Settings::catalogue()

@@ -38,8 +38,6 @@ struct Correction {
     /// In the undistorted photo.
     mask: Mask,
     digest: String,
-    /// Whether this program wrote these pixels.
-    ours: bool,
 }
 
 impl Corrections {

@@ -351,3 +351,23 @@ fn a_clock_that_jumps_changes_nothing() {
     let status = works(&["status", &show(&run)]);
     assert!(!status.contains("-8") && status.contains("geometry  done"), "{status}");
 }
+
+#[test]
+fn another_scene_is_not_run_into_a_used_folder() {
+    let dir = folder();
+    let run = copied_run(&dir);
+    // The same scene elsewhere goes on.
+    let moved = dir.path().join("moved");
+    copy_folder(scene(), &moved);
+    works(&[&["run", &show(&moved), "--out", &show(&run)][..], &QUICK].concat());
+    // Photos of the same names from other places are another scene.
+    let sparse = moved.join("sparse/0");
+    let mut model = segwild_scene::colmap::read(&sparse).expect("a model");
+    model.images.iter_mut().for_each(|image| image.translation = image.translation.map(|v| 3.0 * v));
+    model.points.iter_mut().for_each(|point| point.position = point.position.map(|v| 3.0 * v));
+    let other = dir.path().join("other");
+    copy_folder(&moved, &other);
+    segwild_scene::colmap::write(&other.join("sparse/0"), &model).expect("it is written");
+    let args = [&["run", &show(&other), "--out", &show(&run)][..], &QUICK].concat();
+    refuses(&args, 2, &["the run of another scene", "moved", "give `--out` another folder"]);
+}
