@@ -19,7 +19,7 @@ use segwild_pipeline::{
     score, segment,
 };
 use segwild_raster::{CpuEngine, Engine};
-use segwild_scene::{BoxPrompt, Mask, PointPrompt, Prompts, Scene, SceneError};
+use segwild_scene::{BoxPrompt, Mask, MaskFiles, PointPrompt, Prompts, Scene, SceneError};
 use segwild_vision::Providers;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -409,11 +409,11 @@ fn references(
     let opened = Scene::open(scene, &settings.scene)?;
     let mut able = Vec::new();
     let listed = |name: &str| parts.is_empty() || parts.contains_key(stem(name));
+    let files = MaskFiles::new(truth, opened.views.iter().map(|view| view.name.as_str()));
     for view in opened.views.iter().filter(|v| !v.test && listed(&v.name)) {
-        let file = truth.join(Path::new(&view.name).with_extension("png"));
-        if !file.is_file() {
-            continue;
-        }
+        let file = files.find(&view.name);
+        let file = file.map_err(|reason| SceneError::invalid(truth, "masks", reason))?;
+        let Some(file) = file else { continue };
         let mask = Mask::read_png(&file)?;
         let share = mask.count() as f64 / f64::from(mask.width() * mask.height()).max(1.0);
         if share >= 0.001 {

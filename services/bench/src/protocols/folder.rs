@@ -1,10 +1,10 @@
 //! Any scene with true masks beside it: `SCENE/truth/PHOTO.png` of one object, or `SCENE/truth/OBJECT/PHOTO.png` of
 //! several.
 
-use super::place::{photo_of, photos, stem};
+use super::place::{photos, stem};
 use super::{Missing, Place, ProtocolError, Question, clicks};
 use segwild_pipeline::{PhotoPrompts, Settings};
-use segwild_scene::{Mask, Prompts, Random, SceneError};
+use segwild_scene::{Mask, MaskFiles, Prompts, Random, SceneError};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -42,8 +42,8 @@ const LAYOUT: &str = "Put the true masks where the photos are:\n\
 /// # Errors
 /// When it cannot be read or is something else.
 pub fn read_parts(file: &Path) -> Result<Parts, ProtocolError> {
-    let text = std::fs::read(file).map_err(SceneError::io(file))?;
-    serde_json::from_slice(&text).map_err(|e| ProtocolError::File {
+    let text = segwild_scene::text::read(file)?;
+    serde_json::from_str(&text).map_err(|e| ProtocolError::File {
         file: file.display().to_string(),
         reason: format!("expected rows by photo, as in {{\"IMG_01\": [240]}}: {e}"),
     })
@@ -98,13 +98,11 @@ fn objects(scene: &Path, photos: &[String]) -> Result<Objects, ProtocolError> {
         return Err(ProtocolError::Missing(missing(format!("the true masks: {}", truth.display()))));
     }
     let mut objects = Objects::new();
+    objects.insert("object".into(), masks_in(&truth, photos)?);
     for (path, is_folder) in entries(&truth)? {
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         if is_folder && !NO_OBJECT.contains(&name.as_str()) {
-            let masks = entries(&path)?.into_iter().filter_map(|(file, _)| named(photos, file)).collect();
-            objects.insert(name, masks);
-        } else if let Some(mask) = named(photos, path).filter(|_| !is_folder) {
-            objects.entry("object".into()).or_default().push(mask);
+            objects.entry(name).or_default().extend(masks_in(&path, photos)?);
         }
     }
     objects.retain(|_, masks: &mut Vec<_>| !masks.is_empty());
@@ -123,11 +121,19 @@ pub(super) fn entries(folder: &Path) -> Result<Vec<(PathBuf, bool)>, SceneError>
     Ok(list)
 }
 
-/// A mask with the photo that it is of.
-fn named(photos: &[String], file: PathBuf) -> Option<(String, PathBuf)> {
-    let name = file.file_name()?.to_string_lossy().into_owned();
-    let photo = photo_of(photos, stem(&name)).filter(|_| name.ends_with(".png"))?;
-    Some((photo.clone(), file))
+/// The masks in a folder, each with the photo that it is of.
+pub(super) fn masks_in(folder: &Path, photos: &[String]) -> Result<Vec<(String, PathBuf)>, ProtocolError> {
+    let files = MaskFiles::new(folder, photos.iter().map(String::as_str));
+    let mut masks = Vec::new();
+    for photo in photos {
+        let found = files.find(photo).map_err(|reason| {
+            let file = folder.display().to_string();
+            ProtocolError::File { file, reason }
+        })?;
+        masks.extend(found.map(|file| (photo.clone(), file)));
+    }
+    masks.sort_by(|a, b| a.1.cmp(&b.1));
+    Ok(masks)
 }
 
 /// The photos to click for an object, with its true masks there.

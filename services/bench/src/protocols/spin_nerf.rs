@@ -1,8 +1,8 @@
 //! SPIn-NeRF's multi-view masks (Mirzaei et al. 2023): the target's true mask on one photo is where it is clicked, those of
 //! all others score it.
 
-use super::folder::entries;
-use super::place::{photo_of, photos, stem};
+use super::folder::{entries, masks_in};
+use super::place::photos;
 use super::{Missing, Place, ProtocolError, Question, clicks};
 use segwild_pipeline::{PhotoPrompts, Settings};
 use segwild_scene::{Mask, Prompts};
@@ -75,12 +75,7 @@ fn place(
         return Ok(Err(format!("the masks of {name}: {}", scene.join(LABELS[0]).display())));
     };
     let photos = photos(scene, settings)?;
-    let mut truth = Vec::new();
-    for (file, _) in entries(&labels)? {
-        let mask = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let photo = photo_of(&photos, stem(&mask)).filter(|_| mask.ends_with(".png"));
-        truth.extend(photo.map(|photo| (photo.clone(), file.clone())));
-    }
+    let mut truth = masks_in(&labels, &photos)?;
     if truth.len() < 2 {
         let (n, labels) = (truth.len(), labels.display());
         return Ok(Err(format!("two masks in {labels} that are named as photos of {name}: there are {n}")));
