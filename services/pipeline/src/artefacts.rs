@@ -4,6 +4,7 @@
 //! depends on it.
 
 use crate::evaluate::protocol_of;
+use crate::memory;
 use crate::onward::Origin;
 use crate::strangers::Corrections;
 use crate::{Settings, Until};
@@ -103,19 +104,47 @@ impl End {
     }
 }
 
-/// What is in a scene's photos: the hash of each, or why it cannot be read.
+/// What is in a scene's photos: the hash of each, or why it cannot be used.
 #[derive(Clone, Debug)]
-pub struct Digests(Vec<Result<String, String>>);
+pub struct Digests {
+    photos: Vec<Result<String, String>>,
+    /// What is odd about photos that can be used, in words.
+    pub odd: Vec<String>,
+}
 
 impl Digests {
-    /// Reads every photo once.
-    pub fn read(scene: &Scene) -> Digests {
-        Digests(scene.views.par_iter().map(|v| photo_digest(v).map_err(|e| e.to_string())).collect())
+    /// Reads and decodes every photo once.
+    pub fn read(scene: &Scene, settings: &Settings) -> Digests {
+        let room = memory::decoding_room(settings, scene);
+        let examine = |view: &View| -> Result<(String, Option<String>), String> {
+            memory::too_large(settings, view, room).map_or(Ok(()), Err)?;
+            let digest = photo_digest(view).map_err(|e| e.to_string())?;
+            let odd = view.examine().map_err(|e| e.to_string())?;
+            Ok((digest, odd.map(|odd| format!("photo {}: {odd}", view.name))))
+        };
+        let (mut photos, mut odd) = (Vec::new(), Vec::new());
+        for examined in scene.views.par_iter().map(examine).collect::<Vec<_>>() {
+            match examined {
+                Ok((digest, words)) => {
+                    photos.push(Ok(digest));
+                    odd.extend(words);
+                }
+                Err(reason) => photos.push(Err(reason)),
+            }
+        }
+        Digests { photos, odd }
     }
 
     /// One per view; `None` where the photo cannot be read.
     pub fn all(&self) -> Vec<Option<&str>> {
-        self.0.iter().map(|d| d.as_deref().ok()).collect()
+        self.photos.iter().map(|d| d.as_deref().ok()).collect()
+    }
+
+    /// Whether no photo to train on can be used; why the first cannot.
+    pub fn nothing_left(&self, scene: &Scene) -> Option<&str> {
+        let train = || scene.views.iter().zip(&self.photos).filter(|(view, _)| !view.test);
+        let first = train().find_map(|(_, photo)| photo.as_ref().err());
+        first.filter(|_| train().all(|(_, photo)| photo.is_err())).map(String::as_str)
     }
 }
 
@@ -123,7 +152,7 @@ impl Keys {
     /// Names everything that a run of these settings makes of photos that were read.
     pub fn of(
         scene: &Scene,
-        Digests(digests): Digests,
+        Digests { photos: digests, .. }: Digests,
         settings: &Settings,
         providers: &Providers,
         corrections: &Corrections,
@@ -132,13 +161,17 @@ impl Keys {
     ) -> Keys {
         let photo = |domain: &'static str, i: usize, model: &str| {
             let digest = digests[i].as_ref().map_or("unreadable", String::as_str);
-            Key::of(domain)
+            let key = Key::of(domain)
                 .part("photo", digest)
                 .value("format", FORMAT)
                 .value("size", settings.scene.size)
                 .part("camera", format!("{:?} {:?}", scene.views[i].camera, scene.views[i].photo.lens))
-                .part("model", model)
-                .finish()
+                .part("model", model);
+            // Said only of cut-outs, so that what was made of others keeps its name.
+            match scene.views[i].photo.reading.empty {
+                true => key.part("transparent", "empty").finish(),
+                false => key.finish(),
+            }
         };
         let views = 0..scene.views.len();
         let sky: Vec<Key> = views
@@ -331,7 +364,12 @@ impl Keys {
         }
     }
 
-    /// Why a view's photo cannot be read, if so.
+    /// Per view, why its photo cannot be used, if so.
+    pub fn refused(&self) -> Vec<Option<String>> {
+        self.digests.iter().map(|digest| digest.as_ref().err().cloned()).collect()
+    }
+
+    /// Why a view's photo cannot be used, if so.
     pub fn unreadable(&self, view: usize) -> Option<&str> {
         self.digests[view].as_ref().err().map(String::as_str)
     }
@@ -357,8 +395,10 @@ pub(crate) fn history_of(geometry: &str) -> Key {
 fn photo_digest(view: &View) -> Result<String, segwild_scene::SceneError> {
     let mut digest = view.digest()?;
     for mask in [&view.photo.ignore, &view.photo.usable].into_iter().flatten() {
-        let bytes = std::fs::read(mask).map_err(segwild_scene::SceneError::io(mask))?;
-        digest.push_str(blake3::hash(&bytes).to_hex().as_str());
+        let mut hasher = blake3::Hasher::new();
+        let hashed = segwild_scene::open_file(mask).and_then(|file| hasher.update_reader(file).map(drop));
+        hashed.map_err(segwild_scene::SceneError::io(mask))?;
+        digest.push_str(hasher.finalize().to_hex().as_str());
     }
     Ok(digest)
 }

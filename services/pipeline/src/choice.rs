@@ -7,7 +7,7 @@ use segwild_flow::{Cache, CacheError, Key};
 use segwild_raster::Engine;
 use segwild_scene::{Mask, Scene};
 use segwild_trainer::{
-    BudgetChoice, CHOICE_SIZE, LookChoice, LookKind, Photos, TrainError, TrainPhoto, choose_budget,
+    BudgetChoice, CHOICE_SIZE, LookChoice, LookKind, Photos, Sifted, TrainError, TrainPhoto, choose_budget,
     choose_look, trial_size,
 };
 use segwild_vision::SkyDetector;
@@ -130,13 +130,13 @@ impl Chooser<'_> {
         let scene = &**self.scene;
         let trial_size = |settings: &Settings| trial_size(scene, settings.scene.size);
         let look = |settings: &Settings| {
-            let photos = self.photos(CHOICE_SIZE.min(trial_size(settings)));
+            let photos = self.photos(CHOICE_SIZE.min(trial_size(settings)), settings);
             choose_look(self.engine.clone(), scene, photos, &settings.train, self.stopping)
         };
         let (settings, look) = self.one::<LookChoice>(settings, false, look, &mut told)?;
         let beyond = beyond(self.steps_open, look.as_ref());
         let budget = |settings: &Settings| {
-            let photos = self.photos(trial_size(settings));
+            let photos = self.photos(trial_size(settings), settings);
             choose_budget(self.engine.clone(), scene, photos, &settings.train, beyond, self.stopping)
         };
         let (settings, _) = self.one::<BudgetChoice>(&settings, beyond, budget, &mut told)?;
@@ -172,7 +172,7 @@ impl Chooser<'_> {
     }
 
     /// Photos of a long side, few and small and asked for again and again.
-    fn photos(&self, size: u32) -> Arc<dyn Photos> {
+    fn photos(&self, size: u32, settings: &Settings) -> Arc<dyn Photos> {
         let (scene, sky, known) = (self.scene.clone(), self.sky.clone(), self.known.clone());
         let held: Mutex<BTreeMap<usize, Result<TrainPhoto, String>>> = Mutex::default();
         let read = move |view: usize| -> Result<TrainPhoto, String> {
@@ -180,13 +180,14 @@ impl Chooser<'_> {
             // Without its sky a photo still tells something.
             let seen = scene.points_in(view, loaded.image.width, loaded.image.height);
             let sky: Option<Mask> = sky.sky_above(&loaded.image, &seen).ok();
-            let mut photo = TrainPhoto { image: loaded.image, valid: loaded.valid, sky, strangers: None };
+            let mut photo = TrainPhoto::new(loaded, sky);
             known.tell_hand(view, &mut photo);
             Ok(photo)
         };
-        Arc::new(move |view: usize| {
+        let photos = move |view: usize| -> Result<TrainPhoto, String> {
             let mut held = held.lock().unwrap_or_else(PoisonError::into_inner);
             held.entry(view).or_insert_with(|| read(view)).clone()
-        })
+        };
+        Arc::new(Sifted { photos, refused: (self.keys)(settings).refused() })
     }
 }

@@ -174,7 +174,14 @@ mod tests {
                 let eye = Vec3::new(radius * (i as f32 / 15.0 - 0.5), 0.0, -4.0);
                 let pose = Pose::look_at(eye, Vec3::ZERO, Vec3::NEG_Y);
                 let path = format!("{i}.png").into();
-                let photo = Photo { path, ignore: None, usable: None, lens: None, seal: Seal::default() };
+                let photo = Photo {
+                    path,
+                    ignore: None,
+                    usable: None,
+                    lens: None,
+                    seal: Seal::default(),
+                    reading: Default::default(),
+                };
                 View { name: format!("{i}.png"), camera, pose, photo, test: false }
             })
             .collect();

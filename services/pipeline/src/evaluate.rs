@@ -91,7 +91,7 @@ pub(crate) fn held_out(
     let source = scene.clone();
     let photos: Arc<dyn Photos> = Arc::new(move |view: usize| -> Result<TrainPhoto, String> {
         let loaded = source.views[view].load(size).map_err(|e| e.to_string())?;
-        Ok(TrainPhoto { image: loaded.image, valid: loaded.valid, sky: sky(view)?, strangers: None })
+        Ok(TrainPhoto::new(loaded, sky(view)?))
     });
     let there = engine.hold(&model.splats);
     let there = there.map_err(|e| RunError::Stage { stage: "evaluate", reason: e.to_string() })?;

@@ -203,7 +203,14 @@ pub fn run(
     if let Some(words) = corrections.in_words(&scene) {
         options.events.info(Some("ingest"), words);
     }
-    let digests = Digests::read(&scene);
+    let digests = Digests::read(&scene, settings);
+    if let Some(first) = digests.nothing_left(&scene) {
+        let reason = format!("no photo can be trained on; of the first: {first}");
+        return Err(segwild_scene::SceneError::NothingUsable { path: intake.scene, reason }.into());
+    }
+    for odd in &digests.odd {
+        options.events.warn(Some("ingest"), odd.clone());
+    }
     for doubt in doubts::doubts(&scene).into_iter().chain(doubts::copies(&scene, &digests.all())) {
         options.events.warn(Some("ingest"), doubt);
     }

@@ -99,8 +99,7 @@ impl Inputs {
         };
         let photo = |view: usize| -> Result<TrainPhoto, Failure> {
             let loaded = self.anew.scene.views[view].load(self.size).map_err(Failure::retry)?;
-            let (image, valid, sky) = (loaded.image, loaded.valid, self.skies.read(view)?);
-            let mut photo = TrainPhoto { image, valid, sky, strangers: None };
+            let mut photo = TrainPhoto::new(loaded, self.skies.read(view)?);
             self.known.tell(view, &mut photo).map_err(Failure::retry)?;
             Ok(photo)
         };

@@ -6,7 +6,7 @@
 
 use crate::{RunError, Settings};
 use segwild_raster::{EmbedLook, GswLook};
-use segwild_scene::Scene;
+use segwild_scene::{Scene, View};
 use segwild_trainer::{LookKind, TrainSettings, splat_cap, stereo_bytes};
 use std::fmt;
 use std::path::Path;
@@ -30,6 +30,8 @@ const PER_PIXEL: f64 = 200.0;
 /// The same of each further photo that masks and features look at at once: `liberty` at 640 px takes 38 to 54 MiB for each on
 /// two cores, 80 to 87 on 16.
 const PER_LOOKER: f64 = 85.0;
+/// Bytes per pixel at the size trained at that decoding a photo of about that size takes: [`PER_PIXEL`] and [`PER_LOOKER`] hold them.
+const DECODED: u64 = 8;
 /// Least MiB that each of the caches is given.
 const LEAST_CACHE: usize = 8;
 /// What a MiB in a cache takes of the process: the allocator's blocks are larger than what is in them, and not every
@@ -71,7 +73,7 @@ impl MemoryNeed {
 
 fn need(settings: &Settings, scene: &Scene) -> MemoryNeed {
     let with = |fixed: f64, caches: usize| (fixed + caches as f64 * PER_CACHED).ceil() as u32;
-    let alone = with_one_looker(settings, scene);
+    let alone = with_one_looker(settings, scene) + most_decoding(settings, scene) as f64 / MIB;
     let all = alone + (settings.most_lookers() - 1) as f64 * looker(settings, scene);
     // Photos' analyses are held to the end. Of the other two the trainer's photos go before the field is made.
     let caches = settings.vision.vision_memory as usize
@@ -92,7 +94,7 @@ pub(crate) fn lookers(settings: &Settings, scene: &Scene) -> usize {
     if budget == 0.0 {
         return most;
     }
-    let spare = budget - with_one_looker(settings, scene) - 2.0 * LEAST_CACHE as f64 * PER_CACHED;
+    let spare = budget - with_decoding(settings, scene) - 2.0 * LEAST_CACHE as f64 * PER_CACHED;
     let room = 0.5 * spare.max(0.0) / looker(settings, scene).max(1e-3);
     most.min(1 + room as usize)
 }
@@ -102,9 +104,49 @@ fn looker(settings: &Settings, scene: &Scene) -> f64 {
     pixels(settings, scene) as f64 * 4.0 * PER_LOOKER / MIB
 }
 
+/// Bytes that decoding the photo takes beyond what is counted for its pixels at the size trained at.
+fn decoding(settings: &Settings, view: &View) -> u64 {
+    let camera = view.camera.scaled_to(settings.scene.size);
+    let counted = DECODED * u64::from(camera.width) * u64::from(camera.height);
+    view.photo.reading.bytes.saturating_sub(counted)
+}
+
+/// The same of the photo that takes most.
+fn most_decoding(settings: &Settings, scene: &Scene) -> u64 {
+    scene.views.iter().map(|view| decoding(settings, view)).max().unwrap_or(0)
+}
+
+/// Bytes that decoding a photo may take under the memory budget, if there is one; photos that take more are left out. `None`: any.
+pub(crate) fn decoding_room(settings: &Settings, scene: &Scene) -> Option<u64> {
+    let budget = f64::from(settings.run.memory_budget);
+    let least = with_one_looker(settings, scene) + 2.0 * LEAST_CACHE as f64 * PER_CACHED;
+    (budget > 0.0).then(|| ((budget - least).max(0.0) * MIB) as u64)
+}
+
+/// Why a photo is left out under the memory budget, if so.
+pub(crate) fn too_large(settings: &Settings, view: &View, room: Option<u64>) -> Option<String> {
+    let mib = |bytes: u64| bytes.div_ceil(1 << 20);
+    let bytes = decoding(settings, view);
+    let room = room.filter(|&room| bytes > room)?;
+    let budget = settings.run.memory_budget;
+    Some(format!(
+        "decoding its file takes {} MiB of memory, and --memory-budget {budget} leaves {} for it: give {} MiB, or make the photo smaller",
+        mib(bytes),
+        mib(room),
+        u64::from(budget) + mib(bytes - room),
+    ))
+}
+
 /// MiB that a run takes beside the caches.
 fn fixed(settings: &Settings, scene: &Scene) -> f64 {
-    with_one_looker(settings, scene) + (lookers(settings, scene) - 1) as f64 * looker(settings, scene)
+    with_decoding(settings, scene) + (lookers(settings, scene) - 1) as f64 * looker(settings, scene)
+}
+
+/// With what the dearest photo that is not left out takes to decode.
+fn with_decoding(settings: &Settings, scene: &Scene) -> f64 {
+    let room = decoding_room(settings, scene).unwrap_or(u64::MAX);
+    let most = scene.views.iter().map(|view| decoding(settings, view)).filter(|&bytes| bytes <= room).max();
+    with_one_looker(settings, scene) + most.unwrap_or(0) as f64 / MIB
 }
 
 fn with_one_looker(settings: &Settings, scene: &Scene) -> f64 {
@@ -174,25 +216,38 @@ fn pixels(settings: &Settings, scene: &Scene) -> usize {
     cameras.map(|camera| camera.width as usize * camera.height as usize).max().unwrap_or(0)
 }
 
-/// The settings with caches that fit the memory budget, if there is one.
+/// The settings with caches that fit the memory budget, if there is one. Bounds what all decoding of this process takes, too.
 ///
 /// # Errors
-/// In words, with the numbers, when the rest alone does not fit.
+/// In words, with the numbers, when the rest alone does not fit. A few photos whose decoding alone does not fit are no reason:
+/// [`too_large`] says why each is left out.
 pub(crate) fn within_budget(settings: &Settings, scene: &Scene) -> Result<Settings, RunError> {
     let mut settings = settings.clone();
     let budget = settings.run.memory_budget as usize;
+    segwild_scene::limit_decoding(None);
     if budget == 0 {
         return Ok(settings);
     }
     let need = need(&settings, scene);
-    if need.least_mib as usize > budget {
+    let room = decoding_room(&settings, scene);
+    let fits = |view: &&View| too_large(&settings, view, room).is_none();
+    let most_fit = 2 * scene.views.iter().filter(fits).count() > scene.views.len();
+    let dearest = with_decoding(&settings, scene) + 2.0 * LEAST_CACHE as f64 * PER_CACHED;
+    if need.least_mib as usize > budget && (!most_fit || dearest.ceil() as usize > budget) {
         return Err(RunError::Request(format!(
             "this run needs about {need}, and --memory-budget allows {budget}: give more, or lower --splats or --size"
         )));
     }
     // Networks hold what their file takes, which nobody knows before; more than the whole budget they are not given.
     settings.vision.network_memory = settings.vision.network_memory.min(settings.run.memory_budget);
-    let spare = ((budget as f64 - fixed(&settings, scene)) / PER_CACHED) as usize;
+    // Several photos are decoded at once where there is room for it.
+    let (alone, least) = (fixed(&settings, scene), 2.0 * LEAST_CACHE as f64 * PER_CACHED);
+    let one = (with_decoding(&settings, scene) - with_one_looker(&settings, scene)) * MIB;
+    let more = (budget as f64 - alone - least).max(0.0) * MIB / 4.0;
+    let more = more.min(one * (settings.most_lookers() - 1) as f64);
+    let counted = (DECODED * pixels(&settings, scene) as u64) as f64 * lookers(&settings, scene) as f64;
+    segwild_scene::limit_decoding(Some((one + more + counted) as u64));
+    let spare = ((budget as f64 - alone - more / MIB) / PER_CACHED) as usize;
     settings.vision.vision_memory = settings.vision.vision_memory.min((spare / 2) as u32);
     let rest = spare - settings.vision.vision_memory as usize;
     settings.train.photo_cache_mib = settings.train.photo_cache_mib.min(rest);
@@ -204,7 +259,7 @@ pub(crate) fn within_budget(settings: &Settings, scene: &Scene) -> Result<Settin
 mod tests {
     use super::*;
     use glam::Vec3;
-    use segwild_scene::{Camera, Frame, Photo, Pose, Seal, View};
+    use segwild_scene::{Camera, Frame, Photo, Pose, Reading, Seal, View};
 
     #[test]
     fn a_budget_is_shared_by_every_cache_that_is_held_at_the_same_time() {
@@ -238,8 +293,14 @@ mod tests {
     fn a_budget_has_room_for_fewer_photos_at_once() {
         let frame = Frame { origin: Default::default(), scale: 1.0 };
         let camera = Camera { width: 640, height: 480, fx: 500.0, fy: 500.0, cx: 320.0, cy: 240.0 };
-        let photo =
-            Photo { path: "a.jpg".into(), ignore: None, usable: None, lens: None, seal: Seal::default() };
+        let photo = Photo {
+            path: "a.jpg".into(),
+            ignore: None,
+            usable: None,
+            lens: None,
+            seal: Seal::default(),
+            reading: Default::default(),
+        };
         let pose = Pose::look_at(Vec3::ZERO, Vec3::Z, Vec3::NEG_Y);
         let view = View { name: "a.jpg".into(), camera, pose, photo, test: false };
         let scene =
@@ -289,5 +350,49 @@ mod tests {
             + fitted.train.photo_cache_mib.max(fitted.features.feature_memory as usize);
         let most = fixed(&settings, &scene) + caches as f64 * PER_CACHED;
         assert!(most <= f64::from(settings.run.memory_budget), "{most}");
+    }
+
+    #[test]
+    fn a_photo_whose_decoding_breaks_the_budget_is_left_out_and_many_are_refused_with_the_number() {
+        let frame = Frame { origin: Default::default(), scale: 1.0 };
+        let camera = Camera { width: 640, height: 480, fx: 500.0, fy: 500.0, cx: 320.0, cy: 240.0 };
+        let view = |i: usize, mib: u64| {
+            let reading = Reading { bytes: mib << 20, empty: false };
+            let path = format!("{i}.jpg");
+            let photo = Photo {
+                path: path.clone().into(),
+                ignore: None,
+                usable: None,
+                lens: None,
+                seal: Seal::default(),
+                reading,
+            };
+            let pose = Pose::look_at(Vec3::ZERO, Vec3::Z, Vec3::NEG_Y);
+            View { name: path, camera, pose, photo, test: false }
+        };
+        let of = |mib: [u64; 4]| {
+            let views = mib.into_iter().enumerate().map(|(i, mib)| view(i, mib)).collect();
+            Scene { views, points: Vec::new(), skipped: Vec::new(), notes: Vec::new(), frame }
+        };
+        let mut settings = Settings::default();
+        settings.run.threads = 2;
+        let least = |scene: &Scene| need(&Settings { ..settings.clone() }, scene).least_mib;
+        let (small, large) = (of([1; 4]), of([500; 4]));
+        let room = least(&large) - least(&small);
+        assert!((490..=500).contains(&room), "files count: {room}");
+        let mut tight = settings.clone();
+        tight.run.memory_budget = least(&small) + 20;
+        let one = of([1, 500, 1, 1]);
+        let room = decoding_room(&tight, &one);
+        let out: Vec<Option<String>> = one.views.iter().map(|view| too_large(&tight, view, room)).collect();
+        assert_eq!(out.iter().map(Option::is_some).collect::<Vec<_>>(), [false, true, false, false]);
+        let words = out[1].as_deref().unwrap_or_default();
+        assert!(words.contains("MiB") && words.contains("--memory-budget"), "{words}");
+        within_budget(&tight, &one).expect("the rest goes on");
+        let refused = within_budget(&tight, &large).expect_err("none fits").to_string();
+        assert!(refused.contains(&format!("{} MiB", least(&large))), "{refused}");
+        tight.run.memory_budget = least(&large);
+        within_budget(&tight, &large).expect("with the number that was named");
+        segwild_scene::limit_decoding(None);
     }
 }

@@ -1,6 +1,6 @@
 //! Planar float images.
 
-use crate::SceneError;
+use crate::{SceneError, decode};
 use std::path::Path;
 use wincode::{SchemaRead, SchemaWrite};
 
@@ -141,9 +141,13 @@ fn taps(from: usize, to: usize) -> Vec<Taps> {
 
 /// Decodes a file whatever its name says it is.
 pub(crate) fn read_file(path: &Path) -> Result<image::DynamicImage, SceneError> {
-    let reader = image::ImageReader::open(path).map_err(SceneError::io(path))?;
-    let reader = reader.with_guessed_format().map_err(SceneError::io(path))?;
-    reader.decode().map_err(|e| SceneError::invalid(path, "picture", e.to_string()))
+    read_file_within(path, decode::pixels_of(decode::MEGAPIXELS))
+}
+
+/// The same, of at most so many pixels.
+pub(crate) fn read_file_within(path: &Path, most_pixels: u64) -> Result<image::DynamicImage, SceneError> {
+    decode::open_file(path).map_err(SceneError::io(path))?;
+    decode::picture(path, most_pixels).map_err(|e| SceneError::invalid(path, "picture", e))
 }
 
 pub(crate) fn write_png(

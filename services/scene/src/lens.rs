@@ -132,6 +132,39 @@ const LARGEST_SIDE: u64 = 100_000;
 /// Widest angle off the axis that a pinhole image may hold, in degrees.
 const WIDEST: f64 = 89.0;
 
+/// Focal lengths in long sides of the photo: from a view of 173 degrees to one of a quarter of a degree, as of a telescope.
+const FOCAL: std::ops::RangeInclusive<f64> = 0.03..=200.0;
+/// How many times the focal length may differ across and down.
+const UNEVEN: f64 = 10.0;
+/// How many of the photo's sizes the principal point may lie outside of it.
+const OUTSIDE: f64 = 2.0;
+
+/// Refuses a camera that no photo was taken with: rays of it are all but parallel, or all but perpendicular, and what is computed
+/// from it is no number.
+fn believable(size: [f64; 2], focal: [f64; 2], centre: [f64; 2]) -> Result<(), String> {
+    let long = size[0].max(size[1]);
+    if let Some(f) = focal.iter().find(|&&f| !FOCAL.contains(&(f / long))) {
+        return Err(format!(
+            "its camera has a focal length of {f} pixels for a photo of {} x {}: the reconstruction went wrong there",
+            size[0], size[1]
+        ));
+    }
+    if focal[0].max(focal[1]) > UNEVEN * focal[0].min(focal[1]) {
+        return Err(format!(
+            "its camera's focal lengths, {} and {} pixels, cannot be of one lens",
+            focal[0], focal[1]
+        ));
+    }
+    let far = |c: f64, size: f64| c < -OUTSIDE * size || c > (1.0 + OUTSIDE) * size;
+    if far(centre[0], size[0]) || far(centre[1], size[1]) {
+        return Err(format!(
+            "its camera's principal point, ({}, {}), lies far outside of a photo of {} x {}",
+            centre[0], centre[1], size[0], size[1]
+        ));
+    }
+    Ok(())
+}
+
 impl Lens {
     /// A lens from COLMAP's parameters; the error says in words what is wrong with them.
     pub fn new(model: Model, width: u64, height: u64, params: &[f64]) -> Result<Lens, String> {
@@ -160,6 +193,7 @@ impl Lens {
             return Err(format!("its camera has the focal length {}", focal[0].min(focal[1])));
         }
         let (centre, k) = ([rest[0], rest[1]], &rest[2..]);
+        believable([width as f64, height as f64], focal, centre)?;
         let mut lens = Lens {
             model,
             width: width as u32,

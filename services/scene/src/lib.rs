@@ -9,9 +9,11 @@
 //! Quaternions are (w, x, y, z). A loaded scene is normalised (see [`Scene::frame`]): the cameras' mean is the
 //! origin and the scene extent is 1, so nothing depends on the units of the reconstruction.
 
+mod alpha;
 mod camera;
 pub mod colmap;
 mod colourless;
+mod decode;
 mod draft;
 mod embedding;
 mod error;
@@ -44,6 +46,7 @@ mod window;
 
 pub use camera::{Camera, Pose};
 pub use colourless::DARKEST;
+pub use decode::{limit_decoding, open_file};
 pub use embedding::Embedding;
 pub use error::SceneError;
 pub use image::Image;
@@ -54,11 +57,23 @@ pub use prompt::{BoxPrompt, PointPrompt, Prompts};
 pub use random::Random;
 pub use seal::Seal;
 pub use splats::Splats;
-pub use view::{Frame, Observation, Photo, Point, Scene, Skipped, View};
+pub use view::{Frame, Observation, Photo, Point, Reading, Scene, Skipped, View};
 pub use window::box_mean;
 
 /// Distance before which nothing is drawn, in units of the scene extent (method, section 0).
 pub const NEAR: f32 = 0.01;
+
+choice! {
+    /// What the transparent part of a photo says.
+    pub enum Alpha {
+        /// Decided by what most photos look like.
+        Auto = "auto",
+        /// Nothing: it is left out.
+        Ignore = "ignore",
+        /// Nothing of the scene stands there.
+        Empty = "empty",
+    }
+}
 
 settings! {
     /// Where the photos and the reconstruction of a scene are, and how they are read.
@@ -81,5 +96,10 @@ settings! {
         hold_out: u32 = 0,
         /// Long side in pixels that photos are scaled down to on load.
         size: u32 = 640 => 16..=16_384,
+        /// What the transparent part of a photo says: `ignore` = nothing, `empty` = that nothing of the scene stands there, as in
+        /// cut-outs of an object; `auto` = empty where most photos are cut-outs.
+        alpha: Alpha = Alpha::Auto,
+        /// Most megapixels that a photo or mask may have; a file that claims more is left out before it is decoded.
+        max_megapixels: u32 = 200 => 1..=4_300,
     }
 }

@@ -1,5 +1,6 @@
 //! Where a scene's reconstruction, its photo folder and its photos are.
 
+use crate::decode::converted;
 use crate::draft::Draft;
 use crate::names::{Entry, Listing, is_inside, tidy};
 use crate::{SceneError, SceneSettings};
@@ -85,7 +86,7 @@ pub(crate) fn find_photos(folder: &Path, draft: &Draft) -> Result<PathBuf, Scene
     places.splice(0..0, above);
     places.retain(|place| place.is_dir());
     let holds =
-        |place: &PathBuf| draft.photos.iter().any(|p| is_inside(&p.name) && place.join(&p.name).is_file());
+        |place: &PathBuf| draft.photos.iter().any(|p| is_inside(&p.name) && is_there(&place.join(&p.name)));
     if let Some(place) = places.iter().find(|place| holds(place)) {
         return Ok(place.clone());
     }
@@ -118,13 +119,19 @@ pub(crate) fn find_photos(folder: &Path, draft: &Draft) -> Result<PathBuf, Scene
     Err(SceneError::NothingUsable { path: folder.to_owned(), reason })
 }
 
+/// Whether there is the file, or a converted copy of it.
+fn is_there(path: &Path) -> bool {
+    path.is_file() || converted(path).is_some()
+}
+
 /// The file of each photo, or why there is none. A photo that is found by what is left of its name gets the name of the file.
 pub(crate) fn locate(draft: &mut Draft, images: &Path) -> Vec<Result<PathBuf, String>> {
     let exact = |photo: &draft::DraftPhoto| match &photo.file {
         Some(file) => Some(file.clone()),
         None => {
             let path = images.join(&photo.name);
-            (is_inside(&photo.name) && path.is_file()).then_some(Ok(path))
+            // What stands there and is no file is told of when it is opened.
+            (is_inside(&photo.name) && (path.exists() || converted(&path).is_some())).then_some(Ok(path))
         }
     };
     let mut located: Vec<Option<Result<PathBuf, String>>> = draft.photos.par_iter().map(exact).collect();

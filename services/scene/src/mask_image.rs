@@ -1,5 +1,6 @@
 //! Pictures as masks: each is read by its own range, whatever program wrote it.
 
+use crate::decode::{MEGAPIXELS, open_file, pixels_of};
 use crate::{Mask, SceneError};
 use image::DynamicImage;
 use std::io::Read;
@@ -29,7 +30,12 @@ impl Mask {
     /// # Errors
     /// The file cannot be read, or is no mask: a photo, a single grey, or a picture of several numbered regions.
     pub fn read_png(path: &Path) -> Result<Mask, SceneError> {
-        let picture = crate::image::read_file(path)?;
+        Mask::read_within(path, pixels_of(MEGAPIXELS))
+    }
+
+    /// The same, of at most so many pixels.
+    pub(crate) fn read_within(path: &Path, most_pixels: u64) -> Result<Mask, SceneError> {
+        let picture = crate::image::read_file_within(path, most_pixels)?;
         from_picture(&picture, is_lossy(path)).map_err(|reason| SceneError::invalid(path, "picture", reason))
     }
 }
@@ -37,7 +43,7 @@ impl Mask {
 /// Whether the file's format changes values a little: JPEG, or WEBP, which may.
 fn is_lossy(path: &Path) -> bool {
     let mut start = [0; 4];
-    let read = std::fs::File::open(path).and_then(|mut file| file.read_exact(&mut start));
+    let read = open_file(path).and_then(|mut file| file.read_exact(&mut start));
     read.is_ok() && (start[..2] == [0xff, 0xd8] || &start == b"RIFF")
 }
 

@@ -1,16 +1,17 @@
 //! Opening a scene: find what is there, check it against the photos, normalise.
 
+use crate::decode::{Head, converted, pixels_of};
 use crate::draft::{Draft, DraftPhoto, DraftPoint, DraftPose};
 use crate::frame::{Placed, Placing};
-use crate::keep;
 use crate::locate::{find, find_photos, folder_setting, locate, setting, unheld};
 use crate::mask_files::MaskFiles;
 use crate::names::is_inside;
-use crate::photo::Header;
 use crate::split::{Part, Split};
 use crate::{
-    DARKEST, Frame, Observation, Photo, Point, Pose, Scene, SceneError, SceneSettings, Seal, Skipped, View,
+    DARKEST, Frame, Observation, Photo, Point, Pose, Reading, Scene, SceneError, SceneSettings, Seal,
+    Skipped, View,
 };
+use crate::{alpha, keep};
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashSet};
@@ -56,7 +57,9 @@ impl Scene {
             .photos
             .par_iter()
             .zip(located)
-            .map(|(photo, path)| check(photo, path, ignored.as_ref(), keep.as_ref(), split.as_ref()))
+            .map(|(photo, path)| {
+                check(photo, path, ignored.as_ref(), keep.as_ref(), split.as_ref(), settings)
+            })
             .collect();
         let mut usable: BTreeMap<&str, (usize, Checked)> = BTreeMap::new();
         for (i, (photo, checked)) in draft.photos.iter().zip(checked).enumerate() {
@@ -69,6 +72,10 @@ impl Scene {
                     usable.insert(&photo.name, (i, checked));
                 }
             }
+        }
+        for (name, reason) in far_off(&usable) {
+            usable.remove(name);
+            skip(name, reason);
         }
         let placed = usable.values().filter_map(|(i, checked)| checked.placed(*i, &draft)).collect();
         let mut placing = Placing::new(&draft, placed);
@@ -94,12 +101,14 @@ impl Scene {
 
         let frame = placing.frame();
         let outliers = placing.outliers(&frame);
+        let copied: Vec<String> = usable.values().filter_map(|(_, c)| c.copied.clone()).collect();
         let mut view_of = vec![None; draft.photos.len()];
         let mut views = Vec::with_capacity(usable.len());
         for (name, (i, checked)) in usable {
             view_of[i] = Some(views.len() as u32);
             views.push(checked.into_view(name, &frame));
         }
+        let cut_outs = alpha::decide(&mut views, settings);
         hold_out(&mut views, split.as_ref(), settings.hold_out)?;
         if let Some(first) = views.iter().find(|v| !v.test)
             && views.iter().filter(|v| !v.test).all(View::is_masked_out)
@@ -147,6 +156,7 @@ impl Scene {
         told.extend(split.iter().map(|split| split_in_words(split, &views, &draft, settings)));
         told.extend(notes(&draft, views.len(), points.len(), &view_of));
         let mut notes = told;
+        notes.extend(copies(copied).into_iter().chain(cut_outs));
         notes.extend(
             placing
                 .notes(&frame, &outliers)
@@ -156,6 +166,36 @@ impl Scene {
         let mut scene = Scene { views, points, skipped, notes, frame };
         scene.notes.extend(scene.about_colours().map(|words| format!("{}: {words}", draft.source.display())));
         Ok(scene)
+    }
+}
+
+/// Photos whose focal length is so far from the others' that the reconstruction went wrong there: one alone makes what near and far
+/// means of all.
+fn far_off<'a>(usable: &BTreeMap<&'a str, (usize, Checked)>) -> Vec<(&'a str, String)> {
+    let ratio =
+        |c: &Checked| f64::from(c.camera.fx.max(c.camera.fy) / c.camera.width.max(c.camera.height) as f32);
+    let mut ratios: Vec<f64> = usable.values().map(|(_, c)| ratio(c)).collect();
+    ratios.sort_by(f64::total_cmp);
+    let usual = ratios.get(ratios.len() / 2).copied().unwrap_or(1.0);
+    let far = |c: &Checked| ratios.len() > 3 && !(usual / FAR_OFF..=usual * FAR_OFF).contains(&ratio(c));
+    let reason = |c: &Checked| {
+        format!(
+            "its camera has a focal length of {:.1} photo lengths where {usual:.1} is usual here: the reconstruction went wrong there",
+            ratio(c)
+        )
+    };
+    usable.iter().filter(|(_, (_, c))| far(c)).map(|(name, (_, c))| (*name, reason(c))).collect()
+}
+
+/// How many times the usual focal length a photo's may be: a telephoto lens has twenty times that of the widest.
+const FAR_OFF: f64 = 20.0;
+
+/// What to say of photos that are read from a converted copy: the first, and how many more there are.
+fn copies(copied: Vec<String>) -> Option<String> {
+    match copied.len() {
+        0 => None,
+        1 => copied.into_iter().next(),
+        n => copied.first().map(|first| format!("{first}, and {} more photos from theirs", n - 1)),
     }
 }
 
@@ -200,6 +240,8 @@ struct Checked {
     photo: Photo,
     camera: crate::Camera,
     pose: DraftPose,
+    /// What to say where a converted copy stands for the photo.
+    copied: Option<String>,
 }
 
 impl Checked {
@@ -226,6 +268,7 @@ fn check(
     ignored: Option<&MaskFiles>,
     keep: Option<&MaskFiles>,
     split: Option<&Split>,
+    settings: &SceneSettings,
 ) -> Result<Checked, String> {
     if !is_inside(&photo.name) {
         path?;
@@ -242,7 +285,7 @@ fn check(
         _ => {}
     }
     let pose = photo.pose.clone()?;
-    let path = path?;
+    let (path, head, copied) = readable(path?, settings)?;
     let mask = |masks: Option<&MaskFiles>| masks.map_or(Ok(None), |masks| masks.find(&photo.name));
     let ignore = mask(ignored)?;
     let usable = match &photo.usable {
@@ -252,7 +295,7 @@ fn check(
     let files = [Some(&path), ignore.as_ref(), usable.as_ref()];
     let seal = Seal::on(files.into_iter().flatten().map(PathBuf::as_path));
     let lens = photo.lens.as_ref().map_err(String::clone)?;
-    let (width, height) = Header::read(&path)?.size_for(lens.width(), lens.height())?;
+    let (width, height) = head.size_for(lens.width(), lens.height())?;
     let lens = lens.resized(width, height);
     let filled = lens.filled();
     if filled < HALF {
@@ -265,8 +308,40 @@ fn check(
     if let Some(mask) = usable.as_ref().filter(|mask| !mask.is_file()) {
         return Err(format!("there is no file {}, which is to be its mask", mask.display()));
     }
+    // A mask whose head cannot be read says so when it is decoded.
+    let mask_bytes = |mask: &PathBuf| {
+        let head = Head::read(mask, pixels_of(settings.max_megapixels)).ok()?;
+        Some(head.bytes_for(head.width, head.height))
+    };
+    let masks = [&ignore, &usable].into_iter().flatten().filter_map(mask_bytes).max().unwrap_or(0);
+    let bytes = head.photo_bytes(&camera, lens.is_distorted(), settings.size).max(masks);
+    // Whether it is empty is decided when all photos are known.
+    let reading = Reading { bytes, empty: head.has_alpha() };
     let lens = lens.is_distorted().then_some(lens);
-    Ok(Checked { photo: Photo { path, ignore, usable, lens, seal }, camera, pose })
+    Ok(Checked { photo: Photo { path, ignore, usable, lens, seal, reading }, camera, pose, copied })
+}
+
+/// The photo's file, or its converted copy where this program does not read the file itself; the head of what is read, and what
+/// to say of the copy.
+fn readable(path: PathBuf, settings: &SceneSettings) -> Result<(PathBuf, Head, Option<String>), String> {
+    let most = pixels_of(settings.max_megapixels);
+    let copy = converted(&path);
+    let read = match path.exists() {
+        true => Head::read(&path, most),
+        false if copy.is_some() => Err(String::new()),
+        false => return Err(format!("there is no file {}", path.display())),
+    };
+    let (path, head, note) = match (read, copy) {
+        (Ok(head), _) => (path, head, None),
+        (Err(reason), None) => return Err(reason),
+        (Err(_), Some(copy)) => {
+            let head = Head::read(&copy, most)?;
+            let note = format!("{} is read from its converted copy {}", path.display(), copy.display());
+            (copy, head, Some(note))
+        }
+    };
+    head.check_end(&path)?;
+    Ok((path, head, note))
 }
 
 /// Least share of the undistorted picture that a photo must fill for its lens to be believed.

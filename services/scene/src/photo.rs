@@ -1,11 +1,11 @@
 //! Loading a photo: decode, turn, undistort, scale down, mark what is not to be trusted.
 
+use crate::decode::{self, Decoded, Head};
 use crate::lens::Lens;
 use crate::{Camera, Image, Mask, SceneError, View};
 use fast_image_resize as fir;
 use image::metadata::Orientation;
-use image::{DynamicImage, ImageDecoder, ImageReader};
-use std::io::{Cursor, Read};
+use image::{DynamicImage, GenericImageView};
 use std::path::Path;
 
 /// A photo ready for training.
@@ -18,6 +18,9 @@ pub struct LoadedPhoto {
     /// False where a pixel is not to be trusted: ignored by the user's mask, transparent, or outside the photo
     /// after undistortion. `None` when every pixel is good.
     pub valid: Option<Mask>,
+    /// True where nothing of the scene stands: transparent, and [`crate::Reading::empty`]. Such a pixel is not `valid`, for it shows
+    /// no colour of the scene.
+    pub empty: Option<Mask>,
 }
 
 impl View {
@@ -34,20 +37,33 @@ impl View {
     }
 
     fn read(&self, long_side: u32) -> Result<LoadedPhoto, SceneError> {
-        let fail = |reason: String| self.photo_error(&self.photo.path, reason);
-        let decoded = self.decode()?;
+        let path = &self.photo.path;
+        let fail = |reason: String| self.photo_error(path, reason);
+        let (head, turned) = self.head().map_err(fail)?;
+        head.check_end(path).map_err(fail)?;
         let camera = self.camera.scaled_to(long_side.max(1));
-        let mut valid = decoded.color().has_alpha().then(|| opaque(&decoded, camera.width, camera.height));
-        let image = match &self.photo.lens {
-            None => shrink(decoded, camera.width, camera.height).map_err(fail)?,
-            Some(lens) => {
-                // Bending blurs a little, so it happens at up to twice the size asked for.
-                let fine = self.camera.scaled_to(long_side.max(1).saturating_mul(2));
-                let bent = shrink(decoded, fine.width, fine.height).map_err(fail)?;
-                straighten(&bent, &lens.resized(fine.width, fine.height), &fine)
-                    .resized(camera.width as usize, camera.height as usize)
+        // Bending blurs a little, so it happens at up to twice the size asked for.
+        let fine = self.photo.lens.as_ref().map(|lens| (lens, bent(&self.camera, long_side)));
+        let size = fine.as_ref().map_or(&camera, |(_, fine)| fine);
+        let shrunk = |mut decoded: Decoded| {
+            if turned {
+                decoded.turn(head.orientation);
             }
+            let opaque = head.has_alpha().then(|| opaque(&decoded, camera.width, camera.height));
+            if self.photo.reading.empty {
+                decoded.image = before_grey(decoded.image);
+            }
+            Ok((shrink(decoded, size.width, size.height)?, opaque))
         };
+        let (image, mut valid) = head.decode_and(path, stored(size, turned), shrunk).map_err(fail)?;
+        let image = match &fine {
+            None => image,
+            Some((lens, fine)) => straighten(&image, &lens.resized(fine.width, fine.height), fine)
+                .resized(camera.width as usize, camera.height as usize),
+        };
+        let empty_of =
+            |opaque: &Option<Mask>| opaque.as_ref().filter(|_| self.photo.reading.empty).map(Mask::not);
+        let mut empty = empty_of(&valid);
         if let Some(lens) = &self.photo.lens {
             let lens = lens.resized(camera.width, camera.height);
             // Transparency is a matter of the photo as taken: look it up through the lens.
@@ -58,13 +74,15 @@ impl View {
                 })
             });
             let photographed = photographed(&lens);
+            empty = empty_of(&valid).map(|empty| empty.and(&photographed));
             valid = Some(valid.map_or(photographed.clone(), |v| v.and(&photographed)));
         }
         for (path, white) in self.masks() {
             let ignored = self.ignored(path, white, &camera)?;
+            empty = empty.map(|empty| empty.minus(&ignored));
             valid = Some(valid.map_or_else(|| ignored.not(), |v| v.minus(&ignored)));
         }
-        Ok(LoadedPhoto { image, camera, valid })
+        Ok(LoadedPhoto { image, camera, valid, empty })
     }
 
     /// Whether the photo and its masks are still the files that they were when the scene was opened.
@@ -81,8 +99,41 @@ impl View {
     /// BLAKE3 of the photo's bytes, in hexadecimal: what a cache key needs of the photo.
     pub fn digest(&self) -> Result<String, SceneError> {
         let path = &self.photo.path;
-        let bytes = std::fs::read(path).map_err(|e| self.photo_error(path, e.to_string()))?;
-        Ok(blake3::hash(&bytes).to_hex().to_string())
+        let mut hasher = blake3::Hasher::new();
+        let hashed = decode::open_file(path).and_then(|file| hasher.update_reader(file).map(drop));
+        hashed.map_err(|e| self.photo_error(path, e.to_string()))?;
+        Ok(hasher.finalize().to_hex().to_string())
+    }
+
+    /// Decodes the photo once at a small size, and looks for damage that decoders pass over: whether it can be used at all. What
+    /// is odd about it, in words, where it can.
+    ///
+    /// # Errors
+    /// Also when its masks leave nothing of it, or all of it is transparent.
+    pub fn examine(&self) -> Result<Option<String>, SceneError> {
+        let path = &self.photo.path;
+        let fail = |reason: String| self.photo_error(path, reason);
+        let (head, _) = self.head().map_err(fail)?;
+        let odd = head.check_data(path).map_err(fail)?;
+        let nothing_left = self.load(EXAMINED)?.valid.is_some_and(|valid| valid.is_empty());
+        match (nothing_left, self.masks().next().is_some()) {
+            (true, true) => Err(fail("its masks leave nothing of it".into())),
+            (true, false) => Err(fail("all of it is transparent".into())),
+            _ => Ok(odd),
+        }
+    }
+
+    /// Pixels that the photo and its masks may have: the photo itself was within the bound when the scene was opened.
+    fn most_pixels(&self) -> u64 {
+        let own = u64::from(self.camera.width) * u64::from(self.camera.height);
+        own.max(decode::pixels_of(decode::MEGAPIXELS))
+    }
+
+    /// The photo's head, and whether it must be turned to agree with the camera.
+    fn head(&self) -> Result<(Head, bool), String> {
+        let head = Head::read(&self.photo.path, self.most_pixels())?;
+        let turned = head.turned(self.camera.width, self.camera.height)?.is_some();
+        Ok((head, turned))
     }
 
     /// Its masks, and whether white is ignored in them.
@@ -105,23 +156,9 @@ impl View {
         SceneError::Photo { name: self.name.clone(), path: path.to_owned(), reason }
     }
 
-    fn decode(&self) -> Result<DynamicImage, SceneError> {
-        let path = &self.photo.path;
-        let fail = |reason: String| self.photo_error(path, reason);
-        let (mut decoder, header) = open(path).map_err(fail)?;
-        let turned = header.turned(self.camera.width, self.camera.height).map_err(fail)?;
-        decoder.set_limits(image::Limits::default()).map_err(|e| fail(e.to_string()))?;
-        let mut decoded =
-            DynamicImage::from_decoder(decoder).map_err(|e| fail(format!("does not decode: {e}")))?;
-        if turned.is_some() {
-            decoded.apply_orientation(header.orientation);
-        }
-        Ok(decoded)
-    }
-
     /// The pixels of the loaded photo that a mask's white touches, or its black.
     fn ignored(&self, path: &Path, white: bool, camera: &Camera) -> Result<Mask, SceneError> {
-        let mask = Mask::read_png(path)?;
+        let mask = Mask::read_within(path, self.most_pixels())?;
         let mask = if white { mask } else { mask.not() };
         let (w, h) = (mask.width(), mask.height());
         if !same_aspect((w, h), (self.camera.width, self.camera.height)) {
@@ -152,22 +189,20 @@ impl View {
     }
 }
 
-/// What the head of a photo's file says.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Header {
-    /// Size as stored.
-    width: u32,
-    height: u32,
-    /// The EXIF orientation.
-    orientation: Orientation,
+/// Long side at which a photo is examined.
+const EXAMINED: u32 = 256;
+
+/// The size at which a photo is undistorted.
+fn bent(camera: &Camera, long_side: u32) -> Camera {
+    camera.scaled_to(long_side.max(1).saturating_mul(2))
 }
 
-impl Header {
-    /// Reads the head of a file; nothing is decoded.
-    pub(crate) fn read(path: &Path) -> Result<Header, String> {
-        open(path).map(|(_, header)| header)
-    }
+/// A size in the orientation in which a photo is stored.
+fn stored(size: &Camera, turned: bool) -> (u32, u32) {
+    if turned { (size.height, size.width) } else { (size.width, size.height) }
+}
 
+impl Head {
     /// Size as stored, without regard to the orientation: what COLMAP sees.
     pub(crate) fn stored(&self) -> (u32, u32) {
         (self.width, self.height)
@@ -190,6 +225,13 @@ impl Header {
         let camera = (width, height);
         if stored == camera {
             Ok(None)
+        } else if self.turned_since && same_aspect(turned, camera) {
+            // Which way they were turned nothing says: the orientation is that of the pixels before.
+            Err(format!(
+                "some program has turned its pixels since it was taken (it has {} x {}, its camera is for {width} x {height}): \
+                 put the photo back that was reconstructed",
+                self.width, self.height
+            ))
         } else if turns && turned == camera {
             Ok(Some(turned))
         } else if same_aspect(stored, camera) {
@@ -205,63 +247,18 @@ impl Header {
         }
     }
 
+    /// Most bytes that decoding the photo for a long side takes, beside what it is then.
+    pub(crate) fn photo_bytes(&self, camera: &Camera, distorted: bool, long_side: u32) -> u64 {
+        let turned = self.turned(camera.width, camera.height).is_ok_and(|turned| turned.is_some());
+        let size = if distorted { bent(camera, long_side) } else { camera.scaled_to(long_side.max(1)) };
+        let (width, height) = stored(&size, turned);
+        self.bytes_for(width, height)
+    }
+
     /// The photo's size in the orientation that agrees with a camera of this size.
     pub(crate) fn size_for(&self, width: u32, height: u32) -> Result<(u32, u32), String> {
         Ok(self.turned(width, height)?.unwrap_or(self.stored()))
     }
-}
-
-fn open(path: &Path) -> Result<(Box<dyn ImageDecoder>, Header), String> {
-    let readable = |e: image::ImageError| match e {
-        image::ImageError::Unsupported(_) => "is neither a JPEG nor a PNG file that can be read".to_owned(),
-        e => format!("does not decode: {e}"),
-    };
-    let words = |e: std::io::Error| e.to_string();
-    let mut file = std::fs::File::open(path).map_err(words)?;
-    let mut start = Vec::new();
-    file.by_ref().take(2).read_to_end(&mut start).map_err(words)?;
-    let mut decoder: Box<dyn ImageDecoder> = if start == JPEG_START {
-        // The decoder fills what a JPEG lacks with grey, so whether it is whole has to be seen here.
-        file.read_to_end(&mut start).map_err(words)?;
-        if !jpeg_ends(&start) {
-            return Err("the file is cut short: the JPEG has no end; copy the photo again".into());
-        }
-        let reader = ImageReader::with_format(Cursor::new(start), image::ImageFormat::Jpeg);
-        Box::new(reader.into_decoder().map_err(readable)?)
-    } else {
-        let reader = ImageReader::open(path).map_err(words)?.with_guessed_format().map_err(words)?;
-        Box::new(reader.into_decoder().map_err(readable)?)
-    };
-    let (width, height) = decoder.dimensions();
-    // Damaged EXIF data are no reason to refuse the pixels.
-    let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
-    if width == 0 || height == 0 {
-        return Err(format!("the photo has {width} x {height} pixels"));
-    }
-    Ok((decoder, Header { width, height, orientation }))
-}
-
-const JPEG_START: [u8; 2] = [0xff, 0xd8];
-
-/// Whether the image of a JPEG ends with the marker for it: walks from segment to segment, since thumbnails inside
-/// segments have ends of their own.
-fn jpeg_ends(bytes: &[u8]) -> bool {
-    let mut at = JPEG_START.len();
-    while at + 1 < bytes.len() {
-        match (bytes[at], bytes[at + 1]) {
-            (0xff, 0xd9) => return true,
-            // Fill bytes, stuffed bytes of the entropy-coded data, restart markers.
-            (0xff, 0xff) => at += 1,
-            (0xff, 0x00 | 0x01 | 0xd0..=0xd8) => at += 2,
-            // Segments say how long they are; the data of a scan follow the segment that announces it.
-            (0xff, _) => match bytes.get(at + 2..at + 4) {
-                Some(length) => at += 2 + usize::from(u16::from_be_bytes([length[0], length[1]])),
-                None => return false,
-            },
-            _ => at += 1,
-        }
-    }
-    false
 }
 
 /// Whether one size is the other scaled uniformly and rounded to whole pixels.
@@ -275,14 +272,40 @@ fn same_aspect(a: (u32, u32), b: (u32, u32)) -> bool {
 }
 
 /// The pixels of the target that are opaque in a photo with an alpha channel.
-fn opaque(photo: &DynamicImage, width: u32, height: u32) -> Mask {
-    let alpha = photo.to_rgba8();
-    let full = Mask::from_fn(alpha.width(), alpha.height(), |x, y| alpha.get_pixel(x, y).0[3] > 127);
-    full.resized(width, height)
+fn opaque(photo: &Decoded, width: u32, height: u32) -> Mask {
+    let [left, top, w, h] = photo.part;
+    Mask::from_fn(width, height, |x, y| {
+        let u = (f64::from(x) + 0.5) * w / f64::from(width) + left;
+        let v = (f64::from(y) + 0.5) * h / f64::from(height) + top;
+        photo.image.get_pixel(u as u32, v as u32).0[3] > 127
+    })
+}
+
+/// A cut-out before mid-grey: what lies under its transparent part is of no meaning and must not bleed into its edges.
+fn before_grey(photo: DynamicImage) -> DynamicImage {
+    let wide = photo.color().bytes_per_pixel() / photo.color().channel_count() > 1;
+    if !photo.color().has_alpha() {
+        return photo;
+    }
+    if wide {
+        let mut photo = photo.into_rgba16();
+        for pixel in photo.pixels_mut() {
+            let alpha = f32::from(pixel.0[3]) / 65535.0;
+            pixel.0 = pixel.0.map(|v| (f32::from(v) * alpha + 32767.5 * (1.0 - alpha)).round() as u16);
+        }
+        return photo.into();
+    }
+    let mut photo = photo.into_rgba8();
+    for pixel in photo.pixels_mut() {
+        let alpha = f32::from(pixel.0[3]) / 255.0;
+        pixel.0 = pixel.0.map(|v| (f32::from(v) * alpha + 127.5 * (1.0 - alpha)).round() as u8);
+    }
+    photo.into()
 }
 
 /// Scales to a size with Lanczos in the photo's own depth, 8 or 16 bits; then to planes of floats.
-fn shrink(photo: DynamicImage, width: u32, height: u32) -> Result<Image, String> {
+fn shrink(photo: Decoded, width: u32, height: u32) -> Result<Image, String> {
+    let Decoded { image: photo, part: [left, top, part_width, part_height] } = photo;
     let deep = matches!(
         photo,
         DynamicImage::ImageLuma16(_)
@@ -293,6 +316,7 @@ fn shrink(photo: DynamicImage, width: u32, height: u32) -> Result<Image, String>
             | DynamicImage::ImageRgba32F(_)
     );
     let (w, h) = (photo.width(), photo.height());
+    let all = [left, top, part_width, part_height] == [0.0, 0.0, f64::from(w), f64::from(h)];
     let source = if deep {
         let mut source = fir::images::Image::new(w, h, fir::PixelType::U16x3);
         for (to, from) in source.buffer_mut().chunks_exact_mut(2).zip(photo.into_rgb16().iter()) {
@@ -303,12 +327,15 @@ fn shrink(photo: DynamicImage, width: u32, height: u32) -> Result<Image, String>
         fir::images::Image::from_vec_u8(w, h, photo.into_rgb8().into_raw(), fir::PixelType::U8x3)
             .map_err(|e| e.to_string())?
     };
-    let scaled = if (w, h) == (width, height) {
+    let scaled = if all && (w, h) == (width, height) {
         source
     } else {
         let mut scaled = fir::images::Image::new(width, height, source.pixel_type());
-        let how =
-            fir::ResizeOptions::new().resize_alg(fir::ResizeAlg::Convolution(fir::FilterType::Lanczos3));
+        let lanczos = fir::ResizeAlg::Convolution(fir::FilterType::Lanczos3);
+        let mut how = fir::ResizeOptions::new().resize_alg(lanczos);
+        if !all {
+            how = how.crop(left, top, part_width, part_height);
+        }
         fir::Resizer::new().resize(&source, &mut scaled, &how).map_err(|e| e.to_string())?;
         scaled
     };

@@ -8,7 +8,7 @@ use std::path::Path;
 /// # Errors
 /// The system refuses the file, or it is UTF-16.
 pub fn read(path: &Path) -> Result<String, SceneError> {
-    let bytes = std::fs::read(path).map_err(SceneError::io(path))?;
+    let bytes = crate::decode::read_bytes(path).map_err(SceneError::io(path))?;
     decode(bytes).map_err(|reason| SceneError::invalid(path, "text", reason))
 }
 

@@ -3,10 +3,10 @@
 //! Poses are camera to world with the camera's y up and z backwards (OpenGL); intrinsics are given for all frames, per
 //! frame, or as Blender's `camera_angle_x`.
 
+use crate::decode::{Head, converted};
 use crate::draft::{Draft, DraftPhoto, DraftPose, finite};
 use crate::lens::{Lens, Model};
 use crate::names::{Listing, is_inside, key, last_part, tidy};
-use crate::photo::Header;
 use crate::split::{Part, Split};
 use crate::{SceneError, draft, locate, text};
 use glam::{DMat3, DVec3};
@@ -216,7 +216,7 @@ impl<'a> PhotoFinder<'a> {
         let other = (tidied != listed).then_some(tidied.as_str());
         for name in std::iter::once(listed).chain(other) {
             if let Some(path) = inside(&self.photos, name).map(|path| with_ending(&path))
-                && path.is_file()
+                && (path.is_file() || converted(&path).is_some())
             {
                 return Ok(path);
             }
@@ -345,6 +345,12 @@ fn with_ending(path: &Path) -> PathBuf {
     ended.into_iter().find(|p| p.is_file()).unwrap_or_else(|| path.to_owned())
 }
 
+/// Size of a photo as stored, or of its converted copy. Whether it is too large is seen when the photo is looked at.
+fn photo_size(file: &Path) -> Result<(u32, u32), String> {
+    let stored = |file: &Path| Head::read(file, u64::MAX).map(|head| head.stored());
+    stored(file).or_else(|reason| converted(file).map_or(Err(reason), |copy| stored(&copy)))
+}
+
 fn lens_of(frame: &Intrinsics, all: &Intrinsics, file: &Path) -> Result<Lens, String> {
     let get = |field: fn(&Intrinsics) -> Option<f64>| field(frame).or(field(all));
     let (width, height) = match (get(|i| i.w), get(|i| i.h)) {
@@ -357,7 +363,7 @@ fn lens_of(frame: &Intrinsics, all: &Intrinsics, file: &Path) -> Result<Lens, St
         }
         // Without a size the intrinsics are for the photo as it is.
         _ => {
-            let (w, h) = Header::read(file)?.stored();
+            let (w, h) = photo_size(file)?;
             (u64::from(w), u64::from(h))
         }
     };

@@ -19,6 +19,17 @@ pub struct Photo {
     pub lens: Option<crate::lens::Lens>,
     /// The files as they were when the scene was opened.
     pub seal: crate::Seal,
+    /// How the file is read.
+    pub reading: Reading,
+}
+
+/// How a photo's file is read.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Reading {
+    /// Most bytes that decoding the photo or one of its masks takes, at the size that the scene was opened for.
+    pub bytes: u64,
+    /// What is transparent is empty, not ignored: nothing of the scene stands before it.
+    pub empty: bool,
 }
 
 /// One posed photo.
@@ -192,6 +203,7 @@ mod tests {
                     usable: None,
                     lens: None,
                     seal: Seal::default(),
+                    reading: Default::default(),
                 },
                 test: false,
             })

@@ -46,6 +46,7 @@ fn world(light: impl Fn(usize) -> f32) -> (Scene, Vec<Picture>) {
                     usable: None,
                     lens: None,
                     seal: Seal::default(),
+                    reading: Default::default(),
                 },
                 test: false,
             }

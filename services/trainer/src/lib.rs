@@ -47,7 +47,7 @@ pub use error::TrainError;
 pub use evaluate::{Evaluation, Protocol, ViewScore, evaluate};
 pub use light::{Light, Lighting, render_lit};
 pub use model::{Model, Stats, render_view};
-pub use photos::{Photos, TrainPhoto};
+pub use photos::{Photos, Sifted, TrainPhoto};
 pub use room::splat_cap;
 pub use segwild_raster::GswWidth;
 pub use settings::{DensityKind, LookKind, Preset, TrainSettings};

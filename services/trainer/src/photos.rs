@@ -2,7 +2,7 @@
 
 use crate::TrainError;
 use segwild_raster::compare::Target;
-use segwild_scene::{Camera, Image, Mask};
+use segwild_scene::{Camera, Image, LoadedPhoto, Mask};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -19,10 +19,49 @@ pub struct TrainPhoto {
     pub strangers: Option<Mask>,
 }
 
+impl TrainPhoto {
+    /// A loaded photo with its sky, as far as that is known. Where a cut-out is empty no splat is to stand, as before a sky; its sky
+    /// is that, whatever a detector makes of the grey behind it.
+    pub fn new(loaded: LoadedPhoto, sky: Option<Mask>) -> TrainPhoto {
+        let LoadedPhoto { image, valid, empty, .. } = loaded;
+        match empty {
+            None => TrainPhoto { image, valid, sky, strangers: None },
+            Some(empty) => {
+                let valid = valid.map(|valid| valid.or(&empty));
+                TrainPhoto { image, valid, sky: Some(empty), strangers: None }
+            }
+        }
+    }
+}
+
 /// Where photos come from. A call may block until the photo (and its sky) is there.
 pub trait Photos: Send + Sync {
     /// The photo of view `view`; the error says in words why it cannot be used.
     fn photo(&self, view: usize) -> Result<TrainPhoto, String>;
+
+    /// Why a view's photo is known not to be usable, before it is asked for.
+    fn refused(&self, _view: usize) -> Option<String> {
+        None
+    }
+}
+
+/// Photos some of which are known not to be usable.
+pub struct Sifted<P> {
+    /// Where they come from.
+    pub photos: P,
+    /// Per view, why it is not usable, if so.
+    pub refused: Vec<Option<String>>,
+}
+
+impl<P: Photos> Photos for Sifted<P> {
+    fn photo(&self, view: usize) -> Result<TrainPhoto, String> {
+        self.refused(view).map_or(Ok(()), Err)?;
+        self.photos.photo(view)
+    }
+
+    fn refused(&self, view: usize) -> Option<String> {
+        self.refused.get(view).cloned().flatten()
+    }
 }
 
 impl<F> Photos for F
@@ -262,6 +301,11 @@ impl PhotoCache {
     pub fn take(&mut self) -> PhotoCache {
         let empty = PhotoCache::new(self.source.clone(), self.names.clone(), self.limit);
         std::mem::replace(self, empty)
+    }
+
+    /// Why a view's photo is known not to be usable, before it is asked for.
+    pub fn refused(&self, view: usize) -> Option<(String, String)> {
+        self.source.refused(view).map(|reason| (self.names[view].clone(), reason))
     }
 
     /// Another budget, in bytes.

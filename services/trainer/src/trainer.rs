@@ -133,7 +133,8 @@ impl Trainer {
         between: &[Point],
     ) -> Result<Trainer, TrainError> {
         let mut train: Vec<usize> = (0..scene.views.len()).filter(|&i| !scene.views[i].test).collect();
-        let mut skipped = Vec::new();
+        let mut skipped: Vec<(String, String)> = train.iter().filter_map(|&i| cache.refused(i)).collect();
+        train.retain(|&i| cache.refused(i).is_none());
         // The first usable photo tells the size trained at.
         let first = loop {
             let Some(&view) = train.first() else {

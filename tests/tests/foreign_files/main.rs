@@ -12,7 +12,7 @@ mod splits;
 mod transforms;
 
 use base::Files;
-use segwild_scene::{Scene, SceneError, SceneSettings};
+use segwild_scene::{Scene, SceneError, SceneSettings, View};
 
 /// One kind of input.
 pub struct Row {
@@ -85,17 +85,23 @@ fn outcome(row: &Row) -> Result<(), String> {
 }
 
 fn usable(scene: &Scene, photos: usize) -> Result<(), String> {
-    if scene.views.len() != photos {
-        return Err(format!("{} photos are usable, not {photos}: {}", scene.views.len(), said(scene)));
+    // As a run does, which leaves out what cannot be used.
+    let usable: Vec<&View> = scene.views.iter().filter(|view| view.examine().is_ok()).collect();
+    if usable.len() != photos {
+        return Err(format!("{} photos are usable, not {photos}: {}", usable.len(), said(scene)));
     }
-    let load = |view: &segwild_scene::View| -> Result<(), SceneError> { view.load(32).map(drop) };
-    scene.views.iter().try_for_each(load).map_err(|e| format!("does not load: {e}"))
+    let load = |view: &&View| -> Result<(), SceneError> { view.load(32).map(drop) };
+    usable.iter().try_for_each(load).map_err(|e| format!("does not load: {e}"))
 }
 
 /// All that a user is told of a scene.
 fn said(scene: &Scene) -> String {
     let skipped = scene.skipped.iter().map(|s| format!("{}: {}", s.name, s.reason));
-    scene.notes.iter().cloned().chain(skipped).collect::<Vec<_>>().join("\n")
+    let examined = scene.views.iter().filter_map(|view| match view.examine() {
+        Ok(odd) => odd.map(|odd| format!("{}: {odd}", view.name)),
+        Err(error) => Some(error.to_string()),
+    });
+    scene.notes.iter().cloned().chain(skipped).chain(examined).collect::<Vec<_>>().join("\n")
 }
 
 fn has(text: &str, words: &[&str]) -> Result<(), String> {

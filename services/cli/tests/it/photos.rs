@@ -50,3 +50,35 @@ fn a_photo_that_changes_in_mid_training_is_named_and_spoils_nothing() {
         has_all_of(&run, &expected);
     }
 }
+
+#[test]
+fn photos_that_cannot_be_used_are_named_and_the_rest_is_trained_to_the_end() {
+    let dir = folder();
+    let (scene, run) = (dir.path().join("place"), dir.path().join("run"));
+    copy_folder(&place().scene, &scene);
+    let photos: Vec<&str> =
+        place().manifest.photos.iter().filter(|p| !p.test).map(|p| p.name.as_str()).collect();
+    let file = |name: &str| scene.join("images").join(name);
+    let size = segwild_scene::Image::read(&file(photos[0])).expect("a picture");
+    let masks = dir.path().join("away");
+    std::fs::create_dir(&masks).expect("a folder");
+    let all = segwild_scene::Mask::full(size.width as u32, size.height as u32);
+    all.write_png(&masks.join(Path::new(photos[0]).with_extension("png"))).expect("a mask");
+    let mut cut = std::fs::read(file(photos[1])).expect("a photo");
+    let half = cut.len() / 2;
+    cut[half..half + half / 2].fill(0);
+    std::fs::write(file(photos[1]), cut).expect("it is damaged");
+    let mut args = again(&run, &["--ignore", &show(&masks)]);
+    args[1] = show(&scene);
+    let (_, told) = completes(&args);
+    for (name, reason) in [(photos[0], "masks leave nothing of it"), (photos[1], "does not decode")] {
+        let line = told.lines().find(|line| line.contains(name)).unwrap_or_else(|| panic!("{name}: {told}"));
+        assert!(
+            line.contains("is left out") && (line.contains(reason) || line.contains("damaged")),
+            "{line}"
+        );
+    }
+    // Nothing is trained, or asked, a second time.
+    let (out, _) = completes(&args);
+    assert_eq!(made(&out), 0, "{out}");
+}

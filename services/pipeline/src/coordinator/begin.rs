@@ -14,7 +14,7 @@ use segwild_flow::ledger::ViewOutcome;
 use segwild_flow::{ActorOptions, Context, Event, Failure, Key, Phase, System, fault};
 use segwild_masks::{MaskSource, MaskTask, Snapshot};
 use segwild_scene::Mask;
-use segwild_trainer::{FindCheckpoint, Model, Photos, TrainOrder, TrainPhoto};
+use segwild_trainer::{FindCheckpoint, Model, Photos, Sifted, TrainOrder, TrainPhoto};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -75,14 +75,13 @@ impl Coordinator<'_> {
             if known.is_none() || sky.is_err() {
                 tainted.store(true, Ordering::Release);
             }
-            let (image, valid, sky) = (loaded.image, loaded.valid, sky.map_err(|e| e.to_string())?);
-            let mut photo = TrainPhoto { image, valid, sky, strangers: None };
+            let mut photo = TrainPhoto::new(loaded, sky.map_err(|e| e.to_string())?);
             strangers.tell(view, &mut photo)?;
             Ok(photo)
         };
         let order = TrainOrder {
             scene: self.scene.clone(),
-            photos: Arc::new(photos) as Arc<dyn Photos>,
+            photos: Arc::new(Sifted { photos, refused: self.keys.refused() }) as Arc<dyn Photos>,
             settings: self.settings.train.clone(),
             until,
             checkpoint,

@@ -107,7 +107,7 @@ fn records<T>(
     mut read: impl FnMut(&mut Cursor<'_>) -> Result<T, SceneError>,
 ) -> Result<Vec<T>, SceneError> {
     let path = dir.join(name);
-    let bytes = std::fs::read(&path).map_err(SceneError::io(&path))?;
+    let bytes = crate::decode::read_bytes(&path).map_err(SceneError::io(&path))?;
     let mut cursor = Cursor::new(&path, &bytes);
     let count = cursor.u64()?;
     let mut all = Vec::new();

@@ -90,8 +90,8 @@ fn photos(dir: &Path) -> Option<u64> {
     use std::io::Read;
     if has(dir, "bin") {
         let mut count = [0; 8];
-        let read =
-            std::fs::File::open(dir.join("images.bin")).and_then(|mut file| file.read_exact(&mut count));
+        let read = crate::decode::open_file(&dir.join("images.bin"))
+            .and_then(|mut file| file.read_exact(&mut count));
         // No file of that length holds so many: a damaged count must not win.
         let most = std::fs::metadata(dir.join("images.bin")).map_or(0, |m| m.len() / 72);
         return Some(if read.is_ok() { u64::from_le_bytes(count).min(most) } else { 0 });
@@ -99,7 +99,7 @@ fn photos(dir: &Path) -> Option<u64> {
     if !has(dir, "txt") {
         return None;
     }
-    let text = std::fs::read(dir.join("images.txt")).unwrap_or_default();
+    let text = crate::decode::read_bytes(&dir.join("images.txt")).unwrap_or_default();
     let lines = text
         .split(|&b| b == b'\n')
         .filter(|line| !line.starts_with(b"#") && !line.starts_with(b"\xef\xbb\xbf#"));

@@ -3,8 +3,8 @@
 use super::{CameraRecord, ImageRecord, Keypoint, PointRecord, Reconstruction};
 use crate::SceneError;
 use crate::lens::Model;
-use segwild_files::write_atomic;
 use crate::text;
+use segwild_files::write_atomic;
 use std::fmt::Write;
 use std::path::Path;
 use std::str::FromStr;

@@ -257,3 +257,117 @@ fn a_truncated_jpeg_is_refused() {
     std::fs::write(&view.photo.path, thumbnail).unwrap();
     assert!(open(dir.path()).unwrap_err().to_string().contains("cut short"));
 }
+
+/// PSNR in dB.
+fn likeness(a: &Image, b: &Image) -> f64 {
+    let squares = a.data.iter().zip(&b.data).map(|(a, b)| f64::from(a - b).powi(2));
+    let mean = squares.sum::<f64>() / a.data.len() as f64;
+    -10.0 * mean.max(1e-12).log10()
+}
+
+#[test]
+fn a_large_photo_that_shrinks_while_it_is_decoded_is_as_one_that_shrinks_afterwards() {
+    let Some(folder) = crate::common::shared("a_large_photo_that_shrinks", "fern/images") else { return };
+    let file = std::fs::read_dir(folder).unwrap().flatten().map(|e| e.path()).min().unwrap();
+    let small = image::open(file).unwrap().to_rgb8();
+    // Over the bound under which photos are decoded whole.
+    let (w, h) = (2_700, 2_700 * small.height() / small.width());
+    let large = image::imageops::resize(&small, w, h, image::imageops::FilterType::CatmullRom);
+    let dir = tempfile::tempdir().unwrap();
+    let mut reconstruction = line(1);
+    let camera = &mut reconstruction.cameras[0];
+    (camera.width, camera.height) = (w.into(), h.into());
+    camera.params = vec![2_500.0, 2_500.0, f64::from(w) / 2.0, f64::from(h) / 2.0];
+    write(dir.path(), &reconstruction);
+    let path = dir.path().join("images/photo00.png");
+    let rgb = image::DynamicImage::from(large);
+    let with_alpha = |x: u32| image::Rgba([9, 9, 9, if x < w / 2 { 0 } else { 255 }]);
+    let kinds: [(&str, image::DynamicImage, image::ImageFormat); 5] = [
+        ("JPEG", rgb.clone(), image::ImageFormat::Jpeg),
+        ("grey JPEG", rgb.to_luma8().into(), image::ImageFormat::Jpeg),
+        ("PNG", rgb.clone(), image::ImageFormat::Png),
+        ("PNG of 16 bits", rgb.to_rgb16().into(), image::ImageFormat::Png),
+        (
+            "PNG with alpha",
+            image::RgbaImage::from_fn(w, h, |x, _| with_alpha(x)).into(),
+            image::ImageFormat::Png,
+        ),
+    ];
+    for (kind, picture, format) in kinds {
+        picture.save_with_format(&path, format).unwrap();
+        let whole = image::open(&path)
+            .unwrap_or_else(|_| image::load_from_memory(&std::fs::read(&path).unwrap()).expect("it decodes"));
+        let view = open(dir.path()).unwrap().views.remove(0);
+        for size in [160, 320, 640] {
+            let photo = view.load(size).unwrap();
+            let (width, height) = (photo.camera.width, photo.camera.height);
+            let wanted = whole.resize_exact(width, height, image::imageops::FilterType::Lanczos3).to_rgb8();
+            let n = (width * height) as usize;
+            let mut expected = Image::zeros(width as usize, height as usize, 3);
+            for (i, pixel) in wanted.pixels().enumerate() {
+                (0..3).for_each(|c| expected.data[c * n + i] = f32::from(pixel.0[c]) / 255.0);
+            }
+            let psnr = likeness(&photo.image, &expected);
+            assert!(psnr > 40.0, "{kind} at {size}: {psnr:.1} dB");
+            let opaque = photo.valid.as_ref().map(Mask::count);
+            assert_eq!(opaque, whole.color().has_alpha().then_some(n / 2), "{kind} at {size}");
+        }
+    }
+}
+
+#[test]
+fn a_photo_that_becomes_a_pipe_is_named_at_once() {
+    let dir = tempfile::tempdir().unwrap();
+    write(dir.path(), &line(2));
+    let scene = open(dir.path()).unwrap();
+    let path = &scene.views[0].photo.path;
+    std::fs::remove_file(path).unwrap();
+    assert!(std::process::Command::new("mkfifo").arg(path).status().unwrap().success());
+    let began = std::time::Instant::now();
+    let refused = [
+        scene.views[0].load(40).map(drop),
+        scene.views[0].digest().map(drop),
+        scene.views[0].examine().map(drop),
+    ];
+    for refused in refused {
+        assert!(refused.unwrap_err().to_string().contains("photo00.png"));
+    }
+    // So is every other file that a scene is read from.
+    for file in ["sparse/0/cameras.bin", "sparse/0/images.bin", "sparse/0/points3D.bin"] {
+        let file = dir.path().join(file);
+        let aside = std::fs::read(&file).unwrap();
+        std::fs::remove_file(&file).unwrap();
+        std::process::Command::new("mkfifo").arg(&file).status().unwrap();
+        assert!(open(dir.path()).is_err(), "{}", file.display());
+        std::fs::remove_file(&file).unwrap();
+        std::fs::write(&file, aside).unwrap();
+    }
+    assert!(began.elapsed().as_secs() < 20);
+}
+
+#[test]
+fn photos_of_other_cameras_are_whole() {
+    let Some(_) = crate::common::shared("photos_of_other_cameras", "liberty") else { return };
+    for name in ["liberty", "sacre_coeur", "fern", "desk", "kitchen"] {
+        let Some(folder) = crate::common::shared("photos_of_other_cameras", name) else { continue };
+        let Ok(scene) = open(&folder) else { continue };
+        for view in &scene.views {
+            assert_eq!(view.examine().unwrap(), None, "{name}/{}", view.name);
+        }
+    }
+}
+
+#[test]
+fn a_cut_out_has_no_dark_edge_of_what_lies_under_its_transparent_part() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut view = one(dir.path());
+    let pixel = |i: usize| if i % SIZE.0 < 19 { [0, 0, 0, 0] } else { [200, 200, 200, 255] };
+    let bytes: Vec<u8> = (0..SIZE.0 * SIZE.1).flat_map(pixel).collect();
+    encode(&view.photo.path, &bytes, SIZE, image::ExtendedColorType::Rgba8);
+    let least = |view: &View| view.load(20).unwrap().image.data.iter().copied().fold(1.0, f32::min);
+    assert!(least(&view) < 0.01, "left out, it is as it was");
+    view.photo.reading.empty = true;
+    assert!(least(&view) > 0.45, "{}", least(&view));
+    let loaded = view.load(20).unwrap();
+    assert_eq!(loaded.empty, loaded.valid.map(|valid| valid.not()));
+}

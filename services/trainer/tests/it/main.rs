@@ -4,6 +4,7 @@ mod wall;
 
 mod between;
 mod colours;
+mod cut_outs;
 mod exports;
 mod lights;
 mod strangers;

@@ -61,6 +61,7 @@ pub fn scene(views: usize) -> Scene {
                 usable: None,
                 lens: None,
                 seal: Seal::default(),
+                reading: Default::default(),
             },
             test: views > 2 && i == views - 1,
         }

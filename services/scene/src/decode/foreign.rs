@@ -1,0 +1,212 @@
+//! Pictures that this program does not read: recognised by their content, with the command that converts them.
+
+use std::path::{Path, PathBuf};
+
+/// What `IN` and `OUT` stand for is put in for each file.
+struct Foreign {
+    name: &'static str,
+    /// File endings in small letters.
+    endings: &'static [&'static str],
+    command: &'static str,
+    is: fn(&[u8]) -> bool,
+}
+
+/// Bytes of a file's start that are enough to tell.
+pub(crate) const START: usize = 4096;
+
+/// Boxes of the ISO base media format name their kind in `ftyp`, first the main one, then those it is compatible with.
+fn brand(start: &[u8], of: &[&[u8; 4]]) -> bool {
+    start.get(4..8) == Some(b"ftyp".as_slice())
+        && start.get(8..12).is_some_and(|main| of.iter().any(|b| b.as_slice() == main))
+}
+
+/// Whether one of the compatible kinds is the one named.
+fn compatible(start: &[u8], with: &[u8; 4]) -> bool {
+    let length = start.first_chunk::<4>().map_or(0, |b| u32::from_be_bytes(*b) as usize);
+    let list = start.get(16..length.min(start.len())).unwrap_or_default();
+    start.get(4..8) == Some(b"ftyp".as_slice()) && list.chunks_exact(4).any(|b| b == with)
+}
+
+/// Tags of the first directory of a TIFF file, each with its value if that is a small number.
+fn tiff_tags(start: &[u8]) -> Vec<(u16, u32)> {
+    let big = match start.get(..4) {
+        Some(b"II*\0") => false,
+        Some(b"MM\0*") => true,
+        _ => return Vec::new(),
+    };
+    let two = |at: usize| {
+        let b = start.get(at..at + 2)?.try_into().ok()?;
+        Some(if big { u16::from_be_bytes(b) } else { u16::from_le_bytes(b) })
+    };
+    let four = |at: usize| {
+        let b = start.get(at..at + 4)?.try_into().ok()?;
+        Some(if big { u32::from_be_bytes(b) } else { u32::from_le_bytes(b) })
+    };
+    let Some(first) = four(4).map(|at| at as usize).filter(|&at| at < START) else { return Vec::new() };
+    let count = two(first).unwrap_or(0) as usize;
+    (0..count)
+        .map_while(|k| {
+            let at = first + 2 + 12 * k;
+            let value = if two(at + 2)? == 3 { u32::from(two(at + 8)?) } else { four(at + 8)? };
+            Some((two(at)?, value))
+        })
+        .collect()
+}
+
+/// A camera's raw file is a TIFF whose first picture is a preview, or says that it is a DNG.
+fn is_raw(start: &[u8]) -> bool {
+    const PREVIEW: (u16, u32) = (254, 1);
+    const MAKER: u16 = 271;
+    // Compressions that only Sony, Nikon and Pentax write.
+    const RAW: [(u16, u32); 3] = [(259, 32767), (259, 34713), (259, 65535)];
+    const DNG: u16 = 50706;
+    let tags = tiff_tags(start);
+    let has = |tag: u16| tags.iter().any(|t| t.0 == tag);
+    let starts = |with: &[u8]| start.starts_with(with);
+    has(DNG)
+        || (has(MAKER) && (tags.contains(&PREVIEW) || RAW.iter().any(|t| tags.contains(t))))
+        || start.get(8..10) == Some(b"CR".as_slice()) && !tags.is_empty()
+        || starts(b"FUJIFILMCCD-RAW")
+        || starts(b"IIRO")
+        || starts(b"IIRS")
+        || starts(b"IIU\0")
+        || starts(b"FOVb")
+        || brand(start, &[b"crx "])
+}
+
+fn is_svg(start: &[u8]) -> bool {
+    let has = |word: &[u8]| start.windows(word.len()).any(|w| w == word);
+    let text = start.iter().position(|b| !b.is_ascii_whitespace() && !matches!(b, 0xef | 0xbb | 0xbf));
+    text.is_some_and(|at| start[at] == b'<') && has(b"<svg")
+}
+
+const FOREIGN: &[Foreign] = &[
+    Foreign {
+        name: "an AVIF",
+        endings: &["avif", "avifs"],
+        command: "avifdec IN OUT.png",
+        is: |s| brand(s, &[b"avif", b"avis"]) || (brand(s, &[b"mif1"]) && compatible(s, b"avif")),
+    },
+    Foreign {
+        name: "a HEIC",
+        endings: &["heic", "heif", "hif"],
+        command: "heif-convert -q 95 IN OUT.jpg",
+        is: |s| brand(s, &[b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1"]),
+    },
+    Foreign {
+        name: "a camera's raw",
+        endings: &[
+            "cr2", "cr3", "crw", "nef", "nrw", "dng", "arw", "srf", "sr2", "raf", "orf", "rw2", "pef", "srw",
+            "x3f",
+        ],
+        command: "dcraw -w -T IN",
+        is: is_raw,
+    },
+    Foreign {
+        name: "a JPEG XL",
+        endings: &["jxl"],
+        command: "djxl IN OUT.png",
+        is: |s| s.starts_with(&[0xff, 0x0a]) || s.starts_with(b"\0\0\0\x0cJXL \r\n"),
+    },
+    Foreign {
+        name: "a JPEG 2000",
+        endings: &["jp2", "j2k", "jpx"],
+        command: "magick IN OUT.png",
+        is: |s| s.starts_with(b"\0\0\0\x0cjP  ") || s.starts_with(&[0xff, 0x4f, 0xff, 0x51]),
+    },
+    Foreign {
+        name: "a GIF",
+        endings: &["gif"],
+        command: "magick 'IN[0]' OUT.png",
+        is: |s| s.starts_with(b"GIF8"),
+    },
+    Foreign {
+        name: "a Photoshop",
+        endings: &["psd", "psb"],
+        command: "magick 'IN[0]' OUT.png",
+        is: |s| s.starts_with(b"8BPS"),
+    },
+    Foreign { name: "an SVG", endings: &["svg"], command: "rsvg-convert IN -o OUT.png", is: is_svg },
+    Foreign {
+        name: "a PDF",
+        endings: &["pdf"],
+        command: "magick -density 300 'IN[0]' OUT.png",
+        is: |s| s.starts_with(b"%PDF"),
+    },
+    Foreign {
+        name: "an OpenEXR",
+        endings: &["exr"],
+        command: "magick IN -colorspace sRGB OUT.png",
+        is: |s| s.starts_with(&[0x76, 0x2f, 0x31, 0x01]),
+    },
+    Foreign {
+        name: "a Radiance HDR",
+        endings: &["hdr"],
+        command: "magick IN -colorspace sRGB OUT.png",
+        is: |s| s.starts_with(b"#?RADIANCE") || s.starts_with(b"#?RGBE"),
+    },
+    Foreign {
+        name: "a PNM",
+        endings: &["ppm", "pgm", "pbm", "pnm", "pam"],
+        command: "magick IN OUT.png",
+        is: |s| matches!(s, [b'P', b'1'..=b'7', b'\n' | b' ' | b'\r' | b'\t' | b'#', ..]),
+    },
+    Foreign {
+        name: "a QOI",
+        endings: &["qoi"],
+        command: "magick IN OUT.png",
+        is: |s| s.starts_with(b"qoif"),
+    },
+    Foreign {
+        name: "an icon",
+        endings: &["ico"],
+        command: "magick 'IN[0]' OUT.png",
+        is: |s| s.starts_with(&[0, 0, 1, 0]),
+    },
+    Foreign {
+        name: "a video, not a photo: an MP4",
+        endings: &["mp4", "mov", "m4v"],
+        command: "ffmpeg -i IN OUT_%04d.jpg",
+        is: |s| brand(s, &[b"isom", b"mp42", b"mp41", b"qt  ", b"M4V ", b"iso2", b"avc1", b"3gp4"]),
+    },
+];
+
+/// Why a file that starts so cannot be read, with what converts it; `None` where it is of no known kind.
+pub(crate) fn refusal(path: &Path, start: &[u8]) -> Option<String> {
+    let found = FOREIGN.iter().find(|f| (f.is)(start))?;
+    let quoted = |path: &Path| {
+        let text = path.display().to_string();
+        let plain = |c: char| c.is_alphanumeric() || "/._-+".contains(c);
+        if text.chars().all(plain) { text } else { format!("'{}'", text.replace('\'', "'\\''")) }
+    };
+    let (from, to) = (quoted(path), quoted(&path.with_extension("")));
+    let command = match found.command.contains("'IN[0]'") {
+        true => found.command.replace("'IN[0]'", &format!("'{}[0]'", path.display())),
+        false => found.command.replace("IN", &from),
+    };
+    let command = command.replace("OUT", &to);
+    Some(format!(
+        "it is {} file, which this program does not read; convert it, and the copy beside it is used: {command}",
+        found.name
+    ))
+}
+
+/// Endings of pictures that are read, best first.
+const READ: [&str; 9] = ["png", "tif", "tiff", "jpg", "jpeg", "webp", "bmp", "PNG", "JPG"];
+
+/// The converted copy of a file whose ending is that of a picture which is not read: the same stem and another ending, in the
+/// same folder. The ending may stand in place of the old one or behind it.
+pub(crate) fn converted(path: &Path) -> Option<PathBuf> {
+    let ending = path.extension()?.to_str()?.to_ascii_lowercase();
+    if !FOREIGN.iter().any(|f| f.endings.contains(&ending.as_str())) {
+        return None;
+    }
+    let behind = |e: &str| {
+        let mut name = path.as_os_str().to_owned();
+        name.push(".");
+        name.push(e);
+        PathBuf::from(name)
+    };
+    let copies = READ.iter().flat_map(|e| [path.with_extension(e), behind(e)]);
+    copies.into_iter().find(|copy| copy.is_file())
+}

@@ -1,0 +1,127 @@
+//! JPEGs of every coding, as Pillow writes them.
+
+use super::*;
+
+/// The same picture in every coding.
+const KINDS: [(&str, &[u8]); 11] = [
+    ("444", include_bytes!("../../../tests/jpegs/444.jpg")),
+    ("422", include_bytes!("../../../tests/jpegs/422.jpg")),
+    ("420", include_bytes!("../../../tests/jpegs/420.jpg")),
+    ("grey", include_bytes!("../../../tests/jpegs/grey.jpg")),
+    ("rgb", include_bytes!("../../../tests/jpegs/rgb.jpg")),
+    ("optimised", include_bytes!("../../../tests/jpegs/optimised.jpg")),
+    ("restarts", include_bytes!("../../../tests/jpegs/restarts.jpg")),
+    ("progressive", include_bytes!("../../../tests/jpegs/progressive.jpg")),
+    ("progressive444", include_bytes!("../../../tests/jpegs/progressive444.jpg")),
+    ("progressive grey", include_bytes!("../../../tests/jpegs/progressive_grey.jpg")),
+    ("progressive restarts", include_bytes!("../../../tests/jpegs/progressive_restarts.jpg")),
+];
+const CMYK: &[u8] = include_bytes!("../../../tests/jpegs/cmyk.jpg");
+
+fn frame(bytes: &[u8]) -> Frame {
+    read(bytes).expect("it has a head").frame
+}
+
+/// Mean over squares of `step` pixels, of those that lie within the picture as a whole.
+fn squares(image: &RgbImage, step: u32) -> Vec<f32> {
+    let (w, h) = (image.width() / step, image.height() / step);
+    let mean = |x: u32, y: u32, c: usize| {
+        let at = |k: u32| f32::from(image.get_pixel(x * step + k % step, y * step + k / step).0[c]);
+        (0..step * step).map(at).sum::<f32>() / (step * step) as f32
+    };
+    (0..w * h).flat_map(|i| (0..3).map(move |c| (i, c))).map(|(i, c)| mean(i % w, i / w, c)).collect()
+}
+
+#[test]
+fn every_kind_of_jpeg_decodes_smaller_to_the_mean_of_what_it_decodes_to_whole() {
+    for (kind, bytes) in KINDS {
+        let full = whole(bytes).expect("it decodes").to_rgb8();
+        for (scale, bound) in [(8, 34.0), (4, 30.0), (2, 30.0), (1, 34.0)] {
+            let (small, extent) = scaled(bytes, &frame(bytes), scale).expect("it decodes");
+            let step = 8 / scale as u32;
+            assert_eq!(extent, [107.0 / f64::from(step), 77.0 / f64::from(step)], "{kind}");
+            let (w, h) = (107 / step, 77 / step);
+            let small = small.to_rgb8();
+            let small = image::imageops::crop_imm(&small, 0, 0, w, h).to_image();
+            let (wanted, got) = (squares(&full, step), squares(&small, 1));
+            let error = wanted.iter().zip(&got).map(|(a, b)| (a - b).powi(2)).sum::<f32>() / got.len() as f32;
+            let psnr = 10.0 * (255.0f32.powi(2) / error.max(1e-3)).log10();
+            assert!(psnr > bound, "{kind} at {scale} of 8: {psnr} dB");
+        }
+    }
+}
+
+#[test]
+fn whole_jpegs_are_not_taken_for_damaged() {
+    for (kind, bytes) in KINDS.into_iter().chain([("cmyk", CMYK)]) {
+        let head = read(bytes).expect("it has a head");
+        assert!(head.ended && head.bytes == bytes.len() as u64, "{kind}");
+        let found = check(bytes, &head.frame).expect("its coding is known");
+        assert_eq!(found, Found::default(), "{kind}");
+        assert_eq!((found.damage(head.bytes), found.oddity(true)), (None, None), "{kind}");
+        // All but the end marker, and with other things behind the end.
+        let cut = &bytes[..bytes.len() - 2];
+        let head = read(cut).expect("it has a head");
+        assert!(
+            !head.ended && check(cut, &head.frame).is_some_and(|f| f.damage(head.bytes).is_none()),
+            "{kind}"
+        );
+        let more = [bytes, b"trailer \xff\xd8\xff\xe1", bytes].concat();
+        assert_eq!(read(&more[..]).expect("it has a head").bytes, bytes.len() as u64, "{kind}");
+    }
+}
+
+#[test]
+fn a_jpeg_that_is_cut_short_says_how_much_of_it_is_there() {
+    for (kind, bytes) in KINDS {
+        for part in [3, 5, 8] {
+            let cut = &bytes[..bytes.len() * part / 10];
+            let Ok(head) = read(cut) else { continue };
+            let damage = check(cut, &head.frame).and_then(|found| found.damage(head.bytes));
+            let words = damage.unwrap_or_else(|| panic!("{kind} cut at {part} of 10 is taken for whole"));
+            assert!(words.contains("cut short") && words.contains('%'), "{kind}: {words}");
+        }
+    }
+    let half = &KINDS[2].1[..KINDS[2].1.len() * 6 / 10];
+    let found = check(half, &frame(half)).expect("its coding is known");
+    assert!(found.good > 0.3 && found.good < 0.7, "{}", found.good);
+}
+
+/// Where the entropy-coded data of the first scan begin.
+fn data_of(bytes: &[u8]) -> usize {
+    let at = bytes.windows(2).position(|w| w == [0xff, 0xda]).expect("a scan");
+    at + 2 + usize::from(u16::from_be_bytes([bytes[at + 2], bytes[at + 3]]))
+}
+
+/// A flipped bit in a number or a code that changes neither how many bits nor how many blocks follow cannot be seen: what is left is
+/// a valid JPEG of another picture, wrong in one block or in brightness from there on.
+#[test]
+fn most_damage_in_the_data_is_found_and_none_brings_anything_down() {
+    for (kind, bytes) in KINDS {
+        let (from, to) = (data_of(bytes), bytes.len() - 2);
+        let places: Vec<usize> = (from..to).step_by(7).collect();
+        let flipped = |places: &[usize]| {
+            let mut bytes = bytes.to_vec();
+            for &at in places {
+                bytes[at] ^= 1 << (at % 8);
+            }
+            let Ok(head) = read(&bytes[..]) else { return true };
+            let _ = scaled(&bytes, &head.frame, 1);
+            check(&bytes, &head.frame)
+                .is_none_or(|found| found.damage(head.bytes).or(found.oddity(head.ended)).is_some())
+        };
+        let one = places.iter().filter(|&&at| flipped(&[at])).count() as f64 / places.len() as f64;
+        // As a bad sector or a bad cable does: many.
+        let many: Vec<&[usize]> = places.chunks(12).filter(|c| c.len() == 12).collect();
+        let found = many.iter().filter(|c| flipped(c)).count() as f64 / many.len() as f64;
+        assert!(
+            one > 0.25 && found > 0.8,
+            "{kind}: {one:.2} of single flips and {found:.2} of many are found"
+        );
+        // A hole of zeros.
+        let mut hole = bytes.to_vec();
+        hole[from + (to - from) / 2..to].fill(0);
+        let found = check(&hole, &frame(&hole)).expect("its coding is known");
+        assert!(found.damage(hole.len() as u64).is_some(), "{kind} with a hole: {found:?}");
+    }
+}

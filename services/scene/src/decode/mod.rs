@@ -1,0 +1,354 @@
+//! Decoding of every picture that somebody supplies: photos, masks, truths.
+//!
+//! What a file is, its content says, not its name. How large its picture is, and how much memory decoding it takes, is known from
+//! its head before a pixel is decoded: [`Head::read`] refuses what is over the bound, [`Head::bytes_for`] says what the rest
+//! takes, and [`limit_decoding`] bounds what all threads take together. Large photos shrink while they are decoded.
+
+mod exif;
+mod foreign;
+mod jpeg;
+mod open;
+mod png;
+mod room;
+
+pub(crate) use foreign::converted;
+pub use open::open_file;
+pub(crate) use open::read_bytes;
+pub use room::limit_decoding;
+
+use image::metadata::Orientation;
+use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader};
+use std::fs::File;
+use std::io::{BufReader, Read, Seek};
+use std::path::Path;
+
+/// Megapixels that a picture may have where no setting says otherwise.
+pub(crate) const MEGAPIXELS: u32 = 200;
+/// Pictures with more pixels are shrunk while they are decoded, where they are shrunk at all.
+const LARGE: u64 = 4 << 20;
+/// How many times the size asked for the decoder leaves at the least: what is finer does the filter behind it.
+const FINER: f64 = 2.0;
+
+/// How a file is decoded.
+#[derive(Clone, Debug, PartialEq)]
+enum Kind {
+    Jpeg(jpeg::Head),
+    Png(png::Head),
+    Other(ImageFormat, ColorType),
+}
+
+/// What the head of a picture's file says.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Head {
+    /// Size as stored.
+    pub width: u32,
+    pub height: u32,
+    /// The EXIF orientation.
+    pub orientation: Orientation,
+    /// The EXIF data are of a picture that lies the other way: some program has turned the pixels since.
+    pub turned_since: bool,
+    kind: Kind,
+    /// Size of the file in bytes.
+    file: u64,
+}
+
+/// A decoded picture, perhaps at a smaller size.
+pub(crate) struct Decoded {
+    pub image: DynamicImage,
+    /// Left, top, width and height of the part that the picture fills, in pixels: the last column and row may be filled in part.
+    pub part: [f64; 4],
+}
+
+impl Decoded {
+    fn whole(image: DynamicImage) -> Decoded {
+        let part = [0.0, 0.0, f64::from(image.width()), f64::from(image.height())];
+        Decoded { image, part }
+    }
+
+    /// Turns it as an EXIF orientation says.
+    pub fn turn(&mut self, orientation: Orientation) {
+        let (w, h) = (f64::from(self.image.width()), f64::from(self.image.height()));
+        let [l, t, pw, ph] = self.part;
+        let (right, below) = (w - l - pw, h - t - ph);
+        self.part = match orientation {
+            Orientation::NoTransforms => [l, t, pw, ph],
+            Orientation::Rotate90 => [below, l, ph, pw],
+            Orientation::Rotate180 => [right, below, pw, ph],
+            Orientation::Rotate270 => [t, right, ph, pw],
+            Orientation::FlipHorizontal => [right, t, pw, ph],
+            Orientation::FlipVertical => [l, below, pw, ph],
+            Orientation::Rotate90FlipH => [t, l, ph, pw],
+            Orientation::Rotate270FlipH => [below, right, ph, pw],
+        };
+        self.image.apply_orientation(orientation);
+    }
+}
+
+impl Head {
+    /// Reads the head of a file whose picture may have so many pixels; nothing is decoded.
+    ///
+    /// # Errors
+    /// In words: what is wrong with the file, without its name.
+    pub fn read(path: &Path, most_pixels: u64) -> Result<Head, String> {
+        let words = |e: std::io::Error| e.to_string();
+        let mut file = open_file(path).map_err(words)?;
+        let length = file.metadata().map_err(words)?.len();
+        let mut start = Vec::new();
+        file.by_ref().take(foreign::START as u64).read_to_end(&mut start).map_err(words)?;
+        file.rewind().map_err(words)?;
+        if start.is_empty() {
+            return Err("the file is empty".into());
+        }
+        let head = match image::guess_format(&start) {
+            Ok(ImageFormat::Jpeg) => Head::of_jpeg(file, length)?,
+            Ok(ImageFormat::Png) => Head::of_png(path, file, length, most_pixels)?,
+            Ok(format @ (ImageFormat::WebP | ImageFormat::Tiff | ImageFormat::Bmp)) => {
+                foreign::refusal(path, &start).map_or(Ok(()), Err)?;
+                Head::of_other(file, length, format)?
+            }
+            _ => {
+                let unknown =
+                    "it is no JPEG, PNG, WEBP, TIFF or BMP file; what it is, its content does not say";
+                return Err(foreign::refusal(path, &start).unwrap_or_else(|| unknown.into()));
+            }
+        };
+        head.bounded(most_pixels)
+    }
+
+    fn bounded(self, most_pixels: u64) -> Result<Head, String> {
+        let Head { width, height, .. } = self;
+        within(width, height, most_pixels)?;
+        // A picture's data are never so much larger than its pixels.
+        if let Kind::Jpeg(jpeg) = &self.kind
+            && jpeg.bytes > 16 * u64::from(width) * u64::from(height) + (16 << 20)
+        {
+            return Err(format!(
+                "the JPEG has {} bytes for {width} x {height} pixels: it is damaged",
+                jpeg.bytes
+            ));
+        }
+        Ok(self)
+    }
+
+    fn of_jpeg(file: File, length: u64) -> Result<Head, String> {
+        let jpeg = jpeg::read(BufReader::with_capacity(1 << 16, file))?;
+        let (width, height) = (jpeg.frame.width as u32, jpeg.frame.height as u32);
+        let exif = jpeg.exif.clone();
+        Ok(Head::new((width, height), exif.as_deref(), Kind::Jpeg(jpeg), length))
+    }
+
+    fn of_png(path: &Path, file: File, length: u64, most_pixels: u64) -> Result<Head, String> {
+        let (width, height) = png::size(file)?;
+        within(width, height, most_pixels)?;
+        let (png, exif) = png::head(open_file(path).map_err(|e| e.to_string())?)?;
+        Ok(Head::new((width, height), exif.as_deref(), Kind::Png(png), length))
+    }
+
+    fn of_other(file: File, length: u64, format: ImageFormat) -> Result<Head, String> {
+        let mut decoder = ImageReader::with_format(BufReader::new(file), format)
+            .into_decoder()
+            .map_err(|e| format!("does not decode: {e}"))?;
+        // Damaged EXIF data are no reason to refuse the pixels.
+        let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
+        let kind = Kind::Other(format, decoder.color_type());
+        Ok(Head { orientation, ..Head::new(decoder.dimensions(), None, kind, length) })
+    }
+
+    fn new((width, height): (u32, u32), exif: Option<&[u8]>, kind: Kind, file: u64) -> Head {
+        let orientation = exif.and_then(Orientation::from_exif_chunk).unwrap_or(Orientation::NoTransforms);
+        let turned_since = exif.is_some_and(|exif| exif::lies_otherwise(exif, width, height));
+        Head { width, height, orientation, turned_since, kind, file }
+    }
+
+    /// Whether the picture can be transparent.
+    pub fn has_alpha(&self) -> bool {
+        match &self.kind {
+            Kind::Jpeg(_) => false,
+            Kind::Png(png) => png.channels % 2 == 0,
+            Kind::Other(_, colour) => colour.has_alpha(),
+        }
+    }
+
+    /// Most bytes that decoding takes for a picture that is then shrunk to `width` x `height` of its pixels as stored.
+    pub fn bytes_for(&self, width: u32, height: u32) -> u64 {
+        let pixels = u64::from(self.width) * u64::from(self.height);
+        let least = least(width, height);
+        // What the filter that shrinks holds beside the picture is at most half of it.
+        let half_more = |n: u64| n + n / 2;
+        match &self.kind {
+            Kind::Jpeg(jpeg) => {
+                let whole = || {
+                    let planes = if jpeg.frame.coding == jpeg::Coding::Baseline {
+                        0
+                    } else {
+                        2 * jpeg.frame.samples()
+                    };
+                    half_more(3 * pixels) + planes
+                };
+                jpeg.bytes
+                    + self.scale(least).map_or_else(whole, |scale| half_more(jpeg.frame.scaled_bytes(scale)))
+            }
+            Kind::Png(png) => {
+                let step = self.step(least) as u64;
+                let pixels = pixels / (step * step);
+                let stored = (png.channels * png.depth) as u64;
+                pixels * (2 * stored + 8 * png.depth as u64) + (1 << 20)
+            }
+            Kind::Other(_, colour) => {
+                let stored = u64::from(colour.bytes_per_pixel());
+                pixels * (2 * stored + if colour.bytes_per_pixel() > 4 { 16 } else { 8 })
+                    + self.file.min(4 * pixels)
+            }
+        }
+    }
+
+    /// Pixels that a large JPEG leaves of each eight.
+    fn scale(&self, least: (f64, f64)) -> Option<usize> {
+        let Kind::Jpeg(jpeg) = &self.kind else { return None };
+        let large = u64::from(self.width) * u64::from(self.height) > LARGE && jpeg.frame.scales();
+        large.then(|| jpeg.frame.scale_for(least)).filter(|&scale| scale < 8)
+    }
+
+    /// Pixels of a side of a large PNG that become one.
+    fn step(&self, least: (f64, f64)) -> usize {
+        let Kind::Png(png) = &self.kind else { return 1 };
+        if u64::from(self.width) * u64::from(self.height) > LARGE { png::step(png, least) } else { 1 }
+    }
+
+    /// Decodes the picture for one that is then shrunk to `width` x `height` of its pixels as stored; waits for room.
+    pub fn decode(&self, path: &Path, width: u32, height: u32) -> Result<Decoded, String> {
+        let _permit = room::enter(self.bytes_for(width, height));
+        self.decode_now(path, least(width, height))
+    }
+
+    /// Decodes, and hands the picture to `then` while its room is still held.
+    pub fn decode_and<T>(
+        &self,
+        path: &Path,
+        (width, height): (u32, u32),
+        then: impl FnOnce(Decoded) -> Result<T, String>,
+    ) -> Result<T, String> {
+        let _permit = room::enter(self.bytes_for(width, height));
+        then(self.decode_now(path, least(width, height))?)
+    }
+
+    fn decode_now(&self, path: &Path, least: (f64, f64)) -> Result<Decoded, String> {
+        let file = open_file(path).map_err(|e| e.to_string())?;
+        let shrunk = |(image, [width, height]): (DynamicImage, [f64; 2])| Decoded {
+            image,
+            part: [0.0, 0.0, width, height],
+        };
+        match &self.kind {
+            Kind::Jpeg(jpeg) => {
+                let bytes = self.jpeg_bytes(file, jpeg)?;
+                match self.scale(least) {
+                    Some(scale) => jpeg::scaled(&bytes, &jpeg.frame, scale).map(shrunk),
+                    None => jpeg::whole(&bytes).map(Decoded::whole),
+                }
+            }
+            Kind::Png(_) => match self.step(least) {
+                1 => png::whole(file).map(Decoded::whole),
+                step => png::scaled(file, step).map(shrunk),
+            },
+            Kind::Other(format, _) => {
+                let words = |e: image::ImageError| format!("does not decode: {e}");
+                let mut decoder =
+                    ImageReader::with_format(BufReader::new(file), *format).into_decoder().map_err(words)?;
+                if decoder.dimensions() != (self.width, self.height) {
+                    return Err(CHANGED.into());
+                }
+                let mut limits = image::Limits::no_limits();
+                limits.max_alloc = Some(self.bytes_for(self.width, self.height) + (64 << 20));
+                decoder.set_limits(limits).map_err(words)?;
+                DynamicImage::from_decoder(decoder).map(Decoded::whole).map_err(words)
+            }
+        }
+        .and_then(|decoded| self.fits(decoded))
+    }
+
+    /// A file that was changed since its head was read may hold another picture.
+    fn fits(&self, decoded: Decoded) -> Result<Decoded, String> {
+        let [.., width, height] = decoded.part;
+        let shrunk = f64::from(self.width) / width;
+        let off = (f64::from(self.height) / shrunk - height).abs();
+        if off > 1.0 || width > f64::from(self.width) { Err(CHANGED.into()) } else { Ok(decoded) }
+    }
+
+    fn jpeg_bytes(&self, file: File, jpeg: &jpeg::Head) -> Result<Vec<u8>, String> {
+        let mut bytes = Vec::with_capacity(jpeg.bytes as usize + 2);
+        file.take(jpeg.bytes).read_to_end(&mut bytes).map_err(|e| e.to_string())?;
+        let frame = jpeg::read(&bytes[..]).map(|head| head.frame);
+        if frame.as_ref() != Ok(&jpeg.frame) {
+            return Err(CHANGED.into());
+        }
+        if !jpeg.ended {
+            bytes.extend([0xff, 0xd9]);
+        }
+        Ok(bytes)
+    }
+
+    /// Whether a JPEG without an end has all of its picture.
+    ///
+    /// # Errors
+    /// In words, where it has not.
+    pub fn check_end(&self, path: &Path) -> Result<(), String> {
+        match &self.kind {
+            Kind::Jpeg(jpeg) if !jpeg.ended => self.check_data(path).map(drop),
+            _ => Ok(()),
+        }
+    }
+
+    /// Looks for damage in a JPEG's data, which decoders pass over in silence; what is odd, though the photo can be used. Other
+    /// kinds say of damage when they are decoded.
+    ///
+    /// # Errors
+    /// In words, where the photo is not to be used.
+    pub fn check_data(&self, path: &Path) -> Result<Option<String>, String> {
+        let Kind::Jpeg(jpeg) = &self.kind else { return Ok(None) };
+        let _permit = room::enter(jpeg.bytes + jpeg.frame.samples() / 8);
+        let file = open_file(path).map_err(|e| e.to_string())?;
+        let mut bytes = Vec::with_capacity(jpeg.bytes as usize);
+        file.take(jpeg.bytes).read_to_end(&mut bytes).map_err(|e| e.to_string())?;
+        let Some(found) = jpeg::check(&bytes, &jpeg.frame) else { return Ok(None) };
+        match found.damage(jpeg.bytes) {
+            Some(damage) => Err(damage),
+            None => Ok(found.oddity(jpeg.ended)),
+        }
+    }
+}
+
+const CHANGED: &str = "the file was changed while it was read";
+
+/// The least size that a decoder is to leave of a picture that is then shrunk.
+fn least(width: u32, height: u32) -> (f64, f64) {
+    (FINER * f64::from(width), FINER * f64::from(height))
+}
+
+fn within(width: u32, height: u32, most_pixels: u64) -> Result<(), String> {
+    if width == 0 || height == 0 {
+        return Err(format!("the photo has {width} x {height} pixels"));
+    }
+    let pixels = u64::from(width) * u64::from(height);
+    if pixels > most_pixels {
+        return Err(format!(
+            "the file claims {width} x {height} pixels, which are {} megapixels; --max-megapixels allows {}",
+            pixels.div_ceil(1_000_000),
+            most_pixels / 1_000_000
+        ));
+    }
+    Ok(())
+}
+
+/// Pixels of so many megapixels.
+pub(crate) fn pixels_of(megapixels: u32) -> u64 {
+    1_000_000 * u64::from(megapixels)
+}
+
+/// Decodes a picture that is no photo, whole, if it has at most so many pixels.
+///
+/// # Errors
+/// In words, without the file's name.
+pub(crate) fn picture(path: &Path, most_pixels: u64) -> Result<DynamicImage, String> {
+    let head = Head::read(path, most_pixels)?;
+    head.decode(path, head.width, head.height).map(|decoded| decoded.image)
+}
