@@ -7,7 +7,7 @@ use crate::evaluate::protocol_of;
 use crate::memory;
 use crate::onward::Origin;
 use crate::strangers::Corrections;
-use crate::{Settings, Until};
+use crate::{RunError, Settings, Until};
 use rayon::prelude::*;
 use segwild_features::{Compression, FeatureSettings};
 use segwild_flow::Key;
@@ -114,16 +114,30 @@ pub struct Digests {
 
 impl Digests {
     /// Reads and decodes every photo once.
-    pub fn read(scene: &Scene, settings: &Settings) -> Digests {
+    ///
+    /// # Errors
+    /// [`RunError::Interrupted`] when `stopping` says so: many large photos take a while.
+    pub fn read(
+        scene: &Scene,
+        settings: &Settings,
+        stopping: &(dyn Fn() -> bool + Sync),
+    ) -> Result<Digests, RunError> {
         let room = memory::decoding_room(settings, scene);
         let examine = |view: &View| -> Result<(String, Option<String>), String> {
+            if stopping() {
+                return Err("stopped".into());
+            }
             memory::too_large(settings, view, room).map_or(Ok(()), Err)?;
             let digest = photo_digest(view).map_err(|e| e.to_string())?;
             let odd = view.examine().map_err(|e| e.to_string())?;
             Ok((digest, odd.map(|odd| format!("photo {}: {odd}", view.name))))
         };
         let (mut photos, mut odd) = (Vec::new(), Vec::new());
-        for examined in scene.views.par_iter().map(examine).collect::<Vec<_>>() {
+        let all: Vec<_> = scene.views.par_iter().map(examine).collect();
+        if stopping() {
+            return Err(RunError::Interrupted);
+        }
+        for examined in all {
             match examined {
                 Ok((digest, words)) => {
                     photos.push(Ok(digest));
@@ -132,7 +146,7 @@ impl Digests {
                 Err(reason) => photos.push(Err(reason)),
             }
         }
-        Digests { photos, odd }
+        Ok(Digests { photos, odd })
     }
 
     /// One per view; `None` where the photo cannot be read.

@@ -65,7 +65,8 @@ pub struct Score {
 /// How often a photo is scored before it is left out.
 const ATTEMPTS: u32 = 3;
 
-/// Scores the held-out photos, if there are any, and writes `evaluation.json`. Those that cannot be scored are left out.
+/// Scores the held-out photos that are usable, if there are any, and writes `evaluation.json`. Those that cannot be scored are left
+/// out.
 /// `booked` hears of each the seconds it took, or why it is left out.
 pub(crate) fn held_out(
     folder: &RunFolder,
@@ -73,12 +74,13 @@ pub(crate) fn held_out(
     model: &Model,
     engine: &dyn Engine,
     settings: &Settings,
+    usable: impl Fn(usize) -> bool,
     sky: impl Fn(usize) -> Result<Option<Mask>, String> + Send + Sync + 'static,
     mut booked: impl FnMut(usize, Result<f64, String>) -> Result<(), RunError>,
 ) -> Result<Option<HeldOut>, RunError> {
     let size = settings.scene.size;
     let views: Vec<usize> = (0..scene.views.len())
-        .filter(|&i| scene.views[i].test && scene.views[i].load(size).is_ok())
+        .filter(|&i| scene.views[i].test && usable(i) && scene.views[i].load(size).is_ok())
         .collect();
     if views.is_empty() {
         return Ok(None);

@@ -203,7 +203,7 @@ pub fn run(
     if let Some(words) = corrections.in_words(&scene) {
         options.events.info(Some("ingest"), words);
     }
-    let digests = Digests::read(&scene, settings);
+    let digests = Digests::read(&scene, settings, &|| options.stopper.phase() != Phase::Running)?;
     if let Some(first) = digests.nothing_left(&scene) {
         let reason = format!("no photo can be trained on; of the first: {first}");
         return Err(segwild_scene::SceneError::NothingUsable { path: intake.scene, reason }.into());
@@ -361,19 +361,29 @@ pub fn run(
             let sky = move |view: usize| skies.read(view).map_err(|lost| lost.to_string());
             let mut unscored = BTreeSet::new();
             let scored = traces.step(&mut report, "evaluate", || {
-                held_out(folder, &scene, model, &*coordinator.engine, settings, sky, |view, scored| {
-                    let name = &scene.views[view].name;
-                    let outcome = match scored {
-                        Ok(seconds) => ViewOutcome::done(seconds),
-                        Err(reason) => {
-                            unscored.insert(view);
-                            let message = format!("photo {name} is not scored: {reason}");
-                            options.events.warn(Some("evaluate"), message);
-                            ViewOutcome::failed(1, reason)
-                        }
-                    };
-                    Ok(ledger.record_view("evaluate", name, &key, &outcome)?)
-                })
+                let usable = |view: usize| coordinator.keys.unreadable(view).is_none();
+                held_out(
+                    folder,
+                    &scene,
+                    model,
+                    &*coordinator.engine,
+                    settings,
+                    usable,
+                    sky,
+                    |view, scored| {
+                        let name = &scene.views[view].name;
+                        let outcome = match scored {
+                            Ok(seconds) => ViewOutcome::done(seconds),
+                            Err(reason) => {
+                                unscored.insert(view);
+                                let message = format!("photo {name} is not scored: {reason}");
+                                options.events.warn(Some("evaluate"), message);
+                                ViewOutcome::failed(1, reason)
+                            }
+                        };
+                        Ok(ledger.record_view("evaluate", name, &key, &outcome)?)
+                    },
+                )
             });
             if let Some(lost) = coordinator.skies.lost() {
                 return Err(RunError::of_stage("sky", &lost));

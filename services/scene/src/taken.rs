@@ -142,6 +142,7 @@ mod tests {
             usable: None,
             lens: Some(lens.clone()),
             seal: Seal::default(),
+            reading: Default::default(),
         };
         let pose = Pose::look_at(Vec3::ZERO, Vec3::Z, Vec3::NEG_Y);
         View { name: "a.jpg".into(), camera: lens.pinhole(), pose, photo, test: false }

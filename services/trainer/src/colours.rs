@@ -176,6 +176,7 @@ mod tests {
                 usable: None,
                 lens: None,
                 seal: Seal::default(),
+                reading: Default::default(),
             },
             test: false,
         };

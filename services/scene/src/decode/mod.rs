@@ -107,8 +107,7 @@ impl Head {
                 Head::of_other(file, length, format)?
             }
             _ => {
-                let unknown =
-                    "it is no JPEG, PNG, WEBP, TIFF or BMP file; what it is, its content does not say";
+                let unknown = "does not decode: it is neither a JPEG nor a PNG, WEBP, TIFF or BMP file";
                 return Err(foreign::refusal(path, &start).unwrap_or_else(|| unknown.into()));
             }
         };
@@ -192,12 +191,13 @@ impl Head {
                 let step = self.step(least) as u64;
                 let pixels = pixels / (step * step);
                 let stored = (png.channels * png.depth) as u64;
-                pixels * (2 * stored + 8 * png.depth as u64) + (1 << 20)
+                pixels * copies(stored, png.depth > 1) + (1 << 20)
             }
             Kind::Other(_, colour) => {
                 let stored = u64::from(colour.bytes_per_pixel());
-                pixels * (2 * stored + if colour.bytes_per_pixel() > 4 { 16 } else { 8 })
-                    + self.file.min(4 * pixels)
+                // Some formats are unpacked beside the picture.
+                let wide = colour.bytes_per_pixel() / colour.channel_count() > 1;
+                pixels * (stored + copies(stored, wide)) + self.file.min(4 * pixels)
             }
         }
     }
@@ -318,6 +318,11 @@ impl Head {
 }
 
 const CHANGED: &str = "the file was changed while it was read";
+
+/// Bytes per pixel of a decoded picture that has `stored` of them, while it becomes three colours and shrinks.
+fn copies(stored: u64, wide: bool) -> u64 {
+    if wide { 2 * stored + 16 } else { stored + 5 }
+}
 
 /// The least size that a decoder is to leave of a picture that is then shrunk.
 fn least(width: u32, height: u32) -> (f64, f64) {

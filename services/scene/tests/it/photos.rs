@@ -254,7 +254,10 @@ fn a_truncated_jpeg_is_refused() {
     std::fs::write(&view.photo.path, [&jpeg[..], b"and a trailer"].concat()).unwrap();
     view.load(640).unwrap();
     let thumbnail = [&jpeg[..2], b"\xff\xe1\x00\x06ab\xff\xd9", &jpeg[2..jpeg.len() - 2]].concat();
-    std::fs::write(&view.photo.path, thumbnail).unwrap();
+    std::fs::write(&view.photo.path, &thumbnail).unwrap();
+    let odd = open(dir.path()).unwrap().views[0].examine().unwrap().unwrap();
+    assert!(odd.contains("no end marker") && odd.contains("all of its picture is there"), "{odd}");
+    std::fs::write(&view.photo.path, &thumbnail[..thumbnail.len() - 40]).unwrap();
     assert!(open(dir.path()).unwrap_err().to_string().contains("cut short"));
 }
 
@@ -338,7 +341,9 @@ fn a_photo_that_becomes_a_pipe_is_named_at_once() {
         let aside = std::fs::read(&file).unwrap();
         std::fs::remove_file(&file).unwrap();
         std::process::Command::new("mkfifo").arg(&file).status().unwrap();
-        assert!(open(dir.path()).is_err(), "{}", file.display());
+        // A reconstruction can do without points.
+        assert!(file.ends_with("points3D.bin") || open(dir.path()).is_err(), "{}", file.display());
+        let _ = open(dir.path());
         std::fs::remove_file(&file).unwrap();
         std::fs::write(&file, aside).unwrap();
     }

@@ -112,7 +112,7 @@ impl<R: BufRead> Counted<R> {
     }
 
     /// Goes on to the next byte of value 255; whether there is one.
-    fn to_marker(&mut self) -> std::io::Result<bool> {
+    fn find_marker(&mut self) -> std::io::Result<bool> {
         loop {
             let buffer = self.inner.fill_buf()?;
             if buffer.is_empty() {
@@ -146,7 +146,7 @@ pub(crate) fn read(reader: impl BufRead) -> Result<Head, String> {
     let (mut frame, mut exif) = (None, None);
     let mut ended = false;
     reader.take(2).map_err(words)?;
-    while reader.to_marker().map_err(words)? {
+    while reader.find_marker().map_err(words)? {
         reader.skip(1);
         let mut marker = reader.byte().map_err(words)?;
         while marker == Some(0xff) {

@@ -71,7 +71,7 @@ impl Frame {
     fn block_size(&self, component: usize, scale: usize) -> (usize, usize) {
         let (c, (most_h, most_v)) = (self.components[component], self.most());
         let size = |own: usize, most: usize| match scale * most / own {
-            n @ (1 | 2 | 4 | 8) if scale * most % own == 0 => n,
+            n @ (1 | 2 | 4 | 8) if (scale * most).is_multiple_of(own) => n,
             _ => scale,
         };
         (size(c.h, most_h), size(c.v, most_v))

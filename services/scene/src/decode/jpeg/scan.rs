@@ -274,14 +274,19 @@ impl Walk<'_> {
                 match &mut self.coefficients {
                     None => {
                         let (Some(dc), Some(ac)) = (dc, ac) else { return Err(Fault::Broken) };
+                        let table = &self.tables[c.table];
                         let block = baseline(bits, dc, ac, last)?;
-                        sink.block(part.component, at, &block, &self.tables[c.table]);
+                        in_range(block[0].into(), table)?;
+                        sink.block(part.component, at, &block, table);
                     }
                     Some(coefficients) => {
                         let mut block = coefficients.at(part.component, at);
                         let (first, end) = scan.band;
                         match (first, scan.high) {
-                            (0, 0) => block.first_dc(bits, dc.ok_or(Fault::Broken)?, last, scan.low)?,
+                            (0, 0) => {
+                                block.first_dc(bits, dc.ok_or(Fault::Broken)?, last, scan.low)?;
+                                in_range(last.wrapping_shl(scan.low), &self.tables[c.table])?;
+                            }
                             (0, _) => block.refine_dc(bits, scan.low),
                             (_, 0) => {
                                 block.first_ac(
@@ -304,6 +309,19 @@ impl Walk<'_> {
                 }
             }
         }
+        Ok(())
+    }
+}
+
+/// Largest mean of a block, times eight, that an encoder writes: of eight bits it is 1,024, and some overshoot it on purpose.
+const BRIGHTEST: i32 = 1536;
+
+/// Refuses a block that is brighter than white, or darker than black, by far: the sum of differences has gone astray.
+fn in_range(mean: i32, table: &[u16; 64]) -> Result<(), Fault> {
+    let step = i32::from(table[0]);
+    if mean.saturating_mul(step).unsigned_abs() > (BRIGHTEST + step).unsigned_abs() {
+        Err(Fault::Broken)
+    } else {
         Ok(())
     }
 }
