@@ -48,6 +48,8 @@ pub struct MaskScore {
 pub struct Score {
     /// The selection.
     pub selection: String,
+    /// Who made the masks that it is of; `None` in selections of before it was kept.
+    pub provider: Option<String>,
     /// Mean IoU over the photos without prompts.
     pub iou: f64,
     /// Mean accuracy over them.
@@ -203,6 +205,7 @@ pub fn score(folder: &RunFolder, selection: &str, truth: &Path) -> Result<Score,
         |pick: fn(&MaskScore) -> f64| others.iter().map(|p| pick(p)).sum::<f64>() / others.len() as f64;
     Ok(Score {
         selection: selection.to_owned(),
+        provider: folder.provider_of(selection),
         iou: mean(|p| p.iou),
         accuracy: mean(|p| p.accuracy),
         boundary_iou: mean(|p| p.boundary_iou),

@@ -59,6 +59,9 @@ pub(crate) struct Intake {
     pub points: usize,
     /// Back to the scene's units.
     pub frame: Frame,
+    /// Who makes the masks ([`segwild_vision::Providers::name`]); empty in folders of before it was kept.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub provider: String,
 }
 
 /// A finished run, read back.
@@ -171,6 +174,13 @@ impl RunFolder {
         let summary: serde_json::Value =
             self.read_json(&format!("selections/{selection}/summary.json")).ok()?;
         summary.get("select_s")?.as_f64()
+    }
+
+    /// Who made the masks of a selection, where that was written down.
+    pub fn provider_of(&self, selection: &str) -> Option<String> {
+        let summary: serde_json::Value =
+            self.read_json(&format!("selections/{selection}/summary.json")).ok()?;
+        Some(summary.get("provider")?.as_str()?.to_owned())
     }
 
     /// The report's file.

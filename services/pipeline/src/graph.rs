@@ -90,6 +90,8 @@ pub struct Summary {
     pub photos: usize,
     /// Photos that do not, and why.
     pub skipped: Vec<Skipped>,
+    /// Who makes the masks: `built-in`, or `sam:` and a model's name.
+    pub provider: String,
     /// Splats of the trained scene.
     pub splats: usize,
     /// The step that the training stands at, when it was asked to stop before its end.
@@ -164,6 +166,7 @@ pub fn run(
         skipped: scene.skipped.clone(),
         points: scene.points.len(),
         frame: scene.frame,
+        provider: String::new(),
     };
     folder.write_json("scene.json", &intake)?;
     options.events.info(
@@ -186,6 +189,7 @@ pub fn run(
     for changed in code::record(folder, &providers.networks)? {
         options.events.warn(None, format!("{changed}; what depends on it is made again"));
     }
+    intake.provider.clone_from(&providers.name);
     for note in &providers.notes {
         options.events.info(None, note.clone());
     }
@@ -431,6 +435,7 @@ pub fn run(
     Ok(Summary {
         photos: intake.photos.len(),
         skipped: intake.skipped,
+        provider: intake.provider,
         splats: splats.unwrap_or(0),
         paused_at: state.paused,
         train_psnr,

@@ -112,6 +112,8 @@ impl Selected {
 pub struct SegmentOutcome {
     /// The selection's folder.
     pub folder: PathBuf,
+    /// Who made the masks that it is of: `built-in`, or `sam:` and a model's name.
+    pub provider: String,
     /// Splats of the object.
     pub splats: usize,
     /// Splats shortened by the spike cut.
@@ -326,6 +328,7 @@ pub fn segment(
     let count = |verdict: Verdict| selection.visits.iter().filter(|v| v.verdict == verdict).count();
     let mut outcome = SegmentOutcome {
         folder: target.clone(),
+        provider: providers.name.clone(),
         splats: object.splats.len(),
         cut: cut.changed.len() - cut.joined.len(),
         dropped: cut.dropped.len(),

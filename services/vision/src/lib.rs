@@ -19,5 +19,5 @@ pub use provider::{
 pub use registry::{Family, ModelFile, models_in};
 pub use sam::Sam;
 pub use settings::{
-    DeviceChoice, EdgeChoice, ModelChoice, NetworkFile, Providers, SkyChoice, VisionSettings,
+    BUILT_IN, DeviceChoice, EdgeChoice, ModelChoice, NetworkFile, Providers, SkyChoice, VisionSettings,
 };

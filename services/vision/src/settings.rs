@@ -111,6 +111,9 @@ segwild_scene::settings! {
     }
 }
 
+/// Name of the built-in provider of masks, as records, tables and reports have it.
+pub const BUILT_IN: &str = "built-in";
+
 /// The providers that settings name, and what was found and chosen.
 #[derive(Clone)]
 pub struct Providers {
@@ -124,6 +127,9 @@ pub struct Providers {
     pub sky: Arc<dyn SkyDetector>,
     /// Persons and vehicles, if a network for them was named.
     pub strangers: Option<Arc<dyn StrangerDetector>>,
+    /// Who makes masks and answers clicks, as records, tables and reports name it: [`BUILT_IN`], or `sam:` and the stem of
+    /// its files. Who else implements the traits gives a name of its own.
+    pub name: String,
     /// What was found and chosen, a sentence each.
     pub notes: Vec<String>,
     /// The network files that serve.
@@ -260,6 +266,8 @@ impl Providers {
             Some(sam) => sam,
             None => builtin.clone(),
         };
+        let name =
+            by_sam(settings.masks).map_or_else(|| BUILT_IN.to_owned(), |sam| format!("sam:{}", sam.stem()));
         let (proposer, segmenter): (Arc<dyn MaskProposer>, Arc<dyn PromptSegmenter>) =
             match by_sam(settings.masks) {
                 Some(sam) => (sam.clone(), sam),
@@ -278,7 +286,7 @@ impl Providers {
                 Some(Arc::new(network))
             }
         };
-        Ok(Providers { embedder, proposer, segmenter, sky, strangers, notes, networks })
+        Ok(Providers { embedder, proposer, segmenter, sky, strangers, name, notes, networks })
     }
 }
 

@@ -116,6 +116,7 @@ pub fn waiting(providers: &Providers, waits: Waits) -> Providers {
         embedder: waiting.clone(),
         proposer: waiting.clone(),
         sky: waiting,
+        name: "waiting".into(),
         notes: vec!["descriptors, masks and sky: a test provider that waits".into()],
         ..providers.clone()
     }
@@ -195,6 +196,7 @@ pub fn counted(providers: &Providers) -> (Providers, Calls) {
         segmenter: counted.clone(),
         sky: counted,
         strangers: None,
+        name: providers.name.clone(),
         notes: providers.notes.clone(),
         networks: providers.networks.clone(),
     };

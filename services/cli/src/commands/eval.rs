@@ -27,6 +27,9 @@ pub fn eval(matches: &ArgMatches) -> Result<(), Failure> {
     for unread in &score.unread {
         eprintln!("warning: {}; this photo does not count", plain(unread));
     }
+    if let Some(provider) = &score.provider {
+        print_line(&format!("masks of the provider {provider}"))?;
+    }
     print_line(&format!("{:>7} {:>7} {:>7} {:>7}  photo", "IoU", "acc", "B-IoU", "amodal"))?;
     for p in &score.photos {
         let note = if p.prompted { " (prompted, not in the mean)" } else { "" };

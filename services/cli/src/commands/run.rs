@@ -116,6 +116,7 @@ pub fn tell(summary: &Summary, out: &Path) -> Result<(), Failure> {
     for words in Skipped::in_words(&summary.skipped) {
         print_line(&words)?;
     }
+    print_line(&format!("masks and clicks by: {}", summary.provider))?;
     if let Some(psnr) = summary.train_psnr {
         print_line(&format!("training photos: {psnr:.2} dB"))?;
     }

@@ -30,8 +30,8 @@ pub fn segment(matches: &ArgMatches) -> Result<(), Failure> {
         return print_json(&done);
     }
     print_line(&format!(
-        "{} splats; the spike cut shortened {}, dropped {} and took in pieces of {}; shows on {} photos",
-        done.splats, done.cut, done.dropped, done.joined, done.photos
+        "{} splats by the masks of {}; the spike cut shortened {}, dropped {} and took in pieces of {}; shows on {} photos",
+        done.splats, done.provider, done.cut, done.dropped, done.joined, done.photos
     ))?;
     print_line(&format!(
         "{} photos' own boundaries took part, {} disagreed; selected in {}",

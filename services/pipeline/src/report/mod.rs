@@ -66,6 +66,9 @@ fn summary(folder: &RunFolder, loaded: &Loaded) -> Result<String, RunError> {
         ),
     );
     row("points", intake.points.to_string());
+    if !intake.provider.is_empty() {
+        row("masks and clicks by", intake.provider.clone());
+    }
     row("splats", loaded.model.splats.len().to_string());
     row("steps", loaded.model.stats.step.to_string());
     // What was chosen for another run in this folder says nothing of one whose look was given.

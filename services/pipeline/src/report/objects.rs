@@ -78,9 +78,12 @@ fn object(folder: &RunFolder, loaded: &Loaded, name: &str, engine: &dyn Engine) 
     };
     let count = selected.labels.iter().filter(|&&l| l).count();
     let mut text = format!(
-        "{BEGIN_OF_OBJECT}{0}{AFTER_NAME}<h2>Object: {0}</h2><p>{count} splats. <code>selections/{0}/object.ply</code>, \
+        "{BEGIN_OF_OBJECT}{0}{AFTER_NAME}<h2>Object: {0}</h2><p>{count} splats{1}. <code>selections/{0}/object.ply</code>, \
          masks beside it.</p><div class=\"row\">",
-        html::escape(name)
+        html::escape(name),
+        folder
+            .provider_of(name)
+            .map_or_else(String::new, |by| format!(", by the masks of {}", html::escape(&by)))
     );
     let highlight = Painter::new(loaded, Some((selected.clone(), Mode::Highlight)), What::Colour, engine)?;
     let only = Painter::new(loaded, Some((selected, Mode::Only)), What::Colour, engine)?;

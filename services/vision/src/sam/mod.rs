@@ -105,6 +105,11 @@ impl Sam {
         ]
     }
 
+    /// What the names of its files begin with, as in `mobile_sam`.
+    pub(crate) fn stem(&self) -> &str {
+        &self.pair.stem
+    }
+
     /// Names a part. CUDA's numbers differ from a CPU's in the last places.
     fn name(&self, part: &str, decodes: bool) -> String {
         let mut name = format!("{VERSION}-{part}-{}", self.encoder.key());
