@@ -10,6 +10,7 @@
 //! What the old results have and the new ones have not counts as worse: nothing passes by not being measured.
 
 use crate::record::{Record, Results};
+use crate::stamp::{UNKNOWN, providers};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fmt;
@@ -132,11 +133,43 @@ impl fmt::Display for Line {
     }
 }
 
+/// Results of different providers: their figures do not compare.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "the old results are of the provider {old}, the new ones of {new}: figures of different providers do not compare; measure \
+     one of them again by the other's (`--providers oracle|builtin`, `--masks`)"
+)]
+pub struct OtherProvider {
+    /// The old results' provider.
+    pub old: String,
+    /// The new ones'.
+    pub new: String,
+}
+
+/// Whether results say whose masks theirs are, where they have masks.
+pub fn names_its_provider(results: &Results) -> bool {
+    !providers([results]).contains(&UNKNOWN)
+}
+
+/// The measurement of the same thing in other results: on the same provider's masks, or on those of nobody knows whom.
+fn twin<'a>(record: &Record, others: &'a Results) -> Result<Option<&'a Record>, OtherProvider> {
+    let mut all = others.records.iter().filter(|r| r.same_but_provider(record));
+    let known = |r: &Record| !r.provider.is_empty();
+    let Some(first) = all.clone().next() else { return Ok(None) };
+    match all.find(|r| r.provider == record.provider || !known(r) || !known(record)) {
+        Some(twin) => Ok(Some(twin)),
+        None => Err(OtherProvider { old: record.provider.clone(), new: first.provider.clone() }),
+    }
+}
+
 /// Everything that both results have, worst first.
-pub fn compare(old: &Results, new: &Results, options: CompareOptions) -> Vec<Line> {
+///
+/// # Errors
+/// When a measurement of the old results was made again on the masks of another provider only.
+pub fn compare(old: &Results, new: &Results, options: CompareOptions) -> Result<Vec<Line>, OtherProvider> {
     let mut groups: BTreeMap<(String, String), Vec<Pair>> = BTreeMap::new();
     for record in &old.records {
-        let twin = new.records.iter().find(|r| r.same(record));
+        let twin = twin(record, new)?;
         for (number, &value) in &record.numbers {
             if Margin::of(number).is_some() {
                 let now = twin.and_then(|t| t.numbers.get(number).copied());
@@ -165,7 +198,7 @@ pub fn compare(old: &Results, new: &Results, options: CompareOptions) -> Vec<Lin
     }
     let mut lines: Vec<Line> = lines.into_iter().map(|(line, _)| line).collect();
     lines.sort_by(|a, b| a.change.cmp(&b.change).then_with(|| a.setting.cmp(&b.setting)));
-    lines
+    Ok(lines)
 }
 
 /// A measurement, its old value, and the new one where there is one.
@@ -287,9 +320,26 @@ mod tests {
     }
 
     #[test]
+    fn figures_of_another_provider_are_not_compared() {
+        let of = |name: &str| {
+            let mut results = measured(0.0, 0.01, 10.0);
+            results.records.iter_mut().for_each(|r| r.provider = name.into());
+            results
+        };
+        let refused = compare(&of("oracle"), &of("built-in"), CompareOptions::default()).unwrap_err();
+        assert_eq!((refused.old.as_str(), refused.new.as_str()), ("oracle", "built-in"));
+        assert!(compare(&of("oracle"), &of("oracle"), CompareOptions::default()).is_ok());
+        // Both providers beside one another: each is compared with its own.
+        let both = Results { records: [of("built-in").records, of("oracle").records].concat(), ..of("") };
+        let lines = compare(&of("oracle"), &both, CompareOptions::default()).unwrap();
+        assert!(lines.iter().all(|l| l.change == Change::Same));
+        assert!(!names_its_provider(&of("")) && names_its_provider(&both));
+    }
+
+    #[test]
     fn the_same_results_have_not_changed() {
         let old = measured(0.0, 0.01, 10.0);
-        let lines = compare(&old, &old, CompareOptions::default());
+        let lines = compare(&old, &old, CompareOptions::default()).unwrap();
         assert_eq!(lines.len(), 3);
         assert!(lines.iter().all(|l| l.change == Change::Same));
     }
@@ -297,31 +347,34 @@ mod tests {
     #[test]
     fn a_fall_in_every_training_is_worse_and_a_swing_is_noise() {
         let old = measured(0.0, 0.0, 10.0);
-        let worse = compare(&old, &measured(-0.03, 0.001, 10.0), CompareOptions::default());
+        let worse = compare(&old, &measured(-0.03, 0.001, 10.0), CompareOptions::default()).unwrap();
         assert_eq!(change(&worse, "iou"), Change::Worse);
         assert_eq!(worse[0].number, "iou", "the worst comes first");
         assert_eq!((worse[0].pairs, worse[0].of), (5, "trainings"));
-        let better = compare(&old, &measured(0.03, 0.001, 10.0), CompareOptions::default());
+        let better = compare(&old, &measured(0.03, 0.001, 10.0), CompareOptions::default()).unwrap();
         assert_eq!(change(&better, "iou"), Change::Better);
-        let noise = compare(&old, &measured(-0.008, 0.02, 10.0), CompareOptions::default());
+        let noise = compare(&old, &measured(-0.008, 0.02, 10.0), CompareOptions::default()).unwrap();
         assert_eq!(change(&noise, "iou"), Change::Same);
         let strict = CompareOptions { strict: true, margins: 1.0 };
-        assert_eq!(change(&compare(&old, &measured(-0.008, 0.02, 10.0), strict), "iou"), Change::Worse);
+        assert_eq!(
+            change(&compare(&old, &measured(-0.008, 0.02, 10.0), strict).unwrap(), "iou"),
+            Change::Worse
+        );
         let lax = CompareOptions { strict: true, margins: 10.0 };
-        assert_eq!(change(&compare(&old, &measured(-0.008, 0.02, 10.0), lax), "iou"), Change::Same);
+        assert_eq!(change(&compare(&old, &measured(-0.008, 0.02, 10.0), lax).unwrap(), "iou"), Change::Same);
     }
 
     #[test]
     fn what_is_certain_but_tiny_is_the_same_and_cost_counts_by_its_share() {
         let old = measured(0.0, 0.0, 10.0);
-        let lines = compare(&old, &measured(-0.001, 0.0, 10.5), CompareOptions::default());
+        let lines = compare(&old, &measured(-0.001, 0.0, 10.5), CompareOptions::default()).unwrap();
         assert_eq!((change(&lines, "iou"), change(&lines, "cpu_s")), (Change::Same, Change::Same));
         assert_eq!(
-            change(&compare(&old, &measured(0.0, 0.0, 12.0), CompareOptions::default()), "cpu_s"),
+            change(&compare(&old, &measured(0.0, 0.0, 12.0), CompareOptions::default()).unwrap(), "cpu_s"),
             Change::Worse
         );
         assert_eq!(
-            change(&compare(&old, &measured(0.0, 0.0, 8.0), CompareOptions::default()), "cpu_s"),
+            change(&compare(&old, &measured(0.0, 0.0, 8.0), CompareOptions::default()).unwrap(), "cpu_s"),
             Change::Better
         );
     }
@@ -331,7 +384,7 @@ mod tests {
         let old = measured(0.0, 0.0, 10.0);
         let mut new = old.clone();
         new.records.retain(|r| r.target != "dome");
-        let lines = compare(&old, &new, CompareOptions::default());
+        let lines = compare(&old, &new, CompareOptions::default()).unwrap();
         assert_eq!(change(&lines, "iou"), Change::Missing);
         assert!(lines[0].to_string().contains("is not measured"), "{}", lines[0]);
     }
@@ -344,7 +397,8 @@ mod tests {
             results.records.retain(|r| r.seed <= 2);
             results
         };
-        let of = |psnr: f64| change(&compare(&few(20.0), &few(psnr), CompareOptions::default()), "psnr");
+        let of =
+            |psnr: f64| change(&compare(&few(20.0), &few(psnr), CompareOptions::default()).unwrap(), "psnr");
         assert_eq!([of(19.85), of(19.75), of(20.3)], [Change::Same, Change::Worse, Change::Better]);
     }
 

@@ -17,6 +17,7 @@ pub mod rivals;
 pub mod scale;
 pub mod slice;
 pub mod stability;
+pub mod stamp;
 pub mod synthetic;
 pub mod table;
 pub mod trial;

@@ -14,6 +14,9 @@ use segwild_vision::{MaskProposer, PromptSegmenter, Prompted, SkyDetector, Visio
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
+/// The oracle's name as a provider of masks, in records, tables and pages.
+pub const ORACLE: &str = "oracle";
+
 /// How good the oracle is.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]

@@ -156,7 +156,7 @@ impl Job {
             seed: self.seed,
             prompt,
             numbers: numbers.iter().map(|(name, value)| ((*name).to_owned(), *value)).collect(),
-            notes: Vec::new(),
+            ..Record::default()
         }
     }
 }
@@ -198,6 +198,7 @@ fn synthetic(job: &Job, options: &SyntheticOptions, settings: &Settings) -> Resu
     job.harm.apply(&mut scene, job.seed);
     let trial = Trial::of(&job.dir, scene, job.providers, &job.faults)?;
     let providers = trial.providers(settings)?;
+    let name = providers.name.clone();
     let mut first = trained(job, trial.scene_dir(), trial.folder(), settings, providers)?;
     let session = trial.session(settings)?;
     let mut targets = Vec::new();
@@ -218,7 +219,13 @@ fn synthetic(job: &Job, options: &SyntheticOptions, settings: &Settings) -> Resu
     }
     first.numbers.insert("click_s".into(), began.elapsed().as_secs_f64() / targets.len().max(1) as f64);
     targets.insert(0, first);
-    Ok(targets)
+    Ok(seen_by(&name, targets))
+}
+
+/// The records with who made the masks.
+fn seen_by(provider: &str, mut records: Vec<Record>) -> Vec<Record> {
+    records.iter_mut().for_each(|r| r.provider = provider.into());
+    records
 }
 
 /// What is said of an object, each time anew.
@@ -309,7 +316,7 @@ fn folder(job: &Job, path: &Path, parts: &Parts, settings: &Settings) -> Result<
     }
     first.numbers.insert("click_s".into(), click_s / shown.len() as f64);
     targets.insert(0, first);
-    Ok(targets)
+    Ok(seen_by(&providers.name, targets))
 }
 
 /// Trains up to the held-out scores: what it cost and what it said.

@@ -16,6 +16,10 @@ pub struct Record {
     pub scene: String,
     /// What is compared within a protocol: a row of the ablation, a rival, a point of a sweep (`steps`).
     pub setting: String,
+    /// Who made the masks ([`segwild_vision::Providers::name`]): `built-in`, `sam:` and a model, `oracle`. Empty where no
+    /// masks take part, and in results of before it was kept.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub provider: String,
     /// Where on its axis a point of a sweep lies; `None` outside sweeps.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub at: Option<f64>,
@@ -53,6 +57,9 @@ pub struct Results {
     pub made: Made,
     /// The measurements, in the order they were made.
     pub records: Vec<Record>,
+    /// What should have been measured and was not, a sentence each: a target without its photo, a photo without its mask.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub missing: Vec<String>,
 }
 
 /// Why results cannot be read.
@@ -100,6 +107,11 @@ fn commit() -> Option<String> {
 impl Record {
     /// Whether another record measures the same thing: all but its numbers and notes agree.
     pub fn same(&self, other: &Record) -> bool {
+        self.provider == other.provider && self.same_but_provider(other)
+    }
+
+    /// Whether another record measures the same thing, perhaps on the masks of another provider.
+    pub fn same_but_provider(&self, other: &Record) -> bool {
         let key = |r: &Record| {
             let at = r.at.map(f64::to_bits);
             (r.protocol.clone(), r.scene.clone(), r.setting.clone(), at, r.target.clone(), r.seed, r.prompt)
@@ -131,6 +143,15 @@ impl Results {
         }
     }
 
+    /// Notes what should have been measured and was not; what is known already is not said twice.
+    pub fn miss(&mut self, what: impl IntoIterator<Item = String>) {
+        for sentence in what {
+            if !self.missing.contains(&sentence) {
+                self.missing.push(sentence);
+            }
+        }
+    }
+
     /// Spread of one number over the records that fit and have it.
     pub fn spread(&self, number: &str, fits: impl Fn(&Record) -> bool) -> Option<Spread> {
         let fitting = self.records.iter().filter(|r| fits(r));
@@ -142,11 +163,11 @@ impl Results {
     pub fn csv(&self) -> String {
         let names: std::collections::BTreeSet<&str> =
             self.records.iter().flat_map(|r| r.numbers.keys().map(String::as_str)).collect();
-        let mut text = String::from("protocol,scene,setting,at,target,seed,prompt");
+        let mut text = String::from("protocol,scene,setting,provider,at,target,seed,prompt");
         names.iter().for_each(|n| text += &format!(",{n}"));
         for r in &self.records {
             let at = r.at.map_or(String::new(), |a| a.to_string());
-            let words = [&r.protocol, &r.scene, &r.setting, &at, &r.target].map(|w| quoted(w));
+            let words = [&r.protocol, &r.scene, &r.setting, &r.provider, &at, &r.target].map(|w| quoted(w));
             text += &format!("\n{},{},{}", words.join(","), r.seed, r.prompt);
             for name in &names {
                 text += &r.numbers.get(*name).map_or(",".into(), |v| format!(",{v}"));
@@ -171,7 +192,13 @@ mod tests {
 
     fn record(setting: &str, iou: f64) -> Record {
         let numbers = BTreeMap::from([("iou".to_owned(), iou)]);
-        Record { protocol: "synthetic".into(), setting: setting.into(), numbers, ..Record::default() }
+        Record {
+            protocol: "synthetic".into(),
+            setting: setting.into(),
+            provider: "oracle".into(),
+            numbers,
+            ..Record::default()
+        }
     }
 
     #[test]
@@ -186,15 +213,26 @@ mod tests {
     }
 
     #[test]
+    fn figures_of_another_provider_take_the_place_of_none() {
+        let mut results = Results::default();
+        results.put(record("full", 0.9));
+        results.put(Record { provider: "built-in".into(), ..record("full", 0.4) });
+        assert_eq!(results.records.len(), 2, "both stand beside one another");
+    }
+
+    #[test]
     fn results_survive_their_file_and_other_files_are_refused() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("results.json");
-        let results =
-            Results { made: Made::here("segwild bench".into()), records: vec![record("a, b", 0.25)] };
+        let results = Results {
+            made: Made::here("segwild bench".into()),
+            records: vec![record("a, b", 0.25)],
+            ..Results::default()
+        };
         results.write(&file).unwrap();
         assert_eq!(Results::read(&file).unwrap(), results);
         std::fs::write(&file, "[1]").unwrap();
         assert!(Results::read(&file).unwrap_err().to_string().contains("results.json"));
-        assert!(results.csv().ends_with("synthetic,,\"a, b\",,,0,0,0.25\n"), "{}", results.csv());
+        assert!(results.csv().ends_with("synthetic,,\"a, b\",oracle,,,0,0,0.25\n"), "{}", results.csv());
     }
 }

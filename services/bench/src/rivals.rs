@@ -1,14 +1,14 @@
-//! Other methods as settings of the same program, so that they are compared on the same photos, geometry engine, 2D
-//! models and clicks (paper, Table 1).
+//! Other methods as settings of this program, not those methods' programs, so that they are compared on the same photos,
+//! geometry engine, 2D models and clicks (paper, Table 1).
 //!
 //! A row takes over what a method adds to splatting: which photos' differences it explains, what its features learn,
 //! and how clicks become a selection. It does not take over what all methods have in common and we do better or worse
 //! (density control, schedules). Rows that the literature trains on plain splats stand here twice: on plain splats, as
 //! published, and on ours (`-wild`), so that the two causes can be told apart.
 //!
-//! Thresholds are those that served each rival best where they were tuned: `tau` of .5, .7, .8, .9, .95 and .98 on seed 3
-//! (`segwild bench synthetic --seeds 3 --photos 24 --pixels 240 --kinship 0.97 --only feature-3dgs,saga --change tau=..`):
-//! IoU .08, .30, .39, .23, .16, .07 of Feature 3DGS and .23, .53, .43, .24, .16, .07 of SAGA. `rho` of .3, .5 and .7 there, the
+//! Thresholds are those that served each rival best where they were tuned, by the oracle's masks: `tau` of .5, .7, .8, .9,
+//! .95 and .98 on seed 3 (`segwild bench synthetic --providers oracle --seeds 3 --photos 24 --pixels 240 --kinship 0.97 --only
+//! feature-3dgs,saga --change tau=..`): IoU .08, .30, .39, .23, .16, .07 of Feature 3DGS and .23, .53, .43, .24, .16, .07 of SAGA. `rho` of .3, .5 and .7 there, the
 //! bias of FlashSplat's closed form: .769, .775, .753; the minimum cut does not ask for it (.809).
 //! The built-in embedder's features spread wider than the oracle's: on photos both want less (`--change tau=0.3`; tuned on
 //! one photo of `liberty`, .80 and .90 at .5, .90 and .90 at .3, .92 and .90 at 0 of SAGA and Feature 3DGS). More steps for
@@ -85,6 +85,22 @@ pub const RIVALS: &[Variant] = &[
     AS_PUBLISHED,
     FULL,
 ];
+
+/// The methods that rows are named after, and what their names begin with.
+const NAMED_AFTER: [(&str, &str); 6] = [
+    ("feature-3dgs", "Feature 3DGS"),
+    ("saga", "SAGA"),
+    ("gs-w", "GS-W"),
+    ("flashsplat", "FlashSplat"),
+    ("graph-cut", "GaussianCut (minimum cut)"),
+    ("paper", "Seg-Wild's paper"),
+];
+
+/// The methods that some rows are named after. Such a row is a setting of this program, not that method's program.
+pub fn named_after(rows: &[&str]) -> Vec<&'static str> {
+    let bears = |prefix: &str| rows.iter().any(|row| row.split('-').next() == prefix.split('-').next());
+    NAMED_AFTER.into_iter().filter(|(prefix, _)| bears(prefix)).map(|(_, name)| name).collect()
+}
 
 /// The row of that name, here or in the ablation.
 pub fn row(name: &str) -> Option<&'static Variant> {

@@ -16,7 +16,7 @@ const GUARDED: [&str; 9] =
 /// Two places, one seen by the oracle and one by the built-in provider, under the quickest preset and `changes`.
 /// Scenes and runs are made in `dir`, which is emptied.
 pub fn slice(dir: &Path, changes: &[(String, String)], command: String) -> Result<Results, PointError> {
-    let mut results = Results { made: Made::here(command), records: Vec::new() };
+    let mut results = Results { made: Made::here(command), ..Results::default() };
     let eyes = [("oracle", 11, ProviderKind::Oracle), ("built-in", 12, ProviderKind::Builtin)];
     for (setting, seed, providers) in eyes {
         let scene = SyntheticOptions {

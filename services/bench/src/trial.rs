@@ -1,9 +1,9 @@
 //! One synthetic scene put through the whole program: trained, clicked once per object, scored against what is true.
 
 use crate::metrics::{self, MetricError, leakage};
-use crate::oracle::{Oracle, OracleOptions};
+use crate::oracle::{ORACLE, Oracle, OracleOptions};
 use crate::synthetic::{
-    Kind, Manifest, ObjectTruth, SyntheticError, SyntheticOptions, SyntheticScene, generate,
+    Kind, Manifest, ObjectTruth, SyntheticError, SyntheticOptions, SyntheticPhoto, SyntheticScene, generate,
 };
 use segwild_flow::Stopper;
 use segwild_pipeline::{
@@ -17,12 +17,13 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
 /// Who looks at the photos of a trial.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ProviderKind {
-    /// The truth, with faults of a known size: what the method is worth whatever the 2D models are.
+    /// The truth, with faults of a known size: what the 3D part alone is worth, whatever the 2D models are. No user has it.
     Oracle,
-    /// What the settings name: the built-in provider, or networks.
+    /// What the settings name, as a user has it: the built-in provider, or networks.
+    #[default]
     Builtin,
 }
 
@@ -90,6 +91,9 @@ pub struct ObjectScore {
     pub label_iou: f64,
     /// Share of the hidden wall's splats that were selected.
     pub hidden: f64,
+    /// Mean share of the selected pixels that are of other objects: what stands on a wall or on the ground that was clicked,
+    /// or before it.
+    pub standing: f64,
     /// Splats that the spike cut shortened, dropped or took a piece of.
     pub cut: usize,
     /// What the program said about the prompts: doubts, or why it refused.
@@ -186,6 +190,7 @@ impl Trial {
             if settings.vision.sky != segwild_vision::SkyChoice::None {
                 providers.sky = oracle.clone();
             }
+            providers.name = ORACLE.into();
             providers.notes = vec!["descriptors, masks, refinement and sky: oracle".into()];
         }
         Ok(providers)
@@ -270,7 +275,7 @@ impl Trial {
         let (object, clicked) = (score.object.clone(), score.clicked.clone());
         let target = self.folder.selection(&object);
         let mut sums = [0.0; 5];
-        let (mut count, mut worst) = (0, 1.0f64);
+        let (mut count, mut worst, mut standing) = (0, 1.0f64, 0.0);
         let whole = self.alone[usize::from(id)].get_or_init(|| self.scene.amodal(id));
         for (photo, whole) in self.scene.photos.iter().zip(whole).filter(|p| p.0.name != clicked) {
             let truth = photo.mask(id);
@@ -291,14 +296,27 @@ impl Trial {
             let found = [seen.iou, seen.accuracy, seen.boundary_iou, alone.iou, alone.boundary_iou];
             sums.iter_mut().zip(found).for_each(|(sum, x)| *sum += x);
             worst = worst.min(seen.iou);
+            standing += self.standing(photo, &visible, id);
             count += 1;
         }
         if count > 0 {
             [score.iou, score.accuracy, score.boundary_iou, score.amodal_iou, score.amodal_boundary_iou] =
                 sums.map(|s| s / f64::from(count));
             (score.photos, score.worst) = (count as usize, worst);
+            score.standing = standing / f64::from(count);
         }
         Ok(())
+    }
+
+    /// Share of a mask's pixels on which the photo shows another object than `id`.
+    fn standing(&self, photo: &SyntheticPhoto, mask: &Mask, id: u16) -> f64 {
+        let is_other = |i: u16| {
+            i != id && self.scene.instances.get(usize::from(i)).is_some_and(|o| o.kind != Kind::Surface)
+        };
+        let (w, h) = (photo.camera.width, photo.camera.height);
+        let mask = if (mask.width(), mask.height()) == (w, h) { mask.clone() } else { mask.resized(w, h) };
+        let others = mask.pixels().filter(|&(x, y)| is_other(photo.instances[(y * w + x) as usize])).count();
+        others as f64 / mask.count().max(1) as f64
     }
 }
 
@@ -313,6 +331,11 @@ pub struct Session<'a> {
 }
 
 impl Session<'_> {
+    /// Who makes the masks.
+    pub fn provider(&self) -> &str {
+        &self.providers.name
+    }
+
     /// Selects what the prompts mean and scores it.
     pub fn score(&self, object: &ObjectTruth, prompts: PhotoPrompts) -> Result<ObjectScore, TrialError> {
         let (trial, name) = (self.trial, &object.name);
@@ -328,6 +351,7 @@ impl Session<'_> {
             amodal_boundary_iou: 0.0,
             label_iou: 0.0,
             hidden: 0.0,
+            standing: 0.0,
             cut: 0,
             notes: Vec::new(),
             select_s: None,

@@ -5,6 +5,7 @@ use super::{DEFAULT, SWEEPS, Sweep};
 use crate::page::{PageError, io};
 use crate::plot::{Figure, Mark, Panel, Series, escaped, front};
 use crate::record::Results;
+use crate::stamp::{self, providers};
 use segwild_flow::files;
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -34,7 +35,8 @@ impl ChartPage {
             (sweep, value)
         };
         points.sort_by_key(order);
-        let title = format!("Accuracy against time and memory: {about}");
+        let title =
+            stamp::title(&format!("Accuracy against time and memory: {about}"), &providers([results]));
         ChartPage { results: results.clone(), points, title }
     }
 
@@ -225,14 +227,14 @@ impl ChartPage {
     /// The tables, one per sweep, in Markdown.
     pub fn markdown(&self, figures: &[&str]) -> String {
         let made = &self.results.made;
+        let by = providers([&self.results]);
         let mut text = format!(
-            "# {}\n\nThis page is generated: `{}`, by segwild {} on {}. One setting is varied at a time around the default; every \
+            "# {}\n\n{} This page is generated. {}\n\nOne setting is varied at a time around the default; every \
              point is a training of its own in a process of its own. {} CPU \
              time and memory are of the run up to the held-out scores; memory is without what the process held before.{}\n\n",
             self.title,
-            made.command,
-            made.version,
-            made.machine,
+            stamp::first_sentence(&by, &[]),
+            stamp::stamp(made, &by),
             self.spread_words(),
             pace_words(&self.results)
         );
@@ -243,7 +245,7 @@ impl ChartPage {
             let _ = writeln!(text, "- {}", verdict.words());
         }
         for (heading, meaning, rows) in self.tables() {
-            let _ = writeln!(text, "\n## {heading}\n\n{meaning}\n");
+            let _ = writeln!(text, "\n## {heading}\n\n{meaning}; masks: {}\n", by.join(", "));
             let shown: Vec<&(&str, &str)> = self.columns();
             let heads: Vec<&str> = shown.iter().map(|c| c.1).collect();
             let _ = writeln!(text, "| value | {} |\n|---|{}", heads.join(" | "), "---:|".repeat(heads.len()));
@@ -257,14 +259,14 @@ impl ChartPage {
     /// The page: figures, tables and data in one file that needs nothing else.
     pub fn html(&self) -> Result<String, PageError> {
         let made = &self.results.made;
+        let by = providers([&self.results]);
         let mut text = format!(
             "<!doctype html>\n<html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\n\
-             <title>{title}</title>\n<style>{STYLE}</style>\n<h1>{title}</h1>\n<p>Made by <code>{}</code>, segwild {}, on {}. One \
+             <title>{title}</title>\n<style>{STYLE}</style>\n<h1>{title}</h1>\n<p>{} {}</p>\n<p>One \
              setting is varied at a time around the default; every point is a training of its own in a process of its own. \
              {} Point at a mark to read its numbers.</p>\n",
-            escaped(&made.command),
-            escaped(&made.version),
-            escaped(&made.machine),
+            escaped(&stamp::first_sentence(&by, &[])),
+            escaped(&stamp::stamp(made, &by)),
             self.spread_words(),
             title = escaped(&self.title),
         );
@@ -283,9 +285,10 @@ impl ChartPage {
             let heads: String = self.columns().iter().map(|c| format!("<th>{}</th>", escaped(c.1))).collect();
             let _ = writeln!(
                 text,
-                "<h2>{}</h2>\n<p>{}</p>\n<table><tr><th>value</th>{heads}</tr>",
+                "<h2>{}</h2>\n<p>{}; masks: {}</p>\n<table><tr><th>value</th>{heads}</tr>",
                 escaped(heading),
-                escaped(meaning)
+                escaped(meaning),
+                escaped(&by.join(", "))
             );
             for p in rows {
                 let cells: String =
@@ -423,6 +426,7 @@ mod tests {
             protocol: "chart".into(),
             scene: "seed 1".into(),
             setting: setting.into(),
+            provider: "oracle".into(),
             at,
             target: target.into(),
             seed,
@@ -479,10 +483,19 @@ mod tests {
         }
         assert_eq!(html.matches("http").count(), html.matches("http://www.w3.org/2000/svg").count());
         assert!(html.contains("<td>0.850 ± 0.014</td>") && html.contains("data:text/csv,"));
+        assert!(html.contains("<h1>Accuracy against time and memory: a test (oracle)</h1>"), "{html}");
+        assert!(html.contains("Provider: oracle.") && html.contains("masks: oracle"), "{html}");
         let kept = Results::read(&folder.path().join("results.json")).unwrap();
         assert_eq!(kept, results);
         let text = std::fs::read_to_string(folder.path().join("README.md")).unwrap();
         assert!(text.contains("| 500 | 0.750 ± 0.014 | 5.0 ± 0.0 (0.50) | 100 ± 0 (1.00) |"), "{text}");
+        assert!(text.starts_with(
+            "# Accuracy against time and memory: a test (oracle)\n\nAll masks are those of the oracle"
+        ));
+        for name in ["chart.svg", "sweeps.svg"] {
+            let svg = std::fs::read_to_string(folder.path().join(name)).unwrap();
+            assert!(svg.contains("(oracle)"), "{name}");
+        }
         for name in ["chart.svg", "chart.png", "sweeps.svg", "sweeps.png", "results.csv"] {
             assert!(folder.path().join(name).metadata().unwrap().len() > 100, "{name}");
         }

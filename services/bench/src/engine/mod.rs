@@ -7,6 +7,7 @@ pub use goal::Goal;
 use crate::page::{PageError, io};
 use crate::record::{Made, Record, Results};
 use crate::scale::kernels::filling;
+use crate::stamp::{self, providers};
 use crate::synthetic::random::Rng;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -64,7 +65,7 @@ pub fn engine(options: &EngineOptions, mut told: impl FnMut(&Record)) -> Result<
     made.machine =
         format!("{} ({}, {}) beside {}", adapter.name, adapter.backend, adapter.driver, made.machine);
     let reach = reach(&gpu)?;
-    let mut results = Results { made, records: Vec::new() };
+    let mut results = Results { made, ..Results::default() };
     let mut put = |record: Record| {
         told(&record);
         results.records.push(record);
@@ -225,13 +226,15 @@ fn frame(count: u32, width: u32, height: u32) -> Splats {
 /// The page in Markdown.
 pub fn markdown(results: &Results) -> String {
     let made = &results.made;
+    let by = providers([results]);
     let mut text = format!(
-        "# The accelerator engine's speed\n\nThis page is generated: `{}`, by segwild {} on {}. Each pass is repeated and waited \
+        "# The accelerator engine's speed\n\n{} This page is generated. {}\n\nEach pass is repeated and waited \
          for once; its floor is the longer of its arrays, each moved once, at the bandwidth of a copy, and its operations, at \
          every pixel of every tile that a splat touches, at the rate of a kernel that only multiplies and adds (where \
          light runs out early, less is done). The CPU's milliseconds are of wall clock on all its cores; those of kernels are by the device's own clock, all \
          runs of a kernel in the pass together.\n",
-        made.command, made.version, made.machine
+        stamp::first_sentence(&by, &[]),
+        stamp::stamp(made, &by)
     );
     let number = |record: &Record, name: &str| record.numbers.get(name).copied();
     let mut targets: Vec<&str> = Vec::new();

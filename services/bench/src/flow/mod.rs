@@ -9,6 +9,8 @@ mod waiting;
 
 pub use waiting::{Calls, Waits, counted, waiting};
 
+use crate::record::Made;
+use crate::stamp;
 use crate::synthetic::{LookKind, Manifest, SyntheticError, SyntheticOptions, generate};
 use segwild_flow::files;
 use segwild_pipeline::{RunError, Settings, SettingsError};
@@ -154,11 +156,24 @@ fn load_average() -> Option<f64> {
     std::fs::read_to_string("/proc/loadavg").ok()?.split_whitespace().next()?.parse().ok()
 }
 
-/// The rows as a page.
-pub fn page(rows: &[Row]) -> String {
+/// The rows that are over their bars, in words; nothing where all keep to them.
+pub fn over(rows: &[Row]) -> Option<String> {
+    let over: Vec<String> = rows
+        .iter()
+        .filter(|r| !r.holds())
+        .map(|r| format!("{} is {:.3}, its bar {}", r.name, r.value, r.bar))
+        .collect();
+    (!over.is_empty())
+        .then(|| format!("{} of {} rows over the bar: {}", over.len(), rows.len(), over.join("; ")))
+}
+
+/// The rows as a page; those that are over their bars are named first.
+pub fn page(rows: &[Row], made: &Made) -> String {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let first = over(rows).map_or("All rows keep to their bars.".into(), |over| format!("**{over}.**"));
+    let stamp = stamp::stamp(made, &["built-in, and one that waits in `overlap` and `accelerator`"]);
     let mut text = format!(
-        "# The dataflow, measured\n\nThis page is generated: `segwild bench flow --page docs/flow.md`. Every number is a ratio \
+        "# The dataflow, measured\n\n{first} This page is generated. {stamp}\n\nEvery number is a ratio \
          or a count. A ratio of times is the median over pairs of runs, each pair back to back; all of them are listed. \
          The load is the machine's average over a minute, on {cores} cores: what is over {cores} had to wait for a \
          core.\n\n| row | what | measured | bar | load | from |\n|---|---|---:|---:|---:|---|\n",
@@ -228,7 +243,10 @@ mod tests {
         let rows = measured(dir.path());
         let found: Vec<(&str, f64)> = rows.iter().map(|r| (r.name.as_str(), r.value)).collect();
         assert_eq!(found, [("kills", 0.0), ("memory, budget", 0.5), ("memory", 1.1)]);
-        let text = page(&rows);
+        let made = Made { command: "segwild bench flow".into(), ..Made::default() };
+        let text = page(&rows, &made);
+        let first = "# The dataflow, measured\n\n**1 of 3 rows over the bar: memory is 1.100, its bar 1.**";
+        assert!(text.starts_with(first) && text.contains("Command: `segwild bench flow`"), "{text}");
         assert!(text.contains("| memory | w | 1.100 | **over** 1 | 2.5 | f |"), "{text}");
     }
 }

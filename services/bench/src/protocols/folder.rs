@@ -2,7 +2,7 @@
 //! several.
 
 use super::place::{photos, stem};
-use super::{Missing, Place, ProtocolError, Question, clicks};
+use super::{Found, Missing, Place, ProtocolError, Question, clicks};
 use segwild_pipeline::{PhotoPrompts, Settings};
 use segwild_scene::{Mask, MaskFiles, Prompts, Random, SceneError};
 use std::collections::BTreeMap;
@@ -49,18 +49,19 @@ pub fn read_parts(file: &Path) -> Result<Parts, ProtocolError> {
     })
 }
 
-/// The scene and its questions: every object, each from several photos.
+/// The scene and its questions, every object from several photos; and what is missing: reference photos that have no true
+/// mask of an object, true masks that cannot be read.
 ///
 /// # Errors
-/// When the scene or its truth is not there, or a reference photo does not show the object.
-pub fn place(options: &FolderProtocol, settings: &Settings, seed: u64) -> Result<Place, ProtocolError> {
+/// When the scene or its truth is not there, or no reference photo of any object.
+pub fn place(options: &FolderProtocol, settings: &Settings, seed: u64) -> Result<Found, ProtocolError> {
     let photos = photos(&options.scene, settings)?;
     let objects = objects(&options.scene, &photos)?;
-    let mut questions = Vec::new();
+    let (mut questions, mut missing) = (Vec::new(), Vec::new());
     for (at, (target, truth)) in objects.into_iter().enumerate() {
         let mut random = Random::stream(seed, at as u64);
         for (prompt, (photo, mask)) in
-            references(options, &target, &truth, &mut random)?.into_iter().enumerate()
+            references(options, &target, &truth, &mut random, &mut missing).into_iter().enumerate()
         {
             let points = match options.parts.get(stem(&photo)) {
                 Some(rows) => clicks::parts(&mask, rows),
@@ -72,12 +73,13 @@ pub fn place(options: &FolderProtocol, settings: &Settings, seed: u64) -> Result
                 prompt: prompt as u32,
                 prompts: vec![PhotoPrompts { photo, prompts }],
                 truth: truth.clone(),
+                missing: Vec::new(),
             });
         }
     }
     let name = std::path::absolute(&options.scene).unwrap_or_else(|_| options.scene.clone());
     let name = name.file_name().map_or_else(|| "scene".into(), |n| n.to_string_lossy().into_owned());
-    Ok(Place {
+    let place = Place {
         protocol: "folder",
         name,
         scene: options.scene.clone(),
@@ -85,7 +87,11 @@ pub fn place(options: &FolderProtocol, settings: &Settings, seed: u64) -> Result
         questions,
         split: None,
         held_out: false,
-    })
+    };
+    if missing.is_empty() {
+        return Ok(place.into());
+    }
+    Found { places: vec![place], missing }.or_refused(LAYOUT)
 }
 
 /// The objects and their true masks, by name.
@@ -136,30 +142,47 @@ pub(super) fn masks_in(folder: &Path, photos: &[String]) -> Result<Vec<(String, 
     Ok(masks)
 }
 
+/// A photo with its true mask, or a word among what is missing.
+fn masked(
+    target: &str,
+    (photo, file): &(String, PathBuf),
+    missing: &mut Vec<String>,
+) -> Option<(String, Mask)> {
+    match Mask::read_png(file) {
+        Ok(mask) => Some((photo.clone(), mask)),
+        Err(error) => {
+            missing.push(format!("{target}: {error}"));
+            None
+        }
+    }
+}
+
 /// The photos to click for an object, with its true masks there.
 fn references(
     options: &FolderProtocol,
     target: &str,
     truth: &[(String, PathBuf)],
     random: &mut Random,
-) -> Result<Vec<(String, Mask)>, ProtocolError> {
-    let read = |(photo, file): &(String, PathBuf)| -> Result<(String, Mask), ProtocolError> {
-        Ok((photo.clone(), Mask::read_png(file)?))
-    };
-    if !options.references.is_empty() {
-        let find = |wanted: &String| {
-            // The stem, or how it begins: the names that archives give are long.
-            let fits = |t: &&(String, PathBuf)| t.0 == *wanted || stem(&t.0).starts_with(wanted.as_str());
-            truth.iter().find(fits).ok_or_else(|| {
-                let what = format!("{target}: a photo with a true mask whose name begins with `{wanted}`");
-                ProtocolError::Missing(Missing { what: vec![what], layout: LAYOUT.into() })
-            })
-        };
-        return options.references.iter().map(|wanted| read(find(wanted)?)).collect();
+    missing: &mut Vec<String>,
+) -> Vec<(String, Mask)> {
+    let mut masks = Vec::new();
+    if options.references.is_empty() {
+        masks.extend(truth.iter().filter_map(|t| masked(target, t, missing)));
+        masks.retain(|(_, mask): &(String, Mask)| {
+            mask.count() * WELL >= mask.width() as usize * mask.height() as usize
+        });
+        random.shuffle(&mut masks);
+        masks.truncate(options.draw);
     }
-    let mut all: Vec<(String, Mask)> = truth.iter().map(read).collect::<Result<_, _>>()?;
-    all.retain(|(_, mask)| mask.count() * WELL >= mask.width() as usize * mask.height() as usize);
-    random.shuffle(&mut all);
-    all.truncate(options.draw);
-    Ok(all)
+    for wanted in &options.references {
+        // The stem, or how it begins: the names that archives give are long.
+        let fits = |t: &&(String, PathBuf)| t.0 == *wanted || stem(&t.0).starts_with(wanted.as_str());
+        match truth.iter().find(fits) {
+            Some(found) => masks.extend(masked(target, found, missing)),
+            None => {
+                missing.push(format!("{target}: a photo with a true mask whose name begins with `{wanted}`"));
+            }
+        }
+    }
+    masks
 }

@@ -91,6 +91,8 @@ pub struct LegoProtocol {
     pub seeds: Vec<u64>,
     /// The scenes, but for their seeds, looks and strangers, of which they have none.
     pub scene: SyntheticOptions,
+    /// Who looks at the photos.
+    pub providers: ProviderKind,
     /// What all rows have in common.
     pub base: Base,
 }
@@ -116,7 +118,7 @@ pub fn lego(
             let mut scene = clean.clone();
             perturbation.apply(&mut scene)?;
             let dir = out.join(format!("lego-{seed}-{}", perturbation.name()));
-            let trial = Trial::of(&dir, scene, ProviderKind::Oracle, &OracleOptions::default())?;
+            let trial = Trial::of(&dir, scene, options.providers, &OracleOptions::default())?;
             for row in ROWS.iter().filter(|r| only.is_empty() || only.iter().any(|o| o == r.name)) {
                 let mut settings = options.base.row(row)?;
                 // Pictures are asked about, not objects: no time is spent on features.
@@ -133,6 +135,7 @@ pub fn lego(
                     protocol: "lego".into(),
                     scene: format!("seed {seed}"),
                     setting: row.name.into(),
+                    provider: trial.providers(&settings)?.name,
                     target: perturbation.name().into(),
                     seed,
                     numbers: numbers.map(|(name, value)| (name.to_owned(), value)).into(),

@@ -17,7 +17,7 @@ pub mod synthetic;
 pub mod tables;
 
 pub use error::{Missing, ProtocolError};
-pub use place::{Place, Question, measure};
+pub use place::{Found, Place, Question, measure};
 
 use crate::ablation::{VARIANTS, Variant};
 use crate::record::{Record, Results};

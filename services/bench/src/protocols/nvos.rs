@@ -2,7 +2,7 @@
 
 use super::folder::entries;
 use super::place::{photo_of, photos, stem};
-use super::{Missing, Place, ProtocolError, Question, clicks};
+use super::{Found, Missing, Place, ProtocolError, Question, clicks};
 use segwild_pipeline::{PhotoPrompts, Settings};
 use segwild_scene::{Mask, PointPrompt, Prompts};
 use std::path::{Path, PathBuf};
@@ -27,11 +27,11 @@ pub const LAYOUT: &str = "The annotations are published with NVOS (Neural Volume
     \u{20}                                             SCENE_PART (horns_center) those in ROOT/scenes/SCENE serve as well\n\
     ROOT may also hold the first three below labels/llff/, as in the archive.";
 
-/// The annotated scenes, each with its question.
+/// The annotated scenes that are there, each with its question, and what is missing.
 ///
 /// # Errors
-/// When something is missing: all of it, with what to put where.
-pub fn places(options: &NvosProtocol, settings: &Settings, seed: u64) -> Result<Vec<Place>, ProtocolError> {
+/// When no scene is left: all that is missing, with what to put where.
+pub fn places(options: &NvosProtocol, settings: &Settings, seed: u64) -> Result<Found, ProtocolError> {
     let inner = options.root.join("labels/llff");
     let labels = if inner.is_dir() { inner } else { options.root.clone() };
     let scribbles = labels.join("scribbles");
@@ -46,22 +46,19 @@ pub fn places(options: &NvosProtocol, settings: &Settings, seed: u64) -> Result<
     if !options.only.is_empty() {
         names.clone_from(&options.only);
     }
-    let mut places = Vec::new();
+    let mut found = Found { places: Vec::new(), missing };
     for name in &names {
         match place(options, &labels, name, settings, seed) {
-            Ok(place) => places.push(place),
-            Err(ProtocolError::Missing(m)) => missing.extend(m.what),
+            Ok(place) => found.places.push(place),
+            Err(ProtocolError::Missing(m)) => found.missing.extend(m.what),
+            Err(ProtocolError::Scene(error)) => found.missing.push(format!("the scene {name}: {error}")),
             Err(other) => return Err(other),
         }
     }
-    if missing.is_empty() && places.is_empty() {
-        missing.push(format!("a scene in {}", scribbles.display()));
+    if found.missing.is_empty() && found.places.is_empty() {
+        found.missing.push(format!("a scene in {}", scribbles.display()));
     }
-    if missing.is_empty() {
-        Ok(places)
-    } else {
-        Err(ProtocolError::Missing(Missing { what: missing, layout: LAYOUT.into() }))
-    }
+    found.or_refused(LAYOUT)
 }
 
 fn file_name(path: &Path) -> String {
@@ -116,8 +113,13 @@ fn place(
     }
     points.extend(scribbled(&folder, "neg", options.clicks, false)?);
     let clicked = on_photo(&scene, &clicked, points, &folder, settings)?;
-    let question =
-        Question { target: name.into(), prompt: 0, prompts: vec![clicked], truth: vec![(scored, mask)] };
+    let question = Question {
+        target: name.into(),
+        prompt: 0,
+        prompts: vec![clicked],
+        truth: vec![(scored, mask)],
+        missing: Vec::new(),
+    };
     Ok(Place {
         protocol: "nvos",
         name: name.into(),

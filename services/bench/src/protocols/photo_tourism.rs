@@ -2,10 +2,10 @@
 //! each, and PSNR on the held-out photos by left and right halves. The photos and masks are the user's.
 
 use super::paper::{PAPER, PaperScene, PaperTarget};
-use super::place::{photo_of, photos};
-use super::{Missing, Place, ProtocolError, Question, clicks};
+use super::place::stem;
+use super::{Found, Missing, Place, ProtocolError, Question, clicks};
 use segwild_pipeline::{PhotoPrompts, Replay, Settings};
-use segwild_scene::{Mask, Prompts};
+use segwild_scene::{Mask, MaskFiles, Prompts, Scene};
 use std::path::{Path, PathBuf};
 
 /// Which data, and how it is clicked.
@@ -31,56 +31,32 @@ pub const LAYOUT: &str = "The photos are those of the Image Matching Challenge's
     \u{20}                                                              the form of a selection's prompts.json\n\
     and the same for trevi_fountain (trevi.tsv) and taj_mahal (taj_mahal.tsv). `--scenes` measures some of them.";
 
-/// The places that are there, with their questions.
+/// The places that are there, with the questions that can be asked of them, and what is missing. A target is refused when
+/// its reference photo or all photos that score it are missing; the others go on.
 ///
 /// # Errors
-/// When something is missing: all of it, with what to put where.
+/// When there is no place of a name, or no target of any place is left: all that is missing, with what to put where.
 pub fn places(
     options: &PhotoTourismProtocol,
     settings: &Settings,
     seed: u64,
-) -> Result<Vec<Place>, ProtocolError> {
-    let mut missing = Vec::new();
+) -> Result<Found, ProtocolError> {
     if let Some(odd) = options.only.iter().find(|o| PAPER.scenes.iter().all(|s| s.folder != **o)) {
-        missing.push(format!("a place named `{odd}`: there are {}", folders().join(", ")));
+        let what = vec![format!("a place named `{odd}`: there are {}", folders().join(", "))];
+        return Err(ProtocolError::Missing(Missing { what, layout: LAYOUT.into() }));
     }
     let wanted = |s: &&PaperScene| options.only.is_empty() || options.only.contains(&s.folder);
-    let mut places = Vec::new();
+    let mut found = Found::default();
     for scene in PAPER.scenes.iter().filter(wanted) {
-        let root = options.root.join(&scene.folder);
-        if !root.is_dir() {
-            missing.push(format!("{}: {}", scene.name, root.display()));
-            continue;
+        match place(options, scene, settings, seed)? {
+            Ok((place, missing)) => {
+                found.places.push(place);
+                found.missing.extend(missing);
+            }
+            Err(missing) => found.missing.push(missing),
         }
-        let dense = root.join("dense");
-        let path = if dense.is_dir() { dense } else { root.clone() };
-        let mut settings = settings.clone();
-        let split = root.join(&scene.split);
-        if !split.is_file() {
-            missing.push(format!("{}: the split, {}", scene.name, split.display()));
-            continue;
-        }
-        settings.scene.split = split.display().to_string();
-        let photos = photos(&path, &settings)?;
-        let mut questions = Vec::new();
-        for target in &scene.targets {
-            questions.extend(question(&root, scene, target, &photos, options.clicks, &mut missing)?);
-        }
-        places.push(Place {
-            protocol: "photo-tourism",
-            name: scene.name.clone(),
-            scene: path,
-            split: Some(split),
-            seed,
-            questions,
-            held_out: true,
-        });
     }
-    if missing.is_empty() {
-        Ok(places)
-    } else {
-        Err(ProtocolError::Missing(Missing { what: missing, layout: LAYOUT.into() }))
-    }
+    found.or_refused(LAYOUT)
 }
 
 /// Folders of the places.
@@ -88,47 +64,131 @@ fn folders() -> Vec<&'static str> {
     PAPER.scenes.iter().map(|s| s.folder.as_str()).collect()
 }
 
-fn question(
-    root: &Path,
+/// A place with the questions that can be asked, and what is missing of it; or why it cannot be measured at all.
+fn place(
+    options: &PhotoTourismProtocol,
     scene: &PaperScene,
-    target: &PaperTarget,
-    photos: &[String],
-    clicks: usize,
-    missing: &mut Vec<String>,
-) -> Result<Option<Question>, ProtocolError> {
-    let folder = root.join("truth").join(&target.folder);
-    let before = missing.len();
-    let named = |what: &str| format!("{}, {}: {what}", scene.name, target.name);
-    let mut truth = Vec::new();
-    for wanted in &target.truth {
-        let mask = folder.join(format!("{wanted}.png"));
-        match photo_of(photos, wanted) {
-            None => missing
-                .push(named(&format!("the photo {wanted}.jpg, which is scored, or its line in the split"))),
-            Some(_) if !mask.is_file() => {
-                missing.push(named(&format!("the true mask {}", mask.display())));
+    settings: &Settings,
+    seed: u64,
+) -> Result<Result<(Place, Vec<String>), String>, ProtocolError> {
+    let root = options.root.join(&scene.folder);
+    if !root.is_dir() {
+        return Ok(Err(format!("{}: the folder {}", scene.name, root.display())));
+    }
+    let dense = root.join("dense");
+    let path = if dense.is_dir() { dense } else { root.clone() };
+    let split = root.join(&scene.split);
+    if !split.is_file() {
+        return Ok(Err(format!("{}: the split, {}", scene.name, split.display())));
+    }
+    let mut settings = settings.scene.clone();
+    settings.split = split.display().to_string();
+    let opened = match Scene::open(&path, &settings) {
+        Ok(opened) => opened,
+        Err(error) => return Ok(Err(format!("{}: {error}", scene.name))),
+    };
+    let (mut questions, mut missing) = (Vec::new(), Vec::new());
+    for target in &scene.targets {
+        match question(&root, target, &opened, options.clicks)? {
+            Ok(question) => {
+                missing
+                    .extend(question.missing.iter().map(|m| format!("{}, {}: {m}", scene.name, target.name)));
+                questions.push(question);
             }
-            Some(photo) => truth.push((photo.clone(), mask)),
+            Err(why) => {
+                missing.push(format!("{}, {}, is refused: {}", scene.name, target.name, why.join("; ")))
+            }
         }
     }
-    let Some(photo) = photo_of(photos, &target.reference) else {
-        missing
-            .push(named(&format!("the reference photo {}.jpg, or its line in the split", target.reference)));
-        return Ok(None);
+    let place = Place {
+        protocol: "photo-tourism",
+        name: scene.name.clone(),
+        scene: path,
+        split: Some(split),
+        seed,
+        questions,
+        held_out: true,
     };
-    let (mask, file) = (folder.join(format!("{}.png", target.reference)), folder.join("prompts.json"));
-    let prompts = if file.is_file() {
-        Replay::read(&file)?.prompts
-    } else if mask.is_file() {
-        let points = clicks::inside(&Mask::read_png(&mask)?, clicks);
-        vec![PhotoPrompts { photo: photo.clone(), prompts: Prompts { points, ..Prompts::default() } }]
-    } else {
-        missing.push(named(&format!(
-            "the reference photo's mask {}, or prompts.json beside it",
-            mask.display()
-        )));
-        Vec::new()
+    Ok(Ok((place, missing)))
+}
+
+/// A photo of the scene by its stem, or why it takes no part.
+fn photo<'a>(scene: &'a Scene, wanted: &str) -> Result<&'a str, String> {
+    if let Some(view) = scene.views.iter().find(|v| stem(&v.name) == wanted) {
+        return Ok(&view.name);
+    }
+    let skipped = scene.skipped.iter().find(|s| stem(&s.name) == wanted);
+    let why = skipped.map_or("the reconstruction has no photo of that name", |s| s.reason.as_str());
+    Err(format!("the photo {wanted}.jpg: {why}"))
+}
+
+/// The true mask of a photo, or what is missing.
+fn mask(masks: &MaskFiles, folder: &Path, photo: &str) -> Result<PathBuf, String> {
+    let named = || format!("the true mask {}", folder.join(MaskFiles::wanted(photo)).display());
+    masks.find(photo)?.ok_or_else(named)
+}
+
+/// What is asked of a target, from what is there; or why nothing can be.
+fn question(
+    root: &Path,
+    target: &PaperTarget,
+    scene: &Scene,
+    clicks: usize,
+) -> Result<Result<Question, Vec<String>>, ProtocolError> {
+    let folder = root.join("truth").join(&target.folder);
+    let masks = MaskFiles::new(&folder, scene.views.iter().map(|v| v.name.as_str()));
+    let (mut truth, mut missing) = (Vec::new(), Vec::new());
+    for wanted in &target.truth {
+        match photo(scene, wanted).and_then(|photo| Ok((photo, mask(&masks, &folder, photo)?))) {
+            Ok((photo, mask)) => truth.push((photo.to_owned(), mask)),
+            Err(why) => missing.push(format!("{why}; it is not scored")),
+        }
+    }
+    let prompts = match prompts(&folder, &masks, target, scene, clicks)? {
+        Ok(prompts) => prompts,
+        Err(why) => {
+            missing.insert(0, why);
+            return Ok(Err(missing));
+        }
     };
-    let question = Question { target: target.name.clone(), prompt: 0, prompts, truth };
-    Ok((missing.len() == before).then_some(question))
+    if truth.is_empty() {
+        return Ok(Err(missing));
+    }
+    Ok(Ok(Question { target: target.name.clone(), prompt: 0, prompts, truth, missing }))
+}
+
+/// Clicks on a target's reference photo, or those of its file of prompts; or what is missing for them.
+fn prompts(
+    folder: &Path,
+    masks: &MaskFiles,
+    target: &PaperTarget,
+    scene: &Scene,
+    clicks: usize,
+) -> Result<Result<Vec<PhotoPrompts>, String>, ProtocolError> {
+    let file = folder.join("prompts.json");
+    if file.is_file() {
+        let prompts = Replay::read(&file)?.prompts;
+        let absent = prompts.iter().find_map(|p| photo(scene, stem(&p.photo)).err());
+        return Ok(match absent {
+            Some(why) => Err(format!("{why}; {} clicks in it", file.display())),
+            None => Ok(prompts),
+        });
+    }
+    let photo = match photo(scene, &target.reference) {
+        Ok(photo) => photo.to_owned(),
+        Err(why) => return Ok(Err(format!("{why}; it is the reference photo"))),
+    };
+    let mask = match mask(masks, folder, &photo) {
+        Ok(mask) => mask,
+        Err(why) => return Ok(Err(format!("{why}, or prompts.json beside it: it is the reference photo's"))),
+    };
+    let clicked = match Mask::read_png(&mask) {
+        Ok(clicked) => clicked,
+        Err(error) => return Ok(Err(format!("the reference photo's mask: {error}"))),
+    };
+    let points = clicks::inside(&clicked, clicks);
+    if points.is_empty() {
+        return Ok(Err(format!("a white pixel in {}, the reference photo's mask", mask.display())));
+    }
+    Ok(Ok(vec![PhotoPrompts { photo, prompts: Prompts { points, ..Prompts::default() } }]))
 }

@@ -32,6 +32,34 @@ pub struct Place {
     pub held_out: bool,
 }
 
+/// What a protocol found of the data that it asks for.
+#[derive(Clone, Debug, Default)]
+pub struct Found {
+    /// The scenes that can be measured, with the questions that can be asked.
+    pub places: Vec<Place>,
+    /// What is not there and so is not measured, a sentence each: scenes, targets, single photos of targets.
+    pub missing: Vec<String>,
+}
+
+impl Found {
+    /// Itself where any question is left; an error that names all that is missing otherwise.
+    ///
+    /// # Errors
+    /// [`ProtocolError::Missing`] when there is nothing to ask.
+    pub(super) fn or_refused(self, layout: &str) -> Result<Found, ProtocolError> {
+        if self.places.iter().any(|p| !p.questions.is_empty()) {
+            return Ok(self);
+        }
+        Err(ProtocolError::Missing(Missing { what: self.missing, layout: layout.into() }))
+    }
+}
+
+impl From<Place> for Found {
+    fn from(place: Place) -> Found {
+        Found { places: vec![place], missing: Vec::new() }
+    }
+}
+
 /// One object, the prompts it is to be found from, and the photos on which that is scored.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Question {
@@ -43,6 +71,8 @@ pub struct Question {
     pub prompts: Vec<PhotoPrompts>,
     /// Photos, and the object's true mask on each. Those without a pixel of it do not count.
     pub truth: Vec<(String, PathBuf)>,
+    /// Photos that should be scored and are not there, a sentence each.
+    pub missing: Vec<String>,
 }
 
 /// How one photo's mask fits, as `photos.jsonl` lists them.
@@ -52,6 +82,8 @@ pub struct PhotoScore {
     pub scene: String,
     /// The row.
     pub setting: String,
+    /// Who made the masks.
+    pub provider: String,
     /// The object.
     pub target: String,
     /// Seed of the training.
@@ -116,23 +148,26 @@ pub fn measure(
             protocol: place.protocol.into(),
             scene: place.name.clone(),
             setting: row.name.into(),
+            provider: summary.provider.clone(),
             target: target.into(),
             seed: place.seed,
             prompt,
             numbers,
             ..Record::default()
         };
-        if let Some(held) = summary.held_out {
+        if let Some(held) = summary.held_out.clone() {
             let numbers = [("psnr", held.psnr), ("ssim", held.ssim)];
             let numbers = numbers.map(|(name, value)| (name.to_owned(), f64::from(value)));
             let record = Record { notes: vec![held.protocol], ..record("", 0, BTreeMap::from(numbers)) };
             keep(results, record, out, told)?;
         }
         for question in &place.questions {
-            let (numbers, photos) = ask(&folder, question, &settings)?;
+            let Answer { numbers, photos, unread } = ask(&folder, question, &settings)?;
+            results.miss(unread.iter().map(|u| format!("{}, {}: {u}", place.name, question.target)));
             let line = |(photo, score): (String, MaskScore)| PhotoScore {
                 scene: place.name.clone(),
                 setting: row.name.into(),
+                provider: summary.provider.clone(),
                 target: question.target.clone(),
                 seed: place.seed,
                 prompt: question.prompt,
@@ -141,7 +176,8 @@ pub fn measure(
             };
             append(&out.join("photos.jsonl"), photos.into_iter().map(line))?;
             let clicked: Vec<&str> = question.prompts.iter().map(|p| p.photo.as_str()).collect();
-            let notes = vec![format!("clicked {}", clicked.join(", "))];
+            let mut notes = vec![format!("clicked {}", clicked.join(", "))];
+            notes.extend(question.missing.iter().chain(&unread).map(|m| format!("not scored: {m}")));
             let record = Record { notes, ..record(&question.target, question.prompt, numbers) };
             keep(results, record, out, told)?;
         }
@@ -154,14 +190,18 @@ fn file_name(name: &str) -> String {
     name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect()
 }
 
-type Scores = Vec<(String, MaskScore)>;
+/// What came of a question.
+struct Answer {
+    /// By the names that records have for them. There is no IoU where no photo could be scored.
+    numbers: BTreeMap<String, f64>,
+    /// Each photo's score.
+    photos: Vec<(String, MaskScore)>,
+    /// Photos whose true mask cannot be read, and why.
+    unread: Vec<String>,
+}
 
 /// Selects, and scores the masks of the photos that were not clicked. Nothing selected is nothing right.
-fn ask(
-    folder: &RunFolder,
-    question: &Question,
-    settings: &Settings,
-) -> Result<(BTreeMap<String, f64>, Scores), ProtocolError> {
+fn ask(folder: &RunFolder, question: &Question, settings: &Settings) -> Result<Answer, ProtocolError> {
     let name = format!("{}-{}", file_name(&question.target), question.prompt);
     let eyes = providers_for(folder, &Code::of(&settings.vision))?;
     let selected = segment(folder, &name, &question.prompts, &settings.segment, Some(&eyes), &Stopper::new());
@@ -171,12 +211,18 @@ fn ask(
         Err(other) => return Err(other.into()),
     };
     let files = folder.mask_files()?;
-    let (mut visible, mut amodal) = (Vec::new(), Vec::new());
+    let (mut visible, mut amodal, mut unread) = (Vec::new(), Vec::new(), Vec::new());
     for (photo, file) in &question.truth {
         if question.prompts.iter().any(|p| p.photo == *photo) {
             continue;
         }
-        let truth = Mask::read_png(file)?;
+        let truth = match Mask::read_png(file) {
+            Ok(truth) => truth,
+            Err(error) => {
+                unread.push(error.to_string());
+                continue;
+            }
+        };
         if truth.is_empty() {
             continue;
         }
@@ -198,19 +244,27 @@ fn ask(
         visible.push((photo.clone(), of("masks")?));
         amodal.push(of("amodal")?.iou);
     }
-    let mean = |of: fn(&MaskScore) -> f64| {
-        visible.iter().map(|(_, s)| of(s)).sum::<f64>() / visible.len().max(1) as f64
-    };
-    let mut numbers = vec![
+    let mut numbers = scores(&visible, &amodal);
+    numbers.extend(selected.iter().flat_map(|o| [("select_s", o.select_s), ("splats", o.splats as f64)]));
+    let numbers = numbers.into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
+    Ok(Answer { numbers, photos: visible, unread })
+}
+
+/// Means over the photos that were scored; nothing where there are none.
+fn scores(visible: &[(String, MaskScore)], amodal: &[f64]) -> Vec<(&'static str, f64)> {
+    let count = visible.len() as f64;
+    if visible.is_empty() {
+        return vec![("photos", 0.0)];
+    }
+    let mean = |of: fn(&MaskScore) -> f64| visible.iter().map(|(_, s)| of(s)).sum::<f64>() / count;
+    vec![
         ("iou", mean(|s| s.iou)),
         ("accuracy", mean(|s| s.accuracy)),
         ("boundary_iou", mean(|s| s.boundary_iou)),
-        ("amodal_iou", amodal.iter().sum::<f64>() / amodal.len().max(1) as f64),
+        ("amodal_iou", amodal.iter().sum::<f64>() / count),
         ("worst", visible.iter().map(|(_, s)| s.iou).fold(f64::INFINITY, f64::min)),
-        ("photos", visible.len() as f64),
-    ];
-    numbers.extend(selected.iter().flat_map(|o| [("select_s", o.select_s), ("splats", o.splats as f64)]));
-    Ok((numbers.into_iter().map(|(name, value)| (name.to_owned(), value)).collect(), visible))
+        ("photos", count),
+    ]
 }
 
 /// Adds lines to a file of JSON lines.

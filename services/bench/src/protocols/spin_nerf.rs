@@ -3,7 +3,7 @@
 
 use super::folder::{entries, masks_in};
 use super::place::photos;
-use super::{Missing, Place, ProtocolError, Question, clicks};
+use super::{Found, Place, ProtocolError, Question, clicks};
 use segwild_pipeline::{PhotoPrompts, Settings};
 use segwild_scene::{Mask, Prompts};
 use std::path::{Path, PathBuf};
@@ -28,15 +28,11 @@ pub const LAYOUT: &str = "The masks are published with SPIn-NeRF (\"MVSeg\"), th
 /// Where a scene's masks may lie.
 const LABELS: [&str; 3] = ["label", "images_4/label", "images/label"];
 
-/// The scenes, each with its question.
+/// The scenes that are there, each with its question, and what is missing.
 ///
 /// # Errors
-/// When something is missing: all of it, with what to put where.
-pub fn places(
-    options: &SpinNerfProtocol,
-    settings: &Settings,
-    seed: u64,
-) -> Result<Vec<Place>, ProtocolError> {
+/// When no scene is left: all that is missing, with what to put where.
+pub fn places(options: &SpinNerfProtocol, settings: &Settings, seed: u64) -> Result<Found, ProtocolError> {
     let mut missing = Vec::new();
     let names: Vec<PathBuf> = match entries(&options.root) {
         _ if !options.only.is_empty() => options.only.iter().map(|name| options.root.join(name)).collect(),
@@ -46,18 +42,14 @@ pub fn places(
     if names.is_empty() {
         missing.push(format!("a scene in {}", options.root.display()));
     }
-    let mut places = Vec::new();
+    let mut found = Found { places: Vec::new(), missing };
     for scene in names {
         match place(&scene, options.clicks, settings, seed)? {
-            Ok(place) => places.push(place),
-            Err(what) => missing.push(what),
+            Ok(place) => found.places.push(place),
+            Err(what) => found.missing.push(what),
         }
     }
-    if missing.is_empty() {
-        Ok(places)
-    } else {
-        Err(ProtocolError::Missing(Missing { what: missing, layout: LAYOUT.into() }))
-    }
+    found.or_refused(LAYOUT)
 }
 
 /// A scene with its question, or what it lacks.
@@ -74,19 +66,26 @@ fn place(
     let Some(labels) = LABELS.iter().map(|l| scene.join(l)).find(|l| l.is_dir()) else {
         return Ok(Err(format!("the masks of {name}: {}", scene.join(LABELS[0]).display())));
     };
-    let photos = photos(scene, settings)?;
+    let photos = match photos(scene, settings) {
+        Ok(photos) => photos,
+        Err(error) => return Ok(Err(format!("the scene {}: {error}", scene.display()))),
+    };
     let mut truth = masks_in(&labels, &photos)?;
     if truth.len() < 2 {
         let (n, labels) = (truth.len(), labels.display());
         return Ok(Err(format!("two masks in {labels} that are named as photos of {name}: there are {n}")));
     }
     let (photo, file) = truth.remove(0);
-    let points = clicks::inside(&Mask::read_png(&file)?, clicks);
+    let mask = match Mask::read_png(&file) {
+        Ok(mask) => mask,
+        Err(error) => return Ok(Err(format!("the reference photo's mask: {error}"))),
+    };
+    let points = clicks::inside(&mask, clicks);
     if points.is_empty() {
         return Ok(Err(format!("a white pixel in {}, the reference photo's mask", file.display())));
     }
     let prompts = vec![PhotoPrompts { photo, prompts: Prompts { points, ..Prompts::default() } }];
-    let questions = vec![Question { target: name.clone(), prompt: 0, prompts, truth }];
+    let questions = vec![Question { target: name.clone(), prompt: 0, prompts, truth, missing: Vec::new() }];
     Ok(Ok(Place {
         protocol: "spin-nerf",
         name,

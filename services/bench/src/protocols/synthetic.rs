@@ -9,6 +9,37 @@ use segwild_pipeline::PhotoPrompts;
 use segwild_scene::Prompts;
 use std::path::Path;
 
+/// The protocol under which clicks on the ground and on walls are recorded.
+pub const SURFACES: &str = "surfaces";
+
+/// What is clicked.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Targets {
+    /// The objects: domes, pavilions, statues.
+    #[default]
+    Objects,
+    /// The ground and the walls that objects stand on or before: what else the click takes along is counted as
+    /// `standing`. Known not to be good.
+    Surfaces,
+}
+
+/// The surfaces that a person may want by themselves.
+const CLICKED: [&str; 3] = ["ground", "facade", "hall"];
+
+impl Targets {
+    fn holds(self, object: &ObjectTruth) -> bool {
+        match self {
+            Targets::Objects => object.kind == Kind::Object,
+            Targets::Surfaces => CLICKED.contains(&object.name.as_str()),
+        }
+    }
+
+    /// [`Record::protocol`] of its records.
+    fn protocol(self) -> &'static str {
+        if self == Targets::Surfaces { SURFACES } else { "synthetic" }
+    }
+}
+
 /// What is measured.
 #[derive(Clone, Debug)]
 pub struct SyntheticProtocol {
@@ -18,6 +49,8 @@ pub struct SyntheticProtocol {
     pub only: Vec<String>,
     /// Seeds of the scenes.
     pub seeds: Vec<u64>,
+    /// What is clicked.
+    pub targets: Targets,
     /// Clicks that each object is found from, one at a time: 1 is the click in its middle; more are drawn anywhere inside
     /// what is seen of it.
     pub prompts: usize,
@@ -48,17 +81,22 @@ pub fn synthetic(
             let settings = options.base.row(row)?;
             trial.train(&settings)?;
             let session = trial.session(&settings)?;
-            for object in trial.manifest().objects.iter().filter(|o| o.kind == Kind::Object) {
+            for object in trial.manifest().objects.iter().filter(|o| options.targets.holds(o)) {
                 for (prompt, prompts) in asked(&trial, object, options.prompts).into_iter().enumerate() {
                     let score = session.score(object, prompts)?;
+                    let mut numbers = score.numbers();
+                    if options.targets == Targets::Surfaces {
+                        numbers.insert("standing".into(), score.standing);
+                    }
                     let record = Record {
-                        protocol: "synthetic".into(),
+                        protocol: options.targets.protocol().into(),
                         scene: format!("seed {seed}"),
                         setting: row.name.into(),
-                        target: score.object.clone(),
+                        provider: session.provider().into(),
+                        target: score.object,
                         seed,
                         prompt: prompt as u32,
-                        numbers: score.numbers(),
+                        numbers,
                         ..Record::default()
                     };
                     keep(results, record, out, told)?;

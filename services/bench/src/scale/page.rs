@@ -4,6 +4,7 @@ use super::{AXES, Fit, along, beyond};
 use crate::page::{PageError, io};
 use crate::plot::short;
 use crate::record::Results;
+use crate::stamp::{self, providers};
 use segwild_flow::files;
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -18,12 +19,15 @@ const LARGE_STEPS: f64 = 30_000.0;
 /// The page in Markdown.
 pub fn markdown(results: &Results) -> String {
     let made = &results.made;
+    let by = providers([results]);
     let mut text = format!(
-        "# How it grows\n\nThis page is generated: `{}`, by segwild {} on {}. Slopes are of log-log fits: 1 is linear, 0 does not \
+        "# {}\n\n{} This page is generated. {}\n\nSlopes are of log-log fits: 1 is linear, 0 does not \
          grow; the last is between the two largest sizes, where fixed costs count least. Kernel passes are CPU milliseconds over \
-         splats of 0.5 to 3 px (at a width of 400); whole runs are synthetic places with the built-in provider, 16 photos of 128 \
+         splats of 0.5 to 3 px (at a width of 400); whole runs are synthetic places, 16 photos of 128 \
          px and 300 steps unless that is what grows, caches of a fixed size, each in a process of its own.\n",
-        made.command, made.version, made.machine
+        stamp::title("How it grows", &by),
+        stamp::first_sentence(&by, &[]),
+        stamp::stamp(made, &by)
     );
     for axis in AXES {
         let numbers: BTreeSet<&str> = results

@@ -12,10 +12,11 @@ pub use kernels::kernels;
 pub use page::{markdown, write};
 pub use stress::{Harm, STRESSES, Stress};
 
-use crate::oracle::OracleOptions;
+use crate::oracle::{ORACLE, OracleOptions};
 use crate::page::{PageError, io};
 use crate::point::{Job, Place, Prompting, means, measure};
 use crate::record::{Made, Record, Results};
+use crate::stamp::{UNKNOWN, provider};
 use crate::synthetic::SyntheticOptions;
 use crate::trial::ProviderKind;
 use std::collections::{BTreeMap, BTreeSet};
@@ -40,6 +41,8 @@ pub struct StabilityOptions {
     pub only: Vec<String>,
     /// Seeds of the places and of the trainings.
     pub seeds: Vec<u64>,
+    /// Who looks at the photos. Stresses that are faults of the oracle are left out where it is not the oracle.
+    pub providers: ProviderKind,
     /// The place, but for its seed.
     pub scene: SyntheticOptions,
     /// Settings of the trainings, by name.
@@ -56,18 +59,26 @@ pub fn defaults() -> (SyntheticOptions, Vec<(String, String)>) {
 
 /// Measures what is not known yet; `told` hears of every amount of every stress.
 pub fn stability(options: &StabilityOptions, mut told: impl FnMut(&[Record])) -> Result<Results, PageError> {
-    let names: Vec<&str> = STRESSES.iter().map(|s| s.name).chain(MORE).collect();
+    let can = |s: &&Stress| options.providers == ProviderKind::Oracle || !s.is_of_the_oracle();
+    let names: Vec<&str> = STRESSES.iter().filter(can).map(|s| s.name).chain(MORE).collect();
     PageError::refuse("row", &options.only, &names, |o| names.contains(&o))?;
     let wanted = |name: &str| options.only.is_empty() || options.only.iter().any(|o| o == name);
     io(&options.out, std::fs::create_dir_all(&options.out))?;
     let file = options.out.join("results.json");
     let mut results = if file.is_file() { Results::read(&file)? } else { Results::default() };
     results.made = Made::here(options.command.clone());
+    let is_oracle = options.providers == ProviderKind::Oracle;
+    if results.records.iter().filter_map(provider).any(|p| (p == ORACLE) != is_oracle || p == UNKNOWN) {
+        return Err(PageError::Other(options.out.clone()));
+    }
     let runs = options.out.join("runs");
     // What differs only in clicks or in nothing shares a training, and its records where nothing differs.
     let mut measured: BTreeMap<String, Vec<Record>> = BTreeMap::new();
-    for (stress, value) in
-        STRESSES.iter().filter(|s| wanted(s.name)).flat_map(|s| s.values.iter().map(move |v| (s, *v)))
+    for (stress, value) in STRESSES
+        .iter()
+        .filter(can)
+        .filter(|s| wanted(s.name))
+        .flat_map(|s| s.values.iter().map(move |v| (s, *v)))
     {
         for &seed in &options.seeds {
             let known: Vec<Record> = of(&results, stress.name, Some(value), seed).cloned().collect();
@@ -126,7 +137,7 @@ fn job(options: &StabilityOptions, seed: u64) -> Job {
         setting: String::new(),
         at: None,
         place: Place::Synthetic(SyntheticOptions { seed, ..options.scene.clone() }),
-        providers: ProviderKind::Oracle,
+        providers: options.providers,
         faults: OracleOptions::default(),
         settings: options.settings.clone(),
         harm: Harm::default(),
@@ -164,13 +175,15 @@ fn digest(what: &impl serde::Serialize) -> String {
 /// Whether the same training gives the same bytes: again, and on one, two and four threads. `same` is 1 or 0.
 fn bytes(options: &StabilityOptions) -> Result<Record, PageError> {
     let seed = options.seeds.first().copied().unwrap_or(1);
-    let mut digests = Vec::new();
+    let (mut digests, mut provider) = (Vec::new(), String::new());
     for (k, threads) in [1, 2, 4, 1].into_iter().enumerate() {
         let mut job = job(options, seed);
         job.settings.push(("threads".into(), threads.to_string()));
         job.dir = options.out.join(format!("bytes-{k}"));
         let _ = std::fs::remove_dir_all(&job.dir);
-        measure(&job)?;
+        if let Some(first) = measure(&job)?.into_iter().next() {
+            provider = first.provider;
+        }
         let mut hasher = blake3::Hasher::new();
         let run = job.dir.join("run");
         let mut files = vec![run.join("scene.ply"), run.join("features.bin")];
@@ -190,6 +203,7 @@ fn bytes(options: &StabilityOptions) -> Result<Record, PageError> {
         protocol: PROTOCOL.into(),
         scene: format!("seed {seed}"),
         setting: "bytes".into(),
+        provider,
         seed,
         numbers: BTreeMap::from([("same".to_owned(), f64::from(u8::from(same)))]),
         notes: digests.into_iter().map(|(files, digest)| format!("{files} files {digest}")).collect(),
@@ -329,9 +343,12 @@ mod tests {
             command: String::new(),
             only: Vec::new(),
             seeds: vec![1],
+            providers: ProviderKind::Oracle,
             scene,
             settings,
         };
+        let of_the_oracle = STRESSES.iter().filter(|s| s.is_of_the_oracle()).count();
+        assert_eq!(of_the_oracle, 4, "each is a stress by its name");
         for stress in STRESSES {
             assert!(stress.values.contains(&stress.calm), "{}", stress.name);
             let mut digests = BTreeSet::new();

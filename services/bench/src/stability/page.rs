@@ -2,10 +2,12 @@
 
 use super::{BREAKS, Curve, STRESSES, curves};
 use crate::metrics::Spread;
+use crate::oracle::ORACLE;
 use crate::page::{PageError, io};
 use crate::plot::{Figure, Mark, Panel, Series, short};
 use crate::point::means;
 use crate::record::{Record, Results};
+use crate::stamp::{self, providers};
 use segwild_flow::files;
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -14,12 +16,19 @@ use std::path::Path;
 /// The page in Markdown.
 pub fn markdown(results: &Results, figure: Option<&str>) -> String {
     let made = &results.made;
+    let by = providers([results]);
     let mut text = format!(
-        "# Where it fails, and whether it says so\n\nThis page is generated: `{}`, by segwild {} on {}. Synthetic places seen by \
-         the oracle; one click per object; IoU is the mean over objects, on the photos that were not clicked. A curve breaks at \
-         the first amount at which IoU is under {BREAKS} of what it is without the stress; it is announced when the program says \
+        "# {}\n\n{} This page is generated. {}\n\nSynthetic places; {}; IoU is the mean over objects, on the photos that were \
+         not clicked. A curve breaks at the first amount at which IoU is under {BREAKS} of what it is without the stress; it is announced when the program says \
          something there that it does not say without the stress.\n\n",
-        made.command, made.version, made.machine
+        stamp::title("Where it fails, and whether it says so", &by),
+        stamp::first_sentence(&by, &[]),
+        stamp::stamp(made, &by),
+        if by == [ORACLE] {
+            "one click per object"
+        } else {
+            "a box and clicks on its larger parts per object, or one click where clicks are the stress"
+        }
     );
     if let Some(figure) = figure {
         let _ = writeln!(text, "![curves]({figure})\n");
@@ -179,7 +188,12 @@ pub fn figure(results: &Results) -> Figure {
         })
     };
     let panels = curves(results).iter().filter_map(panel).collect();
-    Figure { title: "Quality against stress".into(), panels, columns: 4, panel: [310, 250] }
+    Figure {
+        title: stamp::title("Quality against stress", &providers([results])),
+        panels,
+        columns: 4,
+        panel: [310, 250],
+    }
 }
 
 /// Writes the page to a file, with its figure beside it as SVG and PNG.

@@ -25,6 +25,17 @@ pub struct Stress {
     pub apply: fn(&mut Job, f64),
 }
 
+/// The stresses that are faults of the oracle: no other provider can be asked for them.
+const OF_THE_ORACLE: [&str; 4] =
+    ["missing masks", "merged masks", "wandering boundaries", "noisy descriptors"];
+
+impl Stress {
+    /// Whether it is a fault of the oracle, which no other provider can be asked for.
+    pub fn is_of_the_oracle(&self) -> bool {
+        OF_THE_ORACLE.contains(&self.name)
+    }
+}
+
 /// What is wrong with a set that is written: the photos are as they were.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]

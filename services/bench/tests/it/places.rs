@@ -4,7 +4,7 @@ use segwild_bench::ablation::VARIANTS;
 use segwild_bench::protocols::folder::{self, FolderProtocol, Parts};
 use segwild_bench::protocols::lego::Perturbation;
 use segwild_bench::protocols::nvos::{self, NvosProtocol};
-use segwild_bench::protocols::paper::{PAPER, targets};
+use segwild_bench::protocols::paper::{PAPER, PaperScene, PaperTarget, targets};
 use segwild_bench::protocols::photo_tourism::{self, PhotoTourismProtocol};
 use segwild_bench::protocols::spin_nerf::{self, SpinNerfProtocol};
 use segwild_bench::protocols::{Base, Place, Table, measure};
@@ -14,7 +14,7 @@ use segwild_bench::synthetic::{LookKind, SyntheticOptions, SyntheticScene, gener
 use segwild_pipeline::{Preset, Settings};
 use segwild_scene::Mask;
 use std::collections::BTreeSet;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// A small scene; its photos are named `names`, or as they come.
 fn scene(train: usize, long_side: u32, names: &[String]) -> SyntheticScene {
@@ -122,7 +122,7 @@ fn photo_tourism_asks_for_the_nine_targets_and_names_each_mask_that_lacks() {
         first.reference
     );
     std::fs::write(folder.join("prompts.json"), prompts).unwrap();
-    let places = photo_tourism::places(&options, &settings, 1).unwrap();
+    let places = photo_tourism::places(&options, &settings, 1).unwrap().places;
     assert_eq!((places.len(), places[0].questions.len()), (1, 3));
     for (question, target) in places[0].questions.iter().zip(&place.targets) {
         assert_eq!(question.target, target.name);
@@ -131,6 +131,112 @@ fn photo_tourism_asks_for_the_nine_targets_and_names_each_mask_that_lacks() {
     }
     assert_eq!(places[0].questions[0].prompts[0].prompts.points[0].x, 7.0);
     assert!(places[0].held_out && places[0].split.is_some());
+}
+
+/// Lays a place of the paper out under `root`, whole: every photo and mask of its targets. Its split is to be put there.
+fn lay_out(root: &Path, place: &PaperScene) {
+    let all = |t: &PaperTarget| t.truth.iter().chain([&t.reference]).cloned().collect::<Vec<_>>();
+    let names: BTreeSet<String> = place.targets.iter().flat_map(all).collect();
+    let names: Vec<String> = names.into_iter().collect();
+    let root = root.join(&place.folder);
+    scene(names.len(), 64, &names).write(&root.join("dense")).unwrap();
+    std::fs::remove_file(root.join("dense/split.tsv")).unwrap();
+    for target in &place.targets {
+        for photo in all(target) {
+            let file = root.join("truth").join(&target.folder).join(format!("{photo}.png"));
+            std::fs::create_dir_all(file.parent().unwrap()).unwrap();
+            Mask::from_fn(64, 48, |x, y| x > 20 && y > 20).write_png(&file).unwrap();
+        }
+    }
+}
+
+/// What is asked of a place that is laid out, by target: the photos that score it; and what is missing.
+fn asked(root: &Path, place: &PaperScene) -> (Vec<(String, usize)>, Vec<String>) {
+    let options = PhotoTourismProtocol { root: root.into(), only: vec![place.folder.clone()], clicks: 1 };
+    let found = photo_tourism::places(&options, &Settings::default(), 1).unwrap();
+    let questions = found.places.iter().flat_map(|p| &p.questions);
+    (questions.map(|q| (q.target.clone(), q.truth.len())).collect(), found.missing)
+}
+
+#[test]
+fn a_photo_that_the_published_split_lacks_costs_its_own_score_and_nothing_else() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let shared = std::env::var_os("SEGWILD_SHARED").map_or_else(|| root.join("../shared"), PathBuf::from);
+    for place in &PAPER.scenes {
+        let split = shared.join("data/splits").join(&place.split);
+        if !split.is_file() {
+            let test = "a_photo_that_the_published_split_lacks_costs_its_own_score_and_nothing_else";
+            println!("skipped: {test}: {} is not there", split.display());
+            continue;
+        }
+        let dir = tempfile::tempdir().unwrap();
+        lay_out(dir.path(), place);
+        // The published names end in .jpg, the drawn photos in .png.
+        let rows = std::fs::read_to_string(&split).unwrap().replace(".jpg", ".png");
+        std::fs::write(dir.path().join(&place.folder).join(&place.split), rows).unwrap();
+        let (asked, missing) = asked(dir.path(), place);
+        let lacking = |target: &str| usize::from((place.short.as_str(), target) == ("TF", "left triton"));
+        for target in &place.targets {
+            let left = target.truth.len() - lacking(&target.name);
+            assert!(asked.contains(&(target.name.clone(), left)), "{}: {asked:?}", target.name);
+        }
+        // Of the nine targets' photos the published splits lack exactly this one.
+        assert_eq!(missing.len(), usize::from(place.short == "TF"), "{missing:?}");
+        for what in missing {
+            let words = ["Trevi Fountain", "left triton", "36294258_3929962941", "not listed in the split"];
+            assert!(words.iter().all(|w| what.contains(w)), "{what}");
+        }
+    }
+}
+
+#[test]
+fn a_target_without_its_reference_photo_is_refused_by_name_and_the_others_go_on() {
+    let dir = tempfile::tempdir().unwrap();
+    let place = &PAPER.scenes[0];
+    lay_out(dir.path(), place);
+    let (lost, kept) = (&place.targets[0], &place.targets[1..]);
+    let listed: Vec<String> = kept
+        .iter()
+        .flat_map(|t| t.truth.iter().chain([&t.reference]))
+        .chain(&lost.truth)
+        .enumerate()
+        .map(|(i, name)| format!("{name}.png\t{i}\ttrain\tbrandenburg\n"))
+        .collect();
+    let split = dir.path().join(&place.folder).join(&place.split);
+    let head = "filename\tid\tsplit\tdataset\n";
+    std::fs::write(&split, head.to_owned() + &listed.concat()).unwrap();
+    let (left, missing) = asked(dir.path(), place);
+    let names: Vec<&str> = left.iter().map(|l| l.0.as_str()).collect();
+    assert_eq!(names, kept.iter().map(|t| t.name.as_str()).collect::<Vec<_>>());
+    assert!(missing.len() == 1 && missing[0].contains(&lost.reference), "{missing:?}");
+    assert!(missing[0].contains(&format!("{}, is refused", lost.name)), "{missing:?}");
+    // A target is refused, too, when none of the photos that score it is left; with nothing left all is refused.
+    std::fs::remove_dir_all(dir.path().join(&place.folder).join("truth").join(&kept[0].folder)).unwrap();
+    assert_eq!(asked(dir.path(), place).0.len(), 1);
+    std::fs::remove_dir_all(dir.path().join(&place.folder).join("truth").join(&kept[1].folder)).unwrap();
+    let options =
+        PhotoTourismProtocol { root: dir.path().into(), only: vec![place.folder.clone()], clicks: 1 };
+    let said = words(photo_tourism::places(&options, &Settings::default(), 1));
+    assert!(kept.iter().all(|t| said.contains(&t.name)), "{said}");
+}
+
+#[test]
+fn a_scene_without_its_masks_does_not_keep_the_others_from_being_measured() {
+    let dir = tempfile::tempdir().unwrap();
+    let made = scene(3, 64, &[]);
+    for name in ["fork", "truck"] {
+        made.write(&dir.path().join(name)).unwrap();
+    }
+    for photo in &made.photos {
+        let file = dir.path().join("truck/label").join(&photo.name);
+        std::fs::create_dir_all(file.parent().unwrap()).unwrap();
+        Mask::from_fn(64, 48, |x, _| x < 40).write_png(&file).unwrap();
+    }
+    let options = SpinNerfProtocol { root: dir.path().into(), only: Vec::new(), clicks: 1 };
+    let found = spin_nerf::places(&options, &Settings::default(), 1).unwrap();
+    let names: Vec<&str> = found.places.iter().map(|p| p.name.as_str()).collect();
+    assert_eq!(names, ["truck"]);
+    assert!(found.missing.len() == 1 && found.missing[0].contains("fork"), "{:?}", found.missing);
 }
 
 #[test]
@@ -157,7 +263,7 @@ fn scribbles_and_label_folders_become_clicks_on_the_right_photo() {
     stroke("pos_0_horns.png", width / 2);
     stroke("neg_0_horns.png", 3 * width / 2);
     let options = NvosProtocol { root: nvos_root, only: Vec::new(), clicks: 4 };
-    let places = nvos::places(&options, &Settings::default(), 1).unwrap();
+    let places = nvos::places(&options, &Settings::default(), 1).unwrap().places;
     let question = &places[0].questions[0];
     assert_eq!(question.prompts[0].photo, made.photos[1].name);
     assert_eq!(question.truth[0].0, made.photos[2].name);
@@ -177,7 +283,7 @@ fn scribbles_and_label_folders_become_clicks_on_the_right_photo() {
         std::fs::create_dir_all(file.parent().unwrap()).unwrap();
         Mask::from_fn(96, 72, |x, _| x < 40).write_png(&file).unwrap();
     }
-    let places = spin_nerf::places(&options, &Settings::default(), 1).unwrap();
+    let places = spin_nerf::places(&options, &Settings::default(), 1).unwrap().places;
     let question = &places[0].questions[0];
     assert_eq!((question.prompts[0].prompts.points.len(), question.truth.len()), (2, 2));
     assert_eq!(question.prompts[0].photo, made.photos[0].name);
@@ -199,13 +305,13 @@ fn a_folder_with_truth_is_scored_photo_by_photo() {
     settings.train.steps = 150;
     settings.scene.size = 112;
     (settings.features.refine_steps, settings.masks.prompt_budget) = (5, 16);
-    let place: Place = folder::place(&options, &settings, 3).unwrap();
+    let place: Place = folder::place(&options, &settings, 3).unwrap().places.remove(0);
     assert_eq!((place.questions.len(), place.name.as_str()), (2, "place"));
     let click = &place.questions[0].prompts[0];
     let photo = made.photos.iter().find(|p| p.name == click.photo).unwrap();
     let lintel = photo.mask(made.instance_named("lintel").unwrap());
     assert!(click.prompts.points.iter().all(|p| lintel.at(p.x, p.y)));
-    assert_eq!(folder::place(&options, &settings, 3).unwrap().questions, place.questions);
+    assert_eq!(folder::place(&options, &settings, 3).unwrap().places[0].questions, place.questions);
 
     let (mut results, mut heard) = (Results::default(), 0);
     let rows = Table::Rivals.rows(&["gs-w".into(), "full".into()]).unwrap();
@@ -218,6 +324,7 @@ fn a_folder_with_truth_is_scored_photo_by_photo() {
     let lines = std::fs::read_to_string(out.join("photos.jsonl")).unwrap();
     for record in &results.records {
         let number = |name: &str| record.numbers[name];
+        assert_eq!(record.provider, "built-in");
         // The photo that was clicked does not count.
         assert!(number("photos") >= 4.0 && number("photos") <= 8.0, "{record:?}");
         assert!(number("worst") <= number("iou") && number("iou") <= 1.0, "{record:?}");

@@ -53,11 +53,17 @@ pub fn demo(matches: &ArgMatches) -> Result<(), Failure> {
         let said = in_words(&prompts);
         let score = session.score(object, prompts.clone())?;
         if json {
-            print_json(&serde_json::json!({ "event": "object", "prompts": prompts, "score": score }))?;
+            let by = session.provider();
+            let told =
+                serde_json::json!({ "event": "object", "provider": by, "prompts": prompts, "score": score });
+            print_json(&told)?;
         } else {
             print_line(&format!(
-                "{}: {said} -> mean IoU {:.2} on the {} other photos that show it",
-                object.name, score.iou, score.photos
+                "{}: {said} -> mean IoU {:.2} on the {} other photos that show it (masks: {})",
+                object.name,
+                score.iou,
+                score.photos,
+                session.provider()
             ))?;
         }
         if !trial.folder().selection(&object.name).join("selection.bin").is_file() {

@@ -31,10 +31,25 @@ fn a_table_of_rivals_is_printed_kept_and_written_as_a_page() {
         works(&all)
     };
     let said = bench("gs-w", &[]);
-    assert!(said.contains("| gs-w | paper | 0.803 |") && said.contains("| gs-w | here |"), "{said}");
+    assert!(
+        said.contains("| gs-w | paper | – | 0.803 |") && said.contains("| gs-w | here | built-in |"),
+        "{said}"
+    );
     let said = bench("flashsplat-one", &["--keep", "--page", &show(&page)]);
     assert!(said.contains("| gs-w | here |") && said.contains("| flashsplat-one | here |"), "{said}");
+    // The oracle's figures stand beside the others, and no page with them hides whose they are.
+    let said = bench("gs-w", &["--keep", "--providers", "oracle", "--page", &show(&page)]);
+    assert!(
+        said.contains("| gs-w | here | built-in |") && said.contains("| gs-w | here | oracle |"),
+        "{said}"
+    );
     let text = std::fs::read_to_string(&page).expect("a page");
+    assert!(
+        text.starts_with(
+            "# Synthetic places (built-in, oracle)\n\nThe rows named after GS-W and FlashSplat are settings"
+        ),
+        "{text}"
+    );
     assert!(text.contains("--only gs-w") && text.contains("--only flashsplat-one"), "what made it: {text}");
     assert!(!text.contains("--page") && text.contains("cores"), "{text}");
     let file = dir.path().join("results.json");
@@ -43,6 +58,8 @@ fn a_table_of_rivals_is_printed_kept_and_written_as_a_page() {
     let results = json(&std::fs::read(file).expect("results"));
     let records = results["records"].as_array().expect("records");
     assert!(records.len() >= 2 && records.iter().all(|r| r["numbers"]["iou"].is_number()), "{results}");
+    let by = |name: &str| records.iter().filter(|r| r["provider"] == name).count();
+    assert!(by("oracle") >= 1 && by("built-in") == 2 * by("oracle"), "{results}");
 }
 
 #[test]

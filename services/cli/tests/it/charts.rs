@@ -5,11 +5,16 @@ use std::path::Path;
 
 /// A results file with one number of one setting, over four trainings.
 fn results(file: &Path, number: &str, value: f64) {
+    by("built-in", file, number, value);
+}
+
+/// The same on the masks of a provider.
+fn by(provider: &str, file: &Path, number: &str, value: f64) {
     let records: Vec<serde_json::Value> = (1..=4)
         .map(|seed| {
             let swing = 0.001 * f64::from(seed % 2);
             serde_json::json!({
-                "protocol": "synthetic", "scene": "seed 1", "setting": "full", "seed": seed,
+                "protocol": "synthetic", "scene": "seed 1", "setting": "full", "seed": seed, "provider": provider,
                 "numbers": { number: value + swing },
             })
         })
@@ -46,6 +51,11 @@ fn a_comparison_fails_by_its_code_only_when_asked_and_only_of_what_got_worse() {
             &["1 worse", "0 better"][..usize::from(new == "worse")],
         );
     }
+    // What no user has is never set beside what a user gets.
+    by("oracle", &file("oracle"), "iou", 0.9);
+    let args = compare("oracle", &[]);
+    let args: Vec<&str> = args.iter().map(String::as_str).collect();
+    refuses(&args, 3, &["built-in", "oracle", "do not compare"]);
     let missing = compare("none", &[]);
     refuses(&missing.iter().map(String::as_str).collect::<Vec<_>>(), 3, &["none"]);
 }
@@ -71,6 +81,12 @@ fn a_chart_goes_on_where_it_stopped_and_refuses_another_default() {
     }
     let page = std::fs::read_to_string(dir.path().join("README.md")).expect("a page");
     assert!(page.contains("## channels") && page.contains("| the default |"), "{page}");
+    assert!(page.lines().next().is_some_and(|title| title.ends_with("(built-in)")), "{page}");
+    let photos = &["bench", "chart", "--scene", "none", "--providers", "oracle"];
+    refuses(photos, 2, &["synthetic places only"]);
+    // The folder holds what the built-in provider gave: the oracle's figures do not go in between.
+    let oracle = chart("channels", &["--providers", "oracle"]);
+    refuses(&oracle.iter().map(String::as_str).collect::<Vec<_>>(), 6, &["another default"]);
     let other = chart("channels", &["--tau", "0.4"]);
     refuses(&other.iter().map(String::as_str).collect::<Vec<_>>(), 6, &["another default"]);
     refuses(&["bench", "chart", "--only", "no-such-sweep", "--out", &out], 2, &["no-such-sweep", "density"]);
@@ -79,5 +95,8 @@ fn a_chart_goes_on_where_it_stopped_and_refuses_another_default() {
         2,
         &["no-such-row", "occluders"],
     );
+    // A fault of the oracle is no stress that another provider can be put under.
+    let faults = ["bench", "stability", "--only", "missing masks", "--out", &out];
+    refuses(&faults, 2, &["there is no row `missing masks`"]);
     refuses(&["bench", "scale", "--only", "no-such-axis", "--out", &out], 2, &["no-such-axis", "photos"]);
 }

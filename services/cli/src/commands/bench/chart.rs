@@ -1,6 +1,6 @@
 //! `segwild bench chart`, and `segwild bench point`, which measures one of its points in a process of its own.
 
-use super::common::{light, light_of, parts, parts_of};
+use super::common::{light, light_of, parts, parts_of, providers, providers_of};
 use super::{list, numbers};
 use crate::args::{given, json, number, path, with_settings};
 use crate::commands::{path as path_of, print_json, print_line};
@@ -47,13 +47,7 @@ pub fn command() -> Command {
                 .value_parser(value_parser!(f32)),
         )
         .arg(light())
-        .arg(
-            Arg::new("providers")
-                .long("providers")
-                .value_parser(["oracle", "builtin"])
-                .default_value("oracle")
-                .help("Who looks at synthetic photos: the truth with faults, or what the settings name"),
-        )
+        .arg(providers())
         .arg(
             Arg::new("only")
                 .long("only")
@@ -105,19 +99,16 @@ pub fn chart(matches: &ArgMatches) -> Result<(), Failure> {
             )
         }
     };
-    let folder = matches!(places[..], [Place::Folder { .. }]);
-    let builtin = folder || matches.get_one::<String>("providers").is_some_and(|p| p == "builtin");
+    let providers = providers_of(matches);
+    if providers == ProviderKind::Oracle && matches!(places[..], [Place::Folder { .. }]) {
+        return Err(Failure::usage("--providers oracle: the oracle knows synthetic places only, no --scene"));
+    }
     let options = ChartOptions {
         program: std::env::current_exe()?,
         command: super::common::command_line(),
         only: list(matches, "only"),
         seeds: numbers(matches, "seeds")?,
-        base: Base {
-            places,
-            providers: if builtin { ProviderKind::Builtin } else { ProviderKind::Oracle },
-            faults: OracleOptions::default(),
-            settings: given(matches),
-        },
+        base: Base { places, providers, faults: OracleOptions::default(), settings: given(matches) },
         out: out.clone(),
     };
     let results = measure_all(&options, |told| tell(&told, json))?;
@@ -141,10 +132,11 @@ fn tell(told: &Told, json: bool) {
             let of = |name: &str| all.get(name).copied().unwrap_or(f64::NAN);
             let at = first.at.map_or(String::new(), |at| format!(" {at}"));
             print_line(&format!(
-                "{:>18} {} seed {}: IoU {:.3}, {:.2} dB, {:.1} CPU-s, {:.0} MiB, {:.0} splats{}",
+                "{:>18} {} seed {}, masks of {}: IoU {:.3}, {:.2} dB, {:.1} CPU-s, {:.0} MiB, {:.0} splats{}",
                 first.setting.clone() + &at,
                 first.scene,
                 first.seed,
+                first.provider,
                 of("iou"),
                 of("psnr"),
                 of("cpu_s"),

@@ -5,15 +5,16 @@ use crate::args::{given, json, path, with_settings};
 use crate::commands::{path as path_of, print_json, print_line, use_threads};
 use crate::exit;
 use crate::failure::Failure;
-use clap::builder::PossibleValuesParser;
+use clap::builder::{PossibleValue, PossibleValuesParser};
 use clap::{Arg, ArgAction, ArgMatches, Command};
 use segwild_bench::page::PageError;
 use segwild_bench::point::PointError;
 use segwild_bench::protocols::folder::{Parts, read_parts};
 use segwild_bench::protocols::tables::{all, page};
-use segwild_bench::protocols::{Base, Place, ProtocolError, Table, measure};
+use segwild_bench::protocols::{Base, Found, ProtocolError, Table, measure};
 use segwild_bench::record::{Made, Record, Results};
 use segwild_bench::synthetic::LookKind;
+use segwild_bench::trial::ProviderKind;
 use segwild_gpu::GpuError;
 use segwild_pipeline::{Settings, SettingsError};
 use segwild_scene::settings::Value;
@@ -64,6 +65,30 @@ pub fn light() -> Arg {
 /// What [`light`] was given.
 pub fn light_of(matches: &ArgMatches) -> Result<LookKind, Failure> {
     LookKind::read(matches.get_one::<String>("light").expect("it has a default")).map_err(Failure::usage)
+}
+
+/// `--providers` of synthetic places.
+pub fn providers() -> Arg {
+    let choices = [
+        PossibleValue::new("builtin")
+            .alias("built-in")
+            .help("What the settings name, as a user has it: the built-in provider, or networks"),
+        PossibleValue::new("oracle")
+            .help("The truth with faults: tests the 3D part alone, and no user has it"),
+    ];
+    Arg::new("providers")
+        .long("providers")
+        .value_parser(PossibleValuesParser::new(choices))
+        .default_value("builtin")
+        .help("Who makes the masks of synthetic photos")
+}
+
+/// What [`providers`] was given.
+pub fn providers_of(matches: &ArgMatches) -> ProviderKind {
+    match matches.get_one::<String>("providers").map(String::as_str) {
+        Some("oracle") => ProviderKind::Oracle,
+        _ => ProviderKind::Builtin,
+    }
 }
 
 /// `--parts` of an object on given photos.
@@ -126,7 +151,7 @@ pub fn asked(matches: &ArgMatches, folder: &str) -> Result<Asked, Failure> {
         changes.push((name.to_owned(), value.to_owned()));
     }
     std::fs::create_dir_all(&out).map_err(|e| cannot_write(&out, &e))?;
-    let mut results = Results { made: Made::here(command_line()), records: Vec::new() };
+    let mut results = Results { made: Made::here(command_line()), ..Results::default() };
     let (file, photos) = (out.join("results.json"), out.join("photos.jsonl"));
     if matches.get_flag("keep") && file.is_file() {
         let before = Results::read(&file).map_err(ProtocolError::from)?;
@@ -134,7 +159,7 @@ pub fn asked(matches: &ArgMatches, folder: &str) -> Result<Asked, Failure> {
         if before.made.command != results.made.command {
             results.made.command = format!("{} && {}", before.made.command, results.made.command);
         }
-        results.records = before.records;
+        (results.records, results.missing) = (before.records, before.missing);
     } else if photos.is_file() {
         std::fs::remove_file(&photos).map_err(|e| cannot_write(&photos, &e))?;
     }
@@ -178,8 +203,11 @@ pub fn tell(json: bool) -> impl FnMut(&Record) {
         } else {
             let shown = record.numbers.iter().map(|(name, value)| format!("{name} {value:.3}"));
             let shown: Vec<String> = shown.collect();
-            let Record { scene, setting, target, prompt, .. } = record;
-            print_line(&format!("{scene} {setting:>20} {target:>16} {prompt}: {}", shown.join(" ")))
+            let Record { scene, setting, provider, target, prompt, .. } = record;
+            print_line(&format!(
+                "{scene} {setting:>20} {provider} {target:>16} {prompt}: {}",
+                shown.join(" ")
+            ))
         };
     }
 }
@@ -203,14 +231,22 @@ pub fn finish(asked: &Asked, title: &str) -> Result<(), Failure> {
 pub fn measure_places(
     asked: &mut Asked,
     table: Table,
-    places: impl Fn(&Settings, u64) -> Result<Vec<Place>, ProtocolError>,
+    places: impl Fn(&Settings, u64) -> Result<Found, ProtocolError>,
 ) -> Result<(), Failure> {
     let rows = table.rows(&asked.only)?;
     let mut told = tell(asked.json);
     for &seed in &asked.seeds {
-        for place in places(&asked.base.settings, seed)? {
+        let Found { places, missing } = places(&asked.base.settings, seed)?;
+        asked.results.miss(missing);
+        for place in places {
             measure(&asked.out, &place, &rows, &asked.base, &mut asked.results, &mut told)?;
         }
+    }
+    // Also where nothing was measured since.
+    let file = asked.out.join("results.json");
+    asked.results.write(&file).map_err(ProtocolError::from)?;
+    for what in &asked.results.missing {
+        eprintln!("warning: not measured: {what}");
     }
     Ok(())
 }

@@ -5,7 +5,7 @@ use crate::commands::{print_json, print_line};
 use crate::exit;
 use crate::failure::Failure;
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
-use segwild_bench::compare::{Change, CompareOptions, compare as compare_all};
+use segwild_bench::compare::{Change, CompareOptions, compare as compare_all, names_its_provider};
 use segwild_bench::record::Results;
 use std::path::PathBuf;
 
@@ -61,7 +61,14 @@ pub fn compare(matches: &ArgMatches) -> Result<(), Failure> {
     };
     let (old, new) = (read("old")?, read("new")?);
     let margins = *matches.get_one::<f64>("margins").expect("it has a default");
-    let lines = compare_all(&old, &new, CompareOptions { strict: matches.get_flag("strict"), margins });
+    for (which, results) in [("old", &old), ("new", &new)] {
+        if !names_its_provider(results) {
+            eprintln!("warning: the {which} results do not say who made their masks: they may not compare");
+        }
+    }
+    let options = CompareOptions { strict: matches.get_flag("strict"), margins };
+    let lines = compare_all(&old, &new, options)
+        .map_err(|e| Failure { message: e.to_string(), code: exit::INPUT })?;
     if lines.is_empty() {
         return Err(Failure {
             message: "the old results hold no number that is good or bad: there is nothing to compare".into(),

@@ -6,7 +6,8 @@ use crate::args::{json, number, path};
 use crate::commands::{path as path_of, print_json, print_line};
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
-use segwild_bench::flow::{FlowOptions, Row, measured, page};
+use segwild_bench::flow::{FlowOptions, Row, measured, over, page};
+use segwild_bench::record::Made;
 use std::path::PathBuf;
 
 /// The benchmark's arguments.
@@ -61,14 +62,12 @@ pub fn flow(matches: &ArgMatches) -> Result<(), Failure> {
     };
     let rows = segwild_bench::flow::flow(&options, told)?;
     if let Some(file) = path_of(matches, "page") {
-        segwild_flow::files::write_plain(&file, page(&measured(&options.dir)))
+        let made = Made::here(super::common::command_line());
+        segwild_flow::files::write_plain(&file, page(&measured(&options.dir), &made))
             .map_err(|e| cannot_write(&file, &e))?;
     }
-    match rows.iter().filter(|r| !r.holds()).count() {
-        0 => Ok(()),
-        n => Err(Failure {
-            message: format!("{n} of {} promises are not kept", rows.len()),
-            code: crate::exit::FAILED,
-        }),
+    match over(&rows) {
+        None => Ok(()),
+        Some(message) => Err(Failure { message, code: crate::exit::FAILED }),
     }
 }

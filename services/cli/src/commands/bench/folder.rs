@@ -50,7 +50,7 @@ pub fn folder(matches: &ArgMatches) -> Result<(), Failure> {
         clicks: number("clicks"),
         parts: parts_of(matches)?,
     };
-    measure_places(&mut asked, table(matches), |settings, seed| Ok(vec![place(&options, settings, seed)?]))?;
+    measure_places(&mut asked, table(matches), |settings, seed| place(&options, settings, seed))?;
     let title = asked.results.records.first().map_or_else(String::new, |r| r.scene.clone());
     finish(&asked, &title)
 }

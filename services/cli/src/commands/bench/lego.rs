@@ -1,6 +1,6 @@
 //! `segwild bench lego`
 
-use super::common::{asked, default_setting, finish, tell, with_common};
+use super::common::{asked, default_setting, finish, providers, providers_of, tell, with_common};
 use super::synthetic::{scene, with_scene};
 use crate::failure::Failure;
 use clap::{ArgMatches, Command};
@@ -15,6 +15,7 @@ pub fn command() -> Command {
         "60",
         "320",
     )
+    .arg(providers())
 }
 
 /// Prints the table.
@@ -26,6 +27,7 @@ pub fn lego(matches: &ArgMatches) -> Result<(), Failure> {
         only: asked.only.clone(),
         seeds: asked.seeds.clone(),
         scene: scene(matches),
+        providers: providers_of(matches),
         base: asked.base.clone(),
     };
     measure(&asked.out, &options, &mut asked.results, &mut tell(asked.json))?;

@@ -1,5 +1,6 @@
 //! `segwild bench stability`
 
+use super::common::{providers, providers_of};
 use super::{list, numbers};
 use crate::args::{given, json, number, path, with_settings};
 use crate::commands::{path as path_of, print_json, print_line, use_threads};
@@ -29,6 +30,7 @@ pub fn command() -> Command {
                 .default_value("1")
                 .help("Seeds of the places and of the trainings, with commas"),
         )
+        .arg(providers())
         .arg(number("photos", "20", "Training photos of a place").value_parser(value_parser!(u32)))
         .arg(number("pixels", "160", "Long side of the photos").value_parser(value_parser!(u32)))
         .arg(path(
@@ -52,6 +54,7 @@ pub fn stability(matches: &ArgMatches) -> Result<(), Failure> {
         command: super::common::command_line(),
         only: list(matches, "only"),
         seeds: numbers(matches, "seeds")?,
+        providers: providers_of(matches),
         scene: SyntheticOptions { train: photos, long_side: of("pixels"), ..scene },
         settings,
     };
@@ -85,9 +88,10 @@ fn tell(records: &[Record]) -> Result<(), Failure> {
     let at = first.at.map_or(String::new(), |at| format!(" {at}"));
     let said = first.notes.join("; ");
     print_line(&format!(
-        "{:>24} seed {}: {} {said}",
+        "{:>24} seed {} {}: {} {said}",
         first.setting.clone() + &at,
         first.seed,
+        first.provider,
         numbers.join(" ")
     ))
 }

@@ -1,13 +1,14 @@
 //! `segwild bench synthetic`
 
-use super::common::{asked, finish, light, light_of, table, tell, with_common, with_table};
+use super::common::{
+    asked, finish, light, light_of, providers, providers_of, table, tell, with_common, with_table,
+};
 use crate::args::number;
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_bench::oracle::OracleOptions;
-use segwild_bench::protocols::synthetic::{SyntheticProtocol, synthetic as measure};
+use segwild_bench::protocols::synthetic::{SyntheticProtocol, Targets, synthetic as measure};
 use segwild_bench::synthetic::SyntheticOptions;
-use segwild_bench::trial::ProviderKind;
 
 /// The benchmark's arguments.
 pub fn command() -> Command {
@@ -20,12 +21,13 @@ pub fn command() -> Command {
 pub fn with_args(command: Command) -> Command {
     let command = with_common(command, "1,2", "Folder for scenes, runs and results [default: .bench]");
     with_scene(with_table(command, "ablation"), "60", "480")
+        .arg(providers())
         .arg(
-            Arg::new("providers")
-                .long("providers")
-                .value_parser(["oracle", "builtin"])
-                .default_value("oracle")
-                .help("Who looks at the photos: the truth with faults, or what the settings name"),
+            Arg::new("targets")
+                .long("targets")
+                .value_parser(["objects", "surfaces"])
+                .default_value("objects")
+                .help("What is clicked: objects, or the ground and walls that they stand on and before"),
         )
         .arg(
             number(
@@ -79,7 +81,8 @@ pub fn synthetic(matches: &ArgMatches) -> Result<(), Failure> {
         only: asked.only.clone(),
         seeds: asked.seeds.clone(),
         prompts: *matches.get_one::<u32>("prompts").expect("it has a default") as usize,
-        providers: if word("providers") == "builtin" { ProviderKind::Builtin } else { ProviderKind::Oracle },
+        providers: providers_of(matches),
+        targets: if word("targets") == "surfaces" { Targets::Surfaces } else { Targets::Objects },
         faults: OracleOptions { kinship: number("kinship"), ..OracleOptions::default() },
         scene: SyntheticOptions {
             occlusion: number("occlusion"),
