@@ -2,6 +2,7 @@
 
 mod dataflow;
 mod objects;
+mod pages;
 mod places;
 mod protocols;
 mod synthetic;
