@@ -123,7 +123,7 @@ mod tests {
     fn two_hundred_thousand_clicks_are_refused_and_ten_thousand_are_looked_through_at_once() {
         let began = std::time::Instant::now();
         let of = |count: u32| {
-            let point = |i: u32| PointPrompt { x: i as f32, y: 1.0, inside: i % 2 == 0 };
+            let point = |i: u32| PointPrompt { x: i as f32, y: 1.0, inside: i.is_multiple_of(2) };
             let prompts = Prompts { points: (0..count).map(point).collect(), ..Prompts::default() };
             check_all(&[PhotoPrompts { photo: "a.jpg".into(), prompts }]).map_err(|e| e.to_string())
         };
