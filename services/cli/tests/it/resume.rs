@@ -368,6 +368,7 @@ fn another_scene_is_not_run_into_a_used_folder() {
     let other = dir.path().join("other");
     copy_folder(&moved, &other);
     segwild_scene::colmap::write(&other.join("sparse/0"), &model).expect("it is written");
-    let args = [&["run", &show(&other), "--out", &show(&run)][..], &QUICK].concat();
+    let (other, run) = (show(&other), show(&run));
+    let args = [&["run", &other, "--out", &run][..], &QUICK].concat();
     refuses(&args, 2, &["the run of another scene", "moved", "give `--out` another folder"]);
 }
