@@ -19,6 +19,8 @@ pub const NOTHING: u8 = 5;
 pub const FOLDER: u8 = 6;
 /// A comparison that was told to fail found something worse.
 pub const WORSE: u8 = 7;
+/// The system has no file descriptors, processes or threads left; the same command continues once it has.
+pub const SHORTAGE: u8 = 8;
 /// Stopped by the user; resumable.
 pub const INTERRUPTED: u8 = 130;
 
@@ -27,6 +29,7 @@ pub fn class(code: Option<i32>) -> ErrorClass {
     match code.and_then(|code| u8::try_from(code).ok()) {
         // The same command line and the same input fail in the same way again.
         Some(USAGE | INPUT | NOTHING) => ErrorClass::Fatal,
+        Some(SHORTAGE) => ErrorClass::Shortage,
         // A stage that failed goes on from what was computed; a folder may be freed, a disk may be emptied.
         _ => ErrorClass::Retryable,
     }
@@ -47,4 +50,5 @@ pub const HELP: &str = "Exit codes:
   5    the prompts select nothing
   6    the run folder is in use, not writable, or damaged
   7    `bench compare --fail` found something worse
+  8    the system has no file descriptors or processes left; what was computed is kept, the same command continues
   130  stopped by you; the same command continues";

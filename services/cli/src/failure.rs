@@ -7,8 +7,8 @@ use segwild_bench::record::RecordError;
 use segwild_bench::synthetic::SyntheticError;
 use segwild_bench::trial::TrialError;
 use segwild_farm::BatchError;
-use segwild_flow::LedgerError;
 use segwild_flow::files::name::shown;
+use segwild_flow::{LedgerError, shortage};
 use segwild_gateway::{ServeError, ViewError};
 use segwild_pipeline::{RunError, SettingsError};
 use segwild_scene::SceneError;
@@ -78,8 +78,16 @@ impl From<RunError> for Failure {
             RunError::Train(_) => exit::INPUT,
             RunError::Spawn(_) | RunError::Raster(_) | RunError::Features(_) => exit::FAILED,
         };
-        Failure { message: error.to_string(), code }
+        let message = error.to_string();
+        let code = if is_shortage(&error, &message) { exit::SHORTAGE } else { code };
+        Failure { message, code }
     }
+}
+
+/// Whether the system had something not left, by the error or, where an actor met it, by its words.
+fn is_shortage(error: &RunError, message: &str) -> bool {
+    let of_threads = matches!(error, RunError::Spawn(e) if shortage::is_shortage_of_processes(&e.source));
+    of_threads || shortage::is_behind(error) || shortage::is_said(message)
 }
 
 fn segment_code(error: &SegmentError) -> u8 {
@@ -195,7 +203,28 @@ impl From<std::io::Error> for Failure {
 
 #[cfg(test)]
 mod tests {
-    use super::plain;
+    use super::{Failure, plain};
+    use crate::exit;
+    use segwild_flow::FileError;
+    use segwild_pipeline::RunError;
+    use std::io::Error;
+    use std::path::Path;
+
+    #[cfg(unix)]
+    #[test]
+    fn want_of_file_descriptors_has_an_exit_code_of_its_own_wherever_it_is_met() {
+        let code = |error: RunError| Failure::from(error).code;
+        for number in [23, 24] {
+            let system = || Error::from_raw_os_error(number);
+            let reason = format!("cannot read masks.d/a: {}", system());
+            assert_eq!(code(FileError::new("read", Path::new("a"), system()).into()), exit::SHORTAGE);
+            assert_eq!(code(RunError::Storage { stage: "masks", reason }), exit::SHORTAGE);
+        }
+        let other = FileError::new("read", Path::new("a"), Error::from_raw_os_error(5));
+        assert_eq!(code(other.into()), exit::FOLDER);
+        let named = "a (os error 24).jpg is no picture".to_owned();
+        assert_eq!(code(RunError::Input(named)), exit::INPUT);
+    }
 
     #[test]
     fn a_photos_name_sends_nothing_to_the_terminal() {

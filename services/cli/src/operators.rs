@@ -1,8 +1,9 @@
 //! What `run` and `batch` have in common for operators: `--listen`, and stopping with the parent.
 
+use crate::exit;
 use crate::failure::Failure;
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
-use segwild_flow::Stopper;
+use segwild_flow::{Stopper, shortage};
 use segwild_gateway::{Server, serve};
 use std::io::Read;
 use std::net::SocketAddr;
@@ -48,6 +49,22 @@ pub fn stop_with_parent(matches: &ArgMatches, stopper: &Stopper) -> std::io::Res
         stopper.stop();
     })?;
     Ok(())
+}
+
+/// Sees to it that this process may open as many files as a run needs, however few a shell or a service lets it open at
+/// first; to be called before any work begins.
+pub fn have_files_to_open() -> Result<(), Failure> {
+    match shortage::raise_open_files() {
+        Some(limit) if limit < shortage::FILES_NEEDED => Err(Failure {
+            message: format!(
+                "this process may have only {limit} files open and needs {}: raise the limit \
+                 (`ulimit -n 1024`, `LimitNOFILE=` of a service) and run again",
+                shortage::FILES_NEEDED
+            ),
+            code: exit::SHORTAGE,
+        }),
+        _ => Ok(()),
+    }
 }
 
 /// Keeps the process to the cores that a batch gave it (`--cpus 0,1`); to be called before it has other threads.

@@ -48,7 +48,7 @@ const LEASE_S: f64 = 2.0;
 const REST_S: f64 = 1.0;
 
 /// The suite.
-pub const CHECKS: [Check; 20] = [
+pub const CHECKS: [Check; 21] = [
     ("publishing twice is publishing once", publishing_twice),
     ("another payload begins again, but not under a worker's hands", another_payload),
     ("the most urgent job goes first, equals in order", urgency),
@@ -67,6 +67,7 @@ pub const CHECKS: [Check; 20] = [
     ("a fatal failure is a dead letter at once", fatal),
     ("a job that silences every worker becomes a dead letter", silent_to_death),
     ("being stopped costs no attempt", stopping),
+    ("a shortage of the machine rests, and costs no attempt", shortage),
     ("a dead letter can be revived, and nothing else can", reviving),
     ("changes are told in order to any handle, from any revision", watching),
 ];
@@ -392,6 +393,23 @@ fn stopping(site: &dyn Site) -> Result<(), String> {
         let lease = claim(&*engine, "w")?;
         let fate = engine.fail(&lease, ErrorClass::Stopped, "stopped").map_err(words)?;
         expect("its fate", fate, Fate::Released)?;
+    }
+    let lease = claim(&*engine, "w")?;
+    expect("completing it", engine.complete(&lease, "done").map_err(words)?, Completed::Now)
+}
+
+fn shortage(site: &dyn Site) -> Result<(), String> {
+    let engine = site.engine();
+    engine.publish(&job("a")).map_err(words)?;
+    for _ in 0..5 {
+        let lease = claim(&*engine, "w")?;
+        expect("the failures before", lease.failures, 0)?;
+        match engine.fail(&lease, ErrorClass::Shortage, "too many open files").map_err(words)? {
+            Fate::Retry { .. } => {}
+            other => return Err(format!("its fate is {other:?}")),
+        }
+        nothing(&*engine, "in its rest")?;
+        site.pass(REST_S * 1.1);
     }
     let lease = claim(&*engine, "w")?;
     expect("completing it", engine.complete(&lease, "done").map_err(words)?, Completed::Now)

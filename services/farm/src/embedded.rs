@@ -213,7 +213,6 @@ fn word<T: Copy>(
 }
 
 fn status(row: &Row<'_>) -> rusqlite::Result<JobStatus> {
-    const CLASSES: [ErrorClass; 3] = [ErrorClass::Retryable, ErrorClass::Fatal, ErrorClass::Stopped];
     let class: Option<String> = row.get(19)?;
     Ok(JobStatus {
         job: Job {
@@ -237,7 +236,7 @@ fn status(row: &Row<'_>) -> rusqlite::Result<JobStatus> {
         ended: row.get(16)?,
         outcome: row.get(17)?,
         error: row.get(18)?,
-        error_class: class.and_then(|c| CLASSES.into_iter().find(|k| k.word() == c)),
+        error_class: class.and_then(|c| ErrorClass::ALL.into_iter().find(|k| k.word() == c)),
     })
 }
 
@@ -269,7 +268,7 @@ fn end(t: &Transaction<'_>, id: &str, state: JobState, now: f64, due: f64) -> ru
     Ok(())
 }
 
-/// Counts a failed attempt and says what becomes of the job.
+/// Ends a failed attempt, counts it unless the machine is at fault, and says what becomes of the job.
 fn count_failure(
     t: &Transaction<'_>,
     now: f64,
@@ -278,12 +277,13 @@ fn count_failure(
     error: &str,
 ) -> rusqlite::Result<Fate> {
     let (id, retry) = (&job.job.id, &job.job.retry);
-    let failures = job.failures + 1;
+    let failures = job.failures + u32::from(class != ErrorClass::Shortage);
     t.execute(
         "UPDATE jobs SET failures = ?2, error = ?3, error_class = ?4 WHERE id = ?1",
         params![id, failures, error, class.word()],
     )?;
-    if class == ErrorClass::Fatal || failures >= retry.attempts {
+    let over = class == ErrorClass::Retryable && failures >= retry.attempts;
+    if class == ErrorClass::Fatal || over {
         end(t, id, JobState::Dead, now, now)?;
         note(t, now, id, ChangeKind::Died, job.attempt, error)?;
         return Ok(Fate::Dead);

@@ -44,16 +44,23 @@ pub enum ErrorClass {
     Retryable,
     /// Another attempt would fail in the same way: bad input, a wrong setting.
     Fatal,
+    /// The system had no file descriptors or processes left, which others hold: another attempt follows after a rest.
+    /// Costs no attempt.
+    Shortage,
     /// No failure: the worker was asked to stop. Costs no attempt.
     Stopped,
 }
 
 impl ErrorClass {
+    /// Every class.
+    pub const ALL: [ErrorClass; 4] = [Self::Retryable, Self::Fatal, Self::Shortage, Self::Stopped];
+
     /// As a word.
     pub fn word(self) -> &'static str {
         match self {
             Self::Retryable => "retryable",
             Self::Fatal => "fatal",
+            Self::Shortage => "shortage",
             Self::Stopped => "stopped",
         }
     }

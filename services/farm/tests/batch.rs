@@ -21,6 +21,7 @@ case $(basename "$2") in
   good*) exit 0;;
   bad) echo "error: photo.jpg is no picture" >&2; exit 3;;
   flaky) [ "$(wc -l < "$out/calls")" -ge 2 ] && exit 0; echo "error: no luck" >&2; exit 4;;
+  short) [ "$(wc -l < "$out/calls")" -ge 2 ] && exit 0; echo "error: too many open files" >&2; exit 8;;
   broken) echo "error: always" >&2; exit 4;;
   killed) kill -9 $$;;
   long) cat > /dev/null; echo "stopped" >&2; exit 130;;
@@ -30,7 +31,11 @@ esac
 "#;
 
 fn classify(code: Option<i32>) -> ErrorClass {
-    if code == Some(3) { ErrorClass::Fatal } else { ErrorClass::Retryable }
+    match code {
+        Some(3) => ErrorClass::Fatal,
+        Some(8) => ErrorClass::Shortage,
+        _ => ErrorClass::Retryable,
+    }
 }
 
 struct Yard {
@@ -108,6 +113,16 @@ fn another_attempt_is_made_where_it_may_help() {
         _ => None,
     });
     assert_eq!(retried, Some("no luck"));
+}
+
+#[test]
+fn an_attempt_for_which_the_machine_had_no_file_descriptors_does_not_count() {
+    let yard = Yard::new(&scenes(&["short"], "attempts = 1\n"));
+    let mut told = Vec::new();
+    let summary = yard.run(&mut |event| told.push(event.clone())).expect("it runs");
+    assert_eq!(states(&summary), [("short", JobState::Done, 2)]);
+    assert_eq!(summary.scenes[0].failures, 0);
+    assert!(told.iter().any(|event| matches!(event, BatchEvent::SceneRetries { .. })), "{told:?}");
 }
 
 #[test]

@@ -16,6 +16,8 @@ enum Fault {
     NoFence,
     /// A stop counts as a failure.
     StopCosts,
+    /// A shortage counts as a failure.
+    ShortageCosts,
     /// Heartbeats are not heard.
     DeafToHeartbeats,
     /// Gives jobs to workers that have no room.
@@ -100,7 +102,8 @@ impl Engine for Faulty {
         self.0.complete(&Lease { attempt: current, ..lease.clone() }, outcome)
     }
     fn fail(&self, lease: &Lease, class: ErrorClass, error: &str) -> Result<Fate, EngineError> {
-        let costs = self.1 == Fault::StopCosts && class == ErrorClass::Stopped;
+        let costs = self.1 == Fault::StopCosts && class == ErrorClass::Stopped
+            || self.1 == Fault::ShortageCosts && class == ErrorClass::Shortage;
         self.0.fail(lease, if costs { ErrorClass::Retryable } else { class }, error)
     }
     fn revive(&self, id: &str) -> Result<(), EngineError> {
@@ -124,6 +127,7 @@ fn the_suite_finds_what_is_broken() {
     for (fault, word) in [
         (Fault::NoFence, "zombie"),
         (Fault::StopCosts, "stopped costs no attempt"),
+        (Fault::ShortageCosts, "a shortage of the machine"),
         (Fault::DeafToHeartbeats, "heartbeat holds"),
         (Fault::NoRoomNeeded, "does not fit"),
         (Fault::SmallOnesFirst, "not given to a less urgent one"),

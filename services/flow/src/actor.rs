@@ -54,6 +54,7 @@ use crate::files::FileError;
 use crate::mailbox::Closed;
 use crate::message::Message;
 use crate::meter::Pulse;
+use crate::shortage::{is_said, is_shortage};
 
 /// What to do when there is no message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -146,8 +147,8 @@ pub(crate) enum FailureKind {
 
 /// Why an actor could not do its work, and what follows. Any error becomes one by `?` and means
 /// [`Failure::retry`], but for two: with [`Closed`], a consumer that has gone, the actor ends quietly; and an error of
-/// the disk (a [`FileError`] anywhere behind it, or the system's word that it is full or read-only) is
-/// [`Failure::storage`].
+/// the disk or the system (a [`FileError`] anywhere behind it, or the system's word that the disk is full or read-only, or
+/// that there are too many open files) is [`Failure::storage`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Failure {
     pub(crate) kind: FailureKind,
@@ -213,7 +214,9 @@ impl<E: std::error::Error + Send + Sync + 'static> From<E> for Failure {
         let first = &error as &(dyn std::error::Error + 'static);
         let kind = if first.is::<Closed>() {
             FailureKind::Downstream
-        } else if std::iter::successors(Some(first), |error| error.source()).any(of_storage) {
+        } else if std::iter::successors(Some(first), |error| error.source()).any(of_storage)
+            || is_said(&first.to_string())
+        {
             FailureKind::Storage
         } else {
             FailureKind::Retry
@@ -226,7 +229,8 @@ impl<E: std::error::Error + Send + Sync + 'static> From<E> for Failure {
 fn of_storage(error: &(dyn std::error::Error + 'static)) -> bool {
     use std::io::ErrorKind::{QuotaExceeded, ReadOnlyFilesystem, StorageFull};
     let of_disk = |e: &std::io::Error| matches!(e.kind(), StorageFull | QuotaExceeded | ReadOnlyFilesystem);
-    error.is::<FileError>() || error.downcast_ref().is_some_and(of_disk)
+    let of_system = |e: &std::io::Error| of_disk(e) || is_shortage(e);
+    error.is::<FileError>() || error.downcast_ref().is_some_and(of_system)
 }
 
 /// An actor's surroundings; usable from the threads it hands work to.

@@ -9,6 +9,7 @@
 //! - [`Cache`]: artefacts by the hash of what they were made from ([`Key`]); verified on every read.
 //! - [`Ledger`]: what a run has done, in SQLite, readable by others while it is written.
 //! - [`Recorder`]: what actors and mailboxes are doing, written into the ledger about once a second.
+//! - [`shortage`]: what the system says when it has no file descriptors or processes left.
 //! - [`codec`]: binary records with a header.
 //! - [`files`] and [`fault`]: the one writer of files, and faults on purpose, from the floor below.
 
@@ -31,6 +32,7 @@ pub mod process;
 pub mod progress;
 pub mod recorder;
 pub mod report;
+pub mod shortage;
 pub mod supervise;
 pub mod system;
 pub mod timeline;

@@ -13,6 +13,7 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use tokio::sync::oneshot;
 
+use crate::connections::answer;
 use crate::metrics;
 use crate::ready::ready;
 use crate::view::{Runs, Target, View, ViewError};
@@ -101,13 +102,9 @@ pub fn serve(address: SocketAddr, folder: PathBuf, per_scene: bool) -> Result<Se
     let body = move || {
         runtime.block_on(async {
             let Ok(listener) = tokio::net::TcpListener::from_std(listener) else { return };
-            let served = async {
-                // Only an accept loop that gave up ends here; it has nothing more to say.
-                let _ = axum::serve(listener, routes).await;
-            };
             // Open connections are not waited for: the work is over.
             tokio::select! {
-                () = served => {}
+                () = answer(listener, routes) => {}
                 _ = stopped => {}
             }
         });

@@ -3,9 +3,10 @@
 //! - [`View`]: a run or a batch, as other processes see it while it is written and after it ended. `segwild status`,
 //!   `--json`, `segwild top`, `/metrics` and `/api/v1/status` all show this and nothing else.
 //! - [`metrics`]: the view as Prometheus text; every name in one enum.
-//! - [`serve`]: `/metrics`, `/livez`, `/readyz`, `/api/v1/status` by HTTP.
+//! - [`serve`]: `/metrics`, `/livez`, `/readyz`, `/api/v1/status` by HTTP; [`connections`]: how many, and for how long.
 //! - [`top`]: the view in a terminal.
 
+pub mod connections;
 mod disk;
 mod http;
 pub mod metrics;

@@ -3,7 +3,7 @@
 use super::{path, print_json, print_line};
 use crate::exit;
 use crate::failure::{Failure, plain};
-use crate::operators::{listen, listen_args};
+use crate::operators::{have_files_to_open, listen, listen_args};
 use crate::progress::{duration, on_ctrl_c};
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
 use segwild_farm::{
@@ -48,6 +48,7 @@ pub fn command() -> Command {
 
 /// Runs the scenes of a manifest, or what is left of them.
 pub fn batch(matches: &ArgMatches) -> Result<(), Failure> {
+    have_files_to_open()?;
     let manifest = path(matches, "manifest").expect("clap requires it");
     let out = path(matches, "out")
         .unwrap_or_else(|| Path::new("runs").join(manifest.file_stem().unwrap_or(manifest.as_os_str())));

@@ -2,7 +2,7 @@
 
 use super::{path, print_json, print_line, use_threads};
 use crate::failure::Failure;
-use crate::operators::{keep_to_cores, listen, stop_with_parent};
+use crate::operators::{have_files_to_open, keep_to_cores, listen, stop_with_parent};
 use crate::progress::{duration, show, stop_on_ctrl_c};
 use clap::ArgMatches;
 use segwild_flow::{Events, Stopper};
@@ -13,6 +13,7 @@ use std::path::{Path, PathBuf};
 /// Runs a scene, or what is left of it.
 pub fn run(matches: &ArgMatches) -> Result<(), Failure> {
     keep_to_cores(matches)?;
+    have_files_to_open()?;
     let scene = path(matches, "scene").expect("clap requires it");
     let out = path(matches, "out").unwrap_or_else(|| default_folder(&scene));
     let settings = settings(matches, &RunFolder::at(&out))?;

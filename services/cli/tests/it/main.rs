@@ -6,6 +6,7 @@ mod bench;
 mod cache;
 mod charts;
 mod cli;
+mod crowd;
 mod depends;
 mod disk;
 mod distorted;

@@ -6,10 +6,11 @@ use std::path::Path;
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use segwild_flow::shortage::is_shortage_of_processes;
 use segwild_flow::{Ledger, files};
 
 use super::{BatchEvent, BatchFolder};
-use crate::engine::Lease;
+use crate::engine::{ErrorClass, Lease};
 use crate::job::Needs;
 use crate::manifest::SceneJob;
 
@@ -20,8 +21,13 @@ const FOLDER_WAIT: Duration = Duration::from_secs(60);
 pub(super) enum Ended {
     /// With this exit code; `None`: by a signal.
     Code(Option<i32>),
-    /// It could not be begun.
-    NotStarted(String),
+    /// It could not be begun, for this kind of reason.
+    NotStarted(ErrorClass, String),
+}
+
+/// What kind of failure it is that the system refuses a process or a file.
+fn class(error: &std::io::Error) -> ErrorClass {
+    if is_shortage_of_processes(error) { ErrorClass::Shortage } else { ErrorClass::Retryable }
 }
 
 /// A leased scene and its process.
@@ -88,7 +94,7 @@ impl Worker {
             return match process.child.try_wait() {
                 Ok(None) => None,
                 Ok(Some(status)) => Some(Ended::Code(status.code())),
-                Err(error) => Some(Ended::NotStarted(format!("its process is lost: {error}"))),
+                Err(error) => Some(Ended::NotStarted(class(&error), format!("its process is lost: {error}"))),
             };
         }
         if self.asked_to_stop {
@@ -99,7 +105,7 @@ impl Worker {
         if let Some(owner) = ledger.and_then(|ledger| ledger.owner()) {
             let reason = format!("its run folder is in use by {owner}");
             if self.taken.elapsed() > FOLDER_WAIT {
-                return Some(Ended::NotStarted(reason));
+                return Some(Ended::NotStarted(ErrorClass::Retryable, reason));
             }
             if self.waits.is_none() {
                 self.waits = Some(reason.clone());
@@ -119,7 +125,9 @@ impl Worker {
                 self.still = Still { looked: Instant::now(), seen: None, seconds: 0.0 };
                 None
             }
-            Err(error) => Some(Ended::NotStarted(format!("its process cannot be started: {error}"))),
+            Err(error) => {
+                Some(Ended::NotStarted(class(&error), format!("its process cannot be started: {error}")))
+            }
         }
     }
 

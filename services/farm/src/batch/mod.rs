@@ -341,7 +341,7 @@ impl Batch<'_> {
                     let error = worker.last_words(self.folder, code);
                     self.failed(lease, (self.options.classify)(code), &error)?;
                 }
-                Ended::NotStarted(error) => self.failed(lease, ErrorClass::Retryable, &error)?,
+                Ended::NotStarted(class, error) => self.failed(lease, class, &error)?,
             }
         }
         Ok(changed)

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::{Owner, SCHEMA_VERSION};
 use crate::files::FileError;
+use crate::shortage::is_shortage;
 
 /// Why the ledger could not serve.
 #[derive(Debug, thiserror::Error)]
@@ -74,6 +75,11 @@ impl LedgerError {
         match source.sqlite_error_code() {
             Some(DiskFull) => Self::DiskFull { path },
             Some(ReadOnly) => Self::ReadOnly { path },
+            // SQLite does not say why; the system does.
+            Some(CannotOpen) => match std::fs::File::open(&path) {
+                Err(error) if is_shortage(&error) => FileError::new("open", &path, error).into(),
+                _ => Self::Sqlite { path, source },
+            },
             Some(NotADatabase | DatabaseCorrupt) => Self::Damaged { path, reason: source.to_string() },
             _ => Self::Sqlite { path, source },
         }

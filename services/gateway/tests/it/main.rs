@@ -3,5 +3,6 @@
 mod common;
 
 mod batch;
+mod connections;
 mod metrics;
 mod view;

@@ -1,0 +1,74 @@
+//! File descriptors, processes and threads that the system does not have left: no fault of the work, which may be done
+//! once others have given some back.
+
+use std::error::Error;
+use std::io;
+
+/// A process needs about so many open files: databases, photos read by each thread, connections of `--listen`.
+pub const FILES_NEEDED: u64 = 96;
+/// As far as a process raises its own limit: some systems refuse more, and none is needed.
+#[cfg(unix)]
+const FILES_WANTED: u64 = 4096;
+
+/// Whether the system refused something because this process, this user or the machine has too many of it open.
+///
+/// ```
+/// use segwild_flow::shortage::is_shortage;
+/// # #[cfg(unix)] {
+/// assert!(is_shortage(&std::io::Error::from_raw_os_error(24)));
+/// # }
+/// assert!(!is_shortage(&std::io::ErrorKind::NotFound.into()));
+/// ```
+pub fn is_shortage(error: &io::Error) -> bool {
+    #[cfg(unix)]
+    let codes = [rustix::io::Errno::MFILE, rustix::io::Errno::NFILE].map(|code| code.raw_os_error());
+    // ERROR_TOO_MANY_OPEN_FILES
+    #[cfg(not(unix))]
+    let codes = [4];
+    error.raw_os_error().is_some_and(|code| codes.contains(&code))
+}
+
+/// Whether the system could not begin a thread or a process for want of one.
+pub fn is_shortage_of_processes(error: &io::Error) -> bool {
+    is_shortage(error) || error.kind() == io::ErrorKind::WouldBlock
+}
+
+/// As [`is_shortage`], of whatever stands behind an error.
+pub fn is_behind(error: &(dyn Error + 'static)) -> bool {
+    let behind = std::iter::successors(Some(error), |&error| error.source());
+    behind.filter_map(|error| error.downcast_ref()).any(is_shortage)
+}
+
+/// As [`is_shortage`], of an error that has become words: they end in the system's own.
+///
+/// ```
+/// # #[cfg(unix)] {
+/// let refused = std::io::Error::from_raw_os_error(24);
+/// assert!(segwild_flow::shortage::is_said(&format!("cannot read a.jpg: {refused}")));
+/// # }
+/// assert!(!segwild_flow::shortage::is_said("cannot read a.jpg: it is no picture"));
+/// ```
+pub fn is_said(words: &str) -> bool {
+    let code = words.strip_suffix(')').and_then(|rest| rest.rsplit_once("(os error ")).map(|(_, code)| code);
+    let code = code.and_then(|code| code.parse().ok());
+    code.is_some_and(|code| is_shortage(&io::Error::from_raw_os_error(code)))
+}
+
+/// Raises the number of files that this process may have open, as far as the system lets it without asking; says how
+/// many it may have then. `None` where there is no such limit.
+pub fn raise_open_files() -> Option<u64> {
+    #[cfg(unix)]
+    {
+        use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+        let Rlimit { current, maximum } = getrlimit(Resource::Nofile);
+        let current = current?;
+        let wanted = maximum.map_or(FILES_WANTED, |most| most.min(FILES_WANTED));
+        if wanted > current && setrlimit(Resource::Nofile, Rlimit { current: Some(wanted), maximum }).is_ok()
+        {
+            return Some(wanted);
+        }
+        Some(current)
+    }
+    #[cfg(not(unix))]
+    None
+}

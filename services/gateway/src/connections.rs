@@ -1,0 +1,108 @@
+//! The connections of the HTTP server: few at a time, one request each, none for long.
+//!
+//! The server shares its file descriptors with a run or a batch, which fails without them. So however many clients
+//! connect, and whatever they send or leave out, it holds at most [`MOST`] sockets and one that is being admitted.
+
+use std::collections::VecDeque;
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use axum::Router;
+use hyper::server::conn::http1;
+use hyper::service::{Service, service_fn};
+use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::service::TowerToHyperService;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::Semaphore;
+use tokio::task::AbortHandle;
+
+/// Connections at a time. A further one takes the room of the oldest that has sent no whole request yet.
+pub const MOST: usize = 32;
+/// A request's head must be there after this time.
+pub const HEAD_TIME: Duration = Duration::from_secs(5);
+/// A connection ends after this time, whatever it waits for.
+pub const WHOLE_TIME: Duration = Duration::from_secs(20);
+/// A request's head may have so many bytes.
+pub const HEAD_BYTES: usize = 16 << 10;
+/// Rest after the system refused a connection: it has no descriptor or no memory left.
+const REST: Duration = Duration::from_millis(100);
+
+/// Accepts connections and answers them, until it is dropped. Nothing that a client does or the system refuses ends it.
+pub(crate) async fn answer(listener: TcpListener, routes: Router) {
+    let room = Arc::new(Semaphore::new(MOST));
+    let mut open = Open::default();
+    loop {
+        let stream = match listener.accept().await {
+            Ok((stream, _)) => stream,
+            Err(error) => {
+                if !ended_early(&error) {
+                    open.end_a_silent_one();
+                    tokio::time::sleep(REST).await;
+                }
+                continue;
+            }
+        };
+        if room.available_permits() == 0 && !open.end_a_silent_one() {
+            // All of them are being answered; this one may come again.
+            continue;
+        }
+        // The room of a connection is free once its socket is closed.
+        let Ok(permit) = room.clone().acquire_owned().await else { return };
+        let heard = Arc::new(AtomicBool::new(false));
+        let work = one_request(stream, routes.clone(), heard.clone());
+        let task = tokio::spawn(async move {
+            // A client that is too slow, or that has gone, has nobody to be told.
+            let _ = tokio::time::timeout(WHOLE_TIME, work).await;
+            drop(permit);
+        });
+        open.add(task.abort_handle(), heard);
+    }
+}
+
+/// Whether a client went away before it was accepted: the next one may be accepted at once.
+fn ended_early(error: &io::Error) -> bool {
+    use io::ErrorKind::{ConnectionAborted, ConnectionRefused, ConnectionReset, Interrupted};
+    matches!(error.kind(), ConnectionAborted | ConnectionRefused | ConnectionReset | Interrupted)
+}
+
+/// Answers one request. Without keep-alive nobody holds a connection between two.
+async fn one_request(stream: TcpStream, routes: Router, heard: Arc<AtomicBool>) -> hyper::Result<()> {
+    let routes = TowerToHyperService::new(routes);
+    let service = service_fn(move |request| {
+        heard.store(true, Ordering::Relaxed);
+        routes.call(request)
+    });
+    http1::Builder::new()
+        .timer(TokioTimer::new())
+        .header_read_timeout(HEAD_TIME)
+        .max_buf_size(HEAD_BYTES)
+        .keep_alive(false)
+        .serve_connection(TokioIo::new(stream), service)
+        .await
+}
+
+/// The connections that are open, the oldest first.
+#[derive(Default)]
+struct Open(VecDeque<(AbortHandle, Arc<AtomicBool>)>);
+
+impl Open {
+    fn add(&mut self, task: AbortHandle, heard: Arc<AtomicBool>) {
+        self.0.retain(|(task, _)| !task.is_finished());
+        self.0.push_back((task, heard));
+    }
+
+    /// Ends the oldest connection whose request is not there yet; says whether there was one, or one has ended by itself.
+    fn end_a_silent_one(&mut self) -> bool {
+        let before = self.0.len();
+        self.0.retain(|(task, _)| !task.is_finished());
+        if self.0.len() < before {
+            return true;
+        }
+        let silent = self.0.iter().position(|(_, heard)| !heard.load(Ordering::Relaxed));
+        let Some((task, _)) = silent.and_then(|place| self.0.remove(place)) else { return false };
+        task.abort();
+        true
+    }
+}
