@@ -39,11 +39,10 @@ const KIND_LIMIT: usize = 64;
 /// Bytes of the header without the kind.
 const FIXED_HEADER: usize = 8 + 2 + 1 + 8 + 32;
 
-/// The encoding's configuration: bincode 1's bytes, with the preallocation limit raised on purpose from
-/// 4 MiB, which `wincode` applies when it writes, too.
-pub type Config = Configuration<
+/// Bincode 1's bytes, with a limit to what one sequence may take before its elements are seen.
+type Limited<const BYTES: usize> = Configuration<
     true,
-    SIZE_LIMIT,
+    BYTES,
     BincodeLen,
     wincode::int_encoding::LittleEndian,
     wincode::int_encoding::FixInt,
@@ -51,13 +50,33 @@ pub type Config = Configuration<
     SIZE_LIMIT,
 >;
 
+/// The encoding's configuration: the limit is raised on purpose from 4 MiB, which `wincode` applies when it writes, too.
+pub type Config = Limited<SIZE_LIMIT>;
+
+/// A short payload that claims a long sequence is refused before memory is taken for it: in memory an element takes at most
+/// a few dozen times as many bytes as in a record, an absent one of a list for instance.
+const SHORT: usize = 256 << 10;
+const MIDDLING: usize = 16 * SHORT;
+type ForShort = Limited<{ 64 * SHORT }>;
+type ForMiddling = Limited<{ 64 * MIDDLING }>;
+
 /// Types that can be written: those that derive `wincode::SchemaWrite`.
 pub trait Encode: SchemaWrite<Config, Src = Self> {}
 impl<T: SchemaWrite<Config, Src = T> + ?Sized> Encode for T {}
 
 /// Types that can be read: those that derive `wincode::SchemaRead`.
-pub trait Decode: for<'de> SchemaRead<'de, Config, Dst = Self> {}
-impl<T: for<'de> SchemaRead<'de, Config, Dst = T>> Decode for T {}
+pub trait Decode:
+    for<'de> SchemaRead<'de, Config, Dst = Self>
+    + for<'de> SchemaRead<'de, ForShort, Dst = Self>
+    + for<'de> SchemaRead<'de, ForMiddling, Dst = Self>
+{
+}
+impl<T> Decode for T where
+    T: for<'de> SchemaRead<'de, Config, Dst = T>
+        + for<'de> SchemaRead<'de, ForShort, Dst = T>
+        + for<'de> SchemaRead<'de, ForMiddling, Dst = T>
+{
+}
 
 /// Why bytes are no record, or a value cannot become one.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -211,8 +230,8 @@ pub fn open(bytes: &[u8]) -> Result<(&str, &[u8]), CodecError> {
     Ok((kind, payload))
 }
 
-/// Reads a record of a kind. Never panics, whatever the bytes; allocates at most what [`SIZE_LIMIT`] allows
-/// for one sequence before its bytes are seen.
+/// Reads a record of a kind. Never panics, whatever the bytes; takes at most 64 times as much memory for one sequence as
+/// the payload has bytes (and at least 16 MiB) before its elements are seen.
 ///
 /// # Errors
 /// Anything that is not a whole, undamaged record of this kind.
@@ -221,6 +240,10 @@ pub fn decode<T: Decode>(kind: &str, bytes: &[u8]) -> Result<T, CodecError> {
     if found != kind {
         return Err(CodecError::Kind { expected: kind.into(), found: found.into() });
     }
-    wincode::config::deserialize_exact(payload, Config::new())
-        .map_err(|e| CodecError::Corrupt { kind: kind.into(), reason: e.to_string() })
+    let read = match payload.len() {
+        ..=SHORT => wincode::config::deserialize_exact(payload, ForShort::new()),
+        ..=MIDDLING => wincode::config::deserialize_exact(payload, ForMiddling::new()),
+        _ => wincode::config::deserialize_exact(payload, Config::new()),
+    };
+    read.map_err(|e| CodecError::Corrupt { kind: kind.into(), reason: e.to_string() })
 }

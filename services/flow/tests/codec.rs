@@ -103,6 +103,19 @@ fn forged(payload: &[u8]) -> Vec<u8> {
     sized!(0 1 2 3 4 8 12 16 20 24 32 40 48 64)
 }
 
+#[test]
+fn a_short_record_that_claims_a_long_sequence_is_refused_before_memory_is_taken() {
+    // A name of no letters, then 2^27 values: half a gigabyte.
+    let mut payload = [0; 64];
+    payload[12..20].copy_from_slice(&(1u64 << 27).to_le_bytes());
+    let refused = codec::decode::<Record>("record/1", &forged(&payload)).unwrap_err().to_string();
+    assert!(refused.contains("reallocation"), "{refused}");
+    // What a record really holds may be much more than that of memory.
+    let absent: Vec<Option<[u64; 7]>> = vec![None; 200_000];
+    let bytes = codec::encode("absent/1", &absent).unwrap();
+    assert!(codec::decode::<Vec<Option<[u64; 7]>>>("absent/1", &bytes).unwrap() == absent);
+}
+
 proptest! {
     #[test]
     fn any_record_returns(view: u32, name: String, values in prop::collection::vec(any::<f32>(), 0..50), tag in 0..3u8) {
