@@ -1,0 +1,89 @@
+//! Files of batches.
+
+use crate::yard::{folder, put, take};
+use crate::{Target, seal, seeds};
+use segwild_farm::{EmbeddedEngine, Engine, ErrorClass, Job, Manifest, Needs, Offer, Retry};
+
+pub(super) const MANIFEST: Target = Target {
+    name: "manifest_toml",
+    seeds: || {
+        let scene = seeds::scene_for("manifest_toml", "bin");
+        let text = format!(
+            "[budget]\ncores = 2\nmemory = \"4 GiB\"\naccelerators = 0\npatience = 600\n[defaults]\npreset = \"draft\"\n\
+             attempts = 3\nsettings = {{ size = 32 }}\n[[scene]]\npath = \"{0}\"\npriority = 5\ncores = 1\n[[scene]]\n\
+             path = \"{0}\"\nname = \"other\"\nuntil = 500\nmemory = \"1 GiB\"\nsettings = {{ steps = 10 }}\n",
+            scene.display()
+        );
+        vec![text.into_bytes()]
+    },
+    words: &[
+        "[[scene]]\n",
+        "name = \"../x\"\n",
+        "out = \"o/../o\"\n",
+        "\"99999999 GiB\"",
+        "-1",
+        "nan",
+        "[defaults]\n",
+        "\u{feff}",
+        "''",
+    ],
+    seal: seal::nothing,
+    read: |bytes| {
+        let folder = folder("manifest_toml");
+        let file = folder.join("batch.toml");
+        put(&file, bytes);
+        let _ = Manifest::read(&file, &folder.join("out"), None);
+    },
+};
+
+fn job(name: &str) -> Job {
+    Job {
+        id: name.into(),
+        payload: format!(
+            "{{\"name\": \"{name}\", \"path\": \"/a\", \"out\": \"/b\", \"settings\": {{}}, \"until\": null}}"
+        ),
+        priority: 1,
+        needs: Needs { cores: 1, memory_bytes: 1 << 30, accelerators: 0 },
+        retry: Retry::default(),
+    }
+}
+
+/// A batch of two scenes, one of which is being worked on and one of which has failed.
+fn batch() -> Vec<u8> {
+    let file = folder("batch_sqlite_seed").join("batch.sqlite");
+    let made = || -> Result<(), segwild_farm::EngineError> {
+        let engine = EmbeddedEngine::open(&file)?;
+        let free = Needs { cores: 4, memory_bytes: 8 << 30, accelerators: 0 };
+        let offer = Offer { worker: "batch 1".into(), free, whole: free, lease_s: 1e9 };
+        for name in ["one", "two"] {
+            engine.publish(&job(name))?;
+        }
+        engine.claim(&offer)?;
+        if let Some(lease) = engine.claim(&offer)? {
+            engine.fail(&lease, ErrorClass::Retryable, "no luck")?;
+        }
+        Ok(())
+    };
+    made().unwrap_or_else(|e| panic!("{e}"));
+    take(&file)
+}
+
+pub(super) const BATCH: Target = Target {
+    name: "batch_sqlite",
+    seeds: || vec![batch()],
+    words: &["SQLite format 3\0", "leased", "pending", "dead", "retryable", "{\"name\":", "\0\0\0\0"],
+    seal: seal::nothing,
+    read: |bytes| {
+        let folder = folder("batch_sqlite");
+        let file = folder.join("batch.sqlite");
+        for beside in ["batch.sqlite-wal", "batch.sqlite-shm", "batch.sqlite-journal"] {
+            // Most of the time there is none.
+            let _ = std::fs::remove_file(folder.join(beside));
+        }
+        put(&file, bytes);
+        super::run_files::look(&folder);
+        if let Ok(engine) = EmbeddedEngine::open(&file) {
+            let _ = (engine.release_all("fuzzed"), engine.jobs(), engine.watch(0, 100), engine.jumps());
+        }
+    },
+};
