@@ -8,6 +8,7 @@ mod charts;
 mod cli;
 mod crowd;
 mod depends;
+mod deploying;
 mod disk;
 mod distorted;
 mod kills;
