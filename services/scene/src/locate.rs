@@ -203,7 +203,8 @@ fn renamed(draft: &Draft, found: &[(usize, String)]) -> Option<String> {
 
 /// Photos that lie beside those of the reconstruction and that it does not hold, counted.
 pub(crate) fn unheld(draft: &Draft, located: &[Result<PathBuf, String>]) -> Option<String> {
-    let held: HashSet<&Path> = located.iter().flatten().map(PathBuf::as_path).collect();
+    let copies: Vec<PathBuf> = located.iter().flatten().filter_map(|path| converted(path)).collect();
+    let held: HashSet<&Path> = located.iter().flatten().chain(&copies).map(PathBuf::as_path).collect();
     let folders: BTreeSet<&Path> = held.iter().filter_map(|path| path.parent()).collect();
     let is_photo = |path: &Path| {
         let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase());
