@@ -408,8 +408,8 @@ pub fn score_strangers(folder: &RunFolder, truth: &Path) -> Result<StrangerScore
     }
     let mut photos = Vec::new();
     let (mut both, mut either) = (0.0, 0.0);
-    let photos = intake.photos.iter().map(String::as_str);
-    let (pictures, truths) = (Pictures::of(photos.clone()), MaskFiles::new(truth, photos));
+    let names = intake.photos.iter().map(String::as_str);
+    let (pictures, truths) = (Pictures::of(names.clone()), MaskFiles::new(truth, names));
     let (own, held_out) = (folder.path().join(FOLDER), intake.held_out.iter().collect::<HashSet<_>>());
     for (i, photo) in intake.photos.iter().enumerate().filter(|(_, photo)| !held_out.contains(photo)) {
         let found = pictures.find(&own, i);
