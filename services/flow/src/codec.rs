@@ -240,10 +240,12 @@ pub fn decode<T: Decode>(kind: &str, bytes: &[u8]) -> Result<T, CodecError> {
     if found != kind {
         return Err(CodecError::Kind { expected: kind.into(), found: found.into() });
     }
-    let read = match payload.len() {
-        ..=SHORT => wincode::config::deserialize_exact(payload, ForShort::new()),
-        ..=MIDDLING => wincode::config::deserialize_exact(payload, ForMiddling::new()),
-        _ => wincode::config::deserialize_exact(payload, Config::new()),
+    let read = if payload.len() <= SHORT {
+        wincode::config::deserialize_exact(payload, ForShort::new())
+    } else if payload.len() <= MIDDLING {
+        wincode::config::deserialize_exact(payload, ForMiddling::new())
+    } else {
+        wincode::config::deserialize_exact(payload, Config::new())
     };
     read.map_err(|e| CodecError::Corrupt { kind: kind.into(), reason: e.to_string() })
 }

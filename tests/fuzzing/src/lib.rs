@@ -25,7 +25,7 @@ pub struct Target {
     /// Words of its format.
     pub words: &'static [&'static str],
     /// Puts the checksums of a changed input right.
-    pub seal: fn(&mut Vec<u8>),
+    pub seal: fn(&mut [u8]),
     /// The reader; panics only where it is wrong.
     pub read: fn(&[u8]),
 }

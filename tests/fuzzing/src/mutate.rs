@@ -134,7 +134,8 @@ fn number(dice: &mut Dice, bytes: &mut Vec<u8>, at: usize) {
 
 fn repeat(dice: &mut Dice, bytes: &mut Vec<u8>, at: usize) {
     let part = bytes[at.min(bytes.len())..(at + 1 + dice.below(64)).min(bytes.len())].to_vec();
-    let times = 1 + dice.below(if dice.below(16) == 0 { 1000 } else { 4 });
+    let most = if dice.below(16) == 0 { 1000 } else { 4 };
+    let times = 1 + dice.below(most);
     insert(bytes, at, &part.repeat(times.min(LONGEST / part.len().max(1))));
 }
 

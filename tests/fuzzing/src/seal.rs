@@ -7,10 +7,10 @@ use segwild_flow::codec::FORMAT_VERSION;
 const KIND_AT: usize = 8 + 2 + 1;
 
 /// Leaves an input as it is.
-pub fn nothing(_: &mut Vec<u8>) {}
+pub fn nothing(_: &mut [u8]) {}
 
 /// Puts version, length and hash of a record of [`segwild_flow::codec`] right.
-pub fn record(bytes: &mut Vec<u8>) {
+pub fn record(bytes: &mut [u8]) {
     let Some(&kind) = bytes.get(KIND_AT - 1) else { return };
     let tail = KIND_AT + usize::from(kind);
     let header = tail + 8 + 32;
@@ -27,7 +27,7 @@ pub fn record(bytes: &mut Vec<u8>) {
 }
 
 /// Puts the CRC of every chunk of a PNG right, as far as the chunks can be followed.
-pub fn png(bytes: &mut Vec<u8>) {
+pub fn png(bytes: &mut [u8]) {
     let mut at = 8;
     while let Some(head) = bytes.get(at..at + 8) {
         let length = u32::from_be_bytes([head[0], head[1], head[2], head[3]]) as usize;

@@ -110,15 +110,11 @@ pub(super) const CHECKPOINT: Target = Target {
 /// Bytes of the cache's own header: magic, length, hash.
 const CACHED: usize = 8 + 8 + 32;
 
-fn seal_cached(bytes: &mut Vec<u8>) {
-    if bytes.len() < CACHED {
-        return;
-    }
-    let mut inner = bytes.split_off(CACHED);
-    seal::record(&mut inner);
-    bytes[8..16].copy_from_slice(&(inner.len() as u64).to_le_bytes());
-    bytes[16..].copy_from_slice(blake3::hash(&inner).as_bytes());
-    bytes.append(&mut inner);
+fn seal_cached(bytes: &mut [u8]) {
+    let Some((head, inner)) = bytes.split_at_mut_checked(CACHED) else { return };
+    seal::record(inner);
+    head[8..16].copy_from_slice(&(inner.len() as u64).to_le_bytes());
+    head[16..].copy_from_slice(blake3::hash(inner).as_bytes());
 }
 
 /// The kind of the run's own artefacts in a folder of its cache.
