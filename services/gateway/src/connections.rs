@@ -79,6 +79,8 @@ async fn one_request(stream: TcpStream, routes: Router, heard: Arc<AtomicBool>) 
         .header_read_timeout(HEAD_TIME)
         .max_buf_size(HEAD_BYTES)
         .keep_alive(false)
+        // Who has asked and says no more is still answered.
+        .half_close(true)
         .serve_connection(TokioIo::new(stream), service)
         .await
 }

@@ -1,13 +1,14 @@
 //! Planar float images.
 
+use crate::whole::read_whole;
 use crate::{SceneError, decode};
 use std::path::Path;
-use wincode::{SchemaRead, SchemaWrite};
+use wincode::SchemaWrite;
 
 /// A planar f32 image: `data[(c * height + y) * width + x]`. Colours are sRGB values in [0, 1].
 ///
 /// Planar, because the kernels run SIMD over pixels of one channel.
-#[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
+#[derive(Clone, Debug, PartialEq, SchemaWrite)]
 pub struct Image {
     /// Width in pixels.
     pub width: usize,
@@ -17,6 +18,17 @@ pub struct Image {
     pub channels: usize,
     /// Planes one after another, each row-major; length `channels * height * width`.
     pub data: Vec<f32>,
+}
+
+read_whole!(
+    Image as ImageRecord { width: usize, height: usize, channels: usize, data: Vec<f32> }
+    where |image| fills(&image.data, [image.width, image.height, image.channels]),
+    "an image has another number of pixels"
+);
+
+/// Whether there is one value for each of so many.
+pub(crate) fn fills(data: &[f32], counts: [usize; 3]) -> bool {
+    counts.into_iter().try_fold(1usize, usize::checked_mul) == Some(data.len())
 }
 
 impl Image {

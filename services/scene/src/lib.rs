@@ -42,6 +42,7 @@ mod taken;
 pub mod text;
 mod transforms;
 mod view;
+mod whole;
 mod window;
 
 pub use camera::{Camera, Pose};

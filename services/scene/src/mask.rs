@@ -1,15 +1,18 @@
 //! Sets of pixels.
 
+use crate::whole::read_whole;
 use std::ops::Range;
 use wincode::{SchemaRead, SchemaWrite};
 
 /// A bit-packed set of pixels: bit `i % 64` of word `i / 64` is pixel `i = y * width + x`.
-#[derive(Clone, Debug, PartialEq, Eq, SchemaRead, SchemaWrite)]
+#[derive(Clone, Debug, PartialEq, Eq, SchemaWrite)]
 pub struct Mask {
     width: u32,
     height: u32,
     words: Vec<u64>,
 }
+
+read_whole!(Mask as MaskRecord { width: u32, height: u32, words: Vec<u64> } where Mask::is_whole, "a mask has another number of pixels");
 
 /// A mask and how much its maker trusts it.
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
@@ -23,7 +26,7 @@ pub struct ScoredMask {
 }
 
 /// All masks of one view.
-#[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
+#[derive(Clone, Debug, PartialEq, SchemaWrite)]
 pub struct MaskSet {
     /// Width of every mask.
     pub width: u32,
@@ -33,7 +36,20 @@ pub struct MaskSet {
     pub masks: Vec<ScoredMask>,
 }
 
+read_whole!(
+    MaskSet as MaskSetRecord { width: u32, height: u32, masks: Vec<ScoredMask> }
+    where |set| set.masks.iter().all(|m| (m.mask.width, m.mask.height) == (set.width, set.height)),
+    "a mask has another size than the others"
+);
+
 impl Mask {
+    /// Whether there is a bit for each pixel and none beyond.
+    fn is_whole(&self) -> bool {
+        let n = self.width as usize * self.height as usize;
+        let beyond = |word: &u64| !n.is_multiple_of(64) && word >> (n % 64) != 0;
+        self.words.len() == n.div_ceil(64) && !self.words.last().is_some_and(beyond)
+    }
+
     /// No pixel.
     pub fn empty(width: u32, height: u32) -> Mask {
         let n = width as usize * height as usize;

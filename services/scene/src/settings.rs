@@ -109,7 +109,8 @@ impl Value for f32 {
     const KIND: &'static str = "X";
     fn read(text: &str) -> Result<Self, String> {
         match text.parse::<f32>() {
-            Ok(x) if x.is_finite() => Ok(x),
+            // A minus before a zero is lost where settings are written.
+            Ok(x) if x.is_finite() => Ok(x + 0.0),
             _ => Err("expected a finite number".into()),
         }
     }

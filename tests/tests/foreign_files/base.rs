@@ -121,7 +121,7 @@ fn reconstruction() -> Reconstruction {
         .map(|(k, p)| PointRecord {
             id: k as u64 + 1,
             position: *p,
-            colour: [90, 120, 150],
+            colour: [90 + k as u8, 120, 150],
             error: 0.5,
             track: (0..PHOTOS).map(|i| (i + 1, k as u32)).collect(),
         })

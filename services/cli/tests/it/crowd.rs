@@ -8,8 +8,9 @@ use std::net::TcpStream;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
-/// Connections of the crowd: more than a process may have open by default.
-const CROWD: usize = 1100;
+/// Files that the process may have open, and connections of the crowd: more than that, and no more than come before a small run is over.
+const FILES: u32 = 256;
+const CROWD: usize = 400;
 
 /// The program in a shell that may open so few files.
 fn with_few_files(limit: u32, args: &[String]) -> Command {
@@ -26,7 +27,7 @@ fn amid_a_crowd(name: &str, args: &[String]) -> Option<(Child, String)> {
         println!("skipped: {name}: this process may not open {CROWD} connections");
         return None;
     }
-    let mut command = with_few_files(256, args);
+    let mut command = with_few_files(FILES, args);
     let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("a shell");
     let mut lines = BufReader::new(child.stderr.take().expect("a pipe")).lines().map_while(Result::ok);
     let first = lines.next().expect("it speaks");

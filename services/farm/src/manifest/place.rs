@@ -21,7 +21,9 @@ impl Places {
         let near = above.or_else(below);
         if let Some((taken, (other, called))) = near {
             return Err(match *taken == key {
-                true if called == out => format!("two scenes run in {}", out.display()),
+                true if called.as_os_str() == out.as_os_str() => {
+                    format!("two scenes run in {}", out.display())
+                }
                 true => format!(
                     "two scenes run in one folder: {} is {} of `{other}`",
                     out.display(),
