@@ -1,4 +1,4 @@
-//! Who writes files: one module of `services/files`, and nobody else.
+//! Who writes files, and who reads those of others: one crate, `services/files`, and nobody else.
 
 use std::path::{Path, PathBuf};
 
@@ -18,10 +18,7 @@ const WRITERS: [&str; 9] = [
 /// Who may: the one writer, and what is no writing of contents.
 const MAY: [(&str, &str); 3] = [
     ("services/files/src/write.rs", "the one writer"),
-    (
-        "services/scene/src/decode/open.rs",
-        "opens for reading alone, with a flag that plain opening does not have",
-    ),
+    ("services/files/src/read.rs", "opens for reading alone, with a flag that plain opening does not have"),
     ("services/flow/src/process.rs", "a lock is a file that stays open; it holds a process's number"),
 ];
 
@@ -78,6 +75,54 @@ fn files_are_written_by_one_module_only() {
         "use segwild_files (a full disk is armed and told of there):\n{}",
         wrong.join("\n")
     );
+}
+
+/// Crates that read what somebody else may have made.
+const READ_OTHERS: [&str; 5] = ["pipeline", "scene", "flow", "farm", "gateway"];
+
+/// What reads a whole file and waits for a pipe in its place.
+const READERS: [&str; 2] = ["fs::read(", "read_to_string("];
+
+/// Which lines may, by their file and a part of them.
+const MAY_READ: [(&str, &str, &str); 5] = [
+    ("services/farm/src/manifest/mod.rs", "std::fs::read(file)", "a person may name a pipe"),
+    ("services/farm/src/machine.rs", "read_to_string(file)", "what the kernel says of the control group"),
+    ("services/flow/src/process.rs", "file.read_to_string(", "the lock that this program holds itself"),
+    ("services/pipeline/src/settings.rs", "std::fs::read(file)", "a person may name a pipe"),
+    ("services/scene/src/ply/export.rs", "&beside", "the note beside an export, which this program writes"),
+];
+
+/// The lines of a source that read whole files, outside of tests and comments.
+fn reading_lines(text: &str) -> Vec<(usize, &str)> {
+    let end = text.find("#[cfg(test)]\nmod ").unwrap_or(text.len());
+    let code = text[..end].lines().enumerate().filter(|(_, line)| !line.trim_start().starts_with("//"));
+    let code = code.filter(|(_, line)| !line.contains("(\"/proc/"));
+    code.filter(|(_, line)| READERS.iter().any(|reader| line.contains(reader)))
+        .map(|(i, line)| (i + 1, line.trim()))
+        .collect()
+}
+
+#[test]
+fn files_of_others_are_read_by_what_waits_for_no_pipe() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the tests crate lies in the workspace");
+    let mut wrong = Vec::new();
+    for service in READ_OTHERS {
+        for source in sources(&root.join("services").join(service).join("src")) {
+            let name = source.strip_prefix(root).expect("inside").display().to_string().replace('\\', "/");
+            let text = std::fs::read_to_string(&source).expect("a source file");
+            let may =
+                |line: &str| MAY_READ.iter().any(|(file, part, _)| *file == name && line.contains(part));
+            let lines = reading_lines(&text).into_iter().filter(|(_, line)| !may(line));
+            wrong.extend(lines.map(|(line, code)| format!("{name}:{line}: {code}")));
+        }
+    }
+    assert!(wrong.is_empty(), "use segwild_files::read_plain:\n{}", wrong.join("\n"));
+}
+
+#[test]
+fn a_new_reader_is_seen() {
+    let text = "/// fs::read(\nfn f() {\n std::fs::read(&path)\n}\n#[cfg(test)]\nmod tests {\n fs::read( }\n";
+    assert_eq!(reading_lines(text), [(3, "std::fs::read(&path)")]);
 }
 
 #[test]

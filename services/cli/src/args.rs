@@ -138,8 +138,8 @@ pub fn program() -> Command {
             Command::new("eval")
                 .about("Score held-out photos, and selections against true masks")
                 .arg(run())
-                .arg(path("truth", "Folder of true masks, one PNG per photo"))
-                .arg(path("strangers", "Score the run's pictures of strangers against true ones, one PNG per photo"))
+                .arg(path("truth", "Folder of true masks, a picture per photo, named as the photo"))
+                .arg(path("strangers", "Score the run's pictures of strangers against true ones, a picture per photo, named as the photo"))
                 .arg(
                     Arg::new("selection").long("selection").value_name("NAME").help("The selection to score"),
                 )

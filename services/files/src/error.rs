@@ -22,7 +22,7 @@ pub enum Obstacle {
 
 /// A file operation that failed: what, where, why, what to do.
 #[derive(Debug, thiserror::Error)]
-#[error("cannot {action} {}: {}", path.display(), Words(*obstacle, source))]
+#[error("cannot {action} {}: {}", path.display(), Words(action, *obstacle, source))]
 pub struct FileError {
     /// What was tried: `write`, `read`, ..
     pub action: &'static str,
@@ -34,19 +34,20 @@ pub struct FileError {
     pub source: io::Error,
 }
 
-struct Words<'a>(Obstacle, &'a io::Error);
+struct Words<'a>(&'static str, Obstacle, &'a io::Error);
 
 impl fmt::Display for Words<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.0 {
+        match self.1 {
             Obstacle::DiskFull => f.write_str("the disk is full; free some space and run again"),
             Obstacle::ReadOnly => f.write_str("the folder is on a read-only file system; choose another one"),
+            Obstacle::Denied if self.0 == "read" => f.write_str("permission denied; you may not read it"),
             Obstacle::Denied => f.write_str("permission denied; choose a folder that you may write"),
             Obstacle::NoFolder => f.write_str("its folder does not exist or is a file"),
             Obstacle::NameTooLong => {
                 f.write_str("its name is too long for the file system; choose a shorter one")
             }
-            Obstacle::Other => write!(f, "{}", self.1),
+            Obstacle::Other => write!(f, "{}", self.2),
         }
     }
 }

@@ -19,7 +19,7 @@ use segwild_vision::Providers;
 use std::collections::BTreeSet;
 
 /// Raised when the bytes that a stage makes from the same input change.
-const FORMAT: u32 = 2;
+const FORMAT: u32 = 3;
 /// The same for the training, whose rules change most often: skies and embeddings, which cost most, stay.
 const TRAINING: u32 = 8;
 
@@ -405,13 +405,16 @@ pub(crate) fn history_of(geometry: &str) -> Key {
     Key::of("history").part("geometry", geometry).finish()
 }
 
-/// The photo's bytes and those of its masks.
+/// The photo's bytes and those of its masks. A mask of what to keep is marked as one: with the same file as the mask of what to
+/// ignore, something else is made.
 fn photo_digest(view: &View) -> Result<String, segwild_scene::SceneError> {
     let mut digest = view.digest()?;
-    for mask in [&view.photo.ignore, &view.photo.usable].into_iter().flatten() {
+    for (label, mask) in [("", &view.photo.ignore), ("keep", &view.photo.usable)] {
+        let Some(mask) = mask else { continue };
         let mut hasher = blake3::Hasher::new();
         let hashed = segwild_scene::open_file(mask).and_then(|file| hasher.update_reader(file).map(drop));
         hashed.map_err(segwild_scene::SceneError::io(mask))?;
+        digest.push_str(label);
         digest.push_str(hasher.finalize().to_hex().as_str());
     }
     Ok(digest)
@@ -442,4 +445,43 @@ fn text<G: Group>(settings: &Settings) -> String {
         .filter(|f| !idle.contains(&f.name))
         .map(|f| format!("{}={}\n", f.name, settings.get(f.name).unwrap_or_default()))
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use segwild_scene::{Camera, Photo, Pose, Seal};
+    use std::path::Path;
+
+    fn view(photo: &Path, ignore: Option<&Path>, usable: Option<&Path>) -> View {
+        let photo = Photo {
+            path: photo.to_owned(),
+            ignore: ignore.map(Path::to_owned),
+            usable: usable.map(Path::to_owned),
+            lens: None,
+            seal: Seal::default(),
+            reading: Default::default(),
+        };
+        let camera = Camera { width: 4, height: 3, fx: 4.0, fy: 4.0, cx: 2.0, cy: 1.5 };
+        let pose = Pose::look_at(glam::Vec3::NEG_Z, glam::Vec3::ZERO, glam::Vec3::NEG_Y);
+        View { name: "0.png".into(), camera, pose, photo, test: false }
+    }
+
+    #[test]
+    fn what_was_made_with_the_masks_to_keep_is_not_taken_for_that_with_the_same_masks_ignored() {
+        let dir = tempfile::tempdir().unwrap();
+        let (photo, mask, other) =
+            (dir.path().join("0.png"), dir.path().join("m.png"), dir.path().join("n.png"));
+        std::fs::write(&photo, b"photo").unwrap();
+        std::fs::write(&mask, b"mask").unwrap();
+        std::fs::write(&other, b"another mask").unwrap();
+        let digest = |ignore, usable| photo_digest(&view(&photo, ignore, usable)).unwrap();
+        let (ignored, kept) = (digest(Some(&*mask), None), digest(None, Some(&*mask)));
+        assert_ne!(ignored, kept);
+        assert_ne!(digest(Some(&*mask), Some(&*other)), digest(Some(&*other), Some(&*mask)));
+        // Photos without masks to keep are called what they always were.
+        let hash = |bytes: &[u8]| blake3::hash(bytes).to_hex().to_string();
+        assert_eq!(digest(None, None), hash(b"photo"));
+        assert_eq!(ignored, hash(b"photo") + &hash(b"mask"));
+    }
 }

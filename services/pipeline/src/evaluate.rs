@@ -1,7 +1,7 @@
 //! Scores: held-out photos by the official protocol, selections against true masks (method, section 10).
 
 use crate::intact::Intact;
-use crate::pictures::Pictures;
+use crate::pictures::{Pictures, same_shape};
 use crate::prompts::Replay;
 use crate::{RunError, RunFolder, Scoring, Selected, Settings};
 use segwild_flow::fault;
@@ -175,11 +175,18 @@ pub fn score(folder: &RunFolder, selection: &str, truth: &Path) -> Result<Score,
         let read = |sub: &str| -> Result<Mask, RunError> {
             let file = pictures.find(&folder.selection(selection).join(sub), i);
             intact.check(&file)?;
-            let mask = Mask::read_png(&file)?;
-            let (w, h) = (truth.width(), truth.height());
-            Ok(if (mask.width(), mask.height()) == (w, h) { mask } else { mask.resized(w, h) })
+            Ok(Mask::read_png(&file)?)
         };
         let (visible, amodal) = (read("masks")?, read("amodal")?);
+        let (w, h) = (truth.width(), truth.height());
+        let (pw, ph) = (visible.width(), visible.height());
+        if !same_shape((w, h), (pw, ph)) {
+            let shapes = format!("{w} x {h} pixels, which does not fit the photo's {pw} x {ph}");
+            unread.push(format!("the true mask of {photo} has {shapes}"));
+            continue;
+        }
+        let fit = |m: Mask| if (m.width(), m.height()) == (w, h) { m } else { m.resized(w, h) };
+        let (visible, amodal) = (fit(visible), fit(amodal));
         let wrong = visible.minus(&truth).count() + truth.minus(&visible).count();
         photos.push(MaskScore {
             photo: photo.clone(),

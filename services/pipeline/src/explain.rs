@@ -10,7 +10,7 @@ use crate::strangers::Corrections;
 use crate::{RunError, RunFolder, Settings, Until, choose_engine};
 use crate::{choice, code};
 use segwild_flow::ledger::{StageRow, State};
-use segwild_flow::{Cache, Ledger};
+use segwild_flow::{Cache, Ledger, files};
 use segwild_scene::Scene;
 use segwild_vision::{NetworkFile, Providers, VisionSettings};
 use serde::Serialize;
@@ -210,7 +210,7 @@ fn geometry(
         let rows = ledger.checkpoints("geometry", &now.keys.training)?;
         // One whose content has changed is passed over by the run; so is one that is gone.
         let whole = rows.iter().filter(|row| {
-            let bytes = folder.checkpoint(row).and_then(|path| std::fs::read(path).ok());
+            let bytes = folder.checkpoint(row).and_then(|path| files::read_plain(&path).ok());
             bytes.is_some_and(|bytes| blake3::hash(&bytes).to_hex().as_str() == row.digest)
         });
         // Without the snapshot, the training has to pass its step again.
@@ -392,5 +392,16 @@ impl Before {
 }
 
 fn shown(value: &str) -> &str {
-    if value.is_empty() { "none" } else { value }
+    if value.is_empty() { "''" } else { value }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::shown;
+
+    #[test]
+    fn a_value_that_is_left_out_is_not_taken_for_the_value_none() {
+        assert_ne!(shown(""), shown("none"));
+        assert_eq!(shown(""), "''");
+    }
 }

@@ -22,11 +22,12 @@ use crate::{RunError, Settings};
 use segwild_features::FeatureField;
 use segwild_flow::files::Stray;
 use segwild_flow::ledger::CheckpointRow;
-use segwild_flow::{Cache, codec, files};
+use segwild_flow::{Cache, FileError, codec, files};
 use segwild_scene::{Frame, Scene, Skipped};
 use segwild_trainer::Model;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashSet};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 /// Kind of the record in `model.bin`, and of models in the cache.
@@ -37,6 +38,18 @@ pub(crate) const FEATURES: &str = "features";
 /// What is in the folder and is written into, beside the ledger (`run.sqlite`, its log and its lock).
 const WRITTEN_INTO: [&str; 7] =
     ["cache", "checkpoints", "history.jsonl", "renders", "selections", "strangers", crate::traces::EARLIER];
+
+/// What is read of it, and lies in no folder that is written into.
+const READ: [&str; 8] = [
+    "evaluation.json",
+    "features.bin",
+    "model.bin",
+    "networks.json",
+    "report.html",
+    "scene.json",
+    "segwild.toml",
+    "timeline.json",
+];
 
 /// A run's folder.
 #[derive(Clone, Debug)]
@@ -109,7 +122,18 @@ impl RunFolder {
     fn stays_inside(&self) -> Result<(), RunError> {
         let ours = |name: &str| WRITTEN_INTO.contains(&name) || name.starts_with("run.");
         let stray = |Stray { path, reason }| RunError::Folder { path, reason };
-        files::stays_inside(&self.path, ours).map_err(stray)
+        files::stays_inside(&self.path, ours).map_err(stray)?;
+        READ.iter().try_for_each(|name| self.waits_for_nobody(name))
+    }
+
+    /// Refuses a pipe or a device in a file's place: reading it would wait for ever, or never end.
+    fn waits_for_nobody(&self, name: &str) -> Result<(), RunError> {
+        match std::fs::metadata(self.path.join(name)).map(|data| data.file_type()) {
+            Ok(kind) if !kind.is_file() && !kind.is_dir() => {
+                Err(self.broken(name, "it is a pipe, a device or a socket, not a file: remove it".into()))
+            }
+            _ => Ok(()),
+        }
     }
 
     /// The file of a checkpoint that the ledger knows; `None` where it names anything but a file among the checkpoints.
@@ -217,7 +241,7 @@ impl RunFolder {
     }
 
     pub(crate) fn read_json<T: for<'de> Deserialize<'de>>(&self, name: &str) -> Result<T, RunError> {
-        let bytes = std::fs::read(self.path.join(name)).map_err(|e| self.broken(name, e.to_string()))?;
+        let bytes = files::read_plain(&self.path.join(name)).map_err(|e| self.broken(name, e.to_string()))?;
         serde_json::from_slice(&bytes).map_err(|e| self.broken(name, e.to_string()))
     }
 
@@ -238,10 +262,13 @@ impl RunFolder {
 
     pub(crate) fn read_record<T: codec::Decode>(&self, name: &str, kind: &str) -> Result<T, RunError> {
         let path = self.path.join(name);
-        let bytes = std::fs::read(&path).map_err(|_| {
-            let reason =
-                "this part of the run is not done yet; `segwild run` with the same folder continues it";
-            RunError::Folder { path: path.clone(), reason: reason.into() }
+        let bytes = files::read_plain(&path).map_err(|error| match error.kind() {
+            ErrorKind::NotFound => {
+                let reason =
+                    "this part of the run is not done yet; `segwild run` with the same folder continues it";
+                RunError::Folder { path: path.clone(), reason: reason.into() }
+            }
+            _ => FileError::new("read", &path, error).into(),
         })?;
         codec::decode(kind, &bytes).map_err(|source| RunError::Record { path, source })
     }
@@ -309,5 +336,55 @@ impl RunFolder {
         }
         let field = field.filter(|f| f.len() == model.splats.len());
         Ok(Loaded { settings, scene, model, field })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn run() -> (tempfile::TempDir, RunFolder) {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = RunFolder::create(dir.path()).unwrap();
+        std::fs::write(folder.ledger(), "").unwrap();
+        (dir, folder)
+    }
+
+    fn read(folder: &RunFolder) -> String {
+        folder.read_record::<Model>("model.bin", MODEL).map(drop).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn only_a_record_that_is_missing_is_said_to_be_not_done_yet() {
+        let (_dir, folder) = run();
+        assert!(read(&folder).contains("not done yet"), "{}", read(&folder));
+        std::fs::create_dir(folder.path().join("model.bin")).unwrap();
+        let said = read(&folder);
+        assert!(said.contains("cannot read") && said.contains("it is a folder"), "{said}");
+        assert!(!said.contains("not done yet"), "{said}");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_pipe_or_an_endless_device_in_a_received_run_is_refused_and_not_waited_for() {
+        for (name, device) in [("model.bin", true), ("scene.json", false), ("segwild.toml", false)] {
+            let (_dir, folder) = run();
+            let file = folder.path().join(name);
+            match device {
+                true => std::os::unix::fs::symlink("/dev/zero", &file).unwrap(),
+                false => {
+                    assert!(std::process::Command::new("mkfifo").arg(&file).status().unwrap().success());
+                }
+            }
+            let said = RunFolder::open(folder.path()).unwrap_err().to_string();
+            assert!(said.contains(name) && said.contains("a pipe, a device or a socket"), "{said}");
+            // Also where it came after the folder was opened.
+            let said = match name {
+                "model.bin" => read(&folder),
+                "scene.json" => folder.intake().unwrap_err().to_string(),
+                _ => format!("{:?}", folder.settings().unwrap_err()),
+            };
+            assert!(said.contains("a pipe, a device or a socket"), "{said}");
+        }
     }
 }

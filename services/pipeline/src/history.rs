@@ -22,7 +22,8 @@ pub struct Moment {
 
 /// The history as far as it was written; lines that are cut short are left out.
 pub fn read(folder: &RunFolder) -> Vec<Moment> {
-    let text = std::fs::read_to_string(folder.history()).unwrap_or_default();
+    let text = segwild_flow::files::read_plain(&folder.history()).unwrap_or_default();
+    let text = String::from_utf8_lossy(&text);
     text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
 }
 

@@ -39,7 +39,7 @@ pub(crate) fn write_list(folder: &Path) -> Result<(), RunError> {
     let mut hashes = BTreeMap::new();
     for file in files_of(folder)? {
         let path = folder.join(&file);
-        let bytes = fs::read(&path).map_err(|e| FileError::new("read", &path, e))?;
+        let bytes = files::read_plain(&path).map_err(|e| FileError::new("read", &path, e))?;
         hashes.insert(file, blake3::hash(&bytes).to_hex().to_string());
     }
     let path = folder.join(LIST);
@@ -81,7 +81,7 @@ impl Intact {
         let folder = run.selection(selection);
         let damaged =
             |reason: String| DamagedFile { selection: selection.into(), file: folder.join(LIST), reason };
-        let hashes: Option<BTreeMap<String, String>> = match fs::read(folder.join(LIST)) {
+        let hashes: Option<BTreeMap<String, String>> = match files::read_plain(&folder.join(LIST)) {
             Ok(text) => {
                 Some(serde_json::from_slice(&text).map_err(|e| damaged(format!("it is damaged: {e}")))?)
             }
@@ -108,7 +108,7 @@ impl Intact {
 
     fn compare(&self, name: &str, hash: &str) -> Result<(), DamagedFile> {
         let file = self.folder.join(name);
-        let reason = match fs::read(&file) {
+        let reason = match files::read_plain(&file) {
             Ok(bytes) if blake3::hash(&bytes).to_hex().as_str() == hash => return Ok(()),
             Ok(_) => "it is not as it was written: its hash does not fit".into(),
             Err(error) => format!("it was written and cannot be read: {error}"),
@@ -146,7 +146,7 @@ pub fn verify_selections(run: &RunFolder) -> (usize, Vec<DamagedFile>) {
 /// A record of a selection of an earlier version, which has no list, says itself whether it is whole.
 fn unreadable(run: &RunFolder, selection: &str, intact: &Intact) -> Option<DamagedFile> {
     let file = run.selection(selection).join("selection.bin");
-    let bytes = fs::read(&file).ok().filter(|_| intact.hashes.is_none())?;
+    let bytes = files::read_plain(&file).ok().filter(|_| intact.hashes.is_none())?;
     let reason = codec::open(&bytes).err()?.to_string();
     Some(DamagedFile { selection: selection.into(), file, reason })
 }

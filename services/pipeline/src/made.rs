@@ -75,7 +75,7 @@ pub(crate) fn look_at(file: &Path, made: Option<&Made>) -> Result<Picture, FileE
     if !file.is_file() {
         return Ok(Picture::None);
     }
-    let bytes = std::fs::read(file).map_err(|e| FileError::new("read", file, e))?;
+    let bytes = files::read_plain(file).map_err(|e| FileError::new("read", file, e))?;
     if let Some(reason) = damage(&bytes) {
         return Ok(Picture::Damaged(reason.into()));
     }
@@ -90,6 +90,42 @@ pub(crate) fn look_at(file: &Path, made: Option<&Made>) -> Result<Picture, FileE
         return Ok(Picture::Ours(hash));
     }
     Ok(Picture::Theirs(mask))
+}
+
+/// What is wrong with a photo's picture, by its bytes alone; `None` where there is none or it is whole.
+pub(crate) fn damage_of(file: &Path) -> Option<String> {
+    match files::read_plain(file) {
+        Ok(bytes) => damage(&bytes).map(str::to_owned),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => None,
+        Err(error) => Some(error.to_string()),
+    }
+}
+
+impl RunFolder {
+    /// Looks at the picture of every photo's transients: how many there are, and those that are damaged, with the reason.
+    ///
+    /// # Errors
+    /// When the list of photos cannot be read.
+    pub fn verify_pictures(&self) -> Result<(usize, Vec<(PathBuf, String)>), RunError> {
+        if !self.path().join("scene.json").exists() {
+            return Ok((0, Vec::new())); // the run has not begun
+        }
+        let (photos, own) = (self.intake()?.photos, self.path().join(FOLDER));
+        let pictures = Pictures::of(photos.iter().map(String::as_str));
+        let ledger = Ledger::of(self);
+        let (mut count, mut damaged) = (0, Vec::new());
+        for photo in 0..photos.len() {
+            let file = pictures.find(&own, photo);
+            match look_at(&file, ledger.of_photo(&pictures, photo)) {
+                Ok(Picture::None) => continue,
+                Ok(Picture::Damaged(reason)) => damaged.push((file, reason)),
+                Err(error) => damaged.push((file, error.to_string())),
+                Ok(Picture::Ours(_) | Picture::Theirs(_)) => {}
+            }
+            count += 1;
+        }
+        Ok((count, damaged))
+    }
 }
 
 /// Writes a picture of this program.
@@ -165,5 +201,28 @@ mod tests {
         let read = |name: &str| std::fs::read_to_string(dir.path().join(name)).unwrap();
         assert_eq!([read("a.png.damaged"), read("a.png.damaged-1")], ["first", "second"]);
         assert!(!file.exists());
+    }
+
+    #[test]
+    fn a_flipped_bit_in_a_picture_is_seen_without_decoding_it_and_by_the_check_of_a_whole_run() {
+        let dir = tempfile::tempdir().unwrap();
+        let run = RunFolder::create(dir.path()).unwrap();
+        assert_eq!(run.verify_pictures().unwrap().0, 0);
+        let frame = serde_json::json!({ "origin": [0.0, 0.0, 0.0], "scale": 1.0 });
+        let intake = serde_json::json!({
+            "scene": dir.path(), "photos": ["a.jpg", "b.jpg"], "held_out": [], "skipped": [], "points": 0, "frame": frame
+        });
+        run.write_json("scene.json", &intake).unwrap();
+        let mask = Mask::from_fn(13, 7, |x, y| (x + y) % 3 == 0);
+        let [a, b] = ["a.png", "b.png"].map(|name| dir.path().join(FOLDER).join(name));
+        write(&a, &mask).unwrap();
+        write(&b, &mask).unwrap();
+        let mut bytes = std::fs::read(&b).unwrap();
+        let middle = bytes.len() / 2;
+        bytes[middle] ^= 1;
+        std::fs::write(&b, bytes).unwrap();
+        assert!(damage_of(&a).is_none() && damage_of(&b).is_some());
+        let (count, damaged) = run.verify_pictures().unwrap();
+        assert_eq!((count, damaged.len(), &damaged[0].0), (2, 1, &b));
     }
 }

@@ -357,7 +357,7 @@ mod tests {
         let frame = Frame { origin: Default::default(), scale: 1.0 };
         let camera = Camera { width: 640, height: 480, fx: 500.0, fy: 500.0, cx: 320.0, cy: 240.0 };
         let view = |i: usize, mib: u64| {
-            let reading = Reading { bytes: mib << 20, empty: false };
+            let reading = Reading { bytes: mib << 20, ..Default::default() };
             let path = format!("{i}.jpg");
             let photo = Photo {
                 path: path.clone().into(),

@@ -76,6 +76,16 @@ impl Pictures {
     }
 }
 
+/// Whether one size is the other scaled: either side of either may be rounded by a pixel.
+pub(crate) fn same_shape(a: (u32, u32), b: (u32, u32)) -> bool {
+    let ((w, h), (pw, ph)) = (pair(a), pair(b));
+    w > 0.0 && h > 0.0 && (w * ph - h * pw).abs() <= 1.01 * (w.max(h) + pw.max(ph))
+}
+
+fn pair((w, h): (u32, u32)) -> (f64, f64) {
+    (f64::from(w), f64::from(h))
+}
+
 /// The names that earlier versions gave: sub-folders flattened, the whole name where two photos have one stem.
 fn flattened<'a>(photos: impl Iterator<Item = &'a str> + Clone) -> Vec<String> {
     let flat = |photo: &str| photo.replace(['/', '\\'], "_");
@@ -206,5 +216,15 @@ mod tests {
         let (mask, file) = (Mask::from_fn(9, 5, |x, y| (x + y) % 2 == 0), dir.path().join("a.png"));
         std::fs::write(&file, with_comment(&mask.png().unwrap(), "made")).unwrap();
         assert_eq!(Mask::read_png(&file).unwrap(), mask);
+    }
+
+    #[test]
+    fn a_mask_turned_by_a_quarter_does_not_fit_and_one_rounded_when_it_was_scaled_does() {
+        for fits in [(160, 107), (1600, 1067), (3200, 2134), (80, 53), (80, 54)] {
+            assert!(same_shape(fits, (1600, 1067)), "{fits:?}");
+        }
+        for other in [(107, 160), (1067, 1600), (1600, 1600), (1600, 1200), (0, 0)] {
+            assert!(!same_shape(other, (1600, 1067)), "{other:?}");
+        }
     }
 }

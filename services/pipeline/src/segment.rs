@@ -343,6 +343,7 @@ pub fn segment(
         wall_s: 0.0,
     };
     outcome.notes.extend(outcome.doubts());
+    outcome.notes.extend(strangers::damaged(folder, &scene));
     outcome.notes.extend(code::changes(&code::of_clicks(code::recorded(folder)), &providers.networks));
     files::write_folder(&target, |aside| -> Result<(), RunError> {
         let dir = |sub: &str| -> Result<PathBuf, RunError> {

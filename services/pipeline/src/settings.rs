@@ -2,6 +2,7 @@
 
 use crate::{EngineKind, WhenLost};
 use segwild_features::FeatureSettings;
+use segwild_flow::files;
 use segwild_masks::MaskSettings;
 use segwild_scene::settings::{Field, Group, SettingError};
 use segwild_scene::{Scene, SceneSettings, choice, settings};
@@ -186,7 +187,8 @@ impl Settings {
     /// another preset or budget than the file also takes along what the file only says because its own did.
     pub fn layered(file: Option<&Path>, flags: &[(String, String)]) -> Result<Settings, SettingsError> {
         let values = match file {
-            Some(file) => read_pairs(file)?,
+            // A person may name a pipe: `--config <(..)`.
+            Some(file) => read_pairs(file, std::fs::read(file))?,
             None => Vec::new(),
         };
         Settings::layered_over(&values, file, flags)
@@ -195,7 +197,7 @@ impl Settings {
     /// As [`Settings::layered`], from the file of a run folder. That is data, which somebody else may have sent: what it
     /// says of code ([`VisionSettings::CODE`]) is passed over.
     pub fn recorded(file: &Path, flags: &[(String, String)]) -> Result<Settings, SettingsError> {
-        let mut values = read_pairs(file)?;
+        let mut values = read_pairs(file, files::read_plain(file))?;
         values.retain(|(name, _)| !VisionSettings::CODE.contains(&name.as_str()));
         Settings::layered_over(&values, Some(file), flags)
     }
@@ -308,10 +310,9 @@ impl Settings {
 }
 
 /// A settings file as `(name, value)` pairs; the table of each must be the one it belongs to.
-fn read_pairs(file: &Path) -> Result<Vec<(String, String)>, SettingsError> {
+fn read_pairs(file: &Path, read: std::io::Result<Vec<u8>>) -> Result<Vec<(String, String)>, SettingsError> {
     let wrong = |reason: String| SettingsError::File { file: file.to_path_buf(), reason };
-    let bytes =
-        std::fs::read(file).map_err(|source| SettingsError::Read { file: file.to_path_buf(), source })?;
+    let bytes = read.map_err(|source| SettingsError::Read { file: file.to_path_buf(), source })?;
     let text = segwild_scene::text::decode(bytes).map_err(wrong)?;
     let tables: toml::Table = text.parse().map_err(|e: toml::de::Error| wrong(e.to_string()))?;
     let catalogue = Settings::catalogue();

@@ -6,7 +6,7 @@
 //! ([`crate::made`]).
 
 use crate::made::{self, FOLDER, Ledger, MADE, Made, Picture, pixels};
-use crate::pictures::Pictures;
+use crate::pictures::{Pictures, same_shape};
 use crate::{RunError, RunFolder};
 use rayon::prelude::*;
 use segwild_flow::{Cache, Failure, FileError, Key};
@@ -130,16 +130,14 @@ impl Correction {
 /// A picture that a person names.
 fn read(file: PathBuf, view: &View) -> Result<Correction, RunError> {
     let mask = Mask::read_png(&file)?;
-    Correction::of(file, mask, view)
+    Correction::of(file, mask, view).map_err(|error| RunError::Input(error.to_string()))
 }
 
 /// Refuses a mask of another shape than its photo's.
 fn fits(mask: &Mask, view: &View, file: &Path) -> Result<(), RunError> {
-    let (w, h) = (f64::from(mask.width()), f64::from(mask.height()));
-    let (pw, ph) = (f64::from(view.camera.width), f64::from(view.camera.height));
-    // Either size may be rounded by half a pixel.
-    let off = (w * ph - h * pw).abs();
-    if w > 0.0 && h > 0.0 && off <= 0.51 * (pw.max(ph) + w.max(h)) {
+    let (w, h) = (mask.width(), mask.height());
+    let (pw, ph) = (view.camera.width, view.camera.height);
+    if same_shape((w, h), (pw, ph)) {
         return Ok(());
     }
     let reason = format!("it has {w} x {h} pixels, which does not fit {}'s {pw} x {ph}", view.name);
@@ -161,6 +159,20 @@ pub(crate) fn of_run(
         let taken = Mask::read_png(&pictures.find(&own, view)).ok()?;
         Some(views[view].mask_from_taken(taken))
     }
+}
+
+/// Pictures of a run that are nobody's work, a sentence each: their photos are taken without.
+pub(crate) fn damaged(folder: &RunFolder, scene: &Scene) -> Vec<String> {
+    let (own, pictures) = (folder.path().join(FOLDER), pictures(scene));
+    let files = (0..scene.views.len()).map(|view| pictures.find(&own, view));
+    let said = |file: PathBuf| {
+        let reason = made::damage_of(&file)?;
+        Some(format!(
+            "{} is damaged ({reason}) and is passed over; `segwild run` makes it again",
+            file.display()
+        ))
+    };
+    files.filter_map(said).collect()
 }
 
 /// What is known of a photo's strangers before anything is trained.
@@ -398,26 +410,49 @@ pub struct StrangerScores {
     pub false_share: f64,
     /// Per photo.
     pub photos: Vec<StrangerScore>,
+    /// Pictures that could not be read or do not fit, and why: their photos do not count.
+    pub unread: Vec<String>,
 }
 
-/// Scores a run's pictures of strangers against true ones in `truth`, one PNG per photo.
+/// A run's picture of a photo and the true one, in pixels of the true one.
+fn compared(found: &Path, truth: &Path) -> Result<(Mask, Mask), String> {
+    let read = |file: &Path| Mask::read_png(file).map_err(|e| e.to_string());
+    let (found, true_one) = (read(found)?, read(truth)?);
+    let (w, h) = (true_one.width(), true_one.height());
+    if !same_shape((w, h), (found.width(), found.height())) {
+        let (pw, ph) = (found.width(), found.height());
+        return Err(format!(
+            "{} has {w} x {h} pixels, which does not fit the photo's {pw} x {ph}",
+            truth.display()
+        ));
+    }
+    Ok((found.resized(w, h), true_one))
+}
+
+/// Scores a run's pictures of strangers against true ones in `truth`, one picture per photo, named as the photo ([`MaskFiles`]).
+///
+/// # Errors
+/// When the folder is not there or holds nothing that counts; a single picture that cannot be read is listed.
 pub fn score_strangers(folder: &RunFolder, truth: &Path) -> Result<StrangerScores, RunError> {
     let intake = folder.intake()?;
     if !truth.is_dir() {
-        return Err(RunError::Request(format!("--strangers {}: there is no such folder", truth.display())));
+        return Err(RunError::Input(format!("--strangers {}: there is no such folder", truth.display())));
     }
-    let mut photos = Vec::new();
+    let (mut photos, mut unread) = (Vec::new(), Vec::new());
     let (mut both, mut either) = (0.0, 0.0);
     let names = intake.photos.iter().map(String::as_str);
     let (pictures, truths) = (Pictures::of(names.clone()), MaskFiles::new(truth, names));
     let (own, held_out) = (folder.path().join(FOLDER), intake.held_out.iter().collect::<HashSet<_>>());
     for (i, photo) in intake.photos.iter().enumerate().filter(|(_, photo)| !held_out.contains(photo)) {
         let found = pictures.find(&own, i);
-        let file =
-            truths.find(photo).map_err(|reason| RunError::Folder { path: truth.to_owned(), reason })?;
-        let Some(file) = file.filter(|_| found.is_file()) else { continue };
-        let truth = Mask::read_png(&file)?;
-        let found = Mask::read_png(&found)?.resized(truth.width(), truth.height());
+        let Some(file) = truths.find(photo).transpose().filter(|_| found.is_file()) else { continue };
+        let (found, truth) = match file.and_then(|file| compared(&found, &file)) {
+            Ok(both) => both,
+            Err(reason) => {
+                unread.push(reason);
+                continue;
+            }
+        };
         let n = f64::from(truth.width()) * f64::from(truth.height());
         both += found.overlap(&truth) as f64;
         either += found.or(&truth).count() as f64;
@@ -429,8 +464,14 @@ pub fn score_strangers(folder: &RunFolder, truth: &Path) -> Result<StrangerScore
         });
     }
     if photos.is_empty() {
-        let reason = "it holds no true mask of a photo of this run whose strangers were looked for".into();
-        return Err(RunError::Folder { path: truth.to_owned(), reason });
+        let mut reason = format!(
+            "--strangers {}: it holds no true mask of a photo of this run whose strangers were looked for",
+            truth.display()
+        );
+        if let Some(first) = unread.first() {
+            reason += &format!("; {} could not be read, the first: {first}", unread.len());
+        }
+        return Err(RunError::Input(reason));
     }
     let mean = |values: Vec<f64>| values.iter().sum::<f64>() / values.len().max(1) as f64;
     Ok(StrangerScores {
@@ -438,6 +479,7 @@ pub fn score_strangers(folder: &RunFolder, truth: &Path) -> Result<StrangerScore
         pooled_iou: if either > 0.0 { both / either } else { 1.0 },
         false_share: mean(photos.iter().map(|p| p.false_share).collect()),
         photos,
+        unread,
     })
 }
 

@@ -1,9 +1,12 @@
 //! Folders of masks that other programs write: white is kept.
 
+use crate::decode::{MEGAPIXELS, pixels_of};
 use crate::draft::Draft;
 use crate::locate::{folder_setting, setting};
 use crate::mask_files::MaskFiles;
+use crate::photo::{bytes_of, cheap_ones};
 use crate::{Mask, SceneError, SceneSettings};
+use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 
 /// Names of such folders.
@@ -76,7 +79,7 @@ pub(crate) fn find(
         files.len()
     ));
     let most = hidden.iter().filter(|share| **share > 0.5).count();
-    if 10 * most >= 9 * hidden.len() {
+    if !hidden.is_empty() && 10 * most >= 9 * hidden.len() {
         notes.push(format!(
             "the masks in {place} hide more than half of nearly every photo: if what is white is to be left out, say \
              `--ignore {place}`"
@@ -99,11 +102,13 @@ fn found<'a>(masks: &MaskFiles, photos: impl Iterator<Item = &'a str>) -> Vec<Pa
     photos.filter_map(|photo| masks.find(photo).ok().flatten()).collect()
 }
 
-/// The shares that some of the masks hide.
-fn hidden(files: &[PathBuf]) -> Result<Vec<f64>, SceneError> {
+/// The shares that some of the masks hide, of those that take little memory.
+fn hidden<'a>(files: &'a [PathBuf]) -> Result<Vec<f64>, SceneError> {
+    let with_bytes = |file: &'a PathBuf| (file, bytes_of(file, pixels_of(MEGAPIXELS)));
+    let files = cheap_ones(files.par_iter().map(with_bytes).collect(), LOOKED_AT);
     let n = files.len().min(LOOKED_AT);
     let share = |k: usize| {
-        let mask = Mask::read_png(&files[k * files.len() / n])?;
+        let mask = Mask::read_png(files[k * files.len() / n])?;
         let pixels = f64::from(mask.width()) * f64::from(mask.height());
         Ok(1.0 - mask.count() as f64 / pixels.max(1.0))
     };

@@ -2,7 +2,7 @@
 
 use crate::decode::converted;
 use crate::draft::Draft;
-use crate::names::{Entry, Listing, is_inside, tidy};
+use crate::names::{Entry, Listing, is_inside, is_photo, key, stem, tidy};
 use crate::{SceneError, SceneSettings};
 use crate::{colmap, draft, transforms};
 use rayon::prelude::*;
@@ -12,9 +12,8 @@ use std::path::{Path, PathBuf};
 /// Folders, relative to the scene's, in which photos are looked for.
 pub(crate) const PHOTO_FOLDERS: [&str; 8] =
     ["images", "dense/images", "dense/0/images", "input", "images_2", "images_4", "images_8", "."];
-/// Endings of photo files, those that cannot be read among them.
-pub(crate) const PHOTO_ENDINGS: [&str; 10] =
-    ["jpg", "jpeg", "png", "webp", "tif", "tiff", "bmp", "heic", "heif", "avif"];
+/// What Blender's scenes call the pictures beside a photo that are no photos.
+const BESIDE: [&str; 3] = ["_depth", "_normal", "_alpha"];
 
 pub(crate) fn setting(setting: &'static str, value: String, reason: &str) -> SceneError {
     SceneError::Setting { setting, value, reason: reason.to_owned() }
@@ -42,7 +41,16 @@ pub(crate) fn find(
         draft.notes.extend(found.note.clone());
         let beside = json.map(|json| format!("{} is read, and not {}", found.dir.display(), json.display()));
         draft.notes.extend(beside);
-        return Ok((folder, draft, images));
+        let images = images.map_or_else(|| find_photos(&folder, &draft), Ok)?;
+        let own = !settings.images.is_empty() || images.starts_with(&folder);
+        draft.notes.extend((!own).then(|| {
+            format!(
+                "the photos are those of {}, which lies outside of {}; to take others, name their folder with `images`",
+                images.display(),
+                folder.display()
+            )
+        }));
+        return Ok((folder, draft, Some(images)));
     }
     let is_json = |json: &PathBuf| json.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
     if let Some(json) = json.filter(is_json) {
@@ -78,12 +86,14 @@ pub(crate) fn folder_setting(
     found.map(Some).ok_or_else(|| setting(name, value.to_owned(), "there is no such folder"))
 }
 
-/// The first folder that holds a photo of the reconstruction, under its name or under what is left of it.
+/// The first folder that holds a photo of the reconstruction, under its name or under what is left of it. Those of the scene itself
+/// come before any outside of it.
 pub(crate) fn find_photos(folder: &Path, draft: &Draft) -> Result<PathBuf, SceneError> {
-    let mut places: Vec<PathBuf> = PHOTO_FOLDERS.iter().map(|p| folder.join(p)).collect();
-    // Photos that lie beside the reconstruction's own folder, or beside the one above it, are surely its own.
+    // Photos that lie beside the reconstruction's own folder, or beside the one above it, are rather its own.
     let above = draft.source.ancestors().skip(1).take(2).map(|dir| dir.join("images"));
-    places.splice(0..0, above);
+    let (mut places, outside): (Vec<PathBuf>, Vec<PathBuf>) = above.partition(|dir| dir.starts_with(folder));
+    places.extend(PHOTO_FOLDERS.iter().map(|p| folder.join(p)));
+    places.extend(outside);
     places.retain(|place| place.is_dir());
     let holds =
         |place: &PathBuf| draft.photos.iter().any(|p| is_inside(&p.name) && is_there(&place.join(&p.name)));
@@ -139,40 +149,101 @@ pub(crate) fn locate(draft: &mut Draft, images: &Path) -> Vec<Result<PathBuf, St
         return located.into_iter().flatten().collect();
     }
     let listing = Listing::of(images);
-    // A file is one photo: that of its exact name, or the only one that it is left of.
-    let mut owners: HashMap<PathBuf, usize> = HashMap::new();
-    for path in located.iter().flatten().flatten() {
-        owners.insert(path.clone(), usize::MAX);
-    }
-    let (mut found, mut names) = (Vec::new(), Vec::new());
-    for (i, photo) in draft.photos.iter().enumerate() {
-        if located[i].is_some() {
-            continue;
-        }
-        let Some(entry) = listing.tail(&photo.name) else {
-            located[i] = Some(Err(no_file(images, &photo.name, listing.candidate(&photo.name))));
-            continue;
-        };
-        if let Some(&owner) = owners.get(&entry.path) {
-            let of = draft.photos.get(owner).map_or(&entry.name, |other| &other.name);
-            let reason =
-                format!("what is left of its name is {}, and that is photo {of} already", entry.name);
-            located[i] = Some(Err(reason));
-            continue;
-        }
-        owners.insert(entry.path.clone(), i);
-        located[i] = Some(Ok(entry.path.clone()));
-        if tidy(&photo.name) != entry.name {
-            found.push((i, entry.name.clone()));
-        }
-        names.push((i, entry.name.clone()));
-    }
+    let claim = |(photo, path): (&draft::DraftPhoto, Option<Result<PathBuf, String>>)| match path {
+        Some(path) => path.map(|path| Claim { path, left: None }),
+        None => match listing.tail(&photo.name) {
+            Some(entry) => Ok(Claim::left(entry)),
+            None => Err(no_file(images, &photo.name, listing.candidate(&photo.name))),
+        },
+    };
+    let claims = draft.photos.iter().zip(located.drain(..)).map(claim).collect();
+    let names: Vec<&str> = draft.photos.iter().map(|photo| photo.name.as_str()).collect();
+    let claims = settle(&names, claims);
+    let left =
+        claims.iter().enumerate().filter_map(|(i, claim)| Some((i, claim.as_ref().ok()?.left.clone()?)));
+    let names: Vec<(usize, String)> = left.collect();
+    let other = |(i, name): &&(usize, String)| tidy(&draft.photos[*i].name) != *name;
+    let found: Vec<(usize, String)> = names.iter().filter(other).cloned().collect();
     draft.notes.extend(renamed(draft, &found));
     for (i, name) in names {
         draft.photos[i].name = name;
     }
-    located.into_iter().flatten().collect()
+    claims.into_iter().map(|claim| claim.map(|claim| claim.path)).collect()
 }
+
+/// The file of a photo, or in words why it has none.
+pub(crate) type Claimed = Result<Claim, String>;
+
+/// The file that may be that of a photo.
+#[derive(Debug)]
+pub(crate) struct Claim {
+    pub path: PathBuf,
+    /// Its name in the photo folder, where it was found by what is left of the photo's name; `None` where it lies where the photo's
+    /// own name says.
+    pub left: Option<String>,
+}
+
+impl Claim {
+    pub(crate) fn left(entry: &Entry) -> Claim {
+        Claim { path: entry.path.clone(), left: Some(entry.name.clone()) }
+    }
+}
+
+/// Gives each file to one photo: the one whose own name it has, else the only one of whose name it is what is left. Where it may be
+/// that of several it is that of none, for a pose with another's photo spoils the scene. `names` are those of the photos.
+pub(crate) fn settle(names: &[&str], claims: Vec<Claimed>) -> Vec<Claimed> {
+    let mut owners: HashMap<PathBuf, &str> = HashMap::new();
+    let mut claimants: HashMap<PathBuf, BTreeSet<&str>> = HashMap::new();
+    for (name, claim) in names.iter().zip(&claims) {
+        match claim {
+            Ok(Claim { path, left: None }) => {
+                owners.extend(converted(path).map(|copy| (copy, *name)));
+                owners.insert(path.clone(), name);
+            }
+            Ok(Claim { path, left: Some(_) }) => {
+                claimants.entry(path.clone()).or_default().insert(name);
+            }
+            Err(_) => {}
+        }
+    }
+    let settled = |(name, claim): (&&str, Result<Claim, String>)| {
+        let claim = claim?;
+        let Some(left) = &claim.left else { return Ok(claim) };
+        if let Some(owner) = owners.get(&claim.path) {
+            return Err(format!("what is left of its name is {left}, and that is photo {owner} already"));
+        }
+        match claimants.get(&claim.path).and_then(|claimants| contested(left, name, claimants)) {
+            None => Ok(claim),
+            Some(reason) => Err(reason),
+        }
+    };
+    names.iter().zip(claims).map(settled).collect()
+}
+
+/// Why the file `left` is not that of the photo `name`, if it may be that of others of these photos.
+fn contested(left: &str, name: &str, claimants: &BTreeSet<&str>) -> Option<String> {
+    let file = key(left);
+    // Blender's names have no ending.
+    let whole = |name: &str| key(name) == file || key(name) == stem(&file);
+    let mut others = claimants.iter().filter(|other| tidy(other) != tidy(name));
+    others.next()?;
+    let mut exact = claimants.iter().filter(|name| whole(name));
+    match (exact.next(), exact.next()) {
+        (Some(_), None) if whole(name) => None,
+        (Some(owner), None) => {
+            Some(format!("what is left of its name is {left}, and that is photo {owner} already"))
+        }
+        _ => {
+            let mut some: Vec<&str> = claimants.iter().take(SHOWN).copied().collect();
+            let more = format!("{} others", claimants.len() - some.len());
+            some.extend((claimants.len() > SHOWN).then_some(more.as_str()));
+            Some(format!("`{left}` may be that of {}, and is used for none of them", some.join(" or ")))
+        }
+    }
+}
+
+/// So many photos that claim one file are named.
+const SHOWN: usize = 3;
 
 /// Why a photo has no file, with the file that may be the one.
 pub(crate) fn no_file(folder: &Path, name: &str, candidate: Option<&Entry>) -> String {
@@ -206,14 +277,17 @@ pub(crate) fn unheld(draft: &Draft, located: &[Result<PathBuf, String>]) -> Opti
     let copies: Vec<PathBuf> = located.iter().flatten().filter_map(|path| converted(path)).collect();
     let held: HashSet<&Path> = located.iter().flatten().chain(&copies).map(PathBuf::as_path).collect();
     let folders: BTreeSet<&Path> = held.iter().filter_map(|path| path.parent()).collect();
-    let is_photo = |path: &Path| {
-        let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase());
-        ending.is_some_and(|e| PHOTO_ENDINGS.contains(&e.as_str()))
+    let stems: HashSet<PathBuf> = held.iter().map(|path| path.with_extension("")).collect();
+    // The raw or HEIC original of a photo that is held, or what Blender rendered beside one.
+    let of_held = |path: &Path| {
+        let copy = converted(path).is_some_and(|copy| held.contains(copy.as_path()));
+        copy || beside_photo(path).is_some_and(|photo| stems.contains(&photo))
     };
     let mut others = Vec::new();
     for folder in folders {
         let files = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
-        others.extend(files.filter(|path| is_photo(path) && !held.contains(path.as_path())));
+        others
+            .extend(files.filter(|path| is_photo(path) && !held.contains(path.as_path()) && !of_held(path)));
     }
     others.sort();
     let first = others.first()?;
@@ -225,4 +299,14 @@ pub(crate) fn unheld(draft: &Draft, located: &[Result<PathBuf, String>]) -> Opti
         draft.source.display(),
         first.file_name()?.to_string_lossy()
     ))
+}
+
+/// The photo, without its ending, beside which a picture of depths, normals or coverage lies: `r_12_depth_0001.png` is one of `r_12`.
+fn beside_photo(path: &Path) -> Option<PathBuf> {
+    let name = path.file_name()?.to_str()?;
+    let name = stem(name);
+    let (at, word) = BESIDE.iter().filter_map(|word| Some((name.rfind(word)?, word))).max()?;
+    let number = &name[at + word.len()..];
+    let is_number = number.strip_prefix('_').unwrap_or(number).chars().all(|c| c.is_ascii_digit());
+    is_number.then(|| path.with_file_name(&name[..at]))
 }

@@ -1,43 +1,48 @@
 //! Which file is the mask of a photo.
 
-use crate::names::{Entry, Listing, key, last_part, stem};
-use std::collections::HashMap;
+use crate::names::{Entry, Listing, READ, key, last_part, stem};
+use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
-
-/// Endings of mask files, the usual first.
-const ENDINGS: [&str; 7] = ["png", "jpg", "jpeg", "bmp", "tif", "tiff", "webp"];
 
 /// The masks in a folder, found by the names of photos: the one place that says what a mask file is called.
 ///
 /// The mask of photo `a/b.jpg` is `a/b.jpg.png` (as COLMAP names it) or `a/b.png`; failing those, the same with another ending
 /// of pictures; failing those, the same without the folder (`b.png`) or with the folder in the name (`a_b.png`), where no other
-/// photo could mean that file. Upper and lower case count only where two files differ in nothing else.
+/// photo could mean that file. Where photos differ in their endings alone (`b.jpg` and `b.png`), `b.png` could be the mask of either, and
+/// only `b.jpg.png` counts. Upper and lower case count only where two files differ in nothing else.
 #[derive(Debug)]
 pub struct MaskFiles {
     listing: Listing,
     /// How many photos have the same last part, or the same name once their folders are part of it, endings aside.
     short: HashMap<String, usize>,
+    /// Whole names without their endings that more than one photo has.
+    shared: HashSet<String>,
 }
 
 impl MaskFiles {
     /// Lists the masks in `folder` for photos of these names, all those of the scene.
     pub fn new<'a>(folder: &Path, photos: impl IntoIterator<Item = &'a str>) -> MaskFiles {
         let mut short: HashMap<String, usize> = HashMap::new();
+        let (mut whole, mut shared) = (HashMap::new(), HashSet::new());
         for photo in photos {
             let key = key(photo);
+            let first = whole.entry(stem(&key).to_owned()).or_insert_with(|| key.clone());
+            if *first != key {
+                shared.insert(stem(&key).to_owned());
+            }
             for name in without_folder(&key) {
                 *short.entry(stem(&name).to_owned()).or_default() += 1;
             }
         }
-        MaskFiles { listing: Listing::of(folder), short }
+        MaskFiles { listing: Listing::of(folder), short, shared }
     }
 
     /// The mask of a photo; `None` where it has none.
     ///
     /// # Errors
-    /// In words, when two files may be its mask.
+    /// In words, when two files may be its mask, or when one may be that of another photo as well.
     pub fn find(&self, photo: &str) -> Result<Option<PathBuf>, String> {
-        let (usual, others) = ENDINGS.split_at(1);
+        let (usual, others) = READ.split_at(1);
         let key = key(photo);
         let only = |name: &String| self.short.get(stem(name)).is_none_or(|&n| n <= 1);
         let short: Vec<String> = without_folder(&key).into_iter().filter(only).collect();
@@ -47,15 +52,35 @@ impl MaskFiles {
                 return Ok(Some(found.path.clone()));
             }
         }
-        Ok(None)
+        self.not_shared(photo).map(|()| None)
+    }
+
+    /// Refuses a photo whose mask may be a file that may be another's too: to go on without it would show what is to be hidden.
+    fn not_shared(&self, photo: &str) -> Result<(), String> {
+        let key = key(photo);
+        let stem = stem(&key);
+        if !self.shared.contains(stem) {
+            return Ok(());
+        }
+        let files = READ.iter().flat_map(|ending| self.listing.named(&format!("{stem}.{ending}")));
+        match files.into_iter().next() {
+            None => Ok(()),
+            Some(file) => Err(format!(
+                "{} may be its mask or that of a photo which differs in its ending alone: name it {}.png",
+                file.path.display(),
+                last_part(photo)
+            )),
+        }
     }
 
     fn one_of(&self, photo: &str, names: &[String], endings: &[&str]) -> Result<Option<&Entry>, String> {
         let mut found: Vec<&Entry> = Vec::new();
+        let shared = self.shared.contains(stem(&key(photo)));
         for name in names {
             for ending in endings {
-                for name in [format!("{name}.{ending}"), format!("{}.{ending}", stem(name))] {
-                    found.extend(self.listing.named(&name));
+                found.extend(self.listing.named(&format!("{name}.{ending}")));
+                if !shared {
+                    found.extend(self.listing.named(&format!("{}.{ending}", stem(name))));
                 }
             }
         }
@@ -93,6 +118,21 @@ fn without_folder(key: &str) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn photos_that_differ_in_their_endings_alone_do_not_share_a_mask() {
+        let dir = tempfile::tempdir().unwrap();
+        for name in ["a.png", "b.png", "c.png", "c.jpg.png"] {
+            std::fs::write(dir.path().join(name), b"").unwrap();
+        }
+        let masks = MaskFiles::new(dir.path(), ["a.jpg", "a.png", "b.jpg", "b.jpg", "c.jpg", "c.png"]);
+        let a = [masks.find("a.jpg").unwrap_err(), masks.find("a.png").unwrap_err()];
+        assert!(a[0].contains("name it a.jpg.png") && a[1].contains("name it a.png.png"), "{a:?}");
+        // One photo listed twice is one photo.
+        assert_eq!(masks.find("b.jpg"), Ok(Some(dir.path().join("b.png"))));
+        assert_eq!(masks.find("c.jpg"), Ok(Some(dir.path().join("c.jpg.png"))));
+        assert!(masks.find("c.png").is_err());
+    }
 
     #[test]
     fn masks_are_found_by_every_programs_name_for_them() {

@@ -14,6 +14,8 @@ const END: f32 = 1.0 / 12.0;
 const TWO_VALUED: f64 = 2.0 / 3.0;
 /// Most of the pixels that may lie amid others of the same value between the ends: soft edges are never flat.
 const FLAT: f64 = 0.01;
+/// Most values that are taken for numbers of regions, such as 0, 1 and 255 for background, object and void.
+const NUMBERS: usize = 8;
 /// Most of the pixels whose colour may be off the line between the two colours by more than an eighth.
 const COLOURED: f64 = 0.02;
 /// Part of the whole range below which the values of a lossy file differ by its losses, and those of another are numbers.
@@ -63,7 +65,7 @@ fn from_picture(picture: &DynamicImage, lossy: bool) -> Result<Mask, String> {
         return values.narrow(lossy);
     }
     if !values.two_valued() {
-        values.soft()?;
+        values.soft(lossy)?;
     }
     Ok(values.over_the_middle())
 }
@@ -138,8 +140,15 @@ impl Values {
         })
     }
 
+    /// Whether there are so few values that each may be the number of a region; soft edges have many.
+    fn are_numbers(&self) -> bool {
+        let mut seen = std::collections::BTreeSet::new();
+        self.values.iter().all(|&v| seen.contains(&v) || (seen.insert(v) && seen.len() <= NUMBERS))
+    }
+
     /// Refuses what is not two values with soft edges.
-    fn soft(&self) -> Result<(), String> {
+    fn soft(&self, lossy: bool) -> Result<(), String> {
+        let numbers = !lossy && self.are_numbers();
         let between = |v: u16| {
             let at = f32::from(v - self.low) / self.range();
             at > END && at < 1.0 - END
@@ -155,7 +164,8 @@ impl Values {
         let flat = |&i: &usize| {
             let (x, v) = (i % w, self.values[i]);
             let alike = |j: usize| self.values.get(j).is_some_and(|&u| u == v);
-            between(v) && x > 0 && x + 1 < w && i >= w && [i - 1, i + 1, i - w, i + w].into_iter().all(alike)
+            let third = if numbers { v != self.low && v != self.high } else { between(v) };
+            third && x > 0 && x + 1 < w && i >= w && [i - 1, i + 1, i - w, i + w].into_iter().all(alike)
         };
         let flat = (0..self.values.len()).filter(flat).count() as f64;
         if flat > FLAT * n {
@@ -275,6 +285,12 @@ mod tests {
 
     fn grey(value: impl Fn(u32, u32) -> u8) -> Result<Mask, String> {
         file("a.png", Colour::L8, |x, y| vec![value(x, y)])
+    }
+
+    #[test]
+    fn an_object_of_1_beside_a_void_of_255_is_refused_and_not_lost() {
+        let said = grey(|x, y| if inside(x, y) { 1 } else { 255 * u8::from(x < 12) }).unwrap_err();
+        assert!(said.contains("third value"), "{said}");
     }
 
     #[test]

@@ -22,7 +22,8 @@ impl Scene {
     /// nerfstudio's `transforms.json`, which may also be named itself.
     ///
     /// Photos that cannot be used are listed in [`Scene::skipped`] with the reason and the rest goes on. Only the heads
-    /// of the photos are read here; [`View::load`] reads the pixels.
+    /// of the photos are read here; [`View::load`] reads the pixels. The exceptions are a few masks, and a few photos that may
+    /// be cut-outs: they are decoded one after the other, and none that takes much memory.
     pub fn open(path: &Path, settings: &SceneSettings) -> Result<Scene, SceneError> {
         let (folder, mut draft, images) = find(path, settings)?;
         let ignore = folder_setting("ignore", &settings.ignore, &folder)?;
@@ -90,6 +91,7 @@ impl Scene {
         }
         if let Some(folder) = &ignore
             && usable.values().all(|(_, c)| c.photo.ignore.is_none())
+            && !skipped.iter().any(|s| has_mask(ignored.as_ref(), &s.name))
         {
             let name = usable.keys().next().copied().unwrap_or_default();
             let reason = format!(
@@ -262,6 +264,11 @@ impl Checked {
     }
 }
 
+/// Whether a mask is named after the photo.
+fn has_mask(masks: Option<&MaskFiles>, photo: &str) -> bool {
+    masks.is_some_and(|masks| !matches!(masks.find(photo), Ok(None)))
+}
+
 fn check(
     photo: &DraftPhoto,
     path: Result<PathBuf, String>,
@@ -308,15 +315,15 @@ fn check(
     if let Some(mask) = usable.as_ref().filter(|mask| !mask.is_file()) {
         return Err(format!("there is no file {}, which is to be its mask", mask.display()));
     }
-    // A mask whose head cannot be read says so when it is decoded.
-    let mask_bytes = |mask: &PathBuf| {
-        let head = Head::read(mask, pixels_of(settings.max_megapixels)).ok()?;
-        Some(head.bytes_for(head.width, head.height))
-    };
-    let masks = [&ignore, &usable].into_iter().flatten().filter_map(mask_bytes).max().unwrap_or(0);
-    let bytes = head.photo_bytes(&camera, lens.is_distorted(), settings.size).max(masks);
+    let most_pixels = pixels_of(settings.max_megapixels);
+    let mut bytes = head.photo_bytes(&camera, lens.is_distorted(), settings.size);
+    for mask in [&ignore, &usable].into_iter().flatten() {
+        let head = Head::read(mask, most_pixels)
+            .map_err(|reason| format!("its mask {}: {reason}", mask.display()))?;
+        bytes = bytes.max(head.bytes_for(head.width, head.height));
+    }
     // Whether it is empty is decided when all photos are known.
-    let reading = Reading { bytes, empty: head.has_alpha() };
+    let reading = Reading { bytes, empty: head.has_alpha(), most_pixels };
     let lens = lens.is_distorted().then_some(lens);
     Ok(Checked { photo: Photo { path, ignore, usable, lens, seal, reading }, camera, pose, copied })
 }

@@ -126,7 +126,19 @@ impl View {
     /// Pixels that the photo and its masks may have: the photo itself was within the bound when the scene was opened.
     fn most_pixels(&self) -> u64 {
         let own = u64::from(self.camera.width) * u64::from(self.camera.height);
-        own.max(decode::pixels_of(decode::MEGAPIXELS))
+        own.max(self.photo.reading.most_pixels)
+    }
+
+    /// Most bytes that decoding the photo for this size or one of its masks takes, as their heads say; what cannot be read takes
+    /// none.
+    pub(crate) fn decoding_bytes(&self, long_side: u32) -> u64 {
+        let of_photo = |head: Head| head.photo_bytes(&self.camera, self.photo.lens.is_some(), long_side);
+        let photo = Head::read(&self.photo.path, self.most_pixels()).map_or(0, of_photo);
+        photo.max(self.mask_bytes())
+    }
+
+    fn mask_bytes(&self) -> u64 {
+        self.masks().map(|(path, _)| bytes_of(path, self.most_pixels())).max().unwrap_or(0)
     }
 
     /// The photo's head, and whether it must be turned to agree with the camera.
@@ -142,8 +154,12 @@ impl View {
         ignore.chain(self.photo.usable.iter().map(|path| (path.as_path(), false)))
     }
 
-    /// Whether its masks leave nothing of it; a mask that cannot be read leaves all.
+    /// Whether its masks leave nothing of it; a mask that cannot be read, or takes much memory, leaves all: [`View::examine`]
+    /// decides then.
     pub(crate) fn is_masked_out(&self) -> bool {
+        if self.mask_bytes() > CHEAP {
+            return false;
+        }
         let mut rest = Mask::full(self.camera.width, self.camera.height);
         for (path, white) in self.masks() {
             let Ok(ignored) = self.ignored(path, white, &self.camera) else { return false };
@@ -187,6 +203,24 @@ impl View {
         };
         Ok(Mask::from_fn(camera.width, camera.height, touched))
     }
+}
+
+/// Bytes that decoding one picture may take while a scene is opened, for no memory budget is set by then.
+const CHEAP: u64 = 64 << 20;
+/// The same where nearly no picture of the scene takes less: one of 12 megapixels in any format.
+const DEAR: u64 = 256 << 20;
+
+/// Of pictures, each with the bytes that decoding it takes, those that may be decoded while a scene is opened: the cheap ones, or
+/// also dearer ones where the cheap are fewer than `wanted` and not all.
+pub(crate) fn cheap_ones<T>(pictures: Vec<(T, u64)>, wanted: usize) -> Vec<T> {
+    let cheap = pictures.iter().filter(|(_, bytes)| *bytes <= CHEAP).count();
+    let most = if cheap >= wanted { CHEAP } else { DEAR };
+    pictures.into_iter().filter(|(_, bytes)| *bytes <= most).map(|(picture, _)| picture).collect()
+}
+
+/// Most bytes that decoding a whole picture of at most so many pixels takes; none where it cannot be decoded.
+pub(crate) fn bytes_of(path: &Path, most_pixels: u64) -> u64 {
+    Head::read(path, most_pixels).map_or(0, |head| head.bytes_for(head.width, head.height))
 }
 
 /// Long side at which a photo is examined.
@@ -410,4 +444,50 @@ fn photographed(lens: &Lens) -> Mask {
     let corners =
         Mask::from_fn(w + 1, h + 1, |x, y| lens.distort([f64::from(x), f64::from(y)]).is_some_and(inside));
     Mask::from_fn(w, h, |x, y| (0..4).all(|k| corners.get(x + k % 2, y + k / 2)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_large_picture_among_small_ones_is_not_decoded_to_learn_what_they_are() {
+        let kept = |mib: &[u64]| cheap_ones(mib.iter().map(|mib| (*mib, mib << 20)).collect(), 2);
+        assert_eq!(kept(&[1, 700, 2, 100]), [1, 2]);
+        // Where all are as large as photos are, those are looked at; what is larger never.
+        assert_eq!(kept(&[100, 100, 1]), [100, 100, 1]);
+        assert!(kept(&[700, 900]).is_empty());
+    }
+
+    #[test]
+    fn what_a_large_tiff_takes_is_known_before_it_is_decoded() {
+        let entry = |tag: u16, kind: u16, count: u32, value: u32| {
+            [&tag.to_le_bytes()[..], &kind.to_le_bytes(), &count.to_le_bytes(), &value.to_le_bytes()].concat()
+        };
+        let (width, height) = (11_200, 8_400);
+        let entries = [
+            entry(256, 4, 1, width),
+            entry(257, 4, 1, height),
+            entry(258, 3, 4, 8),
+            entry(259, 3, 1, 8),
+            entry(262, 3, 1, 2),
+            entry(273, 4, 1, 1_000),
+            entry(277, 3, 1, 4),
+            entry(278, 4, 1, height),
+            entry(279, 4, 1, 5),
+            entry(284, 3, 1, 1),
+            entry(338, 3, 1, 2),
+        ];
+        let directory = [&(entries.len() as u16).to_le_bytes()[..], &entries.concat(), &[0; 4]].concat();
+        let mut file = [b"II*\0\x10\0\0\0", &[8, 0, 8, 0, 8, 0, 8, 0][..], &directory].concat();
+        file.resize(1_005, 0);
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("large.tif");
+        std::fs::write(&path, file).unwrap();
+        let head = Head::read(&path, 200_000_000).unwrap();
+        assert!(head.has_alpha());
+        // A TIFF does not shrink while it is decoded.
+        assert!(bytes_of(&path, 200_000_000) > DEAR && head.bytes_for(160, 120) > DEAR);
+        assert_eq!(bytes_of(&path, 90_000_000), 0, "what has too many pixels is not decoded at all");
+    }
 }

@@ -11,6 +11,7 @@
 use crate::names::{key, last_part, stem};
 use crate::{SceneError, SceneSettings, text, transforms};
 use serde_json::Value;
+use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 
@@ -35,8 +36,10 @@ pub(crate) struct Split {
     /// Whether photos that it does not list take no part; otherwise they are for training.
     closed: bool,
     by_key: HashMap<String, usize>,
-    /// By the last part, and by that without its ending; of several rows the first.
-    by_last: HashMap<String, usize>,
+    /// By the last part without its ending, and by the last part where that is another.
+    by_last: HashMap<String, Vec<usize>>,
+    /// The rows of the scene's photos, by the keys of their names.
+    known: HashMap<String, Option<usize>>,
 }
 
 /// The names of files with a name a line.
@@ -78,15 +81,18 @@ impl Split {
             let held = rows.iter_mut().filter(|(_, part)| *part == Part::Validation);
             held.for_each(|(_, part)| *part = Part::Test);
         }
-        let (mut by_key, mut by_last) = (HashMap::new(), HashMap::new());
+        let mut by_key = HashMap::new();
+        let mut by_last: HashMap<String, Vec<usize>> = HashMap::new();
         for (i, (name, _)) in rows.iter().enumerate() {
             let key = key(name);
             let last = last_part(&key).to_owned();
-            by_last.entry(stem(&last).to_owned()).or_insert(i);
-            by_last.entry(last).or_insert(i);
+            if stem(&last) != last {
+                by_last.entry(stem(&last).to_owned()).or_default().push(i);
+            }
+            by_last.entry(last).or_default().push(i);
             by_key.entry(key).or_insert(i);
         }
-        Split { path: path.to_owned(), rows, closed, by_key, by_last }
+        Split { path: path.to_owned(), rows, closed, by_key, by_last, known: HashMap::new() }
     }
 
     /// Reads the file that a person named.
@@ -112,6 +118,17 @@ impl Split {
     /// Finds the split of a scene, if it has one, and what else is to be said of it. `near` are the folders it may lie in, `photos`
     /// the names in the reconstruction, `own` what the reconstruction itself says.
     pub(crate) fn find(
+        near: &[&Path],
+        settings: &SceneSettings,
+        photos: &[&str],
+        own: Option<Split>,
+        notes: &mut Vec<String>,
+    ) -> Result<Option<Split>, SceneError> {
+        let found = Split::choose(near, settings, photos, own, notes)?;
+        Ok(found.map(|split| split.of(photos)))
+    }
+
+    fn choose(
         near: &[&Path],
         settings: &SceneSettings,
         photos: &[&str],
@@ -189,12 +206,44 @@ impl Split {
         }
     }
 
+    /// The same for the photos of a scene: a row is that of the photos whose names fit it best, and of no others.
+    fn of(mut self, photos: &[&str]) -> Split {
+        let keys: BTreeSet<String> = photos.iter().map(|photo| key(photo)).collect();
+        let mut best = vec![Fit::StemTail; self.rows.len()];
+        for key in &keys {
+            for (row, fit) in self.fitting(key) {
+                best[row] = best[row].min(fit);
+            }
+        }
+        let row = |key: String| {
+            let row = self.best(&key, |row, fit| fit <= best[row]);
+            (key, row)
+        };
+        self.known = keys.into_iter().map(row).collect();
+        self
+    }
+
     /// The row of a photo.
     pub(crate) fn row(&self, name: &str) -> Option<usize> {
         let key = key(name);
-        let last = last_part(&key);
-        let whole = self.by_key.get(&key).or_else(|| self.by_key.get(last));
-        whole.or_else(|| self.by_last.get(last)).or_else(|| self.by_last.get(stem(last))).copied()
+        self.known.get(&key).copied().unwrap_or_else(|| self.best(&key, |_, _| true))
+    }
+
+    /// The row that fits a photo best: of several the one that has most of the name in common, and of such the first.
+    fn best(&self, key: &str, may: impl Fn(usize, Fit) -> bool) -> Option<usize> {
+        let common = |row: usize| self.rows[row].0.len().min(key.len());
+        let fitting = self.fitting(key).into_iter().filter(|&(row, fit)| may(row, fit));
+        fitting.min_by_key(|&(row, fit)| (fit, Reverse(common(row)), row)).map(|(row, _)| row)
+    }
+
+    /// The rows that may be those of a photo.
+    fn fitting(&self, photo: &str) -> Vec<(usize, Fit)> {
+        if let Some(&row) = self.by_key.get(photo) {
+            return vec![(row, Fit::Whole)];
+        }
+        let last = last_part(photo);
+        let rows = [last, stem(last)].into_iter().filter_map(|name| self.by_last.get(name)).flatten();
+        rows.filter_map(|&row| Some((row, fit(photo, &key(&self.rows[row].0))?))).collect()
     }
 
     /// The rows that are of none of these photos.
@@ -202,6 +251,35 @@ impl Split {
         let matched: BTreeSet<usize> = photos.iter().filter_map(|photo| self.row(photo)).collect();
         let rows = self.rows.iter().enumerate().filter(|(i, _)| !matched.contains(i));
         rows.map(|(_, row)| row).collect()
+    }
+}
+
+/// How the name of a photo fits that in a row, the best first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Fit {
+    Whole,
+    /// But for the ending.
+    Stem,
+    /// One is what is left of the other, from one of its folders on.
+    Tail,
+    /// But for the ending, too.
+    StemTail,
+}
+
+/// How two keys fit; `None` where they are names of different photos.
+fn fit(photo: &str, row: &str) -> Option<Fit> {
+    let is_end = |of: &str, end: &str| of.strip_suffix(end).is_some_and(|start| start.ends_with('/'));
+    let is_tail = |a: &str, b: &str| is_end(a, b) || is_end(b, a);
+    // Either may have no ending, and then a dot in it is part of the name.
+    let pairs = [(photo, stem(row)), (stem(photo), row), (stem(photo), stem(row))];
+    if photo == row {
+        Some(Fit::Whole)
+    } else if pairs.iter().any(|(a, b)| a == b) {
+        Some(Fit::Stem)
+    } else if is_tail(photo, row) {
+        Some(Fit::Tail)
+    } else {
+        pairs.iter().any(|(a, b)| is_tail(a, b)).then_some(Fit::StemTail)
     }
 }
 
@@ -303,13 +381,15 @@ fn read_json(path: &Path, photos: &[&str]) -> Result<Split, SceneError> {
 }
 
 /// What numbers in a split.json stand for: the names of the frames of the transforms.json beside it, or of the photos of the
-/// reconstruction, by their last parts in order.
+/// reconstruction, by their last parts in order. A last part that several have stands for none of them alone: those keep their folders.
 fn numbered(split: &Path, photos: &[&str]) -> Vec<String> {
     let beside = transforms::frame_names(&split.with_file_name("transforms.json"));
     let names = beside.unwrap_or_else(|| photos.iter().map(|name| (*name).to_owned()).collect());
-    let mut names: Vec<String> = names.iter().map(|name| last_part(name).to_owned()).collect();
-    names.sort();
-    names
+    let mut names: Vec<(&str, &str)> = names.iter().map(|name| (last_part(name), name.as_str())).collect();
+    names.sort_unstable();
+    let mut count: HashMap<&str, usize> = HashMap::new();
+    names.iter().for_each(|(last, _)| *count.entry(last).or_default() += 1);
+    names.iter().map(|(last, whole)| if count[last] > 1 { *whole } else { *last }.to_owned()).collect()
 }
 
 /// RobustNeRF's photos say themselves what they are for.
@@ -324,4 +404,38 @@ fn by_names(photos: &[&str], folder: &Path) -> Option<Split> {
     let some = |wanted: Part| rows.iter().any(|(_, part)| *part == wanted);
     (some(Part::Train) && some(Part::Test))
         .then(|| Split::new(&folder.join("(names of the photos)"), rows, true))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn part(rows: &[&str], photos: &[&str]) -> Vec<Part> {
+        let rows = rows.iter().map(|row| ((*row).to_owned(), Part::Test));
+        let split = Split::new(Path::new("test.txt"), rows, false).of(photos);
+        photos.iter().filter_map(|photo| split.part(photo)).collect()
+    }
+
+    #[test]
+    fn a_row_holds_out_no_other_photo_of_the_same_last_part() {
+        use Part::{Test, Train};
+        assert_eq!(part(&["cam0/003.jpg"], &["cam0/003.jpg", "cam1/003.jpg"]), [Test, Train]);
+        assert_eq!(part(&["cam0/003"], &["cam0/003.jpg", "cam1/003.jpg"]), [Test, Train]);
+        assert_eq!(part(&["003.jpg"], &["003.jpg", "cam1/003.jpg"]), [Test, Train]);
+        assert_eq!(part(&["a.jpg"], &["a.jpg", "a.png"]), [Test, Train]);
+        assert_eq!(part(&["cam0/003.jpg"], &["003.jpg", "cam0/003.jpg"]), [Train, Test]);
+        assert_eq!(part(&["3.jpg"], &["13.jpg", "x/13.jpg"]), [Train, Train]);
+    }
+
+    #[test]
+    fn a_row_is_found_by_what_is_left_of_its_name() {
+        use Part::{Test, Train};
+        let rows = ["/home/x/images/cam0/a.JPG", "images/b", "c.png", "IMG.001"];
+        let photos = ["cam0/a.jpg", "b.jpg", "in/c.jpg", "IMG.001.jpg", "IMG.002.jpg"];
+        assert_eq!(part(&rows, &photos), [Test, Test, Test, Test, Train]);
+        // The one with more in common is the row of a photo.
+        let split =
+            Split::new(Path::new("x"), [("a.jpg".to_owned(), Train), ("cam0/a.jpg".to_owned(), Test)], false);
+        assert_eq!(split.of(&["images/cam0/a.jpg"]).part("images/cam0/a.jpg"), Some(Test));
+    }
 }

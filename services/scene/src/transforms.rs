@@ -6,7 +6,8 @@
 use crate::decode::{Head, converted};
 use crate::draft::{Draft, DraftPhoto, DraftPose, finite};
 use crate::lens::{Lens, Model};
-use crate::names::{Listing, is_inside, key, last_part, tidy};
+use crate::locate::{Claim, Claimed, settle};
+use crate::names::{CAPITALS, Listing, READ, is_inside, is_photo, key, last_part, tidy};
 use crate::split::{Part, Split};
 use crate::{SceneError, draft, locate, text};
 use glam::{DMat3, DVec3};
@@ -16,8 +17,12 @@ use std::collections::HashMap;
 use std::path::{Component, Path, PathBuf};
 use std::sync::OnceLock;
 
-/// Endings tried when a `file_path` has none, as Blender writes it.
-const ENDINGS: [&str; 6] = ["png", "jpg", "jpeg", "JPG", "PNG", "JPEG"];
+/// Endings tried first when a `file_path` has none, as Blender writes it; then all the others that are read.
+const USUAL: [&str; 6] = ["png", "jpg", "jpeg", "JPG", "PNG", "JPEG"];
+
+fn endings() -> impl Iterator<Item = &'static str> {
+    USUAL.into_iter().chain(READ).chain(CAPITALS)
+}
 
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default)]
@@ -126,19 +131,24 @@ pub(crate) fn read(path: &Path, images: Option<&Path>, all: bool) -> Result<Draf
     let common = common_folder(&listed);
     let frames: Vec<(&Sheet, &Frame)> =
         sheets.iter().flat_map(|sheet| sheet.transforms.frames.iter().map(move |f| (sheet, f))).collect();
-    let photo = |(&(sheet, frame), listed): (&(&Sheet, &Frame), &PathBuf)| {
-        let short = listed.strip_prefix(&common).unwrap_or(listed);
-        let file = match images {
-            Some(_) => files.find(&short.to_string_lossy()),
-            None => files.find(&frame.file_path),
-        };
+    let short = |listed: &'_ PathBuf| listed.strip_prefix(&common).unwrap_or(listed).to_owned();
+    let claim = |(&(_, frame), listed): (&(&Sheet, &Frame), &PathBuf)| match images {
+        Some(_) => files.find(&short(listed).to_string_lossy()),
+        None => files.find(&frame.file_path),
+    };
+    let claims = frames.par_iter().zip(&listed).map(claim).collect();
+    let names: Vec<&str> = frames.iter().map(|(_, frame)| frame.file_path.as_str()).collect();
+    let claims = settle(&names, claims);
+    let photo = |(((sheet, frame), listed), claim): ((&(&Sheet, &Frame), &PathBuf), Claimed)| {
+        let short = &short(listed);
+        let file = claim.map(|claim| claim.path);
         let at = file.as_deref().unwrap_or(Path::new(""));
         let lens = lens_of(&frame.intrinsics, &sheet.transforms.intrinsics, at);
         let usable = frame.mask_path.as_deref().map(|mask| files.beside(mask));
         let pose = pose_of(&frame.transform_matrix);
         DraftPhoto { name: files.name(short, &file), file: Some(file), usable, lens, pose }
     };
-    let photos: Vec<DraftPhoto> = frames.par_iter().zip(&listed).map(photo).collect();
+    let photos: Vec<DraftPhoto> = frames.par_iter().zip(&listed).zip(claims).map(photo).collect();
     let mut points = Vec::new();
     let ply = sheets.iter().find_map(|sheet| sheet.transforms.ply_file_path.as_ref());
     if let Some(ply) = ply.map(|ply| files.beside(ply)) {
@@ -152,7 +162,13 @@ pub(crate) fn read(path: &Path, images: Option<&Path>, all: bool) -> Result<Draf
         }
     }
     let split = split_of(path, &sheets, &photos);
-    Ok(Draft { photos, points, notes, split, source: path.to_owned() })
+    Ok(Draft { photos, points, notes, split, source: sources(path, &sheets) })
+}
+
+/// All the files that were read, as one name for a person.
+fn sources(path: &Path, sheets: &[Sheet]) -> PathBuf {
+    let files = sheets.iter().map(|s| last_part(&s.path.to_string_lossy()).to_owned());
+    path.with_file_name(files.collect::<Vec<_>>().join(" + "))
 }
 
 fn parse(path: &Path, part: Option<Part>) -> Result<Sheet, SceneError> {
@@ -171,10 +187,7 @@ fn split_of(path: &Path, sheets: &[Sheet], photos: &[DraftPhoto]) -> Option<Spli
     if sheets.iter().any(|sheet| sheet.part.is_some()) {
         let parts =
             sheets.iter().flat_map(|s| s.transforms.frames.iter().map(|_| s.part.unwrap_or(Part::Train)));
-        let folder = path.parent().unwrap_or(path);
-        let files = sheets.iter().map(|s| last_part(&s.path.to_string_lossy()).to_owned());
-        let source = folder.join(files.collect::<Vec<_>>().join(" + "));
-        return Some(Split::new(&source, names.zip(parts).collect::<Vec<_>>(), true));
+        return Some(Split::new(&sources(path, sheets), names.zip(parts).collect::<Vec<_>>(), true));
     }
     let Transforms { frames, train_filenames, val_filenames, test_filenames, .. } = &sheets[0].transforms;
     let lists =
@@ -211,14 +224,14 @@ impl<'a> PhotoFinder<'a> {
     ///
     /// # Errors
     /// In words, when it is not there.
-    fn find(&self, listed: &str) -> Result<PathBuf, String> {
+    fn find(&self, listed: &str) -> Result<Claim, String> {
         let tidied = tidy(listed);
         let other = (tidied != listed).then_some(tidied.as_str());
         for name in std::iter::once(listed).chain(other) {
             if let Some(path) = inside(&self.photos, name).map(|path| with_ending(&path))
                 && (path.is_file() || converted(&path).is_some())
             {
-                return Ok(path);
+                return Ok(Claim { path, left: None });
             }
         }
         let listings =
@@ -226,11 +239,11 @@ impl<'a> PhotoFinder<'a> {
         for (folder, listing) in listings {
             let listing = listing.get_or_init(|| Listing::of(folder));
             let endings =
-                ENDINGS.iter().filter(|_| !has_ending(listed)).map(|ending| format!("{listed}.{ending}"));
+                endings().filter(|_| !is_photo(Path::new(listed))).map(|ending| format!("{listed}.{ending}"));
             let found =
                 std::iter::once(listed.to_owned()).chain(endings).find_map(|name| listing.tail(&name));
             if let Some(entry) = found {
-                return Ok(entry.path.clone());
+                return Ok(Claim::left(entry));
             }
         }
         if inside(&self.photos, listed).is_none() && self.folder.join(listed).is_file() {
@@ -327,16 +340,11 @@ fn common_folder(files: &[PathBuf]) -> PathBuf {
     common
 }
 
-fn has_ending(name: &str) -> bool {
-    let ending = Path::new(name).extension().map(|e| e.to_string_lossy().to_lowercase());
-    ending.is_some_and(|e| locate::PHOTO_ENDINGS.contains(&e.as_str()))
-}
-
 fn with_ending(path: &Path) -> PathBuf {
-    if path.is_file() || has_ending(&path.to_string_lossy()) {
+    if path.is_file() || is_photo(path) {
         return path.to_owned();
     }
-    let ended = ENDINGS.iter().map(|ending| {
+    let ended = endings().map(|ending| {
         let mut ended = path.as_os_str().to_owned();
         ended.push(".");
         ended.push(ending);

@@ -1,5 +1,6 @@
 //! Posed photos and the scene they belong to.
 
+use crate::decode::{MEGAPIXELS, pixels_of};
 use crate::names::{key, last_part, stem};
 use crate::{Camera, NEAR, Pose};
 use glam::{DVec3, Vec2, Vec3};
@@ -24,12 +25,20 @@ pub struct Photo {
 }
 
 /// How a photo's file is read.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reading {
     /// Most bytes that decoding the photo or one of its masks takes, at the size that the scene was opened for.
     pub bytes: u64,
     /// What is transparent is empty, not ignored: nothing of the scene stands before it.
     pub empty: bool,
+    /// Most pixels that the photo's file or one of its masks may have, as the scene's settings say.
+    pub most_pixels: u64,
+}
+
+impl Default for Reading {
+    fn default() -> Reading {
+        Reading { bytes: 0, empty: false, most_pixels: pixels_of(MEGAPIXELS) }
+    }
 }
 
 /// One posed photo.

@@ -90,6 +90,43 @@ fn png(width: u32, height: u32, more: &[u8], data: &[u8]) -> Vec<u8> {
     [b"\x89PNG\r\n\x1a\n".to_vec(), parts.concat()].concat()
 }
 
+/// A TIFF of transparent black, packed as zlib does.
+fn tiff(width: u32, height: u32) -> Vec<u8> {
+    let data = packed_zeros(4 * width as usize * height as usize);
+    let entry = |tag: u16, kind: u16, count: u32, value: u32| {
+        [&tag.to_le_bytes()[..], &kind.to_le_bytes(), &count.to_le_bytes(), &value.to_le_bytes()].concat()
+    };
+    let entries = [
+        entry(256, 4, 1, width),
+        entry(257, 4, 1, height),
+        entry(258, 3, 4, 8), // four depths, which lie behind the head
+        entry(259, 3, 1, 8), // zlib
+        entry(262, 3, 1, 2), // red, green, blue
+        entry(273, 4, 1, 1_000),
+        entry(277, 3, 1, 4),
+        entry(278, 4, 1, height),
+        entry(279, 4, 1, data.len() as u32),
+        entry(284, 3, 1, 1),
+        entry(338, 3, 1, 2), // and alpha
+    ];
+    let depths = [8, 0, 8, 0, 8, 0, 8, 0];
+    let directory = [&(entries.len() as u16).to_le_bytes()[..], &entries.concat(), &[0; 4]].concat();
+    let mut file = [b"II*\0\x10\0\0\0", &depths[..], &directory].concat();
+    file.resize(1_000, 0);
+    file.extend(data);
+    file
+}
+
+/// A PNG of a disc on a transparent ground, 112 x 84 pixels.
+fn disc(i: u32) -> Vec<u8> {
+    let within = |x: u32, y: u32| x.abs_diff(56).pow(2) + y.abs_diff(42).pow(2) < 150 + 30 * i;
+    let pixel = |x, y| image::Rgba([90, 90, 90, if within(x, y) { 255 } else { 0 }]);
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    let picture = image::RgbaImage::from_fn(112, 84, pixel);
+    picture.write_to(&mut bytes, image::ImageFormat::Png).unwrap();
+    bytes.into_inner()
+}
+
 /// A scene of photos of one size, each with its file.
 fn scene(dir: &Path, (width, height): (u64, u64), files: &[(&str, Vec<u8>)]) {
     let camera = CameraRecord {
@@ -186,6 +223,19 @@ fn files_that_claim_much_and_photos_that_are_large_take_little_memory() {
         }
     });
     assert!(mib < 60.0, "masks take {mib:.0} MiB");
+
+    // Cut-outs, of which the first is large: what they are, the small ones say.
+    let cut_outs = dir.path().join("cut_outs");
+    let mut files = vec![("00.tif".to_owned(), tiff(11_200, 8_400))];
+    files.extend((1..16).map(|i| (format!("{i:02}.png"), disc(i))));
+    let files: Vec<(&str, Vec<u8>)> = files.iter().map(|(name, bytes)| (&**name, bytes.clone())).collect();
+    scene(&cut_outs, (11_200, 8_400), &files);
+    let mut opened = None;
+    let mib = taken(|| opened = Some(Scene::open(&cut_outs, &SceneSettings::default()).unwrap()));
+    assert!(mib < 60.0, "opening a scene with one large cut-out takes {mib:.0} MiB");
+    let opened = opened.unwrap();
+    assert_eq!(opened.views.len(), 16, "{:?}", opened.skipped);
+    assert!(opened.views.iter().all(|view| view.photo.reading.empty), "{:?}", opened.notes);
 
     // Eight of 95 megapixels: each whole would be 272 MiB, and with its coefficients twice as much again.
     for progressive in [false, true] {

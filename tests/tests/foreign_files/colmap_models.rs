@@ -237,6 +237,70 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Expect::Holds { photos: 12, check: |scene| assert_eq!(scene.notes, [""; 0]) },
     },
+    Row {
+        name: "a model in the scene's folder itself, and photos of the same names outside of it",
+        make: |files| {
+            for name in ["cameras.bin", "images.bin", "points3D.bin"] {
+                files.rename(&format!("sparse/0/{name}"), name);
+            }
+            files.photo("../../images/photo00.png");
+        },
+        settings: &[],
+        expect: Expect::Holds {
+            photos: 12,
+            check: |scene| assert!(scene.views[0].photo.path.ends_with("scene/images/photo00.png")),
+        },
+    },
+    Row {
+        name: "a model in the scene's folder itself, and its photos outside of it",
+        make: |files| {
+            for name in ["cameras.bin", "images.bin", "points3D.bin"] {
+                files.rename(&format!("sparse/0/{name}"), name);
+            }
+            files.rename("images", "../images");
+        },
+        settings: &[],
+        expect: Expect::Reads { photos: 12, words: &["which lies outside of", "with `images`"] },
+    },
+    Row {
+        name: "two photos of which the same file may be left",
+        make: |files| {
+            renamed(files, |name| match name {
+                "photo05.png" => "cam0/photo05.png".into(),
+                "photo06.png" => "cam1/photo05.png".into(),
+                other => other.into(),
+            });
+        },
+        settings: &[],
+        expect: Expect::Reads {
+            photos: 10,
+            words: &["`photo05.png` may be that of cam0/photo05.png or cam1/photo05.png", "2 of the photos"],
+        },
+    },
+    Row {
+        name: "a photo of its own name and another of which the same file may be left",
+        make: |files| {
+            renamed(files, |name| match name {
+                "photo05.png" => "cam0/photo06.PNG".into(),
+                "photo06.png" => "photo06.PNG".into(),
+                other => other.into(),
+            });
+        },
+        settings: &[],
+        expect: Expect::Reads {
+            photos: 11,
+            words: &["cam0/photo06.PNG", "that is photo photo06.PNG already"],
+        },
+    },
+    Row {
+        name: "the raw originals beside the photos",
+        make: |files| {
+            files.write("images/photo05.CR2", "II*");
+            files.write("images/other.nef", "II*");
+        },
+        settings: &[],
+        expect: Expect::Reads { photos: 12, words: &["1 of the photos", "other.nef"] },
+    },
 ];
 
 #[cfg(target_os = "linux")]

@@ -131,4 +131,19 @@ pub const ROWS: &[Row] = &[
             words: &["photo03.png.png", "may both be the mask of photo03.png"],
         },
     },
+    Row {
+        name: "one mask and two photos that differ in their endings alone",
+        make: |files| {
+            files.rename("images/photo04.png", "images/photo03.jpg");
+            files.remodel(|model| model.images[4].name = "photo03.jpg".into());
+            for name in ["photo03.png", "photo03.jpg.png", "photo05.png"] {
+                left().write_png(&files.path(&format!("ignored/{name}"))).expect("written");
+            }
+        },
+        settings: &[("ignore", "ignored")],
+        expect: Expect::Reads {
+            photos: 11,
+            words: &["differs in its ending alone", "name it photo03.png.png"],
+        },
+    },
 ];

@@ -95,6 +95,12 @@ fn cut_outs(files: &Files) {
     }
 }
 
+/// A mask of 1.08 megapixels.
+fn large_mask(files: &Files, name: &str) {
+    let mask = segwild_scene::Mask::from_fn(1_200, 900, |x, _| x < 300);
+    mask.write_png(&files.path(name)).expect("a mask is written");
+}
+
 fn foreign(files: &Files, start: &[u8]) {
     files.write(ONE, [start, &[0; 64]].concat());
 }
@@ -474,6 +480,24 @@ pub const ROWS: &[Row] = &[
             },
         },
     ),
+    Row {
+        name: "a mask to ignore with more megapixels than allowed",
+        make: |files| {
+            large_mask(files, "ignored/photo03.png");
+            large_mask(files, "ignored/photo04.png.png");
+        },
+        settings: &[("ignore", "ignored"), ("max_megapixels", "1")],
+        expect: Expect::Reads {
+            photos: 10,
+            words: &["photo03.png: its mask", "photo04.png.png", "1200 x 900", "--max-megapixels allows 1"],
+        },
+    },
+    Row {
+        name: "a mask to keep with more megapixels than allowed",
+        make: |files| large_mask(files, "masks/photo03.png"),
+        settings: &[("max_megapixels", "1")],
+        expect: Expect::Reads { photos: 11, words: &["photo03.png: its mask", "--max-megapixels allows 1"] },
+    },
     row(
         "a focal length of a thousandth of a pixel",
         |files| other_camera(files, [1e-3, 1e-3, 24.0, 18.0]),

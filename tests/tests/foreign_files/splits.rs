@@ -214,4 +214,36 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Expect::Holds { photos: 12, check: first_two },
     },
+    Row {
+        name: "a list of the photos of one camera, where another camera's have the same last parts",
+        make: |files| {
+            let name = |i: u32| format!("cam{}/{:02}.png", i / 6, i % 6);
+            for i in 0..PHOTOS {
+                files.rename(&format!("images/photo{i:02}.png"), &format!("images/{}", name(i)));
+            }
+            files.remodel(|model| (0..PHOTOS).for_each(|i| model.images[i as usize].name = name(i)));
+            files.write("test_list.txt", "cam0/03.png\ncam1/04\n");
+        },
+        settings: &[],
+        expect: Expect::Holds {
+            photos: 12,
+            check: |scene| assert_eq!(tests(scene), ["cam0/03.png", "cam1/04.png"]),
+        },
+    },
+    Row {
+        name: "split.json of numbers, where two cameras' photos have the same last parts",
+        make: |files| {
+            let name = |i: u32| format!("cam{}/{:02}.png", i / 6, i % 6);
+            for i in 0..PHOTOS {
+                files.rename(&format!("images/photo{i:02}.png"), &format!("images/{}", name(i)));
+            }
+            files.remodel(|model| (0..PHOTOS).for_each(|i| model.images[i as usize].name = name(i)));
+            files.write("split.json", "{\"test\": [0, 3]}");
+        },
+        settings: &[],
+        expect: Expect::Holds {
+            photos: 12,
+            check: |scene| assert_eq!(tests(scene), ["cam0/00.png", "cam1/01.png"]),
+        },
+    },
 ];

@@ -26,6 +26,23 @@ fn only(files: &Files, head: &str, folder: &str) {
     write(files, head, &frames(0..PHOTOS, folder));
 }
 
+/// Makes it Blender's scene of pictures with this ending: two for testing, and no ending in the names.
+fn blender(files: &Files, ending: &str) {
+    files.remove("sparse");
+    let angle = 2.0 * (24.0f64 / 50.0).atan();
+    for (part, photos) in [("train", 2..PHOTOS), ("test", 0..2)] {
+        let frames = frames(photos.clone(), &format!("./{part}/")).replace(".png\"", "\"");
+        let text = format!("{{\"camera_angle_x\": {angle}, \"frames\": [{frames}]}}");
+        files.write(&format!("transforms_{part}.json"), text);
+        for i in photos {
+            let from = format!("images/photo{i:02}.png");
+            let picture = image::open(files.path(&from)).expect("a photo").to_rgb8();
+            picture.save(files.path(&format!("{part}/photo{i:02}.{ending}"))).expect("a photo is written");
+            files.remove(&from);
+        }
+    }
+}
+
 fn lens(scene: &Scene) -> Option<Model> {
     scene.views[0].photo.lens.as_ref().map(|lens| lens.model())
 }
@@ -149,5 +166,39 @@ pub const ROWS: &[Row] = &[
         },
         settings: &[],
         expect: Expect::Refuses(&["transforms.json", "UTF-16"]),
+    },
+    Row {
+        name: "frames of two folders of which the same file may be left",
+        make: |files| {
+            files.remove("sparse");
+            let good = frames(0..PHOTOS, "images/");
+            let two = good.replace("images/photo05", "images/cam0/photo05");
+            write(files, "", &two.replace("images/photo06", "images/cam1/photo05"));
+        },
+        settings: &[],
+        expect: Expect::Reads {
+            photos: 10,
+            words: &["`photo05.png` may be that of images/cam0/photo05.png or images/cam1/photo05.png"],
+        },
+    },
+    Row {
+        name: "Blender's scene of photos in BMP",
+        make: |files| blender(files, "bmp"),
+        settings: &[],
+        expect: Expect::Reads { photos: 12, words: &[] },
+    },
+    Row {
+        name: "depths and normals beside Blender's photos",
+        make: |files| {
+            blender(files, "png");
+            for name in ["photo00_depth_0001.png", "photo00_normal.png", "more.png"] {
+                files.photo(&format!("../test/{name}"));
+            }
+        },
+        settings: &[],
+        expect: Expect::Reads {
+            photos: 12,
+            words: &["1 of the photos in", "transforms_train.json + transforms_test.json", "more.png"],
+        },
     },
 ];

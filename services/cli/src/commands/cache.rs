@@ -49,11 +49,18 @@ fn verify(folder: &RunFolder, json: bool) -> Result<(), Failure> {
     let mut damaged = Vec::new();
     let cached = cache_verify(folder, |artefact, reason| damaged.push((artefact.key(), reason.to_owned())))?;
     let (written, changed) = verify_selections(folder);
-    let all = cached + written;
+    let (drawn, pictures) = folder.verify_pictures()?;
+    let all = cached + written + drawn;
     if json {
         let list: Vec<_> =
             damaged.iter().map(|(key, reason)| serde_json::json!({ "key": key, "reason": reason })).collect();
-        print_json(&serde_json::json!({ "files": all, "damaged": list, "selections": changed }))?;
+        let drawn: Vec<_> = pictures
+            .iter()
+            .map(|(file, reason)| serde_json::json!({ "file": file, "reason": reason }))
+            .collect();
+        print_json(&serde_json::json!({
+            "files": all, "damaged": list, "selections": changed, "pictures": drawn
+        }))?;
     } else {
         for (key, reason) in &damaged {
             print_line(&format!("damaged  {key}: {reason}"))?;
@@ -61,7 +68,10 @@ fn verify(folder: &RunFolder, json: bool) -> Result<(), Failure> {
         for DamagedFile { file, reason, .. } in &changed {
             print_line(&format!("damaged  {}: {reason}", file.display()))?;
         }
-        print_line(&format!("{all} files, {} damaged", damaged.len() + changed.len()))?;
+        for (file, reason) in &pictures {
+            print_line(&format!("damaged  {}: {reason}", file.display()))?;
+        }
+        print_line(&format!("{all} files, {} damaged", damaged.len() + changed.len() + pictures.len()))?;
     }
     let mut said = Vec::new();
     if !damaged.is_empty() {
@@ -69,6 +79,12 @@ fn verify(folder: &RunFolder, json: bool) -> Result<(), Failure> {
             "{} of {cached} files were damaged and moved to {}; `segwild run` makes them anew",
             damaged.len(),
             folder.path().join("cache/corrupt").display()
+        ));
+    }
+    if !pictures.is_empty() {
+        said.push(format!(
+            "{} of {drawn} pictures of strangers are damaged; `segwild run` puts them aside and makes them anew",
+            pictures.len()
         ));
     }
     // A sentence for each selection: the command that makes it again.

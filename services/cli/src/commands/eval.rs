@@ -68,6 +68,9 @@ fn strangers(folder: &RunFolder, truth: &std::path::Path, json: bool) -> Result<
     if json {
         return print_json(&scores);
     }
+    for unread in &scores.unread {
+        eprintln!("warning: {}; this photo does not count", plain(unread));
+    }
     print_line(&format!("{:>7} {:>9} {:>9}  photo", "IoU", "covered %", "wrong %"))?;
     for p in &scores.photos {
         let (covered, wrong) = (100.0 * p.covered, 100.0 * p.false_share);

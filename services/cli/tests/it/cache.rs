@@ -242,3 +242,23 @@ fn held_of(run: &Path, kind: &str) -> u64 {
     let lines = lines(&works(&["cache", "ls", &show(run), "--json"]));
     lines.iter().filter(|line| line["kind"] == kind).filter_map(|line| line["files"].as_u64()).sum()
 }
+
+#[test]
+fn a_damaged_picture_of_transients_is_named_by_verify_and_by_segment() {
+    let dir = folder();
+    let run = copied_run(&dir);
+    let photo = place().manifest.photos.iter().find(|p| !p.test).expect("one is trained on");
+    let file = run.join("strangers").join(Path::new(&photo.name).with_extension("png"));
+    let mut bytes = std::fs::read(&file).expect("a picture");
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    std::fs::write(&file, bytes).expect("it is written");
+    let what = ["1 of", "pictures of strangers are damaged"];
+    refuses(&["cache", "verify", &show(&run)], 6, &what);
+    let (_, click) = clearest();
+    let at = format!("{},{}", click.x, click.y);
+    let output = segwild(&["segment", &show(&run), "--photo", &click.photo, "--in", &at]);
+    let said = text(&output.stdout) + &text(&output.stderr);
+    assert!(output.status.success(), "{said}");
+    assert!(said.contains(&show(&file)) && said.contains("is passed over"), "{said}");
+}

@@ -240,3 +240,35 @@ fn a_damaged_machine_made_picture_is_put_aside_and_made_again() {
     assert_eq!(std::fs::read(aside).expect("it is kept"), &whole[0][..whole[0].len() / 2]);
     assert_eq!(std::fs::read(run.join("model.bin")).expect("a model"), model, "nothing was trained again");
 }
+
+#[test]
+fn one_bad_or_turned_true_picture_is_named_and_the_others_are_scored() {
+    let dir = folder();
+    let run = copied_run(&dir);
+    let truth = dir.path().join("truth");
+    std::fs::create_dir(&truth).expect("a folder");
+    let eval = |truth: &Path| segwild(&["eval", &show(&run), "--strangers", &show(truth)]);
+    let missing = eval(&dir.path().join("nowhere"));
+    assert_eq!(
+        (missing.status.code(), eval(&truth).status.code()),
+        (Some(3), Some(3)),
+        "both are the user's"
+    );
+    let trained: Vec<&str> =
+        place().manifest.photos.iter().filter(|p| !p.test).map(|p| p.name.as_str()).take(3).collect();
+    let names: Vec<_> = trained.iter().map(|photo| Path::new(photo).with_extension("png")).collect();
+    for name in &names {
+        std::fs::copy(run.join("strangers").join(name), truth.join(name)).expect("a copy");
+    }
+    std::fs::write(truth.join(&names[0]), b"no picture").expect("it is written");
+    let mask = Mask::read_png(&truth.join(&names[1])).expect("it opens");
+    assert_ne!(mask.width(), mask.height(), "a quarter turn changes its shape");
+    let turned = Mask::from_fn(mask.height(), mask.width(), |x, y| x > y);
+    turned.write_png(&truth.join(&names[1])).expect("it is written");
+    let output = eval(&truth);
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(0), "{said}");
+    assert_eq!(said.matches("does not count").count(), 2, "{said}");
+    assert!(said.contains("which does not fit the photo's"), "{said}");
+    assert!(text(&output.stdout).contains(trained[2]), "{}", text(&output.stdout));
+}

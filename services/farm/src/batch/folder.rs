@@ -72,7 +72,7 @@ impl BatchFolder {
 
     /// What is known of its last run.
     pub fn record(&self) -> Option<BatchRecord> {
-        let bytes = std::fs::read(self.path.join("batch.json")).ok()?;
+        let bytes = segwild_flow::files::read_plain(&self.path.join("batch.json")).ok()?;
         serde_json::from_slice(&bytes).ok()
     }
 

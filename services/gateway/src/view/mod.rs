@@ -30,12 +30,23 @@ pub enum ViewError {
     /// The folder is neither a run's nor a batch's.
     #[error("{}: this is no run folder and no batch folder; `segwild run SCENE --out FOLDER` makes the one, `segwild batch MANIFEST --out FOLDER` the other", .0.display())]
     NoFolder(PathBuf),
+    /// The folder is a run's, and is not to be used as it is.
+    #[error("{0}")]
+    Unusable(String),
     /// A run's ledger cannot be read.
     #[error(transparent)]
     Ledger(#[from] LedgerError),
     /// A batch's engine cannot be read.
     #[error(transparent)]
     Engine(#[from] EngineError),
+}
+
+/// An existing run's folder; where it is one and is not to be used, why.
+fn open_run(path: &Path) -> Result<RunFolder, ViewError> {
+    RunFolder::open(path).map_err(|error| match RunFolder::at(path).ledger().exists() {
+        true => ViewError::Unusable(error.to_string()),
+        false => ViewError::NoFolder(path.to_owned()),
+    })
 }
 
 /// What is looked at.
@@ -56,10 +67,7 @@ impl Target {
         if let Some(batch) = BatchFolder::open(path) {
             return Ok(Target::Batch(batch));
         }
-        match RunFolder::open(path) {
-            Ok(_) => Ok(Target::Run(path.to_owned())),
-            Err(_) => Err(ViewError::NoFolder(path.to_owned())),
-        }
+        open_run(path).map(|_| Target::Run(path.to_owned()))
     }
 
     /// How it is now.

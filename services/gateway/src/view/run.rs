@@ -230,7 +230,7 @@ impl RunView {
     /// # Errors
     /// When its ledger cannot be read.
     pub fn read(path: &Path, now: f64) -> Result<RunView, ViewError> {
-        let folder = RunFolder::open(path).map_err(|_| ViewError::NoFolder(path.to_owned()))?;
+        let folder = super::open_run(path)?;
         let ledger = Ledger::open_read_only(folder.ledger())?;
         // The owner is asked first: a run that ends in between is then seen as ending, never as dead.
         let owner = ledger.owner().map(|o| o.to_string());

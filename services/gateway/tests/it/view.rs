@@ -59,6 +59,16 @@ fn what_was_seen_stays_after_the_run() {
     );
 }
 
+#[cfg(unix)]
+#[test]
+fn a_run_folder_with_a_link_that_leads_out_is_not_called_no_run_folder() {
+    let (folder, outside) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    drop(run_in(folder.path(), &sample()));
+    std::os::unix::fs::symlink(outside.path(), folder.path().join("strangers")).unwrap();
+    let said = Target::at(folder.path()).map(drop).unwrap_err().to_string();
+    assert!(said.contains("strangers") && !said.contains("no run folder"), "{said}");
+}
+
 #[test]
 fn a_folder_that_is_neither_is_refused_in_words() {
     let dir = tempfile::tempdir().expect("a temporary folder");

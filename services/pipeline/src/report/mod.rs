@@ -40,7 +40,8 @@ pub fn write_report(folder: &RunFolder) -> Result<Vec<Skipped>, RunError> {
     body.push_str(&curves(folder));
     body.push_str(&stages(folder));
     body.push_str(&skipped(folder)?);
-    let settings = std::fs::read_to_string(folder.settings_file()).unwrap_or_default();
+    let settings = segwild_flow::files::read_plain(&folder.settings_file()).unwrap_or_default();
+    let settings = String::from_utf8_lossy(&settings);
     let _ = write!(
         body,
         "<h2>Settings</h2><details><summary>segwild.toml</summary><pre>{}</pre></details>",

@@ -4,7 +4,7 @@ use super::{html, pass, spread, write_report};
 use crate::folder::Loaded;
 use crate::render::{Mode, Painter, What};
 use crate::{RunError, RunFolder, Selected, choose_engine, log_loss};
-use segwild_flow::FileError;
+use segwild_flow::{FileError, files};
 use segwild_raster::Engine;
 use std::collections::BTreeMap;
 
@@ -28,7 +28,7 @@ fn begin_of_objects(folder: &RunFolder) -> Result<String, RunError> {
     hasher.update(env!("CARGO_PKG_VERSION").as_bytes());
     for name in ["segwild.toml", "model.bin", "features.bin"] {
         let path = folder.path().join(name);
-        let bytes = match std::fs::read(&path) {
+        let bytes = match files::read_plain(&path) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
                 return Err(FileError::new("read", &path, error).into());
             }
@@ -41,7 +41,8 @@ fn begin_of_objects(folder: &RunFolder) -> Result<String, RunError> {
 
 /// Puts a selection into the report that is there. One that is of another scene is written anew.
 pub(crate) fn add_object(folder: &RunFolder, name: &str) -> Result<(), RunError> {
-    let known = std::fs::read_to_string(folder.report()).unwrap_or_default();
+    let known = files::read_plain(&folder.report()).unwrap_or_default();
+    let known = String::from_utf8(known).unwrap_or_default();
     let begin = begin_of_objects(folder)?;
     if !known.contains(&begin) {
         return write_report(folder).map(drop);

@@ -8,12 +8,14 @@ use std::path::{Path, PathBuf};
 const BASES: [&str; 6] = ["", "dense", "dense/0", "colmap", "undistorted", "distorted"];
 /// So many of them are COLMAP's own.
 const OWN: usize = 3;
-/// Where a reconstruction is looked for inside a scene folder, in words.
-pub const PLACES: [&str; 6] = [
+/// Where a reconstruction is looked for inside a scene folder, in words: [`BASES`] as a person is told of them.
+pub const PLACES: [&str; 8] = [
     "sparse/0 (1, 2, ...)",
     "sparse",
     "dense/sparse",
+    "dense/0/sparse",
     "colmap/sparse",
+    "undistorted/sparse",
     "distorted/sparse",
     "the folder itself",
 ];

@@ -1,5 +1,6 @@
 //! Pictures that this program does not read: recognised by their content, with the command that converts them.
 
+use crate::names::{AVIF, CAPITALS, HEIC, JPEG_2000, JXL, RAW, READ};
 use std::path::{Path, PathBuf};
 
 /// What `IN` and `OUT` stand for is put in for each file.
@@ -83,34 +84,26 @@ fn is_svg(start: &[u8]) -> bool {
 const FOREIGN: &[Foreign] = &[
     Foreign {
         name: "an AVIF",
-        endings: &["avif", "avifs"],
+        endings: &AVIF,
         command: "avifdec IN OUT.png",
         is: |s| brand(s, &[b"avif", b"avis"]) || (brand(s, &[b"mif1"]) && compatible(s, b"avif")),
     },
     Foreign {
         name: "a HEIC",
-        endings: &["heic", "heif", "hif"],
+        endings: &HEIC,
         command: "heif-convert -q 95 IN OUT.jpg",
         is: |s| brand(s, &[b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1"]),
     },
-    Foreign {
-        name: "a camera's raw",
-        endings: &[
-            "cr2", "cr3", "crw", "nef", "nrw", "dng", "arw", "srf", "sr2", "raf", "orf", "rw2", "pef", "srw",
-            "x3f",
-        ],
-        command: "dcraw -w -T IN",
-        is: is_raw,
-    },
+    Foreign { name: "a camera's raw", endings: &RAW, command: "dcraw -w -T IN", is: is_raw },
     Foreign {
         name: "a JPEG XL",
-        endings: &["jxl"],
+        endings: &JXL,
         command: "djxl IN OUT.png",
         is: |s| s.starts_with(&[0xff, 0x0a]) || s.starts_with(b"\0\0\0\x0cJXL \r\n"),
     },
     Foreign {
         name: "a JPEG 2000",
-        endings: &["jp2", "j2k", "jpx"],
+        endings: &JPEG_2000,
         command: "magick IN OUT.png",
         is: |s| s.starts_with(b"\0\0\0\x0cjP  ") || s.starts_with(&[0xff, 0x4f, 0xff, 0x51]),
     },
@@ -191,9 +184,6 @@ pub(crate) fn refusal(path: &Path, start: &[u8]) -> Option<String> {
     ))
 }
 
-/// Endings of pictures that are read, best first.
-const READ: [&str; 9] = ["png", "tif", "tiff", "jpg", "jpeg", "webp", "bmp", "PNG", "JPG"];
-
 /// The converted copy of a file whose ending is that of a picture which is not read: the same stem and another ending, in the
 /// same folder. The ending may stand in place of the old one or behind it.
 pub(crate) fn converted(path: &Path) -> Option<PathBuf> {
@@ -207,6 +197,6 @@ pub(crate) fn converted(path: &Path) -> Option<PathBuf> {
         name.push(e);
         PathBuf::from(name)
     };
-    let copies = READ.iter().flat_map(|e| [path.with_extension(e), behind(e)]);
+    let copies = READ.iter().chain(&CAPITALS).flat_map(|e| [path.with_extension(e), behind(e)]);
     copies.into_iter().find(|copy| copy.is_file())
 }

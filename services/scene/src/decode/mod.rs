@@ -7,20 +7,26 @@
 mod exif;
 mod foreign;
 mod jpeg;
-mod open;
 mod png;
 mod room;
 
 pub(crate) use foreign::converted;
-pub use open::open_file;
-pub(crate) use open::read_bytes;
 pub use room::limit_decoding;
+pub use segwild_files::open_plain as open_file;
 
 use image::metadata::Orientation;
 use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader};
 use std::fs::File;
 use std::io::{BufReader, Read, Seek};
 use std::path::Path;
+
+/// Most bytes of a file of a scene that is read whole: models of ten thousand photos take a few GiB.
+const SCENE_FILE: u64 = 16 << 30;
+
+/// All bytes of a plain file of a scene.
+pub(crate) fn read_bytes(path: &Path) -> std::io::Result<Vec<u8>> {
+    segwild_files::read_within(path, SCENE_FILE)
+}
 
 /// Megapixels that a picture may have where no setting says otherwise.
 pub(crate) const MEGAPIXELS: u32 = 200;

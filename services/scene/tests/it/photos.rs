@@ -238,6 +238,34 @@ fn masks_of_things_to_ignore_follow_the_photo() {
 }
 
 #[test]
+fn a_mask_of_more_megapixels_than_allowed_is_not_decoded() {
+    let dir = tempfile::tempdir().unwrap();
+    write(dir.path(), &line(3));
+    let masks = dir.path().join("ignore");
+    std::fs::create_dir(&masks).unwrap();
+    let mask = masks.join("photo00.png");
+    Mask::from_fn(1_200, 900, |x, _| x < 300).write_png(&mask).unwrap();
+    let allowed = |megapixels| {
+        let settings =
+            SceneSettings { ignore: "ignore".into(), max_megapixels: megapixels, ..SceneSettings::default() };
+        Scene::open(dir.path(), &settings).unwrap()
+    };
+    assert_eq!(allowed(2).skipped, []);
+    let scene = allowed(1);
+    let [skipped] = &scene.skipped[..] else { panic!("{:?}", scene.skipped) };
+    let says = |words: &str| {
+        assert!(words.contains("photo00.png") && words.contains("--max-megapixels allows 1"), "{words}");
+    };
+    assert_eq!(skipped.name, "photo00.png");
+    assert!(skipped.reason.starts_with("its mask"), "{}", skipped.reason);
+    says(&skipped.reason);
+    // The bound holds for what is decoded later, too.
+    let mut view = scene.views[0].clone();
+    view.photo.ignore = Some(mask);
+    says(&view.load(40).unwrap_err().to_string());
+}
+
+#[test]
 fn a_truncated_jpeg_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let view = one(dir.path());
