@@ -116,7 +116,7 @@ fn digest(text: &str) -> u32 {
 /// ```
 /// use segwild_files::name::beside;
 /// let names = beside(["a/b.jpg", "a_b.jpg", "c.jpg", "C.JPG", "../d.jpg"].into_iter(), "png");
-/// assert_eq!(names, ["a/b.png", "a_b.png", "c.jpg.png", "C.JPG-61e570db.png", "_../d.png"]);
+/// assert_eq!(names, ["a/b.png", "a_b.png", "c.jpg.png", "C.JPG-61e570db.png", "_.._/d.png"]);
 /// ```
 pub fn beside<'a>(photos: impl Iterator<Item = &'a str> + Clone, ending: &str) -> Vec<String> {
     let called = |i: usize, photo: &str, way: usize| -> String {

@@ -19,11 +19,8 @@ pub(crate) fn setting(setting: &'static str, value: String, reason: &str) -> Sce
     SceneError::Setting { setting, value, reason: reason.to_owned() }
 }
 
-/// The scene's folder, what its reconstruction says, and the photo folder where that is settled.
-pub(crate) fn find(
-    path: &Path,
-    settings: &SceneSettings,
-) -> Result<(PathBuf, Draft, Option<PathBuf>), SceneError> {
+/// The scene's folder, what its reconstruction says, and the photo folder.
+pub(crate) fn find(path: &Path, settings: &SceneSettings) -> Result<(PathBuf, Draft, PathBuf), SceneError> {
     let metadata = std::fs::metadata(path).map_err(SceneError::io(path))?;
     // Absolute, so that folders above can be named and the photos be found again from elsewhere.
     let path = &std::path::absolute(path).map_err(SceneError::io(path))?;
@@ -50,7 +47,7 @@ pub(crate) fn find(
                 folder.display()
             )
         }));
-        return Ok((folder, draft, Some(images)));
+        return Ok((folder, draft, images));
     }
     let is_json = |json: &PathBuf| json.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
     if let Some(json) = json.filter(is_json) {
@@ -60,7 +57,7 @@ pub(crate) fn find(
         draft.notes.extend(beside);
         // Its photos say themselves where they are.
         let images = images.unwrap_or_else(|| folder.clone());
-        return Ok((folder, draft, Some(images)));
+        return Ok((folder, draft, images));
     }
     Err(SceneError::NotAScene {
         path: path.to_owned(),
@@ -88,7 +85,7 @@ pub(crate) fn folder_setting(
 
 /// The first folder that holds a photo of the reconstruction, under its name or under what is left of it. Those of the scene itself
 /// come before any outside of it.
-pub(crate) fn find_photos(folder: &Path, draft: &Draft) -> Result<PathBuf, SceneError> {
+fn find_photos(folder: &Path, draft: &Draft) -> Result<PathBuf, SceneError> {
     // Photos that lie beside the reconstruction's own folder, or beside the one above it, are rather its own.
     let above = draft.source.ancestors().skip(1).take(2).map(|dir| dir.join("images"));
     let (mut places, outside): (Vec<PathBuf>, Vec<PathBuf>) = above.partition(|dir| dir.starts_with(folder));

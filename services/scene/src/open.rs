@@ -3,7 +3,7 @@
 use crate::decode::{Head, converted, pixels_of};
 use crate::draft::{Draft, DraftPhoto, DraftPoint, DraftPose};
 use crate::frame::{Placed, Placing};
-use crate::locate::{find, find_photos, folder_setting, locate, setting, unheld};
+use crate::locate::{find, folder_setting, locate, setting, unheld};
 use crate::mask_files::MaskFiles;
 use crate::names::is_inside;
 use crate::split::{Part, Split};
@@ -30,10 +30,6 @@ impl Scene {
         if settings.size == 0 {
             return Err(setting("size", "0".into(), "photos need at least one pixel"));
         }
-        let images = match images {
-            Some(images) => images,
-            None => find_photos(&folder, &draft)?,
-        };
         let located = locate(&mut draft, &images);
         draft.notes.extend(unheld(&draft, &located));
         let draft = draft;
