@@ -42,12 +42,7 @@ pub(crate) fn points(
         if stopping() {
             return Err(TrainError::Stopped);
         }
-        let stored = match photos.get(view) {
-            Ok(stored) => stored,
-            // One that cannot be read is named where it is trained on.
-            Err(TrainError::Photo { .. }) => continue,
-            Err(other) => return Err(other),
-        };
+        let Some(stored) = photos.usable(view)? else { continue };
         pixels = pixels.max(stored.levels[0].pixels());
         ground.push(stored.levels[0].ground());
         let small = stored.levels.iter().find(|l| l.width.max(l.height) <= LONG_SIDE);

@@ -68,12 +68,7 @@ pub(crate) fn coloured<'a>(
         if stopping() {
             return Err(TrainError::Stopped);
         }
-        let stored = match photos.get(view) {
-            Ok(stored) => stored,
-            // One that cannot be read is named where it is trained on.
-            Err(TrainError::Photo { .. }) => continue,
-            Err(other) => return Err(other),
-        };
+        let Some(stored) = photos.usable(view)? else { continue };
         let camera = &scene.views[view].camera;
         for &(point, pixel) in &tracked[view] {
             look_up(&mut seen[point as usize], &stored, camera, pixel);

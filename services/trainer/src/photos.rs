@@ -322,6 +322,16 @@ impl PhotoCache {
         }
     }
 
+    /// A photo for what comes beside the training; `None` of one that cannot be read: it is named and left out when it is
+    /// trained on.
+    pub fn usable(&mut self, view: usize) -> Result<Option<Arc<Stored>>, TrainError> {
+        match self.get(view) {
+            Ok(stored) => Ok(Some(stored)),
+            Err(TrainError::Photo { .. }) => Ok(None),
+            Err(other) => Err(other),
+        }
+    }
+
     pub fn get(&mut self, view: usize) -> Result<Arc<Stored>, TrainError> {
         self.clock += 1;
         if let Some((used, stored)) = self.held.get_mut(&view) {

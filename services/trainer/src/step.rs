@@ -180,12 +180,7 @@ impl Trainer {
             let engine = held.as_deref().unwrap_or(&*engine);
             let mut sum = vec![0.0f32; splats.len()];
             for &view in &views {
-                let stored = match photos.get(view) {
-                    Ok(stored) => stored,
-                    // Not come to yet; it is left out when it is.
-                    Err(TrainError::Photo { .. }) => continue,
-                    Err(other) => return Err(other),
-                };
+                let Some(stored) = photos.usable(view)? else { continue };
                 let (level, size) = stored.level(1);
                 let camera = stored.camera(&posed[view].camera, level);
                 let projected = engine.project(splats, &camera, &posed[view].pose, &options(antialias))?;
