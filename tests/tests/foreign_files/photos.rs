@@ -76,6 +76,25 @@ fn claiming(mut jpeg: Vec<u8>, width: u16, height: u16) -> Vec<u8> {
     jpeg
 }
 
+/// A PNG whose head says that it is of so many pixels.
+fn png_claiming(width: u32, height: u32) -> Vec<u8> {
+    let mut png = encoded(&photo().into(), ImageFormat::Png);
+    png[16..20].copy_from_slice(&width.to_be_bytes());
+    png[20..24].copy_from_slice(&height.to_be_bytes());
+    let bit = |crc: u32, _| if crc & 1 == 1 { (crc >> 1) ^ 0xedb8_8320 } else { crc >> 1 };
+    let crc = !png[12..29].iter().fold(!0, |crc, &byte| (0..8).fold(crc ^ u32::from(byte), bit));
+    png[29..33].copy_from_slice(&crc.to_be_bytes());
+    png
+}
+
+/// A BMP whose head says that it is of so many pixels.
+fn bmp_claiming(width: u32, height: u32) -> Vec<u8> {
+    let mut bmp = encoded(&photo().into(), ImageFormat::Bmp);
+    bmp[18..22].copy_from_slice(&width.to_le_bytes());
+    bmp[22..26].copy_from_slice(&height.to_le_bytes());
+    bmp
+}
+
 /// A photo that is seen through a hole of this shape.
 fn through(opaque: impl Fn(u32, u32) -> bool) -> DynamicImage {
     let photo = photo();
@@ -273,6 +292,16 @@ pub const ROWS: &[Row] = &[
         "JPEG that claims 65,535 x 65,535 pixels",
         |files| files.write(ONE, claiming(jpeg(), 65_535, 65_535)),
         left_out(&["photo03.png", "65535 x 65535", "--max-megapixels allows 200"]),
+    ),
+    row(
+        "PNG that claims 196 megapixels in a few bytes",
+        |files| files.write(ONE, png_claiming(14_000, 14_000)),
+        left_out(&["photo03.png", "14000 x 14000", "bytes cannot hold"]),
+    ),
+    row(
+        "BMP that claims 196 megapixels in a few bytes",
+        |files| files.write(ONE, bmp_claiming(14_000, 14_000)),
+        left_out(&["photo03.png", "14000 x 14000", "bytes cannot hold"]),
     ),
     row(
         "JPEG without an end marker",

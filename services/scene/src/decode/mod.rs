@@ -34,6 +34,10 @@ pub(crate) const MEGAPIXELS: u32 = 200;
 const LARGE: u64 = 4 << 20;
 /// How many times the size asked for the decoder leaves at the least: what is finer does the filter behind it.
 const FINER: f64 = 2.0;
+/// Most times that a PNG's deflated data can be larger once they are inflated.
+const DEFLATE: u64 = 1032;
+/// Most pixels that a byte of a BMP holds: its runs have at most 255 of them in two bytes.
+const BMP_RUN: u64 = 128;
 
 /// How a file is decoded.
 #[derive(Clone, Debug, PartialEq)]
@@ -132,7 +136,25 @@ impl Head {
                 jpeg.bytes
             ));
         }
+        self.held_by_file()?;
         Ok(self)
+    }
+
+    /// Few bytes cannot hold the pixels of a large picture: such a file would take memory for nothing.
+    fn held_by_file(&self) -> Result<(), String> {
+        let pixels = u64::from(self.width) * u64::from(self.height);
+        let least = match &self.kind {
+            Kind::Png(png) => (pixels * png.bits as u64).div_ceil(8 * DEFLATE),
+            Kind::Other(ImageFormat::Bmp, _) => pixels.div_ceil(BMP_RUN),
+            _ => 0,
+        };
+        if self.file >= least {
+            return Ok(());
+        }
+        Err(format!(
+            "the file claims {} x {} pixels, which its {} bytes cannot hold: it is cut short or damaged; copy it again",
+            self.width, self.height, self.file
+        ))
     }
 
     fn of_jpeg(file: File, length: u64) -> Result<Head, String> {

@@ -17,6 +17,8 @@ pub(crate) struct Head {
     /// Channels as decoded, palettes and transparent colours resolved, and bytes of each.
     pub channels: usize,
     pub depth: usize,
+    /// Bits of a pixel as stored.
+    pub bits: usize,
 }
 
 type Reader = png::Reader<BufReader<File>>;
@@ -59,6 +61,7 @@ fn of(reader: &Reader) -> Head {
         interlaced: info.interlaced,
         channels: colour.samples(),
         depth,
+        bits: info.bits_per_pixel(),
     }
 }
 
