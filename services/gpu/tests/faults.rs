@@ -3,11 +3,11 @@
 
 mod common;
 
-use common::{are_laid_to, engine};
-use segwild_gpu::{Choice, check_comparison, check_field, check_networks, check_splats};
+use common::{Fault, are_laid_to, engine};
+use segwild_gpu::{check_comparison, check_field, check_networks, check_splats};
 
 /// Faults in the kernels of training that are the splats' own.
-const TRAINING_FAULTS: &[(&str, &str, &str)] = &[
+const TRAINING_FAULTS: &[Fault] = &[
     ("select", "parent.x * job.y + lane", "parent.x * job.y"),
     ("select", "parent.y == 1u", "parent.y == 2u"),
     ("select", "lane < job.w", "lane <= job.w"),
@@ -27,7 +27,7 @@ const TRAINING_FAULTS: &[(&str, &str, &str)] = &[
 ];
 
 /// Faults in the kernels of the photo's half of a step.
-const COMPARISON_FAULTS: &[(&str, &str, &str)] = &[
+const COMPARISON_FAULTS: &[Fault] = &[
     ("compose", "(1.0 - drawn.w) * behind", "behind"),
     ("compose", "doubt = 1.0 - trust[i]", "doubt = 1.0 - 0.1 * trust[i]"),
     ("compose", "dot(sitting.matrix[c], scene)", "dot(sitting.matrix[c].xyz, scene.xyz)"),
@@ -60,7 +60,7 @@ const COMPARISON_FAULTS: &[(&str, &str, &str)] = &[
 ];
 
 /// Faults in the kernels of the look `gsw`.
-const NETWORK_FAULTS: &[(&str, &str, &str)] = &[
+const NETWORK_FAULTS: &[Fault] = &[
     ("convolve", "taps - 1u - k % taps", "k % taps"),
     ("convolve", "seen % layer.gap != vec2u(0u)", "seen % layer.gap > vec2u(7u)"),
     ("convolve", "seen.x >= layer.in_width", "seen.x > layer.in_width"),
@@ -115,7 +115,7 @@ const NETWORK_FAULTS: &[(&str, &str, &str)] = &[
 ];
 
 /// Faults in the kernels of the feature field.
-const FIELD_FAULTS: &[(&str, &str, &str)] = &[
+const FIELD_FAULTS: &[Fault] = &[
     ("row_state", "!finite4(grad)", "false && !finite4(grad)"),
     ("row_state", "any(grad != vec4f(0.0))", "grad.x > 0.0"),
     ("row_step", "steps[i] + (job.w >> 31u)", "steps[i] + 1u"),
@@ -171,27 +171,23 @@ const FIELD_FAULTS: &[(&str, &str, &str)] = &[
 #[test]
 fn a_fault_in_any_kernel_of_training_is_seen() {
     let Some(gpu) = engine("a_fault_in_any_kernel_of_training_is_seen") else { return };
-    let choice = Choice::Named(gpu.adapter().name.clone());
-    are_laid_to(&[check_splats], &choice, TRAINING_FAULTS);
+    are_laid_to(&[check_splats], gpu, TRAINING_FAULTS);
 }
 
 #[test]
 fn a_fault_in_any_kernel_of_a_photos_comparison_is_seen() {
     let Some(gpu) = engine("a_fault_in_any_kernel_of_a_photos_comparison_is_seen") else { return };
-    let choice = Choice::Named(gpu.adapter().name.clone());
-    are_laid_to(&[check_comparison], &choice, COMPARISON_FAULTS);
+    are_laid_to(&[check_comparison], gpu, COMPARISON_FAULTS);
 }
 
 #[test]
 fn a_fault_in_any_kernel_of_a_looks_networks_is_seen() {
     let Some(gpu) = engine("a_fault_in_any_kernel_of_a_looks_networks_is_seen") else { return };
-    let choice = Choice::Named(gpu.adapter().name.clone());
-    are_laid_to(&[check_networks, check_comparison], &choice, NETWORK_FAULTS);
+    are_laid_to(&[check_networks, check_comparison], gpu, NETWORK_FAULTS);
 }
 
 #[test]
 fn a_fault_in_any_kernel_of_the_feature_field_is_seen() {
     let Some(gpu) = engine("a_fault_in_any_kernel_of_the_feature_field_is_seen") else { return };
-    let choice = Choice::Named(gpu.adapter().name.clone());
-    are_laid_to(&[check_field], &choice, FIELD_FAULTS);
+    are_laid_to(&[check_field], gpu, FIELD_FAULTS);
 }
