@@ -87,6 +87,14 @@ fn png_claiming(width: u32, height: u32) -> Vec<u8> {
     png
 }
 
+/// A TIFF whose first directory has an entry with so many values.
+fn tiff_claiming(values: u32) -> Vec<u8> {
+    let mut tiff = encoded(&photo().into(), ImageFormat::Tiff);
+    let at = u32::from_le_bytes([tiff[4], tiff[5], tiff[6], tiff[7]]) as usize;
+    tiff[at + 6..at + 10].copy_from_slice(&values.to_le_bytes());
+    tiff
+}
+
 /// A BMP whose head says that it is of so many pixels.
 fn bmp_claiming(width: u32, height: u32) -> Vec<u8> {
     let mut bmp = encoded(&photo().into(), ImageFormat::Bmp);
@@ -297,6 +305,11 @@ pub const ROWS: &[Row] = &[
         "PNG that claims 196 megapixels in a few bytes",
         |files| files.write(ONE, png_claiming(14_000, 14_000)),
         left_out(&["photo03.png", "14000 x 14000", "bytes cannot hold"]),
+    ),
+    row(
+        "TIFF with a tag that claims eight million values",
+        |files| files.write(ONE, tiff_claiming(8_388_608)),
+        left_out(&["photo03.png", "claims 8388608 values"]),
     ),
     row(
         "BMP that claims 196 megapixels in a few bytes",

@@ -9,6 +9,7 @@ mod foreign;
 mod jpeg;
 mod png;
 mod room;
+mod tiff;
 
 pub(crate) use foreign::converted;
 pub use room::limit_decoding;
@@ -172,7 +173,12 @@ impl Head {
     }
 
     fn of_other(file: File, length: u64, format: ImageFormat) -> Result<Head, String> {
-        let mut decoder = ImageReader::with_format(BufReader::new(file), format)
+        let mut file = BufReader::new(file);
+        if format == ImageFormat::Tiff {
+            tiff::check_counts(&mut file, length)?;
+            file.rewind().map_err(|e| e.to_string())?;
+        }
+        let mut decoder = ImageReader::with_format(file, format)
             .into_decoder()
             .map_err(|e| format!("does not decode: {e}"))?;
         // Damaged EXIF data are no reason to refuse the pixels.
