@@ -62,6 +62,8 @@ impl From<RunError> for Failure {
         let code = match &error {
             // The disk's fault, and not the scene's.
             RunError::Scene(SceneError::File(_)) => exit::FOLDER,
+            // The next attempt leaves the photo out, if it cannot be used, and keeps what was computed.
+            RunError::Scene(SceneError::Changed { .. }) => exit::INCOMPLETE,
             RunError::Scene(_) | RunError::Vision(_) | RunError::Input(_) | RunError::Engine(_) => {
                 exit::INPUT
             }
@@ -224,6 +226,13 @@ mod tests {
         assert_eq!(code(other.into()), exit::FOLDER);
         let named = "a (os error 24).jpg is no picture".to_owned();
         assert_eq!(code(RunError::Input(named)), exit::INPUT);
+    }
+
+    #[test]
+    fn a_photo_that_changed_under_a_run_does_not_end_its_scene_for_good() {
+        let changed = segwild_scene::SceneError::Changed { name: "a.jpg".into(), path: "a.jpg".into() };
+        let code = Failure::from(RunError::Scene(changed)).code;
+        assert_eq!(exit::class(Some(code.into())), segwild_farm::ErrorClass::Retryable);
     }
 
     #[test]

@@ -129,7 +129,7 @@ impl Digests {
             }
             memory::too_large(settings, view, room).map_or(Ok(()), Err)?;
             let digest = photo_digest(view).map_err(|e| e.to_string())?;
-            let odd = view.examine().map_err(|e| e.to_string())?;
+            let odd = view.examine(settings.scene.size).map_err(|e| e.to_string())?;
             Ok((digest, odd.map(|odd| format!("photo {}: {odd}", view.name))))
         };
         let (mut photos, mut odd) = (Vec::new(), Vec::new());

@@ -122,6 +122,7 @@ pub fn explain(
     settings: &Settings,
     until: Option<Until>,
 ) -> Result<Vec<Plan>, RunError> {
+    folder.stays_inside()?;
     let settings = settings.anchored();
     let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     let ledger = match folder.ledger().is_file() {

@@ -35,6 +35,9 @@ pub(crate) const MODEL: &str = "model";
 /// Kind of the record in `features.bin`, and of fields in the cache.
 pub(crate) const FEATURES: &str = "features";
 
+/// Letters of a name that was asked for in vain that are shown.
+const LONGEST_ECHO: usize = 120;
+
 /// What is in the folder and is written into, beside the ledger (`run.sqlite`, its log and its lock).
 const WRITTEN_INTO: [&str; 7] =
     ["cache", "checkpoints", "history.jsonl", "renders", "selections", "strangers", crate::traces::EARLIER];
@@ -119,7 +122,7 @@ impl RunFolder {
 
     /// Refuses a folder in which something would be written through a link to elsewhere. What is written as a whole takes
     /// a link's place; these are written into.
-    fn stays_inside(&self) -> Result<(), RunError> {
+    pub(crate) fn stays_inside(&self) -> Result<(), RunError> {
         let ours = |name: &str| WRITTEN_INTO.contains(&name) || name.starts_with("run.");
         let stray = |Stray { path, reason }| RunError::Folder { path, reason };
         files::stays_inside(&self.path, ours).map_err(stray)?;
@@ -183,7 +186,9 @@ impl RunFolder {
             return Ok(());
         }
         let known = if known.is_empty() { "there is none yet".to_owned() } else { known.join(", ") };
-        Err(RunError::Request(format!("this run has no selection named `{name}` ({known})")))
+        let asked: String = name.chars().take(LONGEST_ECHO).collect();
+        let (asked, known) = (files::name::one_line(&asked), files::name::one_line(&known));
+        Err(RunError::Request(format!("this run has no selection named `{asked}` ({known})")))
     }
 
     /// File of each photo's mask in a selection's `masks` and `amodal`, as they are written now.

@@ -55,6 +55,18 @@ pub enum SceneError {
         /// What is wrong.
         reason: String,
     },
+    /// A photo, or the mask that belongs to it, is not the file any more that it was when the scene was opened. The same scene,
+    /// opened again, may do without it.
+    #[error(
+        "photo {name}: {path}: the file was changed or taken away while it was in use; put it back, or run again without it",
+        path = path.display()
+    )]
+    Changed {
+        /// Name of the photo in the scene.
+        name: String,
+        /// The file.
+        path: PathBuf,
+    },
     /// A folder or file that a setting names is not as it must be.
     #[error("`{setting}` is set to {value}: {reason}")]
     Setting {

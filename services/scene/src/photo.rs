@@ -91,9 +91,7 @@ impl View {
     /// Names the file that has changed or gone.
     pub fn intact(&self) -> Result<(), SceneError> {
         let Some(path) = self.photo.seal.broken() else { return Ok(()) };
-        let reason =
-            "the file was changed or taken away while it was in use; put it back, or run again without it";
-        Err(self.photo_error(path, reason.into()))
+        Err(SceneError::Changed { name: self.name.clone(), path: path.to_owned() })
     }
 
     /// BLAKE3 of the photo's bytes, in hexadecimal: what a cache key needs of the photo.
@@ -105,17 +103,17 @@ impl View {
         Ok(hasher.finalize().to_hex().to_string())
     }
 
-    /// Decodes the photo once at a small size, and looks for damage that decoders pass over: whether it can be used at all. What
-    /// is odd about it, in words, where it can.
+    /// Decodes the photo once at a small size, and looks for damage that decoders pass over: whether it can be used at all, at
+    /// a long side of so many pixels. What is odd about it, in words, where it can.
     ///
     /// # Errors
     /// Also when its masks leave nothing of it, or all of it is transparent.
-    pub fn examine(&self) -> Result<Option<String>, SceneError> {
+    pub fn examine(&self, long_side: u32) -> Result<Option<String>, SceneError> {
         let path = &self.photo.path;
         let fail = |reason: String| self.photo_error(path, reason);
         let (head, _) = self.head().map_err(fail)?;
         let odd = head.check_data(path).map_err(fail)?;
-        let nothing_left = self.load(EXAMINED)?.valid.is_some_and(|valid| valid.is_empty());
+        let nothing_left = self.load(EXAMINED.min(long_side))?.valid.is_some_and(|valid| valid.is_empty());
         match (nothing_left, self.masks().next().is_some()) {
             (true, true) => Err(fail("its masks leave nothing of it".into())),
             (true, false) => Err(fail("all of it is transparent".into())),
@@ -223,7 +221,7 @@ pub(crate) fn bytes_of(path: &Path, most_pixels: u64) -> u64 {
     Head::read(path, most_pixels).map_or(0, |head| head.bytes_for(head.width, head.height))
 }
 
-/// Long side at which a photo is examined.
+/// Longest side at which a photo is examined.
 const EXAMINED: u32 = 256;
 
 /// The size at which a photo is undistorted.

@@ -200,7 +200,7 @@ fn files_that_claim_much_and_photos_that_are_large_take_little_memory() {
     let mut opened = None;
     let mib = taken(|| {
         let scene = Scene::open(&bombs, &SceneSettings::default()).unwrap();
-        scene.views.par_iter().for_each(|view| drop(view.examine()));
+        scene.views.par_iter().for_each(|view| drop(view.examine(640)));
         opened = Some(scene);
     });
     assert!(mib < 60.0, "opening and examining the bombs takes {mib:.0} MiB");
@@ -211,7 +211,7 @@ fn files_that_claim_much_and_photos_that_are_large_take_little_memory() {
         assert!(skipped.reason.contains("megapixels"), "{name}: {}", skipped.reason);
     }
     for view in &opened.views {
-        let usable = view.examine();
+        let usable = view.examine(640);
         assert_eq!(usable.is_ok(), view.name != "h_tall.jpg", "{}: {usable:?}", view.name);
     }
     // Masks and other pictures are bounded by the same.

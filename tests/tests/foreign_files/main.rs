@@ -86,7 +86,7 @@ fn outcome(row: &Row) -> Result<(), String> {
 
 fn usable(scene: &Scene, photos: usize) -> Result<(), String> {
     // As a run does, which leaves out what cannot be used.
-    let usable: Vec<&View> = scene.views.iter().filter(|view| view.examine().is_ok()).collect();
+    let usable: Vec<&View> = scene.views.iter().filter(|view| view.examine(640).is_ok()).collect();
     if usable.len() != photos {
         return Err(format!("{} photos are usable, not {photos}: {}", usable.len(), said(scene)));
     }
@@ -97,7 +97,7 @@ fn usable(scene: &Scene, photos: usize) -> Result<(), String> {
 /// All that a user is told of a scene.
 fn said(scene: &Scene) -> String {
     let skipped = scene.skipped.iter().map(|s| format!("{}: {}", s.name, s.reason));
-    let examined = scene.views.iter().filter_map(|view| match view.examine() {
+    let examined = scene.views.iter().filter_map(|view| match view.examine(640) {
         Ok(odd) => odd.map(|odd| format!("{}: {odd}", view.name)),
         Err(error) => Some(error.to_string()),
     });

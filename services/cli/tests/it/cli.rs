@@ -164,6 +164,11 @@ fn bad_clicks_are_answered_in_words() {
         &["cannot name a selection"],
     );
     refuses(&["render", &run, "--selection", "none-such"], 2, &["no selection named `none-such`"]);
+    let odd = format!("two\nlines{}", "x".repeat(400));
+    let output = segwild(&["render", &run, "--selection", &odd]);
+    let said = text(&output.stderr);
+    assert_eq!((output.status.code(), said.trim_end().lines().count()), (Some(2), 1), "{said}");
+    assert!(said.contains("two\\nlines") && said.len() < 300, "{said}");
     refuses(&["segment", &run, "--photo", photo, "--out", "3,3"], 2, &["where it is"]);
     refuses(&["segment", &run, "--photo", photo, "--in", "3,3", "--out", "3,3"], 2, &["inside and outside"]);
     refuses(&["segment", &run, "--photo", photo, "--in", "3,3", "--granularity", "nan"], 2, &["0 to 1"]);

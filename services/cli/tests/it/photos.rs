@@ -41,7 +41,7 @@ fn a_photo_that_changes_in_mid_training_is_named_and_spoils_nothing() {
         let run = dir.path().join(what);
         let output = disturbed(&scene, &run, change);
         let said = text(&output.stderr);
-        assert_eq!(output.status.code(), Some(3), "{what}: {said}");
+        assert_eq!(output.status.code(), Some(4), "{what}: {said}");
         assert!(said.contains(view) && said.contains("was changed or taken away"), "{what}: {said}");
         assert!(!run.join("model.bin").exists(), "{what}: nothing was made of it");
         // With the photo back, all is as if nothing had happened.

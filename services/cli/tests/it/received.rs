@@ -159,7 +159,12 @@ fn nothing_is_written_through_a_link_out_of_a_received_run_folder() {
         let (at, kept) = (run.join(name), run.join("kept"));
         let there = std::fs::rename(&at, &kept).is_ok();
         symlink(&target, &at).expect("a link");
-        for args in [again(&run, &[]), click(&run).to_vec(), vec!["render".into(), show(&run)]] {
+        for args in [
+            again(&run, &[]),
+            again(&run, &["--explain"]),
+            click(&run).to_vec(),
+            vec!["render".into(), show(&run)],
+        ] {
             let args: Vec<&str> = args.iter().map(String::as_str).collect();
             refuses(&args, 6, &["is a link to", name]);
         }

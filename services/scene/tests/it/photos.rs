@@ -283,7 +283,7 @@ fn a_truncated_jpeg_is_refused() {
     view.load(640).unwrap();
     let thumbnail = [&jpeg[..2], b"\xff\xe1\x00\x06ab\xff\xd9", &jpeg[2..jpeg.len() - 2]].concat();
     std::fs::write(&view.photo.path, &thumbnail).unwrap();
-    let odd = open(dir.path()).unwrap().views[0].examine().unwrap().unwrap();
+    let odd = open(dir.path()).unwrap().views[0].examine(640).unwrap().unwrap();
     assert!(odd.contains("no end marker") && odd.contains("all of its picture is there"), "{odd}");
     std::fs::write(&view.photo.path, &thumbnail[..thumbnail.len() - 40]).unwrap();
     assert!(open(dir.path()).unwrap_err().to_string().contains("cut short"));
@@ -347,6 +347,20 @@ fn a_large_photo_that_shrinks_while_it_is_decoded_is_as_one_that_shrinks_afterwa
 }
 
 #[test]
+fn masks_that_leave_nothing_at_the_size_of_training_leave_the_photo_out() {
+    let dir = tempfile::tempdir().unwrap();
+    write(dir.path(), &line(2));
+    let masks = dir.path().join("ignore");
+    std::fs::create_dir(&masks).unwrap();
+    Mask::from_fn(40, 30, |x, y| (x + y) % 2 == 0).write_png(&masks.join("photo00.png")).unwrap();
+    let settings = SceneSettings { ignore: "ignore".into(), ..SceneSettings::default() };
+    let view = &Scene::open(dir.path(), &settings).unwrap().views[0];
+    assert_eq!(view.examine(40).unwrap(), None);
+    let error = view.examine(10).unwrap_err().to_string();
+    assert!(error.contains("photo00.png") && error.contains("leave nothing"), "{error}");
+}
+
+#[test]
 fn a_photo_that_becomes_a_pipe_is_named_at_once() {
     let dir = tempfile::tempdir().unwrap();
     write(dir.path(), &line(2));
@@ -358,7 +372,7 @@ fn a_photo_that_becomes_a_pipe_is_named_at_once() {
     let refused = [
         scene.views[0].load(40).map(drop),
         scene.views[0].digest().map(drop),
-        scene.views[0].examine().map(drop),
+        scene.views[0].examine(640).map(drop),
     ];
     for refused in refused {
         assert!(refused.unwrap_err().to_string().contains("photo00.png"));
@@ -385,7 +399,7 @@ fn photos_of_other_cameras_are_whole() {
         let Some(folder) = crate::common::shared("photos_of_other_cameras", name) else { continue };
         let Ok(scene) = open(&folder) else { continue };
         for view in &scene.views {
-            assert_eq!(view.examine().unwrap(), None, "{name}/{}", view.name);
+            assert_eq!(view.examine(640).unwrap(), None, "{name}/{}", view.name);
         }
     }
 }
