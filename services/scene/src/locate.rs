@@ -271,14 +271,17 @@ fn renamed(draft: &Draft, found: &[(usize, String)]) -> Option<String> {
 
 /// Photos that lie beside those of the reconstruction and that it does not hold, counted.
 pub(crate) fn unheld(draft: &Draft, located: &[Result<PathBuf, String>]) -> Option<String> {
-    let copies: Vec<PathBuf> = located.iter().flatten().filter_map(|path| converted(path)).collect();
-    let held: HashSet<&Path> = located.iter().flatten().chain(&copies).map(PathBuf::as_path).collect();
+    let held: HashSet<&Path> = located.iter().flatten().map(PathBuf::as_path).collect();
     let folders: BTreeSet<&Path> = held.iter().filter_map(|path| path.parent()).collect();
-    let stems: HashSet<PathBuf> = held.iter().map(|path| path.with_extension("")).collect();
-    // The raw or HEIC original of a photo that is held, or what Blender rendered beside one.
+    // By their names, and by those without endings.
+    let by_stem: HashMap<PathBuf, &Path> = held.iter().map(|path| (path.with_extension(""), *path)).collect();
+    // The converted copy or the raw or HEIC original of a photo that is held, or what Blender rendered beside one.
     let of_held = |path: &Path| {
-        let copy = converted(path).is_some_and(|copy| held.contains(copy.as_path()));
-        copy || beside_photo(path).is_some_and(|photo| stems.contains(&photo))
+        let stem = path.with_extension("");
+        let originals = [held.get(&*stem).copied(), by_stem.get(&stem).copied()];
+        let is_copy = originals.into_iter().flatten().any(|held| converted(held).as_deref() == Some(path));
+        let copied = || converted(path).is_some_and(|copy| held.contains(copy.as_path()));
+        is_copy || copied() || beside_photo(path).is_some_and(|photo| by_stem.contains_key(&photo))
     };
     let mut others = Vec::new();
     for folder in folders {

@@ -1,6 +1,6 @@
 //! Opening a scene: find what is there, check it against the photos, normalise.
 
-use crate::decode::{Head, converted, pixels_of};
+use crate::decode::{self, Head, pixels_of};
 use crate::draft::{Draft, DraftPhoto, DraftPoint, DraftPose};
 use crate::frame::{Placed, Placing};
 use crate::locate::{find, folder_setting, locate, setting, unheld};
@@ -50,12 +50,13 @@ impl Scene {
                 skip(name, format!("{why}: the reconstruction did not place it"));
             }
         }
+        let held: HashSet<PathBuf> = located.iter().flatten().cloned().collect();
         let checked: Vec<Result<Checked, String>> = draft
             .photos
             .par_iter()
             .zip(located)
             .map(|(photo, path)| {
-                check(photo, path, ignored.as_ref(), keep.as_ref(), split.as_ref(), settings)
+                check(photo, path, &held, ignored.as_ref(), keep.as_ref(), split.as_ref(), settings)
             })
             .collect();
         let mut usable: BTreeMap<&str, (usize, Checked)> = BTreeMap::new();
@@ -268,6 +269,7 @@ fn has_mask(masks: Option<&MaskFiles>, photo: &str) -> bool {
 fn check(
     photo: &DraftPhoto,
     path: Result<PathBuf, String>,
+    held: &HashSet<PathBuf>,
     ignored: Option<&MaskFiles>,
     keep: Option<&MaskFiles>,
     split: Option<&Split>,
@@ -288,7 +290,7 @@ fn check(
         _ => {}
     }
     let pose = photo.pose.clone()?;
-    let (path, head, copied) = readable(path?, settings)?;
+    let (path, head, copied) = readable(path?, held, settings)?;
     let mask = |masks: Option<&MaskFiles>| masks.map_or(Ok(None), |masks| masks.find(&photo.name));
     let ignore = mask(ignored)?;
     let usable = match &photo.usable {
@@ -326,18 +328,22 @@ fn check(
 
 /// The photo's file, or its converted copy where this program does not read the file itself; the head of what is read, and what
 /// to say of the copy.
-fn readable(path: PathBuf, settings: &SceneSettings) -> Result<(PathBuf, Head, Option<String>), String> {
+fn readable(
+    path: PathBuf,
+    held: &HashSet<PathBuf>,
+    settings: &SceneSettings,
+) -> Result<(PathBuf, Head, Option<String>), String> {
     let most = pixels_of(settings.max_megapixels);
-    let copy = converted(&path);
     let read = match path.exists() {
         true => Head::read(&path, most),
-        false if copy.is_some() => Err(String::new()),
-        false => return Err(format!("there is no file {}", path.display())),
+        false => Err(format!("there is no file {}", path.display())),
     };
-    let (path, head, note) = match (read, copy) {
-        (Ok(head), _) => (path, head, None),
-        (Err(reason), None) => return Err(reason),
-        (Err(_), Some(copy)) => {
+    // A file that is another photo is nobody's copy.
+    let copy = || decode::converted_copies(&path).find(|copy| !held.contains(copy));
+    let (path, head, note) = match read.map_err(|reason| (reason, copy())) {
+        Ok(head) => (path, head, None),
+        Err((reason, None)) => return Err(reason),
+        Err((_, Some(copy))) => {
             let head = Head::read(&copy, most)?;
             let note = format!("{} is read from its converted copy {}", path.display(), copy.display());
             (copy, head, Some(note))

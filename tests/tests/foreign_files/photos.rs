@@ -454,6 +454,34 @@ pub const ROWS: &[Row] = &[
         used(&["photo03.heic is read from its converted copy", "photo03.jpg"]),
     ),
     row(
+        "HEIC under a name of PNG",
+        |files| foreign(files, b"\0\0\0\x18ftypheic\0\0\0\0mif1heic"),
+        left_out(&["photo03.png", "HEIC", "photo03.png.jpg"]),
+    ),
+    row(
+        "AVIF under a name of JPEG, with the copy that the command makes",
+        |files| {
+            renamed(files, "photo03.jpg");
+            files.write("images/photo03.jpg", include_bytes!("files/real.avif"));
+            files.write("images/photo03.jpg.png", encoded(&photo().into(), ImageFormat::Png));
+        },
+        Expect::Holds {
+            photos: 12,
+            check: |scene| {
+                assert!(scene.notes.iter().any(|note| note.contains("from its converted copy")));
+                assert!(scene.notes.iter().all(|note| !note.contains("take no part")), "{:?}", scene.notes);
+            },
+        },
+    ),
+    row(
+        "HEIC whose name differs from another photo's in its ending alone",
+        |files| {
+            renamed(files, "photo04.heic");
+            files.write("images/photo04.heic", b"\0\0\0\x18ftypheic\0\0\0\0mif1heic");
+        },
+        left_out(&["photo04.heic", "photo04.heic.jpg"]),
+    ),
+    row(
         "only the converted copy of a raw photo is there",
         |files| {
             renamed(files, "photo03.CR2");

@@ -1,6 +1,7 @@
 //! Pictures that this program does not read: recognised by their content, with the command that converts them.
 
 use crate::names::{AVIF, CAPITALS, HEIC, JPEG_2000, JXL, RAW, READ};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 /// What `IN` and `OUT` stand for is put in for each file.
@@ -94,7 +95,7 @@ const FOREIGN: &[Foreign] = &[
         command: "heif-convert -q 95 IN OUT.jpg",
         is: |s| brand(s, &[b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1"]),
     },
-    Foreign { name: "a camera's raw", endings: &RAW, command: "dcraw -w -T IN", is: is_raw },
+    Foreign { name: "a camera's raw", endings: &RAW, command: "dcraw -c -w -T IN > OUT.tif", is: is_raw },
     Foreign {
         name: "a JPEG XL",
         endings: &JXL,
@@ -167,12 +168,7 @@ const FOREIGN: &[Foreign] = &[
 /// Why a file that starts so cannot be read, with what converts it; `None` where it is of no known kind.
 pub(crate) fn refusal(path: &Path, start: &[u8]) -> Option<String> {
     let found = FOREIGN.iter().find(|f| (f.is)(start))?;
-    let quoted = |path: &Path| {
-        let text = path.display().to_string();
-        let plain = |c: char| c.is_alphanumeric() || "/._-+".contains(c);
-        if text.chars().all(plain) { text } else { format!("'{}'", text.replace('\'', "'\\''")) }
-    };
-    let (from, to) = (quoted(path), quoted(&path.with_extension("")));
+    let (from, to) = (quoted(path), quoted(&Foreign::output(path)));
     let command = match found.command.contains("'IN[0]'") {
         true => found.command.replace("'IN[0]'", &format!("'{}[0]'", path.display())),
         false => found.command.replace("IN", &from),
@@ -184,19 +180,105 @@ pub(crate) fn refusal(path: &Path, start: &[u8]) -> Option<String> {
     ))
 }
 
-/// The converted copy of a file whose ending is that of a picture which is not read: the same stem and another ending, in the
-/// same folder. The ending may stand in place of the old one or behind it.
-pub(crate) fn converted(path: &Path) -> Option<PathBuf> {
-    let ending = path.extension()?.to_str()?.to_ascii_lowercase();
-    if !FOREIGN.iter().any(|f| f.endings.contains(&ending.as_str())) {
-        return None;
+impl Foreign {
+    /// What `OUT` stands for: the name without its ending, or the whole name where the ending is not that of such a file or a picture
+    /// of the shorter name is there. The input, or another photo, would be written over or taken for the copy otherwise.
+    fn output(path: &Path) -> PathBuf {
+        let taken = || READ.iter().chain(&CAPITALS).any(|e| path.with_extension(e).exists());
+        if has_foreign_ending(path) && !taken() { path.with_extension("") } else { path.to_owned() }
     }
-    let behind = |e: &str| {
+}
+
+/// A path as a shell reads it.
+fn quoted(path: &Path) -> String {
+    let text = path.display().to_string();
+    let plain = |c: char| c.is_alphanumeric() || "/._-+".contains(c);
+    if text.chars().all(plain) { text } else { format!("'{}'", text.replace('\'', "'\\''")) }
+}
+
+fn has_foreign_ending(path: &Path) -> bool {
+    let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+    FOREIGN.iter().any(|f| f.endings.contains(&ending.as_str()))
+}
+
+/// Whether a file is a picture that is not read, whatever its name ends in.
+fn is_foreign(path: &Path) -> bool {
+    let mut start = Vec::new();
+    let read = super::open_file(path).and_then(|file| file.take(START as u64).read_to_end(&mut start));
+    read.is_ok() && FOREIGN.iter().any(|f| (f.is)(&start))
+}
+
+/// The converted copy of a picture which is not read.
+pub(crate) fn converted(path: &Path) -> Option<PathBuf> {
+    converted_copies(path).next()
+}
+
+/// What may be the converted copy of a picture which is not read, as its ending or its content says, the best first: the same stem
+/// and another ending, in the same folder. The ending may stand in place of the old one or behind it.
+pub(crate) fn converted_copies(path: &Path) -> impl Iterator<Item = PathBuf> {
+    let behind = |e: &'static str| {
         let mut name = path.as_os_str().to_owned();
         name.push(".");
         name.push(e);
         PathBuf::from(name)
     };
-    let copies = READ.iter().chain(&CAPITALS).flat_map(|e| [path.with_extension(e), behind(e)]);
-    copies.into_iter().find(|copy| copy.is_file())
+    let endings = || READ.into_iter().chain(CAPITALS);
+    let copies: Vec<PathBuf> = if has_foreign_ending(path) {
+        endings().flat_map(|e| [path.with_extension(e), behind(e)]).collect()
+    } else if is_foreign(path) {
+        // What differs in the ending alone is rather another photo.
+        endings().map(behind).chain(endings().map(|e| path.with_extension(e))).collect()
+    } else {
+        Vec::new()
+    };
+    let path = path.to_owned();
+    copies.into_iter().filter(move |copy| *copy != path && copy.is_file() && !is_foreign(copy))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const HEIC: &[u8] = b"\0\0\0\x18ftypheic\0\0\0\0mif1heic";
+
+    #[test]
+    fn the_command_never_writes_over_the_photo_or_another_file() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        for name in ["a.heic", "b.heic", "b.jpg", "c.jpg", "d", "e.1", "e.2", "f.png"] {
+            std::fs::write(at(name), HEIC).unwrap();
+        }
+        let starts: [(&str, &str, &[u8]); 8] = [
+            ("a.heic", "a.jpg", HEIC),
+            ("b.heic", "b.heic.jpg", HEIC),
+            ("c.jpg", "c.jpg.jpg", HEIC),
+            ("d", "d.jpg", HEIC),
+            ("e.1", "e.1.jpg", HEIC),
+            ("e.2", "e.2.jpg", HEIC),
+            ("f.png", "f.png.png", b"GIF89a"),
+            ("g.tif", "g.tif.tif", b"FUJIFILMCCD-RAW 0201"),
+        ];
+        for (name, output, start) in starts {
+            let words = refusal(&at(name), start).unwrap();
+            assert!(words.ends_with(&format!(" {}", at(output).display())), "{name}: {words}");
+        }
+    }
+
+    #[test]
+    fn the_copy_that_the_command_makes_is_found_whatever_the_photo_is_called() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        for name in ["a.heic", "c.jpg", "d", "e.1"] {
+            std::fs::write(at(name), HEIC).unwrap();
+            assert_eq!(converted(&at(name)), None, "{name}");
+            let command = refusal(&at(name), HEIC).unwrap();
+            let copy = PathBuf::from(command.rsplit_once(' ').unwrap().1);
+            std::fs::write(&copy, b"\xff\xd8\xff").unwrap();
+            assert_eq!(converted(&at(name)), Some(copy), "{name}");
+        }
+        // What is read has no copy.
+        std::fs::write(at("x.jpg"), b"\xff\xd8\xff").unwrap();
+        std::fs::write(at("x.jpg.png"), b"\x89PNG").unwrap();
+        assert_eq!(converted(&at("x.jpg")), None);
+    }
 }

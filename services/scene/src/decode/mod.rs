@@ -11,7 +11,7 @@ mod png;
 mod room;
 mod tiff;
 
-pub(crate) use foreign::converted;
+pub(crate) use foreign::{converted, converted_copies};
 pub use room::limit_decoding;
 pub use segwild_files::open_plain as open_file;
 
