@@ -149,6 +149,15 @@ impl Digests {
         Ok(Digests { photos, odd })
     }
 
+    /// Leaves out the photos whose picture of strangers cannot be used.
+    #[must_use]
+    pub fn without(mut self, corrections: &Corrections) -> Digests {
+        for (view, reason) in corrections.unusable() {
+            self.photos[*view] = Err(reason.clone());
+        }
+        self
+    }
+
     /// One per view; `None` where the photo cannot be read.
     pub fn all(&self) -> Vec<Option<&str>> {
         self.photos.iter().map(|d| d.as_deref().ok()).collect()

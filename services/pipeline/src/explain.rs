@@ -95,7 +95,7 @@ fn situation(
     let engine = choose_engine(&settings.run, drop)?.engine;
     let corrections = Corrections::find(&scene, folder, &settings.scene.strangers)?;
     let corrected = corrections.in_words(&scene);
-    let digests = Digests::read(&scene, settings, &|| false)?;
+    let digests = Digests::read(&scene, settings, &|| false)?.without(&corrections);
     let named = |settings: &Settings, corrections: &Corrections, end: &End| {
         Keys::of(&scene, digests.clone(), settings, &providers, corrections, engine.name(), end)
     };

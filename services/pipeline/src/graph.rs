@@ -208,6 +208,7 @@ pub fn run(
         options.events.info(Some("ingest"), words);
     }
     let digests = Digests::read(&scene, settings, &|| options.stopper.phase() != Phase::Running)?;
+    let digests = digests.without(&corrections);
     if let Some(first) = digests.nothing_left(&scene) {
         let reason = format!("no photo can be trained on; of the first: {first}");
         return Err(segwild_scene::SceneError::NothingUsable { path: intake.scene, reason }.into());

@@ -30,6 +30,8 @@ pub struct Corrections {
     found: Vec<Option<Correction>>,
     /// Pictures of the run's own folder that are nobody's work, and what is wrong with each.
     damaged: Vec<(PathBuf, String)>,
+    /// Views whose picture cannot be used, and why: to train on them would show what is to be left out.
+    unusable: Vec<(usize, String)>,
 }
 
 #[derive(Clone, Debug)]
@@ -41,10 +43,11 @@ struct Correction {
 }
 
 impl Corrections {
-    /// Finds the pictures that a person made or changed: in the folder that was named, else in the run's own.
+    /// Finds the pictures that a person made or changed: in the folder that was named, else in the run's own. One of the former
+    /// that cannot be read or does not fit its photo is told of in [`Corrections::unusable`].
     ///
     /// # Errors
-    /// Names the picture that cannot be read or does not fit its photo.
+    /// When the named folder is not there or holds no picture of a photo; names a picture of the run's own that does not fit its photo.
     pub fn find(scene: &Scene, folder: &RunFolder, named: &str) -> Result<Corrections, RunError> {
         if !named.is_empty() && !Path::new(named).is_dir() {
             return Err(RunError::Request(format!("--strangers {named}: there is no such folder")));
@@ -53,27 +56,44 @@ impl Corrections {
         let own = folder.path().join(FOLDER);
         let photos = scene.views.iter().map(|v| v.name.as_str());
         let named_files = (!named.is_empty()).then(|| MaskFiles::new(Path::new(named), photos));
-        let (mut found, mut damaged) = (Vec::new(), Vec::new());
+        let mut corrections = Corrections::default();
         for (i, view) in scene.views.iter().enumerate() {
             let file = named_files.as_ref().map_or(Ok(None), |files| files.find(&view.name));
-            let file = file.map_err(|why| RunError::Request(format!("--strangers {named}: {why}")))?;
-            let given = file.map(|file| read(file, view)).transpose()?;
+            let given = file.and_then(|file| file.map(|file| read(file, view)).transpose());
             let file = pictures.find(&own, i);
             let of_own = match made::look_at(&file, made.of_photo(&pictures, i))? {
-                Picture::Theirs(mask) => Some(Correction::of(file, mask, view)?),
+                Picture::Theirs(mask) => {
+                    let misfit = |reason| RunError::Folder { path: file.clone(), reason };
+                    Some(Correction::of(file.clone(), mask, view).map_err(misfit)?)
+                }
                 Picture::Damaged(reason) => {
-                    damaged.push((file, reason));
+                    corrections.damaged.push((file, reason));
                     None
                 }
                 Picture::None | Picture::Ours(_) => None,
             };
-            found.push(given.or(of_own));
+            match given {
+                Ok(given) => corrections.found.push(given.or(of_own)),
+                Err(reason) => {
+                    let reason = format!("its mask in --strangers {named} cannot be used: {reason}");
+                    corrections.unusable.push((i, reason));
+                    corrections.found.push(None);
+                }
+            }
         }
-        if !named.is_empty() && found.iter().flatten().all(|c| !c.file.starts_with(named)) {
+        let of_named = |c: &Correction| c.file.starts_with(named);
+        let some =
+            corrections.unusable.len() + corrections.found.iter().flatten().filter(|c| of_named(c)).count();
+        if !named.is_empty() && some == 0 {
             let reason = "it holds no picture with the name of a photo of this scene";
             return Err(RunError::Request(format!("--strangers {named}: {reason}")));
         }
-        Ok(Corrections { found, damaged })
+        Ok(corrections)
+    }
+
+    /// Views whose picture cannot be used, each with the reason: they are left out.
+    pub fn unusable(&self) -> &[(usize, String)] {
+        &self.unusable
     }
 
     /// Puts pictures aside that are nobody's work, so that they are made again; says so, a sentence each.
@@ -121,27 +141,27 @@ impl Corrections {
 }
 
 impl Correction {
-    fn of(file: PathBuf, mask: Mask, view: &View) -> Result<Correction, RunError> {
-        fits(&mask, view, &file)?;
+    fn of(file: PathBuf, mask: Mask, view: &View) -> Result<Correction, String> {
+        fits(&mask, view)?;
         Ok(Correction { digest: pixels(&mask), file, mask: view.mask_from_taken(mask) })
     }
 }
 
 /// A picture that a person names.
-fn read(file: PathBuf, view: &View) -> Result<Correction, RunError> {
-    let mask = Mask::read_png(&file)?;
-    Correction::of(file, mask, view).map_err(|error| RunError::Input(error.to_string()))
+fn read(file: PathBuf, view: &View) -> Result<Correction, String> {
+    let mask = Mask::read_png(&file).map_err(|error| error.to_string())?;
+    let place = file.display().to_string();
+    Correction::of(file, mask, view).map_err(|reason| format!("{place}: {reason}"))
 }
 
 /// Refuses a mask of another shape than its photo's.
-fn fits(mask: &Mask, view: &View, file: &Path) -> Result<(), RunError> {
+fn fits(mask: &Mask, view: &View) -> Result<(), String> {
     let (w, h) = (mask.width(), mask.height());
     let (pw, ph) = (view.camera.width, view.camera.height);
     if same_shape((w, h), (pw, ph)) {
         return Ok(());
     }
-    let reason = format!("it has {w} x {h} pixels, which does not fit {}'s {pw} x {ph}", view.name);
-    Err(RunError::Folder { path: file.to_owned(), reason })
+    Err(format!("it has {w} x {h} pixels, which does not fit {}'s {pw} x {ph}", view.name))
 }
 
 fn pictures(scene: &Scene) -> Pictures {
@@ -486,6 +506,44 @@ pub fn score_strangers(folder: &RunFolder, truth: &Path) -> Result<StrangerScore
 #[cfg(test)]
 mod tests {
     use super::*;
+    use segwild_scene::{Camera, Frame, Photo, Pose, Seal};
+
+    fn view(photo: &Path) -> View {
+        let name = photo.file_name().unwrap().to_string_lossy().into_owned();
+        let photo = Photo {
+            path: photo.to_owned(),
+            ignore: None,
+            usable: None,
+            lens: None,
+            seal: Seal::default(),
+            reading: Default::default(),
+        };
+        let camera = Camera { width: 40, height: 30, fx: 40.0, fy: 40.0, cx: 20.0, cy: 15.0 };
+        let pose = Pose::look_at(glam::Vec3::NEG_Z, glam::Vec3::ZERO, glam::Vec3::NEG_Y);
+        View { name, camera, pose, photo, test: false }
+    }
+
+    #[test]
+    fn one_unusable_mask_of_a_named_folder_leaves_out_that_photo_by_name() {
+        let dir = tempfile::tempdir().unwrap();
+        let views = ["a.jpg", "b.jpg", "c.jpg", "d.jpg"].map(|name| view(&dir.path().join(name))).to_vec();
+        let frame = Frame { origin: Default::default(), scale: 1.0 };
+        let scene = Scene { views, points: Vec::new(), skipped: Vec::new(), notes: Vec::new(), frame };
+        let (named, run) = (dir.path().join("named"), RunFolder::create(&dir.path().join("run")).unwrap());
+        std::fs::create_dir(&named).unwrap();
+        Mask::full(40, 30).write_png(&named.join("a.png")).unwrap();
+        Mask::full(50, 50).write_png(&named.join("b.png")).unwrap();
+        std::fs::write(named.join("c.png"), b"no picture").unwrap();
+        let found = Corrections::find(&scene, &run, &named.to_string_lossy()).unwrap();
+        let reasons: Vec<(usize, &str)> =
+            found.unusable().iter().map(|(i, why)| (*i, why.as_str())).collect();
+        assert!(
+            matches!(reasons[..], [(1, b), (2, c)] if b.contains("b.png: it has 50 x 50") && c.contains("c.png")),
+            "{reasons:?}"
+        );
+        let digests: Vec<bool> = (0..4).map(|view| found.digest(view).is_some()).collect();
+        assert_eq!(digests, [true, false, false, false]);
+    }
 
     #[test]
     fn a_mask_of_everything_and_one_of_nothing_are_named() {
