@@ -51,7 +51,7 @@ pub(crate) struct DraftPoint {
 
 /// The draft of a COLMAP reconstruction in `dir`.
 pub(crate) fn from_colmap(dir: &Path) -> Result<Draft, SceneError> {
-    let mut notes: Vec<String> = colmap::stale(dir).into_iter().collect();
+    let mut notes: Vec<String> = colmap::stale(dir).into_iter().chain(colmap::mixed(dir)).collect();
     let reconstruction = colmap::read(dir)?;
     let mut lenses = HashMap::new();
     for camera in &reconstruction.cameras {

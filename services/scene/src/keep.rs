@@ -4,6 +4,7 @@ use crate::decode::{MEGAPIXELS, pixels_of};
 use crate::draft::Draft;
 use crate::locate::{folder_setting, setting};
 use crate::mask_files::MaskFiles;
+use crate::names::below;
 use crate::photo::{bytes_of, cheap_ones};
 use crate::{Mask, SceneError, SceneSettings};
 use rayon::prelude::*;
@@ -90,7 +91,7 @@ pub(crate) fn find(
 
 fn beside(folder: &Path, images: &Path) -> Option<PathBuf> {
     let bases = [Some(folder), images.parent()];
-    let places = bases.into_iter().flatten().flat_map(|base| FOLDERS.map(|name| base.join(name)));
+    let places = bases.into_iter().flatten().flat_map(|base| FOLDERS.map(|name| below(base, name)));
     places.into_iter().find(|place| place.is_dir() && !same(place, images))
 }
 

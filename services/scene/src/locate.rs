@@ -2,7 +2,7 @@
 
 use crate::decode::converted;
 use crate::draft::Draft;
-use crate::names::{Entry, Listing, is_inside, is_photo, key, stem, tidy};
+use crate::names::{Entry, Listing, below, is_inside, is_photo, key, stem, tidy};
 use crate::{SceneError, SceneSettings};
 use crate::{colmap, draft, transforms};
 use rayon::prelude::*;
@@ -10,8 +10,18 @@ use std::collections::{BTreeSet, HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 /// Folders, relative to the scene's, in which photos are looked for.
-pub(crate) const PHOTO_FOLDERS: [&str; 8] =
+const PHOTO_FOLDERS: [&str; 8] =
     ["images", "dense/images", "dense/0/images", "input", "images_2", "images_4", "images_8", "."];
+/// The folders of a scene in which photos may lie, the likeliest first, be they there or not.
+pub(crate) fn photo_folders(scene: &Path) -> Vec<PathBuf> {
+    let folders = PHOTO_FOLDERS.iter().flat_map(|place| match *place {
+        "dense/0/images" => colmap::numbered_photos(scene),
+        "." => vec![scene.join(".")],
+        place => vec![below(scene, place)],
+    });
+    folders.collect()
+}
+
 /// What Blender's scenes call the pictures beside a photo that are no photos.
 const BESIDE: [&str; 3] = ["_depth", "_normal", "_alpha"];
 
@@ -39,7 +49,8 @@ pub(crate) fn find(path: &Path, settings: &SceneSettings) -> Result<(PathBuf, Dr
         let beside = json.map(|json| format!("{} is read, and not {}", found.dir.display(), json.display()));
         draft.notes.extend(beside);
         let images = images.map_or_else(|| find_photos(&folder, &draft), Ok)?;
-        let own = !settings.images.is_empty() || images.starts_with(&folder);
+        let own =
+            !settings.images.is_empty() || images.starts_with(&folder) || is_usual(&images, &draft.source);
         draft.notes.extend((!own).then(|| {
             format!(
                 "the photos are those of {}, which lies outside of {}; to take others, name their folder with `images`",
@@ -69,6 +80,15 @@ pub(crate) fn find(path: &Path, settings: &SceneSettings) -> Result<(PathBuf, Dr
     })
 }
 
+/// Whether photos lie where COLMAP has them, beside `sparse`: there is nothing to say then, though `sparse/0` alone was named.
+fn is_usual(images: &Path, model: &Path) -> bool {
+    let between = images.parent().and_then(|base| model.strip_prefix(base).ok());
+    let parts: Vec<String> =
+        between.iter().flat_map(|b| b.iter()).map(|part| key(&part.to_string_lossy())).collect();
+    let is_number = |part: &String| part.parse::<u64>().is_ok();
+    parts.first().is_some_and(|part| part == "sparse") && parts[1..].iter().all(is_number)
+}
+
 /// The folder a setting names: as it stands, or within the scene's folder.
 pub(crate) fn folder_setting(
     name: &'static str,
@@ -86,10 +106,10 @@ pub(crate) fn folder_setting(
 /// The first folder that holds a photo of the reconstruction, under its name or under what is left of it. Those of the scene itself
 /// come before any outside of it.
 fn find_photos(folder: &Path, draft: &Draft) -> Result<PathBuf, SceneError> {
-    // Photos that lie beside the reconstruction's own folder, or beside the one above it, are rather its own.
-    let above = draft.source.ancestors().skip(1).take(2).map(|dir| dir.join("images"));
+    // Photos that lie in the reconstruction's own folder, beside it, or beside the one above it, are rather its own.
+    let above = draft.source.ancestors().take(3).map(|dir| below(dir, "images"));
     let (mut places, outside): (Vec<PathBuf>, Vec<PathBuf>) = above.partition(|dir| dir.starts_with(folder));
-    places.extend(PHOTO_FOLDERS.iter().map(|p| folder.join(p)));
+    places.extend(photo_folders(folder));
     places.extend(outside);
     places.retain(|place| place.is_dir());
     let holds =
@@ -309,4 +329,17 @@ fn beside_photo(path: &Path) -> Option<PathBuf> {
     let number = &name[at + word.len()..];
     let is_number = number.strip_prefix('_').unwrap_or(number).chars().all(|c| c.is_ascii_digit());
     is_number.then(|| path.with_file_name(&name[..at]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn photos_beside_sparse_are_no_surprise_where_sparse_0_is_named_as_the_scene() {
+        let usual = |images: &str, model: &str| is_usual(Path::new(images), Path::new(model));
+        assert!(usual("/s/images", "/s/sparse/0") && usual("/s/images", "/s/Sparse"));
+        assert!(!usual("/s/images", "/s/0") && !usual("/s/images", "/s/dense/0/sparse"));
+        assert!(!usual("/s/images", "/s/sparse/other") && !usual("/t/images", "/s/sparse/0"));
+    }
 }

@@ -3,6 +3,7 @@
 use crate::text;
 use std::collections::HashMap;
 use std::path::{Component, Path, PathBuf};
+use unicode_normalization::UnicodeNormalization;
 
 /// Folders deeper than this below the photo folder are not looked into.
 const DEPTH: usize = 12;
@@ -32,9 +33,28 @@ pub(crate) fn tidy(name: &str) -> String {
     parts.collect::<Vec<_>>().join("/")
 }
 
-/// What two names have in common that are the same to a person: case and the kind of slash do not count.
+/// What two names have in common that are the same to a person: case and the kind of slash do not count, nor whether an accent is a
+/// character of its own, as Macs write it, or part of its letter.
 pub(crate) fn key(name: &str) -> String {
-    tidy(name).to_lowercase()
+    tidy(name).to_lowercase().nfc().collect()
+}
+
+/// A file or folder below a folder, found where its name is written in other capitals or accents; as it is written where there is
+/// none, or several.
+pub(crate) fn below(folder: &Path, name: &str) -> PathBuf {
+    tidy(name).split('/').filter(|part| !part.is_empty()).fold(folder.to_owned(), |folder, part| {
+        let exact = folder.join(part);
+        if exact.exists() { exact } else { alike(&folder, part).unwrap_or(exact) }
+    })
+}
+
+/// The only entry of a folder whose name is the same to a person.
+fn alike(folder: &Path, name: &str) -> Option<PathBuf> {
+    let wanted = key(name);
+    let entries = std::fs::read_dir(folder).ok()?.flatten();
+    let mut found = entries.filter(|entry| key(&entry.file_name().to_string_lossy()) == wanted);
+    let one = found.next()?;
+    found.next().is_none().then(|| one.path())
 }
 
 /// The part of a name behind its folders.
@@ -93,7 +113,7 @@ impl Listing {
     /// The files of a name, where case does not count; the one of exactly this name alone, if there is one.
     pub fn named(&self, name: &str) -> Vec<&Entry> {
         let tidied = tidy(name);
-        let found = self.by_key.get(&tidied.to_lowercase()).map_or(&[][..], Vec::as_slice);
+        let found = self.by_key.get(&key(&tidied)).map_or(&[][..], Vec::as_slice);
         let found: Vec<&Entry> = found.iter().map(|&i| &self.entries[i]).collect();
         match found.iter().find(|e| e.name == tidied) {
             Some(exact) => vec![exact],
@@ -169,6 +189,32 @@ mod tests {
         let candidate = |name: &str| listing.candidate(name).map(|e| e.name.as_str());
         assert_eq!((candidate("cam2/b.jpg"), candidate("c.jpg")), (Some("cam1/B.jpg"), Some("c.png")));
         assert_eq!(candidate("nothing.jpg"), None);
+    }
+
+    #[test]
+    fn names_with_accents_are_the_same_whichever_system_wrote_them() {
+        let (composed, decomposed) = ("\u{c9}glise/caf\u{e9}.jpg", "E\u{301}glise/cafe\u{301}.jpg");
+        assert_eq!(key(composed), key(decomposed));
+        assert_ne!(key("cafe.jpg"), key("caf\u{e9}.jpg"));
+        let dir = tempfile::tempdir().unwrap();
+        std::fs::create_dir(dir.path().join("E\u{301}glise")).unwrap();
+        std::fs::write(dir.path().join(decomposed), b"").unwrap();
+        let listing = Listing::of(dir.path());
+        assert_eq!(listing.tail(composed).map(|e| e.name.as_str()), Some(decomposed));
+        assert_eq!(below(dir.path(), composed), dir.path().join(decomposed));
+    }
+
+    #[test]
+    fn folders_in_other_capitals_are_found_where_it_is_clear_which_is_meant() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        for name in ["Sparse/0", "images", "Images", "MASKS", "Masks"] {
+            std::fs::create_dir_all(at(name)).unwrap();
+        }
+        assert_eq!(below(dir.path(), "sparse/0"), at("Sparse/0"));
+        assert_eq!(below(dir.path(), "images"), at("images"));
+        assert_eq!(below(dir.path(), "masks"), at("masks"), "it may be either");
+        assert_eq!(below(dir.path(), "dense/0"), at("dense/0"));
     }
 
     #[test]

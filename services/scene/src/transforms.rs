@@ -7,7 +7,7 @@ use crate::decode::{Head, converted};
 use crate::draft::{Draft, DraftPhoto, DraftPose, finite};
 use crate::lens::{Lens, Model};
 use crate::locate::{Claim, Claimed, settle};
-use crate::names::{CAPITALS, Listing, READ, is_inside, is_photo, key, last_part, tidy};
+use crate::names::{CAPITALS, Listing, READ, below, is_inside, is_photo, key, last_part, tidy};
 use crate::split::{Part, Split};
 use crate::{SceneError, draft, locate, text};
 use glam::{DMat3, DVec3};
@@ -96,7 +96,7 @@ const BLENDER: [(&str, Part); 3] = [
 /// The cameras file of a folder: `transforms.json`, or the first of Blender's.
 pub(crate) fn find(folder: &Path) -> Option<PathBuf> {
     let names = std::iter::once("transforms.json").chain(BLENDER.map(|(name, _)| name));
-    names.map(|name| folder.join(name)).find(|path| path.is_file())
+    names.map(|name| below(folder, name)).find(|path| path.is_file())
 }
 
 /// The names of the photos that a transforms.json lists; `None` where there is none that can be read.
@@ -214,8 +214,8 @@ struct PhotoFinder<'a> {
 impl<'a> PhotoFinder<'a> {
     fn new(folder: &'a Path, images: Option<&Path>) -> PhotoFinder<'a> {
         let photos = images.unwrap_or(folder).to_owned();
-        let places = locate::PHOTO_FOLDERS.iter().filter(|place| **place != "." && images.is_none());
-        let below = places.map(|place| folder.join(place)).filter(|place| place.is_dir());
+        let places = locate::photo_folders(folder).into_iter();
+        let below = places.filter(|place| images.is_none() && *place != folder && place.is_dir());
         let below = below.map(|place| (place, OnceLock::new())).collect();
         PhotoFinder { folder, photos, listing: OnceLock::new(), below }
     }

@@ -153,23 +153,23 @@ pub(super) fn read(dir: &Path) -> Result<Reconstruction, SceneError> {
         }
         Ok(ImageRecord { id, rotation, translation, camera_id, name, keypoints })
     })?;
-    let points = if dir.join("points3D.bin").is_file() {
-        records(dir, "points3D.bin", "point", |c| {
-            let id = c.u64()?;
-            let position = c.f64s()?;
-            let colour = c.array()?;
-            let [error] = c.f64s()?;
-            let n = c.count(8)?;
-            let mut track = Vec::with_capacity(n);
-            for _ in 0..n {
-                track.push((c.u32()?, c.u32()?));
-            }
-            Ok(PointRecord { id, position, colour, error, track })
-        })?
-    } else {
-        Vec::new()
-    };
-    Ok(Reconstruction { cameras, unknown_cameras: Vec::new(), images, points })
+    Ok(Reconstruction { cameras, images, ..Reconstruction::default() })
+}
+
+/// The points of `points3D.bin`.
+pub(super) fn points(dir: &Path) -> Result<Vec<PointRecord>, SceneError> {
+    records(dir, "points3D.bin", "point", |c| {
+        let id = c.u64()?;
+        let position = c.f64s()?;
+        let colour = c.array()?;
+        let [error] = c.f64s()?;
+        let n = c.count(8)?;
+        let mut track = Vec::with_capacity(n);
+        for _ in 0..n {
+            track.push((c.u32()?, c.u32()?));
+        }
+        Ok(PointRecord { id, position, colour, error, track })
+    })
 }
 
 /// Writes `cameras.bin`, `images.bin` and `points3D.bin` into `dir`, which is made if it is not there.

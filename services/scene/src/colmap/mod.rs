@@ -10,7 +10,7 @@ mod text;
 pub use crate::lens::Model;
 pub use binary::write;
 pub use models::PLACES;
-pub(crate) use models::find;
+pub(crate) use models::{find, numbered_photos};
 pub use text::write_text;
 
 use crate::SceneError;
@@ -87,9 +87,38 @@ pub struct Reconstruction {
 }
 
 /// Reads a reconstruction from the folder that holds its files; `.bin` is preferred to `.txt`.
-/// A folder without `points3D` gives no points.
+/// The points are read in the other form where they are there in that alone; a folder without `points3D` gives no points.
 pub fn read(dir: &Path) -> Result<Reconstruction, SceneError> {
-    if has(dir, "bin") { binary::read(dir) } else { text::read(dir) }
+    read_as(dir, form(dir))
+}
+
+/// The form in which cameras and photos are read.
+fn form(dir: &Path) -> &'static str {
+    if has(dir, "bin") { "bin" } else { "txt" }
+}
+
+fn read_as(dir: &Path, form: &str) -> Result<Reconstruction, SceneError> {
+    let read = if form == "bin" { binary::read(dir)? } else { text::read(dir)? };
+    let points = match points_form(dir, form) {
+        Some("bin") => binary::points(dir)?,
+        Some(_) => text::points(dir)?,
+        None => Vec::new(),
+    };
+    Ok(Reconstruction { points, ..read })
+}
+
+/// The form of the points of a reconstruction whose cameras are of this form: the same, if there are any in it.
+fn points_form(dir: &Path, form: &str) -> Option<&'static str> {
+    let forms = if form == "bin" { ["bin", "txt"] } else { ["txt", "bin"] };
+    forms.into_iter().find(|form| dir.join(format!("points3D.{form}")).is_file())
+}
+
+/// What to say where the points are of another form than the cameras and photos.
+pub(crate) fn mixed(dir: &Path) -> Option<String> {
+    let own = form(dir);
+    let other = points_form(dir, own).filter(|other| *other != own)?;
+    let dir = dir.display();
+    Some(format!("{dir}: the points are those of points3D.{other}, for there is no points3D.{own}"))
 }
 
 /// Whether a folder holds `cameras` and `images` of one form.
@@ -99,7 +128,7 @@ fn has(dir: &Path, form: &str) -> bool {
 
 /// Whether a folder holds the points of a reconstruction.
 pub(crate) fn has_points(dir: &Path) -> bool {
-    ["bin", "txt"].iter().any(|form| dir.join(format!("points3D.{form}")).is_file())
+    points_form(dir, "bin").is_some()
 }
 
 /// Where the two forms of a reconstruction differ, in words: somebody edited the `.txt`, and the `.bin` beside it is read.
@@ -107,7 +136,7 @@ pub(crate) fn stale(dir: &Path) -> Option<String> {
     if !(has(dir, "bin") && has(dir, "txt")) {
         return None;
     }
-    let differs = match (binary::read(dir), text::read(dir)) {
+    let differs = match (read_as(dir, "bin"), read_as(dir, "txt")) {
         (Ok(bin), Ok(text)) => difference(&bin, &text)?,
         (Ok(_), Err(error)) => error.to_string(),
         // What is wrong with the .bin is said when it is read.

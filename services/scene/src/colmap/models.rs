@@ -1,11 +1,15 @@
 //! Where the models of a scene lie, and which of several is taken.
 
 use super::has;
+use crate::names::below;
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 /// Folders within a scene's that hold `sparse`, or a model itself: COLMAP's own, those of its undistorter and of INRIA's and
-/// nerfstudio's scripts, the nearest first.
+/// nerfstudio's scripts, the nearest first. COLMAP's automatic reconstructor numbers those within `dense`.
 const BASES: [&str; 6] = ["", "dense", "dense/0", "colmap", "undistorted", "distorted"];
+/// The one that stands for all numbers.
+const NUMBERED: &str = "dense/0";
 /// So many of them are COLMAP's own.
 const OWN: usize = 3;
 /// Where a reconstruction is looked for inside a scene folder, in words: [`BASES`] as a person is told of them.
@@ -13,7 +17,7 @@ pub const PLACES: [&str; 8] = [
     "sparse/0 (1, 2, ...)",
     "sparse",
     "dense/sparse",
-    "dense/0/sparse",
+    "dense/0/sparse (1, 2, ...)",
     "colmap/sparse",
     "undistorted/sparse",
     "distorted/sparse",
@@ -38,7 +42,8 @@ struct Candidate {
 /// The model of a scene: the largest in the nearest folder that holds any. A folder farther off is taken only where its largest
 /// model is more than twice as large.
 pub(crate) fn find(scene: &Path) -> Option<Found> {
-    let bases: Vec<Vec<Candidate>> = BASES.iter().map(|base| models(scene, base)).collect();
+    let models_of = |base: &&str| folders(scene, base).iter().flat_map(|base| models(base)).collect();
+    let bases: Vec<Vec<Candidate>> = BASES.iter().map(models_of).collect();
     let largest = |models: &[Candidate]| models.iter().map(|m| m.photos).max().unwrap_or(0);
     let most = bases.iter().map(|models| largest(models)).max()?;
     let near = bases.iter().position(|models| !models.is_empty() && 2 * largest(models) >= most)?;
@@ -51,7 +56,8 @@ pub(crate) fn find(scene: &Path) -> Option<Found> {
         .filter(|m| m.dir != chosen.dir)
         .map(|m| format!("{} ({})", m.dir.display(), m.photos))
         .collect();
-    others.dedup();
+    let mut known = HashSet::new();
+    others.retain(|other| known.insert(other.clone()));
     let note = (!others.is_empty()).then(|| {
         format!(
             "there are several models: {} with {wanted} photos is taken, and not {}; to take another, name its folder and that of \
@@ -63,16 +69,28 @@ pub(crate) fn find(scene: &Path) -> Option<Found> {
     Some(Found { dir: chosen.dir.clone(), near: near < OWN, note })
 }
 
+/// The folders that a base stands for.
+fn folders(scene: &Path, base: &str) -> Vec<PathBuf> {
+    match base {
+        NUMBERED => numbered(&below(scene, "dense")),
+        _ => vec![below(scene, base)],
+    }
+}
+
 /// The models of one base, `sparse/0` and the like first, then `sparse`, then the base itself.
-fn models(scene: &Path, base: &str) -> Vec<Candidate> {
-    let base = if base.is_empty() { scene.to_owned() } else { scene.join(base) };
-    let sparse = base.join("sparse");
+fn models(base: &Path) -> Vec<Candidate> {
+    let sparse = below(base, "sparse");
     let mut dirs = numbered(&sparse);
     dirs.push(sparse);
     // The base may be a folder of models itself, as COLMAP's mapper writes it.
-    dirs.extend(numbered(&base));
-    dirs.push(base);
+    dirs.extend(numbered(base));
+    dirs.push(base.to_owned());
     dirs.into_iter().filter_map(|dir| photos(&dir).map(|photos| Candidate { dir, photos })).collect()
+}
+
+/// The photo folders of COLMAP's automatic reconstructor, which numbers its models.
+pub(crate) fn numbered_photos(scene: &Path) -> Vec<PathBuf> {
+    folders(scene, NUMBERED).iter().map(|base| below(base, "images")).collect()
 }
 
 /// Folders whose names are numbers, in order.

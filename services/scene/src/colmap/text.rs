@@ -100,26 +100,28 @@ pub(super) fn read(dir: &Path) -> Result<Reconstruction, SceneError> {
         }
         images.push(ImageRecord { id, rotation, translation, camera_id, name, keypoints });
     }
+    Ok(Reconstruction { cameras, unknown_cameras, images, points: Vec::new() })
+}
 
+/// The points of `points3D.txt`.
+pub(super) fn points(dir: &Path) -> Result<Vec<PointRecord>, SceneError> {
     let path = dir.join("points3D.txt");
     let mut points = Vec::new();
-    if path.is_file() {
-        let text = text::read(&path)?;
-        for (i, line) in text.lines().enumerate().filter(|(_, l)| is_record(l)) {
-            let mut words = Words { path: &path, line: i + 1, rest: line };
-            let id = words.value("point id")?;
-            let position = words.values("position")?;
-            let colour = [words.value("colour")?, words.value("colour")?, words.value("colour")?];
-            let error = words.value("error")?;
-            let mut track = Vec::new();
-            while let Some(image) = words.word() {
-                let image = image.parse().map_err(|_| words.invalid(format!("`{image}` is no image id")))?;
-                track.push((image, words.value("keypoint index")?));
-            }
-            points.push(PointRecord { id, position, colour, error, track });
+    let text = text::read(&path)?;
+    for (i, line) in text.lines().enumerate().filter(|(_, l)| is_record(l)) {
+        let mut words = Words { path: &path, line: i + 1, rest: line };
+        let id = words.value("point id")?;
+        let position = words.values("position")?;
+        let colour = [words.value("colour")?, words.value("colour")?, words.value("colour")?];
+        let error = words.value("error")?;
+        let mut track = Vec::new();
+        while let Some(image) = words.word() {
+            let image = image.parse().map_err(|_| words.invalid(format!("`{image}` is no image id")))?;
+            track.push((image, words.value("keypoint index")?));
         }
+        points.push(PointRecord { id, position, colour, error, track });
     }
-    Ok(Reconstruction { cameras, unknown_cameras, images, points })
+    Ok(points)
 }
 
 /// Writes `cameras.txt`, `images.txt` and `points3D.txt` into `dir`, which is made if it is not there.
