@@ -8,7 +8,7 @@
 //! - Blender's `transforms_train.json`, `transforms_val.json` and `transforms_test.json`.
 //! - RobustNeRF's names: `clutter` trains, `extra` tests.
 
-use crate::names::{key, last_part, stem};
+use crate::names::{below, key, last_part, stem};
 use crate::{SceneError, SceneSettings, text, transforms};
 use serde_json::Value;
 use std::cmp::Reverse;
@@ -107,7 +107,8 @@ impl Split {
                 let mut lists = vec![(path.to_owned(), part)];
                 // Its partner, which says the rest.
                 let partners = LISTS.iter().filter(|(_, other)| *other != part);
-                let beside = |(name, part): &(&str, Part)| (path.with_file_name(name), *part);
+                let folder = path.parent().unwrap_or(Path::new(""));
+                let beside = |(name, part): &(&str, Part)| (below(folder, name), *part);
                 lists.extend(partners.map(beside).filter(|(path, _)| path.is_file()));
                 read_lists(&lists)
             }
@@ -149,21 +150,32 @@ impl Split {
             return Split::read(&found, photos).map(Some);
         }
         let mut found: Vec<Split> = Vec::new();
+        let names_some = |split: &Split| photos.iter().any(|photo| split.row(photo).is_some());
         for path in tables(folder)? {
-            found.push(read_table(&path)?);
+            let head = text::read(&path)?;
+            if let Err(reason) = columns(&heads(head.lines().find(|line| !line.trim().is_empty()))) {
+                notes.push(passed_over(&path, &reason));
+                continue;
+            }
+            let split = read_table(&path)?;
+            if names_some(&split) {
+                found.push(split);
+            } else {
+                notes.push(passed_over(&path, "it names no photo of this scene"));
+            }
         }
-        let json = folder.join("split.json");
+        let json = below(folder, "split.json");
         if json.is_file() {
             found.push(read_json(&json, photos)?);
         }
         for dir in near {
-            let lists = LISTS.iter().map(|(name, part)| (dir.join(name), *part));
+            let lists = LISTS.iter().map(|(name, part)| (below(dir, name), *part));
             let lists: Vec<_> = lists.filter(|(path, _)| path.is_file()).collect();
             if lists.is_empty() {
                 continue;
             }
             let split = read_lists(&lists)?;
-            if photos.iter().any(|photo| split.row(photo).is_some()) {
+            if names_some(&split) {
                 found.push(split);
             } else {
                 notes.push(format!(
@@ -183,7 +195,13 @@ impl Split {
                 ),
             });
         }
-        let own = own.or_else(|| by_names(photos, folder));
+        let own = match (own, &found[..]) {
+            (None, found) => by_names(photos, folder).unwrap_or_else(|odd| {
+                notes.extend(found.is_empty().then_some(odd));
+                None
+            }),
+            (own, _) => own,
+        };
         match (found.pop(), own) {
             (Some(found), Some(own)) => {
                 notes.push(format!(
@@ -296,19 +314,37 @@ fn tables(folder: &Path) -> Result<Vec<PathBuf>, SceneError> {
     Ok(found)
 }
 
+/// What to say of a table that is not used.
+fn passed_over(path: &Path, reason: &str) -> String {
+    format!(
+        "{}: {reason}; it is no split of this scene and is not used (`--split none` looks for none)",
+        path.display()
+    )
+}
+
+/// The heads of a table's columns.
+fn heads(line: Option<&str>) -> Vec<&str> {
+    line.map(|line| line.split('\t').map(str::trim).collect()).unwrap_or_default()
+}
+
+/// The columns of a split among those of a table: filename, id, split; why it is none in words.
+fn columns(heads: &[&str]) -> Result<[usize; 3], String> {
+    if heads.is_empty() {
+        return Err("the file is empty".into());
+    }
+    let column = |name: &str| {
+        heads.iter().position(|head| *head == name).ok_or_else(|| {
+            format!("there is no column `{name}`; a split has filename, id and split, tab-separated")
+        })
+    };
+    Ok([column("filename")?, column("id")?, column("split")?])
+}
+
 fn read_table(path: &Path) -> Result<Split, SceneError> {
     let text = text::read(path)?;
     let mut lines = text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty());
-    let (_, head) = lines.next().ok_or_else(|| SceneError::invalid(path, "line 1", "the file is empty"))?;
-    let heads: Vec<&str> = head.split('\t').map(str::trim).collect();
-    let column = |name: &str| {
-        heads.iter().position(|h| *h == name).ok_or_else(|| {
-            let reason =
-                format!("there is no column `{name}`; a split has filename, id and split, tab-separated");
-            SceneError::invalid(path, "line 1", reason)
-        })
-    };
-    let (name, id, split) = (column("filename")?, column("id")?, column("split")?);
+    let head = heads(lines.next().map(|(_, head)| head));
+    let [name, id, split] = columns(&head).map_err(|reason| SceneError::invalid(path, "line 1", reason))?;
     let mut rows = BTreeMap::new();
     for (i, line) in lines {
         let cells: Vec<&str> = line.split('\t').map(str::trim).collect();
@@ -392,18 +428,32 @@ fn numbered(split: &Path, photos: &[&str]) -> Vec<String> {
     names.iter().map(|(last, whole)| if count[last] > 1 { *whole } else { *last }.to_owned()).collect()
 }
 
-/// RobustNeRF's photos say themselves what they are for.
-fn by_names(photos: &[&str], folder: &Path) -> Option<Split> {
+/// RobustNeRF's photos say themselves what they are for. In words, where some of them are named so and no split comes of it.
+fn by_names(photos: &[&str], folder: &Path) -> Result<Option<Split>, String> {
     let part = |name: &str| {
         let last = last_part(name).to_lowercase();
         let parts = [("clutter", Part::Train), ("extra", Part::Test), ("clean", Part::Validation)];
         parts.into_iter().find(|(word, _)| last.contains(word)).map(|(_, part)| part)
     };
     let row = |name: &&str| Some(((*name).to_owned(), part(name)?));
-    let rows: Vec<(String, Part)> = photos.iter().map(row).collect::<Option<_>>()?;
-    let some = |wanted: Part| rows.iter().any(|(_, part)| *part == wanted);
-    (some(Part::Train) && some(Part::Test))
-        .then(|| Split::new(&folder.join("(names of the photos)"), rows, true))
+    let rows: Vec<(String, Part)> = photos.iter().filter_map(row).collect();
+    let count = |wanted: Part| rows.iter().filter(|(_, part)| *part == wanted).count();
+    let (train, test, clean) = (count(Part::Train), count(Part::Test), count(Part::Validation));
+    let other = photos.iter().find(|name| part(name).is_none());
+    if train == 0 || test + clean == 0 {
+        return Ok(None);
+    }
+    let why = match other {
+        None if test > 0 => {
+            return Ok(Some(Split::new(&folder.join("(names of the photos)"), rows, true)));
+        }
+        None => "none is called `extra`".to_owned(),
+        Some(other) => format!("{other} is called neither"),
+    };
+    Err(format!(
+        "the photos are named as RobustNeRF names them ({train} `clutter`, {test} `extra`, {clean} `clean`), but {why}: no split is made \
+         of the names, and all photos train; to hold some out, list them in a test_list.txt"
+    ))
 }
 
 #[cfg(test)]

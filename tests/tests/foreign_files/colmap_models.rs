@@ -88,6 +88,97 @@ pub const ROWS: &[Row] = &[
         expect: Expect::Reads { photos: 12, words: &[] },
     },
     Row {
+        name: "a model in dense/1 alone",
+        make: |files| {
+            files.rename("sparse/0", "dense/1/sparse");
+            files.rename("images", "dense/1/images");
+        },
+        settings: &[],
+        expect: Expect::Reads { photos: 12, words: &[] },
+    },
+    Row {
+        name: "models in dense/0 and dense/1, the larger is the second",
+        make: |files| {
+            files.remove("sparse");
+            part(files, "dense/0/sparse", 0..5);
+            part(files, "dense/1/sparse", 5..12);
+            (0..5).for_each(|i| {
+                files.rename(&format!("images/photo{i:02}.png"), &format!("dense/0/images/photo{i:02}.png"))
+            });
+            files.rename("images", "dense/1/images");
+        },
+        settings: &[],
+        expect: Expect::Reads {
+            photos: 7,
+            words: &["dense/1/sparse with 7 photos is taken", "dense/0/sparse (5)"],
+        },
+    },
+    Row {
+        name: "photos in dense/1 of a model elsewhere",
+        make: |files| files.rename("images", "dense/1/images"),
+        settings: &[],
+        expect: Expect::Reads { photos: 12, words: &[] },
+    },
+    Row {
+        name: "folders and lists in other capitals",
+        make: |files| {
+            files.rename("sparse", "Sparse");
+            files.rename("images", "Images");
+            files.write("Test_List.txt", "photo00.png\n");
+        },
+        settings: &[],
+        expect: Expect::Holds {
+            photos: 12,
+            check: |scene| assert_eq!(scene.views.iter().filter(|view| view.test).count(), 1),
+        },
+    },
+    Row {
+        name: "dense/images in other capitals",
+        make: |files| {
+            files.rename("sparse", "Dense/Sparse");
+            files.rename("images", "Dense/Images");
+        },
+        settings: &[],
+        expect: Expect::Reads { photos: 12, words: &[] },
+    },
+    Row {
+        name: "names with accents, from a Mac",
+        make: |files| {
+            files.rename("images/photo03.png", "images/Cafe\u{301}.png");
+            files.remodel(|model| model.images[3].name = "Caf\u{e9}.png".into());
+        },
+        settings: &[],
+        expect: Expect::Reads { photos: 12, words: &["found by what is left"] },
+    },
+    Row {
+        name: "points3D.txt beside cameras.bin and images.bin",
+        make: |files| {
+            colmap::write_text(&files.path("sparse/text"), &files.model).expect("the model is written");
+            files.rename("sparse/text/points3D.txt", "sparse/0/points3D.txt");
+            files.remove("sparse/text");
+            files.remove("sparse/0/points3D.bin");
+        },
+        settings: &[],
+        expect: Expect::Holds {
+            photos: 12,
+            check: |scene| {
+                assert!(scene.points.len() == 60 && scene.points.iter().all(|p| p.track.len() == 12));
+                assert!(scene.notes.iter().any(|note| note.contains("no points3D.bin")), "{:?}", scene.notes);
+            },
+        },
+    },
+    Row {
+        name: "points3D.bin beside cameras.txt and images.txt",
+        make: |files| {
+            colmap::write_text(&files.path("sparse/0"), &files.model).expect("the model is written");
+            ["cameras.bin", "images.bin", "points3D.txt"]
+                .iter()
+                .for_each(|name| files.remove(&format!("sparse/0/{name}")));
+        },
+        settings: &[],
+        expect: Expect::Holds { photos: 12, check: |scene| assert_eq!(scene.points.len(), 60) },
+    },
+    Row {
         name: "points3D.ply in place of points3D.bin",
         make: |files| {
             files.remove("sparse/0/points3D.bin");

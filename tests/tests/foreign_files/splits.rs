@@ -24,6 +24,14 @@ fn lines(photos: std::ops::Range<u32>) -> String {
     photos.map(|i| format!("photo{i:02}.png\r\n")).collect()
 }
 
+/// Gives the photos other names, in the model and on disk.
+fn renamed(files: &Files, name: fn(u32) -> String) {
+    for i in 0..PHOTOS {
+        files.rename(&format!("images/photo{i:02}.png"), &format!("images/{}", name(i)));
+    }
+    files.remodel(|model| (0..PHOTOS).for_each(|i| model.images[i as usize].name = name(i)));
+}
+
 pub const ROWS: &[Row] = &[
     Row {
         name: "split.json of names, clutter and extra",
@@ -199,6 +207,78 @@ pub const ROWS: &[Row] = &[
             photos: 11,
             check: |scene| assert_eq!(tests(scene), ["2extra000.png", "2extra001.png"]),
         },
+    },
+    Row {
+        name: "RobustNeRF's names, and one photo that is named otherwise",
+        make: |files| {
+            renamed(files, |i| match i {
+                0 | 1 => format!("2extra{i:03}.png"),
+                2 => "door.png".into(),
+                _ => format!("1clutter{i:03}.png"),
+            });
+        },
+        settings: &[],
+        expect: Expect::Reads {
+            photos: 12,
+            words: &["9 `clutter`, 2 `extra`, 0 `clean`", "door.png is called neither", "all photos train"],
+        },
+    },
+    Row {
+        name: "RobustNeRF's names, clutter and clean alone",
+        make: |files| renamed(files, |i| format!("{}{i:03}.png", if i < 2 { "0clean" } else { "1clutter" })),
+        settings: &[],
+        expect: Expect::Reads { photos: 12, words: &["none is called `extra`", "all photos train"] },
+    },
+    Row {
+        name: "RobustNeRF's names, one that is named otherwise, and a list",
+        make: |files| {
+            renamed(files, |i| match i {
+                0 | 1 => format!("photo{i:02}.png"),
+                2 => "extra.png".into(),
+                _ => format!("1clutter{i:03}.png"),
+            });
+            files.write("test_list.txt", "photo00.png\nphoto01.png\n");
+        },
+        settings: &[],
+        expect: Expect::Holds {
+            photos: 12,
+            check: |scene| {
+                first_two(scene);
+                assert!(scene.notes.iter().all(|note| !note.contains("RobustNeRF")), "{:?}", scene.notes);
+            },
+        },
+    },
+    Row {
+        name: "a .tsv of something else",
+        make: |files| files.write("measurements.tsv", "time\tvalue\n1\t2\n"),
+        settings: &[],
+        expect: Expect::Reads {
+            photos: 12,
+            words: &["measurements.tsv", "no column `filename`", "--split none"],
+        },
+    },
+    Row {
+        name: "an empty .tsv beside a split",
+        make: |files| {
+            files.write("a.tsv", "");
+            let row = |i: u32| format!("photo{i:02}.png\t{i}\t{}\tx\n", if i < 2 { "test" } else { "train" });
+            let rows: String = (0..PHOTOS).map(row).collect();
+            files.write("b.tsv", format!("filename\tid\tsplit\tdataset\n{rows}"));
+        },
+        settings: &[],
+        expect: Expect::Holds {
+            photos: 12,
+            check: |scene| {
+                first_two(scene);
+                assert!(scene.notes.iter().any(|note| note.contains("a.tsv: the file is empty")));
+            },
+        },
+    },
+    Row {
+        name: "a .tsv of another scene's photos",
+        make: |files| files.write("x.tsv", "filename\tid\tsplit\tdataset\nother.jpg\t1\ttrain\tx\n"),
+        settings: &[],
+        expect: Expect::Reads { photos: 12, words: &["x.tsv: it names no photo of this scene"] },
     },
     Row {
         name: "a .tsv with a byte order mark and Latin-1",
