@@ -149,7 +149,7 @@ impl Digests {
         Ok(Digests { photos, odd })
     }
 
-    /// Leaves out the photos whose picture of strangers cannot be used.
+    /// Leaves out the photos whose corrected transient mask cannot be used.
     #[must_use]
     pub fn without(mut self, corrections: &Corrections) -> Digests {
         for (view, reason) in corrections.unusable() {

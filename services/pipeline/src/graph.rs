@@ -207,8 +207,8 @@ pub fn run(
     if let Some(words) = corrections.in_words(&scene) {
         options.events.info(Some("ingest"), words);
     }
-    let digests = Digests::read(&scene, settings, &|| options.stopper.phase() != Phase::Running)?;
-    let digests = digests.without(&corrections);
+    let stopping = || options.stopper.phase() != Phase::Running;
+    let digests = Digests::read(&scene, settings, &stopping)?.without(&corrections);
     if let Some(first) = digests.nothing_left(&scene) {
         let reason = format!("no photo can be trained on; of the first: {first}");
         return Err(segwild_scene::SceneError::NothingUsable { path: intake.scene, reason }.into());

@@ -43,8 +43,8 @@ struct Correction {
 }
 
 impl Corrections {
-    /// Finds the pictures that a person made or changed: in the folder that was named, else in the run's own. One of the former
-    /// that cannot be read or does not fit its photo is told of in [`Corrections::unusable`].
+    /// Finds the pictures that a person made or changed: in the folder that was named, else in the run's own. [`Corrections::unusable`]
+    /// lists those of the named folder that cannot be read or do not fit their photo.
     ///
     /// # Errors
     /// When the named folder is not there or holds no picture of a photo; names a picture of the run's own that does not fit its photo.
