@@ -152,12 +152,12 @@ impl Split {
         let mut found: Vec<Split> = Vec::new();
         let names_some = |split: &Split| photos.iter().any(|photo| split.row(photo).is_some());
         for path in tables(folder)? {
-            let head = text::read(&path)?;
-            if let Err(reason) = columns(&heads(head.lines().find(|line| !line.trim().is_empty()))) {
+            let text = text::read(&path)?;
+            if let Err(reason) = columns(&heads(text.lines().find(|line| !line.trim().is_empty()))) {
                 notes.push(passed_over(&path, &reason));
                 continue;
             }
-            let split = read_table(&path)?;
+            let split = table_of(&path, &text)?;
             if names_some(&split) {
                 found.push(split);
             } else {
@@ -341,7 +341,11 @@ fn columns(heads: &[&str]) -> Result<[usize; 3], String> {
 }
 
 fn read_table(path: &Path) -> Result<Split, SceneError> {
-    let text = text::read(path)?;
+    table_of(path, &text::read(path)?)
+}
+
+/// The split of a table's text.
+fn table_of(path: &Path, text: &str) -> Result<Split, SceneError> {
     let mut lines = text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty());
     let head = heads(lines.next().map(|(_, head)| head));
     let [name, id, split] = columns(&head).map_err(|reason| SceneError::invalid(path, "line 1", reason))?;
