@@ -1,4 +1,4 @@
-//! All settings of a run in one struct: flags, `segwild.toml` and `docs/settings.md` are made from it.
+//! All settings of a run in one struct: flags, `segwild.toml` and `docs/reference/settings.md` are made from it.
 
 use crate::{EngineKind, WhenLost};
 use segwild_features::FeatureSettings;

@@ -114,7 +114,7 @@ fn units_change_no_selection() {
 }
 
 /// A click on the ground takes along what stands on it, and one on a wall what stands before it. Whoever works on clicks finds the
-/// case measured here, and on `docs/surfaces.md` with the built-in masks; it is not asked to be good.
+/// case measured here, and on `docs/results/surfaces.md` with the built-in masks; it is not asked to be good.
 #[test]
 fn a_click_on_the_ground_and_on_a_wall_is_measured_with_what_it_takes_along() {
     let dir = tempfile::tempdir().unwrap();

@@ -260,11 +260,11 @@ fn a_damaged_model_is_named() {
 #[test]
 fn the_settings_page_is_up_to_date() {
     let page = works(&["doctor", "--settings"]);
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/settings.md");
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/reference/settings.md");
     let kept = std::fs::read_to_string(&file).unwrap_or_default();
     assert!(
         page.trim() == kept.trim(),
-        "docs/settings.md is out of date: `segwild doctor --settings > docs/settings.md`"
+        "docs/reference/settings.md is out of date: `segwild doctor --settings > docs/reference/settings.md`"
     );
 }
 

@@ -92,7 +92,7 @@ fn grafana_asks_for_a_password_that_somebody_has_set() {
 /// Everything that compose demands stands on the operators' page, and nothing secret has a value in the repository.
 #[test]
 fn the_operators_page_says_what_has_to_be_set() {
-    let (compose, page) = (read("compose.yaml"), read("../docs/operators.md"));
+    let (compose, page) = (read("compose.yaml"), read("../docs/guide/operate.md"));
     let mut demanded = 0;
     for part in compose.split("${").skip(1) {
         let name: String = part.chars().take_while(|c| c.is_ascii_uppercase() || *c == '_').collect();

@@ -331,7 +331,7 @@ fn the_alert_rules_fire_when_they_should() {
     // Every alert has a test of its own, and a paragraph for who is woken by it.
     let read = |file: PathBuf| std::fs::read_to_string(file).expect("it is there");
     let (rules, tests) = (read(folder.join("alerts.yml")), read(folder.join("alerts.test.yml")));
-    let page = read(deploy("../docs/operators.md"));
+    let page = read(deploy("../docs/guide/operate.md"));
     for alert in rules.lines().filter_map(|l| l.trim().strip_prefix("- alert: ")) {
         assert!(tests.contains(&format!("alertname: {alert}")), "{alert} is not tested");
         assert!(page.contains(&format!("`{alert}`")), "{alert} is not explained");

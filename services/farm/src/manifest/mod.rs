@@ -10,7 +10,7 @@
 //! [defaults]                   # for every scene that does not say otherwise
 //! preset = "draft"             # short for settings.preset
 //! attempts = 3
-//! settings = { size = 320 }    # any setting of docs/settings.md
+//! settings = { size = 320 }    # any setting of docs/reference/settings.md
 //!
 //! [[scene]]
 //! path = "photos/liberty"      # relative to this file

@@ -23,7 +23,7 @@ fn metric_names_follow_the_rules() {
 
 #[test]
 fn the_operators_page_explains_every_metric() {
-    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/operators.md");
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/guide/operate.md");
     let page = std::fs::read_to_string(page).expect("the page");
     for &metric in Metric::ALL {
         let row = page.lines().find(|l| {

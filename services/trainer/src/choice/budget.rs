@@ -3,7 +3,7 @@
 //! growing ends.
 //!
 //! What is paid is SSIM on photos held out. PSNR can be no lower where a click selects .05 IoU less: behind strangers with
-//! a quarter of the steps, or with half of the splats (docs/chart/oracle-synthetic).
+//! a quarter of the steps, or with half of the splats (docs/results/chart/oracle-synthetic).
 //!
 //! Each is a whole training from coarse to fine. Going on from the one before would take half the steps, but what is
 //! trained on fine photos for long with few splats to move is worth less on photos held out: on `fern` 1 dB less than
