@@ -1,7 +1,7 @@
-// How much of what would be taken for a stranger the scene fails to show in each part of a photo (twin: `blame` in
+// How much of what would be taken for a transient the scene fails to show in each part of a photo (twin: `blame` in
 // raster/src/compare/visible.rs). One thread per part.
 #import common
-#import sitting
+#import loss_inputs
 
 // x: the photo's width, y: its height, z: the map's, w: its height.
 @group(0) @binding(0) var<uniform> job: vec4u;

@@ -1,7 +1,7 @@
 // How a photo pulls the one colour behind its splats (twin: `ColourSums::of` in raster/src/compare/behind.rs). One thread
 // per pixel.
 #import common
-#import sitting
+#import loss_inputs
 #import sum
 
 alias Summed = vec4f;

@@ -2,13 +2,13 @@
 // thread per pixel.
 #import common
 #import view
-#import sitting
-#import behind
+#import loss_inputs
+#import background
 
 // x: pixels, y: 1 if some pixels are trusted.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<uniform> view: View;
-@group(0) @binding(2) var<uniform> sitting: Sitting;
+@group(0) @binding(2) var<uniform> loss_inputs: LossInputs;
 // Colour and alpha.
 @group(0) @binding(3) var<storage, read> image: array<vec4f>;
 @group(0) @binding(4) var<storage, read> photo: array<u32>;
@@ -29,11 +29,11 @@ fn compose(
         return;
     }
     let drawn = image[i];
-    var colour = drawn.xyz + (1.0 - drawn.w) * behind(view, sitting, i);
-    if sitting.kinds.y == 1u {
+    var colour = drawn.xyz + (1.0 - drawn.w) * behind(view, loss_inputs, i);
+    if loss_inputs.kinds.y == 1u {
         let scene = vec4f(colour, 1.0);
         for (var c = 0u; c < 3u; c += 1u) {
-            colour[c] = dot(sitting.matrix[c], scene);
+            colour[c] = dot(loss_inputs.matrix[c], scene);
         }
     }
     let apart = abs(colour - colour_of(photo[i])) * (1.0 / 3.0);

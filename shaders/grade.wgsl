@@ -2,8 +2,8 @@
 // `matrix_backward` in raster/src/look/affine.rs, `alpha_gradient` in raster/src/compare/mod.rs). One thread per pixel.
 #import common
 #import view
-#import sitting
-#import behind
+#import loss_inputs
+#import background
 #import sum
 
 alias Summed = vec4f;
@@ -11,7 +11,7 @@ alias Summed = vec4f;
 // x: pixels.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<uniform> view: View;
-@group(0) @binding(2) var<uniform> sitting: Sitting;
+@group(0) @binding(2) var<uniform> loss_inputs: LossInputs;
 @group(0) @binding(3) var<storage, read> image: array<vec4f>;
 @group(0) @binding(4) var<storage, read> photo: array<u32>;
 // Channel by channel.
@@ -34,20 +34,20 @@ fn grade(
     var scene = vec4f(0.0);
     if there {
         let drawn = image[i];
-        let back = behind(view, sitting, i);
+        let back = behind(view, loss_inputs, i);
         g = vec3f(by_shown[i], by_shown[job.x + i], by_shown[2u * job.x + i]);
         scene = vec4f(drawn.xyz + (1.0 - drawn.w) * back, 1.0);
         var by_scene = g;
-        if sitting.kinds.y == 1u {
-            by_scene = g.x * sitting.matrix[0].xyz + g.y * sitting.matrix[1].xyz + g.z * sitting.matrix[2].xyz;
+        if loss_inputs.kinds.y == 1u {
+            by_scene = g.x * loss_inputs.matrix[0].xyz + g.y * loss_inputs.matrix[1].xyz + g.z * loss_inputs.matrix[2].xyz;
         }
         var by_alpha = -dot(by_scene, back);
         if has(photo[i], INNER) {
-            by_alpha += sitting.numbers.y / max(1.0 - drawn.w, LEAST_OPEN);
+            by_alpha += loss_inputs.numbers.y / max(1.0 - drawn.w, LEAST_OPEN);
         }
         grads[i] = vec4f(by_scene, by_alpha);
     }
-    if sitting.kinds.y != 1u {
+    if loss_inputs.kinds.y != 1u {
         return;
     }
     for (var c = 0u; c < 3u; c += 1u) {

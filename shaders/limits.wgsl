@@ -1,12 +1,12 @@
 // From which residual on a pixel is left out (twin: `limits` in raster/src/compare/robust.rs). One thread: it goes over the
 // bins a few times.
 #import common
-#import sitting
+#import loss_inputs
 #import bins
 
 // x: 1 if the photo was seen before, y: where its residuals go.
 @group(0) @binding(0) var<uniform> job: vec4u;
-@group(0) @binding(1) var<uniform> sitting: Sitting;
+@group(0) @binding(1) var<uniform> loss_inputs: LossInputs;
 @group(0) @binding(2) var<storage, read> counts: array<u32>;
 // Decaying shares of earlier visits.
 @group(0) @binding(3) var<storage, read> before: array<f32>;
@@ -60,7 +60,7 @@ fn limits_of() {
         }
         said[job.y + b] = held[b];
     }
-    let share = sitting.numbers.z;
+    let share = loss_inputs.numbers.z;
     var limit = threshold(true, share);
     var over = 0.0;
     for (var b = 0u; b < BINS; b += 1u) {
@@ -73,6 +73,6 @@ fn limits_of() {
         limit = max(limit, threshold(false, share));
     }
     limits[0] = limit;
-    limits[1] = SUSPECTED * limit;
+    limits[1] = INITIAL_TRANSIENT_SHARE * limit;
     limits[2] = threshold(false, share);
 }

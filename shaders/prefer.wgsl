@@ -1,14 +1,14 @@
 // Puts the weights that a photo's network gives in the place of the robust mask's, where they can be trusted beside them (twin:
 // `is_sane` in raster/src/compare/visible.rs). One thread per pixel.
 #import common
-#import sitting
+#import loss_inputs
 #import sum
 
 alias Summed = vec4f;
 
 // x: pixels.
 @group(0) @binding(0) var<uniform> job: vec4u;
-@group(0) @binding(1) var<uniform> sitting: Sitting;
+@group(0) @binding(1) var<uniform> loss_inputs: LossInputs;
 @group(0) @binding(2) var<storage, read> photo: array<u32>;
 @group(0) @binding(3) var<storage, read> seen: array<f32>;
 // Totals of `see`.
@@ -30,7 +30,7 @@ fn prefer(
     let i = group * 256u + local;
     let many = max(left_out[0], 1.0);
     let own = left_out[1] / many;
-    let sane = finite(own) && own <= MOST * sitting.numbers.z && own >= LEAST * left_out[2] / many;
+    let sane = finite(own) && own <= MOST * loss_inputs.numbers.z && own >= LEAST * left_out[2] / many;
     var mine = vec4f(0.0);
     if i < job.x {
         let counts = f32(has(photo[i], COUNTS));

@@ -11,7 +11,7 @@
 @group(0) @binding(3) var<storage, read> count: array<u32>;
 // Centre and opacity.
 @group(0) @binding(4) var<storage, read> means: array<vec4f>;
-@group(0) @binding(5) var<storage, read> codes: array<f32>;
+@group(0) @binding(5) var<storage, read> splat_embeddings: array<f32>;
 // Of the photo.
 @group(0) @binding(6) var<storage, read> maps: array<f32>;
 // Planes of splats.
@@ -57,7 +57,7 @@ fn read_light(
             var spot = spot_of(reader, mean);
             if m < MAPS {
                 let at = i * CODE + INTRINSIC + 2u * m;
-                spot = spot_at(reader, vec2f(codes[at], codes[at + 1u]) * COORDINATE);
+                spot = spot_at(reader, vec2f(splat_embeddings[at], splat_embeddings[at + 1u]) * COORDINATE);
             }
             if !spot.there {
                 continue;
@@ -78,7 +78,7 @@ fn read_light(
         }
     }
     for (var c = 0u; c < INTRINSIC; c += 1u) {
-        let made_of = codes[i * CODE + c];
+        let made_of = splat_embeddings[i * CODE + c];
         put(DYNAMIC + c, reader.room.y, k, made_of);
         put(reader.more.y + c, reader.room.z, k, made_of);
     }

@@ -8,11 +8,11 @@
 @group(0) @binding(1) var<uniform> reader: Reader;
 @group(0) @binding(2) var<storage, read> splats: array<u32>;
 @group(0) @binding(3) var<storage, read> count: array<u32>;
-@group(0) @binding(4) var<storage, read> codes: array<f32>;
+@group(0) @binding(4) var<storage, read> splat_embeddings: array<f32>;
 @group(0) @binding(5) var<storage, read> maps: array<f32>;
 // Laid out as the planes of splats.
 @group(0) @binding(6) var<storage, read_write> point_grads: array<f32>;
-@group(0) @binding(7) var<storage, read_write> code_grads: array<f32>;
+@group(0) @binding(7) var<storage, read_write> embedding_grads: array<f32>;
 
 @compute @workgroup_size(256)
 fn read_light_backward(
@@ -29,7 +29,7 @@ fn read_light_backward(
     for (var c = 0u; c < INTRINSIC; c += 1u) {
         let to_light = point_grads[reader.room.y + (DYNAMIC + c) * room + k];
         let to_vector = point_grads[reader.room.z + (reader.more.y + c) * room + k];
-        code_grads[i * CODE + c] = to_vector + to_light;
+        embedding_grads[i * CODE + c] = to_vector + to_light;
     }
     let pixels = reader.map.x * reader.map.y;
     for (var m = 0u; m <= MAPS; m += 1u) {
@@ -38,7 +38,7 @@ fn read_light_backward(
         if reader.map.w == 1u {
             let code = i * CODE + INTRINSIC + 2u * m;
             if m < MAPS {
-                at = vec2f(codes[code], codes[code + 1u]) * COORDINATE;
+                at = vec2f(splat_embeddings[code], splat_embeddings[code + 1u]) * COORDINATE;
             }
             let spot = spot_at(reader, at);
             let first = spot.pixel.y * reader.map.x + spot.pixel.x;
@@ -59,8 +59,8 @@ fn read_light_backward(
             grad += select(vec2f(0.0), reader.frame.w * sign(at), abs(at) > vec2f(1.0));
         }
         if m < MAPS {
-            code_grads[i * CODE + INTRINSIC + 2u * m] = COORDINATE * grad.x;
-            code_grads[i * CODE + INTRINSIC + 2u * m + 1u] = COORDINATE * grad.y;
+            embedding_grads[i * CODE + INTRINSIC + 2u * m] = COORDINATE * grad.x;
+            embedding_grads[i * CODE + INTRINSIC + 2u * m + 1u] = COORDINATE * grad.y;
         }
     }
 }

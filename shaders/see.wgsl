@@ -1,7 +1,7 @@
 // Weights of a photo's pixels by what its network takes for the scene, and how much that leaves out beside what the robust mask
 // does (twins: `weights` and `is_sane` in raster/src/compare/visible.rs). One thread per pixel.
 #import common
-#import sitting
+#import loss_inputs
 #import sum
 
 alias Summed = vec4f;

@@ -2,8 +2,8 @@
 // raster/src/compare/behind.rs). One thread per pixel of a coarse grid, then one per sum over those of the group.
 #import common
 #import view
-#import sitting
-#import behind
+#import loss_inputs
+#import background
 
 // x: pixels of the grid, y: its width.
 @group(0) @binding(0) var<uniform> job: vec4u;

@@ -2,7 +2,7 @@
 // in raster/src/loss.rs). A group per tile.
 #import common
 #import view
-#import sitting
+#import loss_inputs
 #import window
 #import sum
 
@@ -11,7 +11,7 @@ alias Summed = f32;
 // x: tiles, y: the channel, z: pixels.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<uniform> view: View;
-@group(0) @binding(2) var<uniform> sitting: Sitting;
+@group(0) @binding(2) var<uniform> loss_inputs: LossInputs;
 @group(0) @binding(3) var<storage, read> shown: array<vec4f>;
 @group(0) @binding(4) var<storage, read> photo: array<u32>;
 @group(0) @binding(5) var<storage, read> weights: array<f32>;
@@ -77,7 +77,7 @@ fn slope(
         let d = x - y;
         apart = abs(d);
         let count = 3.0 * f32(job.z);
-        let lambda = sitting.numbers.x;
+        let lambda = loss_inputs.numbers.x;
         let by_difference = (1.0 - lambda) / count * (f32(d > 0.0) - f32(d < 0.0));
         let by_score = -lambda / count * (by.x + 2.0 * x * by.y + y * by.z);
         by_shown[job.y * job.z + i] = weight * (by_difference + by_score);

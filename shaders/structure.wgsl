@@ -2,7 +2,7 @@
 // raster/src/loss.rs). A group per tile.
 #import common
 #import view
-#import sitting
+#import loss_inputs
 #import window
 #import sum
 

@@ -1,6 +1,6 @@
 // How many pixels have which residual (twin: `leave_out` in raster/src/compare/robust.rs). One thread per pixel.
 #import common
-#import sitting
+#import loss_inputs
 #import bins
 
 // x: pixels.

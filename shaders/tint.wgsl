@@ -1,4 +1,4 @@
-// Colours of the splats in a photo's light (twin: `EmbedLook::tint` in raster/src/look/embed.rs). One thread per splat.
+// Colours of the splats in a photo's light (twin: `EmbedAppearance::tint` in raster/src/look/embed.rs). One thread per splat.
 #import common
 #import light
 
@@ -7,7 +7,7 @@
 @group(0) @binding(1) var<uniform> photo: Photo;
 // Red, green, blue, and 1.
 @group(0) @binding(2) var<storage, read> colours: array<vec4f>;
-@group(0) @binding(3) var<storage, read> codes: array<vec4f>;
+@group(0) @binding(3) var<storage, read> splat_embeddings: array<vec4f>;
 @group(0) @binding(4) var<storage, read_write> tinted: array<vec4f>;
 
 @compute @workgroup_size(256)
@@ -24,7 +24,7 @@ fn tint(
     var colour = vec4f(0.0, 0.0, 0.0, own.w);
     for (var c = 0u; c < 3u; c += 1u) {
         let at = job.y * i + job.z + 2u * c;
-        let light = dot(photo.vector[2u * c], codes[at]) + dot(photo.vector[2u * c + 1u], codes[at + 1u]);
+        let light = dot(photo.vector[2u * c], splat_embeddings[at]) + dot(photo.vector[2u * c + 1u], splat_embeddings[at + 1u]);
         colour[c] = dot(photo.matrix[c], vec4f(own.xyz, 1.0)) + light;
     }
     tinted[i] = colour;

@@ -1,5 +1,5 @@
 // From the gradients of the tinted colours to those of the splats' own, of their codes, and of what is the photo's (twin:
-// `EmbedLook::tint_backward` in raster/src/look/embed.rs). One thread per splat; each group leaves the sums over its own
+// `EmbedAppearance::tint_backward` in raster/src/look/embed.rs). One thread per splat; each group leaves the sums over its own
 // splats, which `total` adds up.
 #import common
 #import light
@@ -11,10 +11,10 @@ alias Summed = vec4f;
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<uniform> photo: Photo;
 @group(0) @binding(2) var<storage, read> colours: array<vec4f>;
-@group(0) @binding(3) var<storage, read> codes: array<vec4f>;
+@group(0) @binding(3) var<storage, read> splat_embeddings: array<vec4f>;
 // Gradients of the tinted colours, and then of the splats' own.
 @group(0) @binding(4) var<storage, read_write> grads: array<vec4f>;
-@group(0) @binding(5) var<storage, read_write> code_grads: array<vec4f>;
+@group(0) @binding(5) var<storage, read_write> embedding_grads: array<vec4f>;
 // PHOTO_VECS per group.
 @group(0) @binding(6) var<storage, read_write> sums: array<vec4f>;
 
@@ -36,8 +36,8 @@ fn tint_backward(
         var back = vec3f(0.0);
         for (var c = 0u; c < 3u; c += 1u) {
             back += g[c] * photo.matrix[c].xyz;
-            code_grads[code + 2u * c] = g[c] * photo.vector[2u * c];
-            code_grads[code + 2u * c + 1u] = g[c] * photo.vector[2u * c + 1u];
+            embedding_grads[code + 2u * c] = g[c] * photo.vector[2u * c];
+            embedding_grads[code + 2u * c + 1u] = g[c] * photo.vector[2u * c + 1u];
         }
         grads[i] = vec4f(back, grads[i].w);
     }
@@ -47,7 +47,7 @@ fn tint_backward(
             if k < 3u {
                 mine = g[k] * own;
             } else {
-                mine = g[(k - 3u) / 2u] * codes[code + k - 3u];
+                mine = g[(k - 3u) / 2u] * splat_embeddings[code + k - 3u];
             }
         }
         let sum = sum_of_group(local, mine);

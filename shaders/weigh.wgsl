@@ -1,7 +1,7 @@
 // Which pixels count, once those that stand out are left out where most of their neighbours do (twins: `leave_out` in
 // raster/src/compare/robust.rs, `pixel_weights` and `weighted_psnr` in raster/src/compare/mod.rs). One thread per pixel.
 #import common
-#import sitting
+#import loss_inputs
 #import bins
 #import sum
 
@@ -9,7 +9,7 @@ alias Summed = vec4f;
 
 // x: width, y: height.
 @group(0) @binding(0) var<uniform> job: vec4u;
-@group(0) @binding(1) var<uniform> sitting: Sitting;
+@group(0) @binding(1) var<uniform> loss_inputs: LossInputs;
 @group(0) @binding(2) var<storage, read> photo: array<u32>;
 @group(0) @binding(3) var<storage, read> smoothed: array<f32>;
 @group(0) @binding(4) var<storage, read> limits: array<f32>;
@@ -23,7 +23,7 @@ alias Summed = vec4f;
 
 fn stands_out(i: u32) -> u32 {
     let pixel = photo[i];
-    let limit = limits[select(0u, 1u, has(pixel, SUSPECT))];
+    let limit = limits[select(0u, 1u, has(pixel, INITIAL_TRANSIENT))];
     return u32(has(pixel, COUNTS) && bin_top(bin_of(smoothed[i])) > limit);
 }
 
@@ -55,9 +55,9 @@ fn weigh(
         let pixel = photo[i];
         let counts = has(pixel, COUNTS);
         var kept = true;
-        if sitting.kinds.z == LEAVE_SUSPECTS {
-            kept = !has(pixel, SUSPECT);
-        } else if sitting.kinds.z == LEAVE_RESIDUALS {
+        if loss_inputs.kinds.z == LEAVE_INITIAL_TRANSIENTS {
+            kept = !has(pixel, INITIAL_TRANSIENT);
+        } else if loss_inputs.kinds.z == LEAVE_RESIDUALS {
             kept = !voted_out(i);
         }
         let weight = f32(counts && kept);

@@ -1,9 +1,9 @@
 //! The same scene trained and selected whole by either engine, and a training that moves from one to the other.
 
 use segwild_bench::oracle::OracleOptions;
-use segwild_bench::point::{Job, Place, Prompting, measure};
+use segwild_bench::point::{Job, PhotoSource, Prompting, measure};
 use segwild_bench::stability::Harm;
-use segwild_bench::synthetic::{LookKind, SyntheticOptions, generate};
+use segwild_bench::synthetic::{LightVariation, SyntheticOptions, generate};
 use segwild_bench::trial::ProviderKind;
 use segwild_pipeline::{RunFolder, RunOptions, Settings, Until, run};
 use std::path::Path;
@@ -27,7 +27,7 @@ fn place(photos: usize, pixels: u32) -> SyntheticOptions {
         test: 4,
         long_side: pixels,
         occlusion: 0.0,
-        look: LookKind::None,
+        photo_light: LightVariation::None,
         ..SyntheticOptions::default()
     }
 }
@@ -40,7 +40,7 @@ fn scores(dir: &Path, engine: &[(&str, &str)]) -> (f64, f64) {
         protocol: "engines".into(),
         setting: "engine".into(),
         at: None,
-        place: Place::Synthetic(place(16, 96)),
+        source: PhotoSource::Synthetic(place(16, 96)),
         providers: ProviderKind::Oracle,
         faults: OracleOptions::default(),
         settings,
@@ -109,16 +109,16 @@ fn splats_that_come_home_in_the_middle_end_in_the_same_bytes() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let scene = dir.path().join("place");
     generate(&place(8, 64)).and_then(|place| place.write(&scene)).expect("a synthetic place");
-    // With colours of every degree, growth, pruning, strangers and photos asked for witness in between.
+    // With colours of every degree, growth, pruning, transients and photos asked for witness in between.
     let small =
         [("size", "64"), ("steps", "60"), ("splats", "700"), ("sh_degree", "3"), ("prompt_budget", "8")];
     // Masks and features have no part in it, and take most of the time on an adapter that is software.
     let trained = Until::Stage("geometry");
-    let train = |look: &str, name: &str, stops: &[u32]| {
-        let name = format!("{look}-{name}");
+    let train = |appearance: &str, name: &str, stops: &[u32]| {
+        let name = format!("{appearance}-{name}");
         let folder = RunFolder::create(&dir.path().join(&name)).expect("a folder");
         let mut settings = Settings::default();
-        let how = [("engine", "gpu"), ("adapter", adapter.as_str()), ("look", look)];
+        let how = [("engine", "gpu"), ("adapter", adapter.as_str()), ("appearance_model", appearance)];
         for (name, value) in small.iter().chain(&how) {
             settings.set(name, value).expect("a setting");
         }
@@ -130,9 +130,9 @@ fn splats_that_come_home_in_the_middle_end_in_the_same_bytes() {
         }
         std::fs::read(dir.path().join(&name).join("scene.ply")).expect("the trained splats")
     };
-    for (look, stops) in [("affine", [7, 50]), ("embed", [21, 50]), ("gsw", [7, 21])] {
-        let straight = train(look, "straight", &[]);
+    for (appearance, stops) in [("affine", [7, 50]), ("embed", [21, 50]), ("gsw", [7, 21])] {
+        let straight = train(appearance, "straight", &[]);
         assert!(straight.len() > 10_000, "{} bytes", straight.len());
-        assert!(straight == train(look, "stopped", &stops), "{look}: stopping matters");
+        assert!(straight == train(appearance, "stopped", &stops), "{appearance}: stopping matters");
     }
 }

@@ -28,7 +28,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             "pixels" => options.long_side = value.parse()?,
             "photos" => options.train = value.parse()?,
             "points" => options.points = value.parse()?,
-            "light" => options.look = segwild_scene::settings::Value::read(value)?,
+            "light" => options.photo_light = segwild_scene::settings::Value::read(value)?,
             "occlusion" => options.occlusion = value.parse()?,
             _ => settings.push((name.to_owned(), value.to_owned())),
         }
@@ -73,7 +73,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             image: loaded.image,
             valid: loaded.valid,
             sky: Some(skies[view].clone()),
-            strangers: None,
+            transients: None,
         })
     });
     let test: Vec<usize> = (0..scene.views.len()).filter(|&i| scene.views[i].test).collect();

@@ -1,9 +1,9 @@
 //! Writes a synthetic wild set and contact sheets of it.
 //!
 //! `cargo run -p segwild-bench --example make_synthetic -- DIR [--small] [--seed N] [--train N] [--test N]
-//! [--long-side PX] [--occlusion X] [--look none|affine|sun|camera|mixed] [--strength X] [--units X]`
+//! [--long-side PX] [--occlusion X] [--light none|affine|sun|camera|mixed] [--strength X] [--units X]`
 
-use segwild_bench::synthetic::{LookKind, SyntheticOptions, SyntheticScene, generate};
+use segwild_bench::synthetic::{LightVariation, SyntheticOptions, SyntheticScene, generate};
 use segwild_scene::Image;
 use segwild_scene::settings::Value;
 use std::path::{Path, PathBuf};
@@ -24,8 +24,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             "--test" => options.test = value.parse()?,
             "--long-side" => options.long_side = value.parse()?,
             "--occlusion" => options.occlusion = value.parse()?,
-            "--look" => options.look = LookKind::read(&value)?,
-            "--strength" => options.look_strength = value.parse()?,
+            "--light" => options.photo_light = LightVariation::read(&value)?,
+            "--strength" => options.appearance_strength = value.parse()?,
             "--units" => options.units = value.parse()?,
             other => return Err(format!("there is no flag {other}").into()),
         }

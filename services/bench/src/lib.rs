@@ -1,6 +1,7 @@
 //! Protocols, the synthetic wild scene, metrics, tables and charts.
 
 pub mod ablation;
+pub mod baselines;
 pub mod chart;
 pub mod compare;
 pub mod engine;
@@ -13,7 +14,6 @@ pub mod plot;
 pub mod point;
 pub mod protocols;
 pub mod record;
-pub mod rivals;
 pub mod scale;
 pub mod slice;
 pub mod stability;

@@ -110,7 +110,7 @@ pub struct MaskScore {
     pub boundary_iou: f64,
 }
 
-/// Scores a mask, leaving out the pixels of `ignore` (strangers, for instance).
+/// Scores a mask, leaving out the pixels of `ignore` (transients, for instance).
 pub fn score(mask: &Mask, truth: &Mask, ignore: Option<&Mask>) -> Result<MaskScore, MetricError> {
     let size = |m: &Mask| (m.width() as usize, m.height() as usize);
     let ((w, h), (tw, th)) = (size(mask), size(truth));

@@ -81,8 +81,8 @@ struct Known {
     height: usize,
     instances: Vec<u16>,
     parts: Vec<u16>,
-    /// Strangers, one number each; 0 where there is none.
-    strangers: Vec<u32>,
+    /// Transients, one number each; 0 where there is none.
+    transients: Vec<u32>,
     likeness: [Vec<f32>; 2],
 }
 
@@ -90,7 +90,7 @@ struct Known {
 #[derive(Clone, Copy)]
 struct Sight {
     view: usize,
-    strangers: bool,
+    transients: bool,
 }
 
 /// A thing that can have a mask.
@@ -98,7 +98,7 @@ struct Sight {
 enum Thing {
     Instance(u16),
     Part(u16),
-    Stranger(u32),
+    Transient(u32),
 }
 
 /// All four kinds of provider over one set.
@@ -128,16 +128,16 @@ impl Oracle {
         let mut exact = HashMap::new();
         let mut all = blake3::Hasher::new();
         let views = scene.photos.iter().enumerate().map(|(view, photo)| {
-            // Where a photo is also a clean view, it has no strangers.
-            exact.insert(digest(&photo.photo), Sight { view, strangers: true });
-            exact.insert(digest(&photo.clean), Sight { view, strangers: false });
+            // Where a photo is also a clean view, it has no transients.
+            exact.insert(digest(&photo.photo), Sight { view, transients: true });
+            exact.insert(digest(&photo.clean), Sight { view, transients: false });
             all.update(&digest(&photo.photo));
             Known {
                 width: photo.photo.width,
                 height: photo.photo.height,
                 instances: photo.instances.clone(),
                 parts: photo.parts.clone(),
-                strangers: photo.transients.components().0,
+                transients: photo.transients.components().0,
                 likeness: [thumbnail(&photo.photo), thumbnail(&photo.clean)],
             }
         });
@@ -169,7 +169,7 @@ impl Oracle {
             for (k, other) in known.likeness.iter().enumerate() {
                 let like: f32 = this.iter().zip(other).map(|(a, b)| a * b).sum();
                 if like > best.0 {
-                    best = (like, Some(Sight { view, strangers: k == 0 }));
+                    best = (like, Some(Sight { view, transients: k == 0 }));
                 }
             }
         }
@@ -190,11 +190,11 @@ impl Oracle {
 
     fn holds(&self, sight: Sight, thing: Thing, i: usize) -> bool {
         let known = &self.views[sight.view];
-        let hidden = sight.strangers && known.strangers[i] != 0;
+        let hidden = sight.transients && known.transients[i] != 0;
         match thing {
             Thing::Instance(id) => !hidden && known.instances[i] == id,
             Thing::Part(id) => !hidden && known.parts[i] == id,
-            Thing::Stranger(id) => sight.strangers && known.strangers[i] == id,
+            Thing::Transient(id) => sight.transients && known.transients[i] == id,
         }
     }
 
@@ -233,7 +233,7 @@ impl Oracle {
         let (ids, id) = match thing {
             Thing::Instance(id) => (&known.instances, id),
             Thing::Part(id) => (&known.parts, id),
-            Thing::Stranger(_) => return None,
+            Thing::Transient(_) => return None,
         };
         let mut contact: BTreeMap<u16, usize> = BTreeMap::new();
         let mut touch = |a: u16, b: u16| {
@@ -261,7 +261,7 @@ impl Oracle {
         let (kind, id) = match thing {
             Thing::Instance(id) => (1, u64::from(id)),
             Thing::Part(id) => (2, u64::from(id)),
-            Thing::Stranger(id) => (3, u64::from(id)),
+            Thing::Transient(id) => (3, u64::from(id)),
         };
         Rng::new(self.options.seed, (sight.view as u64) << 40 | kind << 36 | id)
     }
@@ -269,8 +269,8 @@ impl Oracle {
     fn thing_at(&self, sight: Sight, image: &Image, x: f32, y: f32, fine: bool) -> Thing {
         let known = &self.views[sight.view];
         let i = self.under(known, image, x, y);
-        if sight.strangers && known.strangers[i] != 0 {
-            Thing::Stranger(known.strangers[i])
+        if sight.transients && known.transients[i] != 0 {
+            Thing::Transient(known.transients[i])
         } else if fine {
             Thing::Part(known.parts[i])
         } else {
@@ -365,7 +365,7 @@ impl PromptSegmenter for Oracle {
         for y in 0..image.height {
             for x in 0..image.width {
                 let i = self.under(known, image, x as f32 + 0.5, y as f32 + 0.5);
-                if known.strangers[i] != 0 && sight.strangers {
+                if known.transients[i] != 0 && sight.transients {
                     continue; // they hide what the certainty is about
                 }
                 let c = certainty.at(0, x, y);

@@ -7,7 +7,7 @@ use crate::flow::{Calls, counted};
 use crate::oracle::OracleOptions;
 use crate::protocols::clicks;
 use crate::protocols::folder::Parts;
-use crate::protocols::place::stem;
+use crate::protocols::scene::stem;
 use crate::record::Record;
 use crate::stability::Harm;
 use crate::synthetic::random::Rng;
@@ -34,8 +34,8 @@ const REFERENCES: usize = 3;
 /// Where the photos come from, and what is true of them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Place {
-    /// A synthetic place: every object is clicked once.
+pub enum PhotoSource {
+    /// A synthetic source: every object is clicked once.
     Synthetic(SyntheticOptions),
     /// A folder of photos with true masks of one object in `truth/`: it is shown in three photos, one after the other.
     Folder {
@@ -47,12 +47,12 @@ pub enum Place {
     },
 }
 
-impl Place {
+impl PhotoSource {
     /// What records and pages call it.
     pub fn name(&self) -> String {
         match self {
-            Place::Synthetic(options) => format!("seed {}", options.seed),
-            Place::Folder { path, .. } => {
+            PhotoSource::Synthetic(options) => format!("seed {}", options.seed),
+            PhotoSource::Folder { path, .. } => {
                 path.file_name().map_or_else(|| "scene".into(), |n| n.to_string_lossy().into_owned())
             }
         }
@@ -69,7 +69,7 @@ pub struct Job {
     /// [`Record::at`].
     pub at: Option<f64>,
     /// The scene.
-    pub place: Place,
+    pub source: PhotoSource,
     /// Who looks at the photos.
     pub providers: ProviderKind,
     /// How the oracle errs, where it looks.
@@ -149,7 +149,7 @@ impl Job {
     fn record(&self, target: &str, prompt: u32, numbers: &[(&str, f64)]) -> Record {
         Record {
             protocol: self.protocol.clone(),
-            scene: self.place.name(),
+            scene: self.source.name(),
             setting: self.setting.clone(),
             at: self.at,
             target: target.into(),
@@ -187,9 +187,9 @@ pub fn apart(program: &Path, job: &Job) -> Result<Vec<Record>, PointError> {
 /// Measures here: the scene's record first, then one per target.
 pub fn measure(job: &Job) -> Result<Vec<Record>, PointError> {
     let settings = job.settings().map_err(RunError::from)?;
-    match &job.place {
-        Place::Synthetic(options) => synthetic(job, options, &settings),
-        Place::Folder { path, parts } => folder(job, path, parts, &settings),
+    match &job.source {
+        PhotoSource::Synthetic(options) => synthetic(job, options, &settings),
+        PhotoSource::Folder { path, parts } => folder(job, path, parts, &settings),
     }
 }
 

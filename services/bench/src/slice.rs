@@ -2,7 +2,7 @@
 //! what is kept beside the code ([`crate::compare`], strictly), it fails when either gets worse.
 
 use crate::oracle::OracleOptions;
-use crate::point::{Job, Place, PointError, Prompting, measure};
+use crate::point::{Job, PhotoSource, PointError, Prompting, measure};
 use crate::record::{Made, Results};
 use crate::stability::Harm;
 use crate::synthetic::SyntheticOptions;
@@ -13,7 +13,7 @@ use std::path::Path;
 const GUARDED: [&str; 9] =
     ["iou", "boundary_iou", "label_iou", "hidden", "psnr", "splats", "steps", "calls", "pairs"];
 
-/// Two places, one seen by the oracle and one by the built-in provider, under the quickest preset and `changes`.
+/// Two sources, one seen by the oracle and one by the built-in provider, under the quickest preset and `changes`.
 /// Scenes and runs are made in `dir`, which is emptied.
 pub fn slice(dir: &Path, changes: &[(String, String)], command: String) -> Result<Results, PointError> {
     let mut results = Results { made: Made::here(command), ..Results::default() };
@@ -33,7 +33,7 @@ pub fn slice(dir: &Path, changes: &[(String, String)], command: String) -> Resul
             protocol: "slice".into(),
             setting: setting.into(),
             at: None,
-            place: Place::Synthetic(scene),
+            source: PhotoSource::Synthetic(scene),
             providers,
             faults: OracleOptions::default(),
             settings,

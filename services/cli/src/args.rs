@@ -56,8 +56,8 @@ pub fn program() -> Command {
                     .action(ArgAction::Append)
                     .help("Photo that the prompts after it are on; may be given again for a second photo"),
             )
-            .arg(positions("in", "x,y", "Pixel that belongs to the object, at the photo's full size"))
-            .arg(positions("out-point", "x,y", "Pixel that does not").long("out").alias("not"))
+            .arg(positions("positive", "x,y", "Pixel that belongs to the object, at the photo's full size"))
+            .arg(positions("negative", "x,y", "Pixel that does not"))
             .arg(positions("box", "x0,y0,x1,y1", "Box around the object"))
             .arg(
                 Arg::new("granularity")
@@ -68,7 +68,7 @@ pub fn program() -> Command {
             )
             .arg(
                 path("prompts", "Make again what this file (a selection's prompts.json) was made from")
-                    .conflicts_with_all(["photo", "in", "out-point", "box", "granularity"]),
+                    .conflicts_with_all(["photo", "positive", "negative", "box", "granularity"]),
             )
             .arg(
                 Arg::new("name")
@@ -93,14 +93,14 @@ pub fn program() -> Command {
                         .value_parser(value_parser!(u32).range(2..))
                         .help("Pictures along the path through the photos"),
                 )
-                .args(looks("view's own; on a path from photo to photo"))
+                .args(appearances("view's own; on a path from photo to photo"))
                 .arg(Arg::new("selection").long("selection").value_name("NAME").help("Draw this selection"))
                 .arg(
                     Arg::new("mode")
                         .long("mode")
                         .value_parser(["highlight", "only", "without", "scene"])
                         .requires("selection")
-                        .help("How the selection is drawn [default: highlight; scene, as it is, with --object-look]"),
+                        .help("How the selection is drawn [default: highlight; scene, as it is, with --object-appearance]"),
                 )
                 .arg(
                     Arg::new("what")
@@ -123,13 +123,13 @@ pub fn program() -> Command {
             Command::new("bake")
                 .about("Write splats under a look as a .ply that any viewer shows: the scene or a selection")
                 .arg(run())
-                .args(looks("scene's own"))
+                .args(appearances("scene's own"))
                 .arg(Arg::new("selection").long("selection").value_name("NAME").help("The selection that is meant"))
                 .arg(
                     Arg::new("mode")
                         .long("mode")
                         .value_parser(["only", "without", "scene"])
-                        .help("What is written [default: only the selection; the scene with --object-look or no selection]"),
+                        .help("What is written [default: only the selection; the scene with --object-appearance or no selection]"),
                 )
                 .arg(path("out", "The file [default: RUN/baked.ply]"))
                 .arg(json()),
@@ -139,7 +139,7 @@ pub fn program() -> Command {
                 .about("Score held-out photos, and selections against true masks")
                 .arg(run())
                 .arg(path("truth", "Folder of true masks, a picture per photo, named as the photo"))
-                .arg(path("strangers", "Score the run's pictures of strangers against true ones, a picture per photo, named as the photo"))
+                .arg(path("transient-truth", "Score the run's pictures of transients against true ones, a picture per photo, named as the photo"))
                 .arg(
                     Arg::new("selection").long("selection").value_name("NAME").help("The selection to score"),
                 )
@@ -252,25 +252,25 @@ fn positions(id: &'static str, form: &'static str, help: &'static str) -> Arg {
 }
 
 /// Which look, for the scene and for the selection.
-fn looks(default: &str) -> [Arg; 5] {
-    let look = |id: &'static str, help: String| {
+fn appearances(default: &str) -> [Arg; 5] {
+    let appearance = |id: &'static str, help: String| {
         Arg::new(id).long(id).value_name("PHOTO").action(ArgAction::Append).help(help)
     };
     let strength = |id: &'static str, help| {
         Arg::new(id).long(id).value_name("X").value_parser(value_parser!(f32)).default_value("1").help(help)
     };
     [
-        look(
-            "look",
+        appearance(
+            "appearance",
             format!(
                 "Under this photo's look; `none` for the scene's own; again for a way between looks [default: the {default}]"
             ),
         ),
-        look("object-look", "Another look for the selected object, in the same way".into()),
+        appearance("object-appearance", "Another look for the selected object, in the same way".into()),
         strength("strength", "Strength of the look: 0 is the scene's own look, 1 the photo's, up to 2"),
         strength("object-strength", "The same for the object's look"),
-        Arg::new("between")
-            .long("between")
+        Arg::new("interpolate")
+            .long("interpolate")
             .value_name("T")
             .value_parser(value_parser!(f32))
             .help("One look between those given: 0 is the first, 1 the last"),

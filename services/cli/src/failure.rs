@@ -9,7 +9,7 @@ use segwild_bench::trial::TrialError;
 use segwild_farm::BatchError;
 use segwild_flow::files::name::shown;
 use segwild_flow::{LedgerError, shortage};
-use segwild_gateway::{ServeError, ViewError};
+use segwild_monitor::{ServeError, ViewError};
 use segwild_pipeline::{RunError, SettingsError};
 use segwild_scene::SceneError;
 use segwild_segmenter::SegmentError;

@@ -4,7 +4,7 @@ use crate::exit;
 use crate::failure::Failure;
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
 use segwild_flow::{Stopper, shortage};
-use segwild_gateway::{Server, serve};
+use segwild_monitor::{Server, serve};
 use std::io::Read;
 use std::net::SocketAddr;
 use std::path::Path;

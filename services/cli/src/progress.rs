@@ -7,7 +7,7 @@ use std::io::{IsTerminal, Write};
 use std::time::Duration;
 
 use crate::failure::plain;
-pub use segwild_gateway::words::duration;
+pub use segwild_monitor::words::duration;
 
 /// Shows the events of `events` until the sink is dropped.
 pub fn show(events: &Events, json: bool) -> std::io::Result<Sink> {

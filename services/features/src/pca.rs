@@ -2,7 +2,7 @@
 
 use crate::error::check_planes;
 use crate::{FeatureError, eigen};
-use segwild_nets::{matmul, transpose};
+use segwild_nn::{matmul, transpose};
 use segwild_scene::Random;
 use segwild_scene::{Embedding, Image, Mask};
 use wincode::{SchemaRead, SchemaWrite};

@@ -9,7 +9,7 @@ use crate::{
     Compression, Decoder, FeatureError, FeatureField, FeatureSettings, Lifter, Pca, TargetSource, ViewTarget,
 };
 use segwild_raster::field::{
-    AreaAverage, Asked, Drawn, FieldLosses, FieldRule, LearnedDecoder, Membership, Refining,
+    AreaAverage, FeatureTarget, FieldLosses, FieldRule, LearnedDecoder, Membership, Refining, Rendered,
 };
 use segwild_raster::{Engine, ProjectOptions, Projected};
 use segwild_scene::{Embedding, Image, Random, Splats};
@@ -119,7 +119,7 @@ fn refine(
         } else {
             (&nobody, Vec::new())
         };
-        let drawn = Drawn { pixels: &pixels, membership: &members.membership };
+        let drawn = Rendered { pixels: &pixels, membership: &members.membership };
         view.projected.refine(&mut refining, &view.asked(), &drawn)?;
         let done = step + 1;
         let losses = if step == 0 || done % TOLD == 0 { Some(refining.losses()?) } else { None };
@@ -176,8 +176,8 @@ impl Members {
 
 impl Prepared<'_> {
     /// What it asks of the features that are seen in it.
-    fn asked(&self) -> Asked<'_> {
-        Asked {
+    fn asked(&self) -> FeatureTarget<'_> {
+        FeatureTarget {
             target: &self.target.target,
             scale: self.scale,
             validity: &self.cell_validity,
@@ -243,7 +243,7 @@ impl<'a> Views<'a> {
         let keep = bytes <= self.room;
         if keep {
             self.room -= bytes;
-            view.away = self.engine.bring_asked(&view.asked())?;
+            view.away = self.engine.upload_target(&view.asked())?;
         }
         let view = Arc::new(view);
         if keep {

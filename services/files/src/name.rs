@@ -1,4 +1,4 @@
-//! Names: what may be one, files that cannot collide, and strangers' words that are safe to show.
+//! Names: what may be one, files that cannot collide, and transients' words that are safe to show.
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};

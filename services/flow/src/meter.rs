@@ -57,7 +57,7 @@ pub(crate) struct Pulse {
 }
 
 /// A look at a worker.
-pub(crate) struct Glance {
+pub(crate) struct WorkerObservation {
     pub state: WorkerState,
     pub label: String,
     pub since: Instant,
@@ -65,7 +65,7 @@ pub(crate) struct Glance {
     pub beat: u64,
 }
 
-impl Glance {
+impl WorkerObservation {
     pub fn seconds(&self, state: WorkerState) -> f64 {
         self.spent[state as usize].as_secs_f64()
     }
@@ -143,13 +143,13 @@ impl Pulse {
         self.timeline.record(&self.actor, self.worker, label, since, Instant::now(), SpanKind::Step);
     }
 
-    pub fn glance(&self) -> Glance {
+    pub fn observe(&self) -> WorkerObservation {
         let current = lock(&self.current);
         let mut spent = current.spent;
         if current.state != WorkerState::Ended {
             spent[current.state as usize] += current.since.elapsed();
         }
-        Glance {
+        WorkerObservation {
             state: current.state,
             label: current.label.clone(),
             since: current.since,

@@ -137,8 +137,8 @@ impl Cell {
     }
 
     pub fn report(&self) -> ActorReport {
-        let glances: Vec<_> = self.pulses.iter().map(|p| p.glance()).collect();
-        let seconds = |state| glances.iter().map(|g| g.seconds(state)).sum();
+        let observations: Vec<_> = self.pulses.iter().map(|p| p.observe()).collect();
+        let seconds = |state| observations.iter().map(|g| g.seconds(state)).sum();
         ActorReport {
             name: self.name.to_string(),
             exit: lock(&self.exit).clone().filter(|_| self.ended()).unwrap_or(Exit::Running),
@@ -148,7 +148,7 @@ impl Cell {
             blocked_s: seconds(WorkerState::Blocked),
             back_off_s: seconds(WorkerState::BackOff),
             cpu_s: self.pulses.iter().map(|p| p.cpu_seconds()).sum(),
-            workers: glances
+            workers: observations
                 .into_iter()
                 .map(|g| WorkerStatus {
                     state: g.state,

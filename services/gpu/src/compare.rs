@@ -3,18 +3,18 @@
 use crate::GpuError;
 use crate::device::{Lent, Work, lock};
 use crate::engine::{GROUP, TILE};
+use crate::memory::photos_kept;
 use crate::nets::Visible;
-use crate::room::photos_kept;
 use crate::shaders::{
     BLAME, BOX_MEAN, COLOUR_SUMS, COMPOSE, GRADE, LIMITS, PREFER, SEE, SKY_SUMS, SLOPE, STRUCTURE, TALLY,
     TOTAL, WEIGH,
 };
 use bytemuck::{Pod, Zeroable};
 use segwild_raster::compare::{
-    BASES, BINS, ColourSums, ERROR_WINDOW, HOLD, LeaveOut, STRIDE, Said, Seen, Sitting, SkySums, Target,
-    left_out_share, psnr_of, window,
+    BASES, BINS, ColourSums, ERROR_WINDOW, HOLD, LeaveOut, LossInputs, LossOutput, STRIDE, Seen, SkySums,
+    Target, left_out_share, psnr_of, window,
 };
-use segwild_raster::{EmbedLook, Light};
+use segwild_raster::{EmbedAppearance, Light};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 
@@ -33,7 +33,7 @@ pub(crate) const LIGHT: usize = BEHIND + SKY;
 const PAIRS: usize = LIGHT + size_of::<Light>() / 4;
 pub(crate) const LENGTH: usize = PAIRS + 2;
 
-/// `Sitting` of `shaders/shared/sitting.wgsl`.
+/// `LossInputs` of `shaders/shared/loss_inputs.wgsl`.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 struct Sheet {
@@ -44,20 +44,20 @@ struct Sheet {
 }
 
 impl Sheet {
-    fn of(sitting: &Sitting, pixels: usize) -> Sheet {
+    fn of(loss_inputs: &LossInputs, pixels: usize) -> Sheet {
         let mut sheet = Sheet::zeroed();
-        let matrix = sitting.matrix.unwrap_or_default();
+        let matrix = loss_inputs.matrix.unwrap_or_default();
         sheet.matrix = std::array::from_fn(|c| std::array::from_fn(|k| matrix[4 * c + k]));
-        for (to, &[r, g, b]) in sheet.behind.iter_mut().zip(sitting.behind) {
+        for (to, &[r, g, b]) in sheet.behind.iter_mut().zip(loss_inputs.behind) {
             *to = [r, g, b, 0.0];
         }
-        let (kind, share) = match sitting.leave_out {
+        let (kind, share) = match loss_inputs.leave_out {
             LeaveOut::None => (0, 0.0),
-            LeaveOut::Suspects => (1, 0.0),
+            LeaveOut::InitialTransients => (1, 0.0),
             LeaveOut::Residual(known) => (2, known.share),
         };
-        sheet.numbers = [sitting.lambda_ssim, sitting.sky_weight / pixels as f32, share, 0.0];
-        sheet.kinds = [sitting.behind.len() as u32, u32::from(sitting.matrix.is_some()), kind, 0];
+        sheet.numbers = [loss_inputs.lambda_ssim, loss_inputs.sky_weight / pixels as f32, share, 0.0];
+        sheet.kinds = [loss_inputs.behind.len() as u32, u32::from(loss_inputs.matrix.is_some()), kind, 0];
         sheet
     }
 }
@@ -88,7 +88,7 @@ impl Photo {
 
 /// Photos that stay on the device, the least recently used dropped first, and how many pairs their views had.
 #[derive(Default)]
-pub(crate) struct Shelf(Mutex<Held>);
+pub(crate) struct PhotoCache(Mutex<Held>);
 
 #[derive(Default)]
 struct Held {
@@ -116,7 +116,7 @@ struct Kept {
     pairs: Option<(usize, usize)>,
 }
 
-impl Shelf {
+impl PhotoCache {
     /// A photo, brought to the device unless it is there, and room for the pairs of its view, if they are known about.
     pub fn take(
         &self,
@@ -157,23 +157,23 @@ impl Shelf {
     }
 }
 
-/// What a comparison needs beside image and photo, brought to the device before anything is asked of it.
-pub(crate) struct Asked {
+/// What a comparison needs beside image and photo, brought to the device before anything is inputs of it.
+pub(crate) struct ComparisonInputs {
     sheet: Lent,
     before: Lent,
     /// What comes back, [`LENGTH`] numbers.
     pub said: Lent,
 }
 
-impl Asked {
-    pub fn upload(work: &mut Work, sitting: &Sitting) -> Result<Asked, GpuError> {
-        let pixels = sitting.camera.width as usize * sitting.camera.height as usize;
-        let before = match sitting.leave_out {
+impl ComparisonInputs {
+    pub fn upload(work: &mut Work, loss_inputs: &LossInputs) -> Result<ComparisonInputs, GpuError> {
+        let pixels = loss_inputs.camera.width as usize * loss_inputs.camera.height as usize;
+        let before = match loss_inputs.leave_out {
             LeaveOut::Residual(known) => known.before,
-            LeaveOut::None | LeaveOut::Suspects => &[],
+            LeaveOut::None | LeaveOut::InitialTransients => &[],
         };
-        Ok(Asked {
-            sheet: work.upload("what a photo is compared under", &[Sheet::of(sitting, pixels)])?,
+        Ok(ComparisonInputs {
+            sheet: work.upload("what a photo is compared under", &[Sheet::of(loss_inputs, pixels)])?,
             before: work.upload("the photo's residuals", before)?,
             said: room_for_said(work)?,
         })
@@ -195,7 +195,7 @@ pub(crate) struct Graded {
     pub grads: Lent,
     /// Mean error around each pixel.
     pub error: Lent,
-    /// What the visibility map is to learn from, where that was asked.
+    /// What the visibility map is to learn from, where that was inputs.
     pub blames: Option<Lent>,
 }
 
@@ -205,15 +205,19 @@ pub(crate) fn compare(
     view: &Lent,
     image: &Lent,
     photo: &Photo,
-    asked: &Asked,
-    sitting: &Sitting,
+    inputs: &ComparisonInputs,
+    loss_inputs: &LossInputs,
     visible: Option<&Visible>,
 ) -> Result<Graded, GpuError> {
     let [width, height] = photo.size;
-    assert_eq!([sitting.camera.width as usize, sitting.camera.height as usize], photo.size, "target: size");
+    assert_eq!(
+        [loss_inputs.camera.width as usize, loss_inputs.camera.height as usize],
+        photo.size,
+        "target: size"
+    );
     let n = width * height;
     let groups = n.div_ceil(GROUP);
-    let Asked { sheet, before, said } = asked;
+    let ComparisonInputs { sheet, before, said } = inputs;
     let pixels = &photo.pixels;
     let shown = work.take::<[f32; 4]>("what is shown", n)?;
     let doubted = work.take::<f32>("the residuals", n)?;
@@ -222,7 +226,7 @@ pub(crate) fn compare(
     work.run(&COMPOSE, 1, job, &buffers, groups);
     let limits = work.take::<[f32; 4]>("the limits of residuals", 1)?;
     let mut smoothed = doubted;
-    if let LeaveOut::Residual(known) = sitting.leave_out {
+    if let LeaveOut::Residual(known) = loss_inputs.leave_out {
         smoothed = box_mean(work, &smoothed, photo.size, window(width, height))?;
         let counts = work.take::<u32>("counts of residuals", BINS)?;
         work.clear(&counts);
@@ -237,7 +241,7 @@ pub(crate) fn compare(
     let buffers = [sheet, pixels, &smoothed, &limits, &shown, &weights, &counted, &parts];
     work.run(&WEIGH, 1, job, &buffers, groups);
     let mut blames = None;
-    if let (Some(visible), LeaveOut::Residual(_)) = (visible, sitting.leave_out) {
+    if let (Some(visible), LeaveOut::Residual(_)) = (visible, loss_inputs.leave_out) {
         blames = Some(blame(work, photo, &smoothed, &limits, visible)?);
         if visible.decides {
             let seen = work.take::<f32>("what the network sees", n)?;
@@ -272,10 +276,10 @@ pub(crate) fn compare(
     let parts = work.take::<[f32; 12]>("sums for the matrix", groups)?;
     let buffers = [view, sheet, image, pixels, &by_shown, &grads, &parts];
     work.run(&GRADE, 1, [n as u32, 0, 0, 0], &buffers, groups);
-    if sitting.matrix.is_some() {
+    if loss_inputs.matrix.is_some() {
         total(work, &parts, groups, 12, said, MATRIX);
     }
-    if sitting.has_sky {
+    if loss_inputs.has_sky {
         let (across, down) = (width.div_ceil(STRIDE), height.div_ceil(STRIDE));
         let groups = (across * down).div_ceil(GROUP);
         let parts = work.take::<[f32; SKY]>("sums for the sky", groups)?;
@@ -327,13 +331,13 @@ pub(crate) fn total(work: &mut Work, parts: &Lent, groups: usize, columns: usize
 }
 
 /// What came back of a step.
-pub(crate) struct Heard(Vec<f32>);
+pub(crate) struct StepReadback(Vec<f32>);
 
-impl Heard {
+impl StepReadback {
     /// Reads it; `found` are the pairs of [`crate::engine::Binned`].
-    pub fn read(work: &mut Work, said: &Lent, found: &Lent) -> Result<Heard, GpuError> {
+    pub fn read(work: &mut Work, said: &Lent, found: &Lent) -> Result<StepReadback, GpuError> {
         work.copy_to(found, said, PAIRS * 4, 8);
-        Ok(Heard(work.read(said, LENGTH)?))
+        Ok(StepReadback(work.read(said, LENGTH)?))
     }
 
     /// Pairs of a splat and a tile, and whether there was room for them.
@@ -343,19 +347,19 @@ impl Heard {
 
     /// Gradient of a photo's light.
     pub fn light(&self) -> Light {
-        const _: () = assert!(size_of::<Light>() == 4 * (12 + EmbedLook::CODE_SIZE));
+        const _: () = assert!(size_of::<Light>() == 4 * (12 + EmbedAppearance::EMBEDDING_SIZE));
         std::array::from_fn(|k| self.0[LIGHT + k])
     }
 
     /// What the photo said.
-    pub fn said(&self, sitting: &Sitting) -> Said {
+    pub fn said(&self, loss_inputs: &LossInputs) -> LossOutput {
         let at = |k: usize| f64::from(self.0[k]);
-        let (width, height) = (sitting.camera.width as usize, sitting.camera.height as usize);
+        let (width, height) = (loss_inputs.camera.width as usize, loss_inputs.camera.height as usize);
         let count = (3 * width * height) as f64;
-        let lambda = f64::from(sitting.lambda_ssim);
+        let lambda = f64::from(loss_inputs.lambda_ssim);
         let loss = (1.0 - lambda) * at(DIFFERENCES) / count + lambda * (1.0 - at(SCORES) / count);
-        let asked = matches!(sitting.leave_out, LeaveOut::Residual(_)) && self.0[COUNTED] > 0.0;
-        let behind = if sitting.has_sky {
+        let inputs = matches!(loss_inputs.leave_out, LeaveOut::Residual(_)) && self.0[COUNTED] > 0.0;
+        let behind = if loss_inputs.has_sky {
             let mut sums = SkySums {
                 total: at(BEHIND + SKY - 1),
                 looked: (width.div_ceil(STRIDE) * height.div_ceil(STRIDE)) as f64,
@@ -378,12 +382,12 @@ impl Heard {
             let total = self.0[BEHIND + 3] + HOLD * (width * height) as f32;
             Seen::Colour(ColourSums { pull, total })
         };
-        Said {
+        LossOutput {
             loss: loss as f32,
             psnr: psnr_of(at(WEIGHED + 2), at(WEIGHED + 1)),
             left_out: left_out_share(self.0[WEIGHED], self.0[WEIGHED + 1]),
-            residuals: asked.then(|| self.0[..BINS].to_vec()),
-            matrix: sitting.matrix.map(|_| std::array::from_fn(|k| self.0[MATRIX + k])),
+            residuals: inputs.then(|| self.0[..BINS].to_vec()),
+            matrix: loss_inputs.matrix.map(|_| std::array::from_fn(|k| self.0[MATRIX + k])),
             behind,
         }
     }

@@ -2,12 +2,12 @@
 
 use crate::GpuError;
 use crate::adapter::{Adapter, Choice};
-use crate::compare::Shelf;
+use crate::compare::PhotoCache;
 use crate::device::{Device, Lent, Work};
-use crate::field::{GpuAsked, GpuField, GpuSums};
+use crate::field::{GpuFeatureTarget, GpuField, GpuSums};
 use crate::holding::Holding;
 use crate::kept::Brought;
-use crate::room::settles;
+use crate::memory::settles;
 use crate::shaders::{
     BUCKET_COUNT, BUCKETS, EMIT, HISTOGRAM, Kernel, ORDER, PROJECT, RANGES, SCAN, SCAN_ADD, SCATTER,
 };
@@ -15,7 +15,7 @@ use crate::training::GpuTraining;
 use crate::view::GpuView;
 use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
-use segwild_raster::field::{Asked, LiftingAway, Queries, Refining, RefiningAway};
+use segwild_raster::field::{DeviceLifting, DeviceRefinement, FeatureTarget, Queries, Refining};
 use segwild_raster::{
     Channels, Engine, Held, Kept, ProjectOptions, Projected, RasterError, Resident, check, jacobian_limits,
 };
@@ -38,7 +38,7 @@ const DIGIT: u32 = 4;
 /// again from view to view.
 pub struct GpuEngine {
     pub(crate) device: Arc<Device>,
-    pub(crate) shelf: Arc<Shelf>,
+    pub(crate) shelf: Arc<PhotoCache>,
 }
 
 impl GpuEngine {
@@ -188,16 +188,19 @@ impl Engine for GpuEngine {
         Ok(brought.map(|brought| Box::new(brought) as Box<dyn Any + Send + Sync>))
     }
 
-    fn settle_refining(&self, field: &Refining) -> Result<Option<Box<dyn RefiningAway>>, RasterError> {
+    fn settle_refining(&self, field: &Refining) -> Result<Option<Box<dyn DeviceRefinement>>, RasterError> {
         if !settles(GpuField::bytes(field), self.budget()) {
             return Ok(None);
         }
         let field = if_there_is_room(GpuField::upload(&self.device, field))?;
-        Ok(field.map(|field| Box::new(field) as Box<dyn RefiningAway>))
+        Ok(field.map(|field| Box::new(field) as Box<dyn DeviceRefinement>))
     }
 
-    fn bring_asked(&self, asked: &Asked) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
-        let kept = if_there_is_room(GpuAsked::keep(&self.device, asked))?.flatten();
+    fn upload_target(
+        &self,
+        asked: &FeatureTarget,
+    ) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
+        let kept = if_there_is_room(GpuFeatureTarget::keep(&self.device, asked))?.flatten();
         Ok(kept.map(|kept| Box::new(kept) as Box<dyn Any + Send + Sync>))
     }
 
@@ -209,12 +212,16 @@ impl Engine for GpuEngine {
         }
     }
 
-    fn settle_lifting(&self, splats: usize, row: usize) -> Result<Option<Box<dyn LiftingAway>>, RasterError> {
+    fn settle_lifting(
+        &self,
+        splats: usize,
+        row: usize,
+    ) -> Result<Option<Box<dyn DeviceLifting>>, RasterError> {
         if !settles(GpuSums::bytes(splats, row), self.budget()) {
             return Ok(None);
         }
         let sums = if_there_is_room(GpuSums::new(&self.device, splats, row))?;
-        Ok(sums.map(|sums| Box::new(sums) as Box<dyn LiftingAway>))
+        Ok(sums.map(|sums| Box::new(sums) as Box<dyn DeviceLifting>))
     }
 
     fn settle(&self, held: &mut dyn FnMut() -> Held) -> Result<Option<Box<dyn Resident>>, RasterError> {

@@ -1,7 +1,7 @@
 //! An engine that has splats on its device.
 
 use crate::engine::{Cloud, GpuEngine};
-use segwild_raster::field::{Asked, LiftingAway, Queries, Refining, RefiningAway};
+use segwild_raster::field::{DeviceLifting, DeviceRefinement, FeatureTarget, Queries, Refining};
 use segwild_raster::{Channels, Engine, Held, Kept, ProjectOptions, Projected, RasterError, Resident, check};
 use segwild_scene::{Camera, Pose, Splats};
 use std::any::Any;
@@ -38,19 +38,26 @@ impl Engine for Holding<'_> {
         self.engine.bring(channels)
     }
 
-    fn settle_refining(&self, field: &Refining) -> Result<Option<Box<dyn RefiningAway>>, RasterError> {
+    fn settle_refining(&self, field: &Refining) -> Result<Option<Box<dyn DeviceRefinement>>, RasterError> {
         self.engine.settle_refining(field)
     }
 
-    fn bring_asked(&self, asked: &Asked) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
-        self.engine.bring_asked(asked)
+    fn upload_target(
+        &self,
+        asked: &FeatureTarget,
+    ) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
+        self.engine.upload_target(asked)
     }
 
     fn similarity(&self, features: &Kept, queries: &Queries) -> Result<Option<Vec<f32>>, RasterError> {
         self.engine.similarity(features, queries)
     }
 
-    fn settle_lifting(&self, splats: usize, row: usize) -> Result<Option<Box<dyn LiftingAway>>, RasterError> {
+    fn settle_lifting(
+        &self,
+        splats: usize,
+        row: usize,
+    ) -> Result<Option<Box<dyn DeviceLifting>>, RasterError> {
         self.engine.settle_lifting(splats, row)
     }
 

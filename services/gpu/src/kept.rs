@@ -3,7 +3,7 @@
 use crate::GpuError;
 use crate::device::{Device, Lent, Work};
 use crate::engine::GROUP;
-use crate::room::keeps_channels;
+use crate::memory::keeps_channels;
 use crate::shaders::{COSINES, FUSE};
 use crate::view::{at_once, pack_splats, parts_of};
 use segwild_raster::Channels;

@@ -2,7 +2,7 @@
 //! Direct3D 12).
 //!
 //! Each kernel bears the name of its twin in the CPU engine (`services/raster/src/cpu/`) and is tested against it; those of
-//! networks (`nets/`) have theirs in `services/nets` and `services/raster/src/look/gsw/`.
+//! networks (`nets/`) have theirs in `services/nn` and `services/raster/src/appearance/gsw/`.
 //! What one view needs stays on the device from `project` to `backward`; channels go up, unless they are kept there for
 //! many views, and images and gradients come back, at the trait's boundary. Splats in training stay there too, with their
 //! optimiser, photos and networks (`training.rs`), and so do features while they are refined (`field/`): then a step is handed
@@ -23,10 +23,10 @@ mod engine;
 mod field;
 mod holding;
 mod kept;
+mod memory;
 mod nets;
 mod optimiser;
 mod passes;
-mod room;
 mod shaders;
 mod speed;
 mod training;
@@ -34,16 +34,16 @@ mod view;
 
 pub use adapter::{Adapter, Choice, adapters};
 pub use check::{
-    Checked, Made, Question, STAGES, Sitter, Stage, Tolerance, check, check_comparison, check_field,
-    check_networks, check_splats, compared, gradients, held, held_with_codes, projected, sitters,
+    Checked, FeatureCase, Made, STAGES, Stage, TestCase, Tolerance, check, check_comparison, check_field,
+    check_networks, check_splats, compared, gradients, held, held_with_embeddings, projected, test_cases,
     training as check_training,
 };
 pub use engine::GpuEngine;
-pub use room::{LEAST_PHOTOS, training_bytes};
+pub use memory::{LEAST_PHOTOS, training_bytes};
 pub use shaders::{KERNELS, Kernel, source};
 pub use speed::{
-    CLICKS, FIELD_RULE, LOSSES, NETWORKS, Reach, SIMILARITY, STEP, Timed, reach, some_look, some_question,
-    speed,
+    CLICKS, FIELD_RULE, LOSSES, NETWORKS, Reach, SIMILARITY, STEP, Timed, reach, some_appearance,
+    some_question, speed,
 };
 
 /// Why the accelerator engine refused, or stopped.

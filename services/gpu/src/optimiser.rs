@@ -24,8 +24,8 @@ pub(crate) struct StepGrads {
     pub shapes: Lent,
     /// As [`Numbers::sh`].
     pub sh: Lent,
-    /// As [`GpuCodes::values`].
-    pub codes: Option<Lent>,
+    /// As [`GpuSplatEmbeddings::values`].
+    pub splat_embeddings: Option<Lent>,
 }
 
 /// A group of parameters, as `adam` sees it.
@@ -92,8 +92,14 @@ impl GpuTraining {
             shape(8, 4, 4, [rules.rotations; 2]),
             whole(self.count(), self.sh_stride(), 3, [rules.base, rules.higher], None),
         ];
-        if let Some(codes) = &self.codes {
-            groups.push(whole(self.count(), codes.width, codes.before(), [rules.codes; 2], Some(rules.kept)));
+        if let Some(splat_embeddings) = &self.splat_embeddings {
+            groups.push(whole(
+                self.count(),
+                splat_embeddings.width,
+                splat_embeddings.before(),
+                [rules.splat_embeddings; 2],
+                Some(rules.kept),
+            ));
         }
         if let (Some(networks), Some(step)) = (&self.networks, networks) {
             groups.push(whole(1, networks.len(), networks.nets().border, step.rules, None));
@@ -123,8 +129,9 @@ impl GpuTraining {
             shapes(|of| &of.rotations),
             (all.map(|numbers| &numbers.sh), &grads.sh),
         ];
-        if let (Some(codes), Some(grads)) = (&self.codes, &grads.codes) {
-            arrays.push(([&codes.values, &codes.first, &codes.second], grads));
+        if let (Some(splat_embeddings), Some(grads)) = (&self.splat_embeddings, &grads.splat_embeddings) {
+            arrays
+                .push(([&splat_embeddings.values, &splat_embeddings.first, &splat_embeddings.second], grads));
         }
         if let (Some(networks), Some(weights)) = (&self.networks, weights) {
             arrays.push(([&networks.weights, &networks.first, &networks.second], weights));

@@ -88,7 +88,7 @@ kernels! {
     AREA_AVERAGE = "area_average"."area_average", [1, 4];
     AREA_SPREAD = "area_spread"."area_spread", [1, 2];
     EMBEDDING_LOSS = "embedding_loss"."embedding_loss", [1];
-    DRAWN = "drawn"."drawn", [1, 4];
+    SAMPLED = "sampled"."sampled", [1, 4];
     UNITS = "units"."units", [1];
     MATES = "mates"."mates", [1];
     PAIRS = "pairs"."pairs", [1];
@@ -106,7 +106,7 @@ kernels! {
 const COMPARED: [(&str, f32); 12] = [
     ("DECAY", compare::DECAY),
     ("FLOOR", compare::FLOOR),
-    ("SUSPECTED", compare::SUSPECT),
+    ("SUSPECTED", compare::INITIAL_TRANSIENT),
     ("CONTRAST", compare::CONTRAST),
     ("SURPRISE", compare::SURPRISE),
     ("LEAST_OPEN", compare::LEAST_OPEN),
@@ -117,12 +117,12 @@ const COMPARED: [(&str, f32); 12] = [
     ("LEAST", compare::LEAST),
     ("WRONG", compare::WRONG),
 ];
-/// The look `gsw` (`raster/src/look/gsw/`), what its networks are made of, and the feature field (`raster/src/field/`).
+/// The look `gsw` (`raster/src/appearance/gsw/`), what its networks are made of, and the feature field (`raster/src/field/`).
 const LIT: [(&str, f32); 8] = [
     ("COORDINATE", gsw::COORDINATE),
     ("DROPPED", gsw::DROPPED),
     ("VISIBILITY", gsw::VISIBILITY),
-    ("EPSILON", segwild_nets::EPSILON as f32),
+    ("EPSILON", segwild_nn::EPSILON as f32),
     ("BETA1", field::BETA1),
     ("BETA2", field::BETA2),
     ("ROOT", field::EPSILON),
@@ -142,7 +142,7 @@ const COUNTED: [(&str, u32); 6] = [
     ("COUNTS", Target::COUNTS as u32),
     ("SKY", Target::SKY as u32),
     ("INNER", Target::INNER as u32),
-    ("SUSPECT", Target::SUSPECT as u32),
+    ("INITIAL_TRANSIENT", Target::INITIAL_TRANSIENT as u32),
 ];
 
 /// What `#import name` stands for.
@@ -154,8 +154,8 @@ const SHARED: &[(&str, &str)] = &[
     ("path", include_str!("../../../shaders/shared/path.wgsl")),
     ("harmonics", include_str!("../../../shaders/shared/harmonics.wgsl")),
     ("light", include_str!("../../../shaders/shared/light.wgsl")),
-    ("sitting", include_str!("../../../shaders/shared/sitting.wgsl")),
-    ("behind", include_str!("../../../shaders/shared/behind.wgsl")),
+    ("loss_inputs", include_str!("../../../shaders/shared/loss_inputs.wgsl")),
+    ("background", include_str!("../../../shaders/shared/background.wgsl")),
     ("bins", include_str!("../../../shaders/shared/bins.wgsl")),
     ("window", include_str!("../../../shaders/shared/window.wgsl")),
     ("sum", include_str!("../../../shaders/shared/sum.wgsl")),

@@ -4,11 +4,11 @@
 //! its operations at the rate of a kernel that does nothing else. Operations are those of every pair of a splat and a tile
 //! at every pixel of the tile, as if no light ran out.
 
-use crate::check::{OPTIONS, Question};
-use crate::compare::{Asked, Photo, compare};
+use crate::check::{FeatureCase, OPTIONS};
+use crate::compare::{ComparisonInputs, Photo, compare};
 use crate::device::Work;
 use crate::engine::{Cloud, GROUP, bin, sort};
-use crate::field::{GpuAsked, GpuField};
+use crate::field::{GpuFeatureTarget, GpuField};
 use crate::kept::Brought;
 use crate::nets::{GpuNetworks, Lighting, PIECE, floor};
 use crate::passes::PIXELS;
@@ -16,10 +16,11 @@ use crate::shaders::{RATE, SHADE};
 use crate::training::GpuTraining;
 use crate::view::{at_once, gathered_at_once, pack_image, parts_of};
 use crate::{GpuEngine, GpuError};
-use segwild_raster::compare::{LeaveOut, Residuals, Sitting, Target};
+use segwild_raster::compare::{LeaveOut, LossInputs, Residuals, Target};
 use segwild_raster::field::{FieldRule, Queries};
 use segwild_raster::{
-    Channels, GswLook, GswWidth, Held, Look, NetworksStep, RasterError, Resident, Rule, Rules, Step, gsw,
+    Appearance, Channels, GswAppearance, GswWidth, Held, NetworksStep, RasterError, Resident, Rule, Rules,
+    Step, gsw,
 };
 use segwild_scene::{Camera, Pose, Random, Splats};
 use std::collections::BTreeMap;
@@ -259,14 +260,15 @@ impl Bench<'_> {
 pub const NETWORKS: &str = "networks of gsw";
 
 /// A look `gsw` of one square photo that a camera took, as long as the network takes it, and a step that reads its light.
-pub fn some_look(camera: &Camera, pose: &Pose) -> (GswLook, u64) {
-    let mut look = GswLook::new(1, 1, GswWidth::Cpu);
+pub fn some_appearance(camera: &Camera, pose: &Pose) -> (GswAppearance, u64) {
+    let mut appearance = GswAppearance::new(1, 1, GswWidth::Cpu);
     let side = gsw::Networks::of(GswWidth::Cpu).side;
     let colour = |i: usize| Some([i % side, i / side, 7].map(|n| n as f32 / side as f32));
-    let glance = look.glance((side, side), camera, pose, colour);
-    look.set_glance(0, glance);
-    let draw = (0..1000).find(|&draw| look.glimpse(0, draw).is_some_and(|glimpse| glimpse.whole));
-    (look, draw.expect("one in a thousand"))
+    let image_conditioning = appearance.image_conditioning((side, side), camera, pose, colour);
+    appearance.set_image_conditioning(0, image_conditioning);
+    let draw =
+        (0..1000).find(|&draw| appearance.unet_input(0, draw).is_some_and(|unet_input| unet_input.whole));
+    (appearance, draw.expect("one in a thousand"))
 }
 
 /// Times the networks of the look `gsw`, forward and back, of splats that are all in sight.
@@ -278,21 +280,21 @@ fn networks(
     pose: &Pose,
 ) -> Result<Timed, GpuError> {
     let n = splats.len();
-    let (look, draw) = some_look(camera, pose);
+    let (appearance, draw) = some_appearance(camera, pose);
     let rules = [Rule { beta1: 0.9, beta2: 0.999, rate: 0.0, epsilon: 1e-8 }; 2];
-    let step = NetworksStep { glimpse: look.glimpse(0, draw), draw, decides: false, rules };
+    let step = NetworksStep { unet_input: appearance.unet_input(0, draw), draw, decides: false, rules };
     let work = &mut engine.device.work();
-    let held = GpuNetworks::upload(work, &look.held())?;
+    let held = GpuNetworks::upload(work, &appearance.held())?;
     let cloud = Cloud::upload(work, splats)?;
     let seen = work.upload("depths and radii", &vec![[1.0f32; 4]; n])?;
-    let codes = work.upload("the splats' codes", &look.first_codes(&splats.means))?;
-    let by_code = work.take::<f32>("the codes' gradients", n * GswLook::CODE_SIZE)?;
+    let splat_embeddings = work.upload("the splats' codes", &appearance.first_embeddings(&splats.means))?;
+    let by_code = work.take::<f32>("the codes' gradients", n * GswAppearance::EMBEDDING_SIZE)?;
     let colours = work.take::<[f32; 4]>("the splats' colours", n)?;
     work.clear(&colours);
     let lighting = Lighting::upload(work, &held, &step, pose.centre(), n, PIECE)?;
     let spent = timed(work, |work| {
-        lighting.tint(work, &seen, &cloud.means, &codes, &colours)?;
-        lighting.backward(work, &colours, (&cloud.means, &codes), &by_code, None)
+        lighting.tint(work, &seen, &cloud.means, &splat_embeddings, &colours)?;
+        lighting.backward(work, &colours, (&cloud.means, &splat_embeddings), &by_code, None)
     })?;
     let (bytes, operations) = floor(GswWidth::Cpu, n);
     Ok(spent.row(NETWORKS, reach.floor_ms(bytes, operations)))
@@ -302,9 +304,9 @@ fn networks(
 pub const LOSSES: &str = "losses of the field";
 
 /// What a photo asks by a usual embedding, with masks as a photo has them, where features are rendered at 128 pixels.
-pub fn some_question(camera: &Camera, channels: usize) -> Question {
+pub fn some_question(camera: &Camera, channels: usize) -> FeatureCase {
     let camera = camera.scaled_to(128);
-    Question {
+    FeatureCase {
         size: (camera.width, camera.height),
         channels,
         decoded: Some(256),
@@ -318,7 +320,7 @@ pub fn some_question(camera: &Camera, channels: usize) -> Question {
 pub const FIELD_RULE: FieldRule = FieldRule { embedding: 0.7, compact: 0.3, rate: 0.0 };
 
 /// Times the losses of the feature field.
-fn losses(engine: &GpuEngine, reach: Reach, question: Question) -> Result<Timed, GpuError> {
+fn losses(engine: &GpuEngine, reach: Reach, question: FeatureCase) -> Result<Timed, GpuError> {
     let random = &mut Random::new(3);
     let (made, image) = (question.make(random), question.image(random));
     let channels = question.channels;
@@ -326,7 +328,7 @@ fn losses(engine: &GpuEngine, reach: Reach, question: Question) -> Result<Timed,
     let field = GpuField::upload(&engine.device, &field)?;
     let pixels = (question.size.0 * question.size.1) as usize;
     let work = &mut engine.device.work();
-    let asked = GpuAsked::upload(&engine.device, work, &made.asked())?;
+    let asked = GpuFeatureTarget::upload(&engine.device, work, &made.asked())?;
     let blocks = at_once(channels);
     let parts = parts_of(channels)
         .map(|first| Ok((first, work.upload("the image", &pack_image(&image, first, blocks, None))?)));
@@ -429,7 +431,7 @@ fn training(
     let mut rows = vec![spent.row("adam", reach.floor_ms(numbers * 28.0, numbers * 12.0))];
     let (width, height) = (camera.width as usize, camera.height as usize);
     let target = some_photo(width, height);
-    let sitting = Sitting {
+    let loss_inputs = LossInputs {
         camera,
         pose,
         matrix: Some([1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]),
@@ -440,13 +442,14 @@ fn training(
         sky_weight: 0.1,
     };
     let photo = Photo::upload(&mut work, &target)?;
-    let asked = Asked::upload(&mut work, &sitting)?;
+    let asked = ComparisonInputs::upload(&mut work, &loss_inputs)?;
     let cloud = Arc::new(Cloud::upload(&mut work, splats)?);
     let (on, _) = bin(&mut work, cloud, camera, pose, &OPTIONS, None)?;
     let image = work.take::<[f32; 4]>("the image", width * height)?;
     work.clear(&image);
-    let spent =
-        timed(&mut work, |work| compare(work, &on.view, &image, &photo, &asked, &sitting, None).map(drop))?;
+    let spent = timed(&mut work, |work| {
+        compare(work, &on.view, &image, &photo, &asked, &loss_inputs, None).map(drop)
+    })?;
     let pixels = (width * height) as f64;
     // Numbers that its kernels read and write per pixel: 11 to compose, 18 to find what is left out, 63 for the loss, 12 for
     // its way back. A window of eleven by eleven is eleven numbers twice, for four maps on the way and three back.
@@ -457,7 +460,7 @@ fn training(
         options: &OPTIONS,
         light: None,
         networks: None,
-        sitting,
+        loss_inputs,
         // No training has this number.
         key: [u64::MAX, splats.len() as u64, pixels as u64],
         target: &|| some_photo(width, height),

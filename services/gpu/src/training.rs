@@ -2,16 +2,17 @@
 //! at once, and what comes back of it is what the photo said; the splats do not move.
 
 use crate::GpuError;
-use crate::compare::{Asked, Graded, Heard, LIGHT, Photo, Shelf, compare, total};
+use crate::compare::{ComparisonInputs, Graded, LIGHT, Photo, PhotoCache, StepReadback, compare, total};
 use crate::device::{Device, Lent, Work};
 use crate::engine::{Binned, Cloud, GROUP, bin};
 use crate::nets::{GpuNetworks, Lighting, PIECE};
 use crate::optimiser::{Groups, StepGrads};
 use crate::passes::Grads;
 use crate::shaders::{OBSERVE, SELECT, SHADE, SHADE_BACKWARD, TINT, TINT_BACKWARD};
-use segwild_raster::compare::Said;
+use segwild_raster::compare::LossOutput;
 use segwild_raster::{
-    Codes, EmbedLook, Held, Light, NetworksStep, ProjectOptions, RasterError, Reshaped, Resident, Step, check,
+    Codes, EmbedAppearance, Held, Light, NetworksStep, ProjectOptions, RasterError, Reshaped, Resident, Step,
+    check,
 };
 use segwild_scene::{Camera, Pose, Splats};
 use std::sync::Arc;
@@ -38,7 +39,7 @@ impl Numbers {
 }
 
 /// A view that was drawn.
-pub(crate) struct Drawn<'a> {
+pub(crate) struct Rendered<'a> {
     pub on: Binned,
     /// Depth, radius, centre per splat.
     seen: Lent,
@@ -54,11 +55,11 @@ pub(crate) struct Drawn<'a> {
 struct Lit<'a> {
     photo: Lent,
     tinted: Lent,
-    codes: &'a GpuCodes,
+    splat_embeddings: &'a GpuSplatEmbeddings,
     lighting: Option<Lighting<'a>>,
 }
 
-impl<'a> Drawn<'a> {
+impl<'a> Rendered<'a> {
     /// What the networks of the look `gsw` made of it.
     pub fn lighting(&self) -> Option<&Lighting<'a>> {
         self.lit.as_ref()?.lighting.as_ref()
@@ -72,7 +73,7 @@ struct Parents {
 }
 
 /// Codes of splats and their moments.
-pub(crate) struct GpuCodes {
+pub(crate) struct GpuSplatEmbeddings {
     pub values: Lent,
     pub first: Lent,
     pub second: Lent,
@@ -80,10 +81,10 @@ pub(crate) struct GpuCodes {
     pub width: usize,
 }
 
-impl GpuCodes {
+impl GpuSplatEmbeddings {
     /// Numbers of a code that come before those of the look `embed`.
     pub fn before(&self) -> usize {
-        self.width - EmbedLook::CODE_SIZE
+        self.width - EmbedAppearance::EMBEDDING_SIZE
     }
 
     /// A job over so many splats, for those of the look `embed`.
@@ -95,19 +96,19 @@ impl GpuCodes {
 /// Splats in training on the device.
 pub(crate) struct GpuTraining {
     device: Arc<Device>,
-    shelf: Arc<Shelf>,
+    shelf: Arc<PhotoCache>,
     sh_degree: u32,
     pub splats: Numbers,
     pub first: Numbers,
     pub second: Numbers,
     /// For density control: gradient, error, steps, radius.
     sums: Lent,
-    pub codes: Option<GpuCodes>,
+    pub splat_embeddings: Option<GpuSplatEmbeddings>,
     pub networks: Option<GpuNetworks>,
 }
 
 impl GpuTraining {
-    pub fn new(device: &Arc<Device>, shelf: &Arc<Shelf>, held: &Held) -> Result<GpuTraining, GpuError> {
+    pub fn new(device: &Arc<Device>, shelf: &Arc<PhotoCache>, held: &Held) -> Result<GpuTraining, GpuError> {
         let mut work = device.work();
         Ok(GpuTraining {
             sh_degree: held.splats.sh_degree,
@@ -115,12 +116,12 @@ impl GpuTraining {
             first: Numbers::upload(&mut work, &held.first)?,
             second: Numbers::upload(&mut work, &held.second)?,
             sums: work.upload("the sums for density control", &held.sums)?,
-            codes: match &held.codes.values {
+            splat_embeddings: match &held.splat_embeddings.values {
                 none if none.is_empty() => None,
-                values => Some(GpuCodes {
+                values => Some(GpuSplatEmbeddings {
                     values: work.upload("the splats' codes", values)?,
-                    first: work.upload("the codes' first moments", &held.codes.first)?,
-                    second: work.upload("the codes' second moments", &held.codes.second)?,
+                    first: work.upload("the codes' first moments", &held.splat_embeddings.first)?,
+                    second: work.upload("the codes' second moments", &held.splat_embeddings.second)?,
                     width: values.len() / held.splats.len(),
                 }),
             },
@@ -138,7 +139,7 @@ impl GpuTraining {
         3 * (self.sh_degree as usize + 1).pow(2)
     }
 
-    fn try_step(&self, step: &Step) -> Result<(Said, Option<Light>), GpuError> {
+    fn try_step(&self, step: &Step) -> Result<(LossOutput, Option<Light>), GpuError> {
         loop {
             let work = &mut self.device.work();
             let (photo, room) = self.shelf.take(work, step.key, step.target, self.count())?;
@@ -154,7 +155,7 @@ impl GpuTraining {
             self.shelf.note(step.key, pairs, self.count());
             // Without room nothing was learnt; there will be, now that it is known how much it takes.
             if fits {
-                return Ok((heard.said(&step.sitting), step.light.map(|_| heard.light())));
+                return Ok((heard.said(&step.loss_inputs), step.light.map(|_| heard.light())));
             }
         }
     }
@@ -166,20 +167,21 @@ impl GpuTraining {
         step: &Step,
         photo: &Photo,
         room: Option<usize>,
-    ) -> Result<Heard, GpuError> {
-        let sitting = &step.sitting;
+    ) -> Result<StepReadback, GpuError> {
+        let loss_inputs = &step.loss_inputs;
         // What goes up hands in what stands before it: all of it goes first.
-        let asked = Asked::upload(work, sitting)?;
+        let asked = ComparisonInputs::upload(work, loss_inputs)?;
         let groups = self.groups(work, step.rules, step.networks.as_ref())?;
-        let lighting = self.lighting(work, step.networks.as_ref(), sitting.pose)?;
+        let lighting = self.lighting(work, step.networks.as_ref(), loss_inputs.pose)?;
         let light = step.light.map(|light| (light, lighting));
-        let drawn = self.draw(work, sitting.camera, sitting.pose, step.options, light, room)?;
+        let drawn = self.draw(work, loss_inputs.camera, loss_inputs.pose, step.options, light, room)?;
         let decides = step.networks.as_ref().is_some_and(|networks| networks.decides);
         let visible = drawn.lighting().and_then(|lighting| lighting.visible(decides));
-        let graded = compare(work, &drawn.on.view, &drawn.image, photo, &asked, sitting, visible.as_ref())?;
+        let graded =
+            compare(work, &drawn.on.view, &drawn.image, photo, &asked, loss_inputs, visible.as_ref())?;
         let Graded { grads, error, blames, .. } = &graded;
         self.learn(work, &drawn, (grads, error, blames.as_ref()), &groups, &asked.said)?;
-        Heard::read(work, &asked.said, &drawn.on.found)
+        StepReadback::read(work, &asked.said, &drawn.on.found)
     }
 
     /// What a step of the networks needs, for a view from such a pose.
@@ -202,7 +204,7 @@ impl GpuTraining {
         options: &ProjectOptions,
         light: Option<(&Light, Option<Lighting<'a>>)>,
         room: Option<usize>,
-    ) -> Result<Drawn<'a>, GpuError> {
+    ) -> Result<Rendered<'a>, GpuError> {
         let n = self.count();
         let shapes = &self.splats.shapes;
         let light = match light {
@@ -216,14 +218,14 @@ impl GpuTraining {
         work.run(&SHADE, 1, job, &buffers, n.div_ceil(GROUP));
         let lit = match light {
             Some((photo, lighting)) => {
-                let codes = self.codes.as_ref().expect("light falls on codes");
+                let splat_embeddings = self.splat_embeddings.as_ref().expect("light falls on codes");
                 let tinted = work.take::<[f32; 4]>("the tinted colours", n)?;
-                let buffers = [&photo, &colours, &codes.values, &tinted];
-                work.run(&TINT, 1, codes.job(n), &buffers, n.div_ceil(GROUP));
+                let buffers = [&photo, &colours, &splat_embeddings.values, &tinted];
+                work.run(&TINT, 1, splat_embeddings.job(n), &buffers, n.div_ceil(GROUP));
                 if let Some(lighting) = &lighting {
-                    lighting.tint(work, &seen, &shapes.means, &codes.values, &tinted)?;
+                    lighting.tint(work, &seen, &shapes.means, &splat_embeddings.values, &tinted)?;
                 }
-                Some(Lit { photo, tinted, codes, lighting })
+                Some(Lit { photo, tinted, splat_embeddings, lighting })
             }
             None => None,
         };
@@ -231,7 +233,7 @@ impl GpuTraining {
         let lights = on.lights(work)?;
         let values = lit.as_ref().map_or(&colours, |lit| &lit.tinted);
         let image = on.blend(work, 1, values, true, &alpha, &lights)?;
-        Ok(Drawn { on, seen, colours, lit, lights, image })
+        Ok(Rendered { on, seen, colours, lit, lights, image })
     }
 
     /// The optimiser's step by the gradients of what was drawn, of colour and alpha; the sums for density control, which
@@ -239,12 +241,12 @@ impl GpuTraining {
     pub fn learn(
         &self,
         work: &mut Work,
-        drawn: &Drawn,
+        drawn: &Rendered,
         (by_image, error, blames): (&Lent, &Lent, Option<&Lent>),
         groups: &Groups,
         said: &Lent,
     ) -> Result<(), GpuError> {
-        let Drawn { on, seen, colours, lit, lights, .. } = drawn;
+        let Rendered { on, seen, colours, lit, lights, .. } = drawn;
         let n = self.count();
         let each = n.div_ceil(GROUP);
         let shapes = &self.splats.shapes;
@@ -253,15 +255,15 @@ impl GpuTraining {
         let grads = on.backward(work, 1, values, by_image)?;
         // Where there is light, `by_colour` is of the tinted colours before, and of the splats' own after.
         let by_code = match lit {
-            Some(Lit { photo, codes, lighting, .. }) => {
-                let by_code = work.take::<f32>("the codes' gradients", n * codes.width)?;
+            Some(Lit { photo, splat_embeddings, lighting, .. }) => {
+                let by_code = work.take::<f32>("the codes' gradients", n * splat_embeddings.width)?;
                 if let Some(lighting) = lighting {
-                    let known = (&shapes.means, &codes.values);
+                    let known = (&shapes.means, &splat_embeddings.values);
                     lighting.backward(work, &by_colour, known, &by_code, blames)?;
                 }
                 let sums = work.take::<Light>("the light's gradients", each)?;
-                let buffers = [photo, colours, &codes.values, &by_colour, &by_code, &sums];
-                work.run(&TINT_BACKWARD, 1, codes.job(n), &buffers, each);
+                let buffers = [photo, colours, &splat_embeddings.values, &by_colour, &by_code, &sums];
+                work.run(&TINT_BACKWARD, 1, splat_embeddings.job(n), &buffers, each);
                 total(work, &sums, each, size_of::<Light>() / 4, said, LIGHT);
                 Some(by_code)
             }
@@ -272,7 +274,7 @@ impl GpuTraining {
         work.run(&SHADE_BACKWARD, 1, [n as u32, self.sh_degree, 0, 0], &buffers, each);
         let buffers = [&on.view, seen, &grads, error, &self.sums, &on.found];
         work.run(&OBSERVE, 1, [n as u32, 0, 0, 0], &buffers, each);
-        let grads = StepGrads { shapes: grads, sh: by_sh, codes: by_code };
+        let grads = StepGrads { shapes: grads, sh: by_sh, splat_embeddings: by_code };
         let weights = drawn.lighting().map(|lighting| &lighting.weight_grads);
         self.adam(work, &grads, weights, seen, &on.found, groups);
         Ok(())
@@ -287,7 +289,7 @@ impl GpuTraining {
         work.clear(&shapes);
         work.clear(&sh);
         work.hand_in();
-        Ok(StepGrads { shapes, sh, codes: None })
+        Ok(StepGrads { shapes, sh, splat_embeddings: None })
     }
 
     /// What is known of the splats at `parents`, in their order, in items of so many numbers. `learnt`: of those that are
@@ -329,15 +331,15 @@ impl GpuTraining {
         };
         let (first, second) = (moments(&self.first)?, moments(&self.second)?);
         let sh = Self::select(work, &self.splats.sh, sh_stride, &parents, false, sh_stride)?;
-        let codes = match &self.codes {
+        let splat_embeddings = match &self.splat_embeddings {
             None => None,
-            Some(codes) => {
-                let width = codes.width;
+            Some(splat_embeddings) => {
+                let width = splat_embeddings.width;
                 let mut select = |from, learnt| Self::select(work, from, width, &parents, learnt, width);
-                Some(GpuCodes {
-                    values: select(&codes.values, false)?,
-                    first: select(&codes.first, true)?,
-                    second: select(&codes.second, true)?,
+                Some(GpuSplatEmbeddings {
+                    values: select(&splat_embeddings.values, false)?,
+                    first: select(&splat_embeddings.first, true)?,
+                    second: select(&splat_embeddings.second, true)?,
                     width,
                 })
             }
@@ -346,7 +348,7 @@ impl GpuTraining {
         work.clear(&sums);
         work.hand_in();
         (self.splats, self.first, self.second) = (Numbers { shapes, sh }, first, second);
-        (self.sums, self.codes) = (sums, codes);
+        (self.sums, self.splat_embeddings) = (sums, splat_embeddings);
         Ok(())
     }
 
@@ -364,15 +366,15 @@ impl GpuTraining {
             first: self.first.read(&mut work, self.sh_degree)?,
             second: self.second.read(&mut work, self.sh_degree)?,
             sums: work.read(&self.sums, self.count())?,
-            codes: match &self.codes {
+            splat_embeddings: match &self.splat_embeddings {
                 None => Codes::default(),
-                Some(codes) => {
-                    let numbers = self.count() * codes.width;
+                Some(splat_embeddings) => {
+                    let numbers = self.count() * splat_embeddings.width;
                     let mut read = |of: &Lent| work.read(of, numbers);
                     Codes {
-                        values: read(&codes.values)?,
-                        first: read(&codes.first)?,
-                        second: read(&codes.second)?,
+                        values: read(&splat_embeddings.values)?,
+                        first: read(&splat_embeddings.first)?,
+                        second: read(&splat_embeddings.second)?,
                     }
                 }
             },
@@ -385,8 +387,8 @@ impl GpuTraining {
 }
 
 impl Resident for GpuTraining {
-    fn step(&mut self, step: &Step) -> Result<(Said, Option<Light>), RasterError> {
-        check(&Splats::default(), step.sitting.camera)?;
+    fn step(&mut self, step: &Step) -> Result<(LossOutput, Option<Light>), RasterError> {
+        check(&Splats::default(), step.loss_inputs.camera)?;
         Ok(self.try_step(step)?)
     }
 

@@ -4,12 +4,12 @@
 use crate::GpuError;
 use crate::device::{Device, Lent, Work, lock};
 use crate::engine::Binned;
-use crate::field::{GpuAsked, GpuField, GpuSums};
+use crate::field::{GpuFeatureTarget, GpuField, GpuSums};
 use crate::kept::Brought;
 use crate::passes::Grads;
 use glam::Vec3;
 use rayon::prelude::*;
-use segwild_raster::field::{Asked, Drawn, Lifting, Refining};
+use segwild_raster::field::{FeatureTarget, Lifting, Refining, Rendered};
 use segwild_raster::{
     Channels, Frame, FrameGrad, Kept, Projected, RasterError, SplatGrads, shade, shade_backward,
 };
@@ -151,14 +151,14 @@ impl<'a> GpuView<'a> {
         Arc::ptr_eq(device, self.device)
     }
 
-    fn try_refine(&self, field: &GpuField, asked: &Asked, drawn: &Drawn) -> Result<(), GpuError> {
+    fn try_refine(&self, field: &GpuField, asked: &FeatureTarget, drawn: &Rendered) -> Result<(), GpuError> {
         let work = &mut self.device.work();
-        let kept = asked.away.and_then(|away| away.downcast_ref::<GpuAsked>());
+        let kept = asked.away.and_then(|away| away.downcast_ref::<GpuFeatureTarget>());
         let up;
         let asked = match kept.filter(|asked| self.is_mine(&asked.device)) {
             Some(asked) => asked,
             None => {
-                up = GpuAsked::upload(self.device, work, asked)?;
+                up = GpuFeatureTarget::upload(self.device, work, asked)?;
                 &up
             }
         };
@@ -308,7 +308,12 @@ impl Projected for GpuView<'_> {
         Ok(self.try_lift(own, image)?)
     }
 
-    fn refine(&self, field: &mut Refining, asked: &Asked, drawn: &Drawn) -> Result<(), RasterError> {
+    fn refine(
+        &self,
+        field: &mut Refining,
+        asked: &FeatureTarget,
+        drawn: &Rendered,
+    ) -> Result<(), RasterError> {
         let own = field.away().and_then(|away| away.as_any().downcast_ref::<GpuField>());
         let Some(own) = own.filter(|field| self.is_mine(&field.device)) else {
             return field.learn(self, asked, drawn);

@@ -3,13 +3,13 @@
 mod common;
 
 use common::{engine, image, many, rules, splats, step_with, view};
-use segwild_gpu::{Choice, GpuEngine, Tolerance, held, some_look, training_bytes};
+use segwild_gpu::{Choice, GpuEngine, Tolerance, held, some_appearance, training_bytes};
 use segwild_raster::field::{
-    AreaAverage, Asked, Drawn, FieldRule, LearnedDecoder, Lifting, Membership, Refining,
+    AreaAverage, FeatureTarget, FieldRule, LearnedDecoder, Lifting, Membership, Refining, Rendered,
 };
 use segwild_raster::{
-    Channels, Codes, CpuEngine, Engine, Frame, GswLook, GswWidth, Held, Kept, Look, NetworksStep,
-    ProjectOptions, SpareEngine,
+    Appearance, Channels, Codes, CpuEngine, Engine, FallbackEngine, Frame, GswAppearance, GswWidth, Held,
+    Kept, NetworksStep, ProjectOptions,
 };
 use segwild_scene::{Image, Mask, MaskSet, Random, ScoredMask, Splats};
 
@@ -99,7 +99,7 @@ fn channels_of_another_engine_are_blended_from_the_hosts() {
     let cpu = CpuEngine::new();
     assert!(draw(&cpu, &scene, &kept) == draw(&cpu, &scene, &Kept::new(3, &values)));
     // An engine with another to fall back on keeps them on the first one's device.
-    let spare = SpareEngine::new(Box::new(other), Box::new(CpuEngine::new()), |why: &str| panic!("{why}"));
+    let spare = FallbackEngine::new(Box::new(other), Box::new(CpuEngine::new()), |why: &str| panic!("{why}"));
     kept.bring(&spare).expect("it is brought there");
     assert!(kept.away().is_some() && draw(&spare, &scene, &kept) == wanted);
 }
@@ -159,12 +159,17 @@ fn a_step_of_the_feature_field_brings_the_pixels_that_it_draws_and_nothing_of_sp
             let planes = if learned { decoded } else { count };
             let (target, average, membership) = asked(83 + step as u64, width, height, planes);
             let validity = vec![0.8; target.pixels()];
-            let mut asked =
-                Asked { target: &target, scale: 0.5, validity: &validity, average: &average, away: None };
-            let away = held.bring_asked(&asked).expect("it is brought there");
+            let mut asked = FeatureTarget {
+                target: &target,
+                scale: 0.5,
+                validity: &validity,
+                average: &average,
+                away: None,
+            };
+            let away = held.upload_target(&asked).expect("it is brought there");
             asked.away = away.as_deref();
             let pixels: Vec<u32> = (0..width * height).step_by(3).collect();
-            let drawn = Drawn { pixels: &pixels, membership: &membership };
+            let drawn = Rendered { pixels: &pixels, membership: &membership };
             let before = gpu.brought();
             projected.refine(field, &asked, &drawn).expect("it is learnt");
             crossed += gpu.brought() - before;
@@ -221,8 +226,9 @@ fn a_field_that_leaves_too_little_room_for_its_steps_is_refined_on_the_host() {
     let rule = FieldRule { embedding: 1.0, compact: 0.0, rate: 0.01 };
     let (target, average, membership) = asked(95, 64, 48, count);
     let validity = vec![1.0; target.pixels()];
-    let asked = Asked { target: &target, scale: 1.0, validity: &validity, average: &average, away: None };
-    let drawn = Drawn { pixels: &[], membership: &membership };
+    let asked =
+        FeatureTarget { target: &target, scale: 1.0, validity: &validity, average: &average, away: None };
+    let drawn = Rendered { pixels: &[], membership: &membership };
     // From where nothing settles to where all does: nowhere does a step want of room.
     let mut settled = Vec::new();
     for megabytes in [3, 4, 5, 6, 8, 24] {
@@ -253,21 +259,26 @@ fn a_step_of_networks_brings_its_photo_and_nothing_of_the_splats() {
     let Some(gpu) = &alone else { return };
     let gpu = reopened(gpu);
     let view = view(96, 64);
-    let (look, draw) = some_look(&view.0, &view.1);
+    let (appearance, draw) = some_appearance(&view.0, &view.1);
     let splats = scene();
-    let codes = Codes {
-        values: look.first_codes(&splats.means),
-        first: vec![0.0; SPLATS * GswLook::CODE_SIZE],
-        second: vec![0.0; SPLATS * GswLook::CODE_SIZE],
+    let splat_embeddings = Codes {
+        values: appearance.first_embeddings(&splats.means),
+        first: vec![0.0; SPLATS * GswAppearance::EMBEDDING_SIZE],
+        second: vec![0.0; SPLATS * GswAppearance::EMBEDDING_SIZE],
     };
-    let held = Held { codes, networks: Some(look.held()), ..held(splats) };
+    let held = Held { splat_embeddings, networks: Some(appearance.held()), ..held(splats) };
     let mut away = gpu.settle(&mut || held.clone()).expect("it is brought there").expect("it fits");
-    let light = look.below.photo(0);
+    let light = appearance.below.photo(0);
     let rule = rules(0.001);
     let mut learn = |key: u64| {
-        let glimpse = look.glimpse(0, draw).expect("there is light");
-        let photo = 4 * (glimpse.image.data.len() + glimpse.beside.data.len());
-        let step = NetworksStep { glimpse: Some(glimpse), draw, decides: true, rules: [rule.codes; 2] };
+        let unet_input = appearance.unet_input(0, draw).expect("there is light");
+        let photo = 4 * (unet_input.image.data.len() + unet_input.beside.data.len());
+        let step = NetworksStep {
+            unet_input: Some(unet_input),
+            draw,
+            decides: true,
+            rules: [rule.splat_embeddings; 2],
+        };
         let before = gpu.brought();
         let said = step_with(&mut *away, (&view.0, &view.1), Some(&light), Some(step), &rule, key, 0.1);
         said.expect("it is learnt");
@@ -279,10 +290,10 @@ fn a_step_of_networks_brings_its_photo_and_nothing_of_the_splats() {
     println!("{crossed} bytes, {photo} of them the photo for its network");
     assert!(crossed >= photo && crossed < photo + (64 << 10), "{crossed} bytes, {photo} the photo's");
     let (taken, estimate) =
-        (gpu.held(), training_bytes(SPLATS, 96 * 64, 1, GswLook::CODE_SIZE, Some(GswWidth::Cpu)));
+        (gpu.held(), training_bytes(SPLATS, 96 * 64, 1, GswAppearance::EMBEDDING_SIZE, Some(GswWidth::Cpu)));
     println!("{taken} bytes taken, {estimate} estimated");
     assert!(taken <= estimate && estimate <= 6 * taken, "{taken} bytes taken, {estimate} estimated");
     let after = away.fetch().expect("they come home");
     let moved = after.networks.expect("and so do the networks").weights;
-    assert!(moved != look.held().weights && moved.iter().all(|weight| weight.is_finite()));
+    assert!(moved != appearance.held().weights && moved.iter().all(|weight| weight.is_finite()));
 }

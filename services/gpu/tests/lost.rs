@@ -3,10 +3,10 @@
 mod common;
 
 use common::{engine, image, rules, splats, step, view};
-use segwild_gpu::{Choice, GpuEngine, held_with_codes};
+use segwild_gpu::{Choice, GpuEngine, held_with_embeddings};
 use segwild_raster::{
-    Channels, CpuEngine, EmbedLook, Engine, FrameGrad, Held, ProjectOptions, RasterError, SpareEngine,
-    SplatGrads,
+    Channels, CpuEngine, EmbedAppearance, Engine, FallbackEngine, FrameGrad, Held, ProjectOptions,
+    RasterError, SplatGrads,
 };
 use std::sync::{Arc, Mutex};
 
@@ -46,9 +46,9 @@ fn a_kernel_that_does_not_compile_is_an_error_that_names_the_device() {
 fn a_training_whose_kernel_does_not_compile_ends_in_words() {
     let Some(gpu) = engine("a_training_whose_kernel_does_not_compile_ends_in_words") else { return };
     let view = view(48, 32);
-    let settled = held_with_codes(splats(7, 100, (0.02, 0.2)));
+    let settled = held_with_embeddings(splats(7, 100, (0.02, 0.2)));
     let rules = rules(0.01);
-    let light = EmbedLook::new(1, 3).photo(0);
+    let light = EmbedAppearance::new(1, 3).photo(0);
     let compared =
         ["compose", "tally", "limits", "weigh", "structure", "slope", "grade", "sky_sums", "total"];
     for kernel in
@@ -74,7 +74,7 @@ fn the_cpu_engine_takes_over_in_the_middle_of_a_step() {
     let hear = told.clone();
     let lost = without("unproject", &gpu.adapter().name);
     let hear = move |why: &str| hear.lock().expect("nothing panics").push(why.to_owned());
-    let engine = SpareEngine::new(Box::new(lost), Box::new(CpuEngine::new()), hear);
+    let engine = FallbackEngine::new(Box::new(lost), Box::new(CpuEngine::new()), hear);
     let half = gradients(&engine).expect("the CPU engine goes on");
     let close = |a: &[[f32; 3]], b: &[[f32; 3]]| {
         a.as_flattened().iter().zip(b.as_flattened()).all(|(a, b)| (a - b).abs() <= 1e-3 * (1.0 + b.abs()))

@@ -10,7 +10,7 @@ mod common;
 use common::{broken, engine, image, many, misled, rules, splats, step, view};
 use segwild_gpu::{
     Choice, GpuEngine, LEAST_PHOTOS, STAGES, Tolerance, check, check_training, compared, gradients, held,
-    held_with_codes, projected, sitters, training_bytes,
+    held_with_embeddings, projected, test_cases, training_bytes,
 };
 use segwild_raster::{Channels, CpuEngine, Engine, Frame, FrameGrad, ProjectOptions, Projected, RasterError};
 use segwild_scene::{Camera, Pose, Random, Splats};
@@ -279,7 +279,7 @@ fn steps_of_training_agree_for_every_degree_of_colour() {
         // Some out of sight.
         scene.means.iter_mut().step_by(7).for_each(|mean| mean[0] += 9.0);
         let options = ProjectOptions { antialias: degree % 2 == 0, ..ProjectOptions::default() };
-        for held in [held(scene.clone()), held_with_codes(scene)] {
+        for held in [held(scene.clone()), held_with_embeddings(scene)] {
             for step in check_training(gpu, &held, &camera, &pose, &options).expect("it trains") {
                 assert!(step.off.is_none(), "{count} splats of degree {degree}: {step:?}");
             }
@@ -292,8 +292,8 @@ fn photos_say_the_same_on_the_device() {
     let Some(gpu) = engine("photos_say_the_same_on_the_device") else { return };
     // Whole tiles and parts of them; fewer pixels than a window has; a residual's window of two pixels.
     for size in [(64, 48), (70, 45), (9, 3), (1, 1), (330, 40)] {
-        for sitter in sitters(size) {
-            for part in compared(gpu, &sitter).expect("it runs") {
+        for test_case in test_cases(size) {
+            for part in compared(gpu, &test_case).expect("it runs") {
                 assert!(part.off.is_none(), "{size:?}: {part:?}");
             }
         }

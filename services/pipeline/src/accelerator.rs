@@ -16,14 +16,14 @@ pub fn accelerator() -> &'static Lease {
 /// The same providers; those that declare an accelerator hold it while they answer. Who answers a click, and the sky,
 /// come before the others.
 pub(crate) fn leased(providers: &Providers) -> Providers {
-    let Providers { embedder, proposer, segmenter, sky, strangers, name, notes, networks } =
+    let Providers { embedder, proposer, segmenter, sky, transients, name, notes, networks } =
         providers.clone();
     Providers {
         embedder: if embedder.accelerator() { Arc::new(Leased(embedder)) } else { embedder },
         proposer: if proposer.accelerator() { Arc::new(Leased(proposer)) } else { proposer },
         segmenter: if segmenter.accelerator() { Arc::new(Leased(segmenter)) } else { segmenter },
         sky: if sky.accelerator() { Arc::new(Leased(sky)) } else { sky },
-        strangers,
+        transients,
         name,
         notes,
         networks,

@@ -3,10 +3,10 @@
 //! Same key, same bytes. A key holds everything the artefact depends on, so a changed setting re-does exactly what
 //! depends on it.
 
+use crate::continued::Origin;
 use crate::evaluate::protocol_of;
 use crate::memory;
-use crate::onward::Origin;
-use crate::strangers::Corrections;
+use crate::transients::Corrections;
 use crate::{RunError, Settings, Until};
 use rayon::prelude::*;
 use segwild_features::{Compression, FeatureSettings};
@@ -14,14 +14,14 @@ use segwild_flow::Key;
 use segwild_masks::{MaskSettings, MaskSource};
 use segwild_scene::settings::Group;
 use segwild_scene::{Scene, View};
-use segwild_trainer::{LookKind, TrainSettings};
+use segwild_trainer::{AppearanceModel, TrainSettings};
 use segwild_vision::Providers;
 use std::collections::BTreeSet;
 
 /// Raised when the bytes that a stage makes from the same input change.
-const FORMAT: u32 = 3;
+const FORMAT: u32 = 4;
 /// The same for the training, whose rules change most often: skies and embeddings, which cost most, stay.
-const TRAINING: u32 = 8;
+const TRAINING: u32 = 9;
 
 /// The keys of one run.
 #[derive(Clone, Debug)]
@@ -44,7 +44,7 @@ pub struct Keys {
     /// Per view, which of its pixels can be trusted.
     pub visibility: Vec<Key>,
     /// Per view, the persons and vehicles that a network finds.
-    pub known_strangers: Vec<Key>,
+    pub known_transients: Vec<Key>,
     /// The feature field.
     pub features: Key,
     /// Whether the masks have a part in the field.
@@ -61,12 +61,12 @@ fn without_effect(settings: &Settings) -> Vec<&'static str> {
     let (train, features) = (&settings.train, &settings.features);
     // Where the snapshot is taken is in the snapshot's own name.
     let mut names = vec!["photo_cache_mib", "feature_memory", "snapshot_at"];
-    let no_codes = !matches!(train.look, LookKind::Embed | LookKind::Gsw);
+    let no_embeddings = !matches!(train.appearance_model, AppearanceModel::Embed | AppearanceModel::Gsw);
     let idle = [
-        ("lr_code", no_codes),
-        ("codes_from", no_codes),
-        ("lr_net", train.look != LookKind::Gsw),
-        ("gsw_width", train.look != LookKind::Gsw),
+        ("lr_splat_embedding", no_embeddings),
+        ("splat_embedding_from", no_embeddings),
+        ("lr_net", train.appearance_model != AppearanceModel::Gsw),
+        ("gsw_width", train.appearance_model != AppearanceModel::Gsw),
         ("decoder_lr", features.compression != Compression::Learned),
         ("weight_compact", !features.compactness),
     ];
@@ -82,7 +82,7 @@ pub enum End {
     /// At the start, and at this step, which may lie past its settings' own.
     Step(u32),
     /// Where another ended, and some steps later.
-    Onward(Origin),
+    ContinuedTraining(Origin),
 }
 
 impl End {
@@ -99,7 +99,7 @@ impl End {
         match self {
             End::Settings => None,
             End::Step(step) => Some(*step),
-            End::Onward(origin) => Some(origin.end),
+            End::ContinuedTraining(origin) => Some(origin.end),
         }
     }
 }
@@ -211,9 +211,9 @@ impl Keys {
         let embedding: Vec<Key> =
             views.clone().map(|i| photo("embedding", i, &providers.embedder.key())).collect();
 
-        let network = providers.strangers.as_ref().map(|network| network.key());
-        let known_strangers: Vec<Key> =
-            views.clone().map(|i| photo("strangers", i, network.as_deref().unwrap_or("none"))).collect();
+        let network = providers.transients.as_ref().map(|network| network.key());
+        let known_transients: Vec<Key> =
+            views.clone().map(|i| photo("transients", i, network.as_deref().unwrap_or("none"))).collect();
 
         let mut training = Key::of("geometry")
             .value("format", TRAINING)
@@ -226,16 +226,16 @@ impl Keys {
                 .key(&format!("sky {i}"), &sky[i]);
             // Nothing where nothing is known, so that what was made before persons could say anything keeps its name.
             match corrections.digest(i).filter(|_| !view.test) {
-                Some(digest) => training = training.part(&format!("strangers {i}"), digest),
+                Some(digest) => training = training.part(&format!("transients {i}"), digest),
                 None if network.is_some() => {
-                    training = training.key(&format!("strangers {i}"), &known_strangers[i]);
+                    training = training.key(&format!("transients {i}"), &known_transients[i]);
                 }
                 None => {}
             }
         }
         let whole = training.finish();
         let training = match end {
-            End::Onward(origin) => Key::of("geometry")
+            End::ContinuedTraining(origin) => Key::of("geometry")
                 .key("whole", &whole)
                 .key("from", &origin.training)
                 .value("step", origin.step)
@@ -250,7 +250,7 @@ impl Keys {
             _ => training,
         };
         let snapshot = match end {
-            End::Onward(origin) => origin.snapshot,
+            End::ContinuedTraining(origin) => origin.snapshot,
             _ => snapshot_of(&training, settings.train.snapshot_step()),
         };
         let masks: Vec<Key> = views
@@ -299,7 +299,7 @@ impl Keys {
             snapshot,
             masks,
             visibility,
-            known_strangers,
+            known_transients,
             features: features.finish(),
             masks_in_field: settings.features.compactness,
             snapshot_step: settings.train.snapshot_step(),
@@ -360,14 +360,14 @@ impl Keys {
         if photos.is_empty() { self.evaluation } else { lacking(&self.evaluation, "score", photos) }
     }
 
-    /// The name of what a view's picture of strangers is made from, which `segmenter` has drawn.
-    pub fn strangers(&self, view: usize, segmenter: &str) -> Key {
-        Key::of("strangers").key("visibility", &self.visibility[view]).part("model", segmenter).finish()
+    /// The name of what a view's picture of transients is made from, which `segmenter` has drawn.
+    pub fn transients(&self, view: usize, segmenter: &str) -> Key {
+        Key::of("transients").key("visibility", &self.visibility[view]).part("model", segmenter).finish()
     }
 
     /// The photo that an artefact is made of and the kind of artefact, by its name as the ledger writes it.
     pub fn view_of(&self, key: &str) -> Option<usize> {
-        let all = [&self.sky, &self.embedding, &self.masks, &self.visibility, &self.known_strangers];
+        let all = [&self.sky, &self.embedding, &self.masks, &self.visibility, &self.known_transients];
         all.into_iter().find_map(|keys| keys.iter().position(|k| k.to_string() == key))
     }
 

@@ -1,14 +1,14 @@
-//! `--look auto` and `--budget auto`: each choice is made once, kept under the name of all it depends on, and said.
+//! `--appearance auto` and `--budget auto`: each choice is made once, kept under the name of all it depends on, and said.
 
 use crate::artefacts::Keys;
-use crate::strangers::Known;
+use crate::transients::Known;
 use crate::{Budget, RunError, RunFolder, Settings};
 use segwild_flow::{Cache, CacheError, Key};
 use segwild_raster::Engine;
 use segwild_scene::{Mask, Scene};
 use segwild_trainer::{
-    BudgetChoice, CHOICE_SIZE, LookChoice, LookKind, Photos, Sifted, TrainError, TrainPhoto, choose_budget,
-    choose_look, trial_size,
+    AppearanceChoice, AppearanceModel, BudgetChoice, CHOICE_SIZE, Photos, Sifted, TrainError, TrainPhoto,
+    choose_appearance, choose_budget, trial_size,
 };
 use segwild_vision::SkyDetector;
 use serde::Serialize;
@@ -30,15 +30,15 @@ pub(crate) trait Choice: Serialize + DeserializeOwned {
     fn why(&self) -> &str;
 }
 
-impl Choice for LookChoice {
-    const KIND: &'static str = "look";
+impl Choice for AppearanceChoice {
+    const KIND: &'static str = "appearance";
     const FILE: &'static str = "look.json";
     fn is_open(settings: &Settings) -> bool {
-        settings.train.look == LookKind::Auto
+        settings.train.appearance_model == AppearanceModel::Auto
     }
     fn decided(&self, settings: &Settings) -> Settings {
         let mut settings = settings.clone();
-        settings.train.look = self.look;
+        settings.train.appearance_model = self.appearance;
         settings
     }
     fn why(&self) -> &str {
@@ -63,8 +63,8 @@ impl Choice for BudgetChoice {
 }
 
 /// Whether a budget may go beyond the settings: the steps were left to the scene, and its photos agree.
-fn beyond(steps_open: bool, look: Option<&LookChoice>) -> bool {
-    steps_open && look.is_some_and(LookChoice::agrees)
+fn beyond(steps_open: bool, appearance: Option<&AppearanceChoice>) -> bool {
+    steps_open && appearance.is_some_and(AppearanceChoice::agrees)
 }
 
 /// The name of a choice, from the keys of a training for which it is still open, and whether it may go beyond the settings.
@@ -86,15 +86,15 @@ pub(crate) fn decided_before(
     steps_open: bool,
     keys: &dyn Fn(&Settings) -> Keys,
 ) -> Result<Settings, CacheError> {
-    let (mut settings, mut look) = (settings.clone(), None);
-    if LookChoice::is_open(&settings) {
-        match kept::<LookChoice>(cache, &key::<LookChoice>(&keys(&settings), false))? {
-            Some(choice) => settings = look.insert(choice).decided(&settings),
+    let (mut settings, mut appearance) = (settings.clone(), None);
+    if AppearanceChoice::is_open(&settings) {
+        match kept::<AppearanceChoice>(cache, &key::<AppearanceChoice>(&keys(&settings), false))? {
+            Some(choice) => settings = appearance.insert(choice).decided(&settings),
             None => return Ok(settings),
         }
     }
     if BudgetChoice::is_open(&settings) {
-        let key = key::<BudgetChoice>(&keys(&settings), beyond(steps_open, look.as_ref()));
+        let key = key::<BudgetChoice>(&keys(&settings), beyond(steps_open, appearance.as_ref()));
         match kept::<BudgetChoice>(cache, &key)? {
             Some(choice) => settings = choice.decided(&settings),
             None => return Ok(settings),
@@ -129,12 +129,12 @@ impl Chooser<'_> {
     ) -> Result<Settings, RunError> {
         let scene = &**self.scene;
         let trial_size = |settings: &Settings| trial_size(scene, settings.scene.size);
-        let look = |settings: &Settings| {
+        let appearance = |settings: &Settings| {
             let photos = self.photos(CHOICE_SIZE.min(trial_size(settings)), settings);
-            choose_look(self.engine.clone(), scene, photos, &settings.train, self.stopping)
+            choose_appearance(self.engine.clone(), scene, photos, &settings.train, self.stopping)
         };
-        let (settings, look) = self.one::<LookChoice>(settings, false, look, &mut told)?;
-        let beyond = beyond(self.steps_open, look.as_ref());
+        let (settings, appearance) = self.one::<AppearanceChoice>(settings, false, appearance, &mut told)?;
+        let beyond = beyond(self.steps_open, appearance.as_ref());
         let budget = |settings: &Settings| {
             let photos = self.photos(trial_size(settings), settings);
             choose_budget(self.engine.clone(), scene, photos, &settings.train, beyond, self.stopping)

@@ -4,7 +4,7 @@
 //! `segwild.toml` says of both ([`VisionSettings::CODE`]) is information and no more. `RUN/networks.json` says which network
 //! files a run was made with: by their hashes a later command tells whether it was given the same.
 
-use crate::shelf::InCache;
+use crate::region_cache::InCache;
 use crate::{RunError, RunFolder, Settings};
 use segwild_vision::{NetworkFile, Providers, VisionSettings};
 use std::collections::BTreeMap;
@@ -36,15 +36,15 @@ impl Code {
 
     /// As settings say it that do not come from a run folder.
     pub fn of(settings: &VisionSettings) -> Code {
-        let VisionSettings { models, strangers_network, onnxruntime, .. } = settings;
-        let said = [models, strangers_network, onnxruntime].map(String::clone);
+        let VisionSettings { models, transient_network, onnxruntime, .. } = settings;
+        let said = [models, transient_network, onnxruntime].map(String::clone);
         Code { flags: VisionSettings::CODE.into_iter().zip(said).collect(), models: None }
     }
 
     /// Puts it into settings: flags in the place of what is there, the environment where nothing is said.
     pub fn tell(&self, settings: &mut VisionSettings) {
-        let VisionSettings { models, strangers_network, onnxruntime, .. } = settings;
-        for (name, place) in VisionSettings::CODE.iter().zip([&mut *models, strangers_network, onnxruntime]) {
+        let VisionSettings { models, transient_network, onnxruntime, .. } = settings;
+        for (name, place) in VisionSettings::CODE.iter().zip([&mut *models, transient_network, onnxruntime]) {
             if let Some(value) = self.flags.get(name) {
                 place.clone_from(value);
             }
@@ -67,7 +67,7 @@ impl Code {
 
     fn names(&self, before: &[NetworkFile], settings: &VisionSettings) -> Result<(), RunError> {
         for (setting, value) in
-            [("models", &settings.models), ("strangers_network", &settings.strangers_network)]
+            [("models", &settings.models), ("transient_network", &settings.transient_network)]
         {
             let of_setting = || before.iter().filter(|network| network.setting == setting);
             let Some(first) = of_setting().next().filter(|_| value.is_empty()) else { continue };
@@ -113,8 +113,8 @@ pub(crate) fn recorded(folder: &RunFolder) -> Vec<NetworkFile> {
         return networks;
     }
     let Ok(settings) = Settings::layered(Some(&folder.settings_file()), &[]) else { return Vec::new() };
-    let VisionSettings { models, strangers_network, .. } = settings.vision;
-    let named = [("models", models), ("strangers_network", strangers_network)];
+    let VisionSettings { models, transient_network, .. } = settings.vision;
+    let named = [("models", models), ("transient_network", transient_network)];
     let named = named.into_iter().filter(|(_, file)| !file.is_empty());
     named
         .map(|(setting, file)| NetworkFile {
@@ -159,7 +159,7 @@ pub fn providers_for(folder: &RunFolder, code: &Code) -> Result<Providers, RunEr
     let mut settings = folder.settings()?;
     code.tell(&mut settings.vision);
     // A click asks nobody who is a transient.
-    settings.vision.strangers_network.clear();
+    settings.vision.transient_network.clear();
     let networks = of_clicks(recorded(folder));
     code.names(&networks, &settings.vision)?;
     Ok(Providers::keeping(&sight(&settings), Some(Arc::new(InCache(folder.cache()?))))?)

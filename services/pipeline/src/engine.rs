@@ -2,7 +2,7 @@
 
 use crate::{RunError, RunSettings};
 use segwild_gpu::{Choice, GpuEngine, GpuError};
-use segwild_raster::{CpuEngine, Engine, SpareEngine};
+use segwild_raster::{CpuEngine, Engine, FallbackEngine};
 use std::sync::Arc;
 
 segwild_scene::choice! {
@@ -50,7 +50,7 @@ impl Chosen {
             WhenLost::Stop => Arc::new(engine),
             WhenLost::Cpu => {
                 let told = move |why: &str| told(format!("{why}; the CPU engine goes on"));
-                Arc::new(SpareEngine::new(Box::new(engine), Box::new(CpuEngine::default()), told))
+                Arc::new(FallbackEngine::new(Box::new(engine), Box::new(CpuEngine::default()), told))
             }
         };
         Chosen { engine, why }

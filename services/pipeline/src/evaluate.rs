@@ -1,13 +1,13 @@
 //! Scores: held-out photos by the official protocol, selections against true masks (method, section 10).
 
+use crate::images::{Pictures, same_shape};
 use crate::intact::Intact;
-use crate::pictures::{Pictures, same_shape};
 use crate::prompts::Replay;
 use crate::{RunError, RunFolder, Scoring, Selected, Settings};
 use segwild_flow::fault;
 use segwild_raster::Engine;
 use segwild_scene::{Mask, MaskFiles, Scene};
-use segwild_trainer::{LookKind, Model, Photos, Protocol, TrainPhoto, evaluate};
+use segwild_trainer::{AppearanceModel, Model, Photos, Protocol, TrainPhoto, evaluate};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use std::sync::Arc;
@@ -136,11 +136,14 @@ pub(crate) fn held_out(
 
 /// How photos held out are scored under these settings.
 pub(crate) fn protocol_of(settings: &Settings) -> Protocol {
-    match (settings.run.scoring, settings.train.look) {
-        (Scoring::Halves, _) | (Scoring::Auto, LookKind::Affine | LookKind::Embed | LookKind::Gsw) => {
+    match (settings.run.scoring, settings.train.appearance_model) {
+        (Scoring::Halves, _)
+        | (Scoring::Auto, AppearanceModel::Affine | AppearanceModel::Embed | AppearanceModel::Gsw) => {
             Protocol::Halves
         }
-        (Scoring::Plain, _) | (Scoring::Auto, LookKind::None | LookKind::Auto) => Protocol::Plain,
+        (Scoring::Plain, _) | (Scoring::Auto, AppearanceModel::None | AppearanceModel::Auto) => {
+            Protocol::Plain
+        }
     }
 }
 

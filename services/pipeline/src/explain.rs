@@ -4,9 +4,9 @@
 //! ([`Keys`]); a changed setting is a cause of a stage if it alone changes the stage's key.
 
 use crate::artefacts::{Digests, End, Keys};
+use crate::continued::{ContinuedTraining, Origin};
 use crate::graph::{STAGES, UNTIL_STEP};
-use crate::onward::{Onward, Origin};
-use crate::strangers::Corrections;
+use crate::transients::Corrections;
 use crate::{RunError, RunFolder, Settings, Until, choose_engine};
 use crate::{choice, code};
 use segwild_flow::ledger::{StageRow, State};
@@ -70,7 +70,7 @@ struct Situation {
     scene: Scene,
     keys: Keys,
     networks: Vec<NetworkFile>,
-    /// Which photos' strangers were put right by hand, in words.
+    /// Which photos' transients were put right by hand, in words.
     corrected: Option<String>,
     /// Where the training begins, if not at the start.
     origin: Option<Origin>,
@@ -93,7 +93,7 @@ fn situation(
     let steps_open = settings.train.steps == 0;
     let settings = &settings.decided(&scene);
     let engine = choose_engine(&settings.run, drop)?.engine;
-    let corrections = Corrections::find(&scene, folder, &settings.scene.strangers)?;
+    let corrections = Corrections::find(&scene, folder, &settings.scene.transient_masks)?;
     let corrected = corrections.in_words(&scene);
     let digests = Digests::read(&scene, settings, &|| false)?.without(&corrections);
     let named = |settings: &Settings, corrections: &Corrections, end: &End| {
@@ -106,8 +106,10 @@ fn situation(
     let (mut keys, mut goal, mut origin) = (name(&settings), end.step(), None);
     if let (End::Settings, Some(ledger)) = (end, ledger) {
         let named = |corrections: &Corrections, end: &End| named(&settings, corrections, end);
-        if let Some(onward) = Onward::find(folder, ledger, &cache, &settings, &corrections, &named)? {
-            (keys, goal, origin) = (onward.keys, Some(onward.origin.end), Some(onward.origin));
+        if let Some(continued) =
+            ContinuedTraining::find(folder, ledger, &cache, &settings, &corrections, &named)?
+        {
+            (keys, goal, origin) = (continued.keys, Some(continued.origin.end), Some(continued.origin));
         }
     }
     let (end, snapshot_step) = (settings.train.steps, settings.train.snapshot_step());
@@ -384,7 +386,7 @@ impl Before {
             0 => match &self.then.corrected {
                 Some(words) => words.clone(),
                 None if !self.networks.is_empty() => self.networks.join("; "),
-                None => "points, cameras or masks of strangers have changed, or the run was made by another version".into(),
+                None => "points, cameras or masks of transients have changed, or the run was made by another version".into(),
             },
             1..=3 => odd.join(", "),
             n => format!("{} and {} more photos", odd[..2].join(", "), n - 2),

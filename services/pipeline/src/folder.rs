@@ -12,12 +12,12 @@
 //! RUN/timeline.json     who did what when; RUN/trace.json the same for Perfetto, RUN/trace.otlp.json for OpenTelemetry
 //! RUN/networks.json     the network files it was made with, and their hashes
 //! RUN/evaluation.json   held-out scores
-//! RUN/strangers/PHOTO.png  who was left out of a photo; one that a person changes is obeyed by the next run
+//! RUN/transients/PHOTO.png  who was left out of a photo; one that a person changes is obeyed by the next run
 //! RUN/selections/NAME/  what `segment` made
 //! RUN/report.html       everything above to look at
 //! ```
 
-use crate::pictures::Pictures;
+use crate::images::Pictures;
 use crate::{RunError, Settings};
 use segwild_features::FeatureField;
 use segwild_flow::files::Stray;
@@ -40,7 +40,7 @@ const LONGEST_ECHO: usize = 120;
 
 /// What is in the folder and is written into, beside the ledger (`run.sqlite`, its log and its lock).
 const WRITTEN_INTO: [&str; 7] =
-    ["cache", "checkpoints", "history.jsonl", "renders", "selections", "strangers", crate::traces::EARLIER];
+    ["cache", "checkpoints", "history.jsonl", "renders", "selections", "transients", crate::traces::EARLIER];
 
 /// What is read of it, and lies in no folder that is written into.
 const READ: [&str; 8] = [

@@ -1,22 +1,22 @@
 //! One scene from its photos to its report.
 
 use crate::accelerator::leased;
-use crate::anew::Anew;
 use crate::artefacts::{Digests, End, Keys};
-use crate::board::Board;
 use crate::choice::Chooser;
 use crate::code;
+use crate::continued::ContinuedTraining;
 use crate::coordinator::{Coordinator, State};
 use crate::evaluate::{HeldOut, held_out};
 use crate::folder::Intake;
+use crate::images::Pictures;
 use crate::made;
-use crate::onward::Onward;
-use crate::pictures::Pictures;
-use crate::shelf::InCache;
+use crate::recompute::Recompute;
+use crate::region_cache::InCache;
 use crate::skies::Skies;
-use crate::strangers::{Corrections, Known};
 use crate::traces::Traces;
-use crate::{Chosen, RunError, RunFolder, Settings, Until, choose_engine, doubts, keep, memory, report};
+use crate::transients::{Corrections, Known};
+use crate::view_slots::ViewSlots;
+use crate::{Chosen, RunError, RunFolder, Settings, Until, choose_engine, diagnostics, keep, memory, report};
 use segwild_flow::ledger::ViewOutcome;
 use segwild_flow::{Cache, Event, Events, Failure, Ledger, Phase, Recorder, Stopper, cpu, files, trace};
 use segwild_masks::{MaskMaker, sasm};
@@ -200,7 +200,7 @@ pub fn run(
     }
     options.events.info(None, format!("splats are computed by {why}"));
     let asked = End::of(options.until);
-    let corrections = Corrections::find(&scene, folder, &settings.scene.strangers)?;
+    let corrections = Corrections::find(&scene, folder, &settings.scene.transient_masks)?;
     for words in corrections.put_damaged_aside()? {
         options.events.warn(Some("ingest"), words);
     }
@@ -216,7 +216,8 @@ pub fn run(
     for odd in &digests.odd {
         options.events.warn(Some("ingest"), odd.clone());
     }
-    for doubt in doubts::doubts(&scene).into_iter().chain(doubts::copies(&scene, &digests.all())) {
+    for doubt in diagnostics::diagnose(&scene).into_iter().chain(diagnostics::copies(&scene, &digests.all()))
+    {
         options.events.warn(Some("ingest"), doubt);
     }
     let named = |settings: &Settings, corrections: &Corrections, engine: &str, end: &End| {
@@ -227,9 +228,9 @@ pub fn run(
     let cache = folder.cache()?;
     let known = Known {
         corrections: Arc::new(corrections.clone()),
-        network: providers.strangers.clone(),
+        network: providers.transients.clone(),
         cache: cache.clone(),
-        keys: Arc::new(keys.known_strangers.clone()),
+        keys: Arc::new(keys.known_transients.clone()),
     };
     recorder.cache(&cache);
     let chooser = Chooser {
@@ -260,10 +261,10 @@ pub fn run(
     let mut origin = None;
     if let End::Settings = asked {
         let named = |corrections: &Corrections, end: &End| named(settings, corrections, engine.name(), end);
-        let onward = Onward::find(folder, &ledger, &cache, settings, &corrections, &named)?;
-        if let Some(onward) = onward {
-            onward.remember(folder)?;
-            (steps, keys, origin) = (onward.origin.end, onward.keys, Some(onward.origin));
+        let continued = ContinuedTraining::find(folder, &ledger, &cache, settings, &corrections, &named)?;
+        if let Some(continued) = continued {
+            continued.remember(folder)?;
+            (steps, keys, origin) = (continued.origin.end, continued.keys, Some(continued.origin));
         }
     }
     let last = match options.until {
@@ -275,7 +276,7 @@ pub fn run(
     let names = Arc::new(Mutex::new(keys.clone()));
     tell_of_damage(&cache, &names, &scene, &options.events);
     let size = settings.scene.size;
-    let anew = Anew { scene: scene.clone(), cache: cache.clone(), events: options.events.clone() };
+    let anew = Recompute { scene: scene.clone(), cache: cache.clone(), events: options.events.clone() };
     let skies = Skies::new(anew, size, keys.sky.clone(), providers.sky.clone());
     let maker = MaskMaker {
         scene: scene.clone(),
@@ -305,7 +306,7 @@ pub fn run(
         segmenter: providers.segmenter.clone(),
         embedder: providers.embedder.clone(),
         maker: Arc::new(maker),
-        masks_known: Arc::new(Board::new("masks")),
+        masks_known: Arc::new(ViewSlots::new("masks")),
         tainted: Arc::default(),
         state: State::default(),
     };
@@ -399,11 +400,11 @@ pub fn run(
             ledger.finish_stage("evaluate", &coordinator.keys.evaluation_without(&unscored), None)?;
         }
     }
-    if let Some(words) = model.as_ref().and_then(|m| m.stats.psnr).and_then(doubts::unlike) {
+    if let Some(words) = model.as_ref().and_then(|m| m.stats.psnr).and_then(diagnostics::unlike) {
         options.events.warn(Some("geometry"), words);
     }
     let learnt = model.as_ref().and_then(|m| m.stats.psnr).zip(scores.as_ref().map(|s| s.psnr));
-    if let Some(words) = learnt.and_then(|(train, held)| doubts::by_heart(train, held)) {
+    if let Some(words) = learnt.and_then(|(train, held)| diagnostics::by_heart(train, held)) {
         options.events.warn(Some("evaluate"), words);
     }
     let (key, cache) = (coordinator.keys.stage("report"), coordinator.cache.clone());

@@ -1,12 +1,12 @@
 //! What the feature field is made of, as its actor reads it: out of the cache, or made anew where it was damaged there.
 
 use crate::RunFolder;
-use crate::anew::{Anew, Kept};
 use crate::artefacts::Keys;
-use crate::board::Board;
 use crate::folder::MODEL;
+use crate::recompute::{Kept, Recompute};
 use crate::skies::Skies;
-use crate::strangers::{Album, Known};
+use crate::transients::{Album, Known};
+use crate::view_slots::ViewSlots;
 use crate::visibility::visibility;
 use segwild_features::{EMBEDDING, FieldInputs, describe};
 use segwild_flow::{Context, Failure};
@@ -49,7 +49,7 @@ impl Snapshot for Drawn {
 /// The inputs of one run's field.
 pub struct Inputs {
     /// Reads them.
-    pub anew: Anew,
+    pub anew: Recompute,
     /// Their names.
     pub keys: Keys,
     /// Long side at which photos are looked at.
@@ -61,14 +61,14 @@ pub struct Inputs {
     /// The skies.
     pub skies: Arc<Skies>,
     /// Which views have masks.
-    pub masks_known: Arc<Board<bool>>,
+    pub masks_known: Arc<ViewSlots<bool>>,
     /// Describes photos.
     pub embedder: Arc<dyn Embedder>,
     /// Makes masks.
     pub maker: Arc<MaskMaker>,
-    /// What is known of strangers.
+    /// What is known of transients.
     pub known: Known,
-    /// Photos looked at at once, for pictures of strangers.
+    /// Photos looked at at once, for pictures of transients.
     pub lookers: usize,
 }
 
@@ -76,12 +76,12 @@ impl Inputs {
     /// Compares a photo with the trained scene.
     pub fn look(&self, view: usize) -> Result<Mask, Failure> {
         let (posed, sky) = (&self.anew.scene.views[view], self.skies.read(view)?);
-        let strangers = &self.known.corrections;
-        Ok(visibility(&self.model, &*self.engine, posed, view, sky.as_ref(), strangers, self.size)?)
+        let transients = &self.known.corrections;
+        Ok(visibility(&self.model, &*self.engine, posed, view, sky.as_ref(), transients, self.size)?)
     }
 
-    /// Leaves a picture of each photo's strangers in the run folder; what is to be said of single photos.
-    pub fn picture_strangers(
+    /// Leaves a picture of each photo's transients in the run folder; what is to be said of single photos.
+    pub fn picture_transients(
         &self,
         folder: &RunFolder,
         views: &[usize],
@@ -105,7 +105,7 @@ impl Inputs {
         };
         album.write(
             views,
-            |view| self.keys.strangers(view, &segmenter.key()),
+            |view| self.keys.transients(view, &segmenter.key()),
             photo,
             |_| {
                 context.progress();

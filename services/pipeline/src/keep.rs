@@ -1,7 +1,7 @@
 //! What stays in the cache: listing, verifying, sweeping.
 
 use crate::artefacts::history_of;
-use crate::shelf::REGIONS;
+use crate::region_cache::REGIONS;
 use crate::{RunError, RunFolder};
 use segwild_flow::ledger::CheckpointRow;
 use segwild_flow::{Artefact, Cache, Ledger, LedgerError, Swept};
@@ -10,8 +10,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// What the ledger records the present training and its snapshot under, beside the stages.
 pub(crate) const SNAPSHOT: &str = "snapshot";
-/// What the ledger records under which name what a network has found of strangers.
-pub(crate) const STRANGERS: &str = "strangers";
+/// What the ledger records under which name what a network has found of transients.
+pub(crate) const TRANSIENTS: &str = "transients";
 /// The training's row there.
 pub(crate) const TRAINING: &str = "training";
 
@@ -40,7 +40,7 @@ fn in_use(ledger: &Ledger) -> Result<impl Fn(&Artefact) -> bool + use<>, LedgerE
 fn keys_in_use(ledger: &Ledger) -> Result<BTreeSet<String>, LedgerError> {
     let mut keys = BTreeSet::new();
     keys.extend(ledger.views("visibility")?.into_iter().map(|view| view.key));
-    keys.extend(ledger.views(STRANGERS)?.into_iter().map(|view| view.key));
+    keys.extend(ledger.views(TRANSIENTS)?.into_iter().map(|view| view.key));
     keys.extend(ledger.views(SNAPSHOT)?.into_iter().map(|view| view.key));
     for stage in ledger.stages()? {
         for view in ledger.views(&stage.name)? {

@@ -12,23 +12,23 @@ pub const OWN: &str = "none";
 
 /// A look, or several one after the other.
 #[derive(Clone, Debug, PartialEq)]
-pub struct LookRequest {
+pub struct AppearanceRequest {
     /// Names of the photos whose looks they are; `none` is the scene's own.
     pub photos: Vec<String>,
     /// 0 is the scene's own look, 1 the photo's, 2 twice as far from the scene's own.
     pub strength: f32,
 }
 
-impl Default for LookRequest {
+impl Default for AppearanceRequest {
     fn default() -> Self {
-        LookRequest { photos: Vec::new(), strength: 1.0 }
+        AppearanceRequest { photos: Vec::new(), strength: 1.0 }
     }
 }
 
-impl LookRequest {
+impl AppearanceRequest {
     /// One photo's look.
-    pub fn of(photo: &str) -> LookRequest {
-        LookRequest { photos: vec![photo.to_owned()], ..LookRequest::default() }
+    pub fn of(photo: &str) -> AppearanceRequest {
+        AppearanceRequest { photos: vec![photo.to_owned()], ..AppearanceRequest::default() }
     }
 
     /// Whether it is one look, and not a way from one to another.
@@ -46,7 +46,7 @@ impl LookRequest {
                 return Ok(model.light(None));
             }
             let view = find(scene, name)?;
-            if model.look_index(Some(view)) != view {
+            if model.appearance_index(Some(view)) != view {
                 let reason = "it took no part in the training, so that its look is not known";
                 return Err(RunError::Request(format!("photo `{name}` has no look: {reason}")));
             }
@@ -86,9 +86,9 @@ impl Lights {
 #[derive(Clone, Debug)]
 pub struct BakeRequest {
     /// The look.
-    pub look: LookRequest,
+    pub appearance: AppearanceRequest,
     /// Another look for the selected object.
-    pub object_look: Option<LookRequest>,
+    pub object_appearance: Option<AppearanceRequest>,
     /// Where between the looks, if two or more are given: 0 is the first, 1 the last.
     pub between: Option<f32>,
     /// The selection that is meant, by name.
@@ -130,7 +130,7 @@ pub fn bake(folder: &RunFolder, request: &BakeRequest) -> Result<Baked, RunError
             model.splats = selected.cut_scene(&model.splats);
             whose = selected.labels;
         }
-        None if request.object_look.is_some() || request.part != Part::Scene => {
+        None if request.object_appearance.is_some() || request.part != Part::Scene => {
             let text = "an object's own look, or a part of the scene, needs --selection NAME";
             return Err(RunError::Request(text.into()));
         }
@@ -142,17 +142,18 @@ pub fn bake(folder: &RunFolder, request: &BakeRequest) -> Result<Baked, RunError
         model.select(&keep);
         whose = vec![wanted; keep.len()];
     }
-    let light = |look: &LookRequest| -> Result<Option<Light>, RunError> {
-        if look.photos.len() > 1 && request.between.is_none() {
+    let light = |appearance: &AppearanceRequest| -> Result<Option<Light>, RunError> {
+        if appearance.photos.len() > 1 && request.between.is_none() {
             return Err(RunError::Request("two looks need --between T, 0 to 1".into()));
         }
-        Ok(look.lights(scene, &model)?.at(request.between.unwrap_or(0.0)))
+        Ok(appearance.lights(scene, &model)?.at(request.between.unwrap_or(0.0)))
     };
-    let object = match &request.object_look {
-        Some(look) => light(look)?.map(|light| (whose, light)),
+    let object = match &request.object_appearance {
+        Some(appearance) => light(appearance)?.map(|light| (whose, light)),
         None => None,
     };
-    let lighting = Lighting { scene: light(&request.look)?.unwrap_or_else(|| model.light(None)), object };
+    let lighting =
+        Lighting { scene: light(&request.appearance)?.unwrap_or_else(|| model.light(None)), object };
     let baked = model.baked(&lighting);
     export(scene, &model).write(&request.out, &baked)?;
     Ok(Baked { file: request.out.clone(), splats: baked.len() })
@@ -164,8 +165,8 @@ pub(crate) fn export<'a>(scene: &'a Scene, model: &Model) -> Export<'a> {
 }
 
 /// The splats as their file shows them: in the scene's own look, or in that of the photo named.
-pub(crate) fn shown(scene: &Scene, model: &Model, look: &str) -> Result<Splats, RunError> {
-    let name = if look.is_empty() { OWN } else { look };
-    let light = LookRequest::of(name).lights(scene, model)?.at(0.0);
+pub(crate) fn shown(scene: &Scene, model: &Model, appearance: &str) -> Result<Splats, RunError> {
+    let name = if appearance.is_empty() { OWN } else { appearance };
+    let light = AppearanceRequest::of(name).lights(scene, model)?.at(0.0);
     Ok(model.baked(&light.unwrap_or_else(|| model.light(None)).into()))
 }

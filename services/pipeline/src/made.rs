@@ -4,7 +4,7 @@
 //! damaged one of the two makes no picture a person's. One that cannot be read, or whose check sums do not fit, is nobody's
 //! work: it is put aside, where a person can look at it, and made again.
 
-use crate::pictures::{Pictures, comment, damage, with_comment};
+use crate::images::{Pictures, comment, damage, with_comment};
 use crate::{RunError, RunFolder};
 use segwild_flow::{FileError, files};
 use segwild_scene::{Mask, SceneError};
@@ -13,8 +13,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Where the pictures are in the run folder, and what says who made them.
-pub(crate) const FOLDER: &str = "strangers";
-pub(crate) const MADE: &str = "strangers/made.json";
+pub(crate) const FOLDER: &str = "transients";
+pub(crate) const MADE: &str = "transients/made.json";
 /// What the comment in a picture of this program begins with; the hash of its pixels follows.
 const SIGN: &str = "made by segwild, pixels ";
 

@@ -5,9 +5,9 @@
 //! the splats and to the size of one photo, plus three caches with limits of their own, which shrink to fit the budget.
 
 use crate::{RunError, Settings};
-use segwild_raster::{EmbedLook, GswLook};
+use segwild_raster::{EmbedAppearance, GswAppearance};
 use segwild_scene::{Scene, View};
-use segwild_trainer::{LookKind, TrainSettings, splat_cap, stereo_bytes};
+use segwild_trainer::{AppearanceModel, TrainSettings, splat_cap, stereo_bytes};
 use std::fmt;
 use std::path::Path;
 
@@ -171,15 +171,15 @@ fn with_one_looker(settings: &Settings, scene: &Scene) -> f64 {
 
 /// What the photos' looks take: numbers per splat, and bytes for all photos together.
 fn look(train: &TrainSettings, photos: usize) -> (f64, f64) {
-    match train.look {
-        LookKind::None | LookKind::Affine => (0.0, 0.0),
+    match train.appearance_model {
+        AppearanceModel::None | AppearanceModel::Affine => (0.0, 0.0),
         // The dearest that `auto` may choose.
-        LookKind::Embed | LookKind::Auto => (EmbedLook::CODE_SIZE as f64, 0.0),
-        LookKind::Gsw => {
+        AppearanceModel::Embed | AppearanceModel::Auto => (EmbedAppearance::EMBEDDING_SIZE as f64, 0.0),
+        AppearanceModel::Gsw => {
             // Photos are kept once, and once more while a checkpoint is written.
-            let photos = 2.0 * photos as f64 * GswLook::photo_bytes(train.gsw_width) as f64;
-            let networks = 4.0 * GswLook::weights(train.gsw_width) as f64 * COPIES;
-            (GswLook::CODE_SIZE as f64, photos + networks)
+            let photos = 2.0 * photos as f64 * GswAppearance::photo_bytes(train.gsw_width) as f64;
+            let networks = 4.0 * GswAppearance::weights(train.gsw_width) as f64 * COPIES;
+            (GswAppearance::EMBEDDING_SIZE as f64, photos + networks)
         }
     }
 }
@@ -191,14 +191,15 @@ fn look(train: &TrainSettings, photos: usize) -> (f64, f64) {
 pub(crate) fn fits_accelerator(settings: &Settings, scene: &Scene) -> Result<(), RunError> {
     let budget = settings.run.memory_budget;
     let splats = splat_cap(&settings.train, scene, settings.scene.size);
-    let (code_size, networks) = match settings.train.look {
-        LookKind::None | LookKind::Affine => (0, None),
+    let (embedding_size, networks) = match settings.train.appearance_model {
+        AppearanceModel::None | AppearanceModel::Affine => (0, None),
         // `auto` may come to it.
-        LookKind::Embed | LookKind::Auto => (EmbedLook::CODE_SIZE, None),
-        LookKind::Gsw => (GswLook::CODE_SIZE, Some(settings.train.gsw_width)),
+        AppearanceModel::Embed | AppearanceModel::Auto => (EmbedAppearance::EMBEDDING_SIZE, None),
+        AppearanceModel::Gsw => (GswAppearance::EMBEDDING_SIZE, Some(settings.train.gsw_width)),
     };
     let pixels = pixels(settings, scene);
-    let bytes = segwild_gpu::training_bytes(splats, pixels, settings.train.sh_degree, code_size, networks);
+    let bytes =
+        segwild_gpu::training_bytes(splats, pixels, settings.train.sh_degree, embedding_size, networks);
     let need = ((bytes + segwild_gpu::LEAST_PHOTOS) as f64 / MIB).ceil() as u32;
     if budget == 0 || need <= budget {
         return Ok(());

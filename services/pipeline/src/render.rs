@@ -1,8 +1,8 @@
 //! Pictures of a trained scene: a photo's view, a path through several, under any look, with a selection.
 
 use crate::folder::Loaded;
-use crate::light::{LookRequest, find};
-use crate::pictures::Pictures;
+use crate::images::Pictures;
+use crate::light::{AppearanceRequest, find};
 use crate::{RunError, RunFolder, Selected, choose_engine, log_loss};
 use glam::{Mat3, Quat, Vec3};
 use segwild_features::FeatureColours;
@@ -47,9 +47,9 @@ pub struct RenderRequest {
     pub frames: Option<u32>,
     /// The look; without a photo it is the view's own, and on a path it goes from photo to photo. Several looks are gone
     /// through over the frames.
-    pub look: LookRequest,
+    pub appearance: AppearanceRequest,
     /// Another look for the selected object.
-    pub object_look: Option<LookRequest>,
+    pub object_appearance: Option<AppearanceRequest>,
     /// Where between the looks, if two or more are given and no frames: 0 is the first, 1 the last.
     pub between: Option<f32>,
     /// A selection and how to draw it.
@@ -79,7 +79,7 @@ pub fn render(folder: &RunFolder, request: &RenderRequest) -> Result<Vec<Drawn>,
         true => (0..loaded.scene.views.len()).collect(),
         false => request.photos.iter().map(|n| find(&loaded.scene, n)).collect::<Result<_, _>>()?,
     };
-    check_looks(request)?;
+    check_appearances(request)?;
     let selected = match &request.selection {
         Some((name, mode)) => Some((Selected::read(folder, name, loaded.model.splats.len())?, *mode)),
         None => None,
@@ -104,16 +104,16 @@ pub fn render(folder: &RunFolder, request: &RenderRequest) -> Result<Vec<Drawn>,
     let held = engine.hold(&painter.model.splats)?;
     let engine = held.as_deref().unwrap_or(&*engine);
     let mut drawn = Vec::new();
-    let lights = request.look.lights(&loaded.scene, &painter.model)?;
-    let object_lights = match &request.object_look {
-        Some(look) => Some(look.lights(&loaded.scene, &painter.model)?),
+    let lights = request.appearance.lights(&loaded.scene, &painter.model)?;
+    let object_lights = match &request.object_appearance {
+        Some(appearance) => Some(appearance.lights(&loaded.scene, &painter.model)?),
         None => None,
     };
     let last = shots.len().saturating_sub(1).max(1) as f32;
     let pictures = Pictures::of(loaded.scene.views.iter().map(|v| v.name.as_str()));
     for (f, shot) in shots.into_iter().enumerate() {
         let share = request.frames.map_or(request.between.unwrap_or(0.0), |_| f as f32 / last);
-        let light = lights.at(share).unwrap_or_else(|| painter.own(&shot, request.look.strength));
+        let light = lights.at(share).unwrap_or_else(|| painter.own(&shot, request.appearance.strength));
         let lighting = painter.lighting(light, object_lights.as_ref().and_then(|lights| lights.at(share)));
         let image = painter.paint(engine, &shot.camera, &shot.pose, &lighting)?;
         let file = out.join(shot.file.as_deref().unwrap_or_else(|| pictures.name(shot.view)));
@@ -124,20 +124,21 @@ pub fn render(folder: &RunFolder, request: &RenderRequest) -> Result<Vec<Drawn>,
 }
 
 /// Refuses looks that do not fit together or to what is drawn.
-fn check_looks(request: &RenderRequest) -> Result<(), RunError> {
-    let looks = || std::iter::once(&request.look).chain(&request.object_look);
+fn check_appearances(request: &RenderRequest) -> Result<(), RunError> {
+    let appearances = || std::iter::once(&request.appearance).chain(&request.object_appearance);
     let refuse = |text: &str| Err(RunError::Request(text.into()));
-    let ways = looks().any(|look| look.photos.len() > 1);
-    if request.object_look.is_some() && request.selection.is_none() {
+    let ways = appearances().any(|appearance| appearance.photos.len() > 1);
+    if request.object_appearance.is_some() && request.selection.is_none() {
         return refuse("an object's own look needs --selection NAME");
     }
-    if request.object_look.as_ref().is_some_and(|look| look.photos.is_empty()) {
+    if request.object_appearance.as_ref().is_some_and(|appearance| appearance.photos.is_empty()) {
         return refuse("the object's look names no photo");
     }
     if ways && request.frames.is_none() && request.between.is_none() {
         return refuse("two looks need --frames N, a walk between them, or --between T, 0 to 1");
     }
-    if request.between.is_some() && (request.frames.is_some() || looks().all(LookRequest::is_one)) {
+    if request.between.is_some() && (request.frames.is_some() || appearances().all(AppearanceRequest::is_one))
+    {
         return refuse("--between needs two looks, and no --frames");
     }
     if request.between.is_some_and(|t| !(0.0..=1.0).contains(&t)) {

@@ -3,14 +3,14 @@
 use crate::accelerator::leased;
 use crate::code::{self, Code};
 use crate::folder::Loaded;
+use crate::images::Pictures;
 use crate::intact::{self, Intact};
 use crate::light::{self, find};
 use crate::mask_source::MaskSource;
-use crate::pictures::Pictures;
 use crate::prompts::check_all;
 use crate::settings::AT_ONCE;
 use crate::{
-    PhotoPrompts, Replay, RunError, RunFolder, choose_engine, log_loss, report, skies, strangers, traces,
+    PhotoPrompts, Replay, RunError, RunFolder, choose_engine, log_loss, report, skies, traces, transients,
 };
 use rayon::prelude::*;
 use segwild_flow::{
@@ -249,7 +249,7 @@ pub fn segment(
         return Err(SegmentError::NoPrompt.into());
     }
     // As other programs will show them. Before the work, so that a photo that is not there is said at once.
-    let in_colour = light::shown(&scene, &model, &settings.object_look)?;
+    let in_colour = light::shown(&scene, &model, &settings.object_appearance)?;
     let engine = choose_engine(&made_with.run, log_loss)?.engine;
     let features = match field {
         Some(field) => {
@@ -267,7 +267,7 @@ pub fn segment(
         })
     };
     let skies = Arc::new(skies::of_run(folder, &scene, size, providers.sky.clone())?);
-    let strangers = Arc::new(strangers::of_run(folder, &scene));
+    let transients = Arc::new(transients::of_run(folder, &scene));
     let barred: Vec<bool> = scene.views.iter().map(|v| v.test).collect();
     let system = System::new(SystemOptions {
         stopper: stopper.clone(),
@@ -291,7 +291,7 @@ pub fn segment(
                 features: features.clone(),
                 photos: photos.clone(),
                 skies: skies.clone(),
-                strangers: strangers.clone(),
+                transients: transients.clone(),
                 segmenter: segmenter.clone(),
                 graph: None,
             })
@@ -343,7 +343,7 @@ pub fn segment(
         wall_s: 0.0,
     };
     outcome.notes.extend(outcome.doubts());
-    outcome.notes.extend(strangers::damaged(folder, &scene));
+    outcome.notes.extend(transients::damaged(folder, &scene));
     outcome.notes.extend(code::changes(&code::of_clicks(code::recorded(folder)), &providers.networks));
     files::write_folder(&target, |aside| -> Result<(), RunError> {
         let dir = |sub: &str| -> Result<PathBuf, RunError> {
@@ -419,7 +419,7 @@ const EDGE: f32 = 2.0;
 /// But not on something that is nowhere much deeper.
 const DEEPER: f32 = 4.0;
 
-/// What is doubtful about prompts that did select something: clicks on strangers, and clicks at an edge.
+/// What is doubtful about prompts that did select something: clicks on transients, and clicks at an edge.
 fn doubts(
     folder: &RunFolder,
     scene: &Scene,
@@ -427,7 +427,7 @@ fn doubts(
     masks: &[(usize, ScoredMask)],
 ) -> Vec<String> {
     let mut words = Vec::new();
-    let strangers = strangers::of_run(folder, scene);
+    let transients = transients::of_run(folder, scene);
     for p in prompts {
         let Ok(view) = find(scene, &p.photo) else { continue };
         let camera = &scene.views[view].camera;
@@ -438,16 +438,16 @@ fn doubts(
             let (u, v) = (scale(x, camera.width, mask.width()), scale(y, camera.height, mask.height()));
             (mask.get(u, v), (v * mask.width() + u) as usize)
         };
-        let stranger = strangers(view);
+        let transient = transients(view);
         let meant = masks.iter().find(|(v, _)| *v == view).map(|(_, m)| &m.mask);
         let depths = meant.map(|m| m.not().distances());
         let deepest = depths.iter().flatten().copied().fold(0.0, f32::max);
         for point in p.prompts.points.iter().filter(|p| p.inside) {
             let (x, y) = (point.x, point.y);
             let Some([u, v]) = scene.views[view].from_taken([x, y]) else { continue };
-            if stranger.as_ref().is_some_and(|s| inside(s, u, v).0) {
+            if transient.as_ref().is_some_and(|s| inside(s, u, v).0) {
                 words.push(format!(
-                    "photo {}: the click at ({x}, {y}) lies on what was taken for a stranger; what it selects may be what stands \
+                    "photo {}: the click at ({x}, {y}) lies on what was taken for a transient; what it selects may be what stands \
                      behind: click in a photo where nobody stands before it",
                     p.photo
                 ));

@@ -7,7 +7,7 @@ use segwild_masks::MaskSettings;
 use segwild_scene::settings::{Field, Group, SettingError};
 use segwild_scene::{Scene, SceneSettings, choice, settings};
 use segwild_segmenter::SegmentSettings;
-use segwild_trainer::{LookKind, Preset, TrainSettings};
+use segwild_trainer::{AppearanceModel, Preset, TrainSettings};
 use segwild_vision::VisionSettings;
 use serde::{Deserialize, Serialize};
 use std::fmt::Write as _;
@@ -69,9 +69,9 @@ settings! {
         cache_limit: u64 = 0,
         /// Seconds without a sign of life after which a worker is named as stuck.
         stuck_after: u32 = 60 => 1..,
-        /// Share of the steps for which the training goes on from where it ended, after masks of strangers were put right by
+        /// Share of the steps for which the training goes on from where it ended, after masks of transients were put right by
         /// hand; 0 trains from the start.
-        train_on: f32 = 0.0 => 0.0..=10.0,
+        continue_share: f32 = 0.0 => 0.0..=10.0,
         /// Photo pairs shown in the report.
         report_photos: u32 = 8,
     }
@@ -161,7 +161,7 @@ impl Settings {
         let mut settings = Settings::preset(preset);
         settings.run.budget = budget;
         if budget == Budget::Auto {
-            settings.train.look = LookKind::Auto;
+            settings.train.appearance_model = AppearanceModel::Auto;
             settings.features.keep_variance = KEEP_VARIANCE;
         }
         settings
@@ -239,15 +239,15 @@ impl Settings {
     pub fn anchored(&self) -> Settings {
         let mut settings = self.clone();
         let Settings { scene, vision, .. } = &mut settings;
-        let SceneSettings { images, ignore, keep_masks, strangers, split, .. } = scene;
+        let SceneSettings { images, ignore, keep_masks, transient_masks, split, .. } = scene;
         for path in [
             images,
             ignore,
             keep_masks,
             split,
-            strangers,
+            transient_masks,
             &mut vision.models,
-            &mut vision.strangers_network,
+            &mut vision.transient_network,
             &mut vision.onnxruntime,
         ] {
             if !path.is_empty()

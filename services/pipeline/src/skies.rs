@@ -1,7 +1,7 @@
 //! The sky of each photo, as those who need it wait for it and read it.
 
-use crate::anew::{Anew, Kept};
-use crate::board::Board;
+use crate::recompute::{Kept, Recompute};
+use crate::view_slots::ViewSlots;
 use crate::{RunError, RunFolder};
 use segwild_flow::ledger::State;
 use segwild_flow::{Events, Failure, Key, Ledger};
@@ -20,8 +20,8 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 /// damaged since is found anew, and is never taken for a photo without a sky: what is made from it is named by its key.
 pub struct Skies {
     /// Per view, whether its sky is in the cache; `false` when it was given up.
-    known: Board<bool>,
-    anew: Anew,
+    known: ViewSlots<bool>,
+    anew: Recompute,
     size: u32,
     keys: Vec<Key>,
     detector: Arc<dyn SkyDetector>,
@@ -34,8 +34,8 @@ pub struct Skies {
 
 impl Skies {
     /// Nothing is known yet. `keys` name each view's sky.
-    pub fn new(anew: Anew, size: u32, keys: Vec<Key>, detector: Arc<dyn SkyDetector>) -> Skies {
-        let (known, lost, open) = (Board::new("sky"), Mutex::default(), Mutex::default());
+    pub fn new(anew: Recompute, size: u32, keys: Vec<Key>, detector: Arc<dyn SkyDetector>) -> Skies {
+        let (known, lost, open) = (ViewSlots::new("sky"), Mutex::default(), Mutex::default());
         Skies { known, anew, size, keys, detector, lost, open, waited_us: AtomicU64::new(0) }
     }
 
@@ -101,7 +101,7 @@ impl Skies {
 
 /// A view's sky out of the cache, or found as it was found first.
 fn kept_or_found(
-    anew: &Anew,
+    anew: &Recompute,
     view: usize,
     key: &Key,
     size: u32,
@@ -125,7 +125,7 @@ pub(crate) fn of_run(
     let done = rows.into_iter().filter(|row| row.outcome.state == State::Done);
     let keys: BTreeMap<String, Key> =
         done.filter_map(|row| Some((row.view, Key::parse("sky", &row.key)?))).collect();
-    let anew = Anew { scene: scene.clone(), cache: folder.cache()?, events: Events::new() };
+    let anew = Recompute { scene: scene.clone(), cache: folder.cache()?, events: Events::new() };
     Ok(move |view: usize| {
         let key = keys.get(&anew.scene.views[view].name)?;
         kept_or_found(&anew, view, key, size, &*detector).ok()

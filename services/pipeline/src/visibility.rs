@@ -1,6 +1,6 @@
 //! How far each pixel of a photo can be trusted (VM): not where it is sky, ignored, or shows what the scene does not.
 
-use crate::strangers::Corrections;
+use crate::transients::Corrections;
 use segwild_raster::Engine;
 use segwild_scene::{Mask, View};
 use segwild_trainer::{Model, TrainError, render_view};
@@ -19,7 +19,7 @@ pub fn visibility(
     view: &View,
     index: usize,
     sky: Option<&Mask>,
-    strangers: &Corrections,
+    transients: &Corrections,
     size: u32,
 ) -> Result<Mask, TrainError> {
     let photo =
@@ -37,10 +37,10 @@ pub fn visibility(
     let limit = (TOLERANCE * sorted[n / 2]).max(HARMLESS);
     let sky = sky.map(|s| s.resized(camera.width, camera.height));
     let valid = photo.valid.as_ref().map(|v| v.resized(camera.width, camera.height));
-    let corrected = strangers.mask(index, camera.width, camera.height);
+    let corrected = transients.mask(index, camera.width, camera.height);
     let mut out = Mask::empty(camera.width, camera.height);
     for i in 0..n {
-        // A stranger is a blob: the mean over 3 x 3 must be off, not a lone edge pixel.
+        // A transient is a blob: the mean over 3 x 3 must be off, not a lone edge pixel.
         let (x, y) = (i % w, i / w);
         let (mut sum, mut count) = (0.0, 0.0);
         for v in y.saturating_sub(1)..(y + 2).min(h) {

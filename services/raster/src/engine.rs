@@ -1,6 +1,6 @@
 //! What a rasteriser must do.
 
-use crate::field::{Asked, Drawn, Lifting, LiftingAway, Queries, Refining, RefiningAway};
+use crate::field::{DeviceLifting, DeviceRefinement, FeatureTarget, Lifting, Queries, Refining, Rendered};
 use crate::{Held, Kept, Resident};
 use segwild_scene::{Camera, Image, Pose, Splats};
 use std::any::Any;
@@ -146,13 +146,16 @@ pub trait Engine: Send + Sync {
 
     /// Takes features to where this engine computes, to be refined there ([`Refining::settle`]). `None` where that is the host
     /// anyway, or where they would take too much room.
-    fn settle_refining(&self, _field: &Refining) -> Result<Option<Box<dyn RefiningAway>>, RasterError> {
+    fn settle_refining(&self, _field: &Refining) -> Result<Option<Box<dyn DeviceRefinement>>, RasterError> {
         Ok(None)
     }
 
-    /// Brings what a photo asks of features to where this engine computes, for many steps ([`Asked::away`]). `None` as for
+    /// Brings what a photo asks of features to where this engine computes, for many steps ([`FeatureTarget::away`]). `None` as for
     /// [`Engine::bring`].
-    fn bring_asked(&self, _asked: &Asked) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
+    fn upload_target(
+        &self,
+        _asked: &FeatureTarget,
+    ) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
         Ok(None)
     }
 
@@ -167,7 +170,7 @@ pub trait Engine: Send + Sync {
         &self,
         _splats: usize,
         _row: usize,
-    ) -> Result<Option<Box<dyn LiftingAway>>, RasterError> {
+    ) -> Result<Option<Box<dyn DeviceLifting>>, RasterError> {
         Ok(None)
     }
 
@@ -219,7 +222,12 @@ pub trait Projected: Send + Sync {
     ///
     /// # Panics
     /// If the features are where another engine computes, or sizes differ.
-    fn refine(&self, field: &mut Refining, asked: &Asked, drawn: &Drawn) -> Result<(), RasterError> {
+    fn refine(
+        &self,
+        field: &mut Refining,
+        asked: &FeatureTarget,
+        drawn: &Rendered,
+    ) -> Result<(), RasterError> {
         field.learn(self, asked, drawn)
     }
 

@@ -3,30 +3,31 @@
 //! One trait, [`Engine`], and its implementations; losses, optimiser and looks beside it.
 
 mod adam;
+mod appearance;
 pub mod compare;
 mod cpu;
 mod engine;
+mod fallback;
 pub mod field;
 mod kept;
-mod look;
 mod loss;
 pub mod reference;
 mod resident;
 mod sh;
 mod shade;
-mod spare;
 
 pub use adam::{Adam, Rule};
+pub use appearance::{
+    AffineAppearance, AnyAppearance, Appearance, AppearanceEmbedding, AppearanceMaps, Directions,
+    EmbedAppearance, GswAppearance, GswWidth, HIDDEN, HeldNetworks, ImageConditioning, Light, NoAppearance,
+    RANK, Sight, UNetInput, bake, gsw,
+};
 pub use cpu::{ALPHA_MAX, ALPHA_MIN, CpuEngine, Isa, LOG2_ALPHA_MIN, SLACK, T_MIN, jacobian_limits};
 pub use engine::{
     Channels, Engine, Frame, FrameGrad, ProjectOptions, Projected, RasterError, SplatGrads, check,
 };
+pub use fallback::FallbackEngine;
 pub use kept::Kept;
-pub use look::{
-    AffineLook, AnyLook, Directions, EmbedLook, Glance, Glimpse, GswLook, GswWidth, HIDDEN, HeldNetworks,
-    Impression, Light, Look, NoLook, RANK, Sight, Tone, bake, gsw,
-};
 pub use loss::{photometric, psnr, ssim};
 pub use resident::{Codes, Held, NetworksStep, Reshaped, Resident, Rules, Step};
 pub use shade::{shade, shade_backward};
-pub use spare::SpareEngine;

@@ -1,7 +1,7 @@
 //! Splats that stay where an engine computes for as long as they are trained.
 
-use crate::compare::{Said, Sitting, Target};
-use crate::look::{Glimpse, HeldNetworks, Light};
+use crate::appearance::{HeldNetworks, Light, UNetInput};
+use crate::compare::{LossInputs, LossOutput, Target};
 use crate::{ProjectOptions, RasterError, Rule};
 use segwild_scene::Splats;
 
@@ -17,13 +17,13 @@ pub struct Held {
     /// Running sums per splat since density control acted: screen gradient, error at the centre, steps that saw it, and
     /// the largest radius as a share of the frame's long side.
     pub sums: Vec<[f32; 4]>,
-    /// What splats keep for the look [`crate::EmbedLook`], or [`crate::GswLook`], with moments; empty without either.
-    pub codes: Codes,
-    /// The networks of the look [`crate::GswLook`].
+    /// What splats keep for the look [`crate::EmbedAppearance`], or [`crate::GswAppearance`], with moments; empty without either.
+    pub splat_embeddings: Codes,
+    /// The networks of the look [`crate::GswAppearance`].
     pub networks: Option<HeldNetworks>,
 }
 
-/// Codes of splats, `[splat][code_size]` of their look; the last `EmbedLook::CODE_SIZE` of each fade.
+/// Codes of splats, `[splat][embedding_size]` of their look; the last `EmbedAppearance::EMBEDDING_SIZE` of each fade.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Codes {
     /// The codes.
@@ -50,7 +50,7 @@ pub struct Rules {
     /// Of the colours' higher degrees.
     pub higher: Rule,
     /// Of the codes, of splats in sight.
-    pub codes: Rule,
+    pub splat_embeddings: Rule,
     /// What the step leaves of these codes: they fade.
     pub kept: f32,
 }
@@ -58,8 +58,8 @@ pub struct Rules {
 impl Rules {
     /// The same for every group, whose codes do not fade.
     pub fn all(rule: Rule) -> Rules {
-        let [means, log_scales, rotations, opacities, base, higher, codes] = [rule; 7];
-        Rules { means, log_scales, rotations, opacities, base, higher, codes, kept: 1.0 }
+        let [means, log_scales, rotations, opacities, base, higher, splat_embeddings] = [rule; 7];
+        Rules { means, log_scales, rotations, opacities, base, higher, splat_embeddings, kept: 1.0 }
     }
 }
 
@@ -76,11 +76,11 @@ pub struct Reshaped {
     pub opacities_forgotten: bool,
 }
 
-/// A step of the networks of the look [`crate::GswLook`].
+/// A step of the networks of the look [`crate::GswAppearance`].
 #[derive(Debug)]
 pub struct NetworksStep<'a> {
     /// What the network of the photo is given; `None`: no light is read.
-    pub glimpse: Option<Glimpse<'a>>,
+    pub unet_input: Option<UNetInput<'a>>,
     /// What the step draws.
     pub draw: u64,
     /// Whether what the network sees of the photo may take the robust mask's place.
@@ -93,12 +93,12 @@ pub struct NetworksStep<'a> {
 pub struct Step<'a> {
     /// How splats are projected.
     pub options: &'a ProjectOptions,
-    /// The photo's light ([`crate::EmbedLook::photo`]), upon splats that have codes.
+    /// The photo's light ([`crate::EmbedAppearance::photo`]), upon splats that have codes.
     pub light: Option<&'a Light>,
     /// What the networks do, where there are some.
     pub networks: Option<NetworksStep<'a>>,
     /// Under what the photo is compared.
-    pub sitting: Sitting<'a>,
+    pub loss_inputs: LossInputs<'a>,
     /// Names the photo at its size: within a process, no two targets differ under the same key.
     pub key: [u64; 3],
     /// The photo; not asked for if it is still there.
@@ -114,7 +114,7 @@ pub trait Resident: Send {
     ///
     /// # Panics
     /// If there is light and no codes, or the target is not of the camera's size.
-    fn step(&mut self, step: &Step) -> Result<(Said, Option<Light>), RasterError>;
+    fn step(&mut self, step: &Step) -> Result<(LossOutput, Option<Light>), RasterError>;
 
     /// How many splats there are.
     fn count(&self) -> usize;

@@ -45,8 +45,10 @@ pub(crate) fn find(
     if draft.photos.iter().any(|photo| photo.usable.is_some()) {
         return Ok(None);
     }
-    let taken =
-        [ignore.map(Path::to_owned), folder_setting("strangers", &settings.strangers, folder).ok().flatten()];
+    let taken = [
+        ignore.map(Path::to_owned),
+        folder_setting("transient_masks", &settings.transient_masks, folder).ok().flatten(),
+    ];
     let Some(dir) =
         beside(folder, images).filter(|dir| taken.iter().flatten().all(|other| !same(dir, other)))
     else {

@@ -87,9 +87,9 @@ settings! {
         /// Folder of masks of what to keep, white = keep, named likewise; empty = the scene's own folder `masks`, if there is one;
         /// none = no masks.
         keep_masks: String = String::new(),
-        /// Folder of masks of strangers put right by hand, white = stranger, named likewise: of such a photo exactly that is
-        /// left out; empty = those changed in the run's own folder `strangers`.
-        strangers: String = String::new(),
+        /// Folder of masks of transients put right by hand, white = transient, named likewise: of such a photo exactly that is
+        /// left out; empty = those changed in the run's own folder `transients`.
+        transient_masks: String = String::new(),
         /// File that says which photos are for training and which for testing: a table of Photo Tourism (.tsv), a split.json,
         /// or a list (test_list.txt); empty = found by itself in the scene's folder; none = no split.
         split: String = String::new(),

@@ -220,7 +220,7 @@ fn notes(draft: &Draft, views: usize, points: usize, view_of: &[Option<u32>]) ->
     if unseen > 0 && (unseen < all || draft.source.extension().is_none_or(|e| e != "json")) {
         notes.push(format!(
             "{source}: {unseen} of {all} points name no photo that sees them: they start splats, and no photo's light or \
-             strangers can be told by them"
+             transients can be told by them"
         ));
     }
     if points == 0 {

@@ -1,6 +1,6 @@
 //! The photo as taken, which people and other programs see, and the undistorted one, which is computed with.
 //!
-//! Clicks, boxes, true masks, masks of things to ignore or keep and pictures of strangers are pixels of the photo as taken: as any
+//! Clicks, boxes, true masks, masks of things to ignore or keep and pictures of transients are pixels of the photo as taken: as any
 //! viewer shows it, turned as its camera says. They are mapped here, and nowhere else, on their way in; masks are mapped back on
 //! their way out. Both have the same size. For a photo without distortion the two are one.
 

@@ -93,7 +93,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             graph: Some(&graph),
             frozen: None,
             skies: None,
-            strangers: None,
+            transients: None,
             settings: &settings,
         };
         let refine = |view: usize, certainty: &Image| {

@@ -63,8 +63,8 @@ pub struct SegmentActor {
     pub photos: Arc<PhotoReader>,
     /// Reads the photos' skies.
     pub skies: Arc<MaskReader>,
-    /// Reads what was taken for strangers in the photos.
-    pub strangers: Arc<MaskReader>,
+    /// Reads what was taken for transients in the photos.
+    pub transients: Arc<MaskReader>,
     /// Turns prompts into masks.
     pub segmenter: Arc<dyn PromptSegmenter>,
     /// The neighbour graph, made at the first task.
@@ -116,7 +116,7 @@ impl SegmentActor {
             graph: self.graph.as_ref(),
             frozen: None,
             skies: Some(&*self.skies),
-            strangers: Some(&*self.strangers),
+            transients: Some(&*self.transients),
             settings: &task.settings,
         };
         let photos = Photos { actor: self, context, prepared: Mutex::default() };

@@ -9,7 +9,7 @@ const SEED: f32 = 0.05;
 /// Views in which photos that were not clicked see a splat of a part, in the mean, and share of what they say that must lie
 /// inside, for a part to stay however small it is: a shield beside its bearer, the foot of a plinth whose middle nobody
 /// saw. What masks take along past an outline is seen inside by one photo and outside by the next.
-const BORNE_OUT: (f64, f64) = (1.0, 0.7);
+const SUPPORTED: (f64, f64) = (1.0, 0.7);
 
 /// Takes away the parts that hold no positive click, unless they hold `share` of the selection's `evidence` (what is known
 /// for each splat: what no photo saw is no reason to keep a part) or the `others`, what photos that were not clicked say,
@@ -34,7 +34,7 @@ pub(crate) fn keep_clicked(
             weight[*part as usize] += f64::from(evidence.sides(i).0);
         }
     }
-    let borne_out = others.map_or(vec![false; parts], |others| borne_out(others, &part, parts));
+    let supported = others.map_or(vec![false; parts], |others| supported(others, &part, parts));
     let holding = |hits: &[Hit]| {
         let mut holds = vec![false; parts];
         for hit in hits {
@@ -50,7 +50,7 @@ pub(crate) fn keep_clicked(
     let total: f64 = weight.iter().sum();
     let large = |p: usize| weight[p] >= f64::from(share) * total;
     let mut stays: Vec<bool> =
-        (0..parts).map(|p| clicked[p] || (!refused[p] && (large(p) || borne_out[p]))).collect();
+        (0..parts).map(|p| clicked[p] || (!refused[p] && (large(p) || supported[p]))).collect();
     if !clicked.contains(&true) && !stays.contains(&true) {
         let heaviest = (0..parts).fold(0, |best, p| if weight[p] > weight[best] { p } else { best });
         stays[heaviest] = true;
@@ -61,8 +61,8 @@ pub(crate) fn keep_clicked(
     stays.iter().filter(|s| !**s).count()
 }
 
-/// Which parts photos bear out ([`BORNE_OUT`]).
-fn borne_out(evidence: &Evidence, part: &[Option<u32>], parts: usize) -> Vec<bool> {
+/// Which parts photos bear out ([`SUPPORTED`]).
+fn supported(evidence: &Evidence, part: &[Option<u32>], parts: usize) -> Vec<bool> {
     let mut sums = vec![(0.0f64, 0.0f64, 0.0f64, 0u32); parts];
     for (i, part) in part.iter().enumerate() {
         if let Some(part) = part {
@@ -73,7 +73,7 @@ fn borne_out(evidence: &Evidence, part: &[Option<u32>], parts: usize) -> Vec<boo
             *splats += 1;
         }
     }
-    let (views, share) = BORNE_OUT;
+    let (views, share) = SUPPORTED;
     sums.iter()
         .map(|&(inside, known, seen, splats)| seen >= views * f64::from(splats) && inside >= share * known)
         .collect()

@@ -6,18 +6,17 @@
 //! splats, cameras and masks.
 
 mod actor;
-mod behind;
 mod components;
 pub mod coverage;
+mod depth_layers;
 mod error;
+mod feature_clusters;
 mod graph;
-mod hidden;
-mod judge;
-mod jury;
-mod kinds;
-mod lacking;
+mod label_fusion;
 mod maxflow;
+mod multi_view_cut;
 mod object;
+mod occlusion;
 mod propagate;
 mod query;
 mod refiner;
@@ -28,13 +27,14 @@ mod sgc;
 mod smooth;
 mod spread;
 mod svd;
+mod thin_structures;
 
 pub use actor::{PhotoReader, SegmentActor, SegmentReply, SegmentTask, Segmented};
 pub use coverage::Evidence;
 pub use error::SegmentError;
 pub use graph::Graph;
-pub use jury::Juror;
 pub use maxflow::FlowNetwork;
+pub use multi_view_cut::MaskVote;
 pub use object::{MaskMode, Object, amodal_mask, cut_scene, owned, visible_mask};
 pub use propagate::{Verdict, Visit};
 pub use query::{FeatureField, Hit, hit};

@@ -166,7 +166,7 @@ mod tests {
         Mask::from_fn(SIZE.0 as u32, SIZE.1 as u32, |x, y| (60..140).contains(&x) && (30..70).contains(&y))
     }
 
-    /// The haze that strangers leave before buildings took a strip off every rim, and the whole of what it made up more of.
+    /// The haze that transients leave before buildings took a strip off every rim, and the whole of what it made up more of.
     #[test]
     fn haze_before_an_object_leaves_its_outline_where_it_is() {
         for inside in [1.0, 0.9, 0.8, 0.7] {

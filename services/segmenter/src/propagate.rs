@@ -2,11 +2,11 @@
 //! what the splats only guess, and what was learned there decides splats that no prompt saw.
 
 use crate::coverage::{clean, soft, unoccluded, visible};
-use crate::judge::{Judge, LEAST_HINT, State, sure};
+use crate::label_fusion::{LEAST_HINT, LabelFusion, State, sure};
 use crate::select::{STEPS, project, view_evidence, working_camera};
 use crate::spread::Belief;
 use crate::{Evidence, Refiner, Request, SegmentError, SegmentSettings};
-use crate::{hidden, lacking};
+use crate::{occlusion, thin_structures};
 use rayon::prelude::*;
 use rayon::{Scope, Yield};
 use segwild_raster::{Channels, Projected};
@@ -26,7 +26,7 @@ const SMALLEST: f32 = 5e-4;
 /// Splats of the object that a view must see to be worth a visit.
 const FEW: u32 = 8;
 
-/// Weight of a pixel where the photo contradicts what is well known: a stranger before the object, or a
+/// Weight of a pixel where the photo contradicts what is well known: a transient before the object, or a
 /// failure of the 2D segmenter, unless other photos say so too.
 const DOUBT: f32 = 0.3;
 
@@ -118,7 +118,7 @@ const AHEAD: usize = 4;
 /// several photos at a time.
 pub(crate) fn propagate(
     request: &Request,
-    judge: &Judge,
+    judge: &LabelFusion,
     prompted: Evidence,
     refiner: &dyn Refiner,
 ) -> Result<(State, Vec<Visit>), SegmentError> {
@@ -147,7 +147,7 @@ pub(crate) fn propagate(
 
 fn first_round<'s>(
     request: &Request,
-    judge: &Judge,
+    judge: &LabelFusion,
     mut state: State,
     refiner: &'s dyn Refiner,
     scope: &Scope<'s>,
@@ -210,7 +210,7 @@ fn seen_by(request: &Request, index: usize) -> Result<Bits, SegmentError> {
 
 /// The open views that show a decided part of the object, those first of which the largest share of what could be the
 /// object is decided.
-fn most_known(judge: &Judge, state: &State, open: &[(usize, Bits)]) -> Vec<usize> {
+fn most_known(judge: &LabelFusion, state: &State, open: &[(usize, Bits)]) -> Vec<usize> {
     let n = state.probability.len();
     let SegmentSettings { rho, gamma, least_evidence, .. } = *judge.settings;
     let label = |i: usize| state.evidence.label(i, rho, gamma, least_evidence);
@@ -231,7 +231,7 @@ fn most_known(judge: &Judge, state: &State, open: &[(usize, Bits)]) -> Vec<usize
 /// only its neighbourhood speaks against a splat counts less than what speaks for it: a photo told that it is
 /// outside would confirm that, and so would all later ones. Resemblance to the clicks says only what surely is
 /// something else: they show one side of the object, and the photo's own boundaries judge the other side better.
-fn certainty_of(judge: &Judge, state: &State, splat: usize) -> f32 {
+fn certainty_of(judge: &LabelFusion, state: &State, splat: usize) -> f32 {
     if judge.is_frozen(splat) {
         return 0.0;
     }
@@ -252,7 +252,7 @@ fn leaning(share: f32) -> f32 {
 }
 
 /// Per splat what a photo is told of it, how much is known of it, and how surely it resembles the clicks.
-fn told(judge: &Judge, state: &State) -> Vec<f32> {
+fn told(judge: &LabelFusion, state: &State) -> Vec<f32> {
     let of =
         |(i, b): (usize, &Belief)| [certainty_of(judge, state, i), b.weight.min(1.0), sure(state.hint[i])];
     state.beliefs.iter().enumerate().flat_map(of).collect()
@@ -337,7 +337,7 @@ fn question(
         data: frame.image.plane(0).iter().map(|&x| clean(x)).collect(),
     };
     let lacking = match request.skies.and_then(|read| read(index)) {
-        Some(sky) => lacking::complete(&mut certainty, &frame.alpha, &sky),
+        Some(sky) => thin_structures::complete(&mut certainty, &frame.alpha, &sky),
         None => vec![0.0; certainty.data.len()],
     };
     // Where there is nothing, and nothing is lacking, there is no object: that, too, is known.
@@ -370,9 +370,9 @@ fn hear(
         Some(Some(said)) => said,
     };
     let inside = soft(&mask, camera.width, camera.height);
-    // What a stranger hides is no disagreement, and says little or nothing where the mask leaves it out.
-    let strangers = request.strangers_in(index);
-    let heard = hidden::heard(&inside, strangers.as_ref(), Some(resembles), camera);
+    // What a transient hides is no disagreement, and says little or nothing where the mask leaves it out.
+    let transients = request.transients_in(index);
+    let heard = occlusion::heard(&inside, transients.as_ref(), Some(resembles), camera);
     let (mut both, mut either) = (0.0f64, 0.0f64);
     for (((&m, &c), &k), &h) in inside.iter().zip(&certainty.data).zip(known).zip(&heard) {
         let (believed, k) = (f32::from(u8::from(c > 0.5)), k * h);

@@ -1,13 +1,13 @@
 //! Prompts to labels on splats (method, section 6).
 
-use crate::behind;
 use crate::coverage::{centre, coverage, soft, unoccluded, visible};
-use crate::hidden;
-use crate::judge::{Judge, Similarities, State};
-use crate::kinds::kinds;
+use crate::depth_layers;
+use crate::feature_clusters::kinds;
+use crate::label_fusion::{LabelFusion, Similarities, State};
+use crate::occlusion;
 use crate::settings::{ComponentRule, CutBy, EvidenceMode, SegmentSettings, SimilarityUse};
 use crate::{
-    Cut, CutView, Evidence, FeatureField, Graph, Hit, Juror, Refiner, SegmentError, Visit, components,
+    Cut, CutView, Evidence, FeatureField, Graph, Hit, MaskVote, Refiner, SegmentError, Visit, components,
     propagate, smooth,
 };
 use glam::Vec2;
@@ -68,7 +68,7 @@ pub struct PromptedView<'a> {
     pub points: &'a [PointPrompt],
 }
 
-/// Reads a mask of a view, its sky or its strangers, at any size that covers the photo edge to edge; `None` where it is not
+/// Reads a mask of a view, its sky or its transients, at any size that covers the photo edge to edge; `None` where it is not
 /// known.
 pub type MaskReader = dyn Fn(usize) -> Option<Mask> + Send + Sync;
 
@@ -93,16 +93,16 @@ pub struct Request<'a> {
     pub frozen: Option<&'a [bool]>,
     /// Reads the skies of the views, if there are any.
     pub skies: Option<&'a MaskReader>,
-    /// Reads what is taken for strangers in the views, if that is known.
-    pub strangers: Option<&'a MaskReader>,
+    /// Reads what is taken for transients in the views, if that is known.
+    pub transients: Option<&'a MaskReader>,
     /// How to weigh.
     pub settings: &'a SegmentSettings,
 }
 
 impl Request<'_> {
-    /// What is taken for strangers in a view; `None` where that is not known.
-    pub(crate) fn strangers_in(&self, view: usize) -> Option<Mask> {
-        self.strangers.and_then(|read| read(view))
+    /// What is taken for transients in a view; `None` where that is not known.
+    pub(crate) fn transients_in(&self, view: usize) -> Option<Mask> {
+        self.transients.and_then(|read| read(view))
     }
 }
 
@@ -153,7 +153,7 @@ pub fn select(request: &Request, refiner: Option<&dyn Refiner>) -> Result<Select
         }
     };
     let features = request.features.filter(|_| settings.similarity_use != SimilarityUse::Off);
-    let judge = Judge {
+    let judge = LabelFusion {
         splats,
         graph,
         hits: (&positive, &negative),
@@ -188,7 +188,7 @@ pub fn select(request: &Request, refiner: Option<&dyn Refiner>) -> Result<Select
 /// From what is believed to the selection.
 fn decide(
     request: &Request,
-    judge: &Judge,
+    judge: &LabelFusion,
     prompted: &Evidence,
     state: State,
     visits: Vec<Visit>,
@@ -234,14 +234,14 @@ pub fn cut(request: &Request, selection: &Selection) -> Result<Cut, SegmentError
         let own: Vec<Vec<u8>> = meant(request)
             .map(|prompt| Ok(prompted_evidence(request, prompt)?.voices()))
             .collect::<Result<_, SegmentError>>()?;
-        let juror = |view: usize, mask, voice, weight| {
+        let mask_vote = |view: usize, mask, voice, weight| {
             let view = &request.views[view];
-            Juror { camera: view.camera, pose: view.pose, mask, voice, weight }
+            MaskVote { camera: view.camera, pose: view.pose, mask, voice, weight }
         };
         let weight = request.settings.prompt_weight;
-        let prompted = meant(request).zip(&own).map(|(p, voice)| juror(p.view, p.mask, voice, weight));
-        let others = accepted().map(|(v, mask)| juror(v.view, mask, &v.voice, v.agreement));
-        let jury: Vec<Juror> = prompted.chain(others).collect();
+        let prompted = meant(request).zip(&own).map(|(p, voice)| mask_vote(p.view, p.mask, voice, weight));
+        let others = accepted().map(|(v, mask)| mask_vote(v.view, mask, &v.voice, v.agreement));
+        let votes: Vec<MaskVote> = prompted.chain(others).collect();
         let settings = request.settings;
         let near = request.options.near;
         let evidence = &selection.evidence;
@@ -254,7 +254,7 @@ pub fn cut(request: &Request, selection: &Selection) -> Result<Cut, SegmentError
             })
             .collect();
         let labels = &selection.labels;
-        return Ok(Cut::by_jury(request.splats, labels, &astride, &jury, settings.spikes, near));
+        return Ok(Cut::cut_by_votes(request.splats, labels, &astride, &votes, settings.spikes, near));
     }
     let mut sees = Vec::with_capacity(request.prompts.len());
     for prompt in meant(request) {
@@ -453,12 +453,12 @@ fn prompted_evidence(request: &Request, prompt: &PromptedView) -> Result<Evidenc
         }
     }
     let inside = soft(prompt.mask, camera.width, camera.height);
-    let strangers = request.strangers_in(prompt.view);
-    let heard = hidden::heard(&inside, strangers.as_ref(), None, &camera);
+    let transients = request.transients_in(prompt.view);
+    let heard = occlusion::heard(&inside, transients.as_ref(), None, &camera);
     weights.iter_mut().zip(&heard).for_each(|(weight, heard)| *weight *= heard);
     let mut evidence = view_evidence(request, &*projected, view, &camera, prompt.mask, &weights)?;
     if request.settings.evidence_mode == EvidenceMode::Coverage {
-        behind::doubt(&mut evidence, &*projected, prompt, inside, &view.camera, &camera)
+        depth_layers::doubt(&mut evidence, &*projected, prompt, inside, &view.camera, &camera)
             .map_err(SegmentError::raster(&view.name))?;
         evidence.known.iter_mut().for_each(|known| *known *= POINTED);
     }

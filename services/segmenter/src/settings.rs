@@ -136,6 +136,6 @@ segwild_scene::settings! {
         /// Whose masks cut them.
         cut_by: CutBy = CutBy::Photos,
         /// Photo under whose look `object.ply` and `labels.ply` are written. Empty: the scene's own look.
-        object_look: String = String::new(),
+        object_appearance: String = String::new(),
     }
 }

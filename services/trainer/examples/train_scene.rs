@@ -55,9 +55,9 @@ fn main() -> Result<(), Box<dyn Error>> {
             }
             None => None,
         };
-        Ok(TrainPhoto { image: photo.image, valid: photo.valid, sky, strangers: None })
+        Ok(TrainPhoto { image: photo.image, valid: photo.valid, sky, transients: None })
     });
-    let fits = train.look != segwild_trainer::LookKind::None;
+    let fits = train.appearance_model != segwild_trainer::AppearanceModel::None;
     let engine = Arc::new(CpuEngine::new());
     let mut trainer = Trainer::prepared(engine.clone(), &scene, photos.clone(), train, &|| false)?;
     for warning in trainer.warnings() {

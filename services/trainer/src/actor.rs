@@ -108,9 +108,9 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
         for warning in trainer.warnings() {
             context.events().warn(Some("geometry"), warning.clone());
         }
-        let suspected = trainer.suspected();
-        if suspected > 0.0 {
-            let share = 100.0 * suspected;
+        let initial_transient_share = trainer.initial_transient_share();
+        if initial_transient_share > 0.0 {
+            let share = 100.0 * initial_transient_share;
             let said =
                 format!("{share:.0} % of what the photos show is in no other: left out from the start");
             context.events().info(Some("geometry"), said);

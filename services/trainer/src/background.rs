@@ -1,6 +1,6 @@
 //! What is seen behind the splats: a colour, or a smooth sky, per photo.
 
-use crate::looks::Affine;
+use crate::appearances::Affine;
 use glam::Vec3;
 use segwild_raster::compare::{self, BASES, ColourSums, Seen, SkySums};
 use segwild_scene::{Camera, Image, Pose};
@@ -96,8 +96,8 @@ impl Background {
     }
 
     /// The background that a look turns into this one.
-    pub(crate) fn before(&self, look: &Affine) -> Background {
-        Background { coefficients: crate::looks::undo(look, &self.coefficients) }
+    pub(crate) fn before(&self, appearance: &Affine) -> Background {
+        Background { coefficients: crate::appearances::undo(appearance, &self.coefficients) }
     }
 
     /// Colour in a direction ([`compare::behind`]).
@@ -183,13 +183,13 @@ mod tests {
         let seen = |i: usize| Some((sky(direction(&camera, &pose, i % 40, i / 40)), 1.0));
         let background = Background::fit(SkySums::of(&camera, &pose, 1, seen), PRIOR).unwrap();
         for gain in [0.5, 0.25, 0.12] {
-            let look = [gain, 0.0, 0.0, 0.0, 0.0, gain, 0.0, 0.02, 0.0, 0.0, 0.8 * gain, 0.0];
-            let behind = background.before(&look).paint(&camera, &pose);
+            let appearance = [gain, 0.0, 0.0, 0.0, 0.0, gain, 0.0, 0.02, 0.0, 0.0, 0.8 * gain, 0.0];
+            let behind = background.before(&appearance).paint(&camera, &pose);
             for i in 0..1200 {
                 let x = [behind.data[i], behind.data[1200 + i], behind.data[2400 + i], 1.0];
                 let wanted = seen(i).unwrap().0;
                 for c in 0..3 {
-                    let shown: f32 = (0..4).map(|k| look[4 * c + k] * x[k]).sum();
+                    let shown: f32 = (0..4).map(|k| appearance[4 * c + k] * x[k]).sum();
                     assert!((shown - wanted[c]).abs() < 0.08, "{gain} {i} {c}: {shown} for {}", wanted[c]);
                 }
             }

@@ -190,7 +190,7 @@ mod tests {
             2 => Err("it is broken".to_owned()),
             _ => {
                 let image = Image::filled(SIZE.0 as usize, SIZE.1 as usize, 3, 0.1 * (view + 1) as f32);
-                Ok(TrainPhoto { image, valid: None, sky: None, strangers: None })
+                Ok(TrainPhoto { image, valid: None, sky: None, transients: None })
             }
         };
         PhotoCache::new(Arc::new(of), (0..views).map(|i| i.to_string()).collect(), 1 << 20)

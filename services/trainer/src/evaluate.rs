@@ -1,13 +1,15 @@
 //! Quality on photos that were held out (method, sections 3 and 10).
 
 use crate::TrainError;
+use crate::appearances::{self, Lit};
 use crate::background::{Background, PRIOR_OF_HALF};
 use crate::light::directions;
-use crate::looks::{self, Lit};
 use crate::model::{Model, compose};
 use crate::photos::{Level, PhotoCache, Photos, Stored};
 use segwild_raster::compare::SkySums;
-use segwild_raster::{AffineLook, AnyLook, Channels, Engine, HIDDEN, Look, RANK, psnr, ssim};
+use segwild_raster::{
+    AffineAppearance, AnyAppearance, Appearance, Channels, Engine, HIDDEN, RANK, psnr, ssim,
+};
 use segwild_scene::{Image, Scene, Splats, View};
 use std::sync::Arc;
 
@@ -115,7 +117,7 @@ pub(crate) fn draw_unseen(
     let colours = projected.shade();
     let blend = |count, values: &[f32]| projected.blend(&Channels { count, values });
     let frame = blend(3, &colours)?;
-    let (mut look, mut index) = (model.look.clone(), model.look_index(None));
+    let (mut appearance, mut index) = (model.appearance.clone(), model.appearance_index(None));
     let mut background = model.background(None);
     let mut tinted = None;
     let eye = pose.centre();
@@ -131,13 +133,15 @@ pub(crate) fn draw_unseen(
             background = sky.unwrap_or(background);
         }
         let behind = background.paint(&camera, &pose);
-        let codes = match &model.look {
-            AnyLook::Embed(_) => blend(3 * RANK, &model.codes)?.image,
-            AnyLook::Gsw(look) => blend(3 * RANK, &look.codes_below(&model.codes))?.image,
+        let splat_embeddings = match &model.appearance {
+            AnyAppearance::Embed(_) => blend(3 * RANK, &model.splat_embeddings)?.image,
+            AnyAppearance::Gsw(appearance) => {
+                blend(3 * RANK, &appearance.embeddings_below(&model.splat_embeddings))?.image
+            }
             _ => Image::zeros(0, 0, 0),
         };
         let lit = |(scene, alpha, seen, i): ([f32; 3], f32, [f32; 3], usize)| {
-            let light = std::array::from_fn(|k| codes.data[k * n + i]);
+            let light = std::array::from_fn(|k| splat_embeddings.data[k * n + i]);
             Lit { scene, alpha, light, seen }
         };
         let pairs = (0..n).filter(|&i| within(i) && photo.counts(i)).map(|i| {
@@ -146,49 +150,60 @@ pub(crate) fn draw_unseen(
             let seen = [0, 1, 2].map(|k| c[k] - (1.0 - alpha) * behind.data[k * n + i]);
             (scene, alpha, seen, i)
         });
-        match &model.look {
-            AnyLook::None(_) => {}
-            AnyLook::Affine(_) => {
-                let mut fitted = AffineLook::new(1);
+        match &model.appearance {
+            AnyAppearance::None(_) => {}
+            AnyAppearance::Affine(_) => {
+                let mut fitted = AffineAppearance::new(1);
                 fitted.set_matrix(
                     0,
-                    looks::fit(pairs.map(|(scene, alpha, seen, _)| (scene, alpha, seen, 1.0))),
+                    appearances::fit(pairs.map(|(scene, alpha, seen, _)| (scene, alpha, seen, 1.0))),
                 );
-                (look, index) = (AnyLook::Affine(fitted), 0);
+                (appearance, index) = (AnyAppearance::Affine(fitted), 0);
             }
-            AnyLook::Embed(trained) => {
-                let fitted = looks::fit_embed(trained, &model.trained_on, pairs.map(lit));
-                (look, index) = (AnyLook::Embed(fitted), 0);
+            AnyAppearance::Embed(trained) => {
+                let fitted = appearances::fit_embed(trained, &model.trained_on, pairs.map(lit));
+                (appearance, index) = (AnyAppearance::Embed(fitted), 0);
             }
-            AnyLook::Gsw(trained) => {
+            AnyAppearance::Gsw(trained) => {
                 // The network, too, sees no more than that.
-                let glance = looks::glance(trained, photo, &camera, &pose, within);
-                let light = trained.impression_of_glance(&glance);
+                let image_conditioning =
+                    appearances::image_conditioning(trained, photo, &camera, &pose, within);
+                let light = trained.appearance_maps_of_conditioning(&image_conditioning);
                 let Splats { means, .. } = &model.splats;
-                let below = trained.below.tone(index, means, &model.codes);
+                let below = trained.below.appearance_embedding(index, means, &model.splat_embeddings);
                 let own = (&below, trained.layer());
-                let tone = trained.tone_of(&[(&light, 1.0)], own, means, &model.codes);
-                let hidden = blend(HIDDEN, &trained.hidden(&tone, &direction))?.image;
+                let appearance_embedding =
+                    trained.appearance_embedding_of(&[(&light, 1.0)], own, means, &model.splat_embeddings);
+                let hidden = blend(HIDDEN, &trained.hidden(&appearance_embedding, &direction))?.image;
                 let pixels = pairs.map(|pair| {
                     let i = pair.3;
                     (lit(pair), std::array::from_fn(|k| hidden.data[k * n + i]))
                 });
-                let (below, layer) = looks::fit_gsw(trained, &model.trained_on, pixels);
-                let own = (&below.tone(0, means, &model.codes), layer.as_slice());
-                let tone = trained.tone_of(&[(&light, 1.0)], own, means, &model.codes);
-                tinted = Some(trained.shade(&tone, &model.codes, &direction, colours.clone()));
+                let (below, layer) = appearances::fit_gsw(trained, &model.trained_on, pixels);
+                let own = (&below.appearance_embedding(0, means, &model.splat_embeddings), layer.as_slice());
+                let appearance_embedding =
+                    trained.appearance_embedding_of(&[(&light, 1.0)], own, means, &model.splat_embeddings);
+                tinted = Some(trained.shade(
+                    &appearance_embedding,
+                    &model.splat_embeddings,
+                    &direction,
+                    colours.clone(),
+                ));
             }
         }
     }
-    let frame = match (&look, tinted) {
+    let frame = match (&appearance, tinted) {
         (_, Some(tinted)) => blend(3, &tinted)?,
-        (AnyLook::Embed(look), None) => blend(3, &look.tint(index, &model.codes, colours))?,
-        (AnyLook::Gsw(look), None) => {
-            let tone = look.tone(index, &model.splats.means, &model.codes);
-            blend(3, &look.shade(&tone, &model.codes, &direction, colours))?
+        (AnyAppearance::Embed(appearance), None) => {
+            blend(3, &appearance.tint(index, &model.splat_embeddings, colours))?
+        }
+        (AnyAppearance::Gsw(appearance), None) => {
+            let appearance_embedding =
+                appearance.appearance_embedding(index, &model.splats.means, &model.splat_embeddings);
+            blend(3, &appearance.shade(&appearance_embedding, &model.splat_embeddings, &direction, colours))?
         }
         _ => frame,
     };
-    let shown = compose(&frame, &look, index, &background, &camera, &pose);
+    let shown = compose(&frame, &appearance, index, &background, &camera, &pose);
     Ok(Unseen { shown, alpha: frame.alpha })
 }

@@ -5,42 +5,41 @@
 //! look and its background, and what keeps contradicting the scene is left out (method, sections 2, 3, 9).
 
 mod actor;
-mod away;
+mod appearances;
 mod background;
-mod between;
 mod choice;
 mod colours;
 mod density;
 mod error;
 mod evaluate;
 mod initial;
-mod judge;
 mod light;
-mod looks;
+mod on_device;
+mod photometric;
+mod stereo_points;
 
+mod initial_transients;
 mod model;
+mod multi_view_pruning;
 mod params;
 mod photos;
 mod pixels;
 mod posed;
 mod robust;
-mod room;
 mod sampler;
 mod schedule;
 mod settings;
+mod splat_budget;
 mod state;
 mod step;
-mod strangers;
-mod suspects;
 mod trainer;
-mod witness;
+mod transients;
 
 pub use actor::{FindCheckpoint, TrainActor, TrainOrder, TrainOutcome};
 pub use background::Background;
-pub use between::stereo_bytes;
 pub use choice::{
-    BudgetChoice, LookChoice, RUNGS, SIZE as CHOICE_SIZE, ShortFit, Tracks, choose_budget, choose_look,
-    trial_size,
+    AppearanceChoice, BudgetChoice, RUNGS, SIZE as CHOICE_SIZE, ShortFit, Tracks, choose_appearance,
+    choose_budget, trial_size,
 };
 pub use density::Change;
 pub use error::TrainError;
@@ -48,8 +47,9 @@ pub use evaluate::{Evaluation, Protocol, ViewScore, evaluate};
 pub use light::{Light, Lighting, render_lit};
 pub use model::{Model, Stats, render_view};
 pub use photos::{Photos, Sifted, TrainPhoto};
-pub use room::splat_cap;
 pub use segwild_raster::GswWidth;
-pub use settings::{DensityKind, LookKind, Preset, TrainSettings};
-pub use strangers::{Strangeness, strangeness};
+pub use settings::{AppearanceModel, DensityKind, Preset, TrainSettings};
+pub use splat_budget::splat_cap;
+pub use stereo_points::stereo_bytes;
 pub use trainer::{Checkpoint, StepReport, Trainer};
+pub use transients::{TransientEvidence, transient_evidence};

@@ -5,13 +5,13 @@ use crate::background::Background;
 use crate::model::Model;
 use glam::Vec3;
 use segwild_raster::compare::add_behind;
-use segwild_raster::{Channels, Engine, Projected, Tone, bake};
+use segwild_raster::{AppearanceEmbedding, Channels, Engine, Projected, bake};
 use segwild_scene::{Camera, Image, Pose, Splats};
 
 /// A look taken out of the model: what it makes of splats' colours, and what stands behind them, in its own colours.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Light {
-    tone: Tone,
+    appearance_embedding: AppearanceEmbedding,
     background: Background,
 }
 
@@ -19,7 +19,7 @@ impl Light {
     /// The light a share `t` of the way to another: 0 is this one, 1 the other, and past 1 it goes on beyond it.
     pub fn towards(&self, other: &Light, t: f32) -> Light {
         Light {
-            tone: self.tone.towards(&other.tone, t),
+            appearance_embedding: self.appearance_embedding.towards(&other.appearance_embedding, t),
             background: self.background.towards(&other.background, t),
         }
     }
@@ -48,8 +48,12 @@ impl From<Light> for Lighting {
 impl Model {
     /// The light of a view's photo: the mean one where the photo took no part or none is named.
     pub fn light(&self, view: Option<usize>) -> Light {
-        let tone = self.look.as_look().tone(self.look_index(view), &self.splats.means, &self.codes);
-        Light { tone, background: self.background(view) }
+        let appearance_embedding = self.appearance.as_appearance().appearance_embedding(
+            self.appearance_index(view),
+            &self.splats.means,
+            &self.splat_embeddings,
+        );
+        Light { appearance_embedding, background: self.background(view) }
     }
 
     /// A light with another strength: 0 is the mean light, 1 the light as it is, 2 twice as far from the mean.
@@ -61,8 +65,14 @@ impl Model {
     fn lit(&self, lighting: &Lighting, pose: &Pose, projected: &dyn Projected) -> Vec<f32> {
         let colours = projected.shade();
         let direction = directions(&self.splats, pose.centre(), projected.radii());
-        let under =
-            |light: &Light, colours| self.look.as_look().shade(&light.tone, &self.codes, &direction, colours);
+        let under = |light: &Light, colours| {
+            self.appearance.as_appearance().shade(
+                &light.appearance_embedding,
+                &self.splat_embeddings,
+                &direction,
+                colours,
+            )
+        };
         let Some((whose, light)) = &lighting.object else { return under(&lighting.scene, colours) };
         let (mut all, object) = (under(&lighting.scene, colours.clone()), under(light, colours));
         mix(&mut all, &object, whose, 3);
@@ -75,7 +85,14 @@ impl Model {
     /// # Panics
     /// If the lighting is of another model.
     pub fn baked(&self, lighting: &Lighting) -> Splats {
-        let under = |light: &Light| bake(self.look.as_look(), &light.tone, &self.splats, &self.codes);
+        let under = |light: &Light| {
+            bake(
+                self.appearance.as_appearance(),
+                &light.appearance_embedding,
+                &self.splats,
+                &self.splat_embeddings,
+            )
+        };
         let mut all = under(&lighting.scene);
         if let Some((whose, light)) = &lighting.object {
             let stride = all.sh_stride();

@@ -1,12 +1,12 @@
 //! A trained scene, and how it looks.
 
 use crate::TrainError;
+use crate::appearances;
 use crate::background::Background;
-use crate::looks;
 use crate::params::{select, splats_fit};
-use crate::state::look_fits;
+use crate::state::appearance_fits;
 use segwild_raster::compare::{BASES, add_behind};
-use segwild_raster::{AnyLook, Channels, Engine, Frame, ProjectOptions, Sight};
+use segwild_raster::{AnyAppearance, Channels, Engine, Frame, ProjectOptions, Sight};
 use segwild_scene::{Camera, Image, Pose, Splats};
 use wincode::{SchemaRead, SchemaWrite};
 
@@ -15,10 +15,10 @@ use wincode::{SchemaRead, SchemaWrite};
 pub struct Model {
     /// The splats, in the scene's normalised frame.
     pub splats: Splats,
-    /// What splats keep for the look, `[splat][code_size]`; empty for looks that need nothing of the kind.
-    pub codes: Vec<f32>,
+    /// What splats keep for the look, `[splat][embedding_size]`; empty for looks that need nothing of the kind.
+    pub splat_embeddings: Vec<f32>,
     /// The looks of the photos, by index of the view; one more, at the index past the last view, is the mean.
-    pub look: AnyLook,
+    pub appearance: AnyAppearance,
     /// Per view of the scene, what its photo shows behind the splats, in the photo's colours; `None` where the
     /// photo took no part.
     pub backgrounds: Vec<Option<Background>>,
@@ -64,8 +64,9 @@ impl Model {
         if !self.backgrounds.iter().flatten().all(sound) {
             return damaged("a background has another number of coefficients");
         }
-        if !look_fits(&self.look, views)
-            || self.codes.len() != self.look.as_look().code_size() * self.splats.len()
+        if !appearance_fits(&self.appearance, views)
+            || self.splat_embeddings.len()
+                != self.appearance.as_appearance().embedding_size() * self.splats.len()
         {
             return damaged("its look does not fit its splats");
         }
@@ -74,7 +75,7 @@ impl Model {
 
     /// The splats at `keep`, in that order, with all that belongs to them.
     pub fn select(&mut self, keep: &[usize]) {
-        self.codes = select(&self.codes, self.splats.len(), keep);
+        self.splat_embeddings = select(&self.splat_embeddings, self.splats.len(), keep);
         self.splats = self.splats.select(keep);
     }
 
@@ -83,9 +84,9 @@ impl Model {
         options(self.antialias)
     }
 
-    /// Index in [`Model::look`] of the look of a view: the mean one where the photo took no part or none is
+    /// Index in [`Model::appearance`] of the look of a view: the mean one where the photo took no part or none is
     /// named.
-    pub fn look_index(&self, view: Option<usize>) -> usize {
+    pub fn appearance_index(&self, view: Option<usize>) -> usize {
         let known = |v: &usize| self.backgrounds.get(*v).is_some_and(Option::is_some);
         view.filter(known).unwrap_or(self.names.len())
     }
@@ -109,12 +110,12 @@ pub(crate) fn draw(
     let projected = engine.project(&model.splats, camera, pose, &model.options())?;
     let sight = Sight {
         means: &model.splats.means,
-        codes: &model.codes,
+        splat_embeddings: &model.splat_embeddings,
         radii: projected.radii(),
         eye: pose.centre().to_array(),
     };
-    let light = model.look.impression(index, None);
-    let colours = model.look.colour(index, light.as_ref(), &sight, projected.shade());
+    let light = model.appearance.appearance_maps(index, None);
+    let colours = model.appearance.colour(index, light.as_ref(), &sight, projected.shade());
     Ok(projected.blend(&Channels { count: 3, values: &colours })?)
 }
 
@@ -125,26 +126,26 @@ pub fn render_view(
     engine: &dyn Engine,
     camera: &Camera,
     pose: &Pose,
-    look: Option<usize>,
+    appearance: Option<usize>,
 ) -> Result<Image, TrainError> {
-    let index = model.look_index(look);
+    let index = model.appearance_index(appearance);
     let frame = draw(engine, model, index, camera, pose)?;
-    Ok(compose(&frame, &model.look, index, &model.background(look), camera, pose))
+    Ok(compose(&frame, &model.appearance, index, &model.background(appearance), camera, pose))
 }
 
 /// A frame over a background, in a look, in [0, 1]. The background is in the look's colours.
 pub(crate) fn compose(
     frame: &Frame,
-    look: &AnyLook,
+    appearance: &AnyAppearance,
     index: usize,
     background: &Background,
     camera: &Camera,
     pose: &Pose,
 ) -> Image {
-    let behind = background.before(&looks::matrix(look, index)).paint(camera, pose);
+    let behind = background.before(&appearances::matrix(appearance, index)).paint(camera, pose);
     let mut image = frame.image.clone();
     add_behind(&mut image, &frame.alpha, &behind);
-    let mut image = look.as_look().apply(index, &image);
+    let mut image = appearance.as_appearance().apply(index, &image);
     for v in &mut image.data {
         *v = v.clamp(0.0, 1.0);
     }

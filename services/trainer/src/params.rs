@@ -30,26 +30,26 @@ pub(crate) struct Params {
     opacities: Adam,
     base: Adam,
     higher: Adam,
-    /// What splats keep for the look beside their colours, `[splat][code_size]`.
-    pub codes: Vec<f32>,
-    code_moments: Adam,
+    /// What splats keep for the look beside their colours, `[splat][embedding_size]`.
+    pub splat_embeddings: Vec<f32>,
+    embedding_moments: Adam,
 }
 
 /// Share of the base colour's learning rate that higher degrees take.
 const HIGHER: f32 = 1.0 / 20.0;
 
 /// How much of their rate codes fade by in a step.
-const CODE_DECAY: f32 = 0.5;
+const EMBEDDING_DECAY: f32 = 0.5;
 
 /// What a step leaves of a code that fades.
 fn kept(rates: &Rates) -> f32 {
-    1.0 - CODE_DECAY * rates.code
+    1.0 - EMBEDDING_DECAY * rates.code
 }
 
 /// The codes of the splats at `which` among `n`, in that order.
-pub(crate) fn select(codes: &[f32], n: usize, which: &[usize]) -> Vec<f32> {
-    let size = codes.len().checked_div(n).unwrap_or(0);
-    which.iter().flat_map(|&i| &codes[i * size..(i + 1) * size]).copied().collect()
+pub(crate) fn select(splat_embeddings: &[f32], n: usize, which: &[usize]) -> Vec<f32> {
+    let size = splat_embeddings.len().checked_div(n).unwrap_or(0);
+    which.iter().flat_map(|&i| &splat_embeddings[i * size..(i + 1) * size]).copied().collect()
 }
 
 /// The constant part of the colours and their higher degrees, which lie interleaved in items of `k`.
@@ -78,9 +78,9 @@ fn together(base: &[f32], higher: &[f32], k: usize) -> Vec<f32> {
 
 impl Params {
     /// Splats to begin with, and what each keeps for the look.
-    pub fn new(splats: Splats, codes: Vec<f32>) -> Params {
+    pub fn new(splats: Splats, splat_embeddings: Vec<f32>) -> Params {
         let n = splats.len();
-        let code_size = codes.len().checked_div(n).unwrap_or(0);
+        let embedding_size = splat_embeddings.len().checked_div(n).unwrap_or(0);
         Params {
             means: Adam::new(n, 3),
             log_scales: Adam::new(n, 3),
@@ -88,16 +88,21 @@ impl Params {
             opacities: Adam::new(n, 1),
             base: Adam::new(n, 3),
             higher: Adam::new(if splats.sh_degree > 0 { n } else { 0 }, splats.sh_stride() - 3),
-            codes,
-            code_moments: Adam::new(if code_size > 0 { n } else { 0 }, code_size),
+            splat_embeddings,
+            embedding_moments: Adam::new(if embedding_size > 0 { n } else { 0 }, embedding_size),
             splats,
         }
     }
 
     /// The splats from a camera, for the look.
     pub fn sight<'a>(&'a self, projected: &'a dyn Projected, pose: &Pose) -> Sight<'a> {
-        let Params { splats, codes, .. } = self;
-        Sight { means: &splats.means, codes, radii: projected.radii(), eye: pose.centre().to_array() }
+        let Params { splats, splat_embeddings, .. } = self;
+        Sight {
+            means: &splats.means,
+            splat_embeddings,
+            radii: projected.radii(),
+            eye: pose.centre().to_array(),
+        }
     }
 
     /// One optimiser step; `sh` are the gradients of [`Splats::sh`].
@@ -133,7 +138,11 @@ impl Params {
             opacities: self.opacities.advance(rates.opacity),
             base,
             higher,
-            codes: if self.codes.is_empty() { base } else { self.code_moments.advance(rates.code) },
+            splat_embeddings: if self.splat_embeddings.is_empty() {
+                base
+            } else {
+                self.embedding_moments.advance(rates.code)
+            },
             kept: kept(rates),
         }
     }
@@ -151,23 +160,23 @@ impl Params {
                 sh_degree: self.splats.sh_degree,
             }
         };
-        let [first, second] = self.code_moments.moments().map(<[f32]>::to_vec);
-        let codes = Codes { values: self.codes.clone(), first, second };
+        let [first, second] = self.embedding_moments.moments().map(<[f32]>::to_vec);
+        let splat_embeddings = Codes { values: self.splat_embeddings.clone(), first, second };
         Held {
             splats: self.splats.clone(),
             first: moments(0),
             second: moments(1),
             sums,
-            codes,
+            splat_embeddings,
             networks: None,
         }
     }
 
     /// Takes back what [`Params::held`] gave away; there may be other splats by now.
     pub fn take_back(&mut self, held: Held) {
-        let Held { splats, first, second, codes, sums: _, networks: _ } = held;
-        self.codes = codes.values;
-        self.code_moments.set_moments(codes.first, codes.second);
+        let Held { splats, first, second, splat_embeddings, sums: _, networks: _ } = held;
+        self.splat_embeddings = splat_embeddings.values;
+        self.embedding_moments.set_moments(splat_embeddings.first, splat_embeddings.second);
         self.splats = splats;
         let flat = |of: &[[f32; 3]]| of.as_flattened().to_vec();
         self.means.set_moments(flat(&first.means), flat(&second.means));
@@ -214,34 +223,34 @@ impl Params {
     }
 
     /// One optimiser step of the codes, of splats with `radii` above 0; numbers that are `fading` fade.
-    pub fn update_codes(&mut self, grads: &[f32], radii: &[f32], rates: &Rates, fading: Range<usize>) {
-        let size = self.code_size();
+    pub fn update_embeddings(&mut self, grads: &[f32], radii: &[f32], rates: &Rates, fading: Range<usize>) {
+        let size = self.embedding_size();
         if size == 0 {
             return;
         }
-        self.code_moments.step_visible(&mut self.codes, grads, rates.code, radii);
+        self.embedding_moments.step_visible(&mut self.splat_embeddings, grads, rates.code, radii);
         let keep = kept(rates);
-        for (code, _) in self.codes.chunks_exact_mut(size).zip(radii).filter(|(_, r)| **r > 0.0) {
+        for (code, _) in self.splat_embeddings.chunks_exact_mut(size).zip(radii).filter(|(_, r)| **r > 0.0) {
             code[fading.clone()].iter_mut().for_each(|v| *v *= keep);
         }
     }
 
-    fn code_size(&self) -> usize {
-        self.codes.len().checked_div(self.splats.len()).unwrap_or(0)
+    fn embedding_size(&self) -> usize {
+        self.splat_embeddings.len().checked_div(self.splats.len()).unwrap_or(0)
     }
 
     fn groups(&mut self) -> impl Iterator<Item = &mut Adam> {
         let higher = (self.splats.sh_degree > 0).then_some(&mut self.higher);
-        let codes = (!self.codes.is_empty()).then_some(&mut self.code_moments);
+        let splat_embeddings = (!self.splat_embeddings.is_empty()).then_some(&mut self.embedding_moments);
         [&mut self.means, &mut self.log_scales, &mut self.rotations, &mut self.opacities, &mut self.base]
             .into_iter()
             .chain(higher)
-            .chain(codes)
+            .chain(splat_embeddings)
     }
 
     /// The splats at `parents`, in that order, with what the optimiser knows of them.
     pub fn remap(&mut self, parents: &[usize]) {
-        self.codes = select(&self.codes, self.splats.len(), parents);
+        self.splat_embeddings = select(&self.splat_embeddings, self.splats.len(), parents);
         self.splats = self.splats.select(parents);
         self.groups().for_each(|g| g.select(parents));
     }
@@ -274,8 +283,8 @@ impl Params {
             ("moments of the rotations", self.rotations.len() == 4 * n),
             ("moments of the opacities", self.opacities.len() == n),
             ("moments of the colours", self.base.len() + self.higher.len() == n * k),
-            ("codes", self.codes.len().is_multiple_of(n.max(1))),
-            ("moments of the codes", self.code_moments.len() == self.codes.len()),
+            ("codes", self.splat_embeddings.len().is_multiple_of(n.max(1))),
+            ("moments of the codes", self.embedding_moments.len() == self.splat_embeddings.len()),
         ];
         all_fit(n, &arrays)
     }

@@ -15,8 +15,8 @@ pub struct TrainPhoto {
     pub valid: Option<Mask>,
     /// Pixels of the sky; `None`: not known, which is not the same as no sky.
     pub sky: Option<Mask>,
-    /// Pixels of strangers, as a person has put them right: these are left out, and no others. `None`: to be found.
-    pub strangers: Option<Mask>,
+    /// Pixels of transients, as a person has put them right: these are left out, and no others. `None`: to be found.
+    pub transients: Option<Mask>,
 }
 
 impl TrainPhoto {
@@ -25,10 +25,10 @@ impl TrainPhoto {
     pub fn new(loaded: LoadedPhoto, sky: Option<Mask>) -> TrainPhoto {
         let LoadedPhoto { image, valid, empty, .. } = loaded;
         match empty {
-            None => TrainPhoto { image, valid, sky, strangers: None },
+            None => TrainPhoto { image, valid, sky, transients: None },
             Some(empty) => {
                 let valid = valid.map(|valid| valid.or(&empty));
-                TrainPhoto { image, valid, sky: Some(empty), strangers: None }
+                TrainPhoto { image, valid, sky: Some(empty), transients: None }
             }
         }
     }
@@ -93,8 +93,8 @@ pub(crate) struct Stored {
     pub levels: Vec<Level>,
     /// Whether it shows a sky.
     pub has_sky: bool,
-    /// Whether it is known who is a stranger; they are not valid, then.
-    pub strangers_known: bool,
+    /// Whether it is known who is a transient; they are not valid, then.
+    pub transients_known: bool,
 }
 
 /// Sizes kept per photo.
@@ -143,7 +143,7 @@ impl Level {
 
     /// The photo with what is known of its pixels besides: which were suspected before, and how far each is known to show
     /// the scene itself.
-    pub fn target(&self, suspects: Option<&Mask>, trust: Vec<f32>) -> Target {
+    pub fn target(&self, initial_transients: Option<&Mask>, trust: Vec<f32>) -> Target {
         let (n, w, h) = (self.pixels(), self.width, self.height);
         let inner = |i: usize| {
             let (x, y) = (i % w, i / w);
@@ -158,7 +158,7 @@ impl Level {
                 (self.counts(i), Target::COUNTS),
                 (self.sky(i), Target::SKY),
                 (inner(i), Target::INNER),
-                (suspects.is_some_and(|mask| self.lies_in(i, mask)), Target::SUSPECT),
+                (initial_transients.is_some_and(|mask| self.lies_in(i, mask)), Target::INITIAL_TRANSIENT),
             ];
             let flags = flags.iter().filter(|(holds, _)| *holds).map(|(_, flag)| flag).sum();
             [self.rgb[i], self.rgb[n + i], self.rgb[2 * n + i], flags]
@@ -191,7 +191,7 @@ impl Stored {
     /// Checks a photo and packs it.
     pub fn pack(name: &str, photo: &TrainPhoto) -> Result<Stored, TrainError> {
         let refuse = |reason: String| TrainError::Photo { name: name.to_owned(), reason };
-        let TrainPhoto { image, valid, sky, strangers } = photo;
+        let TrainPhoto { image, valid, sky, transients } = photo;
         let n = image.pixels();
         if image.channels != 3 || n == 0 || image.data.len() != 3 * n {
             return Err(refuse(format!(
@@ -207,7 +207,7 @@ impl Stored {
                 p / image.width
             )));
         }
-        for (what, mask) in [("valid", valid), ("sky", sky), ("strangers'", strangers)] {
+        for (what, mask) in [("valid", valid), ("sky", sky), ("transients'", transients)] {
             if let Some(m) = mask
                 && (m.width() as usize, m.height() as usize) != (image.width, image.height)
             {
@@ -222,15 +222,15 @@ impl Stored {
         }
         let flags: Vec<u8> = (0..n)
             .map(|i| {
-                let stranger = strangers.as_ref().is_some_and(|m| m.index(i));
-                let valid = valid.as_ref().is_none_or(|m| m.index(i)) && !stranger;
+                let transient = transients.as_ref().is_some_and(|m| m.index(i));
+                let valid = valid.as_ref().is_none_or(|m| m.index(i)) && !transient;
                 let sky = sky.as_ref().is_some_and(|m| m.index(i));
                 (u8::from(valid) * VALID) | (u8::from(sky) * SKY)
             })
             .collect();
         if flags.iter().all(|f| f & VALID == 0) {
-            let which = if strangers.is_some() {
-                "its masks of strangers and of what to ignore"
+            let which = if transients.is_some() {
+                "its masks of transients and of what to ignore"
             } else {
                 "its ignore mask"
             };
@@ -247,7 +247,7 @@ impl Stored {
             levels.push(next);
         }
         let has_sky = sky.as_ref().is_some_and(|sky| !sky.is_empty());
-        Ok(Stored { levels, has_sky, strangers_known: strangers.is_some() })
+        Ok(Stored { levels, has_sky, transients_known: transients.is_some() })
     }
 
     fn bytes(&self) -> usize {
@@ -355,7 +355,7 @@ mod tests {
     use std::sync::atomic::{AtomicUsize, Ordering};
 
     fn photo(v: f32) -> TrainPhoto {
-        TrainPhoto { image: Image::filled(65, 40, 3, v), valid: None, sky: None, strangers: None }
+        TrainPhoto { image: Image::filled(65, 40, 3, v), valid: None, sky: None, transients: None }
     }
 
     #[test]

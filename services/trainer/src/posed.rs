@@ -20,7 +20,7 @@ pub(crate) struct Posed {
 
 impl Posed {
     /// How far each pixel is known to show the scene itself, in [0, [`TRUST`]]: near a point that this photo and others
-    /// saw, whatever its residual, stands no stranger.
+    /// saw, whatever its residual, stands no transient.
     pub fn trusted(&self, photo: &Level) -> Vec<f32> {
         let (w, h) = (photo.width, photo.height);
         let sigma = w.max(h) as f32 * NEARBY;

@@ -1,4 +1,4 @@
-//! What every photo's residuals were so far, by which strangers are left out ([`segwild_raster::compare::leave_out`]).
+//! What every photo's residuals were so far, by which transients are left out ([`segwild_raster::compare::leave_out`]).
 
 use segwild_raster::compare::Residuals;
 use wincode::{SchemaRead, SchemaWrite};

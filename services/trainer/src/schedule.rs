@@ -19,7 +19,7 @@ const ASKED_PER_STEP: f64 = 1.0 / 3.0;
 pub(crate) struct Schedule {
     steps: u32,
     coarse: f32,
-    codes_from: f32,
+    splat_embedding_from: f32,
     sh_degree: u32,
     /// Halvings of the photo at the end.
     finest: usize,
@@ -27,8 +27,8 @@ pub(crate) struct Schedule {
 
 impl Schedule {
     pub fn new(settings: &TrainSettings) -> Schedule {
-        let &TrainSettings { steps, coarse, codes_from, sh_degree, .. } = settings;
-        Schedule { steps, coarse, codes_from, sh_degree, finest: 0 }
+        let &TrainSettings { steps, coarse, splat_embedding_from, sh_degree, .. } = settings;
+        Schedule { steps, coarse, splat_embedding_from, sh_degree, finest: 0 }
     }
 
     /// The same on photos that are halved so many times at the least.
@@ -70,8 +70,8 @@ impl Schedule {
     }
 
     /// Factor on the learning rate of the splats' codes: as for the others, once shapes have settled without them.
-    pub fn code_factor(&self, step: u32) -> f32 {
-        if self.share(step) < self.codes_from { 0.0 } else { self.late_factor(step) }
+    pub fn embedding_factor(&self, step: u32) -> f32 {
+        if self.share(step) < self.splat_embedding_from { 0.0 } else { self.late_factor(step) }
     }
 
     /// Whether transients are left out at a step: not before the scene explains anything, and not so late that they
@@ -80,14 +80,14 @@ impl Schedule {
         self.share(step) >= 0.15
     }
 
-    /// Whether what the network takes for strangers is left out: when it has had time to learn it.
+    /// Whether what the network takes for transients is left out: when it has had time to learn it.
     pub fn visible(&self, step: u32) -> bool {
         self.share(step) >= 0.3
     }
 
     /// Whether the photos are asked, after so many steps, which splats they bear out: eight times, or fewer where photos
     /// are many, from the time transients are left out until enough steps are left to heal what is torn.
-    pub fn witness(&self, step: u32, photos: usize) -> bool {
+    pub fn multi_view_pruning(&self, step: u32, photos: usize) -> bool {
         let steps = u64::from(self.steps);
         let times = (steps as f64 * ASKED_PER_STEP / photos.max(1) as f64).round() as u64;
         let times = times.min(ASKED);
@@ -97,7 +97,7 @@ impl Schedule {
     }
 
     /// Steps for which residuals say nothing of transients, after an opacity reset and where photos grow finer: what a finer
-    /// photo shows and the scene has yet to learn contradicts it as a stranger does, and what is left out is never learnt.
+    /// photo shows and the scene has yet to learn contradicts it as a transient does, and what is left out is never learnt.
     pub fn pause(&self) -> u32 {
         self.steps / 30
     }
@@ -111,7 +111,7 @@ mod tests {
     fn photos_are_asked_eight_times_and_less_often_where_they_are_many() {
         let asked = |steps: u32, photos: usize| -> Vec<u32> {
             let s = Schedule::new(&TrainSettings { steps, ..TrainSettings::default() });
-            (0..=steps).filter(|&step| s.witness(step, photos)).collect()
+            (0..=steps).filter(|&step| s.multi_view_pruning(step, photos)).collect()
         };
         assert_eq!(asked(1000, 40), [280, 360, 440, 520, 600, 680, 760, 840]);
         assert_eq!(asked(2828, 200), [859, 1221, 1583, 1945, 2307]);

@@ -22,7 +22,7 @@ segwild_scene::choice! {
 
 segwild_scene::choice! {
     /// How much each photo may differ in light and camera.
-    pub enum LookKind {
+    pub enum AppearanceModel {
         /// All photos share one look.
         None = "none",
         /// A colour matrix with offset per photo.
@@ -65,14 +65,14 @@ segwild_scene::settings! {
         /// Spherical-harmonics degree of the colours, 0 to 3.
         sh_degree: u32 = 2 => 0..=3,
         /// How much each photo may differ in light and camera.
-        look: LookKind = LookKind::Affine,
+        appearance_model: AppearanceModel = AppearanceModel::Affine,
         /// How wide the networks of the look `gsw` are.
         gsw_width: GswWidth = GswWidth::Cpu,
-        /// Leave out pixels that keep contradicting the scene: strangers, cars, other transients.
+        /// Leave out pixels that keep contradicting the scene: transients, cars, other transients.
         robust: bool = true,
         /// Largest share of a photo that may be left out as transient.
         robust_share: f32 = 0.35 => 0.0..=0.6,
-        /// Trainings, short and on small photos, that look for strangers before the training itself: each leaves out its
+        /// Trainings, short and on small photos, that look for transients before the training itself: each leaves out its
         /// part of the photos and says what it does not find in them. 0 or 2 and more.
         cross_checks: u32 = 2 => 0..=8,
         /// Seed of everything random; the same seed gives the same bytes.
@@ -88,14 +88,14 @@ segwild_scene::settings! {
         /// Learning rate of the base colours; higher degrees take a twentieth.
         lr_colour: f32 = 0.005 => 0.0..=10.0,
         /// Learning rate of the per-photo look.
-        lr_look: f32 = 0.002 => 0.0..=10.0,
+        lr_appearance: f32 = 0.002 => 0.0..=10.0,
         /// Learning rate of the networks of the look `gsw`.
         lr_net: f32 = 0.002 => 0.0..=10.0,
         /// Learning rate of what splats keep for the looks `embed` and `gsw`.
-        lr_code: f32 = 0.01 => 0.0..=10.0,
+        lr_splat_embedding: f32 = 0.01 => 0.0..=10.0,
         /// Share of the steps before splats keep anything for those looks: shapes that light has not yet painted over fit
         /// their objects better.
-        codes_from: f32 = 0.25 => 0.0..=1.0,
+        splat_embedding_from: f32 = 0.25 => 0.0..=1.0,
         /// Weight of 1 - SSIM in the loss; the rest is L1. The paper's 0.2 is for photos of one light: SSIM cares less for
         /// what a photo's light and camera change.
         lambda_ssim: f32 = 0.5 => 0.0..=1.0,
@@ -136,9 +136,9 @@ impl TrainSettings {
                 "`cross_checks` is 1, and a training that leaves out all photos has none: 0, or 2 and more";
             return Err(TrainError::Setting(why.into()));
         }
-        match self.look {
-            LookKind::Auto => Err(TrainError::Setting(
-                "`look` is `auto`, which is decided before the training (`choose_look`)".into(),
+        match self.appearance_model {
+            AppearanceModel::Auto => Err(TrainError::Setting(
+                "`appearance_model` is `auto`, which is decided before the training (`choose_look`)".into(),
             )),
             _ => Ok(()),
         }

@@ -1,23 +1,23 @@
 //! Everything that a training changes, and how it draws a view.
 
 use crate::TrainError;
+use crate::appearances;
 use crate::background::Background;
 use crate::density::{Density, Strategy};
-use crate::judge::PhotoSide;
-use crate::looks;
 use crate::params::Params;
+use crate::photometric::PhotoSide;
 use crate::robust::Robust;
-use crate::room::Room;
 use crate::sampler::Sampler;
+use crate::splat_budget::SplatBudget;
 use segwild_raster::compare::add_behind;
-use segwild_raster::{AnyLook, Channels, Frame, Impression, Projected};
+use segwild_raster::{AnyAppearance, AppearanceMaps, Channels, Frame, Projected};
 use segwild_scene::{Camera, Image, Mask, Pose, Random};
 use wincode::{SchemaRead, SchemaWrite};
 
 /// A view drawn from splats as its photo would show it.
-pub(crate) struct Drawn {
+pub(crate) struct Rendered {
     /// What the look made of the photo.
-    pub light: Option<Impression>,
+    pub light: Option<AppearanceMaps>,
     /// Colour per splat, its own and in the photo's light.
     pub colours: Vec<f32>,
     pub channels: Vec<f32>,
@@ -28,34 +28,34 @@ pub(crate) struct Drawn {
 #[derive(Clone, Copy)]
 pub(crate) struct Painter<'a> {
     pub view: usize,
-    pub look: &'a AnyLook,
+    pub appearance: &'a AnyAppearance,
     pub background: &'a Background,
 }
 
 impl Painter<'_> {
-    /// Draws the view; `draw` as for [`AnyLook::impression`].
+    /// Draws the view; `draw` as for [`AnyAppearance::appearance_maps`].
     pub fn draw(
         &self,
         params: &Params,
         projected: &dyn Projected,
         pose: &Pose,
         draw: Option<u64>,
-    ) -> Result<Drawn, TrainError> {
+    ) -> Result<Rendered, TrainError> {
         let colours = projected.shade();
-        let light = self.look.impression(self.view, draw);
+        let light = self.appearance.appearance_maps(self.view, draw);
         let sight = params.sight(projected, pose);
-        let channels = self.look.colour(self.view, light.as_ref(), &sight, colours.clone());
+        let channels = self.appearance.colour(self.view, light.as_ref(), &sight, colours.clone());
         let frame = projected.blend(&Channels { count: 3, values: &channels })?;
-        Ok(Drawn { light, colours, channels, frame })
+        Ok(Rendered { light, colours, channels, frame })
     }
 
     /// What is behind the splats behind a frame of them, and the look upon it: the photo's colours.
     pub fn show(&self, frame: &Frame, camera: &Camera, pose: &Pose) -> Image {
-        let matrix = looks::matrix(self.look, self.view);
+        let matrix = appearances::matrix(self.appearance, self.view);
         let behind = self.background.before(&matrix).paint(camera, pose);
         let mut scene = frame.image.clone();
         add_behind(&mut scene, &frame.alpha, &behind);
-        self.look.as_look().apply(self.view, &scene)
+        self.appearance.as_appearance().apply(self.view, &scene)
     }
 }
 
@@ -65,12 +65,12 @@ pub(crate) struct State {
     pub step: u32,
     pub params: Params,
     pub strategy: Strategy,
-    pub look: AnyLook,
+    pub appearance: AnyAppearance,
     /// Per view of the scene, in the photo's colours; `None` until the photo was looked at.
     pub backgrounds: Vec<Option<Background>>,
     pub robust: Robust,
-    /// Per view, what is taken for strangers before any look at it.
-    pub suspects: Vec<Option<Mask>>,
+    /// Per view, what is taken for transients before any look at it.
+    pub initial_transients: Vec<Option<Mask>>,
     pub sampler: Sampler,
     pub random: Random,
     /// Per view, -10 log10 of the last squared error at the present size.
@@ -82,7 +82,7 @@ pub(crate) struct State {
     /// Scene units per full-size pixel at the scene's median depth.
     pub pixel: f32,
     /// How many splats there may be.
-    pub room: Room,
+    pub room: SplatBudget,
     /// Sums of loss, PSNR and share left out since they were last asked for, and over how many steps.
     pub since: ([f32; 3], u32),
 }
@@ -91,16 +91,16 @@ impl State {
     /// What draws a view that was looked at before.
     pub fn painter(&self, view: usize) -> Painter<'_> {
         let background = self.backgrounds[view].as_ref().expect("set at the first look");
-        Painter { view, look: &self.look, background }
+        Painter { view, appearance: &self.appearance, background }
     }
 
     /// What a step changes: the splats and their density control, and what it changes beside them.
     pub fn halves(&mut self, view: usize) -> (&mut Params, &mut dyn Density, PhotoSide<'_>) {
         let side = PhotoSide {
-            look: &mut self.look,
+            appearance: &mut self.appearance,
             background: self.backgrounds[view].as_mut().expect("set at the first look"),
             robust: &mut self.robust,
-            suspects: self.suspects[view].as_ref(),
+            initial_transients: self.initial_transients[view].as_ref(),
             quality: &mut self.quality[view],
             step: self.step,
             pause_until: self.pause_until,
@@ -110,12 +110,14 @@ impl State {
 
     /// Refuses a state whose parts do not fit each other or the scene.
     pub fn check(&self, views: usize) -> Result<(), TrainError> {
-        let per_view = [self.backgrounds.len(), self.quality.len(), self.suspects.len()];
+        let per_view = [self.backgrounds.len(), self.quality.len(), self.initial_transients.len()];
         if per_view.iter().any(|&n| n != views) || self.sampler.views().iter().any(|&v| v >= views) {
             return Err(TrainError::Checkpoint("it is damaged: its lists of photos differ in length".into()));
         }
-        let size = self.look.as_look().code_size();
-        if !look_fits(&self.look, views) || self.params.codes.len() != size * self.params.splats.len() {
+        let size = self.appearance.as_appearance().embedding_size();
+        if !appearance_fits(&self.appearance, views)
+            || self.params.splat_embeddings.len() != size * self.params.splats.len()
+        {
             return Err(TrainError::Checkpoint("it is damaged: its look does not fit its splats".into()));
         }
         self.params.consistent().map_err(|e| TrainError::Checkpoint(format!("it is damaged: {e}")))
@@ -123,12 +125,12 @@ impl State {
 }
 
 /// Whether a look that comes out of a file has all that it keeps for so many views, and for the mean of them.
-pub(crate) fn look_fits(look: &AnyLook, views: usize) -> bool {
-    match look {
-        AnyLook::None(_) => true,
-        AnyLook::Affine(look) => look.consistent(views + 1),
-        AnyLook::Embed(look) => look.consistent(views + 1),
-        AnyLook::Gsw(look) => look.consistent(views + 1),
+pub(crate) fn appearance_fits(appearance: &AnyAppearance, views: usize) -> bool {
+    match appearance {
+        AnyAppearance::None(_) => true,
+        AnyAppearance::Affine(appearance) => appearance.consistent(views + 1),
+        AnyAppearance::Embed(appearance) => appearance.consistent(views + 1),
+        AnyAppearance::Gsw(appearance) => appearance.consistent(views + 1),
     }
 }
 

@@ -1,17 +1,17 @@
 //! One step of the training.
 
 use crate::TrainError;
+use crate::appearances;
 use crate::density::{Change, Seen, Surroundings};
-use crate::judge::Looked;
-use crate::looks;
 use crate::model::options;
+use crate::multi_view_pruning::MultiViewPruning;
 use crate::params::Rates;
+use crate::photometric::Looked;
 use crate::pixels::{at_centres, first_background};
-use crate::state::{Drawn, mean_quality};
+use crate::state::{Rendered, mean_quality};
 use crate::trainer::{StepReport, Trainer};
-use crate::witness::Witness;
-use segwild_raster::compare::{self, Compared, LeaveOut, Said, Seeing, mean_difference};
-use segwild_raster::{AnyLook, Channels, FrameGrad, Impression};
+use segwild_raster::compare::{self, Compared, LeaveOut, LossOutput, Seeing, mean_difference};
+use segwild_raster::{AnyAppearance, AppearanceMaps, Channels, FrameGrad};
 use segwild_scene::{Image, Splats};
 
 impl Trainer {
@@ -23,13 +23,13 @@ impl Trainer {
         if step > 0 && wanted != self.schedule.level(step - 1) {
             self.state.quality.fill(None);
             // The network of the look `gsw` learns from all visits who is one, and from every residual.
-            if !matches!(self.state.look, AnyLook::Gsw(_)) {
+            if !matches!(self.state.appearance, AnyAppearance::Gsw(_)) {
                 self.state.pause_until = step + self.schedule.pause();
             }
         }
         let degree = self.schedule.sh_degree(step);
         if degree > self.state.params.splats.sh_degree {
-            self.come_home()?;
+            self.download()?;
             self.state.params.raise_sh_degree(degree);
         }
         let (level, photo) = stored.level(wanted);
@@ -38,16 +38,16 @@ impl Trainer {
         if self.state.backgrounds[view].is_none() {
             let full = self.camera(view, &stored, 0);
             self.state.backgrounds[view] = Some(first_background(&stored, &full, &pose));
-            looks::start(&mut self.state.look, view, &self.views[view], &stored);
+            appearances::start(&mut self.state.appearance, view, &self.views[view], &stored);
             self.state.room.look_at(photo.ground());
         }
         self.leave()?;
         let looked = Looked { view, stored: &stored, level, photo, camera, pose };
-        let Said { loss, psnr, left_out, .. } =
-            if self.is_away() { self.learn_away(&looked)? } else { self.learn_here(&looked)? };
-        self.state.look.as_look_mut().step(self.schedule.late_factor(step));
+        let LossOutput { loss, psnr, left_out, .. } =
+            if self.is_on_device() { self.step_on_device(&looked)? } else { self.learn_here(&looked)? };
+        self.state.appearance.as_appearance_mut().step(self.schedule.late_factor(step));
         self.state.step += 1;
-        let dropped = self.drop_unwitnessed()?;
+        let dropped = self.prune_unsupported()?;
         let mut change = self.control_density()?;
         if dropped > 0 {
             change.get_or_insert_default().removed += dropped;
@@ -69,22 +69,22 @@ impl Trainer {
     }
 
     /// The step on the host.
-    fn learn_here(&mut self, looked: &Looked) -> Result<Said, TrainError> {
+    fn learn_here(&mut self, looked: &Looked) -> Result<LossOutput, TrainError> {
         let &Looked { view, photo, ref camera, ref pose, .. } = looked;
         let step = self.state.step;
         let rates = self.rates(step);
         let (settings, schedule, posed) = (&self.settings, &self.schedule, &self.views[view]);
         let (params, strategy, mut side) = self.state.halves(view);
         let projected = self.engine.project(&params.splats, camera, pose, &options(settings.antialias))?;
-        let Drawn { light, colours, channels, frame } =
+        let Rendered { light, colours, channels, frame } =
             side.painter(view).draw(params, &*projected, pose, Some(u64::from(step)))?;
         let behind = side.behind(view);
-        let sitting = side.sitting(settings, schedule, looked, &behind);
-        let target = side.target(looked, posed, matches!(sitting.leave_out, LeaveOut::Residual(_)));
+        let loss_inputs = side.loss_inputs(settings, schedule, looked, &behind);
+        let target = side.target(looked, posed, matches!(loss_inputs.leave_out, LeaveOut::Residual(_)));
         // The network of the look `gsw` has its own say about what is visible, and is blamed for it.
-        let map = light.as_ref().and_then(Impression::visible);
+        let map = light.as_ref().and_then(AppearanceMaps::visible);
         let seeing = map.as_ref().map(|map| Seeing { map, decides: schedule.visible(step) });
-        let compared = compare::compare(&frame, &target, &sitting, seeing.as_ref());
+        let compared = compare::compare(&frame, &target, &loss_inputs, seeing.as_ref());
         let Compared { said, image, alpha, error, blame, .. } = compared;
         side.hear(looked, &said);
         let channels = Channels { count: 3, values: &channels };
@@ -92,8 +92,8 @@ impl Trainer {
         let mut grads = projected.backward(&channels, &frame, &grad)?;
         let colour_grads = std::mem::take(&mut grads.values);
         let sight = params.sight(&*projected, pose);
-        let (colour_grads, code_grads) =
-            side.look.colour_backward(view, light.as_ref(), &sight, &colours, colour_grads, &blame);
+        let (colour_grads, embedding_grads) =
+            side.appearance.colour_backward(view, light.as_ref(), &sight, &colours, colour_grads, &blame);
         let sh_grads = projected.shade_backward(&colour_grads, &mut grads);
         let error = at_centres(&error, projected.as_ref());
         let seen = Seen {
@@ -107,7 +107,7 @@ impl Trainer {
         drop(projected);
         strategy.regularise(&params.splats, &mut grads);
         params.update(&grads, &sh_grads, &rates);
-        params.update_codes(&code_grads, &radii, &rates, side.look.as_look().fading());
+        params.update_embeddings(&embedding_grads, &radii, &rates, side.appearance.as_appearance().fading());
         Ok(said)
     }
 
@@ -120,19 +120,19 @@ impl Trainer {
             scale: s.lr_scale * late,
             rotation: s.lr_rotation * late,
             colour: s.lr_colour * late,
-            code: s.lr_code * self.schedule.code_factor(step),
+            code: s.lr_splat_embedding * self.schedule.embedding_factor(step),
         }
     }
 
-    /// Removes splats that the photos do not bear out: strangers that one photo put before its camera.
-    fn drop_unwitnessed(&mut self) -> Result<usize, TrainError> {
+    /// Removes splats that the photos do not bear out: transients that one photo put before its camera.
+    fn prune_unsupported(&mut self) -> Result<usize, TrainError> {
         let photos = self.state.sampler.count();
-        if !self.settings.robust || !self.schedule.witness(self.state.step, photos) {
+        if !self.settings.robust || !self.schedule.multi_view_pruning(self.state.step, photos) {
             return Ok(0);
         }
-        self.come_home()?;
+        self.download()?;
         let n = self.state.params.splats.len();
-        let mut witness = Witness::new(n);
+        let mut multi_view_pruning = MultiViewPruning::new(n);
         let engine = self.engine.clone();
         let splats = &self.state.params.splats;
         let held = engine.hold(splats)?;
@@ -151,12 +151,12 @@ impl Trainer {
             let drawn = painter.draw(&self.state.params, &*projected, &pose, None)?;
             let shown = painter.show(&drawn.frame, &camera, &pose);
             let residual = self.views[view].doubted(&mean_difference(&shown, &photo.image()), photo);
-            let share = if stored.strangers_known { 0.0 } else { self.settings.robust_share };
+            let share = if stored.transients_known { 0.0 } else { self.settings.robust_share };
             let contradicted = compare::contradicted(&residual, photo.width, |i| photo.counts(i), share);
-            witness.hear(&*projected, photo.width, &contradicted, |i| photo.counts(i))?;
+            multi_view_pruning.hear(&*projected, photo.width, &contradicted, |i| photo.counts(i))?;
         }
         drop(held);
-        let kept = witness.borne_out();
+        let kept = multi_view_pruning.supported();
         if kept.is_empty() || kept.len() == n {
             return Ok(0);
         }

@@ -1,22 +1,22 @@
 //! The training loop.
 
-use crate::between;
+use crate::appearances;
 use crate::colours::coloured;
 use crate::density::{Change, Strategy};
 use crate::initial::{Eye, initial_splats};
-use crate::looks;
+use crate::initial_transients::{initial_transients, share};
 use crate::model::{Model, Stats};
 use crate::params::Params;
 use crate::photos::{PhotoCache, Photos, Stored};
 use crate::posed::{Posed, posed};
 use crate::robust::Robust;
-use crate::room::Room;
 use crate::sampler::Sampler;
 use crate::schedule::Schedule;
+use crate::splat_budget::SplatBudget;
 use crate::state::{State, mean_quality};
-use crate::suspects::{share, suspects};
+use crate::stereo_points;
 use crate::{TrainError, TrainSettings};
-use segwild_raster::{AnyLook, Engine, Resident};
+use segwild_raster::{AnyAppearance, Engine, Resident};
 use segwild_scene::Random;
 use segwild_scene::{Camera, Mask, Point, Scene, Skipped};
 use std::borrow::Cow;
@@ -102,7 +102,7 @@ impl Trainer {
         Trainer::begin(engine, &scene, cache, settings, 0, &[])
     }
 
-    /// The same after a look for strangers by [`TrainSettings::cross_checks`] other trainings, and one for points between
+    /// The same after a look for transients by [`TrainSettings::cross_checks`] other trainings, and one for points between
     /// those of the reconstruction ([`TrainSettings::stereo`]); `stopping` ends these.
     pub fn prepared(
         engine: Arc<dyn Engine>,
@@ -115,10 +115,10 @@ impl Trainer {
         let settings = settings.decided(scene);
         let mut cache = photo_cache(scene, photos, &settings);
         let scene = &*coloured(scene, &mut cache, stopping)?;
-        let found = suspects(&engine, scene, &mut cache, &settings, stopping)?;
-        let between = between::points(scene, &mut cache, &settings, &found, stopping)?;
+        let found = initial_transients(&engine, scene, &mut cache, &settings, stopping)?;
+        let between = stereo_points::points(scene, &mut cache, &settings, &found, stopping)?;
         let mut trainer = Trainer::begin(engine, scene, cache, settings, 0, &between)?;
-        trainer.state.suspects = found;
+        trainer.state.initial_transients = found;
         trainer.between = between.len();
         Ok(trainer)
     }
@@ -155,20 +155,20 @@ impl Trainer {
         for &i in &train {
             eyes[i] = Some((scene.views[i].camera.scaled_to(long_side), scene.views[i].pose));
         }
-        let room = Room::new(&settings, scene.points.len(), train.len(), size.pixels());
+        let room = SplatBudget::new(&settings, scene.points.len(), train.len(), size.pixels());
         let mut random = Random::new(settings.seed);
         let schedule = Schedule::new(&settings).no_finer_than(finest);
         let start = initial_splats(scene, between, &eyes, schedule.sh_degree(0), room.splats(), &mut random);
-        let look = looks::begin(&settings, scene.views.len());
-        let codes = look.as_look().first_codes(&start.splats.means);
+        let appearance = appearances::begin(&settings, scene.views.len());
+        let splat_embeddings = appearance.as_appearance().first_embeddings(&start.splats.means);
         let state = State {
             step: 0,
             strategy: Strategy::new(&settings, start.splats.len()),
-            params: Params::new(start.splats, codes),
-            look,
+            params: Params::new(start.splats, splat_embeddings),
+            appearance,
             backgrounds: vec![None; scene.views.len()],
             robust: Robust::new(scene.views.len(), settings.robust_share),
-            suspects: vec![None; scene.views.len()],
+            initial_transients: vec![None; scene.views.len()],
             sampler: Sampler::new(&train),
             random,
             quality: vec![None; scene.views.len()],
@@ -247,7 +247,7 @@ impl Trainer {
 
     /// Everything needed to continue later.
     pub fn checkpoint(&mut self) -> Result<Checkpoint, TrainError> {
-        self.come_home()?;
+        self.download()?;
         use segwild_scene::settings::Group;
         let settings = TrainSettings::FIELDS
             .iter()
@@ -286,13 +286,13 @@ impl Trainer {
 
     /// What of a view's photo is left out from the start, at whatever size: other photos do not show it. `None` where nothing
     /// is known.
-    pub fn suspects(&self, view: usize) -> Option<&Mask> {
-        self.state.suspects[view].as_ref()
+    pub fn initial_transients(&self, view: usize) -> Option<&Mask> {
+        self.state.initial_transients[view].as_ref()
     }
 
     /// Mean share of the photos that is so left out.
-    pub fn suspected(&self) -> f32 {
-        share(&self.state.suspects)
+    pub fn initial_transient_share(&self) -> f32 {
+        share(&self.state.initial_transients)
     }
 
     /// How many points photos agreed on between those of the reconstruction; 0 after the start.
@@ -338,18 +338,18 @@ impl Trainer {
 
     /// The scene as it is now.
     pub fn snapshot(&mut self) -> Result<Model, TrainError> {
-        self.come_home()?;
+        self.download()?;
         let state = &self.state;
-        let mut look = state.look.clone();
+        let mut appearance = state.appearance.clone();
         let known = (0..self.views.len()).filter(|&v| state.backgrounds[v].is_some());
-        looks::set_mean(&mut look, self.views.len(), known);
-        if let AnyLook::Gsw(look) = &mut look {
-            look.forget_training();
+        appearances::set_mean(&mut appearance, self.views.len(), known);
+        if let AnyAppearance::Gsw(appearance) = &mut appearance {
+            appearance.forget_training();
         }
         Ok(Model {
             splats: state.params.splats.clone(),
-            codes: state.params.codes.clone(),
-            look,
+            splat_embeddings: state.params.splat_embeddings.clone(),
+            appearance,
             backgrounds: state.backgrounds.clone(),
             names: self.views.iter().map(|v| v.name.clone()).collect(),
             trained_on: state.sampler.views().iter().map(|&v| v as u32).collect(),

@@ -10,11 +10,11 @@ mod registry;
 mod sam;
 mod settings;
 
-pub use builtin::{Builtin, EdgeDetector, Meaning, Question, Regions, Shelf, Step, Weights};
-pub use networks::{EdgeNetwork, SkyNetwork, StrangerNetwork};
+pub use builtin::{Builtin, EdgeDetector, Meaning, Question, RegionCache, Regions, Step, Weights};
+pub use networks::{EdgeNetwork, SkyNetwork, TransientNetwork};
 pub use onnx::Runtime;
 pub use provider::{
-    Embedder, MaskProposer, PromptSegmenter, Prompted, SkyDetector, StrangerDetector, VisionError, Work,
+    Embedder, MaskProposer, PromptSegmenter, Prompted, SkyDetector, TransientDetector, VisionError, Work,
 };
 pub use registry::{Family, ModelFile, models_in};
 pub use sam::Sam;

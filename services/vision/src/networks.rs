@@ -1,7 +1,7 @@
 //! The networks: boundaries, sky, persons and vehicles.
 
 use crate::onnx::{Network, Runtime};
-use crate::{EdgeDetector, SkyDetector, StrangerDetector, VisionError};
+use crate::{EdgeDetector, SkyDetector, TransientDetector, VisionError};
 use segwild_scene::{Image, Mask};
 use std::path::Path;
 
@@ -186,38 +186,38 @@ impl SkyDetector for SkyNetwork {
 /// Cityscapes' train ids of what moves: person, rider, car, truck, bus, train, motorcycle, bicycle.
 const MOVING: std::ops::RangeInclusive<usize> = 11..=18;
 
-/// A network over the classes of Cityscapes whose persons and vehicles are strangers.
-pub struct StrangerNetwork {
+/// A network over the classes of Cityscapes whose persons and vehicles are transients.
+pub struct TransientNetwork {
     network: Network,
 }
 
-impl StrangerNetwork {
+impl TransientNetwork {
     /// Hash of its file.
     pub(crate) fn hash(&self) -> &str {
         self.network.key()
     }
 
     /// Loads a file; what does not fit is said in words.
-    pub fn load(runtime: &Runtime, path: &Path, threads: u32) -> Result<StrangerNetwork, VisionError> {
+    pub fn load(runtime: &Runtime, path: &Path, threads: u32) -> Result<TransientNetwork, VisionError> {
         let network = Network::load(runtime, path, threads)?;
         if network.answers.is_some_and(|c| c != CITYSCAPES.1) {
             return Err(VisionError::Model(format!(
-                "{}: answers {} maps; a network of strangers answers the {} classes of Cityscapes",
+                "{}: answers {} maps; a network of transients answers the {} classes of Cityscapes",
                 network.name(),
                 network.answers.unwrap_or(0),
                 CITYSCAPES.1
             )));
         }
-        Ok(StrangerNetwork { network })
+        Ok(TransientNetwork { network })
     }
 }
 
-impl StrangerDetector for StrangerNetwork {
+impl TransientDetector for TransientNetwork {
     fn key(&self) -> String {
-        format!("strangers-{}", self.network.key())
+        format!("transients-{}", self.network.key())
     }
 
-    fn strangers(&self, image: &Image) -> Result<Mask, VisionError> {
+    fn transients(&self, image: &Image) -> Result<Mask, VisionError> {
         crate::builtin::check(image)?;
         let [h, w] = self.network.size.map(|n| n.unwrap_or(513));
         let map = class_probability(&self.network, image.resized(w, h), |class| MOVING.contains(&class))?;

@@ -122,11 +122,11 @@ pub(crate) fn check_certainty(image: &Image, certainty: &Image) -> Result<(), Vi
 }
 
 /// Who does not belong to the place: persons and vehicles.
-pub trait StrangerDetector: Send + Sync {
+pub trait TransientDetector: Send + Sync {
     /// Names the model and its parameters.
     fn key(&self) -> String;
     /// Their pixels.
-    fn strangers(&self, image: &Image) -> Result<Mask, VisionError>;
+    fn transients(&self, image: &Image) -> Result<Mask, VisionError>;
 }
 
 /// Where the sky is.

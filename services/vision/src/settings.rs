@@ -4,8 +4,8 @@ use crate::geometry::{ColourSky, GeometrySky, JointSky};
 use crate::onnx::{MEMORY_MIB, Runtime};
 use crate::registry::{DEEPLAB, EDGES, SKY};
 use crate::{
-    Builtin, EdgeDetector, EdgeNetwork, Embedder, MaskProposer, PromptSegmenter, Shelf, SkyDetector,
-    SkyNetwork, StrangerDetector, StrangerNetwork, VisionError,
+    Builtin, EdgeDetector, EdgeNetwork, Embedder, MaskProposer, PromptSegmenter, RegionCache, SkyDetector,
+    SkyNetwork, TransientDetector, TransientNetwork, VisionError,
 };
 use segwild_scene::{Image, Mask};
 use std::path::{Path, PathBuf};
@@ -82,7 +82,7 @@ segwild_scene::settings! {
         sky: SkyChoice = SkyChoice::Auto,
         /// A network over the classes of Cityscapes (such as `deeplab_cityscapes_513.onnx`) whose persons and vehicles are left
         /// out of the training from the start. Empty: none. A run folder is never asked for it.
-        strangers_network: String = String::new(),
+        transient_network: String = String::new(),
         /// What finds masks and answers clicks: auto (SAM if its files are there), builtin or sam.
         masks: ModelChoice = ModelChoice::Auto,
         /// What describes photos for the feature field: auto (SAM if its files are there), builtin or sam.
@@ -126,7 +126,7 @@ pub struct Providers {
     /// Sky.
     pub sky: Arc<dyn SkyDetector>,
     /// Persons and vehicles, if a network for them was named.
-    pub strangers: Option<Arc<dyn StrangerDetector>>,
+    pub transients: Option<Arc<dyn TransientDetector>>,
     /// Who makes masks and answers clicks, as records, tables and reports name it: [`BUILT_IN`], or `sam:` and the stem of
     /// its files. Who else implements the traits gives a name of its own.
     pub name: String,
@@ -139,7 +139,7 @@ pub struct Providers {
 /// A network file that serves.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct NetworkFile {
-    /// The setting that led to it: `models` or `strangers_network`.
+    /// The setting that led to it: `models` or `transient_network`.
     pub setting: String,
     /// Where it is.
     pub file: PathBuf,
@@ -156,7 +156,7 @@ impl NetworkFile {
 impl VisionSettings {
     /// Settings that name code: a library that is loaded, networks that it executes. They come from whoever runs the program
     /// (a flag, the environment, a settings file of their own), never from a folder that somebody may have sent.
-    pub const CODE: [&'static str; 3] = ["models", "strangers_network", "onnxruntime"];
+    pub const CODE: [&'static str; 3] = ["models", "transient_network", "onnxruntime"];
 }
 
 /// Nothing is sky: for scenes without any, and for the ablation.
@@ -200,7 +200,7 @@ impl Providers {
     /// The same; where the built-in provider answers clicks, it keeps the regions of photos on `shelf`.
     pub fn keeping(
         settings: &VisionSettings,
-        shelf: Option<Arc<dyn Shelf>>,
+        shelf: Option<Arc<dyn RegionCache>>,
     ) -> Result<Providers, VisionError> {
         if !settings.models.is_empty() && !Path::new(&settings.models).is_dir() {
             return Err(VisionError::Model(format!(
@@ -273,20 +273,20 @@ impl Providers {
                 Some(sam) => (sam.clone(), sam),
                 None => (builtin.clone(), builtin),
             };
-        let strangers: Option<Arc<dyn StrangerDetector>> = match settings.strangers_network.as_str() {
+        let transients: Option<Arc<dyn TransientDetector>> = match settings.transient_network.as_str() {
             "" => None,
             file => {
                 let runtime = Runtime::find_within(&settings.onnxruntime, settings.network_memory)?;
-                let network = StrangerNetwork::load(&runtime, Path::new(file), settings.network_threads)?;
+                let network = TransientNetwork::load(&runtime, Path::new(file), settings.network_threads)?;
                 notes.push(format!("persons and vehicles: network {file}"));
                 networks.push(NetworkFile {
-                    setting: "strangers_network".into(),
+                    setting: "transient_network".into(),
                     ..NetworkFile::of_models(Path::new(file), network.hash())
                 });
                 Some(Arc::new(network))
             }
         };
-        Ok(Providers { embedder, proposer, segmenter, sky, strangers, name, notes, networks })
+        Ok(Providers { embedder, proposer, segmenter, sky, transients, name, notes, networks })
     }
 }
 

@@ -138,18 +138,18 @@ fn persons_and_vehicles_come_from_a_network_of_classes_and_from_no_other() {
         return;
     };
     let named = |file: &str| VisionSettings {
-        strangers_network: Path::new(&models).join(file).display().to_string(),
+        transient_network: Path::new(&models).join(file).display().to_string(),
         ..VisionSettings::default()
     };
     let all = Providers::from_settings(&named("deeplab_cityscapes_513.onnx")).unwrap();
-    let strangers = all.strangers.expect("a network was named");
-    let mask = strangers.strangers(&photo()).unwrap();
+    let transients = all.transients.expect("a network was named");
+    let mask = transients.transients(&photo()).unwrap();
     assert_eq!((mask.width(), mask.height()), (100, 75));
     assert!(mask.count() < 750, "a square under the sky is neither person nor vehicle: {}", mask.count());
-    assert!(strangers.key().starts_with("strangers-"), "its file is in every key");
+    assert!(transients.key().starts_with("transients-"), "its file is in every key");
     let refused = Providers::from_settings(&named("sky_small_384.onnx")).err().expect("one map").to_string();
     assert!(refused.contains("sky_small_384.onnx") && refused.contains("19 classes"), "{refused}");
     let missing = Providers::from_settings(&named("none.onnx")).err().expect("no file").to_string();
     assert!(missing.contains("none.onnx"), "{missing}");
-    assert!(Providers::from_settings(&VisionSettings::default()).unwrap().strangers.is_none());
+    assert!(Providers::from_settings(&VisionSettings::default()).unwrap().transients.is_none());
 }

@@ -13,7 +13,7 @@ pub use sweeps::{SWEEPS, Sweep};
 
 use crate::oracle::OracleOptions;
 use crate::page::{PageError, io};
-use crate::point::{self, Job, Place, PointError, Prompting};
+use crate::point::{self, Job, PhotoSource, PointError, Prompting};
 use crate::record::{Made, Record, Results};
 use crate::scale::kernels::pace;
 use crate::stability::Harm;
@@ -36,7 +36,7 @@ pub struct ChartOptions {
     pub program: PathBuf,
     /// The command line that makes it again.
     pub command: String,
-    /// Names of [`SWEEPS`], or of single points as in `look=embed`; all when empty.
+    /// Names of [`SWEEPS`], or of single points as in `appearance=embed`; all when empty.
     pub only: Vec<String>,
     /// Seeds of the training: what error bars are over.
     pub seeds: Vec<u64>,
@@ -48,7 +48,7 @@ pub struct ChartOptions {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Base {
     /// The scenes; a point is their mean.
-    pub places: Vec<Place>,
+    pub sources: Vec<PhotoSource>,
     /// Who looks at the photos.
     pub providers: ProviderKind,
     /// How the oracle errs.
@@ -90,7 +90,7 @@ pub fn chart(options: &ChartOptions, mut told: impl FnMut(Told)) -> Result<Resul
     let mut results = if file.is_file() { Results::read(&file)? } else { Results::default() };
     results.made = Made::here(options.command.clone());
     for plan in plans(options)? {
-        for place in &options.base.places {
+        for place in &options.base.sources {
             for &seed in &options.seeds {
                 let job = plan.job(options, place, seed);
                 let known: Vec<Record> = results.records.iter().filter(|r| of(r, &job)).cloned().collect();
@@ -135,13 +135,13 @@ impl Plan {
         self.at.map_or(self.setting.clone(), |at| format!("{} {at}", self.setting))
     }
 
-    fn job(&self, options: &ChartOptions, place: &Place, seed: u64) -> Job {
+    fn job(&self, options: &ChartOptions, source: &PhotoSource, seed: u64) -> Job {
         let base = &options.base;
         Job {
             protocol: PROTOCOL.into(),
             setting: self.setting.clone(),
             at: self.at,
-            place: place.clone(),
+            source: source.clone(),
             providers: base.providers,
             faults: base.faults.clone(),
             settings: self.settings.clone(),
@@ -181,11 +181,11 @@ fn one(sweep: &Sweep, value: &str) -> String {
 
 /// Whether synthetic photos have fewer pixels than a value of `size` asks for: such a point would be the default's.
 fn too_large(options: &ChartOptions, value: &str) -> bool {
-    let long_side = |place: &Place| match place {
-        Place::Synthetic(scene) => Some(scene.long_side),
-        Place::Folder { .. } => None,
+    let long_side = |source: &PhotoSource| match source {
+        PhotoSource::Synthetic(scene) => Some(scene.long_side),
+        PhotoSource::Folder { .. } => None,
     };
-    let most = options.base.places.iter().filter_map(long_side).max();
+    let most = options.base.sources.iter().filter_map(long_side).max();
     value.parse::<u32>().ok().zip(most).is_some_and(|(value, most)| value >= most)
 }
 
@@ -194,7 +194,7 @@ fn of(record: &Record, job: &Job) -> bool {
     record.setting == job.setting
         && record.at == job.at
         && record.seed == job.seed
-        && record.scene == job.place.name()
+        && record.scene == job.source.name()
 }
 
 /// Refuses a folder with points of another chart; marks an empty one as this chart's.

@@ -43,7 +43,12 @@ pub const SWEEPS: &[Sweep] = &[
         "size",
         &["80", "120", "160", "240", "320", "480"],
     ),
-    sweep("look", "how much each photo may differ in light", "look", &["none", "affine", "embed", "gsw"]),
+    sweep(
+        "appearance_model",
+        "how much each photo may differ in light",
+        "look",
+        &["none", "affine", "embed", "gsw"],
+    ),
     sweep(
         "refine",
         "steps that refine the lifted features; 0 is lifting alone",

@@ -5,7 +5,7 @@ use crate::oracle::OracleOptions;
 use crate::page::PageError;
 use crate::point::PointError;
 use crate::record::Record;
-use crate::synthetic::{LookKind, SyntheticOptions};
+use crate::synthetic::{LightVariation, SyntheticOptions};
 use crate::trial::{ProviderKind, Trial, TrialError};
 use segwild_flow::{Event, EventRecord, Events, Stopper};
 use segwild_pipeline::{RunError, RunOptions, Settings, Until, run};
@@ -24,7 +24,7 @@ pub struct Goal {
     pub dir: PathBuf,
 }
 
-/// Photos of the place: one light, no strangers.
+/// Photos of the place: one light, no transients.
 const PHOTOS: usize = 40;
 /// Lines of the history whose mean is to reach the goal: a line is 20 steps, and every photo is seen once in two.
 const LINES: usize = 5;
@@ -72,7 +72,7 @@ pub(super) fn train(goal: &Goal, engine: &str, adapter: &str) -> Result<Record, 
         test: 0,
         long_side: goal.size,
         occlusion: 0.0,
-        look: LookKind::None,
+        photo_light: LightVariation::None,
         ..SyntheticOptions::default()
     };
     empty(&goal.dir)?;
@@ -82,7 +82,7 @@ pub(super) fn train(goal: &Goal, engine: &str, adapter: &str) -> Result<Record, 
         ("engine", engine.to_owned()),
         ("adapter", adapter.to_owned()),
         ("size", goal.size.to_string()),
-        ("look", "none".into()),
+        ("appearance_model", "none".into()),
         ("robust", "false".into()),
     ];
     let settings = Settings::layered(None, &settings.map(|(name, value)| (name.to_owned(), value)))?;

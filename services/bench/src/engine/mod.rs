@@ -13,11 +13,13 @@ use glam::Vec3;
 use rayon::prelude::*;
 use segwild_flow::files;
 use segwild_gpu::{
-    CLICKS, Choice, FIELD_RULE, GpuEngine, LOSSES, NETWORKS, Reach, SIMILARITY, reach, some_look,
+    CLICKS, Choice, FIELD_RULE, GpuEngine, LOSSES, NETWORKS, Reach, SIMILARITY, reach, some_appearance,
     some_question, speed,
 };
 use segwild_raster::field::{Queries, score};
-use segwild_raster::{Channels, CpuEngine, Engine, FrameGrad, Look, ProjectOptions, RasterError, Sight};
+use segwild_raster::{
+    Appearance, Channels, CpuEngine, Engine, FrameGrad, ProjectOptions, RasterError, Sight,
+};
 use segwild_scene::{Camera, Pose, Random, Splats};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -172,16 +174,16 @@ fn on_the_cpu(
         };
         (0..3).map(once).fold(f64::INFINITY, f64::min)
     };
-    let (mut look, draw) = some_look(camera, pose);
-    let codes = look.first_codes(&splats.means);
+    let (mut appearance, draw) = some_appearance(camera, pose);
+    let splat_embeddings = appearance.first_embeddings(&splats.means);
     let radii = vec![1.0; splats.len()];
     let eye = pose.centre().to_array();
-    let sight = Sight { means: &splats.means, codes: &codes, radii: &radii, eye };
+    let sight = Sight { means: &splats.means, splat_embeddings: &splat_embeddings, radii: &radii, eye };
     let colours = vec![0.5; 3 * splats.len()];
     let mut networks = || {
-        let light = look.impression(0, Some(draw));
-        drop(look.tint(0, light.as_ref(), &sight, colours.clone()));
-        drop(look.tint_backward(0, light.as_ref(), &sight, &colours, colours.clone(), &[]));
+        let light = appearance.appearance_maps(0, Some(draw));
+        drop(appearance.tint(0, light.as_ref(), &sight, colours.clone()));
+        drop(appearance.tint_backward(0, light.as_ref(), &sight, &colours, colours.clone(), &[]));
     };
     let question = some_question(camera, channels);
     let random = &mut Random::new(3);
@@ -314,7 +316,7 @@ fn trained(text: &mut String, rows: &[&Record]) {
         let _ = writeln!(text, "| {engine} | {} |", cells.join(" | "));
     }
     text.push_str(
-        "\nThe mean PSNR of the photos over 100 steps; one light, no strangers, the default steps.\n",
+        "\nThe mean PSNR of the photos over 100 steps; one light, no transients, the default steps.\n",
     );
 }
 

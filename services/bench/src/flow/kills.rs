@@ -56,7 +56,14 @@ impl Program<'_> {
             "1",
         ]);
         let mut click = Command::new(self.path);
-        click.arg("segment").arg(run).args(["--photo", &self.photo, "--in", &self.click, "--name", "it"]);
+        click.arg("segment").arg(run).args([
+            "--photo",
+            &self.photo,
+            "--positive",
+            &self.click,
+            "--name",
+            "it",
+        ]);
         [train, click].map(|mut command| {
             command.stdout(Stdio::null()).stderr(Stdio::null());
             command

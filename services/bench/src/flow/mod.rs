@@ -11,7 +11,7 @@ pub use waiting::{Calls, Waits, counted, waiting};
 
 use crate::record::Made;
 use crate::stamp;
-use crate::synthetic::{LookKind, Manifest, SyntheticError, SyntheticOptions, generate};
+use crate::synthetic::{LightVariation, Manifest, SyntheticError, SyntheticOptions, generate};
 use segwild_flow::files;
 use segwild_pipeline::{RunError, Settings, SettingsError};
 use serde::{Deserialize, Serialize};
@@ -201,7 +201,7 @@ fn place(dir: &Path, train: usize, long_side: u32) -> Result<Manifest, FlowError
         long_side,
         points: 800,
         occlusion: 0.0,
-        look: LookKind::Affine,
+        photo_light: LightVariation::Affine,
         ..SyntheticOptions::small()
     };
     Ok(generate(&options)?.write(dir)?)

@@ -195,7 +195,7 @@ pub fn counted(providers: &Providers) -> (Providers, Calls) {
         proposer: counted.clone(),
         segmenter: counted.clone(),
         sky: counted,
-        strangers: None,
+        transients: None,
         name: providers.name.clone(),
         notes: providers.notes.clone(),
         networks: providers.networks.clone(),

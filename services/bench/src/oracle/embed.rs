@@ -40,7 +40,7 @@ impl Embedder for Oracle {
         let mut codes: BTreeMap<Thing, Vec<f32>> = BTreeMap::new();
         let mut data = vec![0.0; n * width * height];
         let offset = self.code(1 << 50 | sight.view as u64);
-        let mut rng = Rng::new(o.seed, 1 << 51 | (sight.view as u64) << 1 | u64::from(sight.strangers));
+        let mut rng = Rng::new(o.seed, 1 << 51 | (sight.view as u64) << 1 | u64::from(sight.transients));
         const GRID: usize = 3;
         let noise_scale = o.noise / (n as f32).sqrt();
         for cell in 0..width * height {
@@ -53,7 +53,7 @@ impl Embedder for Oracle {
                 let y = at(cell / width, sample / GRID, height, image.height);
                 let thing = self.thing_at(sight, image, x, y, true);
                 let code = codes.entry(thing).or_insert_with(|| match thing {
-                    Thing::Stranger(id) => self.code(1 << 52 | (sight.view as u64) << 20 | u64::from(id)),
+                    Thing::Transient(id) => self.code(1 << 52 | (sight.view as u64) << 20 | u64::from(id)),
                     Thing::Instance(id) => self.instance_code(id),
                     Thing::Part(id) => {
                         let whole = self.instance_code(self.instance_of[usize::from(id)]);

@@ -21,7 +21,7 @@ fn point((x, y): (u32, u32), inside: bool) -> PointPrompt {
     PointPrompt { x: x as f32 + 0.5, y: y as f32 + 0.5, inside }
 }
 
-/// Clicks as a person places them who wants the whole of a mask: the first where the mask is deepest (farthest from its
+/// Clicks as a person scenes them who wants the whole of a mask: the first where the mask is deepest (farthest from its
 /// outline and the frame); each further one where what is left is deepest, after a disc of twice the depth around each
 /// earlier click was taken away. Fewer than `count` where nothing is left.
 pub fn inside(mask: &Mask, count: usize) -> Vec<PointPrompt> {

@@ -1,8 +1,8 @@
 //! Any scene with true masks beside it: `SCENE/truth/PHOTO.png` of one object, or `SCENE/truth/OBJECT/PHOTO.png` of
 //! several.
 
-use super::place::{photos, stem};
-use super::{Found, Missing, Place, ProtocolError, Question, clicks};
+use super::scene::{photos, stem};
+use super::{EvalScene, Found, Missing, ProtocolError, Question, clicks};
 use segwild_pipeline::{PhotoPrompts, Settings};
 use segwild_scene::{Mask, MaskFiles, Prompts, Random, SceneError};
 use std::collections::BTreeMap;
@@ -54,7 +54,7 @@ pub fn read_parts(file: &Path) -> Result<Parts, ProtocolError> {
 ///
 /// # Errors
 /// When the scene or its truth is not there, or no reference photo of any object.
-pub fn place(options: &FolderProtocol, settings: &Settings, seed: u64) -> Result<Found, ProtocolError> {
+pub fn scenes(options: &FolderProtocol, settings: &Settings, seed: u64) -> Result<Found, ProtocolError> {
     let photos = photos(&options.scene, settings)?;
     let objects = objects(&options.scene, &photos)?;
     let (mut questions, mut missing) = (Vec::new(), Vec::new());
@@ -79,7 +79,7 @@ pub fn place(options: &FolderProtocol, settings: &Settings, seed: u64) -> Result
     }
     let name = std::path::absolute(&options.scene).unwrap_or_else(|_| options.scene.clone());
     let name = name.file_name().map_or_else(|| "scene".into(), |n| n.to_string_lossy().into_owned());
-    let place = Place {
+    let eval_scene = EvalScene {
         protocol: "folder",
         name,
         scene: options.scene.clone(),
@@ -89,9 +89,9 @@ pub fn place(options: &FolderProtocol, settings: &Settings, seed: u64) -> Result
         held_out: false,
     };
     if missing.is_empty() {
-        return Ok(place.into());
+        return Ok(eval_scene.into());
     }
-    Found { places: vec![place], missing }.or_refused(LAYOUT)
+    Found { scenes: vec![eval_scene], missing }.or_refused(LAYOUT)
 }
 
 /// The objects and their true masks, by name.

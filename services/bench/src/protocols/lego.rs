@@ -6,7 +6,7 @@ use crate::ablation::{FULL, Variant};
 use crate::oracle::OracleOptions;
 use crate::perturb::{Affine, Square};
 use crate::record::{Record, Results};
-use crate::synthetic::{LookKind, SyntheticOptions, SyntheticScene, generate};
+use crate::synthetic::{LightVariation, SyntheticOptions, SyntheticScene, generate};
 use crate::trial::{ProviderKind, Trial, TrialError};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -58,26 +58,31 @@ impl Perturbation {
     }
 }
 
-/// The rows: what differs between the methods is how they take light and strangers.
+/// The rows: what differs between the methods is how they take light and transients.
 pub const ROWS: &[Variant] = &[
     FULL,
     Variant {
         name: PLAIN,
         meaning: "plain splatting: one light, nobody left out",
-        common: &[("look", "none"), ("robust", "false")],
+        common: &[("appearance_model", "none"), ("robust", "false")],
         changes: &[],
     },
     Variant { name: "no-robust", meaning: "nobody left out", common: &[("robust", "false")], changes: &[] },
-    Variant { name: "embed", meaning: "the look `embed`", common: &[("look", "embed")], changes: &[] },
+    Variant {
+        name: "embed",
+        meaning: "the look `embed`",
+        common: &[("appearance_model", "embed")],
+        changes: &[],
+    },
     Variant {
         name: TOLD,
-        meaning: "exactly the strangers left out, as the truth has them: what leaving out can be worth",
+        meaning: "exactly the transients left out, as the truth has them: what leaving out can be worth",
         common: &[],
         changes: &[],
     },
 ];
 
-/// The row that is told where the strangers are.
+/// The row that is told where the transients are.
 const TOLD: &str = "told";
 /// The row that others are compared with.
 pub(super) const PLAIN: &str = "plain";
@@ -89,7 +94,7 @@ pub struct LegoProtocol {
     pub only: Vec<String>,
     /// Seeds of the scenes.
     pub seeds: Vec<u64>,
-    /// The scenes, but for their seeds, looks and strangers, of which they have none.
+    /// The scenes, but for their seeds, looks and transients, of which they have none.
     pub scene: SyntheticOptions,
     /// Who looks at the photos.
     pub providers: ProviderKind,
@@ -111,7 +116,12 @@ pub fn lego(
         return Err(TrialError::Row(odd.clone()).into());
     }
     for &seed in &options.seeds {
-        let scene = SyntheticOptions { seed, occlusion: 0.0, look: LookKind::None, ..options.scene.clone() };
+        let scene = SyntheticOptions {
+            seed,
+            occlusion: 0.0,
+            photo_light: LightVariation::None,
+            ..options.scene.clone()
+        };
         let clean = generate(&scene)?;
         let mut best: BTreeMap<&str, f64> = BTreeMap::new();
         for perturbation in Perturbation::ALL {
@@ -125,7 +135,7 @@ pub fn lego(
                 (settings.features.refine_steps, settings.masks.prompt_budget) = (0, 1);
                 if row.name == TOLD {
                     let truth = trial.scene_dir().join("truth/transient");
-                    settings.scene.strangers = truth.display().to_string();
+                    settings.scene.transient_masks = truth.display().to_string();
                 }
                 let Some(held) = trial.held_out(&settings)? else { continue };
                 let psnr = f64::from(held.psnr);

@@ -1,6 +1,6 @@
 //! Benchmarks that others can repeat: a scene, what is asked of it, what is true, and the numbers.
 //!
-//! Each protocol finds its scenes and questions ([`Place`], or a synthetic [`crate::trial::Trial`]), puts every row
+//! Each protocol finds its scenes and questions ([`EvalScene`], or a synthetic [`crate::trial::Trial`]), puts every row
 //! ([`crate::ablation::Variant`]) through them, and leaves [`Results`] in `OUT/results.json`. Tables are printed from
 //! those ([`tables`]).
 
@@ -11,17 +11,17 @@ pub mod lego;
 pub mod nvos;
 pub mod paper;
 pub mod photo_tourism;
-pub mod place;
+pub mod scene;
 pub mod spin_nerf;
 pub mod synthetic;
 pub mod tables;
 
 pub use error::{Missing, ProtocolError};
-pub use place::{Found, Place, Question, measure};
+pub use scene::{EvalScene, Found, Question, measure};
 
 use crate::ablation::{VARIANTS, Variant};
+use crate::baselines::{BASELINES, row};
 use crate::record::{Record, Results};
-use crate::rivals::{RIVALS, row};
 use crate::trial::TrialError;
 use segwild_pipeline::{Settings, SettingsError};
 use std::path::Path;
@@ -32,7 +32,7 @@ pub enum Table {
     /// One part of the method changed at a time (the paper's Table 2).
     Ablation,
     /// Other methods (the paper's Table 1).
-    Rivals,
+    Baselines,
 }
 
 impl Table {
@@ -42,7 +42,7 @@ impl Table {
     /// When there is no row of a name.
     pub fn rows(self, only: &[String]) -> Result<Vec<&'static Variant>, ProtocolError> {
         if only.is_empty() {
-            let all = if self == Table::Rivals { RIVALS } else { VARIANTS };
+            let all = if self == Table::Baselines { BASELINES } else { VARIANTS };
             return Ok(all.iter().collect());
         }
         let named = |name: &String| row(name).ok_or_else(|| TrialError::Row(name.clone()).into());

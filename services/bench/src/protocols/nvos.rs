@@ -1,8 +1,8 @@
 //! NVOS (Ren et al. 2022): a scribble on one photo of a forward-facing scene, the true mask of another.
 
 use super::folder::entries;
-use super::place::{photo_of, photos, stem};
-use super::{Found, Missing, Place, ProtocolError, Question, clicks};
+use super::scene::{photo_of, photos, stem};
+use super::{EvalScene, Found, Missing, ProtocolError, Question, clicks};
 use segwild_pipeline::{PhotoPrompts, Settings};
 use segwild_scene::{Mask, PointPrompt, Prompts};
 use std::path::{Path, PathBuf};
@@ -31,7 +31,7 @@ pub const LAYOUT: &str = "The annotations are published with NVOS (Neural Volume
 ///
 /// # Errors
 /// When no scene is left: all that is missing, with what to put where.
-pub fn places(options: &NvosProtocol, settings: &Settings, seed: u64) -> Result<Found, ProtocolError> {
+pub fn scenes(options: &NvosProtocol, settings: &Settings, seed: u64) -> Result<Found, ProtocolError> {
     let inner = options.root.join("labels/llff");
     let labels = if inner.is_dir() { inner } else { options.root.clone() };
     let scribbles = labels.join("scribbles");
@@ -46,16 +46,16 @@ pub fn places(options: &NvosProtocol, settings: &Settings, seed: u64) -> Result<
     if !options.only.is_empty() {
         names.clone_from(&options.only);
     }
-    let mut found = Found { places: Vec::new(), missing };
+    let mut found = Found { scenes: Vec::new(), missing };
     for name in &names {
-        match place(options, &labels, name, settings, seed) {
-            Ok(place) => found.places.push(place),
+        match eval_scene(options, &labels, name, settings, seed) {
+            Ok(eval_scene) => found.scenes.push(eval_scene),
             Err(ProtocolError::Missing(m)) => found.missing.extend(m.what),
             Err(ProtocolError::Scene(error)) => found.missing.push(format!("the scene {name}: {error}")),
             Err(other) => return Err(other),
         }
     }
-    if found.missing.is_empty() && found.places.is_empty() {
+    if found.missing.is_empty() && found.scenes.is_empty() {
         found.missing.push(format!("a scene in {}", scribbles.display()));
     }
     found.or_refused(LAYOUT)
@@ -75,13 +75,13 @@ fn find(folder: &Path, what: &str, fits: impl Fn(&str) -> bool) -> Result<PathBu
     list.into_iter().map(|e| e.0).find(|path| fits(&file_name(path))).ok_or_else(missing)
 }
 
-fn place(
+fn eval_scene(
     options: &NvosProtocol,
     labels: &Path,
     name: &str,
     settings: &Settings,
     seed: u64,
-) -> Result<Place, ProtocolError> {
+) -> Result<EvalScene, ProtocolError> {
     let scene = [name, name.split('_').next().unwrap_or(name)]
         .iter()
         .flat_map(|n| [n.to_string(), format!("{n}_undistort")])
@@ -120,7 +120,7 @@ fn place(
         truth: vec![(scored, mask)],
         missing: Vec::new(),
     };
-    Ok(Place {
+    Ok(EvalScene {
         protocol: "nvos",
         name: name.into(),
         scene,

@@ -8,13 +8,13 @@ use std::sync::LazyLock;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Paper {
-    /// The three places, in the order of Table 1.
+    /// The three scenes, in the order of Table 1.
     pub scenes: Vec<PaperScene>,
     /// Table 2.
     pub ablation: Vec<PaperRow>,
 }
 
-/// One place.
+/// One scene.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PaperScene {
@@ -60,7 +60,7 @@ pub struct PaperRow {
     pub row: String,
     /// The paper's.
     pub name: String,
-    /// IoU by short name of the place.
+    /// IoU by short name of the scene.
     pub iou: BTreeMap<String, f64>,
 }
 
@@ -70,7 +70,7 @@ pub static PAPER: LazyLock<Paper> = LazyLock::new(|| {
     serde_json::from_str(include_str!("../../data/photo_tourism.json")).expect("the file fits its form")
 });
 
-/// The nine targets, each with its place.
+/// The nine targets, each with its scene.
 pub fn targets() -> impl Iterator<Item = (&'static PaperScene, &'static PaperTarget)> {
     PAPER.scenes.iter().flat_map(|s| s.targets.iter().map(move |t| (s, t)))
 }
@@ -86,7 +86,7 @@ mod tests {
             let scene = PAPER.scenes.iter().find(|s| s.short == short).unwrap();
             scene.targets.iter().map(of).sum::<f64>() / scene.targets.len() as f64
         };
-        // Table 1's last column: rounded there to three digits, in places of already rounded numbers.
+        // Table 1's last column: rounded there to three digits, in scenes of already rounded numbers.
         for (short, iou, accuracy) in [("BG", 0.930, 0.968), ("TM", 0.846, 0.920), ("TF", 0.827, 0.924)] {
             assert!((mean(short, &|t| t.iou["full"]) - iou).abs() < 0.002, "{short}");
             assert!((mean(short, &|t| t.accuracy) - accuracy).abs() < 0.002, "{short}");
@@ -105,7 +105,7 @@ mod tests {
             assert!(target.truth.iter().chain([&target.reference]).all(digits));
         }
         for row in &PAPER.ablation {
-            assert!(crate::rivals::row(&row.row).is_some(), "there is no row {}", row.row);
+            assert!(crate::baselines::row(&row.row).is_some(), "there is no row {}", row.row);
             assert_eq!(row.iou.len(), 3, "{}", row.name);
         }
     }

@@ -1,9 +1,9 @@
-//! The paper's own protocol: nine targets in three places of Photo Tourism, one reference photo and three true masks
+//! The paper's own protocol: nine targets in three scenes of Photo Tourism, one reference photo and three true masks
 //! each, and PSNR on the held-out photos by left and right halves. The photos and masks are the user's.
 
 use super::paper::{PAPER, PaperScene, PaperTarget};
-use super::place::stem;
-use super::{Found, Missing, Place, ProtocolError, Question, clicks};
+use super::scene::stem;
+use super::{EvalScene, Found, Missing, ProtocolError, Question, clicks};
 use segwild_pipeline::{PhotoPrompts, Replay, Settings};
 use segwild_scene::{Mask, MaskFiles, Prompts, Scene};
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 /// Which data, and how it is clicked.
 #[derive(Clone, Debug)]
 pub struct PhotoTourismProtocol {
-    /// Folder of the three places.
+    /// Folder of the three scenes.
     pub root: PathBuf,
     /// Places to measure, by folder; all that are there if empty.
     pub only: Vec<String>,
@@ -31,26 +31,26 @@ pub const LAYOUT: &str = "The photos are those of the Image Matching Challenge's
     \u{20}                                                              the form of a selection's prompts.json\n\
     and the same for trevi_fountain (trevi.tsv) and taj_mahal (taj_mahal.tsv). `--scenes` measures some of them.";
 
-/// The places that are there, with the questions that can be asked of them, and what is missing. A target is refused when
+/// The scenes that are there, with the questions that can be asked of them, and what is missing. A target is refused when
 /// its reference photo or all photos that score it are missing; the others go on.
 ///
 /// # Errors
-/// When there is no place of a name, or no target of any place is left: all that is missing, with what to put where.
-pub fn places(
+/// When there is no scene of a name, or no target of any scene is left: all that is missing, with what to put where.
+pub fn scenes(
     options: &PhotoTourismProtocol,
     settings: &Settings,
     seed: u64,
 ) -> Result<Found, ProtocolError> {
     if let Some(odd) = options.only.iter().find(|o| PAPER.scenes.iter().all(|s| s.folder != **o)) {
-        let what = vec![format!("a place named `{odd}`: there are {}", folders().join(", "))];
+        let what = vec![format!("a scene named `{odd}`: there are {}", folders().join(", "))];
         return Err(ProtocolError::Missing(Missing { what, layout: LAYOUT.into() }));
     }
     let wanted = |s: &&PaperScene| options.only.is_empty() || options.only.contains(&s.folder);
     let mut found = Found::default();
     for scene in PAPER.scenes.iter().filter(wanted) {
-        match place(options, scene, settings, seed)? {
-            Ok((place, missing)) => {
-                found.places.push(place);
+        match eval_scene(options, scene, settings, seed)? {
+            Ok((eval_scene, missing)) => {
+                found.scenes.push(eval_scene);
                 found.missing.extend(missing);
             }
             Err(missing) => found.missing.push(missing),
@@ -59,18 +59,18 @@ pub fn places(
     found.or_refused(LAYOUT)
 }
 
-/// Folders of the places.
+/// Folders of the scenes.
 fn folders() -> Vec<&'static str> {
     PAPER.scenes.iter().map(|s| s.folder.as_str()).collect()
 }
 
-/// A place with the questions that can be asked, and what is missing of it; or why it cannot be measured at all.
-fn place(
+/// A scene with the questions that can be asked, and what is missing of it; or why it cannot be measured at all.
+fn eval_scene(
     options: &PhotoTourismProtocol,
     scene: &PaperScene,
     settings: &Settings,
     seed: u64,
-) -> Result<Result<(Place, Vec<String>), String>, ProtocolError> {
+) -> Result<Result<(EvalScene, Vec<String>), String>, ProtocolError> {
     let root = options.root.join(&scene.folder);
     if !root.is_dir() {
         return Ok(Err(format!("{}: the folder {}", scene.name, root.display())));
@@ -100,7 +100,7 @@ fn place(
             }
         }
     }
-    let place = Place {
+    let eval_scene = EvalScene {
         protocol: "photo-tourism",
         name: scene.name.clone(),
         scene: path,
@@ -109,7 +109,7 @@ fn place(
         questions,
         held_out: true,
     };
-    Ok(Ok((place, missing)))
+    Ok(Ok((eval_scene, missing)))
 }
 
 /// A photo of the scene by its stem, or why it takes no part.

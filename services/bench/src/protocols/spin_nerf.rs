@@ -2,8 +2,8 @@
 //! all others score it.
 
 use super::folder::{entries, masks_in};
-use super::place::photos;
-use super::{Found, Place, ProtocolError, Question, clicks};
+use super::scene::photos;
+use super::{EvalScene, Found, ProtocolError, Question, clicks};
 use segwild_pipeline::{PhotoPrompts, Settings};
 use segwild_scene::{Mask, Prompts};
 use std::path::{Path, PathBuf};
@@ -32,7 +32,7 @@ const LABELS: [&str; 3] = ["label", "images_4/label", "images/label"];
 ///
 /// # Errors
 /// When no scene is left: all that is missing, with what to put where.
-pub fn places(options: &SpinNerfProtocol, settings: &Settings, seed: u64) -> Result<Found, ProtocolError> {
+pub fn scenes(options: &SpinNerfProtocol, settings: &Settings, seed: u64) -> Result<Found, ProtocolError> {
     let mut missing = Vec::new();
     let names: Vec<PathBuf> = match entries(&options.root) {
         _ if !options.only.is_empty() => options.only.iter().map(|name| options.root.join(name)).collect(),
@@ -42,10 +42,10 @@ pub fn places(options: &SpinNerfProtocol, settings: &Settings, seed: u64) -> Res
     if names.is_empty() {
         missing.push(format!("a scene in {}", options.root.display()));
     }
-    let mut found = Found { places: Vec::new(), missing };
+    let mut found = Found { scenes: Vec::new(), missing };
     for scene in names {
-        match place(&scene, options.clicks, settings, seed)? {
-            Ok(place) => found.places.push(place),
+        match eval_scene(&scene, options.clicks, settings, seed)? {
+            Ok(eval_scene) => found.scenes.push(eval_scene),
             Err(what) => found.missing.push(what),
         }
     }
@@ -53,12 +53,12 @@ pub fn places(options: &SpinNerfProtocol, settings: &Settings, seed: u64) -> Res
 }
 
 /// A scene with its question, or what it lacks.
-fn place(
+fn eval_scene(
     scene: &Path,
     clicks: usize,
     settings: &Settings,
     seed: u64,
-) -> Result<Result<Place, String>, ProtocolError> {
+) -> Result<Result<EvalScene, String>, ProtocolError> {
     let name = scene.file_name().unwrap_or_default().to_string_lossy().into_owned();
     if !scene.is_dir() {
         return Ok(Err(format!("the scene {}", scene.display())));
@@ -86,7 +86,7 @@ fn place(
     }
     let prompts = vec![PhotoPrompts { photo, prompts: Prompts { points, ..Prompts::default() } }];
     let questions = vec![Question { target: name.clone(), prompt: 0, prompts, truth, missing: Vec::new() }];
-    Ok(Ok(Place {
+    Ok(Ok(EvalScene {
         protocol: "spin-nerf",
         name,
         scene: scene.into(),

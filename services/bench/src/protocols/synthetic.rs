@@ -1,4 +1,4 @@
-//! Synthetic places, whose truth is known exactly: one click per object, or several at random (method, section 11).
+//! Synthetic scenes, whose truth is known exactly: one click per object, or several at random (method, section 11).
 
 use super::{Base, ProtocolError, Table, Told, clicks, keep};
 use crate::oracle::OracleOptions;

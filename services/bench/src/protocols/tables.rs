@@ -4,9 +4,9 @@ use super::lego::{PLAIN, Perturbation};
 use super::paper::{PAPER, targets};
 use super::synthetic::SURFACES;
 use crate::ablation::Variant;
+use crate::baselines::{BASELINES, named_after, row};
 use crate::metrics::Spread;
 use crate::record::{Record, Results};
-use crate::rivals::{RIVALS, named_after, row};
 use crate::stamp::{self, provider, providers};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
@@ -159,7 +159,7 @@ fn objects(results: &Results, key: RowOf) -> String {
 }
 
 /// Table 1 in the paper's layout: a row per method, a column per target, IoU and accuracy. Each method's own figures as
-/// the paper gives them stand above ours; on synthetic places, ours are of the objects that stand for the targets.
+/// the paper gives them stand above ours; on synthetic scenes, ours are of the objects that stand for the targets.
 pub fn paper_targets(results: &Results) -> String {
     let mut text = String::from("| method | figures | provider |");
     targets().for_each(|(scene, target)| text += &format!(" {} {} |", scene.short, target.name));
@@ -167,7 +167,7 @@ pub fn paper_targets(results: &Results) -> String {
     text += &"---:|".repeat(targets().count() + 1);
     text.push('\n');
     let measured = measured(results);
-    for variant in RIVALS.iter().filter(|v| measured.iter().any(|m| m.0 == v.name)) {
+    for variant in BASELINES.iter().filter(|v| measured.iter().any(|m| m.0 == v.name)) {
         // The paper's own method stands above both our setting of it and ours.
         let published = if variant.name == "paper" { "full" } else { variant.name };
         let theirs: Vec<f64> = targets().filter_map(|(_, t)| t.iou.get(published).copied()).collect();
@@ -201,7 +201,7 @@ pub fn paper_targets(results: &Results) -> String {
     text
 }
 
-/// Table 2 in the paper's layout: mean IoU per place, as published, under the paper's query here, and under ours.
+/// Table 2 in the paper's layout: mean IoU per scene, as published, under the paper's query here, and under ours.
 pub fn paper_ablation(results: &Results) -> String {
     let shorts: Vec<&str> = PAPER.scenes.iter().map(|s| s.short.as_str()).collect();
     let mut text = String::from("| row | provider |");
@@ -369,7 +369,8 @@ pub fn all(results: &Results) -> Vec<String> {
 
 fn of_objects(results: &Results) -> Vec<String> {
     let measured = measured(results);
-    let is_rival = |(name, _): &(&str, &str)| row(name).is_some() && RIVALS.iter().any(|v| v.name == *name);
+    let is_baseline =
+        |(name, _): &(&str, &str)| row(name).is_some() && BASELINES.iter().any(|v| v.name == *name);
     let is_part = |(name, _): &(&str, &str)| PAPER.ablation.iter().any(|p| p.row == *name && p.row != "full");
     let known = |r: &Record| targets().any(|(_, t)| r.target == t.name || r.target == t.like);
     let objects_of_the_paper = results.records.iter().any(known);
@@ -377,7 +378,7 @@ fn of_objects(results: &Results) -> Vec<String> {
     if !measured.is_empty() {
         tables.push(summary(results));
     }
-    if objects_of_the_paper && measured.iter().any(is_rival) {
+    if objects_of_the_paper && measured.iter().any(is_baseline) {
         let words = "In the layout of the paper's Table 1 (IoU / accuracy; the paper's figures are of its own photos):";
         tables.push(format!("{words}\n\n{}", paper_targets(results)));
     }
@@ -478,10 +479,10 @@ mod tests {
     fn every_table_names_whose_masks_its_figures_are_of_and_mixes_none() {
         let mut both = results();
         both.put(Record { provider: "built-in".into(), ..record("full", 1, "lintel", 0, 0.1) });
-        let text = page("Synthetic places", &[both.clone()]);
+        let text = page("Synthetic scenes", &[both.clone()]);
         assert!(
             text.starts_with(
-                "# Synthetic places (oracle, built-in)\n\nThe rows named after SAGA are settings"
+                "# Synthetic scenes (oracle, built-in)\n\nThe rows named after SAGA are settings"
             )
         );
         assert!(text.contains("| full | oracle |") && text.contains("| full | built-in |"), "{text}");

@@ -9,7 +9,7 @@ pub use page::{markdown, write};
 use crate::metrics::Spread;
 use crate::oracle::OracleOptions;
 use crate::page::{PageError, io};
-use crate::point::{self, Job, Place, Prompting};
+use crate::point::{self, Job, PhotoSource, Prompting};
 use crate::record::{Made, Record, Results};
 use crate::stability::Harm;
 use crate::synthetic::SyntheticOptions;
@@ -131,7 +131,7 @@ fn run(options: &ScaleOptions, axis: &str, size: u32) -> Result<Record, PageErro
         protocol: PROTOCOL.into(),
         setting: axis.into(),
         at: Some(f64::from(size)),
-        place: Place::Synthetic(scene),
+        source: PhotoSource::Synthetic(scene),
         providers: ProviderKind::Builtin,
         faults: OracleOptions::default(),
         settings: settings.map(|(name, value)| (name.to_owned(), value)).to_vec(),

@@ -103,13 +103,13 @@ fn large(results: &Results) -> String {
             hours(2.0 * LARGE_PHOTOS * (project + forward + gather)),
         ),
     ];
-    // What a photo costs beside the steps: its sky, embedding, masks, strangers.
+    // What a photo costs beside the steps: its sky, embedding, masks, transients.
     let photos = along(results, "photos", "cpu_s");
     if let [.., (fewer, less), (more, most)] = photos[..] {
         let each = ((most - less) / (more - fewer)).max(0.0);
         parts.push((
             format!(
-                "sky, embedding, masks and strangers of {} photos at {each:.2} CPU-s (at 128 px)",
+                "sky, embedding, masks and transients of {} photos at {each:.2} CPU-s (at 128 px)",
                 short(LARGE_PHOTOS)
             ),
             each * LARGE_PHOTOS / 3600.0,

@@ -14,7 +14,7 @@ pub use stress::{Harm, STRESSES, Stress};
 
 use crate::oracle::{ORACLE, OracleOptions};
 use crate::page::{PageError, io};
-use crate::point::{Job, Place, Prompting, means, measure};
+use crate::point::{Job, PhotoSource, Prompting, means, measure};
 use crate::record::{Made, Record, Results};
 use crate::stamp::{UNKNOWN, provider};
 use crate::synthetic::SyntheticOptions;
@@ -39,7 +39,7 @@ pub struct StabilityOptions {
     pub command: String,
     /// Names of [`STRESSES`] and [`MORE`]; all when empty.
     pub only: Vec<String>,
-    /// Seeds of the places and of the trainings.
+    /// Seeds of the sources and of the trainings.
     pub seeds: Vec<u64>,
     /// Who looks at the photos. Stresses that are faults of the oracle are left out where it is not the oracle.
     pub providers: ProviderKind,
@@ -136,7 +136,7 @@ fn job(options: &StabilityOptions, seed: u64) -> Job {
         protocol: PROTOCOL.into(),
         setting: String::new(),
         at: None,
-        place: Place::Synthetic(SyntheticOptions { seed, ..options.scene.clone() }),
+        source: PhotoSource::Synthetic(SyntheticOptions { seed, ..options.scene.clone() }),
         providers: options.providers,
         faults: OracleOptions::default(),
         settings: options.settings.clone(),
@@ -156,8 +156,8 @@ fn at(
     setting: &str,
     value: Option<f64>,
 ) -> Result<Vec<Record>, PageError> {
-    let whole = digest(&(&job.place, &job.faults, &job.harm, job.seed, &job.settings, &job.prompting));
-    let scene = digest(&(&job.place, &job.faults, &job.harm, job.seed));
+    let whole = digest(&(&job.source, &job.faults, &job.harm, job.seed, &job.settings, &job.prompting));
+    let scene = digest(&(&job.source, &job.faults, &job.harm, job.seed));
     if !measured.contains_key(&whole) {
         job.dir = runs.join(scene);
         measured.insert(whole.clone(), measure(job)?);

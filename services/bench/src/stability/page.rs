@@ -18,7 +18,7 @@ pub fn markdown(results: &Results, figure: Option<&str>) -> String {
     let made = &results.made;
     let by = providers([results]);
     let mut text = format!(
-        "# {}\n\n{} This page is generated. {}\n\nSynthetic places; {}; IoU is the mean over objects, on the photos that were \
+        "# {}\n\n{} This page is generated. {}\n\nSynthetic sources; {}; IoU is the mean over objects, on the photos that were \
          not clicked. A curve breaks at the first amount at which IoU is under {BREAKS} of what it is without the stress; it is announced when the program says \
          something there that it does not say without the stress.\n\n",
         stamp::title("Where it fails, and whether it says so", &by),

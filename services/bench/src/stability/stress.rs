@@ -1,6 +1,6 @@
 //! What is done to a scene, to what looks at it, or to the clicks, and how much of it.
 
-use crate::point::{Job, Place, Prompting};
+use crate::point::{Job, PhotoSource, Prompting};
 use crate::synthetic::random::Rng;
 use crate::synthetic::{SyntheticOptions, SyntheticScene};
 use glam::{DMat3, DVec3};
@@ -91,7 +91,7 @@ fn centre(photo: &crate::synthetic::SyntheticPhoto) -> DVec3 {
 }
 
 fn scene(job: &mut Job, change: impl Fn(&mut SyntheticOptions)) {
-    if let Place::Synthetic(options) = &mut job.place {
+    if let PhotoSource::Synthetic(options) = &mut job.source {
         change(options);
     }
 }
@@ -104,7 +104,7 @@ fn set(job: &mut Job, name: &str, value: impl ToString) {
 pub const STRESSES: &[Stress] = &[
     Stress {
         name: "occluders",
-        meaning: "strangers cover this share of every photo",
+        meaning: "transients cover this share of every photo",
         axis: "share covered",
         values: &[0.0, 0.1, 0.25, 0.4, 0.5, 0.6],
         log: false,
@@ -118,7 +118,7 @@ pub const STRESSES: &[Stress] = &[
         values: &[0.0, 0.5, 1.0, 1.5, 2.0],
         log: false,
         calm: 0.0,
-        apply: |job, v| scene(job, |s| s.look_strength = v as f32),
+        apply: |job, v| scene(job, |s| s.appearance_strength = v as f32),
     },
     Stress {
         name: "photos",

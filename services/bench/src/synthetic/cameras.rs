@@ -43,7 +43,7 @@ pub fn place(
             return Ok(shot);
         }
     }
-    Err(SyntheticError::Place { seed: options.seed, index })
+    Err(SyntheticError::NoViewpoint { seed: options.seed, index })
 }
 
 fn draw(

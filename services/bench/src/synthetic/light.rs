@@ -106,7 +106,7 @@ impl Day {
 
 /// What one camera and one hand at the slider did to a photo.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Look {
+pub struct PhotoLight {
     /// The light of its day.
     pub day: Day,
     /// Whether the day is not the canonical one.
@@ -123,10 +123,10 @@ pub struct Look {
     pub shift: Vec3,
 }
 
-impl Look {
+impl PhotoLight {
     /// The look of every clean picture.
-    pub fn canonical() -> Look {
-        Look {
+    pub fn canonical() -> PhotoLight {
+        PhotoLight {
             day: Day::canonical(),
             own_day: false,
             exposure: 0.0,

@@ -1,4 +1,4 @@
-//! The synthetic wild set: a place that a seed draws, photographed by strangers in all weathers, with everything
+//! The synthetic wild set: a place that a seed draws, photographed by transients in all weathers, with everything
 //! known exactly (method, section 11).
 //!
 //! The photos come from a ray tracer of its own, never from the rasteriser that learns from them.
@@ -13,9 +13,9 @@
 
 mod bvh;
 mod cameras;
+mod layout;
 mod light;
 mod material;
-mod place;
 mod points;
 pub(crate) mod random;
 mod shape;
@@ -26,7 +26,7 @@ mod transient;
 mod world;
 mod write;
 
-pub use light::{Day, Look};
+pub use light::{Day, PhotoLight};
 pub use points::SyntheticPoint;
 pub use world::{Instance, Kind, Part};
 pub use write::{CLICKS, Click, Manifest, ObjectTruth, PhotoTruth};
@@ -40,7 +40,7 @@ use world::World;
 
 segwild_scene::choice! {
     /// What differs from photo to photo.
-    pub enum LookKind {
+    pub enum LightVariation {
         /// Nothing: every photo has the canonical light.
         None = "none",
         /// NeRF-W's affine colour.
@@ -62,16 +62,16 @@ pub struct SyntheticOptions {
     pub seed: u64,
     /// Number of training photos.
     pub train: usize,
-    /// Number of test photos, which have a look but no strangers.
+    /// Number of test photos, which have a look but no transients.
     pub test: usize,
     /// Long side of every photo in pixels.
     pub long_side: u32,
-    /// Share of each training photo that strangers cover, 0 to 0.6.
+    /// Share of each training photo that transients cover, 0 to 0.6.
     pub occlusion: f32,
     /// What differs from photo to photo.
-    pub look: LookKind,
+    pub photo_light: LightVariation,
     /// How much it differs: 1 is NeRF-W's range for the affine look and a day's range for the sun.
-    pub look_strength: f32,
+    pub appearance_strength: f32,
     /// Number of reconstructed points.
     pub points: usize,
     /// Share of points that are wrong.
@@ -90,8 +90,8 @@ impl Default for SyntheticOptions {
             test: 12,
             long_side: 320,
             occlusion: 0.10,
-            look: LookKind::Mixed,
-            look_strength: 1.0,
+            photo_light: LightVariation::Mixed,
+            appearance_strength: 1.0,
             points: 4000,
             outliers: 0.02,
             pixel_noise: 0.5,
@@ -115,9 +115,9 @@ impl SyntheticOptions {
             return refuse("the long side of the photos is 16 to 4096 pixels");
         }
         if !(0.0..=0.6).contains(&self.occlusion) {
-            return refuse("strangers cover a share of 0 to 0.6 of a photo");
+            return refuse("transients cover a share of 0 to 0.6 of a photo");
         }
-        if !(0.0..=2.0).contains(&self.look_strength) {
+        if !(0.0..=2.0).contains(&self.appearance_strength) {
             return refuse("the strength of the looks is 0 to 2");
         }
         if !(0.0..=0.9).contains(&self.outliers) || !(0.0..=20.0).contains(&self.pixel_noise) {
@@ -138,7 +138,7 @@ pub enum SyntheticError {
     Options(String),
     /// No camera position shows enough of the place.
     #[error("seed {seed}: no place to stand was found for photo {index}; choose another seed")]
-    Place {
+    NoViewpoint {
         /// The seed.
         seed: u64,
         /// The photo within its split.
@@ -170,34 +170,34 @@ pub struct SyntheticPhoto {
     pub clean: Image,
     /// Distance along the optical axis at each pixel's centre, in file units; 0 where the sky is.
     pub depth: Vec<f32>,
-    /// Instance at each pixel's centre, strangers aside; 0 is the sky.
+    /// Instance at each pixel's centre, transients aside; 0 is the sky.
     pub instances: Vec<u16>,
-    /// Part at each pixel's centre, strangers aside; 0 is the sky.
+    /// Part at each pixel's centre, transients aside; 0 is the sky.
     pub parts: Vec<u16>,
-    /// Pixels that a stranger touches.
+    /// Pixels that a transient touches.
     pub transients: Mask,
     /// Light and camera.
-    pub look: Look,
+    pub photo_light: PhotoLight,
 }
 
 impl SyntheticPhoto {
-    /// The pixels of an instance, strangers aside; id 0 gives the sky.
+    /// The pixels of an instance, transients aside; id 0 gives the sky.
     pub fn mask(&self, instance: u16) -> Mask {
         select(&self.camera, &self.instances, instance)
     }
 
-    /// The pixels of a part, strangers aside.
+    /// The pixels of a part, transients aside.
     pub fn part_mask(&self, part: u16) -> Mask {
         select(&self.camera, &self.parts, part)
     }
 
-    /// The sky's pixels, strangers aside.
+    /// The sky's pixels, transients aside.
     pub fn sky(&self) -> Mask {
         self.mask(0)
     }
 
     /// The pixel position deepest inside what is seen of an instance, at least 2 px from its outline and from
-    /// strangers; `None` when there is no such pixel.
+    /// transients; `None` when there is no such pixel.
     pub fn click(&self, instance: u16) -> Option<[f32; 2]> {
         let seen = self.mask(instance).minus(&self.transients);
         if seen.is_empty() {
@@ -293,7 +293,7 @@ impl SyntheticScene {
 /// Makes the set. The same options give the same bytes, whatever the number of threads.
 pub fn generate(options: &SyntheticOptions) -> Result<SyntheticScene, SyntheticError> {
     options.check()?;
-    let world = place::build(options.seed);
+    let world = layout::build(options.seed);
     let count = options.train + options.test;
     let (mut trained, mut tested) = (0, 0);
     let mut photos = Vec::with_capacity(count);
@@ -304,10 +304,10 @@ pub fn generate(options: &SyntheticOptions) -> Result<SyntheticScene, SyntheticE
         let shot = cameras::place(&world, options, stream, *rank)?;
         let mut rng = Rng::new(options.seed, (3 << 20) + stream + *rank as u64);
         *rank += 1;
-        let look = look_of(options, &mut rng);
+        let photo_light = photo_light_of(options, &mut rng);
         let share = if test { 0.0 } else { options.occlusion * rng.range(0.88, 1.12) };
         let crowd = Crowd::random(&mut rng, share, shot.camera.width, shot.camera.height);
-        let exposed = trace::expose(&world, &shot, &look, &crowd);
+        let exposed = trace::expose(&world, &shot, &photo_light, &crowd);
         let instances = exposed.parts.iter().map(|&p| world.parts[usize::from(p)].instance).collect();
         let units = options.units as f32;
         photos.push(SyntheticPhoto {
@@ -323,7 +323,7 @@ pub fn generate(options: &SyntheticOptions) -> Result<SyntheticScene, SyntheticE
             instances,
             parts: exposed.parts,
             transients: exposed.transients,
-            look,
+            photo_light,
         });
         shots.push(shot);
     }
@@ -339,33 +339,33 @@ pub fn generate(options: &SyntheticOptions) -> Result<SyntheticScene, SyntheticE
 }
 
 /// Draws a photo's look.
-fn look_of(options: &SyntheticOptions, rng: &mut Rng) -> Look {
-    let mut look = Look::canonical();
-    let s = options.look_strength;
-    let (sun, camera, affine) = match options.look {
-        LookKind::None => (false, false, false),
-        LookKind::Affine => (false, false, true),
-        LookKind::Sun => (true, false, false),
-        LookKind::Camera => (false, true, false),
-        LookKind::Mixed => {
+fn photo_light_of(options: &SyntheticOptions, rng: &mut Rng) -> PhotoLight {
+    let mut photo_light = PhotoLight::canonical();
+    let s = options.appearance_strength;
+    let (sun, camera, affine) = match options.photo_light {
+        LightVariation::None => (false, false, false),
+        LightVariation::Affine => (false, false, true),
+        LightVariation::Sun => (true, false, false),
+        LightVariation::Camera => (false, true, false),
+        LightVariation::Mixed => {
             let (sun, camera, affine) = (rng.chance(0.65), rng.chance(0.6), rng.chance(0.3));
             (sun || !(camera || affine), camera, affine)
         }
     };
     if sun {
-        look.day = Day::random(rng, s);
-        look.own_day = true;
+        photo_light.day = Day::random(rng, s);
+        photo_light.own_day = true;
     }
     if camera {
-        look.exposure = s * rng.range(-0.65, 0.65);
-        look.gamma = 1.0 + s * rng.range(-0.18, 0.25);
-        look.vignette = (s * rng.range(0.0, 0.5)).min(0.95);
+        photo_light.exposure = s * rng.range(-0.65, 0.65);
+        photo_light.gamma = 1.0 + s * rng.range(-0.18, 0.25);
+        photo_light.vignette = (s * rng.range(0.0, 0.5)).min(0.95);
     }
     if affine {
         // On top of another look, or as one among many, the full range would not pass for a photo.
-        let s = if options.look == LookKind::Mixed { 0.4 * s } else { s };
-        look.scale = Vec3::ONE + rng.triple(-0.2, 0.2) * s;
-        look.shift = rng.triple(-0.2, 0.2) * s;
+        let s = if options.photo_light == LightVariation::Mixed { 0.4 * s } else { s };
+        photo_light.scale = Vec3::ONE + rng.triple(-0.2, 0.2) * s;
+        photo_light.shift = rng.triple(-0.2, 0.2) * s;
     }
-    look
+    photo_light
 }

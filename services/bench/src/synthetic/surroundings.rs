@@ -1,7 +1,7 @@
 //! What surrounds the buildings, and the wall behind them.
 
+use super::layout::Builder;
 use super::material::{Material, colour};
-use super::place::Builder;
 use super::random::Rng;
 use super::shape::Shape;
 use super::world::Kind;

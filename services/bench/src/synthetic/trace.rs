@@ -1,7 +1,7 @@
 //! Takes the photos.
 
 use super::cameras::Shot;
-use super::light::{Day, Look, sun_samples};
+use super::light::{Day, PhotoLight, sun_samples};
 use super::transient::{Crowd, radiance};
 use super::world::World;
 use glam::{Vec2, Vec3};
@@ -14,7 +14,7 @@ const SAMPLES: [Vec2; 4] =
 
 /// What one shot gives.
 pub struct Exposed {
-    /// The photo: look and strangers.
+    /// The photo: look and transients.
     pub photo: Image,
     /// The same view under the canonical light, with nobody in it.
     pub clean: Image,
@@ -22,7 +22,7 @@ pub struct Exposed {
     pub depth: Vec<f32>,
     /// Part at each pixel's centre; 0 is the sky.
     pub parts: Vec<u16>,
-    /// Pixels that strangers touch.
+    /// Pixels that transients touch.
     pub transients: Mask,
 }
 
@@ -35,10 +35,10 @@ struct Pixel {
 }
 
 /// Renders a shot.
-pub fn expose(world: &World, shot: &Shot, look: &Look, crowd: &Crowd) -> Exposed {
+pub fn expose(world: &World, shot: &Shot, photo_light: &PhotoLight, crowd: &Crowd) -> Exposed {
     let (w, h) = (shot.camera.width as usize, shot.camera.height as usize);
-    let lens = Lens { world, shot, look, crowd, canonical: Look::canonical() };
-    let suns = (sun_samples(lens.canonical.day.sun), sun_samples(look.day.sun));
+    let lens = Lens { world, shot, photo_light, crowd, canonical: PhotoLight::canonical() };
+    let suns = (sun_samples(lens.canonical.day.sun), sun_samples(photo_light.day.sun));
     let rows: Vec<Vec<Pixel>> =
         (0..h).into_par_iter().map(|y| (0..w).map(|x| lens.pixel(x, y, &suns)).collect()).collect();
     let mut out = Exposed {
@@ -70,9 +70,9 @@ fn eight_bits(x: f32) -> f32 {
 struct Lens<'a> {
     world: &'a World,
     shot: &'a Shot,
-    look: &'a Look,
+    photo_light: &'a PhotoLight,
     crowd: &'a Crowd,
-    canonical: Look,
+    canonical: PhotoLight,
 }
 
 impl Lens<'_> {
@@ -97,12 +97,12 @@ impl Lens<'_> {
         for (k, offset) in SAMPLES.into_iter().enumerate() {
             let at = corner + offset;
             let d = self.ray(at);
-            let stranger = self.crowd.at(at, frame.x, frame.y);
+            let transient = self.crowd.at(at, frame.x, frame.y);
             let (plain, own) = match self.world.closest(self.shot.eye, d) {
                 None => {
                     let plain = *sky_clean.get_or_insert_with(|| sky(&self.canonical.day));
-                    let own = if self.look.own_day {
-                        *sky_own.get_or_insert_with(|| sky(&self.look.day))
+                    let own = if self.photo_light.own_day {
+                        *sky_own.get_or_insert_with(|| sky(&self.photo_light.day))
                     } else {
                         plain
                     };
@@ -111,8 +111,8 @@ impl Lens<'_> {
                 Some(hit) => {
                     let spot = self.world.spot(self.shot.eye, d, &hit, 1.0 / camera.fx, k);
                     let plain = self.world.radiance(&spot, &self.canonical.day, suns.0[k], hit.t);
-                    let own = if self.look.own_day && stranger.is_none() {
-                        self.world.radiance(&spot, &self.look.day, suns.1[k], hit.t)
+                    let own = if self.photo_light.own_day && transient.is_none() {
+                        self.world.radiance(&spot, &self.photo_light.day, suns.1[k], hit.t)
                     } else {
                         plain
                     };
@@ -120,16 +120,16 @@ impl Lens<'_> {
                 }
             };
             clean += self.canonical.expose(plain, edge);
-            photo += match stranger {
+            photo += match transient {
                 Some((albedo, light)) => {
                     covered = true;
-                    self.look.expose(radiance(&self.look.day, albedo, light), edge)
+                    self.photo_light.expose(radiance(&self.photo_light.day, albedo, light), edge)
                 }
-                None => self.look.expose(own, edge),
+                None => self.photo_light.expose(own, edge),
             };
         }
         Pixel {
-            photo: self.look.encode(photo / 4.0),
+            photo: self.photo_light.encode(photo / 4.0),
             clean: self.canonical.encode(clean / 4.0),
             depth,
             part,

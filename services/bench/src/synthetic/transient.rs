@@ -25,7 +25,7 @@ struct Billboard {
     mirrored: bool,
 }
 
-/// The strangers of one photo.
+/// The transients of one photo.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct Crowd {
     billboards: Vec<Billboard>,
@@ -33,7 +33,7 @@ pub struct Crowd {
 }
 
 impl Crowd {
-    /// One to three strangers that together cover `share` of a frame; none for a share of 0.
+    /// One to three transients that together cover `share` of a frame; none for a share of 0.
     pub fn random(rng: &mut Rng, share: f32, width: u32, height: u32) -> Crowd {
         if share <= 0.0 {
             return Crowd::default();
@@ -79,7 +79,7 @@ impl Crowd {
         covered as f32 / (GRID * GRID) as f32
     }
 
-    /// Albedo of the stranger at a pixel position, and how much light it gets there.
+    /// Albedo of the transient at a pixel position, and how much light it gets there.
     pub fn at(&self, p: Vec2, width: f32, height: f32) -> Option<(Vec3, f32)> {
         // The last billboard stands in front.
         self.billboards.iter().rev().find_map(|b| {
@@ -95,7 +95,7 @@ impl Crowd {
     }
 }
 
-/// Radiance of a stranger under a day's light.
+/// Radiance of a transient under a day's light.
 pub fn radiance(day: &Day, albedo: Vec3, light: f32) -> Vec3 {
     albedo * (day.sun_colour * 0.42 * light + day.ambient * 0.75)
 }

@@ -32,7 +32,7 @@ pub struct PhotoTruth {
     pub test: bool,
     /// Whether it was taken from the front.
     pub front: bool,
-    /// Share of its pixels that strangers touch.
+    /// Share of its pixels that transients touch.
     pub covered: f32,
 }
 
@@ -65,7 +65,7 @@ pub struct Click {
 /// Most clicks that `truth.json` gives for an object.
 pub const CLICKS: usize = 6;
 
-/// Share of what a photo shows of an object that strangers must leave uncovered for the photo to show it well.
+/// Share of what a photo shows of an object that transients must leave uncovered for the photo to show it well.
 const UNCOVERED: f32 = 0.9;
 
 impl SyntheticScene {
@@ -73,7 +73,7 @@ impl SyntheticScene {
     ///
     /// - `images/*.png`, `sparse/0/*.bin`, `split.tsv`: the scene, as a user has one;
     /// - `truth.json`: [`Manifest`];
-    /// - `truth/<object>/<stem>.png`: where the object is (strangers aside), for each photo that shows it or could;
+    /// - `truth/<object>/<stem>.png`: where the object is (transients aside), for each photo that shows it or could;
     /// - `truth/clean`, `truth/sky`, `truth/transient`, `truth/instance` and `truth/part` (8-bit ids), `truth/depth`
     ///   (`.pfm`, file units, 0 = sky).
     pub fn write(&self, dir: &Path) -> Result<Manifest, SyntheticError> {
@@ -133,7 +133,7 @@ impl SyntheticScene {
     }
 
     /// Clicks on an instance in the training photos that show it best: first those in which no part of it is out of
-    /// the frame and strangers cover little of it, the largest first, then the others.
+    /// the frame and transients cover little of it, the largest first, then the others.
     pub fn clicks(&self, instance: u16) -> Vec<Click> {
         let mut clicks: Vec<(bool, Click)> = self
             .photos

@@ -1,7 +1,7 @@
 //! Where a run computes, and who holds the accelerator: seen by providers from inside a real run.
 
 use rayon::prelude::*;
-use segwild_bench::synthetic::{LookKind, SyntheticOptions, generate};
+use segwild_bench::synthetic::{LightVariation, SyntheticOptions, generate};
 use segwild_pipeline::{RunFolder, RunOptions, Settings, accelerator, run};
 use segwild_scene::{Embedding, Image, Mask, ScoredMask};
 use segwild_vision::{Embedder, MaskProposer, Providers, SkyDetector, VisionError};
@@ -82,7 +82,7 @@ fn kernels_of_a_run_stay_on_their_actors_threads_and_one_at_a_time_holds_the_acc
         long_side: 64,
         points: 300,
         occlusion: 0.0,
-        look: LookKind::Affine,
+        photo_light: LightVariation::Affine,
         ..SyntheticOptions::small()
     };
     generate(&options).unwrap().write(&scene).unwrap();

@@ -3,6 +3,6 @@
 mod dataflow;
 mod objects;
 mod pages;
-mod places;
 mod protocols;
+mod scenes;
 mod synthetic;

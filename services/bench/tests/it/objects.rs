@@ -71,14 +71,14 @@ fn one_click_per_object_finds_it_whatever_stands_before_it() {
     }
 }
 
-/// Share of the photos that strangers cover, and the mean IoU that photos of this size and number must reach then.
+/// Share of the photos that transients cover, and the mean IoU that photos of this size and number must reach then.
 const FLOORS: [(f32, f64); 2] = [(0.0, 0.65), (0.25, 0.5)];
 
 #[test]
 fn where_things_look_alike_compactness_tells_them_apart() {
     let dir = tempfile::tempdir().unwrap();
     let oracle = OracleOptions { kinship: 0.97, ..OracleOptions::default() };
-    // Strangers are not what is asked about.
+    // Transients are not what is asked about.
     let trial = seen_by(dir.path(), &SyntheticOptions { occlusion: 0.0, ..options() }, &oracle);
     let found = |row: &str| {
         let row = VARIANTS.iter().find(|v| v.name == row).unwrap();

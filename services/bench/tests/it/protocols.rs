@@ -59,14 +59,14 @@ fn psnr_and_ssim_are_their_definitions() {
 }
 
 #[test]
-fn masks_are_scored_without_strangers() {
+fn masks_are_scored_without_transients() {
     let truth = Mask::from_fn(40, 30, |x, _| x < 20);
     let mask = Mask::from_fn(40, 30, |x, _| x < 10);
     let plain = score(&mask, &truth, None).unwrap();
     assert!((plain.iou - 0.5).abs() < 1e-12 && (plain.accuracy - 0.75).abs() < 1e-12);
     assert!(plain.boundary_iou < plain.iou);
-    let strangers = Mask::from_fn(40, 30, |x, _| (10..20).contains(&x));
-    let fair = score(&mask, &truth, Some(&strangers)).unwrap();
+    let transients = Mask::from_fn(40, 30, |x, _| (10..20).contains(&x));
+    let fair = score(&mask, &truth, Some(&transients)).unwrap();
     assert_eq!((fair.iou, fair.accuracy, fair.boundary_iou), (1.0, 1.0, 1.0));
     assert!(score(&mask, &Mask::empty(30, 40), None).is_err());
     assert!(score(&mask, &truth, Some(&Mask::full(40, 30))).is_err());

@@ -1,7 +1,7 @@
 //! The synthetic set against itself: what its pictures, depths, labels and points say must agree.
 
 use glam::{DVec3, Vec2, Vec3};
-use segwild_bench::synthetic::{Kind, LookKind, SyntheticOptions, SyntheticScene, generate};
+use segwild_bench::synthetic::{Kind, LightVariation, SyntheticOptions, SyntheticScene, generate};
 use segwild_scene::{Image, Mask, Scene, SceneSettings};
 use std::sync::OnceLock;
 
@@ -34,7 +34,7 @@ fn the_same_seed_gives_the_same_bytes_on_any_number_of_threads() {
     assert_eq!(one.points, three.points);
     for (a, b) in one.photos.iter().zip(&three.photos) {
         assert_eq!((&a.photo, &a.clean, &a.depth, &a.parts), (&b.photo, &b.clean, &b.depth, &b.parts));
-        assert_eq!((&a.transients, &a.pose, &a.look), (&b.transients, &b.pose, &b.look));
+        assert_eq!((&a.transients, &a.pose, &a.photo_light), (&b.transients, &b.pose, &b.photo_light));
     }
     let other = with(2, &SyntheticOptions { seed: 2, ..options });
     assert_ne!(one.photos[0].clean, other.photos[0].clean);
@@ -76,7 +76,7 @@ fn depth_carried_to_other_photos_meets_the_same_instance() {
 }
 
 #[test]
-fn strangers_cover_the_share_asked_for_and_only_training_photos() {
+fn transients_cover_the_share_asked_for_and_only_training_photos() {
     for share in [0.0, 0.10, 0.25, 0.40] {
         let options =
             SyntheticOptions { occlusion: share, train: 12, test: 3, long_side: 64, points: 0, ..options() };
@@ -98,13 +98,13 @@ fn strangers_cover_the_share_asked_for_and_only_training_photos() {
 }
 
 #[test]
-fn strangers_and_looks_leave_the_clean_picture_alone() {
+fn transients_and_looks_leave_the_clean_picture_alone() {
     let bare = SyntheticOptions {
         train: 4,
         test: 1,
         long_side: 64,
         occlusion: 0.0,
-        look: LookKind::None,
+        photo_light: LightVariation::None,
         points: 0,
         ..options()
     };
@@ -112,14 +112,16 @@ fn strangers_and_looks_leave_the_clean_picture_alone() {
     for photo in &plain.photos {
         assert_eq!(photo.photo, photo.clean);
     }
-    for look in [LookKind::Affine, LookKind::Sun, LookKind::Camera, LookKind::Mixed] {
-        let other = generate(&SyntheticOptions { look, occlusion: 0.25, ..bare.clone() }).unwrap();
+    for photo_light in
+        [LightVariation::Affine, LightVariation::Sun, LightVariation::Camera, LightVariation::Mixed]
+    {
+        let other = generate(&SyntheticOptions { photo_light, occlusion: 0.25, ..bare.clone() }).unwrap();
         let mut changed = 0;
         for (a, b) in plain.photos.iter().zip(&other.photos) {
             assert_eq!((&a.clean, &a.parts), (&b.clean, &b.parts));
             changed += usize::from(a.photo != b.photo);
         }
-        assert_eq!(changed, 5, "{look}");
+        assert_eq!(changed, 5, "{photo_light}");
     }
 }
 
@@ -283,9 +285,9 @@ fn options_out_of_range_are_refused_in_words() {
     for (bad, word) in [
         (SyntheticOptions { train: 0, ..base() }, "training"),
         (SyntheticOptions { long_side: 0, ..base() }, "pixels"),
-        (SyntheticOptions { occlusion: nan, ..base() }, "strangers"),
-        (SyntheticOptions { occlusion: 0.9, ..base() }, "strangers"),
-        (SyntheticOptions { look_strength: -1.0, ..base() }, "looks"),
+        (SyntheticOptions { occlusion: nan, ..base() }, "transients"),
+        (SyntheticOptions { occlusion: 0.9, ..base() }, "transients"),
+        (SyntheticOptions { appearance_strength: -1.0, ..base() }, "looks"),
         (SyntheticOptions { units: 0.0, ..base() }, "units"),
         (SyntheticOptions { pixel_noise: f32::INFINITY, ..base() }, "noise"),
     ] {

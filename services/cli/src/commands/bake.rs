@@ -1,6 +1,6 @@
 //! `segwild bake`
 
-use super::render::{look, object_look};
+use super::render::{appearance, object_appearance};
 use super::{path, print_json, print_line};
 use crate::failure::Failure;
 use clap::ArgMatches;
@@ -10,17 +10,17 @@ use segwild_pipeline::{BakeRequest, Part, RunFolder};
 pub fn bake(matches: &ArgMatches) -> Result<(), Failure> {
     let folder = RunFolder::open(&path(matches, "run").expect("clap requires it"))?;
     let word = |name: &str| matches.get_one::<String>(name).cloned();
-    let (selection, object_look) = (word("selection"), object_look(matches));
+    let (selection, object_appearance) = (word("selection"), object_appearance(matches));
     let part = match word("mode").as_deref() {
         Some("only") => Part::Only,
         Some("without") => Part::Without,
-        None if selection.is_some() && object_look.is_none() => Part::Only,
+        None if selection.is_some() && object_appearance.is_none() => Part::Only,
         _ => Part::Scene,
     };
     let request = BakeRequest {
-        look: look(matches, "look", "strength"),
-        object_look,
-        between: matches.get_one::<f32>("between").copied(),
+        appearance: appearance(matches, "appearance", "strength"),
+        object_appearance,
+        between: matches.get_one::<f32>("interpolate").copied(),
         selection,
         part,
         out: path(matches, "out").unwrap_or_else(|| folder.path().join("baked.ply")),

@@ -83,7 +83,7 @@ fn verify(folder: &RunFolder, json: bool) -> Result<(), Failure> {
     }
     if !pictures.is_empty() {
         said.push(format!(
-            "{} of {drawn} pictures of strangers are damaged; `segwild run` puts them aside and makes them anew",
+            "{} of {drawn} pictures of transients are damaged; `segwild run` puts them aside and makes them anew",
             pictures.len()
         ));
     }

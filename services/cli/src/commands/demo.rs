@@ -8,7 +8,9 @@ use segwild_bench::oracle::OracleOptions;
 use segwild_bench::synthetic::{Kind, SyntheticOptions};
 use segwild_bench::trial::{ProviderKind, Trial};
 use segwild_flow::Stopper;
-use segwild_pipeline::{LookRequest, Mode, PhotoPrompts, Preset, RenderRequest, Settings, What, render};
+use segwild_pipeline::{
+    AppearanceRequest, Mode, PhotoPrompts, Preset, RenderRequest, Settings, What, render,
+};
 use std::path::PathBuf;
 
 /// Objects that the demo selects.
@@ -72,8 +74,8 @@ pub fn demo(matches: &ArgMatches) -> Result<(), Failure> {
         let request = RenderRequest {
             photos: vec![photo],
             frames: None,
-            look: LookRequest::default(),
-            object_look: None,
+            appearance: AppearanceRequest::default(),
+            object_appearance: None,
             between: None,
             selection: Some((object.name.clone(), Mode::Only)),
             what: What::Colour,
@@ -95,7 +97,7 @@ fn in_words(asked: &PhotoPrompts) -> String {
         words += &format!(" --box {},{},{},{}", b.x0, b.y0, b.x1, b.y1);
     }
     for p in &asked.prompts.points {
-        words += &format!(" {} {},{}", if p.inside { "--in" } else { "--out" }, p.x, p.y);
+        words += &format!(" {} {},{}", if p.inside { "--positive" } else { "--negative" }, p.x, p.y);
     }
     words
 }

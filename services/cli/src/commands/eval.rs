@@ -10,8 +10,8 @@ pub fn eval(matches: &ArgMatches) -> Result<(), Failure> {
     let folder = RunFolder::open(&path(matches, "run").expect("clap requires it"))?;
     let json = matches.get_flag("json");
     let selection = matches.get_one::<String>("selection");
-    if let Some(truth) = path(matches, "strangers") {
-        return strangers(&folder, &truth, json);
+    if let Some(truth) = path(matches, "transient-truth") {
+        return transients(&folder, &truth, json);
     }
     let Some(truth) = path(matches, "truth") else {
         if let Some(name) = selection {
@@ -63,8 +63,8 @@ fn held_out(folder: &RunFolder, json: bool) -> Result<(), Failure> {
     print_line(&format!("{:6.2} dB  SSIM {:.3}  mean ({})", held.psnr, held.ssim, held.protocol))
 }
 
-fn strangers(folder: &RunFolder, truth: &std::path::Path, json: bool) -> Result<(), Failure> {
-    let scores = segwild_pipeline::score_strangers(folder, truth)?;
+fn transients(folder: &RunFolder, truth: &std::path::Path, json: bool) -> Result<(), Failure> {
+    let scores = segwild_pipeline::score_transients(folder, truth)?;
     if json {
         return print_json(&scores);
     }
@@ -77,7 +77,7 @@ fn strangers(folder: &RunFolder, truth: &std::path::Path, json: bool) -> Result<
         print_line(&format!("{:7.3} {covered:9.1} {wrong:9.1}  {}", p.iou, p.photo))?;
     }
     print_line(&format!(
-        "{:7.3} mean of the photos with strangers; {:.3} over all pixels; {:.1} % of the photos wrongly left out",
+        "{:7.3} mean of the photos with transients; {:.3} over all pixels; {:.1} % of the photos wrongly left out",
         scores.iou,
         scores.pooled_iou,
         100.0 * scores.false_share

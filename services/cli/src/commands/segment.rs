@@ -55,7 +55,7 @@ fn prompts(matches: &ArgMatches) -> Result<Replay, Failure> {
         return Ok(Replay::read(&file)?);
     }
     let mut given: Vec<Given> = Vec::new();
-    for kind in ["photo", "in", "out-point", "box"] {
+    for kind in ["photo", "positive", "negative", "box"] {
         if let (Some(at), Some(texts)) = (matches.indices_of(kind), matches.get_many::<String>(kind)) {
             given.extend(at.zip(texts).map(|(i, text)| (i, kind, text)));
         }
@@ -69,22 +69,23 @@ fn prompts(matches: &ArgMatches) -> Result<Replay, Failure> {
             photos.push(PhotoPrompts { photo: text.clone(), prompts });
             continue;
         }
-        let flag = if kind == "out-point" { "out" } else { kind };
         let Some(photo) = photos.last_mut() else {
             return Err(Failure::usage(format!(
-                "--{flag} {text} comes before --photo: name the photo first"
+                "--{kind} {text} comes before --photo: name the photo first"
             )));
         };
         if kind == "box" {
-            let [x0, y0, x1, y1] = numbers(flag, text)?;
+            let [x0, y0, x1, y1] = numbers(kind, text)?;
             photo.prompts.boxes.push(BoxPrompt { x0, y0, x1, y1 });
         } else {
-            let [x, y] = numbers(flag, text)?;
-            photo.prompts.points.push(PointPrompt { x, y, inside: kind == "in" });
+            let [x, y] = numbers(kind, text)?;
+            photo.prompts.points.push(PointPrompt { x, y, inside: kind == "positive" });
         }
     }
     if photos.is_empty() {
-        return Err(Failure::usage("nothing is prompted: give --photo NAME --in x,y (or --prompts FILE)"));
+        return Err(Failure::usage(
+            "nothing is prompted: give --photo NAME --positive x,y (or --prompts FILE)",
+        ));
     }
     Ok(Replay { prompts: photos, settings: None })
 }

@@ -4,9 +4,9 @@ use super::{path, print_json, print_line};
 use crate::failure::Failure;
 use crate::progress::duration;
 use clap::{Arg, ArgAction, ArgMatches, Command};
-use segwild_gateway::view::{BatchView, RunView, Runs, SceneState, StageView};
-use segwild_gateway::words::bytes;
-use segwild_gateway::{Target, View};
+use segwild_monitor::view::{BatchView, RunView, Runs, SceneState, StageView};
+use segwild_monitor::words::bytes;
+use segwild_monitor::{Target, View};
 use std::sync::mpsc;
 use std::time::Duration;
 

@@ -3,7 +3,7 @@
 use super::{path, print_line};
 use crate::failure::Failure;
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
-use segwild_gateway::{Target, top as screen};
+use segwild_monitor::{Target, top as screen};
 use std::io::IsTerminal;
 
 /// The command's arguments.

@@ -217,7 +217,7 @@ fn a_click_takes_the_regions_of_photos_from_the_cache_and_does_without_it() {
     let at = format!("{},{}", click.x, click.y);
     let regions = run.join("cache/regions.d");
     let select = |name: &str| {
-        let args = ["segment", &show(&run), "--photo", &click.photo, "--in", &at, "--name", name];
+        let args = ["segment", &show(&run), "--photo", &click.photo, "--positive", &at, "--name", name];
         let output = output(&args.map(str::to_owned));
         assert!(output.status.success(), "{name}: {}", text(&output.stderr));
         std::fs::read(run.join("selections").join(name).join("object.ply")).expect("an object")
@@ -248,16 +248,16 @@ fn a_damaged_picture_of_transients_is_named_by_verify_and_by_segment() {
     let dir = folder();
     let run = copied_run(&dir);
     let photo = place().manifest.photos.iter().find(|p| !p.test).expect("one is trained on");
-    let file = run.join("strangers").join(Path::new(&photo.name).with_extension("png"));
+    let file = run.join("transients").join(Path::new(&photo.name).with_extension("png"));
     let mut bytes = std::fs::read(&file).expect("a picture");
     let middle = bytes.len() / 2;
     bytes[middle] ^= 1;
     std::fs::write(&file, bytes).expect("it is written");
-    let what = ["1 of", "pictures of strangers are damaged"];
+    let what = ["1 of", "pictures of transients are damaged"];
     refuses(&["cache", "verify", &show(&run)], 6, &what);
     let (_, click) = clearest();
     let at = format!("{},{}", click.x, click.y);
-    let output = segwild(&["segment", &show(&run), "--photo", &click.photo, "--in", &at]);
+    let output = segwild(&["segment", &show(&run), "--photo", &click.photo, "--positive", &at]);
     let said = text(&output.stdout) + &text(&output.stderr);
     assert!(output.status.success(), "{said}");
     assert!(said.contains(&show(&file)) && said.contains("is passed over"), "{said}");

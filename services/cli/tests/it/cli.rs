@@ -86,7 +86,7 @@ fn clicks_become_an_object_that_can_be_drawn_scored_and_replayed() {
     // That of the run bears the name of the folder it was copied from.
     let report = path.join("report.html");
     std::fs::remove_file(&report).expect("it goes");
-    works(&["segment", &run, "--photo", &click.photo, "--in", &at, "--name", "thing"]);
+    works(&["segment", &run, "--photo", &click.photo, "--positive", &at, "--name", "thing"]);
     let thing = path.join("selections/thing");
     let object = segwild_scene::ply::read(&thing.join("object.ply")).expect("the object opens");
     let labels = segwild_scene::ply::read_extra(&thing.join("labels.ply"), "label").expect("it opens");
@@ -97,7 +97,7 @@ fn clicks_become_an_object_that_can_be_drawn_scored_and_replayed() {
 
     // The file holds how they were used as well as the clicks.
     let other = ["--tau", "0.3", "--propagate", "0", "--spikes", "off", "--evidence-mode", "centre"];
-    let click_again = ["segment", &run, "--photo", &click.photo, "--in", &at, "--name", "other"];
+    let click_again = ["segment", &run, "--photo", &click.photo, "--positive", &at, "--name", "other"];
     works(&[&click_again[..], &other].concat());
     let read = |name: &str| {
         let file = path.join("selections").join(name).join("object.ply");
@@ -108,7 +108,11 @@ fn clicks_become_an_object_that_can_be_drawn_scored_and_replayed() {
         let prompts = show(&path.join("selections").join(name).join("prompts.json"));
         works(&["segment", &run, "--prompts", &prompts, "--name", "again"]);
         assert!(read("again") == object, "{name}: the same prompts select the same splats");
-        refuses(&["segment", &run, "--prompts", &prompts, "--photo", "a", "--in", "1,1"], 2, &["--prompts"]);
+        refuses(
+            &["segment", &run, "--prompts", &prompts, "--photo", "a", "--positive", "1,1"],
+            2,
+            &["--prompts"],
+        );
     }
     // A selection is added to the report, which says what it would say if it were written anew.
     let added = std::fs::read_to_string(&report).expect("a report");
@@ -140,7 +144,18 @@ fn clicks_become_an_object_that_can_be_drawn_scored_and_replayed() {
     let path = ["render", &run, "--photo", photos[0], "--photo", photos[1], "--frames", "3", "--out", &out];
     assert_eq!(works(&path).lines().count(), 3);
     for what in ["depth", "alpha", "features"] {
-        works(&["render", &run, "--photo", photos[0], "--what", what, "--look", photos[1], "--out", &out]);
+        works(&[
+            "render",
+            &run,
+            "--photo",
+            photos[0],
+            "--what",
+            what,
+            "--appearance",
+            photos[1],
+            "--out",
+            &out,
+        ]);
     }
 }
 
@@ -149,17 +164,17 @@ fn bad_clicks_are_answered_in_words() {
     let run = show(&place().run);
     let photo = place().manifest.photos[0].name.as_str();
     refuses(
-        &["segment", &run, "--photo", "nobody.png", "--in", "1,1"],
+        &["segment", &run, "--photo", "nobody.png", "--positive", "1,1"],
         2,
         &["no photo `nobody.png`", "10 photos"],
     );
-    refuses(&["segment", &run, "--photo", photo, "--in", "1;1"], 2, &["--in 1;1", "2 numbers"]);
-    refuses(&["segment", &run, "--photo", photo, "--in", "nan,1"], 2, &["2 numbers"]);
-    refuses(&["segment", &run, "--in", "1,1"], 2, &["before --photo"]);
+    refuses(&["segment", &run, "--photo", photo, "--positive", "1;1"], 2, &["--positive 1;1", "2 numbers"]);
+    refuses(&["segment", &run, "--photo", photo, "--positive", "nan,1"], 2, &["2 numbers"]);
+    refuses(&["segment", &run, "--positive", "1,1"], 2, &["before --photo"]);
     refuses(&["segment", &run, "--photo", photo], 2, &["nothing is prompted"]);
-    refuses(&["segment", &run, "--photo", photo, "--in", "9999,3"], 2, &["outside", photo]);
+    refuses(&["segment", &run, "--photo", photo, "--positive", "9999,3"], 2, &["outside", photo]);
     refuses(
-        &["segment", &run, "--photo", photo, "--in", "1,1", "--name", "../x"],
+        &["segment", &run, "--photo", photo, "--positive", "1,1", "--name", "../x"],
         2,
         &["cannot name a selection"],
     );
@@ -169,9 +184,17 @@ fn bad_clicks_are_answered_in_words() {
     let said = text(&output.stderr);
     assert_eq!((output.status.code(), said.trim_end().lines().count()), (Some(2), 1), "{said}");
     assert!(said.contains("two\\nlines") && said.len() < 300, "{said}");
-    refuses(&["segment", &run, "--photo", photo, "--out", "3,3"], 2, &["where it is"]);
-    refuses(&["segment", &run, "--photo", photo, "--in", "3,3", "--out", "3,3"], 2, &["inside and outside"]);
-    refuses(&["segment", &run, "--photo", photo, "--in", "3,3", "--granularity", "nan"], 2, &["0 to 1"]);
+    refuses(&["segment", &run, "--photo", photo, "--negative", "3,3"], 2, &["where it is"]);
+    refuses(
+        &["segment", &run, "--photo", photo, "--positive", "3,3", "--negative", "3,3"],
+        2,
+        &["inside and outside"],
+    );
+    refuses(
+        &["segment", &run, "--photo", photo, "--positive", "3,3", "--granularity", "nan"],
+        2,
+        &["0 to 1"],
+    );
     refuses(&["eval", &run, "--truth", "/nowhere"], 2, &["no selection named `object`"]);
     // Who asked for JSON is told in JSON, too.
     let output = segwild(&["eval", &run, "--truth", "/nowhere", "--json"]);

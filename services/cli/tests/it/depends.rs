@@ -21,7 +21,7 @@ const TABLE: [(&str, &str, &[&str]); 53] = [
     ("splats", "500", GEOMETRY),
     ("density", "mcmc", GEOMETRY),
     ("sh_degree", "1", GEOMETRY),
-    ("look", "none", GEOMETRY),
+    ("appearance_model", "none", GEOMETRY),
     ("robust", "false", GEOMETRY),
     ("robust_share", "0.1", GEOMETRY),
     ("cross_checks", "3", GEOMETRY),
@@ -34,8 +34,8 @@ const TABLE: [(&str, &str, &[&str]); 53] = [
     ("lr_colour", "0.004", GEOMETRY),
     ("lr_look", "0.001", GEOMETRY),
     // Without the look `embed`, splats keep no code.
-    ("lr_code", "0.02", NOTHING),
-    ("codes_from", "0.2", NOTHING),
+    ("lr_splat_embedding", "0.02", NOTHING),
+    ("splat_embedding_from", "0.2", NOTHING),
     // Only the look `gsw` has networks.
     ("lr_net", "0.5", NOTHING),
     ("gsw_width", "paper", NOTHING),
@@ -78,7 +78,7 @@ const TABLE: [(&str, &str, &[&str]); 53] = [
 /// The same where there is a learned decoder, and light of its own on each splat, and no masks have a part in the field.
 fn otherwise(name: &str, stages: &'static [&'static str]) -> &'static [&'static str] {
     match name {
-        "lr_code" | "codes_from" => GEOMETRY,
+        "lr_splat_embedding" | "splat_embedding_from" => GEOMETRY,
         "snapshot_at" => &["masks", "geometry"],
         "weight_compact" => NOTHING,
         "decoder_lr" => FEATURES,
@@ -87,7 +87,8 @@ fn otherwise(name: &str, stages: &'static [&'static str]) -> &'static [&'static 
     }
 }
 
-const OTHERWISE: [&str; 6] = ["--look", "embed", "--compactness", "false", "--compression", "learned"];
+const OTHERWISE: [&str; 6] =
+    ["--appearance-model", "embed", "--compactness", "false", "--compression", "learned"];
 
 /// The stages that a run with these settings would do again; the report is written by every run.
 fn done_again(run: &Path, settings: &Settings) -> Vec<&'static str> {

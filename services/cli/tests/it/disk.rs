@@ -55,7 +55,7 @@ fn a_full_disk_is_a_full_disk_whichever_file_is_written() {
     let (_, clicked) = clearest();
     let (folder, at) = (show(&run), format!("{},{}", clicked.x, clicked.y));
     let (folder, photo) = (folder.as_str(), clicked.photo.as_str());
-    let click = ["segment", folder, "--photo", photo, "--in", at.as_str()];
+    let click = ["segment", folder, "--photo", photo, "--positive", at.as_str()];
     let selection = run.join("selections/object");
     let files = struck_at_every_file(&click, 7, |n| {
         // The trace and the report are beside the selection, before and after it.

@@ -71,7 +71,7 @@ fn clicks_masks_and_transient_pictures_are_of_the_photo_as_taken() {
     let (object, click) = clearest();
     let [x, y] = lens.distort([f64::from(click.x), f64::from(click.y)]).expect("the lens shows it");
     let at = format!("{x},{y}");
-    works(&["segment", &show(&run), "--photo", &click.photo, "--in", &at, "--name", "it"]);
+    works(&["segment", &show(&run), "--photo", &click.photo, "--positive", &at, "--name", "it"]);
     let png = Path::new(&click.photo).with_extension("png");
     let straight = Mask::read_png(&scene().join("truth").join(object).join(&png)).expect("the truth");
     let truth = bent_mask(&straight, &lens);
@@ -91,9 +91,10 @@ fn clicks_masks_and_transient_pictures_are_of_the_photo_as_taken() {
     std::fs::create_dir(&given).expect("a folder");
     painted.write_png(&given.join(&png)).expect("it is written");
     let said = works(
-        &[&["run", &show(&place), "--out", &show(&run), "--strangers", &show(&given)][..], &QUICK].concat(),
+        &[&["run", &show(&place), "--out", &show(&run), "--transient-masks", &show(&given)][..], &QUICK]
+            .concat(),
     );
-    let written = Mask::read_png(&run.join("strangers").join(&png)).expect("a picture");
+    let written = Mask::read_png(&run.join("transients").join(&png)).expect("a picture");
     let painted = painted.resized(written.width(), written.height());
     assert!(written.iou(&painted) > 0.75, "{:.3}: {said}", written.iou(&painted));
 }

@@ -2,6 +2,7 @@
 
 mod common;
 
+mod appearances;
 mod bench;
 mod cache;
 mod charts;
@@ -12,13 +13,12 @@ mod deploying;
 mod disk;
 mod distorted;
 mod kills;
-mod looks;
 mod operators;
 mod photos;
 mod received;
 mod resume;
 mod sam_runs;
 mod skies;
-mod strangers;
 mod stuck;
 mod traces;
+mod transients;

@@ -396,7 +396,9 @@ fn a_real_prometheus_answers_every_panel_and_every_rule() {
     let clicks: Vec<_> = place().manifest.objects.iter().flat_map(|o| &o.clicks).collect();
     let hit = clicks.iter().any(|c| {
         let at = format!("{},{}", c.x, c.y);
-        segwild(&["segment", &show(&batch.join("one")), "--photo", &c.photo, "--in", &at]).status.success()
+        segwild(&["segment", &show(&batch.join("one")), "--photo", &c.photo, "--positive", &at])
+            .status
+            .success()
     });
     assert!(hit, "none of {} clicks selects anything", clicks.len());
     let file = manifest(dir.path(), 6000, &["one", "two"], "");

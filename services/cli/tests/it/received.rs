@@ -27,7 +27,7 @@ fn trap(dir: &Path, mark: &Path) -> Option<PathBuf> {
 fn click(run: &Path) -> [String; 6] {
     let (_, click) = clearest();
     let at = format!("{},{}", click.x, click.y);
-    ["segment".into(), show(run), "--photo".into(), click.photo.clone(), "--in".into(), at]
+    ["segment".into(), show(run), "--photo".into(), click.photo.clone(), "--positive".into(), at]
 }
 
 #[test]
@@ -75,7 +75,7 @@ fn a_received_run_folder_runs_no_native_code() {
             &["render", run_text, "--photo", photo][..],
             &["bake", run_text][..],
             &["eval", run_text][..],
-            &["eval", run_text, "--strangers", truth.as_str()][..],
+            &["eval", run_text, "--transient-truth", truth.as_str()][..],
             &["cache", "verify", run_text][..],
             &["status", run_text][..],
         ] {
@@ -146,7 +146,7 @@ fn nothing_is_written_through_a_link_out_of_a_received_run_folder() {
     for (name, target) in [
         ("selections", outside.clone()),
         ("cache", outside.clone()),
-        ("strangers", outside.clone()),
+        ("transients", outside.clone()),
         ("checkpoints", outside.clone()),
         ("renders", outside.clone()),
         ("traces", outside.clone()),

@@ -25,7 +25,7 @@
 //! ```
 
 mod file;
-mod place;
+mod run_folders;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -35,7 +35,7 @@ use segwild_pipeline::{MemoryNeed, Settings, Until};
 use serde::{Deserialize, Serialize};
 
 use self::file::{File, settings};
-use self::place::Places;
+use self::run_folders::Places;
 use crate::job::{Job, Needs, Retry};
 use crate::machine;
 

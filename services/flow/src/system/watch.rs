@@ -27,22 +27,22 @@ impl Watch {
         for (cell, seen) in cells.iter().zip(&mut self.0) {
             seen.resize(cell.pulses.len(), Seen { beat: u64::MAX, at: now, stuck: false });
             for (pulse, seen) in cell.pulses.iter().zip(seen) {
-                let glance = pulse.glance();
-                let moves = glance.beat != seen.beat
-                    || glance.state != WorkerState::Busy
+                let observe = pulse.observe();
+                let moves = observe.beat != seen.beat
+                    || observe.state != WorkerState::Busy
                     || pulse.zones.load(Ordering::Acquire) > 0;
                 if moves {
                     if seen.stuck {
                         let actor = cell.name.to_string();
                         shared.options.events.tell(Event::ActorRecovered { actor, worker: pulse.worker });
                     }
-                    *seen = Seen { beat: glance.beat, at: now, stuck: false };
+                    *seen = Seen { beat: observe.beat, at: now, stuck: false };
                 } else if !seen.stuck && now - seen.at >= shared.options.stuck_after {
                     seen.stuck = true;
                     shared.options.events.tell(Event::ActorStuck {
                         actor: cell.name.to_string(),
                         worker: pulse.worker,
-                        label: glance.label,
+                        label: observe.label,
                         seconds: (now - seen.at).as_secs_f64(),
                     });
                 }

@@ -1,22 +1,23 @@
 //! The kernels of the photo's half of a step: a photo compared on the device against the same on the host.
 
 use super::{Checked, Tolerance};
-use crate::compare::{Asked, Graded, Heard, Photo, compare};
+use crate::compare::{ComparisonInputs, Graded, Photo, StepReadback, compare};
 use crate::engine::{Cloud, bin};
 use crate::nets::Visible;
 use crate::view::pack_image;
 use crate::{GpuEngine, GpuError};
 use glam::Vec3;
 use segwild_raster::compare::{
-    self as host, BASES, BINS, Compared, LeaveOut, Residuals, Said, Seeing, Seen, Sitting, Target, smoothed,
+    self as host, BASES, BINS, Compared, LeaveOut, LossInputs, LossOutput, Residuals, Seeing, Seen, Target,
+    smoothed,
 };
-use segwild_raster::{AffineLook, Frame, Look, ProjectOptions, RasterError};
+use segwild_raster::{AffineAppearance, Appearance, Frame, ProjectOptions, RasterError};
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
 use std::sync::Arc;
 
 /// A photo, an image of the scene, and under what they are compared.
 #[derive(Clone, Debug)]
-pub struct Sitter {
+pub struct TestCase {
     /// What it is an example of.
     pub name: &'static str,
     frame: Frame,
@@ -33,14 +34,14 @@ pub struct Sitter {
 #[derive(Clone, Debug)]
 enum Leave {
     None,
-    Suspects,
+    InitialTransients,
     /// With the shares of earlier visits.
     Residual(Vec<f32>),
 }
 
-impl Sitter {
-    fn sitting(&self) -> Sitting<'_> {
-        Sitting {
+impl TestCase {
+    fn loss_inputs(&self) -> LossInputs<'_> {
+        LossInputs {
             camera: &self.camera,
             pose: &self.pose,
             matrix: self.matrix,
@@ -48,7 +49,7 @@ impl Sitter {
             has_sky: self.behind.len() > 1,
             leave_out: match &self.leave {
                 Leave::None => LeaveOut::None,
-                Leave::Suspects => LeaveOut::Suspects,
+                Leave::InitialTransients => LeaveOut::InitialTransients,
                 Leave::Residual(before) => LeaveOut::Residual(Residuals { before, share: 0.3 }),
             },
             lambda_ssim: 0.2,
@@ -59,7 +60,7 @@ impl Sitter {
 
 /// Photos of this size that between them ask all there is to ask: one colour or a sky behind, a matrix or none, nothing
 /// left out, or suspects, or what stands out at the first visit and later, in a photo that changed and in one that did not.
-pub fn sitters((width, height): (u32, u32)) -> Vec<Sitter> {
+pub fn test_cases((width, height): (u32, u32)) -> Vec<TestCase> {
     let random = &mut Random::new(41);
     let (w, h) = (width as usize, height as usize);
     let camera = Camera {
@@ -72,11 +73,11 @@ pub fn sitters((width, height): (u32, u32)) -> Vec<Sitter> {
     };
     let pose = Pose::look_at(Vec3::new(0.3, -0.4, -1.6), Vec3::ZERO, Vec3::new(0.1, -1.0, 0.0));
     let matrix = [0.9, 0.1, -0.05, 0.02, 0.05, 1.1, 0.1, -0.03, -0.1, 0.05, 0.8, 0.04];
-    // A photo of waves, an image of nearly the same, and a stranger before a third of it.
+    // A photo of waves, an image of nearly the same, and a transient before a third of it.
     let wave = |x: usize, y: usize, c: usize| {
         0.5 + 0.3 * (0.31 * x as f32 + 0.17 * y as f32 + c as f32).sin() * (0.07 * (x * y) as f32).cos()
     };
-    let stranger = |x: usize, y: usize| 5 * x < 2 * w && 3 * x > w / 2 && 2 * y > h;
+    let transient = |x: usize, y: usize| 5 * x < 2 * w && 3 * x > w / 2 && 2 * y > h;
     let mut target = Target { width: w, height: h, ..Target::default() };
     let (mut image, mut alpha) = (Image::zeros(w, h, 3), Image::zeros(w, h, 1));
     for i in 0..w * h {
@@ -89,13 +90,13 @@ pub fn sitters((width, height): (u32, u32)) -> Vec<Sitter> {
         if random.below(40) == 0 {
             flags = 0;
         }
-        if stranger(x + 3, y) {
-            flags |= Target::SUSPECT;
+        if transient(x + 3, y) {
+            flags |= Target::INITIAL_TRANSIENT;
         }
         alpha.data[i] = if sky { 0.3 * random.uniform() } else { 1.0 - 0.2 * random.uniform() };
         let mut pixel = [0, 0, 0, flags];
         for c in 0..3 {
-            let seen = if stranger(x, y) { 0.9 - 0.4 * wave(y, x, c) } else { wave(x, y, c) };
+            let seen = if transient(x, y) { 0.9 - 0.4 * wave(y, x, c) } else { wave(x, y, c) };
             pixel[c] = (255.0 * seen) as u8;
             image.data[c * w * h + i] = alpha.data[i] * (wave(x, y, c) + 0.1 * random.uniform() - 0.05);
         }
@@ -107,7 +108,7 @@ pub fn sitters((width, height): (u32, u32)) -> Vec<Sitter> {
     let much: Vec<f32> = (0..BINS).map(|b| if b < 60 { 1.0 / 60.0 } else { 0.0 }).collect();
     let little: Vec<f32> = (0..BINS).map(|b| if b < 4 { 0.25 } else { 0.0 }).collect();
     let untrusted = Target { trust: Vec::new(), ..target.clone() };
-    let base = Sitter {
+    let base = TestCase {
         name: "one colour behind, nothing left out",
         frame: Frame { image, alpha },
         target: untrusted,
@@ -119,13 +120,13 @@ pub fn sitters((width, height): (u32, u32)) -> Vec<Sitter> {
         map: None,
     };
     let first = Leave::Residual(Vec::new());
-    // Of a size that does not divide the photo's; a blur where the stranger is.
+    // Of a size that does not divide the photo's; a blur where the transient is.
     let (across, down) = ((w / 7).max(1), (h / 6).max(1));
-    let seen = |stranger_is: f32, others_are: f32| {
+    let seen = |transient_is: f32, others_are: f32| {
         let at = |i: usize| (i % across * w / across, i / across * h / down);
         let value = |i: usize| {
             let (x, y) = at(i);
-            let sure = if stranger(x, y) { stranger_is } else { others_are };
+            let sure = if transient(x, y) { transient_is } else { others_are };
             (sure + 0.05 * (i as f32).sin()).clamp(0.02, 0.98)
         };
         Image { data: (0..across * down).map(value).collect(), ..Image::zeros(across, down, 1) }
@@ -134,9 +135,9 @@ pub fn sitters((width, height): (u32, u32)) -> Vec<Sitter> {
     darker.image.data.iter_mut().for_each(|v| *v *= 0.5);
     vec![
         base.clone(),
-        Sitter { name: "suspects left out", leave: Leave::Suspects, ..base.clone() },
-        Sitter { name: "what stands out left out", leave: first, target: target.clone(), ..base.clone() },
-        Sitter {
+        TestCase { name: "suspects left out", leave: Leave::InitialTransients, ..base.clone() },
+        TestCase { name: "what stands out left out", leave: first, target: target.clone(), ..base.clone() },
+        TestCase {
             name: "a photo seen before, a sky, a matrix",
             leave: Leave::Residual(much.clone()),
             target: target.clone(),
@@ -144,7 +145,7 @@ pub fn sitters((width, height): (u32, u32)) -> Vec<Sitter> {
             behind: sky.clone(),
             ..base.clone()
         },
-        Sitter {
+        TestCase {
             name: "a photo that changed",
             frame: darker,
             leave: Leave::Residual(little),
@@ -152,14 +153,14 @@ pub fn sitters((width, height): (u32, u32)) -> Vec<Sitter> {
             behind: sky,
             ..base.clone()
         },
-        Sitter {
-            name: "a photo whose network sees the stranger",
+        TestCase {
+            name: "a photo whose network sees the transient",
             leave: Leave::Residual(much.clone()),
             target: target.clone(),
             map: Some(seen(0.3, 0.9)),
             ..base.clone()
         },
-        Sitter {
+        TestCase {
             name: "a photo of which its network sees next to nothing",
             leave: Leave::Residual(Vec::new()),
             target,
@@ -187,22 +188,22 @@ const SHARES: Tolerance = Tolerance { tight: 0.02, flips: 0.1, loose: 0.1 };
 const GRADED: Tolerance = Tolerance { tight: 1e-3, flips: 0.02, loose: 2.0 };
 
 /// Compares a photo on the device with the same on the host, kernel by kernel.
-pub fn compared(engine: &GpuEngine, sitter: &Sitter) -> Result<Vec<Checked>, RasterError> {
-    let sitting = sitter.sitting();
-    let Sitter { frame, target, .. } = sitter;
-    let seeing = sitter.map.as_ref().map(|map| Seeing { map, decides: true });
-    let wanted = host::compare(frame, target, &sitting, seeing.as_ref());
-    let got = on_the_device(engine, sitter)?;
-    let shown = shown(sitter);
+pub fn compared(engine: &GpuEngine, test_case: &TestCase) -> Result<Vec<Checked>, RasterError> {
+    let loss_inputs = test_case.loss_inputs();
+    let TestCase { frame, target, .. } = test_case;
+    let seeing = test_case.map.as_ref().map(|map| Seeing { map, decides: true });
+    let wanted = host::compare(frame, target, &loss_inputs, seeing.as_ref());
+    let got = on_the_device(engine, test_case)?;
+    let shown = shown(test_case);
     let residual = host::mean_difference(&shown, &target.image());
     let mut checked = Vec::new();
     let mut add = |kernels, off: Result<(), String>| {
-        checked.push(Checked { kernels, off: off.err().map(|off| format!("{}: {off}", sitter.name)) });
+        checked.push(Checked { kernels, off: off.err().map(|off| format!("{}: {off}", test_case.name)) });
     };
     let planes = [shown.plane(0), shown.plane(1), shown.plane(2), &residual];
     let packed: Vec<f32> = (0..residual.len()).flat_map(|i| planes.map(|plane| plane[i])).collect();
     add(&["compose"], SHOWN.compare("shown colours and residuals", &got.shown, &packed));
-    if let LeaveOut::Residual(_) = sitting.leave_out {
+    if let LeaveOut::Residual(_) = loss_inputs.leave_out {
         let smooth = smoothed(&target.doubted(&residual), target.width);
         add(&["compose", "box_mean"], SHOWN.compare("smoothed residuals", &got.smoothed, &smooth));
         let (got, wanted) = (&got.said.residuals, &wanted.said.residuals);
@@ -213,28 +214,28 @@ pub fn compared(engine: &GpuEngine, sitter: &Sitter) -> Result<Vec<Checked>, Ras
         add(&["blame", "limits"], SUMS.compare("blames", blames, &wanted));
     }
     let (kernels, tolerance): (&[&str], _) =
-        if sitter.map.is_some() { (&["see", "prefer"], SEEN) } else { (&["weigh", "limits"], WEIGHTS) };
+        if test_case.map.is_some() { (&["see", "prefer"], SEEN) } else { (&["weigh", "limits"], WEIGHTS) };
     add(kernels, tolerance.compare("weights", &got.weights, &wanted.weights.data));
-    let quality = |said: &Said| [said.psnr, said.left_out];
+    let quality = |said: &LossOutput| [said.psnr, said.left_out];
     add(&["weigh", "total", "prefer"], SUMS.compare("quality", &quality(&got.said), &quality(&wanted.said)));
     add(&["box_mean", "weigh", "prefer"], GRADED.compare("errors", &got.error, &wanted.error.data));
     let Compared { said, image, alpha, .. } = wanted;
     add(&["structure", "slope"], SUMS.compare("loss", &[got.said.loss], &[said.loss]));
     let wide = pack_image(&image, 0, 1, Some(&alpha));
     let kernels: &[&str] =
-        if sitting.matrix.is_some() { &["grade"] } else { &["structure", "slope", "grade"] };
+        if loss_inputs.matrix.is_some() { &["grade"] } else { &["structure", "slope", "grade"] };
     add(kernels, SLOPES.compare("gradients", &got.grads, &wide));
     if let (Some(got), Some(wanted)) = (&got.said.matrix, &said.matrix) {
         add(&["grade"], SUMS.compare("gradient of the matrix", got, wanted));
     }
-    let sums = |said: &Said| match &said.behind {
+    let sums = |said: &LossOutput| match &said.behind {
         Seen::Sky(sums) => {
             let numbers = sums.products.as_flattened().iter().chain(sums.colours.as_flattened());
             numbers.chain(&[sums.total, sums.looked]).map(|&v| v as f32).collect::<Vec<_>>()
         }
         Seen::Colour(sums) => [sums.pull.as_slice(), &[sums.total]].concat(),
     };
-    let kernels: &[&str] = if sitting.has_sky { &["sky_sums"] } else { &["colour_sums"] };
+    let kernels: &[&str] = if loss_inputs.has_sky { &["sky_sums"] } else { &["colour_sums"] };
     add(kernels, SUMS.compare("sums of what is behind", &sums(&got.said), &sums(&said)));
     Ok(checked)
 }
@@ -244,14 +245,14 @@ fn some(shares: &Option<Vec<f32>>) -> &[f32] {
 }
 
 /// What the host shows.
-fn shown(sitter: &Sitter) -> Image {
-    let mut scene = sitter.frame.image.clone();
-    let behind = host::paint(&sitter.behind, &sitter.camera, &sitter.pose);
-    host::add_behind(&mut scene, &sitter.frame.alpha, &behind);
-    let Some(matrix) = sitter.matrix else { return scene };
-    let mut look = AffineLook::new(1);
-    look.set_matrix(0, matrix);
-    look.apply(0, &scene)
+fn shown(test_case: &TestCase) -> Image {
+    let mut scene = test_case.frame.image.clone();
+    let behind = host::paint(&test_case.behind, &test_case.camera, &test_case.pose);
+    host::add_behind(&mut scene, &test_case.frame.alpha, &behind);
+    let Some(matrix) = test_case.matrix else { return scene };
+    let mut appearance = AffineAppearance::new(1);
+    appearance.set_matrix(0, matrix);
+    appearance.apply(0, &scene)
 }
 
 /// What the device makes of a photo.
@@ -262,27 +263,27 @@ struct Got {
     grads: Vec<f32>,
     error: Vec<f32>,
     blames: Option<Vec<f32>>,
-    said: Said,
+    said: LossOutput,
 }
 
-fn on_the_device(engine: &GpuEngine, sitter: &Sitter) -> Result<Got, GpuError> {
-    let sitting = sitter.sitting();
+fn on_the_device(engine: &GpuEngine, test_case: &TestCase) -> Result<Got, GpuError> {
+    let loss_inputs = test_case.loss_inputs();
     let work = &mut engine.device.work();
     let cloud = Arc::new(Cloud::upload(work, &Splats::default())?);
-    let (on, _) = bin(work, cloud, &sitter.camera, &sitter.pose, &ProjectOptions::default(), None)?;
-    let frame = &sitter.frame;
+    let (on, _) = bin(work, cloud, &test_case.camera, &test_case.pose, &ProjectOptions::default(), None)?;
+    let frame = &test_case.frame;
     let image = work.upload("the image", &pack_image(&frame.image, 0, 1, Some(&frame.alpha)))?;
-    let photo = Photo::upload(work, &sitter.target)?;
-    let asked = Asked::upload(work, &sitting)?;
+    let photo = Photo::upload(work, &test_case.target)?;
+    let asked = ComparisonInputs::upload(work, &loss_inputs)?;
     let odds = |sure: &f32| (sure / (1.0 - sure)).ln();
-    let map: Vec<f32> = sitter.map.iter().flat_map(|map| map.data.iter().map(odds)).collect();
+    let map: Vec<f32> = test_case.map.iter().flat_map(|map| map.data.iter().map(odds)).collect();
     let maps = work.upload("what a network sees", &map)?;
     let seen = |map: &Image| Visible { maps: &maps, place: 0, size: [map.width, map.height], decides: true };
-    let visible = sitter.map.as_ref().map(seen);
-    let graded = compare(work, &on.view, &image, &photo, &asked, &sitting, visible.as_ref())?;
+    let visible = test_case.map.as_ref().map(seen);
+    let graded = compare(work, &on.view, &image, &photo, &asked, &loss_inputs, visible.as_ref())?;
     let Graded { shown, smoothed, weights, grads, error, blames } = graded;
-    let n = sitter.target.pixels.len();
-    let said = Heard::read(work, &asked.said, &on.found)?.said(&sitting);
+    let n = test_case.target.pixels.len();
+    let said = StepReadback::read(work, &asked.said, &on.found)?.said(&loss_inputs);
     Ok(Got {
         shown: work.read(&shown, 4 * n)?,
         smoothed: work.read(&smoothed, n)?,

@@ -1,11 +1,11 @@
 //! The feature field's kernels beside the host's losses and optimiser.
 
-use super::question::{Made, Question};
+use super::feature_case::{FeatureCase, Made};
 use super::{Checked, SIZE, SPLATS, Tolerance};
-use crate::field::{GpuAsked, GpuField, GpuRows};
+use crate::field::{GpuFeatureTarget, GpuField, GpuRows};
 use crate::view::{at_once, gathered_at_once, pack_image, pack_splats, parts_of, unpack_image};
 use crate::{GpuEngine, GpuError};
-use segwild_raster::field::{FieldRule, Lifting, Queries, RefiningAway, RowAdam, dot, score};
+use segwild_raster::field::{DeviceRefinement, FieldRule, Lifting, Queries, RowAdam, dot, score};
 use segwild_raster::{Channels, Engine, Kept, Projected, RasterError};
 use segwild_scene::{Image, Random};
 
@@ -17,14 +17,14 @@ pub fn field(engine: &GpuEngine, view: &dyn Projected) -> Result<Vec<Checked>, R
     let mut checked =
         vec![Checked { kernels: &["row_state", "row_step", "row_add"], off: rows(engine, view)?.err() }];
     for question in [
-        Question { size: SIZE, channels: 20, decoded: None, grid: [24, 17], pixels: 700, masks: 70 },
-        Question { size: SIZE, channels: 3, decoded: None, grid: [130, 68], pixels: 1100, masks: 9 },
-        Question { size: SIZE, channels: 20, decoded: Some(30), grid: [40, 31], pixels: 0, masks: 0 },
+        FeatureCase { size: SIZE, channels: 20, decoded: None, grid: [24, 17], pixels: 700, masks: 70 },
+        FeatureCase { size: SIZE, channels: 3, decoded: None, grid: [130, 68], pixels: 1100, masks: 9 },
+        FeatureCase { size: SIZE, channels: 20, decoded: Some(30), grid: [40, 31], pixels: 0, masks: 0 },
     ] {
         let off = judged(&question, engine, FieldRule { compact: 0.0, ..RULE }, false)?.err();
         checked.push(Checked { kernels: &["area_average", "embedding_loss", "area_spread"], off });
         let off = judged(&question, engine, FieldRule { embedding: 0.0, ..RULE }, true)?.err();
-        checked.push(Checked { kernels: &["drawn", "units", "mates", "pairs", "pull", "add_pull"], off });
+        checked.push(Checked { kernels: &["sampled", "units", "mates", "pairs", "pull", "add_pull"], off });
     }
     checked.push(Checked { kernels: &["blend", "gather"], off: steps(engine, view)?.err() });
     for (channels, queries) in [(3, 1), (20, 5)] {
@@ -116,7 +116,7 @@ fn resemblance(
 
 /// What the losses say of some images, beside what the host says; some numbers of the images are none.
 fn judged(
-    question: &Question,
+    question: &FeatureCase,
     engine: &GpuEngine,
     rule: FieldRule,
     pairs: bool,
@@ -155,7 +155,7 @@ fn judged(
 /// The gradients of an image, as the device has them.
 fn told(engine: &GpuEngine, field: &GpuField, image: &Image, made: &Made) -> Result<Image, RasterError> {
     let mut work = engine.device.work();
-    let asked = GpuAsked::upload(&engine.device, &mut work, &made.asked())?;
+    let asked = GpuFeatureTarget::upload(&engine.device, &mut work, &made.asked())?;
     let step = field.begin(&mut work, &asked, &made.drawn())?;
     let (pixels, count) = (image.pixels(), image.channels);
     for first in parts_of(count) {
@@ -189,7 +189,7 @@ fn alike(tolerance: Tolerance, what: &str, got: &[f32], wanted: &[f32]) -> Resul
 /// Features that are refined by some steps, beside the host's by the same views.
 fn steps(engine: &GpuEngine, view: &dyn Projected) -> Result<Result<(), String>, RasterError> {
     let question =
-        Question { size: SIZE, channels: 20, decoded: Some(30), grid: [24, 17], pixels: 200, masks: 12 };
+        FeatureCase { size: SIZE, channels: 20, decoded: Some(30), grid: [24, 17], pixels: 200, masks: 12 };
     let random = &mut Random::new(9);
     let values: Vec<f32> = (0..question.channels * SPLATS).map(|_| random.uniform() - 0.5).collect();
     let (mut here, mut there) = (question.refining(values.clone(), RULE), question.refining(values, RULE));

@@ -2,15 +2,15 @@
 //! which they depend on one another. The first that diverges is where to look.
 
 mod compare;
+mod feature_case;
 mod field;
 mod networks;
-mod question;
 mod training;
 
-pub use compare::{Sitter, compared, sitters};
+pub use compare::{TestCase, compared, test_cases};
+pub use feature_case::{FeatureCase, Made};
 pub use networks::networks;
-pub use question::{Made, Question};
-pub use training::{held, held_with_codes, training};
+pub use training::{held, held_with_embeddings, training};
 
 use crate::device::Work;
 use crate::engine::{BUCKET, Binned, Cloud, TILE, bin, scan, sort};
@@ -171,7 +171,7 @@ pub fn check_splats(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
     splats.sh_degree = 3;
     splats.sh = (0..splats.len() * splats.sh_stride()).map(|_| 0.5 * random.uniform() - 0.25).collect();
     let mut checked = training(engine, &held(splats.clone()), &camera, &pose, &OPTIONS)?;
-    checked.extend(training(engine, &held_with_codes(splats), &camera, &pose, &OPTIONS)?);
+    checked.extend(training(engine, &held_with_embeddings(splats), &camera, &pose, &OPTIONS)?);
     Ok(checked)
 }
 
@@ -185,8 +185,8 @@ pub fn check_networks(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
 /// Compares the kernels of a photo's half of a step.
 pub fn check_comparison(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
     let mut checked = Vec::new();
-    for sitter in sitters(SIZE) {
-        checked.extend(compared(engine, &sitter)?);
+    for test_case in test_cases(SIZE) {
+        checked.extend(compared(engine, &test_case)?);
     }
     Ok(checked)
 }

@@ -4,10 +4,11 @@ use super::{Checked, Tolerance};
 use crate::GpuEngine;
 use crate::GpuError;
 use crate::nets::{GpuNetworks, Lighting, Plan, Tape, Weights};
-use segwild_nets::{Conv, Form, Graph, Layout, Map, Op, What};
+use segwild_nn::{Conv, Form, Graph, Layout, Map, Op, What};
 use segwild_raster::gsw::{BELOW, CODE, LAYER, Networks};
 use segwild_raster::{
-    CpuEngine, Engine, GswLook, GswWidth, Look, NetworksStep, ProjectOptions, RasterError, Rule, Sight,
+    Appearance, CpuEngine, Engine, GswAppearance, GswWidth, NetworksStep, ProjectOptions, RasterError, Rule,
+    Sight,
 };
 use segwild_scene::{Camera, Pose, Random, Splats};
 
@@ -21,25 +22,25 @@ fn noise(random: &mut Random, n: usize) -> Vec<f32> {
 }
 
 /// A look of one photo that a camera took.
-fn look(camera: &Camera, pose: &Pose) -> GswLook {
-    let mut look = GswLook::new(1, 31, GswWidth::Cpu);
+fn appearance(camera: &Camera, pose: &Pose) -> GswAppearance {
+    let mut appearance = GswAppearance::new(1, 31, GswWidth::Cpu);
     let (w, h) = PHOTO;
     let wave =
         |i: usize, c: usize| 0.5 + 0.4 * (0.2 * (i % w) as f32 + 0.13 * (i / w * (c + 1)) as f32).sin();
     let colour = |i: usize| (i % 7 != 3).then(|| [0, 1, 2].map(|c| wave(i, c)));
-    let glance = look.glance((w, h), camera, pose, colour);
-    look.set_glance(0, glance);
+    let image_conditioning = appearance.image_conditioning((w, h), camera, pose, colour);
+    appearance.set_image_conditioning(0, image_conditioning);
     // The last layer begins next to nothing, which would hide all before it.
     let random = &mut Random::new(32);
     let layer = noise(random, LAYER);
-    look.set_layer(&layer);
-    look.below.set_matrix(0, [0.9, 0.1, -0.05, 0.02, 0.05, 1.1, 0.1, -0.03, -0.1, 0.05, 0.8, 0.04]);
-    look
+    appearance.set_layer(&layer);
+    appearance.below.set_matrix(0, [0.9, 0.1, -0.05, 0.02, 0.05, 1.1, 0.1, -0.03, -0.1, 0.05, 0.8, 0.04]);
+    appearance
 }
 
 /// A step that reads light, of the whole photo or a part.
-fn draw_of(look: &GswLook, whole: bool) -> u64 {
-    let is = |&draw: &u64| look.glimpse(0, draw).is_some_and(|glimpse| glimpse.whole == whole);
+fn draw_of(appearance: &GswAppearance, whole: bool) -> u64 {
+    let is = |&draw: &u64| appearance.unet_input(0, draw).is_some_and(|unet_input| unet_input.whole == whole);
     (0..1000).find(is).expect("one in a thousand")
 }
 
@@ -50,16 +51,16 @@ pub fn networks(
     camera: &Camera,
     pose: &Pose,
 ) -> Result<Vec<Checked>, RasterError> {
-    let look = look(camera, pose);
+    let appearance = appearance(camera, pose);
     let mut checked = small(engine)?;
-    checked.extend(photo(engine, &look)?);
+    checked.extend(photo(engine, &appearance)?);
     for (name, draw) in [
-        ("a photo", Some(draw_of(&look, true))),
-        ("half a photo", Some(draw_of(&look, false))),
+        ("a photo", Some(draw_of(&appearance, true))),
+        ("half a photo", Some(draw_of(&appearance, false))),
         ("no light", None),
     ] {
         let view = View { splats, camera, pose };
-        let found = lighting(engine, &look, &view, draw)?;
+        let found = lighting(engine, &appearance, &view, draw)?;
         checked.extend(
             found
                 .into_iter()
@@ -78,7 +79,7 @@ pub fn networks(
     Ok(checked)
 }
 
-/// A network in which a map is read in ways that no [`UNet`](segwild_nets::UNet) has.
+/// A network in which a map is read in ways that no [`UNet`](segwild_nn::UNet) has.
 fn small(engine: &GpuEngine) -> Result<Vec<Checked>, GpuError> {
     let mut layout = Layout::new();
     let mut graph = Graph::given(&[Form { channels: 3, halved: 0 }]);
@@ -93,15 +94,15 @@ fn small(engine: &GpuEngine) -> Result<Vec<Checked>, GpuError> {
 }
 
 /// The network of a photo.
-fn photo(engine: &GpuEngine, look: &GswLook) -> Result<Vec<Checked>, GpuError> {
+fn photo(engine: &GpuEngine, appearance: &GswAppearance) -> Result<Vec<Checked>, GpuError> {
     let unet = &Networks::of(GswWidth::Cpu).unet;
-    let glimpse = look.glimpse(0, draw_of(look, true)).expect("there is light");
-    let mut weights = look.held().weights;
+    let unet_input = appearance.unet_input(0, draw_of(appearance, true)).expect("there is light");
+    let mut weights = appearance.held().weights;
     // Norms begin as ones that change nothing.
     let random = &mut Random::new(36);
     let changes = noise(random, weights.len());
     weights.iter_mut().zip(changes).for_each(|(weight, by)| *weight += 0.2 * by);
-    let given = vec![glimpse.image, glimpse.beside];
+    let given = vec![unet_input.image, unet_input.beside];
     network(engine, &unet.graph, weights, given, &[unet.maps, unet.plane])
 }
 
@@ -192,23 +193,24 @@ struct View<'a> {
 /// What splats read in a photo and what becomes of it, forward and back; `draw`: what the step draws, or no light is read.
 fn lighting(
     engine: &GpuEngine,
-    look: &GswLook,
+    appearance: &GswAppearance,
     view: &View,
     draw: Option<u64>,
 ) -> Result<Vec<Checked>, RasterError> {
     let View { splats, camera, pose } = *view;
     let n = splats.len();
     let random = &mut Random::new(34);
-    let codes: Vec<f32> = noise(random, n * CODE).into_iter().map(|v| 8.0 * v).collect();
+    let splat_embeddings: Vec<f32> = noise(random, n * CODE).into_iter().map(|v| 8.0 * v).collect();
     let (colours, grad) = (noise(random, 3 * n), noise(random, 3 * n));
     let cpu = CpuEngine::new();
     let projected = cpu.project(splats, camera, pose, &ProjectOptions::default())?;
     let radii = projected.radii();
     let eye = pose.centre();
-    let sight = Sight { means: &splats.means, codes: &codes, radii, eye: eye.to_array() };
-    let mut right = look.clone();
-    let light = draw.and_then(|draw| right.impression(0, Some(draw)));
-    let below = right.below.tint(0, &right.codes_below(&codes), colours.clone());
+    let sight =
+        Sight { means: &splats.means, splat_embeddings: &splat_embeddings, radii, eye: eye.to_array() };
+    let mut right = appearance.clone();
+    let light = draw.and_then(|draw| right.appearance_maps(0, Some(draw)));
+    let below = right.below.tint(0, &right.embeddings_below(&splat_embeddings), colours.clone());
     let tinted = right.tint(0, light.as_ref(), &sight, colours.clone());
     let map = light.as_ref().and_then(|light| light.visible());
     let blame: Vec<Option<f32>> = map.map_or(Vec::new(), |map| {
@@ -218,10 +220,10 @@ fn lighting(
     let wanted = right.gradients().expect("kept for the next step").concat();
 
     let rules = [Rule { beta1: 0.9, beta2: 0.999, rate: 0.0, epsilon: 1e-8 }; 2];
-    let glimpse = draw.and_then(|draw| look.glimpse(0, draw));
-    let step = NetworksStep { glimpse, draw: draw.unwrap_or(0), decides: false, rules };
+    let unet_input = draw.and_then(|draw| appearance.unet_input(0, draw));
+    let step = NetworksStep { unet_input, draw: draw.unwrap_or(0), decides: false, rules };
     let work = &mut engine.device.work();
-    let held = GpuNetworks::upload(work, &look.held())?;
+    let held = GpuNetworks::upload(work, &appearance.held())?;
     let wide = |values: &[f32]| -> Vec<[f32; 4]> {
         values.chunks_exact(3).map(|v| [v[0], v[1], v[2], 1.0]).collect()
     };
@@ -229,7 +231,7 @@ fn lighting(
     let means: Vec<[f32; 4]> = splats.means.iter().map(|&[x, y, z]| [x, y, z, 0.0]).collect();
     let seen = work.upload("depths and radii", &seen)?;
     let means = work.upload("centres", &means)?;
-    let there = work.upload("codes", &codes)?;
+    let there = work.upload("codes", &splat_embeddings)?;
     let blames: Vec<f32> = blame.iter().map(|blame| blame.unwrap_or(-1.0)).collect();
     let blamed = match blames.is_empty() {
         true => None,
@@ -250,11 +252,11 @@ fn lighting(
     let shown: Vec<f32> = visible.iter().flat_map(|&i| &shown[i][..3]).copied().collect();
     let tinted: Vec<f32> = visible.iter().flat_map(|&i| &tinted[3 * i..3 * i + 3]).copied().collect();
     let own = CODE - BELOW;
-    let codes_of = |codes: &[f32]| -> Vec<f32> {
-        visible.iter().flat_map(|&i| &codes[i * CODE..i * CODE + own]).copied().collect()
+    let embeddings_of = |splat_embeddings: &[f32]| -> Vec<f32> {
+        visible.iter().flat_map(|&i| &splat_embeddings[i * CODE..i * CODE + own]).copied().collect()
     };
     let border = held.nets().border;
-    // What sees strangers is less than the rest by far.
+    // What sees transients is less than the rest by far.
     let layers = held.nets().layout.layers();
     let head =
         layers.iter().find(|layer| layer.name.starts_with("visible")).map_or(border, |l| l.weights.start);
@@ -271,7 +273,7 @@ fn lighting(
         },
         Checked {
             kernels: &["read_light_backward"],
-            off: compare("gradients of the codes", &codes_of(&by_there), &codes_of(&by_code)),
+            off: compare("gradients of the codes", &embeddings_of(&by_there), &embeddings_of(&by_code)),
         },
         Checked {
             kernels: &["map_sums", "read_light_backward", "visibility"],

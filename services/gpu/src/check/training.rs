@@ -1,13 +1,13 @@
 //! The kernels of training: one step on the device against the same step on the host.
 
 use super::{Checked, Tolerance};
-use crate::compare::{Heard, room_for_said};
+use crate::compare::{StepReadback, room_for_said};
 use crate::training::GpuTraining;
 use crate::view::pack_image;
 use crate::{GpuEngine, GpuError};
 use segwild_raster::{
-    Adam, Channels, Codes, CpuEngine, EmbedLook, Engine, Frame, FrameGrad, Held, Light, Look, ProjectOptions,
-    RasterError, Reshaped, Resident, Rule, Rules,
+    Adam, Appearance, Channels, Codes, CpuEngine, EmbedAppearance, Engine, Frame, FrameGrad, Held, Light,
+    ProjectOptions, RasterError, Reshaped, Resident, Rule, Rules,
 };
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
 
@@ -27,17 +27,17 @@ pub fn held(splats: Splats) -> Held {
     };
     let (first, second) = (like(-0.5, 0.5), like(0.1, 1.0));
     let sums = splats.means.iter().map(|_| [0; 4].map(|_| random.uniform())).collect();
-    Held { splats, first, second, sums, codes: Codes::default(), networks: None }
+    Held { splats, first, second, sums, splat_embeddings: Codes::default(), networks: None }
 }
 
 /// The same with codes.
-pub fn held_with_codes(splats: Splats) -> Held {
+pub fn held_with_embeddings(splats: Splats) -> Held {
     let random = &mut Random::new(23);
-    let numbers = splats.len() * EmbedLook::CODE_SIZE;
+    let numbers = splats.len() * EmbedAppearance::EMBEDDING_SIZE;
     let mut like =
         |from: f32, to: f32| (0..numbers).map(|_| from + (to - from) * random.uniform()).collect::<Vec<_>>();
-    let codes = Codes { values: like(-0.1, 0.1), first: like(-0.5, 0.5), second: like(0.1, 1.0) };
-    Held { codes, ..held(splats) }
+    let splat_embeddings = Codes { values: like(-0.1, 0.1), first: like(-0.5, 0.5), second: like(0.1, 1.0) };
+    Held { splat_embeddings, ..held(splats) }
 }
 
 /// Compares one step of training on the device, of splats in sight of a camera, with the host's.
@@ -64,14 +64,15 @@ pub fn training(
         opacities: rule(0.04),
         base: rule(0.05),
         higher: rule(0.06),
-        codes: rule(0.07),
+        splat_embeddings: rule(0.07),
         kept: 0.97,
     };
     // With another light than the first photos' to begin with.
-    let mut look = EmbedLook::new(1, 24);
-    look.set_matrix(0, [0.9, 0.1, -0.05, 0.02, 0.05, 1.1, 0.1, -0.03, -0.1, 0.05, 0.8, 0.04]);
-    let light = (!held.codes.values.is_empty()).then(|| look.photo(0));
-    let (frame, wanted, by_light) = on_the_host(held, camera, pose, options, &grad, &error, &rules, &look)?;
+    let mut appearance = EmbedAppearance::new(1, 24);
+    appearance.set_matrix(0, [0.9, 0.1, -0.05, 0.02, 0.05, 1.1, 0.1, -0.03, -0.1, 0.05, 0.8, 0.04]);
+    let light = (!held.splat_embeddings.values.is_empty()).then(|| appearance.photo(0));
+    let (frame, wanted, by_light) =
+        on_the_host(held, camera, pose, options, &grad, &error, &rules, &appearance)?;
     let mut away = GpuTraining::new(&engine.device, &engine.shelf, held)?;
     let (drawn, lit) =
         on_the_device(engine, &away, camera, pose, options, light.as_ref(), &grad, &error, &rules)?;
@@ -99,7 +100,7 @@ pub fn training(
     let all = |of: &[(&str, Array)]| of.iter().try_for_each(|&(name, of)| compare(name, of));
     let tinted = || {
         let (Some(lit), Some(light)) = (lit, by_light) else { return Ok(()) };
-        let (got, wanted, before) = (&got.codes, &wanted.codes, &held.codes);
+        let (got, wanted, before) = (&got.splat_embeddings, &wanted.splat_embeddings, &held.splat_embeddings);
         let moved = |after: &Codes| -> Vec<f32> {
             after.values.iter().zip(&before.values).map(|(a, b)| a - b).collect()
         };
@@ -149,11 +150,11 @@ fn reshaped(engine: &GpuEngine, held: &Held) -> Result<Result<(), String>, Raste
         splats
     };
     let moments = |splats| Splats { opacities: vec![0.0; parents.len()], ..of(splats, true) };
-    let codes = |codes: &[f32], forget: bool| -> Vec<f32> {
-        let size = codes.len().checked_div(n).unwrap_or(0);
+    let splat_embeddings = |splat_embeddings: &[f32], forget: bool| -> Vec<f32> {
+        let size = splat_embeddings.len().checked_div(n).unwrap_or(0);
         let code = |(k, &i): (usize, &usize)| {
             let known = if forget && forgotten[k] { 0.0 } else { 1.0 };
-            codes[i * size..(i + 1) * size].iter().map(move |v| known * v)
+            splat_embeddings[i * size..(i + 1) * size].iter().map(move |v| known * v)
         };
         parents.iter().enumerate().flat_map(code).collect()
     };
@@ -163,10 +164,10 @@ fn reshaped(engine: &GpuEngine, held: &Held) -> Result<Result<(), String>, Raste
         first: moments(&held.first),
         second: moments(&held.second),
         sums: vec![[0.0; 4]; parents.len()],
-        codes: Codes {
-            values: codes(&held.codes.values, false),
-            first: codes(&held.codes.first, true),
-            second: codes(&held.codes.second, true),
+        splat_embeddings: Codes {
+            values: splat_embeddings(&held.splat_embeddings.values, false),
+            first: splat_embeddings(&held.splat_embeddings.first, true),
+            second: splat_embeddings(&held.splat_embeddings.second, true),
         },
         networks: held.networks.clone(),
     };
@@ -205,7 +206,7 @@ fn on_the_device(
     let (groups, said) = (away.groups(work, rules, None)?, room_for_said(work)?);
     let drawn = away.draw(work, camera, pose, options, light.map(|light| (light, None)), None)?;
     away.learn(work, &drawn, (&by_image, &error, None), &groups, &said)?;
-    let heard = Heard::read(work, &said, &drawn.on.found)?;
+    let heard = StepReadback::read(work, &said, &drawn.on.found)?;
     Ok((work.read(&drawn.image, drawn.on.pixels * 4)?, light.map(|_| heard.light())))
 }
 
@@ -219,23 +220,23 @@ fn on_the_host(
     grad: &FrameGrad,
     error: &Image,
     rules: &Rules,
-    look: &EmbedLook,
+    appearance: &EmbedAppearance,
 ) -> Result<(Frame, Held, Option<Light>), RasterError> {
     let cpu = CpuEngine::new();
     let splats = &held.splats;
     let projected = cpu.project(splats, camera, pose, options)?;
     let colours = projected.shade();
-    let mut look = look.clone();
-    let codes = &held.codes.values;
-    let lit = !codes.is_empty();
-    let tinted = if lit { look.tint(0, codes, colours.clone()) } else { colours.clone() };
+    let mut appearance = appearance.clone();
+    let splat_embeddings = &held.splat_embeddings.values;
+    let lit = !splat_embeddings.is_empty();
+    let tinted = if lit { appearance.tint(0, splat_embeddings, colours.clone()) } else { colours.clone() };
     let channels = Channels { count: 3, values: &tinted };
     let frame = projected.blend(&channels)?;
     let mut grads = projected.backward(&channels, &frame, grad)?;
     let mut by_colour = std::mem::take(&mut grads.values);
     let mut by_code = Vec::new();
     if lit {
-        (by_colour, by_code) = look.tint_backward(0, codes, &colours, by_colour);
+        (by_colour, by_code) = appearance.tint_backward(0, splat_embeddings, &colours, by_colour);
     }
     let sh_grads = projected.shade_backward(&by_colour, &mut grads);
     let mut after = held.clone();
@@ -283,14 +284,14 @@ fn on_the_host(
         }
     }
     if lit {
-        let Codes { values, first, second } = &mut after.codes;
-        let size = EmbedLook::CODE_SIZE;
+        let Codes { values, first, second } = &mut after.splat_embeddings;
+        let size = EmbedAppearance::EMBEDDING_SIZE;
         for i in (0..held.splats.len()).filter(|&i| projected.radii()[i] > 0.0) {
             let at = i * size..(i + 1) * size;
             let (p, m) = (&mut values[at.clone()], &mut first[at.clone()]);
-            step(p, m, &mut second[at.clone()], &by_code[at.clone()], rules.codes);
+            step(p, m, &mut second[at.clone()], &by_code[at.clone()], rules.splat_embeddings);
             values[at].iter_mut().for_each(|v| *v *= rules.kept);
         }
     }
-    Ok((frame, after, lit.then(|| look.gradient(0)).flatten()))
+    Ok((frame, after, lit.then(|| appearance.gradient(0)).flatten()))
 }

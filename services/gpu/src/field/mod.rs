@@ -1,11 +1,11 @@
 //! The feature field where it is refined (`raster/src/field/`): features, their decoder and their losses.
 
-mod asked;
+mod feature_target;
 mod pairs;
 mod rows;
 mod sums;
 
-pub(crate) use asked::GpuAsked;
+pub(crate) use feature_target::GpuFeatureTarget;
 pub(crate) use rows::GpuRows;
 pub(crate) use sums::GpuSums;
 
@@ -16,7 +16,7 @@ use crate::nets::{Link, Plan, Tape, Weights};
 use crate::shaders::{AREA_AVERAGE, AREA_SPREAD, EMBEDDING_LOSS};
 use crate::view::at_once;
 use pairs::Pairs;
-use segwild_raster::field::{Drawn, FieldLosses, FieldRule, Refined, Refining, RefiningAway};
+use segwild_raster::field::{DeviceRefinement, FieldLosses, FieldRule, Refined, Refining, Rendered};
 use segwild_raster::{Channels, RasterError};
 use std::any::Any;
 use std::slice;
@@ -72,8 +72,8 @@ impl GpuField {
     pub fn begin<'s>(
         &'s self,
         work: &mut Work,
-        asked: &'s GpuAsked,
-        drawn: &Drawn,
+        asked: &'s GpuFeatureTarget,
+        drawn: &Rendered,
     ) -> Result<FieldStep<'s>, GpuError> {
         let channels = self.rows.count();
         let (plan, wanted) = match &self.decoder {
@@ -109,7 +109,7 @@ impl GpuDecoder {
 /// A step of the field: first every part of the image is taken, then all is judged, then every part of its gradients is asked.
 pub(crate) struct FieldStep<'s> {
     field: &'s GpuField,
-    asked: &'s GpuAsked,
+    asked: &'s GpuFeatureTarget,
     plan: Plan,
     /// Planes of cells: features, and what they are decoded to.
     tape: Tape,
@@ -187,7 +187,7 @@ impl FieldStep<'_> {
     }
 }
 
-impl RefiningAway for GpuField {
+impl DeviceRefinement for GpuField {
     fn fetch(&self) -> Result<Refined, RasterError> {
         let decoder = self.decoder.as_ref().map(|decoder| decoder.rows.fetch()).transpose()?;
         Ok(Refined { values: self.rows.fetch()?, decoder })

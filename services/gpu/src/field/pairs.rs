@@ -7,8 +7,8 @@ use crate::GpuError;
 use crate::device::{Lent, Work};
 use crate::engine::GROUP;
 use crate::nets::{Plan, Tape};
-use crate::shaders::{ADD_PULL, DRAWN, MATES, PAIRS, PULL, TOTAL, UNITS};
-use segwild_raster::field::{Drawn, Membership};
+use crate::shaders::{ADD_PULL, MATES, PAIRS, PULL, SAMPLED, TOTAL, UNITS};
+use segwild_raster::field::{Membership, Rendered};
 
 /// Pairs of a piece, but for its last column.
 const PIECE: usize = 1 << 20;
@@ -36,7 +36,7 @@ pub(super) struct Pairs {
 
 impl Pairs {
     /// Brings pixels there.
-    pub fn upload(work: &mut Work, drawn: &Drawn, channels: usize) -> Result<Pairs, GpuError> {
+    pub fn upload(work: &mut Work, drawn: &Rendered, channels: usize) -> Result<Pairs, GpuError> {
         let n = drawn.pixels.len();
         let Membership { groups, .. } = drawn.membership;
         let groups: Vec<u32> = drawn.pixels.iter().map(|&p| groups[p as usize]).collect();
@@ -62,7 +62,7 @@ impl Pairs {
     pub fn take(&self, work: &mut Work, first: usize, blocks: usize, image: &Lent) {
         let job = [first, self.channels, self.pixels, 0].map(|n| n as u32);
         let groups = (self.pixels * blocks).div_ceil(GROUP);
-        work.run(&DRAWN, blocks as u32, job, &[&self.places, image, &self.features], groups);
+        work.run(&SAMPLED, blocks as u32, job, &[&self.places, image, &self.features], groups);
     }
 
     /// Compares all pairs.

@@ -7,7 +7,7 @@ use crate::engine::GROUP;
 use crate::shaders::ROW_ADD;
 use crate::view::gathered_at_once;
 use segwild_raster::RasterError;
-use segwild_raster::field::LiftingAway;
+use segwild_raster::field::DeviceLifting;
 use std::any::Any;
 use std::sync::Arc;
 
@@ -64,7 +64,7 @@ impl GpuSums {
     }
 }
 
-impl LiftingAway for GpuSums {
+impl DeviceLifting for GpuSums {
     fn fetch(&self) -> Result<(Vec<f32>, Vec<f32>), RasterError> {
         let wide = gathered_at_once(self.count()) * 4;
         let (mut sums, mut weights) = (vec![0.0; self.rows * self.row], Vec::new());

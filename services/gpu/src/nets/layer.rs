@@ -1,7 +1,7 @@
 //! A layer of a network as the kernels read it.
 
 use bytemuck::{Pod, Zeroable};
-use segwild_nets::Kind;
+use segwild_nn::Kind;
 use std::ops::Range;
 
 /// `Layer` of `shaders/shared/layer.wgsl`.

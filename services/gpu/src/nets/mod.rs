@@ -1,5 +1,5 @@
-//! The networks of the look `gsw` on the device, forward and back: kernel by kernel what `segwild_nets` and
-//! `raster/src/look/gsw/` do.
+//! The networks of the look `gsw` on the device, forward and back: kernel by kernel what `segwild_nn` and
+//! `raster/src/appearance/gsw/` do.
 
 mod layer;
 mod plan;

@@ -8,7 +8,7 @@ use crate::GpuError;
 use crate::device::{Lent, Work};
 use crate::engine::GROUP;
 use crate::shaders::{CONVOLVE, CONVOLVE_WEIGHTS, GATE, JOIN, Kernel, NORM, NORM_BACKWARD, SUM_WEIGHTS};
-use segwild_nets::{Graph, Id, Kind, What};
+use segwild_nn::{Graph, Id, Kind, What};
 use std::ops::Range;
 
 /// Planes and columns that a group of `convolve` makes.

@@ -1,6 +1,6 @@
 //! A step of the look `gsw` on the device: a network of the photo, and small ones of the splats in sight, which go through
 //! them piece by piece, so that what they have on the way takes the same room however many they are. Twin:
-//! `raster/src/look/gsw/points.rs`.
+//! `raster/src/appearance/gsw/points.rs`.
 
 use super::plan::{Link, Plan, Tape, Weights};
 use crate::GpuError;
@@ -11,9 +11,9 @@ use crate::shaders::{
 };
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
-use segwild_nets::Mlp;
+use segwild_nn::Mlp;
 use segwild_raster::gsw::{DYNAMIC, HIDDEN, INTRINSIC, LAYER, MAPS, Networks, OFF_MAP, VECTOR};
-use segwild_raster::{Glimpse, GswWidth, HeldNetworks, NetworksStep};
+use segwild_raster::{GswWidth, HeldNetworks, NetworksStep, UNetInput};
 use segwild_scene::NEAR;
 
 /// Splats of a piece, at most.
@@ -177,7 +177,8 @@ impl<'a> Lighting<'a> {
         let room = splats.clamp(1, piece);
         let points = Plan::of_points(&planes.links, planes.all, room);
         let tape = Tape::new(work, &points)?;
-        let photo = step.glimpse.as_ref().map(|glimpse| Seen::upload(work, nets, glimpse)).transpose()?;
+        let photo =
+            step.unet_input.as_ref().map(|unet_input| Seen::upload(work, nets, unet_input)).transpose()?;
         let at = |plane: usize| (plane * room) as u32;
         let mut reader = Reader {
             eye: [eye.x, eye.y, eye.z, 0.0],
@@ -185,8 +186,8 @@ impl<'a> Lighting<'a> {
             more: [at(planes.spots), planes.made as u32, nets.octaves as u32, step.draw as u32],
             ..Reader::zeroed()
         };
-        if let (Some(photo), Some(glimpse)) = (&photo, &step.glimpse) {
-            let (camera, pose) = glimpse.glance.stand();
+        if let (Some(photo), Some(unet_input)) = (&photo, &step.unet_input) {
+            let (camera, pose) = unet_input.image_conditioning.stand();
             let [width, height] = photo.size.map(|n| (n / 2) as u32);
             reader.pose = *pose;
             reader.lens = [camera.fx, camera.fy, camera.cx, camera.cy];
@@ -225,7 +226,7 @@ impl<'a> Lighting<'a> {
         work: &mut Work,
         seen: &Lent,
         means: &Lent,
-        codes: &Lent,
+        splat_embeddings: &Lent,
         colours: &Lent,
     ) -> Result<(), GpuError> {
         let n = self.splats;
@@ -239,7 +240,7 @@ impl<'a> Lighting<'a> {
             photo.tape.forward(work, &photo.plan, &self.networks.weights, &self.count, 0);
         }
         for first in self.pieces() {
-            self.run_piece(work, first, means, codes);
+            self.run_piece(work, first, means, splat_embeddings);
             let output = (self.planes.output * self.room) as u32;
             let job = [self.room as u32, first as u32, output, 0];
             let buffers = [&self.which, &self.count, &self.tape.maps, colours];
@@ -253,12 +254,12 @@ impl<'a> Lighting<'a> {
     }
 
     /// The small networks of the piece that begins with a splat in sight.
-    fn run_piece(&self, work: &mut Work, first: usize, means: &Lent, codes: &Lent) {
+    fn run_piece(&self, work: &mut Work, first: usize, means: &Lent, splat_embeddings: &Lent) {
         // Where there is no photo nothing of it is read.
         let maps = self.photo.as_ref().map_or(means, |photo| &photo.tape.maps);
         let job = [self.splats as u32, first as u32, 0, 0];
         let Lighting { reader, which, count, tape, keys, items, .. } = self;
-        let buffers = [reader, which, count, means, codes, maps, &tape.maps, keys, items];
+        let buffers = [reader, which, count, means, splat_embeddings, maps, &tape.maps, keys, items];
         work.run(&READ_LIGHT, 1, job, &buffers, self.room.div_ceil(GROUP));
         tape.forward(work, &self.points, &self.networks.weights, count, first);
     }
@@ -269,7 +270,7 @@ impl<'a> Lighting<'a> {
         &self,
         work: &mut Work,
         by_colour: &Lent,
-        (means, codes): (&Lent, &Lent),
+        (means, splat_embeddings): (&Lent, &Lent),
         by_code: &Lent,
         blames: Option<&Lent>,
     ) -> Result<(), GpuError> {
@@ -281,14 +282,14 @@ impl<'a> Lighting<'a> {
         for first in self.pieces() {
             // Of a single piece all is still there.
             if self.splats > *room {
-                self.run_piece(work, first, means, codes);
+                self.run_piece(work, first, means, splat_embeddings);
             }
             let output = (self.planes.output * room) as u32;
             let job = [*room as u32, first as u32, output, 0];
             work.run(&TAKE_LIGHT, 1, job, &[which, count, by_colour, &tape.grads], each);
             tape.backward(work, &self.points, weights, count, first);
             let job = [self.splats as u32, first as u32, 0, 0];
-            let buffers = [reader, which, count, codes, maps, &tape.grads, by_code];
+            let buffers = [reader, which, count, splat_embeddings, maps, &tape.grads, by_code];
             work.run(&READ_LIGHT_BACKWARD, 1, job, &buffers, each);
             if let Some(photo) = photo {
                 self.sum_maps(work, photo, first)?;
@@ -325,17 +326,17 @@ impl<'a> Lighting<'a> {
 }
 
 impl Seen {
-    fn upload(work: &mut Work, nets: &Networks, glimpse: &Glimpse) -> Result<Seen, GpuError> {
-        let image = &glimpse.image;
+    fn upload(work: &mut Work, nets: &Networks, unet_input: &UNetInput) -> Result<Seen, GpuError> {
+        let image = &unet_input.image;
         let plan = Plan::of(&nets.unet.graph, [image.height, image.width]);
-        let given = [image.data.as_slice(), &glimpse.beside.data].concat();
+        let given = [image.data.as_slice(), &unet_input.beside.data].concat();
         Ok(Seen {
             given: work.upload("the photo for its network", &given)?,
             tape: Tape::new(work, &plan)?,
             plan,
             numbers: given.len(),
             size: [image.width, image.height],
-            whole: glimpse.whole,
+            whole: unet_input.whole,
         })
     }
 }

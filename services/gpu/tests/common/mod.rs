@@ -3,7 +3,7 @@
 
 use glam::Vec3;
 use segwild_gpu::{Choice, GpuEngine, Kernel, Stage, adapters};
-use segwild_raster::compare::{LeaveOut, Residuals, Said, Sitting, Target};
+use segwild_raster::compare::{LeaveOut, LossInputs, LossOutput, Residuals, Target};
 use segwild_raster::{Light, NetworksStep, ProjectOptions, RasterError, Resident, Rule, Rules, Step};
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
 use std::sync::OnceLock;
@@ -106,7 +106,7 @@ pub fn step(
     rules: &Rules,
     key: u64,
     sky_weight: f32,
-) -> Result<Said, RasterError> {
+) -> Result<LossOutput, RasterError> {
     step_with(away, (camera, pose), light, None, rules, key, sky_weight)
 }
 
@@ -119,8 +119,8 @@ pub fn step_with(
     rules: &Rules,
     key: u64,
     sky_weight: f32,
-) -> Result<Said, RasterError> {
-    let sitting = Sitting {
+) -> Result<LossOutput, RasterError> {
+    let loss_inputs = LossInputs {
         camera,
         pose,
         matrix: None,
@@ -132,7 +132,8 @@ pub fn step_with(
     };
     let target = || photo(7, camera.width as usize, camera.height as usize);
     let options = ProjectOptions::default();
-    let step = Step { options: &options, light, networks, sitting, key: [0, key, 0], target: &target, rules };
+    let step =
+        Step { options: &options, light, networks, loss_inputs, key: [0, key, 0], target: &target, rules };
     Ok(away.step(&step)?.0)
 }
 

@@ -17,21 +17,21 @@
 //! that is named after the training, but for the training itself, waits until each sky is known ([`Coordinator::go_on`]).
 //! Snapshots are taken at fixed steps and views go in fixed order, so the result does not depend on who was faster.
 
-mod begin;
-mod hear;
+mod handle;
 mod speed;
+mod start;
 
-use crate::anew::Anew;
 use crate::artefacts::Keys;
-use crate::board::Board;
 use crate::checkpoints::Keeper;
+use crate::continued::Origin;
 use crate::graph::{RunOptions, STAGES};
 use crate::inputs::Inputs;
 use crate::memory;
-use crate::onward::Origin;
 use crate::outcome::Outcome;
+use crate::recompute::Recompute;
 use crate::skies::Skies;
-use crate::strangers::Known;
+use crate::transients::Known;
+use crate::view_slots::ViewSlots;
 use crate::{RunError, RunFolder, Settings};
 use segwild_features::{FeatureActor, FeatureField, FeatureTask};
 use segwild_flow::ledger::{State as Progress, ViewRow};
@@ -124,13 +124,13 @@ pub struct Coordinator<'a> {
     /// The step of the training to stop after.
     pub steps: u32,
     pub skies: Arc<Skies>,
-    /// What is known of strangers before anything is trained.
+    /// What is known of transients before anything is trained.
     pub known: Known,
     pub segmenter: Arc<dyn PromptSegmenter>,
     pub embedder: Arc<dyn Embedder>,
     pub maker: Arc<MaskMaker>,
     /// Per view, whether its masks are in the cache; `false` when they were given up.
-    pub masks_known: Arc<Board<bool>>,
+    pub masks_known: Arc<ViewSlots<bool>>,
     /// The trainer lacks what it should have had, for a stop ended the wait for a photo's sky, or somebody took a photo
     /// away: what it makes from then on is not kept.
     pub tainted: Arc<AtomicBool>,
@@ -167,8 +167,12 @@ impl Coordinator<'_> {
     }
 
     /// Reads artefacts of photos.
-    fn anew(&self) -> Anew {
-        Anew { scene: self.scene.clone(), cache: self.cache.clone(), events: self.options.events.clone() }
+    fn anew(&self) -> Recompute {
+        Recompute {
+            scene: self.scene.clone(),
+            cache: self.cache.clone(),
+            events: self.options.events.clone(),
+        }
     }
 
     fn wants(&self, stage: &str) -> bool {

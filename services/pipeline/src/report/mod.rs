@@ -10,13 +10,13 @@ use crate::evaluate::HeldOut;
 use crate::folder::Loaded;
 use crate::history::{self, Moment};
 use crate::render::{NOTHING, Painter, What};
-use crate::strangers;
-use crate::{BudgetChoice, LookChoice, RunError, RunFolder, choose_engine, log_loss};
+use crate::transients;
+use crate::{AppearanceChoice, BudgetChoice, RunError, RunFolder, choose_engine, log_loss};
 use html::Series;
 use segwild_flow::codec::Decode;
 use segwild_flow::ledger::State;
 use segwild_flow::{Cache, FileError, Key, Ledger, SpanKind, TimelineRecord, fault};
-use segwild_raster::{AnyLook, Engine};
+use segwild_raster::{AnyAppearance, Engine};
 use segwild_scene::{Image, Mask, MaskSet, Skipped};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -28,8 +28,8 @@ pub fn write_report(folder: &RunFolder) -> Result<Vec<Skipped>, RunError> {
     let engine = choose_engine(&loaded.settings.run, log_loss)?.engine;
     let mut body = String::new();
     body.push_str(&summary(folder, &loaded)?);
-    match looks(&loaded, &*engine) {
-        Ok(looks) => body.push_str(&looks),
+    match appearances(&loaded, &*engine) {
+        Ok(appearances) => body.push_str(&appearances),
         Err(error) => {
             body.push_str(&format!("<p>Looks are not shown: {}</p>", html::escape(&error.to_string())))
         }
@@ -74,12 +74,15 @@ fn summary(folder: &RunFolder, loaded: &Loaded) -> Result<String, RunError> {
     row("steps", loaded.model.stats.step.to_string());
     // What was chosen for another run in this folder says nothing of one whose look was given.
     let chosen = folder
-        .read_json::<LookChoice>(LookChoice::FILE)
+        .read_json::<AppearanceChoice>(AppearanceChoice::FILE)
         .ok()
-        .filter(|_| LookChoice::is_open(&loaded.settings));
+        .filter(|_| AppearanceChoice::is_open(&loaded.settings));
     row(
         "look",
-        chosen.map_or_else(|| loaded.model.look.as_look().name().to_owned(), |c| format!("chosen {}", c.why)),
+        chosen.map_or_else(
+            || loaded.model.appearance.as_appearance().name().to_owned(),
+            |c| format!("chosen {}", c.why),
+        ),
     );
     let spent = folder
         .read_json::<BudgetChoice>(BudgetChoice::FILE)
@@ -114,17 +117,17 @@ fn summary(folder: &RunFolder, loaded: &Loaded) -> Result<String, RunError> {
 const LOOKS: usize = 6;
 
 /// One view under several photos' looks, from the darkest to the brightest; nothing where all photos share one look.
-fn looks(loaded: &Loaded, engine: &dyn Engine) -> Result<String, RunError> {
+fn appearances(loaded: &Loaded, engine: &dyn Engine) -> Result<String, RunError> {
     let model = &loaded.model;
-    if matches!(model.look, AnyLook::None(_)) {
+    if matches!(model.appearance, AnyAppearance::None(_)) {
         return Ok(String::new());
     }
-    let known = (0..model.names.len()).filter(|&v| model.look_index(Some(v)) == v);
+    let known = (0..model.names.len()).filter(|&v| model.appearance_index(Some(v)) == v);
     let small = |view: usize| loaded.scene.views[view].camera.scaled_to(loaded.settings.scene.size.min(360));
     let painter = Painter::new(loaded, None, What::Colour, engine)?;
-    let paint = |view: usize, look: Option<usize>, side: u32| {
+    let paint = |view: usize, appearance: Option<usize>, side: u32| {
         let camera = small(view).scaled_to(side);
-        painter.paint(engine, &camera, &loaded.scene.views[view].pose, &painter.light(look))
+        painter.paint(engine, &camera, &loaded.scene.views[view].pose, &painter.light(appearance))
     };
     // The view before which most of the scene stands.
     let Some(first) = known.clone().next() else { return Ok(String::new()) };
@@ -144,21 +147,21 @@ fn looks(loaded: &Loaded, engine: &dyn Engine) -> Result<String, RunError> {
     }
     let view = view.0;
     let mut by_light = Vec::new();
-    for look in known {
-        let image = paint(view, Some(look), 48)?;
-        by_light.push((image.data.iter().sum::<f32>(), look));
+    for appearance in known {
+        let image = paint(view, Some(appearance), 48)?;
+        by_light.push((image.data.iter().sum::<f32>(), appearance));
     }
     by_light.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     let count = LOOKS.min(by_light.len());
     let mut text = format!(
-        "<h2>Looks</h2><p>{} under the looks of other photos, darkest first. <code>segwild render --photo PHOTO --look \
+        "<h2>Appearances</h2><p>{} under the appearances of other photos, darkest first. <code>segwild render --photo PHOTO --appearance \
          OTHER</code> draws more of them, <code>segwild bake</code> writes one into a <code>.ply</code>.</p><div class=\"row\">",
         html::escape(&loaded.scene.views[view].name)
     );
     let side = small(view).width.max(small(view).height);
     for k in 0..count {
-        let look = by_light[k * (by_light.len() - 1) / (count - 1).max(1)].1;
-        text.push_str(&html::figure(&paint(view, Some(look), side)?, &model.names[look]));
+        let appearance = by_light[k * (by_light.len() - 1) / (count - 1).max(1)].1;
+        text.push_str(&html::figure(&paint(view, Some(appearance), side)?, &model.names[appearance]));
     }
     text.push_str("</div>");
     Ok(text)
@@ -251,8 +254,8 @@ fn photos(
             }
             text.push_str(&html::figure(&picture, "sky"));
         }
-        if let Some(strangers) = strangers_picture(folder, loaded, view, &photo.image) {
-            text.push_str(&html::figure(&strangers, "strangers, left out"));
+        if let Some(transients) = transients_picture(folder, loaded, view, &photo.image) {
+            text.push_str(&html::figure(&transients, "transients, left out"));
         }
         text.push_str("</div>");
         Ok((text, missing))
@@ -281,9 +284,9 @@ fn photos(
     Ok((text, left_out))
 }
 
-/// A photo with its strangers in red; `None` where there are none, or no picture of them.
-fn strangers_picture(folder: &RunFolder, loaded: &Loaded, view: usize, photo: &Image) -> Option<Image> {
-    let mask = strangers::of_run(folder, &loaded.scene)(view).filter(|mask| !mask.is_empty())?;
+/// A photo with its transients in red; `None` where there are none, or no picture of them.
+fn transients_picture(folder: &RunFolder, loaded: &Loaded, view: usize, photo: &Image) -> Option<Image> {
+    let mask = transients::of_run(folder, &loaded.scene)(view).filter(|mask| !mask.is_empty())?;
     let mask = mask.resized(photo.width as u32, photo.height as u32);
     let (mut picture, n) = (photo.clone(), photo.pixels());
     for (x, y) in mask.pixels() {

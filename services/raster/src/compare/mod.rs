@@ -2,22 +2,22 @@
 //! splats' half is drawing them and learning from the image's gradient.
 //!
 //! [`compare`] has no memory: what it learns of the photo's look, of what stands behind the splats and of how large
-//! residuals are comes back as sums ([`Said`]), so that it may run wherever the image is.
+//! residuals are comes back as sums ([`LossOutput`]), so that it may run wherever the image is.
 
-mod behind;
+mod background;
 mod robust;
 mod visible;
 
-pub use behind::{
+pub use background::{
     BASES, ColourSums, HOLD, LEAST_SEEN, STRIDE, Seen, SkySums, basis, behind, direction, paint,
 };
 pub use robust::{
-    BINS, CONTRAST, DECAY, FLOOR, Residuals, SURPRISE, SUSPECT, contradicted, leave_out, limit, limits,
-    relative, smoothed, window,
+    BINS, CONTRAST, DECAY, FLOOR, INITIAL_TRANSIENT, Residuals, SURPRISE, contradicted, leave_out, limit,
+    limits, relative, smoothed, window,
 };
 pub use visible::{HIDDEN, LEAST, MOST, SURE, Seeing, WRONG};
 
-use crate::look::{apply_matrix, matrix_backward};
+use crate::appearance::{apply_matrix, matrix_backward};
 use crate::{Frame, photometric};
 use segwild_scene::{Camera, Image, Pose, box_mean};
 
@@ -35,7 +35,7 @@ pub struct Target {
     pub height: usize,
     /// Red, green, blue and flags ([`Target::COUNTS`] and the others), row by row.
     pub pixels: Vec<[u8; 4]>,
-    /// How far each pixel is known to show the scene itself, in [0, 1]: its residual says that much less of strangers.
+    /// How far each pixel is known to show the scene itself, in [0, 1]: its residual says that much less of transients.
     /// Empty: nowhere.
     pub trust: Vec<f32>,
 }
@@ -47,8 +47,8 @@ impl Target {
     pub const SKY: u8 = 2;
     /// Is sky, and so are its four neighbours: the border of a sky mask is the part that is wrong.
     pub const INNER: u8 = 4;
-    /// Was taken for a stranger's before any look at it.
-    pub const SUSPECT: u8 = 8;
+    /// Was taken for a transient's before any look at it.
+    pub const INITIAL_TRANSIENT: u8 = 8;
 
     /// Whether a pixel has a flag.
     pub fn is(&self, i: usize, flag: u8) -> bool {
@@ -82,15 +82,15 @@ impl Target {
 pub enum LeaveOut<'a> {
     /// None of those that count.
     None,
-    /// Those that were taken for strangers' before.
-    Suspects,
+    /// Those that were taken for transients' before.
+    InitialTransients,
     /// Those whose residual stands out ([`leave_out`]).
     Residual(Residuals<'a>),
 }
 
 /// Under what a photo is compared with an image of the scene.
 #[derive(Clone, Copy, Debug)]
-pub struct Sitting<'a> {
+pub struct LossInputs<'a> {
     /// The photo's camera, at the target's size.
     pub camera: &'a Camera,
     /// Where it stood.
@@ -111,7 +111,7 @@ pub struct Sitting<'a> {
 
 /// What a comparison says of the photo.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Said {
+pub struct LossOutput {
     /// [`photometric`].
     pub loss: f32,
     /// Of the pixels that count and are not left out, in dB; 0 where there are none.
@@ -120,7 +120,7 @@ pub struct Said {
     pub left_out: f32,
     /// Decaying histogram of residuals, with this visit's; `None` where they were not asked, or no pixel counts.
     pub residuals: Option<Vec<f32>>,
-    /// Gradient of [`Sitting::matrix`], where there is one.
+    /// Gradient of [`LossInputs::matrix`], where there is one.
     pub matrix: Option<[f32; 12]>,
     /// What stands behind.
     pub behind: Seen,
@@ -130,7 +130,7 @@ pub struct Said {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Compared {
     /// In numbers.
-    pub said: Said,
+    pub said: LossOutput,
     /// Gradient of the image, three planes.
     pub image: Image,
     /// Gradient of its alpha.
@@ -139,7 +139,7 @@ pub struct Compared {
     pub error: Image,
     /// Weight of each pixel, one plane: 0 where it does not count or is left out.
     pub weights: Image,
-    /// Per part of [`Seeing::map`], how much of what would be taken for a stranger the scene fails to show there, `None`
+    /// Per part of [`Seeing::map`], how much of what would be taken for a transient the scene fails to show there, `None`
     /// where no pixel counts; empty where that was not asked.
     pub blame: Vec<Option<f32>>,
 }
@@ -149,21 +149,27 @@ pub struct Compared {
 ///
 /// # Panics
 /// If frame and target differ in size.
-pub fn compare(frame: &Frame, target: &Target, sitting: &Sitting, seeing: Option<&Seeing>) -> Compared {
-    let Composed { behind, scene, shown, residual } = compose(frame, target, sitting);
+pub fn compare(
+    frame: &Frame,
+    target: &Target,
+    loss_inputs: &LossInputs,
+    seeing: Option<&Seeing>,
+) -> Compared {
+    let Composed { behind, scene, shown, residual } = compose(frame, target, loss_inputs);
     let photo = target.image();
     let (mut residuals, mut blame) = (None, Vec::new());
-    let kept = match sitting.leave_out {
+    let kept = match loss_inputs.leave_out {
         LeaveOut::None => None,
-        LeaveOut::Suspects => {
-            let keep = |p: &[u8; 4]| f32::from(u8::from(p[3] & Target::SUSPECT == 0));
+        LeaveOut::InitialTransients => {
+            let keep = |p: &[u8; 4]| f32::from(u8::from(p[3] & Target::INITIAL_TRANSIENT == 0));
             Some(target.pixels.iter().map(keep).collect())
         }
         LeaveOut::Residual(before) => {
             let doubted = target.doubted(&residual);
             let counts = |i: usize| target.is(i, Target::COUNTS);
-            let (kept, held) =
-                leave_out(&before, &doubted, target.width, counts, |i| target.is(i, Target::SUSPECT));
+            let (kept, held) = leave_out(&before, &doubted, target.width, counts, |i| {
+                target.is(i, Target::INITIAL_TRANSIENT)
+            });
             residuals = held;
             let seen = seeing.and_then(|&Seeing { map, decides }| {
                 let ratio = relative(&doubted, target.width, counts, before.share);
@@ -175,24 +181,25 @@ pub fn compare(frame: &Frame, target: &Target, sitting: &Sitting, seeing: Option
     };
     let (weights, left_out) = pixel_weights(target, kept.as_deref());
     let psnr = weighted_psnr(&shown, &photo, &weights.data);
-    let (loss, grad) = photometric(&shown, &photo, Some(&weights), sitting.lambda_ssim);
-    let (image, matrix) = match &sitting.matrix {
+    let (loss, grad) = photometric(&shown, &photo, Some(&weights), loss_inputs.lambda_ssim);
+    let (image, matrix) = match &loss_inputs.matrix {
         Some(matrix) => {
             let (image, sums) = matrix_backward(matrix, &scene, &grad);
             (image, Some(sums))
         }
         None => (grad, None),
     };
-    let alpha = alpha_gradient(&image, &behind, &frame.alpha, target, sitting.sky_weight);
-    let behind = if sitting.has_sky {
-        let sums = SkySums::of_photo(sitting.camera, sitting.pose, target, &frame.alpha, &weights.data);
+    let alpha = alpha_gradient(&image, &behind, &frame.alpha, target, loss_inputs.sky_weight);
+    let behind = if loss_inputs.has_sky {
+        let sums =
+            SkySums::of_photo(loss_inputs.camera, loss_inputs.pose, target, &frame.alpha, &weights.data);
         Seen::Sky(Box::new(sums))
     } else {
         Seen::Colour(ColourSums::of(&shown, &photo, &frame.alpha, &weights.data))
     };
     let error = error_around(&residual, &weights);
     Compared {
-        said: Said { loss, psnr, left_out, residuals, matrix, behind },
+        said: LossOutput { loss, psnr, left_out, residuals, matrix, behind },
         image,
         alpha,
         error,
@@ -213,11 +220,11 @@ struct Composed {
     residual: Vec<f32>,
 }
 
-fn compose(frame: &Frame, target: &Target, sitting: &Sitting) -> Composed {
-    let behind = paint(sitting.behind, sitting.camera, sitting.pose);
+fn compose(frame: &Frame, target: &Target, loss_inputs: &LossInputs) -> Composed {
+    let behind = paint(loss_inputs.behind, loss_inputs.camera, loss_inputs.pose);
     let mut scene = frame.image.clone();
     add_behind(&mut scene, &frame.alpha, &behind);
-    let shown = match &sitting.matrix {
+    let shown = match &loss_inputs.matrix {
         Some(matrix) => apply_matrix(matrix, &scene),
         None => scene.clone(),
     };
@@ -344,8 +351,8 @@ mod tests {
 
     const MATRIX: [f32; 12] = [0.9, 0.1, -0.05, 0.02, 0.05, 1.1, 0.1, -0.03, -0.1, 0.05, 0.8, 0.04];
 
-    fn sitting<'a>(camera: &'a Camera, pose: &'a Pose, behind: &'a [[f32; 3]]) -> Sitting<'a> {
-        Sitting {
+    fn loss_inputs<'a>(camera: &'a Camera, pose: &'a Pose, behind: &'a [[f32; 3]]) -> LossInputs<'a> {
+        LossInputs {
             camera,
             pose,
             matrix: Some(MATRIX),
@@ -358,19 +365,19 @@ mod tests {
     }
 
     /// The loss with the sky's term.
-    fn loss(frame: &Frame, target: &Target, sitting: &Sitting) -> f64 {
-        let said = compare(frame, target, sitting, None).said;
+    fn loss(frame: &Frame, target: &Target, loss_inputs: &LossInputs) -> f64 {
+        let said = compare(frame, target, loss_inputs, None).said;
         let sky =
             |i: usize| if target.is(i, Target::INNER) { -(1.0 - frame.alpha.data[i]).ln() } else { 0.0 };
         let sky: f64 = (0..W * H).map(|i| f64::from(sky(i))).sum();
-        f64::from(said.loss) + f64::from(sitting.sky_weight) * sky / (W * H) as f64
+        f64::from(said.loss) + f64::from(loss_inputs.sky_weight) * sky / (W * H) as f64
     }
 
     #[test]
     fn gradients_are_finite_differences_of_the_loss() {
         let (frame, target, camera, pose, behind) = example();
-        let sitting = sitting(&camera, &pose, &behind);
-        let Compared { said, image, alpha, .. } = compare(&frame, &target, &sitting, None);
+        let loss_inputs = loss_inputs(&camera, &pose, &behind);
+        let Compared { said, image, alpha, .. } = compare(&frame, &target, &loss_inputs, None);
         let step = 4e-3f32;
         let close = |what: &str, got: f32, up: f64, down: f64| {
             let wanted = (up - down) / f64::from(2.0 * step);
@@ -383,7 +390,7 @@ mod tests {
             let moved = |by: f32| {
                 let mut frame = frame.clone();
                 frame.image.data[k] += by;
-                loss(&frame, &target, &sitting)
+                loss(&frame, &target, &loss_inputs)
             };
             close(&format!("colour {k}"), image.data[k], moved(step), moved(-step));
         }
@@ -391,7 +398,7 @@ mod tests {
             let moved = |by: f32| {
                 let mut frame = frame.clone();
                 frame.alpha.data[k] += by;
-                loss(&frame, &target, &sitting)
+                loss(&frame, &target, &loss_inputs)
             };
             close(&format!("alpha {k}"), alpha.data[k], moved(step), moved(-step));
         }
@@ -400,7 +407,7 @@ mod tests {
             let moved = |by: f32| {
                 let mut matrix = MATRIX;
                 matrix[k] += by;
-                loss(&frame, &target, &Sitting { matrix: Some(matrix), ..sitting })
+                loss(&frame, &target, &LossInputs { matrix: Some(matrix), ..loss_inputs })
             };
             close(&format!("number {k} of the matrix"), got, moved(step), moved(-step));
         }
@@ -409,10 +416,10 @@ mod tests {
     #[test]
     fn a_pixel_that_does_not_count_teaches_nothing() {
         let (mut frame, mut target, camera, pose, behind) = example();
-        let sitting = Sitting { sky_weight: 0.0, ..sitting(&camera, &pose, &behind) };
+        let loss_inputs = LossInputs { sky_weight: 0.0, ..loss_inputs(&camera, &pose, &behind) };
         target.pixels.iter_mut().for_each(|p| p[3] = 0);
         frame.image.data[7] = 1e30;
-        let Compared { said, image, alpha, error, .. } = compare(&frame, &target, &sitting, None);
+        let Compared { said, image, alpha, error, .. } = compare(&frame, &target, &loss_inputs, None);
         assert_eq!((said.psnr, said.left_out), (0.0, 0.0));
         assert!(image.data.iter().chain(&alpha.data).chain(&error.data).all(|v| *v == 0.0));
     }

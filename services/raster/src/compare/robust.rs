@@ -1,4 +1,4 @@
-//! Leaving out what contradicts the scene: strangers, cars, umbrellas (method, section 3, the sibling of a
+//! Leaving out what contradicts the scene: transients, cars, umbrellas (method, section 3, the sibling of a
 //! visibility map for affine looks; after RobustNeRF and SpotLessSplats).
 
 use segwild_scene::box_mean;
@@ -19,7 +19,7 @@ pub const DECAY: f32 = 0.7;
 /// Residuals under this are never transient: fine texture that is not learnt yet looks like this.
 pub const FLOOR: f32 = 0.06;
 /// What was suspected before is left out from this share of the residual on.
-pub const SUSPECT: f32 = 0.5;
+pub const INITIAL_TRANSIENT: f32 = 0.5;
 /// A transient stands out from its photo by this factor over the median.
 pub const CONTRAST: f32 = 3.0;
 /// How many times the share may be over the limit before a visit is trusted alone.
@@ -30,13 +30,13 @@ pub const SURPRISE: f32 = 1.5;
 /// would spoil the histograms.
 ///
 /// `residual` is one number per pixel, mean absolute colour difference; `counts` says which pixels take
-/// part at all, `suspected` which were taken for strangers before.
+/// part at all, `initial_transient_share` which were taken for transients before.
 pub fn leave_out(
     known: &Residuals,
     residual: &[f32],
     width: usize,
     counts: impl Fn(usize) -> bool,
-    suspected: impl Fn(usize) -> bool,
+    initial_transient_share: impl Fn(usize) -> bool,
 ) -> (Option<Vec<f32>>, Option<Vec<f32>>) {
     let height = residual.len() / width;
     let bins: Vec<Option<u8>> =
@@ -47,7 +47,9 @@ pub fn leave_out(
     }
     let Some((limits, held)) = limits(known, fresh) else { return (None, None) };
     let over = limits.map(|limit| -> [u8; BINS] { std::array::from_fn(|b| u8::from(bin_top(b) > limit)) });
-    let out = |(i, b): (usize, &Option<u8>)| b.map_or(0, |b| over[usize::from(suspected(i))][usize::from(b)]);
+    let out = |(i, b): (usize, &Option<u8>)| {
+        b.map_or(0, |b| over[usize::from(initial_transient_share(i))][usize::from(b)])
+    };
     let out: Vec<u8> = bins.iter().enumerate().map(out).collect();
     if out.iter().all(|&o| o == 0) {
         return (None, Some(held));
@@ -81,7 +83,7 @@ pub fn limits(known: &Residuals, mut fresh: Vec<f32>) -> Option<([f32; 2], Vec<f
     if over > SURPRISE * known.share {
         limit = limit.max(threshold(&fresh, known.share));
     }
-    Some(([limit, SUSPECT * limit], held))
+    Some(([limit, INITIAL_TRANSIENT * limit], held))
 }
 
 /// Half width of the window in which residuals are averaged.
@@ -199,18 +201,18 @@ mod tests {
     }
 
     #[test]
-    fn a_stranger_is_left_out_and_texture_is_not() {
+    fn a_transient_is_left_out_and_texture_is_not() {
         let mut r = Random::new(5);
         let mut photo = Visited::new(0.2);
-        let stranger = |i: usize| (20..32).contains(&(i % W)) && (25..55).contains(&(i / W));
+        let transient = |i: usize| (20..32).contains(&(i % W)) && (25..55).contains(&(i / W));
         let mut last = None;
         for _ in 0..6 {
             let residual: Vec<f32> =
-                (0..W * H).map(|i| if stranger(i) { 0.3 } else { 0.03 * r.uniform() } + 0.01).collect();
+                (0..W * H).map(|i| if transient(i) { 0.3 } else { 0.03 * r.uniform() } + 0.01).collect();
             last = photo.weights(&residual, true);
         }
         let w = last.unwrap();
-        let wrong = (0..W * H).filter(|&i| stranger(i) == (w[i] > 0.5)).count();
+        let wrong = (0..W * H).filter(|&i| transient(i) == (w[i] > 0.5)).count();
         assert!(wrong < 90, "{wrong} pixels on the wrong side"); // the outline is 84 pixels long
         // A one-pixel line of large residual, an edge off by one, stays.
         let line: Vec<f32> = (0..W * H).map(|i| if i % W == 40 { 0.15 } else { 0.02 }).collect();

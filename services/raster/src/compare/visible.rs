@@ -1,7 +1,7 @@
 //! What a photo shows of the scene, as the network of the look `gsw` sees it: the paper's visibility map (Eq. 5, 6).
 //!
 //! The map learns from what the scene fails to show, in units of the residual at which the robust mask takes a pixel for a
-//! stranger's. These units follow the photo's median and the largest share that may be left out, so that a map that hides
+//! transient's. These units follow the photo's median and the largest share that may be left out, so that a map that hides
 //! all is never the best one, nor one that hides nothing where something stands out.
 
 use super::Target;
@@ -24,7 +24,7 @@ pub const HIDDEN: f32 = 0.25;
 pub const MOST: f32 = 1.5;
 /// And must leave out such a share of what it does leave out.
 pub const LEAST: f32 = 0.3;
-/// More than so many times the limit is no more a stranger than that: one pixel that is wrong by far is none.
+/// More than so many times the limit is no more a transient than that: one pixel that is wrong by far is none.
 pub const WRONG: f32 = 4.0;
 
 /// Per part of the photo that the map tells of, the mean of `ratio` over its pixels that count.
@@ -74,7 +74,7 @@ mod tests {
         let sane = |weights: &[f32], kept| is_sane(weights, kept, |_| true, 0.2);
         assert!(sane(&kept, Some(&kept)));
         assert!(!sane(&[0.0; 100], Some(&kept)) && !sane(&[0.0; 100], None), "all hidden");
-        assert!(!sane(&[1.0; 100], Some(&kept)), "a stranger in sight");
+        assert!(!sane(&[1.0; 100], Some(&kept)), "a transient in sight");
         assert!(sane(&[1.0; 100], None), "nothing stands out");
         assert!(!is_sane(&[f32::NAN; 100], None, |_| true, 0.2));
     }

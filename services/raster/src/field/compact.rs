@@ -6,7 +6,7 @@
 //! their cosine is 1 whatever the features.
 
 use super::Membership;
-use segwild_nets::{matmul, transpose};
+use segwild_nn::{matmul, transpose};
 
 /// Features shorter than this have no direction and take no part.
 pub const SHORTEST: f32 = 1e-6;

@@ -1,7 +1,7 @@
 //! The embedding loss L_FE (method, section 4; paper Eq. 10).
 
 use super::RowAdam;
-use segwild_nets::{matmul, transpose};
+use segwild_nn::{matmul, transpose};
 use segwild_scene::Image;
 
 /// `mean(VM |rendered - scale target|)` over cells and channels, both images on the embedding's grid and `validity`
@@ -161,9 +161,9 @@ mod tests {
         let decoder = LearnedDecoder::new(&weights, &offsets, 1e-2);
         let (mut grad, scale) = (Image::zeros(5, 4, 2), 0.3);
         decoder.gradients(&rendered, (&target, scale), &validity, &mut grad);
-        let exact = |codes: &[f64]| -> f64 {
+        let exact = |splat_embeddings: &[f64]| -> f64 {
             let term = |j: usize, p: usize| {
-                let decoded = (0..2).map(|k| f64::from(weights[k * 6 + j]) * codes[k * 20 + p]);
+                let decoded = (0..2).map(|k| f64::from(weights[k * 6 + j]) * splat_embeddings[k * 20 + p]);
                 let target = f64::from(target.data[j * 20 + p]) * f64::from(scale);
                 (decoded.sum::<f64>() + f64::from(offsets[j]) - target).abs()
             };
@@ -182,8 +182,8 @@ mod tests {
         let mut made = Image::zeros(5, 4, 6);
         for (j, plane) in made.data.chunks_exact_mut(20).enumerate() {
             for (p, v) in plane.iter_mut().enumerate() {
-                let codes = (0..2).map(|k| truth.numbers[k * 6 + j] * rendered.data[k * 20 + p]);
-                *v = codes.sum::<f32>() + 5.0;
+                let splat_embeddings = (0..2).map(|k| truth.numbers[k * 6 + j] * rendered.data[k * 20 + p]);
+                *v = splat_embeddings.sum::<f32>() + 5.0;
             }
         }
         let mut decoder = LearnedDecoder::new(&weights, &[4.0; 6], 1e-2);

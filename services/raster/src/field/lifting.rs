@@ -13,11 +13,11 @@ pub struct Lifting {
     row: usize,
     sums: Vec<f32>,
     weights: Vec<f32>,
-    away: Option<Box<dyn LiftingAway>>,
+    away: Option<Box<dyn DeviceLifting>>,
 }
 
 /// Sums where an engine computes.
-pub trait LiftingAway: Send + Sync {
+pub trait DeviceLifting: Send + Sync {
     /// The sums, `[splat][number]`, and the weights.
     fn fetch(&self) -> Result<(Vec<f32>, Vec<f32>), RasterError>;
 
@@ -43,7 +43,7 @@ impl Lifting {
     }
 
     /// The sums where an engine computes.
-    pub fn away(&self) -> Option<&dyn LiftingAway> {
+    pub fn away(&self) -> Option<&dyn DeviceLifting> {
         self.away.as_deref()
     }
 

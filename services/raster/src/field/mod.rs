@@ -12,7 +12,7 @@ mod similarity;
 pub use area::{AreaAverage, Window};
 pub use compact::{Compactness, SHORTEST, compactness};
 pub use embedding::{LearnedDecoder, embedding_loss};
-pub use lifting::{Lifting, LiftingAway};
+pub use lifting::{DeviceLifting, Lifting};
 pub use membership::Membership;
 pub use rows::{BETA1, BETA2, EPSILON, RowAdam};
 pub use similarity::{Queries, dot, score};
@@ -23,7 +23,7 @@ use std::any::Any;
 
 /// What a photo asks of the features that are seen in it.
 #[derive(Clone, Copy)]
-pub struct Asked<'a> {
+pub struct FeatureTarget<'a> {
     /// What they should be, on the embedding's grid: codes, or where a decoder learns, the embedding.
     pub target: &'a Image,
     /// By how much its numbers are multiplied first.
@@ -32,13 +32,13 @@ pub struct Asked<'a> {
     pub validity: &'a [f32],
     /// From the view's pixels to its cells.
     pub average: &'a AreaAverage,
-    /// What [`Engine::bring_asked`] gave for it.
+    /// What [`Engine::upload_target`] gave for it.
     pub away: Option<&'a (dyn Any + Send + Sync)>,
 }
 
 /// Pixels drawn of a view, which are compared with one another.
 #[derive(Clone, Copy)]
-pub struct Drawn<'a> {
+pub struct Rendered<'a> {
     /// Their numbers, row by row; none twice.
     pub pixels: &'a [u32],
     /// Which masks hold them.
@@ -74,11 +74,11 @@ pub struct Refining {
     decoder: Option<LearnedDecoder>,
     rule: FieldRule,
     losses: FieldLosses,
-    away: Option<Box<dyn RefiningAway>>,
+    away: Option<Box<dyn DeviceRefinement>>,
 }
 
 /// Features where an engine computes.
-pub trait RefiningAway: Send + Sync {
+pub trait DeviceRefinement: Send + Sync {
     /// The features, `[splat][channel]`, and the decoder's numbers.
     fn fetch(&self) -> Result<Refined, RasterError>;
 
@@ -136,7 +136,7 @@ impl Refining {
     }
 
     /// The features where an engine computes.
-    pub fn away(&self) -> Option<&dyn RefiningAway> {
+    pub fn away(&self) -> Option<&dyn DeviceRefinement> {
         self.away.as_deref()
     }
 
@@ -144,8 +144,8 @@ impl Refining {
     pub fn learn<P: Projected + ?Sized>(
         &mut self,
         view: &P,
-        asked: &Asked,
-        drawn: &Drawn,
+        asked: &FeatureTarget,
+        drawn: &Rendered,
     ) -> Result<(), RasterError> {
         let frame = view.blend(&self.channels())?;
         let grad = self.judge(&frame.image, asked, drawn);
@@ -159,7 +159,7 @@ impl Refining {
     ///
     /// # Panics
     /// If sizes differ.
-    pub fn judge(&mut self, image: &Image, asked: &Asked, drawn: &Drawn) -> Image {
+    pub fn judge(&mut self, image: &Image, asked: &FeatureTarget, drawn: &Rendered) -> Image {
         let mut grad = Image::zeros(image.width, image.height, image.channels);
         let rendered = asked.average.forward(image);
         let mut cell_grad = Image::zeros(rendered.width, rendered.height, image.channels);
@@ -175,7 +175,7 @@ impl Refining {
     }
 
     /// Adds the weighted gradient of the drawn pixels' compactness and returns the loss.
-    fn compare(&self, image: &Image, Drawn { pixels, membership }: &Drawn, grad: &mut Image) -> f32 {
+    fn compare(&self, image: &Image, Rendered { pixels, membership }: &Rendered, grad: &mut Image) -> f32 {
         let (n, c) = (image.pixels(), image.channels);
         let mut features = Vec::with_capacity(pixels.len() * c);
         for &p in *pixels {

@@ -2,10 +2,10 @@
 
 mod common;
 
+mod fallback;
 mod field;
 mod loss;
 mod poison;
 mod properties;
 mod reference;
-mod spare;
 mod training;

@@ -7,12 +7,12 @@
 mod exif;
 mod foreign;
 mod jpeg;
+mod memory;
 mod png;
-mod room;
 mod tiff;
 
 pub(crate) use foreign::{converted, converted_copies};
-pub use room::limit_decoding;
+pub use memory::limit_decoding;
 pub use segwild_files::open_plain as open_file;
 
 use image::metadata::Orientation;
@@ -251,7 +251,7 @@ impl Head {
 
     /// Decodes the picture for one that is then shrunk to `width` x `height` of its pixels as stored; waits for room.
     pub fn decode(&self, path: &Path, width: u32, height: u32) -> Result<Decoded, String> {
-        let _permit = room::enter(self.bytes_for(width, height));
+        let _permit = memory::enter(self.bytes_for(width, height));
         self.decode_now(path, least(width, height))
     }
 
@@ -262,7 +262,7 @@ impl Head {
         (width, height): (u32, u32),
         then: impl FnOnce(Decoded) -> Result<T, String>,
     ) -> Result<T, String> {
-        let _permit = room::enter(self.bytes_for(width, height));
+        let _permit = memory::enter(self.bytes_for(width, height));
         then(self.decode_now(path, least(width, height))?)
     }
 
@@ -339,7 +339,7 @@ impl Head {
     /// In words, where the photo is not to be used.
     pub fn check_data(&self, path: &Path) -> Result<Option<String>, String> {
         let Kind::Jpeg(jpeg) = &self.kind else { return Ok(None) };
-        let _permit = room::enter(jpeg.bytes + jpeg.frame.samples() / 8);
+        let _permit = memory::enter(jpeg.bytes + jpeg.frame.samples() / 8);
         let file = open_file(path).map_err(|e| e.to_string())?;
         let mut bytes = Vec::with_capacity(jpeg.bytes as usize);
         file.take(jpeg.bytes).read_to_end(&mut bytes).map_err(|e| e.to_string())?;

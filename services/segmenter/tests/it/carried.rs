@@ -238,7 +238,7 @@ fn regions(world: &World, views: &[PosedView], things: &[usize]) -> Vec<Vec<Mask
 }
 
 /// The labels that a click in the middle of the first photo's first region gives, carried to photos that take every region
-/// whose mean certainty is over `least`; `open`: what the first photo leaves open; `strangers`: what is known to stand before
+/// whose mean certainty is over `least`; `open`: what the first photo leaves open; `transients`: what is known to stand before
 /// the scene.
 fn carried(
     world: &World,
@@ -246,7 +246,7 @@ fn carried(
     truth: &[Vec<Mask>],
     field: &FeatureField,
     open: Option<&Image>,
-    strangers: Option<&MaskReader>,
+    transients: Option<&MaskReader>,
     least: f32,
 ) -> Vec<bool> {
     let engine = engine();
@@ -256,7 +256,7 @@ fn carried(
     let prompts = [PromptedView { view: 0, mask, open, points: &points, refused: false }];
     let (settings, sky) = (SegmentSettings::default(), world.is(3));
     let request = request(&engine, &world.splats, views, &prompts, &settings);
-    let request = Request { features: Some(field), frozen: Some(&sky), strangers, ..request };
+    let request = Request { features: Some(field), frozen: Some(&sky), transients, ..request };
     let snap = |view: usize, certainty: &Image| Some((likelier(&truth[view], certainty, least), 0.9_f32));
     select(&request, Some(&snap)).unwrap().labels
 }
@@ -299,7 +299,7 @@ fn a_part_that_the_click_left_open_is_not_held_against_it() {
 }
 
 #[test]
-fn a_pedestal_whose_foot_strangers_hide_in_all_other_photos_comes_along_whole() {
+fn a_pedestal_whose_foot_transients_hide_in_all_other_photos_comes_along_whole() {
     let (world, views, field) = statue_and_pedestal();
     let shown = regions(&world, &views, &[0, 1]);
     // In all photos but the first somebody stands before the lower half of the pedestal, and masks end there.
@@ -313,12 +313,12 @@ fn a_pedestal_whose_foot_strangers_hide_in_all_other_photos_comes_along_whole() 
         if view == 0 { whole } else { whole.minus(&feet[view]) }
     };
     let truth: Vec<Vec<Mask>> = (0..views.len()).map(|view| vec![seen(view)]).collect();
-    let strangers = move |view: usize| (view > 0).then(|| feet[view].clone());
-    let share = |strangers: Option<&MaskReader>| {
-        let labels = carried(&world, &views, &truth, &field, None, strangers, 0.35);
+    let transients = move |view: usize| (view > 0).then(|| feet[view].clone());
+    let share = |transients: Option<&MaskReader>| {
+        let labels = carried(&world, &views, &truth, &field, None, transients, 0.35);
         (world.share(0, &labels), world.share(1, &labels))
     };
-    let (unknown, known) = (share(None), share(Some(&strangers)));
+    let (unknown, known) = (share(None), share(Some(&transients)));
     assert!(unknown.0 > 0.9 && known.0 > 0.9 && known.1 > unknown.1 + 0.15, "{unknown:?} {known:?}");
 }
 

@@ -2,10 +2,10 @@
 
 mod common;
 
+mod baselines;
 mod carried;
 mod knn;
 mod maxflow;
 mod query;
-mod rivals;
 mod select;
 mod sgc;

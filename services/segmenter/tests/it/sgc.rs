@@ -3,7 +3,7 @@
 use glam::{Mat3, Vec3};
 use proptest::prelude::*;
 use segwild_scene::{Camera, Mask, NEAR, Pose, Splats};
-use segwild_segmenter::{Cut, CutView, Juror, SpikeMode};
+use segwild_segmenter::{Cut, CutView, MaskVote, SpikeMode};
 
 const CAMERA: Camera = Camera { width: 200, height: 160, fx: 180.0, fy: 180.0, cx: 100.0, cy: 80.0 };
 
@@ -218,9 +218,9 @@ proptest! {
 }
 
 /// Photos side by side, each with an outline of its own.
-fn jury_of(masks: &[Mask]) -> Vec<Juror<'_>> {
-    let juror = |mask| Juror { camera: CAMERA, pose: pose(), mask, voice: &[255], weight: 1.0 };
-    masks.iter().map(juror).collect()
+fn votes_of(masks: &[Mask]) -> Vec<MaskVote<'_>> {
+    let mask_vote = |mask| MaskVote { camera: CAMERA, pose: pose(), mask, voice: &[255], weight: 1.0 };
+    masks.iter().map(mask_vote).collect()
 }
 
 fn left_of(edge: u32) -> Mask {
@@ -235,7 +235,7 @@ fn most_photos_cut_a_needle_where_most_of_them_end_the_object() {
     // 60 px long (3 deviations of 20), its centre at x = 150. Five outlines wander about x = 150, one is far off.
     let before = needle(150.0, 60.0);
     let masks = [147, 149, 150, 151, 153, 198].map(left_of);
-    let cut = Cut::by_jury(&before, &all(1), &NONE, &jury_of(&masks), SpikeMode::Axis, NEAR);
+    let cut = Cut::cut_by_votes(&before, &all(1), &NONE, &votes_of(&masks), SpikeMode::Axis, NEAR);
     let mut after = before.clone();
     cut.apply(&mut after);
     // What is seen of it ends where half of its alpha is lost, at 1.177 deviations.
@@ -244,7 +244,7 @@ fn most_photos_cut_a_needle_where_most_of_them_end_the_object() {
     assert!(after.scale(0).x < 0.7 * before.scale(0).x);
     assert_eq!((after.log_scales[0][1], after.opacities[0]), (before.log_scales[0][1], before.opacities[0]));
     // Applying it again changes nothing.
-    let again = Cut::by_jury(&after, &all(1), &NONE, &jury_of(&masks), SpikeMode::Axis, NEAR);
+    let again = Cut::cut_by_votes(&after, &all(1), &NONE, &votes_of(&masks), SpikeMode::Axis, NEAR);
     assert_eq!(again, Cut::default());
     cut.undo(&mut after);
     assert_eq!(after, before);
@@ -255,19 +255,20 @@ fn one_photo_that_is_wrong_cuts_nothing() {
     let needle = needle(150.0, 60.0);
     let masks = [110, 190, 195, 198].map(left_of);
     assert_eq!(
-        Cut::by_jury(&needle, &all(1), &NONE, &jury_of(&masks), SpikeMode::Axis, NEAR),
+        Cut::cut_by_votes(&needle, &all(1), &NONE, &votes_of(&masks), SpikeMode::Axis, NEAR),
         Cut::default()
     );
     // Nor do photos that do not see it, however many.
     let blind = [110; 8].map(left_of);
-    let jury: Vec<Juror> = jury_of(&blind).into_iter().map(|j| Juror { voice: &[0], ..j }).collect();
-    assert_eq!(Cut::by_jury(&needle, &all(1), &NONE, &jury, SpikeMode::Axis, NEAR), Cut::default());
+    let votes: Vec<MaskVote> = votes_of(&blind).into_iter().map(|j| MaskVote { voice: &[0], ..j }).collect();
+    assert_eq!(Cut::cut_by_votes(&needle, &all(1), &NONE, &votes, SpikeMode::Axis, NEAR), Cut::default());
 }
 
 #[test]
 fn what_all_photos_put_outside_leaves_the_selection() {
     let masks = [60; 4].map(left_of);
-    let cut = Cut::by_jury(&needle(150.0, 60.0), &all(1), &NONE, &jury_of(&masks), SpikeMode::Axis, NEAR);
+    let cut =
+        Cut::cut_by_votes(&needle(150.0, 60.0), &all(1), &NONE, &votes_of(&masks), SpikeMode::Axis, NEAR);
     assert_eq!((cut.changed.len(), cut.dropped), (0, vec![0]));
 }
 
@@ -276,7 +277,7 @@ fn a_splat_astride_the_outline_gives_the_object_its_inner_piece() {
     // Two thirds of the needle lie outside; it belongs to something else.
     let before = needle(150.0, 60.0);
     let masks = [140; 4].map(left_of);
-    let cut = Cut::by_jury(&before, &NONE, &all(1), &jury_of(&masks), SpikeMode::Axis, NEAR);
+    let cut = Cut::cut_by_votes(&before, &NONE, &all(1), &votes_of(&masks), SpikeMode::Axis, NEAR);
     assert_eq!((cut.joined.as_slice(), cut.changed.len(), cut.dropped.len()), ([0u32].as_slice(), 1, 0));
     let (mut after, mut labels) = (before.clone(), vec![false]);
     cut.apply(&mut after);
@@ -285,13 +286,19 @@ fn a_splat_astride_the_outline_gives_the_object_its_inner_piece() {
     let end = after.means[0][0] * 180.0 + 100.0 + after.scale(0).x * 180.0 * 1.177;
     assert!((end - 140.0).abs() < 3.0, "seen up to x = {end}");
     // Once in, a second cut finds nothing to change.
-    assert_eq!(Cut::by_jury(&after, &labels, &NONE, &jury_of(&masks), SpikeMode::Axis, NEAR), Cut::default());
+    assert_eq!(
+        Cut::cut_by_votes(&after, &labels, &NONE, &votes_of(&masks), SpikeMode::Axis, NEAR),
+        Cut::default()
+    );
     // What no photo's outline cuts stays whole, and stays out.
     let around = [190; 4].map(left_of);
     assert_eq!(
-        Cut::by_jury(&before, &NONE, &all(1), &jury_of(&around), SpikeMode::Axis, NEAR),
+        Cut::cut_by_votes(&before, &NONE, &all(1), &votes_of(&around), SpikeMode::Axis, NEAR),
         Cut::default()
     );
     // And nothing joins where spikes are not cut.
-    assert_eq!(Cut::by_jury(&before, &NONE, &all(1), &jury_of(&masks), SpikeMode::Off, NEAR), Cut::default());
+    assert_eq!(
+        Cut::cut_by_votes(&before, &NONE, &all(1), &votes_of(&masks), SpikeMode::Off, NEAR),
+        Cut::default()
+    );
 }

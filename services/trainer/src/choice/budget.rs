@@ -2,7 +2,7 @@
 //! doubling would not pay (method, section 9). How many splats is decided while they grow: where more gain nothing,
 //! growing ends.
 //!
-//! What is paid is SSIM on photos held out. PSNR can be no lower where a click selects .05 IoU less: behind strangers with
+//! What is paid is SSIM on photos held out. PSNR can be no lower where a click selects .05 IoU less: behind transients with
 //! a quarter of the steps, or with half of the splats (docs/results/chart/oracle-synthetic).
 //!
 //! Each is a whole training from coarse to fine. Going on from the one before would take half the steps, but what is
@@ -22,7 +22,7 @@ const SIZES: (u32, u32) = (96, 480);
 /// fewer, trials would take what they could save.
 const SHORTEST: (u32, u32) = (16, 125);
 /// Photos that agree are worth more steps than others, so many times as many at most.
-/// Where light differs and strangers stand in front, more than the scene's own are learnt by heart (docs/measured.md).
+/// Where light differs and transients stand in front, more than the scene's own are learnt by heart (docs/measured.md).
 const MORE: u32 = 8;
 /// What all further doublings together must promise on the photos held out, in SSIM, for the next to be made.
 const WORTH: f32 = 0.002;
@@ -58,7 +58,7 @@ fn trial_size_of(trained_on: u32) -> u32 {
 }
 
 /// Chooses the least steps that suffice, `settings.steps` at most, or eight times as many where it may go `beyond`: where they
-/// were left to the scene, and its photos agree ([`super::LookChoice::agrees`]). `photos` gives photos of a long side of
+/// were left to the scene, and its photos agree ([`super::AppearanceChoice::agrees`]). `photos` gives photos of a long side of
 /// [`trial_size`]; `stopping` ends the work. The same scene, photos and settings give the same choice.
 pub fn choose_budget(
     engine: Arc<dyn Engine>,

@@ -1,17 +1,17 @@
 //! What a training needs, found before it: short fits that are scored on photos held out of them (method, section 9).
 
+mod appearance;
 mod budget;
-mod look;
 mod tracks;
 
+pub use appearance::{AppearanceChoice, RUNGS, SIZE, choose_appearance};
 pub use budget::{BudgetChoice, choose_budget, trial_size};
-pub use look::{LookChoice, RUNGS, SIZE, choose_look};
 pub use tracks::Tracks;
 
 use crate::evaluate::{draw_unseen, score};
 use crate::photos::Stored;
 use crate::posed::{Posed, posed_view};
-use crate::{LookKind, Photos, TrainError, TrainSettings, Trainer};
+use crate::{AppearanceModel, Photos, TrainError, TrainSettings, Trainer};
 use segwild_raster::Engine;
 use segwild_raster::compare::{contradicted, mean_difference};
 use segwild_scene::{Image, Scene};
@@ -29,7 +29,7 @@ const FEW: usize = 8;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ShortFit {
     /// Its look.
-    pub look: LookKind,
+    pub appearance: AppearanceModel,
     /// Its steps.
     pub steps: u32,
     /// The splats it came to.
@@ -63,7 +63,7 @@ struct Held {
     photo: Stored,
     /// What each fit shows in its place.
     renders: Vec<Image>,
-    /// Per pixel, whether it contradicts every fit. A stranger does, whatever is tried, and tells nothing of it.
+    /// Per pixel, whether it contradicts every fit. A transient does, whatever is tried, and tells nothing of it.
     strange: Vec<bool>,
 }
 
@@ -103,7 +103,7 @@ impl<'a> Trials<'a> {
 
     /// Trains once, and scores what came of it and all that was tried before.
     fn fit(&mut self, settings: TrainSettings) -> Result<(), TrainError> {
-        let (look, steps) = (settings.look, settings.steps);
+        let (appearance, steps) = (settings.appearance_model, settings.steps);
         let share = settings.robust.then_some(settings.robust_share);
         let mut trainer = Trainer::new(self.engine.clone(), &self.scene, self.photos.clone(), settings)?;
         while !trainer.is_done() {
@@ -113,7 +113,7 @@ impl<'a> Trials<'a> {
             trainer.step()?;
         }
         let model = trainer.snapshot()?;
-        self.fits.push(ShortFit { look, steps, splats: model.splats.len(), psnr: 0.0, ssim: 0.0 });
+        self.fits.push(ShortFit { appearance, steps, splats: model.splats.len(), psnr: 0.0, ssim: 0.0 });
         let there = self.engine.hold(&model.splats)?;
         let drawing = there.as_deref().unwrap_or(&*self.engine);
         for held in &mut self.held_out {

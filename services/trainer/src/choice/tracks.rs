@@ -1,7 +1,7 @@
 //! What the reconstructed points say of the light, before any training.
 
 use crate::Photos;
-use crate::looks::{Affine, IDENTITY, fit, undo};
+use crate::appearances::{Affine, IDENTITY, fit, undo};
 use segwild_scene::{Image, Scene};
 use serde::{Deserialize, Serialize};
 
@@ -100,7 +100,7 @@ fn means(points: usize, of_view: &[Vec<Sighting>], matrices: &[Affine]) -> Vec<[
     sums.into_iter().map(|(sum, n)| sum.map(|s| s / n.max(1.0))).collect()
 }
 
-/// Root mean square of what is seen beside what is expected, without the worst tenth: strangers, and points that a
+/// Root mean square of what is seen beside what is expected, without the worst tenth: transients, and points that a
 /// photo was wrong to see.
 fn spread(
     own: &[[f32; 3]],

@@ -5,7 +5,7 @@ use crate::{TrainError, TrainSettings};
 use wincode::{SchemaRead, SchemaWrite};
 
 /// Below this opacity a splat is removed.
-const FAINT: f32 = 0.01;
+const MIN_OPACITY: f32 = 0.01;
 /// A splat that covers less than this many full-size pixels of all photos together is removed.
 const UNSEEN: f32 = 0.5;
 /// Judgements in a row that must find growth not to pay before it stops.
@@ -117,7 +117,8 @@ impl Density for Budget {
         let (prune, grow) = (self.prunes(step), self.grows(step));
         let n = all.len();
         // However large one looks from close by: the ground before a camera is.
-        let mut keep: Vec<bool> = (0..n).map(|i| all.healthy(i) && all.splats.opacity(i) >= FAINT).collect();
+        let mut keep: Vec<bool> =
+            (0..n).map(|i| all.healthy(i) && all.splats.opacity(i) >= MIN_OPACITY).collect();
         if prune {
             let contribution = (around.contribution)(&all.splats)?;
             for i in 0..n {

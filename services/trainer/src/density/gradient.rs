@@ -12,7 +12,7 @@ const THRESHOLD: f32 = 8e-4;
 /// Splats larger than this many pixels are split, smaller ones cloned.
 const SPLIT_PIXELS: f32 = 3.0;
 /// Below this opacity a splat is removed.
-const FAINT: f32 = 0.005;
+const MIN_OPACITY: f32 = 0.005;
 /// What an opacity reset leaves.
 const RESET: f32 = 0.01;
 
@@ -82,7 +82,7 @@ impl Density for Gradient {
             }
         }
         let keep: Vec<usize> = (0..all.splats.len())
-            .filter(|&i| all.healthy(i) && all.splats.opacity(i) >= FAINT)
+            .filter(|&i| all.healthy(i) && all.splats.opacity(i) >= MIN_OPACITY)
             .filter(|&i| self.stats.radius.get(i).is_none_or(|&r| r < 1.0))
             .collect();
         let removed = all.splats.len() - keep.len();

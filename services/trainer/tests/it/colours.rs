@@ -2,7 +2,7 @@
 
 use crate::wall::*;
 use segwild_scene::{DARKEST, Scene};
-use segwild_trainer::{LookKind, Protocol, TrainSettings, Trainer, evaluate};
+use segwild_trainer::{AppearanceModel, Protocol, TrainSettings, Trainer, evaluate};
 
 fn painted(scene: &Scene, colour: [f32; 3]) -> Scene {
     let mut scene = scene.clone();
@@ -30,7 +30,7 @@ fn a_training_without_point_colours_goes_on_in_the_same_bytes() {
     let scene = painted(&scene(6), [DARKEST; 3]);
     let photos = photos(&scene, true, |_, _| ());
     let run = |stops: &[u32]| {
-        let settings = TrainSettings { look: LookKind::Affine, ..settings(20) };
+        let settings = TrainSettings { appearance_model: AppearanceModel::Affine, ..settings(20) };
         let mut trainer = Trainer::new(engine(), &scene, photos.clone(), settings).unwrap();
         for &stop in stops {
             while trainer.steps_done() < stop {

@@ -1,7 +1,9 @@
 //! Looks as a tool: a trained scene in any photo's light, between lights, in two at once, and written into splats.
 
 use glam::Vec3;
-use segwild_raster::{AffineLook, AnyLook, CpuEngine, EmbedLook, GswLook, GswWidth, NoLook};
+use segwild_raster::{
+    AffineAppearance, AnyAppearance, CpuEngine, EmbedAppearance, GswAppearance, GswWidth, NoAppearance,
+};
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
 use segwild_trainer::{Background, Lighting, Model, Stats, render_lit, render_view};
 
@@ -30,39 +32,40 @@ fn model(rung: &str, sh_degree: u32) -> Model {
         let spread = |k: usize| if k < 3 { 0.5 } else { 0.12 };
         splats.sh.extend((0..splats.sh_stride()).map(|k| spread(k) * (2.0 * random.uniform() - 1.0)));
     }
-    let look = match rung {
-        "none" => AnyLook::None(NoLook),
+    let appearance = match rung {
+        "none" => AnyAppearance::None(NoAppearance),
         "affine" => {
-            let mut look = AffineLook::new(PHOTOS + 1);
-            (0..=PHOTOS).for_each(|view| look.set_matrix(view, matrix(&mut random)));
-            AnyLook::Affine(look)
+            let mut appearance = AffineAppearance::new(PHOTOS + 1);
+            (0..=PHOTOS).for_each(|view| appearance.set_matrix(view, matrix(&mut random)));
+            AnyAppearance::Affine(appearance)
         }
         "gsw" => {
-            let mut look = GswLook::new(PHOTOS + 1, 5, GswWidth::Cpu);
-            (0..=PHOTOS).for_each(|view| look.below.set_matrix(view, matrix(&mut random)));
-            let layer: Vec<f32> = look.layer().iter().map(|_| 0.1 * random.normal()).collect();
-            look.set_layer(&layer);
+            let mut appearance = GswAppearance::new(PHOTOS + 1, 5, GswWidth::Cpu);
+            (0..=PHOTOS).for_each(|view| appearance.below.set_matrix(view, matrix(&mut random)));
+            let layer: Vec<f32> = appearance.layer().iter().map(|_| 0.1 * random.normal()).collect();
+            appearance.set_layer(&layer);
             for view in 0..PHOTOS {
                 let (camera, pose) = eye();
                 let colours: Vec<f32> = (0..3 * 64 * 48).map(|_| random.uniform()).collect();
                 let colour = |i: usize| Some([colours[3 * i], colours[3 * i + 1], colours[3 * i + 2]]);
-                let glance = look.glance((64, 48), &camera, &pose, colour);
-                look.set_glance(view, glance);
+                let image_conditioning = appearance.image_conditioning((64, 48), &camera, &pose, colour);
+                appearance.set_image_conditioning(view, image_conditioning);
             }
-            AnyLook::Gsw(Box::new(look))
+            AnyAppearance::Gsw(Box::new(appearance))
         }
         _ => {
-            let mut look = EmbedLook::new(PHOTOS + 1, 5);
-            (0..=PHOTOS).for_each(|view| look.set_matrix(view, matrix(&mut random)));
-            AnyLook::Embed(look)
+            let mut appearance = EmbedAppearance::new(PHOTOS + 1, 5);
+            (0..=PHOTOS).for_each(|view| appearance.set_matrix(view, matrix(&mut random)));
+            AnyAppearance::Embed(appearance)
         }
     };
-    let codes = (0..look.as_look().code_size() * SPLATS).map(|_| 0.06 * random.normal()).collect();
+    let splat_embeddings =
+        (0..appearance.as_appearance().embedding_size() * SPLATS).map(|_| 0.06 * random.normal()).collect();
     let background = |_| Some(Background::constant(std::array::from_fn(|_| random.uniform())));
     Model {
         splats,
-        codes,
-        look,
+        splat_embeddings,
+        appearance,
         backgrounds: (0..PHOTOS).map(background).collect(),
         names: (0..PHOTOS).map(|i| format!("{i}.jpg")).collect(),
         trained_on: (0..PHOTOS as u32).collect(),
@@ -103,8 +106,8 @@ fn baked_splats_drawn_plainly_are_the_scene_under_that_look() {
             let lit = draw(&model, &light.clone().into());
             let plain = Model {
                 splats: model.baked(&light.clone().into()),
-                codes: Vec::new(),
-                look: AnyLook::None(NoLook),
+                splat_embeddings: Vec::new(),
+                appearance: AnyAppearance::None(NoAppearance),
                 ..model.clone()
             };
             // Over the same background, which a file of splats does not hold.
@@ -121,8 +124,8 @@ fn baked_splats_drawn_plainly_are_the_scene_under_that_look() {
 #[test]
 fn an_affine_look_acts_on_the_higher_harmonics_by_its_matrix() {
     let model = model("affine", 3);
-    let AnyLook::Affine(look) = &model.look else { unreachable!("as asked for") };
-    let m = look.matrix(1);
+    let AnyAppearance::Affine(appearance) = &model.appearance else { unreachable!("as asked for") };
+    let m = appearance.matrix(1);
     let baked = model.baked(&model.light(Some(1)).into());
     for (i, (before, after)) in model.splats.sh.chunks(3).zip(baked.sh.chunks(3)).enumerate() {
         let base = i % 16 == 0;
@@ -180,8 +183,8 @@ fn an_object_has_its_own_light_and_the_rest_keeps_the_scenes() {
     let (camera, pose) = eye();
     let cover = |part: &Model| {
         let white = Model {
-            look: AnyLook::None(NoLook),
-            codes: Vec::new(),
+            appearance: AnyAppearance::None(NoAppearance),
+            splat_embeddings: Vec::new(),
             splats: Splats { sh: vec![0.0; part.splats.sh.len()], ..part.splats.clone() },
             backgrounds: vec![Some(Background::constant([0.0; 3])); PHOTOS],
             ..part.clone()
@@ -206,8 +209,8 @@ fn an_object_has_its_own_light_and_the_rest_keeps_the_scenes() {
     // The same two lights, written into the splats.
     let plain = Model {
         splats: model.baked(&lighting),
-        codes: Vec::new(),
-        look: AnyLook::None(NoLook),
+        splat_embeddings: Vec::new(),
+        appearance: AnyAppearance::None(NoAppearance),
         ..model.clone()
     };
     assert!(apart(&draw(&plain, &plain.light(Some(0)).into()), &both) < 1e-5);

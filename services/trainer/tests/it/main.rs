@@ -2,10 +2,10 @@
 
 mod wall;
 
-mod between;
 mod colours;
 mod cut_outs;
 mod exports;
 mod lights;
-mod strangers;
+mod stereo_points;
 mod training;
+mod transients;

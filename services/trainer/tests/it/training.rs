@@ -4,8 +4,8 @@ use crate::wall::*;
 use segwild_raster::Channels;
 use segwild_scene::{Image, Mask, Observation, View};
 use segwild_trainer::{
-    Checkpoint, DensityKind, LookKind, Model, Photos, Protocol, TrainError, TrainPhoto, TrainSettings,
-    Trainer, choose_budget, choose_look, evaluate, render_view,
+    AppearanceModel, Checkpoint, DensityKind, Model, Photos, Protocol, TrainError, TrainPhoto, TrainSettings,
+    Trainer, choose_appearance, choose_budget, evaluate, render_view,
 };
 use std::sync::Arc;
 
@@ -25,14 +25,14 @@ fn every_strategy_learns_a_view_it_never_saw_within_its_cap() {
 #[test]
 fn resuming_gives_the_bytes_of_not_stopping_and_threads_do_not_matter() {
     let scene = scene(6);
-    let look = |i: usize, image: &mut Image| {
+    let appearance = |i: usize, image: &mut Image| {
         image.data.iter_mut().for_each(|v| *v = *v * (0.7 + 0.05 * i as f32) + 0.05)
     };
-    let photos = photos(&scene, true, look);
+    let photos = photos(&scene, true, appearance);
     let all = [DensityKind::Budget, DensityKind::Gradient, DensityKind::Mcmc];
-    let looks = [LookKind::Affine, LookKind::Embed, LookKind::Gsw];
-    for (density, look) in all.into_iter().zip(looks) {
-        let s = TrainSettings { density, look, robust: true, ..settings(120) };
+    let appearances = [AppearanceModel::Affine, AppearanceModel::Embed, AppearanceModel::Gsw];
+    for (density, appearance) in all.into_iter().zip(appearances) {
+        let s = TrainSettings { density, appearance_model: appearance, robust: true, ..settings(120) };
         let run = |threads: usize, stops: &[u32]| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| {
@@ -61,8 +61,8 @@ fn a_checkpoint_of_another_scene_or_a_damaged_one_is_refused() {
     let six = scene(6);
     let photos = photos(&six, false, |_, _| ());
     // Of the look with most parts there is most to damage, and few places are enough.
-    for (look, every) in [(LookKind::None, 997), (LookKind::Gsw, 40_009)] {
-        let settings = TrainSettings { look, ..settings(10) };
+    for (appearance, every) in [(AppearanceModel::None, 997), (AppearanceModel::Gsw, 40_009)] {
+        let settings = TrainSettings { appearance_model: appearance, ..settings(10) };
         let mut trainer = Trainer::new(engine(), &six, photos.clone(), settings).unwrap();
         let other = Trainer::resume(engine(), &scene(5), photos.clone(), trainer.checkpoint().unwrap());
         let refused = other.err().unwrap();
@@ -96,7 +96,7 @@ fn poor_scenes_train_sanely() {
         let model = train(
             scene,
             photos.clone(),
-            TrainSettings { robust: true, look: LookKind::Affine, ..settings(200) },
+            TrainSettings { robust: true, appearance_model: AppearanceModel::Affine, ..settings(200) },
         );
         assert_sane(&model, 1500);
         let score = evaluate(&model, &*engine(), scene, photos, &[0], Protocol::Plain).unwrap();
@@ -170,11 +170,13 @@ fn light_that_differs_from_place_to_place_is_learnt_by_embed_and_gsw_and_not_by_
     let lit: Vec<Image> =
         scene.views.iter().enumerate().map(|(i, v)| photo_lit(v, |at| light(i, at)).0).collect();
     let photos = photos(&scene, false, |i, image| *image = lit[i].clone());
-    let score = |look: LookKind| {
-        let model = train(&scene, photos.clone(), TrainSettings { look, ..settings(800) });
+    let score = |appearance: AppearanceModel| {
+        let model =
+            train(&scene, photos.clone(), TrainSettings { appearance_model: appearance, ..settings(800) });
         evaluate(&model, &*engine(), &scene, photos.clone(), &[11], Protocol::Halves).unwrap().psnr
     };
-    let (affine, embed, gsw) = (score(LookKind::Affine), score(LookKind::Embed), score(LookKind::Gsw));
+    let (affine, embed, gsw) =
+        (score(AppearanceModel::Affine), score(AppearanceModel::Embed), score(AppearanceModel::Gsw));
     assert!(embed > affine + 2.0, "embed {embed} dB, affine {affine} dB");
     assert!(gsw > affine + 2.0, "gsw {gsw} dB, affine {affine} dB");
 }
@@ -184,15 +186,20 @@ fn codes_learn_nothing_before_their_share_of_the_steps() {
     let scene = scene(6);
     let photos =
         photos(&scene, true, |i, image| image.data.iter_mut().for_each(|v| *v *= 0.7 + 0.05 * i as f32));
-    for look in [LookKind::Embed, LookKind::Gsw] {
-        let codes = |lr_code: f32, steps: u32| {
-            let s = TrainSettings { look, lr_code, codes_from: 0.25, ..settings(80) };
+    for appearance in [AppearanceModel::Embed, AppearanceModel::Gsw] {
+        let splat_embeddings = |lr_splat_embedding: f32, steps: u32| {
+            let s = TrainSettings {
+                appearance_model: appearance,
+                lr_splat_embedding,
+                splat_embedding_from: 0.25,
+                ..settings(80)
+            };
             let mut trainer = Trainer::new(engine(), &scene, photos.clone(), s).unwrap();
             (0..steps).for_each(|_| drop(trainer.step().unwrap()));
-            trainer.snapshot().unwrap().codes
+            trainer.snapshot().unwrap().splat_embeddings
         };
-        assert_eq!(codes(0.01, 20), codes(0.05, 20), "{look}: learnt too early");
-        assert_ne!(codes(0.01, 24), codes(0.05, 24), "{look}: never learnt");
+        assert_eq!(splat_embeddings(0.01, 20), splat_embeddings(0.05, 20), "{appearance}: learnt too early");
+        assert_ne!(splat_embeddings(0.01, 24), splat_embeddings(0.05, 24), "{appearance}: never learnt");
     }
 }
 
@@ -208,11 +215,13 @@ fn looks_are_learnt_and_the_left_half_gives_the_right_halfs_look() {
             image.plane_mut(c).iter_mut().for_each(|v| *v = tint(i, c, *v));
         }
     });
-    let of = |look: LookKind| train(&scene, tinted.clone(), TrainSettings { look, ..settings(400) });
+    let of = |appearance: AppearanceModel| {
+        train(&scene, tinted.clone(), TrainSettings { appearance_model: appearance, ..settings(400) })
+    };
     let score = |model: &Model, protocol| {
         evaluate(model, &*engine(), &scene, tinted.clone(), &[7], protocol).unwrap()
     };
-    let affine = of(LookKind::Affine);
+    let affine = of(AppearanceModel::Affine);
     let (halves, plain) = (score(&affine, Protocol::Halves), score(&affine, Protocol::Plain));
     assert!(halves.psnr > 24.0, "{}", halves.psnr);
     assert!(halves.psnr > plain.psnr + 3.0, "fitted {}, not fitted {}", halves.psnr, plain.psnr);
@@ -226,7 +235,7 @@ fn looks_are_learnt_and_the_left_half_gives_the_right_halfs_look() {
         let render = render_view(model, &*engine(), &view.camera, &view.pose, Some(2)).unwrap();
         segwild_raster::psnr(&render, &photo, None)
     };
-    let (with, without) = (own(&affine), own(&of(LookKind::None)));
+    let (with, without) = (own(&affine), own(&of(AppearanceModel::None)));
     assert!(with > 24.0 && with > without + 1.0, "its own look {with} dB, one look {without} dB");
 }
 
@@ -245,11 +254,11 @@ fn auto_takes_no_look_where_photos_share_a_light_and_a_look_where_they_differ() 
         v * [1.0, 0.6, 0.35, 0.8][i % 4] * [1.0, 0.9, 0.7][(c + i) % 3] + 0.03 * (i % 3) as f32
     };
     let choose = |photos: Arc<dyn Photos>| {
-        let settings = TrainSettings { look: LookKind::Auto, ..settings(400) };
-        choose_look(engine(), &scene, photos, &settings, &|| false).unwrap()
+        let settings = TrainSettings { appearance_model: AppearanceModel::Auto, ..settings(400) };
+        choose_appearance(engine(), &scene, photos, &settings, &|| false).unwrap()
     };
     let same = choose(photos(&scene, true, |_, _| ()));
-    assert_eq!(same.look, LookKind::None, "{}", same.why);
+    assert_eq!(same.appearance, AppearanceModel::None, "{}", same.why);
     assert!(same.agrees(), "{}", same.why);
     assert!(same.why.starts_with("none: ") && same.fits.len() >= 2 && same.held_out >= 2, "{}", same.why);
     let tinted = |i: usize, image: &mut Image| {
@@ -258,13 +267,14 @@ fn auto_takes_no_look_where_photos_share_a_light_and_a_look_where_they_differ() 
         }
     };
     let differs = choose(photos(&scene, true, tinted));
-    assert!(differs.look != LookKind::None, "{}", differs.why);
+    assert!(differs.appearance != AppearanceModel::None, "{}", differs.why);
     assert_eq!(choose(photos(&scene, true, tinted)), differs, "the same again");
     // What nobody has decided is not trained with.
-    let open = TrainSettings { look: LookKind::Auto, ..settings(10) };
+    let open = TrainSettings { appearance_model: AppearanceModel::Auto, ..settings(10) };
     let refused = Trainer::new(engine(), &scene, photos(&scene, false, |_, _| ()), open).err().unwrap();
     assert!(refused.to_string().contains("auto"), "{refused}");
-    let stopped = choose_look(engine(), &scene, photos(&scene, false, |_, _| ()), &settings(400), &|| true);
+    let stopped =
+        choose_appearance(engine(), &scene, photos(&scene, false, |_, _| ()), &settings(400), &|| true);
     assert!(matches!(stopped, Err(TrainError::Stopped)), "{stopped:?}");
 }
 
@@ -276,7 +286,7 @@ fn a_budget_spends_little_where_more_gains_little_and_all_where_every_doubling_p
         image.data.iter_mut().enumerate().for_each(|(k, v)| *v += 0.2 * (noise(i, k) - 0.5));
     };
     let choose = |steps: u32| {
-        let settings = TrainSettings { look: LookKind::None, ..settings(steps) };
+        let settings = TrainSettings { appearance_model: AppearanceModel::None, ..settings(steps) };
         choose_budget(engine(), &scene, photos(&scene, false, grain), &settings, false, &|| false).unwrap()
     };
     let ample = choose(4000);
@@ -287,7 +297,7 @@ fn a_budget_spends_little_where_more_gains_little_and_all_where_every_doubling_p
     assert_eq!(scarce.steps, 200, "{}", scarce.why);
     // Where nothing can be held out nothing can be known.
     let few = self::scene(5);
-    let settings = TrainSettings { look: LookKind::None, ..settings(4000) };
+    let settings = TrainSettings { appearance_model: AppearanceModel::None, ..settings(4000) };
     let of_few =
         choose_budget(engine(), &few, photos(&few, false, |_, _| ()), &settings, false, &|| false).unwrap();
     assert_eq!((of_few.steps, of_few.fits.len()), (4000, 0), "{}", of_few.why);
@@ -301,7 +311,7 @@ fn a_budget_spends_little_where_more_gains_little_and_all_where_every_doubling_p
 fn a_budget_goes_beyond_the_scenes_own_steps_where_photos_agree() {
     let scene = scene(14);
     let choose = |effort: f32, beyond: bool| {
-        let settings = TrainSettings { look: LookKind::None, effort, ..settings(0) };
+        let settings = TrainSettings { appearance_model: AppearanceModel::None, effort, ..settings(0) };
         let clean = photos(&scene, false, |_, _| ());
         choose_budget(engine(), &scene, clean, &settings, beyond, &|| false).unwrap()
     };

@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3};
 use segwild_raster::{Channels, CpuEngine, Engine, ProjectOptions};
 use segwild_scene::{Camera, Frame, Image, Mask, Photo, Point, Pose, Scene, Seal, Splats, View};
-use segwild_trainer::{Checkpoint, LookKind, Model, Photos, TrainPhoto, TrainSettings, Trainer};
+use segwild_trainer::{AppearanceModel, Checkpoint, Model, Photos, TrainPhoto, TrainSettings, Trainer};
 use std::sync::Arc;
 
 pub const W: u32 = 72;
@@ -114,7 +114,7 @@ pub fn photos(scene: &Scene, sky: bool, change: impl Fn(usize, &mut Image)) -> A
         .map(|(i, view)| {
             let (mut image, mask) = photo_of(view);
             change(i, &mut image);
-            TrainPhoto { image, valid: None, sky: sky.then_some(mask), strangers: None }
+            TrainPhoto { image, valid: None, sky: sky.then_some(mask), transients: None }
         })
         .collect();
     Arc::new(move |i: usize| Ok(all[i].clone()))
@@ -125,7 +125,7 @@ pub fn settings(steps: u32) -> TrainSettings {
         steps,
         splats: 1500,
         sh_degree: 1,
-        look: LookKind::None,
+        appearance_model: AppearanceModel::None,
         robust: false,
         ..TrainSettings::default()
     }

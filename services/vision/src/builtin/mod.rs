@@ -10,8 +10,8 @@ mod colour;
 mod colours;
 mod cut;
 mod embed;
-mod ladder;
 mod memory;
+mod nesting;
 mod plane;
 mod pool;
 mod propose;
@@ -31,7 +31,7 @@ pub(crate) use analysis::check;
 use analysis::{Analysis, Pixels};
 pub(crate) use memory::{Memory, Weighed};
 use plane::Plane;
-pub use record::{Regions, Shelf};
+pub use record::{RegionCache, Regions};
 use segwild_scene::{Embedding, Image, Mask, Prompts, ScoredMask};
 use select::Means;
 use std::borrow::Cow;
@@ -94,7 +94,7 @@ pub struct Builtin {
     /// What was answered to the prompts of late.
     answers: Memory<Chosen>,
     /// Where regions outlive the process.
-    shelf: Option<Arc<dyn Shelf>>,
+    shelf: Option<Arc<dyn RegionCache>>,
 }
 
 impl Weighed for Plane {
@@ -142,7 +142,7 @@ impl Builtin {
 
     /// Keeps the regions of photos on a shelf, and takes them from there: a click in a process of its own then need not look
     /// at the photos that the run has looked at.
-    pub fn keeping(self, shelf: Arc<dyn Shelf>) -> Builtin {
+    pub fn keeping(self, shelf: Arc<dyn RegionCache>) -> Builtin {
         Builtin { shelf: Some(shelf), ..self }
     }
 
@@ -217,7 +217,7 @@ impl Builtin {
         self.analysed(image, self.shelf.as_deref())
     }
 
-    fn analysed(&self, image: &Image, shelf: Option<&dyn Shelf>) -> Result<Arc<Analysis>, VisionError> {
+    fn analysed(&self, image: &Image, shelf: Option<&dyn RegionCache>) -> Result<Arc<Analysis>, VisionError> {
         let image = &*fitted(image)?;
         let key = content(image);
         match self.known(image, key, shelf) {
@@ -227,7 +227,12 @@ impl Builtin {
     }
 
     /// The analysis of a photo that was looked at before: in this process, or in one that kept its regions.
-    fn known(&self, image: &Image, key: blake3::Hash, shelf: Option<&dyn Shelf>) -> Option<Arc<Analysis>> {
+    fn known(
+        &self,
+        image: &Image,
+        key: blake3::Hash,
+        shelf: Option<&dyn RegionCache>,
+    ) -> Option<Arc<Analysis>> {
         let slot = self.analyses.slot(key);
         if let Some(done) = slot.get() {
             return Some(done.clone());
@@ -255,7 +260,7 @@ impl Builtin {
         &self,
         image: &Image,
         key: blake3::Hash,
-        shelf: Option<&dyn Shelf>,
+        shelf: Option<&dyn RegionCache>,
     ) -> Result<Arc<Pixels>, VisionError> {
         let slot = self.pixels.slot(key);
         if let Some(done) = slot.get() {
@@ -446,7 +451,7 @@ mod tests {
     #[derive(Default)]
     struct Kept(Mutex<(BTreeMap<String, Regions>, usize)>);
 
-    impl Shelf for Kept {
+    impl RegionCache for Kept {
         fn regions(&self, name: &str) -> Option<Regions> {
             let mut kept = self.0.lock().unwrap();
             let found = kept.0.get(name).cloned();

@@ -7,7 +7,7 @@ use super::tree::{BINS, Border, Hierarchy, Node};
 use std::sync::Arc;
 use wincode::{SchemaRead, SchemaWrite};
 
-/// The regions of one photo, to be kept ([`Shelf`]).
+/// The regions of one photo, to be kept ([`RegionCache`]).
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
 pub struct Regions {
     /// Width and height of the photo as it was looked at.
@@ -25,7 +25,7 @@ pub struct Regions {
 }
 
 /// Keeps regions for later processes.
-pub trait Shelf: Send + Sync {
+pub trait RegionCache: Send + Sync {
     /// What is kept under a name; `None` where nothing is, or where it cannot be read.
     fn regions(&self, name: &str) -> Option<Regions>;
     /// Keeps regions under a name. What cannot be kept is looked for again when it is wanted.

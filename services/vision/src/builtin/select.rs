@@ -6,8 +6,8 @@
 
 use super::analysis::Analysis;
 use super::cut::Cut;
-use super::ladder::{ladder, rung};
 use super::memory::Slot;
+use super::nesting::{ladder, rung};
 use super::pool::{Choice, Ground, set_of};
 use super::refine::iou_of;
 use super::steps::{Chosen, Click, Offer, Rules, choose, cuts, held_together, offers};

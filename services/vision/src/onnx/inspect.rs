@@ -1,6 +1,6 @@
 //! A look at a network file before the runtime is given it: is it one, is it whole, does it stay within its folder.
 //!
-//! A file is a stranger's program. What it may not do is said in words, naming the file.
+//! A file is a transient's program. What it may not do is said in words, naming the file.
 
 use super::wire::{Value, fields};
 use std::collections::BTreeMap;

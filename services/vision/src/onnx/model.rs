@@ -149,7 +149,7 @@ impl Model {
         let mut session = self.session.lock().unwrap_or_else(PoisonError::into_inner);
         let mut options = RunOptions::new().map_err(failed)?;
         options.set_log_level(ort::logging::LogLevel::Fatal).map_err(failed)?;
-        // A file from a stranger may hold a loop without end.
+        // A file from a transient may hold a loop without end.
         let (done, over) = mpsc::channel::<()>();
         std::thread::scope(|scope| {
             let watch = std::thread::Builder::new().name("network limit".into());

@@ -5,7 +5,7 @@ use crate::yard::{folder, put, take};
 use crate::{Target, seal};
 use segwild_flow::codec::{self, Decode};
 use segwild_flow::{Cache, Key};
-use segwild_pipeline::{LookRequest, RenderRequest, RunFolder, Selected, What};
+use segwild_pipeline::{AppearanceRequest, RenderRequest, RunFolder, Selected, What};
 use segwild_scene::{Embedding, MaskSet};
 use segwild_trainer::Checkpoint;
 use std::path::{Path, PathBuf};
@@ -16,8 +16,8 @@ fn draw(run: &Path) {
     let request = RenderRequest {
         photos: vec!["photo0.png".into()],
         frames: None,
-        look: LookRequest::default(),
-        object_look: None,
+        appearance: AppearanceRequest::default(),
+        object_appearance: None,
         between: None,
         selection: None,
         what: What::Colour,

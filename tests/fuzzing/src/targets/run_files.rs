@@ -4,7 +4,7 @@ use crate::seeds::{run, run_for};
 use crate::yard::{folder, put, take};
 use crate::{Target, seal};
 use segwild_bench::{protocols, record};
-use segwild_gateway::metrics;
+use segwild_monitor::metrics;
 use segwild_pipeline::{Replay, RunFolder, Settings};
 use std::path::PathBuf;
 use std::sync::OnceLock;
@@ -92,8 +92,8 @@ pub(super) const HISTORY: Target = Target {
 
 /// What `status`, `top` and the server make of a folder.
 pub(super) fn look(folder: &std::path::Path) {
-    let view = segwild_gateway::Target::at(folder).and_then(|target| target.view());
-    let _ = segwild_gateway::ready(view.as_ref());
+    let view = segwild_monitor::Target::at(folder).and_then(|target| target.view());
+    let _ = segwild_monitor::ready(view.as_ref());
     let view = view.ok();
     let _ = metrics::render(view.as_ref(), true);
     let _ = view.map(|view| serde_json::to_string(&view));

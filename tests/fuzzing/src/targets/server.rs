@@ -2,7 +2,7 @@
 
 use crate::yard::folder;
 use crate::{Target, seal};
-use segwild_gateway::Server;
+use segwild_monitor::Server;
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpStream};
 use std::sync::OnceLock;
@@ -15,7 +15,7 @@ fn exchange(bytes: &[u8]) -> Vec<u8> {
     static SERVER: OnceLock<Server> = OnceLock::new();
     let server = SERVER.get_or_init(|| {
         let any = std::net::SocketAddr::from(([127, 0, 0, 1], 0));
-        segwild_gateway::serve(any, folder("server"), true).unwrap_or_else(|e| panic!("{e}"))
+        segwild_monitor::serve(any, folder("server"), true).unwrap_or_else(|e| panic!("{e}"))
     });
     let mut stream =
         TcpStream::connect(server.address()).unwrap_or_else(|e| panic!("it accepts no more: {e}"));

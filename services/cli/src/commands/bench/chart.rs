@@ -8,7 +8,7 @@ use crate::failure::{Failure, plain};
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_bench::chart::{Base, ChartOptions, Told, chart as measure_all, write};
 use segwild_bench::oracle::OracleOptions;
-use segwild_bench::point::{Job, Place, means, measure};
+use segwild_bench::point::{Job, PhotoSource, means, measure};
 use segwild_bench::record::Record;
 use segwild_bench::synthetic::SyntheticOptions;
 use segwild_bench::trial::ProviderKind;
@@ -23,15 +23,15 @@ pub fn command() -> Command {
                 .long("scene")
                 .value_name("PATH")
                 .value_parser(value_parser!(PathBuf))
-                .help("A folder of photos with true masks in `truth/` [default: synthetic places]"),
+                .help("A folder of photos with true masks in `truth/` [default: synthetic sources]"),
         )
         .arg(parts())
         .arg(
-            Arg::new("places")
-                .long("places")
+            Arg::new("scenes")
+                .long("scenes")
                 .value_name("LIST")
                 .default_value("1")
-                .help("Seeds of the synthetic places, with commas; a point is their mean"),
+                .help("Seeds of the synthetic sources, with commas; a point is their mean"),
         )
         .arg(
             Arg::new("seeds")
@@ -43,7 +43,7 @@ pub fn command() -> Command {
         .arg(number("photos", "24", "Training photos of a synthetic place").value_parser(value_parser!(u32)))
         .arg(number("pixels", "240", "Long side of a synthetic place's photos").value_parser(value_parser!(u32)))
         .arg(
-            number("occlusion", "0.1", "Share of each synthetic photo that strangers cover, 0 to 0.6")
+            number("occlusion", "0.1", "Share of each synthetic photo that transients cover, 0 to 0.6")
                 .value_parser(value_parser!(f32)),
         )
         .arg(light())
@@ -70,45 +70,47 @@ pub fn chart(matches: &ArgMatches) -> Result<(), Failure> {
     let out = path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench/chart"));
     let json = matches.get_flag("json");
     let photos = *matches.get_one::<u32>("photos").expect("it has a default") as usize;
-    let (places, about) = match path_of(matches, "scene") {
+    let (sources, about) = match path_of(matches, "scene") {
         Some(scene) => {
             let scene = std::path::absolute(&scene)?;
-            let place = Place::Folder { path: scene, parts: parts_of(matches)? };
-            let name = place.name();
-            (vec![place], name)
+            let source = PhotoSource::Folder { path: scene, parts: parts_of(matches)? };
+            let name = source.name();
+            (vec![source], name)
         }
         None => {
-            let seeds: Vec<u64> = numbers(matches, "places")?;
+            let seeds: Vec<u64> = numbers(matches, "scenes")?;
             let options = SyntheticOptions {
                 train: photos,
                 test: photos.div_ceil(5),
                 long_side: *matches.get_one::<u32>("pixels").expect("it has a default"),
                 occlusion: *matches.get_one::<f32>("occlusion").expect("it has a default"),
-                look: light_of(matches)?,
+                photo_light: light_of(matches)?,
                 ..SyntheticOptions::default()
             };
-            let places = if seeds.len() == 1 { "place" } else { "places" };
+            let sources = if seeds.len() == 1 { "place" } else { "scenes" };
             let about =
-                format!("{} synthetic {places} of {photos} photos, {} px", seeds.len(), options.long_side);
+                format!("{} synthetic {sources} of {photos} photos, {} px", seeds.len(), options.long_side);
             (
                 seeds
                     .iter()
-                    .map(|&seed| Place::Synthetic(SyntheticOptions { seed, ..options.clone() }))
+                    .map(|&seed| PhotoSource::Synthetic(SyntheticOptions { seed, ..options.clone() }))
                     .collect(),
                 about,
             )
         }
     };
     let providers = providers_of(matches);
-    if providers == ProviderKind::Oracle && matches!(places[..], [Place::Folder { .. }]) {
-        return Err(Failure::usage("--providers oracle: the oracle knows synthetic places only, no --scene"));
+    if providers == ProviderKind::Oracle && matches!(sources[..], [PhotoSource::Folder { .. }]) {
+        return Err(Failure::usage(
+            "--providers oracle: the oracle knows synthetic sources only, no --scene",
+        ));
     }
     let options = ChartOptions {
         program: std::env::current_exe()?,
         command: super::common::command_line(),
         only: list(matches, "only"),
         seeds: numbers(matches, "seeds")?,
-        base: Base { places, providers, faults: OracleOptions::default(), settings: given(matches) },
+        base: Base { sources, providers, faults: OracleOptions::default(), settings: given(matches) },
         out: out.clone(),
     };
     let results = measure_all(&options, |told| tell(&told, json))?;

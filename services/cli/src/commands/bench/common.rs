@@ -13,7 +13,7 @@ use segwild_bench::protocols::folder::{Parts, read_parts};
 use segwild_bench::protocols::tables::{all, page};
 use segwild_bench::protocols::{Base, Found, ProtocolError, Table, measure};
 use segwild_bench::record::{Made, Record, Results};
-use segwild_bench::synthetic::LookKind;
+use segwild_bench::synthetic::LightVariation;
 use segwild_bench::trial::ProviderKind;
 use segwild_gpu::GpuError;
 use segwild_pipeline::{Settings, SettingsError};
@@ -53,21 +53,22 @@ pub fn with_common(command: Command, seeds: &'static str, folder: &'static str) 
         .arg(json())
 }
 
-/// `--light` of synthetic places.
+/// `--light` of synthetic scenes.
 pub fn light() -> Arg {
     Arg::new("light")
         .long("light")
-        .value_parser(PossibleValuesParser::new(LookKind::CHOICES))
+        .value_parser(PossibleValuesParser::new(LightVariation::CHOICES))
         .default_value("mixed")
         .help("What differs from photo to photo of a synthetic place")
 }
 
 /// What [`light`] was given.
-pub fn light_of(matches: &ArgMatches) -> Result<LookKind, Failure> {
-    LookKind::read(matches.get_one::<String>("light").expect("it has a default")).map_err(Failure::usage)
+pub fn light_of(matches: &ArgMatches) -> Result<LightVariation, Failure> {
+    LightVariation::read(matches.get_one::<String>("light").expect("it has a default"))
+        .map_err(Failure::usage)
 }
 
-/// `--providers` of synthetic places.
+/// `--providers` of synthetic scenes.
 pub fn providers() -> Arg {
     let choices = [
         PossibleValue::new("builtin")
@@ -106,7 +107,7 @@ pub fn with_table(command: Command, default: &'static str) -> Command {
     command.arg(
         Arg::new("table")
             .long("table")
-            .value_parser(["ablation", "rivals"])
+            .value_parser(["ablation", "baselines"])
             .default_value(default)
             .help("Rows: one part of the method changed at a time, or other methods"),
     )
@@ -115,7 +116,7 @@ pub fn with_table(command: Command, default: &'static str) -> Command {
 /// The table that was asked for.
 pub fn table(matches: &ArgMatches) -> Table {
     match matches.get_one::<String>("table").map(String::as_str) {
-        Some("rivals") => Table::Rivals,
+        Some("baselines") => Table::Baselines,
         _ => Table::Ablation,
     }
 }
@@ -227,18 +228,18 @@ pub fn finish(asked: &Asked, title: &str) -> Result<(), Failure> {
     print_line(&format!("\nresults: {}", asked.out.join("results.json").display()))
 }
 
-/// Puts the rows through places, each made for every seed.
+/// Puts the rows through scenes, each made for every seed.
 pub fn measure_places(
     asked: &mut Asked,
     table: Table,
-    places: impl Fn(&Settings, u64) -> Result<Found, ProtocolError>,
+    scenes: impl Fn(&Settings, u64) -> Result<Found, ProtocolError>,
 ) -> Result<(), Failure> {
     let rows = table.rows(&asked.only)?;
     let mut told = tell(asked.json);
     for &seed in &asked.seeds {
-        let Found { places, missing } = places(&asked.base.settings, seed)?;
+        let Found { scenes, missing } = scenes(&asked.base.settings, seed)?;
         asked.results.miss(missing);
-        for place in places {
+        for place in scenes {
             measure(&asked.out, &place, &rows, &asked.base, &mut asked.results, &mut told)?;
         }
     }

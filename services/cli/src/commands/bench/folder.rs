@@ -6,7 +6,7 @@ use crate::args::number;
 use crate::commands::path as path_of;
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
-use segwild_bench::protocols::folder::{FolderProtocol, place};
+use segwild_bench::protocols::folder::{FolderProtocol, scenes};
 use std::path::PathBuf;
 
 /// The benchmark's arguments.
@@ -14,7 +14,7 @@ pub fn command() -> Command {
     let command =
         Command::new("folder").about("Find the objects of a scene that has true masks in SCENE/truth");
     let command = with_common(command, "1", "Folder for runs and results [default: .bench/folder]");
-    with_table(command, "rivals")
+    with_table(command, "baselines")
         .arg(
             Arg::new("scene")
                 .required(true)
@@ -50,7 +50,7 @@ pub fn folder(matches: &ArgMatches) -> Result<(), Failure> {
         clicks: number("clicks"),
         parts: parts_of(matches)?,
     };
-    measure_places(&mut asked, table(matches), |settings, seed| place(&options, settings, seed))?;
+    measure_places(&mut asked, table(matches), |settings, seed| scenes(&options, settings, seed))?;
     let title = asked.results.records.first().map_or_else(String::new, |r| r.scene.clone());
     finish(&asked, &title)
 }

@@ -22,7 +22,7 @@ pub fn command() -> Command {
 pub fn lego(matches: &ArgMatches) -> Result<(), Failure> {
     let mut asked = asked(matches, ".bench/lego")?;
     // The perturbed photos have a look each; the clean ones pay for it as the perturbed ones do.
-    default_setting(matches, &mut asked, "look", "affine")?;
+    default_setting(matches, &mut asked, "appearance_model", "affine")?;
     let options = LegoProtocol {
         only: asked.only.clone(),
         seeds: asked.seeds.clone(),

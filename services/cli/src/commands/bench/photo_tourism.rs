@@ -6,19 +6,19 @@ use crate::args::number;
 use crate::commands::path as path_of;
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
-use segwild_bench::protocols::photo_tourism::{LAYOUT, PhotoTourismProtocol, places};
+use segwild_bench::protocols::photo_tourism::{LAYOUT, PhotoTourismProtocol, scenes};
 use std::path::PathBuf;
 
 /// The benchmark's arguments.
 pub fn command() -> Command {
     let command = Command::new("photo-tourism")
-        .about("The paper's nine targets in three places of Photo Tourism, and PSNR on held-out photos")
+        .about("The paper's nine targets in three scenes of Photo Tourism, and PSNR on held-out photos")
         .after_help(LAYOUT);
     with_table(
         with_common(command, "1", "Folder for runs and results [default: .bench/photo-tourism]"),
-        "rivals",
+        "baselines",
     )
-    .arg(Arg::new("root").required(true).value_parser(value_parser!(PathBuf)).help("Folder of the places"))
+    .arg(Arg::new("root").required(true).value_parser(value_parser!(PathBuf)).help("Folder of the scenes"))
     .arg(
         Arg::new("scenes")
             .long("scenes")
@@ -43,6 +43,6 @@ pub fn photo_tourism(matches: &ArgMatches) -> Result<(), Failure> {
         only: list(matches, "scenes"),
         clicks: *matches.get_one::<u32>("clicks").expect("it has a default") as usize,
     };
-    measure_places(&mut asked, table(matches), |settings, seed| places(&options, settings, seed))?;
+    measure_places(&mut asked, table(matches), |settings, seed| scenes(&options, settings, seed))?;
     finish(&asked, "Photo Tourism")
 }

@@ -10,7 +10,7 @@ use segwild_bench::protocols::{nvos, spin_nerf};
 use std::path::PathBuf;
 
 fn with_args(command: Command, folder: &'static str, clicks: &'static str, help: &'static str) -> Command {
-    with_table(with_common(command, "1", folder), "rivals")
+    with_table(with_common(command, "1", folder), "baselines")
         .arg(Arg::new("root").required(true).value_parser(value_parser!(PathBuf)).help("Folder of the data"))
         .arg(
             Arg::new("scenes").long("scenes").value_name("SCENES").help("Scenes, with commas [default: all]"),
@@ -44,7 +44,7 @@ pub fn nvos(matches: &ArgMatches) -> Result<(), Failure> {
         only: list(matches, "scenes"),
         clicks: *matches.get_one::<u32>("clicks").expect("it has a default") as usize,
     };
-    measure_places(&mut asked, table(matches), |settings, seed| nvos::places(&options, settings, seed))?;
+    measure_places(&mut asked, table(matches), |settings, seed| nvos::scenes(&options, settings, seed))?;
     finish(&asked, "NVOS")
 }
 
@@ -56,6 +56,6 @@ pub fn spin_nerf(matches: &ArgMatches) -> Result<(), Failure> {
         only: list(matches, "scenes"),
         clicks: *matches.get_one::<u32>("clicks").expect("it has a default") as usize,
     };
-    measure_places(&mut asked, table(matches), |settings, seed| spin_nerf::places(&options, settings, seed))?;
+    measure_places(&mut asked, table(matches), |settings, seed| spin_nerf::scenes(&options, settings, seed))?;
     finish(&asked, "SPIn-NeRF")
 }

@@ -13,7 +13,7 @@ use std::path::PathBuf;
 pub fn command() -> Command {
     let command = Command::new("slice")
         .about(
-            "Quality and counted work on two tiny places, for `bench compare --strict` against what is kept",
+            "Quality and counted work on two tiny sources, for `bench compare --strict` against what is kept",
         )
         .arg(path("out", "File for the results [default: .bench/slice.json]"));
     with_settings(command)

@@ -28,7 +28,7 @@ pub fn command() -> Command {
                 .long("seeds")
                 .value_name("LIST")
                 .default_value("1")
-                .help("Seeds of the places and of the trainings, with commas"),
+                .help("Seeds of the sources and of the trainings, with commas"),
         )
         .arg(providers())
         .arg(number("photos", "20", "Training photos of a place").value_parser(value_parser!(u32)))

@@ -13,7 +13,8 @@ use segwild_bench::synthetic::SyntheticOptions;
 /// The benchmark's arguments.
 pub fn command() -> Command {
     with_args(
-        Command::new("synthetic").about("Find the objects of synthetic places, whose truth is known exactly"),
+        Command::new("synthetic")
+            .about("Find the objects of synthetic sources, whose truth is known exactly"),
     )
 }
 
@@ -38,7 +39,7 @@ pub fn with_args(command: Command) -> Command {
             .value_parser(value_parser!(u32).range(1..)),
         )
         .arg(
-            number("occlusion", "0.1", "Share of each photo that strangers cover, 0 to 0.6")
+            number("occlusion", "0.1", "Share of each photo that transients cover, 0 to 0.6")
                 .value_parser(value_parser!(f32)),
         )
         .arg(light())
@@ -47,7 +48,7 @@ pub fn with_args(command: Command) -> Command {
                 .value_parser(value_parser!(f32)),
         )
         .arg(
-            number("units", "1", "File units per unit of the place: nothing may depend on it")
+            number("units", "1", "File units per unit of the source: nothing may depend on it")
                 .value_parser(value_parser!(f64)),
         )
 }
@@ -86,12 +87,12 @@ pub fn synthetic(matches: &ArgMatches) -> Result<(), Failure> {
         faults: OracleOptions { kinship: number("kinship"), ..OracleOptions::default() },
         scene: SyntheticOptions {
             occlusion: number("occlusion"),
-            look: light_of(matches)?,
+            photo_light: light_of(matches)?,
             units: *matches.get_one::<f64>("units").expect("it has a default"),
             ..scene(matches)
         },
         base: asked.base.clone(),
     };
     measure(&asked.out, &options, &mut asked.results, &mut tell(asked.json))?;
-    finish(&asked, "Synthetic places")
+    finish(&asked, "Synthetic sources")
 }

@@ -1,6 +1,6 @@
 //! What the program's tests share: a small synthetic place, a finished run on it, and the program itself.
 
-use segwild_bench::synthetic::{Click, LookKind, Manifest, SyntheticOptions, generate};
+use segwild_bench::synthetic::{Click, LightVariation, Manifest, SyntheticOptions, generate};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
@@ -71,9 +71,9 @@ pub fn rest(time: Duration) {
 }
 
 /// Looks again and again until there is something to see.
-pub fn until<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
+pub fn until<T>(what: &str, mut see: impl FnMut() -> Option<T>) -> T {
     for _ in 0..3000 {
-        if let Some(seen) = look() {
+        if let Some(seen) = see() {
             return seen;
         }
         rest(Duration::from_millis(40));
@@ -108,7 +108,7 @@ fn photographed() -> &'static Photographed {
             long_side: 96,
             points: 600,
             occlusion: 0.0,
-            look: LookKind::Affine,
+            photo_light: LightVariation::Affine,
             ..SyntheticOptions::small()
         };
         let manifest = generate(&options).and_then(|s| s.write(&scene)).expect("a synthetic place");
@@ -260,7 +260,7 @@ pub fn clearest() -> (&'static str, &'static Click) {
 pub fn select(run: &Path, fault: &[&str]) -> Output {
     let click = &place().manifest.objects.iter().flat_map(|o| &o.clicks).next().expect("a click");
     let (run, at) = (show(run), format!("{},{}", click.x, click.y));
-    segwild(&[&["segment", &run, "--photo", &click.photo, "--in", &at, "--name", "it"], fault].concat())
+    segwild(&[&["segment", &run, "--photo", &click.photo, "--positive", &at, "--name", "it"], fault].concat())
 }
 
 /// How many per-photo artefacts a run made, by what it says with `--json`.

@@ -146,7 +146,7 @@ pub fn request<'a>(
         graph: None,
         frozen: None,
         skies: None,
-        strangers: None,
+        transients: None,
         settings,
     }
 }

@@ -1,0 +1,198 @@
+//! Looks at the command line: on views, on one object, between photos, in files.
+
+use crate::common::{QUICK, clearest, copied_run, folder, json, place, refuses, scene, show, works};
+use segwild_scene::{Image, ply};
+use std::path::Path;
+
+/// Draws and reads the pictures back, in order.
+fn draw(run: &str, out: &Path, flags: &[&str]) -> Vec<Image> {
+    let _ = std::fs::remove_dir_all(out); // there from the picture before
+    let out = show(out);
+    let said = works(&[&["render", run, "--out", &out], flags].concat());
+    said.lines().map(|file| Image::read(Path::new(file)).expect("a picture")).collect()
+}
+
+fn apart(a: &Image, b: &Image) -> f32 {
+    let sum: f32 = a.data.iter().zip(&b.data).map(|(a, b)| (a - b).abs()).sum();
+    sum / a.data.len() as f32
+}
+
+#[test]
+fn a_view_is_drawn_under_other_photos_looks_between_them_and_in_any_strength() {
+    let run = show(&place().run);
+    let dir = folder();
+    let out = dir.path().join("pictures");
+    let trained: Vec<&str> =
+        place().manifest.photos.iter().filter(|p| !p.test).map(|p| p.name.as_str()).collect();
+    let view = trained[0];
+    let one = |flags: &[&str]| draw(&run, &out, &[&["--photo", view], flags].concat()).remove(0);
+    let own = one(&[]);
+    assert_eq!(one(&["--appearance", view]), own);
+    // The photo whose look is furthest from this one's.
+    let far = |name: &&&str| (apart(&one(&["--appearance", name]), &own) * 1e6) as u64;
+    let other = *trained[1..].iter().max_by_key(far).expect("there are several");
+    let others = one(&["--appearance", other]);
+    assert!(apart(&others, &own) > 0.01, "{}", apart(&others, &own));
+    let half = one(&["--appearance", view, "--appearance", other, "--interpolate", "0.5"]);
+    let (there, back) = (apart(&half, &own), apart(&half, &others));
+    assert!((there - back).abs() < 0.1 * (there + back), "half way: {there} from one, {back} from the other");
+    // Eight bits hold a walk over the frames to be the same, and its ends the looks.
+    let walk =
+        draw(&run, &out, &["--photo", view, "--appearance", view, "--appearance", other, "--frames", "3"]);
+    assert_eq!((&walk[0], &walk[1], &walk[2]), (&own, &half, &others));
+    let none = one(&["--appearance", "none"]);
+    assert_eq!(one(&["--appearance", other, "--strength", "0"]), none);
+    let twice = one(&["--appearance", other, "--strength", "2"]);
+    assert!(apart(&twice, &none) > 1.3 * apart(&others, &none));
+    // Along a path the look goes from that of the first photo to that of the last.
+    let path = draw(&run, &out, &["--photo", view, "--photo", other, "--frames", "2"]);
+    let ends = [own, draw(&run, &out, &["--photo", other]).remove(0)];
+    // The path has the first photo's frame, so that its last picture is like the photo's and not the same.
+    assert!(
+        path[0].pixels() == ends[0].pixels() && apart(&path[0], &ends[0]) < 0.06,
+        "{}",
+        apart(&path[0], &ends[0])
+    );
+
+    let out = show(&out);
+    let wrong = |flags: &[&str], words: &[&str]| {
+        refuses(&[&["render", &run, "--photo", view, "--out", &out], flags].concat(), 2, words);
+    };
+    wrong(&["--mode", "only"], &["--selection <NAME>"]); // was drawn plain, as if nothing had been asked
+    wrong(&["--appearance", "nobody.jpg"], &["no photo `nobody.jpg`"]);
+    wrong(&["--appearance", view, "--appearance", other], &["--frames", "--interpolate"]);
+    wrong(&["--appearance", view, "--interpolate", "0.5"], &["two looks"]);
+    wrong(&["--appearance", view, "--strength", "3"], &["0 to 2"]);
+    wrong(&["--object-appearance", other], &["--selection"]);
+    wrong(&["--frames", "4"], &["--photo twice"]);
+    let held_out = &place().manifest.photos.iter().find(|p| p.test).expect("one is held out").name;
+    wrong(&["--appearance", held_out], &["no look", held_out]);
+}
+
+#[test]
+fn one_object_has_a_look_of_its_own_on_screen_and_in_files() {
+    let dir = folder();
+    let path = copied_run(&dir);
+    let (run, out) = (show(&path), dir.path().join("pictures"));
+    let manifest = &place().manifest;
+    let (_, click) = clearest();
+    let view = click.photo.as_str();
+    let other = manifest.photos.iter().find(|p| !p.test && p.name != view).expect("another");
+    let other = other.name.as_str();
+    let at = format!("{},{}", click.x, click.y);
+    let segment = ["segment", &run, "--photo", view, "--positive", &at];
+    works(&[&segment[..], &["--name", "thing"]].concat());
+    let one = |flags: &[&str]| {
+        draw(&run, &out, &[&["--photo", view, "--selection", "thing"], flags].concat()).remove(0)
+    };
+    let (plain, mixed) = (one(&["--mode", "scene"]), one(&["--object-appearance", other]));
+    let all = one(&["--mode", "scene", "--appearance", other]);
+    let mask = segwild_scene::Mask::read_png(
+        &path.join("selections/thing/masks").join(Path::new(view).with_extension("png")),
+    )
+    .expect("the object's mask");
+    let mask = mask.resized(mixed.width as u32, mixed.height as u32);
+    let (inside, outside) = (mask.eroded(3.0), mask.not().eroded(3.0));
+    let mean = |a: &Image, b: &Image, over: &segwild_scene::Mask| {
+        let sum: f32 = over
+            .pixels()
+            .map(|(x, y)| (a.at(1, x as usize, y as usize) - b.at(1, x as usize, y as usize)).abs())
+            .sum();
+        sum / over.count().max(1) as f32
+    };
+    assert!(inside.count() > 50 && outside.count() > 50);
+    let (object_off, rest_off) = (mean(&mixed, &all, &inside), mean(&mixed, &plain, &outside));
+    assert!(object_off < 0.02, "the object is as in the other's look, {object_off} off");
+    assert!(rest_off < 0.02, "the rest is as it was, {rest_off} off");
+    assert!(mean(&mixed, &plain, &inside) > object_off);
+
+    // The same in files that know nothing of looks.
+    let splats = |flags: &[&str], name: &str| {
+        let file = dir.path().join(name);
+        works(&[&["bake", &run, "--out", &show(&file)], flags].concat());
+        ply::read(&file).expect("it opens")
+    };
+    let object = ply::read(&path.join("selections/thing/object.ply")).expect("it opens");
+    assert_eq!(splats(&["--selection", "thing"], "own.ply"), object, "both in the scene's own look");
+    let relit = splats(&["--selection", "thing", "--appearance", other], "relit.ply");
+    assert!(relit.means == object.means && relit.sh != object.sh);
+    works(&[&segment[..], &["--name", "lit", "--object-appearance", other]].concat());
+    assert_eq!(ply::read(&path.join("selections/lit/object.ply")).expect("it opens"), relit);
+    let whole = splats(&["--selection", "thing", "--object-appearance", other], "whole.ply");
+    let rest = splats(&["--selection", "thing", "--mode", "without"], "rest.ply");
+    assert_eq!(whole.len(), object.len() + rest.len());
+    let stride = whole.sh_stride();
+    let has = |of: &segwild_scene::Splats| {
+        let rows: std::collections::BTreeSet<Vec<u32>> = (0..of.len())
+            .map(|i| {
+                of.means[i].iter().chain(&of.sh[i * stride..(i + 1) * stride]).map(|v| v.to_bits()).collect()
+            })
+            .collect();
+        rows
+    };
+    let rows = has(&whole);
+    assert!(has(&relit).is_subset(&rows) && has(&rest).is_subset(&rows));
+    assert_eq!(splats(&[], "scene.ply"), ply::read(&path.join("scene.ply")).expect("it opens"));
+    refuses(&["bake", &run, "--mode", "only"], 2, &["--selection"]);
+    refuses(&["bake", &run, "--appearance", view, "--appearance", other], 2, &["--interpolate"]);
+    refuses(
+        &[&segment[..], &["--name", "x", "--object-appearance", "nobody.jpg"]].concat(),
+        2,
+        &["no photo `nobody.jpg`"],
+    );
+    assert!(std::fs::read_to_string(path.join("report.html")).expect("a report").contains("<h2>Looks</h2>"));
+}
+
+#[test]
+fn auto_says_what_it_chose_and_why_and_shares_its_work_with_the_look_by_name() {
+    let dir = folder();
+    let run = show(&dir.path().join("run"));
+    let with = |look: &str, flags: &[&str]| {
+        works(
+            &[&["run", &show(scene()), "--out", &run, "--appearance-model", look][..], &QUICK, flags]
+                .concat(),
+        )
+    };
+    let said = with("auto", &["--json"]);
+    let choice = json(&std::fs::read(dir.path().join("run/look.json")).expect("the choice"));
+    let look = choice["look"].as_str().expect("a look").to_owned();
+    let why = choice["why"].as_str().expect("a reason");
+    assert!(said.contains(why), "the run says why: {why}");
+    assert!(why.starts_with(&look) && why.contains("points") && why.contains("held out"), "{why}");
+    let report = std::fs::read_to_string(dir.path().join("run/report.html")).expect("a report");
+    assert!(report.contains(&format!("chosen {look}")));
+    // Decided once, and the same scene as by name.
+    let reused = |look: &str| {
+        let plan = with(look, &["--explain", "--json"]);
+        assert!(plan.contains("\"geometry\""), "{plan}");
+        plan.lines().filter(|line| !line.contains("\"report\"")).all(|line| line.contains("\"reused\""))
+    };
+    assert!(reused("auto"), "{}", with("auto", &["--explain"]));
+    assert!(reused(&look), "{}", with(&look, &["--explain"]));
+}
+
+#[test]
+fn a_budget_is_decided_once_said_with_its_evidence_and_undone_by_name() {
+    let dir = folder();
+    let run = show(&dir.path().join("run"));
+    let with = |flags: &[&str]| {
+        let steps = ["--steps", "2000", "--appearance-model", "affine", "--until", "geometry"];
+        works(&[&["run", &show(scene()), "--out", &run][..], &QUICK[..2], &steps, flags].concat())
+    };
+    let said = with(&["--budget", "auto", "--json"]);
+    let choice = json(&std::fs::read(dir.path().join("run/budget.json")).expect("the choice"));
+    let why = choice["why"].as_str().expect("a reason");
+    assert!(said.contains(why) && why.contains("held out") && why.contains("SSIM"), "{why}");
+    let steps = choice["steps"].as_u64().expect("steps");
+    let trained = |said: &str| said.lines().rfind(|line| line.contains("\"geometry\"")).map(str::to_owned);
+    assert!(steps <= 2000 && trained(&said).is_some(), "{said}");
+    let history = std::fs::read_to_string(dir.path().join("run/history.jsonl")).expect("a history");
+    let last = json(history.lines().last().expect("a line").as_bytes());
+    assert_eq!(last["step"].as_u64(), Some(steps), "as many steps as were decided");
+    // Remembered, and not decided again; `fixed` is what the settings say.
+    let plan = with(&["--explain", "--json"]);
+    assert!(plan.lines().any(|line| line.contains("\"geometry\"") && line.contains("\"reused\"")), "{plan}");
+    let plan = with(&["--budget", "fixed", "--explain", "--json"]);
+    let reused = plan.lines().any(|line| line.contains("\"geometry\"") && line.contains("\"reused\""));
+    assert_eq!(reused, steps == 2000, "{plan}");
+}

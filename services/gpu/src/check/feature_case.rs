@@ -1,0 +1,92 @@
+//! Questions of photos to a feature field, to be asked on the device and beside it.
+
+use segwild_raster::field::{
+    AreaAverage, FeatureTarget, FieldRule, LearnedDecoder, Membership, Refining, Rendered,
+};
+use segwild_scene::{Image, Mask, MaskSet, Random, ScoredMask};
+
+/// What a photo asks.
+#[derive(Clone, Copy, Debug)]
+pub struct FeatureCase {
+    /// Width and height of its view.
+    pub size: (u32, u32),
+    /// Numbers of a splat.
+    pub channels: usize,
+    /// What they are decoded to, if a decoder learns.
+    pub decoded: Option<usize>,
+    /// Columns and rows of cells.
+    pub grid: [usize; 2],
+    /// Pixels drawn.
+    pub pixels: usize,
+    /// Masks that hold some.
+    pub masks: usize,
+}
+
+/// A question with its numbers.
+pub struct Made {
+    target: Image,
+    pub(super) validity: Vec<f32>,
+    average: AreaAverage,
+    pub(super) pixels: Vec<u32>,
+    membership: Membership,
+}
+
+impl Made {
+    /// What the photo asks.
+    pub fn asked(&self) -> FeatureTarget<'_> {
+        let Made { target, validity, average, .. } = self;
+        FeatureTarget { target, scale: 0.7, validity, average, away: None }
+    }
+
+    /// The pixels.
+    pub fn drawn(&self) -> Rendered<'_> {
+        Rendered { pixels: &self.pixels, membership: &self.membership }
+    }
+}
+
+impl FeatureCase {
+    /// One with numbers.
+    pub fn make(&self, random: &mut Random) -> Made {
+        let size = self.size;
+        let (width, height) = (size.0 as usize, size.1 as usize);
+        let [columns, rows] = self.grid;
+        let mut target = Image::zeros(columns, rows, self.decoded.unwrap_or(self.channels));
+        target.data.iter_mut().for_each(|v| *v = random.uniform() - 0.5);
+        // Rectangles, some within others; some pixels are in none.
+        let masks = (0..self.masks).map(|k| {
+            let [x, y] = [random.below(width) as u32, random.below(height) as u32];
+            let side = 4 + (k % 7 * 5) as u32;
+            let within = move |v: u32, start: u32| v >= start && v < start + side;
+            let mask = Mask::from_fn(size.0, size.1, |px, py| within(px, x) && within(py, y));
+            ScoredMask { mask, predicted_iou: 1.0, stability: 1.0 }
+        });
+        let masks = MaskSet { width: size.0, height: size.1, masks: masks.collect() };
+        let mut pixels: Vec<u32> = (0..size.0 * size.1).collect();
+        random.draw(&mut pixels, self.pixels);
+        pixels.truncate(self.pixels);
+        Made {
+            target,
+            validity: (0..columns * rows).map(|_| random.uniform()).collect(),
+            average: AreaAverage::new((width, height), (columns, rows)),
+            pixels,
+            membership: Membership::new(&masks, width, height),
+        }
+    }
+
+    /// A view of features, all of which have a direction.
+    pub fn image(&self, random: &mut Random) -> Image {
+        let mut image = Image::zeros(self.size.0 as usize, self.size.1 as usize, self.channels);
+        image.data.iter_mut().for_each(|v| *v = random.uniform() - 0.3);
+        image
+    }
+
+    /// Features that are asked.
+    pub fn refining(&self, values: Vec<f32>, rule: FieldRule) -> Refining {
+        let random = &mut Random::new(8);
+        let decoder = self.decoded.map(|outputs| {
+            let mut many = |n: usize| (0..n).map(|_| random.uniform() - 0.5).collect::<Vec<_>>();
+            LearnedDecoder::new(&many(self.channels * outputs), &many(outputs), rule.rate)
+        });
+        Refining::new(self.channels, values, decoder, rule)
+    }
+}

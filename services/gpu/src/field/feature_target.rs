@@ -1,0 +1,89 @@
+//! What a photo asks of features, and the cells that it asks it of.
+
+use crate::GpuError;
+use crate::device::{Device, Lent, Work};
+use crate::memory::keeps_channels;
+use segwild_raster::field::{AreaAverage, FeatureTarget, Window};
+use std::sync::Arc;
+
+/// What a photo asks, on the device.
+pub(crate) struct GpuFeatureTarget {
+    pub device: Arc<Device>,
+    /// Width and height of the view.
+    pub size: [usize; 2],
+    /// Cells, and planes of them.
+    pub cells: usize,
+    pub planes: usize,
+    /// Plane after plane, in the units of what is compared with it; planes are filled up to a whole number of vec4.
+    pub target: Lent,
+    /// How far each cell is to be trusted.
+    pub trust: Lent,
+    /// `cells` of `shaders/shared/cells.wgsl`.
+    pub windows: Lent,
+}
+
+impl GpuFeatureTarget {
+    /// Brings it there.
+    pub fn upload(
+        device: &Arc<Device>,
+        work: &mut Work,
+        asked: &FeatureTarget,
+    ) -> Result<GpuFeatureTarget, GpuError> {
+        let target = asked.target;
+        let cells = target.width * target.height;
+        let planes = target.channels.next_multiple_of(4);
+        let mut scaled: Vec<f32> = target.data.iter().map(|t| t * asked.scale).collect();
+        scaled.resize(planes * cells, 0.0);
+        Ok(GpuFeatureTarget {
+            device: device.clone(),
+            size: asked.average.from().into(),
+            cells,
+            planes: target.channels,
+            target: work.upload("what features should be", &scaled)?,
+            trust: work.upload("how far cells are to be trusted", asked.validity)?,
+            windows: work.upload("the cells' pixels", &windows(asked.average))?,
+        })
+    }
+
+    /// The same for many steps; `None` where it would take more than its share of the device's memory.
+    pub fn keep(device: &Arc<Device>, asked: &FeatureTarget) -> Result<Option<GpuFeatureTarget>, GpuError> {
+        let mut work = device.work();
+        let bytes = (4 * asked.target.data.len()) as u64;
+        // Every photo's are kept, and together they have one share.
+        if !keeps_channels(device.held() + bytes, work.budget()) {
+            return Ok(None);
+        }
+        GpuFeatureTarget::upload(device, &mut work, asked).map(Some)
+    }
+}
+
+/// The table of `shaders/shared/cells.wgsl`.
+fn windows(average: &AreaAverage) -> Vec<u32> {
+    const HEAD: usize = 8;
+    let ((width, height), (columns, rows)) = (average.from(), average.to());
+    let axes = [(average.columns(), width), (average.rows(), height)];
+    let mut table = vec![width as u32, height as u32, columns as u32, rows as u32, 0, 0, 0, 0];
+    let weights = HEAD + 3 * (columns + rows) + 2 * (width + height);
+    let mut at = weights;
+    for (axis, (windows, _)) in axes.iter().enumerate() {
+        table[4 + axis] = table.len() as u32;
+        for Window { start, weights } in windows.iter() {
+            table.extend([*start as u32, weights.len() as u32, at as u32]);
+            at += weights.len();
+        }
+    }
+    for (axis, (windows, pixels)) in axes.iter().enumerate() {
+        table[6 + axis] = table.len() as u32;
+        let ends = |w: &Window| w.start + w.weights.len();
+        for pixel in 0..*pixels {
+            // Windows begin and end in order.
+            let first = windows.partition_point(|w| ends(w) <= pixel);
+            let count = windows[first..].partition_point(|w| w.start <= pixel);
+            table.extend([first as u32, count as u32]);
+        }
+    }
+    debug_assert_eq!(table.len(), weights);
+    let all = axes.iter().flat_map(|(windows, _)| windows.iter());
+    table.extend(all.flat_map(|w| &w.weights).map(|w| w.to_bits()));
+    table
+}

@@ -1,0 +1,152 @@
+//! A batch as operators see it: its scenes, why they wait, and the terminal's page.
+
+use crate::common::*;
+use segwild_farm::{BatchFolder, BatchRecord, EmbeddedEngine, Engine, Job, Needs, Offer, Retry};
+use segwild_monitor::metrics::render;
+use segwild_monitor::view::SceneState;
+use segwild_monitor::{View, top};
+
+#[test]
+fn a_batch_shows_its_scenes_and_why_they_wait() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let (path, _ledger, lock) = batch_in(dir.path());
+    let View::Batch(batch) = view(&path) else { panic!("a batch") };
+    let states: Vec<_> = batch.scenes.iter().map(|s| s.state).collect();
+    assert_eq!(states, [SceneState::Running, SceneState::Waiting, SceneState::Dead]);
+    let why = |i: usize| batch.scenes[i].why.clone().unwrap_or_default();
+    assert!(why(1).starts_with("tries again in") && why(1).ends_with("no luck"), "{}", why(1));
+    assert_eq!(why(2), "given up: bad input");
+    assert_eq!(batch.used.cores, 2);
+    drop(lock);
+    let View::Batch(batch) = view(&path) else { panic!("a batch") };
+    assert_eq!(batch.scenes[1].why.as_deref(), Some("no process runs this batch"));
+}
+
+#[test]
+fn a_scene_that_waits_for_an_accelerator_says_so_and_who_goes_first() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let folder = BatchFolder::create(&dir.path().join("batch")).expect("a folder");
+    let engine = EmbeddedEngine::open(folder.engine_file()).expect("an engine");
+    let budget = Needs { cores: 4, memory_bytes: 4 << 30, accelerators: 2 };
+    let wants = [("works", 9, 1), ("urgent", 5, 2), ("small", 1, 1), ("without", 0, 0)];
+    for (name, priority, accelerators) in wants {
+        let needs = Needs { cores: 1, memory_bytes: 1 << 20, accelerators };
+        let job = Job { id: name.into(), payload: "{}".into(), priority, needs, retry: Retry::default() };
+        engine.publish(&job).expect("it is published");
+    }
+    let offer = Offer { worker: "batch".into(), free: budget, whole: budget, lease_s: 1e9 };
+    assert_eq!(engine.claim(&offer).expect("it works").expect("a lease").job.id, "works");
+    let record = BatchRecord { manifest: "b.toml".into(), budget, pid: std::process::id(), began: now() };
+    let path = folder.path();
+    std::fs::write(path.join("batch.json"), serde_json::to_vec(&record).expect("JSON")).expect("it writes");
+    let lock = std::fs::File::create(path.join("batch.lock")).expect("a lock file");
+    lock.lock().expect("it locks");
+    let seen = view(path);
+    let page = top::frame(&seen, 100, 24);
+    assert!(
+        page.contains("accelerators 1 of 2") && page.contains("waits for 2 accelerators (1 free)"),
+        "{page}"
+    );
+    let text = render(Some(&seen), false);
+    assert!(text.contains("segwild_budget_accelerators{part=\"used\"} 1"), "{text}");
+    let View::Batch(batch) = seen else { panic!("a batch") };
+    let why: Vec<_> = batch.scenes.iter().skip(1).map(|s| s.why.clone().unwrap_or_default()).collect();
+    assert_eq!(
+        why,
+        [
+            "waits for 2 accelerators (1 free)",
+            "waits for 1 accelerator; `urgent` goes first",
+            "about to begin"
+        ]
+    );
+}
+
+#[test]
+fn a_scene_that_was_taken_and_cannot_begin_waits_and_says_for_what() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let folder = BatchFolder::create(&dir.path().join("batch")).expect("a folder");
+    let engine = EmbeddedEngine::open(folder.engine_file()).expect("an engine");
+    let budget = Needs { cores: 2, memory_bytes: 1 << 30, accelerators: 0 };
+    let needs = Needs { cores: 1, ..budget };
+    let job = Job { id: "held".into(), payload: "{}".into(), priority: 0, needs, retry: Retry::default() };
+    engine.publish(&job).expect("it is published");
+    let offer = Offer { worker: "batch".into(), free: budget, whole: budget, lease_s: 1e9 };
+    let lease = engine.claim(&offer).expect("it works").expect("a lease");
+    let record = BatchRecord { manifest: "b.toml".into(), budget, pid: std::process::id(), began: now() };
+    let path = folder.path();
+    std::fs::write(path.join("batch.json"), serde_json::to_vec(&record).expect("JSON")).expect("it writes");
+    let lock = std::fs::File::create(path.join("batch.lock")).expect("a lock file");
+    lock.lock().expect("it locks");
+    let seen = || {
+        let View::Batch(batch) = view(path) else { panic!("a batch") };
+        (batch.scenes[0].state, batch.scenes[0].why.clone(), batch.used.cores)
+    };
+    engine.note_wait(&lease, Some("its run folder is in use by process 7")).expect("it is noted");
+    let why = Some("its run folder is in use by process 7".to_owned());
+    assert_eq!(seen(), (SceneState::Waiting, why, 1), "and its part of the budget is taken");
+    engine.note_wait(&lease, None).expect("it is noted");
+    assert_eq!(seen().0, SceneState::Running);
+    engine.note_wait(&lease, Some("again")).expect("it is noted");
+    engine.release_all("the batch that held it ended early").expect("it is released");
+    assert_eq!(seen().1.as_deref(), Some("about to begin"), "nobody has taken it");
+}
+
+#[test]
+fn cores_that_the_last_scene_was_lent_are_in_use() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let (path, ledger, _lock) = batch_in(dir.path());
+    let used = || match view(&path) {
+        View::Batch(batch) => batch.used.cores,
+        View::Run(_) => panic!("a batch"),
+    };
+    assert_eq!(used(), 2, "as it needs");
+    ledger.set_settings([("threads", "7")]).expect("it writes");
+    assert_eq!(used(), 7);
+    drop(ledger);
+    assert_eq!(used(), 2, "its process is gone");
+}
+
+#[test]
+fn top_fits_a_small_terminal_and_says_why() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let (path, _ledger, _lock) = batch_in(dir.path());
+    for (folder, words) in [
+        (
+            path.join("liberty"),
+            &["geometry", "80.0/s", "18/64", "7.5", "412 MiB", "stuck: no progress", "9 hit 4 miss"][..],
+        ),
+        (
+            path.clone(),
+            &["1 waiting, 1 running, 1 dead", ">liberty", "given up: bad input", "tries again in", "stuck"],
+        ),
+    ] {
+        let seen = view(&folder);
+        let page = top::frame(&seen, 80, 24);
+        for word in words {
+            assert!(page.contains(word), "`{word}` is missing:\n{page}");
+        }
+        assert!(page.lines().count() <= 24 && page.lines().all(|l| l.chars().count() <= 80), "{page}");
+        // Any size, however silly, is drawn without a panic.
+        for (width, height) in [(1, 1), (20, 3), (300, 90)] {
+            let page = top::frame(&seen, width, height);
+            assert!(page.lines().count() <= usize::from(height));
+        }
+    }
+}
+
+#[test]
+fn a_scene_that_does_not_run_has_no_rates_and_an_attempt_that_was_cut_short_is_no_failure() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let (path, _ledger, _lock) = batch_in(dir.path());
+    let engine = EmbeddedEngine::open(path.join("batch.sqlite")).expect("an engine");
+    engine.release_all("the batch that held it ended early").expect("it is released");
+    let free = Needs { cores: 2, memory_bytes: 8 << 30, accelerators: 0 };
+    let offer = Offer { worker: "batch".into(), free, whole: free, lease_s: 1e9 };
+    assert_eq!(engine.claim(&offer).expect("it works").expect("a lease").attempt, 2);
+    let page = top::frame(&view(&path), 80, 24);
+    let row = |name: &str| page.lines().find(|l| l[1..].starts_with(name)).expect("a row").to_owned();
+    assert!(row("liberty").contains(" 0/3 masks+geometry") && row("liberty").contains(" 80.0 "), "{page}");
+    assert!(row("bad").contains(" 1/3") && !row("bad").contains("0.0"), "{page}");
+    let totals = page.lines().nth(1).expect("a line");
+    assert!(totals.contains("cores 2 of 2") && !totals.ends_with('\u{2026}'), "nothing is cut: {totals}");
+}

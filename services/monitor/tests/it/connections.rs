@@ -1,0 +1,150 @@
+//! Clients that only connect, that send a byte at a time, too much, or half of it: the server answers the others, and holds
+//! few sockets for a short time.
+
+use segwild_monitor::connections::{HEAD_BYTES, HEAD_TIME, MOST};
+use segwild_monitor::{Server, serve};
+use std::io::{Read, Write};
+use std::net::{Shutdown, SocketAddr, TcpStream};
+use std::sync::mpsc;
+use std::time::{Duration, Instant};
+
+fn server() -> (tempfile::TempDir, Server) {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let at = "127.0.0.1:0".parse().expect("an address");
+    let server = serve(at, dir.path().join("run"), false).expect("it listens");
+    (dir, server)
+}
+
+fn connect(at: SocketAddr) -> TcpStream {
+    let stream = TcpStream::connect(at).expect("it listens");
+    // Longer than anything may take: a test that would wait for ever fails.
+    stream.set_read_timeout(Some(HEAD_TIME * 3)).expect("a time");
+    stream
+}
+
+/// What it answers until it closes; a reset is an end as well.
+fn answer(stream: &mut TcpStream) -> String {
+    let mut bytes = Vec::new();
+    if let Err(error) = stream.read_to_end(&mut bytes) {
+        assert_eq!(error.kind(), std::io::ErrorKind::ConnectionReset, "it neither answers nor closes");
+    }
+    String::from_utf8_lossy(&bytes).into_owned()
+}
+
+fn livez(at: SocketAddr) -> String {
+    let mut stream = connect(at);
+    stream.write_all(b"GET /livez HTTP/1.1\r\nHost: x\r\n\r\n").expect("it hears");
+    answer(&mut stream)
+}
+
+fn is_alive(at: SocketAddr) {
+    let began = Instant::now();
+    let said = livez(at);
+    assert!(said.starts_with("HTTP/1.1 200") && said.ends_with("ok\n"), "{said}");
+    assert!(began.elapsed() < HEAD_TIME, "it answered after {:?}", began.elapsed());
+}
+
+/// Sockets of this process, clients' and server's.
+#[cfg(target_os = "linux")]
+fn sockets() -> usize {
+    let open = std::fs::read_dir("/proc/self/fd").expect("the system tells").flatten();
+    let is_socket = |path: std::path::PathBuf| {
+        std::fs::read_link(path).is_ok_and(|to| to.to_string_lossy().starts_with("socket:"))
+    };
+    open.filter(|entry| is_socket(entry.path())).count()
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn idle_connections_without_end_take_few_sockets_and_hold_nobody_up() {
+    let (_dir, server) = server();
+    let at = server.address();
+    let idle: Vec<TcpStream> = (0..300).map(|_| connect(at)).collect();
+    is_alive(at);
+    // Other tests of this process have some as well.
+    let held = sockets().saturating_sub(idle.len());
+    assert!(held < 6 * MOST, "{held} sockets are held for {} idle clients", idle.len());
+    // The last ones may stay until their time is over, the first ones have gone.
+    assert_eq!(answer(&mut idle[0].try_clone().expect("a handle")), "");
+    is_alive(at);
+}
+
+#[test]
+fn a_client_that_sends_a_byte_at_a_time_is_left_after_the_time_for_a_head() {
+    let (_dir, server) = server();
+    let at = server.address();
+    let began = Instant::now();
+    let slow: Vec<_> = (0..MOST + 8)
+        .map(|_| {
+            std::thread::spawn(move || {
+                let mut stream = connect(at);
+                let (_never, next) = mpsc::channel::<()>();
+                for byte in b"GET /livez HTTP/1.1\r\nX-Slow: ".iter().chain(std::iter::repeat(&b'a')) {
+                    if stream.write_all(&[*byte]).is_err() {
+                        return;
+                    }
+                    let _ = next.recv_timeout(Duration::from_millis(200));
+                }
+            })
+        })
+        .collect();
+    while began.elapsed() < HEAD_TIME / 2 {
+        is_alive(at);
+    }
+    for client in slow {
+        client.join().expect("it ends");
+    }
+    assert!(began.elapsed() < HEAD_TIME * 3, "{:?}", began.elapsed());
+}
+
+#[test]
+fn a_head_of_ten_megabytes_is_refused_before_it_is_read() {
+    let (_dir, server) = server();
+    let mut stream = connect(server.address());
+    let part = vec![b'a'; 4 * HEAD_BYTES];
+    let mut sent = 0;
+    let mut send = |bytes: &[u8]| {
+        let done = stream.write_all(bytes).is_ok();
+        sent += if done { bytes.len() } else { 0 };
+        done
+    };
+    let refused = !send(b"GET /livez HTTP/1.1\r\nX-Large: ") || (0..160).any(|_| !send(&part));
+    assert!(refused || answer(&mut stream).starts_with("HTTP/1.1 431"), "{sent} bytes were read");
+    is_alive(server.address());
+}
+
+#[test]
+fn half_open_and_unfinished_requests_are_closed() {
+    let (_dir, server) = server();
+    let at = server.address();
+    for begun in
+        ["", "GET", "GET /livez HTTP/1.1\r\nHost", "\r\n\r\n", "\0\u{1}\u{2}", "GET / HTTP/9.9\r\n\r\n"]
+    {
+        let mut stream = connect(at);
+        stream.write_all(begun.as_bytes()).expect("it hears");
+        stream.shutdown(Shutdown::Write).expect("it is open");
+        let began = Instant::now();
+        let said = answer(&mut stream);
+        assert!(said.is_empty() || said.starts_with("HTTP/1.1 400"), "`{begun}`: {said}");
+        assert!(began.elapsed() < HEAD_TIME, "`{begun}`: {:?}", began.elapsed());
+    }
+    is_alive(at);
+}
+
+#[test]
+fn a_body_that_never_comes_and_a_second_request_hold_no_connection() {
+    let (_dir, server) = server();
+    let at = server.address();
+    for (method, code) in [("GET", "200"), ("POST", "405")] {
+        let mut stream = connect(at);
+        write!(stream, "{method} /livez HTTP/1.1\r\nHost: x\r\nContent-Length: 99999999999\r\n\r\n")
+            .expect("it hears");
+        let began = Instant::now();
+        let said = answer(&mut stream);
+        assert!(said.starts_with(&format!("HTTP/1.1 {code}")), "{said}");
+        assert!(began.elapsed() < HEAD_TIME, "{:?}", began.elapsed());
+    }
+    let mut stream = connect(at);
+    stream.write_all(&b"GET /livez HTTP/1.1\r\nHost: x\r\n\r\n".repeat(2)).expect("it hears");
+    assert_eq!(answer(&mut stream).matches("HTTP/1.1 200").count(), 1);
+}

@@ -1,0 +1,486 @@
+//! The rung `gsw`: the light of a photo is what a network reads in it (GS-W; method, section 3).
+//!
+//! A UNet makes maps of the photo. A splat reads two of them at coordinates of its own, which are trained, and one where
+//! the photo shows it: the light on it (`dynamic`). With what it is made of (`intrinsic`, trained per splat) small
+//! networks fuse that into a vector, which says how the splat looks in this photo from any side. A last network makes a
+//! colour of vector and direction; what its first layer makes of the vector alone is what is kept of a look.
+//!
+//! Where this goes beyond the paper: the light is added to the look of the rung below, [`EmbedAppearance`], so that a run of a
+//! thousand steps begins with the scene's colours and not with a network's noise, and what no network can read in a photo
+//! (its exposure, a sun behind the camera) is fitted and not guessed. The UNet also gets the mean and deviation of the
+//! photo's colours round its norms, which would take them away. In some steps it sees a part of the photo only, so that
+//! it can be asked about half a photo.
+
+mod image_conditioning;
+mod nets;
+mod on_device;
+mod points;
+
+pub use image_conditioning::ImageConditioning;
+pub use nets::{BESIDE, DYNAMIC, GswWidth, HIDDEN, INTRINSIC, LAYER, MAPS, Networks, PLANES, SAMPLE, VECTOR};
+pub use on_device::{HeldNetworks, UNetInput};
+pub use points::{DROPPED, OFF_MAP};
+
+use super::affine::NUMBERS;
+use super::embed::PHOTO;
+use super::{Appearance, AppearanceEmbedding, Directions, EmbedAppearance};
+use crate::adam::Adam;
+use rayon::prelude::*;
+use segwild_nn::{Map, Tape, scatter, take};
+use segwild_scene::{Camera, Image, Pose, Random};
+use std::ops::Range;
+use std::sync::Arc;
+use wincode::{SchemaRead, SchemaWrite};
+
+/// Numbers of a splat's code that are those of the rung below, the last ones.
+pub const BELOW: usize = EmbedAppearance::EMBEDDING_SIZE;
+/// Numbers of a splat's code: what it is made of, its coordinates on each map, and its code of the rung below.
+pub const CODE: usize = INTRINSIC + 2 * MAPS + BELOW;
+/// How much faster a splat's coordinates move than the rest of its code: they are kept divided by this.
+pub const COORDINATE: f32 = 0.3;
+/// Share of the steps in which the UNet sees a part of the photo.
+const PARTLY: f32 = 0.4;
+/// Share of the steps in which no light is read, so that the scene without any is a scene, and the rung below learns what
+/// it can: with a tenth, photos held out are half a dB worse.
+const DARK: f32 = 0.5;
+/// All columns of a photo.
+const WHOLE: Range<f32> = 0.0..1.0;
+/// Size of the last layer's weights to start with, against those of the other layers: near the look below this one.
+const QUIET: f32 = 0.02;
+
+/// The networks, and what is kept of each photo.
+#[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
+pub struct GswAppearance {
+    /// Matrices and vectors of the photos.
+    pub below: EmbedAppearance,
+    /// Learning rate of the UNet.
+    pub net_rate: f32,
+    /// Learning rate of the small networks.
+    pub point_rate: f32,
+    paper: bool,
+    seed: u64,
+    weights: Vec<f32>,
+    net_moments: Adam,
+    point_moments: Adam,
+    /// The last layer of the colour head.
+    layer: Vec<f32>,
+    layer_moments: Adam,
+    /// The photos, shared with checkpoints and snapshots.
+    image_conditionings: Vec<Option<Arc<ImageConditioning>>>,
+    /// Gradients since the last step.
+    grads: Option<Grads>,
+}
+
+#[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
+struct Grads {
+    weights: Vec<f32>,
+    layer: Vec<f32>,
+}
+
+/// What the splats are, for a look that depends on more than their colours.
+#[derive(Clone, Copy, Debug)]
+pub struct Sight<'a> {
+    /// Centres.
+    pub means: &'a [[f32; 3]],
+    /// What splats keep for the look, `[splat][embedding_size]`.
+    pub splat_embeddings: &'a [f32],
+    /// Above 0 for splats in sight; the others need no colour.
+    pub radii: &'a [f32],
+    /// Where they are looked at from.
+    pub eye: [f32; 3],
+}
+
+/// What the UNet made of a photo.
+#[derive(Clone, Debug)]
+pub struct AppearanceMaps {
+    /// The maps as splats read them: `[pixel][SAMPLE]` each.
+    maps: [Vec<f32>; MAPS + 1],
+    width: usize,
+    height: usize,
+    image_conditioning: Arc<ImageConditioning>,
+    /// How sure the network is, before the sigmoid, that a part of the photo shows the scene.
+    visible: Map,
+    /// Whether the network saw the whole photo.
+    whole: bool,
+    /// In training: what the step draws, and what the backward pass needs.
+    training: Option<(u64, Box<Tape>)>,
+}
+
+impl GswAppearance {
+    /// Numbers that a splat keeps.
+    pub const EMBEDDING_SIZE: usize = CODE;
+
+    /// Number of weights of networks of a width.
+    pub fn weights(width: GswWidth) -> usize {
+        Networks::of(width).layout.len()
+    }
+
+    /// Bytes that a photo takes in a look of a width, at most.
+    pub fn photo_bytes(width: GswWidth) -> usize {
+        let side = Networks::of(width).side;
+        PLANES * side * side + 4 * 3 * PHOTO
+    }
+
+    /// Networks and vectors drawn by `seed`, and identities for `views` photos.
+    pub fn new(views: usize, seed: u64, width: GswWidth) -> GswAppearance {
+        let nets = Networks::of(width);
+        let mut random = Random::stream(seed, 0x6773_7721);
+        let weights = nets.layout.begin(|| random.normal());
+        let deviation = QUIET * (2.0 / HIDDEN as f32).sqrt();
+        let layer = (0..LAYER).map(|k| if k < 3 * HIDDEN { deviation * random.normal() } else { 0.0 });
+        let moments = |n: usize| Adam::new(1, n).with(0.9, 0.999, 1e-8);
+        GswAppearance {
+            below: EmbedAppearance::new(views, seed),
+            net_rate: 2e-3,
+            point_rate: 2e-3,
+            paper: width == GswWidth::Paper,
+            seed,
+            net_moments: moments(nets.border),
+            point_moments: moments(weights.len() - nets.border),
+            weights,
+            layer: layer.collect(),
+            layer_moments: moments(LAYER),
+            image_conditionings: vec![None; views],
+            grads: None,
+        }
+    }
+
+    /// How wide the networks are.
+    pub fn width(&self) -> GswWidth {
+        if self.paper { GswWidth::Paper } else { GswWidth::Cpu }
+    }
+
+    fn nets(&self) -> &'static Networks {
+        Networks::of(self.width())
+    }
+
+    /// Whether its parts fit each other and `views` photos.
+    pub fn consistent(&self, views: usize) -> bool {
+        let nets = self.nets();
+        let moments = [self.net_moments.len(), self.point_moments.len(), self.layer_moments.len()];
+        self.weights.len() == nets.layout.len()
+            && moments == [nets.border, self.weights.len() - nets.border, LAYER]
+            && self.layer.len() == LAYER
+            && self.below.consistent(views)
+            && self.image_conditionings.len() == views
+            && self
+                .image_conditionings
+                .iter()
+                .flatten()
+                .all(|image_conditioning| image_conditioning.is_whole())
+            && self.grads.is_none()
+    }
+
+    /// What splats keep for the rung below, `[splat][EMBEDDING_SIZE]` of that.
+    pub fn embeddings_below(&self, splat_embeddings: &[f32]) -> Vec<f32> {
+        below_of(splat_embeddings)
+    }
+
+    /// The last layer of the colour head: `[HIDDEN][3]`, then `[3]` offsets.
+    pub fn layer(&self) -> &[f32] {
+        &self.layer
+    }
+
+    /// Sets the last layer of the colour head.
+    ///
+    /// # Panics
+    /// If it has another length.
+    pub fn set_layer(&mut self, layer: &[f32]) {
+        self.layer.copy_from_slice(layer);
+    }
+
+    /// A photo, at the size of the network. `colour` tells of each of its `size` pixels the colour, or that nothing is
+    /// known of it.
+    pub fn image_conditioning(
+        &self,
+        size: (usize, usize),
+        camera: &Camera,
+        pose: &Pose,
+        colour: impl Fn(usize) -> Option<[f32; 3]>,
+    ) -> Arc<ImageConditioning> {
+        Arc::new(ImageConditioning::new(self.nets().side, size, camera, pose, colour))
+    }
+
+    /// Keeps what a photo shows. Ignores photos that are not known.
+    pub fn set_image_conditioning(&mut self, view: usize, image_conditioning: Arc<ImageConditioning>) {
+        if let Some(slot) = self.image_conditionings.get_mut(view) {
+            *slot = Some(image_conditioning);
+        }
+    }
+
+    /// The gradients kept for the next step: of the networks' weights, and of the last layer's.
+    pub fn gradients(&self) -> Option<[&[f32]; 2]> {
+        self.grads.as_ref().map(|grads| [grads.weights.as_slice(), &grads.layer])
+    }
+
+    /// Forgets what only training needs.
+    pub fn forget_training(&mut self) {
+        let nets = self.nets();
+        self.net_moments = Adam::new(1, nets.border);
+        self.point_moments = Adam::new(1, self.weights.len() - nets.border);
+    }
+
+    /// What the UNet makes of a view's photo; `None` for a photo that is not known: no light, the same for all.
+    /// `draw` is given in training and differs from step to step.
+    pub fn appearance_maps(&self, view: usize, draw: Option<u64>) -> Option<AppearanceMaps> {
+        let (image_conditioning, seen) = self.unet_input_of(view, draw)?;
+        Some(self.appearance_maps_of(image_conditioning, seen, draw))
+    }
+
+    /// A view's photo, and which of its columns are seen.
+    fn unet_input_of(&self, view: usize, draw: Option<u64>) -> Option<(&Arc<ImageConditioning>, Range<f32>)> {
+        let image_conditioning = self.image_conditionings.get(view)?.as_ref()?;
+        let mut seen = WHOLE;
+        if let Some(draw) = draw {
+            let mut random = Random::stream(self.seed, draw);
+            if random.uniform() < DARK {
+                return None;
+            }
+            if random.uniform() < PARTLY {
+                seen = if random.uniform() < 0.5 { 0.0..0.5 } else { 0.5..1.0 };
+            }
+        }
+        Some((image_conditioning, seen))
+    }
+
+    /// What the UNet makes of a photo that is not one of the known views'.
+    pub fn appearance_maps_of_conditioning(
+        &self,
+        image_conditioning: &Arc<ImageConditioning>,
+    ) -> AppearanceMaps {
+        self.appearance_maps_of(image_conditioning, WHOLE, None)
+    }
+
+    fn appearance_maps_of(
+        &self,
+        image_conditioning: &Arc<ImageConditioning>,
+        seen: Range<f32>,
+        draw: Option<u64>,
+    ) -> AppearanceMaps {
+        let whole = seen == WHOLE;
+        let (image, beside) = image_conditioning.planes(seen);
+        let unet = &self.nets().unet;
+        let tape = unet.forward(&self.weights, image, beside);
+        let maps = tape.of(unet.maps);
+        AppearanceMaps {
+            visible: tape.of(unet.plane).clone(),
+            whole,
+            maps: std::array::from_fn(|k| take(maps, k * SAMPLE, SAMPLE)),
+            width: maps.width,
+            height: maps.height,
+            image_conditioning: image_conditioning.clone(),
+            training: draw.map(|draw| (draw, Box::new(tape))),
+        }
+    }
+
+    /// What is particular to a mix of photos, each with its weight, of splats with these centres and codes, on a tone of the
+    /// rung below and with a last layer; no photo: without light. Weights of one photo other than 1 make its light
+    /// stronger or weaker.
+    pub fn appearance_embedding_of(
+        &self,
+        photos: &[(&AppearanceMaps, f32)],
+        (below, layer): (&AppearanceEmbedding, &[f32]),
+        means: &[[f32; 3]],
+        splat_embeddings: &[f32],
+    ) -> AppearanceEmbedding {
+        let kept = points::kept(self, photos, means, splat_embeddings);
+        // What the rung below gives each splat whatever its colour: codes are not asked again for every picture.
+        let black = vec![0.0; 3 * means.len()];
+        let own = self.below.shade(below, &below_of(splat_embeddings), &|_| Some([0.0; 3]), black);
+        AppearanceEmbedding([&below.0[..NUMBERS], layer, &kept, &own].concat())
+    }
+
+    /// What the colour head has before its last layer, `[splat][HIDDEN]`, in a tone.
+    pub fn hidden(&self, appearance_embedding: &AppearanceEmbedding, direction: &Directions) -> Vec<f32> {
+        {
+            let (kept, _) = split(&appearance_embedding.0[NUMBERS + LAYER..]);
+            points::hidden(self, kept, direction)
+        }
+    }
+
+    /// Colours of the splats in sight in a view, from their own; `light` is [`GswAppearance::appearance_maps`] of the view.
+    pub fn tint(
+        &self,
+        view: usize,
+        light: Option<&AppearanceMaps>,
+        sight: &Sight,
+        colours: Vec<f32>,
+    ) -> Vec<f32> {
+        let colours = self.below.tint(view, &below_of(sight.splat_embeddings), colours);
+        points::tint(self, light, sight, colours)
+    }
+
+    /// From the gradient of [`GswAppearance::tint`]'s result to those of its colours and codes; keeps the gradient of the
+    /// look's own parameters for [`Appearance::step`]. `blame` is what [`AppearanceMaps::visible`] is to learn from, of each part
+    /// of the photo, in its order: how much of what would be taken for a transient the scene fails to show there.
+    pub fn tint_backward(
+        &mut self,
+        view: usize,
+        light: Option<&AppearanceMaps>,
+        sight: &Sight,
+        colours: &[f32],
+        grad: Vec<f32>,
+        blame: &[Option<f32>],
+    ) -> (Vec<f32>, Vec<f32>) {
+        let mut back = points::backward(self, light, sight, &grad);
+        let (colour_grads, below) =
+            self.below.tint_backward(view, &below_of(sight.splat_embeddings), colours, grad);
+        for (to, from) in back.splat_embeddings.chunks_exact_mut(CODE).zip(below.chunks_exact(BELOW)) {
+            to[CODE - BELOW..].copy_from_slice(from);
+        }
+        let nets = self.nets();
+        let mut weights = vec![0.0; self.weights.len()];
+        weights[nets.border..].copy_from_slice(&back.weights);
+        if let Some(AppearanceMaps { training: Some((_, tape)), width, height, visible, .. }) = light {
+            let mut maps = Map::zeros(DYNAMIC, *height, *width);
+            for (k, map) in back.maps.iter().enumerate() {
+                scatter(map, &mut maps, k * SAMPLE, SAMPLE);
+            }
+            let plane = (blame.len() == visible.data.len()).then(|| visibility_gradient(visible, blame));
+            nets.unet.backward(&self.weights, tape, maps, plane, &mut weights);
+        }
+        self.grads = Some(Grads { weights, layer: back.layer });
+        (colour_grads, back.splat_embeddings)
+    }
+}
+
+/// Weight of what visibility learns beside the loss of colours.
+pub const VISIBILITY: f32 = 0.1;
+
+fn sigmoid(v: f32) -> f32 {
+    1.0 / (1.0 + (-v).exp())
+}
+
+/// Gradient, before the sigmoid, of the mean of `b v + (1 - v)²` over the parts of the photo of which something is known;
+/// `v` is their visibility and `b` what they are blamed for. Its least is at `v = 1 - b / 2`.
+fn visibility_gradient(plane: &Map, blame: &[Option<f32>]) -> Map {
+    let mut grad = Map::zeros(1, plane.height, plane.width);
+    let known = blame.iter().flatten().count().max(1) as f32;
+    for ((to, from), blame) in grad.data.iter_mut().zip(&plane.data).zip(blame) {
+        if let Some(blame) = blame {
+            let v = sigmoid(*from);
+            *to = VISIBILITY / known * (blame.clamp(0.0, 2.0) - 2.0 * (1.0 - v)) * v * (1.0 - v);
+        }
+    }
+    grad
+}
+
+impl AppearanceMaps {
+    /// How sure the network is that each part of the photo shows the scene and no transient, in [0, 1], one plane of a
+    /// quarter of the network's image; `None` if it has not seen the whole photo.
+    pub fn visible(&self) -> Option<Image> {
+        let Map { width, height, data, .. } = &self.visible;
+        let data = data.iter().map(|&v| sigmoid(v)).collect();
+        self.whole.then_some(Image { width: *width, height: *height, channels: 1, data })
+    }
+}
+
+/// Of the splats' part of a tone: what is kept of them, and their colours without their own.
+fn split(splats: &[f32]) -> (&[f32], &[f32]) {
+    splats.split_at(splats.len() / (HIDDEN + 3) * HIDDEN)
+}
+
+/// The codes of the rung below, side by side.
+fn below_of(splat_embeddings: &[f32]) -> Vec<f32> {
+    let mut out = vec![0.0; splat_embeddings.len() / CODE * BELOW];
+    let pieces = out.par_chunks_mut(512 * BELOW).zip(splat_embeddings.par_chunks(512 * CODE));
+    pieces.for_each(|(to, from)| {
+        for (to, from) in to.chunks_exact_mut(BELOW).zip(from.chunks_exact(CODE)) {
+            to.copy_from_slice(&from[CODE - BELOW..]);
+        }
+    });
+    out
+}
+
+impl Appearance for GswAppearance {
+    fn name(&self) -> &'static str {
+        "gsw"
+    }
+
+    fn parameters(&self) -> usize {
+        self.weights.len() + LAYER + self.below.parameters()
+    }
+
+    fn embedding_size(&self) -> usize {
+        CODE
+    }
+
+    /// What a splat is made of stays, and coordinates have no middle to fade to.
+    fn fading(&self) -> Range<usize> {
+        CODE - BELOW..CODE
+    }
+
+    /// What splats begin with: nothing of what they are made of, and coordinates that mix their positions, so that
+    /// neighbours read the same light.
+    fn first_embeddings(&self, means: &[[f32; 3]]) -> Vec<f32> {
+        let axis = |k: usize| {
+            let mut values: Vec<f32> = means.iter().map(|m| m[k]).filter(|v| v.is_finite()).collect();
+            values.sort_by(f32::total_cmp);
+            let at = |share: f32| values.get((share * values.len() as f32) as usize).copied().unwrap_or(0.0);
+            (at(0.02), at(0.98).max(at(0.02) + 1e-6))
+        };
+        let axes = [axis(0), axis(1), axis(2)];
+        let mut random = Random::stream(self.seed, 0x636f_6f72);
+        let mixes: [[f32; 3]; 2 * MAPS] = std::array::from_fn(|_| {
+            let mix = [random.uniform(), random.uniform(), random.uniform()];
+            let total = mix.iter().sum::<f32>().max(1e-3);
+            mix.map(|v| v / total)
+        });
+        let mut out = vec![0.0; means.len() * CODE];
+        for (code, mean) in out.chunks_exact_mut(CODE).zip(means) {
+            let at: [f32; 3] = std::array::from_fn(|k| {
+                let (low, high) = axes[k];
+                (2.0 * (mean[k] - low) / (high - low) - 1.0).clamp(-1.0, 1.0)
+            });
+            for (to, mix) in code[INTRINSIC..CODE - BELOW].iter_mut().zip(&mixes) {
+                *to = (0..3).map(|k| mix[k] * at[k]).sum::<f32>() / COORDINATE;
+            }
+        }
+        out
+    }
+
+    fn step(&mut self, scale: f32) {
+        self.below.step(scale);
+        let Some(Grads { weights, layer }) = self.grads.take() else { return };
+        let border = self.nets().border;
+        let (net, point) = self.weights.split_at_mut(border);
+        self.net_moments.step(net, &weights[..border], self.net_rate * scale);
+        self.point_moments.step(point, &weights[border..], self.point_rate * scale);
+        self.layer_moments.step(&mut self.layer, &layer, self.point_rate * scale);
+    }
+
+    fn appearance_embedding(
+        &self,
+        view: usize,
+        means: &[[f32; 3]],
+        splat_embeddings: &[f32],
+    ) -> AppearanceEmbedding {
+        let light = self.appearance_maps(view, None);
+        let lights: Vec<(&AppearanceMaps, f32)> = light.iter().map(|light| (light, 1.0)).collect();
+        self.appearance_embedding_of(
+            &lights,
+            (&self.below.appearance_embedding(view, means, splat_embeddings), &self.layer),
+            means,
+            splat_embeddings,
+        )
+    }
+
+    fn shade(
+        &self,
+        AppearanceEmbedding(appearance_embedding): &AppearanceEmbedding,
+        _: &[f32],
+        direction: &Directions,
+        mut colours: Vec<f32>,
+    ) -> Vec<f32> {
+        assert_eq!(
+            appearance_embedding.len(),
+            NUMBERS + LAYER + colours.len() / 3 * (HIDDEN + 3),
+            "tone: length"
+        );
+        let (matrix, rest) = appearance_embedding.split_at(NUMBERS);
+        let (layer, splats) = rest.split_at(LAYER);
+        let (kept, own) = split(splats);
+        points::add_light(self, kept, (matrix, own), layer, direction, &mut colours);
+        colours
+    }
+}

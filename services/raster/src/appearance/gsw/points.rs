@@ -1,0 +1,421 @@
+//! From maps to colours, splat by splat, and back.
+//!
+//! Splats are taken in pieces, each by one task; sums over splats are taken piece by piece, in order. The backward pass
+//! runs a piece forward again, which costs less than keeping what all splats had on the way.
+
+use super::nets::{DYNAMIC, HIDDEN, INTRINSIC, LAYER, MAPS, Networks, SAMPLE, VECTOR};
+use super::{AppearanceMaps, CODE, COORDINATE, Directions, GswAppearance, Sight};
+use rayon::prelude::*;
+use segwild_nn::{Activations, Spot, Strided, product};
+
+/// Splats that one task works on.
+const PIECE: usize = 512;
+/// Share of the numbers of light that a training step leaves out.
+pub const DROPPED: f32 = 0.1;
+/// Weight of what coordinates are off the map, per coordinate.
+pub const OFF_MAP: f32 = 1e-3;
+
+/// A piece of splats on its way to vectors.
+struct Run {
+    light: Activations,
+    fuse: Activations,
+    /// Where each splat reads the maps, if there are any.
+    spots: Vec<[Option<Spot>; MAPS + 1]>,
+    /// What each number of light was multiplied with, in training.
+    kept: Vec<f32>,
+}
+
+fn spots(light: &AppearanceMaps, mean: [f32; 3], code: &[f32]) -> [Option<Spot>; MAPS + 1] {
+    let (w, h) = (light.width, light.height);
+    std::array::from_fn(|k| {
+        if k < MAPS {
+            let at = [code[INTRINSIC + 2 * k], code[INTRINSIC + 2 * k + 1]];
+            return Some(Spot::new(w, h, at.map(|v| v * COORDINATE)));
+        }
+        // From shares of the sides to the coordinates of pixels' centres.
+        let centre = |share: f32, n: usize| match n {
+            1 => 0.0,
+            _ => 2.0 * (share * n as f32 - 0.5) / (n - 1) as f32 - 1.0,
+        };
+        light.image_conditioning.place(mean).map(|[u, v]| Spot::new(w, h, [centre(u, w), centre(v, h)]))
+    })
+}
+
+/// The light that a splat reads.
+fn read(light: &AppearanceMaps, spots: &[Option<Spot>; MAPS + 1], out: &mut [f32]) {
+    for ((spot, map), out) in spots.iter().zip(&light.maps).zip(out.chunks_exact_mut(SAMPLE)) {
+        if let Some(spot) = spot {
+            spot.read(map, out);
+        }
+    }
+}
+
+/// Whether a step that draws `draw` leaves out a number of a splat's light. Words of 32 bits only, which every device has.
+fn is_dropped(draw: u64, splat: usize, number: usize) -> bool {
+    let mix = |x: u32| {
+        let x = (x ^ (x >> 16)).wrapping_mul(0x7feb_352d);
+        let x = (x ^ (x >> 15)).wrapping_mul(0x846c_a68b);
+        x ^ (x >> 16)
+    };
+    let word = mix(mix(mix(draw as u32) ^ splat as u32) ^ number as u32);
+    ((word >> 8) as f32) * (1.0 / (1 << 24) as f32) < DROPPED
+}
+
+/// Sines and cosines of the position at rising frequencies, each from the one below by the double angle.
+fn encode(mean: [f32; 3], octaves: usize, out: &mut [f32]) {
+    out[..3].copy_from_slice(&mean);
+    for k in 0..3 {
+        let (mut s, mut c) = mean[k].sin_cos();
+        for o in 0..octaves {
+            out[3 + 6 * o + 2 * k] = s;
+            out[4 + 6 * o + 2 * k] = c;
+            (s, c) = (2.0 * s * c, 1.0 - 2.0 * s * s);
+        }
+    }
+}
+
+/// Runs the splats `which` up to their vectors, in the weighted lights.
+fn run(
+    appearance: &GswAppearance,
+    nets: &Networks,
+    lights: &[(&AppearanceMaps, f32)],
+    (means, splat_embeddings): (&[[f32; 3]], &[f32]),
+    which: &[usize],
+) -> Run {
+    let width = nets.light.ends().0;
+    let mut x = vec![0.0; which.len() * width];
+    let draw = lights.first().and_then(|(light, _)| light.training.as_ref()).map(|(draw, _)| *draw);
+    let mut kept = Vec::new();
+    let mut all_spots = Vec::new();
+    let mut read_here = [0.0; DYNAMIC];
+    for (x, &i) in x.chunks_exact_mut(width).zip(which) {
+        let (mean, code) = (means[i], &splat_embeddings[i * CODE..(i + 1) * CODE]);
+        for (light, weight) in lights {
+            let spots = spots(light, mean, code);
+            read_here.fill(0.0);
+            read(light, &spots, &mut read_here);
+            x[..DYNAMIC].iter_mut().zip(&read_here).for_each(|(x, v)| *x += weight * v);
+            if draw.is_some() {
+                all_spots.push(spots);
+            }
+        }
+        if let Some(draw) = draw {
+            for (number, x) in x[..DYNAMIC].iter_mut().enumerate() {
+                let keep = if is_dropped(draw, i, number) { 0.0 } else { 1.0 / (1.0 - DROPPED) };
+                *x *= keep;
+                kept.push(keep);
+            }
+        }
+        x[DYNAMIC..DYNAMIC + INTRINSIC].copy_from_slice(&code[..INTRINSIC]);
+        encode(mean, nets.octaves, &mut x[DYNAMIC + INTRINSIC..]);
+    }
+    let light = nets.light.forward(&appearance.weights, x);
+    let made = nets.light.ends().1;
+    let mut x = Vec::with_capacity(which.len() * (made + INTRINSIC));
+    for (made, &i) in light.result().chunks_exact(made).zip(which) {
+        x.extend_from_slice(made);
+        x.extend_from_slice(&splat_embeddings[i * CODE..][..INTRINSIC]);
+    }
+    let fuse = nets.fuse.forward(&appearance.weights, x);
+    Run { light, fuse, spots: all_spots, kept }
+}
+
+/// Runs vectors on to colours; `direction` is that of the piece's splats.
+fn head(
+    appearance: &GswAppearance,
+    nets: &Networks,
+    vectors: &[f32],
+    direction: impl Fn(usize) -> [f32; 3],
+) -> Activations {
+    let mut x = Vec::with_capacity(vectors.len() / VECTOR * (VECTOR + 3));
+    for (k, vector) in vectors.chunks_exact(VECTOR).enumerate() {
+        x.extend_from_slice(vector);
+        x.extend_from_slice(&direction(k));
+    }
+    nets.colour.forward(&appearance.weights, x)
+}
+
+/// The unit vector from the camera to a splat.
+fn direction(sight: &Sight, i: usize) -> [f32; 3] {
+    let to: [f32; 3] = std::array::from_fn(|k| sight.means[i][k] - sight.eye[k]);
+    let long = to.iter().map(|v| v * v).sum::<f32>().sqrt().max(1e-12);
+    to.map(|v| v / long)
+}
+
+fn in_sight(sight: &Sight) -> Vec<usize> {
+    (0..sight.means.len()).filter(|&i| sight.radii[i] > 0.0).collect()
+}
+
+pub(super) fn tint(
+    appearance: &GswAppearance,
+    light: Option<&AppearanceMaps>,
+    sight: &Sight,
+    mut colours: Vec<f32>,
+) -> Vec<f32> {
+    let nets = appearance.nets();
+    let which = in_sight(sight);
+    let lights: Vec<(&AppearanceMaps, f32)> = light.map(|l| (l, 1.0)).into_iter().collect();
+    let made: Vec<Vec<f32>> = which
+        .par_chunks(PIECE)
+        .map(|which| {
+            let run = run(appearance, nets, &lights, (sight.means, sight.splat_embeddings), which);
+            let towards = |k: usize| direction(sight, which[k]);
+            let made = head(appearance, nets, run.fuse.result(), towards).result().to_vec();
+            nets.last.forward(&appearance.layer, made).result().to_vec()
+        })
+        .collect();
+    for (&i, made) in which.iter().zip(made.iter().flat_map(|m| m.chunks_exact(3))) {
+        colours[3 * i..3 * i + 3].iter_mut().zip(made).for_each(|(colour, more)| *colour += more);
+    }
+    colours
+}
+
+/// What is kept of a look, `[splat][HIDDEN]`: what the vectors of all splats add to the colour head's hidden numbers,
+/// whatever the direction.
+pub(super) fn kept(
+    appearance: &GswAppearance,
+    lights: &[(&AppearanceMaps, f32)],
+    means: &[[f32; 3]],
+    splat_embeddings: &[f32],
+) -> Vec<f32> {
+    let nets = appearance.nets();
+    let (matrix, offsets) = head_weights(appearance, nets);
+    let all: Vec<usize> = (0..means.len()).collect();
+    let piece = |which: &[usize]| {
+        let run = run(appearance, nets, lights, (means, splat_embeddings), which);
+        let mut out = vec![0.0; which.len() * HIDDEN];
+        out.chunks_exact_mut(HIDDEN).for_each(|splat| splat.copy_from_slice(offsets));
+        let vectors = Strided::of(run.fuse.result(), VECTOR);
+        let sizes = [which.len(), VECTOR, HIDDEN];
+        product(vectors, (&matrix[..VECTOR * HIDDEN], HIDDEN), sizes, (&mut out, HIDDEN), true);
+        out
+    };
+    all.par_chunks(PIECE).map(piece).collect::<Vec<_>>().concat()
+}
+
+/// Matrix, `[VECTOR + 3][HIDDEN]`, and offsets of the colour head.
+fn head_weights<'a>(appearance: &'a GswAppearance, nets: &Networks) -> (&'a [f32], &'a [f32]) {
+    appearance.weights[nets.colour.range()].split_at((VECTOR + 3) * HIDDEN)
+}
+
+/// The colour head's hidden numbers of a splat, from what is kept of it and the direction.
+#[inline(always)]
+fn hidden_of(kept: &[f32], [x, y, z]: [f32; 3], of_direction: &[f32]) -> [f32; HIDDEN] {
+    let (kept, of_direction) = (&kept[..HIDDEN], &of_direction[..3 * HIDDEN]);
+    let (a, rest) = of_direction.split_at(HIDDEN);
+    let (b, c) = rest.split_at(HIDDEN);
+    // A loop and no closure: closures are not compiled with their caller's wider instructions.
+    let mut hidden = [0.0; HIDDEN];
+    for k in 0..HIDDEN {
+        hidden[k] = (kept[k] + a[k] * x + b[k] * y + c[k] * z).max(0.0);
+    }
+    hidden
+}
+
+/// The colour head's hidden numbers, `[splat][HIDDEN]`, from what is kept; 0 of splats that nobody sees.
+pub(super) fn hidden(appearance: &GswAppearance, kept: &[f32], direction: &Directions) -> Vec<f32> {
+    let of_direction = &head_weights(appearance, appearance.nets()).0[VECTOR * HIDDEN..];
+    let mut out = vec![0.0; kept.len()];
+    out.par_chunks_exact_mut(HIDDEN).zip(kept.par_chunks_exact(HIDDEN)).enumerate().for_each(
+        |(i, (out, kept))| {
+            if let Some(direction) = direction(i) {
+                out.copy_from_slice(&hidden_of(kept, direction, of_direction));
+            }
+        },
+    );
+    out
+}
+
+/// Puts colours through the matrix, and adds what splats have without them and what the colour head makes of what is kept,
+/// with a last `layer`.
+pub(super) fn add_light(
+    appearance: &GswAppearance,
+    kept: &[f32],
+    (matrix, own): (&[f32], &[f32]),
+    layer: &[f32],
+    direction: &Directions,
+    colours: &mut [f32],
+) {
+    let of_direction = &head_weights(appearance, appearance.nets()).0[VECTOR * HIDDEN..];
+    // Channel by channel, so that the sums run over neighbours.
+    let rows: [[f32; HIDDEN]; 3] = std::array::from_fn(|c| std::array::from_fn(|k| layer[3 * k + c]));
+    let head = Head { of_direction, rows, offsets: &layer[3 * HIDDEN..], matrix };
+    let pieces = colours.par_chunks_mut(3 * PIECE).zip(own.par_chunks(3 * PIECE));
+    pieces.zip(kept.par_chunks(HIDDEN * PIECE)).enumerate().for_each(|(p, ((colours, own), kept))| {
+        let splats = colours.chunks_exact_mut(3).zip(own.chunks_exact(3)).zip(kept.chunks_exact(HIDDEN));
+        for (k, ((colour, own), kept)) in splats.enumerate() {
+            if let Some(direction) = direction(p * PIECE + k) {
+                head.add(kept, direction, own, colour);
+            }
+        }
+    });
+}
+
+/// The colour head after what is kept, and what the rung below does to colours.
+struct Head<'a> {
+    of_direction: &'a [f32],
+    /// Of the last layer, `[channel][hidden]`, and its offsets.
+    rows: [[f32; HIDDEN]; 3],
+    offsets: &'a [f32],
+    matrix: &'a [f32],
+}
+
+impl Head<'_> {
+    /// A splat's colour. Compiled for wider instructions as well, of which none fuses or reorders anything: the same bytes.
+    fn add(&self, kept: &[f32], direction: [f32; 3], own: &[f32], colour: &mut [f32]) {
+        #[cfg(target_arch = "x86_64")]
+        {
+            #[target_feature(enable = "avx512f")]
+            fn avx512(head: &Head, kept: &[f32], direction: [f32; 3], own: &[f32], colour: &mut [f32]) {
+                head.add_plain(kept, direction, own, colour);
+            }
+            #[target_feature(enable = "avx2")]
+            fn avx2(head: &Head, kept: &[f32], direction: [f32; 3], own: &[f32], colour: &mut [f32]) {
+                head.add_plain(kept, direction, own, colour);
+            }
+            if is_x86_feature_detected!("avx512f") {
+                // SAFETY: the instruction set was just found on this machine.
+                return unsafe { avx512(self, kept, direction, own, colour) };
+            }
+            if is_x86_feature_detected!("avx2") {
+                // SAFETY: the instruction set was just found on this machine.
+                return unsafe { avx2(self, kept, direction, own, colour) };
+            }
+        }
+        self.add_plain(kept, direction, own, colour);
+    }
+
+    #[inline(always)]
+    fn add_plain(&self, kept: &[f32], direction: [f32; 3], own: &[f32], colour: &mut [f32]) {
+        let hidden = hidden_of(kept, direction, self.of_direction);
+        let [r, g, b] = [colour[0], colour[1], colour[2]];
+        for c in 0..3 {
+            // Sixteen strands, which the compiler makes vectors of.
+            let mut strands = [0.0f32; 16];
+            for (row, hidden) in self.rows[c].chunks_exact(16).zip(hidden.chunks_exact(16)) {
+                for l in 0..16 {
+                    strands[l] += row[l] * hidden[l];
+                }
+            }
+            let m = &self.matrix[4 * c..4 * c + 3];
+            let below = m[0] * r + m[1] * g + m[2] * b + own[c];
+            colour[c] = below + strands.iter().sum::<f32>() + self.offsets[c];
+        }
+    }
+}
+
+/// What [`backward`] finds.
+pub(super) struct Back {
+    /// Of the splats' codes.
+    pub splat_embeddings: Vec<f32>,
+    /// Of the small networks' weights.
+    pub weights: Vec<f32>,
+    /// Of the colour head's last layer.
+    pub layer: Vec<f32>,
+    /// Of the maps, `[pixel][SAMPLE]`.
+    pub maps: [Vec<f32>; MAPS + 1],
+}
+
+/// What one piece finds.
+struct Piece {
+    splat_embeddings: Vec<f32>,
+    weights: Vec<f32>,
+    layer: Vec<f32>,
+    spots: Vec<[Option<Spot>; MAPS + 1]>,
+    light: Vec<f32>,
+}
+
+pub(super) fn backward(
+    appearance: &GswAppearance,
+    light: Option<&AppearanceMaps>,
+    sight: &Sight,
+    grad: &[f32],
+) -> Back {
+    let nets = appearance.nets();
+    // Splats that no pixel asks about have no part in the sums.
+    let which: Vec<usize> =
+        in_sight(sight).into_iter().filter(|&i| grad[3 * i..3 * i + 3] != [0.0; 3]).collect();
+    let lights: Vec<(&AppearanceMaps, f32)> = light.map(|l| (l, 1.0)).into_iter().collect();
+    let [a, b, c] = [&nets.light, &nets.fuse, &nets.colour].map(|net| net.turned(&appearance.weights));
+    let turned = [a, b, c, nets.last.turned(&appearance.layer)];
+    let pieces: Vec<Piece> = which
+        .par_chunks(PIECE)
+        .map(|which| {
+            let run = run(appearance, nets, &lights, (sight.means, sight.splat_embeddings), which);
+            let colour = head(appearance, nets, run.fuse.result(), |k| direction(sight, which[k]));
+            let last = nets.last.forward(&appearance.layer, colour.result().to_vec());
+            piece_backward(nets, &turned, (run, colour, last), (light, sight, which), grad)
+        })
+        .collect();
+    let mut back = Back {
+        splat_embeddings: vec![0.0; sight.splat_embeddings.len()],
+        weights: vec![0.0; appearance.weights.len() - nets.border],
+        layer: vec![0.0; LAYER],
+        maps: std::array::from_fn(|k| vec![0.0; light.map_or(0, |l| l.maps[k].len())]),
+    };
+    for (piece, which) in pieces.iter().zip(which.chunks(PIECE)) {
+        back.weights.iter_mut().zip(&piece.weights).for_each(|(sum, v)| *sum += v);
+        back.layer.iter_mut().zip(&piece.layer).for_each(|(sum, v)| *sum += v);
+        for (k, &i) in which.iter().enumerate() {
+            back.splat_embeddings[i * CODE..(i + 1) * CODE]
+                .copy_from_slice(&piece.splat_embeddings[k * CODE..(k + 1) * CODE]);
+        }
+    }
+    back.maps.par_iter_mut().enumerate().for_each(|(m, map)| {
+        for piece in &pieces {
+            for (spots, light) in piece.spots.iter().zip(piece.light.chunks_exact(DYNAMIC)) {
+                if let Some(spot) = &spots[m] {
+                    spot.add(&light[m * SAMPLE..(m + 1) * SAMPLE], map);
+                }
+            }
+        }
+    });
+    back
+}
+
+fn piece_backward(
+    nets: &Networks,
+    turned: &[Vec<Vec<f32>>; 4],
+    (run, head, last): (Run, Activations, Activations),
+    (light, sight, which): (Option<&AppearanceMaps>, &Sight, &[usize]),
+    grad: &[f32],
+) -> Piece {
+    let mut weights = vec![0.0; nets.layout.len() - nets.border];
+    let part = |range: std::ops::Range<usize>| range.start - nets.border..range.end - nets.border;
+    let out = which.iter().flat_map(|&i| &grad[3 * i..3 * i + 3]).copied().collect();
+    let mut layer = vec![0.0; LAYER];
+    let out = nets.last.backward(&turned[3], &last, out, &mut layer, HIDDEN);
+    let own = part(nets.colour.range());
+    let out = nets.colour.backward(&turned[2], &head, out, &mut weights[own], VECTOR);
+    let made = nets.light.ends().1;
+    let own = part(nets.fuse.range());
+    let out = nets.fuse.backward(&turned[1], &run.fuse, out, &mut weights[own], made + INTRINSIC);
+    let mut splat_embeddings = vec![0.0; which.len() * CODE];
+    let mut to_light = Vec::with_capacity(which.len() * made);
+    for (out, code) in out.chunks_exact(made + INTRINSIC).zip(splat_embeddings.chunks_exact_mut(CODE)) {
+        to_light.extend_from_slice(&out[..made]);
+        code[..INTRINSIC].copy_from_slice(&out[made..]);
+    }
+    let own = part(nets.light.range());
+    let wanted = DYNAMIC + INTRINSIC;
+    let out = nets.light.backward(&turned[0], &run.light, to_light, &mut weights[own], wanted);
+    let mut to_maps = Vec::with_capacity(if light.is_some() { which.len() * DYNAMIC } else { 0 });
+    for (k, (out, code)) in out.chunks_exact(wanted).zip(splat_embeddings.chunks_exact_mut(CODE)).enumerate()
+    {
+        code[..INTRINSIC].iter_mut().zip(&out[DYNAMIC..]).for_each(|(sum, v)| *sum += v);
+        let Some(light) = light.filter(|_| !run.spots.is_empty()) else { continue };
+        let from = to_maps.len();
+        to_maps.extend(out[..DYNAMIC].iter().zip(&run.kept[k * DYNAMIC..]).map(|(g, keep)| g * keep));
+        let of_code = &sight.splat_embeddings[which[k] * CODE + INTRINSIC..][..2 * MAPS];
+        for m in 0..MAPS {
+            let Some(spot) = &run.spots[k][m] else { continue };
+            let slope = spot.slope(&to_maps[from + m * SAMPLE..][..SAMPLE], &light.maps[m]);
+            for a in 0..2 {
+                let at = of_code[2 * m + a] * COORDINATE;
+                let off = if at.abs() > 1.0 { OFF_MAP * at.signum() / sight.means.len() as f32 } else { 0.0 };
+                code[INTRINSIC + 2 * m + a] = COORDINATE * (slope[a] + off);
+            }
+        }
+    }
+    Piece { splat_embeddings, weights, layer, spots: run.spots, light: to_maps }
+}

@@ -1,0 +1,150 @@
+//! An engine with another to fall back on: a device that is lost in the middle costs no run.
+
+use crate::field::Queries;
+use crate::{Channels, Engine, Frame, FrameGrad, Kept, ProjectOptions, Projected, RasterError, SplatGrads};
+use segwild_scene::{Camera, Image, Pose, Splats};
+use std::any::Any;
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Computes with one engine until its device fails, and with another from then on. What the first one refuses for any
+/// other reason stays refused.
+pub struct FallbackEngine<F> {
+    first: Box<dyn Engine>,
+    second: Box<dyn Engine>,
+    failed: AtomicBool,
+    told: F,
+}
+
+impl<F: Fn(&str) + Send + Sync> FallbackEngine<F> {
+    /// `told` hears once why the first engine failed.
+    pub fn new(first: Box<dyn Engine>, second: Box<dyn Engine>, told: F) -> FallbackEngine<F> {
+        FallbackEngine { first, second, failed: AtomicBool::new(false), told }
+    }
+
+    fn has_failed(&self) -> bool {
+        self.failed.load(Ordering::Acquire)
+    }
+
+    /// What the first engine gives, unless its device fails or has failed: then what the second does.
+    fn either<T>(
+        &self,
+        first: impl FnOnce() -> Result<T, RasterError>,
+        second: impl FnOnce() -> Result<T, RasterError>,
+    ) -> Result<T, RasterError> {
+        if self.has_failed() {
+            return second();
+        }
+        match first() {
+            Err(RasterError::Device(why)) => {
+                if !self.failed.swap(true, Ordering::AcqRel) {
+                    (self.told)(&why);
+                }
+                second()
+            }
+            done => done,
+        }
+    }
+}
+
+impl<F: Fn(&str) + Send + Sync> Engine for FallbackEngine<F> {
+    /// The first engine's, whatever happens: what a run makes keeps its names.
+    fn name(&self) -> &'static str {
+        self.first.name()
+    }
+
+    fn project<'a>(
+        &'a self,
+        splats: &'a Splats,
+        camera: &Camera,
+        pose: &Pose,
+        options: &ProjectOptions,
+    ) -> Result<Box<dyn Projected + 'a>, RasterError> {
+        self.either(
+            || {
+                let first = self.first.project(splats, camera, pose, options)?;
+                let (camera, pose, options) = (*camera, *pose, *options);
+                let second = OnceLock::new();
+                let view = FallbackView { engine: self, splats, camera, pose, options, first, second };
+                Ok(Box::new(view) as Box<dyn Projected + 'a>)
+            },
+            || self.second.project(splats, camera, pose, options),
+        )
+    }
+
+    fn bring(&self, channels: &Channels) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
+        self.either(|| self.first.bring(channels), || self.second.bring(channels))
+    }
+
+    fn similarity(&self, features: &Kept, queries: &Queries) -> Result<Option<Vec<f32>>, RasterError> {
+        self.either(|| self.first.similarity(features, queries), || self.second.similarity(features, queries))
+    }
+}
+
+/// A view that the first engine projected, and the second one too if it has to.
+struct FallbackView<'a, F> {
+    engine: &'a FallbackEngine<F>,
+    splats: &'a Splats,
+    camera: Camera,
+    pose: Pose,
+    options: ProjectOptions,
+    first: Box<dyn Projected + 'a>,
+    second: OnceLock<Box<dyn Projected + 'a>>,
+}
+
+impl<'a, F: Fn(&str) + Send + Sync> FallbackView<'a, F> {
+    fn second(&self) -> Result<&dyn Projected, RasterError> {
+        if let Some(second) = self.second.get() {
+            return Ok(&**second);
+        }
+        let made = self.engine.second.project(self.splats, &self.camera, &self.pose, &self.options)?;
+        Ok(&**self.second.get_or_init(|| made))
+    }
+}
+
+impl<F: Fn(&str) + Send + Sync> Projected for FallbackView<'_, F> {
+    fn depths(&self) -> &[f32] {
+        self.first.depths()
+    }
+
+    fn radii(&self) -> &[f32] {
+        self.first.radii()
+    }
+
+    fn centres(&self) -> &[[f32; 2]] {
+        self.first.centres()
+    }
+
+    fn shade(&self) -> Vec<f32> {
+        self.first.shade()
+    }
+
+    fn blend(&self, channels: &Channels) -> Result<Frame, RasterError> {
+        self.engine.either(|| self.first.blend(channels), || self.second()?.blend(channels))
+    }
+
+    fn blend_kept(&self, kept: &Kept) -> Result<Frame, RasterError> {
+        // What the first engine has of them means nothing to the second, which takes the host's.
+        self.engine.either(|| self.first.blend_kept(kept), || self.second()?.blend_kept(kept))
+    }
+
+    fn gather(&self, image: &Image) -> Result<Vec<f32>, RasterError> {
+        self.engine.either(|| self.first.gather(image), || self.second()?.gather(image))
+    }
+
+    fn backward(
+        &self,
+        channels: &Channels,
+        frame: &Frame,
+        grad: &FrameGrad,
+    ) -> Result<SplatGrads, RasterError> {
+        self.engine.either(
+            || self.first.backward(channels, frame, grad),
+            || self.second()?.backward(channels, frame, grad),
+        )
+    }
+
+    fn shade_backward(&self, colours: &[f32], grads: &mut SplatGrads) -> Vec<f32> {
+        self.first.shade_backward(colours, grads)
+    }
+}

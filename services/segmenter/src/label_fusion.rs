@@ -1,0 +1,247 @@
+//! From evidence to beliefs to labels: the one place where masks, features and neighbours are weighed.
+
+use crate::settings::{ComponentRule, SegmentSettings, SimilarityUse, Undecided};
+use crate::spread::{Belief, spread};
+use crate::{Evidence, Graph, Hit, components};
+use segwild_scene::Splats;
+
+/// Evidence, in views, that makes a splat half known.
+const HALF_KNOWN: f32 = 0.2;
+
+/// Evidence, in views, that resemblance alone amounts to where it is sure; it only ever speaks for a splat.
+const HINT: f32 = 0.1;
+
+/// Bins of the similarity from which the prior is learned.
+const BINS: usize = 24;
+
+/// Evidence that every bin starts with, in splats.
+const SMOOTHING: f64 = 4.0;
+
+/// Least belief for a splat that no mask decides to count as connected to decided ones.
+const CONNECTED: f32 = 0.05;
+
+/// Belief from which a splat that no mask decides is surrounded by decided ones: what lies within an object needs no
+/// resemblance, and few photos see it well enough for its feature to be worth anything.
+const SURROUNDED: f32 = 0.5;
+
+/// How far resemblance may move the prior from [`SegmentSettings::unseen_prior`], in odds: down, and up. The clicks
+/// show one side of an object; what resembles them is as likely inside as the features are good, which the splats
+/// that masks decided tell. But its other side, which may not resemble them, must stay open until a photo's own
+/// boundaries have spoken.
+const ODDS: [f64; 2] = [0.5, 20.0];
+
+/// The lowest that resemblance can say at even odds: [`ODDS`] as a probability.
+pub(crate) const LEAST_HINT: f32 = (ODDS[0] / (1.0 + ODDS[0])) as f32;
+
+/// Share of the evidence that a part without a click must hold for anything to be concluded from it.
+const LARGE: f32 = 0.25;
+
+/// Fused similarities of every splat.
+pub(crate) struct Similarities {
+    /// To the positive clicks.
+    pub positive: Vec<f32>,
+    /// To the kinds of surface that the prompted masks hold, or to the clicks where that is more; empty: to the clicks.
+    pub held: Vec<f32>,
+    /// To the negative clicks.
+    pub negative: Option<Vec<f32>>,
+}
+
+impl Similarities {
+    /// Whether a splat resembles what was clicked (paper, Eq. 28; method, section 6).
+    fn passes(&self, splat: usize, settings: &SegmentSettings) -> bool {
+        let s = self.positive[splat];
+        let clear = self.negative.as_ref().is_none_or(|n| s > n[splat] + settings.negative_margin);
+        s >= settings.tau && clear
+    }
+
+    /// One number in [-1, 1] that grows with the resemblance to what was clicked and what came with it.
+    fn merit(&self, splat: usize) -> f32 {
+        let s = self.held.get(splat).copied().unwrap_or(self.positive[splat]);
+        self.negative.as_ref().map_or(s, |n| 0.5 * (s - n[splat]))
+    }
+}
+
+/// Everything that stays the same while evidence comes in.
+pub(crate) struct LabelFusion<'a> {
+    pub splats: &'a Splats,
+    pub graph: &'a Graph,
+    /// What the clicks hit: inside, and outside.
+    pub hits: (&'a [Hit], &'a [Hit]),
+    pub affinities: Vec<f32>,
+    pub similarities: Option<Similarities>,
+    pub frozen: Option<&'a [bool]>,
+    pub settings: &'a SegmentSettings,
+}
+
+/// What is believed at some point.
+pub(crate) struct State {
+    pub evidence: Evidence,
+    pub beliefs: Vec<Belief>,
+    /// Probability of every splat to lie inside, 0 for frozen ones.
+    pub probability: Vec<f32>,
+    /// How likely each splat lies inside by its resemblance to what was clicked and came with it ([`Similarities::held`]) alone.
+    pub hint: Vec<f32>,
+}
+
+impl LabelFusion<'_> {
+    pub fn is_frozen(&self, splat: usize) -> bool {
+        self.frozen.is_some_and(|f| f[splat])
+    }
+
+    /// The beliefs that some evidence gives, carried `steps` edges onward from `beliefs`.
+    pub fn weigh(&self, evidence: Evidence, mut beliefs: Vec<Belief>, steps: u32) -> State {
+        let n = self.graph.len();
+        let stray = self.stray(&evidence);
+        let prior = self.prior(&evidence);
+        let hint = |i: usize| match (&prior, &self.similarities) {
+            (Some(bins), Some(s)) => bins[bin(s.merit(i))],
+            _ => self.settings.unseen_prior,
+        };
+        let hangs = self.hangs_together(&evidence, &stray, &hint);
+        let anchors: Vec<Belief> = (0..n)
+            .map(|i| {
+                if self.is_frozen(i) {
+                    return Belief { inside: 0.0, weight: 1.0 };
+                }
+                // What resembles the clicks speaks for itself a little, and more the better features tell.
+                let hint = hint(i);
+                let say = if hangs[i] { HINT * sure(hint).powi(2) } else { 0.0 };
+                let (mut inside, mut total) = (hint * say, say);
+                if !stray[i] {
+                    inside += evidence.sides(i).0;
+                    total += evidence.known[i];
+                }
+                if total == 0.0 {
+                    return Belief::default();
+                }
+                let weight = total / (total + HALF_KNOWN);
+                Belief { inside: inside / total * weight, weight }
+            })
+            .collect();
+        spread(self.graph, &self.affinities, &anchors, self.settings.spread_decay, steps, &mut beliefs);
+        let hints: Vec<f32> = (0..n).map(hint).collect();
+        let probability = (0..n)
+            .map(|i| if self.is_frozen(i) { 0.0 } else { beliefs[i].probability(hints[i]).clamp(0.0, 1.0) })
+            .collect();
+        State { evidence, beliefs, probability, hint: hints }
+    }
+
+    /// Splats that the masks take in and that hang together neither with a click nor with much else: a mask that
+    /// reaches a few pixels past the outline holds slivers of whatever is seen there, however far behind. Nothing may
+    /// be concluded from them for their neighbours.
+    fn stray(&self, evidence: &Evidence) -> Vec<bool> {
+        let n = self.graph.len();
+        if self.settings.components == ComponentRule::All {
+            return vec![false; n];
+        }
+        let SegmentSettings { rho, gamma, least_evidence: least, .. } = *self.settings;
+        let inside: Vec<bool> = (0..n)
+            .map(|i| !self.is_frozen(i) && evidence.label(i, rho, gamma, least) == Some(true))
+            .collect();
+        let mut kept = inside.clone();
+        components::keep_clicked(self.graph, self.splats, &mut kept, evidence, None, self.hits, LARGE);
+        inside.iter().zip(&kept).map(|(inside, kept)| *inside && !kept).collect()
+    }
+
+    /// Splats that hang together with what the masks hold, through splats that resemble the clicks and that no mask puts
+    /// outside. A thing elsewhere may look just like the one that was clicked: resemblance alone says nothing for it.
+    fn hangs_together(&self, evidence: &Evidence, stray: &[bool], hint: &impl Fn(usize) -> f32) -> Vec<bool> {
+        let SegmentSettings { rho, gamma, least_evidence: least, .. } = *self.settings;
+        let mut reached = vec![false; self.graph.len()];
+        let mut open: Vec<usize> = (0..self.graph.len())
+            .filter(|&i| {
+                !self.is_frozen(i) && !stray[i] && evidence.label(i, rho, gamma, least) == Some(true)
+            })
+            .collect();
+        open.iter().for_each(|&i| reached[i] = true);
+        while let Some(i) = open.pop() {
+            for edge in self.graph.edges(i) {
+                let j = self.graph.neighbour(edge);
+                let carries = hint(j) > 0.5 && evidence.label(j, rho, gamma, least) != Some(false);
+                if carries && !reached[j] && !self.is_frozen(j) {
+                    reached[j] = true;
+                    open.push(j);
+                }
+            }
+        }
+        reached
+    }
+
+    /// How likely a splat of some similarity lies inside, per bin, learned from the splats that masks decided:
+    /// the likelihood ratio of the bin, times the odds of [`SegmentSettings::unseen_prior`], made monotone.
+    /// Features that tell nothing give the same prior to all.
+    fn prior(&self, evidence: &Evidence) -> Option<[f32; BINS]> {
+        let similarities = self.similarities.as_ref()?;
+        if self.settings.similarity_use == SimilarityUse::Off {
+            return None;
+        }
+        let (mut inside, mut outside) = ([SMOOTHING / BINS as f64; BINS], [SMOOTHING / BINS as f64; BINS]);
+        for i in (0..self.graph.len()).filter(|&i| !self.is_frozen(i)) {
+            let at = bin(similarities.merit(i));
+            let (within, beyond) = evidence.sides(i);
+            inside[at] += f64::from(within);
+            outside[at] += f64::from(beyond);
+        }
+        let (sum1, sum0) = (inside.iter().sum::<f64>(), outside.iter().sum::<f64>());
+        let prior = f64::from(self.settings.unseen_prior);
+        let mut pooled: Vec<(f64, f64, usize)> = Vec::with_capacity(BINS);
+        let chance = |a: f64, b: f64| {
+            let odds = (a / b).clamp(ODDS[0], ODDS[1]);
+            prior * odds / (prior * odds + 1.0 - prior)
+        };
+        for at in 0..BINS {
+            pooled.push((inside[at] / sum1, outside[at] / sum0, 1));
+            // Pool adjacent violators: resemblance never speaks against.
+            while let [.., a, b] = pooled[..]
+                && chance(a.0, a.1) > chance(b.0, b.1)
+            {
+                pooled.truncate(pooled.len() - 2);
+                pooled.push((a.0 + b.0, a.1 + b.1, a.2 + b.2));
+            }
+        }
+        let mut bins = [0.0; BINS];
+        let values = pooled.iter().flat_map(|&(a, b, count)| std::iter::repeat_n(chance(a, b) as f32, count));
+        bins.iter_mut().zip(values).for_each(|(out, value)| *out = value);
+        Some(bins)
+    }
+
+    /// The labels: masks decide where they reach, resemblance together with connection elsewhere; or resemblance alone.
+    pub fn labels(&self, state: &State) -> Vec<bool> {
+        let s = self.settings;
+        (0..self.graph.len())
+            .map(|i| {
+                if self.is_frozen(i) {
+                    return false;
+                }
+                let passes = |used: bool| !used || self.similarities.as_ref().is_none_or(|x| x.passes(i, s));
+                if s.similarity_use == SimilarityUse::Alone {
+                    return passes(true);
+                }
+                match state.evidence.label(i, s.rho, s.gamma, s.least_evidence) {
+                    Some(inside) => inside && passes(s.similarity_use == SimilarityUse::Gate),
+                    None if s.undecided == Undecided::Out => false,
+                    None => {
+                        let belief = state.beliefs[i];
+                        belief.weight >= CONNECTED
+                            && belief.inside > 0.5 * belief.weight
+                            && state.probability[i] > 0.5
+                            && passes(match s.similarity_use {
+                                SimilarityUse::Gate | SimilarityUse::Alone => true,
+                                SimilarityUse::Unseen => belief.weight < SURROUNDED,
+                                SimilarityUse::Off => false,
+                            })
+                    }
+                }
+            })
+            .collect()
+    }
+}
+
+/// How surely a splat of some [`State::hint`] resembles what was clicked: 0 up to even odds, 1 at certainty.
+pub(crate) fn sure(hint: f32) -> f32 {
+    (2.0 * hint - 1.0).max(0.0)
+}
+
+fn bin(merit: f32) -> usize {
+    (((merit + 1.0) * 0.5 * BINS as f32) as usize).min(BINS - 1)
+}

@@ -1,0 +1,142 @@
+//! Which splats the photos bear out. A transient whom the robust mask misses is fitted by splats right before
+//! that one camera; other photos look through the place where they float, and show something else there.
+//! Left alone they stay for good: the other photos' robust masks take them for transients too, and then nothing
+//! pulls at them.
+
+use segwild_raster::{Projected, RasterError};
+use segwild_scene::Image;
+
+/// Photos that must see a splat for it to stay. Those that contradict what they show of it count: at the rim of a scene
+/// a splat has few photos, and one of them taken for a transient's must not take it away.
+const WITNESSES: f32 = 2.5;
+/// Voices in favour that a voice against needs beside it for a splat to stay. At the foot of a place transients stand
+/// before the ground in more than half of the photos, and each of these contradicts it.
+const SHARE: f32 = 0.5;
+
+/// What the photos say for and against each splat, in photos.
+pub(crate) struct MultiViewPruning {
+    in_favour: Vec<f32>,
+    against: Vec<f32>,
+    photos: u32,
+}
+
+impl MultiViewPruning {
+    /// Nothing is said yet of `splats` splats.
+    pub fn new(splats: usize) -> MultiViewPruning {
+        MultiViewPruning { in_favour: vec![0.0; splats], against: vec![0.0; splats], photos: 0 }
+    }
+
+    /// Hears one photo: a splat seen over a pixel or more has about one voice, for the share of its light that falls
+    /// where photo and scene agree, and against for the rest.
+    pub fn hear(
+        &mut self,
+        projected: &dyn Projected,
+        width: usize,
+        contradicted: &[bool],
+        counts: impl Fn(usize) -> bool,
+    ) -> Result<(), RasterError> {
+        let mut votes = Image::zeros(width, contradicted.len() / width, 2);
+        for (i, &against) in contradicted.iter().enumerate() {
+            if counts(i) {
+                votes.plane_mut(usize::from(against))[i] = 1.0;
+            }
+        }
+        let light = projected.gather(&votes)?;
+        for (i, light) in light.chunks_exact(2).enumerate() {
+            let voice = 1.0 / (light[0] + light[1] + 1.0);
+            self.in_favour[i] += light[0] * voice;
+            self.against[i] += light[1] * voice;
+        }
+        self.photos += 1;
+        Ok(())
+    }
+
+    /// The splats that stay. With few photos fewer witnesses must do; a splat that no photo sees is not judged.
+    pub fn supported(&self) -> Vec<usize> {
+        let least = WITNESSES.min(0.1 * self.photos as f32);
+        (0..self.in_favour.len())
+            .filter(|&i| {
+                let (yes, no) = (self.in_favour[i], self.against[i]);
+                yes + no == 0.0 || (yes >= SHARE * no && yes + no >= least)
+            })
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use segwild_raster::{CpuEngine, Engine, ProjectOptions};
+    use segwild_scene::{Camera, Pose, Splats};
+
+    /// A wall at depth 5 that three cameras side by side see, and a splat right before the first of them.
+    fn wall_and_transient() -> Splats {
+        let mut s = Splats { sh_degree: 0, ..Splats::default() };
+        for i in 0..9 {
+            s.means.push([f32::from(i % 3u8) - 1.0, f32::from(i / 3u8) - 1.0, 5.0]);
+        }
+        s.means.push([0.0, 0.0, 0.6]);
+        let n = s.means.len();
+        s.log_scales = vec![[-1.0; 3]; n];
+        s.log_scales[n - 1] = [-3.2; 3];
+        s.rotations = vec![[1.0, 0.0, 0.0, 0.0]; n];
+        s.opacities = vec![3.0; n];
+        s.sh = vec![0.5; 3 * n];
+        s
+    }
+
+    /// What is left after some photos, each `apart` further to the right than the one before.
+    fn left(apart: f32, photos: u32, contradicted: impl Fn(u32, usize) -> bool) -> Vec<usize> {
+        let splats = wall_and_transient();
+        let engine = CpuEngine::default();
+        let mut multi_view_pruning = MultiViewPruning::new(splats.len());
+        for photo in 0..photos {
+            let camera = Camera { width: 48, height: 48, fx: 40.0, fy: 40.0, cx: 24.0, cy: 24.0 };
+            let pose = Pose {
+                rotation: glam::Mat3::IDENTITY,
+                translation: glam::Vec3::new(-apart * photo as f32, 0.0, 0.0),
+            };
+            let projected = engine.project(&splats, &camera, &pose, &ProjectOptions::default()).unwrap();
+            let seen: Vec<bool> = (0..48 * 48).map(|i| contradicted(photo, i)).collect();
+            multi_view_pruning.hear(&*projected, 48, &seen, |_| true).unwrap();
+        }
+        multi_view_pruning.supported()
+    }
+
+    #[test]
+    fn what_one_photo_put_before_its_camera_goes_and_the_wall_stays() {
+        assert_eq!(left(0.6, 20, |_, _| false), (0..9).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn what_the_photos_contradict_goes_however_many_see_it() {
+        // The splat is at x = 24 - 40 * 0.05 / 0.6 per photo.
+        let at = |photo: u32, i: usize| {
+            let (x, y) = ((i % 48) as f32 - 24.0 + 3.3 * photo as f32, (i / 48) as f32 - 24.0);
+            x.abs() < 7.0 && y.abs() < 7.0
+        };
+        assert!(left(0.05, 5, |_, _| false).contains(&9));
+        let kept = left(0.05, 5, at);
+        assert!(!kept.contains(&9) && kept.contains(&0) && kept.contains(&8), "{kept:?}");
+    }
+
+    #[test]
+    fn ground_that_transients_hide_in_most_photos_stays() {
+        // Photos of one place: three of five contradict all they show of it.
+        let kept = left(0.0, 20, |photo, _| photo % 5 < 3);
+        assert_eq!(kept.len(), 10, "{kept:?}");
+        assert!(left(0.0, 20, |photo, _| photo % 5 < 4).len() < 10);
+    }
+
+    #[test]
+    fn what_few_photos_see_stays_where_transients_hide_it_in_one_of_them() {
+        let mut few = MultiViewPruning::new(3);
+        (few.in_favour, few.against, few.photos) = (vec![2.0, 1.0, 1.0], vec![1.0, 2.5, 0.0], 40);
+        assert_eq!(few.supported(), [0], "mostly contradicted, or seen by one alone, goes");
+    }
+
+    #[test]
+    fn two_photos_keep_what_they_have() {
+        assert_eq!(left(0.6, 2, |_, _| false).len(), 10);
+    }
+}

@@ -1,0 +1,69 @@
+//! Points between those of the reconstruction, by comparing photos: splats grow where there are some already, and a lawn,
+//! a pavement or a plain wall has few keypoints to start any.
+
+use crate::photos::PhotoCache;
+use crate::splat_budget::SplatBudget;
+use crate::{TrainError, TrainSettings};
+use segwild_mvs::Picture;
+use segwild_scene::{Mask, Point, Scene};
+
+/// Bytes per pixel of the photos that are compared at once, at the size they are compared at: colours, brightness, depths.
+const PER_PIXEL: usize = 24;
+/// Photos that are compared at most, evenly over the names: with more, time and memory would grow with them.
+const PHOTOS: usize = 100;
+/// Long side up to which photos are halved for it, in pixels: the error of a point is some half of a pixel.
+const LONG_SIDE: usize = 320;
+/// Less than this is too small to compare anything in it.
+const LEAST_SIDE: usize = 64;
+
+/// Bytes that a look for points takes at most, before the training takes any.
+pub fn stereo_bytes(settings: &TrainSettings, photos: usize, pixels: usize) -> usize {
+    let compared = if settings.stereo > 0.0 { photos.min(PHOTOS) } else { 0 };
+    compared * pixels.min(LONG_SIDE * LONG_SIDE) * PER_PIXEL
+}
+
+/// Points that photos agree on, as many as are to start splats beside the reconstruction's; `initial_transients` are left out.
+pub(crate) fn points(
+    scene: &Scene,
+    photos: &mut PhotoCache,
+    settings: &TrainSettings,
+    initial_transients: &[Option<Mask>],
+    stopping: &dyn Fn() -> bool,
+) -> Result<Vec<Point>, TrainError> {
+    if settings.stereo <= 0.0 {
+        return Ok(Vec::new());
+    }
+    let train: Vec<usize> = (0..scene.views.len()).filter(|&v| !scene.views[v].test).collect();
+    let every = train.len().div_ceil(PHOTOS).max(1);
+    let (mut views, mut pictures) = (Vec::new(), Vec::new());
+    let (mut pixels, mut ground) = (0, Vec::new());
+    for &view in train.iter().step_by(every) {
+        // A photo may have to wait for its sky.
+        if stopping() {
+            return Err(TrainError::Stopped);
+        }
+        let Some(stored) = photos.usable(view)? else { continue };
+        pixels = pixels.max(stored.levels[0].pixels());
+        ground.push(stored.levels[0].ground());
+        let small = stored.levels.iter().find(|l| l.width.max(l.height) <= LONG_SIDE);
+        let photo = small.unwrap_or_else(|| stored.levels.last().expect("there is a first level"));
+        if photo.width.max(photo.height) < LEAST_SIDE {
+            continue;
+        }
+        let shows = |i: usize| {
+            photo.counts(i) && !initial_transients[view].as_ref().is_some_and(|m| photo.lies_in(i, m))
+        };
+        let usable = Mask::from_fn(photo.width as u32, photo.height as u32, |x, y| {
+            shows(y as usize * photo.width + x as usize)
+        });
+        pictures.push(Picture { image: photo.image(), usable: Some(usable) });
+        views.push(view);
+    }
+    let mut room = SplatBudget::new(settings, scene.points.len(), train.len(), pixels);
+    ground.iter().for_each(|&share| room.look_at(share));
+    let most = ((settings.stereo * room.splats() as f32) as usize).saturating_sub(scene.points.len());
+    if most == 0 {
+        return Ok(Vec::new());
+    }
+    segwild_mvs::points(scene, &views, pictures, most, settings.seed, stopping).ok_or(TrainError::Stopped)
+}

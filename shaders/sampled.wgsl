@@ -1,0 +1,31 @@
+// The features of drawn pixels, plane by plane (twin: `Refining::judge` in raster/src/field/mod.rs). A thread per pixel and
+// vec4 of channels.
+#import common
+
+// x: first vec4 of the image's channels, y: channels, z: pixels drawn.
+@group(0) @binding(0) var<uniform> job: vec4u;
+@group(0) @binding(1) var<storage, read> pixels: array<u32>;
+// BLOCKS vec4 per pixel.
+@group(0) @binding(2) var<storage, read> image: array<vec4f>;
+@group(0) @binding(3) var<storage, read_write> features: array<f32>;
+
+@compute @workgroup_size(256)
+fn sampled(
+    @builtin(workgroup_id) id: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let i = group_of(id, groups) * 256u + local;
+    if i >= job.z * BLOCKS {
+        return;
+    }
+    let pixel = i % job.z;
+    let block = i / job.z;
+    let seen = image[pixels[pixel] * BLOCKS + block];
+    for (var l = 0u; l < 4u; l += 1u) {
+        let channel = 4u * (job.x + block) + l;
+        if channel < job.y {
+            features[channel * job.z + pixel] = seen[l];
+        }
+    }
+}
