@@ -1,14 +1,17 @@
-//! The command line, made from the settings structs and from what is particular to each command.
+//! The command line: the program, what its commands share, and flags made from the settings structs.
 
-use crate::operators::{child_args, listen_args};
+use crate::commands::{
+    bake, batch, bench, cache, completions, demo, doctor, eval, render, run, segment, status, top,
+};
 use clap::builder::PossibleValuesParser;
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
 use segwild_pipeline::Settings;
+use segwild_scene::settings::Field;
 use std::path::PathBuf;
 
 /// The whole program.
 pub fn program() -> Command {
-    Command::new("segwild")
+    let program = Command::new("segwild")
         .version(env!("CARGO_PKG_VERSION"))
         .about("From a pile of tourist photos to a 3D scene whose objects you can click")
         .subcommand_required(true)
@@ -18,204 +21,75 @@ pub fn program() -> Command {
             // For tests: what goes wrong where, as `segwild_flow::fault` reads it.
             Arg::new("fault").long("fault").global(true).hide(true).action(ArgAction::Append),
         )
-        .subcommand(
-            child_args(listen_args(with_settings(
-                Command::new("run").about("Train a scene: geometry, looks, masks, features, report"),
-            )))
-            .arg(
-                Arg::new("scene")
-                    .required(true)
-                    .value_parser(value_parser!(PathBuf))
-                    .help("COLMAP folder, Photo Tourism folder, or folder with transforms.json"),
-            )
-            .arg(path("out", "Run folder [default: runs/NAME]"))
-            .arg(path("config", "Settings file [default: segwild.toml in the run folder, if there]"))
-            .arg(until("Stop after this stage, or after training step N; a later N goes on from there"))
-            .arg(
-                Arg::new("explain")
-                    .long("explain")
-                    .action(ArgAction::SetTrue)
-                    .help("Only say which stages would be done again, and why"),
-            )
-            .arg(json()),
-        )
-        .subcommand(
-            with_fields(
-                with_table(
-                    Command::new("segment").about("Click an object in one photo, get it in 3D"),
-                    "segment",
-                ),
-                "vision",
-                |name| matches!(name, "models" | "onnxruntime"),
-            )
-            .arg(run())
-            .arg(
-                Arg::new("photo")
-                    .long("photo")
-                    .value_name("NAME")
-                    .action(ArgAction::Append)
-                    .help("Photo that the prompts after it are on; may be given again for a second photo"),
-            )
-            .arg(positions("positive", "x,y", "Pixel that belongs to the object, at the photo's full size"))
-            .arg(positions("negative", "x,y", "Pixel that does not"))
-            .arg(positions("box", "x0,y0,x1,y1", "Box around the object"))
-            .arg(
-                Arg::new("granularity")
-                    .long("granularity")
-                    .value_name("G")
-                    .value_parser(value_parser!(f32))
-                    .help("0 = the finest part under the click, 1 = the largest thing [default: chosen]"),
-            )
-            .arg(
-                path("prompts", "Make again what this file (a selection's prompts.json) was made from")
-                    .conflicts_with_all(["photo", "positive", "negative", "box", "granularity"]),
-            )
-            .arg(
-                Arg::new("name")
-                    .long("name")
-                    .value_name("NAME")
-                    .default_value("object")
-                    .help("Name of the selection"),
-            )
-            .arg(json()),
-        )
-        .subcommand(
-            Command::new("render")
-                .about("Draw views: a photo's, or a path between photos; any look; a selection")
-                .arg(run())
-                .arg(Arg::new("photo").long("photo").value_name("NAME").action(ArgAction::Append).help(
-                    "View to draw; give two or more with --frames for a path through them [default: all]",
-                ))
-                .arg(
-                    Arg::new("frames")
-                        .long("frames")
-                        .value_name("N")
-                        .value_parser(value_parser!(u32).range(2..))
-                        .help("Pictures along the path through the photos"),
-                )
-                .args(appearances("view's own; on a path from photo to photo"))
-                .arg(Arg::new("selection").long("selection").value_name("NAME").help("Draw this selection"))
-                .arg(
-                    Arg::new("mode")
-                        .long("mode")
-                        .value_parser(["highlight", "only", "without", "scene"])
-                        .requires("selection")
-                        .help("How the selection is drawn [default: highlight; scene, as it is, with --object-appearance]"),
-                )
-                .arg(
-                    Arg::new("what")
-                        .long("what")
-                        .value_parser(["colour", "depth", "alpha", "features"])
-                        .default_value("colour")
-                        .help("What is drawn"),
-                )
-                .arg(
-                    Arg::new("width")
-                        .long("width")
-                        .value_name("PX")
-                        .value_parser(value_parser!(u32).range(16..=16384))
-                        .help("Long side of the pictures [default: as trained]"),
-                )
-                .arg(path("out", "Folder for the pictures [default: RUN/renders]"))
-                .arg(json()),
-        )
-        .subcommand(
-            Command::new("bake")
-                .about("Write splats under a look as a .ply that any viewer shows: the scene or a selection")
-                .arg(run())
-                .args(appearances("scene's own"))
-                .arg(Arg::new("selection").long("selection").value_name("NAME").help("The selection that is meant"))
-                .arg(
-                    Arg::new("mode")
-                        .long("mode")
-                        .value_parser(["only", "without", "scene"])
-                        .help("What is written [default: only the selection; the scene with --object-appearance or no selection]"),
-                )
-                .arg(path("out", "The file [default: RUN/baked.ply]"))
-                .arg(json()),
-        )
-        .subcommand(
-            Command::new("eval")
-                .about("Score held-out photos, and selections against true masks")
-                .arg(run())
-                .arg(path("truth", "Folder of true masks, a picture per photo, named as the photo"))
-                .arg(path("transient-truth", "Score the run's pictures of transients against true ones, a picture per photo, named as the photo"))
-                .arg(
-                    Arg::new("selection").long("selection").value_name("NAME").help("The selection to score"),
-                )
-                .arg(json()),
-        )
-        .subcommand(crate::commands::batch::command())
-        .subcommand(crate::commands::status::command())
-        .subcommand(crate::commands::top::command())
-        .subcommand(
-            Command::new("cache")
-                .about("Look after a run's cache of per-photo results")
-                .subcommand_required(true)
-                .subcommand(
-                    Command::new("ls").about("List what is there, and what the run uses of it").arg(run()).arg(json()),
-                )
-                .subcommand(
-                    Command::new("verify")
-                        .about("Read every file and compare its hash; damaged ones are moved aside and made anew")
-                        .arg(run())
-                        .arg(json()),
-                )
-                .subcommand(
-                    Command::new("gc")
-                        .about("Remove what was made under other settings than the run's present ones")
-                        .arg(run())
-                        .arg(
-                            number("limit", "0", "Oldest first, and only until the cache holds this many MiB")
-                                .value_parser(value_parser!(u64)),
-                        )
-                        .arg(
-                            Arg::new("dry-run")
-                                .long("dry-run")
-                                .action(ArgAction::SetTrue)
-                                .help("Remove nothing, say what would go"),
-                        )
-                        .arg(json()),
-                ),
-        )
-        .subcommand(
-            Command::new("demo")
-                .about("Make a synthetic scene, run the whole job on it, leave a report and pictures")
-                .arg(path("out", "Folder [default: runs/demo]"))
-                .arg(
-                    Arg::new("seed")
-                        .long("seed")
-                        .value_name("N")
-                        .value_parser(value_parser!(u64))
-                        .default_value("1")
-                        .help("Another number, another place"),
-                )
-                .arg(json()),
-        )
-        .subcommand(
-            Command::new("doctor")
-                .about("Say what this machine offers and what is used instead of what is missing")
-                .arg(
-                    Arg::new("settings")
-                        .long("settings")
-                        .action(ArgAction::SetTrue)
-                        .help("Print the reference page of all settings"),
-                )
-                .arg(path("models", "Folder of network files to look at"))
-                .arg(
-                    Arg::new("kernels")
-                        .long("kernels")
-                        .value_name("ADAPTER")
-                        .num_args(0..=1)
-                        .default_missing_value("")
-                        .help(
-                            "Compare every kernel on an accelerator (part of its name; the best one if left out) with \
-                             the CPU engine, and say which is the first to diverge",
-                        ),
-                )
-                .arg(json()),
-        )
-        .subcommand(crate::commands::bench::command())
+        .subcommands([
+            run::command(),
+            segment::command(),
+            render::command(),
+            bake::command(),
+            eval::command(),
+            batch::command(),
+            status::command(),
+            top::command(),
+            cache::command(),
+            demo::command(),
+            doctor::command(),
+            bench::command(),
+            completions::command(),
+            completions::man_command(),
+        ]);
+    with_help(program)
+}
+
+/// Gives a command and those below it two helps: `--help` fits a screen, `--help-all` has the expert settings and every word
+/// on each flag.
+fn with_help(command: Command) -> Command {
+    let help = Arg::new("help").short('h').long("help").action(ArgAction::HelpShort).help("Print help");
+    let all = Arg::new("help-all")
+        .long("help-all")
+        .action(ArgAction::HelpLong)
+        .help("Print help with all settings, those for experts included");
+    command
+        .disable_help_flag(true)
+        .disable_help_subcommand(true)
+        .arg(help)
+        .arg(all)
+        .mut_subcommands(with_help)
+}
+
+/// Two examples at the end of a command's help.
+pub fn examples(first: &str, second: &str) -> String {
+    format!("Examples:\n  {first}\n  {second}")
+}
+
+/// Flags of earlier versions that are no settings: the command, the flag, and what it is called now.
+const RENAMED: [(&str, &str, &str); 13] = [
+    ("segment", "in", "positive"),
+    ("segment", "out", "negative"),
+    ("segment", "not", "negative"),
+    ("render", "look", "appearance"),
+    ("render", "object-look", "object-appearance"),
+    ("render", "between", "interpolate"),
+    ("bake", "look", "appearance"),
+    ("bake", "object-look", "object-appearance"),
+    ("bake", "between", "interpolate"),
+    ("eval", "strangers", "transient-truth"),
+    ("demo", "seed", "scene-seed"),
+    ("bench", "places", "scenes"),
+    ("bench", "prompts", "clicks"),
+];
+
+/// What a flag of an earlier version of a command is called now, without its dashes; `None` where the command has neither.
+pub fn renamed(command: &str, flag: &str) -> Option<String> {
+    let flag = flag.trim_start_matches('-').split('=').next().unwrap_or_default();
+    let own = RENAMED.iter().find(|(of, before, _)| *of == command && *before == flag);
+    let now = match own {
+        Some((_, _, now)) => (*now).to_owned(),
+        None => segwild_pipeline::renamed(flag)?.replace('_', "-"),
+    };
+    let has = |command: &Command| command.get_arguments().any(|arg| arg.get_long() == Some(&now));
+    let program = program();
+    let command = program.find_subcommand(command)?;
+    (has(command) || command.get_subcommands().any(has)).then_some(now)
 }
 
 /// The run folder.
@@ -239,7 +113,7 @@ pub fn until(help: &'static str) -> Arg {
 
 /// `--json`.
 pub fn json() -> Arg {
-    Arg::new("json").long("json").action(ArgAction::SetTrue).help("One JSON object per line instead of text")
+    flag("json", "Print one JSON object per line instead of text")
 }
 
 /// A flag that takes a path.
@@ -247,12 +121,13 @@ pub fn path(name: &'static str, help: &'static str) -> Arg {
     Arg::new(name).long(name).value_name("PATH").value_parser(value_parser!(PathBuf)).help(help)
 }
 
-fn positions(id: &'static str, form: &'static str, help: &'static str) -> Arg {
+/// A flag that takes positions in a photo; it may be repeated.
+pub fn positions(id: &'static str, form: &'static str, help: &'static str) -> Arg {
     Arg::new(id).long(id).value_name(form).action(ArgAction::Append).allow_hyphen_values(true).help(help)
 }
 
-/// Which look, for the scene and for the selection.
-fn appearances(default: &str) -> [Arg; 5] {
+/// Which appearance, for the scene and for the selection.
+pub fn appearances(default: &str) -> [Arg; 5] {
     let appearance = |id: &'static str, help: String| {
         Arg::new(id).long(id).value_name("PHOTO").action(ArgAction::Append).help(help)
     };
@@ -263,18 +138,36 @@ fn appearances(default: &str) -> [Arg; 5] {
         appearance(
             "appearance",
             format!(
-                "Under this photo's look; `none` for the scene's own; again for a way between looks [default: the {default}]"
+                "Use this photo's appearance; `none` is the scene's own; repeat to interpolate [default: the {default}]"
             ),
         ),
-        appearance("object-appearance", "Another look for the selected object, in the same way".into()),
-        strength("strength", "Strength of the look: 0 is the scene's own look, 1 the photo's, up to 2"),
-        strength("object-strength", "The same for the object's look"),
+        appearance(
+            "object-appearance",
+            "Give the selected object another appearance, in the same way".into(),
+        ),
+        strength("strength", "Strength of the appearance: 0 is the scene's own, 1 the photo's, at most 2"),
+        strength("object-strength", "The same for the object's appearance"),
         Arg::new("interpolate")
             .long("interpolate")
             .value_name("T")
             .value_parser(value_parser!(f32))
-            .help("One look between those given: 0 is the first, 1 the last"),
+            .help("Interpolate the appearances given: 0 is the first, 1 the last"),
     ]
+}
+
+/// `--selection` of commands that show or write one.
+pub fn selection(help: &'static str) -> Arg {
+    Arg::new("selection").long("selection").value_name("NAME").help(help)
+}
+
+/// A flag that takes a word out of a few.
+pub fn choice<const N: usize>(name: &'static str, words: [&'static str; N], help: &'static str) -> Arg {
+    Arg::new(name).long(name).value_parser(words).help(help)
+}
+
+/// A flag without a value.
+pub fn flag(name: &'static str, help: &'static str) -> Arg {
+    Arg::new(name).long(name).action(ArgAction::SetTrue).help(help)
 }
 
 /// Adds a flag for every setting of every table.
@@ -285,37 +178,68 @@ pub fn with_settings(mut command: Command) -> Command {
     command
 }
 
+/// The same, with none of them in the short help: for commands whose own flags come first.
+pub fn with_settings_in_long_help(command: Command) -> Command {
+    with_settings(command).mut_args(|arg| match Settings::default().get(arg.get_id().as_str()) {
+        Some(_) => arg.hide_short_help(true),
+        None => arg,
+    })
+}
+
 /// Adds a flag for every setting of one table, under its own heading in the help.
-fn with_table(command: Command, table: &str) -> Command {
+pub fn with_table(command: Command, table: &str) -> Command {
     with_fields(command, table, |_| true)
 }
 
 /// The same for some of its settings.
-fn with_fields(mut command: Command, table: &str, wanted: fn(&str) -> bool) -> Command {
+pub fn with_fields(mut command: Command, table: &str, wanted: fn(&str) -> bool) -> Command {
     for (name, doc, fields) in Settings::catalogue() {
         if name != table {
             continue;
         }
         for field in fields.iter().filter(|field| wanted(field.name)) {
-            let flag: &'static str = field.name.replace('_', "-").leak();
-            let default = Settings::default().get(field.name).unwrap_or_default();
-            let mut arg = Arg::new(field.name)
-                .long(flag)
-                .value_name(field.kind)
-                .allow_hyphen_values(true)
-                .help_heading(doc.trim_end_matches('.'))
-                .help(format!(
-                    "{} [default: {}]",
-                    field.doc,
-                    if default.is_empty() { "none" } else { &default }
-                ));
-            if !field.choices.is_empty() {
-                arg = arg.value_parser(PossibleValuesParser::new(field.choices));
-            }
-            command = command.arg(arg);
+            command = command.arg(setting(field, heading(table, doc)));
         }
     }
     command
+}
+
+/// The heading of a table's flags: its name in the settings file, and what it is about.
+fn heading(table: &str, doc: &str) -> String {
+    format!("[{table}] {}", doc.split(". ").next().unwrap_or(doc).trim_end_matches('.'))
+}
+
+/// The flag of a setting. The short help has the first sentence of what it does, the long one all of it.
+fn setting(field: &'static Field, heading: String) -> Arg {
+    let flag = field.name.replace('_', "-");
+    let default = Settings::default().get(field.name).filter(|text| !text.is_empty());
+    let with_default = |text: &str| match &default {
+        Some(default) => format!("{} [default: {default}]", text.trim_end_matches('.')),
+        None => text.trim_end_matches('.').to_owned(),
+    };
+    let first = field.doc.split(". ").next().unwrap_or(field.doc);
+    let arg = Arg::new(field.name)
+        .long(flag)
+        .value_name(value_name(field))
+        .allow_hyphen_values(true)
+        .help_heading(heading)
+        .hide_short_help(field.expert)
+        .help(with_default(first))
+        .long_help(with_default(field.doc));
+    match field.choices {
+        [] => arg,
+        choices => arg.value_parser(PossibleValuesParser::new(choices)),
+    }
+}
+
+/// What the help calls a setting's value.
+fn value_name(field: &Field) -> &'static str {
+    match field.name {
+        "images" | "ignore" | "keep_masks" | "transient_masks" | "split" | "models" | "transient_network"
+        | "onnxruntime" => "PATH",
+        "object_appearance" => "PHOTO",
+        _ => field.kind,
+    }
 }
 
 /// The settings given as flags, as `(name, value)` pairs.
@@ -333,8 +257,75 @@ pub fn given(matches: &ArgMatches) -> Vec<(String, String)> {
 
 #[cfg(test)]
 mod tests {
+    use super::*;
+    use std::collections::BTreeMap;
+
     #[test]
     fn the_command_line_is_consistent() {
-        super::program().debug_assert();
+        program().debug_assert();
+    }
+
+    /// Every command with its path, those without commands below them.
+    fn commands(command: &Command, path: &str, all: &mut Vec<(String, Command)>) {
+        let path = format!("{path} {}", command.get_name());
+        if command.has_subcommands() {
+            command.get_subcommands().for_each(|inner| commands(inner, &path, all));
+        }
+        all.push((path, command.clone()));
+    }
+
+    fn all_commands() -> Vec<(String, Command)> {
+        let mut all = Vec::new();
+        commands(&program(), "", &mut all);
+        all
+    }
+
+    #[test]
+    fn the_help_of_every_command_fits_a_screen_and_ends_with_two_examples() {
+        for (path, command) in all_commands() {
+            if command.is_hide_set() || path == " segwild" {
+                continue;
+            }
+            let help = command.term_width(120).render_help().to_string();
+            let lines = help.lines().count();
+            assert!(lines <= 60, "{path}: {lines} lines\n{help}");
+            let (_, examples) = help.split_once("Examples:\n").unwrap_or_else(|| panic!("{path}: {help}"));
+            let commands = examples.lines().filter(|line| line.trim_start().starts_with("segwild ")).count();
+            assert!(commands >= 2, "{path}: {examples}");
+        }
+    }
+
+    #[test]
+    fn a_flag_has_one_meaning_whichever_command_has_it() {
+        let mut forms: BTreeMap<String, String> = BTreeMap::new();
+        let mut twice = Vec::new();
+        for (path, command) in all_commands() {
+            for arg in command.get_arguments().filter(|arg| arg.get_long().is_some() && !arg.is_hide_set()) {
+                let form = arg.get_value_names().map_or(String::new(), |names| names.join(" "));
+                // A benchmark measures at each number of a list.
+                let form = if form == "LIST" { "N".to_owned() } else { form };
+                let long = arg.get_long().unwrap_or_default().to_owned();
+                let first = forms.entry(long.clone()).or_insert_with(|| form.clone());
+                if *first != form {
+                    twice.push(format!("--{long} takes {first} and, in{path}, {form}"));
+                }
+            }
+        }
+        assert!(twice.is_empty(), "{twice:#?}");
+        assert!(forms.len() > 100, "{}", forms.len());
+    }
+
+    #[test]
+    fn the_short_help_leaves_expert_settings_to_the_long_one() {
+        let (_, mut run) =
+            all_commands().into_iter().find(|(path, _)| path == " segwild run").expect("it is there");
+        let (short, long) = (run.render_help().to_string(), run.render_long_help().to_string());
+        for (_, _, fields) in Settings::catalogue() {
+            for field in fields {
+                let flag = format!("--{} ", field.name.replace('_', "-"));
+                assert!(long.contains(&flag), "{flag}");
+                assert_eq!(short.contains(&flag), !field.expert, "{flag}");
+            }
+        }
     }
 }

@@ -17,7 +17,7 @@ pub const INCOMPLETE: u8 = 4;
 pub const NOTHING: u8 = 5;
 /// The run folder is in use by another process, is not writable, or is damaged.
 pub const FOLDER: u8 = 6;
-/// A comparison that was told to fail found something worse.
+/// A comparison with `--fail` found something worse.
 pub const WORSE: u8 = 7;
 /// The system has no file descriptors, processes or threads left; the same command continues once it has.
 pub const SHORTAGE: u8 = 8;

@@ -224,7 +224,7 @@ mod tests {
         }
         let other = FileError::new("read", Path::new("a"), Error::from_raw_os_error(5));
         assert_eq!(code(other.into()), exit::FOLDER);
-        let named = "a (os error 24).jpg is no picture".to_owned();
+        let named = "a (os error 24).jpg is no image".to_owned();
         assert_eq!(code(RunError::Input(named)), exit::INPUT);
     }
 
@@ -237,18 +237,21 @@ mod tests {
 
     #[test]
     fn a_photos_name_sends_nothing_to_the_terminal() {
-        let said =
+        let message =
             plain("photo \u{1b}]0;owned\u{7}\u{1b}[2J\u{9b}31mx\u{202e}gpj.png\r: cannot be read\n  twice");
-        assert!(!said.chars().any(|c| c.is_control() && c != '\n') && !said.contains('\u{202e}'), "{said:?}");
-        assert!(said.contains("\\u{1b}[2J") && said.contains(": cannot be read\n  twice"), "{said}");
+        assert!(
+            !message.chars().any(|c| c.is_control() && c != '\n') && !message.contains('\u{202e}'),
+            "{message:?}"
+        );
+        assert!(message.contains("\\u{1b}[2J") && message.contains(": cannot be read\n  twice"), "{message}");
     }
 
     #[test]
     fn the_numbers_of_the_system_are_left_out() {
-        let said = "a.jpg: No such file or directory (os error 2); b.jpg: Permission denied (os error 13)";
-        assert_eq!(plain(said), "a.jpg: No such file or directory; b.jpg: Permission denied");
-        for said in ["nothing of the kind", "cut short (os error ", "photo (os error x).jpg", ""] {
-            assert_eq!(plain(said), said);
+        let message = "a.jpg: No such file or directory (os error 2); b.jpg: Permission denied (os error 13)";
+        assert_eq!(plain(message), "a.jpg: No such file or directory; b.jpg: Permission denied");
+        for message in ["nothing of the kind", "cut short (os error ", "photo (os error x).jpg", ""] {
+            assert_eq!(plain(message), message);
         }
     }
 }

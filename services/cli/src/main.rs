@@ -1,4 +1,4 @@
-//! The `segwild` program: reads the command line, calls the pipeline, tells what happened in words.
+//! The `segwild` program: reads the command line, calls the pipeline, prints what happened in words.
 
 mod args;
 mod commands;
@@ -7,6 +7,7 @@ mod failure;
 mod operators;
 mod progress;
 
+use clap::error::{ContextKind, ContextValue, ErrorKind};
 use std::process::ExitCode;
 
 /// Whether the innermost command was asked for JSON.
@@ -17,14 +18,33 @@ fn wants_json(matches: &clap::ArgMatches) -> bool {
     }
 }
 
+/// Prints why a command line was refused, or the help that was wanted. A flag of an earlier version is answered with the
+/// present one.
+fn refused(error: &clap::Error) -> ExitCode {
+    let command = std::env::args().nth(1).unwrap_or_default();
+    let flag = match error.get(ContextKind::InvalidArg) {
+        Some(ContextValue::String(flag)) if error.kind() == ErrorKind::UnknownArgument => flag.as_str(),
+        _ => "",
+    };
+    if let Some(now) = args::renamed(&command, flag) {
+        failure::Failure::usage(format!("`{command}` has no {flag}; it is now --{now}")).tell();
+        return ExitCode::from(exit::USAGE);
+    }
+    let _ = error.print();
+    ExitCode::from(if error.use_stderr() { exit::USAGE } else { exit::OK })
+}
+
 fn main() -> ExitCode {
     // A layer of Mesa asks the desktop which GPU it draws on, and complains on stderr where there is none. The order
     // of adapters is our own (`segwild_gpu::adapters`).
     // SAFETY: no other thread runs yet.
     unsafe { std::env::set_var("NODEVICE_SELECT", "1") };
-    let matches = args::program().get_matches();
+    let matches = match args::program().try_get_matches() {
+        Ok(matches) => matches,
+        Err(error) => return refused(&error),
+    };
     let level = std::env::var("SEGWILD_LOG").unwrap_or_else(|_| "error".into());
-    // What a person should know is told as an event; the log is for those who look for more.
+    // What a person should know is an event; the log is for those who want more.
     let filter = tracing_subscriber::EnvFilter::try_new(&level).unwrap_or_else(|_| "error".into());
     tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
     let faults: Vec<&String> = matches.get_many("fault").into_iter().flatten().collect();
@@ -45,6 +65,8 @@ fn main() -> ExitCode {
         Some(("demo", m)) => commands::demo::demo(m),
         Some(("doctor", m)) => commands::doctor::doctor(m),
         Some(("bench", m)) => commands::bench::bench(m),
+        Some(("completions", m)) => commands::completions::completions(m),
+        Some(("man", m)) => commands::completions::man(m),
         _ => unreachable!("clap requires one of the commands"),
     };
     match done {

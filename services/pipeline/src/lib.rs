@@ -61,6 +61,6 @@ pub use render::{Drawn, Mode, RenderRequest, What, render};
 pub use report::write_report;
 pub use segment::{SegmentOutcome, Selected, Shortened, segment};
 pub use segwild_trainer::{AppearanceChoice, BudgetChoice, Preset};
-pub use settings::{Budget, RunSettings, Scoring, Settings, SettingsError};
+pub use settings::{Budget, RunSettings, Scoring, Settings, SettingsError, renamed};
 pub use transients::{TransientScore, TransientScores, score_transients};
 pub use until::Until;

@@ -39,29 +39,30 @@ choice! {
 
 settings! {
     /// The run as a whole.
-    pub struct RunSettings("run") {
-        /// How much time to spend; sets the defaults of the other settings.
+    pub struct RunSettings("run", user: preset budget engine memory_budget threads) {
+        /// How much time to spend. It sets the defaults of the other settings.
         preset: Preset = Preset::Standard,
-        /// Who decides how much the scene gets: `fixed` is what the settings say, `auto` the least steps, channels and look that
-        /// suffice, at most `steps` (where that is 0 and photos agree, up to eight times the scene's own); what is set by itself
-        /// stays as it is set.
+        /// Who decides steps, channels and appearance model. `fixed`: the settings. `auto`: the least that suffices,
+        /// found by short trainings before the start; where `steps` is 0 and photos agree, up to eight times the
+        /// scene's own steps. What a flag or file sets stays as set.
         budget: Budget = Budget::Fixed,
         /// Compute threads; 0 takes all cores. The result does not depend on it.
         threads: u32 = 0 => 0..=256,
-        /// What computes the splats. `auto` takes an accelerator that is no program on the CPU, where there is one.
+        /// What computes the splats. `auto` takes an accelerator where there is one that is no program on the CPU.
         engine: EngineKind = EngineKind::Cpu,
         /// Part of the accelerator's name, where there are several; empty takes the best. `segwild doctor` lists them.
         adapter: String = String::new(),
-        /// What happens when the accelerator fails in the middle: `stop` ends the run, which the same command continues, under
-        /// `--engine cpu` too; `cpu` lets the CPU engine take over.
+        /// What happens when the accelerator fails during the run. `stop` ends the run, which the same command
+        /// continues, under `--engine cpu` too; `cpu` lets the CPU engine take over.
         when_lost: WhenLost = WhenLost::Stop,
-        /// How photos held out are scored: `halves` fits the look on the left half and scores the right one, the official
-        /// protocol of photos in the wild; `plain` scores whole photos. `auto` is `plain` for the look `none` only.
+        /// How held-out photos are scored. `halves` fits the appearance on the left half and scores the right one, the
+        /// official protocol of unconstrained photos; `plain` scores whole photos. `auto` is `plain` for the appearance
+        /// model `none` only.
         scoring: Scoring = Scoring::Auto,
         /// Seconds between checkpoints of the training; an interrupted run loses no more than this.
         checkpoint_every: u32 = 30 => 1..,
-        /// Most MiB of memory that the run may take, and as many of an accelerator's own; 0 sets no limit. Caches shrink to
-        /// fit; what cannot fit is refused.
+        /// Most MiB of memory that the run may take; 0 sets no limit. The same holds for an accelerator's own memory.
+        /// Caches shrink to fit; what cannot fit is refused before the start.
         memory_budget: u32 = 0,
         /// Checkpoints of the training that are kept; with 2, a damaged one has another to fall back on.
         keep_checkpoints: u32 = 2 => 1..,
@@ -69,8 +70,8 @@ settings! {
         cache_limit: u64 = 0,
         /// Seconds without a sign of life after which a worker is named as stuck.
         stuck_after: u32 = 60 => 1..,
-        /// Share of the steps for which the training goes on from where it ended, after masks of transients were put right by
-        /// hand; 0 trains from the start.
+        /// Continue a finished training after transient masks were corrected by hand, for this share of the steps. 0
+        /// trains from the start.
         continue_share: f32 = 0.0 => 0.0..=10.0,
         /// Photo pairs shown in the report.
         report_photos: u32 = 8,
@@ -121,7 +122,10 @@ macro_rules! compose {
             pub fn set(&mut self, name: &str, value: &str) -> Result<(), SettingError> {
                 let field = name.replace('-', "_");
                 $(if self.$field.get(&field).is_some() { return self.$field.set(&field, value); })+
-                Err(SettingError::Unknown(name.to_owned()))
+                Err(match renamed(&field) {
+                    Some(now) => SettingError::Renamed { name: name.to_owned(), now },
+                    None => SettingError::Unknown(name.to_owned()),
+                })
             }
 
             /// The text of one.
@@ -279,34 +283,59 @@ impl Settings {
         text
     }
 
-    /// The reference page, one table per group.
-    pub fn to_markdown() -> String {
-        let defaults = Settings::default();
-        let mut text = String::from(
-            "# Settings\n\nEvery setting is a flag (`--name value`) and a line of `segwild.toml`; flags win over the file, the file \
-             over the preset. This page is generated: `segwild doctor --settings`.\n",
-        );
+    /// A page of the reference, one table per group: the settings that a user needs, or those for experts.
+    pub fn to_markdown(expert: bool) -> String {
+        let mut text = String::from(if expert { EXPERT_PAGE } else { USER_PAGE });
         for (table, doc, fields) in Settings::catalogue() {
-            let _ =
-                write!(text, "\n## `[{table}]`\n\n{doc}\n\n| flag | default | meaning |\n|---|---|---|\n");
-            for f in fields {
-                let default = defaults.get(f.name).unwrap_or_default();
-                let choices = match f.range {
-                    Some(range) => format!(" ({})", range()),
-                    None if f.choices.is_empty() => String::new(),
-                    None => format!(" ({})", f.choices.join(", ")),
-                };
-                let _ = writeln!(
-                    text,
-                    "| `--{}` | {} | {}{choices} |",
-                    f.name.replace('_', "-"),
-                    if default.is_empty() { "*none*".to_owned() } else { format!("`{default}`") },
-                    f.doc
-                );
+            let rows: Vec<String> = fields.iter().filter(|f| f.expert == expert).map(row).collect();
+            if !rows.is_empty() {
+                let head = "| flag | default | meaning |\n|---|---|---|\n";
+                let _ = write!(text, "\n## `[{table}]`\n\n{doc}\n\n{head}{}", rows.concat());
             }
         }
         text
     }
+}
+
+/// Head of the reference's first page.
+const USER_PAGE: &str = "# Settings\n\nThese are the settings that a user needs; [all others](expert-settings.md) are for \
+    experts. Every setting is a flag (`--name value`) and a line of `segwild.toml`. Flags win over the file, the file wins over \
+    the preset. This page is generated: `segwild doctor --settings user`.\n";
+
+/// Head of its second page.
+const EXPERT_PAGE: &str = "# Expert settings\n\nFew scenes need these; [the others](settings.md) come first. `--help-all` \
+    lists them beside the flags of a command. This page is generated: `segwild doctor --settings expert`.\n";
+
+/// The row of a setting on a page of the reference.
+fn row(field: &Field) -> String {
+    let choices = match field.range {
+        Some(range) => format!(" ({})", range()),
+        None if field.choices.is_empty() => String::new(),
+        None => format!(" ({})", field.choices.join(", ")),
+    };
+    let default = match Settings::default().get(field.name).unwrap_or_default() {
+        none if none.is_empty() => "*none*".to_owned(),
+        default => format!("`{default}`"),
+    };
+    format!("| `--{}` | {default} | {}{choices} |\n", field.name.replace('_', "-"), field.doc)
+}
+
+/// Settings of earlier versions, and what they are called now.
+const RENAMED: [(&str, &str); 8] = [
+    ("look", "appearance_model"),
+    ("lr_look", "lr_appearance"),
+    ("lr_code", "lr_splat_embedding"),
+    ("codes_from", "splat_embedding_from"),
+    ("strangers", "transient_masks"),
+    ("strangers_network", "transient_network"),
+    ("train_on", "continue_share"),
+    ("object_look", "object_appearance"),
+];
+
+/// What a setting of an earlier version is called now; dashes and underscores are the same.
+pub fn renamed(name: &str) -> Option<&'static str> {
+    let name = name.replace('-', "_");
+    RENAMED.iter().find(|(before, _)| *before == name).map(|(_, now)| *now)
 }
 
 /// A settings file as `(name, value)` pairs; the table of each must be the one it belongs to.
@@ -326,7 +355,8 @@ fn read_pairs(file: &Path, read: std::io::Result<Vec<u8>>) -> Result<Vec<(String
         };
         for (name, value) in content {
             if !fields.iter().any(|f| f.name == name) {
-                return Err(wrong(format!("[{table}] has no setting `{name}`")));
+                let now = renamed(name).map_or(String::new(), |now| format!("; it is now `{now}`"));
+                return Err(wrong(format!("[{table}] has no setting `{name}`{now}")));
             }
             let value = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
             pairs.push((name.clone(), value));

@@ -78,24 +78,24 @@ choice! {
 
 settings! {
     /// Where the photos and the reconstruction of a scene are, and how they are read.
-    pub struct SceneSettings("scene") {
-        /// Folder of the photos; empty = found by itself.
+    pub struct SceneSettings("scene", user: images ignore keep_masks transient_masks split hold_out size) {
+        /// Folder of the photos. Empty: found automatically.
         images: String = String::new(),
-        /// Folder of masks of things to ignore, white = ignore, each named as its photo (a/b.png or a/b.jpg.png for a/b.jpg);
-        /// empty = none.
+        /// Folder of masks of what to ignore; white is ignored. Each is named as its photo (a/b.png or a/b.jpg.png for
+        /// a/b.jpg). Empty: none.
         ignore: String = String::new(),
-        /// Folder of masks of what to keep, white = keep, named likewise; empty = the scene's own folder `masks`, if there is one;
-        /// none = no masks.
+        /// Folder of masks of what to keep; white is kept. Named as for `ignore`. Empty: the scene's own folder
+        /// `masks`, if there is one; none: no masks.
         keep_masks: String = String::new(),
-        /// Folder of masks of transients put right by hand, white = transient, named likewise: of such a photo exactly that is
-        /// left out; empty = those changed in the run's own folder `transients`.
+        /// Folder of transient masks corrected by hand; white is transient. Named as for `ignore`; of such a photo
+        /// exactly that is left out. Empty: those changed in the run's own folder `transients`.
         transient_masks: String = String::new(),
-        /// File that says which photos are for training and which for testing: a table of Photo Tourism (.tsv), a split.json,
-        /// or a list (test_list.txt); empty = found by itself in the scene's folder; none = no split.
+        /// File that says which photos are held out. A table of Photo Tourism (.tsv), a split.json, or a list
+        /// (test_list.txt). Empty: found automatically in the scene's folder; none: no split.
         split: String = String::new(),
-        /// Every n-th photo by name, from the first on, is held out for testing; 0 = as the split says, or none.
+        /// Hold out every n-th photo by name, from the first on. 0: as the split says, or none.
         hold_out: u32 = 0,
-        /// Long side in pixels that photos are scaled down to on load.
+        /// Long side in pixels to which photos are scaled down.
         size: u32 = 640 => 16..=16_384,
         /// What the transparent part of a photo says: `ignore` = nothing, `empty` = that nothing of the scene stands there, as in
         /// cut-outs of an object; `auto` = empty where most photos are cut-outs.

@@ -3,7 +3,7 @@
 //! ```
 //! segwild_scene::settings! {
 //!     /// How long to train.
-//!     pub struct TrainSettings("train") {
+//!     pub struct TrainSettings("train", user: steps) {
 //!         /// Optimiser steps.
 //!         steps: u32 = 3000 => 1..=1_000_000,
 //!     }
@@ -13,6 +13,7 @@
 //! s.set("steps", "500").unwrap();
 //! assert!(s.set("steps", "0").unwrap_err().to_string().contains("1 to 1000000"));
 //! assert_eq!((s.steps, TrainSettings::FIELDS[0].doc), (500, "Optimiser steps."));
+//! assert!(!TrainSettings::FIELDS[0].expert, "`user` names the settings that are not for experts alone");
 //! ```
 
 use std::fmt::Display;
@@ -31,6 +32,31 @@ pub struct Field {
     pub choices: &'static [&'static str],
     /// The numbers it accepts, if not all: `0 to 3`, `1 or more`.
     pub range: Option<fn() -> String>,
+    /// Whether most users never need it: it is left out of the short help and stands on the second page of the reference.
+    pub expert: bool,
+}
+
+/// Whether a list of names holds one; at compile time, for [`settings!`](crate::settings!).
+pub const fn holds(names: &[&str], name: &str) -> bool {
+    let mut i = 0;
+    while i < names.len() {
+        if same(names[i].as_bytes(), name.as_bytes()) {
+            return true;
+        }
+        i += 1;
+    }
+    false
+}
+
+const fn same(a: &[u8], b: &[u8]) -> bool {
+    let mut i = 0;
+    while i < a.len() && i < b.len() {
+        if a[i] != b[i] {
+            return false;
+        }
+        i += 1;
+    }
+    a.len() == b.len()
 }
 
 /// A range of numbers in words.
@@ -52,6 +78,14 @@ pub enum SettingError {
     /// No setting of that name.
     #[error("there is no setting named `{0}`")]
     Unknown(String),
+    /// The name of an earlier version.
+    #[error("there is no setting named `{name}`; it is now `{now}`")]
+    Renamed {
+        /// The earlier name.
+        name: String,
+        /// What the setting is called now.
+        now: &'static str,
+    },
     /// The value does not fit.
     #[error("`{value}` does not fit `{name}`: {reason}")]
     Value {
@@ -70,6 +104,8 @@ pub trait Group: Default {
     const TABLE: &'static str;
     /// What the group is about.
     const DOC: &'static str;
+    /// Names of the settings that a user needs; the others are for experts.
+    const USER: &'static [&'static str];
     /// The settings in order.
     const FIELDS: &'static [Field];
     /// Sets one by name from its text.
@@ -140,7 +176,7 @@ impl Value for String {
 macro_rules! settings {
     (@range $ty:ty => $range:expr) => { Some(|| $crate::settings::range_words::<$ty>(&($range))) };
     (@range $ty:ty) => { None };
-    ($(#[doc = $doc:literal])+ pub struct $name:ident($table:literal) {
+    ($(#[doc = $doc:literal])+ pub struct $name:ident($table:literal $(, user: $($user:ident)+)?) {
         $($(#[doc = $fdoc:literal])+ $field:ident : $ty:ty = $default:expr $(=> $range:expr)?,)*
     }) => {
         $(#[doc = $doc])+
@@ -152,15 +188,20 @@ macro_rules! settings {
             fn default() -> Self { Self { $($field: $default,)* } }
         }
 
+        // A name in `user` that is no setting does not compile.
+        $(const _: fn(&$name) = |settings| { $(let _ = &settings.$user;)+ };)?
+
         impl $crate::settings::Group for $name {
             const TABLE: &'static str = $table;
             const DOC: &'static str = concat!($($doc,)+).trim_ascii_start();
+            const USER: &'static [&'static str] = &[$($(stringify!($user)),+)?];
             const FIELDS: &'static [$crate::settings::Field] = &[$($crate::settings::Field {
                 name: stringify!($field),
                 doc: concat!($($fdoc,)+).trim_ascii_start(),
                 kind: <$ty as $crate::settings::Value>::KIND,
                 choices: <$ty as $crate::settings::Value>::CHOICES,
                 range: $crate::settings!(@range $ty $(=> $range)?),
+                expert: !$crate::settings::holds(Self::USER, stringify!($field)),
             },)*];
             fn set(&mut self, name: &str, value: &str) -> Result<(), $crate::settings::SettingError> {
                 match name {

@@ -78,7 +78,7 @@ segwild_scene::choice! {
 
 segwild_scene::settings! {
     /// How clicks and masks become a selection of splats.
-    pub struct SegmentSettings("segment") {
+    pub struct SegmentSettings("segment", user: propagate spikes object_appearance) {
         /// Least fused cosine similarity to the positive clicks, in [-1, 1] (paper, Eq. 28).
         tau: f32 = 0.5 => -1.0..=1.0,
         /// Temperature of the softmax that fuses several clicks: towards 0 the best click counts, far above 1 their mean; the paper's formula is 1.
@@ -123,7 +123,7 @@ segwild_scene::settings! {
         graph_cut: bool = false,
         /// Strength of that smoothing.
         graph_cut_smoothness: f32 = 1.0 => 0.0..=1e4,
-        /// Rounds in which the selection is carried to the other photos and back; 0 uses the prompted photos only.
+        /// Rounds in which other photos refine the selection. 0 uses the prompted photos only.
         propagate: u32 = 2 => 0..=16,
         /// Photos that a round visits at most.
         propagate_views: usize = 80,
@@ -135,7 +135,8 @@ segwild_scene::settings! {
         spikes: SpikeMode = SpikeMode::Axis,
         /// Whose masks cut them.
         cut_by: CutBy = CutBy::Photos,
-        /// Photo under whose look `object.ply` and `labels.ply` are written. Empty: the scene's own look.
+        /// Photo whose appearance the exported object has; empty for the scene's own. It holds for `object.ply` and
+        /// `labels.ply`.
         object_appearance: String = String::new(),
     }
 }

@@ -50,12 +50,12 @@ segwild_scene::choice! {
 
 segwild_scene::settings! {
     /// Training of the splats. Schedules are fractions of `steps`, so any number of steps is a whole training.
-    pub struct TrainSettings("train") {
-        /// Optimiser steps; each looks at one photo. 0 lets the scene decide: 200 for the square root of its photos.
+    pub struct TrainSettings("train", user: steps effort splats appearance_model seed) {
+        /// Optimiser steps, one photo each; 0 lets the scene decide. That is 200 times the square root of its photos.
         steps: u32 = 0 => 0..=10_000_000,
-        /// How many times as many steps, where the scene decides. More than 2 learns the photos by heart.
+        /// Factor on the steps that the scene decides. More than 2 overfits the photos.
         effort: f32 = 1.0 => 0.01..=100.0,
-        /// Most splats allowed; 0 lets the scene decide (photos, pixels, sky, points).
+        /// Most splats; 0 lets the scene decide. It counts photos, pixels, sky and points.
         splats: usize = 0,
         /// Share of the most splats allowed that start from points: the reconstruction's, and between them points that photos
         /// agree on when they are compared with one another (stereo). 0: the reconstruction's alone.

@@ -69,21 +69,21 @@ segwild_scene::choice! {
 }
 
 segwild_scene::settings! {
-    /// How photos are looked at: boundaries, regions, descriptors, sky.
-    pub struct VisionSettings("vision") {
-        /// Folder of network files (`edges_bsds.onnx`, `sky_small_384.onnx`, `deeplab_cityscapes_513.onnx`, and pairs of
-        /// the SAM family such as `mobile_sam_encoder.onnx` and `mobile_sam_decoder.onnx`).
-        /// Empty: SEGWILD_MODELS; without that no network is used and the built-in provider does everything. A run folder is
-        /// never asked for it.
+    /// How photos are analysed: boundaries, regions, descriptors, sky.
+    pub struct VisionSettings("vision", user: models masks sky transient_network) {
+        /// Folder of network files, SAM's among them. Files are `edges_bsds.onnx`, `sky_small_384.onnx`,
+        /// `deeplab_cityscapes_513.onnx`, and pairs of the SAM family such as `mobile_sam_encoder.onnx` and
+        /// `mobile_sam_decoder.onnx`. Empty: SEGWILD_MODELS; without that no network is used and the built-in provider
+        /// does everything. It is never read from a run folder.
         models: String = String::new(),
         /// Where boundaries come from: auto, builtin or network.
         edges: EdgeChoice = EdgeChoice::Auto,
-        /// How the sky is found: auto, builtin, network, both, deeplab, geometry or none.
+        /// How the sky is found.
         sky: SkyChoice = SkyChoice::Auto,
-        /// A network over the classes of Cityscapes (such as `deeplab_cityscapes_513.onnx`) whose persons and vehicles are left
-        /// out of the training from the start. Empty: none. A run folder is never asked for it.
+        /// Network file whose persons and vehicles are transients from the start. It answers the classes of Cityscapes
+        /// (such as `deeplab_cityscapes_513.onnx`). Empty: none. It is never read from a run folder.
         transient_network: String = String::new(),
-        /// What finds masks and answers clicks: auto (SAM if its files are there), builtin or sam.
+        /// What finds masks and answers clicks. `auto`: SAM if its files are there.
         masks: ModelChoice = ModelChoice::Auto,
         /// What describes photos for the feature field: auto (SAM if its files are there), builtin or sam.
         embedder: ModelChoice = ModelChoice::Auto,

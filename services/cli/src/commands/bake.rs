@@ -2,11 +2,32 @@
 
 use super::render::{appearance, object_appearance};
 use super::{path, print_json, print_line};
+use crate::args::{self, appearances, choice, examples, json, selection};
 use crate::failure::Failure;
-use clap::ArgMatches;
+use clap::{ArgMatches, Command};
 use segwild_pipeline::{BakeRequest, Part, RunFolder};
 
-/// Writes splats under a look.
+/// The command's arguments.
+pub fn command() -> Command {
+    Command::new("bake")
+        .about("Write splats with an appearance as a .ply for any viewer: the scene or a selection")
+        .arg(args::run())
+        .args(appearances("scene's own"))
+        .arg(selection("The selection to write"))
+        .arg(choice(
+            "mode",
+            ["only", "without", "scene"],
+            "What is written [default: only with --selection; scene otherwise, and with --object-appearance]",
+        ))
+        .arg(args::path("out", "The file [default: RUN/baked.ply]"))
+        .arg(json())
+        .after_help(examples(
+            "segwild bake runs/trevi --appearance sunset.jpg --out trevi.ply",
+            "segwild bake runs/trevi --selection oceanus --appearance none --out oceanus.ply",
+        ))
+}
+
+/// Writes splats with an appearance.
 pub fn bake(matches: &ArgMatches) -> Result<(), Failure> {
     let folder = RunFolder::open(&path(matches, "run").expect("clap requires it"))?;
     let word = |name: &str| matches.get_one::<String>(name).cloned();

@@ -14,36 +14,41 @@ use std::path::{Path, PathBuf};
 
 /// The command's arguments.
 pub fn command() -> Command {
-    listen_args(Command::new("batch").about("Run many scenes on this machine, unattended"))
-        .arg(
-            Arg::new("manifest")
-                .required(true)
-                .value_parser(value_parser!(PathBuf))
-                .help("TOML file of the scenes, their settings and priorities, and the budget"),
-        )
-        .arg(
-            Arg::new("out")
-                .long("out")
-                .value_name("PATH")
-                .value_parser(value_parser!(PathBuf))
-                .help("Batch folder [default: runs/NAME of the manifest]"),
-        )
-        .arg(crate::args::until(
-            "Every scene stops after this stage, or after training step N, whatever the manifest says",
-        ))
-        .arg(
-            Arg::new("retry-dead")
-                .long("retry-dead")
-                .action(ArgAction::SetTrue)
-                .help("Let scenes that were given up try again"),
-        )
-        .arg(
-            Arg::new("metrics-per-scene")
-                .long("metrics-per-scene")
-                .action(ArgAction::SetTrue)
-                .help("Label metrics with the scene: a time series each"),
-        )
-        .arg(crate::args::json())
+    listen_args(Command::new("batch").about("Run many scenes on this machine, unattended").after_help(
+        crate::args::examples(
+            "segwild batch scenes.toml --out runs/night",
+            "segwild batch scenes.toml --retry-dead --listen 127.0.0.1:9464",
+        ),
+    ))
+    .arg(
+        Arg::new("manifest")
+            .required(true)
+            .value_parser(value_parser!(PathBuf))
+            .help("TOML file of the scenes, their settings and priorities, and the budget"),
+    )
+    .arg(
+        Arg::new("out")
+            .long("out")
+            .value_name("PATH")
+            .value_parser(value_parser!(PathBuf))
+            .help("Batch folder [default: runs/NAME of the manifest]"),
+    )
+    .arg(crate::args::until(
+        "Every scene stops after this stage, or after training step N, whatever the manifest says",
+    ))
+    .arg(
+        Arg::new("retry-dead")
+            .long("retry-dead")
+            .action(ArgAction::SetTrue)
+            .help("Let scenes that were given up try again"),
+    )
+    .arg(
+        Arg::new("metrics-per-scene")
+            .long("metrics-per-scene")
+            .action(ArgAction::SetTrue)
+            .help("Label metrics with the scene: a time series each"),
+    )
+    .arg(crate::args::json())
 }
 
 /// Runs the scenes of a manifest, or what is left of them.
@@ -55,13 +60,13 @@ pub fn batch(matches: &ArgMatches) -> Result<(), Failure> {
     let json = matches.get_flag("json");
     let _server = listen(matches, &out, matches.get_flag("metrics-per-scene"))?;
     let stop = StopBatch::default();
-    let asked = stop.clone();
+    let flags = stop.clone();
     on_ctrl_c(move |press| match press {
         1 => {
             eprintln!("stopping the scenes where they can continue; once more to stop at once");
-            asked.raise(StopLevel::Stop);
+            flags.raise(StopLevel::Stop);
         }
-        2 => asked.raise(StopLevel::AtOnce),
+        2 => flags.raise(StopLevel::AtOnce),
         // Scenes end with their standard input: nobody is left behind.
         _ => std::process::exit(exit::INTERRUPTED.into()),
     })?;
@@ -73,13 +78,13 @@ pub fn batch(matches: &ArgMatches) -> Result<(), Failure> {
         retry_dead: matches.get_flag("retry-dead"),
         until: matches.get_one::<Until>("until").copied(),
     };
-    let mut told = Ok(());
+    let mut report = Ok(());
     let summary = batch::run(&manifest, &out, &options, &mut |event| {
         if !json {
             eprintln!("{}", plain(&in_words(event)));
-        } else if told.is_ok() {
+        } else if report.is_ok() {
             // Nobody listening is no reason to stop working.
-            told = print_json(event);
+            report = print_json(event);
         }
     })?;
     if json {

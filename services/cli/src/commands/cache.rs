@@ -1,12 +1,52 @@
 //! `segwild cache`
 
 use super::{path, print_json, print_line};
+use crate::args::{self, examples, flag, json, number};
 use crate::exit;
 use crate::failure::Failure;
-use clap::ArgMatches;
+use clap::{ArgMatches, Command, value_parser};
 use segwild_pipeline::{
     DamagedFile, RunError, RunFolder, cache_gc, cache_list, cache_verify, verify_selections,
 };
+
+/// The command's arguments.
+pub fn command() -> Command {
+    let limit = number("limit", "0", "Remove the oldest first, and only until the cache holds this many MiB")
+        .value_parser(value_parser!(u64));
+    Command::new("cache")
+        .about("Look after a run's cache of per-photo results")
+        .subcommand_required(true)
+        .after_help(examples("segwild cache ls runs/trevi", "segwild cache gc runs/trevi --dry-run"))
+        .subcommand(
+            Command::new("ls")
+                .about("List what is there, and what the run uses of it")
+                .arg(args::run())
+                .arg(json())
+                .after_help(examples("segwild cache ls runs/trevi", "segwild cache ls runs/trevi --json")),
+        )
+        .subcommand(
+            Command::new("verify")
+                .about("Read every file and compare its hash; damaged files are moved aside and recomputed")
+                .arg(args::run())
+                .arg(json())
+                .after_help(examples(
+                    "segwild cache verify runs/trevi",
+                    "segwild cache verify runs/trevi --json",
+                )),
+        )
+        .subcommand(
+            Command::new("gc")
+                .about("Remove what other settings than the run's present ones made")
+                .arg(args::run())
+                .arg(limit)
+                .arg(flag("dry-run", "Remove nothing, print what would go"))
+                .arg(json())
+                .after_help(examples(
+                    "segwild cache gc runs/trevi",
+                    "segwild cache gc runs/trevi --limit 500 --dry-run",
+                )),
+        )
+}
 
 /// Lists, verifies or sweeps a run's cache.
 pub fn cache(matches: &ArgMatches) -> Result<(), Failure> {
@@ -35,11 +75,11 @@ fn list(folder: &RunFolder, json: bool) -> Result<(), Failure> {
         return lines.iter().try_for_each(print_json);
     }
     for l in &lines {
-        let spare = match l.files - l.used {
+        let unused = match l.files - l.used {
             0 => String::new(),
             n => format!("; {n} ({}) of other settings", size(l.bytes - l.used_bytes)),
         };
-        print_line(&format!("{:>10}  {:>6} files  {:>10}{spare}", l.kind, l.files, size(l.bytes)))?;
+        print_line(&format!("{:>10}  {:>6} files  {:>10}{unused}", l.kind, l.files, size(l.bytes)))?;
     }
     let (files, bytes) = lines.iter().fold((0, 0), |(f, b), l| (f + l.files, b + l.bytes));
     print_line(&format!("{:>10}  {files:>6} files  {:>10}", "all", size(bytes)))
@@ -48,18 +88,18 @@ fn list(folder: &RunFolder, json: bool) -> Result<(), Failure> {
 fn verify(folder: &RunFolder, json: bool) -> Result<(), Failure> {
     let mut damaged = Vec::new();
     let cached = cache_verify(folder, |artefact, reason| damaged.push((artefact.key(), reason.to_owned())))?;
-    let (written, changed) = verify_selections(folder);
-    let (drawn, pictures) = folder.verify_pictures()?;
-    let all = cached + written + drawn;
+    let (selected, changed) = verify_selections(folder);
+    let (written, masks) = folder.verify_pictures()?;
+    let all = cached + selected + written;
     if json {
         let list: Vec<_> =
             damaged.iter().map(|(key, reason)| serde_json::json!({ "key": key, "reason": reason })).collect();
-        let drawn: Vec<_> = pictures
+        let images: Vec<_> = masks
             .iter()
             .map(|(file, reason)| serde_json::json!({ "file": file, "reason": reason }))
             .collect();
         print_json(&serde_json::json!({
-            "files": all, "damaged": list, "selections": changed, "pictures": drawn
+            "files": all, "damaged": list, "selections": changed, "transient_masks": images
         }))?;
     } else {
         for (key, reason) in &damaged {
@@ -68,32 +108,32 @@ fn verify(folder: &RunFolder, json: bool) -> Result<(), Failure> {
         for DamagedFile { file, reason, .. } in &changed {
             print_line(&format!("damaged  {}: {reason}", file.display()))?;
         }
-        for (file, reason) in &pictures {
+        for (file, reason) in &masks {
             print_line(&format!("damaged  {}: {reason}", file.display()))?;
         }
-        print_line(&format!("{all} files, {} damaged", damaged.len() + changed.len() + pictures.len()))?;
+        print_line(&format!("{all} files, {} damaged", damaged.len() + changed.len() + masks.len()))?;
     }
-    let mut said = Vec::new();
+    let mut messages = Vec::new();
     if !damaged.is_empty() {
-        said.push(format!(
-            "{} of {cached} files were damaged and moved to {}; `segwild run` makes them anew",
+        messages.push(format!(
+            "{} of {cached} files were damaged and moved to {}; `segwild run` computes them again",
             damaged.len(),
             folder.path().join("cache/corrupt").display()
         ));
     }
-    if !pictures.is_empty() {
-        said.push(format!(
-            "{} of {drawn} pictures of transients are damaged; `segwild run` puts them aside and makes them anew",
-            pictures.len()
+    if !masks.is_empty() {
+        messages.push(format!(
+            "{} of {written} transient masks are damaged; `segwild run` moves them aside and computes them again",
+            masks.len()
         ));
     }
     // A sentence for each selection: the command that makes it again.
     let mut again: Vec<DamagedFile> = changed;
     again.dedup_by(|a, b| a.selection == b.selection);
-    said.extend(again.into_iter().map(|file| RunError::from(file).to_string()));
-    match said.is_empty() {
+    messages.extend(again.into_iter().map(|file| RunError::from(file).to_string()));
+    match messages.is_empty() {
         true => Ok(()),
-        false => Err(Failure { message: said.join("; "), code: exit::FOLDER }),
+        false => Err(Failure { message: messages.join("; "), code: exit::FOLDER }),
     }
 }
 

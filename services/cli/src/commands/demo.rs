@@ -2,8 +2,9 @@
 
 use super::run::{run_scene, tell};
 use super::{path, print_json, print_line};
+use crate::args::{self, examples, json};
 use crate::failure::Failure;
-use clap::ArgMatches;
+use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_bench::oracle::OracleOptions;
 use segwild_bench::synthetic::{Kind, SyntheticOptions};
 use segwild_bench::trial::{ProviderKind, Trial};
@@ -19,17 +20,34 @@ const OBJECTS: usize = 4;
 /// Training steps: more than a draft's, since the photos are few and small.
 const STEPS: u32 = 1500;
 
-/// Makes a synthetic place, runs the whole job on it, selects the objects that photos show largest, scores them.
+/// The command's arguments.
+pub fn command() -> Command {
+    Command::new("demo")
+        .about("Make a synthetic scene, run the whole job on it, leave a report and images")
+        .arg(args::path("out", "Folder [default: runs/demo]"))
+        .arg(
+            Arg::new("scene-seed")
+                .long("scene-seed")
+                .value_name("N")
+                .value_parser(value_parser!(u64))
+                .default_value("1")
+                .help("Another number makes another scene"),
+        )
+        .arg(json())
+        .after_help(examples("segwild demo", "segwild demo --scene-seed 7 --out runs/demo7"))
+}
+
+/// Makes a synthetic scene, runs the whole job on it, selects the objects that photos show largest, scores them.
 pub fn demo(matches: &ArgMatches) -> Result<(), Failure> {
     let out = path(matches, "out").unwrap_or_else(|| PathBuf::from("runs/demo"));
     let json = matches.get_flag("json");
-    let seed = *matches.get_one::<u64>("seed").expect("it has a default");
+    let seed = *matches.get_one::<u64>("scene-seed").expect("it has a default");
     let options = SyntheticOptions { seed, ..SyntheticOptions::small() };
     let trial = Trial::new(&out, &options, ProviderKind::Builtin, &OracleOptions::default())?;
     let scene_dir = out.join("scene");
     if !json {
         print_line(&format!(
-            "a synthetic place in {} tourist photos: {}",
+            "a synthetic scene in {} tourist photos: {}",
             trial.manifest().photos.len(),
             scene_dir.display()
         ))?;
@@ -52,16 +70,16 @@ pub fn demo(matches: &ArgMatches) -> Result<(), Failure> {
     let session = trial.session(&settings)?;
     for (_, object, prompts) in objects.into_iter().take(OBJECTS) {
         let photo = prompts.photo.clone();
-        let said = in_words(&prompts);
+        let message = in_words(&prompts);
         let score = session.score(object, prompts.clone())?;
         if json {
             let by = session.provider();
-            let told =
+            let event =
                 serde_json::json!({ "event": "object", "provider": by, "prompts": prompts, "score": score });
-            print_json(&told)?;
+            print_json(&event)?;
         } else {
             print_line(&format!(
-                "{}: {said} -> mean IoU {:.2} on the {} other photos that show it (masks: {})",
+                "{}: {message} -> mean IoU {:.2} on the {} other photos that show it (masks: {})",
                 object.name,
                 score.iou,
                 score.photos,
@@ -80,7 +98,7 @@ pub fn demo(matches: &ArgMatches) -> Result<(), Failure> {
             selection: Some((object.name.clone(), Mode::Only)),
             what: What::Colour,
             width: None,
-            out: Some(out.join("pictures").join(&object.name)),
+            out: Some(out.join("images").join(&object.name)),
         };
         render(trial.folder(), &request)?;
     }
@@ -91,12 +109,12 @@ pub fn demo(matches: &ArgMatches) -> Result<(), Failure> {
 }
 
 /// The prompts as the flags of `segwild segment`.
-fn in_words(asked: &PhotoPrompts) -> String {
-    let mut words = format!("--photo {}", asked.photo);
-    for b in &asked.prompts.boxes {
+fn in_words(flags: &PhotoPrompts) -> String {
+    let mut words = format!("--photo {}", flags.photo);
+    for b in &flags.prompts.boxes {
         words += &format!(" --box {},{},{},{}", b.x0, b.y0, b.x1, b.y1);
     }
-    for p in &asked.prompts.points {
+    for p in &flags.prompts.points {
         words += &format!(" {} {},{}", if p.inside { "--positive" } else { "--negative" }, p.x, p.y);
     }
     words

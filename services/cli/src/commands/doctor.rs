@@ -1,18 +1,44 @@
 //! `segwild doctor`
 
 use super::{path, print_json, print_line};
+use crate::args::{self, examples, json};
 use crate::exit;
 use crate::failure::Failure;
-use clap::ArgMatches;
+use clap::{Arg, ArgMatches, Command};
 use segwild_gpu::{Adapter, Choice, GpuEngine, check};
 use segwild_pipeline::{RunSettings, Settings, choose_engine};
 use segwild_vision::{ModelFile, Providers, Runtime, VisionSettings, models_in};
 use std::path::PathBuf;
 
+/// The command's arguments.
+pub fn command() -> Command {
+    Command::new("doctor")
+        .about("Print what this machine offers, and what replaces what is missing")
+        .arg(
+            Arg::new("settings")
+                .long("settings")
+                .value_parser(["user", "expert"])
+                .num_args(0..=1)
+                .default_missing_value("user")
+                .help("Print a page of the settings' reference"),
+        )
+        .arg(args::path("models", "Folder of network files to inspect"))
+        .arg(
+            Arg::new("kernels")
+                .long("kernels")
+                .value_name("ADAPTER")
+                .num_args(0..=1)
+                .default_missing_value("")
+                .help("Compare every kernel of an accelerator with the CPU engine [default: the best accelerator]"),
+        )
+        .arg(json())
+        .after_help(examples("segwild doctor", "segwild doctor --models models --json"))
+}
+
 /// Says what this machine offers and what is used instead of what is missing.
 pub fn doctor(matches: &ArgMatches) -> Result<(), Failure> {
-    if matches.get_flag("settings") {
-        return print_line(Settings::to_markdown().trim_end());
+    if let Some(page) = matches.get_one::<String>("settings") {
+        return print_line(Settings::to_markdown(page == "expert").trim_end());
     }
     if let Some(adapter) = matches.get_one::<String>("kernels") {
         return kernels(adapter, matches.get_flag("json"));

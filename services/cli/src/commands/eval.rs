@@ -1,9 +1,25 @@
 //! `segwild eval`
 
 use super::{path, print_json, print_line};
+use crate::args::{self, examples, json, selection};
 use crate::failure::{Failure, plain};
-use clap::ArgMatches;
+use clap::{ArgMatches, Command};
 use segwild_pipeline::{HeldOut, RunFolder};
+
+/// The command's arguments.
+pub fn command() -> Command {
+    Command::new("eval")
+        .about("Score held-out photos, and selections against true masks")
+        .arg(args::run())
+        .arg(args::path("truth", "Folder of true masks of the object, named as the photos"))
+        .arg(args::path("transient-truth", "Folder of true transient masks, named as the photos"))
+        .arg(selection("The selection to score [default: object]"))
+        .arg(json())
+        .after_help(examples(
+            "segwild eval runs/trevi",
+            "segwild eval runs/trevi --selection oceanus --truth masks/oceanus",
+        ))
+}
 
 /// Prints held-out scores, or scores a selection against true masks.
 pub fn eval(matches: &ArgMatches) -> Result<(), Failure> {

@@ -4,6 +4,7 @@ pub mod bake;
 pub mod batch;
 pub mod bench;
 pub mod cache;
+pub mod completions;
 pub mod demo;
 pub mod doctor;
 pub mod eval;

@@ -1,11 +1,60 @@
 //! `segwild render`
 
 use super::{path, print_json, print_line};
+use crate::args::{self, appearances, choice, examples, json, selection};
 use crate::failure::Failure;
-use clap::ArgMatches;
+use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
 use segwild_pipeline::{AppearanceRequest, Mode, RenderRequest, RunFolder, What};
 
-/// Draws views.
+/// The command's arguments.
+pub fn command() -> Command {
+    Command::new("render")
+        .about("Render views of photos, or a camera path; any appearance; a selection")
+        .arg(args::run())
+        .arg(
+            Arg::new("photo")
+                .long("photo")
+                .value_name("NAME")
+                .action(ArgAction::Append)
+                .help("View to render; two or more with --frames make a path [default: all]"),
+        )
+        .arg(
+            Arg::new("frames")
+                .long("frames")
+                .value_name("N")
+                .value_parser(value_parser!(u32).range(2..))
+                .help("Frames of the path through the photos"),
+        )
+        .args(appearances("view's own; on a path it changes from photo to photo"))
+        .arg(selection("Render this selection"))
+        .arg(
+            choice(
+                "mode",
+                ["highlight", "only", "without", "scene"],
+                "How the selection is rendered [default: highlight; scene with --object-appearance]",
+            )
+            .requires("selection"),
+        )
+        .arg(
+            choice("what", ["colour", "depth", "alpha", "features"], "What is rendered")
+                .default_value("colour"),
+        )
+        .arg(
+            Arg::new("width")
+                .long("width")
+                .value_name("PX")
+                .value_parser(value_parser!(u32).range(16..=16384))
+                .help("Long side of the images [default: as trained]"),
+        )
+        .arg(args::path("out", "Folder for the images [default: RUN/renders]"))
+        .arg(json())
+        .after_help(examples(
+            "segwild render runs/trevi --photo a.jpg --selection oceanus --mode only",
+            "segwild render runs/trevi --photo a.jpg --photo b.jpg --frames 60 --appearance night.jpg",
+        ))
+}
+
+/// Renders views.
 pub fn render(matches: &ArgMatches) -> Result<(), Failure> {
     let folder = RunFolder::open(&path(matches, "run").expect("clap requires it"))?;
     let word = |name: &str| matches.get_one::<String>(name).cloned();
@@ -34,17 +83,17 @@ pub fn render(matches: &ArgMatches) -> Result<(), Failure> {
         width: matches.get_one::<u32>("width").copied(),
         out: path(matches, "out"),
     };
-    for drawn in segwild_pipeline::render(&folder, &request)? {
+    for rendered in segwild_pipeline::render(&folder, &request)? {
         if matches.get_flag("json") {
-            print_json(&drawn)?;
+            print_json(&rendered)?;
         } else {
-            print_line(&drawn.file.display().to_string())?;
+            print_line(&rendered.file.display().to_string())?;
         }
     }
     Ok(())
 }
 
-/// The looks that a flag names.
+/// The appearances that a flag names.
 pub fn appearance(matches: &ArgMatches, flag: &str, strength: &str) -> AppearanceRequest {
     AppearanceRequest {
         photos: matches.get_many::<String>(flag).into_iter().flatten().cloned().collect(),
@@ -52,7 +101,7 @@ pub fn appearance(matches: &ArgMatches, flag: &str, strength: &str) -> Appearanc
     }
 }
 
-/// The looks of the selected object, if it has its own.
+/// The appearances of the selected object, if it has its own.
 pub fn object_appearance(matches: &ArgMatches) -> Option<AppearanceRequest> {
     Some(appearance(matches, "object-appearance", "object-strength"))
         .filter(|appearance| !appearance.photos.is_empty())

@@ -1,14 +1,38 @@
 //! `segwild run`
 
 use super::{path, print_json, print_line, use_threads};
+use crate::args::{self, examples, flag, json, until, with_settings};
 use crate::failure::Failure;
-use crate::operators::{have_files_to_open, keep_to_cores, listen, stop_with_parent};
+use crate::operators::{
+    child_args, have_files_to_open, keep_to_cores, listen, listen_args, stop_with_parent,
+};
 use crate::progress::{duration, show, stop_on_ctrl_c};
-use clap::ArgMatches;
+use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_flow::{Events, Stopper};
 use segwild_pipeline::{Code, Plan, RunError, RunFolder, RunOptions, Settings, Summary, Until, Verdict};
 use segwild_scene::{SceneError, Skipped};
 use std::path::{Path, PathBuf};
+
+/// The command's arguments.
+pub fn command() -> Command {
+    let scene = Arg::new("scene")
+        .required(true)
+        .value_parser(value_parser!(PathBuf))
+        .help("COLMAP folder, Photo Tourism folder, or folder with transforms.json");
+    child_args(listen_args(with_settings(
+        Command::new("run").about("Train a scene: geometry, appearance, masks, features, report"),
+    )))
+    .arg(scene)
+    .arg(args::path("out", "Run folder [default: runs/NAME]"))
+    .arg(args::path("config", "Settings file [default: segwild.toml in the run folder, if there]"))
+    .arg(until("Stop after this stage, or after training step N; a later N goes on from there"))
+    .arg(flag("explain", "Only print which stages would be computed again, and why"))
+    .arg(json())
+    .after_help(examples(
+        "segwild run photos/trevi --out runs/trevi",
+        "segwild run photos/trevi --out runs/trevi --preset draft --hold-out 8",
+    ))
+}
 
 /// Runs a scene, or what is left of it.
 pub fn run(matches: &ArgMatches) -> Result<(), Failure> {

@@ -1,12 +1,57 @@
 //! `segwild segment`
 
 use super::{path, print_json, print_line, use_threads};
+use crate::args::{self, examples, json, positions, with_fields, with_table};
 use crate::failure::Failure;
 use crate::progress::{duration, stop_on_ctrl_c};
-use clap::ArgMatches;
+use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
 use segwild_flow::Stopper;
 use segwild_pipeline::{Code, PhotoPrompts, Replay, RunFolder, Settings};
 use segwild_scene::{BoxPrompt, PointPrompt, Prompts};
+
+/// The command's arguments.
+pub fn command() -> Command {
+    let names_code = |name: &str| matches!(name, "models" | "onnxruntime");
+    with_fields(
+        with_table(Command::new("segment").about("Click an object in one photo, get it in 3D"), "segment"),
+        "vision",
+        names_code,
+    )
+    .arg(args::run())
+    .arg(
+        Arg::new("photo")
+            .long("photo")
+            .value_name("NAME")
+            .action(ArgAction::Append)
+            .help("Photo of the prompts that follow; repeat for a second photo"),
+    )
+    .arg(positions("positive", "x,y", "Pixel that belongs to the object, at the photo's full size"))
+    .arg(positions("negative", "x,y", "Pixel that does not belong to it"))
+    .arg(positions("box", "x0,y0,x1,y1", "Box around the object"))
+    .arg(
+        Arg::new("granularity")
+            .long("granularity")
+            .value_name("G")
+            .value_parser(value_parser!(f32))
+            .help("0 is the finest part under the click, 1 the largest object [default: automatic]"),
+    )
+    .arg(
+        args::path("prompts", "Repeat the prompts of this file (prompts.json of a selection)")
+            .conflicts_with_all(["photo", "positive", "negative", "box", "granularity"]),
+    )
+    .arg(
+        Arg::new("name")
+            .long("name")
+            .value_name("NAME")
+            .default_value("object")
+            .help("Name of the selection"),
+    )
+    .arg(json())
+    .after_help(examples(
+        "segwild segment runs/trevi --photo a.jpg --positive 640,420 --name oceanus",
+        "segwild segment runs/trevi --photo a.jpg --box 500,200,800,700 --negative 520,690",
+    ))
+}
 
 /// Clicks to an object.
 pub fn segment(matches: &ArgMatches) -> Result<(), Failure> {

@@ -20,6 +20,10 @@ pub fn command() -> Command {
     };
     Command::new("status")
         .about("Say what a run or a batch has done and is doing")
+        .after_help(crate::args::examples(
+            "segwild status runs/trevi",
+            "segwild status runs/night --follow --json",
+        ))
         .arg(crate::args::run())
         .arg(flag("once", "One sample, then exit; so it is without --follow as well"))
         .arg(flag("follow", "A sample a second, as long as a process works on it").conflicts_with("once"))

@@ -18,6 +18,10 @@ pub fn command() -> Command {
     };
     Command::new("top")
         .about("Watch a run or a batch: what it does, how fast, and why things wait (q to leave)")
+        .after_help(crate::args::examples(
+            "segwild top runs/trevi",
+            "segwild top runs/night --once --columns 120",
+        ))
         .arg(crate::args::run())
         .arg(Arg::new("once").long("once").action(ArgAction::SetTrue).help("Print one page as text and exit"))
         .arg(size("columns", "80", "Width of the page of --once"))

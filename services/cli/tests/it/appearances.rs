@@ -1,6 +1,6 @@
 //! Looks at the command line: on views, on one object, between photos, in files.
 
-use crate::common::{QUICK, clearest, copied_run, folder, json, place, refuses, scene, show, works};
+use crate::common::{QUICK, clearest, copied_run, folder, json, refuses, scene, shared_run, show, works};
 use segwild_scene::{Image, ply};
 use std::path::Path;
 
@@ -8,8 +8,8 @@ use std::path::Path;
 fn draw(run: &str, out: &Path, flags: &[&str]) -> Vec<Image> {
     let _ = std::fs::remove_dir_all(out); // there from the picture before
     let out = show(out);
-    let said = works(&[&["render", run, "--out", &out], flags].concat());
-    said.lines().map(|file| Image::read(Path::new(file)).expect("a picture")).collect()
+    let stdout = works(&[&["render", run, "--out", &out], flags].concat());
+    stdout.lines().map(|file| Image::read(Path::new(file)).expect("a picture")).collect()
 }
 
 fn apart(a: &Image, b: &Image) -> f32 {
@@ -19,11 +19,11 @@ fn apart(a: &Image, b: &Image) -> f32 {
 
 #[test]
 fn a_view_is_drawn_under_other_photos_looks_between_them_and_in_any_strength() {
-    let run = show(&place().run);
+    let run = show(&shared_run().run);
     let dir = folder();
     let out = dir.path().join("pictures");
     let trained: Vec<&str> =
-        place().manifest.photos.iter().filter(|p| !p.test).map(|p| p.name.as_str()).collect();
+        shared_run().manifest.photos.iter().filter(|p| !p.test).map(|p| p.name.as_str()).collect();
     let view = trained[0];
     let one = |flags: &[&str]| draw(&run, &out, &[&["--photo", view], flags].concat()).remove(0);
     let own = one(&[]);
@@ -65,7 +65,7 @@ fn a_view_is_drawn_under_other_photos_looks_between_them_and_in_any_strength() {
     wrong(&["--appearance", view, "--strength", "3"], &["0 to 2"]);
     wrong(&["--object-appearance", other], &["--selection"]);
     wrong(&["--frames", "4"], &["--photo twice"]);
-    let held_out = &place().manifest.photos.iter().find(|p| p.test).expect("one is held out").name;
+    let held_out = &shared_run().manifest.photos.iter().find(|p| p.test).expect("one is held out").name;
     wrong(&["--appearance", held_out], &["no look", held_out]);
 }
 
@@ -74,7 +74,7 @@ fn one_object_has_a_look_of_its_own_on_screen_and_in_files() {
     let dir = folder();
     let path = copied_run(&dir);
     let (run, out) = (show(&path), dir.path().join("pictures"));
-    let manifest = &place().manifest;
+    let manifest = &shared_run().manifest;
     let (_, click) = clearest();
     let view = click.photo.as_str();
     let other = manifest.photos.iter().find(|p| !p.test && p.name != view).expect("another");
@@ -147,28 +147,28 @@ fn one_object_has_a_look_of_its_own_on_screen_and_in_files() {
 fn auto_says_what_it_chose_and_why_and_shares_its_work_with_the_look_by_name() {
     let dir = folder();
     let run = show(&dir.path().join("run"));
-    let with = |look: &str, flags: &[&str]| {
+    let with = |model: &str, flags: &[&str]| {
         works(
-            &[&["run", &show(scene()), "--out", &run, "--appearance-model", look][..], &QUICK, flags]
+            &[&["run", &show(scene()), "--out", &run, "--appearance-model", model][..], &QUICK, flags]
                 .concat(),
         )
     };
-    let said = with("auto", &["--json"]);
+    let stdout = with("auto", &["--json"]);
     let choice = json(&std::fs::read(dir.path().join("run/look.json")).expect("the choice"));
-    let look = choice["look"].as_str().expect("a look").to_owned();
+    let model = choice["look"].as_str().expect("a look").to_owned();
     let why = choice["why"].as_str().expect("a reason");
-    assert!(said.contains(why), "the run says why: {why}");
-    assert!(why.starts_with(&look) && why.contains("points") && why.contains("held out"), "{why}");
+    assert!(stdout.contains(why), "the run says why: {why}");
+    assert!(why.starts_with(&model) && why.contains("points") && why.contains("held out"), "{why}");
     let report = std::fs::read_to_string(dir.path().join("run/report.html")).expect("a report");
-    assert!(report.contains(&format!("chosen {look}")));
+    assert!(report.contains(&format!("chosen {model}")));
     // Decided once, and the same scene as by name.
-    let reused = |look: &str| {
-        let plan = with(look, &["--explain", "--json"]);
+    let reused = |model: &str| {
+        let plan = with(model, &["--explain", "--json"]);
         assert!(plan.contains("\"geometry\""), "{plan}");
         plan.lines().filter(|line| !line.contains("\"report\"")).all(|line| line.contains("\"reused\""))
     };
     assert!(reused("auto"), "{}", with("auto", &["--explain"]));
-    assert!(reused(&look), "{}", with(&look, &["--explain"]));
+    assert!(reused(&model), "{}", with(&model, &["--explain"]));
 }
 
 #[test]
@@ -179,13 +179,14 @@ fn a_budget_is_decided_once_said_with_its_evidence_and_undone_by_name() {
         let steps = ["--steps", "2000", "--appearance-model", "affine", "--until", "geometry"];
         works(&[&["run", &show(scene()), "--out", &run][..], &QUICK[..2], &steps, flags].concat())
     };
-    let said = with(&["--budget", "auto", "--json"]);
+    let stdout = with(&["--budget", "auto", "--json"]);
     let choice = json(&std::fs::read(dir.path().join("run/budget.json")).expect("the choice"));
     let why = choice["why"].as_str().expect("a reason");
-    assert!(said.contains(why) && why.contains("held out") && why.contains("SSIM"), "{why}");
+    assert!(stdout.contains(why) && why.contains("held out") && why.contains("SSIM"), "{why}");
     let steps = choice["steps"].as_u64().expect("steps");
-    let trained = |said: &str| said.lines().rfind(|line| line.contains("\"geometry\"")).map(str::to_owned);
-    assert!(steps <= 2000 && trained(&said).is_some(), "{said}");
+    let trained =
+        |stdout: &str| stdout.lines().rfind(|line| line.contains("\"geometry\"")).map(str::to_owned);
+    assert!(steps <= 2000 && trained(&stdout).is_some(), "{stdout}");
     let history = std::fs::read_to_string(dir.path().join("run/history.jsonl")).expect("a history");
     let last = json(history.lines().last().expect("a line").as_bytes());
     assert_eq!(last["step"].as_u64(), Some(steps), "as many steps as were decided");

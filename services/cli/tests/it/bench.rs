@@ -30,18 +30,18 @@ fn a_table_of_rivals_is_printed_kept_and_written_as_a_page() {
         let all: Vec<&str> = start.iter().chain(&small).chain(&rest).chain(more).copied().collect();
         works(&all)
     };
-    let said = bench("gs-w", &[]);
+    let stdout = bench("gs-w", &[]);
     assert!(
-        said.contains("| gs-w | paper | – | 0.803 |") && said.contains("| gs-w | here | built-in |"),
-        "{said}"
+        stdout.contains("| gs-w | paper | – | 0.803 |") && stdout.contains("| gs-w | here | built-in |"),
+        "{stdout}"
     );
-    let said = bench("flashsplat-one", &["--keep", "--page", &show(&page)]);
-    assert!(said.contains("| gs-w | here |") && said.contains("| flashsplat-one | here |"), "{said}");
+    let stdout = bench("flashsplat-one", &["--keep", "--page", &show(&page)]);
+    assert!(stdout.contains("| gs-w | here |") && stdout.contains("| flashsplat-one | here |"), "{stdout}");
     // The oracle's figures stand beside the others, and no page with them hides whose they are.
-    let said = bench("gs-w", &["--keep", "--providers", "oracle", "--page", &show(&page)]);
+    let stdout = bench("gs-w", &["--keep", "--providers", "oracle", "--page", &show(&page)]);
     assert!(
-        said.contains("| gs-w | here | built-in |") && said.contains("| gs-w | here | oracle |"),
-        "{said}"
+        stdout.contains("| gs-w | here | built-in |") && stdout.contains("| gs-w | here | oracle |"),
+        "{stdout}"
     );
     let text = std::fs::read_to_string(&page).expect("a page");
     assert!(

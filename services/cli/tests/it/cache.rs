@@ -7,8 +7,8 @@ use std::path::Path;
 fn a_damaged_artefact_is_made_again() {
     let dir = folder();
     let run = copied_run(&dir);
-    let (said, _) = completes(&again(&run, &["--fault", "corrupt@cache.read:5", "--json"]));
-    let summary = said.lines().last().expect("a summary");
+    let (stdout, _) = completes(&again(&run, &["--fault", "corrupt@cache.read:5", "--json"]));
+    let summary = stdout.lines().last().expect("a summary");
     assert!(summary.contains("\"made\":1,"), "{summary}");
     same_as_untouched(&run);
 }
@@ -27,8 +27,8 @@ fn the_cache_is_listed_verified_and_swept() {
     assert_eq!(dry.split(',').next(), done.split(',').next());
     assert!(!works(&["cache", "ls", &run]).contains("other settings"));
     // What is used stays: nothing is made again.
-    let (said, _) = completes(&again(&path, &["--prompt-budget", "30", "--json"]));
-    assert!(said.lines().last().is_some_and(|l| l.contains("\"made\":0,")), "{said}");
+    let (stdout, _) = completes(&again(&path, &["--prompt-budget", "30", "--json"]));
+    assert!(stdout.lines().last().is_some_and(|l| l.contains("\"made\":0,")), "{stdout}");
 
     let shelves = std::fs::read_dir(path.join("cache/masks.d")).expect("masks").flatten();
     let mut files = shelves.flat_map(|shelf| std::fs::read_dir(shelf.path()).expect("a shelf").flatten());
@@ -37,17 +37,17 @@ fn the_cache_is_listed_verified_and_swept() {
     *bytes.last_mut().expect("a byte") ^= 1;
     std::fs::write(&file, bytes).expect("it is written");
     refuses(&["cache", "verify", &run], 6, &["1 of", "damaged", "makes them anew"]);
-    let (said, _) = completes(&again(&path, &["--prompt-budget", "30", "--json"]));
-    assert!(said.lines().last().is_some_and(|l| l.contains("\"made\":1,")), "{said}");
+    let (stdout, _) = completes(&again(&path, &["--prompt-budget", "30", "--json"]));
+    assert!(stdout.lines().last().is_some_and(|l| l.contains("\"made\":1,")), "{stdout}");
     // A run may sweep behind itself.
     completes(&again(&path, &["--prompt-budget", "31"]));
-    let (_, told) = completes(&again(&path, &["--prompt-budget", "31", "--cache-limit", "1"]));
+    let (_, stderr) = completes(&again(&path, &["--prompt-budget", "31", "--cache-limit", "1"]));
     let bytes: u64 = works(&["cache", "ls", &run, "--json"])
         .split("\"bytes\":")
         .skip(1)
         .filter_map(|t| t.split(',').next()?.parse::<u64>().ok())
         .sum();
-    assert!(bytes <= 1 << 20 || told.contains("left the cache"), "{bytes} {told}");
+    assert!(bytes <= 1 << 20 || stderr.contains("left the cache"), "{bytes} {stderr}");
 }
 
 /// Bytes of a run's cache: all, and those that the run uses as it stands.
@@ -75,13 +75,13 @@ fn a_cache_limit_smaller_than_the_run_takes_nothing_that_the_run_needs_and_all_e
     assert_eq!(used, needed, "what the run needs is there, and counted as such");
     assert!(all <= (1 << 20).max(needed), "{all} bytes are left of a limit of 1 MiB");
     has_what_an_untouched_run_has(&run);
-    let (said, _) = completes(&again(&run, &["--cache-limit", "1", "--json"]));
-    assert_eq!(made(&said), 0, "{said}");
+    let (stdout, _) = completes(&again(&run, &["--cache-limit", "1", "--json"]));
+    assert_eq!(made(&stdout), 0, "{stdout}");
     // Swept of everything else, nothing is missing either.
     works(&["cache", "gc", &show(&run)]);
     same_as_untouched(&run);
-    let (said, _) = completes(&again(&run, &["--json"]));
-    assert_eq!(made(&said), 0, "{said}");
+    let (stdout, _) = completes(&again(&run, &["--json"]));
+    assert_eq!(made(&stdout), 0, "{stdout}");
 }
 
 #[test]
@@ -102,8 +102,8 @@ fn sweeping_keeps_the_checkpoints_of_a_training_that_went_past_its_steps() {
     let run = dir.path().join("run");
     completes(&again(&run, &["--until", "80"]));
     works(&["cache", "gc", &show(&run)]);
-    let (_, told) = completes(&again(&run, &["--until", "100"]));
-    assert!(told.contains("goes on from step 80"), "{told}");
+    let (_, stderr) = completes(&again(&run, &["--until", "100"]));
+    assert!(stderr.contains("goes on from step 80"), "{stderr}");
 }
 
 /// Damages the first artefact of a kind.
@@ -122,10 +122,10 @@ fn damage_of_any_kind_is_said_once_and_made_anew() {
         let dir = folder();
         let run = copied_run(&dir);
         damage(&run, kind);
-        let (_, told) = completes(&again(&run, &[]));
-        assert_eq!(told.matches(&format!("the cache's {kind} record")).count(), 1, "{kind}: {told}");
-        assert!(told.contains("its hash does not fit its bytes): it is made anew"), "{kind}: {told}");
-        assert!(!told.contains("failed"), "{kind}: {told}");
+        let (_, stderr) = completes(&again(&run, &[]));
+        assert_eq!(stderr.matches(&format!("the cache's {kind} record")).count(), 1, "{kind}: {stderr}");
+        assert!(stderr.contains("its hash does not fit its bytes): it is made anew"), "{kind}: {stderr}");
+        assert!(!stderr.contains("failed"), "{kind}: {stderr}");
         same_as_untouched(&run);
     }
 }
@@ -136,11 +136,11 @@ fn masks_that_were_damaged_and_cannot_be_made_again_end_the_run_and_change_nothi
     let run = copied_run(&dir);
     damage(&run, "masks");
     let output = output(&again(&run, &["--fault", "fail@masks.make:1+"]));
-    let said = text(&output.stderr);
-    assert_eq!(output.status.code(), Some(4), "{said}");
-    assert!(said.contains("damaged in the cache and cannot be made again"), "{said}");
+    let stdout = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(4), "{stdout}");
+    assert!(stdout.contains("damaged in the cache and cannot be made again"), "{stdout}");
     let name = Path::new("features.bin");
-    assert_eq!(results(&run)[name], results(&place().run)[name]);
+    assert_eq!(results(&run)[name], results(&shared_run().run)[name]);
     completes(&again(&run, &[]));
     same_as_untouched(&run);
 }
@@ -148,21 +148,21 @@ fn masks_that_were_damaged_and_cannot_be_made_again_end_the_run_and_change_nothi
 #[test]
 fn an_input_of_the_field_that_is_torn_when_it_is_read_is_made_anew() {
     let dir = folder();
-    let mut said = Vec::new();
+    let mut stdout = Vec::new();
     // Over all reads of a run that has everything but the field.
     for read in (12..84).step_by(6) {
         let run = dir.path().join(read.to_string());
-        copy_folder(&place().run, &run);
+        copy_folder(&shared_run().run, &run);
         std::fs::remove_dir_all(run.join("cache/features.d")).expect("it goes");
-        let (_, told) = completes(&again(&run, &["--fault", &format!("torn@cache.read:{read}")]));
+        let (_, stderr) = completes(&again(&run, &["--fault", &format!("torn@cache.read:{read}")]));
         let name = Path::new("features.bin");
-        assert_eq!(results(&run)[name], results(&place().run)[name], "read {read}: {told}");
-        said.extend(told.lines().filter(|line| line.contains("made anew")).map(str::to_owned));
+        assert_eq!(results(&run)[name], results(&shared_run().run)[name], "read {read}: {stderr}");
+        stdout.extend(stderr.lines().filter(|line| line.contains("made anew")).map(str::to_owned));
         // What the report found damaged, the next run makes.
         completes(&again(&run, &[]));
         same_as_untouched(&run);
     }
-    assert!(said.len() >= 8, "{said:#?}");
+    assert!(stdout.len() >= 8, "{stdout:#?}");
 }
 
 #[test]
@@ -171,10 +171,10 @@ fn a_photo_that_cannot_be_compared_with_the_scene_is_left_out_and_tried_again() 
     let run = dir.path().join("run");
     let faults = [3, 4, 5].map(|n| format!("fail@visibility.photo:{n}"));
     let faults: Vec<&str> = faults.iter().flat_map(|fault| ["--fault", fault]).collect();
-    let (_, told) = completes(&again(&run, &faults));
-    assert_eq!(told.matches("visibility photo").count(), 1, "{told}");
+    let (_, stderr) = completes(&again(&run, &faults));
+    assert_eq!(stderr.matches("visibility photo").count(), 1, "{stderr}");
     let name = Path::new("features.bin");
-    assert_ne!(results(&run)[name], results(&place().run)[name], "a photo less changes something");
+    assert_ne!(results(&run)[name], results(&shared_run().run)[name], "a photo less changes something");
     let args = again(&run, &["--explain"]);
     let plan = works(&args.iter().map(String::as_str).collect::<Vec<_>>());
     assert!(plan.contains("given up before and tried again: visibility of"), "{plan}");
@@ -194,9 +194,9 @@ fn a_photo_that_cannot_be_scored_or_drawn_is_named_and_the_others_go_on() {
         ["evaluate.photo:1", "evaluate.photo:2", "evaluate.photo:3", "report.picture:2", "report.picture:3"];
     let faults = faults.map(|fault| format!("fail@{fault}"));
     let faults: Vec<&str> = faults.iter().flat_map(|fault| ["--fault", fault]).collect();
-    let (_, told) = completes(&again(&run, &faults));
-    assert!(told.contains("is not scored: a fault on purpose"), "{told}");
-    assert!(told.contains("is not shown whole in the report"), "{told}");
+    let (_, stderr) = completes(&again(&run, &faults));
+    assert!(stderr.contains("is not scored: a fault on purpose"), "{stderr}");
+    assert!(stderr.contains("is not shown whole in the report"), "{stderr}");
     let scores = json(&std::fs::read(run.join("evaluation.json")).expect("scores"));
     assert_eq!(scores["photos"].as_array().map(Vec::len), Some(1), "{scores}");
     let args = again(&run, &["--explain"]);
@@ -247,7 +247,7 @@ fn held_of(run: &Path, kind: &str) -> u64 {
 fn a_damaged_picture_of_transients_is_named_by_verify_and_by_segment() {
     let dir = folder();
     let run = copied_run(&dir);
-    let photo = place().manifest.photos.iter().find(|p| !p.test).expect("one is trained on");
+    let photo = shared_run().manifest.photos.iter().find(|p| !p.test).expect("one is trained on");
     let file = run.join("transients").join(Path::new(&photo.name).with_extension("png"));
     let mut bytes = std::fs::read(&file).expect("a picture");
     let middle = bytes.len() / 2;
@@ -258,7 +258,7 @@ fn a_damaged_picture_of_transients_is_named_by_verify_and_by_segment() {
     let (_, click) = clearest();
     let at = format!("{},{}", click.x, click.y);
     let output = segwild(&["segment", &show(&run), "--photo", &click.photo, "--positive", &at]);
-    let said = text(&output.stdout) + &text(&output.stderr);
-    assert!(output.status.success(), "{said}");
-    assert!(said.contains(&show(&file)) && said.contains("is passed over"), "{said}");
+    let stdout = text(&output.stdout) + &text(&output.stderr);
+    assert!(output.status.success(), "{stdout}");
+    assert!(stdout.contains(&show(&file)) && stdout.contains("is passed over"), "{stdout}");
 }

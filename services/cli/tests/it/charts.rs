@@ -38,11 +38,11 @@ fn a_comparison_fails_by_its_code_only_when_asked_and_only_of_what_got_worse() {
         let start = ["bench", "compare", old.as_str(), new.as_str()];
         start.iter().chain(more).map(|w| (*w).to_owned()).collect::<Vec<String>>()
     };
-    let told = |args: Vec<String>| works(&args.iter().map(String::as_str).collect::<Vec<_>>());
-    let said = told(compare("worse", &[]));
-    assert!(said.contains("worse  synthetic full") && said.contains("4 trainings"), "{said}");
-    assert!(told(compare("better", &["--fail"])).contains("1 better"));
-    assert!(told(compare("old", &["--fail"])).contains("1 the same"));
+    let stderr = |args: Vec<String>| works(&args.iter().map(String::as_str).collect::<Vec<_>>());
+    let stdout = stderr(compare("worse", &[]));
+    assert!(stdout.contains("worse  synthetic full") && stdout.contains("4 trainings"), "{stdout}");
+    assert!(stderr(compare("better", &["--fail"])).contains("1 better"));
+    assert!(stderr(compare("old", &["--fail"])).contains("1 the same"));
     for new in ["worse", "other"] {
         let args = compare(new, &["--fail"]);
         refuses(
@@ -70,12 +70,12 @@ fn a_chart_goes_on_where_it_stopped_and_refuses_another_default() {
         let start = ["bench", "chart"];
         start.iter().chain(&small).chain(&rest).chain(more).map(|w| (*w).to_owned()).collect::<Vec<String>>()
     };
-    let told = |args: Vec<String>| works(&args.iter().map(String::as_str).collect::<Vec<_>>());
-    let points = |said: &str| (said.matches("IoU 0.").count(), said.matches("(known)").count());
-    let said = told(chart("channels=4,channels=16", &[]));
-    assert_eq!(points(&said), (3, 0), "{said}");
-    let said = told(chart("channels", &[]));
-    assert_eq!(points(&said), (5, 3), "{said}");
+    let stderr = |args: Vec<String>| works(&args.iter().map(String::as_str).collect::<Vec<_>>());
+    let points = |stdout: &str| (stdout.matches("IoU 0.").count(), stdout.matches("(known)").count());
+    let stdout = stderr(chart("channels=4,channels=16", &[]));
+    assert_eq!(points(&stdout), (3, 0), "{stdout}");
+    let stdout = stderr(chart("channels", &[]));
+    assert_eq!(points(&stdout), (5, 3), "{stdout}");
     for name in ["index.html", "README.md", "chart.svg", "chart.png", "sweeps.png", "results.csv"] {
         assert!(dir.path().join(name).is_file(), "{name}");
     }

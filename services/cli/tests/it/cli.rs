@@ -7,7 +7,7 @@ use std::process::Command;
 
 #[test]
 fn a_run_leaves_what_other_tools_open() {
-    let place = place();
+    let shared_run = shared_run();
     for file in [
         "segwild.toml",
         "scene.json",
@@ -17,18 +17,18 @@ fn a_run_leaves_what_other_tools_open() {
         "report.html",
         "evaluation.json",
     ] {
-        assert!(place.run.join(file).is_file(), "{file} is missing");
+        assert!(shared_run.run.join(file).is_file(), "{file} is missing");
     }
-    let splats = segwild_scene::ply::read(&place.run.join("scene.ply")).expect("the scene opens");
+    let splats = segwild_scene::ply::read(&shared_run.run.join("scene.ply")).expect("the scene opens");
     assert!(splats.len() > 100);
-    let report = std::fs::read_to_string(place.run.join("report.html")).expect("a report");
+    let report = std::fs::read_to_string(shared_run.run.join("report.html")).expect("a report");
     assert!(
         report.contains("data:image/jpeg;base64,") && !report.contains("src=\"http"),
         "one self-contained file"
     );
-    let said = works(&["eval", &show(&place.run)]);
-    assert!(said.contains("dB") && said.contains("left half"), "{said}");
-    let status = works(&["status", &show(&place.run), "--json"]);
+    let stdout = works(&["eval", &show(&shared_run.run)]);
+    assert!(stdout.contains("dB") && stdout.contains("left half"), "{stdout}");
+    let status = works(&["status", &show(&shared_run.run), "--json"]);
     let status: serde_json::Value = serde_json::from_str(&status).expect("JSON");
     assert_eq!(status["running"], false);
     assert!(status["stages"].as_array().expect("stages").iter().all(|s| s["state"] == "done"), "{status}");
@@ -38,18 +38,18 @@ fn a_run_leaves_what_other_tools_open() {
 fn a_second_run_does_no_work_twice() {
     let dir = folder();
     let run = copied_run(&dir);
-    let scene = show(&place().scene);
+    let scene = show(&shared_run().scene);
     let model = std::fs::read(run.join("model.bin")).expect("a model");
-    let said = works(&["run", &scene, "--out", &show(&run), "--json"]);
-    let summary = said.lines().find(|l| l.contains("\"summary\"")).expect("a summary line");
+    let stdout = works(&["run", &scene, "--out", &show(&run), "--json"]);
+    let summary = stdout.lines().find(|l| l.contains("\"summary\"")).expect("a summary line");
     let summary: serde_json::Value = serde_json::from_str(summary).expect("JSON");
     assert_eq!(summary["summary"]["made"], 0, "{summary}");
     assert!(summary["summary"]["cached"].as_u64() > Some(8), "{summary}");
     assert_eq!(std::fs::read(run.join("model.bin")).expect("a model"), model);
     // A setting of the last stages leaves the geometry alone.
-    let said = works(&["run", &scene, "--out", &show(&run), "--json", "--channels", "16"]);
-    let skipped = said.lines().filter(|l| l.contains("stage_skipped")).collect::<Vec<_>>().join("\n");
-    assert!(skipped.contains("geometry") && !skipped.contains("features"), "{said}");
+    let stdout = works(&["run", &scene, "--out", &show(&run), "--json", "--channels", "16"]);
+    let skipped = stdout.lines().filter(|l| l.contains("stage_skipped")).collect::<Vec<_>>().join("\n");
+    assert!(skipped.contains("geometry") && !skipped.contains("features"), "{stdout}");
     assert_eq!(std::fs::read(run.join("model.bin")).expect("a model"), model);
 }
 
@@ -57,7 +57,7 @@ fn a_second_run_does_no_work_twice() {
 fn a_killed_run_ends_in_the_same_bytes() {
     let dir = folder();
     let run = show(&dir.path().join("run"));
-    let scene = show(&place().scene);
+    let scene = show(&shared_run().scene);
     let args = [&["run", &scene, "--out", &run, "--checkpoint-every", "1"][..], &QUICK].concat();
     let Guarded(child) = &mut in_background(&args);
     // Killed once the training has begun, wherever it is then.
@@ -71,7 +71,7 @@ fn a_killed_run_ends_in_the_same_bytes() {
     works(&args);
     for file in ["model.bin", "features.bin"] {
         let bytes = |run: &Path| std::fs::read(run.join(file)).expect("it is there");
-        assert!(bytes(Path::new(&run)) == bytes(&place().run), "{file} depends on the interruption");
+        assert!(bytes(Path::new(&run)) == bytes(&shared_run().run), "{file} depends on the interruption");
     }
 }
 
@@ -80,7 +80,7 @@ fn clicks_become_an_object_that_can_be_drawn_scored_and_replayed() {
     let dir = folder();
     let path = copied_run(&dir);
     let run = show(&path);
-    let manifest = &place().manifest;
+    let manifest = &shared_run().manifest;
     let (name, click) = clearest();
     let at = format!("{},{}", click.x, click.y);
     // That of the run bears the name of the folder it was copied from.
@@ -122,7 +122,7 @@ fn clicks_become_an_object_that_can_be_drawn_scored_and_replayed() {
     works(&["segment", &run, "--prompts", &prompts, "--name", "again"]);
     assert!(std::fs::read_to_string(&report).expect("a report") == added);
 
-    let truth = show(&place().scene.join("truth").join(name));
+    let truth = show(&shared_run().scene.join("truth").join(name));
     assert!(works(&["eval", &run, "--truth", &truth, "--selection", "thing"]).contains("mean"));
     // One true mask that cannot be read costs that photo alone.
     let copy = dir.path().join("truth");
@@ -138,8 +138,8 @@ fn clicks_become_an_object_that_can_be_drawn_scored_and_replayed() {
     let out = show(&dir.path().join("pictures"));
     let only =
         ["render", &run, "--photo", &click.photo, "--selection", "thing", "--mode", "only", "--out", &out];
-    let picture = segwild_scene::Image::read(Path::new(works(&only).trim())).expect("a picture");
-    assert_eq!(picture.width.max(picture.height), 96);
+    let image = segwild_scene::Image::read(Path::new(works(&only).trim())).expect("a picture");
+    assert_eq!(image.width.max(image.height), 96);
     let photos: Vec<&str> = manifest.photos.iter().take(2).map(|p| p.name.as_str()).collect();
     let path = ["render", &run, "--photo", photos[0], "--photo", photos[1], "--frames", "3", "--out", &out];
     assert_eq!(works(&path).lines().count(), 3);
@@ -161,8 +161,8 @@ fn clicks_become_an_object_that_can_be_drawn_scored_and_replayed() {
 
 #[test]
 fn bad_clicks_are_answered_in_words() {
-    let run = show(&place().run);
-    let photo = place().manifest.photos[0].name.as_str();
+    let run = show(&shared_run().run);
+    let photo = shared_run().manifest.photos[0].name.as_str();
     refuses(
         &["segment", &run, "--photo", "nobody.png", "--positive", "1,1"],
         2,
@@ -181,9 +181,9 @@ fn bad_clicks_are_answered_in_words() {
     refuses(&["render", &run, "--selection", "none-such"], 2, &["no selection named `none-such`"]);
     let odd = format!("two\nlines{}", "x".repeat(400));
     let output = segwild(&["render", &run, "--selection", &odd]);
-    let said = text(&output.stderr);
-    assert_eq!((output.status.code(), said.trim_end().lines().count()), (Some(2), 1), "{said}");
-    assert!(said.contains("two\\nlines") && said.len() < 300, "{said}");
+    let stdout = text(&output.stderr);
+    assert_eq!((output.status.code(), stdout.trim_end().lines().count()), (Some(2), 1), "{stdout}");
+    assert!(stdout.contains("two\\nlines") && stdout.len() < 300, "{stdout}");
     refuses(&["segment", &run, "--photo", photo, "--negative", "3,3"], 2, &["where it is"]);
     refuses(
         &["segment", &run, "--photo", photo, "--positive", "3,3", "--negative", "3,3"],
@@ -198,9 +198,9 @@ fn bad_clicks_are_answered_in_words() {
     refuses(&["eval", &run, "--truth", "/nowhere"], 2, &["no selection named `object`"]);
     // Who asked for JSON is told in JSON, too.
     let output = segwild(&["eval", &run, "--truth", "/nowhere", "--json"]);
-    let told = json(&output.stdout);
-    assert_eq!(told["exit_code"], 2);
-    assert!(told["error"].as_str().is_some_and(|e| e.contains("no selection")), "{told}");
+    let stderr = json(&output.stdout);
+    assert_eq!(stderr["exit_code"], 2);
+    assert!(stderr["error"].as_str().is_some_and(|e| e.contains("no selection")), "{stderr}");
 }
 
 #[test]
@@ -213,14 +213,14 @@ fn bad_scenes_are_answered_in_words() {
     refuses(&["run", &show(&empty), "--out", &out], 3, &["looked for", "COLMAP", "transforms.json"]);
 
     let cut = dir.path().join("cut");
-    copy_folder(&place().scene, &cut);
+    copy_folder(&shared_run().scene, &cut);
     let images = cut.join("sparse/0/images.bin");
     let bytes = std::fs::read(&images).expect("a file");
     std::fs::write(&images, &bytes[..bytes.len() / 2]).expect("it is written");
     refuses(&["run", &show(&cut), "--out", &out], 3, &["images.bin", "cut short", "byte"]);
 
     let none = dir.path().join("none");
-    copy_folder(&place().scene, &none);
+    copy_folder(&shared_run().scene, &none);
     std::fs::remove_dir_all(none.join("images")).expect("it goes");
     std::fs::create_dir(none.join("images")).expect("a folder");
     refuses(&["run", &show(&none), "--out", &out], 3, &["nothing usable"]);
@@ -228,27 +228,27 @@ fn bad_scenes_are_answered_in_words() {
 
 #[test]
 fn one_bad_photo_is_skipped_by_name_and_the_rest_goes_on() {
-    let place = place();
+    let shared_run = shared_run();
     let dir = folder();
     let scene = dir.path().join("scene");
-    copy_folder(&place.scene, &scene);
+    copy_folder(&shared_run.scene, &scene);
     let names: Vec<&str> =
-        place.manifest.photos.iter().filter(|p| !p.test).map(|p| p.name.as_str()).collect();
+        shared_run.manifest.photos.iter().filter(|p| !p.test).map(|p| p.name.as_str()).collect();
     std::fs::remove_file(scene.join("images").join(names[0])).expect("it goes");
     std::fs::write(scene.join("images").join(names[1]), b"this is no picture").expect("it is written");
     let out = show(&dir.path().join("out"));
-    let said = works(&[&["run", &show(&scene), "--out", &out, "--until", "geometry"][..], &QUICK].concat());
+    let stdout = works(&[&["run", &show(&scene), "--out", &out, "--until", "geometry"][..], &QUICK].concat());
     for name in &names[..2] {
         assert!(
-            said.lines().any(|l| l.starts_with("photo") && l.contains(name) && l.contains("left out")),
-            "{name} is not named: {said}"
+            stdout.lines().any(|l| l.starts_with("photo") && l.contains(name) && l.contains("left out")),
+            "{name} is not named: {stdout}"
         );
     }
 }
 
 #[test]
 fn bad_settings_are_answered_in_words() {
-    let scene = show(&place().scene);
+    let scene = show(&shared_run().scene);
     let dir = folder();
     let out = show(&dir.path().join("out"));
     refuses(&["run", &scene, "--out", &out, "--steps", "many"], 2, &["`many` does not fit `steps`"]);
@@ -281,14 +281,52 @@ fn a_damaged_model_is_named() {
 }
 
 #[test]
-fn the_settings_page_is_up_to_date() {
-    let page = works(&["doctor", "--settings"]);
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/reference/settings.md");
-    let kept = std::fs::read_to_string(&file).unwrap_or_default();
-    assert!(
-        page.trim() == kept.trim(),
-        "docs/reference/settings.md is out of date: `segwild doctor --settings > docs/reference/settings.md`"
+fn the_settings_pages_are_up_to_date() {
+    for (page, file) in [("user", "settings.md"), ("expert", "expert-settings.md")] {
+        let printed = works(&["doctor", "--settings", page]);
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/reference").join(file);
+        let kept = std::fs::read_to_string(&file).expect("the page");
+        let command = format!("segwild doctor --settings {page} > {}", file.display());
+        assert_eq!(printed, kept, "{} is out of date: `{command}`", file.display());
+    }
+}
+
+#[test]
+fn a_flag_of_an_earlier_version_is_refused_with_the_present_one() {
+    for (args, now) in [
+        (&["run", "scene", "--look", "embed"][..], "--appearance-model"),
+        (&["run", "scene", "--strangers", "masks"], "--transient-masks"),
+        (&["segment", "run", "--photo", "a", "--in", "1,1"], "--positive"),
+        (&["segment", "run", "--photo", "a", "--out", "1,1"], "--negative"),
+        (&["render", "run", "--look", "a"], "--appearance"),
+        (&["bake", "run", "--between", "0.5"], "--interpolate"),
+        (&["eval", "run", "--strangers", "masks"], "--transient-truth"),
+    ] {
+        refuses(args, 2, &[&format!("it is now {now}")]);
+    }
+    let dir = folder();
+    let file = dir.path().join("old.toml");
+    std::fs::write(&file, "[train]\nlook = \"embed\"\n").expect("it is written");
+    let (scene, out) = (show(scene()), show(&dir.path().join("out")));
+    refuses(
+        &["run", &scene, "--out", &out, "--config", &show(&file)],
+        2,
+        &["old.toml", "no setting `look`", "it is now `appearance_model`"],
     );
+}
+
+#[test]
+fn completions_and_man_pages_know_every_command_and_flag() {
+    for shell in ["bash", "zsh", "fish"] {
+        let script = works(&["completions", shell]);
+        assert!(script.contains("segment") && script.contains("appearance-model"), "{shell}: {script}");
+    }
+    let dir = folder();
+    let written = works(&["man", "--out", &show(dir.path())]);
+    assert!(written.lines().count() > 20, "{written}");
+    let page = std::fs::read_to_string(dir.path().join("segwild-segment.1")).expect("a page");
+    assert!(page.starts_with(".ie") && page.contains("granularity") && page.contains("Examples"), "{page}");
+    assert!(dir.path().join("segwild-cache-gc.1").is_file(), "{written}");
 }
 
 #[test]
@@ -301,8 +339,11 @@ fn the_doctor_compares_the_kernels_of_an_accelerator() {
     let found = works(&["doctor"]);
     let device = found.lines().find(|line| line.contains("shared by a group")).expect("what it offers");
     assert!(device.contains("subgroups"), "{device}");
-    let told = works(&["doctor", "--kernels"]);
-    assert!(told.contains("unproject") && told.lines().all(|line| line.contains("as on the CPU")), "{told}");
+    let stderr = works(&["doctor", "--kernels"]);
+    assert!(
+        stderr.contains("unproject") && stderr.lines().all(|line| line.contains("as on the CPU")),
+        "{stderr}"
+    );
 }
 
 #[test]

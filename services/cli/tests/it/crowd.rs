@@ -34,9 +34,9 @@ fn amid_a_crowd(name: &str, args: &[String]) -> Option<(Child, String)> {
     let address = first.strip_prefix("listening on http://").unwrap_or_else(|| panic!("{first}"));
     let crowd: Vec<_> = (0..CROWD).map(|_| TcpStream::connect(address)).collect();
     assert!(child.try_wait().expect("a child").is_none(), "it was over before the crowd came");
-    let said = lines.collect::<Vec<_>>().join("\n");
+    let stdout = lines.collect::<Vec<_>>().join("\n");
     assert!(crowd.iter().all(Result::is_ok), "it stopped accepting");
-    Some((child, said))
+    Some((child, stdout))
 }
 
 fn listening(args: &[String]) -> Vec<String> {
@@ -48,8 +48,8 @@ fn a_crowd_of_idle_connections_does_not_end_a_run() {
     let dir = folder();
     let run = dir.path().join("run");
     let name = "a_crowd_of_idle_connections_does_not_end_a_run";
-    let Some((mut child, said)) = amid_a_crowd(name, &listening(&again(&run, &[]))) else { return };
-    assert_eq!(child.wait().expect("it ends").code(), Some(0), "{said}");
+    let Some((mut child, stdout)) = amid_a_crowd(name, &listening(&again(&run, &[]))) else { return };
+    assert_eq!(child.wait().expect("it ends").code(), Some(0), "{stdout}");
     same_as_untouched(&run);
 }
 
@@ -69,8 +69,8 @@ fn a_crowd_of_idle_connections_costs_a_batch_no_attempt() {
     let batch = show(&dir.path().join("batch"));
     let args = ["batch".to_owned(), manifest(dir.path()), "--out".to_owned(), batch.clone()];
     let name = "a_crowd_of_idle_connections_costs_a_batch_no_attempt";
-    let Some((mut child, said)) = amid_a_crowd(name, &listening(&args)) else { return };
-    assert_eq!(child.wait().expect("it ends").code(), Some(0), "{said}");
+    let Some((mut child, stdout)) = amid_a_crowd(name, &listening(&args)) else { return };
+    assert_eq!(child.wait().expect("it ends").code(), Some(0), "{stdout}");
     let view = json(&segwild(&["status", &batch, "--json"]).stdout);
     assert_eq!((&view["scenes"][0]["state"], &view["scenes"][0]["failures"]), (&"done".into(), &0.into()));
 }
@@ -82,9 +82,9 @@ fn a_process_that_may_open_too_few_files_says_so_before_it_begins() {
     let batch = ["batch".to_owned(), manifest(dir.path()), "--out".to_owned(), show(&out)];
     for args in [again(&out, &[]), batch.to_vec()] {
         let output = with_few_files(40, &args).output().expect("a shell");
-        let said = text(&output.stderr);
-        assert_eq!(output.status.code(), Some(8), "{said}");
-        assert!(said.contains("only 40 files open") && said.contains("ulimit -n"), "{said}");
+        let stdout = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(8), "{stdout}");
+        assert!(stdout.contains("only 40 files open") && stdout.contains("ulimit -n"), "{stdout}");
         assert!(!out.exists(), "nothing has begun");
     }
 }

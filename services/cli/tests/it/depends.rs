@@ -92,7 +92,7 @@ const OTHERWISE: [&str; 6] =
 
 /// The stages that a run with these settings would do again; the report is written by every run.
 fn done_again(run: &Path, settings: &Settings) -> Vec<&'static str> {
-    let plans = explain(&place().scene, &RunFolder::at(run), settings, None).expect("it can be told");
+    let plans = explain(&shared_run().scene, &RunFolder::at(run), settings, None).expect("it can be told");
     let again = plans.into_iter().filter(|plan| plan.verdict != Verdict::Reused && plan.stage != "report");
     again.map(|plan| plan.stage).collect()
 }
@@ -114,7 +114,7 @@ fn a_changed_setting_has_exactly_those_stages_done_again_that_depend_on_it() {
     let mut wrong = Vec::new();
     for name in names {
         let (value, stages) = known.get(name).unwrap_or_else(|| panic!("`{name}` is not in the table"));
-        for (run, expected) in [(&place().run, **stages), (&other, otherwise(name, stages))] {
+        for (run, expected) in [(&shared_run().run, **stages), (&other, otherwise(name, stages))] {
             let mut settings = settings_of(run);
             // What is so already has to be changed the other way.
             let value = match (name, settings.get(name)) {
@@ -140,8 +140,11 @@ fn another_place_for_the_snapshot_leaves_the_trained_scene_alone() {
     let straight = dir.path().join("straight");
     completes(&again(&straight, &at));
     let file = |run: &Path, name: &str| std::fs::read(run.join(name)).expect("it is there");
-    assert!(file(&straight, "model.bin") == file(&place().run, "model.bin"));
-    assert!(file(&straight, "features.bin") != file(&place().run, "features.bin"), "its masks are others");
+    assert!(file(&straight, "model.bin") == file(&shared_run().run, "model.bin"));
+    assert!(
+        file(&straight, "features.bin") != file(&shared_run().run, "features.bin"),
+        "its masks are others"
+    );
 
     // A finished run trains again up to the snapshot, and no further.
     let run = copied_run(&dir);
@@ -171,6 +174,6 @@ fn a_field_without_compactness_does_not_depend_on_masks_nor_on_a_decoder_that_th
     completes(&again(&other, &more));
     let field = |run: &Path| std::fs::read(run.join("features.bin")).expect("it is there");
     assert!(field(&run) == field(&other));
-    let (_, told) = completes(&again(&run, &more));
-    assert!(told.contains("features was done before") && told.contains("masks done"), "{told}");
+    let (_, stderr) = completes(&again(&run, &more));
+    assert!(stderr.contains("features was done before") && stderr.contains("masks done"), "{stderr}");
 }

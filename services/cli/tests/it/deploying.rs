@@ -136,8 +136,8 @@ fn the_service_is_bounded_and_may_do_little() {
     std::fs::write(&file, unit.replace("/usr/local/bin/segwild", "/bin/true")).expect("it writes");
     let file = show(&file);
     let verified = analyze(&["verify", &file]).expect("it runs");
-    let said = text(&verified.stderr);
-    assert!(!said.contains("segwild-batch"), "{said}");
+    let stdout = text(&verified.stderr);
+    assert!(!stdout.contains("segwild-batch"), "{stdout}");
     // From 0, safe, to 100: what systemd itself calls OK ends at 40.
     let secure =
         analyze(&["security", "--offline=true", "--no-pager", "--threshold=20", &file]).expect("it runs");

@@ -12,10 +12,10 @@ fn a_full_disk_is_said_and_loses_nothing() {
         ["full@file.write:8+", "full@ledger.commit:30+", "full@checkpoint.save", "full@file.write:5+"]
     {
         let output = output(&again(&run, &["--fault", point]));
-        let said = text(&output.stderr);
-        assert_eq!(output.status.code(), Some(6), "{point}: {said}");
-        assert!(said.contains("error:") && said.contains("the disk is full"), "{point}: {said}");
-        assert!(!said.contains("panicked"), "{said}");
+        let stdout = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(6), "{point}: {stdout}");
+        assert!(stdout.contains("error:") && stdout.contains("the disk is full"), "{point}: {stdout}");
+        assert!(!stdout.contains("panicked"), "{stdout}");
     }
     completes(&again(&run, &[]));
     same_as_untouched(&run);
@@ -27,12 +27,15 @@ fn struck_at_every_file(what: &[&str], stride: usize, mut after: impl FnMut(usiz
     for n in (1..200).step_by(stride) {
         let fault = format!("full@file.write:{n}");
         let output = segwild(&[what, &["--fault", fault.as_str()]].concat());
-        let said = text(&output.stderr);
+        let stdout = text(&output.stderr);
         if output.status.code() == Some(0) {
             return n - 1;
         }
-        assert_eq!(output.status.code(), Some(6), "{what:?} {fault}: {said}");
-        assert!(said.contains("the disk is full") && !said.contains("panicked"), "{what:?} {fault}: {said}");
+        assert_eq!(output.status.code(), Some(6), "{what:?} {fault}: {stdout}");
+        assert!(
+            stdout.contains("the disk is full") && !stdout.contains("panicked"),
+            "{what:?} {fault}: {stdout}"
+        );
         after(n);
     }
     panic!("{what:?} writes more than 200 files");
@@ -64,7 +67,7 @@ fn a_full_disk_is_a_full_disk_whichever_file_is_written() {
             "half a selection at file {n}"
         );
     });
-    assert!(files > 2 * place().manifest.photos.len(), "a mask of each kind for each photo: {files}");
+    assert!(files > 2 * shared_run().manifest.photos.len(), "a mask of each kind for each photo: {files}");
     let ply = show(&dir.path().join("baked.ply"));
     assert_eq!(struck_at_every_file(&["bake", folder, "--out", ply.as_str()], 1, |_| {}), 1);
     let out = show(&dir.path().join("renders"));
@@ -131,7 +134,7 @@ fn a_read_only_folder_is_said() {
 #[test]
 fn a_cache_that_cannot_be_written_stops_the_run_and_gives_no_photo_up() {
     let dir = folder();
-    let expected = results(&place().run);
+    let expected = results(&shared_run().run);
     for kind in ["embedding", "sky", "masks", "visibility"] {
         let run = dir.path().join(kind);
         // A file where a folder is wanted refuses whoever writes, also a user who may do everything.
@@ -139,10 +142,13 @@ fn a_cache_that_cannot_be_written_stops_the_run_and_gives_no_photo_up() {
         std::fs::create_dir_all(run.join("cache")).expect("a folder");
         std::fs::write(&occupied, "a file").expect("it is written");
         let output = output(&again(&run, &[]));
-        let said = text(&output.stderr);
-        assert_eq!(output.status.code(), Some(6), "{kind}: {said}");
-        assert!(said.contains("stopped: cannot") && said.contains(&format!("{kind}.d")), "{kind}: {said}");
-        assert!(!said.contains(".png failed") && !said.contains(".jpg failed"), "{kind}: {said}");
+        let stdout = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(6), "{kind}: {stdout}");
+        assert!(
+            stdout.contains("stopped: cannot") && stdout.contains(&format!("{kind}.d")),
+            "{kind}: {stdout}"
+        );
+        assert!(!stdout.contains(".png failed") && !stdout.contains(".jpg failed"), "{kind}: {stdout}");
         std::fs::remove_file(&occupied).expect("it goes");
         completes(&again(&run, &[]));
         has_all_of(&run, &expected);

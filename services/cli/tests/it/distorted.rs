@@ -17,16 +17,16 @@ fn bending(params: &[f64], width: u64, height: u64) -> (Lens, Vec<f64>) {
 }
 
 /// A picture of the pinhole as the lens takes it: black where the pinhole shows nothing.
-fn bent(picture: &Image, lens: &Lens) -> Image {
-    let mut out = Image::zeros(picture.width, picture.height, picture.channels);
-    for i in 0..picture.pixels() {
-        let (x, y) = (i % picture.width, i / picture.width);
+fn bent(image: &Image, lens: &Lens) -> Image {
+    let mut out = Image::zeros(image.width, image.height, image.channels);
+    for i in 0..image.pixels() {
+        let (x, y) = (i % image.width, i / image.width);
         let Some([u, v]) = lens.undistort([x as f64 + 0.5, y as f64 + 0.5]) else { continue };
-        if u < 0.0 || v < 0.0 || u >= picture.width as f64 || v >= picture.height as f64 {
+        if u < 0.0 || v < 0.0 || u >= image.width as f64 || v >= image.height as f64 {
             continue;
         }
-        for c in 0..picture.channels {
-            out.plane_mut(c)[i] = picture.at(c, u as usize, v as usize);
+        for c in 0..image.channels {
+            out.plane_mut(c)[i] = image.at(c, u as usize, v as usize);
         }
     }
     out
@@ -65,9 +65,9 @@ fn bend_scene(to: &Path) -> Lens {
 #[test]
 fn clicks_masks_and_transient_pictures_are_of_the_photo_as_taken() {
     let dir = folder();
-    let (place, run) = (dir.path().join("place"), dir.path().join("run"));
-    let lens = bend_scene(&place);
-    works(&[&["run", &show(&place), "--out", &show(&run)][..], &QUICK].concat());
+    let (shared_run, run) = (dir.path().join("place"), dir.path().join("run"));
+    let lens = bend_scene(&shared_run);
+    works(&[&["run", &show(&shared_run), "--out", &show(&run)][..], &QUICK].concat());
     let (object, click) = clearest();
     let [x, y] = lens.distort([f64::from(click.x), f64::from(click.y)]).expect("the lens shows it");
     let at = format!("{x},{y}");
@@ -90,11 +90,11 @@ fn clicks_masks_and_transient_pictures_are_of_the_photo_as_taken() {
     let given = dir.path().join("given");
     std::fs::create_dir(&given).expect("a folder");
     painted.write_png(&given.join(&png)).expect("it is written");
-    let said = works(
-        &[&["run", &show(&place), "--out", &show(&run), "--transient-masks", &show(&given)][..], &QUICK]
+    let stdout = works(
+        &[&["run", &show(&shared_run), "--out", &show(&run), "--transient-masks", &show(&given)][..], &QUICK]
             .concat(),
     );
     let written = Mask::read_png(&run.join("transients").join(&png)).expect("a picture");
     let painted = painted.resized(written.width(), written.height());
-    assert!(written.iou(&painted) > 0.75, "{:.3}: {said}", written.iou(&painted));
+    assert!(written.iou(&painted) > 0.75, "{:.3}: {stdout}", written.iou(&painted));
 }

@@ -30,8 +30,8 @@ fn killed_in_every_stage_it_ends_in_the_same_bytes() {
 /// Runs to a kill at a point, and says whether it came.
 fn killed_at(run: &Path, fault: &str) {
     let output = output(&again(run, &["--fault", fault]));
-    let said = text(&output.stderr);
-    assert!(output.status.code().is_none() && said.contains("fault: killed"), "{fault}: {said}");
+    let stdout = text(&output.stderr);
+    assert!(output.status.code().is_none() && stdout.contains("fault: killed"), "{fault}: {stdout}");
 }
 
 #[test]
@@ -66,7 +66,7 @@ fn a_selection_killed_half_written_is_not_there_and_the_next_is_whole() {
     let dir = folder();
     let (run, other) = (dir.path().join("run"), dir.path().join("other"));
     for folder in [&run, &other] {
-        copy_folder(&place().run, folder);
+        copy_folder(&shared_run().run, folder);
     }
     assert_eq!(select(&other, &[]).status.code(), Some(0));
     let expected = results(&other);

@@ -54,8 +54,8 @@ fn status_looks_at_a_run_from_another_process() {
     let after = json(&segwild(&["status", &run, "--json"]).stdout);
     assert_eq!((&after["state"], &after["running"]), (&"stopped".into(), &false.into()));
     assert_eq!(after["actors"].as_array().map(Vec::len), seen["actors"].as_array().map(Vec::len), "it stays");
-    let said = text(&segwild(&["status", &run]).stdout);
-    assert!(said.contains("no process is working on this run"), "{said}");
+    let stdout = text(&segwild(&["status", &run]).stdout);
+    assert!(stdout.contains("no process is working on this run"), "{stdout}");
     let refused = segwild(&["top", &run]);
     assert_eq!(refused.status.code(), Some(2), "no terminal");
     assert!(text(&refused.stderr).contains("--once"));
@@ -84,9 +84,12 @@ fn a_batch_that_was_killed_goes_on_to_the_same_bytes() {
     let view = json(&segwild(&["status", &show(&batch), "--json"]).stdout);
     assert!(view["owner"].is_null() && view["scenes"][0]["state"] == "waiting", "{view}");
     let output = segwild(&args);
-    let (said, table) = (text(&output.stderr), text(&output.stdout));
-    assert_eq!(output.status.code(), Some(4), "{said}");
-    assert!(said.contains("bad was given up") && said.contains("1 of 3 scenes were given up"), "{said}");
+    let (stdout, table) = (text(&output.stderr), text(&output.stdout));
+    assert_eq!(output.status.code(), Some(4), "{stdout}");
+    assert!(
+        stdout.contains("bad was given up") && stdout.contains("1 of 3 scenes were given up"),
+        "{stdout}"
+    );
     assert!(table.contains("2 done, 1 given up, 0 waiting"), "{table}");
     let view = json(&segwild(&["status", &show(&batch), "--json"]).stdout);
     assert_eq!(view["scenes"][0]["failures"], 0, "a kill of the batch is no failure of its scenes");
@@ -158,10 +161,10 @@ fn ctrl_c_stops_a_batch_where_it_can_go_on() {
         std::fs::read_to_string(batch.join("one/history.jsonl")).ok().filter(|t| !t.is_empty())
     });
     signal(&child, "-INT");
-    let mut said = String::new();
-    child.stderr.take().expect("a pipe").read_to_string(&mut said).expect("it speaks");
-    assert_eq!(child.wait().expect("it ends").code(), Some(130), "{said}");
-    assert!(said.contains("one stopped; it can go on"), "{said}");
+    let mut stdout = String::new();
+    child.stderr.take().expect("a pipe").read_to_string(&mut stdout).expect("it speaks");
+    assert_eq!(child.wait().expect("it ends").code(), Some(130), "{stdout}");
+    assert!(stdout.contains("one stopped; it can go on"), "{stdout}");
     let view = json(&segwild(&["status", &show(&batch), "--json"]).stdout);
     assert_eq!((&view["scenes"][0]["state"], &view["scenes"][0]["failures"]), (&"waiting".into(), &0.into()));
 }
@@ -186,8 +189,8 @@ fn a_batch_that_stopped_half_way_on_request_goes_on_without_it() {
     works(&["batch", &file, "--out", &batch]);
     assert_eq!(state("one"), [Value::from("done"), Value::Null, "done".into(), "done".into()]);
     assert_eq!(state("two"), ["done", "geometry", "done", "waiting"]);
-    let said = works(&["status", &batch]);
-    assert!(said.contains("two: done (until geometry)"), "{said}");
+    let stdout = works(&["status", &batch]);
+    assert!(stdout.contains("two: done (until geometry)"), "{stdout}");
 }
 
 #[test]
@@ -211,8 +214,8 @@ fn a_scene_whose_folder_is_in_use_is_shown_as_waiting_and_why() {
         (scene["state"] == "waiting" && why.contains("in use")).then_some(why)
     });
     assert!(why.contains(&format!("its run folder is in use by process {pid}")), "{why}");
-    let said = works(&["status", &batch]);
-    assert!(said.contains("one: waiting") && said.contains(&why), "{said}");
+    let stdout = works(&["status", &batch]);
+    assert!(stdout.contains("one: waiting") && stdout.contains(&why), "{stdout}");
     let page = works(&["top", &batch, "--once"]);
     assert!(page.contains("1 waiting") && page.contains("in use by process"), "{page}");
     holder.0.kill().expect("it can be killed");
@@ -239,14 +242,14 @@ fn a_clock_that_jumps_in_a_rest_is_told_of_once_and_changes_nothing() {
             let batch = show(&dir.path().join(&at));
             let output =
                 segwild(&["batch", &file, "--out", &batch, "--fault", &format!("{fault}@clock:{reading}+")]);
-            let said = text(&output.stderr);
-            assert_eq!(output.status.code(), Some(4), "{said}");
-            let place = |words: &str| said.find(words);
-            let rest = place("tries again in 5.0 s")..place("was given up");
-            (place(words).is_some() && rest.contains(&place(words))).then_some((output, said))
+            let stdout = text(&output.stderr);
+            assert_eq!(output.status.code(), Some(4), "{stdout}");
+            let shared_run = |words: &str| stdout.find(words);
+            let rest = shared_run("tries again in 5.0 s")..shared_run("was given up");
+            (shared_run(words).is_some() && rest.contains(&shared_run(words))).then_some((output, stdout))
         });
-        let (output, said) = in_rest.expect("one reading falls into the rest");
-        assert_eq!(said.matches("the clock").count(), 1, "{said}");
+        let (output, stdout) = in_rest.expect("one reading falls into the rest");
+        assert_eq!(stdout.matches("the clock").count(), 1, "{stdout}");
         let table = text(&output.stdout);
         let row: Vec<&str> = table.lines().nth(1).expect("a row").split_whitespace().collect();
         assert_eq!(row[..3], ["one", "dead", "2"], "{table}");
@@ -297,9 +300,9 @@ fn mistakes_of_operators_are_answered_in_words() {
     ];
     for (args, code, word) in cases {
         let output = segwild(args);
-        let said = text(&output.stderr);
-        assert_eq!(output.status.code(), Some(code), "{args:?}: {said}");
-        assert!(said.contains(word), "{args:?} does not say `{word}`: {said}");
+        let stdout = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{args:?}: {stdout}");
+        assert!(stdout.contains(word), "{args:?} does not say `{word}`: {stdout}");
     }
 }
 
@@ -393,7 +396,7 @@ fn a_real_prometheus_answers_every_panel_and_every_rule() {
     let file = manifest(dir.path(), 6000, &["one"], "");
     works(&["batch", &file, "--out", &show(&batch), "--until", "features"]);
     // So small a place is not sharp everywhere: one of the objects will do.
-    let clicks: Vec<_> = place().manifest.objects.iter().flat_map(|o| &o.clicks).collect();
+    let clicks: Vec<_> = shared_run().manifest.objects.iter().flat_map(|o| &o.clicks).collect();
     let hit = clicks.iter().any(|c| {
         let at = format!("{},{}", c.x, c.y);
         segwild(&["segment", &show(&batch.join("one")), "--photo", &c.photo, "--positive", &at])
@@ -461,8 +464,8 @@ fn a_real_prometheus_answers_every_panel_and_every_rule() {
         }
         child.0.try_wait().expect("a child")
     });
-    let said = speaks.join().unwrap_or_default();
-    assert_eq!(code.code(), Some(0), "{said}");
+    let stdout = speaks.join().unwrap_or_default();
+    assert_eq!(code.code(), Some(0), "{stdout}");
     let panels = panels();
     assert!(panels.len() > 20, "the dashboard has lost its panels");
     for (title, expression) in &panels {

@@ -24,14 +24,14 @@ fn long(scene: &Path, run: &Path) -> Vec<String> {
 fn a_photo_that_changes_in_mid_training_is_named_and_spoils_nothing() {
     let dir = folder();
     let (scene, straight) = (dir.path().join("place"), dir.path().join("straight"));
-    copy_folder(&place().scene, &scene);
+    copy_folder(&shared_run().scene, &scene);
     completes(&long(&scene, &straight));
     let expected = results(&straight);
-    let view = &place().manifest.photos[0].name;
+    let view = &shared_run().manifest.photos[0].name;
     let photo = scene.join("images").join(view);
     let aside = dir.path().join("aside");
     std::fs::copy(&photo, &aside).expect("a copy");
-    let other = scene.join("images").join(&place().manifest.photos[1].name);
+    let other = scene.join("images").join(&shared_run().manifest.photos[1].name);
     type Change<'a> = (&'a str, &'a dyn Fn());
     let changes: [Change; 2] = [
         ("taken away", &|| std::fs::remove_file(&photo).expect("it goes")),
@@ -40,9 +40,9 @@ fn a_photo_that_changes_in_mid_training_is_named_and_spoils_nothing() {
     for (what, change) in changes {
         let run = dir.path().join(what);
         let output = disturbed(&scene, &run, change);
-        let said = text(&output.stderr);
-        assert_eq!(output.status.code(), Some(4), "{what}: {said}");
-        assert!(said.contains(view) && said.contains("was changed or taken away"), "{what}: {said}");
+        let stdout = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(4), "{what}: {stdout}");
+        assert!(stdout.contains(view) && stdout.contains("was changed or taken away"), "{what}: {stdout}");
         assert!(!run.join("model.bin").exists(), "{what}: nothing was made of it");
         // With the photo back, all is as if nothing had happened.
         std::fs::copy(&aside, &photo).expect("it is put back");
@@ -55,9 +55,9 @@ fn a_photo_that_changes_in_mid_training_is_named_and_spoils_nothing() {
 fn photos_that_cannot_be_used_are_named_and_the_rest_is_trained_to_the_end() {
     let dir = folder();
     let (scene, run) = (dir.path().join("place"), dir.path().join("run"));
-    copy_folder(&place().scene, &scene);
+    copy_folder(&shared_run().scene, &scene);
     let photos: Vec<&str> =
-        place().manifest.photos.iter().filter(|p| !p.test).map(|p| p.name.as_str()).collect();
+        shared_run().manifest.photos.iter().filter(|p| !p.test).map(|p| p.name.as_str()).collect();
     let file = |name: &str| scene.join("images").join(name);
     let size = segwild_scene::Image::read(&file(photos[0])).expect("a picture");
     let masks = dir.path().join("away");
@@ -70,9 +70,10 @@ fn photos_that_cannot_be_used_are_named_and_the_rest_is_trained_to_the_end() {
     std::fs::write(file(photos[1]), cut).expect("it is damaged");
     let mut args = again(&run, &["--ignore", &show(&masks)]);
     args[1] = show(&scene);
-    let (_, told) = completes(&args);
+    let (_, stderr) = completes(&args);
     for (name, reason) in [(photos[0], "masks leave nothing of it"), (photos[1], "does not decode")] {
-        let line = told.lines().find(|line| line.contains(name)).unwrap_or_else(|| panic!("{name}: {told}"));
+        let line =
+            stderr.lines().find(|line| line.contains(name)).unwrap_or_else(|| panic!("{name}: {stderr}"));
         assert!(
             line.contains("is left out") && (line.contains(reason) || line.contains("damaged")),
             "{line}"

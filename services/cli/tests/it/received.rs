@@ -56,8 +56,8 @@ fn a_received_run_folder_runs_no_native_code() {
     let remembered = std::fs::read_to_string(run.join("segwild.toml")).expect("its settings");
     assert!(remembered.contains(&library) && remembered.contains(&models));
     // Another one is given the folder, in which a network is said to have been used as well or not.
-    let truth = show(&place().scene.join("truth/transient"));
-    let (run_text, scene) = (show(&run), show(&place().scene));
+    let truth = show(&shared_run().scene.join("truth/transient"));
+    let (run_text, scene) = (show(&run), show(&shared_run().scene));
     let (run_text, scene) = (run_text.as_str(), scene.as_str());
     for networks in
         ["[]", r#"[{"setting": "models", "file": "MODELS/edges_bsds.onnx", "hash": "0123456789abcdef"}]"#]
@@ -67,7 +67,7 @@ fn a_received_run_folder_runs_no_native_code() {
         std::fs::remove_file(&mark).ok();
         let clicked = click(&run);
         let clicked: Vec<&str> = clicked.iter().map(String::as_str).collect();
-        let photo = place().manifest.photos[0].name.as_str();
+        let photo = shared_run().manifest.photos[0].name.as_str();
         for args in [
             &["run", scene, "--out", run_text, "--explain"][..],
             &["run", scene, "--out", run_text][..],
@@ -80,13 +80,13 @@ fn a_received_run_folder_runs_no_native_code() {
             &["status", run_text][..],
         ] {
             let output = segwild(args);
-            let said = text(&output.stderr);
-            assert!(!mark.exists(), "{args:?} ran the library that the folder names: {said}");
+            let stdout = text(&output.stderr);
+            assert!(!mark.exists(), "{args:?} ran the library that the folder names: {stdout}");
             let asks_eyes = matches!(args[0], "run" | "segment");
             if networks != "[]" && asks_eyes {
-                assert_eq!(output.status.code(), Some(2), "{args:?}: {said}");
+                assert_eq!(output.status.code(), Some(2), "{args:?}: {stdout}");
                 for word in ["edges_bsds.onnx", "0123456789abcdef", "--models FOLDER", "SEGWILD_MODELS"] {
-                    assert!(said.contains(word), "{args:?} does not say {word}: {said}");
+                    assert!(stdout.contains(word), "{args:?} does not say {word}: {stdout}");
                 }
             }
         }
@@ -216,7 +216,7 @@ fn damage_to_a_selections_files_is_seen() {
     works(&["cache", "verify", &show(&run)]);
     let again = ["--name object", "--prompts"];
     let named = |photo: &str| Path::new("masks").join(Path::new(photo).with_extension("png"));
-    let mask = named(&place().manifest.photos[1].name);
+    let mask = named(&shared_run().manifest.photos[1].name);
     let files = ["object.ply", "labels.ply", "selection.bin"].map(Path::new);
     for file in files.into_iter().chain([mask.as_path()]) {
         let path = selection.join(file);
@@ -227,17 +227,17 @@ fn damage_to_a_selections_files_is_seen() {
         refuses(&["cache", "verify", &show(&run)], 6, &[&show(file), again[0], again[1]]);
         std::fs::write(&path, whole).expect("it is written");
     }
-    for photo in &place().manifest.photos {
+    for photo in &shared_run().manifest.photos {
         std::fs::write(selection.join(named(&photo.name)), "damaged").expect("it is written");
     }
     let (object, _) = clearest();
-    let truth = show(&place().scene.join("truth").join(object));
+    let truth = show(&shared_run().scene.join("truth").join(object));
     refuses(&["eval", &show(&run), "--truth", &truth], 6, &["masks/", again[0]]);
 }
 
 #[test]
 fn a_long_selection_name_is_refused_before_anything_is_computed() {
-    let run = &place().run;
+    let run = &shared_run().run;
     for (name, why) in
         [("n".repeat(300), "longer than 100 bytes"), ("con".into(), "device"), ("a/b".into(), "signs")]
     {

@@ -10,8 +10,8 @@ use std::process::{Child, Command};
 fn until_a_step_and_on_from_there_is_the_same_as_straight() {
     let dir = folder();
     let run = dir.path().join("run");
-    let (said, _) = completes(&again(&run, &["--until", "20"]));
-    assert!(said.contains("stopped at step 20"), "{said}");
+    let (stdout, _) = completes(&again(&run, &["--until", "20"]));
+    assert!(stdout.contains("stopped at step 20"), "{stdout}");
     assert!(!run.join("model.bin").exists());
     let status = works(&["status", &show(&run), "--json"]);
     assert!(status.contains("\"pending\"") && !status.contains("\"running\":true"), "{status}");
@@ -19,22 +19,22 @@ fn until_a_step_and_on_from_there_is_the_same_as_straight() {
     for number in ["geometry.stall_s", "geometry.checkpoint_s"] {
         assert!(status.contains(number), "{number}: {status}");
     }
-    let (_, told) = completes(&again(&run, &["--until", "40"]));
-    assert!(told.contains("goes on from step 20"), "{told}");
+    let (_, stderr) = completes(&again(&run, &["--until", "40"]));
+    assert!(stderr.contains("goes on from step 20"), "{stderr}");
     // Asked for what was reached already, it has nothing to do.
-    let (said, _) = completes(&again(&run, &["--until", "30"]));
-    assert!(said.contains("stopped at step 40"), "{said}");
+    let (stdout, _) = completes(&again(&run, &["--until", "30"]));
+    assert!(stdout.contains("stopped at step 40"), "{stdout}");
     completes(&again(&run, &[]));
     same_as_untouched(&run);
 
     // Past the settings' own steps: from the end of this run, and straight from nothing.
     let straight = dir.path().join("straight");
     completes(&again(&straight, &["--until", "80"]));
-    let (_, told) = completes(&again(&run, &["--until", "80"]));
-    assert!(told.contains("goes on from step 60"), "{told}");
+    let (_, stderr) = completes(&again(&run, &["--until", "80"]));
+    assert!(stderr.contains("goes on from step 60"), "{stderr}");
     let model = |run: &Path| std::fs::read(run.join("model.bin")).expect("a model");
     assert!(model(&run) == model(&straight));
-    assert!(model(&run) != model(&place().run), "twenty more steps change something");
+    assert!(model(&run) != model(&shared_run().run), "twenty more steps change something");
     refuses(&["run", "x", "--until", "geometri"], 2, &["geometri", "geometry", "training steps"]);
 }
 
@@ -57,9 +57,9 @@ fn a_torn_checkpoint_is_passed_over_for_the_one_before_and_named() {
         if damage == "gone" {
             std::fs::remove_file(&newest).expect("it goes");
         }
-        let (_, told) = completes(&again(&run, &[]));
-        assert!(told.contains("-00000040.bin is passed over"), "{told}");
-        assert!(told.contains("goes on from step 20"), "{told}");
+        let (_, stderr) = completes(&again(&run, &[]));
+        assert!(stderr.contains("-00000040.bin is passed over"), "{stderr}");
+        assert!(stderr.contains("goes on from step 20"), "{stderr}");
         same_as_untouched(&run);
         let kept = checkpoints().count();
         assert!(kept <= 2, "{kept} checkpoints are kept, not 2");
@@ -71,8 +71,8 @@ fn a_panic_and_a_passing_error_cost_an_attempt_and_nothing_else() {
     let dir = folder();
     let run = dir.path().join("run");
     let faults = ["--fault", "panic@masks.handle:2", "--fault", "fail@features.handle:3"];
-    let (_, told) = completes(&again(&run, &faults));
-    assert!(told.contains("masks was restarted: panic: a fault on purpose"), "{told}");
+    let (_, stderr) = completes(&again(&run, &faults));
+    assert!(stderr.contains("masks was restarted: panic: a fault on purpose"), "{stderr}");
     same_as_untouched(&run);
 }
 
@@ -81,9 +81,9 @@ fn a_trainer_that_panics_twice_ends_the_run_in_words_instead_of_a_wait_for_ever(
     let dir = folder();
     let run = dir.path().join("run");
     let output = output(&again(&run, &["--fault", "panic@trainer.handle:1+"]));
-    let said = text(&output.stderr);
-    assert_eq!(output.status.code(), Some(4), "{said}");
-    assert!(said.contains("stage `geometry` failed: panic: a fault on purpose"), "{said}");
+    let stdout = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(4), "{stdout}");
+    assert!(stdout.contains("stage `geometry` failed: panic: a fault on purpose"), "{stdout}");
     completes(&again(&run, &[]));
     same_as_untouched(&run);
 }
@@ -93,8 +93,8 @@ fn a_trainer_that_panics_once_goes_on_from_its_last_checkpoint() {
     let dir = folder();
     let run = dir.path().join("run");
     completes(&again(&run, &["--until", "20"]));
-    let (_, told) = completes(&again(&run, &["--fault", "panic@trainer.step:15"]));
-    assert_eq!(told.matches("goes on from step 20").count(), 2, "{told}");
+    let (_, stderr) = completes(&again(&run, &["--fault", "panic@trainer.step:15"]));
+    assert_eq!(stderr.matches("goes on from step 20").count(), 2, "{stderr}");
     same_as_untouched(&run);
     // Without a checkpoint, from the start.
     let other = dir.path().join("other");
@@ -107,9 +107,9 @@ fn an_actor_that_fails_at_everything_is_no_stop_by_the_user() {
     let dir = folder();
     let run = dir.path().join("run");
     let output = output(&again(&run, &["--fault", "fail@masks.handle:1+"]));
-    let said = text(&output.stderr);
-    assert_eq!(output.status.code(), Some(4), "{said}");
-    assert!(said.contains("stage `sky` failed: not one of 10 photos"), "{said}");
+    let stdout = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(4), "{stdout}");
+    assert!(stdout.contains("stage `sky` failed: not one of 10 photos"), "{stdout}");
 }
 
 #[test]
@@ -118,15 +118,15 @@ fn a_stage_that_can_do_none_of_its_photos_fails_however_few_there_are() {
     let run = dir.path().join("run");
     // Ten skies come first, then the masks of eight photos.
     let output = output(&again(&run, &["--fault", "fail@masks.handle:11+"]));
-    let said = text(&output.stderr);
-    assert_eq!(output.status.code(), Some(4), "{said}");
-    assert!(said.contains("stage `masks` failed: not one of 8 photos"), "{said}");
-    assert!(said.contains("the first:") && said.contains("a fault on purpose"), "{said}");
+    let stdout = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(4), "{stdout}");
+    assert!(stdout.contains("stage `masks` failed: not one of 8 photos"), "{stdout}");
+    assert!(stdout.contains("the first:") && stdout.contains("a fault on purpose"), "{stdout}");
     // Five of eight are a reason to look, and none to stop.
     let faults: Vec<String> = (11..26).map(|n| format!("fail@masks.handle:{n}")).collect();
     let faults: Vec<&str> = faults.iter().flat_map(|fault| ["--fault", fault]).collect();
-    let (_, told) = completes(&again(&run, &faults));
-    assert!(told.contains("warning 5 of 8 photos could not be done (masks); the first:"), "{told}");
+    let (_, stderr) = completes(&again(&run, &faults));
+    assert!(stderr.contains("warning 5 of 8 photos could not be done (masks); the first:"), "{stderr}");
     completes(&again(&run, &[]));
     has_what_an_untouched_run_has(&run);
 }
@@ -163,10 +163,10 @@ fn one_kept_checkpoint_is_the_newest_and_a_damaged_one_costs_the_training_and_no
     let mut bytes = std::fs::read(&newest).expect("a checkpoint");
     bytes.truncate(bytes.len() / 2);
     std::fs::write(&newest, bytes).expect("it is written");
-    let (_, told) = completes(&again(&run, &one));
-    assert!(told.contains("-00000040.bin is passed over"), "{told}");
-    assert!(told.contains("there is none before it: the training begins anew"), "{told}");
-    assert!(!told.contains("goes on from step"), "there is none to go on from: {told}");
+    let (_, stderr) = completes(&again(&run, &one));
+    assert!(stderr.contains("-00000040.bin is passed over"), "{stderr}");
+    assert!(stderr.contains("there is none before it: the training begins anew"), "{stderr}");
+    assert!(!stderr.contains("goes on from step"), "there is none to go on from: {stderr}");
     assert!(checkpoints().len() <= 1, "{:?}", checkpoints());
     same_as_untouched(&run);
 }
@@ -189,10 +189,10 @@ fn checkpoints_are_used_when_the_ledger_is_lost_and_the_loss_is_said() {
             let newest = newest.map(|e| e.path()).max().expect("a checkpoint");
             std::fs::write(newest, "torn").expect("it is written");
         }
-        let (_, told) = completes(&again(&run, &[]));
-        assert!(told.contains(&format!("run.sqlite {loss}")), "{told}");
-        assert!(told.contains("is lost; the cache and the checkpoints are kept and used"), "{told}");
-        assert!(told.contains(&format!("goes on from step {step}")), "{told}");
+        let (_, stderr) = completes(&again(&run, &[]));
+        assert!(stderr.contains(&format!("run.sqlite {loss}")), "{stderr}");
+        assert!(stderr.contains("is lost; the cache and the checkpoints are kept and used"), "{stderr}");
+        assert!(stderr.contains(&format!("goes on from step {step}")), "{stderr}");
         same_as_untouched(&run);
     }
 }
@@ -208,7 +208,7 @@ fn explain_names_what_would_be_done_again_and_why() {
         let text = |v: &serde_json::Value| v.as_str().unwrap_or_default().to_owned();
         plans.iter().map(|p| (text(&p["stage"]), (text(&p["verdict"]), p["why"].to_string()))).collect()
     };
-    let scene = place().scene.clone();
+    let scene = shared_run().scene.clone();
     let done_again = |plan: &BTreeMap<String, (String, String)>| -> Vec<String> {
         plan.iter().filter(|(_, (verdict, _))| verdict != "reused").map(|(stage, _)| stage.clone()).collect()
     };
@@ -230,17 +230,18 @@ fn explain_names_what_would_be_done_again_and_why() {
     // Another photo under the same name; a run that does not exist.
     let other = dir.path().join("scene");
     copy_folder(&scene, &other);
-    let names: Vec<_> = place().manifest.photos.iter().filter(|p| !p.test).map(|p| p.name.clone()).collect();
+    let names: Vec<_> =
+        shared_run().manifest.photos.iter().filter(|p| !p.test).map(|p| p.name.clone()).collect();
     let photo = other.join("images").join(&names[0]);
-    let mut picture = segwild_scene::Image::read(&photo).expect("a picture");
-    picture.data[0] = 1.0 - picture.data[0];
-    picture.write_png(&photo).expect("it is written");
+    let mut image = segwild_scene::Image::read(&photo).expect("a picture");
+    image.data[0] = 1.0 - image.data[0];
+    image.write_png(&photo).expect("it is written");
     let changed = plan(&other, &[]);
     assert_eq!(changed["sky"].0, "partly", "{changed:?}");
     assert!(changed["sky"].1.contains(&format!("{} has changed", names[0])), "{changed:?}");
     let nowhere = show(&dir.path().join("new"));
-    let said = works(&["run", &show(&scene), "--out", &nowhere, "--explain"]);
-    assert!(said.contains("geometry  made") && said.contains("the run is new"), "{said}");
+    let stdout = works(&["run", &show(&scene), "--out", &nowhere, "--explain"]);
+    assert!(stdout.contains("geometry  made") && stdout.contains("the run is new"), "{stdout}");
     assert!(!Path::new(&nowhere).exists(), "explaining makes nothing");
 }
 
@@ -251,25 +252,27 @@ fn explain_says_of_any_step_what_the_run_then_does() {
     // Explains, runs, and compares what the training does.
     let check = |more: &[&str], expected: &str, words: &[&str]| {
         let (plan, _) = completes(&again(&run, &[more, &["--explain"]].concat()));
-        let (said, told) = completes(&again(&run, more));
+        let (stdout, stderr) = completes(&again(&run, more));
         let line = plan.lines().find(|line| line.trim_start().starts_with("geometry")).expect("a line");
         assert!(line.contains(expected), "{more:?} was to be `{expected}`: {plan}");
         for word in words {
             assert!(line.contains(word), "{more:?} does not say `{word}`: {plan}");
         }
-        let on = told.lines().find_map(|l| l.split("goes on from step ").nth(1));
+        let on = stderr.lines().find_map(|l| l.split("goes on from step ").nth(1));
         match expected.split_once(" step ") {
-            Some(("goes on from", step)) => assert_eq!(on, Some(step), "{more:?}: {told}"),
-            Some(_) => assert!(said.contains(&format!("stopped at {}", &expected[10..])), "{more:?}: {said}"),
-            None => assert_eq!(on, None, "{more:?}: {told}"),
+            Some(("goes on from", step)) => assert_eq!(on, Some(step), "{more:?}: {stderr}"),
+            Some(_) => {
+                assert!(stdout.contains(&format!("stopped at {}", &expected[10..])), "{more:?}: {stdout}")
+            }
+            None => assert_eq!(on, None, "{more:?}: {stderr}"),
         }
-        assert_eq!(told.contains("geometry was done before"), expected == "reused", "{more:?}: {told}");
+        assert_eq!(stderr.contains("geometry was done before"), expected == "reused", "{more:?}: {stderr}");
         for stage in ["features", "evaluate"] {
             let reused = plan.lines().any(|l| l.contains(stage) && l.contains("reused"));
-            let done = told.contains(&format!("{stage} done in"));
-            assert!(!(reused && done), "{more:?}: {stage} was to be reused: {told}");
+            let done = stderr.contains(&format!("{stage} done in"));
+            assert!(!(reused && done), "{more:?}: {stage} was to be reused: {stderr}");
             let named = plan.lines().any(|l| l.contains(stage));
-            assert_eq!(named && !reused, done, "{more:?}: {stage}: {plan}{told}");
+            assert_eq!(named && !reused, done, "{more:?}: {stage}: {plan}{stderr}");
         }
         assert!(!plan.contains("points or cameras"), "nothing of the kind: {plan}");
     };
@@ -334,9 +337,9 @@ fn ctrl_c_once_stops_in_order_and_twice_at_once_and_both_go_on() {
             std::thread::park_timeout(std::time::Duration::from_millis(300));
         }
         let output = child.wait_with_output().expect("it ends");
-        let said = text(&output.stderr);
-        assert_eq!(output.status.code(), Some(130), "{said}");
-        assert!(said.contains("stopping where the run can continue"), "{said}");
+        let stdout = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(130), "{stdout}");
+        assert!(stdout.contains("stopping where the run can continue"), "{stdout}");
     }
     completes(&again(&run, &["--steps", "60"]));
     has_what_an_untouched_run_has(&run);

@@ -17,22 +17,22 @@ fn a_run_by_sam_is_whole_kept_and_made_anew_when_a_file_changes() {
     toy::write_usual(&models);
     let models_flag = show(&models);
     let args = again(&run, &["--models", &models_flag, "--json"]);
-    let (said, _) = completes(&args);
-    assert!(said.contains("masks, clicks and refinement: SAM"), "{said}");
-    assert!(said.contains("descriptors: SAM"), "{said}");
+    let (stdout, _) = completes(&args);
+    assert!(stdout.contains("masks, clicks and refinement: SAM"), "{stdout}");
+    assert!(stdout.contains("descriptors: SAM"), "{stdout}");
     // 8 photos of a sky, an embedding and masks each, and the skies of 2 that are held out.
-    assert_eq!(made(&said), 26, "{said}");
+    assert_eq!(made(&stdout), 26, "{stdout}");
     // 8 photos and 8 renders were encoded; 8 times the budget's prompts answered, at most.
-    let told = said.lines().find(|l| l.contains("pictures encoded")).expect("the speed is told");
-    assert!(told.contains("16 pictures encoded in") && told.contains("prompts answered at"), "{told}");
-    let rate = json(said.lines().find(|l| l.contains("prompts_per_s")).expect("a metric").as_bytes());
+    let stderr = stdout.lines().find(|l| l.contains("pictures encoded")).expect("the speed is told");
+    assert!(stderr.contains("16 pictures encoded in") && stderr.contains("prompts answered at"), "{stderr}");
+    let rate = json(stdout.lines().find(|l| l.contains("prompts_per_s")).expect("a metric").as_bytes());
     assert!(rate["value"].as_f64().is_some_and(|v| v > 0.0), "{rate}");
 
     // Once more: nothing is made, so no network is asked.
     let before = results(&run);
-    let (said, _) = completes(&args);
-    assert_eq!(made(&said), 0, "{said}");
-    assert!(!said.contains("pictures encoded"), "{said}");
+    let (stdout, _) = completes(&args);
+    assert_eq!(made(&stdout), 0, "{stdout}");
+    assert!(!stdout.contains("pictures encoded"), "{stdout}");
     assert_eq!(results(&run), before);
 
     // A click is answered by the networks, and selects something.
@@ -44,13 +44,13 @@ fn a_run_by_sam_is_whole_kept_and_made_anew_when_a_file_changes() {
     // Another decoder: the masks are made anew, and nothing else per photo.
     let other = decoder(Decoder { masks: 3, ..SAM });
     toy::write(&models, "mobile_sam", &encoder(Takes::Planes, Fault::None), &other);
-    let (said, _) = completes(&args);
-    assert_eq!(made(&said), 8, "{said}");
+    let (stdout, _) = completes(&args);
+    assert_eq!(made(&stdout), 8, "{stdout}");
     // Another encoder: the embeddings as well.
     let packed = encoder(Takes::Pixels(toy::PIXEL_KINDS[1]), Fault::None);
     toy::write(&models, "mobile_sam", &packed, &other);
-    let (said, _) = completes(&args);
-    assert_eq!(made(&said), 16, "{said}");
+    let (stdout, _) = completes(&args);
+    assert_eq!(made(&stdout), 16, "{stdout}");
 }
 
 #[test]

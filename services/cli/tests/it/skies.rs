@@ -16,17 +16,17 @@ fn given_up(more: &[&'static str]) -> Vec<&'static str> {
 fn a_sky_that_failed_once_does_not_spoil_the_run_in_which_it_works() {
     let dir = folder();
     let run = dir.path().join("run");
-    let (_, told) = completes(&again(&run, &GIVEN_UP));
-    assert!(told.contains("sky photo") && told.contains("a fault on purpose"), "{told}");
-    let failed = told.lines().filter(|line| line.contains(" failed: a fault on purpose")).count();
-    assert_eq!(failed, 1, "it is said once, by the photo's name: {told}");
+    let (_, stderr) = completes(&again(&run, &GIVEN_UP));
+    assert!(stderr.contains("sky photo") && stderr.contains("a fault on purpose"), "{stderr}");
+    let failed = stderr.lines().filter(|line| line.contains(" failed: a fault on purpose")).count();
+    assert_eq!(failed, 1, "it is said once, by the photo's name: {stderr}");
     let ledger = segwild_flow::Ledger::open_read_only(run.join("run.sqlite")).expect("a ledger");
     let attempts: Vec<u32> =
         ledger.views("sky").expect("rows").iter().map(|row| row.outcome.attempts).collect();
     assert_eq!(attempts.iter().filter(|&&n| n == 3).count(), 1, "as often as it was tried: {attempts:?}");
     let without = results(&run);
     let name = std::path::Path::new("model.bin");
-    assert_ne!(without[name], results(&place().run)[name], "a sky that is missing changes something");
+    assert_ne!(without[name], results(&shared_run().run)[name], "a sky that is missing changes something");
     // It says what it will do again, and why.
     let args = again(&run, &["--explain"]);
     let plan = works(&args.iter().map(String::as_str).collect::<Vec<_>>());
@@ -44,7 +44,7 @@ fn a_run_with_all_skies_does_not_spoil_one_in_which_a_sky_fails() {
     let alone = dir.path().join("alone");
     completes(&again(&alone, &GIVEN_UP));
     let after = dir.path().join("after");
-    copy_folder(&place().run, &after);
+    copy_folder(&shared_run().run, &after);
     completes(&again(&after, &GIVEN_UP));
     has_all_of(&after, &results(&alone));
 }
@@ -54,9 +54,9 @@ fn a_sky_that_always_fails_costs_no_second_training_and_survives_a_kill() {
     let dir = folder();
     let (straight, killed) = (dir.path().join("straight"), dir.path().join("killed"));
     completes(&again(&straight, &GIVEN_UP));
-    let (said, told) = completes(&again(&straight, &given_up(&["--json"])));
-    assert_eq!(made(&said), 0, "{said}");
-    assert!(said.contains("stage_skipped") && !said.contains("goes on from step"), "{said}{told}");
+    let (stdout, stderr) = completes(&again(&straight, &given_up(&["--json"])));
+    assert_eq!(made(&stdout), 0, "{stdout}");
+    assert!(stdout.contains("stage_skipped") && !stdout.contains("goes on from step"), "{stdout}{stderr}");
     for fault in ["kill@trainer.step:45", "kill@masks.handle:14"] {
         let output = output(&again(&killed, &given_up(&["--checkpoint-every", "1", "--fault", fault])));
         assert_eq!(output.status.code(), None, "{}", text(&output.stderr));
@@ -80,7 +80,11 @@ fn masks_that_failed_once_do_not_spoil_the_field_of_the_run_in_which_they_work()
     ];
     completes(&again(&run, &faults));
     let name = std::path::Path::new("features.bin");
-    assert_ne!(results(&run)[name], results(&place().run)[name], "masks that are missing change something");
+    assert_ne!(
+        results(&run)[name],
+        results(&shared_run().run)[name],
+        "masks that are missing change something"
+    );
     completes(&again(&run, &[]));
     has_what_an_untouched_run_has(&run);
 }
@@ -90,9 +94,9 @@ fn a_sky_that_is_damaged_while_the_run_uses_it_is_found_anew_and_named() {
     let dir = folder();
     for fault in ["corrupt@cache.read:2", "torn@cache.read:11"] {
         let run = dir.path().join(fault);
-        let (_, told) = completes(&again(&run, &["--fault", fault]));
-        assert!(told.contains("the cache's sky record of photo"), "{fault}: {told}");
-        assert!(told.contains("it is made anew"), "{fault}: {told}");
+        let (_, stderr) = completes(&again(&run, &["--fault", fault]));
+        assert!(stderr.contains("the cache's sky record of photo"), "{fault}: {stderr}");
+        assert!(stderr.contains("it is made anew"), "{fault}: {stderr}");
         same_as_untouched(&run);
     }
 }
@@ -102,8 +106,8 @@ fn a_click_finds_the_skies_anew_that_have_gone_from_the_cache() {
     let dir = folder();
     let run = copied_run(&dir);
     let selected = || {
-        let said = select(&run, &[]);
-        assert!(said.status.success(), "{said:?}");
+        let stdout = select(&run, &[]);
+        assert!(stdout.status.success(), "{stdout:?}");
         std::fs::read(run.join("selections/it/selection.bin")).expect("a selection")
     };
     let before = selected();

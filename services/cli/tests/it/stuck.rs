@@ -49,8 +49,8 @@ fn an_actor_that_stands_still_is_named_and_others_that_wait_are_not() {
             .strip_prefix("listening on http://")
             .and_then(|a| a.parse().ok())
             .unwrap_or_else(|| panic!("{first}"));
-        let said = lines.find(|line| line.contains("no progress")).expect("it is named");
-        assert!(said.contains(&format!("{actor} has shown no progress on `{item}")), "{said}");
+        let stdout = lines.find(|line| line.contains("no progress")).expect("it is named");
+        assert!(stdout.contains(&format!("{actor} has shown no progress on `{item}")), "{stdout}");
 
         // The live view is written once a second.
         let named = format!("segwild_actor_stuck{{actor=\"{actor}\"}} 1");

@@ -4,7 +4,7 @@ use crate::common::*;
 
 #[test]
 fn the_timeline_is_told_drawn_and_written_for_other_tools() {
-    let run = &place().run;
+    let run = &shared_run().run;
     let json = |name: &str| -> serde_json::Value {
         serde_json::from_slice(&std::fs::read(run.join(name)).expect("a file")).expect("JSON")
     };
@@ -34,10 +34,10 @@ fn the_timeline_is_told_drawn_and_written_for_other_tools() {
     let report = std::fs::read_to_string(run.join("report.html")).expect("a report");
     assert!(report.contains("Who did what when") && report.contains("<title>60 steps"));
     let dir = folder();
-    let (said, _) = completes(&again(&dir.path().join("run"), &[]));
+    let (stdout, _) = completes(&again(&dir.path().join("run"), &[]));
     assert!(
-        said.contains("trainer") && said.contains("busy") && said.contains("waited longest for"),
-        "{said}"
+        stdout.contains("trainer") && stdout.contains("busy") && stdout.contains("waited longest for"),
+        "{stdout}"
     );
 }
 
@@ -56,7 +56,7 @@ fn has_fields(value: &serde_json::Value, fields: &str) {
 
 #[test]
 fn the_traces_have_the_fields_of_their_formats_and_no_others() {
-    let run = &place().run;
+    let run = &shared_run().run;
     let json = |name: &str| -> serde_json::Value {
         serde_json::from_slice(&std::fs::read(run.join(name)).expect("a file")).expect("JSON")
     };
@@ -136,7 +136,7 @@ fn the_traces_have_the_fields_of_their_formats_and_no_others() {
 fn a_second_run_and_a_selection_leave_the_first_runs_timeline() {
     let dir = folder();
     let run = dir.path().join("run");
-    copy_folder(&place().run, &run);
+    copy_folder(&shared_run().run, &run);
     let first = std::fs::read(run.join("trace.json")).expect("a trace");
     completes(&again(&run, &[]));
     assert!(select(&run, &[]).status.success());

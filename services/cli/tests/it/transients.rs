@@ -1,6 +1,6 @@
 //! Transients: pictures of who was left out, put right by hand, and obeyed.
 
-use crate::common::{QUICK, copied_run, folder, place, refuses, scene, segwild, show, text, works};
+use crate::common::{QUICK, copied_run, folder, refuses, scene, segwild, shared_run, show, text, works};
 use segwild_scene::Mask;
 use std::path::Path;
 
@@ -22,8 +22,9 @@ fn runs(run: &Path, flags: &[&str]) -> String {
 
 /// Stage by stage, whether it would be reused.
 fn plan(run: &Path, flags: &[&str]) -> Vec<(String, bool, String)> {
-    let said = runs(run, &[&["--explain", "--json"], flags].concat());
-    said.lines()
+    let stdout = runs(run, &[&["--explain", "--json"], flags].concat());
+    stdout
+        .lines()
         .filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok())
         .filter_map(|plan| {
             let reused = plan["verdict"] == "reused";
@@ -37,17 +38,17 @@ fn a_png_put_back_wins_and_what_depends_on_it_is_made_anew() {
     let dir = folder();
     let run = copied_run(&dir);
     let trained: Vec<&str> =
-        place().manifest.photos.iter().filter(|p| !p.test).map(|p| p.name.as_str()).collect();
-    let picture = |photo: &str| run.join("transients").join(Path::new(photo).with_extension("png"));
+        shared_run().manifest.photos.iter().filter(|p| !p.test).map(|p| p.name.as_str()).collect();
+    let image = |photo: &str| run.join("transients").join(Path::new(photo).with_extension("png"));
     for photo in &trained {
-        assert!(picture(photo).is_file(), "{photo} has a picture");
+        assert!(image(photo).is_file(), "{photo} has a picture");
     }
     let model = || std::fs::read(run.join("model.bin")).expect("a model");
     let before = model();
     let all_reused = |plans: &[(String, bool, String)]| plans.iter().all(|p| p.1 || p.0 == "report");
     assert!(all_reused(&plan(&run, &[])), "nothing was changed: {:?}", plan(&run, &[]));
     // The same pixels, saved again by an editor, are no correction.
-    let (photo, file) = (trained[2], picture(trained[2]));
+    let (photo, file) = (trained[2], image(trained[2]));
     let mask = Mask::read_png(&file).expect("it opens");
     let (w, h) = (mask.width() as usize, mask.height() as usize);
     let grey = segwild_scene::Image {
@@ -68,8 +69,8 @@ fn a_png_put_back_wins_and_what_depends_on_it_is_made_anew() {
         assert_eq!(*reused, independent, "{stage}: {why}");
         assert!(independent || stage != "geometry" || why.contains(photo), "{stage}: {why}");
     }
-    let said = runs(&run, &[]);
-    assert!(said.contains("put right by hand") && said.contains(photo), "{said}");
+    let stdout = runs(&run, &[]);
+    assert!(stdout.contains("put right by hand") && stdout.contains(photo), "{stdout}");
     let after = model();
     assert!(after != before, "another mask, another scene");
     assert_eq!(
@@ -100,12 +101,13 @@ fn a_correction_is_trained_on_from_where_the_training_ended() {
         (dir, run)
     };
     let (_kept, run) = begin();
-    let photo = place().manifest.photos.iter().find(|p| !p.test).expect("one is trained on").name.as_str();
-    let picture = |run: &Path| run.join("transients").join(Path::new(photo).with_extension("png"));
+    let photo =
+        shared_run().manifest.photos.iter().find(|p| !p.test).expect("one is trained on").name.as_str();
+    let image = |run: &Path| run.join("transients").join(Path::new(photo).with_extension("png"));
     let paint = |run: &Path, share: u32| {
-        let mask = Mask::read_png(&picture(run)).expect("it opens");
+        let mask = Mask::read_png(&image(run)).expect("it opens");
         let (w, h) = (mask.width(), mask.height());
-        Mask::from_fn(w, h, |x, _| x < w / share).write_png(&picture(run)).expect("it is written");
+        Mask::from_fn(w, h, |x, _| x < w / share).write_png(&image(run)).expect("it is written");
     };
     let model = |run: &Path| std::fs::read(run.join("model.bin")).expect("a model");
     let steps = |run: &Path| -> u64 {
@@ -128,8 +130,8 @@ fn a_correction_is_trained_on_from_where_the_training_ended() {
         assert_eq!(reused, independent, "{stage}: {why}");
     }
     assert!(runs(&run, &[&["--explain"], &on[..]].concat()).contains(&format!("goes on from step {ended}")));
-    let said = runs(&run, &on);
-    assert!(said.contains(&format!("goes on from step {ended}")), "{said}");
+    let stdout = runs(&run, &on);
+    assert!(stdout.contains(&format!("goes on from step {ended}")), "{stdout}");
     let (second, then) = (model(&run), steps(&run));
     assert!(second != first && then == ended + ended / 4, "{ended} steps, then {then}");
     all_reused(&run, &on);
@@ -140,29 +142,30 @@ fn a_correction_is_trained_on_from_where_the_training_ended() {
     assert!(model(&other) == second, "the same correction of the same training, the same scene");
     // Put right again, it goes on from there; taken back, the first scene is there again.
     paint(&run, 3);
-    let said = runs(&run, &on);
-    assert!(said.contains(&format!("goes on from step {then}")), "{said}");
+    let stdout = runs(&run, &on);
+    assert!(stdout.contains(&format!("goes on from step {then}")), "{stdout}");
     assert_eq!(steps(&run), then + ended / 4);
     all_reused(&run, &on);
-    std::fs::remove_file(picture(&run)).expect("it goes");
+    std::fs::remove_file(image(&run)).expect("it goes");
     runs(&run, &on);
     assert!(model(&run) == first, "without the correction the first scene is there again");
     // Under other settings there is nothing to go on from.
     paint(&run, 2);
-    let said = runs(&run, &[&["--seed", "9"], &on[..]].concat());
-    assert!(!said.contains("goes on from step"), "{said}");
+    let stdout = runs(&run, &[&["--seed", "9"], &on[..]].concat());
+    assert!(!stdout.contains("goes on from step"), "{stdout}");
 }
 
 #[test]
 fn a_mask_that_covers_a_photo_or_does_not_fit_it_is_answered_by_name() {
     let dir = folder();
     let run = copied_run(&dir);
-    let photo = place().manifest.photos.iter().find(|p| !p.test).expect("one is trained on").name.as_str();
+    let photo =
+        shared_run().manifest.photos.iter().find(|p| !p.test).expect("one is trained on").name.as_str();
     let file = run.join("transients").join(Path::new(photo).with_extension("png"));
     let mask = Mask::read_png(&file).expect("it opens");
     Mask::full(mask.width(), mask.height()).write_png(&file).expect("it is written");
-    let said = runs(&run, &[]);
-    assert!(said.contains(photo) && said.contains("every pixel is masked out"), "{said}");
+    let stdout = runs(&run, &[]);
+    assert!(stdout.contains(photo) && stdout.contains("every pixel is masked out"), "{stdout}");
 
     Mask::empty(50, 50).write_png(&file).expect("it is written");
     let args = again(&run, &[]);
@@ -178,7 +181,7 @@ fn a_mask_that_covers_a_photo_or_does_not_fit_it_is_answered_by_name() {
 fn transients_are_found_and_scored_against_the_truth() {
     use segwild_bench::synthetic::{LightVariation, SyntheticOptions, generate};
     let dir = folder();
-    let place = dir.path().join("crowd");
+    let shared_run = dir.path().join("crowd");
     let options = SyntheticOptions {
         seed: 5,
         train: 20,
@@ -189,11 +192,11 @@ fn transients_are_found_and_scored_against_the_truth() {
         photo_light: LightVariation::None,
         ..SyntheticOptions::small()
     };
-    generate(&options).and_then(|s| s.write(&place)).expect("a place with a crowd");
+    generate(&options).and_then(|s| s.write(&shared_run)).expect("a place with a crowd");
     let run = show(&dir.path().join("run"));
     works(&[
         "run",
-        &show(&place),
+        &show(&shared_run),
         "--out",
         &run,
         "--size",
@@ -205,7 +208,7 @@ fn transients_are_found_and_scored_against_the_truth() {
         "--prompt-budget",
         "24",
     ]);
-    let truth = show(&place.join("truth/transient"));
+    let truth = show(&shared_run.join("truth/transient"));
     let scores: serde_json::Value =
         serde_json::from_str(&works(&["eval", &run, "--transient-masks", &truth, "--json"])).expect("scores");
     let iou = scores["pooled_iou"].as_f64().expect("a number");
@@ -218,25 +221,25 @@ fn a_damaged_machine_made_picture_is_put_aside_and_made_again() {
     let dir = folder();
     let run = copied_run(&dir);
     let trained: Vec<&str> =
-        place().manifest.photos.iter().filter(|p| !p.test).map(|p| p.name.as_str()).collect();
-    let picture = |photo: &str| run.join("transients").join(Path::new(photo).with_extension("png"));
+        shared_run().manifest.photos.iter().filter(|p| !p.test).map(|p| p.name.as_str()).collect();
+    let image = |photo: &str| run.join("transients").join(Path::new(photo).with_extension("png"));
     let model = std::fs::read(run.join("model.bin")).expect("a model");
-    let whole: Vec<Vec<u8>> = trained.iter().map(|p| std::fs::read(picture(p)).expect("a picture")).collect();
+    let whole: Vec<Vec<u8>> = trained.iter().map(|p| std::fs::read(image(p)).expect("a picture")).collect();
     let mut flipped = whole[1].clone();
     flipped[whole[1].len() / 2] ^= 0x10;
     for (photo, bytes) in
         [(trained[0], &whole[0][..whole[0].len() / 2]), (trained[1], &flipped[..]), (trained[2], &[][..])]
     {
-        std::fs::write(picture(photo), bytes).expect("it is written");
+        std::fs::write(image(photo), bytes).expect("it is written");
     }
     // The list of what this program made is lost as well: each picture says it of itself.
     std::fs::write(run.join("transients/made.json"), "{").expect("it is written");
-    let said = runs(&run, &[]);
-    assert!(said.contains("is put aside as") && !said.contains("put right by hand"), "{said}");
+    let stdout = runs(&run, &[]);
+    assert!(stdout.contains("is put aside as") && !stdout.contains("put right by hand"), "{stdout}");
     for (photo, bytes) in trained.iter().zip(&whole) {
-        assert_eq!(&std::fs::read(picture(photo)).expect("it is there again"), bytes, "{photo}");
+        assert_eq!(&std::fs::read(image(photo)).expect("it is there again"), bytes, "{photo}");
     }
-    let aside = picture(trained[0]).with_extension("png.damaged");
+    let aside = image(trained[0]).with_extension("png.damaged");
     assert_eq!(std::fs::read(aside).expect("it is kept"), &whole[0][..whole[0].len() / 2]);
     assert_eq!(std::fs::read(run.join("model.bin")).expect("a model"), model, "nothing was trained again");
 }
@@ -255,7 +258,7 @@ fn one_bad_or_turned_true_picture_is_named_and_the_others_are_scored() {
         "both are the user's"
     );
     let trained: Vec<&str> =
-        place().manifest.photos.iter().filter(|p| !p.test).map(|p| p.name.as_str()).take(3).collect();
+        shared_run().manifest.photos.iter().filter(|p| !p.test).map(|p| p.name.as_str()).take(3).collect();
     let names: Vec<_> = trained.iter().map(|photo| Path::new(photo).with_extension("png")).collect();
     for name in &names {
         std::fs::copy(run.join("transients").join(name), truth.join(name)).expect("a copy");
@@ -266,9 +269,9 @@ fn one_bad_or_turned_true_picture_is_named_and_the_others_are_scored() {
     let turned = Mask::from_fn(mask.height(), mask.width(), |x, y| x > y);
     turned.write_png(&truth.join(&names[1])).expect("it is written");
     let output = eval(&truth);
-    let said = text(&output.stderr);
-    assert_eq!(output.status.code(), Some(0), "{said}");
-    assert_eq!(said.matches("does not count").count(), 2, "{said}");
-    assert!(said.contains("which does not fit the photo's"), "{said}");
+    let stdout = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(0), "{stdout}");
+    assert_eq!(stdout.matches("does not count").count(), 2, "{stdout}");
+    assert!(stdout.contains("which does not fit the photo's"), "{stdout}");
     assert!(text(&output.stdout).contains(trained[2]), "{}", text(&output.stdout));
 }

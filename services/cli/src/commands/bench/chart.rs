@@ -2,7 +2,7 @@
 
 use super::common::{light, light_of, parts, parts_of, providers, providers_of};
 use super::{list, numbers};
-use crate::args::{given, json, number, path, with_settings};
+use crate::args::{examples, given, json, number, path, with_settings_in_long_help};
 use crate::commands::{path as path_of, print_json, print_line};
 use crate::failure::{Failure, plain};
 use clap::{Arg, ArgMatches, Command, value_parser};
@@ -18,20 +18,21 @@ use std::path::PathBuf;
 pub fn command() -> Command {
     let command = Command::new("chart")
         .about("Accuracy against time and memory: one setting varied at a time around a default")
+        .after_help(examples("segwild bench chart --scene photos/trevi", "segwild bench chart --only steps,appearance --seeds 1,2"))
         .arg(
             Arg::new("scene")
                 .long("scene")
                 .value_name("PATH")
                 .value_parser(value_parser!(PathBuf))
-                .help("A folder of photos with true masks in `truth/` [default: synthetic sources]"),
+                .help("A folder of photos with true masks in `truth/` [default: synthetic scenes]"),
         )
         .arg(parts())
         .arg(
-            Arg::new("scenes")
-                .long("scenes")
+            Arg::new("scene-seeds")
+                .long("scene-seeds")
                 .value_name("LIST")
                 .default_value("1")
-                .help("Seeds of the synthetic sources, with commas; a point is their mean"),
+                .help("Seeds of the synthetic scenes, with commas; a point is their mean"),
         )
         .arg(
             Arg::new("seeds")
@@ -51,13 +52,13 @@ pub fn command() -> Command {
         .arg(
             Arg::new("only")
                 .long("only")
-                .value_name("SWEEPS")
+                .value_name("LIST")
                 .help("Sweeps to measure, with commas: preset, steps, splats, channels, size, look, refine, prompts, density, budget, or single points of them as in look=embed [default: all]"),
         )
         .arg(path("out", "Folder for results; what is there is not measured again [default: .bench/chart]"))
         .arg(path("page", "Folder for the page, figures and data [default: the folder of the results]"))
         .arg(json());
-    with_settings(command)
+    with_settings_in_long_help(command)
 }
 
 /// The hidden command that measures one point.
@@ -78,7 +79,7 @@ pub fn chart(matches: &ArgMatches) -> Result<(), Failure> {
             (vec![source], name)
         }
         None => {
-            let seeds: Vec<u64> = numbers(matches, "scenes")?;
+            let seeds: Vec<u64> = numbers(matches, "scene-seeds")?;
             let options = SyntheticOptions {
                 train: photos,
                 test: photos.div_ceil(5),
@@ -87,9 +88,9 @@ pub fn chart(matches: &ArgMatches) -> Result<(), Failure> {
                 photo_light: light_of(matches)?,
                 ..SyntheticOptions::default()
             };
-            let sources = if seeds.len() == 1 { "place" } else { "scenes" };
+            let scenes = if seeds.len() == 1 { "scene" } else { "scenes" };
             let about =
-                format!("{} synthetic {sources} of {photos} photos, {} px", seeds.len(), options.long_side);
+                format!("{} synthetic {scenes} of {photos} photos, {} px", seeds.len(), options.long_side);
             (
                 seeds
                     .iter()
@@ -101,9 +102,7 @@ pub fn chart(matches: &ArgMatches) -> Result<(), Failure> {
     };
     let providers = providers_of(matches);
     if providers == ProviderKind::Oracle && matches!(sources[..], [PhotoSource::Folder { .. }]) {
-        return Err(Failure::usage(
-            "--providers oracle: the oracle knows synthetic sources only, no --scene",
-        ));
+        return Err(Failure::usage("--providers oracle: the oracle knows synthetic scenes only, no --scene"));
     }
     let options = ChartOptions {
         program: std::env::current_exe()?,
@@ -113,7 +112,7 @@ pub fn chart(matches: &ArgMatches) -> Result<(), Failure> {
         base: Base { sources, providers, faults: OracleOptions::default(), settings: given(matches) },
         out: out.clone(),
     };
-    let results = measure_all(&options, |told| tell(&told, json))?;
+    let results = measure_all(&options, |event| tell(&event, json))?;
     let page = path_of(matches, "page").unwrap_or(out);
     let verdicts = write(&page, &results, &about)?;
     if json {
@@ -125,8 +124,8 @@ pub fn chart(matches: &ArgMatches) -> Result<(), Failure> {
     print_line(&format!("page: {}", page.join("index.html").display()))
 }
 
-fn tell(told: &Told, json: bool) {
-    let _ = match told {
+fn tell(event: &Told, json: bool) {
+    let _ = match event {
         Told::Point { records, .. } if json => records.iter().try_for_each(print_json),
         Told::Point { records, known } => {
             let Some(first) = records.iter().find(|r| r.target.is_empty()) else { return };

@@ -1,7 +1,7 @@
-//! What the protocols have in common: rows, seeds, where results go, and how they are told.
+//! What the protocols have in common: rows, seeds, where results go, and how they are printed.
 
 use super::{list, numbers};
-use crate::args::{given, json, path, with_settings};
+use crate::args::{given, json, path, with_settings_in_long_help};
 use crate::commands::{path as path_of, print_json, print_line, use_threads};
 use crate::exit;
 use crate::failure::Failure;
@@ -22,7 +22,7 @@ use std::path::{Path, PathBuf};
 
 /// Adds the flags that every protocol has: those of all settings, `--seeds`, `--only`, `--out`, `--page`, `--json`.
 pub fn with_common(command: Command, seeds: &'static str, folder: &'static str) -> Command {
-    with_settings(command)
+    with_settings_in_long_help(command)
         .arg(
             Arg::new("seeds")
                 .long("seeds")
@@ -33,7 +33,7 @@ pub fn with_common(command: Command, seeds: &'static str, folder: &'static str) 
         .arg(
             Arg::new("only")
                 .long("only")
-                .value_name("ROWS")
+                .value_name("LIST")
                 .help("Rows to compute, with commas, of whichever table [default: all of the table]"),
         )
         .arg(
@@ -41,12 +41,12 @@ pub fn with_common(command: Command, seeds: &'static str, folder: &'static str) 
                 .long("change")
                 .value_name("NAME=VALUE")
                 .action(ArgAction::Append)
-                .help("A setting that holds whatever a row says: to tune a rival"),
+                .help("A setting that holds whatever a row says: to tune a baseline"),
         )
         .arg(path("out", folder))
         .arg(
             Arg::new("keep").long("keep").action(ArgAction::SetTrue).help(
-                "Keep what OUT/results.json has of other rows, scenes and prompts [default: begin anew]",
+                "Keep what OUT/results.json has of other rows, scenes and prompts [default: start over]",
             ),
         )
         .arg(path("page", "Write the tables to this file, with what made them"))
@@ -59,7 +59,7 @@ pub fn light() -> Arg {
         .long("light")
         .value_parser(PossibleValuesParser::new(LightVariation::CHOICES))
         .default_value("mixed")
-        .help("What differs from photo to photo of a synthetic place")
+        .help("What differs from photo to photo of a synthetic scene")
 }
 
 /// What [`light`] was given.
@@ -121,8 +121,8 @@ pub fn table(matches: &ArgMatches) -> Table {
     }
 }
 
-/// What a protocol was asked for.
-pub struct Asked {
+/// The flags that protocols share.
+pub struct ProtocolFlags {
     /// Where scenes, runs and results go.
     pub out: PathBuf,
     /// Rows by name; empty for all.
@@ -138,8 +138,8 @@ pub struct Asked {
     page: Option<PathBuf>,
 }
 
-/// Reads the common flags, and begins a new set of results in the folder.
-pub fn asked(matches: &ArgMatches, folder: &str) -> Result<Asked, Failure> {
+/// Reads the common flags, and starts a new set of results in the folder.
+pub fn flags(matches: &ArgMatches, folder: &str) -> Result<ProtocolFlags, Failure> {
     let out = path_of(matches, "out").unwrap_or_else(|| PathBuf::from(folder));
     let settings = Settings::layered(None, &given(matches))?;
     use_threads(settings.run.threads);
@@ -164,7 +164,7 @@ pub fn asked(matches: &ArgMatches, folder: &str) -> Result<Asked, Failure> {
     } else if photos.is_file() {
         std::fs::remove_file(&photos).map_err(|e| cannot_write(&photos, &e))?;
     }
-    Ok(Asked {
+    Ok(ProtocolFlags {
         out,
         only: list(matches, "only"),
         seeds: numbers(matches, "seeds")?,
@@ -196,7 +196,7 @@ pub fn cannot_write(file: &Path, error: &std::io::Error) -> Failure {
     Failure { message: format!("cannot write {}: {error}", file.display()), code: exit::of_system(error) }
 }
 
-/// Tells of a measurement.
+/// Prints a measurement.
 pub fn tell(json: bool) -> impl FnMut(&Record) {
     move |record: &Record| {
         let _ = if json {
@@ -214,39 +214,39 @@ pub fn tell(json: bool) -> impl FnMut(&Record) {
 }
 
 /// Prints the tables, and writes the page if one was asked for.
-pub fn finish(asked: &Asked, title: &str) -> Result<(), Failure> {
-    if let Some(file) = &asked.page {
-        let text = page(title, std::slice::from_ref(&asked.results));
+pub fn finish(flags: &ProtocolFlags, title: &str) -> Result<(), Failure> {
+    if let Some(file) = &flags.page {
+        let text = page(title, std::slice::from_ref(&flags.results));
         segwild_flow::files::write_plain(file, text).map_err(|e| cannot_write(file, &e))?;
     }
-    if asked.json {
+    if flags.json {
         return Ok(());
     }
-    for table in all(&asked.results) {
+    for table in all(&flags.results) {
         print_line(&format!("\n{}", table.trim_end()))?;
     }
-    print_line(&format!("\nresults: {}", asked.out.join("results.json").display()))
+    print_line(&format!("\nresults: {}", flags.out.join("results.json").display()))
 }
 
 /// Puts the rows through scenes, each made for every seed.
-pub fn measure_places(
-    asked: &mut Asked,
+pub fn measure_scenes(
+    flags: &mut ProtocolFlags,
     table: Table,
     scenes: impl Fn(&Settings, u64) -> Result<Found, ProtocolError>,
 ) -> Result<(), Failure> {
-    let rows = table.rows(&asked.only)?;
-    let mut told = tell(asked.json);
-    for &seed in &asked.seeds {
-        let Found { scenes, missing } = scenes(&asked.base.settings, seed)?;
-        asked.results.miss(missing);
-        for place in scenes {
-            measure(&asked.out, &place, &rows, &asked.base, &mut asked.results, &mut told)?;
+    let rows = table.rows(&flags.only)?;
+    let mut report = tell(flags.json);
+    for &seed in &flags.seeds {
+        let Found { scenes, missing } = scenes(&flags.base.settings, seed)?;
+        flags.results.miss(missing);
+        for scene in scenes {
+            measure(&flags.out, &scene, &rows, &flags.base, &mut flags.results, &mut report)?;
         }
     }
     // Also where nothing was measured since.
-    let file = asked.out.join("results.json");
-    asked.results.write(&file).map_err(ProtocolError::from)?;
-    for what in &asked.results.missing {
+    let file = flags.out.join("results.json");
+    flags.results.write(&file).map_err(ProtocolError::from)?;
+    for what in &flags.results.missing {
         eprintln!("warning: not measured: {what}");
     }
     Ok(())
@@ -255,12 +255,12 @@ pub fn measure_places(
 /// A setting's default for one benchmark, where the person did not give it.
 pub fn default_setting(
     matches: &ArgMatches,
-    asked: &mut Asked,
+    flags: &mut ProtocolFlags,
     name: &str,
     value: &str,
 ) -> Result<(), Failure> {
     if given(matches).iter().all(|(given, _)| given != name) {
-        asked.base.settings.set(name, value).map_err(SettingsError::from)?;
+        flags.base.settings.set(name, value).map_err(SettingsError::from)?;
     }
     Ok(())
 }

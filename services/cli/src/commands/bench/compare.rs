@@ -20,7 +20,8 @@ pub fn command() -> Command {
             "A number has changed when its mean differs by more than what matters (IoU 0.005, PSNR 0.1 dB, CPU time 10 %, \
              memory 5 %, counted work 2 %), and a paired t-test over trainings says at 5 % that this is no noise (Holm's \
              correction for how many numbers are tested). With fewer than three pairs the difference must be twice what \
-             matters.",
+             matters.\n\nExamples:\n  segwild bench compare before/results.json after/results.json\n  \
+             segwild bench compare --fail before/results.json after/results.json",
         )
         .arg(file("old", "Results before"))
         .arg(file("new", "Results after"))
@@ -34,7 +35,7 @@ pub fn command() -> Command {
             Arg::new("strict")
                 .long("strict")
                 .action(ArgAction::SetTrue)
-                .help("Judge by what matters alone: for fixed seeds, where the same code gives the same bytes"),
+                .help("Compare by what matters alone: for fixed seeds, where the same code gives the same bytes"),
         )
         .arg(
             Arg::new("margins")

@@ -1,7 +1,7 @@
 //! `segwild bench engine`
 
 use super::{list, numbers};
-use crate::args::{json, path};
+use crate::args::{examples, json, path};
 use crate::commands::{path as path_of, print_json, print_line};
 use crate::failure::Failure;
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
@@ -17,10 +17,14 @@ pub fn command() -> Command {
     };
     Command::new("engine")
         .about("How fast the accelerator engine is: each pass against its floor and the CPU engine")
+        .after_help(examples(
+            "segwild bench engine --adapter NVIDIA",
+            "segwild bench engine --no-cpu --splats 10000,1000000",
+        ))
         .arg(
             Arg::new("adapter")
                 .long("adapter")
-                .value_name("NAME")
+                .value_name("TEXT")
                 .help("Part of the accelerator's name [default: the best that is no program on the CPU]"),
         )
         .arg(sizes("splats", "10000,100000,1000000,5000000", "Numbers of splats"))
@@ -52,9 +56,9 @@ pub fn command() -> Command {
                 .value_name("N")
                 .default_value("320")
                 .value_parser(value_parser!(u32).range(16..=4096))
-                .help("Long side of that place's photos, in pixels"),
+                .help("Long side of that scene's photos, in pixels"),
         )
-        .arg(path("out", "Folder for that place while it is trained [default: .bench/engine]"))
+        .arg(path("out", "Folder for that scene while it is trained [default: .bench/engine]"))
         .arg(path("page", "Write the page to this file"))
         .arg(json())
 }
@@ -79,7 +83,7 @@ pub fn engine(matches: &ArgMatches) -> Result<(), Failure> {
     };
     let json = matches.get_flag("json");
     let mut last = String::new();
-    let told = |record: &Record| {
+    let report = |record: &Record| {
         if json {
             let _ = print_json(record);
             return;
@@ -89,10 +93,10 @@ pub fn engine(matches: &ArgMatches) -> Result<(), Failure> {
             let _ = print_line(&last);
         }
         let numbers: Vec<String> = record.numbers.iter().map(|(n, v)| format!("{n} {v:.3}")).collect();
-        let said = [numbers.join(", "), record.notes.join("; ")].concat();
-        let _ = print_line(&format!("  {:<24} {said}", record.setting));
+        let message = [numbers.join(", "), record.notes.join("; ")].concat();
+        let _ = print_line(&format!("  {:<24} {message}", record.setting));
     };
-    let results = measure_all(&options, told)?;
+    let results = measure_all(&options, report)?;
     if let Some(page) = path_of(matches, "page") {
         write(&page, &results)?;
     }

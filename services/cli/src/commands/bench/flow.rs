@@ -2,7 +2,7 @@
 
 use super::common::cannot_write;
 use super::{list, numbers};
-use crate::args::{json, number, path};
+use crate::args::{examples, json, number, path};
 use crate::commands::{path as path_of, print_json, print_line};
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
@@ -14,17 +14,18 @@ use std::path::PathBuf;
 pub fn command() -> Command {
     Command::new("flow")
         .about("Measure what the dataflow promises: overlap, accelerator, cost, cache, kills, memory")
+        .after_help(examples("segwild bench flow", "segwild bench flow --page flow.md"))
         .arg(
             Arg::new("only")
                 .long("only")
-                .value_name("ROWS")
+                .value_name("LIST")
                 .help("Rows to measure, with commas [default: all]"),
         )
         .arg(number("kills", "50", "Runs that are killed").value_parser(value_parser!(u32).range(1..)))
         .arg(
             Arg::new("photos")
                 .long("photos")
-                .value_name("FEW,MANY")
+                .value_name("LIST")
                 .default_value("100,1000")
                 .help("Photos of the two scenes whose memory is compared"),
         )
@@ -49,7 +50,7 @@ pub fn flow(matches: &ArgMatches) -> Result<(), Failure> {
         kills: *matches.get_one::<u32>("kills").expect("it has a default") as usize,
         photos: [few, many],
     };
-    let told = |row: &Row| {
+    let report = |row: &Row| {
         let _ = if json {
             print_json(row)
         } else {
@@ -60,7 +61,7 @@ pub fn flow(matches: &ArgMatches) -> Result<(), Failure> {
             ))
         };
     };
-    let rows = segwild_bench::flow::flow(&options, told)?;
+    let rows = segwild_bench::flow::flow(&options, report)?;
     if let Some(file) = path_of(matches, "page") {
         let made = Made::here(super::common::command_line());
         segwild_flow::files::write_plain(&file, page(&measured(&options.dir), &made))

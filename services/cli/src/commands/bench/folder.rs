@@ -1,8 +1,8 @@
 //! `segwild bench folder`
 
-use super::common::{asked, finish, measure_places, parts, parts_of, table, with_common, with_table};
+use super::common::{finish, flags, measure_scenes, parts, parts_of, table, with_common, with_table};
 use super::list;
-use crate::args::number;
+use crate::args::{examples, number};
 use crate::commands::path as path_of;
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
@@ -11,8 +11,12 @@ use std::path::PathBuf;
 
 /// The benchmark's arguments.
 pub fn command() -> Command {
-    let command =
-        Command::new("folder").about("Find the objects of a scene that has true masks in SCENE/truth");
+    let command = Command::new("folder")
+        .about("Find the objects of a scene that has true masks in SCENE/truth")
+        .after_help(examples(
+            "segwild bench folder photos/trevi",
+            "segwild bench folder photos/trevi --table ablation",
+        ));
     let command = with_common(command, "1", "Folder for runs and results [default: .bench/folder]");
     with_table(command, "baselines")
         .arg(
@@ -41,7 +45,7 @@ pub fn command() -> Command {
 
 /// Prints the tables.
 pub fn folder(matches: &ArgMatches) -> Result<(), Failure> {
-    let mut asked = asked(matches, ".bench/folder")?;
+    let mut flags = flags(matches, ".bench/folder")?;
     let number = |name: &str| *matches.get_one::<u32>(name).expect("it has a default") as usize;
     let options = FolderProtocol {
         scene: path_of(matches, "scene").expect("clap requires it"),
@@ -50,7 +54,7 @@ pub fn folder(matches: &ArgMatches) -> Result<(), Failure> {
         clicks: number("clicks"),
         parts: parts_of(matches)?,
     };
-    measure_places(&mut asked, table(matches), |settings, seed| scenes(&options, settings, seed))?;
-    let title = asked.results.records.first().map_or_else(String::new, |r| r.scene.clone());
-    finish(&asked, &title)
+    measure_scenes(&mut flags, table(matches), |settings, seed| scenes(&options, settings, seed))?;
+    let title = flags.results.records.first().map_or_else(String::new, |r| r.scene.clone());
+    finish(&flags, &title)
 }

@@ -1,7 +1,8 @@
 //! `segwild bench lego`
 
-use super::common::{asked, default_setting, finish, providers, providers_of, tell, with_common};
+use super::common::{default_setting, finish, flags, providers, providers_of, tell, with_common};
 use super::synthetic::{scene, with_scene};
+use crate::args::examples;
 use crate::failure::Failure;
 use clap::{ArgMatches, Command};
 use segwild_bench::protocols::lego::{LegoProtocol, lego as measure};
@@ -9,7 +10,8 @@ use segwild_bench::protocols::lego::{LegoProtocol, lego as measure};
 /// The benchmark's arguments.
 pub fn command() -> Command {
     let command = Command::new("lego")
-        .about("NeRF-W's perturbations: what other colours and a striped square before each photo cost");
+        .about("NeRF-W's perturbations: what other colours and a striped square before each photo cost")
+        .after_help(examples("segwild bench lego", "segwild bench lego --scene photos/lego"));
     with_scene(
         with_common(command, "1", "Folder for scenes, runs and results [default: .bench/lego]"),
         "60",
@@ -20,16 +22,16 @@ pub fn command() -> Command {
 
 /// Prints the table.
 pub fn lego(matches: &ArgMatches) -> Result<(), Failure> {
-    let mut asked = asked(matches, ".bench/lego")?;
-    // The perturbed photos have a look each; the clean ones pay for it as the perturbed ones do.
-    default_setting(matches, &mut asked, "appearance_model", "affine")?;
+    let mut flags = flags(matches, ".bench/lego")?;
+    // The perturbed photos have an appearance each; the clean ones pay for it as the perturbed ones do.
+    default_setting(matches, &mut flags, "appearance_model", "affine")?;
     let options = LegoProtocol {
-        only: asked.only.clone(),
-        seeds: asked.seeds.clone(),
+        only: flags.only.clone(),
+        seeds: flags.seeds.clone(),
         scene: scene(matches),
         providers: providers_of(matches),
-        base: asked.base.clone(),
+        base: flags.base.clone(),
     };
-    measure(&asked.out, &options, &mut asked.results, &mut tell(asked.json))?;
-    finish(&asked, "Perturbed photos")
+    measure(&flags.out, &options, &mut flags.results, &mut tell(flags.json))?;
+    finish(&flags, "Perturbed photos")
 }

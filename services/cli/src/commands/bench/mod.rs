@@ -21,7 +21,11 @@ use std::str::FromStr;
 
 /// The command's arguments. Without the name of a benchmark it is `synthetic`.
 pub fn command() -> Command {
-    synthetic::with_args(Command::new("bench").about("Measure: how accurate, how fast, how steady"))
+    synthetic::with_args(Command::new("bench").about("Measure: how accurate, how fast, how stable"))
+        .after_help(crate::args::examples(
+            "segwild bench synthetic --table baselines",
+            "segwild bench chart --scene photos/trevi",
+        ))
         .args_conflicts_with_subcommands(true)
         .subcommand(synthetic::command())
         .subcommand(folder::command())

@@ -1,8 +1,8 @@
 //! `segwild bench photo-tourism`
 
-use super::common::{asked, finish, measure_places, table, with_common, with_table};
+use super::common::{finish, flags, measure_scenes, table, with_common, with_table};
 use super::list;
-use crate::args::number;
+use crate::args::{examples, number};
 use crate::commands::path as path_of;
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
@@ -13,7 +13,13 @@ use std::path::PathBuf;
 pub fn command() -> Command {
     let command = Command::new("photo-tourism")
         .about("The paper's nine targets in three scenes of Photo Tourism, and PSNR on held-out photos")
-        .after_help(LAYOUT);
+        .after_help(format!(
+            "{LAYOUT}\n\n{}",
+            examples(
+                "segwild bench photo-tourism --data photo-tourism",
+                "segwild bench photo-tourism --data photo-tourism --table ablation"
+            )
+        ));
     with_table(
         with_common(command, "1", "Folder for runs and results [default: .bench/photo-tourism]"),
         "baselines",
@@ -22,7 +28,7 @@ pub fn command() -> Command {
     .arg(
         Arg::new("scenes")
             .long("scenes")
-            .value_name("PLACES")
+            .value_name("LIST")
             .help("Places, with commas: brandenburg_gate, trevi_fountain, taj_mahal [default: all]"),
     )
     .arg(
@@ -37,12 +43,12 @@ pub fn command() -> Command {
 
 /// Prints the tables.
 pub fn photo_tourism(matches: &ArgMatches) -> Result<(), Failure> {
-    let mut asked = asked(matches, ".bench/photo-tourism")?;
+    let mut flags = flags(matches, ".bench/photo-tourism")?;
     let options = PhotoTourismProtocol {
         root: path_of(matches, "root").expect("clap requires it"),
         only: list(matches, "scenes"),
         clicks: *matches.get_one::<u32>("clicks").expect("it has a default") as usize,
     };
-    measure_places(&mut asked, table(matches), |settings, seed| scenes(&options, settings, seed))?;
-    finish(&asked, "Photo Tourism")
+    measure_scenes(&mut flags, table(matches), |settings, seed| scenes(&options, settings, seed))?;
+    finish(&flags, "Photo Tourism")
 }

@@ -1,7 +1,7 @@
 //! `segwild bench scale`
 
 use super::{list, numbers};
-use crate::args::{json, path};
+use crate::args::{examples, json, path};
 use crate::commands::{path as path_of, print_json, print_line};
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command};
@@ -16,10 +16,11 @@ pub fn command() -> Command {
     };
     Command::new("scale")
         .about("How time and memory grow, with slopes: splats, photos, pixels, channels, objects")
+        .after_help(examples("segwild bench scale", "segwild bench scale --photos 10,100 --splats 2000,16000"))
         .arg(
             Arg::new("only")
                 .long("only")
-                .value_name("AXES")
+                .value_name("LIST")
                 .help("Axes to measure, with commas: kernels splats, kernels pixels, kernels channels, photos, splats, pixels, objects [default: all]"),
         )
         .arg(sizes("kernel-splats", "1000,10000,100000,500000,2000000", "Splats of the kernels' frame"))
@@ -48,13 +49,13 @@ pub fn scale(matches: &ArgMatches) -> Result<(), Failure> {
         pixels: numbers(matches, "pixels")?,
     };
     let json = matches.get_flag("json");
-    let told = |record: &Record| {
+    let report = |record: &Record| {
         let numbers: Vec<String> = record.numbers.iter().map(|(n, v)| format!("{n} {v:.2}")).collect();
         let at = record.at.unwrap_or(0.0);
         let line = format!("{:>16} {at:>9}: {}", record.setting, numbers.join(", "));
         let _ = if json { print_json(record) } else { print_line(&line) };
     };
-    let results = measure_all(&options, told)?;
+    let results = measure_all(&options, report)?;
     if let Some(page) = path_of(matches, "page") {
         write(&page, &results)?;
     }

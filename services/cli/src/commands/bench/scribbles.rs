@@ -1,8 +1,8 @@
 //! `segwild bench nvos` and `segwild bench spin-nerf`: other people's annotations of forward-facing scenes.
 
-use super::common::{asked, finish, measure_places, table, with_common, with_table};
+use super::common::{finish, flags, measure_scenes, table, with_common, with_table};
 use super::list;
-use crate::args::number;
+use crate::args::{examples, number};
 use crate::commands::path as path_of;
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
@@ -12,17 +12,18 @@ use std::path::PathBuf;
 fn with_args(command: Command, folder: &'static str, clicks: &'static str, help: &'static str) -> Command {
     with_table(with_common(command, "1", folder), "baselines")
         .arg(Arg::new("root").required(true).value_parser(value_parser!(PathBuf)).help("Folder of the data"))
-        .arg(
-            Arg::new("scenes").long("scenes").value_name("SCENES").help("Scenes, with commas [default: all]"),
-        )
+        .arg(Arg::new("scenes").long("scenes").value_name("LIST").help("Scenes, with commas [default: all]"))
         .arg(number("clicks", clicks, help).value_parser(value_parser!(u32).range(1..)))
 }
 
 /// The arguments of `nvos`.
 pub fn nvos_command() -> Command {
-    let command = Command::new("nvos")
-        .about("NVOS: scribbles on one photo, the mask of another")
-        .after_help(nvos::LAYOUT);
+    let command =
+        Command::new("nvos").about("NVOS: scribbles on one photo, the mask of another").after_help(format!(
+            "{}\n\n{}",
+            nvos::LAYOUT,
+            examples("segwild bench nvos --data nvos", "segwild bench nvos --data nvos --only ours")
+        ));
     let help = "Most clicks taken from the scribbles inside, and as many from those outside";
     with_args(command, "Folder for runs and results [default: .bench/nvos]", "8", help)
 }
@@ -31,31 +32,38 @@ pub fn nvos_command() -> Command {
 pub fn spin_nerf_command() -> Command {
     let command = Command::new("spin-nerf")
         .about("SPIn-NeRF: the mask of one photo is clicked, those of the others score it")
-        .after_help(spin_nerf::LAYOUT);
+        .after_help(format!(
+            "{}\n\n{}",
+            spin_nerf::LAYOUT,
+            examples(
+                "segwild bench spin-nerf --data spin-nerf",
+                "segwild bench spin-nerf --data spin-nerf --only ours"
+            )
+        ));
     let help = "Clicks on the reference photo: where its mask is deepest, and then away from there";
     with_args(command, "Folder for runs and results [default: .bench/spin-nerf]", "3", help)
 }
 
 /// Prints the tables of NVOS.
 pub fn nvos(matches: &ArgMatches) -> Result<(), Failure> {
-    let mut asked = asked(matches, ".bench/nvos")?;
+    let mut flags = flags(matches, ".bench/nvos")?;
     let options = nvos::NvosProtocol {
         root: path_of(matches, "root").expect("clap requires it"),
         only: list(matches, "scenes"),
         clicks: *matches.get_one::<u32>("clicks").expect("it has a default") as usize,
     };
-    measure_places(&mut asked, table(matches), |settings, seed| nvos::scenes(&options, settings, seed))?;
-    finish(&asked, "NVOS")
+    measure_scenes(&mut flags, table(matches), |settings, seed| nvos::scenes(&options, settings, seed))?;
+    finish(&flags, "NVOS")
 }
 
 /// Prints the tables of SPIn-NeRF.
 pub fn spin_nerf(matches: &ArgMatches) -> Result<(), Failure> {
-    let mut asked = asked(matches, ".bench/spin-nerf")?;
+    let mut flags = flags(matches, ".bench/spin-nerf")?;
     let options = spin_nerf::SpinNerfProtocol {
         root: path_of(matches, "root").expect("clap requires it"),
         only: list(matches, "scenes"),
         clicks: *matches.get_one::<u32>("clicks").expect("it has a default") as usize,
     };
-    measure_places(&mut asked, table(matches), |settings, seed| spin_nerf::scenes(&options, settings, seed))?;
-    finish(&asked, "SPIn-NeRF")
+    measure_scenes(&mut flags, table(matches), |settings, seed| spin_nerf::scenes(&options, settings, seed))?;
+    finish(&flags, "SPIn-NeRF")
 }

@@ -1,6 +1,6 @@
 //! `segwild bench slice`
 
-use crate::args::{given, path, with_settings};
+use crate::args::{examples, given, path, with_settings_in_long_help};
 use crate::commands::{path as path_of, print_line, use_threads};
 use crate::exit;
 use crate::failure::Failure;
@@ -13,10 +13,11 @@ use std::path::PathBuf;
 pub fn command() -> Command {
     let command = Command::new("slice")
         .about(
-            "Quality and counted work on two tiny sources, for `bench compare --strict` against what is kept",
+            "Quality and counted work on two tiny scenes, for `bench compare --strict` against what is kept",
         )
+        .after_help(examples("segwild bench slice", "segwild bench slice --out slice.json"))
         .arg(path("out", "File for the results [default: .bench/slice.json]"));
-    with_settings(command)
+    with_settings_in_long_help(command)
 }
 
 /// Measures and writes the results.

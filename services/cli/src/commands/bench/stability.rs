@@ -2,7 +2,7 @@
 
 use super::common::{providers, providers_of};
 use super::{list, numbers};
-use crate::args::{given, json, number, path, with_settings};
+use crate::args::{examples, given, json, number, path, with_settings_in_long_help};
 use crate::commands::{path as path_of, print_json, print_line, use_threads};
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
@@ -17,10 +17,14 @@ use std::path::PathBuf;
 pub fn command() -> Command {
     let command = Command::new("stability")
         .about("Where it fails, and whether it says so: quality against each kind of stress")
+        .after_help(examples(
+            "segwild bench stability",
+            "segwild bench stability --photos 20 --page stability.md",
+        ))
         .arg(
             Arg::new("only")
                 .long("only")
-                .value_name("ROWS")
+                .value_name("LIST")
                 .help("Stresses to measure, with commas; also seeds, bytes and kernels [default: all]"),
         )
         .arg(
@@ -28,10 +32,10 @@ pub fn command() -> Command {
                 .long("seeds")
                 .value_name("LIST")
                 .default_value("1")
-                .help("Seeds of the sources and of the trainings, with commas"),
+                .help("Seeds of the scenes and of the trainings, with commas"),
         )
         .arg(providers())
-        .arg(number("photos", "20", "Training photos of a place").value_parser(value_parser!(u32)))
+        .arg(number("photos", "20", "Training photos of a scene").value_parser(value_parser!(u32)))
         .arg(number("pixels", "160", "Long side of the photos").value_parser(value_parser!(u32)))
         .arg(path(
             "out",
@@ -39,7 +43,7 @@ pub fn command() -> Command {
         ))
         .arg(path("page", "Write the page to this file, and its figure beside it"))
         .arg(json());
-    with_settings(command)
+    with_settings_in_long_help(command)
 }
 
 /// Measures what is not known yet, and says where the curves break.
@@ -59,10 +63,10 @@ pub fn stability(matches: &ArgMatches) -> Result<(), Failure> {
         settings,
     };
     let json = matches.get_flag("json");
-    let told = |records: &[Record]| {
+    let report = |records: &[Record]| {
         let _ = if json { records.iter().try_for_each(print_json) } else { tell(records) };
     };
-    let results = measure_all(&options, told)?;
+    let results = measure_all(&options, report)?;
     if let Some(page) = path_of(matches, "page") {
         write(&page, &results)?;
     }
@@ -71,9 +75,9 @@ pub fn stability(matches: &ArgMatches) -> Result<(), Failure> {
     }
     for curve in curves(&results) {
         let Some(at) = curve.breaks else { continue };
-        let said =
-            curve.announced.first().map_or("and nothing is said".into(), |s| format!("announced: {s}"));
-        print_line(&format!("{} breaks at {at}, {said}", curve.name))?;
+        let message =
+            curve.announced.first().map_or("and no warning is given".into(), |s| format!("announced: {s}"));
+        print_line(&format!("{} breaks at {at}, {message}", curve.name))?;
     }
     Ok(())
 }
@@ -86,9 +90,9 @@ fn tell(records: &[Record]) -> Result<(), Failure> {
         .filter_map(|name| Some(format!("{name} {:.3}", all.get(*name)?)))
         .collect();
     let at = first.at.map_or(String::new(), |at| format!(" {at}"));
-    let said = first.notes.join("; ");
+    let message = first.notes.join("; ");
     print_line(&format!(
-        "{:>24} seed {} {}: {} {said}",
+        "{:>24} seed {} {}: {} {message}",
         first.setting.clone() + &at,
         first.seed,
         first.provider,

@@ -1,9 +1,9 @@
 //! `segwild bench synthetic`
 
 use super::common::{
-    asked, finish, light, light_of, providers, providers_of, table, tell, with_common, with_table,
+    finish, flags, light, light_of, providers, providers_of, table, tell, with_common, with_table,
 };
-use crate::args::number;
+use crate::args::{examples, number};
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_bench::oracle::OracleOptions;
@@ -14,7 +14,11 @@ use segwild_bench::synthetic::SyntheticOptions;
 pub fn command() -> Command {
     with_args(
         Command::new("synthetic")
-            .about("Find the objects of synthetic sources, whose truth is known exactly"),
+            .about("Find the objects of synthetic scenes, whose truth is known exactly")
+            .after_help(examples(
+                "segwild bench synthetic --table baselines",
+                "segwild bench synthetic --seeds 1,2 --providers oracle",
+            )),
     )
 }
 
@@ -32,7 +36,7 @@ pub fn with_args(command: Command) -> Command {
         )
         .arg(
             number(
-                "prompts",
+                "clicks",
                 "1",
                 "Clicks from which each object is found, one at a time; more than 1 lie anywhere on it",
             )
@@ -74,14 +78,14 @@ pub fn scene(matches: &ArgMatches) -> SyntheticOptions {
 
 /// Prints the tables.
 pub fn synthetic(matches: &ArgMatches) -> Result<(), Failure> {
-    let mut asked = asked(matches, ".bench")?;
+    let mut flags = flags(matches, ".bench")?;
     let number = |name: &str| *matches.get_one::<f32>(name).expect("it has a default");
     let word = |name: &str| matches.get_one::<String>(name).map_or("", String::as_str);
     let options = SyntheticProtocol {
         table: table(matches),
-        only: asked.only.clone(),
-        seeds: asked.seeds.clone(),
-        prompts: *matches.get_one::<u32>("prompts").expect("it has a default") as usize,
+        only: flags.only.clone(),
+        seeds: flags.seeds.clone(),
+        prompts: *matches.get_one::<u32>("clicks").expect("it has a default") as usize,
         providers: providers_of(matches),
         targets: if word("targets") == "surfaces" { Targets::Surfaces } else { Targets::Objects },
         faults: OracleOptions { kinship: number("kinship"), ..OracleOptions::default() },
@@ -91,8 +95,8 @@ pub fn synthetic(matches: &ArgMatches) -> Result<(), Failure> {
             units: *matches.get_one::<f64>("units").expect("it has a default"),
             ..scene(matches)
         },
-        base: asked.base.clone(),
+        base: flags.base.clone(),
     };
-    measure(&asked.out, &options, &mut asked.results, &mut tell(asked.json))?;
-    finish(&asked, "Synthetic sources")
+    measure(&flags.out, &options, &mut flags.results, &mut tell(flags.json))?;
+    finish(&flags, "Synthetic scenes")
 }

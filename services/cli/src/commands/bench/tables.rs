@@ -1,7 +1,7 @@
 //! `segwild bench tables`
 
 use super::common::cannot_write;
-use crate::args::path;
+use crate::args::{examples, path};
 use crate::commands::{path as path_of, print_line};
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
@@ -14,6 +14,10 @@ use std::path::PathBuf;
 pub fn command() -> Command {
     Command::new("tables")
         .about("Print the tables of results that are there, or write them as one page")
+        .after_help(examples(
+            "segwild bench tables .bench/synthetic/results.json",
+            "segwild bench tables a/results.json b/results.json --page both.md",
+        ))
         .arg(
             Arg::new("results")
                 .required(true)

@@ -81,7 +81,7 @@ pub fn until<T>(what: &str, mut see: impl FnMut() -> Option<T>) -> T {
     panic!("{what} did not come");
 }
 
-pub struct Place {
+pub struct SharedRun {
     pub scene: PathBuf,
     pub run: PathBuf,
     pub manifest: Manifest,
@@ -122,20 +122,20 @@ pub fn scene() -> &'static Path {
 }
 
 /// The small place and a finished run on it, made once.
-pub fn place() -> &'static Place {
-    static PLACE: OnceLock<Place> = OnceLock::new();
-    PLACE.get_or_init(|| {
+pub fn shared_run() -> &'static SharedRun {
+    static SHARED_RUN: OnceLock<SharedRun> = OnceLock::new();
+    SHARED_RUN.get_or_init(|| {
         let Photographed { dir, scene, manifest } = photographed();
         let run = dir.path().join("run");
         works(&[&["run", &show(scene), "--out", &show(&run)][..], &QUICK].concat());
-        Place { scene: scene.clone(), run, manifest: manifest.clone() }
+        SharedRun { scene: scene.clone(), run, manifest: manifest.clone() }
     })
 }
 
 /// The same run in a folder of the caller's own, to change or break.
 pub fn copied_run(dir: &tempfile::TempDir) -> PathBuf {
     let run = dir.path().join("run");
-    copy_folder(&place().run, &run);
+    copy_folder(&shared_run().run, &run);
     run
 }
 
@@ -161,7 +161,7 @@ pub fn copy_folder(from: &Path, to: &Path) {
 
 /// The command line of the finished run, into another folder.
 pub fn again(out: &Path, more: &[&str]) -> Vec<String> {
-    let (scene, out) = (show(&place().scene), show(out));
+    let (scene, out) = (show(&shared_run().scene), show(out));
     let mut args = vec!["run".to_owned(), scene, "--out".into(), out];
     for flag in QUICK.chunks(2).filter(|flag| !more.contains(&flag[0])) {
         args.extend(flag.iter().map(|s| (*s).to_owned()));
@@ -221,7 +221,7 @@ pub fn results(run: &Path) -> BTreeMap<PathBuf, blake3::Hash> {
 
 /// Compares with the run that nothing happened to.
 pub fn same_as_untouched(run: &Path) {
-    let (ours, theirs) = (results(run), results(&place().run));
+    let (ours, theirs) = (results(run), results(&shared_run().run));
     for (file, hash) in &theirs {
         assert_eq!(ours.get(file), Some(hash), "{} differs or is missing", file.display());
     }
@@ -238,7 +238,7 @@ pub fn wait_for(child: &mut Child, what: &str, done: impl Fn() -> bool) {
 
 /// As [`same_as_untouched`], where something else was made in the same folder as well.
 pub fn has_what_an_untouched_run_has(run: &Path) {
-    has_all_of(run, &results(&place().run));
+    has_all_of(run, &results(&shared_run().run));
 }
 
 /// Asserts that a run has all these files, byte for byte.
@@ -251,31 +251,31 @@ pub fn has_all_of(run: &Path, expected: &BTreeMap<PathBuf, blake3::Hash>) {
 
 /// The object of the place that some photo shows best, and a click into it there.
 pub fn clearest() -> (&'static str, &'static Click) {
-    let things = place().manifest.objects.iter().filter(|o| o.name != "ground");
+    let things = shared_run().manifest.objects.iter().filter(|o| o.name != "ground");
     let clicks = things.flat_map(|o| o.clicks.iter().map(move |c| (o.name.as_str(), c)));
     clicks.max_by_key(|(_, c)| c.visible).expect("an object that shows")
 }
 
 /// Clicks into an object of the place, in a run of it.
 pub fn select(run: &Path, fault: &[&str]) -> Output {
-    let click = &place().manifest.objects.iter().flat_map(|o| &o.clicks).next().expect("a click");
+    let click = &shared_run().manifest.objects.iter().flat_map(|o| &o.clicks).next().expect("a click");
     let (run, at) = (show(run), format!("{},{}", click.x, click.y));
     segwild(&[&["segment", &run, "--photo", &click.photo, "--positive", &at, "--name", "it"], fault].concat())
 }
 
 /// How many per-photo artefacts a run made, by what it says with `--json`.
-pub fn made(said: &str) -> u64 {
+pub fn made(stdout: &str) -> u64 {
     let summary: serde_json::Value =
-        serde_json::from_str(said.lines().last().expect("a last line")).expect("JSON");
+        serde_json::from_str(stdout.lines().last().expect("a last line")).expect("JSON");
     summary["summary"]["made"].as_u64().expect("a number")
 }
 
 /// What `--json` prints: one object a line.
-pub fn lines(said: &str) -> Vec<serde_json::Value> {
+pub fn lines(stdout: &str) -> Vec<serde_json::Value> {
     let object = |line| {
         let value: serde_json::Value = serde_json::from_str(line).unwrap_or_else(|e| panic!("{e}: {line}"));
         assert!(value.is_object(), "no object: {line}");
         value
     };
-    said.lines().map(object).collect()
+    stdout.lines().map(object).collect()
 }
