@@ -415,7 +415,7 @@ pub(crate) fn history_of(geometry: &str) -> Key {
 }
 
 /// The photo's bytes and those of its masks. A mask of what to keep is marked as one: with the same file as the mask of what to
-/// ignore, something else is made.
+/// ignore, something else is made. So is a photo that is turned where its size does not ask for it.
 fn photo_digest(view: &View) -> Result<String, segwild_scene::SceneError> {
     let mut digest = view.digest()?;
     for (label, mask) in [("", &view.photo.ignore), ("keep", &view.photo.usable)] {
@@ -425,6 +425,9 @@ fn photo_digest(view: &View) -> Result<String, segwild_scene::SceneError> {
         hashed.map_err(segwild_scene::SceneError::io(mask))?;
         digest.push_str(label);
         digest.push_str(hasher.finalize().to_hex().as_str());
+    }
+    if view.photo.reading.turned {
+        digest.push_str("turned");
     }
     Ok(digest)
 }
@@ -492,5 +495,16 @@ mod tests {
         let hash = |bytes: &[u8]| blake3::hash(bytes).to_hex().to_string();
         assert_eq!(digest(None, None), hash(b"photo"));
         assert_eq!(ignored, hash(b"photo") + &hash(b"mask"));
+    }
+
+    #[test]
+    fn what_was_made_of_a_photo_as_stored_is_not_taken_for_that_of_the_turned_one() {
+        let dir = tempfile::tempdir().unwrap();
+        let photo = dir.path().join("0.png");
+        std::fs::write(&photo, b"photo").unwrap();
+        let mut view = view(&photo, None, None);
+        let stored = photo_digest(&view).unwrap();
+        view.photo.reading.turned = true;
+        assert_ne!(photo_digest(&view).unwrap(), stored);
     }
 }

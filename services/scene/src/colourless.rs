@@ -30,16 +30,7 @@ impl Scene {
     /// assert_eq!(of(vec![point([DARKEST; 3]); 10]).colourless(), Some([DARKEST; 3]));
     /// ```
     pub fn colourless(&self) -> Option<[f32; 3]> {
-        let share = |colour: [f32; 3]| {
-            let alike = self.points.iter().filter(|p| p.colour == colour).count();
-            alike as f64 / self.points.len() as f64
-        };
-        let black = [DARKEST; 3];
-        if share(black) >= BLACK {
-            return Some(black);
-        }
-        let alike = |&colour: &[f32; 3]| self.points.len() >= FEW && share(colour) >= ALIKE;
-        most_frequent(&self.points).filter(alike)
+        colourless(&self.points)
     }
 
     /// What a user is told of points without colour.
@@ -53,6 +44,20 @@ impl Scene {
             self.points.len()
         ))
     }
+}
+
+/// [`Scene::colourless`] of its points.
+pub(crate) fn colourless(points: &[Point]) -> Option<[f32; 3]> {
+    let share = |colour: [f32; 3]| {
+        let alike = points.iter().filter(|p| p.colour == colour).count();
+        alike as f64 / points.len() as f64
+    };
+    let black = [DARKEST; 3];
+    if share(black) >= BLACK {
+        return Some(black);
+    }
+    let alike = |&colour: &[f32; 3]| points.len() >= FEW && share(colour) >= ALIKE;
+    most_frequent(points).filter(alike)
 }
 
 /// The colour of more than half of the points, if one has so many; any other or none otherwise.

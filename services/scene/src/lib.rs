@@ -29,6 +29,7 @@ mod mask_image;
 mod morphology;
 mod names;
 mod open;
+mod orientation;
 mod photo;
 pub mod ply;
 mod prompt;

@@ -11,8 +11,9 @@ use crate::{
     DARKEST, Frame, Observation, Photo, Point, Pose, Reading, Scene, SceneError, SceneSettings, Seal,
     Skipped, View,
 };
-use crate::{alpha, keep};
+use crate::{alpha, keep, orientation};
 use glam::{Mat3, Vec3};
+use image::metadata::Orientation;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -22,8 +23,9 @@ impl Scene {
     /// nerfstudio's `transforms.json`, which may also be named itself.
     ///
     /// Photos that cannot be used are listed in [`Scene::skipped`] with the reason and the rest goes on. Only the heads
-    /// of the photos are read here; [`View::load`] reads the pixels. The exceptions are a few masks, and a few photos that may
-    /// be cut-outs: they are decoded one after the other, and none that takes much memory.
+    /// of the photos are read here; [`View::load`] reads the pixels. The exceptions are a few masks, a few photos that may
+    /// be cut-outs, and photos whose EXIF orientation their size leaves open: they are decoded a few at a time, and none that takes
+    /// much memory.
     pub fn open(path: &Path, settings: &SceneSettings) -> Result<Scene, SceneError> {
         let (folder, mut draft, images) = find(path, settings)?;
         let ignore = folder_setting("ignore", &settings.ignore, &folder)?;
@@ -103,11 +105,12 @@ impl Scene {
         let copied: Vec<String> = usable.values().filter_map(|(_, c)| c.copied.clone()).collect();
         let mut view_of = vec![None; draft.photos.len()];
         let mut views = Vec::with_capacity(usable.len());
+        let mut ambiguous: Vec<(usize, Orientation)> = Vec::new();
         for (name, (i, checked)) in usable {
             view_of[i] = Some(views.len() as u32);
+            ambiguous.extend(checked.ambiguous.map(|orientation| (views.len(), orientation)));
             views.push(checked.into_view(name, &frame));
         }
-        let cut_outs = alpha::decide(&mut views, settings);
         hold_out(&mut views, split.as_ref(), settings.hold_out)?;
         if let Some(first) = views.iter().find(|v| !v.test)
             && views.iter().filter(|v| !v.test).all(View::is_masked_out)
@@ -144,6 +147,8 @@ impl Scene {
                 (position.is_finite() && !lost).then_some(Point { position, colour, track })
             })
             .collect();
+        let orientations = orientation::decide(&mut views, &points, &ambiguous);
+        let cut_outs = alpha::decide(&mut views, settings);
         tracing::debug!(
             views = views.len(),
             skipped = skipped.len(),
@@ -155,7 +160,7 @@ impl Scene {
         told.extend(split.iter().map(|split| split_in_words(split, &views, &draft, settings)));
         told.extend(notes(&draft, views.len(), points.len(), &view_of));
         let mut notes = told;
-        notes.extend(copies(copied).into_iter().chain(cut_outs));
+        notes.extend(copies(copied).into_iter().chain(cut_outs).chain(orientations));
         notes.extend(
             placing
                 .notes(&frame, &outliers)
@@ -241,6 +246,8 @@ struct Checked {
     pose: DraftPose,
     /// What to say where a converted copy stands for the photo.
     copied: Option<String>,
+    /// Its EXIF orientation, where its size does not tell whether the poses are of the turned pixels.
+    ambiguous: Option<Orientation>,
 }
 
 impl Checked {
@@ -320,10 +327,17 @@ fn check(
             .map_err(|reason| format!("its mask {}: {reason}", mask.display()))?;
         bytes = bytes.max(head.bytes_for(head.width, head.height));
     }
-    // Whether it is empty is decided when all photos are known.
-    let reading = Reading { bytes, empty: head.has_alpha(), most_pixels };
+    // Whether it is empty or turned is decided when all photos are known.
+    let reading = Reading { bytes, empty: head.has_alpha(), turned: false, most_pixels };
+    let ambiguous = head.ambiguous_orientation();
     let lens = lens.is_distorted().then_some(lens);
-    Ok(Checked { photo: Photo { path, ignore, usable, lens, seal, reading }, camera, pose, copied })
+    Ok(Checked {
+        photo: Photo { path, ignore, usable, lens, seal, reading },
+        camera,
+        pose,
+        copied,
+        ambiguous,
+    })
 }
 
 /// The photo's file, or its converted copy where this program does not read the file itself; the head of what is read, and what

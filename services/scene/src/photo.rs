@@ -1,6 +1,6 @@
 //! Loading a photo: decode, turn, undistort, scale down, mark what is not to be trusted.
 
-use crate::decode::{self, Decoded, Head};
+use crate::decode::{self, Decoded, Head, swaps_sides};
 use crate::lens::Lens;
 use crate::{Camera, Image, Mask, SceneError, View};
 use fast_image_resize as fir;
@@ -39,23 +39,22 @@ impl View {
     fn read(&self, long_side: u32) -> Result<LoadedPhoto, SceneError> {
         let path = &self.photo.path;
         let fail = |reason: String| self.photo_error(path, reason);
-        let (head, turned) = self.head().map_err(fail)?;
+        let (head, orientation) = self.head().map_err(fail)?;
         head.check_end(path).map_err(fail)?;
         let camera = self.camera.scaled_to(long_side.max(1));
         // Bending blurs a little, so it happens at up to twice the size asked for.
         let fine = self.photo.lens.as_ref().map(|lens| (lens, bent(&self.camera, long_side)));
         let size = fine.as_ref().map_or(&camera, |(_, fine)| fine);
         let shrunk = |mut decoded: Decoded| {
-            if turned {
-                decoded.turn(head.orientation);
-            }
+            decoded.turn(orientation);
             let opaque = head.has_alpha().then(|| opaque(&decoded, camera.width, camera.height));
             if self.photo.reading.empty {
                 decoded.image = before_grey(decoded.image);
             }
             Ok((shrink(decoded, size.width, size.height)?, opaque))
         };
-        let (image, mut valid) = head.decode_and(path, stored(size, turned), shrunk).map_err(fail)?;
+        let size = stored(size, swaps_sides(orientation));
+        let (image, mut valid) = head.decode_and(path, size, shrunk).map_err(fail)?;
         let image = match &fine {
             None => image,
             Some((lens, fine)) => straighten(&image, &lens.resized(fine.width, fine.height), fine)
@@ -139,11 +138,21 @@ impl View {
         self.masks().map(|(path, _)| bytes_of(path, self.most_pixels())).max().unwrap_or(0)
     }
 
-    /// The photo's head, and whether it must be turned to agree with the camera.
-    fn head(&self) -> Result<(Head, bool), String> {
+    /// The photo's head, and how the stored pixels are turned to agree with the camera and its pose.
+    fn head(&self) -> Result<(Head, Orientation), String> {
         let head = Head::read(&self.photo.path, self.most_pixels())?;
-        let turned = head.turned(self.camera.width, self.camera.height)?.is_some();
-        Ok((head, turned))
+        let by_size = head.turned(self.camera.width, self.camera.height)?.is_some();
+        let turned = by_size || self.photo.reading.turned;
+        let orientation = if turned { head.orientation } else { Orientation::NoTransforms };
+        Ok((head, orientation))
+    }
+
+    /// The photo as stored: neither turned nor undistorted, scaled down to a long side of at most `long_side`. For photos whose
+    /// stored size has the camera's shape.
+    pub(crate) fn stored_pixels(&self, long_side: u32) -> Result<Image, String> {
+        let (head, _) = self.head()?;
+        let Camera { width, height, .. } = self.camera.scaled_to(long_side);
+        head.decode_and(&self.photo.path, (width, height), |decoded| shrink(decoded, width, height))
     }
 
     /// Its masks, and whether white is ignored in them.
@@ -206,7 +215,7 @@ impl View {
 /// Bytes that decoding one picture may take while a scene is opened, for no memory budget is set by then.
 const CHEAP: u64 = 64 << 20;
 /// The same where nearly no picture of the scene takes less: one of 12 megapixels in any format.
-const DEAR: u64 = 256 << 20;
+pub(crate) const DEAR: u64 = 256 << 20;
 
 /// Of pictures, each with the bytes that decoding it takes, those that may be decoded while a scene is opened: the cheap ones, or
 /// also dearer ones where the cheap are fewer than `wanted` and not all.
@@ -243,17 +252,12 @@ impl Head {
     /// Whether the photo must be turned by its EXIF orientation to agree with a camera of this size, and if so,
     /// `Some` of the turned size; an error in words when it does not agree either way.
     ///
-    /// COLMAP ignores EXIF and other programs apply it, so the sizes decide.
+    /// COLMAP ignores EXIF and other programs apply it, so the sizes decide. Where they are the same, the photo is not turned here,
+    /// and the points decide ([`crate::orientation`]).
     fn turned(&self, width: u32, height: u32) -> Result<Option<(u32, u32)>, String> {
         let stored = (self.width, self.height);
         let turned = (self.height, self.width);
-        let turns = matches!(
-            self.orientation,
-            Orientation::Rotate90
-                | Orientation::Rotate270
-                | Orientation::Rotate90FlipH
-                | Orientation::Rotate270FlipH
-        );
+        let turns = swaps_sides(self.orientation);
         let camera = (width, height);
         if stored == camera {
             Ok(None)
@@ -405,7 +409,7 @@ fn straighten(bent: &Image, lens: &Lens, camera: &Camera) -> Image {
 }
 
 /// Catmull-Rom interpolation of every plane at a pixel position, the border repeated, kept within [0, 1].
-fn sample(image: &Image, p: [f64; 2], mut put: impl FnMut(usize, f32)) {
+pub(crate) fn sample(image: &Image, p: [f64; 2], mut put: impl FnMut(usize, f32)) {
     let taps = |at: f64, size: usize| {
         let at = at - 0.5;
         let base = at.floor();

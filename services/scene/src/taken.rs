@@ -1,7 +1,7 @@
 //! The photo as taken, which people and other programs see, and the undistorted one, which is computed with.
 //!
-//! Clicks, boxes, true masks, masks of things to ignore or keep and pictures of transients are pixels of the photo as taken: as any
-//! viewer shows it, turned as its camera says. They are mapped here, and nowhere else, on their way in; masks are mapped back on
+//! Clicks, boxes, true masks, masks of what to ignore or keep and transient masks are pixels of the photo as taken, turned
+//! or not by its EXIF orientation as its pose is of it. They are mapped here, and nowhere else, on their way in; masks are mapped back on
 //! their way out. Both have the same size. For a photo without distortion the two are one.
 
 use crate::lens::Lens;

@@ -31,13 +31,15 @@ pub struct Reading {
     pub bytes: u64,
     /// What is transparent is empty, not ignored: nothing of the scene stands before it.
     pub empty: bool,
+    /// It is turned by its EXIF orientation though its size does not ask for it: the points' colours fit it so.
+    pub turned: bool,
     /// Most pixels that the photo's file or one of its masks may have, as the scene's settings say.
     pub most_pixels: u64,
 }
 
 impl Default for Reading {
     fn default() -> Reading {
-        Reading { bytes: 0, empty: false, most_pixels: pixels_of(MEGAPIXELS) }
+        Reading { bytes: 0, empty: false, turned: false, most_pixels: pixels_of(MEGAPIXELS) }
     }
 }
 

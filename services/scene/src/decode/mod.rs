@@ -95,6 +95,27 @@ impl Decoded {
     }
 }
 
+/// Whether an EXIF orientation exchanges width and height.
+pub(crate) fn swaps_sides(orientation: Orientation) -> bool {
+    use Orientation::{Rotate90, Rotate90FlipH, Rotate270, Rotate270FlipH};
+    matches!(orientation, Rotate90 | Rotate270 | Rotate90FlipH | Rotate270FlipH)
+}
+
+/// Where the stored picture shows what the picture turned by an EXIF orientation shows at `[u, v]`; both in shares of the picture's
+/// width and height, in [0, 1].
+pub(crate) fn before_turn([u, v]: [f64; 2], orientation: Orientation) -> [f64; 2] {
+    match orientation {
+        Orientation::NoTransforms => [u, v],
+        Orientation::Rotate90 => [v, 1.0 - u],
+        Orientation::Rotate180 => [1.0 - u, 1.0 - v],
+        Orientation::Rotate270 => [1.0 - v, u],
+        Orientation::FlipHorizontal => [1.0 - u, v],
+        Orientation::FlipVertical => [u, 1.0 - v],
+        Orientation::Rotate90FlipH => [v, u],
+        Orientation::Rotate270FlipH => [1.0 - v, 1.0 - u],
+    }
+}
+
 impl Head {
     /// Reads the head of a file whose picture may have so many pixels; nothing is decoded.
     ///
@@ -191,6 +212,12 @@ impl Head {
         let orientation = exif.and_then(Orientation::from_exif_chunk).unwrap_or(Orientation::NoTransforms);
         let turned_since = exif.is_some_and(|exif| exif::lies_otherwise(exif, width, height));
         Head { width, height, orientation, turned_since, kind, file }
+    }
+
+    /// The EXIF orientation, where the picture has the same size turned by it and as stored.
+    pub fn ambiguous_orientation(&self) -> Option<Orientation> {
+        let same = self.width == self.height || !swaps_sides(self.orientation);
+        (same && self.orientation != Orientation::NoTransforms).then_some(self.orientation)
     }
 
     /// Whether the picture can be transparent.
@@ -390,4 +417,27 @@ pub(crate) fn pixels_of(megapixels: u32) -> u64 {
 pub(crate) fn picture(path: &Path, most_pixels: u64) -> Result<DynamicImage, String> {
     let head = Head::read(path, most_pixels)?;
     head.decode(path, head.width, head.height).map(|decoded| decoded.image)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pixel_of_a_turned_picture_is_found_in_the_stored_one() {
+        let stored = image::GrayImage::from_fn(3, 2, |x, y| image::Luma([(3 * y + x) as u8]));
+        for exif in 1..=8 {
+            let orientation = Orientation::from_exif(exif).expect("1 to 8 are orientations");
+            let mut turned = Decoded::whole(stored.clone().into());
+            turned.turn(orientation);
+            let turned = turned.image.into_luma8();
+            assert_eq!(swaps_sides(orientation), turned.dimensions() == (2, 3), "{exif}");
+            for (x, y, pixel) in turned.enumerate_pixels() {
+                let share = |at: u32, size: u32| (f64::from(at) + 0.5) / f64::from(size);
+                let at = [share(x, turned.width()), share(y, turned.height())];
+                let [u, v] = before_turn(at, orientation);
+                assert_eq!(pixel, stored.get_pixel((u * 3.0) as u32, (v * 2.0) as u32), "{exif}: {x}, {y}");
+            }
+        }
+    }
 }

@@ -1,8 +1,9 @@
 //! Loading pixels.
 
 use crate::common::{SIZE, line, open, picture, write};
-use image::ImageEncoder;
-use segwild_scene::colmap::{self, CameraRecord, Keypoint, Model};
+use image::metadata::Orientation;
+use image::{DynamicImage, ImageEncoder, RgbImage};
+use segwild_scene::colmap::{self, CameraRecord, Keypoint, Model, PointRecord, Reconstruction};
 use segwild_scene::lens::Lens;
 use segwild_scene::{Image, Mask, Scene, SceneError, SceneSettings, Seal, View};
 use std::path::Path;
@@ -92,6 +93,180 @@ fn sizes_decide_whether_exif_turns_a_photo() {
         assert!(difference(&photo.image, &upright) < 0.51 / 255.0, "stored turned: {turned}");
         assert_eq!(open(dir.path()).unwrap().views[0].camera, view.camera);
     }
+}
+
+/// Two photos of these points each, `side` x `side` of them in a grid, coloured as the photo is. Both show `picture`, and the poses
+/// are of it.
+fn coloured(size: (usize, usize), side: usize) -> Reconstruction {
+    let (upright, mut r) = (picture(size.0, size.1), line(2));
+    let (w, h) = (size.0 as f64, size.1 as f64);
+    let camera = &mut r.cameras[0];
+    (camera.width, camera.height) = (size.0 as u64, size.1 as u64);
+    camera.params = vec![50.0, 50.0, w / 2.0, h / 2.0];
+    r.points.clear();
+    for image in &mut r.images {
+        image.keypoints.clear();
+        for k in 0..side * side {
+            let at = |k: usize, size: f64| (k as f64 + 0.5) / side as f64 * size;
+            let ([x, y], z) = ([at(k % side, w), at(k / side, h)], 5.0 + (k % 3) as f64);
+            let id = r.points.len() as u64 + 1;
+            image.keypoints.push(Keypoint { pixel: [x, y], point: Some(id) });
+            r.points.push(PointRecord {
+                id,
+                position: [(x - w / 2.0) / 50.0 * z - image.translation[0], (y - h / 2.0) / 50.0 * z, z],
+                colour: [0, 1, 2].map(|c| (upright.at(c, x as usize, y as usize) * 255.0) as u8),
+                error: 0.5,
+                track: vec![(image.id, k as u32)],
+            });
+        }
+    }
+    r
+}
+
+/// Writes the scene. `photo01.png` has the EXIF orientation; it shows `picture` as stored, or once it is turned so.
+fn write_oriented(dir: &Path, reconstruction: &Reconstruction, exif: u8, turned: bool) {
+    colmap::write(&dir.join("sparse/0"), reconstruction).unwrap();
+    let camera = &reconstruction.cameras[0];
+    let upright = picture(camera.width as usize, camera.height as usize);
+    std::fs::create_dir_all(dir.join("images")).unwrap();
+    upright.write_png(&dir.join("images/photo00.png")).unwrap();
+    let byte = |c: usize, x: u32, y: u32| (upright.at(c, x as usize, y as usize) * 255.0).round() as u8;
+    let pixel = |x: u32, y: u32| image::Rgb([0, 1, 2].map(|c| byte(c, x, y)));
+    let mut stored =
+        DynamicImage::from(RgbImage::from_fn(upright.width as u32, upright.height as u32, pixel));
+    // All but 6 and 8 are their own inverses.
+    let back = if let 6 | 8 = exif { 14 - exif } else { exif };
+    if turned {
+        stored.apply_orientation(Orientation::from_exif(back).unwrap());
+    }
+    let file = std::fs::File::create(dir.join("images/photo01.png")).unwrap();
+    let mut encoder = image::codecs::png::PngEncoder::new(file);
+    let mut data = b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x01\0\0\0\0\0\0\0".to_vec();
+    data[18] = exif;
+    encoder.set_exif_metadata(data).unwrap();
+    stored.write_with_encoder(encoder).unwrap();
+}
+
+/// What is said of EXIF orientations.
+fn about_orientation(scene: &Scene) -> Vec<&str> {
+    scene.notes.iter().map(String::as_str).filter(|note| note.contains("EXIF")).collect()
+}
+
+/// Checks that the photo loads as the same photo without EXIF data does, and that the one note about it has these words.
+fn reads_as_posed(reconstruction: &Reconstruction, exif: u8, turned: bool, words: &str) {
+    let (dir, plain) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    write_oriented(dir.path(), reconstruction, exif, turned);
+    write_oriented(plain.path(), reconstruction, 1, false);
+    let (scene, plain) = (open(dir.path()).unwrap(), open(plain.path()).unwrap());
+    let notes = about_orientation(&scene);
+    assert!(
+        notes.len() == 1 && notes[0].contains("photo photo01.png is") && notes[0].contains(words),
+        "{exif}, turned {turned}: {notes:?}"
+    );
+    for size in [1000, 20] {
+        let [loaded, wanted] = [&scene, &plain].map(|scene| scene.views[1].load(size).unwrap());
+        assert_eq!((&loaded.camera, &loaded.valid), (&wanted.camera, &wanted.valid));
+        let off = difference(&loaded.image, &wanted.image);
+        // Shrinking a turned photo rounds otherwise.
+        assert!(off < 1.01 / 255.0, "{exif}, turned {turned}, at {size}: {off}");
+    }
+    assert_eq!(scene.views[1].examine(640).unwrap(), None);
+    assert!(!scene.views[0].photo.reading.turned);
+}
+
+#[test]
+fn a_photo_upside_down_whose_poses_are_of_the_stored_pixels_is_not_turned() {
+    reads_as_posed(&coloured(SIZE, 8), 3, false, "read as stored, without its EXIF orientation 3");
+}
+
+#[test]
+fn a_photo_upside_down_whose_poses_are_of_the_turned_pixels_is_turned() {
+    reads_as_posed(&coloured(SIZE, 8), 3, true, "turned by its EXIF orientation 3");
+}
+
+#[test]
+fn a_mirrored_photo_is_read_as_its_poses_see_it() {
+    for exif in [2, 4] {
+        reads_as_posed(&coloured(SIZE, 8), exif, true, &format!("turned by its EXIF orientation {exif}"));
+        reads_as_posed(&coloured(SIZE, 8), exif, false, "read as stored");
+    }
+}
+
+#[test]
+fn a_square_photo_held_sideways_is_read_as_its_poses_see_it() {
+    for exif in 5..=8 {
+        reads_as_posed(&coloured((36, 36), 8), exif, true, &format!("turned by its EXIF orientation {exif}"));
+        reads_as_posed(&coloured((36, 36), 8), exif, false, "read as stored");
+    }
+}
+
+#[test]
+fn a_distorted_photo_upside_down_is_turned_before_it_is_undistorted() {
+    let mut r = coloured(SIZE, 8);
+    r.cameras[0].model = Model::SimpleRadial;
+    r.cameras[0].params = vec![50.0, 21.0, 14.0, -0.1];
+    reads_as_posed(&r, 3, true, "turned by its EXIF orientation 3");
+}
+
+#[test]
+fn points_that_name_no_photo_tell_which_way_it_lies() {
+    let mut r = coloured(SIZE, 12);
+    r.points.iter_mut().for_each(|point| point.track.clear());
+    // Their photo is the one that hides the other's points behind its own.
+    r.points.drain(..144);
+    r.images.iter_mut().for_each(|image| image.keypoints.clear());
+    reads_as_posed(&r, 3, true, "turned by its EXIF orientation 3");
+    reads_as_posed(&r, 3, false, "read as stored");
+}
+
+#[test]
+fn masks_lie_on_a_turned_photo_as_its_poses_see_it() {
+    let dir = tempfile::tempdir().unwrap();
+    write_oriented(dir.path(), &coloured(SIZE, 8), 3, true);
+    let speck = Mask::from_fn(40, 30, |x, y| (x, y) == (11, 7));
+    std::fs::create_dir(dir.path().join("ignore")).unwrap();
+    speck.write_png(&dir.path().join("ignore/photo01.png")).unwrap();
+    let settings = SceneSettings { ignore: "ignore".into(), ..SceneSettings::default() };
+    let view = Scene::open(dir.path(), &settings).unwrap().views.remove(1);
+    assert!(view.photo.reading.turned);
+    assert_eq!(view.load(40).unwrap().valid.unwrap().not(), speck);
+}
+
+#[test]
+fn a_photo_that_too_few_points_see_is_read_as_stored_and_that_is_said() {
+    let unchecked = "its EXIF orientation 3 could not be checked against the points";
+    let is_said = |reconstruction: &Reconstruction, why: &str| {
+        let dir = tempfile::tempdir().unwrap();
+        write_oriented(dir.path(), reconstruction, 3, true);
+        let scene = open(dir.path()).unwrap();
+        let notes = about_orientation(&scene);
+        assert!(
+            notes.len() == 1 && [unchecked, why, "photo01.png"].iter().all(|words| notes[0].contains(words)),
+            "{notes:?}"
+        );
+        assert!(!scene.views[1].photo.reading.turned);
+    };
+    is_said(&coloured(SIZE, 6), "too few points");
+    let mut r = coloured(SIZE, 8);
+    r.points.iter_mut().for_each(|point| point.colour = [0; 3]);
+    is_said(&r, "too few points with colours");
+    // Colours of something else.
+    let mut r = coloured(SIZE, 8);
+    let colours: Vec<[u8; 3]> = r.points.iter().map(|point| point.colour).collect();
+    for (k, point) in r.points.iter_mut().enumerate() {
+        point.colour = colours[k * 37 % 64];
+    }
+    is_said(&r, "both ways alike");
+}
+
+#[test]
+fn photos_without_an_orientation_are_read_as_ever() {
+    let dir = tempfile::tempdir().unwrap();
+    write_oriented(dir.path(), &coloured(SIZE, 8), 1, false);
+    let scene = open(dir.path()).unwrap();
+    assert!(about_orientation(&scene).is_empty(), "{:?}", scene.notes);
+    assert!(scene.views.iter().all(|view| !view.photo.reading.turned));
+    assert_eq!(scene.views[0].load(40).unwrap().image, scene.views[1].load(40).unwrap().image);
 }
 
 #[test]

@@ -102,3 +102,37 @@ fn splat_of_another_program_opens() {
     assert!(splats.means.iter().chain(&splats.log_scales).flatten().all(|v| v.is_finite()));
     assert!((0..splats.len()).all(|i| splats.opacity(i) > 0.0 && splats.opacity(i) < 1.0));
 }
+
+#[test]
+fn tourist_photos_with_poses_of_their_turned_pixels_are_turned_and_others_are_not() {
+    let Some(from) = shared("tourist_photos_with_poses", "sacre_coeur") else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let path = |part: &str| dir.path().join(part);
+    std::fs::create_dir_all(path("sparse/0")).unwrap();
+    std::fs::create_dir_all(path("images")).unwrap();
+    for file in ["cameras.bin", "images.bin", "points3D.bin"] {
+        std::fs::copy(from.join("sparse/0").join(file), path("sparse/0").join(file)).unwrap();
+    }
+    let upright = open(&from).unwrap();
+    for (i, view) in upright.views.iter().enumerate() {
+        let mut photo = image::open(&view.photo.path).unwrap();
+        let exif = 2 + i % 3;
+        // Every second photo is stored so that it is as its pose sees it once it is turned.
+        if i % 2 == 0 {
+            photo.apply_orientation(image::metadata::Orientation::from_exif(exif as u8).unwrap());
+        }
+        let file = std::fs::File::create(path("images").join(&view.name)).unwrap();
+        let mut encoder = image::codecs::png::PngEncoder::new(file);
+        let mut data = b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x01\0\0\0\0\0\0\0".to_vec();
+        data[18] = exif as u8;
+        image::ImageEncoder::set_exif_metadata(&mut encoder, data).unwrap();
+        photo.write_with_encoder(encoder).unwrap();
+    }
+    let scene = open(dir.path()).unwrap();
+    for (i, (view, original)) in scene.views.iter().zip(&upright.views).enumerate() {
+        assert_eq!(view.photo.reading.turned, i % 2 == 0, "{}: {:?}", view.name, scene.notes);
+        let (a, b) = (view.load(160).unwrap().image, original.load(160).unwrap().image);
+        let off = a.data.iter().zip(&b.data).map(|(a, b)| (a - b).abs()).sum::<f32>() / a.data.len() as f32;
+        assert!(off < 0.01, "{}: {off}", view.name);
+    }
+}
