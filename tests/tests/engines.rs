@@ -58,7 +58,7 @@ fn scores(dir: &Path, engine: &[(&str, &str)]) -> (f64, f64) {
 
 /// How far one run's mean IoU may lie from the other engine's. A training of 200 steps goes elsewhere by rounding alone:
 /// the CPU engine beside itself, with a loss that differs in its seventh digit, is up to .021 off, the engines up to .022;
-/// their means over five seeds are .001 apart (docs/measured.md).
+/// their means over five seeds are .001 apart (docs/experiments/2026-11-23-one-scene-by-both-engines.md).
 const APART: f64 = 0.04;
 
 #[test]

@@ -5,7 +5,7 @@ use segwild_scene::Scene;
 use wincode::{SchemaRead, SchemaWrite};
 
 /// Splats for the square root of what pixels the photos have together. A splat needs some pixels in several photos to
-/// be determined; photos of one place overlap, and finer ones show the same surfaces again (docs/measured.md).
+/// be determined; photos of one place overlap, and finer ones show the same surfaces again (docs/experiments/2026-11-22-how-many-splats.md).
 const DENSITY: f32 = 16.0;
 /// Fewest and most that a scene is given, whatever its photos.
 const BOUNDS: (f32, f32) = (2_000.0, 200_000.0);

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 /// The rungs that are tried, cheapest first. `gsw` is not among them: on `liberty` it is worth .15 dB over `embed` at three
-/// times the step (docs/measured.md).
+/// times the step (docs/experiments/2026-11-21-appearance-models-on-held-out-photos.md).
 pub const RUNGS: [AppearanceModel; 3] =
     [AppearanceModel::None, AppearanceModel::Affine, AppearanceModel::Embed];
 

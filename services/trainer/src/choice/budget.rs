@@ -22,7 +22,7 @@ const SIZES: (u32, u32) = (96, 480);
 /// fewer, trials would take what they could save.
 const SHORTEST: (u32, u32) = (16, 125);
 /// Photos that agree are worth more steps than others, so many times as many at most.
-/// Where light differs and transients stand in front, more than the scene's own are learnt by heart (docs/measured.md).
+/// Where light differs and transients stand in front, more than the scene's own are learnt by heart (docs/experiments/2026-11-22-how-many-steps.md).
 const MORE: u32 = 8;
 /// What all further doublings together must promise on the photos held out, in SSIM, for the next to be made.
 const WORTH: f32 = 0.002;

@@ -1,7 +1,7 @@
 //! How much each trait counts at each step.
 //!
 //! `examples/train_prompts` learns them: they climb the expected IoU of the soft choice among everything that a prompt could
-//! mean, over prompts made as a person makes them. The commands are in docs/measured.md.
+//! mean, over prompts made as a person makes them. The commands are in docs/experiments/2026-11-21-prompts-in-one-photo.md.
 
 use super::traits::{COUNT, Step};
 
