@@ -5,9 +5,9 @@ use crate::artefacts::Keys;
 use crate::folder::MODEL;
 use crate::recompute::{Kept, Recompute};
 use crate::skies::Skies;
-use crate::transients::{Album, Known};
+use crate::transients::{Album, Known, visibility};
 use crate::view_slots::ViewSlots;
-use crate::visibility::visibility;
+
 use segwild_features::{EMBEDDING, FieldInputs, describe};
 use segwild_flow::{Context, Failure};
 use segwild_masks::{MaskMaker, MaskSource, Snapshot};

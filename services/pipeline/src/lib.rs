@@ -24,7 +24,6 @@ mod inputs;
 mod intact;
 mod keep;
 mod light;
-mod made;
 mod mask_source;
 mod memory;
 mod outcome;
@@ -40,7 +39,6 @@ mod traces;
 mod transients;
 mod until;
 mod view_slots;
-mod visibility;
 
 pub use accelerator::accelerator;
 pub use artefacts::Keys;

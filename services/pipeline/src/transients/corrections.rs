@@ -3,10 +3,10 @@
 //! `RUN/transients/PHOTO.png` is white where a transient stands, in pixels of the photo as taken. `made.json` beside them says which pixels this program
 //! has written and from what. A picture with other pixels is a person's: it is never written over, and the next run
 //! leaves out of the photo exactly what it says, whatever the program would find. What is damaged is made again
-//! ([`crate::made`]).
+//! ([`crate::transients::authorship`]).
 
 use crate::images::{Pictures, same_shape};
-use crate::made::{self, FOLDER, Ledger, MADE, Made, Picture, pixels};
+use crate::transients::authorship::{self as made, FOLDER, Ledger, MADE, Made, Picture, pixels};
 use crate::{RunError, RunFolder};
 use rayon::prelude::*;
 use segwild_flow::{Cache, Failure, FileError, Key};
