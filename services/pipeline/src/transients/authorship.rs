@@ -1,10 +1,10 @@
-//! Who made a picture of a photo's transients: this program, a person, or a damaged disk.
+//! Who wrote the mask image of a photo's transients: this program, a person, or a damaged disk.
 //!
-//! A picture says itself that this program made it, with the hash of its pixels, and `made.json` says it once more: a
-//! damaged one of the two makes no picture a person's. One that cannot be read, or whose check sums do not fit, is nobody's
-//! work: it is put aside, where a person can look at it, and made again.
+//! This program writes the hash of the pixels into a comment of the image, and into `made.json` as well. If one of the
+//! two is damaged, the other still shows that the image is not a person's. An image that cannot be read, or whose check
+//! sums do not fit, is damaged: it is moved aside, where a person can look at it, and made again.
 
-use crate::images::{Pictures, comment, damage, with_comment};
+use crate::images::{ImageFiles, comment, damage, with_comment};
 use crate::{RunError, RunFolder};
 use segwild_flow::{FileError, files};
 use segwild_scene::{Mask, SceneError};
@@ -12,23 +12,23 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Where the pictures are in the run folder, and what says who made them.
+/// The folder of the mask images in the run folder, and the list of what this program has written there.
 pub(crate) const FOLDER: &str = "transients";
 pub(crate) const MADE: &str = "transients/made.json";
-/// What the comment in a picture of this program begins with; the hash of its pixels follows.
+/// Start of the comment in an image of this program; the hash of its pixels follows.
 const SIGN: &str = "made by segwild, pixels ";
 
-/// What this program has made of one photo.
+/// The mask image that this program has written of one photo.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
-pub(crate) struct Made {
-    /// The name of what it was made from.
+pub(crate) struct WrittenMask {
+    /// The key of what it was made from.
     pub key: String,
-    /// The pixels written last, and those before: either may be in the file when a run is killed.
+    /// Hashes of the pixels written last, and of those before: either may be in the file when a run is killed.
     pub pixels: Vec<String>,
 }
 
 /// Hash of a mask's size and pixels: an editor may write the same pixels in other bytes.
-pub(crate) fn pixels(mask: &Mask) -> String {
+pub(crate) fn pixel_hash(mask: &Mask) -> String {
     let mut hasher = blake3::Hasher::new();
     hasher.update(format!("{} {}", mask.width(), mask.height()).as_bytes());
     for (x, y) in mask.pixels() {
@@ -38,61 +38,61 @@ pub(crate) fn pixels(mask: &Mask) -> String {
     hasher.finalize().to_hex()[..32].to_owned()
 }
 
-/// A picture in the run's own folder.
+/// The mask image of a photo in the run folder.
 #[derive(Debug)]
-pub(crate) enum Picture {
+pub(crate) enum MaskImage {
     /// There is none.
-    None,
-    /// This program's, by the hash of its pixels.
-    Ours(String),
-    /// A person's.
-    Theirs(Mask),
-    /// Nobody's work: what is wrong with it.
+    Missing,
+    /// This program wrote it; the hash of its pixels.
+    OfProgram(String),
+    /// A person wrote or changed it.
+    OfPerson(Mask),
+    /// It is damaged; what is wrong with it.
     Damaged(String),
 }
 
-/// What `made.json` says, by the name of the picture.
-pub(crate) struct Ledger(BTreeMap<String, Made>);
+/// The content of `made.json`, by the name of the image.
+pub(crate) struct WrittenMasks(BTreeMap<String, WrittenMask>);
 
-impl Ledger {
-    /// That of a run; empty where it is not there or damaged, for the pictures say it as well.
-    pub fn of(folder: &RunFolder) -> Ledger {
-        Ledger(folder.read_json(MADE).unwrap_or_default())
+impl WrittenMasks {
+    /// Reads the list of a run. It is empty where the file is missing or damaged: the comments of the images then serve.
+    pub fn of(folder: &RunFolder) -> WrittenMasks {
+        WrittenMasks(folder.read_json(MADE).unwrap_or_default())
     }
 
-    /// What was made of a photo.
-    pub fn of_photo(&self, pictures: &Pictures, photo: usize) -> Option<&Made> {
-        let before = || pictures.name_before(photo).and_then(|before| self.0.get(before));
-        self.0.get(pictures.name(photo)).or_else(before)
+    /// What this program has written of a photo.
+    pub fn of_photo(&self, files: &ImageFiles, photo: usize) -> Option<&WrittenMask> {
+        let before = || files.name_before(photo).and_then(|before| self.0.get(before));
+        self.0.get(files.name(photo)).or_else(before)
     }
 }
 
-/// Looks at a photo's picture in the run's own folder.
+/// Decides who wrote a mask image in the run folder.
 ///
 /// # Errors
-/// When it is there and the system does not let it be read.
-pub(crate) fn look_at(file: &Path, made: Option<&Made>) -> Result<Picture, FileError> {
+/// When the file is there and the system does not let it be read.
+pub(crate) fn inspect(file: &Path, written: Option<&WrittenMask>) -> Result<MaskImage, FileError> {
     if !file.is_file() {
-        return Ok(Picture::None);
+        return Ok(MaskImage::Missing);
     }
     let bytes = files::read_plain(file).map_err(|e| FileError::new("read", file, e))?;
     if let Some(reason) = damage(&bytes) {
-        return Ok(Picture::Damaged(reason.into()));
+        return Ok(MaskImage::Damaged(reason.into()));
     }
     let mask = match Mask::read_png(file) {
         Ok(mask) => mask,
-        Err(SceneError::Invalid { reason, .. }) => return Ok(Picture::Damaged(reason)),
-        Err(other) => return Ok(Picture::Damaged(other.to_string())),
+        Err(SceneError::Invalid { reason, .. }) => return Ok(MaskImage::Damaged(reason)),
+        Err(other) => return Ok(MaskImage::Damaged(other.to_string())),
     };
-    let hash = pixels(&mask);
-    let signed = || comment(&bytes).is_some_and(|said| said.strip_prefix(SIGN) == Some(&hash));
-    if made.is_some_and(|made| made.pixels.contains(&hash)) || signed() {
-        return Ok(Picture::Ours(hash));
+    let hash = pixel_hash(&mask);
+    let signed = || comment(&bytes).is_some_and(|comment| comment.strip_prefix(SIGN) == Some(&hash));
+    if written.is_some_and(|written| written.pixels.contains(&hash)) || signed() {
+        return Ok(MaskImage::OfProgram(hash));
     }
-    Ok(Picture::Theirs(mask))
+    Ok(MaskImage::OfPerson(mask))
 }
 
-/// What is wrong with a photo's picture, by its bytes alone; `None` where there is none or it is whole.
+/// What is wrong with a mask image, by its bytes alone; `None` where there is none or it is whole.
 pub(crate) fn damage_of(file: &Path) -> Option<String> {
     match files::read_plain(file) {
         Ok(bytes) => damage(&bytes).map(str::to_owned),
@@ -102,25 +102,25 @@ pub(crate) fn damage_of(file: &Path) -> Option<String> {
 }
 
 impl RunFolder {
-    /// Looks at the picture of every photo's transients: how many there are, and those that are damaged, with the reason.
+    /// Checks the transient mask image of every photo. Returns how many there are, and the damaged ones with the reason.
     ///
     /// # Errors
     /// When the list of photos cannot be read.
     pub fn verify_pictures(&self) -> Result<(usize, Vec<(PathBuf, String)>), RunError> {
         if !self.path().join("scene.json").exists() {
-            return Ok((0, Vec::new())); // the run has not begun
+            return Ok((0, Vec::new())); // the run has not started
         }
         let (photos, own) = (self.intake()?.photos, self.path().join(FOLDER));
-        let pictures = Pictures::of(photos.iter().map(String::as_str));
-        let ledger = Ledger::of(self);
+        let files = ImageFiles::of(photos.iter().map(String::as_str));
+        let written = WrittenMasks::of(self);
         let (mut count, mut damaged) = (0, Vec::new());
         for photo in 0..photos.len() {
-            let file = pictures.find(&own, photo);
-            match look_at(&file, ledger.of_photo(&pictures, photo)) {
-                Ok(Picture::None) => continue,
-                Ok(Picture::Damaged(reason)) => damaged.push((file, reason)),
+            let file = files.find(&own, photo);
+            match inspect(&file, written.of_photo(&files, photo)) {
+                Ok(MaskImage::Missing) => continue,
+                Ok(MaskImage::Damaged(reason)) => damaged.push((file, reason)),
                 Err(error) => damaged.push((file, error.to_string())),
-                Ok(Picture::Ours(_) | Picture::Theirs(_)) => {}
+                Ok(MaskImage::OfProgram(_) | MaskImage::OfPerson(_)) => {}
             }
             count += 1;
         }
@@ -128,13 +128,13 @@ impl RunFolder {
     }
 }
 
-/// Writes a picture of this program.
+/// Writes a mask image, with the hash of its pixels in a comment.
 pub(crate) fn write(file: &Path, mask: &Mask) -> Result<(), RunError> {
     let png = mask.png()?;
-    Ok(files::write_atomic(file, &with_comment(&png, &format!("{SIGN}{}", pixels(mask))))?)
+    Ok(files::write_atomic(file, &with_comment(&png, &format!("{SIGN}{}", pixel_hash(mask))))?)
 }
 
-/// Puts damaged pictures aside, beside where they were; says so, a sentence each.
+/// Renames damaged images to `NAME.damaged` in their folder. Returns a sentence for each.
 pub(crate) fn put_aside(damaged: &[(PathBuf, String)]) -> Result<Vec<String>, RunError> {
     damaged.iter().map(|(file, reason)| put_one_aside(file, reason)).collect()
 }
@@ -145,7 +145,7 @@ fn put_one_aside(file: &Path, reason: &str) -> Result<String, RunError> {
         name.push(if n == 0 { ".damaged".to_owned() } else { format!(".damaged-{n}") });
         file.with_file_name(name)
     };
-    // One that was put aside before stays: it may be all that is left of a person's work.
+    // An image that was put aside before stays: it may be all that is left of a person's work.
     let aside = (0..).map(numbered).find(|aside| !aside.exists()).unwrap_or_default();
     std::fs::rename(file, &aside).map_err(|e| FileError::new("put aside", file, e))?;
     Ok(format!(
@@ -167,26 +167,28 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_of_this_program_is_known_without_the_list_and_one_with_other_pixels_is_a_persons() {
+    fn an_image_of_this_program_is_known_without_the_list_and_one_with_other_pixels_is_a_persons() {
         let (_dir, file, mask) = there();
-        assert!(matches!(look_at(&file, None).unwrap(), Picture::Ours(hash) if hash == pixels(&mask)));
+        assert!(
+            matches!(inspect(&file, None).unwrap(), MaskImage::OfProgram(hash) if hash == pixel_hash(&mask))
+        );
         // An editor may keep the comment.
-        let edited = with_comment(&mask.not().png().unwrap(), &format!("{SIGN}{}", pixels(&mask)));
+        let edited = with_comment(&mask.not().png().unwrap(), &format!("{SIGN}{}", pixel_hash(&mask)));
         std::fs::write(&file, edited).unwrap();
-        assert!(matches!(look_at(&file, None).unwrap(), Picture::Theirs(m) if m == mask.not()));
+        assert!(matches!(inspect(&file, None).unwrap(), MaskImage::OfPerson(m) if m == mask.not()));
     }
 
     #[test]
-    fn a_damaged_picture_never_passes_for_a_persons() {
+    fn a_damaged_image_never_passes_for_a_persons() {
         let (_dir, file, _) = there();
         let whole = std::fs::read(&file).unwrap();
         for at in 0..whole.len() {
             let mut bytes = whole.clone();
             bytes[at] ^= 0x10;
             std::fs::write(&file, &bytes).unwrap();
-            assert!(matches!(look_at(&file, None).unwrap(), Picture::Damaged(_)), "byte {at}");
+            assert!(matches!(inspect(&file, None).unwrap(), MaskImage::Damaged(_)), "byte {at}");
             std::fs::write(&file, &whole[..at]).unwrap();
-            assert!(matches!(look_at(&file, None).unwrap(), Picture::Damaged(_)), "{at} bytes");
+            assert!(matches!(inspect(&file, None).unwrap(), MaskImage::Damaged(_)), "{at} bytes");
         }
     }
 
@@ -195,8 +197,8 @@ mod tests {
         let (dir, file, _) = there();
         for text in ["first", "second"] {
             std::fs::write(&file, text).unwrap();
-            let said = put_aside(&[(file.clone(), "it is cut short".into())]).unwrap();
-            assert!(said[0].contains("a.png is damaged (it is cut short)"), "{said:?}");
+            let messages = put_aside(&[(file.clone(), "it is cut short".into())]).unwrap();
+            assert!(messages[0].contains("a.png is damaged (it is cut short)"), "{messages:?}");
         }
         let read = |name: &str| std::fs::read_to_string(dir.path().join(name)).unwrap();
         assert_eq!([read("a.png.damaged"), read("a.png.damaged-1")], ["first", "second"]);
@@ -204,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn a_flipped_bit_in_a_picture_is_seen_without_decoding_it_and_by_the_check_of_a_whole_run() {
+    fn a_flipped_bit_in_an_image_is_found_without_decoding_it_and_by_the_check_of_a_whole_run() {
         let dir = tempfile::tempdir().unwrap();
         let run = RunFolder::create(dir.path()).unwrap();
         assert_eq!(run.verify_pictures().unwrap().0, 0);
@@ -224,5 +226,22 @@ mod tests {
         assert!(damage_of(&a).is_none() && damage_of(&b).is_some());
         let (count, damaged) = run.verify_pictures().unwrap();
         assert_eq!((count, damaged.len(), &damaged[0].0), (2, 1, &b));
+    }
+
+    #[test]
+    fn the_same_pixels_in_another_file_are_the_same_mask() {
+        let dir = tempfile::tempdir().unwrap();
+        let mask = Mask::from_fn(13, 7, |x, y| (x + y) % 3 == 0);
+        // An editor writes colours and other bytes.
+        let image = segwild_scene::Image {
+            width: 13,
+            height: 7,
+            channels: 3,
+            data: (0..3 * 91).map(|i| f32::from(u8::from(mask.index(i % 91)))).collect(),
+        };
+        let file = dir.path().join("a.png");
+        image.write_png(&file).unwrap();
+        assert_eq!(pixel_hash(&Mask::read_png(&file).unwrap()), pixel_hash(&mask));
+        assert_ne!(pixel_hash(&mask.not()), pixel_hash(&mask));
     }
 }
