@@ -21,7 +21,7 @@
 #import lean
 
 var<workgroup> light: array<f32, PIXELS>;
-var<workgroup> behind: array<f32, PIXELS>;
+var<workgroup> remaining: array<f32, PIXELS>;
 var<workgroup> grad: array<vec4f, PIXELS * HELD>;
 
 @compute @workgroup_size(64)
@@ -41,7 +41,7 @@ fn backward(
     for (var p = local; p < PIXELS; p += BUCKET) {
         let state = states[group * PIXELS + p];
         light[p] = state.x;
-        behind[p] = totals[bucket.x * PIXELS + p] - state.y;
+        remaining[p] = totals[bucket.x * PIXELS + p] - state.y;
         let at = pixel_of(bucket.x, p, view.frame.z);
         if at.x < view.frame.x && at.y < view.frame.y {
             for (var b = 0u; b < BLOCKS; b += 1u) {
@@ -81,8 +81,8 @@ fn backward(
                         lean += dot(value[b], grad[p * HELD + b]);
                     }
                     let passed = weight * lean;
-                    let rest = behind[p] - passed;
-                    behind[p] = rest;
+                    let rest = remaining[p] - passed;
+                    remaining[p] = rest;
                     // Held at ALPHA_MAX, alpha follows no parameter.
                     if hit.raw < ALPHA_MAX {
                         // dL/d ln alpha = w d - alpha / (1 - alpha) behind.

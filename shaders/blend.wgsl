@@ -92,12 +92,12 @@ fn blend(
         }
     }
     if inside {
-        let place = at.y * view.frame.x + at.x;
+        let position = at.y * view.frame.x + at.x;
         if job.x == 1u {
-            alpha[place] = covered;
+            alpha[position] = covered;
         }
         for (var b = 0u; b < BLOCKS; b += 1u) {
-            image[place * BLOCKS + b] = sums[b];
+            image[position * BLOCKS + b] = sums[b];
         }
     }
 }

@@ -16,7 +16,7 @@
 // In the photo's colours, and the mean absolute difference.
 @group(0) @binding(6) var<storage, read_write> shown: array<vec4f>;
 // That difference as far as nothing vouches for the pixel.
-@group(0) @binding(7) var<storage, read_write> doubted: array<f32>;
+@group(0) @binding(7) var<storage, read_write> uncertain: array<f32>;
 
 @compute @workgroup_size(256)
 fn compose(
@@ -28,9 +28,9 @@ fn compose(
     if i >= job.x {
         return;
     }
-    let drawn = image[i];
-    var colour = drawn.xyz + (1.0 - drawn.w) * behind(view, loss_inputs, i);
-    if loss_inputs.kinds.y == 1u {
+    let rendered = image[i];
+    var colour = rendered.xyz + (1.0 - rendered.w) * background(view, loss_inputs, i);
+    if loss_inputs.modes.y == 1u {
         let scene = vec4f(colour, 1.0);
         for (var c = 0u; c < 3u; c += 1u) {
             colour[c] = dot(loss_inputs.matrix[c], scene);
@@ -39,9 +39,9 @@ fn compose(
     let apart = abs(colour - colour_of(photo[i])) * (1.0 / 3.0);
     let residual = apart.x + apart.y + apart.z;
     shown[i] = vec4f(colour, residual);
-    var doubt = 1.0;
+    var uncertainty = 1.0;
     if job.y == 1u {
-        doubt = 1.0 - trust[i];
+        uncertainty = 1.0 - trust[i];
     }
-    doubted[i] = residual * doubt;
+    uncertain[i] = residual * uncertainty;
 }

@@ -52,11 +52,11 @@ fn map_at(layer: Layer, tap: Tap, pixel: vec2u, is_there: bool) -> f32 {
     if !is_there {
         return 0.0;
     }
-    let place = tapped(layer, tap, pixel);
-    if place == NOWHERE {
+    let position = tapped(layer, tap, pixel);
+    if position == NOWHERE {
         return 0.0;
     }
-    return maps[place];
+    return maps[position];
 }
 
 // What the tap `k` sees at four columns.
@@ -75,15 +75,15 @@ fn put(layer: Layer, plane: u32, column: u32, pixel: vec2u, sum: f32, is_there: 
         return;
     }
     var made = sum;
-    let place = written(layer, plane, column, pixel);
+    let position = written(layer, plane, column, pixel);
     if layer.offsets != NOWHERE {
         // The quarters of a plane have one.
         made += weights[layer.offsets + select(plane, plane / 4u, is_set(layer, WRITE_QUARTERS))];
     }
     if is_set(layer, ADD) {
-        made += maps[place];
+        made += maps[position];
     }
-    maps[place] = select(made, max(made, 0.0), is_set(layer, RELU));
+    maps[position] = select(made, max(made, 0.0), is_set(layer, RELU));
 }
 
 fn put_four(layer: Layer, plane: u32, at: Columns, sums: vec4f) {

@@ -31,11 +31,11 @@ fn map_at(layer: Layer, k: u32, wide: u32, tap: Tap, pixel: vec2u) -> f32 {
     if k + 1u >= wide {
         return select(0.0, 1.0, k + 1u == wide);
     }
-    let place = tapped(layer, tap, pixel);
-    if place == NOWHERE {
+    let position = tapped(layer, tap, pixel);
+    if position == NOWHERE {
         return 0.0;
     }
-    return maps[place];
+    return maps[position];
 }
 
 fn put(layer: Layer, slice: u32, plane: u32, k: u32, wide: u32, sum: f32) {

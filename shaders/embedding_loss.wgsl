@@ -9,7 +9,7 @@ alias Summed = f32;
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<storage, read> maps: array<f32>;
 // Plane after plane.
-@group(0) @binding(2) var<storage, read> asked: array<f32>;
+@group(0) @binding(2) var<storage, read> wanted: array<f32>;
 // How far each cell is to be trusted.
 @group(0) @binding(3) var<storage, read> trust: array<f32>;
 // Laid out as the maps.
@@ -27,7 +27,7 @@ fn embedding_loss(
     let i = group * 256u + local;
     var loss = 0.0;
     if i < job.y {
-        let off = maps[job.x + i] - asked[i];
+        let off = maps[job.x + i] - wanted[i];
         let trusted = trust[i % job.z];
         let sign = select(0.0, 1.0, off > 0.0) - select(0.0, 1.0, off < 0.0);
         grads[job.x + i] = trusted * bitcast<f32>(job.w) * sign;

@@ -37,14 +37,14 @@ fn front(
     let range = tiles[tile];
     let at = pixel_of(tile, local, view.frame.z);
     let inside = at.x < view.frame.x && at.y < view.frame.y;
-    let place = at.y * view.frame.x + at.x;
+    let position = at.y * view.frame.x + at.x;
     let pixel = vec2f(at) + 0.5;
     var light = select(0.0, 1.0, inside);
     var passed = 0.0;
     var grad: array<vec4f, HELD>;
     if inside {
         for (var b = 0u; b < BLOCKS; b += 1u) {
-            grad[b] = grads[place * BLOCKS + b];
+            grad[b] = grads[position * BLOCKS + b];
         }
     }
 
@@ -85,7 +85,7 @@ fn front(
                 light -= weight;
                 var lean = 0.0;
                 if BLOCKS == 0u {
-                    lean = lean_far(splats[i], place, job.x);
+                    lean = lean_far(splats[i], position, job.x);
                 }
                 for (var b = 0u; b < BLOCKS; b += 1u) {
                     lean += dot(value[i * HELD + b], grad[b]);

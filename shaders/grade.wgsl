@@ -33,21 +33,21 @@ fn grade(
     var g = vec3f(0.0);
     var scene = vec4f(0.0);
     if there {
-        let drawn = image[i];
-        let back = behind(view, loss_inputs, i);
+        let rendered = image[i];
+        let back = background(view, loss_inputs, i);
         g = vec3f(by_shown[i], by_shown[job.x + i], by_shown[2u * job.x + i]);
-        scene = vec4f(drawn.xyz + (1.0 - drawn.w) * back, 1.0);
+        scene = vec4f(rendered.xyz + (1.0 - rendered.w) * back, 1.0);
         var by_scene = g;
-        if loss_inputs.kinds.y == 1u {
+        if loss_inputs.modes.y == 1u {
             by_scene = g.x * loss_inputs.matrix[0].xyz + g.y * loss_inputs.matrix[1].xyz + g.z * loss_inputs.matrix[2].xyz;
         }
         var by_alpha = -dot(by_scene, back);
         if has(photo[i], INNER) {
-            by_alpha += loss_inputs.numbers.y / max(1.0 - drawn.w, LEAST_OPEN);
+            by_alpha += loss_inputs.numbers.y / max(1.0 - rendered.w, LEAST_OPEN);
         }
         grads[i] = vec4f(by_scene, by_alpha);
     }
-    if loss_inputs.kinds.y != 1u {
+    if loss_inputs.modes.y != 1u {
         return;
     }
     for (var c = 0u; c < 3u; c += 1u) {

@@ -5,7 +5,7 @@
 @group(0) @binding(0) var<uniform> job: vec4u;
 // Depth, radius, centre per splat.
 @group(0) @binding(1) var<storage, read> seen: array<vec4f>;
-@group(0) @binding(2) var<storage, read_write> places: array<u32>;
+@group(0) @binding(2) var<storage, read_write> positions: array<u32>;
 
 @compute @workgroup_size(256)
 fn in_sight(
@@ -15,8 +15,8 @@ fn in_sight(
 ) {
     let i = group_of(id, groups) * 256u + local;
     if i < job.x {
-        places[i] = u32(seen[i].y > 0.0);
+        positions[i] = u32(seen[i].y > 0.0);
     } else if i == job.x {
-        places[i] = 0u;
+        positions[i] = 0u;
     }
 }

@@ -13,7 +13,7 @@
 // The limit, that of what was suspected before, and that of this visit alone.
 @group(0) @binding(4) var<storage, read_write> limits: array<f32>;
 // BINS shares with this visit's, and how many pixels counted.
-@group(0) @binding(5) var<storage, read_write> said: array<f32>;
+@group(0) @binding(5) var<storage, read_write> results: array<f32>;
 
 const NONE: f32 = 3.4028235e38;
 
@@ -45,7 +45,7 @@ fn limits_of() {
     for (var b = 0u; b < BINS; b += 1u) {
         pixels += counts[b];
     }
-    said[job.y + BINS] = f32(pixels);
+    results[job.y + BINS] = f32(pixels);
     if pixels == 0u {
         limits[0] = NONE;
         limits[1] = NONE;
@@ -58,7 +58,7 @@ fn limits_of() {
         if job.x == 1u {
             held[b] = DECAY * before[b] + (1.0 - DECAY) * fresh[b];
         }
-        said[job.y + b] = held[b];
+        results[job.y + b] = held[b];
     }
     let share = loss_inputs.numbers.z;
     var limit = threshold(true, share);

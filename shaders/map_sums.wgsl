@@ -18,7 +18,7 @@
 // The first item whose key is not below this one.
 fn first_of(key: u32) -> u32 {
     var low = 0u;
-    var high = (MAPS + 1u) * reader.room.x;
+    var high = (MAPS + 1u) * reader.capacity.x;
     while low < high {
         let middle = (low + high) / 2u;
         if keys[middle] < key {
@@ -44,7 +44,7 @@ fn map_sums(
     }
     let pixel = n % pixels;
     let at = vec2u(pixel % reader.map.x, pixel / reader.map.x);
-    let room = reader.room.x;
+    let capacity = reader.capacity.x;
     var sums: array<f32, SAMPLE>;
     for (var corner = 0u; corner < 4u; corner += 1u) {
         let by = vec2u(corner % 2u, corner / 2u);
@@ -55,15 +55,15 @@ fn map_sums(
         let key = m * (pixels + 1u) + (at.y - by.y) * reader.map.x + at.x - by.x;
         let end = first_of(key + 1u);
         for (var item = first_of(key); item < end; item += 1u) {
-            let k = items[item] - m * room;
+            let k = items[item] - m * capacity;
             let share = vec2f(
-                points[reader.more.x + 2u * m * room + k],
-                points[reader.more.x + (2u * m + 1u) * room + k],
+                points[reader.more.x + 2u * m * capacity + k],
+                points[reader.more.x + (2u * m + 1u) * capacity + k],
             );
             let each = select(1.0 - share, share, by == vec2u(1u));
             let weight = each.x * each.y;
             for (var s = 0u; s < SAMPLE; s += 1u) {
-                sums[s] += weight * point_grads[reader.room.y + (m * SAMPLE + s) * room + k];
+                sums[s] += weight * point_grads[reader.capacity.y + (m * SAMPLE + s) * capacity + k];
             }
         }
     }

@@ -13,7 +13,7 @@ alias Summed = f32;
 @group(0) @binding(2) var<storage, read> groups_of: array<u32>;
 @group(0) @binding(3) var<storage, read> sets: array<u32>;
 // The loss's weight, pairs that share a mask, pairs that share none.
-@group(0) @binding(4) var<storage, read> said: array<f32>;
+@group(0) @binding(4) var<storage, read> results: array<f32>;
 @group(0) @binding(5) var<storage, read> maps: array<f32>;
 @group(0) @binding(6) var<storage, read_write> grads: array<f32>;
 // What each pixel adds to the loss.
@@ -28,8 +28,8 @@ fn pairs(
     let pixel = group_of(id, groups);
     let piece = layers[job.z];
     let back = layers[job.z + 1u].reads;
-    let near = 1.0 / max(said[1], 1.0);
-    let far = 1.0 / max(said[2], 1.0);
+    let near = 1.0 / max(results[1], 1.0);
+    let far = 1.0 / max(results[2], 1.0);
     var loss = 0.0;
     if pixel < job.x {
         for (var k = local; k < piece.out_width; k += 256u) {
@@ -42,7 +42,7 @@ fn pairs(
                 weight = select(far, -likeness * near, likeness > 0.0);
                 loss += weight * cosine;
             }
-            grads[back + pixel * piece.out_width + k] = said[0] * weight;
+            grads[back + pixel * piece.out_width + k] = results[0] * weight;
         }
     }
     let all = sum_of_group(local, loss);

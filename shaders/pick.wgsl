@@ -4,7 +4,7 @@
 
 // x: splats.
 @group(0) @binding(0) var<uniform> job: vec4u;
-@group(0) @binding(1) var<storage, read> places: array<u32>;
+@group(0) @binding(1) var<storage, read> positions: array<u32>;
 @group(0) @binding(2) var<storage, read_write> splats: array<u32>;
 // How many they are.
 @group(0) @binding(3) var<storage, read_write> count: array<u32>;
@@ -16,10 +16,10 @@ fn pick(
     @builtin(local_invocation_index) local: u32,
 ) {
     let i = group_of(id, groups) * 256u + local;
-    if i < job.x && places[i + 1u] > places[i] {
-        splats[places[i]] = i;
+    if i < job.x && positions[i + 1u] > positions[i] {
+        splats[positions[i]] = i;
     }
     if i == 0u {
-        count[0] = places[job.x];
+        count[0] = positions[job.x];
     }
 }

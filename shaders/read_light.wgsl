@@ -22,7 +22,7 @@
 @group(0) @binding(9) var<storage, read_write> items: array<u32>;
 
 fn put(plane: u32, first: u32, k: u32, value: f32) {
-    points[first + plane * reader.room.x + k] = value;
+    points[first + plane * reader.capacity.x + k] = value;
 }
 
 @compute @workgroup_size(256)
@@ -32,16 +32,16 @@ fn read_light(
     @builtin(local_invocation_index) local: u32,
 ) {
     let k = group_of(id, groups) * 256u + local;
-    let room = reader.room.x;
-    if k >= room {
+    let capacity = reader.capacity.x;
+    if k >= capacity {
         return;
     }
     let pixels = reader.map.x * reader.map.y;
     let there = job.y + k < count[0];
     if reader.map.w == 1u {
         for (var m = 0u; m <= MAPS; m += 1u) {
-            keys[m * room + k] = m * (pixels + 1u) + pixels;
-            items[m * room + k] = m * room + k;
+            keys[m * capacity + k] = m * (pixels + 1u) + pixels;
+            items[m * capacity + k] = m * capacity + k;
         }
     }
     if !there {
@@ -50,7 +50,7 @@ fn read_light(
     let i = splats[job.y + k];
     let mean = means[i].xyz;
     for (var d = 0u; d < DYNAMIC; d += 1u) {
-        put(d, reader.room.y, k, 0.0);
+        put(d, reader.capacity.y, k, 0.0);
     }
     if reader.map.w == 1u {
         for (var m = 0u; m <= MAPS; m += 1u) {
@@ -63,7 +63,7 @@ fn read_light(
                 continue;
             }
             let first = spot.pixel.y * reader.map.x + spot.pixel.x;
-            keys[m * room + k] = m * (pixels + 1u) + first;
+            keys[m * capacity + k] = m * (pixels + 1u) + first;
             put(2u * m, reader.more.x, k, spot.share.x);
             put(2u * m + 1u, reader.more.x, k, spot.share.y);
             let far = spot.share;
@@ -73,24 +73,24 @@ fn read_light(
                 let d = m * SAMPLE + s;
                 let at = reader.map.z + d * pixels + first;
                 let seen = vec4f(maps[at], maps[at + 1u], maps[at + reader.map.x], maps[at + reader.map.x + 1u]);
-                put(d, reader.room.y, k, dot(weight, seen) * kept(reader, i, d));
+                put(d, reader.capacity.y, k, dot(weight, seen) * kept(reader, i, d));
             }
         }
     }
     for (var c = 0u; c < INTRINSIC; c += 1u) {
         let made_of = splat_embeddings[i * CODE + c];
-        put(DYNAMIC + c, reader.room.y, k, made_of);
-        put(reader.more.y + c, reader.room.z, k, made_of);
+        put(DYNAMIC + c, reader.capacity.y, k, made_of);
+        put(reader.more.y + c, reader.capacity.z, k, made_of);
     }
     let encoded = DYNAMIC + INTRINSIC;
     for (var axis = 0u; axis < 3u; axis += 1u) {
-        put(encoded + axis, reader.room.y, k, mean[axis]);
+        put(encoded + axis, reader.capacity.y, k, mean[axis]);
         // Each octave from the one below by the double angle.
         var s = sin(mean[axis]);
         var c = cos(mean[axis]);
         for (var octave = 0u; octave < reader.more.z; octave += 1u) {
-            put(encoded + 3u + 6u * octave + 2u * axis, reader.room.y, k, s);
-            put(encoded + 4u + 6u * octave + 2u * axis, reader.room.y, k, c);
+            put(encoded + 3u + 6u * octave + 2u * axis, reader.capacity.y, k, s);
+            put(encoded + 4u + 6u * octave + 2u * axis, reader.capacity.y, k, c);
             let twice = 2.0 * s * c;
             c = 1.0 - 2.0 * s * s;
             s = twice;
@@ -99,6 +99,6 @@ fn read_light(
     let to = mean - reader.eye.xyz;
     let direction = to / max(length(to), 1e-12);
     for (var axis = 0u; axis < 3u; axis += 1u) {
-        put(VECTOR + axis, reader.room.w, k, direction[axis]);
+        put(VECTOR + axis, reader.capacity.w, k, direction[axis]);
     }
 }

@@ -21,14 +21,14 @@ fn read_light_backward(
     @builtin(local_invocation_index) local: u32,
 ) {
     let k = group_of(id, groups) * 256u + local;
-    let room = reader.room.x;
-    if k >= room || job.y + k >= count[0] {
+    let capacity = reader.capacity.x;
+    if k >= capacity || job.y + k >= count[0] {
         return;
     }
     let i = splats[job.y + k];
     for (var c = 0u; c < INTRINSIC; c += 1u) {
-        let to_light = point_grads[reader.room.y + (DYNAMIC + c) * room + k];
-        let to_vector = point_grads[reader.room.z + (reader.more.y + c) * room + k];
+        let to_light = point_grads[reader.capacity.y + (DYNAMIC + c) * capacity + k];
+        let to_vector = point_grads[reader.capacity.z + (reader.more.y + c) * capacity + k];
         embedding_grads[i * CODE + c] = to_vector + to_light;
     }
     let pixels = reader.map.x * reader.map.y;
@@ -44,7 +44,7 @@ fn read_light_backward(
             let first = spot.pixel.y * reader.map.x + spot.pixel.x;
             for (var s = 0u; s < SAMPLE; s += 1u) {
                 let d = m * SAMPLE + s;
-                let here = reader.room.y + d * room + k;
+                let here = reader.capacity.y + d * capacity + k;
                 let g = point_grads[here] * kept(reader, i, d);
                 point_grads[here] = g;
                 if m < MAPS {

@@ -4,7 +4,7 @@
 
 // x: rows, y: vec4 of a row's part, z: where the weight lies in the last part.
 @group(0) @binding(0) var<uniform> job: vec4u;
-@group(0) @binding(1) var<storage, read> said: array<vec4f>;
+@group(0) @binding(1) var<storage, read> results: array<vec4f>;
 // Of `row_state`, of all parts.
 @group(0) @binding(2) var<storage, read> states: array<u32>;
 // The last part.
@@ -22,6 +22,6 @@ fn row_add(
         return;
     }
     for (var k = 0u; k < job.y; k += 1u) {
-        sums[i * job.y + k] += said[i * job.y + k];
+        sums[i * job.y + k] += results[i * job.y + k];
     }
 }

@@ -28,8 +28,8 @@ fn scan(
     @builtin(local_invocation_index) local: u32,
 ) {
     let block = group_of(id, groups);
-    let place = place_in_group(local);
-    let first = block * 1024u + place.number * 4u;
+    let position = position_in_group(local);
+    let first = block * 1024u + position.number * 4u;
     var held: array<u32, 4>;
     var sum = 0u;
     for (var k = 0u; k < 4u; k += 1u) {
@@ -39,13 +39,13 @@ fn scan(
         }
     }
     let halves = array<Counted, PARTS>(Counted(sum & 0xffffu, sum >> 16u));
-    let before = joined(sum_before(place, halves)[0]);
+    let before = joined(sum_before(position, halves)[0]);
     for (var k = 0u; k < 4u; k += 1u) {
         if first + k < job.x {
             data[first + k] = plus(before, held[k]);
         }
     }
-    if place.number == 255u && block * 1024u < job.x {
+    if position.number == 255u && block * 1024u < job.x {
         sums[block] = plus(before, sum);
     }
 }

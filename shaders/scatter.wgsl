@@ -39,8 +39,8 @@ fn scatter(
     @builtin(local_invocation_index) local: u32,
 ) {
     let block = group_of(id, groups);
-    let place = place_in_group(local);
-    let first = block * 1024u + place.number * 4u;
+    let position = position_in_group(local);
+    let first = block * 1024u + position.number * 4u;
     var key: array<u32, 4>;
     var rank: array<u32, 4>;
     var counts: array<Counted, PARTS>;
@@ -54,7 +54,7 @@ fn scatter(
             counts[1] += word_of(digit, 1u) & one;
         }
     }
-    let before = sum_before(place, counts);
+    let before = sum_before(position, counts);
     for (var k = 0u; k < 4u; k += 1u) {
         if first + k < job.x {
             let digit = (key[k] >> job.y) & 15u;

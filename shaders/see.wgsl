@@ -40,7 +40,7 @@ fn see(
         let share = at - vec2f(low);
         let upper = mix(map_at(low.x, low.y, map.x), map_at(high.x, low.y, map.x), share.x);
         let lower = mix(map_at(low.x, high.y, map.x), map_at(high.x, high.y, map.x), share.x);
-        let weight = clamp((mix(upper, lower, share.y) - HIDDEN) / (SURE - HIDDEN), 0.0, 1.0);
+        let weight = clamp((mix(upper, lower, share.y) - HIDDEN_LAYER) / (SURE - HIDDEN_LAYER), 0.0, 1.0);
         seen[i] = weight;
         if has(photo[i], COUNTS) {
             mine = vec4f(1.0, 1.0 - weight, 1.0 - weights[i], 0.0);

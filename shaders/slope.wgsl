@@ -41,10 +41,10 @@ fn slope(
 ) {
     let tile = group_of(id, groups);
     for (var k = local; k < WIDE * WIDE; k += 256u) {
-        let place = place_of(tile, k, view.frame.z);
+        let position = position_of(tile, k, view.frame.z);
         var x = vec3f(0.0);
-        if inside(place, view.frame) && tile < job.x {
-            x = slopes[u32(place.y) * view.frame.x + u32(place.x)].xyz;
+        if inside(position, view.frame) && tile < job.x {
+            x = slopes[u32(position.y) * view.frame.x + u32(position.x)].xyz;
         }
         near[k] = x.x;
         near[WIDE * WIDE + k] = x.y;
@@ -62,15 +62,15 @@ fn slope(
         along[2u * WIDE * TILE + k] = sum.z;
     }
     workgroupBarrier();
-    let place = place_of(tile, (local / TILE + REACH) * WIDE + local % TILE + REACH, view.frame.z);
+    let position = position_of(tile, (local / TILE + REACH) * WIDE + local % TILE + REACH, view.frame.z);
     var apart = 0.0;
-    if inside(place, view.frame) && tile < job.x {
+    if inside(position, view.frame) && tile < job.x {
         let middle = local + REACH * TILE;
         var by = WINDOW[0] * along_at(middle);
         for (var tap = 1u; tap <= REACH; tap += 1u) {
             by += WINDOW[tap] * (along_at(middle - tap * TILE) + along_at(middle + tap * TILE));
         }
-        let i = u32(place.y) * view.frame.x + u32(place.x);
+        let i = u32(position.y) * view.frame.x + u32(position.x);
         let weight = weights[i];
         let x = weight * shown[i][job.y];
         let y = weight * colour_of(photo[i])[job.y];

@@ -39,10 +39,10 @@ fn structure(
 ) {
     let tile = group_of(id, groups);
     for (var k = local; k < WIDE * WIDE; k += 256u) {
-        let place = place_of(tile, k, view.frame.z);
+        let position = position_of(tile, k, view.frame.z);
         var x = vec2f(0.0);
-        if inside(place, view.frame) && tile < job.x {
-            let i = u32(place.y) * view.frame.x + u32(place.x);
+        if inside(position, view.frame) && tile < job.x {
+            let i = u32(position.y) * view.frame.x + u32(position.x);
             x = weights[i] * vec2f(shown[i][job.y], colour_of(photo[i])[job.y]);
         }
         pair[k] = x;
@@ -71,13 +71,13 @@ fn structure(
     let b2 = max(m.z - squares, 0.0) + C2;
     let inverse = 1.0 / (b1 * b2);
     let ssim = a1 * a2 * inverse;
-    let place = place_of(tile, (local / TILE + REACH) * WIDE + local % TILE + REACH, view.frame.z);
-    let there = inside(place, view.frame) && tile < job.x;
+    let position = position_of(tile, (local / TILE + REACH) * WIDE + local % TILE + REACH, view.frame.z);
+    let there = inside(position, view.frame) && tile < job.x;
     if there {
         let by_mean = 2.0 * m.y * (a2 - a1) * inverse - 2.0 * m.x * ssim * (b2 - b1) * inverse;
         let by_squares = -ssim * b1 * inverse;
         let by_product = 2.0 * a1 * inverse;
-        slopes[u32(place.y) * view.frame.x + u32(place.x)] = vec4f(by_mean, by_squares, by_product, 0.0);
+        slopes[u32(position.y) * view.frame.x + u32(position.x)] = vec4f(by_mean, by_squares, by_product, 0.0);
     }
     let score = sum_of_group(local, select(0.0, ssim, there));
     if local == 0u && tile < job.x {

@@ -7,7 +7,7 @@ alias Summed = f32;
 // x: groups, y: sums of each, z: where the totals go.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<storage, read> parts: array<f32>;
-@group(0) @binding(2) var<storage, read_write> said: array<f32>;
+@group(0) @binding(2) var<storage, read_write> results: array<f32>;
 
 @compute @workgroup_size(256)
 fn total(
@@ -22,6 +22,6 @@ fn total(
     }
     let all = sum_of_group(local, sum);
     if local == 0u && column < job.y {
-        said[job.z + column] = all;
+        results[job.z + column] = all;
     }
 }

@@ -55,9 +55,9 @@ fn weigh(
         let pixel = photo[i];
         let counts = has(pixel, COUNTS);
         var kept = true;
-        if loss_inputs.kinds.z == LEAVE_INITIAL_TRANSIENTS {
+        if loss_inputs.modes.z == LEAVE_INITIAL_TRANSIENTS {
             kept = !has(pixel, INITIAL_TRANSIENT);
-        } else if loss_inputs.kinds.z == LEAVE_RESIDUALS {
+        } else if loss_inputs.modes.z == LEAVE_RESIDUALS {
             kept = !voted_out(i);
         }
         let weight = f32(counts && kept);

@@ -1,4 +1,4 @@
-// What stands behind the splats (twins: `direction`, `basis` and `behind` in raster/src/compare/behind.rs).
+// What stands behind the splats (twins: `direction`, `basis` and `background` in raster/src/compare/behind.rs).
 fn direction_through(view: View, x: u32, y: u32) -> vec3f {
     let p = vec2f(f32(x) + 0.5, f32(y) + 0.5);
     let ray = (p - view.lens.zw) / view.lens.xy;
@@ -11,14 +11,14 @@ fn sky_basis(d: vec3f) -> array<f32, 9> {
     );
 }
 
-fn behind(view: View, loss_inputs: LossInputs, pixel: u32) -> vec3f {
-    if loss_inputs.kinds.x == 1u {
-        return loss_inputs.behind[0].xyz;
+fn background(view: View, loss_inputs: LossInputs, pixel: u32) -> vec3f {
+    if loss_inputs.modes.x == 1u {
+        return loss_inputs.background[0].xyz;
     }
     var basis = sky_basis(direction_through(view, pixel % view.frame.x, pixel / view.frame.x));
     var colour = vec3f(0.0);
     for (var k = 0u; k < 9u; k += 1u) {
-        colour += basis[k] * loss_inputs.behind[k].xyz;
+        colour += basis[k] * loss_inputs.background[k].xyz;
     }
     return colour;
 }

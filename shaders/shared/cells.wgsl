@@ -11,8 +11,8 @@ struct Window {
 }
 
 fn window_of(windows: u32, at: u32) -> Window {
-    let place = windows + 3u * at;
-    return Window(cells[place], cells[place + 1u], cells[place + 2u]);
+    let position = windows + 3u * at;
+    return Window(cells[position], cells[position + 1u], cells[position + 2u]);
 }
 
 // The share of a pixel in the window.

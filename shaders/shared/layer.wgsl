@@ -37,8 +37,8 @@ fn is_set(layer: Layer, flag: u32) -> bool {
 
 // Columns that there are: pixels, or splats of the piece that begins with the splat `first` of those in sight.
 fn columns_of(layer: Layer, first: u32, in_sight: u32) -> u32 {
-    let room = layer.out_width * layer.out_height;
-    return select(room, min(room, in_sight - min(in_sight, first)), is_set(layer, COUNTED));
+    let capacity = layer.out_width * layer.out_height;
+    return select(capacity, min(capacity, in_sight - min(in_sight, first)), is_set(layer, COUNTED));
 }
 
 // The pixel of a column of what the layer writes.

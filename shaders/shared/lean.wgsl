@@ -2,10 +2,10 @@
 // channels, read from memory as they come; else they are held near.
 const HELD: u32 = max(BLOCKS, 1u);
 
-fn lean_far(splat: u32, place: u32, blocks: u32) -> f32 {
+fn lean_far(splat: u32, position: u32, blocks: u32) -> f32 {
     var sum = 0.0;
     for (var b = 0u; b < blocks; b += 1u) {
-        sum += dot(values[splat * blocks + b], grads[place * blocks + b]);
+        sum += dot(values[splat * blocks + b], grads[position * blocks + b]);
     }
     return sum;
 }

@@ -4,11 +4,11 @@ struct LossInputs {
     // The photo's colours from the scene's: a row per channel, the offset in w.
     matrix: array<vec4f, 3>,
     // Coefficients of what stands behind the splats: red, green, blue, unused.
-    behind: array<vec4f, 9>,
+    background: array<vec4f, 9>,
     // Share of SSIM in the loss, weight of the sky's term per pixel, largest share left out, unused.
     numbers: vec4f,
     // How many coefficients; 1 if there is a matrix; what is left out: nothing, suspects, or by residuals; unused.
-    kinds: vec4u,
+    modes: vec4u,
 }
 
 const LEAVE_INITIAL_TRANSIENTS: u32 = 1u;

@@ -11,7 +11,7 @@ struct Reader {
     // Width and height of the maps, where they begin, 1 if there is light.
     map: vec4u,
     // Splats of a piece; where the inputs of the networks for light, vectors and colours begin.
-    room: vec4u,
+    capacity: vec4u,
     // Where the shares of the spots begin, planes of light that come before what a splat is made of, octaves, what the step
     // draws.
     more: vec4u,
@@ -39,7 +39,7 @@ fn spot_at(reader: Reader, at: vec2f) -> Spot {
     return Spot(true, pixel, held - vec2f(pixel), select(vec2f(0.0), 0.5 * most, p == held));
 }
 
-// Where the photo shows a splat (twins: `ImageConditioning::place` in raster/src/look/gsw/glance.rs, `spots` in points.rs there).
+// Where the photo shows a splat (twins: `ImageConditioning::position` in raster/src/look/gsw/glance.rs, `spots` in points.rs there).
 fn spot_of(reader: Reader, mean: vec3f) -> Spot {
     let at = vec4f(mean, 1.0);
     let p = vec3f(dot(reader.pose[0], at), dot(reader.pose[1], at), dot(reader.pose[2], at));

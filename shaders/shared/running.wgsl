@@ -4,29 +4,29 @@
 var<workgroup> counted: array<Counted, 256 * PARTS>;
 
 // A thread's place in the order in which is summed: `number` of 256.
-struct Place {
+struct Position {
     number: u32,
 }
 
-fn place_in_group(local: u32) -> Place {
-    return Place(local);
+fn position_in_group(local: u32) -> Position {
+    return Position(local);
 }
 
-fn sum_before(place: Place, mine: array<Counted, PARTS>) -> array<Counted, PARTS> {
+fn sum_before(position: Position, mine: array<Counted, PARTS>) -> array<Counted, PARTS> {
     var sums = mine;
     for (var p = 0u; p < PARTS; p += 1u) {
-        counted[p * 256u + place.number] = sums[p];
+        counted[p * 256u + position.number] = sums[p];
     }
     workgroupBarrier();
     for (var step = 1u; step < 256u; step *= 2u) {
-        if place.number >= step {
+        if position.number >= step {
             for (var p = 0u; p < PARTS; p += 1u) {
-                sums[p] += counted[p * 256u + place.number - step];
+                sums[p] += counted[p * 256u + position.number - step];
             }
         }
         workgroupBarrier();
         for (var p = 0u; p < PARTS; p += 1u) {
-            counted[p * 256u + place.number] = sums[p];
+            counted[p * 256u + position.number] = sums[p];
         }
         workgroupBarrier();
     }

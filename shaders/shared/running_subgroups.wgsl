@@ -6,13 +6,13 @@ var<workgroup> counted: array<Counted, 256 * PARTS>;
 var<workgroup> taken: atomic<u32>;
 
 // A thread's place in the order in which is summed: `number` of 256, in the subgroup of this `rank`, whose last it may be.
-struct Place {
+struct Position {
     number: u32,
     rank: u32,
     is_last: bool,
 }
 
-fn place_in_group(local: u32) -> Place {
+fn position_in_group(local: u32) -> Position {
     if local == 0u {
         atomicStore(&taken, 0u);
     }
@@ -24,19 +24,19 @@ fn place_in_group(local: u32) -> Place {
         first = atomicAdd(&taken, (1u << 16u) + lanes);
     }
     first = subgroupBroadcastFirst(first);
-    return Place((first & 0xffffu) + lane, first >> 16u, lane + 1u == lanes);
+    return Position((first & 0xffffu) + lane, first >> 16u, lane + 1u == lanes);
 }
 
-fn sum_before(place: Place, mine: array<Counted, PARTS>) -> array<Counted, PARTS> {
+fn sum_before(position: Position, mine: array<Counted, PARTS>) -> array<Counted, PARTS> {
     var sums: array<Counted, PARTS>;
     for (var p = 0u; p < PARTS; p += 1u) {
         sums[p] = subgroupExclusiveAdd(mine[p]);
-        if place.is_last {
-            counted[place.rank * PARTS + p] = sums[p] + mine[p];
+        if position.is_last {
+            counted[position.rank * PARTS + p] = sums[p] + mine[p];
         }
     }
     workgroupBarrier();
-    for (var s = 0u; s < place.rank; s += 1u) {
+    for (var s = 0u; s < position.rank; s += 1u) {
         for (var p = 0u; p < PARTS; p += 1u) {
             sums[p] += counted[s * PARTS + p];
         }

@@ -7,11 +7,11 @@ const WINDOW = array<f32, 6>(
 const WIDE: u32 = TILE + 2u * REACH;
 
 // Where number `k` of a wide tile lies in the frame; it may lie outside.
-fn place_of(tile: u32, k: u32, columns: u32) -> vec2i {
+fn position_of(tile: u32, k: u32, columns: u32) -> vec2i {
     let corner = vec2i(vec2u(tile % columns, tile / columns) * TILE) - i32(REACH);
     return corner + vec2i(vec2u(k % WIDE, k / WIDE));
 }
 
-fn inside(place: vec2i, frame: vec4u) -> bool {
-    return all(place >= vec2i(0)) && all(place < vec2i(frame.xy));
+fn inside(position: vec2i, frame: vec4u) -> bool {
+    return all(position >= vec2i(0)) && all(position < vec2i(frame.xy));
 }

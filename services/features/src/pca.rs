@@ -174,7 +174,7 @@ impl Pca {
         (held / f64::from(self.total_variance)).clamp(0.0, 1.0) as f32
     }
 
-    /// Codes of a photo's embedding, one plane per channel; `name` is the photo's in errors.
+    /// SplatEmbeddings of a photo's embedding, one plane per channel; `name` is the photo's in errors.
     pub fn encode(&self, name: &str, embedding: &Embedding) -> Result<Image, FeatureError> {
         let (w, h, e) = (embedding.width, embedding.height, embedding.channels);
         check_planes(name, "embedding", (w, h, e), &embedding.data)?;

@@ -182,7 +182,7 @@ impl Prepared<'_> {
             scale: self.scale,
             validity: &self.cell_validity,
             average: &self.average,
-            away: self.away.as_deref(),
+            on_device: self.away.as_deref(),
         }
     }
 

@@ -45,7 +45,7 @@ fn a_plane_is_kept_whole_and_found_again() {
         let back = pca.decoder().decode(&codes).unwrap();
         let off = back.data.iter().zip(&embedding.data).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
         assert!(off < 1e-4 * unit * 5.0, "{unit}: {off}");
-        // Codes are centred and of mean squared length 1, whatever the embedding's unit.
+        // SplatEmbeddings are centred and of mean squared length 1, whatever the embedding's unit.
         let n = codes.pixels() as f32;
         let square: f32 = codes.data.iter().map(|v| v * v).sum::<f32>() / n;
         assert!((square - 1.0).abs() < 1e-3, "{square}");

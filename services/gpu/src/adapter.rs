@@ -123,39 +123,39 @@ fn none_of(choice: &Choice, all: &[Adapter]) -> String {
 }
 
 /// The least that WebGPU promises is what the kernels need; only the size of an array is asked for as large as it goes.
-fn wanted(adapter: &Adapter, offered: &Limits) -> Result<Limits, GpuError> {
+fn wanted(adapter: &Adapter, available: &Limits) -> Result<Limits, GpuError> {
     let least = Limits::default();
     let checks = [
         (
             "storage buffers per kernel",
-            u64::from(offered.max_storage_buffers_per_shader_stage),
+            u64::from(available.max_storage_buffers_per_shader_stage),
             u64::from(least.max_storage_buffers_per_shader_stage),
         ),
         (
             "threads per group",
-            u64::from(offered.max_compute_invocations_per_workgroup),
+            u64::from(available.max_compute_invocations_per_workgroup),
             u64::from(least.max_compute_invocations_per_workgroup),
         ),
         (
             "memory per group",
-            u64::from(offered.max_compute_workgroup_storage_size),
+            u64::from(available.max_compute_workgroup_storage_size),
             u64::from(least.max_compute_workgroup_storage_size),
         ),
         (
             "groups per dimension",
-            u64::from(offered.max_compute_workgroups_per_dimension),
+            u64::from(available.max_compute_workgroups_per_dimension),
             u64::from(least.max_compute_workgroups_per_dimension),
         ),
     ];
-    for (what, offered, needed) in checks {
-        if offered < needed {
-            return Err(GpuError::TooSmall { adapter: adapter.name.clone(), what, offered, needed });
+    for (what, available, needed) in checks {
+        if available < needed {
+            return Err(GpuError::TooSmall { adapter: adapter.name.clone(), what, available, needed });
         }
     }
     Ok(Limits {
-        max_storage_buffer_binding_size: offered.max_storage_buffer_binding_size,
-        max_buffer_size: offered.max_buffer_size,
-        ..least.or_worse_values_from(offered)
+        max_storage_buffer_binding_size: available.max_storage_buffer_binding_size,
+        max_buffer_size: available.max_buffer_size,
+        ..least.or_worse_values_from(available)
     })
 }
 
@@ -189,8 +189,8 @@ mod tests {
 
     #[test]
     fn a_limit_that_is_too_small_is_named_with_its_number() {
-        let offered = Limits { max_storage_buffers_per_shader_stage: 4, ..Limits::default() };
-        let error = wanted(&llvmpipe(), &offered).expect_err("four buffers are too few");
+        let available = Limits { max_storage_buffers_per_shader_stage: 4, ..Limits::default() };
+        let error = wanted(&llvmpipe(), &available).expect_err("four buffers are too few");
         assert_eq!(
             error.to_string(),
             "llvmpipe (LLVM 15): storage buffers per kernel is 4 where the kernels need 8"

@@ -25,10 +25,10 @@ const WEIGHED: usize = COUNTED + 1;
 const SCORES: usize = WEIGHED + 4;
 const DIFFERENCES: usize = SCORES + 1;
 const MATRIX: usize = DIFFERENCES + 1;
-const BEHIND: usize = MATRIX + 12;
+const BACKGROUND: usize = MATRIX + 12;
 /// `SKY_SUMS` of `sky_sums.wgsl`.
 const SKY: usize = BASES * (BASES + 1) / 2 + 3 * BASES + 1;
-pub(crate) const LIGHT: usize = BEHIND + SKY;
+pub(crate) const LIGHT: usize = BACKGROUND + SKY;
 /// Pairs of a splat and a tile, and whether there was room for them; whole numbers.
 const PAIRS: usize = LIGHT + size_of::<Light>() / 4;
 pub(crate) const LENGTH: usize = PAIRS + 2;
@@ -38,9 +38,9 @@ pub(crate) const LENGTH: usize = PAIRS + 2;
 #[repr(C)]
 struct Sheet {
     matrix: [[f32; 4]; 3],
-    behind: [[f32; 4]; BASES],
+    background: [[f32; 4]; BASES],
     numbers: [f32; 4],
-    kinds: [u32; 4],
+    modes: [u32; 4],
 }
 
 impl Sheet {
@@ -48,7 +48,7 @@ impl Sheet {
         let mut sheet = Sheet::zeroed();
         let matrix = loss_inputs.matrix.unwrap_or_default();
         sheet.matrix = std::array::from_fn(|c| std::array::from_fn(|k| matrix[4 * c + k]));
-        for (to, &[r, g, b]) in sheet.behind.iter_mut().zip(loss_inputs.behind) {
+        for (to, &[r, g, b]) in sheet.background.iter_mut().zip(loss_inputs.background) {
             *to = [r, g, b, 0.0];
         }
         let (kind, share) = match loss_inputs.leave_out {
@@ -57,7 +57,7 @@ impl Sheet {
             LeaveOut::Residual(known) => (2, known.share),
         };
         sheet.numbers = [loss_inputs.lambda_ssim, loss_inputs.sky_weight / pixels as f32, share, 0.0];
-        sheet.kinds = [loss_inputs.behind.len() as u32, u32::from(loss_inputs.matrix.is_some()), kind, 0];
+        sheet.modes = [loss_inputs.background.len() as u32, u32::from(loss_inputs.matrix.is_some()), kind, 0];
         sheet
     }
 }
@@ -131,11 +131,11 @@ impl PhotoCache {
         if let Some(kept) = held.photos.get_mut(&key) {
             kept.used = used;
             // A view's pairs grow with the splats; a quarter and a few more, for what else changes.
-            let room = kept.pairs.map(|(pairs, then)| {
+            let capacity = kept.pairs.map(|(pairs, then)| {
                 let now = pairs as u64 * splats as u64 / then.max(1) as u64;
                 (now + now / 4) as usize + 4096
             });
-            return Ok((Arc::clone(&kept.photo), room));
+            return Ok((Arc::clone(&kept.photo), capacity));
         }
         let photo = Arc::new(Photo::upload(work, &target())?);
         held.bytes += photo.bytes();
@@ -162,7 +162,7 @@ pub(crate) struct ComparisonInputs {
     sheet: Lent,
     before: Lent,
     /// What comes back, [`LENGTH`] numbers.
-    pub said: Lent,
+    pub results: Lent,
 }
 
 impl ComparisonInputs {
@@ -175,13 +175,13 @@ impl ComparisonInputs {
         Ok(ComparisonInputs {
             sheet: work.upload("what a photo is compared under", &[Sheet::of(loss_inputs, pixels)])?,
             before: work.upload("the photo's residuals", before)?,
-            said: room_for_said(work)?,
+            results: results_buffer(work)?,
         })
     }
 }
 
 /// Room for what comes back of a step.
-pub(crate) fn room_for_said(work: &mut Work) -> Result<Lent, GpuError> {
+pub(crate) fn results_buffer(work: &mut Work) -> Result<Lent, GpuError> {
     work.take::<f32>("what the photo said", LENGTH)
 }
 
@@ -217,22 +217,22 @@ pub(crate) fn compare(
     );
     let n = width * height;
     let groups = n.div_ceil(GROUP);
-    let ComparisonInputs { sheet, before, said } = inputs;
+    let ComparisonInputs { sheet, before, results } = inputs;
     let pixels = &photo.pixels;
     let shown = work.take::<[f32; 4]>("what is shown", n)?;
-    let doubted = work.take::<f32>("the residuals", n)?;
+    let uncertain = work.take::<f32>("the residuals", n)?;
     let job = [n as u32, u32::from(photo.trusted), 0, 0];
-    let buffers = [view, sheet, image, pixels, &photo.trust, &shown, &doubted];
+    let buffers = [view, sheet, image, pixels, &photo.trust, &shown, &uncertain];
     work.run(&COMPOSE, 1, job, &buffers, groups);
     let limits = work.take::<[f32; 4]>("the limits of residuals", 1)?;
-    let mut smoothed = doubted;
+    let mut smoothed = uncertain;
     if let LeaveOut::Residual(known) = loss_inputs.leave_out {
         smoothed = box_mean(work, &smoothed, photo.size, window(width, height))?;
         let counts = work.take::<u32>("counts of residuals", BINS)?;
         work.clear(&counts);
         work.run(&TALLY, 1, [n as u32, 0, 0, 0], &[pixels, &smoothed, &counts], groups);
         let job = [u32::from(!known.before.is_empty()), 0, 0, 0];
-        work.run(&LIMITS, 1, job, &[sheet, &counts, before, &limits, said], 1);
+        work.run(&LIMITS, 1, job, &[sheet, &counts, before, &limits, results], 1);
     }
     let weights = work.take::<f32>("the pixels' weights", n)?;
     let counted = work.take::<f32>("the residuals that count", n)?;
@@ -247,14 +247,14 @@ pub(crate) fn compare(
             let seen = work.take::<f32>("what the network sees", n)?;
             let left_out = work.take::<f32>("what it leaves out", 4)?;
             let packed = |[width, height]: [usize; 2]| (width | height << 16) as u32;
-            let job = [packed(photo.size), packed(visible.size), visible.place as u32, 0];
+            let job = [packed(photo.size), packed(visible.size), visible.position as u32, 0];
             work.run(&SEE, 1, job, &[pixels, visible.maps, &weights, &seen, &parts], groups);
             total(work, &parts, groups, 4, &left_out, 0);
             let buffers = [sheet, pixels, &seen, &left_out, &shown, &weights, &counted, &parts];
             work.run(&PREFER, 1, [n as u32, 0, 0, 0], &buffers, groups);
         }
     }
-    total(work, &parts, groups, 4, said, WEIGHED);
+    total(work, &parts, groups, 4, results, WEIGHED);
     let error = box_mean(work, &counted, photo.size, ERROR_WINDOW)?;
     drop(counted);
 
@@ -269,15 +269,15 @@ pub(crate) fn compare(
         let buffers = [view, sheet, &shown, pixels, &weights, &slopes, &by_shown, &differences];
         work.run(&SLOPE, 1, job, &buffers, tiles);
     }
-    total(work, &scores, 3 * tiles, 1, said, SCORES);
-    total(work, &differences, 3 * tiles, 1, said, DIFFERENCES);
+    total(work, &scores, 3 * tiles, 1, results, SCORES);
+    total(work, &differences, 3 * tiles, 1, results, DIFFERENCES);
 
     let grads = work.take::<[f32; 4]>("the image's gradients", n)?;
     let parts = work.take::<[f32; 12]>("sums for the matrix", groups)?;
     let buffers = [view, sheet, image, pixels, &by_shown, &grads, &parts];
     work.run(&GRADE, 1, [n as u32, 0, 0, 0], &buffers, groups);
     if loss_inputs.matrix.is_some() {
-        total(work, &parts, groups, 12, said, MATRIX);
+        total(work, &parts, groups, 12, results, MATRIX);
     }
     if loss_inputs.has_sky {
         let (across, down) = (width.div_ceil(STRIDE), height.div_ceil(STRIDE));
@@ -285,12 +285,12 @@ pub(crate) fn compare(
         let parts = work.take::<[f32; SKY]>("sums for the sky", groups)?;
         let job = [(across * down) as u32, across as u32, 0, 0];
         work.run(&SKY_SUMS, 1, job, &[view, image, pixels, &weights, &parts], groups);
-        total(work, &parts, groups, SKY, said, BEHIND);
+        total(work, &parts, groups, SKY, results, BACKGROUND);
     } else {
         let parts = work.take::<[f32; 4]>("sums for what is behind", groups)?;
         let buffers = [image, pixels, &shown, &weights, &parts];
         work.run(&COLOUR_SUMS, 1, [n as u32, 0, 0, 0], &buffers, groups);
-        total(work, &parts, groups, 4, said, BEHIND);
+        total(work, &parts, groups, 4, results, BACKGROUND);
     }
     Ok(Graded { shown, smoothed, weights, grads, error, blames })
 }
@@ -326,8 +326,8 @@ pub(crate) fn box_mean(
 }
 
 /// Adds up what groups left, `columns` numbers each, into what comes back.
-pub(crate) fn total(work: &mut Work, parts: &Lent, groups: usize, columns: usize, said: &Lent, at: usize) {
-    work.run(&TOTAL, 1, [groups as u32, columns as u32, at as u32, 0], &[parts, said], columns);
+pub(crate) fn total(work: &mut Work, parts: &Lent, groups: usize, columns: usize, results: &Lent, at: usize) {
+    work.run(&TOTAL, 1, [groups as u32, columns as u32, at as u32, 0], &[parts, results], columns);
 }
 
 /// What came back of a step.
@@ -335,9 +335,9 @@ pub(crate) struct StepReadback(Vec<f32>);
 
 impl StepReadback {
     /// Reads it; `found` are the pairs of [`crate::engine::Binned`].
-    pub fn read(work: &mut Work, said: &Lent, found: &Lent) -> Result<StepReadback, GpuError> {
-        work.copy_to(found, said, PAIRS * 4, 8);
-        Ok(StepReadback(work.read(said, LENGTH)?))
+    pub fn read(work: &mut Work, results: &Lent, found: &Lent) -> Result<StepReadback, GpuError> {
+        work.copy_to(found, results, PAIRS * 4, 8);
+        Ok(StepReadback(work.read(results, LENGTH)?))
     }
 
     /// Pairs of a splat and a tile, and whether there was room for them.
@@ -352,20 +352,20 @@ impl StepReadback {
     }
 
     /// What the photo said.
-    pub fn said(&self, loss_inputs: &LossInputs) -> LossOutput {
+    pub fn results(&self, loss_inputs: &LossInputs) -> LossOutput {
         let at = |k: usize| f64::from(self.0[k]);
         let (width, height) = (loss_inputs.camera.width as usize, loss_inputs.camera.height as usize);
         let count = (3 * width * height) as f64;
         let lambda = f64::from(loss_inputs.lambda_ssim);
         let loss = (1.0 - lambda) * at(DIFFERENCES) / count + lambda * (1.0 - at(SCORES) / count);
         let inputs = matches!(loss_inputs.leave_out, LeaveOut::Residual(_)) && self.0[COUNTED] > 0.0;
-        let behind = if loss_inputs.has_sky {
+        let background = if loss_inputs.has_sky {
             let mut sums = SkySums {
-                total: at(BEHIND + SKY - 1),
+                total: at(BACKGROUND + SKY - 1),
                 looked: (width.div_ceil(STRIDE) * height.div_ceil(STRIDE)) as f64,
                 ..SkySums::default()
             };
-            let mut k = BEHIND;
+            let mut k = BACKGROUND;
             for i in 0..BASES {
                 for j in 0..=i {
                     sums.products[i][j] = at(k);
@@ -378,8 +378,8 @@ impl StepReadback {
             }
             Seen::Sky(Box::new(sums))
         } else {
-            let pull = [0, 1, 2].map(|c| self.0[BEHIND + c]);
-            let total = self.0[BEHIND + 3] + HOLD * (width * height) as f32;
+            let pull = [0, 1, 2].map(|c| self.0[BACKGROUND + c]);
+            let total = self.0[BACKGROUND + 3] + HOLD * (width * height) as f32;
             Seen::Colour(ColourSums { pull, total })
         };
         LossOutput {
@@ -388,7 +388,7 @@ impl StepReadback {
             left_out: left_out_share(self.0[WEIGHED], self.0[WEIGHED + 1]),
             residuals: inputs.then(|| self.0[..BINS].to_vec()),
             matrix: loss_inputs.matrix.map(|_| std::array::from_fn(|k| self.0[MATRIX + k])),
-            behind,
+            background,
         }
     }
 }

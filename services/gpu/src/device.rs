@@ -208,7 +208,7 @@ impl Device {
         let buffer = match buffer {
             Some(buffer) => buffer,
             None => {
-                let size = self.make_room(what, bytes)?;
+                let size = self.free_memory(what, bytes)?;
                 self.held.fetch_add(size, Ordering::Relaxed);
                 self.device.create_buffer(&wgpu::BufferDescriptor {
                     label: Some(what),
@@ -222,7 +222,7 @@ impl Device {
     }
 
     /// How long a new buffer for so many bytes may be; within a budget, free ones give way to it.
-    fn make_room(&self, what: &'static str, bytes: u64) -> Result<u64, GpuError> {
+    fn free_memory(&self, what: &'static str, bytes: u64) -> Result<u64, GpuError> {
         // A quarter more, so that the next view's array, which is about as long, finds room.
         let ample = (bytes + bytes / 4).min(self.limit.max(bytes)).next_multiple_of(256);
         let (least, budget) = (bytes.next_multiple_of(256), self.budget());
@@ -359,8 +359,8 @@ impl Work<'_> {
             return;
         }
         let mut bytes = vec![0u8; self.jobs.len() * JOB_STRIDE as usize];
-        for (place, job) in bytes.chunks_exact_mut(JOB_STRIDE as usize).zip(&self.jobs) {
-            place[..16].copy_from_slice(bytemuck::cast_slice(job));
+        for (position, job) in bytes.chunks_exact_mut(JOB_STRIDE as usize).zip(&self.jobs) {
+            position[..16].copy_from_slice(bytemuck::cast_slice(job));
         }
         if !bytes.is_empty() {
             self.device.queue.write_buffer(&self.device.arena, 0, &bytes);

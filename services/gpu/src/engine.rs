@@ -38,7 +38,7 @@ const DIGIT: u32 = 4;
 /// again from view to view.
 pub struct GpuEngine {
     pub(crate) device: Arc<Device>,
-    pub(crate) shelf: Arc<PhotoCache>,
+    pub(crate) photos_on_device: Arc<PhotoCache>,
 }
 
 impl GpuEngine {
@@ -61,7 +61,7 @@ impl GpuEngine {
     ) -> Result<GpuEngine, GpuError> {
         let device = Arc::new(Device::open(choice, subgroups, Box::new(edit))?);
         tracing::info!(adapter = device.adapter.name, backend = device.adapter.backend, "accelerator opened");
-        Ok(GpuEngine { device, shelf: Arc::default() })
+        Ok(GpuEngine { device, photos_on_device: Arc::default() })
     }
 
     /// Takes so many bytes of the accelerator's memory at the most from now on; 0 sets no limit.
@@ -179,12 +179,12 @@ impl Engine for GpuEngine {
     }
 
     fn hold<'a>(&'a self, splats: &'a Splats) -> Result<Option<Box<dyn Engine + 'a>>, RasterError> {
-        let cloud = if_there_is_room(Cloud::upload(&mut self.device.work(), splats))?.map(Arc::new);
+        let cloud = if_it_fits(Cloud::upload(&mut self.device.work(), splats))?.map(Arc::new);
         Ok(cloud.map(|cloud| Box::new(Holding { engine: self, splats, cloud }) as Box<dyn Engine + 'a>))
     }
 
     fn bring(&self, channels: &Channels) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
-        let brought = if_there_is_room(Brought::upload(&self.device, channels))?.flatten();
+        let brought = if_it_fits(Brought::upload(&self.device, channels))?.flatten();
         Ok(brought.map(|brought| Box::new(brought) as Box<dyn Any + Send + Sync>))
     }
 
@@ -192,22 +192,22 @@ impl Engine for GpuEngine {
         if !settles(GpuField::bytes(field), self.budget()) {
             return Ok(None);
         }
-        let field = if_there_is_room(GpuField::upload(&self.device, field))?;
+        let field = if_it_fits(GpuField::upload(&self.device, field))?;
         Ok(field.map(|field| Box::new(field) as Box<dyn DeviceRefinement>))
     }
 
     fn upload_target(
         &self,
-        asked: &FeatureTarget,
+        feature_target: &FeatureTarget,
     ) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
-        let kept = if_there_is_room(GpuFeatureTarget::keep(&self.device, asked))?.flatten();
+        let kept = if_it_fits(GpuFeatureTarget::keep(&self.device, feature_target))?.flatten();
         Ok(kept.map(|kept| Box::new(kept) as Box<dyn Any + Send + Sync>))
     }
 
     fn similarity(&self, features: &Kept, queries: &Queries) -> Result<Option<Vec<f32>>, RasterError> {
-        let brought = features.away().and_then(|away| away.downcast_ref::<Brought>());
+        let brought = features.on_device().and_then(|on_device| on_device.downcast_ref::<Brought>());
         match brought.filter(|brought| brought.is_on(&self.device)) {
-            Some(brought) => if_there_is_room(brought.similarity(queries)),
+            Some(brought) => if_it_fits(brought.similarity(queries)),
             None => Ok(None),
         }
     }
@@ -220,14 +220,14 @@ impl Engine for GpuEngine {
         if !settles(GpuSums::bytes(splats, row), self.budget()) {
             return Ok(None);
         }
-        let sums = if_there_is_room(GpuSums::new(&self.device, splats, row))?;
+        let sums = if_it_fits(GpuSums::new(&self.device, splats, row))?;
         Ok(sums.map(|sums| Box::new(sums) as Box<dyn DeviceLifting>))
     }
 
     fn settle(&self, held: &mut dyn FnMut() -> Held) -> Result<Option<Box<dyn Resident>>, RasterError> {
-        match GpuTraining::new(&self.device, &self.shelf, &held()) {
+        match GpuTraining::new(&self.device, &self.photos_on_device, &held()) {
             Ok(training) => Ok(Some(Box::new(training))),
-            Err(error) if error.is_want_of_room() => {
+            Err(error) if error.is_out_of_memory() => {
                 tracing::warn!("splats stay on the host while they are trained: {error}");
                 Ok(None)
             }
@@ -237,10 +237,10 @@ impl Engine for GpuEngine {
 }
 
 /// What was made on the device; `None` where there is no room for it.
-fn if_there_is_room<T>(made: Result<T, GpuError>) -> Result<Option<T>, RasterError> {
+fn if_it_fits<T>(made: Result<T, GpuError>) -> Result<Option<T>, RasterError> {
     match made {
         Ok(made) => Ok(Some(made)),
-        Err(error) if error.is_want_of_room() => Ok(None),
+        Err(error) if error.is_out_of_memory() => Ok(None),
         Err(error) => Err(error.into()),
     }
 }
@@ -264,7 +264,7 @@ impl GpuEngine {
     }
 }
 
-/// Projects, culls, sorts and bins; depth, radius and centre of each splat beside what a view keeps. `room` for pairs of a
+/// Projects, culls, sorts and bins; depth, radius and centre of each splat beside what a view keeps. `capacity` for pairs of a
 /// splat and a tile is taken on trust ([`Binned::found`] tells); without it the device is asked, which makes it wait.
 pub(crate) fn bin(
     work: &mut Work,
@@ -272,7 +272,7 @@ pub(crate) fn bin(
     camera: &Camera,
     pose: &Pose,
     options: &ProjectOptions,
-    room: Option<usize>,
+    capacity: Option<usize>,
 ) -> Result<(Binned, Lent), GpuError> {
     let n = cloud.splats;
     let (columns, rows) = (camera.width.div_ceil(TILE), camera.height.div_ceil(TILE));
@@ -306,8 +306,8 @@ pub(crate) fn bin(
     work.run(&ORDER, 1, [n as u32, 0, 0, 0], &[&order, &counts, &starts], (n + 1).div_ceil(GROUP));
     drop(counts);
     scan(work, &starts, n + 1)?;
-    let pairs = match room {
-        Some(room) => room,
+    let pairs = match capacity {
+        Some(capacity) => capacity,
         None => work.read_at::<u32>(&starts, n, 1)?[0] as usize,
     };
     let found = work.take::<u32>("how many pairs there are", 2)?;

@@ -44,9 +44,9 @@ impl Engine for Holding<'_> {
 
     fn upload_target(
         &self,
-        asked: &FeatureTarget,
+        feature_target: &FeatureTarget,
     ) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
-        self.engine.upload_target(asked)
+        self.engine.upload_target(feature_target)
     }
 
     fn similarity(&self, features: &Kept, queries: &Queries) -> Result<Option<Vec<f32>>, RasterError> {

@@ -59,23 +59,23 @@ impl Brought {
 
     /// The same, which stays there.
     pub fn resemblance(&self, work: &mut Work, queries: &Queries) -> Result<Lent, GpuError> {
-        let (rows, asked, blocks) = (self.rows, queries.units.len(), at_once(self.count));
+        let (rows, feature_target, blocks) = (self.rows, queries.units.len(), at_once(self.count));
         assert_eq!(queries.channels, self.count, "numbers of a query");
         let wide = self.parts.len() * blocks;
-        let mut units = vec![0.0; 4 * wide * asked];
+        let mut units = vec![0.0; 4 * wide * feature_target];
         for (out, unit) in units.chunks_exact_mut(4 * wide).zip(queries.units) {
             out[..unit.len()].copy_from_slice(unit);
         }
         let units = work.upload("what is asked", &units)?;
-        let sums = work.take::<f32>("products with what is asked", rows * (asked + 1))?;
+        let sums = work.take::<f32>("products with what is asked", rows * (feature_target + 1))?;
         let fused = work.take::<f32>("how much splats resemble it", rows)?;
         work.clear(&sums);
         let groups = rows.div_ceil(GROUP);
         for (k, part) in self.parts.iter().enumerate() {
-            let job = [rows, asked, wide, k * blocks].map(|n| n as u32);
+            let job = [rows, feature_target, wide, k * blocks].map(|n| n as u32);
             work.run(&COSINES, blocks as u32, job, &[part, &units, &sums], groups);
         }
-        let job = [rows as u32, asked as u32, queries.sharpness.to_bits(), 0];
+        let job = [rows as u32, feature_target as u32, queries.sharpness.to_bits(), 0];
         work.run(&FUSE, 1, job, &[&sums, &fused], groups);
         Ok(fused)
     }

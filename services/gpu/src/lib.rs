@@ -43,7 +43,7 @@ pub use memory::{LEAST_PHOTOS, training_bytes};
 pub use shaders::{KERNELS, Kernel, source};
 pub use speed::{
     CLICKS, FIELD_RULE, LOSSES, NETWORKS, Reach, SIMILARITY, STEP, Timed, reach, some_appearance,
-    some_question, speed,
+    some_feature_case, speed,
 };
 
 /// Why the accelerator engine refused, or stopped.
@@ -53,14 +53,14 @@ pub enum GpuError {
     #[error("{0}")]
     NoAdapter(String),
     /// The adapter cannot do what every kernel needs.
-    #[error("{adapter}: {what} is {offered} where the kernels need {needed}")]
+    #[error("{adapter}: {what} is {available} where the kernels need {needed}")]
     TooSmall {
         /// Its name.
         adapter: String,
         /// Which limit.
         what: &'static str,
         /// What the adapter offers.
-        offered: u64,
+        available: u64,
         /// What is needed.
         needed: u64,
     },
@@ -108,7 +108,7 @@ pub enum GpuError {
 
 impl GpuError {
     /// Whether it is for want of room alone: with less to hold the device would go on.
-    pub(crate) fn is_want_of_room(&self) -> bool {
+    pub(crate) fn is_out_of_memory(&self) -> bool {
         matches!(self, GpuError::TooLarge { .. } | GpuError::OverBudget { .. })
     }
 }

@@ -112,7 +112,7 @@ const COMPARED: [(&str, f32); 12] = [
     ("LEAST_OPEN", compare::LEAST_OPEN),
     ("LEAST_SEEN", compare::LEAST_SEEN),
     ("SURE", compare::SURE),
-    ("HIDDEN", compare::HIDDEN),
+    ("HIDDEN", compare::HIDDEN_LAYER),
     ("MOST", compare::MOST),
     ("LEAST", compare::LEAST),
     ("WRONG", compare::WRONG),

@@ -161,7 +161,7 @@ pub fn speed(
         bench.rows
     };
     rows.push(networks(engine, reach, splats, camera, pose)?);
-    rows.push(losses(engine, reach, some_question(camera, channels))?);
+    rows.push(losses(engine, reach, some_feature_case(camera, channels))?);
     rows.push(similarity(engine, reach, splats.len(), channels)?);
     rows.extend(training(engine, reach, splats, camera, pose)?);
     Ok(rows)
@@ -304,7 +304,7 @@ fn networks(
 pub const LOSSES: &str = "losses of the field";
 
 /// What a photo asks by a usual embedding, with masks as a photo has them, where features are rendered at 128 pixels.
-pub fn some_question(camera: &Camera, channels: usize) -> FeatureCase {
+pub fn some_feature_case(camera: &Camera, channels: usize) -> FeatureCase {
     let camera = camera.scaled_to(128);
     FeatureCase {
         size: (camera.width, camera.height),
@@ -320,36 +320,37 @@ pub fn some_question(camera: &Camera, channels: usize) -> FeatureCase {
 pub const FIELD_RULE: FieldRule = FieldRule { embedding: 0.7, compact: 0.3, rate: 0.0 };
 
 /// Times the losses of the feature field.
-fn losses(engine: &GpuEngine, reach: Reach, question: FeatureCase) -> Result<Timed, GpuError> {
+fn losses(engine: &GpuEngine, reach: Reach, case: FeatureCase) -> Result<Timed, GpuError> {
     let random = &mut Random::new(3);
-    let (made, image) = (question.make(random), question.image(random));
-    let channels = question.channels;
-    let field = question.refining(vec![0.0; channels], FIELD_RULE);
+    let (made, image) = (case.make(random), case.image(random));
+    let channels = case.channels;
+    let field = case.refining(vec![0.0; channels], FIELD_RULE);
     let field = GpuField::upload(&engine.device, &field)?;
-    let pixels = (question.size.0 * question.size.1) as usize;
+    let pixels = (case.size.0 * case.size.1) as usize;
     let work = &mut engine.device.work();
-    let asked = GpuFeatureTarget::upload(&engine.device, work, &made.asked())?;
+    let feature_target = GpuFeatureTarget::upload(&engine.device, work, &made.feature_target())?;
     let blocks = at_once(channels);
     let parts = parts_of(channels)
         .map(|first| Ok((first, work.upload("the image", &pack_image(&image, first, blocks, None))?)));
     let parts = parts.collect::<Result<Vec<_>, GpuError>>()?;
     let spent = timed(work, |work| {
-        let step = field.begin(work, &asked, &made.drawn())?;
+        let step = field.start(work, &feature_target, &made.rendered())?;
         for (first, image) in &parts {
             step.take(work, first / 4, blocks, image);
         }
-        step.judge(work)?;
+        step.compute_losses(work)?;
         let blocks = gathered_at_once(channels);
         for first in (0..channels).step_by(4 * blocks) {
             step.gradients(work, first / 4, blocks)?;
         }
         Ok(())
     })?;
-    let (c, cells) = (channels as f64, (question.grid[0] * question.grid[1]) as f64);
-    let (outputs, drawn) = (question.decoded.map_or(0.0, |n| n as f64), question.pixels as f64);
+    let (c, cells) = (channels as f64, (case.grid[0] * case.grid[1]) as f64);
+    let (outputs, rendered) = (case.decoded.map_or(0.0, |n| n as f64), case.pixels as f64);
     // Image, target and weights; forward and twice back, and of pairs once.
-    let bytes = 4.0 * (2.0 * c * pixels as f64 + outputs * (cells + 6.0 * c) + 2.0 * c * drawn);
-    let operations = 2.0 * (3.0 * c * outputs * cells + 2.0 * c * drawn * drawn + 2.0 * c * pixels as f64);
+    let bytes = 4.0 * (2.0 * c * pixels as f64 + outputs * (cells + 6.0 * c) + 2.0 * c * rendered);
+    let operations =
+        2.0 * (3.0 * c * outputs * cells + 2.0 * c * rendered * rendered + 2.0 * c * pixels as f64);
     Ok(spent.row(LOSSES, reach.floor_ms(bytes, operations)))
 }
 
@@ -414,18 +415,18 @@ fn training(
         sums: vec![[0.0; 4]; n],
         ..Held::default()
     };
-    let mut away = GpuTraining::new(&engine.device, &engine.shelf, &held)?;
+    let mut on_device = GpuTraining::new(&engine.device, &engine.photos_on_device, &held)?;
     // Nothing moves: what is timed stays the same.
     let rule = Rule { beta1: 0.9, beta2: 0.999, rate: 0.0, epsilon: 1e-15 };
     let rules = Rules::all(rule);
     let numbers = (n * (12 + splats.sh_stride())) as f64;
-    let grads = away.some_gradients()?;
+    let grads = on_device.some_gradients()?;
     let mut work = engine.device.work();
     let seen = work.take::<[f32; 4]>("depths and centres", n)?;
     let found = work.upload("how many pairs there are", &[0u32, 1])?;
-    let groups = away.groups(&mut work, &rules, None)?;
+    let groups = on_device.groups(&mut work, &rules, None)?;
     let spent = timed(&mut work, |work| {
-        away.adam(work, &grads, None, &seen, &found, &groups);
+        on_device.adam(work, &grads, None, &seen, &found, &groups);
         Ok(())
     })?;
     let mut rows = vec![spent.row("adam", reach.floor_ms(numbers * 28.0, numbers * 12.0))];
@@ -435,27 +436,27 @@ fn training(
         camera,
         pose,
         matrix: Some([1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]),
-        behind: &[[0.5; 3]],
+        background: &[[0.5; 3]],
         has_sky: true,
         leave_out: LeaveOut::Residual(Residuals { before: &[], share: 0.35 }),
         lambda_ssim: 0.2,
         sky_weight: 0.1,
     };
     let photo = Photo::upload(&mut work, &target)?;
-    let asked = ComparisonInputs::upload(&mut work, &loss_inputs)?;
+    let feature_target = ComparisonInputs::upload(&mut work, &loss_inputs)?;
     let cloud = Arc::new(Cloud::upload(&mut work, splats)?);
     let (on, _) = bin(&mut work, cloud, camera, pose, &OPTIONS, None)?;
     let image = work.take::<[f32; 4]>("the image", width * height)?;
     work.clear(&image);
     let spent = timed(&mut work, |work| {
-        compare(work, &on.view, &image, &photo, &asked, &loss_inputs, None).map(drop)
+        compare(work, &on.view, &image, &photo, &feature_target, &loss_inputs, None).map(drop)
     })?;
     let pixels = (width * height) as f64;
     // Numbers that its kernels read and write per pixel: 11 to compose, 18 to find what is left out, 63 for the loss, 12 for
     // its way back. A window of eleven by eleven is eleven numbers twice, for four maps on the way and three back.
     let (bytes, operations) = (pixels * 4.0 * 104.0, pixels * 3.0 * 11.0 * 2.0 * 7.0 * 2.0);
     rows.push(spent.row("compare", reach.floor_ms(bytes, operations)));
-    drop((work, on, image, asked, photo, seen, found, groups));
+    drop((work, on, image, feature_target, photo, seen, found, groups));
     let step = Step {
         options: &OPTIONS,
         light: None,
@@ -467,19 +468,19 @@ fn training(
         rules: &rules,
     };
     let (began, mut steps) = (Instant::now(), -1.0);
-    let mut begun = began;
-    while steps < 3.0 || begun.elapsed().as_secs_f64() < LEAST {
+    let mut started = began;
+    while steps < 3.0 || started.elapsed().as_secs_f64() < LEAST {
         if steps == 0.0 {
-            begun = Instant::now();
+            started = Instant::now();
         }
-        away.step(&step)?;
+        on_device.step(&step)?;
         steps += 1.0;
     }
     engine.device.work().wait()?;
-    let ms = begun.elapsed().as_secs_f64() * 1e3 / steps;
+    let ms = started.elapsed().as_secs_f64() * 1e3 / steps;
     engine.device.start_clock();
     for _ in 0..CLOCKED {
-        away.step(&step)?;
+        on_device.step(&step)?;
     }
     engine.device.work().wait()?;
     let kernels = slowest(engine.device.stop_clock(), CLOCKED);

@@ -11,8 +11,8 @@ use crate::passes::Grads;
 use crate::shaders::{OBSERVE, SELECT, SHADE, SHADE_BACKWARD, TINT, TINT_BACKWARD};
 use segwild_raster::compare::LossOutput;
 use segwild_raster::{
-    Codes, EmbedAppearance, Held, Light, NetworksStep, ProjectOptions, RasterError, Reshaped, Resident, Step,
-    check,
+    EmbedAppearance, Held, Light, NetworksStep, ProjectOptions, RasterError, Reshaped, Resident,
+    SplatEmbeddings, Step, check,
 };
 use segwild_scene::{Camera, Pose, Splats};
 use std::sync::Arc;
@@ -96,7 +96,7 @@ impl GpuSplatEmbeddings {
 /// Splats in training on the device.
 pub(crate) struct GpuTraining {
     device: Arc<Device>,
-    shelf: Arc<PhotoCache>,
+    photos_on_device: Arc<PhotoCache>,
     sh_degree: u32,
     pub splats: Numbers,
     pub first: Numbers,
@@ -108,7 +108,11 @@ pub(crate) struct GpuTraining {
 }
 
 impl GpuTraining {
-    pub fn new(device: &Arc<Device>, shelf: &Arc<PhotoCache>, held: &Held) -> Result<GpuTraining, GpuError> {
+    pub fn new(
+        device: &Arc<Device>,
+        photos_on_device: &Arc<PhotoCache>,
+        held: &Held,
+    ) -> Result<GpuTraining, GpuError> {
         let mut work = device.work();
         Ok(GpuTraining {
             sh_degree: held.splats.sh_degree,
@@ -130,7 +134,7 @@ impl GpuTraining {
                 None => None,
             },
             device: device.clone(),
-            shelf: shelf.clone(),
+            photos_on_device: photos_on_device.clone(),
         })
     }
 
@@ -142,20 +146,20 @@ impl GpuTraining {
     fn try_step(&self, step: &Step) -> Result<(LossOutput, Option<Light>), GpuError> {
         loop {
             let work = &mut self.device.work();
-            let (photo, room) = self.shelf.take(work, step.key, step.target, self.count())?;
-            let heard = match self.once(work, step, &photo, room) {
+            let (photo, capacity) = self.photos_on_device.take(work, step.key, step.target, self.count())?;
+            let readback = match self.once(work, step, &photo, capacity) {
                 // More room than the view needs, perhaps.
-                Err(error) if error.is_want_of_room() && room.is_some() => {
-                    self.shelf.clear();
+                Err(error) if error.is_out_of_memory() && capacity.is_some() => {
+                    self.photos_on_device.clear();
                     self.once(work, step, &photo, None)?
                 }
-                heard => heard?,
+                readback => readback?,
             };
-            let (pairs, fits) = heard.pairs();
-            self.shelf.note(step.key, pairs, self.count());
+            let (pairs, fits) = readback.pairs();
+            self.photos_on_device.note(step.key, pairs, self.count());
             // Without room nothing was learnt; there will be, now that it is known how much it takes.
             if fits {
-                return Ok((heard.said(&step.loss_inputs), step.light.map(|_| heard.light())));
+                return Ok((readback.results(&step.loss_inputs), step.light.map(|_| readback.light())));
             }
         }
     }
@@ -166,22 +170,30 @@ impl GpuTraining {
         work: &mut Work,
         step: &Step,
         photo: &Photo,
-        room: Option<usize>,
+        capacity: Option<usize>,
     ) -> Result<StepReadback, GpuError> {
         let loss_inputs = &step.loss_inputs;
         // What goes up hands in what stands before it: all of it goes first.
-        let asked = ComparisonInputs::upload(work, loss_inputs)?;
+        let feature_target = ComparisonInputs::upload(work, loss_inputs)?;
         let groups = self.groups(work, step.rules, step.networks.as_ref())?;
         let lighting = self.lighting(work, step.networks.as_ref(), loss_inputs.pose)?;
         let light = step.light.map(|light| (light, lighting));
-        let drawn = self.draw(work, loss_inputs.camera, loss_inputs.pose, step.options, light, room)?;
+        let rendered =
+            self.draw(work, loss_inputs.camera, loss_inputs.pose, step.options, light, capacity)?;
         let decides = step.networks.as_ref().is_some_and(|networks| networks.decides);
-        let visible = drawn.lighting().and_then(|lighting| lighting.visible(decides));
-        let graded =
-            compare(work, &drawn.on.view, &drawn.image, photo, &asked, loss_inputs, visible.as_ref())?;
+        let visible = rendered.lighting().and_then(|lighting| lighting.visible(decides));
+        let graded = compare(
+            work,
+            &rendered.on.view,
+            &rendered.image,
+            photo,
+            &feature_target,
+            loss_inputs,
+            visible.as_ref(),
+        )?;
         let Graded { grads, error, blames, .. } = &graded;
-        self.learn(work, &drawn, (grads, error, blames.as_ref()), &groups, &asked.said)?;
-        StepReadback::read(work, &asked.said, &drawn.on.found)
+        self.learn(work, &rendered, (grads, error, blames.as_ref()), &groups, &feature_target.results)?;
+        StepReadback::read(work, &feature_target.results, &rendered.on.found)
     }
 
     /// What a step of the networks needs, for a view from such a pose.
@@ -203,7 +215,7 @@ impl GpuTraining {
         pose: &Pose,
         options: &ProjectOptions,
         light: Option<(&Light, Option<Lighting<'a>>)>,
-        room: Option<usize>,
+        capacity: Option<usize>,
     ) -> Result<Rendered<'a>, GpuError> {
         let n = self.count();
         let shapes = &self.splats.shapes;
@@ -211,7 +223,7 @@ impl GpuTraining {
             Some((light, lighting)) => Some((work.upload("the photo's light", light)?, lighting)),
             None => None,
         };
-        let (on, seen) = bin(work, shapes.clone(), camera, pose, options, room)?;
+        let (on, seen) = bin(work, shapes.clone(), camera, pose, options, capacity)?;
         let colours = work.take::<[f32; 4]>("the splats' colours", n)?;
         let job = [n as u32, self.sh_degree, 0, 0];
         let buffers = [&on.view, &shapes.means, &seen, &self.splats.sh, &colours];
@@ -237,16 +249,16 @@ impl GpuTraining {
     }
 
     /// The optimiser's step by the gradients of what was drawn, of colour and alpha; the sums for density control, which
-    /// take the error at the centres; the gradient of the light, into `said`.
+    /// take the error at the centres; the gradient of the light, into `results`.
     pub fn learn(
         &self,
         work: &mut Work,
-        drawn: &Rendered,
+        rendered: &Rendered,
         (by_image, error, blames): (&Lent, &Lent, Option<&Lent>),
         groups: &Groups,
-        said: &Lent,
+        results: &Lent,
     ) -> Result<(), GpuError> {
-        let Rendered { on, seen, colours, lit, lights, .. } = drawn;
+        let Rendered { on, seen, colours, lit, lights, .. } = rendered;
         let n = self.count();
         let each = n.div_ceil(GROUP);
         let shapes = &self.splats.shapes;
@@ -264,7 +276,7 @@ impl GpuTraining {
                 let sums = work.take::<Light>("the light's gradients", each)?;
                 let buffers = [photo, colours, &splat_embeddings.values, &by_colour, &by_code, &sums];
                 work.run(&TINT_BACKWARD, 1, splat_embeddings.job(n), &buffers, each);
-                total(work, &sums, each, size_of::<Light>() / 4, said, LIGHT);
+                total(work, &sums, each, size_of::<Light>() / 4, results, LIGHT);
                 Some(by_code)
             }
             None => None,
@@ -275,7 +287,7 @@ impl GpuTraining {
         let buffers = [&on.view, seen, &grads, error, &self.sums, &on.found];
         work.run(&OBSERVE, 1, [n as u32, 0, 0, 0], &buffers, each);
         let grads = StepGrads { shapes: grads, sh: by_sh, splat_embeddings: by_code };
-        let weights = drawn.lighting().map(|lighting| &lighting.weight_grads);
+        let weights = rendered.lighting().map(|lighting| &lighting.weight_grads);
         self.adam(work, &grads, weights, seen, &on.found, groups);
         Ok(())
     }
@@ -367,11 +379,11 @@ impl GpuTraining {
             second: self.second.read(&mut work, self.sh_degree)?,
             sums: work.read(&self.sums, self.count())?,
             splat_embeddings: match &self.splat_embeddings {
-                None => Codes::default(),
+                None => SplatEmbeddings::default(),
                 Some(splat_embeddings) => {
                     let numbers = self.count() * splat_embeddings.width;
                     let mut read = |of: &Lent| work.read(of, numbers);
-                    Codes {
+                    SplatEmbeddings {
                         values: read(&splat_embeddings.values)?,
                         first: read(&splat_embeddings.first)?,
                         second: read(&splat_embeddings.second)?,
@@ -403,7 +415,7 @@ impl Resident for GpuTraining {
     fn reshape(&mut self, reshaped: &Reshaped) -> Result<bool, RasterError> {
         match self.try_reshape(reshaped) {
             Ok(()) => Ok(true),
-            Err(error) if error.is_want_of_room() => Ok(false),
+            Err(error) if error.is_out_of_memory() => Ok(false),
             Err(error) => Err(error.into()),
         }
     }

@@ -113,10 +113,10 @@ impl<'a> GpuView<'a> {
                     &up
                 }
             };
-            let drawn = self.on.blend(&mut work, blocks, values, first == 0, &alpha, &lights)?;
+            let rendered = self.on.blend(&mut work, blocks, values, first == 0, &alpha, &lights)?;
             if count > 0 {
-                let drawn: Vec<f32> = work.read(&drawn, pixels * blocks * 4)?;
-                unpack_image(&drawn, blocks * 4, first, &mut image);
+                let rendered: Vec<f32> = work.read(&rendered, pixels * blocks * 4)?;
+                unpack_image(&rendered, blocks * 4, first, &mut image);
             }
             first += blocks * 4;
             if first >= count {
@@ -151,19 +151,25 @@ impl<'a> GpuView<'a> {
         Arc::ptr_eq(device, self.device)
     }
 
-    fn try_refine(&self, field: &GpuField, asked: &FeatureTarget, drawn: &Rendered) -> Result<(), GpuError> {
+    fn try_refine(
+        &self,
+        field: &GpuField,
+        feature_target: &FeatureTarget,
+        rendered: &Rendered,
+    ) -> Result<(), GpuError> {
         let work = &mut self.device.work();
-        let kept = asked.away.and_then(|away| away.downcast_ref::<GpuFeatureTarget>());
+        let kept =
+            feature_target.on_device.and_then(|on_device| on_device.downcast_ref::<GpuFeatureTarget>());
         let up;
-        let asked = match kept.filter(|asked| self.is_mine(&asked.device)) {
-            Some(asked) => asked,
+        let feature_target = match kept.filter(|feature_target| self.is_mine(&feature_target.device)) {
+            Some(feature_target) => feature_target,
             None => {
-                up = GpuFeatureTarget::upload(self.device, work, asked)?;
+                up = GpuFeatureTarget::upload(self.device, work, feature_target)?;
                 &up
             }
         };
         let count = field.rows.count();
-        let step = field.begin(work, asked, drawn)?;
+        let step = field.start(work, feature_target, rendered)?;
         let (grads, blocks) = self.with_lights(work, |work, lights| {
             let blocks = at_once(count);
             let alpha = work.take::<f32>("alpha", self.pixels())?;
@@ -171,7 +177,7 @@ impl<'a> GpuView<'a> {
                 let image = self.on.blend(work, blocks, field.rows.part(first), false, &alpha, lights)?;
                 step.take(work, first / 4, blocks, &image);
             }
-            step.judge(work)?;
+            step.compute_losses(work)?;
             let blocks = gathered_at_once(count);
             let grads = (0..count).step_by(blocks * 4).map(|first| {
                 let image = step.gradients(work, first / 4, blocks)?;
@@ -187,8 +193,8 @@ impl<'a> GpuView<'a> {
             return Ok(());
         }
         let work = &mut self.device.work();
-        let (said, blocks) = self.gathered(work, image)?;
-        sums.add(work, &said, blocks)
+        let (results, blocks) = self.gathered(work, image)?;
+        sums.add(work, &results, blocks)
     }
 
     /// What an image says of each splat, in parts of so many vec4, which stay there.
@@ -292,13 +298,13 @@ impl Projected for GpuView<'_> {
     fn blend_kept(&self, kept: &Kept) -> Result<Frame, RasterError> {
         let channels = kept.channels();
         assert_eq!(channels.values.len(), self.splats.len() * channels.count, "channels: values");
-        let brought = kept.away().and_then(|away| away.downcast_ref::<Brought>());
+        let brought = kept.on_device().and_then(|on_device| on_device.downcast_ref::<Brought>());
         let brought = brought.filter(|brought| brought.is_on(self.device));
         Ok(self.try_blend(channels.count, brought.map_or(Found::Host(channels.values), Found::Kept))?)
     }
 
     fn lift(&self, sums: &mut Lifting, image: &Image) -> Result<(), RasterError> {
-        let own = sums.away().and_then(|away| away.as_any().downcast_ref::<GpuSums>());
+        let own = sums.on_device().and_then(|on_device| on_device.as_any().downcast_ref::<GpuSums>());
         let Some(own) = own.filter(|sums| self.is_mine(&sums.device)) else {
             sums.add(&self.gather(image)?);
             return Ok(());
@@ -311,15 +317,15 @@ impl Projected for GpuView<'_> {
     fn refine(
         &self,
         field: &mut Refining,
-        asked: &FeatureTarget,
-        drawn: &Rendered,
+        feature_target: &FeatureTarget,
+        rendered: &Rendered,
     ) -> Result<(), RasterError> {
-        let own = field.away().and_then(|away| away.as_any().downcast_ref::<GpuField>());
+        let own = field.on_device().and_then(|on_device| on_device.as_any().downcast_ref::<GpuField>());
         let Some(own) = own.filter(|field| self.is_mine(&field.device)) else {
-            return field.learn(self, asked, drawn);
+            return field.learn(self, feature_target, rendered);
         };
-        assert_eq!(asked.average.from(), (self.width, self.height), "refine: width, height");
-        Ok(self.try_refine(own, asked, drawn)?)
+        assert_eq!(feature_target.average.from(), (self.width, self.height), "refine: width, height");
+        Ok(self.try_refine(own, feature_target, rendered)?)
     }
 
     fn gather(&self, image: &Image) -> Result<Vec<f32>, RasterError> {

@@ -8,8 +8,8 @@ use segwild_raster::field::{
     AreaAverage, FeatureTarget, FieldRule, LearnedDecoder, Lifting, Membership, Refining, Rendered,
 };
 use segwild_raster::{
-    Appearance, Channels, Codes, CpuEngine, Engine, FallbackEngine, Frame, GswAppearance, GswWidth, Held,
-    Kept, NetworksStep, ProjectOptions,
+    Appearance, Channels, CpuEngine, Engine, FallbackEngine, Frame, GswAppearance, GswWidth, Held, Kept,
+    NetworksStep, ProjectOptions, SplatEmbeddings,
 };
 use segwild_scene::{Image, Mask, MaskSet, Random, ScoredMask, Splats};
 
@@ -99,9 +99,10 @@ fn channels_of_another_engine_are_blended_from_the_hosts() {
     let cpu = CpuEngine::new();
     assert!(draw(&cpu, &scene, &kept) == draw(&cpu, &scene, &Kept::new(3, &values)));
     // An engine with another to fall back on keeps them on the first one's device.
-    let spare = FallbackEngine::new(Box::new(other), Box::new(CpuEngine::new()), |why: &str| panic!("{why}"));
-    kept.bring(&spare).expect("it is brought there");
-    assert!(kept.away().is_some() && draw(&spare, &scene, &kept) == wanted);
+    let unused =
+        FallbackEngine::new(Box::new(other), Box::new(CpuEngine::new()), |why: &str| panic!("{why}"));
+    kept.bring(&unused).expect("it is brought there");
+    assert!(kept.on_device().is_some() && draw(&unused, &scene, &kept) == wanted);
 }
 
 #[test]
@@ -114,12 +115,12 @@ fn channels_that_would_take_too_much_room_are_not_kept_and_drawn_all_the_same() 
     tight.keep_within((3 * 4 * values.len()) as u64);
     let mut kept = Kept::new(64, &values);
     kept.bring(&tight).expect("it is no failure");
-    assert!(kept.away().is_none());
+    assert!(kept.on_device().is_none());
     assert!(draw(&tight, &scene, &kept) == draw(gpu, &scene, &kept));
     assert!(tight.held() <= tight.budget(), "{} of {} bytes", tight.held(), tight.budget());
     tight.keep_within(0);
     kept.bring(&tight).expect("it is brought there");
-    assert!(kept.away().is_some());
+    assert!(kept.on_device().is_some());
     // What is dropped leaves its room to others.
     let taken = tight.held();
     drop(kept);
@@ -129,7 +130,7 @@ fn channels_that_would_take_too_much_room_are_not_kept_and_drawn_all_the_same() 
 }
 
 /// What a photo asks of a view of this size, and how pixels of it are held by masks.
-fn asked(seed: u64, width: u32, height: u32, planes: usize) -> (Image, AreaAverage, Membership) {
+fn feature_target(seed: u64, width: u32, height: u32, planes: usize) -> (Image, AreaAverage, Membership) {
     let grid = (width as usize / 3, height as usize / 4);
     let masks = [0, 7, 20].map(|first| {
         let mask = Mask::from_fn(width, height, |x, _| x >= first && x < first + 10);
@@ -157,21 +158,21 @@ fn a_step_of_the_feature_field_brings_the_pixels_that_it_draws_and_nothing_of_sp
             let projected =
                 held.project(&scene, &camera, &pose, &ProjectOptions::default()).expect("it is seen");
             let planes = if learned { decoded } else { count };
-            let (target, average, membership) = asked(83 + step as u64, width, height, planes);
+            let (target, average, membership) = feature_target(83 + step as u64, width, height, planes);
             let validity = vec![0.8; target.pixels()];
-            let mut asked = FeatureTarget {
+            let mut feature_target = FeatureTarget {
                 target: &target,
                 scale: 0.5,
                 validity: &validity,
                 average: &average,
-                away: None,
+                on_device: None,
             };
-            let away = held.upload_target(&asked).expect("it is brought there");
-            asked.away = away.as_deref();
+            let on_device = held.upload_target(&feature_target).expect("it is brought there");
+            feature_target.on_device = on_device.as_deref();
             let pixels: Vec<u32> = (0..width * height).step_by(3).collect();
-            let drawn = Rendered { pixels: &pixels, membership: &membership };
+            let rendered = Rendered { pixels: &pixels, membership: &membership };
             let before = gpu.brought();
-            projected.refine(field, &asked, &drawn).expect("it is learnt");
+            projected.refine(field, &feature_target, &rendered).expect("it is learnt");
             crossed += gpu.brought() - before;
         }
         (crossed, field.losses().expect("they are told"))
@@ -184,7 +185,7 @@ fn a_step_of_the_feature_field_brings_the_pixels_that_it_draws_and_nothing_of_sp
         let mut here = Refining::new(count, values(count), decoder.clone(), rule);
         let mut there = Refining::new(count, values(count), decoder, rule);
         there.settle(&*held).expect("it is brought there");
-        assert!(there.away().is_some());
+        assert!(there.on_device().is_some());
         let ((_, wanted), (crossed, losses)) = (refine(&mut here, learned), refine(&mut there, learned));
         // Places and masks of the pixels, and the tables of the networks that compare them.
         let pixels = 4 * (64 * 48 + 50 * 70 + 33 * 20) / 3;
@@ -224,11 +225,16 @@ fn a_field_that_leaves_too_little_room_for_its_steps_is_refined_on_the_host() {
     let Some(gpu) = engine(test) else { return };
     let (scene, count) = (scene(), 24);
     let rule = FieldRule { embedding: 1.0, compact: 0.0, rate: 0.01 };
-    let (target, average, membership) = asked(95, 64, 48, count);
+    let (target, average, membership) = feature_target(95, 64, 48, count);
     let validity = vec![1.0; target.pixels()];
-    let asked =
-        FeatureTarget { target: &target, scale: 1.0, validity: &validity, average: &average, away: None };
-    let drawn = Rendered { pixels: &[], membership: &membership };
+    let feature_target = FeatureTarget {
+        target: &target,
+        scale: 1.0,
+        validity: &validity,
+        average: &average,
+        on_device: None,
+    };
+    let rendered = Rendered { pixels: &[], membership: &membership };
     // From where nothing settles to where all does: nowhere does a step want of room.
     let mut settled = Vec::new();
     for megabytes in [3, 4, 5, 6, 8, 24] {
@@ -241,9 +247,9 @@ fn a_field_that_leaves_too_little_room_for_its_steps_is_refined_on_the_host() {
         let projected = small.project(&scene, &camera, &pose, &ProjectOptions::default());
         let projected = projected.unwrap_or_else(|error| panic!("{megabytes} MiB: {error}"));
         projected
-            .refine(&mut field, &asked, &drawn)
+            .refine(&mut field, &feature_target, &rendered)
             .unwrap_or_else(|error| panic!("{megabytes} MiB: {error}"));
-        settled.push(field.away().is_some());
+        settled.push(field.on_device().is_some());
         drop(field);
         sums.settle(&small).expect("want of room is no failure");
         projected
@@ -261,13 +267,13 @@ fn a_step_of_networks_brings_its_photo_and_nothing_of_the_splats() {
     let view = view(96, 64);
     let (appearance, draw) = some_appearance(&view.0, &view.1);
     let splats = scene();
-    let splat_embeddings = Codes {
+    let splat_embeddings = SplatEmbeddings {
         values: appearance.first_embeddings(&splats.means),
         first: vec![0.0; SPLATS * GswAppearance::EMBEDDING_SIZE],
         second: vec![0.0; SPLATS * GswAppearance::EMBEDDING_SIZE],
     };
     let held = Held { splat_embeddings, networks: Some(appearance.held()), ..held(splats) };
-    let mut away = gpu.settle(&mut || held.clone()).expect("it is brought there").expect("it fits");
+    let mut on_device = gpu.settle(&mut || held.clone()).expect("it is brought there").expect("it fits");
     let light = appearance.below.photo(0);
     let rule = rules(0.001);
     let mut learn = |key: u64| {
@@ -280,8 +286,9 @@ fn a_step_of_networks_brings_its_photo_and_nothing_of_the_splats() {
             rules: [rule.splat_embeddings; 2],
         };
         let before = gpu.brought();
-        let said = step_with(&mut *away, (&view.0, &view.1), Some(&light), Some(step), &rule, key, 0.1);
-        said.expect("it is learnt");
+        let results =
+            step_with(&mut *on_device, (&view.0, &view.1), Some(&light), Some(step), &rule, key, 0.1);
+        results.expect("it is learnt");
         (gpu.brought() - before, photo as u64)
     };
     // The first look at a photo brings what it is compared with.
@@ -293,7 +300,7 @@ fn a_step_of_networks_brings_its_photo_and_nothing_of_the_splats() {
         (gpu.held(), training_bytes(SPLATS, 96 * 64, 1, GswAppearance::EMBEDDING_SIZE, Some(GswWidth::Cpu)));
     println!("{taken} bytes taken, {estimate} estimated");
     assert!(taken <= estimate && estimate <= 6 * taken, "{taken} bytes taken, {estimate} estimated");
-    let after = away.fetch().expect("they come home");
+    let after = on_device.fetch().expect("they come home");
     let moved = after.networks.expect("and so do the networks").weights;
     assert!(moved != appearance.held().weights && moved.iter().all(|weight| weight.is_finite()));
 }

@@ -56,9 +56,9 @@ fn a_training_whose_kernel_does_not_compile_ends_in_words() {
     {
         let broken = without(kernel, &gpu.adapter().name);
         let learn = || -> Result<Held, RasterError> {
-            let mut away = broken.settle(&mut || settled.clone())?.expect("it fits");
-            step(&mut *away, &view, Some(&light), &rules, 1, 0.1)?;
-            away.fetch()
+            let mut on_device = broken.settle(&mut || settled.clone())?.expect("it fits");
+            step(&mut *on_device, &view, Some(&light), &rules, 1, 0.1)?;
+            on_device.fetch()
         };
         let error = learn().expect_err("one kernel is none");
         let text = error.to_string();
@@ -70,16 +70,16 @@ fn a_training_whose_kernel_does_not_compile_ends_in_words() {
 fn the_cpu_engine_takes_over_in_the_middle_of_a_step() {
     let Some(gpu) = engine("the_cpu_engine_takes_over_in_the_middle_of_a_step") else { return };
     let wanted = gradients(&CpuEngine::new()).expect("the CPU engine computes");
-    let told = Arc::new(Mutex::new(Vec::new()));
-    let hear = told.clone();
+    let reported = Arc::new(Mutex::new(Vec::new()));
+    let reports = reported.clone();
     let lost = without("unproject", &gpu.adapter().name);
-    let hear = move |why: &str| hear.lock().expect("nothing panics").push(why.to_owned());
-    let engine = FallbackEngine::new(Box::new(lost), Box::new(CpuEngine::new()), hear);
+    let reports = move |why: &str| reports.lock().expect("nothing panics").push(why.to_owned());
+    let engine = FallbackEngine::new(Box::new(lost), Box::new(CpuEngine::new()), reports);
     let half = gradients(&engine).expect("the CPU engine goes on");
     let close = |a: &[[f32; 3]], b: &[[f32; 3]]| {
         a.as_flattened().iter().zip(b.as_flattened()).all(|(a, b)| (a - b).abs() <= 1e-3 * (1.0 + b.abs()))
     };
     assert!(close(&half.means, &wanted.means), "the frame that was begun");
     assert!(gradients(&engine).expect("the CPU engine goes on") == wanted, "the next one");
-    assert_eq!(told.lock().expect("nothing panics").len(), 1);
+    assert_eq!(reported.lock().expect("nothing panics").len(), 1);
 }

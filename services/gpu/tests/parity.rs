@@ -311,9 +311,10 @@ fn a_step_without_room_for_its_pairs_is_done_again_and_learns_the_same() {
     let learn = |scenes: &[&Splats], key| {
         let mut after = None;
         for &scene in scenes {
-            let mut away = gpu.settle(&mut || held(scene.clone())).expect("it settles").expect("it fits");
-            let said = step(&mut *away, &view, None, &rules, key, 0.1).expect("it learns");
-            after = Some((away.fetch().expect("it comes back"), said));
+            let mut on_device =
+                gpu.settle(&mut || held(scene.clone())).expect("it settles").expect("it fits");
+            let results = step(&mut *on_device, &view, None, &rules, key, 0.1).expect("it learns");
+            after = Some((on_device.fetch().expect("it comes back"), results));
         }
         after.expect("there was a step")
     };
@@ -330,10 +331,10 @@ fn the_memory_that_a_training_takes_is_known_before_and_a_budget_is_kept() {
     let rules = rules(1e-4);
     let scene = splats(35, 6000, (0.01, 0.04));
     let learn = |engine: &GpuEngine| -> Result<(), RasterError> {
-        let mut away =
+        let mut on_device =
             engine.settle(&mut || held(scene.clone()))?.ok_or(RasterError::Shape("refused".into()))?;
         for (key, size) in [(1, (320, 240)), (2, (160, 120)), (3, (300, 250)), (1, (320, 240))] {
-            step(&mut *away, &view(size.0, size.1), None, &rules, key, 0.1)?;
+            step(&mut *on_device, &view(size.0, size.1), None, &rules, key, 0.1)?;
             let (held, budget) = (engine.held(), engine.budget());
             assert!(budget == 0 || held <= budget, "{held} of {budget} bytes");
         }
@@ -359,14 +360,14 @@ fn gradients_that_are_no_numbers_leave_splats_that_are() {
     let Some(gpu) = engine("gradients_that_are_no_numbers_leave_splats_that_are") else { return };
     let view = view(40, 30);
     let held = held(splats(32, 60, (0.05, 0.3)));
-    let mut away = gpu.settle(&mut || held.clone()).expect("it settles").expect("it fits");
+    let mut on_device = gpu.settle(&mut || held.clone()).expect("it settles").expect("it fits");
     let rule = segwild_raster::Rule { beta1: 0.9, beta2: 0.999, rate: 0.1, epsilon: 0.0 };
     let rules = segwild_raster::Rules::all(rule);
     // The sky's share of the gradient, in the pixels that have some.
     for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, 0.1] {
-        step(&mut *away, &view, None, &rules, 3, bad).expect("it learns");
+        step(&mut *on_device, &view, None, &rules, 3, bad).expect("it learns");
     }
-    let after = away.fetch().expect("it comes back");
+    let after = on_device.fetch().expect("it comes back");
     for splats in [&after.splats, &after.first, &after.second] {
         let numbers = [
             splats.means.as_flattened(),

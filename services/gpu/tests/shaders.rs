@@ -10,8 +10,8 @@ const SHARED_BYTES: u32 = 16 << 10;
 /// The kernel as naga reads it for a device with or without subgroups, or what is wrong in it.
 fn valid(text: &str, subgroups: bool) -> Result<naga::Module, String> {
     let module = naga::front::wgsl::parse_str(text).map_err(|error| error.emit_to_string(text))?;
-    let offered = if subgroups { Capabilities::SUBGROUP } else { Capabilities::empty() };
-    Validator::new(ValidationFlags::all(), offered)
+    let available = if subgroups { Capabilities::SUBGROUP } else { Capabilities::empty() };
+    Validator::new(ValidationFlags::all(), available)
         .validate(&module)
         .map_err(|error| error.emit_to_string(text))?;
     Ok(module)

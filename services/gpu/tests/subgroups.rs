@@ -24,9 +24,9 @@ fn a_view_is_the_same_by_subgroups_and_without() {
         let grads = projected.backward(&channels, &frame, &grad).expect("it goes back");
         (frame, grads)
     };
-    let drawn = draw(by_subgroups);
-    assert!(drawn.0.alpha.data.iter().any(|&a| a > 0.5), "nothing is seen");
-    assert!(drawn == draw(plain));
+    let rendered = draw(by_subgroups);
+    assert!(rendered.0.alpha.data.iter().any(|&a| a > 0.5), "nothing is seen");
+    assert!(rendered == draw(plain));
 }
 
 /// Whether by subgroups, a kernel, a piece of its text, and what stands there instead.

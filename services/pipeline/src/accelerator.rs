@@ -1,4 +1,4 @@
-//! The machine's accelerator, taken in turn by the providers that declare to compute on it.
+//! The machine's accelerator, which the providers that compute on it use in turn.
 
 use segwild_flow::Lease;
 use segwild_scene::{Embedding, Image, Mask, Prompts, ScoredMask};
@@ -7,14 +7,14 @@ use segwild_vision::{
 };
 use std::sync::{Arc, LazyLock};
 
-/// The one accelerator, for whatever this process computes on it. A batch gives it to one process at a time.
+/// The lease of the one accelerator, for all that this process computes on it. A batch gives it to one process at a time.
 pub fn accelerator() -> &'static Lease {
     static LEASE: LazyLock<Lease> = LazyLock::new(|| Lease::new("accelerator"));
     &LEASE
 }
 
-/// The same providers; those that declare an accelerator hold it while they answer. Who answers a click, and the sky,
-/// come before the others.
+/// The same providers; those that declare an accelerator hold the lease while they compute. Clicks and skies come
+/// before the others.
 pub(crate) fn leased(providers: &Providers) -> Providers {
     let Providers { embedder, proposer, segmenter, sky, transients, name, notes, networks } =
         providers.clone();
@@ -79,7 +79,7 @@ impl PromptSegmenter for Leased<dyn PromptSegmenter> {
         self.0.refine(image, certainty)
     }
     fn prepare(&self, image: &Image) {
-        let _held = accelerator().acquire("a photo that is likely to be asked about");
+        let _held = accelerator().acquire("a photo that is likely to be clicked");
         self.0.prepare(image);
     }
 }

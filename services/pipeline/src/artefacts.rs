@@ -1,9 +1,9 @@
-//! What makes an artefact: the keys of the content cache (method, section 8).
+//! The keys of the content cache (method, section 8).
 //!
-//! Same key, same bytes. A key holds everything the artefact depends on, so a changed setting re-does exactly what
-//! depends on it.
+//! Same key, same bytes. A key hashes everything that the artefact depends on, so that a changed setting recomputes
+//! exactly what depends on it.
 
-use crate::continued::Origin;
+use crate::continued::TrainingOrigin;
 use crate::evaluate::protocol_of;
 use crate::memory;
 use crate::transients::Corrections;
@@ -26,13 +26,13 @@ const TRAINING: u32 = 9;
 /// The keys of one run.
 #[derive(Clone, Debug)]
 pub struct Keys {
-    /// Per view, the photo's bytes; the reason where they cannot be read.
+    /// Per view, the hash of the photo's bytes; the reason where they cannot be read.
     digests: Vec<Result<String, String>>,
     /// Per view, its sky.
     pub sky: Vec<Key>,
     /// Per view, its embedding.
     pub embedding: Vec<Key>,
-    /// The training: what its checkpoints belong to, however many steps it is given.
+    /// The training that checkpoints belong to, whatever number of steps it is given.
     pub training: Key,
     /// The trained scene.
     pub geometry: Key,
@@ -41,13 +41,13 @@ pub struct Keys {
     snapshot_step: u32,
     /// Per view, its masks.
     pub masks: Vec<Key>,
-    /// Per view, which of its pixels can be trusted.
+    /// Per view, its visibility.
     pub visibility: Vec<Key>,
-    /// Per view, the persons and vehicles that a network finds.
+    /// Per view, the people and vehicles that a network finds.
     pub known_transients: Vec<Key>,
     /// The feature field.
     pub features: Key,
-    /// Whether the masks have a part in the field.
+    /// Whether the field depends on the masks (compactness).
     masks_in_field: bool,
     /// How the training went.
     pub history: Key,
@@ -55,11 +55,11 @@ pub struct Keys {
     pub evaluation: Key,
 }
 
-/// Settings that a group's artefacts do not depend on. Some change how fast or in how much memory something is made, and
-/// not what; others matter only together with another setting.
+/// Settings that a group's artefacts do not depend on. Some change only the speed or the memory; others have an effect
+/// only together with another setting.
 fn without_effect(settings: &Settings) -> Vec<&'static str> {
     let (train, features) = (&settings.train, &settings.features);
-    // Where the snapshot is taken is in the snapshot's own name.
+    // The snapshot's own key holds its step.
     let mut names = vec!["photo_cache_mib", "feature_memory", "snapshot_at"];
     let no_embeddings = !matches!(train.appearance_model, AppearanceModel::Embed | AppearanceModel::Gsw);
     let idle = [
@@ -74,19 +74,19 @@ fn without_effect(settings: &Settings) -> Vec<&'static str> {
     names
 }
 
-/// Where a training begins and ends.
+/// The first and the last step of a training.
 #[derive(Clone, Debug)]
 pub enum End {
-    /// At the start, and where its settings say.
+    /// From step 0 to the steps of the settings.
     Settings,
-    /// At the start, and at this step, which may lie past its settings' own.
+    /// From step 0 to this step, which may lie past the steps of the settings.
     Step(u32),
-    /// Where another ended, and some steps later.
-    ContinuedTraining(Origin),
+    /// From the last step of another training to some steps later.
+    ContinuedTraining(TrainingOrigin),
 }
 
 impl End {
-    /// That of a run that is to stop there.
+    /// The end of a run that is to stop at `until`.
     pub fn of(until: Option<Until>) -> End {
         match until {
             Some(Until::Step(step)) => End::Step(step),
@@ -94,7 +94,7 @@ impl End {
         }
     }
 
-    /// The step to stop at, if it was named.
+    /// The step to stop at, if one is given.
     pub fn step(&self) -> Option<u32> {
         match self {
             End::Settings => None,
@@ -104,11 +104,11 @@ impl End {
     }
 }
 
-/// What is in a scene's photos: the hash of each, or why it cannot be used.
+/// The hash of each photo of a scene, or why the photo cannot be used.
 #[derive(Clone, Debug)]
 pub struct Digests {
     photos: Vec<Result<String, String>>,
-    /// What is odd about photos that can be used, in words.
+    /// Warnings about photos that can be used.
     pub odd: Vec<String>,
 }
 
@@ -116,18 +116,18 @@ impl Digests {
     /// Reads and decodes every photo once.
     ///
     /// # Errors
-    /// [`RunError::Interrupted`] when `stopping` says so: many large photos take a while.
+    /// [`RunError::Interrupted`] when `stopping` returns true: many large photos take a while.
     pub fn read(
         scene: &Scene,
         settings: &Settings,
         stopping: &(dyn Fn() -> bool + Sync),
     ) -> Result<Digests, RunError> {
-        let room = memory::decoding_room(settings, scene);
+        let limit = memory::decoding_limit(settings, scene);
         let examine = |view: &View| -> Result<(String, Option<String>), String> {
             if stopping() {
                 return Err("stopped".into());
             }
-            memory::too_large(settings, view, room).map_or(Ok(()), Err)?;
+            memory::too_large(settings, view, limit).map_or(Ok(()), Err)?;
             let digest = photo_digest(view).map_err(|e| e.to_string())?;
             let odd = view.examine(settings.scene.size).map_err(|e| e.to_string())?;
             Ok((digest, odd.map(|odd| format!("photo {}: {odd}", view.name))))
@@ -158,12 +158,12 @@ impl Digests {
         self
     }
 
-    /// One per view; `None` where the photo cannot be read.
+    /// The hashes by view; `None` where the photo cannot be read.
     pub fn all(&self) -> Vec<Option<&str>> {
         self.photos.iter().map(|d| d.as_deref().ok()).collect()
     }
 
-    /// Whether no photo to train on can be used; why the first cannot.
+    /// The reason of the first photo, if none of the photos to train on can be used.
     pub fn nothing_left(&self, scene: &Scene) -> Option<&str> {
         let train = || scene.views.iter().zip(&self.photos).filter(|(view, _)| !view.test);
         let first = train().find_map(|(_, photo)| photo.as_ref().err());
@@ -172,7 +172,7 @@ impl Digests {
 }
 
 impl Keys {
-    /// Names everything that a run of these settings makes of photos that were read.
+    /// The keys of everything that a run with these settings makes.
     pub fn of(
         scene: &Scene,
         Digests { photos: digests, .. }: Digests,
@@ -190,7 +190,7 @@ impl Keys {
                 .value("size", settings.scene.size)
                 .part("camera", format!("{:?} {:?}", scene.views[i].camera, scene.views[i].photo.lens))
                 .part("model", model);
-            // Said only of cut-outs, so that what was made of others keeps its name.
+            // Only cut-outs have this part, so that the keys of other photos stay as they were.
             match scene.views[i].photo.reading.empty {
                 true => key.part("transparent", "empty").finish(),
                 false => key.finish(),
@@ -224,7 +224,7 @@ impl Keys {
             training = training
                 .part(&format!("view {i}"), format!("{} {:?} {}", view.name, view.pose, view.test))
                 .key(&format!("sky {i}"), &sky[i]);
-            // Nothing where nothing is known, so that what was made before persons could say anything keeps its name.
+            // No part where nothing is known, so that keys of runs without corrections stay as they were.
             match corrections.digest(i).filter(|_| !view.test) {
                 Some(digest) => training = training.part(&format!("transients {i}"), digest),
                 None if network.is_some() => {
@@ -311,35 +311,35 @@ impl Keys {
         }
     }
 
-    /// The names of what is made without the sky of some photos, which was given up: the trained scene and all that
-    /// comes of it; of held-out photos, their scores alone. A run that finds those skies makes something else, and must
-    /// not take this for it.
+    /// The keys of a run without the skies of some photos, which were given up. Skies of `views` change the trained
+    /// scene and all that depends on it; skies of `held_out` photos change the scores only. A run that finds those
+    /// skies makes something else and must not reuse this.
     pub fn without_skies(&self, views: &BTreeSet<usize>, held_out: &BTreeSet<usize>) -> Keys {
         let mut keys = if views.is_empty() { self.clone() } else { self.without_training_skies(views) };
         if !held_out.is_empty() {
-            keys.evaluation = lacking(&keys.evaluation, "sky", held_out);
+            keys.evaluation = key_without(&keys.evaluation, "sky", held_out);
         }
         keys
     }
 
     fn without_training_skies(&self, views: &BTreeSet<usize>) -> Keys {
-        let lacking = |whole: &Key| lacking(whole, "sky", views);
-        let training = lacking(&self.training);
-        let geometry = if self.geometry == self.training { training } else { lacking(&self.geometry) };
+        let without = |whole: &Key| key_without(whole, "sky", views);
+        let training = without(&self.training);
+        let geometry = if self.geometry == self.training { training } else { without(&self.geometry) };
         Keys {
             geometry,
             snapshot: snapshot_of(&training, self.snapshot_step),
-            masks: self.masks.iter().map(lacking).collect(),
-            visibility: self.visibility.iter().map(lacking).collect(),
-            features: lacking(&self.features),
+            masks: self.masks.iter().map(without).collect(),
+            visibility: self.visibility.iter().map(without).collect(),
+            features: without(&self.features),
             history: history_of(&geometry.to_string()),
-            evaluation: lacking(&self.evaluation),
+            evaluation: without(&self.evaluation),
             training,
             ..self.clone()
         }
     }
 
-    /// The name of the field that is made without the embeddings, the masks or the visibility of some photos.
+    /// The key of the field without the embeddings, the masks or the visibility of some photos.
     pub fn features_without(
         &self,
         embeddings: &BTreeSet<usize>,
@@ -351,27 +351,27 @@ impl Keys {
             ("masks", masks, self.masks_in_field),
             ("visibility", visibility, true),
         ];
-        let lack = parts.iter().filter(|(_, views, matters)| *matters && !views.is_empty());
-        lack.fold(self.features, |key, (what, views, _)| lacking(&key, what, views))
+        let missing = parts.iter().filter(|(_, views, matters)| *matters && !views.is_empty());
+        missing.fold(self.features, |key, (what, views, _)| key_without(&key, what, views))
     }
 
-    /// The name of the scores without those of some photos.
+    /// The key of the scores without those of some photos.
     pub fn evaluation_without(&self, photos: &BTreeSet<usize>) -> Key {
-        if photos.is_empty() { self.evaluation } else { lacking(&self.evaluation, "score", photos) }
+        if photos.is_empty() { self.evaluation } else { key_without(&self.evaluation, "score", photos) }
     }
 
-    /// The name of what a view's picture of transients is made from, which `segmenter` has drawn.
+    /// The key of a view's transient mask, whose boundaries `segmenter` refines.
     pub fn transients(&self, view: usize, segmenter: &str) -> Key {
         Key::of("transients").key("visibility", &self.visibility[view]).part("model", segmenter).finish()
     }
 
-    /// The photo that an artefact is made of and the kind of artefact, by its name as the ledger writes it.
+    /// The view that an artefact belongs to, by the artefact's key as the ledger writes it.
     pub fn view_of(&self, key: &str) -> Option<usize> {
         let all = [&self.sky, &self.embedding, &self.masks, &self.visibility, &self.known_transients];
         all.into_iter().find_map(|keys| keys.iter().position(|k| k.to_string() == key))
     }
 
-    /// What a stage is recorded under in the ledger.
+    /// The key of a stage in the ledger.
     pub fn stage(&self, stage: &str) -> Key {
         let all = |domain, keys: &[Key]| {
             keys.iter().fold(Key::of(domain), |k, artefact| k.key(&artefact.hex(), artefact)).finish()
@@ -387,29 +387,29 @@ impl Keys {
         }
     }
 
-    /// Per view, why its photo cannot be used, if so.
+    /// By view, the reason why its photo cannot be used; `None` where it can.
     pub fn refused(&self) -> Vec<Option<String>> {
         self.digests.iter().map(|digest| digest.as_ref().err().cloned()).collect()
     }
 
-    /// Why a view's photo cannot be used, if so.
+    /// The reason why a view's photo cannot be used; `None` where it can.
     pub fn unreadable(&self, view: usize) -> Option<&str> {
         self.digests[view].as_ref().err().map(String::as_str)
     }
 }
 
-/// The name of what is made without a part of some photos.
-fn lacking(whole: &Key, what: &str, views: &BTreeSet<usize>) -> Key {
+/// The key of what is made without one input of some photos.
+fn key_without(whole: &Key, what: &str, views: &BTreeSet<usize>) -> Key {
     let list: Vec<String> = views.iter().map(usize::to_string).collect();
     Key::of(whole.domain()).key("whole", whole).part(&format!("without {what}"), list.join(" ")).finish()
 }
 
-/// The snapshot's key: of a training, at a step.
+/// The key of a training's snapshot at a step.
 fn snapshot_of(training: &Key, step: u32) -> Key {
     Key::of("snapshot").key("training", training).value("step", step).finish()
 }
 
-/// The history's key, from its trained scene's as the ledger writes it.
+/// The key of a training's history, from the trained scene's key as the ledger writes it.
 pub(crate) fn history_of(geometry: &str) -> Key {
     Key::of("history").part("geometry", geometry).finish()
 }
@@ -432,7 +432,7 @@ fn photo_digest(view: &View) -> Result<String, segwild_scene::SceneError> {
     Ok(digest)
 }
 
-/// The points that training starts from.
+/// Hash of the points that training starts from.
 fn points_digest(scene: &Scene) -> String {
     let mut hasher = blake3::Hasher::new();
     for point in &scene.points {
@@ -491,7 +491,7 @@ mod tests {
         let (ignored, kept) = (digest(Some(&*mask), None), digest(None, Some(&*mask)));
         assert_ne!(ignored, kept);
         assert_ne!(digest(Some(&*mask), Some(&*other)), digest(Some(&*other), Some(&*mask)));
-        // Photos without masks to keep are called what they always were.
+        // The hashes of photos without masks to keep stay as they were.
         let hash = |bytes: &[u8]| blake3::hash(bytes).to_hex().to_string();
         assert_eq!(digest(None, None), hash(b"photo"));
         assert_eq!(ignored, hash(b"photo") + &hash(b"mask"));

@@ -1,4 +1,4 @@
-//! Where an interrupted training goes on from.
+//! The checkpoints from which an interrupted training continues.
 
 use crate::{RunError, RunFolder};
 use segwild_flow::files::FileError;
@@ -16,11 +16,11 @@ pub struct Keeper<'a> {
     pub folder: &'a RunFolder,
     /// Its ledger.
     pub ledger: &'a Ledger,
-    /// Told of checkpoints that are passed over.
+    /// Receives a warning for each checkpoint that is passed over.
     pub events: &'a Events,
     /// The training that they belong to.
     pub key: &'a Key,
-    /// How many are kept: the last, and those to fall back on.
+    /// How many are kept: the last one, and earlier ones to fall back on.
     pub kept: usize,
 }
 
@@ -42,15 +42,15 @@ impl Keeper<'_> {
             digest: blake3::hash(&bytes).to_hex().to_string(),
         })?;
         for old in self.ledger.checkpoints("geometry", self.key)?.into_iter().skip(self.kept.max(1)) {
-            // A file that is gone already is what was wanted.
+            // The file may be gone already.
             let _ = self.folder.checkpoint(&old).map(std::fs::remove_file);
             self.ledger.forget_checkpoint(&old)?;
         }
         Ok(())
     }
 
-    /// The checkpoints of this training, newest first. Those that lie in the folder without a row, as after the ledger was
-    /// lost, get one: their name says which training they belong to, and a record says itself whether it is whole.
+    /// The checkpoints of this training, newest first. Files without a row, as after the ledger was lost, get one: the
+    /// file name holds the key of the training, and the record's own check sum shows whether it is whole.
     pub fn rows(&self) -> Result<Vec<CheckpointRow>, RunError> {
         let known = self.ledger.checkpoints("geometry", self.key)?;
         let prefix = self.prefix();
@@ -78,7 +78,7 @@ impl Keeper<'_> {
         Ok(if found { self.ledger.checkpoints("geometry", self.key)? } else { known })
     }
 
-    /// What the names of this training's checkpoints begin with: trainings under other settings have some here, too.
+    /// Start of the names of this training's checkpoints. Trainings with other settings keep theirs in the same folder.
     fn prefix(&self) -> String {
         format!("geometry-{}-", &self.key.hex()[..8])
     }
@@ -89,7 +89,7 @@ impl Keeper<'_> {
         let mut last = None;
         for row in self.rows()? {
             let Some(path) = self.folder.checkpoint(&row) else {
-                // Nothing that this program wrote: not read, and above all not removed.
+                // This program did not write it: it is not read, and above all not removed.
                 self.ledger.forget_checkpoint(&row)?;
                 damaged.push((row.file.into(), "the ledger names a file elsewhere".to_owned()));
                 continue;
@@ -115,8 +115,8 @@ impl Keeper<'_> {
             }
         }
         let instead = match last {
-            Some(_) => "the one before it serves",
-            None => "there is none before it: the training begins anew",
+            Some(_) => "the one before it is used",
+            None => "there is none before it: the training starts again from step 0",
         };
         for (path, reason) in damaged {
             let message = format!("checkpoint {} is passed over ({reason}): {instead}", path.display());

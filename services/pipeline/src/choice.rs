@@ -1,8 +1,9 @@
-//! `--appearance auto` and `--budget auto`: each choice is made once, kept under the name of all it depends on, and said.
+//! `--appearance-model auto` and `--budget auto`: each choice is made once, kept in the cache under a key of all that
+//! it depends on, and reported.
 
 use crate::artefacts::Keys;
-use crate::transients::Known;
-use crate::{Budget, RunError, RunFolder, Settings};
+use crate::transients::KnownTransients;
+use crate::{RunBudget, RunError, RunFolder, Settings};
 use segwild_flow::{Cache, CacheError, Key};
 use segwild_raster::Engine;
 use segwild_scene::{Mask, Scene};
@@ -17,20 +18,20 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Something that is chosen before the training.
-pub(crate) trait Choice: Serialize + DeserializeOwned {
+pub(crate) trait AutoChoice: Serialize + DeserializeOwned {
     /// Kind of the cache's record.
     const KIND: &'static str;
-    /// Where the run folder says it.
+    /// The file in the run folder that records the choice.
     const FILE: &'static str;
-    /// Whether it is still to be chosen.
+    /// Whether the settings leave it open.
     fn is_open(settings: &Settings) -> bool;
-    /// The settings with it decided.
+    /// The settings with the choice made.
     fn decided(&self, settings: &Settings) -> Settings;
     /// Why, in a sentence.
     fn why(&self) -> &str;
 }
 
-impl Choice for AppearanceChoice {
+impl AutoChoice for AppearanceChoice {
     const KIND: &'static str = "appearance";
     const FILE: &'static str = "look.json";
     fn is_open(settings: &Settings) -> bool {
@@ -46,11 +47,11 @@ impl Choice for AppearanceChoice {
     }
 }
 
-impl Choice for BudgetChoice {
+impl AutoChoice for BudgetChoice {
     const KIND: &'static str = "budget";
     const FILE: &'static str = "budget.json";
     fn is_open(settings: &Settings) -> bool {
-        settings.run.budget == Budget::Auto
+        settings.run.budget == RunBudget::Auto
     }
     fn decided(&self, settings: &Settings) -> Settings {
         let mut settings = settings.clone();
@@ -62,24 +63,24 @@ impl Choice for BudgetChoice {
     }
 }
 
-/// Whether a budget may go beyond the settings: the steps were left to the scene, and its photos agree.
+/// Whether a budget may exceed the steps of the settings: the steps were left to the scene, and its photos agree.
 fn beyond(steps_open: bool, appearance: Option<&AppearanceChoice>) -> bool {
     steps_open && appearance.is_some_and(AppearanceChoice::agrees)
 }
 
-/// The name of a choice, from the keys of a training for which it is still open, and whether it may go beyond the settings.
-fn key<C: Choice>(keys: &Keys, beyond: bool) -> Key {
+/// The key of a choice, from the keys of a training that leaves it open, and whether it may exceed the settings.
+fn key<C: AutoChoice>(keys: &Keys, beyond: bool) -> Key {
     Key::of(C::KIND).key("training", &keys.training).value("beyond", beyond).finish()
 }
 
 /// The choice, if it was made before.
-fn kept<C: Choice>(cache: &Cache, key: &Key) -> Result<Option<C>, CacheError> {
+fn kept<C: AutoChoice>(cache: &Cache, key: &Key) -> Result<Option<C>, CacheError> {
     let text: Option<String> = cache.get_typed(key, C::KIND)?;
     Ok(text.and_then(|text| serde_json::from_str(&text).ok()))
 }
 
-/// The settings as far as choices that were made before decide them. `steps_open` says whether the steps were left to the
-/// scene; `keys` names what is made under settings.
+/// The settings with the choices that earlier runs have made. `steps_open` says whether the steps were left to the
+/// scene; `keys` computes the keys of a run with given settings.
 pub(crate) fn decided_before(
     cache: &Cache,
     settings: &Settings,
@@ -103,29 +104,32 @@ pub(crate) fn decided_before(
     Ok(settings)
 }
 
-/// What choices are made from.
+/// The inputs of a choice.
 pub(crate) struct Chooser<'a> {
     pub folder: &'a RunFolder,
     pub cache: &'a Cache,
     pub scene: &'a Arc<Scene>,
     pub engine: &'a Arc<dyn Engine>,
     pub sky: &'a Arc<dyn SkyDetector>,
-    pub known: &'a Known,
+    pub known: &'a KnownTransients,
     /// Whether the steps were left to the scene.
     pub steps_open: bool,
-    /// Names what is made under settings.
+    /// Computes the keys of a run with given settings.
     pub keys: &'a dyn Fn(&Settings) -> Keys,
     /// Ends the work.
     pub stopping: &'a dyn Fn() -> bool,
 }
 
 impl Chooser<'_> {
-    /// Decides what is still open: first the look, then how much of it is spent. `told` hears of each choice: its kind,
-    /// the name it is kept under, and why.
+    /// Makes the choices that the settings leave open: first the appearance model, then the budget. `on_choice` is
+    /// called for each with its kind, its key and the reason.
+    ///
+    /// # Errors
+    /// When a trial training fails, the cache or the folder cannot be written, or the run is stopped.
     pub fn choose(
         &self,
         settings: &Settings,
-        mut told: impl FnMut(&'static str, &Key, &str) -> Result<(), RunError>,
+        mut on_choice: impl FnMut(&'static str, &Key, &str) -> Result<(), RunError>,
     ) -> Result<Settings, RunError> {
         let scene = &**self.scene;
         let trial_size = |settings: &Settings| trial_size(scene, settings.scene.size);
@@ -133,22 +137,23 @@ impl Chooser<'_> {
             let photos = self.photos(CHOICE_SIZE.min(trial_size(settings)), settings);
             choose_appearance(self.engine.clone(), scene, photos, &settings.train, self.stopping)
         };
-        let (settings, appearance) = self.one::<AppearanceChoice>(settings, false, appearance, &mut told)?;
+        let (settings, appearance) =
+            self.one::<AppearanceChoice>(settings, false, appearance, &mut on_choice)?;
         let beyond = beyond(self.steps_open, appearance.as_ref());
         let budget = |settings: &Settings| {
             let photos = self.photos(trial_size(settings), settings);
             choose_budget(self.engine.clone(), scene, photos, &settings.train, beyond, self.stopping)
         };
-        let (settings, _) = self.one::<BudgetChoice>(&settings, beyond, budget, &mut told)?;
+        let (settings, _) = self.one::<BudgetChoice>(&settings, beyond, budget, &mut on_choice)?;
         Ok(settings)
     }
 
-    fn one<C: Choice>(
+    fn one<C: AutoChoice>(
         &self,
         settings: &Settings,
         beyond: bool,
         make: impl Fn(&Settings) -> Result<C, TrainError>,
-        told: &mut impl FnMut(&'static str, &Key, &str) -> Result<(), RunError>,
+        on_choice: &mut impl FnMut(&'static str, &Key, &str) -> Result<(), RunError>,
     ) -> Result<(Settings, Option<C>), RunError> {
         if !C::is_open(settings) {
             return Ok((settings.clone(), None));
@@ -167,21 +172,22 @@ impl Chooser<'_> {
             }
         };
         self.folder.write_json(C::FILE, &choice)?;
-        told(C::KIND, &key, choice.why())?;
+        on_choice(C::KIND, &key, choice.why())?;
         Ok((choice.decided(settings), Some(choice)))
     }
 
-    /// Photos of a long side, few and small and asked for again and again.
+    /// Photos with long side `size`. They are few and small and are requested many times, so that they are held in
+    /// memory.
     fn photos(&self, size: u32, settings: &Settings) -> Arc<dyn Photos> {
         let (scene, sky, known) = (self.scene.clone(), self.sky.clone(), self.known.clone());
         let held: Mutex<BTreeMap<usize, Result<TrainPhoto, String>>> = Mutex::default();
         let read = move |view: usize| -> Result<TrainPhoto, String> {
             let loaded = scene.views[view].load(size).map_err(|e| e.to_string())?;
-            // Without its sky a photo still tells something.
+            // A photo is used even without its sky.
             let seen = scene.points_in(view, loaded.image.width, loaded.image.height);
             let sky: Option<Mask> = sky.sky_above(&loaded.image, &seen).ok();
             let mut photo = TrainPhoto::new(loaded, sky);
-            known.tell_hand(view, &mut photo);
+            known.apply_corrections(view, &mut photo);
             Ok(photo)
         };
         let photos = move |view: usize| -> Result<TrainPhoto, String> {

@@ -1,8 +1,8 @@
-//! Where the code of a run's networks is: whoever runs the program says it, a run folder never does.
+//! Where a run's network files and their library are: the user names them, a run folder never does.
 //!
-//! A network is executed by a library that is loaded. A run folder may have come from somebody else, so that what its
-//! `segwild.toml` says of both ([`VisionSettings::CODE`]) is information and no more. `RUN/networks.json` says which network
-//! files a run was made with: by their hashes a later command tells whether it was given the same.
+//! A network is executed by a library that is loaded. A run folder may have come from somebody else, so that the paths
+//! in its `segwild.toml` ([`VisionSettings::CODE`]) are shown and never loaded. `RUN/networks.json` records which
+//! network files a run was made with; a later command compares their hashes with those of the files that it is given.
 
 use crate::region_cache::InCache;
 use crate::{RunError, RunFolder, Settings};
@@ -13,10 +13,10 @@ use std::sync::Arc;
 
 /// Where the record is in the run folder.
 const RECORD: &str = "networks.json";
-/// The environment's word for the folder of models; the library has `ORT_DYLIB_PATH`.
+/// The environment variable for the folder of models; that for the library is `ORT_DYLIB_PATH`.
 const MODELS: &str = "SEGWILD_MODELS";
 
-/// What is said of code now: by flags, else by the environment.
+/// The paths of networks and their library as given now: by flags, else by the environment.
 #[derive(Clone, Debug, Default)]
 pub struct Code {
     flags: BTreeMap<&'static str, String>,
@@ -24,29 +24,30 @@ pub struct Code {
 }
 
 impl Code {
-    /// From a command's flags, of which the others are passed over, and from the environment.
+    /// Takes them from a command's flags and from the environment. Other flags are passed over.
     pub fn given(flags: &[(String, String)]) -> Code {
-        let said = |name: &&'static str| {
+        let given = |name: &&'static str| {
             let value = flags.iter().rev().find(|(flag, _)| flag == name).map(|(_, value)| value.clone());
             value.map(|value| (*name, value))
         };
         let models = std::env::var(MODELS).ok().filter(|models| !models.is_empty());
-        Code { flags: VisionSettings::CODE.iter().filter_map(said).collect(), models }
+        Code { flags: VisionSettings::CODE.iter().filter_map(given).collect(), models }
     }
 
-    /// As settings say it that do not come from a run folder.
+    /// Takes them from settings that do not come from a run folder.
     pub fn of(settings: &VisionSettings) -> Code {
         let VisionSettings { models, transient_network, onnxruntime, .. } = settings;
-        let said = [models, transient_network, onnxruntime].map(String::clone);
-        Code { flags: VisionSettings::CODE.into_iter().zip(said).collect(), models: None }
+        let values = [models, transient_network, onnxruntime].map(String::clone);
+        Code { flags: VisionSettings::CODE.into_iter().zip(values).collect(), models: None }
     }
 
-    /// Puts it into settings: flags in the place of what is there, the environment where nothing is said.
+    /// Writes the paths into settings. Flags replace what is there; the environment fills what is empty.
     pub fn tell(&self, settings: &mut VisionSettings) {
         let VisionSettings { models, transient_network, onnxruntime, .. } = settings;
-        for (name, place) in VisionSettings::CODE.iter().zip([&mut *models, transient_network, onnxruntime]) {
+        for (name, setting) in VisionSettings::CODE.iter().zip([&mut *models, transient_network, onnxruntime])
+        {
             if let Some(value) = self.flags.get(name) {
-                place.clone_from(value);
+                setting.clone_from(value);
             }
         }
         if let Some(named) =
@@ -56,11 +57,11 @@ impl Code {
         }
     }
 
-    /// Refuses to go on with a run that networks were used for when nothing is said of where they are now. A flag that is
-    /// empty says that there are none.
+    /// Checks that the networks of a run are given again before the run continues. An empty flag means that there are
+    /// none.
     ///
     /// # Errors
-    /// Says which file is missing, its hash, and which flag names it.
+    /// Names the network file that is not given, its hash, and the flag for it.
     pub fn names_networks_of(&self, folder: &RunFolder, settings: &VisionSettings) -> Result<(), RunError> {
         self.names(&recorded(folder), settings)
     }
@@ -72,15 +73,15 @@ impl Code {
             let of_setting = || before.iter().filter(|network| network.setting == setting);
             let Some(first) = of_setting().next().filter(|_| value.is_empty()) else { continue };
             if !self.flags.contains_key(setting) {
-                return Err(RunError::Request(untold(setting, first, of_setting().count() - 1)));
+                return Err(RunError::Request(not_given(setting, first, of_setting().count() - 1)));
             }
         }
         Ok(())
     }
 }
 
-/// What is missing, and how to name it.
-fn untold(setting: &str, first: &NetworkFile, others: usize) -> String {
+/// The message about a network that is not given, with the flag that names it.
+fn not_given(setting: &str, first: &NetworkFile, others: usize) -> String {
     let more = if others > 0 { format!(" and {others} more") } else { String::new() };
     let flag = setting.replace('_', "-");
     let (what, environment) = match setting {
@@ -88,7 +89,7 @@ fn untold(setting: &str, first: &NetworkFile, others: usize) -> String {
         _ => ("FILE", String::new()),
     };
     format!(
-        "this run was made with the network {}{more}, and a run folder is never asked where code is: give --{flag} {what} \
+        "this run was made with the network {}{more}, and code is never loaded from where a run folder says: give --{flag} {what} \
          (the run says {}){environment}; --{flag} '' goes on without",
         words(first),
         match setting {
@@ -107,7 +108,7 @@ fn words(network: &NetworkFile) -> String {
     }
 }
 
-/// The network files that a run was made with; of a run that was made before they were written down, what its settings name.
+/// The network files that a run was made with. Runs of earlier versions did not record them: their settings name them.
 pub(crate) fn recorded(folder: &RunFolder) -> Vec<NetworkFile> {
     if let Ok(networks) = folder.read_json::<Vec<NetworkFile>>(RECORD) {
         return networks;
@@ -125,14 +126,14 @@ pub(crate) fn recorded(folder: &RunFolder) -> Vec<NetworkFile> {
         .collect()
 }
 
-/// Writes down which networks a run is made with; returns how they differ from those of before, a sentence each.
+/// Records which networks a run is made with. Returns how they differ from those recorded before, a sentence each.
 pub(crate) fn record(folder: &RunFolder, networks: &[NetworkFile]) -> Result<Vec<String>, RunError> {
     let known = folder.read_json::<Vec<NetworkFile>>(RECORD).ok();
     folder.write_json(RECORD, &networks)?;
     Ok(changes(&known.unwrap_or_default(), networks))
 }
 
-/// How networks differ from those of before, a sentence each. Where nothing was written down nothing differs.
+/// How networks differ from those recorded before, a sentence each. Without a record nothing differs.
 pub(crate) fn changes(before: &[NetworkFile], now: &[NetworkFile]) -> Vec<String> {
     let mut changes = Vec::new();
     for old in before.iter().filter(|old| !old.hash.is_empty()) {
@@ -140,7 +141,7 @@ pub(crate) fn changes(before: &[NetworkFile], now: &[NetworkFile]) -> Vec<String
         match now.iter().find(same_name) {
             Some(new) if new.hash == old.hash => {}
             Some(new) => changes.push(format!(
-                "{} is not the network that the run was made with: its BLAKE3 begins with {}, that of the run's with {}",
+                "{} is not the network that the run was made with: its BLAKE3 starts with {}, that of the run's with {}",
                 new.file.display(),
                 new.hash,
                 old.hash
@@ -151,29 +152,29 @@ pub(crate) fn changes(before: &[NetworkFile], now: &[NetworkFile]) -> Vec<String
     changes
 }
 
-/// The providers that answer clicks on a run: with its settings, and with networks where they are said to be now.
+/// The providers that answer clicks on a run: with the run's settings, and with the networks that `code` names.
 ///
 /// # Errors
-/// When the run was made with networks and nothing is said of where they are, or what is named cannot be used.
+/// When the run was made with networks and `code` does not name them, or when a named file cannot be used.
 pub fn providers_for(folder: &RunFolder, code: &Code) -> Result<Providers, RunError> {
     let mut settings = folder.settings()?;
     code.tell(&mut settings.vision);
-    // A click asks nobody who is a transient.
+    // A click does not need the network that finds transients.
     settings.vision.transient_network.clear();
     let networks = of_clicks(recorded(folder));
     code.names(&networks, &settings.vision)?;
-    Ok(Providers::keeping(&sight(&settings), Some(Arc::new(InCache(folder.cache()?))))?)
+    Ok(Providers::keeping(&vision_of_clicks(&settings), Some(Arc::new(InCache(folder.cache()?))))?)
 }
 
-/// Those networks that clicks make use of.
+/// The networks that clicks use.
 pub(crate) fn of_clicks(mut networks: Vec<NetworkFile>) -> Vec<NetworkFile> {
     networks.retain(|network| network.setting == "models");
     networks
 }
 
-/// How photos are looked at for a click: what the caches of the training and of the feature field may take is free for their
-/// analyses.
-fn sight(settings: &Settings) -> VisionSettings {
+/// The vision settings for clicks: the memory of the training's and the feature field's caches is free for the analyses
+/// of photos.
+fn vision_of_clicks(settings: &Settings) -> VisionSettings {
     let mut vision = settings.vision.clone();
     if settings.run.memory_budget == 0 {
         let free = (settings.train.photo_cache_mib as u32).max(settings.features.feature_memory);
@@ -200,9 +201,9 @@ mod tests {
         ];
         assert!(record(&folder, &networks).unwrap().is_empty());
         let nothing = Code::default();
-        let said = nothing.names_networks_of(&folder, &VisionSettings::default()).unwrap_err().to_string();
+        let message = nothing.names_networks_of(&folder, &VisionSettings::default()).unwrap_err().to_string();
         for word in ["sam_encoder.onnx", "0123456789abcdef", "1 more", "--models FOLDER", "/nets)", MODELS] {
-            assert!(said.contains(word), "{word}: {said}");
+            assert!(message.contains(word), "{word}: {message}");
         }
         let without = Code { flags: [("models", String::new())].into(), ..Code::default() };
         without.names_networks_of(&folder, &VisionSettings::default()).unwrap();
@@ -213,14 +214,15 @@ mod tests {
     }
 
     #[test]
-    fn a_network_with_other_bytes_under_the_same_name_is_said() {
+    fn a_network_with_other_bytes_under_the_same_name_is_reported() {
         let before = [network("models", "/a/sky.onnx", "01"), network("models", "/a/edges.onnx", "02")];
         let same = [network("models", "/b/sky.onnx", "01"), network("models", "/b/edges.onnx", "02")];
         assert!(changes(&before, &same).is_empty());
-        let said = changes(&before, &[network("models", "/b/sky.onnx", "03")]).join("\n");
+        let message = changes(&before, &[network("models", "/b/sky.onnx", "03")]).join("\n");
         assert!(
-            said.contains("/b/sky.onnx is not the network") && said.contains("edges.onnx (BLAKE3 02..)"),
-            "{said}"
+            message.contains("/b/sky.onnx is not the network")
+                && message.contains("edges.onnx (BLAKE3 02..)"),
+            "{message}"
         );
     }
 
@@ -240,7 +242,7 @@ mod tests {
     #[test]
     fn every_setting_that_names_a_file_is_known_for_code_or_for_data() {
         use segwild_scene::settings::Group;
-        // Whoever adds a setting of free text decides here what it may be taken from.
+        // A new setting of free text must be put on one of the two lists.
         let data = ["sam"];
         for field in VisionSettings::FIELDS.iter().filter(|field| field.kind == "TEXT") {
             assert!(

@@ -1,9 +1,9 @@
-//! Trainings that go on once a person has put masks of transients right.
+//! Continued training: after a person has corrected masks of transients, the training goes on from where it ended.
 //!
-//! Under `--continue-share SHARE` a correction does not train the scene from the start: the training goes on from where the one
-//! before ended, with the photos as they were put right, for that share of its steps at its last rates. The masks that
-//! were proposed for the photos stay. What comes of it is named after the training that it went on from, the corrections
-//! and the step it ends at; `transients/continued.json` says which that was, so that the same command finds it again.
+//! With `--continue-share SHARE` a correction does not train the scene from step 0. The training continues from the
+//! last step of the training before, with the corrected photos, for that share of its steps and at its last learning
+//! rates. The proposed masks of the photos stay. Its key depends on the training before, the corrections and the step
+//! it ends at. `transients/continued.json` records the training before, so that the same command finds it again.
 
 use crate::artefacts::{End, Keys};
 use crate::keep::present_training;
@@ -12,49 +12,52 @@ use crate::{RunError, RunFolder, Settings};
 use segwild_flow::{Cache, Key, Ledger};
 use serde::{Deserialize, Serialize};
 
-/// Where the record is in the run folder.
-const RECORD: &str = "transients/onward.json";
+/// The file of the record in the run folder.
+const RECORD: &str = "transients/continued.json";
 
-/// What a training goes on from.
+/// The training that another one continues.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Origin {
-    /// The training before.
+pub struct TrainingOrigin {
+    /// Key of the training before.
     pub training: Key,
     /// The step it ended at.
     pub step: u32,
-    /// The step to end at now.
+    /// The step that the continued training ends at.
     pub end: u32,
-    /// The scene that masks are proposed in: that of the training without any correction.
+    /// Key of the snapshot that masks are proposed from: that of the training without corrections.
     pub snapshot: Key,
 }
 
-/// The last training that went on.
+/// The record of the last continued training.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-struct Record {
-    /// The training of the same settings without any correction.
+struct ContinuedRecord {
+    /// Key of the training with the same settings and without corrections.
     root: String,
-    /// What was put right.
+    /// Hash of the corrections.
     corrections: String,
-    /// The training before, and the step it ended at.
+    /// Key of the training before, and the step it ended at.
     from: String,
     step: u32,
-    /// Its own name.
+    /// Key of the continued training itself.
     training: String,
 }
 
-/// A training that goes on.
+/// A continued training.
 pub struct ContinuedTraining {
-    /// From where.
-    pub origin: Origin,
-    /// The names of what comes of it.
+    /// The training before.
+    pub origin: TrainingOrigin,
+    /// The keys of this training and of what depends on it.
     pub keys: Keys,
-    record: Record,
+    record: ContinuedRecord,
 }
 
 impl ContinuedTraining {
-    /// Finds what the run's training is to go on from; `None` where it begins at the start: because nothing was put right,
-    /// or nothing that fits is there any more, or the start was begun from already. `name` names what is made with
-    /// corrections by a training that ends somewhere.
+    /// Finds the training that the run is to continue. Returns `None` where the run trains from step 0: no mask was
+    /// corrected, no training that fits is left, or a training from step 0 with these corrections is there already.
+    /// `name` computes the keys of a run with given corrections and end.
+    ///
+    /// # Errors
+    /// When the ledger cannot be read.
     pub fn find(
         folder: &RunFolder,
         ledger: &Ledger,
@@ -71,8 +74,8 @@ impl ContinuedTraining {
             return Ok(None);
         }
         let root_name = root.training.to_string();
-        let before = folder.read_json::<Record>(RECORD).ok().filter(|r| r.root == root_name);
-        let begun = match before {
+        let before = folder.read_json::<ContinuedRecord>(RECORD).ok().filter(|r| r.root == root_name);
+        let start = match before {
             Some(before) if before.corrections == corrected => Some((before.from, before.step)),
             before => {
                 let fits = |n: &String| *n == root_name || before.is_some_and(|b| b.training == *n);
@@ -81,10 +84,11 @@ impl ContinuedTraining {
                 ended.filter(|(_, step)| *step >= settings.train.steps)
             }
         };
-        let Some((from, step)) = begun else { return Ok(None) };
+        let Some((from, step)) = start else { return Ok(None) };
         let Some(training) = Key::parse("geometry", &from) else { return Ok(None) };
         let steps = (share * settings.train.steps as f32).round().max(1.0) as u32;
-        let origin = Origin { training, step, end: step.saturating_add(steps), snapshot: root.snapshot };
+        let origin =
+            TrainingOrigin { training, step, end: step.saturating_add(steps), snapshot: root.snapshot };
         let keys = name(corrections, &End::ContinuedTraining(origin.clone()));
         let kept = |key: &Key, step: Option<u32>| -> Result<bool, RunError> {
             let rows = ledger.checkpoints("geometry", key)?;
@@ -93,7 +97,7 @@ impl ContinuedTraining {
         if !(cache.contains(&keys.geometry) || kept(&keys.training, None)? || kept(&training, Some(step))?) {
             return Ok(None);
         }
-        let record = Record {
+        let record = ContinuedRecord {
             root: root_name,
             corrections: corrected,
             from,
@@ -103,13 +107,13 @@ impl ContinuedTraining {
         Ok(Some(ContinuedTraining { origin, keys, record }))
     }
 
-    /// Writes down what the run's training goes on from.
+    /// Records which training the run continues.
     pub fn remember(&self, folder: &RunFolder) -> Result<(), RunError> {
         folder.write_json(RECORD, &self.record)
     }
 }
 
-/// The last step that a training has a checkpoint of; 0 where it has none.
+/// The step of a training's last checkpoint; 0 where it has none.
 fn last_step(ledger: &Ledger, training: &str) -> Result<u32, RunError> {
     let Some(key) = Key::parse("geometry", training) else { return Ok(0) };
     let rows = ledger.checkpoints("geometry", &key)?;

@@ -1,33 +1,34 @@
-//! What is doubtful about a scene, said before anything is computed: a run on such a scene ends like any other, and
-//! only its result would show it.
+//! Warnings about a scene before anything is computed: a run on a doubtful scene ends like any other, and only its
+//! result would show the fault.
 
 use segwild_scene::Scene;
 
-/// Fewer photos than this guess more than they see: of a synthetic place, 12 find objects a quarter worse than 40.
+/// A scene needs this many photos: on a synthetic scene, 12 photos segment objects a quarter worse than 40.
 const FEW: usize = 15;
-/// Half of the observations lie farther from their points than this share of a photo's long side: 5 px of 640. Good
-/// reconstructions stay under 1 px.
+/// Poses do not fit when half of the observations are farther from their points than this share of a photo's long side:
+/// 5 px of 640. Good reconstructions stay under 1 px.
 const MISFIT: f32 = 0.008;
-/// A point lies wrong when half of the photos that saw it are off by this share, and many points do from this share of
-/// them on.
+/// A point is misplaced when half of its observations are off by more than this share of the long side. The run warns
+/// when more than the second share of the points is misplaced.
 const ASTRAY: f32 = 0.02;
 const MANY_ASTRAY: f32 = 0.15;
-/// Cameras that stand this close together, as a share of how far away things are, tell no depth.
+/// Cameras that are closer together than this share of the median depth show no parallax.
 const TOGETHER: f32 = 0.01;
-/// Scenes of tourist photos come to 22 dB and more on the photos they are trained on.
+/// PSNR in dB on the training photos under which a scene is poor: scenes of tourist photos reach 22 dB and more.
 const UNLIKE: f32 = 19.0;
-/// Photos held out fall short of those trained on by 4 dB on good scenes (`liberty`), by 7 on 20 photos of a place.
-const BY_HEART: f32 = 8.0;
-/// Photos named in a sentence.
+/// Difference in dB between training and held-out photos from which a scene is overfitted. It is 4 dB on good scenes
+/// (`liberty`), and 7 dB on 20 photos of a synthetic scene.
+const OVERFITTED: f32 = 8.0;
+/// How many photos a sentence names.
 const NAMED: usize = 3;
 
-/// What is odd about the scene, a sentence each, with what to do.
+/// Warnings about the scene, a sentence each, with what to do.
 pub(crate) fn diagnose(scene: &Scene) -> Vec<String> {
     let trained = scene.views.iter().filter(|v| !v.test).count();
     let mut words = Vec::new();
     if trained < FEW {
         words.push(format!(
-            "too few photos: what {trained} of them do not show from two sides is guessed; {FEW} or more tell a place's shape"
+            "too few photos: what {trained} of them do not show from two sides is guessed; {FEW} or more show a scene's shape"
         ));
     }
     words.extend(misfit(scene));
@@ -35,7 +36,8 @@ pub(crate) fn diagnose(scene: &Scene) -> Vec<String> {
     words
 }
 
-/// Photos whose bytes are those of an earlier one. `digests` has an entry per view, `None` where one cannot be read.
+/// The warning about photos that are copies of an earlier one. `digests` has a hash per view, `None` where the photo
+/// cannot be read.
 pub(crate) fn copies(scene: &Scene, digests: &[Option<&str>]) -> Option<String> {
     let mut seen = std::collections::BTreeMap::new();
     let mut copies = Vec::new();
@@ -57,16 +59,16 @@ pub(crate) fn copies(scene: &Scene, digests: &[Option<&str>]) -> Option<String> 
     })
 }
 
-/// Whether cameras and points belong together.
+/// Warnings when camera poses and points do not fit together.
 fn misfit(scene: &Scene) -> Vec<String> {
     let mut of_view: Vec<Vec<f32>> = vec![Vec::new(); scene.views.len()];
     let (mut astray, mut tracked) = (0usize, 0usize);
     for point in scene.points.iter().filter(|p| !p.track.is_empty()) {
         let mut off: Vec<f32> = Vec::with_capacity(point.track.len());
         for seen in &point.track {
-            let away = scene.astray(point, seen);
-            off.push(away);
-            of_view[seen.view as usize].push(away);
+            let distance = scene.astray(point, seen);
+            off.push(distance);
+            of_view[seen.view as usize].push(distance);
         }
         tracked += 1;
         astray += usize::from(median(&mut off) > ASTRAY);
@@ -80,7 +82,7 @@ fn misfit(scene: &Scene) -> Vec<String> {
     if whole > MISFIT {
         words.push(format!(
             "camera poses do not fit the points: half of the observations are more than {:.1} % of the photo off (under 0.2 % \
-             is usual); reconstruct anew, or give the points that belong to these poses",
+             is usual); reconstruct again, or give the points that belong to these poses",
             100.0 * whole
         ));
     } else {
@@ -106,7 +108,7 @@ fn misfit(scene: &Scene) -> Vec<String> {
     words
 }
 
-/// Whether all cameras stand in one place.
+/// The warning when all cameras stand at one position.
 fn together(scene: &Scene) -> Option<String> {
     let cameras: Vec<_> = scene.views.iter().filter(|v| !v.test).collect();
     let first = cameras.first()?.pose.centre();
@@ -129,21 +131,21 @@ fn together(scene: &Scene) -> Option<String> {
     })
 }
 
-/// Whether a trained scene shows its own photos badly.
+/// The warning when a trained scene reproduces its own photos badly. `train` is the PSNR on them in dB.
 pub(crate) fn unlike(train: f32) -> Option<String> {
     (train < UNLIKE).then(|| {
         format!(
             "the trained scene shows its own photos at only {train:.1} dB (good ones 22 and more): transients in most photos, \
-             poses that do not fit, or light beyond the look"
+             poses that do not fit, or light beyond what the appearance model fits"
         )
     })
 }
 
-/// Whether a scene knows the photos it was trained on much better than others.
-pub(crate) fn by_heart(train: f32, held_out: f32) -> Option<String> {
-    (train - held_out > BY_HEART).then(|| {
+/// The warning when a scene fits its training photos much better than held-out ones. Both are PSNR in dB.
+pub(crate) fn overfitted(train: f32, held_out: f32) -> Option<String> {
+    (train - held_out > OVERFITTED).then(|| {
         format!(
-            "photos held out are {:.1} dB below those trained on: the scene is learnt by heart; too few photos for so many \
+            "photos held out are {:.1} dB below those trained on: the scene is overfitted; too few photos for so many \
              steps, transients in too many of them, or poses that do not fit",
             train - held_out
         )
@@ -207,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn a_good_reconstruction_raises_no_doubt() {
+    fn a_good_reconstruction_raises_no_warning() {
         assert!(diagnose(&arc(2.0)).is_empty(), "{:?}", diagnose(&arc(2.0)));
     }
 
@@ -218,22 +220,25 @@ mod tests {
         assert!(diagnose(&all)[0].starts_with("camera poses do not fit the points"), "{:?}", diagnose(&all));
         let mut one = arc(2.0);
         one.views[3].pose.translation += Vec3::new(0.2, 0.0, 0.0);
-        let said = diagnose(&one);
-        assert!(said.len() == 1 && said[0].contains("(3.png)"), "{said:?}");
+        let warnings = diagnose(&one);
+        assert!(warnings.len() == 1 && warnings[0].contains("(3.png)"), "{warnings:?}");
     }
 
     #[test]
     fn points_astray_few_photos_and_one_spot_are_named() {
         let mut astray = arc(2.0);
         astray.points.iter_mut().step_by(4).for_each(|p| p.position.y += 0.4);
-        let said = diagnose(&astray);
-        assert!(said.len() == 1 && said[0].starts_with("25 % of the points"), "{said:?}");
+        let warnings = diagnose(&astray);
+        assert!(warnings.len() == 1 && warnings[0].starts_with("25 % of the points"), "{warnings:?}");
         let mut few = arc(2.0);
         few.points.clear();
         few.views.truncate(3);
         assert!(diagnose(&few)[0].starts_with("too few photos: what 3"), "{:?}", diagnose(&few));
-        let said = diagnose(&arc(0.01));
-        assert!(said.len() == 1 && said[0].starts_with("all photos are taken from one spot"), "{said:?}");
+        let warnings = diagnose(&arc(0.01));
+        assert!(
+            warnings.len() == 1 && warnings[0].starts_with("all photos are taken from one spot"),
+            "{warnings:?}"
+        );
     }
 
     #[test]
@@ -243,9 +248,9 @@ mod tests {
     }
 
     #[test]
-    fn a_scene_that_is_learnt_by_heart_is_named() {
-        assert_eq!(by_heart(25.0, 21.0), None);
-        assert!(by_heart(26.3, 16.6).unwrap().contains("9.7 dB"));
+    fn an_overfitted_scene_is_named() {
+        assert_eq!(overfitted(25.0, 21.0), None);
+        assert!(overfitted(26.3, 16.6).unwrap().contains("9.7 dB"));
     }
 
     #[test]

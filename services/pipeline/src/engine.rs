@@ -6,7 +6,7 @@ use segwild_raster::{CpuEngine, Engine, FallbackEngine};
 use std::sync::Arc;
 
 segwild_scene::choice! {
-    /// What computes the splats.
+    /// The engine that renders and trains the splats.
     pub enum EngineKind {
         /// An accelerator that is no program on the CPU, where there is one; else the CPU.
         Auto = "auto",
@@ -18,50 +18,57 @@ segwild_scene::choice! {
 }
 
 segwild_scene::choice! {
-    /// What happens when the accelerator fails in the middle of something.
+    /// What happens when the accelerator fails while it computes.
     pub enum WhenLost {
-        /// The run stops, and the same command goes on with it.
+        /// The run stops, and the same command continues it.
         Stop = "stop",
         /// The CPU engine takes over.
         Cpu = "cpu",
     }
 }
 
-/// An engine, and why it was taken.
+/// An engine, and why it was chosen.
 #[derive(Clone)]
-pub struct Chosen {
+pub struct ChosenEngine {
     /// The engine.
     pub engine: Arc<dyn Engine>,
-    /// What it is and why, in words.
+    /// Which engine it is and why, in words.
     pub why: String,
 }
 
-impl Chosen {
-    fn cpu(why: &str) -> Chosen {
+impl ChosenEngine {
+    fn cpu(why: &str) -> ChosenEngine {
         let engine = CpuEngine::default();
         let why = format!("the CPU engine ({:?}): {why}", engine.isa());
-        Chosen { engine: Arc::new(engine), why }
+        ChosenEngine { engine: Arc::new(engine), why }
     }
 
-    fn gpu(engine: GpuEngine, when_lost: WhenLost, told: impl Fn(String) + Send + Sync + 'static) -> Chosen {
+    fn gpu(
+        engine: GpuEngine,
+        when_lost: WhenLost,
+        on_loss: impl Fn(String) + Send + Sync + 'static,
+    ) -> ChosenEngine {
         let adapter = engine.adapter();
         let why = format!("the accelerator {} ({}, {})", adapter.name, adapter.kind, adapter.backend);
         let engine: Arc<dyn Engine> = match when_lost {
             WhenLost::Stop => Arc::new(engine),
             WhenLost::Cpu => {
-                let told = move |why: &str| told(format!("{why}; the CPU engine goes on"));
-                Arc::new(FallbackEngine::new(Box::new(engine), Box::new(CpuEngine::default()), told))
+                let on_loss = move |why: &str| on_loss(format!("{why}; the CPU engine goes on"));
+                Arc::new(FallbackEngine::new(Box::new(engine), Box::new(CpuEngine::default()), on_loss))
             }
         };
-        Chosen { engine, why }
+        ChosenEngine { engine, why }
     }
 }
 
-/// Opens the engine of these settings. `told` hears if it is replaced later, and why.
+/// Opens the engine of these settings. `on_loss` is called with the reason if the engine is replaced later.
+///
+/// # Errors
+/// When an accelerator is required and cannot be used.
 pub fn choose_engine(
     settings: &RunSettings,
-    told: impl Fn(String) + Send + Sync + 'static,
-) -> Result<Chosen, RunError> {
+    on_loss: impl Fn(String) + Send + Sync + 'static,
+) -> Result<ChosenEngine, RunError> {
     let choice = match settings.adapter.as_str() {
         "" => Choice::Hardware,
         name => Choice::Named(name.to_owned()),
@@ -72,20 +79,20 @@ pub fn choose_engine(
         Ok(engine)
     };
     match settings.engine {
-        EngineKind::Cpu => Ok(Chosen::cpu("`--engine auto` takes an accelerator, where there is one")),
-        EngineKind::Gpu => Ok(Chosen::gpu(open()?, settings.when_lost, told)),
-        // An adapter that was named is wanted, not wished for.
+        EngineKind::Cpu => Ok(ChosenEngine::cpu("`--engine auto` takes an accelerator, where there is one")),
+        EngineKind::Gpu => Ok(ChosenEngine::gpu(open()?, settings.when_lost, on_loss)),
+        // An adapter that is named is required: without it the run fails.
         EngineKind::Auto if !settings.adapter.is_empty() => {
-            Ok(Chosen::gpu(open()?, settings.when_lost, told))
+            Ok(ChosenEngine::gpu(open()?, settings.when_lost, on_loss))
         }
         EngineKind::Auto => match open() {
-            Ok(engine) => Ok(Chosen::gpu(engine, settings.when_lost, told)),
-            Err(reason) => Ok(Chosen::cpu(&reason.to_string())),
+            Ok(engine) => Ok(ChosenEngine::gpu(engine, settings.when_lost, on_loss)),
+            Err(reason) => Ok(ChosenEngine::cpu(&reason.to_string())),
         },
     }
 }
 
-/// What to do with the loss of an engine where no run listens.
+/// Logs the loss of an engine where no run receives events.
 pub(crate) fn log_loss(lost: String) {
     tracing::warn!("{lost}");
 }

@@ -1,4 +1,4 @@
-//! Why a run cannot go on, sorted by what the person at the keyboard can do about it.
+//! Why a run cannot go on, sorted by what the user can do about it.
 
 use crate::SettingsError;
 use segwild_features::FeatureError;
@@ -20,7 +20,7 @@ pub enum RunError {
     /// A settings file or value makes no sense.
     #[error(transparent)]
     Settings(#[from] SettingsError),
-    /// A 2D model that was asked for cannot be used.
+    /// A requested 2D model cannot be used.
     #[error(transparent)]
     Vision(#[from] VisionError),
     /// The run folder holds no run, or not what is needed.
@@ -34,7 +34,7 @@ pub enum RunError {
     /// A file of the run cannot be read or written.
     #[error(transparent)]
     File(#[from] FileError),
-    /// The cache cannot serve.
+    /// The cache cannot be read or written.
     #[error(transparent)]
     Cache(#[from] CacheError),
     /// A record is damaged.
@@ -45,7 +45,7 @@ pub enum RunError {
         /// What is wrong.
         source: CodecError,
     },
-    /// The ledger cannot serve; also when another process uses the run.
+    /// The ledger cannot be read or written; also when another process uses the run.
     #[error(transparent)]
     Ledger(#[from] LedgerError),
     /// A stage failed; what was computed before is kept.
@@ -56,7 +56,7 @@ pub enum RunError {
         /// Why.
         reason: String,
     },
-    /// The disk or the system stood in the way of a stage; what was computed before is kept.
+    /// The disk or the system failed during a stage; what was computed before is kept.
     #[error("stage `{stage}` stopped: {reason}")]
     Storage {
         /// The stage.
@@ -67,34 +67,34 @@ pub enum RunError {
     /// The prompts make no sense or select nothing.
     #[error(transparent)]
     Segment(#[from] SegmentError),
-    /// What was asked for does not exist in this run.
+    /// A request that does not fit this run.
     #[error("{0}")]
     Request(String),
-    /// What was given beside the scene cannot be used.
+    /// An input beside the scene cannot be used.
     #[error("{0}")]
     Input(String),
     /// Stopped by the user.
     #[error("stopped; the same command goes on from here")]
     Interrupted,
-    /// The machine refuses a thread.
+    /// The system starts no further thread.
     #[error(transparent)]
     Spawn(#[from] SpawnError),
-    /// The accelerator that was asked for cannot be used.
+    /// The requested accelerator cannot be used.
     #[error("{0}. `--engine cpu` needs none; `segwild doctor` lists what there is")]
     Engine(#[from] GpuError),
-    /// The rasteriser refused.
+    /// The rasteriser failed.
     #[error(transparent)]
     Raster(#[from] RasterError),
-    /// A model could not be drawn or scored.
+    /// A model could not be rendered or scored.
     #[error(transparent)]
     Train(#[from] TrainError),
-    /// Features could not be drawn.
+    /// Features could not be rendered.
     #[error(transparent)]
     Features(#[from] FeatureError),
 }
 
 impl RunError {
-    /// A stage that failed, by its own fault or the disk's.
+    /// The error of a stage that failed, by its own fault or the disk's.
     pub(crate) fn of_stage(stage: &'static str, failure: &Failure) -> RunError {
         let reason = failure.to_string();
         match failure.is_storage() {

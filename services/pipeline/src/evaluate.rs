@@ -1,6 +1,6 @@
 //! Scores: held-out photos by the official protocol, selections against true masks (method, section 10).
 
-use crate::images::{Pictures, same_shape};
+use crate::images::{ImageFiles, same_shape};
 use crate::intact::Intact;
 use crate::prompts::Replay;
 use crate::{RunError, RunFolder, Scoring, Selected, Settings};
@@ -26,18 +26,18 @@ pub struct HeldOut {
     pub photos: Vec<(String, f32, f32)>,
 }
 
-/// Score of one mask.
+/// Score of a selection's masks on one photo.
 #[derive(Clone, Debug, Serialize)]
-pub struct MaskScore {
+pub struct SelectionMaskScore {
     /// The photo's name.
     pub photo: String,
     /// Whether prompts were given on it.
     pub prompted: bool,
     /// IoU of the visible mask.
     pub iou: f64,
-    /// Share of the photo's pixels that are right.
+    /// Share of the photo's pixels that are classified correctly.
     pub accuracy: f64,
-    /// Boundary IoU, 2 % of the diagonal.
+    /// Boundary IoU, with a boundary of 2 % of the diagonal.
     pub boundary_iou: f64,
     /// IoU of the amodal mask (the object alone).
     pub amodal_iou: f64,
@@ -48,7 +48,7 @@ pub struct MaskScore {
 pub struct Score {
     /// The selection.
     pub selection: String,
-    /// Who made the masks that it is of; `None` in selections of before it was kept.
+    /// The provider of the masks that the selection is made of; `None` in selections of versions that did not record it.
     pub provider: Option<String>,
     /// Mean IoU over the photos without prompts.
     pub iou: f64,
@@ -59,7 +59,7 @@ pub struct Score {
     /// Mean amodal IoU over them.
     pub amodal_iou: f64,
     /// Per photo, the prompted ones too.
-    pub photos: Vec<MaskScore>,
+    pub photos: Vec<SelectionMaskScore>,
     /// True masks that could not be read, and why: their photos do not count.
     pub unread: Vec<String>,
 }
@@ -67,9 +67,11 @@ pub struct Score {
 /// How often a photo is scored before it is left out.
 const ATTEMPTS: u32 = 3;
 
-/// Scores the held-out photos that are usable, if there are any, and writes `evaluation.json`. Those that cannot be scored are left
-/// out.
-/// `booked` hears of each the seconds it took, or why it is left out.
+/// Scores the usable held-out photos, if there are any, and writes `evaluation.json`. Photos that cannot be scored are
+/// left out. `record` is called for each view with the seconds that its score took, or the reason why it is left out.
+///
+/// # Errors
+/// When no photo can be scored, when the file cannot be written, and the errors of `record`.
 pub(crate) fn held_out(
     folder: &RunFolder,
     scene: &Arc<Scene>,
@@ -78,7 +80,7 @@ pub(crate) fn held_out(
     settings: &Settings,
     usable: impl Fn(usize) -> bool,
     sky: impl Fn(usize) -> Result<Option<Mask>, String> + Send + Sync + 'static,
-    mut booked: impl FnMut(usize, Result<f64, String>) -> Result<(), RunError>,
+    mut record: impl FnMut(usize, Result<f64, String>) -> Result<(), RunError>,
 ) -> Result<Option<HeldOut>, RunError> {
     let size = settings.scene.size;
     let views: Vec<usize> = (0..scene.views.len())
@@ -89,8 +91,8 @@ pub(crate) fn held_out(
     }
     let protocol = protocol_of(settings);
     let words = match protocol {
-        Protocol::Plain => "whole photo, no look fitted",
-        Protocol::Halves => "look fitted on the left half, right half scored",
+        Protocol::Plain => "whole photo, no appearance fitted",
+        Protocol::Halves => "appearance fitted on the left half, right half scored",
     };
     let source = scene.clone();
     let photos: Arc<dyn Photos> = Arc::new(move |view: usize| -> Result<TrainPhoto, String> {
@@ -100,7 +102,7 @@ pub(crate) fn held_out(
     let there = engine.hold(&model.splats);
     let there = there.map_err(|e| RunError::Stage { stage: "evaluate", reason: e.to_string() })?;
     let engine = there.as_deref().unwrap_or(engine);
-    // One at a time: an evaluation keeps its renders.
+    // One photo at a time: an evaluation holds its renders in memory.
     let score = |view: usize| -> Result<_, String> {
         let scored = evaluate(model, engine, scene, photos.clone(), &[view], protocol);
         let scored = scored.map_err(|e| e.to_string())?;
@@ -113,11 +115,11 @@ pub(crate) fn held_out(
         match (1..ATTEMPTS).fold(first, |scored, _| scored.or_else(|_| score(view))) {
             Ok(scored) => {
                 scores.extend(scored);
-                booked(view, Ok(began.elapsed().as_secs_f64()))?;
+                record(view, Ok(began.elapsed().as_secs_f64()))?;
             }
             Err(reason) => {
                 first_error.get_or_insert_with(|| reason.clone());
-                booked(view, Err(reason))?;
+                record(view, Err(reason))?;
             }
         }
     }
@@ -134,7 +136,7 @@ pub(crate) fn held_out(
     Ok(Some(held))
 }
 
-/// How photos held out are scored under these settings.
+/// The protocol by which held-out photos are scored under these settings.
 pub(crate) fn protocol_of(settings: &Settings) -> Protocol {
     match (settings.run.scoring, settings.train.appearance_model) {
         (Scoring::Halves, _)
@@ -147,9 +149,12 @@ pub(crate) fn protocol_of(settings: &Settings) -> Protocol {
     }
 }
 
-/// Scores a selection's masks against the true ones in `truth`, one picture per photo, named as the photo
-/// ([`MaskFiles`]) and in pixels of the photo as taken.
-/// Photos without a true mask do not count; nor do the prompted ones in the means.
+/// Scores a selection's masks against the true masks in `truth`: one image per photo, named as the photo
+/// ([`MaskFiles`]) and in pixels of the photo as taken. Photos without a true mask do not count, and the means leave
+/// out the prompted photos.
+///
+/// # Errors
+/// When the folder or the selection is missing, a file of the selection is damaged, or no true mask counts.
 pub fn score(folder: &RunFolder, selection: &str, truth: &Path) -> Result<Score, RunError> {
     let intake = folder.intake()?;
     let prompted = Replay::of(folder, selection)?.prompts;
@@ -158,10 +163,10 @@ pub fn score(folder: &RunFolder, selection: &str, truth: &Path) -> Result<Score,
     }
     let intact = Intact::of(folder, selection)?;
     let splats = folder.load()?.model.splats.len();
-    Selected::read(folder, selection, splats)?; // masks of a scene that was trained anew since are not this run's
+    Selected::read(folder, selection, splats)?; // refuses masks of a scene that has been trained again since
     let (mut photos, mut unread) = (Vec::new(), Vec::new());
     let names = intake.photos.iter().map(String::as_str);
-    let (pictures, truths) = (Pictures::of(names.clone()), MaskFiles::new(truth, names));
+    let (files, truths) = (ImageFiles::of(names.clone()), MaskFiles::new(truth, names));
     for (i, photo) in intake.photos.iter().enumerate() {
         let file = truths.find(photo);
         let Some(file) = file.transpose() else { continue };
@@ -176,7 +181,7 @@ pub fn score(folder: &RunFolder, selection: &str, truth: &Path) -> Result<Score,
             continue; // the photo does not show the object
         }
         let read = |sub: &str| -> Result<Mask, RunError> {
-            let file = pictures.find(&folder.selection(selection).join(sub), i);
+            let file = files.find(&folder.selection(selection).join(sub), i);
             intact.check(&file)?;
             Ok(Mask::read_png(&file)?)
         };
@@ -191,7 +196,7 @@ pub fn score(folder: &RunFolder, selection: &str, truth: &Path) -> Result<Score,
         let fit = |m: Mask| if (m.width(), m.height()) == (w, h) { m } else { m.resized(w, h) };
         let (visible, amodal) = (fit(visible), fit(amodal));
         let wrong = visible.minus(&truth).count() + truth.minus(&visible).count();
-        photos.push(MaskScore {
+        photos.push(SelectionMaskScore {
             photo: photo.clone(),
             prompted: prompted.iter().any(|p| p.photo == *photo),
             iou: visible.iou(&truth),
@@ -200,7 +205,7 @@ pub fn score(folder: &RunFolder, selection: &str, truth: &Path) -> Result<Score,
             amodal_iou: amodal.iou(&truth),
         });
     }
-    let others: Vec<&MaskScore> = photos.iter().filter(|p| !p.prompted).collect();
+    let others: Vec<&SelectionMaskScore> = photos.iter().filter(|p| !p.prompted).collect();
     if others.is_empty() {
         let mut reason = format!(
             "--truth {}: it holds no true mask (PHOTO.png) of a photo of this run that was not prompted",
@@ -211,8 +216,9 @@ pub fn score(folder: &RunFolder, selection: &str, truth: &Path) -> Result<Score,
         }
         return Err(RunError::Input(reason));
     }
-    let mean =
-        |pick: fn(&MaskScore) -> f64| others.iter().map(|p| pick(p)).sum::<f64>() / others.len() as f64;
+    let mean = |pick: fn(&SelectionMaskScore) -> f64| {
+        others.iter().map(|p| pick(p)).sum::<f64>() / others.len() as f64
+    };
     Ok(Score {
         selection: selection.to_owned(),
         provider: folder.provider_of(selection),

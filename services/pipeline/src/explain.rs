@@ -1,10 +1,10 @@
-//! What a run would do, and why: which stages are done again, because of which setting or which photo.
+//! Explains what a run would do, and why: which stages are computed again, because of which setting or photo.
 //!
-//! Nothing is guessed from a table of who depends on what. Every stage has a key made of all it depends on
-//! ([`Keys`]); a changed setting is a cause of a stage if it alone changes the stage's key.
+//! Every stage has a key that hashes all it depends on ([`Keys`]). A changed setting is a cause if it alone changes the
+//! stage's key; there is no table of dependencies.
 
 use crate::artefacts::{Digests, End, Keys};
-use crate::continued::{ContinuedTraining, Origin};
+use crate::continued::{ContinuedTraining, TrainingOrigin};
 use crate::graph::{STAGES, UNTIL_STEP};
 use crate::transients::Corrections;
 use crate::{RunError, RunFolder, Settings, Until, choose_engine};
@@ -17,39 +17,40 @@ use serde::Serialize;
 use std::collections::BTreeSet;
 use std::path::Path;
 
-/// What would become of a stage.
+/// What a run would do with a stage.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "verdict")]
 pub enum Verdict {
-    /// All of it is there.
+    /// The whole result is in the cache.
     Reused,
-    /// Some photos' results are there.
+    /// The results of some photos are in the cache.
     Partly {
         /// Photos whose results would be made.
         made: usize,
         /// Photos in all.
         of: usize,
     },
-    /// An interrupted training goes on.
+    /// An interrupted training continues.
     GoesOn {
         /// From this step.
         step: u32,
     },
-    /// The training stands as far as was asked for, and is not over.
+    /// The training has reached the requested step, and is not over.
     Stands {
         /// At this step.
         step: u32,
     },
-    /// The trained scene is there; its snapshot, which masks are drawn on, is made by training again so far.
+    /// The trained scene is there, and its snapshot is not. Masks are proposed from the snapshot, so that the training
+    /// is repeated up to it.
     SnapshotAgain {
-        /// From the checkpoint at this step; 0 is the start.
+        /// From the checkpoint at this step; 0 without one.
         from: u32,
         /// To this step.
         to: u32,
     },
-    /// The training stops before its snapshot, which this waits for.
+    /// The training stops before the snapshot that the stage needs.
     NotReached,
-    /// It would be done from the start.
+    /// The stage would be computed from the start.
     Made,
 }
 
@@ -58,22 +59,22 @@ pub enum Verdict {
 pub struct Plan {
     /// The stage, one of [`STAGES`].
     pub stage: &'static str,
-    /// What would become of it.
+    /// What the run would do with it.
     #[serde(flatten)]
     pub verdict: Verdict,
     /// Why, a phrase each; empty when it is reused.
     pub why: Vec<String>,
 }
 
-/// A run's scene, settings and the keys that come of them.
+/// A run's scene and the keys that follow from its settings.
 struct Situation {
     scene: Scene,
     keys: Keys,
     networks: Vec<NetworkFile>,
-    /// Which photos' transients were put right by hand, in words.
+    /// The photos whose transients were corrected by hand, in words.
     corrected: Option<String>,
-    /// Where the training begins, if not at the start.
-    origin: Option<Origin>,
+    /// Where the training starts, if not at step 0.
+    origin: Option<TrainingOrigin>,
     /// The step that the training ends at, or is to stop at.
     goal: u32,
     /// The step that the training ends at by its settings.
@@ -100,7 +101,7 @@ fn situation(
         Keys::of(&scene, digests.clone(), settings, &providers, corrections, engine.name(), end)
     };
     let name = |settings: &Settings| named(settings, &corrections, end);
-    // What is not decided yet: whatever it will be, all that depends on it is to be made.
+    // A choice that is still open leaves its `auto` in the key: all that depends on it is then to be made.
     let cache = Cache::at(folder.path().join("cache"));
     let settings = choice::decided_before(&cache, settings, steps_open, &name)?;
     let (mut keys, mut goal, mut origin) = (name(&settings), end.step(), None);
@@ -117,7 +118,10 @@ fn situation(
     Ok(Situation { scene, keys, networks, corrected, origin, goal: goal.unwrap_or(end), end, snapshot_step })
 }
 
-/// Says what [`crate::run()`] would do with these settings, without doing it. Works while another process runs.
+/// Returns what [`crate::run()`] would do with these settings, without doing it. Works while another process runs.
+///
+/// # Errors
+/// When the scene, the settings or the run folder cannot be used.
 pub fn explain(
     path: &Path,
     folder: &RunFolder,
@@ -147,7 +151,7 @@ pub fn explain(
             (_, Some(before)) => before.why(stage, &now, &verdict, ledger.as_ref())?,
         };
         plans.push(Plan { stage, verdict, why });
-        // A training that is not over has nothing to give to the stages after it.
+        // The stages after the training need its end.
         if until == Until::stage(stage) || stage == "geometry" && now.goal < now.end {
             break;
         }
@@ -197,7 +201,7 @@ fn verdict(
     Ok(if there { Verdict::Reused } else { Verdict::Made })
 }
 
-/// What would become of the training: what `Coordinator::begin_geometry` would find.
+/// What a run would do with the training: the same decision as in `Coordinator::start_geometry`.
 fn geometry(
     now: &Situation,
     cache: &Cache,
@@ -211,15 +215,15 @@ fn geometry(
     let mut steps: Vec<u32> = Vec::new();
     if let Some(ledger) = ledger {
         let rows = ledger.checkpoints("geometry", &now.keys.training)?;
-        // One whose content has changed is passed over by the run; so is one that is gone.
+        // A run passes over checkpoints that are gone or whose content has changed.
         let whole = rows.iter().filter(|row| {
             let bytes = folder.checkpoint(row).and_then(|path| files::read_plain(&path).ok());
             bytes.is_some_and(|bytes| blake3::hash(&bytes).to_hex().as_str() == row.digest)
         });
-        // Without the snapshot, the training has to pass its step again.
+        // Without the snapshot, the training has to pass the snapshot step again.
         steps.extend(whole.map(|row| row.step as u32).filter(|&step| snapshot || step < now.snapshot_step));
     }
-    // It begins where another ended, until it has a checkpoint of its own.
+    // A continued training starts from the last step of another, until it has a checkpoint of its own.
     steps.extend(now.origin.as_ref().filter(|_| snapshot).map(|origin| origin.step));
     let last_before = |end: u32| steps.iter().copied().filter(|&step| step <= end).max();
     if trained {
@@ -232,19 +236,19 @@ fn geometry(
     Ok(last_before(now.goal).map_or(Verdict::Made, |step| Verdict::GoesOn { step }))
 }
 
-/// What the run was made of when it was last begun.
+/// The inputs of the run when it was last started.
 struct Before {
     stages: Vec<StageRow>,
     /// Settings that differ: name, old, new.
     changed: Vec<(String, String, String)>,
-    /// With the settings of then and the photos of now.
+    /// The old settings with the present photos.
     then: Situation,
-    /// Per changed setting, the keys that it alone makes of those of then.
+    /// Per changed setting, the keys when it alone changes.
     alone: Vec<Keys>,
-    /// Photos that were given up by a stage: stage, view.
+    /// Photos that a stage gave up: stage, view.
     given_up: Vec<(&'static str, usize)>,
-    /// The keys of then for what was made without them.
-    lacking: Keys,
+    /// The old keys, without the photos that were given up.
+    without_given_up: Keys,
     /// How the networks differ from those that the run was made with.
     networks: Vec<String>,
 }
@@ -263,12 +267,12 @@ impl Before {
                 end = value.parse().map_or(End::Settings, End::Step);
                 continue;
             }
-            // Code comes from nobody but whoever asks: see `Code`.
+            // Paths of code come from the present command only: see `Code`.
             if VisionSettings::CODE.contains(&name.as_str()) {
                 continue;
             }
             let new = settings.get(&name).unwrap_or_default();
-            // A setting that this program no longer has, or whose old value it refuses, is as good as new.
+            // A setting that this program no longer has, or whose old value it refuses, is passed over.
             if new != value && old.set(&name, &value).is_ok() {
                 changed.push((name, value, new));
             }
@@ -286,11 +290,11 @@ impl Before {
             ("embed", &then.keys.embedding),
             ("masks", &then.keys.masks),
             ("visibility", &then.keys.visibility),
-            // Every photo has a sky; these have scores under one name for all.
+            // The scores have one key for all photos, so that the skies' keys, one per view, stand in.
             ("evaluate", &then.keys.sky),
         ] {
             for row in ledger.views(stage)?.iter().filter(|row| row.outcome.state == State::Failed) {
-                // What was made without another photo's sky bears another key; the photo counts all the same.
+                // A result without another photo's sky has another key; the photo counts all the same.
                 let of_then = |i: &usize| {
                     matches!(stage, "masks" | "visibility" | "evaluate") || keys[*i].to_string() == row.key
                 };
@@ -302,15 +306,18 @@ impl Before {
             let views = given_up.iter().filter(|(s, _)| *s == stage).map(|(_, view)| *view);
             views.filter(|&view| then.scene.views[view].test == test).collect()
         };
-        let mut lacking = then.keys.without_skies(&by("sky", false), &by("sky", true));
-        lacking.features =
-            lacking.features_without(&by("embed", false), &by("masks", false), &by("visibility", false));
-        lacking.evaluation = lacking.evaluation_without(&by("evaluate", true));
+        let mut without_given_up = then.keys.without_skies(&by("sky", false), &by("sky", true));
+        without_given_up.features = without_given_up.features_without(
+            &by("embed", false),
+            &by("masks", false),
+            &by("visibility", false),
+        );
+        without_given_up.evaluation = without_given_up.evaluation_without(&by("evaluate", true));
         let networks = code::changes(&code::recorded(folder), &then.networks);
-        Ok(Before { stages: ledger.stages()?, changed, then, alone, given_up, lacking, networks })
+        Ok(Before { stages: ledger.stages()?, changed, then, alone, given_up, without_given_up, networks })
     }
 
-    /// The photos that a stage before had to do without, and that are tried again.
+    /// The photos that a stage gave up before and now tries again, in words.
     fn tried_again(&self) -> String {
         let name =
             |(stage, view): &(&str, usize)| format!("{stage} of {}", self.then.scene.views[*view].name);
@@ -339,7 +346,7 @@ impl Before {
             }
         }
         if row.key != then.to_string() {
-            let lacked = row.key == self.lacking.stage(stage).to_string();
+            let lacked = row.key == self.without_given_up.stage(stage).to_string();
             why.push(if lacked { self.tried_again() } else { self.inputs(ledger)? });
         }
         let (was, goal) = (self.then.goal, now.goal);
@@ -355,14 +362,14 @@ impl Before {
                 State::Failed => {
                     format!("it failed: {}", row.error.as_deref().unwrap_or("for an unknown reason"))
                 }
-                State::Running => "another process is at it, or it was killed".into(),
+                State::Running => "another process is working on it, or was killed".into(),
                 State::Pending => "it was interrupted".into(),
             });
         }
         Ok(why)
     }
 
-    /// Which photos are new, gone or changed; the sky's keys tell, since every photo has one.
+    /// Which photos are new, gone or changed, in words. The keys of the skies show it, since every photo has one.
     fn inputs(&self, ledger: Option<&Ledger>) -> Result<String, RunError> {
         let known = match ledger {
             Some(ledger) => ledger.views("sky")?,

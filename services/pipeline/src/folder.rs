@@ -1,23 +1,23 @@
-//! The folder a run lives in.
+//! The folder of a run.
 //!
 //! ```text
 //! RUN/segwild.toml      the effective settings
 //! RUN/scene.json        where the scene is, its photos, those skipped and why
 //! RUN/run.sqlite        the ledger
 //! RUN/cache/            artefacts by the hash of what they were made from
-//! RUN/checkpoints/      where an interrupted training goes on
+//! RUN/checkpoints/      from which an interrupted training continues
 //! RUN/model.bin         the trained scene; RUN/scene.ply the same for other programs
 //! RUN/features.bin      the feature field
 //! RUN/history.jsonl     loss, PSNR and splats over the steps
 //! RUN/timeline.json     who did what when; RUN/trace.json the same for Perfetto, RUN/trace.otlp.json for OpenTelemetry
 //! RUN/networks.json     the network files it was made with, and their hashes
 //! RUN/evaluation.json   held-out scores
-//! RUN/transients/PHOTO.png  who was left out of a photo; one that a person changes is obeyed by the next run
+//! RUN/transients/PHOTO.png  the transient mask of a photo; the next run uses it as a person has changed it
 //! RUN/selections/NAME/  what `segment` made
-//! RUN/report.html       everything above to look at
+//! RUN/report.html       all of the above on one page
 //! ```
 
-use crate::images::Pictures;
+use crate::images::ImageFiles;
 use crate::{RunError, Settings};
 use segwild_features::FeatureField;
 use segwild_flow::files::Stray;
@@ -35,14 +35,14 @@ pub(crate) const MODEL: &str = "model";
 /// Kind of the record in `features.bin`, and of fields in the cache.
 pub(crate) const FEATURES: &str = "features";
 
-/// Letters of a name that was asked for in vain that are shown.
+/// Letters that a message shows of a requested name that does not exist.
 const LONGEST_ECHO: usize = 120;
 
-/// What is in the folder and is written into, beside the ledger (`run.sqlite`, its log and its lock).
+/// Folders and files that are written into, beside the ledger (`run.sqlite`, its log and its lock).
 const WRITTEN_INTO: [&str; 7] =
     ["cache", "checkpoints", "history.jsonl", "renders", "selections", "transients", crate::traces::EARLIER];
 
-/// What is read of it, and lies in no folder that is written into.
+/// Files that are read and lie in no folder that is written into.
 const READ: [&str; 8] = [
     "evaluation.json",
     "features.bin",
@@ -60,7 +60,7 @@ pub struct RunFolder {
     path: PathBuf,
 }
 
-/// `scene.json`: what was taken in.
+/// `scene.json`: the inputs of the run.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Intake {
     /// The scene, as an absolute path.
@@ -73,9 +73,10 @@ pub(crate) struct Intake {
     pub skipped: Vec<Skipped>,
     /// Reconstructed points.
     pub points: usize,
-    /// Back to the scene's units.
+    /// The transform back to the scene's units.
     pub frame: Frame,
-    /// Who makes the masks ([`segwild_vision::Providers::name`]); empty in folders of before it was kept.
+    /// The provider of the masks ([`segwild_vision::Providers::name`]); empty in folders of versions that did not
+    /// record it.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub provider: String,
 }
@@ -120,17 +121,17 @@ impl RunFolder {
         Ok(folder)
     }
 
-    /// Refuses a folder in which something would be written through a link to elsewhere. What is written as a whole takes
-    /// a link's place; these are written into.
+    /// Refuses a folder in which something would be written through a link to elsewhere. Files that are written as a
+    /// whole replace a link; these are written into.
     pub(crate) fn stays_inside(&self) -> Result<(), RunError> {
         let ours = |name: &str| WRITTEN_INTO.contains(&name) || name.starts_with("run.");
         let stray = |Stray { path, reason }| RunError::Folder { path, reason };
         files::stays_inside(&self.path, ours).map_err(stray)?;
-        READ.iter().try_for_each(|name| self.waits_for_nobody(name))
+        READ.iter().try_for_each(|name| self.refuse_device(name))
     }
 
-    /// Refuses a pipe or a device in a file's place: reading it would wait for ever, or never end.
-    fn waits_for_nobody(&self, name: &str) -> Result<(), RunError> {
+    /// Refuses a pipe or a device instead of a file: reading it would wait for ever, or never end.
+    fn refuse_device(&self, name: &str) -> Result<(), RunError> {
         match std::fs::metadata(self.path.join(name)).map(|data| data.file_type()) {
             Ok(kind) if !kind.is_file() && !kind.is_dir() => {
                 Err(self.broken(name, "it is a pipe, a device or a socket, not a file: remove it".into()))
@@ -172,7 +173,8 @@ impl RunFolder {
             .flatten()
             .filter(|e| e.path().join("prompts.json").is_file())
             .map(|e| e.file_name().to_string_lossy().into_owned())
-            // Written aside, by a process that was killed or is still at it; or nothing that this program would write.
+            // Left out: a selection that is still being written or whose process was killed, and names that this
+            // program does not write.
             .filter(|name| files::name::usable(name).is_ok())
             .collect();
         names.sort();
@@ -186,26 +188,26 @@ impl RunFolder {
             return Ok(());
         }
         let known = if known.is_empty() { "there is none yet".to_owned() } else { known.join(", ") };
-        let asked: String = name.chars().take(LONGEST_ECHO).collect();
-        let (asked, known) = (files::name::one_line(&asked), files::name::one_line(&known));
-        Err(RunError::Request(format!("this run has no selection named `{asked}` ({known})")))
+        let requested: String = name.chars().take(LONGEST_ECHO).collect();
+        let (requested, known) = (files::name::one_line(&requested), files::name::one_line(&known));
+        Err(RunError::Request(format!("this run has no selection named `{requested}` ({known})")))
     }
 
     /// File of each photo's mask in a selection's `masks` and `amodal`, as they are written now.
     pub fn mask_files(&self) -> Result<BTreeMap<String, String>, RunError> {
         let photos = self.intake()?.photos;
-        let files = Pictures::of(photos.iter().map(String::as_str)).names().to_vec();
+        let files = ImageFiles::of(photos.iter().map(String::as_str)).names().to_vec();
         Ok(photos.into_iter().zip(files).collect())
     }
 
-    /// Seconds from the prompts of a selection to its splats, where that was written down.
+    /// Seconds from the prompts of a selection to its splats, where that was recorded.
     pub fn answered_in(&self, selection: &str) -> Option<f64> {
         let summary: serde_json::Value =
             self.read_json(&format!("selections/{selection}/summary.json")).ok()?;
         summary.get("select_s")?.as_f64()
     }
 
-    /// Who made the masks of a selection, where that was written down.
+    /// The provider of a selection's masks, where that was recorded.
     pub fn provider_of(&self, selection: &str) -> Option<String> {
         let summary: serde_json::Value =
             self.read_json(&format!("selections/{selection}/summary.json")).ok()?;
@@ -278,7 +280,7 @@ impl RunFolder {
         codec::decode(kind, &bytes).map_err(|source| RunError::Record { path, source })
     }
 
-    /// The settings the run was made with, but for what they say of code ([`crate::Code`]).
+    /// The settings that the run was made with, except paths of code ([`crate::Code`]).
     pub fn settings(&self) -> Result<Settings, RunError> {
         Ok(Settings::recorded(&self.settings_file(), &[])?)
     }
@@ -287,8 +289,8 @@ impl RunFolder {
         self.read_json("scene.json")
     }
 
-    /// Refuses a scene that is not the one that this run was made of: its selections and corrected pictures would be taken for those of
-    /// the other. The same scene may have moved, and its photos may have changed where they are.
+    /// Refuses a scene that is not the one of this run: the run's selections and corrected masks would be taken for
+    /// those of the other scene. The same scene may have moved, and its photos may have changed.
     ///
     /// # Errors
     /// Names both scenes, and says what to do.
@@ -308,7 +310,7 @@ impl RunFolder {
             return Ok(());
         }
         Err(RunError::Request(format!(
-            "{} is the run of another scene, {}: of the {} photos of {} it knows {kept}, from other places; give `--out` another folder, or \
+            "{} is the run of another scene, {}: of the {} photos of {} it knows {kept}, with other camera poses; give `--out` another folder, or \
              remove this one",
             self.path.display(),
             known.scene.display(),
@@ -360,13 +362,13 @@ mod tests {
     }
 
     #[test]
-    fn only_a_record_that_is_missing_is_said_to_be_not_done_yet() {
+    fn only_a_missing_record_is_reported_as_not_done_yet() {
         let (_dir, folder) = run();
         assert!(read(&folder).contains("not done yet"), "{}", read(&folder));
         std::fs::create_dir(folder.path().join("model.bin")).unwrap();
-        let said = read(&folder);
-        assert!(said.contains("cannot read") && said.contains("it is a folder"), "{said}");
-        assert!(!said.contains("not done yet"), "{said}");
+        let message = read(&folder);
+        assert!(message.contains("cannot read") && message.contains("it is a folder"), "{message}");
+        assert!(!message.contains("not done yet"), "{message}");
     }
 
     #[cfg(unix)]
@@ -381,15 +383,15 @@ mod tests {
                     assert!(std::process::Command::new("mkfifo").arg(&file).status().unwrap().success());
                 }
             }
-            let said = RunFolder::open(folder.path()).unwrap_err().to_string();
-            assert!(said.contains(name) && said.contains("a pipe, a device or a socket"), "{said}");
+            let message = RunFolder::open(folder.path()).unwrap_err().to_string();
+            assert!(message.contains(name) && message.contains("a pipe, a device or a socket"), "{message}");
             // Also where it came after the folder was opened.
-            let said = match name {
+            let message = match name {
                 "model.bin" => read(&folder),
                 "scene.json" => folder.intake().unwrap_err().to_string(),
                 _ => format!("{:?}", folder.settings().unwrap_err()),
             };
-            assert!(said.contains("a pipe, a device or a socket"), "{said}");
+            assert!(message.contains("a pipe, a device or a socket"), "{message}");
         }
     }
 }

@@ -1,22 +1,24 @@
-//! One scene from its photos to its report.
+//! Runs the stages of one scene, from its photos to its report.
 
 use crate::accelerator::leased;
 use crate::artefacts::{Digests, End, Keys};
 use crate::choice::Chooser;
 use crate::code;
 use crate::continued::ContinuedTraining;
-use crate::coordinator::{Coordinator, State};
+use crate::coordinator::{Coordinator, CoordinatorState};
 use crate::evaluate::{HeldOut, held_out};
 use crate::folder::Intake;
-use crate::images::Pictures;
-use crate::made;
+use crate::images::ImageFiles;
 use crate::recompute::Recompute;
 use crate::region_cache::InCache;
 use crate::skies::Skies;
 use crate::traces::Traces;
-use crate::transients::{Corrections, Known};
+use crate::transients::authorship;
+use crate::transients::{Corrections, KnownTransients};
 use crate::view_slots::ViewSlots;
-use crate::{Chosen, RunError, RunFolder, Settings, Until, choose_engine, diagnostics, keep, memory, report};
+use crate::{
+    ChosenEngine, RunError, RunFolder, Settings, Until, choose_engine, diagnostics, keep, memory, report,
+};
 use segwild_flow::ledger::ViewOutcome;
 use segwild_flow::{Cache, Event, Events, Failure, Ledger, Phase, Recorder, Stopper, cpu, files, trace};
 use segwild_masks::{MaskMaker, sasm};
@@ -31,11 +33,11 @@ use std::time::Instant;
 /// The stages, in the order in which they end.
 pub const STAGES: [&str; 7] = ["sky", "embed", "masks", "geometry", "features", "evaluate", "report"];
 
-/// What the ledger keeps the step under at which a run was asked to stop.
+/// Name under which the ledger keeps the step that a run is to stop at.
 pub(crate) const UNTIL_STEP: &str = "until step";
 
 /// What a stage waits for: whole stages, but for `masks`, which waits for the snapshot that `geometry` takes on its way.
-/// `features` may begin while the last masks are being made.
+/// `features` may start while the last masks are being made.
 ///
 /// ```
 /// assert_eq!(segwild_pipeline::needs("features"), ["sky", "embed", "masks", "geometry"]);
@@ -67,9 +69,9 @@ pub fn stages_of(actor: &str) -> &'static [&'static str] {
 /// What a run is given beside its settings.
 #[derive(Clone)]
 pub struct RunOptions {
-    /// Told what happens.
+    /// Receives progress, messages and warnings.
     pub events: Events,
-    /// Asked whether to stop.
+    /// Says when to stop.
     pub stopper: Stopper,
     /// Providers to use instead of those the settings name.
     pub providers: Option<Providers>,
@@ -88,31 +90,34 @@ impl Default for RunOptions {
 pub struct Summary {
     /// Photos that take part.
     pub photos: usize,
-    /// Photos that do not, and why.
+    /// Photos that do not take part, and why.
     pub skipped: Vec<Skipped>,
     /// Who makes the masks: `built-in`, or `sam:` and a model's name.
     pub provider: String,
     /// Splats of the trained scene.
     pub splats: usize,
-    /// The step that the training stands at, when it was asked to stop before its end.
+    /// The step that the training stands at, when it was to stop before its end.
     pub paused_at: Option<u32>,
     /// PSNR on the training photos at the end, in dB.
     pub train_psnr: Option<f32>,
     /// Held-out scores, if photos were held out.
     pub held_out: Option<HeldOut>,
-    /// Per-photo artefacts that were made, and that were there.
+    /// Per-photo artefacts that were made.
     pub made: usize,
     /// Per-photo artefacts that were in the cache.
     pub cached: usize,
     /// Wall time in seconds.
     pub wall_s: f64,
-    /// Most memory that the process held, in bytes, if the system tells.
+    /// Peak memory of the process in bytes, if the system reports it.
     pub peak_bytes: Option<u64>,
-    /// Where each actor's time went, a line each.
+    /// How each actor spent its time, a line each.
     pub actors: String,
 }
 
-/// Runs a scene's stages, or what is left of them.
+/// Runs a scene's stages, or those that are not done yet.
+///
+/// # Errors
+/// When an input cannot be used, a stage fails, the disk fails, or the run is stopped ([`RunError`]).
 pub fn run(
     scene: &Path,
     folder: &RunFolder,
@@ -140,16 +145,17 @@ pub fn run(
         .map_err(|e| files::FileError::new("start the live view of", folder.path(), e))?;
     let path = std::path::absolute(scene).unwrap_or_else(|_| scene.to_owned());
     let scene = Arc::new(Scene::open(&path, &settings.scene)?);
-    Pictures::of(scene.views.iter().map(|v| v.name.as_str())).fit(&folder.path().join(made::FOLDER))?;
+    ImageFiles::of(scene.views.iter().map(|v| v.name.as_str()))
+        .fit(&folder.path().join(authorship::FOLDER))?;
     folder.belongs_to(&path, &scene)?;
-    // Only now: a setting that the scene refuses must not come back with the next run.
+    // Written only now: a setting that the scene refuses must not come back with the next run.
     folder.write("segwild.toml", settings.to_toml().as_bytes())?;
     let mut named: Vec<(&str, String)> = Settings::catalogue()
         .iter()
         .flat_map(|(_, _, fields)| fields.iter())
         .map(|f| (f.name, settings.get(f.name).unwrap_or_default()))
         .collect();
-    // Beside the settings, for the names of what is made depend on it.
+    // Kept beside the settings, since keys depend on it.
     if let Some(Until::Step(step)) = options.until {
         named.push((UNTIL_STEP, step.to_string()));
     }
@@ -194,12 +200,12 @@ pub fn run(
         options.events.info(None, note.clone());
     }
     let events = options.events.clone();
-    let Chosen { engine, why } = choose_engine(&settings.run, move |lost| events.warn(None, lost))?;
+    let ChosenEngine { engine, why } = choose_engine(&settings.run, move |lost| events.warn(None, lost))?;
     if engine.name() == "gpu" {
         memory::fits_accelerator(settings, &scene)?;
     }
     options.events.info(None, format!("splats are computed by {why}"));
-    let asked = End::of(options.until);
+    let end = End::of(options.until);
     let corrections = Corrections::find(&scene, folder, &settings.scene.transient_masks)?;
     for words in corrections.put_damaged_aside()? {
         options.events.warn(Some("ingest"), words);
@@ -216,17 +222,18 @@ pub fn run(
     for odd in &digests.odd {
         options.events.warn(Some("ingest"), odd.clone());
     }
-    for doubt in diagnostics::diagnose(&scene).into_iter().chain(diagnostics::copies(&scene, &digests.all()))
+    for warning in
+        diagnostics::diagnose(&scene).into_iter().chain(diagnostics::copies(&scene, &digests.all()))
     {
-        options.events.warn(Some("ingest"), doubt);
+        options.events.warn(Some("ingest"), warning);
     }
     let named = |settings: &Settings, corrections: &Corrections, engine: &str, end: &End| {
         Keys::of(&scene, digests.clone(), settings, &providers, corrections, engine, end)
     };
-    let name = |settings: &Settings| named(settings, &corrections, engine.name(), &asked);
+    let name = |settings: &Settings| named(settings, &corrections, engine.name(), &end);
     let keys = name(settings);
     let cache = folder.cache()?;
-    let known = Known {
+    let known = KnownTransients {
         corrections: Arc::new(corrections.clone()),
         network: providers.transients.clone(),
         cache: cache.clone(),
@@ -245,21 +252,21 @@ pub fn run(
         stopping: &|| options.stopper.phase() != Phase::Running,
     };
     let settings = &chooser.choose(settings, |kind, key, why| {
-        // Kept as long as the run stands at it.
+        // The ledger names it, so that the cache keeps it.
         ledger.record_view(keep::SNAPSHOT, kind, key, &ViewOutcome::cached())?;
         options.events.info(Some("geometry"), format!("{kind} {why}"));
         Ok(())
     })?;
     let mut keys = name(settings);
-    // The same training by another engine: what it left is gone on from where this one left nothing.
+    // The same training on another engine: it is continued where this engine has no checkpoint.
     let elsewhere = ["cpu", "gpu"].into_iter().filter(|other| *other != engine.name()).map(|other| {
-        let keys = named(settings, &corrections, other, &asked);
+        let keys = named(settings, &corrections, other, &end);
         (other, keys.training)
     });
     let elsewhere = elsewhere.collect();
-    let mut steps = asked.step().unwrap_or(settings.train.steps);
+    let mut steps = end.step().unwrap_or(settings.train.steps);
     let mut origin = None;
-    if let End::Settings = asked {
+    if let End::Settings = end {
         let named = |corrections: &Corrections, end: &End| named(settings, corrections, engine.name(), end);
         let continued = ContinuedTraining::find(folder, &ledger, &cache, settings, &corrections, &named)?;
         if let Some(continued) = continued {
@@ -274,10 +281,10 @@ pub fn run(
         _ => STAGES.len(),
     };
     let names = Arc::new(Mutex::new(keys.clone()));
-    tell_of_damage(&cache, &names, &scene, &options.events);
+    warn_of_damage(&cache, &names, &scene, &options.events);
     let size = settings.scene.size;
-    let anew = Recompute { scene: scene.clone(), cache: cache.clone(), events: options.events.clone() };
-    let skies = Skies::new(anew, size, keys.sky.clone(), providers.sky.clone());
+    let recompute = Recompute { scene: scene.clone(), cache: cache.clone(), events: options.events.clone() };
+    let skies = Skies::new(recompute, size, keys.sky.clone(), providers.sky.clone());
     let maker = MaskMaker {
         scene: scene.clone(),
         size,
@@ -308,19 +315,19 @@ pub fn run(
         maker: Arc::new(maker),
         masks_known: Arc::new(ViewSlots::new("masks")),
         tainted: Arc::default(),
-        state: State::default(),
+        state: CoordinatorState::default(),
     };
-    // A stop that comes while actors are still being started is a stop like any other.
+    // A stop while actors are still being started is a stop like any other.
     let stopped = |error| match error {
         RunError::Spawn(spawn) if spawn.is_stopping() => RunError::Interrupted,
         other => other,
     };
-    let traces = Traces::begin(folder)?;
+    let traces = Traces::start(folder)?;
     let (mut report, outcome) = coordinator.flow(&providers).map_err(stopped)?;
     let outcome = outcome.map_err(stopped);
     let mut state = std::mem::take(&mut coordinator.state);
     traces.write(&report)?;
-    // An actor that gave up has stopped the others; that is not a stop by the user.
+    // An actor that gave up has stopped the others: that is not a stop by the user.
     let failed = |(actor, error): (&str, &str), kind: fn(&str) -> Failure| (stage_of(actor), kind(error));
     let gave_up = (coordinator.skies.lost().map(|lost| ("sky", lost)))
         .or_else(|| Some(failed(report.storage_failure()?, |error| Failure::storage(error))))
@@ -404,12 +411,12 @@ pub fn run(
         options.events.warn(Some("geometry"), words);
     }
     let learnt = model.as_ref().and_then(|m| m.stats.psnr).zip(scores.as_ref().map(|s| s.psnr));
-    if let Some(words) = learnt.and_then(|(train, held)| diagnostics::by_heart(train, held)) {
+    if let Some(words) = learnt.and_then(|(train, held)| diagnostics::overfitted(train, held)) {
         options.events.warn(Some("evaluate"), words);
     }
     let (key, cache) = (coordinator.keys.stage("report"), coordinator.cache.clone());
     let (splats, train_psnr) = model.as_ref().map_or((None, None), |m| (Some(m.splats.len()), m.stats.psnr));
-    // The report reads the run folder anew; what the run held for itself goes first.
+    // The report reads the run folder again: the run's own data is freed first.
     drop((coordinator, scene, model));
     if last >= 6 && splats.is_some() {
         ledger.begin_stage("report", &key)?;
@@ -450,7 +457,7 @@ pub fn run(
     })
 }
 
-/// What to say of a run whose ledger is empty or has gone, and which has made something before.
+/// The warning about a run whose ledger is empty or has gone, if the run has made something before.
 fn lost_ledger(folder: &RunFolder) -> Option<String> {
     let ledger = folder.ledger();
     let found = match std::fs::metadata(&ledger) {
@@ -462,15 +469,15 @@ fn lost_ledger(folder: &RunFolder) -> Option<String> {
     let made = holds(&folder.path().join("cache")) || holds(&folder.checkpoints());
     made.then(|| {
         format!(
-            "{} {found}: what it said of earlier runs (stages, times, events) is lost; the cache and the checkpoints are \
+            "{} {found}: its record of earlier runs (stages, times, events) is lost; the cache and the checkpoints are \
              kept and used",
             ledger.display()
         )
     })
 }
 
-/// Has the run say of each artefact that is found damaged what it is.
-fn tell_of_damage(cache: &Cache, names: &Arc<Mutex<Keys>>, scene: &Arc<Scene>, events: &Events) {
+/// Makes the cache warn of each damaged artefact, with its kind and photo.
+fn warn_of_damage(cache: &Cache, names: &Arc<Mutex<Keys>>, scene: &Arc<Scene>, events: &Events) {
     let (names, scene, events) = (names.clone(), scene.clone(), events.clone());
     cache.on_damage(move |key, reason| {
         let kind = key.split(':').next().unwrap_or(key);
@@ -485,12 +492,12 @@ fn tell_of_damage(cache: &Cache, names: &Arc<Mutex<Keys>>, scene: &Arc<Scene>, e
             .unwrap_or_else(PoisonError::into_inner)
             .view_of(key)
             .map_or(String::new(), |view| format!(" of photo {}", scene.views[view].name));
-        let message = format!("the cache's {kind} record{photo} was damaged ({reason}): it is made anew");
+        let message = format!("the cache's {kind} record{photo} was damaged ({reason}): it is made again");
         events.warn(Some(stage), message);
     });
 }
 
-/// The stage that an actor's failure is booked on.
+/// The stage that an actor's failure counts for.
 fn stage_of(actor: &str) -> &'static str {
     match actor {
         "trainer" => "geometry",

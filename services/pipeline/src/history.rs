@@ -1,4 +1,4 @@
-//! `history.jsonl`: how the training went, a line every few steps.
+//! `history.jsonl`: loss, PSNR and splats of the training, a line every few steps.
 
 use crate::{RunError, RunFolder};
 use segwild_flow::files;
@@ -20,7 +20,7 @@ pub struct Moment {
     pub left_out: f32,
 }
 
-/// The history as far as it was written; lines that are cut short are left out.
+/// Reads the history; lines that are cut short are left out.
 pub fn read(folder: &RunFolder) -> Vec<Moment> {
     let text = segwild_flow::files::read_plain(&folder.history()).unwrap_or_default();
     let text = String::from_utf8_lossy(&text);
@@ -34,13 +34,13 @@ pub fn append(folder: &RunFolder, moment: &Moment) -> Result<(), RunError> {
     Ok(files::append_line(&path, &line)?)
 }
 
-/// Drops what was written after the step that training goes on from.
+/// Removes the lines after the step that training continues from.
 pub fn trim(folder: &RunFolder, step: u32) -> Result<(), RunError> {
     let kept: Vec<Moment> = read(folder).into_iter().filter(|m| m.step <= step).collect();
     replace(folder, &kept)
 }
 
-/// Puts the history of a training that was done before in the place of another one's.
+/// Replaces the history by that of a training that is in the cache.
 pub fn replace(folder: &RunFolder, moments: &[Moment]) -> Result<(), RunError> {
     let text: String =
         moments.iter().filter_map(|m| serde_json::to_string(m).ok()).map(|line| line + "\n").collect();

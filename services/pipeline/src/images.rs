@@ -1,4 +1,4 @@
-//! Pictures that stand beside photos (masks of selections, transients): what they are called, and whether they are whole.
+//! Images that belong to photos (masks of selections, transients): their file names, and whether their bytes are whole.
 
 use crate::RunError;
 use segwild_flow::files::name::{beside, shown};
@@ -7,20 +7,20 @@ use std::path::{Path, PathBuf};
 
 /// Longest path, in bytes, that systems take.
 const LONGEST: usize = 4095;
-/// Bytes that the path of a file has beside its folder's and its name while it is written.
+/// Bytes that the path of a file has beside those of its folder and its name while it is written.
 const ASIDE: usize = 160;
 
-/// What the pictures of some photos are called. Folders of photos are folders of pictures, and no two pictures are one file
-/// ([`beside`]). Earlier versions put all into one folder, where `a/b.jpg` and `a_b.jpg` shared one: what such a run left is
-/// found where one photo alone can have left it.
-pub(crate) struct Pictures {
+/// The file names of the images of some photos. Sub-folders of photos are sub-folders of images, and no two photos
+/// share a file ([`beside`]). Earlier versions wrote all into one folder, where `a/b.jpg` and `a_b.jpg` shared a file.
+/// Such a file is found where only one photo can have written it.
+pub(crate) struct ImageFiles {
     names: Vec<String>,
     before: Vec<Option<String>>,
 }
 
-impl Pictures {
-    /// Of photos, by their names in the scene.
-    pub fn of<'a>(photos: impl Iterator<Item = &'a str> + Clone) -> Pictures {
+impl ImageFiles {
+    /// The images of photos, by the photos' names in the scene.
+    pub fn of<'a>(photos: impl Iterator<Item = &'a str> + Clone) -> ImageFiles {
         let names = beside(photos.clone(), "png");
         let old = flattened(photos);
         let mut taken: BTreeMap<String, usize> = BTreeMap::new();
@@ -28,22 +28,23 @@ impl Pictures {
             *taken.entry(name.to_lowercase()).or_default() += 1;
         }
         let before = old.into_iter().map(|old| (taken[&old.to_lowercase()] == 1).then_some(old)).collect();
-        Pictures { names, before }
+        ImageFiles { names, before }
     }
 
-    /// Refuses a folder in which a picture would have a longer path than systems take: said before anything is computed.
+    /// Refuses a folder in which an image would have a longer path than systems take. Checked before anything is
+    /// computed.
     ///
     /// # Errors
-    /// Names the picture.
+    /// Names the image.
     pub fn fit(&self, folder: &Path) -> Result<(), RunError> {
         let whole = std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned());
         let before = whole.as_os_str().len() + ASIDE;
         match self.names.iter().find(|name| before + name.len() > LONGEST) {
             None => Ok(()),
             Some(name) => {
-                let begin: String = name.chars().take(60).collect();
+                let start: String = name.chars().take(60).collect();
                 Err(RunError::Request(format!(
-                    "the picture {begin}.. of a photo would have a path of {} bytes, and systems take {LONGEST}: choose a folder \
+                    "the image {start}.. of a photo would have a path of {} bytes, and systems take {LONGEST}: choose a folder \
                      with a shorter path, or call the photos and their folders by shorter names",
                     before + name.len()
                 )))
@@ -51,12 +52,12 @@ impl Pictures {
         }
     }
 
-    /// The name of a photo's picture: where it is written.
+    /// The name under which a photo's image is written.
     pub fn name(&self, photo: usize) -> &str {
         &self.names[photo]
     }
 
-    /// All of them.
+    /// The names of all images, in order of the photos.
     pub fn names(&self) -> &[String] {
         &self.names
     }
@@ -66,7 +67,7 @@ impl Pictures {
         self.before[photo].as_deref()
     }
 
-    /// Where a photo's picture is in a folder: under its name, else under that of an earlier version.
+    /// The path of a photo's image in a folder: under its name, else under that of an earlier version.
     pub fn find(&self, folder: &Path, photo: usize) -> PathBuf {
         let now = folder.join(&self.names[photo]);
         match &self.before[photo] {
@@ -99,7 +100,7 @@ fn flattened<'a>(photos: impl Iterator<Item = &'a str> + Clone) -> Vec<String> {
     photos.map(|photo| format!("{}.png", name(photo))).collect()
 }
 
-/// How a PNG begins.
+/// The first bytes of a PNG.
 const PNG: [u8; 8] = *b"\x89PNG\r\n\x1a\n";
 /// Bytes of a chunk beside its content: length, kind, check sum.
 const AROUND: usize = 12;
@@ -133,8 +134,7 @@ fn chunks(png: &[u8]) -> impl Iterator<Item = Result<(&[u8], &[u8]), &'static st
     })
 }
 
-/// What is wrong with the bytes of a PNG that no program can have written so; `None` for one that is whole, and for files of
-/// other kinds.
+/// What is wrong with the bytes of a damaged PNG; `None` for one that is whole, and for files of other kinds.
 pub(crate) fn damage(bytes: &[u8]) -> Option<&'static str> {
     if bytes.is_empty() {
         return Some("it is empty");
@@ -174,13 +174,13 @@ mod tests {
     fn masks_that_an_earlier_version_left_are_found_where_one_photo_alone_can_have_left_them() {
         let dir = tempfile::tempdir().unwrap();
         let photos = ["a/x.jpg", "a/b.jpg", "a_b.jpg", "y.jpg"];
-        let pictures = Pictures::of(photos.into_iter());
-        assert_eq!(pictures.names(), ["a/x.png", "a/b.png", "a_b.png", "y.png"]);
+        let files = ImageFiles::of(photos.into_iter());
+        assert_eq!(files.names(), ["a/x.png", "a/b.png", "a_b.png", "y.png"]);
         for old in ["a_x.png", "a_b.png", "y.png"] {
             std::fs::write(dir.path().join(old), old).unwrap();
         }
         let found =
-            |photo| pictures.find(dir.path(), photo).strip_prefix(dir.path()).unwrap().display().to_string();
+            |photo| files.find(dir.path(), photo).strip_prefix(dir.path()).unwrap().display().to_string();
         assert_eq!([0, 1, 2, 3].map(found), ["a_x.png", "a/b.png", "a_b.png", "y.png"]);
         std::fs::create_dir(dir.path().join("a")).unwrap();
         std::fs::write(dir.path().join("a/x.png"), "new").unwrap();
@@ -190,14 +190,17 @@ mod tests {
     #[test]
     fn a_path_that_no_system_takes_is_refused_before_it_is_written() {
         let deep = format!("{}b.jpg", "folder/".repeat(500));
-        let pictures = Pictures::of(["a.jpg", deep.as_str()].into_iter());
-        assert!(pictures.fit(Path::new("/run")).is_ok());
-        let said = pictures.fit(Path::new(&format!("/{}", "run/".repeat(120)))).unwrap_err().to_string();
-        assert!(said.contains("folder/folder") && said.contains("4095") && said.len() < 400, "{said}");
+        let files = ImageFiles::of(["a.jpg", deep.as_str()].into_iter());
+        assert!(files.fit(Path::new("/run")).is_ok());
+        let message = files.fit(Path::new(&format!("/{}", "run/".repeat(120)))).unwrap_err().to_string();
+        assert!(
+            message.contains("folder/folder") && message.contains("4095") && message.len() < 400,
+            "{message}"
+        );
     }
 
     #[test]
-    fn every_bit_that_flips_in_a_picture_is_seen() {
+    fn every_flipped_bit_in_an_image_is_found() {
         let png = with_comment(&Mask::from_fn(19, 7, |x, y| x > 2 * y).png().unwrap(), "made 0123");
         assert_eq!((damage(&png), comment(&png).as_deref()), (None, Some("made 0123")));
         for bit in 8 * PNG.len()..8 * png.len() {

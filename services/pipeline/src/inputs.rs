@@ -1,13 +1,14 @@
-//! What the feature field is made of, as its actor reads it: out of the cache, or made anew where it was damaged there.
+//! The inputs of the feature field, as its actor reads them: from the cache, or computed again where the cache is
+//! damaged.
 
 use crate::RunFolder;
 use crate::artefacts::Keys;
 use crate::folder::MODEL;
-use crate::recompute::{Kept, Recompute};
+use crate::recompute::{CachedArtefact, Recompute};
 use crate::skies::Skies;
-use crate::transients::{Album, Known};
+use crate::transients::{KnownTransients, TransientMaskWriter, visibility};
 use crate::view_slots::ViewSlots;
-use crate::visibility::visibility;
+
 use segwild_features::{EMBEDDING, FieldInputs, describe};
 use segwild_flow::{Context, Failure};
 use segwild_masks::{MaskMaker, MaskSource, Snapshot};
@@ -17,24 +18,24 @@ use segwild_trainer::{Model, TrainPhoto, render_view};
 use segwild_vision::{Embedder, PromptSegmenter};
 use std::sync::Arc;
 
-/// Kind of the cache's records of what can be trusted in a photo.
+/// Kind of the cache's visibility records.
 pub const VISIBILITY: &str = "visibility";
 /// Kind of the cache's mask records, as the masks actor writes them.
 const MASKS: &str = "masks";
 
-/// The scene at the snapshot step, as the masks are drawn on it.
-pub struct Drawn {
-    /// The scene.
+/// Renders the scene of the snapshot step, from which masks are proposed.
+pub struct SnapshotRenders {
+    /// The scene at the snapshot step.
     pub model: Arc<Model>,
-    /// Draws it.
+    /// Renders it.
     pub engine: Arc<dyn Engine>,
-    /// Its photos.
+    /// The cameras.
     pub scene: Arc<Scene>,
-    /// Long side of the drawings.
+    /// Long side of the renders in pixels.
     pub size: u32,
 }
 
-impl Snapshot for Drawn {
+impl Snapshot for SnapshotRenders {
     fn means(&self) -> &[[f32; 3]] {
         &self.model.splats.means
     }
@@ -48,62 +49,62 @@ impl Snapshot for Drawn {
 
 /// The inputs of one run's field.
 pub struct Inputs {
-    /// Reads them.
-    pub anew: Recompute,
-    /// Their names.
+    /// Reads artefacts from the cache.
+    pub recompute: Recompute,
+    /// Their keys.
     pub keys: Keys,
-    /// Long side at which photos are looked at.
+    /// Long side of the photos in pixels.
     pub size: u32,
     /// The trained scene.
     pub model: Arc<Model>,
-    /// Draws it.
+    /// Renders it.
     pub engine: Arc<dyn Engine>,
     /// The skies.
     pub skies: Arc<Skies>,
     /// Which views have masks.
     pub masks_known: Arc<ViewSlots<bool>>,
-    /// Describes photos.
+    /// Computes the embeddings of photos.
     pub embedder: Arc<dyn Embedder>,
-    /// Makes masks.
+    /// Proposes masks.
     pub maker: Arc<MaskMaker>,
-    /// What is known of transients.
-    pub known: Known,
-    /// Photos looked at at once, for pictures of transients.
-    pub lookers: usize,
+    /// The transients that are known before the training.
+    pub known: KnownTransients,
+    /// Photos that are worked on at once, for the mask images of transients.
+    pub photos_at_once: usize,
 }
 
 impl Inputs {
-    /// Compares a photo with the trained scene.
-    pub fn look(&self, view: usize) -> Result<Mask, Failure> {
-        let (posed, sky) = (&self.anew.scene.views[view], self.skies.read(view)?);
+    /// Compares a photo with the trained scene: its visibility.
+    pub fn compare(&self, view: usize) -> Result<Mask, Failure> {
+        let (posed, sky) = (&self.recompute.scene.views[view], self.skies.read(view)?);
         let transients = &self.known.corrections;
         Ok(visibility(&self.model, &*self.engine, posed, view, sky.as_ref(), transients, self.size)?)
     }
 
-    /// Leaves a picture of each photo's transients in the run folder; what is to be said of single photos.
-    pub fn picture_transients(
+    /// Writes the mask image of each photo's transients into the run folder. Returns warnings about single photos.
+    pub fn write_transient_masks(
         &self,
         folder: &RunFolder,
         views: &[usize],
         segmenter: &dyn PromptSegmenter,
         context: &Context,
     ) -> Result<Vec<String>, Failure> {
-        let album = Album {
+        let writer = TransientMaskWriter {
             folder,
-            scene: &self.anew.scene,
+            scene: &self.recompute.scene,
             model: &self.model,
             engine: &*self.engine,
             segmenter,
             known: &self.known,
-            at_once: self.lookers,
+            at_once: self.photos_at_once,
         };
         let photo = |view: usize| -> Result<TrainPhoto, Failure> {
-            let loaded = self.anew.scene.views[view].load(self.size).map_err(Failure::retry)?;
+            let loaded = self.recompute.scene.views[view].load(self.size).map_err(Failure::retry)?;
             let mut photo = TrainPhoto::new(loaded, self.skies.read(view)?);
-            self.known.tell(view, &mut photo).map_err(Failure::retry)?;
+            self.known.apply(view, &mut photo).map_err(Failure::retry)?;
             Ok(photo)
         };
-        album.write(
+        writer.write(
             views,
             |view| self.keys.transients(view, &segmenter.key()),
             photo,
@@ -115,31 +116,34 @@ impl Inputs {
     }
 
     fn make_masks(&self, view: usize) -> Result<MaskSet, Failure> {
-        let model = self.anew.cache.get_typed::<Model>(&self.keys.snapshot, MODEL)?;
+        let model = self.recompute.cache.get_typed::<Model>(&self.keys.snapshot, MODEL)?;
         let model = model.filter(|model| model.check().is_ok());
-        let gone = || Failure::retry("the snapshot that they were drawn on has gone, too");
-        let (engine, scene) = (self.engine.clone(), self.anew.scene.clone());
-        let snapshot = Drawn { model: Arc::new(model.ok_or_else(gone)?), engine, scene, size: self.size };
+        let gone = || Failure::retry("the snapshot that they were proposed from has gone, too");
+        let (engine, scene) = (self.engine.clone(), self.recompute.scene.clone());
+        let snapshot =
+            SnapshotRenders { model: Arc::new(model.ok_or_else(gone)?), engine, scene, size: self.size };
         let sky = self.skies.read(view)?;
-        let drawn = match self.maker.settings.mask_source {
+        let render = match self.maker.settings.mask_source {
             MaskSource::Render => Some(snapshot.render(view).map_err(Failure::retry)?),
             MaskSource::Photo => None,
         };
-        Ok(self.maker.make(view, drawn.as_ref(), &snapshot, sky.as_ref())?)
+        Ok(self.maker.make(view, render.as_ref(), &snapshot, sky.as_ref())?)
     }
 }
 
 impl FieldInputs for Inputs {
     fn embedding(&self, view: usize) -> Result<Embedding, Failure> {
-        let kept = Kept { view, what: "embedding", kind: EMBEDDING, key: &self.keys.embedding[view] };
-        self.anew.read(kept, || {
-            describe(&*self.embedder, &self.anew.scene.views[view], self.size).map_err(Failure::retry)
+        let kept =
+            CachedArtefact { view, what: "embedding", kind: EMBEDDING, key: &self.keys.embedding[view] };
+        self.recompute.read(kept, || {
+            describe(&*self.embedder, &self.recompute.scene.views[view], self.size).map_err(Failure::retry)
         })
     }
 
     fn visibility(&self, view: usize) -> Result<Mask, Failure> {
-        let kept = Kept { view, what: "visibility", kind: VISIBILITY, key: &self.keys.visibility[view] };
-        self.anew.read(kept, || self.look(view))
+        let kept =
+            CachedArtefact { view, what: "visibility", kind: VISIBILITY, key: &self.keys.visibility[view] };
+        self.recompute.read(kept, || self.compare(view))
     }
 
     fn sky(&self, view: usize) -> Result<Option<Mask>, Failure> {
@@ -151,8 +155,9 @@ impl FieldInputs for Inputs {
             None => Err(Failure::stopped()),
             Some(false) => Ok(None),
             Some(true) => {
-                let kept = Kept { view, what: "set of masks", kind: MASKS, key: &self.keys.masks[view] };
-                self.anew.read(kept, || self.make_masks(view)).map(Some)
+                let kept =
+                    CachedArtefact { view, what: "set of masks", kind: MASKS, key: &self.keys.masks[view] };
+                self.recompute.read(kept, || self.make_masks(view)).map(Some)
             }
         }
     }

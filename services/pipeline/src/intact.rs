@@ -1,4 +1,4 @@
-//! Whether the files of a selection are as they were written: `files.json` beside them has the hash of each.
+//! Checks that the files of a selection are as they were written: `files.json` beside them has the hash of each.
 
 use crate::{RunError, RunFolder};
 use segwild_flow::files::{self, name};
@@ -8,9 +8,9 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Where the list is in a selection's folder.
+/// The list in a selection's folder.
 const LIST: &str = "files.json";
-/// What is written when the list is, and says how long things took.
+/// The summary, which is written after the list and therefore not on it.
 const LAST: &str = "summary.json";
 
 /// A file of a selection that is not as it was written.
@@ -177,8 +177,8 @@ mod tests {
         assert_eq!(names, [folder.join("masks/a/b.png"), folder.join("object.ply")]);
         let intact = Intact::of(&run, "statue").unwrap();
         assert!(intact.check(&folder.join("prompts.json")).is_ok());
-        let said = RunError::from(intact.check(&folder.join("object.ply")).unwrap_err()).to_string();
-        assert!(said.contains("object.ply") && said.contains("--name statue --prompts"), "{said}");
+        let message = RunError::from(intact.check(&folder.join("object.ply")).unwrap_err()).to_string();
+        assert!(message.contains("object.ply") && message.contains("--name statue --prompts"), "{message}");
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! What stays in the cache: listing, verifying, sweeping.
+//! The content of a run's cache: listing, verifying, removing what is unused.
 
 use crate::artefacts::history_of;
 use crate::region_cache::REGIONS;
@@ -8,9 +8,9 @@ use segwild_flow::{Artefact, Cache, Ledger, LedgerError, Swept};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// What the ledger records the present training and its snapshot under, beside the stages.
+/// Name under which the ledger records the present training and its snapshot, beside the stages.
 pub(crate) const SNAPSHOT: &str = "snapshot";
-/// What the ledger records under which name what a network has found of transients.
+/// Name under which the ledger records the keys of the transient network's masks.
 pub(crate) const TRANSIENTS: &str = "transients";
 /// The training's row there.
 pub(crate) const TRAINING: &str = "training";
@@ -30,7 +30,7 @@ pub struct CacheLine {
     pub used_bytes: u64,
 }
 
-/// Whether the run uses an artefact as it stands. Regions of photos are for clicks, which no ledger knows beforehand.
+/// Whether the run uses an artefact as it stands. Regions of photos always count as used: clicks read them.
 fn in_use(ledger: &Ledger) -> Result<impl Fn(&Artefact) -> bool + use<>, LedgerError> {
     let keys = keys_in_use(ledger)?;
     Ok(move |artefact: &Artefact| artefact.domain == REGIONS || keys.contains(&artefact.key()))
@@ -54,12 +54,12 @@ fn keys_in_use(ledger: &Ledger) -> Result<BTreeSet<String>, LedgerError> {
     Ok(keys)
 }
 
-/// The training that the run stands at, whichever step it was last asked to go to.
+/// Key of the run's present training, whichever step the last command was to stop at.
 pub(crate) fn present_training(ledger: &Ledger) -> Result<Option<String>, LedgerError> {
     if let Some(row) = ledger.views(SNAPSHOT)?.into_iter().find(|row| row.view == TRAINING) {
         return Ok(Some(row.key));
     }
-    // A run that was written before trainings were recorded went no further than its settings' steps.
+    // Earlier versions recorded no training, and trained no further than the steps of the settings.
     Ok(ledger.stages()?.into_iter().find(|stage| stage.name == "geometry").map(|stage| stage.key))
 }
 
@@ -80,14 +80,20 @@ pub fn cache_list(folder: &RunFolder) -> Result<Vec<CacheLine>, RunError> {
     Ok(lines.into_values().collect())
 }
 
-/// Reads every artefact and compares its hash; those that do not fit are moved aside, and the next run makes them
-/// anew. `told` hears of each: the artefact, and what is wrong with it. Returns how many were looked at.
-pub fn cache_verify(folder: &RunFolder, mut told: impl FnMut(&Artefact, &str)) -> Result<usize, RunError> {
+/// Reads every artefact and compares its hash. Damaged ones are moved aside, and the next run makes them again;
+/// `on_damage` is called for each with the reason. Returns how many artefacts were read.
+///
+/// # Errors
+/// When the cache cannot be read.
+pub fn cache_verify(
+    folder: &RunFolder,
+    mut on_damage: impl FnMut(&Artefact, &str),
+) -> Result<usize, RunError> {
     let cache = folder.cache()?;
     let all = cache.list()?;
     for artefact in &all {
         if let Some(reason) = cache.verify(artefact)? {
-            told(artefact, reason);
+            on_damage(artefact, reason);
         }
     }
     Ok(all.len())
@@ -106,7 +112,7 @@ pub fn cache_gc(folder: &RunFolder, limit: u64, pretend: bool) -> Result<Swept, 
         swept.files += usize::from(path.is_some());
         swept.bytes += path.as_ref().and_then(|path| std::fs::metadata(path).ok()).map_or(0, |m| m.len());
         if !pretend {
-            // A file that is gone already is what was wanted; one that is elsewhere is none of ours.
+            // The file may be gone already; a path outside of the folder is never removed.
             let _ = path.map(std::fs::remove_file);
             ledger.forget_checkpoint(&old)?;
         }

@@ -1,8 +1,8 @@
-//! One scene's graph: wires the four actors, decides what overlaps, resumes.
+//! One scene's graph: connects the four actors, overlaps their work, and resumes interrupted runs.
 //!
-//! A run lives in a [`RunFolder`]. [`run()`] fills it: sky and embeddings while geometry trains, masks from a
+//! A run is kept in a [`RunFolder`]. [`run()`] fills it: sky and embeddings while geometry trains, masks from a
 //! snapshot while geometry trains on, then the feature field, held-out scores and the report. [`segment()`],
-//! [`render()`] and [`score()`] read what it left.
+//! [`render()`] and [`score()`] read the folder.
 
 mod accelerator;
 mod artefacts;
@@ -24,9 +24,8 @@ mod inputs;
 mod intact;
 mod keep;
 mod light;
-mod made;
-mod mask_source;
 mod memory;
+mod object_masks;
 mod outcome;
 mod prompts;
 mod recompute;
@@ -40,15 +39,14 @@ mod traces;
 mod transients;
 mod until;
 mod view_slots;
-mod visibility;
 
 pub use accelerator::accelerator;
 pub use artefacts::Keys;
 pub use code::{Code, providers_for};
 pub(crate) use engine::log_loss;
-pub use engine::{Chosen, EngineKind, WhenLost, choose_engine};
+pub use engine::{ChosenEngine, EngineKind, WhenLost, choose_engine};
 pub use error::RunError;
-pub use evaluate::{HeldOut, MaskScore, Score, score};
+pub use evaluate::{HeldOut, Score, SelectionMaskScore, score};
 pub use explain::{Plan, Verdict, explain};
 pub use folder::{Loaded, RunFolder};
 pub use graph::{RunOptions, STAGES, Summary, needs, run, stages_of};
@@ -57,10 +55,10 @@ pub use keep::{CacheLine, cache_gc, cache_list, cache_verify};
 pub use light::{AppearanceRequest, BakeRequest, Baked, OWN, Part, bake};
 pub use memory::MemoryNeed;
 pub use prompts::{PhotoPrompts, Replay};
-pub use render::{Drawn, Mode, RenderRequest, What, render};
+pub use render::{Mode, RenderRequest, RenderedFile, What, render};
 pub use report::write_report;
 pub use segment::{SegmentOutcome, Selected, Shortened, segment};
 pub use segwild_trainer::{AppearanceChoice, BudgetChoice, Preset};
-pub use settings::{Budget, RunSettings, Scoring, Settings, SettingsError, renamed};
+pub use settings::{RunBudget, RunSettings, Scoring, Settings, SettingsError, renamed};
 pub use transients::{TransientScore, TransientScores, score_transients};
 pub use until::Until;

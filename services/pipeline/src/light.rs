@@ -1,4 +1,4 @@
-//! Looks as they are asked for: by photo, between photos, stronger or weaker, on the scene and on one object.
+//! Requested appearances: a photo's, interpolated between photos, stronger or weaker, for the scene and for one object.
 
 use crate::{RunError, RunFolder, Selected};
 use segwild_scene::ply::Export;
@@ -7,15 +7,15 @@ use segwild_trainer::{Light, Lighting, Model};
 use serde::Serialize;
 use std::path::PathBuf;
 
-/// The name that stands for the scene's own look: the mean of its photos' looks.
+/// The name of the scene's own appearance, which is the mean over its photos.
 pub const OWN: &str = "none";
 
-/// A look, or several one after the other.
+/// An appearance, or a sequence of them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AppearanceRequest {
-    /// Names of the photos whose looks they are; `none` is the scene's own.
+    /// Names of the photos whose appearances they are; `none` is the scene's own.
     pub photos: Vec<String>,
-    /// 0 is the scene's own look, 1 the photo's, 2 twice as far from the scene's own.
+    /// 0 is the scene's own appearance, 1 the photo's, 2 twice as far from the scene's own.
     pub strength: f32,
 }
 
@@ -26,17 +26,20 @@ impl Default for AppearanceRequest {
 }
 
 impl AppearanceRequest {
-    /// One photo's look.
+    /// The appearance of one photo.
     pub fn of(photo: &str) -> AppearanceRequest {
         AppearanceRequest { photos: vec![photo.to_owned()], ..AppearanceRequest::default() }
     }
 
-    /// Whether it is one look, and not a way from one to another.
+    /// Whether it is a single appearance, and not a sequence.
     pub(crate) fn is_one(&self) -> bool {
         self.photos.len() == 1
     }
 
-    /// The lights that are meant; none when no photo is named.
+    /// The lights of the named photos; none when no photo is named.
+    ///
+    /// # Errors
+    /// When the strength is out of range, a photo is unknown, or a photo took no part in the training.
     pub(crate) fn lights(&self, scene: &Scene, model: &Model) -> Result<Lights, RunError> {
         if !(0.0..=2.0).contains(&self.strength) {
             return Err(RunError::Request(format!("a strength of {} is not from 0 to 2", self.strength)));
@@ -47,8 +50,8 @@ impl AppearanceRequest {
             }
             let view = find(scene, name)?;
             if model.appearance_index(Some(view)) != view {
-                let reason = "it took no part in the training, so that its look is not known";
-                return Err(RunError::Request(format!("photo `{name}` has no look: {reason}")));
+                let reason = "it took no part in the training";
+                return Err(RunError::Request(format!("photo `{name}` has no appearance: {reason}")));
             }
             Ok(model.strengthened(&model.light(Some(view)), self.strength))
         };
@@ -68,11 +71,12 @@ pub(crate) fn find(scene: &Scene, name: &str) -> Result<usize, RunError> {
     })
 }
 
-/// Lights one after the other.
+/// A sequence of lights.
 pub(crate) struct Lights(Vec<Light>);
 
 impl Lights {
-    /// The light at a share of the whole way, 0 to 1; `None` if there are none.
+    /// The light at a share of the whole sequence, 0 to 1, interpolated between neighbours; `None` if the sequence is
+    /// empty.
     pub(crate) fn at(&self, share: f32) -> Option<Light> {
         let last = self.0.len().checked_sub(1)?;
         let at = share.clamp(0.0, 1.0) * last as f32;
@@ -85,13 +89,13 @@ impl Lights {
 /// What to write as splats that any program shows as they are.
 #[derive(Clone, Debug)]
 pub struct BakeRequest {
-    /// The look.
+    /// The appearance.
     pub appearance: AppearanceRequest,
-    /// Another look for the selected object.
+    /// Another appearance for the selected object.
     pub object_appearance: Option<AppearanceRequest>,
-    /// Where between the looks, if two or more are given: 0 is the first, 1 the last.
+    /// Where to interpolate, if two or more appearances are given: 0 is the first, 1 the last.
     pub between: Option<f32>,
-    /// The selection that is meant, by name.
+    /// Name of the selection.
     pub selection: Option<String>,
     /// What of the scene is written.
     pub part: Part,
@@ -119,7 +123,10 @@ pub struct Baked {
     pub splats: usize,
 }
 
-/// Writes the scene, or a part of it, under a look.
+/// Writes the scene, or a part of it, with an appearance.
+///
+/// # Errors
+/// When the run is not trained yet, the request does not fit the run, or the file cannot be written.
 pub fn bake(folder: &RunFolder, request: &BakeRequest) -> Result<Baked, RunError> {
     let loaded = folder.load()?;
     let (scene, mut model) = (&loaded.scene, loaded.model);
@@ -131,7 +138,7 @@ pub fn bake(folder: &RunFolder, request: &BakeRequest) -> Result<Baked, RunError
             whose = selected.labels;
         }
         None if request.object_appearance.is_some() || request.part != Part::Scene => {
-            let text = "an object's own look, or a part of the scene, needs --selection NAME";
+            let text = "an appearance of the object, or a part of the scene, needs --selection NAME";
             return Err(RunError::Request(text.into()));
         }
         None => {}
@@ -144,7 +151,7 @@ pub fn bake(folder: &RunFolder, request: &BakeRequest) -> Result<Baked, RunError
     }
     let light = |appearance: &AppearanceRequest| -> Result<Option<Light>, RunError> {
         if appearance.photos.len() > 1 && request.between.is_none() {
-            return Err(RunError::Request("two looks need --between T, 0 to 1".into()));
+            return Err(RunError::Request("two appearances need --interpolate T, 0 to 1".into()));
         }
         Ok(appearance.lights(scene, &model)?.at(request.between.unwrap_or(0.0)))
     };
@@ -159,12 +166,13 @@ pub fn bake(folder: &RunFolder, request: &BakeRequest) -> Result<Baked, RunError
     Ok(Baked { file: request.out.clone(), splats: baked.len() })
 }
 
-/// How splats of a trained scene are written for other programs.
+/// The export of a trained scene's splats for other programs.
 pub(crate) fn export<'a>(scene: &'a Scene, model: &Model) -> Export<'a> {
     Export { frame: &scene.frame, antialias: model.antialias, extra: &[] }
 }
 
-/// The splats as their file shows them: in the scene's own look, or in that of the photo named.
+/// The splats with colours for other programs: with the appearance of the photo of this name, or the scene's own if it
+/// is empty.
 pub(crate) fn shown(scene: &Scene, model: &Model, appearance: &str) -> Result<Splats, RunError> {
     let name = if appearance.is_empty() { OWN } else { appearance };
     let light = AppearanceRequest::of(name).lights(scene, model)?.at(0.0);

@@ -1,8 +1,8 @@
-//! How much memory a run will take, before it starts.
+//! Estimates the memory of a run before it starts.
 //!
-//! Nothing in a run grows with the number of photos but indexes (names, keys, cameras, points): photos, embeddings,
-//! masks and renders are read when they are needed and pass through bounded mailboxes. What is held is proportional to
-//! the splats and to the size of one photo, plus three caches with limits of their own, which shrink to fit the budget.
+//! Only indexes (names, keys, cameras, points) grow with the number of photos: photos, embeddings, masks and renders
+//! are read when they are needed and pass through bounded mailboxes. The memory is proportional to the splats and to
+//! the size of one photo, plus three caches with limits of their own, which shrink to fit the budget.
 
 use crate::{RunError, Settings};
 use segwild_raster::{EmbedAppearance, GswAppearance};
@@ -11,7 +11,7 @@ use segwild_trainer::{AppearanceModel, TrainSettings, splat_cap, stereo_bytes};
 use std::fmt;
 use std::path::Path;
 
-/// MiB of the program itself, its threads, SQLite and the report's pictures.
+/// MiB of the program itself, its threads, SQLite and the report's images.
 const BASE: f64 = 70.0;
 /// Bytes of all indexes per photo: names, keys, cameras, ledger rows, spans of the timeline.
 const PER_PHOTO: f64 = 12_000.0;
@@ -24,18 +24,19 @@ const COPIES: f64 = 12.0;
 const PER_SPLAT: f64 = 200.0;
 /// Copies of a splat's features: values, Adam's moments, gradients.
 const FEATURE_COPIES: f64 = 5.0;
-/// Floats per pixel of a photo that all actors together hold at work, the photo that each cache keeps in any case
-/// included. Fitted to runs at 640 px.
+/// Floats per pixel of a photo that all actors together hold while they work, including the one photo that each cache
+/// always keeps. Fitted to runs at 640 px.
 const PER_PIXEL: f64 = 200.0;
-/// The same of each further photo that masks and features look at at once: `liberty` at 640 px takes 38 to 54 MiB for each on
-/// two cores, 80 to 87 on 16.
-const PER_LOOKER: f64 = 85.0;
-/// Bytes per pixel at the size trained at that decoding a photo of about that size takes: [`PER_PIXEL`] and [`PER_LOOKER`] hold them.
+/// The same for each further photo that the masks and features actors work on at once: `liberty` at 640 px takes 38 to
+/// 54 MiB for each on two cores, 80 to 87 on 16.
+const PER_FURTHER_PHOTO: f64 = 85.0;
+/// Bytes per pixel at the training size that decoding a photo of about that size takes. [`PER_PIXEL`] and
+/// [`PER_FURTHER_PHOTO`] include them.
 const DECODED: u64 = 8;
 /// Least MiB that each of the caches is given.
 const LEAST_CACHE: usize = 8;
-/// What a MiB in a cache takes of the process: the allocator's blocks are larger than what is in them, and not every
-/// freed one goes back to the system. Measured on runs of `liberty` and `sacre_coeur`.
+/// MiB of the process per MiB in a cache: the allocator's blocks are larger than their content, and not every freed
+/// block goes back to the system. Measured on runs of `liberty` and `sacre_coeur`.
 const PER_CACHED: f64 = 1.25;
 
 const MIB: f64 = (1 << 20) as f64;
@@ -43,15 +44,15 @@ const MIB: f64 = (1 << 20) as f64;
 /// How much memory a run takes, in MiB.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MemoryNeed {
-    /// The least that it can do with: as a memory budget, anything below is refused.
+    /// The least that it needs: a smaller memory budget is refused.
     pub least_mib: u32,
-    /// The most that it makes use of: with every cache as large as the settings allow.
+    /// The most that it uses: with every cache as large as the settings allow.
     pub most_mib: u32,
     splats: usize,
     size: u32,
 }
 
-/// The least, and what for: `153 MiB of memory for 16580 splats and photos of 320 px`.
+/// The least need with its cause: `153 MiB of memory for 16580 splats and photos of 320 px`.
 impl fmt::Display for MemoryNeed {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let MemoryNeed { least_mib, splats, size, .. } = self;
@@ -73,9 +74,9 @@ impl MemoryNeed {
 
 fn need(settings: &Settings, scene: &Scene) -> MemoryNeed {
     let with = |fixed: f64, caches: usize| (fixed + caches as f64 * PER_CACHED).ceil() as u32;
-    let alone = with_one_looker(settings, scene) + most_decoding(settings, scene) as f64 / MIB;
-    let all = alone + (settings.most_lookers() - 1) as f64 * looker(settings, scene);
-    // Photos' analyses are held to the end. Of the other two the trainer's photos go before the field is made.
+    let alone = with_one_photo(settings, scene) + most_decoding(settings, scene) as f64 / MIB;
+    let all = alone + (settings.most_photos_at_once() - 1) as f64 * further_photo(settings, scene);
+    // The analyses of photos are held to the end. The trainer's photos are freed before the feature field is made.
     let caches = settings.vision.vision_memory as usize
         + settings.train.photo_cache_mib.max(settings.features.feature_memory as usize);
     let least_mib = with(alone, 2 * LEAST_CACHE);
@@ -87,75 +88,77 @@ fn need(settings: &Settings, scene: &Scene) -> MemoryNeed {
     }
 }
 
-/// Photos that an actor looks at at once beside the training: as many as there are cores for, fewer where half of what a memory
-/// budget leaves for them and for caches does not hold them.
-pub(crate) fn lookers(settings: &Settings, scene: &Scene) -> usize {
-    let (most, budget) = (settings.most_lookers(), f64::from(settings.run.memory_budget));
+/// Photos that an actor works on at once beside the training: as many as there are cores for. Under a memory budget
+/// they may take half of what is left for them and the caches, so that they may be fewer.
+pub(crate) fn photos_at_once(settings: &Settings, scene: &Scene) -> usize {
+    let (most, budget) = (settings.most_photos_at_once(), f64::from(settings.run.memory_budget));
     if budget == 0.0 {
         return most;
     }
-    let spare = budget - with_decoding(settings, scene) - 2.0 * LEAST_CACHE as f64 * PER_CACHED;
-    let room = 0.5 * spare.max(0.0) / looker(settings, scene).max(1e-3);
-    most.min(1 + room as usize)
+    let left = budget - with_decoding(settings, scene) - 2.0 * LEAST_CACHE as f64 * PER_CACHED;
+    let more = 0.5 * left.max(0.0) / further_photo(settings, scene).max(1e-3);
+    most.min(1 + more as usize)
 }
 
-/// MiB that each looker but the first takes.
-fn looker(settings: &Settings, scene: &Scene) -> f64 {
-    pixels(settings, scene) as f64 * 4.0 * PER_LOOKER / MIB
+/// MiB that each photo but the first takes.
+fn further_photo(settings: &Settings, scene: &Scene) -> f64 {
+    pixels(settings, scene) as f64 * 4.0 * PER_FURTHER_PHOTO / MIB
 }
 
-/// Bytes that decoding the photo takes beyond what is counted for its pixels at the size trained at.
+/// Bytes that decoding the photo takes beyond those counted for its pixels at the training size.
 fn decoding(settings: &Settings, view: &View) -> u64 {
     let camera = view.camera.scaled_to(settings.scene.size);
     let counted = DECODED * u64::from(camera.width) * u64::from(camera.height);
     view.photo.reading.bytes.saturating_sub(counted)
 }
 
-/// The same of the photo that takes most.
+/// The same for the photo that takes most.
 fn most_decoding(settings: &Settings, scene: &Scene) -> u64 {
     scene.views.iter().map(|view| decoding(settings, view)).max().unwrap_or(0)
 }
 
-/// Bytes that decoding a photo may take under the memory budget, if there is one; photos that take more are left out. `None`: any.
-pub(crate) fn decoding_room(settings: &Settings, scene: &Scene) -> Option<u64> {
+/// Bytes that decoding a photo may take under the memory budget; photos that take more are left out. `None` without a
+/// budget.
+pub(crate) fn decoding_limit(settings: &Settings, scene: &Scene) -> Option<u64> {
     let budget = f64::from(settings.run.memory_budget);
-    let least = with_one_looker(settings, scene) + 2.0 * LEAST_CACHE as f64 * PER_CACHED;
+    let least = with_one_photo(settings, scene) + 2.0 * LEAST_CACHE as f64 * PER_CACHED;
     (budget > 0.0).then(|| ((budget - least).max(0.0) * MIB) as u64)
 }
 
-/// Why a photo is left out under the memory budget, if so.
-pub(crate) fn too_large(settings: &Settings, view: &View, room: Option<u64>) -> Option<String> {
+/// Why a photo is left out under the memory budget; `None` if it fits. `limit` is [`decoding_limit`]'s, in bytes.
+pub(crate) fn too_large(settings: &Settings, view: &View, limit: Option<u64>) -> Option<String> {
     let mib = |bytes: u64| bytes.div_ceil(1 << 20);
     let bytes = decoding(settings, view);
-    let room = room.filter(|&room| bytes > room)?;
+    let limit = limit.filter(|&limit| bytes > limit)?;
     let budget = settings.run.memory_budget;
     Some(format!(
         "decoding its file takes {} MiB of memory, and --memory-budget {budget} leaves {} for it: give {} MiB, or make the photo smaller",
         mib(bytes),
-        mib(room),
-        u64::from(budget) + mib(bytes - room),
+        mib(limit),
+        u64::from(budget) + mib(bytes - limit),
     ))
 }
 
 /// MiB that a run takes beside the caches.
 fn fixed(settings: &Settings, scene: &Scene) -> f64 {
-    with_decoding(settings, scene) + (lookers(settings, scene) - 1) as f64 * looker(settings, scene)
+    with_decoding(settings, scene)
+        + (photos_at_once(settings, scene) - 1) as f64 * further_photo(settings, scene)
 }
 
-/// With what the dearest photo that is not left out takes to decode.
+/// MiB with one photo at once, and with the decoding of the largest photo that is not left out.
 fn with_decoding(settings: &Settings, scene: &Scene) -> f64 {
-    let room = decoding_room(settings, scene).unwrap_or(u64::MAX);
-    let most = scene.views.iter().map(|view| decoding(settings, view)).filter(|&bytes| bytes <= room).max();
-    with_one_looker(settings, scene) + most.unwrap_or(0) as f64 / MIB
+    let limit = decoding_limit(settings, scene).unwrap_or(u64::MAX);
+    let most = scene.views.iter().map(|view| decoding(settings, view)).filter(|&bytes| bytes <= limit).max();
+    with_one_photo(settings, scene) + most.unwrap_or(0) as f64 / MIB
 }
 
-fn with_one_looker(settings: &Settings, scene: &Scene) -> f64 {
+fn with_one_photo(settings: &Settings, scene: &Scene) -> f64 {
     let size = settings.scene.size;
     let splats = splat_cap(&settings.train, scene, size) as f64;
     let bands = f64::from((settings.train.sh_degree + 1).pow(2));
     let training = 4.0 * (11.0 + 3.0 * bands) * COPIES + PER_SPLAT;
-    let (codes, look) = look(&settings.train, scene.views.len());
-    let training = training + 4.0 * codes * COPIES;
+    let (embedding, appearance) = appearance_memory(&settings.train, scene.views.len());
+    let training = training + 4.0 * embedding * COPIES;
     let field = 4.0 * f64::from(settings.features.channels) * FEATURE_COPIES + 4.0 * (11.0 + 3.0 * bands);
     let samples = f64::from(settings.features.pca_samples) * 4.0 * 64.0;
     let observations: usize = scene.points.iter().map(|p| p.track.len()).sum();
@@ -163,17 +166,17 @@ fn with_one_looker(settings: &Settings, scene: &Scene) -> f64 {
     let bytes = (splats * training.max(field)).max(stereo as f64)
         + pixels(settings, scene) as f64 * 4.0 * PER_PIXEL
         + samples
-        + look
+        + appearance
         + scene.views.len() as f64 * PER_PHOTO
         + observations as f64 * PER_OBSERVATION;
     BASE + bytes / MIB
 }
 
-/// What the photos' looks take: numbers per splat, and bytes for all photos together.
-fn look(train: &TrainSettings, photos: usize) -> (f64, f64) {
+/// Memory of the appearance model: floats per splat, and bytes for all photos together.
+fn appearance_memory(train: &TrainSettings, photos: usize) -> (f64, f64) {
     match train.appearance_model {
         AppearanceModel::None | AppearanceModel::Affine => (0.0, 0.0),
-        // The dearest that `auto` may choose.
+        // The largest model that `auto` may choose.
         AppearanceModel::Embed | AppearanceModel::Auto => (EmbedAppearance::EMBEDDING_SIZE as f64, 0.0),
         AppearanceModel::Gsw => {
             // Photos are kept once, and once more while a checkpoint is written.
@@ -193,7 +196,7 @@ pub(crate) fn fits_accelerator(settings: &Settings, scene: &Scene) -> Result<(),
     let splats = splat_cap(&settings.train, scene, settings.scene.size);
     let (embedding_size, networks) = match settings.train.appearance_model {
         AppearanceModel::None | AppearanceModel::Affine => (0, None),
-        // `auto` may come to it.
+        // `auto` may choose it.
         AppearanceModel::Embed | AppearanceModel::Auto => (EmbedAppearance::EMBEDDING_SIZE, None),
         AppearanceModel::Gsw => (GswAppearance::EMBEDDING_SIZE, Some(settings.train.gsw_width)),
     };
@@ -217,11 +220,12 @@ fn pixels(settings: &Settings, scene: &Scene) -> usize {
     cameras.map(|camera| camera.width as usize * camera.height as usize).max().unwrap_or(0)
 }
 
-/// The settings with caches that fit the memory budget, if there is one. Bounds what all decoding of this process takes, too.
+/// The settings with caches that fit the memory budget, if there is one. Also limits the memory of all decoding in this
+/// process.
 ///
 /// # Errors
-/// In words, with the numbers, when the rest alone does not fit. A few photos whose decoding alone does not fit are no reason:
-/// [`too_large`] says why each is left out.
+/// In words, with the numbers, when the rest alone does not fit. A few photos whose decoding does not fit are no error:
+/// they are left out ([`too_large`]).
 pub(crate) fn within_budget(settings: &Settings, scene: &Scene) -> Result<Settings, RunError> {
     let mut settings = settings.clone();
     let budget = settings.run.memory_budget as usize;
@@ -230,8 +234,8 @@ pub(crate) fn within_budget(settings: &Settings, scene: &Scene) -> Result<Settin
         return Ok(settings);
     }
     let need = need(&settings, scene);
-    let room = decoding_room(&settings, scene);
-    let fits = |view: &&View| too_large(&settings, view, room).is_none();
+    let limit = decoding_limit(&settings, scene);
+    let fits = |view: &&View| too_large(&settings, view, limit).is_none();
     let most_fit = 2 * scene.views.iter().filter(fits).count() > scene.views.len();
     let dearest = with_decoding(&settings, scene) + 2.0 * LEAST_CACHE as f64 * PER_CACHED;
     if need.least_mib as usize > budget && (!most_fit || dearest.ceil() as usize > budget) {
@@ -239,18 +243,19 @@ pub(crate) fn within_budget(settings: &Settings, scene: &Scene) -> Result<Settin
             "this run needs about {need}, and --memory-budget allows {budget}: give more, or lower --splats or --size"
         )));
     }
-    // Networks hold what their file takes, which nobody knows before; more than the whole budget they are not given.
+    // A network takes about the size of its file, which is not known here: it may take at most the whole budget.
     settings.vision.network_memory = settings.vision.network_memory.min(settings.run.memory_budget);
-    // Several photos are decoded at once where there is room for it.
+    // Several photos are decoded at once where the budget allows it.
     let (alone, least) = (fixed(&settings, scene), 2.0 * LEAST_CACHE as f64 * PER_CACHED);
-    let one = (with_decoding(&settings, scene) - with_one_looker(&settings, scene)) * MIB;
+    let one = (with_decoding(&settings, scene) - with_one_photo(&settings, scene)) * MIB;
     let more = (budget as f64 - alone - least).max(0.0) * MIB / 4.0;
-    let more = more.min(one * (settings.most_lookers() - 1) as f64);
-    let counted = (DECODED * pixels(&settings, scene) as u64) as f64 * lookers(&settings, scene) as f64;
+    let more = more.min(one * (settings.most_photos_at_once() - 1) as f64);
+    let counted =
+        (DECODED * pixels(&settings, scene) as u64) as f64 * photos_at_once(&settings, scene) as f64;
     segwild_scene::limit_decoding(Some((one + more + counted) as u64));
-    let spare = ((budget as f64 - alone - more / MIB) / PER_CACHED) as usize;
-    settings.vision.vision_memory = settings.vision.vision_memory.min((spare / 2) as u32);
-    let rest = spare - settings.vision.vision_memory as usize;
+    let for_caches = ((budget as f64 - alone - more / MIB) / PER_CACHED) as usize;
+    settings.vision.vision_memory = settings.vision.vision_memory.min((for_caches / 2) as u32);
+    let rest = for_caches - settings.vision.vision_memory as usize;
     settings.train.photo_cache_mib = settings.train.photo_cache_mib.min(rest);
     settings.features.feature_memory = settings.features.feature_memory.min(rest as u32);
     Ok(settings)
@@ -291,7 +296,7 @@ mod tests {
     }
 
     #[test]
-    fn a_budget_has_room_for_fewer_photos_at_once() {
+    fn a_budget_holds_fewer_photos_at_once() {
         let frame = Frame { origin: Default::default(), scale: 1.0 };
         let camera = Camera { width: 640, height: 480, fx: 500.0, fy: 500.0, cx: 320.0, cy: 240.0 };
         let photo = Photo {
@@ -309,21 +314,21 @@ mod tests {
         let mut settings = Settings::default();
         settings.run.threads = 16;
         let MemoryNeed { least_mib, most_mib, .. } = need(&settings, &scene);
-        assert_eq!(lookers(&settings, &scene), 8, "no budget");
+        assert_eq!(photos_at_once(&settings, &scene), 8, "no budget");
         let mut before = 1;
         for budget in least_mib..=2 * most_mib {
             settings.run.memory_budget = budget;
-            let now = lookers(&settings, &scene);
+            let now = photos_at_once(&settings, &scene);
             assert!(now >= before && now <= 8 && (budget > least_mib + 100 || now == 1), "{budget}: {now}");
             let fitted = within_budget(&settings, &scene).expect("it fits");
-            assert_eq!(lookers(&fitted, &scene), now);
+            assert_eq!(photos_at_once(&fitted, &scene), now);
             before = now;
         }
         assert_eq!(before, 8);
     }
 
     #[test]
-    fn a_training_that_an_accelerator_has_no_room_for_is_refused_with_its_size() {
+    fn a_training_larger_than_an_accelerators_memory_is_refused_with_its_size() {
         let frame = Frame { origin: Default::default(), scale: 1.0 };
         let scene =
             Scene { views: Vec::new(), points: Vec::new(), skipped: Vec::new(), notes: Vec::new(), frame };
@@ -379,13 +384,13 @@ mod tests {
         settings.run.threads = 2;
         let least = |scene: &Scene| need(&Settings { ..settings.clone() }, scene).least_mib;
         let (small, large) = (of([1; 4]), of([500; 4]));
-        let room = least(&large) - least(&small);
-        assert!((490..=500).contains(&room), "files count: {room}");
+        let more = least(&large) - least(&small);
+        assert!((490..=500).contains(&more), "files count: {more}");
         let mut tight = settings.clone();
         tight.run.memory_budget = least(&small) + 20;
         let one = of([1, 500, 1, 1]);
-        let room = decoding_room(&tight, &one);
-        let out: Vec<Option<String>> = one.views.iter().map(|view| too_large(&tight, view, room)).collect();
+        let limit = decoding_limit(&tight, &one);
+        let out: Vec<Option<String>> = one.views.iter().map(|view| too_large(&tight, view, limit)).collect();
         assert_eq!(out.iter().map(Option::is_some).collect::<Vec<_>>(), [false, true, false, false]);
         let words = out[1].as_deref().unwrap_or_default();
         assert!(words.contains("MiB") && words.contains("--memory-budget"), "{words}");

@@ -5,47 +5,47 @@ use segwild_flow::Message;
 use segwild_masks::MaskOutcome;
 use segwild_trainer::TrainOutcome;
 
-/// Whatever an actor has to say.
-pub enum Outcome {
+/// The outcome of an actor's work.
+pub enum ActorOutcome {
     /// The features actor.
     Feature(FeatureOutcome),
     /// The masks actor.
     Mask(MaskOutcome),
     /// The trainer.
     Train(TrainOutcome),
-    /// Which pixels of every photo can be trusted is in the cache, but for these photos: which, and why not.
+    /// The visibility of every photo is in the cache, except of these views: the view, and the error.
     Visibility(Vec<(usize, String)>),
 }
 
-impl Message for Outcome {
+impl Message for ActorOutcome {
     fn label(&self) -> String {
         let words = match self {
-            Outcome::Feature(_) => "hears of features",
-            Outcome::Mask(_) => "hears of masks",
-            Outcome::Train(TrainOutcome::Snapshot(_)) => "keeps the snapshot",
-            Outcome::Train(TrainOutcome::Checkpoint(_)) => "keeps a checkpoint",
-            Outcome::Train(TrainOutcome::Done(..)) => "keeps the scene",
-            Outcome::Train(_) => "hears of the training",
-            Outcome::Visibility(_) => "hears of visibility",
+            ActorOutcome::Feature(_) => "handles features",
+            ActorOutcome::Mask(_) => "handles masks",
+            ActorOutcome::Train(TrainOutcome::Snapshot(_)) => "keeps the snapshot",
+            ActorOutcome::Train(TrainOutcome::Checkpoint(_)) => "keeps a checkpoint",
+            ActorOutcome::Train(TrainOutcome::Done(..)) => "keeps the scene",
+            ActorOutcome::Train(_) => "handles the training",
+            ActorOutcome::Visibility(_) => "handles visibility",
         };
         words.into()
     }
 }
 
-impl From<FeatureOutcome> for Outcome {
+impl From<FeatureOutcome> for ActorOutcome {
     fn from(outcome: FeatureOutcome) -> Self {
-        Outcome::Feature(outcome)
+        ActorOutcome::Feature(outcome)
     }
 }
 
-impl From<MaskOutcome> for Outcome {
+impl From<MaskOutcome> for ActorOutcome {
     fn from(outcome: MaskOutcome) -> Self {
-        Outcome::Mask(outcome)
+        ActorOutcome::Mask(outcome)
     }
 }
 
-impl From<TrainOutcome> for Outcome {
+impl From<TrainOutcome> for ActorOutcome {
     fn from(outcome: TrainOutcome) -> Self {
-        Outcome::Train(outcome)
+        ActorOutcome::Train(outcome)
     }
 }

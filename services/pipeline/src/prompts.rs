@@ -1,4 +1,4 @@
-//! What a selection was made from.
+//! The prompts of a selection.
 
 use crate::{RunError, RunFolder};
 use segwild_scene::{PointPrompt, Prompts, SceneError};
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
 use std::path::Path;
 
-/// What was said on one photo, in pixels of the photo as taken, at its full size.
+/// The prompts on one photo, in pixels of the photo as taken, at its full size.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PhotoPrompts {
     /// The photo's name.
@@ -17,12 +17,12 @@ pub struct PhotoPrompts {
     pub prompts: Prompts,
 }
 
-/// `prompts.json`: everything that a selection was made from, so that it can be made again.
+/// `prompts.json`: the prompts and settings of a selection, so that it can be made again.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Replay {
     /// Clicks and boxes.
     pub prompts: Vec<PhotoPrompts>,
-    /// How they became a selection; `None` in a file that a person wrote, where the run's own settings serve.
+    /// The settings of the selection; `None` in a file that a person wrote, where the run's own settings serve.
     #[serde(default)]
     pub settings: Option<SegmentSettings>,
 }
@@ -31,7 +31,7 @@ impl Replay {
     /// Reads a file that `segment` or a person wrote; a bare list of prompts will do.
     ///
     /// # Errors
-    /// In words, when it cannot be read or is something else.
+    /// When it cannot be read or is no prompts file.
     pub fn read(file: &Path) -> Result<Replay, RunError> {
         #[derive(Deserialize)]
         #[serde(untagged)]
@@ -55,7 +55,7 @@ impl Replay {
         }
     }
 
-    /// What a run's selection was made from.
+    /// The prompts and settings of a run's selection.
     ///
     /// # Errors
     /// When there is no selection of that name; the error names those that there are.
@@ -65,10 +65,11 @@ impl Replay {
     }
 }
 
-/// Most clicks and boxes of one selection. A person gives a handful, a scribble is some hundreds; each is answered on its own.
+/// Most clicks and boxes of one selection. A person gives a handful, and a scribble is some hundreds; each costs a mask
+/// of its own.
 const MOST: usize = 10_000;
 
-/// Refuses prompts that mean no object whatever the photos show.
+/// Refuses prompts that cannot select an object on any photo.
 pub(crate) fn check_all(prompts: &[PhotoPrompts]) -> Result<(), RunError> {
     let count: usize = prompts.iter().map(|p| p.prompts.points.len() + p.prompts.boxes.len()).sum();
     if count > MOST {
@@ -81,29 +82,29 @@ pub(crate) fn check_all(prompts: &[PhotoPrompts]) -> Result<(), RunError> {
         |p: &PhotoPrompts| !p.prompts.boxes.is_empty() || p.prompts.points.iter().any(|p| p.inside);
     if !prompts.is_empty() && !prompts.iter().any(says_where) {
         return Err(RunError::Request(
-            "all clicks say where the object is not: say with a click or a box where it is".into(),
+            "all clicks mark where the object is not: mark with a click or a box where it is".into(),
         ));
     }
     Ok(())
 }
 
 impl PhotoPrompts {
-    /// Refuses prompts that cannot mean an object.
+    /// Refuses prompts that cannot select an object.
     pub(crate) fn check(&self) -> Result<(), RunError> {
         let Prompts { points, boxes, granularity } = &self.prompts;
         if points.is_empty() && boxes.is_empty() {
             return Err(SegmentError::NoPrompt.into());
         }
         let refuse = |reason: String| Err(RunError::Request(format!("photo {}: {reason}", self.photo)));
-        // A zero has two signs and one place.
-        let place = |p: &PointPrompt| [(p.x + 0.0).to_bits(), (p.y + 0.0).to_bits()];
-        let outside: HashSet<_> = points.iter().filter(|p| !p.inside).map(place).collect();
-        let both = points.iter().find(|p| p.inside && outside.contains(&place(p)));
+        // 0.0 and -0.0 are one position.
+        let position = |p: &PointPrompt| [(p.x + 0.0).to_bits(), (p.y + 0.0).to_bits()];
+        let outside: HashSet<_> = points.iter().filter(|p| !p.inside).map(position).collect();
+        let both = points.iter().find(|p| p.inside && outside.contains(&position(p)));
         if let Some(p) = points.iter().find(|p| !(p.x.is_finite() && p.y.is_finite())) {
-            return refuse(format!("({}, {}) is no place in it", p.x, p.y));
+            return refuse(format!("({}, {}) is no position in it", p.x, p.y));
         }
         if let Some(p) = both {
-            return refuse(format!("({}, {}) is said to be inside and outside", p.x, p.y));
+            return refuse(format!("({}, {}) is marked both inside and outside", p.x, p.y));
         }
         if let Some(b) = boxes.iter().find(|b| b.x0 == b.x1 || b.y0 == b.y1) {
             return refuse(format!("the box {},{},{},{} holds nothing", b.x0, b.y0, b.x1, b.y1));
@@ -128,8 +129,8 @@ mod tests {
             check_all(&[PhotoPrompts { photo: "a.jpg".into(), prompts }]).map_err(|e| e.to_string())
         };
         assert_eq!(of(MOST as u32), Ok(()));
-        let said = of(200_000).unwrap_err();
-        assert!(said.contains("200000") && said.contains("10000"), "{said}");
+        let message = of(200_000).unwrap_err();
+        assert!(message.contains("200000") && message.contains("10000"), "{message}");
         assert!(began.elapsed().as_secs() < 5, "{:?}", began.elapsed());
     }
 
@@ -155,7 +156,9 @@ mod tests {
         let at = |inside| PointPrompt { x: 3.0, y: 4.0, inside };
         assert_eq!(of(vec![at(true)], Some(1.0)), Ok(()));
         assert!(of(vec![at(false)], None).unwrap_err().contains("where it is"));
-        assert!(of(vec![at(true), at(false)], None).unwrap_err().contains("(3, 4) is said to be inside and"));
+        assert!(
+            of(vec![at(true), at(false)], None).unwrap_err().contains("(3, 4) is marked both inside and")
+        );
         // One photo may say where the object is, and another only where it is not.
         let on = |photo: &str, inside| {
             let prompts = Prompts { points: vec![at(inside)], ..Prompts::default() };

@@ -1,12 +1,12 @@
-//! The regions of photos in a run's cache: a click finds there what the run has seen.
+//! Keeps the regions of photos in a run's cache, so that a click need not compute them.
 
 use segwild_flow::{Cache, Key};
 use segwild_vision::{RegionCache, Regions};
 
-/// What the cache has them under; part of what a run uses as it stands, for clicks.
+/// Their domain in the cache. They count as used by the run, since clicks read them.
 pub(crate) const REGIONS: &str = "regions";
 
-/// A cache that regions are kept in.
+/// A cache that keeps regions.
 pub(crate) struct InCache(pub Cache);
 
 fn key(name: &str) -> Key {
@@ -15,7 +15,7 @@ fn key(name: &str) -> Key {
 
 impl RegionCache for InCache {
     fn regions(&self, name: &str) -> Option<Regions> {
-        // One that cannot be read is found anew, as one that is not there.
+        // A record that cannot be read counts as missing.
         self.0.get_typed(&key(name), REGIONS).ok().flatten()
     }
 

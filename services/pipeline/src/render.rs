@@ -1,7 +1,7 @@
-//! Pictures of a trained scene: a photo's view, a path through several, under any look, with a selection.
+//! Renders a trained scene: views of photos or a path through them, with any appearance and with a selection.
 
 use crate::folder::Loaded;
-use crate::images::Pictures;
+use crate::images::ImageFiles;
 use crate::light::{AppearanceRequest, find};
 use crate::{RunError, RunFolder, Selected, choose_engine, log_loss};
 use glam::{Mat3, Quat, Vec3};
@@ -12,7 +12,7 @@ use segwild_trainer::{Light, Lighting, Model, render_lit};
 use serde::Serialize;
 use std::path::PathBuf;
 
-/// How a selection is drawn.
+/// How a selection is rendered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mode {
     /// Tinted, in the scene.
@@ -25,10 +25,10 @@ pub enum Mode {
     Scene,
 }
 
-/// What is drawn.
+/// What a render shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum What {
-    /// The scene as it looks.
+    /// The scene's colours.
     Colour,
     /// Depth, near bright.
     Depth,
@@ -38,41 +38,44 @@ pub enum What {
     Features,
 }
 
-/// What to draw.
+/// A request for renders.
 #[derive(Clone, Debug)]
 pub struct RenderRequest {
-    /// Names of the photos whose views are drawn, or between which the path runs; empty: all.
+    /// Names of the photos whose views are rendered, or through which the path runs; empty: all.
     pub photos: Vec<String>,
-    /// Pictures along a path through the photos; `None`: one per photo.
+    /// Number of renders along a path through the photos; `None`: one per photo.
     pub frames: Option<u32>,
-    /// The look; without a photo it is the view's own, and on a path it goes from photo to photo. Several looks are gone
-    /// through over the frames.
+    /// The appearance. Without a photo it is the view's own, and on a path it changes from photo to photo. Several
+    /// appearances are interpolated over the frames.
     pub appearance: AppearanceRequest,
-    /// Another look for the selected object.
+    /// Another appearance for the selected object.
     pub object_appearance: Option<AppearanceRequest>,
-    /// Where between the looks, if two or more are given and no frames: 0 is the first, 1 the last.
+    /// Where to interpolate, if two or more appearances and no frames are given: 0 is the first, 1 the last.
     pub between: Option<f32>,
-    /// A selection and how to draw it.
+    /// A selection and how to render it.
     pub selection: Option<(String, Mode)>,
-    /// What is drawn.
+    /// What the renders show.
     pub what: What,
     /// Long side in pixels; `None`: as trained.
     pub width: Option<u32>,
-    /// Where the pictures go; `None`: `RUN/renders`.
+    /// The folder for the renders; `None`: `RUN/renders`.
     pub out: Option<PathBuf>,
 }
 
-/// A picture that was drawn.
+/// A render that was written.
 #[derive(Clone, Debug, Serialize)]
-pub struct Drawn {
+pub struct RenderedFile {
     /// The file.
     pub file: PathBuf,
     /// What it shows.
     pub view: String,
 }
 
-/// Draws what is asked for.
-pub fn render(folder: &RunFolder, request: &RenderRequest) -> Result<Vec<Drawn>, RunError> {
+/// Writes the requested renders.
+///
+/// # Errors
+/// When the run is not trained yet, the request does not fit the run, the engine fails, or a file cannot be written.
+pub fn render(folder: &RunFolder, request: &RenderRequest) -> Result<Vec<RenderedFile>, RunError> {
     let loaded = folder.load()?;
     let engine = choose_engine(&loaded.settings.run, log_loss)?.engine;
     let chosen: Vec<usize> = match request.photos.is_empty() {
@@ -85,14 +88,14 @@ pub fn render(folder: &RunFolder, request: &RenderRequest) -> Result<Vec<Drawn>,
         None => None,
     };
     let size = request.width.unwrap_or(loaded.settings.scene.size);
-    let shots = match request.frames {
-        None => chosen.iter().map(|&v| Shot::of_view(&loaded.scene, v, size)).collect(),
-        // One view, and a walk between looks.
+    let jobs = match request.frames {
+        None => chosen.iter().map(|&v| RenderJob::of_view(&loaded.scene, v, size)).collect(),
+        // One view, and a sequence of appearances.
         Some(frames) if chosen.len() == 1 => {
-            let still = |f| Shot {
+            let still = |f| RenderJob {
                 name: frame_name(f),
                 file: Some(frame_name(f) + ".png"),
-                ..Shot::of_view(&loaded.scene, chosen[0], size)
+                ..RenderJob::of_view(&loaded.scene, chosen[0], size)
             };
             (0..frames).map(still).collect()
         }
@@ -100,68 +103,70 @@ pub fn render(folder: &RunFolder, request: &RenderRequest) -> Result<Vec<Drawn>,
     };
     let out = request.out.clone().unwrap_or_else(|| folder.path().join("renders"));
     std::fs::create_dir_all(&out).map_err(|e| segwild_flow::FileError::new("create", &out, e))?;
-    let painter = Painter::new(&loaded, selected, request.what, &*engine)?;
-    let held = engine.hold(&painter.model.splats)?;
+    let renderer = SceneRenderer::new(&loaded, selected, request.what, &*engine)?;
+    let held = engine.hold(&renderer.model.splats)?;
     let engine = held.as_deref().unwrap_or(&*engine);
-    let mut drawn = Vec::new();
-    let lights = request.appearance.lights(&loaded.scene, &painter.model)?;
+    let mut rendered = Vec::new();
+    let lights = request.appearance.lights(&loaded.scene, &renderer.model)?;
     let object_lights = match &request.object_appearance {
-        Some(appearance) => Some(appearance.lights(&loaded.scene, &painter.model)?),
+        Some(appearance) => Some(appearance.lights(&loaded.scene, &renderer.model)?),
         None => None,
     };
-    let last = shots.len().saturating_sub(1).max(1) as f32;
-    let pictures = Pictures::of(loaded.scene.views.iter().map(|v| v.name.as_str()));
-    for (f, shot) in shots.into_iter().enumerate() {
+    let last = jobs.len().saturating_sub(1).max(1) as f32;
+    let files = ImageFiles::of(loaded.scene.views.iter().map(|v| v.name.as_str()));
+    for (f, job) in jobs.into_iter().enumerate() {
         let share = request.frames.map_or(request.between.unwrap_or(0.0), |_| f as f32 / last);
-        let light = lights.at(share).unwrap_or_else(|| painter.own(&shot, request.appearance.strength));
-        let lighting = painter.lighting(light, object_lights.as_ref().and_then(|lights| lights.at(share)));
-        let image = painter.paint(engine, &shot.camera, &shot.pose, &lighting)?;
-        let file = out.join(shot.file.as_deref().unwrap_or_else(|| pictures.name(shot.view)));
+        let light = lights.at(share).unwrap_or_else(|| renderer.own(&job, request.appearance.strength));
+        let lighting = renderer.lighting(light, object_lights.as_ref().and_then(|lights| lights.at(share)));
+        let image = renderer.render(engine, &job.camera, &job.pose, &lighting)?;
+        let file = out.join(job.file.as_deref().unwrap_or_else(|| files.name(job.view)));
         image.write_png(&file)?;
-        drawn.push(Drawn { file, view: shot.name });
+        rendered.push(RenderedFile { file, view: job.name });
     }
-    Ok(drawn)
+    Ok(rendered)
 }
 
-/// Refuses looks that do not fit together or to what is drawn.
+/// Refuses appearances that do not fit together or do not fit the request.
 fn check_appearances(request: &RenderRequest) -> Result<(), RunError> {
     let appearances = || std::iter::once(&request.appearance).chain(&request.object_appearance);
     let refuse = |text: &str| Err(RunError::Request(text.into()));
-    let ways = appearances().any(|appearance| appearance.photos.len() > 1);
+    let sequence = appearances().any(|appearance| appearance.photos.len() > 1);
     if request.object_appearance.is_some() && request.selection.is_none() {
-        return refuse("an object's own look needs --selection NAME");
+        return refuse("an appearance of the object needs --selection NAME");
     }
     if request.object_appearance.as_ref().is_some_and(|appearance| appearance.photos.is_empty()) {
-        return refuse("the object's look names no photo");
+        return refuse("the object's appearance names no photo");
     }
-    if ways && request.frames.is_none() && request.between.is_none() {
-        return refuse("two looks need --frames N, a walk between them, or --between T, 0 to 1");
+    if sequence && request.frames.is_none() && request.between.is_none() {
+        return refuse(
+            "two appearances need --frames N, a sequence between them, or --interpolate T, 0 to 1",
+        );
     }
     if request.between.is_some() && (request.frames.is_some() || appearances().all(AppearanceRequest::is_one))
     {
-        return refuse("--between needs two looks, and no --frames");
+        return refuse("--interpolate needs two appearances, and no --frames");
     }
     if request.between.is_some_and(|t| !(0.0..=1.0).contains(&t)) {
-        return refuse("--between is a share from 0 to 1");
+        return refuse("--interpolate is a share from 0 to 1");
     }
-    if request.frames.is_some() && request.photos.len() < 2 && !(request.photos.len() == 1 && ways) {
+    if request.frames.is_some() && request.photos.len() < 2 && !(request.photos.len() == 1 && sequence) {
         return refuse(
-            "a path needs two photos or more: give --photo twice; or one --photo and two looks to go between",
+            "a path needs two photos or more: give --photo twice; or one --photo and two appearances to interpolate",
         );
     }
     Ok(())
 }
 
-/// One picture to take.
-struct Shot {
+/// One image to render.
+struct RenderJob {
     name: String,
-    /// The picture's file, if it is not that of its photo.
+    /// The image's file, if it is not that of its photo.
     file: Option<String>,
     camera: Camera,
     pose: Pose,
-    /// The view whose look it has.
+    /// The view whose appearance it has.
     view: usize,
-    /// On the way to another view: which, and how far.
+    /// The view that the path leads to next, and the share of the way to it, 0 to 1.
     towards: (usize, f32),
 }
 
@@ -169,10 +174,10 @@ fn frame_name(frame: u32) -> String {
     format!("path-{frame:04}")
 }
 
-impl Shot {
-    fn of_view(scene: &Scene, view: usize, size: u32) -> Shot {
+impl RenderJob {
+    fn of_view(scene: &Scene, view: usize, size: u32) -> RenderJob {
         let v = &scene.views[view];
-        Shot {
+        RenderJob {
             name: v.name.rsplit_once('.').map_or(v.name.as_str(), |(stem, _)| stem).to_owned(),
             file: None,
             camera: v.camera.scaled_to(size),
@@ -185,7 +190,7 @@ impl Shot {
 
 /// A smooth path through the views: centres along a Catmull-Rom spline, rotations slerped, intrinsics of the first
 /// with the focal length blended.
-fn path(scene: &Scene, through: &[usize], frames: u32, size: u32) -> Vec<Shot> {
+fn path(scene: &Scene, through: &[usize], frames: u32, size: u32) -> Vec<RenderJob> {
     let key = |k: isize| &scene.views[through[k.clamp(0, through.len() as isize - 1) as usize]];
     let rotation = |pose: &Pose| Quat::from_mat3(&pose.rotation.transpose());
     let first = key(0).camera.scaled_to(size);
@@ -210,7 +215,7 @@ fn path(scene: &Scene, through: &[usize], frames: u32, size: u32) -> Vec<Shot> {
             let pose = Pose { rotation, translation: -(rotation * centre) };
             let (view, next) = (through[k as usize], through[k as usize + 1]);
             let file = Some(frame_name(f) + ".png");
-            Shot { name: frame_name(f), file, camera, pose, view, towards: (next, t) }
+            RenderJob { name: frame_name(f), file, camera, pose, view, towards: (next, t) }
         })
         .collect()
 }
@@ -222,14 +227,14 @@ fn catmull_rom(a: Vec3, b: Vec3, c: Vec3, d: Vec3, t: f32) -> Vec3 {
         + (3.0 * b - a - 3.0 * c + d) * t * t * t)
 }
 
-/// No channels: what is left is alpha.
+/// No channels: blending them gives alpha alone.
 pub(crate) const NOTHING: Channels = Channels { count: 0, values: &[] };
 
 /// Colour that highlights a selection.
 const TINT: [f32; 3] = [1.0, 0.35, 0.1];
 
-/// Draws one kind of picture of one scene.
-pub(crate) struct Painter<'a> {
+/// Renders one scene, with one selection and one kind of content.
+pub(crate) struct SceneRenderer<'a> {
     model: Model,
     /// Per splat, whether it is of the selection.
     whose: Option<Vec<bool>>,
@@ -240,14 +245,14 @@ pub(crate) struct Painter<'a> {
     features: Option<(Kept<'a>, FeatureColours)>,
 }
 
-impl<'a> Painter<'a> {
-    /// What every picture blends is brought to where `engine` computes.
+impl<'a> SceneRenderer<'a> {
+    /// Uploads what every render blends to the engine's device.
     pub(crate) fn new(
         loaded: &'a Loaded,
         selected: Option<(Selected, Mode)>,
         what: What,
         engine: &dyn Engine,
-    ) -> Result<Painter<'a>, RunError> {
+    ) -> Result<SceneRenderer<'a>, RunError> {
         let mut model = loaded.model.clone();
         let (mut whose, mut highlight, mut only) = (None, None, false);
         if let Some((selected, mode)) = selected {
@@ -255,7 +260,8 @@ impl<'a> Painter<'a> {
             let mut labels = selected.labels;
             if let Mode::Only | Mode::Without = mode {
                 if what == What::Features {
-                    let text = "features are drawn for the whole scene: leave --mode or use --mode highlight";
+                    let text =
+                        "features are rendered for the whole scene: leave --mode or use --mode highlight";
                     return Err(RunError::Request(text.into()));
                 }
                 only = mode == Mode::Only;
@@ -284,14 +290,14 @@ impl<'a> Painter<'a> {
             }
             _ => None,
         };
-        Ok(Painter { model, whose, highlight, only, what, features })
+        Ok(SceneRenderer { model, whose, highlight, only, what, features })
     }
 
-    /// The light of a view, or on the way from one to the next.
-    fn own(&self, shot: &Shot, strength: f32) -> Light {
-        let (next, t) = shot.towards;
+    /// The light of a job: its view's, or interpolated towards the next view's.
+    fn own(&self, job: &RenderJob, strength: f32) -> Light {
+        let (next, t) = job.towards;
         let light = |view| self.model.light(Some(view));
-        let own = if t == 0.0 { light(shot.view) } else { light(shot.view).towards(&light(next), t) };
+        let own = if t == 0.0 { light(job.view) } else { light(job.view).towards(&light(next), t) };
         self.model.strengthened(&own, strength)
     }
 
@@ -305,8 +311,8 @@ impl<'a> Painter<'a> {
         self.model.light(view).into()
     }
 
-    /// One picture, in [0, 1].
-    pub(crate) fn paint(
+    /// Renders one image, with values in 0 to 1.
+    pub(crate) fn render(
         &self,
         engine: &dyn Engine,
         camera: &Camera,
@@ -320,14 +326,14 @@ impl<'a> Painter<'a> {
             let project = || engine.project(splats, camera, pose, &options);
             let n = image.pixels();
             if self.only {
-                // Over white, so that the object is seen as the object it is.
+                // Over white, so that the object stands alone.
                 let alpha = project()?.blend(&NOTHING)?.alpha;
-                let behind = lighting.scene.background().paint(camera, pose);
+                let background = lighting.scene.background().paint(camera, pose);
                 for c in 0..3 {
                     for i in 0..n {
                         let over = 1.0 - alpha.data[i];
                         let v = &mut image.data[c * n + i];
-                        *v = (*v + over * (1.0 - behind.data[c * n + i])).clamp(0.0, 1.0);
+                        *v = (*v + over * (1.0 - background.data[c * n + i])).clamp(0.0, 1.0);
                     }
                 }
             }

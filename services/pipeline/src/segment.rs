@@ -1,12 +1,12 @@
-//! Clicks in one photo to an object in 3D, written where other tools can open it.
+//! From clicks in a photo to an object in 3D, written in formats that other tools open.
 
 use crate::accelerator::leased;
 use crate::code::{self, Code};
 use crate::folder::Loaded;
-use crate::images::Pictures;
+use crate::images::ImageFiles;
 use crate::intact::{self, Intact};
 use crate::light::{self, find};
-use crate::mask_source::MaskSource;
+use crate::object_masks::ObjectMasks;
 use crate::prompts::check_all;
 use crate::settings::AT_ONCE;
 use crate::{
@@ -32,7 +32,7 @@ use wincode::{SchemaRead, SchemaWrite};
 /// Kind of the record in `selection.bin`.
 const SELECTION: &str = "selection";
 
-/// `selection.bin`: a selection that can be drawn again.
+/// `selection.bin`: a selection that can be rendered again.
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
 pub struct Selected {
     /// Per splat of the scene, whether it belongs to the object, after the cut.
@@ -64,7 +64,7 @@ impl Selected {
         Selected { labels, changed: cut.changed.iter().map(after).collect() }
     }
 
-    /// Refuses what no cut can have left: a record may be anybody's.
+    /// Refuses a record that no cut can have written: it may come from another program.
     fn check(&self) -> Result<(), String> {
         let n = self.labels.len();
         let sound = |s: &Shortened| {
@@ -90,7 +90,10 @@ impl Selected {
         splats
     }
 
-    /// Reads a run's selection by name.
+    /// Reads a run's selection by name. `splats` is the number of splats of the trained scene.
+    ///
+    /// # Errors
+    /// When there is no such selection, it is damaged, or the scene has been trained again since.
     pub fn read(folder: &RunFolder, name: &str, splats: usize) -> Result<Selected, RunError> {
         folder.has_selection(name)?;
         let path = folder.selection(name);
@@ -99,7 +102,7 @@ impl Selected {
             folder.read_record(&format!("selections/{name}/selection.bin"), SELECTION)?;
         if selected.labels.len() != splats {
             let reason =
-                "the scene has been trained anew since; segment again (`--prompts` replays the clicks)";
+                "the scene has been trained again since; segment again (`--prompts` replays the clicks)";
             return Err(RunError::Folder { path, reason: reason.into() });
         }
         selected.check().map_err(|reason| RunError::Folder { path: path.join("selection.bin"), reason })?;
@@ -107,12 +110,12 @@ impl Selected {
     }
 }
 
-/// What `segment` made.
+/// The result of `segment`.
 #[derive(Clone, Debug, Serialize)]
 pub struct SegmentOutcome {
     /// The selection's folder.
     pub folder: PathBuf,
-    /// Who made the masks that it is of: `built-in`, or `sam:` and a model's name.
+    /// The provider of the masks: `built-in`, or `sam:` and a model's name.
     pub provider: String,
     /// Splats of the object.
     pub splats: usize,
@@ -126,13 +129,13 @@ pub struct SegmentOutcome {
     pub photos: usize,
     /// Photos whose own boundaries took part.
     pub agreeing: usize,
-    /// Photos that were asked and disagreed.
+    /// Photos whose own boundaries disagreed with the selection.
     pub disagreeing: usize,
-    /// IoU of the selection with the masks that the prompts mean, in the prompted photos.
+    /// IoU of the selection with the masks of the prompts, in the prompted photos.
     pub agreement: f32,
-    /// Whether only the prompted photos decided, for the others took the selection elsewhere.
+    /// Whether only the prompted photos decided, because the others would have moved the selection to something else.
     pub alone: bool,
-    /// What is doubtful about the prompts and the selection, a sentence each.
+    /// Warnings about the prompts and the selection, a sentence each.
     pub notes: Vec<String>,
     /// Seconds from the prompts to the selection, the scene being loaded.
     pub select_s: f64,
@@ -140,7 +143,7 @@ pub struct SegmentOutcome {
     pub wall_s: f64,
 }
 
-/// Refuses what cannot name a selection, before anything is computed: it becomes the name of a folder, and of files.
+/// Refuses a name that cannot be the name of a folder and of files. Checked before anything is computed.
 fn check_name(name: &str) -> Result<(), RunError> {
     let odd = |c: char| !(c.is_ascii_alphanumeric() || "-_.".contains(c));
     let wrong = match files::name::usable(name) {
@@ -148,23 +151,23 @@ fn check_name(name: &str) -> Result<(), RunError> {
         Ok(()) if name.contains(odd) => "it has other signs",
         Ok(()) => return Ok(()),
     };
-    // A name may be as long as its giver likes.
-    let begin: String = name.chars().take(60).collect();
-    let more = if begin.len() < name.len() { ".." } else { "" };
-    let begin = files::name::one_line(&begin);
+    // The name may be of any length.
+    let start: String = name.chars().take(60).collect();
+    let more = if start.len() < name.len() { ".." } else { "" };
+    let start = files::name::one_line(&start);
     Err(RunError::Request(format!(
-        "`{begin}{more}` cannot name a selection, for {wrong}: use letters, digits, dashes and underscores"
+        "`{start}{more}` cannot name a selection, for {wrong}: use letters, digits, dashes and underscores"
     )))
 }
 
-/// So few photos that disagree are nothing to speak of.
+/// A warning needs more disagreeing photos than this.
 const OPPOSED: usize = 4;
-/// Under this share of agreement a selection is doubtful.
+/// Agreement ([`SegmentOutcome::agreement`]) under which a selection is doubtful.
 const FAITHFUL: f32 = 0.5;
 
 impl SegmentOutcome {
-    /// What is doubtful about the selection itself, a sentence each.
-    fn doubts(&self) -> Vec<String> {
+    /// Warnings about the selection itself, a sentence each.
+    fn selection_warnings(&self) -> Vec<String> {
         let mut words = Vec::new();
         if self.alone {
             words
@@ -186,8 +189,11 @@ impl SegmentOutcome {
     }
 }
 
-/// Selects what the prompts mean and writes it to the run's `selections/NAME`. Without `providers` those of
-/// [`crate::providers_for`] serve, with what the environment says of networks.
+/// Selects the object of the prompts and writes it to the run's `selections/NAME`. Without `providers` it uses those of
+/// [`crate::providers_for`], with the networks that the environment names.
+///
+/// # Errors
+/// When the name or the prompts cannot be used, nothing is selected, a file cannot be written, or `stopper` stops it.
 pub fn segment(
     folder: &RunFolder,
     name: &str,
@@ -216,9 +222,9 @@ pub fn segment(
         .map(|v| PosedView { name: v.name.clone(), camera: v.camera.scaled_to(size), pose: v.pose })
         .collect();
     check_all(prompts)?;
-    let pictures = Pictures::of(scene.views.iter().map(|v| v.name.as_str()));
-    pictures.fit(&folder.selection(name))?;
-    let mut asked = Vec::new();
+    let files = ImageFiles::of(scene.views.iter().map(|v| v.name.as_str()));
+    files.fit(&folder.selection(name))?;
+    let mut queries = Vec::new();
     for p in prompts {
         let view = find(&scene, &p.photo)?;
         let (full, small) = (&scene.views[view].camera, &views[view].camera);
@@ -243,12 +249,12 @@ pub fn segment(
                 p.photo
             ))
         })?;
-        asked.push((view, inner.scaled(sx, sy)));
+        queries.push((view, inner.scaled(sx, sy)));
     }
-    if asked.is_empty() {
+    if queries.is_empty() {
         return Err(SegmentError::NoPrompt.into());
     }
-    // As other programs will show them. Before the work, so that a photo that is not there is said at once.
+    // The colours for other programs. Computed first, so that an unknown photo is reported at once.
     let in_colour = light::shown(&scene, &model, &settings.object_appearance)?;
     let engine = choose_engine(&made_with.run, log_loss)?.engine;
     let features = match field {
@@ -299,7 +305,7 @@ pub fn segment(
     }
     let failed = |reason: String| RunError::Stage { stage: "segment", reason };
     tasks
-        .blocking_send_urgent(SegmentTask { prompts: asked, settings: settings.clone(), reply })
+        .blocking_send_urgent(SegmentTask { prompts: queries, settings: settings.clone(), reply })
         .map_err(|e| failed(e.to_string()))?;
     drop(tasks);
     let answer = answers.blocking_recv();
@@ -319,7 +325,7 @@ pub fn segment(
     let segmented = answer.map_err(|e| in_photo_pixels(e, &scene, size))?;
     let select_s = selected_at.elapsed().as_secs_f64();
 
-    // Written aside as a whole, so that a selection is there or not.
+    // Written aside and then renamed, so that a selection is there as a whole or not at all.
     files::remove_litter(&folder.path().join("selections"));
     let target = folder.selection(name);
     let Segmented { selection, cut, masks } = *segmented;
@@ -336,13 +342,13 @@ pub fn segment(
         photos: 0,
         agreement: selection.agreement,
         alone: selection.alone,
-        notes: doubts(folder, &scene, prompts, &masks),
+        notes: prompt_warnings(folder, &scene, prompts, &masks),
         agreeing: count(Verdict::Accepted),
         disagreeing: count(Verdict::Disagrees),
         select_s,
         wall_s: 0.0,
     };
-    outcome.notes.extend(outcome.doubts());
+    outcome.notes.extend(outcome.selection_warnings());
     outcome.notes.extend(transients::damaged(folder, &scene));
     outcome.notes.extend(code::changes(&code::of_clicks(code::recorded(folder)), &providers.networks));
     files::write_folder(&target, |aside| -> Result<(), RunError> {
@@ -357,7 +363,7 @@ pub fn segment(
             let bytes = value.map_err(|e| RunError::Folder { path: path.clone(), reason: e.to_string() })?;
             Ok(files::write_atomic(&path, &bytes)?)
         };
-        let names = pictures.names();
+        let names = files.names();
         let (mask_dir, amodal_dir, prompt_dir) = (dir("masks")?, dir("amodal")?, dir("prompted")?);
         let replay = Replay { prompts: prompts.to_vec(), settings: Some(settings.clone()) };
         json("prompts.json", serde_json::to_vec_pretty(&replay))?;
@@ -379,19 +385,20 @@ pub fn segment(
         }
         let cut_splats = selected.cut_scene(&model.splats);
         let in_sight =
-            MaskSource::new(&*engine, &cut_splats, &selected.labels, model.options(), MaskMode::Visible)?;
+            ObjectMasks::new(&*engine, &cut_splats, &selected.labels, model.options(), MaskMode::Visible)?;
         let keep: Vec<usize> = (0..cut_splats.len()).filter(|&i| selected.labels[i]).collect();
         let alone = cut_splats.select(&keep);
         let whole = vec![true; keep.len()];
-        let alone = MaskSource::new(&*engine, &alone, &whole, model.options(), MaskMode::Amodal)?;
-        // One after the other is drawn, since an engine may be one device; photos are large, and several are written at once.
+        let alone = ObjectMasks::new(&*engine, &alone, &whole, model.options(), MaskMode::Amodal)?;
+        // Rendered one after the other, since an engine may be one device; written several at once, since photos are
+        // large.
         let views: Vec<(&View, &String)> = scene.views.iter().zip(names).collect();
         for some in views.chunks(rayon::current_num_threads().min(AT_ONCE)) {
             let draw = |(view, _): &(&View, &String)| -> Result<[Image; 2], RunError> {
-                let of = |source: &MaskSource| source.share(&view.camera, &view.pose, size);
+                let of = |source: &ObjectMasks| source.share(&view.camera, &view.pose, size);
                 Ok([of(&in_sight)?, of(&alone)?])
             };
-            let drawn = some.iter().map(draw).collect::<Result<Vec<_>, _>>()?;
+            let shares = some.iter().map(draw).collect::<Result<Vec<_>, _>>()?;
             let write = |((view, name), [visible, amodal]): (&(&View, &String), &[Image; 2])| {
                 let visible = view.mask_to_taken(in_sight.mask(visible, &view.camera));
                 visible.write_png(&mask_dir.join(name))?;
@@ -399,7 +406,7 @@ pub fn segment(
                 amodal.write_png(&amodal_dir.join(name))?;
                 Ok(!visible.is_empty())
             };
-            let shown = some.par_iter().zip(&drawn).map(write).collect::<Result<Vec<bool>, RunError>>()?;
+            let shown = some.par_iter().zip(&shares).map(write).collect::<Result<Vec<bool>, RunError>>()?;
             for shown in shown {
                 outcome.photos += usize::from(shown);
                 pass()?;
@@ -413,14 +420,14 @@ pub fn segment(
     Ok(outcome)
 }
 
-/// A click this close to the edge of what it was taken to mean, in pixels of the working size, may as well have meant
-/// what is on the other side.
+/// A click closer than this to the edge of its mask, in pixels of the working size, may have been meant for the other
+/// side.
 const EDGE: f32 = 2.0;
-/// But not on something that is nowhere much deeper.
+/// The warning needs a mask that is somewhere this many times deeper: on a thin object every click is near the edge.
 const DEEPER: f32 = 4.0;
 
-/// What is doubtful about prompts that did select something: clicks on transients, and clicks at an edge.
-fn doubts(
+/// Warnings about prompts that did select something: clicks on transients, and clicks at the edge of a mask.
+fn prompt_warnings(
     folder: &RunFolder,
     scene: &Scene,
     prompts: &[PhotoPrompts],
@@ -447,8 +454,8 @@ fn doubts(
             let Some([u, v]) = scene.views[view].from_taken([x, y]) else { continue };
             if transient.as_ref().is_some_and(|s| inside(s, u, v).0) {
                 words.push(format!(
-                    "photo {}: the click at ({x}, {y}) lies on what was taken for a transient; what it selects may be what stands \
-                     behind: click in a photo where nobody stands before it",
+                    "photo {}: the click at ({x}, {y}) lies on a transient; it may select what the transient \
+                     occludes: click in a photo without a transient there",
                     p.photo
                 ));
             }
@@ -467,7 +474,7 @@ fn doubts(
     words
 }
 
-/// The error with its position as the person gave it: in pixels of the photo as taken, at full size.
+/// The error with its position in the prompts' coordinates: pixels of the photo as taken, at full size.
 fn in_photo_pixels(error: SegmentError, scene: &Scene, size: u32) -> SegmentError {
     let full = |photo: &str, x: f32, y: f32| {
         let Some(view) = scene.views.iter().find(|v| v.name == photo) else { return (x, y) };

@@ -1,4 +1,4 @@
-//! All settings of a run in one struct: flags, `segwild.toml` and `docs/reference/settings.md` are made from it.
+//! All settings of a run in one struct: flags, `segwild.toml` and `docs/reference/settings.md` are generated from it.
 
 use crate::{EngineKind, WhenLost};
 use segwild_features::FeatureSettings;
@@ -14,25 +14,25 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 choice! {
-    /// Who decides how much a scene gets.
-    pub enum Budget {
+    /// What decides the steps, channels and appearance model of a run.
+    pub enum RunBudget {
         /// The settings, as they are.
         Fixed = "fixed",
-        /// The scene: the least steps, channels and look that suffice, found by short trainings that are scored on
-        /// photos held out of them. `steps` is the most that is spent; where it is left to the scene and photos agree,
-        /// eight times the scene's own.
+        /// The scene: the least steps, channels and appearance model that suffice, found by short trainings that are
+        /// scored on photos held out of them. `steps` is the most that is spent; where it is left to the scene and
+        /// photos agree, eight times the scene's own.
         Auto = "auto",
     }
 }
 
 choice! {
-    /// How photos held out are scored.
+    /// How held-out photos are scored.
     pub enum Scoring {
-        /// By the look: whole photos where all share one.
+        /// By the appearance model: whole photos where all share one appearance.
         Auto = "auto",
-        /// The whole photo, with no look fitted to it.
+        /// The whole photo, with no appearance fitted to it.
         Plain = "plain",
-        /// The look fitted on the left half, the right half scored.
+        /// The appearance fitted on the left half, the right half scored.
         Halves = "halves",
     }
 }
@@ -45,7 +45,7 @@ settings! {
         /// Who decides steps, channels and appearance model. `fixed`: the settings. `auto`: the least that suffices,
         /// found by short trainings before the start; where `steps` is 0 and photos agree, up to eight times the
         /// scene's own steps. What a flag or file sets stays as set.
-        budget: Budget = Budget::Fixed,
+        budget: RunBudget = RunBudget::Fixed,
         /// Compute threads; 0 takes all cores. The result does not depend on it.
         threads: u32 = 0 => 0..=256,
         /// What computes the splats. `auto` takes an accelerator where there is one that is no program on the CPU.
@@ -147,12 +147,13 @@ compose! {
     segment: SegmentSettings,
 }
 
-/// Photos that are worked at at once, at most: each takes memory.
+/// Most photos that are worked on at once: each takes memory.
 pub(crate) const AT_ONCE: usize = 8;
 
 impl Settings {
-    /// Photos that an actor may look at at once beside the training: on half of the cores, for that takes the others.
-    pub(crate) fn most_lookers(&self) -> usize {
+    /// Most photos that an actor works on at once beside the training: half of the cores, since the training takes the
+    /// others.
+    pub(crate) fn most_photos_at_once(&self) -> usize {
         let cores = match self.run.threads {
             0 => segwild_flow::all_cores(),
             threads => threads as usize,
@@ -161,17 +162,17 @@ impl Settings {
     }
 
     /// The defaults of a preset under a budget.
-    pub fn defaults(preset: Preset, budget: Budget) -> Settings {
+    pub fn defaults(preset: Preset, budget: RunBudget) -> Settings {
         let mut settings = Settings::preset(preset);
         settings.run.budget = budget;
-        if budget == Budget::Auto {
+        if budget == RunBudget::Auto {
             settings.train.appearance_model = AppearanceModel::Auto;
             settings.features.keep_variance = KEEP_VARIANCE;
         }
         settings
     }
 
-    /// With all that the scene decides by what it has: how many steps its photos ask for.
+    /// The settings with what depends on the scene: the number of steps for its photos.
     #[must_use]
     pub fn decided(&self, scene: &Scene) -> Settings {
         Settings { train: self.train.decided(scene), ..self.clone() }
@@ -187,8 +188,9 @@ impl Settings {
         settings
     }
 
-    /// Defaults of the preset, then the file, then the flags: later wins. Flags are `(name, value)` pairs. A flag that names
-    /// another preset or budget than the file also takes along what the file only says because its own did.
+    /// Defaults of the preset, then the file, then the flags: later wins. Flags are `(name, value)` pairs. A flag that
+    /// names another preset or budget than the file also replaces the values that the file has from its own preset or
+    /// budget.
     pub fn layered(file: Option<&Path>, flags: &[(String, String)]) -> Result<Settings, SettingsError> {
         let values = match file {
             // A person may name a pipe: `--config <(..)`.
@@ -198,8 +200,8 @@ impl Settings {
         Settings::layered_over(&values, file, flags)
     }
 
-    /// As [`Settings::layered`], from the file of a run folder. That is data, which somebody else may have sent: what it
-    /// says of code ([`VisionSettings::CODE`]) is passed over.
+    /// As [`Settings::layered`], from the file of a run folder. The folder may come from somebody else: its paths of code
+    /// ([`VisionSettings::CODE`]) are passed over.
     pub fn recorded(file: &Path, flags: &[(String, String)]) -> Result<Settings, SettingsError> {
         let mut values = read_pairs(file, files::read_plain(file))?;
         values.retain(|(name, _)| !VisionSettings::CODE.contains(&name.as_str()));
@@ -371,7 +373,7 @@ mod tests {
     use std::collections::BTreeSet;
 
     #[test]
-    fn every_flag_has_one_meaning() {
+    fn every_flag_names_one_setting() {
         let mut seen = BTreeSet::new();
         for (table, _, fields) in Settings::catalogue() {
             for f in fields {
@@ -381,14 +383,14 @@ mod tests {
     }
 
     #[test]
-    fn half_of_the_cores_look_at_photos_beside_the_training() {
-        let lookers = |threads: u32| {
+    fn half_of_the_cores_work_on_photos_beside_the_training() {
+        let photos_at_once = |threads: u32| {
             let mut settings = Settings::default();
             settings.run.threads = threads;
-            settings.most_lookers()
+            settings.most_photos_at_once()
         };
-        assert_eq!([1, 2, 3, 4, 9, 256].map(lookers), [1, 1, 1, 2, 4, AT_ONCE]);
-        assert!((1..=AT_ONCE).contains(&lookers(0)));
+        assert_eq!([1, 2, 3, 4, 9, 256].map(photos_at_once), [1, 1, 1, 2, 4, AT_ONCE]);
+        assert!((1..=AT_ONCE).contains(&photos_at_once(0)));
     }
 
     #[test]

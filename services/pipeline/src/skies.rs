@@ -1,6 +1,6 @@
-//! The sky of each photo, as those who need it wait for it and read it.
+//! The sky of each photo: waiting for it and reading it.
 
-use crate::recompute::{Kept, Recompute};
+use crate::recompute::{CachedArtefact, Recompute};
 use crate::view_slots::ViewSlots;
 use crate::{RunError, RunFolder};
 use segwild_flow::ledger::State;
@@ -16,47 +16,48 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Where the masks actor's skies are: which photos have one, and their pixels in the cache. A sky that has been
-/// damaged since is found anew, and is never taken for a photo without a sky: what is made from it is named by its key.
+/// The skies that the masks actor finds: which photos have one, and their masks in the cache. A sky that has been
+/// damaged since is found again, and is never taken for a photo without a sky: the keys of what is made from it depend
+/// on it.
 pub struct Skies {
     /// Per view, whether its sky is in the cache; `false` when it was given up.
     known: ViewSlots<bool>,
-    anew: Recompute,
+    recompute: Recompute,
     size: u32,
     keys: Vec<Key>,
     detector: Arc<dyn SkyDetector>,
     lost: Mutex<Option<Failure>>,
-    /// Views whose sky is still to be asked for, the most wanted first.
+    /// Views whose sky is still to be requested, the most urgent first.
     open: Mutex<VecDeque<usize>>,
     /// Microseconds that were spent in [`Skies::wait`].
     waited_us: AtomicU64,
 }
 
 impl Skies {
-    /// Nothing is known yet. `keys` name each view's sky.
-    pub fn new(anew: Recompute, size: u32, keys: Vec<Key>, detector: Arc<dyn SkyDetector>) -> Skies {
+    /// No sky is known yet. `keys` has the key of each view's sky, `size` the long side of the photos in pixels.
+    pub fn new(recompute: Recompute, size: u32, keys: Vec<Key>, detector: Arc<dyn SkyDetector>) -> Skies {
         let (known, lost, open) = (ViewSlots::new("sky"), Mutex::default(), Mutex::default());
-        Skies { known, anew, size, keys, detector, lost, open, waited_us: AtomicU64::new(0) }
+        Skies { known, recompute, size, keys, detector, lost, open, waited_us: AtomicU64::new(0) }
     }
 
-    /// Says whose sky is to be found, in this order until [`Skies::prefer`] knows a better one.
+    /// Sets the views whose sky is to be found, in this order until [`Skies::prefer`] changes it.
     pub fn plan(&self, views: impl IntoIterator<Item = usize>) {
         lock(&self.open).extend(views);
     }
 
-    /// Puts those that are still open in the order in which they are wanted, the others after them: a trainer waits for
-    /// the sky of each photo when it comes to it, and must not wait for all of them because it begins with the last.
+    /// Sorts the open views by the order of `wanted`, the others after them. The trainer waits for the sky of each
+    /// photo when it comes to it, and must not wait for all of them because it starts with the last.
     pub fn prefer(&self, wanted: &[usize]) {
-        let place = |view: &usize| wanted.iter().position(|w| w == view).unwrap_or(usize::MAX);
-        lock(&self.open).make_contiguous().sort_by_cached_key(place);
+        let rank = |view: &usize| wanted.iter().position(|w| w == view).unwrap_or(usize::MAX);
+        lock(&self.open).make_contiguous().sort_by_cached_key(rank);
     }
 
-    /// The view whose sky is to be found next; `None` when all were asked for.
+    /// The view whose sky is to be found next; `None` when all were requested.
     pub fn next_open(&self) -> Option<usize> {
         lock(&self.open).pop_front()
     }
 
-    /// Says whether a view's sky is in the cache.
+    /// Sets whether a view's sky is in the cache.
     pub fn set(&self, view: usize, found: bool) {
         self.known.set(view, found);
     }
@@ -74,7 +75,7 @@ impl Skies {
         known
     }
 
-    /// Seconds that the training has stood still for want of a sky.
+    /// Seconds that the training has waited for skies.
     pub fn waited_s(&self) -> f64 {
         self.waited_us.load(Ordering::Relaxed) as f64 * 1e-6
     }
@@ -82,39 +83,40 @@ impl Skies {
     /// A view's sky; `None` if it was given up.
     ///
     /// # Errors
-    /// When it was found once and can be had no more; [`Skies::lost`] then knows it, too.
+    /// When it was found once and can neither be read nor found again. [`Skies::lost`] then returns the same failure.
     pub fn read(&self, view: usize) -> Result<Option<Mask>, Failure> {
         if !self.found(view) {
             return Ok(None);
         }
-        let sky = kept_or_found(&self.anew, view, &self.keys[view], self.size, &*self.detector);
+        let sky = kept_or_found(&self.recompute, view, &self.keys[view], self.size, &*self.detector);
         sky.map(Some).inspect_err(|failure| {
             lock(&self.lost).get_or_insert_with(|| failure.clone());
         })
     }
 
-    /// Why a sky could not be had any more, if so: what was made without it is not to be kept.
+    /// Why a sky was lost, if one was: what was made without it must not be kept.
     pub fn lost(&self) -> Option<Failure> {
         lock(&self.lost).clone()
     }
 }
 
-/// A view's sky out of the cache, or found as it was found first.
+/// A view's sky from the cache, or found again.
 fn kept_or_found(
-    anew: &Recompute,
+    recompute: &Recompute,
     view: usize,
     key: &Key,
     size: u32,
     detector: &dyn SkyDetector,
 ) -> Result<Mask, Failure> {
-    anew.read(Kept { view, what: "sky", kind: "sky", key }, || {
-        let photo = anew.scene.views[view].load(size).map_err(Failure::retry)?;
-        let seen = anew.scene.points_in(view, photo.image.width, photo.image.height);
+    recompute.read(CachedArtefact { view, what: "sky", kind: "sky", key }, || {
+        let photo = recompute.scene.views[view].load(size).map_err(Failure::retry)?;
+        let seen = recompute.scene.points_in(view, photo.image.width, photo.image.height);
         Ok(detector.sky_above(&photo.image, &seen)?)
     })
 }
 
-/// Reads the skies that a run has found, at the long side `size` that it found them at; one that was given up is not known.
+/// Returns a reader of the skies that a run has found, at the long side `size` that it found them at. It gives `None`
+/// for a sky that was given up.
 pub(crate) fn of_run(
     folder: &RunFolder,
     scene: &Arc<Scene>,
@@ -125,9 +127,9 @@ pub(crate) fn of_run(
     let done = rows.into_iter().filter(|row| row.outcome.state == State::Done);
     let keys: BTreeMap<String, Key> =
         done.filter_map(|row| Some((row.view, Key::parse("sky", &row.key)?))).collect();
-    let anew = Recompute { scene: scene.clone(), cache: folder.cache()?, events: Events::new() };
+    let recompute = Recompute { scene: scene.clone(), cache: folder.cache()?, events: Events::new() };
     Ok(move |view: usize| {
-        let key = keys.get(&anew.scene.views[view].name)?;
-        kept_or_found(&anew, view, key, size, &*detector).ok()
+        let key = keys.get(&recompute.scene.views[view].name)?;
+        kept_or_found(&recompute, view, key, size, &*detector).ok()
     })
 }

@@ -1,4 +1,4 @@
-//! Who did what when, as files: of the last process that worked on the run, and of those before it.
+//! The timelines of the processes that worked on a run, as files: who did what when.
 
 use crate::{RunError, RunFolder};
 use segwild_flow::{FileError, Report, Span, SpanKind, trace};
@@ -7,9 +7,9 @@ use std::time::Instant;
 
 /// Files of the last process.
 const FILES: [&str; 3] = ["timeline.json", "trace.json", "trace.otlp.json"];
-/// Where those of the processes before are kept, and those of selections.
+/// The folder of the timelines of earlier processes and of selections.
 pub(crate) const EARLIER: &str = "traces";
-/// How many are kept.
+/// How many earlier timelines are kept.
 const KEPT: usize = 30;
 
 /// A process's timeline while it grows.
@@ -19,9 +19,9 @@ pub(crate) struct Traces<'a> {
 }
 
 impl<'a> Traces<'a> {
-    /// Begins a timeline; that of the process before moves aside, for a second run has little to show and is not what
-    /// an operator wants to see a week later.
-    pub fn begin(folder: &'a RunFolder) -> Result<Traces<'a>, RunError> {
+    /// Starts a timeline and moves that of the process before aside: a second run has little to show, and an operator
+    /// may still want the first one a week later.
+    pub fn start(folder: &'a RunFolder) -> Result<Traces<'a>, RunError> {
         let earlier = folder.path().join(EARLIER);
         std::fs::create_dir_all(&earlier).map_err(|e| FileError::new("create", &earlier, e))?;
         if let Some(when) = modified(&folder.path().join(FILES[0])) {
@@ -34,7 +34,7 @@ impl<'a> Traces<'a> {
         Ok(Traces { folder, began: Instant::now() })
     }
 
-    /// Adds what the process does when its actors have ended.
+    /// Does some work after the actors have ended, and adds it to the timeline.
     pub fn step<T>(&self, report: &mut Report, label: &str, work: impl FnOnce() -> T) -> T {
         let start = self.began.elapsed().as_secs_f64();
         let done = work();
@@ -44,7 +44,7 @@ impl<'a> Traces<'a> {
         done
     }
 
-    /// Writes it down as it is now.
+    /// Writes the timeline as it is now.
     pub fn write(&self, report: &Report) -> Result<(), RunError> {
         let run = self.folder.path().file_name().map_or("run".into(), |n| n.to_string_lossy());
         // One after another: with a thousand photos each is some MiB of text.

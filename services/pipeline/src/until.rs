@@ -1,4 +1,4 @@
-//! Where a run is to stop.
+//! The stage or step at which a run stops.
 
 use crate::graph::STAGES;
 use std::fmt;
@@ -9,8 +9,8 @@ use std::str::FromStr;
 pub enum Until {
     /// This stage of [`STAGES`], and what it needs.
     Stage(&'static str),
-    /// This step of the training. Fewer than the settings' `steps` leaves the training to be continued; more goes on
-    /// past the end of its schedules, at their last rates, from where it ended.
+    /// This step of the training. Fewer than the settings' `steps` leaves the training to be continued; more continues
+    /// past the end of its schedules, at their last rates.
     Step(u32),
 }
 
@@ -53,8 +53,8 @@ mod tests {
         assert_eq!("geometry".parse(), Ok(Until::Stage("geometry")));
         assert_eq!("500".parse(), Ok(Until::Step(500)));
         for wrong in ["0", "-3", "geometri", ""] {
-            let said = wrong.parse::<Until>().unwrap_err();
-            assert!(said.contains("step"), "{said}");
+            let message = wrong.parse::<Until>().unwrap_err();
+            assert!(message.contains("step"), "{message}");
         }
     }
 }

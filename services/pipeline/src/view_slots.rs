@@ -1,4 +1,4 @@
-//! Where one actor leaves per-view results that another waits for.
+//! Slots in which one actor leaves per-view results that another actor waits for.
 
 use segwild_flow::waiting_for;
 use std::collections::BTreeMap;
@@ -8,14 +8,14 @@ use std::time::Duration;
 /// One slot per view, filled once; readers wait. The trainer waits here for the sky of its photos, so that what it
 /// computes does not depend on how fast the sky was found.
 pub struct ViewSlots<T> {
-    /// What is on it, for the timeline of those who wait.
+    /// What the slots hold, in words: the timeline of a waiting actor shows it.
     what: &'static str,
     slots: Mutex<BTreeMap<usize, T>>,
     filled: Condvar,
 }
 
 impl<T: Clone> ViewSlots<T> {
-    /// An empty board.
+    /// Empty slots; `what` says what they will hold.
     pub fn new(what: &'static str) -> ViewSlots<T> {
         ViewSlots { what, slots: Mutex::new(BTreeMap::new()), filled: Condvar::new() }
     }
@@ -26,7 +26,7 @@ impl<T: Clone> ViewSlots<T> {
         self.filled.notify_all();
     }
 
-    /// What is in a slot now.
+    /// The content of a slot now.
     pub fn get(&self, view: usize) -> Option<T> {
         self.slots.lock().unwrap_or_else(PoisonError::into_inner).get(&view).cloned()
     }
@@ -57,11 +57,11 @@ mod tests {
 
     #[test]
     fn a_reader_waits_for_its_own_slot() {
-        let board = ViewSlots::new("word");
+        let slots = ViewSlots::new("word");
         std::thread::scope(|s| {
-            let reader = s.spawn(|| board.wait(1, || false));
-            board.set(0, "other");
-            board.set(1, "mine");
+            let reader = s.spawn(|| slots.wait(1, || false));
+            slots.set(0, "other");
+            slots.set(1, "mine");
             assert_eq!(reader.join().unwrap(), Some("mine"));
         });
     }

@@ -150,11 +150,11 @@ pub trait Engine: Send + Sync {
         Ok(None)
     }
 
-    /// Brings what a photo asks of features to where this engine computes, for many steps ([`FeatureTarget::away`]). `None` as for
+    /// Brings what a photo asks of features to where this engine computes, for many steps ([`FeatureTarget::on_device`]). `None` as for
     /// [`Engine::bring`].
     fn upload_target(
         &self,
-        _asked: &FeatureTarget,
+        _feature_target: &FeatureTarget,
     ) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
         Ok(None)
     }
@@ -225,10 +225,10 @@ pub trait Projected: Send + Sync {
     fn refine(
         &self,
         field: &mut Refining,
-        asked: &FeatureTarget,
-        drawn: &Rendered,
+        feature_target: &FeatureTarget,
+        rendered: &Rendered,
     ) -> Result<(), RasterError> {
-        field.learn(self, asked, drawn)
+        field.learn(self, feature_target, rendered)
     }
 
     /// Gradients of every parameter for a frame that [`Projected::blend`] made from the same channels.

@@ -13,13 +13,13 @@ pub struct FallbackEngine<F> {
     first: Box<dyn Engine>,
     second: Box<dyn Engine>,
     failed: AtomicBool,
-    told: F,
+    on_failure: F,
 }
 
 impl<F: Fn(&str) + Send + Sync> FallbackEngine<F> {
-    /// `told` hears once why the first engine failed.
-    pub fn new(first: Box<dyn Engine>, second: Box<dyn Engine>, told: F) -> FallbackEngine<F> {
-        FallbackEngine { first, second, failed: AtomicBool::new(false), told }
+    /// `on_failure` hears once why the first engine failed.
+    pub fn new(first: Box<dyn Engine>, second: Box<dyn Engine>, on_failure: F) -> FallbackEngine<F> {
+        FallbackEngine { first, second, failed: AtomicBool::new(false), on_failure }
     }
 
     fn has_failed(&self) -> bool {
@@ -38,7 +38,7 @@ impl<F: Fn(&str) + Send + Sync> FallbackEngine<F> {
         match first() {
             Err(RasterError::Device(why)) => {
                 if !self.failed.swap(true, Ordering::AcqRel) {
-                    (self.told)(&why);
+                    (self.on_failure)(&why);
                 }
                 second()
             }

@@ -10,18 +10,18 @@ use std::borrow::Cow;
 pub struct Kept<'a> {
     count: usize,
     values: Cow<'a, [f32]>,
-    away: Option<Box<dyn Any + Send + Sync>>,
+    on_device: Option<Box<dyn Any + Send + Sync>>,
 }
 
 impl<'a> Kept<'a> {
     /// `count` numbers per splat, as in [`Channels`], which no engine has yet.
     pub fn new(count: usize, values: impl Into<Cow<'a, [f32]>>) -> Kept<'a> {
-        Kept { count, values: values.into(), away: None }
+        Kept { count, values: values.into(), on_device: None }
     }
 
     /// Brings them to where this engine computes, if it keeps any.
     pub fn bring(&mut self, engine: &dyn Engine) -> Result<(), RasterError> {
-        self.away = engine.bring(&self.channels())?;
+        self.on_device = engine.bring(&self.channels())?;
         Ok(())
     }
 
@@ -31,7 +31,7 @@ impl<'a> Kept<'a> {
     }
 
     /// What [`Engine::bring`] gave.
-    pub fn away(&self) -> Option<&(dyn Any + Send + Sync)> {
-        self.away.as_deref()
+    pub fn on_device(&self) -> Option<&(dyn Any + Send + Sync)> {
+        self.on_device.as_deref()
     }
 }

@@ -242,7 +242,7 @@ impl Reference {
         for pixel in 0..pixels {
             let (hits, _) = self.hits(&flats, pixel % width, pixel / width);
             // What the pixel shows behind the splat at hand, as if all light arrived there.
-            let mut behind = 0.0;
+            let mut behind_it = 0.0;
             for hit in hits.iter().rev() {
                 let flat = &flats[hit.splat];
                 let mut dot = grad_alpha[pixel];
@@ -251,8 +251,8 @@ impl Reference {
                     dot += g * values[flat.index * count + c];
                     out.values[flat.index * count + c] += hit.alpha * hit.before * g;
                 }
-                let d_alpha = hit.before * (dot - behind);
-                behind = hit.alpha * dot + (1.0 - hit.alpha) * behind;
+                let d_alpha = hit.before * (dot - behind_it);
+                behind_it = hit.alpha * dot + (1.0 - hit.alpha) * behind_it;
                 if hit.free {
                     opacities[hit.splat] += d_alpha * hit.alpha / flat.opacity;
                     let d_power = d_alpha * hit.alpha;

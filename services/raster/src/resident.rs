@@ -18,14 +18,14 @@ pub struct Held {
     /// the largest radius as a share of the frame's long side.
     pub sums: Vec<[f32; 4]>,
     /// What splats keep for the look [`crate::EmbedAppearance`], or [`crate::GswAppearance`], with moments; empty without either.
-    pub splat_embeddings: Codes,
+    pub splat_embeddings: SplatEmbeddings,
     /// The networks of the look [`crate::GswAppearance`].
     pub networks: Option<HeldNetworks>,
 }
 
 /// Codes of splats, `[splat][embedding_size]` of their look; the last `EmbedAppearance::EMBEDDING_SIZE` of each fade.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Codes {
+pub struct SplatEmbeddings {
     /// The codes.
     pub values: Vec<f32>,
     /// Their first moments.

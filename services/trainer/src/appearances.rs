@@ -5,8 +5,8 @@ use crate::photos::{Level, Stored};
 use crate::posed::{Posed, colour_pairs};
 use crate::{AppearanceModel, TrainSettings};
 use segwild_raster::{
-    AffineAppearance, AnyAppearance, EmbedAppearance, GswAppearance, HIDDEN, ImageConditioning, NoAppearance,
-    RANK,
+    AffineAppearance, AnyAppearance, EmbedAppearance, GswAppearance, HIDDEN_LAYER, ImageConditioning,
+    NoAppearance, RANK,
 };
 use segwild_scene::{Camera, Pose};
 use std::sync::Arc;
@@ -282,9 +282,9 @@ const FREEDOM: f64 = 0.05;
 pub(crate) fn fit_gsw(
     trained: &GswAppearance,
     photos: &[u32],
-    pixels: impl Iterator<Item = (Lit, [f32; HIDDEN])> + Clone,
+    pixels: impl Iterator<Item = (Lit, [f32; HIDDEN_LAYER])> + Clone,
 ) -> (EmbedAppearance, Vec<f32>) {
-    const UNKNOWN: usize = EMBED + HIDDEN;
+    const UNKNOWN: usize = EMBED + HIDDEN_LAYER;
     let layer = trained.layer();
     let (below, below_variance) = usual(photos, |view, c| embed_row(&trained.below, view, c));
     let (mut mean, mut variance) = ([[0.0; UNKNOWN]; 3], [[FREEDOM * FREEDOM; UNKNOWN]; 3]);
@@ -292,16 +292,16 @@ pub(crate) fn fit_gsw(
         mean[c][..EMBED].copy_from_slice(&below[c]);
         variance[c][..EMBED].copy_from_slice(&below_variance[c]);
         // Two offsets that add up.
-        mean[c][3] += f64::from(layer[3 * HIDDEN + c]);
-        (0..HIDDEN).for_each(|k| mean[c][EMBED + k] = f64::from(layer[3 * k + c]));
+        mean[c][3] += f64::from(layer[3 * HIDDEN_LAYER + c]);
+        (0..HIDDEN_LAYER).for_each(|k| mean[c][EMBED + k] = f64::from(layer[3 * k + c]));
     }
-    let x = |(pixel, hidden): &(Lit, [f32; HIDDEN]), c: usize| -> [f32; UNKNOWN] {
+    let x = |(pixel, hidden): &(Lit, [f32; HIDDEN_LAYER]), c: usize| -> [f32; UNKNOWN] {
         let below = embed_x(pixel, c);
         std::array::from_fn(|i| if i < EMBED { below[i] } else { hidden[i - EMBED] })
     };
     let rows = fit_rows(&mean, &variance, pixels, x, |(pixel, _)| pixel.seen);
     let mut layer = vec![0.0; layer.len()];
-    for (k, to) in layer[..3 * HIDDEN].iter_mut().enumerate() {
+    for (k, to) in layer[..3 * HIDDEN_LAYER].iter_mut().enumerate() {
         *to = rows[k % 3][EMBED + k / 3];
     }
     (embed_of(&rows), layer)

@@ -100,9 +100,9 @@ impl Background {
         Background { coefficients: crate::appearances::undo(appearance, &self.coefficients) }
     }
 
-    /// Colour in a direction ([`compare::behind`]).
+    /// Colour in a direction ([`compare::background`]).
     pub fn colour(&self, direction: Vec3) -> [f32; 3] {
-        compare::behind(&self.coefficients, direction)
+        compare::background(&self.coefficients, direction)
     }
 
     /// The background of a whole frame.

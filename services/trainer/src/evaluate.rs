@@ -8,7 +8,7 @@ use crate::model::{Model, compose};
 use crate::photos::{Level, PhotoCache, Photos, Stored};
 use segwild_raster::compare::SkySums;
 use segwild_raster::{
-    AffineAppearance, AnyAppearance, Appearance, Channels, Engine, HIDDEN, RANK, psnr, ssim,
+    AffineAppearance, AnyAppearance, Appearance, Channels, Engine, HIDDEN_LAYER, RANK, psnr, ssim,
 };
 use segwild_scene::{Image, Scene, Splats, View};
 use std::sync::Arc;
@@ -174,7 +174,8 @@ pub(crate) fn draw_unseen(
                 let own = (&below, trained.layer());
                 let appearance_embedding =
                     trained.appearance_embedding_of(&[(&light, 1.0)], own, means, &model.splat_embeddings);
-                let hidden = blend(HIDDEN, &trained.hidden(&appearance_embedding, &direction))?.image;
+                let hidden =
+                    blend(HIDDEN_LAYER, &trained.hidden_layer(&appearance_embedding, &direction))?.image;
                 let pixels = pairs.map(|pair| {
                     let i = pair.3;
                     (lit(pair), std::array::from_fn(|k| hidden.data[k * n + i]))

@@ -4,7 +4,7 @@ use crate::TrainError;
 use crate::background::Background;
 use crate::model::Model;
 use glam::Vec3;
-use segwild_raster::compare::add_behind;
+use segwild_raster::compare::add_background;
 use segwild_raster::{AppearanceEmbedding, Channels, Engine, Projected, bake};
 use segwild_scene::{Camera, Image, Pose, Splats};
 
@@ -133,7 +133,7 @@ pub fn render_lit(
     let colours = model.lit(lighting, pose, &*projected);
     let frame = projected.blend(&Channels { count: 3, values: &colours })?;
     let mut image = frame.image;
-    add_behind(&mut image, &frame.alpha, &lighting.scene.background.paint(camera, pose));
+    add_background(&mut image, &frame.alpha, &lighting.scene.background.paint(camera, pose));
     image.data.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
     Ok(image)
 }

@@ -5,7 +5,7 @@ use crate::appearances;
 use crate::background::Background;
 use crate::params::{select, splats_fit};
 use crate::state::appearance_fits;
-use segwild_raster::compare::{BASES, add_behind};
+use segwild_raster::compare::{BASES, add_background};
 use segwild_raster::{AnyAppearance, Channels, Engine, Frame, ProjectOptions, Sight};
 use segwild_scene::{Camera, Image, Pose, Splats};
 use wincode::{SchemaRead, SchemaWrite};
@@ -144,7 +144,7 @@ pub(crate) fn compose(
 ) -> Image {
     let behind = background.before(&appearances::matrix(appearance, index)).paint(camera, pose);
     let mut image = frame.image.clone();
-    add_behind(&mut image, &frame.alpha, &behind);
+    add_background(&mut image, &frame.alpha, &behind);
     let mut image = appearance.as_appearance().apply(index, &image);
     for v in &mut image.data {
         *v = v.clamp(0.0, 1.0);

@@ -1,7 +1,7 @@
 //! The splats as an optimiser sees them.
 
 use crate::density::Reshaping;
-use segwild_raster::{Adam, Codes, Held, Projected, Reshaped, Rules, Sight, SplatGrads};
+use segwild_raster::{Adam, Held, Projected, Reshaped, Rules, Sight, SplatEmbeddings, SplatGrads};
 use segwild_scene::{Pose, Splats};
 use std::ops::Range;
 use wincode::{SchemaRead, SchemaWrite};
@@ -161,7 +161,7 @@ impl Params {
             }
         };
         let [first, second] = self.embedding_moments.moments().map(<[f32]>::to_vec);
-        let splat_embeddings = Codes { values: self.splat_embeddings.clone(), first, second };
+        let splat_embeddings = SplatEmbeddings { values: self.splat_embeddings.clone(), first, second };
         Held {
             splats: self.splats.clone(),
             first: moments(0),

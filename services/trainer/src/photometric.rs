@@ -78,7 +78,7 @@ impl PhotoSide<'_> {
             camera: &looked.camera,
             pose: &looked.pose,
             matrix,
-            behind: &behind.coefficients,
+            background: &behind.coefficients,
             has_sky: looked.stored.has_sky,
             leave_out,
             lambda_ssim: settings.lambda_ssim,
@@ -95,6 +95,6 @@ impl PhotoSide<'_> {
         if let (AnyAppearance::Affine(appearance), Some(grad)) = (&mut *self.appearance, &said.matrix) {
             appearance.add_gradient(looked.view, grad);
         }
-        self.background.learn(&said.behind);
+        self.background.learn(&said.background);
     }
 }

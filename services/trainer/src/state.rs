@@ -9,7 +9,7 @@ use crate::photometric::PhotoSide;
 use crate::robust::Robust;
 use crate::sampler::Sampler;
 use crate::splat_budget::SplatBudget;
-use segwild_raster::compare::add_behind;
+use segwild_raster::compare::add_background;
 use segwild_raster::{AnyAppearance, AppearanceMaps, Channels, Frame, Projected};
 use segwild_scene::{Camera, Image, Mask, Pose, Random};
 use wincode::{SchemaRead, SchemaWrite};
@@ -54,7 +54,7 @@ impl Painter<'_> {
         let matrix = appearances::matrix(self.appearance, self.view);
         let behind = self.background.before(&matrix).paint(camera, pose);
         let mut scene = frame.image.clone();
-        add_behind(&mut scene, &frame.alpha, &behind);
+        add_background(&mut scene, &frame.alpha, &behind);
         self.appearance.as_appearance().apply(self.view, &scene)
     }
 }

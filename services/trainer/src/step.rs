@@ -85,7 +85,7 @@ impl Trainer {
         let map = light.as_ref().and_then(AppearanceMaps::visible);
         let seeing = map.as_ref().map(|map| Seeing { map, decides: schedule.visible(step) });
         let compared = compare::compare(&frame, &target, &loss_inputs, seeing.as_ref());
-        let Compared { said, image, alpha, error, blame, .. } = compared;
+        let Compared { output: said, image, alpha, error, blame, .. } = compared;
         side.hear(looked, &said);
         let channels = Channels { count: 3, values: &channels };
         let grad = FrameGrad { image: &image, alpha: Some(&alpha) };

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use segwild_flow::files;
 use segwild_gpu::{
     CLICKS, Choice, FIELD_RULE, GpuEngine, LOSSES, NETWORKS, Reach, SIMILARITY, reach, some_appearance,
-    some_question, speed,
+    some_feature_case, speed,
 };
 use segwild_raster::field::{Queries, score};
 use segwild_raster::{
@@ -185,11 +185,11 @@ fn on_the_cpu(
         drop(appearance.tint(0, light.as_ref(), &sight, colours.clone()));
         drop(appearance.tint_backward(0, light.as_ref(), &sight, &colours, colours.clone(), &[]));
     };
-    let question = some_question(camera, channels);
+    let question = some_feature_case(camera, channels);
     let random = &mut Random::new(3);
     let (asked, image) = (question.make(random), question.image(random));
     let mut field = question.refining(vec![0.0; channels], FIELD_RULE);
-    let mut losses = || drop(field.judge(&image, &asked.asked(), &asked.drawn()));
+    let mut losses = || drop(field.compute_losses(&image, &asked.feature_target(), &asked.rendered()));
     let units = vec![vec![0.5; channels]; CLICKS];
     let queries = Queries { channels, units: &units, sharpness: 10.0 };
     let norms = vec![1.0; splats.len()];

@@ -25,7 +25,7 @@ pub struct TestCase {
     camera: Camera,
     pose: Pose,
     matrix: Option<[f32; 12]>,
-    behind: Vec<[f32; 3]>,
+    background: Vec<[f32; 3]>,
     leave: Leave,
     /// What a network sees of the photo; it decides what is left out.
     map: Option<Image>,
@@ -45,8 +45,8 @@ impl TestCase {
             camera: &self.camera,
             pose: &self.pose,
             matrix: self.matrix,
-            behind: &self.behind,
-            has_sky: self.behind.len() > 1,
+            background: &self.background,
+            has_sky: self.background.len() > 1,
             leave_out: match &self.leave {
                 Leave::None => LeaveOut::None,
                 Leave::InitialTransients => LeaveOut::InitialTransients,
@@ -115,7 +115,7 @@ pub fn test_cases((width, height): (u32, u32)) -> Vec<TestCase> {
         camera,
         pose,
         matrix: None,
-        behind: vec![[0.4, 0.5, 0.7]],
+        background: vec![[0.4, 0.5, 0.7]],
         leave: Leave::None,
         map: None,
     };
@@ -142,7 +142,7 @@ pub fn test_cases((width, height): (u32, u32)) -> Vec<TestCase> {
             leave: Leave::Residual(much.clone()),
             target: target.clone(),
             matrix: Some(matrix),
-            behind: sky.clone(),
+            background: sky.clone(),
             ..base.clone()
         },
         TestCase {
@@ -150,7 +150,7 @@ pub fn test_cases((width, height): (u32, u32)) -> Vec<TestCase> {
             frame: darker,
             leave: Leave::Residual(little),
             target: target.clone(),
-            behind: sky,
+            background: sky,
             ..base.clone()
         },
         TestCase {
@@ -204,9 +204,9 @@ pub fn compared(engine: &GpuEngine, test_case: &TestCase) -> Result<Vec<Checked>
     let packed: Vec<f32> = (0..residual.len()).flat_map(|i| planes.map(|plane| plane[i])).collect();
     add(&["compose"], SHOWN.compare("shown colours and residuals", &got.shown, &packed));
     if let LeaveOut::Residual(_) = loss_inputs.leave_out {
-        let smooth = smoothed(&target.doubted(&residual), target.width);
+        let smooth = smoothed(&target.uncertain(&residual), target.width);
         add(&["compose", "box_mean"], SHOWN.compare("smoothed residuals", &got.smoothed, &smooth));
-        let (got, wanted) = (&got.said.residuals, &wanted.said.residuals);
+        let (got, wanted) = (&got.results.residuals, &wanted.output.residuals);
         add(&["tally", "limits"], SHARES.compare("shares", some(got), some(wanted)));
     }
     if let Some(blames) = &got.blames {
@@ -216,19 +216,22 @@ pub fn compared(engine: &GpuEngine, test_case: &TestCase) -> Result<Vec<Checked>
     let (kernels, tolerance): (&[&str], _) =
         if test_case.map.is_some() { (&["see", "prefer"], SEEN) } else { (&["weigh", "limits"], WEIGHTS) };
     add(kernels, tolerance.compare("weights", &got.weights, &wanted.weights.data));
-    let quality = |said: &LossOutput| [said.psnr, said.left_out];
-    add(&["weigh", "total", "prefer"], SUMS.compare("quality", &quality(&got.said), &quality(&wanted.said)));
+    let quality = |results: &LossOutput| [results.psnr, results.left_out];
+    add(
+        &["weigh", "total", "prefer"],
+        SUMS.compare("quality", &quality(&got.results), &quality(&wanted.output)),
+    );
     add(&["box_mean", "weigh", "prefer"], GRADED.compare("errors", &got.error, &wanted.error.data));
-    let Compared { said, image, alpha, .. } = wanted;
-    add(&["structure", "slope"], SUMS.compare("loss", &[got.said.loss], &[said.loss]));
+    let Compared { output, image, alpha, .. } = wanted;
+    add(&["structure", "slope"], SUMS.compare("loss", &[got.results.loss], &[output.loss]));
     let wide = pack_image(&image, 0, 1, Some(&alpha));
     let kernels: &[&str] =
         if loss_inputs.matrix.is_some() { &["grade"] } else { &["structure", "slope", "grade"] };
     add(kernels, SLOPES.compare("gradients", &got.grads, &wide));
-    if let (Some(got), Some(wanted)) = (&got.said.matrix, &said.matrix) {
+    if let (Some(got), Some(wanted)) = (&got.results.matrix, &output.matrix) {
         add(&["grade"], SUMS.compare("gradient of the matrix", got, wanted));
     }
-    let sums = |said: &LossOutput| match &said.behind {
+    let sums = |results: &LossOutput| match &results.background {
         Seen::Sky(sums) => {
             let numbers = sums.products.as_flattened().iter().chain(sums.colours.as_flattened());
             numbers.chain(&[sums.total, sums.looked]).map(|&v| v as f32).collect::<Vec<_>>()
@@ -236,7 +239,7 @@ pub fn compared(engine: &GpuEngine, test_case: &TestCase) -> Result<Vec<Checked>
         Seen::Colour(sums) => [sums.pull.as_slice(), &[sums.total]].concat(),
     };
     let kernels: &[&str] = if loss_inputs.has_sky { &["sky_sums"] } else { &["colour_sums"] };
-    add(kernels, SUMS.compare("sums of what is behind", &sums(&got.said), &sums(&said)));
+    add(kernels, SUMS.compare("sums of what is behind", &sums(&got.results), &sums(&output)));
     Ok(checked)
 }
 
@@ -247,8 +250,8 @@ fn some(shares: &Option<Vec<f32>>) -> &[f32] {
 /// What the host shows.
 fn shown(test_case: &TestCase) -> Image {
     let mut scene = test_case.frame.image.clone();
-    let behind = host::paint(&test_case.behind, &test_case.camera, &test_case.pose);
-    host::add_behind(&mut scene, &test_case.frame.alpha, &behind);
+    let background = host::paint(&test_case.background, &test_case.camera, &test_case.pose);
+    host::add_background(&mut scene, &test_case.frame.alpha, &background);
     let Some(matrix) = test_case.matrix else { return scene };
     let mut appearance = AffineAppearance::new(1);
     appearance.set_matrix(0, matrix);
@@ -263,7 +266,7 @@ struct Got {
     grads: Vec<f32>,
     error: Vec<f32>,
     blames: Option<Vec<f32>>,
-    said: LossOutput,
+    results: LossOutput,
 }
 
 fn on_the_device(engine: &GpuEngine, test_case: &TestCase) -> Result<Got, GpuError> {
@@ -274,16 +277,17 @@ fn on_the_device(engine: &GpuEngine, test_case: &TestCase) -> Result<Got, GpuErr
     let frame = &test_case.frame;
     let image = work.upload("the image", &pack_image(&frame.image, 0, 1, Some(&frame.alpha)))?;
     let photo = Photo::upload(work, &test_case.target)?;
-    let asked = ComparisonInputs::upload(work, &loss_inputs)?;
+    let feature_target = ComparisonInputs::upload(work, &loss_inputs)?;
     let odds = |sure: &f32| (sure / (1.0 - sure)).ln();
     let map: Vec<f32> = test_case.map.iter().flat_map(|map| map.data.iter().map(odds)).collect();
     let maps = work.upload("what a network sees", &map)?;
-    let seen = |map: &Image| Visible { maps: &maps, place: 0, size: [map.width, map.height], decides: true };
+    let seen =
+        |map: &Image| Visible { maps: &maps, position: 0, size: [map.width, map.height], decides: true };
     let visible = test_case.map.as_ref().map(seen);
-    let graded = compare(work, &on.view, &image, &photo, &asked, &loss_inputs, visible.as_ref())?;
+    let graded = compare(work, &on.view, &image, &photo, &feature_target, &loss_inputs, visible.as_ref())?;
     let Graded { shown, smoothed, weights, grads, error, blames } = graded;
     let n = test_case.target.pixels.len();
-    let said = StepReadback::read(work, &asked.said, &on.found)?.said(&loss_inputs);
+    let results = StepReadback::read(work, &feature_target.results, &on.found)?.results(&loss_inputs);
     Ok(Got {
         shown: work.read(&shown, 4 * n)?,
         smoothed: work.read(&smoothed, n)?,
@@ -294,6 +298,6 @@ fn on_the_device(engine: &GpuEngine, test_case: &TestCase) -> Result<Got, GpuErr
             Some(blames) => Some(work.read(&blames, map.len())?),
             None => None,
         },
-        said,
+        results,
     })
 }

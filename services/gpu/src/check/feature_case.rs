@@ -33,13 +33,13 @@ pub struct Made {
 
 impl Made {
     /// What the photo asks.
-    pub fn asked(&self) -> FeatureTarget<'_> {
+    pub fn feature_target(&self) -> FeatureTarget<'_> {
         let Made { target, validity, average, .. } = self;
-        FeatureTarget { target, scale: 0.7, validity, average, away: None }
+        FeatureTarget { target, scale: 0.7, validity, average, on_device: None }
     }
 
     /// The pixels.
-    pub fn drawn(&self) -> Rendered<'_> {
+    pub fn rendered(&self) -> Rendered<'_> {
         Rendered { pixels: &self.pixels, membership: &self.membership }
     }
 }

@@ -16,14 +16,14 @@ const RULE: FieldRule = FieldRule { embedding: 0.7, compact: 0.3, rate: 0.01 };
 pub fn field(engine: &GpuEngine, view: &dyn Projected) -> Result<Vec<Checked>, RasterError> {
     let mut checked =
         vec![Checked { kernels: &["row_state", "row_step", "row_add"], off: rows(engine, view)?.err() }];
-    for question in [
+    for case in [
         FeatureCase { size: SIZE, channels: 20, decoded: None, grid: [24, 17], pixels: 700, masks: 70 },
         FeatureCase { size: SIZE, channels: 3, decoded: None, grid: [130, 68], pixels: 1100, masks: 9 },
         FeatureCase { size: SIZE, channels: 20, decoded: Some(30), grid: [40, 31], pixels: 0, masks: 0 },
     ] {
-        let off = judged(&question, engine, FieldRule { compact: 0.0, ..RULE }, false)?.err();
+        let off = compared(&case, engine, FieldRule { compact: 0.0, ..RULE }, false)?.err();
         checked.push(Checked { kernels: &["area_average", "embedding_loss", "area_spread"], off });
-        let off = judged(&question, engine, FieldRule { embedding: 0.0, ..RULE }, true)?.err();
+        let off = compared(&case, engine, FieldRule { embedding: 0.0, ..RULE }, true)?.err();
         checked.push(Checked { kernels: &["sampled", "units", "mates", "pairs", "pull", "add_pull"], off });
     }
     checked.push(Checked { kernels: &["blend", "gather"], off: steps(engine, view)?.err() });
@@ -42,7 +42,7 @@ fn rows(engine: &GpuEngine, view: &dyn Projected) -> Result<Result<(), String>, 
     let values: Vec<f32> = (0..ROW * SPLATS).map(|_| random.uniform() - 0.5).collect();
     let mut wanted = values.clone();
     let channels = Channels { count: ROW, values: &values };
-    let away = GpuRows::upload(&engine.device, &channels, RULE.rate, at_once(ROW))?;
+    let on_device = GpuRows::upload(&engine.device, &channels, RULE.rate, at_once(ROW))?;
     let mut adam = RowAdam::new(SPLATS, ROW, RULE.rate);
     for step in 0..4 {
         let (width, height) = (SIZE.0 as usize, SIZE.1 as usize);
@@ -61,7 +61,7 @@ fn rows(engine: &GpuEngine, view: &dyn Projected) -> Result<Result<(), String>, 
             .step_by(4 * blocks)
             .map(|first| work.upload("gradients", &pack_splats(&grads, SPLATS, ROW, first, blocks, false)));
         let parts = parts.collect::<Result<Vec<_>, GpuError>>()?;
-        away.step(&mut work, &parts, blocks)?;
+        on_device.step(&mut work, &parts, blocks)?;
     }
     let (mut sums, mut right) = (Lifting::new(SPLATS, ROW), Lifting::new(SPLATS, ROW));
     sums.settle(engine)?;
@@ -78,7 +78,7 @@ fn rows(engine: &GpuEngine, view: &dyn Projected) -> Result<Result<(), String>, 
     }
     let ((sums, weights), (right_sums, right_weights)) = (sums.finish()?, right.finish()?);
     Ok(Tolerance::PROJECTED
-        .compare("rows", &away.fetch()?, &wanted)
+        .compare("rows", &on_device.fetch()?, &wanted)
         .and_then(|()| Tolerance::PROJECTED.compare("sums over views", &sums, &right_sums))
         .and_then(|()| Tolerance::PROJECTED.compare("weights", &weights, &right_weights)))
 }
@@ -115,20 +115,20 @@ fn resemblance(
 }
 
 /// What the losses say of some images, beside what the host says; some numbers of the images are none.
-fn judged(
-    question: &FeatureCase,
+fn compared(
+    case: &FeatureCase,
     engine: &GpuEngine,
     rule: FieldRule,
     pairs: bool,
 ) -> Result<Result<(), String>, RasterError> {
     let random = &mut Random::new(7);
-    let mut right = question.refining(vec![0.0; question.channels], rule);
-    let away = GpuField::upload(&engine.device, &right)?;
+    let mut right = case.refining(vec![0.0; case.channels], rule);
+    let on_device = GpuField::upload(&engine.device, &right)?;
     let mut same = Ok(());
     for step in 0..3 {
-        let mut made = question.make(random);
+        let mut made = case.make(random);
         let (width, height) = (SIZE.0 as usize, SIZE.1 as usize);
-        let mut image = question.image(random);
+        let mut image = case.image(random);
         if step == 1 {
             made.validity[5] = f32::NAN;
             for (plane, k) in image.data.chunks_exact_mut(width * height).zip(0..) {
@@ -139,31 +139,31 @@ fn judged(
         if !pairs {
             made.pixels.clear();
         }
-        let wanted = right.judge(&image, &made.asked(), &made.drawn());
-        let got = told(engine, &away, &image, &made)?;
-        let (losses, found) = (right.losses()?, away.losses()?);
+        let wanted = right.compute_losses(&image, &made.feature_target(), &made.rendered());
+        let got = reported(engine, &on_device, &image, &made)?;
+        let (losses, found) = (right.losses()?, on_device.losses()?);
         let losses = [losses.embedding, losses.compact];
         same = same
             .and_then(|()| alike(Tolerance::GRADIENTS, "the image's gradients", &got.data, &wanted.data))
             .and_then(|()| alike(Tolerance::PROJECTED, "losses", &[found.embedding, found.compact], &losses));
     }
-    let (got, wanted) = (away.fetch()?.decoder, right.finish()?.decoder);
+    let (got, wanted) = (on_device.fetch()?.decoder, right.finish()?.decoder);
     let (got, wanted) = (got.unwrap_or_default(), wanted.unwrap_or_default());
     Ok(same.and_then(|()| alike(Tolerance::GRADIENTS, "the decoder", &got, &wanted)))
 }
 
 /// The gradients of an image, as the device has them.
-fn told(engine: &GpuEngine, field: &GpuField, image: &Image, made: &Made) -> Result<Image, RasterError> {
+fn reported(engine: &GpuEngine, field: &GpuField, image: &Image, made: &Made) -> Result<Image, RasterError> {
     let mut work = engine.device.work();
-    let asked = GpuFeatureTarget::upload(&engine.device, &mut work, &made.asked())?;
-    let step = field.begin(&mut work, &asked, &made.drawn())?;
+    let feature_target = GpuFeatureTarget::upload(&engine.device, &mut work, &made.feature_target())?;
+    let step = field.start(&mut work, &feature_target, &made.rendered())?;
     let (pixels, count) = (image.pixels(), image.channels);
     for first in parts_of(count) {
         let blocks = at_once(count);
         let part = work.upload("the image", &pack_image(image, first, blocks, None))?;
         step.take(&mut work, first / 4, blocks, &part);
     }
-    step.judge(&mut work)?;
+    step.compute_losses(&mut work)?;
     let mut out = Image::zeros(image.width, image.height, count);
     let blocks = gathered_at_once(count);
     for first in (0..count).step_by(4 * blocks) {
@@ -188,16 +188,16 @@ fn alike(tolerance: Tolerance, what: &str, got: &[f32], wanted: &[f32]) -> Resul
 
 /// Features that are refined by some steps, beside the host's by the same views.
 fn steps(engine: &GpuEngine, view: &dyn Projected) -> Result<Result<(), String>, RasterError> {
-    let question =
+    let case =
         FeatureCase { size: SIZE, channels: 20, decoded: Some(30), grid: [24, 17], pixels: 200, masks: 12 };
     let random = &mut Random::new(9);
-    let values: Vec<f32> = (0..question.channels * SPLATS).map(|_| random.uniform() - 0.5).collect();
-    let (mut here, mut there) = (question.refining(values.clone(), RULE), question.refining(values, RULE));
+    let values: Vec<f32> = (0..case.channels * SPLATS).map(|_| random.uniform() - 0.5).collect();
+    let (mut here, mut there) = (case.refining(values.clone(), RULE), case.refining(values, RULE));
     there.settle(engine)?;
     for _ in 0..3 {
-        let made = question.make(random);
-        view.refine(&mut here, &made.asked(), &made.drawn())?;
-        view.refine(&mut there, &made.asked(), &made.drawn())?;
+        let made = case.make(random);
+        view.refine(&mut here, &made.feature_target(), &made.rendered())?;
+        view.refine(&mut there, &made.feature_target(), &made.rendered())?;
     }
     let (here, there) = (here.finish()?, there.finish()?);
     Ok(alike(Tolerance::GRADIENTS, "features", &there.values, &here.values))

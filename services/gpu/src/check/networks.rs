@@ -141,7 +141,7 @@ fn network(
     work.copy_to(&up, &tape.maps, 0, 4 * numbers.len());
     tape.forward(work, &plan, &values, &any, 0);
     for (id, numbers, pull) in held {
-        work.copy_to(&pull, &tape.grads, 4 * plan.place(id), 4 * numbers);
+        work.copy_to(&pull, &tape.grads, 4 * plan.position(id), 4 * numbers);
     }
     tape.backward(work, &plan, Weights { values: &values, grads: &grads }, &any, 0);
     let maps: Vec<f32> = work.read(&tape.maps, plan.maps())?;
@@ -158,7 +158,7 @@ fn network(
             What::Join(_) | What::Beside(_) => &["join"],
         };
         let map = &right.of(op.to).data;
-        let got = &maps[plan.place(op.to)..][..map.len()];
+        let got = &maps[plan.position(op.to)..][..map.len()];
         let off = MAPS.compare(&format!("map {}", op.to), got, map).err();
         checked.push(Checked { kernels, off });
     }

@@ -1,13 +1,13 @@
 //! The kernels of training: one step on the device against the same step on the host.
 
 use super::{Checked, Tolerance};
-use crate::compare::{StepReadback, room_for_said};
+use crate::compare::{StepReadback, results_buffer};
 use crate::training::GpuTraining;
 use crate::view::pack_image;
 use crate::{GpuEngine, GpuError};
 use segwild_raster::{
-    Adam, Appearance, Channels, Codes, CpuEngine, EmbedAppearance, Engine, Frame, FrameGrad, Held, Light,
-    ProjectOptions, RasterError, Reshaped, Resident, Rule, Rules,
+    Adam, Appearance, Channels, CpuEngine, EmbedAppearance, Engine, Frame, FrameGrad, Held, Light,
+    ProjectOptions, RasterError, Reshaped, Resident, Rule, Rules, SplatEmbeddings,
 };
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
 
@@ -27,7 +27,7 @@ pub fn held(splats: Splats) -> Held {
     };
     let (first, second) = (like(-0.5, 0.5), like(0.1, 1.0));
     let sums = splats.means.iter().map(|_| [0; 4].map(|_| random.uniform())).collect();
-    Held { splats, first, second, sums, splat_embeddings: Codes::default(), networks: None }
+    Held { splats, first, second, sums, splat_embeddings: SplatEmbeddings::default(), networks: None }
 }
 
 /// The same with codes.
@@ -36,7 +36,8 @@ pub fn held_with_embeddings(splats: Splats) -> Held {
     let numbers = splats.len() * EmbedAppearance::EMBEDDING_SIZE;
     let mut like =
         |from: f32, to: f32| (0..numbers).map(|_| from + (to - from) * random.uniform()).collect::<Vec<_>>();
-    let splat_embeddings = Codes { values: like(-0.1, 0.1), first: like(-0.5, 0.5), second: like(0.1, 1.0) };
+    let splat_embeddings =
+        SplatEmbeddings { values: like(-0.1, 0.1), first: like(-0.5, 0.5), second: like(0.1, 1.0) };
     Held { splat_embeddings, ..held(splats) }
 }
 
@@ -73,12 +74,12 @@ pub fn training(
     let light = (!held.splat_embeddings.values.is_empty()).then(|| appearance.photo(0));
     let (frame, wanted, by_light) =
         on_the_host(held, camera, pose, options, &grad, &error, &rules, &appearance)?;
-    let mut away = GpuTraining::new(&engine.device, &engine.shelf, held)?;
-    let (drawn, lit) =
-        on_the_device(engine, &away, camera, pose, options, light.as_ref(), &grad, &error, &rules)?;
-    let got = away.fetch()?;
+    let mut on_device = GpuTraining::new(&engine.device, &engine.photos_on_device, held)?;
+    let (rendered, lit) =
+        on_the_device(engine, &on_device, camera, pose, options, light.as_ref(), &grad, &error, &rules)?;
+    let got = on_device.fetch()?;
     let wide = pack_image(&frame.image, 0, 1, Some(&frame.alpha));
-    let blended = Tolerance::BLENDED.compare("colours and alpha", &drawn, &wide);
+    let blended = Tolerance::BLENDED.compare("colours and alpha", &rendered, &wide);
     let sums = Tolerance::GRADIENTS.compare("sums", got.sums.as_flattened(), wanted.sums.as_flattened());
     type Array = fn(&Splats) -> &[f32];
     let compare = |name: &str, of: Array| {
@@ -101,7 +102,7 @@ pub fn training(
     let tinted = || {
         let (Some(lit), Some(light)) = (lit, by_light) else { return Ok(()) };
         let (got, wanted, before) = (&got.splat_embeddings, &wanted.splat_embeddings, &held.splat_embeddings);
-        let moved = |after: &Codes| -> Vec<f32> {
+        let moved = |after: &SplatEmbeddings| -> Vec<f32> {
             after.values.iter().zip(&before.values).map(|(a, b)| a - b).collect()
         };
         let tolerance = Tolerance::GRADIENTS;
@@ -164,21 +165,21 @@ fn reshaped(engine: &GpuEngine, held: &Held) -> Result<Result<(), String>, Raste
         first: moments(&held.first),
         second: moments(&held.second),
         sums: vec![[0.0; 4]; parents.len()],
-        splat_embeddings: Codes {
+        splat_embeddings: SplatEmbeddings {
             values: splat_embeddings(&held.splat_embeddings.values, false),
             first: splat_embeddings(&held.splat_embeddings.first, true),
             second: splat_embeddings(&held.splat_embeddings.second, true),
         },
         networks: held.networks.clone(),
     };
-    let mut away = GpuTraining::new(&engine.device, &engine.shelf, held)?;
-    let asked = away.shapes()?;
+    let mut on_device = GpuTraining::new(&engine.device, &engine.photos_on_device, held)?;
+    let shapes_before = on_device.shapes()?;
     let parents = parents.iter().map(|&i| i as u32).collect();
-    if !away.reshape(&Reshaped { shapes, parents, forgotten, opacities_forgotten: true })? {
+    if !on_device.reshape(&Reshaped { shapes, parents, forgotten, opacities_forgotten: true })? {
         return Err(RasterError::Shape("the splats do not fit where they are trained".into()));
     }
-    let got = away.fetch()?;
-    Ok(if asked != (held.splats.uncoloured(), held.sums.clone()) {
+    let got = on_device.fetch()?;
+    Ok(if shapes_before != (held.splats.uncoloured(), held.sums.clone()) {
         Err("shapes and sums: they came back as others".into())
     } else if got != wanted {
         Err(format!("{n} splats, reshaped: the numbers of some are another's"))
@@ -191,7 +192,7 @@ fn reshaped(engine: &GpuEngine, held: &Held) -> Result<Result<(), String>, Raste
 #[expect(clippy::too_many_arguments, reason = "a whole step of training")]
 fn on_the_device(
     engine: &GpuEngine,
-    away: &GpuTraining,
+    on_device: &GpuTraining,
     camera: &Camera,
     pose: &Pose,
     options: &ProjectOptions,
@@ -203,11 +204,11 @@ fn on_the_device(
     let work = &mut engine.device.work();
     let by_image = work.upload("the image's gradients", &pack_image(grad.image, 0, 1, grad.alpha))?;
     let error = work.upload("the errors", &error.data)?;
-    let (groups, said) = (away.groups(work, rules, None)?, room_for_said(work)?);
-    let drawn = away.draw(work, camera, pose, options, light.map(|light| (light, None)), None)?;
-    away.learn(work, &drawn, (&by_image, &error, None), &groups, &said)?;
-    let heard = StepReadback::read(work, &said, &drawn.on.found)?;
-    Ok((work.read(&drawn.image, drawn.on.pixels * 4)?, light.map(|_| heard.light())))
+    let (groups, results) = (on_device.groups(work, rules, None)?, results_buffer(work)?);
+    let rendered = on_device.draw(work, camera, pose, options, light.map(|light| (light, None)), None)?;
+    on_device.learn(work, &rendered, (&by_image, &error, None), &groups, &results)?;
+    let readback = StepReadback::read(work, &results, &rendered.on.found)?;
+    Ok((work.read(&rendered.image, rendered.on.pixels * 4)?, light.map(|_| readback.light())))
 }
 
 /// The same step by the CPU engine: what it drew, what became of the splats, and the gradient of the light.
@@ -284,7 +285,7 @@ fn on_the_host(
         }
     }
     if lit {
-        let Codes { values, first, second } = &mut after.splat_embeddings;
+        let SplatEmbeddings { values, first, second } = &mut after.splat_embeddings;
         let size = EmbedAppearance::EMBEDDING_SIZE;
         for i in (0..held.splats.len()).filter(|&i| projected.radii()[i] > 0.0) {
             let at = i * size..(i + 1) * size;

@@ -27,33 +27,36 @@ impl GpuFeatureTarget {
     pub fn upload(
         device: &Arc<Device>,
         work: &mut Work,
-        asked: &FeatureTarget,
+        feature_target: &FeatureTarget,
     ) -> Result<GpuFeatureTarget, GpuError> {
-        let target = asked.target;
+        let target = feature_target.target;
         let cells = target.width * target.height;
         let planes = target.channels.next_multiple_of(4);
-        let mut scaled: Vec<f32> = target.data.iter().map(|t| t * asked.scale).collect();
+        let mut scaled: Vec<f32> = target.data.iter().map(|t| t * feature_target.scale).collect();
         scaled.resize(planes * cells, 0.0);
         Ok(GpuFeatureTarget {
             device: device.clone(),
-            size: asked.average.from().into(),
+            size: feature_target.average.from().into(),
             cells,
             planes: target.channels,
             target: work.upload("what features should be", &scaled)?,
-            trust: work.upload("how far cells are to be trusted", asked.validity)?,
-            windows: work.upload("the cells' pixels", &windows(asked.average))?,
+            trust: work.upload("how far cells are to be trusted", feature_target.validity)?,
+            windows: work.upload("the cells' pixels", &windows(feature_target.average))?,
         })
     }
 
     /// The same for many steps; `None` where it would take more than its share of the device's memory.
-    pub fn keep(device: &Arc<Device>, asked: &FeatureTarget) -> Result<Option<GpuFeatureTarget>, GpuError> {
+    pub fn keep(
+        device: &Arc<Device>,
+        feature_target: &FeatureTarget,
+    ) -> Result<Option<GpuFeatureTarget>, GpuError> {
         let mut work = device.work();
-        let bytes = (4 * asked.target.data.len()) as u64;
+        let bytes = (4 * feature_target.target.data.len()) as u64;
         // Every photo's are kept, and together they have one share.
         if !keeps_channels(device.held() + bytes, work.budget()) {
             return Ok(None);
         }
-        GpuFeatureTarget::upload(device, &mut work, asked).map(Some)
+        GpuFeatureTarget::upload(device, &mut work, feature_target).map(Some)
     }
 }
 

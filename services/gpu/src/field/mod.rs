@@ -69,22 +69,23 @@ impl GpuField {
     }
 
     /// Begins a step.
-    pub fn begin<'s>(
+    pub fn start<'s>(
         &'s self,
         work: &mut Work,
-        asked: &'s GpuFeatureTarget,
-        drawn: &Rendered,
+        feature_target: &'s GpuFeatureTarget,
+        rendered: &Rendered,
     ) -> Result<FieldStep<'s>, GpuError> {
         let channels = self.rows.count();
         let (plan, wanted) = match &self.decoder {
-            Some(decoder) => (decoder.plan(asked.cells), decoder.outputs),
-            None => (Plan::of_points(&[], channels, asked.cells), channels),
+            Some(decoder) => (decoder.plan(feature_target.cells), decoder.outputs),
+            None => (Plan::of_points(&[], channels, feature_target.cells), channels),
         };
-        assert_eq!(asked.planes, wanted, "planes of what is asked");
-        let pairs = (!drawn.pixels.is_empty()).then(|| Pairs::upload(work, drawn, channels)).transpose()?;
+        assert_eq!(feature_target.planes, wanted, "planes of what is asked");
+        let pairs =
+            (!rendered.pixels.is_empty()).then(|| Pairs::upload(work, rendered, channels)).transpose()?;
         // Of all cells there are.
-        let count = work.upload("how many cells there are", &[asked.cells as u32])?;
-        Ok(FieldStep { field: self, asked, tape: Tape::new(work, &plan)?, plan, pairs, count })
+        let count = work.upload("how many cells there are", &[feature_target.cells as u32])?;
+        Ok(FieldStep { field: self, feature_target, tape: Tape::new(work, &plan)?, plan, pairs, count })
     }
 }
 
@@ -109,7 +110,7 @@ impl GpuDecoder {
 /// A step of the field: first every part of the image is taken, then all is judged, then every part of its gradients is asked.
 pub(crate) struct FieldStep<'s> {
     field: &'s GpuField,
-    asked: &'s GpuFeatureTarget,
+    feature_target: &'s GpuFeatureTarget,
     plan: Plan,
     /// Planes of cells: features, and what they are decoded to.
     tape: Tape,
@@ -121,32 +122,38 @@ impl FieldStep<'_> {
     /// Takes a part of the image, of so many vec4 from the vec4 `first` on.
     pub fn take(&self, work: &mut Work, first: usize, blocks: usize, image: &Lent) {
         let job = [first as u32, self.field.rows.count() as u32, 0, 0];
-        let groups = (self.asked.cells * blocks).div_ceil(GROUP);
-        work.run(&AREA_AVERAGE, blocks as u32, job, &[&self.asked.windows, image, &self.tape.maps], groups);
+        let groups = (self.feature_target.cells * blocks).div_ceil(GROUP);
+        work.run(
+            &AREA_AVERAGE,
+            blocks as u32,
+            job,
+            &[&self.feature_target.windows, image, &self.tape.maps],
+            groups,
+        );
         if let Some(pairs) = &self.pairs {
             pairs.take(work, first, blocks, image);
         }
     }
 
     /// Computes the losses; the decoder learns.
-    pub fn judge(&self, work: &mut Work) -> Result<(), GpuError> {
-        let FieldStep { field, asked, plan, tape, count, .. } = self;
-        let cells = asked.cells;
+    pub fn compute_losses(&self, work: &mut Work) -> Result<(), GpuError> {
+        let FieldStep { field, feature_target, plan, tape, count, .. } = self;
+        let cells = feature_target.cells;
         let first = field.decoder.as_ref().map_or(0, |decoder| decoder.inputs * cells);
         if let Some(decoder) = &field.decoder {
             tape.forward(work, plan, decoder.rows.part(0), count, 0);
         }
         // Planes that fill up what is decoded to whole vec4 have nothing to say, and are no part of the mean.
         let planes = match field.decoder {
-            Some(_) => asked.planes.next_multiple_of(4),
-            None => asked.planes,
+            Some(_) => feature_target.planes.next_multiple_of(4),
+            None => feature_target.planes,
         };
         let numbers = planes * cells;
-        let share = 1.0 / (asked.planes * cells).max(1) as f32;
+        let share = 1.0 / (feature_target.planes * cells).max(1) as f32;
         let groups = numbers.div_ceil(GROUP);
         let parts = work.take::<f32>("the embedding loss", groups)?;
         let job = [first as u32, numbers as u32, cells as u32, share.to_bits()];
-        let buffers = [&tape.maps, &asked.target, &asked.trust, &tape.grads, &parts];
+        let buffers = [&tape.maps, &feature_target.target, &feature_target.trust, &tape.grads, &parts];
         work.run(&EMBEDDING_LOSS, 1, job, &buffers, groups);
         if let Some(decoder) = &field.decoder {
             let wide = decoder.outputs.div_ceil(4);
@@ -165,12 +172,18 @@ impl FieldStep<'_> {
 
     /// A part of the image's gradients.
     pub fn gradients(&self, work: &mut Work, first: usize, blocks: usize) -> Result<Lent, GpuError> {
-        let [width, height] = self.asked.size;
+        let [width, height] = self.feature_target.size;
         let image = work.take::<[f32; 4]>("the image's gradients", width * height * blocks)?;
         let rule = self.field.rule;
         let job = [first as u32, self.field.rows.count() as u32, rule.embedding.to_bits(), 0];
         let groups = (width * height * blocks).div_ceil(GROUP);
-        work.run(&AREA_SPREAD, blocks as u32, job, &[&self.asked.windows, &self.tape.grads, &image], groups);
+        work.run(
+            &AREA_SPREAD,
+            blocks as u32,
+            job,
+            &[&self.feature_target.windows, &self.tape.grads, &image],
+            groups,
+        );
         if let Some(pairs) = &self.pairs {
             pairs.add(work, first, blocks, &image);
         }
@@ -197,9 +210,9 @@ impl DeviceRefinement for GpuField {
         // The device first, as in a step.
         let (mut work, last) = (self.device.work(), lock(&self.last));
         let Some(Last { parts, share, pairs }) = &*last else { return Ok(FieldLosses::default()) };
-        let mut sum = |(said, count): &(Lent, usize)| -> Result<f64, GpuError> {
-            let said: Vec<f32> = work.read(said, *count)?;
-            Ok(said.iter().map(|&part| f64::from(part)).sum())
+        let mut sum = |(results, count): &(Lent, usize)| -> Result<f64, GpuError> {
+            let results: Vec<f32> = work.read(results, *count)?;
+            Ok(results.iter().map(|&part| f64::from(part)).sum())
         };
         let embedding = (sum(parts)? * f64::from(*share)) as f32;
         let compact = pairs.as_ref().map_or(Ok(0.0), &mut sum)? as f32;

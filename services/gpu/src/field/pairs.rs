@@ -18,7 +18,7 @@ pub(super) struct Pairs {
     pixels: usize,
     channels: usize,
     /// Their places in the view.
-    places: Lent,
+    positions: Lent,
     /// The set of masks that hold each.
     groups: Lent,
     /// Sets of masks as bits, so many words each.
@@ -36,17 +36,17 @@ pub(super) struct Pairs {
 
 impl Pairs {
     /// Brings pixels there.
-    pub fn upload(work: &mut Work, drawn: &Rendered, channels: usize) -> Result<Pairs, GpuError> {
-        let n = drawn.pixels.len();
-        let Membership { groups, .. } = drawn.membership;
-        let groups: Vec<u32> = drawn.pixels.iter().map(|&p| groups[p as usize]).collect();
-        let (bits, words) = drawn.membership.bits();
+    pub fn upload(work: &mut Work, rendered: &Rendered, channels: usize) -> Result<Pairs, GpuError> {
+        let n = rendered.pixels.len();
+        let Membership { groups, .. } = rendered.membership;
+        let groups: Vec<u32> = rendered.pixels.iter().map(|&p| groups[p as usize]).collect();
+        let (bits, words) = rendered.membership.bits();
         let bits: Vec<u32> = bits.iter().flat_map(|word| [*word as u32, (word >> 32) as u32]).collect();
         let plan = Plan::of_pairs(channels, n, PIECE / n + 1);
         Ok(Pairs {
             pixels: n,
             channels,
-            places: work.upload("the drawn pixels", drawn.pixels)?,
+            positions: work.upload("the drawn pixels", rendered.pixels)?,
             groups: work.upload("the masks of the drawn pixels", &groups)?,
             sets: work.upload("sets of masks", &bits)?,
             words: 2 * words,
@@ -62,7 +62,7 @@ impl Pairs {
     pub fn take(&self, work: &mut Work, first: usize, blocks: usize, image: &Lent) {
         let job = [first, self.channels, self.pixels, 0].map(|n| n as u32);
         let groups = (self.pixels * blocks).div_ceil(GROUP);
-        work.run(&SAMPLED, blocks as u32, job, &[&self.places, image, &self.features], groups);
+        work.run(&SAMPLED, blocks as u32, job, &[&self.positions, image, &self.features], groups);
     }
 
     /// Compares all pairs.
@@ -71,16 +71,16 @@ impl Pairs {
         let Pairs { groups, sets, features, tape, losses, .. } = self;
         let lengths = work.take::<f32>("the drawn pixels' lengths", self.pixels)?;
         let counts = work.take::<[f32; 2]>("how many share a mask", self.pixels)?;
-        let said = work.upload("weight and pairs", &[weight, 0.0, 0.0])?;
+        let results = work.upload("weight and pairs", &[weight, 0.0, 0.0])?;
         let each = self.pixels.div_ceil(GROUP);
         work.run(&UNITS, 1, [n, channels, 0, 0], &[groups, features, &tape.maps, &lengths], each);
         work.run(&MATES, 1, [n, words, 0, 0], &[groups, sets, &lengths, &counts], self.pixels);
-        work.run(&TOTAL, 1, [n, 2, 1, 0], &[&counts, &said], 2);
+        work.run(&TOTAL, 1, [n, 2, 1, 0], &[&counts, &results], 2);
         work.clear(losses);
         for piece in 0..self.plan.pieces() {
             let layer = 2 * piece as u32;
             tape.forward_piece(work, &self.plan, piece, features, &lengths);
-            let buffers = [&tape.layers, groups, sets, &said, &tape.maps, &tape.grads, losses];
+            let buffers = [&tape.layers, groups, sets, &results, &tape.maps, &tape.grads, losses];
             work.run(&PAIRS, 1, [n, words, layer, 0], &buffers, self.pixels);
             tape.backward_piece(work, &self.plan, piece, features, &lengths);
             let buffers = [&tape.layers, features, &lengths, &tape.grads, &self.pulls];
@@ -93,7 +93,7 @@ impl Pairs {
     pub fn add(&self, work: &mut Work, first: usize, blocks: usize, image: &Lent) {
         let job = [first, self.channels, self.pixels, 0].map(|n| n as u32);
         let groups = (self.pixels * blocks).div_ceil(GROUP);
-        work.run(&ADD_PULL, blocks as u32, job, &[&self.places, &self.pulls, image], groups);
+        work.run(&ADD_PULL, blocks as u32, job, &[&self.positions, &self.pulls, image], groups);
     }
 
     /// What each pixel adds to the loss, and how many there are.

@@ -81,8 +81,8 @@ impl GpuRows {
             let (part, within) = (k * blocks / wide, k * blocks % wide);
             let Part { values, first, second } = &self.parts[part];
             let is_first = if k == 0 { 1 << 31 } else { 0 };
-            let place = (wide | within << 16) as u32;
-            let job = [self.rows as u32, blocks as u32, place, self.rate.to_bits() | is_first];
+            let position = (wide | within << 16) as u32;
+            let job = [self.rows as u32, blocks as u32, position, self.rate.to_bits() | is_first];
             work.run(&ROW_STEP, 1, job, &[grads, &states, values, first, second, &self.steps], each);
         }
         work.hand_in();
@@ -105,11 +105,17 @@ impl GpuRows {
 }
 
 /// Whether something is said of each row, and whether all of it is a number.
-pub fn states(work: &mut Work, rows: usize, said: &[Lent], blocks: usize) -> Result<Lent, GpuError> {
+pub fn states(work: &mut Work, rows: usize, results: &[Lent], blocks: usize) -> Result<Lent, GpuError> {
     let states = work.take::<u32>("what is said of the rows", rows)?;
     work.clear(&states);
-    for said in said {
-        work.run(&ROW_STATE, 1, [rows as u32, blocks as u32, 0, 0], &[said, &states], rows.div_ceil(GROUP));
+    for results in results {
+        work.run(
+            &ROW_STATE,
+            1,
+            [rows as u32, blocks as u32, 0, 0],
+            &[results, &states],
+            rows.div_ceil(GROUP),
+        );
     }
     Ok(states)
 }

@@ -52,12 +52,12 @@ impl GpuSums {
     }
 
     /// Adds what a view says, each of so many vec4 of every row.
-    pub fn add(&self, work: &mut Work, said: &[Lent], blocks: usize) -> Result<(), GpuError> {
-        let Some(last) = said.last() else { return Ok(()) };
-        let states = states(work, self.rows, said, blocks)?;
+    pub fn add(&self, work: &mut Work, results: &[Lent], blocks: usize) -> Result<(), GpuError> {
+        let Some(last) = results.last() else { return Ok(()) };
+        let states = states(work, self.rows, results, blocks)?;
         let job = [self.rows, blocks, self.row % (blocks * 4), 0].map(|n| n as u32);
-        for (said, sums) in said.iter().zip(&self.parts) {
-            work.run(&ROW_ADD, 1, job, &[said, &states, last, sums], self.rows.div_ceil(GROUP));
+        for (results, sums) in results.iter().zip(&self.parts) {
+            work.run(&ROW_ADD, 1, job, &[results, &states, last, sums], self.rows.div_ceil(GROUP));
         }
         work.hand_in();
         Ok(())

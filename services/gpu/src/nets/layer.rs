@@ -54,7 +54,7 @@ pub(crate) const CONSTANTS: [(&str, u32); 7] = [
 
 impl Layer {
     /// One that does nothing yet, between maps of such a height and width.
-    pub fn between([in_height, in_width]: [u32; 2], [out_height, out_width]: [u32; 2]) -> Layer {
+    pub fn of_sizes([in_height, in_width]: [u32; 2], [out_height, out_width]: [u32; 2]) -> Layer {
         Layer {
             input_size: [in_width, in_height],
             output_size: [out_width, out_height],

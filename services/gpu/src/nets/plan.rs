@@ -61,7 +61,7 @@ pub(crate) struct Plan {
     forward: Vec<Run>,
     backward: Vec<Run>,
     /// Where each map begins.
-    places: Vec<usize>,
+    positions: Vec<usize>,
     /// Numbers of maps, and of their gradients.
     maps: usize,
     grads: usize,
@@ -72,7 +72,7 @@ pub(crate) struct Plan {
 impl Plan {
     fn empty() -> Plan {
         let (forward, backward) = (Vec::new(), Vec::new());
-        Plan { layers: Vec::new(), forward, backward, places: Vec::new(), maps: 0, grads: 0, parts: 0 }
+        Plan { layers: Vec::new(), forward, backward, positions: Vec::new(), maps: 0, grads: 0, parts: 0 }
     }
 
     /// The kernels of a network for images of this height and width.
@@ -80,7 +80,7 @@ impl Plan {
         let mut plan = Plan::empty();
         let size = |id: Id| graph.forms()[id].size(image).map(|n| n as u32);
         for form in graph.forms() {
-            plan.places.push(plan.maps);
+            plan.positions.push(plan.maps);
             plan.maps += form.numbers(image);
         }
         plan.grads = plan.maps;
@@ -88,9 +88,9 @@ impl Plan {
         for op in graph.ops() {
             let numbers = graph.forms()[op.from].numbers(image);
             let mut layer = Layer {
-                reads: plan.places[op.from] as u32,
-                writes: plan.places[op.to] as u32,
-                ..Layer::between(size(op.from), size(op.to))
+                reads: plan.positions[op.from] as u32,
+                writes: plan.positions[op.to] as u32,
+                ..Layer::of_sizes(size(op.from), size(op.to))
             };
             layer.flags = if op.relu { RELU } else { 0 };
             match &op.what {
@@ -101,7 +101,7 @@ impl Plan {
                     layer.other = plan.maps as u32;
                     plan.maps += numbers + layer.groups();
                 }
-                What::Join(other) => layer.other = plan.places[*other] as u32,
+                What::Join(other) => layer.other = plan.positions[*other] as u32,
                 What::Beside(_) => {}
             }
             forms.push(layer);
@@ -114,7 +114,7 @@ impl Plan {
                 What::Join(_) => plan.join(layer, numbers, true),
                 What::Beside(other) => {
                     plan.join(layer, numbers, true);
-                    let reads = plan.places[*other] as u32;
+                    let reads = plan.positions[*other] as u32;
                     let rest = graph.forms()[*other].numbers(image);
                     plan.join(Layer { reads, writes: layer.writes + numbers as u32, ..layer }, rest, true);
                 }
@@ -128,11 +128,11 @@ impl Plan {
     fn turn(&mut self, graph: &Graph, image: [usize; 2], forms: &[Layer]) {
         let numbers = |id: Id| graph.forms()[id].numbers(image);
         // Maps whose gradients there are by then: more is added to them.
-        let mut begun: Vec<bool> =
+        let mut started: Vec<bool> =
             (0..graph.forms().len()).map(|id| graph.ops().iter().all(|op| !op.reads(id))).collect();
-        let mut flags = |id: Id| if std::mem::replace(&mut begun[id], true) { ADD } else { 0 };
+        let mut flags = |id: Id| if std::mem::replace(&mut started[id], true) { ADD } else { 0 };
         for (op, &layer) in graph.ops().iter().zip(forms).rev() {
-            let at = self.places[op.to];
+            let at = self.positions[op.to];
             if op.relu {
                 self.backward.push(Run::Gate { at, numbers: numbers(op.to) });
             }
@@ -156,7 +156,7 @@ impl Plan {
                     };
                     for (id, start) in [(op.from, 0), (*other, rest)] {
                         if id >= graph.inputs() {
-                            let (reads, writes) = (plain.reads + start, self.places[id] as u32);
+                            let (reads, writes) = (plain.reads + start, self.positions[id] as u32);
                             let flags = flags(id);
                             self.join(Layer { reads, writes, flags, ..plain }, numbers(id), false);
                         }
@@ -168,17 +168,17 @@ impl Plan {
 
     /// The kernels of dense layers over pieces of so many splats, in chains; each link reads `from` and writes `to`, which are
     /// planes of an array of `planes`. A link's gradient is asked of its first `wanted` inputs.
-    pub fn of_points(chain: &[Link], planes: usize, room: usize) -> Plan {
+    pub fn of_points(chain: &[Link], planes: usize, capacity: usize) -> Plan {
         let mut plan = Plan::empty();
-        (plan.maps, plan.grads) = (planes * room, planes * room);
+        (plan.maps, plan.grads) = (planes * capacity, planes * capacity);
         for link in chain {
-            let layer = link.layer(room);
+            let layer = link.layer(capacity);
             plan.convolve(layer, true);
         }
         for link in chain.iter().rev() {
-            let layer = link.layer(room);
+            let layer = link.layer(capacity);
             if link.relu {
-                plan.backward.push(Run::Gate { at: link.to * room, numbers: link.output * room });
+                plan.backward.push(Run::Gate { at: link.to * capacity, numbers: link.output * capacity });
             }
             plan.weigh(layer);
             let back = Layer { output: link.wanted as u32, ..layer.back(COUNTED) };
@@ -187,16 +187,17 @@ impl Plan {
         plan
     }
 
-    /// The kernels of the products of so many pixels' units with themselves, `[channel][pixel]`, at pieces of `room` columns:
+    /// The kernels of the products of so many pixels' units with themselves, `[channel][pixel]`, at pieces of `capacity` columns:
     /// forward, the columns' cosines with every pixel; back, the gradients of the columns' units from those of the cosines. The
     /// units are the weights, and the first of the maps.
-    pub fn of_pairs(channels: usize, pixels: usize, room: usize) -> Plan {
+    pub fn of_pairs(channels: usize, pixels: usize, capacity: usize) -> Plan {
         let mut plan = Plan::empty();
-        let room = room.min(pixels);
-        (plan.maps, plan.grads) = (channels * pixels + pixels * room, channels * room + pixels * room);
+        let capacity = capacity.min(pixels);
+        (plan.maps, plan.grads) =
+            (channels * pixels + pixels * capacity, channels * capacity + pixels * capacity);
         let all = |n: usize| n as u32;
-        for first in (0..pixels).step_by(room.max(1)) {
-            let columns = [1, all(room.min(pixels - first))];
+        for first in (0..pixels).step_by(capacity.max(1)) {
+            let columns = [1, all(capacity.min(pixels - first))];
             let forward = Layer {
                 reads: all(first),
                 writes: all(channels * pixels),
@@ -205,11 +206,11 @@ impl Plan {
                 output: all(pixels),
                 by_output: 1,
                 by_input: all(pixels),
-                ..Layer::between([1, all(pixels)], columns)
+                ..Layer::of_sizes([1, all(pixels)], columns)
             };
             plan.convolve(forward, true);
             let back = Layer {
-                reads: all(channels * room),
+                reads: all(channels * capacity),
                 writes: 0,
                 input: all(pixels),
                 output: all(channels),
@@ -257,8 +258,8 @@ impl Plan {
     }
 
     /// Where a map begins.
-    pub fn place(&self, map: Id) -> usize {
-        self.places[map]
+    pub fn position(&self, map: Id) -> usize {
+        self.positions[map]
     }
 
     /// Numbers of all maps.
@@ -302,11 +303,11 @@ pub(crate) struct Link {
 }
 
 impl Link {
-    fn layer(&self, room: usize) -> Layer {
+    fn layer(&self, capacity: usize) -> Layer {
         let mut layer = Layer {
-            reads: (self.from * room) as u32,
-            writes: (self.to * room) as u32,
-            ..Layer::between([1, room as u32], [1, room as u32])
+            reads: (self.from * capacity) as u32,
+            writes: (self.to * capacity) as u32,
+            ..Layer::of_sizes([1, capacity as u32], [1, capacity as u32])
         };
         layer.flags = COUNTED | if self.relu { RELU } else { 0 };
         layer.is(Kind::Dense { input: self.input, output: self.output }, self.weights.clone());

@@ -12,7 +12,7 @@ use crate::shaders::{
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 use segwild_nn::Mlp;
-use segwild_raster::gsw::{DYNAMIC, HIDDEN, INTRINSIC, LAYER, MAPS, Networks, OFF_MAP, VECTOR};
+use segwild_raster::gsw::{DYNAMIC, HIDDEN_LAYER, INTRINSIC, LAYER, MAPS, Networks, OFF_MAP, VECTOR};
 use segwild_raster::{GswWidth, HeldNetworks, NetworksStep, UNetInput};
 use segwild_scene::NEAR;
 
@@ -77,7 +77,7 @@ impl Planes {
         };
         let made = nets.light.ends().1;
         let (fuse, colour) = (take(made + INTRINSIC), take(VECTOR + 3));
-        let (hidden, output, spots) = (take(HIDDEN), take(3), take(2 * (MAPS + 1)));
+        let (hidden_layer, output, spots) = (take(HIDDEN_LAYER), take(3), take(2 * (MAPS + 1)));
         let mut links = Vec::new();
         // A chain's first input and last output have their places; what is between is nobody else's.
         let mut chain = |mlp: &Mlp, shift: usize, from: usize, to: usize, wanted: usize| {
@@ -99,8 +99,8 @@ impl Planes {
         };
         chain(&nets.light, 0, 0, fuse, DYNAMIC + INTRINSIC);
         chain(&nets.fuse, 0, fuse, colour, made + INTRINSIC);
-        chain(&nets.colour, 0, colour, hidden, VECTOR);
-        chain(&nets.last, nets.layout.len(), hidden, output, HIDDEN);
+        chain(&nets.colour, 0, colour, hidden_layer, VECTOR);
+        chain(&nets.last, nets.layout.len(), hidden_layer, output, HIDDEN_LAYER);
         Planes { links, fuse, made, colour, output, spots, all }
     }
 }
@@ -114,7 +114,7 @@ struct Reader {
     frame: [f32; 4],
     eye: [f32; 4],
     map: [u32; 4],
-    room: [u32; 4],
+    capacity: [u32; 4],
     more: [u32; 4],
 }
 
@@ -138,7 +138,7 @@ pub(crate) struct Lighting<'a> {
     tape: Tape,
     planes: Planes,
     reader: Lent,
-    room: usize,
+    capacity: usize,
     splats: usize,
     /// Splats in sight, and how many.
     which: Lent,
@@ -154,7 +154,7 @@ pub(crate) struct Lighting<'a> {
 pub(crate) struct Visible<'a> {
     pub maps: &'a Lent,
     /// Where it begins, before the sigmoid.
-    pub place: usize,
+    pub position: usize,
     /// Width and height.
     pub size: [usize; 2],
     /// Whether it may take the robust mask's place.
@@ -174,15 +174,15 @@ impl<'a> Lighting<'a> {
     ) -> Result<Lighting<'a>, GpuError> {
         let nets = networks.nets();
         let planes = Planes::of(nets);
-        let room = splats.clamp(1, piece);
-        let points = Plan::of_points(&planes.links, planes.all, room);
+        let capacity = splats.clamp(1, piece);
+        let points = Plan::of_points(&planes.links, planes.all, capacity);
         let tape = Tape::new(work, &points)?;
         let photo =
             step.unet_input.as_ref().map(|unet_input| Seen::upload(work, nets, unet_input)).transpose()?;
-        let at = |plane: usize| (plane * room) as u32;
+        let at = |plane: usize| (plane * capacity) as u32;
         let mut reader = Reader {
             eye: [eye.x, eye.y, eye.z, 0.0],
-            room: [room as u32, 0, at(planes.fuse), at(planes.colour)],
+            capacity: [capacity as u32, 0, at(planes.fuse), at(planes.colour)],
             more: [at(planes.spots), planes.made as u32, nets.octaves as u32, step.draw as u32],
             ..Reader::zeroed()
         };
@@ -193,9 +193,9 @@ impl<'a> Lighting<'a> {
             reader.lens = [camera.fx, camera.fy, camera.cx, camera.cy];
             let off_map = OFF_MAP / splats as f32;
             reader.frame = [camera.width as f32, camera.height as f32, NEAR, off_map];
-            reader.map = [width, height, photo.plan.place(nets.unet.maps) as u32, 1];
+            reader.map = [width, height, photo.plan.position(nets.unet.maps) as u32, 1];
         }
-        let reads = (MAPS + 1) * room;
+        let reads = (MAPS + 1) * capacity;
         Ok(Lighting {
             reader: work.upload("how splats read light", &[reader])?,
             items: work.take::<u32>("the splats' numbers", reads)?,
@@ -208,7 +208,7 @@ impl<'a> Lighting<'a> {
             points,
             tape,
             planes,
-            room,
+            capacity,
             splats,
         })
     }
@@ -216,8 +216,8 @@ impl<'a> Lighting<'a> {
     /// The photo's visibility map, if its network saw all of it; once colours were tinted.
     pub fn visible(&self, decides: bool) -> Option<Visible<'_>> {
         let Seen { plan, tape, size, .. } = self.photo.as_ref().filter(|photo| photo.whole)?;
-        let place = plan.place(self.networks.nets().unet.plane);
-        Some(Visible { maps: &tape.maps, place, size: size.map(|n| n / 4), decides })
+        let position = plan.position(self.networks.nets().unet.plane);
+        Some(Visible { maps: &tape.maps, position, size: size.map(|n| n / 4), decides })
     }
 
     /// Adds the photo's light to the colours of the splats in sight. `seen` are their depths and radii, `means` their centres.
@@ -230,27 +230,27 @@ impl<'a> Lighting<'a> {
         colours: &Lent,
     ) -> Result<(), GpuError> {
         let n = self.splats;
-        let places = work.take::<u32>("places of the splats in sight", n + 1)?;
+        let positions = work.take::<u32>("places of the splats in sight", n + 1)?;
         let job = [n as u32, 0, 0, 0];
-        work.run(&IN_SIGHT, 1, job, &[seen, &places], (n + 1).div_ceil(GROUP));
-        scan(work, &places, n + 1)?;
-        work.run(&PICK, 1, job, &[&places, &self.which, &self.count], n.max(1).div_ceil(GROUP));
+        work.run(&IN_SIGHT, 1, job, &[seen, &positions], (n + 1).div_ceil(GROUP));
+        scan(work, &positions, n + 1)?;
+        work.run(&PICK, 1, job, &[&positions, &self.which, &self.count], n.max(1).div_ceil(GROUP));
         if let Some(photo) = &self.photo {
             work.copy_to(&photo.given, &photo.tape.maps, 0, 4 * photo.numbers);
             photo.tape.forward(work, &photo.plan, &self.networks.weights, &self.count, 0);
         }
         for first in self.pieces() {
             self.run_piece(work, first, means, splat_embeddings);
-            let output = (self.planes.output * self.room) as u32;
-            let job = [self.room as u32, first as u32, output, 0];
+            let output = (self.planes.output * self.capacity) as u32;
+            let job = [self.capacity as u32, first as u32, output, 0];
             let buffers = [&self.which, &self.count, &self.tape.maps, colours];
-            work.run(&ADD_LIGHT, 1, job, &buffers, self.room.div_ceil(GROUP));
+            work.run(&ADD_LIGHT, 1, job, &buffers, self.capacity.div_ceil(GROUP));
         }
         Ok(())
     }
 
     fn pieces(&self) -> impl Iterator<Item = usize> + use<> {
-        (0..self.splats).step_by(self.room)
+        (0..self.splats).step_by(self.capacity)
     }
 
     /// The small networks of the piece that begins with a splat in sight.
@@ -260,7 +260,7 @@ impl<'a> Lighting<'a> {
         let job = [self.splats as u32, first as u32, 0, 0];
         let Lighting { reader, which, count, tape, keys, items, .. } = self;
         let buffers = [reader, which, count, means, splat_embeddings, maps, &tape.maps, keys, items];
-        work.run(&READ_LIGHT, 1, job, &buffers, self.room.div_ceil(GROUP));
+        work.run(&READ_LIGHT, 1, job, &buffers, self.capacity.div_ceil(GROUP));
         tape.forward(work, &self.points, &self.networks.weights, count, first);
     }
 
@@ -274,18 +274,18 @@ impl<'a> Lighting<'a> {
         by_code: &Lent,
         blames: Option<&Lent>,
     ) -> Result<(), GpuError> {
-        let Lighting { networks, photo, reader, which, count, tape, room, .. } = self;
+        let Lighting { networks, photo, reader, which, count, tape, capacity, .. } = self;
         let weights = Weights { values: &networks.weights, grads: &self.weight_grads };
-        let each = room.div_ceil(GROUP);
+        let each = capacity.div_ceil(GROUP);
         work.clear(&self.weight_grads);
         let maps = photo.as_ref().map_or(means, |photo| &photo.tape.maps);
         for first in self.pieces() {
             // Of a single piece all is still there.
-            if self.splats > *room {
+            if self.splats > *capacity {
                 self.run_piece(work, first, means, splat_embeddings);
             }
-            let output = (self.planes.output * room) as u32;
-            let job = [*room as u32, first as u32, output, 0];
+            let output = (self.planes.output * capacity) as u32;
+            let job = [*capacity as u32, first as u32, output, 0];
             work.run(&TAKE_LIGHT, 1, job, &[which, count, by_colour, &tape.grads], each);
             tape.backward(work, &self.points, weights, count, first);
             let job = [self.splats as u32, first as u32, 0, 0];
@@ -297,8 +297,8 @@ impl<'a> Lighting<'a> {
         }
         if let Some(Seen { plan, tape, size, .. }) = photo {
             let parts = size.iter().map(|n| n / 4).product::<usize>();
-            let place = plan.place(networks.nets().unet.plane);
-            let job = [parts as u32, place as u32, u32::from(blames.is_some()), 0];
+            let position = plan.position(networks.nets().unet.plane);
+            let job = [parts as u32, position as u32, u32::from(blames.is_some()), 0];
             // Where nothing is blamed nothing of it is read.
             let blames = blames.unwrap_or(&self.items);
             work.run(&VISIBILITY, 1, job, &[blames, &tape.maps, &tape.grads], 1);
@@ -309,7 +309,7 @@ impl<'a> Lighting<'a> {
 
     /// Adds the gradients of the light that a piece read to those of the photo's maps.
     fn sum_maps(&self, work: &mut Work, photo: &Seen, first: usize) -> Result<(), GpuError> {
-        let count = (MAPS + 1) * self.room;
+        let count = (MAPS + 1) * self.capacity;
         let pixels = photo.size.iter().map(|n| n / 2).product::<usize>();
         let [keys, items] =
             [work.take::<u32>("where splats read", count)?, work.take::<u32>("splats", count)?];
@@ -356,8 +356,8 @@ pub(crate) fn floor(width: GswWidth, splats: usize) -> (f64, f64) {
 pub(crate) fn bytes(width: GswWidth, splats: usize) -> usize {
     let nets = Networks::of(width);
     let planes = Planes::of(nets);
-    let room = splats.clamp(1, PIECE);
+    let capacity = splats.clamp(1, PIECE);
     let photo = Plan::of(&nets.unet.graph, [nets.side; 2]);
     let weights = 4 * 4 * (nets.layout.len() + LAYER);
-    Plan::of_points(&planes.links, planes.all, room).bytes() + photo.bytes() + weights + 4 * splats
+    Plan::of_points(&planes.links, planes.all, capacity).bytes() + photo.bytes() + weights + 4 * splats
 }

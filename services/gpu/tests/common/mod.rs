@@ -100,19 +100,19 @@ pub fn photo(seed: u64, width: usize, height: usize) -> Target {
 
 /// One step of training on [`photo`], which is kept under `key`.
 pub fn step(
-    away: &mut dyn Resident,
+    on_device: &mut dyn Resident,
     (camera, pose): &(Camera, Pose),
     light: Option<&Light>,
     rules: &Rules,
     key: u64,
     sky_weight: f32,
 ) -> Result<LossOutput, RasterError> {
-    step_with(away, (camera, pose), light, None, rules, key, sky_weight)
+    step_with(on_device, (camera, pose), light, None, rules, key, sky_weight)
 }
 
 /// The same with networks.
 pub fn step_with(
-    away: &mut dyn Resident,
+    on_device: &mut dyn Resident,
     (camera, pose): (&Camera, &Pose),
     light: Option<&Light>,
     networks: Option<NetworksStep>,
@@ -124,7 +124,7 @@ pub fn step_with(
         camera,
         pose,
         matrix: None,
-        behind: &[[0.5; 3]],
+        background: &[[0.5; 3]],
         has_sky: true,
         leave_out: LeaveOut::Residual(Residuals { before: &[], share: 0.3 }),
         lambda_ssim: 0.2,
@@ -134,7 +134,7 @@ pub fn step_with(
     let options = ProjectOptions::default();
     let step =
         Step { options: &options, light, networks, loss_inputs, key: [0, key, 0], target: &target, rules };
-    Ok(away.step(&step)?.0)
+    Ok(on_device.step(&step)?.0)
 }
 
 /// The optimiser's usual rules at one rate.

@@ -1,4 +1,4 @@
-//! What the coordinator does with what the actors say.
+//! Handles the outcomes that the actors send to the coordinator.
 
 use super::start::ATTEMPTS;
 use super::{Bars, Coordinator, HISTORY};
@@ -6,7 +6,7 @@ use crate::RunError;
 use crate::folder::{FEATURES, MODEL};
 use crate::history::{self, Moment};
 use crate::light;
-use crate::outcome::Outcome;
+use crate::outcome::ActorOutcome;
 use segwild_features::{FeatureField, FeatureOutcome};
 use segwild_flow::ledger::ViewOutcome;
 use segwild_flow::{Event, Failure, Key, Quarantined, StageProgress};
@@ -17,9 +17,9 @@ use std::sync::{Arc, PoisonError};
 use std::time::Instant;
 
 impl Coordinator<'_> {
-    pub(super) fn hear(&mut self, outcome: Outcome, bars: &mut Bars) -> Result<(), RunError> {
+    pub(super) fn handle(&mut self, outcome: ActorOutcome, bars: &mut Bars) -> Result<(), RunError> {
         match outcome {
-            Outcome::Mask(MaskOutcome::Sky { view, sky, seconds }) => {
+            ActorOutcome::Mask(MaskOutcome::Sky { view, sky, seconds }) => {
                 self.view_done(
                     "sky",
                     view,
@@ -31,51 +31,51 @@ impl Coordinator<'_> {
                 if sky.is_err() {
                     self.do_without_sky(view)?;
                 }
-                // From here on the trainer may look at the photo: what it makes of it is named already.
+                // From here on the trainer may use the photo: the keys already account for its sky.
                 self.skies.set(view, sky.is_ok());
                 self.state.sky_open -= 1;
                 self.state.training_sky_open -= usize::from(!self.scene.views[view].test);
                 self.close("sky", self.state.sky_open, &mut bars.sky)
             }
-            Outcome::Mask(MaskOutcome::Masks { view, masks, seconds }) => {
+            ActorOutcome::Mask(MaskOutcome::Masks { view, masks, seconds }) => {
                 let key = self.keys.masks[view];
                 self.view_done("masks", view, &key, masks.as_ref().err(), seconds, &mut bars.masks)?;
                 self.masks_known.set(view, masks.is_ok());
                 self.state.masks_open -= 1;
                 self.state.mask_speed.add(seconds, bars.geometry.is_some());
                 if self.state.masks_open == 0 {
-                    self.state.mask_speed.tell(&self.options.events);
+                    self.state.mask_speed.report(&self.options.events);
                 }
                 self.close("masks", self.state.masks_open, &mut bars.masks)
             }
-            Outcome::Feature(FeatureOutcome::Embedded { view, seconds }) => {
+            ActorOutcome::Feature(FeatureOutcome::Embedded { view, seconds }) => {
                 let key = self.keys.embedding[view];
                 self.view_done("embed", view, &key, None, seconds, &mut bars.embed)?;
                 self.state.embedded[view] = true;
                 self.state.embed_open -= 1;
                 self.close("embed", self.state.embed_open, &mut bars.embed)
             }
-            Outcome::Feature(FeatureOutcome::EmbedFailed { view, given_up }) => {
+            ActorOutcome::Feature(FeatureOutcome::EmbedFailed { view, given_up }) => {
                 let key = self.keys.embedding[view];
                 self.view_done("embed", view, &key, Some(&given_up), None, &mut bars.embed)?;
                 self.state.embed_open -= 1;
                 self.close("embed", self.state.embed_open, &mut bars.embed)
             }
-            Outcome::Feature(FeatureOutcome::Field(field)) => {
+            ActorOutcome::Feature(FeatureOutcome::Field(field)) => {
                 self.state.made_field = Some(field);
                 Ok(())
             }
-            Outcome::Feature(FeatureOutcome::FieldFailed(reason)) => {
+            ActorOutcome::Feature(FeatureOutcome::FieldFailed(reason)) => {
                 self.state.failed = Some(("features", Failure::fatal(reason)));
                 Ok(())
             }
-            Outcome::Visibility(failed) => self.hear_visibility(failed),
-            Outcome::Train(outcome) => self.hear_trainer(outcome, bars),
+            ActorOutcome::Visibility(failed) => self.handle_visibility(failed),
+            ActorOutcome::Train(outcome) => self.handle_trainer(outcome, bars),
         }
     }
 
-    /// Leaves out of the field those photos of which it is not known what can be trusted in them.
-    fn hear_visibility(&mut self, failed: Vec<(usize, String)>) -> Result<(), RunError> {
+    /// Leaves the photos without a known visibility out of the feature field.
+    fn handle_visibility(&mut self, failed: Vec<(usize, String)>) -> Result<(), RunError> {
         for (view, error) in &failed {
             let key = self.keys.visibility[*view];
             let label = self.scene.views[*view].name.clone();
@@ -88,8 +88,8 @@ impl Coordinator<'_> {
         Ok(())
     }
 
-    /// Fails a stage that could do none of its photos, and warns of one that could do less than half of them: that is
-    /// hardly the photos' fault.
+    /// Fails a stage that failed on all of its photos, and warns when it failed on more than half of them: the photos
+    /// are hardly the cause.
     fn weigh_failures(&mut self, work: &'static str, stage: &'static str, photos: usize) {
         let Some((failed, first)) = self.state.failures.get(work).cloned() else { return };
         if failed == photos {
@@ -106,22 +106,22 @@ impl Coordinator<'_> {
         }
     }
 
-    /// Names what is made from now on after the skies that it lacks. What the trainer made before was made without a look
-    /// at this photo, and bears either name rightly.
+    /// Changes the keys to those of a run without this view's sky. The trainer has not used the photo before, so that
+    /// its work so far is right under either key.
     fn do_without_sky(&mut self, view: usize) -> Result<(), RunError> {
         self.state.without_sky.insert(view);
         let test = |view: &usize| self.scene.views[*view].test;
         let (held_out, training) = self.state.without_sky.iter().copied().partition(test);
         self.keys = self.full_keys.without_skies(&training, &held_out);
         *self.names.lock().unwrap_or_else(PoisonError::into_inner) = self.keys.clone();
-        if self.state.geometry_begun {
+        if self.state.geometry_started {
             self.ledger.begin_stage("geometry", &self.keys.geometry)?;
             self.name_training()?;
         }
         Ok(())
     }
 
-    pub(super) fn hear_trainer(&mut self, outcome: TrainOutcome, bars: &mut Bars) -> Result<(), RunError> {
+    pub(super) fn handle_trainer(&mut self, outcome: TrainOutcome, bars: &mut Bars) -> Result<(), RunError> {
         match outcome {
             TrainOutcome::Began { step, upcoming } => {
                 self.skies.prefer(&upcoming);
@@ -152,8 +152,8 @@ impl Coordinator<'_> {
             TrainOutcome::Snapshot(snapshot) => {
                 self.intact()?;
                 self.cache.put_typed(&self.keys.snapshot, MODEL, &*snapshot)?;
-                // A training that was begun again comes by here again.
-                self.state.snapshot = Some(snapshot).filter(|_| !self.state.masks_begun);
+                // A training that was restarted passes its snapshot step again.
+                self.state.snapshot = Some(snapshot).filter(|_| !self.state.masks_started);
                 Ok(())
             }
             TrainOutcome::Checkpoint(checkpoint) => {
@@ -202,7 +202,7 @@ impl Coordinator<'_> {
         }
     }
 
-    /// Books one view's work.
+    /// Records the work on one view: in the ledger, the progress bar and the counts.
     fn view_done(
         &mut self,
         stage: &'static str,
@@ -216,7 +216,7 @@ impl Coordinator<'_> {
         if let Some(error) = error {
             self.scene.views[view].intact()?;
             if self.cache.was_damaged(key) {
-                // It was made once: a result without it would be another one than that of the run before.
+                // It was made once: without it the result would differ from that of the run before.
                 let reason = format!(
                     "photo {name}: what was made of it was damaged in the cache and cannot be made again ({}); \
                      run again",

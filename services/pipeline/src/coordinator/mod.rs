@@ -1,8 +1,8 @@
-//! Feeds the actors of one scene and listens to them.
+//! Feeds the actors of one scene and handles their outcomes.
 //!
 //! Three of the four actors work here: `masks`, `trainer` and `features` (a click starts the fourth, `segmenter`, in a
-//! process of its own: `segment.rs`). Beside them stand sources, threads that only feed: `ingest` asks for skies,
-//! `photos` for embeddings, `intrinsic renders` for masks, `visibility` compares photos with the trained scene.
+//! process of its own: `segment.rs`). Sources are threads that only send: `ingest` requests skies, `photos` embeddings,
+//! `intrinsic renders` masks; `visibility` compares photos with the trained scene.
 //!
 //! ```text
 //! ingest            -> masks:    sky(view)*      -> trainer, which waits for the sky of each photo it comes to
@@ -13,9 +13,10 @@
 //!                      features: field              from embeddings, visibility and masks
 //! ```
 //!
-//! What is made without a sky that was given up bears another name than what a run with that sky makes. So everything
-//! that is named after the training, but for the training itself, waits until each sky is known ([`Coordinator::go_on`]).
-//! Snapshots are taken at fixed steps and views go in fixed order, so the result does not depend on who was faster.
+//! A training without a sky that was given up has another key than a training with that sky. So everything whose key
+//! depends on the training's, except the training itself, waits until each sky is known ([`Coordinator::go_on`]).
+//! Snapshots are taken at fixed steps and views go in fixed order, so the result does not depend on which actor is
+//! faster.
 
 mod handle;
 mod speed;
@@ -23,14 +24,14 @@ mod start;
 
 use crate::artefacts::Keys;
 use crate::checkpoints::Keeper;
-use crate::continued::Origin;
+use crate::continued::TrainingOrigin;
 use crate::graph::{RunOptions, STAGES};
 use crate::inputs::Inputs;
 use crate::memory;
-use crate::outcome::Outcome;
+use crate::outcome::ActorOutcome;
 use crate::recompute::Recompute;
 use crate::skies::Skies;
-use crate::transients::Known;
+use crate::transients::KnownTransients;
 use crate::view_slots::ViewSlots;
 use crate::{RunError, RunFolder, Settings};
 use segwild_features::{FeatureActor, FeatureField, FeatureTask};
@@ -53,53 +54,53 @@ use std::time::Duration;
 /// Kind of the cache's records of how a training went.
 const HISTORY: &str = "history";
 
-/// What is known so far.
+/// The state of a run, as far as its actors have reported.
 #[derive(Default)]
-pub struct State {
+pub struct CoordinatorState {
     pub model: Option<Arc<Model>>,
     pub field: Option<Arc<FeatureField>>,
     pub skipped: Vec<Skipped>,
-    /// The field, until it is known what to call it.
+    /// The field, until everything that its key depends on is known.
     pub made_field: Option<Box<FeatureField>>,
     pub embedded: Vec<bool>,
     /// Views whose sky was given up.
     pub without_sky: BTreeSet<usize>,
     pub sky_open: usize,
-    /// Those of them that are trained on.
+    /// Those of the open skies whose photos are trained on.
     pub training_sky_open: usize,
     pub embed_open: usize,
     pub masks_open: usize,
     /// The training was ordered, or found done.
-    pub geometry_begun: bool,
-    /// The scene at the snapshot step, until the masks are begun.
+    pub geometry_started: bool,
+    /// The scene at the snapshot step, until the masks are started.
     pub snapshot: Option<Arc<Model>>,
-    pub masks_begun: bool,
-    pub visibility_begun: bool,
-    /// Which pixels can be trusted is known of every photo.
+    pub masks_started: bool,
+    pub visibility_started: bool,
+    /// The visibility of every photo is known.
     pub visible: bool,
-    pub field_asked: bool,
+    pub field_ordered: bool,
     /// The trained scene is there, and the training is done again up to the snapshot alone.
     pub only_to_snapshot: bool,
-    /// The training stands at this step, as far as was asked for, and is not over.
+    /// The training has reached the requested step, this one, and is not over.
     pub paused: Option<u32>,
     pub made: usize,
     pub cached: usize,
     /// A stage that failed, and why.
     pub failed: Option<(&'static str, Failure)>,
-    /// Per kind of work, how many photos were given up, and the first of them with its error.
+    /// Per kind of work, how many photos were given up, and the first one with its error.
     pub failures: BTreeMap<&'static str, (usize, String)>,
-    /// What the field is made of, from the end of the training on.
+    /// The inputs of the field, from the end of the training on.
     pub inputs: Option<Arc<Inputs>>,
-    /// Views of which it is not known what can be trusted in them.
+    /// Views whose visibility could not be computed.
     pub unseen: BTreeSet<usize>,
-    /// How fast masks were made.
+    /// How fast masks are made.
     pub mask_speed: MaskSpeed,
 }
 
 /// Its name among the actors.
 const NAME: &str = "coordinator";
 
-/// The one who conducts.
+/// Starts the stages of one run and handles what its actors report.
 pub struct Coordinator<'a> {
     pub folder: &'a RunFolder,
     pub settings: &'a Settings,
@@ -108,42 +109,42 @@ pub struct Coordinator<'a> {
     pub recorder: &'a Recorder,
     pub scene: Arc<Scene>,
     pub engine: Arc<dyn Engine>,
-    /// The names of what a run makes that finds every sky.
+    /// The keys of a run that finds every sky.
     pub full_keys: Keys,
-    /// This training by other engines, whose checkpoints serve where it has none of its own.
+    /// The keys of this training on other engines: their checkpoints serve where it has none of its own.
     pub elsewhere: Vec<(&'static str, Key)>,
-    /// Where the training begins, if not at the start.
-    pub origin: Option<Origin>,
-    /// The names of what this run makes, as far as is known.
+    /// Where the training starts, if not at step 0.
+    pub origin: Option<TrainingOrigin>,
+    /// The keys of this run, as far as they are known.
     pub keys: Keys,
-    /// The same, for who says of a damaged artefact what it is.
+    /// The same, for the warning about a damaged artefact, which names the artefact.
     pub names: Arc<Mutex<Keys>>,
     pub cache: Cache,
-    /// Index into [`STAGES`] of the last stage wanted.
+    /// Index into [`STAGES`] of the last stage to run.
     pub last: usize,
     /// The step of the training to stop after.
     pub steps: u32,
     pub skies: Arc<Skies>,
     /// What is known of transients before anything is trained.
-    pub known: Known,
+    pub known: KnownTransients,
     pub segmenter: Arc<dyn PromptSegmenter>,
     pub embedder: Arc<dyn Embedder>,
     pub maker: Arc<MaskMaker>,
     /// Per view, whether its masks are in the cache; `false` when they were given up.
     pub masks_known: Arc<ViewSlots<bool>>,
-    /// The trainer lacks what it should have had, for a stop ended the wait for a photo's sky, or somebody took a photo
-    /// away: what it makes from then on is not kept.
+    /// The trainer misses an input: a stop ended the wait for a photo's sky, or a photo file was removed. What it makes
+    /// from then on is not kept.
     pub tainted: Arc<AtomicBool>,
-    pub state: State,
+    pub state: CoordinatorState,
 }
 
-/// The mailboxes that the coordinator writes to.
+/// The mailboxes that the coordinator sends to.
 pub(crate) struct Inboxes {
     masks: Sender<MaskTask>,
     features: Sender<FeatureTask>,
     training: Sender<TrainOrder>,
-    /// For sources that have something to say to the coordinator itself.
-    own: Sender<Outcome>,
+    /// The coordinator's own mailbox, for sources that report to it.
+    own: Sender<ActorOutcome>,
 }
 
 /// Progress of the stages that go view by view or step by step.
@@ -166,8 +167,8 @@ impl Coordinator<'_> {
         }
     }
 
-    /// Reads artefacts of photos.
-    fn anew(&self) -> Recompute {
+    /// Reads artefacts of photos, and recomputes those that are damaged.
+    fn recompute(&self) -> Recompute {
         Recompute {
             scene: self.scene.clone(),
             cache: self.cache.clone(),
@@ -188,13 +189,16 @@ impl Coordinator<'_> {
             .collect()
     }
 
-    /// Whether every photo is still what the names of this run's artefacts say: before something is kept, for what it was
-    /// made from may have changed on the way.
+    /// Checks that every photo still has the content that this run's keys name. It is called before something is kept,
+    /// since the photos may have changed in the meantime.
+    ///
+    /// # Errors
+    /// Names the photo that has changed.
     pub(crate) fn intact(&self) -> Result<(), RunError> {
         Ok(self.views(true).into_iter().try_for_each(|view| self.scene.views[view].intact())?)
     }
 
-    /// Spawns the actors, feeds them, listens to them. The report is of the actors; the result, of the work.
+    /// Spawns the actors, feeds them and handles their outcomes. Returns the actors' report and the result of the work.
     pub fn flow(&mut self, providers: &Providers) -> Result<(Report, Result<(), RunError>), RunError> {
         let system = System::new(SystemOptions {
             events: self.options.events.clone(),
@@ -204,12 +208,14 @@ impl Coordinator<'_> {
             ..SystemOptions::default()
         })?;
         let limits = Limits { count: 64, bytes: 64 << 20 };
-        // Photos say nothing of each other: on many cores several are looked at at once.
-        let lookers =
-            ActorOptions { workers: memory::lookers(self.settings, &self.scene), ..ActorOptions::default() };
+        // Photos do not depend on each other: on many cores several are worked on at once.
+        let parallel = ActorOptions {
+            workers: memory::photos_at_once(self.settings, &self.scene),
+            ..ActorOptions::default()
+        };
         // Renders wait here: a few ahead keep the actor busy, more would only fill memory.
-        let few = Limits { count: 4 * lookers.workers, bytes: 64 << 20 };
-        let (out, inbox) = mailbox::<Outcome>(NAME, limits);
+        let few = Limits { count: 4 * parallel.workers, bytes: 64 << 20 };
+        let (out, inbox) = mailbox::<ActorOutcome>(NAME, limits);
         self.recorder.watch(system.observer());
         self.recorder.mailbox(&inbox);
         let (masks, masks_in) = mailbox::<MaskTask>("masks", few);
@@ -224,11 +230,11 @@ impl Coordinator<'_> {
             Ok(TrainActor { engine: train.engine.clone(), out: train.out.clone() })
         })?;
         let (c, o, sky, maker) = (cache.clone(), out.clone(), providers.sky.clone(), self.maker.clone());
-        system.spawn(masks_in, lookers, move || {
+        system.spawn(masks_in, parallel, move || {
             Ok(MaskActor { sky: sky.clone(), maker: maker.clone(), cache: c.clone(), out: o.clone() })
         })?;
         let (embedder, f) = (self.embedder.clone(), settings.features.clone());
-        system.spawn(features_in, lookers, move || {
+        system.spawn(features_in, parallel, move || {
             Ok(FeatureActor {
                 scene: scene.clone(),
                 size,
@@ -247,12 +253,12 @@ impl Coordinator<'_> {
         if outcome.is_err() {
             self.options.stopper.stop();
         }
-        // An actor that is stopping may still have something to say; nothing may wait for a full mailbox.
+        // An actor that is stopping may still send an outcome, and must not wait for a full mailbox.
         let drained = std::thread::scope(|scope| {
             let rest = scope.spawn(|| {
                 let mut late = Vec::new();
                 while let Some(outcome) = inbox.blocking_recv() {
-                    if let Outcome::Train(
+                    if let ActorOutcome::Train(
                         outcome @ (TrainOutcome::Checkpoint(_) | TrainOutcome::Progress { .. }),
                     ) = outcome
                     {
@@ -266,22 +272,22 @@ impl Coordinator<'_> {
             (report, rest.join().unwrap_or_default())
         });
         let sound = !self.tainted.load(Ordering::Acquire) && self.intact().is_ok();
-        // The way to a checkpoint belongs to it: who goes on from there does not report it again.
+        // The progress up to a checkpoint is kept with it: a run that continues from there does not report it again.
         for outcome in drained.1.into_iter().filter(|_| sound) {
-            self.hear_trainer(outcome, &mut Bars::default())?;
+            self.handle_trainer(outcome, &mut Bars::default())?;
         }
         Ok((drained.0, outcome))
     }
 
-    /// Feeds the actors and listens until everything wanted is there.
+    /// Feeds the actors and handles their outcomes until everything that is wanted is there.
     fn conduct(
         &mut self,
         system: &System,
         guest: &Guest,
         to: Inboxes,
-        inbox: &Receiver<Outcome>,
+        inbox: &Receiver<ActorOutcome>,
     ) -> Result<(), RunError> {
-        guest.busy("begins");
+        guest.busy("starts");
         let n = self.scene.views.len();
         self.state.embedded = vec![false; n];
         for i in 0..n {
@@ -297,14 +303,14 @@ impl Coordinator<'_> {
         let mut bars = Bars { sky: None, embed: None, masks: None, geometry: None };
         let events = self.options.events.clone();
 
-        // Who only sends needs no threads to compute on.
+        // A source only sends and needs no threads to compute on.
         let feeder = ActorOptions { threads: Some(1), ..ActorOptions::default() };
         let with_sky = self.views(true);
         self.state.sky_open = with_sky.len();
         let (held_out, training): (Vec<usize>, Vec<usize>) =
             with_sky.iter().partition(|&&view| self.scene.views[view].test);
         self.state.training_sky_open = training.len();
-        // Scores come last.
+        // Held-out photos come last: only the scores need their skies.
         self.skies.plan(training.into_iter().chain(held_out));
         bars.sky = Some(events.stage("sky", Some(with_sky.len() as u64)));
         let stage_key = self.keys.stage("sky");
@@ -341,20 +347,20 @@ impl Coordinator<'_> {
                 return Ok(());
             }
             guest.waits();
-            let heard = inbox.recv_timeout(Duration::from_millis(200));
-            guest.busy(&heard.as_ref().map_or_else(|_| String::new(), Message::label));
-            if heard.is_ok() {
+            let received = inbox.recv_timeout(Duration::from_millis(200));
+            guest.busy(&received.as_ref().map_or_else(|_| String::new(), Message::label));
+            if received.is_ok() {
                 fault::point("coordinator.hear")
                     .map_err(|e| RunError::Stage { stage: "flow", reason: e.to_string() })?;
             }
-            match heard {
+            match received {
                 Ok(_) if self.tainted.load(Ordering::Acquire) => {
                     return match self.skies.lost() {
                         Some(lost) => Err(RunError::of_stage("sky", &lost)),
                         None => self.intact(),
                     };
                 }
-                Ok(outcome) => self.hear(outcome, &mut bars)?,
+                Ok(outcome) => self.handle(outcome, &mut bars)?,
                 Err(_)
                     if self.options.stopper.phase() == Phase::Running
                         && system.snapshot().iter().all(|a| a.name == NAME || a.exit != Exit::Running) =>
@@ -375,33 +381,33 @@ impl Coordinator<'_> {
         }
     }
 
-    /// Begins what can begin by now.
+    /// Starts what can start by now.
     fn go_on(&mut self, system: &System, to: &Inboxes, bars: &mut Bars) -> Result<(), RunError> {
         if !self.wants("masks") {
             return Ok(());
         }
         let skies_known = self.state.training_sky_open == 0;
-        if !self.state.geometry_begun && (skies_known || !self.something_kept()?) {
-            self.state.geometry_begun = true;
-            self.begin_geometry(to, bars)?;
+        if !self.state.geometry_started && (skies_known || !self.something_kept()?) {
+            self.state.geometry_started = true;
+            self.start_geometry(to, bars)?;
         }
         if !skies_known {
             return Ok(());
         }
-        if let Some(snapshot) = self.state.snapshot.take().filter(|_| !self.state.masks_begun) {
-            self.begin_masks(snapshot, system, to, bars)?;
+        if let Some(snapshot) = self.state.snapshot.take().filter(|_| !self.state.masks_started) {
+            self.start_masks(snapshot, system, to, bars)?;
         }
-        if !self.state.visibility_begun && self.state.model.is_some() {
-            self.state.visibility_begun = true;
-            self.begin_visibility(system, to)?;
+        if !self.state.visibility_started && self.state.model.is_some() {
+            self.state.visibility_started = true;
+            self.start_visibility(system, to)?;
         }
-        self.ask_for_field(to)?;
+        self.order_field(to)?;
         self.keep_field()
     }
 
-    /// Whether an earlier run left something of the training that this one might take up, or had to do without a sky:
-    /// then the skies come first, for they say which training it is. A training from the start needs no such wait: it
-    /// waits for the sky of each photo when it comes to it.
+    /// Whether an earlier run left something of the training that this one may continue, or had to do without a sky.
+    /// Then the skies come first, since the key of the training depends on them. A training from step 0 does not wait
+    /// for all skies: it waits for the sky of each photo when it comes to it.
     fn something_kept(&self) -> Result<bool, RunError> {
         let kept =
             self.cache.contains(&self.full_keys.geometry) || self.cache.contains(&self.full_keys.snapshot);
@@ -421,16 +427,16 @@ impl Coordinator<'_> {
         s.sky_open == 0
             && s.embed_open == 0
             && (!self.wants("masks")
-                || s.masks_begun && s.masks_open == 0
-                || s.paused.is_some() && !s.masks_begun && s.snapshot.is_none())
+                || s.masks_started && s.masks_open == 0
+                || s.paused.is_some() && !s.masks_started && s.snapshot.is_none())
             && !s.only_to_snapshot
             && (!self.wants("geometry") || s.model.is_some() || s.paused.is_some())
             && (!self.wants("features") || s.field.is_some())
     }
 }
 
-/// What each life of the trainer is built from.
+/// What the trainer is built from, at first and again after a panic.
 struct TrainerParts {
     engine: Arc<dyn Engine>,
-    out: Sender<Outcome>,
+    out: Sender<ActorOutcome>,
 }

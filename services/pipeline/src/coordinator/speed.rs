@@ -1,36 +1,37 @@
-//! How fast masks were made, and how much of that time the training took as well.
+//! How fast masks are made, and for how much of that time the training runs beside them.
 
 use segwild_flow::Events;
 use segwild_vision::MaskProposer;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// What is counted while masks are made.
+/// Counts while masks are made.
 #[derive(Default)]
 pub struct MaskSpeed {
     proposer: Option<Arc<dyn MaskProposer>>,
-    /// Seconds in which masks were made.
+    /// Seconds of work on masks, summed over photos.
     seconds: f64,
-    /// Those of them in which the training was still going on.
+    /// Those of them during which the training ran.
     beside_training: f64,
     training_ended: Option<Instant>,
 }
 
 impl MaskSpeed {
-    /// Of this provider.
+    /// Starts counting for a provider.
     pub fn of(proposer: Arc<dyn MaskProposer>) -> MaskSpeed {
         MaskSpeed { proposer: Some(proposer), ..MaskSpeed::default() }
     }
 
-    /// The training is over.
+    /// Notes that the training has ended now.
     pub fn training_ended(&mut self) {
         self.training_ended = Some(Instant::now());
     }
 
-    /// One photo's masks are there; `None` if they were in the cache. `training` while that goes on.
+    /// Adds one photo's masks. `seconds` is `None` if they were in the cache; `training` says whether the training
+    /// still runs.
     pub fn add(&mut self, seconds: Option<f64>, training: bool) {
         let seconds = seconds.unwrap_or(0.0);
-        // Seconds of which the training has been over.
+        // Seconds since the training has ended.
         let after = match self.training_ended {
             _ if training => 0.0,
             Some(end) => end.elapsed().as_secs_f64(),
@@ -40,8 +41,8 @@ impl MaskSpeed {
         self.beside_training += (seconds - after).max(0.0);
     }
 
-    /// Tells it, if any were made.
-    pub fn tell(&self, events: &Events) {
+    /// Reports the counts as metrics and a message, if any masks were made.
+    pub fn report(&self, events: &Events) {
         if self.seconds <= 0.0 {
             return;
         }
@@ -50,15 +51,15 @@ impl MaskSpeed {
         metric("made_s", self.seconds);
         metric("beside_training_s", self.beside_training);
         let Some(work) = self.proposer.as_ref().and_then(|p| p.work()) else { return };
-        let (Some(per_picture), Some(rate)) = (work.seconds_per_picture(), work.prompts_per_second()) else {
+        let (Some(per_image), Some(rate)) = (work.seconds_per_picture(), work.prompts_per_second()) else {
             return;
         };
-        metric("encoder_s", per_picture);
+        metric("encoder_s", per_image);
         metric("prompts_per_s", rate);
         events.info(
             Some("masks"),
             format!(
-                "{} pictures encoded in {per_picture:.2} s each, {} prompts answered at {rate:.0} per second; {:.0} % of \
+                "{} images encoded in {per_image:.2} s each, {} prompts answered at {rate:.0} per second; {:.0} % of \
                  the time the training went on",
                 work.encoded,
                 work.prompts,
@@ -79,10 +80,10 @@ mod tests {
         speed.add(None, true);
         assert_eq!((speed.seconds, speed.beside_training), (3.0, 3.0));
         speed.training_ended();
-        // Begun ten seconds before it was heard, which is hardly after the training's end.
+        // Started ten seconds before it is added, and hardly after the training's end.
         speed.add(Some(10.0), false);
         assert!(speed.seconds == 13.0 && (12.0..13.0).contains(&speed.beside_training));
-        // Begun after it.
+        // Started after it.
         let before = speed.beside_training;
         speed.add(Some(0.0), false);
         assert_eq!(speed.beside_training, before);

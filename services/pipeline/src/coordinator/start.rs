@@ -1,14 +1,14 @@
-//! What the coordinator begins: the arrows of the graph, and what each of them takes along.
+//! Starts the stages: the edges of the graph, and the data that each of them carries.
 
 use super::{Bars, Coordinator, HISTORY, Inboxes};
 use crate::RunError;
 use crate::checkpoints::Keeper;
 use crate::folder::{FEATURES, MODEL};
 use crate::history::{self, Moment};
-use crate::inputs::{Drawn, Inputs, VISIBILITY};
+use crate::inputs::{Inputs, SnapshotRenders, VISIBILITY};
 use crate::keep::{SNAPSHOT, TRAINING, TRANSIENTS};
 use crate::memory;
-use crate::outcome::Outcome;
+use crate::outcome::ActorOutcome;
 use segwild_features::{FeatureField, FeatureTask};
 use segwild_flow::ledger::ViewOutcome;
 use segwild_flow::{ActorOptions, Context, Event, Failure, Key, Phase, System, fault};
@@ -21,9 +21,9 @@ use std::time::Duration;
 
 impl Coordinator<'_> {
     /// Takes the trained scene and its snapshot from the cache, or orders the training.
-    pub(super) fn begin_geometry(&mut self, to: &Inboxes, bars: &mut Bars) -> Result<(), RunError> {
+    pub(super) fn start_geometry(&mut self, to: &Inboxes, bars: &mut Bars) -> Result<(), RunError> {
         self.name_training()?;
-        // A record may be whole and anybody's: one whose parts do not fit is as good as none, and is made again.
+        // A whole record may still be another program's: one whose parts do not fit together counts as missing.
         let sound = |model: &Model| model.check().is_ok();
         let done = self.cache.get_typed::<Model>(&self.keys.geometry, MODEL)?.filter(sound);
         let snapshot = self.cache.get_typed::<Model>(&self.keys.snapshot, MODEL)?.filter(sound);
@@ -33,7 +33,7 @@ impl Coordinator<'_> {
         if let Some(model) = done {
             match self.cache.get_typed::<Vec<Moment>>(&self.keys.history, HISTORY)? {
                 Some(moments) => history::replace(self.folder, &moments)?,
-                // The one in the folder is that of the training that the run stands at.
+                // The history in the folder is of this training.
                 None if self.ledger.stage_is_done("geometry", &self.keys.geometry)? => {
                     self.cache.put_typed(&self.keys.history, HISTORY, &history::read(self.folder))?;
                 }
@@ -76,7 +76,7 @@ impl Coordinator<'_> {
                 tainted.store(true, Ordering::Release);
             }
             let mut photo = TrainPhoto::new(loaded, sky.map_err(|e| e.to_string())?);
-            transients.tell(view, &mut photo)?;
+            transients.apply(view, &mut photo)?;
             Ok(photo)
         };
         let order = TrainOrder {
@@ -90,7 +90,8 @@ impl Coordinator<'_> {
         to.training.blocking_send(order).map_err(|_| RunError::Interrupted) // closed: everything stops
     }
 
-    /// Looks for the last checkpoint before a step, each time it is asked.
+    /// Returns a function that finds the last checkpoint before a step. The trainer calls it at its start and after a
+    /// panic.
     fn find_checkpoint(&self, before: u32) -> Arc<FindCheckpoint> {
         let (folder, ledger, events) =
             (self.folder.clone(), self.ledger.clone(), self.options.events.clone());
@@ -99,22 +100,22 @@ impl Coordinator<'_> {
         Arc::new(move || {
             let last = |key| {
                 let keeper = Keeper { folder: &folder, ledger: &ledger, events: &events, key, kept };
-                // What is damaged is passed over; only the ledger can refuse.
+                // A damaged checkpoint is passed over; only the ledger can fail.
                 keeper.last_before(before).map_err(Failure::storage)
             };
             if let Some(own) = last(&key)? {
                 return Ok(Some(own));
             }
             if let Some(origin) = &origin {
-                let (begun, steps) = (origin.step, origin.end - origin.step);
-                let Some(checkpoint) = last(&origin.training)?.filter(|c| c.step() == begun) else {
+                let (step, steps) = (origin.step, origin.end - origin.step);
+                let Some(checkpoint) = last(&origin.training)?.filter(|c| c.step() == step) else {
                     let lost = format!(
-                        "the training to go on from has lost its checkpoint of step {begun}: --continue-share 0 trains from the start"
+                        "the training to go on from has lost its checkpoint of step {step}: --continue-share 0 trains from the start"
                     );
                     return Err(Failure::fatal(lost));
                 };
                 let message = format!(
-                    "transients were put right: the training goes on from step {begun} for {steps} more (--continue-share)"
+                    "transient masks were corrected: the training goes on from step {step} for {steps} more (--continue-share)"
                 );
                 events.info(Some("geometry"), message);
                 return Ok(Some(checkpoint));
@@ -132,8 +133,8 @@ impl Coordinator<'_> {
         })
     }
 
-    /// A stage whose result was there. The ledger then says that the run uses it as it stands, and no other that may
-    /// have been made since: what it does not say may leave the cache.
+    /// Records a stage whose result is in the cache. The ledger then names this result as the one that the run uses:
+    /// results that it does not name may be removed from the cache.
     pub(super) fn skip_stage(&self, stage: &str, key: &Key) -> Result<(), RunError> {
         self.options.events.tell(Event::StageSkipped { stage: stage.into(), key: key.to_string() });
         if !self.ledger.stage_is_done(stage, key)? {
@@ -143,7 +144,7 @@ impl Coordinator<'_> {
         Ok(())
     }
 
-    /// Writes down which training is the present one: what belongs to another may leave the cache.
+    /// Records the present training in the ledger. What belongs to another training may be removed from the cache.
     pub(super) fn name_training(&self) -> Result<(), RunError> {
         let rows = [(SNAPSHOT, &self.keys.snapshot), (TRAINING, &self.keys.training)];
         Ok(rows
@@ -151,7 +152,7 @@ impl Coordinator<'_> {
             .try_for_each(|(row, key)| self.ledger.record_view(SNAPSHOT, row, key, &ViewOutcome::cached()))?)
     }
 
-    /// The step the training stands at, when that is as far as was asked for and not its end.
+    /// The step of the newest checkpoint, if the training is to stop before its end and has come that far.
     fn stands_at(&self, before: u32) -> Result<Option<u32>, RunError> {
         if self.steps >= self.settings.train.steps {
             return Ok(None);
@@ -161,7 +162,7 @@ impl Coordinator<'_> {
     }
 
     /// Renders the snapshot from every camera, in order, into the masks actor's mailbox.
-    pub(super) fn begin_masks(
+    pub(super) fn start_masks(
         &mut self,
         snapshot: Arc<Model>,
         system: &System,
@@ -169,25 +170,26 @@ impl Coordinator<'_> {
         bars: &mut Bars,
     ) -> Result<(), RunError> {
         let views = self.views(false);
-        self.state.masks_begun = true;
+        self.state.masks_started = true;
         self.state.masks_open = views.len();
         self.ledger.begin_stage("masks", &self.keys.stage("masks"))?;
         bars.masks = Some(self.options.events.stage("masks", Some(views.len() as u64)));
         let (size, keys, skies) = (self.settings.scene.size, self.keys.masks.clone(), self.skies.clone());
-        let (cache, drawn_on, out) = (self.cache.clone(), self.settings.masks.mask_source, to.masks.clone());
+        let (cache, mask_source, out) =
+            (self.cache.clone(), self.settings.masks.mask_source, to.masks.clone());
         let (engine, scene) = (self.engine.clone(), self.scene.clone());
-        let drawn = Arc::new(Drawn { model: snapshot, engine, scene, size });
+        let renders = Arc::new(SnapshotRenders { model: snapshot, engine, scene, size });
         system.source("intrinsic renders", ActorOptions::default(), move |context| {
             for &view in &views {
                 context.check()?;
-                // Ahead of the actor, which draws for itself where masks that are there turn out to be damaged.
-                let render = if drawn_on == MaskSource::Photo || cache.contains(&keys[view]) {
+                // Rendered ahead of the actor. Where masks in the cache are damaged, the actor renders for itself.
+                let render = if mask_source == MaskSource::Photo || cache.contains(&keys[view]) {
                     None
                 } else {
-                    Some(Arc::new(drawn.render(view).map_err(Failure::retry)?))
+                    Some(Arc::new(renders.render(view).map_err(Failure::retry)?))
                 };
                 let (key, sky) = (keys[view], skies.read(view)?.map(Arc::new));
-                out.blocking_send(MaskTask::Masks { view, key, render, snapshot: drawn.clone(), sky })?;
+                out.blocking_send(MaskTask::Masks { view, key, render, snapshot: renders.clone(), sky })?;
             }
             Ok(())
         })?;
@@ -195,10 +197,10 @@ impl Coordinator<'_> {
     }
 
     /// Compares every photo with the trained scene, while masks are still being made.
-    pub(super) fn begin_visibility(&mut self, system: &System, to: &Inboxes) -> Result<(), RunError> {
+    pub(super) fn start_visibility(&mut self, system: &System, to: &Inboxes) -> Result<(), RunError> {
         let Some(model) = self.state.model.clone().filter(|_| self.wants("features")) else { return Ok(()) };
         let inputs = Arc::new(Inputs {
-            anew: self.anew(),
+            recompute: self.recompute(),
             keys: self.keys.clone(),
             size: self.settings.scene.size,
             model,
@@ -208,7 +210,7 @@ impl Coordinator<'_> {
             embedder: self.embedder.clone(),
             maker: self.maker.clone(),
             known: self.known.clone(),
-            lookers: memory::lookers(self.settings, &self.scene),
+            photos_at_once: memory::photos_at_once(self.settings, &self.scene),
         });
         self.state.inputs = Some(inputs.clone());
         let (views, out) = (self.views(false), to.own.clone());
@@ -217,16 +219,16 @@ impl Coordinator<'_> {
         system.source("visibility", ActorOptions::default(), move |context| {
             let mut failed = Vec::new();
             for &view in &views {
-                match see(&inputs, view, context) {
+                match compute_visibility(&inputs, view, context) {
                     Err(failure) if failure.is_local() => failed.push((view, failure.to_string())),
                     seen => seen?,
                 }
             }
             let seen: Vec<usize> =
                 views.iter().copied().filter(|view| failed.iter().all(|(f, _)| f != view)).collect();
-            out.blocking_send(Outcome::Visibility(failed))?;
-            // The field needs no pictures and does not wait for them.
-            for note in inputs.picture_transients(&folder, &seen, &*segmenter, context)? {
+            out.blocking_send(ActorOutcome::Visibility(failed))?;
+            // The field does not need the mask images and does not wait for them.
+            for note in inputs.write_transient_masks(&folder, &seen, &*segmenter, context)? {
                 events.warn(Some("geometry"), note);
             }
             Ok(())
@@ -234,17 +236,17 @@ impl Coordinator<'_> {
         Ok(())
     }
 
-    /// Orders the feature field. It begins before the masks are all there: photos are lifted without them, and it waits
-    /// for those of a photo when it comes to its compactness.
-    pub(super) fn ask_for_field(&mut self, to: &Inboxes) -> Result<(), RunError> {
+    /// Orders the feature field. It starts before all masks are there: photos are lifted without them, and the
+    /// compactness loss waits for the masks of each photo that it comes to.
+    pub(super) fn order_field(&mut self, to: &Inboxes) -> Result<(), RunError> {
         let s = &self.state;
-        let ready = s.training_sky_open == 0 && s.embed_open == 0 && s.masks_begun && s.visible;
-        let Some(inputs) = s.inputs.clone().filter(|_| ready && !s.field_asked) else { return Ok(()) };
+        let ready = s.training_sky_open == 0 && s.embed_open == 0 && s.masks_started && s.visible;
+        let Some(inputs) = s.inputs.clone().filter(|_| ready && !s.field_ordered) else { return Ok(()) };
         let key = self.field_key();
         if self.state.masks_open > 0 && self.cache.contains(&key) {
-            return Ok(()); // most likely it is this one: seen when the masks are known
+            return Ok(()); // most likely this field; the key is certain when the masks are known
         }
-        self.state.field_asked = true;
+        self.state.field_ordered = true;
         let views = self.views(false);
         for &view in views.iter().filter(|view| !self.state.unseen.contains(view)) {
             let (name, key) = (&self.scene.views[view].name, &self.keys.visibility[view]);
@@ -269,8 +271,8 @@ impl Coordinator<'_> {
         to.features.blocking_send(task).map_err(|_| RunError::Interrupted) // closed: everything stops
     }
 
-    /// The name of the field, as far as is known: one without the embedding, the masks or the visibility of photos that
-    /// were given up on the way is another than the one with them.
+    /// The key of the field, as far as is known. A field without the embedding, the masks or the visibility of photos
+    /// that were given up has another key than the field with them.
     fn field_key(&self) -> Key {
         let views = self.views(false);
         let no_embedding = views.iter().copied().filter(|&view| !self.state.embedded[view]).collect();
@@ -278,7 +280,7 @@ impl Coordinator<'_> {
         self.keys.features_without(&no_embedding, &no_masks, &self.state.unseen)
     }
 
-    /// Keeps the field once it is made and all that its name depends on is known.
+    /// Keeps the field once it is made and everything that its key depends on is known.
     pub(super) fn keep_field(&mut self) -> Result<(), RunError> {
         if self.state.masks_open > 0 {
             return Ok(());
@@ -296,22 +298,22 @@ impl Coordinator<'_> {
 /// How often a photo is compared with the trained scene before it is left out.
 pub(super) const ATTEMPTS: u32 = 3;
 
-/// Sees to it that the cache says which pixels of a photo can be trusted.
-fn see(inputs: &Inputs, view: usize, context: &Context) -> Result<(), Failure> {
-    let (key, cache) = (&inputs.keys.visibility[view], &inputs.anew.cache);
+/// Computes the visibility of a photo into the cache, if it is not there.
+fn compute_visibility(inputs: &Inputs, view: usize, context: &Context) -> Result<(), Failure> {
+    let (key, cache) = (&inputs.keys.visibility[view], &inputs.recompute.cache);
     let mut attempt = 1;
     loop {
         context.check()?;
         if cache.get_typed::<Mask>(key, VISIBILITY)?.is_some() {
             return Ok(());
         }
-        let appearance = || -> Result<(), Failure> {
-            let _step = context.span(&inputs.anew.scene.views[view].name);
-            let seen = inputs.look(view)?;
+        let compare = || -> Result<(), Failure> {
+            let _step = context.span(&inputs.recompute.scene.views[view].name);
+            let seen = inputs.compare(view)?;
             fault::point("visibility.photo")?;
             Ok(cache.put_typed(key, VISIBILITY, &seen)?)
         };
-        match appearance() {
+        match compare() {
             Err(failure) if failure.is_local() && attempt < ATTEMPTS => {
                 context.sleep(Duration::from_millis(100 * u64::from(attempt)));
                 attempt += 1;

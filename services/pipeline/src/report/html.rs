@@ -1,11 +1,11 @@
-//! The parts a self-contained page is made of: escaped text, tables, pictures inside the file, line charts.
+//! The parts of a self-contained page: escaped text, tables, embedded images, line charts.
 
 use base64::Engine as _;
 use segwild_flow::files::name::shown;
 use segwild_scene::Image;
 use std::fmt::Write as _;
 
-/// Text made safe for HTML content and attributes; signs that turn the writing round are written out.
+/// Text made safe for HTML content and attributes. Characters that change the writing direction are written out.
 pub fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in shown(text).chars() {
@@ -36,7 +36,7 @@ pub fn table(rows: &[Vec<String>]) -> String {
     out
 }
 
-/// A picture inside the file, as JPEG (or what the encoder makes of a 1-plane image), with its caption.
+/// An image embedded as JPEG, with its caption. An image with fewer than three channels is shown in grey.
 pub fn figure(image: &Image, caption: &str) -> String {
     let mut bytes = Vec::new();
     let encoded = {
@@ -56,7 +56,7 @@ pub fn figure(image: &Image, caption: &str) -> String {
     let caption = escape(caption);
     if !encoded {
         return format!(
-            "<figure><figcaption>{caption} (this picture could not be encoded)</figcaption></figure>"
+            "<figure><figcaption>{caption} (this image could not be encoded)</figcaption></figure>"
         );
     }
     let data = base64::engine::general_purpose::STANDARD.encode(&bytes);
@@ -66,7 +66,7 @@ pub fn figure(image: &Image, caption: &str) -> String {
 }
 
 /// A line of a chart.
-pub struct Series {
+pub struct ChartSeries {
     /// Shown in the legend.
     pub name: String,
     /// `(x, y)`, x ascending; points that are not finite are left out.
@@ -76,9 +76,9 @@ pub struct Series {
 const COLOURS: [&str; 6] = ["#1f6f8b", "#d1495b", "#66a182", "#edae49", "#6a4c93", "#555555"];
 
 /// A line chart as inline SVG, with ticks at round numbers.
-pub fn chart(title: &str, x_label: &str, y_label: &str, series: &[Series]) -> String {
+pub fn chart(title: &str, x_label: &str, y_label: &str, series: &[ChartSeries]) -> String {
     let (w, h, left, bottom, top, right) = (520.0, 260.0, 58.0, 40.0, 26.0, 12.0);
-    let finite = |s: &Series| -> Vec<(f64, f64)> {
+    let finite = |s: &ChartSeries| -> Vec<(f64, f64)> {
         s.points.iter().copied().filter(|(x, y)| x.is_finite() && y.is_finite()).collect()
     };
     let all: Vec<(f64, f64)> = series.iter().flat_map(finite).collect();
@@ -151,9 +151,9 @@ pub struct Bar {
     pub row: String,
     /// Shown under the pointer.
     pub label: String,
-    /// When it begins.
+    /// When it starts, in seconds.
     pub start: f64,
-    /// When it ends.
+    /// When it ends, in seconds.
     pub end: f64,
     /// Whether the time was spent waiting.
     pub waits: bool,
@@ -179,9 +179,9 @@ pub fn timeline(spans: &[Bar]) -> String {
     for (k, row) in rows.iter().enumerate() {
         let y = k as f64 * line;
         let _ = write!(svg, "<text x=\"0\" y=\"{}\" class=\"k\">{}</text>", y + 15.0, escape(row));
-        let mut drawn_to = [f64::MIN; 2];
+        let mut covered_to = [f64::MIN; 2];
         for bar in spans.iter().filter(|s| s.row == *row) {
-            let to = &mut drawn_to[usize::from(bar.waits)];
+            let to = &mut covered_to[usize::from(bar.waits)];
             if px(bar.end) < *to + 0.4 {
                 continue;
             }
@@ -267,7 +267,8 @@ mod tests {
 
     #[test]
     fn a_chart_leaves_out_what_is_not_a_number() {
-        let series = [Series { name: "loss".into(), points: vec![(0.0, 1.0), (1.0, f64::NAN), (2.0, 0.5)] }];
+        let series =
+            [ChartSeries { name: "loss".into(), points: vec![(0.0, 1.0), (1.0, f64::NAN), (2.0, 0.5)] }];
         let svg = chart("t", "step", "", &series);
         assert!(svg.contains("polyline") && !svg.contains("NaN"));
     }

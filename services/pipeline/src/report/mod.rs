@@ -5,14 +5,14 @@ mod objects;
 
 pub(crate) use objects::add_object;
 
-use crate::choice::Choice;
+use crate::choice::AutoChoice;
 use crate::evaluate::HeldOut;
 use crate::folder::Loaded;
 use crate::history::{self, Moment};
-use crate::render::{NOTHING, Painter, What};
+use crate::render::{NOTHING, SceneRenderer, What};
 use crate::transients;
 use crate::{AppearanceChoice, BudgetChoice, RunError, RunFolder, choose_engine, log_loss};
-use html::Series;
+use html::ChartSeries;
 use segwild_flow::codec::Decode;
 use segwild_flow::ledger::State;
 use segwild_flow::{Cache, FileError, Key, Ledger, SpanKind, TimelineRecord, fault};
@@ -21,8 +21,11 @@ use segwild_scene::{Image, Mask, MaskSet, Skipped};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-/// Writes the report from what the run folder holds. Called at the end of a run; a selection is only added to it. Returns the
-/// photos that are not shown whole, and why.
+/// Writes the report from the run folder. It is called at the end of a run; a selection is only added to the report.
+/// Returns the photos that are not shown whole, and why.
+///
+/// # Errors
+/// When the run is not trained yet, or a file cannot be read or written.
 pub fn write_report(folder: &RunFolder) -> Result<Vec<Skipped>, RunError> {
     let loaded = folder.load()?;
     let engine = choose_engine(&loaded.settings.run, log_loss)?.engine;
@@ -31,12 +34,12 @@ pub fn write_report(folder: &RunFolder) -> Result<Vec<Skipped>, RunError> {
     match appearances(&loaded, &*engine) {
         Ok(appearances) => body.push_str(&appearances),
         Err(error) => {
-            body.push_str(&format!("<p>Looks are not shown: {}</p>", html::escape(&error.to_string())))
+            body.push_str(&format!("<p>Appearances are not shown: {}</p>", html::escape(&error.to_string())))
         }
     }
     body.push_str(&objects::all(folder, &loaded, &*engine)?);
-    let (pictures, left_out) = photos(folder, &loaded, &*engine)?;
-    body.push_str(&pictures);
+    let (rows, left_out) = photos(folder, &loaded, &*engine)?;
+    body.push_str(&rows);
     body.push_str(&curves(folder));
     body.push_str(&stages(folder));
     body.push_str(&skipped(folder)?);
@@ -72,13 +75,13 @@ fn summary(folder: &RunFolder, loaded: &Loaded) -> Result<String, RunError> {
     }
     row("splats", loaded.model.splats.len().to_string());
     row("steps", loaded.model.stats.step.to_string());
-    // What was chosen for another run in this folder says nothing of one whose look was given.
+    // A choice in the folder may be of an earlier run: it counts only where the settings leave the model open.
     let chosen = folder
         .read_json::<AppearanceChoice>(AppearanceChoice::FILE)
         .ok()
         .filter(|_| AppearanceChoice::is_open(&loaded.settings));
     row(
-        "look",
+        "appearance model",
         chosen.map_or_else(
             || loaded.model.appearance.as_appearance().name().to_owned(),
             |c| format!("chosen {}", c.why),
@@ -113,10 +116,11 @@ fn summary(folder: &RunFolder, loaded: &Loaded) -> Result<String, RunError> {
     Ok(text)
 }
 
-/// Looks that one view is shown under.
-const LOOKS: usize = 6;
+/// Number of appearances that one view is shown with.
+const APPEARANCES: usize = 6;
 
-/// One view under several photos' looks, from the darkest to the brightest; nothing where all photos share one look.
+/// One view with the appearances of several photos, from the darkest to the brightest; nothing where all photos share
+/// one.
 fn appearances(loaded: &Loaded, engine: &dyn Engine) -> Result<String, RunError> {
     let model = &loaded.model;
     if matches!(model.appearance, AnyAppearance::None(_)) {
@@ -124,12 +128,12 @@ fn appearances(loaded: &Loaded, engine: &dyn Engine) -> Result<String, RunError>
     }
     let known = (0..model.names.len()).filter(|&v| model.appearance_index(Some(v)) == v);
     let small = |view: usize| loaded.scene.views[view].camera.scaled_to(loaded.settings.scene.size.min(360));
-    let painter = Painter::new(loaded, None, What::Colour, engine)?;
-    let paint = |view: usize, appearance: Option<usize>, side: u32| {
+    let renderer = SceneRenderer::new(loaded, None, What::Colour, engine)?;
+    let render = |view: usize, appearance: Option<usize>, side: u32| {
         let camera = small(view).scaled_to(side);
-        painter.paint(engine, &camera, &loaded.scene.views[view].pose, &painter.light(appearance))
+        renderer.render(engine, &camera, &loaded.scene.views[view].pose, &renderer.light(appearance))
     };
-    // The view before which most of the scene stands.
+    // The view that the scene covers most.
     let Some(first) = known.clone().next() else { return Ok(String::new()) };
     let covered = |view: usize| -> Result<f32, RunError> {
         let camera = small(view).scaled_to(48);
@@ -148,20 +152,20 @@ fn appearances(loaded: &Loaded, engine: &dyn Engine) -> Result<String, RunError>
     let view = view.0;
     let mut by_light = Vec::new();
     for appearance in known {
-        let image = paint(view, Some(appearance), 48)?;
+        let image = render(view, Some(appearance), 48)?;
         by_light.push((image.data.iter().sum::<f32>(), appearance));
     }
     by_light.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    let count = LOOKS.min(by_light.len());
+    let count = APPEARANCES.min(by_light.len());
     let mut text = format!(
         "<h2>Appearances</h2><p>{} under the appearances of other photos, darkest first. <code>segwild render --photo PHOTO --appearance \
-         OTHER</code> draws more of them, <code>segwild bake</code> writes one into a <code>.ply</code>.</p><div class=\"row\">",
+         OTHER</code> renders more of them, <code>segwild bake</code> writes one into a <code>.ply</code>.</p><div class=\"row\">",
         html::escape(&loaded.scene.views[view].name)
     );
     let side = small(view).width.max(small(view).height);
     for k in 0..count {
         let appearance = by_light[k * (by_light.len() - 1) / (count - 1).max(1)].1;
-        text.push_str(&html::figure(&paint(view, Some(appearance), side)?, &model.names[appearance]));
+        text.push_str(&html::figure(&render(view, Some(appearance), side)?, &model.names[appearance]));
     }
     text.push_str("</div>");
     Ok(text)
@@ -174,31 +178,31 @@ fn spread(loaded: &Loaded, count: usize) -> Vec<usize> {
     (0..count).map(|k| k * n / count).collect()
 }
 
-/// Per photo, the name of what the run has made of it in a stage.
+/// Per photo, the key of what a stage has made of it.
 fn made(folder: &RunFolder, stage: &'static str) -> Result<BTreeMap<String, Key>, RunError> {
     let ledger = Ledger::open_read_only(folder.ledger())?;
     let done = ledger.views(stage)?.into_iter().filter(|row| row.outcome.state == State::Done);
     Ok(done.filter_map(|row| Some((row.view, Key::parse(stage, &row.key)?))).collect())
 }
 
-/// The point where a picture has been drawn.
+/// The fault point after an image of the report.
 fn pass(folder: &RunFolder) -> Result<(), RunError> {
-    Ok(fault::point("report.picture").map_err(|e| FileError::new("write", &folder.report(), e))?)
+    Ok(fault::point("report.image").map_err(|e| FileError::new("write", &folder.report(), e))?)
 }
 
-/// What the run has made of a photo, to be shown; `missing` says so if it cannot be read.
+/// Reads what the run has made of a photo. If it cannot be read, `missing` gets the reason.
 fn kept<T: Decode>(cache: &Cache, key: Option<&Key>, kind: &str, missing: &mut Option<String>) -> Option<T> {
     match cache.get_typed(key?, kind) {
         Ok(Some(value)) => return Some(value),
         Ok(None) => {
-            *missing = Some(format!("its {kind} record has gone or is damaged: the next run makes it anew"))
+            *missing = Some(format!("its {kind} record has gone or is damaged: the next run makes it again"))
         }
         Err(error) => *missing = Some(error.to_string()),
     }
     None
 }
 
-/// Photos beside what the scene makes of them; those that are not shown whole, and why.
+/// A row per photo: the photo, renders and masks. Returns also the photos that are not shown whole, and why.
 fn photos(
     folder: &RunFolder,
     loaded: &Loaded,
@@ -207,10 +211,10 @@ fn photos(
     let cache = folder.cache()?;
     let (masks, skies) = (made(folder, "masks")?, made(folder, "sky")?);
     let mut text = String::from("<h2>Photos</h2>");
-    let colour = Painter::new(loaded, None, What::Colour, engine)?;
-    let depth = Painter::new(loaded, None, What::Depth, engine)?;
+    let colour = SceneRenderer::new(loaded, None, What::Colour, engine)?;
+    let depth = SceneRenderer::new(loaded, None, What::Depth, engine)?;
     let features = match &loaded.field {
-        Some(_) => Some(Painter::new(loaded, None, What::Features, engine)?),
+        Some(_) => Some(SceneRenderer::new(loaded, None, What::Features, engine)?),
         None => None,
     };
     let row = |view: usize| -> Result<(String, Option<String>), RunError> {
@@ -223,38 +227,38 @@ fn photos(
         text.push_str("<div class=\"row\">");
         text.push_str(&html::figure(&photo.image, &format!("{}{held}", v.name)));
         text.push_str(&html::figure(
-            &colour.paint(engine, &camera, &v.pose, &colour.light(Some(view)))?,
-            "render, own look",
+            &colour.render(engine, &camera, &v.pose, &colour.light(Some(view)))?,
+            "render, own appearance",
         ));
         text.push_str(&html::figure(
-            &colour.paint(engine, &camera, &v.pose, &colour.light(None))?,
-            "render, the scene's look",
+            &colour.render(engine, &camera, &v.pose, &colour.light(None))?,
+            "render, the scene's appearance",
         ));
-        text.push_str(&html::figure(&depth.paint(engine, &camera, &v.pose, &depth.light(None))?, "depth"));
+        text.push_str(&html::figure(&depth.render(engine, &camera, &v.pose, &depth.light(None))?, "depth"));
         if let Some(features) = &features {
             text.push_str(&html::figure(
-                &features.paint(engine, &camera, &v.pose, &features.light(None))?,
+                &features.render(engine, &camera, &v.pose, &features.light(None))?,
                 "features",
             ));
         }
         if let Some(set) = kept::<MaskSet>(&cache, masks.get(&v.name), "masks", &mut missing) {
-            text.push_str(&html::figure(&mask_picture(&set), &format!("{} masks", set.masks.len())));
+            text.push_str(&html::figure(&mask_overlay(&set), &format!("{} masks", set.masks.len())));
         }
         if let Some(sky) = kept::<Mask>(&cache, skies.get(&v.name), "sky", &mut missing)
             && !sky.is_empty()
         {
-            let mut picture = photo.image.clone();
+            let mut overlay = photo.image.clone();
             let sky = sky.resized(camera.width, camera.height);
-            let n = picture.pixels();
+            let n = overlay.pixels();
             for (x, y) in sky.pixels() {
                 let i = (y * camera.width + x) as usize;
-                picture.data[i] *= 0.4;
-                picture.data[n + i] *= 0.4;
-                picture.data[2 * n + i] = 0.6 + 0.4 * picture.data[2 * n + i];
+                overlay.data[i] *= 0.4;
+                overlay.data[n + i] *= 0.4;
+                overlay.data[2 * n + i] = 0.6 + 0.4 * overlay.data[2 * n + i];
             }
-            text.push_str(&html::figure(&picture, "sky"));
+            text.push_str(&html::figure(&overlay, "sky"));
         }
-        if let Some(transients) = transients_picture(folder, loaded, view, &photo.image) {
+        if let Some(transients) = transients_overlay(folder, loaded, view, &photo.image) {
             text.push_str(&html::figure(&transients, "transients, left out"));
         }
         text.push_str("</div>");
@@ -262,10 +266,10 @@ fn photos(
     };
     let mut left_out = Vec::new();
     for view in spread(loaded, loaded.settings.run.report_photos as usize) {
-        // What passes by itself has passed when it is tried again.
+        // A second try gets past a passing fault.
         match row(view).or_else(|_| row(view)) {
-            Ok((pictures, missing)) => {
-                text.push_str(&pictures);
+            Ok((images, missing)) => {
+                text.push_str(&images);
                 let name = loaded.scene.views[view].name.clone();
                 left_out.extend(missing.map(|reason| Skipped { name, reason }));
             }
@@ -273,7 +277,7 @@ fn photos(
                 let (name, reason) = (loaded.scene.views[view].name.clone(), error.to_string());
                 let _ = write!(
                     text,
-                    "<p>{} could not be drawn: {}</p>",
+                    "<p>{} could not be rendered: {}</p>",
                     html::escape(&name),
                     html::escape(&reason)
                 );
@@ -284,22 +288,22 @@ fn photos(
     Ok((text, left_out))
 }
 
-/// A photo with its transients in red; `None` where there are none, or no picture of them.
-fn transients_picture(folder: &RunFolder, loaded: &Loaded, view: usize, photo: &Image) -> Option<Image> {
+/// A photo with its transients in red; `None` where it has none, or no mask image.
+fn transients_overlay(folder: &RunFolder, loaded: &Loaded, view: usize, photo: &Image) -> Option<Image> {
     let mask = transients::of_run(folder, &loaded.scene)(view).filter(|mask| !mask.is_empty())?;
     let mask = mask.resized(photo.width as u32, photo.height as u32);
-    let (mut picture, n) = (photo.clone(), photo.pixels());
+    let (mut overlay, n) = (photo.clone(), photo.pixels());
     for (x, y) in mask.pixels() {
         let i = y as usize * photo.width + x as usize;
-        picture.data[i] = 0.6 + 0.4 * picture.data[i];
-        picture.data[n + i] *= 0.4;
-        picture.data[2 * n + i] *= 0.4;
+        overlay.data[i] = 0.6 + 0.4 * overlay.data[i];
+        overlay.data[n + i] *= 0.4;
+        overlay.data[2 * n + i] *= 0.4;
     }
-    Some(picture)
+    Some(overlay)
 }
 
-/// Masks in colours of their own, small ones over large ones.
-fn mask_picture(set: &MaskSet) -> Image {
+/// Masks in different colours, small ones over large ones.
+fn mask_overlay(set: &MaskSet) -> Image {
     let mut order: Vec<usize> = (0..set.masks.len()).collect();
     order.sort_by_key(|&k| std::cmp::Reverse(set.masks[k].mask.count()));
     let mut image = Image::filled(set.width as usize, set.height as usize, 3, 0.12);
@@ -319,7 +323,7 @@ fn mask_picture(set: &MaskSet) -> Image {
 
 fn curves(folder: &RunFolder) -> String {
     let moments = history::read(folder);
-    let line = |name: &str, pick: fn(&Moment) -> f64| Series {
+    let line = |name: &str, pick: fn(&Moment) -> f64| ChartSeries {
         name: name.to_owned(),
         points: moments.iter().map(|m| (f64::from(m.step), pick(m))).collect(),
     };
@@ -341,7 +345,7 @@ fn curves(folder: &RunFolder) -> String {
     text
 }
 
-/// Timings per stage from the ledger, and who did what when.
+/// Timings per stage from the ledger, and the timeline of the actors.
 fn stages(folder: &RunFolder) -> String {
     let mut text = String::from("<h2>Stages</h2>");
     if let Ok(ledger) = Ledger::open_read_only(folder.ledger())
@@ -352,7 +356,7 @@ fn stages(folder: &RunFolder) -> String {
             "state".into(),
             "seconds".into(),
             "views made".into(),
-            "begun".into(),
+            "started".into(),
         ]];
         for s in stages {
             let seconds = s.started.zip(s.ended).map_or("-".to_owned(), |(a, b)| format!("{:.1}", b - a));

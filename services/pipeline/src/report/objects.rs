@@ -1,20 +1,20 @@
-//! The selections in the report: a section for each, which can be put there without making the others anew.
+//! The selections in the report: a section for each, which can be added without making the others again.
 
 use super::{html, pass, spread, write_report};
 use crate::folder::Loaded;
-use crate::render::{Mode, Painter, What};
+use crate::render::{Mode, SceneRenderer, What};
 use crate::{RunError, RunFolder, Selected, choose_engine, log_loss};
 use segwild_flow::{FileError, files};
 use segwild_raster::Engine;
 use std::collections::BTreeMap;
 
 const END_OF_OBJECTS: &str = "<!-- end of objects -->";
-const BEGIN_OF_OBJECT: &str = "<!-- object ";
+const START_OF_OBJECT: &str = "<!-- object ";
 const AFTER_NAME: &str = " -->";
 
 /// All selections, each from a few of the photos it shows on.
 pub(super) fn all(folder: &RunFolder, loaded: &Loaded, engine: &dyn Engine) -> Result<String, RunError> {
-    let mut text = begin_of_objects(folder)?;
+    let mut text = start_of_objects(folder)?;
     for name in folder.selections() {
         text.push_str(&object(folder, loaded, &name, engine)?);
     }
@@ -22,8 +22,8 @@ pub(super) fn all(folder: &RunFolder, loaded: &Loaded, engine: &dyn Engine) -> R
     Ok(text)
 }
 
-/// Before the selections in the report; says what it was made from.
-fn begin_of_objects(folder: &RunFolder) -> Result<String, RunError> {
+/// The comment before the selections in the report. It holds the hash of what they were made from.
+fn start_of_objects(folder: &RunFolder) -> Result<String, RunError> {
     let mut hasher = blake3::Hasher::new();
     hasher.update(env!("CARGO_PKG_VERSION").as_bytes());
     for name in ["segwild.toml", "model.bin", "features.bin"] {
@@ -39,37 +39,37 @@ fn begin_of_objects(folder: &RunFolder) -> Result<String, RunError> {
     Ok(format!("<!-- objects of {} -->", hasher.finalize()))
 }
 
-/// Puts a selection into the report that is there. One that is of another scene is written anew.
+/// Adds a selection to the report. A report of another scene is written again as a whole.
 pub(crate) fn add_object(folder: &RunFolder, name: &str) -> Result<(), RunError> {
     let known = files::read_plain(&folder.report()).unwrap_or_default();
     let known = String::from_utf8(known).unwrap_or_default();
-    let begin = begin_of_objects(folder)?;
-    if !known.contains(&begin) {
+    let start = start_of_objects(folder)?;
+    if !known.contains(&start) {
         return write_report(folder).map(drop);
     }
     let loaded = folder.load()?;
     let engine = choose_engine(&loaded.settings.run, log_loss)?.engine;
     let section = object(folder, &loaded, name, &*engine)?;
-    match with_object(&known, &begin, &folder.selections(), name, &section) {
+    match with_object(&known, &start, &folder.selections(), name, &section) {
         Some(report) => Ok(folder.write("report.html", report.as_bytes())?),
         None => write_report(folder).map(drop),
     }
 }
 
-/// A report with a section for the selection of this name among those of the others that there are; `None` if it cannot be
-/// taken apart.
-fn with_object(report: &str, begin: &str, names: &[String], name: &str, section: &str) -> Option<String> {
-    let (before, rest) = report.split_once(begin)?;
+/// A report with a section for the selection of this name among those of the others that there are; `None` if it cannot
+/// be taken apart.
+fn with_object(report: &str, start: &str, names: &[String], name: &str, section: &str) -> Option<String> {
+    let (before, rest) = report.split_once(start)?;
     let (objects, after) = rest.split_once(END_OF_OBJECTS)?;
     let mut sections = BTreeMap::new();
-    // Nothing stands before the first of them.
-    for part in objects.split(BEGIN_OF_OBJECT).filter(|part| !part.is_empty()) {
+    // The text before the first section is empty.
+    for part in objects.split(START_OF_OBJECT).filter(|part| !part.is_empty()) {
         sections.insert(part.split_once(AFTER_NAME)?.0, part);
     }
-    sections.insert(name, section.strip_prefix(BEGIN_OF_OBJECT)?);
+    sections.insert(name, section.strip_prefix(START_OF_OBJECT)?);
     let kept = names.iter().filter_map(|name| sections.get(name.as_str()));
-    let objects: String = kept.flat_map(|part| [BEGIN_OF_OBJECT, part]).collect();
-    Some([before, begin, &objects, END_OF_OBJECTS, after].concat())
+    let objects: String = kept.flat_map(|part| [START_OF_OBJECT, part]).collect();
+    Some([before, start, &objects, END_OF_OBJECTS, after].concat())
 }
 
 /// A selection from a few of the photos it shows on; nothing if it cannot be read.
@@ -79,21 +79,22 @@ fn object(folder: &RunFolder, loaded: &Loaded, name: &str, engine: &dyn Engine) 
     };
     let count = selected.labels.iter().filter(|&&l| l).count();
     let mut text = format!(
-        "{BEGIN_OF_OBJECT}{0}{AFTER_NAME}<h2>Object: {0}</h2><p>{count} splats{1}. <code>selections/{0}/object.ply</code>, \
+        "{START_OF_OBJECT}{0}{AFTER_NAME}<h2>Object: {0}</h2><p>{count} splats{1}. <code>selections/{0}/object.ply</code>, \
          masks beside it.</p><div class=\"row\">",
         html::escape(name),
         folder
             .provider_of(name)
             .map_or_else(String::new, |by| format!(", by the masks of {}", html::escape(&by)))
     );
-    let highlight = Painter::new(loaded, Some((selected.clone(), Mode::Highlight)), What::Colour, engine)?;
-    let only = Painter::new(loaded, Some((selected, Mode::Only)), What::Colour, engine)?;
+    let highlight =
+        SceneRenderer::new(loaded, Some((selected.clone(), Mode::Highlight)), What::Colour, engine)?;
+    let only = SceneRenderer::new(loaded, Some((selected, Mode::Only)), What::Colour, engine)?;
     for view in spread(loaded, 4) {
         let v = &loaded.scene.views[view];
         let camera = v.camera.scaled_to(loaded.settings.scene.size.min(360));
-        let mut show = |painter: &Painter, caption: &str| -> Result<(), RunError> {
-            let picture = painter.paint(engine, &camera, &v.pose, &painter.light(Some(view)))?;
-            text.push_str(&html::figure(&picture, caption));
+        let mut show = |renderer: &SceneRenderer, caption: &str| -> Result<(), RunError> {
+            let image = renderer.render(engine, &camera, &v.pose, &renderer.light(Some(view)))?;
+            text.push_str(&html::figure(&image, caption));
             Ok(())
         };
         show(&highlight, &v.name)?;
@@ -109,8 +110,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_selection_takes_its_place_among_the_others() {
-        let section = |name: &str, what: &str| format!("{BEGIN_OF_OBJECT}{name}{AFTER_NAME}<h2>{what}</h2>");
+    fn a_selection_is_added_in_order_among_the_others() {
+        let section = |name: &str, what: &str| format!("{START_OF_OBJECT}{name}{AFTER_NAME}<h2>{what}</h2>");
         let report = |sections: &[String]| {
             format!("<p>before</p><!-- objects of 7 -->{}{END_OF_OBJECTS}<p>after</p>", sections.concat())
         };
@@ -123,7 +124,7 @@ mod tests {
         assert_eq!(add(&report(&[]), &["b"], &b).unwrap(), report(std::slice::from_ref(&b)));
         assert_eq!(add(&report(&[a.clone(), c.clone()]), &["a", "b", "c"], &b).unwrap(), all);
         assert_eq!(add(&report(&[a, section("b", "old"), c.clone()]), &["a", "b", "c"], &b).unwrap(), all);
-        // One that has been thrown away since goes.
+        // A selection that has been removed since is dropped.
         assert_eq!(add(&all, &["b", "c"], &b).unwrap(), report(&[b.clone(), c]));
         // A report of another scene, and a selection that cannot be shown.
         assert!(add("<!-- objects of 8 --><!-- end of objects -->", &["b"], &b).is_none());

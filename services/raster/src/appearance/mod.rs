@@ -17,7 +17,7 @@ pub(crate) use affine::{apply_matrix, matrix_backward};
 pub use bake::bake;
 pub use embed::{EmbedAppearance, Light, RANK};
 pub use gsw::{
-    AppearanceMaps, GswAppearance, GswWidth, HIDDEN, HeldNetworks, ImageConditioning, Sight, UNetInput,
+    AppearanceMaps, GswAppearance, GswWidth, HIDDEN_LAYER, HeldNetworks, ImageConditioning, Sight, UNetInput,
 };
 
 use segwild_scene::Image;
@@ -53,7 +53,7 @@ pub trait Appearance: Send + Sync {
 
     /// Colours of the splats in a view, from their own colours, `[splat][r, g, b]`, and codes,
     /// `[splat][embedding_size]`.
-    fn tint(&self, _view: usize, _codes: &[f32], colours: Vec<f32>) -> Vec<f32> {
+    fn tint(&self, _view: usize, _embeddings: &[f32], colours: Vec<f32>) -> Vec<f32> {
         colours
     }
 
@@ -62,7 +62,7 @@ pub trait Appearance: Send + Sync {
     fn tint_backward(
         &mut self,
         _view: usize,
-        _codes: &[f32],
+        _embeddings: &[f32],
         _colours: &[f32],
         grad: Vec<f32>,
     ) -> (Vec<f32>, Vec<f32>) {

@@ -27,7 +27,7 @@ pub fn direction(camera: &Camera, pose: &Pose, x: usize, y: usize) -> Vec3 {
 
 /// Colour in a direction, in the scene's colours, unbounded: behind a statue that stands dark before a bright sky it is many
 /// times what a picture holds, and the photo's look brings it back.
-pub fn behind(coefficients: &[[f32; 3]], direction: Vec3) -> [f32; 3] {
+pub fn background(coefficients: &[[f32; 3]], direction: Vec3) -> [f32; 3] {
     let mut out = [0.0; 3];
     for (b, c) in basis(direction).iter().zip(coefficients) {
         for k in 0..3 {
@@ -52,7 +52,7 @@ pub fn paint(coefficients: &[[f32; 3]], camera: &Camera, pose: &Pose) -> Image {
     red.par_chunks_mut(w).zip(green.par_chunks_mut(w)).zip(blue.par_chunks_mut(w)).enumerate().for_each(
         |(y, ((r, g), b))| {
             for x in 0..w {
-                [r[x], g[x], b[x]] = behind(coefficients, direction(camera, pose, x, y));
+                [r[x], g[x], b[x]] = background(coefficients, direction(camera, pose, x, y));
             }
         },
     );

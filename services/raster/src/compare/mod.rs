@@ -9,13 +9,13 @@ mod robust;
 mod visible;
 
 pub use background::{
-    BASES, ColourSums, HOLD, LEAST_SEEN, STRIDE, Seen, SkySums, basis, behind, direction, paint,
+    BASES, ColourSums, HOLD, LEAST_SEEN, STRIDE, Seen, SkySums, background, basis, direction, paint,
 };
 pub use robust::{
     BINS, CONTRAST, DECAY, FLOOR, INITIAL_TRANSIENT, Residuals, SURPRISE, contradicted, leave_out, limit,
     limits, relative, smoothed, window,
 };
-pub use visible::{HIDDEN, LEAST, MOST, SURE, Seeing, WRONG};
+pub use visible::{HIDDEN_LAYER, LEAST, MOST, SURE, Seeing, WRONG};
 
 use crate::appearance::{apply_matrix, matrix_backward};
 use crate::{Frame, photometric};
@@ -69,7 +69,7 @@ impl Target {
     }
 
     /// A residual, as far as nothing vouches for its pixel.
-    pub fn doubted(&self, residual: &[f32]) -> Vec<f32> {
+    pub fn uncertain(&self, residual: &[f32]) -> Vec<f32> {
         if self.trust.is_empty() {
             return residual.to_vec();
         }
@@ -98,7 +98,7 @@ pub struct LossInputs<'a> {
     /// The photo's colours from the scene's, row by row with an offset; `None`: they are the same.
     pub matrix: Option<[f32; 12]>,
     /// Coefficients of what stands behind the splats, in the scene's colours: one, or [`BASES`] of them.
-    pub behind: &'a [[f32; 3]],
+    pub background: &'a [[f32; 3]],
     /// Whether what stands behind is learnt as a sky, in the photo's colours, or as one colour.
     pub has_sky: bool,
     /// What is left out.
@@ -123,14 +123,14 @@ pub struct LossOutput {
     /// Gradient of [`LossInputs::matrix`], where there is one.
     pub matrix: Option<[f32; 12]>,
     /// What stands behind.
-    pub behind: Seen,
+    pub background: Seen,
 }
 
 /// A photo compared with an image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Compared {
     /// In numbers.
-    pub said: LossOutput,
+    pub output: LossOutput,
     /// Gradient of the image, three planes.
     pub image: Image,
     /// Gradient of its alpha.
@@ -155,7 +155,7 @@ pub fn compare(
     loss_inputs: &LossInputs,
     seeing: Option<&Seeing>,
 ) -> Compared {
-    let Composed { behind, scene, shown, residual } = compose(frame, target, loss_inputs);
+    let Composed { background, scene, shown, residual } = compose(frame, target, loss_inputs);
     let photo = target.image();
     let (mut residuals, mut blame) = (None, Vec::new());
     let kept = match loss_inputs.leave_out {
@@ -165,14 +165,14 @@ pub fn compare(
             Some(target.pixels.iter().map(keep).collect())
         }
         LeaveOut::Residual(before) => {
-            let doubted = target.doubted(&residual);
+            let uncertain = target.uncertain(&residual);
             let counts = |i: usize| target.is(i, Target::COUNTS);
-            let (kept, held) = leave_out(&before, &doubted, target.width, counts, |i| {
+            let (kept, held) = leave_out(&before, &uncertain, target.width, counts, |i| {
                 target.is(i, Target::INITIAL_TRANSIENT)
             });
             residuals = held;
             let seen = seeing.and_then(|&Seeing { map, decides }| {
-                let ratio = relative(&doubted, target.width, counts, before.share);
+                let ratio = relative(&uncertain, target.width, counts, before.share);
                 blame = visible::blame(map, &ratio, target);
                 decides.then(|| visible::weights(map, target, kept.as_deref(), before.share))?
             });
@@ -189,8 +189,8 @@ pub fn compare(
         }
         None => (grad, None),
     };
-    let alpha = alpha_gradient(&image, &behind, &frame.alpha, target, loss_inputs.sky_weight);
-    let behind = if loss_inputs.has_sky {
+    let alpha = alpha_gradient(&image, &background, &frame.alpha, target, loss_inputs.sky_weight);
+    let background = if loss_inputs.has_sky {
         let sums =
             SkySums::of_photo(loss_inputs.camera, loss_inputs.pose, target, &frame.alpha, &weights.data);
         Seen::Sky(Box::new(sums))
@@ -199,7 +199,7 @@ pub fn compare(
     };
     let error = error_around(&residual, &weights);
     Compared {
-        said: LossOutput { loss, psnr, left_out, residuals, matrix, behind },
+        output: LossOutput { loss, psnr, left_out, residuals, matrix, background },
         image,
         alpha,
         error,
@@ -211,7 +211,7 @@ pub fn compare(
 /// A frame as its photo would show it.
 struct Composed {
     /// What stands behind the splats, in the scene's colours.
-    behind: Image,
+    background: Image,
     /// Splats before it, likewise.
     scene: Image,
     /// The same in the photo's colours.
@@ -221,15 +221,15 @@ struct Composed {
 }
 
 fn compose(frame: &Frame, target: &Target, loss_inputs: &LossInputs) -> Composed {
-    let behind = paint(loss_inputs.behind, loss_inputs.camera, loss_inputs.pose);
+    let background = paint(loss_inputs.background, loss_inputs.camera, loss_inputs.pose);
     let mut scene = frame.image.clone();
-    add_behind(&mut scene, &frame.alpha, &behind);
+    add_background(&mut scene, &frame.alpha, &background);
     let shown = match &loss_inputs.matrix {
         Some(matrix) => apply_matrix(matrix, &scene),
         None => scene.clone(),
     };
     let residual = mean_difference(&shown, &target.image());
-    Composed { behind, scene, shown, residual }
+    Composed { background, scene, shown, residual }
 }
 
 /// Mean absolute colour difference per pixel.
@@ -244,11 +244,11 @@ pub fn mean_difference(a: &Image, b: &Image) -> Vec<f32> {
     out
 }
 
-/// Adds `(1 - alpha) * behind`.
-pub fn add_behind(image: &mut Image, alpha: &Image, behind: &Image) {
+/// Adds `(1 - alpha) * background`.
+pub fn add_background(image: &mut Image, alpha: &Image, background: &Image) {
     for c in 0..3 {
         let plane = image.plane_mut(c);
-        for ((v, a), b) in plane.iter_mut().zip(&alpha.data).zip(behind.plane(c)) {
+        for ((v, a), b) in plane.iter_mut().zip(&alpha.data).zip(background.plane(c)) {
             *v += (1.0 - a) * b;
         }
     }
@@ -295,11 +295,11 @@ pub fn psnr_of(squares: f64, weights: f64) -> f32 {
 /// sky is to be empty.
 ///
 /// The sky's term is `weight * mean over pixels of -ln(1 - A)` on [`Target::INNER`] pixels.
-fn alpha_gradient(grad: &Image, behind: &Image, alpha: &Image, target: &Target, weight: f32) -> Image {
+fn alpha_gradient(grad: &Image, background: &Image, alpha: &Image, target: &Target, weight: f32) -> Image {
     let n = alpha.pixels();
     let mut out = Image::zeros(alpha.width, alpha.height, 1);
     for c in 0..3 {
-        for ((o, g), b) in out.data.iter_mut().zip(grad.plane(c)).zip(behind.plane(c)) {
+        for ((o, g), b) in out.data.iter_mut().zip(grad.plane(c)).zip(background.plane(c)) {
             *o -= g * b;
         }
     }
@@ -345,18 +345,18 @@ mod tests {
             ..Image::zeros(W, H, channels)
         };
         let frame = Frame { image: image(3), alpha: image(1) };
-        let behind = (0..BASES).map(|k| [0.3 / (k + 1) as f32, 0.2, 0.4 - 0.05 * k as f32]).collect();
-        (frame, target, camera, pose, behind)
+        let background = (0..BASES).map(|k| [0.3 / (k + 1) as f32, 0.2, 0.4 - 0.05 * k as f32]).collect();
+        (frame, target, camera, pose, background)
     }
 
     const MATRIX: [f32; 12] = [0.9, 0.1, -0.05, 0.02, 0.05, 1.1, 0.1, -0.03, -0.1, 0.05, 0.8, 0.04];
 
-    fn loss_inputs<'a>(camera: &'a Camera, pose: &'a Pose, behind: &'a [[f32; 3]]) -> LossInputs<'a> {
+    fn loss_inputs<'a>(camera: &'a Camera, pose: &'a Pose, background: &'a [[f32; 3]]) -> LossInputs<'a> {
         LossInputs {
             camera,
             pose,
             matrix: Some(MATRIX),
-            behind,
+            background,
             has_sky: true,
             leave_out: LeaveOut::None,
             lambda_ssim: 0.2,
@@ -366,18 +366,18 @@ mod tests {
 
     /// The loss with the sky's term.
     fn loss(frame: &Frame, target: &Target, loss_inputs: &LossInputs) -> f64 {
-        let said = compare(frame, target, loss_inputs, None).said;
+        let output = compare(frame, target, loss_inputs, None).output;
         let sky =
             |i: usize| if target.is(i, Target::INNER) { -(1.0 - frame.alpha.data[i]).ln() } else { 0.0 };
         let sky: f64 = (0..W * H).map(|i| f64::from(sky(i))).sum();
-        f64::from(said.loss) + f64::from(loss_inputs.sky_weight) * sky / (W * H) as f64
+        f64::from(output.loss) + f64::from(loss_inputs.sky_weight) * sky / (W * H) as f64
     }
 
     #[test]
     fn gradients_are_finite_differences_of_the_loss() {
-        let (frame, target, camera, pose, behind) = example();
-        let loss_inputs = loss_inputs(&camera, &pose, &behind);
-        let Compared { said, image, alpha, .. } = compare(&frame, &target, &loss_inputs, None);
+        let (frame, target, camera, pose, background) = example();
+        let loss_inputs = loss_inputs(&camera, &pose, &background);
+        let Compared { output, image, alpha, .. } = compare(&frame, &target, &loss_inputs, None);
         let step = 4e-3f32;
         let close = |what: &str, got: f32, up: f64, down: f64| {
             let wanted = (up - down) / f64::from(2.0 * step);
@@ -402,7 +402,7 @@ mod tests {
             };
             close(&format!("alpha {k}"), alpha.data[k], moved(step), moved(-step));
         }
-        let sums = said.matrix.expect("there is a matrix");
+        let sums = output.matrix.expect("there is a matrix");
         for (k, &got) in sums.iter().enumerate() {
             let moved = |by: f32| {
                 let mut matrix = MATRIX;
@@ -415,12 +415,12 @@ mod tests {
 
     #[test]
     fn a_pixel_that_does_not_count_teaches_nothing() {
-        let (mut frame, mut target, camera, pose, behind) = example();
-        let loss_inputs = LossInputs { sky_weight: 0.0, ..loss_inputs(&camera, &pose, &behind) };
+        let (mut frame, mut target, camera, pose, background) = example();
+        let loss_inputs = LossInputs { sky_weight: 0.0, ..loss_inputs(&camera, &pose, &background) };
         target.pixels.iter_mut().for_each(|p| p[3] = 0);
         frame.image.data[7] = 1e30;
-        let Compared { said, image, alpha, error, .. } = compare(&frame, &target, &loss_inputs, None);
-        assert_eq!((said.psnr, said.left_out), (0.0, 0.0));
+        let Compared { output, image, alpha, error, .. } = compare(&frame, &target, &loss_inputs, None);
+        assert_eq!((output.psnr, output.left_out), (0.0, 0.0));
         assert!(image.data.iter().chain(&alpha.data).chain(&error.data).all(|v| *v == 0.0));
     }
 }

@@ -19,7 +19,7 @@ pub struct Seeing<'a> {
 /// Visibility from which a pixel counts in full, and under which it does not count.
 pub const SURE: f32 = 0.5;
 /// See [`SURE`].
-pub const HIDDEN: f32 = 0.25;
+pub const HIDDEN_LAYER: f32 = 0.25;
 /// A map may leave out so many times what the robust mask may leave out at most.
 pub const MOST: f32 = 1.5;
 /// And must leave out such a share of what it does leave out.
@@ -49,7 +49,7 @@ pub(super) fn weights(map: &Image, photo: &Target, kept: Option<&[f32]>, share: 
         let (x1, y1) = ((x0 + 1).min(map.width - 1), (y0 + 1).min(map.height - 1));
         let (fx, fy) = (x - x0 as f32, y - y0 as f32);
         let row = |y: usize| map.data[y * map.width + x0] * (1.0 - fx) + map.data[y * map.width + x1] * fx;
-        ((row(y0) * (1.0 - fy) + row(y1) * fy - HIDDEN) / (SURE - HIDDEN)).clamp(0.0, 1.0)
+        ((row(y0) * (1.0 - fy) + row(y1) * fy - HIDDEN_LAYER) / (SURE - HIDDEN_LAYER)).clamp(0.0, 1.0)
     };
     let weights: Vec<f32> = (0..photo.pixels.len()).map(weight).collect();
     is_sane(&weights, kept, |i| photo.is(i, Target::COUNTS), share).then_some(weights)

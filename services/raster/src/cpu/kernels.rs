@@ -3,7 +3,7 @@
 use super::bin::{Bins, Entry};
 use super::project::{Footprint, Moments};
 use super::simd::{Kernel, LANES, Simd};
-use super::tile::{Block, PLANE, Place, Plane, STRIDE, Visit, copy_row, walk};
+use super::tile::{Block, PLANE, Plane, STRIDE, TileExtent, Visit, copy_row, walk};
 use std::marker::PhantomData;
 
 /// Numbers per slot before the values: the fields of [`Moments`].
@@ -55,28 +55,28 @@ pub(crate) struct Task<'a> {
 
 impl Task<'_> {
     #[inline(always)]
-    pub fn place(&self) -> Place {
-        Place::of(self.bins, self.tile, self.width, self.height)
+    pub fn extent(&self) -> TileExtent {
+        TileExtent::of(self.bins, self.tile, self.width, self.height)
     }
 
     /// Copies planes of an image.
     #[inline(always)]
     pub fn read(&self, image: &[f32], first: usize, into: &mut [Plane]) {
-        let (place, pixels) = (self.place(), self.width * self.height);
+        let (extent, pixels) = (self.extent(), self.width * self.height);
         for (c, plane) in into.iter_mut().enumerate() {
-            place.read(&image[(first + c) * pixels..(first + c + 1) * pixels], self.width, plane);
+            extent.read(&image[(first + c) * pixels..(first + c + 1) * pixels], self.width, plane);
         }
     }
 
     /// Writes one plane of an image.
     #[inline(always)]
     pub fn write(&self, image: &Shared, plane: usize, from: &Plane) {
-        let place = self.place();
-        for row in 0..place.height {
-            let at = (plane * self.height + place.y + row) * self.width + place.x;
+        let extent = self.extent();
+        for row in 0..extent.height {
+            let at = (plane * self.height + extent.y + row) * self.width + extent.x;
             // SAFETY: the tile owns its pixels in every plane.
-            let to = unsafe { image.part(at, place.width) };
-            copy_row(to, &from.0[row * STRIDE..row * STRIDE + place.width]);
+            let to = unsafe { image.part(at, extent.width) };
+            copy_row(to, &from.0[row * STRIDE..row * STRIDE + extent.width]);
         }
     }
 }
@@ -155,7 +155,7 @@ impl<const C: usize> Kernel for Blend<'_, C> {
             planes: &mut planes,
             alpha: &mut alpha,
         };
-        walk(s, &task.bins.footprints, task.bins.tile(task.tile), &task.place(), &mut visit);
+        walk(s, &task.bins.footprints, task.bins.tile(task.tile), &task.extent(), &mut visit);
         for c in 0..C {
             task.write(&self.image, self.first + c, &planes[c]);
         }
@@ -233,7 +233,7 @@ impl<const C: usize> Kernel for Gather<'_, C> {
             count: task.count,
             first: self.first,
         };
-        walk(s, &task.bins.footprints, task.bins.tile(task.tile), &task.place(), &mut visit);
+        walk(s, &task.bins.footprints, task.bins.tile(task.tile), &task.extent(), &mut visit);
     }
 }
 
@@ -271,7 +271,7 @@ struct BackwardVisit<'a, S: Simd, const C: usize> {
     grads: &'a [Plane],
     grad_alpha: &'a Plane,
     /// Gradient times what still lies behind.
-    behind: &'a mut Plane,
+    behind_it: &'a mut Plane,
     slots: Shared<'a>,
     sums: [S::F; C],
     sums_any: &'a mut [[f32; LANES]],
@@ -329,13 +329,13 @@ impl<S: Simd, const C: usize> Visit<S> for BackwardVisit<'_, S, C> {
             }
         }
         let passed = s.mul(b.weight, d);
-        let behind = s.sub(load(s, self.behind, b.at), passed);
+        let behind_it = s.sub(load(s, self.behind_it, b.at), passed);
         // SAFETY: `at` comes from the walk, which promises eight numbers inside the plane.
-        unsafe { s.store(self.behind.0.as_mut_ptr().add(b.at), behind) };
+        unsafe { s.store(self.behind_it.0.as_mut_ptr().add(b.at), behind_it) };
 
         // dL/d ln alpha = w d - alpha / (1 - alpha) behind.
         let odds = s.div(b.alpha, s.sub(s.splat(1.0), b.alpha));
-        let g = s.keep(s.sub(passed, s.mul(odds, behind)), s.both(b.hit, b.free));
+        let g = s.keep(s.sub(passed, s.mul(odds, behind_it)), s.both(b.hit, b.free));
         let gu = s.mul(g, b.u);
         self.row[0] = s.add(self.row[0], g);
         self.row[1] = s.add(self.row[1], gu);
@@ -398,7 +398,7 @@ impl<const C: usize> Kernel for Backward<'_, C> {
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
         let task = &self.task;
-        let (place, count) = (task.place(), task.count);
+        let (extent, count) = (task.extent(), task.count);
         let mut fixed = [Plane::ZERO; C];
         let grads: &mut [Plane] = if C > 0 {
             &mut fixed
@@ -408,20 +408,20 @@ impl<const C: usize> Kernel for Backward<'_, C> {
             &mut self.spill.planes
         };
         task.read(self.grad_image, 0, grads);
-        let (mut grad_alpha, mut behind, mut plane) = (Plane::ZERO, Plane::ZERO, Plane::ZERO);
+        let (mut grad_alpha, mut behind_it, mut plane) = (Plane::ZERO, Plane::ZERO, Plane::ZERO);
         if let Some(grad) = self.grad_alpha {
-            place.read(grad, task.width, &mut grad_alpha);
-            place.read(self.alpha, task.width, &mut plane);
+            extent.read(grad, task.width, &mut grad_alpha);
+            extent.read(self.alpha, task.width, &mut plane);
             for k in 0..PLANE {
-                behind.0[k] = plane.0[k] * grad_alpha.0[k];
+                behind_it.0[k] = plane.0[k] * grad_alpha.0[k];
             }
         }
         let pixels = task.width * task.height;
         for (c, grad) in grads.iter().enumerate() {
-            place.read(&self.image[c * pixels..(c + 1) * pixels], task.width, &mut plane);
-            for row in 0..place.height {
-                for k in row * STRIDE..row * STRIDE + place.width {
-                    behind.0[k] += plane.0[k] * grad.0[k];
+            extent.read(&self.image[c * pixels..(c + 1) * pixels], task.width, &mut plane);
+            for row in 0..extent.height {
+                for k in row * STRIDE..row * STRIDE + extent.width {
+                    behind_it.0[k] += plane.0[k] * grad.0[k];
                 }
             }
         }
@@ -432,7 +432,7 @@ impl<const C: usize> Kernel for Backward<'_, C> {
             value_any: &[],
             grads,
             grad_alpha: &grad_alpha,
-            behind: &mut behind,
+            behind_it: &mut behind_it,
             slots: self.slots,
             sums: [s.splat(0.0); C],
             sums_any: &mut self.spill.sums,
@@ -440,7 +440,7 @@ impl<const C: usize> Kernel for Backward<'_, C> {
             row: [s.splat(0.0); 3],
             moments: [s.splat(0.0); MOMENTS],
         };
-        walk(s, &task.bins.footprints, task.bins.tile(task.tile), &place, &mut visit);
+        walk(s, &task.bins.footprints, task.bins.tile(task.tile), &extent, &mut visit);
     }
 }
 

@@ -21,13 +21,13 @@ impl Isa {
     /// The widest set this processor has. `SEGWILD_ISA=plain|avx2|avx512` asks for another one; a set that
     /// the processor lacks is never chosen.
     pub fn detect() -> Isa {
-        let asked = std::env::var("SEGWILD_ISA").ok().and_then(|name| match name.as_str() {
+        let feature_target = std::env::var("SEGWILD_ISA").ok().and_then(|name| match name.as_str() {
             "plain" => Some(Isa::Plain),
             "avx2" => Some(Isa::Avx2),
             "avx512" => Some(Isa::Avx512),
             _ => None,
         });
-        match asked {
+        match feature_target {
             Some(isa) if isa.available() => isa,
             _ => [Isa::Avx512, Isa::Avx2].into_iter().find(|isa| isa.available()).unwrap_or(Isa::Plain),
         }

@@ -28,7 +28,7 @@ impl Plane {
 
 /// Where a tile lies.
 #[derive(Clone, Copy)]
-pub(crate) struct Place {
+pub(crate) struct TileExtent {
     pub x: usize,
     pub y: usize,
     /// Pixels of the tile inside the frame.
@@ -36,10 +36,10 @@ pub(crate) struct Place {
     pub height: usize,
 }
 
-impl Place {
-    pub fn of(bins: &Bins, tile: usize, width: usize, height: usize) -> Place {
+impl TileExtent {
+    pub fn of(bins: &Bins, tile: usize, width: usize, height: usize) -> TileExtent {
         let (x, y) = (tile % bins.columns * WIDTH, tile / bins.columns * HEIGHT);
-        Place { x, y, width: WIDTH.min(width - x), height: HEIGHT.min(height - y) }
+        TileExtent { x, y, width: WIDTH.min(width - x), height: HEIGHT.min(height - y) }
     }
 
     /// Copies the tile's part of an image plane.
@@ -111,8 +111,8 @@ struct Rows {
 }
 
 #[inline(always)]
-fn rows<S: Simd>(s: S, f: &Footprint, place: &Place, first: usize, last: usize, out: &mut Rows) {
-    let (x, y) = (f.x - (place.x as f32 + 0.5), place.y as f32 + 0.5 - f.y);
+fn rows<S: Simd>(s: S, f: &Footprint, extent: &TileExtent, first: usize, last: usize, out: &mut Rows) {
+    let (x, y) = (f.x - (extent.x as f32 + 0.5), extent.y as f32 + 0.5 - f.y);
     for band in first / LANES..=(last / LANES).min(BANDS - 1) {
         let dy = s.add(s.iota(), s.splat(y + (band * LANES) as f32));
         let peak = s.sub(s.splat(f.lo), s.mul(s.splat(f.e), s.mul(dy, dy)));
@@ -122,7 +122,7 @@ fn rows<S: Simd>(s: S, f: &Footprint, place: &Place, first: usize, last: usize, 
         let centre = s.add(s.mul(s.splat(f.slope), dy), s.splat(x));
         let edge = s.splat(WIDTH as f32);
         let from = s.min(s.max(s.sub(centre, reach), s.splat(0.0)), edge);
-        let to = s.min(s.max(s.add(centre, reach), s.splat(-1.0)), s.splat(place.width as f32 - 1.0));
+        let to = s.min(s.max(s.add(centre, reach), s.splat(-1.0)), s.splat(extent.width as f32 - 1.0));
         s.round(from, &mut out.from[band]);
         s.round(to, &mut out.to[band]);
         // SAFETY: each array has eight numbers.
@@ -158,12 +158,12 @@ pub(crate) fn walk<S: Simd, V: Visit<S>>(
     s: S,
     footprints: &[Footprint],
     entries: &[Entry],
-    place: &Place,
+    extent: &TileExtent,
     visitor: &mut V,
 ) {
     let mut light = Plane::ZERO;
-    for row in 0..place.height {
-        light.0[row * STRIDE..row * STRIDE + place.width].fill(1.0);
+    for row in 0..extent.height {
+        light.0[row * STRIDE..row * STRIDE + extent.width].fill(1.0);
     }
     let mut spans = Rows {
         from: [[0; LANES]; BANDS],
@@ -172,7 +172,7 @@ pub(crate) fn walk<S: Simd, V: Visit<S>>(
         peak: [[0.0; LANES]; BANDS],
         dy: [[0.0; LANES]; BANDS],
     };
-    let mut alive = (1u32 << place.height) - 1;
+    let mut alive = (1u32 << extent.height) - 1;
     for (k, entry) in entries.iter().enumerate() {
         if k % CHECK == CHECK - 1 {
             alive = lit(s, &light);
@@ -188,13 +188,13 @@ pub(crate) fn walk<S: Simd, V: Visit<S>>(
             s.prefetch(&footprints[soon.splat as usize]);
         }
         let f = &footprints[entry.splat as usize];
-        let y = f.y - (place.y as f32 + 0.5);
+        let y = f.y - (extent.y as f32 + 0.5);
         // The ceiling, or one row above it where the fraction is tiny.
         let first = (y - f.reach + 0.999).max(0.0) as i32 as usize;
-        let last = ((y + f.reach).max(0.0) as i32 as usize).min(place.height - 1);
+        let last = ((y + f.reach).max(0.0) as i32 as usize).min(extent.height - 1);
         visitor.begin(s, entry);
         if first <= last {
-            rows(s, f, place, first, last, &mut spans);
+            rows(s, f, extent, first, last, &mut spans);
         }
         for row in first..last + 1 {
             let (from, to) = (spans.from.as_flattened()[row], spans.to.as_flattened()[row]);

@@ -90,7 +90,7 @@ impl Weights {
         self.pixels.resize(HEIGHT * WIDTH, [0.0; BLOCK]);
         let Weights { runs, weights, ends, .. } = self;
         let mut visit = Collect { runs, weights, ends, used: 0, alpha };
-        walk(s, &task.bins.footprints, task.bins.tile(task.tile), &task.place(), &mut visit);
+        walk(s, &task.bins.footprints, task.bins.tile(task.tile), &task.extent(), &mut visit);
     }
 }
 

@@ -13,7 +13,7 @@ pub struct Lifting {
     row: usize,
     sums: Vec<f32>,
     weights: Vec<f32>,
-    away: Option<Box<dyn DeviceLifting>>,
+    on_device: Option<Box<dyn DeviceLifting>>,
 }
 
 /// Sums where an engine computes.
@@ -28,12 +28,12 @@ pub trait DeviceLifting: Send + Sync {
 impl Lifting {
     /// Rows of `row` numbers for so many splats, of which nothing was said yet.
     pub fn new(splats: usize, row: usize) -> Lifting {
-        Lifting { row, sums: vec![0.0; splats * row], weights: vec![0.0; splats], away: None }
+        Lifting { row, sums: vec![0.0; splats * row], weights: vec![0.0; splats], on_device: None }
     }
 
     /// Takes them to where an engine computes, if it has room for them there.
     pub fn settle(&mut self, engine: &dyn Engine) -> Result<(), RasterError> {
-        self.away = engine.settle_lifting(self.weights.len(), self.row)?;
+        self.on_device = engine.settle_lifting(self.weights.len(), self.row)?;
         Ok(())
     }
 
@@ -43,8 +43,8 @@ impl Lifting {
     }
 
     /// The sums where an engine computes.
-    pub fn away(&self) -> Option<&dyn DeviceLifting> {
-        self.away.as_deref()
+    pub fn on_device(&self) -> Option<&dyn DeviceLifting> {
+        self.on_device.as_deref()
     }
 
     /// Adds what a view says, `[splat][row + 1]`, the weight last. A splat of which it says something that is no number, or
@@ -52,16 +52,16 @@ impl Lifting {
     ///
     /// # Panics
     /// If the sums are elsewhere, or of another number of splats.
-    pub fn add(&mut self, said: &[f32]) {
-        assert!(self.away.is_none(), "sums where another engine computes");
+    pub fn add(&mut self, output: &[f32]) {
+        assert!(self.on_device.is_none(), "sums where another engine computes");
         let c = self.row;
-        assert_eq!(said.len(), self.weights.len() * (c + 1), "splats");
+        assert_eq!(output.len(), self.weights.len() * (c + 1), "splats");
         self.sums
             .par_chunks_mut(CHUNK * c.max(1))
             .zip(self.weights.par_chunks_mut(CHUNK))
-            .zip(said.par_chunks(CHUNK * (c + 1)))
-            .for_each(|((sums, weights), said)| {
-                let rows = said.chunks_exact(c + 1);
+            .zip(output.par_chunks(CHUNK * (c + 1)))
+            .for_each(|((sums, weights), output)| {
+                let rows = output.chunks_exact(c + 1);
                 for ((sum, weight), row) in sums.chunks_exact_mut(c.max(1)).zip(weights).zip(rows) {
                     if row[c] > 0.0 && row.iter().all(|v| v.is_finite()) {
                         sum.iter_mut().zip(row).for_each(|(s, g)| *s += g);
@@ -73,8 +73,8 @@ impl Lifting {
 
     /// The sums, `[splat][number]`, and the weights, wherever they are.
     pub fn finish(self) -> Result<(Vec<f32>, Vec<f32>), RasterError> {
-        match &self.away {
-            Some(away) => away.fetch(),
+        match &self.on_device {
+            Some(on_device) => on_device.fetch(),
             None => Ok((self.sums, self.weights)),
         }
     }

@@ -33,7 +33,7 @@ pub struct FeatureTarget<'a> {
     /// From the view's pixels to its cells.
     pub average: &'a AreaAverage,
     /// What [`Engine::upload_target`] gave for it.
-    pub away: Option<&'a (dyn Any + Send + Sync)>,
+    pub on_device: Option<&'a (dyn Any + Send + Sync)>,
 }
 
 /// Pixels drawn of a view, which are compared with one another.
@@ -74,7 +74,7 @@ pub struct Refining {
     decoder: Option<LearnedDecoder>,
     rule: FieldRule,
     losses: FieldLosses,
-    away: Option<Box<dyn DeviceRefinement>>,
+    on_device: Option<Box<dyn DeviceRefinement>>,
 }
 
 /// Features where an engine computes.
@@ -107,12 +107,12 @@ impl Refining {
         rule: FieldRule,
     ) -> Refining {
         let adam = RowAdam::new(values.len() / channels.max(1), channels, rule.rate);
-        Refining { values, adam, channels, decoder, rule, losses: FieldLosses::default(), away: None }
+        Refining { values, adam, channels, decoder, rule, losses: FieldLosses::default(), on_device: None }
     }
 
     /// Takes them to where an engine computes, if it has room for them there.
     pub fn settle(&mut self, engine: &dyn Engine) -> Result<(), RasterError> {
-        self.away = engine.settle_refining(self)?;
+        self.on_device = engine.settle_refining(self)?;
         Ok(())
     }
 
@@ -121,7 +121,7 @@ impl Refining {
     /// # Panics
     /// If they are elsewhere.
     pub fn channels(&self) -> Channels<'_> {
-        assert!(self.away.is_none(), "features where another engine computes");
+        assert!(self.on_device.is_none(), "features where another engine computes");
         Channels { count: self.channels, values: &self.values }
     }
 
@@ -136,19 +136,19 @@ impl Refining {
     }
 
     /// The features where an engine computes.
-    pub fn away(&self) -> Option<&dyn DeviceRefinement> {
-        self.away.as_deref()
+    pub fn on_device(&self) -> Option<&dyn DeviceRefinement> {
+        self.on_device.as_deref()
     }
 
     /// One step of the features here: what [`Projected::refine`] does unless an engine does it where it computes.
     pub fn learn<P: Projected + ?Sized>(
         &mut self,
         view: &P,
-        asked: &FeatureTarget,
-        drawn: &Rendered,
+        feature_target: &FeatureTarget,
+        view_pixels: &Rendered,
     ) -> Result<(), RasterError> {
         let frame = view.blend(&self.channels())?;
-        let grad = self.judge(&frame.image, asked, drawn);
+        let grad = self.compute_losses(&frame.image, feature_target, view_pixels);
         let grads = view.gather(&grad)?;
         self.adam.step(&mut self.values, &grads);
         Ok(())
@@ -159,17 +159,23 @@ impl Refining {
     ///
     /// # Panics
     /// If sizes differ.
-    pub fn judge(&mut self, image: &Image, asked: &FeatureTarget, drawn: &Rendered) -> Image {
+    pub fn compute_losses(
+        &mut self,
+        image: &Image,
+        feature_target: &FeatureTarget,
+        view_pixels: &Rendered,
+    ) -> Image {
         let mut grad = Image::zeros(image.width, image.height, image.channels);
-        let rendered = asked.average.forward(image);
+        let rendered = feature_target.average.forward(image);
         let mut cell_grad = Image::zeros(rendered.width, rendered.height, image.channels);
-        let target = (asked.target, asked.scale);
+        let target = (feature_target.target, feature_target.scale);
         let embedding = match &mut self.decoder {
-            Some(decoder) => decoder.step(&rendered, target, asked.validity, &mut cell_grad),
-            None => embedding_loss(&rendered, target, asked.validity, &mut cell_grad),
+            Some(decoder) => decoder.step(&rendered, target, feature_target.validity, &mut cell_grad),
+            None => embedding_loss(&rendered, target, feature_target.validity, &mut cell_grad),
         };
-        asked.average.transposed(&cell_grad, self.rule.embedding, &mut grad);
-        let compact = if drawn.pixels.is_empty() { 0.0 } else { self.compare(image, drawn, &mut grad) };
+        feature_target.average.transposed(&cell_grad, self.rule.embedding, &mut grad);
+        let compact =
+            if view_pixels.pixels.is_empty() { 0.0 } else { self.compare(image, view_pixels, &mut grad) };
         self.losses = FieldLosses { embedding, compact };
         grad
     }
@@ -194,13 +200,13 @@ impl Refining {
 
     /// The losses of the last step, wherever it was.
     pub fn losses(&self) -> Result<FieldLosses, RasterError> {
-        self.away.as_ref().map_or(Ok(self.losses), |away| away.losses())
+        self.on_device.as_ref().map_or(Ok(self.losses), |on_device| on_device.losses())
     }
 
     /// What was learnt, wherever it is.
     pub fn finish(self) -> Result<Refined, RasterError> {
-        match &self.away {
-            Some(away) => away.fetch(),
+        match &self.on_device {
+            Some(on_device) => on_device.fetch(),
             None => Ok(Refined {
                 values: self.values,
                 decoder: self.decoder.map(|decoder| decoder.numbers().to_vec()),

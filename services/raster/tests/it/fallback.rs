@@ -102,17 +102,17 @@ fn step(engine: &dyn Engine) -> Result<(Frame, Vec<f32>, SplatGrads), RasterErro
 fn a_device_lost_at_any_moment_changes_nothing_and_is_told_once() {
     let wanted = step(&CpuEngine::new()).unwrap();
     for calls in 0..9 {
-        let told = Arc::new(Mutex::new(Vec::new()));
-        let (left, hear) = (Arc::new(AtomicU32::new(calls)), told.clone());
+        let on_failure = Arc::new(Mutex::new(Vec::new()));
+        let (left, failures) = (Arc::new(AtomicU32::new(calls)), on_failure.clone());
         let mortal = Mortal { engine: CpuEngine::new(), left };
-        let hear = move |why: &str| hear.lock().unwrap().push(why.to_owned());
-        let engine = FallbackEngine::new(Box::new(mortal), Box::new(CpuEngine::new()), hear);
+        let failures = move |why: &str| failures.lock().unwrap().push(why.to_owned());
+        let engine = FallbackEngine::new(Box::new(mortal), Box::new(CpuEngine::new()), failures);
         for _ in 0..2 {
             assert!(step(&engine).unwrap() == wanted, "lost after {calls} calls");
         }
-        let told = told.lock().unwrap();
+        let on_failure = on_failure.lock().unwrap();
         let lost = if calls < 8 { vec!["the accelerator was lost".to_owned()] } else { Vec::new() };
-        assert_eq!((told.clone(), engine.name()), (lost, "mortal"), "lost after {calls} calls");
+        assert_eq!((on_failure.clone(), engine.name()), (lost, "mortal"), "lost after {calls} calls");
     }
 }
 

@@ -212,10 +212,10 @@ fn wrong_shapes_are_refused_in_words() {
             .unwrap(),
         SplatGrads::default()
     );
-    let behind = Pose::look_at(Vec3::new(0.0, 0.0, 9.0), Vec3::new(0.0, 0.0, 18.0), Vec3::Y);
+    let behind_it = Pose::look_at(Vec3::new(0.0, 0.0, 9.0), Vec3::new(0.0, 0.0, 18.0), Vec3::Y);
     assert!(
         engine
-            .project(&good, &camera, &behind, &ProjectOptions::default())
+            .project(&good, &camera, &behind_it, &ProjectOptions::default())
             .unwrap()
             .radii()
             .iter()

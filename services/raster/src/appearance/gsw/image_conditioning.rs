@@ -121,7 +121,7 @@ impl ImageConditioning {
     }
 
     /// Where in the photo a point is, as shares of width and height, if it is in front of the camera and in the frame.
-    pub(super) fn place(&self, [x, y, z]: [f32; 3]) -> Option<[f32; 2]> {
+    pub(super) fn pixel_of(&self, [x, y, z]: [f32; 3]) -> Option<[f32; 2]> {
         let p = self.pose.map(|r| r[0] * x + r[1] * y + r[2] * z + r[3]);
         let camera = &self.camera;
         if p[2] <= NEAR || !p[2].is_finite() {

@@ -17,7 +17,9 @@ mod on_device;
 mod points;
 
 pub use image_conditioning::ImageConditioning;
-pub use nets::{BESIDE, DYNAMIC, GswWidth, HIDDEN, INTRINSIC, LAYER, MAPS, Networks, PLANES, SAMPLE, VECTOR};
+pub use nets::{
+    BESIDE, DYNAMIC, GswWidth, HIDDEN_LAYER, INTRINSIC, LAYER, MAPS, Networks, PLANES, SAMPLE, VECTOR,
+};
 pub use on_device::{HeldNetworks, UNetInput};
 pub use points::{DROPPED, OFF_MAP};
 
@@ -126,8 +128,8 @@ impl GswAppearance {
         let nets = Networks::of(width);
         let mut random = Random::stream(seed, 0x6773_7721);
         let weights = nets.layout.begin(|| random.normal());
-        let deviation = QUIET * (2.0 / HIDDEN as f32).sqrt();
-        let layer = (0..LAYER).map(|k| if k < 3 * HIDDEN { deviation * random.normal() } else { 0.0 });
+        let deviation = QUIET * (2.0 / HIDDEN_LAYER as f32).sqrt();
+        let layer = (0..LAYER).map(|k| if k < 3 * HIDDEN_LAYER { deviation * random.normal() } else { 0.0 });
         let moments = |n: usize| Adam::new(1, n).with(0.9, 0.999, 1e-8);
         GswAppearance {
             below: EmbedAppearance::new(views, seed),
@@ -176,7 +178,7 @@ impl GswAppearance {
         below_of(splat_embeddings)
     }
 
-    /// The last layer of the colour head: `[HIDDEN][3]`, then `[3]` offsets.
+    /// The last layer of the colour head: `[HIDDEN_LAYER][3]`, then `[3]` offsets.
     pub fn layer(&self) -> &[f32] {
         &self.layer
     }
@@ -290,11 +292,15 @@ impl GswAppearance {
         AppearanceEmbedding([&below.0[..NUMBERS], layer, &kept, &own].concat())
     }
 
-    /// What the colour head has before its last layer, `[splat][HIDDEN]`, in a tone.
-    pub fn hidden(&self, appearance_embedding: &AppearanceEmbedding, direction: &Directions) -> Vec<f32> {
+    /// What the colour head has before its last layer, `[splat][HIDDEN_LAYER]`, in a tone.
+    pub fn hidden_layer(
+        &self,
+        appearance_embedding: &AppearanceEmbedding,
+        direction: &Directions,
+    ) -> Vec<f32> {
         {
             let (kept, _) = split(&appearance_embedding.0[NUMBERS + LAYER..]);
-            points::hidden(self, kept, direction)
+            points::hidden_layer(self, kept, direction)
         }
     }
 
@@ -377,7 +383,7 @@ impl AppearanceMaps {
 
 /// Of the splats' part of a tone: what is kept of them, and their colours without their own.
 fn split(splats: &[f32]) -> (&[f32], &[f32]) {
-    splats.split_at(splats.len() / (HIDDEN + 3) * HIDDEN)
+    splats.split_at(splats.len() / (HIDDEN_LAYER + 3) * HIDDEN_LAYER)
 }
 
 /// The codes of the rung below, side by side.
@@ -474,7 +480,7 @@ impl Appearance for GswAppearance {
     ) -> Vec<f32> {
         assert_eq!(
             appearance_embedding.len(),
-            NUMBERS + LAYER + colours.len() / 3 * (HIDDEN + 3),
+            NUMBERS + LAYER + colours.len() / 3 * (HIDDEN_LAYER + 3),
             "tone: length"
         );
         let (matrix, rest) = appearance_embedding.split_at(NUMBERS);

@@ -24,9 +24,9 @@ pub const INTRINSIC: usize = 48;
 /// Numbers that say how a splat looks in a photo, from any side: what is kept per look.
 pub const VECTOR: usize = 48;
 /// Numbers of the colour head before its last layer.
-pub const HIDDEN: usize = 48;
-/// Numbers of the colour head's last layer: `[HIDDEN][3]`, then `[3]` offsets.
-pub const LAYER: usize = 3 * HIDDEN + 3;
+pub const HIDDEN_LAYER: usize = 48;
+/// Numbers of the colour head's last layer: `[HIDDEN_LAYER][3]`, then `[3]` offsets.
+pub const LAYER: usize = 3 * HIDDEN_LAYER + 3;
 /// Planes of what the UNet is given: colours, and whether they are known.
 pub const PLANES: usize = 4;
 /// Planes that go round the UNet: the same at half the size, and mean and deviation of the colours.
@@ -98,8 +98,8 @@ impl Networks {
         let last = light[light.len() - 1];
         let light = Mlp::new(&mut layout, "light", &sizes, true);
         let fuse = Mlp::new(&mut layout, "fuse", &[last + INTRINSIC, VECTOR, VECTOR], true);
-        let colour = Mlp::new(&mut layout, "colour", &[VECTOR + 3, HIDDEN], true);
-        let last = Mlp::new(&mut Layout::new(), "last", &[HIDDEN, 3], false);
+        let colour = Mlp::new(&mut layout, "colour", &[VECTOR + 3, HIDDEN_LAYER], true);
+        let last = Mlp::new(&mut Layout::new(), "last", &[HIDDEN_LAYER, 3], false);
         Networks { layout, unet, light, fuse, colour, last, border, side, octaves }
     }
 }

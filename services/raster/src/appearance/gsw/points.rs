@@ -3,7 +3,7 @@
 //! Splats are taken in pieces, each by one task; sums over splats are taken piece by piece, in order. The backward pass
 //! runs a piece forward again, which costs less than keeping what all splats had on the way.
 
-use super::nets::{DYNAMIC, HIDDEN, INTRINSIC, LAYER, MAPS, Networks, SAMPLE, VECTOR};
+use super::nets::{DYNAMIC, HIDDEN_LAYER, INTRINSIC, LAYER, MAPS, Networks, SAMPLE, VECTOR};
 use super::{AppearanceMaps, CODE, COORDINATE, Directions, GswAppearance, Sight};
 use rayon::prelude::*;
 use segwild_nn::{Activations, Spot, Strided, product};
@@ -37,7 +37,7 @@ fn spots(light: &AppearanceMaps, mean: [f32; 3], code: &[f32]) -> [Option<Spot>;
             1 => 0.0,
             _ => 2.0 * (share * n as f32 - 0.5) / (n - 1) as f32 - 1.0,
         };
-        light.image_conditioning.place(mean).map(|[u, v]| Spot::new(w, h, [centre(u, w), centre(v, h)]))
+        light.image_conditioning.pixel_of(mean).map(|[u, v]| Spot::new(w, h, [centre(u, w), centre(v, h)]))
     })
 }
 
@@ -170,7 +170,7 @@ pub(super) fn tint(
     colours
 }
 
-/// What is kept of a look, `[splat][HIDDEN]`: what the vectors of all splats add to the colour head's hidden numbers,
+/// What is kept of a look, `[splat][HIDDEN_LAYER]`: what the vectors of all splats add to the colour head's hidden numbers,
 /// whatever the direction.
 pub(super) fn kept(
     appearance: &GswAppearance,
@@ -183,43 +183,49 @@ pub(super) fn kept(
     let all: Vec<usize> = (0..means.len()).collect();
     let piece = |which: &[usize]| {
         let run = run(appearance, nets, lights, (means, splat_embeddings), which);
-        let mut out = vec![0.0; which.len() * HIDDEN];
-        out.chunks_exact_mut(HIDDEN).for_each(|splat| splat.copy_from_slice(offsets));
+        let mut out = vec![0.0; which.len() * HIDDEN_LAYER];
+        out.chunks_exact_mut(HIDDEN_LAYER).for_each(|splat| splat.copy_from_slice(offsets));
         let vectors = Strided::of(run.fuse.result(), VECTOR);
-        let sizes = [which.len(), VECTOR, HIDDEN];
-        product(vectors, (&matrix[..VECTOR * HIDDEN], HIDDEN), sizes, (&mut out, HIDDEN), true);
+        let sizes = [which.len(), VECTOR, HIDDEN_LAYER];
+        product(
+            vectors,
+            (&matrix[..VECTOR * HIDDEN_LAYER], HIDDEN_LAYER),
+            sizes,
+            (&mut out, HIDDEN_LAYER),
+            true,
+        );
         out
     };
     all.par_chunks(PIECE).map(piece).collect::<Vec<_>>().concat()
 }
 
-/// Matrix, `[VECTOR + 3][HIDDEN]`, and offsets of the colour head.
+/// Matrix, `[VECTOR + 3][HIDDEN_LAYER]`, and offsets of the colour head.
 fn head_weights<'a>(appearance: &'a GswAppearance, nets: &Networks) -> (&'a [f32], &'a [f32]) {
-    appearance.weights[nets.colour.range()].split_at((VECTOR + 3) * HIDDEN)
+    appearance.weights[nets.colour.range()].split_at((VECTOR + 3) * HIDDEN_LAYER)
 }
 
 /// The colour head's hidden numbers of a splat, from what is kept of it and the direction.
 #[inline(always)]
-fn hidden_of(kept: &[f32], [x, y, z]: [f32; 3], of_direction: &[f32]) -> [f32; HIDDEN] {
-    let (kept, of_direction) = (&kept[..HIDDEN], &of_direction[..3 * HIDDEN]);
-    let (a, rest) = of_direction.split_at(HIDDEN);
-    let (b, c) = rest.split_at(HIDDEN);
+fn hidden_layer_of(kept: &[f32], [x, y, z]: [f32; 3], of_direction: &[f32]) -> [f32; HIDDEN_LAYER] {
+    let (kept, of_direction) = (&kept[..HIDDEN_LAYER], &of_direction[..3 * HIDDEN_LAYER]);
+    let (a, rest) = of_direction.split_at(HIDDEN_LAYER);
+    let (b, c) = rest.split_at(HIDDEN_LAYER);
     // A loop and no closure: closures are not compiled with their caller's wider instructions.
-    let mut hidden = [0.0; HIDDEN];
-    for k in 0..HIDDEN {
-        hidden[k] = (kept[k] + a[k] * x + b[k] * y + c[k] * z).max(0.0);
+    let mut hidden_layer = [0.0; HIDDEN_LAYER];
+    for k in 0..HIDDEN_LAYER {
+        hidden_layer[k] = (kept[k] + a[k] * x + b[k] * y + c[k] * z).max(0.0);
     }
-    hidden
+    hidden_layer
 }
 
-/// The colour head's hidden numbers, `[splat][HIDDEN]`, from what is kept; 0 of splats that nobody sees.
-pub(super) fn hidden(appearance: &GswAppearance, kept: &[f32], direction: &Directions) -> Vec<f32> {
-    let of_direction = &head_weights(appearance, appearance.nets()).0[VECTOR * HIDDEN..];
+/// The colour head's hidden numbers, `[splat][HIDDEN_LAYER]`, from what is kept; 0 of splats that nobody sees.
+pub(super) fn hidden_layer(appearance: &GswAppearance, kept: &[f32], direction: &Directions) -> Vec<f32> {
+    let of_direction = &head_weights(appearance, appearance.nets()).0[VECTOR * HIDDEN_LAYER..];
     let mut out = vec![0.0; kept.len()];
-    out.par_chunks_exact_mut(HIDDEN).zip(kept.par_chunks_exact(HIDDEN)).enumerate().for_each(
+    out.par_chunks_exact_mut(HIDDEN_LAYER).zip(kept.par_chunks_exact(HIDDEN_LAYER)).enumerate().for_each(
         |(i, (out, kept))| {
             if let Some(direction) = direction(i) {
-                out.copy_from_slice(&hidden_of(kept, direction, of_direction));
+                out.copy_from_slice(&hidden_layer_of(kept, direction, of_direction));
             }
         },
     );
@@ -236,13 +242,14 @@ pub(super) fn add_light(
     direction: &Directions,
     colours: &mut [f32],
 ) {
-    let of_direction = &head_weights(appearance, appearance.nets()).0[VECTOR * HIDDEN..];
+    let of_direction = &head_weights(appearance, appearance.nets()).0[VECTOR * HIDDEN_LAYER..];
     // Channel by channel, so that the sums run over neighbours.
-    let rows: [[f32; HIDDEN]; 3] = std::array::from_fn(|c| std::array::from_fn(|k| layer[3 * k + c]));
-    let head = Head { of_direction, rows, offsets: &layer[3 * HIDDEN..], matrix };
+    let rows: [[f32; HIDDEN_LAYER]; 3] = std::array::from_fn(|c| std::array::from_fn(|k| layer[3 * k + c]));
+    let head = Head { of_direction, rows, offsets: &layer[3 * HIDDEN_LAYER..], matrix };
     let pieces = colours.par_chunks_mut(3 * PIECE).zip(own.par_chunks(3 * PIECE));
-    pieces.zip(kept.par_chunks(HIDDEN * PIECE)).enumerate().for_each(|(p, ((colours, own), kept))| {
-        let splats = colours.chunks_exact_mut(3).zip(own.chunks_exact(3)).zip(kept.chunks_exact(HIDDEN));
+    pieces.zip(kept.par_chunks(HIDDEN_LAYER * PIECE)).enumerate().for_each(|(p, ((colours, own), kept))| {
+        let splats =
+            colours.chunks_exact_mut(3).zip(own.chunks_exact(3)).zip(kept.chunks_exact(HIDDEN_LAYER));
         for (k, ((colour, own), kept)) in splats.enumerate() {
             if let Some(direction) = direction(p * PIECE + k) {
                 head.add(kept, direction, own, colour);
@@ -254,8 +261,8 @@ pub(super) fn add_light(
 /// The colour head after what is kept, and what the rung below does to colours.
 struct Head<'a> {
     of_direction: &'a [f32],
-    /// Of the last layer, `[channel][hidden]`, and its offsets.
-    rows: [[f32; HIDDEN]; 3],
+    /// Of the last layer, `[channel][hidden_layer]`, and its offsets.
+    rows: [[f32; HIDDEN_LAYER]; 3],
     offsets: &'a [f32],
     matrix: &'a [f32],
 }
@@ -287,14 +294,14 @@ impl Head<'_> {
 
     #[inline(always)]
     fn add_plain(&self, kept: &[f32], direction: [f32; 3], own: &[f32], colour: &mut [f32]) {
-        let hidden = hidden_of(kept, direction, self.of_direction);
+        let hidden_layer = hidden_layer_of(kept, direction, self.of_direction);
         let [r, g, b] = [colour[0], colour[1], colour[2]];
         for c in 0..3 {
             // Sixteen strands, which the compiler makes vectors of.
             let mut strands = [0.0f32; 16];
-            for (row, hidden) in self.rows[c].chunks_exact(16).zip(hidden.chunks_exact(16)) {
+            for (row, hidden_layer) in self.rows[c].chunks_exact(16).zip(hidden_layer.chunks_exact(16)) {
                 for l in 0..16 {
-                    strands[l] += row[l] * hidden[l];
+                    strands[l] += row[l] * hidden_layer[l];
                 }
             }
             let m = &self.matrix[4 * c..4 * c + 3];
@@ -384,7 +391,7 @@ fn piece_backward(
     let part = |range: std::ops::Range<usize>| range.start - nets.border..range.end - nets.border;
     let out = which.iter().flat_map(|&i| &grad[3 * i..3 * i + 3]).copied().collect();
     let mut layer = vec![0.0; LAYER];
-    let out = nets.last.backward(&turned[3], &last, out, &mut layer, HIDDEN);
+    let out = nets.last.backward(&turned[3], &last, out, &mut layer, HIDDEN_LAYER);
     let own = part(nets.colour.range());
     let out = nets.colour.backward(&turned[2], &head, out, &mut weights[own], VECTOR);
     let made = nets.light.ends().1;

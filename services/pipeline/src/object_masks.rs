@@ -5,13 +5,13 @@ use segwild_raster::{Engine, Kept, ProjectOptions};
 use segwild_scene::{Camera, Image, Mask, Pose, Splats};
 use segwild_segmenter::{MaskMode, owned};
 
-/// Masks are drawn at most this many times larger than the photos were trained at, then scaled.
+/// Masks are rendered at most this many times larger than the photos were trained at, then scaled.
 const FINER: u32 = 2;
 
-/// Draws masks of labelled splats among all that there are.
-pub(crate) struct MaskSource<'a> {
+/// Renders masks of labelled splats among all splats of a scene.
+pub(crate) struct ObjectMasks<'a> {
     engine: &'a dyn Engine,
-    /// The engine with these splats in it, where it computes elsewhere.
+    /// The engine that holds these splats on its device, if it has one.
     held: Option<Box<dyn Engine + 'a>>,
     splats: &'a Splats,
     /// 1 for labelled splats.
@@ -20,20 +20,21 @@ pub(crate) struct MaskSource<'a> {
     mode: MaskMode,
 }
 
-impl<'a> MaskSource<'a> {
+impl<'a> ObjectMasks<'a> {
     pub fn new(
         engine: &'a dyn Engine,
         splats: &'a Splats,
         labels: &[bool],
         options: ProjectOptions,
         mode: MaskMode,
-    ) -> Result<MaskSource<'a>, RunError> {
+    ) -> Result<ObjectMasks<'a>, RunError> {
         let mut indicator = Kept::new(1, labels.iter().map(|&l| f32::from(u8::from(l))).collect::<Vec<_>>());
         indicator.bring(engine)?;
-        Ok(MaskSource { engine, held: engine.hold(splats)?, splats, indicator, options, mode })
+        Ok(ObjectMasks { engine, held: engine.hold(splats)?, splats, indicator, options, mode })
     }
 
-    /// How much of each pixel the labelled splats make up, finer than the photo at `size`: what its mask is made from.
+    /// Blends the indicator of the labelled splats: their share of each pixel, 0 to 1. The image is up to twice as
+    /// large as the photo at long side `size`.
     pub fn share(&self, full: &Camera, pose: &Pose, size: u32) -> Result<Image, RunError> {
         let camera = full.scaled_to(size * FINER);
         if self.splats.is_empty() {
@@ -44,7 +45,7 @@ impl<'a> MaskSource<'a> {
         Ok(projected.blend_kept(&self.indicator)?.image)
     }
 
-    /// The pixels of a photo, on its own grid, that the labelled splats own.
+    /// The mask of a photo, at the photo's full size: the pixels where the labelled splats' share decides.
     pub fn mask(&self, share: &Image, full: &Camera) -> Mask {
         owned(share, self.mode, (full.width, full.height))
     }
@@ -74,14 +75,15 @@ mod tests {
             sh_degree: 0,
         };
         let labels: Vec<bool> = (0..n).map(|i| i % 60 < 30).collect();
-        let source = MaskSource::new(&engine, &splats, &labels, ProjectOptions::default(), MaskMode::Visible)
-            .expect("it is brought there");
+        let source =
+            ObjectMasks::new(&engine, &splats, &labels, ProjectOptions::default(), MaskMode::Visible)
+                .expect("it is brought there");
         let before = engine.brought();
         for photo in 0..3 {
             let camera = Camera { width: 60, height: 40, fx: 80.0, fy: 80.0, cx: 30.0, cy: 20.0 };
             let eye = Vec3::new(0.1 * photo as f32, 0.0, 0.0);
             let pose = Pose::look_at(eye, eye + Vec3::Z, Vec3::NEG_Y);
-            let share = source.share(&camera, &pose, 60).expect("it is drawn");
+            let share = source.share(&camera, &pose, 60).expect("it is rendered");
             let mask = source.mask(&share, &camera);
             assert!(mask.get(10, 20) && !mask.get(55, 20), "the left half");
         }

@@ -1,18 +1,22 @@
-//! How far each pixel of a photo can be trusted (VM): not where it is sky, ignored, or shows what the scene does not.
+//! The visibility mask (VM) of a photo: its pixels that show the scene, and not sky, ignored areas or transients.
 
-use crate::transients::Corrections;
+use super::Corrections;
 use segwild_raster::Engine;
 use segwild_scene::{Mask, View};
 use segwild_trainer::{Model, TrainError, render_view};
 
-/// Long side at which photos are compared with the scene.
+/// Long side in pixels at which photos are compared with the scene.
 const SIZE: u32 = 160;
-/// Residuals under this are never held against a pixel.
+/// Residuals under this (mean over channels, 0 to 1) never count as transient.
 const HARMLESS: f32 = 0.12;
-/// How many times the photo's median residual a pixel may be off.
+/// A pixel is transient when its residual is over this many times the photo's median residual.
 const TOLERANCE: f32 = 4.0;
 
-/// Which pixels of a view can be trusted, on a grid of at most 160 cells.
+/// Computes the visibility mask of a view, on a grid whose long side has at most 160 cells. `size` is the long side in
+/// pixels that the photo is trained at, `sky` its sky.
+///
+/// # Errors
+/// When the photo cannot be loaded or the scene cannot be rendered.
 pub fn visibility(
     model: &Model,
     engine: &dyn Engine,
@@ -49,7 +53,7 @@ pub fn visibility(
                 count += 1.0;
             }
         }
-        // A person's word goes over the residual.
+        // A corrected mask decides over the residual.
         let shown = corrected.as_ref().map_or(sum / count <= limit, |c| !c.index(i));
         let barred = sky.as_ref().is_some_and(|s| s.index(i)) || valid.as_ref().is_some_and(|v| !v.index(i));
         out.set(x as u32, y as u32, shown && !barred);

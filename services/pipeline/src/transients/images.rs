@@ -1,0 +1,139 @@
+//! Writes and reads the mask images of transients in the run folder.
+
+use super::authorship::{self, FOLDER, MADE, MaskImage, WrittenMask, WrittenMasks, pixel_hash};
+use super::finding::{KnownTransients, crowded, odd, share_of};
+use crate::images::ImageFiles;
+use crate::{RunError, RunFolder};
+use segwild_flow::{Failure, FileError, Key};
+use segwild_raster::Engine;
+use segwild_scene::{Mask, Scene};
+use segwild_trainer::{Model, TrainPhoto};
+use segwild_vision::PromptSegmenter;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+/// The mask images of a scene's photos.
+pub(super) fn image_files(scene: &Scene) -> ImageFiles {
+    ImageFiles::of(scene.views.iter().map(|v| v.name.as_str()))
+}
+
+/// Returns a reader of a run's transient masks, by view and in pixels of the undistorted photo. It gives `None` where
+/// no mask image is or can be read.
+pub(crate) fn of_run(
+    folder: &RunFolder,
+    scene: &Scene,
+) -> impl Fn(usize) -> Option<Mask> + Send + Sync + use<> {
+    let (own, files) = (folder.path().join(FOLDER), image_files(scene));
+    let views = scene.views.clone();
+    move |view: usize| {
+        let taken = Mask::read_png(&files.find(&own, view)).ok()?;
+        Some(views[view].mask_from_taken(taken))
+    }
+}
+
+/// The damaged mask images of a run, a sentence each. Their photos are used without a mask.
+pub(crate) fn damaged(folder: &RunFolder, scene: &Scene) -> Vec<String> {
+    let (own, files) = (folder.path().join(FOLDER), image_files(scene));
+    let files = (0..scene.views.len()).map(|view| files.find(&own, view));
+    let sentence = |file: PathBuf| {
+        let reason = authorship::damage_of(&file)?;
+        Some(format!(
+            "{} is damaged ({reason}) and is passed over; `segwild run` makes it again",
+            file.display()
+        ))
+    };
+    files.filter_map(sentence).collect()
+}
+
+/// Writes the mask images of a run's transients.
+pub(crate) struct TransientMaskWriter<'a> {
+    pub folder: &'a RunFolder,
+    pub scene: &'a Scene,
+    pub model: &'a Model,
+    pub engine: &'a dyn Engine,
+    pub segmenter: &'a dyn PromptSegmenter,
+    pub known: &'a KnownTransients,
+    /// Photos that are worked on at once.
+    pub at_once: usize,
+}
+
+impl TransientMaskWriter<'_> {
+    /// Writes the mask images of these views that are missing or out of date. `key` names what a view's mask is made
+    /// from, `photo` loads the photo, and `on_photo` is called with a photo's name before it is worked on. Returns
+    /// warnings about single photos.
+    ///
+    /// # Errors
+    /// When a photo cannot be compared or a file cannot be written; also the errors of `photo` and `on_photo`.
+    pub fn write(
+        &self,
+        views: &[usize],
+        key: impl Fn(usize) -> Key,
+        photo: impl Fn(usize) -> Result<TrainPhoto, Failure> + Sync,
+        mut on_photo: impl FnMut(&str) -> Result<(), Failure>,
+    ) -> Result<Vec<String>, Failure> {
+        let (files, mut notes) = (image_files(self.scene), Vec::new());
+        let before = WrittenMasks::of(self.folder);
+        let own = self.folder.path().join(FOLDER);
+        let (mut after, mut pending) = (BTreeMap::new(), Vec::new());
+        for &view in views {
+            let (name, mut key) = (files.name(view), key(view).to_string());
+            if self.scene.views[view].photo.lens.is_some() {
+                // Earlier versions wrote the masks of distorted photos in undistorted pixels.
+                key += " as taken";
+            }
+            let written = before.of_photo(&files, view).cloned().unwrap_or_default();
+            let failed = |e: FileError| Failure::storage(e.to_string());
+            let image = authorship::inspect(&files.find(&own, view), Some(&written)).map_err(failed)?;
+            let there = match image {
+                MaskImage::OfPerson(_) => {
+                    after.insert(name.to_owned(), written);
+                    continue;
+                }
+                MaskImage::OfProgram(there) => Some(there),
+                MaskImage::Missing | MaskImage::Damaged(_) => None,
+            };
+            let file = own.join(name);
+            if there.is_some() && written.key == key && file.is_file() {
+                after.insert(name.to_owned(), written);
+            } else {
+                pending.push(PendingMask { view, name, key, file, there });
+            }
+        }
+        let mut masks = Vec::new();
+        let mut shares = Vec::new();
+        for some in pending.chunks(self.at_once) {
+            for &PendingMask { view, .. } in some {
+                on_photo(&self.scene.views[view].name)?;
+            }
+            let found = self.find(some, &photo)?;
+            for (PendingMask { view, name, key, file, there }, (mask, psnr)) in some.iter().zip(found) {
+                notes.extend(odd(&self.scene.views[*view].name, name, &mask, psnr));
+                shares.push(share_of(&mask));
+                let mask = self.scene.views[*view].mask_to_taken(mask);
+                let pixels = [pixel_hash(&mask)].into_iter().chain(there.clone()).collect();
+                after.insert((*name).to_owned(), WrittenMask { key: key.clone(), pixels });
+                masks.push((file, mask));
+            }
+        }
+        notes.extend(crowded(&shares));
+        let failed = |e: RunError| Failure::storage(e.to_string());
+        // The list comes first: if the run is killed in between, an image of this program is not taken for a person's.
+        self.folder.write_json(MADE, &after).map_err(failed)?;
+        for (file, mask) in masks {
+            authorship::write(file, &mask).map_err(failed)?;
+        }
+        Ok(notes)
+    }
+}
+
+/// A mask image that is to be written.
+pub(super) struct PendingMask<'a> {
+    pub view: usize,
+    /// Name of the image in the folder.
+    name: &'a str,
+    file: PathBuf,
+    /// What the mask is made from.
+    key: String,
+    /// Hash of the pixels of the image that is there now.
+    there: Option<String>,
+}
