@@ -61,7 +61,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     });
     rate("ledger, a stage begun and done", 20, || {
         for n in 0..20 {
-            ledger.begin_stage(&format!("s{n}"), &key).expect("writable");
+            ledger.start_stage(&format!("s{n}"), &key).expect("writable");
             ledger.finish_stage(&format!("s{n}"), &key, None).expect("writable");
         }
     });

@@ -18,7 +18,7 @@ const CHILD: &str = "SEGWILD_LEDGER_CHILD";
 fn child_writer() {
     let Some(path) = std::env::var_os(CHILD) else { return };
     let ledger = Ledger::open(Path::new(&path)).unwrap();
-    ledger.begin_stage("masks", &key(1)).unwrap();
+    ledger.start_stage("masks", &key(1)).unwrap();
     let mut out = std::io::stdout();
     for n in 0.. {
         ledger.record_view("masks", &format!("{n:06}.jpg"), &key(1), &ViewOutcome::done(0.1)).unwrap();
@@ -81,10 +81,10 @@ fn stages_are_done_under_their_key_only() {
     let path = folder.path().join("deep/run.sqlite");
     {
         let ledger = Ledger::open(&path).unwrap();
-        ledger.begin_stage("geometry", &key(1)).unwrap();
+        ledger.start_stage("geometry", &key(1)).unwrap();
         assert!(!ledger.stage_is_done("geometry", &key(1)).unwrap());
         ledger.finish_stage("geometry", &key(1), Some(2.5)).unwrap();
-        ledger.begin_stage("features", &key(2)).unwrap();
+        ledger.start_stage("features", &key(2)).unwrap();
         ledger.fail_stage("features", &key(2), "no network").unwrap();
     }
     let ledger = Ledger::open(&path).unwrap();
@@ -99,7 +99,7 @@ fn stages_are_done_under_their_key_only() {
     assert_eq!((stages[0].cpu_s, stages[1].error.as_deref()), (Some(2.5), Some("no network")));
     assert!(stages[0].ended.unwrap() >= stages[0].started.unwrap());
     // Begun again under another key, it is no longer done under the first.
-    ledger.begin_stage("geometry", &key(9)).unwrap();
+    ledger.start_stage("geometry", &key(9)).unwrap();
     assert!(!ledger.stage_is_done("geometry", &key(1)).unwrap());
     assert_eq!(ledger.stages().unwrap()[0].runs, 1);
 }

@@ -20,7 +20,7 @@ use std::path::Path;
 /// What a run would do with a stage.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "verdict")]
-pub enum Verdict {
+pub enum StageVerdict {
     /// The whole result is in the cache.
     Reused,
     /// The results of some photos are in the cache.
@@ -56,12 +56,12 @@ pub enum Verdict {
 
 /// One stage of the plan.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Plan {
+pub struct StagePlan {
     /// The stage, one of [`STAGES`].
     pub stage: &'static str,
     /// What the run would do with it.
     #[serde(flatten)]
-    pub verdict: Verdict,
+    pub verdict: StageVerdict,
     /// Why, a phrase each; empty when it is reused.
     pub why: Vec<String>,
 }
@@ -127,7 +127,7 @@ pub fn explain(
     folder: &RunFolder,
     settings: &Settings,
     until: Option<Until>,
-) -> Result<Vec<Plan>, RunError> {
+) -> Result<Vec<StagePlan>, RunError> {
     folder.stays_inside()?;
     let settings = settings.anchored();
     let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
@@ -145,12 +145,12 @@ pub fn explain(
     for stage in STAGES {
         let verdict = verdict(stage, &now, &cache, folder, ledger.as_ref())?;
         let why = match (&verdict, &before) {
-            (Verdict::Reused | Verdict::Stands { .. } | Verdict::NotReached, _) => Vec::new(),
+            (StageVerdict::Reused | StageVerdict::Stands { .. } | StageVerdict::NotReached, _) => Vec::new(),
             (_, None) => vec!["the run is new".into()],
             _ if stage == "report" => vec!["it is written at the end of every run".into()],
             (_, Some(before)) => before.why(stage, &now, &verdict, ledger.as_ref())?,
         };
-        plans.push(Plan { stage, verdict, why });
+        plans.push(StagePlan { stage, verdict, why });
         // The stages after the training need its end.
         if until == Until::stage(stage) || stage == "geometry" && now.goal < now.end {
             break;
@@ -165,13 +165,13 @@ fn verdict(
     cache: &Cache,
     folder: &RunFolder,
     ledger: Option<&Ledger>,
-) -> Result<Verdict, RunError> {
+) -> Result<StageVerdict, RunError> {
     let keys = &now.keys;
     if stage == "geometry" {
         return geometry(now, cache, folder, ledger);
     }
     if stage == "masks" && now.goal < now.snapshot_step && !cache.contains(&keys.snapshot) {
-        return Ok(Verdict::NotReached);
+        return Ok(StageVerdict::NotReached);
     }
     let per_view = match stage {
         "sky" => Some((&keys.sky, true)),
@@ -185,9 +185,9 @@ fn verdict(
             .collect();
         let made = views.iter().filter(|&&i| !cache.contains(&keys_of_stage[i])).count();
         return Ok(match made {
-            0 => Verdict::Reused,
-            _ if made == views.len() => Verdict::Made,
-            _ => Verdict::Partly { made, of: views.len() },
+            0 => StageVerdict::Reused,
+            _ if made == views.len() => StageVerdict::Made,
+            _ => StageVerdict::Partly { made, of: views.len() },
         });
     }
     let there = match stage {
@@ -198,7 +198,7 @@ fn verdict(
         },
         _ => false,
     };
-    Ok(if there { Verdict::Reused } else { Verdict::Made })
+    Ok(if there { StageVerdict::Reused } else { StageVerdict::Made })
 }
 
 /// What a run would do with the training: the same decision as in `Coordinator::start_geometry`.
@@ -207,10 +207,10 @@ fn geometry(
     cache: &Cache,
     folder: &RunFolder,
     ledger: Option<&Ledger>,
-) -> Result<Verdict, RunError> {
+) -> Result<StageVerdict, RunError> {
     let (trained, snapshot) = (cache.contains(&now.keys.geometry), cache.contains(&now.keys.snapshot));
     if trained && snapshot {
-        return Ok(Verdict::Reused);
+        return Ok(StageVerdict::Reused);
     }
     let mut steps: Vec<u32> = Vec::new();
     if let Some(ledger) = ledger {
@@ -228,12 +228,12 @@ fn geometry(
     let last_before = |end: u32| steps.iter().copied().filter(|&step| step <= end).max();
     if trained {
         let from = last_before(now.snapshot_step).unwrap_or(0);
-        return Ok(Verdict::SnapshotAgain { from, to: now.snapshot_step });
+        return Ok(StageVerdict::SnapshotAgain { from, to: now.snapshot_step });
     }
     if let Some(step) = last_before(u32::MAX).filter(|&step| now.goal < now.end && step >= now.goal) {
-        return Ok(Verdict::Stands { step });
+        return Ok(StageVerdict::Stands { step });
     }
-    Ok(last_before(now.goal).map_or(Verdict::Made, |step| Verdict::GoesOn { step }))
+    Ok(last_before(now.goal).map_or(StageVerdict::Made, |step| StageVerdict::GoesOn { step }))
 }
 
 /// The inputs of the run when it was last started.
@@ -331,7 +331,7 @@ impl Before {
         &self,
         stage: &str,
         now: &Situation,
-        verdict: &Verdict,
+        verdict: &StageVerdict,
         ledger: Option<&Ledger>,
     ) -> Result<Vec<String>, RunError> {
         let Some(row) = self.stages.iter().find(|row| row.name == stage) else {
@@ -352,7 +352,7 @@ impl Before {
         let (was, goal) = (self.then.goal, now.goal);
         if was != goal && (why.is_empty() && now.keys.stage(stage).to_string() != row.key) {
             why.push(format!("the training is to end at step {goal}, and was to end at step {was}"));
-            if stage == "geometry" && *verdict == Verdict::Made {
+            if stage == "geometry" && *verdict == StageVerdict::Made {
                 why.push(format!("there is no checkpoint of it at or before step {goal}"));
             }
         }

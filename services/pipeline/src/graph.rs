@@ -368,7 +368,7 @@ pub fn run(
             options.events.tell(Event::StageSkipped { stage: "evaluate".into(), key: key.to_string() });
             scores = known.filter(|_| !intake.held_out.is_empty());
         } else {
-            ledger.begin_stage("evaluate", &key)?;
+            ledger.start_stage("evaluate", &key)?;
             let progress = options.events.stage("evaluate", None);
             let skies = coordinator.skies.clone();
             let sky = move |view: usize| skies.read(view).map_err(|lost| lost.to_string());
@@ -419,7 +419,7 @@ pub fn run(
     // The report reads the run folder again: the run's own data is freed first.
     drop((coordinator, scene, model));
     if last >= 6 && splats.is_some() {
-        ledger.begin_stage("report", &key)?;
+        ledger.start_stage("report", &key)?;
         let progress = options.events.stage("report", None);
         for left_out in traces.step(&mut report, "report", || report::write_report(folder))? {
             options.events.warn(

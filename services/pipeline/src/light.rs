@@ -94,18 +94,18 @@ pub struct BakeRequest {
     /// Another appearance for the selected object.
     pub object_appearance: Option<AppearanceRequest>,
     /// Where to interpolate, if two or more appearances are given: 0 is the first, 1 the last.
-    pub between: Option<f32>,
+    pub interpolate: Option<f32>,
     /// Name of the selection.
     pub selection: Option<String>,
     /// What of the scene is written.
-    pub part: Part,
+    pub part: ScenePart,
     /// The file.
     pub out: PathBuf,
 }
 
 /// A part of the scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Part {
+pub enum ScenePart {
     /// All of it.
     Scene,
     /// The selection.
@@ -137,23 +137,23 @@ pub fn bake(folder: &RunFolder, request: &BakeRequest) -> Result<Baked, RunError
             model.splats = selected.cut_scene(&model.splats);
             whose = selected.labels;
         }
-        None if request.object_appearance.is_some() || request.part != Part::Scene => {
+        None if request.object_appearance.is_some() || request.part != ScenePart::Scene => {
             let text = "an appearance of the object, or a part of the scene, needs --selection NAME";
             return Err(RunError::Request(text.into()));
         }
         None => {}
     }
-    if request.part != Part::Scene {
-        let wanted = request.part == Part::Only;
+    if request.part != ScenePart::Scene {
+        let wanted = request.part == ScenePart::Only;
         let keep: Vec<usize> = (0..whose.len()).filter(|&i| whose[i] == wanted).collect();
         model.select(&keep);
         whose = vec![wanted; keep.len()];
     }
     let light = |appearance: &AppearanceRequest| -> Result<Option<Light>, RunError> {
-        if appearance.photos.len() > 1 && request.between.is_none() {
+        if appearance.photos.len() > 1 && request.interpolate.is_none() {
             return Err(RunError::Request("two appearances need --interpolate T, 0 to 1".into()));
         }
-        Ok(appearance.lights(scene, &model)?.at(request.between.unwrap_or(0.0)))
+        Ok(appearance.lights(scene, &model)?.at(request.interpolate.unwrap_or(0.0)))
     };
     let object = match &request.object_appearance {
         Some(appearance) => light(appearance)?.map(|light| (whose, light)),

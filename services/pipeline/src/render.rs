@@ -27,7 +27,7 @@ pub enum Mode {
 
 /// What a render shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum What {
+pub enum RenderContent {
     /// The scene's colours.
     Colour,
     /// Depth, near bright.
@@ -51,11 +51,11 @@ pub struct RenderRequest {
     /// Another appearance for the selected object.
     pub object_appearance: Option<AppearanceRequest>,
     /// Where to interpolate, if two or more appearances and no frames are given: 0 is the first, 1 the last.
-    pub between: Option<f32>,
+    pub interpolate: Option<f32>,
     /// A selection and how to render it.
     pub selection: Option<(String, Mode)>,
     /// What the renders show.
-    pub what: What,
+    pub what: RenderContent,
     /// Long side in pixels; `None`: as trained.
     pub width: Option<u32>,
     /// The folder for the renders; `None`: `RUN/renders`.
@@ -115,7 +115,7 @@ pub fn render(folder: &RunFolder, request: &RenderRequest) -> Result<Vec<Rendere
     let last = jobs.len().saturating_sub(1).max(1) as f32;
     let files = ImageFiles::of(loaded.scene.views.iter().map(|v| v.name.as_str()));
     for (f, job) in jobs.into_iter().enumerate() {
-        let share = request.frames.map_or(request.between.unwrap_or(0.0), |_| f as f32 / last);
+        let share = request.frames.map_or(request.interpolate.unwrap_or(0.0), |_| f as f32 / last);
         let light = lights.at(share).unwrap_or_else(|| renderer.own(&job, request.appearance.strength));
         let lighting = renderer.lighting(light, object_lights.as_ref().and_then(|lights| lights.at(share)));
         let image = renderer.render(engine, &job.camera, &job.pose, &lighting)?;
@@ -137,16 +137,16 @@ fn check_appearances(request: &RenderRequest) -> Result<(), RunError> {
     if request.object_appearance.as_ref().is_some_and(|appearance| appearance.photos.is_empty()) {
         return refuse("the object's appearance names no photo");
     }
-    if sequence && request.frames.is_none() && request.between.is_none() {
+    if sequence && request.frames.is_none() && request.interpolate.is_none() {
         return refuse(
             "two appearances need --frames N, a sequence between them, or --interpolate T, 0 to 1",
         );
     }
-    if request.between.is_some() && (request.frames.is_some() || appearances().all(AppearanceRequest::is_one))
+    if request.interpolate.is_some() && (request.frames.is_some() || appearances().all(AppearanceRequest::is_one))
     {
         return refuse("--interpolate needs two appearances, and no --frames");
     }
-    if request.between.is_some_and(|t| !(0.0..=1.0).contains(&t)) {
+    if request.interpolate.is_some_and(|t| !(0.0..=1.0).contains(&t)) {
         return refuse("--interpolate is a share from 0 to 1");
     }
     if request.frames.is_some() && request.photos.len() < 2 && !(request.photos.len() == 1 && sequence) {
@@ -241,7 +241,7 @@ pub(crate) struct SceneRenderer<'a> {
     /// 1 for the splats of the selection, where that is highlighted.
     highlight: Option<Kept<'static>>,
     only: bool,
-    what: What,
+    what: RenderContent,
     features: Option<(Kept<'a>, FeatureColours)>,
 }
 
@@ -250,7 +250,7 @@ impl<'a> SceneRenderer<'a> {
     pub(crate) fn new(
         loaded: &'a Loaded,
         selected: Option<(Selected, Mode)>,
-        what: What,
+        what: RenderContent,
         engine: &dyn Engine,
     ) -> Result<SceneRenderer<'a>, RunError> {
         let mut model = loaded.model.clone();
@@ -259,7 +259,7 @@ impl<'a> SceneRenderer<'a> {
             model.splats = selected.cut_scene(&model.splats);
             let mut labels = selected.labels;
             if let Mode::Only | Mode::Without = mode {
-                if what == What::Features {
+                if what == RenderContent::Features {
                     let text =
                         "features are rendered for the whole scene: leave --mode or use --mode highlight";
                     return Err(RunError::Request(text.into()));
@@ -269,7 +269,7 @@ impl<'a> SceneRenderer<'a> {
                 model.select(&keep);
                 labels = vec![only; keep.len()];
             }
-            if mode == Mode::Highlight && what == What::Colour {
+            if mode == Mode::Highlight && what == RenderContent::Colour {
                 let indicator: Vec<f32> = labels.iter().map(|&w| f32::from(u8::from(w))).collect();
                 let mut indicator = Kept::new(1, indicator);
                 indicator.bring(engine)?;
@@ -278,12 +278,12 @@ impl<'a> SceneRenderer<'a> {
             whose = Some(labels);
         }
         let features = match (what, &loaded.field) {
-            (What::Features, Some(field)) => {
+            (RenderContent::Features, Some(field)) => {
                 let mut kept = field.kept();
                 kept.bring(engine)?;
                 Some((kept, FeatureColours::of(field)?))
             }
-            (What::Features, None) => {
+            (RenderContent::Features, None) => {
                 return Err(RunError::Request(
                     "this run has no feature field yet: finish `segwild run` first".into(),
                 ));
@@ -321,7 +321,7 @@ impl<'a> SceneRenderer<'a> {
     ) -> Result<Image, RunError> {
         let options = self.model.options();
         let splats = &self.model.splats;
-        if self.what == What::Colour {
+        if self.what == RenderContent::Colour {
             let mut image = render_lit(&self.model, engine, camera, pose, lighting)?;
             let project = || engine.project(splats, camera, pose, &options);
             let n = image.pixels();
@@ -351,8 +351,8 @@ impl<'a> SceneRenderer<'a> {
         }
         let projected = engine.project(splats, camera, pose, &options)?;
         match (self.what, &self.features) {
-            (What::Features, Some((field, colours))) => Ok(colours.paint(&projected.blend_kept(field)?)),
-            (What::Alpha, _) => Ok(projected.blend(&NOTHING)?.alpha),
+            (RenderContent::Features, Some((field, colours))) => Ok(colours.paint(&projected.blend_kept(field)?)),
+            (RenderContent::Alpha, _) => Ok(projected.blend(&NOTHING)?.alpha),
             _ => {
                 let frame = projected.blend(&Channels { count: 1, values: projected.depths() })?;
                 Ok(bright_when_near(&frame.image, &frame.alpha))

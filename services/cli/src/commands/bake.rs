@@ -5,7 +5,7 @@ use super::{path, print_json, print_line};
 use crate::args::{self, appearances, choice, examples, json, selection};
 use crate::failure::Failure;
 use clap::{ArgMatches, Command};
-use segwild_pipeline::{BakeRequest, Part, RunFolder};
+use segwild_pipeline::{BakeRequest, ScenePart, RunFolder};
 
 /// The command's arguments.
 pub fn command() -> Command {
@@ -33,15 +33,15 @@ pub fn bake(matches: &ArgMatches) -> Result<(), Failure> {
     let word = |name: &str| matches.get_one::<String>(name).cloned();
     let (selection, object_appearance) = (word("selection"), object_appearance(matches));
     let part = match word("mode").as_deref() {
-        Some("only") => Part::Only,
-        Some("without") => Part::Without,
-        None if selection.is_some() && object_appearance.is_none() => Part::Only,
-        _ => Part::Scene,
+        Some("only") => ScenePart::Only,
+        Some("without") => ScenePart::Without,
+        None if selection.is_some() && object_appearance.is_none() => ScenePart::Only,
+        _ => ScenePart::Scene,
     };
     let request = BakeRequest {
         appearance: appearance(matches, "appearance", "strength"),
         object_appearance,
-        between: matches.get_one::<f32>("interpolate").copied(),
+        interpolate: matches.get_one::<f32>("interpolate").copied(),
         selection,
         part,
         out: path(matches, "out").unwrap_or_else(|| folder.path().join("baked.ply")),

@@ -89,7 +89,7 @@ fn verify(folder: &RunFolder, json: bool) -> Result<(), Failure> {
     let mut damaged = Vec::new();
     let cached = cache_verify(folder, |artefact, reason| damaged.push((artefact.key(), reason.to_owned())))?;
     let (selected, changed) = verify_selections(folder);
-    let (written, masks) = folder.verify_pictures()?;
+    let (written, masks) = folder.verify_transient_masks()?;
     let all = cached + selected + written;
     if json {
         let list: Vec<_> =

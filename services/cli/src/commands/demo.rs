@@ -10,7 +10,7 @@ use segwild_bench::synthetic::{Kind, SyntheticOptions};
 use segwild_bench::trial::{ProviderKind, Trial};
 use segwild_flow::Stopper;
 use segwild_pipeline::{
-    AppearanceRequest, Mode, PhotoPrompts, Preset, RenderRequest, Settings, What, render,
+    AppearanceRequest, Mode, PhotoPrompts, Preset, RenderRequest, Settings, RenderContent, render,
 };
 use std::path::PathBuf;
 
@@ -94,9 +94,9 @@ pub fn demo(matches: &ArgMatches) -> Result<(), Failure> {
             frames: None,
             appearance: AppearanceRequest::default(),
             object_appearance: None,
-            between: None,
+            interpolate: None,
             selection: Some((object.name.clone(), Mode::Only)),
-            what: What::Colour,
+            what: RenderContent::Colour,
             width: None,
             out: Some(out.join("images").join(&object.name)),
         };

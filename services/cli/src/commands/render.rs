@@ -4,7 +4,7 @@ use super::{path, print_json, print_line};
 use crate::args::{self, appearances, choice, examples, json, selection};
 use crate::failure::Failure;
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
-use segwild_pipeline::{AppearanceRequest, Mode, RenderRequest, RunFolder, What};
+use segwild_pipeline::{AppearanceRequest, Mode, RenderRequest, RunFolder, RenderContent};
 
 /// The command's arguments.
 pub fn command() -> Command {
@@ -67,17 +67,17 @@ pub fn render(matches: &ArgMatches) -> Result<(), Failure> {
         _ => Mode::Highlight,
     };
     let what = match word("what").as_deref() {
-        Some("depth") => What::Depth,
-        Some("alpha") => What::Alpha,
-        Some("features") => What::Features,
-        _ => What::Colour,
+        Some("depth") => RenderContent::Depth,
+        Some("alpha") => RenderContent::Alpha,
+        Some("features") => RenderContent::Features,
+        _ => RenderContent::Colour,
     };
     let request = RenderRequest {
         photos: matches.get_many::<String>("photo").into_iter().flatten().cloned().collect(),
         frames: matches.get_one::<u32>("frames").copied(),
         appearance: appearance(matches, "appearance", "strength"),
         object_appearance,
-        between: matches.get_one::<f32>("interpolate").copied(),
+        interpolate: matches.get_one::<f32>("interpolate").copied(),
         selection: word("selection").map(|name| (name, mode)),
         what,
         width: matches.get_one::<u32>("width").copied(),

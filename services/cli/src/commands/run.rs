@@ -9,7 +9,7 @@ use crate::operators::{
 use crate::progress::{duration, show, stop_on_ctrl_c};
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_flow::{Events, Stopper};
-use segwild_pipeline::{Code, Plan, RunError, RunFolder, RunOptions, Settings, Summary, Until, Verdict};
+use segwild_pipeline::{Code, StagePlan, RunError, RunFolder, RunOptions, Settings, Summary, Until, StageVerdict};
 use segwild_scene::{SceneError, Skipped};
 use std::path::{Path, PathBuf};
 
@@ -82,15 +82,15 @@ fn tell_plan(
     if json {
         return plans.iter().try_for_each(print_json);
     }
-    for Plan { stage, verdict, why } in plans {
+    for StagePlan { stage, verdict, why } in plans {
         let what = match verdict {
-            Verdict::Reused => "reused".to_owned(),
-            Verdict::Partly { made, of } => format!("made for {made} of {of} photos"),
-            Verdict::GoesOn { step } => format!("goes on from step {step}"),
-            Verdict::Stands { step } => format!("stands at step {step}"),
-            Verdict::SnapshotAgain { from, to } => format!("again from step {from} to {to}"),
-            Verdict::NotReached => "waits for the snapshot".to_owned(),
-            Verdict::Made => "made".to_owned(),
+            StageVerdict::Reused => "reused".to_owned(),
+            StageVerdict::Partly { made, of } => format!("made for {made} of {of} photos"),
+            StageVerdict::GoesOn { step } => format!("goes on from step {step}"),
+            StageVerdict::Stands { step } => format!("stands at step {step}"),
+            StageVerdict::SnapshotAgain { from, to } => format!("again from step {from} to {to}"),
+            StageVerdict::NotReached => "waits for the snapshot".to_owned(),
+            StageVerdict::Made => "made".to_owned(),
         };
         print_line(format!("{stage:>9}  {what:24} {}", why.join("; ")).trim_end())?;
     }

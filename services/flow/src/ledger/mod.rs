@@ -181,7 +181,7 @@ impl Ledger {
     ///
     /// # Errors
     /// When the ledger cannot be written.
-    pub fn begin_stage(&self, stage: &str, key: &Key) -> Result<(), LedgerError> {
+    pub fn start_stage(&self, stage: &str, key: &Key) -> Result<(), LedgerError> {
         let key = key.to_string();
         self.write(Commit::Quick, |t| {
             t.execute(

@@ -115,7 +115,7 @@ impl Coordinator<'_> {
         self.keys = self.full_keys.without_skies(&training, &held_out);
         *self.names.lock().unwrap_or_else(PoisonError::into_inner) = self.keys.clone();
         if self.state.geometry_started {
-            self.ledger.begin_stage("geometry", &self.keys.geometry)?;
+            self.ledger.start_stage("geometry", &self.keys.geometry)?;
             self.name_training()?;
         }
         Ok(())

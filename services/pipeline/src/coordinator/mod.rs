@@ -314,7 +314,7 @@ impl Coordinator<'_> {
         self.skies.plan(training.into_iter().chain(held_out));
         bars.sky = Some(events.stage("sky", Some(with_sky.len() as u64)));
         let stage_key = self.keys.stage("sky");
-        self.ledger.begin_stage("sky", &stage_key)?;
+        self.ledger.start_stage("sky", &stage_key)?;
         let (masks, keys, skies) = (to.masks.clone(), self.keys.sky.clone(), self.skies.clone());
         system.source("ingest", feeder, move |context| {
             while let Some(view) = skies.next_open() {
@@ -328,7 +328,7 @@ impl Coordinator<'_> {
             let views = self.views(false);
             self.state.embed_open = views.len();
             bars.embed = Some(events.stage("embed", Some(views.len() as u64)));
-            self.ledger.begin_stage("embed", &self.keys.stage("embed"))?;
+            self.ledger.start_stage("embed", &self.keys.stage("embed"))?;
             let (features, keys) = (to.features.clone(), self.keys.embedding.clone());
             system.source("photos", feeder, move |context| {
                 for &view in &views {

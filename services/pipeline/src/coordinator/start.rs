@@ -45,7 +45,7 @@ impl Coordinator<'_> {
             }
             self.state.only_to_snapshot = true;
         }
-        self.ledger.begin_stage("geometry", &self.keys.geometry)?;
+        self.ledger.start_stage("geometry", &self.keys.geometry)?;
         // Without the snapshot the training is done again from a checkpoint before it, or from the start.
         let before = if snapshot_kept { u32::MAX } else { snapshot_step };
         let until = if self.state.only_to_snapshot { snapshot_step } else { self.steps };
@@ -138,7 +138,7 @@ impl Coordinator<'_> {
     pub(super) fn skip_stage(&self, stage: &str, key: &Key) -> Result<(), RunError> {
         self.options.events.tell(Event::StageSkipped { stage: stage.into(), key: key.to_string() });
         if !self.ledger.stage_is_done(stage, key)? {
-            self.ledger.begin_stage(stage, key)?;
+            self.ledger.start_stage(stage, key)?;
             self.ledger.finish_stage(stage, key, None)?;
         }
         Ok(())
@@ -172,7 +172,7 @@ impl Coordinator<'_> {
         let views = self.views(false);
         self.state.masks_started = true;
         self.state.masks_open = views.len();
-        self.ledger.begin_stage("masks", &self.keys.stage("masks"))?;
+        self.ledger.start_stage("masks", &self.keys.stage("masks"))?;
         bars.masks = Some(self.options.events.stage("masks", Some(views.len() as u64)));
         let (size, keys, skies) = (self.settings.scene.size, self.keys.masks.clone(), self.skies.clone());
         let (cache, mask_source, out) =
@@ -260,7 +260,7 @@ impl Coordinator<'_> {
             self.skip_stage("features", &key)?;
             return self.take_field(field);
         }
-        self.ledger.begin_stage("features", &key)?;
+        self.ledger.start_stage("features", &key)?;
         let given = |view: &usize| self.state.embedded[*view] && !self.state.unseen.contains(view);
         let task = FeatureTask::Field {
             splats: Arc::new(inputs.model.splats.clone()),

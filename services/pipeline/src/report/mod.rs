@@ -9,7 +9,7 @@ use crate::choice::AutoChoice;
 use crate::evaluate::HeldOut;
 use crate::folder::Loaded;
 use crate::history::{self, Moment};
-use crate::render::{NOTHING, SceneRenderer, What};
+use crate::render::{NOTHING, SceneRenderer, RenderContent};
 use crate::transients;
 use crate::{AppearanceChoice, BudgetChoice, RunError, RunFolder, choose_engine, log_loss};
 use html::ChartSeries;
@@ -128,7 +128,7 @@ fn appearances(loaded: &Loaded, engine: &dyn Engine) -> Result<String, RunError>
     }
     let known = (0..model.names.len()).filter(|&v| model.appearance_index(Some(v)) == v);
     let small = |view: usize| loaded.scene.views[view].camera.scaled_to(loaded.settings.scene.size.min(360));
-    let renderer = SceneRenderer::new(loaded, None, What::Colour, engine)?;
+    let renderer = SceneRenderer::new(loaded, None, RenderContent::Colour, engine)?;
     let render = |view: usize, appearance: Option<usize>, side: u32| {
         let camera = small(view).scaled_to(side);
         renderer.render(engine, &camera, &loaded.scene.views[view].pose, &renderer.light(appearance))
@@ -211,10 +211,10 @@ fn photos(
     let cache = folder.cache()?;
     let (masks, skies) = (made(folder, "masks")?, made(folder, "sky")?);
     let mut text = String::from("<h2>Photos</h2>");
-    let colour = SceneRenderer::new(loaded, None, What::Colour, engine)?;
-    let depth = SceneRenderer::new(loaded, None, What::Depth, engine)?;
+    let colour = SceneRenderer::new(loaded, None, RenderContent::Colour, engine)?;
+    let depth = SceneRenderer::new(loaded, None, RenderContent::Depth, engine)?;
     let features = match &loaded.field {
-        Some(_) => Some(SceneRenderer::new(loaded, None, What::Features, engine)?),
+        Some(_) => Some(SceneRenderer::new(loaded, None, RenderContent::Features, engine)?),
         None => None,
     };
     let row = |view: usize| -> Result<(String, Option<String>), RunError> {

@@ -2,7 +2,7 @@
 
 use super::{html, pass, spread, write_report};
 use crate::folder::Loaded;
-use crate::render::{Mode, SceneRenderer, What};
+use crate::render::{Mode, SceneRenderer, RenderContent};
 use crate::{RunError, RunFolder, Selected, choose_engine, log_loss};
 use segwild_flow::{FileError, files};
 use segwild_raster::Engine;
@@ -87,8 +87,8 @@ fn object(folder: &RunFolder, loaded: &Loaded, name: &str, engine: &dyn Engine) 
             .map_or_else(String::new, |by| format!(", by the masks of {}", html::escape(&by)))
     );
     let highlight =
-        SceneRenderer::new(loaded, Some((selected.clone(), Mode::Highlight)), What::Colour, engine)?;
-    let only = SceneRenderer::new(loaded, Some((selected, Mode::Only)), What::Colour, engine)?;
+        SceneRenderer::new(loaded, Some((selected.clone(), Mode::Highlight)), RenderContent::Colour, engine)?;
+    let only = SceneRenderer::new(loaded, Some((selected, Mode::Only)), RenderContent::Colour, engine)?;
     for view in spread(loaded, 4) {
         let v = &loaded.scene.views[view];
         let camera = v.camera.scaled_to(loaded.settings.scene.size.min(360));

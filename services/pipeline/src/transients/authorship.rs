@@ -106,7 +106,7 @@ impl RunFolder {
     ///
     /// # Errors
     /// When the list of photos cannot be read.
-    pub fn verify_pictures(&self) -> Result<(usize, Vec<(PathBuf, String)>), RunError> {
+    pub fn verify_transient_masks(&self) -> Result<(usize, Vec<(PathBuf, String)>), RunError> {
         if !self.path().join("scene.json").exists() {
             return Ok((0, Vec::new())); // the run has not started
         }
@@ -209,7 +209,7 @@ mod tests {
     fn a_flipped_bit_in_an_image_is_found_without_decoding_it_and_by_the_check_of_a_whole_run() {
         let dir = tempfile::tempdir().unwrap();
         let run = RunFolder::create(dir.path()).unwrap();
-        assert_eq!(run.verify_pictures().unwrap().0, 0);
+        assert_eq!(run.verify_transient_masks().unwrap().0, 0);
         let frame = serde_json::json!({ "origin": [0.0, 0.0, 0.0], "scale": 1.0 });
         let intake = serde_json::json!({
             "scene": dir.path(), "photos": ["a.jpg", "b.jpg"], "held_out": [], "skipped": [], "points": 0, "frame": frame
@@ -224,7 +224,7 @@ mod tests {
         bytes[middle] ^= 1;
         std::fs::write(&b, bytes).unwrap();
         assert!(damage_of(&a).is_none() && damage_of(&b).is_some());
-        let (count, damaged) = run.verify_pictures().unwrap();
+        let (count, damaged) = run.verify_transient_masks().unwrap();
         assert_eq!((count, damaged.len(), &damaged[0].0), (2, 1, &b));
     }
 

@@ -5,7 +5,7 @@ use crate::yard::{folder, put, take};
 use crate::{Target, seal};
 use segwild_flow::codec::{self, Decode};
 use segwild_flow::{Cache, Key};
-use segwild_pipeline::{AppearanceRequest, RenderRequest, RunFolder, Selected, What};
+use segwild_pipeline::{AppearanceRequest, RenderRequest, RunFolder, Selected, RenderContent};
 use segwild_scene::{Embedding, MaskSet};
 use segwild_trainer::Checkpoint;
 use std::path::{Path, PathBuf};
@@ -18,9 +18,9 @@ fn draw(run: &Path) {
         frames: None,
         appearance: AppearanceRequest::default(),
         object_appearance: None,
-        between: None,
+        interpolate: None,
         selection: None,
-        what: What::Colour,
+        what: RenderContent::Colour,
         width: Some(16),
         out: Some(run.join("drawn")),
     };

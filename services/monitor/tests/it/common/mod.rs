@@ -98,14 +98,14 @@ pub fn run_in(folder: &Path, sample: &LiveSample) -> Ledger {
     let ledger = Ledger::open(folder.join("run.sqlite")).expect("a ledger");
     let key = |stage: &'static str| Key::of(stage).finish();
     for stage in ["sky", "embed"] {
-        ledger.begin_stage(stage, &key(stage)).expect("it writes");
+        ledger.start_stage(stage, &key(stage)).expect("it writes");
         ledger.record_view(stage, "a.jpg", &key(stage), &ViewOutcome::done(0.25)).expect("it writes");
         ledger.record_view(stage, "b.jpg", &key(stage), &ViewOutcome::cached()).expect("it writes");
         ledger.record_view(stage, "c.jpg", &key(stage), &ViewOutcome::failed(3, "torn")).expect("it writes");
         ledger.finish_stage(stage, &key(stage), Some(1.0)).expect("it writes");
     }
-    ledger.begin_stage("masks", &key("masks")).expect("it writes");
-    ledger.begin_stage("geometry", &key("geometry")).expect("it writes");
+    ledger.start_stage("masks", &key("masks")).expect("it writes");
+    ledger.start_stage("geometry", &key("geometry")).expect("it writes");
     let event =
         Event::Warning { stage: Some("geometry".into()), message: "10 isolated points are left out".into() };
     ledger.record_event(&EventRecord { time: now(), event }).expect("it writes");
