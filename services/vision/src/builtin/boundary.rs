@@ -1,10 +1,10 @@
-//! Where things end: boundary strength and direction per pixel.
+//! Boundary strength and direction per pixel.
 //!
 //! Martin, Fowlkes and Malik (PAMI 2004) compare histograms of brightness, colour and texture in the two halves of a
 //! disc, for every orientation. With soft bins and Gaussian weights the difference of the two halves is the
 //! directional derivative of the smoothed bin, so their chi-squared distance at orientation d is the quadratic
 //! form `d^T M d` with `M = 1/4 sum_k g_k g_k^T / h_k` (`h_k` the smoothed bin, `g_k` its scaled gradient): one 2x2 tensor
-//! per pixel says all orientations at once, and tensors of several cues and scales simply add.
+//! per pixel holds all orientations at once, and tensors of several cues and scales simply add.
 
 use super::colour::Lab;
 use super::plane::Plane;
