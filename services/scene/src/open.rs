@@ -35,12 +35,12 @@ impl Scene {
         let located = locate(&mut draft, &images);
         draft.notes.extend(unheld(&draft, &located));
         let draft = draft;
-        let mut told = Vec::new();
+        let mut remarks = Vec::new();
         let names: Vec<&str> = draft.photos.iter().map(|p| p.name.as_str()).collect();
         let model = Some(&*draft.source).filter(|source| source.is_dir() && **source != folder);
         let near: Vec<&Path> = [folder.as_path()].into_iter().chain(model).collect();
-        let split = Split::find(&near, settings, &names, draft.split.clone(), &mut told)?;
-        let keep = keep::find(&folder, &images, ignore.as_deref(), settings, &draft, &mut told)?;
+        let split = Split::find(&near, settings, &names, draft.split.clone(), &mut remarks)?;
+        let keep = keep::find(&folder, &images, ignore.as_deref(), settings, &draft, &mut remarks)?;
         let ignored = ignore.as_ref().map(|folder| MaskFiles::new(folder, names.iter().copied()));
 
         let mut skipped = Vec::new();
@@ -157,9 +157,9 @@ impl Scene {
             source = %draft.source.display(),
             "scene opened"
         );
-        told.extend(split.iter().map(|split| split_in_words(split, &views, &draft, settings)));
-        told.extend(notes(&draft, views.len(), points.len(), &view_of));
-        let mut notes = told;
+        remarks.extend(split.iter().map(|split| split_in_words(split, &views, &draft, settings)));
+        remarks.extend(notes(&draft, views.len(), points.len(), &view_of));
+        let mut notes = remarks;
         notes.extend(copies(copied).into_iter().chain(cut_outs).chain(orientations));
         notes.extend(
             placing
@@ -173,8 +173,8 @@ impl Scene {
     }
 }
 
-/// Photos whose focal length is so far from the others' that the reconstruction went wrong there: one alone makes what near and far
-/// means of all.
+/// Photos whose focal length is so far from the others' that the reconstruction went wrong there: one alone distorts the depth
+/// range of all.
 fn far_off<'a>(usable: &BTreeMap<&'a str, (usize, Checked)>) -> Vec<(&'a str, String)> {
     let ratio =
         |c: &Checked| f64::from(c.camera.fx.max(c.camera.fy) / c.camera.width.max(c.camera.height) as f32);
@@ -224,8 +224,8 @@ fn notes(draft: &Draft, views: usize, points: usize, view_of: &[Option<u32>]) ->
     // nerfstudio's points never say who saw them.
     if unseen > 0 && (unseen < all || draft.source.extension().is_none_or(|e| e != "json")) {
         notes.push(format!(
-            "{source}: {unseen} of {all} points name no photo that sees them: they start splats, and no photo's light or \
-             transients can be told by them"
+            "{source}: {unseen} of {all} points name no photo that sees them: they start splats, but do not help to find any \
+             photo's light or transients"
         ));
     }
     if points == 0 {
@@ -246,7 +246,7 @@ struct Checked {
     pose: DraftPose,
     /// What to say where a converted copy stands for the photo.
     copied: Option<String>,
-    /// Its EXIF orientation, where its size does not tell whether the poses are of the turned pixels.
+    /// Its EXIF orientation, where its size does not decide whether the poses are of the turned pixels.
     ambiguous: Option<Orientation>,
 }
 
@@ -312,7 +312,7 @@ fn check(
     let filled = lens.filled();
     if filled < HALF {
         return Err(format!(
-            "its lens cannot be right: of the undistorted picture only {:.0} % can be filled from the photo",
+            "its lens cannot be right: of the undistorted image only {:.0} % can be filled from the photo",
             100.0 * filled
         ));
     }
@@ -367,7 +367,7 @@ fn readable(
     Ok((path, head, note))
 }
 
-/// Least share of the undistorted picture that a photo must fill for its lens to be believed.
+/// Least share of the undistorted image that a photo must fill for its lens to be accepted.
 const HALF: f64 = 0.5;
 
 fn nothing_usable(draft: &Draft, skipped: &[Skipped]) -> SceneError {

@@ -35,7 +35,7 @@ const CELLS: f32 = 48.0;
 /// Photos named one by one in a note; more of them are counted.
 const NAMED: usize = 5;
 
-/// What the points say of a photo.
+/// Result of comparing a photo with the points' colours.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Verdict {
     Turned,
@@ -51,14 +51,14 @@ enum Verdict {
 /// A point in a photo.
 #[derive(Clone, Copy, Debug)]
 struct Keypoint {
-    /// Where, in shares of the photo's width and height, before undistortion.
+    /// Position in shares of the photo's width and height, before undistortion.
     at: [f64; 2],
     /// The point's colour, sRGB in [0, 1].
     colour: [f32; 3],
 }
 
 /// Decides for each ambiguous photo (index of the view, EXIF orientation) whether it is turned, and sets
-/// [`crate::Reading::turned`] of those that are. Returns what to say of them; nothing where there are none.
+/// [`crate::Reading::turned`] of those that are. Returns notes for the user; none where no photo is ambiguous.
 pub(crate) fn decide(
     views: &mut [View],
     points: &[Point],

@@ -212,20 +212,20 @@ impl View {
     }
 }
 
-/// Bytes that decoding one picture may take while a scene is opened, for no memory budget is set by then.
+/// Bytes that decoding one image may take while a scene is opened, for no memory budget is set by then.
 const CHEAP: u64 = 64 << 20;
-/// The same where nearly no picture of the scene takes less: one of 12 megapixels in any format.
+/// The same where nearly no image of the scene takes less: one of 12 megapixels in any format.
 pub(crate) const DEAR: u64 = 256 << 20;
 
-/// Of pictures, each with the bytes that decoding it takes, those that may be decoded while a scene is opened: the cheap ones, or
+/// Of images, each with the bytes that decoding it takes, those that may be decoded while a scene is opened: the cheap ones, or
 /// also dearer ones where the cheap are fewer than `wanted` and not all.
-pub(crate) fn cheap_ones<T>(pictures: Vec<(T, u64)>, wanted: usize) -> Vec<T> {
-    let cheap = pictures.iter().filter(|(_, bytes)| *bytes <= CHEAP).count();
+pub(crate) fn cheap_ones<T>(images: Vec<(T, u64)>, wanted: usize) -> Vec<T> {
+    let cheap = images.iter().filter(|(_, bytes)| *bytes <= CHEAP).count();
     let most = if cheap >= wanted { CHEAP } else { DEAR };
-    pictures.into_iter().filter(|(_, bytes)| *bytes <= most).map(|(picture, _)| picture).collect()
+    images.into_iter().filter(|(_, bytes)| *bytes <= most).map(|(image, _)| image).collect()
 }
 
-/// Most bytes that decoding a whole picture of at most so many pixels takes; none where it cannot be decoded.
+/// Most bytes that decoding a whole image of at most so many pixels takes; none where it cannot be decoded.
 pub(crate) fn bytes_of(path: &Path, most_pixels: u64) -> u64 {
     Head::read(path, most_pixels).map_or(0, |head| head.bytes_for(head.width, head.height))
 }
@@ -453,7 +453,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn one_large_picture_among_small_ones_is_not_decoded_to_learn_what_they_are() {
+    fn one_large_image_among_small_ones_is_not_decoded_to_learn_what_they_are() {
         let kept = |mib: &[u64]| cheap_ones(mib.iter().map(|mib| (*mib, mib << 20)).collect(), 2);
         assert_eq!(kept(&[1, 700, 2, 100]), [1, 2]);
         // Where all are as large as photos are, those are looked at; what is larger never.

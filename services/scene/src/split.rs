@@ -15,7 +15,7 @@ use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 
-/// What the split says of one photo.
+/// The part of the split that a photo belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Part {
     Train,
@@ -51,7 +51,7 @@ const LISTS: [(&str, Part); 5] = [
     ("test.txt", Part::Test),
 ];
 
-/// Keys of JSON files, and what their photos are for.
+/// Keys of JSON files, and the part that their photos belong to.
 const KEYS: [(&str, Part); 12] = [
     ("clutter", Part::Train),
     ("train", Part::Train),
@@ -116,8 +116,8 @@ impl Split {
         }
     }
 
-    /// Finds the split of a scene, if it has one, and what else is to be said of it. `near` are the folders it may lie in, `photos`
-    /// the names in the reconstruction, `own` what the reconstruction itself says.
+    /// Finds the split of a scene, if it has one, and adds notes about other splits. `near` are the folders it may lie in, `photos`
+    /// the names in the reconstruction, `own` the split of the reconstruction itself.
     pub(crate) fn find(
         near: &[&Path],
         settings: &SceneSettings,
@@ -141,8 +141,8 @@ impl Split {
         }
         let folder = near[0];
         if !settings.split.is_empty() {
-            let places = [PathBuf::from(&settings.split), folder.join(&settings.split)];
-            let found = places.into_iter().find(|p| p.is_file()).ok_or_else(|| SceneError::Setting {
+            let paths = [PathBuf::from(&settings.split), folder.join(&settings.split)];
+            let found = paths.into_iter().find(|p| p.is_file()).ok_or_else(|| SceneError::Setting {
                 setting: "split",
                 value: settings.split.clone(),
                 reason: "there is no such file".into(),
@@ -215,8 +215,8 @@ impl Split {
         }
     }
 
-    /// What the split says of a photo, known by its whole name or by the last part of it; `None` where it says nothing and that means
-    /// that the photo takes no part.
+    /// The part of a photo, known by its whole name or by the last part of it; `None` where the photo is not listed and for that
+    /// reason left out.
     pub(crate) fn part(&self, name: &str) -> Option<Part> {
         match self.row(name) {
             Some(row) => Some(self.rows[row].1),
@@ -227,7 +227,7 @@ impl Split {
     /// The same for the photos of a scene: a row is that of the photos whose names fit it best, and of no others.
     fn of(mut self, photos: &[&str]) -> Split {
         let keys: BTreeSet<String> = photos.iter().map(|photo| key(photo)).collect();
-        let mut best = vec![Fit::StemTail; self.rows.len()];
+        let mut best = vec![NameFit::StemTail; self.rows.len()];
         for key in &keys {
             for (row, fit) in self.fitting(key) {
                 best[row] = best[row].min(fit);
@@ -248,16 +248,16 @@ impl Split {
     }
 
     /// The row that fits a photo best: of several the one that has most of the name in common, and of such the first.
-    fn best(&self, key: &str, may: impl Fn(usize, Fit) -> bool) -> Option<usize> {
+    fn best(&self, key: &str, may: impl Fn(usize, NameFit) -> bool) -> Option<usize> {
         let common = |row: usize| self.rows[row].0.len().min(key.len());
         let fitting = self.fitting(key).into_iter().filter(|&(row, fit)| may(row, fit));
         fitting.min_by_key(|&(row, fit)| (fit, Reverse(common(row)), row)).map(|(row, _)| row)
     }
 
     /// The rows that may be those of a photo.
-    fn fitting(&self, photo: &str) -> Vec<(usize, Fit)> {
+    fn fitting(&self, photo: &str) -> Vec<(usize, NameFit)> {
         if let Some(&row) = self.by_key.get(photo) {
-            return vec![(row, Fit::Whole)];
+            return vec![(row, NameFit::Whole)];
         }
         let last = last_part(photo);
         let rows = [last, stem(last)].into_iter().filter_map(|name| self.by_last.get(name)).flatten();
@@ -274,7 +274,7 @@ impl Split {
 
 /// How the name of a photo fits that in a row, the best first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Fit {
+enum NameFit {
     Whole,
     /// But for the ending.
     Stem,
@@ -285,19 +285,19 @@ enum Fit {
 }
 
 /// How two keys fit; `None` where they are names of different photos.
-fn fit(photo: &str, row: &str) -> Option<Fit> {
+fn fit(photo: &str, row: &str) -> Option<NameFit> {
     let is_end = |of: &str, end: &str| of.strip_suffix(end).is_some_and(|start| start.ends_with('/'));
     let is_tail = |a: &str, b: &str| is_end(a, b) || is_end(b, a);
     // Either may have no ending, and then a dot in it is part of the name.
     let pairs = [(photo, stem(row)), (stem(photo), row), (stem(photo), stem(row))];
     if photo == row {
-        Some(Fit::Whole)
+        Some(NameFit::Whole)
     } else if pairs.iter().any(|(a, b)| a == b) {
-        Some(Fit::Stem)
+        Some(NameFit::Stem)
     } else if is_tail(photo, row) {
-        Some(Fit::Tail)
+        Some(NameFit::Tail)
     } else {
-        pairs.iter().any(|(a, b)| is_tail(a, b)).then_some(Fit::StemTail)
+        pairs.iter().any(|(a, b)| is_tail(a, b)).then_some(NameFit::StemTail)
     }
 }
 
@@ -314,7 +314,7 @@ fn tables(folder: &Path) -> Result<Vec<PathBuf>, SceneError> {
     Ok(found)
 }
 
-/// What to say of a table that is not used.
+/// The note about a table that is not used.
 fn passed_over(path: &Path, reason: &str) -> String {
     format!(
         "{}: {reason}; it is no split of this scene and is not used (`--split none` looks for none)",
@@ -383,7 +383,7 @@ fn read_lists(lists: &[(PathBuf, Part)]) -> Result<Split, SceneError> {
 
 fn read_json(path: &Path, photos: &[&str]) -> Result<Split, SceneError> {
     let text = text::read(path)?;
-    let invalid = |place: String, reason: String| SceneError::invalid(path, place, reason);
+    let invalid = |location: String, reason: String| SceneError::invalid(path, location, reason);
     let value: Value = serde_json::from_str(&text)
         .map_err(|e| invalid(format!("line {} column {}", e.line(), e.column()), e.to_string()))?;
     let known = |(name, part): &(&'static str, Part)| Some((*name, *part, value.get(name)?));
@@ -420,7 +420,7 @@ fn read_json(path: &Path, photos: &[&str]) -> Result<Split, SceneError> {
     Ok(Split::new(path, rows, closed))
 }
 
-/// What numbers in a split.json stand for: the names of the frames of the transforms.json beside it, or of the photos of the
+/// The photos that numbers in a split.json stand for: the names of the frames of the transforms.json beside it, or of the photos of the
 /// reconstruction, by their last parts in order. A last part that several have stands for none of them alone: those keep their folders.
 fn numbered(split: &Path, photos: &[&str]) -> Vec<String> {
     let beside = transforms::frame_names(&split.with_file_name("transforms.json"));
@@ -432,7 +432,7 @@ fn numbered(split: &Path, photos: &[&str]) -> Vec<String> {
     names.iter().map(|(last, whole)| if count[last] > 1 { *whole } else { *last }.to_owned()).collect()
 }
 
-/// RobustNeRF's photos say themselves what they are for. In words, where some of them are named so and no split comes of it.
+/// RobustNeRF's photos carry their part in their names. The error is a note: some of them are named so, but they make no split.
 fn by_names(photos: &[&str], folder: &Path) -> Result<Option<Split>, String> {
     let part = |name: &str| {
         let last = last_part(name).to_lowercase();

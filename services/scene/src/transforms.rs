@@ -57,7 +57,7 @@ struct Intrinsics {
 }
 
 #[derive(Debug, Deserialize)]
-struct Frame {
+struct TransformsFrame {
     file_path: String,
     /// Mask of the pixels to use: black is ignored.
     mask_path: Option<String>,
@@ -69,7 +69,7 @@ struct Frame {
 
 #[derive(Debug, Deserialize)]
 struct Transforms {
-    frames: Vec<Frame>,
+    frames: Vec<TransformsFrame>,
     #[serde(default)]
     ply_file_path: Option<String>,
     train_filenames: Option<Vec<String>>,
@@ -79,8 +79,8 @@ struct Transforms {
     intrinsics: Intrinsics,
 }
 
-/// A file of cameras, and what its photos are for where its name says so.
-struct Sheet {
+/// A file of cameras, and the part of its photos where its name gives one.
+struct CamerasFile {
     path: PathBuf,
     part: Option<Part>,
     transforms: Transforms,
@@ -113,7 +113,7 @@ pub(crate) fn read(path: &Path, images: Option<&Path>, all: bool) -> Result<Draf
         BLENDER.map(|(name, part)| (folder.join(name), part)).into_iter().filter(|(p, _)| p.is_file());
     let beside: Vec<(PathBuf, Part)> = beside.collect();
     let mut notes = Vec::new();
-    let sheets: Vec<Sheet> = if all && beside.iter().any(|(p, _)| p == path) {
+    let sheets: Vec<CamerasFile> = if all && beside.iter().any(|(p, _)| p == path) {
         beside.iter().map(|(path, part)| parse(path, Some(*part))).collect::<Result<_, _>>()?
     } else {
         let others: Vec<String> =
@@ -129,25 +129,26 @@ pub(crate) fn read(path: &Path, images: Option<&Path>, all: bool) -> Result<Draf
         .flat_map(|sheet| sheet.transforms.frames.iter().map(|f| PathBuf::from(rooted(&f.file_path))))
         .collect();
     let common = common_folder(&listed);
-    let frames: Vec<(&Sheet, &Frame)> =
+    let frames: Vec<(&CamerasFile, &TransformsFrame)> =
         sheets.iter().flat_map(|sheet| sheet.transforms.frames.iter().map(move |f| (sheet, f))).collect();
     let short = |listed: &'_ PathBuf| listed.strip_prefix(&common).unwrap_or(listed).to_owned();
-    let claim = |(&(_, frame), listed): (&(&Sheet, &Frame), &PathBuf)| match images {
+    let claim = |(&(_, frame), listed): (&(&CamerasFile, &TransformsFrame), &PathBuf)| match images {
         Some(_) => files.find(&short(listed).to_string_lossy()),
         None => files.find(&frame.file_path),
     };
     let claims = frames.par_iter().zip(&listed).map(claim).collect();
     let names: Vec<&str> = frames.iter().map(|(_, frame)| frame.file_path.as_str()).collect();
     let claims = settle(&names, claims);
-    let photo = |(((sheet, frame), listed), claim): ((&(&Sheet, &Frame), &PathBuf), Claimed)| {
-        let short = &short(listed);
-        let file = claim.map(|claim| claim.path);
-        let at = file.as_deref().unwrap_or(Path::new(""));
-        let lens = lens_of(&frame.intrinsics, &sheet.transforms.intrinsics, at);
-        let usable = frame.mask_path.as_deref().map(|mask| files.beside(mask));
-        let pose = pose_of(&frame.transform_matrix);
-        DraftPhoto { name: files.name(short, &file), file: Some(file), usable, lens, pose }
-    };
+    let photo =
+        |(((sheet, frame), listed), claim): ((&(&CamerasFile, &TransformsFrame), &PathBuf), Claimed)| {
+            let short = &short(listed);
+            let file = claim.map(|claim| claim.path);
+            let at = file.as_deref().unwrap_or(Path::new(""));
+            let lens = lens_of(&frame.intrinsics, &sheet.transforms.intrinsics, at);
+            let usable = frame.mask_path.as_deref().map(|mask| files.beside(mask));
+            let pose = pose_of(&frame.transform_matrix);
+            DraftPhoto { name: files.name(short, &file), file: Some(file), usable, lens, pose }
+        };
     let photos: Vec<DraftPhoto> = frames.par_iter().zip(&listed).zip(claims).map(photo).collect();
     let mut points = Vec::new();
     let ply = sheets.iter().find_map(|sheet| sheet.transforms.ply_file_path.as_ref());
@@ -166,23 +167,23 @@ pub(crate) fn read(path: &Path, images: Option<&Path>, all: bool) -> Result<Draf
 }
 
 /// All the files that were read, as one name for a person.
-fn sources(path: &Path, sheets: &[Sheet]) -> PathBuf {
+fn sources(path: &Path, sheets: &[CamerasFile]) -> PathBuf {
     let files = sheets.iter().map(|s| last_part(&s.path.to_string_lossy()).to_owned());
     path.with_file_name(files.collect::<Vec<_>>().join(" + "))
 }
 
-fn parse(path: &Path, part: Option<Part>) -> Result<Sheet, SceneError> {
+fn parse(path: &Path, part: Option<Part>) -> Result<CamerasFile, SceneError> {
     // Python writes NaN and Infinity, which are no JSON: they become null, that is, missing.
     let text = text::read(path)?;
     let text = without_nan(&text);
     let transforms: Transforms = serde_json::from_str(&text).map_err(|e| {
         SceneError::invalid(path, format!("line {} column {}", e.line(), e.column()), e.to_string())
     })?;
-    Ok(Sheet { path: path.to_owned(), part, transforms })
+    Ok(CamerasFile { path: path.to_owned(), part, transforms })
 }
 
-/// What the files themselves say of training and testing.
-fn split_of(path: &Path, sheets: &[Sheet], photos: &[DraftPhoto]) -> Option<Split> {
+/// The split that the files themselves give.
+fn split_of(path: &Path, sheets: &[CamerasFile], photos: &[DraftPhoto]) -> Option<Split> {
     let mut names = photos.iter().map(|photo| photo.name.clone());
     if sheets.iter().any(|sheet| sheet.part.is_some()) {
         let parts =
@@ -214,9 +215,9 @@ struct PhotoFinder<'a> {
 impl<'a> PhotoFinder<'a> {
     fn new(folder: &'a Path, images: Option<&Path>) -> PhotoFinder<'a> {
         let photos = images.unwrap_or(folder).to_owned();
-        let places = locate::photo_folders(folder).into_iter();
-        let below = places.filter(|place| images.is_none() && *place != folder && place.is_dir());
-        let below = below.map(|place| (place, OnceLock::new())).collect();
+        let folders = locate::photo_folders(folder).into_iter();
+        let below = folders.filter(|dir| images.is_none() && *dir != folder && dir.is_dir());
+        let below = below.map(|dir| (dir, OnceLock::new())).collect();
         PhotoFinder { folder, photos, listing: OnceLock::new(), below }
     }
 
@@ -256,7 +257,7 @@ impl<'a> PhotoFinder<'a> {
         Err(locate::no_file(&self.photos, listed, candidate))
     }
 
-    /// What a photo is called: by the file that was found, if one was.
+    /// The name of a photo: that of the file that was found, if one was.
     fn name(&self, short: &Path, file: &Result<PathBuf, String>) -> String {
         let Ok(file) = file else { return short.to_string_lossy().into_owned() };
         let mut name = short.to_owned();
