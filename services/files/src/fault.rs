@@ -97,7 +97,7 @@ pub struct FaultError {
     pub reason: String,
 }
 
-struct Fault {
+struct ArmedFault {
     action: Action,
     point: String,
     from: u64,
@@ -106,9 +106,9 @@ struct Fault {
 }
 
 static ARMED: AtomicBool = AtomicBool::new(false);
-static FAULTS: Mutex<Vec<Arc<Fault>>> = Mutex::new(Vec::new());
+static FAULTS: Mutex<Vec<Arc<ArmedFault>>> = Mutex::new(Vec::new());
 
-fn parse(text: &str) -> Result<Fault, FaultError> {
+fn parse(text: &str) -> Result<ArmedFault, FaultError> {
     let wrong = |reason: String| FaultError { text: text.into(), reason };
     let (action, rest) =
         text.split_once('@').ok_or_else(|| wrong("write ACTION@POINT or ACTION@POINT:N".into()))?;
@@ -123,7 +123,7 @@ fn parse(text: &str) -> Result<Fault, FaultError> {
     let number = count.strip_suffix('+').unwrap_or(count);
     let from =
         number.parse().ok().filter(|&n| n > 0).ok_or_else(|| wrong(format!("`{count}` is no count")))?;
-    Ok(Fault {
+    Ok(ArmedFault {
         action: *action,
         point: point.into(),
         from,
@@ -145,7 +145,7 @@ pub fn arm<S: AsRef<str>>(faults: &[S]) -> Result<(), FaultError> {
     Ok(())
 }
 
-fn lock(faults: &Mutex<Vec<Arc<Fault>>>) -> MutexGuard<'_, Vec<Arc<Fault>>> {
+fn lock(faults: &Mutex<Vec<Arc<ArmedFault>>>) -> MutexGuard<'_, Vec<Arc<ArmedFault>>> {
     faults.lock().unwrap_or_else(PoisonError::into_inner)
 }
 

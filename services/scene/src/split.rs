@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 
 /// The part of the split that a photo belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) enum Part {
+pub(crate) enum SplitPart {
     Train,
     /// For choosing settings, where there is a test part too: it takes no part here.
     Validation,
@@ -32,7 +32,7 @@ pub(crate) enum Part {
 pub(crate) struct Split {
     /// What it was read from.
     pub(crate) path: PathBuf,
-    pub(crate) rows: Vec<(String, Part)>,
+    pub(crate) rows: Vec<(String, SplitPart)>,
     /// Whether photos that it does not list take no part; otherwise they are for training.
     closed: bool,
     by_key: HashMap<String, usize>,
@@ -43,43 +43,47 @@ pub(crate) struct Split {
 }
 
 /// The names of files with a name a line.
-const LISTS: [(&str, Part); 5] = [
-    ("train_list.txt", Part::Train),
-    ("test_list.txt", Part::Test),
-    ("val_list.txt", Part::Validation),
-    ("train.txt", Part::Train),
-    ("test.txt", Part::Test),
+const LISTS: [(&str, SplitPart); 5] = [
+    ("train_list.txt", SplitPart::Train),
+    ("test_list.txt", SplitPart::Test),
+    ("val_list.txt", SplitPart::Validation),
+    ("train.txt", SplitPart::Train),
+    ("test.txt", SplitPart::Test),
 ];
 
 /// Keys of JSON files, and the part that their photos belong to.
-const KEYS: [(&str, Part); 12] = [
-    ("clutter", Part::Train),
-    ("train", Part::Train),
-    ("train_filenames", Part::Train),
-    ("extra", Part::Test),
-    ("test", Part::Test),
-    ("test_filenames", Part::Test),
-    ("val", Part::Validation),
-    ("validation", Part::Validation),
-    ("val_filenames", Part::Validation),
-    ("eval", Part::Validation),
-    ("clean", Part::Validation),
-    ("clear", Part::Validation),
+const KEYS: [(&str, SplitPart); 12] = [
+    ("clutter", SplitPart::Train),
+    ("train", SplitPart::Train),
+    ("train_filenames", SplitPart::Train),
+    ("extra", SplitPart::Test),
+    ("test", SplitPart::Test),
+    ("test_filenames", SplitPart::Test),
+    ("val", SplitPart::Validation),
+    ("validation", SplitPart::Validation),
+    ("val_filenames", SplitPart::Validation),
+    ("eval", SplitPart::Validation),
+    ("clean", SplitPart::Validation),
+    ("clear", SplitPart::Validation),
 ];
 
 impl Split {
     /// A split of these rows. Of several rows of one photo, testing counts before validation and that before training. Where
     /// nothing is for testing, what is for validation is.
-    pub(crate) fn new(path: &Path, rows: impl IntoIterator<Item = (String, Part)>, closed: bool) -> Split {
-        let mut parts: BTreeMap<String, Part> = BTreeMap::new();
+    pub(crate) fn new(
+        path: &Path,
+        rows: impl IntoIterator<Item = (String, SplitPart)>,
+        closed: bool,
+    ) -> Split {
+        let mut parts: BTreeMap<String, SplitPart> = BTreeMap::new();
         for (name, part) in rows {
             let known = parts.entry(name).or_insert(part);
             *known = part.max(*known);
         }
-        let mut rows: Vec<(String, Part)> = parts.into_iter().collect();
-        if rows.iter().all(|(_, part)| *part != Part::Test) {
-            let held = rows.iter_mut().filter(|(_, part)| *part == Part::Validation);
-            held.for_each(|(_, part)| *part = Part::Test);
+        let mut rows: Vec<(String, SplitPart)> = parts.into_iter().collect();
+        if rows.iter().all(|(_, part)| *part != SplitPart::Test) {
+            let held = rows.iter_mut().filter(|(_, part)| *part == SplitPart::Validation);
+            held.for_each(|(_, part)| *part = SplitPart::Test);
         }
         let mut by_key = HashMap::new();
         let mut by_last: HashMap<String, Vec<usize>> = HashMap::new();
@@ -103,12 +107,12 @@ impl Split {
             "txt" => {
                 let train =
                     path.file_name().is_some_and(|n| n.to_string_lossy().to_lowercase().starts_with("train"));
-                let part = if train { Part::Train } else { Part::Test };
+                let part = if train { SplitPart::Train } else { SplitPart::Test };
                 let mut lists = vec![(path.to_owned(), part)];
                 // Its partner, which says the rest.
                 let partners = LISTS.iter().filter(|(_, other)| *other != part);
                 let folder = path.parent().unwrap_or(Path::new(""));
-                let beside = |(name, part): &(&str, Part)| (below(folder, name), *part);
+                let beside = |(name, part): &(&str, SplitPart)| (below(folder, name), *part);
                 lists.extend(partners.map(beside).filter(|(path, _)| path.is_file()));
                 read_lists(&lists)
             }
@@ -217,10 +221,10 @@ impl Split {
 
     /// The part of a photo, known by its whole name or by the last part of it; `None` where the photo is not listed and for that
     /// reason left out.
-    pub(crate) fn part(&self, name: &str) -> Option<Part> {
+    pub(crate) fn part(&self, name: &str) -> Option<SplitPart> {
         match self.row(name) {
             Some(row) => Some(self.rows[row].1),
-            None => (!self.closed).then_some(Part::Train),
+            None => (!self.closed).then_some(SplitPart::Train),
         }
     }
 
@@ -265,7 +269,7 @@ impl Split {
     }
 
     /// The rows that are of none of these photos.
-    pub(crate) fn unmatched<'a>(&'a self, photos: &[&str]) -> Vec<&'a (String, Part)> {
+    pub(crate) fn unmatched<'a>(&'a self, photos: &[&str]) -> Vec<&'a (String, SplitPart)> {
         let matched: BTreeSet<usize> = photos.iter().filter_map(|photo| self.row(photo)).collect();
         let rows = self.rows.iter().enumerate().filter(|(i, _)| !matched.contains(i));
         rows.map(|(_, row)| row).collect()
@@ -358,9 +362,9 @@ fn table_of(path: &Path, text: &str) -> Result<Split, SceneError> {
             return Err(invalid("the row names no photo".into()));
         }
         let part = match (cell(id), cell(split)) {
-            ("", _) => Part::NoPose,
-            (_, "train") => Part::Train,
-            (_, "test") => Part::Test,
+            ("", _) => SplitPart::NoPose,
+            (_, "train") => SplitPart::Train,
+            (_, "test") => SplitPart::Test,
             (_, other) => return Err(invalid(format!("`{other}` is neither train nor test"))),
         };
         if rows.insert(cell(name).to_owned(), part).is_some() {
@@ -370,14 +374,14 @@ fn table_of(path: &Path, text: &str) -> Result<Split, SceneError> {
     Ok(Split::new(path, rows, true))
 }
 
-fn read_lists(lists: &[(PathBuf, Part)]) -> Result<Split, SceneError> {
+fn read_lists(lists: &[(PathBuf, SplitPart)]) -> Result<Split, SceneError> {
     let mut rows = Vec::new();
     for (path, part) in lists {
         let text = text::read(path)?;
         let names = text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
         rows.extend(names.map(|name| (name.to_owned(), *part)));
     }
-    let closed = lists.iter().any(|(_, part)| *part == Part::Train);
+    let closed = lists.iter().any(|(_, part)| *part == SplitPart::Train);
     Ok(Split::new(&lists[0].0, rows, closed))
 }
 
@@ -386,7 +390,7 @@ fn read_json(path: &Path, photos: &[&str]) -> Result<Split, SceneError> {
     let invalid = |location: String, reason: String| SceneError::invalid(path, location, reason);
     let value: Value = serde_json::from_str(&text)
         .map_err(|e| invalid(format!("line {} column {}", e.line(), e.column()), e.to_string()))?;
-    let known = |(name, part): &(&'static str, Part)| Some((*name, *part, value.get(name)?));
+    let known = |(name, part): &(&'static str, SplitPart)| Some((*name, *part, value.get(name)?));
     let lists: Vec<_> = KEYS.iter().filter_map(known).collect();
     if lists.is_empty() {
         let keys = KEYS.map(|(name, _)| name).join(", ");
@@ -416,7 +420,7 @@ fn read_json(path: &Path, photos: &[&str]) -> Result<Split, SceneError> {
             rows.push((photo, *part));
         }
     }
-    let closed = lists.iter().any(|(_, part, _)| *part == Part::Train);
+    let closed = lists.iter().any(|(_, part, _)| *part == SplitPart::Train);
     Ok(Split::new(path, rows, closed))
 }
 
@@ -436,13 +440,15 @@ fn numbered(split: &Path, photos: &[&str]) -> Vec<String> {
 fn by_names(photos: &[&str], folder: &Path) -> Result<Option<Split>, String> {
     let part = |name: &str| {
         let last = last_part(name).to_lowercase();
-        let parts = [("clutter", Part::Train), ("extra", Part::Test), ("clean", Part::Validation)];
+        let parts =
+            [("clutter", SplitPart::Train), ("extra", SplitPart::Test), ("clean", SplitPart::Validation)];
         parts.into_iter().find(|(word, _)| last.contains(word)).map(|(_, part)| part)
     };
     let row = |name: &&str| Some(((*name).to_owned(), part(name)?));
-    let rows: Vec<(String, Part)> = photos.iter().filter_map(row).collect();
-    let count = |wanted: Part| rows.iter().filter(|(_, part)| *part == wanted).count();
-    let (train, test, clean) = (count(Part::Train), count(Part::Test), count(Part::Validation));
+    let rows: Vec<(String, SplitPart)> = photos.iter().filter_map(row).collect();
+    let count = |wanted: SplitPart| rows.iter().filter(|(_, part)| *part == wanted).count();
+    let (train, test, clean) =
+        (count(SplitPart::Train), count(SplitPart::Test), count(SplitPart::Validation));
     let other = photos.iter().find(|name| part(name).is_none());
     if train == 0 || test + clean == 0 {
         return Ok(None);
@@ -464,15 +470,15 @@ fn by_names(photos: &[&str], folder: &Path) -> Result<Option<Split>, String> {
 mod tests {
     use super::*;
 
-    fn part(rows: &[&str], photos: &[&str]) -> Vec<Part> {
-        let rows = rows.iter().map(|row| ((*row).to_owned(), Part::Test));
+    fn part(rows: &[&str], photos: &[&str]) -> Vec<SplitPart> {
+        let rows = rows.iter().map(|row| ((*row).to_owned(), SplitPart::Test));
         let split = Split::new(Path::new("test.txt"), rows, false).of(photos);
         photos.iter().filter_map(|photo| split.part(photo)).collect()
     }
 
     #[test]
     fn a_row_holds_out_no_other_photo_of_the_same_last_part() {
-        use Part::{Test, Train};
+        use SplitPart::{Test, Train};
         assert_eq!(part(&["cam0/003.jpg"], &["cam0/003.jpg", "cam1/003.jpg"]), [Test, Train]);
         assert_eq!(part(&["cam0/003"], &["cam0/003.jpg", "cam1/003.jpg"]), [Test, Train]);
         assert_eq!(part(&["003.jpg"], &["003.jpg", "cam1/003.jpg"]), [Test, Train]);
@@ -483,7 +489,7 @@ mod tests {
 
     #[test]
     fn a_row_is_found_by_what_is_left_of_its_name() {
-        use Part::{Test, Train};
+        use SplitPart::{Test, Train};
         let rows = ["/home/x/images/cam0/a.JPG", "images/b", "c.png", "IMG.001"];
         let photos = ["cam0/a.jpg", "b.jpg", "in/c.jpg", "IMG.001.jpg", "IMG.002.jpg"];
         assert_eq!(part(&rows, &photos), [Test, Test, Test, Test, Train]);

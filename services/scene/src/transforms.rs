@@ -3,12 +3,12 @@
 //! Poses are camera to world with the camera's y up and z backwards (OpenGL); intrinsics are given for all frames, per
 //! frame, or as Blender's `camera_angle_x`.
 
-use crate::decode::{Head, converted};
+use crate::decode::{ImageHead, converted};
 use crate::draft::{Draft, DraftPhoto, DraftPose, finite};
 use crate::lens::{Lens, Model};
 use crate::locate::{Claim, Claimed, settle};
 use crate::names::{CAPITALS, Listing, READ, below, is_inside, is_photo, key, last_part, tidy};
-use crate::split::{Part, Split};
+use crate::split::{Split, SplitPart};
 use crate::{SceneError, draft, locate, text};
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
@@ -82,15 +82,15 @@ struct Transforms {
 /// A file of cameras, and the part of its photos where its name gives one.
 struct CamerasFile {
     path: PathBuf,
-    part: Option<Part>,
+    part: Option<SplitPart>,
     transforms: Transforms,
 }
 
 /// Blender's three files, which are one scene.
-const BLENDER: [(&str, Part); 3] = [
-    ("transforms_train.json", Part::Train),
-    ("transforms_val.json", Part::Validation),
-    ("transforms_test.json", Part::Test),
+const BLENDER: [(&str, SplitPart); 3] = [
+    ("transforms_train.json", SplitPart::Train),
+    ("transforms_val.json", SplitPart::Validation),
+    ("transforms_test.json", SplitPart::Test),
 ];
 
 /// The cameras file of a folder: `transforms.json`, or the first of Blender's.
@@ -111,7 +111,7 @@ pub(crate) fn read(path: &Path, images: Option<&Path>, all: bool) -> Result<Draf
     let folder = path.parent().unwrap_or(Path::new("."));
     let beside =
         BLENDER.map(|(name, part)| (folder.join(name), part)).into_iter().filter(|(p, _)| p.is_file());
-    let beside: Vec<(PathBuf, Part)> = beside.collect();
+    let beside: Vec<(PathBuf, SplitPart)> = beside.collect();
     let mut notes = Vec::new();
     let sheets: Vec<CamerasFile> = if all && beside.iter().any(|(p, _)| p == path) {
         beside.iter().map(|(path, part)| parse(path, Some(*part))).collect::<Result<_, _>>()?
@@ -172,7 +172,7 @@ fn sources(path: &Path, sheets: &[CamerasFile]) -> PathBuf {
     path.with_file_name(files.collect::<Vec<_>>().join(" + "))
 }
 
-fn parse(path: &Path, part: Option<Part>) -> Result<CamerasFile, SceneError> {
+fn parse(path: &Path, part: Option<SplitPart>) -> Result<CamerasFile, SceneError> {
     // Python writes NaN and Infinity, which are no JSON: they become null, that is, missing.
     let text = text::read(path)?;
     let text = without_nan(&text);
@@ -186,13 +186,17 @@ fn parse(path: &Path, part: Option<Part>) -> Result<CamerasFile, SceneError> {
 fn split_of(path: &Path, sheets: &[CamerasFile], photos: &[DraftPhoto]) -> Option<Split> {
     let mut names = photos.iter().map(|photo| photo.name.clone());
     if sheets.iter().any(|sheet| sheet.part.is_some()) {
-        let parts =
-            sheets.iter().flat_map(|s| s.transforms.frames.iter().map(|_| s.part.unwrap_or(Part::Train)));
+        let parts = sheets
+            .iter()
+            .flat_map(|s| s.transforms.frames.iter().map(|_| s.part.unwrap_or(SplitPart::Train)));
         return Some(Split::new(&sources(path, sheets), names.zip(parts).collect::<Vec<_>>(), true));
     }
     let Transforms { frames, train_filenames, val_filenames, test_filenames, .. } = &sheets[0].transforms;
-    let lists =
-        [(train_filenames, Part::Train), (val_filenames, Part::Validation), (test_filenames, Part::Test)];
+    let lists = [
+        (train_filenames, SplitPart::Train),
+        (val_filenames, SplitPart::Validation),
+        (test_filenames, SplitPart::Test),
+    ];
     if lists.iter().all(|(list, _)| list.is_none()) {
         return None;
     }
@@ -356,7 +360,7 @@ fn with_ending(path: &Path) -> PathBuf {
 
 /// Size of a photo as stored, or of its converted copy. Whether it is too large is seen when the photo is looked at.
 fn photo_size(file: &Path) -> Result<(u32, u32), String> {
-    let stored = |file: &Path| Head::read(file, u64::MAX).map(|head| head.stored());
+    let stored = |file: &Path| ImageHead::read(file, u64::MAX).map(|head| head.stored());
     stored(file).or_else(|reason| converted(file).map_or(Err(reason), |copy| stored(&copy)))
 }
 

@@ -1,7 +1,7 @@
 //! Decoding of every image that somebody supplies: photos, masks, true masks.
 //!
 //! A file's format is recognised by its content, not by its name. The size of its image, and the memory that decoding it takes, are
-//! known from its head before a pixel is decoded: [`Head::read`] refuses an image over the bound, [`Head::bytes_for`] gives the
+//! known from its head before a pixel is decoded: [`ImageHead::read`] refuses an image over the bound, [`ImageHead::bytes_for`] gives the
 //! memory of decoding, and [`limit_decoding`] bounds the memory of all threads together. Large photos shrink while they are decoded.
 
 mod exif;
@@ -50,7 +50,7 @@ enum FileKind {
 
 /// The head of an image file.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Head {
+pub(crate) struct ImageHead {
     /// Size as stored.
     pub width: u32,
     pub height: u32,
@@ -116,12 +116,12 @@ pub(crate) fn before_turn([u, v]: [f64; 2], orientation: Orientation) -> [f64; 2
     }
 }
 
-impl Head {
+impl ImageHead {
     /// Reads the head of a file whose image may have so many pixels; nothing is decoded.
     ///
     /// # Errors
     /// In words: what is wrong with the file, without its name.
-    pub fn read(path: &Path, most_pixels: u64) -> Result<Head, String> {
+    pub fn read(path: &Path, most_pixels: u64) -> Result<ImageHead, String> {
         let words = |e: std::io::Error| e.to_string();
         let mut file = open_file(path).map_err(words)?;
         let length = file.metadata().map_err(words)?.len();
@@ -132,11 +132,11 @@ impl Head {
             return Err("the file is empty".into());
         }
         let head = match image::guess_format(&start) {
-            Ok(ImageFormat::Jpeg) => Head::of_jpeg(file, length)?,
-            Ok(ImageFormat::Png) => Head::of_png(path, file, length, most_pixels)?,
+            Ok(ImageFormat::Jpeg) => ImageHead::of_jpeg(file, length)?,
+            Ok(ImageFormat::Png) => ImageHead::of_png(path, file, length, most_pixels)?,
             Ok(format @ (ImageFormat::WebP | ImageFormat::Tiff | ImageFormat::Bmp)) => {
                 foreign::refusal(path, &start).map_or(Ok(()), Err)?;
-                Head::of_other(file, length, format)?
+                ImageHead::of_other(file, length, format)?
             }
             _ => {
                 let unknown = "does not decode: it is neither a JPEG nor a PNG, WEBP, TIFF or BMP file";
@@ -146,8 +146,8 @@ impl Head {
         head.bounded(most_pixels)
     }
 
-    fn bounded(self, most_pixels: u64) -> Result<Head, String> {
-        let Head { width, height, .. } = self;
+    fn bounded(self, most_pixels: u64) -> Result<ImageHead, String> {
+        let ImageHead { width, height, .. } = self;
         within(width, height, most_pixels)?;
         // An image's data are never so much larger than its pixels.
         if let FileKind::Jpeg(jpeg) = &self.kind
@@ -179,21 +179,21 @@ impl Head {
         ))
     }
 
-    fn of_jpeg(file: File, length: u64) -> Result<Head, String> {
+    fn of_jpeg(file: File, length: u64) -> Result<ImageHead, String> {
         let jpeg = jpeg::read(BufReader::with_capacity(1 << 16, file))?;
         let (width, height) = (jpeg.frame.width as u32, jpeg.frame.height as u32);
         let exif = jpeg.exif.clone();
-        Ok(Head::new((width, height), exif.as_deref(), FileKind::Jpeg(jpeg), length))
+        Ok(ImageHead::new((width, height), exif.as_deref(), FileKind::Jpeg(jpeg), length))
     }
 
-    fn of_png(path: &Path, file: File, length: u64, most_pixels: u64) -> Result<Head, String> {
+    fn of_png(path: &Path, file: File, length: u64, most_pixels: u64) -> Result<ImageHead, String> {
         let (width, height) = png::size(file)?;
         within(width, height, most_pixels)?;
         let (png, exif) = png::head(open_file(path).map_err(|e| e.to_string())?)?;
-        Ok(Head::new((width, height), exif.as_deref(), FileKind::Png(png), length))
+        Ok(ImageHead::new((width, height), exif.as_deref(), FileKind::Png(png), length))
     }
 
-    fn of_other(file: File, length: u64, format: ImageFormat) -> Result<Head, String> {
+    fn of_other(file: File, length: u64, format: ImageFormat) -> Result<ImageHead, String> {
         let mut file = BufReader::new(file);
         if format == ImageFormat::Tiff {
             tiff::check_counts(&mut file, length)?;
@@ -205,13 +205,13 @@ impl Head {
         // Damaged EXIF data are no reason to refuse the pixels.
         let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
         let kind = FileKind::Other(format, decoder.color_type());
-        Ok(Head { orientation, ..Head::new(decoder.dimensions(), None, kind, length) })
+        Ok(ImageHead { orientation, ..ImageHead::new(decoder.dimensions(), None, kind, length) })
     }
 
-    fn new((width, height): (u32, u32), exif: Option<&[u8]>, kind: FileKind, file: u64) -> Head {
+    fn new((width, height): (u32, u32), exif: Option<&[u8]>, kind: FileKind, file: u64) -> ImageHead {
         let orientation = exif.and_then(Orientation::from_exif_chunk).unwrap_or(Orientation::NoTransforms);
         let turned_since = exif.is_some_and(|exif| exif::lies_otherwise(exif, width, height));
-        Head { width, height, orientation, turned_since, kind, file }
+        ImageHead { width, height, orientation, turned_since, kind, file }
     }
 
     /// The EXIF orientation, where the image has the same size turned by it and as stored.
@@ -415,7 +415,7 @@ pub(crate) fn pixels_of(megapixels: u32) -> u64 {
 /// # Errors
 /// In words, without the file's name.
 pub(crate) fn decode_image(path: &Path, most_pixels: u64) -> Result<DynamicImage, String> {
-    let head = Head::read(path, most_pixels)?;
+    let head = ImageHead::read(path, most_pixels)?;
     head.decode(path, head.width, head.height).map(|decoded| decoded.image)
 }
 

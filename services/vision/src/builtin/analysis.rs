@@ -4,7 +4,7 @@ use super::boundary::{Boundaries, detect, texture_bins};
 use super::colour::Lab;
 use super::colours::ColourSamples;
 use super::memory::Weighed;
-use super::plane::Plane;
+use super::plane::FloatPlane;
 use super::tree::{BINS, Hierarchy, MergeWeights, RegionNode};
 use super::watershed::{basins, joined};
 use crate::VisionError;
@@ -31,7 +31,7 @@ pub(crate) struct PixelFeatures {
     /// Boundary strength and direction.
     pub edges: Boundaries,
     /// Texture shares per pixel (five planes).
-    pub texture: Vec<Plane>,
+    pub texture: Vec<FloatPlane>,
     /// The regions built from these features.
     pub analysis: Arc<Analysis>,
 }
@@ -62,7 +62,7 @@ pub(crate) fn check(image: &Image) -> Result<(), VisionError> {
 }
 
 /// Triangular soft bins of three planes, 8 each.
-fn soft8(plane: &Plane, out: &mut Vec<Vec<f32>>) {
+fn soft8(plane: &FloatPlane, out: &mut Vec<Vec<f32>>) {
     let n = plane.data.len();
     let from = out.len();
     out.extend((0..8).map(|_| vec![0.0; n]));
@@ -81,8 +81,8 @@ fn soft8(plane: &Plane, out: &mut Vec<Vec<f32>>) {
 const SUPERPIXELS: usize = 1200;
 
 /// The height map that superpixels are flooded over: boundaries, and the photo's own gradient, which is sharp where they are broad.
-fn fine(lab: &Lab, strength: &Plane) -> Plane {
-    let mut out = Plane::zeros(strength.width, strength.height);
+fn fine(lab: &Lab, strength: &FloatPlane) -> FloatPlane {
+    let mut out = FloatPlane::zeros(strength.width, strength.height);
     for plane in [&lab.l, &lab.a, &lab.b] {
         let (gx, gy) = plane.blurred(0.5).gradient();
         for (o, (x, y)) in out.data.iter_mut().zip(gx.data.iter().zip(&gy.data)) {
@@ -133,10 +133,10 @@ impl Analysis {
 impl PixelFeatures {
     /// Computes all features of a photo, and its analysis unless `known` holds it; `strength` replaces the built-in boundary
     /// detector's output.
-    pub fn of(image: &Image, strength: Option<Plane>, known: Option<Arc<Analysis>>) -> PixelFeatures {
+    pub fn of(image: &Image, strength: Option<FloatPlane>, known: Option<Arc<Analysis>>) -> PixelFeatures {
         let lab = Lab::of(image);
         let normal = lab.normalised();
-        let texture: Vec<Plane> = texture_bins(&normal.l);
+        let texture: Vec<FloatPlane> = texture_bins(&normal.l);
         let edges = match strength {
             Some(strength) => Boundaries::from_strength(strength),
             None => detect(&normal, &texture),
@@ -147,7 +147,7 @@ impl PixelFeatures {
 }
 
 /// Regions by the boundaries, distinguished by colour and texture.
-fn analysed(image: &Image, lab: &Lab, normal: &Lab, edges: &Boundaries, texture: &[Plane]) -> Analysis {
+fn analysed(image: &Image, lab: &Lab, normal: &Lab, edges: &Boundaries, texture: &[FloatPlane]) -> Analysis {
     let least = (image.pixels() / 19_000).max(4);
     let (labels, count) = basins(&fine(lab, &edges.strength), least);
     let (labels, count) = joined(&labels, count, &[&lab.l, &lab.a, &lab.b], &edges.strength, SUPERPIXELS);

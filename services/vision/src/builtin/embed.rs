@@ -8,7 +8,7 @@
 //! compression is made for that size, and finer cells would see single strokes of texture.
 
 use super::analysis::{Analysis, PixelFeatures};
-use super::plane::{Plane, span};
+use super::plane::{FloatPlane, span};
 use segwild_scene::Embedding;
 
 /// Cells along the long side, as SAM's (method, section 4).
@@ -57,7 +57,7 @@ pub(crate) fn embed(pixels: &PixelFeatures) -> Embedding {
 
 /// Histograms (square roots of shares: Hellinger) of the regions at `level`, as cells see them: by the share of the
 /// cell that every region covers.
-fn region_planes(analysis: &Analysis, level: f32, gw: usize, gh: usize) -> Vec<Plane> {
+fn region_planes(analysis: &Analysis, level: f32, gw: usize, gh: usize) -> Vec<FloatPlane> {
     let tree = &analysis.tree;
     let regions: Vec<u32> = (0..tree.leaves as u32).map(|l| tree.region_at(l, level)).collect();
     let describe = |region: u32| -> Vec<f32> {
@@ -66,7 +66,7 @@ fn region_planes(analysis: &Analysis, level: f32, gw: usize, gh: usize) -> Vec<P
     };
     let described: Vec<Vec<f32>> = regions.iter().map(|&r| describe(r)).collect();
     let channels = tree.nodes[0].histogram.len();
-    let mut planes = vec![Plane::zeros(gw, gh); channels];
+    let mut planes = vec![FloatPlane::zeros(gw, gh); channels];
     for cy in 0..gh {
         let (y0, y1) = span(cy, gh, tree.height);
         for cx in 0..gw {

@@ -30,7 +30,7 @@ use crate::{Embedder, MaskProposer, PromptSegmenter, Prompted, SkyDetector, Visi
 pub(crate) use analysis::check;
 use analysis::{Analysis, PixelFeatures};
 pub(crate) use memory::{Memory, Weighed};
-use plane::Plane;
+use plane::FloatPlane;
 pub use record::{RegionCache, Regions};
 use segwild_scene::{Embedding, Image, Mask, Prompts, ScoredMask};
 use select::Means;
@@ -86,7 +86,7 @@ pub struct Builtin {
     weights: TraitWeights,
     edges: Option<Arc<dyn EdgeDetector>>,
     /// Outputs of `edges`, which take far longer than the rest of the analysis and are far smaller than it.
-    strengths: Memory<Plane>,
+    strengths: Memory<FloatPlane>,
     /// Per-pixel features, for skies and descriptors.
     pixels: Memory<PixelFeatures>,
     /// Analyses, for masks, clicks and refinements; of many more photos.
@@ -97,7 +97,7 @@ pub struct Builtin {
     cache: Option<Arc<dyn RegionCache>>,
 }
 
-impl Weighed for Plane {
+impl Weighed for FloatPlane {
     fn bytes(&self) -> usize {
         4 * self.data.len()
     }
@@ -284,11 +284,11 @@ impl Builtin {
     }
 
     /// The edge network's output for a photo at analysis size; `None` without a network.
-    fn strength(&self, image: &Image, key: blake3::Hash) -> Result<Option<Plane>, VisionError> {
+    fn strength(&self, image: &Image, key: blake3::Hash) -> Result<Option<FloatPlane>, VisionError> {
         let Some(edges) = &self.edges else { return Ok(None) };
         let slot = self.strengths.slot(key);
         if let Some(done) = slot.get() {
-            return Ok(Some(Plane::clone(done)));
+            return Ok(Some(FloatPlane::clone(done)));
         }
         let map = edges.edges(image)?;
         if (map.width, map.height, map.channels) != (image.width, image.height, 1) {
@@ -303,9 +303,9 @@ impl Builtin {
             )));
         }
         let data = map.data.iter().map(|v| if v.is_finite() { v.clamp(0.0, 1.0) } else { 0.0 }).collect();
-        let done = slot.get_or_init(|| Arc::new(Plane::new(image.width, image.height, data))).clone();
+        let done = slot.get_or_init(|| Arc::new(FloatPlane::new(image.width, image.height, data))).clone();
         self.strengths.trim();
-        Ok(Some(Plane::clone(&done)))
+        Ok(Some(FloatPlane::clone(&done)))
     }
 
     /// Which region every pixel belongs to at a granularity in [0, 1] (`None`: superpixels); numbers are not in order.
@@ -402,7 +402,7 @@ impl PromptSegmenter for Builtin {
     fn refine(&self, image: &Image, certainty: &Image) -> Result<ScoredMask, VisionError> {
         crate::provider::check_certainty(image, certainty)?;
         let analysis = self.analysis(image)?;
-        let plane = Plane::new(image.width, image.height, certainty.plane(0).to_vec());
+        let plane = FloatPlane::new(image.width, image.height, certainty.plane(0).to_vec());
         let plane = plane.pooled_to(analysis.tree.width, analysis.tree.height);
         Ok(at_size_of(image, refine::snap(&analysis, &plane.data)))
     }

@@ -2,7 +2,7 @@
 
 use super::analysis::Analysis;
 use super::cut::GraphCut;
-use super::plane::Plane;
+use super::plane::FloatPlane;
 use segwild_scene::ScoredMask;
 
 /// The energy of the cut.
@@ -43,7 +43,7 @@ pub(crate) fn snap(analysis: &Analysis, certainty: &[f32]) -> ScoredMask {
         certainty.iter().map(|&c| if c.is_finite() { c.clamp(0.0, 1.0) } else { 0.0 }).collect();
     // The certainty is least reliable near its own edge: it is mixed with its blur.
     let diagonal = ((tree.width * tree.width + tree.height * tree.height) as f32).sqrt();
-    let wide = Plane::new(tree.width, tree.height, clean.clone()).blurred((0.012 * diagonal).max(1.0));
+    let wide = FloatPlane::new(tree.width, tree.height, clean.clone()).blurred((0.012 * diagonal).max(1.0));
     let (own, far) = (tree.means(&clean), tree.means(&wide.data));
     let prior: Vec<f32> = own.iter().zip(&far).map(|(a, b)| 0.8 * a + 0.2 * b).collect();
     // Superpixels that are surely inside or outside teach the colours.

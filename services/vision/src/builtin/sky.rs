@@ -2,7 +2,7 @@
 //! without crossing a clear boundary.
 
 use super::analysis::{Analysis, PixelFeatures};
-use super::plane::Plane;
+use super::plane::FloatPlane;
 use super::refine::{Energy, cut};
 use super::tree::MergeWeights;
 use segwild_scene::Mask;
@@ -40,7 +40,7 @@ pub(crate) fn sky(pixels: &PixelFeatures) -> Mask {
 fn sky_likeness(pixels: &PixelFeatures) -> Vec<f32> {
     let tree = &pixels.analysis.tree;
     let (gx, gy) = pixels.lab.l.blurred(0.8).gradient();
-    let rough = Plane::new(
+    let rough = FloatPlane::new(
         tree.width,
         tree.height,
         gx.data.iter().zip(&gy.data).map(|(x, y)| (x * x + y * y).sqrt()).collect(),

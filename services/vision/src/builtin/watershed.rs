@@ -1,13 +1,13 @@
 //! Superpixels: the catchment basins of the boundary strength (Meyer's flooding).
 
-use super::plane::Plane;
+use super::plane::FloatPlane;
 use std::cmp::{Ordering, Reverse};
 use std::collections::{BTreeMap, BinaryHeap, VecDeque};
 
 /// Labels every pixel with its basin, `0..count`, in the order of the basins' first pixels; ties go to the pixel that
 /// came first, so the result depends on nothing else. Basins under `least` pixels join the neighbour over
 /// the lowest pass.
-pub(crate) fn basins(strength: &Plane, least: usize) -> (Vec<u32>, usize) {
+pub(crate) fn basins(strength: &FloatPlane, least: usize) -> (Vec<u32>, usize) {
     let (w, h) = (strength.width, strength.height);
     const LEVELS: usize = 512;
     let level: Vec<u16> =
@@ -176,8 +176,8 @@ impl Ord for Merge {
 pub(crate) fn joined(
     labels: &[u32],
     count: usize,
-    planes: &[&Plane],
-    strength: &Plane,
+    planes: &[&FloatPlane],
+    strength: &FloatPlane,
     target: usize,
 ) -> (Vec<u32>, usize) {
     let (w, h) = (strength.width, strength.height);
