@@ -1,9 +1,9 @@
-//! Faults on purpose: named points in the program where a test, or the hidden `--fault` flag, lets something go
-//! wrong that would otherwise take a broken disk or a lucky kill.
+//! Fault injection: named points in the program where a test, or the `--fault` flag (left out of `--help`), makes something
+//! fail that would otherwise take a broken disk or a kill at the right moment.
 //!
 //! A fault is written `ACTION@POINT`, or `ACTION@POINT:N` to strike the Nth time the point is passed (the first
-//! without N), or `ACTION@POINT:N+` from then on. One process has one list, armed once at its start; where none is
-//! armed a point costs one read of an atomic.
+//! without N), or `ACTION@POINT:N+` to strike every time from the Nth on. A process has one list of faults. It is armed once,
+//! at the start. Where no fault is armed, a point costs one read of an atomic.
 //!
 //! ```
 //! use segwild_files::fault;
@@ -20,8 +20,8 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// The points, and what passes there. An actor's own points are `NAME.handle`; names that begin with `test.` are
-/// free for tests.
+/// The points, and what has happened when each is passed. An actor's own points are `NAME.handle`; names that start with
+/// `test.` are free for tests.
 pub const POINTS: [(&str, &str); 19] = [
     ("trainer.handle", "the trainer takes an order"),
     ("coordinator.hear", "the coordinator hears of an actor"),
@@ -33,7 +33,7 @@ pub const POINTS: [(&str, &str); 19] = [
     ("masks.make", "the masks of a photo are about to be made"),
     ("visibility.photo", "a photo has been compared with the trained scene"),
     ("evaluate.photo", "a held-out photo has been scored"),
-    ("report.picture", "a picture of the report has been drawn"),
+    ("report.image", "an image of the report has been rendered"),
     ("selection.file", "a file of a selection has been written"),
     ("file.write", "a file of the run is about to be written aside"),
     ("file.append", "a line is about to be added to a file"),
@@ -47,7 +47,7 @@ pub const POINTS: [(&str, &str); 19] = [
 /// What goes wrong.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Action {
-    /// The process is killed here and now, by SIGKILL where there are signals; nothing is unwound, flushed or dropped.
+    /// The process is killed at once, by SIGKILL where there are signals; nothing is unwound, flushed or dropped.
     Kill,
     /// The disk is full.
     Full,
@@ -59,9 +59,9 @@ enum Action {
     Corrupt,
     /// Half of what is read or written is missing.
     Torn,
-    /// A bug.
+    /// A bug: the point panics.
     Panic,
-    /// No sign of life for a long time.
+    /// The thread sleeps for a long time.
     Stall,
     /// The wall clock stands a day back.
     Jump,
@@ -82,12 +82,12 @@ const ACTIONS: [(&str, Action); 10] = [
     ("leap", Action::Leap),
 ];
 
-/// How long a stall lasts: longer than anybody waits, and yet no process stays for ever.
+/// How long a stall lasts: longer than any watchdog waits, but finite, so that no process stays for ever.
 const STALL: Duration = Duration::from_secs(600);
 /// How far the clock jumps, in seconds.
 const JUMP_S: f64 = 86_400.0;
 
-/// A fault that makes no sense.
+/// The text of a fault cannot be parsed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("`{text}` is no fault: {reason}")]
 pub struct FaultError {
@@ -97,7 +97,7 @@ pub struct FaultError {
     pub reason: String,
 }
 
-struct Fault {
+struct ArmedFault {
     action: Action,
     point: String,
     from: u64,
@@ -106,24 +106,24 @@ struct Fault {
 }
 
 static ARMED: AtomicBool = AtomicBool::new(false);
-static FAULTS: Mutex<Vec<Arc<Fault>>> = Mutex::new(Vec::new());
+static FAULTS: Mutex<Vec<Arc<ArmedFault>>> = Mutex::new(Vec::new());
 
-fn parse(text: &str) -> Result<Fault, FaultError> {
+fn parse(text: &str) -> Result<ArmedFault, FaultError> {
     let wrong = |reason: String| FaultError { text: text.into(), reason };
-    let (action, place) =
+    let (action, rest) =
         text.split_once('@').ok_or_else(|| wrong("write ACTION@POINT or ACTION@POINT:N".into()))?;
     let (_, action) = ACTIONS
         .iter()
         .find(|(name, _)| *name == action)
         .ok_or_else(|| wrong(format!("the actions are {}", ACTIONS.map(|(name, _)| name).join(", "))))?;
-    let (point, count) = place.split_once(':').unwrap_or((place, "1"));
+    let (point, count) = rest.split_once(':').unwrap_or((rest, "1"));
     if !point.starts_with("test.") && !POINTS.iter().any(|(name, _)| *name == point) {
         return Err(wrong(format!("the points are {}", POINTS.map(|(name, _)| name).join(", "))));
     }
     let number = count.strip_suffix('+').unwrap_or(count);
     let from =
         number.parse().ok().filter(|&n| n > 0).ok_or_else(|| wrong(format!("`{count}` is no count")))?;
-    Ok(Fault {
+    Ok(ArmedFault {
         action: *action,
         point: point.into(),
         from,
@@ -145,7 +145,7 @@ pub fn arm<S: AsRef<str>>(faults: &[S]) -> Result<(), FaultError> {
     Ok(())
 }
 
-fn lock(faults: &Mutex<Vec<Arc<Fault>>>) -> MutexGuard<'_, Vec<Arc<Fault>>> {
+fn lock(faults: &Mutex<Vec<Arc<ArmedFault>>>) -> MutexGuard<'_, Vec<Arc<ArmedFault>>> {
     faults.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -242,7 +242,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_fault_strikes_when_it_was_told_to() {
+    fn a_fault_strikes_at_the_pass_it_was_armed_for() {
         arm(&["fail@test.once", "full@test.third:3", "read-only@test.on:2+"]).unwrap();
         let kinds = |name: &str| -> Vec<bool> { (0..4).map(|_| point(name).is_err()).collect() };
         assert_eq!(kinds("test.once"), [true, false, false, false]);
@@ -270,8 +270,8 @@ mod tests {
             ("kill@clock:0", "no count"),
             ("kill@clock:x", "no count"),
         ] {
-            let said = arm(&[text]).unwrap_err().to_string();
-            assert!(said.contains(words) && said.contains(text), "{said}");
+            let message = arm(&[text]).unwrap_err().to_string();
+            assert!(message.contains(words) && message.contains(text), "{message}");
         }
     }
 }

@@ -1,20 +1,20 @@
-//! Whether what is in a folder stays in it: a folder that came from somebody else may hold links.
+//! Checks that everything in a folder stays in it: a folder from somebody else may hold links.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Something in a folder that leads out of it, or is no file.
+/// An entry of a folder that leads out of it, or is neither a file nor a folder.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{}: {reason}", path.display())]
 pub struct Stray {
-    /// Where it lies.
+    /// Path of the entry.
     pub path: PathBuf,
     /// What it is, and what to do.
     pub reason: String,
 }
 
-/// Looks at what lies in a folder under the names that `ours` takes, and below: links must lead to something in the
-/// folder, everything else must be a file or a folder. A folder that is not there holds nothing.
+/// Checks the entries of a folder whose names `ours` accepts, and everything below them: a link must lead to something in the
+/// folder, everything else must be a file or a folder. A missing folder counts as an empty one.
 ///
 /// ```
 /// let dir = tempfile::tempdir().unwrap();
@@ -28,7 +28,7 @@ pub struct Stray {
 /// ```
 ///
 /// # Errors
-/// Names the first that does not stay.
+/// Names the first entry that does not stay inside.
 pub fn stays_inside(folder: &Path, ours: impl Fn(&str) -> bool) -> Result<(), Stray> {
     let Ok(root) = fs::canonicalize(folder) else { return Ok(()) };
     let mut open = vec![folder.to_owned()];
@@ -76,14 +76,14 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let run = dir.path().join("run");
         fs::create_dir_all(run.join("selections/a")).unwrap();
-        let look = || stays_inside(&run, |name| name != "theirs").map_err(|stray| stray.path);
+        let check = || stays_inside(&run, |name| name != "theirs").map_err(|stray| stray.path);
         symlink("a", run.join("selections/b")).unwrap();
         symlink("/etc", run.join("theirs")).unwrap();
-        assert_eq!(look(), Ok(()), "a link inside, and one that is none of ours");
+        assert_eq!(check(), Ok(()), "a link inside, and one that is none of ours");
         for target in ["/etc", "../../..", "gone"] {
             let link = run.join("selections/a/masks");
             symlink(target, &link).unwrap();
-            assert_eq!(look(), Err(link.clone()), "{target}");
+            assert_eq!(check(), Err(link.clone()), "{target}");
             fs::remove_file(&link).unwrap();
         }
     }

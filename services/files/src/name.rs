@@ -1,4 +1,4 @@
-//! Names: what may be one, files that cannot collide, and transients' words that are safe to show.
+//! Names: which are allowed, files that cannot collide, and text from untrusted sources that is safe to show.
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -57,9 +57,8 @@ fn is_unseen(c: char) -> bool {
         | '\u{fff9}'..='\u{fffb}' | '\u{e0000}'..='\u{e007f}')
 }
 
-/// Text of somebody else (names of photos, what a file says) as it is safe to show in a terminal, a log or a page: control
-/// characters and signs that turn the writing round are written out. Line ends stay: whoever prints one line takes
-/// [`one_line`].
+/// Text from outside (names of photos, contents of a file) as it is safe to show in a terminal, a log or a page: control
+/// characters and signs that reverse the direction of writing are escaped. Line ends stay: use [`one_line`] for a single line.
 ///
 /// ```
 /// use segwild_files::name::shown;
@@ -70,7 +69,7 @@ pub fn shown(text: &str) -> Cow<'_, str> {
     written_out(text, |c| (c.is_control() && c != '\n' && c != '\t') || is_unseen(c))
 }
 
-/// As [`shown`], and line ends are written out as well.
+/// As [`shown`], with line ends escaped as well.
 pub fn one_line(text: &str) -> Cow<'_, str> {
     written_out(text, |c| c.is_control() || is_unseen(c))
 }
@@ -104,14 +103,14 @@ fn part(text: &str) -> String {
     name
 }
 
-/// FNV-1a, 32 bits: only to tell names apart that nothing else does.
+/// FNV-1a, 32 bits: distinguishes names that nothing else distinguishes.
 fn digest(text: &str) -> u32 {
     text.bytes().fold(0x811c_9dc5, |hash, byte| (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193))
 }
 
 /// A file for each photo, with another ending: folders stay folders (`a/b.jpg` -> `a/b.png`). No two are one file on any file
-/// system, whether it tells capitals apart or not, and none lies outside the folder that they are put in: what would is
-/// called by its whole name (`b.jpg.png`), and by a number besides if that is taken, too.
+/// system, whether it distinguishes capitals or not, and none lies outside the folder that they are put in: a file that would
+/// collide has the whole name of its photo (`b.jpg.png`), and a hash besides if that name is taken, too.
 ///
 /// ```
 /// use segwild_files::name::beside;
@@ -147,7 +146,7 @@ pub fn beside<'a>(photos: impl Iterator<Item = &'a str> + Clone, ending: &str) -
     }
 }
 
-/// Which names are another's file or folder where capitals do not count.
+/// For each name, whether it is another's file or folder where capitals do not count.
 fn taken_twice(names: &[(usize, String)]) -> BTreeSet<usize> {
     let folded: Vec<String> = names.iter().map(|(_, name)| name.to_lowercase()).collect();
     let mut owners: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
@@ -174,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn photos_in_folders_do_not_overwrite_each_others_pictures() {
+    fn photos_in_folders_do_not_overwrite_each_others_images() {
         let photos =
             ["a/b.jpg", "a_b.jpg", "a\\c.jpg", "b.jpg", "b.png", "B.JPG", "b.jpg.png", "b.jpg", "", ".jpg"];
         let names = beside(photos.into_iter(), "png");
@@ -183,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn no_photo_has_its_picture_outside_of_the_folder() {
+    fn no_photo_has_its_image_outside_of_the_folder() {
         let long = format!("{}/{}.jpg", "f".repeat(300), "\u{e9}".repeat(300));
         let photos =
             ["../../etc/x.jpg", "/etc/x.jpg", "..\\..\\x.jpg", "C:\\x.jpg", "a/./../b.jpg", &long, "con.jpg"];
@@ -195,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_is_no_folder_of_another_ones() {
+    fn an_image_is_no_folder_of_another_one() {
         let names = beside(["a.jpg", "a.png/b.jpg", "A.png"].into_iter(), "png");
         assert_eq!(names[1], "a.png/b.png");
         assert!(!names.contains(&"a.png".to_owned()) && folded(&names).len() == 3, "{names:?}");

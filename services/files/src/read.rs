@@ -1,11 +1,11 @@
-//! Reading files that others supply: only plain files, and never waiting for what is none.
+//! Reading files that others supply: only plain files; nothing here ever waits for a pipe or a device.
 
 use std::fs::File;
 use std::io::{Error, ErrorKind, Read, Result};
 use std::path::Path;
 
-/// Opens a file for reading. A pipe, a device, a socket or a folder in its place is refused at once, whatever the name meant a
-/// moment ago: what was opened is looked at, and opening does not wait for a writer.
+/// Opens a file for reading. A pipe, a device, a socket or a folder in its place is refused at once. The check is made on the
+/// opened handle, so it holds even if the name was replaced a moment ago; opening does not wait for a writer.
 ///
 /// # Errors
 /// When the system refuses, or it is no plain file.
@@ -59,14 +59,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_file_is_read_whole_and_one_that_is_not_there_is_said_to_be_missing() {
+    fn a_file_is_read_whole_and_a_missing_one_is_reported_as_missing() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("model.bin");
         assert_eq!(read_plain(&file).unwrap_err().kind(), ErrorKind::NotFound);
         std::fs::write(&file, b"splats").unwrap();
         assert_eq!(read_plain(&file).unwrap(), b"splats");
-        let said = read_plain(folder.path()).unwrap_err().to_string();
-        assert!(said.contains("it is a folder"), "{said}");
+        let message = read_plain(folder.path()).unwrap_err().to_string();
+        assert!(message.contains("it is a folder"), "{message}");
     }
 
     #[test]
@@ -88,8 +88,8 @@ mod tests {
         assert!(made.success());
         std::os::unix::fs::symlink("/dev/zero", &endless).unwrap();
         for file in [pipe, endless] {
-            let said = read_plain(&file).unwrap_err().to_string();
-            assert!(said.contains("a pipe, a device or a socket"), "{said}");
+            let message = read_plain(&file).unwrap_err().to_string();
+            assert!(message.contains("a pipe, a device or a socket"), "{message}");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Files that are there whole or not at all.
+//! Atomic writes: a file is there whole or not at all.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
@@ -56,7 +56,7 @@ pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
     write_aside(folder_of(path), path, &[bytes])
 }
 
-/// As [`write_atomic`], for who names the file in an error of their own.
+/// As [`write_atomic`], for callers that name the file in an error of their own.
 ///
 /// # Errors
 /// The system's.
@@ -100,7 +100,7 @@ pub fn open_to_append(path: &Path) -> Result<File, FileError> {
     OpenOptions::new().create(true).append(true).open(path).map_err(|e| FileError::new("write", path, e))
 }
 
-/// Adds lines to the end of a file. A kill may leave the last one cut short: whoever reads it leaves that one out.
+/// Adds lines to the end of a file. A kill may cut the last one short: readers skip such a line.
 ///
 /// # Errors
 /// In words: disk full, read-only, denied.
@@ -109,14 +109,14 @@ pub fn append_line(path: &Path, lines: &str) -> Result<(), FileError> {
     open_to_append(path)?.write_all(text.as_bytes()).map_err(|e| FileError::new("write", path, e))
 }
 
-/// Makes a folder that is there whole or not at all: `fill` writes it aside, in the folder that it is given, and it
-/// then takes the place of the one that was there before. Where the system cannot exchange two folders at once, a kill
+/// Makes a folder that is there whole or not at all: `fill` writes into a folder aside, whose path it is given. That folder
+/// then replaces the one that was there before. Where the system cannot exchange two folders at once, a kill
 /// between two renames may leave neither in its place.
 ///
 /// ```
 /// use segwild_files::{self as files, FileError};
-/// let place = tempfile::tempdir().unwrap();
-/// let statue = place.path().join("statue");
+/// let dir = tempfile::tempdir().unwrap();
+/// let statue = dir.path().join("statue");
 /// for text in ["first", "second"] {
 ///     let written = files::write_folder::<FileError>(&statue, |aside| {
 ///         files::write_atomic(&aside.join("prompts.json"), text.as_bytes())
@@ -124,7 +124,7 @@ pub fn append_line(path: &Path, lines: &str) -> Result<(), FileError> {
 ///     assert!(written.is_ok());
 /// }
 /// assert_eq!(std::fs::read(statue.join("prompts.json")).unwrap(), b"second");
-/// assert_eq!(std::fs::read_dir(place.path()).unwrap().count(), 1);
+/// assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1);
 /// ```
 ///
 /// # Errors
@@ -165,8 +165,8 @@ fn replace_folder(new: &Path, path: &Path) -> io::Result<()> {
 }
 
 /// Removes the files and folders that writers of this module left aside in a folder when they were killed; those of processes that
-/// still run stay. What cannot be removed is left: it is only litter. Does nothing where the system does not tell
-/// which processes run.
+/// still run stay. What cannot be removed is left: it is only litter. Does nothing where the system does not list
+/// its running processes.
 pub fn remove_litter(folder: &Path) {
     let Ok(entries) = fs::read_dir(folder) else { return };
     if !Path::new("/proc/self").exists() {

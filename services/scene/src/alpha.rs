@@ -1,16 +1,16 @@
 //! Whether transparent photos are cut-outs of an object.
 //!
-//! A person who paints passers-by transparent leaves a photo whose border is mostly there; who cuts objects out leaves them in the
-//! middle, of another outline in each photo. Frames that are the same in each photo (a round lens, borders that were bent
-//! out) say nothing of the scene.
+//! Where passers-by are painted transparent, most of a photo's border stays opaque. Where objects are cut out, they lie in the
+//! middle, with another outline in each photo. A transparent frame that is the same in each photo (a round lens, borders that
+//! undistortion left empty) holds no information about the scene.
 
 use crate::photo::cheap_ones;
 use crate::{Alpha, Mask, SceneError, SceneSettings, View};
 use rayon::prelude::*;
 
-/// Photos looked at, evenly over the names.
+/// Photos checked, evenly over the names.
 const LOOKED_AT: usize = 5;
-/// Long side at which they are.
+/// Long side in pixels at which they are checked.
 const SIZE: u32 = 160;
 /// Least share of the border, and of the photo, that is transparent in a cut-out.
 const BORDER: f64 = 0.6;
@@ -18,7 +18,8 @@ const AREA: f64 = 0.2;
 /// Outlines that overlap by more than this are one frame.
 const SAME: f64 = 0.97;
 
-/// Decides for each photo that can be transparent (`reading.empty` is set of those) what that means; what to say of it.
+/// Decides for the photos that can be transparent (those whose `reading.empty` is set) whether transparent means empty, and sets
+/// `reading.empty`. Returns a note for the user where one is due.
 pub(crate) fn decide(views: &mut [View], settings: &SceneSettings) -> Option<String> {
     let with_alpha = views.iter().filter(|view| view.photo.reading.empty).count();
     let open = settings.alpha == Alpha::Auto && 2 * with_alpha > views.len();
@@ -71,7 +72,7 @@ fn are_cut_outs(looked_at: &[&View]) -> bool {
     2 * cut_out > outlines.len() && !is_one_frame(&outlines)
 }
 
-/// Whether the border mostly is no part of what is opaque: one object, or several.
+/// Whether most of the border is transparent: one object, or several.
 fn is_cut_out(opaque: &Mask) -> bool {
     let (w, h) = (opaque.width(), opaque.height());
     let border: Vec<bool> = (0..w)

@@ -1,7 +1,7 @@
-//! Points that a reconstruction gives no colour.
+//! Points without a colour of their own.
 //!
-//! Many programs place points and never colour them: all are black, white or grey then, or those of one of several merged
-//! models are black. Such a colour says nothing of the scene, and photos have to give the right one.
+//! Many programs write points without colouring them: all are black, white or grey then, or those of one of several merged
+//! models are black. Such a colour is not that of the scene, and the photos have to give the right one.
 
 use crate::{Point, Scene};
 
@@ -33,7 +33,7 @@ impl Scene {
         colourless(&self.points)
     }
 
-    /// What a user is told of points without colour.
+    /// A note for the user about points without colour.
     pub(crate) fn about_colours(&self) -> Option<String> {
         let none = self.colourless()?;
         let alike = self.points.iter().filter(|p| p.colour == none).count();

@@ -1,4 +1,4 @@
-//! What a reconstruction says, before anything is checked against the photos.
+//! A reconstruction as its files give it, before anything is checked against the photos.
 
 use crate::SceneError;
 use crate::colmap::{self, ImageRecord};
@@ -14,19 +14,19 @@ use std::path::{Path, PathBuf};
 pub(crate) struct Draft {
     pub photos: Vec<DraftPhoto>,
     pub points: Vec<DraftPoint>,
-    /// What is odd about it, though it can be used.
+    /// Notes on what is odd about it, though it can be used.
     pub notes: Vec<String>,
-    /// What its own files say of training and testing.
+    /// The split that its own files give.
     pub split: Option<Split>,
     /// The file or folder it was read from.
     pub source: PathBuf,
 }
 
-/// One photo; what is wrong with it is kept in words.
+/// One photo; fields that cannot be used hold the reason.
 #[derive(Debug)]
 pub(crate) struct DraftPhoto {
     pub name: String,
-    /// Where its file is, if the reconstruction says so, or why it is not there; otherwise it is looked for by name.
+    /// Its file, if the reconstruction names one, or why it is missing; `None`: it is searched by name.
     pub file: Option<Result<PathBuf, String>>,
     /// Its mask of the pixels to use, if the reconstruction names one.
     pub usable: Option<PathBuf>,
@@ -45,7 +45,7 @@ pub(crate) struct DraftPose {
 pub(crate) struct DraftPoint {
     pub position: DVec3,
     pub colour: [u8; 3],
-    /// Index of the photo and the pixel, where the file says it.
+    /// Index of the photo, and the pixel where the file gives one.
     pub track: Vec<(usize, Option<[f64; 2]>)>,
 }
 
@@ -103,7 +103,7 @@ pub(crate) fn from_colmap(dir: &Path) -> Result<Draft, SceneError> {
     Ok(Draft { photos, points, notes, split: None, source: dir.to_owned() })
 }
 
-/// The points of a cloud, which nobody says who saw.
+/// The points of a point cloud, without tracks.
 pub(crate) fn cloud(ply: &Path) -> Result<Vec<DraftPoint>, SceneError> {
     let point = |p: ply::Coloured| DraftPoint {
         position: DVec3::from(p.position),
@@ -127,7 +127,7 @@ fn pose_of(image: &ImageRecord) -> Result<DraftPose, String> {
     finite(DraftPose { rotation, centre: -(rotation.transpose() * t) })
 }
 
-/// Refuses a camera centre so far away that no f64 arithmetic on it is meant.
+/// Refuses a camera centre that is not finite or too far away for f64 arithmetic.
 pub(crate) fn finite(pose: DraftPose) -> Result<DraftPose, String> {
     if pose.centre.is_finite() && pose.centre.abs().max_element() < 1e30 {
         Ok(pose)

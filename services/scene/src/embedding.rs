@@ -3,8 +3,8 @@
 use crate::whole::read_whole;
 use wincode::SchemaWrite;
 
-/// What an embedder says of a photo: `channels` numbers per cell of a `width` x `height` grid that covers
-/// the photo edge to edge (method, section 4: SAM's 256 x 64 x 64, cropped to the aspect).
+/// Dense descriptors of a photo: `channels` numbers per cell of a `width` x `height` grid that covers
+/// the photo edge to edge (docs/method.md, section 4: SAM's 256 x 64 x 64, cropped to the aspect).
 #[derive(Clone, Debug, PartialEq, SchemaWrite)]
 pub struct Embedding {
     /// Cells along x.

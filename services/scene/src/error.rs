@@ -1,4 +1,4 @@
-//! What can be wrong with the files of a scene, in words a person understands.
+//! Errors of a scene's files, with messages for a person.
 
 use segwild_files::FileError;
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ pub enum SceneError {
     Io {
         /// The file or folder.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
     /// A file cannot be written: the disk's or the folder's fault, and no input's.
@@ -35,13 +35,13 @@ pub enum SceneError {
         /// Bytes that are left for it.
         left: u64,
     },
-    /// The file says something that cannot be.
-    #[error("{path}: {place}: {reason}", path = path.display())]
+    /// The file holds something that cannot be.
+    #[error("{path}: {location}: {reason}", path = path.display())]
     Invalid {
         /// The file.
         path: PathBuf,
         /// The line, record or byte.
-        place: String,
+        location: String,
         /// What is wrong, and what to do where that is not plain.
         reason: String,
     },
@@ -82,7 +82,7 @@ pub enum SceneError {
     NotAScene {
         /// The folder.
         path: PathBuf,
-        /// What would have been recognised.
+        /// The forms of scenes that are recognised.
         looked_for: String,
     },
     /// The scene was read, and nothing of it can be used.
@@ -101,8 +101,8 @@ impl SceneError {
         move |source| SceneError::Io { path: path.to_owned(), source }
     }
 
-    /// The file says something that cannot be.
-    pub fn invalid(path: &Path, place: impl Into<String>, reason: impl Into<String>) -> SceneError {
-        SceneError::Invalid { path: path.to_owned(), place: place.into(), reason: reason.into() }
+    /// The file holds something that cannot be.
+    pub fn invalid(path: &Path, location: impl Into<String>, reason: impl Into<String>) -> SceneError {
+        SceneError::Invalid { path: path.to_owned(), location: location.into(), reason: reason.into() }
     }
 }

@@ -1,8 +1,8 @@
-//! The normalised frame of a scene, and what must not set it: photos and points that lie absurdly far away.
+//! The normalised frame of a scene, robust to photos and points that lie absurdly far away.
 //!
-//! The frame is that of all cameras (method, section 0) as long as they are of one range. A few photos from a hundred times
+//! The frame is that of all cameras (docs/method.md, section 0) as long as they are of one range. A few photos from a hundred times
 //! farther, or one wrong pose, would make it so large that all that is near lies before the near plane. Then the other cameras set
-//! it. The far photos stay, if what they saw agrees with what others saw.
+//! it. The far photos stay if their observations agree with those of others.
 
 use crate::draft::{Draft, DraftPoint, DraftPose};
 use crate::lens::Lens;
@@ -19,16 +19,17 @@ const AGREEING: f64 = 0.5;
 const ASTRAY: f64 = 0.02;
 /// Least number of points that a far photo shares with others.
 const SHARED: usize = 3;
-/// Share of the sightings before the near plane from which the plane comes nearer; where no photo is said to have seen a point,
-/// the share of the points.
+/// Share of the observations before the near plane from which the plane comes nearer; where no point has a track, the share of
+/// the points.
 const CULLED: f64 = 0.005;
 const CULLED_UNSEEN: f64 = 0.02;
-/// The sighting, as a share of all by depth, that then lies at twice the near plane's distance.
+/// The observation, as a share of all by depth, that then lies at twice the near plane's distance.
 const NEAREST: f64 = 0.001;
-/// Points beyond so many scene extents, or median distances if these are more, must be seen by this many photos that agree, or they are outliers.
+/// Points beyond so many scene extents, or median distances if these are more, are outliers without multi-view support: this
+/// many photos must have seen such a point where it lies.
 const BEYOND: f64 = 1e3;
-const WITNESSES: usize = 3;
-/// Points and cameras that are looked at where no photo is said to have seen a point.
+const SUPPORT: usize = 3;
+/// Points and cameras that are sampled where no point has a track.
 const SAMPLED: (usize, usize) = (2000, 200);
 
 /// A usable photo as the reconstruction places it, in file units.
@@ -111,10 +112,10 @@ impl<'a> Placing<'a> {
         let tracked = self.draft.points.iter().any(|p| !p.track.is_empty());
         let why = |i: usize| {
             let reason = match shared[i] {
-                _ if !tracked => (!self.shows_any(i)).then(|| "and no point lies in its picture".to_owned()),
+                _ if !tracked => (!self.shows_any(i)).then(|| "and no point projects into it".to_owned()),
                 (n, _) if n < SHARED => Some("and it shares no points with them".to_owned()),
                 (n, agreeing) if (agreeing as f64) < AGREEING * n as f64 => {
-                    Some(format!("and of {n} points it saw, {} lie elsewhere in its picture", n - agreeing))
+                    Some(format!("and of {n} points it saw, {} lie elsewhere in it", n - agreeing))
                 }
                 _ => None,
             };
@@ -137,7 +138,7 @@ impl<'a> Placing<'a> {
         }
     }
 
-    /// What a user is told of photos and points that lie far off.
+    /// Notes for the user about photos and points that lie far off.
     pub(crate) fn notes(&self, frame: &Frame, outliers: &[bool]) -> Vec<String> {
         let far = self.placed.iter().zip(&self.far).filter(|(_, far)| **far);
         let names: Vec<&str> = far.map(|(p, _)| self.draft.photos[p.photo].name.as_str()).collect();
@@ -154,7 +155,7 @@ impl<'a> Placing<'a> {
         photos.into_iter().chain(outliers).chain(self.rounded(frame)).collect()
     }
 
-    /// What a user is told of positions that were rounded before they came here.
+    /// A note for the user about positions that were rounded to single precision before they were read.
     fn rounded(&self, frame: &Frame) -> Option<String> {
         let single = |v: f64| f64::from(v as f32) == v;
         let mut all = self.draft.points.iter().flat_map(|p| p.position.to_array());
@@ -177,7 +178,7 @@ impl<'a> Placing<'a> {
         let limit = BEYOND * frame.scale.max(median(finite.collect()));
         let agree = |p: &DraftPoint| {
             let agreeing = self.sightings(p).filter(|(photo, seen)| photo.agrees(p.position, *seen));
-            agreeing.count() >= WITNESSES
+            agreeing.count() >= SUPPORT
         };
         self.draft.points.iter().map(|p| distance(p) > limit && !agree(p)).collect()
     }
@@ -200,7 +201,7 @@ impl<'a> Placing<'a> {
         let distances: Vec<f64> = self.placed.iter().map(|p| p.pose.centre.distance(middle)).collect();
         let largest = distances.iter().fold(0.0, |a: f64, &b| a.max(b));
         let range = median(distances.clone());
-        // Most scenes end here, before any point is looked at.
+        // Most scenes end here, before any point is read.
         if largest <= FAR_OFF * range {
             return vec![false; self.placed.len()];
         }
@@ -208,7 +209,7 @@ impl<'a> Placing<'a> {
         distances.into_iter().map(|d| range > 0.0 && d > FAR_OFF * range).collect()
     }
 
-    /// Median depth at which photos saw points; of points that no photo is said to have seen, the median distance.
+    /// Median depth of the observed points; of points without tracks, the median distance.
     fn median_depth(&self, middle: DVec3) -> f64 {
         let depth = |(p, point): (&Placed, &DraftPoint)| p.to_camera(point.position).z;
         let points = self.draft.points.iter().filter(|p| p.position.is_finite());
@@ -282,8 +283,8 @@ impl<'a> Placing<'a> {
     }
 }
 
-/// The frame of cameras that are of one range. Where they coincide, or there is one only, they say nothing of the scale: then it is
-/// the median distance of the points, or 1.
+/// The frame of cameras that are of one range. Where they coincide, or there is one only, they do not determine the scale: then
+/// it is the median distance of the points, or 1.
 fn frame_of(centres: &[DVec3], points: &[DVec3]) -> Frame {
     let origin = centres.iter().sum::<DVec3>() / centres.len() as f64;
     let radius = centres.iter().map(|c| c.distance(origin)).fold(0.0, f64::max);

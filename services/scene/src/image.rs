@@ -70,7 +70,7 @@ impl Image {
         if (width, height) == (self.width, self.height) {
             return self.clone();
         }
-        let (columns, rows) = (taps(self.width, width), taps(self.height, height));
+        let (columns, rows) = (resize_taps(self.width, width), resize_taps(self.height, height));
         let mut out = Image::zeros(width, height, self.channels);
         let mut line = vec![0.0f32; self.width];
         for c in 0..self.channels {
@@ -111,7 +111,7 @@ impl Image {
     pub fn write_png(&self, path: &Path) -> Result<(), SceneError> {
         assert!(
             self.channels == 1 || self.channels == 3,
-            "a picture has 1 or 3 planes, not {}",
+            "an image has 1 or 3 planes, not {}",
             self.channels
         );
         let n = self.pixels();
@@ -125,13 +125,13 @@ impl Image {
     }
 }
 
-/// What one output pixel is made of along one axis.
-struct Taps {
+/// Weights of the input pixels from `first` on that make one output pixel, along one axis.
+struct ResizeTaps {
     first: usize,
     weights: Vec<f32>,
 }
 
-fn taps(from: usize, to: usize) -> Vec<Taps> {
+fn resize_taps(from: usize, to: usize) -> Vec<ResizeTaps> {
     let scale = from as f64 / to as f64;
     let one = |i: usize| {
         let (low, high) = if scale > 1.0 {
@@ -146,7 +146,7 @@ fn taps(from: usize, to: usize) -> Vec<Taps> {
         let last = (high.ceil() as usize).clamp(first + 1, from.max(first + 1));
         let cover = |k: usize| (high.min(k as f64 + 1.0) - low.max(k as f64)).max(0.0);
         let total: f64 = (first..last).map(cover).sum();
-        Taps { first, weights: (first..last).map(|k| (cover(k) / total) as f32).collect() }
+        ResizeTaps { first, weights: (first..last).map(|k| (cover(k) / total) as f32).collect() }
     };
     (0..to).map(one).collect()
 }
@@ -159,7 +159,7 @@ pub(crate) fn read_file(path: &Path) -> Result<image::DynamicImage, SceneError> 
 /// The same, of at most so many pixels.
 pub(crate) fn read_file_within(path: &Path, most_pixels: u64) -> Result<image::DynamicImage, SceneError> {
     decode::open_file(path).map_err(SceneError::io(path))?;
-    decode::picture(path, most_pixels).map_err(|e| SceneError::invalid(path, "picture", e))
+    decode::decode_image(path, most_pixels).map_err(|e| SceneError::invalid(path, "image", e))
 }
 
 pub(crate) fn write_png(
@@ -170,7 +170,7 @@ pub(crate) fn write_png(
     colour: image::ExtendedColorType,
 ) -> Result<(), SceneError> {
     let out = png(bytes, width as u32, height as u32, colour)
-        .map_err(|e| SceneError::invalid(path, "picture", e.to_string()))?;
+        .map_err(|e| SceneError::invalid(path, "image", e.to_string()))?;
     Ok(segwild_files::write_atomic(path, &out)?)
 }
 

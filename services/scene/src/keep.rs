@@ -12,11 +12,11 @@ use std::path::{Path, PathBuf};
 
 /// Names of such folders.
 const FOLDERS: [&str; 2] = ["masks", "mask"];
-/// So many masks are looked at before the folder is believed.
+/// Number of masks that are checked before the folder is used.
 const LOOKED_AT: usize = 8;
 
 /// The masks of what to keep of the photos, if the scene has any: the folder that `keep_masks` names, else one that lies beside the
-/// photos, as COLMAP, nerfstudio and LichtFeld write it. What was done is said in `notes`.
+/// photos, as COLMAP, nerfstudio and LichtFeld write it. Adds to `notes` which masks are used, and why others are not.
 pub(crate) fn find(
     folder: &Path,
     images: &Path,
@@ -55,37 +55,37 @@ pub(crate) fn find(
         return Ok(None);
     };
     let masks = MaskFiles::new(&dir, names());
-    let (place, all) = (dir.display(), draft.photos.len());
+    let (shown, all) = (dir.display(), draft.photos.len());
     if let Some(both) = names().find_map(|photo| masks.find(photo).err()) {
-        notes.push(format!("the masks in {place} are not used: {both}"));
+        notes.push(format!("the masks in {shown} are not used: {both}"));
         return Ok(None);
     }
     let files = found(&masks, names());
     if files.is_empty() {
         if !masks.is_empty() {
             notes.push(format!(
-                "{place}: none of its files is named after a photo, and none is used as a mask"
+                "{shown}: none of its files is named after a photo, and none is used as a mask"
             ));
         }
         return Ok(None);
     }
-    let hidden = match hidden(&files) {
-        Ok(hidden) => hidden,
+    let masked_shares = match masked_shares(&files) {
+        Ok(masked_shares) => masked_shares,
         Err(error) => {
-            notes.push(format!("the masks in {place} are not used: {error}"));
+            notes.push(format!("the masks in {shown} are not used: {error}"));
             return Ok(None);
         }
     };
     notes.push(format!(
-        "{} of {all} photos have a mask in {place}: what is white in it is kept and the rest left out, as COLMAP and nerfstudio mean \
-         it; `--keep-masks none` uses none of them, and `--ignore {place}` leaves out what is white",
+        "{} of {all} photos have a mask in {shown}: what is white in it is kept and the rest left out, as COLMAP and nerfstudio mean \
+         it; `--keep-masks none` uses none of them, and `--ignore {shown}` leaves out what is white",
         files.len()
     ));
-    let most = hidden.iter().filter(|share| **share > 0.5).count();
-    if !hidden.is_empty() && 10 * most >= 9 * hidden.len() {
+    let most = masked_shares.iter().filter(|share| **share > 0.5).count();
+    if !masked_shares.is_empty() && 10 * most >= 9 * masked_shares.len() {
         notes.push(format!(
-            "the masks in {place} hide more than half of nearly every photo: if what is white is to be left out, say \
-             `--ignore {place}`"
+            "the masks in {shown} hide more than half of nearly every photo: if what is white is to be left out, say \
+             `--ignore {shown}`"
         ));
     }
     Ok(Some(masks))
@@ -93,8 +93,8 @@ pub(crate) fn find(
 
 fn beside(folder: &Path, images: &Path) -> Option<PathBuf> {
     let bases = [Some(folder), images.parent()];
-    let places = bases.into_iter().flatten().flat_map(|base| FOLDERS.map(|name| below(base, name)));
-    places.into_iter().find(|place| place.is_dir() && !same(place, images))
+    let folders = bases.into_iter().flatten().flat_map(|base| FOLDERS.map(|name| below(base, name)));
+    folders.into_iter().find(|shown| shown.is_dir() && !same(shown, images))
 }
 
 fn same(a: &Path, b: &Path) -> bool {
@@ -105,8 +105,8 @@ fn found<'a>(masks: &MaskFiles, photos: impl Iterator<Item = &'a str>) -> Vec<Pa
     photos.filter_map(|photo| masks.find(photo).ok().flatten()).collect()
 }
 
-/// The shares that some of the masks hide, of those that take little memory.
-fn hidden<'a>(files: &'a [PathBuf]) -> Result<Vec<f64>, SceneError> {
+/// The shares of the photo that some of the masks leave out; only masks that take little memory are read.
+fn masked_shares<'a>(files: &'a [PathBuf]) -> Result<Vec<f64>, SceneError> {
     let with_bytes = |file: &'a PathBuf| (file, bytes_of(file, pixels_of(MEGAPIXELS)));
     let files = cheap_ones(files.par_iter().map(with_bytes).collect(), LOOKED_AT);
     let n = files.len().min(LOOKED_AT);

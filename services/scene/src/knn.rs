@@ -23,13 +23,13 @@ pub struct Neighbours {
 }
 
 #[derive(Clone, Copy)]
-struct Entry {
+struct KnnEntry {
     position: [f32; 3],
     id: u32,
 }
 
 struct Tree {
-    entries: Vec<Entry>,
+    entries: Vec<KnnEntry>,
     /// Axis and position of each split, as a heap: the children of `i` are `2 i + 1` and `2 i + 2`.
     splits: Vec<(u8, f32)>,
     depth: u32,
@@ -39,11 +39,11 @@ struct Tree {
 /// neighbour. Equal distances are resolved the same way on every run.
 pub fn nearest(points: &[[f32; 3]], k: usize) -> Neighbours {
     let usable = |p: &[f32; 3]| p.iter().all(|x| x.abs() < FAR);
-    let entries: Vec<Entry> = points
+    let entries: Vec<KnnEntry> = points
         .iter()
         .enumerate()
         .filter(|(_, p)| usable(p))
-        .map(|(i, &position)| Entry { position, id: i as u32 })
+        .map(|(i, &position)| KnnEntry { position, id: i as u32 })
         .collect();
     let tree = Tree::new(entries);
     let mut out = Neighbours {
@@ -93,7 +93,7 @@ impl Neighbours {
 }
 
 impl Tree {
-    fn new(mut entries: Vec<Entry>) -> Tree {
+    fn new(mut entries: Vec<KnnEntry>) -> Tree {
         let mut depth = 0;
         while entries.len().div_ceil(1 << depth) > BUCKET {
             depth += 1;
@@ -113,7 +113,7 @@ impl Tree {
         node: usize,
         level: u32,
         range: std::ops::Range<usize>,
-        query: &Entry,
+        query: &KnnEntry,
         offset: [f32; 3],
         best: &mut [(f32, u32)],
     ) {
@@ -154,7 +154,7 @@ impl Tree {
 }
 
 /// Sorts entries into the halves of the median along the widest axis, down to `depth`; the splits in pre-order.
-fn split(entries: &mut [Entry], depth: u32) -> Vec<(u8, f32)> {
+fn split(entries: &mut [KnnEntry], depth: u32) -> Vec<(u8, f32)> {
     if depth == 0 {
         return Vec::new();
     }

@@ -287,7 +287,7 @@ impl Lens {
         }
     }
 
-    /// Share of the pinhole's picture that the photo can fill, in [0, 1]. The rest lies where the lens, by its parameters, folds the
+    /// Share of the pinhole's image that the photo can fill, in [0, 1]. The rest lies where the lens, by its parameters, folds the
     /// photo over, or where it does not reach.
     pub fn filled(&self) -> f64 {
         const STEPS: u32 = 24;

@@ -1,10 +1,10 @@
-//! The vocabulary of segwild and the readers and writers of scene files.
+//! The vocabulary of segwild, and the readers and writers of scene files.
 //!
-//! Everything the other crates speak of is named here: a [`View`] is one posed photo, a [`Camera`] its
-//! intrinsics, [`Splats`] the Gaussians, a [`Mask`] a set of pixels, [`Prompts`] what a person clicked.
+//! The types that all other crates share are defined here: a [`View`] is one posed photo, a [`Camera`] its
+//! intrinsics, [`Splats`] the Gaussians, a [`Mask`] a set of pixels, [`Prompts`] a person's clicks and boxes.
 //! No async, no GPU.
 //!
-//! # Conventions (method, section 0)
+//! # Conventions (docs/method.md, section 0)
 //! Camera frame: x right, y down, z forward; `x_cam = R x + t`; the centre of pixel (0, 0) is (0.5, 0.5).
 //! Quaternions are (w, x, y, z). A loaded scene is normalised (see [`Scene::frame`]): the cameras' mean is the
 //! origin and the scene extent is 1, so nothing depends on the units of the reconstruction.
@@ -62,7 +62,7 @@ pub use splats::Splats;
 pub use view::{Frame, Observation, Photo, Point, Reading, Scene, Skipped, View};
 pub use window::box_mean;
 
-/// Distance before which nothing is drawn, in units of the scene extent (method, section 0).
+/// Near plane: nothing nearer to the camera is rendered. In units of the scene extent (docs/method.md, section 0).
 pub const NEAR: f32 = 0.01;
 
 choice! {

@@ -2,34 +2,34 @@
 
 use crate::decode::converted;
 use crate::draft::Draft;
-use crate::names::{Entry, Listing, below, is_inside, is_photo, key, stem, tidy};
+use crate::names::{Listing, ListingEntry, below, is_inside, is_photo, key, stem, tidy};
 use crate::{SceneError, SceneSettings};
 use crate::{colmap, draft, transforms};
 use rayon::prelude::*;
 use std::collections::{BTreeSet, HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
-/// Folders, relative to the scene's, in which photos are looked for.
+/// Folders, relative to the scene's, in which photos are searched.
 const PHOTO_FOLDERS: [&str; 8] =
     ["images", "dense/images", "dense/0/images", "input", "images_2", "images_4", "images_8", "."];
 /// The folders of a scene in which photos may lie, the likeliest first, be they there or not.
 pub(crate) fn photo_folders(scene: &Path) -> Vec<PathBuf> {
-    let folders = PHOTO_FOLDERS.iter().flat_map(|place| match *place {
+    let folders = PHOTO_FOLDERS.iter().flat_map(|dir| match *dir {
         "dense/0/images" => colmap::numbered_photos(scene),
         "." => vec![scene.join(".")],
-        place => vec![below(scene, place)],
+        dir => vec![below(scene, dir)],
     });
     folders.collect()
 }
 
-/// What Blender's scenes call the pictures beside a photo that are no photos.
+/// Words in the names of images that Blender's scenes hold beside a photo and that are no photos.
 const BESIDE: [&str; 3] = ["_depth", "_normal", "_alpha"];
 
 pub(crate) fn setting(setting: &'static str, value: String, reason: &str) -> SceneError {
     SceneError::Setting { setting, value, reason: reason.to_owned() }
 }
 
-/// The scene's folder, what its reconstruction says, and the photo folder.
+/// The scene's folder, its reconstruction, and the photo folder.
 pub(crate) fn find(path: &Path, settings: &SceneSettings) -> Result<(PathBuf, Draft, PathBuf), SceneError> {
     let metadata = std::fs::metadata(path).map_err(SceneError::io(path))?;
     // Absolute, so that folders above can be named and the photos be found again from elsewhere.
@@ -66,7 +66,7 @@ pub(crate) fn find(path: &Path, settings: &SceneSettings) -> Result<(PathBuf, Dr
         let beside =
             model.map(|found| format!("{} is read, and not {}", json.display(), found.dir.display()));
         draft.notes.extend(beside);
-        // Its photos say themselves where they are.
+        // Its photos hold their paths.
         let images = images.unwrap_or_else(|| folder.clone());
         return Ok((folder, draft, images));
     }
@@ -75,16 +75,16 @@ pub(crate) fn find(path: &Path, settings: &SceneSettings) -> Result<(PathBuf, Dr
         looked_for: format!(
             "a COLMAP reconstruction (cameras and images, .bin or .txt, in {}), nerfstudio's transforms.json and Blender's \
              transforms_train.json",
-            colmap::PLACES.join(", ")
+            colmap::MODEL_FOLDERS.join(", ")
         ),
     })
 }
 
-/// Whether photos lie where COLMAP has them, beside `sparse`: there is nothing to say then, though `sparse/0` alone was named.
+/// Whether photos lie where COLMAP has them, beside `sparse`: no note is needed then, though `sparse/0` alone was named.
 fn is_usual(images: &Path, model: &Path) -> bool {
-    let between = images.parent().and_then(|base| model.strip_prefix(base).ok());
+    let inner = images.parent().and_then(|base| model.strip_prefix(base).ok());
     let parts: Vec<String> =
-        between.iter().flat_map(|b| b.iter()).map(|part| key(&part.to_string_lossy())).collect();
+        inner.iter().flat_map(|b| b.iter()).map(|part| key(&part.to_string_lossy())).collect();
     let is_number = |part: &String| part.parse::<u64>().is_ok();
     parts.first().is_some_and(|part| part == "sparse") && parts[1..].iter().all(is_number)
 }
@@ -98,8 +98,8 @@ pub(crate) fn folder_setting(
     if value.is_empty() {
         return Ok(None);
     }
-    let places = [PathBuf::from(value), scene.join(value)];
-    let found = places.into_iter().find(|p| p.is_dir());
+    let dirs = [PathBuf::from(value), scene.join(value)];
+    let found = dirs.into_iter().find(|p| p.is_dir());
     found.map(Some).ok_or_else(|| setting(name, value.to_owned(), "there is no such folder"))
 }
 
@@ -108,20 +108,20 @@ pub(crate) fn folder_setting(
 fn find_photos(folder: &Path, draft: &Draft) -> Result<PathBuf, SceneError> {
     // Photos that lie in the reconstruction's own folder, beside it, or beside the one above it, are rather its own.
     let above = draft.source.ancestors().take(3).map(|dir| below(dir, "images"));
-    let (mut places, outside): (Vec<PathBuf>, Vec<PathBuf>) = above.partition(|dir| dir.starts_with(folder));
-    places.extend(photo_folders(folder));
-    places.extend(outside);
-    places.retain(|place| place.is_dir());
+    let (mut dirs, outside): (Vec<PathBuf>, Vec<PathBuf>) = above.partition(|dir| dir.starts_with(folder));
+    dirs.extend(photo_folders(folder));
+    dirs.extend(outside);
+    dirs.retain(|dir| dir.is_dir());
     let holds =
-        |place: &PathBuf| draft.photos.iter().any(|p| is_inside(&p.name) && is_there(&place.join(&p.name)));
-    if let Some(place) = places.iter().find(|place| holds(place)) {
-        return Ok(place.clone());
+        |dir: &PathBuf| draft.photos.iter().any(|p| is_inside(&p.name) && is_there(&dir.join(&p.name)));
+    if let Some(dir) = dirs.iter().find(|dir| holds(dir)) {
+        return Ok(dir.clone());
     }
     let mut candidate = None;
-    for place in &places {
-        let listing = Listing::of(place);
+    for dir in &dirs {
+        let listing = Listing::of(dir);
         if draft.photos.iter().any(|photo| listing.tail(&photo.name).is_some()) {
-            return Ok(place.clone());
+            return Ok(dir.clone());
         }
         let like = |p: &crate::draft::DraftPhoto| {
             listing.candidate(&p.name).map(|e| (p.name.clone(), e.path.clone()))
@@ -157,7 +157,7 @@ pub(crate) fn locate(draft: &mut Draft, images: &Path) -> Vec<Result<PathBuf, St
         Some(file) => Some(file.clone()),
         None => {
             let path = images.join(&photo.name);
-            // What stands there and is no file is told of when it is opened.
+            // An entry that is no file is reported when it is opened.
             (is_inside(&photo.name) && (path.exists() || converted(&path).is_some())).then_some(Ok(path))
         }
     };
@@ -201,7 +201,7 @@ pub(crate) struct Claim {
 }
 
 impl Claim {
-    pub(crate) fn left(entry: &Entry) -> Claim {
+    pub(crate) fn left(entry: &ListingEntry) -> Claim {
         Claim { path: entry.path.clone(), left: Some(entry.name.clone()) }
     }
 }
@@ -263,19 +263,18 @@ fn contested(left: &str, name: &str, claimants: &BTreeSet<&str>) -> Option<Strin
 const SHOWN: usize = 3;
 
 /// Why a photo has no file, with the file that may be the one.
-pub(crate) fn no_file(folder: &Path, name: &str, candidate: Option<&Entry>) -> String {
-    let place = folder.display();
+pub(crate) fn no_file(folder: &Path, name: &str, candidate: Option<&ListingEntry>) -> String {
+    let dir = folder.display();
     match candidate {
-        Some(entry) => format!(
-            "there is no file of that name in {place}; {} may be the one: if so, rename it",
-            entry.name
-        ),
+        Some(entry) => {
+            format!("there is no file of that name in {dir}; {} may be the one: if so, rename it", entry.name)
+        }
         None if !is_inside(name) => {
             format!(
-                "its name is not that of a file inside the photo folder, and there is no file of its last part in {place}"
+                "its name is not that of a file inside the photo folder, and there is no file of its last part in {dir}"
             )
         }
-        None => format!("there is no file of that name in {place}"),
+        None => format!("there is no file of that name in {dir}"),
     }
 }
 
@@ -321,7 +320,7 @@ pub(crate) fn unheld(draft: &Draft, located: &[Result<PathBuf, String>]) -> Opti
     ))
 }
 
-/// The photo, without its ending, beside which a picture of depths, normals or coverage lies: `r_12_depth_0001.png` is one of `r_12`.
+/// The photo, without its ending, beside which an image of depths, normals or coverage lies: `r_12_depth_0001.png` is one of `r_12`.
 fn beside_photo(path: &Path) -> Option<PathBuf> {
     let name = path.file_name()?.to_str()?;
     let name = stem(name);

@@ -14,14 +14,14 @@ pub struct Mask {
 
 read_whole!(Mask as MaskRecord { width: u32, height: u32, words: Vec<u64> } where Mask::is_whole, "a mask has another number of pixels");
 
-/// A mask and how much its maker trusts it.
+/// A mask with the scores of its provider.
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
 pub struct ScoredMask {
     /// The pixels.
     pub mask: Mask,
-    /// Predicted IoU with the object meant, in [0, 1].
+    /// Predicted IoU with the intended object, in [0, 1].
     pub predicted_iou: f32,
-    /// IoU of the masks at a stricter and a looser threshold, in [0, 1] (method, section 5).
+    /// IoU of the masks at a stricter and a looser threshold, in [0, 1] (docs/method.md, section 5).
     pub stability: f32,
 }
 
@@ -119,7 +119,7 @@ impl Mask {
             && self.get(u as u32, v as u32)
     }
 
-    /// Puts a pixel in or takes it out.
+    /// Adds a pixel to the mask or removes it.
     pub fn set(&mut self, x: u32, y: u32, inside: bool) {
         assert!(x < self.width && y < self.height, "pixel ({x}, {y}) outside {}x{}", self.width, self.height);
         let i = y as usize * self.width as usize + x as usize;
@@ -130,7 +130,7 @@ impl Mask {
         }
     }
 
-    /// Puts pixels in, by their indexes, or takes them out.
+    /// Adds pixels to the mask, by their indexes, or removes them.
     pub(crate) fn fill(&mut self, pixels: Range<usize>, inside: bool) {
         let mut at = pixels.start;
         while at < pixels.end {

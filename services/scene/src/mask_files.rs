@@ -1,13 +1,13 @@
 //! Which file is the mask of a photo.
 
-use crate::names::{Entry, Listing, READ, key, last_part, stem};
+use crate::names::{Listing, ListingEntry, READ, key, last_part, stem};
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
-/// The masks in a folder, found by the names of photos: the one place that says what a mask file is called.
+/// The masks in a folder, found by the names of photos. The naming of mask files is defined here and nowhere else.
 ///
 /// The mask of photo `a/b.jpg` is `a/b.jpg.png` (as COLMAP names it) or `a/b.png`; failing those, the same with another ending
-/// of pictures; failing those, the same without the folder (`b.png`) or with the folder in the name (`a_b.png`), where no other
+/// of images; failing those, the same without the folder (`b.png`) or with the folder in the name (`a_b.png`), where no other
 /// photo could mean that file. Where photos differ in their endings alone (`b.jpg` and `b.png`), `b.png` could be the mask of either, and
 /// only `b.jpg.png` counts. Upper and lower case count only where two files differ in nothing else.
 #[derive(Debug)]
@@ -55,7 +55,8 @@ impl MaskFiles {
         self.not_shared(photo).map(|()| None)
     }
 
-    /// Refuses a photo whose mask may be a file that may be another's too: to go on without it would show what is to be hidden.
+    /// Refuses a photo whose mask may be a file that may be another's too: without the mask, the photo would show what is to be
+    /// left out.
     fn not_shared(&self, photo: &str) -> Result<(), String> {
         let key = key(photo);
         let stem = stem(&key);
@@ -73,8 +74,13 @@ impl MaskFiles {
         }
     }
 
-    fn one_of(&self, photo: &str, names: &[String], endings: &[&str]) -> Result<Option<&Entry>, String> {
-        let mut found: Vec<&Entry> = Vec::new();
+    fn one_of(
+        &self,
+        photo: &str,
+        names: &[String],
+        endings: &[&str],
+    ) -> Result<Option<&ListingEntry>, String> {
+        let mut found: Vec<&ListingEntry> = Vec::new();
         let shared = self.shared.contains(stem(&key(photo)));
         for name in names {
             for ending in endings {
@@ -96,7 +102,7 @@ impl MaskFiles {
         }
     }
 
-    /// What the mask of a photo would be called, for a person.
+    /// Names that the mask of a photo may have, for a message.
     pub fn wanted(photo: &str) -> String {
         format!("{}.png or {}.png", stem(photo), last_part(photo))
     }
@@ -107,7 +113,7 @@ impl MaskFiles {
     }
 }
 
-/// What may be left of a name with folders: its last part, and its folders as part of the name.
+/// The short forms of a name with folders: its last part, and its folders as part of the name.
 fn without_folder(key: &str) -> Vec<String> {
     if !key.contains('/') {
         return vec![key.to_owned()];

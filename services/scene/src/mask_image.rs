@@ -1,4 +1,4 @@
-//! Pictures as masks: each is read by its own range, whatever program wrote it.
+//! Images as masks: each is thresholded by its own range, whatever program wrote it.
 
 use crate::decode::{MEGAPIXELS, open_file, pixels_of};
 use crate::{Mask, SceneError};
@@ -22,7 +22,7 @@ const COLOURED: f64 = 0.02;
 const NARROW: f32 = TOP / 8.0;
 
 impl Mask {
-    /// Reads a mask from a picture: what is bright in it, by the range of its own values.
+    /// Reads a mask from an image: its bright pixels, by the range of its own values.
     ///
     /// - Two values, whichever they are (0 and 255, 0 and 1, 0 and 65535, two colours of a palette): the brighter is inside.
     /// - Soft edges, and the ringing of JPEG: over the middle of the range is inside.
@@ -30,15 +30,15 @@ impl Mask {
     /// - Alpha: what is transparent is outside; where all colours are one, alpha itself is the mask.
     ///
     /// # Errors
-    /// The file cannot be read, or is no mask: a photo, a single grey, or a picture of several numbered regions.
+    /// The file cannot be read, or is no mask: a photo, a single grey, or an image of several numbered regions.
     pub fn read_png(path: &Path) -> Result<Mask, SceneError> {
         Mask::read_within(path, pixels_of(MEGAPIXELS))
     }
 
     /// The same, of at most so many pixels.
     pub(crate) fn read_within(path: &Path, most_pixels: u64) -> Result<Mask, SceneError> {
-        let picture = crate::image::read_file_within(path, most_pixels)?;
-        from_picture(&picture, is_lossy(path)).map_err(|reason| SceneError::invalid(path, "picture", reason))
+        let decoded = crate::image::read_file_within(path, most_pixels)?;
+        mask_of(&decoded, is_lossy(path)).map_err(|reason| SceneError::invalid(path, "image", reason))
     }
 }
 
@@ -49,8 +49,8 @@ fn is_lossy(path: &Path) -> bool {
     read.is_ok() && (start[..2] == [0xff, 0xd8] || &start == b"RIFF")
 }
 
-fn from_picture(picture: &DynamicImage, lossy: bool) -> Result<Mask, String> {
-    let pixels = Pixels::of(picture);
+fn mask_of(decoded: &DynamicImage, lossy: bool) -> Result<Mask, String> {
+    let pixels = MaskPixels::of(decoded);
     let mut values = pixels.values(|p| p[3] * brightness(p));
     if values.low == values.high {
         let alpha = pixels.values(|p| TOP * p[3]);
@@ -59,7 +59,9 @@ fn from_picture(picture: &DynamicImage, lossy: bool) -> Result<Mask, String> {
         }
         values = alpha;
     } else if pixels.coloured(&values) > COLOURED {
-        return Err("it has many colours: this is a photo or a drawing, not a mask of two values".into());
+        return Err(
+            "it has many colours: this is a photo or an illustration, not a mask of two values".into()
+        );
     }
     if values.range() < NARROW && (lossy || !values.two_valued()) {
         return values.narrow(lossy);
@@ -135,7 +137,7 @@ impl Values {
             format!("{values}, neither dark nor bright: write the mask as PNG, black and white")
         } else {
             format!(
-                "{values}, several and not two: a picture of numbered regions is no mask; write one with two values"
+                "{values}, several and not two: an image of numbered regions is no mask; write one with two values"
             )
         })
     }
@@ -146,15 +148,15 @@ impl Values {
         self.values.iter().all(|&v| seen.contains(&v) || (seen.insert(v) && seen.len() <= NUMBERS))
     }
 
-    /// Refuses what is not two values with soft edges.
+    /// Refuses an image that is not two values with soft edges.
     fn soft(&self, lossy: bool) -> Result<(), String> {
         let numbers = !lossy && self.are_numbers();
-        let between = |v: u16| {
+        let is_middle = |v: u16| {
             let at = f32::from(v - self.low) / self.range();
             at > END && at < 1.0 - END
         };
         let (w, n) = (self.width, self.values.len() as f64);
-        let amid = self.values.iter().filter(|&&v| between(v)).count() as f64;
+        let amid = self.values.iter().filter(|&&v| is_middle(v)).count() as f64;
         if amid > (1.0 - TWO_VALUED) * n {
             return Err(format!(
                 "{:.0} % of it is neither dark nor bright: this is a photo, not a mask of two values",
@@ -164,13 +166,13 @@ impl Values {
         let flat = |&i: &usize| {
             let (x, v) = (i % w, self.values[i]);
             let alike = |j: usize| self.values.get(j).is_some_and(|&u| u == v);
-            let third = if numbers { v != self.low && v != self.high } else { between(v) };
+            let third = if numbers { v != self.low && v != self.high } else { is_middle(v) };
             third && x > 0 && x + 1 < w && i >= w && [i - 1, i + 1, i - w, i + w].into_iter().all(alike)
         };
         let flat = (0..self.values.len()).filter(flat).count() as f64;
         if flat > FLAT * n {
             return Err(format!(
-                "{:.0} % of it are areas of a third value: a picture of several regions is no mask; write one with two values",
+                "{:.0} % of it are areas of a third value: an image of several regions is no mask; write one with two values",
                 100.0 * flat / n
             ));
         }
@@ -178,40 +180,42 @@ impl Values {
     }
 }
 
-/// The samples of a picture, whatever its depth.
-enum Samples<'a> {
+/// The samples of an image, whatever its depth.
+enum MaskSamples<'a> {
     Bytes(&'a [u8]),
     Words(&'a [u16]),
     Floats(&'a [f32]),
 }
 
-struct Pixels<'a> {
-    samples: Samples<'a>,
+struct MaskPixels<'a> {
+    samples: MaskSamples<'a>,
     channels: usize,
     width: usize,
     height: usize,
 }
 
-impl Pixels<'_> {
-    fn of(picture: &DynamicImage) -> Pixels<'_> {
-        let samples = if let Some(s) = picture.as_flat_samples_u8() {
-            Samples::Bytes(s.samples)
-        } else if let Some(s) = picture.as_flat_samples_u16() {
-            Samples::Words(s.samples)
+impl MaskPixels<'_> {
+    fn of(decoded: &DynamicImage) -> MaskPixels<'_> {
+        let samples = if let Some(s) = decoded.as_flat_samples_u8() {
+            MaskSamples::Bytes(s.samples)
+        } else if let Some(s) = decoded.as_flat_samples_u16() {
+            MaskSamples::Words(s.samples)
         } else {
-            Samples::Floats(picture.as_flat_samples_f32().map_or(&[], |s| s.samples))
+            MaskSamples::Floats(decoded.as_flat_samples_f32().map_or(&[], |s| s.samples))
         };
-        let channels = usize::from(picture.color().channel_count());
-        Pixels { samples, channels, width: picture.width() as usize, height: picture.height() as usize }
+        let channels = usize::from(decoded.color().channel_count());
+        MaskPixels { samples, channels, width: decoded.width() as usize, height: decoded.height() as usize }
     }
 
     /// A sample, 0 to 65535.
     fn sample(&self, k: usize) -> f32 {
         match self.samples {
-            Samples::Bytes(s) => f32::from(s[k]) * 257.0,
-            Samples::Words(s) => f32::from(s[k]),
+            MaskSamples::Bytes(s) => f32::from(s[k]) * 257.0,
+            MaskSamples::Words(s) => f32::from(s[k]),
             // Floats may be anything.
-            Samples::Floats(s) => s.get(k).filter(|v| v.is_finite()).map_or(0.0, |v| v.clamp(0.0, 1.0) * TOP),
+            MaskSamples::Floats(s) => {
+                s.get(k).filter(|v| v.is_finite()).map_or(0.0, |v| v.clamp(0.0, 1.0) * TOP)
+            }
         }
     }
 
@@ -232,7 +236,7 @@ impl Pixels<'_> {
         let values: Vec<u16> = (0..n).map(|i| of(self.at(i)).round() as u16).collect();
         let low = values.iter().copied().min().unwrap_or(0);
         let high = values.iter().copied().max().unwrap_or(0);
-        let step = if matches!(self.samples, Samples::Bytes(_)) { 257 } else { 1 };
+        let step = if matches!(self.samples, MaskSamples::Bytes(_)) { 257 } else { 1 };
         Values { width: self.width, height: self.height, values, low, high, step }
     }
 
@@ -289,8 +293,8 @@ mod tests {
 
     #[test]
     fn an_object_of_1_beside_a_void_of_255_is_refused_and_not_lost() {
-        let said = grey(|x, y| if inside(x, y) { 1 } else { 255 * u8::from(x < 12) }).unwrap_err();
-        assert!(said.contains("third value"), "{said}");
+        let message = grey(|x, y| if inside(x, y) { 1 } else { 255 * u8::from(x < 12) }).unwrap_err();
+        assert!(message.contains("third value"), "{message}");
     }
 
     #[test]

@@ -17,7 +17,7 @@ impl Mask {
         let n = self.width() as usize * self.height() as usize;
         let bytes: Vec<u8> = (0..n).map(|i| if self.index(i) { 255 } else { 0 }).collect();
         crate::image::png(&bytes, self.width(), self.height(), image::ExtendedColorType::L8)
-            .map_err(|e| SceneError::invalid(Path::new("a mask"), "picture", e.to_string()))
+            .map_err(|e| SceneError::invalid(Path::new("a mask"), "image", e.to_string()))
     }
 
     /// Distance in pixels from each pixel's centre to that of the nearest pixel of the mask, row-major: 0 inside,
@@ -144,34 +144,34 @@ struct Envelope {
     line: Vec<f64>,
     /// The parabolas of the envelope and where each begins.
     apex: Vec<usize>,
-    begin: Vec<f64>,
+    starts: Vec<f64>,
 }
 
 impl Envelope {
     fn lower(&mut self, mut put: impl FnMut(usize, f64)) {
         self.apex.clear();
-        self.begin.clear();
+        self.starts.clear();
         for q in (0..self.line.len()).filter(|&q| self.line[q] < FAR) {
             let height = |q: usize| self.line[q] + (q * q) as f64;
             let mut start = f64::NEG_INFINITY;
-            while let (Some(&last), Some(&begin)) = (self.apex.last(), self.begin.last()) {
+            while let (Some(&last), Some(&starts)) = (self.apex.last(), self.starts.last()) {
                 start = (height(q) - height(last)) / (2.0 * (q - last) as f64);
-                if start > begin {
+                if start > starts {
                     break;
                 }
                 self.apex.pop();
-                self.begin.pop();
+                self.starts.pop();
                 start = f64::NEG_INFINITY;
             }
             self.apex.push(q);
-            self.begin.push(start);
+            self.starts.push(start);
         }
         if self.apex.is_empty() {
             return;
         }
         let mut k = 0;
         for p in 0..self.line.len() {
-            while k + 1 < self.apex.len() && self.begin[k + 1] <= p as f64 {
+            while k + 1 < self.apex.len() && self.starts[k + 1] <= p as f64 {
                 k += 1;
             }
             let q = self.apex[k];

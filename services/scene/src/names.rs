@@ -8,7 +8,7 @@ use unicode_normalization::UnicodeNormalization;
 /// Folders deeper than this below the photo folder are not looked into.
 const DEPTH: usize = 12;
 
-/// Endings of pictures that are read, in small letters and best first: the one list of them.
+/// Endings of images that are read, in small letters and best first: the one list of them.
 pub(crate) const READ: [&str; 7] = ["png", "tif", "tiff", "jpg", "jpeg", "webp", "bmp"];
 /// The same in capitals.
 pub(crate) const CAPITALS: [&str; 7] = ["PNG", "JPG", "TIF", "TIFF", "JPEG", "WEBP", "BMP"];
@@ -33,8 +33,8 @@ pub(crate) fn tidy(name: &str) -> String {
     parts.collect::<Vec<_>>().join("/")
 }
 
-/// What two names have in common that are the same to a person: case and the kind of slash do not count, nor whether an accent is a
-/// character of its own, as Macs write it, or part of its letter.
+/// Normal form of a name, equal for names that a person takes for the same: case and the kind of slash do not count, nor whether
+/// an accent is a character of its own, as Macs write it, or part of its letter.
 pub(crate) fn key(name: &str) -> String {
     tidy(name).to_lowercase().nfc().collect()
 }
@@ -57,7 +57,7 @@ fn alike(folder: &Path, name: &str) -> Option<PathBuf> {
     found.next().is_none().then(|| one.path())
 }
 
-/// The part of a name behind its folders.
+/// The part of a name after its folders.
 pub(crate) fn last_part(name: &str) -> &str {
     name.rsplit(['/', '\\']).next().unwrap_or(name)
 }
@@ -79,7 +79,7 @@ pub(crate) fn is_inside(name: &str) -> bool {
 
 /// A file below a folder.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Entry {
+pub(crate) struct ListingEntry {
     /// Its name relative to the folder, with `/`; bytes that are not UTF-8 are taken as Latin-1.
     pub name: String,
     pub path: PathBuf,
@@ -88,7 +88,7 @@ pub(crate) struct Entry {
 /// All files below a folder, by name.
 #[derive(Debug, Default)]
 pub(crate) struct Listing {
-    entries: Vec<Entry>,
+    entries: Vec<ListingEntry>,
     by_key: HashMap<String, Vec<usize>>,
     /// By the key of the last part, and by that without its ending.
     by_last: HashMap<String, Vec<usize>>,
@@ -111,10 +111,10 @@ impl Listing {
     }
 
     /// The files of a name, where case does not count; the one of exactly this name alone, if there is one.
-    pub fn named(&self, name: &str) -> Vec<&Entry> {
+    pub fn named(&self, name: &str) -> Vec<&ListingEntry> {
         let tidied = tidy(name);
         let found = self.by_key.get(&key(&tidied)).map_or(&[][..], Vec::as_slice);
-        let found: Vec<&Entry> = found.iter().map(|&i| &self.entries[i]).collect();
+        let found: Vec<&ListingEntry> = found.iter().map(|&i| &self.entries[i]).collect();
         match found.iter().find(|e| e.name == tidied) {
             Some(exact) => vec![exact],
             None => found,
@@ -122,8 +122,8 @@ impl Listing {
     }
 
     /// The file whose whole name is the longest end of `name`: what is left of a name from another machine. Where case alone
-    /// tells two files apart and neither is written as `name` is, it is none.
-    pub fn tail(&self, name: &str) -> Option<&Entry> {
+    /// distinguishes two files and neither is written as `name` is, it is none.
+    pub fn tail(&self, name: &str) -> Option<&ListingEntry> {
         let tidied = tidy(name);
         let starts = std::iter::once(0).chain(tidied.match_indices('/').map(|(at, _)| at + 1));
         for start in starts {
@@ -138,7 +138,7 @@ impl Listing {
 
     /// A file that may be the one that a person means by a name which is not there: the same last part, or the same but for the
     /// ending.
-    pub fn candidate(&self, name: &str) -> Option<&Entry> {
+    pub fn candidate(&self, name: &str) -> Option<&ListingEntry> {
         let key = key(name);
         let last = last_part(&key);
         let found = self.by_last.get(last).or_else(|| self.by_stem.get(stem(last)))?;
@@ -151,7 +151,7 @@ impl Listing {
     }
 }
 
-fn walk(folder: &Path, within: &str, depth: usize, found: &mut Vec<Entry>) {
+fn walk(folder: &Path, within: &str, depth: usize, found: &mut Vec<ListingEntry>) {
     for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
         let path = entry.path();
         let name = format!("{within}{}", text::line(entry.file_name().as_encoded_bytes()));
@@ -161,7 +161,7 @@ fn walk(folder: &Path, within: &str, depth: usize, found: &mut Vec<Entry>) {
                 walk(&path, &format!("{name}/"), depth - 1, found);
             }
         } else if kind.is_file() || path.is_file() {
-            found.push(Entry { name, path });
+            found.push(ListingEntry { name, path });
         }
     }
 }
@@ -184,7 +184,7 @@ mod tests {
         assert_eq!(tail("/home/other/images/a.jpg"), Some("a.JPG"));
         assert_eq!(tail("../../a.jpg"), Some("a.JPG"));
         assert_eq!((tail("cam1/b.jpg"), tail("x/cam1/B.jpg")), (Some("cam1/b.jpg"), Some("cam1/B.jpg")));
-        // Case alone tells them apart; and a file in another folder is not the same.
+        // They differ in case alone; and a file in another folder is not the same.
         assert_eq!((tail("CAM1/B.JPG"), tail("cam2/b.jpg")), (None, None));
         let candidate = |name: &str| listing.candidate(name).map(|e| e.name.as_str());
         assert_eq!((candidate("cam2/b.jpg"), candidate("c.jpg")), (Some("cam1/B.jpg"), Some("c.png")));

@@ -1,12 +1,12 @@
 //! Opening a scene: find what is there, check it against the photos, normalise.
 
-use crate::decode::{self, Head, pixels_of};
+use crate::decode::{self, ImageHead, pixels_of};
 use crate::draft::{Draft, DraftPhoto, DraftPoint, DraftPose};
 use crate::frame::{Placed, Placing};
 use crate::locate::{find, folder_setting, locate, setting, unheld};
 use crate::mask_files::MaskFiles;
 use crate::names::is_inside;
-use crate::split::{Part, Split};
+use crate::split::{Split, SplitPart};
 use crate::{
     DARKEST, Frame, Observation, Photo, Point, Pose, Reading, Scene, SceneError, SceneSettings, Seal,
     Skipped, View,
@@ -35,12 +35,12 @@ impl Scene {
         let located = locate(&mut draft, &images);
         draft.notes.extend(unheld(&draft, &located));
         let draft = draft;
-        let mut told = Vec::new();
+        let mut remarks = Vec::new();
         let names: Vec<&str> = draft.photos.iter().map(|p| p.name.as_str()).collect();
         let model = Some(&*draft.source).filter(|source| source.is_dir() && **source != folder);
         let near: Vec<&Path> = [folder.as_path()].into_iter().chain(model).collect();
-        let split = Split::find(&near, settings, &names, draft.split.clone(), &mut told)?;
-        let keep = keep::find(&folder, &images, ignore.as_deref(), settings, &draft, &mut told)?;
+        let split = Split::find(&near, settings, &names, draft.split.clone(), &mut remarks)?;
+        let keep = keep::find(&folder, &images, ignore.as_deref(), settings, &draft, &mut remarks)?;
         let ignored = ignore.as_ref().map(|folder| MaskFiles::new(folder, names.iter().copied()));
 
         let mut skipped = Vec::new();
@@ -48,12 +48,12 @@ impl Scene {
         if let Some(split) = &split {
             for (name, part) in split.unmatched(&names) {
                 let why =
-                    if *part == Part::NoPose { "the split has no pose of it" } else { "it has no pose" };
+                    if *part == SplitPart::NoPose { "the split has no pose of it" } else { "it has no pose" };
                 skip(name, format!("{why}: the reconstruction did not place it"));
             }
         }
         let held: HashSet<PathBuf> = located.iter().flatten().cloned().collect();
-        let checked: Vec<Result<Checked, String>> = draft
+        let checked: Vec<Result<CheckedPhoto, String>> = draft
             .photos
             .par_iter()
             .zip(located)
@@ -61,7 +61,7 @@ impl Scene {
                 check(photo, path, &held, ignored.as_ref(), keep.as_ref(), split.as_ref(), settings)
             })
             .collect();
-        let mut usable: BTreeMap<&str, (usize, Checked)> = BTreeMap::new();
+        let mut usable: BTreeMap<&str, (usize, CheckedPhoto)> = BTreeMap::new();
         for (i, (photo, checked)) in draft.photos.iter().zip(checked).enumerate() {
             match checked {
                 Err(reason) => skip(&photo.name, reason),
@@ -157,9 +157,9 @@ impl Scene {
             source = %draft.source.display(),
             "scene opened"
         );
-        told.extend(split.iter().map(|split| split_in_words(split, &views, &draft, settings)));
-        told.extend(notes(&draft, views.len(), points.len(), &view_of));
-        let mut notes = told;
+        remarks.extend(split.iter().map(|split| split_in_words(split, &views, &draft, settings)));
+        remarks.extend(notes(&draft, views.len(), points.len(), &view_of));
+        let mut notes = remarks;
         notes.extend(copies(copied).into_iter().chain(cut_outs).chain(orientations));
         notes.extend(
             placing
@@ -173,16 +173,17 @@ impl Scene {
     }
 }
 
-/// Photos whose focal length is so far from the others' that the reconstruction went wrong there: one alone makes what near and far
-/// means of all.
-fn far_off<'a>(usable: &BTreeMap<&'a str, (usize, Checked)>) -> Vec<(&'a str, String)> {
-    let ratio =
-        |c: &Checked| f64::from(c.camera.fx.max(c.camera.fy) / c.camera.width.max(c.camera.height) as f32);
+/// Photos whose focal length is so far from the others' that the reconstruction went wrong there: one alone distorts the depth
+/// range of all.
+fn far_off<'a>(usable: &BTreeMap<&'a str, (usize, CheckedPhoto)>) -> Vec<(&'a str, String)> {
+    let ratio = |c: &CheckedPhoto| {
+        f64::from(c.camera.fx.max(c.camera.fy) / c.camera.width.max(c.camera.height) as f32)
+    };
     let mut ratios: Vec<f64> = usable.values().map(|(_, c)| ratio(c)).collect();
     ratios.sort_by(f64::total_cmp);
     let usual = ratios.get(ratios.len() / 2).copied().unwrap_or(1.0);
-    let far = |c: &Checked| ratios.len() > 3 && !(usual / FAR_OFF..=usual * FAR_OFF).contains(&ratio(c));
-    let reason = |c: &Checked| {
+    let far = |c: &CheckedPhoto| ratios.len() > 3 && !(usual / FAR_OFF..=usual * FAR_OFF).contains(&ratio(c));
+    let reason = |c: &CheckedPhoto| {
         format!(
             "its camera has a focal length of {:.1} photo lengths where {usual:.1} is usual here: the reconstruction went wrong there",
             ratio(c)
@@ -224,8 +225,8 @@ fn notes(draft: &Draft, views: usize, points: usize, view_of: &[Option<u32>]) ->
     // nerfstudio's points never say who saw them.
     if unseen > 0 && (unseen < all || draft.source.extension().is_none_or(|e| e != "json")) {
         notes.push(format!(
-            "{source}: {unseen} of {all} points name no photo that sees them: they start splats, and no photo's light or \
-             transients can be told by them"
+            "{source}: {unseen} of {all} points name no photo that sees them: they start splats, but do not help to find any \
+             photo's light or transients"
         ));
     }
     if points == 0 {
@@ -240,17 +241,17 @@ fn notes(draft: &Draft, views: usize, points: usize, view_of: &[Option<u32>]) ->
 }
 
 /// A photo that passed every check.
-struct Checked {
+struct CheckedPhoto {
     photo: Photo,
     camera: crate::Camera,
     pose: DraftPose,
     /// What to say where a converted copy stands for the photo.
     copied: Option<String>,
-    /// Its EXIF orientation, where its size does not tell whether the poses are of the turned pixels.
+    /// Its EXIF orientation, where its size does not decide whether the poses are of the turned pixels.
     ambiguous: Option<Orientation>,
 }
 
-impl Checked {
+impl CheckedPhoto {
     /// Where it stands; `photo` is its index in the draft.
     fn placed<'a>(&self, photo: usize, draft: &'a Draft) -> Option<Placed<'a>> {
         let lens = draft.photos[photo].lens.as_ref().ok()?;
@@ -281,17 +282,17 @@ fn check(
     keep: Option<&MaskFiles>,
     split: Option<&Split>,
     settings: &SceneSettings,
-) -> Result<Checked, String> {
+) -> Result<CheckedPhoto, String> {
     if !is_inside(&photo.name) {
         path?;
         return Err("its name is not that of a file inside the photo folder".into());
     }
     match split.map(|s| (s, s.part(&photo.name))) {
         Some((s, None)) => return Err(format!("it is not listed in the split {}", s.path.display())),
-        Some((s, Some(Part::Validation))) => {
+        Some((s, Some(SplitPart::Validation))) => {
             return Err(format!("the split {} keeps it for validation", s.path.display()));
         }
-        Some((s, Some(Part::NoPose))) => {
+        Some((s, Some(SplitPart::NoPose))) => {
             return Err(format!("the split {} gives it no id", s.path.display()));
         }
         _ => {}
@@ -312,7 +313,7 @@ fn check(
     let filled = lens.filled();
     if filled < HALF {
         return Err(format!(
-            "its lens cannot be right: of the undistorted picture only {:.0} % can be filled from the photo",
+            "its lens cannot be right: of the undistorted image only {:.0} % can be filled from the photo",
             100.0 * filled
         ));
     }
@@ -323,7 +324,7 @@ fn check(
     let most_pixels = pixels_of(settings.max_megapixels);
     let mut bytes = head.photo_bytes(&camera, lens.is_distorted(), settings.size);
     for mask in [&ignore, &usable].into_iter().flatten() {
-        let head = Head::read(mask, most_pixels)
+        let head = ImageHead::read(mask, most_pixels)
             .map_err(|reason| format!("its mask {}: {reason}", mask.display()))?;
         bytes = bytes.max(head.bytes_for(head.width, head.height));
     }
@@ -331,7 +332,7 @@ fn check(
     let reading = Reading { bytes, empty: head.has_alpha(), turned: false, most_pixels };
     let ambiguous = head.ambiguous_orientation();
     let lens = lens.is_distorted().then_some(lens);
-    Ok(Checked {
+    Ok(CheckedPhoto {
         photo: Photo { path, ignore, usable, lens, seal, reading },
         camera,
         pose,
@@ -346,10 +347,10 @@ fn readable(
     path: PathBuf,
     held: &HashSet<PathBuf>,
     settings: &SceneSettings,
-) -> Result<(PathBuf, Head, Option<String>), String> {
+) -> Result<(PathBuf, ImageHead, Option<String>), String> {
     let most = pixels_of(settings.max_megapixels);
     let read = match path.exists() {
-        true => Head::read(&path, most),
+        true => ImageHead::read(&path, most),
         false => Err(format!("there is no file {}", path.display())),
     };
     // A file that is another photo is nobody's copy.
@@ -358,7 +359,7 @@ fn readable(
         Ok(head) => (path, head, None),
         Err((reason, None)) => return Err(reason),
         Err((_, Some(copy))) => {
-            let head = Head::read(&copy, most)?;
+            let head = ImageHead::read(&copy, most)?;
             let note = format!("{} is read from its converted copy {}", path.display(), copy.display());
             (copy, head, Some(note))
         }
@@ -367,7 +368,7 @@ fn readable(
     Ok((path, head, note))
 }
 
-/// Least share of the undistorted picture that a photo must fill for its lens to be believed.
+/// Least share of the undistorted image that a photo must fill for its lens to be accepted.
 const HALF: f64 = 0.5;
 
 fn nothing_usable(draft: &Draft, skipped: &[Skipped]) -> SceneError {
@@ -416,7 +417,8 @@ fn observed(
 /// Which split is taken, and how many photos it gives to what.
 fn split_in_words(split: &Split, views: &[View], draft: &Draft, settings: &SceneSettings) -> String {
     let tests = views.iter().filter(|view| view.test).count();
-    let of = |photo: &&DraftPhoto| matches!(split.part(&photo.name), Some(Part::Train | Part::Test));
+    let of =
+        |photo: &&DraftPhoto| matches!(split.part(&photo.name), Some(SplitPart::Train | SplitPart::Test));
     let left = draft.photos.len() - draft.photos.iter().filter(of).count();
     let who = if settings.hold_out > 0 { ", as `hold_out` says" } else { "" };
     format!(
@@ -431,7 +433,7 @@ fn hold_out(views: &mut [View], split: Option<&Split>, every: u32) -> Result<(),
         view.test = if every > 0 {
             i % every as usize == 0
         } else {
-            split.is_some_and(|s| s.part(&view.name) == Some(Part::Test))
+            split.is_some_and(|s| s.part(&view.name) == Some(SplitPart::Test))
         };
     }
     if views.iter().all(|v| v.test) {

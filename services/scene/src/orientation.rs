@@ -35,9 +35,9 @@ const CELLS: f32 = 48.0;
 /// Photos named one by one in a note; more of them are counted.
 const NAMED: usize = 5;
 
-/// What the points say of a photo.
+/// Result of comparing a photo with the points' colours.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Verdict {
+enum OrientationVerdict {
     Turned,
     Stored,
     /// Too few points with colours lie in it.
@@ -50,15 +50,15 @@ enum Verdict {
 
 /// A point in a photo.
 #[derive(Clone, Copy, Debug)]
-struct Keypoint {
-    /// Where, in shares of the photo's width and height, before undistortion.
+struct ColouredKeypoint {
+    /// Position in shares of the photo's width and height, before undistortion.
     at: [f64; 2],
     /// The point's colour, sRGB in [0, 1].
     colour: [f32; 3],
 }
 
 /// Decides for each ambiguous photo (index of the view, EXIF orientation) whether it is turned, and sets
-/// [`crate::Reading::turned`] of those that are. Returns what to say of them; nothing where there are none.
+/// [`crate::Reading::turned`] of those that are. Returns notes for the user; none where no photo is ambiguous.
 pub(crate) fn decide(
     views: &mut [View],
     points: &[Point],
@@ -71,15 +71,19 @@ pub(crate) fn decide(
     let bytes: Vec<u64> = ambiguous.par_iter().map(|&(i, _)| views[i].decoding_bytes(SIZE)).collect();
     let verdict = |k: usize| {
         let (i, orientation) = ambiguous[k];
-        if bytes[k] > DEAR { Verdict::TooLarge } else { verdict(&views[i], orientation, &keypoints[k]) }
+        if bytes[k] > DEAR {
+            OrientationVerdict::TooLarge
+        } else {
+            verdict(&views[i], orientation, &keypoints[k])
+        }
     };
-    let verdicts: Vec<Verdict> = batches(&bytes)
+    let verdicts: Vec<OrientationVerdict> = batches(&bytes)
         .into_iter()
         .flat_map(|batch| batch.into_par_iter().map(verdict).collect::<Vec<_>>())
         .collect();
-    let mut groups: BTreeMap<(Verdict, u8), Vec<&str>> = BTreeMap::new();
+    let mut groups: BTreeMap<(OrientationVerdict, u8), Vec<&str>> = BTreeMap::new();
     for (&(i, orientation), &verdict) in ambiguous.iter().zip(&verdicts) {
-        views[i].photo.reading.turned = verdict == Verdict::Turned;
+        views[i].photo.reading.turned = verdict == OrientationVerdict::Turned;
         groups.entry((verdict, orientation.to_exif())).or_default().push(&views[i].name);
     }
     groups.iter().map(|((verdict, exif), names)| in_words(*verdict, *exif, names)).collect()
@@ -103,10 +107,14 @@ fn batches(bytes: &[u64]) -> Vec<std::ops::Range<usize>> {
 }
 
 /// The keypoints with colours of each ambiguous photo. A point that names no photo is projected.
-fn keypoints(views: &[View], points: &[Point], ambiguous: &[(usize, Orientation)]) -> Vec<Vec<Keypoint>> {
+fn keypoints(
+    views: &[View],
+    points: &[Point],
+    ambiguous: &[(usize, Orientation)],
+) -> Vec<Vec<ColouredKeypoint>> {
     let none = colourless(points);
     let coloured = || points.iter().filter(|point| Some(point.colour) != none);
-    let mut found: BTreeMap<u32, Vec<Keypoint>> =
+    let mut found: BTreeMap<u32, Vec<ColouredKeypoint>> =
         ambiguous.iter().map(|(i, _)| (*i as u32, Vec::new())).collect();
     for point in coloured() {
         for sighting in &point.track {
@@ -116,7 +124,7 @@ fn keypoints(views: &[View], points: &[Point], ambiguous: &[(usize, Orientation)
         }
     }
     let untracked: Vec<&Point> = coloured().filter(|point| point.track.is_empty()).collect();
-    let of_view = |(i, mut found): (u32, Vec<Keypoint>)| {
+    let of_view = |(i, mut found): (u32, Vec<ColouredKeypoint>)| {
         if found.len() < FEWEST {
             found.extend(projected(&views[i as usize], &untracked));
         }
@@ -126,15 +134,15 @@ fn keypoints(views: &[View], points: &[Point], ambiguous: &[(usize, Orientation)
     found.into_iter().collect::<Vec<_>>().into_par_iter().map(of_view).collect()
 }
 
-fn thinned(keypoints: Vec<Keypoint>) -> Vec<Keypoint> {
+fn thinned(keypoints: Vec<ColouredKeypoint>) -> Vec<ColouredKeypoint> {
     let every = keypoints.len().div_ceil(MOST).max(1);
     keypoints.into_iter().step_by(every).collect()
 }
 
 /// Points that name no photo, in a photo: the nearest in each cell, for it hides those behind it.
-fn projected(view: &View, points: &[&Point]) -> Vec<Keypoint> {
+fn projected(view: &View, points: &[&Point]) -> Vec<ColouredKeypoint> {
     let cell = view.camera.width.max(view.camera.height) as f32 / CELLS;
-    let mut nearest: BTreeMap<[u32; 2], (f32, Keypoint)> = BTreeMap::new();
+    let mut nearest: BTreeMap<[u32; 2], (f32, ColouredKeypoint)> = BTreeMap::new();
     for point in points {
         let at = view.pose.to_camera(point.position);
         let pixel = view.camera.pixel(at);
@@ -150,25 +158,25 @@ fn projected(view: &View, points: &[&Point]) -> Vec<Keypoint> {
     nearest.into_values().map(|(_, keypoint)| keypoint).collect()
 }
 
-fn keypoint(view: &View, pixel: [f32; 2], colour: [f32; 3]) -> Option<Keypoint> {
+fn keypoint(view: &View, pixel: [f32; 2], colour: [f32; 3]) -> Option<ColouredKeypoint> {
     let taken = view.to_taken(pixel)?;
     let share = |at: f32, size: u32| f64::from(at) / f64::from(size);
     let at = [share(taken[0], view.camera.width), share(taken[1], view.camera.height)];
-    at.iter().all(|share| (0.0..=1.0).contains(share)).then_some(Keypoint { at, colour })
+    at.iter().all(|share| (0.0..=1.0).contains(share)).then_some(ColouredKeypoint { at, colour })
 }
 
-fn verdict(view: &View, orientation: Orientation, keypoints: &[Keypoint]) -> Verdict {
+fn verdict(view: &View, orientation: Orientation, keypoints: &[ColouredKeypoint]) -> OrientationVerdict {
     if keypoints.len() < FEWEST {
-        return Verdict::Few;
+        return OrientationVerdict::Few;
     }
     match view.stored_pixels(SIZE) {
         Ok(photo) => compare(&photo, orientation, keypoints),
-        Err(_) => Verdict::Unreadable,
+        Err(_) => OrientationVerdict::Unreadable,
     }
 }
 
 /// Compares the colours with the photo's pixels, as stored and as turned.
-fn compare(photo: &Image, orientation: Orientation, keypoints: &[Keypoint]) -> Verdict {
+fn compare(photo: &Image, orientation: Orientation, keypoints: &[ColouredKeypoint]) -> OrientationVerdict {
     let stored = errors(photo, Orientation::NoTransforms, keypoints);
     let turned = errors(photo, orientation, keypoints);
     let count = |wins: fn(&f32, &f32) -> bool| {
@@ -178,17 +186,17 @@ fn compare(photo: &Image, orientation: Orientation, keypoints: &[Keypoint]) -> V
     let sigmas = (for_stored - for_turned) / (for_stored + for_turned).max(1.0).sqrt();
     let (stored, turned) = (median(stored), median(turned));
     if sigmas >= SURE && stored <= RATIO * turned {
-        Verdict::Stored
+        OrientationVerdict::Stored
     } else if sigmas <= -SURE && turned <= RATIO * stored {
-        Verdict::Turned
+        OrientationVerdict::Turned
     } else {
-        Verdict::Alike
+        OrientationVerdict::Alike
     }
 }
 
 /// The error of each keypoint in the photo turned so.
-fn errors(photo: &Image, orientation: Orientation, keypoints: &[Keypoint]) -> Vec<f32> {
-    let pixel = |keypoint: &Keypoint| {
+fn errors(photo: &Image, orientation: Orientation, keypoints: &[ColouredKeypoint]) -> Vec<f32> {
+    let pixel = |keypoint: &ColouredKeypoint| {
         let [u, v] = before_turn(keypoint.at, orientation);
         let mut pixel = [0.0; 3];
         sample(photo, [u * photo.width as f64, v * photo.height as f64], |c, value| pixel[c] = value);
@@ -219,7 +227,7 @@ fn median(mut values: Vec<f32>) -> f32 {
     *values.select_nth_unstable_by(middle, f32::total_cmp).1
 }
 
-fn in_words(verdict: Verdict, exif: u8, names: &[&str]) -> String {
+fn in_words(verdict: OrientationVerdict, exif: u8, names: &[&str]) -> String {
     let (photos, one) = (listed(names), names.len() == 1);
     let (are, their) = if one { ("is", "its") } else { ("are", "their") };
     let unchecked = |why: &str| {
@@ -229,18 +237,18 @@ fn in_words(verdict: Verdict, exif: u8, names: &[&str]) -> String {
         )
     };
     match verdict {
-        Verdict::Turned => format!(
+        OrientationVerdict::Turned => format!(
             "{photos} {are} turned by {their} EXIF orientation {exif}: the colours of the points fit the pixels so, and not as they \
              are stored"
         ),
-        Verdict::Stored => format!(
+        OrientationVerdict::Stored => format!(
             "{photos} {are} read as stored, without {their} EXIF orientation {exif}: the colours of the points fit the pixels so, \
              and not turned"
         ),
-        Verdict::Few => unchecked("too few points with colours lie there"),
-        Verdict::Alike => unchecked("their colours fit both ways alike"),
-        Verdict::TooLarge => unchecked("decoding takes too much memory here"),
-        Verdict::Unreadable => unchecked("decoding failed"),
+        OrientationVerdict::Few => unchecked("too few points with colours lie there"),
+        OrientationVerdict::Alike => unchecked("their colours fit both ways alike"),
+        OrientationVerdict::TooLarge => unchecked("decoding takes too much memory here"),
+        OrientationVerdict::Unreadable => unchecked("decoding failed"),
     }
 }
 
@@ -257,12 +265,12 @@ mod tests {
     use super::*;
 
     /// A photo of 48 x 48 pixels that differs everywhere, and a keypoint in the middle of each third pixel.
-    fn photo_with_keypoints() -> (Image, Vec<Keypoint>) {
+    fn photo_with_keypoints() -> (Image, Vec<ColouredKeypoint>) {
         let mut photo = Image::zeros(48, 48, 3);
         let mut random = crate::Random::new(7);
         photo.data.iter_mut().for_each(|value| *value = random.uniform());
         let cells = (0..16 * 16).map(|k| [3 * (k % 16), 3 * (k / 16)]);
-        let keypoint = |[x, y]: [usize; 2]| Keypoint {
+        let keypoint = |[x, y]: [usize; 2]| ColouredKeypoint {
             at: [x, y].map(|at| (at as f64 + 0.5) / 48.0),
             colour: [0, 1, 2].map(|c| photo.at(c, x, y)),
         };
@@ -276,19 +284,20 @@ mod tests {
         for keypoint in &mut keypoints {
             keypoint.colour = [0.3 * keypoint.colour[0], 0.5 * keypoint.colour[1], 0.9 * keypoint.colour[2]];
         }
-        assert_eq!(compare(&photo, Orientation::Rotate180, &keypoints), Verdict::Stored);
+        assert_eq!(compare(&photo, Orientation::Rotate180, &keypoints), OrientationVerdict::Stored);
     }
 
     #[test]
     fn a_photo_is_not_turned_because_its_points_fall_on_black_then() {
         let (mut photo, keypoints) = photo_with_keypoints();
-        let kept: Vec<Keypoint> = keypoints.into_iter().filter(|keypoint| keypoint.at[0] < 0.5).collect();
+        let kept: Vec<ColouredKeypoint> =
+            keypoints.into_iter().filter(|keypoint| keypoint.at[0] < 0.5).collect();
         for i in 0..photo.data.len() {
             if i % 48 >= 24 {
                 photo.data[i] = 0.0;
             }
         }
-        assert_eq!(compare(&photo, Orientation::FlipHorizontal, &kept), Verdict::Stored);
+        assert_eq!(compare(&photo, Orientation::FlipHorizontal, &kept), OrientationVerdict::Stored);
     }
 
     #[test]
@@ -301,7 +310,11 @@ mod tests {
             }
             for exif in [2, 3, 6] {
                 let orientation = Orientation::from_exif(exif).expect("an orientation");
-                assert_eq!(compare(&photo, orientation, &keypoints), Verdict::Alike, "{shift}, {exif}");
+                assert_eq!(
+                    compare(&photo, orientation, &keypoints),
+                    OrientationVerdict::Alike,
+                    "{shift}, {exif}"
+                );
             }
         }
     }

@@ -1,6 +1,6 @@
 //! Loading a photo: decode, turn, undistort, scale down, mark what is not to be trusted.
 
-use crate::decode::{self, Decoded, Head, swaps_sides};
+use crate::decode::{self, Decoded, ImageHead, swaps_sides};
 use crate::lens::Lens;
 use crate::{Camera, Image, Mask, SceneError, View};
 use fast_image_resize as fir;
@@ -129,8 +129,8 @@ impl View {
     /// Most bytes that decoding the photo for this size or one of its masks takes, as their heads say; what cannot be read takes
     /// none.
     pub(crate) fn decoding_bytes(&self, long_side: u32) -> u64 {
-        let of_photo = |head: Head| head.photo_bytes(&self.camera, self.photo.lens.is_some(), long_side);
-        let photo = Head::read(&self.photo.path, self.most_pixels()).map_or(0, of_photo);
+        let of_photo = |head: ImageHead| head.photo_bytes(&self.camera, self.photo.lens.is_some(), long_side);
+        let photo = ImageHead::read(&self.photo.path, self.most_pixels()).map_or(0, of_photo);
         photo.max(self.mask_bytes())
     }
 
@@ -139,8 +139,8 @@ impl View {
     }
 
     /// The photo's head, and how the stored pixels are turned to agree with the camera and its pose.
-    fn head(&self) -> Result<(Head, Orientation), String> {
-        let head = Head::read(&self.photo.path, self.most_pixels())?;
+    fn head(&self) -> Result<(ImageHead, Orientation), String> {
+        let head = ImageHead::read(&self.photo.path, self.most_pixels())?;
         let by_size = head.turned(self.camera.width, self.camera.height)?.is_some();
         let turned = by_size || self.photo.reading.turned;
         let orientation = if turned { head.orientation } else { Orientation::NoTransforms };
@@ -212,22 +212,22 @@ impl View {
     }
 }
 
-/// Bytes that decoding one picture may take while a scene is opened, for no memory budget is set by then.
+/// Bytes that decoding one image may take while a scene is opened, for no memory budget is set by then.
 const CHEAP: u64 = 64 << 20;
-/// The same where nearly no picture of the scene takes less: one of 12 megapixels in any format.
+/// The same where nearly no image of the scene takes less: one of 12 megapixels in any format.
 pub(crate) const DEAR: u64 = 256 << 20;
 
-/// Of pictures, each with the bytes that decoding it takes, those that may be decoded while a scene is opened: the cheap ones, or
+/// Of images, each with the bytes that decoding it takes, those that may be decoded while a scene is opened: the cheap ones, or
 /// also dearer ones where the cheap are fewer than `wanted` and not all.
-pub(crate) fn cheap_ones<T>(pictures: Vec<(T, u64)>, wanted: usize) -> Vec<T> {
-    let cheap = pictures.iter().filter(|(_, bytes)| *bytes <= CHEAP).count();
+pub(crate) fn cheap_ones<T>(images: Vec<(T, u64)>, wanted: usize) -> Vec<T> {
+    let cheap = images.iter().filter(|(_, bytes)| *bytes <= CHEAP).count();
     let most = if cheap >= wanted { CHEAP } else { DEAR };
-    pictures.into_iter().filter(|(_, bytes)| *bytes <= most).map(|(picture, _)| picture).collect()
+    images.into_iter().filter(|(_, bytes)| *bytes <= most).map(|(image, _)| image).collect()
 }
 
-/// Most bytes that decoding a whole picture of at most so many pixels takes; none where it cannot be decoded.
+/// Most bytes that decoding a whole image of at most so many pixels takes; none where it cannot be decoded.
 pub(crate) fn bytes_of(path: &Path, most_pixels: u64) -> u64 {
-    Head::read(path, most_pixels).map_or(0, |head| head.bytes_for(head.width, head.height))
+    ImageHead::read(path, most_pixels).map_or(0, |head| head.bytes_for(head.width, head.height))
 }
 
 /// Longest side at which a photo is examined.
@@ -243,7 +243,7 @@ fn stored(size: &Camera, turned: bool) -> (u32, u32) {
     if turned { (size.height, size.width) } else { (size.width, size.height) }
 }
 
-impl Head {
+impl ImageHead {
     /// Size as stored, without regard to the orientation: what COLMAP sees.
     pub(crate) fn stored(&self) -> (u32, u32) {
         (self.width, self.height)
@@ -453,7 +453,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn one_large_picture_among_small_ones_is_not_decoded_to_learn_what_they_are() {
+    fn one_large_image_among_small_ones_is_not_decoded_to_learn_what_they_are() {
         let kept = |mib: &[u64]| cheap_ones(mib.iter().map(|mib| (*mib, mib << 20)).collect(), 2);
         assert_eq!(kept(&[1, 700, 2, 100]), [1, 2]);
         // Where all are as large as photos are, those are looked at; what is larger never.
@@ -486,7 +486,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("large.tif");
         std::fs::write(&path, file).unwrap();
-        let head = Head::read(&path, 200_000_000).unwrap();
+        let head = ImageHead::read(&path, 200_000_000).unwrap();
         assert!(head.has_alpha());
         // A TIFF does not shrink while it is decoded.
         assert!(bytes_of(&path, 200_000_000) > DEAR && head.bytes_for(160, 120) > DEAR);

@@ -13,7 +13,7 @@ pub use export::Export;
 pub(crate) use points::{Coloured, read_points};
 
 use crate::{SceneError, Splats};
-use header::Table;
+use header::VertexTable;
 use segwild_files::write_atomic;
 use std::path::Path;
 
@@ -30,7 +30,7 @@ pub fn read(path: &Path) -> Result<Splats, SceneError> {
         return read_splat(path);
     }
     let bytes = crate::decode::read_bytes(path).map_err(SceneError::io(path))?;
-    let table = Table::parse(path, &bytes)?;
+    let table = VertexTable::parse(path, &bytes)?;
     let column = |name: &str| {
         table.column(name).ok_or_else(|| {
             SceneError::invalid(
@@ -73,7 +73,7 @@ pub fn read(path: &Path) -> Result<Splats, SceneError> {
 /// Reads one more property per splat as bytes, such as a label; `None` when the file has no such property.
 pub fn read_extra(path: &Path, name: &str) -> Result<Option<Vec<u8>>, SceneError> {
     let bytes = crate::decode::read_bytes(path).map_err(SceneError::io(path))?;
-    let table = Table::parse(path, &bytes)?;
+    let table = VertexTable::parse(path, &bytes)?;
     Ok(table.column(name).map(|c| (0..table.len()).map(|row| table.value(row, c) as u8).collect()))
 }
 

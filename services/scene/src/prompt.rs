@@ -1,4 +1,4 @@
-//! What a person points at.
+//! Prompts: a person's clicks and boxes.
 
 use serde::{Deserialize, Serialize};
 use wincode::{SchemaRead, SchemaWrite};
@@ -27,7 +27,7 @@ pub struct BoxPrompt {
     pub y1: f32,
 }
 
-/// Everything said about one object on one photo.
+/// All prompts for one object on one photo.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, SchemaRead, SchemaWrite)]
 pub struct Prompts {
     /// Clicks, positive and negative.

@@ -22,7 +22,7 @@ impl Random {
         Random { state }
     }
 
-    /// A stream of its own for a (seed, index) pair: what is drawn for one does not depend on the others.
+    /// A stream of its own for a (seed, index) pair: its samples do not depend on those of other pairs.
     pub fn stream(seed: u64, index: u64) -> Random {
         Random::new(seed ^ index.wrapping_mul(0xd1b5_4a32_d192_ed03))
     }
@@ -59,7 +59,7 @@ impl Random {
         (-2.0 * u.ln()).sqrt() * (std::f32::consts::TAU * v).cos()
     }
 
-    /// Moves `count` elements drawn without replacement to the front, in random order.
+    /// Moves `count` elements, sampled without replacement, to the front, in random order.
     pub fn draw<T>(&mut self, items: &mut [T], count: usize) {
         for i in 0..count.min(items.len()) {
             let j = i + self.below(items.len() - i);

@@ -5,15 +5,15 @@ use crate::Mask;
 use std::ops::Range;
 
 /// The connected regions of a mask.
-struct Regions {
+struct LabelledRegions {
     /// Pixels of one row that follow one another, as indexes, and the region they lie in, row by row.
     runs: Vec<(Range<usize>, usize)>,
     /// Pixels of each region; regions are in the order of their first pixels.
     areas: Vec<usize>,
 }
 
-impl Regions {
-    fn of(mask: &Mask, diagonals: bool) -> Regions {
+impl LabelledRegions {
+    fn of(mask: &Mask, diagonals: bool) -> LabelledRegions {
         let (w, n) = (mask.width() as usize, mask.width() as usize * mask.height() as usize);
         let mut runs: Vec<Range<usize>> = Vec::new();
         // Per run an earlier one of its region, or itself where none is known.
@@ -56,7 +56,7 @@ impl Regions {
             areas[name] += runs[k].len();
             region.push(name);
         }
-        Regions { runs: runs.into_iter().zip(region).collect(), areas }
+        LabelledRegions { runs: runs.into_iter().zip(region).collect(), areas }
     }
 }
 
@@ -72,7 +72,7 @@ fn root(first: &mut [usize], mut run: usize) -> usize {
 impl Mask {
     /// Connected regions: per pixel 0 outside and 1.. inside, in the order of their first pixels, and their number.
     pub(crate) fn labelled(&self, diagonals: bool) -> (Vec<u32>, usize) {
-        let regions = Regions::of(self, diagonals);
+        let regions = LabelledRegions::of(self, diagonals);
         let mut labels = vec![0; self.width() as usize * self.height() as usize];
         for (run, region) in regions.runs {
             labels[run].fill(region as u32 + 1);
@@ -84,7 +84,7 @@ impl Mask {
     /// (4-connected) filled. If every island is that small, the mask becomes empty.
     pub fn without_specks(&self, least: usize) -> Mask {
         let small = |mask: &Mask, diagonals| {
-            let regions = Regions::of(mask, diagonals);
+            let regions = LabelledRegions::of(mask, diagonals);
             let small = |region: usize| regions.areas[region] < least;
             regions.runs.iter().filter(|r| small(r.1)).map(|r| r.0.clone()).collect::<Vec<_>>()
         };

@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-/// What some files were when a scene was opened. What is made from photos is named after their bytes, so a photo that
-/// somebody writes over, or moves away, must not be taken for the one that was there.
+/// State of some files when a scene was opened. Artefacts are keyed by the photos' bytes, so a photo that somebody overwrites or
+/// moves must not be taken for the one that was there.
 ///
 /// ```
 /// # let dir = tempfile::tempdir()?;

@@ -24,13 +24,13 @@ use std::ops::{Bound, RangeBounds};
 pub struct Field {
     /// Name as in the struct and in `segwild.toml`; the flag has dashes for underscores.
     pub name: &'static str,
-    /// What it does and in which unit.
+    /// Its effect, and its unit.
     pub doc: &'static str,
     /// What kind of value it takes.
     pub kind: &'static str,
-    /// The words it accepts, if it is a choice.
+    /// The accepted words, if it is a choice.
     pub choices: &'static [&'static str],
-    /// The numbers it accepts, if not all: `0 to 3`, `1 or more`.
+    /// The accepted range, if not every number: `0 to 3`, `1 or more`.
     pub range: Option<fn() -> String>,
     /// Whether most users never need it: it is left out of the short help and stands on the second page of the reference.
     pub expert: bool,
@@ -231,9 +231,9 @@ macro_rules! settings {
 ///
 /// ```
 /// segwild_scene::choice! {
-///     /// Which look to learn.
+///     /// Which appearance model to train.
 ///     pub enum LookKind {
-///         /// No look.
+///         /// No appearance model.
 ///         None = "none",
 ///         /// A colour matrix per photo.
 ///         Affine = "affine",

@@ -93,29 +93,29 @@ impl Splats {
         }
     }
 
-    /// The splats of a normalised scene in the units and at the place of its file.
+    /// The splats of a normalised scene in the units and at the position of its file.
     pub fn to_file_frame(&self, frame: &Frame) -> Splats {
         let origin = frame.origin.to_array();
-        let place = |mean: [f32; 3]| {
+        let map_mean = |mean: [f32; 3]| {
             let mean = mean.map(f64::from);
             [0, 1, 2].map(|k| (mean[k] * frame.scale + origin[k]) as f32)
         };
-        self.moved(place, frame.scale.ln())
+        self.moved(map_mean, frame.scale.ln())
     }
 
     /// The inverse of [`Splats::to_file_frame`].
     pub fn from_file_frame(&self, frame: &Frame) -> Splats {
         let origin = frame.origin.to_array();
-        let place = |mean: [f32; 3]| {
+        let map_mean = |mean: [f32; 3]| {
             let mean = mean.map(f64::from);
             [0, 1, 2].map(|k| ((mean[k] - origin[k]) / frame.scale) as f32)
         };
-        self.moved(place, -frame.scale.ln())
+        self.moved(map_mean, -frame.scale.ln())
     }
 
-    fn moved(&self, place: impl Fn([f32; 3]) -> [f32; 3], log_scale: f64) -> Splats {
+    fn moved(&self, map_mean: impl Fn([f32; 3]) -> [f32; 3], log_scale: f64) -> Splats {
         Splats {
-            means: self.means.iter().map(|&m| place(m)).collect(),
+            means: self.means.iter().map(|&m| map_mean(m)).collect(),
             log_scales: self
                 .log_scales
                 .iter()

@@ -15,9 +15,9 @@ use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 
-/// What the split says of one photo.
+/// The part of the split that a photo belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) enum Part {
+pub(crate) enum SplitPart {
     Train,
     /// For choosing settings, where there is a test part too: it takes no part here.
     Validation,
@@ -32,7 +32,7 @@ pub(crate) enum Part {
 pub(crate) struct Split {
     /// What it was read from.
     pub(crate) path: PathBuf,
-    pub(crate) rows: Vec<(String, Part)>,
+    pub(crate) rows: Vec<(String, SplitPart)>,
     /// Whether photos that it does not list take no part; otherwise they are for training.
     closed: bool,
     by_key: HashMap<String, usize>,
@@ -43,43 +43,47 @@ pub(crate) struct Split {
 }
 
 /// The names of files with a name a line.
-const LISTS: [(&str, Part); 5] = [
-    ("train_list.txt", Part::Train),
-    ("test_list.txt", Part::Test),
-    ("val_list.txt", Part::Validation),
-    ("train.txt", Part::Train),
-    ("test.txt", Part::Test),
+const LISTS: [(&str, SplitPart); 5] = [
+    ("train_list.txt", SplitPart::Train),
+    ("test_list.txt", SplitPart::Test),
+    ("val_list.txt", SplitPart::Validation),
+    ("train.txt", SplitPart::Train),
+    ("test.txt", SplitPart::Test),
 ];
 
-/// Keys of JSON files, and what their photos are for.
-const KEYS: [(&str, Part); 12] = [
-    ("clutter", Part::Train),
-    ("train", Part::Train),
-    ("train_filenames", Part::Train),
-    ("extra", Part::Test),
-    ("test", Part::Test),
-    ("test_filenames", Part::Test),
-    ("val", Part::Validation),
-    ("validation", Part::Validation),
-    ("val_filenames", Part::Validation),
-    ("eval", Part::Validation),
-    ("clean", Part::Validation),
-    ("clear", Part::Validation),
+/// Keys of JSON files, and the part that their photos belong to.
+const KEYS: [(&str, SplitPart); 12] = [
+    ("clutter", SplitPart::Train),
+    ("train", SplitPart::Train),
+    ("train_filenames", SplitPart::Train),
+    ("extra", SplitPart::Test),
+    ("test", SplitPart::Test),
+    ("test_filenames", SplitPart::Test),
+    ("val", SplitPart::Validation),
+    ("validation", SplitPart::Validation),
+    ("val_filenames", SplitPart::Validation),
+    ("eval", SplitPart::Validation),
+    ("clean", SplitPart::Validation),
+    ("clear", SplitPart::Validation),
 ];
 
 impl Split {
     /// A split of these rows. Of several rows of one photo, testing counts before validation and that before training. Where
     /// nothing is for testing, what is for validation is.
-    pub(crate) fn new(path: &Path, rows: impl IntoIterator<Item = (String, Part)>, closed: bool) -> Split {
-        let mut parts: BTreeMap<String, Part> = BTreeMap::new();
+    pub(crate) fn new(
+        path: &Path,
+        rows: impl IntoIterator<Item = (String, SplitPart)>,
+        closed: bool,
+    ) -> Split {
+        let mut parts: BTreeMap<String, SplitPart> = BTreeMap::new();
         for (name, part) in rows {
             let known = parts.entry(name).or_insert(part);
             *known = part.max(*known);
         }
-        let mut rows: Vec<(String, Part)> = parts.into_iter().collect();
-        if rows.iter().all(|(_, part)| *part != Part::Test) {
-            let held = rows.iter_mut().filter(|(_, part)| *part == Part::Validation);
-            held.for_each(|(_, part)| *part = Part::Test);
+        let mut rows: Vec<(String, SplitPart)> = parts.into_iter().collect();
+        if rows.iter().all(|(_, part)| *part != SplitPart::Test) {
+            let held = rows.iter_mut().filter(|(_, part)| *part == SplitPart::Validation);
+            held.for_each(|(_, part)| *part = SplitPart::Test);
         }
         let mut by_key = HashMap::new();
         let mut by_last: HashMap<String, Vec<usize>> = HashMap::new();
@@ -103,12 +107,12 @@ impl Split {
             "txt" => {
                 let train =
                     path.file_name().is_some_and(|n| n.to_string_lossy().to_lowercase().starts_with("train"));
-                let part = if train { Part::Train } else { Part::Test };
+                let part = if train { SplitPart::Train } else { SplitPart::Test };
                 let mut lists = vec![(path.to_owned(), part)];
                 // Its partner, which says the rest.
                 let partners = LISTS.iter().filter(|(_, other)| *other != part);
                 let folder = path.parent().unwrap_or(Path::new(""));
-                let beside = |(name, part): &(&str, Part)| (below(folder, name), *part);
+                let beside = |(name, part): &(&str, SplitPart)| (below(folder, name), *part);
                 lists.extend(partners.map(beside).filter(|(path, _)| path.is_file()));
                 read_lists(&lists)
             }
@@ -116,8 +120,8 @@ impl Split {
         }
     }
 
-    /// Finds the split of a scene, if it has one, and what else is to be said of it. `near` are the folders it may lie in, `photos`
-    /// the names in the reconstruction, `own` what the reconstruction itself says.
+    /// Finds the split of a scene, if it has one, and adds notes about other splits. `near` are the folders it may lie in, `photos`
+    /// the names in the reconstruction, `own` the split of the reconstruction itself.
     pub(crate) fn find(
         near: &[&Path],
         settings: &SceneSettings,
@@ -141,8 +145,8 @@ impl Split {
         }
         let folder = near[0];
         if !settings.split.is_empty() {
-            let places = [PathBuf::from(&settings.split), folder.join(&settings.split)];
-            let found = places.into_iter().find(|p| p.is_file()).ok_or_else(|| SceneError::Setting {
+            let paths = [PathBuf::from(&settings.split), folder.join(&settings.split)];
+            let found = paths.into_iter().find(|p| p.is_file()).ok_or_else(|| SceneError::Setting {
                 setting: "split",
                 value: settings.split.clone(),
                 reason: "there is no such file".into(),
@@ -215,19 +219,19 @@ impl Split {
         }
     }
 
-    /// What the split says of a photo, known by its whole name or by the last part of it; `None` where it says nothing and that means
-    /// that the photo takes no part.
-    pub(crate) fn part(&self, name: &str) -> Option<Part> {
+    /// The part of a photo, known by its whole name or by the last part of it; `None` where the photo is not listed and for that
+    /// reason left out.
+    pub(crate) fn part(&self, name: &str) -> Option<SplitPart> {
         match self.row(name) {
             Some(row) => Some(self.rows[row].1),
-            None => (!self.closed).then_some(Part::Train),
+            None => (!self.closed).then_some(SplitPart::Train),
         }
     }
 
     /// The same for the photos of a scene: a row is that of the photos whose names fit it best, and of no others.
     fn of(mut self, photos: &[&str]) -> Split {
         let keys: BTreeSet<String> = photos.iter().map(|photo| key(photo)).collect();
-        let mut best = vec![Fit::StemTail; self.rows.len()];
+        let mut best = vec![NameFit::StemTail; self.rows.len()];
         for key in &keys {
             for (row, fit) in self.fitting(key) {
                 best[row] = best[row].min(fit);
@@ -248,16 +252,16 @@ impl Split {
     }
 
     /// The row that fits a photo best: of several the one that has most of the name in common, and of such the first.
-    fn best(&self, key: &str, may: impl Fn(usize, Fit) -> bool) -> Option<usize> {
+    fn best(&self, key: &str, may: impl Fn(usize, NameFit) -> bool) -> Option<usize> {
         let common = |row: usize| self.rows[row].0.len().min(key.len());
         let fitting = self.fitting(key).into_iter().filter(|&(row, fit)| may(row, fit));
         fitting.min_by_key(|&(row, fit)| (fit, Reverse(common(row)), row)).map(|(row, _)| row)
     }
 
     /// The rows that may be those of a photo.
-    fn fitting(&self, photo: &str) -> Vec<(usize, Fit)> {
+    fn fitting(&self, photo: &str) -> Vec<(usize, NameFit)> {
         if let Some(&row) = self.by_key.get(photo) {
-            return vec![(row, Fit::Whole)];
+            return vec![(row, NameFit::Whole)];
         }
         let last = last_part(photo);
         let rows = [last, stem(last)].into_iter().filter_map(|name| self.by_last.get(name)).flatten();
@@ -265,7 +269,7 @@ impl Split {
     }
 
     /// The rows that are of none of these photos.
-    pub(crate) fn unmatched<'a>(&'a self, photos: &[&str]) -> Vec<&'a (String, Part)> {
+    pub(crate) fn unmatched<'a>(&'a self, photos: &[&str]) -> Vec<&'a (String, SplitPart)> {
         let matched: BTreeSet<usize> = photos.iter().filter_map(|photo| self.row(photo)).collect();
         let rows = self.rows.iter().enumerate().filter(|(i, _)| !matched.contains(i));
         rows.map(|(_, row)| row).collect()
@@ -274,7 +278,7 @@ impl Split {
 
 /// How the name of a photo fits that in a row, the best first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Fit {
+enum NameFit {
     Whole,
     /// But for the ending.
     Stem,
@@ -285,19 +289,19 @@ enum Fit {
 }
 
 /// How two keys fit; `None` where they are names of different photos.
-fn fit(photo: &str, row: &str) -> Option<Fit> {
+fn fit(photo: &str, row: &str) -> Option<NameFit> {
     let is_end = |of: &str, end: &str| of.strip_suffix(end).is_some_and(|start| start.ends_with('/'));
     let is_tail = |a: &str, b: &str| is_end(a, b) || is_end(b, a);
     // Either may have no ending, and then a dot in it is part of the name.
     let pairs = [(photo, stem(row)), (stem(photo), row), (stem(photo), stem(row))];
     if photo == row {
-        Some(Fit::Whole)
+        Some(NameFit::Whole)
     } else if pairs.iter().any(|(a, b)| a == b) {
-        Some(Fit::Stem)
+        Some(NameFit::Stem)
     } else if is_tail(photo, row) {
-        Some(Fit::Tail)
+        Some(NameFit::Tail)
     } else {
-        pairs.iter().any(|(a, b)| is_tail(a, b)).then_some(Fit::StemTail)
+        pairs.iter().any(|(a, b)| is_tail(a, b)).then_some(NameFit::StemTail)
     }
 }
 
@@ -314,7 +318,7 @@ fn tables(folder: &Path) -> Result<Vec<PathBuf>, SceneError> {
     Ok(found)
 }
 
-/// What to say of a table that is not used.
+/// The note about a table that is not used.
 fn passed_over(path: &Path, reason: &str) -> String {
     format!(
         "{}: {reason}; it is no split of this scene and is not used (`--split none` looks for none)",
@@ -358,9 +362,9 @@ fn table_of(path: &Path, text: &str) -> Result<Split, SceneError> {
             return Err(invalid("the row names no photo".into()));
         }
         let part = match (cell(id), cell(split)) {
-            ("", _) => Part::NoPose,
-            (_, "train") => Part::Train,
-            (_, "test") => Part::Test,
+            ("", _) => SplitPart::NoPose,
+            (_, "train") => SplitPart::Train,
+            (_, "test") => SplitPart::Test,
             (_, other) => return Err(invalid(format!("`{other}` is neither train nor test"))),
         };
         if rows.insert(cell(name).to_owned(), part).is_some() {
@@ -370,23 +374,23 @@ fn table_of(path: &Path, text: &str) -> Result<Split, SceneError> {
     Ok(Split::new(path, rows, true))
 }
 
-fn read_lists(lists: &[(PathBuf, Part)]) -> Result<Split, SceneError> {
+fn read_lists(lists: &[(PathBuf, SplitPart)]) -> Result<Split, SceneError> {
     let mut rows = Vec::new();
     for (path, part) in lists {
         let text = text::read(path)?;
         let names = text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
         rows.extend(names.map(|name| (name.to_owned(), *part)));
     }
-    let closed = lists.iter().any(|(_, part)| *part == Part::Train);
+    let closed = lists.iter().any(|(_, part)| *part == SplitPart::Train);
     Ok(Split::new(&lists[0].0, rows, closed))
 }
 
 fn read_json(path: &Path, photos: &[&str]) -> Result<Split, SceneError> {
     let text = text::read(path)?;
-    let invalid = |place: String, reason: String| SceneError::invalid(path, place, reason);
+    let invalid = |location: String, reason: String| SceneError::invalid(path, location, reason);
     let value: Value = serde_json::from_str(&text)
         .map_err(|e| invalid(format!("line {} column {}", e.line(), e.column()), e.to_string()))?;
-    let known = |(name, part): &(&'static str, Part)| Some((*name, *part, value.get(name)?));
+    let known = |(name, part): &(&'static str, SplitPart)| Some((*name, *part, value.get(name)?));
     let lists: Vec<_> = KEYS.iter().filter_map(known).collect();
     if lists.is_empty() {
         let keys = KEYS.map(|(name, _)| name).join(", ");
@@ -416,11 +420,11 @@ fn read_json(path: &Path, photos: &[&str]) -> Result<Split, SceneError> {
             rows.push((photo, *part));
         }
     }
-    let closed = lists.iter().any(|(_, part, _)| *part == Part::Train);
+    let closed = lists.iter().any(|(_, part, _)| *part == SplitPart::Train);
     Ok(Split::new(path, rows, closed))
 }
 
-/// What numbers in a split.json stand for: the names of the frames of the transforms.json beside it, or of the photos of the
+/// The photos that numbers in a split.json stand for: the names of the frames of the transforms.json beside it, or of the photos of the
 /// reconstruction, by their last parts in order. A last part that several have stands for none of them alone: those keep their folders.
 fn numbered(split: &Path, photos: &[&str]) -> Vec<String> {
     let beside = transforms::frame_names(&split.with_file_name("transforms.json"));
@@ -432,17 +436,19 @@ fn numbered(split: &Path, photos: &[&str]) -> Vec<String> {
     names.iter().map(|(last, whole)| if count[last] > 1 { *whole } else { *last }.to_owned()).collect()
 }
 
-/// RobustNeRF's photos say themselves what they are for. In words, where some of them are named so and no split comes of it.
+/// RobustNeRF's photos carry their part in their names. The error is a note: some of them are named so, but they make no split.
 fn by_names(photos: &[&str], folder: &Path) -> Result<Option<Split>, String> {
     let part = |name: &str| {
         let last = last_part(name).to_lowercase();
-        let parts = [("clutter", Part::Train), ("extra", Part::Test), ("clean", Part::Validation)];
+        let parts =
+            [("clutter", SplitPart::Train), ("extra", SplitPart::Test), ("clean", SplitPart::Validation)];
         parts.into_iter().find(|(word, _)| last.contains(word)).map(|(_, part)| part)
     };
     let row = |name: &&str| Some(((*name).to_owned(), part(name)?));
-    let rows: Vec<(String, Part)> = photos.iter().filter_map(row).collect();
-    let count = |wanted: Part| rows.iter().filter(|(_, part)| *part == wanted).count();
-    let (train, test, clean) = (count(Part::Train), count(Part::Test), count(Part::Validation));
+    let rows: Vec<(String, SplitPart)> = photos.iter().filter_map(row).collect();
+    let count = |wanted: SplitPart| rows.iter().filter(|(_, part)| *part == wanted).count();
+    let (train, test, clean) =
+        (count(SplitPart::Train), count(SplitPart::Test), count(SplitPart::Validation));
     let other = photos.iter().find(|name| part(name).is_none());
     if train == 0 || test + clean == 0 {
         return Ok(None);
@@ -464,15 +470,15 @@ fn by_names(photos: &[&str], folder: &Path) -> Result<Option<Split>, String> {
 mod tests {
     use super::*;
 
-    fn part(rows: &[&str], photos: &[&str]) -> Vec<Part> {
-        let rows = rows.iter().map(|row| ((*row).to_owned(), Part::Test));
+    fn part(rows: &[&str], photos: &[&str]) -> Vec<SplitPart> {
+        let rows = rows.iter().map(|row| ((*row).to_owned(), SplitPart::Test));
         let split = Split::new(Path::new("test.txt"), rows, false).of(photos);
         photos.iter().filter_map(|photo| split.part(photo)).collect()
     }
 
     #[test]
     fn a_row_holds_out_no_other_photo_of_the_same_last_part() {
-        use Part::{Test, Train};
+        use SplitPart::{Test, Train};
         assert_eq!(part(&["cam0/003.jpg"], &["cam0/003.jpg", "cam1/003.jpg"]), [Test, Train]);
         assert_eq!(part(&["cam0/003"], &["cam0/003.jpg", "cam1/003.jpg"]), [Test, Train]);
         assert_eq!(part(&["003.jpg"], &["003.jpg", "cam1/003.jpg"]), [Test, Train]);
@@ -483,7 +489,7 @@ mod tests {
 
     #[test]
     fn a_row_is_found_by_what_is_left_of_its_name() {
-        use Part::{Test, Train};
+        use SplitPart::{Test, Train};
         let rows = ["/home/x/images/cam0/a.JPG", "images/b", "c.png", "IMG.001"];
         let photos = ["cam0/a.jpg", "b.jpg", "in/c.jpg", "IMG.001.jpg", "IMG.002.jpg"];
         assert_eq!(part(&rows, &photos), [Test, Test, Test, Test, Train]);

@@ -1,13 +1,13 @@
-//! The photo as taken, which people and other programs see, and the undistorted one, which is computed with.
+//! Mapping between the photo as taken, which people and other programs see, and the undistorted one, on which all is computed.
 //!
 //! Clicks, boxes, true masks, masks of what to ignore or keep and transient masks are pixels of the photo as taken, turned
-//! or not by its EXIF orientation as its pose is of it. They are mapped here, and nowhere else, on their way in; masks are mapped back on
+//! or not by its EXIF orientation, as its pose requires. They are mapped here, and nowhere else, on their way in; masks are mapped back on
 //! their way out. Both have the same size. For a photo without distortion the two are one.
 
 use crate::lens::Lens;
 use crate::{BoxPrompt, Mask, PointPrompt, Prompts, View};
 
-/// Pixels between the positions at which a lens is undone exactly; between them it is interpolated.
+/// Step in pixels of the grid on which a lens is inverted exactly; positions in between are interpolated.
 const STEP: u32 = 16;
 /// Farthest that an interpolated position may be off, in pixels.
 const OFF: f64 = 0.1;
@@ -82,11 +82,11 @@ impl View {
     }
 }
 
-/// A lens undone at the centres of all pixels.
+/// The inverse of a lens at the centres of all pixels.
 struct Undo {
     lens: Lens,
     columns: u32,
-    /// The positions at the corners of each square of pixels, where what lies between can be interpolated.
+    /// The positions at the corners of each square of pixels; `None` where interpolation within it is not exact enough.
     squares: Vec<Option<[[f64; 2]; 4]>>,
 }
 
@@ -103,7 +103,7 @@ impl Undo {
             let corner = |dx: u32, dy: u32| corners[((y + dy) * (columns + 1) + x + dx) as usize];
             let square = [corner(0, 0)?, corner(1, 0)?, corner(0, 1)?, corner(1, 1)?];
             let middle = undo(f64::from(x) + 0.5, f64::from(y) + 0.5)?;
-            let [u, v] = between(&square, 0.5, 0.5);
+            let [u, v] = interpolated(&square, 0.5, 0.5);
             ((u - middle[0]).hypot(v - middle[1]) < OFF).then_some(square)
         };
         let squares = (0..columns * rows).map(square).collect();
@@ -116,14 +116,14 @@ impl Undo {
         match &self.squares[(row * self.columns + column) as usize] {
             Some(square) => {
                 let part = |at: f64, cell: u32| at / f64::from(STEP) - f64::from(cell);
-                Some(between(square, part(u, column), part(v, row)))
+                Some(interpolated(square, part(u, column), part(v, row)))
             }
             None => self.lens.undistort([u, v]),
         }
     }
 }
 
-fn between(square: &[[f64; 2]; 4], s: f64, t: f64) -> [f64; 2] {
+fn interpolated(square: &[[f64; 2]; 4], s: f64, t: f64) -> [f64; 2] {
     let [a, b, c, d] = square;
     [0, 1].map(|k| (1.0 - t) * ((1.0 - s) * a[k] + s * b[k]) + t * ((1.0 - s) * c[k] + s * d[k]))
 }
@@ -210,7 +210,7 @@ mod tests {
         let b = mapped.boxes[0];
         assert!(b.x0 < 100.0 && b.y0 < 80.0 && b.x1 > 220.0 && b.y1 > 160.0, "{b:?}");
         assert!((mapped.points[0].x - 160.0).abs() < 0.01);
-        // The corner of a fisheye is not in the pinhole's picture.
+        // The corner of a fisheye is not in the pinhole's image.
         assert_eq!(view.prompts_from_taken(&Prompts::click(1.0, 1.0)), Err([1.0, 1.0]));
     }
 }

@@ -3,12 +3,12 @@
 //! Poses are camera to world with the camera's y up and z backwards (OpenGL); intrinsics are given for all frames, per
 //! frame, or as Blender's `camera_angle_x`.
 
-use crate::decode::{Head, converted};
+use crate::decode::{ImageHead, converted};
 use crate::draft::{Draft, DraftPhoto, DraftPose, finite};
 use crate::lens::{Lens, Model};
 use crate::locate::{Claim, Claimed, settle};
 use crate::names::{CAPITALS, Listing, READ, below, is_inside, is_photo, key, last_part, tidy};
-use crate::split::{Part, Split};
+use crate::split::{Split, SplitPart};
 use crate::{SceneError, draft, locate, text};
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
@@ -57,7 +57,7 @@ struct Intrinsics {
 }
 
 #[derive(Debug, Deserialize)]
-struct Frame {
+struct TransformsFrame {
     file_path: String,
     /// Mask of the pixels to use: black is ignored.
     mask_path: Option<String>,
@@ -69,7 +69,7 @@ struct Frame {
 
 #[derive(Debug, Deserialize)]
 struct Transforms {
-    frames: Vec<Frame>,
+    frames: Vec<TransformsFrame>,
     #[serde(default)]
     ply_file_path: Option<String>,
     train_filenames: Option<Vec<String>>,
@@ -79,18 +79,18 @@ struct Transforms {
     intrinsics: Intrinsics,
 }
 
-/// A file of cameras, and what its photos are for where its name says so.
-struct Sheet {
+/// A file of cameras, and the part of its photos where its name gives one.
+struct CamerasFile {
     path: PathBuf,
-    part: Option<Part>,
+    part: Option<SplitPart>,
     transforms: Transforms,
 }
 
 /// Blender's three files, which are one scene.
-const BLENDER: [(&str, Part); 3] = [
-    ("transforms_train.json", Part::Train),
-    ("transforms_val.json", Part::Validation),
-    ("transforms_test.json", Part::Test),
+const BLENDER: [(&str, SplitPart); 3] = [
+    ("transforms_train.json", SplitPart::Train),
+    ("transforms_val.json", SplitPart::Validation),
+    ("transforms_test.json", SplitPart::Test),
 ];
 
 /// The cameras file of a folder: `transforms.json`, or the first of Blender's.
@@ -111,9 +111,9 @@ pub(crate) fn read(path: &Path, images: Option<&Path>, all: bool) -> Result<Draf
     let folder = path.parent().unwrap_or(Path::new("."));
     let beside =
         BLENDER.map(|(name, part)| (folder.join(name), part)).into_iter().filter(|(p, _)| p.is_file());
-    let beside: Vec<(PathBuf, Part)> = beside.collect();
+    let beside: Vec<(PathBuf, SplitPart)> = beside.collect();
     let mut notes = Vec::new();
-    let sheets: Vec<Sheet> = if all && beside.iter().any(|(p, _)| p == path) {
+    let sheets: Vec<CamerasFile> = if all && beside.iter().any(|(p, _)| p == path) {
         beside.iter().map(|(path, part)| parse(path, Some(*part))).collect::<Result<_, _>>()?
     } else {
         let others: Vec<String> =
@@ -129,25 +129,26 @@ pub(crate) fn read(path: &Path, images: Option<&Path>, all: bool) -> Result<Draf
         .flat_map(|sheet| sheet.transforms.frames.iter().map(|f| PathBuf::from(rooted(&f.file_path))))
         .collect();
     let common = common_folder(&listed);
-    let frames: Vec<(&Sheet, &Frame)> =
+    let frames: Vec<(&CamerasFile, &TransformsFrame)> =
         sheets.iter().flat_map(|sheet| sheet.transforms.frames.iter().map(move |f| (sheet, f))).collect();
     let short = |listed: &'_ PathBuf| listed.strip_prefix(&common).unwrap_or(listed).to_owned();
-    let claim = |(&(_, frame), listed): (&(&Sheet, &Frame), &PathBuf)| match images {
+    let claim = |(&(_, frame), listed): (&(&CamerasFile, &TransformsFrame), &PathBuf)| match images {
         Some(_) => files.find(&short(listed).to_string_lossy()),
         None => files.find(&frame.file_path),
     };
     let claims = frames.par_iter().zip(&listed).map(claim).collect();
     let names: Vec<&str> = frames.iter().map(|(_, frame)| frame.file_path.as_str()).collect();
     let claims = settle(&names, claims);
-    let photo = |(((sheet, frame), listed), claim): ((&(&Sheet, &Frame), &PathBuf), Claimed)| {
-        let short = &short(listed);
-        let file = claim.map(|claim| claim.path);
-        let at = file.as_deref().unwrap_or(Path::new(""));
-        let lens = lens_of(&frame.intrinsics, &sheet.transforms.intrinsics, at);
-        let usable = frame.mask_path.as_deref().map(|mask| files.beside(mask));
-        let pose = pose_of(&frame.transform_matrix);
-        DraftPhoto { name: files.name(short, &file), file: Some(file), usable, lens, pose }
-    };
+    let photo =
+        |(((sheet, frame), listed), claim): ((&(&CamerasFile, &TransformsFrame), &PathBuf), Claimed)| {
+            let short = &short(listed);
+            let file = claim.map(|claim| claim.path);
+            let at = file.as_deref().unwrap_or(Path::new(""));
+            let lens = lens_of(&frame.intrinsics, &sheet.transforms.intrinsics, at);
+            let usable = frame.mask_path.as_deref().map(|mask| files.beside(mask));
+            let pose = pose_of(&frame.transform_matrix);
+            DraftPhoto { name: files.name(short, &file), file: Some(file), usable, lens, pose }
+        };
     let photos: Vec<DraftPhoto> = frames.par_iter().zip(&listed).zip(claims).map(photo).collect();
     let mut points = Vec::new();
     let ply = sheets.iter().find_map(|sheet| sheet.transforms.ply_file_path.as_ref());
@@ -166,32 +167,36 @@ pub(crate) fn read(path: &Path, images: Option<&Path>, all: bool) -> Result<Draf
 }
 
 /// All the files that were read, as one name for a person.
-fn sources(path: &Path, sheets: &[Sheet]) -> PathBuf {
+fn sources(path: &Path, sheets: &[CamerasFile]) -> PathBuf {
     let files = sheets.iter().map(|s| last_part(&s.path.to_string_lossy()).to_owned());
     path.with_file_name(files.collect::<Vec<_>>().join(" + "))
 }
 
-fn parse(path: &Path, part: Option<Part>) -> Result<Sheet, SceneError> {
+fn parse(path: &Path, part: Option<SplitPart>) -> Result<CamerasFile, SceneError> {
     // Python writes NaN and Infinity, which are no JSON: they become null, that is, missing.
     let text = text::read(path)?;
     let text = without_nan(&text);
     let transforms: Transforms = serde_json::from_str(&text).map_err(|e| {
         SceneError::invalid(path, format!("line {} column {}", e.line(), e.column()), e.to_string())
     })?;
-    Ok(Sheet { path: path.to_owned(), part, transforms })
+    Ok(CamerasFile { path: path.to_owned(), part, transforms })
 }
 
-/// What the files themselves say of training and testing.
-fn split_of(path: &Path, sheets: &[Sheet], photos: &[DraftPhoto]) -> Option<Split> {
+/// The split that the files themselves give.
+fn split_of(path: &Path, sheets: &[CamerasFile], photos: &[DraftPhoto]) -> Option<Split> {
     let mut names = photos.iter().map(|photo| photo.name.clone());
     if sheets.iter().any(|sheet| sheet.part.is_some()) {
-        let parts =
-            sheets.iter().flat_map(|s| s.transforms.frames.iter().map(|_| s.part.unwrap_or(Part::Train)));
+        let parts = sheets
+            .iter()
+            .flat_map(|s| s.transforms.frames.iter().map(|_| s.part.unwrap_or(SplitPart::Train)));
         return Some(Split::new(&sources(path, sheets), names.zip(parts).collect::<Vec<_>>(), true));
     }
     let Transforms { frames, train_filenames, val_filenames, test_filenames, .. } = &sheets[0].transforms;
-    let lists =
-        [(train_filenames, Part::Train), (val_filenames, Part::Validation), (test_filenames, Part::Test)];
+    let lists = [
+        (train_filenames, SplitPart::Train),
+        (val_filenames, SplitPart::Validation),
+        (test_filenames, SplitPart::Test),
+    ];
     if lists.iter().all(|(list, _)| list.is_none()) {
         return None;
     }
@@ -214,9 +219,9 @@ struct PhotoFinder<'a> {
 impl<'a> PhotoFinder<'a> {
     fn new(folder: &'a Path, images: Option<&Path>) -> PhotoFinder<'a> {
         let photos = images.unwrap_or(folder).to_owned();
-        let places = locate::photo_folders(folder).into_iter();
-        let below = places.filter(|place| images.is_none() && *place != folder && place.is_dir());
-        let below = below.map(|place| (place, OnceLock::new())).collect();
+        let folders = locate::photo_folders(folder).into_iter();
+        let below = folders.filter(|dir| images.is_none() && *dir != folder && dir.is_dir());
+        let below = below.map(|dir| (dir, OnceLock::new())).collect();
         PhotoFinder { folder, photos, listing: OnceLock::new(), below }
     }
 
@@ -256,7 +261,7 @@ impl<'a> PhotoFinder<'a> {
         Err(locate::no_file(&self.photos, listed, candidate))
     }
 
-    /// What a photo is called: by the file that was found, if one was.
+    /// The name of a photo: that of the file that was found, if one was.
     fn name(&self, short: &Path, file: &Result<PathBuf, String>) -> String {
         let Ok(file) = file else { return short.to_string_lossy().into_owned() };
         let mut name = short.to_owned();
@@ -355,7 +360,7 @@ fn with_ending(path: &Path) -> PathBuf {
 
 /// Size of a photo as stored, or of its converted copy. Whether it is too large is seen when the photo is looked at.
 fn photo_size(file: &Path) -> Result<(u32, u32), String> {
-    let stored = |file: &Path| Head::read(file, u64::MAX).map(|head| head.stored());
+    let stored = |file: &Path| ImageHead::read(file, u64::MAX).map(|head| head.stored());
     stored(file).or_else(|reason| converted(file).map_or(Err(reason), |copy| stored(&copy)))
 }
 

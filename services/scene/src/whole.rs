@@ -1,7 +1,7 @@
 //! Records whose parts fit each other.
 //!
-//! A record of a run folder has a hash, which says that it is as it was written and not who wrote it. What somebody made by hand may
-//! claim more pixels than it has. Such a record is refused where it is read, so that nothing else has to ask.
+//! A record of a run folder has a hash, which proves that it is as it was written, but not who wrote it. A record made by hand may
+//! claim more pixels than it has. Such a record is refused where it is read, so that no other code has to check.
 
 /// Reads a type as a record of the same fields, in the same bytes as its derived writer, and refuses it where `fits` is false.
 macro_rules! read_whole {

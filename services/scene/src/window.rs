@@ -1,4 +1,4 @@
-//! Sums over windows of a picture.
+//! Means over square windows of an image.
 
 /// Mean of each pixel over a square window of half width `r`, cut off at the border; row-major.
 pub fn box_mean(values: &[f32], width: usize, height: usize, r: usize) -> Vec<f32> {
@@ -47,6 +47,6 @@ mod tests {
         let means = box_mean(&values, 4, 3, 1);
         assert_eq!(means[0], (0.0 + 1.0 + 4.0 + 5.0) / 4.0);
         assert_eq!(means[5], (0.0 + 1.0 + 2.0 + 4.0 + 5.0 + 6.0 + 8.0 + 9.0 + 10.0) / 9.0);
-        assert!(box_mean(&values, 4, 3, 9).iter().all(|m| (m - 5.5).abs() < 1e-6), "wider than the picture");
+        assert!(box_mean(&values, 4, 3, 9).iter().all(|m| (m - 5.5).abs() < 1e-6), "wider than the image");
     }
 }

@@ -1,4 +1,4 @@
-//! What pictures take in memory, measured: a program of its own with one test, for nothing else may run beside it.
+//! Measures the memory that decoding images takes: a program of its own with one test, for nothing else may run beside it.
 
 use rayon::prelude::*;
 use segwild_scene::colmap::{self, CameraRecord, ImageRecord, Model, Reconstruction};
@@ -7,9 +7,9 @@ use std::path::Path;
 
 /// Bits, the highest first.
 #[derive(Default)]
-struct Bits(Vec<u8>, u32);
+struct BitWriter(Vec<u8>, u32);
 
-impl Bits {
+impl BitWriter {
     fn put(&mut self, bits: &str) {
         for bit in bits.bytes() {
             if self.1.is_multiple_of(8) {
@@ -72,7 +72,7 @@ fn chunk(kind: &[u8; 4], data: &[u8]) -> Vec<u8> {
 /// Zeros, a thousand and more of them to a byte, as zlib packs them.
 fn packed_zeros(bytes: usize) -> Vec<u8> {
     // Deflate's bits come the lowest first, its codes the highest first.
-    let mut bits = Bits::default();
+    let mut bits = BitWriter::default();
     bits.put("110"); // the last block, of fixed codes
     bits.put("00110000"); // a zero
     for _ in 0..bytes / 258 {
@@ -122,8 +122,8 @@ fn disc(i: u32) -> Vec<u8> {
     let within = |x: u32, y: u32| x.abs_diff(56).pow(2) + y.abs_diff(42).pow(2) < 150 + 30 * i;
     let pixel = |x, y| image::Rgba([90, 90, 90, if within(x, y) { 255 } else { 0 }]);
     let mut bytes = std::io::Cursor::new(Vec::new());
-    let picture = image::RgbaImage::from_fn(112, 84, pixel);
-    picture.write_to(&mut bytes, image::ImageFormat::Png).unwrap();
+    let image_of_file = image::RgbaImage::from_fn(112, 84, pixel);
+    image_of_file.write_to(&mut bytes, image::ImageFormat::Png).unwrap();
     bytes.into_inner()
 }
 
@@ -214,12 +214,12 @@ fn files_that_claim_much_and_photos_that_are_large_take_little_memory() {
         let usable = view.examine(640);
         assert_eq!(usable.is_ok(), view.name != "h_tall.jpg", "{}: {usable:?}", view.name);
     }
-    // Masks and other pictures are bounded by the same.
+    // Masks and other images have the same bound.
     let mib = taken(|| {
         for name in ["a_claim.jpg", "b_claim.png", "c_iccp.png", "g_wide.png"] {
             let file = bombs.join("images").join(name);
-            let (mask, picture) = (Mask::read_png(&file), Image::read(&file));
-            assert!(name == "c_iccp.png" || (mask.is_err() && picture.is_err()), "{name}");
+            let (mask, image_of_file) = (Mask::read_png(&file), Image::read(&file));
+            assert!(name == "c_iccp.png" || (mask.is_err() && image_of_file.is_err()), "{name}");
         }
     });
     assert!(mib < 60.0, "masks take {mib:.0} MiB");
@@ -261,7 +261,10 @@ fn files_that_claim_much_and_photos_that_are_large_take_little_memory() {
         segwild_scene::limit_decoding(None);
         let claimed = claimed as f64 / f64::from(1 << 20);
         // What each thread holds of its own comes on top: file and rows.
-        assert!(mib < claimed + 40.0, "progressive {progressive}: {mib:.0} MiB, and {claimed:.0} were said");
+        assert!(
+            mib < claimed + 40.0,
+            "progressive {progressive}: {mib:.0} MiB, and {claimed:.0} were claimed"
+        );
         assert!(claimed < 90.0, "progressive {progressive}: {claimed:.0} MiB for one photo");
         assert_eq!(Scene::open(&large, &settings).unwrap().skipped, []);
         settings.set("max_megapixels", "50").unwrap();

@@ -65,12 +65,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     let points: Vec<[f32; 2]> = (0..GRID * GRID).map(|i| [at(i % GRID, w), at(i / GRID, h)]).collect();
     let before = work(Work::default());
     let masks = all.proposer.propose(&photos[0], &points)?;
-    let asked = work(before);
+    let prompted = work(before);
     println!(
         "{} prompts, {} masks of {w} x {h}: {:.1} prompts per second",
-        asked.prompts,
+        prompted.prompts,
         masks.len(),
-        asked.prompts_per_second().unwrap_or(0.0)
+        prompted.prompts_per_second().unwrap_or(0.0)
     );
     let began = Instant::now();
     all.segmenter.segment(&photos[0], &Prompts::click(0.4 * w, 0.4 * h))?;

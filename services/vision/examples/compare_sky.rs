@@ -1,7 +1,7 @@
 //! Compares the sky providers on a scene's photos with each other, with its points and with the truth.
 //!
 //! `compare_sky SCENE [--models DIR] [--size PX] [--truth DIR] [--object DIR] [--out DIR]`: `--truth` holds true skies,
-//! `--object` masks of something that is no sky, one PNG per photo. With `--out` a picture per photo: the photo, then
+//! `--object` masks of something that is no sky, one PNG per photo. With `--out` an image per photo: the photo, then
 //! each provider's sky in blue.
 
 use segwild_scene::{Image, Mask, Scene, SceneSettings};
@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 /// What one provider made of the photos.
 #[derive(Default)]
-struct Tally {
+struct SkyTally {
     share: f64,
     seen: (usize, usize),
     object: (usize, usize),
@@ -52,7 +52,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             })
         })
         .collect::<Result<Vec<_>, _>>()?;
-    let mut tallies: Vec<Tally> = choices.iter().map(|_| Tally::default()).collect();
+    let mut tallies: Vec<SkyTally> = choices.iter().map(|_| SkyTally::default()).collect();
     let mut agreement = vec![vec![0.0; choices.len()]; choices.len()];
     for (index, view) in scene.views.iter().enumerate() {
         let photo = view.load(size)?;

@@ -6,7 +6,7 @@
 #[allow(dead_code, reason = "the examples share it, none uses all of it")]
 mod common;
 
-use common::{Outcome, beside, box_of, cpu, mean, most_interior, option, overlay, two_clicks};
+use common::{ExampleResult, beside, box_of, cpu, mean, most_interior, option, overlay, two_clicks};
 use segwild_scene::{Image, Mask, Prompts};
 use segwild_vision::{Builtin, Providers, SkyDetector, VisionSettings};
 use std::path::{Path, PathBuf};
@@ -51,8 +51,8 @@ fn degraded(truth: &Mask, reach: f32, shift: f32, seed: u32) -> Image {
     certainty
 }
 
-/// The first three principal directions of an embedding as a picture.
-fn picture_of(embedding: &segwild_scene::Embedding, width: usize, height: usize) -> Image {
+/// The first three principal components of an embedding as an RGB image.
+fn image_of(embedding: &segwild_scene::Embedding, width: usize, height: usize) -> Image {
     let (n, c) = (embedding.width * embedding.height, embedding.channels);
     let mut rows: Vec<Vec<f32>> = (0..c).map(|k| embedding.data[k * n..(k + 1) * n].to_vec()).collect();
     for row in &mut rows {
@@ -138,7 +138,7 @@ fn median(values: &[f64]) -> f64 {
     sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
 }
 
-fn main() -> Outcome<()> {
+fn main() -> ExampleResult<()> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let shared = std::env::var_os("SEGWILD_SHARED").map_or_else(|| root.join("../shared"), PathBuf::from);
     let folder = shared.join("data/liberty");
@@ -245,7 +245,7 @@ fn main() -> Outcome<()> {
         three.push(proposals.iter().map(|p| p.mask.iou(&truth)).fold(0.0, f64::max));
         let mut text = String::new();
         let mut last = Mask::empty(w, h);
-        let mut asked = last.clone();
+        let mut rough = last.clone();
         for (k, (reach, shift)) in [(5.0, 0.0), (1.5, 6.0), (1.5, -6.0), (0.0, 0.0)].into_iter().enumerate() {
             let certainty = degraded(&truth, reach, shift, (index * 4 + k) as u32 + 1);
             let start = cpu();
@@ -257,7 +257,7 @@ fn main() -> Outcome<()> {
             text += &format!(" {:.3}>{:.3}", before.iou(&truth), snapped.mask.iou(&truth));
             if k == 0 {
                 last = snapped.mask;
-                asked = before;
+                rough = before;
             }
         }
         text += " |";
@@ -294,11 +294,11 @@ fn main() -> Outcome<()> {
                 overlay(&image, &pair.mask, Some(&truth)),
                 overlay(&image, &one.mask, Some(&truth)),
                 level(here.1)?,
-                overlay(&image, &asked, Some(&truth)),
+                overlay(&image, &rough, Some(&truth)),
                 overlay(&image, &last, Some(&truth)),
                 overlay(&image, &masks[0], None),
                 lines,
-                picture_of(&embedding, image.width, image.height),
+                image_of(&embedding, image.width, image.height),
             ]);
             row.write_png(&out.join(format!("{stem}.png")))?;
         }

@@ -9,8 +9,8 @@
 mod common;
 
 use common::{
-    Manifest, Object, Outcome, THE_ONE, beside, box_of, correction, cpu, mean, most_interior, option,
-    overlay, provider, two_clicks,
+    ExampleResult, THE_ONE, TruthManifest, TruthObject, beside, box_of, correction, cpu, mean, most_interior,
+    option, overlay, provider, two_clicks,
 };
 use segwild_scene::{Image, Mask, MaskSet, Prompts, ScoredMask};
 use segwild_vision::{Builtin, MaskProposer, PromptSegmenter};
@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 
 /// Granularities that are asked for.
 const LEVELS: [f32; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
-/// Least share of the photo that an object must show to be asked about.
+/// Least share of the photo that an object must cover to be queried.
 const LEAST: f64 = 0.005;
 /// Clicks in all where wrong pixels are corrected one at a time.
 const CORRECTED: usize = 8;
@@ -27,7 +27,7 @@ const TARGETS: [f64; 3] = [0.8, 0.85, 0.9];
 
 /// IoUs of one object in one photo.
 #[derive(Clone, Debug, Default)]
-struct Row {
+struct PromptScores {
     /// Best that superpixels could give.
     limit: f64,
     /// CPU seconds of a prompt once the photo is known.
@@ -43,7 +43,7 @@ struct Row {
 }
 
 /// IoU of the union of the superpixels that lie mostly in the truth.
-fn limit(see: &Builtin, image: &Image, truth: &Mask) -> Outcome<f64> {
+fn limit(see: &Builtin, image: &Image, truth: &Mask) -> ExampleResult<f64> {
     let regions = see.regions(image, None)?;
     let mut share = std::collections::BTreeMap::<u32, (usize, usize)>::new();
     for (i, &r) in regions.iter().enumerate() {
@@ -58,10 +58,10 @@ fn limit(see: &Builtin, image: &Image, truth: &Mask) -> Outcome<f64> {
     Ok(best.iou(truth))
 }
 
-/// Asks in every way about one object; the pictures are those of `Row`, in its order.
-fn ask(see: &Builtin, image: &Image, truth: &Mask) -> Outcome<(Row, Vec<Mask>)> {
+/// Queries one object with every kind of prompt; the masks are those of `PromptScores`, in its order.
+fn ask(see: &Builtin, image: &Image, truth: &Mask) -> ExampleResult<(PromptScores, Vec<Mask>)> {
     let Some((x, y)) = most_interior(truth) else { return Ok(Default::default()) };
-    let (mut row, mut masks) = (Row::default(), Vec::new());
+    let (mut row, mut masks) = (PromptScores::default(), Vec::new());
     row.limit = limit(see, image, truth)?;
     let none = see.segment(image, &Prompts::click(x, y))?.mask;
     row.none = none.iou(truth);
@@ -96,7 +96,7 @@ fn ask(see: &Builtin, image: &Image, truth: &Mask) -> Outcome<(Row, Vec<Mask>)> 
 }
 
 /// Proposals at a grid of points, as many masks as an automatic run would see.
-fn proposals(see: &Builtin, image: &Image) -> Outcome<Vec<ScoredMask>> {
+fn proposals(see: &Builtin, image: &Image) -> ExampleResult<Vec<ScoredMask>> {
     let (columns, rows) = (9, 7);
     let points: Vec<[f32; 2]> = (0..columns * rows)
         .map(|i| {
@@ -116,10 +116,10 @@ fn passes(mask: &ScoredMask) -> bool {
     mask.predicted_iou >= 0.88 && mask.stability >= 0.95
 }
 
-/// What is known about one photo.
+/// The scores of one photo.
 #[derive(Default)]
-struct Photo {
-    rows: Vec<(String, Row)>,
+struct PhotoScores {
+    rows: Vec<(String, PromptScores)>,
     /// Passing and all proposals.
     counts: (usize, usize),
     /// Best IoU with any object's truth, of proposals that pass and that do not.
@@ -128,7 +128,13 @@ struct Photo {
     found: Vec<f64>,
 }
 
-fn look(see: &Builtin, folder: &Path, file: &Path, objects: &[Object], out: Option<&Path>) -> Outcome<Photo> {
+fn evaluate(
+    see: &Builtin,
+    folder: &Path,
+    file: &Path,
+    objects: &[TruthObject],
+    out: Option<&Path>,
+) -> ExampleResult<PhotoScores> {
     let stem = file.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
     let full = Image::read(file)?;
     let long: f32 = option("--long").map_or(Ok(320.0), |t| t.parse())?;
@@ -136,7 +142,7 @@ fn look(see: &Builtin, folder: &Path, file: &Path, objects: &[Object], out: Opti
     let size = |n: usize| ((n as f32 * scale).round() as usize).max(1);
     let image = full.resized(size(full.width), size(full.height));
     let (w, h) = (image.width as u32, image.height as u32);
-    let mut photo = Photo::default();
+    let mut photo = PhotoScores::default();
     let mut truths = Vec::new();
     for object in objects {
         let answers = folder.join("truth");
@@ -154,8 +160,8 @@ fn look(see: &Builtin, folder: &Path, file: &Path, objects: &[Object], out: Opti
         if object.kind == "object" && option("--object").is_none_or(|o| o == object.name) {
             let (row, masks) = ask(see, &image, &truth)?;
             if let Some(out) = out {
-                let pictures: Vec<Image> = masks.iter().map(|m| overlay(&image, m, Some(&truth))).collect();
-                beside(&pictures).write_png(&out.join(format!("{stem}_{}.png", object.name)))?;
+                let images: Vec<Image> = masks.iter().map(|m| overlay(&image, m, Some(&truth))).collect();
+                beside(&images).write_png(&out.join(format!("{stem}_{}.png", object.name)))?;
             }
             photo.rows.push((format!("{stem} {}", object.name), row));
         }
@@ -172,8 +178,8 @@ fn look(see: &Builtin, folder: &Path, file: &Path, objects: &[Object], out: Opti
     photo.found =
         truths.iter().map(|t| passing.masks.iter().map(|m| m.mask.iou(t)).fold(0.0, f64::max)).collect();
     if let Some(out) = out {
-        let pictures: Vec<Image> = passing.masks.iter().map(|m| overlay(&image, &m.mask, None)).collect();
-        let rows: Vec<Image> = pictures.chunks(8).map(beside).collect();
+        let images: Vec<Image> = passing.masks.iter().map(|m| overlay(&image, &m.mask, None)).collect();
+        let rows: Vec<Image> = images.chunks(8).map(beside).collect();
         for (k, row) in rows.iter().enumerate() {
             row.write_png(&out.join(format!("{stem}-proposals-{k}.png")))?;
         }
@@ -181,7 +187,7 @@ fn look(see: &Builtin, folder: &Path, file: &Path, objects: &[Object], out: Opti
     Ok(photo)
 }
 
-fn main() -> Outcome<()> {
+fn main() -> ExampleResult<()> {
     let folder =
         PathBuf::from(std::env::args().nth(1).ok_or("name the folder of a synthetic set or of photos")?);
     let every: usize = option("--every").map_or(Ok(1), |t| t.parse())?;
@@ -192,9 +198,9 @@ fn main() -> Outcome<()> {
         std::fs::create_dir_all(out)?;
     }
     let (objects, photos) = match std::fs::read_to_string(folder.join("truth.json")) {
-        Ok(text) => (serde_json::from_str::<Manifest>(&text)?.objects, folder.join("images")),
+        Ok(text) => (serde_json::from_str::<TruthManifest>(&text)?.objects, folder.join("images")),
         Err(_) if folder.join("truth").is_dir() => {
-            (vec![Object { name: THE_ONE.into(), kind: "object".into() }], folder.join("images"))
+            (vec![TruthObject { name: THE_ONE.into(), kind: "object".into() }], folder.join("images"))
         }
         Err(_) => (Vec::new(), folder.clone()),
     };
@@ -204,7 +210,7 @@ fn main() -> Outcome<()> {
     files.sort();
     files.retain(|f| f.to_string_lossy().contains(&only));
     let files: Vec<PathBuf> = files.into_iter().skip(skip).step_by(every.max(1)).collect();
-    let all: Vec<Photo> = std::thread::scope(|scope| {
+    let all: Vec<PhotoScores> = std::thread::scope(|scope| {
         let share = |half: usize| {
             let (files, objects, folder, out, see) = (&files, &objects, &folder, &out, &see);
             scope.spawn(move || {
@@ -212,7 +218,7 @@ fn main() -> Outcome<()> {
                     .iter()
                     .skip(half)
                     .step_by(2)
-                    .map(|f| look(see, folder, f, objects, out.as_deref()).map_err(|e| e.to_string()))
+                    .map(|f| evaluate(see, folder, f, objects, out.as_deref()).map_err(|e| e.to_string()))
                     .collect::<Result<Vec<_>, String>>()
             })
         };
@@ -224,7 +230,7 @@ fn main() -> Outcome<()> {
     .into_iter()
     .flatten()
     .collect();
-    let rows: Vec<&(String, Row)> = all.iter().flat_map(|p| &p.rows).collect();
+    let rows: Vec<&(String, PromptScores)> = all.iter().flat_map(|p| &p.rows).collect();
     if std::env::args().any(|a| a == "--each") {
         let text = |v: &[f64]| v.iter().map(|v| format!("{v:.2}")).collect::<Vec<_>>().join(" ");
         for (name, r) in &rows {
@@ -240,7 +246,7 @@ fn main() -> Outcome<()> {
             );
         }
     }
-    let over = |f: &dyn Fn(&Row) -> f64| mean(&rows.iter().map(|r| f(&r.1)).collect::<Vec<_>>());
+    let over = |f: &dyn Fn(&PromptScores) -> f64| mean(&rows.iter().map(|r| f(&r.1)).collect::<Vec<_>>());
     if !rows.is_empty() {
         let levels: Vec<String> =
             (0..LEVELS.len()).map(|k| format!("{:.3}", over(&|r| r.levels[k]))).collect();
@@ -264,13 +270,13 @@ fn main() -> Outcome<()> {
         let corrected: Vec<String> =
             (0..CORRECTED).map(|k| format!("{:.3}", over(&|r| r.corrected[k]))).collect();
         println!("corrected click by click {}", corrected.join(" "));
-        let clicks = |r: &Row, target: f64| {
+        let clicks = |r: &PromptScores, target: f64| {
             r.corrected.iter().position(|&v| v >= target).map_or(CORRECTED, |k| k + 1) as f64
         };
         let noc: Vec<String> =
             TARGETS.iter().map(|&t| format!("NoC@{:.0} {:.2}", 100.0 * t, over(&|r| clicks(r, t)))).collect();
-        let worse = |r: &Row| r.corrected.windows(2).filter(|p| p[1] < p[0] - 0.005).count() as f64;
-        let drop = |r: &Row| r.corrected.windows(2).map(|p| (p[0] - p[1]).max(0.0)).sum::<f64>();
+        let worse = |r: &PromptScores| r.corrected.windows(2).filter(|p| p[1] < p[0] - 0.005).count() as f64;
+        let drop = |r: &PromptScores| r.corrected.windows(2).map(|p| (p[0] - p[1]).max(0.0)).sum::<f64>();
         println!(
             "{} (at most {CORRECTED}); added clicks that made it worse: {:.1} %, by {:.3} IoU in all an object",
             noc.join(", "),
@@ -287,8 +293,9 @@ fn main() -> Outcome<()> {
         counts.iter().copied().fold(0.0, f64::max),
         mean(&proposed)
     );
-    let gather =
-        |f: &dyn Fn(&Photo) -> &Vec<f64>| mean(&all.iter().flat_map(|p| f(p).clone()).collect::<Vec<_>>());
+    let gather = |f: &dyn Fn(&PhotoScores) -> &Vec<f64>| {
+        mean(&all.iter().flat_map(|p| f(p).clone()).collect::<Vec<_>>())
+    };
     println!(
         "best IoU with an object: of passing proposals {:.3}, of others {:.3}; objects' best passing proposal {:.3}",
         gather(&|p| &p.quality.0),

@@ -7,7 +7,7 @@
 #[allow(dead_code, reason = "the examples share it, none uses all of it")]
 mod common;
 
-use common::{Outcome, cpu, known, mean, option, provider};
+use common::{ExampleResult, cpu, mean, option, photos_with_truth, provider};
 use segwild_scene::{Image, Mask};
 use segwild_vision::PromptSegmenter;
 use std::path::PathBuf;
@@ -83,7 +83,7 @@ fn spoiled(truth: &Mask) -> Vec<Image> {
     ]
 }
 
-fn main() -> Outcome<()> {
+fn main() -> ExampleResult<()> {
     let folder = PathBuf::from(std::env::args().nth(1).ok_or("name the folder of a set")?);
     let every: usize = option("--every").map_or(Ok(1), |t| t.parse())?;
     let skip: usize = option("--skip").map_or(Ok(0), |t| t.parse())?;
@@ -92,7 +92,7 @@ fn main() -> Outcome<()> {
     let see = provider()?;
     let mut rows = vec![Vec::new(); WAYS.len()];
     let (mut seconds, mut count) = (0.0, 0);
-    for photo in known(&folder, long)?.into_iter().skip(skip).step_by(every.max(1)) {
+    for photo in photos_with_truth(&folder, long)?.into_iter().skip(skip).step_by(every.max(1)) {
         let (image, truths) = photo.read()?;
         for (name, truth) in truths {
             if object.as_ref().is_some_and(|o| *o != name) || truth.count() * 200 < image.pixels() {

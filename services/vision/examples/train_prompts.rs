@@ -1,5 +1,4 @@
-//! Learns what each trait of a candidate counts when a prompt is answered (`src/builtin/weights.rs`), from photos whose
-//! truth is known.
+//! Learns the weights of a candidate's traits (`src/builtin/weights.rs`) from photos whose true masks are known.
 //!
 //! `cargo run -p segwild-vision --example train_prompts -- [--rounds 3] [--from zero] [--models DIR] FOLDER[:EVERY:SKIP[:WEIGHT]]...`
 //!
@@ -8,24 +7,24 @@
 //! one click: "the dome" is right with its drum and without). Of every EVERY photos the one at SKIP is learned from, and
 //! the one half of EVERY later is tested on; a folder of WEIGHT 0 is only tested on.
 //!
-//! A round plays all photos as a person would: a box, a click somewhere in the object, a click in its middle, and then
-//! corrections in the middle of the largest mistake; and once two clicks, one at each end of the object. Everything that each click could have meant is remembered
-//! with its IoU. The weights then climb the expected IoU of the soft choice, over all rounds so far: what was chosen with
-//! the weights of one round decides which mistakes the next one is asked to correct.
+//! A round simulates a person's prompts on all photos: a box, a click somewhere in the object, a click in its middle, and then
+//! corrections in the middle of the largest mistake; and once two clicks, one at each end of the object. Every interpretation
+//! of each click is kept with its IoU. The weights then climb the expected IoU of the soft choice, over all rounds so far: the
+//! answers with the weights of one round decide which mistakes are corrected in the next one.
 
 #[allow(dead_code, reason = "the examples share it, none uses all of it")]
 mod common;
 
-use common::{Outcome, box_of, correction, known, mean, most_interior, option};
+use common::{ExampleResult, box_of, correction, mean, most_interior, option, photos_with_truth};
 use segwild_scene::{Image, Mask, Prompts};
-use segwild_vision::{Builtin, EdgeNetwork, Question, Runtime, Step, Weights};
+use segwild_vision::{Builtin, EdgeNetwork, PromptQuery, PromptStep, Runtime, TraitWeights};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
 /// Long side that photos are learned at.
 const LONG: f32 = 320.0;
-/// Least share of the photo that an object must show to be asked about.
+/// Least share of the photo that an object must cover to be queried.
 const LEAST: f64 = 0.005;
 /// Clicks that an object gets at most.
 const CLICKS: usize = 6;
@@ -36,16 +35,16 @@ const STEPS: usize = 1500;
 const RATE: f64 = 0.03;
 const DECAY: f64 = 2e-4;
 
-/// One question: what could have been meant, and how right each would have been.
-struct Case {
-    step: Step,
+/// One training case: the interpretations of a prompt, and the IoU of each.
+struct TrainingCase {
+    step: PromptStep,
     weight: f64,
     traits: Vec<Vec<f32>>,
     ious: Vec<f64>,
 }
 
 /// A photo and its objects, each with every mask that is right.
-struct Photo {
+struct TrainingPhoto {
     image: Image,
     objects: Vec<Vec<Mask>>,
     weight: f64,
@@ -58,18 +57,18 @@ fn iou(answers: &[Mask], mask: &Mask) -> f64 {
 }
 
 /// IoU of everything that could have been meant with the nearest of the right masks.
-fn ious(question: &Question, right: &[Mask]) -> Vec<f64> {
-    let count = question.superpixels.iter().max().map_or(0, |m| *m as usize + 1);
-    let mut best = vec![0.0f64; question.meanings.len()];
+fn ious(query: &PromptQuery, right: &[Mask]) -> Vec<f64> {
+    let count = query.superpixels.iter().max().map_or(0, |m| *m as usize + 1);
+    let mut best = vec![0.0f64; query.interpretations.len()];
     for mask in right {
-        let mask = mask.resized(question.size.0 as u32, question.size.1 as u32);
+        let mask = mask.resized(query.size.0 as u32, query.size.1 as u32);
         let mut pixels = vec![(0.0, 0.0); count];
-        for (i, &s) in question.superpixels.iter().enumerate() {
+        for (i, &s) in query.superpixels.iter().enumerate() {
             let of = &mut pixels[s as usize];
             *of = (of.0 + f64::from(u8::from(mask.index(i))), of.1 + 1.0);
         }
-        for (best, meaning) in best.iter_mut().zip(&question.meanings) {
-            let inside = pixels.iter().zip(&meaning.inside).filter(|p| *p.1);
+        for (best, interpretation) in best.iter_mut().zip(&query.interpretations) {
+            let inside = pixels.iter().zip(&interpretation.inside).filter(|p| *p.1);
             let (both, area) = inside.fold((0.0, 0.0), |sum, (p, _)| (sum.0 + p.0, sum.1 + p.1));
             *best = best.max(both / (area + mask.count() as f64 - both).max(1.0));
         }
@@ -110,19 +109,24 @@ fn ends(mask: &Mask) -> Option<[(f32, f32); 2]> {
     Some([part(true)?, part(false)?])
 }
 
-/// Plays one object; gives the questions and the IoU after one click, and after each correction.
-fn play(see: &Builtin, photo: &Photo, object: &[Mask], number: usize) -> Outcome<(Vec<Case>, Vec<f64>)> {
-    let mut questions = Vec::new();
+/// Simulates a person's prompts for one object; returns the training cases, and the IoU after one click and after each correction.
+fn play(
+    see: &Builtin,
+    photo: &TrainingPhoto,
+    object: &[Mask],
+    number: usize,
+) -> ExampleResult<(Vec<TrainingCase>, Vec<f64>)> {
+    let mut cases = Vec::new();
     let inner = object.iter().min_by_key(|m| m.count()).ok_or("an object without a mask")?;
-    let Some(middle) = most_interior(inner) else { return Ok((questions, Vec::new())) };
-    let ask = |prompts: &Prompts, right: &[Mask], questions: &mut Vec<Case>| -> Outcome<Mask> {
-        let (answer, question) = see.answer(&photo.image, prompts)?;
-        if let Some(question) = question {
-            questions.push(Case {
-                step: question.step,
+    let Some(middle) = most_interior(inner) else { return Ok((cases, Vec::new())) };
+    let ask = |prompts: &Prompts, right: &[Mask], cases: &mut Vec<TrainingCase>| -> ExampleResult<Mask> {
+        let (answer, query) = see.answer(&photo.image, prompts)?;
+        if let Some(query) = query {
+            cases.push(TrainingCase {
+                step: query.step,
                 weight: photo.weight,
-                ious: ious(&question, right),
-                traits: question.meanings.into_iter().map(|m| m.traits).collect(),
+                ious: ious(&query, right),
+                traits: query.interpretations.into_iter().map(|m| m.traits).collect(),
             });
         }
         Ok(answer.mask)
@@ -130,40 +134,40 @@ fn play(see: &Builtin, photo: &Photo, object: &[Mask], number: usize) -> Outcome
     let outer = object.iter().max_by_key(|m| m.count()).ok_or("an object without a mask")?;
     let boxes = vec![box_of(outer)];
     let whole = std::slice::from_ref(outer);
-    ask(&Prompts { boxes: boxes.clone(), ..Prompts::default() }, whole, &mut questions)?;
-    ask(&Prompts { boxes, ..Prompts::click(middle.0, middle.1) }, whole, &mut questions)?;
+    ask(&Prompts { boxes: boxes.clone(), ..Prompts::default() }, whole, &mut cases)?;
+    ask(&Prompts { boxes, ..Prompts::click(middle.0, middle.1) }, whole, &mut cases)?;
     for turn in 0..2 {
         if let Some((x, y)) = elsewhere(outer, 2 * number + turn) {
             let held: Vec<Mask> = object.iter().filter(|m| m.at(x, y)).cloned().collect();
-            ask(&Prompts::click(x, y), &held, &mut questions)?;
+            ask(&Prompts::click(x, y), &held, &mut cases)?;
         }
     }
     if let Some([a, b]) = ends(outer) {
         let mut prompts = Prompts::click(a.0, a.1);
         prompts.points.extend(Prompts::click(b.0, b.1).points);
-        ask(&prompts, whole, &mut questions)?;
+        ask(&prompts, whole, &mut cases)?;
     }
     let mut prompts = Prompts::click(middle.0, middle.1);
     let mut series = Vec::new();
     loop {
-        let answer = ask(&prompts, object, &mut questions)?;
+        let answer = ask(&prompts, object, &mut cases)?;
         series.push(iou(object, &answer));
         if prompts.points.len() == CLICKS {
-            return Ok((questions, series));
+            return Ok((cases, series));
         }
         match nearest(object, &answer).and_then(|truth| correction(&answer, truth)) {
             Some(click) => prompts.points.push(click),
-            None => return Ok((questions, series)),
+            None => return Ok((cases, series)),
         }
     }
 }
 
-/// Weights that climb the expected IoU of the soft choice; they begin at `start`.
-fn climb(questions: &[&Case], start: &[f32]) -> Vec<f32> {
+/// Gradient ascent from `start` on the expected IoU of the soft choice.
+fn climb(cases: &[&TrainingCase], start: &[f32]) -> Vec<f32> {
     let count = start.len();
     // Traits differ in size: the ascent sees each by its spread.
     let mut spread = vec![(0.0f64, 0.0f64, 0.0f64); count];
-    for traits in questions.iter().flat_map(|q| &q.traits) {
+    for traits in cases.iter().flat_map(|q| &q.traits) {
         for (s, &t) in spread.iter_mut().zip(traits) {
             *s = (s.0 + 1.0, s.1 + f64::from(t), s.2 + f64::from(t).powi(2));
         }
@@ -171,10 +175,10 @@ fn climb(questions: &[&Case], start: &[f32]) -> Vec<f32> {
     let scale: Vec<f64> = spread.iter().map(|s| ((s.2 - s.1 * s.1 / s.0) / s.0).sqrt().max(1e-3)).collect();
     let mut weights: Vec<f64> = start.iter().zip(&scale).map(|(w, s)| f64::from(*w) * s).collect();
     let (mut first, mut second) = (vec![0.0; count], vec![0.0; count]);
-    let total: f64 = questions.iter().map(|q| q.weight).sum();
+    let total: f64 = cases.iter().map(|q| q.weight).sum();
     for step in 1..=STEPS {
         let mut slope = vec![0.0; count];
-        for q in questions {
+        for q in cases {
             let scores: Vec<f64> = q
                 .traits
                 .iter()
@@ -212,7 +216,7 @@ fn climb(questions: &[&Case], start: &[f32]) -> Vec<f32> {
 type Outlines = BTreeMap<String, BTreeMap<String, Vec<[f32; 2]>>>;
 
 /// The photos of one folder, and its name.
-fn photos(argument: &str, scene: usize) -> Outcome<(String, Vec<Photo>)> {
+fn photos(argument: &str, scene: usize) -> ExampleResult<(String, Vec<TrainingPhoto>)> {
     let mut parts = argument.split(':');
     let folder = Path::new(parts.next().unwrap_or_default());
     let every: usize = parts.next().map_or(Ok(1), str::parse)?;
@@ -225,7 +229,7 @@ fn photos(argument: &str, scene: usize) -> Outcome<(String, Vec<Photo>)> {
         _ => None,
     };
     let mut out = Vec::new();
-    for known in known(folder, LONG)? {
+    for known in photos_with_truth(folder, LONG)? {
         let (image, masks) = known.read()?;
         let (w, h) = (image.width as u32, image.height as u32);
         let objects: Vec<Vec<Mask>> = match &outlines {
@@ -235,14 +239,15 @@ fn photos(argument: &str, scene: usize) -> Outcome<(String, Vec<Photo>)> {
                     known.file.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
                 let full = Image::read(&known.file)?;
                 let scale = [w as f32 / full.width as f32, h as f32 / full.height as f32];
-                let drawn = outlines.get(&stem).map(|o| o.values().map(|c| filled(c, scale, w, h)).collect());
-                drawn.into_iter().collect()
+                let outlined =
+                    outlines.get(&stem).map(|o| o.values().map(|c| filled(c, scale, w, h)).collect());
+                outlined.into_iter().collect()
             }
         };
         let large = |m: &Mask| m.count() as f64 >= LEAST * f64::from(w * h);
         let objects: Vec<Vec<Mask>> = objects.into_iter().filter(|o| o.iter().any(large)).collect();
         if !objects.is_empty() {
-            out.push(Photo { image, objects, weight, learned: weight > 0.0, scene });
+            out.push(TrainingPhoto { image, objects, weight, learned: weight > 0.0, scene });
         }
     }
     let turn = |n: usize| (n + every - skip % every.max(1)) % every.max(1);
@@ -253,8 +258,8 @@ fn photos(argument: &str, scene: usize) -> Outcome<(String, Vec<Photo>)> {
         turn == 0 || turn == every / 2
     });
     // Every folder weighs the same, however many objects it shows.
-    let asked: usize = out.iter().filter(|p| p.learned).map(|p| p.objects.len()).sum();
-    out.iter_mut().for_each(|p| p.weight /= asked.max(1) as f64);
+    let learned_objects: usize = out.iter().filter(|p| p.learned).map(|p| p.objects.len()).sum();
+    out.iter_mut().for_each(|p| p.weight /= learned_objects.max(1) as f64);
     Ok((name, out))
 }
 
@@ -272,7 +277,7 @@ fn filled(corners: &[[f32; 2]], scale: [f32; 2], w: u32, h: u32) -> Mask {
     })
 }
 
-fn show(step: Step, weights: &[f32]) {
+fn show(step: PromptStep, weights: &[f32]) {
     println!("    {}: [", format!("{step:?}").to_lowercase());
     for row in weights.chunks(9) {
         println!("        {},", row.iter().map(|w| format!("{w:.4}")).collect::<Vec<_>>().join(", "));
@@ -280,7 +285,7 @@ fn show(step: Step, weights: &[f32]) {
     println!("    ],");
 }
 
-fn main() -> Outcome<()> {
+fn main() -> ExampleResult<()> {
     let rounds: usize = option("--rounds").map_or(Ok(3), |t| t.parse())?;
     let flags = ["--rounds", "--from", "--models"];
     let edges = match option("--models") {
@@ -299,12 +304,12 @@ fn main() -> Outcome<()> {
         names.push(name);
         all.extend(photos);
     }
-    let mut weights = if edges.is_some() { Weights::network() } else { Weights::builtin() };
-    let steps = [Step::First, Step::Add, Step::Remove, Step::Boxed];
+    let mut weights = if edges.is_some() { TraitWeights::network() } else { TraitWeights::builtin() };
+    let steps = [PromptStep::First, PromptStep::Add, PromptStep::Remove, PromptStep::Boxed];
     if option("--from").as_deref() == Some("zero") {
         steps.iter().for_each(|s| weights.of_mut(*s).fill(0.0));
     }
-    let mut cases: Vec<Case> = Vec::new();
+    let mut cases: Vec<TrainingCase> = Vec::new();
     for round in 0..=rounds {
         let see = match &edges {
             Some(edges) => Builtin::with_edges(edges.clone()),
@@ -326,9 +331,9 @@ fn main() -> Outcome<()> {
         });
         let mut series: BTreeMap<(usize, bool), Vec<Vec<f64>>> = BTreeMap::new();
         for played in halves {
-            for (photo, (asked, ious)) in played? {
+            for (photo, (new_cases, ious)) in played? {
                 if photo.learned {
-                    cases.extend(asked);
+                    cases.extend(new_cases);
                 }
                 series.entry((photo.scene, photo.learned)).or_default().push(ious);
             }
@@ -344,7 +349,8 @@ fn main() -> Outcome<()> {
         }
         if round < rounds {
             for step in steps {
-                let of: Vec<&Case> = cases.iter().filter(|q| q.step == step && q.traits.len() > 1).collect();
+                let of: Vec<&TrainingCase> =
+                    cases.iter().filter(|q| q.step == step && q.traits.len() > 1).collect();
                 if !of.is_empty() {
                     let start = weights.of(step).to_vec();
                     weights.of_mut(step).copy_from_slice(&climb(&of, &start));

@@ -1,19 +1,19 @@
-//! Sky by geometry: where the reconstruction saw nothing, above what it saw, out to the photo's boundaries; and sky by
-//! colour, doubted where the reconstruction saw something in it, alone or together with a network's.
+//! Sky by geometry: where the reconstruction has no points, above its points, out to the photo's boundaries; and sky by
+//! colour, alone or together with a network's, without the parts in which the reconstruction has points.
 
 use crate::{Builtin, PromptSegmenter, SkyDetector, SkyNetwork, VisionError};
 use segwild_scene::{Image, Mask};
 use std::sync::Arc;
 
-/// With fewer points than this a photo's geometry says nothing.
+/// With fewer points than this a photo's geometry is not used.
 const FEW: usize = 20;
 /// Columns that a point stands for, to either side, and how far above it the thing may still go on; shares of the
 /// photo's width and height.
 const BESIDE: f32 = 0.06;
 const ABOVE: f32 = 0.03;
 
-/// Finds the sky by the points that lie in a photo. It knows no colours: a night sky is as good as a blue one, and a wall
-/// without points at the top of the photo is taken for sky.
+/// Finds the sky by the points that lie in a photo. Colours play no part: a night sky is found as well as a blue one, and a
+/// wall without points at the top of the photo is taken for sky.
 pub(crate) struct GeometrySky(pub Arc<Builtin>);
 
 impl SkyDetector for GeometrySky {
@@ -39,25 +39,25 @@ impl SkyDetector for GeometrySky {
     }
 }
 
-/// Pixels from the outline of a sky, as a share of the long side, from which a point lies deep in it: what stands before
-/// a sky has points along its outline.
+/// Pixels from the outline of a sky, as a share of the long side, from which a point lies deep in it: objects before
+/// a sky have points along its outline.
 const DEEP: f32 = 0.01;
-/// Points deep in a sky, for its size, as a share of those in the photo for its size, and how many they must be: from here
-/// on it is none. All but one of 50 skies of `liberty` and `sacre_coeur` have at most .005; the walls of `desk`, which have
-/// next to no points, .013 and more, the ceiling of `fern` .004 to .028.
+/// Density of points deep in a sky, as a share of the photo's density, and their number, from which on the mask is no sky.
+/// All but one of 50 skies of `liberty` and `sacre_coeur` have at most .005; the walls of `desk`, which have next to no points,
+/// .013 and more, the ceiling of `fern` .004 to .028.
 const PEOPLED: (f32, usize) = (0.01, 4);
 /// The same for one of a sky's parts, which may be false beside a true one: façades and lawns have .1 to 2.
 const PART: (f32, usize) = (0.1, 3);
-/// A sky under this share of the photo is more often a ceiling, and must be clean: so high a share of points of it in all,
-/// and so many, and it is none. The ceiling of `fern` is 8 % of its photos, with few points deep in it.
+/// A sky under this share of the photo is more often a ceiling: here the density and number of all its points, not only the
+/// deep ones, decide. The ceiling of `fern` is 8 % of its photos, with few points deep in it.
 const SMALL: (f32, (f32, usize)) = (0.15, (0.05, 3));
 
-/// Finds the sky by colour and boundaries, and takes it back where points lie in it.
+/// Finds the sky by colour and boundaries, without the parts in which points lie.
 pub(crate) struct ColourSky(pub Arc<Builtin>);
 
 impl SkyDetector for ColourSky {
     fn key(&self) -> String {
-        format!("{}-doubted-2", SkyDetector::key(&*self.0))
+        format!("{}-pruned-2", SkyDetector::key(&*self.0))
     }
 
     fn by_points(&self) -> bool {
@@ -69,12 +69,12 @@ impl SkyDetector for ColourSky {
     }
 
     fn sky_above(&self, image: &Image, seen: &[[f32; 2]]) -> Result<Mask, VisionError> {
-        Ok(undoubted(self.sky(image)?, seen))
+        Ok(without_points(self.sky(image)?, seen))
     }
 }
 
-/// Finds what a network or [`ColourSky`] takes for sky. Each misses what the other finds, and a sky that is missed is filled
-/// with splats that float: colour stops at the edge of a bank of clouds, a network does not see a hazy sky above water.
+/// The union of a network's sky and [`ColourSky`]. Each misses parts that the other finds, and a missed sky is filled with
+/// floating splats: colour stops at the edge of a bank of clouds, a network misses a hazy sky above water.
 pub(crate) struct JointSky {
     pub network: SkyNetwork,
     pub colour: ColourSky,
@@ -94,12 +94,12 @@ impl SkyDetector for JointSky {
     }
 
     fn sky_above(&self, image: &Image, seen: &[[f32; 2]]) -> Result<Mask, VisionError> {
-        Ok(undoubted(self.network.sky(image)?, seen).or(&self.colour.sky_above(image, seen)?))
+        Ok(without_points(self.network.sky(image)?, seen).or(&self.colour.sky_above(image, seen)?))
     }
 }
 
-/// A sky without those of its parts in which points lie; none where too many lie in what is left.
-fn undoubted(sky: Mask, seen: &[[f32; 2]]) -> Mask {
+/// A sky without the parts in which points lie; empty where too many points lie in the rest.
+fn without_points(sky: Mask, seen: &[[f32; 2]]) -> Mask {
     if seen.len() < FEW || sky.is_empty() {
         return sky;
     }
@@ -148,7 +148,7 @@ struct Peopled {
     deep: usize,
 }
 
-/// How likely each pixel is open to the sky, by the points alone.
+/// Probability per pixel of being sky, by the points alone.
 fn openness(width: usize, height: usize, seen: &[[f32; 2]]) -> Image {
     let beside = (BESIDE * width as f32).max(2.0);
     let margin = (ABOVE * height as f32).max(2.0);
@@ -207,17 +207,17 @@ mod tests {
     }
 
     #[test]
-    fn what_stands_above_all_points_is_sky_whatever_its_colour() {
+    fn what_lies_above_all_points_is_sky_whatever_its_colour() {
         let (image, seen) = tower();
         let detector = GeometrySky(Arc::new(Builtin::new()));
         let sky = detector.sky_above(&image, &seen).unwrap();
         let truth = Mask::from_fn(96, 72, |x, y| y < 20 || (y < 52 && !(36..60).contains(&x)));
         assert!(sky.iou(&truth) > 0.85, "{}", sky.iou(&truth));
-        assert!(detector.sky_above(&image, &seen[..5]).unwrap().is_empty(), "five points say nothing");
+        assert!(detector.sky_above(&image, &seen[..5]).unwrap().is_empty(), "five points are too few");
         assert!(detector.by_points());
     }
 
-    /// What is left of a sky in a photo with 200 points below it, and so many in it.
+    /// The rest of a sky in a photo with 200 points below it and `inside` points in it.
     fn left(sky: &Mask, inside: usize) -> Mask {
         let below = (0..200).map(|i| [(i % 20) as f32 * 5.0, 75.0 + (i / 20) as f32]);
         let pixels: Vec<(u32, u32)> = sky.pixels().collect();
@@ -225,7 +225,7 @@ mod tests {
             let (x, y) = pixels[pixels.len() * (2 * i + 1) / (2 * inside)];
             [x as f32 + 0.5, y as f32 + 0.5]
         });
-        undoubted(sky.clone(), &below.chain(within).collect::<Vec<_>>())
+        without_points(sky.clone(), &below.chain(within).collect::<Vec<_>>())
     }
 
     #[test]
@@ -241,10 +241,10 @@ mod tests {
         assert_eq!(left(&ceiling, 2), ceiling);
         // Points on a skyline lie on its very outline.
         let skyline: Vec<[f32; 2]> = (0..100).map(|x| [x as f32 + 0.5, 49.5]).collect();
-        assert_eq!(undoubted(half.clone(), &skyline), half);
-        assert!(undoubted(Mask::empty(10, 10), &skyline).is_empty());
+        assert_eq!(without_points(half.clone(), &skyline), half);
+        assert!(without_points(Mask::empty(10, 10), &skyline).is_empty());
         // A point outside the frame is no point in the sky.
-        assert_eq!(undoubted(half.clone(), &vec![[-5.0, -5.0]; 60]), half);
+        assert_eq!(without_points(half.clone(), &vec![[-5.0, -5.0]; 60]), half);
     }
 
     #[test]
@@ -254,6 +254,6 @@ mod tests {
         let mut seen: Vec<[f32; 2]> =
             (0..200).map(|i| [(i % 20) as f32 * 5.0, 75.0 + (i / 20) as f32]).collect();
         seen.extend((0..40).map(|i| [80.0 + (i % 4) as f32 * 4.0, 5.0 + (i / 4) as f32 * 2.0]));
-        assert_eq!(undoubted(sky.or(&facade), &seen), sky);
+        assert_eq!(without_points(sky.or(&facade), &seen), sky);
     }
 }

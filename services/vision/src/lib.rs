@@ -1,4 +1,4 @@
-//! 2D models behind traits (method, sections 4-5): the built-in provider, which needs no weights, and ONNX
+//! 2D models behind traits (docs/method.md, sections 4 and 5): the built-in provider, which needs no weights, and ONNX
 //! networks run by ort.
 
 mod builtin;
@@ -10,7 +10,9 @@ mod registry;
 mod sam;
 mod settings;
 
-pub use builtin::{Builtin, EdgeDetector, Meaning, Question, RegionCache, Regions, Step, Weights};
+pub use builtin::{
+    Builtin, EdgeDetector, PromptInterpretation, PromptQuery, PromptStep, RegionCache, Regions, TraitWeights,
+};
 pub use networks::{EdgeNetwork, SkyNetwork, TransientNetwork};
 pub use onnx::Runtime;
 pub use provider::{

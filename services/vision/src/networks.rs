@@ -27,7 +27,7 @@ impl EdgeNetwork {
         self.network.key()
     }
 
-    /// Loads a file; what does not fit is said in words.
+    /// Loads a file. The error names the file and says what does not fit.
     pub fn load(runtime: &Runtime, path: &Path, threads: u32) -> Result<EdgeNetwork, VisionError> {
         let network = Network::load(runtime, path, threads)?;
         if network.answers.is_some_and(|c| c != 1) {
@@ -114,8 +114,8 @@ impl SkyNetwork {
         self.network.key()
     }
 
-    /// Loads a file and tells the kind by its answer; what does not fit is said in words. A pixel is sky from
-    /// probability `confidence` on.
+    /// Loads a file and recognises the kind by the number of its output maps. A pixel is sky from probability `confidence` on.
+    /// The error names the file and says what does not fit.
     pub fn load(
         runtime: &Runtime,
         path: &Path,
@@ -197,7 +197,7 @@ impl TransientNetwork {
         self.network.key()
     }
 
-    /// Loads a file; what does not fit is said in words.
+    /// Loads a file. The error names the file and says what does not fit.
     pub fn load(runtime: &Runtime, path: &Path, threads: u32) -> Result<TransientNetwork, VisionError> {
         let network = Network::load(runtime, path, threads)?;
         if network.answers.is_some_and(|c| c != CITYSCAPES.1) {

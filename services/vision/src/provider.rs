@@ -1,4 +1,4 @@
-//! What a 2D model must do. Images are sRGB in [0, 1], three planes; masks have the image's size.
+//! The traits of 2D models. Images are sRGB in [0, 1], three planes; masks have the image's size.
 
 use segwild_scene::{Embedding, Image, Mask, Prompts, ScoredMask};
 
@@ -13,21 +13,21 @@ pub enum VisionError {
     Image(String),
 }
 
-/// What a network did so far: for reports of its speed.
+/// Counters of a network's work so far, for reports of its speed.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Work {
-    /// Pictures encoded; one that is still known from before is not encoded again.
+    /// Images encoded; one whose embedding is still in memory is not encoded again.
     pub encoded: u64,
-    /// Seconds that took.
+    /// Seconds spent encoding.
     pub encode_s: f64,
     /// Prompts answered.
     pub prompts: u64,
-    /// Seconds that took, the masks' scaling to the photo included.
+    /// Seconds spent decoding, the masks' scaling to the photo included.
     pub decode_s: f64,
 }
 
 impl Work {
-    /// Seconds per picture; `None` before the first.
+    /// Seconds per encoded image; `None` before the first.
     pub fn seconds_per_picture(&self) -> Option<f64> {
         (self.encoded > 0).then(|| self.encode_s / self.encoded as f64)
     }
@@ -40,17 +40,17 @@ impl Work {
 
 /// Dense descriptors for the feature field.
 pub trait Embedder: Send + Sync {
-    /// Names the model and its parameters; part of every cache key made with it (method, section 8).
+    /// Names the model and its parameters; part of every cache key made with it (docs/method.md, section 8).
     fn key(&self) -> String;
     /// Whether it computes on the machine's accelerator, which then is held while it answers.
     fn accelerator(&self) -> bool {
         false
     }
-    /// Describes an image.
+    /// Descriptors of an image.
     fn embed(&self, image: &Image) -> Result<Embedding, VisionError>;
 }
 
-/// Masks at given points, as SASM asks for them (method, section 5).
+/// Masks at given points, for SASM (docs/method.md, section 5).
 pub trait MaskProposer: Send + Sync {
     /// Names the model and its parameters.
     fn key(&self) -> String;
@@ -61,19 +61,19 @@ pub trait MaskProposer: Send + Sync {
     /// Masks that the points lie in, unfiltered; several nested ones per point are welcome. `points` are
     /// pixel positions.
     fn propose(&self, image: &Image, points: &[[f32; 2]]) -> Result<Vec<ScoredMask>, VisionError>;
-    /// What it did so far, if it counts.
+    /// Counters of its work so far; `None` where it does not count.
     fn work(&self) -> Option<Work> {
         None
     }
 }
 
-/// What a person's prompts mean in one photo.
+/// The mask of a person's prompts in one photo.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Prompted {
     /// The mask, with scores.
     pub answer: ScoredMask,
-    /// How likely each pixel is meant although the mask leaves it out, in [0, 1], one plane of the photo's size: what
-    /// the mask holds was pointed at, but where it ends is a guess. 0 in the mask.
+    /// Probability that a pixel is meant although the mask leaves it out, in [0, 1], one plane of the photo's size: the prompts
+    /// point at the mask, but where it ends is a guess. 0 in the mask.
     pub open: Image,
 }
 
@@ -85,7 +85,7 @@ impl Prompted {
     }
 }
 
-/// The mask a person's prompts mean.
+/// Answers a person's prompts with a mask.
 pub trait PromptSegmenter: Send + Sync {
     /// Names the model and its parameters.
     fn key(&self) -> String;
@@ -102,12 +102,12 @@ pub trait PromptSegmenter: Send + Sync {
     /// Snaps a rough mask (a rendered selection, say) to the image's own boundaries. `certainty` has one
     /// number per pixel in [0, 1]: how likely the pixel belongs to the object.
     fn refine(&self, image: &Image, certainty: &Image) -> Result<ScoredMask, VisionError>;
-    /// Works out what every answer about this photo needs, if there is room to keep it until it is asked for. No answer
-    /// depends on it, and what fails here fails again when it is asked for.
+    /// Computes in advance what every answer about this photo needs, if memory can hold it until then. No answer depends on it;
+    /// an error here is dropped and returns with the answer itself.
     fn prepare(&self, _image: &Image) {}
 }
 
-/// Refuses a certainty that [`PromptSegmenter::refine`] cannot lay over its image.
+/// Refuses a certainty whose size is not its image's, for [`PromptSegmenter::refine`].
 pub(crate) fn check_certainty(image: &Image, certainty: &Image) -> Result<(), VisionError> {
     if (certainty.width, certainty.height) != (image.width, image.height)
         || certainty.channels == 0
@@ -121,7 +121,7 @@ pub(crate) fn check_certainty(image: &Image, certainty: &Image) -> Result<(), Vi
     Ok(())
 }
 
-/// Who does not belong to the place: persons and vehicles.
+/// Finds transients: persons and vehicles.
 pub trait TransientDetector: Send + Sync {
     /// Names the model and its parameters.
     fn key(&self) -> String;
@@ -129,7 +129,7 @@ pub trait TransientDetector: Send + Sync {
     fn transients(&self, image: &Image) -> Result<Mask, VisionError>;
 }
 
-/// Where the sky is.
+/// Finds the sky.
 pub trait SkyDetector: Send + Sync {
     /// Names the model and its parameters.
     fn key(&self) -> String;
@@ -139,7 +139,7 @@ pub trait SkyDetector: Send + Sync {
     }
     /// The sky's pixels.
     fn sky(&self, image: &Image) -> Result<Mask, VisionError>;
-    /// Whether the points that lie in a photo decide, so that they are part of every key.
+    /// Whether the points that lie in a photo change the answer, so that they are part of every key.
     fn by_points(&self) -> bool {
         false
     }

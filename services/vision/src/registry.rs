@@ -1,7 +1,7 @@
-//! Which network files are known: what they are called, what they are, under which terms their makers give them away.
+//! The known network files: their names, families and licences.
 //!
-//! Segwild ships none of them. A licence here is what the published project says of its weights; whoever uses a file
-//! answers for where it came from.
+//! Segwild ships none of them. A licence here is the one that the published project states for its weights; whoever uses a file
+//! is responsible for its origin.
 
 use crate::VisionError;
 use crate::onnx::inspect;
@@ -48,8 +48,7 @@ impl Family {
     }
 }
 
-/// Pairs of networks by the stem of their names, in the order in which they are looked for: what a CPU can do with comes
-/// first.
+/// Pairs of networks by the stem of their names, in the order of search: those that a CPU can run come first.
 const PAIRS: [(&str, Family); 13] = [
     ("mobile_sam", Family::MobileSam),
     ("mobilesam", Family::MobileSam),
@@ -75,13 +74,13 @@ pub(crate) const DEEPLAB: &str = "deeplab_cityscapes_513.onnx";
 const SINGLE: [(&str, Family, &str); 3] =
     [(EDGES, Family::Edges, "boundaries"), (SKY, Family::Sky, "sky"), (DEEPLAB, Family::Deeplab, "sky")];
 
-/// What stands between the stem and the part.
+/// Separators of the stem and the part.
 const JOINTS: [&str; 3] = ["_", ".", "-"];
 const PARTS: [&str; 2] = ["encoder", "decoder"];
 
 /// An encoder and its decoder.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Pair {
+pub(crate) struct ModelPair {
     pub stem: String,
     /// `None` under a name that the table does not know.
     pub family: Option<Family>,
@@ -89,21 +88,21 @@ pub(crate) struct Pair {
     pub decoder: PathBuf,
 }
 
-/// The pairs in a folder, best first, and what is wrong with half a pair. `stem` asks for one by name, known or not.
-pub(crate) fn pairs(folder: &Path, stem: &str) -> (Vec<Pair>, Vec<String>) {
-    let asked;
+/// The pairs in a folder, best first, and messages about incomplete pairs. `stem` requests one by name, known or not; empty: all.
+pub(crate) fn pairs(folder: &Path, stem: &str) -> (Vec<ModelPair>, Vec<String>) {
+    let named;
     let stems: &[(&str, Option<Family>)] = match stem {
         "" => &PAIRS.map(|(stem, family)| (stem, Some(family))),
         stem => {
-            asked = [(stem, family_of(stem))];
-            &asked
+            named = [(stem, family_of(stem))];
+            &named
         }
     };
     let (mut found, mut wrong) = (Vec::new(), Vec::new());
     for &(stem, family) in stems {
         match PARTS.map(|part| part_of(folder, stem, part)) {
             [Some(encoder), Some(decoder)] => {
-                found.push(Pair { stem: stem.to_owned(), family, encoder, decoder });
+                found.push(ModelPair { stem: stem.to_owned(), family, encoder, decoder });
             }
             [Some(encoder), None] => wrong.push(half(stem, &encoder, "an encoder", "decoder")),
             [None, Some(decoder)] => wrong.push(half(stem, &decoder, "a decoder", "encoder")),
@@ -191,9 +190,9 @@ mod tests {
         let expected = [("mobile_sam", Some(Family::MobileSam)), ("sam_vit_b", Some(Family::Sam))];
         assert_eq!(stems, expected, "the lighter one first; unknown names only when asked for");
         assert!(wrong[0].contains("is a decoder without its encoder"), "{wrong:?}");
-        let (asked, _) = pairs(folder.path(), "own");
-        assert_eq!((asked[0].stem.as_str(), asked[0].family), ("own", None));
-        // What the doctor lists.
+        let (named, _) = pairs(folder.path(), "own");
+        assert_eq!((named[0].stem.as_str(), named[0].family), ("own", None));
+        // The list of `segwild doctor`.
         let listed = models_in(folder.path()).unwrap();
         let seen: Vec<_> = listed.iter().map(|m| (m.name.as_str(), m.family, m.role)).collect();
         assert_eq!(seen[1], ("mobile_sam-decoder.onnx", Some(Family::MobileSam), Some("decoder")));

@@ -114,7 +114,7 @@ segwild_scene::settings! {
 /// Name of the built-in provider of masks, as records, tables and reports have it.
 pub const BUILT_IN: &str = "built-in";
 
-/// The providers that settings name, and what was found and chosen.
+/// The providers that settings name, and notes on what was found and used.
 #[derive(Clone)]
 pub struct Providers {
     /// Dense descriptors.
@@ -127,16 +127,16 @@ pub struct Providers {
     pub sky: Arc<dyn SkyDetector>,
     /// Persons and vehicles, if a network for them was named.
     pub transients: Option<Arc<dyn TransientDetector>>,
-    /// Who makes masks and answers clicks, as records, tables and reports name it: [`BUILT_IN`], or `sam:` and the stem of
-    /// its files. Who else implements the traits gives a name of its own.
+    /// Name of the provider of masks and clicks, as records, tables and reports have it: [`BUILT_IN`], or `sam:` and the stem of
+    /// its files. Other implementations of the traits give a name of their own.
     pub name: String,
     /// What was found and chosen, a sentence each.
     pub notes: Vec<String>,
-    /// The network files that serve.
+    /// The network files in use.
     pub networks: Vec<NetworkFile>,
 }
 
-/// A network file that serves.
+/// A network file in use.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct NetworkFile {
     /// The setting that led to it: `models` or `transient_network`.
@@ -191,16 +191,16 @@ fn file(settings: &VisionSettings, name: &str, demanded: bool) -> Result<Option<
 }
 
 impl Providers {
-    /// Finds what `settings` ask for. Where `auto` cannot have a network, the built-in provider serves and a note says
+    /// Finds the providers that `settings` name. Where `auto` cannot have a network, the built-in provider serves and a note says
     /// why; a network asked for by name that cannot be had is an error.
     pub fn from_settings(settings: &VisionSettings) -> Result<Providers, VisionError> {
         Providers::keeping(settings, None)
     }
 
-    /// The same; where the built-in provider answers clicks, it keeps the regions of photos on `shelf`.
+    /// As [`Providers::from_settings`]; where the built-in provider answers clicks, it keeps the regions of photos in `cache`.
     pub fn keeping(
         settings: &VisionSettings,
-        shelf: Option<Arc<dyn RegionCache>>,
+        cache: Option<Arc<dyn RegionCache>>,
     ) -> Result<Providers, VisionError> {
         if !settings.models.is_empty() && !Path::new(&settings.models).is_dir() {
             return Err(VisionError::Model(format!(
@@ -215,7 +215,7 @@ impl Providers {
             )));
         }
         let (mut notes, mut networks) = (Vec::new(), Vec::new());
-        let sam = crate::sam::chosen(settings, &mut notes)?;
+        let sam = crate::sam::find_pair(settings, &mut notes)?;
         networks.extend(sam.iter().flat_map(|sam| sam.files()));
         let edges = edges(settings, &mut notes, &mut networks)?;
         let builtin = match edges {
@@ -226,20 +226,20 @@ impl Providers {
         let shares = if sam.is_some() { 2 } else { 1 };
         let by_sam = |choice: ModelChoice| sam.clone().filter(|_| choice != ModelChoice::Builtin);
         let builtin = builtin.within(settings.vision_memory as usize * (1 << 20) / shares);
-        let builtin = Arc::new(match shelf.filter(|_| by_sam(settings.masks).is_none()) {
-            Some(shelf) => builtin.keeping(shelf),
+        let builtin = Arc::new(match cache.filter(|_| by_sam(settings.masks).is_none()) {
+            Some(cache) => builtin.keeping(cache),
             None => builtin,
         });
         let without = match (settings.models.is_empty(), &sam) {
             (false, None) => " (SAM is not there, or not asked for)",
             _ => "",
         };
-        let told = |what: &str, sam: bool| match sam {
+        let note = |what: &str, sam: bool| match sam {
             true => format!("{what}: SAM"),
             false => format!("{what}: built-in{without}"),
         };
-        notes.push(told("descriptors", by_sam(settings.embedder).is_some()));
-        notes.push(told("masks, clicks and refinement", by_sam(settings.masks).is_some()));
+        notes.push(note("descriptors", by_sam(settings.embedder).is_some()));
+        notes.push(note("masks, clicks and refinement", by_sam(settings.masks).is_some()));
         let sky: Arc<dyn SkyDetector> = match sky(settings, &builtin, &mut notes, &mut networks)? {
             Some(network) => network,
             None if settings.sky == SkyChoice::None => {

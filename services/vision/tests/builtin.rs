@@ -199,10 +199,10 @@ fn descriptors_survive_another_light() {
         .collect();
     let cell = |x: usize, y: usize| y * bright.width + x;
     let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(x, y)| x * y).sum::<f32>();
-    let places = [cell(32, 16), cell(32, 32), cell(8, 10), cell(8, 42)];
-    for (k, &p) in places.iter().enumerate() {
+    let cells = [cell(32, 16), cell(32, 32), cell(8, 10), cell(8, 42)];
+    for (k, &p) in cells.iter().enumerate() {
         let here = unit(&bright, p, &centre);
-        for (m, &q) in places.iter().enumerate() {
+        for (m, &q) in cells.iter().enumerate() {
             let other = dot(&here, &unit(&dark, q, &centre));
             if k == m {
                 assert!(other > 0.6, "place {k} in another light: {other}");
@@ -214,7 +214,7 @@ fn descriptors_survive_another_light() {
 }
 
 #[test]
-fn what_cannot_be_answered_is_said() {
+fn prompts_that_cannot_be_answered_are_refused() {
     let see = Builtin::new();
     let (image, ..) = tower(60, 40, 1.0);
     let text = |r: Result<segwild_scene::ScoredMask, segwild_vision::VisionError>| r.unwrap_err().to_string();

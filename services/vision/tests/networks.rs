@@ -45,9 +45,9 @@ fn networks_serve_when_they_are_given() {
     let all = Providers::from_settings(&settings).unwrap();
     assert!(all.notes.iter().any(|n| n.starts_with("boundaries: network")), "{:?}", all.notes);
     assert!(all.embedder.key().contains("+edges-"), "the network is part of every key");
-    // Selections are better by the built-in detector's skies, and somebody who has the network is told how to take it.
-    let told = |n: &String| n.starts_with("sky: built-in detector") && n.contains("network");
-    assert!(all.notes.iter().any(told), "{:?}", all.notes);
+    // Selections are better with the built-in detector's skies; a note names the setting that takes the network.
+    let is_note = |n: &String| n.starts_with("sky: built-in detector") && n.contains("network");
+    assert!(all.notes.iter().any(is_note), "{:?}", all.notes);
     let image = photo();
     // A box beside the click: the network's soft outline leaves a click alone several shapes to choose from.
     let corners = segwild_scene::BoxPrompt { x0: 27.0, y0: 17.0, x1: 63.0, y1: 63.0 };
@@ -86,8 +86,8 @@ fn the_sky_of_a_network_and_of_the_colours_is_taken_together_and_taken_back_wher
 }
 
 #[test]
-fn what_does_not_fit_is_said_in_words() {
-    let Some(models) = models("what_does_not_fit_is_said_in_words") else { return };
+fn files_that_do_not_fit_are_refused_with_a_reason() {
+    let Some(models) = models("files_that_do_not_fit_are_refused_with_a_reason") else { return };
     let folder = tempfile::tempdir().unwrap();
     let text = |edges, sky| {
         let settings = VisionSettings {
@@ -126,9 +126,13 @@ fn without_networks_the_built_in_provider_serves() {
     assert!(Providers::from_settings(&none).unwrap().sky.sky(&photo()).unwrap().is_empty());
     let lost = VisionSettings { models: "/no/such/folder".into(), ..VisionSettings::default() };
     assert!(Providers::from_settings(&lost).map(|_| ()).unwrap_err().to_string().contains("does not exist"));
-    let asked = VisionSettings { edges: EdgeChoice::Network, ..VisionSettings::default() };
+    let settings = VisionSettings { edges: EdgeChoice::Network, ..VisionSettings::default() };
     assert!(
-        Providers::from_settings(&asked).map(|_| ()).unwrap_err().to_string().contains("no folder of models")
+        Providers::from_settings(&settings)
+            .map(|_| ())
+            .unwrap_err()
+            .to_string()
+            .contains("no folder of models")
     );
 }
 

@@ -8,10 +8,10 @@ use std::path::{Path, PathBuf};
 const SIZE: f32 = 320.0;
 
 /// A folder of photos, or `None` with a line that says which test is skipped.
-fn photos(place: &str, test: &str) -> Option<PathBuf> {
+fn photos(scene: &str, test: &str) -> Option<PathBuf> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let shared = std::env::var_os("SEGWILD_SHARED").map_or_else(|| root.join("../shared"), PathBuf::from);
-    let folder = shared.join("data").join(place);
+    let folder = shared.join("data").join(scene);
     if folder.is_dir() {
         return Some(folder);
     }

@@ -82,14 +82,14 @@ fn a_click_gives_three_nested_masks_whatever_the_interface() {
     let interfaces = [
         ("SAM", Takes::Planes, SAM),
         ("SAM without the mask for precise prompts", Takes::Planes, three),
-        ("SAM of many questions", Takes::Planes, Decoder { questions: toy::onnx::OPEN, ..SAM }),
+        ("SAM of many queries", Takes::Planes, Decoder { queries: toy::onnx::OPEN, ..SAM }),
         ("SAM of a fixed number of points", Takes::Planes, Decoder { points: 5, ..SAM }),
         ("SAM of full-size masks alone", Takes::Planes, Decoder { small: false, ..SAM }),
         ("SAM of packed floats", Takes::Pixels(PIXEL_KINDS[0]), SAM),
         ("SAM of packed bytes", Takes::Pixels(PIXEL_KINDS[1]), SAM),
         ("EfficientSAM", Takes::Whole, EFFICIENT),
         ("EfficientSAM of full-size masks alone", Takes::Whole, Decoder { small: false, ..EFFICIENT }),
-        ("EfficientSAM of four questions", Takes::Whole, Decoder { questions: 4, points: 6, ..EFFICIENT }),
+        ("EfficientSAM of four queries", Takes::Whole, Decoder { queries: 4, points: 6, ..EFFICIENT }),
     ];
     let (image, expected) = (photo(), [truth(red), truth(|x, y| red(x, y) || reddish(x, y))]);
     for (what, takes, d) in interfaces {
@@ -163,8 +163,8 @@ fn masks_are_scaled_to_the_photo_as_the_published_export_scales_them() {
 }
 
 #[test]
-fn clicks_outside_and_boxes_are_heard() {
-    if !can_run("clicks_outside_and_boxes_are_heard") {
+fn clicks_outside_and_boxes_change_the_mask() {
+    if !can_run("clicks_outside_and_boxes_change_the_mask") {
         return;
     }
     for (takes, d) in [(Takes::Planes, SAM), (Takes::Whole, EFFICIENT)] {
@@ -237,8 +237,8 @@ fn a_photo_that_was_prepared_is_not_encoded_again() {
     assert_eq!(all.proposer.work().unwrap().encoded, 1);
     let prompts = Prompts { points: vec![click(40.0, 40.0, true)], ..Prompts::default() };
     let answer = all.segmenter.segment(&image, &prompts).unwrap();
-    let Work { encoded, prompts: asked, .. } = all.proposer.work().unwrap();
-    assert_eq!((encoded, asked), (1, 1));
+    let Work { encoded, prompts: count, .. } = all.proposer.work().unwrap();
+    assert_eq!((encoded, count), (1, 1));
     assert_eq!(answer, providers(folder.path(), |_| ()).segmenter.segment(&image, &prompts).unwrap());
 }
 
@@ -263,11 +263,11 @@ fn the_embedding_covers_the_photo_and_no_padding() {
             e.data[(channel * e.height + y) * e.width + x]
         };
         // The middle of the red square and of the blue bar, standardised by the published figures.
-        for (place, colour) in [([0.25, 0.36], [0.8, 0.2, 0.2]), ([0.5, 0.8], [0.1, 0.2, 0.9])] {
+        for (position, colour) in [([0.25, 0.36], [0.8, 0.2, 0.2]), ([0.5, 0.8], [0.1, 0.2, 0.9])] {
             let (mean, deviation) = ([123.675, 116.28, 103.53], [58.395, 57.12, 57.375]);
             for c in 0..3 {
                 let expected = (255.0 * colour[c] - mean[c]) / deviation[c];
-                let got = at(c, place[0], place[1]);
+                let got = at(c, position[0], position[1]);
                 assert!((got - expected).abs() < 0.03, "{c}: {got} is not {expected}");
             }
         }
@@ -303,7 +303,7 @@ fn a_rough_mask_snaps_to_the_photo() {
 }
 
 #[test]
-fn each_part_can_be_chosen_by_itself() {
+fn each_part_can_be_selected_by_itself() {
     if !can_run("each_part_can_be_chosen_by_itself") {
         return;
     }
@@ -319,8 +319,8 @@ fn each_part_can_be_chosen_by_itself() {
     let auto = |s: &mut VisionSettings| (s.masks, s.embedder) = (ModelChoice::Auto, ModelChoice::Auto);
     assert_eq!(keys(&auto), [true; 3]);
     let notes = providers(folder.path(), auto).notes;
-    let told = notes.iter().find(|n| n.starts_with("SAM: MobileSAM")).unwrap();
-    assert!(told.contains("on the CPU") && told.contains("Apache-2.0"), "{told}");
+    let note = notes.iter().find(|n| n.starts_with("SAM: MobileSAM")).unwrap();
+    assert!(note.contains("on the CPU") && note.contains("Apache-2.0"), "{note}");
     assert!(!providers(folder.path(), |_| ()).proposer.accelerator(), "no lease is taken for a CPU's work");
 }
 

@@ -1,5 +1,5 @@
-//! Files of the SAM family that are not what they should be: half a pair, something else, cut short, hostile. Each is said
-//! in words that name the file, and costs neither the program nor the machine.
+//! Files of the SAM family that are not what they should be: half a pair, something else, cut short, hostile. Each is refused
+//! with a message that names the file; the program goes on.
 
 mod toy;
 
@@ -7,7 +7,7 @@ use segwild_scene::{Image, Prompts};
 use segwild_vision::{DeviceChoice, ModelChoice, Providers, VisionSettings};
 use std::path::Path;
 use std::time::Instant;
-use toy::onnx::{Graph, OPEN, tensor, tensor_elsewhere};
+use toy::onnx::{OPEN, OnnxGraph, tensor, tensor_elsewhere};
 use toy::{Decoder, EFFICIENT, Fault, SAM, Takes, can_run, decoder, encoder};
 
 fn settings(folder: &Path) -> VisionSettings {
@@ -34,11 +34,11 @@ fn refused(encoder: &[u8], decoder: &[u8], words: &[&str]) {
 }
 
 /// What goes wrong with a click on a photo, by these files.
-fn asked(encoder: &[u8], decoder: &[u8], change: impl Fn(&mut VisionSettings)) -> String {
-    asked_with(encoder, decoder, change, &Prompts::click(20.0, 15.0))
+fn error_of(encoder: &[u8], decoder: &[u8], change: impl Fn(&mut VisionSettings)) -> String {
+    error_with(encoder, decoder, change, &Prompts::click(20.0, 15.0))
 }
 
-fn asked_with(
+fn error_with(
     encoder: &[u8],
     decoder: &[u8],
     change: impl Fn(&mut VisionSettings),
@@ -75,12 +75,12 @@ fn what_is_missing_is_named() {
 }
 
 #[test]
-fn files_of_another_kind_are_told_apart() {
-    if !can_run("files_of_another_kind_are_told_apart") {
+fn files_of_another_kind_are_refused() {
+    if !can_run("files_of_another_kind_are_refused") {
         return;
     }
     let (e, d) = good();
-    refused(b"\x89PNG\r\n\x1a\nand so on", &d, &["it is a picture", "sam_encoder.onnx"]);
+    refused(b"\x89PNG\r\n\x1a\nand so on", &d, &["it is an image", "sam_encoder.onnx"]);
     refused(&e, b"PK\x03\x04and so on", &["ZIP archive", "sam_decoder.onnx"]);
     refused(b"version https://git-lfs.github.com/spec/v1\n", &d, &["Git LFS"]);
     refused(b"<!doctype html>", &d, &["web page"]);
@@ -106,13 +106,13 @@ fn a_file_that_is_cut_short_anywhere_is_refused() {
 }
 
 #[test]
-fn shapes_that_do_not_fit_are_said() {
-    if !can_run("shapes_that_do_not_fit_are_said") {
+fn shapes_that_do_not_fit_are_refused() {
+    if !can_run("shapes_that_do_not_fit_are_refused") {
         return;
     }
     let (e, d) = good();
     let strange = |input: (&str, &[i64]), output: (&str, &[i64])| {
-        let mut g = Graph::default();
+        let mut g = OnnxGraph::default();
         g.input(input.0, 1, input.1);
         g.op_to("Identity", &[input.0], output.0, vec![]);
         g.output(output.0, 1, output.1);
@@ -136,18 +136,18 @@ fn shapes_that_do_not_fit_are_said() {
         &["declared as 1 x 3 x 1000000 x 1000000"],
     );
     // Answers that are not what the file declares, or no numbers, are found when they come.
-    let half = asked(&encoder(Takes::Planes, Fault::Half), &d, |_| ());
+    let half = error_of(&encoder(Takes::Planes, Fault::Half), &d, |_| ());
     assert!(half.contains("sam_encoder.onnx: answered [1, 256, 64, 32] on a photo of 40 x 30"), "{half}");
-    let nan = asked(&encoder(Takes::Planes, Fault::NoNumber), &d, |_| ());
+    let nan = error_of(&encoder(Takes::Planes, Fault::NoNumber), &d, |_| ());
     assert!(nan.contains("values that are no numbers on a photo of 40 x 30"), "{nan}");
-    let spoilt = asked(&e, &decoder(Decoder { spoilt: true, ..SAM }), |_| ());
+    let spoilt = error_of(&e, &decoder(Decoder { spoilt: true, ..SAM }), |_| ());
     assert!(spoilt.contains("4 values that are no numbers"), "{spoilt}");
-    let many = decoder(Decoder { questions: 4096, small: false, ..EFFICIENT });
+    let many = decoder(Decoder { queries: 4096, small: false, ..EFFICIENT });
     refused(&encoder(Takes::Whole, Fault::None), &many, &["takes 4096 prompts at a time"]);
     let one_point = decoder(Decoder { points: 1, ..SAM });
     let mut two = Prompts::click(20.0, 15.0);
     two.points.extend(Prompts::click(5.0, 5.0).points);
-    let few = asked_with(&e, &one_point, |_| (), &two);
+    let few = error_with(&e, &one_point, |_| (), &two);
     assert!(few.contains("takes 1 points at a time, and 2 were given"), "{few}");
 }
 
@@ -157,7 +157,7 @@ fn a_network_without_end_is_stopped() {
         return;
     }
     let began = Instant::now();
-    let error = asked(&encoder(Takes::Planes, Fault::Endless), &decoder(SAM), |s| s.network_limit = 1);
+    let error = error_of(&encoder(Takes::Planes, Fault::Endless), &decoder(SAM), |s| s.network_limit = 1);
     assert!(error.contains("was stopped") && error.contains("after 1 seconds"), "{error}");
     assert!(began.elapsed().as_secs() < 60);
 }
@@ -168,7 +168,7 @@ fn a_file_that_wants_gigabytes_gets_none() {
         return;
     }
     for fault in [Fault::Huge, Fault::HugeAtOnce] {
-        let error = asked(&encoder(Takes::Planes, fault), &decoder(SAM), |_| ());
+        let error = error_of(&encoder(Takes::Planes, fault), &decoder(SAM), |_| ());
         assert!(error.contains("`network_memory`"), "{error}");
     }
     if let Ok(status) = std::fs::read_to_string("/proc/self/status") {
@@ -178,7 +178,7 @@ fn a_file_that_wants_gigabytes_gets_none() {
     }
     // A weight that says it is larger than its file.
     let claims = |dims: &[i64]| {
-        let mut g = Graph::default();
+        let mut g = OnnxGraph::default();
         g.input("image", 1, &[1, 3, 1024, 1024]);
         g.weight(&tensor("w", 1, dims, &[0; 64]));
         g.op_to("Identity", &["w"], "image_embeddings", vec![]);
@@ -201,7 +201,7 @@ fn weights_outside_of_the_folder_are_not_followed() {
     std::fs::write(&secret, vec![0; 4096]).unwrap();
     let outside = secret.display().to_string();
     let wants = |entries: &[(&str, &str)]| {
-        let mut g = Graph::default();
+        let mut g = OnnxGraph::default();
         g.input("image", 1, &[1, 3, 1024, 1024]);
         g.weight(&tensor_elsewhere("w", &[1, 256, 2, 2], entries));
         g.op_to("Identity", &["w"], "image_embeddings", vec![]);
@@ -213,8 +213,8 @@ fn weights_outside_of_the_folder_are_not_followed() {
         let error = Providers::from_settings(&settings(&models)).map(|_| ()).unwrap_err().to_string();
         assert!(error.contains(word) && error.contains("sam_encoder.onnx"), "{error}");
     };
-    for away in ["../secret.bin", &outside, "", "a/../../secret.bin", "..\\secret.bin"] {
-        says(&[("location", away)], "outside its folder");
+    for location in ["../secret.bin", &outside, "", "a/../../secret.bin", "..\\secret.bin"] {
+        says(&[("location", location)], "outside its folder");
     }
     says(&[("location", "none.bin")], "cannot be read");
     #[cfg(unix)]
@@ -236,7 +236,7 @@ fn the_key_follows_weights_beside_the_file() {
     }
     let folder = tempfile::tempdir().unwrap();
     // The encoder's positions: two planes of zeros, 32 KiB, in a file of their own.
-    let mut g = Graph::default();
+    let mut g = OnnxGraph::default();
     g.input("image", 1, &[1, 3, 1024, 1024]);
     g.weight(&tensor_elsewhere("w", &[1, 256, 64, 64], &[("location", "sam.data"), ("length", "4194304")]));
     g.op_to("Identity", &["w"], "image_embeddings", vec![]);
@@ -256,16 +256,16 @@ fn the_key_follows_weights_beside_the_file() {
 }
 
 #[test]
-fn cuda_is_asked_for_in_vain_where_the_runtime_has_none() {
-    if !can_run("cuda_is_asked_for_in_vain_where_the_runtime_has_none") {
+fn cuda_is_refused_where_the_runtime_has_none() {
+    if !can_run("cuda_is_refused_where_the_runtime_has_none") {
         return;
     }
     if segwild_vision::Runtime::find("").unwrap().has_cuda() {
-        eprintln!("skipped: cuda_is_asked_for_in_vain_where_the_runtime_has_none: this one has it");
+        eprintln!("skipped: cuda_is_refused_where_the_runtime_has_none: this one has it");
         return;
     }
     let (e, d) = good();
-    let error = asked(&e, &d, |s| s.network_device = DeviceChoice::Cuda);
+    let error = error_of(&e, &d, |s| s.network_device = DeviceChoice::Cuda);
     assert!(error.contains("built without CUDA") && error.contains("onnxruntime-gpu"), "{error}");
     let folder = tempfile::tempdir().unwrap();
     toy::write_usual(folder.path());

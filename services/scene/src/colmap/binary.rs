@@ -9,7 +9,7 @@ use std::path::Path;
 /// COLMAP's mark for a keypoint without a 3D point.
 const NO_POINT: u64 = u64::MAX;
 
-/// Reads the bytes of one file; every complaint names the record that was being read.
+/// Reads the bytes of one file; every error names the record that was being read.
 struct Cursor<'a> {
     path: &'a Path,
     bytes: &'a [u8],
@@ -23,7 +23,7 @@ impl<'a> Cursor<'a> {
         Cursor { path, bytes, at: 0, record: "the count of records".into(), start: 0 }
     }
 
-    fn begin(&mut self, record: String) {
+    fn start(&mut self, record: String) {
         self.record = record;
         self.start = self.at;
     }
@@ -90,10 +90,10 @@ impl<'a> Cursor<'a> {
         if left == 0 {
             return Ok(());
         }
-        let place = format!("byte {}", self.at);
+        let location = format!("byte {}", self.at);
         Err(SceneError::invalid(
             self.path,
-            place,
+            location,
             format!("{left} bytes follow the last record; the file is damaged"),
         ))
     }
@@ -112,7 +112,7 @@ fn records<T>(
     let count = cursor.u64()?;
     let mut all = Vec::new();
     for i in 1..=count {
-        cursor.begin(format!("{what} {i} of {count}"));
+        cursor.start(format!("{what} {i} of {count}"));
         all.push(read(&mut cursor)?);
     }
     cursor.end()?;

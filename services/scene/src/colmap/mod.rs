@@ -9,7 +9,7 @@ mod text;
 
 pub use crate::lens::Model;
 pub use binary::write;
-pub use models::PLACES;
+pub use models::MODEL_FOLDERS;
 pub(crate) use models::{find, numbered_photos};
 pub use text::write_text;
 
@@ -113,7 +113,7 @@ fn points_form(dir: &Path, form: &str) -> Option<&'static str> {
     forms.into_iter().find(|form| dir.join(format!("points3D.{form}")).is_file())
 }
 
-/// What to say where the points are of another form than the cameras and photos.
+/// The note where the points are of another form than the cameras and photos.
 pub(crate) fn mixed(dir: &Path) -> Option<String> {
     let own = form(dir);
     let other = points_form(dir, own).filter(|other| *other != own)?;
@@ -139,7 +139,7 @@ pub(crate) fn stale(dir: &Path) -> Option<String> {
     let differs = match (read_as(dir, "bin"), read_as(dir, "txt")) {
         (Ok(bin), Ok(text)) => difference(&bin, &text)?,
         (Ok(_), Err(error)) => error.to_string(),
-        // What is wrong with the .bin is said when it is read.
+        // Errors in the .bin are reported when it is read.
         (Err(_), _) => return None,
     };
     Some(format!(

@@ -1,4 +1,4 @@
-//! Where the models of a scene lie, and which of several is taken.
+//! Finds the COLMAP models of a scene, and chooses one of several.
 
 use super::has;
 use crate::names::below;
@@ -12,8 +12,8 @@ const BASES: [&str; 6] = ["", "dense", "dense/0", "colmap", "undistorted", "dist
 const NUMBERED: &str = "dense/0";
 /// So many of them are COLMAP's own.
 const OWN: usize = 3;
-/// Where a reconstruction is looked for inside a scene folder, in words: [`BASES`] as a person is told of them.
-pub const PLACES: [&str; 8] = [
+/// Folders of a scene that are searched for a reconstruction, as messages list them: [`BASES`] in words.
+pub const MODEL_FOLDERS: [&str; 8] = [
     "sparse/0 (1, 2, ...)",
     "sparse",
     "dense/sparse",
@@ -24,8 +24,8 @@ pub const PLACES: [&str; 8] = [
     "the folder itself",
 ];
 
-/// The model that is taken, and what is to be said of the others.
-pub(crate) struct Found {
+/// The model that is taken, and notes about the others.
+pub(crate) struct FoundModel {
     pub dir: PathBuf,
     /// Whether it lies where COLMAP itself puts it: a cameras file beside it is then another program's copy of it. A model elsewhere
     /// is rather what that file was made from.
@@ -33,18 +33,18 @@ pub(crate) struct Found {
     pub note: Option<String>,
 }
 
-/// A model, and how many photos it says it holds.
-struct Candidate {
+/// A model, and the number of photos that its header claims.
+struct ModelCandidate {
     dir: PathBuf,
     photos: u64,
 }
 
 /// The model of a scene: the largest in the nearest folder that holds any. A folder farther off is taken only where its largest
 /// model is more than twice as large.
-pub(crate) fn find(scene: &Path) -> Option<Found> {
+pub(crate) fn find(scene: &Path) -> Option<FoundModel> {
     let models_of = |base: &&str| folders(scene, base).iter().flat_map(|base| models(base)).collect();
-    let bases: Vec<Vec<Candidate>> = BASES.iter().map(models_of).collect();
-    let largest = |models: &[Candidate]| models.iter().map(|m| m.photos).max().unwrap_or(0);
+    let bases: Vec<Vec<ModelCandidate>> = BASES.iter().map(models_of).collect();
+    let largest = |models: &[ModelCandidate]| models.iter().map(|m| m.photos).max().unwrap_or(0);
     let most = bases.iter().map(|models| largest(models)).max()?;
     let near = bases.iter().position(|models| !models.is_empty() && 2 * largest(models) >= most)?;
     // Of equals the first.
@@ -66,7 +66,7 @@ pub(crate) fn find(scene: &Path) -> Option<Found> {
             others.join(", ")
         )
     });
-    Some(Found { dir: chosen.dir.clone(), near: near < OWN, note })
+    Some(FoundModel { dir: chosen.dir.clone(), near: near < OWN, note })
 }
 
 /// The folders that a base stands for.
@@ -78,14 +78,14 @@ fn folders(scene: &Path, base: &str) -> Vec<PathBuf> {
 }
 
 /// The models of one base, `sparse/0` and the like first, then `sparse`, then the base itself.
-fn models(base: &Path) -> Vec<Candidate> {
+fn models(base: &Path) -> Vec<ModelCandidate> {
     let sparse = below(base, "sparse");
     let mut dirs = numbered(&sparse);
     dirs.push(sparse);
     // The base may be a folder of models itself, as COLMAP's mapper writes it.
     dirs.extend(numbered(base));
     dirs.push(base.to_owned());
-    dirs.into_iter().filter_map(|dir| photos(&dir).map(|photos| Candidate { dir, photos })).collect()
+    dirs.into_iter().filter_map(|dir| photos(&dir).map(|photos| ModelCandidate { dir, photos })).collect()
 }
 
 /// The photo folders of COLMAP's automatic reconstructor, which numbers its models.

@@ -9,14 +9,14 @@ use std::fmt::Write;
 use std::path::Path;
 use std::str::FromStr;
 
-/// The words of one line; every complaint names file and line.
-struct Words<'a> {
+/// The fields of one line; every error names file and line.
+struct LineFields<'a> {
     path: &'a Path,
     line: usize,
     rest: &'a str,
 }
 
-impl<'a> Words<'a> {
+impl<'a> LineFields<'a> {
     fn word(&mut self) -> Option<&'a str> {
         let start = self.rest.trim_start();
         if start.is_empty() {
@@ -57,7 +57,7 @@ pub(super) fn read(dir: &Path) -> Result<Reconstruction, SceneError> {
     let text = text::read(&path)?;
     let (mut cameras, mut unknown_cameras) = (Vec::new(), Vec::new());
     for (i, line) in text.lines().enumerate().filter(|(_, l)| is_record(l)) {
-        let mut words = Words { path: &path, line: i + 1, rest: line };
+        let mut words = LineFields { path: &path, line: i + 1, rest: line };
         let id = words.value("camera id")?;
         let name: String = words.value("camera model")?;
         let Some(model) = Model::from_name(&name) else {
@@ -80,7 +80,7 @@ pub(super) fn read(dir: &Path) -> Result<Reconstruction, SceneError> {
         if !is_record(line) {
             continue;
         }
-        let mut words = Words { path: &path, line: i + 1, rest: line };
+        let mut words = LineFields { path: &path, line: i + 1, rest: line };
         let id = words.value("image id")?;
         let rotation = words.values("quaternion")?;
         let translation = words.values("translation")?;
@@ -90,7 +90,7 @@ pub(super) fn read(dir: &Path) -> Result<Reconstruction, SceneError> {
         // The second line belongs to the image even when it is empty.
         let mut keypoints = Vec::new();
         if let Some((i, line)) = lines.next() {
-            let mut words = Words { path: &path, line: i + 1, rest: line };
+            let mut words = LineFields { path: &path, line: i + 1, rest: line };
             while let Some(x) = words.word() {
                 let x = x.parse().map_err(|_| words.invalid(format!("`{x}` is no pixel position")))?;
                 let y = words.value("pixel position")?;
@@ -109,7 +109,7 @@ pub(super) fn points(dir: &Path) -> Result<Vec<PointRecord>, SceneError> {
     let mut points = Vec::new();
     let text = text::read(&path)?;
     for (i, line) in text.lines().enumerate().filter(|(_, l)| is_record(l)) {
-        let mut words = Words { path: &path, line: i + 1, rest: line };
+        let mut words = LineFields { path: &path, line: i + 1, rest: line };
         let id = words.value("point id")?;
         let position = words.values("position")?;
         let colour = [words.value("colour")?, words.value("colour")?, words.value("colour")?];

@@ -1,4 +1,4 @@
-//! The little that is wanted of EXIF data.
+//! The size in EXIF data.
 
 /// Width and height that the camera wrote into them.
 fn size(exif: &[u8]) -> Option<(u32, u32)> {
@@ -15,7 +15,7 @@ fn size(exif: &[u8]) -> Option<(u32, u32)> {
         let b = exif.get(at..at.checked_add(4)?)?.try_into().ok()?;
         Some(if big { u32::from_be_bytes(b) } else { u32::from_le_bytes(b) })
     };
-    // The value of a tag in the directory at a place.
+    // The value of a tag in the directory at an offset.
     let find = |directory: u32, tag: u32| -> Option<u32> {
         let at = directory as usize;
         let entry = (0..two(at)? as usize).map(|k| at + 2 + 12 * k).find(|&e| two(e) == Some(tag))?;
@@ -28,7 +28,7 @@ fn size(exif: &[u8]) -> Option<(u32, u32)> {
     Some((find(sub, WIDTH)?, find(sub, HEIGHT)?))
 }
 
-/// Whether the data are of a picture that lies where this one stands, or the other way round.
+/// Whether the data are of a landscape image while this one is portrait, or the other way round.
 pub(super) fn lies_otherwise(exif: &[u8], width: u32, height: u32) -> bool {
     size(exif)
         .is_some_and(|(w, h)| w > 0 && h > 0 && (w > h) != (width > height) && w != h && width != height)

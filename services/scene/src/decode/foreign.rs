@@ -1,4 +1,4 @@
-//! Pictures that this program does not read: recognised by their content, with the command that converts them.
+//! Image formats that this program does not read: recognised by their content, with the command that converts them.
 
 use crate::names::{AVIF, CAPITALS, HEIC, JPEG_2000, JXL, RAW, READ};
 use std::io::Read;
@@ -13,7 +13,7 @@ struct Foreign {
     is: fn(&[u8]) -> bool,
 }
 
-/// Bytes of a file's start that are enough to tell.
+/// Bytes of a file's start that are enough to recognise its format.
 pub(crate) const START: usize = 4096;
 
 /// Boxes of the ISO base media format name their kind in `ftyp`, first the main one, then those it is compatible with.
@@ -55,7 +55,7 @@ fn tiff_tags(start: &[u8]) -> Vec<(u16, u32)> {
         .collect()
 }
 
-/// A camera's raw file is a TIFF whose first picture is a preview, or says that it is a DNG.
+/// A camera's raw file is a TIFF whose first image is a preview, or one that is tagged as a DNG.
 fn is_raw(start: &[u8]) -> bool {
     const PREVIEW: (u16, u32) = (254, 1);
     const MAKER: u16 = 271;
@@ -181,7 +181,7 @@ pub(crate) fn refusal(path: &Path, start: &[u8]) -> Option<String> {
 }
 
 impl Foreign {
-    /// What `OUT` stands for: the name without its ending, or the whole name where the ending is not that of such a file or a picture
+    /// What `OUT` stands for: the name without its ending, or the whole name where the ending is not that of such a file or an image
     /// of the shorter name is there. The input, or another photo, would be written over or taken for the copy otherwise.
     fn output(path: &Path) -> PathBuf {
         let taken = || READ.iter().chain(&CAPITALS).any(|e| path.with_extension(e).exists());
@@ -201,22 +201,22 @@ fn has_foreign_ending(path: &Path) -> bool {
     FOREIGN.iter().any(|f| f.endings.contains(&ending.as_str()))
 }
 
-/// Whether a file is a picture that is not read, whatever its name ends in.
+/// Whether a file is an image that is not read, whatever its name ends in.
 fn is_foreign(path: &Path) -> bool {
     let mut start = Vec::new();
     let read = super::open_file(path).and_then(|file| file.take(START as u64).read_to_end(&mut start));
     read.is_ok() && FOREIGN.iter().any(|f| (f.is)(&start))
 }
 
-/// The converted copy of a picture which is not read.
+/// The converted copy of an image which is not read.
 pub(crate) fn converted(path: &Path) -> Option<PathBuf> {
     converted_copies(path).next()
 }
 
-/// What may be the converted copy of a picture which is not read, as its ending or its content says, the best first: the same stem
+/// What may be the converted copy of an image which is not read, as its ending or its content says, the best first: the same stem
 /// and another ending, in the same folder. The ending may stand in place of the old one or behind it.
 pub(crate) fn converted_copies(path: &Path) -> impl Iterator<Item = PathBuf> {
-    let behind = |e: &'static str| {
+    let appended = |e: &'static str| {
         let mut name = path.as_os_str().to_owned();
         name.push(".");
         name.push(e);
@@ -224,10 +224,10 @@ pub(crate) fn converted_copies(path: &Path) -> impl Iterator<Item = PathBuf> {
     };
     let endings = || READ.into_iter().chain(CAPITALS);
     let copies: Vec<PathBuf> = if has_foreign_ending(path) {
-        endings().flat_map(|e| [path.with_extension(e), behind(e)]).collect()
+        endings().flat_map(|e| [path.with_extension(e), appended(e)]).collect()
     } else if is_foreign(path) {
         // What differs in the ending alone is rather another photo.
-        endings().map(behind).chain(endings().map(|e| path.with_extension(e))).collect()
+        endings().map(appended).chain(endings().map(|e| path.with_extension(e))).collect()
     } else {
         Vec::new()
     };

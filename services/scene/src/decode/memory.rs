@@ -1,22 +1,22 @@
 //! Memory that decoding may take at once, in the whole process.
 //!
-//! What a picture takes is known from its head. Photos are decoded by many threads; who finds no room waits until another is
-//! done. A picture larger than the room is decoded alone.
+//! The memory that an image takes is known from its head. Photos are decoded by many threads; a thread that finds the budget
+//! used up waits until another is done. An image larger than the budget is decoded alone.
 
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
-/// Bytes where nobody says otherwise.
+/// Default budget, in bytes.
 const DEFAULT: u64 = 1 << 30;
 
-struct Room {
-    /// Bytes in use, and bytes there are.
+struct DecodingBudget {
+    /// Bytes in use, and the budget in bytes.
     state: Mutex<(u64, u64)>,
     freed: Condvar,
 }
 
-static ROOM: Room = Room { state: Mutex::new((0, DEFAULT)), freed: Condvar::new() };
+static BUDGET: DecodingBudget = DecodingBudget { state: Mutex::new((0, DEFAULT)), freed: Condvar::new() };
 
-impl Room {
+impl DecodingBudget {
     fn state(&self) -> MutexGuard<'_, (u64, u64)> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -24,28 +24,28 @@ impl Room {
 
 /// Sets how many bytes all decoding of this process may take at once; `None`: as many as at the start, 1 GiB.
 ///
-/// A picture that alone takes more is still decoded, while no other is.
+/// An image that alone takes more is still decoded, while no other is.
 pub fn limit_decoding(bytes: Option<u64>) {
-    ROOM.state().1 = bytes.unwrap_or(DEFAULT);
-    ROOM.freed.notify_all();
+    BUDGET.state().1 = bytes.unwrap_or(DEFAULT);
+    BUDGET.freed.notify_all();
 }
 
-/// Room that is held until this is dropped. Whoever holds it must not wait for another thread's decoding.
+/// Memory of the budget that is held until this is dropped. Its holder must not wait for another thread's decoding.
 pub(crate) struct Permit(u64);
 
-/// Waits for room.
+/// Waits until the budget has so many bytes left, and takes them.
 pub(crate) fn enter(bytes: u64) -> Permit {
     let full = |(used, limit): &mut (u64, u64)| *used > 0 && used.saturating_add(bytes) > *limit;
-    let mut state = ROOM.freed.wait_while(ROOM.state(), full).unwrap_or_else(PoisonError::into_inner);
+    let mut state = BUDGET.freed.wait_while(BUDGET.state(), full).unwrap_or_else(PoisonError::into_inner);
     state.0 = state.0.saturating_add(bytes);
     Permit(bytes)
 }
 
 impl Drop for Permit {
     fn drop(&mut self) {
-        let mut state = ROOM.state();
+        let mut state = BUDGET.state();
         state.0 = state.0.saturating_sub(self.0);
         drop(state);
-        ROOM.freed.notify_all();
+        BUDGET.freed.notify_all();
     }
 }

@@ -1,8 +1,8 @@
-//! Decoding of every picture that somebody supplies: photos, masks, truths.
+//! Decoding of every image that somebody supplies: photos, masks, true masks.
 //!
-//! What a file is, its content says, not its name. How large its picture is, and how much memory decoding it takes, is known from
-//! its head before a pixel is decoded: [`Head::read`] refuses what is over the bound, [`Head::bytes_for`] says what the rest
-//! takes, and [`limit_decoding`] bounds what all threads take together. Large photos shrink while they are decoded.
+//! A file's format is recognised by its content, not by its name. The size of its image, and the memory that decoding it takes, are
+//! known from its head before a pixel is decoded: [`ImageHead::read`] refuses an image over the bound, [`ImageHead::bytes_for`] gives the
+//! memory of decoding, and [`limit_decoding`] bounds the memory of all threads together. Large photos shrink while they are decoded.
 
 mod exif;
 mod foreign;
@@ -29,9 +29,9 @@ pub(crate) fn read_bytes(path: &Path) -> std::io::Result<Vec<u8>> {
     segwild_files::read_within(path, SCENE_FILE)
 }
 
-/// Megapixels that a picture may have where no setting says otherwise.
+/// Default of the megapixels that an image may have.
 pub(crate) const MEGAPIXELS: u32 = 200;
-/// Pictures with more pixels are shrunk while they are decoded, where they are shrunk at all.
+/// Images with more pixels are shrunk while they are decoded, where they are shrunk at all.
 const LARGE: u64 = 4 << 20;
 /// How many times the size asked for the decoder leaves at the least: what is finer does the filter behind it.
 const FINER: f64 = 2.0;
@@ -42,31 +42,31 @@ const BMP_RUN: u64 = 128;
 
 /// How a file is decoded.
 #[derive(Clone, Debug, PartialEq)]
-enum Kind {
-    Jpeg(jpeg::Head),
-    Png(png::Head),
+enum FileKind {
+    Jpeg(jpeg::JpegHead),
+    Png(png::PngHead),
     Other(ImageFormat, ColorType),
 }
 
-/// What the head of a picture's file says.
+/// The head of an image file.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Head {
+pub(crate) struct ImageHead {
     /// Size as stored.
     pub width: u32,
     pub height: u32,
     /// The EXIF orientation.
     pub orientation: Orientation,
-    /// The EXIF data are of a picture that lies the other way: some program has turned the pixels since.
+    /// The EXIF data are of the other orientation, landscape or portrait: some program has turned the pixels since.
     pub turned_since: bool,
-    kind: Kind,
+    kind: FileKind,
     /// Size of the file in bytes.
     file: u64,
 }
 
-/// A decoded picture, perhaps at a smaller size.
+/// A decoded image, perhaps at a smaller size.
 pub(crate) struct Decoded {
     pub image: DynamicImage,
-    /// Left, top, width and height of the part that the picture fills, in pixels: the last column and row may be filled in part.
+    /// Left, top, width and height of the part that the image fills, in pixels: the last column and row may be filled in part.
     pub part: [f64; 4],
 }
 
@@ -101,8 +101,8 @@ pub(crate) fn swaps_sides(orientation: Orientation) -> bool {
     matches!(orientation, Rotate90 | Rotate270 | Rotate90FlipH | Rotate270FlipH)
 }
 
-/// Where the stored picture shows what the picture turned by an EXIF orientation shows at `[u, v]`; both in shares of the picture's
-/// width and height, in [0, 1].
+/// Position in the stored image of the position `[u, v]` in the image turned by an EXIF orientation; both in shares of the
+/// image's width and height, in [0, 1].
 pub(crate) fn before_turn([u, v]: [f64; 2], orientation: Orientation) -> [f64; 2] {
     match orientation {
         Orientation::NoTransforms => [u, v],
@@ -116,12 +116,12 @@ pub(crate) fn before_turn([u, v]: [f64; 2], orientation: Orientation) -> [f64; 2
     }
 }
 
-impl Head {
-    /// Reads the head of a file whose picture may have so many pixels; nothing is decoded.
+impl ImageHead {
+    /// Reads the head of a file whose image may have so many pixels; nothing is decoded.
     ///
     /// # Errors
     /// In words: what is wrong with the file, without its name.
-    pub fn read(path: &Path, most_pixels: u64) -> Result<Head, String> {
+    pub fn read(path: &Path, most_pixels: u64) -> Result<ImageHead, String> {
         let words = |e: std::io::Error| e.to_string();
         let mut file = open_file(path).map_err(words)?;
         let length = file.metadata().map_err(words)?.len();
@@ -132,11 +132,11 @@ impl Head {
             return Err("the file is empty".into());
         }
         let head = match image::guess_format(&start) {
-            Ok(ImageFormat::Jpeg) => Head::of_jpeg(file, length)?,
-            Ok(ImageFormat::Png) => Head::of_png(path, file, length, most_pixels)?,
+            Ok(ImageFormat::Jpeg) => ImageHead::of_jpeg(file, length)?,
+            Ok(ImageFormat::Png) => ImageHead::of_png(path, file, length, most_pixels)?,
             Ok(format @ (ImageFormat::WebP | ImageFormat::Tiff | ImageFormat::Bmp)) => {
                 foreign::refusal(path, &start).map_or(Ok(()), Err)?;
-                Head::of_other(file, length, format)?
+                ImageHead::of_other(file, length, format)?
             }
             _ => {
                 let unknown = "does not decode: it is neither a JPEG nor a PNG, WEBP, TIFF or BMP file";
@@ -146,11 +146,11 @@ impl Head {
         head.bounded(most_pixels)
     }
 
-    fn bounded(self, most_pixels: u64) -> Result<Head, String> {
-        let Head { width, height, .. } = self;
+    fn bounded(self, most_pixels: u64) -> Result<ImageHead, String> {
+        let ImageHead { width, height, .. } = self;
         within(width, height, most_pixels)?;
-        // A picture's data are never so much larger than its pixels.
-        if let Kind::Jpeg(jpeg) = &self.kind
+        // An image's data are never so much larger than its pixels.
+        if let FileKind::Jpeg(jpeg) = &self.kind
             && jpeg.bytes > 16 * u64::from(width) * u64::from(height) + (16 << 20)
         {
             return Err(format!(
@@ -162,12 +162,12 @@ impl Head {
         Ok(self)
     }
 
-    /// Few bytes cannot hold the pixels of a large picture: such a file would take memory for nothing.
+    /// Few bytes cannot hold the pixels of a large image: such a file would take memory for nothing.
     fn held_by_file(&self) -> Result<(), String> {
         let pixels = u64::from(self.width) * u64::from(self.height);
         let least = match &self.kind {
-            Kind::Png(png) => (pixels * png.bits as u64).div_ceil(8 * DEFLATE),
-            Kind::Other(ImageFormat::Bmp, _) => pixels.div_ceil(BMP_RUN),
+            FileKind::Png(png) => (pixels * png.bits as u64).div_ceil(8 * DEFLATE),
+            FileKind::Other(ImageFormat::Bmp, _) => pixels.div_ceil(BMP_RUN),
             _ => 0,
         };
         if self.file >= least {
@@ -179,21 +179,21 @@ impl Head {
         ))
     }
 
-    fn of_jpeg(file: File, length: u64) -> Result<Head, String> {
+    fn of_jpeg(file: File, length: u64) -> Result<ImageHead, String> {
         let jpeg = jpeg::read(BufReader::with_capacity(1 << 16, file))?;
         let (width, height) = (jpeg.frame.width as u32, jpeg.frame.height as u32);
         let exif = jpeg.exif.clone();
-        Ok(Head::new((width, height), exif.as_deref(), Kind::Jpeg(jpeg), length))
+        Ok(ImageHead::new((width, height), exif.as_deref(), FileKind::Jpeg(jpeg), length))
     }
 
-    fn of_png(path: &Path, file: File, length: u64, most_pixels: u64) -> Result<Head, String> {
+    fn of_png(path: &Path, file: File, length: u64, most_pixels: u64) -> Result<ImageHead, String> {
         let (width, height) = png::size(file)?;
         within(width, height, most_pixels)?;
         let (png, exif) = png::head(open_file(path).map_err(|e| e.to_string())?)?;
-        Ok(Head::new((width, height), exif.as_deref(), Kind::Png(png), length))
+        Ok(ImageHead::new((width, height), exif.as_deref(), FileKind::Png(png), length))
     }
 
-    fn of_other(file: File, length: u64, format: ImageFormat) -> Result<Head, String> {
+    fn of_other(file: File, length: u64, format: ImageFormat) -> Result<ImageHead, String> {
         let mut file = BufReader::new(file);
         if format == ImageFormat::Tiff {
             tiff::check_counts(&mut file, length)?;
@@ -204,39 +204,39 @@ impl Head {
             .map_err(|e| format!("does not decode: {e}"))?;
         // Damaged EXIF data are no reason to refuse the pixels.
         let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
-        let kind = Kind::Other(format, decoder.color_type());
-        Ok(Head { orientation, ..Head::new(decoder.dimensions(), None, kind, length) })
+        let kind = FileKind::Other(format, decoder.color_type());
+        Ok(ImageHead { orientation, ..ImageHead::new(decoder.dimensions(), None, kind, length) })
     }
 
-    fn new((width, height): (u32, u32), exif: Option<&[u8]>, kind: Kind, file: u64) -> Head {
+    fn new((width, height): (u32, u32), exif: Option<&[u8]>, kind: FileKind, file: u64) -> ImageHead {
         let orientation = exif.and_then(Orientation::from_exif_chunk).unwrap_or(Orientation::NoTransforms);
         let turned_since = exif.is_some_and(|exif| exif::lies_otherwise(exif, width, height));
-        Head { width, height, orientation, turned_since, kind, file }
+        ImageHead { width, height, orientation, turned_since, kind, file }
     }
 
-    /// The EXIF orientation, where the picture has the same size turned by it and as stored.
+    /// The EXIF orientation, where the image has the same size turned by it and as stored.
     pub fn ambiguous_orientation(&self) -> Option<Orientation> {
         let same = self.width == self.height || !swaps_sides(self.orientation);
         (same && self.orientation != Orientation::NoTransforms).then_some(self.orientation)
     }
 
-    /// Whether the picture can be transparent.
+    /// Whether the image can be transparent.
     pub fn has_alpha(&self) -> bool {
         match &self.kind {
-            Kind::Jpeg(_) => false,
-            Kind::Png(png) => png.channels % 2 == 0,
-            Kind::Other(_, colour) => colour.has_alpha(),
+            FileKind::Jpeg(_) => false,
+            FileKind::Png(png) => png.channels % 2 == 0,
+            FileKind::Other(_, colour) => colour.has_alpha(),
         }
     }
 
-    /// Most bytes that decoding takes for a picture that is then shrunk to `width` x `height` of its pixels as stored.
+    /// Most bytes that decoding takes for an image that is then shrunk to `width` x `height` of its pixels as stored.
     pub fn bytes_for(&self, width: u32, height: u32) -> u64 {
         let pixels = u64::from(self.width) * u64::from(self.height);
         let least = least(width, height);
-        // What the filter that shrinks holds beside the picture is at most half of it.
+        // What the filter that shrinks holds beside the image is at most half of it.
         let half_more = |n: u64| n + n / 2;
         match &self.kind {
-            Kind::Jpeg(jpeg) => {
+            FileKind::Jpeg(jpeg) => {
                 let whole = || {
                     let planes = if jpeg.frame.coding == jpeg::Coding::Baseline {
                         0
@@ -248,15 +248,15 @@ impl Head {
                 jpeg.bytes
                     + self.scale(least).map_or_else(whole, |scale| half_more(jpeg.frame.scaled_bytes(scale)))
             }
-            Kind::Png(png) => {
+            FileKind::Png(png) => {
                 let step = self.step(least) as u64;
                 let pixels = pixels / (step * step);
                 let stored = (png.channels * png.depth) as u64;
                 pixels * copies(stored, png.depth > 1) + (1 << 20)
             }
-            Kind::Other(_, colour) => {
+            FileKind::Other(_, colour) => {
                 let stored = u64::from(colour.bytes_per_pixel());
-                // Some formats are unpacked beside the picture.
+                // Some formats are unpacked beside the image.
                 let wide = colour.bytes_per_pixel() / colour.channel_count() > 1;
                 pixels * (stored + copies(stored, wide)) + self.file.min(4 * pixels)
             }
@@ -265,24 +265,24 @@ impl Head {
 
     /// Pixels that a large JPEG leaves of each eight.
     fn scale(&self, least: (f64, f64)) -> Option<usize> {
-        let Kind::Jpeg(jpeg) = &self.kind else { return None };
+        let FileKind::Jpeg(jpeg) = &self.kind else { return None };
         let large = u64::from(self.width) * u64::from(self.height) > LARGE && jpeg.frame.scales();
         large.then(|| jpeg.frame.scale_for(least)).filter(|&scale| scale < 8)
     }
 
     /// Pixels of a side of a large PNG that become one.
     fn step(&self, least: (f64, f64)) -> usize {
-        let Kind::Png(png) = &self.kind else { return 1 };
+        let FileKind::Png(png) = &self.kind else { return 1 };
         if u64::from(self.width) * u64::from(self.height) > LARGE { png::step(png, least) } else { 1 }
     }
 
-    /// Decodes the picture for one that is then shrunk to `width` x `height` of its pixels as stored; waits for room.
+    /// Decodes the image for one that is then shrunk to `width` x `height` of its pixels as stored; waits for memory.
     pub fn decode(&self, path: &Path, width: u32, height: u32) -> Result<Decoded, String> {
         let _permit = memory::enter(self.bytes_for(width, height));
         self.decode_now(path, least(width, height))
     }
 
-    /// Decodes, and hands the picture to `then` while its room is still held.
+    /// Decodes, and passes the image to `then` while its memory is still held.
     pub fn decode_and<T>(
         &self,
         path: &Path,
@@ -300,18 +300,18 @@ impl Head {
             part: [0.0, 0.0, width, height],
         };
         match &self.kind {
-            Kind::Jpeg(jpeg) => {
+            FileKind::Jpeg(jpeg) => {
                 let bytes = self.jpeg_bytes(file, jpeg)?;
                 match self.scale(least) {
                     Some(scale) => jpeg::scaled(&bytes, &jpeg.frame, scale).map(shrunk),
                     None => jpeg::whole(&bytes).map(Decoded::whole),
                 }
             }
-            Kind::Png(_) => match self.step(least) {
+            FileKind::Png(_) => match self.step(least) {
                 1 => png::whole(file).map(Decoded::whole),
                 step => png::scaled(file, step).map(shrunk),
             },
-            Kind::Other(format, _) => {
+            FileKind::Other(format, _) => {
                 let words = |e: image::ImageError| format!("does not decode: {e}");
                 let mut decoder =
                     ImageReader::with_format(BufReader::new(file), *format).into_decoder().map_err(words)?;
@@ -327,7 +327,7 @@ impl Head {
         .and_then(|decoded| self.fits(decoded))
     }
 
-    /// A file that was changed since its head was read may hold another picture.
+    /// A file that was changed since its head was read may hold another image.
     fn fits(&self, decoded: Decoded) -> Result<Decoded, String> {
         let [.., width, height] = decoded.part;
         let shrunk = f64::from(self.width) / width;
@@ -335,7 +335,7 @@ impl Head {
         if off > 1.0 || width > f64::from(self.width) { Err(CHANGED.into()) } else { Ok(decoded) }
     }
 
-    fn jpeg_bytes(&self, file: File, jpeg: &jpeg::Head) -> Result<Vec<u8>, String> {
+    fn jpeg_bytes(&self, file: File, jpeg: &jpeg::JpegHead) -> Result<Vec<u8>, String> {
         let mut bytes = Vec::with_capacity(jpeg.bytes as usize + 2);
         file.take(jpeg.bytes).read_to_end(&mut bytes).map_err(|e| e.to_string())?;
         let frame = jpeg::read(&bytes[..]).map(|head| head.frame);
@@ -348,13 +348,13 @@ impl Head {
         Ok(bytes)
     }
 
-    /// Whether a JPEG without an end has all of its picture.
+    /// Checks that a JPEG without an end has all of its image.
     ///
     /// # Errors
     /// In words, where it has not.
     pub fn check_end(&self, path: &Path) -> Result<(), String> {
         match &self.kind {
-            Kind::Jpeg(jpeg) if !jpeg.ended => self.check_data(path).map(drop),
+            FileKind::Jpeg(jpeg) if !jpeg.ended => self.check_data(path).map(drop),
             _ => Ok(()),
         }
     }
@@ -365,7 +365,7 @@ impl Head {
     /// # Errors
     /// In words, where the photo is not to be used.
     pub fn check_data(&self, path: &Path) -> Result<Option<String>, String> {
-        let Kind::Jpeg(jpeg) = &self.kind else { return Ok(None) };
+        let FileKind::Jpeg(jpeg) = &self.kind else { return Ok(None) };
         let _permit = memory::enter(jpeg.bytes + jpeg.frame.samples() / 8);
         let file = open_file(path).map_err(|e| e.to_string())?;
         let mut bytes = Vec::with_capacity(jpeg.bytes as usize);
@@ -380,12 +380,12 @@ impl Head {
 
 const CHANGED: &str = "the file was changed while it was read";
 
-/// Bytes per pixel of a decoded picture that has `stored` of them, while it becomes three colours and shrinks.
+/// Bytes per pixel of a decoded image that has `stored` of them, while it becomes three colours and shrinks.
 fn copies(stored: u64, wide: bool) -> u64 {
     if wide { 2 * stored + 16 } else { stored + 5 }
 }
 
-/// The least size that a decoder is to leave of a picture that is then shrunk.
+/// The least size that a decoder is to leave of an image that is then shrunk.
 fn least(width: u32, height: u32) -> (f64, f64) {
     (FINER * f64::from(width), FINER * f64::from(height))
 }
@@ -410,12 +410,12 @@ pub(crate) fn pixels_of(megapixels: u32) -> u64 {
     1_000_000 * u64::from(megapixels)
 }
 
-/// Decodes a picture that is no photo, whole, if it has at most so many pixels.
+/// Decodes an image that is no photo, whole, if it has at most so many pixels.
 ///
 /// # Errors
 /// In words, without the file's name.
-pub(crate) fn picture(path: &Path, most_pixels: u64) -> Result<DynamicImage, String> {
-    let head = Head::read(path, most_pixels)?;
+pub(crate) fn decode_image(path: &Path, most_pixels: u64) -> Result<DynamicImage, String> {
+    let head = ImageHead::read(path, most_pixels)?;
     head.decode(path, head.width, head.height).map(|decoded| decoded.image)
 }
 
@@ -424,7 +424,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_pixel_of_a_turned_picture_is_found_in_the_stored_one() {
+    fn a_pixel_of_a_turned_image_is_found_in_the_stored_one() {
         let stored = image::GrayImage::from_fn(3, 2, |x, y| image::Luma([(3 * y + x) as u8]));
         for exif in 1..=8 {
             let orientation = Orientation::from_exif(exif).expect("1 to 8 are orientations");

@@ -5,12 +5,12 @@ use png::{BitDepth, ColorType, Transformations};
 use std::fs::File;
 use std::io::BufReader;
 
-/// Bytes that chunks beside the picture's, and the rows at work, may take.
+/// Bytes that chunks beside the image's, and the rows at work, may take.
 const SIDE: usize = 16 << 20;
 
-/// What the head of a PNG says.
+/// The head of a PNG.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Head {
+pub(crate) struct PngHead {
     pub width: u32,
     pub height: u32,
     pub interlaced: bool,
@@ -21,7 +21,7 @@ pub(crate) struct Head {
     pub bits: usize,
 }
 
-type Reader = png::Reader<BufReader<File>>;
+type PngReader = png::Reader<BufReader<File>>;
 
 fn words(error: png::DecodingError) -> String {
     format!("does not decode: {error}")
@@ -37,25 +37,25 @@ fn decoder(file: File) -> png::Decoder<BufReader<File>> {
     decoder
 }
 
-/// Width and height; nothing behind them is read.
+/// Width and height; nothing after them is read.
 pub(crate) fn size(file: File) -> Result<(u32, u32), String> {
     let mut decoder = decoder(file);
     let info = decoder.read_header_info().map_err(words)?;
     Ok((info.width, info.height))
 }
 
-/// Reads up to the picture's data: the head and the EXIF data.
-pub(crate) fn head(file: File) -> Result<(Head, Option<Vec<u8>>), String> {
+/// Reads up to the image's data: the head and the EXIF data.
+pub(crate) fn head(file: File) -> Result<(PngHead, Option<Vec<u8>>), String> {
     let reader = decoder(file).read_info().map_err(words)?;
     let exif = reader.info().exif_metadata.as_ref().map(|exif| exif.to_vec());
     Ok((of(&reader), exif))
 }
 
-fn of(reader: &Reader) -> Head {
+fn of(reader: &PngReader) -> PngHead {
     let (colour, depth) = reader.output_color_type();
     let depth = if depth == BitDepth::Sixteen { 2 } else { 1 };
     let info = reader.info();
-    Head {
+    PngHead {
         width: info.width,
         height: info.height,
         interlaced: info.interlaced,
@@ -65,7 +65,7 @@ fn of(reader: &Reader) -> Head {
     }
 }
 
-/// Decodes the whole picture.
+/// Decodes the whole image.
 pub(crate) fn whole(file: File) -> Result<DynamicImage, String> {
     let mut reader = decoder(file).read_info().map_err(words)?;
     let head = of(&reader);
@@ -81,13 +81,13 @@ pub(crate) fn whole(file: File) -> Result<DynamicImage, String> {
 }
 
 /// How many pixels of a side become one, so that at least `least` are left.
-pub(crate) fn step(head: &Head, least: (f64, f64)) -> usize {
+pub(crate) fn step(head: &PngHead, least: (f64, f64)) -> usize {
     let across = f64::from(head.width) / least.0.max(1.0);
     let down = f64::from(head.height) / least.1.max(1.0);
     if head.interlaced { 1 } else { (across.min(down) as usize).max(1) }
 }
 
-/// Decodes the picture with each `step` x `step` pixels as their mean; how many columns and rows of what comes back it fills.
+/// Decodes the image with each `step` x `step` pixels as their mean; how many columns and rows of what comes back it fills.
 pub(crate) fn scaled(file: File, step: usize) -> Result<(DynamicImage, [f64; 2]), String> {
     let mut reader = decoder(file).read_info().map_err(words)?;
     let head = of(&reader);
@@ -122,7 +122,7 @@ pub(crate) fn scaled(file: File, step: usize) -> Result<(DynamicImage, [f64; 2])
 }
 
 /// Adds a row to the sums of its pixels' groups.
-fn add(sums: &mut [u64], row: &[u8], head: &Head, step: usize) {
+fn add(sums: &mut [u64], row: &[u8], head: &PngHead, step: usize) {
     let n = head.channels;
     let groups = sums.chunks_exact_mut(n).zip(row.chunks(n * head.depth * step));
     for (sums, group) in groups {

@@ -1,4 +1,4 @@
-//! TIFFs: how many values the first directory claims. Their decoder takes room for all of them before it reads one.
+//! TIFFs: how many values the first directory claims. Their decoder allocates memory for all of them before it reads one.
 
 use std::io::{Read, Seek, SeekFrom};
 
@@ -13,12 +13,12 @@ fn size_of(kind: u16) -> u64 {
 }
 
 /// Numbers of a file, in its order of bytes.
-struct Numbers<R> {
+struct TiffReader<R> {
     file: R,
     big_endian: bool,
 }
 
-impl<R: Read + Seek> Numbers<R> {
+impl<R: Read + Seek> TiffReader<R> {
     fn next(&mut self, bytes: usize) -> Option<u64> {
         let mut read = [0; 8];
         self.file.read_exact(&mut read[..bytes]).ok()?;
@@ -61,7 +61,7 @@ impl<R: Read + Seek> Numbers<R> {
 /// # Errors
 /// In words.
 pub(crate) fn check_counts(file: impl Read + Seek, length: u64) -> Result<(), String> {
-    match (Numbers { file, big_endian: false }).too_many(length) {
+    match (TiffReader { file, big_endian: false }).too_many(length) {
         None => Ok(()),
         Some((tag, count)) => Err(format!(
             "tag {tag} of the TIFF claims {count} values, which its {length} bytes cannot hold: it is damaged; copy it again"

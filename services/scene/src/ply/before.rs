@@ -1,4 +1,4 @@
-//! Elements that stand before the vertices of a `.ply`: passed over, whatever they hold.
+//! Elements before the vertices of a `.ply`: skipped, whatever they hold.
 
 use super::header::{Format, Type};
 
@@ -6,11 +6,11 @@ use super::header::{Format, Type};
 pub(super) struct Element {
     pub name: String,
     pub count: u64,
-    properties: Vec<Shape>,
+    properties: Vec<PropertyShape>,
 }
 
 #[derive(Clone, Copy)]
-enum Shape {
+enum PropertyShape {
     Scalar(Type),
     /// A number of values, of this type, and the values, of that one.
     List(Type, Type),
@@ -25,8 +25,8 @@ impl Element {
     pub(super) fn add(&mut self, words: &[&str]) -> Result<usize, String> {
         let kind = |word: &str| Type::from_name(word).ok_or(format!("`{word}` is no type of a property"));
         let shape = match *words {
-            ["list", count, item, _] => Shape::List(kind(count)?, kind(item)?),
-            [scalar, _] => Shape::Scalar(kind(scalar)?),
+            ["list", count, item, _] => PropertyShape::List(kind(count)?, kind(item)?),
+            [scalar, _] => PropertyShape::Scalar(kind(scalar)?),
             _ => return Err("a property has a type and a name".into()),
         };
         self.properties.push(shape);
@@ -57,19 +57,19 @@ impl Element {
 
     /// Bytes of a row, if all rows have as many.
     fn fixed(&self) -> Option<u64> {
-        let size = |shape: &Shape| match shape {
-            Shape::Scalar(kind) => Some(kind.size() as u64),
-            Shape::List(..) => None,
+        let size = |shape: &PropertyShape| match shape {
+            PropertyShape::Scalar(kind) => Some(kind.size() as u64),
+            PropertyShape::List(..) => None,
         };
         self.properties.iter().map(size).sum()
     }
 }
 
-impl Shape {
+impl PropertyShape {
     fn length(self, format: Format, body: &[u8]) -> Option<usize> {
         match self {
-            Shape::Scalar(kind) => Some(kind.size()),
-            Shape::List(count, item) => {
+            PropertyShape::Scalar(kind) => Some(kind.size()),
+            PropertyShape::List(count, item) => {
                 let n = count.value(format, body.get(..count.size())?);
                 let n = (n >= 0.0 && n <= body.len() as f64).then_some(n as usize)?;
                 count.size().checked_add(n.checked_mul(item.size())?)

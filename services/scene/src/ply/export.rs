@@ -1,5 +1,5 @@
 //! Splats for other programs: in the units of the reconstruction, near enough to the origin for single precision, in a file
-//! that says how it is to be drawn and what was subtracted.
+//! whose header gives the render mode and the offset that was subtracted.
 
 use super::write_commented;
 use crate::{Frame, SceneError, Splats};
@@ -47,9 +47,9 @@ pub struct Export<'a> {
 }
 
 impl Export<'_> {
-    /// Writes splats of the normalised frame in the units of the reconstruction, less [`Frame::offset`]. The header says how
-    /// they are to be drawn (`comment SplatRenderMode: mip`, or `default`) and, where there is one, the offset (`comment offset
-    /// X Y Z`); the latter stands in `NAME.offset.json` beside the file, too.
+    /// Writes splats of the normalised frame in the units of the reconstruction, less [`Frame::offset`]. The header gives the
+    /// render mode (`comment SplatRenderMode: mip`, or `default`) and, where there is one, the offset (`comment offset
+    /// X Y Z`); the offset is also written to `NAME.offset.json` beside the file.
     ///
     /// # Panics
     /// As [`super::write_with`].
@@ -66,7 +66,7 @@ impl Export<'_> {
     }
 }
 
-/// What stands beside a file whose positions have an offset.
+/// The JSON beside a file whose positions have an offset.
 #[derive(Serialize, Deserialize)]
 struct Note {
     /// The file's name.

@@ -93,7 +93,7 @@ struct Property {
 const MOST_PROPERTIES: usize = 1000;
 
 /// The vertices of a `.ply`.
-pub(super) struct Table<'a> {
+pub(super) struct VertexTable<'a> {
     properties: Vec<Property>,
     rows: usize,
     stride: usize,
@@ -106,10 +106,10 @@ enum Data<'a> {
     Text(Vec<f64>),
 }
 
-impl<'a> Table<'a> {
+impl<'a> VertexTable<'a> {
     /// Reads the header, checks that the vertices it promises are there, and finds them. Elements before and after the
     /// vertices are passed over.
-    pub(super) fn parse(path: &Path, bytes: &'a [u8]) -> Result<Table<'a>, SceneError> {
+    pub(super) fn parse(path: &Path, bytes: &'a [u8]) -> Result<VertexTable<'a>, SceneError> {
         let invalid =
             |line: usize, reason: String| SceneError::invalid(path, format!("header line {line}"), reason);
         let mut at = 0;
@@ -207,15 +207,15 @@ impl<'a> Table<'a> {
         // In text every value takes a character and a separator at least.
         let least = if format == Format::Text { 2 * properties.len() } else { stride } as u64;
         // The last line of a text need not end.
-        let room = body.len() as u64 + u64::from(format == Format::Text);
-        if count.saturating_mul(least) > room {
-            let held = room / least.max(1);
+        let space = body.len() as u64 + u64::from(format == Format::Text);
+        if count.saturating_mul(least) > space {
+            let held = space / least.max(1);
             return Err(SceneError::Truncated {
                 path: path.to_owned(),
                 record: format!("vertex {} of {count}", held + 1),
                 offset: at as u64 + held * least,
                 needed: least,
-                left: room - held * least,
+                left: space - held * least,
             });
         }
         let rows = count as usize;
@@ -224,7 +224,7 @@ impl<'a> Table<'a> {
             Format::Big => Data::Big(&body[..rows * stride]),
             Format::Text => Data::Text(parse_body(path, lines, body, rows, &properties)?),
         };
-        Ok(Table { properties, rows, stride, data })
+        Ok(VertexTable { properties, rows, stride, data })
     }
 
     pub(super) fn len(&self) -> usize {

@@ -122,8 +122,8 @@ fn hostile_ply_files_are_refused_in_words() {
     let head = String::from_utf8(good[..end].to_vec()).unwrap();
     let refuse = |bytes: &[u8], words: &str| {
         std::fs::write(&path, bytes).unwrap();
-        let told = ply::read(&path).unwrap_err().to_string();
-        assert!(told.contains("bad.ply") && told.contains(words), "{told}");
+        let message = ply::read(&path).unwrap_err().to_string();
+        assert!(message.contains("bad.ply") && message.contains(words), "{message}");
     };
     let with = |from: &str, to: &str| {
         assert!(head.contains(from));
@@ -170,34 +170,34 @@ fn splats_go_to_the_frame_of_the_file_and_back() {
 }
 
 #[test]
-fn pictures_and_masks_come_back() {
+fn images_and_masks_come_back() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("a.png");
-    let picture = crate::common::picture(33, 17);
-    picture.write_png(&path).unwrap();
+    let test_image = crate::common::test_image(33, 17);
+    test_image.write_png(&path).unwrap();
     let back = Image::read(&path).unwrap();
-    assert!(back.data.iter().zip(&picture.data).all(|(a, b)| (a - b).abs() <= 0.5001 / 255.0));
+    assert!(back.data.iter().zip(&test_image.data).all(|(a, b)| (a - b).abs() <= 0.5001 / 255.0));
     let odd = Image { width: 3, height: 1, channels: 1, data: vec![f32::NAN, -4.0, 9.0] };
     odd.write_png(&path).unwrap();
     assert_eq!(Image::read(&path).unwrap().plane(0), [0.0, 0.0, 1.0]);
     let mask = Mask::from_fn(65, 9, |x, y| (x * y) % 3 == 1);
     mask.write_png(&path).unwrap();
     assert_eq!(Mask::read_png(&path).unwrap(), mask);
-    std::fs::write(&path, b"no picture").unwrap();
-    let told = Mask::read_png(&path).unwrap_err().to_string();
-    assert!(told.contains("a.png"), "{told}");
+    std::fs::write(&path, b"no image").unwrap();
+    let message = Mask::read_png(&path).unwrap_err().to_string();
+    assert!(message.contains("a.png"), "{message}");
 }
 
 #[test]
 fn resizing_keeps_means_ranges_and_edges() {
-    let picture = crate::common::picture(60, 45);
+    let test_image = crate::common::test_image(60, 45);
     for (w, h) in [(60, 45), (20, 15), (17, 13), (120, 90), (1, 1), (7, 90)] {
-        let small = picture.resized(w, h);
+        let small = test_image.resized(w, h);
         let mean = |i: &Image, c: usize| i.plane(c).iter().sum::<f32>() / i.pixels() as f32;
         for c in 0..3 {
-            // Growing weighs the border anew; shrinking keeps the mean exactly.
+            // Growing changes the border's weights; shrinking keeps the mean exactly.
             let slack = if w <= 60 && h <= 45 { 1e-5 } else { 5e-3 };
-            assert!((mean(&small, c) - mean(&picture, c)).abs() < slack, "{w} x {h}");
+            assert!((mean(&small, c) - mean(&test_image, c)).abs() < slack, "{w} x {h}");
         }
     }
     let step = Image { width: 4, height: 1, channels: 1, data: vec![0.0, 0.0, 1.0, 1.0] };
@@ -256,7 +256,7 @@ fn lens() -> impl Strategy<Value = Lens> {
 }
 
 /// The header of a file, and what stands beside it.
-fn said(path: &std::path::Path) -> (String, Option<String>) {
+fn header_and_offset(path: &std::path::Path) -> (String, Option<String>) {
     let bytes = std::fs::read(path).unwrap();
     let head = String::from_utf8_lossy(&bytes).into_owned();
     let head = head[..head.find("end_header").unwrap()].to_owned();
@@ -272,7 +272,7 @@ fn a_georeferenced_export_keeps_its_precision_by_an_offset() {
     {
         let frame = Frame { origin, scale: 4.0 };
         ply::Export { frame: &frame, antialias: true, extra: &[] }.write(&path, &s).unwrap();
-        let (head, beside) = said(&path);
+        let (head, beside) = header_and_offset(&path);
         let offset = frame.offset();
         assert!(head.contains(&format!("comment offset {} {} {}\n", offset.x, offset.y, offset.z)), "{head}");
         let beside: serde_json::Value = serde_json::from_str(&beside.unwrap()).unwrap();
@@ -287,12 +287,12 @@ fn a_georeferenced_export_keeps_its_precision_by_an_offset() {
     // Another scene into the same place: nothing of the old offset is left.
     let frame = Frame { origin: DVec3::new(100.0, -20.0, 3.0), scale: 4.0 };
     ply::Export { frame: &frame, antialias: false, extra: &[] }.write(&path, &s).unwrap();
-    let (head, beside) = said(&path);
+    let (head, beside) = header_and_offset(&path);
     assert!(!head.contains("offset") && beside.is_none(), "{head}");
 }
 
 #[test]
-fn an_export_says_how_it_is_to_be_drawn_and_is_else_as_before() {
+fn an_export_names_its_render_mode_and_is_else_as_before() {
     let dir = tempfile::tempdir().unwrap();
     let (path, plain) = (dir.path().join("a.ply"), dir.path().join("b.ply"));
     let (s, frame) = (splats(7, 2), Frame { origin: DVec3::new(1.0, 2.0, 3.0), scale: 2.5 });
@@ -301,7 +301,7 @@ fn an_export_says_how_it_is_to_be_drawn_and_is_else_as_before() {
     for (antialias, mode) in [(true, "mip"), (false, "default")] {
         ply::Export { frame: &frame, antialias, extra: &[("label", &[1; 7])] }.write(&path, &s).unwrap();
         let comment = format!("comment SplatRenderMode: {mode}\n");
-        let (head, _) = said(&path);
+        let (head, _) = header_and_offset(&path);
         assert_eq!(head.matches("comment").count(), 1);
         assert!(head.contains(&comment), "{head}");
         let written = std::fs::read(&path).unwrap();

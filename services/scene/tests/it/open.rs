@@ -1,6 +1,6 @@
 //! What a scene folder can hold, good and bad.
 
-use crate::common::{SIZE, line, open, picture, write, write_photo};
+use crate::common::{SIZE, line, open, test_image, write, write_photo};
 use glam::Vec3;
 use segwild_scene::colmap::{self, CameraRecord, Model};
 use segwild_scene::{Mask, Scene, SceneError, SceneSettings, Seal, Skipped};
@@ -68,10 +68,10 @@ fn units_a_thousand_times_larger_give_the_same_scene() {
 }
 
 #[test]
-fn every_place_and_both_forms_are_found() {
+fn every_folder_and_both_forms_are_found() {
     let reconstruction = line(3);
     let mut scenes = Vec::new();
-    for (place, images) in [
+    for (folder, images) in [
         ("sparse/0", "images"),
         ("sparse", "images"),
         ("dense/sparse", "dense/images"),
@@ -80,12 +80,12 @@ fn every_place_and_both_forms_are_found() {
     ] {
         for text in [false, true] {
             let dir = temp();
-            let to = dir.path().join(place);
+            let to = dir.path().join(folder);
             if text { colmap::write_text(&to, &reconstruction) } else { colmap::write(&to, &reconstruction) }
                 .unwrap();
             for image in &reconstruction.images {
                 std::fs::create_dir_all(dir.path().join(images)).unwrap();
-                picture(SIZE.0, SIZE.1).write_png(&dir.path().join(images).join(&image.name)).unwrap();
+                test_image(SIZE.0, SIZE.1).write_png(&dir.path().join(images).join(&image.name)).unwrap();
             }
             let mut scene = open(dir.path()).unwrap();
             for view in &mut scene.views {
@@ -129,7 +129,7 @@ fn photos_that_cannot_be_used_are_skipped_with_the_reason() {
     r.images[14].id = r.images[13].id;
     write(dir.path(), &r);
     std::fs::remove_file(dir.path().join("images/photo15.png")).unwrap();
-    std::fs::write(dir.path().join("images/photo16.png"), b"this is no picture").unwrap();
+    std::fs::write(dir.path().join("images/photo16.png"), b"this is no image").unwrap();
     r.points[0].position[1] = f64::NAN;
     r.points[1].track.retain(|t| t.0 < 103);
     r.points[2].track.clear();
@@ -154,8 +154,8 @@ fn photos_that_cannot_be_used_are_skipped_with_the_reason() {
         (15, "no file"),
         (16, "does not decode"),
     ] {
-        let told = reason(&scene.skipped, &format!("photo{i:02}.png"));
-        assert!(told.contains(words), "photo {i}: {told}");
+        let text = reason(&scene.skipped, &format!("photo{i:02}.png"));
+        assert!(text.contains(words), "photo {i}: {text}");
     }
     assert!(reason(&scene.skipped, "../outside.png").contains("inside the photo folder"));
     assert_eq!(scene.views.len() + scene.skipped.len(), 18);
@@ -186,10 +186,10 @@ fn one_photo_is_a_scene_with_or_without_points() {
 
     r.images[0].rotation = [f64::NAN; 4];
     colmap::write(&dir.path().join("sparse/0"), &r).unwrap();
-    let told = message(open(dir.path()));
+    let text = message(open(dir.path()));
     assert!(
-        told.contains("photo00.png") && told.contains("not finite") && told.contains("sparse/0"),
-        "{told}"
+        text.contains("photo00.png") && text.contains("not finite") && text.contains("sparse/0"),
+        "{text}"
     );
 }
 
@@ -248,10 +248,10 @@ fn bad_text_is_refused_with_its_line() {
         let good = std::fs::read_to_string(&path).unwrap();
         assert!(good.contains(from), "{good}");
         std::fs::write(&path, good.replacen(from, with, 1)).unwrap();
-        let told = message(open(dir.path()));
+        let text = message(open(dir.path()));
         assert!(
-            told.contains(file) && told.contains(&format!("line {line}")) && told.contains(words),
-            "{told}"
+            text.contains(file) && text.contains(&format!("line {line}")) && text.contains(words),
+            "{text}"
         );
         std::fs::write(&path, good).unwrap();
     }
@@ -260,19 +260,19 @@ fn bad_text_is_refused_with_its_line() {
 #[test]
 fn a_folder_without_a_scene_says_what_was_looked_for() {
     let dir = temp();
-    let told = message(open(dir.path()));
+    let text = message(open(dir.path()));
     assert!(
-        told.contains("cameras") && told.contains("sparse/0") && told.contains("transforms.json"),
-        "{told}"
+        text.contains("cameras") && text.contains("sparse/0") && text.contains("transforms.json"),
+        "{text}"
     );
-    let told = message(open(&dir.path().join("nowhere")));
-    assert!(told.contains("nowhere"), "{told}");
+    let text = message(open(&dir.path().join("nowhere")));
+    assert!(text.contains("nowhere"), "{text}");
     // A reconstruction without its photos.
     colmap::write(&dir.path().join("sparse/0"), &line(2)).unwrap();
-    let told = message(open(dir.path()));
+    let text = message(open(dir.path()));
     assert!(
-        told.contains("none of the 2 photos") && told.contains("photo00.png") && told.contains("`images`"),
-        "{told}"
+        text.contains("none of the 2 photos") && text.contains("photo00.png") && text.contains("`images`"),
+        "{text}"
     );
     colmap::write(&dir.path().join("sparse/0"), &colmap::Reconstruction::default()).unwrap();
     assert!(message(open(dir.path())).contains("no photo"));
@@ -307,8 +307,8 @@ fn settings_choose_folders_and_photos() {
     assert!(message(with(&|_| {})).contains("x.tsv"));
     assert!(message(with(&|s| s.split = "z.tsv".into())).contains("z.tsv"));
     std::fs::write(dir.path().join("y.tsv"), rows.replace("\ttest", "\tteset")).unwrap();
-    let told = message(with(&|s| s.split = "y.tsv".into()));
-    assert!(told.contains("y.tsv") && told.contains("line 2") && told.contains("teset"), "{told}");
+    let text = message(with(&|s| s.split = "y.tsv".into()));
+    assert!(text.contains("y.tsv") && text.contains("line 2") && text.contains("teset"), "{text}");
 }
 
 /// Writes a `transforms.json` of the cameras of `line(n)`, the way nerfstudio does: OpenGL, camera to world.
@@ -374,8 +374,8 @@ fn black_pixels_of_a_frames_mask_path_are_not_used() {
     let valid = |i: usize| scene.views[i].load(40).unwrap().valid;
     assert_eq!(valid(0), Some(Mask::from_fn(40, 30, |x, _| x >= 10)));
     assert_eq!(valid(1), None);
-    let told = reason(&scene.skipped, "c.png");
-    assert!(told.contains("lost.png") && told.contains("mask"), "{told}");
+    let text = reason(&scene.skipped, "c.png");
+    assert!(text.contains("lost.png") && text.contains("mask"), "{text}");
 }
 
 #[test]
@@ -404,16 +404,16 @@ fn frames_of_transforms_json_that_cannot_be_used_are_skipped() {
         ("e.png", "EQUIRECTANGULAR"),
         ("missing", "no file"),
     ] {
-        let told = reason(&scene.skipped, name);
-        assert!(told.contains(words), "{name}: {told}");
+        let text = reason(&scene.skipped, name);
+        assert!(text.contains(words), "{name}: {text}");
     }
     std::fs::write(dir.path().join("transforms.json"), &text[..200]).unwrap();
-    let told = message(open(dir.path()));
-    assert!(told.contains("transforms.json") && told.contains("line"), "{told}");
+    let text = message(open(dir.path()));
+    assert!(text.contains("transforms.json") && text.contains("line"), "{text}");
 }
 
 #[test]
-fn what_is_odd_about_the_points_is_said() {
+fn odd_points_are_noted() {
     let dir = tempfile::tempdir().unwrap();
     let mut reconstruction = line(3);
     reconstruction.points[0].position[1] = f64::NAN;

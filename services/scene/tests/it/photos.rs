@@ -1,6 +1,6 @@
 //! Loading pixels.
 
-use crate::common::{SIZE, line, open, picture, write};
+use crate::common::{SIZE, line, open, test_image, write};
 use image::metadata::Orientation;
 use image::{DynamicImage, ImageEncoder, RgbImage};
 use segwild_scene::colmap::{self, CameraRecord, Keypoint, Model, PointRecord, Reconstruction};
@@ -29,7 +29,7 @@ fn encode(path: &Path, bytes: &[u8], size: (usize, usize), colour: image::Extend
 }
 
 #[test]
-fn every_depth_and_channel_layout_decodes_to_the_same_picture() {
+fn every_depth_and_channel_layout_decodes_to_the_same_image() {
     let dir = tempfile::tempdir().unwrap();
     let view = one(dir.path());
     let grey: Vec<u8> = (0..SIZE.0 * SIZE.1).map(|i| (i * 7 % 256) as u8).collect();
@@ -68,8 +68,8 @@ fn every_depth_and_channel_layout_decodes_to_the_same_picture() {
 fn sizes_decide_whether_exif_turns_a_photo() {
     let dir = tempfile::tempdir().unwrap();
     let view = one(dir.path());
-    let upright = picture(SIZE.0, SIZE.1);
-    // The same picture as a camera held sideways stores it: turned 90 degrees back.
+    let upright = test_image(SIZE.0, SIZE.1);
+    // The same image as a camera held sideways stores it: turned 90 degrees back.
     let byte = |v: f32| (v * 255.0).round() as u8;
     let stored = |turned: bool| {
         let (w, h) = if turned { (SIZE.1, SIZE.0) } else { SIZE };
@@ -95,10 +95,10 @@ fn sizes_decide_whether_exif_turns_a_photo() {
     }
 }
 
-/// Two photos of these points each, `side` x `side` of them in a grid, coloured as the photo is. Both show `picture`, and the poses
+/// Two photos of these points each, `side` x `side` of them in a grid, coloured as the photo is. Both show `test_image`, and the poses
 /// are of it.
 fn coloured(size: (usize, usize), side: usize) -> Reconstruction {
-    let (upright, mut r) = (picture(size.0, size.1), line(2));
+    let (upright, mut r) = (test_image(size.0, size.1), line(2));
     let (w, h) = (size.0 as f64, size.1 as f64);
     let camera = &mut r.cameras[0];
     (camera.width, camera.height) = (size.0 as u64, size.1 as u64);
@@ -123,11 +123,11 @@ fn coloured(size: (usize, usize), side: usize) -> Reconstruction {
     r
 }
 
-/// Writes the scene. `photo01.png` has the EXIF orientation; it shows `picture` as stored, or once it is turned so.
+/// Writes the scene. `photo01.png` has the EXIF orientation; it shows `test_image` as stored, or once it is turned so.
 fn write_oriented(dir: &Path, reconstruction: &Reconstruction, exif: u8, turned: bool) {
     colmap::write(&dir.join("sparse/0"), reconstruction).unwrap();
     let camera = &reconstruction.cameras[0];
-    let upright = picture(camera.width as usize, camera.height as usize);
+    let upright = test_image(camera.width as usize, camera.height as usize);
     std::fs::create_dir_all(dir.join("images")).unwrap();
     upright.write_png(&dir.join("images/photo00.png")).unwrap();
     let byte = |c: usize, x: u32, y: u32| (upright.at(c, x as usize, y as usize) * 255.0).round() as u8;
@@ -147,7 +147,7 @@ fn write_oriented(dir: &Path, reconstruction: &Reconstruction, exif: u8, turned:
     stored.write_with_encoder(encoder).unwrap();
 }
 
-/// What is said of EXIF orientations.
+/// The notes about EXIF orientations.
 fn about_orientation(scene: &Scene) -> Vec<&str> {
     scene.notes.iter().map(String::as_str).filter(|note| note.contains("EXIF")).collect()
 }
@@ -233,9 +233,9 @@ fn masks_lie_on_a_turned_photo_as_its_poses_see_it() {
 }
 
 #[test]
-fn a_photo_that_too_few_points_see_is_read_as_stored_and_that_is_said() {
+fn a_photo_that_too_few_points_see_is_read_as_stored_and_a_note_names_it() {
     let unchecked = "its EXIF orientation 3 could not be checked against the points";
-    let is_said = |reconstruction: &Reconstruction, why: &str| {
+    let is_noted = |reconstruction: &Reconstruction, why: &str| {
         let dir = tempfile::tempdir().unwrap();
         write_oriented(dir.path(), reconstruction, 3, true);
         let scene = open(dir.path()).unwrap();
@@ -246,17 +246,17 @@ fn a_photo_that_too_few_points_see_is_read_as_stored_and_that_is_said() {
         );
         assert!(!scene.views[1].photo.reading.turned);
     };
-    is_said(&coloured(SIZE, 6), "too few points");
+    is_noted(&coloured(SIZE, 6), "too few points");
     let mut r = coloured(SIZE, 8);
     r.points.iter_mut().for_each(|point| point.colour = [0; 3]);
-    is_said(&r, "too few points with colours");
+    is_noted(&r, "too few points with colours");
     // Colours of something else.
     let mut r = coloured(SIZE, 8);
     let colours: Vec<[u8; 3]> = r.points.iter().map(|point| point.colour).collect();
     for (k, point) in r.points.iter_mut().enumerate() {
         point.colour = colours[k * 37 % 64];
     }
-    is_said(&r, "both ways alike");
+    is_noted(&r, "both ways alike");
 }
 
 #[test]
@@ -273,7 +273,7 @@ fn photos_without_an_orientation_are_read_as_ever() {
 fn a_file_of_another_size_scales_the_camera_and_another_shape_is_an_error() {
     let dir = tempfile::tempdir().unwrap();
     let view = one(dir.path());
-    picture(20, 15).write_png(&view.photo.path).unwrap();
+    test_image(20, 15).write_png(&view.photo.path).unwrap();
     let half = open(dir.path()).unwrap();
     let camera = half.views[0].camera;
     assert_eq!((camera.width, camera.height, camera.fx, camera.cx), (20, 15, 25.0, 10.0));
@@ -281,7 +281,7 @@ fn a_file_of_another_size_scales_the_camera_and_another_shape_is_an_error() {
         let p = camera.pixel(half.views[0].pose.to_camera(point.position));
         assert!(p.distance(point.track[0].pixel.into()) < 1e-4);
     }
-    picture(20, 20).write_png(&view.photo.path).unwrap();
+    test_image(20, 20).write_png(&view.photo.path).unwrap();
     let error = view.load(100).unwrap_err().to_string();
     assert!(
         error.contains("photo00.png") && error.contains("20 x 20") && error.contains("40 x 30"),
@@ -459,7 +459,7 @@ fn a_truncated_jpeg_is_refused() {
     let thumbnail = [&jpeg[..2], b"\xff\xe1\x00\x06ab\xff\xd9", &jpeg[2..jpeg.len() - 2]].concat();
     std::fs::write(&view.photo.path, &thumbnail).unwrap();
     let odd = open(dir.path()).unwrap().views[0].examine(640).unwrap().unwrap();
-    assert!(odd.contains("no end marker") && odd.contains("all of its picture is there"), "{odd}");
+    assert!(odd.contains("no end marker") && odd.contains("all of its image is there"), "{odd}");
     std::fs::write(&view.photo.path, &thumbnail[..thumbnail.len() - 40]).unwrap();
     assert!(open(dir.path()).unwrap_err().to_string().contains("cut short"));
 }
@@ -499,8 +499,8 @@ fn a_large_photo_that_shrinks_while_it_is_decoded_is_as_one_that_shrinks_afterwa
             image::ImageFormat::Png,
         ),
     ];
-    for (kind, picture, format) in kinds {
-        picture.save_with_format(&path, format).unwrap();
+    for (kind, test_image, format) in kinds {
+        test_image.save_with_format(&path, format).unwrap();
         let whole = image::open(&path)
             .unwrap_or_else(|_| image::load_from_memory(&std::fs::read(&path).unwrap()).expect("it decodes"));
         let view = open(dir.path()).unwrap().views.remove(0);

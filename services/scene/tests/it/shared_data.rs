@@ -44,7 +44,7 @@ fn all_four_scenes_open_and_their_points_project_onto_their_observations() {
 }
 
 #[test]
-fn photos_load_at_the_size_asked_for() {
+fn photos_load_at_the_requested_size() {
     let Some(path) = shared("photos_load", "sacre_coeur") else { return };
     let scene = open(&path).unwrap();
     for view in &scene.views {

@@ -1,4 +1,4 @@
-//! What the measurements share: clicks that a person would make, pictures, means.
+//! Shared by the measurements: simulated clicks, images, means.
 
 use segwild_scene::{BoxPrompt, Image, Mask, PointPrompt};
 use segwild_vision::{Builtin, EdgeNetwork, Runtime};
@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// An outcome of an example.
-pub type Outcome<T> = Result<T, Box<dyn std::error::Error>>;
+pub type ExampleResult<T> = Result<T, Box<dyn std::error::Error>>;
 
 /// The value after a flag.
 pub fn option(name: &str) -> Option<String> {
@@ -16,7 +16,7 @@ pub fn option(name: &str) -> Option<String> {
 }
 
 /// The built-in provider, with the edge network of the folder after `--models` if there is one.
-pub fn provider() -> Outcome<Builtin> {
+pub fn provider() -> ExampleResult<Builtin> {
     let Some(models) = option("--models") else { return Ok(Builtin::new()) };
     let file = Path::new(&models).join("edges_bsds.onnx");
     Ok(Builtin::with_edges(Arc::new(EdgeNetwork::load(&Runtime::find("")?, &file, 1)?)))
@@ -98,7 +98,7 @@ pub fn overlay(image: &Image, tint: &Mask, outline: Option<&Mask>) -> Image {
     out
 }
 
-/// Pictures side by side.
+/// Images side by side.
 pub fn beside(images: &[Image]) -> Image {
     let (w, h) = (images.iter().map(|i| i.width).sum(), images.iter().map(|i| i.height).max().unwrap_or(1));
     let mut out = Image::zeros(w, h, 3);
@@ -133,14 +133,14 @@ pub const THE_ONE: &str = "the one";
 
 /// What a synthetic set says about itself.
 #[derive(serde::Deserialize)]
-pub struct Manifest {
+pub struct TruthManifest {
     /// What is in it.
-    pub objects: Vec<Object>,
+    pub objects: Vec<TruthObject>,
 }
 
 /// One thing of a set.
 #[derive(Clone, serde::Deserialize)]
-pub struct Object {
+pub struct TruthObject {
     /// Its folder under `truth`.
     pub name: String,
     /// `object`, `surface` or such.
@@ -148,18 +148,18 @@ pub struct Object {
 }
 
 /// A photo and where its true masks are.
-pub struct Known {
+pub struct PhotoWithTruth {
     /// The photo's file.
     pub file: PathBuf,
     /// Long side it is read at.
     pub long: f32,
     /// Objects and their masks' files.
-    pub truths: Vec<(Object, PathBuf)>,
+    pub truths: Vec<(TruthObject, PathBuf)>,
 }
 
-impl Known {
+impl PhotoWithTruth {
     /// The photo and its masks, at that size.
-    pub fn read(&self) -> Outcome<(Image, Vec<(String, Mask)>)> {
+    pub fn read(&self) -> ExampleResult<(Image, Vec<(String, Mask)>)> {
         let full = Image::read(&self.file)?;
         let scale = (self.long / full.width.max(full.height) as f32).min(1.0);
         let size = |n: usize| ((n as f32 * scale).round() as usize).max(1);
@@ -174,10 +174,10 @@ impl Known {
 }
 
 /// The photos of a synthetic set, or of a folder with `images` and `truth/STEM.png`.
-pub fn known(folder: &Path, long: f32) -> Outcome<Vec<Known>> {
+pub fn photos_with_truth(folder: &Path, long: f32) -> ExampleResult<Vec<PhotoWithTruth>> {
     let objects = match std::fs::read_to_string(folder.join("truth.json")) {
-        Ok(text) => serde_json::from_str::<Manifest>(&text)?.objects,
-        Err(_) => vec![Object { name: THE_ONE.into(), kind: "object".into() }],
+        Ok(text) => serde_json::from_str::<TruthManifest>(&text)?.objects,
+        Err(_) => vec![TruthObject { name: THE_ONE.into(), kind: "object".into() }],
     };
     let mut files: Vec<PathBuf> =
         std::fs::read_dir(folder.join("images"))?.map(|e| e.map(|e| e.path())).collect::<Result<_, _>>()?;
@@ -186,10 +186,10 @@ pub fn known(folder: &Path, long: f32) -> Outcome<Vec<Known>> {
         let stem = file.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
         let answers = folder.join("truth");
         let truths = objects.iter().map(|o| {
-            let place = if o.name == THE_ONE { answers.clone() } else { answers.join(&o.name) };
-            (o.clone(), place.join(format!("{stem}.png")))
+            let dir = if o.name == THE_ONE { answers.clone() } else { answers.join(&o.name) };
+            (o.clone(), dir.join(format!("{stem}.png")))
         });
-        Known { truths: truths.filter(|t| t.1.is_file()).collect(), file, long }
+        PhotoWithTruth { truths: truths.filter(|t| t.1.is_file()).collect(), file, long }
     };
     Ok(files.into_iter().map(with_truths).collect())
 }

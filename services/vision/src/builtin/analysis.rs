@@ -1,11 +1,11 @@
-//! What is worked out once per photo and shared by all answers about it.
+//! The analysis of a photo: computed once and shared by every answer about it.
 
 use super::boundary::{Boundaries, detect, texture_bins};
 use super::colour::Lab;
-use super::colours::Samples;
+use super::colours::ColourSamples;
 use super::memory::Weighed;
-use super::plane::Plane;
-use super::tree::{BINS, Hierarchy, Node, Weights};
+use super::plane::FloatPlane;
+use super::tree::{BINS, Hierarchy, MergeWeights, RegionNode};
 use super::watershed::{basins, joined};
 use crate::VisionError;
 use segwild_scene::Image;
@@ -18,21 +18,21 @@ pub(crate) struct Analysis {
     /// Other trees over the same superpixels, for more candidates; grown when some are asked for, which skies, descriptions and
     /// refinements do not.
     others: OnceLock<Vec<Hierarchy>>,
-    /// Superpixels as points in colour and place.
-    pub samples: Samples,
+    /// Superpixels as points in colour and position.
+    pub samples: ColourSamples,
 }
 
-/// What is known of each pixel, which skies and descriptions are made of: several times as much as the [`Analysis`] that comes of it.
-pub(crate) struct Pixels {
+/// Per-pixel features, from which skies and descriptors are computed: several times as large as the [`Analysis`] built from them.
+pub(crate) struct PixelFeatures {
     /// Colours as they are.
     pub lab: Lab,
     /// Colours with the photo's exposure taken out.
     pub normal: Lab,
-    /// Where things end.
+    /// Boundary strength and direction.
     pub edges: Boundaries,
     /// Texture shares per pixel (five planes).
-    pub texture: Vec<Plane>,
-    /// What came of it.
+    pub texture: Vec<FloatPlane>,
+    /// The regions built from these features.
     pub analysis: Arc<Analysis>,
 }
 
@@ -62,7 +62,7 @@ pub(crate) fn check(image: &Image) -> Result<(), VisionError> {
 }
 
 /// Triangular soft bins of three planes, 8 each.
-fn soft8(plane: &Plane, out: &mut Vec<Vec<f32>>) {
+fn soft8(plane: &FloatPlane, out: &mut Vec<Vec<f32>>) {
     let n = plane.data.len();
     let from = out.len();
     out.extend((0..8).map(|_| vec![0.0; n]));
@@ -80,9 +80,9 @@ fn soft8(plane: &Plane, out: &mut Vec<Vec<f32>>) {
 /// from finer ones, .91 with 1500.
 const SUPERPIXELS: usize = 1200;
 
-/// What superpixels are flooded over: boundaries, and the photo's own gradient, which is sharp where they are broad.
-fn fine(lab: &Lab, strength: &Plane) -> Plane {
-    let mut out = Plane::zeros(strength.width, strength.height);
+/// The height map that superpixels are flooded over: boundaries, and the photo's own gradient, which is sharp where they are broad.
+fn fine(lab: &Lab, strength: &FloatPlane) -> FloatPlane {
+    let mut out = FloatPlane::zeros(strength.width, strength.height);
     for plane in [&lab.l, &lab.a, &lab.b] {
         let (gx, gy) = plane.blurred(0.5).gradient();
         for (o, (x, y)) in out.data.iter_mut().zip(gx.data.iter().zip(&gy.data)) {
@@ -99,12 +99,12 @@ impl Weighed for Analysis {
     fn bytes(&self) -> usize {
         let labels = size_of_val(&*self.tree.labels);
         // As if all trees were there, as they may soon be.
-        let nodes = self.tree.nodes.len() * (1 + Weights::others().len());
-        labels + nodes * size_of::<Node>() + size_of_val(&*self.tree.borders)
+        let nodes = self.tree.nodes.len() * (1 + MergeWeights::others().len());
+        labels + nodes * size_of::<RegionNode>() + size_of_val(&*self.tree.borders)
     }
 }
 
-impl Weighed for Pixels {
+impl Weighed for PixelFeatures {
     fn bytes(&self) -> usize {
         // Colours twice, boundaries and their tensor, textures.
         let planes = 6 + 4 + self.texture.len();
@@ -114,40 +114,40 @@ impl Weighed for Pixels {
 
 impl Analysis {
     /// The regions of a photo.
-    pub fn new(tree: Hierarchy, samples: Samples) -> Analysis {
+    pub fn new(tree: Hierarchy, samples: ColourSamples) -> Analysis {
         Analysis { tree, others: OnceLock::new(), samples }
     }
 
-    /// Factors from a photo's pixels to those of the size it was looked at.
+    /// Factors (x, y) from a photo's pixels to pixels at analysis size.
     pub fn scale_from(&self, image: &Image) -> (f32, f32) {
         (self.tree.width as f32 / image.width as f32, self.tree.height as f32 / image.height as f32)
     }
 
     /// All trees, the main one first.
     pub fn trees(&self) -> impl Iterator<Item = &Hierarchy> {
-        let grown = || Weights::others().into_iter().map(|w| self.tree.regrown(w)).collect();
+        let grown = || MergeWeights::others().into_iter().map(|w| self.tree.regrown(w)).collect();
         std::iter::once(&self.tree).chain(self.others.get_or_init(grown))
     }
 }
 
-impl Pixels {
-    /// Works everything out, but for the analysis where it is known; `strength` replaces the built-in boundary detector's
-    /// answer.
-    pub fn of(image: &Image, strength: Option<Plane>, known: Option<Arc<Analysis>>) -> Pixels {
+impl PixelFeatures {
+    /// Computes all features of a photo, and its analysis unless `known` holds it; `strength` replaces the built-in boundary
+    /// detector's output.
+    pub fn of(image: &Image, strength: Option<FloatPlane>, known: Option<Arc<Analysis>>) -> PixelFeatures {
         let lab = Lab::of(image);
         let normal = lab.normalised();
-        let texture: Vec<Plane> = texture_bins(&normal.l);
+        let texture: Vec<FloatPlane> = texture_bins(&normal.l);
         let edges = match strength {
             Some(strength) => Boundaries::from_strength(strength),
             None => detect(&normal, &texture),
         };
         let analysis = known.unwrap_or_else(|| Arc::new(analysed(image, &lab, &normal, &edges, &texture)));
-        Pixels { lab, normal, edges, texture, analysis }
+        PixelFeatures { lab, normal, edges, texture, analysis }
     }
 }
 
-/// Regions by the boundaries, told apart by colour and texture.
-fn analysed(image: &Image, lab: &Lab, normal: &Lab, edges: &Boundaries, texture: &[Plane]) -> Analysis {
+/// Regions by the boundaries, distinguished by colour and texture.
+fn analysed(image: &Image, lab: &Lab, normal: &Lab, edges: &Boundaries, texture: &[FloatPlane]) -> Analysis {
     let least = (image.pixels() / 19_000).max(4);
     let (labels, count) = basins(&fine(lab, &edges.strength), least);
     let (labels, count) = joined(&labels, count, &[&lab.l, &lab.a, &lab.b], &edges.strength, SUPERPIXELS);
@@ -158,6 +158,6 @@ fn analysed(image: &Image, lab: &Lab, normal: &Lab, edges: &Boundaries, texture:
     let mut planes: Vec<&[f32]> = bins.iter().map(Vec::as_slice).collect();
     planes.extend(texture.iter().map(|p| p.data.as_slice()));
     let tree = Hierarchy::build(labels, count, edges, &planes);
-    let samples = Samples::of(&tree, lab);
+    let samples = ColourSamples::of(&tree, lab);
     Analysis::new(tree, samples)
 }

@@ -1,26 +1,26 @@
-//! Where things end: boundary strength and direction per pixel.
+//! Boundary strength and direction per pixel.
 //!
 //! Martin, Fowlkes and Malik (PAMI 2004) compare histograms of brightness, colour and texture in the two halves of a
 //! disc, for every orientation. With soft bins and Gaussian weights the difference of the two halves is the
 //! directional derivative of the smoothed bin, so their chi-squared distance at orientation d is the quadratic
 //! form `d^T M d` with `M = 1/4 sum_k g_k g_k^T / h_k` (`h_k` the smoothed bin, `g_k` its scaled gradient): one 2x2 tensor
-//! per pixel says all orientations at once, and tensors of several cues and scales simply add.
+//! per pixel holds all orientations at once, and tensors of several cues and scales simply add.
 
 use super::colour::Lab;
-use super::plane::Plane;
+use super::plane::FloatPlane;
 
 /// Boundary strength in [0, 1] and normal direction of every pixel.
 #[derive(Clone, Debug)]
 pub(crate) struct Boundaries {
     /// Probability-like strength; broad ridges, as the watershed wants them.
-    pub strength: Plane,
+    pub strength: FloatPlane,
     /// The tensor (xx, xy, yy) that it comes from, scaled so that its larger eigenvalue is `strength`.
-    pub tensor: [Plane; 3],
+    pub tensor: [FloatPlane; 3],
 }
 
 /// Soft bins of a value in [0, 1]: triangular weights between `bins` centres.
-fn soft_bins(plane: &Plane, bins: usize) -> Vec<Plane> {
-    let mut out = vec![Plane::zeros(plane.width, plane.height); bins];
+fn soft_bins(plane: &FloatPlane, bins: usize) -> Vec<FloatPlane> {
+    let mut out = vec![FloatPlane::zeros(plane.width, plane.height); bins];
     for (i, &v) in plane.data.iter().enumerate() {
         let u = v.clamp(0.0, 1.0) * (bins - 1) as f32;
         let k = (u as usize).min(bins - 2);
@@ -32,9 +32,9 @@ fn soft_bins(plane: &Plane, bins: usize) -> Vec<Plane> {
 }
 
 /// Texture as a distribution: gradient energy over four directions (doubled angle, soft), and a share for `flat`.
-pub(crate) fn texture_bins(l: &Plane) -> Vec<Plane> {
+pub(crate) fn texture_bins(l: &FloatPlane) -> Vec<FloatPlane> {
     let (gx, gy) = l.blurred(0.8).gradient();
-    let mut out = vec![Plane::zeros(l.width, l.height); 5];
+    let mut out = vec![FloatPlane::zeros(l.width, l.height); 5];
     const FLAT: f32 = 0.02;
     for i in 0..l.data.len() {
         let (x, y) = (gx.data[i], gy.data[i]);
@@ -51,12 +51,12 @@ pub(crate) fn texture_bins(l: &Plane) -> Vec<Plane> {
 
 /// Weight of each cue at each scale (pixel size 1, 2 and 4 at 320 px).
 struct Cue {
-    bins: Vec<Plane>,
+    bins: Vec<FloatPlane>,
     weights: [f32; 3],
 }
 
 /// The built-in detector. `texture` is [`texture_bins`] of the lightness.
-pub(crate) fn detect(normal: &Lab, texture: &[Plane]) -> Boundaries {
+pub(crate) fn detect(normal: &Lab, texture: &[FloatPlane]) -> Boundaries {
     let (w, h) = (normal.l.width, normal.l.height);
     let cues = [
         Cue { bins: soft_bins(&normal.l, 6), weights: [0.8, 0.8, 0.6] },
@@ -64,12 +64,12 @@ pub(crate) fn detect(normal: &Lab, texture: &[Plane]) -> Boundaries {
         Cue { bins: soft_bins(&normal.b, 6), weights: [0.3, 0.5, 0.5] },
         Cue { bins: texture.to_vec(), weights: [0.0, 0.15, 0.5] },
     ];
-    let mut sum = [Plane::zeros(w, h), Plane::zeros(w, h), Plane::zeros(w, h)];
+    let mut sum = [FloatPlane::zeros(w, h), FloatPlane::zeros(w, h), FloatPlane::zeros(w, h)];
     for cue in cues {
         let mut bins = cue.bins;
         for (level, &weight) in cue.weights.iter().enumerate() {
             if level > 0 {
-                bins = bins.iter().map(Plane::halved).collect();
+                bins = bins.iter().map(FloatPlane::halved).collect();
             }
             if weight == 0.0 {
                 continue;
@@ -87,9 +87,9 @@ pub(crate) fn detect(normal: &Lab, texture: &[Plane]) -> Boundaries {
 }
 
 /// The chi-squared tensor of a histogram field at scale `sigma`.
-fn chi_squared(bins: &[Plane], sigma: f32) -> [Plane; 3] {
+fn chi_squared(bins: &[FloatPlane], sigma: f32) -> [FloatPlane; 3] {
     let (w, h) = (bins[0].width, bins[0].height);
-    let mut out = [Plane::zeros(w, h), Plane::zeros(w, h), Plane::zeros(w, h)];
+    let mut out = [FloatPlane::zeros(w, h), FloatPlane::zeros(w, h), FloatPlane::zeros(w, h)];
     // A step of 1 blurred by sigma has the slope 1 / (sigma sqrt(2 pi)) at its middle.
     let scale = sigma * (2.0 * std::f32::consts::PI).sqrt();
     for bin in bins {
@@ -112,9 +112,9 @@ fn larger_eigenvalue(xx: f32, xy: f32, yy: f32) -> f32 {
 }
 
 impl Boundaries {
-    fn from_tensor(mut tensor: [Plane; 3], gain: f32) -> Boundaries {
+    fn from_tensor(mut tensor: [FloatPlane; 3], gain: f32) -> Boundaries {
         let (w, h) = (tensor[0].width, tensor[0].height);
-        let mut strength = Plane::zeros(w, h);
+        let mut strength = FloatPlane::zeros(w, h);
         for i in 0..w * h {
             let value = larger_eigenvalue(tensor[0].data[i], tensor[1].data[i], tensor[2].data[i]);
             let p = 1.0 - (-gain * value).exp();
@@ -129,12 +129,12 @@ impl Boundaries {
 
     /// From the strength alone, as an edge network gives it: the normal is that of the ridge (the direction of the
     /// strongest negative curvature).
-    pub fn from_strength(strength: Plane) -> Boundaries {
+    pub fn from_strength(strength: FloatPlane) -> Boundaries {
         let smooth = strength.blurred(1.5);
         let (gx, gy) = smooth.gradient();
         let ((xx, xy), (_, yy)) = (gx.gradient(), gy.gradient());
         let (w, h) = (strength.width, strength.height);
-        let mut tensor = [Plane::zeros(w, h), Plane::zeros(w, h), Plane::zeros(w, h)];
+        let mut tensor = [FloatPlane::zeros(w, h), FloatPlane::zeros(w, h), FloatPlane::zeros(w, h)];
         for i in 0..w * h {
             let (a, b, c) = (-xx.data[i], -xy.data[i], -yy.data[i]);
             let top = larger_eigenvalue(a, b, c);
@@ -161,7 +161,7 @@ impl Boundaries {
     }
 
     /// One pixel wide: strength kept where it is a maximum along the normal, 0 elsewhere.
-    pub fn thinned(&self) -> Plane {
+    pub fn thinned(&self) -> FloatPlane {
         let (w, h) = (self.strength.width, self.strength.height);
         let at = |x: f32, y: f32| {
             let (x, y) = (x.clamp(0.0, (w - 1) as f32), y.clamp(0.0, (h - 1) as f32));
@@ -173,7 +173,7 @@ impl Boundaries {
             let low = s[y1 * w + x0] * (1.0 - fx) + s[y1 * w + x1] * fx;
             top * (1.0 - fy) + low * fy
         };
-        let mut out = Plane::zeros(w, h);
+        let mut out = FloatPlane::zeros(w, h);
         for y in 0..h {
             for x in 0..w {
                 let i = y * w + x;

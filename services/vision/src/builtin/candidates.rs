@@ -1,24 +1,24 @@
-//! The regions around a place, from all trees, and how convincing each is.
+//! The regions that hold a position, from all trees, each with a score.
 
 use super::analysis::Analysis;
 use super::select::standing;
 
-/// A region that holds the place asked for.
+/// A region that holds the queried position.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Candidate {
+pub(crate) struct RegionCandidate {
     /// Which of [`Analysis::trees`].
     pub tree: usize,
     /// The region in that tree.
     pub region: u32,
     /// Pixels.
     pub area: f32,
-    /// How much it is a thing of its own: its standing in its tree, times how closely the other trees, which weigh
-    /// boundaries, light and chroma otherwise, know the same region.
+    /// Objectness: the region's [`standing`] in its tree, times its mean best IoU with a region of the other trees, which weigh
+    /// boundaries, lightness and chroma differently.
     pub score: f32,
 }
 
 /// Every region of every tree that holds a superpixel, tree by tree, small to large.
-pub(crate) fn around(analysis: &Analysis, leaf: u32) -> Vec<Candidate> {
+pub(crate) fn around(analysis: &Analysis, leaf: u32) -> Vec<RegionCandidate> {
     let trees: Vec<_> = analysis.trees().collect();
     let chains: Vec<Vec<u32>> = trees.iter().map(|t| t.chain(leaf).collect()).collect();
     // Position in the chain of the smallest region that holds each superpixel: chains nest, so areas shared by a region
@@ -66,7 +66,7 @@ pub(crate) fn around(analysis: &Analysis, leaf: u32) -> Vec<Candidate> {
         }
         for (&region, agreement) in chain.iter().zip(agreement) {
             let trust = if chains.len() > 1 { agreement } else { 1.0 };
-            out.push(Candidate {
+            out.push(RegionCandidate {
                 tree: k,
                 region,
                 area: tree.nodes[region as usize].area,

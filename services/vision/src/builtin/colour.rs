@@ -1,14 +1,14 @@
 //! sRGB to CIE L*a*b* (D65), and one photo's colours made comparable with another's.
 
-use super::plane::Plane;
+use super::plane::FloatPlane;
 use segwild_scene::Image;
 
 /// A photo in CIE L*a*b*: L in 0..100, a and b about -80..80.
 #[derive(Clone, Debug)]
 pub(crate) struct Lab {
-    pub l: Plane,
-    pub a: Plane,
-    pub b: Plane,
+    pub l: FloatPlane,
+    pub a: FloatPlane,
+    pub b: FloatPlane,
 }
 
 fn linear(v: f32) -> f32 {
@@ -38,7 +38,7 @@ impl Lab {
             a[i] = 500.0 * (x - y);
             b[i] = 200.0 * (y - z);
         }
-        Lab { l: Plane::new(w, h, l), a: Plane::new(w, h, a), b: Plane::new(w, h, b) }
+        Lab { l: FloatPlane::new(w, h, l), a: FloatPlane::new(w, h, a), b: FloatPlane::new(w, h, b) }
     }
 
     /// The photo with its own exposure and contrast taken out, about 0..1 per plane: lightness between its
@@ -48,10 +48,10 @@ impl Lab {
         let (low, high) = (self.l.quantile(0.02), self.l.quantile(0.98));
         let range = (high - low).max(30.0);
         let middle = 0.5 * (low + high);
-        let spread = |p: &Plane| p.quantile(0.98) - p.quantile(0.02);
+        let spread = |p: &FloatPlane| p.quantile(0.98) - p.quantile(0.02);
         let chroma = spread(&self.a).max(spread(&self.b)).max(30.0);
-        let map = |p: &Plane, f: &dyn Fn(f32) -> f32| {
-            Plane::new(p.width, p.height, p.data.iter().map(|&v| f(v).clamp(0.0, 1.0)).collect())
+        let map = |p: &FloatPlane, f: &dyn Fn(f32) -> f32| {
+            FloatPlane::new(p.width, p.height, p.data.iter().map(|&v| f(v).clamp(0.0, 1.0)).collect())
         };
         let (ma, mb) = (self.a.quantile(0.5), self.b.quantile(0.5));
         Lab {

@@ -2,7 +2,7 @@
 //! ends the same way).
 
 /// A two-label energy over nodes: unary costs and pairwise costs for neighbours that differ.
-pub(crate) struct Cut {
+pub(crate) struct GraphCut {
     heads: Vec<Vec<u32>>,
     arcs: Vec<(u32, i64)>,
     nodes: usize,
@@ -16,10 +16,10 @@ fn whole(cost: f32) -> i64 {
     if cost.is_nan() { 0 } else { (cost.clamp(0.0, 1e6) * UNIT) as i64 }
 }
 
-impl Cut {
+impl GraphCut {
     /// A graph of `nodes` nodes without costs.
-    pub fn new(nodes: usize) -> Cut {
-        Cut { heads: vec![Vec::new(); nodes + 2], arcs: Vec::new(), nodes }
+    pub fn new(nodes: usize) -> GraphCut {
+        GraphCut { heads: vec![Vec::new(); nodes + 2], arcs: Vec::new(), nodes }
     }
 
     fn arc(&mut self, from: usize, to: usize, forward: i64, back: i64) {
@@ -129,7 +129,7 @@ mod tests {
         ) {
             let n = unary.len();
             let pairs: Vec<_> = pairs.into_iter().filter(|p| p.0 < n && p.1 < n && p.0 != p.1).collect();
-            let mut cut = Cut::new(n);
+            let mut cut = GraphCut::new(n);
             for (i, &(inside, outside)) in unary.iter().enumerate() {
                 cut.unary(i, f32::from(inside), f32::from(outside));
             }

@@ -1,29 +1,29 @@
-//! Dense descriptors: what a place looks like, at several sizes of region around it.
+//! Dense descriptors: colour and texture of each cell and of the regions around it, at several sizes.
 //!
 //! Per cell: colour and texture of the cell itself, of two blurs of it, and of the region it lies in at three levels of
 //! the tree. Regions make the descriptor the same all over a thing and change at its outline, which plain blurs do not.
-//! Colours are the photo's own, with exposure and white point taken out, so that two photos of one place agree.
+//! Colours are the photo's own, with exposure and white point taken out, so that two photos of one scene agree.
 //!
 //! 106 channels (9 colour, 10 texture, 3 x 29 of regions) on a grid of 64 cells along the long side, SAM's: the feature field's
 //! compression is made for that size, and finer cells would see single strokes of texture.
 
-use super::analysis::{Analysis, Pixels};
-use super::plane::{Plane, span};
+use super::analysis::{Analysis, PixelFeatures};
+use super::plane::{FloatPlane, span};
 use segwild_scene::Embedding;
 
 /// Cells along the long side, as SAM's (method, section 4).
 const LONG: usize = 64;
 /// Altitudes at which the region around a cell is described.
 const LEVELS: [f32; 3] = [0.12, 0.22, 0.35];
-/// Weights of the groups of channels, chosen by how well a click in one photo finds its object in photos of another
-/// light by cosine alone: texture travels best; whole histograms of regions, being many and differing with what
-/// the region happens to take in, travel worst and only keep outlines clean.
+/// Weights of the groups of channels, chosen by how well a click in one photo finds its object in photos under other
+/// light by cosine similarity alone. Texture transfers best. Histograms of whole regions transfer worst, for they are many and
+/// differ with what the region happens to include; they only keep outlines clean.
 const COLOUR: f32 = 0.5;
 const TEXTURE: f32 = 1.0;
 const REGION: f32 = 0.2;
 
-/// Describes a photo.
-pub(crate) fn embed(pixels: &Pixels) -> Embedding {
+/// Descriptors of a photo: 106 channels on a grid of 64 cells along the long side.
+pub(crate) fn embed(pixels: &PixelFeatures) -> Embedding {
     let tree = &pixels.analysis.tree;
     let (w, h) = (tree.width, tree.height);
     let long = w.max(h);
@@ -57,7 +57,7 @@ pub(crate) fn embed(pixels: &Pixels) -> Embedding {
 
 /// Histograms (square roots of shares: Hellinger) of the regions at `level`, as cells see them: by the share of the
 /// cell that every region covers.
-fn region_planes(analysis: &Analysis, level: f32, gw: usize, gh: usize) -> Vec<Plane> {
+fn region_planes(analysis: &Analysis, level: f32, gw: usize, gh: usize) -> Vec<FloatPlane> {
     let tree = &analysis.tree;
     let regions: Vec<u32> = (0..tree.leaves as u32).map(|l| tree.region_at(l, level)).collect();
     let describe = |region: u32| -> Vec<f32> {
@@ -66,7 +66,7 @@ fn region_planes(analysis: &Analysis, level: f32, gw: usize, gh: usize) -> Vec<P
     };
     let described: Vec<Vec<f32>> = regions.iter().map(|&r| describe(r)).collect();
     let channels = tree.nodes[0].histogram.len();
-    let mut planes = vec![Plane::zeros(gw, gh); channels];
+    let mut planes = vec![FloatPlane::zeros(gw, gh); channels];
     for cy in 0..gh {
         let (y0, y1) = span(cy, gh, tree.height);
         for cx in 0..gw {

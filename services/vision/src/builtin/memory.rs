@@ -1,16 +1,16 @@
-//! What is kept of the photos looked at last, within a number of bytes.
+//! A cache in memory of the values used last, within a number of bytes.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-/// Something worked out once, or being worked out.
-pub(crate) type Slot<T> = Arc<OnceLock<Arc<T>>>;
+/// A value computed once, or being computed.
+pub(crate) type MemorySlot<T> = Arc<OnceLock<Arc<T>>>;
 
 /// The values used last, newest first.
 pub(crate) struct Memory<T> {
     /// Bytes that all values together may take; the newest one is always kept.
     limit: usize,
-    recent: Mutex<VecDeque<(blake3::Hash, Slot<T>)>>,
+    recent: Mutex<VecDeque<(blake3::Hash, MemorySlot<T>)>>,
 }
 
 impl<T: Weighed> Memory<T> {
@@ -19,10 +19,10 @@ impl<T: Weighed> Memory<T> {
     }
 
     /// The slot of a key, new and empty if it is not there; it becomes the newest.
-    pub fn slot(&self, key: blake3::Hash) -> Slot<T> {
+    pub fn slot(&self, key: blake3::Hash) -> MemorySlot<T> {
         let mut recent = self.recent.lock().unwrap_or_else(PoisonError::into_inner);
         let known = recent.iter().position(|(k, _)| *k == key).and_then(|i| recent.remove(i));
-        let entry = known.unwrap_or_else(|| (key, Slot::default()));
+        let entry = known.unwrap_or_else(|| (key, MemorySlot::default()));
         let slot = entry.1.clone();
         recent.push_front(entry);
         slot
@@ -40,7 +40,7 @@ impl<T: Weighed> Memory<T> {
     }
 
     /// Whether so many values as large as the largest there is would fit.
-    pub fn has_room_for(&self, many: usize) -> bool {
+    pub fn has_space_for(&self, many: usize) -> bool {
         let recent = self.recent.lock().unwrap_or_else(PoisonError::into_inner);
         let largest = recent.iter().filter_map(|(_, slot)| slot.get()).map(|v| v.bytes()).max();
         largest.unwrap_or(0).saturating_mul(many) <= self.limit
@@ -52,7 +52,7 @@ impl<T: Weighed> Memory<T> {
     }
 }
 
-/// Knows how much memory it takes.
+/// A value that reports how much memory it takes.
 pub(crate) trait Weighed {
     /// About that many bytes.
     fn bytes(&self) -> usize;
@@ -83,10 +83,10 @@ mod tests {
         drop(put(9, 30));
         assert!(memory.slot(blake3::hash(&[1])).get().is_some());
         assert!(memory.slot(blake3::hash(&[2])).get().is_none(), "was the oldest");
-        assert!(memory.has_room_for(3) && !memory.has_room_for(4));
+        assert!(memory.has_space_for(3) && !memory.has_space_for(4));
         let large = put(7, 1000);
         assert!(memory.slot(blake3::hash(&[7])).get().is_some(), "one larger than the limit is kept alone");
         assert_eq!((large.len(), memory.count()), (1000, 1));
-        assert!(!memory.has_room_for(1));
+        assert!(!memory.has_space_for(1));
     }
 }

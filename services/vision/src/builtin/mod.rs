@@ -1,6 +1,6 @@
-//! The built-in provider: everything the program needs to see, without weights and without a GPU.
+//! The built-in provider: descriptors, masks, prompts, refinement and sky, without network weights and without a GPU.
 //!
-//! Boundaries ([`boundary`]), superpixels ([`watershed`]) and a tree of nested regions ([`tree`]) are worked out once per
+//! Boundaries ([`boundary`]), superpixels ([`watershed`]) and a tree of nested regions ([`tree`]) are computed once per
 //! photo and shared by embeddings, proposals, prompted masks, refinement and sky.
 
 mod analysis;
@@ -28,30 +28,30 @@ mod weights;
 
 use crate::{Embedder, MaskProposer, PromptSegmenter, Prompted, SkyDetector, VisionError};
 pub(crate) use analysis::check;
-use analysis::{Analysis, Pixels};
+use analysis::{Analysis, PixelFeatures};
 pub(crate) use memory::{Memory, Weighed};
-use plane::Plane;
+use plane::FloatPlane;
 pub use record::{RegionCache, Regions};
 use segwild_scene::{Embedding, Image, Mask, Prompts, ScoredMask};
 use select::Means;
 use std::borrow::Cow;
 use std::sync::Arc;
-use steps::{Chosen, Offer};
-pub use traits::Step;
-pub use weights::Weights;
+use steps::{CandidateMask, PromptAnswer};
+pub use traits::PromptStep;
+pub use weights::TraitWeights;
 
-/// Changes whenever the same photo would give other bytes.
+/// Part of every cache key; changes whenever the same photo would give other bytes.
 const VERSION: &str = "builtin-4";
-/// Memory for photos when nothing else is said: the analyses of about 70 of 320 px, or 45 of 640.
+/// Default memory for photos, in bytes: holds the analyses of about 70 photos of 320 px, or 45 of 640.
 const MEMORY: usize = 256 << 20;
-/// Memory for answers: some thousand.
+/// Memory for answers to prompts, in bytes: some thousand of them.
 const ANSWERS: usize = 4 << 20;
-/// Analyses that there must be room for, or none is made before it is asked for: it would only push out others.
+/// Analyses that must fit into memory, or none is prepared in advance: it would only evict others.
 pub(crate) const PREPARED: usize = 6;
-/// Photos whose long side is over this are looked at smaller: boundaries are those of things, not of grain.
+/// Photos whose long side is over this are analysed smaller, so that boundaries are those of objects and not of grain.
 const LONG_SIDE: usize = 800;
 
-/// Where boundary strengths come from, when not from the built-in detector.
+/// A boundary detector that replaces the built-in one.
 pub trait EdgeDetector: Send + Sync {
     /// Names the model and its parameters.
     fn key(&self) -> String;
@@ -59,45 +59,45 @@ pub trait EdgeDetector: Send + Sync {
     fn edges(&self, image: &Image) -> Result<Image, VisionError>;
 }
 
-/// What a prompt could have meant.
+/// One interpretation of a prompt: a candidate mask with its traits.
 #[derive(Clone, Debug)]
-pub struct Meaning {
+pub struct PromptInterpretation {
     /// Whether each superpixel is inside.
     pub inside: Vec<bool>,
-    /// What is known of it, in the order of [`Weights`].
+    /// The candidate's traits, in the order of [`TraitWeights`].
     pub traits: Vec<f32>,
 }
 
-/// What a prompt asked, and everything that it could have meant.
+/// A prompt's kind and every interpretation of it. For learning [`TraitWeights`].
 #[derive(Clone, Debug)]
-pub struct Question {
-    /// The kind of question.
-    pub step: Step,
-    /// Width and height of the photo as it was looked at.
+pub struct PromptQuery {
+    /// The kind of prompt.
+    pub step: PromptStep,
+    /// Width and height of the photo at analysis size, in pixels.
     pub size: (usize, usize),
     /// Superpixel of every pixel.
     pub superpixels: Vec<u32>,
-    /// What it could have meant.
-    pub meanings: Vec<Meaning>,
+    /// The candidate masks.
+    pub interpretations: Vec<PromptInterpretation>,
 }
 
 /// The provider that needs no weights.
 pub struct Builtin {
-    weights: Weights,
+    weights: TraitWeights,
     edges: Option<Arc<dyn EdgeDetector>>,
-    /// Answers of `edges`, which take far longer than the rest of the analysis and are far smaller than it.
-    strengths: Memory<Plane>,
-    /// What skies and descriptions are made of.
-    pixels: Memory<Pixels>,
-    /// What masks, clicks and refinements ask for, of many more photos.
+    /// Outputs of `edges`, which take far longer than the rest of the analysis and are far smaller than it.
+    strengths: Memory<FloatPlane>,
+    /// Per-pixel features, for skies and descriptors.
+    pixels: Memory<PixelFeatures>,
+    /// Analyses, for masks, clicks and refinements; of many more photos.
     analyses: Memory<Analysis>,
-    /// What was answered to the prompts of late.
-    answers: Memory<Chosen>,
-    /// Where regions outlive the process.
-    shelf: Option<Arc<dyn RegionCache>>,
+    /// Answers to the latest prompts.
+    answers: Memory<PromptAnswer>,
+    /// Keeps regions for later processes.
+    cache: Option<Arc<dyn RegionCache>>,
 }
 
-impl Weighed for Plane {
+impl Weighed for FloatPlane {
     fn bytes(&self) -> usize {
         4 * self.data.len()
     }
@@ -106,13 +106,13 @@ impl Weighed for Plane {
 impl Default for Builtin {
     fn default() -> Builtin {
         Builtin {
-            weights: Weights::builtin(),
+            weights: TraitWeights::builtin(),
             edges: None,
             strengths: Memory::new(0),
             pixels: Memory::new(0),
             analyses: Memory::new(0),
             answers: Memory::new(ANSWERS),
-            shelf: None,
+            cache: None,
         }
         .within(MEMORY)
     }
@@ -126,12 +126,12 @@ impl Builtin {
 
     /// With boundaries from a network.
     pub fn with_edges(edges: Arc<dyn EdgeDetector>) -> Builtin {
-        Builtin { weights: Weights::network(), edges: Some(edges), ..Builtin::default() }
+        Builtin { weights: TraitWeights::network(), edges: Some(edges), ..Builtin::default() }
     }
 
     /// Keeps analyses of photos within about that many bytes; the newest one is always kept.
     pub fn within(self, bytes: usize) -> Builtin {
-        // A click asks for the analyses of all photos, round after round; what is known of pixels is asked for once or twice, soon.
+        // A click needs the analyses of all photos, round after round; per-pixel features are used once or twice, soon after.
         Builtin {
             strengths: Memory::new(bytes / 4),
             pixels: Memory::new(bytes / 4),
@@ -140,20 +140,20 @@ impl Builtin {
         }
     }
 
-    /// Keeps the regions of photos on a shelf, and takes them from there: a click in a process of its own then need not look
-    /// at the photos that the run has looked at.
-    pub fn keeping(self, shelf: Arc<dyn RegionCache>) -> Builtin {
-        Builtin { shelf: Some(shelf), ..self }
+    /// Keeps the regions of photos in a cache and reads them from there: a click in a process of its own then need not analyse
+    /// the photos that the run has analysed.
+    pub fn keeping(self, cache: Arc<dyn RegionCache>) -> Builtin {
+        Builtin { cache: Some(cache), ..self }
     }
 
-    /// Weighs what prompts could mean by other weights than the built-in ones: for learning them.
-    pub fn weighing(self, weights: Weights) -> Builtin {
+    /// Scores candidate masks by other weights than the built-in ones: for learning them.
+    pub fn weighing(self, weights: TraitWeights) -> Builtin {
         Builtin { weights, ..self }
     }
 
     fn name(&self, part: &str) -> String {
         let mut name = format!("{VERSION}-{part}");
-        let usual = if self.edges.is_some() { Weights::network() } else { Weights::builtin() };
+        let usual = if self.edges.is_some() { TraitWeights::network() } else { TraitWeights::builtin() };
         if self.weights != usual {
             name += &format!("-{:?}", self.weights);
         }
@@ -167,7 +167,7 @@ impl Builtin {
         &self,
         image: &Image,
         prompts: &Prompts,
-        hear: Option<&mut select::Listener>,
+        listener: Option<&mut select::CandidateListener>,
     ) -> Result<Prompted, VisionError> {
         let analysis = self.analysis(image)?;
         let (w, h) = (image.width as f32, image.height as f32);
@@ -180,98 +180,102 @@ impl Builtin {
         let (sx, sy) = analysis.scale_from(image);
         let prompts = prompts.scaled(sx, sy);
         let photo = content(&*fitted(image)?);
-        let kept = |said: &[u8]| {
-            let key = blake3::Hasher::new().update(photo.as_bytes()).update(said).finalize();
+        let kept = |prompts: &[u8]| {
+            let key = blake3::Hasher::new().update(photo.as_bytes()).update(prompts).finalize();
             self.answers.slot(key)
         };
-        let found = select::select(&analysis, &prompts, Means { weights: &self.weights, kept: &kept, hear })?;
+        let found =
+            select::select(&analysis, &prompts, Means { weights: &self.weights, kept: &kept, listener })?;
         self.answers.trim();
         let open = found.open.resized(image.width, image.height);
         Ok(Prompted { answer: at_size_of(image, found.answer), open })
     }
 
-    /// The answer to prompts, and the question that the last of them asked; `None` where it agreed with what was chosen
-    /// before it. For learning [`Weights`].
+    /// The answer to prompts, and the interpretations of the last of them; `None` where the last prompt agreed with the answer
+    /// before it. For learning [`TraitWeights`].
     pub fn answer(
         &self,
         image: &Image,
         prompts: &Prompts,
-    ) -> Result<(ScoredMask, Option<Question>), VisionError> {
+    ) -> Result<(ScoredMask, Option<PromptQuery>), VisionError> {
         let tree = &self.analysis(image)?.tree;
         let mut last = None;
-        let mut hear = |step: Step, offers: &[Offer]| {
-            let meaning = |o: &Offer| Meaning { inside: o.choice.inside.clone(), traits: o.traits.to_vec() };
-            last = Some(Question {
+        let mut listener = |step: PromptStep, candidate_masks: &[CandidateMask]| {
+            let interpretation = |o: &CandidateMask| PromptInterpretation {
+                inside: o.region_set.inside.clone(),
+                traits: o.traits.to_vec(),
+            };
+            last = Some(PromptQuery {
                 step,
                 size: (tree.width, tree.height),
                 superpixels: tree.labels.to_vec(),
-                meanings: offers.iter().map(meaning).collect(),
+                interpretations: candidate_masks.iter().map(interpretation).collect(),
             });
         };
-        let answer = self.select(image, prompts, Some(&mut hear))?.answer;
+        let answer = self.select(image, prompts, Some(&mut listener))?.answer;
         Ok((answer, last))
     }
 
     /// The analysis of a photo.
     fn analysis(&self, image: &Image) -> Result<Arc<Analysis>, VisionError> {
-        self.analysed(image, self.shelf.as_deref())
+        self.analysed(image, self.cache.as_deref())
     }
 
-    fn analysed(&self, image: &Image, shelf: Option<&dyn RegionCache>) -> Result<Arc<Analysis>, VisionError> {
+    fn analysed(&self, image: &Image, cache: Option<&dyn RegionCache>) -> Result<Arc<Analysis>, VisionError> {
         let image = &*fitted(image)?;
         let key = content(image);
-        match self.known(image, key, shelf) {
+        match self.known(image, key, cache) {
             Some(done) => Ok(done),
-            None => Ok(self.looked_at(image, key, shelf)?.analysis.clone()),
+            None => Ok(self.computed(image, key, cache)?.analysis.clone()),
         }
     }
 
-    /// The analysis of a photo that was looked at before: in this process, or in one that kept its regions.
+    /// The analysis of a photo, where this process has computed it before, or another one has kept its regions.
     fn known(
         &self,
         image: &Image,
         key: blake3::Hash,
-        shelf: Option<&dyn RegionCache>,
+        cache: Option<&dyn RegionCache>,
     ) -> Option<Arc<Analysis>> {
         let slot = self.analyses.slot(key);
         if let Some(done) = slot.get() {
             return Some(done.clone());
         }
-        let kept = shelf?.regions(&self.shelved(key))?.analysis(image.width, image.height)?;
+        let kept = cache?.regions(&self.cache_name(key))?.analysis(image.width, image.height)?;
         let done = slot.get_or_init(|| Arc::new(kept)).clone();
         self.analyses.trim();
         Some(done)
     }
 
     /// The name that the regions of a photo are kept under.
-    fn shelved(&self, key: blake3::Hash) -> String {
+    fn cache_name(&self, key: blake3::Hash) -> String {
         let edges = self.edges.as_ref().map(|edges| edges.key()).unwrap_or_default();
         format!("{VERSION}+{edges} {key}")
     }
 
-    /// What is known of a photo's pixels, and its analysis, worked out once; two threads that ask for one photo share the work.
-    fn pixels(&self, image: &Image) -> Result<Arc<Pixels>, VisionError> {
+    /// A photo's per-pixel features and its analysis, computed once; two threads that need one photo share the work.
+    fn pixels(&self, image: &Image) -> Result<Arc<PixelFeatures>, VisionError> {
         let image = &*fitted(image)?;
-        self.looked_at(image, content(image), self.shelf.as_deref())
+        self.computed(image, content(image), self.cache.as_deref())
     }
 
-    /// As [`Builtin::pixels`], of a photo at the size it is looked at.
-    fn looked_at(
+    /// As [`Builtin::pixels`], of a photo at analysis size.
+    fn computed(
         &self,
         image: &Image,
         key: blake3::Hash,
-        shelf: Option<&dyn RegionCache>,
-    ) -> Result<Arc<Pixels>, VisionError> {
+        cache: Option<&dyn RegionCache>,
+    ) -> Result<Arc<PixelFeatures>, VisionError> {
         let slot = self.pixels.slot(key);
         if let Some(done) = slot.get() {
             return Ok(done.clone());
         }
         let strength = self.strength(image, key)?;
-        let known = self.known(image, key, shelf);
+        let known = self.known(image, key, cache);
         let found = known.is_none();
-        let done = slot.get_or_init(|| Arc::new(Pixels::of(image, strength, known))).clone();
-        if let (true, Some(shelf)) = (found, shelf) {
-            shelf.keep(&self.shelved(key), &Regions::of(&done.analysis));
+        let done = slot.get_or_init(|| Arc::new(PixelFeatures::of(image, strength, known))).clone();
+        if let (true, Some(cache)) = (found, cache) {
+            cache.keep(&self.cache_name(key), &Regions::of(&done.analysis));
         }
         self.analyses.slot(key).get_or_init(|| done.analysis.clone());
         self.pixels.trim();
@@ -279,12 +283,12 @@ impl Builtin {
         Ok(done)
     }
 
-    /// What the edge network says about a photo at the size it is looked at; `None` without one.
-    fn strength(&self, image: &Image, key: blake3::Hash) -> Result<Option<Plane>, VisionError> {
+    /// The edge network's output for a photo at analysis size; `None` without a network.
+    fn strength(&self, image: &Image, key: blake3::Hash) -> Result<Option<FloatPlane>, VisionError> {
         let Some(edges) = &self.edges else { return Ok(None) };
         let slot = self.strengths.slot(key);
         if let Some(done) = slot.get() {
-            return Ok(Some(Plane::clone(done)));
+            return Ok(Some(FloatPlane::clone(done)));
         }
         let map = edges.edges(image)?;
         if (map.width, map.height, map.channels) != (image.width, image.height, 1) {
@@ -299,9 +303,9 @@ impl Builtin {
             )));
         }
         let data = map.data.iter().map(|v| if v.is_finite() { v.clamp(0.0, 1.0) } else { 0.0 }).collect();
-        let done = slot.get_or_init(|| Arc::new(Plane::new(image.width, image.height, data))).clone();
+        let done = slot.get_or_init(|| Arc::new(FloatPlane::new(image.width, image.height, data))).clone();
         self.strengths.trim();
-        Ok(Some(Plane::clone(&done)))
+        Ok(Some(FloatPlane::clone(&done)))
     }
 
     /// Which region every pixel belongs to at a granularity in [0, 1] (`None`: superpixels); numbers are not in order.
@@ -315,7 +319,7 @@ impl Builtin {
         Ok((0..w * h).map(|i| of_leaf[tree.labels[under(i)] as usize]).collect())
     }
 
-    /// Boundary strengths one pixel wide, probability-like, one plane: for pictures and measurements.
+    /// Boundary strengths one pixel wide, probability-like, one plane: for figures and measurements.
     pub fn boundaries(&self, image: &Image) -> Result<Image, VisionError> {
         let thin = self.pixels(image)?.edges.thinned();
         let map = Image { width: thin.width, height: thin.height, channels: 1, data: thin.data };
@@ -342,7 +346,7 @@ pub(crate) fn content(image: &Image) -> blake3::Hash {
     hasher.finalize()
 }
 
-/// A photo at the size it is looked at.
+/// A photo at analysis size.
 fn fitted(image: &Image) -> Result<Cow<'_, Image>, VisionError> {
     check(image)?;
     let long = image.width.max(image.height);
@@ -353,7 +357,7 @@ fn fitted(image: &Image) -> Result<Cow<'_, Image>, VisionError> {
     Ok(Cow::Owned(image.resized(size(image.width), size(image.height))))
 }
 
-/// A mask at the size of the photo that was asked about.
+/// A mask at the size of the queried photo.
 fn at_size_of(image: &Image, mut answer: ScoredMask) -> ScoredMask {
     let (w, h) = (image.width as u32, image.height as u32);
     if (answer.mask.width(), answer.mask.height()) != (w, h) {
@@ -378,7 +382,7 @@ impl MaskProposer for Builtin {
     }
 
     fn propose(&self, image: &Image, points: &[[f32; 2]]) -> Result<Vec<ScoredMask>, VisionError> {
-        // Of a picture that was drawn of the scene as it was at one step: nobody asks for it again.
+        // The image is a render of the scene at one training step, which is never queried again: no cache.
         let analysis = self.analysed(image, None)?;
         let (sx, sy) = analysis.scale_from(image);
         let points: Vec<[f32; 2]> = points.iter().map(|p| [p[0] * sx, p[1] * sy]).collect();
@@ -398,13 +402,13 @@ impl PromptSegmenter for Builtin {
     fn refine(&self, image: &Image, certainty: &Image) -> Result<ScoredMask, VisionError> {
         crate::provider::check_certainty(image, certainty)?;
         let analysis = self.analysis(image)?;
-        let plane = Plane::new(image.width, image.height, certainty.plane(0).to_vec());
+        let plane = FloatPlane::new(image.width, image.height, certainty.plane(0).to_vec());
         let plane = plane.pooled_to(analysis.tree.width, analysis.tree.height);
         Ok(at_size_of(image, refine::snap(&analysis, &plane.data)))
     }
 
     fn prepare(&self, image: &Image) {
-        if self.analyses.has_room_for(PREPARED) {
+        if self.analyses.has_space_for(PREPARED) {
             drop(self.analysis(image));
         }
     }
@@ -434,24 +438,24 @@ mod tests {
         image
     }
 
-    /// A click that asks sixty photos in three rounds looked at each of them three times.
+    /// Regression: a click over sixty photos in three rounds analysed each of them three times.
     #[test]
-    fn photos_asked_round_after_round_are_looked_at_once() {
+    fn photos_queried_round_after_round_are_analysed_once() {
         let builtin = Builtin::new().within(32 << 20);
         let first: Vec<_> = (0..8).map(|k| builtin.analysis(&photo(k)).unwrap()).collect();
         for (k, first) in first.iter().enumerate() {
             assert!(Arc::ptr_eq(first, &builtin.analysis(&photo(k)).unwrap()), "photo {k}");
         }
-        // Descriptions need the pixels anew, but not the regions.
+        // Descriptors recompute the pixels' features, but not the regions.
         assert!(Arc::ptr_eq(&first[0], &builtin.pixels(&photo(0)).unwrap().analysis));
         assert!(first[0].bytes() * 3 < builtin.pixels(&photo(0)).unwrap().bytes());
     }
 
     /// Counts what is taken from it.
     #[derive(Default)]
-    struct Kept(Mutex<(BTreeMap<String, Regions>, usize)>);
+    struct TestCache(Mutex<(BTreeMap<String, Regions>, usize)>);
 
-    impl RegionCache for Kept {
+    impl RegionCache for TestCache {
         fn regions(&self, name: &str) -> Option<Regions> {
             let mut kept = self.0.lock().unwrap();
             let found = kept.0.get(name).cloned();
@@ -464,28 +468,28 @@ mod tests {
     }
 
     #[test]
-    fn a_process_that_finds_kept_regions_answers_as_the_one_that_looked() {
-        let shelf = Arc::new(Kept::default());
+    fn a_process_that_finds_kept_regions_answers_as_the_one_that_analysed() {
+        let cache = Arc::new(TestCache::default());
         let answers = |builtin: &Builtin| {
             let click = builtin.prompted(&photo(1), &Prompts::click(100.0, 90.0)).unwrap();
             let rough = Image { channels: 1, ..click.open.clone() };
             let proposed = builtin.propose(&photo(1), &[[40.0, 50.0], [200.0, 120.0]]).unwrap();
             (click, builtin.refine(&photo(1), &rough).unwrap(), proposed)
         };
-        let drawn = Builtin::new().keeping(shelf.clone());
-        drawn.propose(&photo(3), &[[40.0, 50.0]]).unwrap();
-        assert!(shelf.0.lock().unwrap().0.is_empty(), "nobody asks for it again");
-        let looked = answers(&Builtin::new().keeping(shelf.clone()));
-        assert_eq!(shelf.0.lock().unwrap().1, 0, "there was nothing to find");
-        assert_eq!(answers(&Builtin::new().keeping(shelf.clone())), looked);
-        assert_eq!(shelf.0.lock().unwrap().1, 1);
-        assert_eq!(answers(&Builtin::new()), looked);
-        // Another photo has regions of its own, and what does not fit is looked for anew.
-        Builtin::new().keeping(shelf.clone()).analysis(&photo(2)).unwrap();
-        assert_eq!(shelf.0.lock().unwrap().0.len(), 2);
-        for regions in shelf.0.lock().unwrap().0.values_mut() {
+        let proposing = Builtin::new().keeping(cache.clone());
+        proposing.propose(&photo(3), &[[40.0, 50.0]]).unwrap();
+        assert!(cache.0.lock().unwrap().0.is_empty(), "a render is never queried again");
+        let expected = answers(&Builtin::new().keeping(cache.clone()));
+        assert_eq!(cache.0.lock().unwrap().1, 0, "there was nothing to find");
+        assert_eq!(answers(&Builtin::new().keeping(cache.clone())), expected);
+        assert_eq!(cache.0.lock().unwrap().1, 1);
+        assert_eq!(answers(&Builtin::new()), expected);
+        // Another photo has regions of its own, and a record that does not fit is computed again.
+        Builtin::new().keeping(cache.clone()).analysis(&photo(2)).unwrap();
+        assert_eq!(cache.0.lock().unwrap().0.len(), 2);
+        for regions in cache.0.lock().unwrap().0.values_mut() {
             regions.cut_short();
         }
-        assert_eq!(answers(&Builtin::new().keeping(shelf.clone())), looked);
+        assert_eq!(answers(&Builtin::new().keeping(cache.clone())), expected);
     }
 }

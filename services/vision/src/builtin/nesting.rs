@@ -1,33 +1,33 @@
-//! Granularity: nested candidates around a click, from fine to coarse.
+//! Granularity: a ladder of nested candidates around a click, from fine to coarse.
 
-use super::pool::Choice;
+use super::pool::RegionSet;
 
-/// Shares of the photo between which rungs lie, where there are such candidates.
+/// Shares of the photo between which levels lie, where there are such candidates.
 const FINEST: f32 = 0.001;
 const COARSEST: f32 = 0.75;
-/// Least ratio of the areas of neighbouring rungs: where that leaves fewer than [`ENOUGH`], the next one is tried.
+/// Least ratio of the areas of neighbouring levels: where that leaves fewer than [`ENOUGH`], the next ratio is tried.
 const RATIOS: [f32; 4] = [1.5, 1.25, 1.1, 1.0];
-/// Rungs that are enough: as many as a person tries.
+/// Levels that are enough: as many as a person tries.
 const ENOUGH: usize = 5;
-/// What every rung is worth, beside what the best-looking one is (1).
-const RUNG: f32 = 0.08;
+/// Worth of an extra level, relative to that of the likeliest one (1).
+const LEVEL: f32 = 0.08;
 
-/// The nested sets around a click at pixel `at`, small to large, that together look most like things: positions in `choices`.
-pub(crate) fn ladder(choices: &[Choice], at: [f32; 2]) -> Vec<usize> {
+/// The nested sets around a click at pixel `at`, small to large, whose summed worth is highest: indices into `sets`.
+pub(crate) fn ladder(sets: &[RegionSet], at: [f32; 2]) -> Vec<usize> {
     let mut order: Vec<usize> =
-        (0..choices.len()).filter(|&i| (FINEST..=COARSEST).contains(&choices[i].shape.share)).collect();
+        (0..sets.len()).filter(|&i| (FINEST..=COARSEST).contains(&sets[i].shape.share)).collect();
     if order.is_empty() {
-        order = (0..choices.len()).collect();
+        order = (0..sets.len()).collect();
     }
-    order.sort_by(|&a, &b| choices[a].shape.share.total_cmp(&choices[b].shape.share).then(a.cmp(&b)));
-    let likeness: Vec<f32> = order.iter().map(|&i| choices[i].shape.likeness(at)).collect();
+    order.sort_by(|&a, &b| sets[a].shape.share.total_cmp(&sets[b].shape.share).then(a.cmp(&b)));
+    let likeness: Vec<f32> = order.iter().map(|&i| sets[i].shape.likeness(at)).collect();
     let best = likeness.iter().copied().fold(f32::MIN, f32::max);
     let worth: Vec<f32> =
-        likeness.iter().map(|l| (l - best).exp() + RUNG * (0.3 * (l - best)).exp()).collect();
-    let bits: Vec<Vec<u64>> = order.iter().map(|&i| packed(&choices[i].inside)).collect();
+        likeness.iter().map(|l| (l - best).exp() + LEVEL * (0.3 * (l - best)).exp()).collect();
+    let bits: Vec<Vec<u64>> = order.iter().map(|&i| packed(&sets[i].inside)).collect();
     let mut longest = Vec::new();
     for ratio in RATIOS {
-        let shares = |k: usize| choices[order[k]].shape.share;
+        let shares = |k: usize| sets[order[k]].shape.share;
         let (mut value, mut before) = (worth.clone(), vec![usize::MAX; order.len()]);
         for i in 0..order.len() {
             for j in 0..i {
@@ -38,14 +38,14 @@ pub(crate) fn ladder(choices: &[Choice], at: [f32; 2]) -> Vec<usize> {
             }
         }
         let mut at = (0..order.len()).fold(0, |b, i| if value[i] > value[b] { i } else { b });
-        let mut rungs = Vec::new();
+        let mut levels = Vec::new();
         while at < order.len() {
-            rungs.push(order[at]);
+            levels.push(order[at]);
             at = before[at];
         }
-        rungs.reverse();
-        if rungs.len() > longest.len() {
-            longest = rungs;
+        levels.reverse();
+        if levels.len() > longest.len() {
+            longest = levels;
         }
         if longest.len() >= ENOUGH {
             break;
@@ -54,8 +54,8 @@ pub(crate) fn ladder(choices: &[Choice], at: [f32; 2]) -> Vec<usize> {
     longest
 }
 
-/// The rung that a granularity in [0, 1] stands for, of `count`.
-pub(crate) fn rung(count: usize, granularity: f32) -> usize {
+/// The index of the level for a granularity in [0, 1], of `count` levels.
+pub(crate) fn level(count: usize, granularity: f32) -> usize {
     let g = if granularity.is_finite() { granularity.clamp(0.0, 1.0) } else { 0.5 };
     (g * count.saturating_sub(1) as f32).round() as usize
 }

@@ -2,7 +2,7 @@
 
 /// One plane of numbers, row-major.
 #[derive(Clone, Debug)]
-pub(crate) struct Plane {
+pub(crate) struct FloatPlane {
     pub width: usize,
     pub height: usize,
     pub data: Vec<f32>,
@@ -24,22 +24,22 @@ fn gaussian(sigma: f32) -> Vec<f32> {
     taps.iter().map(|t| t / sum).collect()
 }
 
-impl Plane {
-    pub fn new(width: usize, height: usize, data: Vec<f32>) -> Plane {
+impl FloatPlane {
+    pub fn new(width: usize, height: usize, data: Vec<f32>) -> FloatPlane {
         debug_assert_eq!(data.len(), width * height);
-        Plane { width, height, data }
+        FloatPlane { width, height, data }
     }
 
-    pub fn zeros(width: usize, height: usize) -> Plane {
-        Plane { width, height, data: vec![0.0; width * height] }
+    pub fn zeros(width: usize, height: usize) -> FloatPlane {
+        FloatPlane { width, height, data: vec![0.0; width * height] }
     }
 
     /// Gaussian blur, mirrored at the frame.
-    pub fn blurred(&self, sigma: f32) -> Plane {
+    pub fn blurred(&self, sigma: f32) -> FloatPlane {
         let taps = gaussian(sigma);
         let radius = (taps.len() / 2) as isize;
         let (w, h) = (self.width, self.height);
-        let mut rows = Plane::zeros(w, h);
+        let mut rows = FloatPlane::zeros(w, h);
         // Down the columns first: whole rows are added, which vectorises.
         for y in 0..h {
             let out = &mut rows.data[y * w..(y + 1) * w];
@@ -50,7 +50,7 @@ impl Plane {
                 }
             }
         }
-        let mut out = Plane::zeros(w, h);
+        let mut out = FloatPlane::zeros(w, h);
         let r = radius as usize;
         let mut padded = vec![0.0; w + 2 * r];
         for y in 0..h {
@@ -71,9 +71,9 @@ impl Plane {
     }
 
     /// Central differences (d/dx, d/dy), one-sided at the frame.
-    pub fn gradient(&self) -> (Plane, Plane) {
+    pub fn gradient(&self) -> (FloatPlane, FloatPlane) {
         let (w, h) = (self.width, self.height);
-        let (mut dx, mut dy) = (Plane::zeros(w, h), Plane::zeros(w, h));
+        let (mut dx, mut dy) = (FloatPlane::zeros(w, h), FloatPlane::zeros(w, h));
         for y in 0..h {
             let row = &self.data[y * w..(y + 1) * w];
             let line = &mut dx.data[y * w..(y + 1) * w];
@@ -95,9 +95,9 @@ impl Plane {
     }
 
     /// Half the size (rounded up), each pixel the mean of the up to four under it.
-    pub fn halved(&self) -> Plane {
+    pub fn halved(&self) -> FloatPlane {
         let (w, h) = (self.width.div_ceil(2), self.height.div_ceil(2));
-        let mut out = Plane::zeros(w, h);
+        let mut out = FloatPlane::zeros(w, h);
         for y in 0..h {
             let (y0, y1) = (2 * y, (2 * y + 1).min(self.height - 1));
             for x in 0..w {
@@ -113,7 +113,7 @@ impl Plane {
     }
 
     /// Another size by bilinear interpolation; pixel centres at half units, clamped at the frame.
-    pub fn resized(&self, width: usize, height: usize) -> Plane {
+    pub fn resized(&self, width: usize, height: usize) -> FloatPlane {
         if (width, height) == (self.width, self.height) {
             return self.clone();
         }
@@ -127,7 +127,7 @@ impl Plane {
                 .collect()
         };
         let (xs, ys) = (axis(width, self.width), axis(height, self.height));
-        let mut out = Plane::zeros(width, height);
+        let mut out = FloatPlane::zeros(width, height);
         for (y, &(y0, y1, fy)) in ys.iter().enumerate() {
             let (a, b) = (&self.data[y0 * self.width..], &self.data[y1 * self.width..]);
             for (o, &(x0, x1, fx)) in out.data[y * width..(y + 1) * width].iter_mut().zip(&xs) {
@@ -140,13 +140,13 @@ impl Plane {
     }
 
     /// The same plane if it has that size, else means over the cells of that grid.
-    pub fn pooled_to(self, width: usize, height: usize) -> Plane {
+    pub fn pooled_to(self, width: usize, height: usize) -> FloatPlane {
         if (width, height) == (self.width, self.height) { self } else { self.pooled(width, height) }
     }
 
     /// Means over the cells of a coarser grid that covers the plane edge to edge.
-    pub fn pooled(&self, width: usize, height: usize) -> Plane {
-        let mut out = Plane::zeros(width, height);
+    pub fn pooled(&self, width: usize, height: usize) -> FloatPlane {
+        let mut out = FloatPlane::zeros(width, height);
         for cy in 0..height {
             let (y0, y1) = span(cy, height, self.height);
             for cx in 0..width {

@@ -1,13 +1,13 @@
-//! Everything that a click could mean: the regions around it in all trees, and what is one merge away from them.
+//! Every candidate set for a click: the regions around it in all trees, and sets that are one merge from them.
 //!
 //! A tree that joins a thing with its background too early never gives the thing. But it often gives it but for one
 //! part: so every region around the click is also taken with one neighbour more, and with one part less (pairs of
 //! regions, as in Arbelaez et al., "Multiscale combinatorial grouping", CVPR 2014).
 
 use super::analysis::Analysis;
-use super::colours::Samples;
+use super::colours::ColourSamples;
 use super::select::standing;
-use super::shape::{Places, Shape};
+use super::shape::{SetShape, SuperpixelPositions};
 use super::tree::Hierarchy;
 use std::collections::HashSet;
 
@@ -20,18 +20,18 @@ const WHOLE: [f32; 2] = [0.001, 0.5];
 /// Largest share of the photo of such a part, and its least share of the region.
 const PART: [f32; 2] = [0.3, 0.1];
 
-/// A set of superpixels that may be meant.
+/// A set of superpixels with its measures.
 #[derive(Clone, Debug)]
-pub(crate) struct Choice {
+pub(crate) struct RegionSet {
     pub inside: Vec<bool>,
-    pub shape: Shape,
+    pub shape: SetShape,
 }
 
-/// What is worked out once per prompt.
+/// What is computed once per prompt.
 pub(crate) struct Ground<'a> {
     pub analysis: &'a Analysis,
-    pub places: Places,
-    pub samples: &'a Samples,
+    pub positions: SuperpixelPositions,
+    pub samples: &'a ColourSamples,
     /// Cost per pixel side of passing over every border of the tree.
     pub open: Vec<f32>,
     /// Neighbours of every superpixel.
@@ -61,15 +61,15 @@ impl<'a> Ground<'a> {
         Ground {
             analysis,
             around,
-            places: Places::of(analysis),
+            positions: SuperpixelPositions::of(analysis),
             samples: &analysis.samples,
             open: openness(&analysis.tree),
         }
     }
 
     /// Every candidate that holds superpixel `leaf`, tree by tree; each set once.
-    pub fn around(&self, leaf: u32) -> Vec<Choice> {
-        self.sets(leaf).into_iter().map(|(inside, _)| self.choice(inside)).collect()
+    pub fn around(&self, leaf: u32) -> Vec<RegionSet> {
+        self.sets(leaf).into_iter().map(|(inside, _)| self.region_set(inside)).collect()
     }
 
     /// The sets of [`Ground::around`], and how well each stands in its tree ([`standing`]); 0 where it is no region of one.
@@ -122,8 +122,8 @@ impl<'a> Ground<'a> {
     }
 
     /// A set with its measures.
-    pub fn choice(&self, inside: Vec<bool>) -> Choice {
-        Choice { shape: Shape::of(self.analysis, &self.places, &inside), inside }
+    pub fn region_set(&self, inside: Vec<bool>) -> RegionSet {
+        RegionSet { shape: SetShape::of(self.analysis, &self.positions, &inside), inside }
     }
 
     /// Pixels of a set.

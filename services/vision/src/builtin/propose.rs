@@ -3,7 +3,7 @@
 use super::analysis::Analysis;
 use super::candidates::around;
 use super::pool::set_of;
-use super::shape::{Places, Shape};
+use super::shape::{SetShape, SuperpixelPositions};
 use super::tree::Hierarchy;
 use segwild_scene::ScoredMask;
 
@@ -35,10 +35,10 @@ pub(crate) fn propose(analysis: &Analysis, points: &[[f32; 2]]) -> Vec<ScoredMas
     regions.sort_unstable();
     regions.dedup_by_key(|r| (r.0, r.1));
     let trees: Vec<&Hierarchy> = analysis.trees().collect();
-    let places = Places::of(analysis);
+    let positions = SuperpixelPositions::of(analysis);
     let mut masks: Vec<ScoredMask> = Vec::new();
     for (k, r, leaf) in regions {
-        let mask = scored(analysis, &places, trees[k], r, leaf);
+        let mask = scored(analysis, &positions, trees[k], r, leaf);
         // Two trees often agree on a region.
         if masks.iter().all(|m| m.mask != mask.mask) {
             masks.push(mask);
@@ -49,10 +49,16 @@ pub(crate) fn propose(analysis: &Analysis, points: &[[f32; 2]]) -> Vec<ScoredMas
 
 /// A region as a mask, scored by the middle of its life: between the altitude at which it comes to be and the one at which
 /// its parent does.
-fn scored(analysis: &Analysis, places: &Places, tree: &Hierarchy, region: u32, leaf: u32) -> ScoredMask {
+fn scored(
+    analysis: &Analysis,
+    positions: &SuperpixelPositions,
+    tree: &Hierarchy,
+    region: u32,
+    leaf: u32,
+) -> ScoredMask {
     let node = &tree.nodes[region as usize];
     let parent = &tree.nodes[node.parent as usize];
-    let shape = Shape::of(analysis, places, &set_of(tree, region));
+    let shape = SetShape::of(analysis, positions, &set_of(tree, region));
     let likeness = shape.likeness(shape.middle);
     let middle = 0.5 * (node.altitude + parent.altitude);
     let area = |altitude: f32| tree.nodes[tree.region_at(leaf, altitude) as usize].area;

@@ -1,16 +1,16 @@
-//! The regions of a photo as they outlive a process: what superpixels are, and what was counted over each. Trees are
-//! grown from that again, in a twentieth of the time that finding it takes.
+//! The regions of a photo as a cached record: superpixels, and statistics of each. Trees are grown from the record again, in a
+//! twentieth of the time that computing it takes.
 
 use super::analysis::Analysis;
-use super::colours::Samples;
-use super::tree::{BINS, Border, Hierarchy, Node};
+use super::colours::ColourSamples;
+use super::tree::{BINS, Border, Hierarchy, RegionNode};
 use std::sync::Arc;
 use wincode::{SchemaRead, SchemaWrite};
 
 /// The regions of one photo, to be kept ([`RegionCache`]).
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
 pub struct Regions {
-    /// Width and height of the photo as it was looked at.
+    /// Width and height of the photo at analysis size, in pixels.
     size: [u32; 2],
     /// Superpixels row by row: which, and for how many pixels.
     runs: Vec<(u16, u32)>,
@@ -18,7 +18,7 @@ pub struct Regions {
     leaves: Vec<[f32; 4]>,
     /// Per superpixel: its soft histograms.
     histograms: Vec<[f32; BINS]>,
-    /// Per superpixel: its place among colours and places.
+    /// Per superpixel: its point in colour and position.
     points: Vec<[f32; 5]>,
     /// Neighbours, the first of which is the smaller, with length and strength of the border between them.
     borders: Vec<(u16, u16, [f32; 2])>,
@@ -28,7 +28,7 @@ pub struct Regions {
 pub trait RegionCache: Send + Sync {
     /// What is kept under a name; `None` where nothing is, or where it cannot be read.
     fn regions(&self, name: &str) -> Option<Regions>;
-    /// Keeps regions under a name. What cannot be kept is looked for again when it is wanted.
+    /// Keeps regions under a name. What cannot be kept is computed again when it is needed.
     fn keep(&self, name: &str, regions: &Regions);
 }
 
@@ -81,10 +81,12 @@ impl Regions {
         let labels = self.runs.iter().flat_map(|&(label, length)| (0..length).map(move |_| u32::from(label)));
         let nodes = self.leaves.iter().zip(&self.histograms).enumerate();
         let leaf =
-            |(i, (&[area, frame, length, strength], &histogram)): (usize, (&[f32; 4], &[f32; BINS]))| Node {
-                area,
-                frame,
-                ..Node::leaf(i as u32, Border { length, strength }, histogram)
+            |(i, (&[area, frame, length, strength], &histogram)): (usize, (&[f32; 4], &[f32; BINS]))| {
+                RegionNode {
+                    area,
+                    frame,
+                    ..RegionNode::leaf(i as u32, Border { length, strength }, histogram)
+                }
             };
         let border = |&(a, b, [length, strength]): &(u16, u16, [f32; 2])| {
             (u32::from(a), u32::from(b), Border { length, strength })
@@ -95,7 +97,7 @@ impl Regions {
             nodes.map(leaf).collect(),
             Arc::new(self.borders.iter().map(border).collect()),
         );
-        let samples = Samples::at(self.points.clone(), &tree);
+        let samples = ColourSamples::at(self.points.clone(), &tree);
         Some(Analysis::new(tree, samples))
     }
 }

@@ -1,11 +1,11 @@
-//! Snapping a rough probability to the photo's boundaries: a cut over superpixels.
+//! Snaps a rough probability to the photo's boundaries: a graph cut over superpixels.
 
 use super::analysis::Analysis;
-use super::cut::Cut;
-use super::plane::Plane;
+use super::cut::GraphCut;
+use super::plane::FloatPlane;
 use segwild_scene::ScoredMask;
 
-/// What the cut is made of.
+/// The energy of the cut.
 pub(crate) struct Energy {
     /// Probability of being inside, per superpixel; costs count per pixel of it.
     pub inside: Vec<f32>,
@@ -16,7 +16,7 @@ pub(crate) struct Energy {
 /// Labels superpixels at least cost; `bias` shifts the odds of inside.
 pub(crate) fn cut(analysis: &Analysis, energy: &Energy, bias: f32) -> Vec<bool> {
     let tree = &analysis.tree;
-    let mut graph = Cut::new(tree.leaves);
+    let mut graph = GraphCut::new(tree.leaves);
     for (i, (&p, node)) in energy.inside.iter().zip(&tree.nodes).enumerate() {
         let p = p.clamp(0.005, 0.995);
         let odds = (p / (1.0 - p)).ln() + bias;
@@ -41,9 +41,9 @@ pub(crate) fn snap(analysis: &Analysis, certainty: &[f32]) -> ScoredMask {
     let tree = &analysis.tree;
     let clean: Vec<f32> =
         certainty.iter().map(|&c| if c.is_finite() { c.clamp(0.0, 1.0) } else { 0.0 }).collect();
-    // What the certainty says is worth less near its own edge, which is what is in doubt: judged by its blur.
+    // The certainty is least reliable near its own edge: it is mixed with its blur.
     let diagonal = ((tree.width * tree.width + tree.height * tree.height) as f32).sqrt();
-    let wide = Plane::new(tree.width, tree.height, clean.clone()).blurred((0.012 * diagonal).max(1.0));
+    let wide = FloatPlane::new(tree.width, tree.height, clean.clone()).blurred((0.012 * diagonal).max(1.0));
     let (own, far) = (tree.means(&clean), tree.means(&wide.data));
     let prior: Vec<f32> = own.iter().zip(&far).map(|(a, b)| 0.8 * a + 0.2 * b).collect();
     // Superpixels that are surely inside or outside teach the colours.
@@ -65,7 +65,7 @@ pub(crate) fn snap(analysis: &Analysis, certainty: &[f32]) -> ScoredMask {
     let labels = cut(analysis, &energy, 0.0);
     let (strict, loose) = (cut(analysis, &energy, -1.0), cut(analysis, &energy, 1.0));
     let mask = tree.mask(&labels);
-    // Soft IoU with what was asked for is the best guess of the IoU with what was meant.
+    // The soft IoU with the certainty is the best estimate of the IoU with the true mask.
     let (mut both, mut either) = (0.0, 0.0);
     for (i, &c) in clean.iter().enumerate() {
         let m = if mask.index(i) { 1.0 } else { 0.0f32 };

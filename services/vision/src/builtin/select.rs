@@ -1,19 +1,21 @@
-//! From prompts to a mask: which of all candidates is meant.
+//! From prompts to a mask: chooses among all candidate masks.
 //!
 //! Prompts are taken one after another ([`super::steps`]): the first click or the boxes choose a set, every further click
-//! that disagrees with it corrects it. A granularity picks a rung of every click's ladder instead; what clicks forbid is
-//! then taken out of it, and what they demand is added.
+//! that disagrees with it corrects it. A granularity picks a level of every click's ladder instead; negative clicks then
+//! remove their parts from it, and positive clicks add theirs.
 
 use super::analysis::Analysis;
-use super::cut::Cut;
-use super::memory::Slot;
-use super::nesting::{ladder, rung};
-use super::pool::{Choice, Ground, set_of};
+use super::cut::GraphCut;
+use super::memory::MemorySlot;
+use super::nesting::{ladder, level};
+use super::pool::{Ground, RegionSet, set_of};
 use super::refine::iou_of;
-use super::steps::{Chosen, Click, Offer, Rules, choose, cuts, held_together, offers};
-use super::traits::Step;
+use super::steps::{
+    CandidateMask, PromptAnswer, PromptRules, SuperpixelClick, candidate_masks, choose, cuts, held_together,
+};
+use super::traits::PromptStep;
 use super::tree::Hierarchy;
-use super::weights::Weights;
+use super::weights::TraitWeights;
 use crate::{Prompted, VisionError};
 use segwild_scene::{BoxPrompt, Image, Prompts, ScoredMask};
 use std::sync::Arc;
@@ -38,8 +40,8 @@ pub(crate) fn altitude(tree: &Hierarchy, granularity: f32) -> f32 {
     0.999 * top * (FINEST + (1.0 - FINEST) * g)
 }
 
-/// How much a region looks like a thing of its own: how far its merge with the rest lies above the merges inside it, and how
-/// clear its outline is; less for crumbs and for what the frame cuts off or fills.
+/// Objectness of a region: how far its merge with the rest lies above the merges inside it, and how clear its outline is; less
+/// for crumbs and for regions that the frame cuts off or that fill it.
 pub(crate) fn standing(tree: &Hierarchy, region: u32) -> f32 {
     let node = &tree.nodes[region as usize];
     let total = (tree.width * tree.height) as f32;
@@ -52,12 +54,12 @@ pub(crate) fn standing(tree: &Hierarchy, region: u32) -> f32 {
     (persistence + 0.5 * node.border.mean()) * size * (1.0 - framed)
 }
 
-/// What a person said, as superpixels.
+/// A person's prompts, as superpixels.
 struct Meant {
     /// In the order they were made.
-    clicks: Vec<Click>,
-    positive: Vec<Click>,
-    negative: Vec<Click>,
+    clicks: Vec<SuperpixelClick>,
+    positive: Vec<SuperpixelClick>,
+    negative: Vec<SuperpixelClick>,
     /// Bounding box of the boxes within the photo: x0, y0, x1, y1.
     bounds: Option<[f32; 4]>,
     /// Share of every superpixel that lies in the boxes, if there are any.
@@ -71,7 +73,7 @@ impl Meant {
             // Inside the photo; scaling may have rounded it onto the frame.
             let (x, y) = (p.x.clamp(0.0, tree.width as f32 - 0.5), p.y.clamp(0.0, tree.height as f32 - 0.5));
             let leaf = tree.labels[y as usize * tree.width + x as usize];
-            let click = Click { leaf, at: [x, y], inside: p.inside };
+            let click = SuperpixelClick { leaf, at: [x, y], inside: p.inside };
             if p.inside { positive.push(click) } else { negative.push(click) }
         }
         if positive.is_empty() && prompts.boxes.is_empty() {
@@ -81,15 +83,15 @@ impl Meant {
         }
         negative.retain(|n| positive.iter().all(|p| p.leaf != n.leaf));
         // The first positive click begins; a superpixel that is clicked both ways is inside.
-        let mut clicks: Vec<Click> = positive.first().into_iter().copied().collect();
+        let mut clicks: Vec<SuperpixelClick> = positive.first().into_iter().copied().collect();
         let mut rest = prompts.points.iter();
         let first = rest.clone().position(|p| p.inside);
         for (k, p) in rest.by_ref().enumerate() {
             let (x, y) = (p.x.clamp(0.0, tree.width as f32 - 0.5), p.y.clamp(0.0, tree.height as f32 - 0.5));
             let leaf = tree.labels[y as usize * tree.width + x as usize];
-            let clash = !p.inside && positive.iter().any(|c: &Click| c.leaf == leaf);
+            let clash = !p.inside && positive.iter().any(|c: &SuperpixelClick| c.leaf == leaf);
             if first != Some(k) && !clash {
-                clicks.push(Click { leaf, at: [x, y], inside: p.inside });
+                clicks.push(SuperpixelClick { leaf, at: [x, y], inside: p.inside });
             }
         }
         let boxed = (!prompts.boxes.is_empty()).then(|| box_share(tree, &prompts.boxes));
@@ -112,7 +114,7 @@ impl Meant {
         Ok(Meant { clicks, positive, negative, boxed, bounds })
     }
 
-    /// Superpixels around which candidates are looked for.
+    /// Superpixels around which candidates are searched.
     fn starts(&self, tree: &Hierarchy) -> Vec<u32> {
         let mut starts: Vec<u32> = self.positive.iter().map(|c| c.leaf).collect();
         if let (true, Some(b)) = (starts.is_empty(), self.bounds) {
@@ -139,7 +141,7 @@ impl Meant {
     }
 }
 
-/// Where in a box (shares of its width and height) things are looked for.
+/// Positions in a box (shares of its width and height) around which candidates are searched.
 const IN_BOX: [[f32; 2]; 9] = [
     [0.5, 0.5],
     [0.5, 0.3],
@@ -152,19 +154,19 @@ const IN_BOX: [[f32; 2]; 9] = [
     [0.7, 0.7],
 ];
 
-/// Hears what the last of the prompts chose from.
-pub(crate) type Listener<'a> = dyn FnMut(Step, &[Offer]) + 'a;
+/// Receives the candidate masks of the last prompt.
+pub(crate) type CandidateListener<'a> = dyn FnMut(PromptStep, &[CandidateMask]) + 'a;
 
 /// What an answer depends on besides the photo and the prompts.
 pub(crate) struct Means<'a, 'h> {
-    pub weights: &'a Weights,
-    /// Where the answer to everything said up to some prompt, given as bytes, is kept: a further click is not the time to
-    /// work out again what the ones before it meant.
-    pub kept: &'a dyn Fn(&[u8]) -> Slot<Chosen>,
-    pub hear: Option<&'a mut Listener<'h>>,
+    pub weights: &'a TraitWeights,
+    /// The slot of the answer to a prefix of the prompts, given as bytes: a further click need not recompute the answers to the
+    /// clicks before it.
+    pub kept: &'a dyn Fn(&[u8]) -> MemorySlot<PromptAnswer>,
+    pub listener: Option<&'a mut CandidateListener<'h>>,
 }
 
-/// The mask that prompts mean.
+/// The mask that prompts mean, and what they leave open.
 pub(crate) fn select(analysis: &Analysis, prompts: &Prompts, means: Means) -> Result<Prompted, VisionError> {
     let meant = Meant::read(&analysis.tree, prompts)?;
     let ground = Ground::of(analysis);
@@ -175,14 +177,14 @@ pub(crate) fn select(analysis: &Analysis, prompts: &Prompts, means: Means) -> Re
 }
 
 impl Meant {
-    /// What the boxes and the clicks that open superpixels outside of them say, as bytes.
-    fn boxes_said(&self) -> Vec<u8> {
+    /// The boxes, and the clicks that open superpixels outside of them, as bytes.
+    fn box_bytes(&self) -> Vec<u8> {
         let shares = self.boxed.iter().flatten().flat_map(|s| s.to_le_bytes());
         let bounds = self.bounds.iter().flatten().flat_map(|b| b.to_le_bytes());
-        shares.chain(bounds).chain(self.positive.iter().flat_map(Click::said)).collect()
+        shares.chain(bounds).chain(self.positive.iter().flat_map(SuperpixelClick::bytes)).collect()
     }
 
-    /// Where the thing's middle is expected.
+    /// The expected middle of the object, in pixels.
     fn middle(&self) -> [f32; 2] {
         if let Some(b) = self.bounds {
             return [0.5 * (b[0] + b[2]), 0.5 * (b[1] + b[3])];
@@ -197,17 +199,17 @@ impl Meant {
             || self.positive.iter().any(|c| c.leaf as usize == leaf)
     }
 
-    /// Takes out of a set what the prompts forbid and adds what they demand.
+    /// Removes from a set what negative prompts exclude and adds what positive ones include.
     fn repair(&self, ground: &Ground, inside: &mut [bool]) {
         let tree = &ground.analysis.tree;
         let at = self.middle();
         for click in &self.positive {
             if !inside[click.leaf as usize] {
-                // What the whole looks like with the part counts, not the part.
+                // The whole with the part is scored, not the part alone.
                 let part = likeliest(ground, click, |c| {
                     let fits = !self.negative.iter().any(|n| c.inside[n.leaf as usize]);
                     let both = inside.iter().zip(&c.inside).map(|(&i, &p)| i || p).collect();
-                    fits.then(|| ground.choice(both).shape.likeness(at))
+                    fits.then(|| ground.region_set(both).shape.likeness(at))
                 });
                 inside.iter_mut().zip(part).for_each(|(i, p)| *i |= p);
             }
@@ -217,7 +219,7 @@ impl Meant {
                 let part = likeliest(ground, click, |c| {
                     let fits = !self.positive.iter().any(|p| c.inside[p.leaf as usize]);
                     let rest = inside.iter().zip(&c.inside).map(|(&i, &p)| i && !p).collect();
-                    fits.then(|| ground.choice(rest).shape.likeness(at) + c.shape.likeness(click.at))
+                    fits.then(|| ground.region_set(rest).shape.likeness(at) + c.shape.likeness(click.at))
                 });
                 inside.iter_mut().zip(part).for_each(|(i, p)| *i &= !p);
             }
@@ -227,89 +229,103 @@ impl Meant {
 }
 
 /// The set around a click of the highest worth; its superpixel where no set has any.
-fn likeliest(ground: &Ground, click: &Click, worth: impl Fn(&Choice) -> Option<f32>) -> Vec<bool> {
+fn likeliest(
+    ground: &Ground,
+    click: &SuperpixelClick,
+    worth: impl Fn(&RegionSet) -> Option<f32>,
+) -> Vec<bool> {
     let mut best: Option<(f32, Vec<bool>)> = None;
-    for choice in ground.around(click.leaf) {
-        if let Some(score) = worth(&choice).filter(|s| best.as_ref().is_none_or(|b| *s > b.0)) {
-            best = Some((score, choice.inside));
+    for region_set in ground.around(click.leaf) {
+        if let Some(score) = worth(&region_set).filter(|s| best.as_ref().is_none_or(|b| *s > b.0)) {
+            best = Some((score, region_set.inside));
         }
     }
     best.map_or_else(|| set_of(&ground.analysis.tree, click.leaf), |b| b.1)
 }
 
-/// The rungs of the clicks' ladders at one granularity; what negative clicks or boxes forbid is taken out.
+/// The levels of the clicks' ladders at one granularity, without what negative clicks or boxes exclude.
 fn by_level(ground: &Ground, meant: &Meant, granularity: f32) -> ScoredMask {
     let tree = &ground.analysis.tree;
     let [mut inside, mut strict, mut loose] = [(); 3].map(|()| vec![false; tree.leaves]);
     for click in &meant.positive {
-        let choices = ground.around(click.leaf);
-        let rungs = ladder(&choices, click.at);
-        let k = rung(rungs.len(), granularity);
+        let sets = ground.around(click.leaf);
+        let levels = ladder(&sets, click.at);
+        let k = level(levels.len(), granularity);
         let neighbours = [k, k.saturating_sub(1), k + 1];
         for (set, k) in [&mut inside, &mut strict, &mut loose].into_iter().zip(neighbours) {
-            match rungs.get(k.min(rungs.len().saturating_sub(1))) {
-                Some(&r) => set.iter_mut().zip(&choices[r].inside).for_each(|(s, &c)| *s |= c),
+            match levels.get(k.min(levels.len().saturating_sub(1))) {
+                Some(&r) => set.iter_mut().zip(&sets[r].inside).for_each(|(s, &c)| *s |= c),
                 None => set[click.leaf as usize] = true,
             }
         }
     }
     meant.repair(ground, &mut inside);
-    let choice = ground.choice(inside);
+    let region_set = ground.region_set(inside);
     ScoredMask {
-        mask: tree.mask(&choice.inside),
-        predicted_iou: predicted_iou(choice.shape.clarity),
+        mask: tree.mask(&region_set.inside),
+        predicted_iou: predicted_iou(region_set.shape.clarity),
         stability: iou_of(ground.analysis, &strict, &loose),
     }
 }
 
-/// The prompts one after another. Every answer is the one that was given before the next prompt was added.
+/// Answers the prompts one after another. The answer to a prefix does not depend on the prompts after it.
 fn by_evidence(ground: &Ground, meant: &Meant, mut means: Means) -> Prompted {
     let tree = &ground.analysis.tree;
     let open = |i: usize| meant.open(i);
     let nothing = vec![false; tree.leaves];
-    let mut said = meant.bounds.map_or_else(Vec::new, |_| meant.boxes_said());
-    let mut answer = Arc::new(Chosen::nothing(tree.leaves));
+    let mut bytes = meant.bounds.map_or_else(Vec::new, |_| meant.box_bytes());
+    let mut answer = Arc::new(PromptAnswer::nothing(tree.leaves));
     // Boxes are taken together with the first click.
-    let begun = usize::from(meant.bounds.is_some() && meant.clicks.is_empty());
-    for k in 0..meant.clicks.len() + begun {
+    let boxes_only = usize::from(meant.bounds.is_some() && meant.clicks.is_empty());
+    for k in 0..meant.clicks.len() + boxes_only {
         let click = meant.clicks.get(k).copied();
-        said.extend(click.iter().flat_map(Click::said));
+        bytes.extend(click.iter().flat_map(SuperpixelClick::bytes));
         if click.is_some_and(|c| k > 0 && answer.set[c.leaf as usize] == c.inside) {
             continue;
         }
-        let hear = means.hear.as_mut().filter(|_| k + 1 >= meant.clicks.len());
-        let slot = (means.kept)(&said);
-        if let (Some(known), None) = (slot.get(), &hear) {
+        let listener = means.listener.as_mut().filter(|_| k + 1 >= meant.clicks.len());
+        let slot = (means.kept)(&bytes);
+        if let (Some(known), None) = (slot.get(), &listener) {
             answer = known.clone();
             continue;
         }
-        let rules = Rules {
+        let rules = PromptRules {
             clicks: &meant.clicks[..(k + 1).min(meant.clicks.len())],
             open: &open,
             bounds: meant.bounds,
         };
         let (step, more, starts) = match (k, click) {
-            (0, _) if meant.bounds.is_some() => (Step::Boxed, cuts_in_box(ground, meant), meant.starts(tree)),
-            (0, Some(c)) => (Step::First, Vec::new(), vec![c.leaf]),
+            (0, _) if meant.bounds.is_some() => {
+                (PromptStep::Boxed, cuts_in_box(ground, meant), meant.starts(tree))
+            }
+            (0, Some(c)) => (PromptStep::First, Vec::new(), vec![c.leaf]),
             (_, Some(c)) => {
-                let step = if c.inside { Step::Add } else { Step::Remove };
+                let step = if c.inside { PromptStep::Add } else { PromptStep::Remove };
                 (step, cuts(ground, &rules, &answer.set, c), Vec::new())
             }
             (_, None) => break,
         };
-        let offers = offers(ground, &rules, &answer.set, click, step, more, &starts);
-        if let Some(hear) = hear {
-            hear(step, &offers);
+        let candidate_masks = candidate_masks(ground, &rules, &answer.set, click, step, more, &starts);
+        if let Some(listener) = listener {
+            listener(step, &candidate_masks);
         }
-        let mut next = choose(ground, offers, step, means.weights);
-        // An island around a second click: clicks that all say "this" rather mean one thing that holds them all, however
-        // badly the first was understood. And nobody clicks to add a crumb.
+        let mut next = choose(ground, candidate_masks, step, means.weights);
+        // An island around a second click: positive clicks rather mean one object that holds them all, however badly the first
+        // click was understood. And nobody clicks to add a crumb.
         let alone = k > 0 && meant.bounds.is_none() && rules.clicks.iter().all(|c| c.inside);
         if let Some(part) = island(ground, &rules, &next.set).filter(|_| alone) {
             let starts: Vec<u32> = rules.clicks.iter().map(|c| c.leaf).collect();
             let first = rules.clicks.first().copied();
-            let whole = self::offers(ground, &rules, &nothing, first, Step::First, Vec::new(), &starts);
-            let whole = choose(ground, whole, Step::First, means.weights);
+            let whole = self::candidate_masks(
+                ground,
+                &rules,
+                &nothing,
+                first,
+                PromptStep::First,
+                Vec::new(),
+                &starts,
+            );
+            let whole = choose(ground, whole, PromptStep::First, means.weights);
             let crumb = CRUMB[usize::from(k > 1)] * ground.area(&next.set);
             let crumb = ground.area(&part) < crumb;
             if crumb || whole.expected > next.expected {
@@ -337,7 +353,7 @@ fn by_evidence(ground: &Ground, meant: &Meant, mut means: Means) -> Prompted {
     Prompted { answer, open }
 }
 
-/// Takes away what is open around a superpixel and hangs together: somebody said that it is not meant.
+/// Clears the connected open superpixels around a negative click's: they are not meant.
 fn close(ground: &Ground, open: &mut [f32], leaf: u32) {
     let mut stack = vec![leaf];
     while let Some(i) = stack.pop() {
@@ -348,9 +364,9 @@ fn close(ground: &Ground, open: &mut [f32], leaf: u32) {
 }
 
 /// The last click's part of a set, where it holds none of the clicks before it.
-fn island(ground: &Ground, rules: &Rules, set: &[bool]) -> Option<Vec<bool>> {
+fn island(ground: &Ground, rules: &PromptRules, set: &[bool]) -> Option<Vec<bool>> {
     let (last, others) = rules.clicks.split_last()?;
-    let alone = Rules { clicks: std::slice::from_ref(last), ..*rules };
+    let alone = PromptRules { clicks: std::slice::from_ref(last), ..*rules };
     let part = held_together(ground, &alone, set);
     (!others.iter().any(|c| part[c.leaf as usize])).then_some(part)
 }
@@ -360,15 +376,15 @@ pub(crate) fn predicted_iou(clarity: f32) -> f32 {
     1.0 - 0.5 * (-6.0 * clarity).exp()
 }
 
-/// What cuts find in a box (GrabCut's rule, Rother et al. 2004: outside is known, inside is asked): colours of inside
-/// and outside are learned and the cut repeated; middles are likelier inside than corners.
+/// Graph cuts in a box (GrabCut, Rother et al. 2004: outside is known, inside is unknown): colours of inside and outside are
+/// learned and the cut repeated; positions near the middle are likelier inside than corners.
 fn cuts_in_box(ground: &Ground, meant: &Meant) -> Vec<Vec<bool>> {
     let tree = &ground.analysis.tree;
     let Some(b) = meant.bounds else { return Vec::new() };
     let (cx, cy) = (0.5 * (b[0] + b[2]), 0.5 * (b[1] + b[3]));
     let (rx, ry) = ((0.5 * (b[2] - b[0])).max(1.0), (0.5 * (b[3] - b[1])).max(1.0));
-    let place: Vec<f32> = ground
-        .places
+    let centrality: Vec<f32> = ground
+        .positions
         .middle
         .iter()
         .map(|m| 1.0 - ((m[0] - cx) / rx).powi(2) - ((m[1] - cy) / ry).powi(2))
@@ -377,20 +393,20 @@ fn cuts_in_box(ground: &Ground, meant: &Meant) -> Vec<Vec<bool>> {
     let mut out = Vec::new();
     for shift in [-1.0, 0.0, 1.0] {
         let mut belief: Vec<f32> = (0..tree.leaves)
-            .map(|i| if meant.open(i) { 0.5 + 0.4 * place[i].clamp(-1.0, 1.0) } else { 0.0 })
+            .map(|i| if meant.open(i) { 0.5 + 0.4 * centrality[i].clamp(-1.0, 1.0) } else { 0.0 })
             .collect();
         for _ in 0..3 {
             let colour = ground.samples.posterior(&belief, &weight, 0.25);
-            let mut graph = Cut::new(tree.leaves);
+            let mut graph = GraphCut::new(tree.leaves);
             for (i, node) in tree.nodes[..tree.leaves].iter().enumerate() {
-                let is = |clicks: &[Click]| clicks.iter().any(|c| c.leaf as usize == i);
+                let is = |clicks: &[SuperpixelClick]| clicks.iter().any(|c| c.leaf as usize == i);
                 if is(&meant.positive) {
                     graph.unary(i, 0.0, NEVER);
                 } else if !meant.open(i) || is(&meant.negative) {
                     graph.unary(i, NEVER, 0.0);
                 } else {
                     let p = colour[i].clamp(0.02, 0.98);
-                    let odds = 0.15 * ((p / (1.0 - p)).ln() + place[i] + shift);
+                    let odds = 0.15 * ((p / (1.0 - p)).ln() + centrality[i] + shift);
                     graph.unary(i, (-odds).max(0.0) * node.area, odds.max(0.0) * node.area);
                 }
             }

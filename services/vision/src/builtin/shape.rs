@@ -1,4 +1,4 @@
-//! What a set of superpixels looks like as a thing: size, outline, colours, and how it lies around a click.
+//! Measures of a set of superpixels as an object: size, outline, colours, and position relative to a click.
 
 use super::analysis::Analysis;
 use super::tree::{BINS, chi_squared};
@@ -6,17 +6,17 @@ use super::tree::{BINS, chi_squared};
 /// Boundary strength under which an outline follows no boundary.
 const WEAK: f32 = 0.15;
 
-/// Where superpixels lie.
-pub(crate) struct Places {
+/// Positions of superpixels.
+pub(crate) struct SuperpixelPositions {
     /// Mean x and y, pixels.
     pub middle: Vec<[f32; 2]>,
     /// Bounding boxes: x0, y0, x1, y1, pixels, the ends excluded.
     pub bounds: Vec<[f32; 4]>,
 }
 
-impl Places {
+impl SuperpixelPositions {
     /// Of every superpixel of a photo.
-    pub fn of(analysis: &Analysis) -> Places {
+    pub fn of(analysis: &Analysis) -> SuperpixelPositions {
         let tree = &analysis.tree;
         let mut middle = vec![[0.0f32; 2]; tree.leaves];
         let mut bounds = vec![[f32::MAX, f32::MAX, 0.0, 0.0]; tree.leaves];
@@ -29,13 +29,13 @@ impl Places {
         for (m, node) in middle.iter_mut().zip(&tree.nodes) {
             *m = [m[0] / node.area, m[1] / node.area];
         }
-        Places { middle, bounds }
+        SuperpixelPositions { middle, bounds }
     }
 }
 
 /// Measures of a set of superpixels.
 #[derive(Clone, Debug)]
-pub(crate) struct Shape {
+pub(crate) struct SetShape {
     /// Pixels of the photo.
     pub total: f32,
     /// Share of the photo.
@@ -62,15 +62,15 @@ pub(crate) struct Shape {
     pub outline: f32,
 }
 
-impl Shape {
+impl SetShape {
     /// Of the superpixels that are set.
-    pub fn of(analysis: &Analysis, places: &Places, inside: &[bool]) -> Shape {
+    pub fn of(analysis: &Analysis, positions: &SuperpixelPositions, inside: &[bool]) -> SetShape {
         let tree = &analysis.tree;
         let (mut area, mut frame, mut middle) = (0.0f32, 0.0f32, [0.0f32; 2]);
         let mut bounds = [f32::MAX, f32::MAX, 0.0f32, 0.0];
         let mut own = [0.0f32; BINS];
         for i in (0..tree.leaves).filter(|&i| inside[i]) {
-            let (node, m, b) = (&tree.nodes[i], places.middle[i], places.bounds[i]);
+            let (node, m, b) = (&tree.nodes[i], positions.middle[i], positions.bounds[i]);
             area += node.area;
             frame += node.frame;
             middle = [middle[0] + node.area * m[0], middle[1] + node.area * m[1]];
@@ -103,7 +103,7 @@ impl Shape {
             / 4.0;
         let size = ((bounds[2] - bounds[0]) * (bounds[3] - bounds[1])).max(1.0);
         let some = area.max(1.0);
-        Shape {
+        SetShape {
             total: (tree.width * tree.height) as f32,
             share: area / (tree.width * tree.height) as f32,
             clarity: strength / length.max(1.0),
@@ -122,8 +122,8 @@ impl Shape {
     }
 }
 
-impl Shape {
-    /// How likely a click at pixel `at` means the set: log odds against the other sets around it, up to a constant.
+impl SetShape {
+    /// Log odds that a click at pixel `at` means the set, against the other sets around it, up to a constant.
     ///
     /// The weights make the soft choice among all candidates most alike with what was meant (gradient ascent on the expected
     /// IoU), over one click on each object of half of two synthetic sets and half of the `liberty` photos; the other
@@ -133,11 +133,11 @@ impl Shape {
         let log = self.share.max(1e-5).log2();
         let size = (self.share * self.total).sqrt().max(1.0);
         let (dx, dy) = (at[0] - self.middle[0], at[1] - self.middle[1]);
-        let away = ((dx * dx + dy * dy).sqrt() / size).min(2.0);
+        let distance = ((dx * dx + dy * dy).sqrt() / size).min(2.0);
         9.5 * self.clarity - 1.4 * self.open + 17.0 * self.inner - 15.4 * self.framed + 13.1 * self.compact
             - 8.3 * self.filled
             + 25.3 * self.contrast
-            - 10.7 * away
+            - 10.7 * distance
             - 0.073 * log
             - 0.061 * log * log
     }

@@ -1,73 +1,78 @@
-//! Prompts one after another: what was chosen so far, and how the next click changes it.
+//! Prompts one after another: how the next click changes the answer so far.
 //!
-//! A click that agrees with what was chosen changes nothing. One that does not is the middle of a mistake: the regions
-//! around it, in all trees, are what may have to be added or taken away.
+//! A click that agrees with the answer so far changes nothing. One that disagrees is the middle of a mistake: the regions
+//! around it, in all trees, are candidates to add or to remove.
 
-use super::cut::Cut;
+use super::cut::GraphCut;
 use super::memory::Weighed;
-use super::pool::{Choice, Ground};
+use super::pool::{Ground, RegionSet};
 use super::refine::iou_of;
-use super::traits::{Around, COUNT, Candidate, Source, Step, traits};
-use super::weights::Weights;
+use super::traits::{Around, COUNT, CandidateSource, PromptStep, TraitInputs, traits};
+use super::weights::TraitWeights;
 use std::collections::HashSet;
 
 /// Cost that no other outweighs.
 const NEVER: f32 = 1e6;
 /// The most candidates that the answer is chosen from, the likeliest.
 const FINALISTS: usize = 60;
-/// What scores are divided by to say how likely each candidate is: they were learned for choosing, and taken as log odds
-/// they are too sure. On `liberty` (13 photos, two clicks each) 1 leaves less open than is good, 3 no more than 2.
-const DOUBT: f32 = 2.0;
+/// Temperature of the softmax over scores that gives each candidate's probability: the scores were learned for choosing, and as
+/// log odds they are too sure. On `liberty` (13 photos, two clicks each) 1 leaves less open than is good, 3 no more than 2.
+const TEMPERATURE: f32 = 2.0;
 
-/// A click as a superpixel and a place.
+/// A click as a superpixel and a position, pixels at analysis size.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Click {
+pub(crate) struct SuperpixelClick {
     pub leaf: u32,
     pub at: [f32; 2],
     pub inside: bool,
 }
 
-impl Click {
-    /// Itself as bytes.
-    pub fn said(&self) -> impl Iterator<Item = u8> + use<> {
-        let place = self.at.map(f32::to_le_bytes);
-        place.into_iter().flatten().chain([u8::from(self.inside)])
+impl SuperpixelClick {
+    /// The click as bytes, for the key of an answer.
+    pub fn bytes(&self) -> impl Iterator<Item = u8> + use<> {
+        let position = self.at.map(f32::to_le_bytes);
+        position.into_iter().flatten().chain([u8::from(self.inside)])
     }
 }
 
-/// A set that may be meant next.
+/// A candidate set before it is measured.
 struct Next {
     set: Vec<bool>,
     standing: f32,
-    source: Source,
+    source: CandidateSource,
 }
 
-/// A candidate and what is known of it.
-pub(crate) struct Offer {
-    pub choice: Choice,
+/// A candidate mask and its traits.
+pub(crate) struct CandidateMask {
+    pub region_set: RegionSet,
     pub traits: [f32; COUNT],
 }
 
-/// A choice among candidates.
-pub(crate) struct Chosen {
+/// The answer to a prefix of the prompts.
+pub(crate) struct PromptAnswer {
     pub set: Vec<bool>,
     /// How likely each superpixel is meant although it is outside; 0 for those inside.
     pub open: Vec<f32>,
     /// Expected IoU with what is meant.
     pub expected: f32,
-    /// Share of the belief in sets much like the chosen one.
+    /// Probability of the candidates that overlap the answer (IoU 0.75 and more).
     pub alike: f32,
 }
 
-impl Chosen {
-    /// Nothing, and nothing else thought of.
-    pub fn nothing(superpixels: usize) -> Chosen {
-        Chosen { set: vec![false; superpixels], open: vec![0.0; superpixels], expected: 0.0, alike: 0.0 }
+impl PromptAnswer {
+    /// The empty answer, with nothing open.
+    pub fn nothing(superpixels: usize) -> PromptAnswer {
+        PromptAnswer {
+            set: vec![false; superpixels],
+            open: vec![0.0; superpixels],
+            expected: 0.0,
+            alike: 0.0,
+        }
     }
 
-    /// After another choice: what was open before and is still outside is open still, for a further click does not say that
-    /// the ones before it were understood.
-    pub fn after(mut self, before: &Chosen) -> Chosen {
+    /// After another answer: what was open before and is still outside stays open, for a further click does not mean that the
+    /// ones before it were understood.
+    pub fn after(mut self, before: &PromptAnswer) -> PromptAnswer {
         for ((open, was), inside) in self.open.iter_mut().zip(&before.open).zip(&self.set) {
             *open = if *inside { 0.0 } else { open.max(*was) };
         }
@@ -75,41 +80,41 @@ impl Chosen {
     }
 }
 
-impl Weighed for Chosen {
+impl Weighed for PromptAnswer {
     fn bytes(&self) -> usize {
         self.set.len() * (1 + size_of::<f32>()) + 64
     }
 }
 
-/// What candidates must hold and must not.
-pub(crate) struct Rules<'a> {
-    pub clicks: &'a [Click],
+/// What every candidate must include and exclude.
+pub(crate) struct PromptRules<'a> {
+    pub clicks: &'a [SuperpixelClick],
     /// Superpixels that may be inside.
     pub open: &'a dyn Fn(usize) -> bool,
     pub bounds: Option<[f32; 4]>,
 }
 
-impl Rules<'_> {
+impl PromptRules<'_> {
     fn kept(&self, set: &[bool]) -> bool {
         self.clicks.iter().all(|c| set[c.leaf as usize] == c.inside)
     }
 }
 
-/// Every set that may be meant next: `before` was chosen so far, `click` is the last of `rules.clicks` (`None`: a box alone).
-pub(crate) fn offers(
+/// Every candidate for the next answer: `before` is the answer so far, `click` the last of `rules.clicks` (`None`: a box alone).
+pub(crate) fn candidate_masks(
     ground: &Ground,
-    rules: &Rules,
+    rules: &PromptRules,
     before: &[bool],
-    click: Option<Click>,
-    step: Step,
+    click: Option<SuperpixelClick>,
+    step: PromptStep,
     more: Vec<Vec<bool>>,
     starts: &[u32],
-) -> Vec<Offer> {
+) -> Vec<CandidateMask> {
     let mut known: HashSet<Vec<bool>> = HashSet::new();
     let mut options: Vec<Next> = Vec::new();
-    let mut keep = |mut set: Vec<bool>, standing: f32, source: Source| {
+    let mut keep = |mut set: Vec<bool>, standing: f32, source: CandidateSource| {
         set.iter_mut().enumerate().for_each(|(i, s)| *s &= (rules.open)(i));
-        if source == Source::Cut {
+        if source == CandidateSource::Cut {
             rules.clicks.iter().for_each(|c| set[c.leaf as usize] = c.inside);
         }
         if rules.kept(&set) && set.contains(&true) && known.insert(set.clone()) {
@@ -117,43 +122,47 @@ pub(crate) fn offers(
         }
     };
     match step {
-        Step::First | Step::Boxed => {
+        PromptStep::First | PromptStep::Boxed => {
             for &leaf in starts {
                 for (set, standing) in ground.sets(leaf) {
-                    keep(set, standing, Source::Region);
+                    keep(set, standing, CandidateSource::Region);
                 }
             }
         }
-        Step::Add => {
+        PromptStep::Add => {
             let leaf = click.map_or(0, |c| c.leaf);
             for (set, standing) in ground.sets(leaf) {
                 let both = set.iter().zip(before).map(|(a, b)| *a || *b).collect();
-                keep(both, standing, Source::Region);
-                keep(set, standing, Source::Instead);
+                keep(both, standing, CandidateSource::Region);
+                keep(set, standing, CandidateSource::Instead);
             }
         }
-        Step::Remove => {
+        PromptStep::Remove => {
             let leaf = click.map_or(0, |c| c.leaf);
             for (set, standing) in ground.sets(leaf) {
                 let rest: Vec<bool> = before.iter().zip(&set).map(|(b, s)| *b && !*s).collect();
-                keep(held_together(ground, rules, &rest), standing, Source::Region);
-                keep(rest, standing, Source::Region);
+                keep(held_together(ground, rules, &rest), standing, CandidateSource::Region);
+                keep(rest, standing, CandidateSource::Region);
             }
             for c in rules.clicks.iter().filter(|c| c.inside) {
                 for (set, standing) in ground.sets(c.leaf) {
-                    keep(set.iter().zip(before).map(|(s, b)| *s && *b).collect(), standing, Source::Instead);
+                    keep(
+                        set.iter().zip(before).map(|(s, b)| *s && *b).collect(),
+                        standing,
+                        CandidateSource::Instead,
+                    );
                 }
             }
         }
     }
     for set in more {
-        keep(set, 0.0, Source::Cut);
+        keep(set, 0.0, CandidateSource::Cut);
     }
-    // Where every region breaks a rule, what was chosen and the click's own superpixel are left.
+    // Where every region breaks a rule, the answer so far with the click's own superpixel is left.
     if options.is_empty() {
         let mut set = before.to_vec();
         rules.clicks.iter().for_each(|c| set[c.leaf as usize] = c.inside);
-        options.push(Next { set, standing: 0.0, source: Source::Region });
+        options.push(Next { set, standing: 0.0, source: CandidateSource::Region });
     }
     let around = Around::of(
         ground,
@@ -163,22 +172,22 @@ pub(crate) fn offers(
         ),
     );
     let area = ground.area(before);
-    let offer = |o: Next| {
+    let candidate_mask = |o: Next| {
         let changed: Vec<bool> = match step {
-            Step::First | Step::Boxed => o.set.clone(),
-            Step::Add => o.set.iter().zip(before).map(|(s, b)| *s && !*b).collect(),
-            Step::Remove => o.set.iter().zip(before).map(|(s, b)| !*s && *b).collect(),
+            PromptStep::First | PromptStep::Boxed => o.set.clone(),
+            PromptStep::Add => o.set.iter().zip(before).map(|(s, b)| *s && !*b).collect(),
+            PromptStep::Remove => o.set.iter().zip(before).map(|(s, b)| !*s && *b).collect(),
         };
         let against: Vec<bool> = match step {
-            Step::Add => o.set.iter().zip(before).map(|(s, b)| !*s && *b).collect(),
-            Step::Remove => o.set.iter().zip(before).map(|(s, b)| *s && !*b).collect(),
+            PromptStep::Add => o.set.iter().zip(before).map(|(s, b)| !*s && *b).collect(),
+            PromptStep::Remove => o.set.iter().zip(before).map(|(s, b)| *s && !*b).collect(),
             _ => vec![false; o.set.len()],
         };
         let undone = ground.area(&against) / area.max(1.0);
-        let whole = ground.choice(o.set);
-        let part = ground.choice(changed);
+        let whole = ground.region_set(o.set);
+        let part = ground.region_set(changed);
         let tight = rules.bounds.map_or(0.0, |b| whole.shape.tightness(b));
-        let candidate = Candidate {
+        let candidate = TraitInputs {
             whole: &whole.shape,
             part: &part.shape,
             changed: &part.inside,
@@ -188,16 +197,22 @@ pub(crate) fn offers(
             tight,
             source: o.source,
         };
-        Offer { traits: traits(&candidate, &around), choice: whole }
+        CandidateMask { traits: traits(&candidate, &around), region_set: whole }
     };
-    options.into_iter().map(offer).collect()
+    options.into_iter().map(candidate_mask).collect()
 }
 
-/// The offer from which most is to be expected: what agrees best with all that is likely.
-pub(crate) fn choose(ground: &Ground, offers: Vec<Offer>, step: Step, weights: &Weights) -> Chosen {
+/// The candidate of the highest expected IoU: the one that agrees best with all likely candidates.
+pub(crate) fn choose(
+    ground: &Ground,
+    candidate_masks: Vec<CandidateMask>,
+    step: PromptStep,
+    weights: &TraitWeights,
+) -> PromptAnswer {
     let weights = weights.of(step);
-    let score = |o: &Offer| o.traits.iter().zip(weights).map(|(t, w)| t * w).sum::<f32>();
-    let mut scored: Vec<(f32, Choice)> = offers.into_iter().map(|o| (score(&o), o.choice)).collect();
+    let score = |o: &CandidateMask| o.traits.iter().zip(weights).map(|(t, w)| t * w).sum::<f32>();
+    let mut scored: Vec<(f32, RegionSet)> =
+        candidate_masks.into_iter().map(|o| (score(&o), o.region_set)).collect();
     scored.sort_by(|a, b| b.0.total_cmp(&a.0));
     scored.truncate(FINALISTS);
     let top = scored[0].0;
@@ -216,19 +231,19 @@ pub(crate) fn choose(ground: &Ground, offers: Vec<Offer>, step: Step, weights: &
         }
     }
     let set = scored[best.2].1.inside.clone();
-    let chances: Vec<f32> = scored.iter().map(|s| ((s.0 - top) / DOUBT).exp()).collect();
+    let chances: Vec<f32> = scored.iter().map(|s| ((s.0 - top) / TEMPERATURE).exp()).collect();
     let sum: f32 = chances.iter().sum();
     let mut open = vec![0.0; set.len()];
-    for ((_, choice), chance) in scored.iter().zip(&chances) {
-        for (open, (other, chosen)) in open.iter_mut().zip(choice.inside.iter().zip(&set)) {
-            *open += if *other && !chosen { chance / sum } else { 0.0 };
+    for ((_, region_set), chance) in scored.iter().zip(&chances) {
+        for (open, (other, held)) in open.iter_mut().zip(region_set.inside.iter().zip(&set)) {
+            *open += if *other && !held { chance / sum } else { 0.0 };
         }
     }
-    Chosen { set, open, expected: best.0, alike: best.1 }
+    PromptAnswer { set, open, expected: best.0, alike: best.1 }
 }
 
 /// The parts of a set that hold a positive click.
-pub(crate) fn held_together(ground: &Ground, rules: &Rules, set: &[bool]) -> Vec<bool> {
+pub(crate) fn held_together(ground: &Ground, rules: &PromptRules, set: &[bool]) -> Vec<bool> {
     let mut out = vec![false; set.len()];
     let mut stack: Vec<u32> = rules.clicks.iter().filter(|c| c.inside).map(|c| c.leaf).collect();
     while let Some(i) = stack.pop() {
@@ -240,9 +255,14 @@ pub(crate) fn held_together(ground: &Ground, rules: &Rules, set: &[bool]) -> Vec
     out
 }
 
-/// What cuts make of the set so far and the click that it fails: colours of inside and outside are learned from it, with the
-/// click's surroundings on the other side.
-pub(crate) fn cuts(ground: &Ground, rules: &Rules, before: &[bool], click: Click) -> Vec<Vec<bool>> {
+/// Graph cuts from the set so far and the click that disagrees with it: colours of inside and outside are learned from the set,
+/// with the click's surroundings on the other side.
+pub(crate) fn cuts(
+    ground: &Ground,
+    rules: &PromptRules,
+    before: &[bool],
+    click: SuperpixelClick,
+) -> Vec<Vec<bool>> {
     let tree = &ground.analysis.tree;
     let total = (tree.width * tree.height) as f32;
     // The click's colours: the smallest region around it that is not a crumb, and that holds no other kind of click.
@@ -265,7 +285,7 @@ pub(crate) fn cuts(ground: &Ground, rules: &Rules, before: &[bool], click: Click
     for reach in [0.08, 0.2] {
         let colour = ground.samples.posterior(&belief, &weight, reach);
         for (trust, old) in [(0.15, 0.5), (0.3, 1.0), (0.3, 0.3)] {
-            let mut graph = Cut::new(tree.leaves);
+            let mut graph = GraphCut::new(tree.leaves);
             for (i, node) in tree.nodes[..tree.leaves].iter().enumerate() {
                 if let Some(c) = rules.clicks.iter().find(|c| c.leaf as usize == i) {
                     let (inside, outside) = if c.inside { (0.0, NEVER) } else { (NEVER, 0.0) };

@@ -1,26 +1,26 @@
-//! What tells the meant set from the others: numbers about a set of superpixels, about what it changes of the set before it,
-//! and about how both lie around the click.
+//! Traits of a candidate mask: numbers about its set of superpixels, about what it changes of the set before it, and about how
+//! both lie around the click. They separate the mask that is meant from the others.
 
 use super::pool::Ground;
-use super::shape::Shape;
+use super::shape::SetShape;
 
 /// Numbers per candidate.
 pub(crate) const COUNT: usize = 27;
 
-/// Why a candidate is looked at: what a prompt asks for.
+/// The kind of a prompt, given the answer so far.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Step {
+pub enum PromptStep {
     /// The first click.
     First,
-    /// A click that what was chosen so far leaves out.
+    /// A positive click outside the answer so far.
     Add,
-    /// A click that what was chosen so far wrongly holds.
+    /// A negative click inside the answer so far.
     Remove,
     /// A box, with or without a click.
     Boxed,
 }
 
-/// A click as distances.
+/// Distances from a click.
 pub(crate) struct Around {
     pub at: [f32; 2],
     /// Least distance of every superpixel's pixels.
@@ -54,38 +54,38 @@ fn log(share: f32) -> f32 {
     share.max(1e-5).log2()
 }
 
-/// Where a candidate comes from.
+/// How a candidate was made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Source {
-    /// A region added to what was chosen so far, or taken from it.
+pub(crate) enum CandidateSource {
+    /// A region added to the answer so far, or removed from it.
     Region,
-    /// A region in its place.
+    /// A region instead of the answer so far.
     Instead,
-    /// A cut.
+    /// A graph cut.
     Cut,
 }
 
-/// A candidate beside what was chosen so far.
-pub(crate) struct Candidate<'a> {
-    pub whole: &'a Shape,
-    /// What it changes, and the superpixels of that; at the first step the whole.
-    pub part: &'a Shape,
+/// What the traits of a candidate are computed from.
+pub(crate) struct TraitInputs<'a> {
+    pub whole: &'a SetShape,
+    /// The part that it changes, and that part's superpixels; at the first step the whole.
+    pub part: &'a SetShape,
     pub changed: &'a [bool],
-    /// Share of the photo that was chosen so far.
+    /// Share of the photo that the answer so far covers.
     pub before: f32,
-    /// What it changes the other way round than the click asks, as a share of what was chosen so far.
+    /// Area that it changes against the click's direction, as a share of the answer so far.
     pub undone: f32,
     /// How well the region stands in its tree.
     pub standing: f32,
     /// How well it fills the box.
     pub tight: f32,
-    pub source: Source,
+    pub source: CandidateSource,
 }
 
-/// The numbers.
-pub(crate) fn traits(candidate: &Candidate, around: &Around) -> [f32; COUNT] {
-    let Candidate { whole, part, before, .. } = *candidate;
-    let place = |s: &Shape| {
+/// The traits of a candidate, in the order of the learned weights.
+pub(crate) fn traits(candidate: &TraitInputs, around: &Around) -> [f32; COUNT] {
+    let TraitInputs { whole, part, before, .. } = *candidate;
+    let off_centre = |s: &SetShape| {
         let size = (s.share * s.total).sqrt().max(1.0);
         let (dx, dy) = (around.at[0] - s.middle[0], around.at[1] - s.middle[1]);
         ((dx * dx + dy * dy).sqrt() / size).min(2.0)
@@ -114,7 +114,7 @@ pub(crate) fn traits(candidate: &Candidate, around: &Around) -> [f32; COUNT] {
         part.contrast,
         log(part.share),
         log(part.share).powi(2),
-        place(part),
+        off_centre(part),
         round.min(1.5),
         thin.min(2.0),
         (thin.min(2.0)).powi(2),
@@ -122,6 +122,6 @@ pub(crate) fn traits(candidate: &Candidate, around: &Around) -> [f32; COUNT] {
         candidate.undone.min(1.0),
         candidate.standing,
         candidate.tight,
-        f32::from(u8::from(candidate.source == Source::Cut)),
+        f32::from(u8::from(candidate.source == CandidateSource::Cut)),
     ]
 }

@@ -13,7 +13,7 @@ pub(crate) const BINS: usize = 29;
 
 /// One region of the tree. Leaves are superpixels.
 #[derive(Clone, Debug)]
-pub(crate) struct Node {
+pub(crate) struct RegionNode {
     /// The region this one is merged into; the root names itself.
     pub parent: u32,
     /// The two it was merged from; leaves name themselves.
@@ -34,10 +34,10 @@ pub(crate) struct Node {
     pub histogram: [f32; BINS],
 }
 
-impl Node {
+impl RegionNode {
     /// A superpixel, whose pixels are not counted yet.
-    pub fn leaf(i: u32, border: Border, histogram: [f32; BINS]) -> Node {
-        Node {
+    pub fn leaf(i: u32, border: Border, histogram: [f32; BINS]) -> RegionNode {
+        RegionNode {
             parent: i,
             children: [i, i],
             altitude: 0.0,
@@ -80,7 +80,7 @@ pub(crate) struct Hierarchy {
     /// Superpixel of every pixel.
     pub labels: Arc<Vec<u32>>,
     /// Superpixels, then merges in the order they were made; the last is the whole photo.
-    pub nodes: Vec<Node>,
+    pub nodes: Vec<RegionNode>,
     /// Number of superpixels.
     pub leaves: usize,
     /// Superpixels such that every region's are neighbours.
@@ -90,21 +90,21 @@ pub(crate) struct Hierarchy {
 }
 
 #[derive(PartialEq)]
-struct Candidate {
+struct MergeCandidate {
     distance: f32,
     a: u32,
     b: u32,
 }
 
-impl Eq for Candidate {}
+impl Eq for MergeCandidate {}
 
-impl PartialOrd for Candidate {
+impl PartialOrd for MergeCandidate {
     fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
         Some(self.cmp(other))
     }
 }
 
-impl Ord for Candidate {
+impl Ord for MergeCandidate {
     fn cmp(&self, other: &Self) -> Ordering {
         self.distance.total_cmp(&other.distance).then((self.a, self.b).cmp(&(other.a, other.b)))
     }
@@ -123,7 +123,7 @@ pub(crate) fn chi_squared(a: &[f32], b: &[f32]) -> f32 {
 
 /// What counts how much when regions are merged.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Weights {
+pub(crate) struct MergeWeights {
     /// Mean boundary strength along the shared border.
     pub border: f32,
     /// Difference of lightness.
@@ -134,25 +134,25 @@ pub(crate) struct Weights {
     pub texture: f32,
 }
 
-impl Weights {
+impl MergeWeights {
     /// The main tree's.
-    pub fn main() -> Weights {
-        Weights { border: 0.6, light: 0.4, chroma: 0.5, texture: 0.2 }
+    pub fn main() -> MergeWeights {
+        MergeWeights { border: 0.6, light: 0.4, chroma: 0.5, texture: 0.2 }
     }
 
     /// Other views of what belongs together, for more candidates: outlines first, light last (sunny and
     /// shaded sides of one thing), chroma first.
-    pub fn others() -> [Weights; 3] {
+    pub fn others() -> [MergeWeights; 3] {
         [
-            Weights { border: 1.0, light: 0.2, chroma: 0.2, texture: 0.1 },
-            Weights { border: 0.5, light: 0.1, chroma: 0.6, texture: 0.2 },
-            Weights { border: 0.3, light: 0.5, chroma: 0.3, texture: 0.4 },
+            MergeWeights { border: 1.0, light: 0.2, chroma: 0.2, texture: 0.1 },
+            MergeWeights { border: 0.5, light: 0.1, chroma: 0.6, texture: 0.2 },
+            MergeWeights { border: 0.3, light: 0.5, chroma: 0.3, texture: 0.4 },
         ]
     }
 }
 
 /// How unlike two regions look, 0..1: lightness, chroma and texture.
-pub(crate) fn unlike(a: &Node, b: &Node, weights: Weights) -> f32 {
+pub(crate) fn unlike(a: &RegionNode, b: &RegionNode, weights: MergeWeights) -> f32 {
     let (ha, hb) = (&a.histogram, &b.histogram);
     let light = chi_squared(&ha[..8], &hb[..8]);
     let chroma = 0.5 * (chi_squared(&ha[8..16], &hb[8..16]) + chi_squared(&ha[16..24], &hb[16..24]));
@@ -161,7 +161,7 @@ pub(crate) fn unlike(a: &Node, b: &Node, weights: Weights) -> f32 {
 }
 
 /// How unlike two neighbouring regions are, about 0..1.
-fn distance(a: &Node, b: &Node, border: Border, total: f32, weights: Weights) -> f32 {
+fn distance(a: &RegionNode, b: &RegionNode, border: Border, total: f32, weights: MergeWeights) -> f32 {
     let like = weights.border * border.mean() + unlike(a, b, weights);
     // A small region is merged early, whatever it looks like: at full weight from 1 % of the photo on.
     let size = (a.area.min(b.area) / (0.01 * total)).min(1.0).powf(0.3);
@@ -173,8 +173,8 @@ impl Hierarchy {
     pub fn build(labels: Vec<u32>, leaves: usize, edges: &Boundaries, bins: &[&[f32]]) -> Hierarchy {
         debug_assert_eq!(bins.len(), BINS);
         let (w, h) = (edges.strength.width, edges.strength.height);
-        let mut nodes: Vec<Node> =
-            (0..leaves as u32).map(|i| Node::leaf(i, Border::default(), [0.0; BINS])).collect();
+        let mut nodes: Vec<RegionNode> =
+            (0..leaves as u32).map(|i| RegionNode::leaf(i, Border::default(), [0.0; BINS])).collect();
         let mut sides = Vec::new();
         for i in 0..w * h {
             let node = &mut nodes[labels[i] as usize];
@@ -211,24 +211,24 @@ impl Hierarchy {
     pub fn of_leaves(
         (width, height): (usize, usize),
         labels: Vec<u32>,
-        nodes: Vec<Node>,
+        nodes: Vec<RegionNode>,
         borders: Arc<Vec<(u32, u32, Border)>>,
     ) -> Hierarchy {
         let (labels, leaves) = (Arc::new(labels), nodes.len());
         let mut tree = Hierarchy { width, height, labels, nodes, leaves, order: Vec::new(), borders };
-        tree.grow(Weights::main());
+        tree.grow(MergeWeights::main());
         tree
     }
 
     /// Another tree over the same superpixels.
-    pub fn regrown(&self, weights: Weights) -> Hierarchy {
+    pub fn regrown(&self, weights: MergeWeights) -> Hierarchy {
         let mut tree = Hierarchy { nodes: self.nodes[..self.leaves].to_vec(), ..self.clone() };
         tree.order.clear();
         tree.grow(weights);
         tree
     }
 
-    fn grow(&mut self, weights: Weights) {
+    fn grow(&mut self, weights: MergeWeights) {
         merge(&mut self.nodes, &self.borders, (self.width * self.height) as f32, weights);
         self.arrange();
     }
@@ -319,7 +319,7 @@ impl Hierarchy {
 }
 
 /// Merges the most alike neighbours until one region is left, appending to `nodes`.
-fn merge(nodes: &mut Vec<Node>, borders: &[(u32, u32, Border)], total: f32, weights: Weights) {
+fn merge(nodes: &mut Vec<RegionNode>, borders: &[(u32, u32, Border)], total: f32, weights: MergeWeights) {
     let leaves = nodes.len();
     let mut around: Vec<BTreeMap<u32, Border>> = vec![BTreeMap::new(); leaves];
     let mut heap = BinaryHeap::new();
@@ -327,10 +327,10 @@ fn merge(nodes: &mut Vec<Node>, borders: &[(u32, u32, Border)], total: f32, weig
         around[a as usize].insert(b, border);
         around[b as usize].insert(a, border);
         let distance = distance(&nodes[a as usize], &nodes[b as usize], border, total, weights);
-        heap.push(Reverse(Candidate { distance, a, b }));
+        heap.push(Reverse(MergeCandidate { distance, a, b }));
     }
     let mut alive = vec![true; leaves];
-    while let Some(Reverse(Candidate { distance: unlike, a, b })) = heap.pop() {
+    while let Some(Reverse(MergeCandidate { distance: unlike, a, b })) = heap.pop() {
         let (ia, ib) = (a as usize, b as usize);
         if !alive[ia] || !alive[ib] {
             continue;
@@ -340,7 +340,7 @@ fn merge(nodes: &mut Vec<Node>, borders: &[(u32, u32, Border)], total: f32, weig
         let (na, nb) = (&nodes[ia], &nodes[ib]);
         let mut histogram = na.histogram;
         histogram.iter_mut().zip(&nb.histogram).for_each(|(x, y)| *x += y);
-        let node = Node {
+        let node = RegionNode {
             parent: id,
             children: [a, b],
             altitude: unlike.max(na.altitude).max(nb.altitude),
@@ -368,7 +368,7 @@ fn merge(nodes: &mut Vec<Node>, borders: &[(u32, u32, Border)], total: f32, weig
             around[io].remove(&b);
             around[io].insert(id, border);
             let distance = distance(&nodes[io], &node, border, total, weights);
-            heap.push(Reverse(Candidate { distance, a: other, b: id }));
+            heap.push(Reverse(MergeCandidate { distance, a: other, b: id }));
         }
         nodes.push(node);
         around.push(joined);

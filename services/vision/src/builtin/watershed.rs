@@ -1,13 +1,13 @@
 //! Superpixels: the catchment basins of the boundary strength (Meyer's flooding).
 
-use super::plane::Plane;
+use super::plane::FloatPlane;
 use std::cmp::{Ordering, Reverse};
 use std::collections::{BTreeMap, BinaryHeap, VecDeque};
 
 /// Labels every pixel with its basin, `0..count`, in the order of the basins' first pixels; ties go to the pixel that
 /// came first, so the result depends on nothing else. Basins under `least` pixels join the neighbour over
 /// the lowest pass.
-pub(crate) fn basins(strength: &Plane, least: usize) -> (Vec<u32>, usize) {
+pub(crate) fn basins(strength: &FloatPlane, least: usize) -> (Vec<u32>, usize) {
     let (w, h) = (strength.width, strength.height);
     const LEVELS: usize = 512;
     let level: Vec<u16> =
@@ -53,7 +53,7 @@ pub(crate) fn basins(strength: &Plane, least: usize) -> (Vec<u32>, usize) {
 
 /// The up to four neighbours of pixel `i`.
 pub(crate) fn neighbours(i: usize, w: usize, h: usize) -> impl Iterator<Item = usize> {
-    // One division of half the width: this is asked of every pixel many times.
+    // One division of half the width: this runs many times for every pixel.
     let x = (i as u32 % w as u32) as usize;
     [
         (i >= w).then(|| i - w),
@@ -176,8 +176,8 @@ impl Ord for Merge {
 pub(crate) fn joined(
     labels: &[u32],
     count: usize,
-    planes: &[&Plane],
-    strength: &Plane,
+    planes: &[&FloatPlane],
+    strength: &FloatPlane,
     target: usize,
 ) -> (Vec<u32>, usize) {
     let (w, h) = (strength.width, strength.height);
@@ -236,7 +236,7 @@ pub(crate) fn joined(
             heap.push(Reverse(Merge { cost, pair, born: (born[pair.0 as usize], born[pair.1 as usize]) }));
         }
     }
-    // A root is the least of its superpixels' numbers or was told to be; numbers follow the first pixels.
+    // Follow the merges to the root; new numbers are in the order of first pixels.
     let mut number = vec![u32::MAX; count];
     let mut next = 0;
     let merged = labels

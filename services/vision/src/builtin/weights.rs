@@ -1,18 +1,18 @@
-//! How much each trait counts at each step.
+//! Weights of the traits, per kind of prompt.
 //!
-//! `examples/train_prompts` learns them: they climb the expected IoU of the soft choice among everything that a prompt could
-//! mean, over prompts made as a person makes them. The commands are in docs/experiments/2026-11-21-prompts-in-one-photo.md.
+//! `examples/train_prompts` learns them: gradient ascent on the expected IoU of the soft choice among all interpretations of a
+//! prompt, over prompts made as a person makes them. The commands are in docs/experiments/2026-11-21-prompts-in-one-photo.md.
 
-use super::traits::{COUNT, Step};
+use super::traits::{COUNT, PromptStep};
 
-/// What each trait of a candidate counts, per step.
+/// Weight of each trait of a candidate, per kind of prompt.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Weights {
+pub struct TraitWeights {
     /// For the first click.
     pub first: [f32; COUNT],
     /// For a click that adds.
     pub add: [f32; COUNT],
-    /// For a click that takes away.
+    /// For a click that removes.
     pub remove: [f32; COUNT],
     /// For a box.
     pub boxed: [f32; COUNT],
@@ -20,7 +20,7 @@ pub struct Weights {
 
 /// With the built-in boundaries.
 #[rustfmt::skip]
-const BUILTIN: Weights = Weights {
+const BUILTIN: TraitWeights = TraitWeights {
     first: [
         0.0856, -40.91, 24.39, -19.13, 9.599, -9.234, 27.44, -1.265, -0.2381,
         0.0856, -40.91, 24.39, -19.13, 9.599, -9.234, 27.44, -1.265, -0.2381,
@@ -45,7 +45,7 @@ const BUILTIN: Weights = Weights {
 
 /// With those of the edge network.
 #[rustfmt::skip]
-const NETWORK: Weights = Weights {
+const NETWORK: TraitWeights = TraitWeights {
     first: [
         20.09, 11.38, 16.36, -19.93, 3.236, -6.045, 14.83, -1.706, -0.2307,
         20.09, 11.38, 16.36, -19.93, 3.236, -6.045, 14.83, -1.706, -0.2307,
@@ -68,34 +68,34 @@ const NETWORK: Weights = Weights {
     ],
 };
 
-impl Weights {
+impl TraitWeights {
     /// Those learned with the built-in boundaries.
-    pub const fn builtin() -> Weights {
+    pub const fn builtin() -> TraitWeights {
         BUILTIN
     }
 
     /// Those learned with the boundaries of the edge network.
-    pub const fn network() -> Weights {
+    pub const fn network() -> TraitWeights {
         NETWORK
     }
 
     /// Those of one step.
-    pub fn of(&self, step: Step) -> &[f32; COUNT] {
+    pub fn of(&self, step: PromptStep) -> &[f32; COUNT] {
         match step {
-            Step::First => &self.first,
-            Step::Add => &self.add,
-            Step::Remove => &self.remove,
-            Step::Boxed => &self.boxed,
+            PromptStep::First => &self.first,
+            PromptStep::Add => &self.add,
+            PromptStep::Remove => &self.remove,
+            PromptStep::Boxed => &self.boxed,
         }
     }
 
     /// Those of one step, to change.
-    pub fn of_mut(&mut self, step: Step) -> &mut [f32; COUNT] {
+    pub fn of_mut(&mut self, step: PromptStep) -> &mut [f32; COUNT] {
         match step {
-            Step::First => &mut self.first,
-            Step::Add => &mut self.add,
-            Step::Remove => &mut self.remove,
-            Step::Boxed => &mut self.boxed,
+            PromptStep::First => &mut self.first,
+            PromptStep::Add => &mut self.add,
+            PromptStep::Remove => &mut self.remove,
+            PromptStep::Boxed => &mut self.boxed,
         }
     }
 }

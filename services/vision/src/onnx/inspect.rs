@@ -1,8 +1,8 @@
-//! A look at a network file before the runtime is given it: is it one, is it whole, does it stay within its folder.
+//! Checks of a network file before the runtime reads it: it is an ONNX file, it is whole, and its weights lie in its folder.
 //!
-//! A file is a transient's program. What it may not do is said in words, naming the file.
+//! A network file is a program from an untrusted source. Every refusal gives a reason; the caller adds the file's name.
 
-use super::wire::{Value, fields};
+use super::wire::{WireValue, fields};
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::Read;
@@ -26,7 +26,7 @@ pub(crate) struct Inspected {
     pub beside: bool,
 }
 
-/// Reads a file and looks through it. The error does not name the file.
+/// Reads a file and checks it. The error does not name the file.
 pub(crate) fn inspect(path: &Path) -> Result<Inspected, String> {
     let unreadable = |e: std::io::Error| format!("cannot be read: {e}");
     let about = std::fs::metadata(path).map_err(unreadable)?;
@@ -37,12 +37,12 @@ pub(crate) fn inspect(path: &Path) -> Result<Inspected, String> {
         return Err(format!("has {} bytes; no network file is larger than {LARGEST}", about.len()));
     }
     let mut bytes = Vec::with_capacity(about.len() as usize);
-    // No more than it said it has: it may be growing.
+    // At most the limit, whatever size was reported: the file may be growing.
     File::open(path).map_err(unreadable)?.take(LARGEST).read_to_end(&mut bytes).map_err(unreadable)?;
     if let Some(what) = something_else(&bytes) {
         return Err(format!("is no network: {what}"));
     }
-    let mut walk = Walk { graphs: 0, beside: BTreeMap::new() };
+    let mut walk = OnnxWalk { graphs: 0, beside: BTreeMap::new() };
     walk.model(&bytes).map_err(|e| format!("is no whole ONNX file: {e}"))?;
     let mut hasher = blake3::Hasher::new();
     hasher.update(&bytes);
@@ -64,19 +64,19 @@ pub(crate) fn inspect(path: &Path) -> Result<Inspected, String> {
     Ok(Inspected { hash: hasher.finalize().to_hex().to_string(), beside: !walk.beside.is_empty(), bytes })
 }
 
-/// What is often found under the name of a network.
+/// What a file is instead, where it is something that is often found under the name of a network.
 fn something_else(bytes: &[u8]) -> Option<&'static str> {
-    let begins = |magic: &[u8]| bytes.starts_with(magic);
+    let starts = |magic: &[u8]| bytes.starts_with(magic);
     match () {
         () if bytes.is_empty() => Some("the file is empty"),
-        () if begins(b"\x89PNG") || begins(b"\xff\xd8\xff") => Some("it is a picture"),
-        () if begins(b"PK\x03\x04") => {
+        () if starts(b"\x89PNG") || starts(b"\xff\xd8\xff") => Some("it is an image"),
+        () if starts(b"PK\x03\x04") => {
             Some("it is a ZIP archive (PyTorch's weights are; an ONNX export is needed)")
         }
-        () if begins(b"version https://git-lfs") => {
+        () if starts(b"version https://git-lfs") => {
             Some("it stands for a file that Git LFS has yet to fetch")
         }
-        () if begins(b"<") => Some("it is a web page or XML; the download went wrong"),
+        () if starts(b"<") => Some("it is a web page or XML; the download went wrong"),
         () => None,
     }
 }
@@ -100,14 +100,14 @@ fn beside(path: &Path, name: &str) -> Result<PathBuf, String> {
     if file.is_file() { Ok(file) } else { Err(format!("keeps weights in `{name}`, which is no file")) }
 }
 
-/// What was met on the way through a file.
-struct Walk {
+/// The state of a walk through a file.
+struct OnnxWalk {
     graphs: u32,
     /// Files with weights, and up to which byte each is needed.
     beside: BTreeMap<String, u64>,
 }
 
-impl Walk {
+impl OnnxWalk {
     fn model(&mut self, bytes: &[u8]) -> Result<(), String> {
         for field in fields(bytes) {
             let field = field?;
@@ -201,7 +201,7 @@ impl Walk {
                     let (key, value) = entry(field.value.bytes())?;
                     entries.insert(key, value);
                 }
-                14 => elsewhere = matches!(field.value, Value::Number(1)),
+                14 => elsewhere = matches!(field.value, WireValue::Number(1)),
                 _ => {}
             }
         }

@@ -8,7 +8,7 @@ mod runtime;
 mod wire;
 
 pub(crate) use inspect::inspect;
-pub(crate) use model::{Answer, Device, Model, Options, Slot};
+pub(crate) use model::{NetworkDevice, NetworkModel, NetworkOutput, Options, TensorSpec};
 pub(crate) use network::Network;
 pub(crate) use runtime::MEMORY_MIB;
 pub use runtime::Runtime;

@@ -1,4 +1,4 @@
-//! A loaded network: what it takes and answers, and running it within a limit of time.
+//! A loaded network: its inputs and outputs, and running it within a limit of time.
 
 use super::{Runtime, inspect};
 use crate::VisionError;
@@ -12,7 +12,7 @@ use std::time::Duration;
 
 /// Where a network computes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Device {
+pub(crate) enum NetworkDevice {
     Cpu,
     Cuda,
 }
@@ -21,7 +21,7 @@ pub(crate) enum Device {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Options {
     pub threads: u32,
-    pub device: Device,
+    pub device: NetworkDevice,
     /// Longest that one run may take.
     pub limit: Duration,
     /// Most MiB on the accelerator.
@@ -30,18 +30,18 @@ pub(crate) struct Options {
 
 /// An input or output as the file declares it.
 #[derive(Clone, Debug)]
-pub(crate) struct Slot {
+pub(crate) struct TensorSpec {
     pub name: String,
     pub kind: Option<TensorElementType>,
     /// `None` where the size is left open.
     pub shape: Vec<Option<usize>>,
 }
 
-impl Slot {
-    fn of(outlet: &Outlet) -> Slot {
+impl TensorSpec {
+    fn of(outlet: &Outlet) -> TensorSpec {
         let size = |&n: &i64| usize::try_from(n).ok().filter(|&n| n > 0);
         let shape = outlet.dtype().tensor_shape().map(|s| s.iter().map(size).collect()).unwrap_or_default();
-        Slot { name: outlet.name().to_owned(), kind: outlet.dtype().tensor_type(), shape }
+        TensorSpec { name: outlet.name().to_owned(), kind: outlet.dtype().tensor_type(), shape }
     }
 
     /// In words: `float32 [1, 256, ?, ?]`.
@@ -58,25 +58,25 @@ impl Slot {
     }
 }
 
-/// Numbers that a network gave.
-pub(crate) struct Answer {
+/// One output of a network.
+pub(crate) struct NetworkOutput {
     pub shape: Vec<usize>,
     pub data: Vec<f32>,
 }
 
 /// A loaded network.
-pub(crate) struct Model {
+pub(crate) struct NetworkModel {
     session: Mutex<Session>,
-    pub inputs: Vec<Slot>,
-    pub outputs: Vec<Slot>,
+    pub inputs: Vec<TensorSpec>,
+    pub outputs: Vec<TensorSpec>,
     name: String,
     hash: String,
     limit: Duration,
 }
 
-impl Model {
-    /// Looks through a file and loads it.
-    pub fn load(runtime: &Runtime, path: &Path, options: Options) -> Result<Model, VisionError> {
+impl NetworkModel {
+    /// Checks a file and loads it.
+    pub fn load(runtime: &Runtime, path: &Path, options: Options) -> Result<NetworkModel, VisionError> {
         let name = path.display().to_string();
         let wrong = |what: String| VisionError::Model(format!("{name}: {what}"));
         let file = inspect(path).map_err(wrong)?;
@@ -92,17 +92,17 @@ impl Model {
                 .map_err(text)?
                 .with_env_allocators()
                 .map_err(text)?
-                // What goes wrong comes back in words; the runtime need not print it as well.
+                // Errors come back as text; the runtime need not print them as well.
                 .with_log_level(ort::logging::LogLevel::Fatal)
                 .map_err(text)?;
-            if options.device == Device::Cuda {
+            if options.device == NetworkDevice::Cuda {
                 let cuda = ort::ep::CUDA::default()
                     .with_memory_limit(options.memory_mib as usize * (1 << 20))
                     .with_conv_algorithm_search(ort::ep::cuda::ConvAlgorithmSearch::Heuristic);
                 builder =
                     builder.with_execution_providers([cuda.build().error_on_failure()]).map_err(text)?;
             }
-            // Weights in other files are looked for beside the file, and not where the program happens to run.
+            // Weights in other files are read from beside the file, and not from the working directory.
             let session = match file.beside {
                 true => builder.commit_from_file(path),
                 false => builder.commit_from_memory(&file.bytes),
@@ -110,12 +110,12 @@ impl Model {
             session.map_err(|e| e.to_string())
         };
         let session = build().map_err(|e| match options.device {
-            Device::Cuda => wrong(format!("cannot be loaded on CUDA: {e}")),
-            Device::Cpu => wrong(format!("is no network that ONNX Runtime can load: {}", plain(&e))),
+            NetworkDevice::Cuda => wrong(format!("cannot be loaded on CUDA: {e}")),
+            NetworkDevice::Cpu => wrong(format!("is no network that ONNX Runtime can load: {}", plain(&e))),
         })?;
-        Ok(Model {
-            inputs: session.inputs().iter().map(Slot::of).collect(),
-            outputs: session.outputs().iter().map(Slot::of).collect(),
+        Ok(NetworkModel {
+            inputs: session.inputs().iter().map(TensorSpec::of).collect(),
+            outputs: session.outputs().iter().map(TensorSpec::of).collect(),
             session: Mutex::new(session),
             hash: file.hash,
             limit: options.limit,
@@ -133,23 +133,23 @@ impl Model {
         &self.hash[..16]
     }
 
-    /// What is wrong, with the file's name.
+    /// An error with the file's name before `what`.
     pub fn wrong(&self, what: impl Into<String>) -> VisionError {
         VisionError::Model(format!("{}: {}", self.name, what.into()))
     }
 
-    /// Runs the network and takes the named outputs. `on` says what it is run on, for messages.
+    /// Runs the network and returns the named outputs. `on` names the input, for messages.
     pub fn run(
         &self,
         inputs: Vec<(&str, SessionInputValue)>,
         outputs: &[&str],
         on: &str,
-    ) -> Result<Vec<Answer>, VisionError> {
+    ) -> Result<Vec<NetworkOutput>, VisionError> {
         let failed = |e: ort::Error| self.wrong(format!("fails on {on}: {}", plain(&e.to_string())));
         let mut session = self.session.lock().unwrap_or_else(PoisonError::into_inner);
         let mut options = RunOptions::new().map_err(failed)?;
         options.set_log_level(ort::logging::LogLevel::Fatal).map_err(failed)?;
-        // A file from a transient may hold a loop without end.
+        // A file from an untrusted source may hold an endless loop.
         let (done, over) = mpsc::channel::<()>();
         std::thread::scope(|scope| {
             let watch = std::thread::Builder::new().name("network limit".into());
@@ -170,20 +170,20 @@ impl Model {
                 )),
                 false => failed(e),
             })?;
-            let answer = |name: &&str| -> Result<Answer, VisionError> {
+            let answer = |name: &&str| -> Result<NetworkOutput, VisionError> {
                 let value = given.get(name).ok_or_else(|| self.wrong(format!("gave no `{name}`")))?;
                 let (shape, data) = value
                     .try_extract_tensor::<f32>()
                     .map_err(|e| self.wrong(format!("gave no numbers as `{name}`: {e}")))?;
                 let shape = shape.iter().map(|&n| usize::try_from(n).unwrap_or(0)).collect();
-                Ok(Answer { shape, data: data.to_vec() })
+                Ok(NetworkOutput { shape, data: data.to_vec() })
             };
             outputs.iter().map(answer).collect()
         })
     }
 }
 
-/// The runtime's words, with what to do about them where that is known.
+/// The runtime's message, with advice where there is some.
 fn plain(error: &str) -> String {
     match error.contains("Available memory of") {
         true => format!("it needs more memory than `network_memory` allows ({error})"),

@@ -1,6 +1,6 @@
 //! Networks that take one photo and answer one map.
 
-use super::{Answer, Device, Model, Options, Runtime};
+use super::{NetworkDevice, NetworkModel, NetworkOutput, Options, Runtime};
 use crate::VisionError;
 use ort::value::{Tensor, TensorElementType};
 use segwild_scene::Image;
@@ -12,7 +12,7 @@ const LIMIT: Duration = Duration::from_secs(300);
 
 /// A network of one photo in, one map out.
 pub(crate) struct Network {
-    model: Model,
+    model: NetworkModel,
     /// Height and width the photo must have; `None` where the file leaves it open.
     pub size: [Option<usize>; 2],
     /// Channels of the answer, where the file says.
@@ -22,8 +22,8 @@ pub(crate) struct Network {
 impl Network {
     /// Loads a file and checks that it takes `[1, 3, h, w]` and answers `[1, c, h, w]`.
     pub fn load(runtime: &Runtime, path: &Path, threads: u32) -> Result<Network, VisionError> {
-        let options = Options { threads, device: Device::Cpu, limit: LIMIT, memory_mib: 0 };
-        let model = Model::load(runtime, path, options)?;
+        let options = Options { threads, device: NetworkDevice::Cpu, limit: LIMIT, memory_mib: 0 };
+        let model = NetworkModel::load(runtime, path, options)?;
         let [input] = &model.inputs[..] else {
             let names: Vec<&str> = model.inputs.iter().map(|i| i.name.as_str()).collect();
             let (count, names) = (names.len(), names.join(", "));
@@ -70,7 +70,7 @@ impl Network {
         let outputs = [self.model.outputs[0].name.as_str()];
         let answers = self.model.run(inputs, &outputs, &format!("a photo of {w} x {h}"))?;
         match answers.into_iter().next() {
-            Some(Answer { shape, data }) => match shape[..] {
+            Some(NetworkOutput { shape, data }) => match shape[..] {
                 [1, channels, height, width] if !data.is_empty() => {
                     Ok(Image { width, height, channels, data })
                 }

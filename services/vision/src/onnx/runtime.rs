@@ -14,8 +14,7 @@ pub struct Runtime {
     library: PathBuf,
 }
 
-/// MiB that networks may hold when nothing else is said: the base encoders of the SAM family take about 3000, the
-/// largest one twice as much.
+/// Default of the MiB that networks may hold: the base encoders of the SAM family take about 3000, the largest one twice as much.
 pub(crate) const MEMORY_MIB: u32 = 4096;
 
 static LOADED: Mutex<Option<Runtime>> = Mutex::new(None);
@@ -28,7 +27,8 @@ impl Runtime {
         Runtime::find_within(path, MEMORY_MIB)
     }
 
-    /// As [`Runtime::find`]; all networks together may hold that many MiB on the CPU. Who loads the runtime decides.
+    /// As [`Runtime::find`]; all networks together may hold that many MiB on the CPU. The first call that loads the runtime sets
+    /// the limit.
     pub(crate) fn find_within(path: &str, memory_mib: u32) -> Result<Runtime, VisionError> {
         let mut loaded = LOADED.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(runtime) = &*loaded {
@@ -63,8 +63,8 @@ impl Runtime {
     }
 }
 
-/// Gives the runtime one allocator with a limit; networks use it instead of one of their own without any. What does not
-/// fit is refused before its memory is touched.
+/// Registers one allocator with a limit; networks use it instead of unlimited ones of their own. An allocation over the limit
+/// is refused before its memory is touched.
 fn limit_memory(environment: &Environment, bytes: usize) -> Result<(), String> {
     let api = ort::api();
     let failed = |status: ort::sys::OrtStatusPtr| -> Result<(), String> {
@@ -95,7 +95,7 @@ fn limit_memory(environment: &Environment, bytes: usize) -> Result<(), String> {
     }
 }
 
-/// Loads one library. Whatever goes wrong inside becomes a sentence.
+/// Loads one library. Every failure, a panic included, becomes a message.
 fn load(library: &Path, memory: usize) -> Result<Environment, String> {
     let attempt = || -> Result<Environment, String> {
         let builder = ort::init_from(library).map_err(|e| e.to_string())?;

@@ -1,22 +1,22 @@
-//! The few rules of protobuf's binary form that it takes to walk through an ONNX file.
+//! A reader of protobuf's wire format: as much of it as walking through an ONNX file needs.
 
 /// One field of a message.
-pub(super) struct Field<'a> {
+pub(super) struct WireField<'a> {
     pub number: u64,
-    pub value: Value<'a>,
+    pub value: WireValue<'a>,
 }
 
 /// What a field holds.
-pub(super) enum Value<'a> {
+pub(super) enum WireValue<'a> {
     Number(u64),
     Bytes(&'a [u8]),
 }
 
-impl<'a> Value<'a> {
+impl<'a> WireValue<'a> {
     pub fn bytes(&self) -> &'a [u8] {
         match self {
-            Value::Bytes(bytes) => bytes,
-            Value::Number(_) => &[],
+            WireValue::Bytes(bytes) => bytes,
+            WireValue::Number(_) => &[],
         }
     }
 
@@ -27,8 +27,8 @@ impl<'a> Value<'a> {
     /// The numbers of a repeated field: one, or several packed.
     pub fn numbers(&self) -> Result<Vec<u64>, String> {
         match self {
-            Value::Number(n) => Ok(vec![*n]),
-            Value::Bytes(bytes) => {
+            WireValue::Number(n) => Ok(vec![*n]),
+            WireValue::Bytes(bytes) => {
                 let (mut rest, mut all) = (*bytes, Vec::new());
                 while !rest.is_empty() {
                     all.push(varint(&mut rest)?);
@@ -40,7 +40,7 @@ impl<'a> Value<'a> {
 }
 
 /// The fields of a message in order. An error ends them.
-pub(super) fn fields(mut rest: &[u8]) -> impl Iterator<Item = Result<Field<'_>, String>> {
+pub(super) fn fields(mut rest: &[u8]) -> impl Iterator<Item = Result<WireField<'_>, String>> {
     std::iter::from_fn(move || {
         if rest.is_empty() {
             return None;
@@ -53,21 +53,21 @@ pub(super) fn fields(mut rest: &[u8]) -> impl Iterator<Item = Result<Field<'_>, 
     })
 }
 
-fn next<'a>(rest: &mut &'a [u8]) -> Result<Field<'a>, String> {
+fn next<'a>(rest: &mut &'a [u8]) -> Result<WireField<'a>, String> {
     let tag = varint(rest)?;
     let value = match tag & 7 {
-        0 => Value::Number(varint(rest)?),
-        1 => Value::Bytes(take(rest, 8)?),
+        0 => WireValue::Number(varint(rest)?),
+        1 => WireValue::Bytes(take(rest, 8)?),
         2 => {
             let length = varint(rest)?;
-            Value::Bytes(take(rest, length)?)
+            WireValue::Bytes(take(rest, length)?)
         }
-        5 => Value::Bytes(take(rest, 4)?),
+        5 => WireValue::Bytes(take(rest, 4)?),
         kind => return Err(format!("it holds a field of kind {kind}, which no network has")),
     };
     match tag >> 3 {
         0 => Err("it holds a field without a number".into()),
-        number => Ok(Field { number, value }),
+        number => Ok(WireField { number, value }),
     }
 }
 

@@ -1,25 +1,25 @@
-//! Which pair of networks serves, on which device, and what is said when none can.
+//! Chooses the pair of SAM networks and the device, and writes a note where none can be used.
 
 use super::Sam;
-use crate::onnx::{Device, Runtime};
-use crate::registry::{Pair, pairs};
+use crate::onnx::{NetworkDevice, Runtime};
+use crate::registry::{ModelPair, pairs};
 use crate::settings::{DeviceChoice, ModelChoice};
 use crate::{VisionError, VisionSettings};
 use std::path::Path;
 use std::sync::Arc;
 
-/// The networks that settings ask for, or leave to be found; `Err` where they are asked for by name and cannot be had.
-/// Without them, a note says why.
-pub(crate) fn chosen(
+/// The networks that settings name, or the first that is found; `Err` where they are named and cannot be used. Otherwise a note
+/// says why there are none.
+pub(crate) fn find_pair(
     settings: &VisionSettings,
     notes: &mut Vec<String>,
 ) -> Result<Option<Arc<Sam>>, VisionError> {
-    let asked = [settings.masks, settings.embedder];
-    if asked.iter().all(|&choice| choice == ModelChoice::Builtin) {
+    let choices = [settings.masks, settings.embedder];
+    if choices.iter().all(|&choice| choice == ModelChoice::Builtin) {
         return Ok(None);
     }
-    let demanded = asked.contains(&ModelChoice::Sam) || !settings.sam.is_empty();
-    match find(settings, notes) {
+    let demanded = choices.contains(&ModelChoice::Sam) || !settings.sam.is_empty();
+    match load_first(settings, notes) {
         Ok(found) => Ok(found),
         Err(error) if demanded => Err(error),
         Err(error) => {
@@ -29,7 +29,7 @@ pub(crate) fn chosen(
     }
 }
 
-fn find(settings: &VisionSettings, notes: &mut Vec<String>) -> Result<Option<Arc<Sam>>, VisionError> {
+fn load_first(settings: &VisionSettings, notes: &mut Vec<String>) -> Result<Option<Arc<Sam>>, VisionError> {
     let missing = |what: String| Err(VisionError::Model(what));
     let demanded =
         [settings.masks, settings.embedder].contains(&ModelChoice::Sam) || !settings.sam.is_empty();
@@ -80,14 +80,14 @@ fn find(settings: &VisionSettings, notes: &mut Vec<String>) -> Result<Option<Arc
         pair.stem,
         sam.encoder.key(),
         sam.decoder.key(),
-        if sam.device == Device::Cuda { "CUDA" } else { "the CPU" }
+        if sam.device == NetworkDevice::Cuda { "CUDA" } else { "the CPU" }
     ));
     Ok(Some(Arc::new(sam)))
 }
 
 fn load(
     runtime: &Runtime,
-    pair: &Pair,
+    pair: &ModelPair,
     settings: &VisionSettings,
     notes: &mut Vec<String>,
 ) -> Result<Sam, VisionError> {
@@ -101,11 +101,13 @@ fn load(
         (DeviceChoice::Cuda, false) => {
             Err(VisionError::Model(format!("`network_device` asks for CUDA, but {}", without())))
         }
-        (DeviceChoice::Cuda, true) => Sam::load(runtime, pair, settings, Device::Cuda),
-        (DeviceChoice::Auto, true) => Sam::load(runtime, pair, settings, Device::Cuda).or_else(|error| {
-            notes.push(format!("SAM: CUDA cannot be used, so the CPU is: {error}"));
-            Sam::load(runtime, pair, settings, Device::Cpu)
-        }),
-        (DeviceChoice::Auto | DeviceChoice::Cpu, _) => Sam::load(runtime, pair, settings, Device::Cpu),
+        (DeviceChoice::Cuda, true) => Sam::load(runtime, pair, settings, NetworkDevice::Cuda),
+        (DeviceChoice::Auto, true) => {
+            Sam::load(runtime, pair, settings, NetworkDevice::Cuda).or_else(|error| {
+                notes.push(format!("SAM: CUDA cannot be used, so the CPU is: {error}"));
+                Sam::load(runtime, pair, settings, NetworkDevice::Cpu)
+            })
+        }
+        (DeviceChoice::Auto | DeviceChoice::Cpu, _) => Sam::load(runtime, pair, settings, NetworkDevice::Cpu),
     }
 }

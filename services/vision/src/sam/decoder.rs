@@ -3,48 +3,48 @@
 use super::encoder::Encoded;
 use super::logits::Logits;
 use crate::VisionError;
-use crate::onnx::{Answer, Model, Slot};
+use crate::onnx::{NetworkModel, NetworkOutput, TensorSpec};
 use ort::session::SessionInputValue;
 use ort::value::{Tensor, TensorElementType, TensorRef};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// What the decoder's labels say.
+/// The decoder's label of a point outside the object.
 pub(super) const OUTSIDE: f32 = 0.0;
-/// See [`OUTSIDE`].
+/// The decoder's label of a point inside the object.
 pub(super) const INSIDE: f32 = 1.0;
-/// First and second corner of a box.
+/// The decoder's labels of the first and second corner of a box.
 pub(super) const CORNERS: [f32; 2] = [2.0, 3.0];
-/// A point that says nothing.
+/// The decoder's label of a padding point.
 const PADDING: f32 = -1.0;
 
 /// Longest side of a decoder's masks.
 const MOST_SIDE: usize = 4096;
-/// Most questions, and points per question, that a file may fix.
+/// Most queries, and points per query, that a file may fix.
 const MOST_AT_ONCE: usize = 1024;
 /// Most masks per prompt.
 const MOST_MASKS: usize = 16;
 
-/// One question: points with labels, in the photo's pixels.
+/// One query: points with labels, in the photo's pixels.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Query<'a> {
     pub points: Vec<([f32; 2], f32)>,
-    /// Logits of an earlier answer, to be made better.
+    /// Logits of an earlier answer, to be refined.
     pub previous: Option<&'a Logits>,
 }
 
-/// What the file's inputs are called, and what they take.
+/// The interface of the file: names and shapes of its inputs.
 enum Interface {
-    /// SAM, MobileSAM: one question at a time, or several where the file leaves that open.
+    /// SAM, MobileSAM: one query at a time, or several where the file leaves the number open.
     Sam { many: bool, mask_side: usize },
     /// EfficientSAM: `[1, Q, N, 2]`.
     Efficient { queries: Option<usize> },
 }
 
 /// A loaded decoder.
-pub(super) struct Decoder {
-    model: Model,
+pub(super) struct PromptDecoder {
+    model: NetworkModel,
     interface: Interface,
-    /// Points per question, where the file fixes it.
+    /// Points per query, where the file fixes it.
     points: Option<usize>,
     /// Kind of `orig_im_size`.
     whole_numbers: bool,
@@ -53,9 +53,9 @@ pub(super) struct Decoder {
     /// Whether the masks have the photo's size, because the file gives no small ones.
     pub full_size: bool,
     scores: String,
-    /// Questions asked at once.
+    /// Queries per run.
     batch: usize,
-    /// The file leaves the number of questions open and yet takes only one.
+    /// The file leaves the number of queries open and yet takes only one.
     one_by_one: AtomicBool,
 }
 
@@ -64,13 +64,13 @@ const SAM: [&str; 6] =
 const EFFICIENT: [&str; 4] =
     ["image_embeddings", "batched_point_coords", "batched_point_labels", "orig_im_size"];
 
-impl Decoder {
-    /// Reads from the file what it takes and gives, and whether it fits the encoder's embedding.
+impl PromptDecoder {
+    /// Reads the file's inputs and outputs, and checks that they fit the encoder's embedding.
     pub fn new(
-        model: Model,
+        model: NetworkModel,
         encoder: (&str, [Option<usize>; 3], bool),
         batch: usize,
-    ) -> Result<Decoder, VisionError> {
+    ) -> Result<PromptDecoder, VisionError> {
         let (encoder, embedding, efficient) = encoder;
         let has = |name: &str| model.inputs.iter().any(|i| i.name == name);
         let ours_is_efficient = has(EFFICIENT[1]);
@@ -93,7 +93,10 @@ impl Decoder {
                 family(efficient)
             )));
         }
-        let check = |name: &str, words: &str, fits: &dyn Fn(&Slot) -> bool| -> Result<Slot, VisionError> {
+        let check = |name: &str,
+                     words: &str,
+                     fits: &dyn Fn(&TensorSpec) -> bool|
+         -> Result<TensorSpec, VisionError> {
             match model.inputs.iter().find(|i| i.name == name) {
                 Some(slot) if fits(slot) => Ok(slot.clone()),
                 Some(slot) => {
@@ -102,10 +105,10 @@ impl Decoder {
                 None => Err(model.wrong(format!("takes no `{name}`"))),
             }
         };
-        let float = |s: &Slot| s.kind == Some(TensorElementType::Float32);
-        let whole = |s: &Slot| s.kind == Some(TensorElementType::Int64);
+        let float = |s: &TensorSpec| s.kind == Some(TensorElementType::Float32);
+        let whole = |s: &TensorSpec| s.kind == Some(TensorElementType::Int64);
         let fixed = |n: Option<usize>, to: usize| n.is_none_or(|n| n == to);
-        let agrees = |s: &Slot| {
+        let agrees = |s: &TensorSpec| {
             s.shape.len() == 4
                 && fixed(s.shape[0], 1)
                 && (0..3).all(|i| s.shape[i + 1].zip(embedding[i]).is_none_or(|(a, b)| a == b))
@@ -148,7 +151,7 @@ impl Decoder {
             );
         }
         let (masks, full_size, scores) = outputs(&model, usize::from(ours_is_efficient))?;
-        Ok(Decoder {
+        Ok(PromptDecoder {
             interface,
             points,
             whole_numbers: whole(&size),
@@ -212,8 +215,8 @@ impl Decoder {
             encoded.fit.photo[1]
         );
         let needs = queries.iter().map(|q| q.points.len()).max().unwrap_or(0);
-        // Without a box SAM was trained with a point that says nothing at the end; the published exports leave it to
-        // the caller. EfficientSAM adds its own.
+        // Without a box SAM was trained with a padding point at the end; the published exports leave it to the caller.
+        // EfficientSAM adds its own.
         let own = match self.interface {
             Interface::Sam { .. } => {
                 usize::from(queries.iter().any(|q| q.points.iter().all(|p| !CORNERS.contains(&p.1))))
@@ -229,13 +232,13 @@ impl Decoder {
                     .wrong(format!("takes {n} points at a time, and {needs} were given: leave some out")));
             }
         };
-        // Where the file fixes the number of questions, the last one is asked again.
-        let asked = match self.interface {
+        // Where the file fixes the number of queries, the last one is repeated.
+        let count = match self.interface {
             Interface::Efficient { queries: Some(fixed) } => fixed,
             _ => queries.len(),
         };
-        let (mut coords, mut labels) = (Vec::with_capacity(asked * n * 2), Vec::with_capacity(asked * n));
-        for q in queries.iter().chain(std::iter::repeat_n(&queries[queries.len() - 1], asked - queries.len()))
+        let (mut coords, mut labels) = (Vec::with_capacity(count * n * 2), Vec::with_capacity(count * n));
+        for q in queries.iter().chain(std::iter::repeat_n(&queries[queries.len() - 1], count - queries.len()))
         {
             for k in 0..n {
                 let (at, label) = q.points.get(k).copied().unwrap_or(([0.0; 2], PADDING));
@@ -270,14 +273,14 @@ impl Decoder {
         };
         match self.interface {
             Interface::Efficient { .. } => {
-                let coords = Tensor::from_array(([1, asked, n, 2], coords)).map_err(failed)?;
+                let coords = Tensor::from_array(([1, count, n, 2], coords)).map_err(failed)?;
                 inputs.push((EFFICIENT[1], coords.into()));
-                inputs.push((EFFICIENT[2], labels_of(vec![1, asked, n])?));
+                inputs.push((EFFICIENT[2], labels_of(vec![1, count, n])?));
             }
             Interface::Sam { mask_side, .. } => {
-                let coords = Tensor::from_array(([asked, n, 2], coords)).map_err(failed)?;
+                let coords = Tensor::from_array(([count, n, 2], coords)).map_err(failed)?;
                 inputs.push((SAM[1], coords.into()));
-                inputs.push((SAM[2], labels_of(vec![asked, n])?));
+                inputs.push((SAM[2], labels_of(vec![count, n])?));
                 let previous = queries[0].previous.filter(|p| p.is(mask_side, mask_side));
                 let mask = previous.map_or_else(|| vec![0.0; mask_side * mask_side], |p| p.data.clone());
                 let mask = Tensor::from_array(([1usize, 1, mask_side, mask_side], mask)).map_err(failed)?;
@@ -291,7 +294,7 @@ impl Decoder {
         let (Some(masks), Some(scores)) = (given.next(), given.next()) else {
             return Err(self.model.wrong("answered nothing"));
         };
-        let mut answers = self.read(asked, encoded.fit.photo, &masks, &scores, &on)?;
+        let mut answers = self.read(count, encoded.fit.photo, &masks, &scores, &on)?;
         answers.truncate(queries.len());
         Ok(answers)
     }
@@ -299,16 +302,16 @@ impl Decoder {
     /// `[Q, M, h, w]` and `[Q, M]`, with a 1 before them in EfficientSAM's.
     fn read(
         &self,
-        asked: usize,
+        count: usize,
         photo: [usize; 2],
-        masks: &Answer,
-        scores: &Answer,
+        masks: &NetworkOutput,
+        scores: &NetworkOutput,
         on: &str,
     ) -> Result<Vec<Vec<(Logits, f32)>>, VisionError> {
         let skip = usize::from(matches!(self.interface, Interface::Efficient { .. }));
         let fits = |shape: &[usize]| match *shape.get(skip..).unwrap_or_default() {
             [q, m, height, width]
-                if q == asked
+                if q == count
                     && (1..=MOST_MASKS).contains(&m)
                     && (1..=MOST_SIDE).contains(&width)
                     && (if self.full_size { [width, height] == photo } else { width == height }) =>
@@ -318,12 +321,12 @@ impl Decoder {
             _ => None,
         };
         let Some((m, width, height)) = fits(&masks.shape).filter(|&(m, width, height)| {
-            scores.shape.get(skip..) == Some(&[asked, m])
-                && scores.data.len() == asked * m
-                && masks.data.len() == asked * m * width * height
+            scores.shape.get(skip..) == Some(&[count, m])
+                && scores.data.len() == count * m
+                && masks.data.len() == count * m * width * height
         }) else {
             return Err(self.model.wrong(format!(
-                "answered masks of {:?} and scores of {:?} on {on}; [.., {asked}, M, {}] and [.., {asked}, M] were expected",
+                "answered masks of {:?} and scores of {:?} on {on}; [.., {count}, M, {}] and [.., {count}, M] were expected",
                 masks.shape,
                 scores.shape,
                 if self.full_size { format!("{}, {}", photo[1], photo[0]) } else { "s, s".into() }
@@ -339,21 +342,22 @@ impl Decoder {
         let planes =
             masks.data.chunks_exact(width * height).map(|p| Logits { width, height, data: p.to_vec() });
         let mut all = planes.zip(scores.data.iter().copied());
-        Ok((0..asked).map(|_| all.by_ref().take(m).collect()).collect())
+        Ok((0..count).map(|_| all.by_ref().take(m).collect()).collect())
     }
 }
 
 /// The outputs with the masks, whether they have the photo's size, and with the scores. The small masks serve if there
 /// are any, for they can be given back and take less memory; exports of EfficientSAM leave them without a name.
 /// `more` dimensions come before the usual ones.
-fn outputs(model: &Model, more: usize) -> Result<(String, bool, String), VisionError> {
+fn outputs(model: &NetworkModel, more: usize) -> Result<(String, bool, String), VisionError> {
     const SCORES: [&str; 2] = ["iou_predictions", "predicted_iou"];
     const FULL: [&str; 2] = ["masks", "output_masks"];
-    let rank = |slot: &Slot, rank: usize| slot.shape.is_empty() || slot.shape.len() == rank + more;
+    let rank = |slot: &TensorSpec, rank: usize| slot.shape.is_empty() || slot.shape.len() == rank + more;
     let named = |names: &[&str]| model.outputs.iter().find(|o| names.contains(&o.name.as_str()));
     let scores = named(&SCORES);
-    let other =
-        |o: &&Slot| !FULL.contains(&o.name.as_str()) && !SCORES.contains(&o.name.as_str()) && rank(o, 4);
+    let other = |o: &&TensorSpec| {
+        !FULL.contains(&o.name.as_str()) && !SCORES.contains(&o.name.as_str()) && rank(o, 4)
+    };
     let small = named(&["low_res_masks", "low_res_logits"]).or(model.outputs.iter().find(other));
     let masks = small.map(|s| (s, false)).or(named(&FULL).map(|s| (s, true)));
     match (masks.filter(|(s, _)| rank(s, 4)), scores.filter(|s| rank(s, 2))) {

@@ -1,9 +1,9 @@
 //! The image encoder: a photo to its embedding.
 
-use super::frame::{Fit, Range, SIDE, prepare};
+use super::frame::{PhotoFit, Range, SIDE, prepare};
 use crate::VisionError;
 use crate::builtin::Weighed;
-use crate::onnx::{Model, Slot};
+use crate::onnx::{NetworkModel, TensorSpec};
 use ort::session::SessionInputValue;
 use ort::value::{Tensor, TensorElementType};
 use segwild_scene::{Embedding, Image};
@@ -13,7 +13,7 @@ const MOST_CELLS: usize = 256;
 
 /// A photo's embedding, and where the photo lies in it.
 pub(super) struct Encoded {
-    pub fit: Fit,
+    pub fit: PhotoFit,
     /// Channels, rows and columns over the encoder's square.
     pub shape: [usize; 3],
     pub data: Vec<f32>,
@@ -42,7 +42,7 @@ impl Encoded {
 
 /// How an encoder wants its photo.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Layout {
+enum InputLayout {
     /// `[1, 3, h, w]`, standardised and padded.
     Planes,
     /// `[1, 3, h, w]` in [0, 1]; scaling and standardising are in the file (EfficientSAM).
@@ -53,8 +53,8 @@ enum Layout {
 
 /// A loaded encoder.
 pub(super) struct Encoder {
-    model: Model,
-    layout: Layout,
+    model: NetworkModel,
+    layout: InputLayout,
     bytes: bool,
     /// Height and width that the file asks for.
     size: [Option<usize>; 2],
@@ -64,8 +64,8 @@ pub(super) struct Encoder {
 }
 
 impl Encoder {
-    /// Reads from the file what it takes and gives.
-    pub fn new(model: Model) -> Result<Encoder, VisionError> {
+    /// Reads the file's input and output.
+    pub fn new(model: NetworkModel) -> Result<Encoder, VisionError> {
         let [input] = &model.inputs[..] else {
             let names: Vec<&str> = model.inputs.iter().map(|i| i.name.as_str()).collect();
             return Err(model.wrong(format!(
@@ -76,15 +76,15 @@ impl Encoder {
         };
         let (layout, size) = match input.shape[..] {
             [None | Some(1), None | Some(3), h, w] => match input.name.as_str() {
-                "batched_images" => (Layout::Whole, [h, w]),
-                _ => (Layout::Planes, [h, w]),
+                "batched_images" => (InputLayout::Whole, [h, w]),
+                _ => (InputLayout::Planes, [h, w]),
             },
-            [h, w, Some(3)] => (Layout::Pixels, [h, w]),
+            [h, w, Some(3)] => (InputLayout::Pixels, [h, w]),
             _ => return Err(unfit(&model, input)),
         };
         let bytes = match input.kind {
             Some(TensorElementType::Float32) => false,
-            Some(TensorElementType::Uint8) if layout == Layout::Pixels => true,
+            Some(TensorElementType::Uint8) if layout == InputLayout::Pixels => true,
             _ => return Err(unfit(&model, input)),
         };
         if let Some(n) = size.into_iter().flatten().find(|n| !(16..=4096).contains(n)) {
@@ -94,7 +94,7 @@ impl Encoder {
                 input.words()
             )));
         }
-        let is_embedding = |slot: &&Slot| {
+        let is_embedding = |slot: &&TensorSpec| {
             slot.kind == Some(TensorElementType::Float32)
                 && matches!(slot.shape[..], [None | Some(1), _, _, _])
         };
@@ -118,7 +118,7 @@ impl Encoder {
 
     /// Whether it is one of EfficientSAM's.
     pub fn is_efficient(&self) -> bool {
-        self.layout == Layout::Whole
+        self.layout == InputLayout::Whole
     }
 
     /// The file's name, for messages.
@@ -126,26 +126,26 @@ impl Encoder {
         self.model.name()
     }
 
-    /// Describes a photo.
+    /// Encodes a photo.
     pub fn encode(&self, image: &Image) -> Result<Encoded, VisionError> {
         let photo = [image.width, image.height];
-        let asked = [self.size[1].unwrap_or(SIDE), self.size[0].unwrap_or(SIDE)];
+        let target = [self.size[1].unwrap_or(SIDE), self.size[0].unwrap_or(SIDE)];
         let (fit, size, range) = match self.layout {
-            Layout::Planes => (Fit::into(photo, asked), asked, Range::Standard),
-            Layout::Pixels => {
-                let fit = Fit::into(photo, asked);
+            InputLayout::Planes => (PhotoFit::into(photo, target), target, Range::Standard),
+            InputLayout::Pixels => {
+                let fit = PhotoFit::into(photo, target);
                 // The file pads what it is given, where its size is open.
                 let size = [
-                    if self.size[1].is_some() { asked[0] } else { fit.content[0] },
-                    if self.size[0].is_some() { asked[1] } else { fit.content[1] },
+                    if self.size[1].is_some() { target[0] } else { fit.content[0] },
+                    if self.size[0].is_some() { target[1] } else { fit.content[1] },
                 ];
                 (fit, size, Range::Byte)
             }
-            Layout::Whole => {
+            InputLayout::Whole => {
                 // Scaled by the file; a photo larger than what it scales to only costs memory.
-                let shrunk = Fit::into(photo, [SIDE.min(photo[0]), SIDE.min(photo[1])]).content;
+                let shrunk = PhotoFit::into(photo, [SIDE.min(photo[0]), SIDE.min(photo[1])]).content;
                 let size = [self.size[1].unwrap_or(shrunk[0]), self.size[0].unwrap_or(shrunk[1])];
-                (Fit::filling(photo), size, Range::Unit)
+                (PhotoFit::filling(photo), size, Range::Unit)
             }
         };
         let planes = prepare(image, &fit, size, range);
@@ -180,7 +180,7 @@ impl Encoder {
 
     fn tensor(&self, planes: Image) -> ort::Result<SessionInputValue<'static>> {
         let (w, h) = (planes.width, planes.height);
-        if self.layout != Layout::Pixels {
+        if self.layout != InputLayout::Pixels {
             return Ok(Tensor::from_array(([1usize, 3, h, w], planes.data))?.into());
         }
         let n = w * h;
@@ -193,7 +193,7 @@ impl Encoder {
     }
 }
 
-fn unfit(model: &Model, input: &Slot) -> VisionError {
+fn unfit(model: &NetworkModel, input: &TensorSpec) -> VisionError {
     model.wrong(format!(
         "its input `{}` is {}; an image encoder takes float32 [1, 3, h, w], or [h, w, 3] in float32 or uint8",
         input.name,

@@ -1,4 +1,4 @@
-//! How a photo lies in the square that a SAM encoder looks at, and what is made of it for the encoder.
+//! How a photo lies in a SAM encoder's square input, and the pre-processing for the encoder.
 //!
 //! SAM and MobileSAM: the photo is scaled so that its long side fills the square, standardised, and padded with zeros to
 //! the right and below. EfficientSAM scales and standardises inside the file, each side for itself, so that the photo
@@ -15,7 +15,7 @@ pub(super) const DEVIATION: [f32; 3] = [58.395, 57.12, 57.375];
 
 /// Where a photo lies in the encoder's square.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Fit {
+pub(super) struct PhotoFit {
     /// Width and height of the photo.
     pub photo: [usize; 2],
     /// Width and height of its part of the square.
@@ -24,13 +24,13 @@ pub(super) struct Fit {
     pub side: Option<usize>,
 }
 
-impl Fit {
+impl PhotoFit {
     /// Scaled to fit into `width` x `height` pixels of a square of the longer of them.
-    pub fn into(photo: [usize; 2], [width, height]: [usize; 2]) -> Fit {
+    pub fn into(photo: [usize; 2], [width, height]: [usize; 2]) -> PhotoFit {
         let scale = (width as f64 / photo[0] as f64).min(height as f64 / photo[1] as f64);
         // Rounded as the published code rounds: half up.
         let scaled = |n: usize, most: usize| ((n as f64 * scale + 0.5) as usize).clamp(1, most);
-        Fit {
+        PhotoFit {
             photo,
             content: [scaled(photo[0], width), scaled(photo[1], height)],
             side: Some(width.max(height)),
@@ -38,8 +38,8 @@ impl Fit {
     }
 
     /// Filling the whole square; the decoder speaks of the photo's own pixels.
-    pub fn filling(photo: [usize; 2]) -> Fit {
-        Fit { photo, content: photo, side: None }
+    pub fn filling(photo: [usize; 2]) -> PhotoFit {
+        PhotoFit { photo, content: photo, side: None }
     }
 
     /// Where a pixel position of the photo lies for the decoder.
@@ -73,7 +73,7 @@ pub(super) enum Range {
 
 /// The photo as three planes for the encoder, `width` x `height`: scaled to the fit's content (or to the whole, where it
 /// fills), padded with what standardises to zero.
-pub(super) fn prepare(photo: &Image, fit: &Fit, [width, height]: [usize; 2], range: Range) -> Image {
+pub(super) fn prepare(photo: &Image, fit: &PhotoFit, [width, height]: [usize; 2], range: Range) -> Image {
     let [w, h] = if fit.side.is_some() { fit.content } else { [width, height] };
     let scaled = photo.resized(w, h);
     let mut out = Image::zeros(width, height, 3);
@@ -112,23 +112,23 @@ mod tests {
             ([1024, 1], [1024, 1]),
             ([7, 7], [1024, 1024]),
         ] {
-            let fit = Fit::into(photo, [SIDE, SIDE]);
+            let fit = PhotoFit::into(photo, [SIDE, SIDE]);
             assert_eq!((fit.content, fit.side), (content, Some(1024)), "{photo:?}");
         }
         // An encoder for landscapes: 684 rows, of which the square's lower part is left out.
-        let fit = Fit::into([640, 480], [1024, 684]);
+        let fit = PhotoFit::into([640, 480], [1024, 684]);
         assert_eq!((fit.content, fit.side), ([912, 684], Some(1024)));
         // A photo so wide that a row is all there is.
-        assert_eq!(Fit::into([10_000, 1], [SIDE, SIDE]).content, [1024, 1]);
+        assert_eq!(PhotoFit::into([10_000, 1], [SIDE, SIDE]).content, [1024, 1]);
     }
 
     #[test]
     fn points_and_cells_follow_the_photo() {
-        let fit = Fit::into([640, 427], [SIDE, SIDE]);
+        let fit = PhotoFit::into([640, 427], [SIDE, SIDE]);
         assert_eq!(fit.point([320.0, 213.5]), [512.0, 341.5]);
         assert_eq!(fit.cells(64, 64), [64, 43]); // 42.69
         assert_eq!(fit.cells(256, 256), [256, 171]); // 170.75
-        let whole = Fit::filling([640, 427]);
+        let whole = PhotoFit::filling([640, 427]);
         assert_eq!((whole.point([320.0, 213.5]), whole.cells(64, 64)), ([320.0, 213.5], [64, 64]));
     }
 
@@ -136,7 +136,7 @@ mod tests {
     fn the_numbers_are_those_of_the_published_formula() {
         // Two pixels, white and a grey, grown to four by linear interpolation between pixel centres.
         let photo = Image { width: 2, height: 1, channels: 3, data: vec![1.0, 0.2, 1.0, 0.2, 1.0, 0.2] };
-        let fit = Fit::into([2, 1], [4, 4]);
+        let fit = PhotoFit::into([2, 1], [4, 4]);
         assert_eq!(fit.content, [4, 2]);
         let made = prepare(&photo, &fit, [4, 4], Range::Standard);
         // Values 1, 0.8, 0.4, 0.2: centres at 0.25 and 0.75 of the way between the two.
@@ -157,7 +157,7 @@ mod tests {
         let bytes = prepare(&photo, &fit, [4, 4], Range::Byte);
         assert_eq!((bytes.at(0, 0, 0), bytes.at(2, 3, 1), bytes.at(1, 0, 3)), (255.0, 51.0, 116.28));
         // EfficientSAM: stretched over all of it, in [0, 1], standardised by the file.
-        let whole = prepare(&photo, &Fit::filling([2, 1]), [4, 4], Range::Unit);
+        let whole = prepare(&photo, &PhotoFit::filling([2, 1]), [4, 4], Range::Unit);
         assert_eq!((whole.at(0, 0, 0), whole.at(0, 3, 3)), (1.0, 0.2));
     }
 
@@ -165,7 +165,7 @@ mod tests {
     fn a_pixel_that_is_no_number_does_not_spoil_the_rest() {
         let photo = Image { width: 1, height: 1, channels: 3, data: vec![f32::NAN, f32::INFINITY, 0.5] };
         for range in [Range::Standard, Range::Unit, Range::Byte] {
-            let made = prepare(&photo, &Fit::into([1, 1], [2, 2]), [2, 2], range);
+            let made = prepare(&photo, &PhotoFit::into([1, 1], [2, 2]), [2, 2], range);
             assert!(made.data.iter().all(|v| v.is_finite()));
         }
     }

@@ -1,6 +1,6 @@
 //! From a decoder's small logits to masks of the photo's size.
 
-use super::frame::Fit;
+use super::frame::PhotoFit;
 use crate::builtin::Weighed;
 use segwild_scene::{Mask, ScoredMask};
 
@@ -25,9 +25,9 @@ impl Weighed for Logits {
     }
 }
 
-/// What one pixel of the photo is made of along one axis: numbers from `first` on, weighed.
+/// Weights of the logits from `first` on that make one pixel of the photo, along one axis.
 #[derive(Clone, Debug, PartialEq)]
-struct Taps {
+struct LogitTaps {
     first: usize,
     weights: Vec<f32>,
 }
@@ -37,30 +37,30 @@ struct Taps {
 pub(super) struct Upscale {
     /// Logits in a row.
     width: usize,
-    columns: Vec<Taps>,
-    rows: Vec<Taps>,
+    columns: Vec<LogitTaps>,
+    rows: Vec<LogitTaps>,
 }
 
 /// Linear interpolation without smoothing, between pixel centres, the border continued (`align_corners=False`): the two
 /// neighbours of pixel `i` of `to`, and the weight of the second.
-fn between(i: usize, from: usize, to: usize) -> (usize, usize, f64) {
+fn neighbours(i: usize, from: usize, to: usize) -> (usize, usize, f64) {
     let at = ((i as f64 + 0.5) * from as f64 / to as f64 - 0.5).max(0.0);
     let low = (at.floor() as usize).min(from - 1);
     (low, (low + 1).min(from - 1), at - low as f64)
 }
 
-fn axis(logits: usize, fit: &Fit, axis: usize) -> Vec<Taps> {
+fn axis(logits: usize, fit: &PhotoFit, axis: usize) -> Vec<LogitTaps> {
     let (content, photo) = (fit.content[axis], fit.photo[axis]);
     let one = |i: usize| {
         let mut parts: Vec<(usize, f64)> = Vec::with_capacity(4);
         let mut small = |pixel: usize, size: usize, weight: f64| {
-            let (a, b, share) = between(pixel, logits, size);
+            let (a, b, share) = neighbours(pixel, logits, size);
             parts.extend([(a, weight * (1.0 - share)), (b, weight * share)]);
         };
         match fit.side {
             None => small(i, photo, 1.0),
             Some(square) => {
-                let (a, b, share) = between(i, content, photo);
+                let (a, b, share) = neighbours(i, content, photo);
                 small(a, square, 1.0 - share);
                 small(b, square, share);
             }
@@ -69,14 +69,14 @@ fn axis(logits: usize, fit: &Fit, axis: usize) -> Vec<Taps> {
         let last = parts.iter().map(|p| p.0).max().unwrap_or(0);
         let mut weights = vec![0.0; last - first + 1];
         parts.iter().for_each(|&(k, weight)| weights[k - first] += weight);
-        Taps { first, weights: weights.into_iter().map(|w| w as f32).collect() }
+        LogitTaps { first, weights: weights.into_iter().map(|w| w as f32).collect() }
     };
     (0..photo).map(one).collect()
 }
 
 impl Upscale {
     /// For `width` x `height` logits over the square that a photo lies in.
-    pub fn new(width: usize, height: usize, fit: &Fit) -> Upscale {
+    pub fn new(width: usize, height: usize, fit: &PhotoFit) -> Upscale {
         Upscale { width, columns: axis(width, fit, 0), rows: axis(height, fit, 1) }
     }
 
@@ -115,8 +115,8 @@ pub(super) fn stability(plane: &[f32], offset: f32) -> f32 {
     }
 }
 
-/// Which of a decoder's masks is meant: at a granularity in [0, 1] by size, 0 the smallest; else the one whose IoU it
-/// predicts highest, the first of equals.
+/// Chooses among a decoder's masks: at a granularity in [0, 1] by size, 0 the smallest; else the one of the highest predicted
+/// IoU, the first of equals.
 pub(super) fn choose(masks: &[(Logits, f32)], granularity: Option<f32>) -> Option<usize> {
     match granularity {
         None => {
@@ -142,7 +142,7 @@ mod tests {
         // 2 x 2 logits over a square of 4, a photo of 8 x 4 in its upper half (content 4 x 2). By hand, along x:
         // 0, 8 -> 0, 2, 6, 8 -> at -0.25, 0.25, 0.75, ... between them: 0, .5, 1.5, 3, 5, 6.5, 7.5, 8.
         // Along y: 0, 4 -> 0, 1, 3, 4, of which the first two stay -> 0, .25, .75, 1.
-        let fit = Fit { photo: [8, 4], content: [4, 2], side: Some(4) };
+        let fit = PhotoFit { photo: [8, 4], content: [4, 2], side: Some(4) };
         let logits = Logits { width: 2, height: 2, data: vec![0.0, 8.0, 4.0, 12.0] };
         let plane = Upscale::new(2, 2, &fit).plane(&logits);
         let (columns, rows) = ([0.0, 0.5, 1.5, 3.0, 5.0, 6.5, 7.5, 8.0], [0.0, 0.25, 0.75, 1.0]);
@@ -153,7 +153,7 @@ mod tests {
             }
         }
         // A photo that fills the square: one step, to its own size.
-        let whole = Upscale::new(2, 2, &Fit::filling([4, 1])).plane(&logits);
+        let whole = Upscale::new(2, 2, &PhotoFit::filling([4, 1])).plane(&logits);
         assert_eq!(whole, [2.0, 4.0, 8.0, 10.0]);
     }
 

@@ -1,9 +1,9 @@
 //! Networks of the SAM family behind the provider traits: SAM, MobileSAM and EfficientSAM as ONNX exports, an image
 //! encoder and a prompted decoder each.
 //!
-//! [`frame`] is the pre-processing, [`encoder`] and [`decoder`] read from their files what they take, [`logits`] is the
-//! post-processing, [`prompt`] what clicks and boxes ask. A photo is encoded once and its embedding kept in memory, so
-//! that every further prompt costs a decoder's run alone.
+//! [`frame`] is the pre-processing, [`encoder`] and [`decoder`] read the shapes of their inputs from their files, [`logits`] is the
+//! post-processing, [`prompt`] turns clicks and boxes into queries. A photo is encoded once and its embedding kept in memory,
+//! so that every further prompt costs a run of the decoder alone.
 
 mod choice;
 mod decoder;
@@ -14,16 +14,16 @@ mod prompt;
 mod refine;
 
 use crate::builtin::{Memory, PREPARED, Weighed, check, content};
-use crate::onnx::{Device, Model, Options, Runtime};
-use crate::registry::Pair;
+use crate::onnx::{NetworkDevice, NetworkModel, Options, Runtime};
+use crate::registry::ModelPair;
 use crate::settings::NetworkFile;
 use crate::{Embedder, MaskProposer, PromptSegmenter, Prompted, VisionError, VisionSettings, Work};
-pub(crate) use choice::chosen;
-use decoder::{Decoder, INSIDE, Query};
+pub(crate) use choice::find_pair;
+use decoder::{INSIDE, PromptDecoder, Query};
 use encoder::{Encoded, Encoder};
-use frame::Fit;
+use frame::PhotoFit;
 use logits::{Logits, Upscale, choose, stability};
-use prompt::{Group, Labelled};
+use prompt::{Labelled, PromptGroup};
 use segwild_scene::{Embedding, Image, Mask, Prompts, ScoredMask};
 use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -31,46 +31,46 @@ use std::time::{Duration, Instant};
 
 /// Changes whenever the same files would give other bytes for the same photo.
 const VERSION: &str = "sam-1";
-/// Prompts that a decoder is asked at once, where its file allows it: their logits are in memory together.
+/// Prompts per run of a decoder, where its file allows several: their logits are in memory together.
 const BATCH: usize = 16;
-/// Bytes for answers that the next click may go on from.
+/// Bytes for answers from which the next click may continue.
 const ANSWERS: usize = 32 << 20;
 
 /// A pair of networks.
 pub struct Sam {
     encoder: Encoder,
-    decoder: Decoder,
-    /// Where the two are.
-    pair: Pair,
-    device: Device,
+    decoder: PromptDecoder,
+    /// Paths of the two files.
+    pair: ModelPair,
+    device: NetworkDevice,
     stability_offset: f32,
     /// Held while a photo is encoded, so that two who ask for the same one share the work.
     encoding: Mutex<()>,
     embeddings: Memory<Encoded>,
-    answers: Memory<Chosen>,
+    answers: Memory<SamAnswer>,
     work: Mutex<Work>,
 }
 
 /// An answer: one mask, and the IoU that was predicted for it.
 #[derive(Clone)]
-struct Chosen {
+struct SamAnswer {
     logits: Logits,
     score: f32,
 }
 
-impl Weighed for Chosen {
+impl Weighed for SamAnswer {
     fn bytes(&self) -> usize {
         self.logits.bytes()
     }
 }
 
 impl Sam {
-    /// Loads a pair, on CUDA where that is asked for; what does not fit is said in words.
+    /// Loads a pair on a device. The error names the file and says what does not fit.
     pub(crate) fn load(
         runtime: &Runtime,
-        pair: &Pair,
+        pair: &ModelPair,
         settings: &VisionSettings,
-        device: Device,
+        device: NetworkDevice,
     ) -> Result<Sam, VisionError> {
         let options = Options {
             threads: settings.network_threads,
@@ -78,10 +78,10 @@ impl Sam {
             limit: Duration::from_secs(settings.network_limit.max(1).into()),
             memory_mib: settings.network_memory,
         };
-        let encoder = Encoder::new(Model::load(runtime, &pair.encoder, options)?)?;
-        let decoder = Model::load(runtime, &pair.decoder, options)?;
+        let encoder = Encoder::new(NetworkModel::load(runtime, &pair.encoder, options)?)?;
+        let decoder = NetworkModel::load(runtime, &pair.decoder, options)?;
         let fits = (encoder.name(), encoder.shape, encoder.is_efficient());
-        let decoder = Decoder::new(decoder, fits, BATCH)?;
+        let decoder = PromptDecoder::new(decoder, fits, BATCH)?;
         Ok(Sam {
             encoder,
             decoder,
@@ -98,14 +98,14 @@ impl Sam {
 
     /// Its two files.
     pub(crate) fn files(&self) -> [NetworkFile; 2] {
-        let Pair { encoder, decoder, .. } = &self.pair;
+        let ModelPair { encoder, decoder, .. } = &self.pair;
         [
             NetworkFile::of_models(encoder, self.encoder.key()),
             NetworkFile::of_models(decoder, self.decoder.key()),
         ]
     }
 
-    /// What the names of its files begin with, as in `mobile_sam`.
+    /// The stem of its files' names, such as `mobile_sam`.
     pub(crate) fn stem(&self) -> &str {
         &self.pair.stem
     }
@@ -116,13 +116,13 @@ impl Sam {
         if decodes {
             name += &format!("-{}-{}", self.decoder.key(), self.stability_offset);
         }
-        if self.device == Device::Cuda {
+        if self.device == NetworkDevice::Cuda {
             name += "+cuda";
         }
         name
     }
 
-    /// A photo's embedding, from memory or made now; and the photo's hash.
+    /// A photo's embedding, from memory or computed now; and the photo's hash.
     fn encoded(&self, image: &Image) -> Result<(Arc<Encoded>, blake3::Hash), VisionError> {
         check(image)?;
         let key = content(image);
@@ -148,54 +148,54 @@ impl Sam {
 
     /// How the decoder's logits lie over a photo.
     fn upscale(&self, encoded: &Encoded, logits: &Logits) -> Upscale {
-        let fit = if self.decoder.full_size { Fit::filling(encoded.fit.photo) } else { encoded.fit };
+        let fit = if self.decoder.full_size { PhotoFit::filling(encoded.fit.photo) } else { encoded.fit };
         Upscale::new(logits.width, logits.height, &fit)
     }
 
-    /// The answer to all of a group, step by step: each click starts from the answer to those before it. What was
-    /// answered before is known.
+    /// The answer to all of a group, step by step: each click starts from the answer to those before it. Earlier answers
+    /// are kept.
     fn answer(
         &self,
         (encoded, photo): (&Encoded, blake3::Hash),
-        group: &Group,
+        group: &PromptGroup,
         granularity: Option<f32>,
-    ) -> Result<Chosen, VisionError> {
+    ) -> Result<SamAnswer, VisionError> {
         let mut steps = group.steps();
         if self.decoder.takes_logits().is_none() {
             steps.drain(..steps.len().saturating_sub(1));
         }
-        let mut chosen: Option<Arc<Chosen>> = None;
+        let mut answer: Option<Arc<SamAnswer>> = None;
         for points in steps {
-            let slot = self.answers.slot(said(photo, &points, granularity));
+            let slot = self.answers.slot(answer_key(photo, &points, granularity));
             if let Some(known) = slot.get() {
-                chosen = Some(known.clone());
+                answer = Some(known.clone());
                 continue;
             }
             let precise = points.len() > 1;
-            let query = Query { points, previous: chosen.as_deref().map(|c| &c.logits) };
+            let query = Query { points, previous: answer.as_deref().map(|c| &c.logits) };
             let began = Instant::now();
             let mut masks = self.decoder.ask(encoded, &[query])?.pop().unwrap_or_default();
             self.count(|work| {
                 work.prompts += 1;
                 work.decode_s += began.elapsed().as_secs_f64();
             });
-            let offered = offered(masks.len(), precise && granularity.is_none());
-            let masks: Vec<(Logits, f32)> = masks.drain(offered).collect();
+            let range = candidates(masks.len(), precise && granularity.is_none());
+            let masks: Vec<(Logits, f32)> = masks.drain(range).collect();
             let Some(best) = choose(&masks, granularity) else { continue };
             let (logits, score) = masks[best].clone();
-            chosen = Some(slot.get_or_init(|| Arc::new(Chosen { logits, score })).clone());
+            answer = Some(slot.get_or_init(|| Arc::new(SamAnswer { logits, score })).clone());
             self.answers.trim();
         }
-        match chosen {
-            Some(chosen) => Ok((*chosen).clone()),
+        match answer {
+            Some(answer) => Ok((*answer).clone()),
             None => Err(VisionError::Model("the decoder gave no mask".into())),
         }
     }
 }
 
-/// Which of a decoder's masks come into question. Of four, the first is for prompts that leave no doubt, and the others
-/// are the part, the larger part and the whole that one click may mean; three are those alone.
-fn offered(masks: usize, precise: bool) -> Range<usize> {
+/// The range of a decoder's masks that are candidates. Of four, the first is for precise prompts (several points), and the
+/// others are the part, the larger part and the whole that one click may mean; three are those alone.
+fn candidates(masks: usize, precise: bool) -> Range<usize> {
     match (masks, precise) {
         (4, true) => 0..1,
         (4, false) => 1..4,
@@ -203,8 +203,8 @@ fn offered(masks: usize, precise: bool) -> Range<usize> {
     }
 }
 
-/// Names what was asked about a photo.
-fn said(photo: blake3::Hash, points: &[Labelled], granularity: Option<f32>) -> blake3::Hash {
+/// The key of an answer: photo, points with labels, granularity.
+fn answer_key(photo: blake3::Hash, points: &[Labelled], granularity: Option<f32>) -> blake3::Hash {
     let mut hasher = blake3::Hasher::new();
     hasher.update(photo.as_bytes());
     hasher.update(&granularity.unwrap_or(f32::NAN).to_le_bytes());
@@ -222,7 +222,7 @@ impl Embedder for Sam {
     }
 
     fn accelerator(&self) -> bool {
-        self.device == Device::Cuda
+        self.device == NetworkDevice::Cuda
     }
 
     fn embed(&self, image: &Image) -> Result<Embedding, VisionError> {
@@ -236,7 +236,7 @@ impl MaskProposer for Sam {
     }
 
     fn accelerator(&self) -> bool {
-        self.device == Device::Cuda
+        self.device == NetworkDevice::Cuda
     }
 
     fn propose(&self, image: &Image, points: &[[f32; 2]]) -> Result<Vec<ScoredMask>, VisionError> {
@@ -247,8 +247,8 @@ impl MaskProposer for Sam {
             let queries: Vec<Query> =
                 some.iter().map(|&at| Query { points: vec![(at, INSIDE)], previous: None }).collect();
             for mut masks in self.decoder.ask(&encoded, &queries)? {
-                let offered = offered(masks.len(), false);
-                for (logits, score) in masks.drain(offered) {
+                let range = candidates(masks.len(), false);
+                for (logits, score) in masks.drain(range) {
                     let upscale = upscale.get_or_insert_with(|| self.upscale(&encoded, &logits));
                     found.push(upscale.mask(&logits, score.clamp(0.0, 1.0), self.stability_offset));
                 }
@@ -272,7 +272,7 @@ impl PromptSegmenter for Sam {
     }
 
     fn accelerator(&self) -> bool {
-        self.device == Device::Cuda
+        self.device == NetworkDevice::Cuda
     }
 
     fn prompted(&self, image: &Image, prompts: &Prompts) -> Result<Prompted, VisionError> {
@@ -282,9 +282,9 @@ impl PromptSegmenter for Sam {
         let mut plane: Option<Vec<f32>> = None;
         let mut score = 1.0f32;
         for group in &groups {
-            let chosen = self.answer((&encoded, photo), group, prompts.granularity)?;
-            score = score.min(chosen.score.clamp(0.0, 1.0));
-            let wide = self.upscale(&encoded, &chosen.logits).plane(&chosen.logits);
+            let answer = self.answer((&encoded, photo), group, prompts.granularity)?;
+            score = score.min(answer.score.clamp(0.0, 1.0));
+            let wide = self.upscale(&encoded, &answer.logits).plane(&answer.logits);
             plane = Some(match plane {
                 None => wide,
                 Some(before) => before.iter().zip(&wide).map(|(a, b)| a.max(*b)).collect(),
@@ -309,7 +309,7 @@ impl PromptSegmenter for Sam {
     }
 
     fn prepare(&self, image: &Image) {
-        if self.embeddings.has_room_for(PREPARED) {
+        if self.embeddings.has_space_for(PREPARED) {
             drop(self.encoded(image));
         }
     }

@@ -1,4 +1,4 @@
-//! From what a person says to what a SAM decoder is asked.
+//! Turns a person's prompts into queries to a SAM decoder.
 
 use super::decoder::{CORNERS, INSIDE, OUTSIDE};
 use crate::VisionError;
@@ -7,18 +7,18 @@ use segwild_scene::{Image, Prompts};
 /// A point with its label, in the photo's pixels.
 pub(super) type Labelled = ([f32; 2], f32);
 
-/// What is asked about one thing: a decoder takes one box at a time.
+/// The prompts of one query: a decoder takes one box at a time.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Group {
+pub(super) struct PromptGroup {
     /// The corners of the box, if there is one.
     pub corners: Vec<Labelled>,
-    /// The clicks in the order in which they were made, but for the first one inside, which begins.
+    /// The clicks in the order in which they were made, except that the first one inside comes first.
     pub clicks: Vec<Labelled>,
 }
 
 /// One group per box, with the clicks inside of that box; one for clicks inside that are in no box. Clicks outside the
 /// object belong to all. The masks of all groups together are the answer.
-pub(super) fn groups(image: &Image, prompts: &Prompts) -> Result<Vec<Group>, VisionError> {
+pub(super) fn groups(image: &Image, prompts: &Prompts) -> Result<Vec<PromptGroup>, VisionError> {
     let (w, h) = (image.width as f32, image.height as f32);
     if let Some(p) = prompts.points.iter().find(|p| !(p.x >= 0.0 && p.y >= 0.0 && p.x < w && p.y < h)) {
         return Err(VisionError::Image(format!(
@@ -45,30 +45,30 @@ pub(super) fn groups(image: &Image, prompts: &Prompts) -> Result<Vec<Group>, Vis
     }
     let holds = |b: &[f32; 4], x: f32, y: f32| x >= b[0] && y >= b[1] && x <= b[2] && y <= b[3];
     let clicks = |of: &dyn Fn(f32, f32) -> bool| -> Vec<Labelled> {
-        let said = prompts.points.iter().filter(|p| !p.inside || of(p.x, p.y));
+        let answer_key = prompts.points.iter().filter(|p| !p.inside || of(p.x, p.y));
         let mut clicks: Vec<Labelled> =
-            said.map(|p| ([p.x, p.y], if p.inside { INSIDE } else { OUTSIDE })).collect();
+            answer_key.map(|p| ([p.x, p.y], if p.inside { INSIDE } else { OUTSIDE })).collect();
         if let Some(first) = clicks.iter().position(|c| c.1 == INSIDE) {
             clicks[..=first].rotate_right(1);
         }
         clicks
     };
-    let mut groups: Vec<Group> = boxes
+    let mut groups: Vec<PromptGroup> = boxes
         .iter()
-        .map(|b| Group {
+        .map(|b| PromptGroup {
             corners: vec![([b[0], b[1]], CORNERS[0]), ([b[2], b[3]], CORNERS[1])],
             clicks: clicks(&|x, y| holds(b, x, y)),
         })
         .collect();
     let loose = clicks(&|x, y| !boxes.iter().any(|b| holds(b, x, y)));
     if loose.iter().any(|c| c.1 == INSIDE) {
-        groups.push(Group { corners: Vec::new(), clicks: loose });
+        groups.push(PromptGroup { corners: Vec::new(), clicks: loose });
     }
     Ok(groups)
 }
 
-impl Group {
-    /// What is asked step by step: the box, then click by click, each with all that was said before.
+impl PromptGroup {
+    /// The query of each step: the box, then click by click, each with all prompts before it.
     pub fn steps(&self) -> Vec<Vec<Labelled>> {
         let first = usize::from(self.corners.is_empty());
         (first..=self.clicks.len())
@@ -87,7 +87,7 @@ mod tests {
     }
 
     #[test]
-    fn clicks_are_asked_one_after_another_the_first_inside_first() {
+    fn clicks_are_queried_one_after_another_the_first_inside_first() {
         let image = Image::zeros(100, 50, 3);
         let points = vec![point(1.0, 2.0, false), point(3.0, 4.0, true), point(5.0, 6.0, true)];
         let groups = groups(&image, &Prompts { points, ..Prompts::default() }).unwrap();
@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn each_box_has_its_own_clicks_and_those_in_none_are_asked_alone() {
+    fn each_box_has_its_own_clicks_and_those_in_none_are_queried_alone() {
         let image = Image::zeros(100, 50, 3);
         let boxes = vec![
             BoxPrompt { x0: 20.0, y0: 30.0, x1: 10.0, y1: 10.0 },
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_asked_is_said() {
+    fn prompts_that_cannot_be_queried_are_refused() {
         let image = Image::zeros(100, 50, 3);
         let says = |prompts: Prompts, word: &str| {
             let error = groups(&image, &prompts).unwrap_err().to_string();

@@ -1,5 +1,5 @@
-//! A rough mask snapped to the photo's own boundaries: it goes in as an earlier answer, with its box and a click in its
-//! middle, and the mask comes out that is most like it.
+//! Snaps a rough mask to the photo's own boundaries: the decoder gets it as an earlier answer, with its box and a click in its
+//! middle, and of the decoder's masks the one of highest IoU with the rough mask is taken.
 
 use super::decoder::{CORNERS, INSIDE, Query};
 use super::logits::Logits;
@@ -8,7 +8,7 @@ use crate::VisionError;
 use segwild_scene::{Image, Mask, ScoredMask};
 use std::time::Instant;
 
-/// Logits of a certainty stay within this: a render is never as sure as a network.
+/// Bound of a certainty's logits, either way: a render is less certain than a network.
 const SURE: f32 = 6.0;
 
 impl Sam {

@@ -5,7 +5,7 @@
 
 pub mod onnx;
 
-use onnx::{Attribute::*, FLOAT, Graph, INT64, OPEN, UINT8};
+use onnx::{Attribute::*, FLOAT, INT64, OPEN, OnnxGraph, UINT8};
 use std::path::Path;
 
 const MEAN: [f32; 3] = [123.675, 116.28, 103.53];
@@ -43,7 +43,7 @@ pub enum Fault {
 
 /// An encoder's file.
 pub fn encoder(takes: Takes, fault: Fault) -> Vec<u8> {
-    let mut g = Graph::default();
+    let mut g = OnnxGraph::default();
     let thirds = |values: [f32; 3], by: f32| values.map(|v| v / by);
     let planes = match takes {
         Takes::Planes => {
@@ -71,10 +71,11 @@ pub fn encoder(takes: Takes, fault: Fault) -> Vec<u8> {
     let pool = vec![("kernel_shape", Ints(vec![16, 16])), ("strides", Ints(vec![16, 16]))];
     let colours = g.op("AveragePool", &[&planes], pool);
     let n = 64;
-    let place = |i: usize| (i as f32 + 0.5) / n as f32;
-    let places: Vec<f32> = (0..n * n).map(|i| place(i % n)).chain((0..n * n).map(|i| place(i / n))).collect();
-    let places = g.floats(&[1, 2, n as i64, n as i64], &places);
-    let mut all = g.op("Concat", &[&colours, &places], vec![("axis", Int(1))]);
+    let centre = |i: usize| (i as f32 + 0.5) / n as f32;
+    let positions: Vec<f32> =
+        (0..n * n).map(|i| centre(i % n)).chain((0..n * n).map(|i| centre(i / n))).collect();
+    let positions = g.floats(&[1, 2, n as i64, n as i64], &positions);
+    let mut all = g.op("Concat", &[&colours, &positions], vec![("axis", Int(1))]);
     match fault {
         Fault::None => {}
         Fault::Half => {
@@ -94,7 +95,7 @@ pub fn encoder(takes: Takes, fault: Fault) -> Vec<u8> {
             all = g.op("Add", &[&all, &nan], vec![]);
         }
         Fault::Endless => {
-            let mut body = Graph::default();
+            let mut body = OnnxGraph::default();
             body.input("turn", INT64, &[]);
             body.input("go", onnx::BOOL, &[]);
             body.input("value", FLOAT, &[1]);
@@ -103,7 +104,7 @@ pub fn encoder(takes: Takes, fault: Fault) -> Vec<u8> {
             body.output("go_on", onnx::BOOL, &[]);
             body.output("same", FLOAT, &[1]);
             let (go, start) = (g.truth(true), g.floats(&[1], &[0.0]));
-            let end = g.op("Loop", &["", &go, &start], vec![("body", Graph(body))]);
+            let end = g.op("Loop", &["", &go, &start], vec![("body", OnnxGraph(body))]);
             all = g.op("Add", &[&all, &end], vec![]);
         }
         Fault::HugeAtOnce => {
@@ -131,7 +132,7 @@ pub fn encoder(takes: Takes, fault: Fault) -> Vec<u8> {
     g.file()
 }
 
-fn standardised(g: &mut Graph, planes: &str, mean: [f32; 3], deviation: [f32; 3]) -> String {
+fn standardised(g: &mut OnnxGraph, planes: &str, mean: [f32; 3], deviation: [f32; 3]) -> String {
     let (mean, deviation) = (g.floats(&[1, 3, 1, 1], &mean), g.floats(&[1, 3, 1, 1], &deviation));
     let less = g.op("Sub", &[planes, &mean], vec![]);
     g.op("Div", &[&less, &deviation], vec![])
@@ -145,9 +146,9 @@ pub struct Decoder {
     pub masks: i64,
     /// Whether there are small masks beside those of the photo's size.
     pub small: bool,
-    /// Number of questions: SAM's is 1, or open.
-    pub questions: i64,
-    /// Points per question.
+    /// Number of queries: SAM's is 1, or open.
+    pub queries: i64,
+    /// Points per query.
     pub points: i64,
     /// Answers scores that are no numbers.
     pub spoilt: bool,
@@ -155,23 +156,23 @@ pub struct Decoder {
 
 /// SAM's published export.
 pub const SAM: Decoder =
-    Decoder { efficient: false, masks: 4, small: true, questions: 1, points: OPEN, spoilt: false };
+    Decoder { efficient: false, masks: 4, small: true, queries: 1, points: OPEN, spoilt: false };
 /// EfficientSAM's.
-pub const EFFICIENT: Decoder = Decoder { efficient: true, masks: 3, questions: OPEN, ..SAM };
+pub const EFFICIENT: Decoder = Decoder { efficient: true, masks: 3, queries: OPEN, ..SAM };
 
 /// A decoder's file.
 pub fn decoder(d: Decoder) -> Vec<u8> {
-    let mut g = Graph::default();
+    let mut g = OnnxGraph::default();
     g.input("image_embeddings", FLOAT, &[1, 256, 64, 64]);
     let prefix = if d.efficient { "batched_" } else { "" };
     let (coords, labels) = (format!("{prefix}point_coords"), format!("{prefix}point_labels"));
     if d.efficient {
-        g.input(&coords, FLOAT, &[1, d.questions, d.points, 2]);
-        g.input(&labels, FLOAT, &[1, d.questions, d.points]);
+        g.input(&coords, FLOAT, &[1, d.queries, d.points, 2]);
+        g.input(&labels, FLOAT, &[1, d.queries, d.points]);
         g.input("orig_im_size", INT64, &[2]);
     } else {
-        g.input(&coords, FLOAT, &[d.questions, d.points, 2]);
-        g.input(&labels, FLOAT, &[d.questions, d.points]);
+        g.input(&coords, FLOAT, &[d.queries, d.points, 2]);
+        g.input(&labels, FLOAT, &[d.queries, d.points]);
         g.input("mask_input", FLOAT, &[1, 1, 256, 256]);
         g.input("has_mask_input", FLOAT, &[1]);
         g.input("orig_im_size", FLOAT, &[2]);
@@ -206,7 +207,7 @@ pub fn decoder(d: Decoder) -> Vec<u8> {
     let nothing = g.op("Mul", &[&nothing, &factor], vec![]);
     let scores = g.op("Add", &[&scores, &nothing], vec![]);
     let full = full_size(&mut g, &d, &small, &size);
-    let give = |g: &mut Graph, value: &str, name: &str, dims: &[i64]| match d.efficient {
+    let give = |g: &mut OnnxGraph, value: &str, name: &str, dims: &[i64]| match d.efficient {
         true => {
             g.op_to("Unsqueeze", &[value, &zero], name, vec![]);
             g.output(name, FLOAT, &[&[1], dims].concat());
@@ -216,7 +217,7 @@ pub fn decoder(d: Decoder) -> Vec<u8> {
             g.output(name, FLOAT, dims);
         }
     };
-    let q = d.questions;
+    let q = d.queries;
     give(&mut g, &full, if d.efficient { "output_masks" } else { "masks" }, &[q, d.masks, OPEN, OPEN]);
     give(&mut g, &scores, "iou_predictions", &[q, d.masks]);
     if d.small {
@@ -227,12 +228,12 @@ pub fn decoder(d: Decoder) -> Vec<u8> {
 }
 
 /// `[Q, N, 2]` positions and `[Q, N]` labels to `[Q, M, 64, 64]` logits.
-fn logits(g: &mut Graph, d: &Decoder, at: &str, label: &str) -> String {
+fn logits(g: &mut OnnxGraph, d: &Decoder, at: &str, label: &str) -> String {
     let flat = g.ints(&[2], &[256, 4096]);
     let cells = g.op("Reshape", &["image_embeddings", &flat], vec![]);
-    let (colours, places) = (g.ints(&[3], &[0, 1, 2]), g.ints(&[2], &[3, 4]));
+    let (colours, positions) = (g.ints(&[3], &[0, 1, 2]), g.ints(&[2], &[3, 4]));
     let colours = g.op("Gather", &[&cells, &colours], vec![("axis", Int(0))]);
-    let places = g.op("Gather", &[&cells, &places], vec![("axis", Int(0))]);
+    let positions = g.op("Gather", &[&cells, &positions], vec![("axis", Int(0))]);
     // The cell under each point.
     let (sixteen, sixty_four) = (g.floats(&[1], &[16.0]), g.floats(&[1], &[64.0]));
     let (zero, last) = (g.floats(&[], &[0.0]), g.floats(&[], &[63.0]));
@@ -241,7 +242,7 @@ fn logits(g: &mut Graph, d: &Decoder, at: &str, label: &str) -> String {
     let cell = g.op("Clip", &[&cell, &zero, &last], vec![]);
     let (first, second) = (g.ints(&[], &[0]), g.ints(&[], &[1]));
     let of =
-        |g: &mut Graph, value: &str, which: &str| g.op("Gather", &[value, which], vec![("axis", Int(2))]);
+        |g: &mut OnnxGraph, value: &str, which: &str| g.op("Gather", &[value, which], vec![("axis", Int(2))]);
     let (x, y) = (of(g, &cell, &first), of(g, &cell, &second));
     let row = g.op("Mul", &[&y, &sixty_four], vec![]);
     let index = g.op("Add", &[&row, &x], vec![]);
@@ -256,21 +257,21 @@ fn logits(g: &mut Graph, d: &Decoder, at: &str, label: &str) -> String {
     let axis = g.ints(&[1], &[0]);
     let distance = g.op("ReduceSum", &[&square, &axis], vec![("keepdims", Int(0))]);
     let two = g.ints(&[1], &[2]);
-    let said = g.op("Unsqueeze", &[label, &two], vec![]); // [Q, N, 1]
+    let labels_wide = g.op("Unsqueeze", &[label, &two], vec![]); // [Q, N, 1]
     let (far, unit) = (g.floats(&[1], &[1000.0]), g.floats(&[1], &[1.0]));
-    let is = |g: &mut Graph, value: f32| {
+    let is = |g: &mut OnnxGraph, value: f32| {
         let value = g.floats(&[1], &[value]);
-        let equal = g.op("Equal", &[&said, &value], vec![]);
+        let equal = g.op("Equal", &[&labels_wide, &value], vec![]);
         g.op("Cast", &[&equal], vec![("to", Int(FLOAT as i64))])
     };
-    let over_points = |g: &mut Graph, value: &str| {
+    let over_points = |g: &mut OnnxGraph, value: &str| {
         let axis = g.ints(&[1], &[1]);
         g.op("ReduceSum", &[value, &axis], vec![("keepdims", Int(0))])
     };
-    let nearest = |g: &mut Graph, of: &str| {
+    let nearest = |g: &mut OnnxGraph, of: &str| {
         let not = g.op("Sub", &[&unit, of], vec![]);
-        let away = g.op("Mul", &[&not, &far], vec![]);
-        let sum = g.op("Add", &[&distance, &away], vec![]);
+        let penalty = g.op("Mul", &[&not, &far], vec![]);
+        let sum = g.op("Add", &[&distance, &penalty], vec![]);
         g.op("ReduceMin", &[&sum], vec![("axes", Ints(vec![1])), ("keepdims", Int(0))]) // [Q, 4096]
     };
     let (inside, outside) = (is(g, 1.0), is(g, 0.0));
@@ -299,21 +300,21 @@ fn logits(g: &mut Graph, d: &Decoder, at: &str, label: &str) -> String {
     // Within the box, in cells from its edge.
     let (low, high) = (is(g, 2.0), is(g, 3.0));
     let boxed = over_points(g, &low);
-    let corner = |g: &mut Graph, which: &str| {
-        let chosen = g.op("Mul", &[at, which], vec![]);
-        over_points(g, &chosen) // [Q, 2]
+    let corner = |g: &mut OnnxGraph, which: &str| {
+        let picked = g.op("Mul", &[at, which], vec![]);
+        over_points(g, &picked) // [Q, 2]
     };
     let (low, high) = (corner(g, &low), corner(g, &high));
     let (low, high) = (g.op("Unsqueeze", &[&low, &two], vec![]), g.op("Unsqueeze", &[&high, &two], vec![]));
     let side = g.floats(&[1], &[1024.0]);
-    let pixels = g.op("Mul", &[&places, &side], vec![]); // [2, 4096]
+    let pixels = g.op("Mul", &[&positions, &side], vec![]); // [2, 4096]
     let (a, b) = (g.op("Sub", &[&pixels, &low], vec![]), g.op("Sub", &[&high, &pixels], vec![]));
     let depth = g.op("Min", &[&a, &b], vec![]);
     let depth = g.op("ReduceMin", &[&depth], vec![("axes", Ints(vec![1])), ("keepdims", Int(0))]);
     let not = g.op("Sub", &[&unit, &boxed], vec![]);
-    let away = g.op("Mul", &[&not, &far], vec![]);
+    let penalty = g.op("Mul", &[&not, &far], vec![]);
     let depth = g.op("Mul", &[&depth, &boxed], vec![]);
-    let depth = g.op("Add", &[&depth, &away], vec![]);
+    let depth = g.op("Add", &[&depth, &penalty], vec![]);
     let depth = g.op("Unsqueeze", &[&depth, &one], vec![]);
     all = g.op("Min", &[&all, &depth], vec![]);
     let (least, most) = (g.floats(&[], &[-10.0]), g.floats(&[], &[10.0]));
@@ -334,7 +335,7 @@ fn logits(g: &mut Graph, d: &Decoder, at: &str, label: &str) -> String {
 }
 
 /// The masks at the photo's size, as the published exports make them.
-fn full_size(g: &mut Graph, d: &Decoder, small: &str, size: &str) -> String {
+fn full_size(g: &mut OnnxGraph, d: &Decoder, small: &str, size: &str) -> String {
     let linear = || vec![("mode", Text("linear")), ("coordinate_transformation_mode", Text("half_pixel"))];
     let (zero, two) = (g.ints(&[1], &[0]), g.ints(&[1], &[2]));
     let shape = g.op("Shape", &[small], vec![]);

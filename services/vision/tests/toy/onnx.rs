@@ -14,12 +14,12 @@ pub enum Attribute {
     Int(i64),
     Ints(Vec<i64>),
     Text(&'static str),
-    Graph(Graph),
+    OnnxGraph(OnnxGraph),
 }
 
 /// A graph, while it is written.
 #[derive(Default)]
-pub struct Graph {
+pub struct OnnxGraph {
     bytes: Vec<u8>,
     names: usize,
 }
@@ -89,7 +89,7 @@ fn declared(name: &str, kind: u64, dims: &[i64]) -> Vec<u8> {
     out
 }
 
-impl Graph {
+impl OnnxGraph {
     pub fn input(&mut self, name: &str, kind: u64, dims: &[i64]) {
         bytes(&mut self.bytes, 11, &declared(name, kind, dims));
     }
@@ -156,7 +156,7 @@ impl Graph {
                     bytes(&mut attribute, 4, text.as_bytes());
                     3
                 }
-                Attribute::Graph(graph) => {
+                Attribute::OnnxGraph(graph) => {
                     bytes(&mut attribute, 6, &graph.named("inner"));
                     5
                 }

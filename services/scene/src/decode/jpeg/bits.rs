@@ -2,15 +2,15 @@
 
 /// The data of a scan are not what an encoder writes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Fault {
-    /// They end before the picture does, where the file ends.
+pub(super) enum ScanFault {
+    /// They end before the image does, where the file ends.
     Short,
-    /// They end before the picture does, at a marker, or hold a code or a number that cannot be.
+    /// They end before the image does, at a marker, or hold a code or a number that cannot be.
     Broken,
 }
 
 /// Reads the bits of one scan; stops at markers.
-pub(super) struct Bits<'a> {
+pub(super) struct BitReader<'a> {
     bytes: &'a [u8],
     /// The next byte that is not in `held`.
     pub at: usize,
@@ -21,9 +21,9 @@ pub(super) struct Bits<'a> {
     made_up: u32,
 }
 
-impl<'a> Bits<'a> {
-    pub fn new(bytes: &'a [u8], at: usize) -> Bits<'a> {
-        Bits { bytes, at, held: 0, count: 0, made_up: 0 }
+impl<'a> BitReader<'a> {
+    pub fn new(bytes: &'a [u8], at: usize) -> BitReader<'a> {
+        BitReader { bytes, at, held: 0, count: 0, made_up: 0 }
     }
 
     #[inline]
@@ -52,13 +52,13 @@ impl<'a> Bits<'a> {
         }
     }
 
-    /// What is wrong where more bits were used than there are.
+    /// The fault, where more bits were used than there are.
     #[inline]
-    pub fn check(&self) -> Result<(), Fault> {
+    pub fn check(&self) -> Result<(), ScanFault> {
         if self.count >= self.made_up {
             return Ok(());
         }
-        Err(if self.at + 1 >= self.bytes.len() { Fault::Short } else { Fault::Broken })
+        Err(if self.at + 1 >= self.bytes.len() { ScanFault::Short } else { ScanFault::Broken })
     }
 
     /// The next `n` bits, at most 16.
@@ -83,19 +83,19 @@ impl<'a> Bits<'a> {
         if n > 0 && value < 1 << (n - 1) { value - (1 << n) + 1 } else { value }
     }
 
-    /// Goes on behind a restart marker, which must be the one of this number.
-    pub fn restart(&mut self, number: u32) -> Result<(), Fault> {
+    /// Goes on after a restart marker, which must be the one of this number.
+    pub fn restart(&mut self, number: u32) -> Result<(), ScanFault> {
         self.check()?;
         let left = self.leave();
         let here = (self.bytes.get(self.at), self.bytes.get(self.at + 1));
         let expected = 0xd0 + (number % 8) as u8;
         match here {
             (Some(0xff), Some(&marker)) if marker == expected && left == 0 => {
-                *self = Bits::new(self.bytes, self.at + 2);
+                *self = BitReader::new(self.bytes, self.at + 2);
                 Ok(())
             }
-            (None, _) | (_, None) => Err(Fault::Short),
-            _ => Err(Fault::Broken),
+            (None, _) | (_, None) => Err(ScanFault::Short),
+            _ => Err(ScanFault::Broken),
         }
     }
 
@@ -122,7 +122,7 @@ const FAST: u32 = 9;
 
 /// A Huffman table.
 #[derive(Clone)]
-pub(super) struct Codes {
+pub(super) struct HuffmanTable {
     /// By the next [`FAST`] bits: length and symbol of the code they begin with; length 0 where it is longer.
     fast: Vec<(u8, u8)>,
     /// Per length: the first code that is longer, moved up to 16 bits; and what to add to a code for its symbol's index.
@@ -131,10 +131,10 @@ pub(super) struct Codes {
     symbols: Vec<u8>,
 }
 
-impl Codes {
+impl HuffmanTable {
     /// From the counts of codes per length and the symbols in order.
-    pub fn new(counts: &[u8; 16], symbols: &[u8]) -> Option<Codes> {
-        let mut codes = Codes {
+    pub fn new(counts: &[u8; 16], symbols: &[u8]) -> Option<HuffmanTable> {
+        let mut table = HuffmanTable {
             fast: vec![(0, 0); 1 << FAST],
             limit: [0; 18],
             shift: [0; 17],
@@ -143,12 +143,12 @@ impl Codes {
         let (mut code, mut index) = (0u32, 0usize);
         for length in 1..=16u32 {
             let count = usize::from(counts[length as usize - 1]);
-            codes.shift[length as usize] = index as i32 - code as i32;
+            table.shift[length as usize] = index as i32 - code as i32;
             for k in 0..count {
                 let symbol = *symbols.get(index + k)?;
                 if length <= FAST {
                     let first = ((code + k as u32) << (FAST - length)) as usize;
-                    let entries = codes.fast.get_mut(first..first + (1 << (FAST - length)))?;
+                    let entries = table.fast.get_mut(first..first + (1 << (FAST - length)))?;
                     entries.fill((length as u8, symbol));
                 }
             }
@@ -156,16 +156,16 @@ impl Codes {
             if code > 1 << length {
                 return None;
             }
-            codes.limit[length as usize] = code << (16 - length);
+            table.limit[length as usize] = code << (16 - length);
             code <<= 1;
         }
-        codes.limit[17] = u32::MAX;
-        Some(codes)
+        table.limit[17] = u32::MAX;
+        Some(table)
     }
 
     /// The next symbol.
     #[inline]
-    pub fn next(&self, bits: &mut Bits) -> Result<u8, Fault> {
+    pub fn next(&self, bits: &mut BitReader) -> Result<u8, ScanFault> {
         if bits.count < 16 {
             bits.fill();
         }
@@ -179,10 +179,10 @@ impl Codes {
         let length = (FAST + 1..=17).find(|&l| ahead < self.limit[l as usize]).unwrap_or(17);
         if length > 16 {
             // Made-up bits are no code either.
-            return bits.check().and(Err(Fault::Broken));
+            return bits.check().and(Err(ScanFault::Broken));
         }
         let code = bits.take(length) as i32;
         let symbol = self.symbols.get((code + self.shift[length as usize]) as usize);
-        symbol.copied().ok_or(Fault::Broken)
+        symbol.copied().ok_or(ScanFault::Broken)
     }
 }

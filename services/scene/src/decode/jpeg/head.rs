@@ -1,8 +1,8 @@
-//! What stands before and between the scans of a JPEG.
+//! The segments before and between the scans of a JPEG.
 
 use std::io::{BufRead, Read};
 
-/// One plane of the picture as the frame declares it.
+/// One plane of the image as the frame declares it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Component {
     pub id: u8,
@@ -24,19 +24,19 @@ pub(crate) enum Coding {
     Other,
 }
 
-/// What the frame's header says.
+/// The frame's header.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Frame {
+pub(crate) struct JpegFrame {
     pub width: usize,
     pub height: usize,
     pub coding: Coding,
     pub components: Vec<Component>,
 }
 
-/// What a pass over the file finds.
+/// The result of a pass over the file.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Head {
-    pub frame: Frame,
+pub(crate) struct JpegHead {
+    pub frame: JpegFrame,
     /// The EXIF data, without their name.
     pub exif: Option<Vec<u8>>,
     /// Bytes up to and with the end marker, or of the file where there is none.
@@ -45,9 +45,9 @@ pub(crate) struct Head {
     pub ended: bool,
 }
 
-impl Frame {
+impl JpegFrame {
     /// Reads a start-of-frame segment, its length left out.
-    pub fn parse(marker: u8, data: &[u8]) -> Option<Frame> {
+    pub fn parse(marker: u8, data: &[u8]) -> Option<JpegFrame> {
         let [bits, h1, h0, w1, w0, n, rest @ ..] = data else { return None };
         let component = |c: &[u8]| Component {
             id: c[0],
@@ -64,7 +64,7 @@ impl Frame {
             _ => Coding::Other,
         };
         let two = |a: u8, b: u8| usize::from(u16::from_be_bytes([a, b]));
-        Some(Frame { width: two(*w1, *w0), height: two(*h1, *h0), coding, components })
+        Some(JpegFrame { width: two(*w1, *w0), height: two(*h1, *h0), coding, components })
     }
 
     /// Samples of the component that is sampled most, across and down.
@@ -94,12 +94,12 @@ pub(super) fn is_frame(marker: u8) -> bool {
 const EXIF: &[u8] = b"Exif\0\0";
 
 /// A reader that counts.
-struct Counted<R> {
+struct CountingReader<R> {
     inner: R,
     at: u64,
 }
 
-impl<R: BufRead> Counted<R> {
+impl<R: BufRead> CountingReader<R> {
     fn byte(&mut self) -> std::io::Result<Option<u8>> {
         let byte = self.inner.fill_buf()?.first().copied();
         self.skip(usize::from(byte.is_some()));
@@ -135,14 +135,14 @@ impl<R: BufRead> Counted<R> {
     }
 }
 
-/// Walks from segment to segment up to the end marker of the first picture: thumbnails inside of segments have ends of their own,
-/// and what comes behind (a second picture, a trailer) is no part of it.
+/// Walks from segment to segment up to the end marker of the first image: thumbnails inside of segments have ends of their own,
+/// and what follows it (a second image, a trailer) is no part of it.
 ///
 /// # Errors
 /// In words, where there is no frame, or the system refuses.
-pub(crate) fn read(reader: impl BufRead) -> Result<Head, String> {
+pub(crate) fn read(reader: impl BufRead) -> Result<JpegHead, String> {
     let words = |e: std::io::Error| e.to_string();
-    let mut reader = Counted { inner: reader, at: 0 };
+    let mut reader = CountingReader { inner: reader, at: 0 };
     let (mut frame, mut exif) = (None, None);
     let mut ended = false;
     reader.take(2).map_err(words)?;
@@ -166,7 +166,7 @@ pub(crate) fn read(reader: impl BufRead) -> Result<Head, String> {
                 let wanted = usize::from(u16::from_be_bytes(length)).saturating_sub(2);
                 let data = reader.take(wanted).map_err(words)?;
                 if is_frame(marker) && frame.is_none() {
-                    frame = Frame::parse(marker, &data);
+                    frame = JpegFrame::parse(marker, &data);
                 }
                 if marker == 0xe1 && exif.is_none() && data.starts_with(EXIF) {
                     exif = Some(data[EXIF.len()..].to_vec());
@@ -175,10 +175,10 @@ pub(crate) fn read(reader: impl BufRead) -> Result<Head, String> {
         }
     }
     match frame {
-        Some(frame) => Ok(Head { frame, exif, bytes: reader.at, ended }),
+        Some(frame) => Ok(JpegHead { frame, exif, bytes: reader.at, ended }),
         None if ended => Err("does not decode: the JPEG has no frame".into()),
         None => {
-            Err("the file is cut short: the JPEG has no end, and nothing of its picture is there; copy the \
+            Err("the file is cut short: the JPEG has no end, and nothing of its image is there; copy the \
                      photo again"
                 .into())
         }

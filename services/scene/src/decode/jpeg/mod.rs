@@ -1,7 +1,7 @@
-//! JPEGs: what their heads say, whether their data are whole, and decoding to a smaller size.
+//! JPEGs: their heads, checks that their data are whole, and decoding to a smaller size.
 //!
 //! Photos of a usual size are decoded by `zune-jpeg`, whole. Of a large one only so many coefficients per block are
-//! transformed as the size asked for needs, so that neither the whole picture nor, where it is progressive, its whole
+//! transformed as the target size needs, so that neither the whole image nor, where it is progressive, its whole
 //! coefficients are ever in memory. The same walk through the blocks tells whether the data are damaged, which decoders do not
 //! say: they fill with grey.
 
@@ -12,25 +12,25 @@ mod scan;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use head::{Coding, Frame, Head, read};
-pub(crate) use scan::Found;
+pub(crate) use head::{Coding, JpegFrame, JpegHead, read};
+pub(crate) use scan::ScanResult;
 
 use image::{DynamicImage, GrayImage, RgbImage};
-use scan::{Block, Sink};
+use scan::{BlockSink, CoefficientBlock};
 
 /// Looks for damage; `None` where the JPEG is coded in a way that is not known here.
-pub(crate) fn check(bytes: &[u8], frame: &Frame) -> Option<Found> {
+pub(crate) fn check(bytes: &[u8], frame: &JpegFrame) -> Option<ScanResult> {
     struct Nothing;
-    impl Sink for Nothing {
+    impl BlockSink for Nothing {
         fn wanted(&self, _: usize) -> (usize, usize) {
             (0, 0)
         }
-        fn block(&mut self, _: usize, _: (usize, usize), _: &Block, _: &[u16; 64]) {}
+        fn block(&mut self, _: usize, _: (usize, usize), _: &CoefficientBlock, _: &[u16; 64]) {}
     }
     scan::walk(bytes, frame, &mut Nothing)
 }
 
-/// Decodes the whole picture.
+/// Decodes the whole image.
 pub(crate) fn whole(bytes: &[u8]) -> Result<DynamicImage, String> {
     use zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions};
     let words = |e: zune_jpeg::errors::DecodeErrors| format!("does not decode: {e}");
@@ -52,8 +52,8 @@ pub(crate) fn whole(bytes: &[u8]) -> Result<DynamicImage, String> {
     image.ok_or_else(|| "does not decode: the JPEG has too few pixels".into())
 }
 
-impl Frame {
-    /// Pixels per block of the picture at the size that is at least `least` x `least_height`: 8, 4, 2 or 1.
+impl JpegFrame {
+    /// Pixels per block of the image at the size that is at least `least` x `least_height`: 8, 4, 2 or 1.
     pub fn scale_for(&self, least: (f64, f64)) -> usize {
         let enough = |n: &usize| {
             let n = *n as f64 / 8.0;
@@ -84,8 +84,8 @@ impl Frame {
         let blocks = |c: usize| (x * self.components[c].h * y * self.components[c].v) as u64;
         let planes: u64 = sizes.iter().enumerate().map(|(c, s)| blocks(c) * (s.0 * s.1) as u64).sum();
         let kept = if self.coding == Coding::Progressive { progressive::bytes(self, &sizes) } else { 0 };
-        let picture = 3 * ((self.width * scale / 8 + 1) * (self.height * scale / 8 + 1)) as u64;
-        planes + kept + picture
+        let image_bytes = 3 * ((self.width * scale / 8 + 1) * (self.height * scale / 8 + 1)) as u64;
+        planes + kept + image_bytes
     }
 }
 
@@ -100,7 +100,7 @@ fn waves(n: usize) -> [[f32; 8]; 8] {
 }
 
 /// A component's samples at the smaller size.
-struct Plane {
+struct ComponentPlane {
     /// Samples of a block, across and down.
     size: (usize, usize),
     waves: ([[f32; 8]; 8], [[f32; 8]; 8]),
@@ -108,8 +108,8 @@ struct Plane {
     samples: Vec<u8>,
 }
 
-impl Plane {
-    fn put(&mut self, (x, y): (usize, usize), block: &Block, table: &[u16; 64]) {
+impl ComponentPlane {
+    fn put(&mut self, (x, y): (usize, usize), block: &CoefficientBlock, table: &[u16; 64]) {
         let (w, h) = self.size;
         // Rows first: `half[v][x]` of coefficient row v.
         let mut half = [[0f32; 8]; 8];
@@ -133,29 +133,38 @@ impl Plane {
     }
 }
 
-impl Sink for Vec<Plane> {
+impl BlockSink for Vec<ComponentPlane> {
     fn wanted(&self, component: usize) -> (usize, usize) {
         self[component].size
     }
 
-    fn block(&mut self, component: usize, at: (usize, usize), block: &Block, table: &[u16; 64]) {
+    fn block(&mut self, component: usize, at: (usize, usize), block: &CoefficientBlock, table: &[u16; 64]) {
         self[component].put(at, block, table);
     }
 }
 
-/// Decodes the picture with `scale` of each 8 pixels, across and down; how many columns and rows of what comes back it fills, for
+/// Decodes the image with `scale` of each 8 pixels, across and down; how many columns and rows of what comes back it fills, for
 /// the last ones may be filled in part.
 ///
 /// # Errors
 /// In words, where its data are damaged.
-pub(crate) fn scaled(bytes: &[u8], frame: &Frame, scale: usize) -> Result<(DynamicImage, [f64; 2]), String> {
+pub(crate) fn scaled(
+    bytes: &[u8],
+    frame: &JpegFrame,
+    scale: usize,
+) -> Result<(DynamicImage, [f64; 2]), String> {
     let (units_x, units_y) = frame.units();
     let plane = |c: usize| {
         let (size, part) = (frame.block_size(c, scale), frame.components[c]);
         let (stride, rows) = (units_x * part.h * size.0, units_y * part.v * size.1);
-        Plane { size, waves: (waves(size.0), waves(size.1)), stride, samples: vec![0; stride * rows] }
+        ComponentPlane {
+            size,
+            waves: (waves(size.0), waves(size.1)),
+            stride,
+            samples: vec![0; stride * rows],
+        }
     };
-    let mut planes: Vec<Plane> = (0..frame.components.len()).map(plane).collect();
+    let mut planes: Vec<ComponentPlane> = (0..frame.components.len()).map(plane).collect();
     let found = scan::walk(bytes, frame, &mut planes).ok_or("does not decode: its coding is not known")?;
     if let Some(damage) = found.damage(bytes.len() as u64) {
         return Err(damage);
@@ -196,7 +205,7 @@ fn colour([y, cb, cr]: [u8; 3]) -> [u8; 3] {
         .map(|v| (v + 0.5).clamp(0.0, 255.0) as u8)
 }
 
-impl Frame {
+impl JpegFrame {
     /// Whether three components are red, green and blue: an Adobe segment says so.
     fn is_rgb(&self, bytes: &[u8]) -> bool {
         const ADOBE: &[u8] = b"\xff\xee\x00\x0eAdobe";
@@ -209,25 +218,25 @@ impl Frame {
 }
 
 /// Bytes of data, and share of all, that may be left over without harm: some cameras pad.
-const SPARE: (u64, f64) = (64, 1e-3);
+const UNUSED: (u64, f64) = (64, 1e-3);
 
-impl Found {
+impl ScanResult {
     /// Why the photo is not to be used, if so.
     pub fn damage(&self, bytes: u64) -> Option<String> {
         let share = (100.0 * self.good).floor();
         if self.short {
             return Some(format!(
-                "the file is cut short: the JPEG has no end, and {share:.0} % of its picture is there; copy the photo again"
+                "the file is cut short: the JPEG has no end, and {share:.0} % of its image is there; copy the photo again"
             ));
         }
         if self.broken {
             return Some(format!(
-                "its data are damaged: {share:.0} % of the picture can be read before they make no sense; copy the photo again"
+                "its data are damaged: {share:.0} % of the image can be read before they make no sense; copy the photo again"
             ));
         }
-        (self.left > SPARE.0 && self.left as f64 > SPARE.1 * bytes as f64).then(|| {
+        (self.left > UNUSED.0 && self.left as f64 > UNUSED.1 * bytes as f64).then(|| {
             format!(
-                "its data are damaged: {} bytes of them are left when the picture is full, so part of it is out of place; \
+                "its data are damaged: {} bytes of them are left when the image is full, so part of it is out of place; \
                  copy the photo again",
                 self.left
             )
@@ -238,11 +247,11 @@ impl Found {
     pub fn oddity(&self, ended: bool) -> Option<String> {
         match (ended, self.left) {
             (false, _) => {
-                Some("the JPEG has no end marker; all of its picture is there, and it is used".into())
+                Some("the JPEG has no end marker; all of its image is there, and it is used".into())
             }
             (true, 0..4) => None,
             (true, left) => Some(format!(
-                "{left} bytes of its data belong to no part of the picture; it is used, but look at it: the file may be damaged"
+                "{left} bytes of its data belong to no part of the image; it is used, but look at it: the file may be damaged"
             )),
         }
     }

@@ -2,7 +2,7 @@
 
 use super::*;
 
-/// The same picture in every coding.
+/// The same image in every coding.
 const KINDS: [(&str, &[u8]); 11] = [
     ("444", include_bytes!("../../../tests/jpegs/444.jpg")),
     ("422", include_bytes!("../../../tests/jpegs/422.jpg")),
@@ -18,11 +18,11 @@ const KINDS: [(&str, &[u8]); 11] = [
 ];
 const CMYK: &[u8] = include_bytes!("../../../tests/jpegs/cmyk.jpg");
 
-fn frame(bytes: &[u8]) -> Frame {
+fn frame(bytes: &[u8]) -> JpegFrame {
     read(bytes).expect("it has a head").frame
 }
 
-/// Mean over squares of `step` pixels, of those that lie within the picture as a whole.
+/// Mean over squares of `step` pixels, of those that lie within the image as a whole.
 fn squares(image: &RgbImage, step: u32) -> Vec<f32> {
     let (w, h) = (image.width() / step, image.height() / step);
     let mean = |x: u32, y: u32, c: usize| {
@@ -57,7 +57,7 @@ fn whole_jpegs_are_not_taken_for_damaged() {
         let head = read(bytes).expect("it has a head");
         assert!(head.ended && head.bytes == bytes.len() as u64, "{kind}");
         let found = check(bytes, &head.frame).expect("its coding is known");
-        assert_eq!(found, Found::default(), "{kind}");
+        assert_eq!(found, ScanResult::default(), "{kind}");
         assert_eq!((found.damage(head.bytes), found.oddity(true)), (None, None), "{kind}");
         // All but the end marker, and with other things behind the end.
         let cut = &bytes[..bytes.len() - 2];
@@ -94,16 +94,16 @@ fn data_of(bytes: &[u8]) -> usize {
 }
 
 /// A flipped bit in a number or a code that changes neither how many bits nor how many blocks follow cannot be seen: what is left is
-/// a valid JPEG of another picture, wrong in one block or in brightness from there on. Of single flips 16 to 26 % are found, of twelve
+/// a valid JPEG of another image, wrong in one block or in brightness from there on. Of single flips 16 to 26 % are found, of twelve
 /// 77 % and more; the least are found where the coding is optimised, for it leaves no code unused.
 #[test]
 fn most_damage_in_the_data_is_found_and_none_brings_anything_down() {
     for (kind, bytes) in KINDS {
         let (from, to) = (data_of(bytes), bytes.len() - 2);
-        let places: Vec<usize> = (from..to).step_by(7).collect();
-        let flipped = |places: &[usize]| {
+        let positions: Vec<usize> = (from..to).step_by(7).collect();
+        let flipped = |positions: &[usize]| {
             let mut bytes = bytes.to_vec();
-            for &at in places {
+            for &at in positions {
                 bytes[at] ^= 1 << (at % 8);
             }
             let Ok(head) = read(&bytes[..]) else { return true };
@@ -111,9 +111,9 @@ fn most_damage_in_the_data_is_found_and_none_brings_anything_down() {
             check(&bytes, &head.frame)
                 .is_none_or(|found| found.damage(head.bytes).or(found.oddity(head.ended)).is_some())
         };
-        let one = places.iter().filter(|&&at| flipped(&[at])).count() as f64 / places.len() as f64;
+        let one = positions.iter().filter(|&&at| flipped(&[at])).count() as f64 / positions.len() as f64;
         // As a bad sector or a bad cable does: many.
-        let many: Vec<&[usize]> = places.chunks(12).filter(|c| c.len() == 12).collect();
+        let many: Vec<&[usize]> = positions.chunks(12).filter(|c| c.len() == 12).collect();
         let found = many.iter().filter(|c| flipped(c)).count() as f64 / many.len() as f64;
         assert!(
             one > 0.12 && found > 0.7,

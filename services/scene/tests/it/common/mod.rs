@@ -20,8 +20,8 @@ pub fn open(path: &Path) -> Result<Scene, SceneError> {
     Scene::open(path, &SceneSettings::default())
 }
 
-/// A smooth picture that differs at every pixel.
-pub fn picture(width: usize, height: usize) -> Image {
+/// A smooth image that differs at every pixel.
+pub fn test_image(width: usize, height: usize) -> Image {
     let mut image = Image::zeros(width, height, 3);
     for y in 0..height {
         for x in 0..width {
@@ -47,7 +47,7 @@ pub fn line(n: u32) -> Reconstruction {
         height: SIZE.1 as u64,
         params: vec![50.0, 50.0, 20.0, 15.0],
     };
-    let places: [[f64; 3]; 4] = [[0.0, 0.0, 5.0], [0.5, 0.2, 6.0], [-0.4, 0.3, 5.5], [0.1, -0.5, 4.5]];
+    let positions: [[f64; 3]; 4] = [[0.0, 0.0, 5.0], [0.5, 0.2, 6.0], [-0.4, 0.3, 5.5], [0.1, -0.5, 4.5]];
     let shift = |i: u32| f64::from(i) / f64::from(n.max(5) - 1);
     let images = (0..n).map(|i| ImageRecord {
         id: 100 + i,
@@ -55,7 +55,7 @@ pub fn line(n: u32) -> Reconstruction {
         translation: [-shift(i), 0.0, 0.0],
         camera_id: 7,
         name: format!("photo{i:02}.png"),
-        keypoints: places
+        keypoints: positions
             .iter()
             .enumerate()
             .map(|(k, p)| Keypoint {
@@ -65,7 +65,7 @@ pub fn line(n: u32) -> Reconstruction {
             .collect(),
     });
     let images: Vec<_> = images.collect();
-    let points = places.iter().enumerate().map(|(k, p)| PointRecord {
+    let points = positions.iter().enumerate().map(|(k, p)| PointRecord {
         id: k as u64 + 1,
         position: *p,
         colour: [10, 20, 30],
@@ -86,5 +86,5 @@ pub fn write(dir: &Path, reconstruction: &Reconstruction) {
 pub fn write_photo(dir: &Path, name: &str) {
     let path = dir.join("images").join(name);
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-    picture(SIZE.0, SIZE.1).write_png(&path).unwrap();
+    test_image(SIZE.0, SIZE.1).write_png(&path).unwrap();
 }
