@@ -101,7 +101,7 @@ fn the_frame_ends_the_mask() {
 }
 
 #[test]
-fn a_mask_of_another_size_cuts_at_the_same_place() {
+fn a_mask_of_another_size_cuts_at_the_same_position() {
     let small = disc().resized(100, 80);
     let mut after = needle(150.0, 40.0);
     Cut::new(&after.clone(), &all(1), &[view(&small)], SpikeMode::Axis, NEAR).apply(&mut after);
@@ -219,7 +219,7 @@ proptest! {
 
 /// Photos side by side, each with an outline of its own.
 fn votes_of(masks: &[Mask]) -> Vec<MaskVote<'_>> {
-    let mask_vote = |mask| MaskVote { camera: CAMERA, pose: pose(), mask, voice: &[255], weight: 1.0 };
+    let mask_vote = |mask| MaskVote { camera: CAMERA, pose: pose(), mask, visibility: &[255], weight: 1.0 };
     masks.iter().map(mask_vote).collect()
 }
 
@@ -260,7 +260,8 @@ fn one_photo_that_is_wrong_cuts_nothing() {
     );
     // Nor do photos that do not see it, however many.
     let blind = [110; 8].map(left_of);
-    let votes: Vec<MaskVote> = votes_of(&blind).into_iter().map(|j| MaskVote { voice: &[0], ..j }).collect();
+    let votes: Vec<MaskVote> =
+        votes_of(&blind).into_iter().map(|j| MaskVote { visibility: &[0], ..j }).collect();
     assert_eq!(Cut::cut_by_votes(&needle, &all(1), &NONE, &votes, SpikeMode::Axis, NEAR), Cut::default());
 }
 
