@@ -1,4 +1,4 @@
-//! The light that a trained scene is drawn in: a photo's look, something between several, or two at once.
+//! The light that a trained scene is rendered in: a photo's appearance, an interpolation of several, or two at once.
 
 use crate::TrainError;
 use crate::background::Background;
@@ -8,7 +8,8 @@ use segwild_raster::compare::add_behind;
 use segwild_raster::{AppearanceEmbedding, Channels, Engine, Projected, bake};
 use segwild_scene::{Camera, Image, Pose, Splats};
 
-/// A look taken out of the model: what it makes of splats' colours, and what stands behind them, in its own colours.
+/// An appearance taken out of the model: the appearance embedding that changes the splats' colours, and its background in its own
+/// colours.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Light {
     appearance_embedding: AppearanceEmbedding,
@@ -24,7 +25,7 @@ impl Light {
         }
     }
 
-    /// What stands behind the splats in this light.
+    /// The background in this light.
     pub fn background(&self) -> &Background {
         &self.background
     }
@@ -33,7 +34,7 @@ impl Light {
 /// How a scene is lit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lighting {
-    /// The light of everything, and of what stands behind.
+    /// The light of the scene and of its background.
     pub scene: Light,
     /// Another light for some splats: per splat whether it has it.
     pub object: Option<(Vec<bool>, Light)>,
@@ -46,7 +47,7 @@ impl From<Light> for Lighting {
 }
 
 impl Model {
-    /// The light of a view's photo: the mean one where the photo took no part or none is named.
+    /// The light of a view's photo; the mean one where the photo took no part or none is named.
     pub fn light(&self, view: Option<usize>) -> Light {
         let appearance_embedding = self.appearance.as_appearance().appearance_embedding(
             self.appearance_index(view),
@@ -79,7 +80,7 @@ impl Model {
         all
     }
 
-    /// The splats with a lighting's colours as their own, for programs that know nothing of looks. See
+    /// The splats with a lighting's colours as their own, for programs without appearance models. See
     /// [`segwild_raster::bake`].
     ///
     /// # Panics
