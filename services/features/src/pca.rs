@@ -91,8 +91,9 @@ impl EmbeddingSamples {
 
 /// Principal components of an embedding.
 ///
-/// Mean-centred, no whitening; one common factor brings the compressed vectors to a mean squared length of 1, so that learning rates mean
-/// the same for every embedder. Cosines of compressed vectors are those of the centred, projected embeddings.
+/// Mean-centred, no whitening; one common factor brings the compressed vectors to a mean squared length of 1, so that
+/// learning rates mean the same for every embedder. Cosines of compressed vectors are those of the centred, projected
+/// embeddings.
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
 pub struct Pca {
     /// Numbers per cell of the embedding.

@@ -35,7 +35,7 @@ pub fn view_depth(camera: &Camera, pose: &Pose, points: impl IntoIterator<Item =
     (count > 0 && depth.is_finite()).then_some(depth)
 }
 
-/// The spread of [`view_depth`] over the training photos, which says what is near and what is far.
+/// The spread of [`view_depth`] over the training photos: what is near and what is far in the scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SceneDepths {
     /// 1 % quantile.

@@ -13,7 +13,7 @@ const ALPHA_MIN: f32 = 1.0 / 255.0;
 /// little information about where a boundary runs.
 const VOTE_FLOOR: f32 = 1.0;
 
-/// A photo that sees a share of a splat's light knows the splat by that share to this power. A tenth that
+/// Where a photo sees a share of a splat's light, its evidence counts as known by that share to this power. A tenth that
 /// shows beside something else determines the side of that tenth, and little of the rest.
 const PARTIAL_VIEW: f32 = 1.5;
 

@@ -1,6 +1,6 @@
 //! Depth layering: the part of a mask that lies in the background of the clicked object.
 //!
-//! A 2D segmenter knows no depth. Where a statue and the wall behind it look alike, its mask includes a piece of the wall,
+//! A 2D segmenter has no depth. Where a statue and the wall behind it look alike, its mask includes a piece of the wall,
 //! and other photos complete that piece to the whole wall. The splats have depth: in the clicked photo, the splats of such
 //! a mask lie in two layers with empty space between them, and all clicks are on the near one.
 
@@ -37,7 +37,8 @@ struct SplatDepth {
 }
 
 /// Turns a prompted mask's evidence for splats into evidence against them where they lie clearly behind the clicked object.
-/// `evidence` is the mask's; `inside` is its coverage of each pixel of `frame`, in [0, 1]; the clicks are in pixels of `click_camera`.
+/// `evidence` is the mask's; `inside` is its coverage of each pixel of `frame`, in [0, 1]; the clicks are in pixels of
+/// `click_camera`.
 pub(crate) fn discount_background(
     evidence: &mut Evidence,
     projected: &dyn Projected,

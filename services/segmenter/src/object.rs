@@ -4,7 +4,8 @@ use crate::Cut;
 use segwild_raster::{Channels, Engine, ProjectOptions, RasterError};
 use segwild_scene::{Camera, Image, Mask, Pose, Splats, box_mean};
 
-/// Share of a pixel that the object must make up to own it, relative to its mean share around there; absolute where it is rendered alone.
+/// Share of a pixel that the object must make up to own it, relative to its mean share around there; absolute where it is
+/// rendered alone.
 const HALF: f32 = 0.5;
 /// The least share of a pixel that it must make up: less is stray haze.
 const LEAST: f32 = 0.3;
@@ -57,7 +58,8 @@ pub enum MaskMode {
     Amodal,
 }
 
-/// The pixels that an object owns, at `size` (width, height). `share` is one plane: the share of each pixel that it makes up, in [0, 1].
+/// The pixels that an object owns, at `size` (width, height). `share` is one plane: the share of each pixel that it makes up,
+/// in [0, 1].
 pub fn owned(share: &Image, mode: MaskMode, size: (u32, u32)) -> Mask {
     let margin = margin(share, mode).resized(size.0 as usize, size.1 as usize);
     Mask::over(size.0, size.1, margin.plane(0), 0.0)

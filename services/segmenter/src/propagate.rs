@@ -90,18 +90,18 @@ pub enum Verdict {
 }
 
 /// One bit per splat.
-struct Bits(Vec<u64>);
+struct SplatSet(Vec<u64>);
 
-impl Bits {
-    fn new(flags: impl ExactSizeIterator<Item = bool>) -> Bits {
+impl SplatSet {
+    fn new(flags: impl ExactSizeIterator<Item = bool>) -> SplatSet {
         let mut words = vec![0; flags.len().div_ceil(64)];
         for (i, flag) in flags.enumerate() {
             words[i / 64] |= u64::from(flag) << (i % 64);
         }
-        Bits(words)
+        SplatSet(words)
     }
 
-    fn overlap(&self, other: &Bits) -> u32 {
+    fn overlap(&self, other: &SplatSet) -> u32 {
         self.0.iter().zip(&other.0).map(|(a, b)| (a & b).count_ones()).sum()
     }
 }
@@ -152,7 +152,7 @@ fn first_round<'s>(
     refiner: &'s dyn Refiner,
     scope: &Scope<'s>,
 ) -> Result<(FusionState, Vec<PhotoVisit>), SegmentError> {
-    let mut open: Vec<(usize, Bits)> = Vec::new();
+    let mut open: Vec<(usize, SplatSet)> = Vec::new();
     for index in
         (0..request.views.len()).filter(|v| request.prompts.iter().all(|p| p.refused || p.view != *v))
     {
@@ -196,12 +196,12 @@ fn first_round<'s>(
     Ok((state, visits))
 }
 
-fn seen_by(request: &Request, index: usize) -> Result<Bits, SegmentError> {
+fn seen_by(request: &Request, index: usize) -> Result<SplatSet, SegmentError> {
     let view = &request.views[index];
     let camera = view.camera.scaled_to(ORDER_SIZE);
     let projected = project(request, view, &camera)?;
     let whole = unoccluded(request.splats, &camera, &view.pose, &request.options);
-    Ok(Bits::new(
+    Ok(SplatSet::new(
         visible(&*projected, &whole, (camera.width, camera.height), request.settings.seen)
             .map_err(SegmentError::raster(&view.name))?
             .into_iter(),
@@ -210,12 +210,12 @@ fn seen_by(request: &Request, index: usize) -> Result<Bits, SegmentError> {
 
 /// The open views that show a decided part of the object, those first of which the largest share of what could be the
 /// object is decided.
-fn most_known(fusion: &LabelFusion, state: &FusionState, open: &[(usize, Bits)]) -> Vec<usize> {
+fn most_known(fusion: &LabelFusion, state: &FusionState, open: &[(usize, SplatSet)]) -> Vec<usize> {
     let n = state.probability.len();
     let SegmentSettings { rho, gamma, least_evidence, .. } = *fusion.settings;
     let label = |i: usize| state.evidence.label(i, rho, gamma, least_evidence);
-    let object = Bits::new((0..n).map(|i| !fusion.is_frozen(i) && label(i) == Some(true)));
-    let could_be = Bits::new((0..n).map(|i| !fusion.is_frozen(i) && label(i) != Some(false)));
+    let object = SplatSet::new((0..n).map(|i| !fusion.is_frozen(i) && label(i) == Some(true)));
+    let could_be = SplatSet::new((0..n).map(|i| !fusion.is_frozen(i) && label(i) != Some(false)));
     let mut shares: Vec<(f32, usize)> = open
         .iter()
         .filter_map(|(view, seen)| {

@@ -85,8 +85,9 @@ impl SplatFeatures {
         dot(self.row(splat), unit) * self.inverse_norms[splat]
     }
 
-    /// Fused similarity of every splat to some clicks: `sum_i softmax_i(s_i / temperature) s_i`, `s_i` the cosine
-    /// to click `i` (paper, Eq. 27). It lies between the mean and the largest. Reads the field once, on the device if it was uploaded ([`SplatFeatures::bring`]).
+    /// Fused similarity of every splat to some clicks: `sum_i softmax_i(s_i / temperature) s_i`, `s_i` the cosine to click
+    /// `i` (paper, Eq. 27). It lies between the mean and the largest. Reads the field once, on the device if it was uploaded
+    /// ([`SplatFeatures::bring`]).
     ///
     /// `clicks` are feature vectors of [`SplatFeatures::channels`] numbers; those without a direction are refused.
     pub fn similarity(

@@ -4,9 +4,9 @@ use segwild_scene::{Image, Mask};
 
 /// Snaps rough masks to photos, several at a time.
 pub trait Refiner: Sync {
-    /// Refines a prior. `certainty` holds, per pixel of a reduced frame of the view, how likely the pixel belongs to the object (one
-    /// plane in [0, 1]; about 0.5 where nothing is known). Returns a mask of any size and how far it is trusted, in [0, 1];
-    /// `None` when there is no answer.
+    /// Refines a prior. `certainty` holds, per pixel of a reduced frame of the view, how likely the pixel belongs to the
+    /// object (one plane in [0, 1]; about 0.5 where nothing is known). Returns a mask of any size and how far it is trusted,
+    /// in [0, 1]; `None` when there is no answer.
     fn refine(&self, view: usize, certainty: &Image) -> Option<(Mask, f32)>;
     /// Called on another thread when a view is likely to be refined soon, so that work can be done ahead. No answer
     /// may depend on it.

@@ -58,8 +58,8 @@ pub struct PromptedView<'a> {
     pub view: usize,
     /// The mask of the prompts, at any size that covers the photo edge to edge.
     pub mask: &'a Mask,
-    /// How likely each pixel is part of the object although the mask leaves it out: one plane in [0, 1] over the photo edge to edge.
-    /// `None` where the mask is certain.
+    /// How likely each pixel is part of the object although the mask leaves it out: one plane in [0, 1] over the photo edge
+    /// to edge. `None` where the mask is certain.
     pub open: Option<&'a Image>,
     /// Whether the mask is of a refused thing: all prompts on this photo are negative. Such a mask holds no evidence about
     /// what lies outside it.
@@ -449,7 +449,8 @@ fn prompted_evidence(request: &Request, prompt: &PromptedView) -> Result<Evidenc
     }
     let mut weights = vec![1.0; camera.width as usize * camera.height as usize];
     if let Some(open) = prompt.open {
-        // The inside of the mask was prompted; where it ends is a guess. A pixel that is as likely part of the object as not has little weight.
+        // The inside of the mask was prompted; where it ends is a guess. A pixel that is as likely part of the object as not
+        // has little weight.
         let open = open.resized(camera.width as usize, camera.height as usize);
         for (weight, chance) in weights.iter_mut().zip(open.plane(0)) {
             let certainty = 1.0 - 2.0 * chance;

@@ -81,7 +81,8 @@ segwild_scene::settings! {
     pub struct SegmentSettings("segment", user: propagate spikes object_appearance) {
         /// Least fused cosine similarity to the positive clicks, in [-1, 1] (paper, Eq. 28).
         tau: f32 = 0.5 => -1.0..=1.0,
-        /// Temperature of the softmax that fuses several clicks: towards 0 the best click counts, far above 1 their mean; the paper's formula is 1.
+        /// Temperature of the softmax that fuses several clicks: towards 0 the best click counts, far above 1 their mean; the
+        /// paper's formula is 1.
         click_temperature: f32 = 0.1 => 1e-4..=1e4,
         /// With negative clicks: by how much the similarity to the positive ones must be larger.
         negative_margin: f32 = 0.05 => -2.0..=2.0,

@@ -1,8 +1,8 @@
 //! Thin structures before the sky that are missing from the splats.
 //!
-//! Flames, rays and finials are small, and photos' poses are off by a pixel or two: their splats are thinner than the thing, or
-//! missing. A photo that gets "nothing there" as its prior leaves such a part out, and so does the next. But an empty pixel that is
-//! not sky shows a thing, and the splats around it decide which object it is a part of.
+//! Flames, rays and finials are small, and photos' poses are off by a pixel or two: their splats are thinner than the thing,
+//! or missing. A photo that gets "nothing there" as its prior leaves such a part out, and so does the next. But an empty
+//! pixel that is not sky shows a thing, and the splats around it decide which object it is a part of.
 
 use segwild_scene::{Image, Mask, box_mean};
 

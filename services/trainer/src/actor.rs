@@ -25,8 +25,8 @@ pub struct TrainOrder {
     /// The step to stop after: fewer than `settings.steps` leaves the training to be continued, more goes on past
     /// the end of the schedules at their last rates.
     pub until: u32,
-    /// Finds the checkpoint that an interrupted training continues from. Called at each attempt, so that one after a panic continues
-    /// from the last checkpoint of the attempt before.
+    /// Finds the checkpoint that an interrupted training continues from. Called at each attempt, so that one after a panic
+    /// continues from the last checkpoint of the attempt before.
     pub checkpoint: Arc<FindCheckpoint>,
     /// Time between checkpoints.
     pub checkpoint_every: Duration,

@@ -250,7 +250,7 @@ impl Params {
             .chain(splat_embeddings)
     }
 
-    /// The splats at `parents`, in that order, with what the optimiser knows of them.
+    /// The splats at `parents`, in that order, with their optimiser states.
     pub fn remap(&mut self, parents: &[usize]) {
         self.splat_embeddings = select(&self.splat_embeddings, self.splats.len(), parents);
         self.splats = self.splats.select(parents);

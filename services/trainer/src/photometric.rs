@@ -1,5 +1,5 @@
-//! The photo's half of a step: the inputs of its photometric loss, and what appearance, background and robust masks learn from the
-//! output. The loss itself is computed where the splats are ([`segwild_raster::compare`]).
+//! The photo's half of a step: the inputs of its photometric loss, and what appearance, background and robust masks learn
+//! from the output. The loss itself is computed where the splats are ([`segwild_raster::compare`]).
 
 use crate::TrainSettings;
 use crate::appearances::{self, AffineColour};

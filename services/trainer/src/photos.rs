@@ -20,8 +20,8 @@ pub struct TrainPhoto {
 }
 
 impl TrainPhoto {
-    /// A loaded photo with its sky, as far as that is known. Where a cut-out is empty no splat is to stand, as before a sky; its sky
-    /// is that, whatever a detector makes of the grey there.
+    /// A loaded photo with its sky, as far as that is known. Where a cut-out is empty no splat is to stand, as before a sky;
+    /// its sky is that, whatever a sky detector finds in the grey there.
     pub fn new(loaded: LoadedPhoto, sky: Option<Mask>) -> TrainPhoto {
         let LoadedPhoto { image, valid, empty, .. } = loaded;
         match empty {

@@ -1,4 +1,4 @@
-//! The views as training knows them: where they stood, and which points they saw.
+//! The views of a training: their cameras, poses and points.
 
 use crate::photos::{PhotoLevel, Stored};
 use segwild_scene::{Camera, Point, Pose, Scene, View};

@@ -69,7 +69,8 @@ impl Schedule {
         LATE_DECAY.powf((2.0 * self.share(step) - 1.0).max(0.0))
     }
 
-    /// Factor on the learning rate of the per-splat appearance embeddings: as for the others, once shapes have settled without them.
+    /// Factor on the learning rate of the per-splat appearance embeddings: as for the others, once shapes have settled
+    /// without them.
     pub fn embedding_factor(&self, step: u32) -> f32 {
         if self.share(step) < self.splat_embedding_from { 0.0 } else { self.late_factor(step) }
     }
@@ -96,8 +97,9 @@ impl Schedule {
         (0..times).any(|k| u64::from(step) == at(k)) && step > 0
     }
 
-    /// Steps for which residuals are no evidence of transients, after an opacity reset and where photos grow finer: detail of a finer
-    /// photo that the scene has yet to learn contradicts it as a transient does, and a pixel that is left out is never learnt.
+    /// Steps for which residuals are no evidence of transients, after an opacity reset and where photos grow finer: detail of
+    /// a finer photo that the scene has yet to learn contradicts it as a transient does, and a pixel that is left out is
+    /// never learnt.
     pub fn pause(&self) -> u32 {
         self.steps / 30
     }

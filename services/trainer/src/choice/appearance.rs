@@ -9,8 +9,8 @@ use segwild_scene::Scene;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// The appearance models that are tried, cheapest first. `gsw` is not among them: on `liberty` it is worth .15 dB over `embed` at three
-/// times the step (docs/measured.md).
+/// The appearance models that are tried, cheapest first. `gsw` is not among them: on `liberty` it is worth .15 dB over
+/// `embed` at three times the step (docs/measured.md).
 pub const APPEARANCE_MODELS: [AppearanceModel; 3] =
     [AppearanceModel::None, AppearanceModel::Affine, AppearanceModel::Embed];
 
@@ -23,8 +23,8 @@ pub const SIZE: u32 = 160;
 /// Steps of a short fit: a share of the whole training's, within these.
 const STEPS: (u32, u32) = (300, 600);
 
-/// Photos agree where those held out of the appearance model's fit are rendered with so many dB: `desk` and `fern` have 30 and 29,
-/// scenes that differ in light or are crowded 14 to 22.
+/// Photos agree where those held out of the appearance model's fit are rendered with so many dB: `desk` and `fern` have 30
+/// and 29, scenes that differ in light or are crowded 14 to 22.
 const AGREE: f32 = 25.0;
 
 /// The appearance model chosen for a scene, and why.
@@ -49,8 +49,8 @@ impl AppearanceChoice {
     }
 }
 
-/// Chooses the simplest appearance model that suffices. `photos` gives photos of a long side of [`SIZE`] at most; `stopping` ends the work.
-/// The same scene, photos and settings give the same choice.
+/// Chooses the simplest appearance model that suffices. `photos` gives photos of a long side of [`SIZE`] at most; `stopping`
+/// ends the work. The same scene, photos and settings give the same choice.
 pub fn choose_appearance(
     engine: Arc<dyn Engine>,
     scene: &Scene,

@@ -1,4 +1,5 @@
-//! Choice of appearance model and steps before a training: short fits that are scored on photos held out of them (method, section 9).
+//! Choice of appearance model and steps before a training: short fits that are scored on photos held out of them (method,
+//! section 9).
 
 mod appearance;
 mod budget;
@@ -76,7 +77,7 @@ impl<'a> Trials<'a> {
     ) -> Trials<'a> {
         let train: Vec<usize> = (0..scene.views.len()).filter(|&v| !scene.views[v].test).collect();
         let skip = train.len().div_ceil(MOST).max(1);
-        // One that cannot be read says nothing here, and is named where it is trained on.
+        // A photo that cannot be read is skipped here, and named where it is trained on.
         let usable: Vec<usize> =
             train.into_iter().step_by(skip).filter(|&v| photos.photo(v).is_ok()).collect();
         let mut held_out = Vec::new();
