@@ -1,7 +1,8 @@
-//! Embeddings and the feature field behind a mailbox.
+//! Actor that computes embeddings and the feature field.
 
 use crate::{
-    FeatureError, FeatureField, FeatureSettings, Pca, Progress, Samples, TargetSource, ViewTarget, build,
+    EmbeddingSamples, FeatureError, FeatureField, FeatureSettings, Pca, Progress, TargetSource, ViewTarget,
+    build,
 };
 use segwild_flow::{Actor, Cache, Context, Failure, Key, Message, Origin, Quarantined, Sender, fault};
 use segwild_raster::{Engine, ProjectOptions};
@@ -14,29 +15,29 @@ use std::time::Instant;
 /// Kind of the cache's embedding records.
 pub const EMBEDDING: &str = "embedding";
 
-/// Where what the field is made of comes from: read when it is needed, so that only indexes grow with the photos.
+/// The inputs of the feature field. Each is read when it is needed, so that only indexes grow with the number of photos.
 pub trait FieldInputs: Send + Sync {
-    /// What the photo shows.
+    /// The photo's embedding.
     ///
     /// # Errors
-    /// Here and below: when it was there and can be had no more.
+    /// Here and below: when it was there and can no longer be read.
     fn embedding(&self, view: usize) -> Result<Embedding, Failure>;
 
-    /// Which of its pixels can be trusted (VM), on a grid of its own; sky cannot.
+    /// Which of its pixels can be trusted (visibility map, VM), on a grid of its own; sky cannot.
     fn visibility(&self, view: usize) -> Result<Mask, Failure>;
 
     /// Its sky, if it is known.
     fn sky(&self, view: usize) -> Result<Option<Mask>, Failure>;
 
-    /// Its masks, as soon as it is known whether there are any; `None` if they were given up. Waits no longer than until
-    /// `stopping` says so.
+    /// Its masks, as soon as it is known whether there are any; `None` if they were given up. Stops waiting when
+    /// `stopping` returns true.
     fn masks(&self, view: usize, stopping: &dyn Fn() -> bool) -> Result<Option<MaskSet>, Failure>;
 }
 
-/// What the actor is asked for.
+/// A request to the actor.
 #[derive(Clone)]
 pub enum FeatureTask {
-    /// Describe a photo; the embedding goes to the cache.
+    /// Embed a photo; the embedding goes to the cache.
     Embed {
         /// Index of the view.
         view: usize,
@@ -47,11 +48,11 @@ pub enum FeatureTask {
     Field {
         /// The splats.
         splats: Arc<Splats>,
-        /// How they are drawn.
+        /// How they are projected.
         options: ProjectOptions,
         /// The photos in the order in which they are lifted.
         views: Arc<Vec<usize>>,
-        /// What is known of them. Their masks may still be under way: lifting does without them.
+        /// The inputs of each photo. Its masks may still be under way: lifting does without them.
         inputs: Arc<dyn FieldInputs>,
     },
 }
@@ -69,7 +70,7 @@ impl Message for FeatureTask {
     }
 }
 
-/// What the actor sends on.
+/// What the actor sends to its consumer.
 pub enum FeatureOutcome {
     /// A photo's embedding is in the cache.
     Embedded {
@@ -78,7 +79,7 @@ pub enum FeatureOutcome {
         /// Seconds it took; `None` if it was there.
         seconds: Option<f64>,
     },
-    /// A photo could not be described.
+    /// A photo could not be embedded.
     EmbedFailed {
         /// Index of the view.
         view: usize,
@@ -95,13 +96,13 @@ pub enum FeatureOutcome {
 pub struct FeatureActor<O: Message> {
     /// The scene.
     pub scene: Arc<Scene>,
-    /// Long side at which photos are looked at.
+    /// Long side in pixels at which photos are read.
     pub size: u32,
-    /// Describes photos.
+    /// Embeds photos.
     pub embedder: Arc<dyn Embedder>,
-    /// Draws features.
+    /// Renders features.
     pub engine: Arc<dyn Engine>,
-    /// Where artefacts are.
+    /// Where artefacts are stored.
     pub cache: Cache,
     /// How the field is made.
     pub settings: FeatureSettings,
@@ -109,16 +110,16 @@ pub struct FeatureActor<O: Message> {
     pub out: Sender<O>,
 }
 
-/// Describes a photo.
+/// Embeds a photo of at most `size` pixels on its long side.
 ///
 /// # Errors
-/// In words, when it cannot be read or the model refuses.
+/// A sentence, when the photo cannot be read or the model refuses.
 pub fn describe(embedder: &dyn Embedder, view: &View, size: u32) -> Result<Embedding, String> {
     let photo = view.load(size).map_err(|e| e.to_string())?;
     embedder.embed(&photo.image).map_err(|e| format!("photo {}: {e}", view.name))
 }
 
-/// Targets made of the field's inputs when they are needed.
+/// Targets, made from the field's inputs when they are needed.
 struct InputTargets<'a> {
     scene: &'a Scene,
     inputs: &'a dyn FieldInputs,
@@ -169,8 +170,8 @@ impl<O: Message + From<FeatureOutcome>> FeatureActor<O> {
     fn embed(&self, view: usize, key: &Key) -> Result<Option<f64>, Failure> {
         let posed = &self.scene.views[view];
         let began = Instant::now();
-        let (_, origin) = self.cache.get_or_make(key, EMBEDDING, || -> Result<Embedding, Refused> {
-            describe(&*self.embedder, posed, self.size).map_err(Refused)
+        let (_, origin) = self.cache.get_or_make(key, EMBEDDING, || -> Result<Embedding, EmbedFailure> {
+            describe(&*self.embedder, posed, self.size).map_err(EmbedFailure)
         })?;
         Ok((origin == Origin::Made).then(|| began.elapsed().as_secs_f64()))
     }
@@ -183,8 +184,11 @@ impl<O: Message + From<FeatureOutcome>> FeatureActor<O> {
         inputs: &dyn FieldInputs,
         context: &Context,
     ) -> Result<FeatureField, FeatureError> {
-        let mut samples =
-            Samples::new(self.settings.pca_samples as usize, views.len(), self.settings.feature_seed);
+        let mut samples = EmbeddingSamples::new(
+            self.settings.pca_samples as usize,
+            views.len(),
+            self.settings.feature_seed,
+        );
         for &view in views {
             let name = &self.scene.views[view].name;
             let (embedding, validity) = (inputs.embedding(view)?, plane(&inputs.visibility(view)?));
@@ -197,9 +201,9 @@ impl<O: Message + From<FeatureOutcome>> FeatureActor<O> {
             pca.channels,
             100.0 * pca.explained_variance()
         );
-        let asked = self.settings.channels as usize;
-        let fewer = format!("; it has no more, so the {asked} asked for are not filled");
-        let fewer = if pca.channels < asked && self.settings.keep_variance >= 1.0 { &*fewer } else { "" };
+        let requested = self.settings.channels as usize;
+        let fewer = format!("; it has no more, so the {requested} asked for are not filled");
+        let fewer = if pca.channels < requested && self.settings.keep_variance >= 1.0 { &*fewer } else { "" };
         context.events().info(Some("features"), kept + fewer);
         let targets = InputTargets {
             scene: &self.scene,
@@ -217,8 +221,8 @@ impl<O: Message + From<FeatureOutcome>> FeatureActor<O> {
             broken = broken.take().or_else(|| fault::point("features.step").err());
             progress.advance(1);
             if let Progress::Refined { done, losses: Some(losses), .. } = step {
-                let told = [("embedding_loss", losses.embedding), ("compact_loss", losses.compact)];
-                for (name, loss) in told {
+                let metrics = [("embedding_loss", losses.embedding), ("compact_loss", losses.compact)];
+                for (name, loss) in metrics {
                     context.events().metric("features", name, f64::from(loss), Some(done as u64));
                 }
             }
@@ -236,10 +240,10 @@ impl<O: Message + From<FeatureOutcome>> FeatureActor<O> {
     }
 }
 
-/// A failure in words.
+/// A sentence that says why a photo cannot be embedded.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
-struct Refused(String);
+struct EmbedFailure(String);
 
 impl<O: Message + From<FeatureOutcome>> Actor for FeatureActor<O> {
     type Message = FeatureTask;

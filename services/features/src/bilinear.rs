@@ -1,4 +1,4 @@
-//! From the embedding's grid to the render's.
+//! Bilinear resampling from the embedding's grid to the render's.
 
 use segwild_scene::Image;
 

@@ -6,7 +6,7 @@ use segwild_raster::RasterError;
 /// Why a feature field cannot be made.
 #[derive(Debug, thiserror::Error)]
 pub enum FeatureError {
-    /// A number that is none.
+    /// A value that is not finite.
     #[error(
         "{name}: the {what} holds {value} in channel {channel} at cell ({x}, {y}); make it again or leave the photo out"
     )]
@@ -30,13 +30,13 @@ pub enum FeatureError {
     /// Nothing to fit the compression on.
     #[error("no photo has a cell that may be used: everything is sky, masked out or distrusted")]
     NoSamples,
-    /// Nothing to tell apart.
+    /// All embeddings are equal.
     #[error("the embedding is the same everywhere, so it tells nothing apart; choose another embedder")]
     Flat,
     /// The rasteriser refused.
     #[error(transparent)]
     Raster(#[from] RasterError),
-    /// A photo's target could not be had.
+    /// A photo's target could not be read.
     #[error("{name}: {reason}")]
     Source {
         /// The photo.
@@ -44,7 +44,7 @@ pub enum FeatureError {
         /// What went wrong.
         reason: String,
     },
-    /// What the field is made of cannot be had.
+    /// An input of the field cannot be read.
     #[error("{0}")]
     Input(Failure),
 }

@@ -1,10 +1,10 @@
-//! The feature field: what a scene's splats know besides their looks.
+//! The feature field: one feature vector per splat, beside its colour.
 
-use crate::{Decoder, FeatureError, Pca};
+use crate::{FeatureDecoder, FeatureError, Pca};
 use segwild_raster::{Channels, Kept};
 use wincode::{SchemaRead, SchemaWrite};
 
-/// Features of a scene's splats and what they mean.
+/// Features of a scene's splats, and the maps between features and embeddings.
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
 pub struct FeatureField {
     /// Numbers per splat.
@@ -14,16 +14,16 @@ pub struct FeatureField {
     /// The compression that targets went through.
     pub pca: Pca,
     /// From features to embeddings: the components' transpose, or the learned one.
-    pub decoder: Decoder,
+    pub decoder: FeatureDecoder,
 }
 
 impl FeatureField {
-    /// Refuses a field whose parts do not fit each other: one that comes out of a file may be anybody's.
+    /// Refuses a field whose parts do not fit each other: one that comes out of a file may be damaged.
     ///
     /// # Errors
     /// Says what does not fit.
     pub fn check(&self) -> Result<(), FeatureError> {
-        let Decoder { channels, embedding_channels, weights, bias } = &self.decoder;
+        let FeatureDecoder { channels, embedding_channels, weights, bias } = &self.decoder;
         let (c, e) = (self.channels, *embedding_channels);
         let weighs = |n: usize| c.checked_mul(e) == Some(n);
         let fits = c > 0

@@ -15,7 +15,7 @@ pub struct Lifter {
     sums: Lifting,
 }
 
-/// What photos say of splats.
+/// The features lifted from the photos.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lifted {
     /// The features, `[splat][channel]`, flat; zero for splats that no photo sees.
@@ -25,12 +25,12 @@ pub struct Lifted {
 }
 
 impl Lifter {
-    /// Room for `splats` features of `channels` numbers.
+    /// For `splats` features of `channels` numbers.
     pub fn new(splats: usize, channels: usize) -> Lifter {
         Lifter { splats, sums: Lifting::new(splats, channels) }
     }
 
-    /// Has the sums be where an engine computes, whose projections are added.
+    /// Keeps the sums in the memory of the engine whose projections are added.
     pub fn settle(&mut self, engine: &dyn Engine) -> Result<(), FeatureError> {
         Ok(self.sums.settle(engine)?)
     }

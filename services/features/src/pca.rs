@@ -7,29 +7,29 @@ use segwild_scene::Random;
 use segwild_scene::{Embedding, Image, Mask};
 use wincode::{SchemaRead, SchemaWrite};
 
-/// Most samples a fit looks at (method, section 4).
+/// Most samples that a fit uses (method, section 4).
 pub const MAX_SAMPLES: usize = 200_000;
 /// Samples whose products are summed in f32 before they enter the f64 sum.
 const CHUNK: usize = 1024;
 
-/// Embedding cells drawn from one photo after another, so that embeddings need not all be in memory.
+/// Embedding cells sampled from one photo after another, so that embeddings need not all be in memory.
 #[derive(Clone, Debug)]
-pub struct Samples {
+pub struct EmbeddingSamples {
     channels: usize,
     values: Vec<f32>,
     per_view: usize,
     seed: u64,
 }
 
-impl Samples {
-    /// Room for `limit` cells in all from `views` photos (each gives the same number at most).
-    pub fn new(limit: usize, views: usize, seed: u64) -> Samples {
+impl EmbeddingSamples {
+    /// At most `limit` cells in all from `views` photos (each gives the same number at most).
+    pub fn new(limit: usize, views: usize, seed: u64) -> EmbeddingSamples {
         let per_view = limit.clamp(1, MAX_SAMPLES).div_ceil(views.max(1));
-        Samples { channels: 0, values: Vec::new(), per_view, seed }
+        EmbeddingSamples { channels: 0, values: Vec::new(), per_view, seed }
     }
 
-    /// Draws cells of photo number `view`, named `name` in errors. Cells in `sky` and cells whose `validity`
-    /// (one plane, any size) is 0.5 or less are not drawn. The result depends on the order of calls only in
+    /// Samples cells of photo number `view`, named `name` in errors. Cells in `sky` and cells whose `validity`
+    /// (one plane, any size) is 0.5 or less are left out. The result depends on the order of calls only in
     /// the order of the samples.
     pub fn add(
         &mut self,
@@ -70,17 +70,17 @@ impl Samples {
         Ok(())
     }
 
-    /// Number of cells drawn.
+    /// Number of cells sampled.
     pub fn len(&self) -> usize {
         self.values.len() / self.channels.max(1)
     }
 
-    /// Whether no cell was drawn.
+    /// Whether no cell was sampled.
     pub fn is_empty(&self) -> bool {
         self.values.is_empty()
     }
 
-    /// Fits the components; see [`Pca::fit`]. The cells are gone then: they are tens of MiB that nobody asks for again.
+    /// Fits the components; see [`Pca::fit`]. This frees the cells: they are tens of MiB that nobody needs again.
     pub fn fit(self, channels: usize, keep_variance: f32) -> Result<Pca, FeatureError> {
         if self.is_empty() {
             return Err(FeatureError::NoSamples);
@@ -91,13 +91,14 @@ impl Samples {
 
 /// Principal components of an embedding.
 ///
-/// Mean-centred, no whitening; one common factor brings the codes to a mean squared length of 1, so that learning rates mean
-/// the same for every embedder. Cosines of codes are those of the centred, projected embeddings.
+/// Mean-centred, no whitening; one common factor brings the compressed vectors to a mean squared length of 1, so that
+/// learning rates mean the same for every embedder. Cosines of compressed vectors are those of the centred, projected
+/// embeddings.
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
 pub struct Pca {
     /// Numbers per cell of the embedding.
     pub embedding_channels: usize,
-    /// Numbers per code.
+    /// Numbers per compressed vector.
     pub channels: usize,
     /// Mean of the embedding, one number per embedding channel.
     pub mean: Vec<f32>,
@@ -168,13 +169,16 @@ impl Pca {
         })
     }
 
-    /// Share of the embedding's variance that the codes keep, in [0, 1].
+    /// Share of the embedding's variance that the compressed channels keep, in [0, 1].
     pub fn explained_variance(&self) -> f32 {
         let held: f64 = self.variances.iter().map(|&v| f64::from(v)).sum();
         (held / f64::from(self.total_variance)).clamp(0.0, 1.0) as f32
     }
 
-    /// SplatEmbeddings of a photo's embedding, one plane per channel; `name` is the photo's in errors.
+    /// Compresses a photo's embedding to one plane per channel; `name` is the photo's in errors.
+    ///
+    /// # Errors
+    /// When the embedding has another number of channels, or a value that is not finite.
     pub fn encode(&self, name: &str, embedding: &Embedding) -> Result<Image, FeatureError> {
         let (w, h, e) = (embedding.width, embedding.height, embedding.channels);
         check_planes(name, "embedding", (w, h, e), &embedding.data)?;
@@ -195,8 +199,8 @@ impl Pca {
     }
 
     /// The linear map back to the embedding.
-    pub fn decoder(&self) -> Decoder {
-        Decoder {
+    pub fn decoder(&self) -> FeatureDecoder {
+        FeatureDecoder {
             channels: self.channels,
             embedding_channels: self.embedding_channels,
             weights: self.basis.iter().map(|b| b / self.scale).collect(),
@@ -205,10 +209,10 @@ impl Pca {
     }
 }
 
-/// From codes to the embedding they stand for: `e = weights^T f + bias`.
+/// The linear map from features f to embeddings e: `e = weights^T f + bias`.
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
-pub struct Decoder {
-    /// Numbers per code.
+pub struct FeatureDecoder {
+    /// Numbers per compressed vector.
     pub channels: usize,
     /// Numbers per embedding.
     pub embedding_channels: usize,
@@ -218,21 +222,26 @@ pub struct Decoder {
     pub bias: Vec<f32>,
 }
 
-impl Decoder {
-    /// Decodes planes of codes.
-    pub fn decode(&self, codes: &Image) -> Result<Embedding, FeatureError> {
-        check_planes("codes", "code image", (codes.width, codes.height, codes.channels), &codes.data)?;
-        let (n, c, e) = (codes.pixels(), self.channels, self.embedding_channels);
-        if codes.channels != c {
-            let got = codes.channels;
-            return Err(FeatureError::Shape(format!("codes of {got} channels for a decoder of {c}")));
+impl FeatureDecoder {
+    /// Decodes planes of features to planes of the embedding.
+    pub fn decode(&self, compressed: &Image) -> Result<Embedding, FeatureError> {
+        check_planes(
+            "the features",
+            "feature image",
+            (compressed.width, compressed.height, compressed.channels),
+            &compressed.data,
+        )?;
+        let (n, c, e) = (compressed.pixels(), self.channels, self.embedding_channels);
+        if compressed.channels != c {
+            let got = compressed.channels;
+            return Err(FeatureError::Shape(format!("features of {got} channels for a decoder of {c}")));
         }
         let mut data = vec![0.0; n * e];
-        matmul(&transpose(&self.weights, c, e), &codes.data, e, c, n, &mut data);
+        matmul(&transpose(&self.weights, c, e), &compressed.data, e, c, n, &mut data);
         for (plane, bias) in data.chunks_exact_mut(n).zip(&self.bias) {
             plane.iter_mut().for_each(|v| *v += bias);
         }
-        Ok(Embedding { width: codes.width, height: codes.height, channels: e, data })
+        Ok(Embedding { width: compressed.width, height: compressed.height, channels: e, data })
     }
 }
 

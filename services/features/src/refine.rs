@@ -6,7 +6,8 @@
 
 use crate::bilinear::bilinear;
 use crate::{
-    Compression, Decoder, FeatureError, FeatureField, FeatureSettings, Lifter, Pca, TargetSource, ViewTarget,
+    Compression, FeatureDecoder, FeatureError, FeatureField, FeatureSettings, Lifter, Pca, TargetSource,
+    ViewTarget,
 };
 use segwild_raster::field::{
     AreaAverage, FeatureTarget, FieldLosses, FieldRule, LearnedDecoder, Membership, Refining, Rendered,
@@ -20,8 +21,8 @@ use std::sync::{Arc, OnceLock};
 /// Pixels trusted less than this take no part in compactness (method, section 4).
 const TRUSTED: f32 = 0.5;
 
-/// Steps between two whose losses are told: they are asked of wherever they were computed, which may have to wait for it.
-const TOLD: usize = 20;
+/// Every so many steps the losses are reported. Reading them back may have to wait for the device.
+const LOSS_INTERVAL: usize = 20;
 
 /// How far [`build`] is.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,7 +47,7 @@ pub enum Progress {
 
 /// Makes a scene's feature field from its photos' targets: lifts all in order, then refines.
 ///
-/// `progress` hears of every photo and step and may end the refinement early with
+/// `progress` is called after every photo and step and may end the refinement early with
 /// [`ControlFlow::Break`] (lifting is always completed: a half-lifted field is none).
 pub fn build(
     engine: &dyn Engine,
@@ -64,10 +65,10 @@ pub fn build(
     lifter.settle(engine)?;
     for i in 0..source.len() {
         let view = views.get(i)?;
-        let codes = view.codes(pca, settings.compression)?;
-        let target = bilinear(&codes, view.validity.width, view.validity.height);
+        let compressed = view.compressed(pca, settings.compression)?;
+        let target = bilinear(&compressed, view.validity.width, view.validity.height);
         lifter.add(&view.target.name, view.projected.as_ref(), &target, &view.validity)?;
-        // Lifting cannot stop half-way, so the answer is not asked for.
+        // Lifting cannot stop half-way, so the answer is ignored.
         let _ = progress(Progress::Lifted { done: i + 1, of: source.len() });
     }
     let mut field = FeatureField {
@@ -93,7 +94,7 @@ fn refine(
     }
     let pca = &field.pca;
     // It starts at the principal components' decoder: from a random one, features need tens of thousands of steps before they
-    // mean anything.
+    // are of use.
     let offsets: Vec<f32> = pca.mean.iter().map(|m| m * pca.scale).collect();
     let decoder = (settings.compression == Compression::Learned)
         .then(|| LearnedDecoder::new(&pca.basis, &offsets, settings.decoder_lr));
@@ -111,18 +112,18 @@ fn refine(
         }
         let photo = order[step % count];
         let view = views.get(photo)?;
-        let nobody = Members::default();
+        let unused = Members::default();
         let (members, pixels) = if settings.compactness && settings.weight_compact > 0.0 {
             let members = views.members(photo, &view)?;
             let mut random = Random::stream(!settings.feature_seed, step as u64);
             (members, members.draw(settings.pixels_per_step as usize, &mut random))
         } else {
-            (&nobody, Vec::new())
+            (&unused, Vec::new())
         };
-        let drawn = Rendered { pixels: &pixels, membership: &members.membership };
-        view.projected.refine(&mut refining, &view.asked(), &drawn)?;
+        let rendered = Rendered { pixels: &pixels, membership: &members.membership };
+        view.projected.refine(&mut refining, &view.feature_target(), &rendered)?;
         let done = step + 1;
-        let losses = if step == 0 || done % TOLD == 0 { Some(refining.losses()?) } else { None };
+        let losses = if step == 0 || done % LOSS_INTERVAL == 0 { Some(refining.losses()?) } else { None };
         if progress(Progress::Refined { done, of, losses }).is_break() {
             break;
         }
@@ -133,7 +134,7 @@ fn refine(
         weights.iter_mut().for_each(|w| *w /= field.pca.scale);
         let bias = weights.split_off(field.pca.basis.len());
         let embedding_channels = bias.len();
-        field.decoder = Decoder { channels: field.channels, embedding_channels, weights, bias };
+        field.decoder = FeatureDecoder { channels: field.channels, embedding_channels, weights, bias };
     }
     Ok(())
 }
@@ -149,24 +150,24 @@ struct Prepared<'a> {
     /// VM on the target's grid.
     cell_validity: Vec<f32>,
     average: AreaAverage,
-    /// What of it is where the engine computes.
-    away: Option<Box<dyn Any + Send + Sync>>,
-    /// What its masks say, once it was asked.
+    /// The target in the engine's memory, if the engine keeps it there.
+    on_device: Option<Box<dyn Any + Send + Sync>>,
+    /// Which mask each pixel belongs to, once it was computed.
     members: OnceLock<Members>,
 }
 
-/// What a view's masks say of its pixels.
+/// Which mask each pixel of a view belongs to.
 #[derive(Default)]
 struct Members {
     membership: Membership,
-    /// Pixels that compactness may draw: trusted and in a mask.
-    drawable: Vec<u32>,
+    /// Pixels that compactness may sample: trusted and in a mask.
+    eligible: Vec<u32>,
 }
 
 impl Members {
-    /// So many of the drawable pixels at the most.
+    /// At most `most` of these pixels, sampled at random.
     fn draw(&self, most: usize, random: &mut Random) -> Vec<u32> {
-        let mut pixels = self.drawable.clone();
+        let mut pixels = self.eligible.clone();
         let count = pixels.len().min(most);
         random.draw(&mut pixels, count);
         pixels.truncate(count);
@@ -175,19 +176,19 @@ impl Members {
 }
 
 impl Prepared<'_> {
-    /// What it asks of the features that are seen in it.
-    fn asked(&self) -> FeatureTarget<'_> {
+    /// The target that the view's rendered features are compared with.
+    fn feature_target(&self) -> FeatureTarget<'_> {
         FeatureTarget {
             target: &self.target.target,
             scale: self.scale,
             validity: &self.cell_validity,
             average: &self.average,
-            on_device: self.away.as_deref(),
+            on_device: self.on_device.as_deref(),
         }
     }
 
-    /// The target as codes.
-    fn codes(&self, pca: &Pca, compression: Compression) -> Result<Image, FeatureError> {
+    /// The target compressed to the field's channels.
+    fn compressed(&self, pca: &Pca, compression: Compression) -> Result<Image, FeatureError> {
         let Image { width, height, channels, ref data } = self.target.target;
         match compression {
             Compression::Pca => Ok(self.target.target.clone()),
@@ -209,7 +210,7 @@ struct Views<'a> {
     wanted: (usize, &'static str),
     scale: f32,
     kept: Vec<Option<Arc<Prepared<'a>>>>,
-    room: usize,
+    memory: usize,
 }
 
 impl<'a> Views<'a> {
@@ -222,12 +223,12 @@ impl<'a> Views<'a> {
         options: &'a ProjectOptions,
     ) -> Views<'a> {
         let (wanted, scale) = match settings.compression {
-            Compression::Pca => ((pca.channels, "codes"), 1.0),
+            Compression::Pca => ((pca.channels, "the compressed embedding"), 1.0),
             Compression::Learned => ((pca.embedding_channels, "the embedding"), pca.scale),
         };
         let kept = (0..source.len()).map(|_| None).collect();
-        let room = settings.feature_memory as usize * (1 << 20);
-        Views { engine, splats, source, settings, options, wanted, scale, kept, room }
+        let memory = settings.feature_memory as usize * (1 << 20);
+        Views { engine, splats, source, settings, options, wanted, scale, kept, memory }
     }
 
     fn get(&mut self, i: usize) -> Result<Arc<Prepared<'a>>, FeatureError> {
@@ -240,10 +241,10 @@ impl<'a> Views<'a> {
         let visible = view.projected.radii().iter().filter(|&&r| r > 0.0).count();
         let pixels = 4 * view.validity.pixels() * 3;
         let bytes = 24 * self.splats.len() + 256 * visible + pixels + view.target.bytes();
-        let keep = bytes <= self.room;
+        let keep = bytes <= self.memory;
         if keep {
-            self.room -= bytes;
-            view.away = self.engine.upload_target(&view.asked())?;
+            self.memory -= bytes;
+            view.on_device = self.engine.upload_target(&view.feature_target())?;
         }
         let view = Arc::new(view);
         if keep {
@@ -278,13 +279,13 @@ impl<'a> Views<'a> {
             validity,
             cell_validity: cells,
             average,
-            away: None,
+            on_device: None,
             members,
             target,
         })
     }
 
-    /// What the masks of a view say; the first call asks for them.
+    /// The mask membership of a view's pixels; the first call loads the masks.
     fn members<'v>(&self, i: usize, view: &'v Prepared) -> Result<&'v Members, FeatureError> {
         if let Some(members) = view.members.get() {
             return Ok(members);
@@ -292,10 +293,10 @@ impl<'a> Views<'a> {
         let masks = self.source.masks(i, &view.target)?;
         view.target.check_masks(&masks)?;
         let membership = Membership::new(&masks, view.validity.width, view.validity.height);
-        let drawable = (0..view.validity.pixels())
+        let eligible = (0..view.validity.pixels())
             .filter(|&p| membership.groups[p] != Membership::NONE && view.validity.data[p] >= TRUSTED)
             .map(|p| p as u32)
             .collect();
-        Ok(view.members.get_or_init(|| Members { membership, drawable }))
+        Ok(view.members.get_or_init(|| Members { membership, eligible }))
     }
 }

@@ -1,4 +1,4 @@
-//! What a person can set about the feature field.
+//! The settings of the feature field.
 
 segwild_scene::choice! {
     /// How embeddings become the few channels of the field.
@@ -11,7 +11,7 @@ segwild_scene::choice! {
 }
 
 segwild_scene::settings! {
-    /// The feature field: what tells the parts of the scene apart.
+    /// The feature field: one vector per splat that distinguishes the parts of the scene.
     pub struct FeatureSettings("features") {
         /// Numbers per splat. 16, 32, 64 or 128 are usual; never more than the embedding has.
         channels: u32 = 64 => 1..=256,
@@ -37,9 +37,9 @@ segwild_scene::settings! {
         feature_lr: f32 = 1e-3 => 0.0..=10.0,
         /// Learning rate of the learned decoder.
         decoder_lr: f32 = 1e-4 => 0.0..=10.0,
-        /// Seed of everything drawn at random here.
+        /// Seed of everything that is sampled here.
         feature_seed: u64 = 0,
-        /// Memory in MiB for projections and targets kept between steps; what does not fit is made anew.
+        /// Memory in MiB for projections and targets kept between steps; what does not fit is computed again.
         feature_memory: u32 = 512,
     }
 }

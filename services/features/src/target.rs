@@ -1,11 +1,11 @@
-//! What one photo asks of the feature field.
+//! The feature target of one photo.
 
 use crate::FeatureError;
 use crate::error::check_planes;
 use segwild_scene::{Camera, Image, MaskSet, Pose};
 use std::sync::Arc;
 
-/// One photo's part in the feature losses.
+/// One photo's target in the feature losses.
 #[derive(Clone, Debug)]
 pub struct ViewTarget {
     /// The photo's name, for errors.
@@ -14,13 +14,13 @@ pub struct ViewTarget {
     pub camera: Camera,
     /// World to camera.
     pub pose: Pose,
-    /// What the features should be, on the embedding's grid: codes of [`crate::Pca::encode`] for
+    /// What the features should be, on the embedding's grid: compressed by [`crate::Pca::encode`] for
     /// [`crate::Compression::Pca`], the embedding itself for [`crate::Compression::Learned`].
     pub target: Image,
-    /// How far each pixel is to be trusted (VM), one plane of any size, in [0, 1]. Also where to put sky and
-    /// things to ignore.
+    /// How far each pixel is to be trusted (VM), one plane of any size, in [0, 1]. Sky and
+    /// whatever is to be ignored are 0 here.
     pub validity: Image,
-    /// The photo's masks at any size; none is a photo without a say in compactness.
+    /// The photo's masks at any size; a photo without masks takes no part in compactness.
     pub masks: MaskSet,
 }
 
@@ -60,8 +60,8 @@ impl ViewTarget {
     }
 }
 
-/// Where the targets come from. A thousand photos' targets do not fit in memory, so they are asked for one at
-/// a time; the answer must not depend on when or how often it is asked.
+/// Where the targets come from. A thousand photos' targets do not fit in memory, so they are loaded one at
+/// a time; a target must not depend on when or how often it is loaded.
 pub trait TargetSource: Sync {
     /// Number of photos, in the order in which they are lifted.
     fn len(&self) -> usize;
@@ -74,7 +74,7 @@ pub trait TargetSource: Sync {
     /// Target of one photo.
     fn load(&self, view: usize) -> Result<Arc<ViewTarget>, FeatureError>;
 
-    /// The photo's masks. Asked for only when its compactness is first looked at, so that photos can be lifted while
+    /// The photo's masks. Loaded only when its compactness is first computed, so that photos can be lifted while
     /// their masks are still being made; the call may wait for them.
     fn masks(&self, _view: usize, target: &ViewTarget) -> Result<MaskSet, FeatureError> {
         Ok(target.masks.clone())

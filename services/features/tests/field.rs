@@ -20,7 +20,7 @@ const E: usize = 24;
 struct Cards {
     splats: Splats,
     card: Vec<usize>,
-    codes: Vec<Vec<f32>>,
+    embeddings: Vec<Vec<f32>>,
 }
 
 fn cards(n: usize) -> Cards {
@@ -40,8 +40,8 @@ fn cards(n: usize) -> Cards {
             }
         }
     }
-    let codes = (0..3).map(|_| (0..E).map(|_| 5.0 * random()).collect()).collect();
-    Cards { splats, card, codes }
+    let embeddings = (0..3).map(|_| (0..E).map(|_| 5.0 * random()).collect()).collect();
+    Cards { splats, card, embeddings }
 }
 
 fn camera() -> Camera {
@@ -61,21 +61,21 @@ fn seen(k: usize, x: f32, y: f32) -> Option<usize> {
     if inside(-0.5) { Some(0) } else { inside(0.5).then_some(1) }
 }
 
-/// The embedding of view `k` on a grid of 24 x 16 cells: the card's code and noise.
+/// The embedding of view `k` on a grid of 24 x 16 cells: the card's embedding and noise.
 fn embedding(cards: &Cards, k: usize, spread: f32) -> Embedding {
     let mut random = noise(100 + k as u32);
     let mut data = vec![0.0; 24 * 16 * E];
     for i in 0..24 * 16 {
         let card = seen(k, (i % 24) as f32 * 4.0 + 2.0, (i / 24) as f32 * 4.0 + 2.0);
         for c in 0..E {
-            data[c * 384 + i] = card.map_or(1.0, |card| cards.codes[card][c]) + spread * random();
+            data[c * 384 + i] = card.map_or(1.0, |card| cards.embeddings[card][c]) + spread * random();
         }
     }
     Embedding { width: 24, height: 16, channels: E, data }
 }
 
 fn pca(cards: &Cards, channels: usize) -> Pca {
-    let mut samples = segwild_features::Samples::new(5000, 4, 0);
+    let mut samples = segwild_features::EmbeddingSamples::new(5000, 4, 0);
     for k in 0..4 {
         samples.add(k, "view", &embedding(cards, k, 0.5), None, None).unwrap();
     }
@@ -289,7 +289,7 @@ fn both_losses_fall_and_a_person_can_stop() {
     let pca = pca(&cards, 8);
     let targets = targets(&cards, &pca, Compression::Pca);
     let engine = CpuEngine::new();
-    let (mut told, mut lifted, mut refined) = (Vec::new(), 0, 0);
+    let (mut reported, mut lifted, mut refined) = (Vec::new(), 0, 0);
     let mut listen = |progress: Progress| {
         match progress {
             Progress::Lifted { done, of } => {
@@ -299,7 +299,7 @@ fn both_losses_fall_and_a_person_can_stop() {
             Progress::Refined { done, of, losses } => {
                 refined += 1;
                 assert_eq!((done, of, losses.is_some()), (refined, 500, done == 1 || done % 20 == 0));
-                told.extend(losses);
+                reported.extend(losses);
             }
         }
         if refined == 120 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
@@ -315,8 +315,8 @@ fn both_losses_fall_and_a_person_can_stop() {
     )
     .unwrap();
     assert_eq!((lifted, refined), (4, 120));
-    let (first, last) = (told[0], told[told.len() - 1]);
-    assert!(last.embedding < first.embedding && last.compact < first.compact, "{told:?}");
+    let (first, last) = (reported[0], reported[reported.len() - 1]);
+    assert!(last.embedding < first.embedding && last.compact < first.compact, "{reported:?}");
 }
 
 #[test]
@@ -331,7 +331,7 @@ fn the_same_bytes_whatever_threads_and_memory() {
     };
     let bytes = run(1, 512);
     assert!(bytes == run(4, 512), "threads change the field");
-    assert!(bytes == run(3, 0), "views made anew change the field");
+    assert!(bytes == run(3, 0), "views computed again change the field");
     let back: FeatureField = wincode::deserialize(&bytes).unwrap();
     assert_eq!(wincode::serialize(&back).unwrap(), bytes);
     let other = FeatureSettings { feature_seed: 1, ..settings(30) };
@@ -353,7 +353,7 @@ fn the_learned_decoder_serves_as_well() {
     let code = Image { width: 1, height: 1, channels: 8, data: mean(&cards, &a, 1) };
     let decoded = a.decoder.decode(&code).unwrap();
     let centred = |v: &[f32]| -> Vec<f32> { v.iter().zip(&pca.mean).map(|(v, m)| v - m).collect() };
-    assert!(cosine(&centred(&decoded.data), &centred(&cards.codes[1])) > 0.9);
+    assert!(cosine(&centred(&decoded.data), &centred(&cards.embeddings[1])) > 0.9);
 }
 
 #[test]
@@ -394,7 +394,7 @@ fn poison_is_refused_by_name_or_has_no_part() {
         "distrusted everywhere: nothing is learnt"
     );
     assert!(field(&cards, &[], &pca, &settings(8)).values.iter().all(|&v| v == 0.0), "no photo");
-    let none = Cards { splats: Splats::default(), card: vec![], codes: vec![] };
+    let none = Cards { splats: Splats::default(), card: vec![], embeddings: vec![] };
     assert!(field(&none, &good, &pca, &settings(8)).is_empty(), "no splat");
 
     // Splats that no engine can draw do not spoil the others.
@@ -411,11 +411,11 @@ fn cards_with_poison(cards: &Cards) -> Cards {
     splats.log_scales[5] = [90.0; 3];
     splats.rotations[7] = [0.0; 4];
     splats.opacities[9] = f32::INFINITY;
-    Cards { splats, card: cards.card.clone(), codes: cards.codes.clone() }
+    Cards { splats, card: cards.card.clone(), embeddings: cards.embeddings.clone() }
 }
 
 #[test]
-fn the_source_is_asked_for_one_view_at_a_time() {
+fn the_source_loads_one_view_at_a_time() {
     struct Late<'a>(&'a [Arc<ViewTarget>]);
     impl TargetSource for Late<'_> {
         fn len(&self) -> usize {
@@ -448,21 +448,21 @@ fn the_source_is_asked_for_one_view_at_a_time() {
 }
 
 #[test]
-fn colours_show_what_features_tell_apart() {
+fn different_features_have_different_colours() {
     let cards = cards(16);
     let pca = pca(&cards, 8);
     let field = field_after(&cards, &pca, 0);
     let engine = CpuEngine::new();
     let projected = engine.project(&cards.splats, &camera(), &pose(1), &ProjectOptions::default()).unwrap();
     let frame = projected.blend(&field.channels()).unwrap();
-    let picture = FeatureColours::of(&field).unwrap().paint(&frame);
-    assert_eq!((picture.width, picture.height, picture.channels), (96, 64, 3));
-    assert!(picture.data.iter().all(|v| (0.0..=1.0).contains(v)));
-    let at = |x: usize| -> [f32; 3] { std::array::from_fn(|c| picture.at(c, x, 32)) };
+    let colours = FeatureColours::of(&field).unwrap().paint(&frame);
+    assert_eq!((colours.width, colours.height, colours.channels), (96, 64, 3));
+    assert!(colours.data.iter().all(|v| (0.0..=1.0).contains(v)));
+    let at = |x: usize| -> [f32; 3] { std::array::from_fn(|c| colours.at(c, x, 32)) };
     let far = |a: [f32; 3], b: [f32; 3]| a.iter().zip(&b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
     let (left, right) = if seen(1, 30.0, 32.0) == Some(0) { (30, 66) } else { (66, 30) };
     assert!(far(at(left), at(right)) > 0.5, "{:?} {:?}", at(left), at(right));
-    assert_eq!(std::array::from_fn(|c| picture.at(c, 0, 0)), [0.0; 3], "nothing there");
+    assert_eq!(std::array::from_fn(|c| colours.at(c, 0, 0)), [0.0; 3], "nothing there");
     // One feature everywhere, or none, is grey or black, not an error.
     let flat = FeatureField { values: vec![0.5; field.values.len()], ..field.clone() };
     let frame = projected.blend(&flat.channels()).unwrap();

@@ -3,7 +3,7 @@
 mod support;
 
 use proptest::prelude::*;
-use segwild_features::{FeatureError, Pca, Samples};
+use segwild_features::{EmbeddingSamples, FeatureError, Pca};
 use segwild_scene::{Embedding, Image, Mask};
 use support::{cosine, noise};
 
@@ -13,9 +13,9 @@ fn plane(n: usize, e: usize, rank: usize, unit: f32) -> Vec<f32> {
     let axes: Vec<f32> = (0..rank * e).map(|_| random()).collect();
     let mut samples = Vec::new();
     for _ in 0..n {
-        let code: Vec<f32> = (0..rank).map(|k| random() * 2.0 / (k + 1) as f32).collect();
+        let channels_at: Vec<f32> = (0..rank).map(|k| random() * 2.0 / (k + 1) as f32).collect();
         for j in 0..e {
-            let v: f32 = (0..rank).map(|k| code[k] * axes[k * e + j]).sum();
+            let v: f32 = (0..rank).map(|k| channels_at[k] * axes[k * e + j]).sum();
             samples.push(unit * (v + 3.0 + j as f32 * 0.1));
         }
     }
@@ -41,23 +41,23 @@ fn a_plane_is_kept_whole_and_found_again() {
         assert_eq!(pca.channels, 5, "no component for rounding: {:?}", pca.variances);
         assert!(pca.explained_variance() > 0.9999);
         let embedding = as_embedding(&samples, 40, 30);
-        let codes = pca.encode("photo", &embedding).unwrap();
-        let back = pca.decoder().decode(&codes).unwrap();
+        let compressed = pca.encode("photo", &embedding).unwrap();
+        let back = pca.decoder().decode(&compressed).unwrap();
         let off = back.data.iter().zip(&embedding.data).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
         assert!(off < 1e-4 * unit * 5.0, "{unit}: {off}");
-        // SplatEmbeddings are centred and of mean squared length 1, whatever the embedding's unit.
-        let n = codes.pixels() as f32;
-        let square: f32 = codes.data.iter().map(|v| v * v).sum::<f32>() / n;
+        // Compressed vectors are centred and of mean squared length 1, whatever the embedding's unit.
+        let n = compressed.pixels() as f32;
+        let square: f32 = compressed.data.iter().map(|v| v * v).sum::<f32>() / n;
         assert!((square - 1.0).abs() < 1e-3, "{square}");
-        assert!((0..5).all(|k| (codes.plane(k).iter().sum::<f32>() / n).abs() < 1e-3));
-        // Not whitened: the spreads fall as the variances do, and codes are not correlated.
+        assert!((0..5).all(|k| (compressed.plane(k).iter().sum::<f32>() / n).abs() < 1e-3));
+        // Not whitened: the spreads fall as the variances do, and channels are not correlated.
         for k in 0..5 {
-            let variance = codes.plane(k).iter().map(|v| v * v).sum::<f32>() / n;
+            let variance = compressed.plane(k).iter().map(|v| v * v).sum::<f32>() / n;
             let expected = pca.variances[k] / pca.variances.iter().sum::<f32>();
             assert!((variance - expected).abs() < 1e-3, "{k}: {variance} {expected}");
             for j in 0..k {
                 let both: f32 =
-                    codes.plane(k).iter().zip(codes.plane(j)).map(|(a, b)| a * b).sum::<f32>() / n;
+                    compressed.plane(k).iter().zip(compressed.plane(j)).map(|(a, b)| a * b).sum::<f32>() / n;
                 assert!(both.abs() < 1e-3);
             }
         }
@@ -91,7 +91,7 @@ fn samples_come_from_trusted_cells_and_do_not_depend_on_chance() {
     (0..2400).filter(|i| i % 60 < 20).for_each(|i| validity.data[i] = 0.5);
     let sky = Mask::from_fn(15, 10, |x, _| x >= 10);
     let draw = |seed| {
-        let mut samples = Samples::new(100, 2, seed);
+        let mut samples = EmbeddingSamples::new(100, 2, seed);
         samples.add(0, "a", &poisoned, Some(&validity), Some(&sky)).unwrap();
         samples.add(1, "b", &poisoned, Some(&validity), Some(&sky)).unwrap();
         samples
@@ -102,7 +102,7 @@ fn samples_come_from_trusted_cells_and_do_not_depend_on_chance() {
     assert_eq!(pca, draw(1).fit(6, 1.0).unwrap());
     assert_ne!(pca, draw(2).fit(6, 1.0).unwrap());
     // A photo with fewer cells than its share gives all it has.
-    let mut wide = Samples::new(1_000_000, 1, 0);
+    let mut wide = EmbeddingSamples::new(1_000_000, 1, 0);
     wide.add(0, "a", &embedding, None, None).unwrap();
     assert_eq!(wide.len(), 600);
 }
@@ -110,8 +110,8 @@ fn samples_come_from_trusted_cells_and_do_not_depend_on_chance() {
 #[test]
 fn what_cannot_be_compressed_is_refused_in_words() {
     let good = as_embedding(&plane(60, 4, 2, 1.0), 4, 10);
-    let mut samples = Samples::new(100, 2, 0);
-    assert!(matches!(Samples::new(100, 2, 0).fit(4, 1.0), Err(FeatureError::NoSamples)));
+    let mut samples = EmbeddingSamples::new(100, 2, 0);
+    assert!(matches!(EmbeddingSamples::new(100, 2, 0).fit(4, 1.0), Err(FeatureError::NoSamples)));
     for poison in [f32::NAN, f32::INFINITY] {
         let mut bad = good.clone();
         bad.data[2 * 60 + 37] = poison;
@@ -130,7 +130,7 @@ fn what_cannot_be_compressed_is_refused_in_words() {
         let flat = Pca::fit(&[value; 400], 4, 2, 1.0);
         assert!(matches!(flat, Err(FeatureError::Flat)), "{value}: {flat:?}");
     }
-    let mut nowhere = Samples::new(100, 1, 0);
+    let mut nowhere = EmbeddingSamples::new(100, 1, 0);
     nowhere.add(0, "a", &good, Some(&Image::zeros(3, 3, 1)), None).unwrap();
     assert!(matches!(nowhere.fit(4, 1.0), Err(FeatureError::NoSamples)));
     assert!(Pca::fit(&[1.0; 7], 4, 2, 1.0).is_err());
@@ -151,12 +151,12 @@ proptest! {
             before = kept;
         }
         prop_assert!(before > 0.999, "all channels keep all: {}", before);
-        // With all channels, codes are the centred embedding turned and scaled: cosines are unchanged.
+        // With all channels, compressed vectors are the centred embedding turned and scaled: cosines are unchanged.
         let pca = Pca::fit(&samples, e, e, 1.0).unwrap();
-        let codes = pca.encode("p", &as_embedding(&samples[..2 * e], e, 2)).unwrap();
-        let code = |x: usize| -> Vec<f32> { (0..pca.channels).map(|k| codes.at(k, x, 0)).collect() };
+        let compressed = pca.encode("p", &as_embedding(&samples[..2 * e], e, 2)).unwrap();
+        let channels_at = |x: usize| -> Vec<f32> { (0..pca.channels).map(|k| compressed.at(k, x, 0)).collect() };
         let centred = |i: usize| -> Vec<f32> { (0..e).map(|j| samples[i * e + j] - pca.mean[j]).collect() };
-        let (a, b) = (cosine(&code(0), &code(1)), cosine(&centred(0), &centred(1)));
+        let (a, b) = (cosine(&channels_at(0), &channels_at(1)), cosine(&centred(0), &centred(1)));
         prop_assert!((a - b).abs() < 1e-3, "{} {}", a, b);
     }
 }

@@ -1,4 +1,4 @@
-//! Sky and masks behind a mailbox, cached per view.
+//! Actor that finds skies and makes masks, cached per view.
 
 use crate::{MaskSettings, MaskSource, generate, sasm};
 use segwild_flow::{Actor, Cache, Context, Failure, Key, Message, Origin, Quarantined, Sender, fault};
@@ -12,7 +12,7 @@ const MASKS: &str = "masks";
 /// Kind of the cache's sky records.
 const SKY: &str = "sky";
 
-/// What the actor is asked for.
+/// A request to the actor.
 #[derive(Clone)]
 pub enum MaskTask {
     /// Find the sky of a photo. Send it urgently: training waits for it.
@@ -28,9 +28,9 @@ pub enum MaskTask {
         view: usize,
         /// Name of the artefact.
         key: Key,
-        /// The scene from the photo's camera: no transients, one light. `None` if it was not drawn in advance.
+        /// The scene rendered from the photo's camera: no transients, one light. `None` if it was not rendered in advance.
         render: Option<Arc<Image>>,
-        /// The scene that the masks are drawn on.
+        /// The scene that the masks are made from.
         snapshot: Arc<dyn Snapshot>,
         /// The photo's sky, if known.
         sky: Option<Arc<Mask>>,
@@ -63,14 +63,14 @@ pub trait Snapshot: Send + Sync {
     /// Centres of its splats, for the depth of the prompts.
     fn means(&self) -> &[[f32; 3]];
 
-    /// The scene from a photo's camera.
+    /// Renders the scene from a photo's camera: planes of RGB in [0, 1].
     ///
     /// # Errors
-    /// In words, when it cannot be drawn.
+    /// A sentence, when it cannot be rendered.
     fn render(&self, view: usize) -> Result<Image, String>;
 }
 
-/// What the actor sends on.
+/// What the actor sends to its consumer.
 pub enum MaskOutcome {
     /// A photo's sky; `Err` says why there is none.
     Sky {
@@ -96,13 +96,13 @@ pub enum MaskOutcome {
 pub struct MaskMaker {
     /// The scene.
     pub scene: Arc<Scene>,
-    /// Long side at which photos are looked at.
+    /// Long side in pixels at which photos are read.
     pub size: u32,
     /// Proposes masks.
     pub proposer: Arc<dyn MaskProposer>,
     /// How masks are made.
     pub settings: MaskSettings,
-    /// What is near and what is far in this scene.
+    /// The spread of view depths in this scene: what is near and what is far.
     pub depths: sasm::SceneDepths,
 }
 
@@ -112,23 +112,23 @@ pub struct MaskActor<O: Message> {
     pub sky: Arc<dyn SkyDetector>,
     /// Makes the masks.
     pub maker: Arc<MaskMaker>,
-    /// Where artefacts are.
+    /// Where artefacts are stored.
     pub cache: Cache,
     /// Where outcomes go.
     pub out: Sender<O>,
 }
 
-/// Why there is no sky, or there are no masks, in words.
+/// A sentence that says why there is no sky, or why there are no masks.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
-pub struct Refused(String);
+pub struct MaskFailure(String);
 
 impl MaskMaker {
-    fn photo(&self, view: usize) -> Result<Image, Refused> {
-        Ok(self.scene.views[view].load(self.size).map_err(|e| Refused(e.to_string()))?.image)
+    fn photo(&self, view: usize) -> Result<Image, MaskFailure> {
+        Ok(self.scene.views[view].load(self.size).map_err(|e| MaskFailure(e.to_string()))?.image)
     }
 
-    /// Makes the masks of a view; without a `render` the snapshot is drawn here, if it is what they are drawn on.
+    /// Makes the masks of a view. Without a `render`, the snapshot is rendered here if [`MaskSource::Render`] is set.
     ///
     /// # Errors
     /// When the photo cannot be read or the model refuses.
@@ -138,26 +138,26 @@ impl MaskMaker {
         render: Option<&Image>,
         snapshot: &dyn Snapshot,
         sky: Option<&Mask>,
-    ) -> Result<MaskSet, Refused> {
-        fault::point("masks.make").map_err(|e| Refused(e.to_string()))?;
+    ) -> Result<MaskSet, MaskFailure> {
+        fault::point("masks.make").map_err(|e| MaskFailure(e.to_string()))?;
         let posed = &self.scene.views[view];
-        let drawn;
+        let rendered;
         let image = match (self.settings.mask_source, render) {
             (MaskSource::Render, Some(render)) => render,
             (MaskSource::Render, None) => {
-                drawn = snapshot
-                    .render(view)
-                    .map_err(|e| Refused(format!("photo {}: its view cannot be drawn: {e}", posed.name)))?;
-                &drawn
+                rendered = snapshot.render(view).map_err(|e| {
+                    MaskFailure(format!("photo {}: its view cannot be rendered: {e}", posed.name))
+                })?;
+                &rendered
             }
             (MaskSource::Photo, _) => {
-                drawn = self.photo(view)?;
-                &drawn
+                rendered = self.photo(view)?;
+                &rendered
             }
         };
         let camera = posed.camera.resized(image.width as u32, image.height as u32);
         let depth = self.depths.relative(sasm::scene_view_depth(&self.scene, posed));
-        let words = |e: crate::MaskError| Refused(format!("photo {}: {e}", posed.name));
+        let words = |e: crate::MaskError| MaskFailure(format!("photo {}: {e}", posed.name));
         let plan =
             sasm::plan(snapshot.means(), &camera, &posed.pose, depth, sky, &self.settings).map_err(words)?;
         Ok(generate(&*self.proposer, image, &plan.points, sky, &self.settings).map_err(words)?.set)
@@ -184,7 +184,7 @@ impl<O: Message + From<MaskOutcome>> Actor for MaskActor<O> {
                     let image = self.maker.photo(view)?;
                     let name = &self.maker.scene.views[view].name;
                     let seen = self.maker.scene.points_in(view, image.width, image.height);
-                    self.sky.sky_above(&image, &seen).map_err(|e| Refused(format!("photo {name}: {e}")))
+                    self.sky.sky_above(&image, &seen).map_err(|e| MaskFailure(format!("photo {name}: {e}")))
                 })?;
                 MaskOutcome::Sky { view, sky: Ok(Arc::new(sky)), seconds: took(origin) }
             }

@@ -12,7 +12,7 @@ pub enum MaskError {
     Provider {
         /// Key of the provider.
         provider: String,
-        /// What it said.
+        /// Its error.
         source: VisionError,
     },
     /// Sizes do not fit each other.
@@ -26,13 +26,13 @@ pub struct Generated {
     /// What was kept: stable masks, best first, then those that fill up, then the sky, if it is there.
     pub set: MaskSet,
     /// Counts for reports.
-    pub tally: Tally,
+    pub tally: MaskTally,
 }
 
 /// What became of a photo's proposals.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-pub struct Tally {
-    /// Prompts asked.
+pub struct MaskTally {
+    /// Prompts given to the provider.
     pub prompts: usize,
     /// Masks that the provider proposed.
     pub proposed: usize,
@@ -52,12 +52,15 @@ pub struct Tally {
     pub kept: usize,
 }
 
-/// Asks `proposer` for masks at `points` of `image` and keeps the good ones: filters by predicted IoU and
+/// Asks `proposer` for masks at `points` (pixels of `image`) and keeps the good ones: filters by predicted IoU and
 /// stability (filled up to `min_masks` by the most stable others), one of near-duplicates, small islands and
 /// holes removed.
 ///
 /// With a `sky` (and `sky_prompts` on), masks that are mostly sky give way to one mask, the sky itself: clouds
-/// are no objects, and what is not sky should still be told from it.
+/// are no objects, and the other masks must still be distinguishable from the sky.
+///
+/// # Errors
+/// When the provider fails, or when the image's or a mask's size does not fit.
 pub fn generate(
     proposer: &dyn MaskProposer,
     image: &Image,
@@ -81,8 +84,8 @@ pub fn generate(
             false => s.resized(width, height),
         });
     let least = (f64::from(settings.min_mask_area) * image.pixels() as f64).ceil().max(1.0) as usize;
-    let mut tally = Tally { prompts: points.len(), ..Tally::default() };
-    let (mut masks, mut spare) = (Vec::new(), Vec::new());
+    let mut tally = MaskTally { prompts: points.len(), ..MaskTally::default() };
+    let (mut masks, mut unstable) = (Vec::new(), Vec::new());
     for batch in points.chunks(settings.prompt_batch.max(1) as usize) {
         let proposed = proposer
             .propose(image, batch)
@@ -103,7 +106,7 @@ pub fn generate(
                 tally.small += 1;
             } else if below(mask.stability, settings.min_stability) {
                 tally.unstable += 1;
-                spare.push(mask);
+                unstable.push(mask);
             } else {
                 masks.push(mask);
             }
@@ -113,7 +116,7 @@ pub fn generate(
         let before = masks.len();
         let mostly = |m: &ScoredMask| 2 * m.mask.overlap(sky) >= m.mask.count();
         masks.retain(|m| !mostly(m));
-        spare.retain(|m| !mostly(m));
+        unstable.retain(|m| !mostly(m));
         tally.sky = before - masks.len();
     }
     // Duplicates go first, so that only what stays is cleaned; cleaning can make new ones.
@@ -136,11 +139,11 @@ pub fn generate(
             tally.duplicates += 1;
         }
     }
-    spare.retain(|m| !m.stability.is_nan());
-    spare.sort_by(|a, b| {
+    unstable.retain(|m| !m.stability.is_nan());
+    unstable.sort_by(|a, b| {
         b.stability.total_cmp(&a.stability).then(b.predicted_iou.total_cmp(&a.predicted_iou))
     });
-    for mut mask in spare {
+    for mut mask in unstable {
         if masks.len() >= settings.min_masks as usize {
             break;
         }
@@ -177,12 +180,12 @@ impl Distinct {
         self.kept.len()
     }
 
-    /// Adds a mask unless it is nearly one that is here.
+    /// Adds a mask unless it is nearly the same as one that was kept before.
     fn add(&mut self, mask: ScoredMask) -> bool {
         let area = mask.mask.count();
         let double = self.kept.iter().any(|(other, other_area)| {
             let (small, large) = (area.min(*other_area), area.max(*other_area));
-            // The IoU is at most small / large, so most pairs need no look at their pixels.
+            // The IoU is at most small / large, so most pairs are decided without their pixels.
             if small as f64 <= self.threshold * large as f64 {
                 return false;
             }

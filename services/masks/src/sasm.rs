@@ -1,6 +1,6 @@
 //! Where to prompt: scale-adaptive prompts (method, section 5; paper Eq. 15-23).
 //!
-//! A far camera sees its object small, so its photo is cut into more cells ([`segs`]); a cell whose surface is
+//! A far camera sees its object small, so its photo is divided into more cells ([`segs`]); a cell whose surface is
 //! far, and densely covered by splats, gets more prompts ([`prompt_map`]). Sky gets the fewest.
 
 use crate::{MaskError, MaskSettings};
@@ -35,7 +35,7 @@ pub fn view_depth(camera: &Camera, pose: &Pose, points: impl IntoIterator<Item =
     (count > 0 && depth.is_finite()).then_some(depth)
 }
 
-/// The spread of [`view_depth`] over the training photos, which says what is near and what is far.
+/// The spread of [`view_depth`] over the training photos: what is near and what is far in the scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SceneDepths {
     /// 1 % quantile.
@@ -213,7 +213,7 @@ pub fn plan(
     relative_depth: f64,
     sky: Option<&Mask>,
     settings: &MaskSettings,
-) -> Result<Plan, MaskError> {
+) -> Result<PromptPlan, MaskError> {
     if camera.width == 0 || camera.height == 0 {
         return Err(MaskError::Size(format!(
             "a photo of {}x{} pixels has no room for prompts",
@@ -222,16 +222,16 @@ pub fn plan(
     }
     if !settings.sasm {
         let points = uniform_prompts(camera.width, camera.height, settings.prompt_budget);
-        return Ok(Plan { map: None, points });
+        return Ok(PromptPlan { map: None, points });
     }
     let depth = depth_map(means, camera, pose, sky.filter(|_| settings.sky_prompts));
     let map = prompt_map(&depth, segs(relative_depth), settings.prompt_budget, settings.max_points_per_cell);
-    Ok(Plan { points: map.prompts(), map: Some(map) })
+    Ok(PromptPlan { points: map.prompts(), map: Some(map) })
 }
 
 /// The prompts of one photo and how they came about.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Plan {
+pub struct PromptPlan {
     /// Prompts per cell; `None` for the uniform grid.
     pub map: Option<PromptMap>,
     /// Pixel positions.

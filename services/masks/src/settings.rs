@@ -1,7 +1,7 @@
-//! What a person can set about masks.
+//! The settings of automatic masks.
 
 segwild_scene::choice! {
-    /// Which picture the masks are drawn on.
+    /// The image that masks are made from.
     pub enum MaskSource {
         /// The scene rendered from the photo's camera: no transients, one light.
         Render = "render",
@@ -21,7 +21,7 @@ segwild_scene::settings! {
         max_points_per_cell: u32 = 20 => 1..=100,
         /// Let the sky lower the number of prompts where it is seen, and count as one region.
         sky_prompts: bool = true,
-        /// Picture that masks are drawn on: the render (no passers-by, one light) or the photo.
+        /// Image that masks are made from: the render (no transients, one light) or the photo.
         mask_source: MaskSource = MaskSource::Render,
         /// Prompts handed to the mask provider at once; bounds memory, not quality.
         prompt_batch: u32 = 256 => 1..,

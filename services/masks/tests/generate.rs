@@ -9,12 +9,12 @@ const W: u32 = 80;
 const H: u32 = 60;
 
 /// Proposes what a function says of each point, and remembers the sizes of the batches.
-struct Oracle<F> {
+struct OracleProposer<F> {
     answer: F,
     batches: Mutex<Vec<usize>>,
 }
 
-impl<F: Fn([f32; 2]) -> Vec<ScoredMask> + Send + Sync> MaskProposer for Oracle<F> {
+impl<F: Fn([f32; 2]) -> Vec<ScoredMask> + Send + Sync> MaskProposer for OracleProposer<F> {
     fn key(&self) -> String {
         "oracle".into()
     }
@@ -27,8 +27,8 @@ impl<F: Fn([f32; 2]) -> Vec<ScoredMask> + Send + Sync> MaskProposer for Oracle<F
     }
 }
 
-fn oracle<F: Fn([f32; 2]) -> Vec<ScoredMask> + Send + Sync>(answer: F) -> Oracle<F> {
-    Oracle { answer, batches: Mutex::default() }
+fn oracle<F: Fn([f32; 2]) -> Vec<ScoredMask> + Send + Sync>(answer: F) -> OracleProposer<F> {
+    OracleProposer { answer, batches: Mutex::default() }
 }
 
 fn scored(mask: Mask, predicted_iou: f32, stability: f32) -> ScoredMask {
@@ -152,7 +152,7 @@ fn the_sky_is_one_mask() {
 }
 
 #[test]
-fn what_cannot_be_is_said_in_words() {
+fn bad_masks_points_and_images_are_refused_with_a_sentence() {
     let settings = MaskSettings::default();
     let wrong = oracle(|_| vec![scored(Mask::full(5, 5), 1.0, 1.0)]);
     let error = generate(&wrong, &image(), &[[1.0, 1.0]], None, &settings).unwrap_err();

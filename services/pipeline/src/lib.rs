@@ -55,7 +55,7 @@ pub use keep::{CacheLine, cache_gc, cache_list, cache_verify};
 pub use light::{AppearanceRequest, BakeRequest, Baked, OWN, ScenePart, bake};
 pub use memory::MemoryNeed;
 pub use prompts::{PhotoPrompts, Replay};
-pub use render::{Mode, RenderRequest, RenderedFile, RenderContent, render};
+pub use render::{Mode, RenderContent, RenderRequest, RenderedFile, render};
 pub use report::write_report;
 pub use segment::{SegmentOutcome, Selected, Shortened, segment};
 pub use segwild_trainer::{AppearanceChoice, BudgetChoice, Preset};

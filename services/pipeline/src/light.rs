@@ -3,7 +3,7 @@
 use crate::{RunError, RunFolder, Selected};
 use segwild_scene::ply::Export;
 use segwild_scene::{Scene, Splats};
-use segwild_trainer::{Light, Lighting, Model};
+use segwild_trainer::{Model, SceneLight, SceneLighting};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -44,7 +44,7 @@ impl AppearanceRequest {
         if !(0.0..=2.0).contains(&self.strength) {
             return Err(RunError::Request(format!("a strength of {} is not from 0 to 2", self.strength)));
         }
-        let light = |name: &String| -> Result<Light, RunError> {
+        let light = |name: &String| -> Result<SceneLight, RunError> {
             if name == OWN {
                 return Ok(model.light(None));
             }
@@ -72,12 +72,12 @@ pub(crate) fn find(scene: &Scene, name: &str) -> Result<usize, RunError> {
 }
 
 /// A sequence of lights.
-pub(crate) struct Lights(Vec<Light>);
+pub(crate) struct Lights(Vec<SceneLight>);
 
 impl Lights {
     /// The light at a share of the whole sequence, 0 to 1, interpolated between neighbours; `None` if the sequence is
     /// empty.
-    pub(crate) fn at(&self, share: f32) -> Option<Light> {
+    pub(crate) fn at(&self, share: f32) -> Option<SceneLight> {
         let last = self.0.len().checked_sub(1)?;
         let at = share.clamp(0.0, 1.0) * last as f32;
         let k = (at as usize).min(last.saturating_sub(1));
@@ -149,7 +149,7 @@ pub fn bake(folder: &RunFolder, request: &BakeRequest) -> Result<Baked, RunError
         model.select(&keep);
         whose = vec![wanted; keep.len()];
     }
-    let light = |appearance: &AppearanceRequest| -> Result<Option<Light>, RunError> {
+    let light = |appearance: &AppearanceRequest| -> Result<Option<SceneLight>, RunError> {
         if appearance.photos.len() > 1 && request.interpolate.is_none() {
             return Err(RunError::Request("two appearances need --interpolate T, 0 to 1".into()));
         }
@@ -160,7 +160,7 @@ pub fn bake(folder: &RunFolder, request: &BakeRequest) -> Result<Baked, RunError
         None => None,
     };
     let lighting =
-        Lighting { scene: light(&request.appearance)?.unwrap_or_else(|| model.light(None)), object };
+        SceneLighting { scene: light(&request.appearance)?.unwrap_or_else(|| model.light(None)), object };
     let baked = model.baked(&lighting);
     export(scene, &model).write(&request.out, &baked)?;
     Ok(Baked { file: request.out.clone(), splats: baked.len() })

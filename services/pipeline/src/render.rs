@@ -8,7 +8,7 @@ use glam::{Mat3, Quat, Vec3};
 use segwild_features::FeatureColours;
 use segwild_raster::{Channels, Engine, Kept};
 use segwild_scene::{Camera, Image, Pose, Scene};
-use segwild_trainer::{Light, Lighting, Model, render_lit};
+use segwild_trainer::{Model, SceneLight, SceneLighting, render_lit};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -142,7 +142,8 @@ fn check_appearances(request: &RenderRequest) -> Result<(), RunError> {
             "two appearances need --frames N, a sequence between them, or --interpolate T, 0 to 1",
         );
     }
-    if request.interpolate.is_some() && (request.frames.is_some() || appearances().all(AppearanceRequest::is_one))
+    if request.interpolate.is_some()
+        && (request.frames.is_some() || appearances().all(AppearanceRequest::is_one))
     {
         return refuse("--interpolate needs two appearances, and no --frames");
     }
@@ -294,7 +295,7 @@ impl<'a> SceneRenderer<'a> {
     }
 
     /// The light of a job: its view's, or interpolated towards the next view's.
-    fn own(&self, job: &RenderJob, strength: f32) -> Light {
+    fn own(&self, job: &RenderJob, strength: f32) -> SceneLight {
         let (next, t) = job.towards;
         let light = |view| self.model.light(Some(view));
         let own = if t == 0.0 { light(job.view) } else { light(job.view).towards(&light(next), t) };
@@ -302,12 +303,12 @@ impl<'a> SceneRenderer<'a> {
     }
 
     /// The scene in one light, the selection in another if there is one.
-    fn lighting(&self, scene: Light, object: Option<Light>) -> Lighting {
-        Lighting { scene, object: self.whose.clone().zip(object) }
+    fn lighting(&self, scene: SceneLight, object: Option<SceneLight>) -> SceneLighting {
+        SceneLighting { scene, object: self.whose.clone().zip(object) }
     }
 
     /// The light of a view's photo; the scene's own if none is named.
-    pub(crate) fn light(&self, view: Option<usize>) -> Lighting {
+    pub(crate) fn light(&self, view: Option<usize>) -> SceneLighting {
         self.model.light(view).into()
     }
 
@@ -317,7 +318,7 @@ impl<'a> SceneRenderer<'a> {
         engine: &dyn Engine,
         camera: &Camera,
         pose: &Pose,
-        lighting: &Lighting,
+        lighting: &SceneLighting,
     ) -> Result<Image, RunError> {
         let options = self.model.options();
         let splats = &self.model.splats;
@@ -351,7 +352,9 @@ impl<'a> SceneRenderer<'a> {
         }
         let projected = engine.project(splats, camera, pose, &options)?;
         match (self.what, &self.features) {
-            (RenderContent::Features, Some((field, colours))) => Ok(colours.paint(&projected.blend_kept(field)?)),
+            (RenderContent::Features, Some((field, colours))) => {
+                Ok(colours.paint(&projected.blend_kept(field)?))
+            }
             (RenderContent::Alpha, _) => Ok(projected.blend(&NOTHING)?.alpha),
             _ => {
                 let frame = projected.blend(&Channels { count: 1, values: projected.depths() })?;

@@ -19,8 +19,8 @@ use segwild_flow::{
 use segwild_scene::ply::Export;
 use segwild_scene::{Image, Mask, Scene, ScoredMask, Splats, View};
 use segwild_segmenter::{
-    Cut, Geometry, MaskMode, Object, PosedView, SegmentActor, SegmentError, SegmentReply, SegmentSettings,
-    SegmentTask, Segmented, Verdict,
+    MaskMode, PhotoVerdict, PosedView, SegmentActor, SegmentError, SegmentReply, SegmentSettings,
+    SegmentTask, Segmented, SelectedObject, SpikeCut, SplatGeometry,
 };
 use segwild_vision::Providers;
 use serde::Serialize;
@@ -55,12 +55,14 @@ pub struct Shortened {
 }
 
 impl Selected {
-    fn new(labels: &[bool], cut: &Cut) -> Selected {
+    fn new(labels: &[bool], cut: &SpikeCut) -> Selected {
         let mut labels = labels.to_vec();
         cut.trim(&mut labels);
-        let after = |&(splat, _, Geometry { mean, log_scales, rotation }): &(u32, Geometry, Geometry)| {
-            Shortened { splat, mean, log_scales, rotation }
-        };
+        let after = |&(splat, _, SplatGeometry { mean, log_scales, rotation }): &(
+            u32,
+            SplatGeometry,
+            SplatGeometry,
+        )| { Shortened { splat, mean, log_scales, rotation } };
         Selected { labels, changed: cut.changed.iter().map(after).collect() }
     }
 
@@ -259,7 +261,7 @@ pub fn segment(
     let engine = choose_engine(&made_with.run, log_loss)?.engine;
     let features = match field {
         Some(field) => {
-            let mut features = segwild_segmenter::FeatureField::new(field.channels, field.values)?;
+            let mut features = segwild_segmenter::SplatFeatures::new(field.channels, field.values)?;
             features.bring(&*engine)?;
             Some(Arc::new(features))
         }
@@ -330,8 +332,8 @@ pub fn segment(
     let target = folder.selection(name);
     let Segmented { selection, cut, masks } = *segmented;
     let selected = Selected::new(&selection.labels, &cut);
-    let object = Object::new(&in_colour, &selection.labels, &cut);
-    let count = |verdict: Verdict| selection.visits.iter().filter(|v| v.verdict == verdict).count();
+    let object = SelectedObject::new(&in_colour, &selection.labels, &cut);
+    let count = |verdict: PhotoVerdict| selection.visits.iter().filter(|v| v.verdict == verdict).count();
     let mut outcome = SegmentOutcome {
         folder: target.clone(),
         provider: providers.name.clone(),
@@ -343,8 +345,8 @@ pub fn segment(
         agreement: selection.agreement,
         alone: selection.alone,
         notes: prompt_warnings(folder, &scene, prompts, &masks),
-        agreeing: count(Verdict::Accepted),
-        disagreeing: count(Verdict::Disagrees),
+        agreeing: count(PhotoVerdict::Accepted),
+        disagreeing: count(PhotoVerdict::Disagrees),
         select_s,
         wall_s: 0.0,
     };

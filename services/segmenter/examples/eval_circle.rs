@@ -9,7 +9,8 @@ use segwild_raster::{CpuEngine, ProjectOptions};
 use segwild_scene::settings::Group;
 use segwild_scene::{Image, Mask, PointPrompt, Prompts, Scene, SceneSettings, ply};
 use segwild_segmenter::{
-    Graph, PosedView, PromptedView, Request, SegmentSettings, Verdict, cut, cut_scene, select, visible_mask,
+    NeighbourGraph, PhotoVerdict, PosedView, PromptedView, Request, SegmentSettings, cut, cut_scene, select,
+    visible_mask,
 };
 use segwild_vision::{PromptSegmenter, Providers, VisionSettings};
 use std::error::Error;
@@ -63,7 +64,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let providers = Providers::from_settings(&vision)?;
     let segmenter: &dyn PromptSegmenter = &*providers.segmenter;
     let (engine, options) = (CpuEngine::new(), ProjectOptions::default());
-    let graph = Graph::new(&splats, settings.neighbours);
+    let graph = NeighbourGraph::new(&splats, settings.neighbours);
     let references: Vec<usize> = if names.is_empty() {
         (0..scene.views.len()).step_by(scene.views.len().div_ceil(6)).collect()
     } else {
@@ -124,7 +125,7 @@ fn main() -> Result<(), Box<dyn Error>> {
                 "    {:50} IoU {iou:.3}  refined {}  agreement {agreement:.2} {:?}",
                 views[v].name,
                 refined.map_or("  -  ".into(), |r| format!("{r:.3}")),
-                visit.map_or(Verdict::NotVisible, |x| x.verdict),
+                visit.map_or(PhotoVerdict::NotVisible, |x| x.verdict),
             ));
         }
         let mean = |x: &[f64]| x.iter().sum::<f64>() / x.len() as f64;

@@ -5,7 +5,7 @@
 
 use rayon::prelude::*;
 use segwild_raster::CpuEngine;
-use segwild_segmenter::FeatureField;
+use segwild_segmenter::SplatFeatures;
 use std::hint::black_box;
 use std::time::Instant;
 
@@ -44,7 +44,7 @@ fn main() -> Result<(), segwild_segmenter::SegmentError> {
             (state >> 40) as f32 / (1u64 << 24) as f32 - 0.5
         })
         .collect();
-    let field = FeatureField::new(CHANNELS, values)?;
+    let field = SplatFeatures::new(CHANNELS, values)?;
     let plain = best(|| {
         black_box(read(black_box(field.values())));
     });

@@ -1,8 +1,8 @@
-//! The segmenter behind a mailbox: it keeps the scene and its neighbour graph, so that the next click is quick.
+//! The actor of the segmenter. It keeps the scene and its neighbour graph, so that the next click is quick.
 
 use crate::{
-    Cut, FeatureField, Graph, MaskReader, PosedView, PromptedView, Refiner, Request, SegmentError,
-    SegmentSettings, Selection, cut, select,
+    MaskReader, NeighbourGraph, PosedView, PromptedView, Refiner, Request, SegmentError, SegmentSettings,
+    Selection, SpikeCut, SplatFeatures, cut, select,
 };
 use segwild_flow::{Actor, Context, Failure, Message, Sender};
 use segwild_raster::{Engine, ProjectOptions};
@@ -11,14 +11,14 @@ use segwild_vision::PromptSegmenter;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// Reads the photo of a view at the size in which prompts are given; the error says in words why it cannot.
+/// Reads the photo of a view at the size in which prompts are given; the error is a sentence that says why it cannot.
 pub type PhotoReader = dyn Fn(usize) -> Result<Image, String> + Send + Sync;
 
 /// Prompts on one or several photos, and where the answer goes.
 pub struct SegmentTask {
-    /// Views, and what was said on each, in pixels of the photo at working size.
+    /// Views and the prompts on each, in pixels of the photo at working size.
     pub prompts: Vec<(usize, Prompts)>,
-    /// How to weigh.
+    /// The settings of this selection.
     pub settings: SegmentSettings,
     /// Where the answer goes.
     pub reply: Sender<SegmentReply>,
@@ -35,8 +35,8 @@ pub struct Segmented {
     /// The selection.
     pub selection: Selection,
     /// Its spikes, cut.
-    pub cut: Cut,
-    /// Per photo on which something says where the object is, the mask that its prompts mean.
+    pub cut: SpikeCut,
+    /// Per photo with a positive prompt, the mask of its prompts.
     pub masks: Vec<(usize, ScoredMask)>,
 }
 
@@ -58,20 +58,20 @@ pub struct SegmentActor {
     /// Which views a selection may not be carried to, such as photos that were skipped.
     pub barred: Arc<Vec<bool>>,
     /// The feature field, if there is one.
-    pub features: Option<Arc<FeatureField>>,
+    pub features: Option<Arc<SplatFeatures>>,
     /// Reads photos.
     pub photos: Arc<PhotoReader>,
     /// Reads the photos' skies.
     pub skies: Arc<MaskReader>,
-    /// Reads what was taken for transients in the photos.
+    /// Reads the photos' transient masks.
     pub transients: Arc<MaskReader>,
     /// Turns prompts into masks.
     pub segmenter: Arc<dyn PromptSegmenter>,
     /// The neighbour graph, made at the first task.
-    pub graph: Option<Graph>,
+    pub graph: Option<NeighbourGraph>,
 }
 
-/// Whether prompts only say where the object is not.
+/// Whether all prompts are negative clicks.
 fn refuses(prompts: &Prompts) -> bool {
     prompts.boxes.is_empty() && prompts.points.iter().all(|p| !p.inside)
 }
@@ -80,18 +80,18 @@ impl SegmentActor {
     fn segment(&mut self, task: &SegmentTask, context: &Context) -> Result<Segmented, SegmentError> {
         if self.graph.as_ref().is_none_or(|g| g.len() != self.splats.len()) {
             let _zone = context.busy_zone("neighbour graph");
-            self.graph = Some(Graph::new(&self.splats, task.settings.neighbours));
+            self.graph = Some(NeighbourGraph::new(&self.splats, task.settings.neighbours));
         }
         let mut answers = Vec::new();
         for (view, prompts) in &task.prompts {
             let name = self.views.get(*view).map_or_else(String::new, |v| v.name.clone());
             let provider = |reason: String| SegmentError::Provider { photo: name.clone(), reason };
             let image = (self.photos)(*view).map_err(provider)?;
-            // Where all clicks say where the object is not, the photo tells what it is that they are on.
+            // Where all clicks are negative, they are turned into positive ones: the mask is that of the thing that is refused.
             let refused = refuses(prompts);
-            let mut asked = prompts.clone();
-            asked.points.iter_mut().for_each(|p| p.inside |= refused);
-            let found = self.segmenter.prompted(&image, &asked).map_err(|e| provider(e.to_string()))?;
+            let mut positive = prompts.clone();
+            positive.points.iter_mut().for_each(|p| p.inside |= refused);
+            let found = self.segmenter.prompted(&image, &positive).map_err(|e| provider(e.to_string()))?;
             answers.push((*view, found));
         }
         let prompted: Vec<PromptedView> = answers
@@ -119,24 +119,24 @@ impl SegmentActor {
             transients: Some(&*self.transients),
             settings: &task.settings,
         };
-        let photos = Photos { actor: self, context, prepared: Mutex::default() };
+        let photos = PhotoRefiner { actor: self, context, prepared: Mutex::default() };
         let selection = select(&request, Some(&photos))?;
         let cut = cut(&request, &selection)?;
-        let said = answers.into_iter().zip(&task.prompts).filter(|(_, (_, prompts))| !refuses(prompts));
-        let masks = said.map(|((view, found), _)| (view, found.answer)).collect();
+        let meant = answers.into_iter().zip(&task.prompts).filter(|(_, (_, prompts))| !refuses(prompts));
+        let masks = meant.map(|((view, found), _)| (view, found.answer)).collect();
         Ok(Segmented { selection, cut, masks })
     }
 }
 
-/// The photos that a selection is carried to.
-struct Photos<'a> {
+/// Refines masks on the photos that a selection is carried to.
+struct PhotoRefiner<'a> {
     actor: &'a SegmentActor,
     context: &'a Context,
     /// Photos that were read before their turn.
     prepared: Mutex<HashMap<usize, Image>>,
 }
 
-impl Photos<'_> {
+impl PhotoRefiner<'_> {
     fn read(&self, view: usize) -> Option<Image> {
         let barred = self.actor.barred.get(view).copied().unwrap_or(true);
         if barred { None } else { (self.actor.photos)(view).ok() }
@@ -147,7 +147,7 @@ impl Photos<'_> {
     }
 }
 
-impl Refiner for Photos<'_> {
+impl Refiner for PhotoRefiner<'_> {
     fn refine(&self, view: usize, certainty: &Image) -> Option<(Mask, f32)> {
         self.context.progress();
         let read = self.prepared().remove(&view);
@@ -170,7 +170,7 @@ impl Actor for SegmentActor {
 
     fn handle(&mut self, task: SegmentTask, context: &Context) -> Result<(), Failure> {
         let answer = self.segment(&task, context).map(Box::new);
-        // A person who has gone away needs no answer.
+        // Nobody may be waiting for the answer any more.
         let _ = task.reply.blocking_send(SegmentReply(answer));
         Ok(())
     }

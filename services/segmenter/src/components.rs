@@ -1,27 +1,27 @@
 //! Which connected parts of a selection stay (method, section 6).
 
-use crate::{Evidence, Graph, Hit};
+use crate::{ClickHit, Evidence, NeighbourGraph};
 use segwild_scene::Splats;
 
 /// Share of a click's pixel that a splat must make up to stand for the click.
 const SEED: f32 = 0.05;
 
-/// Views in which photos that were not clicked see a splat of a part, in the mean, and share of what they say that must lie
-/// inside, for a part to stay however small it is: a shield beside its bearer, the foot of a plinth whose middle nobody
-/// saw. What masks take along past an outline is seen inside by one photo and outside by the next.
+/// Multi-view support that keeps a part however small it is: the mean number of photos without clicks that see a splat of
+/// it, and the share of their evidence that must lie inside. Examples are a shield beside its bearer and the foot of a
+/// plinth whose middle no photo sees. What a mask includes past an outline lies inside in one photo and outside in the next.
 const SUPPORTED: (f64, f64) = (1.0, 0.7);
 
-/// Takes away the parts that hold no positive click, unless they hold `share` of the selection's `evidence` (what is known
-/// for each splat: what no photo saw is no reason to keep a part) or the `others`, what photos that were not clicked say,
-/// bear them out; and those that hold only negative clicks. Where no click lies in any part, the heaviest
-/// stays. Returns how many parts went.
+/// Removes the parts that hold only negative clicks, and those that hold no positive click. A part without a click stays if
+/// it holds `share` of the selection's `evidence` (splats that no photo saw count nothing), or if `others`, the evidence
+/// of photos without clicks, supports it ([`SUPPORTED`]). Where no click lies in any part, the part with most evidence
+/// stays. Returns how many parts were removed.
 pub(crate) fn keep_clicked(
-    graph: &Graph,
+    graph: &NeighbourGraph,
     splats: &Splats,
     labels: &mut [bool],
     evidence: &Evidence,
     others: Option<&Evidence>,
-    (positive, negative): (&[Hit], &[Hit]),
+    (positive, negative): (&[ClickHit], &[ClickHit]),
     share: f32,
 ) -> usize {
     let (part, parts) = graph.components(splats, labels);
@@ -35,7 +35,7 @@ pub(crate) fn keep_clicked(
         }
     }
     let supported = others.map_or(vec![false; parts], |others| supported(others, &part, parts));
-    let holding = |hits: &[Hit]| {
+    let holding = |hits: &[ClickHit]| {
         let mut holds = vec![false; parts];
         for hit in hits {
             for &(splat, s) in &hit.splats {
@@ -61,7 +61,7 @@ pub(crate) fn keep_clicked(
     stays.iter().filter(|s| !**s).count()
 }
 
-/// Which parts photos bear out ([`SUPPORTED`]).
+/// Which parts have multi-view support ([`SUPPORTED`]).
 fn supported(evidence: &Evidence, part: &[Option<u32>], parts: usize) -> Vec<bool> {
     let mut sums = vec![(0.0f64, 0.0f64, 0.0f64, 0u32); parts];
     for (i, part) in part.iter().enumerate() {

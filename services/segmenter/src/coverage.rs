@@ -1,6 +1,6 @@
-//! What masks on photos say about splats (method, section 6).
+//! Evidence of masks on photos for and against splats (method, section 6).
 
-use crate::screen::Shape;
+use crate::screen::Ellipsoid;
 use crate::settings::Vote;
 use rayon::prelude::*;
 use segwild_raster::{ProjectOptions, Projected, RasterError};
@@ -9,13 +9,13 @@ use segwild_scene::{Camera, Image, Mask, Pose, Splats};
 /// Alpha below which a rasteriser skips a splat (method, section 1).
 const ALPHA_MIN: f32 = 1.0 / 255.0;
 
-/// Pixels added to a splat's footprint when its vote is formed: splats much smaller than a pixel tell
-/// little about where a boundary runs.
+/// Pixels added to a splat's footprint when its vote is formed: splats much smaller than a pixel carry
+/// little information about where a boundary runs.
 const VOTE_FLOOR: f32 = 1.0;
 
-/// How much is known of a splat by a photo that sees a share of its light: the share to this power. A tenth that
-/// shows beside something else tells which side that tenth is on, and little of the rest.
-const GLIMPSE: f32 = 1.5;
+/// Where a photo sees a share of a splat's light, its evidence counts as known by that share to this power. A tenth that
+/// shows beside something else determines the side of that tenth, and little of the rest.
+const PARTIAL_VIEW: f32 = 1.5;
 
 /// Evidence for and against each splat, summed over views. The unit is a view: one that sees a splat whole
 /// and large adds 1 to the two together; with [`Vote::Light`] it is a pixel's light.
@@ -25,8 +25,8 @@ pub struct Evidence {
     pub inside: Vec<f32>,
     /// `A_0`: visible light of the splat outside the masks.
     pub outside: Vec<f32>,
-    /// How much is known of the splat by them, in the same unit. It says how far the share of the two is to be relied on:
-    /// less than their sum where views see little of the splat, more where a photo that was pointed in sees it.
+    /// How much is known of the splat by them, in the same unit: the reliability of the share of the two. It is
+    /// less than their sum where views see little of the splat, more where a prompted photo sees it.
     pub known: Vec<f32>,
 }
 
@@ -37,7 +37,7 @@ impl Evidence {
         Evidence { inside: none.clone(), outside: none.clone(), known: none }
     }
 
-    /// What masks say of a splat for and against it together.
+    /// The evidence for and against a splat together.
     pub fn seen(&self, splat: usize) -> f32 {
         self.inside[splat] + self.outside[splat]
     }
@@ -61,8 +61,8 @@ impl Evidence {
         (known > 0.0 && known >= least).then_some(inside * (1.0 - rho) >= (outside + gamma) * rho)
     }
 
-    /// How well one view sees each splat, in 1/255 of a view that sees it whole and large.
-    pub(crate) fn voices(&self) -> Vec<u8> {
+    /// How well one view sees each splat, in 1/255 of a view that sees it whole and large (rounded).
+    pub(crate) fn visibility(&self) -> Vec<u8> {
         (0..self.inside.len()).map(|i| (255.0 * self.seen(i).clamp(0.0, 1.0)).round() as u8).collect()
     }
 
@@ -94,7 +94,7 @@ pub fn unoccluded(splats: &Splats, camera: &Camera, pose: &Pose, options: &Proje
         .into_par_iter()
         .with_min_len(1024)
         .map(|i| {
-            let seen = Shape::of(splats, i).and_then(|s| s.project(camera, pose, options.near));
+            let seen = Ellipsoid::of(splats, i).and_then(|s| s.project(camera, pose, options.near));
             let opacity = splats.opacity(i);
             let (Some(footprint), true) = (seen, opacity > ALPHA_MIN) else { return 0.0 };
             // Anti-aliasing lowers the opacity by as much as the low-pass widened the splat.
@@ -133,7 +133,7 @@ pub fn coverage(
             evidence.inside[i] = within * vote;
             evidence.outside[i] = (all - within) * vote;
             evidence.known[i] = match worth {
-                Vote::View => (all * vote).powf(GLIMPSE),
+                Vote::View => (all * vote).powf(PARTIAL_VIEW),
                 Vote::Light => all,
             };
         }
@@ -141,8 +141,8 @@ pub fn coverage(
     Ok(evidence)
 }
 
-/// Evidence of one view in centre mode: each splat in the frame whose centre lies in the mask is inside. What
-/// hides it does not matter (the paper's reading), unless `visible` says which splats count.
+/// Evidence of one view in centre mode: each splat in the frame whose centre lies in the mask is inside.
+/// Occlusion does not matter (the paper's reading), unless `visible` selects the splats that count.
 pub fn centre(projected: &dyn Projected, mask: &Mask, near: f32, visible: Option<&[bool]>) -> Evidence {
     let centres = projected.centres();
     let mut evidence = Evidence::none(centres.len());
@@ -168,7 +168,7 @@ pub fn visible(
     Ok(sums.iter().zip(unoccluded).map(|(&sum, &all)| sum > 0.0 && sum >= seen * all).collect())
 }
 
-/// A rendered share, in [0, 1]; what is no number counts as none.
+/// A rendered share, clamped to [0, 1]; NaN counts as 0.
 pub(crate) fn clean(share: f32) -> f32 {
     if share.is_nan() { 0.0 } else { share.clamp(0.0, 1.0) }
 }

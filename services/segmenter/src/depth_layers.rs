@@ -1,59 +1,60 @@
-//! What a mask takes along of what stands behind.
+//! Depth layering: the part of a mask that lies in the background of the clicked object.
 //!
-//! A 2D segmenter does not see how far away things are: where a statue and the wall behind it look alike, its mask takes in
-//! a piece of the wall, and other photos complete that piece to the whole wall. The splats know better. In the photo that
-//! was clicked, what such a mask holds lies in two layers with empty space between them, and all clicks are on the near one.
+//! A 2D segmenter has no depth. Where a statue and the wall behind it look alike, its mask includes a piece of the wall,
+//! and other photos complete that piece to the whole wall. The splats have depth: in the clicked photo, the splats of such
+//! a mask lie in two layers with empty space between them, and all clicks are on the near one.
 
 use crate::{Evidence, PromptedView};
 use segwild_raster::{Channels, Projected, RasterError};
 use segwild_scene::{Camera, Image};
 
-/// Accumulated alpha under which it is not known how far away a pixel is.
+/// Accumulated alpha under which a pixel's depth is unknown.
 const SOLID: f32 = 0.5;
 
-/// Share of a splat's evidence that must lie inside for its depth to count: those astride the outline are of either thing.
+/// Share of a splat's evidence that must lie inside for its depth to count: those astride the outline may belong to either thing.
 const WITHIN: f32 = 0.5;
 
-/// How far behind the deepest click the other thing must begin, and how far apart the middles of the two layers must be, in
+/// How much deeper than the deepest click the far layer must start, and how far apart the medians of the two layers must be, in
 /// widths of the near layer: things are rarely deeper than they are wide.
 const CLEAR: f64 = 1.0;
 const APART: f64 = 2.0;
 
 /// Most light that the middle half of the way between the two layers may hold, as a share of the far layer: a street that
-/// leads away is deep as well, but fills all depths. Spread evenly, the light there would be half of a layer's.
+/// recedes from the camera is deep as well, but fills all depths. Spread evenly, the light there would be half of a layer's.
 const EMPTY: f64 = 0.4;
 
-/// Share of what the mask said for a splat of the layer behind that then speaks against it. Little, so that other photos
-/// overrule it where the near layer is but the front of the thing.
+/// Share of the evidence for a splat of the far layer that becomes evidence against it. Small, so that other photos
+/// overrule it where the near layer is only the front of the object.
 const AGAINST: f32 = 0.3;
 
-/// Most layers behind the near one.
+/// At most so many layers are split off behind the near one.
 const LAYERS: usize = 4;
 
-/// How far away a splat is, and how many pixels' light it sends from inside the mask.
-struct Seen {
+/// Depth of a splat, and its light inside the mask, in pixels.
+struct SplatDepth {
     depth: f64,
     light: f64,
 }
 
-/// Turns what a prompted mask says for splats against them where they lie clearly behind what was clicked. `evidence`: what the
-/// mask says; `inside`: how much of each pixel of `frame` it covers; `asked`: the camera in whose pixels the clicks are.
-pub(crate) fn doubt(
+/// Turns a prompted mask's evidence for splats into evidence against them where they lie clearly behind the clicked object.
+/// `evidence` is the mask's; `inside` is its coverage of each pixel of `frame`, in [0, 1]; the clicks are in pixels of
+/// `click_camera`.
+pub(crate) fn discount_background(
     evidence: &mut Evidence,
     projected: &dyn Projected,
     prompt: &PromptedView,
     inside: Vec<f32>,
-    asked: &Camera,
+    click_camera: &Camera,
     frame: &Camera,
 ) -> Result<(), RasterError> {
-    let Some(clicked) = deepest_click(projected, prompt, asked, frame)? else { return Ok(()) };
+    let Some(clicked) = deepest_click(projected, prompt, click_camera, frame)? else { return Ok(()) };
     let (width, height) = (frame.width as usize, frame.height as usize);
     let light = projected.gather(&Image { width, height, channels: 1, data: inside })?;
     let depths = projected.depths();
-    let mut seen: Vec<Seen> = (0..depths.len())
+    let mut seen: Vec<SplatDepth> = (0..depths.len())
         .filter(|&i| depths[i].is_finite() && light[i] > 0.0)
         .filter(|&i| evidence.rho(i).is_some_and(|rho| rho >= WITHIN))
-        .map(|i| Seen { depth: depths[i].into(), light: light[i].into() })
+        .map(|i| SplatDepth { depth: depths[i].into(), light: light[i].into() })
         .collect();
     seen.sort_by(|a, b| a.depth.total_cmp(&b.depth));
     let pixel = clicked / f64::from(frame.fx);
@@ -68,11 +69,11 @@ pub(crate) fn doubt(
     Ok(())
 }
 
-/// How far away the furthest of the places is that the clicks say the object is at; `None` where no click is on anything.
+/// Depth of the deepest positive click, in scene units; `None` where no click is on a splat.
 fn deepest_click(
     projected: &dyn Projected,
     prompt: &PromptedView,
-    asked: &Camera,
+    click_camera: &Camera,
     frame: &Camera,
 ) -> Result<Option<f64>, RasterError> {
     let values: Vec<f32> = projected.depths().iter().map(|z| if z.is_finite() { *z } else { 0.0 }).collect();
@@ -84,39 +85,41 @@ fn deepest_click(
         (alpha >= SOLID).then(|| f64::from(rendered.image.data[pixel] / alpha))
     };
     Ok(clicks
-        .map(|p| (scaled(p.x, asked.width, frame.width), scaled(p.y, asked.height, frame.height)))
+        .map(|p| {
+            (scaled(p.x, click_camera.width, frame.width), scaled(p.y, click_camera.height, frame.height))
+        })
         .filter_map(|(x, y)| depth((y * frame.width + x) as usize))
         .reduce(f64::max))
 }
 
-/// The depth at which the layer ends that reaches to `clicked`, if there is another clearly behind it. `seen` comes by rising
-/// depth; `pixel` is the width of a pixel at the click, in scene units.
-fn end_of_near_layer(seen: &[Seen], clicked: f64, pixel: f64) -> Option<f64> {
+/// The depth at which the layer ends that holds the depth `clicked`, if there is another clearly behind it. `seen` is sorted by
+/// rising depth; `pixel` is the width of a pixel at the click, in scene units.
+fn end_of_near_layer(seen: &[SplatDepth], clicked: f64, pixel: f64) -> Option<f64> {
     let (mut left, mut end) = (seen, None);
     for _ in 0..LAYERS {
         let Some(split) = best_split(left, clicked) else { break };
         let (near, far) = left.split_at(split);
-        let between = 0.5 * (near[split - 1].depth + far[0].depth);
+        let boundary = 0.5 * (near[split - 1].depth + far[0].depth);
         let (from, to) = (median(near), median(far));
         let width = pixel * light(near).sqrt();
         let (middle, reach) = (0.5 * (from + to), 0.25 * (to - from));
         let midway: f64 = left.iter().filter(|s| (s.depth - middle).abs() < reach).map(|s| s.light).sum();
-        let apart = between - clicked >= CLEAR * width && to - from >= APART * width;
-        // What a mask takes along is less than what is meant: if most lies behind, the near layer is a haze before it.
+        let apart = boundary - clicked >= CLEAR * width && to - from >= APART * width;
+        // A mask includes less background than object: if most light comes from the far layer, the near one is haze before it.
         if !apart || light(far) > light(near) || midway > EMPTY * light(far) {
             break;
         }
-        (left, end) = (near, Some(between));
+        (left, end) = (near, Some(boundary));
     }
     end
 }
 
-fn light(seen: &[Seen]) -> f64 {
+fn light(seen: &[SplatDepth]) -> f64 {
     seen.iter().map(|s| s.light).sum()
 }
 
 /// The depth before which half of the light comes from.
-fn median(seen: &[Seen]) -> f64 {
+fn median(seen: &[SplatDepth]) -> f64 {
     let mut left = 0.5 * light(seen);
     let reached = seen.iter().find(|s| {
         left -= s.light;
@@ -127,8 +130,8 @@ fn median(seen: &[Seen]) -> f64 {
 
 /// How many come first when they are split into the two groups that differ most from one another (Otsu's criterion), all that
 /// is no deeper than `clicked` among the first.
-fn best_split(seen: &[Seen], clicked: f64) -> Option<usize> {
-    let moment = |seen: &[Seen]| -> f64 { seen.iter().map(|s| s.light * s.depth).sum() };
+fn best_split(seen: &[SplatDepth], clicked: f64) -> Option<usize> {
+    let moment = |seen: &[SplatDepth]| -> f64 { seen.iter().map(|s| s.light * s.depth).sum() };
     let first = seen.partition_point(|s| s.depth <= clicked).max(1);
     let (head, rest) = seen.split_at_checked(first)?;
     let (mut near, mut near_moment) = (light(head), moment(head));
@@ -156,34 +159,34 @@ mod tests {
     const PIXEL: f64 = 0.01;
 
     /// Splats of a pixel's light each, spread over depths `from` to `to`.
-    fn layer(from: f64, to: f64, count: usize) -> Vec<Seen> {
+    fn layer(from: f64, to: f64, count: usize) -> Vec<SplatDepth> {
         let depth = |i: usize| from + (to - from) * i as f64 / count as f64;
-        (0..count).map(|i| Seen { depth: depth(i), light: 1.0 }).collect()
+        (0..count).map(|i| SplatDepth { depth: depth(i), light: 1.0 }).collect()
     }
 
-    fn end(layers: Vec<Vec<Seen>>, clicked: f64) -> Option<f64> {
+    fn end(layers: Vec<Vec<SplatDepth>>, clicked: f64) -> Option<f64> {
         end_of_near_layer(&layers.into_iter().flatten().collect::<Vec<_>>(), clicked, PIXEL)
     }
 
     #[test]
-    fn a_statue_ends_before_the_wall_and_the_hills_behind_it() {
+    fn a_statue_ends_before_the_wall_and_the_hills_of_the_background() {
         // The statue is 0.3 wide.
         let found = end(vec![layer(1.0, 1.2, 900), layer(2.0, 2.2, 900), layer(9.0, 10.0, 300)], 1.1);
         assert!(found.is_some_and(|end| end > 1.2 && end < 2.0), "{found:?}");
     }
 
     #[test]
-    fn a_street_that_leads_away_from_the_click_is_one_thing() {
+    fn a_street_that_recedes_from_the_camera_is_one_layer() {
         assert_eq!(end(vec![layer(1.0, 5.0, 900)], 1.1), None);
         // Near parts of a wall along the street show larger.
         let wall = (0..400).map(|i| 1.0 + 0.01 * f64::from(i));
-        let wall = wall.map(|depth| Seen { depth, light: 10.0 / depth.powi(3) }).collect();
+        let wall = wall.map(|depth| SplatDepth { depth, light: 10.0 / depth.powi(3) }).collect();
         assert_eq!(end(vec![wall], 1.1), None);
     }
 
     #[test]
-    fn a_haze_before_what_was_clicked_does_not_take_its_place() {
-        // Seen through the haze, the click seems to lie before the thing itself.
+    fn haze_before_the_clicked_object_is_not_taken_for_the_object() {
+        // Through the haze, the click seems to lie before the object itself.
         assert_eq!(end(vec![layer(1.0, 1.02, 100), layer(2.0, 2.2, 6000)], 1.2), None);
     }
 

@@ -8,7 +8,7 @@ pub enum SegmentError {
     /// Arrays that belong together differ in length.
     #[error("{0}")]
     Shape(String),
-    /// A setting has no meaning.
+    /// A setting is out of its range.
     #[error("setting `{name}` is {value}: {reason}")]
     Setting {
         /// The setting.
@@ -91,22 +91,24 @@ pub enum SegmentError {
         /// The photo.
         photo: String,
     },
-    /// Resemblance is to decide, and there is nothing to resemble.
+    /// Only resemblance is to decide, and there is no feature to compare with.
     #[error(
         "resemblance alone is to decide (`similarity_use` = alone), but the scene has no feature field, or the clicks hit \
          nothing that has a feature: finish the run, click elsewhere, or let masks decide (`similarity_use` = unseen)"
     )]
     NoFeatures,
     /// No splat is left.
-    #[error("no splat belongs to the prompts ({reason}): click on another place, or lower `tau` or `rho`")]
+    #[error(
+        "no splat belongs to the prompts ({reason}): click elsewhere on the object, or lower `tau` or `rho`"
+    )]
     NothingSelected {
-        /// At which test the last one was lost.
+        /// The test at which the last one was removed.
         reason: &'static str,
     },
 }
 
 impl SegmentError {
-    /// Whether the prompts were understood and mean nothing that is there, which a benchmark counts as a miss; all else
+    /// Whether the prompts were valid and selected nothing, which a benchmark counts as a miss; all else
     /// is a mistake in the request or a failure.
     pub fn is_nothing(&self) -> bool {
         use SegmentError::{Background, EmptyMask, EmptySpace, NothingSelected, Provider};

@@ -1,13 +1,13 @@
 //! The neighbour graph of the splats and its connected parts (method, section 6).
 
-use crate::FeatureField;
+use crate::SplatFeatures;
 use glam::Vec3;
 use rayon::prelude::*;
 use segwild_scene::Splats;
 use segwild_scene::knn::{self, NONE};
 
 /// Two splats further apart than this many times the smaller of their local spacings are not linked, unless
-/// their ellipsoids meet: a floater does not tie two objects together.
+/// their ellipsoids meet: a floater does not connect two objects.
 const LINK: f32 = 3.0;
 
 /// Standard deviations at which two ellipsoids count as meeting.
@@ -25,7 +25,7 @@ const SH0: f32 = 0.282_094_8;
 /// Undirected neighbour graph, as compressed rows: the edges of splat `i` are
 /// `offsets[i]..offsets[i + 1]`, its neighbours ascending. Each edge occurs in both rows.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Graph {
+pub struct NeighbourGraph {
     offsets: Vec<u32>,
     neighbours: Vec<u32>,
     distances: Vec<f32>,
@@ -33,14 +33,14 @@ pub struct Graph {
     spacing: Vec<f32>,
 }
 
-impl Graph {
+impl NeighbourGraph {
     /// Links every splat with its `k` nearest, in either direction. Splats whose centre is not finite stay alone.
-    pub fn new(splats: &Splats, k: usize) -> Graph {
-        Graph::of_points(&splats.means, k)
+    pub fn new(splats: &Splats, k: usize) -> NeighbourGraph {
+        NeighbourGraph::of_points(&splats.means, k)
     }
 
     /// The same over bare points.
-    pub fn of_points(points: &[[f32; 3]], k: usize) -> Graph {
+    pub fn of_points(points: &[[f32; 3]], k: usize) -> NeighbourGraph {
         let nearest = knn::nearest(points, k);
         let n = points.len();
         // Count, fill, then sort each row and drop the edges that both ends named.
@@ -70,7 +70,7 @@ impl Graph {
                 cursor[from as usize] += 1;
             }
         }
-        let mut graph = Graph {
+        let mut graph = NeighbourGraph {
             offsets: Vec::with_capacity(n + 1),
             neighbours: Vec::with_capacity(edges.len()),
             distances: Vec::with_capacity(edges.len()),
@@ -121,9 +121,9 @@ impl Graph {
         self.distances[edge]
     }
 
-    /// How alike the two ends of each edge are, in (0, 1]: near for their surroundings, of one colour, of one
-    /// feature. Both rows of an edge hold the same number.
-    pub fn affinities(&self, splats: &Splats, field: Option<&FeatureField>) -> Vec<f32> {
+    /// Affinity of the two ends of each edge, in (0, 1]: high where they are near for their surroundings, alike in colour and
+    /// in features. Both rows of an edge hold the same number.
+    pub fn affinities(&self, splats: &Splats, field: Option<&SplatFeatures>) -> Vec<f32> {
         let stride = splats.sh_stride();
         let colour = |i: usize| {
             Vec3::new(splats.sh[i * stride], splats.sh[i * stride + 1], splats.sh[i * stride + 2]) * SH0
@@ -135,9 +135,9 @@ impl Graph {
             let near = if spread > 0.0 { d * d / spread } else { 0.0 };
             let hue = (colour(i) - colour(j)).length_squared() / (COLOUR_SIGMA * COLOUR_SIGMA);
             let hue = if hue.is_finite() { hue } else { 0.0 };
-            let kind = field.map_or(0.0, |f| STEEP * (1.0 - f.cosine(i, j)));
+            let feature = field.map_or(0.0, |f| STEEP * (1.0 - f.cosine(i, j)));
             // Never 0: a row of zeros would have no neighbours at all.
-            (-0.5 * near - 0.5 * hue - kind).exp().max(1e-6)
+            (-0.5 * near - 0.5 * hue - feature).exp().max(1e-6)
         };
         (0..self.len())
             .into_par_iter()

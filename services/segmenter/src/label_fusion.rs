@@ -1,14 +1,14 @@
-//! From evidence to beliefs to labels: the one place where masks, features and neighbours are weighed.
+//! Label fusion: masks, features and neighbours are weighed here, from evidence to beliefs to labels.
 
 use crate::settings::{ComponentRule, SegmentSettings, SimilarityUse, Undecided};
 use crate::spread::{Belief, spread};
-use crate::{Evidence, Graph, Hit, components};
+use crate::{ClickHit, Evidence, NeighbourGraph, components};
 use segwild_scene::Splats;
 
 /// Evidence, in views, that makes a splat half known.
 const HALF_KNOWN: f32 = 0.2;
 
-/// Evidence, in views, that resemblance alone amounts to where it is sure; it only ever speaks for a splat.
+/// Evidence, in views, of resemblance alone where it is certain. It never counts against a splat.
 const HINT: f32 = 0.1;
 
 /// Bins of the similarity from which the prior is learned.
@@ -20,27 +20,26 @@ const SMOOTHING: f64 = 4.0;
 /// Least belief for a splat that no mask decides to count as connected to decided ones.
 const CONNECTED: f32 = 0.05;
 
-/// Belief from which a splat that no mask decides is surrounded by decided ones: what lies within an object needs no
-/// resemblance, and few photos see it well enough for its feature to be worth anything.
+/// Belief from which a splat that no mask decides is surrounded by decided ones: the inside of an object needs no
+/// resemblance, and few photos see it well enough for a useful feature.
 const SURROUNDED: f32 = 0.5;
 
 /// How far resemblance may move the prior from [`SegmentSettings::unseen_prior`], in odds: down, and up. The clicks
-/// show one side of an object; what resembles them is as likely inside as the features are good, which the splats
-/// that masks decided tell. But its other side, which may not resemble them, must stay open until a photo's own
-/// boundaries have spoken.
+/// show one side of an object. How far resemblance to them is to be trusted is learned from the splats that masks decided.
+/// The other side of the object may not resemble them: it must stay open until a photo's own boundaries decide it.
 const ODDS: [f64; 2] = [0.5, 20.0];
 
-/// The lowest that resemblance can say at even odds: [`ODDS`] as a probability.
+/// The lowest probability that resemblance can give at even odds: [`ODDS`] as a probability.
 pub(crate) const LEAST_HINT: f32 = (ODDS[0] / (1.0 + ODDS[0])) as f32;
 
-/// Share of the evidence that a part without a click must hold for anything to be concluded from it.
+/// Share of the evidence that a part without a click must hold for its neighbours to follow it.
 const LARGE: f32 = 0.25;
 
 /// Fused similarities of every splat.
 pub(crate) struct Similarities {
     /// To the positive clicks.
     pub positive: Vec<f32>,
-    /// To the kinds of surface that the prompted masks hold, or to the clicks where that is more; empty: to the clicks.
+    /// To the feature clusters of the prompted masks, or to the clicks where that is more; empty: to the clicks.
     pub held: Vec<f32>,
     /// To the negative clicks.
     pub negative: Option<Vec<f32>>,
@@ -54,7 +53,7 @@ impl Similarities {
         s >= settings.tau && clear
     }
 
-    /// One number in [-1, 1] that grows with the resemblance to what was clicked and what came with it.
+    /// One number in [-1, 1] that grows with the resemblance to the clicks and to the clusters of their masks.
     fn merit(&self, splat: usize) -> f32 {
         let s = self.held.get(splat).copied().unwrap_or(self.positive[splat]);
         self.negative.as_ref().map_or(s, |n| 0.5 * (s - n[splat]))
@@ -64,22 +63,22 @@ impl Similarities {
 /// Everything that stays the same while evidence comes in.
 pub(crate) struct LabelFusion<'a> {
     pub splats: &'a Splats,
-    pub graph: &'a Graph,
+    pub graph: &'a NeighbourGraph,
     /// What the clicks hit: inside, and outside.
-    pub hits: (&'a [Hit], &'a [Hit]),
+    pub hits: (&'a [ClickHit], &'a [ClickHit]),
     pub affinities: Vec<f32>,
     pub similarities: Option<Similarities>,
     pub frozen: Option<&'a [bool]>,
     pub settings: &'a SegmentSettings,
 }
 
-/// What is believed at some point.
-pub(crate) struct State {
+/// The evidence so far and the beliefs that follow from it.
+pub(crate) struct FusionState {
     pub evidence: Evidence,
     pub beliefs: Vec<Belief>,
     /// Probability of every splat to lie inside, 0 for frozen ones.
     pub probability: Vec<f32>,
-    /// How likely each splat lies inside by its resemblance to what was clicked and came with it ([`Similarities::held`]) alone.
+    /// How likely each splat lies inside by its resemblance ([`Similarities::held`]) alone.
     pub hint: Vec<f32>,
 }
 
@@ -88,8 +87,8 @@ impl LabelFusion<'_> {
         self.frozen.is_some_and(|f| f[splat])
     }
 
-    /// The beliefs that some evidence gives, carried `steps` edges onward from `beliefs`.
-    pub fn weigh(&self, evidence: Evidence, mut beliefs: Vec<Belief>, steps: u32) -> State {
+    /// The beliefs that follow from some evidence. Label spreading continues from `beliefs` for `steps` edges.
+    pub fn weigh(&self, evidence: Evidence, mut beliefs: Vec<Belief>, steps: u32) -> FusionState {
         let n = self.graph.len();
         let stray = self.stray(&evidence);
         let prior = self.prior(&evidence);
@@ -103,7 +102,7 @@ impl LabelFusion<'_> {
                 if self.is_frozen(i) {
                     return Belief { inside: 0.0, weight: 1.0 };
                 }
-                // What resembles the clicks speaks for itself a little, and more the better features tell.
+                // Resemblance to the clicks counts a little as evidence, and more the more certain it is.
                 let hint = hint(i);
                 let say = if hangs[i] { HINT * sure(hint).powi(2) } else { 0.0 };
                 let (mut inside, mut total) = (hint * say, say);
@@ -123,12 +122,12 @@ impl LabelFusion<'_> {
         let probability = (0..n)
             .map(|i| if self.is_frozen(i) { 0.0 } else { beliefs[i].probability(hints[i]).clamp(0.0, 1.0) })
             .collect();
-        State { evidence, beliefs, probability, hint: hints }
+        FusionState { evidence, beliefs, probability, hint: hints }
     }
 
-    /// Splats that the masks take in and that hang together neither with a click nor with much else: a mask that
-    /// reaches a few pixels past the outline holds slivers of whatever is seen there, however far behind. Nothing may
-    /// be concluded from them for their neighbours.
+    /// Splats inside the masks whose connected part holds neither a click nor much evidence: a mask that
+    /// reaches a few pixels past the outline holds slivers of the background, at any depth. Their labels must not
+    /// spread to their neighbours.
     fn stray(&self, evidence: &Evidence) -> Vec<bool> {
         let n = self.graph.len();
         if self.settings.components == ComponentRule::All {
@@ -143,8 +142,8 @@ impl LabelFusion<'_> {
         inside.iter().zip(&kept).map(|(inside, kept)| *inside && !kept).collect()
     }
 
-    /// Splats that hang together with what the masks hold, through splats that resemble the clicks and that no mask puts
-    /// outside. A thing elsewhere may look just like the one that was clicked: resemblance alone says nothing for it.
+    /// Splats connected to those inside the masks, through splats that resemble the clicks and that no mask puts
+    /// outside. Another object may resemble the clicked one: resemblance without connection is no evidence.
     fn hangs_together(&self, evidence: &Evidence, stray: &[bool], hint: &impl Fn(usize) -> f32) -> Vec<bool> {
         let SegmentSettings { rho, gamma, least_evidence: least, .. } = *self.settings;
         let mut reached = vec![false; self.graph.len()];
@@ -169,7 +168,7 @@ impl LabelFusion<'_> {
 
     /// How likely a splat of some similarity lies inside, per bin, learned from the splats that masks decided:
     /// the likelihood ratio of the bin, times the odds of [`SegmentSettings::unseen_prior`], made monotone.
-    /// Features that tell nothing give the same prior to all.
+    /// Features without information give the same prior to all.
     fn prior(&self, evidence: &Evidence) -> Option<[f32; BINS]> {
         let similarities = self.similarities.as_ref()?;
         if self.settings.similarity_use == SimilarityUse::Off {
@@ -191,7 +190,7 @@ impl LabelFusion<'_> {
         };
         for at in 0..BINS {
             pooled.push((inside[at] / sum1, outside[at] / sum0, 1));
-            // Pool adjacent violators: resemblance never speaks against.
+            // Pool adjacent violators: more resemblance never lowers the prior.
             while let [.., a, b] = pooled[..]
                 && chance(a.0, a.1) > chance(b.0, b.1)
             {
@@ -206,7 +205,7 @@ impl LabelFusion<'_> {
     }
 
     /// The labels: masks decide where they reach, resemblance together with connection elsewhere; or resemblance alone.
-    pub fn labels(&self, state: &State) -> Vec<bool> {
+    pub fn labels(&self, state: &FusionState) -> Vec<bool> {
         let s = self.settings;
         (0..self.graph.len())
             .map(|i| {
@@ -237,7 +236,7 @@ impl LabelFusion<'_> {
     }
 }
 
-/// How surely a splat of some [`State::hint`] resembles what was clicked: 0 up to even odds, 1 at certainty.
+/// How surely a splat of some [`FusionState::hint`] resembles what was clicked: 0 up to even odds, 1 at certainty.
 pub(crate) fn sure(hint: f32) -> f32 {
     (2.0 * hint - 1.0).max(0.0)
 }

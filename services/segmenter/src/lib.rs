@@ -1,8 +1,8 @@
 //! Actor: prompts to selection to spike cut to object (method, sections 6, 7 and 10).
 //!
 //! [`select`] turns masks and clicks on some photos into labels on splats, carrying them to the other photos
-//! and to parts that nobody prompted; [`Cut`] shortens the splats that stick out; [`Object`], [`visible_mask`]
-//! and [`amodal_mask`] are what comes of it. Usable without the other actors: everything is a function of
+//! and to parts that nobody prompted; [`SpikeCut`] shortens the splats that stick out; [`SelectedObject`], [`visible_mask`]
+//! and [`amodal_mask`] are its results. Usable without the other actors: everything is a function of
 //! splats, cameras and masks.
 
 mod actor;
@@ -32,17 +32,17 @@ mod thin_structures;
 pub use actor::{PhotoReader, SegmentActor, SegmentReply, SegmentTask, Segmented};
 pub use coverage::Evidence;
 pub use error::SegmentError;
-pub use graph::Graph;
+pub use graph::NeighbourGraph;
 pub use maxflow::FlowNetwork;
 pub use multi_view_cut::MaskVote;
-pub use object::{MaskMode, Object, amodal_mask, cut_scene, owned, visible_mask};
-pub use propagate::{Verdict, Visit};
-pub use query::{FeatureField, Hit, hit};
+pub use object::{MaskMode, SelectedObject, amodal_mask, cut_scene, owned, visible_mask};
+pub use propagate::{PhotoVerdict, PhotoVisit};
+pub use query::{ClickHit, SplatFeatures, SplatFeatures as FeatureField, hit};
 pub use refiner::Refiner;
 pub use select::{MaskReader, PosedView, PromptedView, Request, Selection, cut, select};
 pub use settings::{
     ComponentRule, CutBy, EvidenceMode, SegmentSettings, SimilarityUse, SpikeMode, Undecided, Vote,
 };
-pub use sgc::{Cut, CutView, Geometry};
+pub use sgc::{CutView, SpikeCut, SplatGeometry};
 pub use smooth::graph_cut;
 pub use spread::{Belief, spread};

@@ -1,15 +1,15 @@
-//! The spike cut by all photos that know the object, not by the clicked one alone.
+//! The spike cut by the votes of all photos that see the object, not by the clicked one alone.
 //!
-//! One mask is off by a pixel or three, and cuts splats that are right. Here each splat's longest axes are sampled
-//! in 3D, every photo that sees the splat says of each sample whether it lies in its mask, and what most of them put
+//! One mask is off by up to three pixels, and cuts splats that are right. Here each splat's longest axes are sampled
+//! in 3D, every photo that sees the splat votes on each sample by its mask, and what most of them put
 //! outside is cut off. The cut itself is the paper's along one axis (Eq. 29-32; method, section 7).
 //!
-//! A splat astride the outline is an error whichever side it is given to: selected it sticks out, left behind it bites a
-//! piece out of the object. So what is mostly something else's but reaches in is cut as well, and the piece inside joins.
+//! A splat astride the outline is an error whichever side it is given to: selected it sticks out, left out it leaves a
+//! hole in the object. So a splat that lies mostly outside but reaches in is cut as well, and the piece inside joins.
 
-use crate::screen::Shape;
+use crate::screen::Ellipsoid;
 use crate::settings::SpikeMode;
-use crate::sgc::{Cut, Outcome, is_spike, write};
+use crate::sgc::{CutOutcome, SpikeCut, is_spike, write};
 use glam::{DMat3, DVec3};
 use segwild_scene::{Camera, Mask, Pose, Splats};
 
@@ -21,14 +21,14 @@ const EDGE: f64 = 1.177_41;
 const SAMPLES: usize = 16;
 const HALVINGS: usize = 5;
 
-/// Share of the voices that must put a sample inside for it to stay. Under a half: where something else stands before
+/// Share of the votes that must put a sample inside for it to stay. Under a half: where something else stands before
 /// the object a photo's mask ends as well, and that is no reason to cut.
 const KEEP: f32 = 0.3;
 
-/// Voices, in photos, under which nothing is cut: fewer photos know less than the evidence that chose the splat.
+/// Sum of votes, in photos, under which nothing is cut: fewer photos know less than the evidence that chose the splat.
 const QUORUM: f32 = 1.0;
 
-/// A photo whose own boundaries took part in a selection.
+/// The vote of a photo's mask, where its own boundaries took part in a selection.
 #[derive(Clone, Copy, Debug)]
 pub struct MaskVote<'a> {
     /// Intrinsics; any size, the mask is looked up at its own.
@@ -38,14 +38,14 @@ pub struct MaskVote<'a> {
     /// The object's pixels.
     pub mask: &'a Mask,
     /// How well the photo sees each splat, in 1/255 of a photo that sees it whole.
-    pub voice: &'a [u8],
+    pub visibility: &'a [u8],
     /// Weight of the photo.
     pub weight: f32,
 }
 
-impl Cut {
-    /// Cuts the splats of `selected` by what most of the photos say, and takes in what of the splats `astride` (none of
-    /// them selected) lies inside. `near` is the distance before which nothing is visible. `splats` is untouched; splats
+impl SpikeCut {
+    /// Cuts the splats of `selected` by the majority of the photos, and adds the inner pieces of the splats `astride` (none of
+    /// them selected). `near` is the distance before which nothing is visible. `splats` is untouched; splats
     /// that are not finite are left alone.
     pub fn cut_by_votes(
         splats: &Splats,
@@ -54,18 +54,18 @@ impl Cut {
         votes: &[MaskVote],
         mode: SpikeMode,
         near: f32,
-    ) -> Cut {
+    ) -> SpikeCut {
         if mode == SpikeMode::Off {
-            return Cut::default();
+            return SpikeCut::default();
         }
         let votes: Vec<MaskVote> = votes
             .iter()
             .map(|j| MaskVote { camera: j.camera.resized(j.mask.width(), j.mask.height()), ..*j })
             .collect();
-        let judge = |i| cut_splat(splats, i, &votes, mode, near);
-        let mut cut = Cut::of(splats, selected, judge);
-        // One that nothing cuts is no spike, and stays whole where it is.
-        let reaching_in = Cut::of(splats, astride, judge).changed;
+        let cut_one = |i| cut_splat(splats, i, &votes, mode, near);
+        let mut cut = SpikeCut::of(splats, selected, cut_one);
+        // A splat that nothing cuts is no spike, and stays whole outside the selection.
+        let reaching_in = SpikeCut::of(splats, astride, cut_one).changed;
         cut.joined = reaching_in.iter().map(|c| c.0).collect();
         cut.changed.extend(reaching_in);
         cut.changed.sort_unstable_by_key(|c| c.0);
@@ -73,22 +73,23 @@ impl Cut {
     }
 }
 
-fn cut_splat(splats: &Splats, i: usize, votes: &[MaskVote], mode: SpikeMode, near: f32) -> Outcome {
-    let Some(mut shape) = Shape::of(splats, i) else { return Outcome::Kept };
-    let heard: Vec<&MaskVote> = votes.iter().filter(|j| j.voice.get(i).is_some_and(|v| *v > 0)).collect();
+fn cut_splat(splats: &Splats, i: usize, votes: &[MaskVote], mode: SpikeMode, near: f32) -> CutOutcome {
+    let Some(mut shape) = Ellipsoid::of(splats, i) else { return CutOutcome::Kept };
+    let seeing: Vec<&MaskVote> =
+        votes.iter().filter(|j| j.visibility.get(i).is_some_and(|v| *v > 0)).collect();
     let spike = |j: &&MaskVote| shape.project(&j.camera, &j.pose, near).is_some_and(|f| is_spike(&f.axes()));
-    if !heard.iter().any(spike) {
-        return Outcome::Kept;
+    if !seeing.iter().any(spike) {
+        return CutOutcome::Kept;
     }
     let mut order = [0, 1, 2];
     order.sort_by(|&a, &b| shape.root.col(b).length_squared().total_cmp(&shape.root.col(a).length_squared()));
     let mut changed = false;
     // A splat is as flat as the surface it lies on: its two long axes can stick out, its thickness cannot.
     for axis in order.into_iter().take(2) {
-        let Some((from, to)) = verdict(&shape, shape.root.col(axis), i, &heard, near) else { continue };
+        let Some((from, to)) = kept_range(&shape, shape.root.col(axis), i, &seeing, near) else { continue };
         let share = 0.5 * (to - from) / EDGE;
         if share <= 0.0 {
-            return Outcome::Dropped;
+            return CutOutcome::Dropped;
         }
         let mean = shape.mean + shape.root.col(axis) * (0.5 * (from + to));
         let root = match mode {
@@ -99,60 +100,66 @@ fn cut_splat(splats: &Splats, i: usize, votes: &[MaskVote], mode: SpikeMode, nea
                 shape.root * DMat3::from_diagonal(kept)
             }
         };
-        shape = Shape { mean, root };
+        shape = Ellipsoid { mean, root };
         changed = true;
     }
     match changed.then(|| write(&shape)) {
-        None => Outcome::Kept,
-        Some(Some(after)) => Outcome::Changed(after),
-        Some(None) => Outcome::Dropped,
+        None => CutOutcome::Kept,
+        Some(Some(after)) => CutOutcome::Changed(after),
+        Some(None) => CutOutcome::Dropped,
     }
 }
 
-/// A juror beside one axis of one splat.
-struct Sight<'a> {
+/// One photo's vote on one axis of one splat.
+struct AxisVote<'a> {
     mask_vote: &'a MaskVote<'a>,
     centre: DVec3,
     step: DVec3,
-    voice: f32,
+    visibility: f32,
 }
 
-/// Whether the jury leaves the place `t` standard deviations along the axis inside.
-fn stays(sights: &[Sight], t: f64, near: f32) -> bool {
+/// Whether the votes leave the point `t` standard deviations along the axis inside.
+fn stays(sights: &[AxisVote], t: f64, near: f32) -> bool {
     let (mut inside, mut all) = (0.0, 0.0);
-    for Sight { mask_vote, centre, step, voice } in sights {
+    for AxisVote { mask_vote, centre, step, visibility } in sights {
         let p = *centre + *step * t;
         if p.z.is_nan() || p.z <= f64::from(near) {
             continue;
         }
         let x = (f64::from(mask_vote.camera.fx) * p.x / p.z) as f32 + mask_vote.camera.cx;
         let y = (f64::from(mask_vote.camera.fy) * p.y / p.z) as f32 + mask_vote.camera.cy;
-        // A photo says nothing of what lies outside its frame.
+        // A photo has no vote outside its frame.
         if mask_vote.camera.contains(glam::Vec2::new(x, y)) {
-            all += voice;
-            inside += if mask_vote.mask.at(x, y) { *voice } else { 0.0 };
+            all += visibility;
+            inside += if mask_vote.mask.at(x, y) { *visibility } else { 0.0 };
         }
     }
     all < QUORUM || inside >= KEEP * all
 }
 
-/// The longest stretch of an axis, in standard deviations, that the jury leaves inside; `None` where nothing is to be cut. An
+/// The longest stretch of an axis, in standard deviations, that the votes leave inside; `None` where nothing is to be cut. An
 /// empty one lies wholly outside.
-fn verdict(shape: &Shape, axis: DVec3, splat: usize, votes: &[&MaskVote], near: f32) -> Option<(f64, f64)> {
-    let sights: Vec<Sight> = votes
+fn kept_range(
+    shape: &Ellipsoid,
+    axis: DVec3,
+    splat: usize,
+    votes: &[&MaskVote],
+    near: f32,
+) -> Option<(f64, f64)> {
+    let sights: Vec<AxisVote> = votes
         .iter()
         .map(|mask_vote| {
             let rotation = mask_vote.pose.rotation.as_dmat3();
-            Sight {
+            AxisVote {
                 mask_vote,
                 centre: rotation * shape.mean + mask_vote.pose.translation.as_dvec3(),
                 step: rotation * axis,
-                voice: mask_vote.weight * f32::from(mask_vote.voice[splat]) / 255.0,
+                visibility: mask_vote.weight * f32::from(mask_vote.visibility[splat]) / 255.0,
             }
         })
         .collect();
-    let place = |k: f64| (2.0 * k / SAMPLES as f64 - 1.0) * EDGE;
-    let middle = |k: usize| place(k as f64 + 0.5);
+    let position = |k: f64| (2.0 * k / SAMPLES as f64 - 1.0) * EDGE;
+    let middle = |k: usize| position(k as f64 + 0.5);
     let (mut best, mut from) = ((0, 0), 0);
     for k in 0..=SAMPLES {
         if k < SAMPLES && stays(&sights, middle(k), near) {
@@ -172,8 +179,8 @@ fn verdict(shape: &Shape, axis: DVec3, splat: usize, votes: &[&MaskVote], near: 
     let end = |inside: usize, outside: usize| {
         let (mut kept, mut lost) = (middle(inside), middle(outside));
         for _ in 0..HALVINGS {
-            let between = 0.5 * (kept + lost);
-            *if stays(&sights, between, near) { &mut kept } else { &mut lost } = between;
+            let midpoint = 0.5 * (kept + lost);
+            *if stays(&sights, midpoint, near) { &mut kept } else { &mut lost } = midpoint;
         }
         kept
     };

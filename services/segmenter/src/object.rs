@@ -1,30 +1,31 @@
 //! The selected object as splats of its own and as masks on any photo (method, section 10).
 
-use crate::Cut;
+use crate::SpikeCut;
 use segwild_raster::{Channels, Engine, ProjectOptions, RasterError};
 use segwild_scene::{Camera, Image, Mask, Pose, Splats, box_mean};
 
-/// What the object must make up of a pixel to own it: of what it makes up of those around, or of all where it is alone.
+/// Share of a pixel that the object must make up to own it, relative to its mean share around there; absolute where it is
+/// rendered alone.
 const HALF: f32 = 0.5;
-/// The least that it must make up of a pixel: less is haze that went astray.
+/// The least share of a pixel that it must make up: less is stray haze.
 const LEAST: f32 = 0.3;
 /// Half width of the window around a pixel, as a part of the frame's long side.
 const AROUND: usize = 50;
-/// Long side at which windows are laid, in pixels: what they tell is smooth.
+/// Long side in pixels at which the windows are evaluated: their result is smooth.
 const COARSE: usize = 400;
 
 /// An object taken out of its scene.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Object {
+pub struct SelectedObject {
     /// Its splats, cut.
     pub splats: Splats,
-    /// Where each of them stands in the scene.
+    /// Index of each of them in the scene.
     pub indices: Vec<u32>,
 }
 
-impl Object {
+impl SelectedObject {
     /// The selected splats of a scene after a cut; the scene itself is untouched.
-    pub fn new(splats: &Splats, labels: &[bool], cut: &Cut) -> Object {
+    pub fn new(splats: &Splats, labels: &[bool], cut: &SpikeCut) -> SelectedObject {
         let mut labels = labels.to_vec();
         cut.trim(&mut labels);
         let keep: Vec<usize> = (0..splats.len()).filter(|&i| labels[i]).collect();
@@ -36,39 +37,40 @@ impl Object {
                 object.rotations[at] = after.rotation;
             }
         }
-        Object { splats: object, indices: keep.into_iter().map(|i| i as u32).collect() }
+        SelectedObject { splats: object, indices: keep.into_iter().map(|i| i as u32).collect() }
     }
 }
 
 /// The scene with the cut applied, and the labels without the dropped splats: what masks are rendered from.
-pub fn cut_scene(splats: &Splats, labels: &[bool], cut: &Cut) -> (Splats, Vec<bool>) {
+pub fn cut_scene(splats: &Splats, labels: &[bool], cut: &SpikeCut) -> (Splats, Vec<bool>) {
     let (mut splats, mut labels) = (splats.clone(), labels.to_vec());
     cut.apply(&mut splats);
     cut.trim(&mut labels);
     (splats, labels)
 }
 
-/// What a mask of an object shows of it (method, section 10).
+/// Which pixels a mask of an object holds (method, section 10).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MaskMode {
-    /// What can be seen of it, with the whole scene occluding.
+    /// Its visible pixels, with the whole scene occluding.
     Visible,
-    /// What it would cover if nothing stood before it: its splats are drawn alone.
+    /// All that it would cover if nothing occluded it: its splats are rendered alone.
     Amodal,
 }
 
-/// The pixels that an object owns, at `size`, of one plane of what it makes up of each.
+/// The pixels that an object owns, at `size` (width, height). `share` is one plane: the share of each pixel that it makes up,
+/// in [0, 1].
 pub fn owned(share: &Image, mode: MaskMode, size: (u32, u32)) -> Mask {
     let margin = margin(share, mode).resized(size.0 as usize, size.1 as usize);
     Mask::over(size.0, size.1, margin.plane(0), 0.0)
 }
 
-/// How much more of each pixel the object makes up than it takes to own it.
+/// The object's share of each pixel, less the share that it needs to own the pixel.
 ///
-/// Half of a pixel is its own where the object is solid and nothing stands before it; so far the method, section 10. Haze
-/// takes a share of everything behind, and what is thin shows what is behind it: then half of what the object makes up
-/// around there will do. Pixels weigh by the square of what it makes up of them, so that its inside tells, and not its rim.
-/// Alone, no haze is before it, and what a little of it shines through was hidden for good reason: then it takes half.
+/// Where the object is solid and nothing stands before it, it needs half of a pixel (method, section 10). Haze takes a share
+/// of everything in its background, and a thin object shows its background: then half of the object's mean share around there
+/// is enough. Pixels weigh by the square of the share, so that the inside of the object decides, and not its rim. Rendered
+/// alone, the object has no haze before it, and a part with little of a pixel was rightly occluded: then it needs half.
 fn margin(share: &Image, mode: MaskMode) -> Image {
     if mode == MaskMode::Amodal {
         let mut margin = share.clone();
@@ -111,7 +113,7 @@ pub fn visible_mask(
     Ok(owned(&frame.image, MaskMode::Visible, (camera.width, camera.height)))
 }
 
-/// The pixels that the object would cover if nothing stood before it.
+/// The pixels that the object would cover if nothing occluded it.
 pub fn amodal_mask(
     engine: &dyn Engine,
     splats: &Splats,
@@ -166,7 +168,7 @@ mod tests {
         Mask::from_fn(SIZE.0 as u32, SIZE.1 as u32, |x, y| (60..140).contains(&x) && (30..70).contains(&y))
     }
 
-    /// The haze that transients leave before buildings took a strip off every rim, and the whole of what it made up more of.
+    /// The haze that transients leave before buildings cost a strip of every rim, and all of what it made up more than half of.
     #[test]
     fn haze_before_an_object_leaves_its_outline_where_it_is() {
         for inside in [1.0, 0.9, 0.8, 0.7] {

@@ -1,8 +1,8 @@
 //! Carrying a selection from the prompted photos to all others and back: each photo's own boundaries correct
-//! what the splats only guess, and what was learned there decides splats that no prompt saw.
+//! the rendered prior, and its evidence decides splats that no prompted photo sees.
 
 use crate::coverage::{clean, soft, unoccluded, visible};
-use crate::label_fusion::{LEAST_HINT, LabelFusion, State, sure};
+use crate::label_fusion::{FusionState, LEAST_HINT, LabelFusion, sure};
 use crate::select::{STEPS, project, view_evidence, working_camera};
 use crate::spread::Belief;
 use crate::{Evidence, Refiner, Request, SegmentError, SegmentSettings};
@@ -20,65 +20,66 @@ const ORDER_SIZE: u32 = 128;
 /// Steps that labels are carried after each new photo; earlier ones are kept.
 const MORE_STEPS: u32 = 8;
 
-/// Least share of a frame that the object fills for the photo to say anything.
+/// Least share of a frame that the object must fill for the photo to give evidence.
 const SMALLEST: f32 = 5e-4;
 
 /// Splats of the object that a view must see to be worth a visit.
 const FEW: u32 = 8;
 
 /// Weight of a pixel where the photo contradicts what is well known: a transient before the object, or a
-/// failure of the 2D segmenter, unless other photos say so too.
-const DOUBT: f32 = 0.3;
+/// failure of the 2D segmenter, unless other photos agree with it.
+const CONTRADICTED: f32 = 0.3;
 
-/// Weight of a pixel of whose splats nothing is known: there the mask is the 2D segmenter's guess from the rest of
+/// Weight of a pixel whose splats have no evidence yet: there the mask is the 2D segmenter's guess from the rest of
 /// the photo, and another photo may know better.
-const GUESS: f32 = 0.3;
+const UNKNOWN: f32 = 0.3;
 
-/// What a photo is told of a splat of which nothing is known: where it resembles the clicks least, and where it
-/// resembles them as much as the rest of the object does. The second is over one half: a part wrongly left out is
-/// rendered as background and confirmed by every later photo, one wrongly let in meets photos that contradict it. But
-/// what only a few photos show, such as the ground below an object that all others see from below, is let in for good
-/// by the first of them if nothing speaks against it.
+/// Prior of a splat without evidence: where it resembles the clicks least, and where it resembles them as much as the
+/// rest of the object does. The second is over one half: a part wrongly left out is rendered as background and
+/// confirmed by every later photo, while one wrongly included meets photos that contradict it. The first is under one
+/// half: what only a few photos show, such as the ground below an object that all others see from below, would
+/// otherwise be included for good by the first of them.
 const OPEN: [f32; 2] = [0.4, 0.6];
 
-/// Share of a splat's evidence that lies inside, of which a photo is told that it is as likely inside as not. Less than one
-/// half for the same reason: a part that a third of the photos hold is told as a part, and each photo judges it by its own
-/// boundaries. How far inside it must lie in the end is [`SegmentSettings::rho`].
+/// Share of a splat's evidence inside at which its prior is one half. Less than one half for the same reason: a part that a
+/// third of the masks hold is rendered as part of the object, and each photo decides it by its own boundaries. The share
+/// that counts in the end is [`SegmentSettings::rho`].
 const EVEN: f32 = 0.3;
 
-/// Evidence, in views, of which a photo is told half: less leaves the splat open for the photo to judge.
-const HALF_TOLD: f32 = 1.0;
+/// Evidence, in views, that has a weight of one half in the prior: less leaves the splat for the photo to decide.
+const HALF_RELIABLE: f32 = 1.0;
 
-/// Share of what only a splat's neighbours say against it that a photo is told.
-const HEARSAY: f32 = 0.5;
+/// Share of a belief against a splat that enters the prior where it comes from its neighbours only.
+const NEIGHBOURS_AGAINST: f32 = 0.5;
 
-/// What became of one photo.
+/// The result of carrying the selection to one photo.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Visit {
+pub struct PhotoVisit {
     /// Index of the view.
     pub view: usize,
     /// Whether its mask counts.
-    pub verdict: Verdict,
+    pub verdict: PhotoVerdict,
     /// Agreement (IoU over what was already known) of the refined mask with the rendered selection; 0 where
     /// there was no mask.
     pub agreement: f32,
     /// The refined mask, where it counts.
     pub mask: Option<Mask>,
     /// How well the view sees each splat, in 1/255 of a view that sees it whole; empty where the mask does not count.
-    pub voice: Vec<u8>,
+    pub visibility: Vec<u8>,
 }
 
-impl Visit {
+impl PhotoVisit {
     /// The same photo where it must not count.
-    pub(crate) fn disregarded(self) -> Visit {
-        let verdict = if self.verdict == Verdict::Accepted { Verdict::Disagrees } else { self.verdict };
-        Visit { verdict, mask: None, voice: Vec::new(), ..self }
+    pub(crate) fn disregarded(self) -> PhotoVisit {
+        let verdict =
+            if self.verdict == PhotoVerdict::Accepted { PhotoVerdict::Disagrees } else { self.verdict };
+        PhotoVisit { verdict, mask: None, visibility: Vec::new(), ..self }
     }
 }
 
 /// Whether a photo's refined mask counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verdict {
+pub enum PhotoVerdict {
     /// It does.
     Accepted,
     /// It disagrees with what is known.
@@ -90,49 +91,49 @@ pub enum Verdict {
 }
 
 /// One bit per splat.
-struct Bits(Vec<u64>);
+struct SplatSet(Vec<u64>);
 
-impl Bits {
-    fn new(flags: impl ExactSizeIterator<Item = bool>) -> Bits {
+impl SplatSet {
+    fn new(flags: impl ExactSizeIterator<Item = bool>) -> SplatSet {
         let mut words = vec![0; flags.len().div_ceil(64)];
         for (i, flag) in flags.enumerate() {
             words[i / 64] |= u64::from(flag) << (i % 64);
         }
-        Bits(words)
+        SplatSet(words)
     }
 
-    fn overlap(&self, other: &Bits) -> u32 {
+    fn overlap(&self, other: &SplatSet) -> u32 {
         self.0.iter().zip(&other.0).map(|(a, b)| (a & b).count_ones()).sum()
     }
 }
 
-/// Photos that are asked at once in the later rounds, at most: each takes memory.
+/// Photos refined at once in the later rounds, at most: each takes memory.
 const AT_ONCE: usize = 8;
 
 /// Photos that are prepared before their turn in the first round.
 const AHEAD: usize = 4;
 
 /// Rounds over the other views. In the first, views come in the order of how much of what could be the object is
-/// already known in them, and each answer is used at once, while photos that are likely to be next are prepared; the later
-/// ones start from the prompts alone with the beliefs of the round before, so that the order no longer matters, and ask
+/// already known in them, and each answer is used at once, while photos that are likely to be next are prepared. The later
+/// ones start from the prompts alone with the beliefs of the round before, so that the order no longer matters, and refine
 /// several photos at a time.
 pub(crate) fn propagate(
     request: &Request,
-    judge: &LabelFusion,
+    fusion: &LabelFusion,
     prompted: Evidence,
     refiner: &dyn Refiner,
-) -> Result<(State, Vec<Visit>), SegmentError> {
-    let first = judge.weigh(prompted.clone(), Vec::new(), STEPS);
-    let (mut state, mut visits) = rayon::scope(|scope| first_round(request, judge, first, refiner, scope))?;
+) -> Result<(FusionState, Vec<PhotoVisit>), SegmentError> {
+    let first = fusion.weigh(prompted.clone(), Vec::new(), STEPS);
+    let (mut state, mut visits) = rayon::scope(|scope| first_round(request, fusion, first, refiner, scope))?;
     let mut order: Vec<usize> = visits.iter().map(|v| v.view).collect();
     for _ in 1..request.settings.propagate {
         let mut sum = prompted.clone();
         visits.clear();
-        // Backwards: a provider that remembers the photos it saw last need not look at those anew.
+        // Backwards: a provider that caches the last photos need not encode those again.
         order.reverse();
-        let told = told(judge, &state);
+        let priors = prior_channels(fusion, &state);
         for some in order.chunks(rayon::current_num_threads().min(AT_ONCE)) {
-            for (visit, evidence) in call_on_some(request, &told, some, refiner)? {
+            for (visit, evidence) in visit_photos(request, &priors, some, refiner)? {
                 if let Some(evidence) = evidence {
                     sum.add(&evidence, 1.0);
                 }
@@ -140,19 +141,19 @@ pub(crate) fn propagate(
             }
         }
         let beliefs = std::mem::take(&mut state.beliefs);
-        state = judge.weigh(sum, beliefs, STEPS);
+        state = fusion.weigh(sum, beliefs, STEPS);
     }
     Ok((state, visits))
 }
 
 fn first_round<'s>(
     request: &Request,
-    judge: &LabelFusion,
-    mut state: State,
+    fusion: &LabelFusion,
+    mut state: FusionState,
     refiner: &'s dyn Refiner,
     scope: &Scope<'s>,
-) -> Result<(State, Vec<Visit>), SegmentError> {
-    let mut open: Vec<(usize, Bits)> = Vec::new();
+) -> Result<(FusionState, Vec<PhotoVisit>), SegmentError> {
+    let mut open: Vec<(usize, SplatSet)> = Vec::new();
     for index in
         (0..request.views.len()).filter(|v| request.prompts.iter().all(|p| p.refused || p.view != *v))
     {
@@ -162,7 +163,7 @@ fn first_round<'s>(
     // Photos that are being prepared, or are prepared and were not visited yet; and whether they are.
     let mut ahead: Vec<(usize, Arc<AtomicBool>)> = Vec::new();
     while visits.len() < request.settings.propagate_views {
-        let order = most_known(judge, &state, &open);
+        let order = most_known(fusion, &state, &open);
         let Some((&next, likely)) = order.split_first() else {
             // No open view shows a decided part of the object.
             break;
@@ -181,27 +182,27 @@ fn first_round<'s>(
         }
         open.retain(|(view, _)| *view != next);
         if let Some(at) = ahead.iter().position(|(view, _)| *view == next) {
-            // While another thread is at it, this one prepares what comes after.
+            // While another thread prepares this photo, this thread prepares the next ones.
             let (_, done) = ahead.swap_remove(at);
             while !done.load(Ordering::Acquire) && rayon::yield_now() == Some(Yield::Executed) {}
         }
-        let (visit, evidence) = call_on(request, &told(judge, &state), next, refiner)?;
+        let (visit, evidence) = visit_photo(request, &prior_channels(fusion, &state), next, refiner)?;
         if let Some(evidence) = evidence {
-            let State { evidence: mut sum, beliefs, .. } = state;
+            let FusionState { evidence: mut sum, beliefs, .. } = state;
             sum.add(&evidence, 1.0);
-            state = judge.weigh(sum, beliefs, MORE_STEPS);
+            state = fusion.weigh(sum, beliefs, MORE_STEPS);
         }
         visits.push(visit);
     }
     Ok((state, visits))
 }
 
-fn seen_by(request: &Request, index: usize) -> Result<Bits, SegmentError> {
+fn seen_by(request: &Request, index: usize) -> Result<SplatSet, SegmentError> {
     let view = &request.views[index];
     let camera = view.camera.scaled_to(ORDER_SIZE);
     let projected = project(request, view, &camera)?;
     let whole = unoccluded(request.splats, &camera, &view.pose, &request.options);
-    Ok(Bits::new(
+    Ok(SplatSet::new(
         visible(&*projected, &whole, (camera.width, camera.height), request.settings.seen)
             .map_err(SegmentError::raster(&view.name))?
             .into_iter(),
@@ -210,12 +211,12 @@ fn seen_by(request: &Request, index: usize) -> Result<Bits, SegmentError> {
 
 /// The open views that show a decided part of the object, those first of which the largest share of what could be the
 /// object is decided.
-fn most_known(judge: &LabelFusion, state: &State, open: &[(usize, Bits)]) -> Vec<usize> {
+fn most_known(fusion: &LabelFusion, state: &FusionState, open: &[(usize, SplatSet)]) -> Vec<usize> {
     let n = state.probability.len();
-    let SegmentSettings { rho, gamma, least_evidence, .. } = *judge.settings;
+    let SegmentSettings { rho, gamma, least_evidence, .. } = *fusion.settings;
     let label = |i: usize| state.evidence.label(i, rho, gamma, least_evidence);
-    let object = Bits::new((0..n).map(|i| !judge.is_frozen(i) && label(i) == Some(true)));
-    let could_be = Bits::new((0..n).map(|i| !judge.is_frozen(i) && label(i) != Some(false)));
+    let object = SplatSet::new((0..n).map(|i| !fusion.is_frozen(i) && label(i) == Some(true)));
+    let could_be = SplatSet::new((0..n).map(|i| !fusion.is_frozen(i) && label(i) != Some(false)));
     let mut shares: Vec<(f32, usize)> = open
         .iter()
         .filter_map(|(view, seen)| {
@@ -227,154 +228,156 @@ fn most_known(judge: &LabelFusion, state: &State, open: &[(usize, Bits)]) -> Vec
     shares.into_iter().map(|(_, view)| view).collect()
 }
 
-/// What a photo is told of a splat: what masks said of it, and where that is little, what its neighbours suggest. That
-/// only its neighbourhood speaks against a splat counts less than what speaks for it: a photo told that it is
-/// outside would confirm that, and so would all later ones. Resemblance to the clicks says only what surely is
-/// something else: they show one side of the object, and the photo's own boundaries judge the other side better.
-fn certainty_of(judge: &LabelFusion, state: &State, splat: usize) -> f32 {
-    if judge.is_frozen(splat) {
+/// Prior of a splat for a photo: the evidence of the masks, and where that is little, the belief of its neighbours. A
+/// belief against a splat from its neighbours alone counts less than one for it: a photo that gets the splat as outside
+/// would confirm that, and so would all later ones. Resemblance to the clicks only lowers the prior of what surely is
+/// something else: the clicks show one side of the object, and the photo's own boundaries decide the other side better.
+fn certainty_of(fusion: &LabelFusion, state: &FusionState, splat: usize) -> f32 {
+    if fusion.is_frozen(splat) {
         return 0.0;
     }
     let known = state.evidence.known[splat];
-    let told = known / (known + HALF_TOLD);
+    let reliability = known / (known + HALF_RELIABLE);
     let resembles = ((state.hint[splat] - LEAST_HINT) / (0.5 - LEAST_HINT)).clamp(0.0, 1.0);
     let open = OPEN[0] + (OPEN[1] - OPEN[0]) * resembles;
     let around = state.beliefs[splat].probability(open);
-    let rest = if around < open { open + HEARSAY * (around - open) } else { around };
+    let rest = if around < open { open + NEIGHBOURS_AGAINST * (around - open) } else { around };
     let masks = state.evidence.rho(splat).map_or(0.0, leaning);
-    (masks * told + (1.0 - told) * rest).clamp(0.0, 1.0)
+    (masks * reliability + (1.0 - reliability) * rest).clamp(0.0, 1.0)
 }
 
-/// What a photo is told of a splat of which a share of the evidence lies inside: its odds against those of [`EVEN`].
+/// Prior of a splat with this share of its evidence inside: its odds relative to those of [`EVEN`].
 fn leaning(share: f32) -> f32 {
     let (inside, outside) = (share * (1.0 - EVEN), (1.0 - share) * EVEN);
     inside / (inside + outside)
 }
 
-/// Per splat what a photo is told of it, how much is known of it, and how surely it resembles the clicks.
-fn told(judge: &LabelFusion, state: &State) -> Vec<f32> {
+/// Per splat, three channels to render: its prior, how much is known of it, and how surely it resembles the clicks.
+fn prior_channels(fusion: &LabelFusion, state: &FusionState) -> Vec<f32> {
     let of =
-        |(i, b): (usize, &Belief)| [certainty_of(judge, state, i), b.weight.min(1.0), sure(state.hint[i])];
+        |(i, b): (usize, &Belief)| [certainty_of(fusion, state, i), b.weight.min(1.0), sure(state.hint[i])];
     state.beliefs.iter().enumerate().flat_map(of).collect()
 }
 
-/// What a photo is asked about.
-struct Question {
+/// The rendered prior that a photo refines, with what else is rendered for its evaluation.
+struct RefineQuery {
     view: usize,
     camera: Camera,
-    /// Per pixel, how likely it is inside.
+    /// Per pixel, how likely it is inside: the prior.
     certainty: Image,
     /// Per pixel, how much is known there.
     known: Vec<f32>,
-    /// Per pixel, how surely what is there resembles the clicks.
+    /// Per pixel, how surely the splats there resemble the clicks.
     resembles: Vec<f32>,
 }
 
-type Answer = Option<(Mask, f32)>;
+/// A refined mask and how far it is trusted, in [0, 1]; `None` where the refiner declined.
+type RefinerAnswer = Option<(Mask, f32)>;
 
-/// Renders what is believed into a view, lets the photo refine it, and weighs the answer.
-fn call_on(
+/// Renders the prior into a view, lets the photo refine it, and weighs the answer.
+fn visit_photo(
     request: &Request,
-    told: &[f32],
+    priors: &[f32],
     index: usize,
     refiner: &dyn Refiner,
-) -> Result<(Visit, Option<Evidence>), SegmentError> {
+) -> Result<(PhotoVisit, Option<Evidence>), SegmentError> {
     let view = &request.views[index];
     let camera = working_camera(request, view, None);
     let projected = project(request, view, &camera)?;
-    let question = question(request, told, index, &camera, &*projected)?;
-    let answer = question.shows().then(|| refiner.refine(index, &question.certainty));
-    hear(request, &question, &*projected, answer)
+    let query = render_query(request, priors, index, &camera, &*projected)?;
+    let answer = query.shows().then(|| refiner.refine(index, &query.certainty));
+    weigh_answer(request, &query, &*projected, answer)
 }
 
-/// As [`call_on`] for photos that are all told the same. Only the refining is done at once: an engine may be one device. And
-/// views are projected twice, since as many as are asked at once may not fit.
-fn call_on_some(
+/// As [`visit_photo`] for photos that share one prior. Only the refining runs in parallel: an engine may be one device. Views are
+/// projected twice, since the projections of all photos of a batch may not fit into memory.
+fn visit_photos(
     request: &Request,
-    told: &[f32],
+    priors: &[f32],
     some: &[usize],
     refiner: &dyn Refiner,
-) -> Result<Vec<(Visit, Option<Evidence>)>, SegmentError> {
+) -> Result<Vec<(PhotoVisit, Option<Evidence>)>, SegmentError> {
     let projected = |index: usize| {
         let view = &request.views[index];
         let camera = working_camera(request, view, None);
         Ok((camera, project(request, view, &camera)?))
     };
-    let mut questions = Vec::with_capacity(some.len());
+    let mut queries = Vec::with_capacity(some.len());
     for &index in some {
         let (camera, projected) = projected(index)?;
-        questions.push(question(request, told, index, &camera, &*projected)?);
+        queries.push(render_query(request, priors, index, &camera, &*projected)?);
     }
-    let ask = |q: &Question| q.shows().then(|| refiner.refine(q.view, &q.certainty));
-    let answers: Vec<Option<Answer>> = questions.par_iter().map(ask).collect();
-    let heard = questions.iter().zip(answers);
-    heard.map(|(question, answer)| hear(request, question, &*projected(question.view)?.1, answer)).collect()
+    let ask = |q: &RefineQuery| q.shows().then(|| refiner.refine(q.view, &q.certainty));
+    let answers: Vec<Option<RefinerAnswer>> = queries.par_iter().map(ask).collect();
+    let answered = queries.iter().zip(answers);
+    answered.map(|(query, answer)| weigh_answer(request, query, &*projected(query.view)?.1, answer)).collect()
 }
 
-impl Question {
-    /// Whether enough of the object is in sight for the photo to say anything.
+impl RefineQuery {
+    /// Whether enough of the object is in sight for the photo to give evidence.
     fn shows(&self) -> bool {
         let shown = self.certainty.data.iter().filter(|c| **c > 0.5).count();
         shown as f32 >= SMALLEST * self.certainty.data.len() as f32
     }
 }
 
-/// What a photo is to be asked.
-fn question(
+/// Renders the query for a photo.
+fn render_query(
     request: &Request,
-    told: &[f32],
+    priors: &[f32],
     index: usize,
     camera: &Camera,
     projected: &dyn Projected,
-) -> Result<Question, SegmentError> {
+) -> Result<RefineQuery, SegmentError> {
     let view = &request.views[index];
     let frame =
-        projected.blend(&Channels { count: 3, values: told }).map_err(SegmentError::raster(&view.name))?;
+        projected.blend(&Channels { count: 3, values: priors }).map_err(SegmentError::raster(&view.name))?;
     let mut certainty = Image {
         width: camera.width as usize,
         height: camera.height as usize,
         channels: 1,
         data: frame.image.plane(0).iter().map(|&x| clean(x)).collect(),
     };
-    let lacking = match request.skies.and_then(|read| read(index)) {
+    let missing = match request.skies.and_then(|read| read(index)) {
         Some(sky) => thin_structures::complete(&mut certainty, &frame.alpha, &sky),
         None => vec![0.0; certainty.data.len()],
     };
-    // Where there is nothing, and nothing is lacking, there is no object: that, too, is known.
+    // Where there is no splat, and none is missing, there is no object: that, too, is known.
     let known: Vec<f32> = frame
         .image
         .plane(1)
         .iter()
         .zip(&frame.alpha.data)
-        .zip(&lacking)
+        .zip(&missing)
         .map(|((&d, &a), l)| clean(d + 1.0 - a - l))
         .collect();
     let resembles = frame.image.plane(2).to_vec();
-    Ok(Question { view: index, camera: *camera, certainty, known, resembles })
+    Ok(RefineQuery { view: index, camera: *camera, certainty, known, resembles })
 }
 
-/// Weighs a photo's answer; `None` if it was not asked.
-fn hear(
+/// Weighs a photo's answer; `None` if it was not queried.
+fn weigh_answer(
     request: &Request,
-    question: &Question,
+    query: &RefineQuery,
     projected: &dyn Projected,
-    answer: Option<Answer>,
-) -> Result<(Visit, Option<Evidence>), SegmentError> {
-    let Question { view: index, camera, certainty, known, resembles } = question;
+    answer: Option<RefinerAnswer>,
+) -> Result<(PhotoVisit, Option<Evidence>), SegmentError> {
+    let RefineQuery { view: index, camera, certainty, known, resembles } = query;
     let (index, view) = (*index, &request.views[*index]);
-    let verdict =
-        |verdict, agreement| (Visit { view: index, verdict, agreement, mask: None, voice: Vec::new() }, None);
+    let verdict = |verdict, agreement| {
+        (PhotoVisit { view: index, verdict, agreement, mask: None, visibility: Vec::new() }, None)
+    };
     let (mask, confidence) = match answer {
-        None => return Ok(verdict(Verdict::NotVisible, 0.0)),
-        Some(None) => return Ok(verdict(Verdict::Declined, 0.0)),
-        Some(Some(said)) => said,
+        None => return Ok(verdict(PhotoVerdict::NotVisible, 0.0)),
+        Some(None) => return Ok(verdict(PhotoVerdict::Declined, 0.0)),
+        Some(Some(refined)) => refined,
     };
     let inside = soft(&mask, camera.width, camera.height);
-    // What a transient hides is no disagreement, and says little or nothing where the mask leaves it out.
+    // An occluded pixel is no disagreement. Where the mask leaves it out, it has little or no weight.
     let transients = request.transients_in(index);
-    let heard = occlusion::heard(&inside, transients.as_ref(), Some(resembles), camera);
+    let pixel_visibility = occlusion::pixel_visibility(&inside, transients.as_ref(), Some(resembles), camera);
     let (mut both, mut either) = (0.0f64, 0.0f64);
-    for (((&m, &c), &k), &h) in inside.iter().zip(&certainty.data).zip(known).zip(&heard) {
+    for (((&m, &c), &k), &h) in inside.iter().zip(&certainty.data).zip(known).zip(&pixel_visibility) {
         let (believed, k) = (f32::from(u8::from(c > 0.5)), k * h);
         both += f64::from(k * m.min(believed));
         either += f64::from(k * m.max(believed));
@@ -382,24 +385,24 @@ fn hear(
     let agreement = if either > 0.0 { (both / either) as f32 } else { 0.0 };
     let confidence = clean(confidence);
     if agreement < request.settings.propagate_gate || confidence == 0.0 {
-        return Ok(verdict(Verdict::Disagrees, agreement));
+        return Ok(verdict(PhotoVerdict::Disagrees, agreement));
     }
     let trust = confidence * agreement;
     let weights: Vec<f32> = inside
         .iter()
         .zip(&certainty.data)
         .zip(known)
-        .zip(&heard)
+        .zip(&pixel_visibility)
         .map(|(((&m, &c), &k), &h)| {
-            h * if k > 0.8 && (m - c).abs() > 0.8 { DOUBT } else { GUESS + (1.0 - GUESS) * k }
+            h * if k > 0.8 && (m - c).abs() > 0.8 { CONTRADICTED } else { UNKNOWN + (1.0 - UNKNOWN) * k }
         })
         .collect();
     let mut evidence = Evidence::none(request.splats.len());
     let seen = view_evidence(request, projected, view, camera, &mask, &weights)?;
     evidence.add(&seen, trust);
-    let voice = seen.voices();
+    let visibility = seen.visibility();
     Ok((
-        Visit { view: index, verdict: Verdict::Accepted, agreement, mask: Some(mask), voice },
+        PhotoVisit { view: index, verdict: PhotoVerdict::Accepted, agreement, mask: Some(mask), visibility },
         Some(evidence),
     ))
 }
@@ -410,7 +413,7 @@ mod tests {
 
     /// The plinth that every photo left out because the photo before it had.
     #[test]
-    fn a_part_that_a_third_of_the_masks_hold_is_told_as_a_part() {
+    fn a_part_that_a_third_of_the_masks_hold_has_a_prior_over_one_half() {
         assert!((leaning(EVEN) - 0.5).abs() < 1e-6);
         assert!(leaning(0.34) > 0.5 && leaning(0.25) < 0.5);
         assert_eq!((leaning(0.0), leaning(1.0)), (0.0, 1.0));

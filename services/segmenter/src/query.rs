@@ -10,15 +10,15 @@ use segwild_scene::{Camera, Image, Pose, Splats};
 /// Rows that one task scores: fixed, so that nothing depends on the number of threads.
 const ROWS: usize = 2048;
 
-/// One feature vector per splat, ready to be asked.
-pub struct FeatureField {
+/// One feature vector per splat, ready for similarity queries.
+pub struct SplatFeatures {
     features: Kept<'static>,
     inverse_norms: Vec<f32>,
 }
 
-impl FeatureField {
+impl SplatFeatures {
     /// Takes `values[splat][channel]`, flat. Rows that are zero or hold a NaN or an infinity resemble nothing.
-    pub fn new(channels: usize, values: Vec<f32>) -> Result<FeatureField, SegmentError> {
+    pub fn new(channels: usize, values: Vec<f32>) -> Result<SplatFeatures, SegmentError> {
         if channels == 0 || !values.len().is_multiple_of(channels) {
             return Err(SegmentError::Shape(format!(
                 "{} feature values do not fit {channels} channels",
@@ -29,10 +29,10 @@ impl FeatureField {
             .par_chunks(channels * ROWS)
             .flat_map_iter(|rows| rows.chunks_exact(channels).map(|row| inverse_norm(dot(row, row))))
             .collect();
-        Ok(FeatureField { features: Kept::new(channels, values), inverse_norms })
+        Ok(SplatFeatures { features: Kept::new(channels, values), inverse_norms })
     }
 
-    /// Brings the values to where an engine computes, if it keeps any: it then says there what resembles clicks.
+    /// Uploads the values to an engine that keeps them on its device: similarities are then computed there.
     pub fn bring(&mut self, engine: &dyn Engine) -> Result<(), SegmentError> {
         self.features.bring(engine).map_err(SegmentError::raster("the features"))
     }
@@ -85,11 +85,11 @@ impl FeatureField {
         dot(self.row(splat), unit) * self.inverse_norms[splat]
     }
 
-    /// Fused similarity of every splat to some clicks: `sum_i softmax_i(s_i / temperature) s_i`, `s_i` the cosine
-    /// to click `i` (paper, Eq. 27). It lies between the mean and the largest. Reads the field once, where the engine has it if
-    /// it was brought there.
+    /// Fused similarity of every splat to some clicks: `sum_i softmax_i(s_i / temperature) s_i`, `s_i` the cosine to click
+    /// `i` (paper, Eq. 27). It lies between the mean and the largest. Reads the field once, on the device if it was uploaded
+    /// ([`SplatFeatures::bring`]).
     ///
-    /// `clicks` are feature vectors of [`FeatureField::channels`] numbers; those without a direction are refused.
+    /// `clicks` are feature vectors of [`SplatFeatures::channels`] numbers; those without a direction are refused.
     pub fn similarity(
         &self,
         engine: &dyn Engine,
@@ -124,8 +124,8 @@ impl FeatureField {
             queries.push(click.iter().map(|x| x * scale).collect::<Vec<f32>>());
         }
         let queries = Queries { channels, units: &queries, sharpness: 1.0 / temperature };
-        let there = engine.similarity(&self.features, &queries);
-        if let Some(fused) = there.map_err(SegmentError::raster("the features"))? {
+        let on_device = engine.similarity(&self.features, &queries);
+        if let Some(fused) = on_device.map_err(SegmentError::raster("the features"))? {
             return Ok(fused);
         }
         let mut fused = vec![0.0; self.len()];
@@ -144,19 +144,19 @@ fn inverse_norm(square: f32) -> f32 {
     if x.is_finite() && square.is_finite() { x } else { 0.0 }
 }
 
-/// The splats that make up what one sees at a pixel.
+/// The splats that make up a pixel.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Hit {
+pub struct ClickHit {
     /// Splats and their share `alpha T` of the pixel, in the order of their indices.
     pub splats: Vec<(u32, f32)>,
     /// Accumulated alpha `A`, the sum of the shares, in [0, 1].
     pub alpha: f32,
 }
 
-impl Hit {
+impl ClickHit {
     /// Blended feature without the transparency: `F / A = sum alpha T f / sum alpha T` (method, section 1).
     /// Splats whose feature is not a number take no part; `None` when nothing is left.
-    pub fn feature(&self, field: &FeatureField) -> Option<Vec<f32>> {
+    pub fn feature(&self, field: &SplatFeatures) -> Option<Vec<f32>> {
         let mut sum = vec![0.0f64; field.channels()];
         let mut weight = 0.0;
         for &(splat, share) in &self.splats {
@@ -173,8 +173,8 @@ impl Hit {
     }
 }
 
-/// What a click hits: the splats that the square of `2 window + 1` pixels around it is made of, by rendering
-/// only that square. `point` is in pixels of `camera`.
+/// The splats that a click hits: those that make up the square of `2 window + 1` pixels around it. Only
+/// that square is rendered. `point` is in pixels of `camera`.
 pub fn hit(
     engine: &dyn Engine,
     splats: &Splats,
@@ -183,7 +183,7 @@ pub fn hit(
     pose: &Pose,
     point: Vec2,
     window: u32,
-) -> Result<Hit, segwild_raster::RasterError> {
+) -> Result<ClickHit, segwild_raster::RasterError> {
     let side = 2 * window + 1;
     let crop = Camera {
         width: side,
@@ -202,5 +202,5 @@ pub fn hit(
         .map(|(i, share)| (i as u32, share * scale))
         .collect();
     let alpha = splats.iter().map(|s| s.1).sum();
-    Ok(Hit { splats, alpha })
+    Ok(ClickHit { splats, alpha })
 }

@@ -1,14 +1,14 @@
-//! What the segmenter asks of whoever sees in photos.
+//! The interface of the 2D segmenter that refines masks on photos.
 
 use segwild_scene::{Image, Mask};
 
 /// Snaps rough masks to photos, several at a time.
 pub trait Refiner: Sync {
-    /// Is given the view's index and, per pixel of a reduced frame, how likely the pixel belongs to the object (one plane in
-    /// [0, 1]; about 0.5 where nothing is known). It answers with a mask of any size and how much it trusts it, in [0, 1];
-    /// `None` when it cannot tell.
+    /// Refines a prior. `certainty` holds, per pixel of a reduced frame of the view, how likely the pixel belongs to the
+    /// object (one plane in [0, 1]; about 0.5 where nothing is known). Returns a mask of any size and how far it is trusted,
+    /// in [0, 1]; `None` when there is no answer.
     fn refine(&self, view: usize, certainty: &Image) -> Option<(Mask, f32)>;
-    /// Hears, on another thread, that a view is likely to be asked about soon: what can be worked out before may be. No answer
+    /// Called on another thread when a view is likely to be refined soon, so that work can be done ahead. No answer
     /// may depend on it.
     fn prepare(&self, _view: usize) {}
 }

@@ -3,9 +3,9 @@
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use segwild_scene::{Camera, Pose, Splats};
 
-/// Position, root of the covariance, as the cut and the coverage need them.
+/// A splat's ellipsoid: centre and root of the covariance, as the cut and the coverage need them.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Shape {
+pub(crate) struct Ellipsoid {
     pub mean: DVec3,
     /// `R S`: its columns are the axes times their standard deviations, so `Sigma = root root^T`.
     pub root: DMat3,
@@ -13,7 +13,7 @@ pub(crate) struct Shape {
 
 /// A splat as one photo sees it.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Footprint {
+pub(crate) struct EllipsoidFootprint {
     /// Centre in pixels.
     pub centre: DVec2,
     /// Centre in the camera frame.
@@ -34,9 +34,9 @@ pub(crate) struct Axes {
     pub direction: DVec2,
 }
 
-impl Shape {
+impl Ellipsoid {
     /// Splat `i`, or `None` where a parameter or a scale is not a finite number.
-    pub fn of(splats: &Splats, i: usize) -> Option<Shape> {
+    pub fn of(splats: &Splats, i: usize) -> Option<Ellipsoid> {
         let mean = DVec3::from(splats.means[i].map(f64::from));
         let [w, x, y, z] = splats.rotations[i].map(f64::from);
         let q = DQuat::from_xyzw(x, y, z, w);
@@ -45,11 +45,12 @@ impl Shape {
             if n > 0.0 && n.is_finite() { DMat3::from_quat(q * (1.0 / n.sqrt())) } else { DMat3::IDENTITY };
         let scale = DVec3::from(splats.log_scales[i].map(|s| f64::from(s).exp()));
         let root = rotation * DMat3::from_diagonal(scale);
-        (mean.is_finite() && scale.max_element() < 1e30 && root.is_finite()).then_some(Shape { mean, root })
+        (mean.is_finite() && scale.max_element() < 1e30 && root.is_finite())
+            .then_some(Ellipsoid { mean, root })
     }
 
     /// The footprint, or `None` when the centre is nearer than `near`.
-    pub fn project(&self, camera: &Camera, pose: &Pose, near: f32) -> Option<Footprint> {
+    pub fn project(&self, camera: &Camera, pose: &Pose, near: f32) -> Option<EllipsoidFootprint> {
         let rotation = pose.rotation.as_dmat3();
         let p = rotation * self.mean + pose.translation.as_dvec3();
         if p.z.is_nan() || p.z <= f64::from(near) {
@@ -61,7 +62,7 @@ impl Shape {
         let u = fx / p.z * (rx - p.x / p.z * rz);
         let v = fy / p.z * (ry - p.y / p.z * rz);
         let centre = DVec2::new(fx * p.x / p.z + f64::from(camera.cx), fy * p.y / p.z + f64::from(camera.cy));
-        (centre.is_finite() && u.is_finite() && v.is_finite()).then_some(Footprint {
+        (centre.is_finite() && u.is_finite() && v.is_finite()).then_some(EllipsoidFootprint {
             centre,
             camera_mean: p,
             u,
@@ -70,7 +71,7 @@ impl Shape {
     }
 }
 
-impl Footprint {
+impl EllipsoidFootprint {
     /// Determinant of the covariance with `low_pass` px² on its diagonal.
     pub fn determinant(&self, low_pass: f64) -> f64 {
         // |u x v|² is the determinant without the cancellation of uu vv - uv².

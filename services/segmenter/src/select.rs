@@ -2,13 +2,13 @@
 
 use crate::coverage::{centre, coverage, soft, unoccluded, visible};
 use crate::depth_layers;
-use crate::feature_clusters::kinds;
-use crate::label_fusion::{LabelFusion, Similarities, State};
+use crate::feature_clusters::cluster_features;
+use crate::label_fusion::{FusionState, LabelFusion, Similarities};
 use crate::occlusion;
 use crate::settings::{ComponentRule, CutBy, EvidenceMode, SegmentSettings, SimilarityUse};
 use crate::{
-    Cut, CutView, Evidence, FeatureField, Graph, Hit, MaskVote, Refiner, SegmentError, Visit, components,
-    propagate, smooth,
+    ClickHit, CutView, Evidence, MaskVote, NeighbourGraph, PhotoVisit, Refiner, SegmentError, SpikeCut,
+    SplatFeatures, components, propagate, smooth,
 };
 use glam::Vec2;
 use segwild_raster::{Engine, ProjectOptions, Projected};
@@ -20,14 +20,14 @@ const CLICK_ALPHA: f32 = 0.1;
 /// Steps that labels are carried along the graph before anything is decided.
 pub(crate) const STEPS: u32 = 64;
 
-/// IoU with the prompted masks under which a selection that was carried to other photos is of something else.
+/// IoU with the prompted masks under which a selection that was carried to other photos has drifted to another object.
 const ELSEWHERE: f32 = 0.25;
 
-/// Weight of a pixel outside of the prompted mask that is as likely meant as not.
-const LEAST_SAID: f32 = 0.1;
+/// Weight of a pixel outside of the prompted mask that is as likely part of the object as not.
+const LEAST_WEIGHT: f32 = 0.1;
 
-/// How much more is known by the photo that was pointed in than by one that was asked: where its mask leaves nothing open,
-/// no other photo is to take for unknown what it puts outside, however little it sees of any splat there.
+/// Factor on how much is known by a prompted photo against one that was only refined: where its mask leaves nothing open, no
+/// other photo may treat as unknown what it puts outside, however little it sees of any splat there.
 const POINTED: f32 = 4.0;
 
 /// Share of a splat's evidence that must lie inside, and views in which it must be known, for it to count as astride
@@ -51,18 +51,18 @@ impl From<&View> for PosedView {
     }
 }
 
-/// What was said on one photo.
+/// The prompts on one photo and their mask.
 #[derive(Clone, Copy, Debug)]
 pub struct PromptedView<'a> {
     /// Index into [`Request::views`].
     pub view: usize,
-    /// The mask that the prompts mean, at any size that covers the photo edge to edge.
+    /// The mask of the prompts, at any size that covers the photo edge to edge.
     pub mask: &'a Mask,
-    /// How likely each pixel is meant although the mask leaves it out: one plane in [0, 1] over the photo edge to edge.
-    /// `None` where the mask is certain.
+    /// How likely each pixel is part of the object although the mask leaves it out: one plane in [0, 1] over the photo edge
+    /// to edge. `None` where the mask is certain.
     pub open: Option<&'a Image>,
-    /// Whether the mask is of something that is not meant: all that was said on this photo is where the object is not. Of
-    /// what lies outside the mask it says nothing.
+    /// Whether the mask is of a refused thing: all prompts on this photo are negative. Such a mask holds no evidence about
+    /// what lies outside it.
     pub refused: bool,
     /// The clicks, in pixels of the view's camera; may be empty (a box or a mask was the prompt).
     pub points: &'a [PointPrompt],
@@ -83,24 +83,24 @@ pub struct Request<'a> {
     pub splats: &'a Splats,
     /// The photos' cameras: the prompted ones, and those that a selection is carried to.
     pub views: &'a [PosedView],
-    /// What was prompted; at least one.
+    /// The prompted photos; at least one.
     pub prompts: &'a [PromptedView<'a>],
     /// One feature vector per splat, if there is a field.
-    pub features: Option<&'a FeatureField>,
+    pub features: Option<&'a SplatFeatures>,
     /// The neighbour graph of the splats, if it is at hand; made otherwise.
-    pub graph: Option<&'a Graph>,
+    pub graph: Option<&'a NeighbourGraph>,
     /// Splats that can never be selected, such as the sky; one flag per splat.
     pub frozen: Option<&'a [bool]>,
     /// Reads the skies of the views, if there are any.
     pub skies: Option<&'a MaskReader>,
-    /// Reads what is taken for transients in the views, if that is known.
+    /// Reads the transient masks of the views, if there are any.
     pub transients: Option<&'a MaskReader>,
-    /// How to weigh.
+    /// The settings of this selection.
     pub settings: &'a SegmentSettings,
 }
 
 impl Request<'_> {
-    /// What is taken for transients in a view; `None` where that is not known.
+    /// The transient mask of a view; `None` where there is none.
     pub(crate) fn transients_in(&self, view: usize) -> Option<Mask> {
         self.transients.and_then(|read| read(view))
     }
@@ -115,19 +115,19 @@ pub struct Selection {
     pub score: Vec<f32>,
     /// Fused similarity to the positive clicks per splat, where features took part.
     pub similarity: Option<Vec<f32>>,
-    /// What the masks said.
+    /// The evidence of the masks.
     pub evidence: Evidence,
-    /// What became of each photo that the selection was carried to, in the order of the last round.
-    pub visits: Vec<Visit>,
+    /// The result of each photo that the selection was carried to, in the order of the last round.
+    pub visits: Vec<PhotoVisit>,
     /// Connected parts taken away.
     pub parts_removed: usize,
     /// IoU of the selection with the prompted masks, in visible light of the prompted photos.
     pub agreement: f32,
-    /// Whether only the prompted photos decide: carried to the others, the selection went elsewhere.
+    /// Whether only the prompted photos decide, because the selection drifted to another object in the others.
     pub alone: bool,
 }
 
-/// Selects the splats that the prompts mean. With a `refiner`, the selection is carried to all other views and back
+/// Selects the splats of the prompted object. With a `refiner`, the selection is carried to all other views and back
 /// ([`SegmentSettings::propagate`]).
 pub fn select(request: &Request, refiner: Option<&dyn Refiner>) -> Result<Selection, SegmentError> {
     check(request)?;
@@ -138,7 +138,7 @@ pub fn select(request: &Request, refiner: Option<&dyn Refiner>) -> Result<Select
         prompted.add(&prompted_evidence(request, prompt)?, settings.prompt_weight);
     }
     let similarities = similarities(request, &prompted, &positive, &negative)?;
-    // Where masks decide nothing, there is nothing to carry to other photos.
+    // Where masks take no part, there is nothing to carry to other photos.
     let alone = settings.similarity_use == SimilarityUse::Alone;
     if alone && similarities.is_none() {
         return Err(SegmentError::NoFeatures);
@@ -148,12 +148,12 @@ pub fn select(request: &Request, refiner: Option<&dyn Refiner>) -> Result<Select
     let graph = match request.graph {
         Some(graph) => graph,
         None => {
-            built = Graph::new(splats, settings.neighbours);
+            built = NeighbourGraph::new(splats, settings.neighbours);
             &built
         }
     };
     let features = request.features.filter(|_| settings.similarity_use != SimilarityUse::Off);
-    let judge = LabelFusion {
+    let fusion = LabelFusion {
         splats,
         graph,
         hits: (&positive, &negative),
@@ -163,21 +163,21 @@ pub fn select(request: &Request, refiner: Option<&dyn Refiner>) -> Result<Select
         settings,
     };
     let (state, visits) = match refiner {
-        Some(refiner) if rounds > 0 => propagate::propagate(request, &judge, prompted.clone(), refiner)?,
-        _ => (judge.weigh(prompted.clone(), Vec::new(), STEPS), Vec::new()),
+        Some(refiner) if rounds > 0 => propagate::propagate(request, &fusion, prompted.clone(), refiner)?,
+        _ => (fusion.weigh(prompted.clone(), Vec::new(), STEPS), Vec::new()),
     };
-    let decide = |state, visits| decide(request, &judge, &prompted, state, visits);
+    let decide = |state, visits| decide(request, &fusion, &prompted, state, visits);
     let carried = decide(state, visits);
     let elsewhere = carried.as_ref().map_or(true, |s| s.agreement < ELSEWHERE && !s.visits.is_empty());
     if !elsewhere || rounds == 0 {
         return carried;
     }
-    // The other photos speak of something else: then what was prompted is all that is known.
-    let own = decide(judge.weigh(prompted.clone(), Vec::new(), STEPS), Vec::new());
+    // The other photos hold evidence of another object: only the prompted photos decide.
+    let own = decide(fusion.weigh(prompted.clone(), Vec::new(), STEPS), Vec::new());
     match (carried, own) {
         (Ok(carried), Ok(own)) if own.agreement < 2.0 * carried.agreement => Ok(carried),
         (Ok(carried), Ok(own)) => {
-            let visits = carried.visits.into_iter().map(Visit::disregarded).collect();
+            let visits = carried.visits.into_iter().map(PhotoVisit::disregarded).collect();
             Ok(Selection { visits, alone: true, ..own })
         }
         (Err(_), Ok(own)) => Ok(Selection { alone: true, ..own }),
@@ -185,20 +185,20 @@ pub fn select(request: &Request, refiner: Option<&dyn Refiner>) -> Result<Select
     }
 }
 
-/// From what is believed to the selection.
+/// From beliefs to the selection.
 fn decide(
     request: &Request,
-    judge: &LabelFusion,
+    fusion: &LabelFusion,
     prompted: &Evidence,
-    state: State,
-    visits: Vec<Visit>,
+    state: FusionState,
+    visits: Vec<PhotoVisit>,
 ) -> Result<Selection, SegmentError> {
-    let (settings, splats, graph) = (request.settings, request.splats, judge.graph);
-    let mut labels = judge.labels(&state);
+    let (settings, splats, graph) = (request.settings, request.splats, fusion.graph);
+    let mut labels = fusion.labels(&state);
     none_left(&labels, "none lies in the masks and resembles the clicks")?;
     if settings.graph_cut {
         let smoothness = settings.graph_cut_smoothness;
-        labels = smooth::graph_cut(graph, &judge.affinities, &state.probability, request.frozen, smoothness);
+        labels = smooth::graph_cut(graph, &fusion.affinities, &state.probability, request.frozen, smoothness);
         none_left(&labels, "the graph cut smoothed all away: lower `graph_cut_smoothness`")?;
     }
     let mut parts_removed = 0;
@@ -206,7 +206,7 @@ fn decide(
         let share = settings.component_share;
         let (all, others) = (&state.evidence, state.evidence.minus(prompted));
         parts_removed =
-            components::keep_clicked(graph, splats, &mut labels, all, Some(&others), judge.hits, share);
+            components::keep_clicked(graph, splats, &mut labels, all, Some(&others), fusion.hits, share);
         none_left(&labels, "every connected part holds a negative click")?;
     }
     let sum = |of: &[f32], labelled: bool| -> f64 {
@@ -217,7 +217,7 @@ fn decide(
     Ok(Selection {
         labels,
         score: state.probability,
-        similarity: judge.similarities.as_ref().map(|s| s.positive.clone()),
+        similarity: fusion.similarities.as_ref().map(|s| s.positive.clone()),
         evidence: state.evidence,
         visits,
         parts_removed,
@@ -228,19 +228,20 @@ fn decide(
 
 /// The spike cut of a selection (method, section 7) by the masks of the photos that took part, or of the prompted
 /// ones alone ([`SegmentSettings::cut_by`]). A photo cuts only the splats that it sees.
-pub fn cut(request: &Request, selection: &Selection) -> Result<Cut, SegmentError> {
+pub fn cut(request: &Request, selection: &Selection) -> Result<SpikeCut, SegmentError> {
     let accepted = || selection.visits.iter().filter_map(|v| Some((v, v.mask.as_ref()?)));
-    if request.settings.cut_by == CutBy::Photos && accepted().next().is_some() {
+    if request.settings.cut_by == CutBy::PhotoRefiner && accepted().next().is_some() {
         let own: Vec<Vec<u8>> = meant(request)
-            .map(|prompt| Ok(prompted_evidence(request, prompt)?.voices()))
+            .map(|prompt| Ok(prompted_evidence(request, prompt)?.visibility()))
             .collect::<Result<_, SegmentError>>()?;
-        let mask_vote = |view: usize, mask, voice, weight| {
+        let mask_vote = |view: usize, mask, visibility, weight| {
             let view = &request.views[view];
-            MaskVote { camera: view.camera, pose: view.pose, mask, voice, weight }
+            MaskVote { camera: view.camera, pose: view.pose, mask, visibility, weight }
         };
         let weight = request.settings.prompt_weight;
-        let prompted = meant(request).zip(&own).map(|(p, voice)| mask_vote(p.view, p.mask, voice, weight));
-        let others = accepted().map(|(v, mask)| mask_vote(v.view, mask, &v.voice, v.agreement));
+        let prompted =
+            meant(request).zip(&own).map(|(p, visibility)| mask_vote(p.view, p.mask, visibility, weight));
+        let others = accepted().map(|(v, mask)| mask_vote(v.view, mask, &v.visibility, v.agreement));
         let votes: Vec<MaskVote> = prompted.chain(others).collect();
         let settings = request.settings;
         let near = request.options.near;
@@ -254,7 +255,7 @@ pub fn cut(request: &Request, selection: &Selection) -> Result<Cut, SegmentError
             })
             .collect();
         let labels = &selection.labels;
-        return Ok(Cut::cut_by_votes(request.splats, labels, &astride, &votes, settings.spikes, near));
+        return Ok(SpikeCut::cut_by_votes(request.splats, labels, &astride, &votes, settings.spikes, near));
     }
     let mut sees = Vec::with_capacity(request.prompts.len());
     for prompt in meant(request) {
@@ -272,10 +273,16 @@ pub fn cut(request: &Request, selection: &Selection) -> Result<Cut, SegmentError
             CutView { camera: view.camera, pose: view.pose, mask: prompt.mask, sees: Some(sees) }
         })
         .collect();
-    Ok(Cut::new(request.splats, &selection.labels, &views, request.settings.spikes, request.options.near))
+    Ok(SpikeCut::new(
+        request.splats,
+        &selection.labels,
+        &views,
+        request.settings.spikes,
+        request.options.near,
+    ))
 }
 
-/// The prompts that say where the object is.
+/// The prompted photos whose mask is of the object, not of a refused thing.
 fn meant<'a>(request: &Request<'a>) -> impl Iterator<Item = &'a PromptedView<'a>> {
     request.prompts.iter().filter(|p| !p.refused)
 }
@@ -289,8 +296,8 @@ fn check(request: &Request) -> Result<(), SegmentError> {
     let fits = |what: &str, len: usize| {
         if len == n { Ok(()) } else { Err(SegmentError::Shape(format!("{len} {what} for {n} splats"))) }
     };
-    fits("rows of features", request.features.map_or(n, FeatureField::len))?;
-    fits("nodes of the neighbour graph", request.graph.map_or(n, Graph::len))?;
+    fits("rows of features", request.features.map_or(n, SplatFeatures::len))?;
+    fits("nodes of the neighbour graph", request.graph.map_or(n, NeighbourGraph::len))?;
     fits("frozen flags", request.frozen.map_or(n, <[bool]>::len))?;
     if meant(request).next().is_none() {
         return Err(SegmentError::NoPrompt);
@@ -330,9 +337,9 @@ fn view<'a>(request: &Request<'a>, index: usize) -> Result<&'a PosedView, Segmen
     request.views.get(index).ok_or(SegmentError::NoView { view: index, views: request.views.len() })
 }
 
-/// What each click hits: positive ones and negative ones. A positive click must hit something selectable; a
-/// negative one on nothing says nothing.
-fn hits(request: &Request) -> Result<(Vec<Hit>, Vec<Hit>), SegmentError> {
+/// The splats that the positive and the negative clicks hit. A positive click must hit something selectable; a
+/// negative one on nothing is ignored.
+fn hits(request: &Request) -> Result<(Vec<ClickHit>, Vec<ClickHit>), SegmentError> {
     let (mut positive, mut negative) = (Vec::new(), Vec::new());
     for prompt in request.prompts {
         let view = view(request, prompt.view)?;
@@ -378,38 +385,41 @@ fn hits(request: &Request) -> Result<(Vec<Hit>, Vec<Hit>), SegmentError> {
 fn similarities(
     request: &Request,
     prompted: &Evidence,
-    positive: &[Hit],
-    negative: &[Hit],
+    positive: &[ClickHit],
+    negative: &[ClickHit],
 ) -> Result<Option<Similarities>, SegmentError> {
     let (Some(field), true) = (request.features, request.settings.similarity_use != SimilarityUse::Off)
     else {
         return Ok(None);
     };
-    let read = |hits: &[Hit]| hits.iter().filter_map(|hit| hit.feature(field)).collect::<Vec<_>>();
-    let (ask, refuse) = (read(positive), read(negative));
-    if ask.len() < positive.len() {
+    let read = |hits: &[ClickHit]| hits.iter().filter_map(|hit| hit.feature(field)).collect::<Vec<_>>();
+    let (queries, refusals) = (read(positive), read(negative));
+    if queries.len() < positive.len() {
         tracing::warn!(
             clicks = positive.len(),
-            usable = ask.len(),
+            usable = queries.len(),
             "some clicks hit splats without a usable feature"
         );
     }
-    if ask.is_empty() {
+    if queries.is_empty() {
         return Ok(None);
     }
     let temperature = request.settings.click_temperature;
-    let positive = field.similarity(request.engine, &ask, temperature)?;
-    let kinds = kinds(field, prompted);
-    let mut held =
-        if kinds.is_empty() { Vec::new() } else { field.similarity(request.engine, &kinds, temperature)? };
+    let positive = field.similarity(request.engine, &queries, temperature)?;
+    let clusters = cluster_features(field, prompted);
+    let mut held = if clusters.is_empty() {
+        Vec::new()
+    } else {
+        field.similarity(request.engine, &clusters, temperature)?
+    };
     held.iter_mut().zip(&positive).for_each(|(held, clicked)| *held = held.max(*clicked));
     Ok(Some(Similarities {
         positive,
         held,
-        negative: if refuse.is_empty() {
+        negative: if refusals.is_empty() {
             None
         } else {
-            Some(field.similarity(request.engine, &refuse, temperature)?)
+            Some(field.similarity(request.engine, &refusals, temperature)?)
         },
     }))
 }
@@ -445,27 +455,28 @@ fn prompted_evidence(request: &Request, prompt: &PromptedView) -> Result<Evidenc
     }
     let mut weights = vec![1.0; camera.width as usize * camera.height as usize];
     if let Some(open) = prompt.open {
-        // What the mask holds was pointed at; where it ends is a guess. A pixel that may as well be meant says little.
+        // The inside of the mask was prompted; where it ends is a guess. A pixel that is as likely part of the object as not
+        // has little weight.
         let open = open.resized(camera.width as usize, camera.height as usize);
         for (weight, chance) in weights.iter_mut().zip(open.plane(0)) {
-            let said = 1.0 - 2.0 * chance;
-            *weight = if said.is_nan() { 1.0 } else { said.clamp(LEAST_SAID, 1.0) };
+            let certainty = 1.0 - 2.0 * chance;
+            *weight = if certainty.is_nan() { 1.0 } else { certainty.clamp(LEAST_WEIGHT, 1.0) };
         }
     }
     let inside = soft(prompt.mask, camera.width, camera.height);
     let transients = request.transients_in(prompt.view);
-    let heard = occlusion::heard(&inside, transients.as_ref(), None, &camera);
-    weights.iter_mut().zip(&heard).for_each(|(weight, heard)| *weight *= heard);
+    let pixel_visibility = occlusion::pixel_visibility(&inside, transients.as_ref(), None, &camera);
+    weights.iter_mut().zip(&pixel_visibility).for_each(|(weight, visible)| *weight *= visible);
     let mut evidence = view_evidence(request, &*projected, view, &camera, prompt.mask, &weights)?;
     if request.settings.evidence_mode == EvidenceMode::Coverage {
-        depth_layers::doubt(&mut evidence, &*projected, prompt, inside, &view.camera, &camera)
+        depth_layers::discount_background(&mut evidence, &*projected, prompt, inside, &view.camera, &camera)
             .map_err(SegmentError::raster(&view.name))?;
         evidence.known.iter_mut().for_each(|known| *known *= POINTED);
     }
     Ok(evidence)
 }
 
-/// What one view's mask says, by the mode of the settings. `weights`: one number in [0, 1] per pixel.
+/// The evidence of one view's mask, by the mode of the settings. `weights`: one number in [0, 1] per pixel.
 pub(crate) fn view_evidence(
     request: &Request,
     projected: &dyn Projected,

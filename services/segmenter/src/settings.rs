@@ -1,11 +1,11 @@
-//! What a person can set about selecting.
+//! The settings of a selection.
 
 segwild_scene::choice! {
-    /// How a mask on a photo says which splats lie in it.
+    /// How a mask on a photo decides which splats lie in it.
     pub enum EvidenceMode {
         /// By the share of the splat's visible light that falls in the mask.
         Coverage = "coverage",
-        /// By whether the projected centre lies in the mask (the paper; also takes what lies behind).
+        /// By whether the projected centre lies in the mask (the paper; also takes what lies behind it).
         Centre = "centre"
     }
 }
@@ -70,7 +70,7 @@ segwild_scene::choice! {
     /// Whose masks cut spikes.
     pub enum CutBy {
         /// All photos whose own boundaries took part, by majority.
-        Photos = "photos",
+        PhotoRefiner = "photos",
         /// The prompted photos, one after the other (the paper).
         Prompts = "prompts"
     }
@@ -81,7 +81,8 @@ segwild_scene::settings! {
     pub struct SegmentSettings("segment", user: propagate spikes object_appearance) {
         /// Least fused cosine similarity to the positive clicks, in [-1, 1] (paper, Eq. 28).
         tau: f32 = 0.5 => -1.0..=1.0,
-        /// Temperature of the softmax that fuses several clicks: towards 0 the best click counts, far above 1 their mean; the paper's formula is 1.
+        /// Temperature of the softmax that fuses several clicks: towards 0 the best click counts, far above 1 their mean; the
+        /// paper's formula is 1.
         click_temperature: f32 = 0.1 => 1e-4..=1e4,
         /// With negative clicks: by how much the similarity to the positive ones must be larger.
         negative_margin: f32 = 0.05 => -2.0..=2.0,
@@ -112,12 +113,12 @@ segwild_scene::settings! {
         neighbours: usize = 10 => 1..=256,
         /// Share of a label's weight that survives one step in that graph, in (0, 1).
         spread_decay: f32 = 0.97 => 0.001..=0.999,
-        /// How likely a splat belongs to the object when nothing is known of it, in (0, 1).
+        /// Prior probability that a splat belongs to the object when nothing is known of it, in (0, 1).
         unseen_prior: f32 = 0.5 => 0.001..=0.999,
         /// Which connected parts stay.
         components: ComponentRule = ComponentRule::Clicked,
         /// A part without a click stays as well when it holds this share of what the masks saw of the selection, or when most
-        /// of what the other photos say of it lies inside.
+        /// of its evidence from the other photos lies inside.
         component_share: f32 = 0.05 => 0.0..=1.0,
         /// Smooth the selection by a graph cut over position and colour.
         graph_cut: bool = false,
@@ -134,7 +135,7 @@ segwild_scene::settings! {
         /// How spikes are cut.
         spikes: SpikeMode = SpikeMode::Axis,
         /// Whose masks cut them.
-        cut_by: CutBy = CutBy::Photos,
+        cut_by: CutBy = CutBy::PhotoRefiner,
         /// Photo whose appearance the exported object has; empty for the scene's own. It holds for `object.ply` and
         /// `labels.ply`.
         object_appearance: String = String::new(),

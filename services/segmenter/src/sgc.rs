@@ -1,7 +1,7 @@
 //! Spiky Gaussian cutter: splats of a selection that stick out of the object's mask are moved back and
 //! shortened (method, section 7; paper Eq. 29-32).
 
-use crate::screen::{Axes, Footprint, Shape};
+use crate::screen::{Axes, Ellipsoid, EllipsoidFootprint};
 use crate::settings::SpikeMode;
 use crate::svd;
 use glam::{DMat3, DQuat, DVec2, DVec3};
@@ -14,7 +14,7 @@ pub(crate) const ENDS: f64 = 1.5;
 /// A splat whose axes differ by this factor in variance is a spike.
 const ELONGATED: f64 = 4.0;
 
-/// A splat whose segment reaches further than this, in pixels, is looked at even when it is round.
+/// A splat whose segment reaches further than this, in pixels, is examined even when it is round.
 const LONG: f64 = 2.0;
 
 /// A splat of whose segment less than this lies inside is dropped from the selection.
@@ -34,7 +34,7 @@ const SCALE_MIN: f64 = 1e-12;
 
 /// What a cut changes of a splat.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Geometry {
+pub struct SplatGeometry {
     /// Centre.
     pub mean: [f32; 3],
     /// Logarithms of the standard deviations.
@@ -45,9 +45,9 @@ pub struct Geometry {
 
 /// An edit of a scene that can be applied and undone. The opacities stay.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Cut {
+pub struct SpikeCut {
     /// Splats that were shortened: index, what they were, what they become. Ascending.
-    pub changed: Vec<(u32, Geometry, Geometry)>,
+    pub changed: Vec<(u32, SplatGeometry, SplatGeometry)>,
     /// Splats that leave the selection because (almost) nothing of them lies inside. Ascending; they stay in
     /// the scene as they were.
     pub dropped: Vec<u32>,
@@ -65,15 +65,19 @@ pub struct CutView<'a> {
     pub pose: Pose,
     /// The object's pixels.
     pub mask: &'a Mask,
-    /// Splats that this view may cut, say those it sees; `None`: all. What another thing hides sticks out of
+    /// Splats that this view may cut, such as those it sees; `None`: all. An occluded splat sticks out of
     /// the visible mask without being a spike.
     pub sees: Option<&'a [bool]>,
 }
 
-impl Geometry {
+impl SplatGeometry {
     /// Of one splat.
-    pub fn of(splats: &Splats, i: usize) -> Geometry {
-        Geometry { mean: splats.means[i], log_scales: splats.log_scales[i], rotation: splats.rotations[i] }
+    pub fn of(splats: &Splats, i: usize) -> SplatGeometry {
+        SplatGeometry {
+            mean: splats.means[i],
+            log_scales: splats.log_scales[i],
+            rotation: splats.rotations[i],
+        }
     }
 
     fn put(&self, splats: &mut Splats, i: usize) {
@@ -83,36 +87,48 @@ impl Geometry {
     }
 }
 
-impl Cut {
+impl SpikeCut {
     /// Cuts the splats of `selected` by the masks of several photos, one after the other. `near` is the
     /// distance before which nothing is visible. `splats` is untouched. Splats that are not finite are left alone.
-    pub fn new(splats: &Splats, selected: &[bool], views: &[CutView], mode: SpikeMode, near: f32) -> Cut {
+    pub fn new(
+        splats: &Splats,
+        selected: &[bool],
+        views: &[CutView],
+        mode: SpikeMode,
+        near: f32,
+    ) -> SpikeCut {
         if mode == SpikeMode::Off {
-            return Cut::default();
+            return SpikeCut::default();
         }
         // The mask is looked up in its own pixels.
         let views: Vec<CutView> = views
             .iter()
             .map(|v| CutView { camera: v.camera.resized(v.mask.width(), v.mask.height()), ..*v })
             .collect();
-        Cut::of(splats, selected, |i| cut_splat(splats, i, &views, mode, near))
+        SpikeCut::of(splats, selected, |i| cut_splat(splats, i, &views, mode, near))
     }
 
-    /// What `judge` makes of every selected splat.
-    pub(crate) fn of(splats: &Splats, selected: &[bool], judge: impl Fn(usize) -> Outcome + Sync) -> Cut {
-        let outcomes: Vec<(u32, Outcome)> = selected
+    /// Collects the outcome of `cut_one` for every selected splat.
+    pub(crate) fn of(
+        splats: &Splats,
+        selected: &[bool],
+        cut_one: impl Fn(usize) -> CutOutcome + Sync,
+    ) -> SpikeCut {
+        let outcomes: Vec<(u32, CutOutcome)> = selected
             .par_iter()
             .enumerate()
             .with_min_len(256)
             .filter(|(_, selected)| **selected)
-            .map(|(i, _)| (i as u32, judge(i)))
+            .map(|(i, _)| (i as u32, cut_one(i)))
             .collect();
-        let mut cut = Cut::default();
+        let mut cut = SpikeCut::default();
         for (i, outcome) in outcomes {
             match outcome {
-                Outcome::Kept => {}
-                Outcome::Changed(after) => cut.changed.push((i, Geometry::of(splats, i as usize), after)),
-                Outcome::Dropped => cut.dropped.push(i),
+                CutOutcome::Kept => {}
+                CutOutcome::Changed(after) => {
+                    cut.changed.push((i, SplatGeometry::of(splats, i as usize), after))
+                }
+                CutOutcome::Dropped => cut.dropped.push(i),
             }
         }
         cut
@@ -140,9 +156,9 @@ impl Cut {
 }
 
 /// What becomes of one splat.
-pub(crate) enum Outcome {
+pub(crate) enum CutOutcome {
     Kept,
-    Changed(Geometry),
+    Changed(SplatGeometry),
     Dropped,
 }
 
@@ -154,15 +170,15 @@ struct Inside {
     middle: f64,
 }
 
-fn cut_splat(splats: &Splats, i: usize, views: &[CutView], mode: SpikeMode, near: f32) -> Outcome {
-    let Some(mut shape) = Shape::of(splats, i) else { return Outcome::Kept };
+fn cut_splat(splats: &Splats, i: usize, views: &[CutView], mode: SpikeMode, near: f32) -> CutOutcome {
+    let Some(mut shape) = Ellipsoid::of(splats, i) else { return CutOutcome::Kept };
     let mut changed = false;
     for view in views.iter().filter(|v| v.sees.is_none_or(|sees| sees[i])) {
         for _ in 0..PASSES {
             let Some(footprint) = shape.project(&view.camera, &view.pose, near) else { break };
             let Some(inside) = sticking_out(&footprint, view.mask) else { break };
             if inside.share < DROP {
-                return Outcome::Dropped;
+                return CutOutcome::Dropped;
             }
             if inside.share >= 1.0 {
                 break;
@@ -173,20 +189,20 @@ fn cut_splat(splats: &Splats, i: usize, views: &[CutView], mode: SpikeMode, near
         }
     }
     match changed.then(|| write(&shape)) {
-        None => Outcome::Kept,
-        Some(Some(after)) => Outcome::Changed(after),
+        None => CutOutcome::Kept,
+        Some(Some(after)) => CutOutcome::Changed(after),
         // Too extreme for f32 even after the cut: better no spike than a broken one.
-        Some(None) => Outcome::Dropped,
+        Some(None) => CutOutcome::Dropped,
     }
 }
 
-/// Whether a footprint is long enough to be looked at.
+/// Whether a footprint is long enough to be examined.
 pub(crate) fn is_spike(axes: &Axes) -> bool {
     axes.major >= ELONGATED * axes.minor || ENDS * axes.major.sqrt() > LONG
 }
 
 /// How much of a candidate lies inside the mask; `None` for splats that are not to be cut.
-fn sticking_out(footprint: &Footprint, mask: &Mask) -> Option<Inside> {
+fn sticking_out(footprint: &EllipsoidFootprint, mask: &Mask) -> Option<Inside> {
     let axes = footprint.axes();
     let half = axes.direction * (ENDS * axes.major.sqrt());
     let at = |p: DVec2| mask.at(p.x as f32, p.y as f32);
@@ -197,10 +213,10 @@ fn sticking_out(footprint: &Footprint, mask: &Mask) -> Option<Inside> {
     // Samples at the middles of equal steps of at most a pixel, so that the kept part ends inside.
     let samples = (2.0 * half.abs().max_element()).min(SAMPLES).floor() as usize + 1;
     let samples = samples.max(2);
-    let place = |k: f64| (2.0 * k / samples as f64 - 1.0) * ENDS;
+    let position = |k: f64| (2.0 * k / samples as f64 - 1.0) * ENDS;
     let (mut count, mut run, mut longest, mut longest_end) = (0, 0, 0, 0);
     for k in 0..samples {
-        let t = place(k as f64 + 0.5) / ENDS;
+        let t = position(k as f64 + 0.5) / ENDS;
         if at(footprint.centre + half * t) {
             count += 1;
             run += 1;
@@ -216,18 +232,18 @@ fn sticking_out(footprint: &Footprint, mask: &Mask) -> Option<Inside> {
         // The kept part is 3 r standard deviations long and touches the inside end.
         (true, false) => Inside { share: share(count), middle: ENDS * (share(count) - 1.0) },
         (false, true) => Inside { share: share(count), middle: ENDS * (1.0 - share(count)) },
-        _ => Inside { share: share(longest), middle: place(longest_end as f64 - 0.5 * longest as f64) },
+        _ => Inside { share: share(longest), middle: position(longest_end as f64 - 0.5 * longest as f64) },
     })
 }
 
 /// The splat moved to the middle of the part to keep and shrunk to it.
 fn shorten(
-    shape: &Shape,
-    footprint: &Footprint,
+    shape: &Ellipsoid,
+    footprint: &EllipsoidFootprint,
     inside: &Inside,
     view: &CutView,
     mode: SpikeMode,
-) -> Option<Shape> {
+) -> Option<Ellipsoid> {
     let axes = footprint.axes();
     let deviation = axes.major.sqrt();
     // In the splat's own unit sphere, the direction that the photo sees as the major axis.
@@ -243,13 +259,13 @@ fn shorten(
         // cut and as wide as before across it.
         _ => shape.root * (DMat3::IDENTITY - outer(unit, unit) * (1.0 - inside.share)),
     };
-    let next = Shape { mean, root };
+    let next = Ellipsoid { mean, root };
     (mean.is_finite() && root.is_finite()).then_some(next)
 }
 
 /// The step in the world that moves the centre by `shift` pixels: along the splat, or at fixed depth where the
 /// splat points along the viewing ray.
-fn moved(footprint: &Footprint, along: DVec3, shift: DVec2, view: &CutView) -> DVec3 {
+fn moved(footprint: &EllipsoidFootprint, along: DVec3, shift: DVec2, view: &CutView) -> DVec3 {
     let rotation = view.pose.rotation.as_dmat3();
     let (fx, fy) = (f64::from(view.camera.fx), f64::from(view.camera.fy));
     let p = footprint.camera_mean;
@@ -275,11 +291,11 @@ fn outer(a: DVec3, b: DVec3) -> DMat3 {
 }
 
 /// Back to scales and a rotation, `None` where f32 cannot hold them.
-pub(crate) fn write(shape: &Shape) -> Option<Geometry> {
+pub(crate) fn write(shape: &Ellipsoid) -> Option<SplatGeometry> {
     let (axes, deviations) = svd::left(shape.root);
     let q = DQuat::from_mat3(&axes).normalize();
     let log_scales = deviations.map(|s| s.max(SCALE_MIN).ln() as f32);
-    let geometry = Geometry {
+    let geometry = SplatGeometry {
         mean: shape.mean.as_vec3().to_array(),
         log_scales,
         rotation: [q.w as f32, q.x as f32, q.y as f32, q.z as f32],

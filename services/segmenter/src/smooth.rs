@@ -1,6 +1,6 @@
 //! Optional refinement of a selection by a minimum cut of the neighbour graph (method, section 6).
 
-use crate::Graph;
+use crate::NeighbourGraph;
 use crate::maxflow::FlowNetwork;
 
 /// Whole-number steps per unit of energy.
@@ -11,7 +11,7 @@ const STEPS: f32 = 10_000.0;
 /// `probability` has one number per splat, how likely it belongs to the object; `affinities` one per edge.
 /// Splats in `frozen` are never selected, nor are those whose probability is not a number.
 pub fn graph_cut(
-    graph: &Graph,
+    graph: &NeighbourGraph,
     affinities: &[f32],
     probability: &[f32],
     frozen: Option<&[bool]>,

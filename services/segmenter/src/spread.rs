@@ -1,12 +1,12 @@
-//! Label spreading over the neighbour graph: what is known of some splats is carried to those of which nothing is.
+//! Label spreading over the neighbour graph, from splats with evidence to splats without.
 
-use crate::Graph;
+use crate::NeighbourGraph;
 use rayon::prelude::*;
 
-/// What is believed of a splat before its prior: `share` of `weight` says "inside".
+/// The belief about a splat before its prior: `inside` of `weight` is for "inside".
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Belief {
-    /// Weight that says inside, at most `weight`.
+    /// Weight for inside, at most `weight`.
     pub inside: f32,
     /// How much is known, in [0, 1]: 1 where evidence is plenty, falling with each step away from it.
     pub weight: f32,
@@ -22,11 +22,11 @@ impl Belief {
 /// One random walk with decay per step, absorbed by the anchors:
 /// `b_i = a_i + (1 - |a_i|) decay * (sum_j w_ij b_j / sum_j w_ij)`.
 ///
-/// `anchors` hold what the evidence says (weight 0: nothing), `affinities` one number per edge of the graph.
+/// `anchors` hold the beliefs of the evidence (weight 0: none), `affinities` one number per edge of the graph.
 /// `beliefs` is where the walk starts and ends, so that a later call goes on from an earlier one; each of the
 /// `steps` carries labels one edge further. The same bytes whatever the number of threads.
 pub fn spread(
-    graph: &Graph,
+    graph: &NeighbourGraph,
     affinities: &[f32],
     anchors: &[Belief],
     decay: f32,

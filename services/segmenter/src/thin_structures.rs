@@ -1,21 +1,21 @@
-//! What stands before the sky and is not among the splats.
+//! Thin structures before the sky that are missing from the splats.
 //!
-//! Flames, rays and finials are small, and photos' poses are a pixel or two apart: splats come out thinner than the thing, or not
-//! at all. A photo that is told "nothing is there" leaves such a part out, and so the next. But what is empty and no sky is
-//! something, and what it is a part of is said by what stands around it.
+//! Flames, rays and finials are small, and photos' poses are off by a pixel or two: their splats are thinner than the thing,
+//! or missing. A photo that gets "nothing there" as its prior leaves such a part out, and so does the next. But an empty
+//! pixel that is not sky shows a thing, and the splats around it decide which object it is a part of.
 
 use segwild_scene::{Image, Mask, box_mean};
 
-/// Half width of the window in which neighbours are asked, as a share of the photo's diagonal; it is laid twice.
+/// Half width of the window of neighbours, as a share of the photo's diagonal; the box filter is applied twice.
 const AROUND: f32 = 0.008;
-/// Share of sky around an empty pixel from which it surely stands before the sky. Before a ground or a sea that no splat models
-/// emptiness says nothing.
+/// Share of sky around an empty pixel from which it surely stands before the sky. Before ground or sea without splats, an empty
+/// pixel is no evidence.
 const OPEN: f32 = 0.25;
-/// Splats around a pixel, as accumulated alpha, from which on they can speak for it.
+/// Least accumulated alpha of the splats around a pixel that can decide it.
 const SPEAK: f32 = 0.02;
 
-/// Completes what is believed of a photo's pixels where splats are lacking: `certainty` and `alpha`, as rendered, are one plane
-/// each. Gives back how much of each pixel is lacking, in [0, 1].
+/// Completes the prior of a photo's pixels where splats are missing: `certainty` and `alpha`, as rendered, are one plane
+/// each. Returns how much of each pixel is missing, in [0, 1].
 pub(crate) fn complete(certainty: &mut Image, alpha: &Image, sky: &Mask) -> Vec<f32> {
     let (w, h) = (certainty.width, certainty.height);
     let sky = sky.resized(w as u32, h as u32);
@@ -29,9 +29,9 @@ pub(crate) fn complete(certainty: &mut Image, alpha: &Image, sky: &Mask) -> Vec<
             if sky.index(i) || !known {
                 return 0.0;
             }
-            let lacking = (1.0 - alpha.data[i]).clamp(0.0, 1.0) * (open[i] / OPEN).min(1.0);
-            certainty.data[i] = (certainty.data[i] + lacking * (inside[i] / solid[i]).min(1.0)).min(1.0);
-            lacking
+            let missing = (1.0 - alpha.data[i]).clamp(0.0, 1.0) * (open[i] / OPEN).min(1.0);
+            certainty.data[i] = (certainty.data[i] + missing * (inside[i] / solid[i]).min(1.0)).min(1.0);
+            missing
         })
         .collect()
 }
@@ -42,7 +42,7 @@ mod tests {
 
     const SIZE: (usize, usize) = (240, 320);
 
-    fn picture(of: impl Fn(usize, usize) -> f32) -> Image {
+    fn plane(of: impl Fn(usize, usize) -> f32) -> Image {
         let data = (0..SIZE.0 * SIZE.1).map(|i| of(i % SIZE.0, i / SIZE.0)).collect();
         Image { width: SIZE.0, height: SIZE.1, channels: 1, data }
     }
@@ -65,9 +65,9 @@ mod tests {
 
     #[test]
     fn a_flame_that_no_splat_holds_belongs_to_the_arm_below_it() {
-        let (mut certainty, alpha) = (picture(|x, y| lit(arm(x, y))), picture(|x, y| lit(arm(x, y))));
-        let lacking = complete(&mut certainty, &alpha, &mask(|x, y| !arm(x, y) && !flame(x, y)));
-        for (i, (c, l)) in certainty.data.iter().zip(&lacking).enumerate() {
+        let (mut certainty, alpha) = (plane(|x, y| lit(arm(x, y))), plane(|x, y| lit(arm(x, y))));
+        let missing = complete(&mut certainty, &alpha, &mask(|x, y| !arm(x, y) && !flame(x, y)));
+        for (i, (c, l)) in certainty.data.iter().zip(&missing).enumerate() {
             let (x, y) = (i % SIZE.0, i / SIZE.0);
             if flame(x, y) {
                 assert!(*c > 0.5 && *l > 0.5, "{x} {y}: {c} {l}");
@@ -76,25 +76,25 @@ mod tests {
             }
         }
         // A part of something else stays something else.
-        let mut other = picture(|_, _| 0.0);
+        let mut other = plane(|_, _| 0.0);
         complete(&mut other, &alpha, &mask(|x, y| !arm(x, y) && !flame(x, y)));
         assert!(other.data.iter().all(|c| *c == 0.0));
     }
 
     #[test]
-    fn emptiness_before_a_ground_without_splats_says_nothing() {
-        let (told, alpha) = (picture(|x, y| lit(arm(x, y))), picture(|x, y| lit(arm(x, y))));
-        let mut certainty = told.clone();
-        let lacking = complete(&mut certainty, &alpha, &mask(|_, y| y < 40));
-        assert!(certainty == told && lacking.iter().all(|l| *l == 0.0));
+    fn an_empty_pixel_before_ground_without_splats_is_not_completed() {
+        let (before, alpha) = (plane(|x, y| lit(arm(x, y))), plane(|x, y| lit(arm(x, y))));
+        let mut certainty = before.clone();
+        let missing = complete(&mut certainty, &alpha, &mask(|_, y| y < 40));
+        assert!(certainty == before && missing.iter().all(|l| *l == 0.0));
     }
 
     #[test]
     fn what_is_no_number_completes_nothing() {
-        let mut alpha = picture(|x, y| lit(arm(x, y)));
+        let mut alpha = plane(|x, y| lit(arm(x, y)));
         alpha.data[170 * SIZE.0 + 120] = f32::NAN;
-        let mut certainty = picture(|x, y| lit(arm(x, y)));
-        let lacking = complete(&mut certainty, &alpha, &mask(|x, y| !arm(x, y) && !flame(x, y)));
-        assert!(certainty.data.iter().chain(&lacking).all(|v| v.is_finite()));
+        let mut certainty = plane(|x, y| lit(arm(x, y)));
+        let missing = complete(&mut certainty, &alpha, &mask(|x, y| !arm(x, y) && !flame(x, y)));
+        assert!(certainty.data.iter().chain(&missing).all(|v| v.is_finite()));
     }
 }

@@ -1,7 +1,7 @@
-//! What the looks cost on a scene: wall and CPU time of a training step, and of a picture in a photo's look that is kept, against
-//! one without looks.
+//! Cost of the appearance models on a scene: wall and CPU time of a training step, and of a render in a photo's light that is
+//! computed once, against a render without an appearance model.
 //!
-//! `look_cost SCENE [--steps N] [--size PX]`. The trainings take turns step by step, so that whatever else the machine does
+//! `appearance_cost SCENE [--steps N] [--size PX]`. The trainings take turns step by step, so that whatever else the machine does
 //! falls on all of them. CPU time is read from Linux's /proc.
 
 use segwild_raster::{Channels, CpuEngine, Engine};
@@ -22,7 +22,7 @@ fn cpu() -> f64 {
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut args = std::env::args().skip(1);
-    let path = PathBuf::from(args.next().ok_or("usage: look_cost SCENE [--steps N] [--size PX]")?);
+    let path = PathBuf::from(args.next().ok_or("usage: appearance_cost SCENE [--steps N] [--size PX]")?);
     let (mut steps, mut open) = (200u32, SceneSettings { size: 320, ..SceneSettings::default() });
     while let (Some(flag), Some(value)) = (args.next(), args.next()) {
         match flag.as_str() {
@@ -62,7 +62,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let [wall, cpu] = spent.map(|ms| ms / f64::from(steps - steps / 2));
         println!("{appearance}: {wall:.1} ms a step, {cpu:.1} ms CPU, {splats} splats");
     }
-    const PICTURES: usize = 200;
+    const RENDERS: usize = 200;
     for (appearance, trainer, ..) in &mut trainers {
         let model = trainer.snapshot()?;
         let view = *model.trained_on.first().ok_or("no photo was trained on")? as usize;
@@ -71,18 +71,18 @@ fn main() -> Result<(), Box<dyn Error>> {
         let lighting = model.light(Some(view)).into();
         let made = cpu() - began;
         let began = cpu();
-        for _ in 0..PICTURES {
+        for _ in 0..RENDERS {
             let projected = engine.project(&model.splats, &camera, &pose, &model.options())?;
             projected.blend(&Channels { count: 3, values: &projected.shade() }).unwrap();
         }
-        let plain = (cpu() - began) / PICTURES as f64;
+        let plain = (cpu() - began) / RENDERS as f64;
         let began = cpu();
-        for _ in 0..PICTURES {
+        for _ in 0..RENDERS {
             render_lit(&model, &*engine, &camera, &pose, &lighting)?;
         }
-        let lit = (cpu() - began) / PICTURES as f64;
+        let lit = (cpu() - began) / RENDERS as f64;
         println!(
-            "{appearance}: a look is made in {made:.0} ms CPU; plain picture {plain:.2} ms, in the look {lit:.2} ms"
+            "{appearance}: a photo's light is computed in {made:.0} ms CPU; plain render {plain:.2} ms, in that light {lit:.2} ms"
         );
     }
     Ok(())

@@ -1,4 +1,4 @@
-//! The trainer behind a mailbox: one order trains one scene, and what comes of it is sent on as it comes.
+//! The actor of the trainer: one order trains one scene, and its outcomes are sent on as they come.
 
 use crate::{Checkpoint, Model, Photos, TrainError, TrainSettings, Trainer};
 use segwild_flow::{Actor, Context, Failure, Message, Quarantined, Sender, fault};
@@ -25,8 +25,8 @@ pub struct TrainOrder {
     /// The step to stop after: fewer than `settings.steps` leaves the training to be continued, more goes on past
     /// the end of the schedules at their last rates.
     pub until: u32,
-    /// Finds where an interrupted training goes on from. Asked at each attempt, so that one after a panic goes on from
-    /// what the attempt before has left.
+    /// Finds the checkpoint that an interrupted training continues from. Called at each attempt, so that one after a panic
+    /// continues from the last checkpoint of the attempt before.
     pub checkpoint: Arc<FindCheckpoint>,
     /// Time between checkpoints.
     pub checkpoint_every: Duration,
@@ -42,17 +42,17 @@ impl Message for TrainOrder {
     }
 }
 
-/// What the trainer sends on.
+/// What the trainer sends to its consumer.
 #[derive(Clone)]
 pub enum TrainOutcome {
-    /// At the start, and again where it begins anew after a panic.
+    /// At the start, and again where it starts again after a panic.
     Began {
         /// The step it goes on from; 0 without a checkpoint.
         step: u32,
-        /// The photos in the order in which it will look at them, each at least once.
+        /// The photos in the order of the coming steps, each at least once.
         upcoming: Vec<usize>,
     },
-    /// How it goes, every few steps.
+    /// Means of the last steps, every few steps.
     Progress {
         /// Steps done.
         step: u32,
@@ -69,7 +69,7 @@ pub enum TrainOutcome {
     Snapshot(Arc<Model>),
     /// Where to continue from.
     Checkpoint(Arc<Checkpoint>),
-    /// The step asked for is reached, and the training is not over; its checkpoint was sent before.
+    /// The requested step is reached, and the training is not over; its checkpoint was sent before.
     Paused(u32),
     /// The trained scene, and photos that turned out not to be usable.
     Done(Arc<Model>, Vec<Skipped>),
@@ -111,16 +111,17 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
         let initial_transient_share = trainer.initial_transient_share();
         if initial_transient_share > 0.0 {
             let share = 100.0 * initial_transient_share;
-            let said =
-                format!("{share:.0} % of what the photos show is in no other: left out from the start");
-            context.events().info(Some("geometry"), said);
-        }
-        let between = trainer.between();
-        if between > 0 {
-            let said = format!(
-                "{between} points that photos agree on start splats between those of the reconstruction"
+            let message = format!(
+                "{share:.0} % of the photos' pixels are initial transients, which no other photo shows: left out from the start"
             );
-            context.events().info(Some("geometry"), said);
+            context.events().info(Some("geometry"), message);
+        }
+        let stereo_points = trainer.stereo_count();
+        if stereo_points > 0 {
+            let message = format!(
+                "{stereo_points} points that photos agree on start splats between those of the reconstruction"
+            );
+            context.events().info(Some("geometry"), message);
         }
         self.send(TrainOutcome::Began { step: trainer.steps_done(), upcoming: trainer.upcoming() })?;
         let mut saved = Instant::now();
@@ -141,8 +142,8 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
             if step.step == order.settings.snapshot_step() {
                 self.send(TrainOutcome::Snapshot(Arc::new(trainer.snapshot().map_err(Failure::fatal)?)))?;
             }
-            // With a report, so that who goes on from here reports over the same steps as who never stopped. The
-            // last one is there to go on from later, with more steps.
+            // With a report, so that a continued training reports over the same steps as one that never stopped. The
+            // last checkpoint allows continued training later, with more steps.
             if last || step.step % REPORT_EVERY == 0 && saved.elapsed() >= order.checkpoint_every {
                 self.send(TrainOutcome::Checkpoint(Arc::new(trainer.checkpoint().map_err(Failure::fatal)?)))?;
                 saved = Instant::now();
@@ -170,7 +171,7 @@ impl<O: Message + From<TrainOutcome>> Actor for TrainActor<O> {
         done
     }
 
-    /// Told when no further attempt follows.
+    /// Called when no further attempt follows.
     fn on_quarantine(
         &mut self,
         _: Option<TrainOrder>,

@@ -1,7 +1,7 @@
-//! How each photo's colours differ from the scene's: fits for the affine rung (method, section 3).
+//! Appearance of the photos: how each photo's colours differ from the scene's, and fits of it (method, section 3).
 
 use crate::background::solve;
-use crate::photos::{Level, Stored};
+use crate::photos::{PhotoLevel, Stored};
 use crate::posed::{Posed, colour_pairs};
 use crate::{AppearanceModel, TrainSettings};
 use segwild_raster::{
@@ -12,16 +12,16 @@ use segwild_scene::{Camera, Pose};
 use std::sync::Arc;
 
 /// A colour matrix with offset, row-major 3 x 4: `c' = M (c, 1)`.
-pub(crate) type Affine = [f32; 12];
+pub(crate) type AffineColour = [f32; 12];
 
-/// The look that changes nothing.
-pub(crate) const IDENTITY: Affine = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
+/// The appearance that changes nothing.
+pub(crate) const IDENTITY: AffineColour = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
 
-/// Looks for `views` photos, and one more, at index `views`: the mean look, in which the scene is shown when
-/// no photo is named.
-pub(crate) fn begin(settings: &TrainSettings, views: usize) -> AnyAppearance {
+/// Initial appearances of `views` photos, and one more, at index `views`: the mean appearance, in which the scene is rendered
+/// when no photo is named.
+pub(crate) fn initial(settings: &TrainSettings, views: usize) -> AnyAppearance {
     match settings.appearance_model {
-        // `auto` comes to no training: the settings are checked first.
+        // No training runs with `auto`: the settings are checked first.
         AppearanceModel::None | AppearanceModel::Auto => AnyAppearance::None(NoAppearance),
         AppearanceModel::Affine => {
             let mut appearance = AffineAppearance::new(views + 1);
@@ -43,7 +43,7 @@ pub(crate) fn begin(settings: &TrainSettings, views: usize) -> AnyAppearance {
     }
 }
 
-/// Starts a photo's look from what its points show.
+/// Initialises a photo's appearance from the colours of its points in the photo.
 pub(crate) fn start(appearance: &mut AnyAppearance, view: usize, seen: &Posed, stored: &Stored) {
     let pairs = colour_pairs(seen, stored);
     let fitted = || fit(pairs.iter().map(|(a, b)| (*a, 1.0, *b, 1.0)));
@@ -62,10 +62,10 @@ pub(crate) fn start(appearance: &mut AnyAppearance, view: usize, seen: &Posed, s
     }
 }
 
-/// The photo as the network of `appearance` sees it, where it is `open`.
+/// The conditioning of the network of `appearance` on a photo, over the pixels that are `open`.
 pub(crate) fn image_conditioning(
     appearance: &GswAppearance,
-    photo: &Level,
+    photo: &PhotoLevel,
     camera: &Camera,
     pose: &Pose,
     open: impl Fn(usize) -> bool,
@@ -74,7 +74,7 @@ pub(crate) fn image_conditioning(
     appearance.image_conditioning((photo.width, photo.height), camera, pose, colour)
 }
 
-/// Sets the look past the last photo's to the mean of these photos' looks.
+/// Sets the appearance at index `past`, after the last photo's, to the mean over these photos.
 pub(crate) fn set_mean(
     appearance: &mut AnyAppearance,
     past: usize,
@@ -102,19 +102,19 @@ fn set_mean_vector(embed: &mut EmbedAppearance, past: usize, known: impl Iterato
     embed.set_vector(past, vector);
 }
 
-/// What a view's look does to the blended image, and so to what is behind the splats.
-pub(crate) fn matrix(appearance: &AnyAppearance, view: usize) -> Affine {
+/// The colour matrix of a view that acts on the blended image, and so on the background as well.
+pub(crate) fn matrix(appearance: &AnyAppearance, view: usize) -> AffineColour {
     match appearance {
-        // Acts on the splats alone: what is behind them has the photo's colours already.
+        // Acts on the splats alone: the background has the photo's colours already.
         AnyAppearance::None(_) | AnyAppearance::Embed(_) | AnyAppearance::Gsw(_) => IDENTITY,
         AnyAppearance::Affine(affine) => affine.matrix(view),
     }
 }
 
-/// The look that maps scene colours (premultiplied, with their alpha) to photo colours, by least squares
-/// that prefers the identity; entries are (scene colour, alpha, photo colour, weight). Twice refitted with
+/// The colour matrix that maps scene colours (premultiplied, with their alpha) to photo colours, by least squares
+/// with a ridge towards the identity; entries are (scene colour, alpha, photo colour, weight). Twice refitted with
 /// less weight on what does not fit, so that a transient in the photo does not tint it.
-pub(crate) fn fit(pairs: impl Iterator<Item = ([f32; 3], f32, [f32; 3], f32)> + Clone) -> Affine {
+pub(crate) fn fit(pairs: impl Iterator<Item = ([f32; 3], f32, [f32; 3], f32)> + Clone) -> AffineColour {
     let mut appearance = IDENTITY;
     for round in 0..3 {
         let mut ata = [[0.0f64; 4]; 4];
@@ -156,24 +156,24 @@ pub(crate) fn fit(pairs: impl Iterator<Item = ([f32; 3], f32, [f32; 3], f32)> + 
     appearance
 }
 
-/// A pixel whose light is to be found.
+/// A pixel in the fit of an appearance.
 #[derive(Clone, Copy)]
-pub(crate) struct Lit {
+pub(crate) struct LitPixel {
     /// The scene's colour, premultiplied, and its alpha.
     pub scene: [f32; 3],
     pub alpha: f32,
-    /// The blended codes, `[channel][rank]`.
+    /// The blended per-splat appearance embeddings, `[channel][rank]`.
     pub light: [f32; 3 * RANK],
-    /// What the photo shows, without what is behind the scene.
+    /// The photo's colour without the background's share.
     pub seen: [f32; 3],
 }
 
-/// Residual at which a pixel's say is halved, and what a pixel is taken to be wrong by.
-const DOUBT: f32 = 0.08;
-/// Neighbouring pixels are wrong together: so many of them say what one would.
+/// Residual at which a pixel's weight is halved, and the standard deviation assumed for a pixel.
+const RESIDUAL_SCALE: f32 = 0.08;
+/// Errors of neighbouring pixels are correlated: so many of them count as one.
 const TOGETHER: f64 = 30.0;
 
-/// Rows of a look per channel, by least squares that prefers `usual` rows, as far as `variance` says how usual they are:
+/// Rows of an appearance per channel, by least squares with a Gaussian prior of mean `usual` and variance `variance`:
 /// `seen` is to be the product of row and `x(pixel, channel)`. Refitted with less weight on what does not fit, so that
 /// a transient in the photo does not tint it.
 fn fit_rows<const N: usize, P>(
@@ -191,7 +191,7 @@ fn fit_rows<const N: usize, P>(
             let (x, seen) = ([x(&pixel, 0), x(&pixel, 1), x(&pixel, 2)], seen(&pixel));
             let shown = |c: usize| -> f32 { x[c].iter().zip(rows[c]).map(|(x, m)| x * m).sum() };
             let off = (0..3).map(|c| (shown(c) - seen[c]).abs()).sum::<f32>() / 3.0;
-            let w = if round == 0 { 1.0 } else { 1.0 / (1.0 + (off / DOUBT).powi(2)) };
+            let w = if round == 0 { 1.0 } else { 1.0 / (1.0 + (off / RESIDUAL_SCALE).powi(2)) };
             if !w.is_finite() {
                 continue;
             }
@@ -207,7 +207,7 @@ fn fit_rows<const N: usize, P>(
         }
         for c in 0..3 {
             for i in 0..N {
-                let ridge = f64::from(DOUBT).powi(2) * TOGETHER / variance[c][i].max(1e-8);
+                let ridge = f64::from(RESIDUAL_SCALE).powi(2) * TOGETHER / variance[c][i].max(1e-8);
                 ata[c][i][i] += ridge;
                 atb[c][i][0] += ridge * usual[c][i];
                 for j in 0..i {
@@ -220,7 +220,7 @@ fn fit_rows<const N: usize, P>(
     rows
 }
 
-/// Mean and variance over the photos of what `row` says of each.
+/// Mean and variance of `row` over the photos: the prior of an appearance.
 fn usual<const N: usize>(
     photos: &[u32],
     row: impl Fn(usize, usize) -> [f64; N],
@@ -238,11 +238,11 @@ fn usual<const N: usize>(
     (mean, variance)
 }
 
-/// Unknowns per channel of the look `embed`.
+/// Unknowns per channel of the appearance model `embed`.
 const EMBED: usize = 4 + RANK;
 
-/// What a channel of the look `embed` multiplies its unknowns with.
-fn embed_x(pixel: &Lit, c: usize) -> [f32; EMBED] {
+/// The factors of the unknowns in a channel of the appearance model `embed`.
+fn embed_x(pixel: &LitPixel, c: usize) -> [f32; EMBED] {
     std::array::from_fn(|i| match i {
         0..3 => pixel.scene[i],
         3 => pixel.alpha,
@@ -255,7 +255,7 @@ fn embed_row(appearance: &EmbedAppearance, view: usize, c: usize) -> [f64; EMBED
     std::array::from_fn(|i| f64::from(if i < 4 { matrix[4 * c + i] } else { vector[c * RANK + i - 4] }))
 }
 
-/// A look of one photo, at index 0, of rows that begin with those of the look `embed`.
+/// The `embed` appearance of one photo, at index 0, from rows that start with its unknowns.
 fn embed_of<const N: usize>(rows: &[[f32; N]; 3]) -> EmbedAppearance {
     let mut fitted = EmbedAppearance::new(1, 0);
     fitted.set_matrix(0, std::array::from_fn(|i| rows[i / 4][i % 4]));
@@ -263,26 +263,26 @@ fn embed_of<const N: usize>(rows: &[[f32; N]; 3]) -> EmbedAppearance {
     fitted
 }
 
-/// The look of one photo that was not trained on, by least squares that prefers the identity and vectors such as the
-/// trained photos have. A look of one photo, at index 0.
+/// The appearance of one photo that was not trained on, at index 0: least squares with the trained photos' mean and
+/// variance as prior.
 pub(crate) fn fit_embed(
     trained: &EmbedAppearance,
     photos: &[u32],
-    pixels: impl Iterator<Item = Lit> + Clone,
+    pixels: impl Iterator<Item = LitPixel> + Clone,
 ) -> EmbedAppearance {
     let (mean, variance) = usual(photos, |view, c| embed_row(trained, view, c));
     embed_of(&fit_rows(&mean, &variance, pixels, embed_x, |pixel| pixel.seen))
 }
 
-/// How far the last layer of the colour head may go for one photo.
+/// Standard deviation by which the last layer of the colour head may change for one photo.
 const FREEDOM: f64 = 0.05;
 
-/// The look of one photo that was not trained on: of the rung below, as [`fit_embed`], and the last layer of the colour
-/// head, near to as it was trained. `pixels` tell, too, what the head has before that layer.
+/// The appearance of one photo that was not trained on: its `embed` part as in [`fit_embed`], and the last layer of the colour
+/// head, with the trained layer as prior. `pixels` also hold the head's activations before that layer.
 pub(crate) fn fit_gsw(
     trained: &GswAppearance,
     photos: &[u32],
-    pixels: impl Iterator<Item = (Lit, [f32; HIDDEN_LAYER])> + Clone,
+    pixels: impl Iterator<Item = (LitPixel, [f32; HIDDEN_LAYER])> + Clone,
 ) -> (EmbedAppearance, Vec<f32>) {
     const UNKNOWN: usize = EMBED + HIDDEN_LAYER;
     let layer = trained.layer();
@@ -295,9 +295,9 @@ pub(crate) fn fit_gsw(
         mean[c][3] += f64::from(layer[3 * HIDDEN_LAYER + c]);
         (0..HIDDEN_LAYER).for_each(|k| mean[c][EMBED + k] = f64::from(layer[3 * k + c]));
     }
-    let x = |(pixel, hidden): &(Lit, [f32; HIDDEN_LAYER]), c: usize| -> [f32; UNKNOWN] {
+    let x = |(pixel, activations): &(LitPixel, [f32; HIDDEN_LAYER]), c: usize| -> [f32; UNKNOWN] {
         let below = embed_x(pixel, c);
-        std::array::from_fn(|i| if i < EMBED { below[i] } else { hidden[i - EMBED] })
+        std::array::from_fn(|i| if i < EMBED { below[i] } else { activations[i - EMBED] })
     };
     let rows = fit_rows(&mean, &variance, pixels, x, |(pixel, _)| pixel.seen);
     let mut layer = vec![0.0; layer.len()];
@@ -307,12 +307,12 @@ pub(crate) fn fit_gsw(
     (embed_of(&rows), layer)
 }
 
-fn dot(appearance: &Affine, row: usize, x: &[f32; 4]) -> f32 {
+fn dot(appearance: &AffineColour, row: usize, x: &[f32; 4]) -> f32 {
     (0..4).map(|k| appearance[4 * row + k] * x[k]).sum()
 }
 
-/// The mean of several looks; the identity when there is none.
-pub(crate) fn mean<'a>(of: impl IntoIterator<Item = &'a Affine>) -> Affine {
+/// The mean of several colour matrices; the identity when there is none.
+pub(crate) fn mean<'a>(of: impl IntoIterator<Item = &'a AffineColour>) -> AffineColour {
     let (mut sum, mut n) = ([0.0f32; 12], 0);
     for appearance in of {
         n += 1;
@@ -323,9 +323,9 @@ pub(crate) fn mean<'a>(of: impl IntoIterator<Item = &'a Affine>) -> Affine {
     if n == 0 { IDENTITY } else { sum.map(|s| s / n as f32) }
 }
 
-/// The colours that a look turns into `colour`; the least-squares ones nearest to `colour` where the look
-/// loses some.
-pub(crate) fn undo(appearance: &Affine, colours: &[[f32; 3]]) -> Vec<[f32; 3]> {
+/// The colours that a colour matrix turns into `colours`; where the matrix is singular, the least-squares ones nearest to
+/// `colours`.
+pub(crate) fn undo(appearance: &AffineColour, colours: &[[f32; 3]]) -> Vec<[f32; 3]> {
     const RIDGE: f64 = 1e-3;
     let m = |r: usize, c: usize| f64::from(appearance[4 * r + c]);
     let mut ata = [[0.0f64; 3]; 3];
@@ -356,30 +356,30 @@ mod tests {
     use super::*;
     use segwild_scene::Random;
 
-    const LOOK: Affine = [0.8, 0.1, 0.0, 0.05, 0.0, 1.1, -0.1, 0.0, 0.1, 0.0, 0.6, 0.2];
+    const MATRIX: AffineColour = [0.8, 0.1, 0.0, 0.05, 0.0, 1.1, -0.1, 0.0, 0.1, 0.0, 0.6, 0.2];
 
     #[test]
-    fn a_look_is_found_despite_transients_and_can_be_undone() {
+    fn a_colour_matrix_is_found_despite_transients_and_can_be_undone() {
         let mut r = Random::new(3);
         let pairs: Vec<([f32; 3], f32, [f32; 3], f32)> = (0..600)
             .map(|i| {
                 let c = [r.uniform(), r.uniform(), r.uniform()];
                 let x = [c[0], c[1], c[2], 1.0];
-                let seen = [0, 1, 2].map(|k| dot(&LOOK, k, &x));
+                let seen = [0, 1, 2].map(|k| dot(&MATRIX, k, &x));
                 (c, 1.0, if i % 7 == 0 { [0.9, 0.0, 0.0] } else { seen }, 1.0)
             })
             .collect();
         let found = fit(pairs.iter().copied());
         for k in 0..12 {
-            assert!((found[k] - LOOK[k]).abs() < 0.05, "{k}: {} {}", found[k], LOOK[k]);
+            assert!((found[k] - MATRIX[k]).abs() < 0.05, "{k}: {} {}", found[k], MATRIX[k]);
         }
         let shown = [[0.3, 0.4, 0.5], [0.1, 0.0, -0.2]];
-        let back = undo(&LOOK, &shown);
+        let back = undo(&MATRIX, &shown);
         for k in 0..2 {
             let x = [back[k][0], back[k][1], back[k][2], if k == 0 { 1.0 } else { 0.0 }];
-            assert!((0..3).all(|c| (dot(&LOOK, c, &x) - shown[k][c]).abs() < 0.01));
+            assert!((0..3).all(|c| (dot(&MATRIX, c, &x) - shown[k][c]).abs() < 0.01));
         }
-        // Nothing known: nothing changed. A look that shows everything grey can be undone to something finite.
+        // Without data the identity. A matrix that makes everything black is undone to finite values.
         assert_eq!(fit(std::iter::empty()), IDENTITY);
         assert!(undo(&[0.0; 12], &shown).iter().flatten().all(|v| v.is_finite()));
     }

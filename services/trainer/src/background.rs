@@ -1,12 +1,12 @@
-//! What is seen behind the splats: a colour, or a smooth sky, per photo.
+//! The background of a photo: one colour, or a smooth sky.
 
-use crate::appearances::Affine;
+use crate::appearances::AffineColour;
 use glam::Vec3;
 use segwild_raster::compare::{self, BASES, ColourSums, Seen, SkySums};
 use segwild_scene::{Camera, Image, Pose};
 use wincode::{SchemaRead, SchemaWrite};
 
-/// Colour behind the splats as a function of the world direction: spherical harmonics of order 0 (one
+/// Background colour as a function of the world direction: spherical harmonics of order 0 (one
 /// entry, a constant) or 2 (nine entries), each r, g, b.
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
 pub struct Background {
@@ -14,10 +14,10 @@ pub struct Background {
     pub coefficients: Vec<[f32; 3]>,
 }
 
-/// Weight of the mean colour all around, as a share of the weight of what was seen, where the whole photo tells of its sky.
+/// Weight of the mean colour all around, as a share of the weight of the pixels, where the whole photo is fitted.
 /// Five times as much flattens real skies: `liberty` loses .3 dB.
 pub(crate) const PRIOR: f64 = 0.01;
-/// The same where half of a photo tells, and the other half is to be shown.
+/// The same where half of a photo is fitted, and the other half is rendered.
 pub(crate) const PRIOR_OF_HALF: f64 = 0.02;
 
 impl Background {
@@ -26,8 +26,8 @@ impl Background {
         Background { coefficients: vec![colour] }
     }
 
-    /// Fits a smooth background to what the pixels of a photo say, by least squares. Directions that none of them tells of
-    /// are held to the mean colour, with `prior` of the weight of what was seen. `None` when the weights of the pixels
+    /// Fits a smooth background to the pixels of a photo, by least squares. Directions without pixels
+    /// are held to the mean colour, with `prior` of the pixels' weight. `None` when the weights of the pixels
     /// are less than 1 in 500 of them.
     pub(crate) fn fit(mut sums: SkySums, prior: f64) -> Option<Background> {
         if sums.total * 500.0 < sums.looked || sums.total == 0.0 {
@@ -49,7 +49,7 @@ impl Background {
         Some(Background { coefficients })
     }
 
-    /// Learns from what a photo shows. A sky is refitted, a quarter of the way per visit. One colour moves towards that which
+    /// Learns from a photo. A sky is refitted, a quarter of the way per visit. One colour moves towards that which
     /// fits best behind the splats: least squares in closed form, half of the way per visit.
     pub(crate) fn learn(&mut self, seen: &Seen) {
         match seen {
@@ -95,8 +95,8 @@ impl Background {
         Background { coefficients: sum.iter().map(|s| s.map(|v| v / n as f32)).collect() }
     }
 
-    /// The background that a look turns into this one.
-    pub(crate) fn before(&self, appearance: &Affine) -> Background {
+    /// The background that a colour matrix turns into this one.
+    pub(crate) fn before(&self, appearance: &AffineColour) -> Background {
         Background { coefficients: crate::appearances::undo(appearance, &self.coefficients) }
     }
 
@@ -175,18 +175,18 @@ mod tests {
         assert!(fit.colour(Vec3::new(0.0, 1.0, 0.0)).iter().all(|v| (0.0..=1.0).contains(v)));
     }
 
-    /// What a photo shows behind a scene that its look makes so much darker.
+    /// The sky of a photo whose appearance makes the scene much darker.
     #[test]
-    fn a_bright_sky_behind_a_dark_statue_keeps_its_colour() {
+    fn a_bright_sky_around_a_dark_statue_keeps_its_colour() {
         let (camera, pose) = camera();
         let sky = |d: Vec3| [0.95, 0.7 - 0.2 * d.y, 0.6 + 0.1 * d.x];
         let seen = |i: usize| Some((sky(direction(&camera, &pose, i % 40, i / 40)), 1.0));
         let background = Background::fit(SkySums::of(&camera, &pose, 1, seen), PRIOR).unwrap();
         for gain in [0.5, 0.25, 0.12] {
             let appearance = [gain, 0.0, 0.0, 0.0, 0.0, gain, 0.0, 0.02, 0.0, 0.0, 0.8 * gain, 0.0];
-            let behind = background.before(&appearance).paint(&camera, &pose);
+            let image = background.before(&appearance).paint(&camera, &pose);
             for i in 0..1200 {
-                let x = [behind.data[i], behind.data[1200 + i], behind.data[2400 + i], 1.0];
+                let x = [image.data[i], image.data[1200 + i], image.data[2400 + i], 1.0];
                 let wanted = seen(i).unwrap().0;
                 for c in 0..3 {
                     let shown: f32 = (0..4).map(|k| appearance[4 * c + k] * x[k]).sum();

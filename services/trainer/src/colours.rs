@@ -1,31 +1,31 @@
 //! Colours for points that come without any ([`Scene::colourless`]), from the photos that show them.
 //!
 //! A point's colour is the median over at most [`SIGHTINGS`] training photos: those of its track or, where the file gives no
-//! tracks, those before which no other point stands. A point that no photo shows is grey.
+//! tracks, those in which no other point occludes it. A point that no photo shows is grey.
 
 use crate::TrainError;
-use crate::photos::{PhotoCache, Stored};
+use crate::photos::{Stored, TrainPhotoCache};
 use rayon::prelude::*;
 use segwild_scene::{Camera, DARKEST, NEAR, Pose, Scene};
 use std::borrow::Cow;
 
 /// Photos that a point is looked up in, at most.
 const SIGHTINGS: usize = 9;
-/// Cells along the long side of a photo in which the nearest point hides those behind it.
+/// Cells along the long side of a photo in which the nearest point occludes those behind it.
 const CELLS: f32 = 48.0;
-/// How much farther than the nearest point of its cell a point may lie and still be seen.
-const BEHIND: f32 = 1.1;
-/// The colour of what no photo shows.
+/// Depth, as a multiple of that of the nearest point of its cell, beyond which a point counts as occluded.
+const OCCLUDED: f32 = 1.1;
+/// The colour of a point that no photo shows.
 const GREY: [f32; 3] = [0.5; 3];
 
 /// The colours that photos show of one point, a byte per value.
 #[derive(Clone, Copy, Default)]
-struct Seen {
+struct PointColours {
     count: u8,
     colours: [[u8; 3]; SIGHTINGS],
 }
 
-impl Seen {
+impl PointColours {
     fn add(&mut self, colour: [f32; 3]) {
         if let Some(free) = self.colours.get_mut(usize::from(self.count)) {
             *free = colour.map(|c| (c * 255.0 + 0.5) as u8);
@@ -54,11 +54,11 @@ impl Seen {
 /// The scene with a colour for every point; itself where its points have one. `stopping` ends the work.
 pub(crate) fn coloured<'a>(
     scene: &'a Scene,
-    photos: &mut PhotoCache,
+    photos: &mut TrainPhotoCache,
     stopping: &dyn Fn() -> bool,
 ) -> Result<Cow<'a, Scene>, TrainError> {
     let Some(none) = scene.colourless() else { return Ok(Cow::Borrowed(scene)) };
-    let mut seen = vec![Seen::default(); scene.points.len()];
+    let mut seen = vec![PointColours::default(); scene.points.len()];
     let wanted: Vec<bool> = scene.points.iter().map(|p| p.colour == none).collect();
     let tracked = tracked(scene, &wanted);
     let untracked: Vec<usize> =
@@ -71,13 +71,13 @@ pub(crate) fn coloured<'a>(
         let Some(stored) = photos.usable(view)? else { continue };
         let camera = &scene.views[view].camera;
         for &(point, pixel) in &tracked[view] {
-            look_up(&mut seen[point as usize], &stored, camera, pixel);
+            sample_colour(&mut seen[point as usize], &stored, camera, pixel);
         }
         if untracked.iter().any(|&i| !seen[i].is_full()) {
-            let pixels = unhidden(scene, camera, &scene.views[view].pose);
+            let pixels = unoccluded(scene, camera, &scene.views[view].pose);
             for &i in &untracked {
                 if let Some(pixel) = pixels[i] {
-                    look_up(&mut seen[i], &stored, camera, pixel);
+                    sample_colour(&mut seen[i], &stored, camera, pixel);
                 }
             }
         }
@@ -111,8 +111,8 @@ fn tracked(scene: &Scene, wanted: &[bool]) -> Vec<Vec<(u32, [f32; 2])>> {
     of_view
 }
 
-/// Adds what a photo shows at a pixel of its full size, unless that is masked or sky.
-fn look_up(seen: &mut Seen, stored: &Stored, camera: &Camera, pixel: [f32; 2]) {
+/// Adds the photo's colour at a pixel of its full size, unless that is masked or sky.
+fn sample_colour(seen: &mut PointColours, stored: &Stored, camera: &Camera, pixel: [f32; 2]) {
     let (_, photo) = stored.level(1);
     let at = |p: f32, full: u32, side: usize| ((p / full as f32 * side as f32) as usize).min(side - 1);
     let (x, y) = (at(pixel[0], camera.width, photo.width), at(pixel[1], camera.height, photo.height));
@@ -122,8 +122,8 @@ fn look_up(seen: &mut Seen, stored: &Stored, camera: &Camera, pixel: [f32; 2]) {
     }
 }
 
-/// Per point, its pixel in a view, if it lies in the frame and no other point stands before it.
-fn unhidden(scene: &Scene, camera: &Camera, pose: &Pose) -> Vec<Option<[f32; 2]>> {
+/// Per point, its pixel in a view, if it lies in the frame and no other point occludes it.
+fn unoccluded(scene: &Scene, camera: &Camera, pose: &Pose) -> Vec<Option<[f32; 2]>> {
     let size = camera.width.max(camera.height) as f32 / CELLS;
     let columns = (camera.width as f32 / size) as usize + 1;
     let cell = |pixel: glam::Vec2| (pixel.y / size) as usize * columns + (pixel.x / size) as usize;
@@ -142,7 +142,7 @@ fn unhidden(scene: &Scene, camera: &Camera, pose: &Pose) -> Vec<Option<[f32; 2]>
         let least = &mut nearest[cell(pixel)];
         *least = least.min(z);
     }
-    let open = |&(pixel, z): &(glam::Vec2, f32)| z <= BEHIND * nearest[cell(pixel)];
+    let open = |&(pixel, z): &(glam::Vec2, f32)| z <= OCCLUDED * nearest[cell(pixel)];
     lies.into_iter().map(|at| at.filter(open).map(|(pixel, _)| pixel.to_array())).collect()
 }
 
@@ -185,7 +185,7 @@ mod tests {
     }
 
     /// Photos of one colour each; the third cannot be read.
-    fn photos(views: usize) -> PhotoCache {
+    fn photos(views: usize) -> TrainPhotoCache {
         let of = |view: usize| match view {
             2 => Err("it is broken".to_owned()),
             _ => {
@@ -193,7 +193,7 @@ mod tests {
                 Ok(TrainPhoto { image, valid: None, sky: None, transients: None })
             }
         };
-        PhotoCache::new(Arc::new(of), (0..views).map(|i| i.to_string()).collect(), 1 << 20)
+        TrainPhotoCache::new(Arc::new(of), (0..views).map(|i| i.to_string()).collect(), 1 << 20)
     }
 
     #[test]
@@ -207,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn points_without_tracks_are_looked_up_where_nothing_hides_them() {
+    fn points_without_tracks_take_colours_where_nothing_occludes_them() {
         let points = vec![
             point(Vec3::ZERO, [DARKEST; 3], &[]),
             point(Vec3::new(0.0, 0.0, 3.0), [DARKEST; 3], &[]),
@@ -225,7 +225,7 @@ mod tests {
         let points = (0..20).map(|i| point(Vec3::ZERO, [0.04 * i as f32; 3], &[2])).collect();
         let scene = scene(points, 3);
         let refuse = |_: usize| -> Result<TrainPhoto, String> { panic!("no photo is needed") };
-        let mut photos = PhotoCache::new(Arc::new(refuse), vec![String::new(); 3], 1 << 20);
+        let mut photos = TrainPhotoCache::new(Arc::new(refuse), vec![String::new(); 3], 1 << 20);
         assert!(matches!(coloured(&scene, &mut photos, &|| false), Ok(Cow::Borrowed(_))));
     }
 }

@@ -1,11 +1,11 @@
 //! Quality on photos that were held out (method, sections 3 and 10).
 
 use crate::TrainError;
-use crate::appearances::{self, Lit};
+use crate::appearances::{self, LitPixel};
 use crate::background::{Background, PRIOR_OF_HALF};
 use crate::light::directions;
 use crate::model::{Model, compose};
-use crate::photos::{Level, PhotoCache, Photos, Stored};
+use crate::photos::{PhotoLevel, Photos, Stored, TrainPhotoCache};
 use segwild_raster::compare::SkySums;
 use segwild_raster::{
     AffineAppearance, AnyAppearance, Appearance, Channels, Engine, HIDDEN_LAYER, RANK, psnr, ssim,
@@ -18,7 +18,7 @@ use std::sync::Arc;
 pub enum Protocol {
     /// The whole photo, with no appearance fitted to it.
     Plain,
-    /// The look is fitted on the left half, the right half is scored (the official protocol of in-the-wild
+    /// The appearance is fitted on the left half, the right half is scored (the official protocol of in-the-wild
     /// scenes).
     Halves,
 }
@@ -59,7 +59,7 @@ pub fn evaluate(
     protocol: Protocol,
 ) -> Result<Evaluation, TrainError> {
     let names = scene.views.iter().map(|v| v.name.clone()).collect();
-    let mut cache = PhotoCache::new(photos, names, 0);
+    let mut cache = TrainPhotoCache::new(photos, names, 0);
     let mut out = Evaluation { views: Vec::new(), psnr: 0.0, ssim: 0.0, renders: Vec::new() };
     for &view in views {
         let stored = cache.get(view)?;
@@ -71,7 +71,7 @@ pub fn evaluate(
             Protocol::Halves => Some(&left),
         };
         let Unseen { shown: render, .. } =
-            draw_unseen(model, engine, &scene.views[view], &stored, 0, fitted)?;
+            render_unseen(model, engine, &scene.views[view], &stored, 0, fitted)?;
         let from = if protocol == Protocol::Halves { w / 2 } else { 0 };
         let (psnr, ssim) = score(&render, photo, |i| i % w >= from);
         out.views.push(ViewScore { view, name: scene.views[view].name.clone(), psnr, ssim });
@@ -84,7 +84,7 @@ pub fn evaluate(
 }
 
 /// PSNR in dB and SSIM of a render, over the photo's valid pixels `within`.
-pub(crate) fn score(render: &Image, photo: &Level, within: impl Fn(usize) -> bool) -> (f32, f32) {
+pub(crate) fn score(render: &Image, photo: &PhotoLevel, within: impl Fn(usize) -> bool) -> (f32, f32) {
     let scored = |i: usize| f32::from(u8::from(within(i) && photo.valid(i)));
     let data = (0..photo.pixels()).map(scored).collect();
     let mask = Image { width: photo.width, height: photo.height, channels: 1, data };
@@ -92,17 +92,17 @@ pub(crate) fn score(render: &Image, photo: &Level, within: impl Fn(usize) -> boo
     (psnr(render, &target, Some(&mask)), ssim(render, &target, Some(&mask)))
 }
 
-/// A photo that the scene was not trained on, as the scene would show it.
+/// The render from the camera of a photo that was not trained on.
 pub(crate) struct Unseen {
     /// sRGB in [0, 1].
     pub shown: Image,
-    /// How much of it is the scene's, and not what is behind.
+    /// Accumulated alpha: the share of the scene, not of the background.
     pub alpha: Image,
 }
 
-/// Draws one at a level of its size, in the look and before the sky that its pixels `fitted` have; in the mean look
+/// Renders one at a level of its size, with appearance and sky fitted to its pixels `fitted`; in the mean appearance
 /// where none are to be fitted.
-pub(crate) fn draw_unseen(
+pub(crate) fn render_unseen(
     model: &Model,
     engine: &dyn Engine,
     view: &View,
@@ -132,7 +132,7 @@ pub(crate) fn draw_unseen(
             let sky = Background::fit(SkySums::of(&camera, &pose, 2, seen), PRIOR_OF_HALF);
             background = sky.unwrap_or(background);
         }
-        let behind = background.paint(&camera, &pose);
+        let background_image = background.paint(&camera, &pose);
         let splat_embeddings = match &model.appearance {
             AnyAppearance::Embed(_) => blend(3 * RANK, &model.splat_embeddings)?.image,
             AnyAppearance::Gsw(appearance) => {
@@ -142,12 +142,12 @@ pub(crate) fn draw_unseen(
         };
         let lit = |(scene, alpha, seen, i): ([f32; 3], f32, [f32; 3], usize)| {
             let light = std::array::from_fn(|k| splat_embeddings.data[k * n + i]);
-            Lit { scene, alpha, light, seen }
+            LitPixel { scene, alpha, light, seen }
         };
         let pairs = (0..n).filter(|&i| within(i) && photo.counts(i)).map(|i| {
             let (c, alpha) = (photo.colour(i), frame.alpha.data[i]);
             let scene = [0, 1, 2].map(|k| frame.image.data[k * n + i]);
-            let seen = [0, 1, 2].map(|k| c[k] - (1.0 - alpha) * behind.data[k * n + i]);
+            let seen = [0, 1, 2].map(|k| c[k] - (1.0 - alpha) * background_image.data[k * n + i]);
             (scene, alpha, seen, i)
         });
         match &model.appearance {
@@ -165,7 +165,7 @@ pub(crate) fn draw_unseen(
                 (appearance, index) = (AnyAppearance::Embed(fitted), 0);
             }
             AnyAppearance::Gsw(trained) => {
-                // The network, too, sees no more than that.
+                // The network is conditioned on these pixels only, too.
                 let image_conditioning =
                     appearances::image_conditioning(trained, photo, &camera, &pose, within);
                 let light = trained.appearance_maps_of_conditioning(&image_conditioning);
@@ -174,11 +174,11 @@ pub(crate) fn draw_unseen(
                 let own = (&below, trained.layer());
                 let appearance_embedding =
                     trained.appearance_embedding_of(&[(&light, 1.0)], own, means, &model.splat_embeddings);
-                let hidden =
+                let activations =
                     blend(HIDDEN_LAYER, &trained.hidden_layer(&appearance_embedding, &direction))?.image;
                 let pixels = pairs.map(|pair| {
                     let i = pair.3;
-                    (lit(pair), std::array::from_fn(|k| hidden.data[k * n + i]))
+                    (lit(pair), std::array::from_fn(|k| activations.data[k * n + i]))
                 });
                 let (below, layer) = appearances::fit_gsw(trained, &model.trained_on, pixels);
                 let own = (&below.appearance_embedding(0, means, &model.splat_embeddings), layer.as_slice());

@@ -19,12 +19,12 @@ pub(crate) struct Initial {
 /// One training camera at the size trained at.
 pub(crate) type Eye = (Camera, Pose);
 
-/// Splats from the reconstruction's points and those found between them; from random ones where there are none.
+/// Splats from the reconstruction's points and those of `stereo` between them; from random ones where there are none.
 ///
 /// `eyes` has an entry for every view of the scene that is trained on.
 pub(crate) fn initial_splats(
     scene: &Scene,
-    between: &[Point],
+    stereo: &[Point],
     eyes: &[Option<Eye>],
     sh_degree: u32,
     cap: usize,
@@ -37,7 +37,7 @@ pub(crate) fn initial_splats(
     // Scene units per pixel at each point, from the nearest camera that saw it.
     let mut pixels: Vec<f32> = Vec::new();
     let mut lost = 0;
-    for point in scene.points.iter().chain(between) {
+    for point in scene.points.iter().chain(stereo) {
         let tracked = point.track.iter().filter_map(|o| eyes.get(o.view as usize)?.as_ref());
         let pixel = pixel_size(point.position, tracked)
             .or_else(|| pixel_size(point.position, cameras.iter().copied()))
@@ -54,7 +54,7 @@ pub(crate) fn initial_splats(
     if lost > 0 {
         warnings.push(format!(
             "{lost} of {} points lie before no training camera and are left out",
-            scene.points.len() + between.len()
+            scene.points.len() + stereo.len()
         ));
     }
     let mut distances = knn::nearest(&positions, 3).mean_distances();
@@ -157,7 +157,7 @@ fn drop_outliers(
     n - keep.len()
 }
 
-/// The point nearest to all optical axes; one extent ahead where they do not say.
+/// The point nearest to all optical axes; one extent ahead where they do not determine it.
 fn focus(eyes: &[&Eye]) -> Vec3 {
     let (mut a, mut b) = (Mat3::ZERO, Vec3::ZERO);
     let mut ahead = Vec3::ZERO;
@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn without_points_random_splats_stand_where_cameras_look() {
+    fn without_points_random_splats_stand_in_the_cameras_view() {
         for eyes in [vec![eye(0.0)], vec![eye(-0.5), None, eye(0.5), eye(0.0)]] {
             let start = initial_splats(&scene(vec![]), &[], &eyes, 1, 500, &mut Random::new(1));
             assert_eq!(start.splats.len(), 500);

@@ -1,12 +1,12 @@
-//! Who is a transient, before the training can take one for a part of the scene.
+//! Initial transients: found by cross-checking before the training, so that it cannot fit them as part of the scene.
 //!
-//! A training that looks at a photo learns what stands in it, transients too: trousers become a haze before the camera, a
-//! car a stain on the ground. What it has learnt no longer contradicts it. A training that has never seen the photo
-//! cannot be taken in that way, so the photos are dealt out to several short ones, each of which leaves its part out and
-//! says what it does not find there.
+//! A training on a photo fits all that the photo shows, transients too: trousers become a haze before the camera, a
+//! car a stain on the ground. What it has fitted no longer contradicts it. A training without the photo cannot fit its
+//! transients. So the photos are divided among several short trainings: each leaves its part out, and then marks the pixels
+//! of that part that contradict it.
 
-use crate::evaluate::{Unseen, draw_unseen};
-use crate::photos::{PhotoCache, Stored};
+use crate::evaluate::{Unseen, render_unseen};
+use crate::photos::{Stored, TrainPhotoCache};
 use crate::posed::Posed;
 use crate::{AppearanceModel, Model, TrainError, TrainSettings, Trainer};
 use segwild_raster::Engine;
@@ -18,20 +18,20 @@ use std::sync::Arc;
 const STEPS: (u32, u32, u32) = (10, 100, 400);
 /// Halvings of the photos.
 const FINEST: usize = 1;
-/// With fewer photos than this, what is left when some are left out tells nothing.
+/// With fewer photos than this, too few are left to train on when a part is left out.
 const FEW: usize = 20;
-/// Mean share of the photos from which it is used. With nobody in front .00 to .06 was found on five scenes, real and
+/// Mean share of the photos from which the result is used. Without transients .00 to .06 was found on five scenes, real and
 /// synthetic; with 10 % covered .13 to .14, where it neither helps nor harms; with 25 % .23, where it does help.
 const LEAST: f32 = 0.16;
 /// The smallest blob, as a part of the photo's long side to each side, and how much of it must contradict.
 const BLOB: usize = 24;
 const SOLID: f32 = 0.8;
 
-/// Per view, what other photos do not bear out; `None` where nothing is known.
+/// Per view, the pixels without multi-view support; `None` where nothing is known.
 pub(crate) fn initial_transients(
     engine: &Arc<dyn Engine>,
     scene: &Scene,
-    photos: &mut PhotoCache,
+    photos: &mut TrainPhotoCache,
     settings: &TrainSettings,
     stopping: &dyn Fn() -> bool,
 ) -> Result<Vec<Option<Mask>>, TrainError> {
@@ -56,11 +56,11 @@ pub(crate) fn initial_transients(
         let held: Vec<usize> = train.iter().copied().skip(part).step_by(parts).collect();
         let mut apart = scene.clone();
         held.iter().for_each(|&view| apart.views[view].test = true);
-        let begun = Trainer::begin(engine.clone(), &apart, photos.take(), short.clone(), FINEST, &[]);
-        let mut trainer = match begun {
-            // Too few can be read to leave any out; whether enough for the training is not for here to say.
+        let started = Trainer::start(engine.clone(), &apart, photos.take(), short.clone(), FINEST, &[]);
+        let mut trainer = match started {
+            // Too few can be read to leave any out; the training itself checks whether they are enough for it.
             Err(TrainError::NoPhotos(_)) => return Ok(vec![None; scene.views.len()]),
-            begun => begun?,
+            started => started?,
         };
         while !trainer.is_done() {
             if stopping() {
@@ -76,27 +76,27 @@ pub(crate) fn initial_transients(
         let model = trainer.snapshot()?;
         let posed = trainer.views;
         *photos = trainer.photos;
-        let there = engine.hold(&model.splats)?;
-        let drawing = there.as_deref().unwrap_or(&**engine);
+        let held_splats = engine.hold(&model.splats)?;
+        let renderer = held_splats.as_deref().unwrap_or(&**engine);
         for view in held {
             // One that cannot be read is named where it is trained on.
             if let Ok(stored) = photos.get(view) {
                 let (at, share) = (&scene.views[view], settings.robust_share);
-                found[view] = unknown(drawing, &model, at, &posed[view], &stored, share)?;
+                found[view] = unknown(renderer, &model, at, &posed[view], &stored, share)?;
             }
         }
     }
     Ok(if share(&found) < LEAST { vec![None; scene.views.len()] } else { found })
 }
 
-/// Mean share of the photos that is suspected, of those of which something is known; 0 of none.
+/// Mean share of initial transients, over the photos of which something is known; 0 of none.
 pub(crate) fn share(initial_transients: &[Option<Mask>]) -> f32 {
     let shares =
         initial_transients.iter().flatten().map(|m| m.count() as f32 / (m.width() * m.height()) as f32);
     shares.clone().sum::<f32>() / shares.count().max(1) as f32
 }
 
-/// What a photo shows that a scene trained without it does not.
+/// The pixels of a photo that contradict a scene trained without it.
 fn unknown(
     engine: &dyn Engine,
     model: &Model,
@@ -110,14 +110,14 @@ fn unknown(
     }
     let photo = stored.level(FINEST).1;
     let (w, n) = (photo.width, photo.pixels());
-    let Unseen { shown, alpha } = draw_unseen(model, engine, view, stored, FINEST, Some(&|_| true))?;
-    let mut residual = posed.doubted(&mean_difference(&shown, &photo.image()), photo);
-    // Where nothing was trained, nothing is said.
+    let Unseen { shown, alpha } = render_unseen(model, engine, view, stored, FINEST, Some(&|_| true))?;
+    let mut residual = posed.untrusted_residual(&mean_difference(&shown, &photo.image()), photo);
+    // Where the scene is empty, a residual is no evidence.
     residual.iter_mut().zip(&alpha.data).for_each(|(r, alpha)| *r *= alpha);
     let ratio = relative(&residual, w, |i| photo.counts(i), share);
     let over = |i: usize| f32::from(u8::from(photo.counts(i) && ratio[i] > INITIAL_TRANSIENT));
     let over: Vec<f32> = (0..n).map(over).collect();
-    // People and cars are blobs; what is off at edges, and where too few photos were left, is thin.
+    // People and cars are blobs; residuals at edges, and where too few photos were left, are thin.
     let mean = |of: &[f32]| box_mean(of, w, photo.height, (w.max(photo.height) / BLOB).max(1));
     let solid: Vec<f32> = mean(&over).iter().map(|m| f32::from(u8::from(*m > SOLID))).collect();
     let near = mean(&solid);

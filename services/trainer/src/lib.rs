@@ -1,8 +1,8 @@
-//! Actor: geometry, look, density control, checkpoints.
+//! Actor: geometry, appearance, density control, checkpoints.
 //!
 //! A [`Trainer`] turns a scene and its photos into a [`Model`], one photo per step: splats start at the
 //! reconstruction's points, Adam moves them, a density strategy adds and removes them, each photo has its
-//! look and its background, and what keeps contradicting the scene is left out (method, sections 2, 3, 9).
+//! appearance and its background, and pixels that keep contradicting the scene are left out (method, sections 2, 3, 9).
 
 mod actor;
 mod appearances;
@@ -13,15 +13,13 @@ mod density;
 mod error;
 mod evaluate;
 mod initial;
-mod light;
-mod on_device;
-mod photometric;
-mod stereo_points;
-
 mod initial_transients;
+mod light;
 mod model;
 mod multi_view_pruning;
+mod on_device;
 mod params;
+mod photometric;
 mod photos;
 mod pixels;
 mod posed;
@@ -32,19 +30,20 @@ mod settings;
 mod splat_budget;
 mod state;
 mod step;
+mod stereo_points;
 mod trainer;
 mod transients;
 
 pub use actor::{FindCheckpoint, TrainActor, TrainOrder, TrainOutcome};
 pub use background::Background;
 pub use choice::{
-    AppearanceChoice, BudgetChoice, RUNGS, SIZE as CHOICE_SIZE, ShortFit, Tracks, choose_appearance,
-    choose_budget, trial_size,
+    APPEARANCE_MODELS, AppearanceChoice, BudgetChoice, SIZE as CHOICE_SIZE, ShortFit, Tracks,
+    choose_appearance, choose_budget, trial_size,
 };
-pub use density::Change;
+pub use density::DensityChange;
 pub use error::TrainError;
 pub use evaluate::{Evaluation, Protocol, ViewScore, evaluate};
-pub use light::{Light, Lighting, render_lit};
+pub use light::{SceneLight, SceneLighting, render_lit};
 pub use model::{Model, Stats, render_view};
 pub use photos::{Photos, Sifted, TrainPhoto};
 pub use segwild_raster::GswWidth;

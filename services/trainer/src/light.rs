@@ -1,4 +1,4 @@
-//! The light that a trained scene is drawn in: a photo's look, something between several, or two at once.
+//! The light that a trained scene is rendered in: a photo's appearance, an interpolation of several, or two at once.
 
 use crate::TrainError;
 use crate::background::Background;
@@ -8,23 +8,24 @@ use segwild_raster::compare::add_background;
 use segwild_raster::{AppearanceEmbedding, Channels, Engine, Projected, bake};
 use segwild_scene::{Camera, Image, Pose, Splats};
 
-/// A look taken out of the model: what it makes of splats' colours, and what stands behind them, in its own colours.
+/// An appearance taken out of the model: the appearance embedding that changes the splats' colours, and its background in its own
+/// colours.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Light {
+pub struct SceneLight {
     appearance_embedding: AppearanceEmbedding,
     background: Background,
 }
 
-impl Light {
+impl SceneLight {
     /// The light a share `t` of the way to another: 0 is this one, 1 the other, and past 1 it goes on beyond it.
-    pub fn towards(&self, other: &Light, t: f32) -> Light {
-        Light {
+    pub fn towards(&self, other: &SceneLight, t: f32) -> SceneLight {
+        SceneLight {
             appearance_embedding: self.appearance_embedding.towards(&other.appearance_embedding, t),
             background: self.background.towards(&other.background, t),
         }
     }
 
-    /// What stands behind the splats in this light.
+    /// The background in this light.
     pub fn background(&self) -> &Background {
         &self.background
     }
@@ -32,40 +33,40 @@ impl Light {
 
 /// How a scene is lit.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Lighting {
-    /// The light of everything, and of what stands behind.
-    pub scene: Light,
+pub struct SceneLighting {
+    /// The light of the scene and of its background.
+    pub scene: SceneLight,
     /// Another light for some splats: per splat whether it has it.
-    pub object: Option<(Vec<bool>, Light)>,
+    pub object: Option<(Vec<bool>, SceneLight)>,
 }
 
-impl From<Light> for Lighting {
-    fn from(scene: Light) -> Lighting {
-        Lighting { scene, object: None }
+impl From<SceneLight> for SceneLighting {
+    fn from(scene: SceneLight) -> SceneLighting {
+        SceneLighting { scene, object: None }
     }
 }
 
 impl Model {
-    /// The light of a view's photo: the mean one where the photo took no part or none is named.
-    pub fn light(&self, view: Option<usize>) -> Light {
+    /// The light of a view's photo; the mean one where the photo took no part or none is named.
+    pub fn light(&self, view: Option<usize>) -> SceneLight {
         let appearance_embedding = self.appearance.as_appearance().appearance_embedding(
             self.appearance_index(view),
             &self.splats.means,
             &self.splat_embeddings,
         );
-        Light { appearance_embedding, background: self.background(view) }
+        SceneLight { appearance_embedding, background: self.background(view) }
     }
 
     /// A light with another strength: 0 is the mean light, 1 the light as it is, 2 twice as far from the mean.
-    pub fn strengthened(&self, light: &Light, strength: f32) -> Light {
+    pub fn strengthened(&self, light: &SceneLight, strength: f32) -> SceneLight {
         if strength == 1.0 { light.clone() } else { self.light(None).towards(light, strength) }
     }
 
     /// The splats' colours under a lighting, from their own colours towards a camera.
-    fn lit(&self, lighting: &Lighting, pose: &Pose, projected: &dyn Projected) -> Vec<f32> {
+    fn lit(&self, lighting: &SceneLighting, pose: &Pose, projected: &dyn Projected) -> Vec<f32> {
         let colours = projected.shade();
         let direction = directions(&self.splats, pose.centre(), projected.radii());
-        let under = |light: &Light, colours| {
+        let under = |light: &SceneLight, colours| {
             self.appearance.as_appearance().shade(
                 &light.appearance_embedding,
                 &self.splat_embeddings,
@@ -79,13 +80,13 @@ impl Model {
         all
     }
 
-    /// The splats with a lighting's colours as their own, for programs that know nothing of looks. See
+    /// The splats with a lighting's colours as their own, for programs without appearance models. See
     /// [`segwild_raster::bake`].
     ///
     /// # Panics
     /// If the lighting is of another model.
-    pub fn baked(&self, lighting: &Lighting) -> Splats {
-        let under = |light: &Light| {
+    pub fn baked(&self, lighting: &SceneLighting) -> Splats {
+        let under = |light: &SceneLight| {
             bake(
                 self.appearance.as_appearance(),
                 &light.appearance_embedding,
@@ -127,7 +128,7 @@ pub fn render_lit(
     engine: &dyn Engine,
     camera: &Camera,
     pose: &Pose,
-    lighting: &Lighting,
+    lighting: &SceneLighting,
 ) -> Result<Image, TrainError> {
     let projected = engine.project(&model.splats, camera, pose, &model.options())?;
     let colours = model.lit(lighting, pose, &*projected);

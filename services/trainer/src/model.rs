@@ -1,4 +1,4 @@
-//! A trained scene, and how it looks.
+//! A trained scene, and its renders.
 
 use crate::TrainError;
 use crate::appearances;
@@ -10,29 +10,29 @@ use segwild_raster::{AnyAppearance, Channels, Engine, Frame, ProjectOptions, Sig
 use segwild_scene::{Camera, Image, Pose, Splats};
 use wincode::{SchemaRead, SchemaWrite};
 
-/// A trained scene: splats, and what makes each photo look different.
+/// A trained scene: splats, and the appearance and background of each photo.
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
 pub struct Model {
     /// The splats, in the scene's normalised frame.
     pub splats: Splats,
-    /// What splats keep for the look, `[splat][embedding_size]`; empty for looks that need nothing of the kind.
+    /// Per-splat appearance embeddings, `[splat][embedding_size]`; empty for appearance models without them.
     pub splat_embeddings: Vec<f32>,
-    /// The looks of the photos, by index of the view; one more, at the index past the last view, is the mean.
+    /// The appearances of the photos, by index of the view; one more, at the index past the last view, is the mean.
     pub appearance: AnyAppearance,
-    /// Per view of the scene, what its photo shows behind the splats, in the photo's colours; `None` where the
+    /// Per view of the scene, the background of its photo, in the photo's colours; `None` where the
     /// photo took no part.
     pub backgrounds: Vec<Option<Background>>,
     /// Name of every view of the scene.
     pub names: Vec<String>,
     /// Indices of the views trained on.
     pub trained_on: Vec<u32>,
-    /// Whether opacities are compensated for the pixel filter; splats must be drawn as they were trained.
+    /// Whether opacities are compensated for the pixel filter; splats must be rendered as they were trained.
     pub antialias: bool,
-    /// How the training stood.
+    /// Progress of the training.
     pub stats: Stats,
 }
 
-/// How a training stood when a model was taken.
+/// Progress of the training when the model was taken.
 #[derive(Clone, Copy, Debug, PartialEq, SchemaRead, SchemaWrite)]
 pub struct Stats {
     /// Steps done.
@@ -47,7 +47,7 @@ pub(crate) fn options(antialias: bool) -> ProjectOptions {
 }
 
 impl Model {
-    /// Refuses a model whose parts do not fit each other: one that comes out of a file may be anybody's.
+    /// Refuses a model whose parts do not fit each other: one that comes out of a file may be damaged.
     ///
     /// # Errors
     /// Says what does not fit.
@@ -68,7 +68,7 @@ impl Model {
             || self.splat_embeddings.len()
                 != self.appearance.as_appearance().embedding_size() * self.splats.len()
         {
-            return damaged("its look does not fit its splats");
+            return damaged("its appearance does not fit its splats");
         }
         Ok(())
     }
@@ -79,19 +79,19 @@ impl Model {
         self.splats = self.splats.select(keep);
     }
 
-    /// Options to draw these splats with.
+    /// Options to project these splats with.
     pub fn options(&self) -> ProjectOptions {
         options(self.antialias)
     }
 
-    /// Index in [`Model::appearance`] of the look of a view: the mean one where the photo took no part or none is
+    /// Index in [`Model::appearance`] of the appearance of a view: the mean one where the photo took no part or none is
     /// named.
     pub fn appearance_index(&self, view: Option<usize>) -> usize {
         let known = |v: &usize| self.backgrounds.get(*v).is_some_and(Option::is_some);
         view.filter(known).unwrap_or(self.names.len())
     }
 
-    /// What a view's photo shows behind the splats; the mean of all where the photo took no part or none is
+    /// The background of a view's photo; the mean of all where the photo took no part or none is
     /// named.
     pub fn background(&self, view: Option<usize>) -> Background {
         let own = view.and_then(|v| self.backgrounds.get(v)?.clone());
@@ -99,8 +99,8 @@ impl Model {
     }
 }
 
-/// Blends the splats' colours for a camera, in the light of the look at `index`.
-pub(crate) fn draw(
+/// Blends the splats' colours for a camera, in the appearance at `index`.
+pub(crate) fn render_frame(
     engine: &dyn Engine,
     model: &Model,
     index: usize,
@@ -119,7 +119,7 @@ pub(crate) fn draw(
     Ok(projected.blend(&Channels { count: 3, values: &colours })?)
 }
 
-/// The scene from a camera, in the look of one of its photos (`None`: the mean look, one light for all), over
+/// The scene from a camera, in the appearance of one of its photos (`None`: the mean appearance, one light for all), over
 /// that photo's background; sRGB in [0, 1].
 pub fn render_view(
     model: &Model,
@@ -129,11 +129,11 @@ pub fn render_view(
     appearance: Option<usize>,
 ) -> Result<Image, TrainError> {
     let index = model.appearance_index(appearance);
-    let frame = draw(engine, model, index, camera, pose)?;
+    let frame = render_frame(engine, model, index, camera, pose)?;
     Ok(compose(&frame, &model.appearance, index, &model.background(appearance), camera, pose))
 }
 
-/// A frame over a background, in a look, in [0, 1]. The background is in the look's colours.
+/// A frame over a background, in an appearance, in [0, 1]. The background is in the photo's colours.
 pub(crate) fn compose(
     frame: &Frame,
     appearance: &AnyAppearance,
@@ -142,9 +142,9 @@ pub(crate) fn compose(
     camera: &Camera,
     pose: &Pose,
 ) -> Image {
-    let behind = background.before(&appearances::matrix(appearance, index)).paint(camera, pose);
+    let background_image = background.before(&appearances::matrix(appearance, index)).paint(camera, pose);
     let mut image = frame.image.clone();
-    add_background(&mut image, &frame.alpha, &behind);
+    add_background(&mut image, &frame.alpha, &background_image);
     let mut image = appearance.as_appearance().apply(index, &image);
     for v in &mut image.data {
         *v = v.clamp(0.0, 1.0);

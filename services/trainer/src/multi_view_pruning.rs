@@ -1,19 +1,19 @@
-//! Which splats the photos bear out. A transient whom the robust mask misses is fitted by splats right before
-//! that one camera; other photos look through the place where they float, and show something else there.
-//! Left alone they stay for good: the other photos' robust masks take them for transients too, and then nothing
-//! pulls at them.
+//! Multi-view pruning: removes splats without multi-view support. A transient that the robust mask misses is fitted by splats
+//! right before that one camera; they float in the view of other photos, which show something else there.
+//! Without pruning they stay for good: the other photos' robust masks leave them out as transients, and then no gradient
+//! reaches them.
 
 use segwild_raster::{Projected, RasterError};
 use segwild_scene::Image;
 
-/// Photos that must see a splat for it to stay. Those that contradict what they show of it count: at the rim of a scene
-/// a splat has few photos, and one of them taken for a transient's must not take it away.
-const WITNESSES: f32 = 2.5;
-/// Voices in favour that a voice against needs beside it for a splat to stay. At the foot of a place transients stand
+/// Photos that must see a splat for it to stay. Those that contradict it count as well: at the rim of a scene
+/// a splat has few photos, and a transient in one of them must not remove it.
+const LEAST_PHOTOS: f32 = 2.5;
+/// Least ratio of votes in favour to votes against for a splat to stay. At the foot of a building transients stand
 /// before the ground in more than half of the photos, and each of these contradicts it.
 const SHARE: f32 = 0.5;
 
-/// What the photos say for and against each splat, in photos.
+/// The votes for and against each splat, in photos.
 pub(crate) struct MultiViewPruning {
     in_favour: Vec<f32>,
     against: Vec<f32>,
@@ -21,14 +21,14 @@ pub(crate) struct MultiViewPruning {
 }
 
 impl MultiViewPruning {
-    /// Nothing is said yet of `splats` splats.
+    /// `splats` splats without votes.
     pub fn new(splats: usize) -> MultiViewPruning {
         MultiViewPruning { in_favour: vec![0.0; splats], against: vec![0.0; splats], photos: 0 }
     }
 
-    /// Hears one photo: a splat seen over a pixel or more has about one voice, for the share of its light that falls
+    /// Adds the votes of one photo: a splat seen over a pixel or more gets about one vote, in favour for the share of its light
     /// where photo and scene agree, and against for the rest.
-    pub fn hear(
+    pub fn add_photo(
         &mut self,
         projected: &dyn Projected,
         width: usize,
@@ -43,17 +43,17 @@ impl MultiViewPruning {
         }
         let light = projected.gather(&votes)?;
         for (i, light) in light.chunks_exact(2).enumerate() {
-            let voice = 1.0 / (light[0] + light[1] + 1.0);
-            self.in_favour[i] += light[0] * voice;
-            self.against[i] += light[1] * voice;
+            let vote = 1.0 / (light[0] + light[1] + 1.0);
+            self.in_favour[i] += light[0] * vote;
+            self.against[i] += light[1] * vote;
         }
         self.photos += 1;
         Ok(())
     }
 
-    /// The splats that stay. With few photos fewer witnesses must do; a splat that no photo sees is not judged.
+    /// The splats that stay. With few photos fewer are required; a splat that no photo sees stays.
     pub fn supported(&self) -> Vec<usize> {
-        let least = WITNESSES.min(0.1 * self.photos as f32);
+        let least = LEAST_PHOTOS.min(0.1 * self.photos as f32);
         (0..self.in_favour.len())
             .filter(|&i| {
                 let (yes, no) = (self.in_favour[i], self.against[i]);
@@ -98,7 +98,7 @@ mod tests {
             };
             let projected = engine.project(&splats, &camera, &pose, &ProjectOptions::default()).unwrap();
             let seen: Vec<bool> = (0..48 * 48).map(|i| contradicted(photo, i)).collect();
-            multi_view_pruning.hear(&*projected, 48, &seen, |_| true).unwrap();
+            multi_view_pruning.add_photo(&*projected, 48, &seen, |_| true).unwrap();
         }
         multi_view_pruning.supported()
     }
@@ -121,15 +121,15 @@ mod tests {
     }
 
     #[test]
-    fn ground_that_transients_hide_in_most_photos_stays() {
-        // Photos of one place: three of five contradict all they show of it.
+    fn ground_that_transients_occlude_in_most_photos_stays() {
+        // Photos from one position: three of five contradict all they show.
         let kept = left(0.0, 20, |photo, _| photo % 5 < 3);
         assert_eq!(kept.len(), 10, "{kept:?}");
         assert!(left(0.0, 20, |photo, _| photo % 5 < 4).len() < 10);
     }
 
     #[test]
-    fn what_few_photos_see_stays_where_transients_hide_it_in_one_of_them() {
+    fn what_few_photos_see_stays_where_transients_occlude_it_in_one_of_them() {
         let mut few = MultiViewPruning::new(3);
         (few.in_favour, few.against, few.photos) = (vec![2.0, 1.0, 1.0], vec![1.0, 2.5, 0.0], 40);
         assert_eq!(few.supported(), [0], "mostly contradicted, or seen by one alone, goes");

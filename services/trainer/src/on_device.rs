@@ -1,27 +1,27 @@
-//! Training while the splats are where the engine computes: what crosses is what a photo says of them, in a few numbers.
+//! Training with the splats on the device: only the loss output of a photo, a few numbers, is read back.
 //!
-//! Density control asks for their shapes, and what it makes of them goes back. They come home whenever something looks at
-//! all of them: a finer degree of colours, photos asked for witness, a checkpoint. Numbers travel as they are, so a run does
-//! not depend on when that is.
+//! Density control downloads their shapes and uploads the result. All splats are downloaded when something needs all of
+//! them: a higher degree of the colours, multi-view pruning, a checkpoint. Numbers are copied unchanged, so the result of a
+//! run does not depend on when that happens.
 
 use crate::TrainError;
-use crate::density::{Reshaping, Stats};
+use crate::density::{DensityStats, Reshaping};
 use crate::model::options;
-use crate::photometric::Looked;
+use crate::photometric::StepPhoto;
 use crate::trainer::Trainer;
 use segwild_raster::compare::LossOutput;
 use segwild_raster::{AnyAppearance, EmbedAppearance, Held, NetworksStep, Reshaped, Step};
 
 impl Trainer {
-    /// Whether the splats are where the engine computes.
+    /// Whether the splats are on the device.
     pub(crate) fn is_on_device(&self) -> bool {
-        self.away.is_some()
+        self.resident.is_some()
     }
 
-    /// Sends the splats to where the engine computes, and the look's networks with them, unless the strategy deals with
+    /// Uploads the splats to the device, and the appearance model's networks with them, unless the strategy works on
     /// single splats at every step.
-    pub(crate) fn leave(&mut self) -> Result<(), TrainError> {
-        if self.is_on_device() || !self.may_leave {
+    pub(crate) fn upload(&mut self) -> Result<(), TrainError> {
+        if self.is_on_device() || !self.may_upload {
             return Ok(());
         }
         let Some(stats) = self.state.strategy.as_dyn().stats() else { return Ok(()) };
@@ -30,68 +30,69 @@ impl Trainer {
             AnyAppearance::Gsw(appearance) => Some(appearance.held()),
             AnyAppearance::None(_) | AnyAppearance::Affine(_) | AnyAppearance::Embed(_) => None,
         };
-        self.away = self.engine.settle(&mut || Held { networks: networks(), ..params.held(stats.rows()) })?;
-        self.may_leave = self.is_on_device();
+        self.resident =
+            self.engine.settle(&mut || Held { networks: networks(), ..params.held(stats.rows()) })?;
+        self.may_upload = self.is_on_device();
         Ok(())
     }
 
-    /// How many splats there are, wherever they are.
+    /// Number of splats, on the host or on the device.
     pub(crate) fn splats(&self) -> usize {
-        self.away.as_ref().map_or(self.state.params.splats.len(), |away| away.count())
+        self.resident.as_ref().map_or(self.state.params.splats.len(), |resident| resident.count())
     }
 
-    /// What density control works on.
+    /// The shapes that density control works on.
     pub(crate) fn lend_shapes(&mut self) -> Result<Reshaping, TrainError> {
-        let Some(away) = &mut self.away else { return Ok(self.state.params.lend()) };
-        let (splats, sums) = away.shapes()?;
+        let Some(resident) = &mut self.resident else { return Ok(self.state.params.lend()) };
+        let (splats, sums) = resident.shapes()?;
         if let Some(stats) = self.state.strategy.as_dyn().stats() {
-            *stats = Stats::of_rows(&sums);
+            *stats = DensityStats::of_rows(&sums);
         }
-        // No step of the optimiser there leaves anything that is no number.
+        // The optimiser on the device leaves only finite numbers.
         let sound = vec![true; splats.len()];
         Ok(Reshaping::new(splats, sound))
     }
 
-    /// Has the splats be as density control left them, here if there is no room for them where they are.
+    /// Takes the result of density control. The splats are downloaded if the device has no memory for them.
     pub(crate) fn take_shapes(&mut self, reshaped: Reshaped) -> Result<(), TrainError> {
-        if let Some(away) = &mut self.away {
-            if away.reshape(&reshaped)? {
+        if let Some(resident) = &mut self.resident {
+            if resident.reshape(&reshaped)? {
                 return Ok(());
             }
             self.download()?;
             if let Some(stats) = self.state.strategy.as_dyn().stats() {
-                *stats = Stats::new(reshaped.parents.len());
+                *stats = DensityStats::new(reshaped.parents.len());
             }
         }
         self.state.params.reshape(reshaped);
         Ok(())
     }
 
-    /// Has the splats here again.
+    /// Downloads the splats to the host.
     pub(crate) fn download(&mut self) -> Result<(), TrainError> {
-        let Some(away) = &mut self.away else { return Ok(()) };
-        let mut held = away.fetch()?;
+        let Some(resident) = &mut self.resident else { return Ok(()) };
+        let mut held = resident.fetch()?;
         if let (AnyAppearance::Gsw(appearance), Some(networks)) =
             (&mut self.state.appearance, held.networks.take())
         {
             appearance.take_back(networks);
         }
         if let Some(stats) = self.state.strategy.as_dyn().stats() {
-            *stats = Stats::of_rows(&held.sums);
+            *stats = DensityStats::of_rows(&held.sums);
         }
         self.state.params.take_back(held);
-        self.away = None;
+        self.resident = None;
         Ok(())
     }
 
-    /// The step where the splats are.
-    pub(crate) fn step_on_device(&mut self, looked: &Looked) -> Result<LossOutput, TrainError> {
-        let &Looked { view, level, .. } = looked;
+    /// One optimiser step on the device.
+    pub(crate) fn step_on_device(&mut self, step_photo: &StepPhoto) -> Result<LossOutput, TrainError> {
+        let &StepPhoto { view, level, .. } = step_photo;
         let step = self.state.step;
         let rates = self.rates(step);
         let (settings, schedule, posed) = (&self.settings, &self.schedule, &self.views[view]);
         let (params, _, mut side) = self.state.halves(view);
-        let behind = side.behind(view);
+        let background = side.scene_background(view);
         let rules = match &mut *side.appearance {
             AnyAppearance::Gsw(appearance) => Some(appearance.advance(schedule.late_factor(step))),
             AnyAppearance::None(_) | AnyAppearance::Affine(_) | AnyAppearance::Embed(_) => None,
@@ -105,19 +106,19 @@ impl Trainer {
             }
             _ => None,
         };
-        let wanted = settings.robust && !looked.stored.transients_known;
+        let wanted = settings.robust && !step_photo.stored.transients_known;
         let step = Step {
             options: &options(settings.antialias),
             light: light.as_ref(),
             networks,
-            loss_inputs: side.loss_inputs(settings, schedule, looked, &behind),
+            loss_inputs: side.loss_inputs(settings, schedule, step_photo, &background),
             key: [self.id, view as u64, level as u64],
-            target: &|| side.target(looked, posed, wanted),
+            target: &|| side.target(step_photo, posed, wanted),
             rules: &params.advance(&rates),
         };
-        let away = self.away.as_mut().expect("the splats are away");
-        let (said, light) = away.step(&step)?;
-        side.hear(looked, &said);
+        let resident = self.resident.as_mut().expect("the splats are on the device");
+        let (output, light) = resident.step(&step)?;
+        side.apply(step_photo, &output);
         let appearance = match &mut *side.appearance {
             AnyAppearance::Embed(appearance) => Some(appearance),
             AnyAppearance::Gsw(appearance) => Some(&mut appearance.below),
@@ -126,11 +127,11 @@ impl Trainer {
         if let (Some(appearance), Some(light)) = (appearance, light) {
             appearance.add_gradient(view, &light);
         }
-        Ok(said)
+        Ok(output)
     }
 }
 
-/// The look `embed`, or that which lies below networks.
+/// The appearance `embed`, or the `embed` part of `gsw`.
 fn below(appearance: &AnyAppearance) -> Option<&EmbedAppearance> {
     match appearance {
         AnyAppearance::Embed(appearance) => Some(appearance),

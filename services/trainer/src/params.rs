@@ -1,4 +1,4 @@
-//! The splats as an optimiser sees them.
+//! The splats as parameters of the optimiser.
 
 use crate::density::Reshaping;
 use segwild_raster::{Adam, Held, Projected, Reshaped, Rules, Sight, SplatEmbeddings, SplatGrads};
@@ -16,8 +16,8 @@ pub(crate) struct Rates {
     pub rotation: f32,
     /// Of the base colour; higher degrees take a twentieth.
     pub colour: f32,
-    /// Of what splats keep for the look.
-    pub code: f32,
+    /// Of the per-splat appearance embeddings.
+    pub splat_embedding: f32,
 }
 
 /// Splats with their optimisers, one per property; the base colour and the higher degrees are two.
@@ -30,7 +30,7 @@ pub(crate) struct Params {
     opacities: Adam,
     base: Adam,
     higher: Adam,
-    /// What splats keep for the look beside their colours, `[splat][embedding_size]`.
+    /// Per-splat appearance embeddings, `[splat][embedding_size]`.
     pub splat_embeddings: Vec<f32>,
     embedding_moments: Adam,
 }
@@ -38,15 +38,15 @@ pub(crate) struct Params {
 /// Share of the base colour's learning rate that higher degrees take.
 const HIGHER: f32 = 1.0 / 20.0;
 
-/// How much of their rate codes fade by in a step.
+/// Weight decay of the per-splat embeddings in a step, as a multiple of their learning rate.
 const EMBEDDING_DECAY: f32 = 0.5;
 
-/// What a step leaves of a code that fades.
+/// Factor of the weight decay in a step.
 fn kept(rates: &Rates) -> f32 {
-    1.0 - EMBEDDING_DECAY * rates.code
+    1.0 - EMBEDDING_DECAY * rates.splat_embedding
 }
 
-/// The codes of the splats at `which` among `n`, in that order.
+/// The embeddings of the splats at `which` among `n`, in that order.
 pub(crate) fn select(splat_embeddings: &[f32], n: usize, which: &[usize]) -> Vec<f32> {
     let size = splat_embeddings.len().checked_div(n).unwrap_or(0);
     which.iter().flat_map(|&i| &splat_embeddings[i * size..(i + 1) * size]).copied().collect()
@@ -77,7 +77,7 @@ fn together(base: &[f32], higher: &[f32], k: usize) -> Vec<f32> {
 }
 
 impl Params {
-    /// Splats to begin with, and what each keeps for the look.
+    /// The initial splats and their appearance embeddings.
     pub fn new(splats: Splats, splat_embeddings: Vec<f32>) -> Params {
         let n = splats.len();
         let embedding_size = splat_embeddings.len().checked_div(n).unwrap_or(0);
@@ -94,7 +94,7 @@ impl Params {
         }
     }
 
-    /// The splats from a camera, for the look.
+    /// The splats from a camera, for the appearance model.
     pub fn sight<'a>(&'a self, projected: &'a dyn Projected, pose: &Pose) -> Sight<'a> {
         let Params { splats, splat_embeddings, .. } = self;
         Sight {
@@ -124,7 +124,7 @@ impl Params {
         s.sh = together(&base, &higher, k);
     }
 
-    /// Begins a step that is done where the splats are.
+    /// Starts a step that runs on the device.
     pub fn advance(&mut self, rates: &Rates) -> Rules {
         let base = self.base.advance(rates.colour);
         let higher = match self.splats.sh_degree {
@@ -141,13 +141,13 @@ impl Params {
             splat_embeddings: if self.splat_embeddings.is_empty() {
                 base
             } else {
-                self.embedding_moments.advance(rates.code)
+                self.embedding_moments.advance(rates.splat_embedding)
             },
             kept: kept(rates),
         }
     }
 
-    /// All of it, to be trained elsewhere.
+    /// All of it, to be trained on the device.
     pub fn held(&self, sums: Vec<[f32; 4]>) -> Held {
         let moments = |which: usize| {
             let of = |adam: &Adam| adam.moments()[which].to_vec();
@@ -172,7 +172,7 @@ impl Params {
         }
     }
 
-    /// Takes back what [`Params::held`] gave away; there may be other splats by now.
+    /// Takes back what [`Params::held`] returned; density control may have changed the splats since.
     pub fn take_back(&mut self, held: Held) {
         let Held { splats, first, second, splat_embeddings, sums: _, networks: _ } = held;
         self.splat_embeddings = splat_embeddings.values;
@@ -193,7 +193,7 @@ impl Params {
         }
     }
 
-    /// What density control works on.
+    /// The shapes that density control works on.
     pub fn lend(&self) -> Reshaping {
         let s = &self.splats;
         let k = s.sh_stride();
@@ -205,7 +205,7 @@ impl Params {
         Reshaping::new(s.uncoloured(), sound)
     }
 
-    /// Takes back what came of [`Params::lend`].
+    /// Takes the result of density control on [`Params::lend`].
     pub fn reshape(&mut self, reshaped: Reshaped) {
         let Reshaped { shapes, parents, forgotten, opacities_forgotten } = reshaped;
         let same = parents.len() == self.splats.len() && parents.iter().zip(0..).all(|(&p, i)| p == i);
@@ -222,16 +222,18 @@ impl Params {
         self.splats = Splats { sh, sh_degree: self.splats.sh_degree, ..shapes };
     }
 
-    /// One optimiser step of the codes, of splats with `radii` above 0; numbers that are `fading` fade.
+    /// One optimiser step of the embeddings, of splats with `radii` above 0; the numbers `fading` have weight decay.
     pub fn update_embeddings(&mut self, grads: &[f32], radii: &[f32], rates: &Rates, fading: Range<usize>) {
         let size = self.embedding_size();
         if size == 0 {
             return;
         }
-        self.embedding_moments.step_visible(&mut self.splat_embeddings, grads, rates.code, radii);
+        self.embedding_moments.step_visible(&mut self.splat_embeddings, grads, rates.splat_embedding, radii);
         let keep = kept(rates);
-        for (code, _) in self.splat_embeddings.chunks_exact_mut(size).zip(radii).filter(|(_, r)| **r > 0.0) {
-            code[fading.clone()].iter_mut().for_each(|v| *v *= keep);
+        for (embedding, _) in
+            self.splat_embeddings.chunks_exact_mut(size).zip(radii).filter(|(_, r)| **r > 0.0)
+        {
+            embedding[fading.clone()].iter_mut().for_each(|v| *v *= keep);
         }
     }
 
@@ -248,7 +250,7 @@ impl Params {
             .chain(splat_embeddings)
     }
 
-    /// The splats at `parents`, in that order, with what the optimiser knows of them.
+    /// The splats at `parents`, in that order, with their optimiser states.
     pub fn remap(&mut self, parents: &[usize]) {
         self.splat_embeddings = select(&self.splat_embeddings, self.splats.len(), parents);
         self.splats = self.splats.select(parents);
@@ -272,7 +274,7 @@ impl Params {
         self.higher = Adam::new(self.splats.len(), new - 3);
     }
 
-    /// Whether every array has one entry per splat; says which has not.
+    /// Whether every array has one entry per splat; the error names one that has not.
     pub fn consistent(&self) -> Result<(), String> {
         splats_fit(&self.splats)?;
         let n = self.splats.len();
@@ -283,8 +285,8 @@ impl Params {
             ("moments of the rotations", self.rotations.len() == 4 * n),
             ("moments of the opacities", self.opacities.len() == n),
             ("moments of the colours", self.base.len() + self.higher.len() == n * k),
-            ("codes", self.splat_embeddings.len().is_multiple_of(n.max(1))),
-            ("moments of the codes", self.embedding_moments.len() == self.splat_embeddings.len()),
+            ("embeddings", self.splat_embeddings.len().is_multiple_of(n.max(1))),
+            ("moments of the embeddings", self.embedding_moments.len() == self.splat_embeddings.len()),
         ];
         all_fit(n, &arrays)
     }
@@ -297,7 +299,7 @@ fn all_fit(splats: usize, arrays: &[(&str, bool)]) -> Result<(), String> {
     }
 }
 
-/// Whether splats that come out of a file have one entry each in every array; says which has not.
+/// Whether splats that come out of a file have one entry each in every array; the error names one that has not.
 pub(crate) fn splats_fit(s: &Splats) -> Result<(), String> {
     let n = s.len();
     if s.sh_degree > 3 {

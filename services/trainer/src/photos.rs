@@ -1,4 +1,4 @@
-//! Photos as the trainer needs them: asked for one at a time, kept as bytes, at several sizes.
+//! Photos as the trainer needs them: loaded one at a time, kept as bytes, at several sizes.
 
 use crate::TrainError;
 use segwild_raster::compare::Target;
@@ -15,13 +15,13 @@ pub struct TrainPhoto {
     pub valid: Option<Mask>,
     /// Pixels of the sky; `None`: not known, which is not the same as no sky.
     pub sky: Option<Mask>,
-    /// Pixels of transients, as a person has put them right: these are left out, and no others. `None`: to be found.
+    /// Pixels of transients, as a person has corrected them: these are left out, and no others. `None`: to be found.
     pub transients: Option<Mask>,
 }
 
 impl TrainPhoto {
-    /// A loaded photo with its sky, as far as that is known. Where a cut-out is empty no splat is to stand, as before a sky; its sky
-    /// is that, whatever a detector makes of the grey behind it.
+    /// A loaded photo with its sky, as far as that is known. Where a cut-out is empty no splat is to stand, as before a sky;
+    /// its sky is that, whatever a sky detector finds in the grey there.
     pub fn new(loaded: LoadedPhoto, sky: Option<Mask>) -> TrainPhoto {
         let LoadedPhoto { image, valid, empty, .. } = loaded;
         match empty {
@@ -36,10 +36,10 @@ impl TrainPhoto {
 
 /// Where photos come from. A call may block until the photo (and its sky) is there.
 pub trait Photos: Send + Sync {
-    /// The photo of view `view`; the error says in words why it cannot be used.
+    /// The photo of view `view`; the error is a sentence that says why it cannot be used.
     fn photo(&self, view: usize) -> Result<TrainPhoto, String>;
 
-    /// Why a view's photo is known not to be usable, before it is asked for.
+    /// Why a view's photo is known not to be usable, before it is loaded.
     fn refused(&self, _view: usize) -> Option<String> {
         None
     }
@@ -75,7 +75,7 @@ where
 
 /// A photo at one size, a byte per value.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Level {
+pub(crate) struct PhotoLevel {
     pub width: usize,
     pub height: usize,
     /// Planar, as [`Image::data`].
@@ -90,17 +90,17 @@ const SKY: u8 = 2;
 /// A photo at full, half and quarter size.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Stored {
-    pub levels: Vec<Level>,
+    pub levels: Vec<PhotoLevel>,
     /// Whether it shows a sky.
     pub has_sky: bool,
-    /// Whether it is known who is a transient; they are not valid, then.
+    /// Whether its transients are known; their pixels are then not valid.
     pub transients_known: bool,
 }
 
 /// Sizes kept per photo.
 pub(crate) const LEVELS: usize = 3;
 
-impl Level {
+impl PhotoLevel {
     pub fn pixels(&self) -> usize {
         self.width * self.height
     }
@@ -141,7 +141,7 @@ impl Level {
         [0, 1, 2].map(|c| f32::from(self.rgb[c * n + i]) * (1.0 / 255.0))
     }
 
-    /// The photo with what is known of its pixels besides: which were suspected before, and how far each is known to show
+    /// The photo with the flags of its pixels, its initial transients, and the trust of each pixel to show
     /// the scene itself.
     pub fn target(&self, initial_transients: Option<&Mask>, trust: Vec<f32>) -> Target {
         let (n, w, h) = (self.pixels(), self.width, self.height);
@@ -167,10 +167,10 @@ impl Level {
     }
 
     /// Half the size: each pixel is the mean of four; it is valid if all four are, sky if three are.
-    fn half(&self) -> Level {
+    fn half(&self) -> PhotoLevel {
         let (w, h) = (self.width / 2, self.height / 2);
         let (n, m) = (self.pixels(), w * h);
-        let mut out = Level { width: w, height: h, rgb: vec![0; 3 * m], flags: vec![0; m] };
+        let mut out = PhotoLevel { width: w, height: h, rgb: vec![0; 3 * m], flags: vec![0; m] };
         for y in 0..h {
             for x in 0..w {
                 let at = [0, 1, self.width, self.width + 1].map(|d| 2 * y * self.width + 2 * x + d);
@@ -237,7 +237,7 @@ impl Stored {
             return Err(refuse(format!("every pixel is masked out; check {which}")));
         }
         let rgb = image.data.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8).collect();
-        let mut levels = vec![Level { width: image.width, height: image.height, rgb, flags }];
+        let mut levels = vec![PhotoLevel { width: image.width, height: image.height, rgb, flags }];
         while levels.len() < LEVELS {
             let last = levels.last().expect("there is a first level");
             if last.width < 32 || last.height < 32 {
@@ -261,15 +261,15 @@ impl Stored {
         level_camera(&full, level, size)
     }
 
-    /// The level asked for, or the smallest there is.
-    pub fn level(&self, level: usize) -> (usize, &Level) {
+    /// The requested level, or the smallest there is.
+    pub fn level(&self, level: usize) -> (usize, &PhotoLevel) {
         let l = level.min(self.levels.len() - 1);
         (l, &self.levels[l])
     }
 }
 
 /// The camera of a level: every halving drops an odd last row or column, the rest is exact.
-fn level_camera(full: &Camera, level: usize, size: &Level) -> Camera {
+fn level_camera(full: &Camera, level: usize, size: &PhotoLevel) -> Camera {
     let s = 0.5f32.powi(level as i32);
     Camera {
         width: size.width as u32,
@@ -283,7 +283,7 @@ fn level_camera(full: &Camera, level: usize, size: &Level) -> Camera {
 
 /// Photos within a memory budget, the least recently used dropped first. What it returns never depends on
 /// what it holds, so neither does the training.
-pub(crate) struct PhotoCache {
+pub(crate) struct TrainPhotoCache {
     source: Arc<dyn Photos>,
     names: Vec<String>,
     held: BTreeMap<usize, (u64, Arc<Stored>)>,
@@ -292,18 +292,18 @@ pub(crate) struct PhotoCache {
     limit: usize,
 }
 
-impl PhotoCache {
-    pub fn new(source: Arc<dyn Photos>, names: Vec<String>, limit: usize) -> PhotoCache {
-        PhotoCache { source, names, held: BTreeMap::new(), clock: 0, bytes: 0, limit }
+impl TrainPhotoCache {
+    pub fn new(source: Arc<dyn Photos>, names: Vec<String>, limit: usize) -> TrainPhotoCache {
+        TrainPhotoCache { source, names, held: BTreeMap::new(), clock: 0, bytes: 0, limit }
     }
 
-    /// The cache with all it holds; what is left in its place holds nothing.
-    pub fn take(&mut self) -> PhotoCache {
-        let empty = PhotoCache::new(self.source.clone(), self.names.clone(), self.limit);
+    /// Takes the cache with all it holds; an empty one is left.
+    pub fn take(&mut self) -> TrainPhotoCache {
+        let empty = TrainPhotoCache::new(self.source.clone(), self.names.clone(), self.limit);
         std::mem::replace(self, empty)
     }
 
-    /// Why a view's photo is known not to be usable, before it is asked for.
+    /// Why a view's photo is known not to be usable, before it is loaded.
     pub fn refused(&self, view: usize) -> Option<(String, String)> {
         self.source.refused(view).map(|reason| (self.names[view].clone(), reason))
     }
@@ -311,10 +311,10 @@ impl PhotoCache {
     /// Another budget, in bytes.
     pub fn limit_to(&mut self, limit: usize) {
         self.limit = limit;
-        self.make_room();
+        self.evict();
     }
 
-    fn make_room(&mut self) {
+    fn evict(&mut self) {
         while self.bytes > self.limit && !self.held.is_empty() {
             let (&oldest, _) = self.held.iter().min_by_key(|(_, (used, _))| *used).expect("not empty");
             let (_, gone) = self.held.remove(&oldest).expect("just found");
@@ -322,7 +322,7 @@ impl PhotoCache {
         }
     }
 
-    /// A photo for what comes beside the training; `None` of one that cannot be read: it is named and left out when it is
+    /// A photo for work beside the training; `None` of one that cannot be read: it is named and left out when it is
     /// trained on.
     pub fn usable(&mut self, view: usize) -> Result<Option<Arc<Stored>>, TrainError> {
         match self.get(view) {
@@ -343,7 +343,7 @@ impl PhotoCache {
             self.source.photo(view).map_err(|reason| TrainError::Photo { name: name.clone(), reason })?;
         let stored = Arc::new(Stored::pack(name, &photo)?);
         self.bytes += stored.bytes();
-        self.make_room();
+        self.evict();
         self.held.insert(view, (self.clock, stored.clone()));
         Ok(stored)
     }
@@ -368,7 +368,7 @@ mod tests {
         });
         let names = (0..4).map(|i| i.to_string()).collect();
         let one = Stored::pack("x", &photo(0.1)).unwrap().bytes();
-        let mut cache = PhotoCache::new(source, names, 2 * one);
+        let mut cache = TrainPhotoCache::new(source, names, 2 * one);
         for i in [0, 1, 0, 2, 0, 1] {
             let got = cache.get(i).unwrap();
             assert!((got.levels[0].colour(3)[0] - i as f32 / 10.0).abs() < 0.003);
@@ -406,7 +406,7 @@ mod tests {
         let (l, half) = s.level(1);
         assert_eq!((l, half.width, half.height), (1, 32, 20));
         assert!(half.sky(0) && half.counts(15 * 32) && !half.valid(31));
-        // The level asked for does not exist on a small photo: the smallest there is comes back.
+        // The requested level does not exist on a small photo: the smallest one is returned.
         assert_eq!(s.level(9).0, s.levels.len() - 1);
     }
 }

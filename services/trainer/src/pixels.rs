@@ -20,7 +20,7 @@ pub(crate) fn at_centres(plane: &Image, projected: &dyn Projected) -> Vec<f32> {
         .collect()
 }
 
-/// What a photo shows behind the splats at first: a sky fitted to its sky pixels, or else its mean colour.
+/// The initial background of a photo: a sky fitted to its sky pixels, or else its mean colour.
 pub(crate) fn first_background(stored: &Stored, camera: &Camera, pose: &Pose) -> Background {
     let photo = &stored.levels[0];
     let seen = |i: usize| photo.sky(i).then(|| (photo.colour(i), 1.0));

@@ -1,14 +1,14 @@
-//! The views as training knows them: where they stood, and which points they saw.
+//! The views of a training: their cameras, poses and points.
 
-use crate::photos::{Level, Stored};
+use crate::photos::{PhotoLevel, Stored};
 use segwild_scene::{Camera, Point, Pose, Scene, View};
 
-/// How far a point that a photo saw vouches for its pixel: a residual there counts for the rest.
+/// Trust in the pixel of a point that the photo saw: a residual there counts for the rest.
 const TRUST: f32 = 0.9;
 /// Deviation of the bell around it, as a share of the photo's long side.
 const NEARBY: f32 = 0.02;
 
-/// What a step needs to know of a view.
+/// A view in a training step.
 pub(crate) struct Posed {
     pub name: String,
     /// At the photo's full size.
@@ -21,14 +21,14 @@ pub(crate) struct Posed {
 impl Posed {
     /// How far each pixel is known to show the scene itself, in [0, [`TRUST`]]: near a point that this photo and others
     /// saw, whatever its residual, stands no transient.
-    pub fn trusted(&self, photo: &Level) -> Vec<f32> {
+    pub fn trusted(&self, photo: &PhotoLevel) -> Vec<f32> {
         let (w, h) = (photo.width, photo.height);
         let sigma = w.max(h) as f32 * NEARBY;
         let reach = (3.0 * sigma).ceil() as i32;
         let bell: Vec<f32> = (-reach..=reach).map(|d| (-0.5 * (d as f32 / sigma).powi(2)).exp()).collect();
         let mut out = vec![0.0f32; w * h];
         for (_, at) in &self.sightings {
-            // Far outside reaches as little as anywhere outside, and fits the numbers.
+            // Positions far outside are clamped: they reach no pixel either way, and the cast stays in range.
             let at = at.map(|v| v.clamp(-1.0, 2.0));
             let (cx, cy) = ((at[0] * w as f32) as i32, (at[1] * h as f32) as i32);
             let (left, right) = ((cx - reach).max(0), (cx + reach + 1).min(w as i32));
@@ -49,8 +49,8 @@ impl Posed {
 }
 
 impl Posed {
-    /// A residual, as far as no point vouches for its pixel.
-    pub fn doubted(&self, residual: &[f32], photo: &Level) -> Vec<f32> {
+    /// A residual, weighted by the missing trust of its pixel ([`Posed::trusted`]).
+    pub fn untrusted_residual(&self, residual: &[f32], photo: &PhotoLevel) -> Vec<f32> {
         residual.iter().zip(self.trusted(photo)).map(|(r, t)| r * (1.0 - t)).collect()
     }
 
@@ -87,7 +87,7 @@ pub(crate) fn posed_view(scene: &Scene, view: usize) -> Posed {
     posed
 }
 
-/// Colours of a view's points, and what its photo shows there.
+/// Colours of a view's points, and its photo's colours there.
 pub(crate) fn colour_pairs(view: &Posed, stored: &Stored) -> Vec<([f32; 3], [f32; 3])> {
     let (_, photo) = stored.level(1);
     let (w, h) = (photo.width as f32, photo.height as f32);

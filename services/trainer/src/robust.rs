@@ -1,4 +1,4 @@
-//! What every photo's residuals were so far, by which transients are left out ([`segwild_raster::compare::leave_out`]).
+//! Residuals of every photo so far, by which transients are left out ([`segwild_raster::compare::leave_out`]).
 
 use segwild_raster::compare::Residuals;
 use wincode::{SchemaRead, SchemaWrite};
@@ -22,8 +22,8 @@ impl Robust {
         Residuals { before: &self.histograms[photo], share: self.share }
     }
 
-    /// Takes in what a visit showed.
-    pub fn hear(&mut self, photo: usize, residuals: Vec<f32>) {
+    /// Stores the histogram after a visit of the photo.
+    pub fn update(&mut self, photo: usize, residuals: Vec<f32>) {
         self.histograms[photo] = residuals;
     }
 }

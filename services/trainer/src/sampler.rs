@@ -29,7 +29,7 @@ impl Sampler {
         view.map(|v| v as usize)
     }
 
-    /// Takes the view drawn last out for good.
+    /// Removes the view sampled last for good.
     pub fn drop_last(&mut self) {
         self.cursor -= 1;
         self.views.remove(self.cursor as usize);
@@ -39,12 +39,12 @@ impl Sampler {
         }
     }
 
-    /// How many views are still drawn from.
+    /// Number of views that are still sampled.
     pub fn count(&self) -> usize {
         self.views.len()
     }
 
-    /// The views still drawn from, in ascending order.
+    /// The views that are still sampled, in ascending order.
     pub fn views(&self) -> Vec<usize> {
         let mut views: Vec<usize> = self.views.iter().map(|&v| v as usize).collect();
         views.sort_unstable();

@@ -7,12 +7,12 @@ const MEAN_DECAY: f32 = 0.01;
 /// How far the other learning rates fall over the last half.
 const LATE_DECAY: f32 = 0.2;
 
-/// Times that photos are asked which splats they bear out, at most; each in the middle of its part of this time, in
+/// Multi-view prunings, at most; each in the middle of its part of this span, in
 /// hundredths of the steps.
-const ASKED: u64 = 8;
-const ASKING: (u64, u64) = (24, 88);
-/// Photos asked in all, for each step at most: with 200 photos, eight times each took a third as long as the steps.
-const ASKED_PER_STEP: f64 = 1.0 / 3.0;
+const MOST_PRUNINGS: u64 = 8;
+const PRUNING_SPAN: (u64, u64) = (24, 88);
+/// Photos rendered for pruning in all, per step at most: with 200 photos, eight prunings took a third as long as the steps.
+const PHOTOS_PER_STEP: f64 = 1.0 / 3.0;
 
 /// Schedules of one run.
 #[derive(Clone, Copy, Debug)]
@@ -36,7 +36,7 @@ impl Schedule {
         Schedule { finest, ..self }
     }
 
-    /// 1 at the last step, and after it: who trains on past the end keeps its rates.
+    /// 1 at the last step, and after it: a continued training keeps its last rates.
     fn share(&self, step: u32) -> f32 {
         (step as f32 / self.steps as f32).min(1.0)
     }
@@ -69,7 +69,8 @@ impl Schedule {
         LATE_DECAY.powf((2.0 * self.share(step) - 1.0).max(0.0))
     }
 
-    /// Factor on the learning rate of the splats' codes: as for the others, once shapes have settled without them.
+    /// Factor on the learning rate of the per-splat appearance embeddings: as for the others, once shapes have settled
+    /// without them.
     pub fn embedding_factor(&self, step: u32) -> f32 {
         if self.share(step) < self.splat_embedding_from { 0.0 } else { self.late_factor(step) }
     }
@@ -80,24 +81,25 @@ impl Schedule {
         self.share(step) >= 0.15
     }
 
-    /// Whether what the network takes for transients is left out: when it has had time to learn it.
+    /// Whether the transients of the network's visibility map are left out: after it has had time to learn them.
     pub fn visible(&self, step: u32) -> bool {
         self.share(step) >= 0.3
     }
 
-    /// Whether the photos are asked, after so many steps, which splats they bear out: eight times, or fewer where photos
-    /// are many, from the time transients are left out until enough steps are left to heal what is torn.
+    /// Whether splats without multi-view support are pruned after so many steps: eight times, or fewer where photos
+    /// are many, from the time transients are left out until enough steps are left to repair the gaps.
     pub fn multi_view_pruning(&self, step: u32, photos: usize) -> bool {
         let steps = u64::from(self.steps);
-        let times = (steps as f64 * ASKED_PER_STEP / photos.max(1) as f64).round() as u64;
-        let times = times.min(ASKED);
-        let (from, until) = ASKING;
+        let times = (steps as f64 * PHOTOS_PER_STEP / photos.max(1) as f64).round() as u64;
+        let times = times.min(MOST_PRUNINGS);
+        let (from, until) = PRUNING_SPAN;
         let at = |k: u64| steps * (2 * times * from + (until - from) * (2 * k + 1)) / (200 * times);
         (0..times).any(|k| u64::from(step) == at(k)) && step > 0
     }
 
-    /// Steps for which residuals say nothing of transients, after an opacity reset and where photos grow finer: what a finer
-    /// photo shows and the scene has yet to learn contradicts it as a transient does, and what is left out is never learnt.
+    /// Steps for which residuals are no evidence of transients, after an opacity reset and where photos grow finer: detail of
+    /// a finer photo that the scene has yet to learn contradicts it as a transient does, and a pixel that is left out is
+    /// never learnt.
     pub fn pause(&self) -> u32 {
         self.steps / 30
     }
@@ -108,14 +110,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn photos_are_asked_eight_times_and_less_often_where_they_are_many() {
-        let asked = |steps: u32, photos: usize| -> Vec<u32> {
+    fn splats_are_pruned_eight_times_and_less_often_where_photos_are_many() {
+        let pruned_at = |steps: u32, photos: usize| -> Vec<u32> {
             let s = Schedule::new(&TrainSettings { steps, ..TrainSettings::default() });
             (0..=steps).filter(|&step| s.multi_view_pruning(step, photos)).collect()
         };
-        assert_eq!(asked(1000, 40), [280, 360, 440, 520, 600, 680, 760, 840]);
-        assert_eq!(asked(2828, 200), [859, 1221, 1583, 1945, 2307]);
-        assert_eq!((asked(1000, 350), asked(100, 100).len(), asked(1, 1).len()), (vec![560], 0, 0));
+        assert_eq!(pruned_at(1000, 40), [280, 360, 440, 520, 600, 680, 760, 840]);
+        assert_eq!(pruned_at(2828, 200), [859, 1221, 1583, 1945, 2307]);
+        assert_eq!(
+            (pruned_at(1000, 350), pruned_at(100, 100).len(), pruned_at(1, 1).len()),
+            (vec![560], 0, 0)
+        );
     }
 
     #[test]

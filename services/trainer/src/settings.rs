@@ -1,4 +1,4 @@
-//! What a person can say about training.
+//! The settings of the training.
 
 use crate::TrainError;
 use segwild_raster::GswWidth;
@@ -23,15 +23,15 @@ segwild_scene::choice! {
 segwild_scene::choice! {
     /// How much each photo may differ in light and camera.
     pub enum AppearanceModel {
-        /// All photos share one look.
+        /// All photos share one appearance.
         None = "none",
         /// A colour matrix with offset per photo.
         Affine = "affine",
         /// The same, and light that falls on each splat in its own way: sun and shadow.
         Embed = "embed",
-        /// The lowest of these that suffices, by what points and short fits say before the training.
+        /// The simplest of these that suffices, chosen by points and short fits before the training.
         Auto = "auto",
-        /// The light is what a network reads in the photo (GS-W).
+        /// A network predicts the light from the photo (GS-W).
         Gsw = "gsw",
     }
 }
@@ -39,7 +39,7 @@ segwild_scene::choice! {
 segwild_scene::choice! {
     /// How much time to spend.
     pub enum Preset {
-        /// A first picture within minutes.
+        /// A first result within minutes.
         Draft = "draft",
         /// Good enough to click objects.
         Standard = "standard",
@@ -66,14 +66,14 @@ segwild_scene::settings! {
         sh_degree: u32 = 2 => 0..=3,
         /// How much each photo may differ in light and camera.
         appearance_model: AppearanceModel = AppearanceModel::Affine,
-        /// How wide the networks of the look `gsw` are.
+        /// Width of the networks of the appearance model `gsw`.
         gsw_width: GswWidth = GswWidth::Cpu,
-        /// Leave out pixels that keep contradicting the scene: transients, cars, other transients.
+        /// Leave out pixels that keep contradicting the scene: people, cars and other transients.
         robust: bool = true,
         /// Largest share of a photo that may be left out as transient.
         robust_share: f32 = 0.35 => 0.0..=0.6,
-        /// Trainings, short and on small photos, that look for transients before the training itself: each leaves out its
-        /// part of the photos and says what it does not find in them. 0 or 2 and more.
+        /// Short trainings on small photos that find initial transients before the training itself: each leaves out a
+        /// part of the photos and marks the pixels in them that contradict it. 0 or 2 and more.
         cross_checks: u32 = 2 => 0..=8,
         /// Seed of everything random; the same seed gives the same bytes.
         seed: u64 = 1,
@@ -87,13 +87,13 @@ segwild_scene::settings! {
         lr_rotation: f32 = 0.005 => 0.0..=10.0,
         /// Learning rate of the base colours; higher degrees take a twentieth.
         lr_colour: f32 = 0.005 => 0.0..=10.0,
-        /// Learning rate of the per-photo look.
+        /// Learning rate of the per-photo appearance.
         lr_appearance: f32 = 0.002 => 0.0..=10.0,
-        /// Learning rate of the networks of the look `gsw`.
+        /// Learning rate of the networks of the appearance model `gsw`.
         lr_net: f32 = 0.002 => 0.0..=10.0,
-        /// Learning rate of what splats keep for the looks `embed` and `gsw`.
+        /// Learning rate of the per-splat appearance embeddings of `embed` and `gsw`.
         lr_splat_embedding: f32 = 0.01 => 0.0..=10.0,
-        /// Share of the steps before splats keep anything for those looks: shapes that light has not yet painted over fit
+        /// Share of the steps before those embeddings are trained: shapes that were trained without them fit
         /// their objects better.
         splat_embedding_from: f32 = 0.25 => 0.0..=1.0,
         /// Weight of 1 - SSIM in the loss; the rest is L1. The paper's 0.2 is for photos of one light: SSIM cares less for
@@ -104,7 +104,7 @@ segwild_scene::settings! {
         /// Share of the steps trained on photos at reduced size.
         coarse: f32 = 0.5 => 0.0..=1.0,
         /// Lower opacities by what the pixel filter widens, so that small splats do not grow brighter. False: as plain Gaussian
-        /// splatting does, for viewers that cannot (docs/exports.md).
+        /// splatting does, for viewers that cannot (docs/reference/exports.md).
         antialias: bool = true,
         /// Stop growing when 10 % more splats gain less than this many dB on the training photos.
         grow_gain: f32 = 0.01 => 0.0..=100.0,
@@ -128,7 +128,7 @@ impl Preset {
 }
 
 impl TrainSettings {
-    /// Refuses values outside their range, in words.
+    /// Refuses values outside their range; the error names the setting.
     pub fn check(&self) -> Result<(), TrainError> {
         Group::check(self).map_err(|e| TrainError::Setting(e.to_string()))?;
         if self.cross_checks == 1 {
@@ -138,17 +138,18 @@ impl TrainSettings {
         }
         match self.appearance_model {
             AppearanceModel::Auto => Err(TrainError::Setting(
-                "`appearance_model` is `auto`, which is decided before the training (`choose_look`)".into(),
+                "`appearance_model` is `auto`, which is decided before the training (`choose_appearance`)"
+                    .into(),
             )),
             _ => Ok(()),
         }
     }
 
-    /// With as many steps as the scene's photos ask for, where that is left to the scene.
+    /// With the number of steps for the scene's photos, where that is left to the scene.
     #[must_use]
     pub fn decided(&self, scene: &Scene) -> TrainSettings {
         let photos = scene.views.iter().filter(|v| !v.test).count();
-        // What was decided by the effort says so itself.
+        // The effort is part of the steps now.
         TrainSettings { steps: self.steps_for(photos), effort: 1.0, ..self.clone() }
     }
 
@@ -156,7 +157,7 @@ impl TrainSettings {
     fn steps_for(&self, photos: usize) -> u32 {
         match self.steps {
             0 => (self.effort * STEPS * (photos as f32).sqrt()).round().max(1.0) as u32,
-            told => told,
+            steps => steps,
         }
     }
 

@@ -1,30 +1,30 @@
-//! How many splats a training may come to.
+//! The splat budget: how many splats a training may have.
 
 use crate::TrainSettings;
 use segwild_scene::Scene;
 use wincode::{SchemaRead, SchemaWrite};
 
 /// Splats for the square root of what pixels the photos have together. A splat needs some pixels in several photos to
-/// be determined; photos of one place overlap, and finer ones show the same surfaces again (docs/experiments/2026-11-22-how-many-splats.md).
+/// be determined; photos of one scene overlap, and finer ones show the same surfaces again (docs/experiments/2026-11-22-how-many-splats.md).
 const DENSITY: f32 = 16.0;
 /// Fewest and most that a scene is given, whatever its photos.
 const BOUNDS: (f32, f32) = (2_000.0, 200_000.0);
-/// As many as there are points, up to here: each stands for a surface that was seen.
+/// At least as many as there are points, up to here: each is on a surface that was seen.
 const POINTS: usize = 20_000;
 
-/// Room for splats: what the photos can determine, less what they show of the sky, which needs none.
+/// The splat budget: as many as the photos can determine, less the share of the sky, which needs none.
 #[derive(Clone, Copy, Debug, PartialEq, SchemaRead, SchemaWrite)]
 pub(crate) struct SplatBudget {
     /// Fewest, even if all is sky.
     least: u64,
     /// Most, if nothing is.
     most: u64,
-    /// Sum of the shares that are no sky of the photos looked at, and how many these are.
+    /// Sum of the shares that are no sky, over the photos added so far, and their number.
     ground: (f32, u32),
 }
 
 impl SplatBudget {
-    /// For photos of so many pixels each; or just what the settings say.
+    /// For photos of so many pixels each; or the number of the settings, if it is given there.
     pub fn new(settings: &TrainSettings, points: usize, photos: usize, pixels: usize) -> SplatBudget {
         let (least, most) = match settings.splats {
             0 => {
@@ -32,17 +32,17 @@ impl SplatBudget {
                 let least = points.clamp(BOUNDS.0 as usize, POINTS);
                 (least, (supported.clamp(BOUNDS.0, BOUNDS.1) as usize).max(least))
             }
-            told => (told, told),
+            splats => (splats, splats),
         };
         SplatBudget { least: least as u64, most: most as u64, ground: (0.0, 0) }
     }
 
-    /// Takes into account a photo of which this share is no sky.
-    pub fn look_at(&mut self, ground: f32) {
+    /// Adds a photo of which this share is no sky.
+    pub fn add_photo(&mut self, ground: f32) {
         self.ground = (self.ground.0 + ground, self.ground.1 + 1);
     }
 
-    /// Most splats, by the photos looked at so far.
+    /// Most splats, by the photos added so far.
     pub fn splats(&self) -> usize {
         let (sum, photos) = self.ground;
         let share = if photos > 0 { sum / photos as f32 } else { 1.0 };
@@ -67,21 +67,21 @@ mod tests {
 
     #[test]
     fn sky_needs_no_splats_and_points_keep_theirs() {
-        let mut room = SplatBudget::new(&TrainSettings::default(), 3_000, 25, 160_000);
-        assert_eq!(room.splats(), 32_000);
-        room.look_at(1.0);
-        room.look_at(0.5);
-        assert_eq!(room.splats(), 24_000);
-        (0..200).for_each(|_| room.look_at(0.0));
-        assert_eq!(room.splats(), 3_000);
+        let mut budget = SplatBudget::new(&TrainSettings::default(), 3_000, 25, 160_000);
+        assert_eq!(budget.splats(), 32_000);
+        budget.add_photo(1.0);
+        budget.add_photo(0.5);
+        assert_eq!(budget.splats(), 24_000);
+        (0..200).for_each(|_| budget.add_photo(0.0));
+        assert_eq!(budget.splats(), 3_000);
     }
 
     #[test]
-    fn what_is_told_is_told_whatever_the_photos_show() {
-        let told = TrainSettings { splats: 1_234, ..TrainSettings::default() };
-        let mut room = SplatBudget::new(&told, 50_000, 25, 160_000);
-        room.look_at(0.1);
-        assert_eq!(room.splats(), 1_234);
+    fn a_budget_from_the_settings_holds_whatever_the_photos_show() {
+        let given = TrainSettings { splats: 1_234, ..TrainSettings::default() };
+        let mut budget = SplatBudget::new(&given, 50_000, 25, 160_000);
+        budget.add_photo(0.1);
+        assert_eq!(budget.splats(), 1_234);
     }
 
     #[test]

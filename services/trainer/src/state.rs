@@ -1,4 +1,4 @@
-//! Everything that a training changes, and how it draws a view.
+//! The state of a training, and the render of a view from it.
 
 use crate::TrainError;
 use crate::appearances;
@@ -14,9 +14,9 @@ use segwild_raster::{AnyAppearance, AppearanceMaps, Channels, Frame, Projected};
 use segwild_scene::{Camera, Image, Mask, Pose, Random};
 use wincode::{SchemaRead, SchemaWrite};
 
-/// A view drawn from splats as its photo would show it.
-pub(crate) struct Rendered {
-    /// What the look made of the photo.
+/// A view rendered from splats in the appearance of its photo.
+pub(crate) struct RenderedView {
+    /// The appearance maps of the photo.
     pub light: Option<AppearanceMaps>,
     /// Colour per splat, its own and in the photo's light.
     pub colours: Vec<f32>,
@@ -24,7 +24,7 @@ pub(crate) struct Rendered {
     pub frame: Frame,
 }
 
-/// A view's look and what is behind the splats there.
+/// A view's appearance and background.
 #[derive(Clone, Copy)]
 pub(crate) struct Painter<'a> {
     pub view: usize,
@@ -33,43 +33,43 @@ pub(crate) struct Painter<'a> {
 }
 
 impl Painter<'_> {
-    /// Draws the view; `draw` as for [`AnyAppearance::appearance_maps`].
-    pub fn draw(
+    /// Renders the view; `draw` as for [`AnyAppearance::appearance_maps`].
+    pub fn render(
         &self,
         params: &Params,
         projected: &dyn Projected,
         pose: &Pose,
         draw: Option<u64>,
-    ) -> Result<Rendered, TrainError> {
+    ) -> Result<RenderedView, TrainError> {
         let colours = projected.shade();
         let light = self.appearance.appearance_maps(self.view, draw);
         let sight = params.sight(projected, pose);
         let channels = self.appearance.colour(self.view, light.as_ref(), &sight, colours.clone());
         let frame = projected.blend(&Channels { count: 3, values: &channels })?;
-        Ok(Rendered { light, colours, channels, frame })
+        Ok(RenderedView { light, colours, channels, frame })
     }
 
-    /// What is behind the splats behind a frame of them, and the look upon it: the photo's colours.
+    /// A frame over the background, in the view's appearance: the photo's colours.
     pub fn show(&self, frame: &Frame, camera: &Camera, pose: &Pose) -> Image {
         let matrix = appearances::matrix(self.appearance, self.view);
-        let behind = self.background.before(&matrix).paint(camera, pose);
+        let background_image = self.background.before(&matrix).paint(camera, pose);
         let mut scene = frame.image.clone();
-        add_background(&mut scene, &frame.alpha, &behind);
+        add_background(&mut scene, &frame.alpha, &background_image);
         self.appearance.as_appearance().apply(self.view, &scene)
     }
 }
 
 /// Everything that a step changes: what a checkpoint holds.
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
-pub(crate) struct State {
+pub(crate) struct TrainState {
     pub step: u32,
     pub params: Params,
     pub strategy: Strategy,
     pub appearance: AnyAppearance,
-    /// Per view of the scene, in the photo's colours; `None` until the photo was looked at.
+    /// Per view of the scene, in the photo's colours; `None` until the photo's first step.
     pub backgrounds: Vec<Option<Background>>,
     pub robust: Robust,
-    /// Per view, what is taken for transients before any look at it.
+    /// Per view, its initial transients.
     pub initial_transients: Vec<Option<Mask>>,
     pub sampler: Sampler,
     pub random: Random,
@@ -77,20 +77,20 @@ pub(crate) struct State {
     pub quality: Vec<Option<f32>>,
     /// Photos that turned out not to be usable: name and reason.
     pub skipped: Vec<(String, String)>,
-    /// Until this step residuals say nothing of transients.
+    /// Until this step residuals are no evidence of transients.
     pub pause_until: u32,
     /// Scene units per full-size pixel at the scene's median depth.
     pub pixel: f32,
-    /// How many splats there may be.
-    pub room: SplatBudget,
-    /// Sums of loss, PSNR and share left out since they were last asked for, and over how many steps.
+    /// Most splats there may be.
+    pub splat_budget: SplatBudget,
+    /// Sums of loss, PSNR and share left out since they were last taken, and over how many steps.
     pub since: ([f32; 3], u32),
 }
 
-impl State {
-    /// What draws a view that was looked at before.
+impl TrainState {
+    /// Renders a view that had a step before.
     pub fn painter(&self, view: usize) -> Painter<'_> {
-        let background = self.backgrounds[view].as_ref().expect("set at the first look");
+        let background = self.backgrounds[view].as_ref().expect("set at the first step of the view");
         Painter { view, appearance: &self.appearance, background }
     }
 
@@ -98,7 +98,7 @@ impl State {
     pub fn halves(&mut self, view: usize) -> (&mut Params, &mut dyn Density, PhotoSide<'_>) {
         let side = PhotoSide {
             appearance: &mut self.appearance,
-            background: self.backgrounds[view].as_mut().expect("set at the first look"),
+            background: self.backgrounds[view].as_mut().expect("set at the first step of the view"),
             robust: &mut self.robust,
             initial_transients: self.initial_transients[view].as_ref(),
             quality: &mut self.quality[view],
@@ -118,13 +118,15 @@ impl State {
         if !appearance_fits(&self.appearance, views)
             || self.params.splat_embeddings.len() != size * self.params.splats.len()
         {
-            return Err(TrainError::Checkpoint("it is damaged: its look does not fit its splats".into()));
+            return Err(TrainError::Checkpoint(
+                "it is damaged: its appearance does not fit its splats".into(),
+            ));
         }
         self.params.consistent().map_err(|e| TrainError::Checkpoint(format!("it is damaged: {e}")))
     }
 }
 
-/// Whether a look that comes out of a file has all that it keeps for so many views, and for the mean of them.
+/// Whether an appearance that comes out of a file has all its parts for so many views, and for the mean of them.
 pub(crate) fn appearance_fits(appearance: &AnyAppearance, views: usize) -> bool {
     match appearance {
         AnyAppearance::None(_) => true,

@@ -2,13 +2,13 @@
 
 use crate::TrainError;
 use crate::appearances;
-use crate::density::{Change, Seen, Surroundings};
+use crate::density::{DensityChange, StepObservation, Surroundings};
 use crate::model::options;
 use crate::multi_view_pruning::MultiViewPruning;
 use crate::params::Rates;
-use crate::photometric::Looked;
+use crate::photometric::StepPhoto;
 use crate::pixels::{at_centres, first_background};
-use crate::state::{Rendered, mean_quality};
+use crate::state::{RenderedView, mean_quality};
 use crate::trainer::{StepReport, Trainer};
 use segwild_raster::compare::{self, Compared, LeaveOut, LossOutput, Seeing, mean_difference};
 use segwild_raster::{AnyAppearance, AppearanceMaps, Channels, FrameGrad};
@@ -22,7 +22,7 @@ impl Trainer {
         let wanted = self.schedule.level(step);
         if step > 0 && wanted != self.schedule.level(step - 1) {
             self.state.quality.fill(None);
-            // The network of the look `gsw` learns from all visits who is one, and from every residual.
+            // The network of `gsw` learns transients from all visits, and from every residual.
             if !matches!(self.state.appearance, AnyAppearance::Gsw(_)) {
                 self.state.pause_until = step + self.schedule.pause();
             }
@@ -39,12 +39,15 @@ impl Trainer {
             let full = self.camera(view, &stored, 0);
             self.state.backgrounds[view] = Some(first_background(&stored, &full, &pose));
             appearances::start(&mut self.state.appearance, view, &self.views[view], &stored);
-            self.state.room.look_at(photo.ground());
+            self.state.splat_budget.add_photo(photo.ground());
         }
-        self.leave()?;
-        let looked = Looked { view, stored: &stored, level, photo, camera, pose };
-        let LossOutput { loss, psnr, left_out, .. } =
-            if self.is_on_device() { self.step_on_device(&looked)? } else { self.learn_here(&looked)? };
+        self.upload()?;
+        let step_photo = StepPhoto { view, stored: &stored, level, photo, camera, pose };
+        let LossOutput { loss, psnr, left_out, .. } = if self.is_on_device() {
+            self.step_on_device(&step_photo)?
+        } else {
+            self.learn_here(&step_photo)?
+        };
         self.state.appearance.as_appearance_mut().step(self.schedule.late_factor(step));
         self.state.step += 1;
         let dropped = self.prune_unsupported()?;
@@ -69,24 +72,24 @@ impl Trainer {
     }
 
     /// The step on the host.
-    fn learn_here(&mut self, looked: &Looked) -> Result<LossOutput, TrainError> {
-        let &Looked { view, photo, ref camera, ref pose, .. } = looked;
+    fn learn_here(&mut self, step_photo: &StepPhoto) -> Result<LossOutput, TrainError> {
+        let &StepPhoto { view, photo, ref camera, ref pose, .. } = step_photo;
         let step = self.state.step;
         let rates = self.rates(step);
         let (settings, schedule, posed) = (&self.settings, &self.schedule, &self.views[view]);
         let (params, strategy, mut side) = self.state.halves(view);
         let projected = self.engine.project(&params.splats, camera, pose, &options(settings.antialias))?;
-        let Rendered { light, colours, channels, frame } =
-            side.painter(view).draw(params, &*projected, pose, Some(u64::from(step)))?;
-        let behind = side.behind(view);
-        let loss_inputs = side.loss_inputs(settings, schedule, looked, &behind);
-        let target = side.target(looked, posed, matches!(loss_inputs.leave_out, LeaveOut::Residual(_)));
-        // The network of the look `gsw` has its own say about what is visible, and is blamed for it.
+        let RenderedView { light, colours, channels, frame } =
+            side.painter(view).render(params, &*projected, pose, Some(u64::from(step)))?;
+        let background = side.scene_background(view);
+        let loss_inputs = side.loss_inputs(settings, schedule, step_photo, &background);
+        let target = side.target(step_photo, posed, matches!(loss_inputs.leave_out, LeaveOut::Residual(_)));
+        // The network of `gsw` predicts the visible pixels, and gets a gradient for that.
         let map = light.as_ref().and_then(AppearanceMaps::visible);
         let seeing = map.as_ref().map(|map| Seeing { map, decides: schedule.visible(step) });
         let compared = compare::compare(&frame, &target, &loss_inputs, seeing.as_ref());
-        let Compared { output: said, image, alpha, error, blame, .. } = compared;
-        side.hear(looked, &said);
+        let Compared { output, image, alpha, error, blame, .. } = compared;
+        side.apply(step_photo, &output);
         let channels = Channels { count: 3, values: &channels };
         let grad = FrameGrad { image: &image, alpha: Some(&alpha) };
         let mut grads = projected.backward(&channels, &frame, &grad)?;
@@ -96,7 +99,7 @@ impl Trainer {
             side.appearance.colour_backward(view, light.as_ref(), &sight, &colours, colour_grads, &blame);
         let sh_grads = projected.shade_backward(&colour_grads, &mut grads);
         let error = at_centres(&error, projected.as_ref());
-        let seen = Seen {
+        let seen = StepObservation {
             radii: projected.radii(),
             grads: &grads,
             error: &error,
@@ -108,7 +111,7 @@ impl Trainer {
         strategy.regularise(&params.splats, &mut grads);
         params.update(&grads, &sh_grads, &rates);
         params.update_embeddings(&embedding_grads, &radii, &rates, side.appearance.as_appearance().fading());
-        Ok(said)
+        Ok(output)
     }
 
     pub(crate) fn rates(&self, step: u32) -> Rates {
@@ -120,11 +123,11 @@ impl Trainer {
             scale: s.lr_scale * late,
             rotation: s.lr_rotation * late,
             colour: s.lr_colour * late,
-            code: s.lr_splat_embedding * self.schedule.embedding_factor(step),
+            splat_embedding: s.lr_splat_embedding * self.schedule.embedding_factor(step),
         }
     }
 
-    /// Removes splats that the photos do not bear out: transients that one photo put before its camera.
+    /// Removes splats without multi-view support: transients that one photo put before its camera.
     fn prune_unsupported(&mut self) -> Result<usize, TrainError> {
         let photos = self.state.sampler.count();
         if !self.settings.robust || !self.schedule.multi_view_pruning(self.state.step, photos) {
@@ -148,12 +151,13 @@ impl Trainer {
             let pose = self.views[view].pose;
             let projected = engine.project(splats, &camera, &pose, &options(self.settings.antialias))?;
             let painter = self.state.painter(view);
-            let drawn = painter.draw(&self.state.params, &*projected, &pose, None)?;
-            let shown = painter.show(&drawn.frame, &camera, &pose);
-            let residual = self.views[view].doubted(&mean_difference(&shown, &photo.image()), photo);
+            let rendered = painter.render(&self.state.params, &*projected, &pose, None)?;
+            let shown = painter.show(&rendered.frame, &camera, &pose);
+            let residual =
+                self.views[view].untrusted_residual(&mean_difference(&shown, &photo.image()), photo);
             let share = if stored.transients_known { 0.0 } else { self.settings.robust_share };
             let contradicted = compare::contradicted(&residual, photo.width, |i| photo.counts(i), share);
-            multi_view_pruning.hear(&*projected, photo.width, &contradicted, |i| photo.counts(i))?;
+            multi_view_pruning.add_photo(&*projected, photo.width, &contradicted, |i| photo.counts(i))?;
         }
         drop(held);
         let kept = multi_view_pruning.supported();
@@ -166,7 +170,7 @@ impl Trainer {
     }
 
     /// Lets the density strategy act on the splats as they are after the step.
-    fn control_density(&mut self) -> Result<Option<Change>, TrainError> {
+    fn control_density(&mut self) -> Result<Option<DensityChange>, TrainError> {
         if !self.state.strategy.as_dyn().acts(self.state.step) {
             return Ok(None);
         }
@@ -197,7 +201,7 @@ impl Trainer {
             step: state.step,
             level: self.schedule.level(state.step - 1),
             pixel: state.pixel,
-            cap: state.room.splats(),
+            cap: state.splat_budget.splats(),
             quality,
             random: &mut state.random,
             contribution: &mut contribution,

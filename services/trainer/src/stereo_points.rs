@@ -1,7 +1,7 @@
-//! Points between those of the reconstruction, by comparing photos: splats grow where there are some already, and a lawn,
-//! a pavement or a plain wall has few keypoints to start any.
+//! Stereo initialisation: points between those of the reconstruction, by multi-view stereo. Splats grow where there are some
+//! already, and a lawn, a pavement or a plain wall has few keypoints to start any.
 
-use crate::photos::PhotoCache;
+use crate::photos::TrainPhotoCache;
 use crate::splat_budget::SplatBudget;
 use crate::{TrainError, TrainSettings};
 use segwild_mvs::Picture;
@@ -16,7 +16,7 @@ const LONG_SIDE: usize = 320;
 /// Less than this is too small to compare anything in it.
 const LEAST_SIDE: usize = 64;
 
-/// Bytes that a look for points takes at most, before the training takes any.
+/// Bytes that stereo initialisation takes at most, before the training takes any.
 pub fn stereo_bytes(settings: &TrainSettings, photos: usize, pixels: usize) -> usize {
     let compared = if settings.stereo > 0.0 { photos.min(PHOTOS) } else { 0 };
     compared * pixels.min(LONG_SIDE * LONG_SIDE) * PER_PIXEL
@@ -25,7 +25,7 @@ pub fn stereo_bytes(settings: &TrainSettings, photos: usize, pixels: usize) -> u
 /// Points that photos agree on, as many as are to start splats beside the reconstruction's; `initial_transients` are left out.
 pub(crate) fn points(
     scene: &Scene,
-    photos: &mut PhotoCache,
+    photos: &mut TrainPhotoCache,
     settings: &TrainSettings,
     initial_transients: &[Option<Mask>],
     stopping: &dyn Fn() -> bool,
@@ -35,7 +35,7 @@ pub(crate) fn points(
     }
     let train: Vec<usize> = (0..scene.views.len()).filter(|&v| !scene.views[v].test).collect();
     let every = train.len().div_ceil(PHOTOS).max(1);
-    let (mut views, mut pictures) = (Vec::new(), Vec::new());
+    let (mut views, mut images) = (Vec::new(), Vec::new());
     let (mut pixels, mut ground) = (0, Vec::new());
     for &view in train.iter().step_by(every) {
         // A photo may have to wait for its sky.
@@ -56,14 +56,14 @@ pub(crate) fn points(
         let usable = Mask::from_fn(photo.width as u32, photo.height as u32, |x, y| {
             shows(y as usize * photo.width + x as usize)
         });
-        pictures.push(Picture { image: photo.image(), usable: Some(usable) });
+        images.push(Picture { image: photo.image(), usable: Some(usable) });
         views.push(view);
     }
-    let mut room = SplatBudget::new(settings, scene.points.len(), train.len(), pixels);
-    ground.iter().for_each(|&share| room.look_at(share));
-    let most = ((settings.stereo * room.splats() as f32) as usize).saturating_sub(scene.points.len());
+    let mut budget = SplatBudget::new(settings, scene.points.len(), train.len(), pixels);
+    ground.iter().for_each(|&share| budget.add_photo(share));
+    let most = ((settings.stereo * budget.splats() as f32) as usize).saturating_sub(scene.points.len());
     if most == 0 {
         return Ok(Vec::new());
     }
-    segwild_mvs::points(scene, &views, pictures, most, settings.seed, stopping).ok_or(TrainError::Stopped)
+    segwild_mvs::points(scene, &views, images, most, settings.seed, stopping).ok_or(TrainError::Stopped)
 }

@@ -2,18 +2,18 @@
 
 use crate::appearances;
 use crate::colours::coloured;
-use crate::density::{Change, Strategy};
+use crate::density::{DensityChange, Strategy};
 use crate::initial::{Eye, initial_splats};
 use crate::initial_transients::{initial_transients, share};
 use crate::model::{Model, Stats};
 use crate::params::Params;
-use crate::photos::{PhotoCache, Photos, Stored};
+use crate::photos::{Photos, Stored, TrainPhotoCache};
 use crate::posed::{Posed, posed};
 use crate::robust::Robust;
 use crate::sampler::Sampler;
 use crate::schedule::Schedule;
 use crate::splat_budget::SplatBudget;
-use crate::state::{State, mean_quality};
+use crate::state::{TrainState, mean_quality};
 use crate::stereo_points;
 use crate::{TrainError, TrainSettings};
 use segwild_raster::{AnyAppearance, Engine, Resident};
@@ -27,14 +27,14 @@ use wincode::{SchemaRead, SchemaWrite};
 /// Trainers that there were in this process.
 static TRAINERS: AtomicU64 = AtomicU64::new(0);
 
-/// What one step did.
+/// The result of one step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepReport {
     /// Steps done, this one included.
     pub step: u32,
     /// Steps of the whole run.
     pub steps: u32,
-    /// The view looked at.
+    /// The view of the step.
     pub view: usize,
     /// Loss before the step.
     pub loss: f32,
@@ -47,7 +47,7 @@ pub struct StepReport {
     /// Splats after the step.
     pub splats: usize,
     /// What density control did, when it acted.
-    pub change: Option<Change>,
+    pub change: Option<DensityChange>,
 }
 
 /// Trains one scene, one photo per step.
@@ -56,17 +56,17 @@ pub struct Trainer {
     pub(crate) settings: TrainSettings,
     pub(crate) schedule: Schedule,
     pub(crate) views: Vec<Posed>,
-    pub(crate) photos: PhotoCache,
+    pub(crate) photos: TrainPhotoCache,
     warnings: Vec<String>,
-    pub(crate) state: State,
+    pub(crate) state: TrainState,
     /// Unlike that of any other trainer of the process: engines keep photos by it.
     pub(crate) id: u64,
-    /// The splats while they are where the engine computes; those of the state are then old.
-    pub(crate) away: Option<Box<dyn Resident>>,
-    /// Whether they may go there.
-    pub(crate) may_leave: bool,
-    /// Points that photos agreed on between those of the reconstruction.
-    between: usize,
+    /// The splats while they are on the device; those of the state are then old.
+    pub(crate) resident: Option<Box<dyn Resident>>,
+    /// Whether they may be uploaded.
+    pub(crate) may_upload: bool,
+    /// Points of the stereo initialisation.
+    stereo_count: usize,
 }
 
 /// A training that can be continued: with the same scene, photos and settings it ends in the same bytes as
@@ -77,7 +77,7 @@ pub struct Checkpoint {
     settings: Vec<(String, String)>,
     /// Names of the scene's views.
     names: Vec<String>,
-    state: State,
+    state: TrainState,
 }
 
 impl Checkpoint {
@@ -99,11 +99,11 @@ impl Trainer {
         let settings = settings.decided(scene);
         let mut cache = photo_cache(scene, photos, &settings);
         let scene = coloured(scene, &mut cache, &|| false)?;
-        Trainer::begin(engine, &scene, cache, settings, 0, &[])
+        Trainer::start(engine, &scene, cache, settings, 0, &[])
     }
 
-    /// The same after a look for transients by [`TrainSettings::cross_checks`] other trainings, and one for points between
-    /// those of the reconstruction ([`TrainSettings::stereo`]); `stopping` ends these.
+    /// The same after a search for initial transients by [`TrainSettings::cross_checks`] other trainings, and after stereo
+    /// initialisation ([`TrainSettings::stereo`]); `stopping` ends these.
     pub fn prepared(
         engine: Arc<dyn Engine>,
         scene: &Scene,
@@ -116,26 +116,26 @@ impl Trainer {
         let mut cache = photo_cache(scene, photos, &settings);
         let scene = &*coloured(scene, &mut cache, stopping)?;
         let found = initial_transients(&engine, scene, &mut cache, &settings, stopping)?;
-        let between = stereo_points::points(scene, &mut cache, &settings, &found, stopping)?;
-        let mut trainer = Trainer::begin(engine, scene, cache, settings, 0, &between)?;
+        let stereo = stereo_points::points(scene, &mut cache, &settings, &found, stopping)?;
+        let mut trainer = Trainer::start(engine, scene, cache, settings, 0, &stereo)?;
         trainer.state.initial_transients = found;
-        trainer.between = between.len();
+        trainer.stereo_count = stereo.len();
         Ok(trainer)
     }
 
-    /// Starts from the scene's points and those `between` them, on photos that are halved `finest` times at the least.
-    pub(crate) fn begin(
+    /// Starts from the scene's points and those of `stereo`, on photos that are halved `finest` times at the least.
+    pub(crate) fn start(
         engine: Arc<dyn Engine>,
         scene: &Scene,
-        mut cache: PhotoCache,
+        mut cache: TrainPhotoCache,
         settings: TrainSettings,
         finest: usize,
-        between: &[Point],
+        stereo: &[Point],
     ) -> Result<Trainer, TrainError> {
         let mut train: Vec<usize> = (0..scene.views.len()).filter(|&i| !scene.views[i].test).collect();
         let mut skipped: Vec<(String, String)> = train.iter().filter_map(|&i| cache.refused(i)).collect();
         train.retain(|&i| cache.refused(i).is_none());
-        // The first usable photo tells the size trained at.
+        // The first usable photo gives the size trained at.
         let first = loop {
             let Some(&view) = train.first() else {
                 return Err(no_photos(&skipped));
@@ -155,13 +155,14 @@ impl Trainer {
         for &i in &train {
             eyes[i] = Some((scene.views[i].camera.scaled_to(long_side), scene.views[i].pose));
         }
-        let room = SplatBudget::new(&settings, scene.points.len(), train.len(), size.pixels());
+        let splat_budget = SplatBudget::new(&settings, scene.points.len(), train.len(), size.pixels());
         let mut random = Random::new(settings.seed);
         let schedule = Schedule::new(&settings).no_finer_than(finest);
-        let start = initial_splats(scene, between, &eyes, schedule.sh_degree(0), room.splats(), &mut random);
-        let appearance = appearances::begin(&settings, scene.views.len());
+        let start =
+            initial_splats(scene, stereo, &eyes, schedule.sh_degree(0), splat_budget.splats(), &mut random);
+        let appearance = appearances::initial(&settings, scene.views.len());
         let splat_embeddings = appearance.as_appearance().first_embeddings(&start.splats.means);
-        let state = State {
+        let state = TrainState {
             step: 0,
             strategy: Strategy::new(&settings, start.splats.len()),
             params: Params::new(start.splats, splat_embeddings),
@@ -175,7 +176,7 @@ impl Trainer {
             skipped,
             pause_until: 0,
             pixel: start.pixel,
-            room,
+            splat_budget,
             since: ([0.0; 3], 0),
         };
         for warning in &start.warnings {
@@ -190,9 +191,9 @@ impl Trainer {
             state,
             settings,
             id: TRAINERS.fetch_add(1, Ordering::Relaxed),
-            away: None,
-            may_leave: true,
-            between: 0,
+            resident: None,
+            may_upload: true,
+            stereo_count: 0,
         })
     }
 
@@ -222,7 +223,7 @@ impl Trainer {
         let mut photos = photo_cache(scene, photos, &settings);
         let schedule = Schedule::new(&settings);
         let state = checkpoint.state;
-        // Points' colours are asked for when a photo is looked at for the first time.
+        // Points' colours are needed at the first step of a photo.
         let unseen = state.sampler.views().iter().any(|&view| state.backgrounds[view].is_none());
         let scene = if unseen { coloured(scene, &mut photos, &|| false)? } else { Cow::Borrowed(scene) };
         Ok(Trainer {
@@ -234,9 +235,9 @@ impl Trainer {
             state,
             settings,
             id: TRAINERS.fetch_add(1, Ordering::Relaxed),
-            away: None,
-            may_leave: true,
-            between: 0,
+            resident: None,
+            may_upload: true,
+            stereo_count: 0,
         })
     }
 
@@ -267,8 +268,8 @@ impl Trainer {
         self.state.step
     }
 
-    /// Means of loss, PSNR in dB and share left out over the steps since this was last asked, by this trainer or by the
-    /// one whose checkpoint it goes on from.
+    /// Means of loss, PSNR in dB and share left out over the steps since the last call, of this trainer or of the
+    /// one whose checkpoint it continues.
     pub fn means(&mut self) -> [f32; 3] {
         let (sums, steps) = std::mem::take(&mut self.state.since);
         sums.map(|sum| sum / steps.max(1) as f32)
@@ -279,28 +280,28 @@ impl Trainer {
         self.state.step >= self.settings.steps
     }
 
-    /// What was odd about the start, in words.
+    /// Warnings about the start, in sentences.
     pub fn warnings(&self) -> &[String] {
         &self.warnings
     }
 
-    /// What of a view's photo is left out from the start, at whatever size: other photos do not show it. `None` where nothing
+    /// The initial transients of a view, at any size: pixels left out from the start. `None` where nothing
     /// is known.
     pub fn initial_transients(&self, view: usize) -> Option<&Mask> {
         self.state.initial_transients[view].as_ref()
     }
 
-    /// Mean share of the photos that is so left out.
+    /// Mean share of the photos that is left out as initial transients.
     pub fn initial_transient_share(&self) -> f32 {
         share(&self.state.initial_transients)
     }
 
-    /// How many points photos agreed on between those of the reconstruction; 0 after the start.
-    pub fn between(&self) -> usize {
-        self.between
+    /// Number of points of the stereo initialisation; 0 in a training that was resumed.
+    pub fn stereo_count(&self) -> usize {
+        self.stereo_count
     }
 
-    /// The photos in the order in which the next steps look at them, each at least once: what to have ready first.
+    /// The photos in the order of the next steps, each at least once: which to have ready first.
     pub fn upcoming(&self) -> Vec<usize> {
         let (mut sampler, mut random) = (self.state.sampler.clone(), self.state.random.clone());
         let rest_of_round_and_next = 0..2 * sampler.views().len();
@@ -367,9 +368,9 @@ impl Trainer {
     }
 }
 
-fn photo_cache(scene: &Scene, photos: Arc<dyn Photos>, settings: &TrainSettings) -> PhotoCache {
+fn photo_cache(scene: &Scene, photos: Arc<dyn Photos>, settings: &TrainSettings) -> TrainPhotoCache {
     let names = scene.views.iter().map(|v| v.name.clone()).collect();
-    PhotoCache::new(photos, names, settings.photo_cache_mib << 20)
+    TrainPhotoCache::new(photos, names, settings.photo_cache_mib << 20)
 }
 
 fn no_photos(skipped: &[(String, String)]) -> TrainError {

@@ -1,4 +1,4 @@
-//! How much each pixel of a photo looks like a transient, once the scene is trained.
+//! How likely each pixel of a photo is a transient, once the scene is trained.
 
 use crate::TrainError;
 use crate::model::{Model, render_view};
@@ -9,14 +9,14 @@ use segwild_raster::compare::{limit, mean_difference, smoothed, weighted_psnr};
 use segwild_scene::{Image, Scene};
 
 /// Where the certainty is one half, as a share of the residual that training leaves out: by then the scene has learnt a
-/// part of every transient. Three synthetic places (10, 25 and 25 % covered): mean IoU .68, .56, .65 at 1; .68, .59, .68 at
+/// part of every transient. Three synthetic scenes (10, 25 and 25 % covered): mean IoU .68, .56, .65 at 1; .68, .59, .68 at
 /// 0.8; .68, .61, .70 at 0.65.
 const AT: f32 = 0.65;
 /// How sharply the certainty rises there, and how small and large it gets.
 const STEEP: f32 = 1.5;
 const LEAST: f32 = 0.02;
 
-/// What a photo shows beside the scene.
+/// Evidence of transients in a photo.
 #[derive(Clone, Debug)]
 pub struct TransientEvidence {
     /// Per pixel, how certainly it shows something that the scene does not, in [0, 1]; `None` where nothing in the photo
@@ -44,14 +44,14 @@ pub fn transient_evidence(
     let target = level.image();
     let weights: Vec<f32> = (0..w * h).map(|i| f32::from(u8::from(level.counts(i)))).collect();
     let psnr = weighted_psnr(&shown, &target, &weights);
-    let residual = posed.doubted(&mean_difference(&shown, &target), level);
+    let residual = posed.untrusted_residual(&mean_difference(&shown, &target), level);
     let smooth = smoothed(&residual, w);
     let Some(limit) = limit(&smooth, |i| level.counts(i), share) else {
         return Ok(TransientEvidence { certainty: None, psnr });
     };
     let certainty = |i: usize| {
         if !level.counts(i) {
-            return LEAST; // sky and what is not to be trusted show no transient
+            return LEAST; // sky and invalid pixels are no transient
         }
         let odds = (smooth[i] / (AT * limit)).max(1e-3).powf(STEEP);
         (odds / (1.0 + odds)).clamp(LEAST, 1.0 - LEAST)

@@ -54,11 +54,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
     };
     let encoded = work(Work::default());
-    println!(
-        "{} photos encoded, {:.3} s each",
-        encoded.encoded,
-        encoded.seconds_per_picture().unwrap_or(0.0)
-    );
+    println!("{} photos encoded, {:.3} s each", encoded.encoded, encoded.seconds_per_image().unwrap_or(0.0));
     // The first one is still in memory.
     let (w, h) = (photos[0].width as f32, photos[0].height as f32);
     let at = |k: usize, size: f32| (k as f32 + 0.5) * size / GRID as f32;

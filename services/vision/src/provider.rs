@@ -28,7 +28,7 @@ pub struct Work {
 
 impl Work {
     /// Seconds per encoded image; `None` before the first.
-    pub fn seconds_per_picture(&self) -> Option<f64> {
+    pub fn seconds_per_image(&self) -> Option<f64> {
         (self.encoded > 0).then(|| self.encode_s / self.encoded as f64)
     }
 

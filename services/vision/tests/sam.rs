@@ -6,7 +6,7 @@ mod toy;
 use segwild_scene::{BoxPrompt, Image, Mask, PointPrompt, Prompts, ScoredMask};
 use segwild_vision::{ModelChoice, Providers, VisionSettings, Work};
 use std::path::Path;
-use toy::{Decoder, EFFICIENT, Fault, PIXEL_KINDS, SAM, SCORES, Takes, can_run, decoder, encoder};
+use toy::{EFFICIENT, PIXEL_KINDS, SAM, SCORES, Takes, ToyDecoder, ToyFault, can_run, decoder, encoder};
 
 const W: usize = 160;
 const H: usize = 112;
@@ -57,8 +57,8 @@ fn providers(folder: &Path, change: impl Fn(&mut VisionSettings)) -> Providers {
 }
 
 /// The providers of a pair.
-fn pair(folder: &Path, takes: Takes, d: Decoder) -> Providers {
-    toy::write(folder, "sam", &encoder(takes, Fault::None), &decoder(d));
+fn pair(folder: &Path, takes: Takes, d: ToyDecoder) -> Providers {
+    toy::write(folder, "sam", &encoder(takes, ToyFault::None), &decoder(d));
     providers(folder, |_| ())
 }
 
@@ -78,18 +78,18 @@ fn a_click_gives_three_nested_masks_whatever_the_interface() {
     if !can_run(test) {
         return;
     }
-    let three = Decoder { masks: 3, ..SAM };
+    let three = ToyDecoder { masks: 3, ..SAM };
     let interfaces = [
         ("SAM", Takes::Planes, SAM),
         ("SAM without the mask for precise prompts", Takes::Planes, three),
-        ("SAM of many queries", Takes::Planes, Decoder { queries: toy::onnx::OPEN, ..SAM }),
-        ("SAM of a fixed number of points", Takes::Planes, Decoder { points: 5, ..SAM }),
-        ("SAM of full-size masks alone", Takes::Planes, Decoder { small: false, ..SAM }),
+        ("SAM of many queries", Takes::Planes, ToyDecoder { queries: toy::onnx::OPEN, ..SAM }),
+        ("SAM of a fixed number of points", Takes::Planes, ToyDecoder { points: 5, ..SAM }),
+        ("SAM of full-size masks alone", Takes::Planes, ToyDecoder { small: false, ..SAM }),
         ("SAM of packed floats", Takes::Pixels(PIXEL_KINDS[0]), SAM),
         ("SAM of packed bytes", Takes::Pixels(PIXEL_KINDS[1]), SAM),
         ("EfficientSAM", Takes::Whole, EFFICIENT),
-        ("EfficientSAM of full-size masks alone", Takes::Whole, Decoder { small: false, ..EFFICIENT }),
-        ("EfficientSAM of four queries", Takes::Whole, Decoder { queries: 4, points: 6, ..EFFICIENT }),
+        ("EfficientSAM of full-size masks alone", Takes::Whole, ToyDecoder { small: false, ..EFFICIENT }),
+        ("EfficientSAM of four queries", Takes::Whole, ToyDecoder { queries: 4, points: 6, ..EFFICIENT }),
     ];
     let (image, expected) = (photo(), [truth(red), truth(|x, y| red(x, y) || reddish(x, y))]);
     for (what, takes, d) in interfaces {
@@ -128,7 +128,7 @@ fn one_mask_per_prompt_is_enough() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
-    let all = pair(folder.path(), Takes::Planes, Decoder { masks: 1, ..SAM });
+    let all = pair(folder.path(), Takes::Planes, ToyDecoder { masks: 1, ..SAM });
     let prompts = Prompts { granularity: Some(0.0), ..Prompts::click(40.0, 40.0) };
     let mask = all.segmenter.segment(&photo(), &prompts).unwrap();
     assert_eq!(mask.predicted_iou, 0.91);
@@ -141,7 +141,7 @@ fn masks_are_scaled_to_the_photo_as_the_published_export_scales_them() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
-    let full = Decoder { small: false, ..SAM };
+    let full = ToyDecoder { small: false, ..SAM };
     // Landscape, portrait, square, and one larger than the encoder's square.
     for (w, h) in [(160, 112), (75, 160), (90, 90), (1300, 40)] {
         let image = photo().resized(w, h);
@@ -222,7 +222,7 @@ fn a_further_click_costs_one_prompt_and_goes_on_from_the_answer_before() {
     assert_eq!(fresh.segmenter.segment(&image, &prompts).unwrap(), last);
     assert_eq!(fresh.proposer.work().unwrap().prompts, 3);
     let work = done();
-    assert!(work.seconds_per_picture().unwrap() > 0.0 && work.prompts_per_second().unwrap() > 0.0);
+    assert!(work.seconds_per_image().unwrap() > 0.0 && work.prompts_per_second().unwrap() > 0.0);
 }
 
 #[test]
@@ -339,8 +339,8 @@ fn another_file_is_another_key() {
     assert_eq!(keys(1.0), before);
     assert_ne!(keys(0.5).1, before.1, "the offset makes other masks");
     assert_eq!(keys(0.5).0, before.0, "and the same embeddings");
-    let other = decoder(Decoder { masks: 3, ..SAM });
-    toy::write(folder.path(), "mobile_sam", &encoder(Takes::Planes, Fault::None), &other);
+    let other = decoder(ToyDecoder { masks: 3, ..SAM });
+    toy::write(folder.path(), "mobile_sam", &encoder(Takes::Planes, ToyFault::None), &other);
     let after = keys(1.0);
     assert_eq!(after.0, before.0, "the encoder is the same");
     assert_ne!(after.1, before.1);

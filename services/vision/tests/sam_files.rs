@@ -8,7 +8,7 @@ use segwild_vision::{DeviceChoice, ModelChoice, Providers, VisionSettings};
 use std::path::Path;
 use std::time::Instant;
 use toy::onnx::{OPEN, OnnxGraph, tensor, tensor_elsewhere};
-use toy::{Decoder, EFFICIENT, Fault, SAM, Takes, can_run, decoder, encoder};
+use toy::{EFFICIENT, SAM, Takes, ToyDecoder, ToyFault, can_run, decoder, encoder};
 
 fn settings(folder: &Path) -> VisionSettings {
     VisionSettings {
@@ -54,7 +54,7 @@ fn error_with(
 }
 
 fn good() -> (Vec<u8>, Vec<u8>) {
-    (encoder(Takes::Planes, Fault::None), decoder(SAM))
+    (encoder(Takes::Planes, ToyFault::None), decoder(SAM))
 }
 
 #[test]
@@ -90,7 +90,7 @@ fn files_of_another_kind_are_refused() {
     refused(&e, &e, &["takes image; a prompted decoder takes image_embeddings, point_coords"]);
     let efficient = decoder(EFFICIENT);
     refused(&e, &efficient, &["a decoder of EfficientSAM's kind", "an encoder of SAM's"]);
-    refused(&encoder(Takes::Whole, Fault::None), &d, &["a decoder of SAM's kind"]);
+    refused(&encoder(Takes::Whole, ToyFault::None), &d, &["a decoder of SAM's kind"]);
 }
 
 #[test]
@@ -136,15 +136,15 @@ fn shapes_that_do_not_fit_are_refused() {
         &["declared as 1 x 3 x 1000000 x 1000000"],
     );
     // Answers that are not what the file declares, or no numbers, are found when they come.
-    let half = error_of(&encoder(Takes::Planes, Fault::Half), &d, |_| ());
+    let half = error_of(&encoder(Takes::Planes, ToyFault::Half), &d, |_| ());
     assert!(half.contains("sam_encoder.onnx: answered [1, 256, 64, 32] on a photo of 40 x 30"), "{half}");
-    let nan = error_of(&encoder(Takes::Planes, Fault::NoNumber), &d, |_| ());
+    let nan = error_of(&encoder(Takes::Planes, ToyFault::NoNumber), &d, |_| ());
     assert!(nan.contains("values that are no numbers on a photo of 40 x 30"), "{nan}");
-    let spoilt = error_of(&e, &decoder(Decoder { spoilt: true, ..SAM }), |_| ());
+    let spoilt = error_of(&e, &decoder(ToyDecoder { spoilt: true, ..SAM }), |_| ());
     assert!(spoilt.contains("4 values that are no numbers"), "{spoilt}");
-    let many = decoder(Decoder { queries: 4096, small: false, ..EFFICIENT });
-    refused(&encoder(Takes::Whole, Fault::None), &many, &["takes 4096 prompts at a time"]);
-    let one_point = decoder(Decoder { points: 1, ..SAM });
+    let many = decoder(ToyDecoder { queries: 4096, small: false, ..EFFICIENT });
+    refused(&encoder(Takes::Whole, ToyFault::None), &many, &["takes 4096 prompts at a time"]);
+    let one_point = decoder(ToyDecoder { points: 1, ..SAM });
     let mut two = Prompts::click(20.0, 15.0);
     two.points.extend(Prompts::click(5.0, 5.0).points);
     let few = error_with(&e, &one_point, |_| (), &two);
@@ -157,7 +157,7 @@ fn a_network_without_end_is_stopped() {
         return;
     }
     let began = Instant::now();
-    let error = error_of(&encoder(Takes::Planes, Fault::Endless), &decoder(SAM), |s| s.network_limit = 1);
+    let error = error_of(&encoder(Takes::Planes, ToyFault::Endless), &decoder(SAM), |s| s.network_limit = 1);
     assert!(error.contains("was stopped") && error.contains("after 1 seconds"), "{error}");
     assert!(began.elapsed().as_secs() < 60);
 }
@@ -167,7 +167,7 @@ fn a_file_that_wants_gigabytes_gets_none() {
     if !can_run("a_file_that_wants_gigabytes_gets_none") {
         return;
     }
-    for fault in [Fault::Huge, Fault::HugeAtOnce] {
+    for fault in [ToyFault::Huge, ToyFault::HugeAtOnce] {
         let error = error_of(&encoder(Takes::Planes, fault), &decoder(SAM), |_| ());
         assert!(error.contains("`network_memory`"), "{error}");
     }

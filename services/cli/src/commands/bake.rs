@@ -5,7 +5,7 @@ use super::{path, print_json, print_line};
 use crate::args::{self, appearances, choice, examples, json, selection};
 use crate::failure::Failure;
 use clap::{ArgMatches, Command};
-use segwild_pipeline::{BakeRequest, ScenePart, RunFolder};
+use segwild_pipeline::{BakeRequest, RunFolder, ScenePart};
 
 /// The command's arguments.
 pub fn command() -> Command {

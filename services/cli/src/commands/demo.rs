@@ -10,7 +10,7 @@ use segwild_bench::synthetic::{Kind, SyntheticOptions};
 use segwild_bench::trial::{ProviderKind, Trial};
 use segwild_flow::Stopper;
 use segwild_pipeline::{
-    AppearanceRequest, Mode, PhotoPrompts, Preset, RenderRequest, Settings, RenderContent, render,
+    AppearanceRequest, Mode, PhotoPrompts, Preset, RenderContent, RenderRequest, Settings, render,
 };
 use std::path::PathBuf;
 

@@ -4,7 +4,7 @@ use super::{path, print_json, print_line};
 use crate::args::{self, appearances, choice, examples, json, selection};
 use crate::failure::Failure;
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
-use segwild_pipeline::{AppearanceRequest, Mode, RenderRequest, RunFolder, RenderContent};
+use segwild_pipeline::{AppearanceRequest, Mode, RenderContent, RenderRequest, RunFolder};
 
 /// The command's arguments.
 pub fn command() -> Command {

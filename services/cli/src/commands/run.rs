@@ -9,7 +9,9 @@ use crate::operators::{
 use crate::progress::{duration, show, stop_on_ctrl_c};
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_flow::{Events, Stopper};
-use segwild_pipeline::{Code, StagePlan, RunError, RunFolder, RunOptions, Settings, Summary, Until, StageVerdict};
+use segwild_pipeline::{
+    Code, RunError, RunFolder, RunOptions, Settings, StagePlan, StageVerdict, Summary, Until,
+};
 use segwild_scene::{SceneError, Skipped};
 use std::path::{Path, PathBuf};
 

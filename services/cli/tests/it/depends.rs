@@ -93,7 +93,8 @@ const OTHERWISE: [&str; 6] =
 /// The stages that a run with these settings would do again; the report is written by every run.
 fn done_again(run: &Path, settings: &Settings) -> Vec<&'static str> {
     let plans = explain(&shared_run().scene, &RunFolder::at(run), settings, None).expect("it can be told");
-    let again = plans.into_iter().filter(|plan| plan.verdict != StageVerdict::Reused && plan.stage != "report");
+    let again =
+        plans.into_iter().filter(|plan| plan.verdict != StageVerdict::Reused && plan.stage != "report");
     again.map(|plan| plan.stage).collect()
 }
 

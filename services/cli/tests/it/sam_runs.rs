@@ -5,7 +5,7 @@
 mod toy;
 
 use crate::common::*;
-use toy::{Decoder, Fault, SAM, Takes, can_run, decoder, encoder};
+use toy::{SAM, Takes, ToyDecoder, ToyFault, can_run, decoder, encoder};
 
 #[test]
 fn a_run_by_sam_is_whole_kept_and_made_anew_when_a_file_changes() {
@@ -42,12 +42,12 @@ fn a_run_by_sam_is_whole_kept_and_made_anew_when_a_file_changes() {
     assert!(json(&summary)["splats"].as_u64().is_some_and(|n| n > 0), "{}", text(&summary));
 
     // Another decoder: the masks are made anew, and nothing else per photo.
-    let other = decoder(Decoder { masks: 3, ..SAM });
-    toy::write(&models, "mobile_sam", &encoder(Takes::Planes, Fault::None), &other);
+    let other = decoder(ToyDecoder { masks: 3, ..SAM });
+    toy::write(&models, "mobile_sam", &encoder(Takes::Planes, ToyFault::None), &other);
     let (stdout, _) = completes(&args);
     assert_eq!(made(&stdout), 8, "{stdout}");
     // Another encoder: the embeddings as well.
-    let packed = encoder(Takes::Pixels(toy::PIXEL_KINDS[1]), Fault::None);
+    let packed = encoder(Takes::Pixels(toy::PIXEL_KINDS[1]), ToyFault::None);
     toy::write(&models, "mobile_sam", &packed, &other);
     let (stdout, _) = completes(&args);
     assert_eq!(made(&stdout), 16, "{stdout}");

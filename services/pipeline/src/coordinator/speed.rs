@@ -51,7 +51,7 @@ impl MaskSpeed {
         metric("made_s", self.seconds);
         metric("beside_training_s", self.beside_training);
         let Some(work) = self.proposer.as_ref().and_then(|p| p.work()) else { return };
-        let (Some(per_image), Some(rate)) = (work.seconds_per_picture(), work.prompts_per_second()) else {
+        let (Some(per_image), Some(rate)) = (work.seconds_per_image(), work.prompts_per_second()) else {
             return;
         };
         metric("encoder_s", per_image);

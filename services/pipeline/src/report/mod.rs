@@ -9,7 +9,7 @@ use crate::choice::AutoChoice;
 use crate::evaluate::HeldOut;
 use crate::folder::Loaded;
 use crate::history::{self, Moment};
-use crate::render::{NOTHING, SceneRenderer, RenderContent};
+use crate::render::{NOTHING, RenderContent, SceneRenderer};
 use crate::transients;
 use crate::{AppearanceChoice, BudgetChoice, RunError, RunFolder, choose_engine, log_loss};
 use html::ChartSeries;

@@ -2,7 +2,7 @@
 
 use super::{html, pass, spread, write_report};
 use crate::folder::Loaded;
-use crate::render::{Mode, SceneRenderer, RenderContent};
+use crate::render::{Mode, RenderContent, SceneRenderer};
 use crate::{RunError, RunFolder, Selected, choose_engine, log_loss};
 use segwild_flow::{FileError, files};
 use segwild_raster::Engine;

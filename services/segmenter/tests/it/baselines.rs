@@ -1,21 +1,21 @@
 //! The ways of selecting that other methods use, as settings of ours.
 
-use crate::common::{Dice, World, engine, features, posed, request, walls};
+use crate::common::{TestRandom, TestWorld, engine, features, posed, request, walls};
 use glam::Vec3;
 use segwild_scene::{Mask, PointPrompt};
 use segwild_segmenter::{
-    ComponentRule, FeatureField, PosedView, PromptedView, Request, SegmentError, SegmentSettings,
-    SimilarityUse, Undecided, Vote, select,
+    ComponentRule, PosedView, PromptedView, Request, SegmentError, SegmentSettings, SimilarityUse,
+    SplatFeatures, Undecided, Vote, select,
 };
 
 const MIDDLE: [PointPrompt; 1] = [PointPrompt { x: 80.0, y: 60.0, inside: true }];
 
 /// Labels from a mask per view; the first view is clicked in the middle.
 fn labels(
-    world: &World,
+    world: &TestWorld,
     views: &[PosedView],
     masks: &[Mask],
-    features: Option<&FeatureField>,
+    features: Option<&SplatFeatures>,
     settings: SegmentSettings,
 ) -> Result<Vec<bool>, SegmentError> {
     let engine = engine();
@@ -48,14 +48,14 @@ fn resemblance_alone_takes_what_is_alike_wherever_masks_are() {
     let field = features(&world, 8);
     let found = labels(&world, &views, &corner, Some(&field), settings(ComponentRule::All)).unwrap();
     assert_eq!((world.share(0, &found), world.share(1, &found), world.share(3, &found)), (1.0, 0.0, 0.0));
-    // Where a hidden wall looks alike it comes along, unless only what hangs together with the click stays.
+    // Where an occluded wall has the same features it is selected as well, unless only what is connected to the click stays.
     let same = world.thing.iter().map(|&t| if t == 3 { -1.0 } else { 1.0 }).collect();
-    let alike = FeatureField::new(1, same).unwrap();
-    let hidden = |components| {
+    let alike = SplatFeatures::new(1, same).unwrap();
+    let occluded_share = |components| {
         let found = labels(&world, &views, &corner, Some(&alike), settings(components)).unwrap();
         world.share(1, &found)
     };
-    assert_eq!((hidden(ComponentRule::All), hidden(ComponentRule::Clicked)), (1.0, 0.0));
+    assert_eq!((occluded_share(ComponentRule::All), occluded_share(ComponentRule::Clicked)), (1.0, 0.0));
 }
 
 #[test]
@@ -68,8 +68,8 @@ fn resemblance_alone_without_features_is_refused_in_words() {
 
 #[test]
 fn what_no_mask_decides_can_be_left_out() {
-    let mut world = World::default();
-    let mut dice = Dice(4);
+    let mut world = TestWorld::default();
+    let mut dice = TestRandom(4);
     world.ball(0, Vec3::new(0.0, 0.0, 2.0), Vec3::splat(0.4), 1200, [0.7, 0.4, 0.2], &mut dice);
     let views = [posed("front.jpg", Vec3::ZERO, Vec3::Z)];
     let share = |undecided| {
@@ -85,8 +85,8 @@ fn what_no_mask_decides_can_be_left_out() {
 
 #[test]
 fn a_close_photo_outweighs_a_distant_one_by_its_light_and_not_by_views() {
-    let mut world = World::default();
-    world.wall(0, Vec3::new(0.0, 0.0, 2.0), 0.5, 20, [0.8, 0.3, 0.2], &mut Dice(1));
+    let mut world = TestWorld::default();
+    world.wall(0, Vec3::new(0.0, 0.0, 2.0), 0.5, 20, [0.8, 0.3, 0.2], &mut TestRandom(1));
     // From four times as far the same wall fills a sixteenth of the pixels.
     let mut views = vec![posed("near.jpg", Vec3::ZERO, Vec3::Z)];
     views.extend((1..8).map(|i| posed(&format!("far{i}.jpg"), Vec3::new(0.0, 0.0, -6.0), Vec3::Z)));

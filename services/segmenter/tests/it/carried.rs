@@ -1,12 +1,12 @@
 //! Selections that are carried from the prompted photo to the others.
 
-use crate::common::{Dice, World, engine, features, options, posed, request};
+use crate::common::{TestRandom, TestWorld, engine, features, options, posed, request};
 use glam::Vec3;
 use segwild_raster::Engine;
 use segwild_scene::{Image, Mask, PointPrompt, Splats};
 use segwild_segmenter::{
-    FeatureField, MaskReader, PosedView, PromptedView, Refiner, Request, SegmentError, SegmentSettings,
-    Selection, cut, select, visible_mask,
+    MaskReader, PosedView, PromptedView, Refiner, Request, SegmentError, SegmentSettings, Selection,
+    SplatFeatures, cut, select, visible_mask,
 };
 use std::collections::BTreeSet;
 use std::sync::Mutex;
@@ -25,15 +25,15 @@ fn likelier(regions: &[Mask], certainty: &Image, least: f32) -> Mask {
 }
 
 /// A statue on a plinth (thing 0), a tree beside it (1), ground (2) and a sky shell (3); photos all around.
-fn square() -> (World, Vec<PosedView>) {
-    let mut world = World::default();
-    let mut dice = Dice(8);
+fn square() -> (TestWorld, Vec<PosedView>) {
+    let mut world = TestWorld::default();
+    let mut dice = TestRandom(8);
     world.ball(0, Vec3::new(0.0, -0.3, 0.0), Vec3::new(0.14, 0.3, 0.14), 1500, [0.4, 0.6, 0.5], &mut dice);
     world.ball(0, Vec3::new(0.0, 0.1, 0.0), Vec3::new(0.22, 0.16, 0.22), 1200, [0.7, 0.6, 0.5], &mut dice);
     world.ball(1, Vec3::new(0.45, 0.0, 0.25), Vec3::new(0.15, 0.25, 0.15), 900, [0.2, 0.5, 0.2], &mut dice);
     for i in 0..50 {
         for k in 0..50 {
-            let at = |n: i32, d: &mut Dice| (n as f32 - 24.5 + 0.2 * d.next()) * 0.06;
+            let at = |n: i32, d: &mut TestRandom| (n as f32 - 24.5 + 0.2 * d.next()) * 0.06;
             let p = Vec3::new(at(i, &mut dice), 0.25, at(k, &mut dice));
             world.disc(2, p, Vec3::NEG_Y, 0.04, [0.5, 0.5, 0.45]);
         }
@@ -53,18 +53,18 @@ fn square() -> (World, Vec<PosedView>) {
     (world, views)
 }
 
-struct Square {
-    world: World,
+struct SquareScene {
+    world: TestWorld,
     views: Vec<PosedView>,
     /// Per view and thing: the true pixels.
     truth: Vec<Vec<Mask>>,
 }
 
-impl Square {
-    fn new() -> Square {
+impl SquareScene {
+    fn new() -> SquareScene {
         let (world, views) = square();
         let truth = regions(&world, &views, &[0, 1, 2, 3]);
-        Square { world, views, truth }
+        SquareScene { world, views, truth }
     }
 
     fn select(
@@ -126,7 +126,7 @@ impl Square {
 
 #[test]
 fn one_photo_selects_the_statue_for_the_whole_circle() {
-    let square = Square::new();
+    let square = SquareScene::new();
     let (engine, splats, sky) = (engine(), &square.world.splats, square.world.is(3));
     let settings = SegmentSettings::default();
     for first in [0, 7] {
@@ -136,23 +136,24 @@ fn one_photo_selects_the_statue_for_the_whole_circle() {
         let base = square.mean_iou(splats, &alone.labels, first);
         eprintln!("from photo {first}: IoU on the others {iou:.3}, without propagation {base:.3}");
         assert!(iou > 0.95 && base < iou, "{iou} {base}");
-        let accepted = |v: &&segwild_segmenter::Visit| v.verdict == segwild_segmenter::Verdict::Accepted;
+        let accepted =
+            |v: &&segwild_segmenter::PhotoVisit| v.verdict == segwild_segmenter::PhotoVerdict::Accepted;
         assert!(selection.visits.iter().filter(accepted).count() >= 12);
         assert!(selection.visits.iter().filter(|v| v.view % 5 == 3).all(|v| v.mask.is_none()));
         assert_eq!(square.world.share(3, &selection.labels), 0.0);
     }
 }
 
-/// Knows which regions a photo has, and writes down which photos it was told of before their turn.
-struct Told<'a> {
-    square: &'a Square,
+/// Knows which regions a photo has, and records which photos were prepared before their turn, and which were refined.
+struct RecordingRefiner<'a> {
+    square: &'a SquareScene,
     prepared: Mutex<BTreeSet<usize>>,
-    asked: Mutex<BTreeSet<usize>>,
+    refined: Mutex<BTreeSet<usize>>,
 }
 
-impl Refiner for Told<'_> {
+impl Refiner for RecordingRefiner<'_> {
     fn refine(&self, view: usize, certainty: &Image) -> Option<(Mask, f32)> {
-        self.asked.lock().unwrap().insert(view);
+        self.refined.lock().unwrap().insert(view);
         Some((likelier(&self.square.truth[view], certainty, 0.5), 0.9))
     }
 
@@ -163,36 +164,37 @@ impl Refiner for Told<'_> {
 
 #[test]
 fn however_many_threads_there_are_the_selection_is_the_same() {
-    let square = Square::new();
+    let square = SquareScene::new();
     let prompts =
         [PromptedView { view: 0, mask: &square.truth[0][0], open: None, points: &[], refused: false }];
     let settings = SegmentSettings::default();
     let select = |threads: usize| {
-        let told = Told { square: &square, prepared: Mutex::default(), asked: Mutex::default() };
+        let refiner =
+            RecordingRefiner { square: &square, prepared: Mutex::default(), refined: Mutex::default() };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let selection = square
-            .with(&prompts, &settings, |request| pool.install(|| select(request, Some(&told)).unwrap()));
-        (selection, told.prepared.into_inner().unwrap(), told.asked.into_inner().unwrap())
+            .with(&prompts, &settings, |request| pool.install(|| select(request, Some(&refiner)).unwrap()));
+        (selection, refiner.prepared.into_inner().unwrap(), refiner.refined.into_inner().unwrap())
     };
     let (alone, none, _) = select(1);
-    assert!(none.is_empty(), "a single thread has nobody who could prepare photos");
+    assert!(none.is_empty(), "a single thread prepares no photos");
     for threads in [2, 5] {
-        let (selection, prepared, asked) = select(threads);
+        let (selection, prepared, refined) = select(threads);
         assert!(selection == alone, "{threads} threads");
-        assert!(prepared.len() > 4 && prepared.is_subset(&asked), "{prepared:?} of {asked:?}");
+        assert!(prepared.len() > 4 && prepared.is_subset(&refined), "{prepared:?} of {refined:?}");
     }
 }
 
 #[test]
 fn photos_that_take_the_selection_elsewhere_are_not_followed() {
-    let square = Square::new();
+    let square = SquareScene::new();
     let prompts =
         [PromptedView { view: 0, mask: &square.truth[0][0], open: None, points: &[], refused: false }];
-    // A hundredth of a photo's word is to count.
+    // A hundredth of the prompted photo's evidence is to count.
     let (propagate_gate, prompt_weight, least_evidence) = (0.0, 0.01, 0.0);
     let settings =
         SegmentSettings { propagate_gate, prompt_weight, least_evidence, ..SegmentSettings::default() };
-    // All photos speak of the tree.
+    // All photos give the tree's mask.
     let tree = |view: usize, _: &segwild_scene::Image| Some((square.truth[view][1].clone(), 1.0_f32));
     let selection = square.with(&prompts, &settings, |request| {
         let selection = select(request, Some(&tree)).unwrap();
@@ -207,7 +209,7 @@ fn photos_that_take_the_selection_elsewhere_are_not_followed() {
 
 #[test]
 fn a_click_on_another_photo_can_say_what_is_not_meant() {
-    let square = Square::new();
+    let square = SquareScene::new();
     // Statue and tree in the first photo, as if the tree had leaked in; the tree clicked away in another.
     let both = square.truth[0][0].or(&square.truth[0][1]);
     let leaked = PromptedView { view: 0, mask: &both, open: None, points: &[], refused: false };
@@ -229,7 +231,7 @@ fn a_click_on_another_photo_can_say_what_is_not_meant() {
 }
 
 /// What each photo shows of some things.
-fn regions(world: &World, views: &[PosedView], things: &[usize]) -> Vec<Vec<Mask>> {
+fn regions(world: &TestWorld, views: &[PosedView], things: &[usize]) -> Vec<Vec<Mask>> {
     let engine = engine();
     let region = |v: &PosedView, t: usize| {
         visible_mask(&engine, &world.splats, &world.is(t), &options(), &v.camera, &v.pose).unwrap()
@@ -241,10 +243,10 @@ fn regions(world: &World, views: &[PosedView], things: &[usize]) -> Vec<Vec<Mask
 /// whose mean certainty is over `least`; `open`: what the first photo leaves open; `transients`: what is known to stand before
 /// the scene.
 fn carried(
-    world: &World,
+    world: &TestWorld,
     views: &[PosedView],
     truth: &[Vec<Mask>],
-    field: &FeatureField,
+    field: &SplatFeatures,
     open: Option<&Image>,
     transients: Option<&MaskReader>,
     least: f32,
@@ -262,9 +264,9 @@ fn carried(
 }
 
 /// A statue (thing 0) on a pedestal (1) that resembles it, and ten photos around them.
-fn statue_and_pedestal() -> (World, Vec<PosedView>, FeatureField) {
-    let mut world = World::default();
-    let mut dice = Dice(4);
+fn statue_and_pedestal() -> (TestWorld, Vec<PosedView>, SplatFeatures) {
+    let mut world = TestWorld::default();
+    let mut dice = TestRandom(4);
     world.ball(0, Vec3::new(0.0, -0.25, 0.0), Vec3::new(0.16, 0.3, 0.16), 2500, [0.4, 0.6, 0.5], &mut dice);
     world.ball(1, Vec3::new(0.0, 0.2, 0.0), Vec3::new(0.2, 0.18, 0.2), 2500, [0.7, 0.7, 0.6], &mut dice);
     world.ball(3, Vec3::ZERO, Vec3::splat(20.0), 800, [0.5, 0.7, 1.0], &mut dice);
@@ -275,7 +277,7 @@ fn statue_and_pedestal() -> (World, Vec<PosedView>, FeatureField) {
         })
         .collect();
     let thing = world.thing.iter().map(|t| if *t == 1 { 0 } else { *t }).collect();
-    let field = features(&World { thing, ..World::default() }, 4);
+    let field = features(&TestWorld { thing, ..TestWorld::default() }, 4);
     (world, views, field)
 }
 
@@ -291,9 +293,9 @@ fn a_part_that_the_click_left_open_is_not_held_against_it() {
     let mut open = Image::zeros(160, 120, 1);
     let pedestal = &truth[0][1];
     (0..160 * 120).filter(|&i| pedestal.index(i)).for_each(|i| open.data[i] = 0.45);
-    let (sure, doubted) = (share(None), share(Some(&open)));
+    let (sure, uncertain) = (share(None), share(Some(&open)));
     assert!(sure.0 > 0.9 && sure.1 < 0.05, "a mask that leaves nothing open: {sure:?}");
-    assert!(doubted.0 > 0.9 && doubted.1 > 0.9, "{doubted:?}");
+    assert!(uncertain.0 > 0.9 && uncertain.1 > 0.9, "{uncertain:?}");
     open.data.fill(f32::NAN);
     assert_eq!(share(Some(&open)), sure, "what is no number opens nothing");
 }
@@ -324,8 +326,8 @@ fn a_pedestal_whose_foot_transients_hide_in_all_other_photos_comes_along_whole()
 
 #[test]
 fn a_shield_beside_its_bearer_stays_where_all_photos_show_it() {
-    let mut world = World::default();
-    let mut dice = Dice(6);
+    let mut world = TestWorld::default();
+    let mut dice = TestRandom(6);
     world.ball(0, Vec3::new(0.0, 0.0, 0.0), Vec3::new(0.16, 0.4, 0.16), 2500, [0.4, 0.6, 0.5], &mut dice);
     world.ball(1, Vec3::new(0.0, -0.75, 0.0), Vec3::splat(0.08), 30, [0.7, 0.7, 0.6], &mut dice);
     world.ball(3, Vec3::ZERO, Vec3::splat(20.0), 800, [0.5, 0.7, 1.0], &mut dice);
@@ -352,15 +354,15 @@ fn a_shield_beside_its_bearer_stays_where_all_photos_show_it() {
 #[test]
 fn a_twin_that_the_prompted_photo_does_not_see_is_not_selected() {
     let (mut world, views) = square();
-    let mut dice = Dice(5);
+    let mut dice = TestRandom(5);
     // The same statue once more, right behind the first as the first photo sees it.
-    let behind = Vec3::new(0.0, 0.0, 0.8);
+    let offset = Vec3::new(0.0, 0.0, 0.8);
     let mut ball =
-        |at: Vec3, radii, count, colour| world.ball(4, at + behind, radii, count, colour, &mut dice);
+        |at: Vec3, radii, count, colour| world.ball(4, at + offset, radii, count, colour, &mut dice);
     ball(Vec3::new(0.0, -0.3, 0.0), Vec3::new(0.12, 0.28, 0.12), 1500, [0.4, 0.6, 0.5]);
     ball(Vec3::new(0.0, 0.1, 0.0), Vec3::new(0.2, 0.15, 0.2), 1200, [0.7, 0.6, 0.5]);
     // Embeddings cannot tell them apart.
-    let alike = World { thing: world.thing.iter().map(|t| t % 4).collect(), ..World::default() };
+    let alike = TestWorld { thing: world.thing.iter().map(|t| t % 4).collect(), ..TestWorld::default() };
     let field = features(&alike, 4);
     let truth = regions(&world, &views, &[0, 1, 2, 4]);
     let labels = carried(&world, &views, &truth, &field, None, None, 0.6);
@@ -370,8 +372,8 @@ fn a_twin_that_the_prompted_photo_does_not_see_is_not_selected() {
 
 #[test]
 fn ground_that_only_photos_from_above_show_is_not_let_in_by_the_first_of_them() {
-    let mut world = World::default();
-    let mut dice = Dice(3);
+    let mut world = TestWorld::default();
+    let mut dice = TestRandom(3);
     world.ball(0, Vec3::new(0.0, -0.2, 0.0), Vec3::new(0.14, 0.4, 0.14), 2500, [0.4, 0.6, 0.5], &mut dice);
     world.ball(1, Vec3::new(0.0, 0.2, 0.0), Vec3::new(0.5, 0.08, 0.5), 2500, [0.7, 0.7, 0.7], &mut dice);
     world.ball(3, Vec3::ZERO, Vec3::splat(20.0), 800, [0.5, 0.7, 1.0], &mut dice);
@@ -392,7 +394,7 @@ fn ground_that_only_photos_from_above_show_is_not_let_in_by_the_first_of_them() 
 
 #[test]
 fn threads_units_and_order_of_splats_change_nothing() {
-    let square = Square::new();
+    let square = SquareScene::new();
     let (world, sky) = (&square.world, square.world.is(3));
     let settings =
         SegmentSettings { graph_cut: true, propagate: 1, propagate_views: 5, ..SegmentSettings::default() };
@@ -412,7 +414,8 @@ fn threads_units_and_order_of_splats_change_nothing() {
     let mut large = world.splats.clone();
     large.means.iter_mut().flatten().for_each(|x| *x *= 1000.0);
     large.log_scales.iter_mut().flatten().for_each(|x| *x += 1000f32.ln());
-    let mut far = Square { world: world.clone(), views: square.views.clone(), truth: square.truth.clone() };
+    let mut far =
+        SquareScene { world: world.clone(), views: square.views.clone(), truth: square.truth.clone() };
     far.views.iter_mut().for_each(|v| v.pose.translation *= 1000.0);
     let scaled = far.select(0, &engine(), &large, &sky, &settings, true);
     let differ = scaled.labels.iter().zip(&plain.labels).filter(|(a, b)| a != b).count();

@@ -2,7 +2,7 @@
 
 use proptest::prelude::*;
 use segwild_scene::{Splats, knn};
-use segwild_segmenter::Graph;
+use segwild_segmenter::NeighbourGraph;
 
 fn distance2(a: [f32; 3], b: [f32; 3]) -> f32 {
     let d = [0, 1, 2].map(|k| a[k] - b[k]);
@@ -51,7 +51,7 @@ proptest! {
 
     #[test]
     fn graph_is_symmetric_and_each_edge_occurs_once(points in points(), k in 1usize..8) {
-        let graph = Graph::of_points(&points, k);
+        let graph = NeighbourGraph::of_points(&points, k);
         for i in 0..graph.len() {
             let row: Vec<usize> = graph.edges(i).map(|e| graph.neighbour(e)).collect();
             prop_assert!(row.windows(2).all(|w| w[0] < w[1]));
@@ -123,13 +123,13 @@ fn the_number_of_threads_changes_nothing() {
 }
 
 #[test]
-fn a_floater_ties_nothing_together() {
-    // Two slabs 2 apart with one lone splat between them: it is everybody's neighbour only in its own eyes.
+fn a_floater_connects_nothing() {
+    // Two slabs 2 apart with one lone splat between them: the slabs are its neighbours, but it is not theirs.
     let mut points = cloud(2000, 1);
     points.extend(cloud(2000, 2).into_iter().map(|[x, y, z]| [x, y, z + 2.0]));
     points.push([0.5, 0.5, 1.05]);
     let splats = splats_at(points, 0.01);
-    let graph = Graph::new(&splats, 10);
+    let graph = NeighbourGraph::new(&splats, 10);
     let (part, parts) = graph.components(&splats, &vec![true; splats.len()]);
     assert_eq!(parts, 3);
     assert!(part[..2000].iter().all(|p| *p == Some(0)) && part[2000..4000].iter().all(|p| *p == Some(1)));

@@ -9,7 +9,7 @@ fn capacity_of(cut: u32, terminals: &[(u32, u32)], arcs: &[Arc]) -> i64 {
     let source = |i: usize| cut >> i & 1 == 1;
     let ends: i64 =
         terminals.iter().enumerate().map(|(i, t)| i64::from(if source(i) { t.1 } else { t.0 })).sum();
-    let between: i64 = arcs
+    let crossing: i64 = arcs
         .iter()
         .map(|&(a, b, forward, backward)| match (source(a), source(b)) {
             (true, false) => i64::from(forward),
@@ -17,7 +17,7 @@ fn capacity_of(cut: u32, terminals: &[(u32, u32)], arcs: &[Arc]) -> i64 {
             _ => 0,
         })
         .sum();
-    ends + between
+    ends + crossing
 }
 
 proptest! {

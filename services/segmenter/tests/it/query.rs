@@ -2,7 +2,7 @@
 
 use proptest::prelude::*;
 use segwild_raster::CpuEngine;
-use segwild_segmenter::{FeatureField, Hit, SegmentError};
+use segwild_segmenter::{ClickHit, SegmentError, SplatFeatures};
 
 fn reference(row: &[f32], clicks: &[Vec<f32>], temperature: f64) -> f64 {
     let norm = |v: &[f32]| v.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>().sqrt();
@@ -30,7 +30,7 @@ proptest! {
         let rows = 5;
         let values: Vec<f32> = (0..rows * channels).map(value).collect();
         let clicks: Vec<Vec<f32>> = (0..clicks).map(|c| (0..channels).map(|k| value(1000 + c * 131 + k)).collect()).collect();
-        let field = FeatureField::new(channels, values).unwrap();
+        let field = SplatFeatures::new(channels, values).unwrap();
         let got = field.similarity(&CpuEngine::new(), &clicks, temperature).unwrap();
         for i in 0..rows {
             let want = reference(field.row(i), &clicks, f64::from(temperature));
@@ -40,8 +40,8 @@ proptest! {
 }
 
 #[test]
-fn fusion_lies_between_mean_and_largest() {
-    let field = FeatureField::new(2, vec![1.0, 0.0]).unwrap();
+fn fused_similarity_is_at_least_the_mean_and_at_most_the_largest() {
+    let field = SplatFeatures::new(2, vec![1.0, 0.0]).unwrap();
     let clicks = vec![vec![1.0, 0.0], vec![0.0, 1.0]];
     let at = |t| field.similarity(&CpuEngine::new(), &clicks, t).unwrap()[0];
     assert!((at(1e4) - 0.5).abs() < 1e-3 && (at(1e-3) - 1.0).abs() < 1e-6);
@@ -52,23 +52,23 @@ fn fusion_lies_between_mean_and_largest() {
 #[test]
 fn features_that_are_no_numbers_resemble_nothing() {
     let values = vec![1.0, 2.0, f32::NAN, 1.0, f32::INFINITY, 0.0, 0.0, 0.0, 1e30, 1e30, 1e-30, 0.0];
-    let field = FeatureField::new(2, values).unwrap();
+    let field = SplatFeatures::new(2, values).unwrap();
     let s = field.similarity(&CpuEngine::new(), &[vec![1.0, 2.0]], 0.1).unwrap();
     assert!((s[0] - 1.0).abs() < 1e-6 && s[1..].iter().all(|&s| s == 0.0), "{s:?}");
     // They spoil no click either.
-    let hit = Hit { splats: vec![(0, 0.5), (1, 0.4)], alpha: 0.9 };
+    let hit = ClickHit { splats: vec![(0, 0.5), (1, 0.4)], alpha: 0.9 };
     assert_eq!(hit.feature(&field), Some(vec![1.0, 2.0]));
-    assert_eq!(Hit { splats: vec![(1, 0.4), (3, 0.1)], alpha: 0.5 }.feature(&field), None);
+    assert_eq!(ClickHit { splats: vec![(1, 0.4), (3, 0.1)], alpha: 0.5 }.feature(&field), None);
 }
 
 #[test]
-fn what_cannot_be_asked_is_refused_in_words() {
-    let field = FeatureField::new(2, vec![1.0, 2.0]).unwrap();
+fn bad_queries_are_refused_with_a_sentence() {
+    let field = SplatFeatures::new(2, vec![1.0, 2.0]).unwrap();
     let refusal =
         |clicks: &[Vec<f32>], t| field.similarity(&CpuEngine::new(), clicks, t).unwrap_err().to_string();
     assert!(refusal(&[vec![1.0]], 0.1).contains("2 channels"));
     assert!(refusal(&[vec![0.0, f32::NAN]], 0.1).contains("no usable feature"));
     assert!(refusal(&[vec![1.0, 0.0]], 0.0).contains("click_temperature"));
     assert!(matches!(field.similarity(&CpuEngine::new(), &[], 0.1), Err(SegmentError::NoPrompt)));
-    assert!(FeatureField::new(0, vec![]).is_err() && FeatureField::new(3, vec![0.0; 4]).is_err());
+    assert!(SplatFeatures::new(0, vec![]).is_err() && SplatFeatures::new(3, vec![0.0; 4]).is_err());
 }

@@ -1,31 +1,31 @@
 //! Selections on scenes of known objects.
 
-use crate::common::{Dice, World, engine, features, options, posed, request, walls};
+use crate::common::{TestRandom, TestWorld, engine, features, options, posed, request, walls};
 use glam::{Vec2, Vec3};
 use segwild_raster::Engine;
 use segwild_scene::{Mask, PointPrompt, Splats};
 use segwild_segmenter::coverage::{coverage, unoccluded};
 use segwild_segmenter::{
-    ComponentRule, Cut, Evidence, EvidenceMode, FeatureField, PosedView, PromptedView, Request, SegmentError,
-    SegmentSettings, Selection, SimilarityUse, Vote, amodal_mask, cut, hit, select, visible_mask,
+    ComponentRule, Evidence, EvidenceMode, PosedView, PromptedView, Request, SegmentError, SegmentSettings,
+    Selection, SimilarityUse, SpikeCut, SplatFeatures, Vote, amodal_mask, cut, hit, select, visible_mask,
 };
 
 fn click(x: f32, y: f32) -> PointPrompt {
     PointPrompt { x, y, inside: true }
 }
 
-struct Case<'a> {
+struct SelectionCase<'a> {
     engine: &'a dyn Engine,
     splats: &'a Splats,
     view: &'a PosedView,
     mask: &'a Mask,
     points: &'a [PointPrompt],
-    features: Option<&'a FeatureField>,
+    features: Option<&'a SplatFeatures>,
     frozen: Option<&'a [bool]>,
     settings: SegmentSettings,
 }
 
-impl Case<'_> {
+impl SelectionCase<'_> {
     fn run(&self) -> Result<Selection, SegmentError> {
         let prompts =
             [PromptedView { view: 0, mask: self.mask, open: None, points: self.points, refused: false }];
@@ -35,23 +35,23 @@ impl Case<'_> {
     }
 }
 
-fn front_mask(world: &World, view: &PosedView) -> Mask {
+fn front_mask(world: &TestWorld, view: &PosedView) -> Mask {
     visible_mask(&engine(), &world.splats, &world.is(0), &options(), &view.camera, &view.pose).unwrap()
 }
 
 #[test]
-fn a_mask_that_takes_along_what_stands_behind_is_not_carried_on() {
-    let (mut world, mut dice) = (World::default(), Dice(5));
+fn a_mask_that_includes_background_does_not_select_the_background() {
+    let (mut world, mut dice) = (TestWorld::default(), TestRandom(5));
     world.wall(0, Vec3::new(0.0, 0.0, 2.0), 0.2, 20, [0.6, 0.6, 0.5], &mut dice);
     world.wall(1, Vec3::new(0.0, 0.0, 5.0), 2.0, 40, [0.6, 0.6, 0.5], &mut dice);
     let view = posed("front.jpg", Vec3::ZERO, Vec3::Z);
-    // A third of the mask is wall that looks just like what stands before it.
+    // A third of the mask is wall of the same colour as the object before it.
     let front = front_mask(&world, &view);
     let piece = Mask::from_fn(160, 120, |x, y| (93..108).contains(&x) && (47..73).contains(&y));
     let mask = front.or(&piece);
     let engine = engine();
     let select = |points: &[PointPrompt]| {
-        let case = Case {
+        let case = SelectionCase {
             engine: &engine,
             splats: &world.splats,
             view: &view,
@@ -66,20 +66,20 @@ fn a_mask_that_takes_along_what_stands_behind_is_not_carried_on() {
     let labels = select(&[click(80.0, 60.0)]);
     assert!(world.share(0, &labels) > 0.95, "{}", world.share(0, &labels));
     assert_eq!(world.share(1, &labels), 0.0);
-    // Whoever clicks both means both.
+    // Clicks on both select both.
     assert!(world.share(1, &select(&[click(80.0, 60.0), click(100.0, 60.0)])) > 0.02);
 }
 
 #[test]
-fn the_hidden_wall_stays_out_by_coverage_and_comes_along_by_centre() {
+fn an_occluded_wall_is_left_out_by_coverage_and_selected_by_centre() {
     let (world, view) = walls();
     let (engine, mask) = (engine(), front_mask(&world, &view));
     assert!(mask.count() > 3000);
-    let same = FeatureField::new(1, vec![1.0; world.len()]).unwrap();
+    let same = SplatFeatures::new(1, vec![1.0; world.len()]).unwrap();
     let with = |mode, features| {
         let settings = SegmentSettings { evidence_mode: mode, ..SegmentSettings::default() };
         let points = [click(80.0, 60.0)];
-        let case = Case {
+        let case = SelectionCase {
             engine: &engine,
             splats: &world.splats,
             view: &view,
@@ -91,7 +91,7 @@ fn the_hidden_wall_stays_out_by_coverage_and_comes_along_by_centre() {
         };
         case.run().unwrap().labels
     };
-    // Even features that tell the walls not apart must not bring the hidden one in.
+    // Even features that cannot distinguish the walls must not select the occluded one.
     for features in [None, Some(&same)] {
         let labels = with(EvidenceMode::Coverage, features);
         assert_eq!((world.share(1, &labels), world.share(3, &labels)), (0.0, 0.0));
@@ -121,9 +121,9 @@ fn a_click_reads_what_the_full_render_shows_and_opacity_does_not_matter() {
     // Against one thing's features alone the cosine stays as everything becomes more transparent.
     let near: Vec<usize> = (0..world.len()).filter(|&i| world.thing[i] == 0).collect();
     let alone = world.splats.select(&near);
-    let one = FeatureField::new(3, [0.6, -0.3, 0.2].repeat(near.len())).unwrap();
-    let mut faint = alone.clone();
-    for (i, o) in faint.opacities.iter_mut().enumerate() {
+    let one = SplatFeatures::new(3, [0.6, -0.3, 0.2].repeat(near.len())).unwrap();
+    let mut transparent = alone.clone();
+    for (i, o) in transparent.opacities.iter_mut().enumerate() {
         let scaled = 0.3 * alone.opacity(i);
         *o = (scaled / (1.0 - scaled)).ln();
     }
@@ -131,7 +131,7 @@ fn a_click_reads_what_the_full_render_shows_and_opacity_does_not_matter() {
         let hit = hit(&engine, splats, &options(), &view.camera, &view.pose, at, 1).unwrap();
         (one.similarity(&engine, &[hit.feature(&one).unwrap()], 0.1).unwrap()[0], hit.alpha)
     };
-    let ((full, thick), (thin, weak)) = (cosine(&alone), cosine(&faint));
+    let ((full, thick), (thin, weak)) = (cosine(&alone), cosine(&transparent));
     assert!((full - thin).abs() < 1e-6 && weak < 0.8 * thick, "{full} {thin} {thick} {weak}");
 }
 
@@ -143,7 +143,7 @@ fn clicks_that_cannot_be_served_are_refused_in_words() {
     let lone = world.splats.select(&(0..900).collect::<Vec<_>>());
     let settings = SegmentSettings::default();
     let run = |splats: &Splats, mask: &Mask, points: &[PointPrompt], frozen: Option<&[bool]>| {
-        let case = Case {
+        let case = SelectionCase {
             engine: &engine,
             splats,
             view: &view,
@@ -182,11 +182,11 @@ fn features_that_are_no_numbers_change_nothing_but_themselves() {
     for i in (0..world.len()).step_by(9) {
         values[i * 8 + 3] = f32::NAN;
     }
-    let broken = FeatureField::new(8, values).unwrap();
+    let broken = SplatFeatures::new(8, values).unwrap();
     let mut splats = world.splats.clone();
     splats.means[5] = [f32::NAN; 3];
     let points = [click(80.0, 60.0)];
-    let case = Case {
+    let case = SelectionCase {
         engine: &engine,
         splats: &splats,
         view: &view,
@@ -199,15 +199,15 @@ fn features_that_are_no_numbers_change_nothing_but_themselves() {
     let selection = case.run().unwrap();
     assert!(world.share(0, &selection.labels) > 0.97 && world.share(1, &selection.labels) == 0.0);
     assert!(!selection.labels[5] && selection.score.iter().all(|s| (0.0..=1.0).contains(s)));
-    let none = FeatureField::new(8, vec![f32::NAN; 8 * world.len()]).unwrap();
-    assert!(world.share(0, &Case { features: Some(&none), ..case }.run().unwrap().labels) > 0.97);
+    let none = SplatFeatures::new(8, vec![f32::NAN; 8 * world.len()]).unwrap();
+    assert!(world.share(0, &SelectionCase { features: Some(&none), ..case }.run().unwrap().labels) > 0.97);
 }
 
 #[test]
 fn a_negative_click_takes_its_thing_out() {
     // Two balls side by side; the mask wrongly covers both, features and the negative click tell them apart.
-    let mut world = World::default();
-    let mut dice = Dice(4);
+    let mut world = TestWorld::default();
+    let mut dice = TestRandom(4);
     world.ball(0, Vec3::new(-0.3, 0.0, 2.0), Vec3::splat(0.3), 900, [0.7, 0.4, 0.2], &mut dice);
     world.ball(1, Vec3::new(0.3, 0.0, 2.0), Vec3::splat(0.3), 900, [0.7, 0.4, 0.2], &mut dice);
     let view = posed("both.jpg", Vec3::ZERO, Vec3::Z);
@@ -219,10 +219,10 @@ fn a_negative_click_takes_its_thing_out() {
     let (yes, no) = (centre(-1.0), centre(1.0));
     // The features resemble each other: tau alone lets both pass.
     let values = world.thing.iter().flat_map(|&t| if t == 0 { [1.0, 0.4] } else { [1.0, -0.1] }).collect();
-    let field = FeatureField::new(2, values).unwrap();
+    let field = SplatFeatures::new(2, values).unwrap();
     let settings = SegmentSettings { similarity_use: SimilarityUse::Gate, ..SegmentSettings::default() };
     let run = |points: &[PointPrompt]| {
-        let case = Case {
+        let case = SelectionCase {
             engine: &engine,
             splats: &world.splats,
             view: &view,
@@ -244,7 +244,7 @@ fn a_negative_click_takes_its_thing_out() {
 fn the_cut_makes_the_object_fit_its_mask_better() {
     // The front wall with spikes that stick out of it to the right.
     let (mut world, view) = walls();
-    let mut dice = Dice(31);
+    let mut dice = TestRandom(31);
     for _ in 0..60 {
         let p = Vec3::new(0.47, dice.next() - 0.5, 1.99);
         world.disc(0, p, Vec3::NEG_Z, 0.01, [0.8, 0.3, 0.2]);
@@ -268,25 +268,25 @@ fn the_cut_makes_the_object_fit_its_mask_better() {
     let (before, after) = (fit(&world.splats, &selection.labels), fit(&scene, &labels));
     eprintln!("IoU before the cut {before:.4}, after {after:.4}");
     assert!(after > before + 0.02 && after > 0.97, "{before} {after}");
-    let object = segwild_segmenter::Object::new(&world.splats, &selection.labels, &cut);
+    let object = segwild_segmenter::SelectedObject::new(&world.splats, &selection.labels, &cut);
     assert_eq!(object.splats, scene.select(&object.indices.iter().map(|&i| i as usize).collect::<Vec<_>>()));
     assert_eq!(
-        Cut::default(),
-        Cut::new(&world.splats, &vec![false; world.len()], &[], settings.spikes, 0.01)
+        SpikeCut::default(),
+        SpikeCut::new(&world.splats, &vec![false; world.len()], &[], settings.spikes, 0.01)
     );
 }
 
-/// A tenth of a splat that shows beside something else decides its side like any other tenth, but makes it no better known
-/// than it is.
+/// A tenth of a splat that shows beside something else decides its side like any other tenth, but adds little to what is known of
+/// it.
 #[test]
-fn what_little_of_a_splat_shows_tells_its_side_and_leaves_it_unknown() {
+fn a_small_visible_share_of_a_splat_decides_its_side_and_leaves_it_unknown() {
     let view = posed("front.jpg", Vec3::ZERO, Vec3::Z);
     let (engine, size) = (engine(), (view.camera.width, view.camera.height));
     // Of the disc's mask a half is inside, whatever stands before it.
     let upper: Vec<f32> =
         (0..size.0 * size.1).map(|i| f32::from(u8::from(i / size.0 < size.1 / 2))).collect();
     let evidence = |before: bool| {
-        let mut world = World::default();
+        let mut world = TestWorld::default();
         world.disc(0, Vec3::new(0.0, 0.0, 2.0), Vec3::NEG_Z, 0.2, [0.5; 3]);
         if before {
             world.disc(1, Vec3::new(0.0, 0.0, 1.0), Vec3::NEG_Z, 0.2, [0.5; 3]);
@@ -297,18 +297,18 @@ fn what_little_of_a_splat_shows_tells_its_side_and_leaves_it_unknown() {
         let of = |vote| coverage(&*projected, &whole, &upper, &ones, size, 0.0, vote).unwrap();
         (of(Vote::View), of(Vote::Light))
     };
-    let ((free, _), (hidden, light)) = (evidence(false), evidence(true));
-    let share = hidden.seen(0) / free.seen(0);
+    let ((free, _), (occluded, light)) = (evidence(false), evidence(true));
+    let share = occluded.seen(0) / free.seen(0);
     assert!(share > 0.02 && share < 0.3, "{share}");
-    assert!((hidden.rho(0).unwrap() - 0.5).abs() < 0.01 && (free.rho(0).unwrap() - 0.5).abs() < 0.01);
-    assert!(hidden.known[0] < 0.6 * share * free.known[0], "{} {}", hidden.known[0], free.known[0]);
-    let (for_it, against) = hidden.sides(0);
-    assert!((for_it + against - hidden.known[0]).abs() < 1e-6);
+    assert!((occluded.rho(0).unwrap() - 0.5).abs() < 0.01 && (free.rho(0).unwrap() - 0.5).abs() < 0.01);
+    assert!(occluded.known[0] < 0.6 * share * free.known[0], "{} {}", occluded.known[0], free.known[0]);
+    let (for_it, against) = occluded.sides(0);
+    assert!((for_it + against - occluded.known[0]).abs() < 1e-6);
     // By light it is known by all that is seen of it.
     assert_eq!(light.known[0], light.seen(0));
-    // Glimpses add up, and where there is none nothing is known.
+    // Small shares add up, and without any nothing is known.
     let mut ten = Evidence::none(2);
-    (0..10).for_each(|_| ten.add(&hidden, 1.0));
-    assert!((ten.known[0] - 10.0 * hidden.known[0]).abs() < 1e-5);
+    (0..10).for_each(|_| ten.add(&occluded, 1.0));
+    assert!((ten.known[0] - 10.0 * occluded.known[0]).abs() < 1e-5);
     assert_eq!(Evidence::none(2).sides(0), (0.0, 0.0));
 }

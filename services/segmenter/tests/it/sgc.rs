@@ -3,7 +3,7 @@
 use glam::{Mat3, Vec3};
 use proptest::prelude::*;
 use segwild_scene::{Camera, Mask, NEAR, Pose, Splats};
-use segwild_segmenter::{Cut, CutView, MaskVote, SpikeMode};
+use segwild_segmenter::{CutView, MaskVote, SpikeCut, SpikeMode};
 
 const CAMERA: Camera = Camera { width: 200, height: 160, fx: 180.0, fy: 180.0, cx: 100.0, cy: 80.0 };
 
@@ -44,7 +44,7 @@ fn needle(at: f32, pixels: f32) -> Splats {
 fn a_needle_is_cut_at_the_boundary() {
     // 40 px long, centred on the disc's right edge at x = 150: half of it stays, in 130..150.
     let before = needle(150.0, 40.0);
-    let cut = Cut::new(&before, &all(1), &[view(&disc())], SpikeMode::Axis, NEAR);
+    let cut = SpikeCut::new(&before, &all(1), &[view(&disc())], SpikeMode::Axis, NEAR);
     let mut after = before.clone();
     cut.apply(&mut after);
     let (centre, length) = (after.means[0][0] * 180.0 + 100.0, after.scale(0).x * 3.0 * 180.0);
@@ -60,32 +60,32 @@ fn a_needle_is_cut_at_the_boundary() {
 #[test]
 fn isotropic_mode_shrinks_every_axis() {
     let mut after = needle(150.0, 40.0);
-    Cut::new(&after.clone(), &all(1), &[view(&disc())], SpikeMode::Isotropic, NEAR).apply(&mut after);
+    SpikeCut::new(&after.clone(), &all(1), &[view(&disc())], SpikeMode::Isotropic, NEAR).apply(&mut after);
     assert!((after.log_scales[0][1] - (-7.0 + 0.5f32.ln())).abs() < 0.1);
 }
 
 #[test]
 fn what_is_inside_stays_and_what_is_outside_goes() {
     let mask = disc();
-    let inside = Cut::new(&needle(100.0, 40.0), &all(1), &[view(&mask)], SpikeMode::Axis, NEAR);
-    assert_eq!(inside, Cut::default());
-    let outside = Cut::new(&needle(185.0, 20.0), &all(1), &[view(&mask)], SpikeMode::Axis, NEAR);
+    let inside = SpikeCut::new(&needle(100.0, 40.0), &all(1), &[view(&mask)], SpikeMode::Axis, NEAR);
+    assert_eq!(inside, SpikeCut::default());
+    let outside = SpikeCut::new(&needle(185.0, 20.0), &all(1), &[view(&mask)], SpikeMode::Axis, NEAR);
     assert_eq!((outside.changed.len(), &outside.dropped[..]), (0, &[0][..]));
     let mut labels = vec![true];
     outside.trim(&mut labels);
     assert_eq!(labels, [false]);
     // Not selected, not seen, or switched off: not touched.
     let spike = needle(185.0, 20.0);
-    assert_eq!(Cut::new(&spike, &[false], &[view(&mask)], SpikeMode::Axis, NEAR), Cut::default());
+    assert_eq!(SpikeCut::new(&spike, &[false], &[view(&mask)], SpikeMode::Axis, NEAR), SpikeCut::default());
     let blind = CutView { sees: Some(&[false]), ..view(&mask) };
-    assert_eq!(Cut::new(&spike, &all(1), &[blind], SpikeMode::Axis, NEAR), Cut::default());
-    assert_eq!(Cut::new(&spike, &all(1), &[view(&mask)], SpikeMode::Off, NEAR), Cut::default());
+    assert_eq!(SpikeCut::new(&spike, &all(1), &[blind], SpikeMode::Axis, NEAR), SpikeCut::default());
+    assert_eq!(SpikeCut::new(&spike, &all(1), &[view(&mask)], SpikeMode::Off, NEAR), SpikeCut::default());
 }
 
 #[test]
 fn both_ends_outside_keeps_the_middle() {
     let mut after = needle(110.0, 160.0);
-    let cut = Cut::new(&after.clone(), &all(1), &[view(&disc())], SpikeMode::Axis, NEAR);
+    let cut = SpikeCut::new(&after.clone(), &all(1), &[view(&disc())], SpikeMode::Axis, NEAR);
     cut.apply(&mut after);
     let (centre, length) = (after.means[0][0] * 180.0 + 100.0, after.scale(0).x * 3.0 * 180.0);
     assert!((centre - 100.0).abs() < 1.5 && (length - 100.0).abs() < 2.5, "centre {centre}, length {length}");
@@ -95,16 +95,16 @@ fn both_ends_outside_keeps_the_middle() {
 fn the_frame_ends_the_mask() {
     let full = Mask::full(CAMERA.width, CAMERA.height);
     let mut after = needle(195.0, 40.0);
-    Cut::new(&after.clone(), &all(1), &[view(&full)], SpikeMode::Axis, NEAR).apply(&mut after);
+    SpikeCut::new(&after.clone(), &all(1), &[view(&full)], SpikeMode::Axis, NEAR).apply(&mut after);
     let end = after.means[0][0] * 180.0 + 100.0 + after.scale(0).x * 1.5 * 180.0;
     assert!((end - 200.0).abs() < 1.5, "{end}");
 }
 
 #[test]
-fn a_mask_of_another_size_cuts_at_the_same_place() {
+fn a_mask_of_another_size_cuts_at_the_same_position() {
     let small = disc().resized(100, 80);
     let mut after = needle(150.0, 40.0);
-    Cut::new(&after.clone(), &all(1), &[view(&small)], SpikeMode::Axis, NEAR).apply(&mut after);
+    SpikeCut::new(&after.clone(), &all(1), &[view(&small)], SpikeMode::Axis, NEAR).apply(&mut after);
     let length = after.scale(0).x * 3.0 * 180.0;
     assert!((length - 20.0).abs() < 3.0, "{length}");
 }
@@ -132,11 +132,11 @@ fn a_second_cut_finds_nothing_to_do() {
     for mode in [SpikeMode::Axis, SpikeMode::Isotropic] {
         let (mask, mut scene) = (disc(), zoo(4000, 11));
         let mut labels = all(scene.len());
-        let first = Cut::new(&scene, &labels, &[view(&mask)], mode, NEAR);
+        let first = SpikeCut::new(&scene, &labels, &[view(&mask)], mode, NEAR);
         first.apply(&mut scene);
         first.trim(&mut labels);
         assert!(first.changed.len() > 400, "{} cut", first.changed.len());
-        let second = Cut::new(&scene, &labels, &[view(&mask)], mode, NEAR);
+        let second = SpikeCut::new(&scene, &labels, &[view(&mask)], mode, NEAR);
         let kept = labels.iter().filter(|l| **l).count();
         let again = second.changed.len() + second.dropped.len();
         eprintln!(
@@ -157,7 +157,7 @@ fn the_image_of_a_tilted_splat_shrinks_along_the_cut_only() {
     // Sigma_uv before and after, by the definition: along the major axis r² of it is left, across it nothing changes.
     let scene = zoo(4000, 5);
     let mask = disc();
-    let cut = Cut::new(&scene, &all(scene.len()), &[view(&mask)], SpikeMode::Axis, NEAR);
+    let cut = SpikeCut::new(&scene, &all(scene.len()), &[view(&mask)], SpikeMode::Axis, NEAR);
     let mut after = scene.clone();
     cut.apply(&mut after);
     let image = |s: &Splats, i: usize| {
@@ -185,7 +185,8 @@ fn views_cut_one_after_the_other() {
     let left = Mask::from_fn(200, 160, |x, _| x < 120);
     let right = Mask::from_fn(200, 160, |x, _| x >= 80);
     let mut after = needle(100.0, 120.0);
-    Cut::new(&after.clone(), &all(1), &[view(&left), view(&right)], SpikeMode::Axis, NEAR).apply(&mut after);
+    SpikeCut::new(&after.clone(), &all(1), &[view(&left), view(&right)], SpikeMode::Axis, NEAR)
+        .apply(&mut after);
     let (centre, half) = (after.means[0][0] * 180.0 + 100.0, after.scale(0).x * 1.5 * 180.0);
     assert!((centre - half - 80.0).abs() < 2.0 && (centre + half - 120.0).abs() < 2.0, "{centre} +- {half}");
 }
@@ -205,7 +206,7 @@ proptest! {
         let turned = Pose::look_at(Vec3::new(0.3, 0.2, -1.0), Vec3::new(0.0, 0.0, 1.0), Vec3::Y);
         let mask = disc();
         let views = [view(&mask), CutView { pose: turned, ..view(&mask) }];
-        let cut = Cut::new(&scene, &[true], &views, mode, NEAR);
+        let cut = SpikeCut::new(&scene, &[true], &views, mode, NEAR);
         let mut after = scene.clone();
         cut.apply(&mut after);
         for (_, _, g) in &cut.changed {
@@ -219,7 +220,7 @@ proptest! {
 
 /// Photos side by side, each with an outline of its own.
 fn votes_of(masks: &[Mask]) -> Vec<MaskVote<'_>> {
-    let mask_vote = |mask| MaskVote { camera: CAMERA, pose: pose(), mask, voice: &[255], weight: 1.0 };
+    let mask_vote = |mask| MaskVote { camera: CAMERA, pose: pose(), mask, visibility: &[255], weight: 1.0 };
     masks.iter().map(mask_vote).collect()
 }
 
@@ -235,7 +236,7 @@ fn most_photos_cut_a_needle_where_most_of_them_end_the_object() {
     // 60 px long (3 deviations of 20), its centre at x = 150. Five outlines wander about x = 150, one is far off.
     let before = needle(150.0, 60.0);
     let masks = [147, 149, 150, 151, 153, 198].map(left_of);
-    let cut = Cut::cut_by_votes(&before, &all(1), &NONE, &votes_of(&masks), SpikeMode::Axis, NEAR);
+    let cut = SpikeCut::cut_by_votes(&before, &all(1), &NONE, &votes_of(&masks), SpikeMode::Axis, NEAR);
     let mut after = before.clone();
     cut.apply(&mut after);
     // What is seen of it ends where half of its alpha is lost, at 1.177 deviations.
@@ -244,8 +245,8 @@ fn most_photos_cut_a_needle_where_most_of_them_end_the_object() {
     assert!(after.scale(0).x < 0.7 * before.scale(0).x);
     assert_eq!((after.log_scales[0][1], after.opacities[0]), (before.log_scales[0][1], before.opacities[0]));
     // Applying it again changes nothing.
-    let again = Cut::cut_by_votes(&after, &all(1), &NONE, &votes_of(&masks), SpikeMode::Axis, NEAR);
-    assert_eq!(again, Cut::default());
+    let again = SpikeCut::cut_by_votes(&after, &all(1), &NONE, &votes_of(&masks), SpikeMode::Axis, NEAR);
+    assert_eq!(again, SpikeCut::default());
     cut.undo(&mut after);
     assert_eq!(after, before);
 }
@@ -255,20 +256,30 @@ fn one_photo_that_is_wrong_cuts_nothing() {
     let needle = needle(150.0, 60.0);
     let masks = [110, 190, 195, 198].map(left_of);
     assert_eq!(
-        Cut::cut_by_votes(&needle, &all(1), &NONE, &votes_of(&masks), SpikeMode::Axis, NEAR),
-        Cut::default()
+        SpikeCut::cut_by_votes(&needle, &all(1), &NONE, &votes_of(&masks), SpikeMode::Axis, NEAR),
+        SpikeCut::default()
     );
     // Nor do photos that do not see it, however many.
     let blind = [110; 8].map(left_of);
-    let votes: Vec<MaskVote> = votes_of(&blind).into_iter().map(|j| MaskVote { voice: &[0], ..j }).collect();
-    assert_eq!(Cut::cut_by_votes(&needle, &all(1), &NONE, &votes, SpikeMode::Axis, NEAR), Cut::default());
+    let votes: Vec<MaskVote> =
+        votes_of(&blind).into_iter().map(|j| MaskVote { visibility: &[0], ..j }).collect();
+    assert_eq!(
+        SpikeCut::cut_by_votes(&needle, &all(1), &NONE, &votes, SpikeMode::Axis, NEAR),
+        SpikeCut::default()
+    );
 }
 
 #[test]
 fn what_all_photos_put_outside_leaves_the_selection() {
     let masks = [60; 4].map(left_of);
-    let cut =
-        Cut::cut_by_votes(&needle(150.0, 60.0), &all(1), &NONE, &votes_of(&masks), SpikeMode::Axis, NEAR);
+    let cut = SpikeCut::cut_by_votes(
+        &needle(150.0, 60.0),
+        &all(1),
+        &NONE,
+        &votes_of(&masks),
+        SpikeMode::Axis,
+        NEAR,
+    );
     assert_eq!((cut.changed.len(), cut.dropped), (0, vec![0]));
 }
 
@@ -277,7 +288,7 @@ fn a_splat_astride_the_outline_gives_the_object_its_inner_piece() {
     // Two thirds of the needle lie outside; it belongs to something else.
     let before = needle(150.0, 60.0);
     let masks = [140; 4].map(left_of);
-    let cut = Cut::cut_by_votes(&before, &NONE, &all(1), &votes_of(&masks), SpikeMode::Axis, NEAR);
+    let cut = SpikeCut::cut_by_votes(&before, &NONE, &all(1), &votes_of(&masks), SpikeMode::Axis, NEAR);
     assert_eq!((cut.joined.as_slice(), cut.changed.len(), cut.dropped.len()), ([0u32].as_slice(), 1, 0));
     let (mut after, mut labels) = (before.clone(), vec![false]);
     cut.apply(&mut after);
@@ -287,18 +298,18 @@ fn a_splat_astride_the_outline_gives_the_object_its_inner_piece() {
     assert!((end - 140.0).abs() < 3.0, "seen up to x = {end}");
     // Once in, a second cut finds nothing to change.
     assert_eq!(
-        Cut::cut_by_votes(&after, &labels, &NONE, &votes_of(&masks), SpikeMode::Axis, NEAR),
-        Cut::default()
+        SpikeCut::cut_by_votes(&after, &labels, &NONE, &votes_of(&masks), SpikeMode::Axis, NEAR),
+        SpikeCut::default()
     );
     // What no photo's outline cuts stays whole, and stays out.
     let around = [190; 4].map(left_of);
     assert_eq!(
-        Cut::cut_by_votes(&before, &NONE, &all(1), &votes_of(&around), SpikeMode::Axis, NEAR),
-        Cut::default()
+        SpikeCut::cut_by_votes(&before, &NONE, &all(1), &votes_of(&around), SpikeMode::Axis, NEAR),
+        SpikeCut::default()
     );
     // And nothing joins where spikes are not cut.
     assert_eq!(
-        Cut::cut_by_votes(&before, &NONE, &all(1), &votes_of(&masks), SpikeMode::Off, NEAR),
-        Cut::default()
+        SpikeCut::cut_by_votes(&before, &NONE, &all(1), &votes_of(&masks), SpikeMode::Off, NEAR),
+        SpikeCut::default()
     );
 }

@@ -1,5 +1,5 @@
-//! Which look a scene needs: a guess from its points before any training, then short fits that are scored on photos
-//! held out of them (method, section 9).
+//! Choice of the appearance model of a scene: a guess from its points before any training, then short fits that are scored
+//! on photos held out of them (method, section 9).
 
 use super::tracks::{Tracks, tracks};
 use super::{ShortFit, Trials};
@@ -9,32 +9,32 @@ use segwild_scene::Scene;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// The rungs that are tried, cheapest first. `gsw` is not among them: on `liberty` it is worth .15 dB over `embed` at three
-/// times the step (docs/experiments/2026-11-21-appearance-models-on-held-out-photos.md).
-pub const RUNGS: [AppearanceModel; 3] =
+/// The appearance models that are tried, cheapest first. `gsw` is not among them: on `liberty` it is worth .15 dB over
+/// `embed` at three times the step (docs/experiments/2026-11-21-appearance-models-on-held-out-photos.md).
+pub const APPEARANCE_MODELS: [AppearanceModel; 3] =
     [AppearanceModel::None, AppearanceModel::Affine, AppearanceModel::Embed];
 
-/// What a dearer rung must gain on the photos held out, in dB.
+/// What a dearer appearance model must gain on the photos held out, in dB.
 const WORTH: f32 = 0.15;
-/// Share of the points' colour variance that an affine look must explain for photos to be taken to differ in light.
+/// Share of the points' colour variance that an affine appearance must explain for photos to count as different in light.
 const DIFFERS: f32 = 0.3;
-/// Long side of the photos that are looked at and tried on, at most.
+/// Long side of the photos of the tracks and the short fits, in pixels at most.
 pub const SIZE: u32 = 160;
 /// Steps of a short fit: a share of the whole training's, within these.
 const STEPS: (u32, u32) = (300, 600);
 
-/// Photos agree where those held out of the look's fit are shown with so many dB: `desk` and `fern` have 30 and 29, what
-/// differs in light or is crowded 14 to 22.
+/// Photos agree where those held out of the appearance model's fit are rendered with so many dB: `desk` and `fern` have 30
+/// and 29, scenes that differ in light or are crowded 14 to 22.
 const AGREE: f32 = 25.0;
 
-/// Which look was chosen, and on what grounds.
+/// The appearance model chosen for a scene, and why.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AppearanceChoice {
-    /// The look.
+    /// The appearance model.
     pub appearance: AppearanceModel,
     /// Why, in a sentence.
     pub why: String,
-    /// What the points say; `None` where too few were seen by several photos.
+    /// Colour differences of the points between photos; `None` where too few points were seen by several photos.
     pub tracks: Option<Tracks>,
     /// The fits that were tried, in the order in which they were.
     pub fits: Vec<ShortFit>,
@@ -43,14 +43,14 @@ pub struct AppearanceChoice {
 }
 
 impl AppearanceChoice {
-    /// Whether the photos agree about the scene, as far as the fits tell.
+    /// Whether the photos agree about the scene, by the scores of the fits.
     pub fn agrees(&self) -> bool {
         self.fits.iter().any(|fit| fit.appearance == self.appearance && fit.psnr >= AGREE)
     }
 }
 
-/// Chooses the lowest rung that suffices. `photos` gives photos of a long side of [`SIZE`] at most; `stopping` ends the work.
-/// The same scene, photos and settings give the same choice.
+/// Chooses the simplest appearance model that suffices. `photos` gives photos of a long side of [`SIZE`] at most; `stopping`
+/// ends the work. The same scene, photos and settings give the same choice.
 pub fn choose_appearance(
     engine: Arc<dyn Engine>,
     scene: &Scene,
@@ -65,45 +65,46 @@ pub fn choose_appearance(
         Some(tracks) if tracks.explained() >= DIFFERS => 1,
         _ => 0,
     };
-    let said = tracks.map_or("no points that several photos saw".to_owned(), |t| {
+    let evidence = tracks.map_or("no points that several photos saw".to_owned(), |t| {
         format!(
             "the colours of {} points differ by {:.3} between photos, and by {:.3} after a colour matrix per photo",
             t.points, t.raw, t.after_affine
         )
     });
     if trials.held_out.is_empty() {
-        let appearance = RUNGS[guess];
-        let why = format!("{appearance}: {said}; {} photos are too few to hold any out", trials.usable.len());
+        let appearance = APPEARANCE_MODELS[guess];
+        let why =
+            format!("{appearance}: {evidence}; {} photos are too few to hold any out", trials.usable.len());
         return Ok(AppearanceChoice { appearance, why, tracks, fits: Vec::new(), held_out: 0 });
     }
     let steps = (settings.steps / 8).clamp(STEPS.0, STEPS.1);
     let mut pays = |dearer: usize| -> Result<bool, TrainError> {
-        let appearances = [dearer - 1, dearer].map(|rung| RUNGS[rung]);
+        let appearances = [dearer - 1, dearer].map(|index| APPEARANCE_MODELS[index]);
         for appearance in appearances {
             if trials.fits.iter().all(|fit| fit.appearance != appearance) {
                 trials.fit(TrainSettings { appearance_model: appearance, steps, ..settings.clone() })?;
             }
         }
-        // Scores change with what else was tried: they are asked for when both are there.
+        // Scores change with every further fit: they are compared when both are there.
         let psnr = appearances.map(|appearance| {
             trials.fits.iter().find(|fit| fit.appearance == appearance).map_or(0.0, |fit| fit.psnr)
         });
         Ok(psnr[1] - psnr[0] >= WORTH)
     };
-    let mut rung = guess;
-    // Up while it pays; if it did not pay at once, down while nothing is lost by it.
-    while rung + 1 < RUNGS.len() && pays(rung + 1)? {
-        rung += 1;
+    let mut chosen = guess;
+    // To dearer models while that pays; if the first did not pay, to cheaper ones while nothing is lost.
+    while chosen + 1 < APPEARANCE_MODELS.len() && pays(chosen + 1)? {
+        chosen += 1;
     }
-    while rung > 0 && rung <= guess && !pays(rung)? {
-        rung -= 1;
+    while chosen > 0 && chosen <= guess && !pays(chosen)? {
+        chosen -= 1;
     }
     let (held_out, fits) = (trials.held_out.len(), trials.fits);
-    let appearance = RUNGS[rung];
+    let appearance = APPEARANCE_MODELS[chosen];
     let scores: Vec<String> =
         fits.iter().map(|fit| format!("{} {:.2} dB", fit.appearance, fit.psnr)).collect();
     let why = format!(
-        "{appearance}: {said}; on {} photos held out of fits of {steps} steps: {}",
+        "{appearance}: {evidence}; on {} photos held out of fits of {steps} steps: {}",
         held_out,
         scores.join(", ")
     );

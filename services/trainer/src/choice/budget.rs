@@ -2,11 +2,11 @@
 //! doubling would not pay (method, section 9). How many splats is decided while they grow: where more gain nothing,
 //! growing ends.
 //!
-//! What is paid is SSIM on photos held out. PSNR can be no lower where a click selects .05 IoU less: behind transients with
-//! a quarter of the steps, or with half of the splats (docs/results/chart/oracle-synthetic).
+//! The gain is measured in SSIM on photos held out. PSNR can stay the same where a click selects .05 IoU less: with transients
+//! and a quarter of the steps, or with half of the splats (docs/results/chart/oracle-synthetic).
 //!
-//! Each is a whole training from coarse to fine. Going on from the one before would take half the steps, but what is
-//! trained on fine photos for long with few splats to move is worth less on photos held out: on `fern` 1 dB less than
+//! Each is a whole training from coarse to fine. Continuing the one before would take half the steps, but a scene
+//! trained on fine photos for long with few splats is worse on photos held out: on `fern` 1 dB less than
 //! before, where the whole training gains 3.
 
 use super::{ShortFit, Trials};
@@ -18,20 +18,20 @@ use std::sync::Arc;
 
 /// Long side of the photos that are tried on: half of those trained on, within these.
 const SIZES: (u32, u32) = (96, 480);
-/// The shortest training tried, as a share of the longest, and in steps: fewer tell nothing, and where a sixteenth is
-/// fewer, trials would take what they could save.
+/// The shortest training tried, as a share of the longest, and in steps: fewer show nothing, and where a sixteenth is
+/// fewer, trials would cost as much as they could save.
 const SHORTEST: (u32, u32) = (16, 125);
 /// Photos that agree are worth more steps than others, so many times as many at most.
-/// Where light differs and transients stand in front, more than the scene's own are learnt by heart (docs/experiments/2026-11-22-how-many-steps.md).
+/// Where light differs and transients stand in front, more than the scene's own steps overfit the photos (docs/experiments/2026-11-22-how-many-steps.md).
 const MORE: u32 = 8;
-/// What all further doublings together must promise on the photos held out, in SSIM, for the next to be made.
+/// Expected gain of all further doublings together on the photos held out, in SSIM, from which the next one is made.
 const WORTH: f32 = 0.002;
-/// How much of a doubling's gain the next one keeps: where only one gain is known, and the bounds of what two tell.
+/// How much of a doubling's gain the next one keeps: where only one gain is known, and the bounds of the ratio of two.
 const KEEPS: (f32, f32, f32) = (0.5, 0.3, 0.75);
-/// The same where gains shrink fast: if not even so an end is in sight, no longer trial is made.
+/// The same where gains shrink fast: if even then the end is not in sight, no longer trial is made.
 const KEEPS_AT_BEST: f32 = 0.4;
 
-/// How much a training is to spend, and on what grounds.
+/// The steps chosen for a training, and why.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BudgetChoice {
     /// Optimiser steps.
@@ -57,7 +57,7 @@ fn trial_size_of(trained_on: u32) -> u32 {
     (trained_on / 2).clamp(SIZES.0, SIZES.1).min(trained_on)
 }
 
-/// Chooses the least steps that suffice, `settings.steps` at most, or eight times as many where it may go `beyond`: where they
+/// Chooses the least steps that suffice, `settings.steps` at most, or eight times as many if `beyond` is set: where they
 /// were left to the scene, and its photos agree ([`super::AppearanceChoice::agrees`]). `photos` gives photos of a long side of
 /// [`trial_size`]; `stopping` ends the work. The same scene, photos and settings give the same choice.
 pub fn choose_budget(
@@ -94,14 +94,14 @@ pub fn choose_budget(
         let why = format!("all {own} steps: trials pay from {} steps on", SHORTEST.0 * SHORTEST.1);
         return Ok(BudgetChoice { why, ..whole });
     }
-    let told = |fits: &[ShortFit]| -> String {
+    let listed = |fits: &[ShortFit]| -> String {
         let each = fits.iter().map(|f| format!("{:.3} ({} steps, {} splats)", f.ssim, f.steps, f.splats));
         each.collect::<Vec<_>>().join(", ")
     };
     if promise >= WORTH {
         let why = format!(
             "all {most} steps, for each doubling pays; SSIM on {held_out} photos held out: {}",
-            told(&fits)
+            listed(&fits)
         );
         return Ok(BudgetChoice { steps: most, why, fits, ..whole });
     }
@@ -110,12 +110,12 @@ pub fn choose_budget(
     let why = format!(
         "{} of {most} steps; SSIM on {held_out} photos held out: {}; all further doublings promise {promise:.3}",
         chosen.steps,
-        told(&fits)
+        listed(&fits)
     );
     Ok(BudgetChoice { steps: chosen.steps, why, fits, ..whole })
 }
 
-/// What all further doublings together promise, from the scores of the doublings so far: their gains shrink as they
+/// Expected gain of all further doublings together, from the scores of the doublings so far: gains are assumed to shrink as they
 /// did so far.
 fn promised(scores: &[f32]) -> f32 {
     let gains: Vec<f32> = scores.windows(2).map(|w| w[1] - w[0]).collect();
@@ -157,7 +157,7 @@ mod tests {
         assert_eq!(ends_at(&[0.675, 0.745], 250), 4000.0);
         assert_eq!(ends_at(&[0.745, 0.747], 250), 250.0);
         assert_eq!(ends_at(&[0.745, 0.740], 250), 250.0);
-        assert_eq!(ends_at(&[0.745], 250), 0.0, "one score tells nothing");
+        assert_eq!(ends_at(&[0.745], 250), 0.0, "one score shows no trend");
     }
 
     #[test]

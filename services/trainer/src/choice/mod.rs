@@ -1,14 +1,15 @@
-//! What a training needs, found before it: short fits that are scored on photos held out of them (method, section 9).
+//! Choice of appearance model and steps before a training: short fits that are scored on photos held out of them (method,
+//! section 9).
 
 mod appearance;
 mod budget;
 mod tracks;
 
-pub use appearance::{AppearanceChoice, RUNGS, SIZE, choose_appearance};
+pub use appearance::{APPEARANCE_MODELS, AppearanceChoice, SIZE, choose_appearance};
 pub use budget::{BudgetChoice, choose_budget, trial_size};
 pub use tracks::Tracks;
 
-use crate::evaluate::{draw_unseen, score};
+use crate::evaluate::{render_unseen, score};
 use crate::photos::Stored;
 use crate::posed::{Posed, posed_view};
 use crate::{AppearanceModel, Photos, TrainError, TrainSettings, Trainer};
@@ -20,7 +21,7 @@ use std::sync::Arc;
 
 /// Photos held out of the short fits: one in so many, and no more than this.
 const HELD_OUT: (usize, usize) = (6, 10);
-/// Photos looked at, at most: some of a large pile tell as much as all.
+/// Photos used, at most: a part of a large set gives the same choice as all of it.
 const MOST: usize = 80;
 /// With fewer photos than this nothing can be held out.
 const FEW: usize = 8;
@@ -28,14 +29,14 @@ const FEW: usize = 8;
 /// Score of a short fit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ShortFit {
-    /// Its look.
+    /// Its appearance model.
     pub appearance: AppearanceModel,
     /// Its steps.
     pub steps: u32,
     /// The splats it came to.
     pub splats: usize,
-    /// Mean PSNR on the photos held out of it, in dB: the look fitted on the left half, the right half scored, without
-    /// what contradicts all fits it is compared with.
+    /// Mean PSNR on the photos held out of it, in dB: the appearance fitted on the left half, the right half scored, without
+    /// the pixels that contradict all fits.
     pub psnr: f32,
     /// Mean SSIM.
     pub ssim: f32,
@@ -47,24 +48,24 @@ struct Trials<'a> {
     photos: Arc<dyn Photos>,
     /// The scene, with `held_out` and what cannot be read taken out of the training.
     scene: Scene,
-    /// Photos looked at.
+    /// Photos that can be read.
     usable: Vec<usize>,
     /// Photos that fits are scored on; none where there are too few.
-    held_out: Vec<Held>,
-    /// What was tried, in that order.
+    held_out: Vec<HeldOutPhoto>,
+    /// The fits so far, in that order.
     fits: Vec<ShortFit>,
     stopping: &'a dyn Fn() -> bool,
 }
 
 /// A photo that fits are scored on.
-struct Held {
+struct HeldOutPhoto {
     view: usize,
     posed: Posed,
     photo: Stored,
-    /// What each fit shows in its place.
+    /// The render of each fit from its camera.
     renders: Vec<Image>,
-    /// Per pixel, whether it contradicts every fit. A transient does, whatever is tried, and tells nothing of it.
-    strange: Vec<bool>,
+    /// Per pixel, whether it contradicts every fit. A transient does so whatever is tried, and is left out of the scores.
+    transient: Vec<bool>,
 }
 
 impl<'a> Trials<'a> {
@@ -76,7 +77,7 @@ impl<'a> Trials<'a> {
     ) -> Trials<'a> {
         let train: Vec<usize> = (0..scene.views.len()).filter(|&v| !scene.views[v].test).collect();
         let skip = train.len().div_ceil(MOST).max(1);
-        // One that cannot be read says nothing here, and is named where it is trained on.
+        // A photo that cannot be read is skipped here, and named where it is trained on.
         let usable: Vec<usize> =
             train.into_iter().step_by(skip).filter(|&v| photos.photo(v).is_ok()).collect();
         let mut held_out = Vec::new();
@@ -89,8 +90,14 @@ impl<'a> Trials<'a> {
                 .filter_map(|&view| {
                     let photo = photos.photo(view).ok()?;
                     let photo = Stored::pack(&scene.views[view].name, &photo).ok()?;
-                    let strange = vec![true; photo.levels[0].pixels()];
-                    Some(Held { view, posed: posed_view(scene, view), photo, renders: Vec::new(), strange })
+                    let transient = vec![true; photo.levels[0].pixels()];
+                    Some(HeldOutPhoto {
+                        view,
+                        posed: posed_view(scene, view),
+                        photo,
+                        renders: Vec::new(),
+                        transient,
+                    })
                 })
                 .collect();
         }
@@ -101,7 +108,7 @@ impl<'a> Trials<'a> {
         Trials { engine, photos, scene: apart, usable, held_out, fits: Vec::new(), stopping }
     }
 
-    /// Trains once, and scores what came of it and all that was tried before.
+    /// Trains once, and scores this fit and again all fits before it.
     fn fit(&mut self, settings: TrainSettings) -> Result<(), TrainError> {
         let (appearance, steps) = (settings.appearance_model, settings.steps);
         let share = settings.robust.then_some(settings.robust_share);
@@ -114,21 +121,24 @@ impl<'a> Trials<'a> {
         }
         let model = trainer.snapshot()?;
         self.fits.push(ShortFit { appearance, steps, splats: model.splats.len(), psnr: 0.0, ssim: 0.0 });
-        let there = self.engine.hold(&model.splats)?;
-        let drawing = there.as_deref().unwrap_or(&*self.engine);
+        let held_splats = self.engine.hold(&model.splats)?;
+        let renderer = held_splats.as_deref().unwrap_or(&*self.engine);
         for held in &mut self.held_out {
             let view = &self.scene.views[held.view];
             let photo = &held.photo.levels[0];
             let w = photo.width;
             let left = |i: usize| i % w < w / 2;
-            let shown = draw_unseen(&model, drawing, view, &held.photo, 0, Some(&left))?.shown;
-            let residual = held.posed.doubted(&mean_difference(&shown, &photo.image()), photo);
+            let shown = render_unseen(&model, renderer, view, &held.photo, 0, Some(&left))?.shown;
+            let residual = held.posed.untrusted_residual(&mean_difference(&shown, &photo.image()), photo);
             match share {
                 Some(share) => {
                     let against = contradicted(&residual, w, |i| photo.counts(i), share);
-                    held.strange.iter_mut().zip(against).for_each(|(strange, against)| *strange &= against);
+                    held.transient
+                        .iter_mut()
+                        .zip(against)
+                        .for_each(|(transient, against)| *transient &= against);
                 }
-                None => held.strange.fill(false),
+                None => held.transient.fill(false),
             }
             held.renders.push(shown);
         }
@@ -136,7 +146,7 @@ impl<'a> Trials<'a> {
             let scores = self.held_out.iter().map(|held| {
                 let photo = &held.photo.levels[0];
                 let right = |i: usize| i % photo.width >= photo.width / 2;
-                score(&held.renders[k], photo, |i| right(i) && !held.strange[i])
+                score(&held.renders[k], photo, |i| right(i) && !held.transient[i])
             });
             let (psnr, ssim) = scores.fold((0.0, 0.0), |sum, s| (sum.0 + s.0, sum.1 + s.1));
             let n = self.held_out.len() as f32;

@@ -1,21 +1,21 @@
-//! What the reconstructed points say of the light, before any training.
+//! Differences in light between photos, from the reconstructed points, before any training.
 
 use crate::Photos;
-use crate::appearances::{Affine, IDENTITY, fit, undo};
+use crate::appearances::{AffineColour, IDENTITY, fit, undo};
 use segwild_scene::{Image, Scene};
 use serde::{Deserialize, Serialize};
 
-/// Photos that must have seen a point for its colours to tell something.
+/// Photos that must have seen a point for it to count.
 const SEEN_BY: usize = 3;
 
 /// How the colours of the reconstructed points differ between photos, as root mean squares in [0, 1].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Tracks {
-    /// Points looked at.
+    /// Points that count.
     pub points: usize,
     /// How far a point's colour in a photo is from its mean over photos.
     pub raw: f32,
-    /// What of that stays when each photo has a colour matrix, fitted on half of its points and measured on the others.
+    /// The same after each photo has a colour matrix, fitted on half of its points and measured on the others.
     pub after_affine: f32,
 }
 
@@ -87,7 +87,7 @@ fn mean_around(image: &Image, x: usize, y: usize) -> [f32; 3] {
 }
 
 /// Per point, the mean over its photos of the colour that the photo's matrix turns into the one seen.
-fn means(points: usize, of_view: &[Vec<Sighting>], matrices: &[Affine]) -> Vec<[f32; 3]> {
+fn means(points: usize, of_view: &[Vec<Sighting>], matrices: &[AffineColour]) -> Vec<[f32; 3]> {
     let mut sums = vec![([0.0f32; 3], 0.0f32); points];
     for (sightings, matrix) in of_view.iter().zip(matrices) {
         for s in sightings {
@@ -100,12 +100,12 @@ fn means(points: usize, of_view: &[Vec<Sighting>], matrices: &[Affine]) -> Vec<[
     sums.into_iter().map(|(sum, n)| sum.map(|s| s / n.max(1.0))).collect()
 }
 
-/// Root mean square of what is seen beside what is expected, without the worst tenth: transients, and points that a
-/// photo was wrong to see.
+/// Root mean square of the difference of seen and expected colours, without the worst tenth: transients, and wrong
+/// matches.
 fn spread(
     own: &[[f32; 3]],
     of_view: &[Vec<Sighting>],
-    matrices: &[Affine],
+    matrices: &[AffineColour],
     measured: impl Fn(usize) -> bool,
 ) -> f32 {
     let mut squares: Vec<f32> = Vec::new();

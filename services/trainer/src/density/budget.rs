@@ -1,6 +1,8 @@
 //! Grow while it pays, where gradient and error are large; prune what no photo needs (method, section 9).
 
-use super::{Change, Density, Reshaping, Seen, Stats, Surroundings, split_in_two, top};
+use super::{
+    Density, DensityChange, DensityStats, Reshaping, StepObservation, Surroundings, split_in_two, top,
+};
 use crate::{TrainError, TrainSettings};
 use wincode::{SchemaRead, SchemaWrite};
 
@@ -8,37 +10,37 @@ use wincode::{SchemaRead, SchemaWrite};
 const MIN_OPACITY: f32 = 0.01;
 /// A splat that covers less than this many full-size pixels of all photos together is removed.
 const UNSEEN: f32 = 0.5;
-/// Judgements in a row that must find growth not to pay before it stops.
+/// Checks in a row that must find that growth does not pay before it stops.
 const PATIENCE: u32 = 3;
 /// Most that one event adds, as a share of the splats there are.
 const STRIDE: f64 = 0.6;
 
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
-pub(crate) struct Budget {
-    stats: Stats,
+pub(crate) struct BudgetStrategy {
+    stats: DensityStats,
     /// Splats at the start.
     first: usize,
     from: u32,
     until: u32,
     every: u32,
-    /// Steps at which what no photo needs is pruned.
+    /// Steps at which splats that no photo needs are pruned.
     prune_at: [u32; 2],
     gain: f32,
     /// Halvings of the photos when it last acted.
     level: usize,
-    /// Quality and count when growth was last judged.
-    judged: Option<(f32, f32)>,
-    /// Judgements in a row that found growth not to pay.
+    /// Quality, and logarithm of the count, when growth last paid, or at the first check.
+    reference: Option<(f32, f32)>,
+    /// Checks in a row that found that growth does not pay.
     idle: u32,
     stopped: bool,
 }
 
-impl Budget {
-    pub fn new(settings: &TrainSettings, splats: usize) -> Budget {
+impl BudgetStrategy {
+    pub fn new(settings: &TrainSettings, splats: usize) -> BudgetStrategy {
         let steps = settings.steps;
         let at = |share: f32| (steps as f32 * share) as u32;
-        Budget {
-            stats: Stats::new(splats),
+        BudgetStrategy {
+            stats: DensityStats::new(splats),
             first: splats,
             from: at(0.04),
             until: at(0.6),
@@ -46,7 +48,7 @@ impl Budget {
             prune_at: [at(0.62), at(0.85)],
             gain: settings.grow_gain,
             level: usize::MAX,
-            judged: None,
+            reference: None,
             idle: 0,
             stopped: false,
         }
@@ -70,12 +72,12 @@ impl Budget {
     }
 
     /// Whether growth pays; `Some(note)` when it is to stop. Quality wavers from one visit of the photos to the next, so
-    /// growth is only called off when several judgements in a row fall short of the last one that did not.
-    fn judge(&mut self, quality: Option<f32>, n: usize) -> Option<String> {
+    /// growth only stops when several checks in a row fall short of the last one that did not.
+    fn check_growth(&mut self, quality: Option<f32>, n: usize) -> Option<String> {
         let quality = quality?;
         let now = (quality, (n as f32).ln());
-        let Some((before, count)) = self.judged else {
-            self.judged = Some(now);
+        let Some((before, count)) = self.reference else {
+            self.reference = Some(now);
             return None;
         };
         let grown = (now.1 - count) / 1.1f32.ln();
@@ -84,7 +86,7 @@ impl Budget {
         }
         let paid = (quality - before) / grown;
         if paid >= self.gain {
-            self.judged = Some(now);
+            self.reference = Some(now);
             self.idle = 0;
             return None;
         }
@@ -95,8 +97,8 @@ impl Budget {
     }
 }
 
-impl Density for Budget {
-    fn observe(&mut self, seen: &Seen) {
+impl Density for BudgetStrategy {
+    fn observe(&mut self, seen: &StepObservation) {
         self.stats.observe(seen);
     }
 
@@ -104,7 +106,7 @@ impl Density for Budget {
         self.stats.keep(kept);
     }
 
-    fn stats(&mut self) -> Option<&mut Stats> {
+    fn stats(&mut self) -> Option<&mut DensityStats> {
         Some(&mut self.stats)
     }
 
@@ -112,11 +114,15 @@ impl Density for Budget {
         self.prunes(step) || self.grows(step)
     }
 
-    fn act(&mut self, all: &mut Reshaping, around: &mut Surroundings) -> Result<Option<Change>, TrainError> {
+    fn act(
+        &mut self,
+        all: &mut Reshaping,
+        around: &mut Surroundings,
+    ) -> Result<Option<DensityChange>, TrainError> {
         let step = around.step;
         let (prune, grow) = (self.prunes(step), self.grows(step));
         let n = all.len();
-        // However large one looks from close by: the ground before a camera is.
+        // No bound on the size in the image: the ground before a camera is large there.
         let mut keep: Vec<bool> =
             (0..n).map(|i| all.healthy(i) && all.splats.opacity(i) >= MIN_OPACITY).collect();
         if prune {
@@ -135,7 +141,7 @@ impl Density for Budget {
             })
             .collect();
         let kept: Vec<usize> = (0..n).filter(|&i| keep[i]).collect();
-        // A scene that lost every splat keeps them all: nothing is better than nothing to draw.
+        // A scene that would lose every splat keeps them all: an empty scene cannot recover.
         if !kept.is_empty() && kept.len() < n {
             all.remap(&kept);
             scores = kept.iter().map(|&i| scores[i]).collect();
@@ -143,11 +149,11 @@ impl Density for Budget {
         if grow {
             let n = all.len();
             if self.level != around.level {
-                // Qualities before and after do not compare, and finer photos may bear more.
-                (self.level, self.judged, self.idle, self.stopped) = (around.level, None, 0, false);
+                // Qualities before and after are not comparable, and finer photos may support more splats.
+                (self.level, self.reference, self.idle, self.stopped) = (around.level, None, 0, false);
             }
             if !self.stopped {
-                note = self.judge(around.quality, n);
+                note = self.check_growth(around.quality, n);
                 self.stopped = note.is_some();
             }
             if !self.stopped {
@@ -158,8 +164,8 @@ impl Density for Budget {
             }
         }
         let removed = n + added - all.len();
-        self.stats = Stats::new(all.len());
-        Ok(Some(Change { added, removed, opacity_reset: false, note }))
+        self.stats = DensityStats::new(all.len());
+        Ok(Some(DensityChange { added, removed, opacity_reset: false, note }))
     }
 }
 
@@ -182,9 +188,9 @@ mod tests {
         Reshaping::new(splats, vec![true; n])
     }
 
-    /// One act of a strategy that saw every splat alike.
+    /// One act of a strategy whose statistics are the same for every splat.
     fn act(
-        budget: &mut Budget,
+        budget: &mut BudgetStrategy,
         all: &mut Reshaping,
         step: u32,
         cap: usize,
@@ -192,7 +198,7 @@ mod tests {
         quality: Option<f32>,
     ) {
         let n = all.len();
-        let Stats { gradient, error, seen, .. } = &mut budget.stats;
+        let DensityStats { gradient, error, seen, .. } = &mut budget.stats;
         [gradient, error, seen].into_iter().for_each(|sums| *sums = vec![1.0; n]);
         let mut around = Surroundings {
             step,
@@ -206,10 +212,10 @@ mod tests {
         budget.act(all, &mut around).unwrap();
     }
 
-    /// What passes under a camera fills its photo, and is an ordinary splat to all the others.
+    /// The ground under a camera fills its photo, and is an ordinary splat in all others.
     #[test]
-    fn the_ground_before_a_camera_stays_however_large_it_looks() {
-        let mut budget = Budget::new(&TrainSettings { steps: 100, ..TrainSettings::default() }, 3);
+    fn the_ground_before_a_camera_stays_however_large_it_is_in_the_image() {
+        let mut budget = BudgetStrategy::new(&TrainSettings { steps: 100, ..TrainSettings::default() }, 3);
         budget.stats.radius = vec![0.1, 4.0, 0.1];
         // The last is hardly there.
         let mut all = row(&[1.0, 1.0, -9.0]);
@@ -218,13 +224,13 @@ mod tests {
         assert_eq!(all.len(), 2);
     }
 
-    /// Photos that had all been seen again, at their new size, before growth was next asked: then it stayed stopped, and a
+    /// All photos were visited at their new size before the next check of growth: it then stayed stopped, and a
     /// training of four times the steps ended with a quarter fewer splats.
     #[test]
     fn growth_that_stopped_on_coarse_photos_goes_on_with_finer_ones_in_long_trainings_too() {
         let settings = TrainSettings { steps: 1000, ..TrainSettings::default() };
         let mut all = row(&[1.0; 40]);
-        let mut budget = Budget::new(&settings, all.len());
+        let mut budget = BudgetStrategy::new(&settings, all.len());
         // A quality that never rises ends growth, and it stays ended on photos of that size.
         for step in [40, 80, 120, 160, 200, 240] {
             act(&mut budget, &mut all, step, 1000, 2, Some(20.0));

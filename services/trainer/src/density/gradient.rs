@@ -1,7 +1,7 @@
 //! Clone, split, prune and opacity reset by gradient threshold (Kerbl et al. 2023; absolute gradients as in
 //! AbsGS), with its schedule scaled to the length of the run.
 
-use super::{Change, Density, Reshaping, Seen, Stats, Surroundings};
+use super::{Density, DensityChange, DensityStats, Reshaping, StepObservation, Surroundings};
 use crate::initial::logit;
 use crate::{TrainError, TrainSettings};
 use glam::Vec3;
@@ -18,7 +18,7 @@ const RESET: f32 = 0.01;
 
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
 pub(crate) struct Gradient {
-    stats: Stats,
+    stats: DensityStats,
     from: u32,
     until: u32,
     every: u32,
@@ -29,7 +29,7 @@ impl Gradient {
     pub fn new(settings: &TrainSettings, splats: usize) -> Gradient {
         let steps = settings.steps;
         Gradient {
-            stats: Stats::new(splats),
+            stats: DensityStats::new(splats),
             from: (steps / 20).min(500),
             until: steps / 2,
             every: (steps / 50).clamp(10, 100),
@@ -40,7 +40,7 @@ impl Gradient {
 }
 
 impl Density for Gradient {
-    fn observe(&mut self, seen: &Seen) {
+    fn observe(&mut self, seen: &StepObservation) {
         self.stats.observe(seen);
     }
 
@@ -48,7 +48,7 @@ impl Density for Gradient {
         self.stats.keep(kept);
     }
 
-    fn stats(&mut self) -> Option<&mut Stats> {
+    fn stats(&mut self) -> Option<&mut DensityStats> {
         Some(&mut self.stats)
     }
 
@@ -56,15 +56,19 @@ impl Density for Gradient {
         step >= self.from && step <= self.until && step.is_multiple_of(self.every)
     }
 
-    fn act(&mut self, all: &mut Reshaping, around: &mut Surroundings) -> Result<Option<Change>, TrainError> {
+    fn act(
+        &mut self,
+        all: &mut Reshaping,
+        around: &mut Surroundings,
+    ) -> Result<Option<DensityChange>, TrainError> {
         let step = around.step;
         let n = all.splats.len();
-        let room = around.cap.saturating_sub(n);
+        let space = around.cap.saturating_sub(n);
         let wanted: Vec<f32> = (0..n)
             .map(|i| self.stats.mean(&self.stats.gradient, i))
             .map(|g| if g > THRESHOLD { g } else { 0.0 })
             .collect();
-        let chosen = super::top(&wanted, room);
+        let chosen = super::top(&wanted, space);
         let large = SPLIT_PIXELS * around.pixel;
         let (split, clone): (Vec<usize>, Vec<usize>) =
             chosen.iter().partition(|&&i| all.splats.scale(i).max_element() > large);
@@ -96,7 +100,7 @@ impl Density for Gradient {
             }
             all.forget_opacities();
         }
-        self.stats = Stats::new(all.splats.len());
-        Ok(Some(Change { added: chosen.len(), removed, opacity_reset, note: None }))
+        self.stats = DensityStats::new(all.splats.len());
+        Ok(Some(DensityChange { added: chosen.len(), removed, opacity_reset, note: None }))
     }
 }

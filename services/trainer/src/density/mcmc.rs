@@ -1,7 +1,7 @@
 //! Densification as sampling (Kheradmand et al. 2024): a cap, dead splats relocated onto living ones so that
-//! the image stays, and noise on the centres of faint splats.
+//! the image stays, and noise on the centres of nearly transparent splats.
 
-use super::{Change, Density, Reshaping, Seen, Surroundings};
+use super::{Density, DensityChange, Reshaping, StepObservation, Surroundings};
 use crate::initial::logit;
 use crate::{TrainError, TrainSettings};
 use glam::Vec3;
@@ -33,14 +33,14 @@ impl Mcmc {
         Mcmc { steps, from: (steps / 20).min(500), until: steps / 6 * 5, every: (steps / 60).clamp(8, 100) }
     }
 
-    /// Noise along each splat's own shape, strong where it is faint, fading over the run as the learning
+    /// Noise along each splat's own shape, strong where it is nearly transparent, fading over the run as the learning
     /// rate of the centres does.
     fn shake(&self, splats: &mut Splats, step: u32, random: &mut Random) {
         let strength = NOISE * 0.001f32.powf(step as f32 / self.steps as f32);
         for i in 0..splats.len() {
-            let faint = 1.0 / (1.0 + (100.0 * (splats.opacity(i) - DEAD)).exp());
+            let transparency = 1.0 / (1.0 + (100.0 * (splats.opacity(i) - DEAD)).exp());
             let noise = Vec3::new(random.normal(), random.normal(), random.normal());
-            let moved = splats.mean(i) + splats.covariance(i) * noise * faint * strength;
+            let moved = splats.mean(i) + splats.covariance(i) * noise * transparency * strength;
             if moved.is_finite() {
                 splats.means[i] = moved.into();
             }
@@ -48,7 +48,7 @@ impl Mcmc {
     }
 }
 
-/// Opacity and scale factor of each of `n` equal splats in one place that together look like one splat of
+/// Opacity and scale factor of each of `n` equal splats at one position whose blended image is that of one splat of
 /// opacity `o` (paper, Eq. 9).
 pub(crate) fn relocated(o: f32, n: usize) -> (f32, f32) {
     let o = f64::from(o).min(0.999_999);
@@ -65,8 +65,8 @@ pub(crate) fn relocated(o: f32, n: usize) -> (f32, f32) {
     (each as f32, (o / sum) as f32)
 }
 
-/// Draws `count` splats with probability proportional to opacity, among those alive.
-fn draw(splats: &Splats, alive: &[usize], count: usize, random: &mut Random) -> Vec<usize> {
+/// Samples `count` splats with probability proportional to opacity, among those alive.
+fn sample(splats: &Splats, alive: &[usize], count: usize, random: &mut Random) -> Vec<usize> {
     let mut sums = Vec::with_capacity(alive.len());
     let mut total = 0.0f64;
     for &i in alive {
@@ -83,7 +83,7 @@ fn draw(splats: &Splats, alive: &[usize], count: usize, random: &mut Random) -> 
 
 /// Puts a copy of `sources[k]` at `targets[k]`, lowering opacity and scale of all copies and of the source
 /// so that the image stays.
-pub(crate) fn place_copies(splats: &mut Splats, sources: &[usize], targets: &[usize]) {
+pub(crate) fn copy_splats(splats: &mut Splats, sources: &[usize], targets: &[usize]) {
     let mut copies = vec![1usize; splats.len()];
     for &s in sources {
         copies[s] += 1;
@@ -108,7 +108,7 @@ pub(crate) fn place_copies(splats: &mut Splats, sources: &[usize], targets: &[us
 }
 
 impl Density for Mcmc {
-    fn observe(&mut self, _seen: &Seen) {}
+    fn observe(&mut self, _seen: &StepObservation) {}
 
     fn regularise(&self, splats: &Splats, grads: &mut SplatGrads) {
         let weight = REGULARISER / splats.len().max(1) as f32;
@@ -127,7 +127,11 @@ impl Density for Mcmc {
         true
     }
 
-    fn act(&mut self, all: &mut Reshaping, around: &mut Surroundings) -> Result<Option<Change>, TrainError> {
+    fn act(
+        &mut self,
+        all: &mut Reshaping,
+        around: &mut Surroundings,
+    ) -> Result<Option<DensityChange>, TrainError> {
         let step = around.step;
         let mut change = None;
         if step >= self.from && step <= self.until && step.is_multiple_of(self.every) {
@@ -138,13 +142,14 @@ impl Density for Mcmc {
                 let grown = (n + n / 20 + 1).min(around.cap.max(n));
                 let mut targets = dead.clone();
                 targets.extend(n..grown);
-                let sources = draw(&all.splats, &alive, targets.len(), around.random);
+                let sources = sample(&all.splats, &alive, targets.len(), around.random);
                 let mut parents: Vec<usize> = (0..grown).collect();
                 targets.iter().zip(&sources).for_each(|(&target, &source)| parents[target] = source);
                 all.remap(&parents);
-                place_copies(&mut all.splats, &sources, &targets);
+                copy_splats(&mut all.splats, &sources, &targets);
                 all.forget(sources.iter().chain(&targets).copied());
-                change = Some(Change { added: grown - n, removed: dead.len(), ..Change::default() });
+                change =
+                    Some(DensityChange { added: grown - n, removed: dead.len(), ..DensityChange::default() });
             }
         }
         self.shake(&mut all.splats, step, around.random);

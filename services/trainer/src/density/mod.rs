@@ -1,11 +1,11 @@
-//! How many splats, and where (method, sections 2 and 9).
+//! Density control: how many splats, and where (method, sections 2 and 9).
 
 mod budget;
 mod gradient;
 mod mcmc;
 mod reshaping;
 
-pub(crate) use budget::Budget;
+pub(crate) use budget::BudgetStrategy;
 pub(crate) use gradient::Gradient;
 pub(crate) use mcmc::Mcmc;
 pub(crate) use reshaping::Reshaping;
@@ -18,8 +18,8 @@ use segwild_scene::Random;
 use segwild_scene::Splats;
 use wincode::{SchemaRead, SchemaWrite};
 
-/// What one step saw of every splat.
-pub(crate) struct Seen<'a> {
+/// What density control observes of every splat in one step.
+pub(crate) struct StepObservation<'a> {
     /// Radius in pixels of the image rendered; 0 for a culled splat.
     pub radii: &'a [f32],
     /// Gradients of this step.
@@ -30,7 +30,7 @@ pub(crate) struct Seen<'a> {
     pub long_side: f32,
 }
 
-/// What a strategy may know and use when it acts.
+/// Inputs of a strategy when it acts.
 pub(crate) struct Surroundings<'a> {
     /// Steps done.
     pub step: u32,
@@ -50,12 +50,12 @@ pub(crate) struct Surroundings<'a> {
 
 /// What a strategy did.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Change {
+pub struct DensityChange {
     /// Splats added.
     pub added: usize,
     /// Splats removed or moved elsewhere.
     pub removed: usize,
-    /// All opacities were lowered: for a while errors say nothing about transients.
+    /// All opacities were lowered: for a while residuals are no evidence of transients.
     pub opacity_reset: bool,
     /// A decision worth printing, with its evidence.
     pub note: Option<String>,
@@ -63,18 +63,18 @@ pub struct Change {
 
 /// A density control strategy. Its state is part of a checkpoint.
 pub(crate) trait Density {
-    /// Takes in what a step saw; called after every backward pass.
-    fn observe(&mut self, seen: &Seen);
+    /// Accumulates a step's observation; called after every backward pass.
+    fn observe(&mut self, seen: &StepObservation);
 
     /// Adds terms of its own to the gradients.
     fn regularise(&self, _splats: &Splats, _grads: &mut SplatGrads) {}
 
-    /// Hears that only these splats are left, in this order.
+    /// Called when only these splats are left, in this order.
     fn keep(&mut self, _kept: &[usize]) {}
 
-    /// What it adds up over the steps, if that and nothing else is what it does between its acts: then the splats may be
-    /// elsewhere meanwhile.
-    fn stats(&mut self) -> Option<&mut Stats> {
+    /// The sums it accumulates over the steps, if it does nothing else between its acts: then the splats may be
+    /// on the device meanwhile.
+    fn stats(&mut self) -> Option<&mut DensityStats> {
         None
     }
 
@@ -86,13 +86,13 @@ pub(crate) trait Density {
         &mut self,
         splats: &mut Reshaping,
         around: &mut Surroundings,
-    ) -> Result<Option<Change>, TrainError>;
+    ) -> Result<Option<DensityChange>, TrainError>;
 }
 
 /// One of the strategies, as a checkpoint holds it.
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
 pub(crate) enum Strategy {
-    Budget(Budget),
+    Budget(BudgetStrategy),
     Gradient(Gradient),
     Mcmc(Mcmc),
 }
@@ -101,7 +101,7 @@ impl Strategy {
     /// The strategy that the settings name, for `splats` splats.
     pub fn new(settings: &TrainSettings, splats: usize) -> Strategy {
         match settings.density {
-            DensityKind::Budget => Strategy::Budget(Budget::new(settings, splats)),
+            DensityKind::Budget => Strategy::Budget(BudgetStrategy::new(settings, splats)),
             DensityKind::Gradient => Strategy::Gradient(Gradient::new(settings, splats)),
             DensityKind::Mcmc => Strategy::Mcmc(Mcmc::new(settings)),
         }
@@ -118,7 +118,7 @@ impl Strategy {
 
 /// Running sums per splat since the last change.
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
-pub(crate) struct Stats {
+pub(crate) struct DensityStats {
     /// Sum of screen gradients.
     pub gradient: Vec<f32>,
     /// Sum of errors around the centre.
@@ -129,12 +129,12 @@ pub(crate) struct Stats {
     pub radius: Vec<f32>,
 }
 
-impl Stats {
-    pub fn new(n: usize) -> Stats {
-        Stats { gradient: vec![0.0; n], error: vec![0.0; n], seen: vec![0.0; n], radius: vec![0.0; n] }
+impl DensityStats {
+    pub fn new(n: usize) -> DensityStats {
+        DensityStats { gradient: vec![0.0; n], error: vec![0.0; n], seen: vec![0.0; n], radius: vec![0.0; n] }
     }
 
-    pub fn observe(&mut self, seen: &Seen) {
+    pub fn observe(&mut self, seen: &StepObservation) {
         for i in 0..self.seen.len() {
             if seen.radii[i] > 0.0 {
                 self.gradient[i] += seen.grads.screen_abs[i];
@@ -158,10 +158,10 @@ impl Stats {
         sums.map(|(((&g, &e), &s), &r)| [g, e, s, r]).collect()
     }
 
-    /// The sums that such rows say.
-    pub fn of_rows(rows: &[[f32; 4]]) -> Stats {
+    /// The sums of such rows.
+    pub fn of_rows(rows: &[[f32; 4]]) -> DensityStats {
         let column = |k: usize| rows.iter().map(|row| row[k]).collect();
-        Stats { gradient: column(0), error: column(1), seen: column(2), radius: column(3) }
+        DensityStats { gradient: column(0), error: column(1), seen: column(2), radius: column(3) }
     }
 
     /// Mean of a sum over the steps that saw splat `i`.
@@ -261,7 +261,7 @@ mod tests {
         dead.iter().for_each(|&i| moved.opacities[i] = -12.0);
         let before = image(&moved);
         let sources: Vec<usize> = (0..12).map(|k| 5 * (k % 4)).collect();
-        mcmc::place_copies(&mut moved, &sources, &dead);
+        mcmc::copy_splats(&mut moved, &sources, &dead);
         let relocated = difference(&before, &image(&moved));
         assert!(relocated < 0.05 * mean, "relocated {relocated} of {mean}");
         // The naive copy, nothing corrected, is far worse: the correction is what keeps the image.

@@ -1,5 +1,5 @@
-//! Splats while density control acts on them: their shapes, and what is to become of all else that is known of them. So it
-//! does not matter where that is.
+//! Splats while density control acts on them: their shapes, and which splats they come from. Colours, embeddings and optimiser
+//! states follow from that, on the host or on the device.
 
 use segwild_raster::Reshaped;
 use segwild_scene::Splats;
@@ -8,7 +8,7 @@ use segwild_scene::Splats;
 pub(crate) struct Reshaping {
     /// Without colours.
     pub splats: Splats,
-    /// Whether a splat's colours are numbers.
+    /// Whether a splat's colours are finite.
     sound: Vec<bool>,
     parents: Vec<u32>,
     forgotten: Vec<bool>,
@@ -16,7 +16,7 @@ pub(crate) struct Reshaping {
 }
 
 impl Reshaping {
-    /// Begins with splats as they are; `sound` says of which the colours are numbers.
+    /// Starts with splats as they are; `sound`: per splat, whether its colours are finite.
     pub fn new(splats: Splats, sound: Vec<bool>) -> Reshaping {
         let n = splats.len();
         Reshaping {
@@ -61,7 +61,7 @@ impl Reshaping {
         self.opacities_forgotten = true;
     }
 
-    /// What came of it.
+    /// The result.
     pub fn done(self) -> Reshaped {
         let Reshaping { splats, parents, forgotten, opacities_forgotten, .. } = self;
         Reshaped { shapes: splats, parents, forgotten, opacities_forgotten }

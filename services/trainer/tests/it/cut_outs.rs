@@ -6,7 +6,7 @@ use segwild_scene::{LoadedPhoto, Point};
 use segwild_trainer::{Photos, Sifted, TrainPhoto, TrainSettings, Trainer};
 use std::sync::Arc;
 
-/// Mean opacity that a held-out camera sees where the photo is transparent, and PSNR on the object.
+/// Mean opacity in a held-out view where the photo is transparent, and PSNR on the object.
 fn around_a_cut_out(empty: bool) -> (f32, f32) {
     let mut scene = wall::scene(9);
     // A reconstruction of cut-outs has strays beside the object.
@@ -56,13 +56,13 @@ fn a_photo_that_is_known_to_be_unusable_is_left_out_from_the_start() {
     let scene = wall::scene(6);
     let all = wall::photos(&scene, true, |_, _| {});
     let refused = vec![None, Some("its masks leave nothing of it".to_owned()), None, None, None, None];
-    struct Shared(Arc<dyn Photos>);
-    impl Photos for Shared {
+    struct SharedPhotos(Arc<dyn Photos>);
+    impl Photos for SharedPhotos {
         fn photo(&self, view: usize) -> Result<TrainPhoto, String> {
             self.0.photo(view)
         }
     }
-    let photos = Arc::new(Sifted { photos: Shared(all), refused });
+    let photos = Arc::new(Sifted { photos: SharedPhotos(all), refused });
     let settings = wall::settings(20);
     let mut trainer = Trainer::new(wall::engine(), &scene, photos, settings).unwrap();
     assert_eq!(trainer.skipped().len(), 1);

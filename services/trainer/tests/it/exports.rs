@@ -8,10 +8,10 @@ use segwild_scene::ply::{self, Export};
 use segwild_scene::{Frame, Image, Pose, View};
 use segwild_trainer::{Model, TrainSettings, render_view};
 
-/// A georeferenced place, in metres.
+/// The position of a georeferenced scene, in metres.
 const UTM: Frame = Frame { origin: DVec3::new(448_262.3, 5_411_932.7, 35.0), scale: 20.0 };
 
-/// A view of an exported file, as a viewer draws it that knows the offset of the header.
+/// A view of an exported file, rendered as by a viewer that knows the offset of the header.
 fn viewed(model: &Model, view: &View, viewer_compensates: bool) -> Image {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("scene.ply");
@@ -47,7 +47,7 @@ fn offset_of(path: &std::path::Path) -> DVec3 {
 }
 
 #[test]
-fn an_exported_scene_looks_right_in_viewers_of_its_mode_and_fat_in_others() {
+fn an_exported_scene_renders_right_in_viewers_of_its_mode_and_fat_in_others() {
     let scene = scene(8);
     let photos = photos(&scene, false, |_, _| ());
     for antialias in [true, false] {

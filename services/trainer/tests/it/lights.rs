@@ -1,11 +1,11 @@
-//! Looks as a tool: a trained scene in any photo's light, between lights, in two at once, and written into splats.
+//! Appearance as a tool: a trained scene in any photo's light, between lights, in two at once, and baked into splats.
 
 use glam::Vec3;
 use segwild_raster::{
     AffineAppearance, AnyAppearance, CpuEngine, EmbedAppearance, GswAppearance, GswWidth, NoAppearance,
 };
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
-use segwild_trainer::{Background, Lighting, Model, Stats, render_lit, render_view};
+use segwild_trainer::{Background, Model, SceneLighting, Stats, render_lit, render_view};
 
 const SPLATS: usize = 300;
 const PHOTOS: usize = 3;
@@ -20,8 +20,8 @@ fn matrix(random: &mut Random) -> [f32; 12] {
     std::array::from_fn(|i| f32::from(u8::from(i % 5 == 0)) * 0.9 + 0.1 * random.uniform())
 }
 
-/// Splats of moderate colours, which no look of these photos turns darker than black, and three photos' looks.
-fn model(rung: &str, sh_degree: u32) -> Model {
+/// Splats of moderate colours, which stay brighter than black in the appearance of each of the three photos.
+fn model(appearance_model: &str, sh_degree: u32) -> Model {
     let mut random = Random::new(7);
     let mut splats = Splats { sh_degree, ..Splats::default() };
     for _ in 0..SPLATS {
@@ -32,7 +32,7 @@ fn model(rung: &str, sh_degree: u32) -> Model {
         let spread = |k: usize| if k < 3 { 0.5 } else { 0.12 };
         splats.sh.extend((0..splats.sh_stride()).map(|k| spread(k) * (2.0 * random.uniform() - 1.0)));
     }
-    let appearance = match rung {
+    let appearance = match appearance_model {
         "none" => AnyAppearance::None(NoAppearance),
         "affine" => {
             let mut appearance = AffineAppearance::new(PHOTOS + 1);
@@ -74,36 +74,36 @@ fn model(rung: &str, sh_degree: u32) -> Model {
     }
 }
 
-fn draw(model: &Model, lighting: &Lighting) -> Image {
+fn render(model: &Model, lighting: &SceneLighting) -> Image {
     let (camera, pose) = eye();
-    render_lit(model, &CpuEngine::new(), &camera, &pose, lighting).expect("a picture")
+    render_lit(model, &CpuEngine::new(), &camera, &pose, lighting).expect("a render")
 }
 
-/// Largest difference between two pictures.
+/// Largest difference between two images.
 fn apart(a: &Image, b: &Image) -> f32 {
     a.data.iter().zip(&b.data).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
 }
 
 #[test]
-fn a_photos_light_is_what_its_look_was_trained_to_be() {
+fn a_photos_light_renders_as_the_appearance_trained_for_it() {
     let (camera, pose) = eye();
-    for rung in ["none", "affine", "embed", "gsw"] {
-        let model = model(rung, 2);
+    for appearance_model in ["none", "affine", "embed", "gsw"] {
+        let model = model(appearance_model, 2);
         for view in [None, Some(0), Some(2)] {
             let trained = render_view(&model, &CpuEngine::new(), &camera, &pose, view).unwrap();
-            let off = apart(&draw(&model, &model.light(view).into()), &trained);
-            assert!(off < 2e-3, "{rung}, {view:?}: {off}"); // the trained one undoes the look on what is behind
+            let off = apart(&render(&model, &model.light(view).into()), &trained);
+            assert!(off < 2e-3, "{appearance_model}, {view:?}: {off}"); // the trained one undoes the appearance on the background
         }
     }
 }
 
 #[test]
-fn baked_splats_drawn_plainly_are_the_scene_under_that_look() {
-    for rung in ["none", "affine", "embed"] {
+fn baked_splats_without_an_appearance_model_are_the_scene_in_that_appearance() {
+    for appearance_model in ["none", "affine", "embed"] {
         for degree in 0..=3 {
-            let model = model(rung, degree);
+            let model = model(appearance_model, degree);
             let light = model.light(Some(1));
-            let lit = draw(&model, &light.clone().into());
+            let lit = render(&model, &light.clone().into());
             let plain = Model {
                 splats: model.baked(&light.clone().into()),
                 splat_embeddings: Vec::new(),
@@ -111,20 +111,23 @@ fn baked_splats_drawn_plainly_are_the_scene_under_that_look() {
                 ..model.clone()
             };
             // Over the same background, which a file of splats does not hold.
-            let drawn = draw(&plain, &plain.light(Some(1)).into());
-            let off = apart(&lit, &drawn);
-            assert!(off < 2e-6 * (1.0 + 3.0 * degree as f32), "{rung}, degree {degree}: {off}");
+            let rendered = render(&plain, &plain.light(Some(1)).into());
+            let off = apart(&lit, &rendered);
+            assert!(off < 2e-6 * (1.0 + 3.0 * degree as f32), "{appearance_model}, degree {degree}: {off}");
             let raw = Model { splats: model.splats.clone(), ..plain };
-            let unbaked = apart(&lit, &draw(&raw, &raw.light(Some(1)).into()));
-            assert!(rung == "none" || unbaked > 0.05, "{rung}, degree {degree}: {unbaked}");
+            let unbaked = apart(&lit, &render(&raw, &raw.light(Some(1)).into()));
+            assert!(
+                appearance_model == "none" || unbaked > 0.05,
+                "{appearance_model}, degree {degree}: {unbaked}"
+            );
         }
     }
 }
 
 #[test]
-fn an_affine_look_acts_on_the_higher_harmonics_by_its_matrix() {
+fn an_affine_appearance_acts_on_the_higher_harmonics_by_its_matrix() {
     let model = model("affine", 3);
-    let AnyAppearance::Affine(appearance) = &model.appearance else { unreachable!("as asked for") };
+    let AnyAppearance::Affine(appearance) = &model.appearance else { unreachable!("the model is affine") };
     let m = appearance.matrix(1);
     let baked = model.baked(&model.light(Some(1)).into());
     for (i, (before, after)) in model.splats.sh.chunks(3).zip(baked.sh.chunks(3)).enumerate() {
@@ -140,26 +143,29 @@ fn an_affine_look_acts_on_the_higher_harmonics_by_its_matrix() {
 }
 
 #[test]
-fn a_way_between_two_lights_begins_and_ends_in_them() {
-    for rung in ["none", "affine", "embed"] {
-        let model = model(rung, 1);
+fn an_interpolation_of_two_lights_starts_and_ends_in_them() {
+    for appearance_model in ["none", "affine", "embed"] {
+        let model = model(appearance_model, 1);
         let (a, b) = (model.light(Some(0)), model.light(Some(2)));
         assert_eq!((a.towards(&b, 0.0), a.towards(&b, 1.0)), (a.clone(), b.clone()));
-        let [first, half, last] = [0.0, 0.5, 1.0].map(|t| draw(&model, &a.towards(&b, t).into()));
+        let [first, half, last] = [0.0, 0.5, 1.0].map(|t| render(&model, &a.towards(&b, t).into()));
         let mean = |i: usize| 0.5 * (first.data[i] + last.data[i]);
         let off = (0..half.data.len()).map(|i| (half.data[i] - mean(i)).abs()).fold(0.0, f32::max);
-        assert!(off < 1e-5, "{rung}: light adds up, so that half way is the mean of both ({off})");
+        assert!(
+            off < 1e-5,
+            "{appearance_model}: light adds up, so that half way is the mean of both ({off})"
+        );
     }
 }
 
 #[test]
-fn strength_0_is_the_scenes_own_look_and_2_is_twice_as_far() {
+fn strength_0_is_the_scenes_mean_appearance_and_2_is_twice_as_far() {
     let model = model("embed", 1);
     let (own, photo) = (model.light(None), model.light(Some(1)));
     assert_eq!(model.strengthened(&photo, 0.0), own);
     assert_eq!(model.strengthened(&photo, 1.0), photo);
     let twice = model.strengthened(&photo, 2.0);
-    assert!(apart(&draw(&model, &own.towards(&twice, 0.5).into()), &draw(&model, &photo.into())) < 1e-5);
+    assert!(apart(&render(&model, &own.towards(&twice, 0.5).into()), &render(&model, &photo.into())) < 1e-5);
 }
 
 #[test]
@@ -167,12 +173,12 @@ fn an_object_has_its_own_light_and_the_rest_keeps_the_scenes() {
     let model = model("embed", 2);
     let (day, night) = (model.light(Some(0)), model.light(Some(1)));
     // Everything, nothing, half of the splats.
-    let with = |whose: Vec<bool>| Lighting { scene: day.clone(), object: Some((whose, night.clone())) };
-    let all_day = draw(&model, &day.clone().into());
-    assert_eq!(draw(&model, &with(vec![false; SPLATS])), all_day);
+    let with = |whose: Vec<bool>| SceneLighting { scene: day.clone(), object: Some((whose, night.clone())) };
+    let all_day = render(&model, &day.clone().into());
+    assert_eq!(render(&model, &with(vec![false; SPLATS])), all_day);
     let left: Vec<bool> = model.splats.means.iter().map(|m| m[0] < -0.35).collect();
     let lighting = with(left.clone());
-    let both = draw(&model, &lighting);
+    let both = render(&model, &lighting);
     // What shows none of the object is as it was; what shows nothing else is as the object's light makes it.
     let only = |wanted: bool| {
         let mut part = model.clone();
@@ -192,7 +198,7 @@ fn an_object_has_its_own_light_and_the_rest_keeps_the_scenes() {
         render_view(&white, &CpuEngine::new(), &camera, &pose, Some(0)).unwrap()
     };
     let (object, rest) = (cover(&only(true)), cover(&only(false)));
-    let dark = draw(&model, &Lighting { scene: night.clone(), object: None });
+    let dark = render(&model, &SceneLighting { scene: night.clone(), object: None });
     let (mut same, mut changed) = (0, 0);
     for i in 0..object.pixels() {
         let off = |other: &Image| (0..3).any(|c| (both.plane(c)[i] - other.plane(c)[i]).abs() > 1e-5);
@@ -213,5 +219,5 @@ fn an_object_has_its_own_light_and_the_rest_keeps_the_scenes() {
         appearance: AnyAppearance::None(NoAppearance),
         ..model.clone()
     };
-    assert!(apart(&draw(&plain, &plain.light(Some(0)).into()), &both) < 1e-5);
+    assert!(apart(&render(&plain, &plain.light(Some(0)).into()), &both) < 1e-5);
 }

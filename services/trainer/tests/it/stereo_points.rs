@@ -1,4 +1,4 @@
-//! Splats that start between the points of the reconstruction.
+//! Stereo initialisation: splats that start between the points of the reconstruction.
 
 use crate::wall::*;
 use segwild_scene::{Observation, Scene};
@@ -23,7 +23,7 @@ fn sparse(every: usize) -> Scene {
     scene
 }
 
-fn begun(scene: &Scene, stereo: f32) -> Trainer {
+fn started(scene: &Scene, stereo: f32) -> Trainer {
     let settings = TrainSettings { stereo, ..settings(120) };
     Trainer::prepared(engine(), scene, photos(scene, true, |_, _| {}), settings, &|| false).unwrap()
 }
@@ -31,12 +31,12 @@ fn begun(scene: &Scene, stereo: f32) -> Trainer {
 #[test]
 fn a_wall_of_which_few_points_are_known_starts_more_splats() {
     let scene = sparse(6);
-    let none = begun(&scene, 0.0);
-    assert_eq!(none.between(), 0);
-    let mut some = begun(&scene, 0.6);
-    assert!(some.between() > 200, "{} points between {}", some.between(), scene.points.len());
+    let none = started(&scene, 0.0);
+    assert_eq!(none.stereo_count(), 0);
+    let mut some = started(&scene, 0.6);
+    assert!(some.stereo_count() > 200, "{} points between {}", some.stereo_count(), scene.points.len());
     // No more than the share of the splats allowed, the reconstruction's included.
-    assert!(some.between() + scene.points.len() <= (0.6 * 1500.0) as usize);
+    assert!(some.stereo_count() + scene.points.len() <= (0.6 * 1500.0) as usize);
     let start = some.snapshot().unwrap().splats;
     assert!(start.len() > 2 * scene.points.len(), "{} splats", start.len());
     // The wall waves by .15 around 0; a pixel is .02 wide there.
@@ -46,21 +46,21 @@ fn a_wall_of_which_few_points_are_known_starts_more_splats() {
 }
 
 #[test]
-fn a_training_that_goes_on_needs_no_second_look_for_points() {
+fn a_resumed_training_needs_no_second_stereo_initialisation() {
     let scene = sparse(6);
-    let whole = begun(&scene, 0.6).finish().unwrap();
-    let mut first = begun(&scene, 0.6);
+    let whole = started(&scene, 0.6).finish().unwrap();
+    let mut first = started(&scene, 0.6);
     while first.steps_done() < 50 {
         first.step().unwrap();
     }
     let all = photos(&scene, true, |_, _| {});
     let rest = Trainer::resume(engine(), &scene, all, first.checkpoint().unwrap()).unwrap();
-    assert_eq!(rest.between(), 0);
+    assert_eq!(rest.stereo_count(), 0);
     assert_eq!(rest.finish().unwrap(), whole);
 }
 
 #[test]
-fn a_look_for_points_can_be_stopped() {
+fn stereo_initialisation_can_be_stopped() {
     let scene = sparse(6);
     let settings = TrainSettings { stereo: 0.6, ..settings(120) };
     let stopped = Trainer::prepared(engine(), &scene, photos(&scene, true, |_, _| {}), settings, &|| true);

@@ -60,7 +60,7 @@ fn resuming_gives_the_bytes_of_not_stopping_and_threads_do_not_matter() {
 fn a_checkpoint_of_another_scene_or_a_damaged_one_is_refused() {
     let six = scene(6);
     let photos = photos(&six, false, |_, _| ());
-    // Of the look with most parts there is most to damage, and few places are enough.
+    // The appearance model with most parts has most to damage, and few positions are enough.
     for (appearance, every) in [(AppearanceModel::None, 997), (AppearanceModel::Gsw, 40_009)] {
         let settings = TrainSettings { appearance_model: appearance, ..settings(10) };
         let mut trainer = Trainer::new(engine(), &six, photos.clone(), settings).unwrap();
@@ -85,7 +85,7 @@ fn a_checkpoint_of_another_scene_or_a_damaged_one_is_refused() {
 
 #[test]
 fn poor_scenes_train_sanely() {
-    // One photo; two identical photos from one place; no points.
+    // One photo; two identical photos from one position; no points.
     let mut alone = scene(1);
     let mut twins = scene(2);
     twins.views[1] = View { name: "01.jpg".into(), ..twins.views[0].clone() };
@@ -139,7 +139,7 @@ fn a_photo_that_is_not_a_number_is_left_out_by_name_and_the_rest_goes_on() {
 }
 
 #[test]
-fn the_sky_stays_empty_and_is_painted_behind() {
+fn the_sky_stays_empty_of_splats_and_is_in_the_background() {
     let scene = scene(6);
     let photos = photos(&scene, true, |_, _| ());
     let model = train(&scene, photos.clone(), settings(300));
@@ -160,7 +160,7 @@ fn the_sky_stays_empty_and_is_painted_behind() {
 }
 
 #[test]
-fn light_that_differs_from_place_to_place_is_learnt_by_embed_and_gsw_and_not_by_affine() {
+fn light_that_varies_over_the_scene_is_learnt_by_embed_and_gsw_and_not_by_affine() {
     let scene = scene(12);
     // A beam from another side in each photo.
     let light = |i: usize, at: [f32; 3]| {
@@ -182,7 +182,7 @@ fn light_that_differs_from_place_to_place_is_learnt_by_embed_and_gsw_and_not_by_
 }
 
 #[test]
-fn codes_learn_nothing_before_their_share_of_the_steps() {
+fn splat_embeddings_learn_nothing_before_their_share_of_the_steps() {
     let scene = scene(6);
     let photos =
         photos(&scene, true, |i, image| image.data.iter_mut().for_each(|v| *v *= 0.7 + 0.05 * i as f32));
@@ -204,7 +204,7 @@ fn codes_learn_nothing_before_their_share_of_the_steps() {
 }
 
 #[test]
-fn looks_are_learnt_and_the_left_half_gives_the_right_halfs_look() {
+fn appearances_are_learnt_and_the_left_half_gives_that_of_the_right() {
     let scene = scene(8);
     // Day, dusk, night, each photo its own.
     let tint = |i: usize, c: usize, v: f32| {
@@ -225,7 +225,7 @@ fn looks_are_learnt_and_the_left_half_gives_the_right_halfs_look() {
     let (halves, plain) = (score(&affine, Protocol::Halves), score(&affine, Protocol::Plain));
     assert!(halves.psnr > 24.0, "{}", halves.psnr);
     assert!(halves.psnr > plain.psnr + 3.0, "fitted {}, not fitted {}", halves.psnr, plain.psnr);
-    // A photo trained on comes back in its own light, which one look for all cannot do.
+    // A photo trained on comes back in its own light, which one appearance for all cannot do.
     let view = &scene.views[2];
     let mut photo = photo_of(view).0;
     for c in 0..3 {
@@ -236,11 +236,11 @@ fn looks_are_learnt_and_the_left_half_gives_the_right_halfs_look() {
         segwild_raster::psnr(&render, &photo, None)
     };
     let (with, without) = (own(&affine), own(&of(AppearanceModel::None)));
-    assert!(with > 24.0 && with > without + 1.0, "its own look {with} dB, one look {without} dB");
+    assert!(with > 24.0 && with > without + 1.0, "its own appearance {with} dB, one for all {without} dB");
 }
 
 #[test]
-fn auto_takes_no_look_where_photos_share_a_light_and_a_look_where_they_differ() {
+fn auto_chooses_no_appearance_model_where_photos_share_a_light_and_one_where_they_differ() {
     let mut scene = scene(14);
     let views = scene.views.clone();
     for point in &mut scene.points {
@@ -269,7 +269,7 @@ fn auto_takes_no_look_where_photos_share_a_light_and_a_look_where_they_differ() 
     let differs = choose(photos(&scene, true, tinted));
     assert!(differs.appearance != AppearanceModel::None, "{}", differs.why);
     assert_eq!(choose(photos(&scene, true, tinted)), differs, "the same again");
-    // What nobody has decided is not trained with.
+    // An undecided `auto` is refused.
     let open = TrainSettings { appearance_model: AppearanceModel::Auto, ..settings(10) };
     let refused = Trainer::new(engine(), &scene, photos(&scene, false, |_, _| ()), open).err().unwrap();
     assert!(refused.to_string().contains("auto"), "{refused}");
@@ -326,7 +326,7 @@ fn a_budget_goes_beyond_the_scenes_own_steps_where_photos_agree() {
 }
 
 /// A photo whose mask of the sky was empty was given a sky of its own all the same, learnt from whatever no splat covered:
-/// held out, what its left half told of it cost up to 11 dB on the right one.
+/// held out, a sky fitted to its left half cost up to 11 dB on the right one.
 #[test]
 fn where_nothing_is_sky_photos_train_as_if_none_had_been_looked_for() {
     let scene = scene(6);

@@ -28,8 +28,8 @@ fn with_transients(scene: &Scene) -> Arc<dyn Photos> {
     })
 }
 
-/// What a training shows where transients stand, beside what is there, in dB.
-fn behind_transients(trainer: Trainer, scene: &Scene, transient: impl Fn(usize, u32, u32) -> bool) -> f32 {
+/// PSNR in dB of a training against the photos without transients, over the pixels of the transients.
+fn psnr_at_transients(trainer: Trainer, scene: &Scene, transient: impl Fn(usize, u32, u32) -> bool) -> f32 {
     let model = trainer.finish().unwrap();
     let trained: Vec<usize> = (0..scene.views.len()).filter(|&i| !scene.views[i].test).collect();
     let of = |&i: &usize| {
@@ -51,12 +51,12 @@ fn transients_leave_no_ghost() {
     let photos = with_transients(&scene);
     let ghost = |robust: bool| {
         let settings = TrainSettings { robust, ..settings(500) };
-        behind_transients(Trainer::new(engine(), &scene, photos.clone(), settings).unwrap(), &scene, block)
+        psnr_at_transients(Trainer::new(engine(), &scene, photos.clone(), settings).unwrap(), &scene, block)
     };
     let (with, without) = (ghost(true), ghost(false));
     assert!(
         with > without + 2.0 && with > 17.0,
-        "behind the transients: {with} dB with masks, {without} dB without"
+        "at the transients: {with} dB with masks, {without} dB without"
     );
 }
 
@@ -85,7 +85,7 @@ fn the_network_sees_transients_and_does_not_take_the_scene_for_them() {
     let photos = with_transients(&scene);
     let settings = TrainSettings { robust: true, appearance_model: AppearanceModel::Gsw, ..settings(500) };
     let model = train(&scene, photos, settings);
-    let AnyAppearance::Gsw(appearance) = &model.appearance else { panic!("as asked for") };
+    let AnyAppearance::Gsw(appearance) = &model.appearance else { panic!("the model is gsw") };
     let (mut transient, mut rest) = ((0.0, 0), (0.0, 0));
     for i in 0..7 {
         let map = appearance.appearance_maps(i, None).unwrap().visible().expect("the whole photo was seen");
@@ -100,13 +100,13 @@ fn the_network_sees_transients_and_does_not_take_the_scene_for_them() {
     assert!(transient < 0.5 && rest > 0.7, "visibility of transients {transient}, of the scene {rest}");
 }
 
-/// A training before which others have looked for transients.
+/// A training after a search for initial transients by cross-checking.
 fn cross_checked(photos: Arc<dyn Photos>, scene: &Scene) -> Trainer {
     let settings = TrainSettings { robust: true, ..settings(1500) };
     Trainer::prepared(engine(), scene, photos, settings, &|| false).unwrap()
 }
 
-/// Share of the transients that a training suspects before its first step, and share of what it suspects that they are.
+/// Recall and precision of the initial transients of a training.
 fn initial_transient_share(trainer: &Trainer, transient: impl Fn(usize, u32, u32) -> bool) -> [f32; 2] {
     let (mut all, mut both, mut there) = (0, 0, 0);
     for (i, mask) in (0..25).filter_map(|i| Some((i, trainer.initial_transients(i)?))) {
@@ -134,37 +134,37 @@ fn trainings_that_never_saw_a_photo_find_its_transient_and_none_where_nobody_sta
     });
     let trainer = cross_checked(stood_before.clone(), &scene);
     let [found, right] = initial_transient_share(&trainer, large);
-    // They cover 13 %. What is wrong are the stains that transients of other photos leave where so few are trained on.
+    // They cover 13 %. The wrong pixels are the stains that transients of other photos leave where so few are trained on.
     assert!(
         found > 0.8 && right > 0.35,
         "{found} of the transients found, {right} of what was found transients"
     );
     let nobody = cross_checked(photos(&scene, false, |_, _| {}), &scene);
     assert!((0..25).all(|i| nobody.initial_transients(i).is_none()), "nobody stands there");
-    // What a person has said of a photo needs no suspicion.
-    let told = {
+    // A photo with a person's transient mask gets no initial transients.
+    let corrected = {
         let photos = stood_before.clone();
         move |i: usize| -> Result<TrainPhoto, String> {
             let transients = Some(Mask::from_fn(W, H, |x, y| large(i, x, y)));
             Ok(TrainPhoto { transients, ..photos.photo(i)? })
         }
     };
-    let told = cross_checked(Arc::new(told), &scene);
-    assert!((0..25).all(|i| told.initial_transients(i).is_none()));
+    let corrected = cross_checked(Arc::new(corrected), &scene);
+    assert!((0..25).all(|i| corrected.initial_transients(i).is_none()));
 }
 
 #[test]
-fn the_look_for_transients_ends_when_it_is_to_stop_and_is_left_out_where_few_photos_can_be_read() {
+fn the_search_for_initial_transients_can_be_stopped_and_is_left_out_where_few_photos_can_be_read() {
     let scene = scene(25);
     let all = with_transients(&scene);
-    let asked = Cell::new(0);
+    let calls = Cell::new(0);
     let stopping = || {
-        asked.set(asked.get() + 1);
-        asked.get() > 40
+        calls.set(calls.get() + 1);
+        calls.get() > 40
     };
     let settings = TrainSettings { robust: true, ..settings(300) };
     let stopped = Trainer::prepared(engine(), &scene, all.clone(), settings.clone(), &stopping);
-    assert!(matches!(stopped, Err(TrainError::Stopped)) && asked.get() == 41);
+    assert!(matches!(stopped, Err(TrainError::Stopped)) && calls.get() == 41);
     // Every second photo is damaged: one of the two trainings has none.
     let half =
         move |i: usize| if i.is_multiple_of(2) { Err("it is damaged".to_owned()) } else { all.photo(i) };

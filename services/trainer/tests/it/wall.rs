@@ -1,4 +1,4 @@
-//! Tiny scenes whose truth is known: a coloured wall with a bump, drawn by the engine itself.
+//! Tiny scenes whose truth is known: a coloured wall with a bump, rendered by the engine itself.
 
 use glam::{DVec3, Vec3};
 use segwild_raster::{Channels, CpuEngine, Engine, ProjectOptions};
@@ -80,12 +80,12 @@ pub fn scene(views: usize) -> Scene {
 
 pub const SKY: [f32; 3] = [0.5, 0.7, 0.95];
 
-/// What a camera sees of the truth, before a sky, and where it sees sky.
+/// The render of the truth before a sky, and the mask of the sky.
 pub fn photo_of(view: &View) -> (Image, Mask) {
     photo_lit(view, |_| 1.0)
 }
 
-/// The photo of a view under a light that falls on each splat by its place.
+/// The photo of a view under a light that depends on each splat's position.
 pub fn photo_lit(view: &View, light: impl Fn([f32; 3]) -> f32) -> (Image, Mask) {
     let (splats, engine) = (truth(), CpuEngine::new());
     let projected = engine.project(&splats, &view.camera, &view.pose, &ProjectOptions::default()).unwrap();

@@ -27,7 +27,7 @@ pub enum Takes {
 
 /// What is wrong with an encoder.
 #[derive(Clone, Copy, PartialEq)]
-pub enum Fault {
+pub enum ToyFault {
     None,
     /// Answers what is no number.
     NoNumber,
@@ -42,7 +42,7 @@ pub enum Fault {
 }
 
 /// An encoder's file.
-pub fn encoder(takes: Takes, fault: Fault) -> Vec<u8> {
+pub fn encoder(takes: Takes, fault: ToyFault) -> Vec<u8> {
     let mut g = OnnxGraph::default();
     let thirds = |values: [f32; 3], by: f32| values.map(|v| v / by);
     let planes = match takes {
@@ -77,8 +77,8 @@ pub fn encoder(takes: Takes, fault: Fault) -> Vec<u8> {
     let positions = g.floats(&[1, 2, n as i64, n as i64], &positions);
     let mut all = g.op("Concat", &[&colours, &positions], vec![("axis", Int(1))]);
     match fault {
-        Fault::None => {}
-        Fault::Half => {
+        ToyFault::None => {}
+        ToyFault::Half => {
             let (none, columns, third) =
                 (g.floats(&[1], &[0.0]), g.floats(&[1], &[32.0]), g.ints(&[1], &[3]));
             let flat = g.ints(&[1], &[-1]);
@@ -90,11 +90,11 @@ pub fn encoder(takes: Takes, fault: Fault) -> Vec<u8> {
             let start = g.ints(&[1], &[0]);
             all = g.op("Slice", &[&all, &start, &ends, &third], vec![]);
         }
-        Fault::NoNumber => {
+        ToyFault::NoNumber => {
             let nan = g.floats(&[1], &[f32::NAN]);
             all = g.op("Add", &[&all, &nan], vec![]);
         }
-        Fault::Endless => {
+        ToyFault::Endless => {
             let mut body = OnnxGraph::default();
             body.input("turn", INT64, &[]);
             body.input("go", onnx::BOOL, &[]);
@@ -107,13 +107,13 @@ pub fn encoder(takes: Takes, fault: Fault) -> Vec<u8> {
             let end = g.op("Loop", &["", &go, &start], vec![("body", OnnxGraph(body))]);
             all = g.op("Add", &[&all, &end], vec![]);
         }
-        Fault::HugeAtOnce => {
+        ToyFault::HugeAtOnce => {
             let shape = g.ints(&[4], &[40_000, 30_000, 1, 1]);
             let zeros = g.op("ConstantOfShape", &[&shape], vec![]);
             let sum = g.op("ReduceMax", &[&zeros], vec![("keepdims", Int(1))]);
             all = g.op("Add", &[&all, &sum], vec![]);
         }
-        Fault::Huge => {
+        ToyFault::Huge => {
             // Its size is worked out from the photo, so that it is not known before.
             let shape = g.op("Shape", &[&planes], vec![]);
             let times = g.ints(&[4], &[40_000, 10_000, 0, 0]);
@@ -127,7 +127,7 @@ pub fn encoder(takes: Takes, fault: Fault) -> Vec<u8> {
     }
     let pads = g.ints(&[8], &[0, 0, 0, 0, 0, 251, 0, 0]);
     g.op_to("Pad", &[&all, &pads], "image_embeddings", vec![]);
-    let open = if fault == Fault::Half { OPEN } else { 64 };
+    let open = if fault == ToyFault::Half { OPEN } else { 64 };
     g.output("image_embeddings", FLOAT, &[if takes == Takes::Whole { OPEN } else { 1 }, 256, open, open]);
     g.file()
 }
@@ -140,7 +140,7 @@ fn standardised(g: &mut OnnxGraph, planes: &str, mean: [f32; 3], deviation: [f32
 
 /// What a decoder takes and answers.
 #[derive(Clone, Copy)]
-pub struct Decoder {
+pub struct ToyDecoder {
     pub efficient: bool,
     /// 3, or 4 with one for precise prompts before them, or 1.
     pub masks: i64,
@@ -155,13 +155,13 @@ pub struct Decoder {
 }
 
 /// SAM's published export.
-pub const SAM: Decoder =
-    Decoder { efficient: false, masks: 4, small: true, queries: 1, points: OPEN, spoilt: false };
+pub const SAM: ToyDecoder =
+    ToyDecoder { efficient: false, masks: 4, small: true, queries: 1, points: OPEN, spoilt: false };
 /// EfficientSAM's.
-pub const EFFICIENT: Decoder = Decoder { efficient: true, masks: 3, queries: OPEN, ..SAM };
+pub const EFFICIENT: ToyDecoder = ToyDecoder { efficient: true, masks: 3, queries: OPEN, ..SAM };
 
 /// A decoder's file.
-pub fn decoder(d: Decoder) -> Vec<u8> {
+pub fn decoder(d: ToyDecoder) -> Vec<u8> {
     let mut g = OnnxGraph::default();
     g.input("image_embeddings", FLOAT, &[1, 256, 64, 64]);
     let prefix = if d.efficient { "batched_" } else { "" };
@@ -228,7 +228,7 @@ pub fn decoder(d: Decoder) -> Vec<u8> {
 }
 
 /// `[Q, N, 2]` positions and `[Q, N]` labels to `[Q, M, 64, 64]` logits.
-fn logits(g: &mut OnnxGraph, d: &Decoder, at: &str, label: &str) -> String {
+fn logits(g: &mut OnnxGraph, d: &ToyDecoder, at: &str, label: &str) -> String {
     let flat = g.ints(&[2], &[256, 4096]);
     let cells = g.op("Reshape", &["image_embeddings", &flat], vec![]);
     let (colours, positions) = (g.ints(&[3], &[0, 1, 2]), g.ints(&[2], &[3, 4]));
@@ -335,7 +335,7 @@ fn logits(g: &mut OnnxGraph, d: &Decoder, at: &str, label: &str) -> String {
 }
 
 /// The masks at the photo's size, as the published exports make them.
-fn full_size(g: &mut OnnxGraph, d: &Decoder, small: &str, size: &str) -> String {
+fn full_size(g: &mut OnnxGraph, d: &ToyDecoder, small: &str, size: &str) -> String {
     let linear = || vec![("mode", Text("linear")), ("coordinate_transformation_mode", Text("half_pixel"))];
     let (zero, two) = (g.ints(&[1], &[0]), g.ints(&[1], &[2]));
     let shape = g.op("Shape", &[small], vec![]);
@@ -369,7 +369,7 @@ pub fn write(folder: &Path, stem: &str, encoder: &[u8], decoder: &[u8]) {
 
 /// MobileSAM's names, SAM's interface.
 pub fn write_usual(folder: &Path) {
-    write(folder, "mobile_sam", &encoder(Takes::Planes, Fault::None), &decoder(SAM));
+    write(folder, "mobile_sam", &encoder(Takes::Planes, ToyFault::None), &decoder(SAM));
 }
 
 /// Whether networks can be run here; if not, says so as the tests' summary counts it.

@@ -5,7 +5,7 @@ use crate::yard::{folder, put, take};
 use crate::{Target, seal};
 use segwild_flow::codec::{self, Decode};
 use segwild_flow::{Cache, Key};
-use segwild_pipeline::{AppearanceRequest, RenderRequest, RunFolder, Selected, RenderContent};
+use segwild_pipeline::{AppearanceRequest, RenderContent, RenderRequest, RunFolder, Selected};
 use segwild_scene::{Embedding, MaskSet};
 use segwild_trainer::Checkpoint;
 use std::path::{Path, PathBuf};

@@ -3,12 +3,12 @@
 use glam::{Quat, Vec3};
 use segwild_raster::{CpuEngine, Engine, ProjectOptions};
 use segwild_scene::{Camera, Pose, Splats};
-use segwild_segmenter::{FeatureField, PosedView, PromptedView, Request, SegmentSettings};
+use segwild_segmenter::{PosedView, PromptedView, Request, SegmentSettings, SplatFeatures};
 
 /// Numbers in [0, 1) from a seed.
-pub struct Dice(pub u64);
+pub struct TestRandom(pub u64);
 
-impl Dice {
+impl TestRandom {
     pub fn next(&mut self) -> f32 {
         self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (self.0 >> 40) as f32 / (1u64 << 24) as f32
@@ -17,12 +17,12 @@ impl Dice {
 
 /// Splats, and which thing each of them is part of.
 #[derive(Clone, Default)]
-pub struct World {
+pub struct TestWorld {
     pub splats: Splats,
     pub thing: Vec<usize>,
 }
 
-impl World {
+impl TestWorld {
     /// Adds a disc with its normal along `normal`.
     pub fn disc(&mut self, thing: usize, at: Vec3, normal: Vec3, radius: f32, colour: [f32; 3]) {
         let q = Quat::from_rotation_arc(Vec3::Z, normal);
@@ -43,12 +43,13 @@ impl World {
         half: f32,
         side: usize,
         colour: [f32; 3],
-        dice: &mut Dice,
+        dice: &mut TestRandom,
     ) {
         let step = 2.0 * half / side as f32;
         for y in 0..side {
             for x in 0..side {
-                let at = |k: usize, d: &mut Dice| (k as f32 + 0.5 + 0.1 * (d.next() - 0.5)) * step - half;
+                let at =
+                    |k: usize, d: &mut TestRandom| (k as f32 + 0.5 + 0.1 * (d.next() - 0.5)) * step - half;
                 let p = Vec3::new(at(x, dice), at(y, dice), 0.02 * step * dice.next());
                 self.disc(thing, centre + p, Vec3::NEG_Z, 0.5 * step, colour);
             }
@@ -63,7 +64,7 @@ impl World {
         radii: Vec3,
         count: usize,
         colour: [f32; 3],
-        dice: &mut Dice,
+        dice: &mut TestRandom,
     ) {
         let golden = std::f32::consts::PI * (3.0 - 5f32.sqrt());
         let size = (4.0 * std::f32::consts::PI / count as f32).sqrt() * radii.max_element() * 0.5;
@@ -105,10 +106,10 @@ pub fn posed(name: &str, eye: Vec3, target: Vec3) -> PosedView {
     PosedView { name: name.into(), camera, pose: Pose::look_at(eye, target, Vec3::NEG_Y) }
 }
 
-/// A front wall (thing 0), a second one wholly hidden behind it (1) and a far backdrop (3, the sky).
-pub fn walls() -> (World, PosedView) {
-    let mut world = World::default();
-    let mut dice = Dice(1);
+/// A front wall (thing 0), a second one wholly occluded by it (1) and a far backdrop (3, the sky).
+pub fn walls() -> (TestWorld, PosedView) {
+    let mut world = TestWorld::default();
+    let mut dice = TestRandom(1);
     world.wall(0, Vec3::new(0.0, 0.0, 2.0), 0.5, 30, [0.8, 0.3, 0.2], &mut dice);
     world.wall(1, Vec3::new(0.0, 0.0, 3.0), 0.5, 30, [0.8, 0.3, 0.2], &mut dice);
     world.wall(3, Vec3::new(0.0, 0.0, 30.0), 40.0, 30, [0.5, 0.7, 1.0], &mut dice);
@@ -117,15 +118,15 @@ pub fn walls() -> (World, PosedView) {
 }
 
 /// One unit vector per thing, slightly noisy.
-pub fn features(world: &World, channels: usize) -> FeatureField {
-    let mut dice = Dice(99);
+pub fn features(world: &TestWorld, channels: usize) -> SplatFeatures {
+    let mut dice = TestRandom(99);
     let values = world
         .thing
         .iter()
         .flat_map(|&t| (0..channels).map(move |c| f32::from(u8::from(c == t))).collect::<Vec<_>>())
         .map(|v| v + 0.02 * (dice.next() - 0.5))
         .collect();
-    FeatureField::new(channels, values).unwrap()
+    SplatFeatures::new(channels, values).unwrap()
 }
 
 /// A request with nothing but what it needs.

@@ -1,15 +1,15 @@
-//! Features as colours, for eyes only.
+//! Features as colours, for viewing only.
 
 use crate::{FeatureError, FeatureField, Pca};
 use segwild_raster::Frame;
 use segwild_scene::Image;
 
-/// Features looked at when the colours are chosen.
+/// Features that the colours are chosen from.
 const SAMPLES: usize = 20_000;
 /// Pixels covered less than this stay black.
 const COVERED: f32 = 0.05;
 
-/// A choice of colours under which features that differ look different: the three main components of the
+/// A choice of colours under which different features have different colours: the three main components of the
 /// directions of a field's features. One choice serves all views, so an object keeps its colour.
 #[derive(Clone, Debug)]
 pub struct FeatureColours {
