@@ -32,7 +32,7 @@ const AIMS: [(&str, &str, [usize; 2]); 10] = [
     ("visibility", "visibility.photo", [1, 12]),
     ("features", "features.step", [1, 52]),
     ("evaluate", "evaluate.photo", [1, 2]),
-    ("report", "report.picture", [1, 8]),
+    ("report", "report.image", [1, 8]),
     ("selection", "segmenter.handle", [1, 1]),
     ("selection, half written", "selection.file", [1, 16]),
 ];

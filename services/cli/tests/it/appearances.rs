@@ -4,12 +4,12 @@ use crate::common::{QUICK, clearest, copied_run, folder, json, refuses, scene, s
 use segwild_scene::{Image, ply};
 use std::path::Path;
 
-/// Draws and reads the pictures back, in order.
+/// Renders and reads the images back, in order.
 fn draw(run: &str, out: &Path, flags: &[&str]) -> Vec<Image> {
-    let _ = std::fs::remove_dir_all(out); // there from the picture before
+    let _ = std::fs::remove_dir_all(out); // there from the image before
     let out = show(out);
     let stdout = works(&[&["render", run, "--out", &out], flags].concat());
-    stdout.lines().map(|file| Image::read(Path::new(file)).expect("a picture")).collect()
+    stdout.lines().map(|file| Image::read(Path::new(file)).expect("an image")).collect()
 }
 
 fn apart(a: &Image, b: &Image) -> f32 {
@@ -18,10 +18,10 @@ fn apart(a: &Image, b: &Image) -> f32 {
 }
 
 #[test]
-fn a_view_is_drawn_under_other_photos_looks_between_them_and_in_any_strength() {
+fn a_view_is_rendered_with_other_photos_appearances_interpolated_and_in_any_strength() {
     let run = show(&shared_run().run);
     let dir = folder();
-    let out = dir.path().join("pictures");
+    let out = dir.path().join("renders");
     let trained: Vec<&str> =
         shared_run().manifest.photos.iter().filter(|p| !p.test).map(|p| p.name.as_str()).collect();
     let view = trained[0];
@@ -36,7 +36,7 @@ fn a_view_is_drawn_under_other_photos_looks_between_them_and_in_any_strength() {
     let half = one(&["--appearance", view, "--appearance", other, "--interpolate", "0.5"]);
     let (there, back) = (apart(&half, &own), apart(&half, &others));
     assert!((there - back).abs() < 0.1 * (there + back), "half way: {there} from one, {back} from the other");
-    // Eight bits hold a walk over the frames to be the same, and its ends the looks.
+    // Eight bits hold a walk over the frames to be the same, and its ends the appearances.
     let walk =
         draw(&run, &out, &["--photo", view, "--appearance", view, "--appearance", other, "--frames", "3"]);
     assert_eq!((&walk[0], &walk[1], &walk[2]), (&own, &half, &others));
@@ -44,10 +44,10 @@ fn a_view_is_drawn_under_other_photos_looks_between_them_and_in_any_strength() {
     assert_eq!(one(&["--appearance", other, "--strength", "0"]), none);
     let twice = one(&["--appearance", other, "--strength", "2"]);
     assert!(apart(&twice, &none) > 1.3 * apart(&others, &none));
-    // Along a path the look goes from that of the first photo to that of the last.
+    // Along a path the appearance goes from that of the first photo to that of the last.
     let path = draw(&run, &out, &["--photo", view, "--photo", other, "--frames", "2"]);
     let ends = [own, draw(&run, &out, &["--photo", other]).remove(0)];
-    // The path has the first photo's frame, so that its last picture is like the photo's and not the same.
+    // The path has the first photo's frame, so that its last image is like the photo's and not the same.
     assert!(
         path[0].pixels() == ends[0].pixels() && apart(&path[0], &ends[0]) < 0.06,
         "{}",
@@ -61,19 +61,19 @@ fn a_view_is_drawn_under_other_photos_looks_between_them_and_in_any_strength() {
     wrong(&["--mode", "only"], &["--selection <NAME>"]); // was drawn plain, as if nothing had been asked
     wrong(&["--appearance", "nobody.jpg"], &["no photo `nobody.jpg`"]);
     wrong(&["--appearance", view, "--appearance", other], &["--frames", "--interpolate"]);
-    wrong(&["--appearance", view, "--interpolate", "0.5"], &["two looks"]);
+    wrong(&["--appearance", view, "--interpolate", "0.5"], &["two appearances"]);
     wrong(&["--appearance", view, "--strength", "3"], &["0 to 2"]);
     wrong(&["--object-appearance", other], &["--selection"]);
     wrong(&["--frames", "4"], &["--photo twice"]);
     let held_out = &shared_run().manifest.photos.iter().find(|p| p.test).expect("one is held out").name;
-    wrong(&["--appearance", held_out], &["no look", held_out]);
+    wrong(&["--appearance", held_out], &["no appearance", held_out]);
 }
 
 #[test]
-fn one_object_has_a_look_of_its_own_on_screen_and_in_files() {
+fn one_object_has_its_own_appearance_on_screen_and_in_files() {
     let dir = folder();
     let path = copied_run(&dir);
-    let (run, out) = (show(&path), dir.path().join("pictures"));
+    let (run, out) = (show(&path), dir.path().join("renders"));
     let manifest = &shared_run().manifest;
     let (_, click) = clearest();
     let view = click.photo.as_str();
@@ -113,7 +113,7 @@ fn one_object_has_a_look_of_its_own_on_screen_and_in_files() {
         ply::read(&file).expect("it opens")
     };
     let object = ply::read(&path.join("selections/thing/object.ply")).expect("it opens");
-    assert_eq!(splats(&["--selection", "thing"], "own.ply"), object, "both in the scene's own look");
+    assert_eq!(splats(&["--selection", "thing"], "own.ply"), object, "both in the scene's own appearance");
     let relit = splats(&["--selection", "thing", "--appearance", other], "relit.ply");
     assert!(relit.means == object.means && relit.sh != object.sh);
     works(&[&segment[..], &["--name", "lit", "--object-appearance", other]].concat());
@@ -144,7 +144,7 @@ fn one_object_has_a_look_of_its_own_on_screen_and_in_files() {
 }
 
 #[test]
-fn auto_says_what_it_chose_and_why_and_shares_its_work_with_the_look_by_name() {
+fn auto_says_what_it_chose_and_why_and_shares_its_work_with_the_model_by_name() {
     let dir = folder();
     let run = show(&dir.path().join("run"));
     let with = |model: &str, flags: &[&str]| {
@@ -155,7 +155,7 @@ fn auto_says_what_it_chose_and_why_and_shares_its_work_with_the_look_by_name() {
     };
     let stdout = with("auto", &["--json"]);
     let choice = json(&std::fs::read(dir.path().join("run/look.json")).expect("the choice"));
-    let model = choice["look"].as_str().expect("a look").to_owned();
+    let model = choice["appearance"].as_str().expect("an appearance model").to_owned();
     let why = choice["why"].as_str().expect("a reason");
     assert!(stdout.contains(why), "the run says why: {why}");
     assert!(why.starts_with(&model) && why.contains("points") && why.contains("held out"), "{why}");
@@ -172,7 +172,7 @@ fn auto_says_what_it_chose_and_why_and_shares_its_work_with_the_look_by_name() {
 }
 
 #[test]
-fn a_budget_is_decided_once_said_with_its_evidence_and_undone_by_name() {
+fn a_budget_is_decided_once_reported_with_its_evidence_and_undone_by_name() {
     let dir = folder();
     let run = show(&dir.path().join("run"));
     let with = |flags: &[&str]| {

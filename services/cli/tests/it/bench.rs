@@ -20,7 +20,7 @@ fn benchmarks_without_their_data_say_what_to_put_where() {
 }
 
 #[test]
-fn a_table_of_rivals_is_printed_kept_and_written_as_a_page() {
+fn a_table_of_baselines_is_printed_kept_and_written_as_a_page() {
     let dir = folder();
     let (out, page) = (show(dir.path()), dir.path().join("page.md"));
     let bench = |row: &str, more: &[&str]| {
@@ -46,7 +46,7 @@ fn a_table_of_rivals_is_printed_kept_and_written_as_a_page() {
     let text = std::fs::read_to_string(&page).expect("a page");
     assert!(
         text.starts_with(
-            "# Synthetic places (built-in, oracle)\n\nThe rows named after GS-W and FlashSplat are settings"
+            "# Synthetic scenes (built-in, oracle)\n\nThe rows named after GS-W and FlashSplat are settings"
         ),
         "{text}"
     );
@@ -54,7 +54,7 @@ fn a_table_of_rivals_is_printed_kept_and_written_as_a_page() {
     assert!(!text.contains("--page") && text.contains("cores"), "{text}");
     let file = dir.path().join("results.json");
     // The same tables from the results alone, without measuring again.
-    assert_eq!(works(&["bench", "tables", &show(&file), "--title", "Synthetic places"]), text);
+    assert_eq!(works(&["bench", "tables", &show(&file), "--title", "Synthetic scenes"]), text);
     let results = json(&std::fs::read(file).expect("results"));
     let records = results["records"].as_array().expect("records");
     assert!(records.len() >= 2 && records.iter().all(|r| r["numbers"]["iou"].is_number()), "{results}");
@@ -63,7 +63,7 @@ fn a_table_of_rivals_is_printed_kept_and_written_as_a_page() {
 }
 
 #[test]
-fn the_accelerators_speed_is_measured_or_its_absence_told() {
+fn the_accelerators_speed_is_measured_or_its_absence_reported() {
     let dir = folder();
     let page = dir.path().join("engine.md");
     let shown = show(&page);

@@ -30,13 +30,13 @@ fn the_cache_is_listed_verified_and_swept() {
     let (stdout, _) = completes(&again(&path, &["--prompt-budget", "30", "--json"]));
     assert!(stdout.lines().last().is_some_and(|l| l.contains("\"made\":0,")), "{stdout}");
 
-    let shelves = std::fs::read_dir(path.join("cache/masks.d")).expect("masks").flatten();
-    let mut files = shelves.flat_map(|shelf| std::fs::read_dir(shelf.path()).expect("a shelf").flatten());
+    let folders = std::fs::read_dir(path.join("cache/masks.d")).expect("masks").flatten();
+    let mut files = folders.flat_map(|folder| std::fs::read_dir(folder.path()).expect("a folder").flatten());
     let file = files.next().expect("a file").path();
     let mut bytes = std::fs::read(&file).expect("bytes");
     *bytes.last_mut().expect("a byte") ^= 1;
     std::fs::write(&file, bytes).expect("it is written");
-    refuses(&["cache", "verify", &run], 6, &["1 of", "damaged", "makes them anew"]);
+    refuses(&["cache", "verify", &run], 6, &["1 of", "damaged", "computes them again"]);
     let (stdout, _) = completes(&again(&path, &["--prompt-budget", "30", "--json"]));
     assert!(stdout.lines().last().is_some_and(|l| l.contains("\"made\":1,")), "{stdout}");
     // A run may sweep behind itself.
@@ -108,8 +108,8 @@ fn sweeping_keeps_the_checkpoints_of_a_training_that_went_past_its_steps() {
 
 /// Damages the first artefact of a kind.
 fn damage(run: &Path, kind: &str) {
-    let shelves = std::fs::read_dir(run.join(format!("cache/{kind}.d"))).expect("artefacts").flatten();
-    let mut files = shelves.flat_map(|shelf| std::fs::read_dir(shelf.path()).expect("a shelf").flatten());
+    let folders = std::fs::read_dir(run.join(format!("cache/{kind}.d"))).expect("artefacts").flatten();
+    let mut files = folders.flat_map(|folder| std::fs::read_dir(folder.path()).expect("a folder").flatten());
     let file = files.next().expect("a file").path();
     let mut bytes = std::fs::read(&file).expect("bytes");
     *bytes.last_mut().expect("a byte") ^= 1;
@@ -117,14 +117,14 @@ fn damage(run: &Path, kind: &str) {
 }
 
 #[test]
-fn damage_of_any_kind_is_said_once_and_made_anew() {
+fn damage_of_any_kind_is_reported_once_and_made_again() {
     for kind in ["sky", "embedding", "masks", "visibility", "geometry", "snapshot", "history", "features"] {
         let dir = folder();
         let run = copied_run(&dir);
         damage(&run, kind);
         let (_, stderr) = completes(&again(&run, &[]));
         assert_eq!(stderr.matches(&format!("the cache's {kind} record")).count(), 1, "{kind}: {stderr}");
-        assert!(stderr.contains("its hash does not fit its bytes): it is made anew"), "{kind}: {stderr}");
+        assert!(stderr.contains("its hash does not fit its bytes): it is made again"), "{kind}: {stderr}");
         assert!(!stderr.contains("failed"), "{kind}: {stderr}");
         same_as_untouched(&run);
     }
@@ -146,7 +146,7 @@ fn masks_that_were_damaged_and_cannot_be_made_again_end_the_run_and_change_nothi
 }
 
 #[test]
-fn an_input_of_the_field_that_is_torn_when_it_is_read_is_made_anew() {
+fn an_input_of_the_field_that_is_torn_when_it_is_read_is_made_again() {
     let dir = folder();
     let mut stdout = Vec::new();
     // Over all reads of a run that has everything but the field.
@@ -157,7 +157,7 @@ fn an_input_of_the_field_that_is_torn_when_it_is_read_is_made_anew() {
         let (_, stderr) = completes(&again(&run, &["--fault", &format!("torn@cache.read:{read}")]));
         let name = Path::new("features.bin");
         assert_eq!(results(&run)[name], results(&shared_run().run)[name], "read {read}: {stderr}");
-        stdout.extend(stderr.lines().filter(|line| line.contains("made anew")).map(str::to_owned));
+        stdout.extend(stderr.lines().filter(|line| line.contains("made again")).map(str::to_owned));
         // What the report found damaged, the next run makes.
         completes(&again(&run, &[]));
         same_as_untouched(&run);
@@ -187,11 +187,11 @@ fn a_photo_that_cannot_be_compared_with_the_scene_is_left_out_and_tried_again() 
 }
 
 #[test]
-fn a_photo_that_cannot_be_scored_or_drawn_is_named_and_the_others_go_on() {
+fn a_photo_that_cannot_be_scored_or_rendered_is_named_and_the_others_go_on() {
     let dir = folder();
     let run = dir.path().join("run");
     let faults =
-        ["evaluate.photo:1", "evaluate.photo:2", "evaluate.photo:3", "report.picture:2", "report.picture:3"];
+        ["evaluate.photo:1", "evaluate.photo:2", "evaluate.photo:3", "report.image:2", "report.image:3"];
     let faults = faults.map(|fault| format!("fail@{fault}"));
     let faults: Vec<&str> = faults.iter().flat_map(|fault| ["--fault", fault]).collect();
     let (_, stderr) = completes(&again(&run, &faults));
@@ -205,7 +205,7 @@ fn a_photo_that_cannot_be_scored_or_drawn_is_named_and_the_others_go_on() {
     completes(&again(&run, &[]));
     same_as_untouched(&run);
     let other = dir.path().join("other");
-    completes(&again(&other, &["--fault", "fail@evaluate.photo:1", "--fault", "fail@report.picture:2"]));
+    completes(&again(&other, &["--fault", "fail@evaluate.photo:1", "--fault", "fail@report.image:2"]));
     same_as_untouched(&other);
 }
 
@@ -244,16 +244,16 @@ fn held_of(run: &Path, kind: &str) -> u64 {
 }
 
 #[test]
-fn a_damaged_picture_of_transients_is_named_by_verify_and_by_segment() {
+fn a_damaged_transient_mask_is_named_by_verify_and_by_segment() {
     let dir = folder();
     let run = copied_run(&dir);
     let photo = shared_run().manifest.photos.iter().find(|p| !p.test).expect("one is trained on");
     let file = run.join("transients").join(Path::new(&photo.name).with_extension("png"));
-    let mut bytes = std::fs::read(&file).expect("a picture");
+    let mut bytes = std::fs::read(&file).expect("an image");
     let middle = bytes.len() / 2;
     bytes[middle] ^= 1;
     std::fs::write(&file, bytes).expect("it is written");
-    let what = ["1 of", "pictures of transients are damaged"];
+    let what = ["1 of", "transient masks are damaged"];
     refuses(&["cache", "verify", &show(&run)], 6, &what);
     let (_, click) = clearest();
     let at = format!("{},{}", click.x, click.y);

@@ -26,7 +26,7 @@ fn by(provider: &str, file: &Path, number: &str, value: f64) {
 }
 
 #[test]
-fn a_comparison_fails_by_its_code_only_when_asked_and_only_of_what_got_worse() {
+fn a_comparison_fails_by_its_code_only_when_wanted_and_only_of_what_got_worse() {
     let dir = folder();
     let file = |name: &str| dir.path().join(name);
     results(&file("old"), "iou", 0.8);
@@ -83,7 +83,7 @@ fn a_chart_goes_on_where_it_stopped_and_refuses_another_default() {
     assert!(page.contains("## channels") && page.contains("| the default |"), "{page}");
     assert!(page.lines().next().is_some_and(|title| title.ends_with("(built-in)")), "{page}");
     let photos = &["bench", "chart", "--scene", "none", "--providers", "oracle"];
-    refuses(photos, 2, &["synthetic places only"]);
+    refuses(photos, 2, &["synthetic scenes only"]);
     // The folder holds what the built-in provider gave: the oracle's figures do not go in between.
     let oracle = chart("channels", &["--providers", "oracle"]);
     refuses(&oracle.iter().map(String::as_str).collect::<Vec<_>>(), 6, &["another default"]);

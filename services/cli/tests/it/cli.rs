@@ -76,7 +76,7 @@ fn a_killed_run_ends_in_the_same_bytes() {
 }
 
 #[test]
-fn clicks_become_an_object_that_can_be_drawn_scored_and_replayed() {
+fn clicks_become_an_object_that_can_be_rendered_scored_and_replayed() {
     let dir = folder();
     let path = copied_run(&dir);
     let run = show(&path);
@@ -114,7 +114,7 @@ fn clicks_become_an_object_that_can_be_drawn_scored_and_replayed() {
             &["--prompts"],
         );
     }
-    // A selection is added to the report, which says what it would say if it were written anew.
+    // A selection is added to the report, which says what it would say if it were written again.
     let added = std::fs::read_to_string(&report).expect("a report");
     assert!(["thing", "other", "again"].iter().all(|name| added.contains(&format!("Object: {name}<"))));
     std::fs::remove_file(&report).expect("it goes");
@@ -135,10 +135,10 @@ fn clicks_become_an_object_that_can_be_drawn_scored_and_replayed() {
     }
     let output = segwild(&["eval", &run, "--truth", &show(&copy), "--selection", "thing"]);
     assert!(output.status.success() && text(&output.stderr).contains("this photo does not count"));
-    let out = show(&dir.path().join("pictures"));
+    let out = show(&dir.path().join("renders"));
     let only =
         ["render", &run, "--photo", &click.photo, "--selection", "thing", "--mode", "only", "--out", &out];
-    let image = segwild_scene::Image::read(Path::new(works(&only).trim())).expect("a picture");
+    let image = segwild_scene::Image::read(Path::new(works(&only).trim())).expect("an image");
     assert_eq!(image.width.max(image.height), 96);
     let photos: Vec<&str> = manifest.photos.iter().take(2).map(|p| p.name.as_str()).collect();
     let path = ["render", &run, "--photo", photos[0], "--photo", photos[1], "--frames", "3", "--out", &out];
@@ -196,7 +196,7 @@ fn bad_clicks_are_answered_in_words() {
         &["0 to 1"],
     );
     refuses(&["eval", &run, "--truth", "/nowhere"], 2, &["no selection named `object`"]);
-    // Who asked for JSON is told in JSON, too.
+    // Who asked for JSON is reported in JSON, too.
     let output = segwild(&["eval", &run, "--truth", "/nowhere", "--json"]);
     let stderr = json(&output.stdout);
     assert_eq!(stderr["exit_code"], 2);
@@ -235,7 +235,7 @@ fn one_bad_photo_is_skipped_by_name_and_the_rest_goes_on() {
     let names: Vec<&str> =
         shared_run.manifest.photos.iter().filter(|p| !p.test).map(|p| p.name.as_str()).collect();
     std::fs::remove_file(scene.join("images").join(names[0])).expect("it goes");
-    std::fs::write(scene.join("images").join(names[1]), b"this is no picture").expect("it is written");
+    std::fs::write(scene.join("images").join(names[1]), b"this is no image").expect("it is written");
     let out = show(&dir.path().join("out"));
     let stdout = works(&[&["run", &show(&scene), "--out", &out, "--until", "geometry"][..], &QUICK].concat());
     for name in &names[..2] {
@@ -260,7 +260,7 @@ fn bad_settings_are_answered_in_words() {
 }
 
 #[test]
-fn a_folder_that_is_no_run_is_said_to_be_none() {
+fn a_folder_that_is_no_run_is_reported_as_none() {
     let dir = folder();
     for command in ["segment", "render", "eval", "status"] {
         refuses(
@@ -347,7 +347,7 @@ fn the_doctor_compares_the_kernels_of_an_accelerator() {
 }
 
 #[test]
-fn a_reader_that_goes_away_is_no_error() {
+fn a_reader_that_is_gone_is_no_error() {
     let mut child = Command::new(env!("CARGO_BIN_EXE_segwild"))
         .args(["doctor", "--settings"])
         .stdout(std::process::Stdio::piped())

@@ -20,7 +20,7 @@ fn with_few_files(limit: u32, args: &[String]) -> Command {
     command
 }
 
-/// Begins it, and gathers a crowd that connects and says nothing until it has ended; what it said, if this machine lets a
+/// Starts it, and gathers a crowd that connects and says nothing until it has ended; what it printed, if this machine lets a
 /// test open so many connections.
 fn amid_a_crowd(name: &str, args: &[String]) -> Option<(Child, String)> {
     if raise_open_files().is_some_and(|limit| (limit as usize) < CROWD + 100) {
@@ -76,7 +76,7 @@ fn a_crowd_of_idle_connections_costs_a_batch_no_attempt() {
 }
 
 #[test]
-fn a_process_that_may_open_too_few_files_says_so_before_it_begins() {
+fn a_process_that_may_open_too_few_files_says_so_before_it_starts() {
     let dir = folder();
     let out = dir.path().join("out");
     let batch = ["batch".to_owned(), manifest(dir.path()), "--out".to_owned(), show(&out)];

@@ -33,10 +33,10 @@ const TABLE: [(&str, &str, &[&str]); 53] = [
     ("lr_rotation", "0.004", GEOMETRY),
     ("lr_colour", "0.004", GEOMETRY),
     ("lr_look", "0.001", GEOMETRY),
-    // Without the look `embed`, splats keep no code.
+    // Without the appearance model `embed`, splats keep no code.
     ("lr_splat_embedding", "0.02", NOTHING),
     ("splat_embedding_from", "0.2", NOTHING),
-    // Only the look `gsw` has networks.
+    // Only the appearance model `gsw` has networks.
     ("lr_net", "0.5", NOTHING),
     ("gsw_width", "paper", NOTHING),
     ("lambda_ssim", "0.4", GEOMETRY),
@@ -92,7 +92,8 @@ const OTHERWISE: [&str; 6] =
 
 /// The stages that a run with these settings would do again; the report is written by every run.
 fn done_again(run: &Path, settings: &Settings) -> Vec<&'static str> {
-    let plans = explain(&shared_run().scene, &RunFolder::at(run), settings, None).expect("it can be told");
+    let plans =
+        explain(&shared_run().scene, &RunFolder::at(run), settings, None).expect("it can be explained");
     let again =
         plans.into_iter().filter(|plan| plan.verdict != StageVerdict::Reused && plan.stage != "report");
     again.map(|plan| plan.stage).collect()
@@ -135,7 +136,7 @@ fn a_changed_setting_has_exactly_those_stages_done_again_that_depend_on_it() {
 }
 
 #[test]
-fn another_place_for_the_snapshot_leaves_the_trained_scene_alone() {
+fn another_step_for_the_snapshot_leaves_the_trained_scene_alone() {
     let dir = folder();
     let at = ["--snapshot-at", "0.4"];
     let straight = dir.path().join("straight");

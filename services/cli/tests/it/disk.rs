@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::process::Command;
 
 #[test]
-fn a_full_disk_is_said_and_loses_nothing() {
+fn a_full_disk_is_reported_and_loses_nothing() {
     let dir = folder();
     let run = dir.path().join("run");
     for point in
@@ -94,11 +94,11 @@ impl Drop for Mounted {
 }
 
 #[test]
-fn a_really_full_and_a_really_read_only_disk_are_said() {
+fn a_really_full_and_a_really_read_only_disk_are_reported() {
     let dir = folder();
     let Some(disk) = Mounted::new(dir.path().join("disk"), "size=400k") else {
         eprintln!(
-            "skipped: a_really_full_and_a_really_read_only_disk_are_said: mounting is not allowed here"
+            "skipped: a_really_full_and_a_really_read_only_disk_are_reported: mounting is not allowed here"
         );
         return;
     };
@@ -118,7 +118,7 @@ fn a_really_full_and_a_really_read_only_disk_are_said() {
 }
 
 #[test]
-fn a_read_only_folder_is_said() {
+fn a_read_only_folder_is_reported() {
     let dir = folder();
     let run = dir.path().join("run");
     for point in ["read-only@file.write", "read-only@ledger.commit:12+"] {

@@ -16,7 +16,7 @@ fn bending(params: &[f64], width: u64, height: u64) -> (Lens, Vec<f64>) {
     (Lens::new(Model::OpenCv, width, height, &params).expect("a lens"), params)
 }
 
-/// A picture of the pinhole as the lens takes it: black where the pinhole shows nothing.
+/// An image of the pinhole as the lens takes it: black where the pinhole shows nothing.
 fn bent(image: &Image, lens: &Lens) -> Image {
     let mut out = Image::zeros(image.width, image.height, image.channels);
     for i in 0..image.pixels() {
@@ -63,7 +63,7 @@ fn bend_scene(to: &Path) -> Lens {
 }
 
 #[test]
-fn clicks_masks_and_transient_pictures_are_of_the_photo_as_taken() {
+fn clicks_masks_and_transient_masks_are_of_the_photo_as_taken() {
     let dir = folder();
     let (shared_run, run) = (dir.path().join("place"), dir.path().join("run"));
     let lens = bend_scene(&shared_run);
@@ -85,7 +85,7 @@ fn clicks_masks_and_transient_pictures_are_of_the_photo_as_taken() {
             mask.iou(&straight)
         );
     }
-    // A picture of transients that a person painted is of the photo as taken, too: it comes back as it is.
+    // A transient mask that a person painted is of the photo as taken, too: it comes back as it is.
     let painted = Mask::from_fn(truth.width(), truth.height(), |x, _| x < truth.width() / 3);
     let given = dir.path().join("given");
     std::fs::create_dir(&given).expect("a folder");
@@ -94,7 +94,7 @@ fn clicks_masks_and_transient_pictures_are_of_the_photo_as_taken() {
         &[&["run", &show(&shared_run), "--out", &show(&run), "--transient-masks", &show(&given)][..], &QUICK]
             .concat(),
     );
-    let written = Mask::read_png(&run.join("transients").join(&png)).expect("a picture");
+    let written = Mask::read_png(&run.join("transients").join(&png)).expect("an image");
     let painted = painted.resized(written.width(), written.height());
     assert!(written.iou(&painted) > 0.75, "{:.3}: {stdout}", written.iou(&painted));
 }

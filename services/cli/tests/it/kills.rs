@@ -35,7 +35,7 @@ fn killed_at(run: &Path, fault: &str) {
 }
 
 #[test]
-fn killed_between_two_photos_of_the_evaluation_or_two_pictures_of_the_report_it_ends_in_the_same_bytes() {
+fn killed_within_the_evaluation_or_the_report_it_ends_in_the_same_bytes() {
     let dir = folder();
     // All before the evaluation is done: these start where it is.
     for (fault, doing) in [
@@ -44,8 +44,8 @@ fn killed_between_two_photos_of_the_evaluation_or_two_pictures_of_the_report_it_
         ("kill@features.step:10", "features"),
         ("kill@evaluate.photo:1", "evaluate"),
         ("kill@evaluate.photo:2", "evaluate"),
-        ("kill@report.picture:1", "report"),
-        ("kill@report.picture:5", "report"),
+        ("kill@report.image:1", "report"),
+        ("kill@report.image:5", "report"),
     ] {
         let run = dir.path().join(fault);
         killed_at(&run, fault);
@@ -80,7 +80,7 @@ fn a_selection_killed_half_written_is_not_there_and_the_next_is_whole() {
     assert_eq!(results(&run), expected);
     // One that is killed while it replaces another leaves the other as it was.
     assert_eq!(select(&run, &["--fault", "kill@selection.file:9"]).status.code(), None);
-    assert_eq!(select(&run, &["--fault", "kill@report.picture:2"]).status.code(), None);
+    assert_eq!(select(&run, &["--fault", "kill@report.image:2"]).status.code(), None);
     assert_eq!(select(&run, &[]).status.code(), Some(0));
     assert_eq!(results(&run), expected);
     let left = std::fs::read_dir(run.join("selections")).expect("a folder").count();

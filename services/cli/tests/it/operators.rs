@@ -9,7 +9,7 @@ use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-/// A manifest of the small place under several names.
+/// A manifest of the small scene under several names.
 fn manifest(dir: &Path, steps: u32, names: &[&str], more: &str) -> String {
     let mut text = format!(
         "[budget]\ncores = 2\n[defaults]\ncores = 1\nmemory = \"300 MiB\"\n\
@@ -24,7 +24,7 @@ fn manifest(dir: &Path, steps: u32, names: &[&str], more: &str) -> String {
 }
 
 #[test]
-fn status_looks_at_a_run_from_another_process() {
+fn status_reads_a_run_from_another_process() {
     let dir = folder();
     let run = show(&dir.path().join("run"));
     let mut child = in_background(&["run", &show(scene()), "--out", &run, "--size", "96", "--steps", "4000"]);
@@ -228,7 +228,7 @@ fn a_scene_whose_folder_is_in_use_is_shown_as_waiting_and_why() {
 }
 
 #[test]
-fn a_clock_that_jumps_in_a_rest_is_told_of_once_and_changes_nothing() {
+fn a_clock_that_jumps_in_a_rest_is_reported_once_and_changes_nothing() {
     let dir = folder();
     // A folder that cannot be made is worth another attempt.
     std::fs::write(dir.path().join("file"), "no folder").expect("it writes");
@@ -257,7 +257,7 @@ fn a_clock_that_jumps_in_a_rest_is_told_of_once_and_changes_nothing() {
 }
 
 #[test]
-fn a_scene_that_does_not_fit_the_memory_is_refused_before_anything_begins() {
+fn a_scene_that_does_not_fit_the_memory_is_refused_before_anything_starts() {
     let dir = folder();
     let (batch, file) = (dir.path().join("batch"), dir.path().join("places.toml"));
     let scene = format!("[[scene]]\nname = \"small\"\npath = \"{}\"\n", scene().display());
@@ -395,7 +395,7 @@ fn a_real_prometheus_answers_every_panel_and_every_rule() {
     // One scene is done, and somebody has clicked in it; the other one is still to come.
     let file = manifest(dir.path(), 6000, &["one"], "");
     works(&["batch", &file, "--out", &show(&batch), "--until", "features"]);
-    // So small a place is not sharp everywhere: one of the objects will do.
+    // So small a scene is not sharp everywhere: one of the objects will do.
     let clicks: Vec<_> = shared_run().manifest.objects.iter().flat_map(|o| &o.clicks).collect();
     let hit = clicks.iter().any(|c| {
         let at = format!("{},{}", c.x, c.y);
@@ -430,13 +430,13 @@ fn a_real_prometheus_answers_every_panel_and_every_rule() {
         let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
         since.expect("a clock").as_secs_f64()
     };
-    let begin = now();
+    let start = now();
     let ask = |expression: &str| -> Value {
         // Over the whole time of the batch, as Grafana asks.
         let path = format!(
             "/api/v1/query_range?query={}&start={begin}&end={}&step=100ms",
             escaped(expression),
-            now().min(begin + 1000.0)
+            now().min(start + 1000.0)
         );
         json(get(prometheus, &path).expect("it answers").as_bytes())
     };

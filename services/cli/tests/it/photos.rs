@@ -35,7 +35,7 @@ fn a_photo_that_changes_in_mid_training_is_named_and_spoils_nothing() {
     type Change<'a> = (&'a str, &'a dyn Fn());
     let changes: [Change; 2] = [
         ("taken away", &|| std::fs::remove_file(&photo).expect("it goes")),
-        ("another picture", &|| std::fs::copy(&other, &photo).map(drop).expect("it is overwritten")),
+        ("another image", &|| std::fs::copy(&other, &photo).map(drop).expect("it is overwritten")),
     ];
     for (what, change) in changes {
         let run = dir.path().join(what);
@@ -59,7 +59,7 @@ fn photos_that_cannot_be_used_are_named_and_the_rest_is_trained_to_the_end() {
     let photos: Vec<&str> =
         shared_run().manifest.photos.iter().filter(|p| !p.test).map(|p| p.name.as_str()).collect();
     let file = |name: &str| scene.join("images").join(name);
-    let size = segwild_scene::Image::read(&file(photos[0])).expect("a picture");
+    let size = segwild_scene::Image::read(&file(photos[0])).expect("an image");
     let masks = dir.path().join("away");
     std::fs::create_dir(&masks).expect("a folder");
     let all = segwild_scene::Mask::full(size.width as u32, size.height as u32);

@@ -55,7 +55,7 @@ fn a_received_run_folder_runs_no_native_code() {
     assert!(mark.is_file(), "the trap works");
     let remembered = std::fs::read_to_string(run.join("segwild.toml")).expect("its settings");
     assert!(remembered.contains(&library) && remembered.contains(&models));
-    // Another one is given the folder, in which a network is said to have been used as well or not.
+    // Another one is given the folder, in which a network is recorded as used as well or not.
     let truth = show(&shared_run().scene.join("truth/transient"));
     let (run_text, scene) = (show(&run), show(&shared_run().scene));
     let (run_text, scene) = (run_text.as_str(), scene.as_str());
@@ -91,7 +91,7 @@ fn a_received_run_folder_runs_no_native_code() {
             }
         }
     }
-    // It goes on without when it is told so, and a click is answered.
+    // It goes on without when that is wanted, and a click is answered.
     completes(&again(&run, &["--models", ""]));
 }
 
@@ -244,6 +244,6 @@ fn a_long_selection_name_is_refused_before_anything_is_computed() {
         let args = [&click(run)[..], &["--name".to_owned(), name]].concat();
         let began = std::time::Instant::now();
         refuses(&args.iter().map(String::as_str).collect::<Vec<_>>(), 2, &["cannot name a selection", why]);
-        assert!(began.elapsed().as_secs() < 20, "it is said at once");
+        assert!(began.elapsed().as_secs() < 20, "it is reported at once");
     }
 }

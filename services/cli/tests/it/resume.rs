@@ -165,14 +165,14 @@ fn one_kept_checkpoint_is_the_newest_and_a_damaged_one_costs_the_training_and_no
     std::fs::write(&newest, bytes).expect("it is written");
     let (_, stderr) = completes(&again(&run, &one));
     assert!(stderr.contains("-00000040.bin is passed over"), "{stderr}");
-    assert!(stderr.contains("there is none before it: the training begins anew"), "{stderr}");
+    assert!(stderr.contains("there is none before it: the training starts again from step 0"), "{stderr}");
     assert!(!stderr.contains("goes on from step"), "there is none to go on from: {stderr}");
     assert!(checkpoints().len() <= 1, "{:?}", checkpoints());
     same_as_untouched(&run);
 }
 
 #[test]
-fn checkpoints_are_used_when_the_ledger_is_lost_and_the_loss_is_said() {
+fn checkpoints_are_used_when_the_ledger_is_lost_and_the_loss_is_reported() {
     for (loss, step) in [("has gone", 40), ("is empty", 20)] {
         let dir = folder();
         let run = dir.path().join("run");
@@ -233,7 +233,7 @@ fn explain_names_what_would_be_done_again_and_why() {
     let names: Vec<_> =
         shared_run().manifest.photos.iter().filter(|p| !p.test).map(|p| p.name.clone()).collect();
     let photo = other.join("images").join(&names[0]);
-    let mut image = segwild_scene::Image::read(&photo).expect("a picture");
+    let mut image = segwild_scene::Image::read(&photo).expect("an image");
     image.data[0] = 1.0 - image.data[0];
     image.write_png(&photo).expect("it is written");
     let changed = plan(&other, &[]);
@@ -289,7 +289,7 @@ fn explain_says_of_any_step_what_the_run_then_does() {
 }
 
 #[test]
-fn a_second_process_is_refused_and_may_look() {
+fn a_second_process_is_refused_and_may_read() {
     let dir = folder();
     let run = dir.path().join("run");
     let mut first = start(&again(&run, &["--fault", "stall@masks.handle:3"]));

@@ -1,4 +1,4 @@
-//! A run by networks of the SAM family: its masks, its embeddings and a click into it; what is kept, and what is made anew
+//! A run by networks of the SAM family: its masks, its embeddings and a click into it; what is kept, and what is made again
 //! when a file changes. The networks are small ones of the same interfaces.
 
 #[path = "../../../vision/tests/toy/mod.rs"]
@@ -8,8 +8,8 @@ use crate::common::*;
 use toy::{SAM, Takes, ToyDecoder, ToyFault, can_run, decoder, encoder};
 
 #[test]
-fn a_run_by_sam_is_whole_kept_and_made_anew_when_a_file_changes() {
-    if !can_run("a_run_by_sam_is_whole_kept_and_made_anew_when_a_file_changes") {
+fn a_run_by_sam_is_whole_kept_and_made_again_when_a_file_changes() {
+    if !can_run("a_run_by_sam_is_whole_kept_and_made_again_when_a_file_changes") {
         return;
     }
     let dir = folder();
@@ -23,8 +23,8 @@ fn a_run_by_sam_is_whole_kept_and_made_anew_when_a_file_changes() {
     // 8 photos of a sky, an embedding and masks each, and the skies of 2 that are held out.
     assert_eq!(made(&stdout), 26, "{stdout}");
     // 8 photos and 8 renders were encoded; 8 times the budget's prompts answered, at most.
-    let stderr = stdout.lines().find(|l| l.contains("pictures encoded")).expect("the speed is told");
-    assert!(stderr.contains("16 pictures encoded in") && stderr.contains("prompts answered at"), "{stderr}");
+    let stderr = stdout.lines().find(|l| l.contains("images encoded")).expect("the speed is printed");
+    assert!(stderr.contains("16 images encoded in") && stderr.contains("prompts answered at"), "{stderr}");
     let rate = json(stdout.lines().find(|l| l.contains("prompts_per_s")).expect("a metric").as_bytes());
     assert!(rate["value"].as_f64().is_some_and(|v| v > 0.0), "{rate}");
 
@@ -32,7 +32,7 @@ fn a_run_by_sam_is_whole_kept_and_made_anew_when_a_file_changes() {
     let before = results(&run);
     let (stdout, _) = completes(&args);
     assert_eq!(made(&stdout), 0, "{stdout}");
-    assert!(!stdout.contains("pictures encoded"), "{stdout}");
+    assert!(!stdout.contains("images encoded"), "{stdout}");
     assert_eq!(results(&run), before);
 
     // A click is answered by the networks, and selects something.
@@ -41,7 +41,7 @@ fn a_run_by_sam_is_whole_kept_and_made_anew_when_a_file_changes() {
     let summary = std::fs::read(run.join("selections/it/summary.json")).expect("it is there");
     assert!(json(&summary)["splats"].as_u64().is_some_and(|n| n > 0), "{}", text(&summary));
 
-    // Another decoder: the masks are made anew, and nothing else per photo.
+    // Another decoder: the masks are made again, and nothing else per photo.
     let other = decoder(ToyDecoder { masks: 3, ..SAM });
     toy::write(&models, "mobile_sam", &encoder(Takes::Planes, ToyFault::None), &other);
     let (stdout, _) = completes(&args);
@@ -91,7 +91,7 @@ fn the_doctor_lists_networks_with_their_hash_and_licence() {
     assert!(line.contains("MobileSAM, encoder") && line.contains(&hash), "{line}");
     assert!(line.contains("licence: Apache-2.0"), "{line}");
     assert!(page.contains(
-        "edges_bsds.onnx: edge network, boundaries, cannot be used: is no network: it is a picture"
+        "edges_bsds.onnx: edge network, boundaries, cannot be used: is no network: it is an image"
     ));
     assert!(page.contains("strange.onnx: a name that is not known"), "{page}");
     assert!(

@@ -19,7 +19,7 @@ fn a_sky_that_failed_once_does_not_spoil_the_run_in_which_it_works() {
     let (_, stderr) = completes(&again(&run, &GIVEN_UP));
     assert!(stderr.contains("sky photo") && stderr.contains("a fault on purpose"), "{stderr}");
     let failed = stderr.lines().filter(|line| line.contains(" failed: a fault on purpose")).count();
-    assert_eq!(failed, 1, "it is said once, by the photo's name: {stderr}");
+    assert_eq!(failed, 1, "it is reported once, by the photo's name: {stderr}");
     let ledger = segwild_flow::Ledger::open_read_only(run.join("run.sqlite")).expect("a ledger");
     let attempts: Vec<u32> =
         ledger.views("sky").expect("rows").iter().map(|row| row.outcome.attempts).collect();
@@ -90,19 +90,19 @@ fn masks_that_failed_once_do_not_spoil_the_field_of_the_run_in_which_they_work()
 }
 
 #[test]
-fn a_sky_that_is_damaged_while_the_run_uses_it_is_found_anew_and_named() {
+fn a_sky_that_is_damaged_while_the_run_uses_it_is_found_again_and_named() {
     let dir = folder();
     for fault in ["corrupt@cache.read:2", "torn@cache.read:11"] {
         let run = dir.path().join(fault);
         let (_, stderr) = completes(&again(&run, &["--fault", fault]));
         assert!(stderr.contains("the cache's sky record of photo"), "{fault}: {stderr}");
-        assert!(stderr.contains("it is made anew"), "{fault}: {stderr}");
+        assert!(stderr.contains("it is made again"), "{fault}: {stderr}");
         same_as_untouched(&run);
     }
 }
 
 #[test]
-fn a_click_finds_the_skies_anew_that_have_gone_from_the_cache() {
+fn a_click_finds_the_skies_again_that_have_gone_from_the_cache() {
     let dir = folder();
     let run = copied_run(&dir);
     let selected = || {

@@ -1,9 +1,9 @@
-//! The timeline of a run: told, drawn, and written for other tools.
+//! The timeline of a run: printed, plotted, and written for other tools.
 
 use crate::common::*;
 
 #[test]
-fn the_timeline_is_told_drawn_and_written_for_other_tools() {
+fn the_timeline_is_printed_plotted_and_written_for_other_tools() {
     let run = &shared_run().run;
     let json = |name: &str| -> serde_json::Value {
         serde_json::from_slice(&std::fs::read(run.join(name)).expect("a file")).expect("JSON")

@@ -1,4 +1,4 @@
-//! Transients: pictures of who was left out, put right by hand, and obeyed.
+//! Transients: masks of what was left out, corrected by hand, and obeyed.
 
 use crate::common::{QUICK, copied_run, folder, refuses, scene, segwild, shared_run, show, text, works};
 use segwild_scene::Mask;
@@ -34,14 +34,14 @@ fn plan(run: &Path, flags: &[&str]) -> Vec<(String, bool, String)> {
 }
 
 #[test]
-fn a_png_put_back_wins_and_what_depends_on_it_is_made_anew() {
+fn a_png_put_back_wins_and_what_depends_on_it_is_made_again() {
     let dir = folder();
     let run = copied_run(&dir);
     let trained: Vec<&str> =
         shared_run().manifest.photos.iter().filter(|p| !p.test).map(|p| p.name.as_str()).collect();
     let image = |photo: &str| run.join("transients").join(Path::new(photo).with_extension("png"));
     for photo in &trained {
-        assert!(image(photo).is_file(), "{photo} has a picture");
+        assert!(image(photo).is_file(), "{photo} has a mask");
     }
     let model = || std::fs::read(run.join("model.bin")).expect("a model");
     let before = model();
@@ -76,7 +76,7 @@ fn a_png_put_back_wins_and_what_depends_on_it_is_made_anew() {
     assert_eq!(
         Mask::read_png(&file).expect("it is there"),
         put_right,
-        "a person's picture is never written over"
+        "a person's mask is never written over"
     );
     assert!(all_reused(&plan(&run, &[])), "and it is obeyed once: {:?}", plan(&run, &[]));
 
@@ -90,17 +90,17 @@ fn a_png_put_back_wins_and_what_depends_on_it_is_made_anew() {
     // Taken back, the run is what it was.
     runs(&run, &[]);
     assert!(model() == before, "without the correction the first scene is there again");
-    assert!(file.is_file(), "and its picture");
+    assert!(file.is_file(), "and its mask");
 }
 
 #[test]
 fn a_correction_is_trained_on_from_where_the_training_ended() {
-    let begin = || {
+    let start = || {
         let dir = folder();
         let run = copied_run(&dir);
         (dir, run)
     };
-    let (_kept, run) = begin();
+    let (_kept, run) = start();
     let photo =
         shared_run().manifest.photos.iter().find(|p| !p.test).expect("one is trained on").name.as_str();
     let image = |run: &Path| run.join("transients").join(Path::new(photo).with_extension("png"));
@@ -136,7 +136,7 @@ fn a_correction_is_trained_on_from_where_the_training_ended() {
     assert!(second != first && then == ended + ended / 4, "{ended} steps, then {then}");
     all_reused(&run, &on);
     // The same from the same is the same.
-    let (_kept_too, other) = begin();
+    let (_kept_too, other) = start();
     paint(&other, 2);
     runs(&other, &on);
     assert!(model(&other) == second, "the same correction of the same training, the same scene");
@@ -192,7 +192,7 @@ fn transients_are_found_and_scored_against_the_truth() {
         photo_light: LightVariation::None,
         ..SyntheticOptions::small()
     };
-    generate(&options).and_then(|s| s.write(&shared_run)).expect("a place with a crowd");
+    generate(&options).and_then(|s| s.write(&shared_run)).expect("a scene with a crowd");
     let run = show(&dir.path().join("run"));
     works(&[
         "run",
@@ -217,14 +217,14 @@ fn transients_are_found_and_scored_against_the_truth() {
 }
 
 #[test]
-fn a_damaged_machine_made_picture_is_put_aside_and_made_again() {
+fn a_damaged_machine_made_mask_is_put_aside_and_made_again() {
     let dir = folder();
     let run = copied_run(&dir);
     let trained: Vec<&str> =
         shared_run().manifest.photos.iter().filter(|p| !p.test).map(|p| p.name.as_str()).collect();
     let image = |photo: &str| run.join("transients").join(Path::new(photo).with_extension("png"));
     let model = std::fs::read(run.join("model.bin")).expect("a model");
-    let whole: Vec<Vec<u8>> = trained.iter().map(|p| std::fs::read(image(p)).expect("a picture")).collect();
+    let whole: Vec<Vec<u8>> = trained.iter().map(|p| std::fs::read(image(p)).expect("an image")).collect();
     let mut flipped = whole[1].clone();
     flipped[whole[1].len() / 2] ^= 0x10;
     for (photo, bytes) in
@@ -232,7 +232,7 @@ fn a_damaged_machine_made_picture_is_put_aside_and_made_again() {
     {
         std::fs::write(image(photo), bytes).expect("it is written");
     }
-    // The list of what this program made is lost as well: each picture says it of itself.
+    // The list of what this program made is lost as well: each mask says it of itself.
     std::fs::write(run.join("transients/made.json"), "{").expect("it is written");
     let stdout = runs(&run, &[]);
     assert!(stdout.contains("is put aside as") && !stdout.contains("put right by hand"), "{stdout}");
@@ -245,7 +245,7 @@ fn a_damaged_machine_made_picture_is_put_aside_and_made_again() {
 }
 
 #[test]
-fn one_bad_or_turned_true_picture_is_named_and_the_others_are_scored() {
+fn one_bad_or_turned_true_mask_is_named_and_the_others_are_scored() {
     let dir = folder();
     let run = copied_run(&dir);
     let truth = dir.path().join("truth");
@@ -263,7 +263,7 @@ fn one_bad_or_turned_true_picture_is_named_and_the_others_are_scored() {
     for name in &names {
         std::fs::copy(run.join("transients").join(name), truth.join(name)).expect("a copy");
     }
-    std::fs::write(truth.join(&names[0]), b"no picture").expect("it is written");
+    std::fs::write(truth.join(&names[0]), b"no image").expect("it is written");
     let mask = Mask::read_png(&truth.join(&names[1])).expect("it opens");
     assert_ne!(mask.width(), mask.height(), "a quarter turn changes its shape");
     let turned = Mask::from_fn(mask.height(), mask.width(), |x, y| x > y);

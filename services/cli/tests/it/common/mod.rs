@@ -19,7 +19,7 @@ pub fn text(bytes: &[u8]) -> String {
 pub fn refuses(args: &[&str], code: i32, words: &[&str]) {
     let output = segwild(args);
     let error = text(&output.stderr);
-    assert_eq!(output.status.code(), Some(code), "{args:?} said: {error}");
+    assert_eq!(output.status.code(), Some(code), "{args:?} printed: {error}");
     for word in words {
         assert!(error.contains(word), "{args:?} does not say `{word}`: {error}");
     }
@@ -28,7 +28,7 @@ pub fn refuses(args: &[&str], code: i32, words: &[&str]) {
 
 pub fn works(args: &[&str]) -> String {
     let output = segwild(args);
-    assert_eq!(output.status.code(), Some(0), "{args:?} said: {}", text(&output.stderr));
+    assert_eq!(output.status.code(), Some(0), "{args:?} printed: {}", text(&output.stderr));
     text(&output.stdout)
 }
 
@@ -116,12 +116,12 @@ fn photographed() -> &'static Photographed {
     })
 }
 
-/// A small place, made once, for who runs it in another way than [`place`].
+/// A small scene, made once, for who runs it in another way than [`place`].
 pub fn scene() -> &'static Path {
     &photographed().scene
 }
 
-/// The small place and a finished run on it, made once.
+/// The small scene and a finished run on it, made once.
 pub fn shared_run() -> &'static SharedRun {
     static SHARED_RUN: OnceLock<SharedRun> = OnceLock::new();
     SHARED_RUN.get_or_init(|| {
@@ -177,7 +177,7 @@ pub fn output(args: &[String]) -> Output {
 pub fn completes(args: &[String]) -> (String, String) {
     let output = output(args);
     let (out, error) = (text(&output.stdout), text(&output.stderr));
-    assert_eq!(output.status.code(), Some(0), "{args:?} said: {error}");
+    assert_eq!(output.status.code(), Some(0), "{args:?} printed: {error}");
     (out, error)
 }
 
