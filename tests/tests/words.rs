@@ -1,0 +1,250 @@
+//! The field's words: none of the left side of `tests/words.toml` comes back, and no type name stands for two things.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+/// The files that the list is about.
+const KINDS: [&str; 9] = ["rs", "wgsl", "md", "toml", "yml", "yaml", "html", "service", "txt"];
+
+/// Where a word is refused.
+#[derive(PartialEq)]
+enum Scope {
+    /// Everywhere.
+    Text,
+    /// In sources, comments and strings included.
+    Code,
+    /// In identifiers of sources.
+    Names,
+}
+
+/// An entry of the list.
+struct Entry {
+    phrases: Vec<String>,
+    instead: String,
+    scope: Scope,
+    under: String,
+}
+
+/// The list.
+struct List {
+    entries: Vec<Entry>,
+    /// Phrases that are right, and the folder below which they are.
+    allowed: Vec<(String, String)>,
+    skipped: Vec<String>,
+}
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the tests crate lies in the workspace")
+}
+
+fn read_list() -> List {
+    let text = std::fs::read_to_string(root().join("tests/words.toml")).expect("the list");
+    let table: toml::Table = text.parse().expect("a TOML file");
+    let rows = |name: &str| table[name].as_array().expect("a list").clone();
+    let word = |row: &toml::Value, name: &str| row.get(name).and_then(|v| v.as_str()).unwrap_or("").to_owned();
+    let entries = rows("word").iter().map(|row| Entry {
+        phrases: row["not"].as_array().expect("a list").iter().map(|p| words(p.as_str().expect("text"))).collect(),
+        instead: word(row, "use"),
+        scope: match word(row, "in").as_str() {
+            "text" => Scope::Text,
+            "code" => Scope::Code,
+            "names" => Scope::Names,
+            other => panic!("`in = {other}` is none of text, code, names"),
+        },
+        under: word(row, "under"),
+    });
+    for row in rows("allow").iter().chain(&rows("skip")) {
+        assert!(word(row, "why").len() > 10, "an exception needs a reason: {row}");
+    }
+    List {
+        entries: entries.collect(),
+        allowed: rows("allow").iter().map(|row| (words(&word(row, "phrase")), word(row, "under"))).collect(),
+        skipped: rows("skip").iter().map(|row| word(row, "path")).collect(),
+    }
+}
+
+/// A text as lower-case words with one space before, between and after them; names are split at `_` and at capitals.
+fn words(text: &str) -> String {
+    let mut out = String::from(" ");
+    let letters: Vec<char> = text.chars().collect();
+    for (i, &c) in letters.iter().enumerate() {
+        let before = i.checked_sub(1).map(|i| letters[i]);
+        let after_small = before.is_some_and(|b| b.is_ascii_lowercase() || b.is_ascii_digit());
+        let ends_capitals = before.is_some_and(|b| b.is_ascii_uppercase())
+            && letters.get(i + 1).is_some_and(char::is_ascii_lowercase);
+        if c.is_ascii_uppercase() && (after_small || ends_capitals) && !out.ends_with(' ') {
+            out.push(' ');
+        }
+        match c {
+            c if c.is_ascii_alphanumeric() => out.push(c.to_ascii_lowercase()),
+            _ if !out.ends_with(' ') => out.push(' '),
+            _ => {}
+        }
+    }
+    if !out.ends_with(' ') {
+        out.push(' ');
+    }
+    out
+}
+
+/// The identifiers of a source by line, without comments and strings.
+fn names(text: &str) -> Vec<Vec<&str>> {
+    let mut found = vec![Vec::new(); text.lines().count() + 1];
+    let (bytes, mut i, mut line) = (text.as_bytes(), 0, 0);
+    let starts = |i: usize, what: &str| text.get(i..).is_some_and(|rest| rest.starts_with(what));
+    let count = |from: usize, to: usize| bytes[from..to].iter().filter(|&&b| b == b'\n').count();
+    while i < bytes.len() {
+        let from = i;
+        if starts(i, "//") {
+            i = text[i..].find('\n').map_or(bytes.len(), |n| i + n);
+        } else if bytes[i] == b'r' && (starts(i, "r\"") || starts(i, "r#\"")) {
+            let hashes = bytes[i + 1..].iter().take_while(|&&b| b == b'#').count();
+            let end = format!("\"{}", "#".repeat(hashes));
+            let inside = i + 2 + hashes;
+            i = text[inside..].find(&end).map_or(bytes.len(), |n| inside + n + end.len());
+        } else if bytes[i] == b'"' {
+            i += 1;
+            while i < bytes.len() && bytes[i] != b'"' {
+                i += if bytes[i] == b'\\' { 2 } else { 1 };
+            }
+            i = (i + 1).min(bytes.len());
+        } else if bytes[i] == b'\'' {
+            // A character, or a lifetime: that has no second quote right behind.
+            let quoted = text[i + 1..].char_indices().nth(1).is_some_and(|(n, c)| c == '\'' && n > 0);
+            let escaped = starts(i, "'\\");
+            i += match text[i + 1..].find('\'') {
+                Some(n) if escaped && n <= 10 => (if starts(i, "'\\''") { 4 } else { n + 2 }).max(3),
+                Some(n) if quoted => n + 2,
+                _ => 1,
+            };
+        } else if bytes[i].is_ascii_alphabetic() || bytes[i] == b'_' {
+            while i < bytes.len() && (bytes[i].is_ascii_alphanumeric() || bytes[i] == b'_') {
+                i += 1;
+            }
+            found[line].push(&text[from..i]);
+        } else {
+            i += 1;
+        }
+        while !text.is_char_boundary(i.min(text.len())) {
+            i += 1;
+        }
+        line += count(from, i.min(bytes.len()));
+    }
+    found
+}
+
+/// The files of the repository, by their names from its root: no build results, no hidden folders but `.ci`.
+fn files() -> Vec<String> {
+    let (mut found, mut open) = (Vec::new(), vec![PathBuf::new()]);
+    while let Some(folder) = open.pop() {
+        for entry in std::fs::read_dir(root().join(&folder)).expect("a folder").flatten() {
+            let name = entry.file_name().to_string_lossy().into_owned();
+            let path = folder.join(&name);
+            let hidden = name.starts_with('.') && name != ".ci";
+            if entry.path().is_dir() {
+                let built = ["target", "runs"].contains(&name.as_str());
+                if !hidden && !built {
+                    open.push(path);
+                }
+                continue;
+            }
+            let text = path.extension().is_some_and(|e| KINDS.contains(&e.to_string_lossy().as_ref()));
+            if text || path.starts_with(".ci") {
+                found.push(path.to_string_lossy().replace('\\', "/"));
+            }
+        }
+    }
+    found.sort();
+    found
+}
+
+/// Every word of the list in a file: line, phrase, what to use instead.
+fn refused(list: &List, file: &str, text: &str) -> Vec<String> {
+    let is_code = file.ends_with(".rs") || file.ends_with(".wgsl");
+    let named = if is_code { names(text) } else { Vec::new() };
+    let mut wrong = Vec::new();
+    for (i, line) in text.lines().enumerate() {
+        let without_allowed = |mut text: String| {
+            for (phrase, under) in &list.allowed {
+                if file.starts_with(under) {
+                    text = text.replace(phrase, " ");
+                }
+            }
+            text
+        };
+        let whole = without_allowed(words(line));
+        let ids: Vec<String> = named.get(i).map_or(Vec::new(), |ids| ids.iter().map(|id| words(id)).collect());
+        let ids: Vec<String> = ids.into_iter().map(without_allowed).collect();
+        for entry in list.entries.iter().filter(|entry| file.starts_with(&entry.under)) {
+            if entry.scope != Scope::Text && !is_code {
+                continue;
+            }
+            let has = |phrase: &&String| match entry.scope {
+                Scope::Names => ids.iter().any(|id| id.contains(*phrase)),
+                Scope::Text | Scope::Code => whole.contains(*phrase),
+            };
+            for phrase in entry.phrases.iter().filter(has) {
+                wrong.push(format!("{file}:{}: `{}`: use {}", i + 1, phrase.trim(), entry.instead));
+            }
+        }
+    }
+    wrong
+}
+
+#[test]
+fn no_word_of_the_old_language_comes_back() {
+    let list = read_list();
+    let mut wrong = Vec::new();
+    let mut read = 0;
+    for file in files().iter().filter(|file| !list.skipped.iter().any(|skip| file.starts_with(skip))) {
+        if let Ok(text) = std::fs::read_to_string(root().join(file)) {
+            read += 1;
+            wrong.extend(refused(&list, file, &text));
+        }
+    }
+    assert!(read > 500, "files are read: {read}");
+    assert!(wrong.is_empty(), "{} words of tests/words.toml:\n{}", wrong.len(), wrong.join("\n"));
+}
+
+#[test]
+fn a_word_is_found_in_names_comments_and_strings_and_not_where_it_is_allowed() {
+    let list = read_list();
+    let of = |text: &str| refused(&list, "services/raster/src/a.rs", text).len();
+    assert_eq!(of("let strangers = 3;"), 1);
+    assert_eq!(of("struct StrangerMask; // a stranger"), 1, "a phrase counts once a line");
+    assert_eq!(of("let x = \"a stranger's\";"), 1);
+    assert_eq!(of("let pose = Pose::look_at(eye, target, up);"), 0);
+    assert_eq!(of("let look = 1;"), 1);
+    assert_eq!(of("// it looks at the photo"), 0, "a verb of a sentence is no name");
+    assert_eq!(of("let estranged = 1;"), 0, "a part of a word is no word");
+    assert_eq!(words("AppearanceMaps of GPUs, set_by"), " appearance maps of gp us set by ");
+}
+
+#[test]
+fn no_type_name_stands_for_two_things() {
+    let mut owners: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
+    for file in files().iter().filter(|file| file.starts_with("services/") && file.contains("/src/")) {
+        let text = std::fs::read_to_string(root().join(file)).expect("a source");
+        for line in text.lines() {
+            let line = line.trim_start();
+            let line = line.strip_prefix("pub ").unwrap_or(line);
+            let line = line.split_once(") ").filter(|_| line.starts_with("pub(")).map_or(line, |(_, rest)| rest);
+            let item = ["struct ", "enum ", "trait "].iter().find_map(|kind| line.strip_prefix(kind));
+            if let Some(name) = item.and_then(|rest| rest.split(|c: char| !c.is_alphanumeric()).next()) {
+                owners.entry(name.to_owned()).or_default().insert(file.clone());
+            }
+        }
+    }
+    assert!(owners.len() > 400, "types are found: {}", owners.len());
+    let text = std::fs::read_to_string(root().join("tests/words.toml")).expect("the list");
+    let table: toml::Table = text.parse().expect("a TOML file");
+    let shared: Vec<&str> = table["types"]["shared"].as_array().expect("a list").iter().filter_map(|t| t.as_str()).collect();
+    let twice: Vec<String> = owners
+        .iter()
+        .filter(|(name, files)| files.len() > 1 && !shared.contains(&name.as_str()))
+        .map(|(name, files)| format!("{name}: {files:?}"))
+        .collect();
+    assert!(twice.is_empty(), "types of one name, {} in all:\n{}", twice.len(), twice.join("\n"));
+    let once: Vec<&&str> = shared.iter().filter(|name| owners.get(**name).is_none_or(|files| files.len() < 2)).collect();
+    assert!(once.is_empty(), "these are shared no longer, take them off the list: {once:?}");
+}
