@@ -110,7 +110,7 @@ pub trait Actor: Sized + 'static {
         Ok(Idle::Wait)
     }
 
-    /// Called when a message was given up, so that whoever waits for its result can be told. `message` is
+    /// Called when a message was given up, so that whoever waits for its result can be informed. `message` is
     /// there when [`Message::again`] made a copy.
     ///
     /// # Errors
@@ -170,7 +170,7 @@ impl Failure {
         Self::new(FailureKind::Reject, error)
     }
 
-    /// This actor's state is not to be trusted: build it anew, then try the message again.
+    /// This actor's state is not to be trusted: build it again, then try the message again.
     pub fn restart(error: impl fmt::Display) -> Self {
         Self::new(FailureKind::Restart, error)
     }
@@ -186,7 +186,7 @@ impl Failure {
         Self::new(FailureKind::Fatal, error)
     }
 
-    /// The work was left because [`Context::stopping`] said so; it can be resumed.
+    /// The work was left because [`Context::stopping`] was true; it can be resumed.
     pub fn stopped() -> Self {
         Self::new(FailureKind::Stopped, "stopped")
     }
@@ -266,7 +266,7 @@ impl Context {
         if self.stopping() { Err(Failure::stopped()) } else { Ok(()) }
     }
 
-    /// Waits, but no longer than until the actor is asked to stop; says whether it waited to the end.
+    /// Waits, but no longer than until the actor is asked to stop; returns whether it waited to the end.
     pub fn sleep(&self, time: Duration) -> bool {
         !self.stopper.0.wait(time, || self.stopping())
     }
@@ -287,7 +287,7 @@ impl Context {
         SpanGuard { pulse: &self.pulse, label: label.into(), since: Instant::now() }
     }
 
-    /// Where events are told.
+    /// Where events are sent.
     pub fn events(&self) -> &Events {
         &self.events
     }

@@ -30,7 +30,7 @@ pub enum SpanKind {
     Step,
     /// Waiting for input.
     Wait,
-    /// Waiting for room in a mailbox or for another's result, which the label names.
+    /// Waiting for space in a mailbox or for another's result, which the label names.
     Blocked,
     /// Waiting before another attempt.
     BackOff,
@@ -81,7 +81,7 @@ struct Store {
 }
 
 /// Records spans; clones record to the same timeline. When it is full, the shortest spans are dropped: the
-/// picture gets coarser, never cut off.
+/// diagram gets coarser, never cut off.
 #[derive(Clone)]
 pub struct Timeline {
     origin: Instant,
@@ -91,7 +91,7 @@ pub struct Timeline {
 }
 
 impl Timeline {
-    /// Begins a timeline of at most so many spans (at least 16).
+    /// Starts a timeline of at most so many spans (at least 16).
     pub fn new(capacity: usize) -> Self {
         let store = Store { spans: Vec::new(), shortest: 0.0, dropped: 0 };
         Self {

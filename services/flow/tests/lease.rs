@@ -12,14 +12,14 @@ use segwild_flow::*;
 
 #[path = "common/simulated.rs"]
 mod simulated;
-use simulated::{Dice, Woken};
+use simulated::{SimulatedDice, Woken};
 
 /// Many who want one thing. Only those who were woken are polled, so a wake-up that is lost shows as one who waits for
 /// a thing that is free.
-struct Simulation {
-    dice: Dice,
+struct LeaseSimulation {
+    dice: SimulatedDice,
     lease: Lease,
-    waiting: Vec<(u32, Arc<Woken>, Turn)>,
+    waiting: Vec<(u32, Arc<Woken>, LeaseTurn)>,
     /// What was promised: who waits, in which order.
     urgent: VecDeque<u32>,
     others: VecDeque<u32>,
@@ -28,10 +28,10 @@ struct Simulation {
     taken: u64,
 }
 
-impl Simulation {
+impl LeaseSimulation {
     fn new(seed: u64) -> Self {
-        Simulation {
-            dice: Dice(seed),
+        LeaseSimulation {
+            dice: SimulatedDice(seed),
             lease: Lease::new("simulated"),
             waiting: Vec::new(),
             urgent: VecDeque::new(),
@@ -112,7 +112,7 @@ impl Simulation {
         while let Some(&i) = self.woken().first() {
             self.poll(i);
         }
-        assert!(self.held.is_some() || self.waiting.is_empty(), "it is free and nobody was told");
+        assert!(self.held.is_some() || self.waiting.is_empty(), "it is free and nobody was woken");
     }
 }
 
@@ -121,7 +121,7 @@ fn the_lease_is_handed_on_in_turn_under_every_schedule() {
     let mut taken = 0;
     for seed in 0..3000 {
         let run = std::panic::catch_unwind(|| {
-            let mut simulation = Simulation::new(seed);
+            let mut simulation = LeaseSimulation::new(seed);
             for step in 0..150 {
                 simulation.step();
                 if step % 30 == 29 {
@@ -140,7 +140,7 @@ fn the_lease_is_handed_on_in_turn_under_every_schedule() {
     assert!(taken > 50_000, "the schedules do too little: {taken}");
 }
 
-/// Holds the accelerator at every message; panics at the first when told so.
+/// Holds the accelerator at every message; panics at the first if so configured.
 struct User {
     accelerator: Lease,
     tries: Arc<AtomicU32>,

@@ -177,7 +177,7 @@ impl Ledger {
         })
     }
 
-    /// A stage begins under a key. What was recorded of it under another key is forgotten.
+    /// A stage starts under a key. What was recorded of it under another key is forgotten.
     ///
     /// # Errors
     /// When the ledger cannot be written.
@@ -258,7 +258,7 @@ impl Ledger {
         })
     }
 
-    /// The stages, in the order in which they were first begun.
+    /// The stages, in the order in which they were first started.
     ///
     /// # Errors
     /// When the ledger cannot be read.

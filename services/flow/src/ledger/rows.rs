@@ -11,7 +11,7 @@ use crate::key::Key;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum State {
-    /// Not begun, or interrupted.
+    /// Not started, or interrupted.
     Pending,
     /// Under way.
     Running,
@@ -51,7 +51,7 @@ impl State {
 pub struct StageRow {
     /// Its name.
     pub name: String,
-    /// The key it was begun under: [`Key`]'s `Display`.
+    /// The key it was started under: [`Key`]'s `Display`.
     pub key: String,
     /// How far it is.
     pub state: State,
@@ -63,7 +63,7 @@ pub struct StageRow {
     pub cpu_s: Option<f64>,
     /// Why it failed.
     pub error: Option<String>,
-    /// How often it was begun under this key: more than 1 after interruptions.
+    /// How often it was started under this key: more than 1 after interruptions.
     pub runs: u32,
 }
 
