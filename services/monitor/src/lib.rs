@@ -17,5 +17,5 @@ mod why;
 pub mod words;
 
 pub use http::{ServeError, Server, serve};
-pub use ready::{Check, ready};
+pub use ready::{ReadyCheck, ready};
 pub use view::{Target, View, ViewError};

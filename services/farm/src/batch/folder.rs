@@ -76,7 +76,7 @@ impl BatchFolder {
         serde_json::from_slice(&bytes).ok()
     }
 
-    /// What a scene's processes said.
+    /// The output of a scene's processes.
     pub fn log(&self, scene: &str) -> PathBuf {
         self.path.join("logs").join(format!("{scene}.log"))
     }

@@ -13,26 +13,26 @@ use ratatui::widgets::{Paragraph, Widget};
 
 use crate::view::{Runs, Target, View};
 
-/// Time between two looks.
+/// Time between two refreshes.
 const EVERY: Duration = Duration::from_secs(1);
 
-/// Where a person looks: the scene of a batch whose stages are shown, and how far the page is scrolled.
+/// What the page shows of a batch: the scene whose stages are listed.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Place {
+pub struct ScreenPosition {
     /// Index of the chosen scene; `None`: the first that runs.
     pub scene: Option<usize>,
 }
 
 /// Draws a view.
-pub fn draw(view: &View, place: Place, area: Rect, buffer: &mut Buffer) {
-    Paragraph::new(page::lines(view, place, area.width, area.height)).render(area, buffer);
+pub fn draw(view: &View, position: ScreenPosition, area: Rect, buffer: &mut Buffer) {
+    Paragraph::new(page::lines(view, position, area.width, area.height)).render(area, buffer);
 }
 
 /// A view as text, lines without trailing blanks.
 pub fn frame(view: &View, width: u16, height: u16) -> String {
     let area = Rect::new(0, 0, width, height);
     let mut buffer = Buffer::empty(area);
-    draw(view, Place::default(), area, &mut buffer);
+    draw(view, ScreenPosition::default(), area, &mut buffer);
     let row = |y| (0..width).map(|x| buffer[(x, y)].symbol()).collect::<String>().trim_end().to_owned();
     let mut rows: Vec<String> = (0..height).map(row).collect();
     while rows.last().is_some_and(String::is_empty) {
@@ -54,13 +54,13 @@ pub fn follow(target: &Target) -> io::Result<()> {
 }
 
 fn watch(terminal: &mut ratatui::DefaultTerminal, target: &Target) -> io::Result<()> {
-    let (mut place, mut runs) = (Place::default(), Runs::default());
+    let (mut position, mut runs) = (ScreenPosition::default(), Runs::default());
     loop {
         let looked = Instant::now();
         let view = target.look(&mut runs);
         loop {
             terminal.draw(|f| match &view {
-                Ok(view) => draw(view, place, f.area(), f.buffer_mut()),
+                Ok(view) => draw(view, position, f.area(), f.buffer_mut()),
                 Err(error) => Paragraph::new(Line::from(error.to_string())).render(f.area(), f.buffer_mut()),
             })?;
             let left = EVERY.saturating_sub(looked.elapsed());
@@ -79,10 +79,10 @@ fn watch(terminal: &mut ratatui::DefaultTerminal, target: &Target) -> io::Result
                 KeyCode::Char('q') | KeyCode::Esc => return Ok(()),
                 KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => return Ok(()),
                 KeyCode::Down | KeyCode::Char('j') if scenes > 0 => {
-                    place.scene = Some(place.scene.map_or(0, |i| (i + 1).min(scenes - 1)));
+                    position.scene = Some(position.scene.map_or(0, |i| (i + 1).min(scenes - 1)));
                 }
                 KeyCode::Up | KeyCode::Char('k') if scenes > 0 => {
-                    place.scene = place.scene.and_then(|i| i.checked_sub(1));
+                    position.scene = position.scene.and_then(|i| i.checked_sub(1));
                 }
                 _ => {}
             }

@@ -17,7 +17,8 @@ use serde::{Deserialize, Serialize};
 pub use crate::disk::Disk;
 pub use batch::{BatchView, SceneState, SceneView};
 pub use run::{
-    ActorView, MailboxView, PhotoFailure, RunState, RunView, SelectionView, StageView, Told, WorkerView,
+    ActorView, LoggedEvent, MailboxView, PhotoFailure, RunState, RunView, SelectionView, StageView,
+    WorkerView,
 };
 pub use runs::Runs;
 
@@ -49,7 +50,7 @@ fn open_run(path: &Path) -> Result<RunFolder, ViewError> {
     })
 }
 
-/// What is looked at.
+/// What is shown.
 #[derive(Clone, Debug)]
 pub enum Target {
     /// A run's folder.
@@ -78,7 +79,7 @@ impl Target {
         self.look(&mut Runs::default())
     }
 
-    /// How it is now, for who looks again and again.
+    /// How it is now, for repeated reads.
     ///
     /// # Errors
     /// When its ledger cannot be read.
@@ -109,7 +110,7 @@ pub enum View {
 }
 
 impl View {
-    /// The runs that it shows: one, or those of a batch that have begun.
+    /// The runs that it shows: one, or those of a batch that have started.
     pub fn runs(&self) -> Vec<&RunView> {
         match self {
             View::Run(run) => vec![run],

@@ -1,7 +1,7 @@
 //! A batch as operators see it: its scenes, why they wait, and the terminal's page.
 
 use crate::common::*;
-use segwild_farm::{BatchFolder, BatchRecord, EmbeddedEngine, Engine, Job, Needs, Offer, Retry};
+use segwild_farm::{BatchFolder, BatchRecord, EmbeddedEngine, Job, JobEngine, Needs, Retry, WorkerOffer};
 use segwild_monitor::metrics::render;
 use segwild_monitor::view::SceneState;
 use segwild_monitor::{View, top};
@@ -34,7 +34,7 @@ fn a_scene_that_waits_for_an_accelerator_says_so_and_who_goes_first() {
         let job = Job { id: name.into(), payload: "{}".into(), priority, needs, retry: Retry::default() };
         engine.publish(&job).expect("it is published");
     }
-    let offer = Offer { worker: "batch".into(), free: budget, whole: budget, lease_s: 1e9 };
+    let offer = WorkerOffer { worker: "batch".into(), free: budget, whole: budget, lease_s: 1e9 };
     assert_eq!(engine.claim(&offer).expect("it works").expect("a lease").job.id, "works");
     let record = BatchRecord { manifest: "b.toml".into(), budget, pid: std::process::id(), began: now() };
     let path = folder.path();
@@ -56,13 +56,13 @@ fn a_scene_that_waits_for_an_accelerator_says_so_and_who_goes_first() {
         [
             "waits for 2 accelerators (1 free)",
             "waits for 1 accelerator; `urgent` goes first",
-            "about to begin"
+            "about to start"
         ]
     );
 }
 
 #[test]
-fn a_scene_that_was_taken_and_cannot_begin_waits_and_says_for_what() {
+fn a_scene_that_was_taken_and_cannot_start_names_what_it_waits_for() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let folder = BatchFolder::create(&dir.path().join("batch")).expect("a folder");
     let engine = EmbeddedEngine::open(folder.engine_file()).expect("an engine");
@@ -70,7 +70,7 @@ fn a_scene_that_was_taken_and_cannot_begin_waits_and_says_for_what() {
     let needs = Needs { cores: 1, ..budget };
     let job = Job { id: "held".into(), payload: "{}".into(), priority: 0, needs, retry: Retry::default() };
     engine.publish(&job).expect("it is published");
-    let offer = Offer { worker: "batch".into(), free: budget, whole: budget, lease_s: 1e9 };
+    let offer = WorkerOffer { worker: "batch".into(), free: budget, whole: budget, lease_s: 1e9 };
     let lease = engine.claim(&offer).expect("it works").expect("a lease");
     let record = BatchRecord { manifest: "b.toml".into(), budget, pid: std::process::id(), began: now() };
     let path = folder.path();
@@ -88,7 +88,7 @@ fn a_scene_that_was_taken_and_cannot_begin_waits_and_says_for_what() {
     assert_eq!(seen().0, SceneState::Running);
     engine.note_wait(&lease, Some("again")).expect("it is noted");
     engine.release_all("the batch that held it ended early").expect("it is released");
-    assert_eq!(seen().1.as_deref(), Some("about to begin"), "nobody has taken it");
+    assert_eq!(seen().1.as_deref(), Some("about to start"), "nobody has taken it");
 }
 
 #[test]
@@ -141,7 +141,7 @@ fn a_scene_that_does_not_run_has_no_rates_and_an_attempt_that_was_cut_short_is_n
     let engine = EmbeddedEngine::open(path.join("batch.sqlite")).expect("an engine");
     engine.release_all("the batch that held it ended early").expect("it is released");
     let free = Needs { cores: 2, memory_bytes: 8 << 30, accelerators: 0 };
-    let offer = Offer { worker: "batch".into(), free, whole: free, lease_s: 1e9 };
+    let offer = WorkerOffer { worker: "batch".into(), free, whole: free, lease_s: 1e9 };
     assert_eq!(engine.claim(&offer).expect("it works").expect("a lease").attempt, 2);
     let page = top::frame(&view(&path), 80, 24);
     let row = |name: &str| page.lines().find(|l| l[1..].starts_with(name)).expect("a row").to_owned();

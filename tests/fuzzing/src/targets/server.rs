@@ -1,7 +1,7 @@
 //! Requests to `--listen`.
 
 use crate::yard::folder;
-use crate::{Target, seal};
+use crate::{FuzzTarget, seal};
 use segwild_monitor::Server;
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpStream};
@@ -29,7 +29,7 @@ fn exchange(bytes: &[u8]) -> Vec<u8> {
     answer
 }
 
-pub(super) const REQUEST: Target = Target {
+pub(super) const REQUEST: FuzzTarget = FuzzTarget {
     name: "http_request",
     seeds: || {
         let of =
