@@ -38,7 +38,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let dir = std::path::Path::new(&dir).join(format!("seed-{}", options.seed));
     let trial = Trial::new(&dir, &options, ProviderKind::Oracle, &OracleOptions::default())?;
     let began = std::time::Instant::now();
-    // The masks wait for no one here: geometry alone is asked for, then its scores on the held-out photos.
+    // The masks wait for no one here: geometry alone is trained, then its scores on the held-out photos.
     let providers = Some(trial.providers(&settings)?);
     let run_options =
         RunOptions { until: segwild_pipeline::Until::stage("geometry"), providers, ..RunOptions::default() };
@@ -102,8 +102,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 engine.project(&model.splats, &full.scaled_to(pixels * 2), &view.pose, &options)?;
             for (k, indicator) in [&hard, &rho, &surface].into_iter().enumerate() {
                 let frame = projected.blend(&Channels { count: 1, values: indicator })?;
-                let drawn = owned(&frame.image, MaskMode::Visible, (full.width, full.height));
-                let iou = metrics::score(&drawn, &mask, None)?.iou;
+                let rendered = owned(&frame.image, MaskMode::Visible, (full.width, full.height));
+                let iou = metrics::score(&rendered, &mask, None)?.iou;
                 sums[k] += iou;
                 if k == 0 {
                     let bin =

@@ -70,9 +70,9 @@ pub struct Job {
     pub at: Option<f64>,
     /// The scene.
     pub source: PhotoSource,
-    /// Who looks at the photos.
+    /// The provider of masks and descriptors.
     pub providers: ProviderKind,
-    /// How the oracle errs, where it looks.
+    /// Faults of the oracle, where it is the provider.
     pub faults: OracleOptions,
     /// Settings by name, later ones winning.
     pub settings: Vec<(String, String)>,
@@ -83,7 +83,7 @@ pub struct Job {
     #[serde(default)]
     pub prompting: Prompting,
     /// Whether work is counted beside the quality: `steps`, `calls` of the providers, and `pairs` of a splat and a tile
-    /// that one look at every training photo draws. Counts do not depend on how busy a machine is.
+    /// that rendering every training photo once blends. Counts do not depend on how busy a machine is.
     #[serde(default)]
     pub count: bool,
     /// Seed of the training.
@@ -96,7 +96,7 @@ pub struct Job {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Prompting {
-    /// Deepest inside, in the photo that shows the object best; with the built-in provider, as a person tells it.
+    /// Deepest inside, in the photo that shows the object best; with the built-in provider, a box and clicks as a person gives them.
     #[default]
     Best,
     /// So many pixels from there, in a random direction.
@@ -138,7 +138,7 @@ impl From<SceneError> for PointError {
 }
 
 impl Job {
-    /// The settings in force. What is compared is scored alike, whatever its look.
+    /// The settings in force. What is compared is scored alike, whatever its appearance model.
     pub fn settings(&self) -> Result<Settings, SettingsError> {
         let mut pairs = vec![("scoring".to_owned(), "halves".to_owned())];
         pairs.extend(self.settings.iter().cloned());
@@ -178,8 +178,8 @@ pub fn apart(program: &Path, job: &Job) -> Result<Vec<Record>, PointError> {
     }
     let output = child.wait_with_output().map_err(|e| failed(e.to_string()))?;
     if !output.status.success() {
-        let said = String::from_utf8_lossy(&output.stderr);
-        return Err(failed(format!("{}: {}", output.status, said.trim())));
+        let message = String::from_utf8_lossy(&output.stderr);
+        return Err(failed(format!("{}: {}", output.status, message.trim())));
     }
     serde_json::from_slice(&output.stdout).map_err(|e| failed(e.to_string()))
 }
@@ -212,7 +212,7 @@ fn synthetic(job: &Job, options: &SyntheticOptions, settings: &Settings) -> Resu
                 ("accuracy", s.accuracy),
                 ("amodal_iou", s.amodal_iou),
                 ("label_iou", s.label_iou),
-                ("hidden", s.hidden),
+                ("hidden", s.leak),
             ];
             targets.push(Record { notes: s.notes, ..job.record(&s.object, k as u32, &numbers) });
         }
@@ -228,7 +228,7 @@ fn seen_by(provider: &str, mut records: Vec<Record>) -> Vec<Record> {
     records
 }
 
-/// What is said of an object, each time anew.
+/// Prompts for an object, one set per selection.
 fn clicks(job: &Job, trial: &Trial, object: &ObjectTruth) -> Vec<PhotoPrompts> {
     let Some(best) = object.clicks.first() else { return Vec::new() };
     let one =
@@ -236,16 +236,16 @@ fn clicks(job: &Job, trial: &Trial, object: &ObjectTruth) -> Vec<PhotoPrompts> {
     let shown = trial.scene().photos.iter().find(|p| p.name == best.photo);
     let mut rng = Rng::new(job.seed, (31 << 32) + u64::from(object.id));
     match job.prompting {
-        // The oracle knows the whole from one click; the built-in provider is told as a person would tell it.
+        // The oracle knows the whole from one click; the built-in provider gets the prompts that a person would give.
         Prompting::Best if job.providers == ProviderKind::Builtin => {
             trial.prompts(object).into_iter().collect()
         }
         Prompting::Best => vec![one(&best.photo, best.x, best.y)],
-        Prompting::Beside(away) => {
+        Prompting::Beside(distance) => {
             let angle = std::f32::consts::TAU * rng.unit();
             let (w, h) = shown.map_or((1, 1), |p| (p.camera.width, p.camera.height));
-            let x = (best.x + away * angle.cos()).clamp(0.5, w as f32 - 0.5);
-            let y = (best.y + away * angle.sin()).clamp(0.5, h as f32 - 0.5);
+            let x = (best.x + distance * angle.cos()).clamp(0.5, w as f32 - 0.5);
+            let y = (best.y + distance * angle.sin()).clamp(0.5, h as f32 - 0.5);
             vec![one(&best.photo, x, y)]
         }
         Prompting::Inside(depth) => {
@@ -319,7 +319,7 @@ fn folder(job: &Job, path: &Path, parts: &Parts, settings: &Settings) -> Result<
     Ok(seen_by(&providers.name, targets))
 }
 
-/// Trains up to the held-out scores: what it cost and what it said.
+/// Trains up to the held-out scores; records the cost and the warnings.
 fn trained(
     job: &Job,
     scene: &Path,
@@ -359,8 +359,8 @@ fn trained(
         record.numbers.insert("calls".into(), calls.count() as f64);
         record.numbers.insert("pairs".into(), pairs(&loaded, settings)? as f64);
     }
-    while let Some(told) = listener.try_next() {
-        if let Event::Warning { message, .. } = &told.event {
+    while let Some(event) = listener.try_next() {
+        if let Event::Warning { message, .. } = &event.event {
             record.notes.push(message.clone());
         }
     }

@@ -47,7 +47,7 @@ pub fn slice(dir: &Path, changes: &[(String, String)], command: String) -> Resul
         for mut record in measure(&job)? {
             record.numbers.retain(|name, _| GUARDED.contains(&name.as_str()));
             if providers == ProviderKind::Builtin {
-                // Whether the weak provider lets a hidden wall in or not turns on a hair.
+                // Whether the weak provider selects the occluded wall or not hangs on a hair.
                 record.numbers.remove("hidden");
             }
             // Digits beyond these differ from one mathematics library to the next.

@@ -26,7 +26,7 @@ pub fn providers<'a>(sets: impl IntoIterator<Item = &'a Results>) -> Vec<&'a str
     names
 }
 
-/// A page's title with the providers of its figures, as in `Synthetic places (oracle)`.
+/// A page's title with the providers of its figures, as in `Synthetic scenes (oracle)`.
 pub fn title(words: &str, providers: &[&str]) -> String {
     if providers.is_empty() { words.to_owned() } else { format!("{words} ({})", providers.join(", ")) }
 }
@@ -101,16 +101,19 @@ mod tests {
 
     #[test]
     fn a_page_says_first_whose_masks_and_whose_settings_its_figures_are_of() {
-        let said = first_sentence(&[ORACLE], &["SAGA", "GS-W"]);
+        let message = first_sentence(&[ORACLE], &["SAGA", "GS-W"]);
         assert!(
-            said.starts_with("The rows named after SAGA and GS-W are settings of this program"),
-            "{said}"
+            message.starts_with("The rows named after SAGA and GS-W are settings of this program"),
+            "{message}"
         );
-        assert!(said.contains("oracle") && said.matches(". ").count() == 0, "{said}");
-        let said = first_sentence(&["built-in"], &[]);
-        assert_eq!(said, "All masks are those of the provider built-in.");
-        let said = first_sentence(&["built-in", ORACLE], &[]);
-        assert!(said.starts_with("Masks are those of built-in and") && said.contains("oracle"), "{said}");
+        assert!(message.contains("oracle") && message.matches(". ").count() == 0, "{message}");
+        let message = first_sentence(&["built-in"], &[]);
+        assert_eq!(message, "All masks are those of the provider built-in.");
+        let message = first_sentence(&["built-in", ORACLE], &[]);
+        assert!(
+            message.starts_with("Masks are those of built-in and") && message.contains("oracle"),
+            "{message}"
+        );
         assert_eq!(title("Scenes", &[ORACLE]), "Scenes (oracle)");
     }
 
@@ -129,9 +132,9 @@ mod tests {
     fn a_stamp_names_provider_command_commit_and_machine() {
         let made =
             Made { command: "segwild bench".into(), version: "0.1.0 (abc)".into(), machine: "m".into() };
-        let said = stamp(&made, &["built-in"]);
+        let message = stamp(&made, &["built-in"]);
         assert_eq!(
-            said,
+            message,
             "Provider: built-in. Command: `segwild bench`. Commit: abc (segwild 0.1.0). Machine: m."
         );
     }

@@ -2,7 +2,7 @@
 //! several.
 
 use super::scene::{photos, stem};
-use super::{EvalScene, Found, Missing, ProtocolError, Question, clicks};
+use super::{EvalQuery, EvalScene, Found, Missing, ProtocolError, clicks};
 use segwild_pipeline::{PhotoPrompts, Settings};
 use segwild_scene::{Mask, MaskFiles, Prompts, Random, SceneError};
 use std::collections::BTreeMap;
@@ -57,7 +57,7 @@ pub fn read_parts(file: &Path) -> Result<Parts, ProtocolError> {
 pub fn scenes(options: &FolderProtocol, settings: &Settings, seed: u64) -> Result<Found, ProtocolError> {
     let photos = photos(&options.scene, settings)?;
     let objects = objects(&options.scene, &photos)?;
-    let (mut questions, mut missing) = (Vec::new(), Vec::new());
+    let (mut queries, mut missing) = (Vec::new(), Vec::new());
     for (at, (target, truth)) in objects.into_iter().enumerate() {
         let mut random = Random::stream(seed, at as u64);
         for (prompt, (photo, mask)) in
@@ -68,7 +68,7 @@ pub fn scenes(options: &FolderProtocol, settings: &Settings, seed: u64) -> Resul
                 None => clicks::inside(&mask, options.clicks),
             };
             let prompts = Prompts { points, ..Prompts::default() };
-            questions.push(Question {
+            queries.push(EvalQuery {
                 target: target.clone(),
                 prompt: prompt as u32,
                 prompts: vec![PhotoPrompts { photo, prompts }],
@@ -84,7 +84,7 @@ pub fn scenes(options: &FolderProtocol, settings: &Settings, seed: u64) -> Resul
         name,
         scene: options.scene.clone(),
         seed,
-        questions,
+        queries,
         split: None,
         held_out: false,
     };
@@ -175,12 +175,12 @@ fn references(
         masks.truncate(options.draw);
     }
     for wanted in &options.references {
-        // The stem, or how it begins: the names that archives give are long.
+        // The stem, or its start: the names that archives give are long.
         let fits = |t: &&(String, PathBuf)| t.0 == *wanted || stem(&t.0).starts_with(wanted.as_str());
         match truth.iter().find(fits) {
             Some(found) => masks.extend(masked(target, found, missing)),
             None => {
-                missing.push(format!("{target}: a photo with a true mask whose name begins with `{wanted}`"));
+                missing.push(format!("{target}: a photo with a true mask whose name starts with `{wanted}`"));
             }
         }
     }

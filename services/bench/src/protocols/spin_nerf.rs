@@ -3,7 +3,7 @@
 
 use super::folder::{entries, masks_in};
 use super::scene::photos;
-use super::{EvalScene, Found, ProtocolError, Question, clicks};
+use super::{EvalQuery, EvalScene, Found, ProtocolError, clicks};
 use segwild_pipeline::{PhotoPrompts, Settings};
 use segwild_scene::{Mask, Prompts};
 use std::path::{Path, PathBuf};
@@ -52,7 +52,7 @@ pub fn scenes(options: &SpinNerfProtocol, settings: &Settings, seed: u64) -> Res
     found.or_refused(LAYOUT)
 }
 
-/// A scene with its question, or what it lacks.
+/// A scene with its query, or what is missing of it.
 fn eval_scene(
     scene: &Path,
     clicks: usize,
@@ -85,13 +85,13 @@ fn eval_scene(
         return Ok(Err(format!("a white pixel in {}, the reference photo's mask", file.display())));
     }
     let prompts = vec![PhotoPrompts { photo, prompts: Prompts { points, ..Prompts::default() } }];
-    let questions = vec![Question { target: name.clone(), prompt: 0, prompts, truth, missing: Vec::new() }];
+    let queries = vec![EvalQuery { target: name.clone(), prompt: 0, prompts, truth, missing: Vec::new() }];
     Ok(Ok(EvalScene {
         protocol: "spin-nerf",
         name,
         scene: scene.into(),
         seed,
-        questions,
+        queries,
         split: None,
         held_out: false,
     }))
