@@ -1,4 +1,4 @@
-//! What the trained geometry allows: the truth of every photo is lifted to the splats and drawn again, so that
+//! What the trained geometry allows: the truth of every photo is lifted to the splats and rendered again, so that
 //! only the splats stand between the result and the truth. Prints a line per object.
 //!
 //! `cargo run -p segwild-bench --example ceiling -- DIR [seed=1] [pixels=320] [photos=60] [occlusion=0.1] [light=mixed] [points=4000] [SETTING=VALUE ...]`;

@@ -21,7 +21,7 @@ pub type Changes = &'static [(&'static str, &'static str)];
 
 /// The paper's query: the clicked photo alone, splats by their projected centres, every one of them gated by
 /// resemblance, spikes shrunk in all directions. Resemblance alone decides what the clicked photo cannot, so it gets the
-/// features' steps that served it best by the oracle's masks: 300, for .73 IoU of things of one appearance, where the default's 60
+/// features' steps that served it best by the oracle's masks: 300, for .73 IoU of things that resemble each other, where the default's 60
 /// give .64.
 pub const PAPER: &[(&str, &str)] = &[
     ("propagate", "0"),

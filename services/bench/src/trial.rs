@@ -83,7 +83,7 @@ pub struct ObjectScore {
     pub accuracy: f64,
     /// Mean Boundary IoU.
     pub boundary_iou: f64,
-    /// Mean IoU of the object drawn alone with what would be seen of it if nothing else were there.
+    /// Mean IoU of the object rendered alone with what would be seen of it if nothing else were there.
     pub amodal_iou: f64,
     /// Mean Boundary IoU of the same.
     pub amodal_boundary_iou: f64,

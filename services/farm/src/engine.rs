@@ -160,7 +160,7 @@ pub enum EngineError {
     /// There is none.
     #[error("there is no batch at {}", path.display())]
     Missing {
-        /// Where one was looked for.
+        /// The file that was searched.
         path: PathBuf,
     },
     /// The store cannot be read or written.

@@ -1,4 +1,4 @@
-//! Jobs that somebody has taken and cannot start yet, for those who look at the store.
+//! Jobs that somebody has taken and cannot start yet, for those who read the store.
 
 use std::collections::BTreeMap;
 

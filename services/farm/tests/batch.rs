@@ -250,14 +250,14 @@ fn each_scene_gets_its_memory_budget_and_its_last_step() {
     let manifest = scenes(&["good", "good2"], "") + "until = 500\nmemory = \"1 GiB\"\n";
     let yard = Yard::new(&manifest);
     yard.run(&mut |_| {}).expect("it runs");
-    let message = |scene: &str| yard.calls(scene).pop().unwrap_or_default();
+    let last_call = |scene: &str| yard.calls(scene).pop().unwrap_or_default();
     assert!(
-        message("good").contains("--memory-budget 10 ") && !message("good").contains("--until"),
+        last_call("good").contains("--memory-budget 10 ") && !last_call("good").contains("--until"),
         "{}",
-        message("good")
+        last_call("good")
     );
-    assert!(message("good2").contains("--memory-budget 1024 "), "{}", message("good2"));
-    assert!(message("good2").ends_with("--until 500"), "{}", message("good2"));
+    assert!(last_call("good2").contains("--memory-budget 1024 "), "{}", last_call("good2"));
+    assert!(last_call("good2").ends_with("--until 500"), "{}", last_call("good2"));
     // The command line has the last word, and a scene that stops elsewhere is run again.
     let until = Some(segwild_pipeline::Until::Stage("geometry"));
     let options = BatchOptions { until, ..yard.options.clone() };

@@ -18,7 +18,7 @@ enum EngineFault {
     StopCosts,
     /// A shortage counts as a failure.
     ShortageCosts,
-    /// Heartbeats are not heard.
+    /// Heartbeats are ignored.
     DeafToHeartbeats,
     /// Gives jobs to workers that have no capacity.
     IgnoresNeeds,

@@ -96,7 +96,7 @@ pub trait Actor: Sized + 'static {
         message.label()
     }
 
-    /// Handles a message. Long work calls [`Context::progress`] and looks at [`Context::stopping`].
+    /// Handles a message. Long work calls [`Context::progress`] and checks [`Context::stopping`].
     ///
     /// # Errors
     /// The failure's kind says what happens next: see [`Failure`].

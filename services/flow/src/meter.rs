@@ -45,8 +45,8 @@ pub(crate) struct Pulse {
     pub actor: Arc<str>,
     pub worker: u32,
     timeline: Timeline,
-    /// Whether the timeline keeps only spans that are long enough to see: a thread that listens to thousands of short messages would fill the
-    /// timeline with them.
+    /// Whether the timeline keeps only spans that are long enough to see: a thread that receives thousands of short
+    /// messages would fill it.
     pub coarse: bool,
     current: Mutex<Current>,
     /// Counts signs of progress.
@@ -56,7 +56,7 @@ pub(crate) struct Pulse {
     cpu_us: AtomicU64,
 }
 
-/// A look at a worker.
+/// What the supervisor reads of a worker.
 pub(crate) struct WorkerObservation {
     pub state: WorkerState,
     pub label: String,

@@ -1,4 +1,4 @@
-//! Writes what a run is doing into its ledger about once a second, for other processes to look at.
+//! Writes what a run is doing into its ledger about once a second, for other processes to read.
 //!
 //! ```
 //! use segwild_flow::*;

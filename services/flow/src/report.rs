@@ -30,7 +30,7 @@ pub enum Exit {
     Late,
 }
 
-/// A look at one worker.
+/// One worker at one moment.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct WorkerStatus {
     /// What it does.

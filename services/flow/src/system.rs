@@ -261,7 +261,7 @@ impl System {
         self.observer().snapshot()
     }
 
-    /// Somebody who may look at the actors, also after [`System::join`] has taken the system.
+    /// An observer of the actors, valid also after [`System::join`] has taken the system.
     pub fn observer(&self) -> Observer {
         Observer(self.shared.clone())
     }

@@ -1,4 +1,4 @@
-//! What operators look at: one view of runs and batches, made from their ledgers, and its forms.
+//! What operators see: one view of runs and batches, made from their ledgers, and its forms.
 //!
 //! - [`View`]: a run or a batch, as other processes see it while it is written and after it ended. `segwild status`,
 //!   `--json`, `segwild top`, `/metrics` and `/api/v1/status` all show this and nothing else.

@@ -204,7 +204,7 @@ pub fn kills(options: &FlowOptions) -> Result<Vec<Row>, FlowError> {
     };
     let mut stages: BTreeMap<String, usize> = BTreeMap::new();
     for k in 0..options.kills {
-        // One that ended before its moment came says nothing: it is drawn again, and not as late.
+        // One that ended before its moment came says nothing: another moment is sampled, and not as late.
         let mut run = fresh(&dir.join("run"))?;
         let mut longest = 1.0;
         while !program

@@ -127,7 +127,7 @@ impl RunPair {
     /// Seconds of the longest chain of work that cannot overlap, and in words what it is made of.
     fn chain(&self) -> (f64, String) {
         let [sky, embed, early, rest] = &self.legs[..] else { unreachable!("there are four legs") };
-        // Training needs every sky before its first step (transients are looked for in all photos, which then are compared
+        // Training needs every sky before its first step (transients are searched in all photos, which then are compared
         // with each other), masks need the snapshot, the field needs all.
         let (s, e, t1, m) = (sky.stage("sky"), embed.stage("embed"), early.training, early.stage("masks"));
         let t2 = rest.training;

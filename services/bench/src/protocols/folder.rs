@@ -16,9 +16,9 @@ pub type Parts = BTreeMap<String, Vec<u32>>;
 pub struct FolderProtocol {
     /// The scene.
     pub scene: PathBuf,
-    /// Stems of the photos to click; drawn if empty.
+    /// Stems of the photos to click; sampled if empty.
     pub references: Vec<String>,
-    /// So many are drawn for each object by the seed of the training, from those that show it well.
+    /// So many are sampled for each object by the seed of the training, from those that show it well.
     pub draw: usize,
     /// Clicks per photo, by [`clicks::inside`].
     pub clicks: usize,

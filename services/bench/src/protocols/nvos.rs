@@ -162,11 +162,11 @@ fn on_photo(
     settings: &Settings,
 ) -> Result<PhotoPrompts, ProtocolError> {
     let file = find(scribbles, "a scribble", |n| n.starts_with("pos") && n.ends_with(".png"))?;
-    let rendered = Mask::read_png(&file)?;
+    let scribble = Mask::read_png(&file)?;
     let scene = segwild_scene::Scene::open(scene, &settings.scene)?;
     let camera = scene.views.iter().find(|v| v.name == photo).map(|v| v.camera);
-    let (w, h) = camera.map_or((rendered.width(), rendered.height()), |c| (c.width, c.height));
+    let (w, h) = camera.map_or((scribble.width(), scribble.height()), |c| (c.width, c.height));
     let prompts = Prompts { points, ..Prompts::default() };
-    let scaled = prompts.scaled(w as f32 / rendered.width() as f32, h as f32 / rendered.height() as f32);
+    let scaled = prompts.scaled(w as f32 / scribble.width() as f32, h as f32 / scribble.height() as f32);
     Ok(PhotoPrompts { photo: photo.into(), prompts: scaled })
 }

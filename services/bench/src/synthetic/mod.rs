@@ -1,4 +1,4 @@
-//! The synthetic wild set: a scene that is sampled from a seed, photographed among transients in all weathers, with everything
+//! The synthetic wild set: a scene that is sampled from a seed, photographed by tourists in all weathers, with everything
 //! known exactly (method, section 11).
 //!
 //! The photos come from a ray tracer of its own, never from the rasteriser that learns from them.
@@ -49,7 +49,7 @@ segwild_scene::choice! {
         Sun = "sun",
         /// Exposure, gamma and vignette.
         Camera = "camera",
-        /// A draw of the three for each photo.
+        /// One of the three, sampled for each photo.
         Mixed = "mixed",
     }
 }
@@ -257,7 +257,7 @@ impl SyntheticScene {
     pub fn amodal(&self, instance: u16) -> Vec<Mask> {
         use rayon::prelude::*;
         let world = self.world.alone(instance);
-        let rendered = |photo: &SyntheticPhoto| {
+        let amodal_mask = |photo: &SyntheticPhoto| {
             let eye = photo.pose.centre() / self.options.units as f32;
             let back = photo.pose.rotation.transpose();
             Mask::from_fn(photo.camera.width, photo.camera.height, |x, y| {
@@ -265,7 +265,7 @@ impl SyntheticScene {
                 world.closest(eye, towards.normalize()).is_some_and(|hit| hit.solid.is_some())
             })
         };
-        self.photos.par_iter().map(rendered).collect()
+        self.photos.par_iter().map(amodal_mask).collect()
     }
 
     /// Part of the surface nearest to a position in file units, and the distance to that surface in file units; a

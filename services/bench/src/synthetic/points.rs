@@ -35,7 +35,7 @@ pub fn reconstruct(
     let mut rng = Rng::new(options.seed, 7 << 20);
     let training: Vec<usize> = (0..photos.len()).filter(|&i| !photos[i].test).collect();
     let mut points = Vec::with_capacity(options.points);
-    // Some draws hit the sky or what only one photo sees.
+    // Some samples hit the sky or what only one photo sees.
     for _ in 0..options.points * 12 {
         if points.len() >= options.points {
             break;

@@ -75,7 +75,7 @@ fn one_click_per_object_finds_it_whatever_stands_before_it() {
 const FLOORS: [(f32, f64); 2] = [(0.0, 0.65), (0.25, 0.5)];
 
 #[test]
-fn compactness_separates_things_of_one_appearance() {
+fn compactness_separates_things_that_resemble_each_other() {
     let dir = tempfile::tempdir().unwrap();
     let oracle = OracleOptions { kinship: 0.97, ..OracleOptions::default() };
     // Transients are not what is tested here.

@@ -172,7 +172,7 @@ fn a_photo_that_the_published_split_lacks_costs_its_own_score_and_nothing_else()
         }
         let dir = tempfile::tempdir().unwrap();
         lay_out(dir.path(), eval_scene);
-        // The published names end in .jpg, the drawn photos in .png.
+        // The published names end in .jpg, the rendered photos in .png.
         let rows = std::fs::read_to_string(&split).unwrap().replace(".jpg", ".png");
         std::fs::write(dir.path().join(&eval_scene.folder).join(&eval_scene.split), rows).unwrap();
         let (queried, missing) = queried(dir.path(), eval_scene);
@@ -259,8 +259,8 @@ fn scribbles_and_label_folders_become_clicks_on_the_right_photo() {
     let stroke = |name: &str, at: u32| {
         let file = nvos_root.join("scribbles/horns_left").join(name);
         std::fs::create_dir_all(file.parent().unwrap()).unwrap();
-        let rendered = |x: u32, y: u32| x.abs_diff(at) < 3 && y > 10 && y + 10 < 2 * height;
-        Mask::from_fn(2 * width, 2 * height, rendered).write_png(&file).unwrap();
+        let on_stroke = |x: u32, y: u32| x.abs_diff(at) < 3 && y > 10 && y + 10 < 2 * height;
+        Mask::from_fn(2 * width, 2 * height, on_stroke).write_png(&file).unwrap();
     };
     stroke("pos_0_horns.png", width / 2);
     stroke("neg_0_horns.png", 3 * width / 2);

@@ -21,7 +21,7 @@ const FOLDER_WAIT: Duration = Duration::from_secs(60);
 pub(super) enum Ended {
     /// With this exit code; `None`: by a signal.
     Code(Option<i32>),
-    /// It could not be started, for this kind of reason.
+    /// It could not be started: the class of the error, and its text.
     NotStarted(ErrorClass, String),
 }
 
@@ -143,7 +143,7 @@ impl SceneWorker {
         }
     }
 
-    /// Its cores, as `--threads` and the processor affinity give them to the process.
+    /// Its cores as the list that `--cpus` takes; `None`: any.
     fn cpu_list(&self) -> Option<String> {
         let list: Vec<String> = self.cpus.iter().map(u32::to_string).collect();
         (!list.is_empty()).then(|| list.join(","))

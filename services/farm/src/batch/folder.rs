@@ -62,7 +62,7 @@ impl BatchFolder {
         self.path.join("batch.sqlite")
     }
 
-    /// The engine, to look at while another process runs the batch.
+    /// The engine, to read while another process runs the batch.
     ///
     /// # Errors
     /// As [`EmbeddedEngine::open_read_only`].

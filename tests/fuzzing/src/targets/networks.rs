@@ -1,4 +1,4 @@
-//! Network files, as they are looked through before the runtime is given them.
+//! Network files, as they are checked before the runtime gets them.
 
 use crate::yard::{folder, put};
 use crate::{FuzzTarget, seal};

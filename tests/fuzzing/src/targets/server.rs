@@ -20,7 +20,7 @@ fn exchange(bytes: &[u8]) -> Vec<u8> {
     let mut stream =
         TcpStream::connect(server.address()).unwrap_or_else(|e| panic!("it accepts no more: {e}"));
     let mut answer = Vec::new();
-    // It may refuse before it has heard everything.
+    // It may refuse before it has received everything.
     let _ = stream.set_read_timeout(Some(PATIENCE));
     let _ = stream.write_all(bytes).and_then(|()| stream.shutdown(Shutdown::Write));
     if let Err(error) = stream.read_to_end(&mut answer) {

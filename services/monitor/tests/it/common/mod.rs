@@ -1,4 +1,4 @@
-//! Runs and batches as they are left on the disk, for the tests to look at.
+//! Runs and batches as they are left on the disk, for the tests to read.
 
 use segwild_farm::{
     BatchFolder, BatchRecord, EmbeddedEngine, ErrorClass, Job, JobEngine, Needs, Retry, SceneJob, WorkerOffer,
