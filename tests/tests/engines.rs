@@ -1,7 +1,7 @@
 //! The same scene trained and selected whole by either engine, and a training that moves from one to the other.
 
 use segwild_bench::oracle::OracleOptions;
-use segwild_bench::point::{Job, PhotoSource, Prompting, measure};
+use segwild_bench::point::{PointJob, PhotoSource, Prompting, measure};
 use segwild_bench::stability::Harm;
 use segwild_bench::synthetic::{LightVariation, SyntheticOptions, generate};
 use segwild_bench::trial::ProviderKind;
@@ -20,7 +20,7 @@ fn adapter(test: &str) -> Option<String> {
     found
 }
 
-fn place(photos: usize, pixels: u32) -> SyntheticOptions {
+fn scene_options(photos: usize, pixels: u32) -> SyntheticOptions {
     SyntheticOptions {
         seed: 3,
         train: photos,
@@ -36,11 +36,11 @@ fn place(photos: usize, pixels: u32) -> SyntheticOptions {
 fn scores(dir: &Path, engine: &[(&str, &str)]) -> (f64, f64) {
     let small = [("steps", "200"), ("splats", "2000"), ("size", "96")];
     let settings = small.iter().chain(engine).map(|&(name, value)| (name.into(), value.into())).collect();
-    let job = Job {
+    let job = PointJob {
         protocol: "engines".into(),
         setting: "engine".into(),
         at: None,
-        source: PhotoSource::Synthetic(place(16, 96)),
+        source: PhotoSource::Synthetic(scene_options(16, 96)),
         providers: ProviderKind::Oracle,
         faults: OracleOptions::default(),
         settings,
@@ -77,10 +77,10 @@ fn whole_trainings_and_selections_of_both_engines_agree() {
 fn a_training_that_one_engine_began_is_ended_by_the_other() {
     let Some(adapter) = adapter("a_training_that_one_engine_began_is_ended_by_the_other") else { return };
     let dir = tempfile::tempdir().expect("a temporary folder");
-    let scene = dir.path().join("place");
-    generate(&place(8, 64)).and_then(|place| place.write(&scene)).expect("a synthetic place");
+    let scene = dir.path().join("scene");
+    generate(&scene_options(8, 64)).and_then(|made| made.write(&scene)).expect("a synthetic scene");
     let folder = RunFolder::create(&dir.path().join("run")).expect("a folder");
-    let mut told = String::new();
+    let mut log = String::new();
     let mut go = |engine: &[(&str, &str)], until: Option<Until>| {
         let mut settings = Settings::default();
         let small = [("size", "64"), ("steps", "40"), ("splats", "500"), ("prompt_budget", "8")];
@@ -91,7 +91,7 @@ fn a_training_that_one_engine_began_is_ended_by_the_other() {
         let listener = options.events.subscribe();
         let done = run(&scene, &folder, &settings, &options);
         while let Some(event) = listener.try_next() {
-            told.push_str(&format!("{:?}\n", event.event));
+            log.push_str(&format!("{:?}\n", event.event));
         }
         done
     };
@@ -99,17 +99,17 @@ fn a_training_that_one_engine_began_is_ended_by_the_other() {
     go(&gpu, Some(Until::Step(10))).expect("it pauses");
     let done = go(&[("engine", "cpu")], None).expect("it ends");
     assert!(done.train_psnr.is_some_and(f32::is_finite), "{:?}", done.train_psnr);
-    assert!(told.contains("the gpu engine trained up to step 10: this one takes over"), "{told}");
+    assert!(log.contains("the gpu engine trained up to step 10: this one takes over"), "{log}");
 }
 
 #[test]
-fn splats_that_come_home_in_the_middle_end_in_the_same_bytes() {
-    let test = "splats_that_come_home_in_the_middle_end_in_the_same_bytes";
+fn splats_downloaded_in_the_middle_end_in_the_same_bytes() {
+    let test = "splats_downloaded_in_the_middle_end_in_the_same_bytes";
     let Some(adapter) = adapter(test) else { return };
     let dir = tempfile::tempdir().expect("a temporary folder");
-    let scene = dir.path().join("place");
-    generate(&place(8, 64)).and_then(|place| place.write(&scene)).expect("a synthetic place");
-    // With colours of every degree, growth, pruning, transients and photos asked for witness in between.
+    let scene = dir.path().join("scene");
+    generate(&scene_options(8, 64)).and_then(|made| made.write(&scene)).expect("a synthetic scene");
+    // With colours of every degree, growth, pruning, transients and pruning by multi-view support in between.
     let small =
         [("size", "64"), ("steps", "60"), ("splats", "700"), ("sh_degree", "3"), ("prompt_budget", "8")];
     // Masks and features have no part in it, and take most of the time on an adapter that is software.

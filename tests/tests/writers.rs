@@ -44,7 +44,7 @@ fn writing_lines(text: &str) -> Vec<(usize, &str)> {
     // Unit tests are the last thing in a file.
     let end = text.find("#[cfg(test)]\nmod ").or_else(|| text.find("mod tests {")).unwrap_or(text.len());
     let code = text[..end].lines().enumerate().filter(|(_, line)| !line.trim_start().starts_with("//"));
-    // What the kernel is told through /proc is no file, and the keeper of checkpoints writes by the one module.
+    // What is written to the kernel through /proc is no file, and the keeper of checkpoints writes by the one module.
     let code = code.filter(|(_, line)| !line.contains("(\"/proc/") && !line.contains("keeper().save("));
     code.filter(|(_, line)| WRITERS.iter().any(|writer| line.contains(writer)))
         .map(|(i, line)| (i + 1, line.trim()))
@@ -72,13 +72,13 @@ fn files_are_written_by_one_module_only() {
     assert!(seen > 100, "the sources are not where they are looked for");
     assert!(
         wrong.is_empty(),
-        "use segwild_files (a full disk is armed and told of there):\n{}",
+        "use segwild_files (a full disk is simulated and reported there):\n{}",
         wrong.join("\n")
     );
 }
 
 /// Crates that read what somebody else may have made.
-const READ_OTHERS: [&str; 5] = ["pipeline", "scene", "flow", "farm", "gateway"];
+const READ_OTHERS: [&str; 5] = ["pipeline", "scene", "flow", "farm", "monitor"];
 
 /// What reads a whole file and waits for a pipe in its place.
 const READERS: [&str; 2] = ["fs::read(", "read_to_string("];
@@ -86,7 +86,7 @@ const READERS: [&str; 2] = ["fs::read(", "read_to_string("];
 /// Which lines may, by their file and a part of them.
 const MAY_READ: [(&str, &str, &str); 5] = [
     ("services/farm/src/manifest/mod.rs", "std::fs::read(file)", "a person may name a pipe"),
-    ("services/farm/src/machine.rs", "read_to_string(file)", "what the kernel says of the control group"),
+    ("services/farm/src/machine.rs", "read_to_string(file)", "the kernel's limits of the control group"),
     ("services/flow/src/process.rs", "file.read_to_string(", "the lock that this program holds itself"),
     ("services/pipeline/src/settings.rs", "std::fs::read(file)", "a person may name a pipe"),
     ("services/scene/src/ply/export.rs", "&beside", "the note beside an export, which this program writes"),

@@ -1,4 +1,4 @@
-//! What the trained geometry allows: the truth of every photo is lifted to the splats and drawn again, so that
+//! What the trained geometry allows: the truth of every photo is lifted to the splats and rendered again, so that
 //! only the splats stand between the result and the truth. Prints a line per object.
 //!
 //! `cargo run -p segwild-bench --example ceiling -- DIR [seed=1] [pixels=320] [photos=60] [occlusion=0.1] [light=mixed] [points=4000] [SETTING=VALUE ...]`;
@@ -6,7 +6,7 @@
 
 use segwild_bench::metrics;
 use segwild_bench::oracle::OracleOptions;
-use segwild_bench::synthetic::{Kind, SyntheticOptions};
+use segwild_bench::synthetic::{ObjectKind, SyntheticOptions};
 use segwild_bench::trial::{ProviderKind, Trial};
 use segwild_pipeline::{RunOptions, Settings, run};
 use segwild_raster::{Channels, CpuEngine, Engine};
@@ -38,7 +38,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let dir = std::path::Path::new(&dir).join(format!("seed-{}", options.seed));
     let trial = Trial::new(&dir, &options, ProviderKind::Oracle, &OracleOptions::default())?;
     let began = std::time::Instant::now();
-    // The masks wait for no one here: geometry alone is asked for, then its scores on the held-out photos.
+    // The masks wait for no one here: geometry alone is trained, then its scores on the held-out photos.
     let providers = Some(trial.providers(&settings)?);
     let run_options =
         RunOptions { until: segwild_pipeline::Until::stage("geometry"), providers, ..RunOptions::default() };
@@ -49,7 +49,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (model, scene) = (&loaded.model, &loaded.scene);
     let engine = CpuEngine::default();
     let options = model.options();
-    let objects: Vec<_> = trial.manifest().objects.iter().filter(|o| o.kind == Kind::Object).collect();
+    let objects: Vec<_> = trial.manifest().objects.iter().filter(|o| o.kind == ObjectKind::Object).collect();
     let mut evidence: Vec<Evidence> = objects.iter().map(|_| Evidence::none(model.splats.len())).collect();
     let truth =
         |name: &str| trial.scene().photos.iter().find(|p| p.name == name).expect("a photo of the set");
@@ -102,8 +102,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 engine.project(&model.splats, &full.scaled_to(pixels * 2), &view.pose, &options)?;
             for (k, indicator) in [&hard, &rho, &surface].into_iter().enumerate() {
                 let frame = projected.blend(&Channels { count: 1, values: indicator })?;
-                let drawn = owned(&frame.image, MaskMode::Visible, (full.width, full.height));
-                let iou = metrics::score(&drawn, &mask, None)?.iou;
+                let rendered = owned(&frame.image, MaskMode::Visible, (full.width, full.height));
+                let iou = metrics::score(&rendered, &mask, None)?.iou;
                 sums[k] += iou;
                 if k == 0 {
                     let bin =

@@ -54,20 +54,20 @@ fn sheets(scene: &SyntheticScene, dir: &Path) -> Result<(), Box<dyn std::error::
     let clean: Vec<&Image> = scene.photos.iter().map(|p| &p.clean).collect();
     let coloured: Vec<Image> = scene.photos.iter().map(|p| colours(&p.parts, p.photo.width)).collect();
     let ids: Vec<&Image> = coloured.iter().collect();
-    for (name, pictures) in [("photos", photos), ("clean", clean), ("parts", ids)] {
-        for (page, some) in pictures.chunks(20).enumerate() {
+    for (name, images) in [("photos", photos), ("clean", clean), ("parts", ids)] {
+        for (page, some) in images.chunks(20).enumerate() {
             let rows = some.len().div_ceil(columns);
             let mut sheet = Image::filled(cell * columns, cell * rows, 3, 0.12);
-            for (i, picture) in some.iter().enumerate() {
+            for (i, image) in some.iter().enumerate() {
                 let (left, top) = (
-                    i % columns * cell + (cell - picture.width) / 2,
-                    i / columns * cell + (cell - picture.height) / 2,
+                    i % columns * cell + (cell - image.width) / 2,
+                    i / columns * cell + (cell - image.height) / 2,
                 );
                 for c in 0..3 {
-                    for y in 0..picture.height {
+                    for y in 0..image.height {
                         let at = (c * sheet.height + top + y) * sheet.width + left;
-                        let from = &picture.plane(c)[y * picture.width..][..picture.width];
-                        sheet.data[at..at + picture.width].copy_from_slice(from);
+                        let from = &image.plane(c)[y * image.width..][..image.width];
+                        sheet.data[at..at + image.width].copy_from_slice(from);
                     }
                 }
             }

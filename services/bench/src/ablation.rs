@@ -21,7 +21,7 @@ pub type Changes = &'static [(&'static str, &'static str)];
 
 /// The paper's query: the clicked photo alone, splats by their projected centres, every one of them gated by
 /// resemblance, spikes shrunk in all directions. Resemblance alone decides what the clicked photo cannot, so it gets the
-/// features' steps that served it best by the oracle's masks: 300, for .73 IoU of things that look alike, where the default's 60
+/// features' steps that served it best by the oracle's masks: 300, for .73 IoU of things that resemble each other, where the default's 60
 /// give .64.
 pub const PAPER: &[(&str, &str)] = &[
     ("propagate", "0"),
@@ -47,7 +47,7 @@ pub const FULL: Variant = ours("full", "the defaults", &[]);
 /// The paper's query on the same scene.
 pub const AS_PUBLISHED: Variant = paper("paper", "the paper's query", &[]);
 
-/// The rows. Geometry is trained once per scene (`no-sky` trains it anew: the sky takes part in training), and what
+/// The rows. Geometry is trained once per scene (`no-sky` trains it again: the sky takes part in training), and what
 /// a row does not change comes from the content cache.
 pub const VARIANTS: &[Variant] = &[
     FULL,

@@ -4,9 +4,9 @@
 //! A row takes over what a method adds to splatting: which photos' differences it explains, what its features learn,
 //! and how clicks become a selection. It does not take over what all methods have in common and we do better or worse
 //! (density control, schedules). Rows that the literature trains on plain splats stand here twice: on plain splats, as
-//! published, and on ours (`-wild`), so that the two causes can be told apart.
+//! published, and on ours (`-wild`), so that the two causes can be separated.
 //!
-//! Thresholds are those that served each rival best where they were tuned, by the oracle's masks: `tau` of .5, .7, .8, .9,
+//! Thresholds are those that served each baseline best where they were tuned, by the oracle's masks: `tau` of .5, .7, .8, .9,
 //! .95 and .98 on seed 3 (`segwild bench synthetic --providers oracle --seeds 3 --photos 24 --pixels 240 --kinship 0.97 --only
 //! feature-3dgs,saga --change tau=..`): IoU .08, .30, .39, .23, .16, .07 of Feature 3DGS and .23, .53, .43, .24, .16, .07 of SAGA. `rho` of .3, .5 and .7 there, the
 //! bias of FlashSplat's closed form: .769, .775, .753; the minimum cut does not ask for it (.809).
@@ -91,7 +91,7 @@ pub const BASELINES: &[Variant] = &[
     FULL,
 ];
 
-/// The methods that rows are named after, and what their names begin with.
+/// The methods that rows are named after, and what their names start with.
 const NAMED_AFTER: [(&str, &str); 6] = [
     ("feature-3dgs", "Feature 3DGS"),
     ("saga", "SAGA"),

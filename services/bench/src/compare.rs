@@ -5,7 +5,7 @@
 //! - the mean difference is larger than the number's [`Margin`]: smaller ones mean nothing to anybody;
 //! - a paired t-test over the trainings (scene and seed) rejects at [`ALPHA`] that the difference is 0, corrected by
 //!   Holm's method for how many numbers are tested. Where there are fewer than [`LEAST`] trainings, their targets take
-//!   their place. With fewer than that there is no telling the noise, and the difference must be twice the margin.
+//!   their place. With fewer than that the noise is unknown, and the difference must be twice the margin.
 //!
 //! What the old results have and the new ones have not counts as worse: nothing passes by not being measured.
 
@@ -23,7 +23,7 @@ pub const LEAST: usize = 3;
 /// How to compare.
 #[derive(Clone, Copy, Debug)]
 pub struct CompareOptions {
-    /// Judge by the margins alone: for results of fixed seeds, where the same code gives the same bytes.
+    /// Decide by the margins alone: for results of fixed seeds, where the same code gives the same bytes.
     pub strict: bool,
     /// Factor on all margins.
     pub margins: f64,
@@ -167,7 +167,7 @@ fn twin<'a>(record: &Record, others: &'a Results) -> Result<Option<&'a Record>, 
 /// # Errors
 /// When a measurement of the old results was made again on the masks of another provider only.
 pub fn compare(old: &Results, new: &Results, options: CompareOptions) -> Result<Vec<Line>, OtherProvider> {
-    let mut groups: BTreeMap<(String, String), Vec<Pair>> = BTreeMap::new();
+    let mut groups: BTreeMap<(String, String), Vec<ComparedRecord>> = BTreeMap::new();
     for record in &old.records {
         let twin = twin(record, new)?;
         for (number, &value) in &record.numbers {
@@ -202,15 +202,15 @@ pub fn compare(old: &Results, new: &Results, options: CompareOptions) -> Result<
 }
 
 /// A measurement, its old value, and the new one where there is one.
-type Pair<'a> = (&'a Record, f64, Option<f64>);
+type ComparedRecord<'a> = (&'a Record, f64, Option<f64>);
 
 fn name(record: &Record) -> String {
     let at = record.at.map_or(String::new(), |at| format!(" {at}"));
     format!("{} {}{at}", record.protocol, record.setting)
 }
 
-/// One number of one setting, not judged yet, and its difference in margins.
-fn line(setting: &str, number: &str, all: &[Pair]) -> Option<(Line, f64)> {
+/// One number of one setting, not compared yet, and its difference in margins.
+fn line(setting: &str, number: &str, all: &[ComparedRecord]) -> Option<(Line, f64)> {
     let pairs: Vec<(&Record, f64, f64)> =
         all.iter().filter_map(|&(r, old, new)| Some((r, old, new?))).collect();
     let mut line = Line {
@@ -380,7 +380,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_longer_measured_is_told() {
+    fn what_is_no_longer_measured_is_reported() {
         let old = measured(0.0, 0.0, 10.0);
         let mut new = old.clone();
         new.records.retain(|r| r.target != "dome");

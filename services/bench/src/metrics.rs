@@ -14,7 +14,7 @@ pub enum MetricError {
     /// Their sizes differ.
     #[error("an image or mask of {0}x{1} cannot be compared with one of {2}x{3}")]
     Size(usize, usize, usize, usize),
-    /// There is no pixel to look at.
+    /// There is no pixel to compare.
     #[error("there is no pixel to compare")]
     Empty,
 }
@@ -101,7 +101,7 @@ fn gaussian(values: &[f64], width: usize, height: usize) -> Vec<f64> {
 
 /// How well a mask fits the truth.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct MaskScore {
+pub struct MaskMetrics {
     /// Intersection over union; 1 when both are empty.
     pub iou: f64,
     /// Share of the pixels that agree.
@@ -111,7 +111,7 @@ pub struct MaskScore {
 }
 
 /// Scores a mask, leaving out the pixels of `ignore` (transients, for instance).
-pub fn score(mask: &Mask, truth: &Mask, ignore: Option<&Mask>) -> Result<MaskScore, MetricError> {
+pub fn score(mask: &Mask, truth: &Mask, ignore: Option<&Mask>) -> Result<MaskMetrics, MetricError> {
     let size = |m: &Mask| (m.width() as usize, m.height() as usize);
     let ((w, h), (tw, th)) = (size(mask), size(truth));
     same(w, h, tw, th)?;
@@ -128,7 +128,7 @@ pub fn score(mask: &Mask, truth: &Mask, ignore: Option<&Mask>) -> Result<MaskSco
     }
     let both = mask.overlap(&truth);
     let wrong = mask.count() + truth.count() - 2 * both;
-    Ok(MaskScore {
+    Ok(MaskMetrics {
         iou: mask.iou(&truth),
         accuracy: 1.0 - wrong as f64 / all as f64,
         boundary_iou: mask.boundary_iou(&truth, BOUNDARY),
@@ -147,7 +147,7 @@ pub fn label_iou(selected: &[bool], labels: &[u16], instance: u16, weight: impl 
     if either == 0.0 { 1.0 } else { both / either }
 }
 
-/// Share of an instance's splats that a selection took in: what leaks through to a hidden wall. 0 when the
+/// Share of an instance's splats that a selection took in: what leaks to an occluded wall. 0 when the
 /// instance has no splat.
 pub fn leakage(selected: &[bool], labels: &[u16], instance: u16) -> f64 {
     let of = labels.iter().filter(|l| **l == instance).count();
@@ -195,7 +195,7 @@ impl std::fmt::Display for Spread {
     }
 }
 
-/// A half of a photo. The official protocol fits the look on the left and scores the right (method, section 3).
+/// A half of a photo. The official protocol fits the appearance on the left and scores the right (method, section 3).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Half {
     /// Columns below `width / 2`.

@@ -21,15 +21,15 @@ pub const ORACLE: &str = "oracle";
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct OracleOptions {
-    /// Draws the codes and the faults.
+    /// Seeds the descriptors and the faults.
     pub seed: u64,
     /// Numbers per cell of an embedding.
     pub channels: usize,
     /// Cells along the long side of a photo.
     pub cells: usize,
-    /// Length of a part's code beside its instance's, which is 1.
+    /// Length of a part's descriptor beside its instance's, which is 1.
     pub part_code: f32,
-    /// How much all built things are alike, 0 to 1: the mean cosine between the codes of two of them. Networks tell a
+    /// How much all built things are alike, 0 to 1: the mean cosine between the descriptors of two of them. Networks tell a
     /// column from the sky better than from the next column.
     pub kinship: f32,
     /// Length of the noise on each cell.
@@ -76,7 +76,7 @@ impl OracleOptions {
 }
 
 /// The truth of one photo.
-struct Known {
+struct ViewTruth {
     width: usize,
     height: usize,
     instances: Vec<u16>,
@@ -88,7 +88,7 @@ struct Known {
 
 /// What an image was recognised as.
 #[derive(Clone, Copy)]
-struct Sight {
+struct RecognisedView {
     view: usize,
     transients: bool,
 }
@@ -104,8 +104,8 @@ enum Thing {
 /// All four kinds of provider over one set.
 pub struct Oracle {
     options: OracleOptions,
-    views: Vec<Known>,
-    exact: HashMap<[u8; 32], Sight>,
+    views: Vec<ViewTruth>,
+    exact: HashMap<[u8; 32], RecognisedView>,
     instance_of: Vec<u16>,
     /// Per instance, whether it is one of the built things.
     built: Vec<bool>,
@@ -129,10 +129,10 @@ impl Oracle {
         let mut all = blake3::Hasher::new();
         let views = scene.photos.iter().enumerate().map(|(view, photo)| {
             // Where a photo is also a clean view, it has no transients.
-            exact.insert(digest(&photo.photo), Sight { view, transients: true });
-            exact.insert(digest(&photo.clean), Sight { view, transients: false });
+            exact.insert(digest(&photo.photo), RecognisedView { view, transients: true });
+            exact.insert(digest(&photo.clean), RecognisedView { view, transients: false });
             all.update(&digest(&photo.photo));
-            Known {
+            ViewTruth {
                 width: photo.photo.width,
                 height: photo.photo.height,
                 instances: photo.instances.clone(),
@@ -148,7 +148,7 @@ impl Oracle {
         Oracle { options, views, exact, instance_of, built, key }
     }
 
-    fn recognise(&self, image: &Image) -> Result<Sight, VisionError> {
+    fn recognise(&self, image: &Image) -> Result<RecognisedView, VisionError> {
         if image.channels != 3 || image.pixels() == 0 || image.data.len() != 3 * image.pixels() {
             return Err(VisionError::Image(format!(
                 "an image of {}x{} with {} planes is not a photo",
@@ -169,36 +169,36 @@ impl Oracle {
             for (k, other) in known.likeness.iter().enumerate() {
                 let like: f32 = this.iter().zip(other).map(|(a, b)| a * b).sum();
                 if like > best.0 {
-                    best = (like, Some(Sight { view, transients: k == 0 }));
+                    best = (like, Some(RecognisedView { view, transients: k == 0 }));
                 }
             }
         }
         best.1.ok_or_else(|| {
             VisionError::Image(format!(
-                "no view of the set looks like this {}x{} image",
+                "no view of the set resembles this {}x{} image",
                 image.width, image.height
             ))
         })
     }
 
     /// Index in the truth of the pixel under a position of an image of that size.
-    fn under(&self, known: &Known, image: &Image, x: f32, y: f32) -> usize {
+    fn under(&self, known: &ViewTruth, image: &Image, x: f32, y: f32) -> usize {
         let scale =
             |v: f32, from: usize, to: usize| ((v / from as f32 * to as f32).max(0.0) as usize).min(to - 1);
         scale(y, image.height, known.height) * known.width + scale(x, image.width, known.width)
     }
 
-    fn holds(&self, sight: Sight, thing: Thing, i: usize) -> bool {
+    fn holds(&self, sight: RecognisedView, thing: Thing, i: usize) -> bool {
         let known = &self.views[sight.view];
-        let hidden = sight.transients && known.transients[i] != 0;
+        let covered = sight.transients && known.transients[i] != 0;
         match thing {
-            Thing::Instance(id) => !hidden && known.instances[i] == id,
-            Thing::Part(id) => !hidden && known.parts[i] == id,
+            Thing::Instance(id) => !covered && known.instances[i] == id,
+            Thing::Part(id) => !covered && known.parts[i] == id,
             Thing::Transient(id) => sight.transients && known.transients[i] == id,
         }
     }
 
-    fn exact_mask(&self, sight: Sight, image: &Image, things: &[Thing]) -> Mask {
+    fn exact_mask(&self, sight: RecognisedView, image: &Image, things: &[Thing]) -> Mask {
         let known = &self.views[sight.view];
         Mask::from_fn(image.width as u32, image.height as u32, |x, y| {
             let i = self.under(known, image, x as f32 + 0.5, y as f32 + 0.5);
@@ -207,16 +207,16 @@ impl Oracle {
     }
 
     /// The mask with a boundary that wanders by up to `wobble` pixels, scored by what it lost.
-    fn wandering(&self, sight: Sight, image: &Image, things: &[Thing], rng: &mut Rng) -> ScoredMask {
+    fn wandering(&self, sight: RecognisedView, image: &Image, things: &[Thing], rng: &mut Rng) -> ScoredMask {
         let exact = self.exact_mask(sight, image, things);
         let reach = self.options.wobble * rng.unit();
-        let place = rng.triple(0.0, 100.0);
+        let offset = rng.triple(0.0, 100.0);
         if reach <= 0.0 {
             return ScoredMask { mask: exact, predicted_iou: 1.0, stability: 1.0 };
         }
         let (w, h) = (exact.width() as f32, exact.height() as f32);
         let mask = Mask::from_fn(exact.width(), exact.height(), |x, y| {
-            let p = Vec3::new(x as f32, y as f32, 0.0) / 11.0 + place;
+            let p = Vec3::new(x as f32, y as f32, 0.0) / 11.0 + offset;
             let push = |q: Vec3| (noise(q) - 0.5) * 2.0 * reach;
             // An object cut off by the frame stays cut off by it.
             let u = (x as f32 + 0.5 + push(p)).clamp(0.0, w - 0.5);
@@ -228,7 +228,7 @@ impl Oracle {
     }
 
     /// The thing that touches another most, among those of its kind.
-    fn neighbour(&self, sight: Sight, thing: Thing) -> Option<Thing> {
+    fn neighbour(&self, sight: RecognisedView, thing: Thing) -> Option<Thing> {
         let known = &self.views[sight.view];
         let (ids, id) = match thing {
             Thing::Instance(id) => (&known.instances, id),
@@ -256,8 +256,8 @@ impl Oracle {
         Some(if matches!(thing, Thing::Part(_)) { Thing::Part(most.0) } else { Thing::Instance(most.0) })
     }
 
-    /// The faults of a thing's mask in a view: the same however often it is asked for.
-    fn faults(&self, sight: Sight, thing: Thing) -> Rng {
+    /// The faults of a thing's mask in a view: the same at every request.
+    fn faults(&self, sight: RecognisedView, thing: Thing) -> Rng {
         let (kind, id) = match thing {
             Thing::Instance(id) => (1, u64::from(id)),
             Thing::Part(id) => (2, u64::from(id)),
@@ -266,7 +266,7 @@ impl Oracle {
         Rng::new(self.options.seed, (sight.view as u64) << 40 | kind << 36 | id)
     }
 
-    fn thing_at(&self, sight: Sight, image: &Image, x: f32, y: f32, fine: bool) -> Thing {
+    fn thing_at(&self, sight: RecognisedView, image: &Image, x: f32, y: f32, fine: bool) -> Thing {
         let known = &self.views[sight.view];
         let i = self.under(known, image, x, y);
         if sight.transients && known.transients[i] != 0 {
@@ -411,7 +411,13 @@ impl SkyDetector for Oracle {
 
 impl Oracle {
     /// The thing whose seen extent fits a box best.
-    fn boxed(&self, sight: Sight, image: &Image, [x0, y0, x1, y1]: [f32; 4], fine: bool) -> Option<Thing> {
+    fn boxed(
+        &self,
+        sight: RecognisedView,
+        image: &Image,
+        [x0, y0, x1, y1]: [f32; 4],
+        fine: bool,
+    ) -> Option<Thing> {
         let known = &self.views[sight.view];
         let mut extents: BTreeMap<Thing, [f32; 4]> = BTreeMap::new();
         for y in 0..image.height {
@@ -444,7 +450,7 @@ fn digest(image: &Image) -> [u8; 32] {
     *hasher.finalize().as_bytes()
 }
 
-/// Brightness and its slopes on a coarse grid, of mean 0 and length 1: alike for two pictures of one view in
+/// Brightness and its slopes on a coarse grid, of mean 0 and length 1: alike for two images of one view in
 /// different light.
 fn thumbnail(image: &Image) -> Vec<f32> {
     const N: usize = THUMBNAIL;

@@ -10,13 +10,13 @@ use std::path::{Path, PathBuf};
 /// Why a chart, curves or slopes cannot be measured or written.
 #[derive(Debug, thiserror::Error)]
 pub enum PageError {
-    /// Something was asked for that does not exist.
-    #[error("there is no {what} `{asked}`; there are {known}")]
+    /// A name was requested that does not exist.
+    #[error("there is no {what} `{requested}`; there are {known}")]
     Unknown {
         /// What it was taken for: a sweep, a row, an axis.
         what: &'static str,
-        /// What was asked for.
-        asked: String,
+        /// The requested name.
+        requested: String,
         /// What there is, with commas.
         known: String,
     },
@@ -52,15 +52,17 @@ pub enum PageError {
 }
 
 impl PageError {
-    /// Refuses the first of `asked` that is not `known`.
+    /// Refuses the first of `requested` that is not `known`.
     pub(crate) fn refuse(
         what: &'static str,
-        asked: &[String],
+        requested: &[String],
         known: &[&str],
         is_known: impl Fn(&str) -> bool,
     ) -> Result<(), PageError> {
-        match asked.iter().find(|asked| !is_known(asked)) {
-            Some(asked) => Err(PageError::Unknown { what, asked: asked.clone(), known: known.join(", ") }),
+        match requested.iter().find(|requested| !is_known(requested)) {
+            Some(requested) => {
+                Err(PageError::Unknown { what, requested: requested.clone(), known: known.join(", ") })
+            }
             None => Ok(()),
         }
     }

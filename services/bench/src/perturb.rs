@@ -22,7 +22,7 @@ fn side(width: usize, height: usize) -> usize {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PerturbError {
     /// The photo is smaller than the square.
-    #[error("a photo of {width}x{height} has no room for a square of a quarter of its long side")]
+    #[error("a photo of {width}x{height} is too small for a square of a quarter of its long side")]
     Small {
         /// Width of the photo.
         width: usize,
@@ -36,18 +36,18 @@ pub enum PerturbError {
 
 /// A colour rule: `c' = clip(scale c + shift)` per plane.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Affine {
+pub struct AffineColours {
     /// Factor per plane.
     pub scale: [f32; 3],
     /// Addend per plane.
     pub shift: [f32; 3],
 }
 
-impl Affine {
+impl AffineColours {
     /// The rule of one photo: scale uniform in [0.8, 1.2], shift in [-0.2, 0.2], plane by plane.
-    pub fn random(seed: u64, photo: u64) -> Affine {
+    pub fn random(seed: u64, photo: u64) -> AffineColours {
         let mut rng = Rng::new(seed, (11 << 32) + photo);
-        Affine { scale: rng.triple(0.8, 1.2).to_array(), shift: rng.triple(-0.2, 0.2).to_array() }
+        AffineColours { scale: rng.triple(0.8, 1.2).to_array(), shift: rng.triple(-0.2, 0.2).to_array() }
     }
 
     /// The photo under the rule.
@@ -67,7 +67,7 @@ impl Affine {
 
 /// A striped square on a photo.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Square {
+pub struct StripedSquare {
     /// Its left column.
     pub left: usize,
     /// Its top row.
@@ -78,15 +78,15 @@ pub struct Square {
     pub stripes: Vec<[f32; 3]>,
 }
 
-impl Square {
+impl StripedSquare {
     /// The square of one photo: anywhere it fits, in random colours.
-    pub fn random(seed: u64, photo: u64, width: usize, height: usize) -> Result<Square, PerturbError> {
+    pub fn random(seed: u64, photo: u64, width: usize, height: usize) -> Result<StripedSquare, PerturbError> {
         let side = side(width, height);
         if width < side || height < side {
             return Err(PerturbError::Small { width, height });
         }
         let mut rng = Rng::new(seed, (13 << 32) + photo);
-        Ok(Square {
+        Ok(StripedSquare {
             left: rng.below(width - side + 1),
             top: rng.below(height - side + 1),
             side,
@@ -94,7 +94,7 @@ impl Square {
         })
     }
 
-    /// The photo behind the square, and the square's pixels.
+    /// The photo under the square, and the square's pixels.
     pub fn apply(&self, image: &Image) -> Result<(Image, Mask), PerturbError> {
         if image.channels != 3 {
             return Err(PerturbError::Planes(image.channels));
@@ -120,6 +120,6 @@ impl Square {
 
 /// A training photo of the experiment: the colour rule first, the square over it. Test photos stay clean.
 pub fn lego(image: &Image, seed: u64, photo: u64) -> Result<(Image, Mask), PerturbError> {
-    let square = Square::random(seed, photo, image.width, image.height)?;
-    square.apply(&Affine::random(seed, photo).apply(image)?)
+    let square = StripedSquare::random(seed, photo, image.width, image.height)?;
+    square.apply(&AffineColours::random(seed, photo).apply(image)?)
 }

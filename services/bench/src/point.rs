@@ -1,6 +1,6 @@
 //! One point of a sweep: a scene trained under some settings, clicked and scored, and what that cost.
 //!
-//! Cost is only comparable between processes that did one thing each: [`apart`] starts a program for every [`Job`],
+//! Cost is only comparable between processes that did one thing each: [`apart`] starts a program for every [`PointJob`],
 //! and nothing is shared between two of them.
 
 use crate::flow::{Calls, counted};
@@ -11,7 +11,7 @@ use crate::protocols::scene::stem;
 use crate::record::Record;
 use crate::stability::Harm;
 use crate::synthetic::random::Rng;
-use crate::synthetic::{Kind, ObjectTruth, SyntheticOptions, SyntheticPhoto, generate};
+use crate::synthetic::{ObjectKind, ObjectTruth, SyntheticOptions, SyntheticPhoto, generate};
 use crate::trial::{ProviderKind, Trial, TrialError};
 use segwild_flow::{Event, Events, Stopper, cpu};
 use segwild_pipeline::{
@@ -61,7 +61,7 @@ impl PhotoSource {
 
 /// What to measure.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Job {
+pub struct PointJob {
     /// [`Record::protocol`] of what comes out.
     pub protocol: String,
     /// [`Record::setting`].
@@ -70,9 +70,9 @@ pub struct Job {
     pub at: Option<f64>,
     /// The scene.
     pub source: PhotoSource,
-    /// Who looks at the photos.
+    /// The provider of masks and descriptors.
     pub providers: ProviderKind,
-    /// How the oracle errs, where it looks.
+    /// Faults of the oracle, where it is the provider.
     pub faults: OracleOptions,
     /// Settings by name, later ones winning.
     pub settings: Vec<(String, String)>,
@@ -83,7 +83,7 @@ pub struct Job {
     #[serde(default)]
     pub prompting: Prompting,
     /// Whether work is counted beside the quality: `steps`, `calls` of the providers, and `pairs` of a splat and a tile
-    /// that one look at every training photo draws. Counts do not depend on how busy a machine is.
+    /// that rendering every training photo once blends. Counts do not depend on how busy a machine is.
     #[serde(default)]
     pub count: bool,
     /// Seed of the training.
@@ -96,7 +96,7 @@ pub struct Job {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Prompting {
-    /// Deepest inside, in the photo that shows the object best; with the built-in provider, as a person tells it.
+    /// Deepest inside, in the photo that shows the object best; with the built-in provider, a box and clicks as a person gives them.
     #[default]
     Best,
     /// So many pixels from there, in a random direction.
@@ -137,8 +137,8 @@ impl From<SceneError> for PointError {
     }
 }
 
-impl Job {
-    /// The settings in force. What is compared is scored alike, whatever its look.
+impl PointJob {
+    /// The settings in force. What is compared is scored alike, whatever its appearance model.
     pub fn settings(&self) -> Result<Settings, SettingsError> {
         let mut pairs = vec![("scoring".to_owned(), "halves".to_owned())];
         pairs.extend(self.settings.iter().cloned());
@@ -163,7 +163,7 @@ impl Job {
 
 /// Measures in a process of its own: `program bench point` reads the job from its standard input and writes the records
 /// to its standard output.
-pub fn apart(program: &Path, job: &Job) -> Result<Vec<Record>, PointError> {
+pub fn apart(program: &Path, job: &PointJob) -> Result<Vec<Record>, PointError> {
     let failed = |what: String| PointError::Child(what);
     let text = serde_json::to_vec(job).map_err(|e| failed(e.to_string()))?;
     let mut child = Command::new(program)
@@ -178,14 +178,14 @@ pub fn apart(program: &Path, job: &Job) -> Result<Vec<Record>, PointError> {
     }
     let output = child.wait_with_output().map_err(|e| failed(e.to_string()))?;
     if !output.status.success() {
-        let said = String::from_utf8_lossy(&output.stderr);
-        return Err(failed(format!("{}: {}", output.status, said.trim())));
+        let message = String::from_utf8_lossy(&output.stderr);
+        return Err(failed(format!("{}: {}", output.status, message.trim())));
     }
     serde_json::from_slice(&output.stdout).map_err(|e| failed(e.to_string()))
 }
 
 /// Measures here: the scene's record first, then one per target.
-pub fn measure(job: &Job) -> Result<Vec<Record>, PointError> {
+pub fn measure(job: &PointJob) -> Result<Vec<Record>, PointError> {
     let settings = job.settings().map_err(RunError::from)?;
     match &job.source {
         PhotoSource::Synthetic(options) => synthetic(job, options, &settings),
@@ -193,7 +193,7 @@ pub fn measure(job: &Job) -> Result<Vec<Record>, PointError> {
     }
 }
 
-fn synthetic(job: &Job, options: &SyntheticOptions, settings: &Settings) -> Result<Vec<Record>, PointError> {
+fn synthetic(job: &PointJob, options: &SyntheticOptions, settings: &Settings) -> Result<Vec<Record>, PointError> {
     let mut scene = generate(options).map_err(TrialError::from)?;
     job.harm.apply(&mut scene, job.seed);
     let trial = Trial::of(&job.dir, scene, job.providers, &job.faults)?;
@@ -203,7 +203,7 @@ fn synthetic(job: &Job, options: &SyntheticOptions, settings: &Settings) -> Resu
     let session = trial.session(settings)?;
     let mut targets = Vec::new();
     let began = Instant::now();
-    for object in trial.manifest().objects.iter().filter(|o| o.kind == Kind::Object) {
+    for object in trial.manifest().objects.iter().filter(|o| o.kind == ObjectKind::Object) {
         for (k, prompts) in clicks(job, &trial, object).into_iter().enumerate() {
             let s = session.score(object, prompts)?;
             let numbers = [
@@ -212,7 +212,7 @@ fn synthetic(job: &Job, options: &SyntheticOptions, settings: &Settings) -> Resu
                 ("accuracy", s.accuracy),
                 ("amodal_iou", s.amodal_iou),
                 ("label_iou", s.label_iou),
-                ("hidden", s.hidden),
+                ("hidden", s.leak),
             ];
             targets.push(Record { notes: s.notes, ..job.record(&s.object, k as u32, &numbers) });
         }
@@ -228,24 +228,24 @@ fn seen_by(provider: &str, mut records: Vec<Record>) -> Vec<Record> {
     records
 }
 
-/// What is said of an object, each time anew.
-fn clicks(job: &Job, trial: &Trial, object: &ObjectTruth) -> Vec<PhotoPrompts> {
+/// Prompts for an object, one set per selection.
+fn clicks(job: &PointJob, trial: &Trial, object: &ObjectTruth) -> Vec<PhotoPrompts> {
     let Some(best) = object.clicks.first() else { return Vec::new() };
     let one =
         |photo: &str, x: f32, y: f32| PhotoPrompts { photo: photo.into(), prompts: Prompts::click(x, y) };
     let shown = trial.scene().photos.iter().find(|p| p.name == best.photo);
     let mut rng = Rng::new(job.seed, (31 << 32) + u64::from(object.id));
     match job.prompting {
-        // The oracle knows the whole from one click; the built-in provider is told as a person would tell it.
+        // The oracle knows the whole from one click; the built-in provider gets the prompts that a person would give.
         Prompting::Best if job.providers == ProviderKind::Builtin => {
             trial.prompts(object).into_iter().collect()
         }
         Prompting::Best => vec![one(&best.photo, best.x, best.y)],
-        Prompting::Beside(away) => {
+        Prompting::Beside(distance) => {
             let angle = std::f32::consts::TAU * rng.unit();
             let (w, h) = shown.map_or((1, 1), |p| (p.camera.width, p.camera.height));
-            let x = (best.x + away * angle.cos()).clamp(0.5, w as f32 - 0.5);
-            let y = (best.y + away * angle.sin()).clamp(0.5, h as f32 - 0.5);
+            let x = (best.x + distance * angle.cos()).clamp(0.5, w as f32 - 0.5);
+            let y = (best.y + distance * angle.sin()).clamp(0.5, h as f32 - 0.5);
             vec![one(&best.photo, x, y)]
         }
         Prompting::Inside(depth) => {
@@ -282,7 +282,7 @@ fn clicks(job: &Job, trial: &Trial, object: &ObjectTruth) -> Vec<PhotoPrompts> {
 /// A photo shows an object when at least one pixel in this many is the object's.
 const SHOWN: usize = 200;
 
-fn folder(job: &Job, path: &Path, parts: &Parts, settings: &Settings) -> Result<Vec<Record>, PointError> {
+fn folder(job: &PointJob, path: &Path, parts: &Parts, settings: &Settings) -> Result<Vec<Record>, PointError> {
     let truth = path.join("truth");
     let shown = references(path, &truth, parts, settings)?;
     let run = RunFolder::create(&job.dir.join("run"))?;
@@ -319,9 +319,9 @@ fn folder(job: &Job, path: &Path, parts: &Parts, settings: &Settings) -> Result<
     Ok(seen_by(&providers.name, targets))
 }
 
-/// Trains up to the held-out scores: what it cost and what it said.
+/// Trains up to the held-out scores; records the cost and the warnings.
 fn trained(
-    job: &Job,
+    job: &PointJob,
     scene: &Path,
     folder: &RunFolder,
     settings: &Settings,
@@ -359,8 +359,8 @@ fn trained(
         record.numbers.insert("calls".into(), calls.count() as f64);
         record.numbers.insert("pairs".into(), pairs(&loaded, settings)? as f64);
     }
-    while let Some(told) = listener.try_next() {
-        if let Event::Warning { message, .. } = &told.event {
+    while let Some(event) = listener.try_next() {
+        if let Event::Warning { message, .. } = &event.event {
             record.notes.push(message.clone());
         }
     }

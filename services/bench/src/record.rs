@@ -14,7 +14,7 @@ pub struct Record {
     pub protocol: String,
     /// The scene: its folder's name, or `seed 3`.
     pub scene: String,
-    /// What is compared within a protocol: a row of the ablation, a rival, a point of a sweep (`steps`).
+    /// What is compared within a protocol: a row of the ablation, a baseline, a point of a sweep (`steps`).
     pub setting: String,
     /// Who made the masks ([`segwild_vision::Providers::name`]): `built-in`, `sam:` and a model, `oracle`. Empty where no
     /// masks take part, and in results of before it was kept.
@@ -26,7 +26,7 @@ pub struct Record {
     /// The object; empty where the record speaks of the whole scene.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub target: String,
-    /// Seed of whatever was drawn at random, training included.
+    /// Seed of all random numbers, training included.
     pub seed: u64,
     /// Which of several prompts for the same target.
     #[serde(default)]
@@ -34,14 +34,14 @@ pub struct Record {
     /// The numbers by name, units in the name where they have one: `iou`, `boundary_iou`, `accuracy`, `amodal_iou`,
     /// `label_iou`, `hidden`, `psnr`, `ssim`, `wall_s`, `cpu_s`, `peak_mib`, `splats`.
     pub numbers: BTreeMap<String, f64>,
-    /// What the program said about it: warnings, reasons, evidence.
+    /// What the program reported about it: warnings, reasons, evidence.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub notes: Vec<String>,
 }
 
 /// What made the records.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Made {
+pub struct Provenance {
     /// The command line that makes them again.
     pub command: String,
     /// Version of the program, with the commit where it is known.
@@ -54,7 +54,7 @@ pub struct Made {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Results {
     /// What made them.
-    pub made: Made,
+    pub made: Provenance,
     /// The measurements, in the order they were made.
     pub records: Vec<Record>,
     /// What should have been measured and was not, a sentence each: a target without its photo, a photo without its mask.
@@ -76,9 +76,9 @@ pub enum RecordError {
     Write(#[from] FileError),
 }
 
-impl Made {
+impl Provenance {
     /// This program, run as `command`, here.
-    pub fn here(command: String) -> Made {
+    pub fn here(command: String) -> Provenance {
         let line = |file: &str, key: &str| {
             let text = std::fs::read_to_string(file).ok()?;
             let line = text.lines().find(|l| l.starts_with(key))?;
@@ -91,7 +91,7 @@ impl Made {
         let processor = line("/proc/cpuinfo", "model name").unwrap_or_else(|| std::env::consts::ARCH.into());
         let version = env!("CARGO_PKG_VERSION").to_owned();
         let version = commit().map_or(version.clone(), |commit| format!("{version} ({commit})"));
-        Made { command, version, machine: format!("{processor}, {cores} cores{memory}") }
+        Provenance { command, version, machine: format!("{processor}, {cores} cores{memory}") }
     }
 }
 
@@ -99,9 +99,9 @@ impl Made {
 fn commit() -> Option<String> {
     let program = std::env::current_exe().ok()?;
     let describe = ["describe", "--always", "--dirty", "--exclude=*"];
-    let told = Command::new("git").current_dir(program.parent()?).args(describe).output().ok()?;
-    let text = String::from_utf8(told.stdout).ok()?.trim().to_owned();
-    (told.status.success() && !text.is_empty()).then_some(text)
+    let output = Command::new("git").current_dir(program.parent()?).args(describe).output().ok()?;
+    let text = String::from_utf8(output.stdout).ok()?.trim().to_owned();
+    (output.status.success() && !text.is_empty()).then_some(text)
 }
 
 impl Record {
@@ -143,7 +143,7 @@ impl Results {
         }
     }
 
-    /// Notes what should have been measured and was not; what is known already is not said twice.
+    /// Notes what should have been measured and was not; what is known already is not added twice.
     pub fn miss(&mut self, what: impl IntoIterator<Item = String>) {
         for sentence in what {
             if !self.missing.contains(&sentence) {
@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn a_measurement_made_again_takes_the_place_of_the_old_one() {
+    fn a_measurement_made_again_replaces_the_old_one() {
         let mut results = Results::default();
         results.put(record("full", 0.5));
         results.put(record("no-sgc", 0.4));
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn figures_of_another_provider_take_the_place_of_none() {
+    fn figures_of_another_provider_replace_none() {
         let mut results = Results::default();
         results.put(record("full", 0.9));
         results.put(Record { provider: "built-in".into(), ..record("full", 0.4) });
@@ -225,7 +225,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("results.json");
         let results = Results {
-            made: Made::here("segwild bench".into()),
+            made: Provenance::here("segwild bench".into()),
             records: vec![record("a, b", 0.25)],
             ..Results::default()
         };

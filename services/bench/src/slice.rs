@@ -2,8 +2,8 @@
 //! what is kept beside the code ([`crate::compare`], strictly), it fails when either gets worse.
 
 use crate::oracle::OracleOptions;
-use crate::point::{Job, PhotoSource, PointError, Prompting, measure};
-use crate::record::{Made, Results};
+use crate::point::{PointJob, PhotoSource, PointError, Prompting, measure};
+use crate::record::{Provenance, Results};
 use crate::stability::Harm;
 use crate::synthetic::SyntheticOptions;
 use crate::trial::ProviderKind;
@@ -16,7 +16,7 @@ const GUARDED: [&str; 9] =
 /// Two sources, one seen by the oracle and one by the built-in provider, under the quickest preset and `changes`.
 /// Scenes and runs are made in `dir`, which is emptied.
 pub fn slice(dir: &Path, changes: &[(String, String)], command: String) -> Result<Results, PointError> {
-    let mut results = Results { made: Made::here(command), ..Results::default() };
+    let mut results = Results { made: Provenance::here(command), ..Results::default() };
     let eyes = [("oracle", 11, ProviderKind::Oracle), ("built-in", 12, ProviderKind::Builtin)];
     for (setting, seed, providers) in eyes {
         let scene = SyntheticOptions {
@@ -29,7 +29,7 @@ pub fn slice(dir: &Path, changes: &[(String, String)], command: String) -> Resul
         };
         let mut settings = vec![("preset".to_owned(), "draft".to_owned())];
         settings.extend_from_slice(changes);
-        let job = Job {
+        let job = PointJob {
             protocol: "slice".into(),
             setting: setting.into(),
             at: None,
@@ -47,7 +47,7 @@ pub fn slice(dir: &Path, changes: &[(String, String)], command: String) -> Resul
         for mut record in measure(&job)? {
             record.numbers.retain(|name, _| GUARDED.contains(&name.as_str()));
             if providers == ProviderKind::Builtin {
-                // Whether the weak provider lets a hidden wall in or not turns on a hair.
+                // Whether the weak provider selects the occluded wall or not hangs on a hair.
                 record.numbers.remove("hidden");
             }
             // Digits beyond these differ from one mathematics library to the next.

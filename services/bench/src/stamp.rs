@@ -2,7 +2,7 @@
 //! before any figure.
 
 use crate::oracle::ORACLE;
-use crate::record::{Made, Record, Results};
+use crate::record::{Provenance, Record, Results};
 
 /// What stands for the provider where results do not say it.
 pub const UNKNOWN: &str = "not recorded";
@@ -26,7 +26,7 @@ pub fn providers<'a>(sets: impl IntoIterator<Item = &'a Results>) -> Vec<&'a str
     names
 }
 
-/// A page's title with the providers of its figures, as in `Synthetic places (oracle)`.
+/// A page's title with the providers of its figures, as in `Synthetic scenes (oracle)`.
 pub fn title(words: &str, providers: &[&str]) -> String {
     if providers.is_empty() { words.to_owned() } else { format!("{words} ({})", providers.join(", ")) }
 }
@@ -75,7 +75,7 @@ fn listed(words: &[&str]) -> String {
 }
 
 /// What made a page, in one line: provider, command, commit, machine.
-pub fn stamp(made: &Made, providers: &[&str]) -> String {
+pub fn stamp(made: &Provenance, providers: &[&str]) -> String {
     let provider = if providers.is_empty() { "none".to_owned() } else { providers.join(", ") };
     format!(
         "Provider: {provider}. Command: `{}`. Commit: {}. Machine: {}.",
@@ -86,7 +86,7 @@ pub fn stamp(made: &Made, providers: &[&str]) -> String {
 }
 
 /// The commit of the program, and its version.
-fn commit(made: &Made) -> String {
+fn commit(made: &Provenance) -> String {
     let within =
         made.version.split_once(" (").and_then(|(version, rest)| Some((version, rest.strip_suffix(')')?)));
     match within {
@@ -101,16 +101,19 @@ mod tests {
 
     #[test]
     fn a_page_says_first_whose_masks_and_whose_settings_its_figures_are_of() {
-        let said = first_sentence(&[ORACLE], &["SAGA", "GS-W"]);
+        let message = first_sentence(&[ORACLE], &["SAGA", "GS-W"]);
         assert!(
-            said.starts_with("The rows named after SAGA and GS-W are settings of this program"),
-            "{said}"
+            message.starts_with("The rows named after SAGA and GS-W are settings of this program"),
+            "{message}"
         );
-        assert!(said.contains("oracle") && said.matches(". ").count() == 0, "{said}");
-        let said = first_sentence(&["built-in"], &[]);
-        assert_eq!(said, "All masks are those of the provider built-in.");
-        let said = first_sentence(&["built-in", ORACLE], &[]);
-        assert!(said.starts_with("Masks are those of built-in and") && said.contains("oracle"), "{said}");
+        assert!(message.contains("oracle") && message.matches(". ").count() == 0, "{message}");
+        let message = first_sentence(&["built-in"], &[]);
+        assert_eq!(message, "All masks are those of the provider built-in.");
+        let message = first_sentence(&["built-in", ORACLE], &[]);
+        assert!(
+            message.starts_with("Masks are those of built-in and") && message.contains("oracle"),
+            "{message}"
+        );
         assert_eq!(title("Scenes", &[ORACLE]), "Scenes (oracle)");
     }
 
@@ -128,10 +131,10 @@ mod tests {
     #[test]
     fn a_stamp_names_provider_command_commit_and_machine() {
         let made =
-            Made { command: "segwild bench".into(), version: "0.1.0 (abc)".into(), machine: "m".into() };
-        let said = stamp(&made, &["built-in"]);
+            Provenance { command: "segwild bench".into(), version: "0.1.0 (abc)".into(), machine: "m".into() };
+        let message = stamp(&made, &["built-in"]);
         assert_eq!(
-            said,
+            message,
             "Provider: built-in. Command: `segwild bench`. Commit: abc (segwild 0.1.0). Machine: m."
         );
     }

@@ -3,7 +3,7 @@
 use crate::metrics::{self, MetricError, leakage};
 use crate::oracle::{ORACLE, Oracle, OracleOptions};
 use crate::synthetic::{
-    Kind, Manifest, ObjectTruth, SyntheticError, SyntheticOptions, SyntheticPhoto, SyntheticScene, generate,
+    ObjectKind, Manifest, ObjectTruth, SyntheticError, SyntheticOptions, SyntheticPhoto, SyntheticScene, generate,
 };
 use segwild_flow::Stopper;
 use segwild_pipeline::{
@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
-/// Who looks at the photos of a trial.
+/// The provider of masks and descriptors in a trial.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ProviderKind {
@@ -34,7 +34,7 @@ const LEAST: usize = 1000;
 const PART: usize = 10;
 
 /// The surface that no click may reach.
-const HIDDEN: &str = "hidden_wall";
+const OCCLUDED_WALL: &str = "hidden_wall";
 
 /// Why a trial cannot be made.
 #[derive(Debug, thiserror::Error)]
@@ -61,7 +61,7 @@ pub enum TrialError {
         /// What does not fit.
         source: MetricError,
     },
-    /// A row of the table was asked for that does not exist.
+    /// The table has no row of this name.
     #[error("there is no row `{0}`")]
     Row(String),
 }
@@ -83,20 +83,20 @@ pub struct ObjectScore {
     pub accuracy: f64,
     /// Mean Boundary IoU.
     pub boundary_iou: f64,
-    /// Mean IoU of the object drawn alone with what would be seen of it if nothing else were there.
+    /// Mean IoU of the object rendered alone with what would be seen of it if nothing else were there.
     pub amodal_iou: f64,
     /// Mean Boundary IoU of the same.
     pub amodal_boundary_iou: f64,
     /// IoU in 3D: splats by their nearest true surface, weighted by opacity.
     pub label_iou: f64,
-    /// Share of the hidden wall's splats that were selected.
-    pub hidden: f64,
+    /// Share of the occluded wall's splats that were selected.
+    pub leak: f64,
     /// Mean share of the selected pixels that are of other objects: what stands on a wall or on the ground that was clicked,
     /// or before it.
     pub standing: f64,
     /// Splats that the spike cut shortened, dropped or took a piece of.
     pub cut: usize,
-    /// What the program said about the prompts: doubts, or why it refused.
+    /// What the program reported about the prompts: diagnostics, or why it refused.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub notes: Vec<String>,
     /// Seconds from the prompts to the selection, the scene being loaded; `None` where nothing was selected.
@@ -114,7 +114,7 @@ impl ObjectScore {
             ("amodal_iou", self.amodal_iou),
             ("amodal_boundary_iou", self.amodal_boundary_iou),
             ("label_iou", self.label_iou),
-            ("hidden", self.hidden),
+            ("hidden", self.leak),
             ("photos", self.photos as f64),
         ];
         numbers.extend(self.select_s.map(|s| ("select_s", s)));
@@ -129,7 +129,7 @@ pub struct Trial {
     folder: RunFolder,
     scene_dir: PathBuf,
     oracle: Option<Arc<Oracle>>,
-    /// What would be seen of each instance alone, traced when first asked for.
+    /// The amodal masks of each instance (what would be seen of it alone), traced at first use.
     alone: Vec<OnceLock<Vec<Mask>>>,
 }
 
@@ -211,20 +211,20 @@ impl Trial {
         Ok(run(&self.scene_dir, &self.folder, settings, &options)?.held_out)
     }
 
-    /// Clicks every object once, in the training photo that shows it best, and scores what is selected. `told` hears
+    /// Clicks every object once, in the training photo that shows it best, and scores what is selected. `report` receives
     /// of each as soon as it is known.
     pub fn objects(
         &self,
         settings: &Settings,
-        mut told: impl FnMut(&ObjectScore),
+        mut report: impl FnMut(&ObjectScore),
     ) -> Result<Vec<ObjectScore>, TrialError> {
         let session = self.session(settings)?;
         let mut scores = Vec::new();
-        for object in self.manifest.objects.iter().filter(|o| o.kind == Kind::Object) {
+        for object in self.manifest.objects.iter().filter(|o| o.kind == ObjectKind::Object) {
             let Some(click) = object.clicks.first() else { continue };
             let prompts = Prompts::click(click.x, click.y);
             let score = session.score(object, PhotoPrompts { photo: click.photo.clone(), prompts })?;
-            told(&score);
+            report(&score);
             scores.push(score);
         }
         Ok(scores)
@@ -311,7 +311,7 @@ impl Trial {
     /// Share of a mask's pixels on which the photo shows another object than `id`.
     fn standing(&self, photo: &SyntheticPhoto, mask: &Mask, id: u16) -> f64 {
         let is_other = |i: u16| {
-            i != id && self.scene.instances.get(usize::from(i)).is_some_and(|o| o.kind != Kind::Surface)
+            i != id && self.scene.instances.get(usize::from(i)).is_some_and(|o| o.kind != ObjectKind::Surface)
         };
         let (w, h) = (photo.camera.width, photo.camera.height);
         let mask = if (mask.width(), mask.height()) == (w, h) { mask.clone() } else { mask.resized(w, h) };
@@ -350,7 +350,7 @@ impl Session<'_> {
             amodal_iou: 0.0,
             amodal_boundary_iou: 0.0,
             label_iou: 0.0,
-            hidden: 0.0,
+            leak: 0.0,
             standing: 0.0,
             cut: 0,
             notes: Vec::new(),
@@ -366,8 +366,8 @@ impl Session<'_> {
                 let selected = Selected::read(&trial.folder, name, self.splats.len())?.labels;
                 let opacity = |i: usize| f64::from(self.splats.opacity(i));
                 score.label_iou = metrics::label_iou(&selected, &self.labels, object.id, opacity);
-                let hidden = trial.scene.instance_named(HIDDEN);
-                score.hidden = hidden.map_or(0.0, |wall| leakage(&selected, &self.labels, wall));
+                let leak = trial.scene.instance_named(OCCLUDED_WALL);
+                score.leak = leak.map_or(0.0, |wall| leakage(&selected, &self.labels, wall));
             }
             // Nothing selected is nothing right.
             Err(RunError::Segment(error)) if error.is_nothing() => score.notes.push(error.to_string()),

@@ -89,7 +89,7 @@ impl From<RunError> for Failure {
 /// Whether the system had something not left, by the error or, where an actor met it, by its words.
 fn is_shortage(error: &RunError, message: &str) -> bool {
     let of_threads = matches!(error, RunError::Spawn(e) if shortage::is_shortage_of_processes(&e.source));
-    of_threads || shortage::is_behind(error) || shortage::is_said(message)
+    of_threads || shortage::is_caused_by_shortage(error) || shortage::is_shortage_message(message)
 }
 
 fn segment_code(error: &SegmentError) -> u8 {

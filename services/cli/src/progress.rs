@@ -1,7 +1,7 @@
 //! What happens, as bars for a person or as JSON lines for a program; and Ctrl-C.
 
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
-use segwild_flow::{Event, EventRecord, Events, Level, Sink, Stopper};
+use segwild_flow::{Event, EventRecord, Events, EventLevel, Sink, Stopper};
 use std::collections::BTreeMap;
 use std::io::{IsTerminal, Write};
 use std::time::Duration;
@@ -63,7 +63,7 @@ pub fn show(events: &Events, json: bool) -> std::io::Result<Sink> {
                 say(format!("{stage:>9} photo {view} failed: {error}"))
             }
             Event::Warning { message, .. } => say(format!("  warning {message}")),
-            Event::Message { level, stage, message } if *level > Level::Detail => {
+            Event::Message { level, stage, message } if *level > EventLevel::Detail => {
                 say(format!("{:>9} {message}", stage.as_deref().unwrap_or("")));
             }
             Event::ActorRestarted { actor, cause, .. } => {

@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use segwild_flow::clock::{self, Steady};
 
 /// Tells the time.
-pub trait Clock: Send + Sync {
+pub trait JobClock: Send + Sync {
     /// Seconds since 1970. May jump.
     fn now(&self) -> f64;
 
@@ -23,7 +23,7 @@ pub trait Clock: Send + Sync {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct SystemClock;
 
-impl Clock for SystemClock {
+impl JobClock for SystemClock {
     fn now(&self) -> f64 {
         clock::now()
     }
@@ -36,7 +36,7 @@ impl Clock for SystemClock {
 /// A clock that is set by hand; clones are the same clock.
 ///
 /// ```
-/// use segwild_farm::{Clock, SimulatedClock};
+/// use segwild_farm::{JobClock, SimulatedClock};
 /// let clock = SimulatedClock::new(100.0);
 /// clock.clone().pass(2.5);
 /// assert_eq!(clock.now(), 102.5);
@@ -77,7 +77,7 @@ fn add(to: &AtomicU64, seconds: f64) {
     to.store((read(to) + seconds).to_bits(), Ordering::Release);
 }
 
-impl Clock for SimulatedClock {
+impl JobClock for SimulatedClock {
     fn now(&self) -> f64 {
         read(&self.wall) + read(&self.passed)
     }

@@ -1,12 +1,12 @@
-//! What any engine has to do, as one suite that any engine can be put through.
+//! What every engine has to do, as one suite of checks.
 //!
 //! ```
-//! use segwild_farm::{EmbeddedEngine, Engine, SimulatedClock, conformance};
+//! use segwild_farm::{EmbeddedEngine, JobEngine, SimulatedClock, conformance};
 //! use std::sync::Arc;
 //!
 //! struct Here { folder: tempfile::TempDir, clock: SimulatedClock }
 //! impl conformance::Site for Here {
-//!     fn engine(&self) -> Box<dyn Engine> {
+//!     fn engine(&self) -> Box<dyn JobEngine> {
 //!         let path = self.folder.path().join("jobs.sqlite");
 //!         Box::new(EmbeddedEngine::with_clock(path, Arc::new(self.clock.clone())).unwrap())
 //!     }
@@ -23,14 +23,15 @@ use std::collections::BTreeMap;
 use std::fmt::Debug;
 
 use crate::engine::{
-    ChangeKind, Completed, Engine, EngineError, ErrorClass, Fate, JobState, Lease, Offer, Published,
+    ChangeKind, Completed, EngineError, ErrorClass, JobEngine, JobFate, JobLease, JobState, Published,
+    WorkerOffer,
 };
 use crate::job::{Job, Needs, Retry};
 
-/// A place where the engine under test stands, with nothing published yet.
+/// The engine under test with its clock, nothing published yet.
 pub trait Site: Sync {
     /// A handle to the engine; a further call is as from another process.
-    fn engine(&self) -> Box<dyn Engine>;
+    fn engine(&self) -> Box<dyn JobEngine>;
 
     /// Lets time pass for the engine, by its clock or by waiting.
     fn pass(&self, seconds: f64);
@@ -40,7 +41,7 @@ pub trait Site: Sync {
 }
 
 /// A check: its name, and what it does with a fresh site.
-pub type Check = (&'static str, fn(&dyn Site) -> Result<(), String>);
+pub type ConformanceCheck = (&'static str, fn(&dyn Site) -> Result<(), String>);
 
 /// Seconds that a lease of the suite lasts.
 const LEASE_S: f64 = 2.0;
@@ -48,12 +49,12 @@ const LEASE_S: f64 = 2.0;
 const REST_S: f64 = 1.0;
 
 /// The suite.
-pub const CHECKS: [Check; 21] = [
+pub const CHECKS: [ConformanceCheck; 21] = [
     ("publishing twice is publishing once", publishing_twice),
-    ("another payload begins again, but not under a worker's hands", another_payload),
+    ("another payload starts again, but not under a worker's hands", another_payload),
     ("the most urgent job goes first, equals in order", urgency),
-    ("a job that does not fit is left for who has room", fitting),
-    ("what a more urgent job waits for is not given to a less urgent one", keeping_room),
+    ("a job that does not fit is left for a worker that has the capacity", fitting),
+    ("what a more urgent job waits for is not given to a less urgent one", reserving_capacity),
     ("no job is given to two workers", one_worker_per_job),
     ("a heartbeat holds a lease beyond its time", heartbeat_holds),
     ("a silent worker loses its lease, and the next attempt has a higher fence", silence),
@@ -69,12 +70,12 @@ pub const CHECKS: [Check; 21] = [
     ("being stopped costs no attempt", stopping),
     ("a shortage of the machine rests, and costs no attempt", shortage),
     ("a dead letter can be revived, and nothing else can", reviving),
-    ("changes are told in order to any handle, from any revision", watching),
+    ("changes are reported in order to any handle, from any revision", watching),
 ];
 
 /// Puts an engine through the suite, each check on a site of its own, and says which checks it fails and why.
 pub fn broken(site: &dyn Fn() -> Box<dyn Site>) -> Vec<(&'static str, String)> {
-    let failed = |(name, check): &Check| check(&*site()).err().map(|reason| (*name, reason));
+    let failed = |(name, check): &ConformanceCheck| check(&*site()).err().map(|reason| (*name, reason));
     CHECKS.iter().filter_map(failed).collect()
 }
 
@@ -88,9 +89,9 @@ fn job(id: &str) -> Job {
     }
 }
 
-fn offer(worker: &str) -> Offer {
+fn offer(worker: &str) -> WorkerOffer {
     let free = Needs { cores: 4, memory_bytes: 1000, accelerators: 1 };
-    Offer { worker: worker.into(), free, whole: free, lease_s: LEASE_S }
+    WorkerOffer { worker: worker.into(), free, whole: free, lease_s: LEASE_S }
 }
 
 fn words(error: EngineError) -> String {
@@ -101,11 +102,11 @@ fn expect<T: PartialEq + Debug>(what: &str, found: T, wanted: T) -> Result<(), S
     if found == wanted { Ok(()) } else { Err(format!("{what}: {found:?} instead of {wanted:?}")) }
 }
 
-fn claim(engine: &dyn Engine, worker: &str) -> Result<Lease, String> {
+fn claim(engine: &dyn JobEngine, worker: &str) -> Result<JobLease, String> {
     engine.claim(&offer(worker)).map_err(words)?.ok_or_else(|| format!("{worker} is given nothing"))
 }
 
-fn nothing(engine: &dyn Engine, when: &str) -> Result<(), String> {
+fn nothing(engine: &dyn JobEngine, when: &str) -> Result<(), String> {
     match engine.claim(&offer("anybody")).map_err(words)? {
         None => Ok(()),
         Some(lease) => Err(format!("{when}, `{}` is given away", lease.job.id)),
@@ -119,7 +120,7 @@ fn lost<T: Debug>(what: &str, result: Result<T, EngineError>) -> Result<(), Stri
     }
 }
 
-fn state(engine: &dyn Engine, id: &str) -> Result<JobState, String> {
+fn state(engine: &dyn JobEngine, id: &str) -> Result<JobState, String> {
     let jobs = engine.jobs().map_err(words)?;
     jobs.iter().find(|j| j.job.id == id).map(|j| j.state).ok_or_else(|| format!("`{id}` is not listed"))
 }
@@ -170,12 +171,12 @@ fn fitting(site: &dyn Site) -> Result<(), String> {
     engine.publish(&job("small")).map_err(words)?;
     expect("what fits", claim(&*engine, "w")?.job.id.as_str(), "small")?;
     nothing(&*engine, "with only the large job left")?;
-    let roomy = Offer { free: Needs { cores: 8, ..offer("w").free }, ..offer("roomy") };
-    let lease = engine.claim(&roomy).map_err(words)?.ok_or("who has room is given nothing")?;
-    expect("to who has room", lease.job.id.as_str(), "large")
+    let roomy = WorkerOffer { free: Needs { cores: 8, ..offer("w").free }, ..offer("roomy") };
+    let lease = engine.claim(&roomy).map_err(words)?.ok_or("a worker with the capacity is given nothing")?;
+    expect("to the worker with the capacity", lease.job.id.as_str(), "large")
 }
 
-fn keeping_room(site: &dyn Site) -> Result<(), String> {
+fn reserving_capacity(site: &dyn Site) -> Result<(), String> {
     let engine = site.engine();
     let whole = Needs { accelerators: 2, ..offer("w").free };
     let with = |id: &str, priority, accelerators| {
@@ -187,7 +188,7 @@ fn keeping_room(site: &dyn Site) -> Result<(), String> {
     }
     let claim = |accelerators| {
         let free = Needs { accelerators, ..whole };
-        let lease = engine.claim(&Offer { free, whole, ..offer("w") }).map_err(words)?;
+        let lease = engine.claim(&WorkerOffer { free, whole, ..offer("w") }).map_err(words)?;
         Ok::<_, String>(lease.map(|lease| lease.job.id))
     };
     // One of two accelerators is free: it is kept for the job that needs both.
@@ -242,7 +243,7 @@ fn heartbeat_holds(site: &dyn Site) -> Result<(), String> {
 }
 
 /// Publishes a job, lets a worker take it and fall silent, and another one take over.
-fn taken_over(site: &dyn Site, engine: &dyn Engine) -> Result<(Lease, Lease), String> {
+fn taken_over(site: &dyn Site, engine: &dyn JobEngine) -> Result<(JobLease, JobLease), String> {
     engine.publish(&job("a")).map_err(words)?;
     let zombie = claim(engine, "zombie")?;
     nothing(engine, "before the lease ends")?;
@@ -258,8 +259,8 @@ fn silence(site: &dyn Site) -> Result<(), String> {
     let (zombie, heir) = taken_over(site, &*engine)?;
     expect("the same job", &heir.job.id, &zombie.job.id)?;
     expect("a higher fence", heir.attempt > zombie.attempt, true)?;
-    let told = engine.watch(0, usize::MAX).map_err(words)?;
-    expect("it is told", told.iter().any(|c| c.kind == ChangeKind::Expired), true)
+    let changes = engine.watch(0, usize::MAX).map_err(words)?;
+    expect("it is reported", changes.iter().any(|c| c.kind == ChangeKind::Expired), true)
 }
 
 fn zombie(site: &dyn Site) -> Result<(), String> {
@@ -291,8 +292,8 @@ fn completing_twice(site: &dyn Site) -> Result<(), String> {
     expect("the second time", site.engine().complete(&lease, "done").map_err(words)?, Completed::Before)?;
     lost("another outcome", engine.complete(&lease, "something else"))?;
     lost("a failure after the end", engine.fail(&lease, ErrorClass::Retryable, "late"))?;
-    let told = engine.watch(0, usize::MAX).map_err(words)?;
-    expect("completions told", told.iter().filter(|c| c.kind == ChangeKind::Completed).count(), 1)
+    let changes = engine.watch(0, usize::MAX).map_err(words)?;
+    expect("completions reported", changes.iter().filter(|c| c.kind == ChangeKind::Completed).count(), 1)
 }
 
 fn back_off(site: &dyn Site) -> Result<(), String> {
@@ -301,7 +302,7 @@ fn back_off(site: &dyn Site) -> Result<(), String> {
     for failures in 0..3 {
         let lease = claim(&*engine, "w")?;
         match engine.fail(&lease, ErrorClass::Retryable, "no luck").map_err(words)? {
-            Fate::Retry { .. } => {}
+            JobFate::Retry { .. } => {}
             other => return Err(format!("failure {failures} ends in {other:?}")),
         }
         let rest = REST_S * f64::from(1 << failures);
@@ -354,7 +355,7 @@ fn attempts_end(site: &dyn Site) -> Result<(), String> {
     for last in [false, false, true] {
         let lease = claim(&*engine, "w")?;
         let fate = engine.fail(&lease, ErrorClass::Retryable, "no luck").map_err(words)?;
-        expect("a dead letter", fate == Fate::Dead, last)?;
+        expect("a dead letter", fate == JobFate::Dead, last)?;
         site.pass(60.0 * REST_S);
     }
     expect("its state", state(&*engine, "a")?, JobState::Dead)?;
@@ -368,7 +369,7 @@ fn fatal(site: &dyn Site) -> Result<(), String> {
     engine.publish(&job("a")).map_err(words)?;
     engine.publish(&job("b")).map_err(words)?;
     let lease = claim(&*engine, "w")?;
-    expect("its fate", engine.fail(&lease, ErrorClass::Fatal, "bad input").map_err(words)?, Fate::Dead)?;
+    expect("its fate", engine.fail(&lease, ErrorClass::Fatal, "bad input").map_err(words)?, JobFate::Dead)?;
     expect("the rest goes on", claim(&*engine, "w")?.job.id.as_str(), "b")?;
     nothing(&*engine, "with the other one dead")
 }
@@ -392,7 +393,7 @@ fn stopping(site: &dyn Site) -> Result<(), String> {
     for _ in 0..5 {
         let lease = claim(&*engine, "w")?;
         let fate = engine.fail(&lease, ErrorClass::Stopped, "stopped").map_err(words)?;
-        expect("its fate", fate, Fate::Released)?;
+        expect("its fate", fate, JobFate::Released)?;
     }
     let lease = claim(&*engine, "w")?;
     expect("completing it", engine.complete(&lease, "done").map_err(words)?, Completed::Now)
@@ -405,7 +406,7 @@ fn shortage(site: &dyn Site) -> Result<(), String> {
         let lease = claim(&*engine, "w")?;
         expect("the failures before", lease.failures, 0)?;
         match engine.fail(&lease, ErrorClass::Shortage, "too many open files").map_err(words)? {
-            Fate::Retry { .. } => {}
+            JobFate::Retry { .. } => {}
             other => return Err(format!("its fate is {other:?}")),
         }
         nothing(&*engine, "in its rest")?;
@@ -428,8 +429,8 @@ fn reviving(site: &dyn Site) -> Result<(), String> {
     let again = claim(&*engine, "w")?;
     expect("a higher fence", again.attempt > lease.attempt, true)?;
     match engine.fail(&again, ErrorClass::Retryable, "no luck").map_err(words)? {
-        Fate::Retry { .. } => Ok(()),
-        other => Err(format!("its attempts are not counted anew: {other:?}")),
+        JobFate::Retry { .. } => Ok(()),
+        other => Err(format!("its attempts are not counted from 0 again: {other:?}")),
     }
 }
 
@@ -438,12 +439,16 @@ fn watching(site: &dyn Site) -> Result<(), String> {
     engine.publish(&job("a")).map_err(words)?;
     let lease = claim(&*engine, "w")?;
     engine.complete(&lease, "done").map_err(words)?;
-    let told = site.engine().watch(0, usize::MAX).map_err(words)?;
-    let kinds: Vec<_> = told.iter().map(|c| c.kind).collect();
-    expect("what is told", kinds, vec![ChangeKind::Published, ChangeKind::Claimed, ChangeKind::Completed])?;
-    expect("in order", told.windows(2).all(|w| w[0].revision < w[1].revision), true)?;
-    let rest = engine.watch(told[0].revision, usize::MAX).map_err(words)?;
-    expect("from a revision on", &rest[..], &told[1..])?;
+    let changes = site.engine().watch(0, usize::MAX).map_err(words)?;
+    let kinds: Vec<_> = changes.iter().map(|c| c.kind).collect();
+    expect(
+        "what is reported",
+        kinds,
+        vec![ChangeKind::Published, ChangeKind::Claimed, ChangeKind::Completed],
+    )?;
+    expect("in order", changes.windows(2).all(|w| w[0].revision < w[1].revision), true)?;
+    let rest = engine.watch(changes[0].revision, usize::MAX).map_err(words)?;
+    expect("from a revision on", &rest[..], &changes[1..])?;
     expect("at most so many", engine.watch(0, 1).map_err(words)?.len(), 1)?;
-    expect("nothing new", engine.watch(told[2].revision, usize::MAX).map_err(words)?.len(), 0)
+    expect("nothing new", engine.watch(changes[2].revision, usize::MAX).map_err(words)?.len(), 0)
 }

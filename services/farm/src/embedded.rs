@@ -7,10 +7,10 @@ use std::time::Duration;
 use rusqlite::types::Type;
 use rusqlite::{Connection, OpenFlags, OptionalExtension, Row, Transaction, TransactionBehavior, params};
 
-use crate::clock::{Clock, SystemClock};
+use crate::clock::{JobClock, SystemClock};
 use crate::engine::{
-    Change, ChangeKind, Completed, Engine, EngineError, ErrorClass, Fate, JobState, JobStatus, Lease, Offer,
-    Published,
+    ChangeKind, Completed, EngineError, ErrorClass, JobChange, JobEngine, JobFate, JobLease, JobState,
+    JobStatus, Published, WorkerOffer,
 };
 use crate::job::{Job, Needs, Retry};
 use crate::jumps;
@@ -42,7 +42,7 @@ const COLUMNS: &str = "id, payload, priority, cores, memory_bytes, accelerators,
 pub struct EmbeddedEngine {
     path: PathBuf,
     connection: Mutex<Connection>,
-    clock: Arc<dyn Clock>,
+    clock: Arc<dyn JobClock>,
     /// How far the wall clock has jumped, in seconds, as far as this handle saw it and nobody asked yet.
     jumped: Mutex<Vec<f64>>,
 }
@@ -60,7 +60,7 @@ impl EmbeddedEngine {
     ///
     /// # Errors
     /// As [`EmbeddedEngine::open`].
-    pub fn with_clock(path: impl Into<PathBuf>, clock: Arc<dyn Clock>) -> Result<Self, EngineError> {
+    pub fn with_clock(path: impl Into<PathBuf>, clock: Arc<dyn JobClock>) -> Result<Self, EngineError> {
         let path = path.into();
         let error = |e| store(&path, &e);
         let mut connection = Connection::open(&path).map_err(error)?;
@@ -74,7 +74,7 @@ impl EmbeddedEngine {
                 t.execute_batch(TABLES)?;
                 t.pragma_update(None, "user_version", VERSION)?;
             }
-            // An addition that older versions of the program do not look at.
+            // An addition that older versions of the program ignore.
             t.execute_batch(jumps::TABLE)?;
             t.commit()
         };
@@ -97,7 +97,7 @@ impl EmbeddedEngine {
         Self::checked(path, connection, Arc::new(SystemClock))
     }
 
-    fn checked(path: PathBuf, connection: Connection, clock: Arc<dyn Clock>) -> Result<Self, EngineError> {
+    fn checked(path: PathBuf, connection: Connection, clock: Arc<dyn JobClock>) -> Result<Self, EngineError> {
         let found: i64 = connection
             .pragma_query_value(None, "user_version", |row| row.get(0))
             .map_err(|e| store(&path, &e))?;
@@ -147,8 +147,8 @@ impl EmbeddedEngine {
         Ok(count.max(0) as u64)
     }
 
-    /// Forgets jobs that nobody asks for any more, but for those that somebody works on; what happened to them stays
-    /// told.
+    /// Forgets jobs that are not wanted any more, but for those that somebody works on; what happened to them stays
+    /// recorded.
     ///
     /// # Errors
     /// When the store fails.
@@ -275,7 +275,7 @@ fn count_failure(
     job: &JobStatus,
     class: ErrorClass,
     error: &str,
-) -> rusqlite::Result<Fate> {
+) -> rusqlite::Result<JobFate> {
     let (id, retry) = (&job.job.id, &job.job.retry);
     let failures = job.failures + u32::from(class != ErrorClass::Shortage);
     t.execute(
@@ -286,12 +286,12 @@ fn count_failure(
     if class == ErrorClass::Fatal || over {
         end(t, id, JobState::Dead, now, now)?;
         note(t, now, id, ChangeKind::Died, job.attempt, error)?;
-        return Ok(Fate::Dead);
+        return Ok(JobFate::Dead);
     }
     let due = now + retry.delay_s(failures);
     end(t, id, JobState::Pending, now, due)?;
     note(t, now, id, ChangeKind::Retried, job.attempt, error)?;
-    Ok(Fate::Retry { due })
+    Ok(JobFate::Retry { due })
 }
 
 /// Takes back the leases that have run out.
@@ -312,14 +312,17 @@ fn expire(t: &Transaction<'_>, now: f64) -> rusqlite::Result<()> {
 }
 
 /// The job as this lease holds it, or why the lease is lost.
-pub(crate) fn held(t: &Transaction<'_>, lease: &Lease) -> rusqlite::Result<Result<JobStatus, EngineError>> {
+pub(crate) fn held(
+    t: &Transaction<'_>,
+    lease: &JobLease,
+) -> rusqlite::Result<Result<JobStatus, EngineError>> {
     let lost = EngineError::Lost { job: lease.job.id.clone(), attempt: lease.attempt };
     Ok(find(t, &lease.job.id)?
         .filter(|job| job.state == JobState::Leased && job.attempt == lease.attempt)
         .ok_or(lost))
 }
 
-impl Engine for EmbeddedEngine {
+impl JobEngine for EmbeddedEngine {
     fn publish(&self, job: &Job) -> Result<Published, EngineError> {
         self.write(|t, now| {
             let known = find(t, &job.id)?;
@@ -367,7 +370,7 @@ impl Engine for EmbeddedEngine {
         })
     }
 
-    fn claim(&self, offer: &Offer) -> Result<Option<Lease>, EngineError> {
+    fn claim(&self, offer: &WorkerOffer) -> Result<Option<JobLease>, EngineError> {
         self.write(|t, now| {
             expire(t, now)?;
             let waiting: Vec<JobStatus> = t
@@ -387,11 +390,11 @@ impl Engine for EmbeddedEngine {
             )?;
             note(t, now, &found.job.id, ChangeKind::Claimed, attempt, &offer.worker)?;
             let (worker, lease_s, failures) = (offer.worker.clone(), offer.lease_s, found.failures);
-            Ok(Ok(Some(Lease { job: found.job, attempt, worker, failures, until, lease_s })))
+            Ok(Ok(Some(JobLease { job: found.job, attempt, worker, failures, until, lease_s })))
         })
     }
 
-    fn heartbeat(&self, lease: &Lease) -> Result<f64, EngineError> {
+    fn heartbeat(&self, lease: &JobLease) -> Result<f64, EngineError> {
         self.write(|t, now| {
             if let Err(lost) = held(t, lease)? {
                 return Ok(Err(lost));
@@ -402,7 +405,7 @@ impl Engine for EmbeddedEngine {
         })
     }
 
-    fn complete(&self, lease: &Lease, outcome: &str) -> Result<Completed, EngineError> {
+    fn complete(&self, lease: &JobLease, outcome: &str) -> Result<Completed, EngineError> {
         self.write(|t, now| {
             let id = &lease.job.id;
             let before = find(t, id)?.is_some_and(|job| {
@@ -426,7 +429,7 @@ impl Engine for EmbeddedEngine {
         })
     }
 
-    fn fail(&self, lease: &Lease, class: ErrorClass, error: &str) -> Result<Fate, EngineError> {
+    fn fail(&self, lease: &JobLease, class: ErrorClass, error: &str) -> Result<JobFate, EngineError> {
         self.write(|t, now| {
             let job = match held(t, lease)? {
                 Ok(job) => job,
@@ -435,7 +438,7 @@ impl Engine for EmbeddedEngine {
             if class == ErrorClass::Stopped {
                 end(t, &lease.job.id, JobState::Pending, now, now)?;
                 note(t, now, &lease.job.id, ChangeKind::Released, lease.attempt, error)?;
-                return Ok(Ok(Fate::Released));
+                return Ok(Ok(JobFate::Released));
             }
             count_failure(t, now, &job, class, error).map(Ok)
         })
@@ -455,7 +458,7 @@ impl Engine for EmbeddedEngine {
         })
     }
 
-    fn watch(&self, after: u64, limit: usize) -> Result<Vec<Change>, EngineError> {
+    fn watch(&self, after: u64, limit: usize) -> Result<Vec<JobChange>, EngineError> {
         let after = i64::try_from(after).unwrap_or(i64::MAX);
         let limit = i64::try_from(limit).unwrap_or(i64::MAX);
         self.read(|c| {
@@ -464,7 +467,7 @@ impl Engine for EmbeddedEngine {
                  ORDER BY revision LIMIT ?2",
             )?
             .query_map([after, limit], |row| {
-                Ok(Change {
+                Ok(JobChange {
                     revision: row.get::<_, i64>(0)?.max(0) as u64,
                     time: row.get(1)?,
                     job: row.get(2)?,

@@ -73,18 +73,18 @@ pub enum Published {
     New,
     /// The same job was there already; how far it is stays as it is.
     Known,
-    /// It was there with another payload: it begins again.
+    /// It was there with another payload: it starts again.
     Changed,
 }
 
-/// A worker that asks for work.
+/// A worker that requests work.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Offer {
+pub struct WorkerOffer {
     /// Who.
     pub worker: String,
     /// What it has free; jobs that need more are left for others.
     pub free: Needs,
-    /// What it has in all: jobs that need no more may wait for it, and less urgent ones do not take their room.
+    /// What it has in all: jobs that need no more may wait for it, and less urgent ones do not take their capacity.
     pub whole: Needs,
     /// A lease that is not renewed for so long, in seconds, is lost.
     pub lease_s: f64,
@@ -92,7 +92,7 @@ pub struct Offer {
 
 /// The right to work on a job, until it expires or is renewed.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Lease {
+pub struct JobLease {
     /// The job.
     pub job: Job,
     /// The fence: grows with every claim of the job. Whoever holds an older one is a zombie and is refused.
@@ -118,7 +118,7 @@ pub enum Completed {
 
 /// What becomes of a job that failed.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Fate {
+pub enum JobFate {
     /// It is tried again at this time (seconds since 1970).
     Retry {
         /// When.
@@ -160,7 +160,7 @@ pub enum EngineError {
     /// There is none.
     #[error("there is no batch at {}", path.display())]
     Missing {
-        /// Where one was looked for.
+        /// The file that was searched.
         path: PathBuf,
     },
     /// The store cannot be read or written.
@@ -177,7 +177,7 @@ pub enum EngineError {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ChangeKind {
-    /// It was published, or published anew with another payload.
+    /// It was published, or published again with another payload.
     Published,
     /// Somebody took it.
     Claimed,
@@ -193,9 +193,9 @@ pub enum ChangeKind {
     Died,
     /// A dead letter may try again.
     Revived,
-    /// Who took it cannot begin yet.
+    /// Who took it cannot start yet.
     Waits,
-    /// Who had to wait has begun.
+    /// Who had to wait has started.
     Began,
 }
 
@@ -238,8 +238,8 @@ impl fmt::Display for ChangeKind {
 
 /// Something that happened to a job.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Change {
-    /// Its place in the order of all changes, from 1.
+pub struct JobChange {
+    /// Its position in the order of all changes, from 1.
     pub revision: u64,
     /// Seconds since 1970.
     pub time: f64,
@@ -270,7 +270,7 @@ pub struct JobStatus {
     pub lease_until: Option<f64>,
     /// Not before this time.
     pub due: f64,
-    /// When the last attempt began.
+    /// When the last attempt started.
     pub started: Option<f64>,
     /// When the last attempt ended.
     pub ended: Option<f64>,
@@ -285,7 +285,7 @@ pub struct JobStatus {
 /// Jobs with leases. Deliveries are at least once; the fence makes effects exactly once.
 ///
 /// Every engine passes [`conformance`](crate::conformance).
-pub trait Engine: Send + Sync {
+pub trait JobEngine: Send + Sync {
     /// Hands in a job. The same job again changes nothing but its priority, needs and retries.
     ///
     /// # Errors
@@ -293,29 +293,29 @@ pub trait Engine: Send + Sync {
     fn publish(&self, job: &Job) -> Result<Published, EngineError>;
 
     /// Takes the most urgent job that fits the offer and whose rest is over, if there is one. A more urgent one that
-    /// waits for room keeps it: see [`turns`](crate::turns).
+    /// waits for capacity keeps it: see [`turns`](crate::turns).
     ///
     /// # Errors
     /// When the store fails.
-    fn claim(&self, offer: &Offer) -> Result<Option<Lease>, EngineError>;
+    fn claim(&self, offer: &WorkerOffer) -> Result<Option<JobLease>, EngineError>;
 
-    /// Renews a lease, and says until when.
+    /// Renews a lease, and returns until when.
     ///
     /// # Errors
     /// [`EngineError::Lost`] when it is too late: the worker must leave the work. When the store fails.
-    fn heartbeat(&self, lease: &Lease) -> Result<f64, EngineError>;
+    fn heartbeat(&self, lease: &JobLease) -> Result<f64, EngineError>;
 
     /// Ends a job as done. A late completion counts as long as nobody else has taken the job.
     ///
     /// # Errors
     /// [`EngineError::Lost`] for a zombie; when the store fails.
-    fn complete(&self, lease: &Lease, outcome: &str) -> Result<Completed, EngineError>;
+    fn complete(&self, lease: &JobLease, outcome: &str) -> Result<Completed, EngineError>;
 
     /// Ends an attempt that did not succeed.
     ///
     /// # Errors
     /// [`EngineError::Lost`] for a zombie; when the store fails.
-    fn fail(&self, lease: &Lease, class: ErrorClass, error: &str) -> Result<Fate, EngineError>;
+    fn fail(&self, lease: &JobLease, class: ErrorClass, error: &str) -> Result<JobFate, EngineError>;
 
     /// Lets a dead letter try again, from the first attempt on.
     ///
@@ -327,7 +327,7 @@ pub trait Engine: Send + Sync {
     ///
     /// # Errors
     /// When the store fails.
-    fn watch(&self, after: u64, limit: usize) -> Result<Vec<Change>, EngineError>;
+    fn watch(&self, after: u64, limit: usize) -> Result<Vec<JobChange>, EngineError>;
 
     /// All jobs, in the order in which they were first published.
     ///

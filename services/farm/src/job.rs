@@ -75,7 +75,7 @@ pub struct Job {
     /// Its name; the same name is the same job.
     pub id: String,
     /// What is to be done: whatever the worker understands. The work must be resumable and end in the same
-    /// result however often it is begun: jobs are delivered at least once.
+    /// result however often it is started: jobs are delivered at least once.
     pub payload: String,
     /// Higher goes first; equal ones in the order in which they were published.
     pub priority: i32,

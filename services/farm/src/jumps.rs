@@ -52,7 +52,7 @@ fn remember(t: &Transaction<'_>, now: f64, steady: &Steady) -> rusqlite::Result<
     Ok(())
 }
 
-/// A rest that would end later than its own length from now was begun before the clock was set back: it is over. Says by
+/// A rest that would end later than its own length from now was started before the clock was set back: it is over. Says by
 /// how much at least the clock was set back.
 fn too_far_ahead(t: &Transaction<'_>, now: f64) -> rusqlite::Result<Option<f64>> {
     let rests: Vec<(String, f64, u32, Retry)> = t

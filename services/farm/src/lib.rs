@@ -1,8 +1,8 @@
 //! Many scenes: jobs that are leased, fenced, retried and, when nothing helps, kept as dead letters.
 //!
-//! - [`Engine`]: where jobs wait and who works on which; [`EmbeddedEngine`] keeps them in SQLite, and
+//! - [`JobEngine`]: where jobs wait and who works on which; [`EmbeddedEngine`] keeps them in SQLite, and
 //!   [`conformance`] is what any engine has to pass.
-//! - [`Manifest`]: the scenes of a batch, their settings, priorities and needs, and the machine's budget.
+//! - [`BatchManifest`]: the scenes of a batch, their settings, priorities and needs, and the machine's budget.
 //! - [`batch`]: runs a manifest's scenes side by side, each as a process of its own.
 
 pub mod batch;
@@ -20,12 +20,12 @@ mod waits;
 pub use batch::{
     BatchError, BatchEvent, BatchFolder, BatchOptions, BatchRecord, BatchSummary, StopBatch, StopLevel,
 };
-pub use clock::{Clock, SimulatedClock, SystemClock};
+pub use clock::{JobClock, SimulatedClock, SystemClock};
 pub use embedded::EmbeddedEngine;
 pub use engine::{
-    Change, ChangeKind, Completed, Engine, EngineError, ErrorClass, Fate, JobState, JobStatus, Lease, Offer,
-    Published,
+    ChangeKind, Completed, EngineError, ErrorClass, JobChange, JobEngine, JobFate, JobLease, JobState,
+    JobStatus, Published, WorkerOffer,
 };
 pub use job::{Job, Needs, Retry};
-pub use manifest::{Manifest, ManifestError, SceneJob};
-pub use turn::{Turn, turns};
+pub use manifest::{BatchManifest, ManifestError, SceneJob};
+pub use turn::{JobTurn, turns};

@@ -4,7 +4,7 @@ use crate::job::{Job, Needs};
 
 /// How a waiting job stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Turn<'a> {
+pub struct JobTurn<'a> {
     /// What is free for it.
     pub free: Needs,
     /// Whether that is enough.
@@ -13,10 +13,10 @@ pub struct Turn<'a> {
     pub kept_for: Option<&'a str>,
 }
 
-/// The turns of jobs that could begin now, the most urgent first.
+/// The turns of jobs that could start now, the most urgent first.
 ///
-/// A job that finds no room yet keeps free what it will need: less urgent ones, however small, do not overtake it for
-/// ever. Equally urgent ones do begin before it where there is room, and so does everybody before a job that this
+/// A job that finds no capacity yet keeps free what it will need: less urgent ones, however small, do not overtake it for
+/// ever. Equally urgent ones do start before it where there is capacity, and so does everybody before a job that this
 /// worker could not take with all it has (`whole`).
 ///
 /// ```
@@ -32,16 +32,16 @@ pub struct Turn<'a> {
 /// assert_eq!(turns.iter().map(|t| t.fits).collect::<Vec<_>>(), [false, false, true]);
 /// assert_eq!(turns[1].kept_for, Some("urgent"));
 /// ```
-pub fn turns<'a>(waiting: &[&'a Job], free: &Needs, whole: &Needs) -> Vec<Turn<'a>> {
+pub fn turns<'a>(waiting: &[&'a Job], free: &Needs, whole: &Needs) -> Vec<JobTurn<'a>> {
     // For jobs of the present priority, and for those after it.
-    let mut here = Turn { free: *free, fits: false, kept_for: None };
+    let mut here = JobTurn { free: *free, fits: false, kept_for: None };
     let (mut below, mut priority) = (here, i32::MAX);
     let mut all = Vec::with_capacity(waiting.len());
     for job in waiting {
         if job.priority < priority {
             (here, priority) = (below, job.priority);
         }
-        let turn = Turn { fits: job.needs.fit(&here.free), ..here };
+        let turn = JobTurn { fits: job.needs.fit(&here.free), ..here };
         if !turn.fits && job.needs.fit(whole) {
             below.free = job.needs.taken_from(&below.free);
             below.kept_for = below.kept_for.or(Some(&job.id));

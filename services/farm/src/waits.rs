@@ -1,16 +1,16 @@
-//! Jobs that somebody has taken and cannot begin yet, for those who look at the store.
+//! Jobs that somebody has taken and cannot start yet, for those who read the store.
 
 use std::collections::BTreeMap;
 
 use crate::embedded::{EmbeddedEngine, held, note};
-use crate::engine::{ChangeKind, EngineError, Lease};
+use crate::engine::{ChangeKind, EngineError, JobLease};
 
 impl EmbeddedEngine {
-    /// Notes that who holds a lease cannot begin yet, and why; or, with `None`, that it has begun after all.
+    /// Notes that who holds a lease cannot start yet, and why; or, with `None`, that it has started after all.
     ///
     /// # Errors
     /// [`EngineError::Lost`] for a zombie; when the store fails.
-    pub fn note_wait(&self, lease: &Lease, reason: Option<&str>) -> Result<(), EngineError> {
+    pub fn note_wait(&self, lease: &JobLease, reason: Option<&str>) -> Result<(), EngineError> {
         self.write(|t, now| {
             if let Err(lost) = held(t, lease)? {
                 return Ok(Err(lost));
@@ -21,7 +21,7 @@ impl EmbeddedEngine {
         })
     }
 
-    /// The jobs that somebody has taken and cannot begin yet, and why.
+    /// The jobs that somebody has taken and cannot start yet, and why.
     ///
     /// # Errors
     /// When the store fails.

@@ -19,7 +19,7 @@ mkdir -p "$out"
 echo "$@" >> "$out/calls"
 case $(basename "$2") in
   good*) exit 0;;
-  bad) echo "error: photo.jpg is no picture" >&2; exit 3;;
+  bad) echo "error: photo.jpg is no image" >&2; exit 3;;
   flaky) [ "$(wc -l < "$out/calls")" -ge 2 ] && exit 0; echo "error: no luck" >&2; exit 4;;
   short) [ "$(wc -l < "$out/calls")" -ge 2 ] && exit 0; echo "error: too many open files" >&2; exit 8;;
   broken) echo "error: always" >&2; exit 4;;
@@ -86,7 +86,7 @@ fn a_failed_scene_does_not_stop_the_others_and_a_second_run_does_nothing_twice()
         states(&summary),
         [("bad", JobState::Dead, 1), ("good", JobState::Done, 1), ("good2", JobState::Done, 1)]
     );
-    assert_eq!(summary.scenes[0].error.as_deref(), Some("photo.jpg is no picture"));
+    assert_eq!(summary.scenes[0].error.as_deref(), Some("photo.jpg is no image"));
     let call = &yard.calls("good")[0];
     assert!(
         call.contains("--config") && call.contains("--stop-with-parent") && call.contains("--threads"),
@@ -105,10 +105,10 @@ fn a_failed_scene_does_not_stop_the_others_and_a_second_run_does_nothing_twice()
 #[test]
 fn another_attempt_is_made_where_it_may_help() {
     let yard = Yard::new(&scenes(&["flaky"], ""));
-    let mut told = Vec::new();
-    let summary = yard.run(&mut |event| told.push(event.clone())).expect("it runs");
+    let mut events = Vec::new();
+    let summary = yard.run(&mut |event| events.push(event.clone())).expect("it runs");
     assert_eq!(states(&summary), [("flaky", JobState::Done, 2)]);
-    let retried = told.iter().find_map(|event| match event {
+    let retried = events.iter().find_map(|event| match event {
         BatchEvent::SceneRetries { error, .. } => Some(error.as_str()),
         _ => None,
     });
@@ -118,11 +118,11 @@ fn another_attempt_is_made_where_it_may_help() {
 #[test]
 fn an_attempt_for_which_the_machine_had_no_file_descriptors_does_not_count() {
     let yard = Yard::new(&scenes(&["short"], "attempts = 1\n"));
-    let mut told = Vec::new();
-    let summary = yard.run(&mut |event| told.push(event.clone())).expect("it runs");
+    let mut events = Vec::new();
+    let summary = yard.run(&mut |event| events.push(event.clone())).expect("it runs");
     assert_eq!(states(&summary), [("short", JobState::Done, 2)]);
     assert_eq!(summary.scenes[0].failures, 0);
-    assert!(told.iter().any(|event| matches!(event, BatchEvent::SceneRetries { .. })), "{told:?}");
+    assert!(events.iter().any(|event| matches!(event, BatchEvent::SceneRetries { .. })), "{events:?}");
 }
 
 #[test]
@@ -179,10 +179,10 @@ fn run_under_a_clock_that_is_off(scene: &str, off_s: f64) -> BatchSummary {
     let yard = Yard::new(&text);
     let out = yard.folder().join(scene);
     let works = scene == "busy";
-    let (has_begun, begun) = mpsc::channel();
+    let (report_start, started) = mpsc::channel();
     let (ends_with_the_test, ended) = mpsc::channel::<()>();
     let writer = std::thread::spawn(move || {
-        let pid = begun.recv().expect("it begins");
+        let pid = started.recv().expect("it starts");
         let wall = SystemTime::now().duration_since(UNIX_EPOCH).expect("a clock").as_secs_f64() + off_s;
         let (mut ledger, mut done) = (None, 0);
         while let Err(mpsc::RecvTimeoutError::Timeout) = ended.recv_timeout(Duration::from_millis(50)) {
@@ -198,7 +198,7 @@ fn run_under_a_clock_that_is_off(scene: &str, off_s: f64) -> BatchSummary {
     });
     let summary = yard.run(&mut |event| {
         if let BatchEvent::SceneStarted { pid, .. } = event {
-            has_begun.send(*pid).expect("somebody writes");
+            report_start.send(*pid).expect("somebody writes");
         }
     });
     drop(ends_with_the_test);
@@ -246,18 +246,18 @@ fn budgets_are_kept() {
 }
 
 #[test]
-fn scenes_are_told_their_memory_and_where_to_stop() {
+fn each_scene_gets_its_memory_budget_and_its_last_step() {
     let manifest = scenes(&["good", "good2"], "") + "until = 500\nmemory = \"1 GiB\"\n";
     let yard = Yard::new(&manifest);
     yard.run(&mut |_| {}).expect("it runs");
-    let said = |scene: &str| yard.calls(scene).pop().unwrap_or_default();
+    let last_call = |scene: &str| yard.calls(scene).pop().unwrap_or_default();
     assert!(
-        said("good").contains("--memory-budget 10 ") && !said("good").contains("--until"),
+        last_call("good").contains("--memory-budget 10 ") && !last_call("good").contains("--until"),
         "{}",
-        said("good")
+        last_call("good")
     );
-    assert!(said("good2").contains("--memory-budget 1024 "), "{}", said("good2"));
-    assert!(said("good2").ends_with("--until 500"), "{}", said("good2"));
+    assert!(last_call("good2").contains("--memory-budget 1024 "), "{}", last_call("good2"));
+    assert!(last_call("good2").ends_with("--until 500"), "{}", last_call("good2"));
     // The command line has the last word, and a scene that stops elsewhere is run again.
     let until = Some(segwild_pipeline::Until::Stage("geometry"));
     let options = BatchOptions { until, ..yard.options.clone() };
@@ -302,12 +302,12 @@ fn an_accelerator_is_had_by_one_scene_at_a_time_and_by_the_most_urgent_first() {
 }
 
 #[test]
-fn a_scene_that_needs_more_accelerators_than_there_are_is_refused_before_anything_begins() {
+fn a_scene_that_needs_more_accelerators_than_there_are_is_refused_before_anything_starts() {
     let yard = Yard::new(&scenes(&["good", "good2"], "accelerators = 1\n"));
-    let said = yard.run(&mut |event| panic!("{event:?}")).expect_err("there is none").to_string();
+    let message = yard.run(&mut |event| panic!("{event:?}")).expect_err("there is none").to_string();
     assert!(
-        said.contains("scene `good`") && said.contains("1 accelerator") && said.contains("budget"),
-        "{said}"
+        message.contains("scene `good`") && message.contains("1 accelerator") && message.contains("budget"),
+        "{message}"
     );
 }
 
@@ -323,8 +323,8 @@ fn one_batch_folder_has_one_batch() {
         }
     })
     .expect("it runs");
-    let said = inner.expect("the second batch is refused");
-    assert!(said.contains(&format!("process {}", std::process::id())), "{said}");
+    let message = inner.expect("the second batch is refused");
+    assert!(message.contains(&format!("process {}", std::process::id())), "{message}");
     assert!(owner.is_some());
     let after = BatchFolder::open(&folder).expect("a batch");
     assert_eq!(after.owner(), None);
@@ -343,6 +343,6 @@ fn a_scene_that_left_the_manifest_is_not_run() {
 }
 
 #[test]
-fn a_folder_that_is_none_is_said_to_be_none() {
+fn a_folder_that_is_no_batch_is_reported_as_none() {
     assert!(BatchFolder::open(Path::new("/nowhere")).is_none());
 }

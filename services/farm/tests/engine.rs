@@ -2,15 +2,15 @@
 
 use segwild_farm::conformance::{Site, broken};
 use segwild_farm::{
-    Change, Clock, Completed, EmbeddedEngine, Engine, EngineError, ErrorClass, Fate, Job, JobStatus, Lease,
-    Needs, Offer, Published, Retry, SimulatedClock,
+    Completed, EmbeddedEngine, EngineError, ErrorClass, Job, JobChange, JobClock, JobEngine, JobFate,
+    JobLease, JobStatus, Needs, Published, Retry, SimulatedClock, WorkerOffer,
 };
 use segwild_flow::clock::Steady;
 use std::sync::Arc;
 
 /// What is wrong with the engine of a site.
 #[derive(Clone, Copy, PartialEq)]
-enum Fault {
+enum EngineFault {
     None,
     /// Completes for whoever asks.
     NoFence,
@@ -18,11 +18,11 @@ enum Fault {
     StopCosts,
     /// A shortage counts as a failure.
     ShortageCosts,
-    /// Heartbeats are not heard.
+    /// Heartbeats are ignored.
     DeafToHeartbeats,
-    /// Gives jobs to workers that have no room.
-    NoRoomNeeded,
-    /// Gives small jobs the room that a more urgent one waits for.
+    /// Gives jobs to workers that have no capacity.
+    IgnoresNeeds,
+    /// Gives small jobs the capacity that a more urgent one waits for.
     SmallOnesFirst,
     /// Measures rests and leases by the wall clock.
     WallClockAlone,
@@ -31,7 +31,7 @@ enum Fault {
 /// A clock that takes a jump for time that passed.
 struct WallAlone(SimulatedClock);
 
-impl Clock for WallAlone {
+impl JobClock for WallAlone {
     fn now(&self) -> f64 {
         self.0.now()
     }
@@ -43,19 +43,19 @@ impl Clock for WallAlone {
 struct Here {
     folder: tempfile::TempDir,
     clock: SimulatedClock,
-    fault: Fault,
+    fault: EngineFault,
 }
 
 impl Here {
-    fn site(fault: Fault) -> Box<dyn Site> {
+    fn site(fault: EngineFault) -> Box<dyn Site> {
         let folder = tempfile::tempdir().expect("a temporary folder");
         Box::new(Here { folder, clock: SimulatedClock::new(1.7e9), fault })
     }
 
     fn embedded(&self) -> EmbeddedEngine {
         let path = self.folder.path().join("jobs.sqlite");
-        let clock: Arc<dyn Clock> = match self.fault {
-            Fault::WallClockAlone => Arc::new(WallAlone(self.clock.clone())),
+        let clock: Arc<dyn JobClock> = match self.fault {
+            EngineFault::WallClockAlone => Arc::new(WallAlone(self.clock.clone())),
             _ => Arc::new(self.clock.clone()),
         };
         EmbeddedEngine::with_clock(path, clock).expect("an engine")
@@ -63,9 +63,9 @@ impl Here {
 }
 
 impl Site for Here {
-    fn engine(&self) -> Box<dyn Engine> {
+    fn engine(&self) -> Box<dyn JobEngine> {
         match self.fault {
-            Fault::None | Fault::WallClockAlone => Box::new(self.embedded()),
+            EngineFault::None | EngineFault::WallClockAlone => Box::new(self.embedded()),
             fault => Box::new(Faulty(self.embedded(), fault)),
         }
     }
@@ -79,37 +79,37 @@ impl Site for Here {
     }
 }
 
-struct Faulty(EmbeddedEngine, Fault);
+struct Faulty(EmbeddedEngine, EngineFault);
 
-impl Engine for Faulty {
+impl JobEngine for Faulty {
     fn publish(&self, job: &Job) -> Result<Published, EngineError> {
         self.0.publish(job)
     }
-    fn claim(&self, offer: &Offer) -> Result<Option<Lease>, EngineError> {
-        let room = Needs { cores: u32::MAX, memory_bytes: i64::MAX as u64, accelerators: u32::MAX };
-        let free = if self.1 == Fault::NoRoomNeeded { room } else { offer.free };
-        let whole = if self.1 == Fault::SmallOnesFirst { Needs::default() } else { offer.whole };
-        self.0.claim(&Offer { free, whole, ..offer.clone() })
+    fn claim(&self, offer: &WorkerOffer) -> Result<Option<JobLease>, EngineError> {
+        let everything = Needs { cores: u32::MAX, memory_bytes: i64::MAX as u64, accelerators: u32::MAX };
+        let free = if self.1 == EngineFault::IgnoresNeeds { everything } else { offer.free };
+        let whole = if self.1 == EngineFault::SmallOnesFirst { Needs::default() } else { offer.whole };
+        self.0.claim(&WorkerOffer { free, whole, ..offer.clone() })
     }
-    fn heartbeat(&self, lease: &Lease) -> Result<f64, EngineError> {
-        if self.1 == Fault::DeafToHeartbeats { Ok(lease.until) } else { self.0.heartbeat(lease) }
+    fn heartbeat(&self, lease: &JobLease) -> Result<f64, EngineError> {
+        if self.1 == EngineFault::DeafToHeartbeats { Ok(lease.until) } else { self.0.heartbeat(lease) }
     }
-    fn complete(&self, lease: &Lease, outcome: &str) -> Result<Completed, EngineError> {
-        if self.1 != Fault::NoFence {
+    fn complete(&self, lease: &JobLease, outcome: &str) -> Result<Completed, EngineError> {
+        if self.1 != EngineFault::NoFence {
             return self.0.complete(lease, outcome);
         }
         let current = self.0.jobs()?.into_iter().find(|j| j.job.id == lease.job.id).map_or(0, |j| j.attempt);
-        self.0.complete(&Lease { attempt: current, ..lease.clone() }, outcome)
+        self.0.complete(&JobLease { attempt: current, ..lease.clone() }, outcome)
     }
-    fn fail(&self, lease: &Lease, class: ErrorClass, error: &str) -> Result<Fate, EngineError> {
-        let costs = self.1 == Fault::StopCosts && class == ErrorClass::Stopped
-            || self.1 == Fault::ShortageCosts && class == ErrorClass::Shortage;
+    fn fail(&self, lease: &JobLease, class: ErrorClass, error: &str) -> Result<JobFate, EngineError> {
+        let costs = self.1 == EngineFault::StopCosts && class == ErrorClass::Stopped
+            || self.1 == EngineFault::ShortageCosts && class == ErrorClass::Shortage;
         self.0.fail(lease, if costs { ErrorClass::Retryable } else { class }, error)
     }
     fn revive(&self, id: &str) -> Result<(), EngineError> {
         self.0.revive(id)
     }
-    fn watch(&self, after: u64, limit: usize) -> Result<Vec<Change>, EngineError> {
+    fn watch(&self, after: u64, limit: usize) -> Result<Vec<JobChange>, EngineError> {
         self.0.watch(after, limit)
     }
     fn jobs(&self) -> Result<Vec<JobStatus>, EngineError> {
@@ -119,20 +119,20 @@ impl Engine for Faulty {
 
 #[test]
 fn the_embedded_engine_conforms() {
-    assert_eq!(broken(&|| Here::site(Fault::None)), []);
+    assert_eq!(broken(&|| Here::site(EngineFault::None)), []);
 }
 
 #[test]
 fn the_suite_finds_what_is_broken() {
     for (fault, word) in [
-        (Fault::NoFence, "zombie"),
-        (Fault::StopCosts, "stopped costs no attempt"),
-        (Fault::ShortageCosts, "a shortage of the machine"),
-        (Fault::DeafToHeartbeats, "heartbeat holds"),
-        (Fault::NoRoomNeeded, "does not fit"),
-        (Fault::SmallOnesFirst, "not given to a less urgent one"),
-        (Fault::WallClockAlone, "a rest lasts as long"),
-        (Fault::WallClockAlone, "a lease lasts as long"),
+        (EngineFault::NoFence, "zombie"),
+        (EngineFault::StopCosts, "stopped costs no attempt"),
+        (EngineFault::ShortageCosts, "a shortage of the machine"),
+        (EngineFault::DeafToHeartbeats, "heartbeat holds"),
+        (EngineFault::IgnoresNeeds, "does not fit"),
+        (EngineFault::SmallOnesFirst, "not given to a less urgent one"),
+        (EngineFault::WallClockAlone, "a rest lasts as long"),
+        (EngineFault::WallClockAlone, "a lease lasts as long"),
     ] {
         let found = broken(&|| Here::site(fault));
         assert!(found.iter().any(|(name, _)| name.contains(word)), "`{word}` was not found: {found:?}");
@@ -146,11 +146,14 @@ fn job(id: &str) -> Job {
 
 #[test]
 fn what_was_published_survives_its_process() {
-    let site =
-        Here { folder: tempfile::tempdir().unwrap(), clock: SimulatedClock::new(0.0), fault: Fault::None };
+    let site = Here {
+        folder: tempfile::tempdir().unwrap(),
+        clock: SimulatedClock::new(0.0),
+        fault: EngineFault::None,
+    };
     site.embedded().publish(&job("a")).unwrap();
     let free = Needs { cores: 1, ..Needs::default() };
-    let offer = Offer { worker: "w".into(), free, whole: free, lease_s: 1e9 };
+    let offer = WorkerOffer { worker: "w".into(), free, whole: free, lease_s: 1e9 };
     let lease = site.embedded().claim(&offer).unwrap().expect("a lease");
     // The worker's process is gone, and whoever holds the batch's lock knows it.
     let engine = site.embedded();
@@ -161,12 +164,12 @@ fn what_was_published_survives_its_process() {
 }
 
 #[test]
-fn a_rest_that_ends_later_than_it_lasts_is_over_when_the_machine_was_started_anew() {
+fn a_rest_that_ends_later_than_it_lasts_is_over_when_the_machine_was_restarted() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("jobs.sqlite");
-    let at = |since: &'static str, wall: f64| -> Arc<dyn Clock> { Arc::new(Standing { since, wall }) };
+    let at = |since: &'static str, wall: f64| -> Arc<dyn JobClock> { Arc::new(Standing { since, wall }) };
     let free = Needs { cores: 1, ..Needs::default() };
-    let offer = Offer { worker: "w".into(), free, whole: free, lease_s: 60.0 };
+    let offer = WorkerOffer { worker: "w".into(), free, whole: free, lease_s: 60.0 };
     let before = EmbeddedEngine::with_clock(&path, at("the first start", 1e9)).unwrap();
     before.publish(&job("a")).unwrap();
     let lease = before.claim(&offer).unwrap().expect("a lease");
@@ -178,7 +181,7 @@ fn a_rest_that_ends_later_than_it_lasts_is_over_when_the_machine_was_started_ane
     assert_eq!(
         (after.jumps().unwrap(), after.jumps().unwrap()),
         (vec![-3600.0], vec![]),
-        "it is said, and once"
+        "it is reported, and once"
     );
 }
 
@@ -188,7 +191,7 @@ struct Standing {
     wall: f64,
 }
 
-impl Clock for Standing {
+impl JobClock for Standing {
     fn now(&self) -> f64 {
         self.wall
     }

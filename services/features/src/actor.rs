@@ -4,7 +4,7 @@ use crate::{
     EmbeddingSamples, FeatureError, FeatureField, FeatureSettings, Pca, Progress, TargetSource, ViewTarget,
     build,
 };
-use segwild_flow::{Actor, Cache, Context, Failure, Key, Message, Origin, Quarantined, Sender, fault};
+use segwild_flow::{Actor, Cache, Context, ActorFailure, Key, Message, Origin, Quarantined, Sender, fault};
 use segwild_raster::{Engine, ProjectOptions};
 use segwild_scene::{Embedding, Image, Mask, MaskSet, Scene, Splats, View};
 use segwild_vision::Embedder;
@@ -21,17 +21,17 @@ pub trait FieldInputs: Send + Sync {
     ///
     /// # Errors
     /// Here and below: when it was there and can no longer be read.
-    fn embedding(&self, view: usize) -> Result<Embedding, Failure>;
+    fn embedding(&self, view: usize) -> Result<Embedding, ActorFailure>;
 
     /// Which of its pixels can be trusted (visibility map, VM), on a grid of its own; sky cannot.
-    fn visibility(&self, view: usize) -> Result<Mask, Failure>;
+    fn visibility(&self, view: usize) -> Result<Mask, ActorFailure>;
 
     /// Its sky, if it is known.
-    fn sky(&self, view: usize) -> Result<Option<Mask>, Failure>;
+    fn sky(&self, view: usize) -> Result<Option<Mask>, ActorFailure>;
 
     /// Its masks, as soon as it is known whether there are any; `None` if they were given up. Stops waiting when
     /// `stopping` returns true.
-    fn masks(&self, view: usize, stopping: &dyn Fn() -> bool) -> Result<Option<MaskSet>, Failure>;
+    fn masks(&self, view: usize, stopping: &dyn Fn() -> bool) -> Result<Option<MaskSet>, ActorFailure>;
 }
 
 /// A request to the actor.
@@ -167,7 +167,7 @@ impl TargetSource for InputTargets<'_> {
 }
 
 impl<O: Message + From<FeatureOutcome>> FeatureActor<O> {
-    fn embed(&self, view: usize, key: &Key) -> Result<Option<f64>, Failure> {
+    fn embed(&self, view: usize, key: &Key) -> Result<Option<f64>, ActorFailure> {
         let posed = &self.scene.views[view];
         let began = Instant::now();
         let (_, origin) = self.cache.get_or_make(key, EMBEDDING, || -> Result<Embedding, EmbedFailure> {
@@ -256,7 +256,7 @@ impl<O: Message + From<FeatureOutcome>> Actor for FeatureActor<O> {
         view.map_or_else(|| task.label(), |view| format!("embed {}", view.name))
     }
 
-    fn handle(&mut self, task: FeatureTask, context: &Context) -> Result<(), Failure> {
+    fn handle(&mut self, task: FeatureTask, context: &Context) -> Result<(), ActorFailure> {
         let outcome = match task {
             FeatureTask::Embed { view, key } => {
                 let seconds = self.embed(view, &key)?;
@@ -281,7 +281,7 @@ impl<O: Message + From<FeatureOutcome>> Actor for FeatureActor<O> {
         task: Option<FeatureTask>,
         given_up: &Quarantined,
         _: &Context,
-    ) -> Result<(), Failure> {
+    ) -> Result<(), ActorFailure> {
         let given_up = given_up.clone();
         let outcome = match task {
             Some(FeatureTask::Embed { view, .. }) => FeatureOutcome::EmbedFailed { view, given_up },

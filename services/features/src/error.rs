@@ -1,6 +1,6 @@
 //! Why a feature field cannot be made.
 
-use segwild_flow::Failure;
+use segwild_flow::ActorFailure;
 use segwild_raster::RasterError;
 
 /// Why a feature field cannot be made.
@@ -46,11 +46,11 @@ pub enum FeatureError {
     },
     /// An input of the field cannot be read.
     #[error("{0}")]
-    Input(Failure),
+    Input(ActorFailure),
 }
 
-impl From<Failure> for FeatureError {
-    fn from(failure: Failure) -> FeatureError {
+impl From<ActorFailure> for FeatureError {
+    fn from(failure: ActorFailure) -> FeatureError {
         FeatureError::Input(failure)
     }
 }

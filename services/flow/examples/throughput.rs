@@ -6,10 +6,10 @@ use std::time::Instant;
 use segwild_flow::ledger::ViewOutcome;
 use segwild_flow::*;
 
-struct Sink(u64);
-impl Actor for Sink {
+struct SinkActor(u64);
+impl Actor for SinkActor {
     type Message = u64;
-    fn handle(&mut self, n: u64, _: &Context) -> Result<(), Failure> {
+    fn handle(&mut self, n: u64, _: &Context) -> Result<(), ActorFailure> {
         self.0 += n;
         Ok(())
     }
@@ -42,14 +42,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let system = System::new(SystemOptions::default())?;
     let (sender, inbox) = mailbox("sink", Limits::default());
     rate("supervised actor, timed and labelled", 100_000, || {
-        system.spawn(inbox, ActorOptions::default(), || Ok(Sink(0))).expect("a thread");
+        system.spawn(inbox, ActorOptions::default(), || Ok(SinkActor(0))).expect("a thread");
         (0..100_000u64).for_each(|n| sender.blocking_send(n).expect("open"));
         drop(sender);
         println!("{}", system.join());
     });
     let events = Events::new();
     let _listener = events.subscribe();
-    rate("event told", 100_000, || (0..100_000).for_each(|n| events.metric("s", "loss", 1.0, Some(n))));
+    rate("event sent", 100_000, || (0..100_000).for_each(|n| events.metric("s", "loss", 1.0, Some(n))));
     let ledger = Ledger::open(folder.path().join("run.sqlite"))?;
     let key = Key::of("masks").finish();
     rate("ledger, a view's row", 5000, || {

@@ -54,7 +54,7 @@ use crate::files::FileError;
 use crate::mailbox::Closed;
 use crate::message::Message;
 use crate::meter::Pulse;
-use crate::shortage::{is_said, is_shortage};
+use crate::shortage::{is_shortage_message, is_shortage};
 
 /// What to do when there is no message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -86,7 +86,7 @@ pub trait Actor: Sized + 'static {
     ///
     /// # Errors
     /// Counts against the restart budget.
-    fn on_start(&mut self, _: &Context) -> Result<(), Failure> {
+    fn on_start(&mut self, _: &Context) -> Result<(), ActorFailure> {
         Ok(())
     }
 
@@ -96,21 +96,21 @@ pub trait Actor: Sized + 'static {
         message.label()
     }
 
-    /// Handles a message. Long work calls [`Context::progress`] and looks at [`Context::stopping`].
+    /// Handles a message. Long work calls [`Context::progress`] and checks [`Context::stopping`].
     ///
     /// # Errors
-    /// The failure's kind says what happens next: see [`Failure`].
-    fn handle(&mut self, message: Self::Message, context: &Context) -> Result<(), Failure>;
+    /// The failure's kind says what happens next: see [`ActorFailure`].
+    fn handle(&mut self, message: Self::Message, context: &Context) -> Result<(), ActorFailure>;
 
     /// Called when the mailbox is empty. A closed mailbox ends the actor once this says [`Idle::Wait`].
     ///
     /// # Errors
     /// Counts against the restart budget.
-    fn on_idle(&mut self, _: &Context) -> Result<Idle, Failure> {
+    fn on_idle(&mut self, _: &Context) -> Result<Idle, ActorFailure> {
         Ok(Idle::Wait)
     }
 
-    /// Called when a message was given up, so that whoever waits for its result can be told. `message` is
+    /// Called when a message was given up, so that whoever waits for its result can be informed. `message` is
     /// there when [`Message::again`] made a copy.
     ///
     /// # Errors
@@ -120,7 +120,7 @@ pub trait Actor: Sized + 'static {
         _message: Option<Self::Message>,
         _: &Quarantined,
         _: &Context,
-    ) -> Result<(), Failure> {
+    ) -> Result<(), ActorFailure> {
         Ok(())
     }
 
@@ -129,7 +129,7 @@ pub trait Actor: Sized + 'static {
     ///
     /// # Errors
     /// The actor then counts as failed.
-    fn on_stop(&mut self, _: &Context) -> Result<(), Failure> {
+    fn on_stop(&mut self, _: &Context) -> Result<(), ActorFailure> {
         Ok(())
     }
 }
@@ -146,16 +146,16 @@ pub(crate) enum FailureKind {
 }
 
 /// Why an actor could not do its work, and what follows. Any error becomes one by `?` and means
-/// [`Failure::retry`], but for two: with [`Closed`], a consumer that has gone, the actor ends quietly; and an error of
+/// [`ActorFailure::retry`], but for two: with [`Closed`], a consumer that has gone, the actor ends quietly; and an error of
 /// the disk or the system (a [`FileError`] anywhere behind it, or the system's word that the disk is full or read-only, or
-/// that there are too many open files) is [`Failure::storage`].
+/// that there are too many open files) is [`ActorFailure::storage`].
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Failure {
+pub struct ActorFailure {
     pub(crate) kind: FailureKind,
     pub(crate) message: String,
 }
 
-impl Failure {
+impl ActorFailure {
     fn new(kind: FailureKind, error: impl fmt::Display) -> Self {
         Self { kind, message: error.to_string() }
     }
@@ -170,7 +170,7 @@ impl Failure {
         Self::new(FailureKind::Reject, error)
     }
 
-    /// This actor's state is not to be trusted: build it anew, then try the message again.
+    /// This actor's state is not to be trusted: build it again, then try the message again.
     pub fn restart(error: impl fmt::Display) -> Self {
         Self::new(FailureKind::Restart, error)
     }
@@ -186,12 +186,12 @@ impl Failure {
         Self::new(FailureKind::Fatal, error)
     }
 
-    /// The work was left because [`Context::stopping`] said so; it can be resumed.
+    /// The work was left because [`Context::stopping`] was true; it can be resumed.
     pub fn stopped() -> Self {
         Self::new(FailureKind::Stopped, "stopped")
     }
 
-    /// Whether the disk or the system is at fault: see [`Failure::storage`].
+    /// Whether the disk or the system is at fault: see [`ActorFailure::storage`].
     pub fn is_storage(&self) -> bool {
         self.kind == FailureKind::Storage
     }
@@ -203,19 +203,19 @@ impl Failure {
 }
 
 /// The error's words.
-impl fmt::Display for Failure {
+impl fmt::Display for ActorFailure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.message)
     }
 }
 
-impl<E: std::error::Error + Send + Sync + 'static> From<E> for Failure {
+impl<E: std::error::Error + Send + Sync + 'static> From<E> for ActorFailure {
     fn from(error: E) -> Self {
         let first = &error as &(dyn std::error::Error + 'static);
         let kind = if first.is::<Closed>() {
             FailureKind::Downstream
         } else if std::iter::successors(Some(first), |error| error.source()).any(of_storage)
-            || is_said(&first.to_string())
+            || is_shortage_message(&first.to_string())
         {
             FailureKind::Storage
         } else {
@@ -258,15 +258,15 @@ impl Context {
         self.stopper.phase() >= if self.source { Phase::Draining } else { Phase::Stopping }
     }
 
-    /// [`Failure::stopped`] once [`Context::stopping`]: `context.check()?` in a loop.
+    /// [`ActorFailure::stopped`] once [`Context::stopping`]: `context.check()?` in a loop.
     ///
     /// # Errors
     /// When the actor is asked to stop.
-    pub fn check(&self) -> Result<(), Failure> {
-        if self.stopping() { Err(Failure::stopped()) } else { Ok(()) }
+    pub fn check(&self) -> Result<(), ActorFailure> {
+        if self.stopping() { Err(ActorFailure::stopped()) } else { Ok(()) }
     }
 
-    /// Waits, but no longer than until the actor is asked to stop; says whether it waited to the end.
+    /// Waits, but no longer than until the actor is asked to stop; returns whether it waited to the end.
     pub fn sleep(&self, time: Duration) -> bool {
         !self.stopper.0.wait(time, || self.stopping())
     }
@@ -287,7 +287,7 @@ impl Context {
         SpanGuard { pulse: &self.pulse, label: label.into(), since: Instant::now() }
     }
 
-    /// Where events are told.
+    /// Where events are sent.
     pub fn events(&self) -> &Events {
         &self.events
     }

@@ -95,14 +95,14 @@ struct Counters {
     bytes_written: AtomicU64,
 }
 
-/// Told of each damaged artefact: its key as the ledger writes it, and what is wrong with it.
-type Told = Box<dyn Fn(&str, &str) + Send + Sync>;
+/// Called once per damaged artefact, with its key as the ledger writes it and what is wrong with it.
+type DamageListener = Box<dyn Fn(&str, &str) + Send + Sync>;
 
 /// What was found damaged since the cache was opened.
 #[derive(Default)]
-struct Damage {
+struct DamageReports {
     keys: Mutex<BTreeSet<String>>,
-    told: OnceLock<Told>,
+    listener: OnceLock<DamageListener>,
 }
 
 /// Whether a file's bytes are a whole artefact; else what is wrong with them.
@@ -125,7 +125,7 @@ fn check(bytes: &[u8]) -> Result<(), &'static str> {
 pub struct Cache {
     root: PathBuf,
     counters: Arc<Counters>,
-    damage: Arc<Damage>,
+    damage: Arc<DamageReports>,
 }
 
 impl Cache {
@@ -146,8 +146,8 @@ impl Cache {
 
     /// Calls a function once for each artefact that is found damaged: with its key as the ledger writes it, and what is
     /// wrong with it. One function in all, for the cache and its clones: the first.
-    pub fn on_damage(&self, told: impl Fn(&str, &str) + Send + Sync + 'static) {
-        let _ = self.damage.told.set(Box::new(told));
+    pub fn on_damage(&self, listener: impl Fn(&str, &str) + Send + Sync + 'static) {
+        let _ = self.damage.listener.set(Box::new(listener));
     }
 
     /// Whether the artefact of a key has been found damaged since the cache was opened.
@@ -303,10 +303,10 @@ impl Cache {
     /// `key` is as the ledger writes it.
     fn move_file_aside(&self, from: &Path, key: &str, reason: &str) {
         self.counters.corrupt.fetch_add(1, Ordering::Relaxed);
-        tracing::warn!("{} is damaged ({reason}): made anew", from.display());
+        tracing::warn!("{} is damaged ({reason}): made again", from.display());
         let first = lock(&self.damage.keys).insert(key.to_owned());
-        if let Some(told) = self.damage.told.get().filter(|_| first) {
-            told(key, reason);
+        if let Some(listener) = self.damage.listener.get().filter(|_| first) {
+            listener(key, reason);
         }
         let folder = self.root.join("corrupt");
         let to = folder.join(files::unique_name(&key.replace(':', "-")));

@@ -93,7 +93,7 @@ pub enum CodecError {
     #[error("this is not a record of this program")]
     Foreign,
     /// Written by another version of the format.
-    #[error("record format {found}, this program reads format {FORMAT_VERSION}: make it anew")]
+    #[error("record format {found}, this program reads format {FORMAT_VERSION}: make it again")]
     Version {
         /// The record's format.
         found: u16,
@@ -101,7 +101,7 @@ pub enum CodecError {
     /// A record, but of something else.
     #[error("the record holds `{found}` where `{expected}` was wanted")]
     Kind {
-        /// What was asked for.
+        /// What was requested.
         expected: String,
         /// What the header says.
         found: String,

@@ -7,7 +7,7 @@
 
 use std::thread;
 
-/// How many threads a pool gets when 0 are asked for: one per core.
+/// How many threads a pool gets when 0 are requested: one per core.
 pub fn all_cores() -> usize {
     thread::available_parallelism().map_or(1, usize::from)
 }

@@ -104,7 +104,7 @@ impl Control {
         self.changed.notify_all();
     }
 
-    /// Waits until `done` or the time is over; says whether it is done. `done` is looked at again after every
+    /// Waits until `done` or the time is over; returns whether it is done. `done` is checked again after every
     /// change.
     pub fn wait(&self, time: Duration, done: impl Fn() -> bool) -> bool {
         let deadline = Instant::now().checked_add(time);

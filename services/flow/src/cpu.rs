@@ -1,8 +1,8 @@
-//! How much processor time and memory was used, where the operating system tells (Linux).
+//! How much processor time and memory was used, where the operating system reports it (Linux).
 
 use std::fs;
 
-/// Most memory that the process has held at once so far, in bytes; `None` where the system does not tell.
+/// Most memory that the process has held at once so far, in bytes; `None` where the system does not report it.
 ///
 /// ```
 /// if let Some(bytes) = segwild_flow::cpu::peak_memory() {
@@ -16,7 +16,7 @@ pub fn peak_memory() -> Option<u64> {
     Some(kib * 1024)
 }
 
-/// Processor seconds of the calling thread since it began; `None` where the system does not tell.
+/// Processor seconds of the calling thread since it began; `None` where the system does not report it.
 ///
 /// ```
 /// if let Some(seconds) = segwild_flow::cpu::thread_seconds() {
@@ -48,7 +48,7 @@ pub fn process_seconds() -> Option<f64> {
     Some((user + system) as f64 / 100.0)
 }
 
-/// The cores that this process may run on, by number; empty where the system does not tell.
+/// The cores that this process may run on, by number; empty where the system does not report it.
 ///
 /// ```
 /// let cores = segwild_flow::cpu::allowed();

@@ -1,6 +1,6 @@
-//! What happens, told to whoever listens: progress bars, `--json`, the ledger.
+//! What happens, as events for every listener: progress bars, `--json`, the ledger.
 //!
-//! Telling never blocks a worker. Each listener has a queue of its own; when it falls behind, progress and
+//! Sending never blocks a worker. Each listener has a queue of its own; when it falls behind, progress and
 //! metrics are dropped first (the next ones say the same better), and only a listener that has stopped reading
 //! loses the rest, counted.
 //!
@@ -11,9 +11,9 @@
 //! let mut stage = events.stage("masks", Some(2));
 //! stage.advance(2);
 //! stage.finish();
-//! let told: Vec<_> = std::iter::from_fn(|| listener.try_next()).map(|r| r.event).collect();
-//! assert!(matches!(&told[0], Event::StageStarted { stage, total: Some(2) } if stage == "masks"));
-//! assert!(matches!(told.last(), Some(Event::StageFinished { done: 2, .. })));
+//! let events: Vec<_> = std::iter::from_fn(|| listener.try_next()).map(|r| r.event).collect();
+//! assert!(matches!(&events[0], Event::StageStarted { stage, total: Some(2) } if stage == "masks"));
+//! assert!(matches!(events.last(), Some(Event::StageFinished { done: 2, .. })));
 //! ```
 
 use std::collections::VecDeque;
@@ -31,7 +31,7 @@ use crate::progress::StageProgress;
 /// How much a message matters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Level {
+pub enum EventLevel {
     /// For the curious.
     Detail,
     /// For everybody.
@@ -46,7 +46,7 @@ pub enum Level {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum Event {
-    /// A stage begins.
+    /// A stage starts.
     StageStarted {
         /// The stage.
         stage: String,
@@ -63,7 +63,7 @@ pub enum Event {
         total: Option<u64>,
         /// Units per second, lately.
         rate: f64,
-        /// Seconds to go, if that can be told.
+        /// Seconds to go, if that is known.
         eta_s: Option<f64>,
     },
     /// A stage is done.
@@ -78,7 +78,7 @@ pub enum Event {
         cached: u64,
         /// How long it took, in seconds.
         wall_s: f64,
-        /// Processor seconds of the whole process meanwhile, if the system tells.
+        /// Processor seconds of the whole process meanwhile, if the system reports it.
         cpu_s: Option<f64>,
     },
     /// A stage was done before under the same key.
@@ -95,7 +95,7 @@ pub enum Event {
         /// Why.
         error: String,
     },
-    /// An actor gave up a message. Who sent it is told as well, and says what that means for the photo or the stage.
+    /// An actor gave up a message. Its sender is informed as well, and reports what that means for the photo or the stage.
     GivenUp {
         /// The actor.
         actor: String,
@@ -117,7 +117,7 @@ pub enum Event {
         /// How often it was tried.
         attempts: u32,
     },
-    /// An actor was built anew.
+    /// An actor was restarted.
     ActorRestarted {
         /// The actor.
         actor: String,
@@ -183,7 +183,7 @@ pub enum Event {
     /// Anything else.
     Message {
         /// How much it matters.
-        level: Level,
+        level: EventLevel,
         /// The stage it is about.
         stage: Option<String>,
         /// A sentence.
@@ -213,19 +213,19 @@ impl Event {
     }
 
     /// How much it matters.
-    pub fn level(&self) -> Level {
+    pub fn level(&self) -> EventLevel {
         use Event::*;
         match self {
-            StageProgress { .. } | GivenUp { .. } | Metric { .. } => Level::Detail,
+            StageProgress { .. } | GivenUp { .. } | Metric { .. } => EventLevel::Detail,
             StageStarted { .. } | StageFinished { .. } | StageSkipped { .. } | ActorRecovered { .. } => {
-                Level::Info
+                EventLevel::Info
             }
             ViewFailed { .. }
             | ActorRestarted { .. }
             | ActorStuck { .. }
             | ShutdownWaits { .. }
-            | Warning { .. } => Level::Warning,
-            StageFailed { .. } | ActorFailed { .. } => Level::Error,
+            | Warning { .. } => EventLevel::Warning,
+            StageFailed { .. } | ActorFailed { .. } => EventLevel::Error,
             Message { level, .. } => *level,
         }
     }
@@ -258,12 +258,12 @@ struct Backlog {
 }
 
 #[derive(Default)]
-struct Queue {
+struct EventQueue {
     backlog: Mutex<Backlog>,
     arrived: Condvar,
 }
 
-impl Queue {
+impl EventQueue {
     fn push(&self, record: &Arc<EventRecord>) {
         let mut backlog = lock(&self.backlog);
         if backlog.closed {
@@ -314,7 +314,7 @@ impl Queue {
 
 #[derive(Default)]
 struct Hub {
-    queues: Mutex<Vec<Arc<Queue>>>,
+    queues: Mutex<Vec<Arc<EventQueue>>>,
 }
 
 impl Drop for Hub {
@@ -323,17 +323,17 @@ impl Drop for Hub {
     }
 }
 
-/// The place where events are told; clones tell to the same listeners.
+/// Where events are sent; clones have the same listeners.
 #[derive(Clone, Default)]
 pub struct Events(Arc<Hub>);
 
 impl Events {
-    /// One without listeners: telling costs next to nothing.
+    /// One without listeners: sending costs next to nothing.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Tells an event to all who listen. Never blocks on a listener.
+    /// Sends an event to all listeners. Never blocks on one.
     pub fn tell(&self, event: Event) {
         let queues = lock(&self.0.queues);
         if queues.is_empty() {
@@ -343,33 +343,33 @@ impl Events {
         queues.iter().for_each(|queue| queue.push(&record));
     }
 
-    /// Tells a warning.
+    /// Sends a warning.
     pub fn warn(&self, stage: Option<&str>, message: impl Into<String>) {
         self.tell(Event::Warning { stage: stage.map(Into::into), message: message.into() });
     }
 
-    /// Tells a message of the level [`Level::Info`].
+    /// Sends a message of the level [`EventLevel::Info`].
     pub fn info(&self, stage: Option<&str>, message: impl Into<String>) {
         self.tell(Event::Message {
-            level: Level::Info,
+            level: EventLevel::Info,
             stage: stage.map(Into::into),
             message: message.into(),
         });
     }
 
-    /// Tells a measured number.
+    /// Sends a measured number.
     pub fn metric(&self, stage: &str, name: &str, value: f64, step: Option<u64>) {
         self.tell(Event::Metric { stage: Some(stage.into()), name: name.into(), value, step });
     }
 
-    /// Begins to tell of a stage: rate and time left are worked out from how it advances.
+    /// Starts to report the progress of a stage: rate and time left are computed from how it advances.
     pub fn stage(&self, stage: &str, total: Option<u64>) -> StageProgress {
         StageProgress::start(self.clone(), stage, total)
     }
 
-    /// Listens to all that is told from now on.
+    /// Listens to all events from now on.
     pub fn subscribe(&self) -> Subscription {
-        let queue = Arc::new(Queue::default());
+        let queue = Arc::new(EventQueue::default());
         lock(&self.0.queues).push(queue.clone());
         Subscription { hub: Arc::downgrade(&self.0), queue }
     }
@@ -412,7 +412,7 @@ impl Events {
 /// A listener's queue. Dropping it ends listening.
 pub struct Subscription {
     hub: std::sync::Weak<Hub>,
-    queue: Arc<Queue>,
+    queue: Arc<EventQueue>,
 }
 
 impl Subscription {
@@ -446,9 +446,9 @@ impl Drop for Subscription {
     }
 }
 
-/// A running sink. Dropping it hands over what was told before, then ends its thread.
+/// A running sink. Dropping it hands over the events of before, then ends its thread.
 pub struct Sink {
-    queue: Arc<Queue>,
+    queue: Arc<EventQueue>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -456,7 +456,7 @@ impl Drop for Sink {
     fn drop(&mut self) {
         self.queue.close();
         if let Some(thread) = self.thread.take() {
-            // A sink that panicked has said so on stderr already.
+            // A sink that panicked has written that to stderr already.
             let _ = thread.join();
         }
     }

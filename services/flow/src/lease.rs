@@ -25,25 +25,25 @@ use crate::meter::{lock, waiting_for};
 use crate::park::block_on;
 
 /// Somebody in the queue.
-struct Place {
+struct QueuePosition {
     ticket: u64,
     waker: Option<Waker>,
 }
 
 #[derive(Default)]
-struct Queue {
+struct LeaseQueue {
     holder: Option<String>,
     since: Option<Instant>,
-    urgent: VecDeque<Place>,
-    others: VecDeque<Place>,
+    urgent: VecDeque<QueuePosition>,
+    others: VecDeque<QueuePosition>,
     next: u64,
     taken: u64,
     waited: Duration,
     held: Duration,
 }
 
-impl Queue {
-    fn lane(&mut self, urgent: bool) -> &mut VecDeque<Place> {
+impl LeaseQueue {
+    fn lane(&mut self, urgent: bool) -> &mut VecDeque<QueuePosition> {
         if urgent { &mut self.urgent } else { &mut self.others }
     }
 
@@ -66,14 +66,14 @@ impl Queue {
     }
 }
 
-struct Shared {
+struct LeaseShared {
     name: String,
-    queue: Mutex<Queue>,
+    queue: Mutex<LeaseQueue>,
 }
 
 /// The thing that is leased; clones lease the same one.
 #[derive(Clone)]
-pub struct Lease(Arc<Shared>);
+pub struct Lease(Arc<LeaseShared>);
 
 /// Gauges and counters of a [`Lease`].
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
@@ -95,7 +95,7 @@ pub struct LeaseStats {
 impl Lease {
     /// A thing of which there is one.
     pub fn new(name: &str) -> Self {
-        Self(Arc::new(Shared { name: name.into(), queue: Mutex::default() }))
+        Self(Arc::new(LeaseShared { name: name.into(), queue: Mutex::default() }))
     }
 
     /// Takes it for `who`, waiting in turn; for compute threads.
@@ -118,26 +118,26 @@ impl Lease {
         Some(LeaseGuard(self.clone()))
     }
 
-    /// A place in the queue, from now on; for async tasks.
-    pub fn turn(&self, who: &str) -> Turn {
+    /// Joins the queue now; for async tasks.
+    pub fn turn(&self, who: &str) -> LeaseTurn {
         self.queue_up(who, false)
     }
 
     /// As [`Lease::turn`], ahead of all who are not urgent.
-    pub fn urgent_turn(&self, who: &str) -> Turn {
+    pub fn urgent_turn(&self, who: &str) -> LeaseTurn {
         self.queue_up(who, true)
     }
 
-    fn queue_up(&self, who: &str, urgent: bool) -> Turn {
+    fn queue_up(&self, who: &str, urgent: bool) -> LeaseTurn {
         let mut queue = lock(&self.0.queue);
         let ticket = queue.next;
         queue.next += 1;
-        queue.lane(urgent).push_back(Place { ticket, waker: None });
+        queue.lane(urgent).push_back(QueuePosition { ticket, waker: None });
         drop(queue);
-        Turn { lease: self.clone(), who: who.into(), urgent, ticket, since: Instant::now(), over: false }
+        LeaseTurn { lease: self.clone(), who: who.into(), urgent, ticket, since: Instant::now(), over: false }
     }
 
-    fn blocking(&self, mut turn: Turn) -> LeaseGuard {
+    fn blocking(&self, mut turn: LeaseTurn) -> LeaseGuard {
         if let Some(guard) = turn.take_if_first(None) {
             return guard;
         }
@@ -159,22 +159,22 @@ impl Lease {
     }
 }
 
-/// A place in a lease's queue: a future of the lease. Dropping it gives the place up.
-pub struct Turn {
+/// A position in a lease's queue: a future of the lease. Dropping it leaves the queue.
+pub struct LeaseTurn {
     lease: Lease,
     who: String,
     urgent: bool,
     ticket: u64,
     since: Instant,
-    /// The lease was handed out: there is no place any more.
+    /// The lease was handed out: the position is gone.
     over: bool,
 }
 
-impl Turn {
+impl LeaseTurn {
     /// Takes the lease if it is free and this turn's; else leaves the waker to be woken then.
     fn take_if_first(&mut self, waker: Option<&Waker>) -> Option<LeaseGuard> {
         let mut queue = lock(&self.lease.0.queue);
-        let first = queue.urgent.front().or(queue.others.front()).map(|place| place.ticket);
+        let first = queue.urgent.front().or(queue.others.front()).map(|position| position.ticket);
         if queue.holder.is_none() && first == Some(self.ticket) {
             queue.lane(self.urgent).pop_front();
             queue.waited += self.since.elapsed();
@@ -183,14 +183,15 @@ impl Turn {
             return Some(LeaseGuard(self.lease.clone()));
         }
         let (ticket, waker) = (self.ticket, waker.cloned());
-        if let Some(place) = queue.lane(self.urgent).iter_mut().find(|place| place.ticket == ticket) {
-            place.waker = waker;
+        if let Some(position) = queue.lane(self.urgent).iter_mut().find(|position| position.ticket == ticket)
+        {
+            position.waker = waker;
         }
         None
     }
 }
 
-impl Future for Turn {
+impl Future for LeaseTurn {
     type Output = LeaseGuard;
 
     fn poll(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<LeaseGuard> {
@@ -201,14 +202,14 @@ impl Future for Turn {
     }
 }
 
-impl Drop for Turn {
+impl Drop for LeaseTurn {
     fn drop(&mut self) {
         if self.over {
             return;
         }
         let mut queue = lock(&self.lease.0.queue);
         let ticket = self.ticket;
-        queue.lane(self.urgent).retain(|place| place.ticket != ticket);
+        queue.lane(self.urgent).retain(|position| position.ticket != ticket);
         // It may have been woken already, and now it is the turn of the one behind.
         let next = queue.next_turn();
         drop(queue);

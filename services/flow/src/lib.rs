@@ -5,7 +5,7 @@
 //! - [`Actor`] and [`System`]: actors on threads of their own, supervised: retried, restarted, quarantined,
 //!   watched, stopped in order; their times are the timings of the run.
 //! - [`Lease`]: the one accelerator, in turn, a click first.
-//! - [`Events`]: what happens, told to progress bars, `--json` and the ledger without ever holding up a worker.
+//! - [`Events`]: what happens, sent to progress bars, `--json` and the ledger without ever holding up a worker.
 //! - [`Cache`]: artefacts by the hash of what they were made from ([`Key`]); verified on every read.
 //! - [`Ledger`]: what a run has done, in SQLite, readable by others while it is written.
 //! - [`Recorder`]: what actors and mailboxes are doing, written into the ledger about once a second.
@@ -38,14 +38,14 @@ pub mod system;
 pub mod timeline;
 pub mod trace;
 
-pub use actor::{Actor, Context, Failure, Idle, Quarantined};
+pub use actor::{Actor, Context, ActorFailure, Idle, Quarantined};
 pub use cache::{Artefact, Cache, CacheCounters, CacheError, MakeError, Origin, Swept};
 pub use codec::CodecError;
 pub use compute::all_cores;
 pub use control::{Phase, Stopper};
-pub use events::{Event, EventRecord, Events, Level, Sink, Subscription};
+pub use events::{Event, EventRecord, Events, EventLevel, Sink, Subscription};
 pub use key::{Key, KeyBuilder};
-pub use lease::{Lease, LeaseGuard, LeaseStats, Turn};
+pub use lease::{Lease, LeaseGuard, LeaseStats, LeaseTurn};
 pub use ledger::{Ledger, LedgerError};
 pub use mailbox::{Closed, Limits, MailboxStats, Receiver, RecvError, Sender, TrySendError, mailbox};
 pub use message::Message;
@@ -56,4 +56,4 @@ pub use report::{ActorReport, Exit, Report, WorkerStatus};
 pub use segwild_files::{self as files, FileError, fault};
 pub use supervise::{ActorOptions, RestartBudget};
 pub use system::{Guest, Observer, SpawnError, System, SystemOptions};
-pub use timeline::{Span, SpanKind, Timeline, TimelineRecord};
+pub use timeline::{TimelineSpan, SpanKind, Timeline, TimelineRecord};

@@ -54,7 +54,7 @@ impl<M> Lane<M> {
     }
 }
 
-struct Shared<M> {
+struct MailboxShared<M> {
     name: Arc<str>,
     limits: Limits,
     /// Bytes that one permit stands for: tokio counts permits in 32 bits.
@@ -86,7 +86,7 @@ pub fn mailbox<M: Message>(name: &str, limits: Limits) -> (Sender<M>, Receiver<M
     let limits = Limits { count: limits.count.clamp(1, Semaphore::MAX_PERMITS), bytes: limits.bytes.max(1) };
     let unit = limits.bytes.div_ceil(1 << 30).max(1);
     let permits = limits.bytes.div_ceil(unit) as u32;
-    let shared = Arc::new(Shared {
+    let shared = Arc::new(MailboxShared {
         name: name.into(),
         limits,
         unit,
@@ -111,7 +111,7 @@ pub fn mailbox<M: Message>(name: &str, limits: Limits) -> (Sender<M>, Receiver<M
     (Sender { shared: shared.clone() }, Receiver { shared })
 }
 
-impl<M: Message> Shared<M> {
+impl<M: Message> MailboxShared<M> {
     fn close(&self) {
         self.closed.store(true, Ordering::SeqCst);
         for lane in [&self.urgent, &self.work] {
@@ -170,7 +170,7 @@ impl<M: Message> Shared<M> {
             Err(TrySendError::Closed(_)) => return Err(closed()),
             Err(TrySendError::Full(message)) => message,
         };
-        let _waiting = Waiting::new(self);
+        let _waiting = WaitingSender::new(self);
         let permits = self.permits_of(&message);
         let count = lane.count.acquire().await.map_err(|_| closed())?;
         let bytes = lane.bytes.acquire_many(permits).await.map_err(|_| closed())?;
@@ -219,20 +219,20 @@ impl<M: Message> Shared<M> {
 }
 
 /// Counts the time a sender is held back, also when its future is dropped.
-struct Waiting<'a, M> {
-    shared: &'a Shared<M>,
+struct WaitingSender<'a, M> {
+    shared: &'a MailboxShared<M>,
     since: Instant,
 }
 
-impl<'a, M> Waiting<'a, M> {
-    fn new(shared: &'a Shared<M>) -> Self {
+impl<'a, M> WaitingSender<'a, M> {
+    fn new(shared: &'a MailboxShared<M>) -> Self {
         shared.held_back.fetch_add(1, Ordering::Relaxed);
         shared.waiting_senders.fetch_add(1, Ordering::Relaxed);
         Self { shared, since: Instant::now() }
     }
 }
 
-impl<M> Drop for Waiting<'_, M> {
+impl<M> Drop for WaitingSender<'_, M> {
     fn drop(&mut self) {
         self.shared.waiting_senders.fetch_sub(1, Ordering::Relaxed);
         self.shared.back_pressure_us.fetch_add(self.since.elapsed().as_micros() as u64, Ordering::Relaxed);
@@ -241,7 +241,7 @@ impl<M> Drop for Waiting<'_, M> {
 
 /// The sending side; clones send to the same mailbox.
 pub struct Sender<M: Message> {
-    shared: Arc<Shared<M>>,
+    shared: Arc<MailboxShared<M>>,
 }
 
 impl<M: Message> Clone for Sender<M> {
@@ -260,7 +260,7 @@ impl<M: Message> Drop for Sender<M> {
 }
 
 impl<M: Message> Sender<M> {
-    /// Sends, waiting for room; for async tasks.
+    /// Sends, waiting for space; for async tasks.
     ///
     /// # Errors
     /// When the mailbox is closed; the message is dropped.
@@ -268,7 +268,7 @@ impl<M: Message> Sender<M> {
         self.shared.send(&self.shared.work, message).await
     }
 
-    /// Sends ahead of all work, waiting for room among urgent messages only.
+    /// Sends ahead of all work, waiting for space among urgent messages only.
     ///
     /// # Errors
     /// When the mailbox is closed.
@@ -276,7 +276,7 @@ impl<M: Message> Sender<M> {
         self.shared.send(&self.shared.urgent, message).await
     }
 
-    /// Sends, blocking the thread until there is room; for compute threads. An actor's time held back is
+    /// Sends, blocking the thread until there is space; for compute threads. An actor's time held back is
     /// counted as such.
     ///
     /// # Errors
@@ -305,7 +305,7 @@ impl<M: Message> Sender<M> {
         }
     }
 
-    /// Sends if there is room now.
+    /// Sends if there is space now.
     ///
     /// # Errors
     /// Gives the message back when there is none.
@@ -313,7 +313,7 @@ impl<M: Message> Sender<M> {
         self.shared.try_enter(&self.shared.work, message)
     }
 
-    /// Sends ahead of all work if there is room now.
+    /// Sends ahead of all work if there is space now.
     ///
     /// # Errors
     /// Gives the message back when there is none.
@@ -329,7 +329,7 @@ impl<M: Message> Sender<M> {
 
 /// The receiving side; clones share the messages between them.
 pub struct Receiver<M: Message> {
-    shared: Arc<Shared<M>>,
+    shared: Arc<MailboxShared<M>>,
 }
 
 impl<M: Message> Clone for Receiver<M> {
@@ -413,9 +413,9 @@ pub(crate) trait AnyMailbox: Send + Sync {
     fn stats(&self) -> MailboxStats;
 }
 
-impl<M: Message> AnyMailbox for Shared<M> {
+impl<M: Message> AnyMailbox for MailboxShared<M> {
     fn close(&self) {
-        Shared::close(self);
+        MailboxShared::close(self);
     }
 
     fn stats(&self) -> MailboxStats {

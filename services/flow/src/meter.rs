@@ -23,7 +23,7 @@ pub enum WorkerState {
     Waiting,
     /// Handling a message, or working between messages.
     Busy,
-    /// Waiting for room in another mailbox, or for another's result.
+    /// Waiting for space in another mailbox, or for another's result.
     Blocked,
     /// Waiting before a restart or another attempt.
     BackOff,
@@ -45,8 +45,8 @@ pub(crate) struct Pulse {
     pub actor: Arc<str>,
     pub worker: u32,
     timeline: Timeline,
-    /// Whether only work worth a look is drawn: a thread that listens to thousands of short messages would fill the
-    /// timeline with them.
+    /// Whether the timeline keeps only spans that are long enough to see: a thread that receives thousands of short
+    /// messages would fill it.
     pub coarse: bool,
     current: Mutex<Current>,
     /// Counts signs of progress.
@@ -56,7 +56,7 @@ pub(crate) struct Pulse {
     cpu_us: AtomicU64,
 }
 
-/// A look at a worker.
+/// What the supervisor reads of a worker.
 pub(crate) struct WorkerObservation {
     pub state: WorkerState,
     pub label: String,
@@ -91,7 +91,7 @@ impl Pulse {
         }
     }
 
-    /// Ends one state and begins another, or goes on in the same; their times add up to the thread's life.
+    /// Ends one state and starts another, or goes on in the same; their times add up to the thread's life.
     pub fn enter(&self, state: WorkerState, label: &str) -> (WorkerState, String) {
         self.progress();
         let now = Instant::now();
@@ -105,7 +105,7 @@ impl Pulse {
         current.state = state;
         current.since = now;
         drop(current);
-        // The moment between two messages is no work worth drawing.
+        // The moment between two messages is too short for a span.
         if old == WorkerState::Busy && old_label.is_empty() && now - since < Duration::from_micros(100) {
             return (old, old_label);
         }
@@ -174,7 +174,7 @@ pub struct WaitingFor {
     before: (WorkerState, String),
 }
 
-/// Says that the calling worker waits for `what`: room in a mailbox, or a result that another actor makes. The
+/// Says that the calling worker waits for `what`: space in a mailbox, or a result that another actor makes. The
 /// timeline then shows the wait and names it. `None` on a thread that is no worker.
 pub fn waiting_for(what: &str) -> Option<WaitingFor> {
     PULSE.with_borrow(|current| {

@@ -18,7 +18,7 @@ pub struct Usage {
     pub threads: u64,
 }
 
-/// What this process takes now; `None` where the system does not tell.
+/// What this process takes now; `None` where the system does not report it.
 ///
 /// ```
 /// if let Some(usage) = segwild_flow::process::usage() {

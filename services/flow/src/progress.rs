@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use crate::cpu;
 use crate::events::{Event, Events};
 
-/// Progress is told at most this often.
+/// Progress is reported at most this often.
 const EVERY: Duration = Duration::from_millis(100);
 /// The rate forgets in about this time, in seconds.
 const MEMORY: f64 = 10.0;
@@ -31,7 +31,7 @@ pub struct StageProgress {
     failed: u64,
     began: Instant,
     cpu: Option<f64>,
-    told: Instant,
+    reported: Instant,
     /// Weighted counts of work and of time, both forgetting: their quotient is the rate.
     work: f64,
     time: f64,
@@ -51,7 +51,7 @@ impl StageProgress {
             failed: 0,
             began: now,
             cpu: cpu::process_seconds(),
-            told: now,
+            reported: now,
             work: 0.0,
             time: 0.0,
             marked: now,
@@ -117,8 +117,8 @@ impl StageProgress {
         let keep = (-passed / MEMORY).exp();
         self.work = self.work * keep + units as f64;
         self.time = self.time * keep + passed;
-        if now - self.told >= EVERY || self.total == Some(self.done()) {
-            self.told = now;
+        if now - self.reported >= EVERY || self.total == Some(self.done()) {
+            self.reported = now;
             self.events.tell(Event::StageProgress {
                 stage: self.stage.clone(),
                 done: self.done(),

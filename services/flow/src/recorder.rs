@@ -1,4 +1,4 @@
-//! Writes what a run is doing into its ledger about once a second, for other processes to look at.
+//! Writes what a run is doing into its ledger about once a second, for other processes to read.
 //!
 //! ```
 //! use segwild_flow::*;
@@ -39,7 +39,7 @@ use crate::system::Observer;
 const EVERY: Duration = Duration::from_secs(1);
 
 #[derive(Default)]
-struct Watched {
+struct WatchedRun {
     observer: Option<Observer>,
     mailboxes: Vec<Arc<dyn AnyMailbox>>,
     cache: Option<Cache>,
@@ -51,27 +51,27 @@ struct Watched {
 }
 
 #[derive(Default)]
-struct Shared {
-    watched: Mutex<Watched>,
+struct RecorderShared {
+    watched: Mutex<WatchedRun>,
     changed: Condvar,
 }
 
 /// Samples a run until it is dropped; the drop writes the last sample, which stays.
 pub struct Recorder {
-    shared: Arc<Shared>,
+    shared: Arc<RecorderShared>,
     sink: Option<Sink>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Recorder {
-    /// Begins to sample. Stages, rates and measured numbers are heard from `events`.
+    /// Starts to sample. Stages, rates and measured numbers come from `events`.
     ///
     /// # Errors
     /// When a thread cannot be started.
     pub fn start(ledger: &Ledger, events: &Events) -> std::io::Result<Self> {
-        let shared = Arc::new(Shared::default());
-        let heard = shared.clone();
-        let sink = events.sink("live", move |record| lock(&heard.watched).hear(&record.event))?;
+        let shared = Arc::new(RecorderShared::default());
+        let observed = shared.clone();
+        let sink = events.sink("live", move |record| lock(&observed.watched).apply(&record.event))?;
         let (mine, ledger) = (shared.clone(), ledger.clone());
         let thread = thread::Builder::new().name("recorder".into()).spawn(move || record(&mine, &ledger))?;
         Ok(Self { shared, sink: Some(sink), thread: Some(thread) })
@@ -95,17 +95,17 @@ impl Recorder {
 
 impl Drop for Recorder {
     fn drop(&mut self) {
-        drop(self.sink.take()); // hands over what was told before
+        drop(self.sink.take()); // hands over the events of before
         lock(&self.shared.watched).ended = true;
         self.shared.changed.notify_all();
         if let Some(thread) = self.thread.take() {
-            // A recorder that panicked has said so on stderr already.
+            // A recorder that panicked has written that to stderr already.
             let _ = thread.join();
         }
     }
 }
 
-impl Watched {
+impl WatchedRun {
     fn stage(&mut self, name: &str) -> &mut LiveStage {
         let at = self.stages.iter().position(|s| s.stage == name).unwrap_or_else(|| {
             self.stages.push(LiveStage { stage: name.into(), done: 0, total: None, rate: 0.0, eta_s: None });
@@ -114,7 +114,7 @@ impl Watched {
         &mut self.stages[at]
     }
 
-    fn hear(&mut self, event: &Event) {
+    fn apply(&mut self, event: &Event) {
         match event {
             Event::StageStarted { stage, total } => {
                 *self.stage(stage) =
@@ -227,7 +227,7 @@ fn live_mailbox(m: MailboxStats) -> LiveMailbox {
     }
 }
 
-fn record(shared: &Shared, ledger: &Ledger) {
+fn record(shared: &RecorderShared, ledger: &Ledger) {
     let began = Instant::now();
     let (mut moved, mut seen) = (began, None);
     let mut past_every = EVERY;

@@ -30,7 +30,7 @@ pub enum Exit {
     Late,
 }
 
-/// A look at one worker.
+/// One worker at one moment.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct WorkerStatus {
     /// What it does.
@@ -58,7 +58,7 @@ pub struct ActorReport {
     pub busy_s: f64,
     /// Waiting for input.
     pub waiting_s: f64,
-    /// Waiting for room in other mailboxes.
+    /// Waiting for space in other mailboxes.
     pub blocked_s: f64,
     /// Waiting before restarts and attempts.
     pub back_off_s: f64,
@@ -68,7 +68,7 @@ pub struct ActorReport {
     pub messages: u64,
     /// Further attempts at a message.
     pub retries: u64,
-    /// How often it was built anew.
+    /// How often it was restarted.
     pub restarts: u64,
     /// What was given up.
     pub quarantined: Vec<Quarantined>,

@@ -21,22 +21,22 @@ const FILES_WANTED: u64 = 4096;
 /// ```
 pub fn is_shortage(error: &io::Error) -> bool {
     #[cfg(unix)]
-    let codes = [rustix::io::Errno::MFILE, rustix::io::Errno::NFILE].map(|code| code.raw_os_error());
+    let numbers = [rustix::io::Errno::MFILE, rustix::io::Errno::NFILE].map(|code| code.raw_os_error());
     // ERROR_TOO_MANY_OPEN_FILES
     #[cfg(not(unix))]
-    let codes = [4];
-    error.raw_os_error().is_some_and(|code| codes.contains(&code))
+    let numbers = [4];
+    error.raw_os_error().is_some_and(|code| numbers.contains(&code))
 }
 
-/// Whether the system could not begin a thread or a process for want of one.
+/// Whether the system could not start a thread or a process for want of one.
 pub fn is_shortage_of_processes(error: &io::Error) -> bool {
     is_shortage(error) || error.kind() == io::ErrorKind::WouldBlock
 }
 
 /// As [`is_shortage`], of whatever stands behind an error.
-pub fn is_behind(error: &(dyn Error + 'static)) -> bool {
-    let behind = std::iter::successors(Some(error), |&error| error.source());
-    behind.filter_map(|error| error.downcast_ref()).any(is_shortage)
+pub fn is_caused_by_shortage(error: &(dyn Error + 'static)) -> bool {
+    let sources = std::iter::successors(Some(error), |&error| error.source());
+    sources.filter_map(|error| error.downcast_ref()).any(is_shortage)
 }
 
 /// As [`is_shortage`], of an error that has become words: they end in the system's own.
@@ -46,15 +46,15 @@ pub fn is_behind(error: &(dyn Error + 'static)) -> bool {
 /// let refused = std::io::Error::from_raw_os_error(24);
 /// assert!(segwild_flow::shortage::is_said(&format!("cannot read a.jpg: {refused}")));
 /// # }
-/// assert!(!segwild_flow::shortage::is_said("cannot read a.jpg: it is no picture"));
+/// assert!(!segwild_flow::shortage::is_said("cannot read a.jpg: it is no image"));
 /// ```
-pub fn is_said(words: &str) -> bool {
+pub fn is_shortage_message(words: &str) -> bool {
     let code = words.strip_suffix(')').and_then(|rest| rest.rsplit_once("(os error ")).map(|(_, code)| code);
     let code = code.and_then(|code| code.parse().ok());
     code.is_some_and(|code| is_shortage(&io::Error::from_raw_os_error(code)))
 }
 
-/// Raises the number of files that this process may have open, as far as the system lets it without asking; says how
+/// Raises the number of files that this process may have open, as far as the system lets it without asking; returns how
 /// many it may have then. `None` where there is no such limit.
 pub fn raise_open_files() -> Option<u64> {
     #[cfg(unix)]

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicU32, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use crate::actor::{Actor, Context, Failure, FailureKind, Idle, Quarantined};
+use crate::actor::{Actor, Context, ActorFailure, FailureKind, Idle, Quarantined};
 use crate::events::Event;
 use crate::fault;
 use crate::mailbox::{AnyMailbox, Receiver, RecvError};
@@ -15,7 +15,7 @@ use crate::message::Message;
 use crate::meter::{Pulse, WorkerState, lock};
 use crate::report::{ActorReport, Exit, WorkerStatus};
 
-/// How often an actor may be built anew.
+/// How often an actor may be restarted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RestartBudget {
     /// So many restarts ..
@@ -85,7 +85,7 @@ impl Default for ActorOptions {
 }
 
 /// An actor as the supervisor sees it.
-pub(crate) struct Cell {
+pub(crate) struct ActorCell {
     pub name: Arc<str>,
     pub options: ActorOptions,
     pub pulses: Vec<Arc<Pulse>>,
@@ -101,7 +101,7 @@ pub(crate) struct Cell {
     quarantined: Mutex<Vec<Quarantined>>,
 }
 
-impl Cell {
+impl ActorCell {
     pub fn new(
         options: ActorOptions,
         pulses: Vec<Arc<Pulse>>,
@@ -165,7 +165,7 @@ impl Cell {
     }
 
     /// Spends a restart and waits; an exit when there is none left, or the failure allows none.
-    pub fn restart(&self, context: &Context, failure: &Failure) -> Option<Exit> {
+    pub fn restart(&self, context: &Context, failure: &ActorFailure) -> Option<Exit> {
         match failure.kind {
             FailureKind::Fatal => return Some(Exit::Failed(failure.message.clone())),
             FailureKind::Storage => return Some(Exit::Storage(failure.message.clone())),
@@ -191,7 +191,7 @@ impl Cell {
         self.announce_restart(context, failure, budget.delay(earlier))
     }
 
-    fn announce_restart(&self, context: &Context, failure: &Failure, delay: Duration) -> Option<Exit> {
+    fn announce_restart(&self, context: &Context, failure: &ActorFailure, delay: Duration) -> Option<Exit> {
         if context.stopping() {
             return Some(Exit::Stopped);
         }
@@ -221,19 +221,19 @@ pub(crate) fn panic_words(payload: &(dyn Any + Send)) -> String {
 }
 
 /// Runs a piece of an actor; a panic becomes a failure and `broken`.
-fn guard<T>(work: impl FnOnce() -> Result<T, Failure>) -> Result<T, (Failure, bool)> {
+fn guard<T>(work: impl FnOnce() -> Result<T, ActorFailure>) -> Result<T, (ActorFailure, bool)> {
     match catch_unwind(AssertUnwindSafe(work)) {
         Ok(Ok(value)) => Ok(value),
         Ok(Err(failure)) => {
             let broken = failure.kind == FailureKind::Restart;
             Err((failure, broken))
         }
-        Err(payload) => Err((Failure::restart(panic_words(&*payload)), true)),
+        Err(payload) => Err((ActorFailure::restart(panic_words(&*payload)), true)),
     }
 }
 
 /// Work that survives a restart.
-enum Held<M> {
+enum HeldMessage<M> {
     Retry { message: M, attempt: u32 },
     GivenUp { message: Option<M>, quarantined: Quarantined },
 }
@@ -245,10 +245,10 @@ enum Life {
 
 /// A worker's whole life: instance after instance, until the work is done or cannot be.
 pub(crate) fn work<A: Actor>(
-    cell: &Cell,
+    cell: &ActorCell,
     context: &Context,
     inbox: &Receiver<A::Message>,
-    factory: &(dyn Fn() -> Result<A, Failure> + Send + Sync),
+    factory: &(dyn Fn() -> Result<A, ActorFailure> + Send + Sync),
 ) -> Exit {
     let mut held = None;
     loop {
@@ -298,10 +298,10 @@ pub(crate) fn work<A: Actor>(
 
 fn live<A: Actor>(
     actor: &mut A,
-    cell: &Cell,
+    cell: &ActorCell,
     context: &Context,
     inbox: &Receiver<A::Message>,
-    held: &mut Option<Held<A::Message>>,
+    held: &mut Option<HeldMessage<A::Message>>,
 ) -> Life {
     let mut cpu_noted = Instant::now();
     loop {
@@ -312,13 +312,13 @@ fn live<A: Actor>(
             cpu_noted = Instant::now();
             context.pulse.note_cpu();
         }
-        let outside = |(failure, _): (Failure, bool)| match cell.restart(context, &failure) {
+        let outside = |(failure, _): (ActorFailure, bool)| match cell.restart(context, &failure) {
             Some(exit) => Life::Over(exit),
             None => Life::Broken,
         };
         let (message, attempt) = match held.take() {
-            Some(Held::Retry { message, attempt }) => (message, attempt),
-            Some(Held::GivenUp { message, quarantined }) => {
+            Some(HeldMessage::Retry { message, attempt }) => (message, attempt),
+            Some(HeldMessage::GivenUp { message, quarantined }) => {
                 context.pulse.enter(WorkerState::Busy, &quarantined.label);
                 match guard(|| actor.on_quarantine(message, &quarantined, context)) {
                     Ok(()) => continue,
@@ -373,14 +373,14 @@ fn live<A: Actor>(
 
 /// Decides what becomes of a message that failed and of the instance that it failed in; `None`: live on.
 fn after_failure<M>(
-    cell: &Cell,
+    cell: &ActorCell,
     context: &Context,
-    failure: &Failure,
+    failure: &ActorFailure,
     broken: bool,
     copy: Option<M>,
     label: String,
     attempt: u32,
-    held: &mut Option<Held<M>>,
+    held: &mut Option<HeldMessage<M>>,
 ) -> Option<Life> {
     let over = match failure.kind {
         FailureKind::Downstream if !context.stopping() => Some(Exit::DownstreamClosed),
@@ -398,7 +398,7 @@ fn after_failure<M>(
     match copy {
         Some(message) if again && attempt < cell.options.attempts => {
             cell.retries.fetch_add(1, Ordering::Relaxed);
-            *held = Some(Held::Retry { message, attempt: attempt + 1 });
+            *held = Some(HeldMessage::Retry { message, attempt: attempt + 1 });
             if !broken {
                 return cell.pause(context, delay).map(Life::Over);
             }
@@ -417,7 +417,7 @@ fn after_failure<M>(
             if failure.kind == FailureKind::Fatal {
                 return Some(Life::Over(Exit::Failed(failure.message.clone())));
             }
-            *held = Some(Held::GivenUp { message, quarantined });
+            *held = Some(HeldMessage::GivenUp { message, quarantined });
             if failure.kind != FailureKind::Reject {
                 let in_a_row = cell.in_a_row.fetch_add(1, Ordering::Relaxed) + 1;
                 if in_a_row >= cell.options.given_up_in_a_row {

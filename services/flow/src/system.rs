@@ -43,20 +43,20 @@ use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use crate::actor::{Actor, Context, Failure};
+use crate::actor::{Actor, Context, ActorFailure};
 use crate::compute;
 use crate::control::{Control, Stopper};
 use crate::events::{Event, Events};
 use crate::mailbox::Receiver;
 use crate::meter::{self, Pulse, WorkerState, lock};
 use crate::report::{ActorReport, Exit, Report};
-use crate::supervise::{ActorOptions, Cell, panic_words, work};
+use crate::supervise::{ActorCell, ActorOptions, panic_words, work};
 use crate::timeline::Timeline;
 
 /// How a system is run.
 #[derive(Clone)]
 pub struct SystemOptions {
-    /// Where events are told.
+    /// Where events are sent.
     pub events: Events,
     /// Who stops it.
     pub stopper: Stopper,
@@ -107,33 +107,33 @@ impl SpawnError {
     }
 }
 
-struct Shared {
+struct SystemShared {
     options: SystemOptions,
     began: Instant,
     timeline: Timeline,
     roster: Mutex<Roster>,
-    threads: Mutex<Vec<(Arc<Cell>, JoinHandle<()>)>>,
+    threads: Mutex<Vec<(Arc<ActorCell>, JoinHandle<()>)>>,
     /// Nothing more will be spawned: the end of all actors is the end.
     complete: AtomicBool,
 }
 
 #[derive(Default)]
 struct Roster {
-    cells: Vec<Arc<Cell>>,
-    /// Shutdown has begun: nobody joins any more, or the newcomer would be forgotten.
+    cells: Vec<Arc<ActorCell>>,
+    /// Shutdown has started: nobody joins any more, or the newcomer would be forgotten.
     sealed: bool,
 }
 
-impl Shared {
+impl SystemShared {
     fn control(&self) -> &Control {
         &self.options.stopper.0
     }
 
-    fn cells(&self) -> Vec<Arc<Cell>> {
+    fn cells(&self) -> Vec<Arc<ActorCell>> {
         lock(&self.roster).cells.clone()
     }
 
-    fn seal(&self) -> Vec<Arc<Cell>> {
+    fn seal(&self) -> Vec<Arc<ActorCell>> {
         let mut roster = lock(&self.roster);
         roster.sealed = true;
         roster.cells.clone()
@@ -142,7 +142,7 @@ impl Shared {
 
 /// Actors, their supervisor and their timeline. Dropped without [`System::join`], it stops them without waiting.
 pub struct System {
-    shared: Arc<Shared>,
+    shared: Arc<SystemShared>,
     supervisor: Option<JoinHandle<()>>,
 }
 
@@ -152,7 +152,7 @@ impl System {
     /// # Errors
     /// When the supervisor's thread cannot be started.
     pub fn new(options: SystemOptions) -> Result<Self, SpawnError> {
-        let shared = Arc::new(Shared {
+        let shared = Arc::new(SystemShared {
             timeline: Timeline::new(options.timeline),
             options,
             began: Instant::now(),
@@ -177,14 +177,14 @@ impl System {
         &self,
         inbox: Receiver<A::Message>,
         options: ActorOptions,
-        factory: impl Fn() -> Result<A, Failure> + Send + Sync + 'static,
+        factory: impl Fn() -> Result<A, ActorFailure> + Send + Sync + 'static,
     ) -> Result<(), SpawnError> {
         let name = inbox.name().clone();
         let factory = Arc::new(factory);
         let mailbox = inbox.handle();
         self.start(name, options, Some(mailbox), move || {
             let (inbox, factory) = (inbox.clone(), factory.clone());
-            Box::new(move |cell: &Cell, context: &Context| work::<A>(cell, context, &inbox, &*factory))
+            Box::new(move |cell: &ActorCell, context: &Context| work::<A>(cell, context, &inbox, &*factory))
         })
     }
 
@@ -197,13 +197,13 @@ impl System {
         &self,
         name: &str,
         options: ActorOptions,
-        body: impl FnMut(&Context) -> Result<(), Failure> + Send + 'static,
+        body: impl FnMut(&Context) -> Result<(), ActorFailure> + Send + 'static,
     ) -> Result<(), SpawnError> {
         let mut body = Some(body);
         let options = ActorOptions { workers: 1, ..options };
         self.start(name.into(), options, None, move || {
             let mut body = body.take();
-            Box::new(move |cell: &Cell, context: &Context| run_source(cell, context, body.as_mut()))
+            Box::new(move |cell: &ActorCell, context: &Context| run_source(cell, context, body.as_mut()))
         })
     }
 
@@ -220,7 +220,7 @@ impl System {
         let pulses: Vec<_> = (0..options.workers as u32)
             .map(|i| Arc::new(Pulse::new(name.clone(), i, self.shared.timeline.clone())))
             .collect();
-        let cell = Arc::new(Cell::new(options, pulses.clone(), name.clone(), mailbox));
+        let cell = Arc::new(ActorCell::new(options, pulses.clone(), name.clone(), mailbox));
         self.enrol(&cell)?;
         for (i, pulse) in pulses.into_iter().enumerate() {
             let context = Context {
@@ -261,7 +261,7 @@ impl System {
         self.observer().snapshot()
     }
 
-    /// Somebody who may look at the actors, also after [`System::join`] has taken the system.
+    /// An observer of the actors, valid also after [`System::join`] has taken the system.
     pub fn observer(&self) -> Observer {
         Observer(self.shared.clone())
     }
@@ -316,7 +316,7 @@ impl Drop for System {
 
 /// See [`System::observer`].
 #[derive(Clone)]
-pub struct Observer(Arc<Shared>);
+pub struct Observer(Arc<SystemShared>);
 
 impl Observer {
     /// How the actors fare now.
@@ -326,9 +326,9 @@ impl Observer {
 }
 
 /// What a worker's thread runs.
-type Body = Box<dyn FnMut(&Cell, &Context) -> Exit + Send>;
+type Body = Box<dyn FnMut(&ActorCell, &Context) -> Exit + Send>;
 
-fn run_worker(cell: &Arc<Cell>, context: Context, mut body: Body) {
+fn run_worker(cell: &Arc<ActorCell>, context: Context, mut body: Body) {
     meter::adopt(Some(context.pulse.clone()));
     let exit = catch_unwind(AssertUnwindSafe(|| body(cell, &context)))
         .unwrap_or_else(|payload| Exit::Failed(panic_words(&*payload)));
@@ -342,7 +342,7 @@ fn run_worker(cell: &Arc<Cell>, context: Context, mut body: Body) {
     context.pulse.note_cpu();
     context.pulse.enter(WorkerState::Ended, "");
     if let Exit::Failed(error) | Exit::Storage(error) = &exit {
-        // Told below; here for who follows the log.
+        // The event is sent below; this line is for the log.
         tracing::warn!("{} failed: {error}", cell.name);
         context.events.tell(Event::ActorFailed { actor: cell.name.to_string(), error: error.clone() });
         if cell.options.vital {
@@ -355,9 +355,9 @@ fn run_worker(cell: &Arc<Cell>, context: Context, mut body: Body) {
 }
 
 fn run_source(
-    cell: &Cell,
+    cell: &ActorCell,
     context: &Context,
-    body: Option<&mut (impl FnMut(&Context) -> Result<(), Failure> + Send)>,
+    body: Option<&mut (impl FnMut(&Context) -> Result<(), ActorFailure> + Send)>,
 ) -> Exit {
     let Some(body) = body else { return Exit::Finished };
     loop {
@@ -366,7 +366,7 @@ fn run_source(
             Ok(Ok(())) if context.stopping() => return Exit::Stopped,
             Ok(Ok(())) => return Exit::Finished,
             Ok(Err(failure)) => failure,
-            Err(payload) => Failure::restart(panic_words(&*payload)),
+            Err(payload) => ActorFailure::restart(panic_words(&*payload)),
         };
         if let Some(exit) = cell.restart(context, &failure) {
             return exit;

@@ -30,7 +30,7 @@ pub enum SpanKind {
     Step,
     /// Waiting for input.
     Wait,
-    /// Waiting for room in a mailbox or for another's result, which the label names.
+    /// Waiting for space in a mailbox or for another's result, which the label names.
     Blocked,
     /// Waiting before another attempt.
     BackOff,
@@ -38,7 +38,7 @@ pub enum SpanKind {
 
 /// A stretch of one worker's time, in seconds since the timeline began.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Span {
+pub struct TimelineSpan {
     /// The actor.
     pub actor: String,
     /// Which of its workers.
@@ -63,7 +63,7 @@ pub struct TimelineRecord {
     /// How many were dropped.
     pub dropped: u64,
     /// The spans, in order of their ends.
-    pub spans: Vec<Span>,
+    pub spans: Vec<TimelineSpan>,
 }
 
 impl TimelineRecord {
@@ -75,13 +75,13 @@ impl TimelineRecord {
 }
 
 struct Store {
-    spans: Vec<Span>,
+    spans: Vec<TimelineSpan>,
     shortest: f64,
     dropped: u64,
 }
 
 /// Records spans; clones record to the same timeline. When it is full, the shortest spans are dropped: the
-/// picture gets coarser, never cut off.
+/// diagram gets coarser, never cut off.
 #[derive(Clone)]
 pub struct Timeline {
     origin: Instant,
@@ -91,7 +91,7 @@ pub struct Timeline {
 }
 
 impl Timeline {
-    /// Begins a timeline of at most so many spans (at least 16).
+    /// Starts a timeline of at most so many spans (at least 16).
     pub fn new(capacity: usize) -> Self {
         let store = Store { spans: Vec::new(), shortest: 0.0, dropped: 0 };
         Self {
@@ -119,7 +119,7 @@ impl Timeline {
             store.dropped += 1;
             return;
         }
-        store.spans.push(Span { actor: actor.into(), worker, label: label.into(), start, end, kind });
+        store.spans.push(TimelineSpan { actor: actor.into(), worker, label: label.into(), start, end, kind });
         if store.spans.len() >= self.capacity {
             store.thin(self.capacity / 2);
         }

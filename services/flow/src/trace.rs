@@ -20,7 +20,7 @@ use std::collections::BTreeMap;
 use serde_json::{Value, json};
 
 use crate::report::Report;
-use crate::timeline::{Span, SpanKind};
+use crate::timeline::{TimelineSpan, SpanKind};
 
 /// What a span's time went to, in a word.
 fn word(kind: SpanKind) -> &'static str {
@@ -35,7 +35,7 @@ fn word(kind: SpanKind) -> &'static str {
 }
 
 /// A span's name: what it was about, or what the time went to.
-fn name(span: &Span) -> String {
+fn name(span: &TimelineSpan) -> String {
     match (span.kind, span.label.is_empty()) {
         (SpanKind::Blocked, false) => format!("waits for {}", span.label),
         (_, false) => span.label.clone(),

@@ -27,8 +27,8 @@ fn what_is_put_is_got_by_another_handle() {
 
 #[test]
 fn every_kind_of_damage_is_a_miss_and_is_repaired() {
-    type Damage = fn(&mut Vec<u8>);
-    let damages: [(&str, Damage); 5] = [
+    type DamageBytes = fn(&mut Vec<u8>);
+    let damages: [(&str, DamageBytes); 5] = [
         ("a flipped bit", |b| *b.last_mut().unwrap() ^= 1),
         ("torn", |b| b.truncate(b.len() / 2)),
         ("empty", |b| b.clear()),
@@ -112,7 +112,7 @@ fn writers_and_readers_of_one_key_do_not_meet() {
 }
 
 #[test]
-fn a_folder_that_cannot_be_written_is_said_and_still_read() {
+fn a_folder_that_cannot_be_written_is_reported_and_still_read() {
     use std::os::unix::fs::PermissionsExt;
     let folder = tempfile::tempdir().unwrap();
     let cache = Cache::open(folder.path().join("cache")).unwrap();
@@ -127,7 +127,7 @@ fn a_folder_that_cannot_be_written_is_said_and_still_read() {
     if fs::write(cache.root().join("probe"), b"").is_ok() {
         mode(0o755);
         eprintln!(
-            "skipped: a_folder_that_cannot_be_written_is_said_and_still_read: this user may write anywhere"
+            "skipped: a_folder_that_cannot_be_written_is_reported_and_still_read: this user may write anywhere"
         );
         return;
     }
@@ -148,17 +148,17 @@ fn a_cache_in_the_way_of_a_file_is_an_error() {
 }
 
 #[test]
-fn damage_is_told_once_and_remembered() {
+fn damage_is_reported_once_and_remembered() {
     let folder = tempfile::tempdir().unwrap();
     let cache = Cache::open(folder.path()).unwrap();
-    let (told, heard) = std::sync::mpsc::channel();
-    cache.clone().on_damage(move |key, reason| told.send(format!("{key} {reason}")).unwrap());
+    let (report, reports) = std::sync::mpsc::channel();
+    cache.clone().on_damage(move |key, reason| report.send(format!("{key} {reason}")).unwrap());
     cache.put(&key("a"), b"bytes").unwrap();
     for _ in 0..2 {
         fs::write(cache.path(&key("a")), "torn").unwrap();
         assert_eq!(cache.get(&key("a")).unwrap(), None);
     }
     assert!(cache.was_damaged(&key("a")) && !cache.was_damaged(&key("b")));
-    let words: Vec<String> = heard.try_iter().collect();
+    let words: Vec<String> = reports.try_iter().collect();
     assert_eq!(words, [format!("{} it is shorter than its header", key("a"))]);
 }

@@ -5,27 +5,27 @@ use segwild_flow::codec::{self, CodecError, SIZE_LIMIT};
 use wincode::{SchemaRead, SchemaWrite};
 
 #[derive(SchemaWrite, SchemaRead, Clone, Debug, PartialEq)]
-enum Shape {
+enum TestShape {
     Point,
     Disc { radius: f32 },
     Named(String),
 }
 
 #[derive(SchemaWrite, SchemaRead, Clone, Debug, PartialEq)]
-struct Record {
+struct TestRecord {
     view: u32,
     name: String,
     values: Vec<f32>,
-    shapes: Vec<Shape>,
+    shapes: Vec<TestShape>,
     parent: Option<Box<[u8; 4]>>,
 }
 
-fn record() -> Record {
-    Record {
+fn record() -> TestRecord {
+    TestRecord {
         view: 7,
         name: "façade".into(),
         values: vec![0.5, -1.0, f32::INFINITY],
-        shapes: vec![Shape::Point, Shape::Disc { radius: 2.0 }, Shape::Named("x".into())],
+        shapes: vec![TestShape::Point, TestShape::Disc { radius: 2.0 }, TestShape::Named("x".into())],
         parent: Some(Box::new([1, 2, 3, 4])),
     }
 }
@@ -70,9 +70,9 @@ fn more_than_the_limit_is_refused() {
 }
 
 #[test]
-fn what_is_wrong_is_said() {
+fn errors_name_what_is_wrong() {
     let whole = codec::encode("record/1", &record()).unwrap();
-    let read = |bytes: &[u8]| codec::decode::<Record>("record/1", bytes).unwrap_err();
+    let read = |bytes: &[u8]| codec::decode::<TestRecord>("record/1", bytes).unwrap_err();
     assert!(matches!(read(b""), CodecError::Truncated { .. }));
     assert!(matches!(read(b"PK\x03\x04"), CodecError::Foreign));
     assert!(matches!(read(&whole[..20]), CodecError::Truncated { .. }));
@@ -108,7 +108,7 @@ fn a_short_record_that_claims_a_long_sequence_is_refused_before_memory_is_taken(
     // A name of no letters, then 2^27 values: half a gigabyte.
     let mut payload = [0; 64];
     payload[12..20].copy_from_slice(&(1u64 << 27).to_le_bytes());
-    let refused = codec::decode::<Record>("record/1", &forged(&payload)).unwrap_err().to_string();
+    let refused = codec::decode::<TestRecord>("record/1", &forged(&payload)).unwrap_err().to_string();
     assert!(refused.contains("reallocation"), "{refused}");
     // What a record really holds may be much more than that of memory.
     let absent: Vec<Option<[u64; 7]>> = vec![None; 200_000];
@@ -119,11 +119,11 @@ fn a_short_record_that_claims_a_long_sequence_is_refused_before_memory_is_taken(
 proptest! {
     #[test]
     fn any_record_returns(view: u32, name: String, values in prop::collection::vec(any::<f32>(), 0..50), tag in 0..3u8) {
-        let shape = match tag { 0 => Shape::Point, 1 => Shape::Disc { radius: 1.5 }, _ => Shape::Named(name.clone()) };
+        let shape = match tag { 0 => TestShape::Point, 1 => TestShape::Disc { radius: 1.5 }, _ => TestShape::Named(name.clone()) };
         let values: Vec<f32> = values.into_iter().filter(|v| !v.is_nan()).collect();
-        let record = Record { view, name, values, shapes: vec![shape], parent: None };
+        let record = TestRecord { view, name, values, shapes: vec![shape], parent: None };
         let bytes = codec::encode("record/1", &record).unwrap();
-        prop_assert_eq!(codec::decode::<Record>("record/1", &bytes).unwrap(), record);
+        prop_assert_eq!(codec::decode::<TestRecord>("record/1", &bytes).unwrap(), record);
     }
 
     #[test]
@@ -131,20 +131,20 @@ proptest! {
         let mut bytes = codec::encode("record/1", &record()).unwrap();
         let bit = bit % (8 * bytes.len());
         bytes[bit / 8] ^= 1 << (bit % 8);
-        prop_assert!(codec::decode::<Record>("record/1", &bytes).is_err());
+        prop_assert!(codec::decode::<TestRecord>("record/1", &bytes).is_err());
     }
 
     #[test]
     fn any_cut_is_found(cut in 0usize..180) {
         let bytes = codec::encode("record/1", &record()).unwrap();
         let cut = cut.min(bytes.len() - 1);
-        prop_assert!(codec::decode::<Record>("record/1", &bytes[..cut]).is_err());
+        prop_assert!(codec::decode::<TestRecord>("record/1", &bytes[..cut]).is_err());
     }
 
     #[test]
     fn noise_is_refused(bytes in prop::collection::vec(any::<u8>(), 0..200), headed: bool) {
         let bytes = if headed { [&codec::encode("record/1", &0u8).unwrap()[..24], &bytes].concat() } else { bytes };
-        prop_assert!(codec::decode::<Record>("record/1", &bytes).is_err());
+        prop_assert!(codec::decode::<TestRecord>("record/1", &bytes).is_err());
     }
 
     #[test]
@@ -159,7 +159,7 @@ proptest! {
             bytes[12..20].copy_from_slice(&u64::MAX.to_le_bytes());
         }
         // Either it happens to be a record, or it is refused; it neither panics nor exhausts the memory.
-        if let Err(error) = codec::decode::<Record>("record/1", &forged(&bytes[..size])) {
+        if let Err(error) = codec::decode::<TestRecord>("record/1", &forged(&bytes[..size])) {
             let is_corrupt = matches!(error, CodecError::Corrupt { .. });
             prop_assert!(is_corrupt, "{error}");
         } else {

@@ -22,10 +22,10 @@ fn kernel(names: &Names) -> u64 {
 }
 
 /// Computes at each message.
-struct Worker(Names);
-impl Actor for Worker {
+struct ComputeWorker(Names);
+impl Actor for ComputeWorker {
     type Message = u32;
-    fn handle(&mut self, _: u32, _: &Context) -> Result<(), Failure> {
+    fn handle(&mut self, _: u32, _: &Context) -> Result<(), ActorFailure> {
         assert_eq!(kernel(&self.0), 199_990_000);
         Ok(())
     }
@@ -41,7 +41,7 @@ fn kernels_run_on_the_threads_of_the_actor_that_calls_them() {
                 let names = Names::default();
                 let (tasks, inbox) = mailbox::<u32>(name, Limits::default());
                 let (mine, options) = (names.clone(), ActorOptions { threads, ..ActorOptions::default() });
-                system.spawn(inbox, options, move || Ok(Worker(mine.clone()))).unwrap();
+                system.spawn(inbox, options, move || Ok(ComputeWorker(mine.clone()))).unwrap();
                 (0..20).for_each(|n| tasks.blocking_send(n).unwrap());
                 (name.to_owned(), expected, names)
             })
@@ -73,7 +73,7 @@ fn async_workers_never_compute() {
     let system = System::new(SystemOptions::default()).unwrap();
     let (tasks, inbox) = mailbox::<u32>("masks", Limits { count: 1, bytes: 1 });
     let mine = names.clone();
-    system.spawn(inbox, ActorOptions::default(), move || Ok(Worker(mine.clone()))).unwrap();
+    system.spawn(inbox, ActorOptions::default(), move || Ok(ComputeWorker(mine.clone()))).unwrap();
     runtime
         .block_on(runtime.spawn(async move {
             for n in 0..10 {

@@ -1,4 +1,4 @@
-//! What listeners are told.
+//! What listeners receive.
 #![allow(
     clippy::disallowed_methods,
     reason = "in these tests sleep stands for work, or lets others come first"
@@ -9,11 +9,11 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use segwild_flow::{Event, EventRecord, Events, Level};
+use segwild_flow::{Event, EventRecord, Events, EventLevel};
 
 #[derive(Clone, Default)]
-struct Shared(Arc<Mutex<Vec<u8>>>);
-impl Write for Shared {
+struct SharedBuffer(Arc<Mutex<Vec<u8>>>);
+impl Write for SharedBuffer {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.0.lock().unwrap().write(bytes)
     }
@@ -52,13 +52,13 @@ fn one_of_each() -> Vec<Event> {
         Event::ShutdownWaits { actors: vec![actor], left_s: 4.0 },
         Event::Warning { stage: None, message: "\"quoted\"\nand broken".into() },
         Event::Metric { stage: Some(stage), name: "psnr_db".into(), value: 23.5, step: Some(500) },
-        Event::Message { level: Level::Info, stage: None, message: "hello".into() },
+        Event::Message { level: EventLevel::Info, stage: None, message: "hello".into() },
     ]
 }
 
 #[test]
 fn every_event_is_one_line_of_json_and_comes_back() {
-    let (events, out) = (Events::new(), Shared::default());
+    let (events, out) = (Events::new(), SharedBuffer::default());
     let sink = events.json_lines(out.clone()).unwrap();
     one_of_each().into_iter().for_each(|event| events.tell(event));
     drop(sink);
@@ -84,11 +84,11 @@ fn a_listener_that_sleeps_blocks_nobody_and_misses_only_what_passes() {
         }
     }
     assert!(start.elapsed() < Duration::from_secs(5));
-    let told: Vec<_> = std::iter::from_fn(|| listener.try_next()).map(|r| r.event).collect();
-    let warnings = told.iter().filter(|e| e.level() == Level::Warning).count();
+    let received: Vec<_> = std::iter::from_fn(|| listener.try_next()).map(|r| r.event).collect();
+    let warnings = received.iter().filter(|e| e.level() == EventLevel::Warning).count();
     assert_eq!(warnings, 20);
-    assert!(told.len() < 2000);
-    assert_eq!(listener.dropped() + told.len() as u64, 200_020);
+    assert!(received.len() < 2000);
+    assert_eq!(listener.dropped() + received.len() as u64, 200_020);
 }
 
 #[test]
@@ -105,7 +105,7 @@ fn a_reader_that_has_gone_is_no_error() {
     }
     let (events, writes) = (Events::new(), Arc::new(Mutex::new(0)));
     let sink = events.json_lines(Gone(writes.clone())).unwrap();
-    (0..5).for_each(|_| events.info(None, "told"));
+    (0..5).for_each(|_| events.info(None, "message"));
     drop(sink);
     assert_eq!(*writes.lock().unwrap(), 1);
 }
@@ -141,9 +141,12 @@ fn rate_and_time_left_follow_the_work_and_not_the_cache() {
     assert!((eta - 80.0 / stage.rate()).abs() < 1e-9, "{eta}");
     stage.failed(80);
     stage.finish();
-    let told: Vec<_> = std::iter::from_fn(|| listener.try_next()).map(|r| r.event).collect();
-    let progress = told.iter().filter(|e| matches!(e, Event::StageProgress { .. })).count();
-    assert!((2..=12).contains(&progress), "told at most ten times a second, and at the end: {progress}");
-    assert!(matches!(told[told.len() - 2], Event::StageProgress { done: 1000, .. }));
-    assert!(matches!(told.last(), Some(Event::StageFinished { done: 1000, failed: 80, cached: 900, .. })));
+    let received: Vec<_> = std::iter::from_fn(|| listener.try_next()).map(|r| r.event).collect();
+    let progress = received.iter().filter(|e| matches!(e, Event::StageProgress { .. })).count();
+    assert!((2..=12).contains(&progress), "reported at most ten times a second, and at the end: {progress}");
+    assert!(matches!(received[received.len() - 2], Event::StageProgress { done: 1000, .. }));
+    assert!(matches!(
+        received.last(),
+        Some(Event::StageFinished { done: 1000, failed: 80, cached: 900, .. })
+    ));
 }

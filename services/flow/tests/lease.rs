@@ -12,14 +12,14 @@ use segwild_flow::*;
 
 #[path = "common/simulated.rs"]
 mod simulated;
-use simulated::{Dice, Woken};
+use simulated::{SimulatedDice, Woken};
 
 /// Many who want one thing. Only those who were woken are polled, so a wake-up that is lost shows as one who waits for
 /// a thing that is free.
-struct Simulation {
-    dice: Dice,
+struct LeaseSimulation {
+    dice: SimulatedDice,
     lease: Lease,
-    waiting: Vec<(u32, Arc<Woken>, Turn)>,
+    waiting: Vec<(u32, Arc<Woken>, LeaseTurn)>,
     /// What was promised: who waits, in which order.
     urgent: VecDeque<u32>,
     others: VecDeque<u32>,
@@ -28,10 +28,10 @@ struct Simulation {
     taken: u64,
 }
 
-impl Simulation {
+impl LeaseSimulation {
     fn new(seed: u64) -> Self {
-        Simulation {
-            dice: Dice(seed),
+        LeaseSimulation {
+            dice: SimulatedDice(seed),
             lease: Lease::new("simulated"),
             waiting: Vec::new(),
             urgent: VecDeque::new(),
@@ -112,7 +112,7 @@ impl Simulation {
         while let Some(&i) = self.woken().first() {
             self.poll(i);
         }
-        assert!(self.held.is_some() || self.waiting.is_empty(), "it is free and nobody was told");
+        assert!(self.held.is_some() || self.waiting.is_empty(), "it is free and nobody was woken");
     }
 }
 
@@ -121,7 +121,7 @@ fn the_lease_is_handed_on_in_turn_under_every_schedule() {
     let mut taken = 0;
     for seed in 0..3000 {
         let run = std::panic::catch_unwind(|| {
-            let mut simulation = Simulation::new(seed);
+            let mut simulation = LeaseSimulation::new(seed);
             for step in 0..150 {
                 simulation.step();
                 if step % 30 == 29 {
@@ -140,7 +140,7 @@ fn the_lease_is_handed_on_in_turn_under_every_schedule() {
     assert!(taken > 50_000, "the schedules do too little: {taken}");
 }
 
-/// Holds the accelerator at every message; panics at the first when told so.
+/// Holds the accelerator at every message; panics at the first if so configured.
 struct User {
     accelerator: Lease,
     tries: Arc<AtomicU32>,
@@ -148,7 +148,7 @@ struct User {
 }
 impl Actor for User {
     type Message = u32;
-    fn handle(&mut self, _: u32, context: &Context) -> Result<(), Failure> {
+    fn handle(&mut self, _: u32, context: &Context) -> Result<(), ActorFailure> {
         let _held = self.accelerator.acquire(context.name());
         if self.dies && self.tries.fetch_add(1, Ordering::Relaxed) == 0 {
             // Without the hook, which would print it.
@@ -177,7 +177,7 @@ fn an_actor_that_dies_gives_the_accelerator_back_and_waits_for_it_are_in_the_tim
     assert_eq!(report.actor("masks").unwrap().restarts, 1);
     let stats = accelerator.stats();
     assert_eq!((stats.taken, stats.waiting, stats.holder), (13, 0, None));
-    let waits = |s: &&Span| s.kind == SpanKind::Blocked && s.label == "accelerator 0";
+    let waits = |s: &&TimelineSpan| s.kind == SpanKind::Blocked && s.label == "accelerator 0";
     let waited: f64 = report.timeline.spans.iter().filter(waits).map(|s| s.end - s.start).sum();
     assert!(waited > 0.03, "waits of {waited} s are in the timeline");
     assert!((stats.waited_s - waited).abs() < 0.5 * stats.waited_s, "{} {waited}", stats.waited_s);

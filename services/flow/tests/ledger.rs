@@ -69,7 +69,7 @@ fn a_killed_writer_loses_nothing_it_confirmed() {
         assert_eq!(
             (stage.state, stage.runs),
             (State::Pending, round),
-            "interrupted, and told apart from running"
+            "interrupted, and distinguished from running"
         );
         assert_eq!(ledger.last_events(1).unwrap()[0].message, "was interrupted; continues");
     }

@@ -2,7 +2,7 @@
 
 use segwild_flow::ledger::{LiveMailbox, LiveSample};
 use segwild_flow::{
-    Actor, ActorOptions, Context, Event, Events, Failure, Ledger, Limits, Recorder, System, SystemOptions,
+    Actor, ActorOptions, Context, Event, Events, ActorFailure, Ledger, Limits, Recorder, System, SystemOptions,
     WorkerState, mailbox, waiting_for,
 };
 use std::path::PathBuf;
@@ -15,12 +15,12 @@ fn folder() -> (tempfile::TempDir, PathBuf) {
     (dir, path)
 }
 
-/// Waits for its turn in the middle of its work, as long as it is told to.
+/// Waits in the middle of its work until it may go on.
 struct Patient(mpsc::Receiver<()>, mpsc::Sender<()>);
 
 impl Actor for Patient {
     type Message = String;
-    fn handle(&mut self, _: String, _: &Context) -> Result<(), Failure> {
+    fn handle(&mut self, _: String, _: &Context) -> Result<(), ActorFailure> {
         let _waiting = waiting_for("the sky of photo 3");
         self.1.send(()).expect("the test listens");
         let _ = self.0.recv();
@@ -52,17 +52,17 @@ fn a_worker_that_waits_is_seen_to_wait_and_for_what() {
     recorder.watch(system.observer());
     let (out, inbox) = mailbox::<String>("masks", Limits { count: 4, bytes: 1000 });
     let (go, went) = mpsc::channel();
-    let (begun, has_begun) = mpsc::channel();
-    let parts = std::sync::Mutex::new(Some((went, begun)));
+    let (report_start, started) = mpsc::channel();
+    let parts = std::sync::Mutex::new(Some((went, report_start)));
     system
         .spawn(inbox, ActorOptions::default(), move || {
-            let (went, begun) = parts.lock().expect("a lock").take().expect("it is built once");
-            Ok(Patient(went, begun))
+            let (went, report_start) = parts.lock().expect("a lock").take().expect("it is built once");
+            Ok(Patient(went, report_start))
         })
         .expect("an actor");
-    out.blocking_send("a.jpg".into()).expect("room");
-    out.blocking_send("b.jpg".into()).expect("room");
-    has_begun.recv().expect("it begins");
+    out.blocking_send("a.jpg".into()).expect("space in the mailbox");
+    out.blocking_send("b.jpg".into()).expect("space in the mailbox");
+    started.recv().expect("it starts");
     let seen = until(&path, |s| s.actors.first().is_some_and(|a| a.workers[0].item.contains("sky")));
     let worker = &seen.actors[0].workers[0];
     assert_eq!((worker.state, worker.item.as_str()), (WorkerState::Blocked, "the sky of photo 3"));

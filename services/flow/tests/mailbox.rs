@@ -182,7 +182,7 @@ fn async_tasks_and_threads_share_a_mailbox() {
 }
 
 #[test]
-fn an_abandoned_send_gives_its_place_back() {
+fn an_abandoned_send_gives_its_slot_back() {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();
     let (sender, receiver) = mailbox("abandoned", Limits { count: 1, bytes: MIB });
     runtime.block_on(async {

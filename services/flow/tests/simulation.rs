@@ -18,7 +18,7 @@ use segwild_flow::*;
 
 #[path = "common/simulated.rs"]
 mod simulated;
-use simulated::{Dice, Woken};
+use simulated::{SimulatedDice, Woken};
 
 /// A parcel: its number and its weight.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,14 +32,14 @@ impl Message for Parcel {
 type Sending = Pin<Box<dyn Future<Output = Result<(), Closed>>>>;
 type Receiving = Pin<Box<dyn Future<Output = Option<Parcel>>>>;
 
-enum Waiting {
+enum WaitingTask {
     Send(Sending, Parcel, bool),
     Receive(Receiving),
 }
 
 /// What the mailbox has promised to hold.
 #[derive(Default)]
-struct Model {
+struct MailboxModel {
     urgent: VecDeque<Parcel>,
     work: VecDeque<Parcel>,
     closed: bool,
@@ -47,7 +47,7 @@ struct Model {
     delivered: u64,
 }
 
-impl Model {
+impl MailboxModel {
     fn accept(&mut self, parcel: Parcel, urgent: bool) {
         assert!(!self.closed, "a closed mailbox accepted {parcel:?}");
         if urgent { &mut self.urgent } else { &mut self.work }.push_back(parcel);
@@ -62,22 +62,22 @@ impl Model {
     }
 }
 
-struct Simulation {
-    dice: Dice,
+struct MailboxSimulation {
+    dice: SimulatedDice,
     limits: Limits,
     sender: Sender<Parcel>,
     receiver: Receiver<Parcel>,
-    model: Model,
-    waiting: Vec<(Arc<Woken>, Waiting)>,
+    model: MailboxModel,
+    waiting: Vec<(Arc<Woken>, WaitingTask)>,
     next: u32,
 }
 
-impl Simulation {
+impl MailboxSimulation {
     fn new(seed: u64) -> Self {
-        let mut dice = Dice(seed);
+        let mut dice = SimulatedDice(seed);
         let limits = Limits { count: 1 + dice.below(3), bytes: 1 + dice.below(20) };
         let (sender, receiver) = mailbox("simulated", limits);
-        Self { dice, limits, sender, receiver, model: Model::default(), waiting: Vec::new(), next: 0 }
+        Self { dice, limits, sender, receiver, model: MailboxModel::default(), waiting: Vec::new(), next: 0 }
     }
 
     fn parcel(&mut self) -> (Parcel, bool) {
@@ -91,7 +91,7 @@ impl Simulation {
         let waker = Waker::from(woken.clone());
         let mut context = Task::from_waker(&waker);
         let done = match task {
-            Waiting::Send(sending, parcel, urgent) => match sending.as_mut().poll(&mut context) {
+            WaitingTask::Send(sending, parcel, urgent) => match sending.as_mut().poll(&mut context) {
                 Poll::Pending => false,
                 Poll::Ready(Ok(())) => {
                     self.model.accept(*parcel, *urgent);
@@ -102,7 +102,7 @@ impl Simulation {
                     true
                 }
             },
-            Waiting::Receive(receiving) => match receiving.as_mut().poll(&mut context) {
+            WaitingTask::Receive(receiving) => match receiving.as_mut().poll(&mut context) {
                 Poll::Pending => false,
                 Poll::Ready(parcel) => {
                     self.model.deliver(parcel);
@@ -115,7 +115,7 @@ impl Simulation {
         }
     }
 
-    fn begin(&mut self, task: Waiting) {
+    fn start(&mut self, task: WaitingTask) {
         self.waiting.push((Arc::default(), task));
         self.poll(self.waiting.len() - 1);
     }
@@ -130,11 +130,11 @@ impl Simulation {
                 } else {
                     Box::pin(async move { sender.send(parcel).await })
                 };
-                self.begin(Waiting::Send(sending, parcel, urgent));
+                self.start(WaitingTask::Send(sending, parcel, urgent));
             }
             25..45 => {
                 let receiver = self.receiver.clone();
-                self.begin(Waiting::Receive(Box::pin(async move { receiver.recv().await })));
+                self.start(WaitingTask::Receive(Box::pin(async move { receiver.recv().await })));
             }
             45..60 => {
                 let (parcel, urgent) = self.parcel();
@@ -158,7 +158,7 @@ impl Simulation {
                     self.poll(ready[i]);
                 }
             }
-            // Gives up waiting: must neither take a message along nor a place.
+            // Gives up waiting: must neither take a message along nor a slot.
             92..99 if !self.waiting.is_empty() => {
                 let i = self.dice.below(self.waiting.len());
                 self.waiting.swap_remove(i);
@@ -197,7 +197,7 @@ impl Simulation {
             self.check();
         }
         let empty = self.model.urgent.is_empty() && self.model.work.is_empty();
-        let sending = self.waiting.iter().filter(|(_, t)| matches!(t, Waiting::Send(..))).count();
+        let sending = self.waiting.iter().filter(|(_, t)| matches!(t, WaitingTask::Send(..))).count();
         let receiving = self.waiting.len() - sending;
         assert!(!self.model.closed || self.waiting.is_empty(), "somebody outwaits the end");
         assert!(!empty || sending == 0, "a sender waits at an empty mailbox: a wake-up was lost");
@@ -223,7 +223,7 @@ fn the_mailbox_keeps_its_promises_under_every_schedule() {
     let (mut accepted, mut closed) = (0, 0);
     for seed in 0..4000 {
         let run = std::panic::catch_unwind(|| {
-            let mut simulation = Simulation::new(seed);
+            let mut simulation = MailboxSimulation::new(seed);
             for step in 0..150 {
                 simulation.step();
                 if step % 50 == 49 {
@@ -286,7 +286,7 @@ fn script() -> impl Strategy<Value = Script> {
 }
 
 #[derive(Debug, Default, PartialEq)]
-struct Fate {
+struct ScriptFate {
     log: Vec<String>,
     handled: u64,
     retries: u64,
@@ -295,13 +295,13 @@ struct Fate {
     failed: bool,
 }
 
-/// What supervision promises for a script, told as plainly as possible.
-fn promised(script: &Script) -> Fate {
-    let mut fate = Fate::default();
+/// What supervision promises for a script, written as plainly as possible.
+fn promised(script: &Script) -> ScriptFate {
+    let mut fate = ScriptFate::default();
     let mut builds = script.builds.iter().copied();
     let mut budget_used = 0;
     // Builds until one works, or the budget is used up.
-    let mut build = |fate: &mut Fate| {
+    let mut build = |fate: &mut ScriptFate| {
         while !builds.next().unwrap_or(true) {
             fate.log.push("build fails".into());
             if budget_used >= script.restarts {
@@ -370,7 +370,7 @@ impl Player {
 
 impl Actor for Player {
     type Message = u32;
-    fn handle(&mut self, n: u32, _: &Context) -> Result<(), Failure> {
+    fn handle(&mut self, n: u32, _: &Context) -> Result<(), ActorFailure> {
         let n = n as usize;
         let attempt = {
             let mut attempts = self.attempts.lock().unwrap();
@@ -379,26 +379,26 @@ impl Actor for Player {
         };
         match self.script.messages[n].get(attempt).copied().unwrap_or(Act::Succeed) {
             Act::Succeed => self.say(format!("done {n}")),
-            Act::Retry => return Err(Failure::retry("again")),
-            Act::Reject => return Err(Failure::reject("bad")),
-            Act::Restart => return Err(Failure::restart("anew")),
-            Act::Fatal => return Err(Failure::fatal("over")),
+            Act::Retry => return Err(ActorFailure::retry("again")),
+            Act::Reject => return Err(ActorFailure::reject("bad")),
+            Act::Restart => return Err(ActorFailure::restart("again")),
+            Act::Fatal => return Err(ActorFailure::fatal("over")),
             // Without the hook: thousands of these would be printed.
             Act::Panic => std::panic::resume_unwind(Box::new("bug")),
         }
         Ok(())
     }
-    fn on_quarantine(&mut self, n: Option<u32>, _: &Quarantined, _: &Context) -> Result<(), Failure> {
+    fn on_quarantine(&mut self, n: Option<u32>, _: &Quarantined, _: &Context) -> Result<(), ActorFailure> {
         self.say(format!("gave up {}", n.expect("numbers can be copied")));
         Ok(())
     }
-    fn on_stop(&mut self, _: &Context) -> Result<(), Failure> {
+    fn on_stop(&mut self, _: &Context) -> Result<(), ActorFailure> {
         self.say("stopped".into());
         Ok(())
     }
 }
 
-fn played(script: &Script) -> Fate {
+fn played(script: &Script) -> ScriptFate {
     let none = Duration::ZERO;
     let budget = RestartBudget { restarts: script.restarts, first_delay: none, ..RestartBudget::default() };
     let options = ActorOptions {
@@ -421,7 +421,7 @@ fn played(script: &Script) -> Fate {
             let works = script.builds.get(builds.fetch_add(1, Ordering::Relaxed)).copied().unwrap_or(true);
             logged.lock().unwrap().push(if works { "built" } else { "build fails" }.to_owned());
             if !works {
-                return Err(Failure::retry("no model file"));
+                return Err(ActorFailure::retry("no model file"));
             }
             Ok(Player { script: script.clone(), attempts: attempts.clone(), log: logged.clone() })
         })
@@ -430,7 +430,7 @@ fn played(script: &Script) -> Fate {
     let actor = report.actor("player").unwrap();
     assert!(matches!(actor.exit, Exit::Finished | Exit::Failed(_)), "{report}");
     let log = log.lock().unwrap().clone();
-    Fate {
+    ScriptFate {
         log,
         handled: actor.messages,
         retries: actor.retries,

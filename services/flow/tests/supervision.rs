@@ -32,7 +32,7 @@ fn a_failure_is_tried_again_in_the_same_instance() {
 fn a_view_that_fails_for_good_is_named_and_the_rest_goes_on() {
     let setup = probe(quick(), SystemOptions::default(), |view, _, _| match view.0 {
         1 => Err(Busy.into()),
-        3 => Err(Failure::reject("no pixels")),
+        3 => Err(ActorFailure::reject("no pixels")),
         _ => Ok(()),
     });
     send_all(&setup, 0..5);
@@ -45,8 +45,8 @@ fn a_view_that_fails_for_good_is_named_and_the_rest_goes_on() {
     ];
     assert_eq!(actor.quarantined, given_up);
     assert_eq!((actor.messages, actor.retries), (3, 2));
-    let told = events.iter().filter(|e| matches!(e, Event::GivenUp { .. })).count();
-    assert_eq!(told, 2);
+    let given_up = events.iter().filter(|e| matches!(e, Event::GivenUp { .. })).count();
+    assert_eq!(given_up, 2);
     assert!(report.finished(), "quarantine is no failure of the actor");
 }
 
@@ -64,7 +64,7 @@ fn a_panic_costs_the_instance_but_not_the_mailbox_nor_the_message() {
     let Some(Event::ActorRestarted { cause, .. }) =
         events.iter().find(|e| matches!(e, Event::ActorRestarted { .. }))
     else {
-        panic!("no restart was told: {events:?}");
+        panic!("no restart was reported: {events:?}");
     };
     assert_eq!(cause, "panic: index 1 out of range");
 }
@@ -101,11 +101,11 @@ fn an_actor_that_fails_everything_fails() {
 fn restarts_are_budgeted_and_backed_off() {
     struct Broken;
     impl Actor for Broken {
-        type Message = View;
-        fn on_start(&mut self, _: &Context) -> Result<(), Failure> {
-            Err(Failure::retry("no model file"))
+        type Message = TestView;
+        fn on_start(&mut self, _: &Context) -> Result<(), ActorFailure> {
+            Err(ActorFailure::retry("no model file"))
         }
-        fn handle(&mut self, _: View, _: &Context) -> Result<(), Failure> {
+        fn handle(&mut self, _: TestView, _: &Context) -> Result<(), ActorFailure> {
             Ok(())
         }
     }
@@ -121,7 +121,7 @@ fn restarts_are_budgeted_and_backed_off() {
     };
     system.spawn(inbox, ActorOptions { budget, ..ActorOptions::default() }, || Ok(Broken)).unwrap();
     // Who is held back by the dead actor is freed.
-    let sent = (0..3).map(|n| views.blocking_send(View(n))).collect::<Vec<_>>();
+    let sent = (0..3).map(|n| views.blocking_send(TestView(n))).collect::<Vec<_>>();
     assert!(sent[2].is_err());
     let report = system.join();
     assert_eq!(report.failures().next().unwrap().1, "no model file (after 4 restarts within 60 s)");

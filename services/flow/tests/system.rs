@@ -15,10 +15,10 @@ use common::*;
 use segwild_flow::*;
 
 /// Passes views on, taking its time.
-struct Pass(Sender<View>, Duration);
+struct Pass(Sender<TestView>, Duration);
 impl Actor for Pass {
-    type Message = View;
-    fn handle(&mut self, view: View, _: &Context) -> Result<(), Failure> {
+    type Message = TestView;
+    fn handle(&mut self, view: TestView, _: &Context) -> Result<(), ActorFailure> {
         thread::sleep(self.1);
         self.0.blocking_send(view)?;
         Ok(())
@@ -34,7 +34,7 @@ fn a_slow_consumer_holds_the_chain_back_and_the_times_say_so() {
     let (out, sink) = mailbox("sink", Limits { count: 100, bytes: 1 << 20 });
     let send = move |_: &Context| {
         for n in 0..10 {
-            fast.blocking_send(View(n))?;
+            fast.blocking_send(TestView(n))?;
         }
         Ok(())
     };
@@ -56,7 +56,7 @@ fn a_slow_consumer_holds_the_chain_back_and_the_times_say_so() {
         assert!(life <= report.wall_s + 1e-3 && life > 0.1, "{report}");
     }
     let spans = &report.timeline.spans;
-    let blocked = |s: &&Span| s.actor == "fast" && s.kind == SpanKind::Blocked && s.label == "slow";
+    let blocked = |s: &&TimelineSpan| s.actor == "fast" && s.kind == SpanKind::Blocked && s.label == "slow";
     assert!(spans.iter().filter(blocked).count() >= 5, "the timeline names who holds back whom");
 }
 
@@ -70,7 +70,7 @@ fn a_drain_finishes_what_is_under_way_in_order() {
     let (counted, kept) = (sent.clone(), first.clone());
     let endless = move |context: &Context| {
         while !context.stopping() {
-            first.blocking_send(View(counted.load(Ordering::Relaxed)))?;
+            first.blocking_send(TestView(counted.load(Ordering::Relaxed)))?;
             counted.fetch_add(1, Ordering::Relaxed);
         }
         Ok(())
@@ -81,7 +81,7 @@ fn a_drain_finishes_what_is_under_way_in_order() {
     thread::sleep(Duration::from_millis(50));
     // `kept` still could send: the drain closes the mailbox, and does not wait for its last sender.
     let report = system.shutdown();
-    assert!(kept.blocking_send(View(0)).is_err());
+    assert!(kept.blocking_send(TestView(0)).is_err());
     let arrived: Vec<_> = std::iter::from_fn(|| sink.blocking_recv()).map(|v| v.0).collect();
     assert_eq!(arrived, (0..sent.load(Ordering::Relaxed)).collect::<Vec<_>>());
     assert!(arrived.len() > 5);
@@ -91,7 +91,7 @@ fn a_drain_finishes_what_is_under_way_in_order() {
 }
 
 #[test]
-fn a_stop_interrupts_work_that_looks_and_leaves_the_rest() {
+fn a_stop_interrupts_work_that_checks_for_it_and_leaves_the_rest() {
     let setup = probe(quick(), SystemOptions::default(), |_, _, context| {
         loop {
             context.check()?;
@@ -112,7 +112,7 @@ fn a_stop_interrupts_work_that_looks_and_leaves_the_rest() {
 }
 
 #[test]
-fn who_is_late_is_named_and_left_behind() {
+fn an_actor_that_ends_too_late_is_named_and_abandoned() {
     let release = Arc::new(AtomicBool::new(false));
     let (held, events) = (release.clone(), Events::new());
     let options = SystemOptions {
@@ -142,7 +142,7 @@ fn who_is_late_is_named_and_left_behind() {
 }
 
 #[test]
-fn a_stuck_actor_is_told_from_a_busy_one() {
+fn a_stuck_actor_is_distinguished_from_a_busy_one() {
     let options = SystemOptions { stuck_after: Duration::from_millis(80), ..SystemOptions::default() };
     let setup = probe(quick(), options, |view, _, context| {
         let _loading = (view.0 == 1).then(|| context.busy_zone("loading model"));
@@ -166,21 +166,21 @@ fn a_stuck_actor_is_told_from_a_busy_one() {
     assert_eq!(stuck.len(), 1, "{events:?}");
     assert!(stuck[0].0 == "view 2" && *stuck[0].1 >= 0.08);
     assert!(events.iter().any(|e| matches!(e, Event::ActorRecovered { .. })));
-    let step = |s: &Span| s.kind == SpanKind::Step && s.label == "loading model";
+    let step = |s: &TimelineSpan| s.kind == SpanKind::Step && s.label == "loading model";
     assert!(report.timeline.spans.iter().any(step));
 }
 
 #[test]
-fn work_between_messages_yields_to_them_and_is_finished_in_a_drain() {
+fn idle_work_yields_to_messages_and_is_finished_in_a_drain() {
     /// A trainer: 200 steps, one at a time, clicks in between.
-    struct Trainer(u32, Log);
-    impl Actor for Trainer {
-        type Message = View;
-        fn handle(&mut self, view: View, _: &Context) -> Result<(), Failure> {
+    struct TrainingActor(u32, Log);
+    impl Actor for TrainingActor {
+        type Message = TestView;
+        fn handle(&mut self, view: TestView, _: &Context) -> Result<(), ActorFailure> {
             self.1.add(format!("click {} at step {}", view.0, self.0));
             Ok(())
         }
-        fn on_idle(&mut self, _: &Context) -> Result<Idle, Failure> {
+        fn on_idle(&mut self, _: &Context) -> Result<Idle, ActorFailure> {
             if self.0 == 200 {
                 return Ok(Idle::Wait);
             }
@@ -188,7 +188,7 @@ fn work_between_messages_yields_to_them_and_is_finished_in_a_drain() {
             self.0 += 1;
             Ok(Idle::Again)
         }
-        fn on_stop(&mut self, _: &Context) -> Result<(), Failure> {
+        fn on_stop(&mut self, _: &Context) -> Result<(), ActorFailure> {
             self.1.add(format!("stop at step {}", self.0));
             Ok(())
         }
@@ -197,9 +197,9 @@ fn work_between_messages_yields_to_them_and_is_finished_in_a_drain() {
     let (clicks, inbox) = mailbox("trainer", Limits::default());
     let log = Log::default();
     let logged = log.clone();
-    system.spawn(inbox, quick(), move || Ok(Trainer(0, logged.clone()))).unwrap();
+    system.spawn(inbox, quick(), move || Ok(TrainingActor(0, logged.clone()))).unwrap();
     thread::sleep(Duration::from_millis(20));
-    clicks.blocking_send_urgent(View(7)).unwrap();
+    clicks.blocking_send_urgent(TestView(7)).unwrap();
     let report = system.shutdown();
     let lines = log.lines();
     assert!(lines[0].starts_with("click 7 at step"), "{lines:?}");
@@ -215,7 +215,7 @@ fn a_consumer_that_has_gone_ends_the_producer_quietly() {
     let (out, sink) = mailbox("sink", Limits::default());
     system.spawn(inbox, quick(), move || Ok(Pass(out.clone(), Duration::ZERO))).unwrap();
     drop(sink);
-    views.blocking_send(View(0)).unwrap();
+    views.blocking_send(TestView(0)).unwrap();
     let report = system.join();
     let actor = report.actor("pass").unwrap();
     assert_eq!((&actor.exit, actor.quarantined.len(), actor.restarts), (&Exit::DownstreamClosed, 0, 0));
@@ -239,7 +239,7 @@ fn a_dropped_system_stops_and_takes_nobody_in_after() {
     let system = System::new(SystemOptions::default()).unwrap();
     system.stopper().stop();
     thread::sleep(Duration::from_millis(20));
-    let (_views, inbox) = mailbox::<View>("late", Limits::default());
+    let (_views, inbox) = mailbox::<TestView>("late", Limits::default());
     let (out, _sink) = mailbox("sink", Limits::default());
     match system.spawn(inbox, quick(), move || Ok(Pass(out.clone(), Duration::ZERO))) {
         Err(error) => assert_eq!(error.to_string(), "cannot start `late`: the system is stopping"),
@@ -277,7 +277,7 @@ fn a_summary_says_how_many_workers_an_actors_time_is_of() {
         let out = out.clone();
         let options = ActorOptions { workers, ..quick() };
         system.spawn(inbox, options, move || Ok(Pass(out.clone(), Duration::ZERO))).unwrap();
-        tasks.blocking_send(View(1)).unwrap();
+        tasks.blocking_send(TestView(1)).unwrap();
     }
     drop(out);
     assert_eq!(std::iter::from_fn(|| sink.blocking_recv()).count(), 2);
@@ -298,7 +298,7 @@ fn restarts_count_within_their_window_only() {
                 return Ok(());
             }
             left -= 1;
-            Err(Failure::restart("not yet"))
+            Err(ActorFailure::restart("not yet"))
         };
         system.source("source", ActorOptions { budget, ..quick() }, send).unwrap();
         let report = system.join();

@@ -1,7 +1,7 @@
 //! Actor that finds skies and makes masks, cached per view.
 
 use crate::{MaskSettings, MaskSource, generate, sasm};
-use segwild_flow::{Actor, Cache, Context, Failure, Key, Message, Origin, Quarantined, Sender, fault};
+use segwild_flow::{Actor, Cache, Context, ActorFailure, Key, Message, Origin, Quarantined, Sender, fault};
 use segwild_scene::{Image, Mask, MaskSet, Scene};
 use segwild_vision::{MaskProposer, SkyDetector};
 use std::sync::Arc;
@@ -175,7 +175,7 @@ impl<O: Message + From<MaskOutcome>> Actor for MaskActor<O> {
         self.maker.scene.views.get(view).map_or_else(|| task.label(), |view| format!("{what} {}", view.name))
     }
 
-    fn handle(&mut self, task: MaskTask, _: &Context) -> Result<(), Failure> {
+    fn handle(&mut self, task: MaskTask, _: &Context) -> Result<(), ActorFailure> {
         let began = Instant::now();
         let took = |origin| (origin == Origin::Made).then(|| began.elapsed().as_secs_f64());
         let outcome = match task {
@@ -204,7 +204,7 @@ impl<O: Message + From<MaskOutcome>> Actor for MaskActor<O> {
         task: Option<MaskTask>,
         given_up: &Quarantined,
         _: &Context,
-    ) -> Result<(), Failure> {
+    ) -> Result<(), ActorFailure> {
         let given_up = given_up.clone();
         let outcome = match task {
             Some(MaskTask::Sky { view, .. }) => MaskOutcome::Sky { view, sky: Err(given_up), seconds: None },

@@ -18,7 +18,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Semaphore;
 use tokio::task::AbortHandle;
 
-/// Connections at a time. A further one takes the room of the oldest that has sent no whole request yet.
+/// Connections at a time. A further one takes the slot of the oldest that has sent no whole request yet.
 pub const MOST: usize = 32;
 /// A request's head must be there after this time.
 pub const HEAD_TIME: Duration = Duration::from_secs(5);
@@ -31,8 +31,8 @@ const REST: Duration = Duration::from_millis(100);
 
 /// Accepts connections and answers them, until it is dropped. Nothing that a client does or the system refuses ends it.
 pub(crate) async fn answer(listener: TcpListener, routes: Router) {
-    let room = Arc::new(Semaphore::new(MOST));
-    let mut open = Open::default();
+    let free_connections = Arc::new(Semaphore::new(MOST));
+    let mut open = OpenConnections::default();
     loop {
         let stream = match listener.accept().await {
             Ok((stream, _)) => stream,
@@ -44,20 +44,20 @@ pub(crate) async fn answer(listener: TcpListener, routes: Router) {
                 continue;
             }
         };
-        if room.available_permits() == 0 && !open.end_a_silent_one() {
+        if free_connections.available_permits() == 0 && !open.end_a_silent_one() {
             // All of them are being answered; this one may come again.
             continue;
         }
-        // The room of a connection is free once its socket is closed.
-        let Ok(permit) = room.clone().acquire_owned().await else { return };
-        let heard = Arc::new(AtomicBool::new(false));
-        let work = one_request(stream, routes.clone(), heard.clone());
+        // The slot of a connection is free once its socket is closed.
+        let Ok(permit) = free_connections.clone().acquire_owned().await else { return };
+        let received = Arc::new(AtomicBool::new(false));
+        let work = one_request(stream, routes.clone(), received.clone());
         let task = tokio::spawn(async move {
-            // A client that is too slow, or that has gone, has nobody to be told.
+            // A client that is too slow, or that has gone, has nobody to answer.
             let _ = tokio::time::timeout(WHOLE_TIME, work).await;
             drop(permit);
         });
-        open.add(task.abort_handle(), heard);
+        open.add(task.abort_handle(), received);
     }
 }
 
@@ -68,10 +68,10 @@ fn ended_early(error: &io::Error) -> bool {
 }
 
 /// Answers one request. Without keep-alive nobody holds a connection between two.
-async fn one_request(stream: TcpStream, routes: Router, heard: Arc<AtomicBool>) -> hyper::Result<()> {
+async fn one_request(stream: TcpStream, routes: Router, received: Arc<AtomicBool>) -> hyper::Result<()> {
     let routes = TowerToHyperService::new(routes);
     let service = service_fn(move |request| {
-        heard.store(true, Ordering::Relaxed);
+        received.store(true, Ordering::Relaxed);
         routes.call(request)
     });
     http1::Builder::new()
@@ -87,23 +87,23 @@ async fn one_request(stream: TcpStream, routes: Router, heard: Arc<AtomicBool>) 
 
 /// The connections that are open, the oldest first.
 #[derive(Default)]
-struct Open(VecDeque<(AbortHandle, Arc<AtomicBool>)>);
+struct OpenConnections(VecDeque<(AbortHandle, Arc<AtomicBool>)>);
 
-impl Open {
-    fn add(&mut self, task: AbortHandle, heard: Arc<AtomicBool>) {
+impl OpenConnections {
+    fn add(&mut self, task: AbortHandle, received: Arc<AtomicBool>) {
         self.0.retain(|(task, _)| !task.is_finished());
-        self.0.push_back((task, heard));
+        self.0.push_back((task, received));
     }
 
-    /// Ends the oldest connection whose request is not there yet; says whether there was one, or one has ended by itself.
+    /// Ends the oldest connection whose request is not there yet; returns whether there was one, or one has ended by itself.
     fn end_a_silent_one(&mut self) -> bool {
         let before = self.0.len();
         self.0.retain(|(task, _)| !task.is_finished());
         if self.0.len() < before {
             return true;
         }
-        let silent = self.0.iter().position(|(_, heard)| !heard.load(Ordering::Relaxed));
-        let Some((task, _)) = silent.and_then(|place| self.0.remove(place)) else { return false };
+        let silent = self.0.iter().position(|(_, received)| !received.load(Ordering::Relaxed));
+        let Some((task, _)) = silent.and_then(|index| self.0.remove(index)) else { return false };
         task.abort();
         true
     }

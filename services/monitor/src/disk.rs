@@ -14,18 +14,18 @@ pub struct Disk {
 }
 
 impl Disk {
-    /// `None` where the system does not tell.
+    /// `None` where the system does not report it.
     #[cfg(unix)]
     pub fn of(folder: &Path) -> Option<Disk> {
-        let told = rustix::fs::statvfs(folder).ok()?;
-        let block = told.f_frsize;
+        let stats = rustix::fs::statvfs(folder).ok()?;
+        let block = stats.f_frsize;
         Some(Disk {
-            free_bytes: told.f_bavail.saturating_mul(block),
-            size_bytes: told.f_blocks.saturating_mul(block),
+            free_bytes: stats.f_bavail.saturating_mul(block),
+            size_bytes: stats.f_blocks.saturating_mul(block),
         })
     }
 
-    /// `None` where the system does not tell.
+    /// `None` where the system does not report it.
     #[cfg(not(unix))]
     pub fn of(_: &Path) -> Option<Disk> {
         None

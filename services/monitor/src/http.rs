@@ -16,7 +16,7 @@ use tokio::sync::oneshot;
 use crate::connections::answer;
 use crate::metrics;
 use crate::ready::ready;
-use crate::view::{Runs, Target, View, ViewError};
+use crate::view::{Runs, MonitorTarget, MonitorView, ViewError};
 
 /// Why nothing is served.
 #[derive(Debug, thiserror::Error)]
@@ -38,16 +38,16 @@ pub enum ServeError {
 struct Served {
     folder: PathBuf,
     per_scene: bool,
-    /// What was looked at for the requests before.
+    /// The runs as the requests before read them.
     runs: Mutex<Runs>,
 }
 
 impl Served {
     /// Looked for at every request: the folder may not be there yet.
-    fn view(&self) -> Result<View, ViewError> {
+    fn view(&self) -> Result<MonitorView, ViewError> {
         // A panic elsewhere leaves views that are whole.
         let mut runs = self.runs.lock().unwrap_or_else(PoisonError::into_inner);
-        Target::at(&self.folder)?.look(&mut runs)
+        MonitorTarget::at(&self.folder)?.read(&mut runs)
     }
 }
 
@@ -59,7 +59,7 @@ pub struct Server {
 }
 
 impl Server {
-    /// Where it listens; the port that was chosen when 0 was asked for.
+    /// Where it listens; the port that was chosen when 0 was requested.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
@@ -69,7 +69,7 @@ impl Drop for Server {
     fn drop(&mut self) {
         drop(self.stop.take());
         if let Some(thread) = self.thread.take() {
-            // A server that panicked has said so on stderr already.
+            // A server that panicked has written that to stderr already.
             let _ = thread.join();
         }
     }
@@ -87,7 +87,7 @@ pub fn serve(address: SocketAddr, folder: PathBuf, per_scene: bool) -> Result<Se
     let address = listener.local_addr().map_err(ServeError::Start)?;
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
-        // Reading a ledger is short, and few look at once.
+        // Reading a ledger is short, and few requests come at once.
         .max_blocking_threads(2)
         .build()
         .map_err(ServeError::Start)?;
@@ -121,9 +121,9 @@ async fn index() -> Response {
 }
 
 /// The view, read off the server's own thread.
-async fn look<T: Send + 'static>(
+async fn read<T: Send + 'static>(
     served: Arc<Served>,
-    show: impl FnOnce(Result<&View, &ViewError>, &Served) -> T + Send + 'static,
+    show: impl FnOnce(Result<&MonitorView, &ViewError>, &Served) -> T + Send + 'static,
 ) -> Result<T, Response> {
     let seen = tokio::task::spawn_blocking(move || {
         let view = served.view();
@@ -134,12 +134,12 @@ async fn look<T: Send + 'static>(
 }
 
 async fn metrics_text(State(served): State<Arc<Served>>) -> Result<Response, Response> {
-    let text = look(served, |view, served| metrics::render(view.ok(), served.per_scene)).await?;
+    let text = read(served, |view, served| metrics::render(view.ok(), served.per_scene)).await?;
     Ok(([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text).into_response())
 }
 
 async fn readiness(State(served): State<Arc<Served>>) -> Result<Response, Response> {
-    let checks = look(served, |view, _| ready(view)).await?;
+    let checks = read(served, |view, _| ready(view)).await?;
     let mut text = String::new();
     for check in &checks {
         let _ = writeln!(text, "[{}] {}: {}", if check.ok { '+' } else { '-' }, check.name, check.says);
@@ -149,12 +149,12 @@ async fn readiness(State(served): State<Arc<Served>>) -> Result<Response, Respon
 }
 
 async fn status(State(served): State<Arc<Served>>) -> Result<Response, Response> {
-    let json = |view: Result<&View, &ViewError>, _: &Served| match view {
+    let json = |view: Result<&MonitorView, &ViewError>, _: &Served| match view {
         Ok(view) => (StatusCode::OK, serde_json::to_string(view).unwrap_or_default()),
         Err(error) => {
             (StatusCode::SERVICE_UNAVAILABLE, serde_json::json!({ "error": error.to_string() }).to_string())
         }
     };
-    let (code, text) = look(served, json).await?;
+    let (code, text) = read(served, json).await?;
     Ok((code, [(header::CONTENT_TYPE, "application/json")], text).into_response())
 }

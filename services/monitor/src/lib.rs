@@ -1,6 +1,6 @@
-//! What operators look at: one view of runs and batches, made from their ledgers, and its forms.
+//! What operators see: one view of runs and batches, made from their ledgers, and its forms.
 //!
-//! - [`View`]: a run or a batch, as other processes see it while it is written and after it ended. `segwild status`,
+//! - [`MonitorView`]: a run or a batch, as other processes see it while it is written and after it ended. `segwild status`,
 //!   `--json`, `segwild top`, `/metrics` and `/api/v1/status` all show this and nothing else.
 //! - [`metrics`]: the view as Prometheus text; every name in one enum.
 //! - [`serve`]: `/metrics`, `/livez`, `/readyz`, `/api/v1/status` by HTTP; [`connections`]: how many, and for how long.
@@ -17,5 +17,5 @@ mod why;
 pub mod words;
 
 pub use http::{ServeError, Server, serve};
-pub use ready::{Check, ready};
-pub use view::{Target, View, ViewError};
+pub use ready::{ReadyCheck, ready};
+pub use view::{MonitorTarget, MonitorView, ViewError};

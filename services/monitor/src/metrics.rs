@@ -1,16 +1,16 @@
 //! The view as Prometheus text. Every name is in [`Metric`]; dashboards and alert rules use no other.
 //!
 //! Seconds and bytes are base units, counters end in `_total`, and no photo's or folder's name is a label. A batch adds
-//! up its scenes; their names become labels only where that is asked for.
+//! up its scenes; their names become labels only on request.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-use crate::view::{RunState, RunView, SceneState, View};
+use crate::view::{RunState, RunView, SceneState, MonitorView};
 
 /// What kind of number it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub enum MetricKind {
     /// Only grows, but for restarts of the process.
     Counter,
     /// Goes up and down.
@@ -49,8 +49,8 @@ macro_rules! metrics {
             }
 
             /// What kind of number it is.
-            pub fn kind(self) -> Kind {
-                match self { $(Metric::$variant => Kind::$kind,)+ }
+            pub fn kind(self) -> MetricKind {
+                match self { $(Metric::$variant => MetricKind::$kind,)+ }
             }
 
             fn fold(self) -> Fold {
@@ -74,13 +74,13 @@ metrics! {
     StageTaskDuration = "segwild_stage_task_duration_seconds", Histogram, Sum, "Time that a stage took for one photo.";
     StageQueueDepth = "segwild_stage_queue_depth", Gauge, Sum, "Units of work that a running stage still has to do: photos, or steps of geometry.";
     StageProgress = "segwild_stage_progress_ratio", Gauge, Mean, "The share of a stage's work that is done.";
-    StageEta = "segwild_stage_eta_seconds", Gauge, Max, "Time that a running stage will still take, as far as can be told.";
+    StageEta = "segwild_stage_eta_seconds", Gauge, Max, "Time that a running stage will still take, as far as is known.";
     StageInflight = "segwild_stage_inflight", Gauge, Sum, "Workers of an actor that are busy.";
     StageUtilization = "segwild_stage_utilization_ratio", Gauge, Mean, "The share of an actor's life spent working.";
     StageOldestTask = "segwild_stage_oldest_task_age_seconds", Gauge, Max, "For how long an actor's busiest worker has been at what it does.";
     ActorSeconds = "segwild_actor_seconds_total", Counter, Sum, "An actor's time, all its workers' together, by what it went to: starting, busy, waiting, blocked, back_off.";
     ActorStuck = "segwild_actor_stuck", Gauge, Sum, "Workers of an actor that the supervisor holds for stuck.";
-    ActorRestarts = "segwild_actor_restarts_total", Counter, Sum, "How often an actor was built anew.";
+    ActorRestarts = "segwild_actor_restarts_total", Counter, Sum, "How often an actor was restarted.";
     TaskRetries = "segwild_task_retries_total", Counter, Sum, "Further attempts of an actor at a message.";
     Quarantined = "segwild_quarantined_total", Counter, Sum, "Messages that an actor gave up.";
     MailboxDepth = "segwild_mailbox_depth", Gauge, Sum, "Messages queued for an actor.";
@@ -115,7 +115,7 @@ const BUCKETS: [f64; 10] = [0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 3
 type Labels = String;
 
 #[derive(Default)]
-struct Board {
+struct MetricValues {
     /// Sum, smallest, largest, count.
     numbers: BTreeMap<(Metric, Labels), (f64, f64, f64, u32)>,
     histograms: BTreeMap<(Metric, Labels), (Vec<u64>, f64)>,
@@ -130,7 +130,7 @@ fn labels(pairs: &[(&str, &str)]) -> Labels {
     text
 }
 
-impl Board {
+impl MetricValues {
     fn put(&mut self, metric: Metric, pairs: &[(&str, &str)], value: f64) {
         if !value.is_finite() {
             return;
@@ -152,9 +152,9 @@ impl Board {
         let mut text = String::new();
         for &metric in Metric::ALL {
             let kind = match metric.kind() {
-                Kind::Counter => "counter",
-                Kind::Gauge => "gauge",
-                Kind::Histogram => "histogram",
+                MetricKind::Counter => "counter",
+                MetricKind::Gauge => "gauge",
+                MetricKind::Histogram => "histogram",
             };
             let name = metric.name();
             let mut body = String::new();
@@ -192,12 +192,12 @@ impl Board {
 }
 
 /// The text of a view; without one, the program's version is all there is.
-pub fn render(view: Option<&View>, per_scene: bool) -> String {
-    let mut board = Board::default();
-    board.put(Metric::BuildInfo, &[("version", env!("CARGO_PKG_VERSION"))], 1.0);
+pub fn render(view: Option<&MonitorView>, per_scene: bool) -> String {
+    let mut values = MetricValues::default();
+    values.put(Metric::BuildInfo, &[("version", env!("CARGO_PKG_VERSION"))], 1.0);
     match view {
         None => {}
-        Some(View::Run(run)) => {
+        Some(MonitorView::Run(run)) => {
             let state = match run.state {
                 RunState::Running => SceneState::Running,
                 RunState::Done => SceneState::Done,
@@ -205,45 +205,45 @@ pub fn render(view: Option<&View>, per_scene: bool) -> String {
                 RunState::Stopped => SceneState::Waiting,
             };
             for each in SceneState::ALL {
-                board.put(Metric::Scenes, &[("state", each.word())], f64::from(u8::from(each == state)));
+                values.put(Metric::Scenes, &[("state", each.word())], f64::from(u8::from(each == state)));
             }
-            board.put(Metric::DeadLetters, &[], f64::from(u8::from(state == SceneState::Dead)));
-            one_run(&mut board, run, None);
-            disk(&mut board, run.disk);
+            values.put(Metric::DeadLetters, &[], f64::from(u8::from(state == SceneState::Dead)));
+            one_run(&mut values, run, None);
+            disk(&mut values, run.disk);
         }
-        Some(View::Batch(batch)) => {
+        Some(MonitorView::Batch(batch)) => {
             for each in SceneState::ALL {
-                board.put(Metric::Scenes, &[("state", each.word())], batch.count(each) as f64);
+                values.put(Metric::Scenes, &[("state", each.word())], batch.count(each) as f64);
             }
-            board.put(Metric::DeadLetters, &[], batch.count(SceneState::Dead) as f64);
-            board.put(Metric::SceneRetries, &[], batch.retries as f64);
-            board.put(Metric::LeaseExpired, &[], batch.leases_expired as f64);
-            board.put(Metric::EngineConnected, &[], 1.0);
+            values.put(Metric::DeadLetters, &[], batch.count(SceneState::Dead) as f64);
+            values.put(Metric::SceneRetries, &[], batch.retries as f64);
+            values.put(Metric::LeaseExpired, &[], batch.leases_expired as f64);
+            values.put(Metric::EngineConnected, &[], 1.0);
             for (word, part) in [("declared", &batch.budget), ("used", &batch.used)] {
-                board.put(Metric::BudgetCores, &[("part", word)], f64::from(part.cores));
-                board.put(Metric::BudgetMemory, &[("part", word)], part.memory_bytes as f64);
-                board.put(Metric::BudgetAccelerators, &[("part", word)], f64::from(part.accelerators));
+                values.put(Metric::BudgetCores, &[("part", word)], f64::from(part.cores));
+                values.put(Metric::BudgetMemory, &[("part", word)], part.memory_bytes as f64);
+                values.put(Metric::BudgetAccelerators, &[("part", word)], f64::from(part.accelerators));
             }
             for scene in &batch.scenes {
                 if let Some(run) = &scene.run {
-                    one_run(&mut board, run, per_scene.then_some(&scene.name));
+                    one_run(&mut values, run, per_scene.then_some(&scene.name));
                 }
             }
-            disk(&mut board, batch.disk);
+            disk(&mut values, batch.disk);
         }
     }
-    board.text()
+    values.text()
 }
 
-fn disk(board: &mut Board, disk: Option<crate::view::Disk>) {
+fn disk(values: &mut MetricValues, disk: Option<crate::view::Disk>) {
     if let Some(disk) = disk {
-        board.put(Metric::DiskFree, &[], disk.free_bytes as f64);
-        board.put(Metric::DiskSize, &[], disk.size_bytes as f64);
+        values.put(Metric::DiskFree, &[], disk.free_bytes as f64);
+        values.put(Metric::DiskSize, &[], disk.size_bytes as f64);
     }
 }
 
 /// A run's numbers. Gauges are of runs that are being worked on; counters stay.
-fn one_run(board: &mut Board, run: &RunView, scene: Option<&String>) {
+fn one_run(values: &mut MetricValues, run: &RunView, scene: Option<&String>) {
     let own: Vec<(&str, &str)> = scene.map(|s| ("scene", s.as_str())).into_iter().collect();
     let with = |pairs: &[(&'static str, &str)]| -> Vec<(String, String)> {
         let all = own.iter().chain(pairs);
@@ -252,7 +252,7 @@ fn one_run(board: &mut Board, run: &RunView, scene: Option<&String>) {
     let mut put = |metric: Metric, pairs: &[(&'static str, &str)], value: f64| {
         let all = with(pairs);
         let all: Vec<(&str, &str)> = all.iter().map(|(n, v)| (n.as_str(), v.as_str())).collect();
-        board.put(metric, &all, value);
+        values.put(metric, &all, value);
     };
     for stage in &run.stages {
         let name = stage.name.as_str();
@@ -330,7 +330,7 @@ fn one_run(board: &mut Board, run: &RunView, scene: Option<&String>) {
     let mut observe = |metric: Metric, pairs: &[(&'static str, &str)], seconds: f64| {
         let all = with(pairs);
         let all: Vec<(&str, &str)> = all.iter().map(|(n, v)| (n.as_str(), v.as_str())).collect();
-        board.observe(metric, &all, seconds);
+        values.observe(metric, &all, seconds);
     };
     for (stage, seconds) in &run.seconds {
         observe(Metric::StageTaskDuration, &[("stage", stage)], *seconds);

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::view::{Disk, View, ViewError};
+use crate::view::{Disk, MonitorView, ViewError};
 use crate::words::{bytes, duration};
 
 /// A disk with less than this share free is nearly full.
@@ -10,9 +10,9 @@ pub const DISK_SHARE: f64 = 0.05;
 /// A disk with less than this many bytes free is nearly full, whatever its size.
 pub const DISK_BYTES: u64 = 512 << 20;
 
-/// One thing that was looked at.
+/// One thing that was checked.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Check {
+pub struct ReadyCheck {
     /// What.
     pub name: String,
     /// Whether it is as it should be.
@@ -21,12 +21,12 @@ pub struct Check {
     pub says: String,
 }
 
-fn check(name: &str, ok: bool, says: impl Into<String>) -> Check {
-    Check { name: name.into(), ok, says: says.into() }
+fn check(name: &str, ok: bool, says: impl Into<String>) -> ReadyCheck {
+    ReadyCheck { name: name.into(), ok, says: says.into() }
 }
 
 /// Looks at everything that should hold while work goes on.
-pub fn ready(view: Result<&View, &ViewError>) -> Vec<Check> {
+pub fn ready(view: Result<&MonitorView, &ViewError>) -> Vec<ReadyCheck> {
     let view = match view {
         Ok(view) => view,
         Err(error) => return vec![check("ledger", false, error.to_string())],
@@ -53,14 +53,14 @@ pub fn ready(view: Result<&View, &ViewError>) -> Vec<Check> {
     let none = "nobody is stuck".to_owned();
     checks.push(check("actors", stuck.is_empty(), if stuck.is_empty() { none } else { stuck.join("; ") }));
     let disk = match view {
-        View::Run(run) => run.disk,
-        View::Batch(batch) => batch.disk,
+        MonitorView::Run(run) => run.disk,
+        MonitorView::Batch(batch) => batch.disk,
     };
     if let Some(disk) = disk {
         let says = format!("{} of {} free", bytes(disk.free_bytes), bytes(disk.size_bytes));
-        checks.push(check("disk", has_room(&disk), says));
+        checks.push(check("disk", has_free_space(&disk), says));
     }
-    if let View::Batch(batch) = view {
+    if let MonitorView::Batch(batch) = view {
         let runs = batch.owner.is_some();
         checks.push(check("batch", runs, batch.owner.as_deref().unwrap_or("no process runs it")));
     }
@@ -68,6 +68,6 @@ pub fn ready(view: Result<&View, &ViewError>) -> Vec<Check> {
 }
 
 /// Whether a disk is not nearly full.
-pub fn has_room(disk: &Disk) -> bool {
+pub fn has_free_space(disk: &Disk) -> bool {
     disk.free_bytes >= DISK_BYTES && disk.free_bytes as f64 >= disk.size_bytes as f64 * DISK_SHARE
 }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use segwild_farm::{Needs, Turn};
+use segwild_farm::{JobTurn, Needs};
 use segwild_flow::WorkerState;
 use segwild_flow::ledger::LiveMailbox;
 use segwild_pipeline::{needs, stages_of};
@@ -25,7 +25,7 @@ fn how_far(stage: &StageView) -> String {
     text
 }
 
-/// Stages that have not begun wait for those before them.
+/// Stages that have not started wait for those before them.
 pub(crate) fn stages(all: &mut [StageView], running: bool) {
     let before = all.to_vec();
     for stage in all.iter_mut().filter(|s| s.state == "waiting" || s.state == "pending") {
@@ -39,14 +39,14 @@ pub(crate) fn stages(all: &mut [StageView], running: bool) {
             .map(how_far)
             .collect();
         stage.why = Some(match (stage.name.as_str(), open.is_empty()) {
-            (_, true) => "about to begin, or not asked for".into(),
+            (_, true) => "about to start, or not requested".into(),
             ("masks", false) => format!("waits for the snapshot of {}", open.join(", ")),
             (_, false) => format!("waits for {}", open.join(", ")),
         });
     }
 }
 
-/// Workers wait for messages, for room, for a rest to end, or in the middle of their work.
+/// Workers wait for messages, for space, for a rest to end, or in the middle of their work.
 pub(crate) fn actors(all: &mut [ActorView], mailboxes: &[LiveMailbox], stages: &[StageView], running: bool) {
     for actor in all.iter_mut() {
         if !running || actor.exit != "running" {
@@ -61,7 +61,7 @@ pub(crate) fn actors(all: &mut [ActorView], mailboxes: &[LiveMailbox], stages: &
                 WorkerState::Busy | WorkerState::Ended => None,
                 WorkerState::Starting => Some("is being built (a model loads)".into()),
                 WorkerState::BackOff => Some(format!("rests before another attempt{rest}")),
-                WorkerState::Blocked => Some(no_room(&worker.item, mailboxes)),
+                WorkerState::Blocked => Some(blocked_by(&worker.item, mailboxes)),
                 WorkerState::Waiting if !worker.item.is_empty() => Some(format!("waits for {}", worker.item)),
                 WorkerState::Waiting => Some(no_work(&actor.name, stages)),
             };
@@ -70,10 +70,10 @@ pub(crate) fn actors(all: &mut [ActorView], mailboxes: &[LiveMailbox], stages: &
 }
 
 /// A blocked worker names what it waits for.
-fn no_room(mailbox: &str, mailboxes: &[LiveMailbox]) -> String {
+fn blocked_by(mailbox: &str, mailboxes: &[LiveMailbox]) -> String {
     match mailboxes.iter().find(|m| m.name == mailbox) {
         Some(m) => format!(
-            "waits for room at `{mailbox}`: {} of {} messages, {} of {}",
+            "waits for space in mailbox `{mailbox}`: {} of {} messages, {} of {}",
             m.depth,
             m.capacity,
             bytes(m.bytes),
@@ -88,22 +88,22 @@ fn no_room(mailbox: &str, mailboxes: &[LiveMailbox]) -> String {
 fn no_work(actor: &str, stages: &[StageView]) -> String {
     let going: Vec<&str> = stages.iter().filter(|s| s.state == "running").map(|s| s.name.as_str()).collect();
     if actor == "coordinator" && !going.is_empty() {
-        return format!("nothing to hear: {} under way", going.join(", "));
+        return format!("no message: {} under way", going.join(", "));
     }
     let next = stages_of(actor)
         .iter()
         .find_map(|name| stages.iter().find(|s| s.name == *name && s.state != "done" && s.state != "failed"));
     match next {
         None => "no work left".into(),
-        Some(StageView { name, why: Some(_), .. }) => format!("no work until {name} can begin"),
+        Some(StageView { name, why: Some(_), .. }) => format!("no work until {name} can start"),
         Some(stage) => format!("no work: the next of {} is not there yet", how_far(stage)),
     }
 }
 
-/// Scenes wait for their turn, for room, for the end of a rest, or for what keeps their process from beginning.
+/// Scenes wait for their turn, for space, for the end of a rest, or for what keeps their process from starting.
 pub(crate) fn scenes(
     all: &mut [SceneView],
-    turns: &BTreeMap<&str, Turn<'_>>,
+    turns: &BTreeMap<&str, JobTurn<'_>>,
     waits: &BTreeMap<String, String>,
     batch_runs: bool,
 ) {
@@ -118,17 +118,17 @@ pub(crate) fn scenes(
             SceneState::Waiting if waits.contains_key(&scene.name) => waits.get(&scene.name).cloned(),
             SceneState::Waiting => Some(match (scene.rests_s, &scene.error) {
                 (Some(s), Some(error)) => format!("tries again in {} after: {error}", duration(s)),
-                (Some(s), None) => format!("begins in {}", duration(s)),
+                (Some(s), None) => format!("starts in {}", duration(s)),
                 (None, _) => turns
                     .get(scene.name.as_str())
-                    .map_or_else(|| "about to begin".into(), |turn| lacking(&scene.needs, turn)),
+                    .map_or_else(|| "about to start".into(), |turn| missing_capacity(&scene.needs, turn)),
             }),
         };
     }
 }
 
 /// What a scene still needs, and whom that is kept for.
-fn lacking(needs: &Needs, turn: &Turn<'_>) -> String {
+fn missing_capacity(needs: &Needs, turn: &JobTurn<'_>) -> String {
     let free = &turn.free;
     let still = |n: u64, words: String| if n > 0 { format!(" ({words} free)") } else { String::new() };
     let mut lacks = Vec::new();
@@ -144,7 +144,7 @@ fn lacking(needs: &Needs, turn: &Turn<'_>) -> String {
         lacks.push(count(needs.accelerators, "accelerator") + &free);
     }
     match (lacks.is_empty(), turn.kept_for) {
-        (true, _) => "about to begin".into(),
+        (true, _) => "about to start".into(),
         (false, None) => format!("waits for {}", lacks.join(", ")),
         (false, Some(urgent)) => format!("waits for {}; `{urgent}` goes first", lacks.join(", ")),
     }

@@ -71,7 +71,7 @@ pub fn event(message: &str) -> String {
         ActorRecovered { actor, .. } => format!("{actor} moves again"),
         ShutdownWaits { actors, .. } => format!("stopping waits for {}", actors.join(", ")),
         Warning { message, .. } | Message { message, .. } => message,
-        StageStarted { stage, .. } => format!("{stage} begins"),
+        StageStarted { stage, .. } => format!("{stage} starts"),
         StageFinished { stage, .. } => format!("{stage} is done"),
         StageSkipped { stage, .. } => format!("{stage} was done before"),
         StageProgress { stage, done, .. } => format!("{stage}: {done} done"),

@@ -2,7 +2,7 @@
 
 use crate::SettingsError;
 use segwild_features::FeatureError;
-use segwild_flow::{CacheError, CodecError, Failure, FileError, LedgerError, SpawnError};
+use segwild_flow::{CacheError, CodecError, ActorFailure, FileError, LedgerError, SpawnError};
 use segwild_gpu::GpuError;
 use segwild_raster::RasterError;
 use segwild_scene::SceneError;
@@ -95,7 +95,7 @@ pub enum RunError {
 
 impl RunError {
     /// The error of a stage that failed, by its own fault or the disk's.
-    pub(crate) fn of_stage(stage: &'static str, failure: &Failure) -> RunError {
+    pub(crate) fn of_stage(stage: &'static str, failure: &ActorFailure) -> RunError {
         let reason = failure.to_string();
         match failure.is_storage() {
             true => RunError::Storage { stage, reason },

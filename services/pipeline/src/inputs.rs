@@ -10,7 +10,7 @@ use crate::transients::{KnownTransients, TransientMaskWriter, visibility};
 use crate::view_slots::ViewSlots;
 
 use segwild_features::{EMBEDDING, FieldInputs, describe};
-use segwild_flow::{Context, Failure};
+use segwild_flow::{Context, ActorFailure};
 use segwild_masks::{MaskMaker, MaskSource, Snapshot};
 use segwild_raster::Engine;
 use segwild_scene::{Embedding, Image, Mask, MaskSet, Scene};
@@ -75,7 +75,7 @@ pub struct Inputs {
 
 impl Inputs {
     /// Compares a photo with the trained scene: its visibility.
-    pub fn compare(&self, view: usize) -> Result<Mask, Failure> {
+    pub fn compare(&self, view: usize) -> Result<Mask, ActorFailure> {
         let (posed, sky) = (&self.recompute.scene.views[view], self.skies.read(view)?);
         let transients = &self.known.corrections;
         Ok(visibility(&self.model, &*self.engine, posed, view, sky.as_ref(), transients, self.size)?)
@@ -88,7 +88,7 @@ impl Inputs {
         views: &[usize],
         segmenter: &dyn PromptSegmenter,
         context: &Context,
-    ) -> Result<Vec<String>, Failure> {
+    ) -> Result<Vec<String>, ActorFailure> {
         let writer = TransientMaskWriter {
             folder,
             scene: &self.recompute.scene,
@@ -98,10 +98,10 @@ impl Inputs {
             known: &self.known,
             at_once: self.photos_at_once,
         };
-        let photo = |view: usize| -> Result<TrainPhoto, Failure> {
-            let loaded = self.recompute.scene.views[view].load(self.size).map_err(Failure::retry)?;
+        let photo = |view: usize| -> Result<TrainPhoto, ActorFailure> {
+            let loaded = self.recompute.scene.views[view].load(self.size).map_err(ActorFailure::retry)?;
             let mut photo = TrainPhoto::new(loaded, self.skies.read(view)?);
-            self.known.apply(view, &mut photo).map_err(Failure::retry)?;
+            self.known.apply(view, &mut photo).map_err(ActorFailure::retry)?;
             Ok(photo)
         };
         writer.write(
@@ -115,16 +115,16 @@ impl Inputs {
         )
     }
 
-    fn make_masks(&self, view: usize) -> Result<MaskSet, Failure> {
+    fn make_masks(&self, view: usize) -> Result<MaskSet, ActorFailure> {
         let model = self.recompute.cache.get_typed::<Model>(&self.keys.snapshot, MODEL)?;
         let model = model.filter(|model| model.check().is_ok());
-        let gone = || Failure::retry("the snapshot that they were proposed from has gone, too");
+        let gone = || ActorFailure::retry("the snapshot that they were proposed from has gone, too");
         let (engine, scene) = (self.engine.clone(), self.recompute.scene.clone());
         let snapshot =
             SnapshotRenders { model: Arc::new(model.ok_or_else(gone)?), engine, scene, size: self.size };
         let sky = self.skies.read(view)?;
         let render = match self.maker.settings.mask_source {
-            MaskSource::Render => Some(snapshot.render(view).map_err(Failure::retry)?),
+            MaskSource::Render => Some(snapshot.render(view).map_err(ActorFailure::retry)?),
             MaskSource::Photo => None,
         };
         Ok(self.maker.make(view, render.as_ref(), &snapshot, sky.as_ref())?)
@@ -132,27 +132,27 @@ impl Inputs {
 }
 
 impl FieldInputs for Inputs {
-    fn embedding(&self, view: usize) -> Result<Embedding, Failure> {
+    fn embedding(&self, view: usize) -> Result<Embedding, ActorFailure> {
         let kept =
             CachedArtefact { view, what: "embedding", kind: EMBEDDING, key: &self.keys.embedding[view] };
         self.recompute.read(kept, || {
-            describe(&*self.embedder, &self.recompute.scene.views[view], self.size).map_err(Failure::retry)
+            describe(&*self.embedder, &self.recompute.scene.views[view], self.size).map_err(ActorFailure::retry)
         })
     }
 
-    fn visibility(&self, view: usize) -> Result<Mask, Failure> {
+    fn visibility(&self, view: usize) -> Result<Mask, ActorFailure> {
         let kept =
             CachedArtefact { view, what: "visibility", kind: VISIBILITY, key: &self.keys.visibility[view] };
         self.recompute.read(kept, || self.compare(view))
     }
 
-    fn sky(&self, view: usize) -> Result<Option<Mask>, Failure> {
+    fn sky(&self, view: usize) -> Result<Option<Mask>, ActorFailure> {
         self.skies.read(view)
     }
 
-    fn masks(&self, view: usize, stopping: &dyn Fn() -> bool) -> Result<Option<MaskSet>, Failure> {
+    fn masks(&self, view: usize, stopping: &dyn Fn() -> bool) -> Result<Option<MaskSet>, ActorFailure> {
         match self.masks_known.wait(view, stopping) {
-            None => Err(Failure::stopped()),
+            None => Err(ActorFailure::stopped()),
             Some(false) => Ok(None),
             Some(true) => {
                 let kept =

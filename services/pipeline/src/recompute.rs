@@ -1,7 +1,7 @@
 //! Reads artefacts that the run has made before, and makes them again where the cache has lost them.
 
 use segwild_flow::codec::{Decode, Encode};
-use segwild_flow::{Cache, Events, Failure, Key};
+use segwild_flow::{Cache, Events, ActorFailure, Key};
 use segwild_scene::Scene;
 use std::sync::Arc;
 
@@ -38,8 +38,8 @@ impl Recompute {
     pub fn read<T: Encode + Decode>(
         &self,
         kept: CachedArtefact<'_>,
-        make: impl FnOnce() -> Result<T, Failure>,
-    ) -> Result<T, Failure> {
+        make: impl FnOnce() -> Result<T, ActorFailure>,
+    ) -> Result<T, ActorFailure> {
         let CachedArtefact { view, what, kind, key } = kept;
         if let Some(value) = self.cache.get_typed(key, kind)? {
             return Ok(value);
@@ -50,7 +50,7 @@ impl Recompute {
             self.events.warn(None, message);
         }
         let value = make().map_err(|failure| match failure.is_local() {
-            true => Failure::fatal(format!(
+            true => ActorFailure::fatal(format!(
                 "photo {photo}: its {what} has gone from the cache and cannot be made again ({failure}); run again"
             )),
             false => failure,

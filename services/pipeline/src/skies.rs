@@ -4,7 +4,7 @@ use crate::recompute::{CachedArtefact, Recompute};
 use crate::view_slots::ViewSlots;
 use crate::{RunError, RunFolder};
 use segwild_flow::ledger::State;
-use segwild_flow::{Events, Failure, Key, Ledger};
+use segwild_flow::{Events, ActorFailure, Key, Ledger};
 use segwild_scene::{Mask, Scene};
 use segwild_vision::SkyDetector;
 use std::collections::{BTreeMap, VecDeque};
@@ -26,7 +26,7 @@ pub struct Skies {
     size: u32,
     keys: Vec<Key>,
     detector: Arc<dyn SkyDetector>,
-    lost: Mutex<Option<Failure>>,
+    lost: Mutex<Option<ActorFailure>>,
     /// Views whose sky is still to be requested, the most urgent first.
     open: Mutex<VecDeque<usize>>,
     /// Microseconds that were spent in [`Skies::wait`].
@@ -84,7 +84,7 @@ impl Skies {
     ///
     /// # Errors
     /// When it was found once and can neither be read nor found again. [`Skies::lost`] then returns the same failure.
-    pub fn read(&self, view: usize) -> Result<Option<Mask>, Failure> {
+    pub fn read(&self, view: usize) -> Result<Option<Mask>, ActorFailure> {
         if !self.found(view) {
             return Ok(None);
         }
@@ -95,7 +95,7 @@ impl Skies {
     }
 
     /// Why a sky was lost, if one was: what was made without it must not be kept.
-    pub fn lost(&self) -> Option<Failure> {
+    pub fn lost(&self) -> Option<ActorFailure> {
         lock(&self.lost).clone()
     }
 }
@@ -107,9 +107,9 @@ fn kept_or_found(
     key: &Key,
     size: u32,
     detector: &dyn SkyDetector,
-) -> Result<Mask, Failure> {
+) -> Result<Mask, ActorFailure> {
     recompute.read(CachedArtefact { view, what: "sky", kind: "sky", key }, || {
-        let photo = recompute.scene.views[view].load(size).map_err(Failure::retry)?;
+        let photo = recompute.scene.views[view].load(size).map_err(ActorFailure::retry)?;
         let seen = recompute.scene.points_in(view, photo.image.width, photo.image.height);
         Ok(detector.sky_above(&photo.image, &seen)?)
     })

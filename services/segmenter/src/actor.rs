@@ -4,7 +4,7 @@ use crate::{
     MaskReader, NeighbourGraph, PosedView, PromptedView, Refiner, Request, SegmentError, SegmentSettings,
     Selection, SpikeCut, SplatFeatures, cut, select,
 };
-use segwild_flow::{Actor, Context, Failure, Message, Sender};
+use segwild_flow::{Actor, Context, ActorFailure, Message, Sender};
 use segwild_raster::{Engine, ProjectOptions};
 use segwild_scene::{Image, Mask, Prompts, ScoredMask, Splats};
 use segwild_vision::PromptSegmenter;
@@ -168,7 +168,7 @@ impl Refiner for PhotoRefiner<'_> {
 impl Actor for SegmentActor {
     type Message = SegmentTask;
 
-    fn handle(&mut self, task: SegmentTask, context: &Context) -> Result<(), Failure> {
+    fn handle(&mut self, task: SegmentTask, context: &Context) -> Result<(), ActorFailure> {
         let answer = self.segment(&task, context).map(Box::new);
         // Nobody may be waiting for the answer any more.
         let _ = task.reply.blocking_send(SegmentReply(answer));

@@ -1,7 +1,7 @@
 //! The actor of the trainer: one order trains one scene, and its outcomes are sent on as they come.
 
 use crate::{Checkpoint, Model, Photos, TrainError, TrainSettings, Trainer};
-use segwild_flow::{Actor, Context, Failure, Message, Quarantined, Sender, fault};
+use segwild_flow::{Actor, Context, ActorFailure, Message, Quarantined, Sender, fault};
 use segwild_raster::Engine;
 use segwild_scene::{Scene, Skipped};
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 const REPORT_EVERY: u32 = 20;
 
 /// Finds the checkpoint to go on from, if there is one.
-pub type FindCheckpoint = dyn Fn() -> Result<Option<Checkpoint>, Failure> + Send + Sync;
+pub type FindCheckpoint = dyn Fn() -> Result<Option<Checkpoint>, ActorFailure> + Send + Sync;
 
 /// Trains a scene.
 #[derive(Clone)]
@@ -86,12 +86,12 @@ pub struct TrainActor<O: Message> {
 }
 
 impl<O: Message + From<TrainOutcome>> TrainActor<O> {
-    fn send(&self, outcome: TrainOutcome) -> Result<(), Failure> {
+    fn send(&self, outcome: TrainOutcome) -> Result<(), ActorFailure> {
         self.out.blocking_send(outcome.into())?;
         Ok(())
     }
 
-    fn train(&self, order: &TrainOrder, context: &Context) -> Result<(), Failure> {
+    fn train(&self, order: &TrainOrder, context: &Context) -> Result<(), ActorFailure> {
         let (engine, scene, photos) = (self.engine.clone(), &*order.scene, order.photos.clone());
         let started = match (order.checkpoint)()? {
             Some(checkpoint) => Trainer::resume(engine, scene, photos, checkpoint),
@@ -101,8 +101,8 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
             }),
         };
         let mut trainer = started.map_err(|e| match e {
-            TrainError::Stopped => Failure::stopped(),
-            e => Failure::fatal(e),
+            TrainError::Stopped => ActorFailure::stopped(),
+            e => ActorFailure::fatal(e),
         })?;
         trainer.hold_photos(order.settings.photo_cache_mib);
         for warning in trainer.warnings() {
@@ -127,10 +127,10 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
         let mut saved = Instant::now();
         while trainer.steps_done() < order.until {
             if context.stopping() {
-                self.send(TrainOutcome::Checkpoint(Arc::new(trainer.checkpoint().map_err(Failure::fatal)?)))?;
-                return Err(Failure::stopped());
+                self.send(TrainOutcome::Checkpoint(Arc::new(trainer.checkpoint().map_err(ActorFailure::fatal)?)))?;
+                return Err(ActorFailure::stopped());
             }
-            let step = trainer.step().map_err(Failure::fatal)?;
+            let step = trainer.step().map_err(ActorFailure::fatal)?;
             context.progress();
             fault::point("trainer.step")?;
             let last = step.step >= order.until;
@@ -140,12 +140,12 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
                 self.send(TrainOutcome::Progress { step, loss, psnr, splats, left_out })?;
             }
             if step.step == order.settings.snapshot_step() {
-                self.send(TrainOutcome::Snapshot(Arc::new(trainer.snapshot().map_err(Failure::fatal)?)))?;
+                self.send(TrainOutcome::Snapshot(Arc::new(trainer.snapshot().map_err(ActorFailure::fatal)?)))?;
             }
             // With a report, so that a continued training reports over the same steps as one that never stopped. The
             // last checkpoint allows continued training later, with more steps.
             if last || step.step % REPORT_EVERY == 0 && saved.elapsed() >= order.checkpoint_every {
-                self.send(TrainOutcome::Checkpoint(Arc::new(trainer.checkpoint().map_err(Failure::fatal)?)))?;
+                self.send(TrainOutcome::Checkpoint(Arc::new(trainer.checkpoint().map_err(ActorFailure::fatal)?)))?;
                 saved = Instant::now();
             }
         }
@@ -153,7 +153,7 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
             return self.send(TrainOutcome::Paused(trainer.steps_done()));
         }
         let skipped = trainer.skipped();
-        let model = trainer.finish().map_err(Failure::fatal)?;
+        let model = trainer.finish().map_err(ActorFailure::fatal)?;
         self.send(TrainOutcome::Done(Arc::new(model), skipped))
     }
 }
@@ -161,7 +161,7 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
 impl<O: Message + From<TrainOutcome>> Actor for TrainActor<O> {
     type Message = TrainOrder;
 
-    fn handle(&mut self, order: TrainOrder, context: &Context) -> Result<(), Failure> {
+    fn handle(&mut self, order: TrainOrder, context: &Context) -> Result<(), ActorFailure> {
         let done = self.train(&order, context);
         if let Err(failure) = &done
             && !(failure.is_local() || failure.is_storage() || context.stopping())
@@ -177,7 +177,7 @@ impl<O: Message + From<TrainOutcome>> Actor for TrainActor<O> {
         _: Option<TrainOrder>,
         given_up: &Quarantined,
         context: &Context,
-    ) -> Result<(), Failure> {
+    ) -> Result<(), ActorFailure> {
         if context.stopping() {
             return Ok(());
         }

@@ -17,7 +17,7 @@ pub use targets::TARGETS;
 pub use yard::keep_files_in;
 
 /// A reader, and what it is fed with.
-pub struct Target {
+pub struct FuzzTarget {
     /// Its name, and that of its folder in `tests/fuzz/corpus`.
     pub name: &'static str,
     /// Inputs that it accepts.
@@ -31,7 +31,7 @@ pub struct Target {
 }
 
 /// The target of a name.
-pub fn target(name: &str) -> Option<&'static Target> {
+pub fn target(name: &str) -> Option<&'static FuzzTarget> {
     TARGETS.iter().find(|target| target.name == name)
 }
 

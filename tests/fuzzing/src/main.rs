@@ -8,17 +8,17 @@
 mod memory;
 mod watch;
 
-use segwild_fuzzing::mutate::{Dice, change};
-use segwild_fuzzing::{TARGETS, Target};
+use segwild_fuzzing::mutate::{FuzzDice, change};
+use segwild_fuzzing::{FuzzTarget, TARGETS};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 #[global_allocator]
-static MEMORY: memory::Counted = memory::Counted::new();
+static MEMORY: memory::CountedAllocator = memory::CountedAllocator::new();
 
-/// What the last panic said, and where.
+/// The message of the last panic, and where it was.
 static PANIC: Mutex<String> = Mutex::new(String::new());
 
 /// Memory that one input may take on top of what was there, in bytes.
@@ -26,16 +26,16 @@ const MOST_MEMORY: usize = 256 << 20;
 /// Processor time that one input may take, on all threads.
 const MOST_TIME: Duration = Duration::from_secs(2);
 
-struct Options {
+struct FuzzOptions {
     seconds: f64,
     inputs: u64,
     seed: u64,
-    targets: Vec<&'static Target>,
+    targets: Vec<&'static FuzzTarget>,
 }
 
-impl Options {
-    fn read(words: impl Iterator<Item = String>) -> Result<Options, String> {
-        let mut options = Options { seconds: 30.0, inputs: u64::MAX, seed: 1, targets: Vec::new() };
+impl FuzzOptions {
+    fn read(words: impl Iterator<Item = String>) -> Result<FuzzOptions, String> {
+        let mut options = FuzzOptions { seconds: 30.0, inputs: u64::MAX, seed: 1, targets: Vec::new() };
         let mut words = words;
         while let Some(word) = words.next() {
             let mut number = || {
@@ -61,7 +61,7 @@ impl Options {
 }
 
 fn main() -> ExitCode {
-    let options = match Options::read(std::env::args().skip(1)) {
+    let options = match FuzzOptions::read(std::env::args().skip(1)) {
         Ok(options) => options,
         Err(error) => {
             eprintln!("error: {error}");
@@ -73,7 +73,7 @@ fn main() -> ExitCode {
         return ExitCode::FAILURE;
     };
     segwild_fuzzing::keep_files_in(folder.path());
-    // A panic is told once, with its input.
+    // A panic is printed once, with its input.
     std::panic::set_hook(Box::new(|panic| {
         *PANIC.lock().unwrap_or_else(PoisonError::into_inner) = panic.to_string().replace('\n', " ");
     }));
@@ -96,7 +96,7 @@ fn main() -> ExitCode {
 }
 
 /// The inputs of a target that were kept because they failed once, or because nothing makes them.
-fn corpus(target: &Target) -> Vec<Vec<u8>> {
+fn corpus(target: &FuzzTarget) -> Vec<Vec<u8>> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fuzz/corpus").join(target.name);
     let mut files: Vec<PathBuf> =
         std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path()).collect();
@@ -104,10 +104,10 @@ fn corpus(target: &Target) -> Vec<Vec<u8>> {
     files.iter().filter_map(|file| std::fs::read(file).ok()).collect()
 }
 
-/// Feeds one target; says how many inputs it had, and what the first one that failed did.
-fn fuzz(target: &Target, share: Duration, options: &Options) -> (u64, Option<String>) {
+/// Feeds one target; returns how many inputs it had, and what the first one that failed did.
+fn fuzz(target: &FuzzTarget, share: Duration, options: &FuzzOptions) -> (u64, Option<String>) {
     let seeds = [corpus(target), (target.seeds)()].concat();
-    let mut dice = Dice::new(options.seed, target.name);
+    let mut dice = FuzzDice::new(options.seed, target.name);
     let (began, mut count, mut failure) = (Instant::now(), 0, None);
     let mut given = seeds.iter();
     while failure.is_none() && count < options.inputs {
@@ -127,9 +127,9 @@ fn fuzz(target: &Target, share: Duration, options: &Options) -> (u64, Option<Str
 }
 
 /// What is wrong with what a reader did with an input.
-fn attempt(target: &Target, bytes: &[u8]) -> Option<String> {
+fn attempt(target: &FuzzTarget, bytes: &[u8]) -> Option<String> {
     let _watched = watch::Watched::new(target.name, bytes);
-    let (before, cpu) = (MEMORY.begin(), processor_time());
+    let (before, cpu) = (MEMORY.start_counting(), processor_time());
     let done = std::panic::catch_unwind(|| (target.read)(bytes));
     let (memory, time) = (MEMORY.peak().saturating_sub(before), processor_time().saturating_sub(cpu));
     if done.is_err() {
@@ -148,7 +148,7 @@ fn processor_time() -> Duration {
 }
 
 /// Writes an input that failed where a person finds it, and says where.
-fn keep(target: &Target, bytes: &[u8]) -> String {
+fn keep(target: &FuzzTarget, bytes: &[u8]) -> String {
     let name = format!("{}-{}", target.name, &blake3::hash(bytes).to_hex()[..12]);
     let folder = Path::new("target/fuzz-failures");
     let file = folder.join(name);

@@ -4,19 +4,19 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
 /// Counts what is held, and the most that was.
-pub struct Counted {
+pub struct CountedAllocator {
     held: AtomicUsize,
     peak: AtomicUsize,
 }
 
-impl Counted {
+impl CountedAllocator {
     /// Nothing is held.
-    pub const fn new() -> Counted {
-        Counted { held: AtomicUsize::new(0), peak: AtomicUsize::new(0) }
+    pub const fn new() -> CountedAllocator {
+        CountedAllocator { held: AtomicUsize::new(0), peak: AtomicUsize::new(0) }
     }
 
-    /// Forgets the most that was held so far; says how many bytes are held now.
-    pub fn begin(&self) -> usize {
+    /// Forgets the most that was held so far; returns how many bytes are held now.
+    pub fn start_counting(&self) -> usize {
         let held = self.held.load(Relaxed);
         self.peak.store(held, Relaxed);
         held
@@ -38,7 +38,7 @@ impl Counted {
 }
 
 // SAFETY: every call goes to the system's allocator as it is; counting touches no memory that is handed out.
-unsafe impl GlobalAlloc for Counted {
+unsafe impl GlobalAlloc for CountedAllocator {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         self.add(layout.size());
         // SAFETY: the caller keeps `alloc`'s contract.

@@ -2,15 +2,15 @@
 
 /// SplitMix64.
 #[derive(Clone, Debug)]
-pub struct Dice(u64);
+pub struct FuzzDice(u64);
 
-impl Dice {
+impl FuzzDice {
     /// Dice of a seed and a name.
-    pub fn new(seed: u64, name: &str) -> Dice {
+    pub fn new(seed: u64, name: &str) -> FuzzDice {
         let hash = blake3::hash(name.as_bytes());
         let mut first = [0; 8];
         first.copy_from_slice(&hash.as_bytes()[..8]);
-        Dice(seed ^ u64::from_le_bytes(first))
+        FuzzDice(seed ^ u64::from_le_bytes(first))
     }
 
     fn next(&mut self) -> u64 {
@@ -72,7 +72,7 @@ const WORDS: [&str; 14] = [
 ];
 
 /// A change of one of the good inputs, of one to six steps.
-pub fn change(dice: &mut Dice, seeds: &[Vec<u8>], words: &[&str]) -> Vec<u8> {
+pub fn change(dice: &mut FuzzDice, seeds: &[Vec<u8>], words: &[&str]) -> Vec<u8> {
     let mut bytes = dice.one_of(seeds).cloned().unwrap_or_default();
     for _ in 0..=dice.below(6) {
         step(dice, &mut bytes, seeds, words);
@@ -81,7 +81,7 @@ pub fn change(dice: &mut Dice, seeds: &[Vec<u8>], words: &[&str]) -> Vec<u8> {
     bytes
 }
 
-fn step(dice: &mut Dice, bytes: &mut Vec<u8>, seeds: &[Vec<u8>], words: &[&str]) {
+fn step(dice: &mut FuzzDice, bytes: &mut Vec<u8>, seeds: &[Vec<u8>], words: &[&str]) {
     let at = dice.below(bytes.len());
     match dice.below(14) {
         0 | 1 => flip(dice, bytes, at),
@@ -97,7 +97,7 @@ fn step(dice: &mut Dice, bytes: &mut Vec<u8>, seeds: &[Vec<u8>], words: &[&str])
     }
 }
 
-fn flip(dice: &mut Dice, bytes: &mut [u8], at: usize) {
+fn flip(dice: &mut FuzzDice, bytes: &mut [u8], at: usize) {
     if let Some(byte) = bytes.get_mut(at) {
         *byte ^= 1 << dice.below(8);
     }
@@ -114,8 +114,8 @@ fn insert(bytes: &mut Vec<u8>, at: usize, with: &[u8]) {
 }
 
 /// Puts a number that is a bad length, of 1 to 8 bytes and either order, in the place of what is there. Most of the time
-/// where binary formats keep theirs: at the beginning, or aligned.
-fn number(dice: &mut Dice, bytes: &mut Vec<u8>, at: usize) {
+/// where binary formats keep theirs: at the start, or aligned.
+fn number(dice: &mut FuzzDice, bytes: &mut Vec<u8>, at: usize) {
     let at = match dice.below(3) {
         0 => at % 64,
         1 => at / 4 * 4,
@@ -132,14 +132,14 @@ fn number(dice: &mut Dice, bytes: &mut Vec<u8>, at: usize) {
     put_at(bytes, at, &wanted);
 }
 
-fn repeat(dice: &mut Dice, bytes: &mut Vec<u8>, at: usize) {
+fn repeat(dice: &mut FuzzDice, bytes: &mut Vec<u8>, at: usize) {
     let part = bytes[at.min(bytes.len())..(at + 1 + dice.below(64)).min(bytes.len())].to_vec();
     let most = if dice.below(16) == 0 { 1000 } else { 4 };
     let times = 1 + dice.below(most);
     insert(bytes, at, &part.repeat(times.min(LONGEST / part.len().max(1))));
 }
 
-fn splice(dice: &mut Dice, bytes: &mut Vec<u8>, at: usize, seeds: &[Vec<u8>]) {
+fn splice(dice: &mut FuzzDice, bytes: &mut Vec<u8>, at: usize, seeds: &[Vec<u8>]) {
     if let Some(other) = dice.one_of(seeds) {
         bytes.truncate(at);
         bytes.extend_from_slice(&other[dice.below(other.len())..]);
@@ -147,10 +147,10 @@ fn splice(dice: &mut Dice, bytes: &mut Vec<u8>, at: usize, seeds: &[Vec<u8>]) {
 }
 
 /// Puts a word in the place of the next number in a text.
-fn digits(dice: &mut Dice, bytes: &mut Vec<u8>, at: usize) {
+fn digits(dice: &mut FuzzDice, bytes: &mut Vec<u8>, at: usize) {
     let is_part = |b: &u8| b.is_ascii_digit() || b"+-.eE".contains(b);
-    let Some(begin) = bytes.iter().skip(at).position(u8::is_ascii_digit).map(|i| at + i) else { return };
-    let end = bytes[begin..].iter().position(|b| !is_part(b)).map_or(bytes.len(), |i| begin + i);
+    let Some(start) = bytes.iter().skip(at).position(u8::is_ascii_digit).map(|i| at + i) else { return };
+    let end = bytes[start..].iter().position(|b| !is_part(b)).map_or(bytes.len(), |i| start + i);
     let word = WORDS[dice.below(WORDS.len())];
-    bytes.splice(begin..end, word.bytes());
+    bytes.splice(start..end, word.bytes());
 }

@@ -34,8 +34,8 @@ pub fn png(bytes: &mut [u8]) {
         let Some(body) = bytes.get(at + 4..(at + 8).saturating_add(length)) else { return };
         let crc = crc32(body).to_be_bytes();
         let end = at + 8 + length;
-        if let Some(place) = bytes.get_mut(end..end + 4) {
-            place.copy_from_slice(&crc);
+        if let Some(field) = bytes.get_mut(end..end + 4) {
+            field.copy_from_slice(&crc);
         }
         at = end + 4;
     }

@@ -1,7 +1,7 @@
 //! The list of targets is the same everywhere, and changes are the same each time.
 
 use segwild_fuzzing::TARGETS;
-use segwild_fuzzing::mutate::{Dice, LONGEST, change};
+use segwild_fuzzing::mutate::{FuzzDice, LONGEST, change};
 use std::collections::BTreeSet;
 use std::path::Path;
 
@@ -32,7 +32,7 @@ fn cargo_fuzz_has_every_target_and_no_other() {
 fn changes_are_the_same_each_time_and_differ_from_each_other() {
     let seeds = [b"width 640 height 480".to_vec(), vec![7; 100]];
     let some = |seed| {
-        let mut dice = Dice::new(seed, "target");
+        let mut dice = FuzzDice::new(seed, "target");
         (0..500).map(|_| change(&mut dice, &seeds, &["word"])).collect::<Vec<_>>()
     };
     assert_eq!(some(1), some(1));
@@ -41,7 +41,7 @@ fn changes_are_the_same_each_time_and_differ_from_each_other() {
     assert!(different.len() > 400, "{} of 500 differ", different.len());
     assert!(different.iter().all(|bytes| bytes.len() <= LONGEST));
     // Whatever is changed, also nothing.
-    let mut dice = Dice::new(1, "empty");
+    let mut dice = FuzzDice::new(1, "empty");
     for _ in 0..500 {
         change(&mut dice, &[vec![]], &[]);
         change(&mut dice, &[], &["a"]);

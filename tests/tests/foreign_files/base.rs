@@ -54,10 +54,10 @@ impl Files {
 
     /// Writes a good photo as PNG to `images/NAME`.
     pub fn photo(&self, name: &str) {
-        picture().write_png(&self.path(&format!("images/{name}"))).expect("a photo is written");
+        test_image().write_png(&self.path(&format!("images/{name}"))).expect("a photo is written");
     }
 
-    /// Writes the model anew with a change, as `.bin`.
+    /// Writes the model again with a change, as `.bin`.
     pub fn remodel(&self, change: impl FnOnce(&mut Reconstruction)) {
         let mut model = self.model.clone();
         change(&mut model);
@@ -65,8 +65,8 @@ impl Files {
     }
 }
 
-/// A smooth picture that differs at every pixel.
-pub fn picture() -> Image {
+/// A smooth image that differs at every pixel.
+pub fn test_image() -> Image {
     let (width, height) = SIZE;
     let mut image = Image::zeros(width, height, 3);
     let n = width * height;
@@ -79,7 +79,7 @@ pub fn picture() -> Image {
     image
 }
 
-/// Cameras on a line that look along z at a wall of points.
+/// Cameras on a line, facing along z a wall of points.
 fn reconstruction() -> Reconstruction {
     let (width, height) = (SIZE.0 as f64, SIZE.1 as f64);
     let (focal, cx, cy) = (50.0, width / 2.0, height / 2.0);

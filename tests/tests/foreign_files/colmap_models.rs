@@ -1,7 +1,7 @@
 //! COLMAP reconstructions: where they lie, what their cameras are, how their names are written.
 
 use crate::base::Files;
-use crate::{Expect, Row};
+use crate::{Expect, FileCase};
 use segwild_scene::colmap::{self, Reconstruction};
 
 /// Keeps the photos of these indexes, as COLMAP does where it makes several models.
@@ -34,8 +34,8 @@ fn renamed(files: &Files, name: impl Fn(&str) -> String) {
     });
 }
 
-pub const ROWS: &[Row] = &[
-    Row {
+pub const ROWS: &[FileCase] = &[
+    FileCase {
         name: "several models, the largest is not the first",
         make: |files| {
             files.remove("sparse");
@@ -48,19 +48,19 @@ pub const ROWS: &[Row] = &[
             words: &["sparse/1 with 10 photos is taken", "sparse/0 (2)", "2 of the photos"],
         },
     },
-    Row {
+    FileCase {
         name: "a model in sparse/1 alone",
         make: |files| files.rename("sparse/0", "sparse/1"),
         settings: &[],
         expect: Expect::Reads { photos: 12, words: &[] },
     },
-    Row {
+    FileCase {
         name: "a model in colmap/sparse/0, as nerfstudio puts it",
         make: |files| files.rename("sparse/0", "colmap/sparse/0"),
         settings: &[],
         expect: Expect::Reads { photos: 12, words: &[] },
     },
-    Row {
+    FileCase {
         name: "a model in distorted/sparse/0, as INRIA's script puts it",
         make: |files| {
             files.rename("sparse/0", "distorted/sparse/0");
@@ -69,7 +69,7 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Expect::Reads { photos: 12, words: &[] },
     },
-    Row {
+    FileCase {
         name: "an undistorted model beside the distorted one",
         make: |files| colmap::write(&files.path("distorted/sparse/0"), &files.model).expect("written"),
         settings: &[],
@@ -78,7 +78,7 @@ pub const ROWS: &[Row] = &[
             words: &["/sparse/0 with 12 photos is taken", "distorted/sparse/0 (12)"],
         },
     },
-    Row {
+    FileCase {
         name: "a model in dense/0/sparse, as COLMAP's automatic reconstructor puts it",
         make: |files| {
             files.rename("sparse/0", "dense/0/sparse");
@@ -87,7 +87,7 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Expect::Reads { photos: 12, words: &[] },
     },
-    Row {
+    FileCase {
         name: "a model in dense/1 alone",
         make: |files| {
             files.rename("sparse/0", "dense/1/sparse");
@@ -96,7 +96,7 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Expect::Reads { photos: 12, words: &[] },
     },
-    Row {
+    FileCase {
         name: "models in dense/0 and dense/1, the larger is the second",
         make: |files| {
             files.remove("sparse");
@@ -113,13 +113,13 @@ pub const ROWS: &[Row] = &[
             words: &["dense/1/sparse with 7 photos is taken", "dense/0/sparse (5)"],
         },
     },
-    Row {
+    FileCase {
         name: "photos in dense/1 of a model elsewhere",
         make: |files| files.rename("images", "dense/1/images"),
         settings: &[],
         expect: Expect::Reads { photos: 12, words: &[] },
     },
-    Row {
+    FileCase {
         name: "folders and lists in other capitals",
         make: |files| {
             files.rename("sparse", "Sparse");
@@ -132,7 +132,7 @@ pub const ROWS: &[Row] = &[
             check: |scene| assert_eq!(scene.views.iter().filter(|view| view.test).count(), 1),
         },
     },
-    Row {
+    FileCase {
         name: "dense/images in other capitals",
         make: |files| {
             files.rename("sparse", "Dense/Sparse");
@@ -141,7 +141,7 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Expect::Reads { photos: 12, words: &[] },
     },
-    Row {
+    FileCase {
         name: "names with accents, from a Mac",
         make: |files| {
             files.rename("images/photo03.png", "images/Cafe\u{301}.png");
@@ -150,7 +150,7 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Expect::Reads { photos: 12, words: &["found by what is left"] },
     },
-    Row {
+    FileCase {
         name: "points3D.txt beside cameras.bin and images.bin",
         make: |files| {
             colmap::write_text(&files.path("sparse/text"), &files.model).expect("the model is written");
@@ -167,7 +167,7 @@ pub const ROWS: &[Row] = &[
             },
         },
     },
-    Row {
+    FileCase {
         name: "points3D.bin beside cameras.txt and images.txt",
         make: |files| {
             colmap::write_text(&files.path("sparse/0"), &files.model).expect("the model is written");
@@ -178,7 +178,7 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Expect::Holds { photos: 12, check: |scene| assert_eq!(scene.points.len(), 60) },
     },
-    Row {
+    FileCase {
         name: "points3D.ply in place of points3D.bin",
         make: |files| {
             files.remove("sparse/0/points3D.bin");
@@ -189,7 +189,7 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Expect::Reads { photos: 12, words: &["points3D.ply", "2 of 2 points name no photo"] },
     },
-    Row {
+    FileCase {
         name: "rigs.bin and frames.bin of COLMAP 3.12 beside the model",
         make: |files| {
             files.write("sparse/0/rigs.bin", [1, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0]);
@@ -198,13 +198,13 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Expect::Reads { photos: 12, words: &[] },
     },
-    Row {
+    FileCase {
         name: "photos on disk that the model does not hold",
         make: |files| ["more1.jpg", "more2.png"].iter().for_each(|name| files.photo(name)),
         settings: &[],
         expect: Expect::Reads { photos: 12, words: &["2 of the photos", "more1.jpg"] },
     },
-    Row {
+    FileCase {
         name: "text with a byte order mark and CRLF",
         make: |files| {
             text_as(files, |bytes| {
@@ -215,7 +215,7 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Expect::Reads { photos: 12, words: &[] },
     },
-    Row {
+    FileCase {
         name: "text in UTF-16",
         make: |files| {
             text_as(files, |bytes| {
@@ -225,7 +225,7 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Expect::Refuses(&["cameras.txt", "UTF-16", "save it as UTF-8"]),
     },
-    Row {
+    FileCase {
         name: "backslashes in names",
         make: |files| {
             files.rename("images", "images2");
@@ -238,25 +238,25 @@ pub const ROWS: &[Row] = &[
             check: |scene| assert_eq!(scene.views[0].name, "cam 0/photo00.png"),
         },
     },
-    Row {
+    FileCase {
         name: "names of another machine, Windows",
         make: |files| renamed(files, |name| format!(r"C:\Users\x\scene\images\{name}")),
         settings: &[],
         expect: Expect::Reads { photos: 12, words: &["12 photos have other names"] },
     },
-    Row {
+    FileCase {
         name: "names of another machine, absolute",
         make: |files| renamed(files, |name| format!("/home/other/scene/images/{name}")),
         settings: &[],
         expect: Expect::Reads { photos: 12, words: &["12 photos have other names"] },
     },
-    Row {
+    FileCase {
         name: "names that begin with ./",
         make: |files| renamed(files, |name| format!("./{name}")),
         settings: &[],
         expect: Expect::Reads { photos: 12, words: &[] },
     },
-    Row {
+    FileCase {
         name: "names whose case differs from the files'",
         make: |files| renamed(files, |name| name.replace(".png", ".PNG")),
         settings: &[],
@@ -265,7 +265,7 @@ pub const ROWS: &[Row] = &[
             words: &["12 photos have other names", "photo00.PNG is photo00.png"],
         },
     },
-    Row {
+    FileCase {
         name: "a photo in another folder than the model says",
         make: |files| files.rename("images/photo05.png", "images/other/photo05.png"),
         settings: &[],
@@ -274,13 +274,13 @@ pub const ROWS: &[Row] = &[
             words: &["photo05.png: there is no file", "other/photo05.png may be the one"],
         },
     },
-    Row {
+    FileCase {
         name: "a photo with another ending than the model says",
         make: |files| files.rename("images/photo05.png", "images/photo05.jpg"),
         settings: &[],
         expect: Expect::Reads { photos: 11, words: &["photo05.jpg may be the one"] },
     },
-    Row {
+    FileCase {
         name: "a name that leads out of the photo folder",
         make: |files| {
             files.rename("images/photo05.png", "photo05.png");
@@ -290,7 +290,7 @@ pub const ROWS: &[Row] = &[
         expect: Expect::Reads { photos: 11, words: &["../photo05.png", "inside the photo folder"] },
     },
     #[cfg(target_os = "linux")]
-    Row {
+    FileCase {
         name: "names in Latin-1",
         make: |files| {
             use std::os::unix::ffi::OsStrExt;
@@ -309,7 +309,7 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Expect::Reads { photos: 12, words: &[] },
     },
-    Row {
+    FileCase {
         name: "an edited .txt beside a stale .bin",
         make: |files| {
             let mut edited = files.model.clone();
@@ -322,13 +322,13 @@ pub const ROWS: &[Row] = &[
             words: &["the .txt files do not say", "11 photos and 12", "the .bin files are read"],
         },
     },
-    Row {
+    FileCase {
         name: "the same model as .txt and .bin",
         make: |files| colmap::write_text(&files.path("sparse/0"), &files.model).expect("written"),
         settings: &[],
         expect: Expect::Holds { photos: 12, check: |scene| assert_eq!(scene.notes, [""; 0]) },
     },
-    Row {
+    FileCase {
         name: "a model in the scene's folder itself, and photos of the same names outside of it",
         make: |files| {
             for name in ["cameras.bin", "images.bin", "points3D.bin"] {
@@ -342,7 +342,7 @@ pub const ROWS: &[Row] = &[
             check: |scene| assert!(scene.views[0].photo.path.ends_with("scene/images/photo00.png")),
         },
     },
-    Row {
+    FileCase {
         name: "a model in the scene's folder itself, and its photos outside of it",
         make: |files| {
             for name in ["cameras.bin", "images.bin", "points3D.bin"] {
@@ -353,7 +353,7 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Expect::Reads { photos: 12, words: &["which lies outside of", "with `images`"] },
     },
-    Row {
+    FileCase {
         name: "two photos of which the same file may be left",
         make: |files| {
             renamed(files, |name| match name {
@@ -368,7 +368,7 @@ pub const ROWS: &[Row] = &[
             words: &["`photo05.png` may be that of cam0/photo05.png or cam1/photo05.png", "2 of the photos"],
         },
     },
-    Row {
+    FileCase {
         name: "a photo of its own name and another of which the same file may be left",
         make: |files| {
             renamed(files, |name| match name {
@@ -383,7 +383,7 @@ pub const ROWS: &[Row] = &[
             words: &["cam0/photo06.PNG", "that is photo photo06.PNG already"],
         },
     },
-    Row {
+    FileCase {
         name: "the raw originals beside the photos",
         make: |files| {
             files.write("images/photo05.CR2", "II*");

@@ -15,7 +15,7 @@ use base::Files;
 use segwild_scene::{Scene, SceneError, SceneSettings, View};
 
 /// One kind of input.
-pub struct Row {
+pub struct FileCase {
     /// What a user would call it. Unique.
     pub name: &'static str,
     /// Changes a good scene of 12 photos (`photo00.png` .. `photo11.png`) into the input.
@@ -33,7 +33,7 @@ pub enum Expect {
     Reads {
         /// Usable photos.
         photos: usize,
-        /// What a user is told.
+        /// The messages that a user gets.
         words: &'static [&'static str],
     },
     /// As [`Expect::Reads`], and the scene passes a check of its own.
@@ -51,7 +51,7 @@ pub enum Expect {
 fn every_kind_of_foreign_file_is_read_or_refused_in_words() {
     let tables =
         [colmap_models::ROWS, masks::ROWS, photos::ROWS, points::ROWS, splits::ROWS, transforms::ROWS];
-    let rows: Vec<&Row> = tables.into_iter().flatten().collect();
+    let rows: Vec<&FileCase> = tables.into_iter().flatten().collect();
     let mut names: Vec<&str> = rows.iter().map(|row| row.name).collect();
     names.sort_unstable();
     assert!(names.windows(2).all(|pair| pair[0] != pair[1]), "two rows have one name: {names:?}");
@@ -60,7 +60,7 @@ fn every_kind_of_foreign_file_is_read_or_refused_in_words() {
     assert!(failed.is_empty(), "{} of {} rows:\n{}", failed.len(), rows.len(), failed.join("\n"));
 }
 
-fn outcome(row: &Row) -> Result<(), String> {
+fn outcome(row: &FileCase) -> Result<(), String> {
     let dir = tempfile::tempdir().map_err(|e| e.to_string())?;
     let files = Files::new(dir.path());
     (row.make)(&files);
@@ -75,7 +75,7 @@ fn outcome(row: &Row) -> Result<(), String> {
         (_, Err(error)) => Err(format!("was refused: {error}")),
         (Expect::Reads { photos, words }, Ok(scene)) => {
             usable(&scene, *photos)?;
-            has(&said(&scene), words)
+            has(&messages(&scene), words)
         }
         (Expect::Holds { photos, check }, Ok(scene)) => {
             usable(&scene, *photos)?;
@@ -88,14 +88,14 @@ fn usable(scene: &Scene, photos: usize) -> Result<(), String> {
     // As a run does, which leaves out what cannot be used.
     let usable: Vec<&View> = scene.views.iter().filter(|view| view.examine(640).is_ok()).collect();
     if usable.len() != photos {
-        return Err(format!("{} photos are usable, not {photos}: {}", usable.len(), said(scene)));
+        return Err(format!("{} photos are usable, not {photos}: {}", usable.len(), messages(scene)));
     }
     let load = |view: &&View| -> Result<(), SceneError> { view.load(32).map(drop) };
     usable.iter().try_for_each(load).map_err(|e| format!("does not load: {e}"))
 }
 
-/// All that a user is told of a scene.
-fn said(scene: &Scene) -> String {
+/// All messages that a user gets about a scene.
+fn messages(scene: &Scene) -> String {
     let skipped = scene.skipped.iter().map(|s| format!("{}: {}", s.name, s.reason));
     let examined = scene.views.iter().filter_map(|view| match view.examine(640) {
         Ok(odd) => odd.map(|odd| format!("{}: {odd}", view.name)),

@@ -1,7 +1,7 @@
 //! Masks of other programs: what their files are called, what black and white mean in them.
 
 use crate::base::{Files, PHOTOS, SIZE};
-use crate::{Expect, Row};
+use crate::{Expect, FileCase};
 use segwild_scene::{Image, Mask, Scene};
 
 /// A third of the photo, on its left.
@@ -16,7 +16,7 @@ fn masks(files: &Files, name: impl Fn(u32) -> String, mask: &Mask) {
     }
 }
 
-/// Writes a grey picture of these two values.
+/// Writes a grey image of these two values.
 fn two_values(files: &Files, name: &str, out: f32, into: f32) {
     let mut image = Image::zeros(SIZE.0, SIZE.1, 1);
     for (i, value) in image.data.iter_mut().enumerate() {
@@ -37,14 +37,14 @@ fn all_but_left(scene: &Scene) {
     assert!((0..scene.views.len()).all(|i| valid(scene, i) == Some(left().not())));
 }
 
-pub const ROWS: &[Row] = &[
-    Row {
+pub const ROWS: &[FileCase] = &[
+    FileCase {
         name: "masks/NAME.png.png beside the photos, white is kept, as COLMAP writes them",
         make: |files| masks(files, |i| format!("masks/photo{i:02}.png.png"), &left()),
         settings: &[],
         expect: Expect::Holds { photos: 12, check: only_left },
     },
-    Row {
+    FileCase {
         name: "a masks folder is spoken of",
         make: |files| masks(files, |i| format!("masks/photo{i:02}.png"), &left().not()),
         settings: &[],
@@ -58,7 +58,7 @@ pub const ROWS: &[Row] = &[
             ],
         },
     },
-    Row {
+    FileCase {
         name: "masks that hide most of every photo may be meant the other way",
         make: |files| masks(files, |i| format!("masks/photo{i:02}.png"), &left()),
         settings: &[],
@@ -67,29 +67,29 @@ pub const ROWS: &[Row] = &[
             words: &["hide more than half of nearly every photo", "`--ignore"],
         },
     },
-    Row {
+    FileCase {
         name: "a masks folder that is not wanted",
         make: |files| masks(files, |i| format!("masks/photo{i:02}.png"), &left()),
         settings: &[("keep_masks", "none")],
         expect: Expect::Holds { photos: 12, check: |scene| assert_eq!(valid(scene, 0), None) },
     },
-    Row {
+    FileCase {
         name: "a masks folder of things to ignore",
         make: |files| masks(files, |i| format!("masks/photo{i:02}.png"), &left()),
         settings: &[("ignore", "masks")],
         expect: Expect::Holds { photos: 12, check: all_but_left },
     },
-    Row {
+    FileCase {
         name: "a masks folder of other photos",
         make: |files| left().write_png(&files.path("masks/other.png")).expect("written"),
         settings: &[],
         expect: Expect::Reads { photos: 12, words: &["none of its files is named after a photo"] },
     },
-    Row {
-        name: "a masks folder of pictures that are no masks",
+    FileCase {
+        name: "a masks folder of images that are no masks",
         make: |files| {
             for i in 0..PHOTOS {
-                crate::base::picture()
+                crate::base::test_image()
                     .write_png(&files.path(&format!("masks/photo{i:02}.png")))
                     .expect("written");
             }
@@ -97,7 +97,7 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Expect::Reads { photos: 12, words: &["are not used", "not a mask of two values"] },
     },
-    Row {
+    FileCase {
         name: "masks of 0 and 1",
         make: |files| {
             for i in 0..PHOTOS {
@@ -107,7 +107,7 @@ pub const ROWS: &[Row] = &[
         settings: &[("ignore", "ignored")],
         expect: Expect::Holds { photos: 12, check: all_but_left },
     },
-    Row {
+    FileCase {
         name: "masks with endings in capitals",
         make: |files| {
             for i in 0..PHOTOS {
@@ -118,7 +118,7 @@ pub const ROWS: &[Row] = &[
         settings: &[("ignore", "ignored")],
         expect: Expect::Holds { photos: 12, check: all_but_left },
     },
-    Row {
+    FileCase {
         name: "two masks of one photo",
         make: |files| {
             for name in ["photo03.png", "photo03.png.png", "photo04.png"] {
@@ -131,7 +131,7 @@ pub const ROWS: &[Row] = &[
             words: &["photo03.png.png", "may both be the mask of photo03.png"],
         },
     },
-    Row {
+    FileCase {
         name: "one mask and two photos that differ in their endings alone",
         make: |files| {
             files.rename("images/photo04.png", "images/photo03.jpg");

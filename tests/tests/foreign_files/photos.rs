@@ -1,7 +1,7 @@
 //! Photos: formats, sizes, damage.
 
-use crate::base::{Files, picture};
-use crate::{Expect, Row};
+use crate::base::{Files, test_image};
+use crate::{Expect, FileCase};
 use image::{DynamicImage, ImageFormat, RgbImage, Rgba, RgbaImage};
 use segwild_scene::colmap::Model;
 use std::io::Cursor;
@@ -11,7 +11,7 @@ const ONE: &str = "images/photo03.png";
 
 /// The good photo.
 fn photo() -> RgbImage {
-    let from = picture();
+    let from = test_image();
     RgbImage::from_fn(from.width as u32, from.height as u32, |x, y| {
         let value = |c: usize| (from.at(c, x as usize, y as usize) * 255.0) as u8;
         image::Rgb([value(0), value(1), value(2)])
@@ -146,11 +146,11 @@ const fn used(words: &'static [&'static str]) -> Expect {
     Expect::Reads { photos: 12, words }
 }
 
-const fn row(name: &'static str, make: fn(&Files), expect: Expect) -> Row {
-    Row { name, make, settings: &[], expect }
+const fn row(name: &'static str, make: fn(&Files), expect: Expect) -> FileCase {
+    FileCase { name, make, settings: &[], expect }
 }
 
-pub const ROWS: &[Row] = &[
+pub const ROWS: &[FileCase] = &[
     row(
         "photo cut short",
         |files| {
@@ -247,7 +247,7 @@ pub const ROWS: &[Row] = &[
             files.write("images/photo05.png", include_bytes!("files/one_bit.tif"));
             files.write("images/photo06.png", include_bytes!("files/palette_alpha.png"));
         },
-        Expect::Holds { photos: 12, check: same_picture },
+        Expect::Holds { photos: 12, check: same_image },
     ),
     row(
         "TIFF as other programs pack it",
@@ -256,7 +256,7 @@ pub const ROWS: &[Row] = &[
             files.write("images/photo01.png", include_bytes!("files/deflate.tif"));
             files.write("images/photo02.png", include_bytes!("files/cmyk.tif"));
         },
-        Expect::Holds { photos: 12, check: same_picture },
+        Expect::Holds { photos: 12, check: same_image },
     ),
     row(
         "JPEG of print, grey, progressive, of two lenses; WEBP with losses, moving",
@@ -268,7 +268,7 @@ pub const ROWS: &[Row] = &[
             files.write("images/photo04.png", include_bytes!("files/lossy.webp"));
             files.write("images/photo05.png", include_bytes!("files/animated.webp"));
         },
-        Expect::Holds { photos: 12, check: same_picture },
+        Expect::Holds { photos: 12, check: same_image },
     ),
     row(
         "AVIF of a real encoder",
@@ -331,11 +331,7 @@ pub const ROWS: &[Row] = &[
         |files| files.write(ONE, [jpeg(), b"SEFH trailer of a phone".repeat(100)].concat()),
         used(&[]),
     ),
-    row(
-        "JPEG with a second picture behind it",
-        |files| files.write(ONE, [jpeg(), jpeg()].concat()),
-        used(&[]),
-    ),
+    row("JPEG with a second image after it", |files| files.write(ONE, [jpeg(), jpeg()].concat()), used(&[])),
     row(
         "JPEG with a hole in its data",
         |files| {
@@ -495,7 +491,7 @@ pub const ROWS: &[Row] = &[
         |files| files.write(ONE, encoded(&through(|_, _| false), ImageFormat::Png)),
         left_out(&["photo03.png", "all of it is transparent"]),
     ),
-    Row {
+    FileCase {
         name: "one photo that its mask leaves nothing of",
         make: |files| {
             let white = |name: &str, value: u8| {
@@ -509,7 +505,7 @@ pub const ROWS: &[Row] = &[
         settings: &[("ignore", "away")],
         expect: left_out(&["photo03.png", "masks leave nothing of it"]),
     },
-    Row {
+    FileCase {
         name: "cut-outs of an object",
         make: cut_outs,
         settings: &[],
@@ -525,7 +521,7 @@ pub const ROWS: &[Row] = &[
             },
         },
     },
-    Row {
+    FileCase {
         name: "cut-outs that are to be left out",
         make: cut_outs,
         settings: &[("alpha", "ignore")],
@@ -550,7 +546,7 @@ pub const ROWS: &[Row] = &[
             },
         },
     ),
-    Row {
+    FileCase {
         name: "a mask to ignore with more megapixels than allowed",
         make: |files| {
             large_mask(files, "ignored/photo03.png");
@@ -562,7 +558,7 @@ pub const ROWS: &[Row] = &[
             words: &["photo03.png: its mask", "photo04.png.png", "1200 x 900", "--max-megapixels allows 1"],
         },
     },
-    Row {
+    FileCase {
         name: "a mask to keep with more megapixels than allowed",
         make: |files| large_mask(files, "masks/photo03.png"),
         settings: &[("max_megapixels", "1")],
@@ -601,8 +597,8 @@ pub const ROWS: &[Row] = &[
 ];
 
 /// Panics where a photo does not show what the good one shows, in brightness at least.
-fn same_picture(scene: &segwild_scene::Scene) {
-    let good = picture();
+fn same_image(scene: &segwild_scene::Scene) {
+    let good = test_image();
     let grey = |image: &segwild_scene::Image, x: usize, y: usize| {
         0.299 * image.at(0, x, y) + 0.587 * image.at(1, x, y) + 0.114 * image.at(2, x, y)
     };

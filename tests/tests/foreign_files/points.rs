@@ -1,13 +1,13 @@
 //! Points: colours, units, outliers; photos that stand far off.
 
-use crate::Row;
+use crate::FileCase;
 use crate::base::{Files, PHOTOS, SIZE};
 use crate::{Expect::Holds, Expect::Reads, Expect::Refuses};
 use segwild_scene::colmap::{ImageRecord, Keypoint};
 use segwild_scene::{NEAR, Point, Scene};
 
-pub const ROWS: &[Row] = &[
-    Row {
+pub const ROWS: &[FileCase] = &[
+    FileCase {
         name: "all points black (RGB 0)",
         make: |files| files.remodel(|m| m.points.iter_mut().for_each(|p| p.colour = [0; 3])),
         settings: &[],
@@ -16,13 +16,13 @@ pub const ROWS: &[Row] = &[
             words: &["60 of 60 points have no colour of their own (they are RGB 0 0 0)"],
         },
     },
-    Row {
+    FileCase {
         name: "all points white",
         make: |files| files.remodel(|m| m.points.iter_mut().for_each(|p| p.colour = [255; 3])),
         settings: &[],
         expect: Reads { photos: 12, words: &["no colour of their own (they are RGB 255 255 255)"] },
     },
-    Row {
+    FileCase {
         name: "a third of the points black, as a merged model has them",
         make: |files| {
             files.remodel(|m| {
@@ -34,7 +34,7 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Reads { photos: 12, words: &["20 of 60 points have no colour of their own"] },
     },
-    Row {
+    FileCase {
         name: "a saturated colour: one channel is 0",
         make: |files| {
             files.remodel(|m| {
@@ -47,25 +47,25 @@ pub const ROWS: &[Row] = &[
             check: |scene| scene.points.iter().for_each(|p| assert!(p.colour[0] > 0.0)),
         },
     },
-    Row {
+    FileCase {
         name: "ply cloud, float colours 0 to 1",
         make: |files| cloud(files, "ascii", "float", ["red", "green", "blue"], &|c| c / 255.0),
         settings: &[],
         expect: Holds { photos: 12, check: coloured },
     },
-    Row {
+    FileCase {
         name: "ply cloud, double colours 0 to 255",
         make: |files| cloud(files, "ascii", "double", ["red", "green", "blue"], &|c| c),
         settings: &[],
         expect: Holds { photos: 12, check: coloured },
     },
-    Row {
+    FileCase {
         name: "ply cloud, 16-bit colours",
         make: |files| cloud(files, "ascii", "ushort", ["red", "green", "blue"], &|c| c * 257.0),
         settings: &[],
         expect: Holds { photos: 12, check: coloured },
     },
-    Row {
+    FileCase {
         name: "ply cloud, big-endian, diffuse_red",
         make: |files| {
             let names = ["diffuse_red", "diffuse_green", "diffuse_blue"];
@@ -74,7 +74,7 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Holds { photos: 12, check: coloured },
     },
-    Row {
+    FileCase {
         name: "a ply of splats as the point cloud",
         make: |files| {
             let harmonic = |c: f64| (c / 255.0 - 0.5) / 0.282_094_79;
@@ -83,7 +83,7 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Holds { photos: 12, check: coloured },
     },
-    Row {
+    FileCase {
         name: "ply cloud without colours",
         make: |files| cloud(files, "ascii", "float", ["nx", "ny", "nz"], &|_| 0.0),
         settings: &[],
@@ -92,7 +92,7 @@ pub const ROWS: &[Row] = &[
             words: &["60 of 60 points have no colour of their own (they are RGB 128 128 128)"],
         },
     },
-    Row {
+    FileCase {
         name: "ply cloud, a list element before the vertices, binary",
         make: |files| {
             let (head, body) = ply("binary_little_endian", "uchar", ["red", "green", "blue"], &|c| c);
@@ -103,7 +103,7 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Holds { photos: 12, check: coloured },
     },
-    Row {
+    FileCase {
         name: "ply cloud, a list element before the vertices, ascii",
         make: |files| {
             let (head, body) = ply("ascii", "uchar", ["red", "green", "blue"], &|c| c);
@@ -113,7 +113,7 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Holds { photos: 12, check: coloured },
     },
-    Row {
+    FileCase {
         name: "ply cloud that ends within an element before the vertices",
         make: |files| {
             let (head, _) = ply("binary_little_endian", "uchar", ["red", "green", "blue"], &|c| c);
@@ -124,7 +124,7 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Refuses(&["cloud.ply", "ends within its 18446744073709551615 `face`"]),
     },
-    Row {
+    FileCase {
         name: "a compressed ply as the point cloud",
         make: |files| {
             let head = "ply\nformat binary_little_endian 1.0\nelement vertex 1\nproperty uint packed_position\nend_header\n";
@@ -133,13 +133,13 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Refuses(&["cloud.ply", "there are no properties x, y, z"]),
     },
-    Row {
+    FileCase {
         name: "four right photos from 400 times farther",
         make: |files| far_photos(files, 4, |_| [0.0; 2]),
         settings: &[],
         expect: Holds { photos: 16, check: scale_of_the_near },
     },
-    Row {
+    FileCase {
         name: "a photo whose pose is wrong and 1000 times too far",
         make: |files| far_photos(files, 1, |k| [(k * 7 % 48) as f64, (k * 5 % 36) as f64]),
         settings: &[],
@@ -148,7 +148,7 @@ pub const ROWS: &[Row] = &[
             words: &["far0.png", "it stands far away from all others", "its pose is wrong"],
         },
     },
-    Row {
+    FileCase {
         name: "a photo without points, far off",
         make: |files| {
             files.photo("alone.png");
@@ -165,7 +165,7 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Reads { photos: 12, words: &["alone.png", "it shares no points with them"] },
     },
-    Row {
+    FileCase {
         name: "points a million units away",
         make: |files| {
             files.remodel(|m| {
@@ -176,7 +176,7 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Reads { photos: 12, words: &["2 of 60 points lie absurdly far away"] },
     },
-    Row {
+    FileCase {
         name: "a long walk past things that are near",
         make: long_walk,
         settings: &[],
@@ -189,7 +189,7 @@ pub const ROWS: &[Row] = &[
             },
         },
     },
-    Row {
+    FileCase {
         name: "UTM coordinates",
         make: |files| moved(files, [448_262.3, 5_411_932.7, 35.0]),
         settings: &[],

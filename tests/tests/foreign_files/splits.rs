@@ -2,7 +2,7 @@
 
 use crate::base::{Files, PHOTOS};
 use crate::transforms::{frames, write};
-use crate::{Expect, Row};
+use crate::{Expect, FileCase};
 use segwild_scene::Scene;
 
 /// The photos held out.
@@ -32,8 +32,8 @@ fn renamed(files: &Files, name: fn(u32) -> String) {
     files.remodel(|model| (0..PHOTOS).for_each(|i| model.images[i as usize].name = name(i)));
 }
 
-pub const ROWS: &[Row] = &[
-    Row {
+pub const ROWS: &[FileCase] = &[
+    FileCase {
         name: "split.json of names, clutter and extra",
         make: |files| {
             files.write(
@@ -44,7 +44,7 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Expect::Holds { photos: 10, check: first_two },
     },
-    Row {
+    FileCase {
         name: "split.json of numbers beside transforms.json, as NeRF On-the-go has it",
         make: |files| {
             files.remove("sparse");
@@ -54,7 +54,7 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Expect::Holds { photos: 8, check: first_two },
     },
-    Row {
+    FileCase {
         name: "a split is spoken of",
         make: |files| files.write("split.json", "{\"clutter\": [2, 3, 4, 5, 6, 7], \"extra\": [0, 1]}"),
         settings: &[],
@@ -67,19 +67,19 @@ pub const ROWS: &[Row] = &[
             ],
         },
     },
-    Row {
+    FileCase {
         name: "split.json with a number of no photo",
         make: |files| files.write("split.json", "{\"clutter\": [2, 300], \"extra\": [0, 1]}"),
         settings: &[],
         expect: Expect::Refuses(&["split.json", "clutter", "no photo number 300"]),
     },
-    Row {
+    FileCase {
         name: "split.json of something else",
         make: |files| files.write("split.json", "{\"folds\": 5}"),
         settings: &[],
         expect: Expect::Refuses(&["split.json", "it is no split"]),
     },
-    Row {
+    FileCase {
         name: "train_list.txt and test_list.txt",
         make: |files| {
             files.write("train_list.txt", lines(2..12));
@@ -88,25 +88,25 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Expect::Holds { photos: 12, check: first_two },
     },
-    Row {
+    FileCase {
         name: "test_list.txt alone, names without endings",
         make: |files| files.write("test_list.txt", "\u{feff}photo00\nphoto01\n"),
         settings: &[],
         expect: Expect::Holds { photos: 12, check: first_two },
     },
-    Row {
+    FileCase {
         name: "test.txt beside the model, as INRIA has it",
         make: |files| files.write("sparse/0/test.txt", "photo00.png\nphoto01.png\n"),
         settings: &[],
         expect: Expect::Holds { photos: 12, check: first_two },
     },
-    Row {
+    FileCase {
         name: "test.txt of something else",
         make: |files| files.write("test.txt", "hello\n"),
         settings: &[],
         expect: Expect::Reads { photos: 12, words: &["test.txt: it names no photo of this scene"] },
     },
-    Row {
+    FileCase {
         name: "two splits",
         make: |files| {
             files.write("test_list.txt", "photo00.png\n");
@@ -115,7 +115,7 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Expect::Refuses(&["several splits", "split.json", "test_list.txt", "name one"]),
     },
-    Row {
+    FileCase {
         name: "a named list out of two splits",
         make: |files| {
             files.write("test_list.txt", "photo00.png\nphoto01.png\n");
@@ -124,13 +124,13 @@ pub const ROWS: &[Row] = &[
         settings: &[("split", "test_list.txt")],
         expect: Expect::Holds { photos: 12, check: first_two },
     },
-    Row {
+    FileCase {
         name: "no split is wanted",
         make: |files| files.write("split.json", "{\"train\": [1], \"test\": [0]}"),
         settings: &[("split", "none")],
         expect: Expect::Holds { photos: 12, check: |scene| assert!(tests(scene).is_empty()) },
     },
-    Row {
+    FileCase {
         name: "train_filenames and test_filenames in transforms.json",
         make: |files| {
             files.remove("sparse");
@@ -145,7 +145,7 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Expect::Holds { photos: 11, check: first_two },
     },
-    Row {
+    FileCase {
         name: "val_filenames where nothing else is for testing",
         make: |files| {
             files.remove("sparse");
@@ -159,7 +159,7 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Expect::Holds { photos: 12, check: first_two },
     },
-    Row {
+    FileCase {
         name: "Blender's transforms_train, _val and _test",
         make: |files| {
             files.remove("sparse");
@@ -189,7 +189,7 @@ pub const ROWS: &[Row] = &[
             },
         },
     },
-    Row {
+    FileCase {
         name: "RobustNeRF's names",
         make: |files| {
             let name = |i: u32| match i {
@@ -208,7 +208,7 @@ pub const ROWS: &[Row] = &[
             check: |scene| assert_eq!(tests(scene), ["2extra000.png", "2extra001.png"]),
         },
     },
-    Row {
+    FileCase {
         name: "RobustNeRF's names, and one photo that is named otherwise",
         make: |files| {
             renamed(files, |i| match i {
@@ -223,13 +223,13 @@ pub const ROWS: &[Row] = &[
             words: &["9 `clutter`, 2 `extra`, 0 `clean`", "door.png is called neither", "all photos train"],
         },
     },
-    Row {
+    FileCase {
         name: "RobustNeRF's names, clutter and clean alone",
         make: |files| renamed(files, |i| format!("{}{i:03}.png", if i < 2 { "0clean" } else { "1clutter" })),
         settings: &[],
         expect: Expect::Reads { photos: 12, words: &["none is called `extra`", "all photos train"] },
     },
-    Row {
+    FileCase {
         name: "RobustNeRF's names, one that is named otherwise, and a list",
         make: |files| {
             renamed(files, |i| match i {
@@ -248,7 +248,7 @@ pub const ROWS: &[Row] = &[
             },
         },
     },
-    Row {
+    FileCase {
         name: "a .tsv of something else",
         make: |files| files.write("measurements.tsv", "time\tvalue\n1\t2\n"),
         settings: &[],
@@ -257,7 +257,7 @@ pub const ROWS: &[Row] = &[
             words: &["measurements.tsv", "no column `filename`", "--split none"],
         },
     },
-    Row {
+    FileCase {
         name: "an empty .tsv beside a split",
         make: |files| {
             files.write("a.tsv", "");
@@ -274,13 +274,13 @@ pub const ROWS: &[Row] = &[
             },
         },
     },
-    Row {
+    FileCase {
         name: "a .tsv of another scene's photos",
         make: |files| files.write("x.tsv", "filename\tid\tsplit\tdataset\nother.jpg\t1\ttrain\tx\n"),
         settings: &[],
         expect: Expect::Reads { photos: 12, words: &["x.tsv: it names no photo of this scene"] },
     },
-    Row {
+    FileCase {
         name: "a .tsv with a byte order mark and Latin-1",
         make: |files: &Files| {
             let mut bytes =
@@ -294,7 +294,7 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Expect::Holds { photos: 12, check: first_two },
     },
-    Row {
+    FileCase {
         name: "a list of the photos of one camera, where another camera's have the same last parts",
         make: |files| {
             let name = |i: u32| format!("cam{}/{:02}.png", i / 6, i % 6);
@@ -310,7 +310,7 @@ pub const ROWS: &[Row] = &[
             check: |scene| assert_eq!(tests(scene), ["cam0/03.png", "cam1/04.png"]),
         },
     },
-    Row {
+    FileCase {
         name: "split.json of numbers, where two cameras' photos have the same last parts",
         make: |files| {
             let name = |i: u32| format!("cam{}/{:02}.png", i / 6, i % 6);

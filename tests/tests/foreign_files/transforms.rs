@@ -1,7 +1,7 @@
 //! Files of cameras as JSON: nerfstudio, Blender, instant-ngp.
 
 use crate::base::{Files, PHOTOS};
-use crate::{Expect, Row};
+use crate::{Expect, FileCase};
 use segwild_scene::Scene;
 use segwild_scene::colmap::Model;
 
@@ -26,7 +26,7 @@ fn only(files: &Files, head: &str, folder: &str) {
     write(files, head, &frames(0..PHOTOS, folder));
 }
 
-/// Makes it Blender's scene of pictures with this ending: two for testing, and no ending in the names.
+/// Makes it Blender's scene of images with this ending: two for testing, and no ending in the names.
 fn blender(files: &Files, ending: &str) {
     files.remove("sparse");
     let angle = 2.0 * (24.0f64 / 50.0).atan();
@@ -36,8 +36,8 @@ fn blender(files: &Files, ending: &str) {
         files.write(&format!("transforms_{part}.json"), text);
         for i in photos {
             let from = format!("images/photo{i:02}.png");
-            let picture = image::open(files.path(&from)).expect("a photo").to_rgb8();
-            picture.save(files.path(&format!("{part}/photo{i:02}.{ending}"))).expect("a photo is written");
+            let test_image = image::open(files.path(&from)).expect("a photo").to_rgb8();
+            test_image.save(files.path(&format!("{part}/photo{i:02}.{ending}"))).expect("a photo is written");
             files.remove(&from);
         }
     }
@@ -47,8 +47,8 @@ fn lens(scene: &Scene) -> Option<Model> {
     scene.views[0].photo.lens.as_ref().map(|lens| lens.model())
 }
 
-pub const ROWS: &[Row] = &[
-    Row {
+pub const ROWS: &[FileCase] = &[
+    FileCase {
         name: "instant-ngp's is_fisheye",
         make: |files| {
             only(
@@ -63,7 +63,7 @@ pub const ROWS: &[Row] = &[
             check: |scene| assert_eq!(lens(scene), Some(Model::OpenCvFisheye)),
         },
     },
-    Row {
+    FileCase {
         name: "FULL_OPENCV in transforms.json",
         make: |files| {
             let head = r#""camera_model": "FULL_OPENCV", "k1": 0.02, "k2": 0.01, "k3": 0.001, "k4": 0.01, "k5": 0.001, "k6": 0.001,
@@ -73,7 +73,7 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Expect::Holds { photos: 12, check: |scene| assert_eq!(lens(scene), Some(Model::FullOpenCv)) },
     },
-    Row {
+    FileCase {
         name: "distortion_params of nerfstudio",
         make: |files| {
             only(
@@ -85,43 +85,43 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Expect::Holds { photos: 12, check: |scene| assert_eq!(lens(scene), Some(Model::OpenCv)) },
     },
-    Row {
+    FileCase {
         name: "panoramas in transforms.json",
         make: |files| only(files, r#""camera_model": "EQUIRECTANGULAR","#, "images/"),
         settings: &[],
         expect: Expect::Refuses(&["EQUIRECTANGULAR", "panorama"]),
     },
-    Row {
+    FileCase {
         name: "orthophotos in transforms.json",
         make: |files| only(files, r#""camera_model": "ORTHOPHOTO","#, "images/"),
         settings: &[],
         expect: Expect::Refuses(&["ORTHOPHOTO", "no perspective"]),
     },
-    Row {
+    FileCase {
         name: "a lens in transforms.json that cannot be undistorted",
         make: |files| only(files, r#""camera_model": "FISHEYE624","#, "images/"),
         settings: &[],
         expect: Expect::Refuses(&["FISHEYE624", "cannot be undistorted"]),
     },
-    Row {
+    FileCase {
         name: "backslashes in file_path",
         make: |files| only(files, "", r"images\\"),
         settings: &[],
         expect: Expect::Holds { photos: 12, check: |scene| assert_eq!(scene.views[0].name, "photo00.png") },
     },
-    Row {
+    FileCase {
         name: "file_path of another machine, Windows",
         make: |files| only(files, "", r"C:\\Users\\x\\scene\\images\\"),
         settings: &[],
         expect: Expect::Holds { photos: 12, check: |scene| assert_eq!(scene.views[0].name, "photo00.png") },
     },
-    Row {
+    FileCase {
         name: "file_path of another machine, absolute, in another folder",
-        make: |files| only(files, "", "/home/other/pictures/"),
+        make: |files| only(files, "", "/home/other/photos/"),
         settings: &[],
         expect: Expect::Holds { photos: 12, check: |scene| assert_eq!(scene.views[0].name, "photo00.png") },
     },
-    Row {
+    FileCase {
         name: "file_path that leads out of the scene",
         make: |files| {
             files.rename("images/photo05.png", "../photo05.png");
@@ -132,7 +132,7 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Expect::Reads { photos: 11, words: &["photo05.png", "lies outside of the scene's folder"] },
     },
-    Row {
+    FileCase {
         name: "transforms.json beside colmap/sparse/0, as nerfstudio's ns-process-data leaves them",
         make: |files| {
             files.rename("sparse/0", "colmap/sparse/0");
@@ -141,13 +141,13 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Expect::Reads { photos: 12, words: &["transforms.json is read, and not", "colmap/sparse/0"] },
     },
-    Row {
+    FileCase {
         name: "transforms.json beside sparse/0",
         make: |files| write(files, "", &frames(0..PHOTOS, "images/")),
         settings: &[],
         expect: Expect::Reads { photos: 12, words: &["sparse/0 is read, and not", "transforms.json"] },
     },
-    Row {
+    FileCase {
         name: "transforms.json with a byte order mark",
         make: |files| {
             only(files, "", "images/");
@@ -157,7 +157,7 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Expect::Reads { photos: 12, words: &[] },
     },
-    Row {
+    FileCase {
         name: "transforms.json in UTF-16",
         make: |files| {
             only(files, "", "images/");
@@ -167,7 +167,7 @@ pub const ROWS: &[Row] = &[
         settings: &[],
         expect: Expect::Refuses(&["transforms.json", "UTF-16"]),
     },
-    Row {
+    FileCase {
         name: "frames of two folders of which the same file may be left",
         make: |files| {
             files.remove("sparse");
@@ -181,13 +181,13 @@ pub const ROWS: &[Row] = &[
             words: &["`photo05.png` may be that of images/cam0/photo05.png or images/cam1/photo05.png"],
         },
     },
-    Row {
+    FileCase {
         name: "Blender's scene of photos in BMP",
         make: |files| blender(files, "bmp"),
         settings: &[],
         expect: Expect::Reads { photos: 12, words: &[] },
     },
-    Row {
+    FileCase {
         name: "depths and normals beside Blender's photos",
         make: |files| {
             blender(files, "png");

@@ -8,13 +8,13 @@ mod points;
 mod sweeps;
 
 pub use page::{ChartPage, write};
-pub use points::Verdict;
+pub use points::DefaultVerdict;
 pub use sweeps::{SWEEPS, Sweep};
 
 use crate::oracle::OracleOptions;
 use crate::page::{PageError, io};
-use crate::point::{self, Job, PhotoSource, PointError, Prompting};
-use crate::record::{Made, Record, Results};
+use crate::point::{self, PointJob, PhotoSource, PointError, Prompting};
+use crate::record::{Provenance, Record, Results};
 use crate::scale::kernels::pace;
 use crate::stability::Harm;
 use crate::trial::ProviderKind;
@@ -41,15 +41,15 @@ pub struct ChartOptions {
     /// Seeds of the training: what error bars are over.
     pub seeds: Vec<u64>,
     /// What must stay the same for points to be comparable.
-    pub base: Base,
+    pub base: ChartBase,
 }
 
 /// What all points of a chart have in common.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Base {
+pub struct ChartBase {
     /// The scenes; a point is their mean.
     pub sources: Vec<PhotoSource>,
-    /// Who looks at the photos.
+    /// The provider of masks and descriptors.
     pub providers: ProviderKind,
     /// How the oracle errs.
     pub faults: OracleOptions,
@@ -57,9 +57,9 @@ pub struct Base {
     pub settings: Vec<(String, String)>,
 }
 
-/// What a caller hears while points are measured.
+/// What is reported while points are measured.
 #[derive(Clone, Debug)]
-pub enum Told<'a> {
+pub enum ChartEvent<'a> {
     /// A point was measured, or was known.
     Point {
         /// Its records, the scene's first.
@@ -79,8 +79,8 @@ pub enum Told<'a> {
 /// Measures every point that is not known yet; all that is known afterwards.
 ///
 /// # Errors
-/// When the default cannot be measured, or results cannot be kept. A point that fails is told of and left out.
-pub fn chart(options: &ChartOptions, mut told: impl FnMut(Told)) -> Result<Results, PageError> {
+/// When the default cannot be measured, or results cannot be kept. A point that fails is reported and left out.
+pub fn chart(options: &ChartOptions, mut report: impl FnMut(ChartEvent)) -> Result<Results, PageError> {
     let known = |o: &str| SWEEPS.iter().any(|s| s.name == o || s.values.iter().any(|v| one(s, v) == o));
     let names: Vec<&str> = SWEEPS.iter().map(|s| s.name).collect();
     PageError::refuse("sweep", &options.only, &names, known)?;
@@ -88,14 +88,14 @@ pub fn chart(options: &ChartOptions, mut told: impl FnMut(Told)) -> Result<Resul
     same_base(options)?;
     let file = options.out.join("results.json");
     let mut results = if file.is_file() { Results::read(&file)? } else { Results::default() };
-    results.made = Made::here(options.command.clone());
+    results.made = Provenance::here(options.command.clone());
     for plan in plans(options)? {
-        for place in &options.base.sources {
+        for source in &options.base.sources {
             for &seed in &options.seeds {
-                let job = plan.job(options, place, seed);
+                let job = plan.job(options, source, seed);
                 let known: Vec<Record> = results.records.iter().filter(|r| of(r, &job)).cloned().collect();
                 if known.iter().any(|r| r.target.is_empty()) {
-                    told(Told::Point { records: &known, known: true });
+                    report(ChartEvent::Point { records: &known, known: true });
                     continue;
                 }
                 empty(&job.dir)?;
@@ -106,12 +106,12 @@ pub fn chart(options: &ChartOptions, mut told: impl FnMut(Told)) -> Result<Resul
                         records.iter_mut().filter(|r| r.target.is_empty()).for_each(|r| {
                             r.numbers.insert(PACE.into(), pace);
                         });
-                        told(Told::Point { records: &records, known: false });
+                        report(ChartEvent::Point { records: &records, known: false });
                         records.into_iter().for_each(|r| results.put(r));
                         results.write(&file)?;
                     }
                     Err(error) if plan.setting == DEFAULT => return Err(error.into()),
-                    Err(error) => told(Told::Failed { point: &plan.name(), error: &error }),
+                    Err(error) => report(ChartEvent::Failed { point: &plan.name(), error: &error }),
                 }
                 empty(&job.dir)?;
             }
@@ -124,20 +124,20 @@ pub fn chart(options: &ChartOptions, mut told: impl FnMut(Told)) -> Result<Resul
 const PACE: &str = "pace_ms";
 
 /// A point that is to be measured.
-struct Plan {
+struct SweepPlan {
     setting: String,
     at: Option<f64>,
     settings: Vec<(String, String)>,
 }
 
-impl Plan {
+impl SweepPlan {
     fn name(&self) -> String {
         self.at.map_or(self.setting.clone(), |at| format!("{} {at}", self.setting))
     }
 
-    fn job(&self, options: &ChartOptions, source: &PhotoSource, seed: u64) -> Job {
+    fn job(&self, options: &ChartOptions, source: &PhotoSource, seed: u64) -> PointJob {
         let base = &options.base;
-        Job {
+        PointJob {
             protocol: PROTOCOL.into(),
             setting: self.setting.clone(),
             at: self.at,
@@ -155,9 +155,9 @@ impl Plan {
 }
 
 /// The points, the default first. A value that is the default's own is not measured twice.
-fn plans(options: &ChartOptions) -> Result<Vec<Plan>, PageError> {
+fn plans(options: &ChartOptions) -> Result<Vec<SweepPlan>, PageError> {
     let base = &options.base.settings;
-    let mut plans = vec![Plan { setting: DEFAULT.into(), at: None, settings: base.clone() }];
+    let mut plans = vec![SweepPlan { setting: DEFAULT.into(), at: None, settings: base.clone() }];
     let wanted = |s: &Sweep, value: &str| {
         options.only.is_empty() || options.only.iter().any(|o| o == s.name || *o == one(s, value))
     };
@@ -167,7 +167,7 @@ fn plans(options: &ChartOptions) -> Result<Vec<Plan>, PageError> {
                 sweep.is_base(base, value)? || sweep.setting == "size" && too_large(options, value);
             if !nothing_new {
                 let (setting, at) = sweep.setting_of(value);
-                plans.push(Plan { setting, at, settings: sweep.settings(base, value) });
+                plans.push(SweepPlan { setting, at, settings: sweep.settings(base, value) });
             }
         }
     }
@@ -190,7 +190,7 @@ fn too_large(options: &ChartOptions, value: &str) -> bool {
 }
 
 /// Whether a record is of the job's point.
-fn of(record: &Record, job: &Job) -> bool {
+fn of(record: &Record, job: &PointJob) -> bool {
     record.setting == job.setting
         && record.at == job.at
         && record.seed == job.seed

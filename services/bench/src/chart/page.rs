@@ -1,9 +1,9 @@
 //! The chart as files: figures, tables, data, and one page that holds them all.
 
-use super::points::{CHEAPER, COSTS, MEASURES, Point, Verdict, cost_words, pace_words, point};
+use super::points::{CHEAPER, COSTS, ChartPoint, DefaultVerdict, MEASURES, cost_words, pace_words, point};
 use super::{DEFAULT, SWEEPS, Sweep};
 use crate::page::{PageError, io};
-use crate::plot::{Figure, Mark, Panel, Series, escaped, front};
+use crate::plot::{Figure, Mark, Panel, PlotSeries, escaped, front};
 use crate::record::Results;
 use crate::stamp::{self, providers};
 use segwild_flow::files;
@@ -14,7 +14,7 @@ use std::path::Path;
 /// A chart that is ready to be written.
 pub struct ChartPage {
     results: Results,
-    points: Vec<Point>,
+    points: Vec<ChartPoint>,
     title: String,
 }
 
@@ -28,8 +28,8 @@ impl ChartPage {
             }
             keys
         });
-        let mut points: Vec<Point> = keys.iter().map(|key| point(results, *key)).collect();
-        let order = |p: &Point| {
+        let mut points: Vec<ChartPoint> = keys.iter().map(|key| point(results, *key)).collect();
+        let order = |p: &ChartPoint| {
             let sweep = p.sweep.and_then(|s| SWEEPS.iter().position(|o| o.name == s.name));
             let value = p.sweep.and_then(|s| s.values.iter().position(|v| *v == p.value));
             (sweep, value)
@@ -40,12 +40,12 @@ impl ChartPage {
         ChartPage { results: results.clone(), points, title }
     }
 
-    fn default(&self) -> Option<&Point> {
+    fn default(&self) -> Option<&ChartPoint> {
         self.points.iter().find(|p| p.chosen)
     }
 
     /// How the default stands.
-    pub fn verdicts(&self) -> Vec<Verdict> {
+    pub fn verdicts(&self) -> Vec<DefaultVerdict> {
         let Some(default) = self.default() else { return Vec::new() };
         let mut verdicts = Vec::new();
         for (worth, _, least) in MEASURES {
@@ -54,7 +54,7 @@ impl ChartPage {
                     continue;
                 };
                 let noise = least.max(here.deviation);
-                let mut verdict = Verdict { worth, cost, better: Vec::new(), cheaper: Vec::new() };
+                let mut verdict = DefaultVerdict { worth, cost, better: Vec::new(), cheaper: Vec::new() };
                 for p in self.points.iter().filter(|p| !p.chosen && comparable(p, worth)) {
                     let (Some(w), Some(c)) = (p.mean(worth), p.mean(cost)) else { continue };
                     let words = format!("{} ({} at {:.2} of the cost)", p.name(), shown(worth, w), c / paid);
@@ -86,14 +86,14 @@ impl ChartPage {
     fn panel(&self, worth: &'static str, words: &str, cost: &str) -> Option<Panel> {
         let default = self.default()?;
         let (whole, _) = (default.mean(cost)?, default.mean(worth)?);
-        let usable: Vec<&Point> = self
+        let usable: Vec<&ChartPoint> = self
             .points
             .iter()
             .filter(|p| comparable(p, worth) && p.mean(worth).is_some() && p.mean(cost).is_some())
             .collect();
-        let corners = |p: &&Point| (p.mean(cost).unwrap_or(0.0) / whole, p.mean(worth).unwrap_or(0.0));
+        let corners = |p: &&ChartPoint| (p.mean(cost).unwrap_or(0.0) / whole, p.mean(worth).unwrap_or(0.0));
         let front = front(&usable.iter().map(corners).collect::<Vec<_>>());
-        let mark = |p: &Point| {
+        let mark = |p: &ChartPoint| {
             let (x, y) = corners(&p);
             let spread = |number: &str| p.numbers.get(number).map_or(0.0, |s| s.deviation);
             let on_front = front.contains(&(x, y));
@@ -106,9 +106,9 @@ impl ChartPage {
                 chosen: p.chosen,
             }
         };
-        let mut series: Vec<Series> = SWEEPS
+        let mut series: Vec<PlotSeries> = SWEEPS
             .iter()
-            .map(|s| Series {
+            .map(|s| PlotSeries {
                 name: s.name.into(),
                 marks: usable
                     .iter()
@@ -123,7 +123,7 @@ impl ChartPage {
         if let Some(last) = series.last_mut() {
             last.marks.push(mark(default));
         } else {
-            series.push(Series { name: DEFAULT.into(), marks: vec![mark(default)], line: false });
+            series.push(PlotSeries { name: DEFAULT.into(), marks: vec![mark(default)], line: false });
         }
         let costs = || usable.iter().map(|p| corners(p).0);
         let range = costs().fold(0.0, f64::max) / costs().fold(f64::INFINITY, f64::min);
@@ -144,26 +144,26 @@ impl ChartPage {
         let mut panels = Vec::new();
         let default = self.default();
         for sweep in SWEEPS {
-            let mut along: Vec<&Point> =
+            let mut along: Vec<&ChartPoint> =
                 self.points.iter().filter(|p| p.sweep.is_some_and(|s| s.name == sweep.name)).collect();
             if along.is_empty() {
                 continue;
             }
             let own = sweep.values.iter().find(|v| along.iter().all(|p| p.value != **v));
             let own = own.filter(|_| sweep.common.is_empty()).zip(default);
-            let place = |value: &str| match value.parse::<f64>() {
+            let position = |value: &str| match value.parse::<f64>() {
                 Ok(v) => v,
                 Err(_) => sweep.values.iter().position(|v| *v == value).unwrap_or(0) as f64,
             };
             let numeric = sweep.values.iter().all(|v| v.parse::<f64>().is_ok());
             let zero = sweep.values.contains(&"0");
-            let at = |value: &str| if numeric && zero { place(value) + 10.0 } else { place(value) };
-            along.sort_by(|a, b| place(&a.value).total_cmp(&place(&b.value)));
+            let at = |value: &str| if numeric && zero { position(value) + 10.0 } else { position(value) };
+            along.sort_by(|a, b| position(&a.value).total_cmp(&position(&b.value)));
             for (worth, words, _) in MEASURES {
                 if sweep.name == "size" && worth == "psnr" {
                     continue; // pixels of another size are another question
                 }
-                let mark = |p: &Point, value: &str, chosen: bool| {
+                let mark = |p: &ChartPoint, value: &str, chosen: bool| {
                     let s = p.numbers.get(worth)?;
                     let error = [0.0, s.deviation];
                     Some(Mark {
@@ -191,7 +191,7 @@ impl ChartPage {
                     y: words.into(),
                     log_x: numeric,
                     names,
-                    series: vec![Series { name: words.into(), marks, line: numeric }],
+                    series: vec![PlotSeries { name: words.into(), marks, line: numeric }],
                     ..Panel::default()
                 });
             }
@@ -201,7 +201,7 @@ impl ChartPage {
     }
 
     /// What a point says when it is pointed at.
-    fn note(&self, p: &Point) -> String {
+    fn note(&self, p: &ChartPoint) -> String {
         let mut text = p.name();
         for (name, words) in COLUMNS {
             if let Some(s) = p.numbers.get(*name) {
@@ -310,8 +310,8 @@ impl ChartPage {
     }
 
     /// Heading, meaning and rows of each table.
-    fn tables(&self) -> Vec<(&'static str, &'static str, Vec<&Point>)> {
-        let default: Vec<&Point> = self.default().into_iter().collect();
+    fn tables(&self) -> Vec<(&'static str, &'static str, Vec<&ChartPoint>)> {
+        let default: Vec<&ChartPoint> = self.default().into_iter().collect();
         let of = |s: &'static Sweep| {
             let own = self.points.iter().filter(|p| p.sweep.is_some_and(|w| w.name == s.name));
             let mut rows = default.clone();
@@ -328,7 +328,7 @@ impl ChartPage {
         COLUMNS.iter().filter(|(name, _)| known.contains(name)).collect()
     }
 
-    fn cells(&self, p: &Point) -> Vec<String> {
+    fn cells(&self, p: &ChartPoint) -> Vec<String> {
         let default = self.default();
         let cell = |(name, _): &&(&str, &str)| {
             let Some(s) = p.numbers.get(*name) else { return String::new() };
@@ -346,12 +346,12 @@ impl ChartPage {
     }
 }
 
-fn label(p: &Point) -> String {
+fn label(p: &ChartPoint) -> String {
     if p.chosen { "the default".into() } else { p.value.clone() }
 }
 
 /// Whether a point's worth can be set beside the default's: PSNR at another size of the photos cannot.
-fn comparable(p: &Point, worth: &str) -> bool {
+fn comparable(p: &ChartPoint, worth: &str) -> bool {
     !(worth == "psnr" && p.sweep.is_some_and(|s| s.name == "size"))
 }
 
@@ -400,7 +400,7 @@ const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1340px;ma
  li.bad::marker{content:'✗ ';color:#d55e00}";
 
 /// Writes the chart to a folder: `index.html`, `README.md`, `chart` and `sweeps` as SVG and PNG, `results` as JSON and CSV.
-pub fn write(folder: &Path, results: &Results, about: &str) -> Result<Vec<Verdict>, PageError> {
+pub fn write(folder: &Path, results: &Results, about: &str) -> Result<Vec<DefaultVerdict>, PageError> {
     let page = ChartPage::new(results, about);
     io(folder, std::fs::create_dir_all(folder))?;
     let put = |name: &str, bytes: &[u8]| io(&folder.join(name), files::write_plain(folder.join(name), bytes));
@@ -450,7 +450,7 @@ mod tests {
     }
 
     #[test]
-    fn the_default_is_behind_when_another_point_is_better_or_as_good_for_less() {
+    fn the_default_loses_when_another_point_is_better_or_as_good_for_less() {
         let of = |points: &[(&str, Option<f64>, f64, f64)]| {
             let verdicts = ChartPage::new(&results(points), "a test").verdicts();
             verdicts.into_iter().find(|v| v.cost == "cpu_s").unwrap()
@@ -461,8 +461,8 @@ mod tests {
             ("steps", Some(8000.0), 0.9, 40.0),
         ]);
         assert!(front.on_front(), "{front:?}");
-        let better = of(&[(DEFAULT, None, 0.8, 10.0), ("look embed", None, 0.85, 9.0)]);
-        assert_eq!(better.better, ["look embed (0.900 at 0.90 of the cost)"]);
+        let better = of(&[(DEFAULT, None, 0.8, 10.0), ("appearance_model embed", None, 0.85, 9.0)]);
+        assert_eq!(better.better, ["appearance_model embed (0.900 at 0.90 of the cost)"]);
         let cheaper = of(&[(DEFAULT, None, 0.8, 10.0), ("steps", Some(500.0), 0.795, 5.0)]);
         assert_eq!(cheaper.cheaper, ["steps 500 (0.845 at 0.50 of the cost)"]);
         assert!(cheaper.words().contains("behind the front"));
@@ -473,7 +473,7 @@ mod tests {
         let results = results(&[
             (DEFAULT, None, 0.8, 10.0),
             ("steps", Some(500.0), 0.7, 5.0),
-            ("look embed", None, 0.9, 12.0),
+            ("appearance_model embed", None, 0.9, 12.0),
         ]);
         let folder = tempfile::tempdir().unwrap();
         write(folder.path(), &results, "a test").unwrap();

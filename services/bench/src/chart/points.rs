@@ -9,14 +9,14 @@ use std::fmt::Write as _;
 
 /// A point: its numbers over the seeds, each the mean over scenes and targets.
 #[derive(Clone, Debug)]
-pub(super) struct Point {
+pub(super) struct ChartPoint {
     pub sweep: Option<&'static Sweep>,
     pub value: String,
     pub chosen: bool,
     pub numbers: BTreeMap<String, Spread>,
 }
 
-impl Point {
+impl ChartPoint {
     pub fn mean(&self, number: &str) -> Option<f64> {
         self.numbers.get(number).map(|s| s.mean)
     }
@@ -31,7 +31,7 @@ impl Point {
 
 /// How the default stands among the points, by one measure of worth and one of cost.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Verdict {
+pub struct DefaultVerdict {
     /// `iou` or `psnr`.
     pub worth: &'static str,
     /// `cpu_s` or `peak_mib`.
@@ -45,7 +45,7 @@ pub struct Verdict {
 /// A point has to cost less than this share of the default's cost to count as cheaper.
 pub const CHEAPER: f64 = 0.8;
 
-impl Verdict {
+impl DefaultVerdict {
     /// Whether nothing beats the default.
     pub fn on_front(&self) -> bool {
         self.better.is_empty() && self.cheaper.is_empty()
@@ -97,19 +97,19 @@ fn at_pace(record: &Record, usual: Option<f64>) -> Record {
     record
 }
 
-/// Says how times were made comparable, where they were.
+/// How times were made comparable, as a sentence; empty where they were not.
 pub(super) fn pace_words(results: &Results) -> String {
     let Some(usual) = usual_pace(results) else { return String::new() };
     let paces = || results.records.iter().filter_map(|r| r.numbers.get(PACE)).map(|pace| pace / usual);
     let (least, most) = (paces().fold(f64::INFINITY, f64::min), paces().fold(0.0, f64::max));
     format!(
-        " Times are those at the machine's usual pace: the same drawing, before and after each point, took {least:.2} to {most:.2} of \
+        " Times are those at the machine's usual pace: the same rendering, before and after each point, took {least:.2} to {most:.2} of \
          its usual time, and so much is divided out (the data have both)."
     )
 }
 
 /// A point of a sweep, or the one of a setting, from all that was measured there.
-pub(super) fn point(results: &Results, (setting, at): (&str, Option<f64>)) -> Point {
+pub(super) fn point(results: &Results, (setting, at): (&str, Option<f64>)) -> ChartPoint {
     let usual = usual_pace(results);
     let records: Vec<Record> = results
         .records
@@ -139,7 +139,7 @@ pub(super) fn point(results: &Results, (setting, at): (&str, Option<f64>)) -> Po
         Some(at) => at.to_string(),
         None => setting.split_once(' ').map_or(setting, |s| s.1).to_owned(),
     };
-    Point { sweep, value, chosen: setting == DEFAULT, numbers }
+    ChartPoint { sweep, value, chosen: setting == DEFAULT, numbers }
 }
 
 #[cfg(test)]

@@ -46,7 +46,7 @@ pub const SWEEPS: &[Sweep] = &[
     sweep(
         "appearance_model",
         "how much each photo may differ in light",
-        "look",
+        "appearance_model",
         &["none", "affine", "embed", "gsw"],
     ),
     sweep(
@@ -58,7 +58,7 @@ pub const SWEEPS: &[Sweep] = &[
     sweep("prompts", "mask prompts per photo", "prompt_budget", &["4", "16", "64", "128", "256", "1024"]),
     Sweep {
         name: "density",
-        meaning: "how splats are added, all with room for as many and none stopping early",
+        meaning: "how splats are added, all with the same splat budget and none stopping early",
         setting: "density",
         values: &["budget", "gradient", "mcmc"],
         common: &[("splats", "5000"), ("grow_gain", "0")],
@@ -71,7 +71,7 @@ impl Sweep {
     pub fn settings(&self, base: &[(String, String)], value: &str) -> Vec<(String, String)> {
         let mut pairs = base.to_vec();
         if self.setting == "preset" {
-            // A preset is a choice of steps, degree, prompts and refinement: what the base says of those yields.
+            // A preset is a choice of steps, degree, prompts and refinement: the base's values of those yield.
             pairs.retain(|(name, _)| !PRESET.contains(&name.as_str()));
         }
         let more = self.common.iter().copied().chain([(self.setting, value)]);

@@ -24,7 +24,7 @@ pub struct Goal {
     pub dir: PathBuf,
 }
 
-/// Photos of the place: one light, no transients.
+/// Photos of the scene: one light, no transients.
 const PHOTOS: usize = 40;
 /// Lines of the history whose mean is to reach the goal: a line is 20 steps, and every photo is seen once in two.
 const LINES: usize = 5;
@@ -41,7 +41,7 @@ struct Course {
 }
 
 impl Course {
-    fn hear(&mut self, goal: f64, record: &EventRecord) {
+    fn observe(&mut self, goal: f64, record: &EventRecord) {
         match &record.event {
             Event::StageStarted { stage, .. } if stage == "geometry" => {
                 self.began.get_or_insert(record.time);
@@ -64,10 +64,10 @@ impl Course {
     }
 }
 
-/// Trains a built-in place until the goal or the end, by an engine and, if it is an accelerator, the one of this name.
+/// Trains a synthetic scene until the goal or the end, by an engine and, if it is an accelerator, the one of this name.
 pub(super) fn train(goal: &Goal, engine: &str, adapter: &str) -> Result<Record, PageError> {
     let failed = |error: TrialError| PageError::from(PointError::from(error));
-    let place = SyntheticOptions {
+    let scene = SyntheticOptions {
         train: PHOTOS,
         test: 0,
         long_side: goal.size,
@@ -77,7 +77,7 @@ pub(super) fn train(goal: &Goal, engine: &str, adapter: &str) -> Result<Record, 
     };
     empty(&goal.dir)?;
     let trial =
-        Trial::new(&goal.dir, &place, ProviderKind::Builtin, &OracleOptions::default()).map_err(failed)?;
+        Trial::new(&goal.dir, &scene, ProviderKind::Builtin, &OracleOptions::default()).map_err(failed)?;
     let settings = [
         ("engine", engine.to_owned()),
         ("adapter", adapter.to_owned()),
@@ -92,7 +92,7 @@ pub(super) fn train(goal: &Goal, engine: &str, adapter: &str) -> Result<Record, 
         let (course, stopper, db) = (course.clone(), stopper.clone(), f64::from(goal.db));
         events.sink("goal", move |record| {
             let mut course = course.lock().unwrap_or_else(PoisonError::into_inner);
-            course.hear(db, record);
+            course.observe(db, record);
             if course.reached.is_some() {
                 stopper.stop();
             }
@@ -126,7 +126,7 @@ pub(super) fn train(goal: &Goal, engine: &str, adapter: &str) -> Result<Record, 
 
 /// What the page calls it.
 pub(super) fn target(goal: &Goal) -> String {
-    format!("a place of {PHOTOS} photos of {} px, up to {} dB", goal.size, goal.db)
+    format!("a scene of {PHOTOS} photos of {} px, up to {} dB", goal.size, goal.db)
 }
 
 fn empty(dir: &Path) -> Result<(), PageError> {
@@ -145,7 +145,7 @@ mod tests {
     #[test]
     fn a_goal_is_reached_by_the_mean_of_a_hundred_steps() {
         let mut course = Course::default();
-        let mut tell = |time: f64, event: Event| course.hear(24.0, &EventRecord { time, event });
+        let mut tell = |time: f64, event: Event| course.observe(24.0, &EventRecord { time, event });
         tell(100.0, Event::StageStarted { stage: "geometry".into(), total: None });
         let metric = |name: &str, value: f64, step: u64| Event::Metric {
             stage: Some("geometry".into()),

@@ -5,7 +5,7 @@ mod goal;
 pub use goal::Goal;
 
 use crate::page::{PageError, io};
-use crate::record::{Made, Record, Results};
+use crate::record::{Provenance, Record, Results};
 use crate::scale::kernels::filling;
 use crate::stamp::{self, providers};
 use crate::synthetic::random::Rng;
@@ -58,18 +58,18 @@ pub struct EngineOptions {
     pub goal: Option<Goal>,
 }
 
-/// Measures every combination; `told` hears each record.
-pub fn engine(options: &EngineOptions, mut told: impl FnMut(&Record)) -> Result<Results, PageError> {
+/// Measures every combination; `report` receives each record.
+pub fn engine(options: &EngineOptions, mut report: impl FnMut(&Record)) -> Result<Results, PageError> {
     let open = if options.subgroups { GpuEngine::new } else { GpuEngine::without_subgroups };
     let gpu = open(&options.choice)?;
-    let mut made = Made::here(options.command.clone());
+    let mut made = Provenance::here(options.command.clone());
     let adapter = gpu.adapter();
     made.machine =
         format!("{} ({}, {}) beside {}", adapter.name, adapter.backend, adapter.driver, made.machine);
     let reach = reach(&gpu)?;
     let mut results = Results { made, ..Results::default() };
     let mut put = |record: Record| {
-        told(&record);
+        report(&record);
         results.records.push(record);
     };
     let numbers =
@@ -117,7 +117,7 @@ fn record(pass: &str, target: &str, numbers: BTreeMap<String, f64>) -> Record {
     }
 }
 
-type Row = (&'static str, BTreeMap<String, f64>);
+type KernelTimes = (&'static str, BTreeMap<String, f64>);
 
 fn measure(
     gpu: &GpuEngine,
@@ -126,7 +126,7 @@ fn measure(
     (width, height): (u32, u32),
     channels: u32,
     with_cpu: bool,
-) -> Result<Vec<Row>, RasterError> {
+) -> Result<Vec<KernelTimes>, RasterError> {
     let scene = frame(splats, width, height);
     let (w, h) = (width as f32, height as f32);
     let camera = Camera { width, height, fx: w, fy: w, cx: w / 2.0, cy: h / 2.0 };
@@ -164,8 +164,8 @@ fn on_the_cpu(
     let values = vec![0.5; splats.len() * channels];
     let values = Channels { count: channels, values: &values };
     let projected = engine.project(splats, camera, pose, &options)?;
-    let drawn = projected.blend(&values)?;
-    let grad = FrameGrad { image: &drawn.image, alpha: None };
+    let rendered = projected.blend(&values)?;
+    let grad = FrameGrad { image: &rendered.image, alpha: None };
     let best = |work: &mut dyn FnMut()| {
         let once = |_| {
             let began = Instant::now();
@@ -208,8 +208,8 @@ fn on_the_cpu(
         ("project, sort, bin", best(&mut || drop(engine.project(splats, camera, pose, &options)))),
         ("shade", best(&mut || drop(projected.shade()))),
         ("blend", best(&mut || drop(projected.blend(&values)))),
-        ("gather", best(&mut || drop(projected.gather(&drawn.image)))),
-        ("backward", best(&mut || drop(projected.backward(&values, &drawn, &grad)))),
+        ("gather", best(&mut || drop(projected.gather(&rendered.image)))),
+        ("backward", best(&mut || drop(projected.backward(&values, &rendered, &grad)))),
     ]))
 }
 
@@ -272,8 +272,8 @@ pub fn markdown(results: &Results) -> String {
              |---|---:|---:|---:|---:|---:|---|\n",
         );
         for row in &rows {
-            let cell = |name: &str, places: usize| {
-                number(row, name).map_or(String::new(), |v| format!("{v:.places$}"))
+            let cell = |name: &str, decimals: usize| {
+                number(row, name).map_or(String::new(), |v| format!("{v:.decimals$}"))
             };
             let share = number(row, "share").map_or(String::new(), |v| format!("{:.1} %", 100.0 * v));
             let cells = [cell("ms", 3), cell("floor_ms", 3), share, cell("cpu_ms", 2), cell("ratio", 2)];
@@ -308,8 +308,8 @@ fn slowest(row: &Record) -> String {
 fn trained(text: &mut String, rows: &[&Record]) {
     text.push_str("| engine | seconds | steps | splats at the end | best, dB |\n|---|---:|---:|---:|---:|\n");
     for row in rows {
-        let cell = |name: &str, places: usize| {
-            row.numbers.get(name).map_or("not reached".into(), |v| format!("{v:.places$}"))
+        let cell = |name: &str, decimals: usize| {
+            row.numbers.get(name).map_or("not reached".into(), |v| format!("{v:.decimals$}"))
         };
         let cells = [cell("seconds", 1), cell("steps", 0), cell("splats", 0), cell("db", 2)];
         let engine = row.setting.trim_start_matches("training, ");

@@ -1,6 +1,6 @@
 //! Killed at any moment, a run ends in the same bytes.
 
-use super::{FlowError, FlowOptions, Row, fresh, io, place};
+use super::{FlowError, FlowOptions, Row, fresh, io, write_scene};
 use crate::synthetic::Manifest;
 use segwild_flow::Ledger;
 use segwild_flow::ledger::State;
@@ -167,7 +167,7 @@ fn click(manifest: &Manifest) -> Option<(String, String)> {
 /// A moment in the `k`th of `n` slices of a run, as a share of it; random, other than the time before, and no later
 /// than `longest`.
 fn moment(k: usize, n: usize, longest: f64) -> f64 {
-    // The standard library seeds every state anew from the system's random source.
+    // The standard library seeds every state from the system's random source.
     let draw = RandomState::new().hash_one(k) as f64 / u64::MAX as f64;
     longest * (k as f64 + draw) / n as f64
 }
@@ -183,9 +183,9 @@ fn pass(k: usize, n: usize, [first, last]: [usize; 2]) -> usize {
 pub fn kills(options: &FlowOptions) -> Result<Vec<Row>, FlowError> {
     let dir = fresh(&options.dir.join("kills"))?;
     let scene = dir.join("scene");
-    let manifest = place(&scene, 12, 128)?;
+    let manifest = write_scene(&scene, 12, 128)?;
     let (photo, click) =
-        click(&manifest).ok_or_else(|| FlowError::Child("the place shows no object".into()))?;
+        click(&manifest).ok_or_else(|| FlowError::Child("the scene shows no object".into()))?;
     let program = Program { path: &options.program, scene, photo, click };
     let untouched = dir.join("untouched");
     program.complete(&untouched)?;
@@ -204,7 +204,7 @@ pub fn kills(options: &FlowOptions) -> Result<Vec<Row>, FlowError> {
     };
     let mut stages: BTreeMap<String, usize> = BTreeMap::new();
     for k in 0..options.kills {
-        // One that ended before its moment came says nothing: it is drawn again, and not as late.
+        // One that ended before its moment came says nothing: another moment is sampled, and not as late.
         let mut run = fresh(&dir.join("run"))?;
         let mut longest = 1.0;
         while !program

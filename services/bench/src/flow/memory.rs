@@ -1,6 +1,6 @@
 //! Memory does not grow with the photos.
 
-use super::{FlowError, FlowOptions, Row, fresh, io, place};
+use super::{FlowError, FlowOptions, Row, fresh, io, write_scene};
 use std::path::Path;
 use std::process::Command;
 
@@ -51,7 +51,7 @@ pub fn memory(options: &FlowOptions) -> Result<Vec<Row>, FlowError> {
     let mut peaks = Vec::new();
     for photos in options.photos {
         let scene = dir.join(format!("scene-{photos}"));
-        place(&scene, photos, 128)?;
+        write_scene(&scene, photos, 128)?;
         peaks.push(peak(&options.program, &scene, &dir.join(format!("run-{photos}")))?);
     }
     let mib = |bytes: f64| bytes / f64::from(1 << 20);

@@ -9,7 +9,7 @@ mod waiting;
 
 pub use waiting::{Calls, Waits, counted, waiting};
 
-use crate::record::Made;
+use crate::record::Provenance;
 use crate::stamp;
 use crate::synthetic::{LightVariation, Manifest, SyntheticError, SyntheticOptions, generate};
 use segwild_flow::files;
@@ -49,7 +49,7 @@ pub struct Row {
     pub bar: f64,
     /// The numbers it comes from.
     pub from: String,
-    /// The machine's load average over the last minute, just after the row was measured, if the system tells.
+    /// The machine's load average over the last minute, just after the row was measured, if the system reports it.
     pub load: Option<f64>,
 }
 
@@ -83,7 +83,7 @@ pub enum FlowError {
     /// A child process did not do its work.
     #[error("{0}")]
     Child(String),
-    /// A row was asked for that does not exist.
+    /// There is no row of this name.
     #[error("there is no row `{0}`; the rows are overlap, accelerator, cost, cache, kills, memory")]
     Unknown(String),
 }
@@ -93,11 +93,11 @@ fn io<T>(what: impl Into<String>, result: std::io::Result<T>) -> Result<T, FlowE
     result.map_err(|source| FlowError::Io { what: what.into(), source })
 }
 
-/// Measures the rows; `told` hears of each as soon as it is known.
+/// Measures the rows; `report` receives each as soon as it is known.
 ///
 /// # Errors
 /// When a run fails that should not, or the machine refuses.
-pub fn flow(options: &FlowOptions, mut told: impl FnMut(&Row)) -> Result<Vec<Row>, FlowError> {
+pub fn flow(options: &FlowOptions, mut report: impl FnMut(&Row)) -> Result<Vec<Row>, FlowError> {
     if let Some(unknown) = options.only.iter().find(|o| !ROWS.contains(&o.as_str())) {
         return Err(FlowError::Unknown(unknown.clone()));
     }
@@ -106,7 +106,7 @@ pub fn flow(options: &FlowOptions, mut told: impl FnMut(&Row)) -> Result<Vec<Row
     io(format!("create {}", options.dir.display()), std::fs::create_dir_all(&options.dir))?;
     let mut tell = |mut more: Vec<Row>| -> Result<(), FlowError> {
         more.iter_mut().for_each(|row| row.load = load_average());
-        more.iter().for_each(&mut told);
+        more.iter().for_each(&mut report);
         rows.extend(more);
         keep(&options.dir, &rows)
     };
@@ -168,7 +168,7 @@ pub fn over(rows: &[Row]) -> Option<String> {
 }
 
 /// The rows as a page; those that are over their bars are named first.
-pub fn page(rows: &[Row], made: &Made) -> String {
+pub fn page(rows: &[Row], made: &Provenance) -> String {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let first = over(rows).map_or("All rows keep to their bars.".into(), |over| format!("**{over}.**"));
     let stamp = stamp::stamp(made, &["built-in, and one that waits in `overlap` and `accelerator`"]);
@@ -193,8 +193,8 @@ pub fn page(rows: &[Row], made: &Made) -> String {
     text
 }
 
-/// A small place with `train` photos, written to `dir`.
-fn place(dir: &Path, train: usize, long_side: u32) -> Result<Manifest, FlowError> {
+/// A small synthetic scene with `train` photos, written to `dir`.
+fn write_scene(dir: &Path, train: usize, long_side: u32) -> Result<Manifest, FlowError> {
     let options = SyntheticOptions {
         train,
         test: train.div_ceil(10),
@@ -243,7 +243,7 @@ mod tests {
         let rows = measured(dir.path());
         let found: Vec<(&str, f64)> = rows.iter().map(|r| (r.name.as_str(), r.value)).collect();
         assert_eq!(found, [("kills", 0.0), ("memory, budget", 0.5), ("memory", 1.1)]);
-        let made = Made { command: "segwild bench flow".into(), ..Made::default() };
+        let made = Provenance { command: "segwild bench flow".into(), ..Provenance::default() };
         let text = page(&rows, &made);
         let first = "# The dataflow, measured\n\n**1 of 3 rows over the bar: memory is 1.100, its bar 1.**";
         assert!(text.starts_with(first) && text.contains("Command: `segwild bench flow`"), "{text}");

@@ -1,6 +1,6 @@
 //! What overlapping is worth, and what it costs.
 
-use super::{FlowError, FlowOptions, Row, Waits, counted, fresh, io, place, settings, waiting};
+use super::{FlowError, FlowOptions, Row, Waits, counted, fresh, io, settings, waiting, write_scene};
 use segwild_flow::{Event, Events, cpu, files};
 use segwild_pipeline::{RunFolder, RunOptions, Settings, Until, run};
 use segwild_vision::Providers;
@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 const PAIRS: usize = 5;
 
 /// One run, timed.
-struct Timed {
+struct TimedRun {
     wall: f64,
     /// Processor seconds of all threads.
     cpu: f64,
@@ -23,7 +23,7 @@ struct Timed {
     training: f64,
 }
 
-impl Timed {
+impl TimedRun {
     fn stage(&self, name: &str) -> f64 {
         self.stages.get(name).copied().unwrap_or(0.0)
     }
@@ -35,7 +35,7 @@ fn timed(
     settings: &Settings,
     providers: &Providers,
     until: Option<Until>,
-) -> Result<Timed, FlowError> {
+) -> Result<TimedRun, FlowError> {
     let folder = RunFolder::create(dir)?;
     let events = Events::new();
     let listener = events.subscribe();
@@ -55,10 +55,10 @@ fn timed(
     let report: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
     let actors = report["actors"].as_array().into_iter().flatten();
     let trainer = actors.filter(|a| a["name"] == "trainer").find_map(|a| a["busy_s"].as_f64());
-    Ok(Timed { wall, cpu, stages, training: trainer.unwrap_or(0.0) })
+    Ok(TimedRun { wall, cpu, stages, training: trainer.unwrap_or(0.0) })
 }
 
-/// Keeps the timeline of the run that was just timed, for who looks for its waits: the next run takes its folder.
+/// Keeps the timeline of the run that was just timed, for those who examine its waits: the next run takes its folder.
 fn keep_trace(dir: &Path, number: usize) -> Result<(), FlowError> {
     let kept = dir.join(format!("run-{number}.trace.json"));
     io(
@@ -73,7 +73,7 @@ fn one_after_another(
     dir: &Path,
     settings: &Settings,
     providers: &Providers,
-) -> Result<Vec<Timed>, FlowError> {
+) -> Result<Vec<TimedRun>, FlowError> {
     let dir = fresh(dir)?;
     let snapshot = settings.train.snapshot_step();
     [Until::stage("sky"), Until::stage("embed"), Some(Until::Step(snapshot)), None]
@@ -83,20 +83,20 @@ fn one_after_another(
 }
 
 /// The two ways of running, back to back: the dataflow, and its stages one after another.
-struct Pair {
-    whole: Timed,
-    legs: Vec<Timed>,
+struct RunPair {
+    whole: TimedRun,
+    legs: Vec<TimedRun>,
 }
 
-impl Pair {
+impl RunPair {
     fn measure(
         number: usize,
         scene: &Path,
         dir: &Path,
         settings: &Settings,
         providers: &Providers,
-    ) -> Result<Pair, FlowError> {
-        let whole = || -> Result<Timed, FlowError> {
+    ) -> Result<RunPair, FlowError> {
+        let whole = || -> Result<TimedRun, FlowError> {
             let timed = timed(scene, &fresh(&dir.join("run"))?, settings, providers, None)?;
             keep_trace(dir, number)?;
             Ok(timed)
@@ -104,9 +104,9 @@ impl Pair {
         let legs = || one_after_another(scene, &dir.join("legs"), settings, providers);
         if number.is_multiple_of(2) {
             let legs = legs()?;
-            Ok(Pair { whole: whole()?, legs })
+            Ok(RunPair { whole: whole()?, legs })
         } else {
-            Ok(Pair { whole: whole()?, legs: legs()? })
+            Ok(RunPair { whole: whole()?, legs: legs()? })
         }
     }
 
@@ -115,19 +115,19 @@ impl Pair {
         dir: &Path,
         settings: &Settings,
         providers: &Providers,
-    ) -> Result<Vec<Pair>, FlowError> {
-        (0..PAIRS).map(|n| Pair::measure(n, scene, dir, settings, providers)).collect()
+    ) -> Result<Vec<RunPair>, FlowError> {
+        (0..PAIRS).map(|n| RunPair::measure(n, scene, dir, settings, providers)).collect()
     }
 
     /// Seconds of the stages one after another.
-    fn sum(&self, seconds: impl Fn(&Timed) -> f64) -> f64 {
+    fn sum(&self, seconds: impl Fn(&TimedRun) -> f64) -> f64 {
         self.legs.iter().map(seconds).sum()
     }
 
     /// Seconds of the longest chain of work that cannot overlap, and in words what it is made of.
     fn chain(&self) -> (f64, String) {
         let [sky, embed, early, rest] = &self.legs[..] else { unreachable!("there are four legs") };
-        // Training needs every sky before its first step (transients are looked for in all photos, which then are compared
+        // Training needs every sky before its first step (transients are searched in all photos, which then are compared
         // with each other), masks need the snapshot, the field needs all.
         let (s, e, t1, m) = (sky.stage("sky"), embed.stage("embed"), early.training, early.stage("masks"));
         let t2 = rest.training;
@@ -142,8 +142,8 @@ impl Pair {
 }
 
 /// The pair with the median ratio, that ratio, and the spread of all in words.
-fn median(pairs: &[Pair], ratio: impl Fn(&Pair) -> f64) -> (&Pair, f64, String) {
-    let mut sorted: Vec<(f64, &Pair)> = pairs.iter().map(|p| (ratio(p), p)).collect();
+fn median(pairs: &[RunPair], ratio: impl Fn(&RunPair) -> f64) -> (&RunPair, f64, String) {
+    let mut sorted: Vec<(f64, &RunPair)> = pairs.iter().map(|p| (ratio(p), p)).collect();
     sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
     let (value, pair) = sorted[sorted.len() / 2];
     let ratios: Vec<String> = sorted.iter().map(|(r, _)| format!("{r:.3}")).collect();
@@ -155,14 +155,14 @@ fn median(pairs: &[Pair], ratio: impl Fn(&Pair) -> f64) -> (&Pair, f64, String) 
 pub fn overlap(options: &FlowOptions) -> Result<Vec<Row>, FlowError> {
     let dir = fresh(&options.dir.join("overlap"))?;
     let scene = dir.join("scene");
-    place(&scene, 30, 96)?;
+    write_scene(&scene, 30, 96)?;
     let settings =
         settings(&[("size", "96"), ("steps", "1000"), ("refine_steps", "40"), ("prompt_budget", "24")])?;
     let builtin = Providers::from_settings(&settings.vision).map_err(segwild_pipeline::RunError::from)?;
     let ms = Duration::from_millis;
     let providers =
         waiting(&builtin, Waits { sky: ms(40), embed: ms(120), masks: ms(120), accelerator: false });
-    let pairs = Pair::measure_all(&scene, &dir, &settings, &providers)?;
+    let pairs = RunPair::measure_all(&scene, &dir, &settings, &providers)?;
     let (pair, value, spread) = median(&pairs, |p| p.whole.wall / p.chain().0);
     let from = format!(
         "{spread}; that one: wall {:.2} s, processor {:.2} s, chain {}, one after another wall {:.2} s, processor {:.2} s",
@@ -198,7 +198,7 @@ pub fn overlap(options: &FlowOptions) -> Result<Vec<Row>, FlowError> {
 pub fn accelerator(options: &FlowOptions) -> Result<Vec<Row>, FlowError> {
     let dir = fresh(&options.dir.join("accelerator"))?;
     let scene = dir.join("scene");
-    place(&scene, 20, 96)?;
+    write_scene(&scene, 20, 96)?;
     let settings =
         settings(&[("size", "96"), ("steps", "600"), ("refine_steps", "40"), ("prompt_budget", "24")])?;
     let builtin = Providers::from_settings(&settings.vision).map_err(segwild_pipeline::RunError::from)?;
@@ -235,12 +235,12 @@ pub fn accelerator(options: &FlowOptions) -> Result<Vec<Row>, FlowError> {
 pub fn cost(options: &FlowOptions) -> Result<Vec<Row>, FlowError> {
     let dir = fresh(&options.dir.join("cost"))?;
     let scene = dir.join("scene");
-    place(&scene, 24, 160)?;
+    write_scene(&scene, 24, 160)?;
     let settings =
         settings(&[("size", "160"), ("steps", "600"), ("refine_steps", "60"), ("prompt_budget", "64")])?;
     let providers = Providers::from_settings(&settings.vision).map_err(segwild_pipeline::RunError::from)?;
-    let pairs = Pair::measure_all(&scene, &dir, &settings, &providers)?;
-    let row = |name: &str, what: &'static str, seconds: fn(&Timed) -> f64| {
+    let pairs = RunPair::measure_all(&scene, &dir, &settings, &providers)?;
+    let row = |name: &str, what: &'static str, seconds: fn(&TimedRun) -> f64| {
         let (pair, value, spread) = median(&pairs, |p| seconds(&p.whole) / p.sum(seconds));
         let (flow, sum) = (seconds(&pair.whole), pair.sum(seconds));
         let from = format!("{spread}; that one: {flow:.2} s, one after another {sum:.2} s");
@@ -256,9 +256,9 @@ pub fn cost(options: &FlowOptions) -> Result<Vec<Row>, FlowError> {
 mod tests {
     use super::*;
 
-    fn pair(whole: f64, legs: f64) -> Pair {
-        let timed = |wall| Timed { wall, cpu: wall, stages: BTreeMap::new(), training: 0.0 };
-        Pair { whole: timed(whole), legs: vec![timed(legs)] }
+    fn pair(whole: f64, legs: f64) -> RunPair {
+        let timed = |wall| TimedRun { wall, cpu: wall, stages: BTreeMap::new(), training: 0.0 };
+        RunPair { whole: timed(whole), legs: vec![timed(legs)] }
     }
 
     #[test]

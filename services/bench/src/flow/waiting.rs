@@ -45,13 +45,13 @@ fn wait(time: Duration) {
     }
 }
 
-struct Waiting(Waits);
+struct WaitingProvider(Waits);
 
 /// Cells along the long side of the embedding, and masks along each side.
 const CELLS: usize = 12;
 const TILES: u32 = 3;
 
-impl Embedder for Waiting {
+impl Embedder for WaitingProvider {
     fn key(&self) -> String {
         "waiting embedder 1".into()
     }
@@ -71,7 +71,7 @@ impl Embedder for Waiting {
     }
 }
 
-impl MaskProposer for Waiting {
+impl MaskProposer for WaitingProvider {
     fn key(&self) -> String {
         "waiting proposer 1".into()
     }
@@ -93,7 +93,7 @@ impl MaskProposer for Waiting {
     }
 }
 
-impl SkyDetector for Waiting {
+impl SkyDetector for WaitingProvider {
     fn key(&self) -> String {
         "waiting sky 1".into()
     }
@@ -111,7 +111,7 @@ impl SkyDetector for Waiting {
 
 /// The providers with those for whole photos replaced by ones that wait.
 pub fn waiting(providers: &Providers, waits: Waits) -> Providers {
-    let waiting = Arc::new(Waiting(waits));
+    let waiting = Arc::new(WaitingProvider(waits));
     Providers {
         embedder: waiting.clone(),
         proposer: waiting.clone(),
@@ -122,9 +122,9 @@ pub fn waiting(providers: &Providers, waits: Waits) -> Providers {
     }
 }
 
-struct Counted(Providers, Calls);
+struct CountedProviders(Providers, Calls);
 
-impl Embedder for Counted {
+impl Embedder for CountedProviders {
     fn key(&self) -> String {
         self.0.embedder.key()
     }
@@ -137,7 +137,7 @@ impl Embedder for Counted {
     }
 }
 
-impl MaskProposer for Counted {
+impl MaskProposer for CountedProviders {
     fn key(&self) -> String {
         self.0.proposer.key()
     }
@@ -153,7 +153,7 @@ impl MaskProposer for Counted {
     }
 }
 
-impl PromptSegmenter for Counted {
+impl PromptSegmenter for CountedProviders {
     fn key(&self) -> String {
         self.0.segmenter.key()
     }
@@ -173,7 +173,7 @@ impl PromptSegmenter for Counted {
     }
 }
 
-impl SkyDetector for Counted {
+impl SkyDetector for CountedProviders {
     fn key(&self) -> String {
         self.0.sky.key()
     }
@@ -189,7 +189,7 @@ impl SkyDetector for Counted {
 /// The same providers, their calls counted.
 pub fn counted(providers: &Providers) -> (Providers, Calls) {
     let calls = Calls::default();
-    let counted = Arc::new(Counted(providers.clone(), calls.clone()));
+    let counted = Arc::new(CountedProviders(providers.clone(), calls.clone()));
     let providers = Providers {
         embedder: counted.clone(),
         proposer: counted.clone(),

@@ -12,7 +12,7 @@ pub(super) struct Axis {
 }
 
 impl Axis {
-    /// One that holds all values, with some room on both sides.
+    /// One that holds all values, with some margin on both sides.
     pub fn around(values: &[f64], log: bool, names: &[String]) -> Axis {
         let usable = values.iter().copied().filter(|v| v.is_finite() && (!log || *v > 0.0));
         let to_line = |v: f64| if log { v.ln() } else { v };
@@ -21,12 +21,12 @@ impl Axis {
         let most = line.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let (least, most) = if least <= most { (least, most) } else { (0.0, 1.0) };
         let tiny = if log { 0.2 } else { (0.02 * most.abs()).max(1e-6) };
-        let room = (0.1 * (most - least)).max(tiny);
+        let margin = (0.1 * (most - least)).max(tiny);
         let back = |v: f64| if log { v.exp() } else { v };
         if !names.is_empty() {
             return Axis { from: -0.5, to: names.len() as f64 - 0.5, log: false, names: names.to_vec() };
         }
-        Axis { from: back(least - room), to: back(most + room), log, names: Vec::new() }
+        Axis { from: back(least - margin), to: back(most + margin), log, names: Vec::new() }
     }
 
     pub fn share(&self, v: f64) -> f64 {
@@ -71,7 +71,7 @@ impl Ranged for Axis {
     type ValueType = f64;
 
     fn map(&self, value: &f64, (from, to): (i32, i32)) -> i32 {
-        // Far outside is still a number that a drawing can hold.
+        // Far outside is still a coordinate that an SVG file can hold.
         let at = self.share(*value).clamp(-3.0, 4.0);
         from + (f64::from(to - from) * at).round() as i32
     }

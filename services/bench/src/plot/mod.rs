@@ -10,7 +10,7 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 use plotters::style::{FontStyle, register_font};
 use std::sync::Once;
 
-/// Okabe and Ito's colours, which people with any colour vision can tell apart, and three more.
+/// Okabe and Ito's colours, which people with any colour vision distinguish, and three more.
 const COLOURS: [RGBColor; 10] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
@@ -47,7 +47,7 @@ pub struct Mark {
 
 /// What belongs together on a panel.
 #[derive(Clone, Debug, Default)]
-pub struct Series {
+pub struct PlotSeries {
     /// Name in the legend: the same in all panels of a figure.
     pub name: String,
     /// The marks.
@@ -69,10 +69,10 @@ pub struct Panel {
     pub log_x: bool,
     /// Whether y grows by factors.
     pub log_y: bool,
-    /// Places on the x axis that have names instead of numbers, from 0 on.
+    /// Positions on the x axis that have names instead of numbers, from 0 on.
     pub names: Vec<String>,
     /// The measurements.
-    pub series: Vec<Series>,
+    pub series: Vec<PlotSeries>,
     /// Whether the y axis goes down to 0.
     pub y_from_zero: bool,
     /// Corners of a front: drawn as steps, better up and to the left.
@@ -141,7 +141,7 @@ impl Figure {
                 format!("<circle cx=\"{x}\" cy=\"{y}\" r=\"9\" fill=\"#fff\" fill-opacity=\"0\"><title>{note}</title></circle>\n")
             })
             .collect();
-        let end = text.rfind("</svg>").ok_or_else(|| fail("the drawing has no end"))?;
+        let end = text.rfind("</svg>").ok_or_else(|| fail("the SVG text has no closing tag"))?;
         text.insert_str(end, &spots);
         Ok(text)
     }
@@ -156,7 +156,8 @@ impl Figure {
             let area = BitMapBackend::with_buffer(&mut pixels, (w, h)).into_drawing_area();
             self.draw(&area, f64::from(FINER))?;
         }
-        let image = image::RgbImage::from_raw(w, h, pixels).ok_or_else(|| fail("no picture"))?;
+        let image = image::RgbImage::from_raw(w, h, pixels)
+            .ok_or_else(|| fail("the pixels do not fill the image"))?;
         let mut file = std::io::Cursor::new(Vec::new());
         image.write_to(&mut file, image::ImageFormat::Png).map_err(fail)?;
         Ok(file.into_inner())
@@ -321,8 +322,8 @@ fn draw_legend<B: DrawingBackend>(
     let px = |v: f64| (v * scale).round() as i32;
     let mut y = 34.0;
     let words = |text: &str, y: f64| {
-        let place = Pos::new(HPos::Left, VPos::Center);
-        Text::new(text.to_owned(), (px(30.0), px(y)), style(12.0 * scale, false).pos(place))
+        let anchor = Pos::new(HPos::Left, VPos::Center);
+        Text::new(text.to_owned(), (px(30.0), px(y)), style(12.0 * scale, false).pos(anchor))
     };
     for (which, name) in names.iter().enumerate() {
         let colour = COLOURS[which % COLOURS.len()];
@@ -425,8 +426,8 @@ mod tests {
         };
         let marks = vec![mark(1.0, 0.5, false), mark(2.0, 0.7, true), mark(5.0, 0.72, false)];
         let series = vec![
-            Series { name: "steps".into(), marks: marks.clone(), line: true },
-            Series { name: "splats".into(), marks, line: false },
+            PlotSeries { name: "steps".into(), marks: marks.clone(), line: true },
+            PlotSeries { name: "splats".into(), marks, line: false },
         ];
         let front = vec![(1.0, 0.5), (2.0, 0.7), (5.0, 0.72)];
         let panel = Panel {

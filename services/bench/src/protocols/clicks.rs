@@ -23,7 +23,7 @@ fn point((x, y): (u32, u32), inside: bool) -> PointPrompt {
 
 /// Clicks as a person scenes them who wants the whole of a mask: the first where the mask is deepest (farthest from its
 /// outline and the frame); each further one where what is left is deepest, after a disc of twice the depth around each
-/// earlier click was taken away. Fewer than `count` where nothing is left.
+/// earlier click was removed. Fewer than `count` where nothing is left.
 pub fn inside(mask: &Mask, count: usize) -> Vec<PointPrompt> {
     let depth = depths(mask);
     let width = mask.width();
@@ -88,12 +88,12 @@ pub fn random(mask: &Mask, count: usize, seed: u64, stream: u64) -> Vec<PointPro
 pub fn scribble(scribble: &Mask, count: usize, inside: bool) -> Vec<PointPrompt> {
     let Some(first) = self::inside(scribble, 1).first().copied() else { return Vec::new() };
     let pixels: Vec<(u32, u32)> = scribble.pixels().collect();
-    let away = |p: (u32, u32), q: &PointPrompt| {
+    let distance = |p: (u32, u32), q: &PointPrompt| {
         let (dx, dy) = (p.0 as f32 + 0.5 - q.x, p.1 as f32 + 0.5 - q.y);
         dx * dx + dy * dy
     };
     let mut clicks = vec![PointPrompt { inside, ..first }];
-    let mut nearest: Vec<f32> = pixels.iter().map(|&p| away(p, &first)).collect();
+    let mut nearest: Vec<f32> = pixels.iter().map(|&p| distance(p, &first)).collect();
     while clicks.len() < count {
         let far = (0..pixels.len()).fold(0, |best, i| if nearest[i] > nearest[best] { i } else { best });
         if nearest[far] < 1.0 {
@@ -101,7 +101,7 @@ pub fn scribble(scribble: &Mask, count: usize, inside: bool) -> Vec<PointPrompt>
         }
         let next = point(pixels[far], inside);
         for (d, &p) in nearest.iter_mut().zip(&pixels) {
-            *d = d.min(away(p, &next));
+            *d = d.min(distance(p, &next));
         }
         clicks.push(next);
     }

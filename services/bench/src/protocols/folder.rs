@@ -2,7 +2,7 @@
 //! several.
 
 use super::scene::{photos, stem};
-use super::{EvalScene, Found, Missing, ProtocolError, Question, clicks};
+use super::{EvalQuery, EvalScene, FoundScenes, Missing, ProtocolError, clicks};
 use segwild_pipeline::{PhotoPrompts, Settings};
 use segwild_scene::{Mask, MaskFiles, Prompts, Random, SceneError};
 use std::collections::BTreeMap;
@@ -16,9 +16,9 @@ pub type Parts = BTreeMap<String, Vec<u32>>;
 pub struct FolderProtocol {
     /// The scene.
     pub scene: PathBuf,
-    /// Stems of the photos to click; drawn if empty.
+    /// Stems of the photos to click; sampled if empty.
     pub references: Vec<String>,
-    /// So many are drawn for each object by the seed of the training, from those that show it well.
+    /// So many are sampled for each object by the seed of the training, from those that show it well.
     pub draw: usize,
     /// Clicks per photo, by [`clicks::inside`].
     pub clicks: usize,
@@ -54,10 +54,10 @@ pub fn read_parts(file: &Path) -> Result<Parts, ProtocolError> {
 ///
 /// # Errors
 /// When the scene or its truth is not there, or no reference photo of any object.
-pub fn scenes(options: &FolderProtocol, settings: &Settings, seed: u64) -> Result<Found, ProtocolError> {
+pub fn scenes(options: &FolderProtocol, settings: &Settings, seed: u64) -> Result<FoundScenes, ProtocolError> {
     let photos = photos(&options.scene, settings)?;
     let objects = objects(&options.scene, &photos)?;
-    let (mut questions, mut missing) = (Vec::new(), Vec::new());
+    let (mut queries, mut missing) = (Vec::new(), Vec::new());
     for (at, (target, truth)) in objects.into_iter().enumerate() {
         let mut random = Random::stream(seed, at as u64);
         for (prompt, (photo, mask)) in
@@ -68,7 +68,7 @@ pub fn scenes(options: &FolderProtocol, settings: &Settings, seed: u64) -> Resul
                 None => clicks::inside(&mask, options.clicks),
             };
             let prompts = Prompts { points, ..Prompts::default() };
-            questions.push(Question {
+            queries.push(EvalQuery {
                 target: target.clone(),
                 prompt: prompt as u32,
                 prompts: vec![PhotoPrompts { photo, prompts }],
@@ -84,14 +84,14 @@ pub fn scenes(options: &FolderProtocol, settings: &Settings, seed: u64) -> Resul
         name,
         scene: options.scene.clone(),
         seed,
-        questions,
+        queries,
         split: None,
         held_out: false,
     };
     if missing.is_empty() {
         return Ok(eval_scene.into());
     }
-    Found { scenes: vec![eval_scene], missing }.or_refused(LAYOUT)
+    FoundScenes { scenes: vec![eval_scene], missing }.or_refused(LAYOUT)
 }
 
 /// The objects and their true masks, by name.
@@ -175,12 +175,12 @@ fn references(
         masks.truncate(options.draw);
     }
     for wanted in &options.references {
-        // The stem, or how it begins: the names that archives give are long.
+        // The stem, or its start: the names that archives give are long.
         let fits = |t: &&(String, PathBuf)| t.0 == *wanted || stem(&t.0).starts_with(wanted.as_str());
         match truth.iter().find(fits) {
             Some(found) => masks.extend(masked(target, found, missing)),
             None => {
-                missing.push(format!("{target}: a photo with a true mask whose name begins with `{wanted}`"));
+                missing.push(format!("{target}: a photo with a true mask whose name starts with `{wanted}`"));
             }
         }
     }

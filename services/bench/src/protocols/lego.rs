@@ -1,10 +1,10 @@
 //! NeRF-W's controlled experiment: the same photos clean, in other colours, with a striped square before them, and both;
 //! what each costs on clean test photos (method, section 11).
 
-use super::{Base, ProtocolError, Told, keep};
+use super::{ProtocolBase, OnRecord, ProtocolError, keep};
 use crate::ablation::{FULL, Variant};
 use crate::oracle::OracleOptions;
-use crate::perturb::{Affine, Square};
+use crate::perturb::{AffineColours, StripedSquare};
 use crate::record::{Record, Results};
 use crate::synthetic::{LightVariation, SyntheticOptions, SyntheticScene, generate};
 use crate::trial::{ProviderKind, Trial, TrialError};
@@ -42,15 +42,15 @@ impl Perturbation {
     /// Does it to the training photos of a scene.
     ///
     /// # Errors
-    /// When a photo has no room for the square.
+    /// When a photo is too small for the square.
     pub fn apply(self, scene: &mut SyntheticScene) -> Result<(), ProtocolError> {
         let seed = scene.options.seed;
         for (i, photo) in scene.photos.iter_mut().enumerate().filter(|(_, p)| !p.test) {
             if matches!(self, Perturbation::Colour | Perturbation::Both) {
-                photo.photo = Affine::random(seed, i as u64).apply(&photo.photo)?;
+                photo.photo = AffineColours::random(seed, i as u64).apply(&photo.photo)?;
             }
             if matches!(self, Perturbation::Occluders | Perturbation::Both) {
-                let square = Square::random(seed, i as u64, photo.photo.width, photo.photo.height)?;
+                let square = StripedSquare::random(seed, i as u64, photo.photo.width, photo.photo.height)?;
                 (photo.photo, photo.transients) = square.apply(&photo.photo)?;
             }
         }
@@ -70,20 +70,20 @@ pub const ROWS: &[Variant] = &[
     Variant { name: "no-robust", meaning: "nobody left out", common: &[("robust", "false")], changes: &[] },
     Variant {
         name: "embed",
-        meaning: "the look `embed`",
+        meaning: "the appearance model `embed`",
         common: &[("appearance_model", "embed")],
         changes: &[],
     },
     Variant {
-        name: TOLD,
+        name: TRUE_TRANSIENTS,
         meaning: "exactly the transients left out, as the truth has them: what leaving out can be worth",
         common: &[],
         changes: &[],
     },
 ];
 
-/// The row that is told where the transients are.
-const TOLD: &str = "told";
+/// The row that gets the true transient masks.
+const TRUE_TRANSIENTS: &str = "true-transients";
 /// The row that others are compared with.
 pub(super) const PLAIN: &str = "plain";
 
@@ -94,22 +94,22 @@ pub struct LegoProtocol {
     pub only: Vec<String>,
     /// Seeds of the scenes.
     pub seeds: Vec<u64>,
-    /// The scenes, but for their seeds, looks and transients, of which they have none.
+    /// The scenes, but for their seeds, appearances and transients, of which they have none.
     pub scene: SyntheticOptions,
-    /// Who looks at the photos.
+    /// The provider of masks and descriptors.
     pub providers: ProviderKind,
     /// What all rows have in common.
-    pub base: Base,
+    pub base: ProtocolBase,
 }
 
 /// Measures PSNR and SSIM of the clean test photos for every row and perturbation, and the gap to the clean run. Rows
-/// with a look have it fitted on the left half of a test photo and are scored on the right half, as always; a gap
+/// with an appearance model have it fitted on the left half of a test photo and are scored on the right half, as always; a gap
 /// compares a row with itself.
 pub fn lego(
     out: &Path,
     options: &LegoProtocol,
     results: &mut Results,
-    told: Told,
+    report: OnRecord,
 ) -> Result<(), ProtocolError> {
     let only = &options.only;
     if let Some(odd) = only.iter().find(|o| ROWS.iter().all(|r| r.name != **o)) {
@@ -131,9 +131,9 @@ pub fn lego(
             let trial = Trial::of(&dir, scene, options.providers, &OracleOptions::default())?;
             for row in ROWS.iter().filter(|r| only.is_empty() || only.iter().any(|o| o == r.name)) {
                 let mut settings = options.base.row(row)?;
-                // Pictures are asked about, not objects: no time is spent on features.
+                // Renders are scored, not objects: no time is spent on features.
                 (settings.features.refine_steps, settings.masks.prompt_budget) = (0, 1);
-                if row.name == TOLD {
+                if row.name == TRUE_TRANSIENTS {
                     let truth = trial.scene_dir().join("truth/transient");
                     settings.scene.transient_masks = truth.display().to_string();
                 }
@@ -152,7 +152,7 @@ pub fn lego(
                     notes: vec![held.protocol],
                     ..Record::default()
                 };
-                keep(results, record, out, told)?;
+                keep(results, record, out, report)?;
             }
         }
     }

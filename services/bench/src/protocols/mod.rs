@@ -1,6 +1,6 @@
-//! Benchmarks that others can repeat: a scene, what is asked of it, what is true, and the numbers.
+//! Benchmarks that others can repeat: a scene, the queries, the true masks, and the numbers.
 //!
-//! Each protocol finds its scenes and questions ([`EvalScene`], or a synthetic [`crate::trial::Trial`]), puts every row
+//! Each protocol finds its scenes and queries ([`EvalScene`], or a synthetic [`crate::trial::Trial`]), puts every row
 //! ([`crate::ablation::Variant`]) through them, and leaves [`Results`] in `OUT/results.json`. Tables are printed from
 //! those ([`tables`]).
 
@@ -17,7 +17,7 @@ pub mod synthetic;
 pub mod tables;
 
 pub use error::{Missing, ProtocolError};
-pub use scene::{EvalScene, Found, Question, measure};
+pub use scene::{EvalQuery, EvalScene, FoundScenes, measure};
 
 use crate::ablation::{VARIANTS, Variant};
 use crate::baselines::{BASELINES, row};
@@ -52,14 +52,14 @@ impl Table {
 
 /// What all rows have in common.
 #[derive(Clone, Debug, Default)]
-pub struct Base {
+pub struct ProtocolBase {
     /// The settings that rows start from.
     pub settings: Settings,
-    /// Settings that hold whatever a row says, by name: to tune a rival.
+    /// Settings that hold whatever a row says, by name: to tune a baseline.
     pub changes: Vec<(String, String)>,
 }
 
-impl Base {
+impl ProtocolBase {
     /// A row's settings.
     ///
     /// # Errors
@@ -73,12 +73,12 @@ impl Base {
     }
 }
 
-/// Who hears of every measurement as it is made.
-pub type Told<'a> = &'a mut dyn FnMut(&Record);
+/// Receives every measurement as it is made.
+pub type OnRecord<'a> = &'a mut dyn FnMut(&Record);
 
 /// Adds a measurement and keeps the results as they are by now, so that what was measured before an error is not lost.
-fn keep(results: &mut Results, record: Record, out: &Path, told: Told) -> Result<(), ProtocolError> {
-    told(&record);
+fn keep(results: &mut Results, record: Record, out: &Path, report: OnRecord) -> Result<(), ProtocolError> {
+    report(&record);
     results.put(record);
     Ok(results.write(&out.join("results.json"))?)
 }

@@ -2,7 +2,7 @@
 
 use super::folder::entries;
 use super::scene::{photo_of, photos, stem};
-use super::{EvalScene, Found, Missing, ProtocolError, Question, clicks};
+use super::{EvalQuery, EvalScene, FoundScenes, Missing, ProtocolError, clicks};
 use segwild_pipeline::{PhotoPrompts, Settings};
 use segwild_scene::{Mask, PointPrompt, Prompts};
 use std::path::{Path, PathBuf};
@@ -31,7 +31,7 @@ pub const LAYOUT: &str = "The annotations are published with NVOS (Neural Volume
 ///
 /// # Errors
 /// When no scene is left: all that is missing, with what to put where.
-pub fn scenes(options: &NvosProtocol, settings: &Settings, seed: u64) -> Result<Found, ProtocolError> {
+pub fn scenes(options: &NvosProtocol, settings: &Settings, seed: u64) -> Result<FoundScenes, ProtocolError> {
     let inner = options.root.join("labels/llff");
     let labels = if inner.is_dir() { inner } else { options.root.clone() };
     let scribbles = labels.join("scribbles");
@@ -46,7 +46,7 @@ pub fn scenes(options: &NvosProtocol, settings: &Settings, seed: u64) -> Result<
     if !options.only.is_empty() {
         names.clone_from(&options.only);
     }
-    let mut found = Found { scenes: Vec::new(), missing };
+    let mut found = FoundScenes { scenes: Vec::new(), missing };
     for name in &names {
         match eval_scene(options, &labels, name, settings, seed) {
             Ok(eval_scene) => found.scenes.push(eval_scene),
@@ -113,7 +113,7 @@ fn eval_scene(
     }
     points.extend(scribbled(&folder, "neg", options.clicks, false)?);
     let clicked = on_photo(&scene, &clicked, points, &folder, settings)?;
-    let question = Question {
+    let query = EvalQuery {
         target: name.into(),
         prompt: 0,
         prompts: vec![clicked],
@@ -125,7 +125,7 @@ fn eval_scene(
         name: name.into(),
         scene,
         seed,
-        questions: vec![question],
+        queries: vec![query],
         split: None,
         held_out: false,
     })
@@ -153,7 +153,7 @@ fn scribbled(
     Ok(all.map_or_else(Vec::new, |scribble| clicks::scribble(&scribble, count, inside)))
 }
 
-/// Clicks in pixels of the scribble's picture as clicks in pixels of the scene's photo, which may be of another size.
+/// Clicks in pixels of the scribble's image as clicks in pixels of the scene's photo, which may be of another size.
 fn on_photo(
     scene: &Path,
     photo: &str,
@@ -162,11 +162,11 @@ fn on_photo(
     settings: &Settings,
 ) -> Result<PhotoPrompts, ProtocolError> {
     let file = find(scribbles, "a scribble", |n| n.starts_with("pos") && n.ends_with(".png"))?;
-    let drawn = Mask::read_png(&file)?;
+    let scribble = Mask::read_png(&file)?;
     let scene = segwild_scene::Scene::open(scene, &settings.scene)?;
     let camera = scene.views.iter().find(|v| v.name == photo).map(|v| v.camera);
-    let (w, h) = camera.map_or((drawn.width(), drawn.height()), |c| (c.width, c.height));
+    let (w, h) = camera.map_or((scribble.width(), scribble.height()), |c| (c.width, c.height));
     let prompts = Prompts { points, ..Prompts::default() };
-    let scaled = prompts.scaled(w as f32 / drawn.width() as f32, h as f32 / drawn.height() as f32);
+    let scaled = prompts.scaled(w as f32 / scribble.width() as f32, h as f32 / scribble.height() as f32);
     Ok(PhotoPrompts { photo: photo.into(), prompts: scaled })
 }

@@ -3,7 +3,7 @@
 
 use super::paper::{PAPER, PaperScene, PaperTarget};
 use super::scene::stem;
-use super::{EvalScene, Found, Missing, ProtocolError, Question, clicks};
+use super::{EvalQuery, EvalScene, FoundScenes, Missing, ProtocolError, clicks};
 use segwild_pipeline::{PhotoPrompts, Replay, Settings};
 use segwild_scene::{Mask, MaskFiles, Prompts, Scene};
 use std::path::{Path, PathBuf};
@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 pub struct PhotoTourismProtocol {
     /// Folder of the three scenes.
     pub root: PathBuf,
-    /// Places to measure, by folder; all that are there if empty.
+    /// Scenes to measure, by folder; all that are there if empty.
     pub only: Vec<String>,
     /// Clicks on each reference photo, by [`clicks::inside`], where there is no file of prompts.
     pub clicks: usize,
@@ -22,7 +22,7 @@ pub struct PhotoTourismProtocol {
 /// How the data must lie.
 pub const LAYOUT: &str = "The photos are those of the Image Matching Challenge's Photo Tourism (\"phototourism\", training set); \
     the masks are drawn by hand, for the paper's are not published. Put them so:\n\
-    ROOT/brandenburg_gate/dense/images/*.jpg, dense/sparse/*.bin   as in the archive (ROOT/PLACE/images and sparse/0 will do)\n\
+    ROOT/brandenburg_gate/dense/images/*.jpg, dense/sparse/*.bin   as in the archive (ROOT/SCENE/images and sparse/0 will do)\n\
     ROOT/brandenburg_gate/brandenburg.tsv                          NeRF-W's split: which photos take part, which are held out\n\
     ROOT/brandenburg_gate/truth/lintel/PHOTO.png                   white where the target is, at the photo's size: for the three\n\
     \u{20}                                                              photos that are scored, and for the reference photo, which is\n\
@@ -31,7 +31,7 @@ pub const LAYOUT: &str = "The photos are those of the Image Matching Challenge's
     \u{20}                                                              the form of a selection's prompts.json\n\
     and the same for trevi_fountain (trevi.tsv) and taj_mahal (taj_mahal.tsv). `--scenes` measures some of them.";
 
-/// The scenes that are there, with the questions that can be asked of them, and what is missing. A target is refused when
+/// The scenes that are there, with their queries, and what is missing. A target is refused when
 /// its reference photo or all photos that score it are missing; the others go on.
 ///
 /// # Errors
@@ -40,13 +40,13 @@ pub fn scenes(
     options: &PhotoTourismProtocol,
     settings: &Settings,
     seed: u64,
-) -> Result<Found, ProtocolError> {
+) -> Result<FoundScenes, ProtocolError> {
     if let Some(odd) = options.only.iter().find(|o| PAPER.scenes.iter().all(|s| s.folder != **o)) {
         let what = vec![format!("a scene named `{odd}`: there are {}", folders().join(", "))];
         return Err(ProtocolError::Missing(Missing { what, layout: LAYOUT.into() }));
     }
     let wanted = |s: &&PaperScene| options.only.is_empty() || options.only.contains(&s.folder);
-    let mut found = Found::default();
+    let mut found = FoundScenes::default();
     for scene in PAPER.scenes.iter().filter(wanted) {
         match eval_scene(options, scene, settings, seed)? {
             Ok((eval_scene, missing)) => {
@@ -64,7 +64,7 @@ fn folders() -> Vec<&'static str> {
     PAPER.scenes.iter().map(|s| s.folder.as_str()).collect()
 }
 
-/// A scene with the questions that can be asked, and what is missing of it; or why it cannot be measured at all.
+/// A scene with its queries, and what is missing of it; or why it cannot be measured at all.
 fn eval_scene(
     options: &PhotoTourismProtocol,
     scene: &PaperScene,
@@ -87,13 +87,12 @@ fn eval_scene(
         Ok(opened) => opened,
         Err(error) => return Ok(Err(format!("{}: {error}", scene.name))),
     };
-    let (mut questions, mut missing) = (Vec::new(), Vec::new());
+    let (mut queries, mut missing) = (Vec::new(), Vec::new());
     for target in &scene.targets {
-        match question(&root, target, &opened, options.clicks)? {
-            Ok(question) => {
-                missing
-                    .extend(question.missing.iter().map(|m| format!("{}, {}: {m}", scene.name, target.name)));
-                questions.push(question);
+        match query(&root, target, &opened, options.clicks)? {
+            Ok(query) => {
+                missing.extend(query.missing.iter().map(|m| format!("{}, {}: {m}", scene.name, target.name)));
+                queries.push(query);
             }
             Err(why) => {
                 missing.push(format!("{}, {}, is refused: {}", scene.name, target.name, why.join("; ")))
@@ -106,7 +105,7 @@ fn eval_scene(
         scene: path,
         split: Some(split),
         seed,
-        questions,
+        queries,
         held_out: true,
     };
     Ok(Ok((eval_scene, missing)))
@@ -128,13 +127,13 @@ fn mask(masks: &MaskFiles, folder: &Path, photo: &str) -> Result<PathBuf, String
     masks.find(photo)?.ok_or_else(named)
 }
 
-/// What is asked of a target, from what is there; or why nothing can be.
-fn question(
+/// The query for a target, from the files that are there; or why there is none.
+fn query(
     root: &Path,
     target: &PaperTarget,
     scene: &Scene,
     clicks: usize,
-) -> Result<Result<Question, Vec<String>>, ProtocolError> {
+) -> Result<Result<EvalQuery, Vec<String>>, ProtocolError> {
     let folder = root.join("truth").join(&target.folder);
     let masks = MaskFiles::new(&folder, scene.views.iter().map(|v| v.name.as_str()));
     let (mut truth, mut missing) = (Vec::new(), Vec::new());
@@ -154,7 +153,7 @@ fn question(
     if truth.is_empty() {
         return Ok(Err(missing));
     }
-    Ok(Ok(Question { target: target.name.clone(), prompt: 0, prompts, truth, missing }))
+    Ok(Ok(EvalQuery { target: target.name.clone(), prompt: 0, prompts, truth, missing }))
 }
 
 /// Clicks on a target's reference photo, or those of its file of prompts; or what is missing for them.

@@ -1,8 +1,8 @@
-//! A scene of real photos with true masks of some of them, and what is asked of it.
+//! A scene of real photos with true masks of some of them, and the queries on it.
 
-use super::{Base, Missing, ProtocolError, Told, keep};
+use super::{ProtocolBase, Missing, OnRecord, ProtocolError, keep};
 use crate::ablation::Variant;
-use crate::metrics::{self, MaskScore};
+use crate::metrics::{self, MaskMetrics};
 use crate::record::{Record, Results};
 use segwild_flow::{Stopper, files};
 use segwild_pipeline::{
@@ -13,10 +13,10 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// A scene and its questions.
+/// A scene and its queries.
 #[derive(Clone, Debug)]
 pub struct EvalScene {
-    /// The protocol that asks.
+    /// The protocol that it belongs to.
     pub protocol: &'static str,
     /// Name of the scene.
     pub name: String,
@@ -26,43 +26,43 @@ pub struct EvalScene {
     pub split: Option<PathBuf>,
     /// Seed of the training.
     pub seed: u64,
-    /// What is asked.
-    pub questions: Vec<Question>,
+    /// The objects to find, with their prompts and true masks.
+    pub queries: Vec<EvalQuery>,
     /// Whether photos that the scene's split holds out are scored as well.
     pub held_out: bool,
 }
 
-/// What a protocol found of the data that it asks for.
+/// What a protocol found of the data that it needs.
 #[derive(Clone, Debug, Default)]
-pub struct Found {
-    /// The scenes that can be measured, with the questions that can be asked.
+pub struct FoundScenes {
+    /// The scenes that can be measured, with their queries.
     pub scenes: Vec<EvalScene>,
     /// What is not there and so is not measured, a sentence each: scenes, targets, single photos of targets.
     pub missing: Vec<String>,
 }
 
-impl Found {
-    /// Itself where any question is left; an error that names all that is missing otherwise.
+impl FoundScenes {
+    /// Itself where any query is left; an error that names all that is missing otherwise.
     ///
     /// # Errors
-    /// [`ProtocolError::Missing`] when there is nothing to ask.
-    pub(super) fn or_refused(self, layout: &str) -> Result<Found, ProtocolError> {
-        if self.scenes.iter().any(|p| !p.questions.is_empty()) {
+    /// [`ProtocolError::Missing`] when there is no query.
+    pub(super) fn or_refused(self, layout: &str) -> Result<FoundScenes, ProtocolError> {
+        if self.scenes.iter().any(|p| !p.queries.is_empty()) {
             return Ok(self);
         }
         Err(ProtocolError::Missing(Missing { what: self.missing, layout: layout.into() }))
     }
 }
 
-impl From<EvalScene> for Found {
-    fn from(eval_scene: EvalScene) -> Found {
-        Found { scenes: vec![eval_scene], missing: Vec::new() }
+impl From<EvalScene> for FoundScenes {
+    fn from(eval_scene: EvalScene) -> FoundScenes {
+        FoundScenes { scenes: vec![eval_scene], missing: Vec::new() }
     }
 }
 
 /// One object, the prompts it is to be found from, and the photos on which that is scored.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Question {
+pub struct EvalQuery {
     /// The object.
     pub target: String,
     /// Which of several prompts for it.
@@ -94,7 +94,7 @@ pub struct PhotoScore {
     pub photo: String,
     /// How well the visible mask fits.
     #[serde(flatten)]
-    pub score: MaskScore,
+    pub score: MaskMetrics,
 }
 
 /// The photos of a scene, by name.
@@ -116,7 +116,7 @@ pub(super) fn photo_of<'a>(photos: &'a [String], wanted: &str) -> Option<&'a Str
     photos.iter().find(|p| stem(p) == wanted)
 }
 
-/// Puts rows through a scene: trains (what rows share only once), asks every question, scores it. Leaves
+/// Puts rows through a scene: trains (what rows share only once), runs every query, scores it. Leaves
 /// `results.json` and `photos.jsonl`, a line per photo.
 ///
 /// # Errors
@@ -125,13 +125,13 @@ pub fn measure(
     out: &Path,
     eval_scene: &EvalScene,
     rows: &[&Variant],
-    base: &Base,
+    base: &ProtocolBase,
     results: &mut Results,
-    told: Told,
+    report: OnRecord,
 ) -> Result<(), ProtocolError> {
-    if eval_scene.questions.is_empty() && !eval_scene.held_out {
+    if eval_scene.queries.is_empty() && !eval_scene.held_out {
         return Err(ProtocolError::Missing(Missing {
-            what: vec![format!("a question to ask of {}", eval_scene.scene.display())],
+            what: vec![format!("a query for {}", eval_scene.scene.display())],
             layout: "a target needs a reference photo and a true mask of at least one other photo".into(),
         }));
     }
@@ -161,27 +161,27 @@ pub fn measure(
             let numbers = [("psnr", held.psnr), ("ssim", held.ssim)];
             let numbers = numbers.map(|(name, value)| (name.to_owned(), f64::from(value)));
             let record = Record { notes: vec![held.protocol], ..record("", 0, BTreeMap::from(numbers)) };
-            keep(results, record, out, told)?;
+            keep(results, record, out, report)?;
         }
-        for question in &eval_scene.questions {
-            let Answer { numbers, photos, unread } = ask(&folder, question, &settings)?;
-            results.miss(unread.iter().map(|u| format!("{}, {}: {u}", eval_scene.name, question.target)));
-            let line = |(photo, score): (String, MaskScore)| PhotoScore {
+        for query in &eval_scene.queries {
+            let ScoredAnswer { numbers, photos, unread } = ask(&folder, query, &settings)?;
+            results.miss(unread.iter().map(|u| format!("{}, {}: {u}", eval_scene.name, query.target)));
+            let line = |(photo, score): (String, MaskMetrics)| PhotoScore {
                 scene: eval_scene.name.clone(),
                 setting: row.name.into(),
                 provider: summary.provider.clone(),
-                target: question.target.clone(),
+                target: query.target.clone(),
                 seed: eval_scene.seed,
-                prompt: question.prompt,
+                prompt: query.prompt,
                 photo,
                 score,
             };
             append(&out.join("photos.jsonl"), photos.into_iter().map(line))?;
-            let clicked: Vec<&str> = question.prompts.iter().map(|p| p.photo.as_str()).collect();
+            let clicked: Vec<&str> = query.prompts.iter().map(|p| p.photo.as_str()).collect();
             let mut notes = vec![format!("clicked {}", clicked.join(", "))];
-            notes.extend(question.missing.iter().chain(&unread).map(|m| format!("not scored: {m}")));
-            let record = Record { notes, ..record(&question.target, question.prompt, numbers) };
-            keep(results, record, out, told)?;
+            notes.extend(query.missing.iter().chain(&unread).map(|m| format!("not scored: {m}")));
+            let record = Record { notes, ..record(&query.target, query.prompt, numbers) };
+            keep(results, record, out, report)?;
         }
     }
     Ok(())
@@ -193,20 +193,20 @@ fn file_name(name: &str) -> String {
 }
 
 /// What came of a question.
-struct Answer {
+struct ScoredAnswer {
     /// By the names that records have for them. There is no IoU where no photo could be scored.
     numbers: BTreeMap<String, f64>,
     /// Each photo's score.
-    photos: Vec<(String, MaskScore)>,
+    photos: Vec<(String, MaskMetrics)>,
     /// Photos whose true mask cannot be read, and why.
     unread: Vec<String>,
 }
 
 /// Selects, and scores the masks of the photos that were not clicked. Nothing selected is nothing right.
-fn ask(folder: &RunFolder, question: &Question, settings: &Settings) -> Result<Answer, ProtocolError> {
-    let name = format!("{}-{}", file_name(&question.target), question.prompt);
+fn ask(folder: &RunFolder, query: &EvalQuery, settings: &Settings) -> Result<ScoredAnswer, ProtocolError> {
+    let name = format!("{}-{}", file_name(&query.target), query.prompt);
     let eyes = providers_for(folder, &Code::of(&settings.vision))?;
-    let selected = segment(folder, &name, &question.prompts, &settings.segment, Some(&eyes), &Stopper::new());
+    let selected = segment(folder, &name, &query.prompts, &settings.segment, Some(&eyes), &Stopper::new());
     let selected = match selected {
         Ok(outcome) => Some(outcome),
         Err(RunError::Segment(error)) if error.is_nothing() => None,
@@ -214,8 +214,8 @@ fn ask(folder: &RunFolder, question: &Question, settings: &Settings) -> Result<A
     };
     let files = folder.mask_files()?;
     let (mut visible, mut amodal, mut unread) = (Vec::new(), Vec::new(), Vec::new());
-    for (photo, file) in &question.truth {
-        if question.prompts.iter().any(|p| p.photo == *photo) {
+    for (photo, file) in &query.truth {
+        if query.prompts.iter().any(|p| p.photo == *photo) {
             continue;
         }
         let truth = match Mask::read_png(file) {
@@ -229,7 +229,7 @@ fn ask(folder: &RunFolder, question: &Question, settings: &Settings) -> Result<A
             continue;
         }
         let (w, h) = (truth.width(), truth.height());
-        let of = |kind: &str| -> Result<MaskScore, ProtocolError> {
+        let of = |kind: &str| -> Result<MaskMetrics, ProtocolError> {
             let mask = match (&selected, files.get(photo)) {
                 (Some(outcome), Some(file)) => {
                     let mask = Mask::read_png(&outcome.folder.join(kind).join(file))?;
@@ -238,7 +238,7 @@ fn ask(folder: &RunFolder, question: &Question, settings: &Settings) -> Result<A
                 _ => Mask::empty(w, h),
             };
             metrics::score(&mask, &truth, None).map_err(|source| ProtocolError::Metric {
-                target: question.target.clone(),
+                target: query.target.clone(),
                 photo: photo.clone(),
                 source,
             })
@@ -249,16 +249,16 @@ fn ask(folder: &RunFolder, question: &Question, settings: &Settings) -> Result<A
     let mut numbers = scores(&visible, &amodal);
     numbers.extend(selected.iter().flat_map(|o| [("select_s", o.select_s), ("splats", o.splats as f64)]));
     let numbers = numbers.into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
-    Ok(Answer { numbers, photos: visible, unread })
+    Ok(ScoredAnswer { numbers, photos: visible, unread })
 }
 
 /// Means over the photos that were scored; nothing where there are none.
-fn scores(visible: &[(String, MaskScore)], amodal: &[f64]) -> Vec<(&'static str, f64)> {
+fn scores(visible: &[(String, MaskMetrics)], amodal: &[f64]) -> Vec<(&'static str, f64)> {
     let count = visible.len() as f64;
     if visible.is_empty() {
         return vec![("photos", 0.0)];
     }
-    let mean = |of: fn(&MaskScore) -> f64| visible.iter().map(|(_, s)| of(s)).sum::<f64>() / count;
+    let mean = |of: fn(&MaskMetrics) -> f64| visible.iter().map(|(_, s)| of(s)).sum::<f64>() / count;
     vec![
         ("iou", mean(|s| s.iou)),
         ("accuracy", mean(|s| s.accuracy)),

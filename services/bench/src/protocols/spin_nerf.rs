@@ -3,7 +3,7 @@
 
 use super::folder::{entries, masks_in};
 use super::scene::photos;
-use super::{EvalScene, Found, ProtocolError, Question, clicks};
+use super::{EvalQuery, EvalScene, FoundScenes, ProtocolError, clicks};
 use segwild_pipeline::{PhotoPrompts, Settings};
 use segwild_scene::{Mask, Prompts};
 use std::path::{Path, PathBuf};
@@ -32,7 +32,7 @@ const LABELS: [&str; 3] = ["label", "images_4/label", "images/label"];
 ///
 /// # Errors
 /// When no scene is left: all that is missing, with what to put where.
-pub fn scenes(options: &SpinNerfProtocol, settings: &Settings, seed: u64) -> Result<Found, ProtocolError> {
+pub fn scenes(options: &SpinNerfProtocol, settings: &Settings, seed: u64) -> Result<FoundScenes, ProtocolError> {
     let mut missing = Vec::new();
     let names: Vec<PathBuf> = match entries(&options.root) {
         _ if !options.only.is_empty() => options.only.iter().map(|name| options.root.join(name)).collect(),
@@ -42,7 +42,7 @@ pub fn scenes(options: &SpinNerfProtocol, settings: &Settings, seed: u64) -> Res
     if names.is_empty() {
         missing.push(format!("a scene in {}", options.root.display()));
     }
-    let mut found = Found { scenes: Vec::new(), missing };
+    let mut found = FoundScenes { scenes: Vec::new(), missing };
     for scene in names {
         match eval_scene(&scene, options.clicks, settings, seed)? {
             Ok(eval_scene) => found.scenes.push(eval_scene),
@@ -52,7 +52,7 @@ pub fn scenes(options: &SpinNerfProtocol, settings: &Settings, seed: u64) -> Res
     found.or_refused(LAYOUT)
 }
 
-/// A scene with its question, or what it lacks.
+/// A scene with its query, or what is missing of it.
 fn eval_scene(
     scene: &Path,
     clicks: usize,
@@ -85,13 +85,13 @@ fn eval_scene(
         return Ok(Err(format!("a white pixel in {}, the reference photo's mask", file.display())));
     }
     let prompts = vec![PhotoPrompts { photo, prompts: Prompts { points, ..Prompts::default() } }];
-    let questions = vec![Question { target: name.clone(), prompt: 0, prompts, truth, missing: Vec::new() }];
+    let queries = vec![EvalQuery { target: name.clone(), prompt: 0, prompts, truth, missing: Vec::new() }];
     Ok(Ok(EvalScene {
         protocol: "spin-nerf",
         name,
         scene: scene.into(),
         seed,
-        questions,
+        queries,
         split: None,
         held_out: false,
     }))

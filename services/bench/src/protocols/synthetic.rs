@@ -1,9 +1,9 @@
 //! Synthetic scenes, whose truth is known exactly: one click per object, or several at random (method, section 11).
 
-use super::{Base, ProtocolError, Table, Told, clicks, keep};
+use super::{ProtocolBase, OnRecord, ProtocolError, Table, clicks, keep};
 use crate::oracle::OracleOptions;
 use crate::record::{Record, Results};
-use crate::synthetic::{Kind, ObjectTruth, SyntheticOptions};
+use crate::synthetic::{ObjectKind, ObjectTruth, SyntheticOptions};
 use crate::trial::{ProviderKind, Trial};
 use segwild_pipeline::PhotoPrompts;
 use segwild_scene::Prompts;
@@ -29,7 +29,7 @@ const CLICKED: [&str; 3] = ["ground", "facade", "hall"];
 impl Targets {
     fn holds(self, object: &ObjectTruth) -> bool {
         match self {
-            Targets::Objects => object.kind == Kind::Object,
+            Targets::Objects => object.kind == ObjectKind::Object,
             Targets::Surfaces => CLICKED.contains(&object.name.as_str()),
         }
     }
@@ -51,17 +51,17 @@ pub struct SyntheticProtocol {
     pub seeds: Vec<u64>,
     /// What is clicked.
     pub targets: Targets,
-    /// Clicks that each object is found from, one at a time: 1 is the click in its middle; more are drawn anywhere inside
+    /// Clicks that each object is found from, one at a time: 1 is the click in its middle; more are sampled anywhere inside
     /// what is seen of it.
     pub prompts: usize,
-    /// Who looks at the photos.
+    /// The provider of masks and descriptors.
     pub providers: ProviderKind,
     /// How the oracle errs.
     pub faults: OracleOptions,
     /// The scenes, but for their seeds.
     pub scene: SyntheticOptions,
     /// What all rows have in common.
-    pub base: Base,
+    pub base: ProtocolBase,
 }
 
 /// Measures every row on every scene. Geometry that rows share is trained once per scene: what a row does not change
@@ -70,7 +70,7 @@ pub fn synthetic(
     out: &Path,
     options: &SyntheticProtocol,
     results: &mut Results,
-    told: Told,
+    report: OnRecord,
 ) -> Result<(), ProtocolError> {
     let rows = options.table.rows(&options.only)?;
     for &seed in &options.seeds {
@@ -82,7 +82,8 @@ pub fn synthetic(
             trial.train(&settings)?;
             let session = trial.session(&settings)?;
             for object in trial.manifest().objects.iter().filter(|o| options.targets.holds(o)) {
-                for (prompt, prompts) in asked(&trial, object, options.prompts).into_iter().enumerate() {
+                for (prompt, prompts) in prompts_for(&trial, object, options.prompts).into_iter().enumerate()
+                {
                     let score = session.score(object, prompts)?;
                     let mut numbers = score.numbers();
                     if options.targets == Targets::Surfaces {
@@ -99,7 +100,7 @@ pub fn synthetic(
                         numbers,
                         ..Record::default()
                     };
-                    keep(results, record, out, told)?;
+                    keep(results, record, out, report)?;
                 }
             }
         }
@@ -109,7 +110,7 @@ pub fn synthetic(
 
 /// The clicks that an object is found from, in the training photo that shows it best: in its middle, or so many at
 /// random. None where no photo shows it well enough.
-fn asked(trial: &Trial, object: &ObjectTruth, count: usize) -> Vec<PhotoPrompts> {
+fn prompts_for(trial: &Trial, object: &ObjectTruth, count: usize) -> Vec<PhotoPrompts> {
     let Some(click) = object.clicks.first() else { return Vec::new() };
     let on = |x, y| PhotoPrompts { photo: click.photo.clone(), prompts: Prompts::click(x, y) };
     let photo = trial.scene().photos.iter().find(|p| p.name == click.photo);

@@ -465,7 +465,7 @@ mod tests {
     fn tables_in_the_papers_layout_have_its_figures_beside_ours() {
         let table = paper_targets(&results());
         let row =
-            |begins: &str| table.lines().find(|l| l.starts_with(begins)).unwrap_or_else(|| panic!("{table}"));
+            |start: &str| table.lines().find(|l| l.starts_with(start)).unwrap_or_else(|| panic!("{table}"));
         assert!(row("| saga | paper | – |").contains(" 0.913 | 0.840 |"));
         assert!(row("| saga | here | oracle | 0.250 / 0.900 | – |").ends_with("| 0.250 |"));
         // Clicked twice with .7 on average on seed 1, and once with 1 on seed 2.

@@ -14,7 +14,7 @@ use std::time::Instant;
 /// Least seconds over which a pass is repeated: processor time is counted in steps of 10 ms.
 const LEAST: f64 = 0.3;
 
-/// How fast this machine is now: CPU milliseconds of drawing and differentiating a frame. What else runs on the host makes
+/// How fast this machine is now: CPU milliseconds to render and differentiate a frame. What else runs on the host makes
 /// the same work take up to twice as long from one minute to the next.
 pub(crate) fn pace() -> Result<f64, PageError> {
     let (splats, colours) = frame(20_000, 3);

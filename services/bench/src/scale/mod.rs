@@ -1,4 +1,4 @@
-//! How time and memory grow: with splats, photos, pixels, channels and objects; the slopes; and what they say of a scene
+//! How time and memory grow: with splats, photos, pixels, channels and objects; the slopes; and what they predict for a scene
 //! that does not fit here.
 
 pub(crate) mod kernels;
@@ -9,8 +9,8 @@ pub use page::{markdown, write};
 use crate::metrics::Spread;
 use crate::oracle::OracleOptions;
 use crate::page::{PageError, io};
-use crate::point::{self, Job, PhotoSource, Prompting};
-use crate::record::{Made, Record, Results};
+use crate::point::{self, PointJob, PhotoSource, Prompting};
+use crate::record::{Provenance, Record, Results};
 use crate::stability::Harm;
 use crate::synthetic::SyntheticOptions;
 use crate::trial::ProviderKind;
@@ -47,13 +47,13 @@ pub struct ScaleOptions {
     pub pixels: Vec<u32>,
 }
 
-/// Measures what is not known yet; `told` hears of every size.
-pub fn scale(options: &ScaleOptions, mut told: impl FnMut(&Record)) -> Result<Results, PageError> {
+/// Measures what is not known yet; `report` receives the record of every size.
+pub fn scale(options: &ScaleOptions, mut report: impl FnMut(&Record)) -> Result<Results, PageError> {
     PageError::refuse("axis", &options.only, &AXES, |o| AXES.contains(&o))?;
     io(&options.out, std::fs::create_dir_all(&options.out))?;
     let file = options.out.join("results.json");
     let mut results = if file.is_file() { Results::read(&file)? } else { Results::default() };
-    results.made = Made::here(options.command.clone());
+    results.made = Provenance::here(options.command.clone());
     for axis in AXES {
         if !(options.only.is_empty() || options.only.iter().any(|o| o == axis)) {
             continue;
@@ -71,7 +71,7 @@ pub fn scale(options: &ScaleOptions, mut told: impl FnMut(&Record)) -> Result<Re
                 "kernels channels" => kernels::measure(axis, size, 20_000, 400, size)?,
                 _ => run(options, axis, size)?,
             };
-            told(&record);
+            report(&record);
             results.put(record);
             results.write(&file)?;
         }
@@ -119,7 +119,7 @@ fn run(options: &ScaleOptions, axis: &str, size: u32) -> Result<Record, PageErro
         ("splats", splats.to_string()),
         // Every run grows to what it is allowed; this strategy gives no splat away either.
         ("grow_gain", "0".into()),
-        // Nor may photos too few and small to bear them out take any away.
+        // Nor may pruning by multi-view support remove any: the photos are too few and small for it.
         ("robust", "false".into()),
         ("density", if axis == "splats" { "mcmc" } else { "budget" }.into()),
         // Caches of a fixed size, full in all.
@@ -127,7 +127,7 @@ fn run(options: &ScaleOptions, axis: &str, size: u32) -> Result<Record, PageErro
         ("feature_memory", "8".into()),
         ("vision_memory", "16".into()),
     ];
-    let job = Job {
+    let job = PointJob {
         protocol: PROTOCOL.into(),
         setting: axis.into(),
         at: Some(f64::from(size)),

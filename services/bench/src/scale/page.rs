@@ -13,7 +13,7 @@ use std::path::Path;
 /// The scene that does not fit here.
 const LARGE_PHOTOS: f64 = 10_000.0;
 const LARGE_SPLATS: f64 = 10e6;
-/// Steps of such a training: three looks at every photo.
+/// Steps of such a training: each photo is used three times.
 const LARGE_STEPS: f64 = 30_000.0;
 
 /// The page in Markdown.
@@ -23,7 +23,7 @@ pub fn markdown(results: &Results) -> String {
     let mut text = format!(
         "# {}\n\n{} This page is generated. {}\n\nSlopes are of log-log fits: 1 is linear, 0 does not \
          grow; the last is between the two largest sizes, where fixed costs count least. Kernel passes are CPU milliseconds over \
-         splats of 0.5 to 3 px (at a width of 400); whole runs are synthetic places, 16 photos of 128 \
+         splats of 0.5 to 3 px (at a width of 400); whole runs are synthetic scenes, 16 photos of 128 \
          px and 300 steps unless that is what grows, caches of a fixed size, each in a process of its own.\n",
         stamp::title("How it grows", &by),
         stamp::first_sentence(&by, &[]),
@@ -97,7 +97,7 @@ fn large(results: &Results) -> String {
         ),
         (
             format!(
-                "lifting and visibility, two looks at every photo at {:.1} CPU-s",
+                "lifting and visibility, two passes over every photo at {:.1} CPU-s",
                 (project + forward + gather) / 1e3
             ),
             hours(2.0 * LARGE_PHOTOS * (project + forward + gather)),

@@ -43,7 +43,7 @@ fn kernel(size: f64) -> Record {
     let mut numbers = BTreeMap::new();
     let mut notes = Vec::new();
     let engine = CpuEngine::new();
-    let drawn = || -> Result<(Frame, SplatGrads), RasterError> {
+    let render = || -> Result<(Frame, SplatGrads), RasterError> {
         let projected = engine.project(&splats, &camera, &pose, &options)?;
         let channels = Channels { count: 3, values: &values };
         let frame = projected.blend(&channels)?;
@@ -51,7 +51,7 @@ fn kernel(size: f64) -> Record {
         let grads = projected.backward(&channels, &frame, &grad)?;
         Ok((frame, grads))
     };
-    match drawn() {
+    match render() {
         Ok((frame, grads)) => {
             let finite = frame.image.data.iter().chain(&frame.alpha.data).all(|v| v.is_finite())
                 && grads.means.as_flattened().iter().all(|v| v.is_finite())

@@ -1,8 +1,8 @@
-//! Where the method fails, and whether it says so: quality as a curve against each kind of stress (method, section 12).
+//! Where the method fails, and whether it reports that: quality as a curve against each kind of stress (method, section 12).
 //!
 //! A curve breaks at the first amount at which IoU falls under [`BREAKS`] of what it is without the stress. Breaking is
-//! announced when the program says something there that it does not say without the stress: a warning of the run, a
-//! doubt about a click, or a refusal.
+//! announced when the program reports something there that it does not report without the stress: a warning of the run, a
+//! diagnostic of a click, or a refusal.
 
 mod kernels;
 mod page;
@@ -14,8 +14,8 @@ pub use stress::{Harm, STRESSES, Stress};
 
 use crate::oracle::{ORACLE, OracleOptions};
 use crate::page::{PageError, io};
-use crate::point::{Job, PhotoSource, Prompting, means, measure};
-use crate::record::{Made, Record, Results};
+use crate::point::{PointJob, PhotoSource, Prompting, means, measure};
+use crate::record::{Provenance, Record, Results};
 use crate::stamp::{UNKNOWN, provider};
 use crate::synthetic::SyntheticOptions;
 use crate::trial::ProviderKind;
@@ -41,15 +41,15 @@ pub struct StabilityOptions {
     pub only: Vec<String>,
     /// Seeds of the sources and of the trainings.
     pub seeds: Vec<u64>,
-    /// Who looks at the photos. Stresses that are faults of the oracle are left out where it is not the oracle.
+    /// The provider of masks and descriptors. Stresses that are faults of the oracle are left out where it is not the oracle.
     pub providers: ProviderKind,
-    /// The place, but for its seed.
+    /// The scene, but for its seed.
     pub scene: SyntheticOptions,
     /// Settings of the trainings, by name.
     pub settings: Vec<(String, String)>,
 }
 
-/// The place and the settings by default: small, so that all curves together take minutes.
+/// The scene and the settings by default: small, so that all curves together take minutes.
 pub fn defaults() -> (SyntheticOptions, Vec<(String, String)>) {
     let scene =
         SyntheticOptions { train: 20, test: 3, long_side: 160, points: 2500, ..SyntheticOptions::default() };
@@ -57,8 +57,11 @@ pub fn defaults() -> (SyntheticOptions, Vec<(String, String)>) {
     (scene, settings.map(|(name, value)| (name.to_owned(), value.to_owned())).to_vec())
 }
 
-/// Measures what is not known yet; `told` hears of every amount of every stress.
-pub fn stability(options: &StabilityOptions, mut told: impl FnMut(&[Record])) -> Result<Results, PageError> {
+/// Measures what is not known yet; `report` receives every amount of every stress.
+pub fn stability(
+    options: &StabilityOptions,
+    mut report: impl FnMut(&[Record]),
+) -> Result<Results, PageError> {
     let can = |s: &&Stress| options.providers == ProviderKind::Oracle || !s.is_of_the_oracle();
     let names: Vec<&str> = STRESSES.iter().filter(can).map(|s| s.name).chain(MORE).collect();
     PageError::refuse("row", &options.only, &names, |o| names.contains(&o))?;
@@ -66,7 +69,7 @@ pub fn stability(options: &StabilityOptions, mut told: impl FnMut(&[Record])) ->
     io(&options.out, std::fs::create_dir_all(&options.out))?;
     let file = options.out.join("results.json");
     let mut results = if file.is_file() { Results::read(&file)? } else { Results::default() };
-    results.made = Made::here(options.command.clone());
+    results.made = Provenance::here(options.command.clone());
     let is_oracle = options.providers == ProviderKind::Oracle;
     if results.records.iter().filter_map(provider).any(|p| (p == ORACLE) != is_oracle || p == UNKNOWN) {
         return Err(PageError::Other(options.out.clone()));
@@ -83,13 +86,13 @@ pub fn stability(options: &StabilityOptions, mut told: impl FnMut(&[Record])) ->
         for &seed in &options.seeds {
             let known: Vec<Record> = of(&results, stress.name, Some(value), seed).cloned().collect();
             if known.iter().any(|r| r.target.is_empty()) {
-                told(&known);
+                report(&known);
                 continue;
             }
             let mut job = job(options, seed);
             (stress.apply)(&mut job, value);
             let records = at(&mut job, &runs, &mut measured, stress.name, Some(value))?;
-            told(&records);
+            report(&records);
             records.into_iter().for_each(|r| results.put(r));
             results.write(&file)?;
         }
@@ -97,10 +100,10 @@ pub fn stability(options: &StabilityOptions, mut told: impl FnMut(&[Record])) ->
     if wanted("seeds") {
         for seed in 1..=10 {
             if of(&results, "seeds", None, seed).next().is_none() {
-                // Another training of the same place.
-                let mut job = Job { seed, ..job(options, options.seeds.first().copied().unwrap_or(1)) };
+                // Another training of the same scene.
+                let mut job = PointJob { seed, ..job(options, options.seeds.first().copied().unwrap_or(1)) };
                 let records = at(&mut job, &runs, &mut measured, "seeds", None)?;
-                told(&records);
+                report(&records);
                 records.into_iter().for_each(|r| results.put(r));
                 results.write(&file)?;
             }
@@ -108,12 +111,12 @@ pub fn stability(options: &StabilityOptions, mut told: impl FnMut(&[Record])) ->
     }
     if wanted("bytes") {
         let record = bytes(options)?;
-        told(std::slice::from_ref(&record));
+        report(std::slice::from_ref(&record));
         results.put(record);
     }
     if wanted("kernels") {
         let records = kernels();
-        told(&records);
+        report(&records);
         records.into_iter().for_each(|r| results.put(r));
     }
     results.write(&file)?;
@@ -131,8 +134,8 @@ fn of<'a>(
 }
 
 /// The training that nothing is wrong with.
-fn job(options: &StabilityOptions, seed: u64) -> Job {
-    Job {
+fn job(options: &StabilityOptions, seed: u64) -> PointJob {
+    PointJob {
         protocol: PROTOCOL.into(),
         setting: String::new(),
         at: None,
@@ -150,7 +153,7 @@ fn job(options: &StabilityOptions, seed: u64) -> Job {
 
 /// Measures a job, or finds what was measured under another name.
 fn at(
-    job: &mut Job,
+    job: &mut PointJob,
     runs: &std::path::Path,
     measured: &mut BTreeMap<String, Vec<Record>>,
     setting: &str,
@@ -211,7 +214,7 @@ fn bytes(options: &StabilityOptions) -> Result<Record, PageError> {
     })
 }
 
-/// One amount of a stress: its numbers over the seeds, and what was said.
+/// One amount of a stress: its numbers over the seeds, and the messages.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Amount {
     /// How much.
@@ -222,8 +225,8 @@ pub struct Amount {
     pub worst: f64,
     /// Mean held-out PSNR in dB.
     pub psnr: f64,
-    /// What the program said, each kind once.
-    pub said: Vec<String>,
+    /// The program's messages, each kind once.
+    pub messages: Vec<String>,
 }
 
 /// A curve, and where it breaks.
@@ -235,10 +238,10 @@ pub struct Curve {
     pub amounts: Vec<Amount>,
     /// The first amount at which it is broken.
     pub breaks: Option<f64>,
-    /// What is said there that is not said without the stress.
+    /// Messages there that do not come without the stress.
     pub announced: Vec<String>,
-    /// The first amount at which something is said that is not said without the stress.
-    pub said_from: Option<f64>,
+    /// The first amount with a message that does not come without the stress.
+    pub warned_from: Option<f64>,
 }
 
 /// The curves of some results.
@@ -250,9 +253,9 @@ fn curve(results: &Results, stress: &Stress) -> Option<Curve> {
     let amounts: Vec<Amount> =
         stress.values.iter().filter_map(|&value| amount(results, stress.name, Some(value))).collect();
     let calm = amounts.iter().find(|a| a.value == stress.calm)?;
-    let usual: BTreeSet<String> = calm.said.iter().map(|s| kind(s)).collect();
+    let usual: BTreeSet<String> = calm.messages.iter().map(|s| kind(s)).collect();
     let new = |a: &Amount| -> Vec<String> {
-        a.said.iter().filter(|s| !usual.contains(&kind(s))).cloned().collect()
+        a.messages.iter().filter(|s| !usual.contains(&kind(s))).cloned().collect()
     };
     let rising = stress.values.last() > stress.values.first();
     let beyond = |a: &&Amount| {
@@ -263,7 +266,7 @@ fn curve(results: &Results, stress: &Stress) -> Option<Curve> {
         name: stress.name,
         breaks: broken.map(|a| a.value),
         announced: broken.map(new).unwrap_or_default(),
-        said_from: amounts.iter().find(|a| !new(a).is_empty()).map(|a| a.value),
+        warned_from: amounts.iter().find(|a| !new(a).is_empty()).map(|a| a.value),
         amounts,
     })
 }
@@ -273,10 +276,10 @@ fn amount(results: &Results, setting: &str, at: Option<f64>) -> Option<Amount> {
     let records: Vec<&Record> =
         results.records.iter().filter(|r| r.setting == setting && r.at == at).collect();
     let numbers = means(&records);
-    let mut said: Vec<String> = Vec::new();
+    let mut messages: Vec<String> = Vec::new();
     for note in records.iter().flat_map(|r| &r.notes) {
-        if said.iter().all(|s| kind(s) != kind(note)) {
-            said.push(note.clone());
+        if messages.iter().all(|s| kind(s) != kind(note)) {
+            messages.push(note.clone());
         }
     }
     let worst = records.iter().filter_map(|r| r.numbers.get("iou")).copied().fold(f64::INFINITY, f64::min);
@@ -285,7 +288,7 @@ fn amount(results: &Results, setting: &str, at: Option<f64>) -> Option<Amount> {
         iou: *numbers.get("iou")?,
         worst,
         psnr: numbers.get("psnr").copied().unwrap_or(f64::NAN),
-        said,
+        messages,
     })
 }
 
@@ -326,7 +329,7 @@ mod tests {
             (0.25, 0.6, "in 12 of 20 photos more than 25 % contradicts the scene"),
         ]);
         let curve = &curves(&broken)[0];
-        assert_eq!((curve.breaks, curve.said_from), (Some(0.25), Some(0.25)));
+        assert_eq!((curve.breaks, curve.warned_from), (Some(0.25), Some(0.25)));
         assert!(curve.announced[0].starts_with("in 12 of 20"));
         let silent = results(&[(0.0, 0.9, usual), (0.25, 0.6, usual)]);
         let curve = &curves(&silent)[0];

@@ -1,10 +1,10 @@
-//! The page: every curve, where it breaks, and what is said there.
+//! The page: every curve, where it breaks, and what the program reports there.
 
 use super::{BREAKS, Curve, STRESSES, curves};
 use crate::metrics::Spread;
 use crate::oracle::ORACLE;
 use crate::page::{PageError, io};
-use crate::plot::{Figure, Mark, Panel, Series, short};
+use crate::plot::{Figure, Mark, Panel, PlotSeries, short};
 use crate::point::means;
 use crate::record::{Record, Results};
 use crate::stamp::{self, providers};
@@ -19,9 +19,9 @@ pub fn markdown(results: &Results, figure: Option<&str>) -> String {
     let by = providers([results]);
     let mut text = format!(
         "# {}\n\n{} This page is generated. {}\n\nSynthetic sources; {}; IoU is the mean over objects, on the photos that were \
-         not clicked. A curve breaks at the first amount at which IoU is under {BREAKS} of what it is without the stress; it is announced when the program says \
-         something there that it does not say without the stress.\n\n",
-        stamp::title("Where it fails, and whether it says so", &by),
+         not clicked. A curve breaks at the first amount at which IoU is under {BREAKS} of what it is without the stress; it is announced when the program reports \
+         something there that it does not report without the stress.\n\n",
+        stamp::title("Where it fails, and whether it reports that", &by),
         stamp::first_sentence(&by, &[]),
         stamp::stamp(made, &by),
         if by == [ORACLE] {
@@ -61,10 +61,10 @@ pub fn markdown(results: &Results, figure: Option<&str>) -> String {
 }
 
 fn announced(curve: &Curve) -> String {
-    match (curve.breaks, curve.announced.first(), curve.said_from) {
+    match (curve.breaks, curve.announced.first(), curve.warned_from) {
         (Some(_), Some(first), _) => format!("yes: “{first}”"),
         (Some(_), None, _) => "**no**".into(),
-        (None, _, Some(from)) => format!("something is said from {} on", short(from)),
+        (None, _, Some(from)) => format!("a message from {} on", short(from)),
         (None, _, None) => String::new(),
     }
 }
@@ -78,7 +78,7 @@ fn clicks(results: &Results) -> String {
     }
     let mut text = String::from(
         "\n## Ten random clicks per object\n\nAnywhere on the object, in any photo that shows it.\n\n| object | clicks | mean IoU | \
-         median | worst | doubts told of the worst |\n|---|---:|---:|---:|---:|---|\n",
+         median | worst | diagnostics of the worst |\n|---|---:|---:|---:|---:|---|\n",
     );
     let names: BTreeSet<(&str, &str)> =
         records.iter().map(|r| (r.scene.as_str(), r.target.as_str())).collect();
@@ -88,10 +88,10 @@ fn clicks(results: &Results) -> String {
         values.sort_by(f64::total_cmp);
         let Some(spread) = Spread::of(&values) else { continue };
         let worst = of.iter().find(|r| r.numbers.get("iou") == values.first());
-        let said = worst.and_then(|r| r.notes.first()).map_or("none", String::as_str);
+        let message = worst.and_then(|r| r.notes.first()).map_or("none", String::as_str);
         let _ = writeln!(
             text,
-            "| {scene}, {target} | {} | {:.3} | {:.3} | {:.3} | {said} |",
+            "| {scene}, {target} | {} | {:.3} | {:.3} | {:.3} | {message} |",
             spread.count,
             spread.mean,
             values[values.len() / 2],
@@ -168,11 +168,11 @@ pub fn figure(results: &Results) -> Figure {
                 a.iou,
                 a.worst,
                 a.psnr,
-                a.said.join("\n")
+                a.messages.join("\n")
             ),
             ..Mark::default()
         };
-        let of = |name: &str, pick: fn(&super::Amount) -> f64| Series {
+        let of = |name: &str, pick: fn(&super::Amount) -> f64| PlotSeries {
             name: name.into(),
             marks: curve.amounts.iter().map(|a| mark(pick(a), a)).collect(),
             line: true,

@@ -1,6 +1,6 @@
-//! What is done to a scene, to what looks at it, or to the clicks, and how much of it.
+//! Stresses: what is done to a scene, to the providers or to the clicks, and how much of it.
 
-use crate::point::{Job, PhotoSource, Prompting};
+use crate::point::{PointJob, PhotoSource, Prompting};
 use crate::synthetic::random::Rng;
 use crate::synthetic::{SyntheticOptions, SyntheticScene};
 use glam::{DMat3, DVec3};
@@ -22,15 +22,15 @@ pub struct Stress {
     /// The amount with which others are compared: none of the stress, or the default.
     pub calm: f64,
     /// Puts an amount into a job.
-    pub apply: fn(&mut Job, f64),
+    pub apply: fn(&mut PointJob, f64),
 }
 
-/// The stresses that are faults of the oracle: no other provider can be asked for them.
+/// The stresses that are faults of the oracle: no other provider can simulate them.
 const OF_THE_ORACLE: [&str; 4] =
     ["missing masks", "merged masks", "wandering boundaries", "noisy descriptors"];
 
 impl Stress {
-    /// Whether it is a fault of the oracle, which no other provider can be asked for.
+    /// Whether it is a fault of the oracle, which no other provider can simulate.
     pub fn is_of_the_oracle(&self) -> bool {
         OF_THE_ORACLE.contains(&self.name)
     }
@@ -44,7 +44,7 @@ pub struct Harm {
     pub turn: f64,
     /// Every camera is moved by such a share of the cameras' mean distance from their centre (standard deviation).
     pub shift: f64,
-    /// The whole place lies so many times its cameras' mean distance away from the file's origin.
+    /// The whole scene lies so many times its cameras' mean distance away from the file's origin.
     pub offset: f64,
     /// So many photos, the first ones, are written over the others in turn, with the others' poses; 0 for none.
     pub copies: usize,
@@ -56,7 +56,7 @@ impl Harm {
         let centres: Vec<DVec3> = scene.photos.iter().map(centre).collect();
         let mean = centres.iter().sum::<DVec3>() / centres.len().max(1) as f64;
         let size = centres.iter().map(|c| (*c - mean).length()).sum::<f64>() / centres.len().max(1) as f64;
-        let away = DVec3::new(1.0, -0.7, 0.4).normalize() * (self.offset * size);
+        let shift = DVec3::new(1.0, -0.7, 0.4).normalize() * (self.offset * size);
         for (i, photo) in scene.photos.iter_mut().enumerate() {
             let mut rng = Rng::new(seed, (29 << 32) + i as u64);
             let mut gauss = || f64::from(rng.normal());
@@ -64,7 +64,7 @@ impl Harm {
             let angle = gauss() * self.turn.to_radians();
             let moved = DVec3::new(gauss(), gauss(), gauss()) * (self.shift * size / 3f64.sqrt());
             let rotation = DMat3::from_axis_angle(axis, angle) * photo.pose.rotation.as_dmat3();
-            let translation = -(rotation * (centres[i] + moved + away));
+            let translation = -(rotation * (centres[i] + moved + shift));
             if self.turn > 0.0 || self.shift > 0.0 {
                 photo.pose.rotation = rotation.as_mat3();
             }
@@ -73,7 +73,7 @@ impl Harm {
                 photo.pose.translation = translation.as_vec3();
             }
         }
-        scene.points.iter_mut().for_each(|p| p.position += away);
+        scene.points.iter_mut().for_each(|p| p.position += shift);
         if self.copies > 0 {
             let first: Vec<_> = scene.photos.iter().take(self.copies).cloned().collect();
             for (i, photo) in scene.photos.iter_mut().enumerate().skip(self.copies) {
@@ -90,13 +90,13 @@ fn centre(photo: &crate::synthetic::SyntheticPhoto) -> DVec3 {
     -(photo.pose.rotation.as_dmat3().transpose() * photo.translation)
 }
 
-fn scene(job: &mut Job, change: impl Fn(&mut SyntheticOptions)) {
+fn scene(job: &mut PointJob, change: impl Fn(&mut SyntheticOptions)) {
     if let PhotoSource::Synthetic(options) = &mut job.source {
         change(options);
     }
 }
 
-fn set(job: &mut Job, name: &str, value: impl ToString) {
+fn set(job: &mut PointJob, name: &str, value: impl ToString) {
     job.settings.push((name.into(), value.to_string()));
 }
 
@@ -113,8 +113,8 @@ pub const STRESSES: &[Stress] = &[
     },
     Stress {
         name: "light",
-        meaning: "looks differ from photo to photo by so many times the usual range",
-        axis: "strength of the looks",
+        meaning: "appearances differ from photo to photo by so many times the usual range",
+        axis: "strength of the appearances",
         values: &[0.0, 0.5, 1.0, 1.5, 2.0],
         log: false,
         calm: 0.0,
@@ -167,7 +167,7 @@ pub const STRESSES: &[Stress] = &[
     },
     Stress {
         name: "units",
-        meaning: "the same place in other units",
+        meaning: "the same scene in other units",
         axis: "file units per unit",
         values: &[1e-3, 1.0, 1e3],
         log: true,
@@ -176,7 +176,7 @@ pub const STRESSES: &[Stress] = &[
     },
     Stress {
         name: "far from the origin",
-        meaning: "the place lies so many times its size away from the file's origin, as in map coordinates",
+        meaning: "the scene lies so many times its size away from the file's origin, as in map coordinates",
         axis: "sizes away",
         values: &[0.0, 1e3, 1e6],
         log: false,
@@ -212,7 +212,7 @@ pub const STRESSES: &[Stress] = &[
     },
     Stress {
         name: "noisy descriptors",
-        meaning: "noise on each cell of the embedding, beside codes of length 1",
+        meaning: "noise on each cell of the embedding, beside descriptors of length 1",
         axis: "length of the noise",
         values: &[0.0, 0.25, 1.0, 2.0, 4.0],
         log: false,
@@ -248,7 +248,7 @@ pub const STRESSES: &[Stress] = &[
     },
     Stress {
         name: "tau",
-        meaning: "resemblance from which a splat may belong to the object, asked of every splat as the paper does",
+        meaning: "resemblance from which a splat may belong to the object, required of every splat as in the paper",
         axis: "tau",
         values: &[0.1, 0.3, 0.5, 0.7, 0.9],
         log: false,

@@ -1,10 +1,10 @@
 //! A bounding-volume hierarchy over the solids.
 
-use super::shape::Shape;
+use super::shape::SolidShape;
 use glam::{Vec3, Vec3A};
 
 #[derive(Clone, Copy, Debug)]
-struct Node {
+struct BvhNode {
     low: Vec3A,
     high: Vec3A,
     /// Leaf: first entry of `order`. Branch: index of the second child (the first follows its parent).
@@ -16,7 +16,7 @@ struct Node {
 /// Finds what a ray meets without trying every solid.
 #[derive(Clone, Debug)]
 pub struct Bvh {
-    nodes: Vec<Node>,
+    nodes: Vec<BvhNode>,
     order: Vec<u32>,
 }
 
@@ -29,7 +29,7 @@ const STACK: usize = 32;
 
 impl Bvh {
     /// Builds the hierarchy by the surface-area heuristic, swept over all three axes.
-    pub fn new(shapes: &[Shape]) -> Bvh {
+    pub fn new(shapes: &[SolidShape]) -> Bvh {
         // A hair of slack keeps rays that graze a face inside the box.
         let slack = |(low, high): (Vec3, Vec3)| (low - 1e-4, high + 1e-4);
         let bounds: Vec<(Vec3, Vec3)> = shapes.iter().map(|s| slack(s.bounds())).collect();
@@ -53,7 +53,7 @@ impl Bvh {
         let all = self.order[from..to].iter().fold(empty, |a, &i| grow(a, i));
         let at = self.nodes.len();
         let count = to - from;
-        self.nodes.push(Node {
+        self.nodes.push(BvhNode {
             low: all.0.into(),
             high: all.1.into(),
             next: from as u32,
@@ -95,7 +95,14 @@ impl Bvh {
     }
 
     /// Nearest solid along a ray between `least` and `most`: its index and distance.
-    pub fn closest(&self, shapes: &[Shape], o: Vec3, d: Vec3, least: f32, most: f32) -> Option<(usize, f32)> {
+    pub fn closest(
+        &self,
+        shapes: &[SolidShape],
+        o: Vec3,
+        d: Vec3,
+        least: f32,
+        most: f32,
+    ) -> Option<(usize, f32)> {
         let (mut best, mut found) = (most, None);
         self.walk(
             o,
@@ -116,7 +123,7 @@ impl Bvh {
     }
 
     /// Whether anything lies along a ray between `least` and `most`.
-    pub fn blocked(&self, shapes: &[Shape], o: Vec3, d: Vec3, least: f32, most: f32) -> bool {
+    pub fn blocked(&self, shapes: &[SolidShape], o: Vec3, d: Vec3, least: f32, most: f32) -> bool {
         let mut blocked = false;
         self.walk(
             o,
@@ -133,7 +140,7 @@ impl Bvh {
     /// Visits solids whose boxes the ray crosses nearer than the bound, nearer boxes first, until `visit` says stop.
     fn walk(&self, o: Vec3, d: Vec3, mut visit: impl FnMut(usize, &mut f32) -> bool, most: f32) {
         let (o, inverse) = (Vec3A::from(o), Vec3A::from(d).recip());
-        let enter = |node: &Node, bound: f32| {
+        let enter = |node: &BvhNode, bound: f32| {
             let (a, b) = ((node.low - o) * inverse, (node.high - o) * inverse);
             let (near, far) = (a.min(b).max_element(), a.max(b).min_element());
             // Plain comparisons: `f32::max` would guard against NaNs that boxes of solids cannot have.

@@ -1,7 +1,7 @@
-//! Where visitors stand.
+//! Where the photos are taken from.
 
 use super::random::Rng;
-use super::world::{Kind, World};
+use super::world::{ObjectKind, SyntheticWorld};
 use super::{SyntheticError, SyntheticOptions};
 use glam::{Vec2, Vec3};
 use segwild_scene::{Camera, Pose};
@@ -15,7 +15,7 @@ const FRONT: f32 = 1.05;
 
 /// One photo about to be taken, in the world's own units.
 #[derive(Clone, Debug)]
-pub struct Shot {
+pub struct CameraShot {
     /// Intrinsics.
     pub camera: Camera,
     /// World to camera.
@@ -26,13 +26,13 @@ pub struct Shot {
     pub front: bool,
 }
 
-/// Places one photo: the `index`-th of `count` in its split (`stream` tells splits apart).
-pub fn place(
-    world: &World,
+/// Samples the camera of one photo: the `index`-th of its split (each split has a `stream` of its own).
+pub fn sample_camera(
+    world: &SyntheticWorld,
     options: &SyntheticOptions,
     stream: u64,
     index: usize,
-) -> Result<Shot, SyntheticError> {
+) -> Result<CameraShot, SyntheticError> {
     let mut rng = Rng::new(options.seed, stream + index as u64);
     // The golden sequence spreads any number of photos evenly over the sectors.
     let start = Rng::new(options.seed, stream).unit();
@@ -47,14 +47,14 @@ pub fn place(
 }
 
 fn draw(
-    world: &World,
+    world: &SyntheticWorld,
     options: &SyntheticOptions,
     rng: &mut Rng,
     turn: f32,
     tame: bool,
-) -> Result<Shot, SyntheticError> {
+) -> Result<CameraShot, SyntheticError> {
     let tau = std::f32::consts::TAU;
-    // 70 % from the front, 16 % from the sides, 14 % from behind.
+    // 70 % from the front, 16 % from the sides, 14 % from the back.
     let azimuth = match turn {
         t if t < 0.70 => (t / 0.70 - 0.5) * 2.0 * FRONT,
         t => {
@@ -70,8 +70,9 @@ fn draw(
     let factor = if tame { 1.2 } else { log_range(rng, 0.6, 2.5) };
     let focal = (factor.powf(0.55) * rng.range(0.72, 1.3)).clamp(0.7, 1.6);
 
-    let away = Vec3::new(azimuth.sin() * elevation.cos(), -azimuth.cos() * elevation.cos(), elevation.sin());
-    let mut eye = Vec3::new(world.centre.x, world.centre.y, 0.0) + away * (world.distance * factor);
+    let outward =
+        Vec3::new(azimuth.sin() * elevation.cos(), -azimuth.cos() * elevation.cos(), elevation.sin());
+    let mut eye = Vec3::new(world.centre.x, world.centre.y, 0.0) + outward * (world.distance * factor);
     eye.z = eye.z.max(rng.range(0.45, 0.75));
     let spread = if tame { 0.0 } else { 1.0 };
     let target = world.centre
@@ -85,21 +86,21 @@ fn draw(
     let (w, h) = if rng.chance(0.34) { (short, long) } else { (long, short) };
     let f = FOCAL * focal * long;
     let camera = Camera { width: w as u32, height: h as u32, fx: f, fy: f, cx: w / 2.0, cy: h / 2.0 };
-    Ok(Shot { camera, pose: Pose::look_at(eye, target, up), eye, front: azimuth.abs() <= FRONT + 0.07 })
+    Ok(CameraShot { camera, pose: Pose::look_at(eye, target, up), eye, front: azimuth.abs() <= FRONT + 0.07 })
 }
 
 fn log_range(rng: &mut Rng, low: f32, high: f32) -> f32 {
     low * (high / low).powf(rng.unit())
 }
 
-/// Whether a shot stands free, has something of the place in it and is not mostly sky.
-fn acceptable(world: &World, shot: &Shot) -> bool {
+/// Whether a shot stands free, has something of the scene in it and is not mostly sky.
+fn acceptable(world: &SyntheticWorld, shot: &CameraShot) -> bool {
     const GRID: (u32, u32) = (18, 14);
     if world.nearest(shot.eye).1 < 0.4 {
         return false;
     }
     let (mut named, mut close, mut sky, mut trees) = (0, 0, 0, 0);
-    let mut kinds = vec![false; world.instances.len()];
+    let mut seen = vec![false; world.instances.len()];
     for gy in 0..GRID.1 {
         for gx in 0..GRID.0 {
             let pixel = Vec2::new(
@@ -113,8 +114,8 @@ fn acceptable(world: &World, shot: &Shot) -> bool {
                     let part = &world.parts[world.part(&hit) as usize];
                     let instance = &world.instances[part.instance as usize];
                     let built =
-                        instance.kind != Kind::Surface || matches!(instance.name.as_str(), "facade" | "hall");
-                    kinds[usize::from(part.instance)] |= built;
+                        instance.kind != ObjectKind::Surface || matches!(instance.name.as_str(), "facade" | "hall");
+                    seen[usize::from(part.instance)] |= built;
                     named += usize::from(built);
                     trees += usize::from(instance.name == "trees");
                     close += usize::from(hit.t < 1.6 && hit.solid.is_some());
@@ -123,6 +124,6 @@ fn acceptable(world: &World, shot: &Shot) -> bool {
         }
     }
     let all = (GRID.0 * GRID.1) as usize;
-    let kinds = kinds.iter().filter(|k| **k).count();
+    let kinds = seen.iter().filter(|k| **k).count();
     kinds >= 3 && named * 5 >= all && close * 50 < all && trees * 8 < all && sky * 20 <= all * 13
 }

@@ -1,29 +1,29 @@
-//! The place: a gate on a square, a domed hall behind it, minarets, pavilions, statues.
+//! The scene: a gate on a square, a domed hall at its back, minarets, pavilions, statues.
 
 use super::bvh::Bvh;
 use super::material::{Material, colour};
 use super::random::Rng;
-use super::shape::Shape;
+use super::shape::SolidShape;
 use super::statue;
 use super::surroundings;
-use super::world::{Instance, Kind, Part, World};
+use super::world::{Instance, ObjectKind, SyntheticWorld, WorldPart};
 use glam::{Vec2, Vec3};
 
 /// Collects solids under the current part's name.
 pub struct Builder {
-    world: World,
+    world: SyntheticWorld,
 }
 
 impl Builder {
     /// Starts a named thing.
-    pub fn instance(&mut self, name: &str, kind: Kind) {
+    pub fn instance(&mut self, name: &str, kind: ObjectKind) {
         self.world.instances.push(Instance { name: name.into(), kind });
     }
 
     /// Starts a part of the current thing.
     pub fn part(&mut self, name: &str) -> u16 {
         let instance = (self.world.instances.len() - 1) as u16;
-        self.world.parts.push(Part { name: name.into(), instance });
+        self.world.parts.push(WorldPart { name: name.into(), instance });
         (self.world.parts.len() - 1) as u16
     }
 
@@ -34,7 +34,7 @@ impl Builder {
     }
 
     /// Adds a solid to the current part.
-    pub fn add(&mut self, shape: Shape, material: u16) {
+    pub fn add(&mut self, shape: SolidShape, material: u16) {
         let part = (self.world.parts.len() - 1) as u16;
         self.world.shapes.push(shape);
         self.world.part_of.push(part);
@@ -42,14 +42,14 @@ impl Builder {
     }
 
     /// Adds several solids.
-    pub fn add_all(&mut self, shapes: Vec<Shape>, material: u16) {
+    pub fn add_all(&mut self, shapes: Vec<SolidShape>, material: u16) {
         for shape in shapes {
             self.add(shape, material);
         }
     }
 }
 
-/// Colours of a place.
+/// Colours of a scene.
 struct Palette {
     gate: Vec3,
     lintel: Vec3,
@@ -107,7 +107,7 @@ impl Palette {
 }
 
 /// Sizes that every building shares.
-struct Plan {
+struct LayoutPlan {
     columns: usize,
     bay: f32,
     column: f32,
@@ -118,13 +118,13 @@ struct Plan {
     half: f32,
 }
 
-/// Builds the place of a seed.
-pub fn build(seed: u64) -> World {
+/// Builds the scene of a seed.
+pub fn build(seed: u64) -> SyntheticWorld {
     let mut rng = Rng::new(seed, 1);
     let palette = Palette::random(&mut rng);
     let columns = [6, 6, 8][rng.below(3)];
     let bay = if columns == 8 { rng.range(0.78, 0.88) } else { rng.range(0.98, 1.14) };
-    let plan = Plan {
+    let plan = LayoutPlan {
         columns,
         bay,
         column: rng.range(2.35, 2.9),
@@ -133,7 +133,7 @@ pub fn build(seed: u64) -> World {
         half: bay * (columns as f32 - 1.0) / 2.0,
     };
     let mut b = Builder {
-        world: World {
+        world: SyntheticWorld {
             shapes: Vec::new(),
             part_of: Vec::new(),
             material_of: Vec::new(),
@@ -148,9 +148,9 @@ pub fn build(seed: u64) -> World {
             bvh: Bvh::new(&[]),
         },
     };
-    b.instance("sky", Kind::Surface);
+    b.instance("sky", ObjectKind::Surface);
     b.part("sky");
-    b.instance("ground", Kind::Surface);
+    b.instance("ground", ObjectKind::Surface);
     b.part("ground");
     b.world.ground = b.material(Material::Plaza {
         flag: palette.flag,
@@ -164,14 +164,14 @@ pub fn build(seed: u64) -> World {
     minarets(&mut b, &mut rng, &palette, &plan, hall.y);
     pavilions(&mut b, &mut rng, &palette, &plan);
     statues(&mut b, &mut rng, &palette, &plan);
-    surroundings::hidden_wall(&mut b, &mut rng, hall);
+    surroundings::occluded_wall(&mut b, &mut rng, hall);
     surroundings::landscape(&mut b, &mut rng, plan.half);
     b.world.bvh = Bvh::new(&b.world.shapes);
     b.world
 }
 
 /// Steps, columns in front of piers, and the lintel with what stands on it.
-fn gate(b: &mut Builder, rng: &mut Rng, palette: &Palette, plan: &Plan) {
+fn gate(b: &mut Builder, rng: &mut Rng, palette: &Palette, plan: &LayoutPlan) {
     let stone = b.material(Material::Ashlar { base: palette.gate, block: Vec2::new(0.52, 0.26) });
     let step = b.material(Material::Ashlar { base: palette.gate * 0.92, block: Vec2::new(0.8, 0.4) });
     let shaft = b.material(Material::Fluted {
@@ -179,46 +179,52 @@ fn gate(b: &mut Builder, rng: &mut Rng, palette: &Palette, plan: &Plan) {
         flutes: 14.0,
         drum: plan.column / 5.0,
     });
-    b.instance("facade", Kind::Surface);
+    b.instance("facade", ObjectKind::Surface);
     b.part("steps");
     let depth = 2.5;
     for i in 0..3 {
         let out = 0.26 * (3 - i) as f32;
         let size = Vec3::new(2.0 * (plan.half + 0.55 + out), depth + 2.0 * out, plan.floor / 3.0);
-        b.add(Shape::block(Vec3::new(0.0, 0.75, plan.floor * i as f32 / 3.0), size, 0.0), step);
+        b.add(SolidShape::block(Vec3::new(0.0, 0.75, plan.floor * i as f32 / 3.0), size, 0.0), step);
     }
     b.part("piers");
     let middle = plan.columns as f32 / 2.0 - 0.5;
     let at = |i: usize| (i as f32 - middle) * plan.bay;
     for i in 0..plan.columns {
-        // The gateway in the middle is open, the outer bays are walled.
+        // The gate's middle bay is open, the outer bays are walled.
         let outer = i == 0 || i + 1 == plan.columns;
         let width = if outer { plan.bay * 0.95 } else { plan.bay * 0.5 };
         let foot = Vec3::new(at(i), 1.25, plan.floor);
-        b.add(Shape::block(foot, Vec3::new(width, 0.75, plan.column), 0.0), stone);
+        b.add(SolidShape::block(foot, Vec3::new(width, 0.75, plan.column), 0.0), stone);
     }
     b.part("wall");
     let arch_top = plan.column * 0.30;
     let foot = Vec3::new(0.0, 1.25, plan.floor + plan.column - arch_top);
-    b.add(Shape::block(foot, Vec3::new(2.0 * plan.half, 0.6, arch_top), 0.0), stone);
+    b.add(SolidShape::block(foot, Vec3::new(2.0 * plan.half, 0.6, arch_top), 0.0), stone);
 
-    b.instance("columns", Kind::Group);
+    b.instance("columns", ObjectKind::Group);
     for i in 0..plan.columns {
         b.part(&format!("column_{}", i + 1));
         let base = Vec3::new(at(i), 0.0, plan.floor);
         let r = plan.radius;
         let top = plan.column;
-        b.add(Shape::block(base, Vec3::new(2.7 * r, 2.7 * r, 0.10), 0.0), stone);
+        b.add(SolidShape::block(base, Vec3::new(2.7 * r, 2.7 * r, 0.10), 0.0), stone);
         b.add_all(
-            Shape::turned(base, &[(0.10, 1.22 * r), (0.15, 1.28 * r), (0.22, 1.05 * r), (0.26, r)]),
+            SolidShape::turned(base, &[(0.10, 1.22 * r), (0.15, 1.28 * r), (0.22, 1.05 * r), (0.26, r)]),
             stone,
         );
-        b.add_all(Shape::turned(base, &[(0.26, r), (top * 0.45, 0.97 * r), (top - 0.28, 0.84 * r)]), shaft);
         b.add_all(
-            Shape::turned(base, &[(top - 0.28, 0.84 * r), (top - 0.2, 0.9 * r), (top - 0.1, 1.25 * r)]),
+            SolidShape::turned(base, &[(0.26, r), (top * 0.45, 0.97 * r), (top - 0.28, 0.84 * r)]),
+            shaft,
+        );
+        b.add_all(
+            SolidShape::turned(base, &[(top - 0.28, 0.84 * r), (top - 0.2, 0.9 * r), (top - 0.1, 1.25 * r)]),
             stone,
         );
-        b.add(Shape::block(base + Vec3::Z * (top - 0.10), Vec3::new(2.7 * r, 2.7 * r, 0.10), 0.0), stone);
+        b.add(
+            SolidShape::block(base + Vec3::Z * (top - 0.10), Vec3::new(2.7 * r, 2.7 * r, 0.10), 0.0),
+            stone,
+        );
     }
 
     let carved = b.material(Material::Frieze {
@@ -228,13 +234,13 @@ fn gate(b: &mut Builder, rng: &mut Rng, palette: &Palette, plan: &Plan) {
     });
     let smooth =
         b.material(Material::Marble { base: palette.lintel, vein: palette.lintel * 0.72, size: 0.55 });
-    b.instance("lintel", Kind::Object);
+    b.instance("lintel", ObjectKind::Object);
     let over = plan.floor + plan.column;
     let (low, mid, high) = (rng.range(0.22, 0.28), rng.range(0.32, 0.42), rng.range(0.14, 0.2));
     let wide = 2.0 * plan.half + 2.9 * plan.radius;
     let beam = |z: f32, out: f32, height: f32| {
         let size = Vec3::new(wide + 2.0 * out, 2.05 + 2.0 * out, height);
-        Shape::block(Vec3::new(0.0, 0.66, z), size, 0.0)
+        SolidShape::block(Vec3::new(0.0, 0.66, z), size, 0.0)
     };
     b.part("architrave");
     b.add(beam(over, 0.0, low), smooth);
@@ -247,27 +253,36 @@ fn gate(b: &mut Builder, rng: &mut Rng, palette: &Palette, plan: &Plan) {
     // The crown belongs to the facade: the lintel ends at its cornice.
     let crown = over + low + mid + high;
     let facade = b.world.instances.iter().position(|i| i.name == "facade").unwrap_or(1) as u16;
-    b.world.parts.push(Part { name: "crown".into(), instance: facade });
+    b.world.parts.push(WorldPart { name: "crown".into(), instance: facade });
     if rng.chance(0.5) {
         let roof = b.material(Material::Tiles { base: palette.roofs[1] });
         let rise = rng.range(0.62, 0.85);
-        b.add(Shape::block(Vec3::new(0.0, 0.66, crown), Vec3::new(wide * 0.96, 1.9, 0.06), 0.0), stone);
-        b.add(Shape::roof(Vec3::new(0.0, 0.66, crown + 0.06), wide * 0.96, 1.9, rise, wide * 0.55), roof);
-        b.add(Shape::block(Vec3::new(0.0, -0.05, crown + 0.06), Vec3::new(0.9, 0.5, rise * 0.9), 0.0), stone);
+        b.add(SolidShape::block(Vec3::new(0.0, 0.66, crown), Vec3::new(wide * 0.96, 1.9, 0.06), 0.0), stone);
+        b.add(
+            SolidShape::roof(Vec3::new(0.0, 0.66, crown + 0.06), wide * 0.96, 1.9, rise, wide * 0.55),
+            roof,
+        );
+        b.add(
+            SolidShape::block(Vec3::new(0.0, -0.05, crown + 0.06), Vec3::new(0.9, 0.5, rise * 0.9), 0.0),
+            stone,
+        );
     } else {
         let rise = rng.range(0.42, 0.6);
-        b.add(Shape::block(Vec3::new(0.0, 0.66, crown), Vec3::new(wide * 0.78, 1.6, rise), 0.0), stone);
+        b.add(SolidShape::block(Vec3::new(0.0, 0.66, crown), Vec3::new(wide * 0.78, 1.6, rise), 0.0), stone);
         b.add(
-            Shape::block(Vec3::new(0.0, 0.66, crown + rise), Vec3::new(wide * 0.82, 1.7, 0.1), 0.0),
+            SolidShape::block(Vec3::new(0.0, 0.66, crown + rise), Vec3::new(wide * 0.82, 1.7, 0.1), 0.0),
             smooth,
         );
-        b.add(Shape::block(Vec3::new(0.0, 0.5, crown + rise + 0.1), Vec3::new(1.5, 1.2, 0.22), 0.0), stone);
+        b.add(
+            SolidShape::block(Vec3::new(0.0, 0.5, crown + rise + 0.1), Vec3::new(1.5, 1.2, 0.22), 0.0),
+            stone,
+        );
     }
     b.world.centre.z = (crown + 1.0) * 0.5;
 }
 
 /// The hall and its dome; returns the hall's half width (x), where its back is (y) and how high its walls are (z).
-fn hall(b: &mut Builder, rng: &mut Rng, palette: &Palette, plan: &Plan) -> Vec3 {
+fn hall(b: &mut Builder, rng: &mut Rng, palette: &Palette, plan: &LayoutPlan) -> Vec3 {
     let half = plan.half * rng.range(0.72, 0.84) + 0.35;
     let depth = rng.range(2.9, 3.4);
     let front = 3.1;
@@ -280,13 +295,16 @@ fn hall(b: &mut Builder, rng: &mut Rng, palette: &Palette, plan: &Plan) -> Vec3 
         rise: Vec2::new(height * 0.38, height * 0.8),
     });
     let stone = b.material(Material::Ashlar { base: palette.hall * 1.05, block: Vec2::new(0.5, 0.2) });
-    b.instance("hall", Kind::Surface);
+    b.instance("hall", ObjectKind::Surface);
     b.part("walls");
-    b.add(Shape::block(Vec3::new(0.0, y, 0.0), Vec3::new(2.0 * half, depth, height), 0.0), wall);
-    b.add(Shape::block(Vec3::new(0.0, y, 0.0), Vec3::new(2.0 * half + 0.3, depth + 0.3, 0.5), 0.0), stone);
+    b.add(SolidShape::block(Vec3::new(0.0, y, 0.0), Vec3::new(2.0 * half, depth, height), 0.0), wall);
+    b.add(
+        SolidShape::block(Vec3::new(0.0, y, 0.0), Vec3::new(2.0 * half + 0.3, depth + 0.3, 0.5), 0.0),
+        stone,
+    );
     b.part("cornice");
     b.add(
-        Shape::block(Vec3::new(0.0, y, height), Vec3::new(2.0 * half + 0.3, depth + 0.3, 0.16), 0.0),
+        SolidShape::block(Vec3::new(0.0, y, height), Vec3::new(2.0 * half + 0.3, depth + 0.3, 0.16), 0.0),
         stone,
     );
 
@@ -306,14 +324,14 @@ fn hall(b: &mut Builder, rng: &mut Rng, palette: &Palette, plan: &Plan) -> Vec3 
     let gold = b.material(Material::Marble { base: colour(0xd9a83a), vein: colour(0x8a6420), size: 0.3 });
     let onion = rng.chance(0.5);
     let rise = r * if onion { rng.range(1.45, 1.7) } else { rng.range(1.02, 1.2) };
-    b.instance("dome", Kind::Object);
+    b.instance("dome", ObjectKind::Object);
     b.part("drum");
     let base = Vec3::new(0.0, y, height + 0.16);
-    b.add(Shape::frustum(base, drum_height, r * 0.97, r * 0.97), drum);
-    b.add(Shape::frustum(base + Vec3::Z * (drum_height - 0.1), 0.14, r * 1.06, r * 1.06), ring);
+    b.add(SolidShape::frustum(base, drum_height, r * 0.97, r * 0.97), drum);
+    b.add(SolidShape::frustum(base + Vec3::Z * (drum_height - 0.1), 0.14, r * 1.06, r * 1.06), ring);
     b.part("shell");
     let foot = base + Vec3::Z * (drum_height + 0.04);
-    b.add_all(Shape::turned(foot, &dome_profile(r, rise, onion)), shell);
+    b.add_all(SolidShape::turned(foot, &dome_profile(r, rise, onion)), shell);
     b.part("lantern");
     let top = foot + Vec3::Z * rise;
     b.add_all(lantern(top - Vec3::Z * 0.08, r * 0.11), gold);
@@ -341,15 +359,17 @@ fn dome_profile(r: f32, rise: f32, onion: bool) -> Vec<(f32, f32)> {
 }
 
 /// A finial: a ball, a smaller ball and a spike.
-fn lantern(foot: Vec3, r: f32) -> Vec<Shape> {
-    let mut shapes =
-        Shape::turned(foot, &[(0.0, r * 1.3), (r * 0.8, r * 0.6), (r * 1.6, r * 0.45), (r * 6.0, 0.012)]);
-    shapes.push(Shape::ball(foot + Vec3::Z * r * 1.9, r * 0.95));
-    shapes.push(Shape::ball(foot + Vec3::Z * r * 3.3, r * 0.6));
+fn lantern(foot: Vec3, r: f32) -> Vec<SolidShape> {
+    let mut shapes = SolidShape::turned(
+        foot,
+        &[(0.0, r * 1.3), (r * 0.8, r * 0.6), (r * 1.6, r * 0.45), (r * 6.0, 0.012)],
+    );
+    shapes.push(SolidShape::ball(foot + Vec3::Z * r * 1.9, r * 0.95));
+    shapes.push(SolidShape::ball(foot + Vec3::Z * r * 3.3, r * 0.6));
     shapes
 }
 
-fn minarets(b: &mut Builder, rng: &mut Rng, palette: &Palette, plan: &Plan, back: f32) {
+fn minarets(b: &mut Builder, rng: &mut Rng, palette: &Palette, plan: &LayoutPlan, back: f32) {
     let x = plan.half + rng.range(0.75, 1.0);
     let y = back - rng.range(1.2, 1.9);
     let height = rng.range(5.9, 7.2);
@@ -361,28 +381,28 @@ fn minarets(b: &mut Builder, rng: &mut Rng, palette: &Palette, plan: &Plan, back
     let cap = b.material(Material::Ribbed { base: palette.shell, rib: palette.rib, ribs: 8.0 });
     let gold = b.material(Material::Marble { base: colour(0xd9a83a), vein: colour(0x8a6420), size: 0.3 });
     for (name, side) in [("left_minaret", -1.0), ("right_minaret", 1.0)] {
-        b.instance(name, Kind::Object);
+        b.instance(name, ObjectKind::Object);
         let foot = Vec3::new(side * x, y, 0.0);
         b.part("base");
-        b.add(Shape::block(foot, Vec3::new(3.2 * r, 3.2 * r, 0.9), 0.0), stone);
+        b.add(SolidShape::block(foot, Vec3::new(3.2 * r, 3.2 * r, 0.9), 0.0), stone);
         b.part("shaft");
-        b.add_all(Shape::turned(foot, &[(0.9, r), (height * 0.5, r * 0.86), (height, r * 0.74)]), shaft);
+        b.add_all(SolidShape::turned(foot, &[(0.9, r), (height * 0.5, r * 0.86), (height, r * 0.74)]), shaft);
         b.part("balconies");
         for z in [height * 0.55, height * 0.985] {
             let ring = [(z - 0.22, r * 0.8), (z - 0.06, r * 1.35), (z + 0.12, r * 1.4)];
-            b.add_all(Shape::turned(foot, &ring), stone);
+            b.add_all(SolidShape::turned(foot, &ring), stone);
         }
         b.part("top");
-        b.add_all(Shape::turned(foot, &[(height, r * 0.62), (height + 0.55, r * 0.6)]), shaft);
+        b.add_all(SolidShape::turned(foot, &[(height, r * 0.62), (height + 0.55, r * 0.6)]), shaft);
         let crown = foot + Vec3::Z * (height + 0.55);
-        b.add(Shape::frustum(crown, 0.07, r * 0.8, r * 0.8), stone);
-        b.add_all(Shape::turned(crown + Vec3::Z * 0.07, &dome_profile(r * 0.72, r * 1.5, true)), cap);
+        b.add(SolidShape::frustum(crown, 0.07, r * 0.8, r * 0.8), stone);
+        b.add_all(SolidShape::turned(crown + Vec3::Z * 0.07, &dome_profile(r * 0.72, r * 1.5, true)), cap);
         b.add_all(lantern(crown + Vec3::Z * (r * 1.45), r * 0.13), gold);
     }
 }
 
 /// Two garden houses beside the gate, alike in form, unlike in stone and roof.
-fn pavilions(b: &mut Builder, rng: &mut Rng, palette: &Palette, plan: &Plan) {
+fn pavilions(b: &mut Builder, rng: &mut Rng, palette: &Palette, plan: &LayoutPlan) {
     let side_length = rng.range(1.95, 2.3);
     let height = rng.range(1.45, 1.75);
     let x = plan.half + rng.range(2.5, 2.9);
@@ -404,10 +424,10 @@ fn pavilions(b: &mut Builder, rng: &mut Rng, palette: &Palette, plan: &Plan) {
             size: 0.4,
         });
         let roof = b.material(Material::Tiles { base: palette.roofs[i] });
-        b.instance(name, Kind::Object);
+        b.instance(name, ObjectKind::Object);
         let foot = Vec3::new(side * x, y, 0.0);
         let square = |z: f32, size: f32, height: f32| {
-            Shape::block(foot + Vec3::Z * z, Vec3::new(size, size, height), 0.0)
+            SolidShape::block(foot + Vec3::Z * z, Vec3::new(size, size, height), 0.0)
         };
         b.part("base");
         b.add(square(0.0, side_length + 0.36, 0.13), stone);
@@ -419,7 +439,10 @@ fn pavilions(b: &mut Builder, rng: &mut Rng, palette: &Palette, plan: &Plan) {
         for (cx, cy) in [(-1.0, -1.0), (-0.36, -1.0), (0.36, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)] {
             let stand = foot + Vec3::new(cx * reach, cy * reach, 0.26);
             b.add_all(
-                Shape::turned(stand, &[(0.0, 0.13), (0.08, 0.1), (height - 0.12, 0.085), (height, 0.13)]),
+                SolidShape::turned(
+                    stand,
+                    &[(0.0, 0.13), (0.08, 0.1), (height - 0.12, 0.085), (height, 0.13)],
+                ),
                 trim,
             );
         }
@@ -428,13 +451,16 @@ fn pavilions(b: &mut Builder, rng: &mut Rng, palette: &Palette, plan: &Plan) {
         b.add(square(0.40 + height, side_length + 0.2, 0.09), trim);
         b.part("roof");
         let eaves = 0.49 + height;
-        b.add(Shape::roof(foot + Vec3::Z * eaves, side_length + 0.16, side_length + 0.16, rise, ridge), roof);
+        b.add(
+            SolidShape::roof(foot + Vec3::Z * eaves, side_length + 0.16, side_length + 0.16, rise, ridge),
+            roof,
+        );
         b.add_all(lantern(foot + Vec3::Z * (eaves + rise - 0.08), 0.07), trim);
     }
 }
 
 /// Two figures on pedestals before the gate, a rider on top of it.
-fn statues(b: &mut Builder, rng: &mut Rng, palette: &Palette, plan: &Plan) {
+fn statues(b: &mut Builder, rng: &mut Rng, palette: &Palette, plan: &LayoutPlan) {
     let bronze: [u16; 2] = palette
         .bronze
         .map(|base| b.material(Material::Marble { base: base * 1.25, vein: base * 0.45, size: 0.22 }));
@@ -443,16 +469,16 @@ fn statues(b: &mut Builder, rng: &mut Rng, palette: &Palette, plan: &Plan) {
     let high = rng.range(0.75, 1.0);
     let tall = rng.range(1.15, 1.35);
     for (i, (name, side)) in [("statue_left", -1.0), ("statue_right", 1.0)].into_iter().enumerate() {
-        let tone = if i == 0 { palette.lintel } else { palette.hall * 0.9 };
-        let plinth = b.material(Material::Marble { base: tone, vein: tone * 0.6, size: 0.35 });
-        b.instance(name, Kind::Object);
+        let base = if i == 0 { palette.lintel } else { palette.hall * 0.9 };
+        let plinth = b.material(Material::Marble { base, vein: base * 0.6, size: 0.35 });
+        b.instance(name, ObjectKind::Object);
         b.part("pedestal");
         let foot = Vec3::new(side * x, y, 0.0);
-        b.add(Shape::block(foot, Vec3::new(0.92, 0.92, 0.14), 0.0), plinth);
-        b.add(Shape::block(foot + Vec3::Z * 0.14, Vec3::new(0.68, 0.68, high - 0.24), 0.0), plinth);
-        b.add(Shape::block(foot + Vec3::Z * (high - 0.10), Vec3::new(0.84, 0.84, 0.10), 0.0), plinth);
+        b.add(SolidShape::block(foot, Vec3::new(0.92, 0.92, 0.14), 0.0), plinth);
+        b.add(SolidShape::block(foot + Vec3::Z * 0.14, Vec3::new(0.68, 0.68, high - 0.24), 0.0), plinth);
+        b.add(SolidShape::block(foot + Vec3::Z * (high - 0.10), Vec3::new(0.84, 0.84, 0.10), 0.0), plinth);
         b.part("figure");
-        let pose = if i == 0 { statue::Pose::TorchBearer } else { statue::Pose::Winged };
+        let pose = if i == 0 { statue::StatuePose::TorchBearer } else { statue::StatuePose::Winged };
         b.add_all(statue::figure(foot + Vec3::Z * high, tall, side, pose), bronze[i]);
     }
     let crown = b
@@ -463,11 +489,11 @@ fn statues(b: &mut Builder, rng: &mut Rng, palette: &Palette, plan: &Plan) {
         .filter(|(_, part)| b.world.parts[**part as usize].name == "crown")
         .map(|(shape, _)| shape.bounds().1.z)
         .fold(0.0, f32::max);
-    b.instance("statue_centre", Kind::Object);
+    b.instance("statue_centre", ObjectKind::Object);
     b.part("plinth");
     let plinth = b.material(Material::Ashlar { base: palette.lintel * 0.9, block: Vec2::new(0.4, 0.15) });
     let foot = Vec3::new(0.0, 0.66, crown - 0.25);
-    b.add(Shape::block(foot, Vec3::new(1.2, 0.6, 0.42), 0.0), plinth);
+    b.add(SolidShape::block(foot, Vec3::new(1.2, 0.6, 0.42), 0.0), plinth);
     b.part("rider");
     let way = if rng.chance(0.5) { 1.0 } else { -1.0 };
     b.add_all(statue::rider(foot + Vec3::Z * 0.42, rng.range(1.05, 1.25), way), bronze[1]);

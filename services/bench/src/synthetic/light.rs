@@ -23,7 +23,7 @@ pub struct Day {
 }
 
 impl Day {
-    /// The light of every clean picture.
+    /// The light of every clean image.
     pub fn canonical() -> Day {
         Day {
             sun: Vec3::new(-0.58, -0.62, 0.62).normalize(),
@@ -124,7 +124,7 @@ pub struct PhotoLight {
 }
 
 impl PhotoLight {
-    /// The look of every clean picture.
+    /// The appearance of every clean image.
     pub fn canonical() -> PhotoLight {
         PhotoLight {
             day: Day::canonical(),

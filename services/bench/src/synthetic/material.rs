@@ -1,4 +1,4 @@
-//! Procedural stone, metal and foliage: what a surface looks like at a point.
+//! Procedural stone, metal and foliage: the albedo and the normal of a surface at a point.
 //!
 //! Every texture is a function of world or surface coordinates only, so that all photos agree on it, and is
 //! filtered by the size of a pixel on the surface.
@@ -120,9 +120,9 @@ pub enum Material {
 
 /// How much of a pixel a joint of `width` covers, for joints at the multiples of `period`.
 fn joint(x: f32, period: f32, width: f32, footprint: f32) -> f32 {
-    let away = (x / period - (x / period).round()).abs() * period;
+    let distance = (x / period - (x / period).round()).abs() * period;
     let soft = footprint.max(width * 0.3);
-    let inside = ((width / 2.0 + soft / 2.0 - away) / soft).clamp(0.0, 1.0);
+    let inside = ((width / 2.0 + soft / 2.0 - distance) / soft).clamp(0.0, 1.0);
     inside * (width / footprint.max(1e-6)).min(1.0)
 }
 
@@ -140,11 +140,11 @@ fn courses(uv: Vec2, block: Vec2, footprint: f32) -> (f32, f32) {
     let row = (uv.y / block.y).floor();
     let shifted = uv.x + block.x * 0.5 * (row.rem_euclid(2.0)) + block.x * 0.2 * hash_unit(row as i32, 7, 3);
     let column = (shifted / block.x).floor();
-    let tone = hash_unit(column as i32, row as i32, 11) - 0.5;
+    let shade = hash_unit(column as i32, row as i32, 11) - 0.5;
     let fade = (1.4 - footprint / block.y).clamp(0.0, 1.0);
     let width = block.y * 0.09;
     let gap = joint(shifted, block.x, width, footprint).max(joint(uv.y, block.y, width, footprint));
-    (tone * fade, gap * fade)
+    (shade * fade, gap * fade)
 }
 
 /// Dirt that runs down walls.
@@ -154,9 +154,9 @@ fn weather(p: Vec3, footprint: f32) -> f32 {
 }
 
 fn ashlar(base: Vec3, block: Vec2, p: Vec3, s: &Surface, footprint: f32) -> Vec3 {
-    let (tone, gap) = courses(s.uv, block, footprint);
-    let warm = Vec3::new(1.0 + 0.10 * tone, 1.0, 1.0 - 0.14 * tone);
-    base * warm * (1.0 + 0.34 * tone + weather(p, footprint)) * (1.0 - 0.45 * gap)
+    let (shade, gap) = courses(s.uv, block, footprint);
+    let warm = Vec3::new(1.0 + 0.10 * shade, 1.0, 1.0 - 0.14 * shade);
+    base * warm * (1.0 + 0.34 * shade + weather(p, footprint)) * (1.0 - 0.45 * gap)
 }
 
 impl Material {
@@ -176,9 +176,9 @@ impl Material {
                 let size = footprint * flutes;
                 let groove = if s.flat { 0.0 } else { (s.uv.x * flutes).cos() };
                 let seam = joint(s.uv.y, *drum, 0.02, footprint);
-                let drum_tone = hash_unit((s.uv.y / drum).floor() as i32, (p.x * 1.7) as i32, 5) - 0.5;
+                let drum_shade = hash_unit((s.uv.y / drum).floor() as i32, (p.x * 1.7) as i32, 5) - 0.5;
                 let kept = (1.3 - size * 0.5).clamp(0.0, 1.0);
-                *base * rough(0.9) * (1.0 + 0.16 * groove * kept + 0.16 * drum_tone) * (1.0 - 0.35 * seam)
+                *base * rough(0.9) * (1.0 + 0.16 * groove * kept + 0.16 * drum_shade) * (1.0 - 0.35 * seam)
             }
             Material::Bands { a, b, period } => {
                 let phase = (s.uv.y / period).rem_euclid(1.0);
@@ -199,10 +199,10 @@ impl Material {
             Material::Tiles { base } => {
                 let row = (s.uv.y / 0.11).floor();
                 let along = s.uv.x + 0.06 * row.rem_euclid(2.0);
-                let tone = hash_unit((along / 0.12).floor() as i32, row as i32, 4) - 0.5;
+                let shade = hash_unit((along / 0.12).floor() as i32, row as i32, 4) - 0.5;
                 let fade = (1.4 - footprint / 0.11).clamp(0.0, 1.0);
                 let lip = joint(s.uv.y, 0.11, 0.03, footprint).max(0.6 * joint(along, 0.12, 0.02, footprint));
-                *base * rough(0.7) * (1.0 + 0.5 * tone * fade) * (1.0 - 0.5 * lip)
+                *base * rough(0.7) * (1.0 + 0.5 * shade * fade) * (1.0 - 0.5 * lip)
             }
             Material::Marble { base, vein, size } => {
                 let q = p / *size;
@@ -242,8 +242,8 @@ fn arch(wall: Vec3, base: Vec3, pane: Vec3, bay: f32, rise: Vec2, uv: Vec2, foot
     let half = bay * 0.22;
     let x = uv.x - (uv.x / bay).floor() * bay - bay / 2.0;
     let spring = rise.y - half;
-    let away = if uv.y > spring { Vec2::new(x, uv.y - spring).length() } else { x.abs() };
-    let outside = away.max(rise.x + half - uv.y);
+    let distance = if uv.y > spring { Vec2::new(x, uv.y - spring).length() } else { x.abs() };
+    let outside = distance.max(rise.x + half - uv.y);
     let frame = below(outside, half * 1.3, footprint);
     let glass = below(outside, half * 0.95, footprint);
     let bars = joint(x, half, 0.03, footprint).max(joint(uv.y, half, 0.03, footprint));
@@ -270,11 +270,11 @@ fn plaza([flag, band, lawn]: [Vec3; 3], q: Vec2, half: Vec2, footprint: f32) -> 
     let p = Vec3::new(q.x, q.y, 0.0);
     let rough = fbm(p * 1.1, 4, footprint * 1.1) * 0.35 + fbm(p * 8.0, 3, footprint * 8.0) * 0.3;
     let cell = (q / 0.62).floor();
-    let tone = hash_unit(cell.x as i32, cell.y as i32, 9) - 0.5;
+    let shade = hash_unit(cell.x as i32, cell.y as i32, 9) - 0.5;
     let fade = (1.4 - footprint / 0.62).clamp(0.0, 1.0);
     let seam = joint(q.x, 0.62, 0.035, footprint).max(joint(q.y, 0.62, 0.035, footprint)) * fade;
     let grid = joint(q.x, 3.1, 0.34, footprint).max(joint(q.y, 3.1, 0.34, footprint));
-    let paved = mix(flag, band, 0.8 * grid) * (1.0 + rough + 0.3 * tone * fade) * (1.0 - 0.3 * seam);
+    let paved = mix(flag, band, 0.8 * grid) * (1.0 + rough + 0.3 * shade * fade) * (1.0 - 0.3 * seam);
     let blades = fbm(p * 0.7, 5, footprint * 0.7) * 0.8 + fbm(p * 6.0, 3, footprint * 6.0) * 0.7;
     let mown = 0.09 * ((q.x * 1.6).sin().signum()) * (1.2 - footprint).clamp(0.0, 1.0);
     let grass = lawn * (1.0 + blades + mown) * Vec3::new(1.0 + 0.5 * blades, 1.0, 1.0);

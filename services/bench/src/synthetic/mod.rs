@@ -1,4 +1,4 @@
-//! The synthetic wild set: a place that a seed draws, photographed by transients in all weathers, with everything
+//! The synthetic wild set: a scene that is sampled from a seed, photographed by tourists in all weathers, with everything
 //! known exactly (method, section 11).
 //!
 //! The photos come from a ray tracer of its own, never from the rasteriser that learns from them.
@@ -28,7 +28,7 @@ mod write;
 
 pub use light::{Day, PhotoLight};
 pub use points::SyntheticPoint;
-pub use world::{Instance, Kind, Part};
+pub use world::{Instance, ObjectKind, WorldPart};
 pub use write::{CLICKS, Click, Manifest, ObjectTruth, PhotoTruth};
 
 use glam::{DVec3, Vec3};
@@ -36,7 +36,7 @@ use random::Rng;
 use segwild_scene::{Camera, Frame, Image, Mask, Pose, SceneError};
 use serde::{Deserialize, Serialize};
 use transient::Crowd;
-use world::World;
+use world::SyntheticWorld;
 
 segwild_scene::choice! {
     /// What differs from photo to photo.
@@ -49,7 +49,7 @@ segwild_scene::choice! {
         Sun = "sun",
         /// Exposure, gamma and vignette.
         Camera = "camera",
-        /// A draw of the three for each photo.
+        /// One of the three, sampled for each photo.
         Mixed = "mixed",
     }
 }
@@ -58,11 +58,11 @@ segwild_scene::choice! {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SyntheticOptions {
-    /// Which place, which visitors.
+    /// Selects the scene and its visitors.
     pub seed: u64,
     /// Number of training photos.
     pub train: usize,
-    /// Number of test photos, which have a look but no transients.
+    /// Number of test photos, which have an appearance of their own but no transients.
     pub test: usize,
     /// Long side of every photo in pixels.
     pub long_side: u32,
@@ -70,7 +70,7 @@ pub struct SyntheticOptions {
     pub occlusion: f32,
     /// What differs from photo to photo.
     pub photo_light: LightVariation,
-    /// How much it differs: 1 is NeRF-W's range for the affine look and a day's range for the sun.
+    /// How much it differs: 1 is NeRF-W's range for the affine appearance and a day's range for the sun.
     pub appearance_strength: f32,
     /// Number of reconstructed points.
     pub points: usize,
@@ -78,7 +78,7 @@ pub struct SyntheticOptions {
     pub outliers: f32,
     /// Standard deviation of observations, in pixels.
     pub pixel_noise: f32,
-    /// File units per unit of the place (which is about 12 across): nothing but the units may depend on it.
+    /// File units per unit of the scene (which is about 12 across): nothing but the units may depend on it.
     pub units: f64,
 }
 
@@ -118,7 +118,7 @@ impl SyntheticOptions {
             return refuse("transients cover a share of 0 to 0.6 of a photo");
         }
         if !(0.0..=2.0).contains(&self.appearance_strength) {
-            return refuse("the strength of the looks is 0 to 2");
+            return refuse("the strength of the appearances is 0 to 2");
         }
         if !(0.0..=0.9).contains(&self.outliers) || !(0.0..=20.0).contains(&self.pixel_noise) {
             return refuse("outliers are a share of 0 to 0.9 and the pixel noise is 0 to 20 px");
@@ -136,8 +136,8 @@ pub enum SyntheticError {
     /// An option is out of its range.
     #[error("{0}")]
     Options(String),
-    /// No camera position shows enough of the place.
-    #[error("seed {seed}: no place to stand was found for photo {index}; choose another seed")]
+    /// No camera position shows enough of the scene.
+    #[error("seed {seed}: no camera position was found for photo {index}; choose another seed")]
     NoViewpoint {
         /// The seed.
         seed: u64,
@@ -162,7 +162,7 @@ pub struct SyntheticPhoto {
     pub translation: DVec3,
     /// Whether it is held out.
     pub test: bool,
-    /// Whether it was taken from the front: such photos never show the hidden wall.
+    /// Whether it was taken from the front: such photos never show the occluded wall.
     pub front: bool,
     /// What a visitor's camera recorded, three planes, exactly as an 8-bit file keeps it.
     pub photo: Image,
@@ -211,9 +211,9 @@ impl SyntheticPhoto {
         };
         let mut best = (2.0, None);
         for (x, y) in seen.pixels() {
-            let room = clear(x, y);
-            if room > best.0 {
-                best = (room, Some([x as f32 + 0.5, y as f32 + 0.5]));
+            let margin = clear(x, y);
+            if margin > best.0 {
+                best = (margin, Some([x as f32 + 0.5, y as f32 + 0.5]));
             }
         }
         best.1
@@ -227,17 +227,17 @@ fn select(camera: &Camera, ids: &[u16], id: u16) -> Mask {
 /// A whole set in memory.
 #[derive(Clone, Debug)]
 pub struct SyntheticScene {
-    /// What was asked for.
+    /// The options that it was made with.
     pub options: SyntheticOptions,
     /// The named things; an id is an index, 0 is the sky.
     pub instances: Vec<Instance>,
     /// The parts of all instances; an id is an index, 0 is the sky.
-    pub parts: Vec<Part>,
+    pub parts: Vec<WorldPart>,
     /// The photos, training and test mixed, in the order of their names.
     pub photos: Vec<SyntheticPhoto>,
     /// The points a reconstruction would have.
     pub points: Vec<SyntheticPoint>,
-    world: World,
+    world: SyntheticWorld,
 }
 
 impl SyntheticScene {
@@ -248,7 +248,7 @@ impl SyntheticScene {
 
     /// Ids of the instances that one click can name.
     pub fn objects(&self) -> Vec<u16> {
-        let is_object = |i: &u16| self.instances[usize::from(*i)].kind == Kind::Object;
+        let is_object = |i: &u16| self.instances[usize::from(*i)].kind == ObjectKind::Object;
         (0..self.instances.len() as u16).filter(is_object).collect()
     }
 
@@ -257,7 +257,7 @@ impl SyntheticScene {
     pub fn amodal(&self, instance: u16) -> Vec<Mask> {
         use rayon::prelude::*;
         let world = self.world.alone(instance);
-        let drawn = |photo: &SyntheticPhoto| {
+        let amodal_mask = |photo: &SyntheticPhoto| {
             let eye = photo.pose.centre() / self.options.units as f32;
             let back = photo.pose.rotation.transpose();
             Mask::from_fn(photo.camera.width, photo.camera.height, |x, y| {
@@ -265,20 +265,20 @@ impl SyntheticScene {
                 world.closest(eye, towards.normalize()).is_some_and(|hit| hit.solid.is_some())
             })
         };
-        self.photos.par_iter().map(drawn).collect()
+        self.photos.par_iter().map(amodal_mask).collect()
     }
 
     /// Part of the surface nearest to a position in file units, and the distance to that surface in file units; a
     /// position inside a solid belongs to that solid.
     pub fn nearest_part(&self, position: DVec3) -> (u16, f64) {
-        let (part, away) = self.world.nearest((position / self.options.units).as_vec3());
-        (part, f64::from(away) * self.options.units)
+        let (part, distance) = self.world.nearest((position / self.options.units).as_vec3());
+        (part, f64::from(distance) * self.options.units)
     }
 
     /// Instance of the surface nearest to a position in file units, and the distance to it in file units.
     pub fn nearest_instance(&self, position: DVec3) -> (u16, f64) {
-        let (part, away) = self.nearest_part(position);
-        (self.parts[usize::from(part)].instance, away)
+        let (part, distance) = self.nearest_part(position);
+        (self.parts[usize::from(part)].instance, distance)
     }
 
     /// Instances of the surfaces nearest to positions in a scene's normalised frame.
@@ -301,7 +301,7 @@ pub fn generate(options: &SyntheticOptions) -> Result<SyntheticScene, SyntheticE
     for index in 0..count {
         let test = (index + 1) * options.test / count > index * options.test / count;
         let (stream, rank) = if test { (2 << 20, &mut tested) } else { (1 << 20, &mut trained) };
-        let shot = cameras::place(&world, options, stream, *rank)?;
+        let shot = cameras::sample_camera(&world, options, stream, *rank)?;
         let mut rng = Rng::new(options.seed, (3 << 20) + stream + *rank as u64);
         *rank += 1;
         let photo_light = photo_light_of(options, &mut rng);
@@ -338,7 +338,7 @@ pub fn generate(options: &SyntheticOptions) -> Result<SyntheticScene, SyntheticE
     })
 }
 
-/// Draws a photo's look.
+/// Samples a photo's appearance.
 fn photo_light_of(options: &SyntheticOptions, rng: &mut Rng) -> PhotoLight {
     let mut photo_light = PhotoLight::canonical();
     let s = options.appearance_strength;
@@ -362,7 +362,7 @@ fn photo_light_of(options: &SyntheticOptions, rng: &mut Rng) -> PhotoLight {
         photo_light.vignette = (s * rng.range(0.0, 0.5)).min(0.95);
     }
     if affine {
-        // On top of another look, or as one among many, the full range would not pass for a photo.
+        // On top of another appearance, or as one among many, the full range would not pass for a photo.
         let s = if options.photo_light == LightVariation::Mixed { 0.4 * s } else { s };
         photo_light.scale = Vec3::ONE + rng.triple(-0.2, 0.2) * s;
         photo_light.shift = rng.triple(-0.2, 0.2) * s;

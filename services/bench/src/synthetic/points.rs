@@ -1,8 +1,8 @@
 //! The points a reconstruction of the photos would have.
 
-use super::cameras::Shot;
+use super::cameras::CameraShot;
 use super::random::Rng;
-use super::world::World;
+use super::world::SyntheticWorld;
 use super::{SyntheticOptions, SyntheticPhoto};
 use glam::{DVec3, Vec2, Vec3};
 use segwild_scene::{NEAR, Observation};
@@ -27,15 +27,15 @@ const REACH: f32 = 3.5;
 
 /// Samples points on what the training photos see; `shots` are the photos' in the world's own units.
 pub fn reconstruct(
-    world: &World,
+    world: &SyntheticWorld,
     options: &SyntheticOptions,
     photos: &[SyntheticPhoto],
-    shots: &[Shot],
+    shots: &[CameraShot],
 ) -> Vec<SyntheticPoint> {
     let mut rng = Rng::new(options.seed, 7 << 20);
     let training: Vec<usize> = (0..photos.len()).filter(|&i| !photos[i].test).collect();
     let mut points = Vec::with_capacity(options.points);
-    // Some draws hit the sky or what only one photo sees.
+    // Some samples hit the sky or what only one photo sees.
     for _ in 0..options.points * 12 {
         if points.len() >= options.points {
             break;
@@ -94,7 +94,7 @@ pub fn reconstruct(
 }
 
 /// Where a photo sees a point of a surface, if it does.
-fn sighting(world: &World, photo: &SyntheticPhoto, shot: &Shot, truth: Vec3) -> Option<Vec2> {
+fn sighting(world: &SyntheticWorld, photo: &SyntheticPhoto, shot: &CameraShot, truth: Vec3) -> Option<Vec2> {
     let p = shot.pose.to_camera(truth);
     if p.z <= NEAR * world.distance {
         return None;

@@ -4,7 +4,7 @@ use glam::{Mat3, Vec2, Vec3};
 
 /// A solid in the world; x right, y away from the front, z up.
 #[derive(Clone, Debug)]
-pub enum Shape {
+pub enum SolidShape {
     /// A box turned about the vertical.
     Block {
         /// Centre.
@@ -34,7 +34,7 @@ pub enum Shape {
         /// Radius of the upper disc.
         upper: f32,
         /// `dr/dz` that the normals follow at the lower and upper rim; equal slopes give a plain cone, others
-        /// let stacked slices look round.
+        /// make stacked slices appear round.
         slopes: [f32; 2],
     },
     /// A thick segment.
@@ -66,26 +66,26 @@ pub struct Surface {
     pub flat: bool,
 }
 
-impl Shape {
+impl SolidShape {
     /// A box that stands with its lower centre at `foot`, with sides `size`, turned by `yaw` radians.
-    pub fn block(foot: Vec3, size: Vec3, yaw: f32) -> Shape {
+    pub fn block(foot: Vec3, size: Vec3, yaw: f32) -> SolidShape {
         let centre = foot + Vec3::new(0.0, 0.0, size.z / 2.0);
-        Shape::Block { centre, half: size / 2.0, turn: Vec2::new(yaw.cos(), yaw.sin()) }
+        SolidShape::Block { centre, half: size / 2.0, turn: Vec2::new(yaw.cos(), yaw.sin()) }
     }
 
     /// A cylinder or cone.
-    pub fn frustum(base: Vec3, height: f32, lower: f32, upper: f32) -> Shape {
+    pub fn frustum(base: Vec3, height: f32, lower: f32, upper: f32) -> SolidShape {
         let slope = (upper - lower) / height;
-        Shape::Frustum { base, height, lower, upper, slopes: [slope, slope] }
+        SolidShape::Frustum { base, height, lower, upper, slopes: [slope, slope] }
     }
 
     /// A ball.
-    pub fn ball(centre: Vec3, radius: f32) -> Shape {
-        Shape::Ellipsoid { centre, radii: Vec3::splat(radius), to_local: Mat3::IDENTITY }
+    pub fn ball(centre: Vec3, radius: f32) -> SolidShape {
+        SolidShape::Ellipsoid { centre, radii: Vec3::splat(radius), to_local: Mat3::IDENTITY }
     }
 
     /// The frustums of a shape turned about the vertical: `profile` has (height, radius) rising from `base`.
-    pub fn turned(base: Vec3, profile: &[(f32, f32)]) -> Vec<Shape> {
+    pub fn turned(base: Vec3, profile: &[(f32, f32)]) -> Vec<SolidShape> {
         let slope = |i: usize| {
             let (lo, hi) = (profile[i.saturating_sub(1)], profile[(i + 1).min(profile.len() - 1)]);
             (hi.1 - lo.1) / (hi.0 - lo.0)
@@ -93,13 +93,13 @@ impl Shape {
         let slice = |i: usize| {
             let ((z0, lower), (z1, upper)) = (profile[i], profile[i + 1]);
             let base = base + Vec3::new(0.0, 0.0, z0);
-            Shape::Frustum { base, height: z1 - z0, lower, upper, slopes: [slope(i), slope(i + 1)] }
+            SolidShape::Frustum { base, height: z1 - z0, lower, upper, slopes: [slope(i), slope(i + 1)] }
         };
         (0..profile.len() - 1).map(slice).collect()
     }
 
     /// A roof over a rectangle: the ridge runs along x for `ridge` (0 is a pyramid, the whole width a gable).
-    pub fn roof(foot: Vec3, width: f32, depth: f32, height: f32, ridge: f32) -> Shape {
+    pub fn roof(foot: Vec3, width: f32, depth: f32, height: f32, ridge: f32) -> SolidShape {
         let (hw, hd) = (width / 2.0, depth / 2.0);
         let mut planes = vec![(Vec3::NEG_Z, -foot.z)];
         let mut side = |normal: Vec3, point: Vec3| {
@@ -111,43 +111,43 @@ impl Shape {
             side(Vec3::new(s * height, 0.0, hw - ridge / 2.0), Vec3::new(s * hw, 0.0, 0.0));
         }
         let half = Vec3::new(hw, hd, 0.0);
-        Shape::Convex { planes, bounds: (foot - half, foot + half + Vec3::new(0.0, 0.0, height)) }
+        SolidShape::Convex { planes, bounds: (foot - half, foot + half + Vec3::new(0.0, 0.0, height)) }
     }
 
     /// Two opposite corners of a box around the solid.
     pub fn bounds(&self) -> (Vec3, Vec3) {
         match self {
-            Shape::Block { centre, half, turn } => {
+            SolidShape::Block { centre, half, turn } => {
                 let (c, s) = (turn.x.abs(), turn.y.abs());
                 let reach = Vec3::new(c * half.x + s * half.y, s * half.x + c * half.y, half.z);
                 (*centre - reach, *centre + reach)
             }
-            Shape::Ellipsoid { centre, radii, to_local } => {
+            SolidShape::Ellipsoid { centre, radii, to_local } => {
                 let axes = to_local.transpose() * Mat3::from_diagonal(*radii);
                 let rows = axes.transpose();
                 let reach = Vec3::new(rows.x_axis.length(), rows.y_axis.length(), rows.z_axis.length());
                 (*centre - reach, *centre + reach)
             }
-            Shape::Frustum { base, height, lower, upper, .. } => {
+            SolidShape::Frustum { base, height, lower, upper, .. } => {
                 let r = lower.max(*upper);
                 (*base - Vec3::new(r, r, 0.0), *base + Vec3::new(r, r, *height))
             }
-            Shape::Capsule { a, b, radius } => (a.min(*b) - *radius, a.max(*b) + *radius),
-            Shape::Convex { bounds, .. } => *bounds,
+            SolidShape::Capsule { a, b, radius } => (a.min(*b) - *radius, a.max(*b) + *radius),
+            SolidShape::Convex { bounds, .. } => *bounds,
         }
     }
 
     /// Distance along the unit direction `d` from `o` to the first crossing after `least`, if any.
     pub fn hit(&self, o: Vec3, d: Vec3, least: f32) -> Option<f32> {
         match self {
-            Shape::Block { centre, half, turn } => {
+            SolidShape::Block { centre, half, turn } => {
                 let (o, d) = (unturn(o - *centre, *turn), unturn(d, *turn));
                 let inverse = d.recip();
                 let (a, b) = ((-*half - o) * inverse, (*half - o) * inverse);
                 let (enter, leave) = (a.min(b).max_element(), a.max(b).min_element());
                 first(enter, leave, least)
             }
-            Shape::Ellipsoid { centre, radii, to_local } => {
+            SolidShape::Ellipsoid { centre, radii, to_local } => {
                 let start = (*centre - o).dot(d);
                 let o = (*to_local * (o + d * start - *centre)) / *radii;
                 let d = (*to_local * d) / *radii;
@@ -159,17 +159,17 @@ impl Shape {
                 let root = root.sqrt();
                 first(start + (-b - root) / a, start + (-b + root) / a, least)
             }
-            Shape::Frustum { base, height, lower, upper, .. } => {
+            SolidShape::Frustum { base, height, lower, upper, .. } => {
                 // Starting near the solid keeps the quadratic's terms small.
                 let start = (*base + Vec3::new(0.0, 0.0, height / 2.0) - o).dot(d);
                 hit_frustum(o + d * start - *base, d, *height, *lower, *upper, least - start)
                     .map(|t| t + start)
             }
-            Shape::Capsule { a, b, radius } => {
+            SolidShape::Capsule { a, b, radius } => {
                 let start = ((*a + *b) / 2.0 - o).dot(d);
                 hit_capsule(o + d * start - *a, d, *b - *a, *radius, least - start).map(|t| t + start)
             }
-            Shape::Convex { planes, .. } => {
+            SolidShape::Convex { planes, .. } => {
                 let (mut enter, mut leave) = (f32::NEG_INFINITY, f32::INFINITY);
                 for &(n, k) in planes {
                     let (speed, gap) = (n.dot(d), k - n.dot(o));
@@ -191,30 +191,31 @@ impl Shape {
     /// Signed distance of a point: exact but for ellipsoids, where it is to first order.
     pub fn distance(&self, p: Vec3) -> f32 {
         match self {
-            Shape::Block { centre, half, turn } => {
+            SolidShape::Block { centre, half, turn } => {
                 let q = unturn(p - *centre, *turn).abs() - *half;
                 q.max(Vec3::ZERO).length() + q.max_element().min(0.0)
             }
-            Shape::Ellipsoid { centre, radii, to_local } => {
+            SolidShape::Ellipsoid { centre, radii, to_local } => {
                 let q = *to_local * (p - *centre);
                 let (k0, k1) = ((q / *radii).length(), (q / (*radii * *radii)).length());
                 if k1 < 1e-9 { -radii.min_element() } else { k0 * (k0 - 1.0) / k1 }
             }
-            Shape::Frustum { base, height, lower, upper, .. } => {
+            SolidShape::Frustum { base, height, lower, upper, .. } => {
                 let q = p - *base;
                 let q = Vec2::new(q.truncate().length(), q.z);
                 let rim = |r: f32, z: f32| Vec2::new(r, z);
                 let outline = [rim(0.0, 0.0), rim(*lower, 0.0), rim(*upper, *height), rim(0.0, *height)];
-                let away = outline.windows(2).map(|w| segment(q, w[0], w[1])).fold(f32::INFINITY, f32::min);
+                let distance =
+                    outline.windows(2).map(|w| segment(q, w[0], w[1])).fold(f32::INFINITY, f32::min);
                 let inside = q.y >= 0.0 && q.y <= *height && q.x <= lower + (upper - lower) * q.y / height;
-                if inside { -away } else { away }
+                if inside { -distance } else { distance }
             }
-            Shape::Capsule { a, b, radius } => {
+            SolidShape::Capsule { a, b, radius } => {
                 let (pa, ba) = (p - *a, *b - *a);
                 let h = (pa.dot(ba) / ba.length_squared()).clamp(0.0, 1.0);
                 (pa - ba * h).length() - radius
             }
-            Shape::Convex { planes, .. } => {
+            SolidShape::Convex { planes, .. } => {
                 let deepest = planes.iter().map(|&(n, k)| n.dot(p) - k).fold(f32::NEG_INFINITY, f32::max);
                 if deepest <= 0.0 { deepest } else { (p - nearest_in(planes, p)).length() }
             }
@@ -224,7 +225,7 @@ impl Shape {
     /// The surface at a point of it.
     pub fn surface(&self, p: Vec3) -> Surface {
         match self {
-            Shape::Block { centre, half, turn } => {
+            SolidShape::Block { centre, half, turn } => {
                 let q = unturn(p - *centre, *turn);
                 let near = (q.abs() - *half).to_array();
                 let axis = if near[0] >= near[1] && near[0] >= near[2] {
@@ -243,12 +244,12 @@ impl Shape {
                 let normal = Vec3::new(turn.x * n.x - turn.y * n.y, turn.y * n.x + turn.x * n.y, n.z);
                 Surface { normal, uv, flat: axis == 2 }
             }
-            Shape::Ellipsoid { centre, radii, to_local } => {
+            SolidShape::Ellipsoid { centre, radii, to_local } => {
                 let q = *to_local * (p - *centre);
                 let normal = (to_local.transpose() * (q / (*radii * *radii))).normalize_or(Vec3::Z);
                 Surface { normal, uv: Vec2::new(q.y.atan2(q.x) * radii.x, q.z), flat: true }
             }
-            Shape::Frustum { base, height, lower, upper, slopes } => {
+            SolidShape::Frustum { base, height, lower, upper, slopes } => {
                 let q = p - *base;
                 let r = q.truncate().length();
                 let on_side = (lower + (upper - lower) * (q.z / height) - r).abs();
@@ -262,13 +263,13 @@ impl Shape {
                 let normal = Vec3::new(outward.x, outward.y, -slope).normalize();
                 Surface { normal, uv: Vec2::new(q.y.atan2(q.x), q.z), flat: false }
             }
-            Shape::Capsule { a, b, radius } => {
+            SolidShape::Capsule { a, b, radius } => {
                 let (pa, ba) = (p - *a, *b - *a);
                 let h = (pa.dot(ba) / ba.length_squared()).clamp(0.0, 1.0);
                 let normal = (pa - ba * h).normalize_or(Vec3::Z);
                 Surface { normal, uv: Vec2::new(h * ba.length() / radius, normal.x), flat: true }
             }
-            Shape::Convex { planes, .. } => {
+            SolidShape::Convex { planes, .. } => {
                 let over = |plane: &(Vec3, f32)| plane.0.dot(p) - plane.1;
                 let face = planes.iter().max_by(|a, b| over(a).total_cmp(&over(b)));
                 let n = face.map_or(Vec3::Z, |f| f.0);
@@ -376,7 +377,7 @@ fn hit_capsule(o: Vec3, d: Vec3, axis: Vec3, radius: f32, least: f32) -> Option<
         if root >= 0.0 {
             let root = root.sqrt();
             for t in [-b - root, -b + root] {
-                // Only the half of the ball that looks away from the segment is surface.
+                // Only the half of the ball that faces away from the segment is surface.
                 if (q + d * t).dot(axis) * beyond >= 0.0 {
                     offer(t);
                 }
@@ -398,20 +399,20 @@ mod tests {
     use crate::synthetic::bvh::Bvh;
     use crate::synthetic::random::Rng;
 
-    fn some_shapes(rng: &mut Rng) -> Vec<Shape> {
+    fn some_shapes(rng: &mut Rng) -> Vec<SolidShape> {
         (0..60)
             .map(|i| {
                 let at = rng.triple(-3.0, 3.0);
                 let size = rng.triple(0.2, 1.2);
                 match i % 5 {
-                    0 => Shape::block(at, size, rng.range(-2.0, 2.0)),
+                    0 => SolidShape::block(at, size, rng.range(-2.0, 2.0)),
                     1 => {
                         let to_local = Mat3::from_rotation_x(rng.range(-2.0, 2.0));
-                        Shape::Ellipsoid { centre: at, radii: size, to_local }
+                        SolidShape::Ellipsoid { centre: at, radii: size, to_local }
                     }
-                    2 => Shape::frustum(at, size.z, size.x, size.y * 0.5),
-                    3 => Shape::Capsule { a: at, b: at + rng.triple(-1.0, 1.0), radius: size.x * 0.4 },
-                    _ => Shape::roof(at, size.x, size.y, size.z, size.x * 0.3),
+                    2 => SolidShape::frustum(at, size.z, size.x, size.y * 0.5),
+                    3 => SolidShape::Capsule { a: at, b: at + rng.triple(-1.0, 1.0), radius: size.x * 0.4 },
+                    _ => SolidShape::roof(at, size.x, size.y, size.z, size.x * 0.3),
                 }
             })
             .collect()

@@ -1,23 +1,23 @@
 //! Figures of rounded limbs.
 
-use super::shape::Shape;
+use super::shape::SolidShape;
 use glam::{Mat3, Vec3};
 
 /// What a standing figure does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Pose {
+pub enum StatuePose {
     /// Holds a torch up.
     TorchBearer,
     /// Has wings and a staff.
     Winged,
 }
 
-/// Places limbs given in a figure's own measure: x to its right as seen from the front, y away, height 1.
+/// Positions limbs given in a figure's own measure: x to its right as seen from the front, y away, height 1.
 struct Sculptor {
     foot: Vec3,
     height: f32,
     side: f32,
-    limbs: Vec<Shape>,
+    limbs: Vec<SolidShape>,
 }
 
 impl Sculptor {
@@ -26,13 +26,13 @@ impl Sculptor {
     }
 
     fn limb(&mut self, from: [f32; 3], to: [f32; 3], radius: f32) {
-        let limb = Shape::Capsule { a: self.at(from), b: self.at(to), radius: radius * self.height };
+        let limb = SolidShape::Capsule { a: self.at(from), b: self.at(to), radius: radius * self.height };
         self.limbs.push(limb);
     }
 
     /// An ellipsoid turned by `roll` about the view axis.
     fn mass(&mut self, centre: [f32; 3], radii: [f32; 3], roll: f32) {
-        let shape = Shape::Ellipsoid {
+        let shape = SolidShape::Ellipsoid {
             centre: self.at(centre),
             radii: Vec3::from(radii) * self.height,
             to_local: Mat3::from_rotation_y(-roll * self.side).transpose(),
@@ -43,12 +43,12 @@ impl Sculptor {
     fn turned(&mut self, foot: [f32; 3], profile: &[(f32, f32)]) {
         let scaled: Vec<(f32, f32)> =
             profile.iter().map(|&(z, r)| (z * self.height, r * self.height)).collect();
-        self.limbs.extend(Shape::turned(self.at(foot), &scaled));
+        self.limbs.extend(SolidShape::turned(self.at(foot), &scaled));
     }
 }
 
 /// A draped figure `height` tall at `foot`; `side` -1 or 1 mirrors it.
-pub fn figure(foot: Vec3, height: f32, side: f32, pose: Pose) -> Vec<Shape> {
+pub fn figure(foot: Vec3, height: f32, side: f32, pose: StatuePose) -> Vec<SolidShape> {
     let mut s = Sculptor { foot, height, side, limbs: Vec::new() };
     s.turned([0.0; 3], &[(0.0, 0.17), (0.06, 0.165), (0.25, 0.13), (0.45, 0.105), (0.56, 0.085)]);
     s.limb([-0.05, -0.12, 0.03], [-0.04, -0.05, 0.40], 0.055);
@@ -59,7 +59,7 @@ pub fn figure(foot: Vec3, height: f32, side: f32, pose: Pose) -> Vec<Shape> {
     // A fold of the cloak from the shoulder to the hip.
     s.limb([0.10, -0.06, 0.76], [-0.10, -0.08, 0.47], 0.04);
     match pose {
-        Pose::TorchBearer => {
+        StatuePose::TorchBearer => {
             s.limb([0.13, 0.0, 0.76], [0.23, -0.06, 0.88], 0.04);
             s.limb([0.23, -0.06, 0.88], [0.21, -0.10, 1.08], 0.034);
             s.turned([0.21, -0.10, 1.04], &[(0.0, 0.018), (0.12, 0.03), (0.14, 0.055), (0.18, 0.05)]);
@@ -67,7 +67,7 @@ pub fn figure(foot: Vec3, height: f32, side: f32, pose: Pose) -> Vec<Shape> {
             s.limb([-0.13, 0.0, 0.76], [-0.19, -0.03, 0.58], 0.04);
             s.limb([-0.19, -0.03, 0.58], [-0.10, -0.14, 0.55], 0.033);
         }
-        Pose::Winged => {
+        StatuePose::Winged => {
             s.mass([0.22, 0.09, 0.80], [0.085, 0.03, 0.27], 0.55);
             s.mass([-0.22, 0.09, 0.80], [0.085, 0.03, 0.27], -0.55);
             s.limb([-0.13, 0.0, 0.76], [-0.22, -0.10, 0.62], 0.038);
@@ -80,7 +80,7 @@ pub fn figure(foot: Vec3, height: f32, side: f32, pose: Pose) -> Vec<Shape> {
 }
 
 /// A horse with its rider, `height` tall together, heading along x.
-pub fn rider(foot: Vec3, height: f32, way: f32) -> Vec<Shape> {
+pub fn rider(foot: Vec3, height: f32, way: f32) -> Vec<SolidShape> {
     let mut s = Sculptor { foot, height, side: way, limbs: Vec::new() };
     s.mass([0.0, 0.0, 0.46], [0.30, 0.125, 0.135], 0.0);
     s.mass([0.20, 0.0, 0.49], [0.13, 0.11, 0.14], 0.0);

@@ -1,9 +1,9 @@
 //! Takes the photos.
 
-use super::cameras::Shot;
+use super::cameras::CameraShot;
 use super::light::{Day, PhotoLight, sun_samples};
 use super::transient::{Crowd, radiance};
-use super::world::World;
+use super::world::SyntheticWorld;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use segwild_scene::{Image, Mask};
@@ -14,7 +14,7 @@ const SAMPLES: [Vec2; 4] =
 
 /// What one shot gives.
 pub struct Exposed {
-    /// The photo: look and transients.
+    /// The photo: with its appearance and transients.
     pub photo: Image,
     /// The same view under the canonical light, with nobody in it.
     pub clean: Image,
@@ -35,9 +35,9 @@ struct Pixel {
 }
 
 /// Renders a shot.
-pub fn expose(world: &World, shot: &Shot, photo_light: &PhotoLight, crowd: &Crowd) -> Exposed {
+pub fn expose(world: &SyntheticWorld, shot: &CameraShot, photo_light: &PhotoLight, crowd: &Crowd) -> Exposed {
     let (w, h) = (shot.camera.width as usize, shot.camera.height as usize);
-    let lens = Lens { world, shot, photo_light, crowd, canonical: PhotoLight::canonical() };
+    let lens = PhotoTracer { world, shot, photo_light, crowd, canonical: PhotoLight::canonical() };
     let suns = (sun_samples(lens.canonical.day.sun), sun_samples(photo_light.day.sun));
     let rows: Vec<Vec<Pixel>> =
         (0..h).into_par_iter().map(|y| (0..w).map(|x| lens.pixel(x, y, &suns)).collect()).collect();
@@ -67,15 +67,15 @@ fn eight_bits(x: f32) -> f32 {
     (x.clamp(0.0, 1.0) * 255.0).round() / 255.0
 }
 
-struct Lens<'a> {
-    world: &'a World,
-    shot: &'a Shot,
+struct PhotoTracer<'a> {
+    world: &'a SyntheticWorld,
+    shot: &'a CameraShot,
     photo_light: &'a PhotoLight,
     crowd: &'a Crowd,
     canonical: PhotoLight,
 }
 
-impl Lens<'_> {
+impl PhotoTracer<'_> {
     fn ray(&self, pixel: Vec2) -> Vec3 {
         (self.shot.pose.rotation.transpose() * self.shot.camera.ray(pixel)).normalize()
     }

@@ -7,7 +7,7 @@ use glam::{Vec2, Vec3};
 
 /// What a billboard shows, in its own frame: x across in units of its height, y from the foot (0) to the top (1).
 #[derive(Clone, Debug, PartialEq)]
-enum Figure {
+enum BillboardShape {
     Person { shirt: Vec3, stripe: Vec3, trousers: Vec3, skin: Vec3, hair: Vec3, bag: bool, arm: f32 },
     Vehicle { paint: Vec3, trim: Vec3, tall: bool },
 }
@@ -15,7 +15,7 @@ enum Figure {
 /// One billboard on a photo.
 #[derive(Clone, Debug, PartialEq)]
 struct Billboard {
-    figure: Figure,
+    figure: BillboardShape,
     /// Across the frame, in frame widths.
     x: f32,
     /// Height of the foot below the frame's top, in frame heights, for a billboard of scale 1.
@@ -100,12 +100,12 @@ pub fn radiance(day: &Day, albedo: Vec3, light: f32) -> Vec3 {
     albedo * (day.sun_colour * 0.42 * light + day.ambient * 0.75)
 }
 
-fn person_of(rng: &mut Rng) -> Figure {
+fn person_of(rng: &mut Rng) -> BillboardShape {
     const SHIRTS: [u32; 8] = [0xc23b30, 0x2f5fa8, 0xe0b83c, 0x3f8f5a, 0xf0f0ec, 0x232830, 0xd678a0, 0x58a6b8];
     const TROUSERS: [u32; 5] = [0x2a3550, 0x3b3b3b, 0x8a7654, 0x6b7480, 0x1e2226];
     const SKINS: [u32; 4] = [0xe6b998, 0xc68a5e, 0x8d5a3a, 0xf0cbb0];
     const HAIRS: [u32; 4] = [0x2a1d14, 0x5a3a1e, 0xb08a4a, 0x8a8a88];
-    Figure::Person {
+    BillboardShape::Person {
         shirt: colour(SHIRTS[rng.below(8)]),
         stripe: colour(SHIRTS[rng.below(8)]),
         trousers: colour(TROUSERS[rng.below(5)]),
@@ -116,9 +116,9 @@ fn person_of(rng: &mut Rng) -> Figure {
     }
 }
 
-fn vehicle_of(rng: &mut Rng) -> Figure {
+fn vehicle_of(rng: &mut Rng) -> BillboardShape {
     const PAINTS: [u32; 6] = [0xb3271e, 0xf2c230, 0x2d6f9e, 0xe8e8e4, 0x3a8a54, 0x30343a];
-    Figure::Vehicle {
+    BillboardShape::Vehicle {
         paint: colour(PAINTS[rng.below(6)]),
         trim: colour(PAINTS[rng.below(6)]),
         tall: rng.chance(0.4),
@@ -139,14 +139,14 @@ fn slab(q: Vec2, x: (f32, f32), y: (f32, f32)) -> bool {
     q.x > x.0 && q.x < x.1 && q.y > y.0 && q.y < y.1
 }
 
-impl Figure {
+impl BillboardShape {
     fn at(&self, q: Vec2) -> Option<Vec3> {
         if q.y < -0.02 || q.y > 1.02 || q.x.abs() > 1.4 {
             return None;
         }
         let grain = 0.9 + 0.2 * hash_unit((q.x * 90.0) as i32, (q.y * 90.0) as i32, 1);
         match self {
-            Figure::Person { shirt, stripe, trousers, skin, hair, bag, arm } => {
+            BillboardShape::Person { shirt, stripe, trousers, skin, hair, bag, arm } => {
                 let v = |x: f32, y: f32| Vec2::new(x, y);
                 let cloth =
                     if (q.y * 26.0).rem_euclid(2.0) < 1.0 { *shirt } else { shirt.lerp(*stripe, 0.8) };
@@ -180,7 +180,7 @@ impl Figure {
                 };
                 Some(body * grain)
             }
-            Figure::Vehicle { paint, trim, tall } => {
+            BillboardShape::Vehicle { paint, trim, tall } => {
                 let dark = Vec3::splat(0.02);
                 let glass = Vec3::new(0.10, 0.14, 0.18);
                 for wheel in [-0.62, 0.62] {

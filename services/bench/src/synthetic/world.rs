@@ -3,14 +3,14 @@
 use super::bvh::Bvh;
 use super::light::{Day, open_samples};
 use super::material::Material;
-use super::shape::Shape;
+use super::shape::SolidShape;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
 /// What an instance is good for in a protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Kind {
+pub enum ObjectKind {
     /// One connected thing that a click can name.
     Object,
     /// Several alike things under one name, such as a row of columns.
@@ -25,12 +25,12 @@ pub struct Instance {
     /// Name, such as `left_pavilion`.
     pub name: String,
     /// What it is good for.
-    pub kind: Kind,
+    pub kind: ObjectKind,
 }
 
 /// A named part of an instance. Its id is its index; 0 is the sky.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Part {
+pub struct WorldPart {
     /// Name, such as `roof`; unique within its instance.
     pub name: String,
     /// Id of the instance it belongs to.
@@ -39,7 +39,7 @@ pub struct Part {
 
 /// A ray's find.
 #[derive(Clone, Copy, Debug)]
-pub struct Hit {
+pub struct RayHit {
     /// Distance along the ray.
     pub t: f32,
     /// Index of the solid; `None` is the ground.
@@ -48,7 +48,7 @@ pub struct Hit {
 
 /// What all light has in common at a point of a surface.
 #[derive(Clone, Copy, Debug)]
-pub struct Spot {
+pub struct SurfaceSpot {
     /// The point, lifted off the surface.
     pub lifted: Vec3,
     /// Albedo, linear.
@@ -59,11 +59,11 @@ pub struct Spot {
     pub open: f32,
 }
 
-/// The whole place in its own units: about 12 across, the gate's axis at x = 0, its columns at y = 0.
+/// The whole scene in its own units: about 12 across, the gate's axis at x = 0, its columns at y = 0.
 #[derive(Clone, Debug)]
-pub struct World {
+pub struct SyntheticWorld {
     /// The solids.
-    pub shapes: Vec<Shape>,
+    pub shapes: Vec<SolidShape>,
     /// Part of each solid.
     pub part_of: Vec<u16>,
     /// Material of each solid: index into `materials`.
@@ -73,14 +73,14 @@ pub struct World {
     /// The instances.
     pub instances: Vec<Instance>,
     /// The parts.
-    pub parts: Vec<Part>,
+    pub parts: Vec<WorldPart>,
     /// Material of the ground.
     pub ground: u16,
     /// Part of the ground.
     pub ground_part: u16,
-    /// What visitors look at.
+    /// The point at which cameras are aimed.
     pub centre: Vec3,
-    /// Distance from which the whole place fills a photo.
+    /// Distance from which the whole scene fills a photo.
     pub distance: f32,
     /// Distance over which haze takes over.
     pub haze: f32,
@@ -90,26 +90,26 @@ pub struct World {
 
 /// Farthest that anything is seen.
 const FAR: f32 = 1e4;
-/// Reach of the rays that tell corners from open places.
+/// Reach of the rays that distinguish corners from open ground.
 const OPEN_REACH: f32 = 0.9;
 
-impl World {
+impl SyntheticWorld {
     /// Nearest surface along a ray.
-    pub fn closest(&self, o: Vec3, d: Vec3) -> Option<Hit> {
+    pub fn closest(&self, o: Vec3, d: Vec3) -> Option<RayHit> {
         let ground = if d.z < -1e-6 && o.z > 0.0 { -o.z / d.z } else { FAR };
         let most = ground.min(FAR);
         match self.bvh.closest(&self.shapes, o, d, 1e-4, most) {
-            Some((solid, t)) => Some(Hit { t, solid: Some(solid) }),
-            None if ground < FAR => Some(Hit { t: ground, solid: None }),
+            Some((solid, t)) => Some(RayHit { t, solid: Some(solid) }),
+            None if ground < FAR => Some(RayHit { t: ground, solid: None }),
             None => None,
         }
     }
 
-    /// The place with one instance only, and the ground.
-    pub fn alone(&self, instance: u16) -> World {
+    /// The scene with one instance only, and the ground.
+    pub fn alone(&self, instance: u16) -> SyntheticWorld {
         let is_of = |i: &usize| self.parts[usize::from(self.part_of[*i])].instance == instance;
         let keep: Vec<usize> = (0..self.shapes.len()).filter(is_of).collect();
-        let mut world = World {
+        let mut world = SyntheticWorld {
             shapes: keep.iter().map(|&i| self.shapes[i].clone()).collect(),
             part_of: keep.iter().map(|&i| self.part_of[i]).collect(),
             material_of: keep.iter().map(|&i| self.material_of[i]).collect(),
@@ -126,12 +126,12 @@ impl World {
     }
 
     /// Part of a hit.
-    pub fn part(&self, hit: &Hit) -> u16 {
+    pub fn part(&self, hit: &RayHit) -> u16 {
         hit.solid.map_or(self.ground_part, |i| self.part_of[i])
     }
 
     /// The surface at a hit, ready to be lit; `sample` picks which direction probes for corners.
-    pub fn spot(&self, o: Vec3, d: Vec3, hit: &Hit, pixel: f32, sample: usize) -> Spot {
+    pub fn spot(&self, o: Vec3, d: Vec3, hit: &RayHit, pixel: f32, sample: usize) -> SurfaceSpot {
         let p = o + d * hit.t;
         let (surface, material) = match hit.solid {
             Some(i) => (self.shapes[i].surface(p), self.material_of[i]),
@@ -148,11 +148,11 @@ impl World {
             None if probe.z < 0.0 => (lifted.z / -probe.z / OPEN_REACH).min(1.0),
             None => 1.0,
         };
-        Spot { lifted, albedo, normal, open }
+        SurfaceSpot { lifted, albedo, normal, open }
     }
 
     /// Radiance towards the camera of a spot at distance `t`, under a day's light with the sun at `sun`.
-    pub fn radiance(&self, spot: &Spot, day: &Day, sun: Vec3, t: f32) -> Vec3 {
+    pub fn radiance(&self, spot: &SurfaceSpot, day: &Day, sun: Vec3, t: f32) -> Vec3 {
         let lit =
             spot.normal.dot(day.sun) > 0.0 && !self.bvh.blocked(&self.shapes, spot.lifted, sun, 1e-3, FAR);
         let out = day.shade(spot.albedo, spot.normal, if lit { 1.0 } else { 0.0 }, spot.open);
@@ -168,9 +168,9 @@ impl World {
             if (low - p).max(p - high).max(Vec3::ZERO).length() > best.max(0.0) {
                 continue;
             }
-            let away = shape.distance(p);
-            if away < best {
-                (part, best) = (of, away);
+            let distance = shape.distance(p);
+            if distance < best {
+                (part, best) = (of, distance);
             }
         }
         (part, best.abs())

@@ -1,6 +1,6 @@
 //! Writes a set as a COLMAP scene with its truth beside it.
 
-use super::{Kind, SyntheticError, SyntheticOptions, SyntheticPhoto, SyntheticScene};
+use super::{ObjectKind, SyntheticError, SyntheticOptions, SyntheticPhoto, SyntheticScene};
 use glam::{DMat3, DQuat};
 use segwild_flow::files;
 use segwild_scene::colmap::{self, CameraRecord, ImageRecord, Keypoint, Model, PointRecord, Reconstruction};
@@ -11,14 +11,14 @@ use std::path::Path;
 /// What `truth.json` says.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
-    /// What was asked for.
+    /// The options that it was made with.
     pub options: SyntheticOptions,
     /// The photos, in order.
     pub photos: Vec<PhotoTruth>,
     /// The named things; an id is an index, 0 is the sky.
     pub instances: Vec<super::Instance>,
     /// The parts; an id is an index, 0 is the sky.
-    pub parts: Vec<super::Part>,
+    pub parts: Vec<super::WorldPart>,
     /// The instances with masks in `truth/<name>/`, in the order of their ids.
     pub objects: Vec<ObjectTruth>,
 }
@@ -44,7 +44,7 @@ pub struct ObjectTruth {
     /// Its name.
     pub name: String,
     /// What it is good for.
-    pub kind: Kind,
+    pub kind: ObjectKind,
     /// Photos to click on it, the best first, at most [`CLICKS`].
     pub clicks: Vec<Click>,
 }
@@ -193,8 +193,8 @@ impl SyntheticScene {
             for seen in &point.track {
                 let photo = &self.photos[seen.view as usize];
                 let p = photo.pose.to_camera(point.position.as_vec3());
-                let away = photo.camera.pixel(p) - glam::Vec2::from(seen.pixel);
-                error += f64::from(if p.z > 0.0 { away.length() } else { 0.0 });
+                let offset = photo.camera.pixel(p) - glam::Vec2::from(seen.pixel);
+                error += f64::from(if p.z > 0.0 { offset.length() } else { 0.0 });
                 let keypoints = &mut out.images[seen.view as usize].keypoints;
                 track.push((seen.view + 1, keypoints.len() as u32));
                 keypoints.push(Keypoint { pixel: seen.pixel.map(f64::from), point: Some(id) });
@@ -220,7 +220,7 @@ impl SyntheticScene {
     }
 }
 
-/// Ids as a picture whose 8-bit values are the ids; there are fewer than 256 of either kind.
+/// Ids as an image whose 8-bit values are the ids; there are fewer than 256 of either kind.
 fn ids(photo: &SyntheticPhoto, ids: &[u16]) -> Image {
     let data = ids.iter().map(|&id| f32::from(id) / 255.0).collect();
     Image { width: photo.photo.width, height: photo.photo.height, channels: 1, data }

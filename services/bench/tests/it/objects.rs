@@ -3,9 +3,9 @@
 use segwild_bench::ablation::VARIANTS;
 use segwild_bench::oracle::OracleOptions;
 use segwild_bench::protocols::synthetic::{SyntheticProtocol, Targets, synthetic};
-use segwild_bench::protocols::{Base, Table};
+use segwild_bench::protocols::{ProtocolBase, Table};
 use segwild_bench::record::Results;
-use segwild_bench::synthetic::{Kind, SyntheticOptions};
+use segwild_bench::synthetic::{ObjectKind, SyntheticOptions};
 use segwild_bench::trial::{ObjectScore, ProviderKind, Trial};
 use segwild_pipeline::{Preset, Settings};
 use segwild_scene::Mask;
@@ -49,8 +49,8 @@ fn mean(scores: &[ObjectScore], pick: fn(&ObjectScore) -> f64) -> f64 {
 fn report(name: &str, scores: &[ObjectScore]) {
     for s in scores {
         println!(
-            "{name} {}: IoU {:.3} boundary {:.3} 3D {:.3} hidden {:.4}",
-            s.object, s.iou, s.boundary_iou, s.label_iou, s.hidden
+            "{name} {}: IoU {:.3} boundary {:.3} 3D {:.3} leak {:.4}",
+            s.object, s.iou, s.boundary_iou, s.label_iou, s.leak
         );
     }
     println!("{name} mean IoU {:.3}", mean(scores, |s| s.iou));
@@ -66,8 +66,8 @@ fn one_click_per_object_finds_it_whatever_stands_before_it() {
         report(&format!("occlusion {occlusion}"), &scores);
         assert!(scores.len() >= 6, "{} objects", scores.len());
         assert!(mean(&scores, |s| s.iou) > floor, "mean IoU {:.3}", mean(&scores, |s| s.iou));
-        let hidden = scores.iter().map(|s| s.hidden).fold(0.0, f64::max);
-        assert!(hidden < 0.01, "{:.1} % of the hidden wall came along", 100.0 * hidden);
+        let leak = scores.iter().map(|s| s.leak).fold(0.0, f64::max);
+        assert!(leak < 0.01, "{:.1} % of the occluded wall was selected", 100.0 * leak);
     }
 }
 
@@ -75,10 +75,10 @@ fn one_click_per_object_finds_it_whatever_stands_before_it() {
 const FLOORS: [(f32, f64); 2] = [(0.0, 0.65), (0.25, 0.5)];
 
 #[test]
-fn where_things_look_alike_compactness_tells_them_apart() {
+fn compactness_separates_things_that_resemble_each_other() {
     let dir = tempfile::tempdir().unwrap();
     let oracle = OracleOptions { kinship: 0.97, ..OracleOptions::default() };
-    // Transients are not what is asked about.
+    // Transients are not what is tested here.
     let trial = seen_by(dir.path(), &SyntheticOptions { occlusion: 0.0, ..options() }, &oracle);
     let found = |row: &str| {
         let row = VARIANTS.iter().find(|v| v.name == row).unwrap();
@@ -101,7 +101,7 @@ fn units_change_no_selection() {
         let trial = trained(dir.path(), &SyntheticOptions { units, ..options() });
         let settings = settings();
         let session = trial.session(&settings).unwrap();
-        let object = trial.manifest().objects.iter().find(|o| o.kind == Kind::Object).unwrap();
+        let object = trial.manifest().objects.iter().find(|o| o.kind == ObjectKind::Object).unwrap();
         let prompts = trial.prompts(object).unwrap();
         session.score(object, prompts).unwrap();
         let folder = trial.folder().selection(&object.name).join("masks");
@@ -114,7 +114,7 @@ fn units_change_no_selection() {
 }
 
 /// A click on the ground takes along what stands on it, and one on a wall what stands before it. Whoever works on clicks finds the
-/// case measured here, and on `docs/results/surfaces.md` with the built-in masks; it is not asked to be good.
+/// case measured here, and on `docs/results/surfaces.md` with the built-in masks; it need not be good.
 #[test]
 fn a_click_on_the_ground_and_on_a_wall_is_measured_with_what_it_takes_along() {
     let dir = tempfile::tempdir().unwrap();
@@ -127,7 +127,7 @@ fn a_click_on_the_ground_and_on_a_wall_is_measured_with_what_it_takes_along() {
         providers,
         faults: OracleOptions::perfect(),
         scene: SyntheticOptions { train: 10, long_side: 128, occlusion: 0.0, ..options() },
-        base: Base { settings: settings(), changes: Vec::new() },
+        base: ProtocolBase { settings: settings(), changes: Vec::new() },
     };
     let mut results = Results::default();
     for (name, providers) in [("oracle", ProviderKind::Oracle), ("builtin", ProviderKind::Builtin)] {

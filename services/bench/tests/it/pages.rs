@@ -63,12 +63,12 @@ fn a_page_with_the_oracles_figures_has_the_word_in_its_title_and_first_sentence(
     for page in pages(&root().join("docs")) {
         let text = read(&page);
         let stamped = text.contains("Provider: oracle") || text.contains(", oracle. Command:");
-        let told = text.contains("| oracle |") || text.contains("--providers oracle");
-        if stamped || told {
+        let named = text.contains("| oracle |") || text.contains("--providers oracle");
+        if stamped || named {
             seen += 1;
             let (title, first) = head(&text);
             assert!(title.contains("oracle"), "{}: its title is {title}", page.display());
-            assert!(first.contains("oracle"), "{}: it begins {first}", page.display());
+            assert!(first.contains("oracle"), "{}: it starts with {first}", page.display());
         }
     }
     assert!(seen >= 4, "pages of the oracle are there: {seen}");

@@ -2,7 +2,7 @@
 
 use segwild_bench::metrics::{Half, Spread, label_iou, leakage, psnr, score, ssim};
 use segwild_bench::oracle::{Oracle, OracleOptions};
-use segwild_bench::perturb::{Affine, SQUARE, Square, lego};
+use segwild_bench::perturb::{AffineColours, SQUARE, StripedSquare, lego};
 use segwild_bench::protocols::tables::perturbations;
 use segwild_bench::record::{Record, Results};
 use segwild_bench::synthetic::{SyntheticOptions, SyntheticScene, generate};
@@ -111,7 +111,7 @@ fn spreads_tables_halves_and_labels() {
 }
 
 #[test]
-fn what_a_row_wins_back_is_said_of_gaps_and_of_the_way_to_its_clean_photos() {
+fn a_row_states_the_share_it_recovers_of_gaps_and_of_the_way_to_its_clean_photos() {
     let record = |setting: &str, target: &str, psnr: f64, clean: f64| Record {
         setting: setting.into(),
         target: target.into(),
@@ -135,14 +135,14 @@ fn lego_is_perturbed_as_published() {
     let image = Image::filled(800, 800, 3, 0.5);
     let (photo, square) = lego(&image, 3, 14).unwrap();
     assert_eq!(square.count(), SQUARE * SQUARE);
-    let rule = Affine::random(3, 14);
+    let rule = AffineColours::random(3, 14);
     for c in 0..3 {
         assert!((0.8..=1.2).contains(&rule.scale[c]) && (-0.2..=0.2).contains(&rule.shift[c]));
         let want = (0.5 * rule.scale[c] + rule.shift[c]).clamp(0.0, 1.0);
         let outside = (0..800 * 800).filter(|&i| !square.index(i));
         assert!(outside.into_iter().all(|i| photo.plane(c)[i] == want));
     }
-    let at = Square::random(3, 14, 800, 800).unwrap();
+    let at = StripedSquare::random(3, 14, 800, 800).unwrap();
     let row = |x: usize| [0, 1, 2].map(|c| photo.at(c, at.left + x, at.top + 50));
     for stripe in 0..10 {
         assert_eq!(row(stripe * 20), row(stripe * 20 + 19));
@@ -161,7 +161,7 @@ fn a_perfect_oracle_knows_photos_clean_views_and_renders() {
     for photo in &scene.photos {
         assert_eq!(oracle.sky(&photo.clean).unwrap(), photo.sky());
         assert_eq!(oracle.sky(&photo.photo).unwrap(), photo.sky().minus(&photo.transients));
-        // A blurred, darker, half-size picture stands for a render of the view.
+        // A blurred, darker, half-size image stands for a render of the view.
         let (w, h) = (photo.clean.width, photo.clean.height);
         let mut render = photo.clean.resized(w / 4, h / 4).resized(w / 2, h / 2);
         render.data.iter_mut().for_each(|v| *v = *v * 0.7 + 0.05);
@@ -222,18 +222,18 @@ fn boxes_and_negative_clicks_mean_what_they_say() {
 }
 
 #[test]
-fn faults_are_as_large_as_asked_and_always_the_same() {
+fn faults_are_as_large_as_requested_and_always_the_same() {
     let scene = scene();
     let faulty = Oracle::new(scene, OracleOptions { merge: 0.0, ..OracleOptions::default() });
     let perfect = Oracle::new(scene, OracleOptions::perfect());
-    let (mut asked, mut given, mut moved) = (0, 0, 0);
+    let (mut requested, mut given, mut moved) = (0, 0, 0);
     for photo in &scene.photos {
         let points: Vec<[f32; 2]> =
             (1..scene.instances.len() as u16).filter_map(|id| photo.click(id)).collect();
         let masks = faulty.propose(&photo.clean, &points).unwrap();
         assert_eq!(masks, faulty.propose(&photo.clean, &points).unwrap());
         let exact = perfect.propose(&photo.clean, &points).unwrap();
-        asked += exact.len();
+        requested += exact.len();
         given += masks.len();
         for m in &masks {
             let fits = |e: &Mask| {
@@ -243,8 +243,8 @@ fn faults_are_as_large_as_asked_and_always_the_same() {
             moved += usize::from(!exact.iter().any(|e| e.mask == m.mask));
         }
     }
-    let dropped = 1.0 - given as f64 / asked as f64;
-    assert!((0.04..0.17).contains(&dropped), "{dropped} of {asked}");
+    let dropped = 1.0 - given as f64 / requested as f64;
+    assert!((0.04..0.17).contains(&dropped), "{dropped} of {requested}");
     assert!(moved * 2 > given, "{moved} of {given}");
 
     let merging = Oracle::new(scene, OracleOptions { merge: 1.0, ..OracleOptions::perfect() });

@@ -8,7 +8,7 @@ use segwild_bench::protocols::nvos::{self, NvosProtocol};
 use segwild_bench::protocols::paper::{PAPER, PaperScene, PaperTarget, targets};
 use segwild_bench::protocols::photo_tourism::{self, PhotoTourismProtocol};
 use segwild_bench::protocols::spin_nerf::{self, SpinNerfProtocol};
-use segwild_bench::protocols::{Base, EvalScene, Table, measure};
+use segwild_bench::protocols::{ProtocolBase, EvalScene, Table, measure};
 use segwild_bench::record::Results;
 use segwild_bench::synthetic::{LightVariation, SyntheticOptions, SyntheticScene, generate};
 use segwild_pipeline::{Preset, Settings};
@@ -48,7 +48,7 @@ fn copy(from: &Path, to: &Path) {
 }
 
 #[test]
-fn rivals_are_valid_settings_and_none_is_ours_under_another_name() {
+fn baselines_are_valid_settings_and_none_is_ours_under_another_name() {
     let base = Settings::preset(Preset::Draft);
     let mut names = BTreeSet::new();
     let mut seen = Vec::new();
@@ -70,27 +70,27 @@ fn rivals_are_valid_settings_and_none_is_ours_under_another_name() {
 }
 
 #[test]
-fn data_that_is_not_here_is_asked_for_by_name_with_its_layout() {
+fn data_that_is_not_here_is_requested_by_name_with_its_layout() {
     let dir = tempfile::tempdir().unwrap();
     let (root, settings) = (dir.path().to_owned(), Settings::default());
     let tourism = PhotoTourismProtocol { root: root.clone(), only: Vec::new(), clicks: 1 };
-    let said = words(photo_tourism::scenes(&tourism, &settings, 1));
+    let message = words(photo_tourism::scenes(&tourism, &settings, 1));
     for scene in &PAPER.scenes {
-        assert!(said.contains(&scene.name) && said.contains(&scene.folder), "{said}");
+        assert!(message.contains(&scene.name) && message.contains(&scene.folder), "{message}");
     }
     assert!(
-        said.contains("dense/images") && said.contains(".tsv") && said.contains("prompts.json"),
-        "{said}"
+        message.contains("dense/images") && message.contains(".tsv") && message.contains("prompts.json"),
+        "{message}"
     );
     let odd = PhotoTourismProtocol { only: vec!["eiffel".into()], ..tourism };
     assert!(words(photo_tourism::scenes(&odd, &settings, 1)).contains("eiffel"));
 
     let nvos = NvosProtocol { root: root.clone(), only: Vec::new(), clicks: 4 };
-    let said = words(nvos::scenes(&nvos, &settings, 1));
-    assert!(said.contains("scribbles") && said.contains("reference_image/SCENE"), "{said}");
+    let message = words(nvos::scenes(&nvos, &settings, 1));
+    assert!(message.contains("scribbles") && message.contains("reference_image/SCENE"), "{message}");
     let spin = SpinNerfProtocol { root: root.clone(), only: vec!["fork".into()], clicks: 1 };
-    let said = words(spin_nerf::scenes(&spin, &settings, 1));
-    assert!(said.contains("fork") && said.contains("ROOT/SCENE/label"), "{said}");
+    let message = words(spin_nerf::scenes(&spin, &settings, 1));
+    assert!(message.contains("fork") && message.contains("ROOT/SCENE/label"), "{message}");
 }
 
 #[test]
@@ -106,8 +106,8 @@ fn photo_tourism_asks_for_the_nine_targets_and_names_each_mask_that_lacks() {
     let options =
         PhotoTourismProtocol { root: dir.path().into(), only: vec![eval_scene.folder.clone()], clicks: 1 };
     let settings = Settings::default();
-    let said = words(photo_tourism::scenes(&options, &settings, 1));
-    assert!(said.contains(&format!("{}.png", eval_scene.targets[0].truth[1])), "{said}");
+    let message = words(photo_tourism::scenes(&options, &settings, 1));
+    assert!(message.contains(&format!("{}.png", eval_scene.targets[0].truth[1])), "{message}");
     // A mask of everything will do to be found; one target is prompted by a file.
     for target in &eval_scene.targets {
         for photo in target.truth.iter().chain([&target.reference]) {
@@ -123,13 +123,13 @@ fn photo_tourism_asks_for_the_nine_targets_and_names_each_mask_that_lacks() {
     );
     std::fs::write(folder.join("prompts.json"), prompts).unwrap();
     let scenes = photo_tourism::scenes(&options, &settings, 1).unwrap().scenes;
-    assert_eq!((scenes.len(), scenes[0].questions.len()), (1, 3));
-    for (question, target) in scenes[0].questions.iter().zip(&eval_scene.targets) {
-        assert_eq!(question.target, target.name);
-        assert_eq!(question.prompts[0].photo, format!("{}.png", target.reference));
-        assert_eq!(question.truth.len(), 3);
+    assert_eq!((scenes.len(), scenes[0].queries.len()), (1, 3));
+    for (query, target) in scenes[0].queries.iter().zip(&eval_scene.targets) {
+        assert_eq!(query.target, target.name);
+        assert_eq!(query.prompts[0].photo, format!("{}.png", target.reference));
+        assert_eq!(query.truth.len(), 3);
     }
-    assert_eq!(scenes[0].questions[0].prompts[0].prompts.points[0].x, 7.0);
+    assert_eq!(scenes[0].queries[0].prompts[0].prompts.points[0].x, 7.0);
     assert!(scenes[0].held_out && scenes[0].split.is_some());
 }
 
@@ -150,13 +150,13 @@ fn lay_out(root: &Path, eval_scene: &PaperScene) {
     }
 }
 
-/// What is asked of a scene that is laid out, by target: the photos that score it; and what is missing.
-fn asked(root: &Path, eval_scene: &PaperScene) -> (Vec<(String, usize)>, Vec<String>) {
+/// The queries on a scene that is laid out, by target: the number of photos that score it; and what is missing.
+fn queried(root: &Path, eval_scene: &PaperScene) -> (Vec<(String, usize)>, Vec<String>) {
     let options =
         PhotoTourismProtocol { root: root.into(), only: vec![eval_scene.folder.clone()], clicks: 1 };
     let found = photo_tourism::scenes(&options, &Settings::default(), 1).unwrap();
-    let questions = found.scenes.iter().flat_map(|p| &p.questions);
-    (questions.map(|q| (q.target.clone(), q.truth.len())).collect(), found.missing)
+    let queries = found.scenes.iter().flat_map(|p| &p.queries);
+    (queries.map(|q| (q.target.clone(), q.truth.len())).collect(), found.missing)
 }
 
 #[test]
@@ -172,15 +172,15 @@ fn a_photo_that_the_published_split_lacks_costs_its_own_score_and_nothing_else()
         }
         let dir = tempfile::tempdir().unwrap();
         lay_out(dir.path(), eval_scene);
-        // The published names end in .jpg, the drawn photos in .png.
+        // The published names end in .jpg, the rendered photos in .png.
         let rows = std::fs::read_to_string(&split).unwrap().replace(".jpg", ".png");
         std::fs::write(dir.path().join(&eval_scene.folder).join(&eval_scene.split), rows).unwrap();
-        let (asked, missing) = asked(dir.path(), eval_scene);
-        let lacking =
+        let (queried, missing) = queried(dir.path(), eval_scene);
+        let missing_of =
             |target: &str| usize::from((eval_scene.short.as_str(), target) == ("TF", "left triton"));
         for target in &eval_scene.targets {
-            let left = target.truth.len() - lacking(&target.name);
-            assert!(asked.contains(&(target.name.clone(), left)), "{}: {asked:?}", target.name);
+            let left = target.truth.len() - missing_of(&target.name);
+            assert!(queried.contains(&(target.name.clone(), left)), "{}: {queried:?}", target.name);
         }
         // Of the nine targets' photos the published splits lack exactly this one.
         assert_eq!(missing.len(), usize::from(eval_scene.short == "TF"), "{missing:?}");
@@ -207,19 +207,19 @@ fn a_target_without_its_reference_photo_is_refused_by_name_and_the_others_go_on(
     let split = dir.path().join(&eval_scene.folder).join(&eval_scene.split);
     let head = "filename\tid\tsplit\tdataset\n";
     std::fs::write(&split, head.to_owned() + &listed.concat()).unwrap();
-    let (left, missing) = asked(dir.path(), eval_scene);
+    let (left, missing) = queried(dir.path(), eval_scene);
     let names: Vec<&str> = left.iter().map(|l| l.0.as_str()).collect();
     assert_eq!(names, kept.iter().map(|t| t.name.as_str()).collect::<Vec<_>>());
     assert!(missing.len() == 1 && missing[0].contains(&lost.reference), "{missing:?}");
     assert!(missing[0].contains(&format!("{}, is refused", lost.name)), "{missing:?}");
     // A target is refused, too, when none of the photos that score it is left; with nothing left all is refused.
     std::fs::remove_dir_all(dir.path().join(&eval_scene.folder).join("truth").join(&kept[0].folder)).unwrap();
-    assert_eq!(asked(dir.path(), eval_scene).0.len(), 1);
+    assert_eq!(queried(dir.path(), eval_scene).0.len(), 1);
     std::fs::remove_dir_all(dir.path().join(&eval_scene.folder).join("truth").join(&kept[1].folder)).unwrap();
     let options =
         PhotoTourismProtocol { root: dir.path().into(), only: vec![eval_scene.folder.clone()], clicks: 1 };
-    let said = words(photo_tourism::scenes(&options, &Settings::default(), 1));
-    assert!(kept.iter().all(|t| said.contains(&t.name)), "{said}");
+    let message = words(photo_tourism::scenes(&options, &Settings::default(), 1));
+    assert!(kept.iter().all(|t| message.contains(&t.name)), "{message}");
 }
 
 #[test]
@@ -259,17 +259,17 @@ fn scribbles_and_label_folders_become_clicks_on_the_right_photo() {
     let stroke = |name: &str, at: u32| {
         let file = nvos_root.join("scribbles/horns_left").join(name);
         std::fs::create_dir_all(file.parent().unwrap()).unwrap();
-        let drawn = |x: u32, y: u32| x.abs_diff(at) < 3 && y > 10 && y + 10 < 2 * height;
-        Mask::from_fn(2 * width, 2 * height, drawn).write_png(&file).unwrap();
+        let on_stroke = |x: u32, y: u32| x.abs_diff(at) < 3 && y > 10 && y + 10 < 2 * height;
+        Mask::from_fn(2 * width, 2 * height, on_stroke).write_png(&file).unwrap();
     };
     stroke("pos_0_horns.png", width / 2);
     stroke("neg_0_horns.png", 3 * width / 2);
     let options = NvosProtocol { root: nvos_root, only: Vec::new(), clicks: 4 };
     let scenes = nvos::scenes(&options, &Settings::default(), 1).unwrap().scenes;
-    let question = &scenes[0].questions[0];
-    assert_eq!(question.prompts[0].photo, made.photos[1].name);
-    assert_eq!(question.truth[0].0, made.photos[2].name);
-    let points = &question.prompts[0].prompts.points;
+    let query = &scenes[0].queries[0];
+    assert_eq!(query.prompts[0].photo, made.photos[1].name);
+    assert_eq!(query.truth[0].0, made.photos[2].name);
+    let points = &query.prompts[0].prompts.points;
     assert_eq!(points.len(), 8);
     assert!(
         points.iter().all(|p| p.inside == (p.x < width as f32 / 2.0) && p.y < height as f32),
@@ -286,41 +286,41 @@ fn scribbles_and_label_folders_become_clicks_on_the_right_photo() {
         Mask::from_fn(96, 72, |x, _| x < 40).write_png(&file).unwrap();
     }
     let scenes = spin_nerf::scenes(&options, &Settings::default(), 1).unwrap().scenes;
-    let question = &scenes[0].questions[0];
-    assert_eq!((question.prompts[0].prompts.points.len(), question.truth.len()), (2, 2));
-    assert_eq!(question.prompts[0].photo, made.photos[0].name);
+    let query = &scenes[0].queries[0];
+    assert_eq!((query.prompts[0].prompts.points.len(), query.truth.len()), (2, 2));
+    assert_eq!(query.prompts[0].photo, made.photos[0].name);
 }
 
 #[test]
 fn a_folder_with_truth_is_scored_photo_by_photo() {
     let dir = tempfile::tempdir().unwrap();
     let made = scene(8, 112, &[]);
-    let place_dir = dir.path().join("scene");
-    made.write(&place_dir).unwrap();
-    // Only one object is asked about.
+    let scene_dir = dir.path().join("scene");
+    made.write(&scene_dir).unwrap();
+    // Only one object has a true mask.
     for name in made.manifest().objects.iter().map(|o| o.name.clone()).filter(|name| name != "lintel") {
-        std::fs::remove_dir_all(place_dir.join("truth").join(name)).unwrap();
+        std::fs::remove_dir_all(scene_dir.join("truth").join(name)).unwrap();
     }
     let options =
-        FolderProtocol { scene: place_dir, references: Vec::new(), draw: 2, clicks: 1, parts: Parts::new() };
+        FolderProtocol { scene: scene_dir, references: Vec::new(), draw: 2, clicks: 1, parts: Parts::new() };
     let mut settings = Settings::preset(Preset::Draft);
     settings.train.steps = 150;
     settings.scene.size = 112;
     (settings.features.refine_steps, settings.masks.prompt_budget) = (5, 16);
     let eval_scene: EvalScene = folder::scenes(&options, &settings, 3).unwrap().scenes.remove(0);
-    assert_eq!((eval_scene.questions.len(), eval_scene.name.as_str()), (2, "scene"));
-    let click = &eval_scene.questions[0].prompts[0];
+    assert_eq!((eval_scene.queries.len(), eval_scene.name.as_str()), (2, "scene"));
+    let click = &eval_scene.queries[0].prompts[0];
     let photo = made.photos.iter().find(|p| p.name == click.photo).unwrap();
     let lintel = photo.mask(made.instance_named("lintel").unwrap());
     assert!(click.prompts.points.iter().all(|p| lintel.at(p.x, p.y)));
-    assert_eq!(folder::scenes(&options, &settings, 3).unwrap().scenes[0].questions, eval_scene.questions);
+    assert_eq!(folder::scenes(&options, &settings, 3).unwrap().scenes[0].queries, eval_scene.queries);
 
-    let (mut results, mut heard) = (Results::default(), 0);
+    let (mut results, mut count) = (Results::default(), 0);
     let rows = Table::Baselines.rows(&["gs-w".into(), "full".into()]).unwrap();
-    let base = Base { settings, changes: Vec::new() };
+    let base = ProtocolBase { settings, changes: Vec::new() };
     let out = dir.path().join("out");
-    measure(&out, &eval_scene, &rows, &base, &mut results, &mut |_| heard += 1).unwrap();
-    assert_eq!((results.records.len(), heard), (4, 4));
+    measure(&out, &eval_scene, &rows, &base, &mut results, &mut |_| count += 1).unwrap();
+    assert_eq!((results.records.len(), count), (4, 4));
     let kept = Results::read(&out.join("results.json")).unwrap();
     assert!(kept.records.len() == 4 && kept.records.iter().zip(&results.records).all(|(a, b)| a.same(b)));
     let lines = std::fs::read_to_string(out.join("photos.jsonl")).unwrap();

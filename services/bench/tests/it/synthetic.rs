@@ -1,7 +1,7 @@
-//! The synthetic set against itself: what its pictures, depths, labels and points say must agree.
+//! The synthetic set against itself: its images, depths, labels and points must agree.
 
 use glam::{DVec3, Vec2, Vec3};
-use segwild_bench::synthetic::{Kind, LightVariation, SyntheticOptions, SyntheticScene, generate};
+use segwild_bench::synthetic::{ObjectKind, LightVariation, SyntheticOptions, SyntheticScene, generate};
 use segwild_scene::{Image, Mask, Scene, SceneSettings};
 use std::sync::OnceLock;
 
@@ -53,8 +53,8 @@ fn depth_carried_to_other_photos_meets_the_same_instance() {
             let pixel = Vec2::new((i % a.photo.width) as f32 + 0.5, (i / a.photo.width) as f32 + 0.5);
             let p = a.pose.rotation.transpose() * (a.camera.ray(pixel) * a.depth[i] - a.pose.translation);
             labelled += 1;
-            let (instance, away) = scene.nearest_instance(p.as_dvec3());
-            near += usize::from(instance == a.instances[i] && away < 0.02 + 2e-3 * f64::from(a.depth[i]));
+            let (instance, distance) = scene.nearest_instance(p.as_dvec3());
+            near += usize::from(instance == a.instances[i] && distance < 0.02 + 2e-3 * f64::from(a.depth[i]));
             for b in &scene.photos {
                 let q = b.pose.to_camera(p);
                 let at = b.camera.pixel(q);
@@ -76,7 +76,7 @@ fn depth_carried_to_other_photos_meets_the_same_instance() {
 }
 
 #[test]
-fn transients_cover_the_share_asked_for_and_only_training_photos() {
+fn transients_cover_the_requested_share_and_only_training_photos() {
     for share in [0.0, 0.10, 0.25, 0.40] {
         let options =
             SyntheticOptions { occlusion: share, train: 12, test: 3, long_side: 64, points: 0, ..options() };
@@ -98,7 +98,7 @@ fn transients_cover_the_share_asked_for_and_only_training_photos() {
 }
 
 #[test]
-fn transients_and_looks_leave_the_clean_picture_alone() {
+fn transients_and_light_leave_the_clean_image_unchanged() {
     let bare = SyntheticOptions {
         train: 4,
         test: 1,
@@ -143,9 +143,9 @@ fn points_lie_where_their_photos_see_them() {
             let photo = &scene.photos[seen.view as usize];
             assert!(!photo.test);
             let p = photo.pose.to_camera(point.position.as_vec3());
-            let away = (photo.camera.pixel(p) - Vec2::from(seen.pixel)).length();
-            assert!(p.z > 0.0 && away < 12.0, "{away} px in {}", photo.name);
-            squares += f64::from(away * away);
+            let distance = (photo.camera.pixel(p) - Vec2::from(seen.pixel)).length();
+            assert!(p.z > 0.0 && distance < 12.0, "{distance} px in {}", photo.name);
+            squares += f64::from(distance * distance);
             count += 1;
         }
     }
@@ -192,7 +192,7 @@ fn opened(scene: &SyntheticScene) -> Scene {
 }
 
 #[test]
-fn the_hidden_wall_is_seen_from_behind_only() {
+fn only_cameras_at_the_back_see_the_occluded_wall() {
     for seed in 0..6 {
         let options = SyntheticOptions {
             seed,
@@ -231,7 +231,7 @@ fn cameras_are_as_the_method_asks() {
     let (near, wide) = far.iter().fold((f32::MAX, 0.0f32), |(a, b), &d| (a.min(d), b.max(d)));
     assert!(wide > 2.0 * near, "{near} to {wide}");
     for object in scene.objects() {
-        assert_eq!(scene.instances[usize::from(object)].kind, Kind::Object);
+        assert_eq!(scene.instances[usize::from(object)].kind, ObjectKind::Object);
         let seen = scene.photos.iter().filter(|p| p.mask(object).count() > 4).count();
         assert!(seen >= 8, "{} is in {seen} photos", scene.instances[usize::from(object)].name);
     }
@@ -272,7 +272,7 @@ fn a_written_set_opens_and_its_truth_reads_back() {
             let photo = scene.photos.iter().find(|p| p.name == click.photo).unwrap();
             assert!(photo.mask(object.id).at(click.x, click.y) && !photo.transients.at(click.x, click.y));
         }
-        if object.kind == Kind::Object {
+        if object.kind == ObjectKind::Object {
             assert!(!object.clicks.is_empty(), "{} cannot be clicked", object.name);
         }
     }
@@ -287,12 +287,12 @@ fn options_out_of_range_are_refused_in_words() {
         (SyntheticOptions { long_side: 0, ..base() }, "pixels"),
         (SyntheticOptions { occlusion: nan, ..base() }, "transients"),
         (SyntheticOptions { occlusion: 0.9, ..base() }, "transients"),
-        (SyntheticOptions { appearance_strength: -1.0, ..base() }, "looks"),
+        (SyntheticOptions { appearance_strength: -1.0, ..base() }, "appearances"),
         (SyntheticOptions { units: 0.0, ..base() }, "units"),
         (SyntheticOptions { pixel_noise: f32::INFINITY, ..base() }, "noise"),
     ] {
-        let said = generate(&bad).unwrap_err().to_string();
-        assert!(said.contains(word), "{said}");
+        let message = generate(&bad).unwrap_err().to_string();
+        assert!(message.contains(word), "{message}");
     }
 }
 

@@ -6,7 +6,7 @@ use crate::args::{self, examples, json};
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_bench::oracle::OracleOptions;
-use segwild_bench::synthetic::{Kind, SyntheticOptions};
+use segwild_bench::synthetic::{ObjectKind, SyntheticOptions};
 use segwild_bench::trial::{ProviderKind, Trial};
 use segwild_flow::Stopper;
 use segwild_pipeline::{
@@ -63,7 +63,7 @@ pub fn demo(matches: &ArgMatches) -> Result<(), Failure> {
         .manifest()
         .objects
         .iter()
-        .filter(|o| o.kind == Kind::Object)
+        .filter(|o| o.kind == ObjectKind::Object)
         .filter_map(|o| Some((o.clicks.first()?.visible, o, trial.prompts(o)?)))
         .collect();
     objects.sort_by_key(|(visible, o, _)| (std::cmp::Reverse(*visible), o.id));

@@ -6,7 +6,7 @@ use crate::progress::duration;
 use clap::{Arg, ArgAction, ArgMatches, Command};
 use segwild_monitor::view::{BatchView, RunView, Runs, SceneState, StageView};
 use segwild_monitor::words::bytes;
-use segwild_monitor::{Target, View};
+use segwild_monitor::{MonitorTarget, MonitorView};
 use std::sync::mpsc;
 use std::time::Duration;
 
@@ -32,16 +32,16 @@ pub fn command() -> Command {
 
 /// Says what a run or a batch has done and is doing, also while another process runs it.
 pub fn status(matches: &ArgMatches) -> Result<(), Failure> {
-    let target = Target::at(&path(matches, "run").expect("clap requires it"))?;
+    let target = MonitorTarget::at(&path(matches, "run").expect("clap requires it"))?;
     // A channel that nobody sends to: waiting on it is waiting for the next sample.
     let (_never, next) = mpsc::channel::<()>();
     let mut runs = Runs::default();
     loop {
-        let view = target.look(&mut runs)?;
+        let view = target.read(&mut runs)?;
         match (&view, matches.get_flag("json")) {
             (_, true) => print_json(&view)?,
-            (View::Run(run), _) => tell_run(run, "")?,
-            (View::Batch(batch), _) => tell_batch(batch)?,
+            (MonitorView::Run(run), _) => tell_run(run, "")?,
+            (MonitorView::Batch(batch), _) => tell_batch(batch)?,
         }
         if !matches.get_flag("follow") || !view.is_running() {
             return Ok(());

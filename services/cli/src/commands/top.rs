@@ -3,7 +3,7 @@
 use super::{path, print_line};
 use crate::failure::Failure;
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
-use segwild_monitor::{Target, top as screen};
+use segwild_monitor::{MonitorTarget, top as screen};
 use std::io::IsTerminal;
 
 /// The command's arguments.
@@ -30,7 +30,7 @@ pub fn command() -> Command {
 
 /// Watches a run or a batch.
 pub fn top(matches: &ArgMatches) -> Result<(), Failure> {
-    let target = Target::at(&path(matches, "run").expect("clap requires it"))?;
+    let target = MonitorTarget::at(&path(matches, "run").expect("clap requires it"))?;
     let number = |name: &str| *matches.get_one::<u16>(name).expect("it has a default");
     if matches.get_flag("once") {
         return print_line(&screen::frame(&target.view()?, number("columns"), number("rows")));

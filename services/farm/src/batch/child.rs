@@ -1,4 +1,4 @@
-//! One scene's process: begun when its run folder is free, stopped by the end of its standard input.
+//! One scene's process: started when its run folder is free, stopped by the end of its standard input.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom, Write};
@@ -10,7 +10,7 @@ use segwild_flow::shortage::is_shortage_of_processes;
 use segwild_flow::{Ledger, files};
 
 use super::{BatchEvent, BatchFolder};
-use crate::engine::{ErrorClass, Lease};
+use crate::engine::{ErrorClass, JobLease};
 use crate::job::Needs;
 use crate::manifest::SceneJob;
 
@@ -21,7 +21,7 @@ const FOLDER_WAIT: Duration = Duration::from_secs(60);
 pub(super) enum Ended {
     /// With this exit code; `None`: by a signal.
     Code(Option<i32>),
-    /// It could not be begun, for this kind of reason.
+    /// It could not be started: the class of the error, and its text.
     NotStarted(ErrorClass, String),
 }
 
@@ -31,17 +31,17 @@ fn class(error: &std::io::Error) -> ErrorClass {
 }
 
 /// A leased scene and its process.
-pub(super) struct Worker {
-    pub lease: Lease,
+pub(super) struct SceneWorker {
+    pub lease: JobLease,
     pub granted: Needs,
     /// The machine's cores that it runs on; none: on any.
     pub cpus: Vec<u32>,
-    pub asked_to_stop: bool,
+    pub stop_requested: bool,
     /// When the lease was last renewed.
     pub renewed: Instant,
     /// Why it was ended, if it was for want of progress.
     pub hung: Option<String>,
-    /// Why it could not be begun when it was taken.
+    /// Why it could not be started when it was taken.
     pub waits: Option<String>,
     still: Still,
     scene: SceneJob,
@@ -62,20 +62,32 @@ struct Process {
     /// The process runs while this is open.
     stdin: Option<ChildStdin>,
     began: Instant,
-    /// Where in the log its words begin.
+    /// Where in the log its words start.
     log_from: u64,
 }
 
-impl Worker {
-    pub fn new(lease: Lease, scene: SceneJob, granted: Needs, cpus: Vec<u32>) -> Self {
+impl SceneWorker {
+    pub fn new(lease: JobLease, scene: SceneJob, granted: Needs, cpus: Vec<u32>) -> Self {
         let taken = Instant::now();
         let still = Still { looked: taken, seen: None, seconds: 0.0 };
-        let (asked_to_stop, hung, process, renewed) = (false, None, None, taken);
-        Self { lease, granted, cpus, asked_to_stop, renewed, hung, waits: None, still, scene, process, taken }
+        let (stop_requested, hung, process, renewed) = (false, None, None, taken);
+        Self {
+            lease,
+            granted,
+            cpus,
+            stop_requested,
+            renewed,
+            hung,
+            waits: None,
+            still,
+            scene,
+            process,
+            taken,
+        }
     }
 
-    /// Whether its process was begun.
-    pub fn has_begun(&self) -> bool {
+    /// Whether its process was started.
+    pub fn has_started(&self) -> bool {
         self.process.is_some()
     }
 
@@ -83,7 +95,7 @@ impl Worker {
         self.process.as_ref().map_or(0.0, |p| p.began.elapsed().as_secs_f64())
     }
 
-    /// Begins the process if it can begin; says how it ended if it has.
+    /// Starts the process if it can start; returns how it ended if it has.
     pub fn advance(
         &mut self,
         folder: &BatchFolder,
@@ -97,7 +109,7 @@ impl Worker {
                 Err(error) => Some(Ended::NotStarted(class(&error), format!("its process is lost: {error}"))),
             };
         }
-        if self.asked_to_stop {
+        if self.stop_requested {
             return Some(Ended::Code(None));
         }
         // A ledger that cannot be opened is the run's to report.
@@ -113,7 +125,7 @@ impl Worker {
             }
             return None;
         }
-        match self.begin(folder, program) {
+        match self.start(folder, program) {
             Ok(process) => {
                 tell(&BatchEvent::SceneStarted {
                     scene: self.scene.name.clone(),
@@ -131,13 +143,13 @@ impl Worker {
         }
     }
 
-    /// Its cores, as the process is told of them.
+    /// Its cores as the list that `--cpus` takes; `None`: any.
     fn cpu_list(&self) -> Option<String> {
         let list: Vec<String> = self.cpus.iter().map(u32::to_string).collect();
         (!list.is_empty()).then(|| list.join(","))
     }
 
-    fn begin(&self, folder: &BatchFolder, program: &Path) -> std::io::Result<Process> {
+    fn start(&self, folder: &BatchFolder, program: &Path) -> std::io::Result<Process> {
         let mut log = files::open_to_append(&folder.log(&self.scene.name)).map_err(|e| e.source)?;
         writeln!(log, "== attempt {} on {} cores", self.lease.failures + 1, self.granted.cores)?;
         let log_from = log.metadata()?.len();
@@ -169,7 +181,7 @@ impl Worker {
 
     /// Asks the process to stop where it can go on.
     pub fn ask_to_stop(&mut self) {
-        self.asked_to_stop = true;
+        self.stop_requested = true;
         if let Some(process) = &mut self.process {
             process.stdin = None;
         }
@@ -177,7 +189,7 @@ impl Worker {
 
     /// Ends the process at once; what it has committed stays.
     pub fn kill(&mut self) {
-        self.asked_to_stop = true;
+        self.stop_requested = true;
         if let Some(process) = &mut self.process {
             // One that has ended by itself is as good.
             let _ = process.child.kill();
@@ -186,8 +198,8 @@ impl Worker {
 
     /// Ends the process if nothing has moved in it for too long: if what it writes into its run's ledger has stayed the
     /// same over the time that was seen to pass here. Whatever the wall clock does meanwhile, and however long the
-    /// machine sleeps or this process is held, no more passes than lies between two looks.
-    pub fn look_for_progress(&mut self, patience_s: f64) {
+    /// machine sleeps or this process is held, no more passes than lies between two checks.
+    pub fn check_progress(&mut self, patience_s: f64) {
         let Some(process) = &mut self.process else { return };
         let every = Duration::from_secs_f64((patience_s / 4.0).clamp(0.1, 10.0));
         let passed = self.still.looked.elapsed();
@@ -223,12 +235,12 @@ impl Worker {
             return reason.clone();
         }
         let from = self.process.as_ref().map_or(0, |p| p.log_from);
-        let said = read_from(&folder.log(&self.scene.name), from).unwrap_or_default();
-        let error = said.lines().rev().find_map(|line| line.strip_prefix("error: ")).map(str::to_owned);
+        let output = read_from(&folder.log(&self.scene.name), from).unwrap_or_default();
+        let error = output.lines().rev().find_map(|line| line.strip_prefix("error: ")).map(str::to_owned);
         match (error, code) {
             (Some(error), _) => error,
             (None, Some(code)) => {
-                let last = said.lines().rev().find(|line| !line.trim().is_empty()).unwrap_or("no word");
+                let last = output.lines().rev().find(|line| !line.trim().is_empty()).unwrap_or("no word");
                 format!("exit code {code}: {}", last.trim())
             }
             (None, None) => "its process was killed (out of memory?)".into(),

@@ -62,7 +62,7 @@ impl BatchFolder {
         self.path.join("batch.sqlite")
     }
 
-    /// The engine, to look at while another process runs the batch.
+    /// The engine, to read while another process runs the batch.
     ///
     /// # Errors
     /// As [`EmbeddedEngine::open_read_only`].
@@ -76,7 +76,7 @@ impl BatchFolder {
         serde_json::from_slice(&bytes).ok()
     }
 
-    /// What a scene's processes said.
+    /// The output of a scene's processes.
     pub fn log(&self, scene: &str) -> PathBuf {
         self.path.join("logs").join(format!("{scene}.log"))
     }

@@ -5,12 +5,12 @@
 //! BATCH/batch.json      the budget, who runs the batch, since when
 //! BATCH/batch.lock      held by the process that runs the batch
 //! BATCH/settings/       each scene's settings file
-//! BATCH/logs/           what each scene's process said
+//! BATCH/logs/           the output of each scene's process
 //! BATCH/NAME/           the run folders of scenes that name none
 //! ```
 //!
 //! A scene's process keeps its standard input open and stops, resumable, when it ends: a batch that dies, however it
-//! dies, leaves nobody behind. Until such an orphan has stopped, its run folder is locked, and the next batch waits.
+//! dies, leaves no process running. Until such an orphan has stopped, its run folder is locked, and the next batch waits.
 
 mod child;
 mod folder;
@@ -26,20 +26,22 @@ use serde::Serialize;
 pub use folder::{BatchFolder, BatchRecord};
 pub use stop::{StopBatch, StopLevel};
 
-use crate::clock::{Clock, SystemClock};
+use crate::clock::{JobClock, SystemClock};
 use crate::embedded::EmbeddedEngine;
-use crate::engine::{Engine, EngineError, ErrorClass, Fate, JobState, JobStatus, Lease, Offer};
+use crate::engine::{
+    EngineError, ErrorClass, JobEngine, JobFate, JobLease, JobState, JobStatus, WorkerOffer,
+};
 use crate::job::Needs;
-use crate::manifest::{Manifest, ManifestError, SceneJob};
-use child::{Ended, Worker};
+use crate::manifest::{BatchManifest, ManifestError, SceneJob};
+use child::{Ended, SceneWorker};
 
 /// A lease lasts so long without a heartbeat, in seconds.
 const LEASE_S: f64 = 60.0;
-/// How often processes are looked at.
+/// How often processes are checked.
 const TICK: Duration = Duration::from_millis(100);
-/// A jump of the clock that is worth a word, in seconds.
-const JUMP_TOLD_S: f64 = 60.0;
-/// How often work is asked for when nothing has changed.
+/// A jump of the clock that is reported, in seconds.
+const JUMP_REPORTED_S: f64 = 60.0;
+/// How often work is requested when nothing has changed.
 const ASK_EVERY: Duration = Duration::from_secs(1);
 
 /// Why a batch could not run.
@@ -90,7 +92,7 @@ pub struct BatchOptions {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum BatchEvent {
-    /// A scene's process begins.
+    /// A scene's process starts.
     SceneStarted {
         /// The scene.
         scene: String,
@@ -101,7 +103,7 @@ pub enum BatchEvent {
         /// The cores it was given.
         cores: u32,
     },
-    /// A scene cannot begin yet.
+    /// A scene cannot start yet.
     SceneWaits {
         /// The scene.
         scene: String,
@@ -164,7 +166,7 @@ impl BatchSummary {
 /// Runs a manifest's scenes, or what is left of them, until every one is done or a dead letter.
 ///
 /// # Errors
-/// In words, before anything is begun: a manifest that makes no sense, a folder that is in use or cannot be written.
+/// In words, before anything is started: a manifest that makes no sense, a folder that is in use or cannot be written.
 /// Scenes that fail are no error of the batch.
 pub fn run(
     manifest: &Path,
@@ -173,7 +175,7 @@ pub fn run(
     tell: &mut dyn FnMut(&BatchEvent),
 ) -> Result<BatchSummary, BatchError> {
     let began = Instant::now();
-    let read = Manifest::read(manifest, folder, options.until)?;
+    let read = BatchManifest::read(manifest, folder, options.until)?;
     let folder = BatchFolder::create(folder)?;
     let _lock = folder.lock()?;
     let engine = EmbeddedEngine::open(folder.engine_file())?;
@@ -199,12 +201,12 @@ pub fn run(
     let mut batch =
         Batch { engine: &engine, folder: &folder, options, manifest: &read, workers: Vec::new(), tell };
     let outcome = batch.conduct();
-    // Whatever went wrong: nobody is left behind.
+    // Whatever went wrong: no process is left running.
     batch.abandon();
     let interrupted = outcome?;
     let mut scenes = engine.jobs()?;
-    let place = |s: &JobStatus| names.iter().position(|n| *n == s.job.id);
-    scenes.sort_by_key(place);
+    let rank = |s: &JobStatus| names.iter().position(|n| *n == s.job.id);
+    scenes.sort_by_key(rank);
     Ok(BatchSummary { scenes, interrupted, wall_s: began.elapsed().as_secs_f64() })
 }
 
@@ -212,15 +214,15 @@ struct Batch<'a> {
     engine: &'a EmbeddedEngine,
     folder: &'a BatchFolder,
     options: &'a BatchOptions,
-    manifest: &'a Manifest,
-    workers: Vec<Worker>,
+    manifest: &'a BatchManifest,
+    workers: Vec<SceneWorker>,
     tell: &'a mut dyn FnMut(&BatchEvent),
 }
 
 impl Batch<'_> {
-    /// Says whether it was interrupted.
+    /// Returns whether it was interrupted.
     fn conduct(&mut self) -> Result<bool, BatchError> {
-        let (mut asked, mut clocks_read): (Option<Instant>, Option<Instant>) = (None, None);
+        let (mut last_request, mut clocks_read): (Option<Instant>, Option<Instant>) = (None, None);
         loop {
             let stop = self.options.stop.level();
             for worker in &mut self.workers {
@@ -231,13 +233,13 @@ impl Batch<'_> {
                 }
             }
             for worker in &mut self.workers {
-                worker.look_for_progress(self.manifest.patience_s);
+                worker.check_progress(self.manifest.patience_s);
             }
             let changed = self.reap()?;
             self.beat()?;
             if clocks_read.is_none_or(|at| at.elapsed() >= ASK_EVERY) {
                 clocks_read = Some(Instant::now());
-                for seconds in self.engine.jumps()?.into_iter().filter(|s| s.abs() >= JUMP_TOLD_S) {
+                for seconds in self.engine.jumps()?.into_iter().filter(|s| s.abs() >= JUMP_REPORTED_S) {
                     (self.tell)(&BatchEvent::ClockJumped { seconds });
                 }
             }
@@ -246,9 +248,9 @@ impl Batch<'_> {
                     let jobs = self.engine.jobs()?;
                     return Ok(jobs.iter().any(|j| matches!(j.state, JobState::Pending | JobState::Leased)));
                 }
-            } else if changed || asked.is_none_or(|at| at.elapsed() >= ASK_EVERY) {
+            } else if changed || last_request.is_none_or(|at| at.elapsed() >= ASK_EVERY) {
                 while self.claim()? {}
-                asked = Some(Instant::now());
+                last_request = Some(Instant::now());
                 let open = |j: &JobStatus| matches!(j.state, JobState::Pending | JobState::Leased);
                 if self.workers.is_empty() && !self.engine.jobs()?.iter().any(open) {
                     return Ok(false);
@@ -271,15 +273,19 @@ impl Batch<'_> {
         free.get(..count as usize).map(<[u32]>::to_vec).unwrap_or_default()
     }
 
-    /// Takes a scene and begins it; `false` when none fits now.
+    /// Takes a scene and starts it; `false` when none fits now.
     fn claim(&mut self) -> Result<bool, BatchError> {
         let free = self.free();
         if free.cores == 0 {
             return Ok(false);
         }
         let worker = format!("batch {}", std::process::id());
-        let Some(lease) =
-            self.engine.claim(&Offer { worker, free, whole: self.manifest.budget, lease_s: LEASE_S })?
+        let Some(lease) = self.engine.claim(&WorkerOffer {
+            worker,
+            free,
+            whole: self.manifest.budget,
+            lease_s: LEASE_S,
+        })?
         else {
             return Ok(false);
         };
@@ -292,29 +298,29 @@ impl Batch<'_> {
             }
         };
         let mut granted = lease.job.needs;
-        // The last scene need not leave cores idle that nobody else asks for.
+        // The last scene need not leave cores idle that nobody else needs.
         if !self.engine.jobs()?.iter().any(|j| j.state == JobState::Pending) {
             granted.cores = free.cores;
         }
         let cpus = self.cpus(granted.cores);
-        self.workers.push(Worker::new(lease, scene, granted, cpus));
+        self.workers.push(SceneWorker::new(lease, scene, granted, cpus));
         Ok(true)
     }
 
-    /// Begins processes that can begin, and books those that have ended; says whether any has.
+    /// Starts processes that can start, and books those that have ended; returns whether any has.
     fn reap(&mut self) -> Result<bool, BatchError> {
         let mut changed = false;
         let mut i = 0;
-        // In the order in which they were claimed: the most urgent process is begun first.
+        // In the order in which they were claimed: the most urgent process is started first.
         while i < self.workers.len() {
             let worker = &mut self.workers[i];
-            let (waited, had_begun) = (worker.waits.is_some(), worker.has_begun());
+            let (waited, had_started) = (worker.waits.is_some(), worker.has_started());
             let ended = worker.advance(self.folder, &self.options.program, self.tell);
             let Some(ended) = ended else {
-                // Who looks at the batch sees who waits, and why.
-                let begins = waited && worker.has_begun() && !had_begun;
-                if begins || !waited && worker.waits.is_some() {
-                    let reason = worker.waits.as_deref().filter(|_| !begins);
+                // The status of the batch shows which scenes wait, and why.
+                let starts = waited && worker.has_started() && !had_started;
+                if starts || !waited && worker.waits.is_some() {
+                    let reason = worker.waits.as_deref().filter(|_| !starts);
                     lost(self.engine.note_wait(&worker.lease, reason))?;
                 }
                 i += 1;
@@ -332,7 +338,7 @@ impl Batch<'_> {
                         (self.tell)(&BatchEvent::SceneDone { scene, seconds });
                     }
                 }
-                _ if worker.asked_to_stop => {
+                _ if worker.stop_requested => {
                     if !lost(self.engine.fail(lease, ErrorClass::Stopped, "stopped"))? {
                         (self.tell)(&BatchEvent::SceneStopped { scene });
                     }
@@ -347,16 +353,16 @@ impl Batch<'_> {
         Ok(changed)
     }
 
-    fn failed(&mut self, lease: &Lease, class: ErrorClass, error: &str) -> Result<(), BatchError> {
+    fn failed(&mut self, lease: &JobLease, class: ErrorClass, error: &str) -> Result<(), BatchError> {
         let (scene, error) = (lease.job.id.clone(), error.to_owned());
         match self.engine.fail(lease, class, &error) {
-            Ok(Fate::Retry { due }) => {
+            Ok(JobFate::Retry { due }) => {
                 // Between the two readings the clock may have jumped.
                 let delay_s = (due - SystemClock.now()).clamp(0.0, lease.job.retry.longest_delay_s);
                 (self.tell)(&BatchEvent::SceneRetries { scene, error, delay_s });
             }
-            Ok(Fate::Dead) => (self.tell)(&BatchEvent::SceneDied { scene, error }),
-            Ok(Fate::Released) => (self.tell)(&BatchEvent::SceneStopped { scene }),
+            Ok(JobFate::Dead) => (self.tell)(&BatchEvent::SceneDied { scene, error }),
+            Ok(JobFate::Released) => (self.tell)(&BatchEvent::SceneStopped { scene }),
             Err(EngineError::Lost { .. }) => {}
             Err(error) => return Err(error.into()),
         }

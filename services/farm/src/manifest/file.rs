@@ -9,21 +9,21 @@ use serde::Deserialize;
 #[derive(Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(super) struct File {
-    pub budget: Budget,
+    pub budget: BudgetTerms,
     pub defaults: Terms,
-    pub scene: Vec<Entry>,
+    pub scene: Vec<SceneEntry>,
 }
 
 #[derive(Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub(super) struct Budget {
+pub(super) struct BudgetTerms {
     pub cores: Option<u32>,
     pub memory: Option<Size>,
     pub accelerators: Option<u32>,
     pub patience: Option<f64>,
 }
 
-/// What may be said for one scene and for all.
+/// What may be set for one scene and for all.
 #[derive(Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(super) struct Terms {
@@ -38,13 +38,13 @@ pub(super) struct Terms {
 }
 
 #[derive(Debug, Deserialize)]
-pub(super) struct Entry {
+pub(super) struct SceneEntry {
     pub path: PathBuf,
     pub name: Option<String>,
     pub out: Option<PathBuf>,
     #[serde(flatten)]
     pub terms: Terms,
-    /// Whatever else was said; nothing, if there is no mistake.
+    /// All other keys; none, if there is no mistake.
     #[serde(flatten)]
     pub unknown: BTreeMap<String, toml::Value>,
 }
@@ -122,7 +122,7 @@ pub(super) fn settings(defaults: &Terms, own: &Terms) -> Result<BTreeMap<String,
             all.insert(name.replace('-', "_"), value);
         }
     }
-    // What a scene may use of the machine is said once, for the batch to keep account of.
+    // What a scene may use of the machine is set once, for the batch to keep account of.
     for (setting, instead) in [("threads", "cores"), ("memory_budget", "memory")] {
         if all.contains_key(setting) {
             return Err(format!("`{setting}` is not set here: say `{instead}`"));

@@ -35,7 +35,7 @@ use segwild_pipeline::{MemoryNeed, Settings, Until};
 use serde::{Deserialize, Serialize};
 
 use self::file::{File, settings};
-use self::run_folders::Places;
+use self::run_folders::RunFolders;
 use crate::job::{Job, Needs, Retry};
 use crate::machine;
 
@@ -99,7 +99,7 @@ impl SceneJob {
 
 /// A batch as it was asked for, checked and with all defaults filled in.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Manifest {
+pub struct BatchManifest {
     /// What may be used.
     pub budget: Needs,
     /// A scene's process in which nothing has moved for so long, in seconds, is ended and tried again.
@@ -108,12 +108,12 @@ pub struct Manifest {
     pub jobs: Vec<(SceneJob, Job)>,
 }
 
-impl Manifest {
+impl BatchManifest {
     /// Reads a manifest. `folder` is the batch's: where scenes run that name no folder of their own. `until` is where
     /// every scene stops, whatever the manifest says.
     ///
     /// # Errors
-    /// In words, and before anything was begun: what is wrong with the file or with one of its scenes.
+    /// In words, and before anything was started: what is wrong with the file or with one of its scenes.
     pub fn read(file: &Path, folder: &Path, until: Option<Until>) -> Result<Self, ManifestError> {
         let wrong = |reason: String| ManifestError::File { file: file.to_path_buf(), reason };
         let bytes =
@@ -141,7 +141,7 @@ impl Manifest {
         let base = base.parent().unwrap_or(Path::new("."));
         let folder = std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned());
         let mut jobs = Vec::new();
-        let (mut names, mut outs) = (BTreeSet::new(), Places::default());
+        let (mut names, mut outs) = (BTreeSet::new(), RunFolders::default());
         for entry in &read.scene {
             let path = base.join(&entry.path);
             let name = entry.name.clone().unwrap_or_else(|| {
@@ -164,7 +164,7 @@ impl Manifest {
             let out = entry.out.as_ref().map_or_else(|| folder.join(&name), |out| base.join(out));
             outs.take(&name, &out).map_err(|why| wrong(format!("{why}: set `out`")))?;
             if let Some(name) = entry.unknown.keys().next() {
-                return Err(wrong(format!("there is nothing named `{name}` to be said of a scene")));
+                return Err(wrong(format!("a scene has no key named `{name}`")));
             }
             let (d, own) = (&read.defaults, &entry.terms);
             let settings = settings(d, own).map_err(wrong)?;
@@ -254,11 +254,11 @@ pub(crate) fn words(needs: &Needs) -> String {
 mod tests {
     use super::*;
 
-    fn read(text: &str) -> Result<Manifest, String> {
+    fn read(text: &str) -> Result<BatchManifest, String> {
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("batch.toml");
         std::fs::write(&file, text).unwrap();
-        Manifest::read(&file, &dir.path().join("out"), None).map_err(|e| e.to_string())
+        BatchManifest::read(&file, &dir.path().join("out"), None).map_err(|e| e.to_string())
     }
 
     #[test]
@@ -292,9 +292,9 @@ mod tests {
     }
 
     #[test]
-    fn mistakes_are_named_before_anything_begins() {
+    fn mistakes_are_named_before_anything_starts() {
         let scene = "[[scene]]\npath = \"a\"\n";
-        for (text, said) in [
+        for (text, expected) in [
             ("", "no [[scene]]".to_owned()),
             ("[[scene]]\nname = \"x\"\n", "path".into()),
             ("[budgets]\n", "budgets".into()),
@@ -326,7 +326,7 @@ mod tests {
             ("[[scene]]\npath = \"a\"\n[[scene]]\npath = \"b/A\"\n", "two scenes of this name".into()),
         ] {
             let message = read(text).unwrap_err();
-            assert!(message.contains("batch.toml") && message.contains(&said), "{message}");
+            assert!(message.contains("batch.toml") && message.contains(&expected), "{message}");
         }
     }
 }

@@ -6,9 +6,9 @@ use std::path::{Component, Path, PathBuf};
 
 /// The run folders that are taken, by where they truly are, capitals aside.
 #[derive(Default)]
-pub(super) struct Places(BTreeMap<PathBuf, (String, PathBuf)>);
+pub(super) struct RunFolders(BTreeMap<PathBuf, (String, PathBuf)>);
 
-impl Places {
+impl RunFolders {
     /// Takes a folder for a scene.
     ///
     /// # Errors
@@ -69,8 +69,8 @@ mod tests {
 
     /// Which of the folders is refused, and why.
     fn refused(outs: &[&Path]) -> Option<(usize, String)> {
-        let mut places = Places::default();
-        let take = |(i, out): (usize, &&Path)| places.take(&format!("s{i}"), out).err().map(|why| (i, why));
+        let mut taken = RunFolders::default();
+        let take = |(i, out): (usize, &&Path)| taken.take(&format!("s{i}"), out).err().map(|why| (i, why));
         outs.iter().enumerate().find_map(take)
     }
 
@@ -90,7 +90,7 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn one_folder_behind_a_link_is_not_run_in_twice() {
+    fn one_folder_reached_through_a_link_is_not_run_in_twice() {
         let dir = tempfile::tempdir().unwrap();
         let at = |path: &str| dir.path().join(path);
         std::fs::create_dir_all(at("disk/o")).unwrap();

@@ -58,8 +58,8 @@ impl Cache {
         for domain in entries(&self.root)? {
             let name = domain.file_name().to_string_lossy().into_owned();
             let Some(kind) = name.strip_suffix(".d") else { continue };
-            for shelf in entries(&domain.path())? {
-                for file in entries(&shelf.path())? {
+            for folder in entries(&domain.path())? {
+                for file in entries(&folder.path())? {
                     // Gone meanwhile: another process sweeps.
                     let Ok(data) = file.metadata() else { continue };
                     found.push(Artefact {
@@ -77,7 +77,7 @@ impl Cache {
     }
 
     /// Reads an artefact and compares its hash; `Some` says what is wrong with it, and it is then moved aside: the
-    /// next run makes it anew.
+    /// next run makes it again.
     ///
     /// # Errors
     /// When the file cannot be read.

@@ -40,7 +40,7 @@ pub enum LedgerError {
     /// There is no ledger to read.
     #[error("there is no run at {}", path.display())]
     Missing {
-        /// Where one was looked for.
+        /// The file that was searched.
         path: PathBuf,
     },
     /// The disk is full.

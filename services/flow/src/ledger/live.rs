@@ -41,7 +41,7 @@ pub struct LiveActor {
     pub messages: u64,
     /// Further attempts at a message.
     pub retries: u64,
-    /// How often it was built anew.
+    /// How often it was restarted.
     pub restarts: u64,
     /// Messages given up.
     pub quarantined: u64,
@@ -53,7 +53,7 @@ pub struct LiveActor {
     pub busy_s: f64,
     /// Waiting for input.
     pub waiting_s: f64,
-    /// Waiting for room in other mailboxes, or for what another actor makes.
+    /// Waiting for space in other mailboxes, or for what another actor makes.
     pub blocked_s: f64,
     /// Waiting before a restart or another attempt.
     pub back_off_s: f64,
@@ -84,9 +84,9 @@ pub struct LiveMailbox {
     pub received: u64,
     /// Sends that found it full.
     pub held_back: u64,
-    /// Senders waiting for room now.
+    /// Senders waiting for space now.
     pub waiting_senders: u64,
-    /// Time senders have waited for room, in seconds.
+    /// Time senders have waited for space, in seconds.
     pub back_pressure_s: f64,
     /// Whether it takes no more.
     pub closed: bool,
@@ -103,7 +103,7 @@ pub struct LiveStage {
     pub total: Option<u64>,
     /// Units per second, lately.
     pub rate: f64,
-    /// Seconds to go, if that can be told.
+    /// Seconds to go, if that is known.
     pub eta_s: Option<f64>,
 }
 
@@ -131,7 +131,7 @@ pub struct LiveSample {
     pub began: f64,
     /// When anything last moved: a message handled, a unit of work done.
     pub moved: f64,
-    /// Memory of the process in bytes, if the system tells.
+    /// Memory of the process in bytes, if the system reports it.
     pub rss_bytes: Option<u64>,
     /// The most it ever had.
     pub peak_rss_bytes: Option<u64>,
@@ -145,7 +145,7 @@ pub struct LiveSample {
     pub actors: Vec<LiveActor>,
     /// The mailboxes.
     pub mailboxes: Vec<LiveMailbox>,
-    /// The stages that have begun, in that order.
+    /// The stages that have started, in that order.
     pub stages: Vec<LiveStage>,
     /// Measured numbers.
     pub metrics: Vec<LiveMetric>,
@@ -281,7 +281,7 @@ impl Ledger {
         })
     }
 
-    /// Keeps every second point of the past once there are more than [`KEPT_SAMPLES`]; says whether it did.
+    /// Keeps every second point of the past once there are more than [`KEPT_SAMPLES`]; returns whether it did.
     ///
     /// # Errors
     /// When the ledger cannot be written.

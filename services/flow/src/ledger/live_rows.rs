@@ -88,14 +88,14 @@ pub(super) fn write_sample(t: &Transaction<'_>, sample: &LiveSample) -> rusqlite
             c.bytes_written as i64
         ],
     )?;
-    for (place, a) in sample.actors.iter().enumerate() {
+    for (index, a) in sample.actors.iter().enumerate() {
         // Two sources of one name would be one row: the later one is what the run is doing.
         t.execute(
             "INSERT OR REPLACE INTO actors
              VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15)",
             params![
                 a.name,
-                place as i64,
+                index as i64,
                 a.exit,
                 a.error,
                 a.messages as i64,
@@ -118,13 +118,13 @@ pub(super) fn write_sample(t: &Transaction<'_>, sample: &LiveSample) -> rusqlite
             )?;
         }
     }
-    for (place, m) in sample.mailboxes.iter().enumerate() {
+    for (index, m) in sample.mailboxes.iter().enumerate() {
         t.execute(
             "INSERT OR REPLACE INTO mailboxes
              VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14)",
             params![
                 m.name,
-                place as i64,
+                index as i64,
                 m.depth as i64,
                 m.bytes as i64,
                 m.capacity as i64,
@@ -140,10 +140,10 @@ pub(super) fn write_sample(t: &Transaction<'_>, sample: &LiveSample) -> rusqlite
             ],
         )?;
     }
-    for (place, s) in sample.stages.iter().enumerate() {
+    for (index, s) in sample.stages.iter().enumerate() {
         t.execute(
             "INSERT OR REPLACE INTO progress VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
-            params![s.stage, place as i64, s.done as i64, s.total.map(|n| n as i64), s.rate, s.eta_s],
+            params![s.stage, index as i64, s.done as i64, s.total.map(|n| n as i64), s.rate, s.eta_s],
         )?;
     }
     for m in &sample.metrics {

@@ -49,7 +49,7 @@ pub use rows::{CheckpointRow, EventRow, StageRow, State, ViewOutcome, ViewRow};
 pub use schema::SCHEMA_VERSION;
 
 use crate::clock::now;
-use crate::events::{EventRecord, Level};
+use crate::events::{EventRecord, EventLevel};
 use crate::fault;
 use crate::files::FileError;
 use crate::key::Key;
@@ -177,7 +177,7 @@ impl Ledger {
         })
     }
 
-    /// A stage begins under a key. What was recorded of it under another key is forgotten.
+    /// A stage starts under a key. What was recorded of it under another key is forgotten.
     ///
     /// # Errors
     /// When the ledger cannot be written.
@@ -258,7 +258,7 @@ impl Ledger {
         })
     }
 
-    /// The stages, in the order in which they were first begun.
+    /// The stages, in the order in which they were first started.
     ///
     /// # Errors
     /// When the ledger cannot be read.
@@ -383,7 +383,7 @@ impl Ledger {
     /// When the ledger cannot be written.
     pub fn record_event(&self, record: &EventRecord) -> Result<(), LedgerError> {
         let level = record.event.level();
-        if level == Level::Detail {
+        if level == EventLevel::Detail {
             return Ok(());
         }
         let message = serde_json::to_string(&record.event).unwrap_or_default();

@@ -4,14 +4,14 @@ use rusqlite::Row;
 use rusqlite::types::Type;
 use serde::Serialize;
 
-use crate::events::Level;
+use crate::events::EventLevel;
 use crate::key::Key;
 
 /// How far a piece of work is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum State {
-    /// Not begun, or interrupted.
+    /// Not started, or interrupted.
     Pending,
     /// Under way.
     Running,
@@ -51,7 +51,7 @@ impl State {
 pub struct StageRow {
     /// Its name.
     pub name: String,
-    /// The key it was begun under: [`Key`]'s `Display`.
+    /// The key it was started under: [`Key`]'s `Display`.
     pub key: String,
     /// How far it is.
     pub state: State,
@@ -63,7 +63,7 @@ pub struct StageRow {
     pub cpu_s: Option<f64>,
     /// Why it failed.
     pub error: Option<String>,
-    /// How often it was begun under this key: more than 1 after interruptions.
+    /// How often it was started under this key: more than 1 after interruptions.
     pub runs: u32,
 }
 
@@ -194,11 +194,11 @@ impl EventRow {
     }
 }
 
-pub(super) fn level_word(level: Level) -> &'static str {
+pub(super) fn level_word(level: EventLevel) -> &'static str {
     match level {
-        Level::Detail => "detail",
-        Level::Info => "info",
-        Level::Warning => "warning",
-        Level::Error => "error",
+        EventLevel::Detail => "detail",
+        EventLevel::Info => "info",
+        EventLevel::Warning => "warning",
+        EventLevel::Error => "error",
     }
 }

@@ -57,7 +57,7 @@ pub(super) fn prepare(connection: &mut Connection, path: &Path) -> Result<(), Le
         };
         make().map_err(error)?;
     }
-    // An addition that older versions of the program do not look at.
+    // An addition that older versions of the program ignore.
     connection.execute_batch(super::live_rows::TABLES).map_err(error)
 }
 

@@ -1,4 +1,4 @@
-//! What is said about mailboxes: their limits, refusals and figures.
+//! Mailboxes in words and numbers: their limits, refusals and figures.
 
 use std::sync::Arc;
 
@@ -26,7 +26,7 @@ pub struct Closed(pub Arc<str>);
 /// Why [`Sender::try_send`] gave the message back.
 #[derive(thiserror::Error)]
 pub enum TrySendError<M> {
-    /// No room now.
+    /// No space now.
     #[error("the mailbox is full")]
     Full(M),
     /// No more for ever.
@@ -78,9 +78,9 @@ pub struct MailboxStats {
     pub received: u64,
     /// Sends that found the mailbox full.
     pub held_back: u64,
-    /// Senders waiting for room now.
+    /// Senders waiting for space now.
     pub waiting_senders: usize,
-    /// Time senders have spent waiting for room (back-pressure), in seconds.
+    /// Time senders have spent waiting for space (back-pressure), in seconds.
     pub back_pressure_s: f64,
     /// Whether it takes no more.
     pub closed: bool,

@@ -8,9 +8,9 @@ use super::{SpawnError, System};
 use crate::control::Stopper;
 use crate::meter::{self, Pulse, WorkerState, lock};
 use crate::report::Exit;
-use crate::supervise::{ActorOptions, Cell};
+use crate::supervise::{ActorCell, ActorOptions};
 
-/// The calling thread as a member of a system, until it is dropped: it has a heartbeat, a place in the timeline and in
+/// The calling thread as a member of a system, until it is dropped: it has a heartbeat, a row in the timeline and in
 /// reports, and shutdown names it when it is late. Nobody can restart it.
 ///
 /// ```
@@ -18,7 +18,7 @@ use crate::supervise::{ActorOptions, Cell};
 /// let system = System::new(SystemOptions::default())?;
 /// let me = system.guest("coordinator")?;
 /// me.busy("reads the answers");
-/// std::thread::sleep(std::time::Duration::from_millis(2)); // work that is worth drawing
+/// std::thread::sleep(std::time::Duration::from_millis(2)); // long enough for a span
 /// me.waits();
 /// drop(me);
 /// let report = system.join();
@@ -27,7 +27,7 @@ use crate::supervise::{ActorOptions, Cell};
 /// # Ok::<_, segwild_flow::SpawnError>(())
 /// ```
 pub struct Guest {
-    cell: Arc<Cell>,
+    cell: Arc<ActorCell>,
     pulse: Arc<Pulse>,
     stopper: Stopper,
     /// It speaks for the thread that it was made on.
@@ -45,14 +45,14 @@ impl System {
         pulse.coarse = true;
         let pulse = Arc::new(pulse);
         let options = ActorOptions { vital: false, ..ActorOptions::default() };
-        let cell = Arc::new(Cell::new(options, vec![pulse.clone()], name, None));
+        let cell = Arc::new(ActorCell::new(options, vec![pulse.clone()], name, None));
         self.enrol(&cell)?;
         meter::adopt(Some(pulse.clone()));
         Ok(Guest { cell, pulse, stopper: self.stopper(), _here: PhantomData })
     }
 
     /// Adds an actor to the roster, if it is not sealed.
-    pub(super) fn enrol(&self, cell: &Arc<Cell>) -> Result<(), SpawnError> {
+    pub(super) fn enrol(&self, cell: &Arc<ActorCell>) -> Result<(), SpawnError> {
         let mut roster = lock(&self.shared.roster);
         if roster.sealed {
             let words = "the system is stopping";

@@ -4,14 +4,14 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use super::Shared;
+use super::SystemShared;
 use super::watch::Watch;
 use crate::control::Phase;
 use crate::events::Event;
-use crate::supervise::Cell;
+use crate::supervise::ActorCell;
 
 /// The supervisor's loop: heartbeats, then shutdown as far as it was asked for.
-pub(super) fn supervise(shared: &Shared) {
+pub(super) fn supervise(shared: &SystemShared) {
     let control = shared.control();
     let mut watch = Watch::default();
     let tick = (shared.options.stuck_after / 4).clamp(Duration::from_millis(10), Duration::from_secs(1));
@@ -19,7 +19,7 @@ pub(super) fn supervise(shared: &Shared) {
         let complete = || shared.complete.load(Ordering::Acquire);
         let all_ended = || complete() && shared.cells().iter().all(|cell| cell.ended());
         control.wait(tick, || control.phase() != Phase::Running || all_ended());
-        watch.look(shared);
+        watch.check(shared);
         match control.phase() {
             Phase::Running if all_ended() => break,
             Phase::Running => {}
@@ -39,12 +39,12 @@ pub(super) fn supervise(shared: &Shared) {
 
 /// Waits for cells to end; names the late now and then.
 fn wait_for(
-    shared: &Shared,
+    shared: &SystemShared,
     watch: &mut Watch,
     tick: Duration,
     deadline: Instant,
     until: Option<Phase>,
-    which: &[Arc<Cell>],
+    which: &[Arc<ActorCell>],
 ) -> bool {
     let control = shared.control();
     let mut named = Instant::now();
@@ -55,7 +55,7 @@ fn wait_for(
         if control.wait(left.min(tick), done) {
             return which.iter().all(|cell| cell.ended());
         }
-        watch.look(shared);
+        watch.check(shared);
         if left.is_zero() {
             return false;
         }
@@ -68,7 +68,7 @@ fn wait_for(
 }
 
 /// Sources have seen the phase; the others are closed and awaited one after another, in the data's order.
-fn drain(shared: &Shared, watch: &mut Watch, tick: Duration) {
+fn drain(shared: &SystemShared, watch: &mut Watch, tick: Duration) {
     let deadline = Instant::now() + shared.options.drain;
     let cells = shared.seal();
     let (sources, others): (Vec<_>, Vec<_>) = cells.into_iter().partition(|cell| cell.mailbox.is_none());
@@ -88,8 +88,8 @@ fn drain(shared: &Shared, watch: &mut Watch, tick: Duration) {
     }
 }
 
-/// Everybody has seen the phase; closing the mailboxes wakes who waits for input or for room.
-fn stop(shared: &Shared, watch: &mut Watch, tick: Duration) {
+/// Everybody has seen the phase; closing the mailboxes wakes who waits for input or for space.
+fn stop(shared: &SystemShared, watch: &mut Watch, tick: Duration) {
     let cells = shared.seal();
     cells.iter().filter_map(|cell| cell.mailbox.as_ref()).for_each(|mailbox| mailbox.close());
     let deadline = Instant::now() + shared.options.grace;

@@ -3,16 +3,16 @@
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
-use super::Shared;
+use super::SystemShared;
 use crate::events::Event;
 use crate::meter::WorkerState;
 
 /// What the supervisor remembers of each worker.
 #[derive(Default)]
-pub(super) struct Watch(Vec<Vec<Seen>>);
+pub(super) struct Watch(Vec<Vec<LastBeat>>);
 
 #[derive(Clone)]
-struct Seen {
+struct LastBeat {
     beat: u64,
     at: Instant,
     stuck: bool,
@@ -20,12 +20,12 @@ struct Seen {
 
 impl Watch {
     /// Compares every worker's beat with the last one seen, and reports who got stuck and who moves again.
-    pub fn look(&mut self, shared: &Shared) {
+    pub fn check(&mut self, shared: &SystemShared) {
         let now = Instant::now();
         let cells = shared.cells();
         self.0.resize(cells.len(), Vec::new());
         for (cell, seen) in cells.iter().zip(&mut self.0) {
-            seen.resize(cell.pulses.len(), Seen { beat: u64::MAX, at: now, stuck: false });
+            seen.resize(cell.pulses.len(), LastBeat { beat: u64::MAX, at: now, stuck: false });
             for (pulse, seen) in cell.pulses.iter().zip(seen) {
                 let observe = pulse.observe();
                 let moves = observe.beat != seen.beat
@@ -36,7 +36,7 @@ impl Watch {
                         let actor = cell.name.to_string();
                         shared.options.events.tell(Event::ActorRecovered { actor, worker: pulse.worker });
                     }
-                    *seen = Seen { beat: observe.beat, at: now, stuck: false };
+                    *seen = LastBeat { beat: observe.beat, at: now, stuck: false };
                 } else if !seen.stuck && now - seen.at >= shared.options.stuck_after {
                     seen.stuck = true;
                     shared.options.events.tell(Event::ActorStuck {

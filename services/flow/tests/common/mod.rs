@@ -9,8 +9,8 @@ use segwild_flow::*;
 
 /// A view's work, as the scene's actors have it.
 #[derive(Clone, Debug, PartialEq)]
-pub struct View(pub u32);
-impl Message for View {
+pub struct TestView(pub u32);
+impl Message for TestView {
     fn label(&self) -> String {
         format!("view {}", self.0)
     }
@@ -19,7 +19,7 @@ impl Message for View {
     }
 }
 
-pub type Handler = Arc<dyn Fn(&View, u32, &Context) -> Result<(), Failure> + Send + Sync>;
+pub type Handler = Arc<dyn Fn(&TestView, u32, &Context) -> Result<(), ActorFailure> + Send + Sync>;
 
 /// What actors saw, in order.
 #[derive(Clone, Default)]
@@ -33,7 +33,7 @@ impl Log {
     }
 }
 
-/// Handles views by a function that is also told which instance it runs in.
+/// Handles views by a function that also gets the instance it runs in.
 pub struct Probe {
     instance: u32,
     handler: Handler,
@@ -41,22 +41,27 @@ pub struct Probe {
 }
 
 impl Actor for Probe {
-    type Message = View;
-    fn on_start(&mut self, _: &Context) -> Result<(), Failure> {
+    type Message = TestView;
+    fn on_start(&mut self, _: &Context) -> Result<(), ActorFailure> {
         self.log.add(format!("start {}", self.instance));
         Ok(())
     }
-    fn handle(&mut self, view: View, context: &Context) -> Result<(), Failure> {
+    fn handle(&mut self, view: TestView, context: &Context) -> Result<(), ActorFailure> {
         (self.handler)(&view, self.instance, context)?;
         self.log.add(format!("view {}", view.0));
         Ok(())
     }
-    fn on_quarantine(&mut self, view: Option<View>, what: &Quarantined, _: &Context) -> Result<(), Failure> {
+    fn on_quarantine(
+        &mut self,
+        view: Option<TestView>,
+        what: &Quarantined,
+        _: &Context,
+    ) -> Result<(), ActorFailure> {
         assert_eq!(view.map(|v| v.label()), Some(what.label.clone()));
         self.log.add(format!("gave up {}", what.label));
         Ok(())
     }
-    fn on_stop(&mut self, _: &Context) -> Result<(), Failure> {
+    fn on_stop(&mut self, _: &Context) -> Result<(), ActorFailure> {
         self.log.add("stop");
         Ok(())
     }
@@ -73,7 +78,7 @@ pub fn quick() -> ActorOptions {
 
 pub struct Setup {
     pub system: System,
-    pub views: Sender<View>,
+    pub views: Sender<TestView>,
     pub log: Log,
     pub events: Subscription,
 }
@@ -81,7 +86,7 @@ pub struct Setup {
 pub fn probe(
     options: ActorOptions,
     system: SystemOptions,
-    handler: impl Fn(&View, u32, &Context) -> Result<(), Failure> + Send + Sync + 'static,
+    handler: impl Fn(&TestView, u32, &Context) -> Result<(), ActorFailure> + Send + Sync + 'static,
 ) -> Setup {
     let events = system.events.subscribe();
     let system = System::new(system).unwrap();
@@ -99,7 +104,7 @@ pub fn probe(
 }
 
 pub fn send_all(setup: &Setup, views: impl IntoIterator<Item = u32>) {
-    views.into_iter().for_each(|n| setup.views.blocking_send(View(n)).unwrap());
+    views.into_iter().for_each(|n| setup.views.blocking_send(TestView(n)).unwrap());
 }
 
 pub fn finish(setup: Setup) -> (Report, Vec<String>, Vec<Event>) {

@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::task::Wake;
 
 /// Small numbers from a seed (SplitMix64).
-pub struct Dice(pub u64);
-impl Dice {
+pub struct SimulatedDice(pub u64);
+impl SimulatedDice {
     pub fn below(&mut self, n: usize) -> usize {
         self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);

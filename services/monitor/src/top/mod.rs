@@ -11,28 +11,28 @@ use ratatui::layout::Rect;
 use ratatui::text::Line;
 use ratatui::widgets::{Paragraph, Widget};
 
-use crate::view::{Runs, Target, View};
+use crate::view::{Runs, MonitorTarget, MonitorView};
 
-/// Time between two looks.
+/// Time between two refreshes.
 const EVERY: Duration = Duration::from_secs(1);
 
-/// Where a person looks: the scene of a batch whose stages are shown, and how far the page is scrolled.
+/// What the page shows of a batch: the scene whose stages are listed.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Place {
+pub struct ScreenPosition {
     /// Index of the chosen scene; `None`: the first that runs.
     pub scene: Option<usize>,
 }
 
 /// Draws a view.
-pub fn draw(view: &View, place: Place, area: Rect, buffer: &mut Buffer) {
-    Paragraph::new(page::lines(view, place, area.width, area.height)).render(area, buffer);
+pub fn draw(view: &MonitorView, position: ScreenPosition, area: Rect, buffer: &mut Buffer) {
+    Paragraph::new(page::lines(view, position, area.width, area.height)).render(area, buffer);
 }
 
 /// A view as text, lines without trailing blanks.
-pub fn frame(view: &View, width: u16, height: u16) -> String {
+pub fn frame(view: &MonitorView, width: u16, height: u16) -> String {
     let area = Rect::new(0, 0, width, height);
     let mut buffer = Buffer::empty(area);
-    draw(view, Place::default(), area, &mut buffer);
+    draw(view, ScreenPosition::default(), area, &mut buffer);
     let row = |y| (0..width).map(|x| buffer[(x, y)].symbol()).collect::<String>().trim_end().to_owned();
     let mut rows: Vec<String> = (0..height).map(row).collect();
     while rows.last().is_some_and(String::is_empty) {
@@ -45,7 +45,7 @@ pub fn frame(view: &View, width: u16, height: u16) -> String {
 ///
 /// # Errors
 /// When the terminal cannot be used.
-pub fn follow(target: &Target) -> io::Result<()> {
+pub fn follow(target: &MonitorTarget) -> io::Result<()> {
     let mut terminal = ratatui::try_init()?;
     let outcome = watch(&mut terminal, target);
     // The terminal is given back whatever happened; an error of its own is less telling than the first one.
@@ -53,14 +53,14 @@ pub fn follow(target: &Target) -> io::Result<()> {
     outcome.and(restored)
 }
 
-fn watch(terminal: &mut ratatui::DefaultTerminal, target: &Target) -> io::Result<()> {
-    let (mut place, mut runs) = (Place::default(), Runs::default());
+fn watch(terminal: &mut ratatui::DefaultTerminal, target: &MonitorTarget) -> io::Result<()> {
+    let (mut position, mut runs) = (ScreenPosition::default(), Runs::default());
     loop {
         let looked = Instant::now();
-        let view = target.look(&mut runs);
+        let view = target.read(&mut runs);
         loop {
             terminal.draw(|f| match &view {
-                Ok(view) => draw(view, place, f.area(), f.buffer_mut()),
+                Ok(view) => draw(view, position, f.area(), f.buffer_mut()),
                 Err(error) => Paragraph::new(Line::from(error.to_string())).render(f.area(), f.buffer_mut()),
             })?;
             let left = EVERY.saturating_sub(looked.elapsed());
@@ -72,17 +72,17 @@ fn watch(terminal: &mut ratatui::DefaultTerminal, target: &Target) -> io::Result
                 continue;
             }
             let scenes = match &view {
-                Ok(View::Batch(batch)) => batch.scenes.len(),
+                Ok(MonitorView::Batch(batch)) => batch.scenes.len(),
                 _ => 0,
             };
             match key.code {
                 KeyCode::Char('q') | KeyCode::Esc => return Ok(()),
                 KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => return Ok(()),
                 KeyCode::Down | KeyCode::Char('j') if scenes > 0 => {
-                    place.scene = Some(place.scene.map_or(0, |i| (i + 1).min(scenes - 1)));
+                    position.scene = Some(position.scene.map_or(0, |i| (i + 1).min(scenes - 1)));
                 }
                 KeyCode::Up | KeyCode::Char('k') if scenes > 0 => {
-                    place.scene = place.scene.and_then(|i| i.checked_sub(1));
+                    position.scene = position.scene.and_then(|i| i.checked_sub(1));
                 }
                 _ => {}
             }

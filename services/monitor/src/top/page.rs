@@ -4,8 +4,8 @@ use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span};
 use segwild_flow::WorkerState;
 
-use super::Place;
-use crate::view::{ActorView, BatchView, Disk, RunView, SceneState, SceneView, StageView, View};
+use super::ScreenPosition;
+use crate::view::{ActorView, BatchView, Disk, RunView, SceneState, SceneView, StageView, MonitorView};
 use crate::words::{bytes, cut, duration};
 
 fn plain(text: impl Into<String>) -> Line<'static> {
@@ -65,15 +65,15 @@ fn maybe<T>(value: Option<T>, show: impl FnOnce(T) -> String) -> String {
 }
 
 /// The page, at most `height` lines; what does not fit is left out from the end, the head never.
-pub fn lines(view: &View, place: Place, width: u16, height: u16) -> Vec<Line<'static>> {
+pub fn lines(view: &MonitorView, position: ScreenPosition, width: u16, height: u16) -> Vec<Line<'static>> {
     let (width, height) = (usize::from(width), usize::from(height));
     let mut page = match view {
-        View::Run(run) => {
+        MonitorView::Run(run) => {
             let mut page = vec![run_head(run)];
             page.extend(run_body(run, run_totals(run) + &disk(run.disk), width, height.saturating_sub(1)));
             page
         }
-        View::Batch(batch) => batch_page(batch, place, width, height),
+        MonitorView::Batch(batch) => batch_page(batch, position, width, height),
     };
     page.truncate(height);
     page
@@ -205,7 +205,7 @@ fn run_body(run: &RunView, totals: String, width: usize, height: usize) -> Vec<L
         "{:9} {:8} {:10} {:>11} {:>8} {:>6} {:>6} {:>6} {:>6}",
         "stage", "state", "", "done", "rate", "left", "time", "cached", "failed"
     )));
-    // Where there is no room for everything, what is over goes first, and what has not begun is only said to wait.
+    // Where the lines do not suffice, what is over is left out first, and what has not started is only counted as waiting.
     let waiting = run.stages.iter().filter(|s| s.why.is_some()).count();
     let needed = run.stages.len() + waiting + 2 * run.actors.len() + 5;
     let all = height >= needed;
@@ -228,14 +228,17 @@ fn run_body(run: &RunView, totals: String, width: usize, height: usize) -> Vec<L
     let mut last: Vec<Line<'static>> = errors
         .map(|(stage, error)| coloured(cut(&format!("{stage} failed: {error}"), width), Color::Red))
         .collect();
-    if let Some(told) = run.events.last() {
-        let about = told.stage.as_deref().unwrap_or("run");
-        last.push(coloured(cut(&format!("{}: {about}: {}", told.level, told.message), width), Color::Yellow));
+    if let Some(event) = run.events.last() {
+        let about = event.stage.as_deref().unwrap_or("run");
+        last.push(coloured(
+            cut(&format!("{}: {about}: {}", event.level, event.message), width),
+            Color::Yellow,
+        ));
     }
     if !why.is_empty() {
         page.push(columns("why it waits"));
-        let room = height.saturating_sub(page.len() + last.len());
-        page.extend(why.into_iter().take(room));
+        let lines_left = height.saturating_sub(page.len() + last.len());
+        page.extend(why.into_iter().take(lines_left));
     }
     page.extend(last);
     page
@@ -244,7 +247,7 @@ fn run_body(run: &RunView, totals: String, width: usize, height: usize) -> Vec<L
 /// Columns of a scene's row without its bar and its stages.
 const WITHOUT_BAR: usize = 66;
 
-/// A bar where there is room for one: how far it is stands beside it as a number, which stages run stands nowhere else.
+/// A bar where there is space for one: how far it is stands beside it as a number, which stages run stands nowhere else.
 fn scene_bar(share: f64, width: usize) -> String {
     if width < WITHOUT_BAR + 30 { String::new() } else { format!(" {}", bar(share, 6)) }
 }
@@ -277,7 +280,12 @@ fn scene_row(scene: &SceneView, chosen: bool, width: usize) -> Line<'static> {
     row(format!("{mark}{:11} ", cut(&scene.name, 11)), scene.state.word(), 7, after)
 }
 
-fn batch_page(batch: &BatchView, place: Place, width: usize, height: usize) -> Vec<Line<'static>> {
+fn batch_page(
+    batch: &BatchView,
+    position: ScreenPosition,
+    width: usize,
+    height: usize,
+) -> Vec<Line<'static>> {
     let counts: Vec<String> = SceneState::ALL
         .iter()
         .filter(|s| batch.count(**s) > 0)
@@ -317,7 +325,7 @@ fn batch_page(batch: &BatchView, place: Place, width: usize, height: usize) -> V
         "fail",
         "stages"
     )));
-    let chosen = place
+    let chosen = position
         .scene
         .filter(|&i| i < batch.scenes.len())
         .or_else(|| batch.scenes.iter().position(|s| s.state == SceneState::Running));
@@ -333,12 +341,13 @@ fn batch_page(batch: &BatchView, place: Place, width: usize, height: usize) -> V
         .collect();
     let reasons = waits.len().min((height / 6).max(2));
     let left = height.saturating_sub(page.len());
-    let room = match run {
+    let lines_left = match run {
         Some(_) => (height / 3).max(4).min(left),
         None => left.saturating_sub(reasons),
     };
-    let first = chosen.unwrap_or(0).saturating_sub(room / 2).min(batch.scenes.len().saturating_sub(room));
-    for (i, scene) in batch.scenes.iter().enumerate().skip(first).take(room) {
+    let first =
+        chosen.unwrap_or(0).saturating_sub(lines_left / 2).min(batch.scenes.len().saturating_sub(lines_left));
+    for (i, scene) in batch.scenes.iter().enumerate().skip(first).take(lines_left) {
         page.push(scene_row(scene, chosen == Some(i), width));
     }
     page.extend(waits.into_iter().take(reasons));

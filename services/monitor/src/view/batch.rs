@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use segwild_farm::{BatchFolder, ChangeKind, Engine, Job, JobState, JobStatus, Needs, SceneJob, turns};
+use segwild_farm::{BatchFolder, ChangeKind, Job, JobEngine, JobState, JobStatus, Needs, SceneJob, turns};
 use serde::{Deserialize, Serialize};
 
 use super::{Disk, RunView, Runs, name_of};
@@ -13,7 +13,7 @@ use crate::{ViewError, why};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SceneState {
-    /// Waits for its turn, for room, for the end of its rest, or for its run folder.
+    /// Waits for its turn, for space, for the end of its rest, or for its run folder.
     Waiting,
     /// A process works on it.
     Running,
@@ -49,7 +49,7 @@ pub struct SceneView {
     pub priority: i32,
     /// What it needs.
     pub needs: Needs,
-    /// How often it was begun.
+    /// How often it was started.
     pub attempt: u32,
     /// Failed attempts that count.
     pub failures: u32,
@@ -70,7 +70,7 @@ pub struct SceneView {
     pub until: Option<String>,
     /// Its run folder.
     pub out: PathBuf,
-    /// Its run, if it was ever begun.
+    /// Its run, if it was ever started.
     pub run: Option<Box<RunView>>,
 }
 
@@ -81,7 +81,7 @@ pub struct BatchView {
     pub name: String,
     /// Its folder.
     pub folder: PathBuf,
-    /// When it was looked at, in seconds since 1970.
+    /// When it was read, in seconds since 1970.
     pub time: f64,
     /// The process that runs it.
     pub owner: Option<String>,
@@ -115,7 +115,7 @@ impl BatchView {
             jobs.iter().map(|job| scene(job, runs, &waits, owner.is_some(), now)).collect();
         let budget = record.as_ref().map(|r| r.budget).unwrap_or_default();
         let mut used = Needs::default();
-        // Who cannot begin yet has its part of the budget all the same.
+        // Who cannot start yet has its part of the budget all the same.
         let held = |s: &&SceneView| s.state == SceneState::Running || s.is_held_up(&waits, owner.is_some());
         for scene in scenes.iter().filter(held) {
             // The last scene is given idle cores as well.
@@ -125,8 +125,8 @@ impl BatchView {
             used.memory_bytes += scene.needs.memory_bytes;
             used.accelerators += scene.needs.accelerators;
         }
-        let could_begin = |s: &&JobStatus| s.state == JobState::Pending && s.due <= now;
-        let mut waiting: Vec<&Job> = jobs.iter().filter(could_begin).map(|s| &s.job).collect();
+        let could_start = |s: &&JobStatus| s.state == JobState::Pending && s.due <= now;
+        let mut waiting: Vec<&Job> = jobs.iter().filter(could_start).map(|s| &s.job).collect();
         waiting.sort_by_key(|job| std::cmp::Reverse(job.priority));
         let turns = turns(&waiting, &used.taken_from(&budget), &budget);
         let turns = waiting.iter().map(|job| job.id.as_str()).zip(turns).collect();
@@ -154,7 +154,7 @@ impl BatchView {
 }
 
 impl SceneView {
-    /// Whether the batch has taken it and cannot begin its process yet.
+    /// Whether the batch has taken it and cannot start its process yet.
     fn is_held_up(&self, waits: &BTreeMap<String, String>, batch_runs: bool) -> bool {
         batch_runs && self.state == SceneState::Waiting && waits.contains_key(&self.name)
     }
@@ -170,7 +170,7 @@ fn scene(
     let job = &status.job;
     let scene = serde_json::from_str::<SceneJob>(&job.payload).ok();
     let (out, until) = scene.map(|s| (s.out, s.until)).unwrap_or_default();
-    // A run that cannot be read now (it is being made) is shown as not begun.
+    // A run that cannot be read now (it is being made) is shown as not started.
     let run = runs.view(&out, now).ok().map(Box::new);
     let state = match status.state {
         JobState::Done => SceneState::Done,

@@ -17,7 +17,8 @@ use serde::{Deserialize, Serialize};
 pub use crate::disk::Disk;
 pub use batch::{BatchView, SceneState, SceneView};
 pub use run::{
-    ActorView, MailboxView, PhotoFailure, RunState, RunView, SelectionView, StageView, Told, WorkerView,
+    ActorView, LoggedEvent, MailboxView, PhotoFailure, RunState, RunView, SelectionView, StageView,
+    WorkerView,
 };
 pub use runs::Runs;
 
@@ -49,51 +50,51 @@ fn open_run(path: &Path) -> Result<RunFolder, ViewError> {
     })
 }
 
-/// What is looked at.
+/// What is shown.
 #[derive(Clone, Debug)]
-pub enum Target {
+pub enum MonitorTarget {
     /// A run's folder.
     Run(PathBuf),
     /// A batch's folder.
     Batch(BatchFolder),
 }
 
-impl Target {
+impl MonitorTarget {
     /// Finds out what a folder is.
     ///
     /// # Errors
     /// When it is neither a run's nor a batch's.
-    pub fn at(path: &Path) -> Result<Target, ViewError> {
+    pub fn at(path: &Path) -> Result<MonitorTarget, ViewError> {
         if let Some(batch) = BatchFolder::open(path) {
-            return Ok(Target::Batch(batch));
+            return Ok(MonitorTarget::Batch(batch));
         }
-        open_run(path).map(|_| Target::Run(path.to_owned()))
+        open_run(path).map(|_| MonitorTarget::Run(path.to_owned()))
     }
 
     /// How it is now.
     ///
     /// # Errors
     /// When its ledger cannot be read.
-    pub fn view(&self) -> Result<View, ViewError> {
-        self.look(&mut Runs::default())
+    pub fn view(&self) -> Result<MonitorView, ViewError> {
+        self.read(&mut Runs::default())
     }
 
-    /// How it is now, for who looks again and again.
+    /// How it is now, for repeated reads.
     ///
     /// # Errors
     /// When its ledger cannot be read.
-    pub fn look(&self, runs: &mut Runs) -> Result<View, ViewError> {
+    pub fn read(&self, runs: &mut Runs) -> Result<MonitorView, ViewError> {
         Ok(match self {
-            Target::Run(path) => View::Run(Box::new(runs.view(path, now())?)),
-            Target::Batch(folder) => View::Batch(BatchView::read(folder, runs, now())?),
+            MonitorTarget::Run(path) => MonitorView::Run(Box::new(runs.view(path, now())?)),
+            MonitorTarget::Batch(folder) => MonitorView::Batch(BatchView::read(folder, runs, now())?),
         })
     }
 
     /// The folder.
     pub fn path(&self) -> &Path {
         match self {
-            Target::Run(path) => path,
-            Target::Batch(folder) => folder.path(),
+            MonitorTarget::Run(path) => path,
+            MonitorTarget::Batch(folder) => folder.path(),
         }
     }
 }
@@ -101,35 +102,35 @@ impl Target {
 /// A run or a batch at one time.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
-pub enum View {
+pub enum MonitorView {
     /// One scene.
     Run(Box<RunView>),
     /// Many.
     Batch(BatchView),
 }
 
-impl View {
-    /// The runs that it shows: one, or those of a batch that have begun.
+impl MonitorView {
+    /// The runs that it shows: one, or those of a batch that have started.
     pub fn runs(&self) -> Vec<&RunView> {
         match self {
-            View::Run(run) => vec![run],
-            View::Batch(batch) => batch.scenes.iter().filter_map(|s| s.run.as_deref()).collect(),
+            MonitorView::Run(run) => vec![run],
+            MonitorView::Batch(batch) => batch.scenes.iter().filter_map(|s| s.run.as_deref()).collect(),
         }
     }
 
     /// When it was taken, in seconds since 1970.
     pub fn time(&self) -> f64 {
         match self {
-            View::Run(run) => run.time,
-            View::Batch(batch) => batch.time,
+            MonitorView::Run(run) => run.time,
+            MonitorView::Batch(batch) => batch.time,
         }
     }
 
     /// Whether a process works on it now.
     pub fn is_running(&self) -> bool {
         match self {
-            View::Run(run) => run.state == RunState::Running,
-            View::Batch(batch) => batch.owner.is_some(),
+            MonitorView::Run(run) => run.state == RunState::Running,
+            MonitorView::Batch(batch) => batch.owner.is_some(),
         }
     }
 }

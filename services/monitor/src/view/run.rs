@@ -49,7 +49,7 @@ impl RunState {
 pub struct StageView {
     /// Its name.
     pub name: String,
-    /// `waiting` (not begun), `pending` (interrupted), `running`, `done`, `failed`.
+    /// `waiting` (not started), `pending` (interrupted), `running`, `done`, `failed`.
     pub state: String,
     /// Units done; those found in the cache and those that failed included.
     pub done: u64,
@@ -57,7 +57,7 @@ pub struct StageView {
     pub total: Option<u64>,
     /// Units per second, lately.
     pub rate: f64,
-    /// Seconds to go, if that can be told.
+    /// Seconds to go, if that is known.
     pub eta_s: Option<f64>,
     /// Photos that were worked on.
     pub made: u64,
@@ -71,7 +71,7 @@ pub struct StageView {
     pub wall_s: Option<f64>,
     /// Processor seconds of the process meanwhile.
     pub cpu_s: Option<f64>,
-    /// How often it was begun.
+    /// How often it was started.
     pub runs: u32,
     /// Why it failed.
     pub error: Option<String>,
@@ -109,7 +109,7 @@ pub struct ActorView {
     pub messages: u64,
     /// Further attempts at a message.
     pub retries: u64,
-    /// How often it was built anew.
+    /// How often it was restarted.
     pub restarts: u64,
     /// Messages given up.
     pub quarantined: u64,
@@ -133,7 +133,7 @@ pub struct RunView {
     pub name: String,
     /// Its folder.
     pub folder: PathBuf,
-    /// When it was looked at, in seconds since 1970.
+    /// When it was read, in seconds since 1970.
     pub time: f64,
     /// How it is.
     pub state: RunState,
@@ -147,7 +147,7 @@ pub struct RunView {
     pub still_s: Option<f64>,
     /// When the process began with it, in seconds since 1970.
     pub began: Option<f64>,
-    /// Seconds that the stages that run still take, if that can be told; stages to come are not counted.
+    /// Seconds that the stages that run still take, if that is known; stages to come are not counted.
     pub left_s: Option<f64>,
     /// The process that works, or worked last, on it.
     pub pid: Option<u32>,
@@ -157,7 +157,7 @@ pub struct RunView {
     pub peak_rss_bytes: Option<u64>,
     /// Its threads.
     pub threads: Option<u64>,
-    /// The cores that it was told to use; `None`: all.
+    /// The cores that it may use (`--threads`); `None`: all.
     #[serde(default)]
     pub cores: Option<u32>,
     /// Its processor seconds.
@@ -183,7 +183,7 @@ pub struct RunView {
     /// Selections made.
     pub selections: Vec<SelectionView>,
     /// The last warnings and errors, oldest first.
-    pub events: Vec<Told>,
+    pub events: Vec<LoggedEvent>,
     /// The run's past, oldest first.
     pub past: Vec<PastSample>,
     /// Seconds that photos took, by stage.
@@ -213,7 +213,7 @@ pub struct PhotoFailure {
 
 /// A warning or an error.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Told {
+pub struct LoggedEvent {
     /// Seconds since 1970.
     pub time: f64,
     /// `warning` or `error`.
@@ -237,7 +237,7 @@ impl RunView {
         let live = ledger.live()?;
         let rows = ledger.stages()?;
         let counts = ledger.view_counts()?;
-        let told = ledger.last_events(200)?;
+        let recorded = ledger.last_events(200)?;
         let mut failures = Vec::new();
         for stage in counts.iter().filter(|c| c.failed > 0).map(|c| c.stage.clone()) {
             for row in ledger.views(&stage)? {
@@ -287,7 +287,7 @@ impl RunView {
             disk: Disk::of(&whole),
             failures,
             selections: selections(&folder),
-            events: events(told),
+            events: events(recorded),
             past: ledger.past(PAST)?,
             seconds: ledger.view_seconds()?,
             stages,
@@ -452,17 +452,17 @@ fn actors(sample: &LiveSample, now: f64) -> Vec<ActorView> {
     sample.actors.iter().map(view).collect()
 }
 
-fn events(told: Vec<EventRow>) -> Vec<Told> {
-    let mut told: Vec<Told> = told
+fn events(recorded: Vec<EventRow>) -> Vec<LoggedEvent> {
+    let mut logged: Vec<LoggedEvent> = recorded
         .into_iter()
         .filter(|e| e.level != "info" && e.level != "detail")
-        .map(|e| Told {
+        .map(|e| LoggedEvent {
             time: e.time,
             level: e.level,
             stage: e.stage,
             message: crate::words::event(&e.message),
         })
         .collect();
-    told.drain(..told.len().saturating_sub(EVENTS));
-    told
+    logged.drain(..logged.len().saturating_sub(EVENTS));
+    logged
 }

@@ -11,13 +11,13 @@ use super::{Disk, RunView};
 use crate::ViewError;
 
 /// Length and time of last change of each file that says how a run is; `None` for one that is not there.
-type Mark = [Option<(u64, Option<SystemTime>)>; 3];
+type FileMarks = [Option<(u64, Option<SystemTime>)>; 3];
 
-/// The runs that were looked at before. One that nobody works on, and whose files are as they were, is not read again:
+/// The runs that were read before. One that nobody works on, and whose files are as they were, is not read again:
 /// a batch of hundreds of scenes works on a few at a time.
 #[derive(Default)]
 pub struct Runs {
-    seen: BTreeMap<PathBuf, (Mark, RunView)>,
+    seen: BTreeMap<PathBuf, (FileMarks, RunView)>,
 }
 
 impl Runs {
@@ -26,7 +26,7 @@ impl Runs {
     /// # Errors
     /// As [`RunView::read`].
     pub fn view(&mut self, path: &Path, now: f64) -> Result<RunView, ViewError> {
-        // Taken before reading: what changes in between is read again at the next look.
+        // Taken before reading: what changes in between is read again at the next read.
         let mark = mark(path);
         if let Some((known, view)) = self.seen.get(path)
             && *known == mark
@@ -44,8 +44,8 @@ impl Runs {
     }
 }
 
-fn mark(folder: &Path) -> Mark {
-    // Who begins to work on a run writes its name into the lock first.
+fn mark(folder: &Path) -> FileMarks {
+    // Who starts to work on a run writes its name into the lock first.
     ["run.lock", "run.sqlite", "run.sqlite-wal"].map(|name| {
         let data = std::fs::metadata(folder.join(name)).ok()?;
         // Readers make an empty log where there is none.

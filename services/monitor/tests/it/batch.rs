@@ -1,16 +1,16 @@
 //! A batch as operators see it: its scenes, why they wait, and the terminal's page.
 
 use crate::common::*;
-use segwild_farm::{BatchFolder, BatchRecord, EmbeddedEngine, Engine, Job, Needs, Offer, Retry};
+use segwild_farm::{BatchFolder, BatchRecord, EmbeddedEngine, Job, JobEngine, Needs, Retry, WorkerOffer};
 use segwild_monitor::metrics::render;
 use segwild_monitor::view::SceneState;
-use segwild_monitor::{View, top};
+use segwild_monitor::{MonitorView, top};
 
 #[test]
 fn a_batch_shows_its_scenes_and_why_they_wait() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let (path, _ledger, lock) = batch_in(dir.path());
-    let View::Batch(batch) = view(&path) else { panic!("a batch") };
+    let MonitorView::Batch(batch) = view(&path) else { panic!("a batch") };
     let states: Vec<_> = batch.scenes.iter().map(|s| s.state).collect();
     assert_eq!(states, [SceneState::Running, SceneState::Waiting, SceneState::Dead]);
     let why = |i: usize| batch.scenes[i].why.clone().unwrap_or_default();
@@ -18,7 +18,7 @@ fn a_batch_shows_its_scenes_and_why_they_wait() {
     assert_eq!(why(2), "given up: bad input");
     assert_eq!(batch.used.cores, 2);
     drop(lock);
-    let View::Batch(batch) = view(&path) else { panic!("a batch") };
+    let MonitorView::Batch(batch) = view(&path) else { panic!("a batch") };
     assert_eq!(batch.scenes[1].why.as_deref(), Some("no process runs this batch"));
 }
 
@@ -34,7 +34,7 @@ fn a_scene_that_waits_for_an_accelerator_says_so_and_who_goes_first() {
         let job = Job { id: name.into(), payload: "{}".into(), priority, needs, retry: Retry::default() };
         engine.publish(&job).expect("it is published");
     }
-    let offer = Offer { worker: "batch".into(), free: budget, whole: budget, lease_s: 1e9 };
+    let offer = WorkerOffer { worker: "batch".into(), free: budget, whole: budget, lease_s: 1e9 };
     assert_eq!(engine.claim(&offer).expect("it works").expect("a lease").job.id, "works");
     let record = BatchRecord { manifest: "b.toml".into(), budget, pid: std::process::id(), began: now() };
     let path = folder.path();
@@ -49,20 +49,20 @@ fn a_scene_that_waits_for_an_accelerator_says_so_and_who_goes_first() {
     );
     let text = render(Some(&seen), false);
     assert!(text.contains("segwild_budget_accelerators{part=\"used\"} 1"), "{text}");
-    let View::Batch(batch) = seen else { panic!("a batch") };
+    let MonitorView::Batch(batch) = seen else { panic!("a batch") };
     let why: Vec<_> = batch.scenes.iter().skip(1).map(|s| s.why.clone().unwrap_or_default()).collect();
     assert_eq!(
         why,
         [
             "waits for 2 accelerators (1 free)",
             "waits for 1 accelerator; `urgent` goes first",
-            "about to begin"
+            "about to start"
         ]
     );
 }
 
 #[test]
-fn a_scene_that_was_taken_and_cannot_begin_waits_and_says_for_what() {
+fn a_scene_that_was_taken_and_cannot_start_names_what_it_waits_for() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let folder = BatchFolder::create(&dir.path().join("batch")).expect("a folder");
     let engine = EmbeddedEngine::open(folder.engine_file()).expect("an engine");
@@ -70,7 +70,7 @@ fn a_scene_that_was_taken_and_cannot_begin_waits_and_says_for_what() {
     let needs = Needs { cores: 1, ..budget };
     let job = Job { id: "held".into(), payload: "{}".into(), priority: 0, needs, retry: Retry::default() };
     engine.publish(&job).expect("it is published");
-    let offer = Offer { worker: "batch".into(), free: budget, whole: budget, lease_s: 1e9 };
+    let offer = WorkerOffer { worker: "batch".into(), free: budget, whole: budget, lease_s: 1e9 };
     let lease = engine.claim(&offer).expect("it works").expect("a lease");
     let record = BatchRecord { manifest: "b.toml".into(), budget, pid: std::process::id(), began: now() };
     let path = folder.path();
@@ -78,7 +78,7 @@ fn a_scene_that_was_taken_and_cannot_begin_waits_and_says_for_what() {
     let lock = std::fs::File::create(path.join("batch.lock")).expect("a lock file");
     lock.lock().expect("it locks");
     let seen = || {
-        let View::Batch(batch) = view(path) else { panic!("a batch") };
+        let MonitorView::Batch(batch) = view(path) else { panic!("a batch") };
         (batch.scenes[0].state, batch.scenes[0].why.clone(), batch.used.cores)
     };
     engine.note_wait(&lease, Some("its run folder is in use by process 7")).expect("it is noted");
@@ -88,7 +88,7 @@ fn a_scene_that_was_taken_and_cannot_begin_waits_and_says_for_what() {
     assert_eq!(seen().0, SceneState::Running);
     engine.note_wait(&lease, Some("again")).expect("it is noted");
     engine.release_all("the batch that held it ended early").expect("it is released");
-    assert_eq!(seen().1.as_deref(), Some("about to begin"), "nobody has taken it");
+    assert_eq!(seen().1.as_deref(), Some("about to start"), "nobody has taken it");
 }
 
 #[test]
@@ -96,8 +96,8 @@ fn cores_that_the_last_scene_was_lent_are_in_use() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let (path, ledger, _lock) = batch_in(dir.path());
     let used = || match view(&path) {
-        View::Batch(batch) => batch.used.cores,
-        View::Run(_) => panic!("a batch"),
+        MonitorView::Batch(batch) => batch.used.cores,
+        MonitorView::Run(_) => panic!("a batch"),
     };
     assert_eq!(used(), 2, "as it needs");
     ledger.set_settings([("threads", "7")]).expect("it writes");
@@ -141,7 +141,7 @@ fn a_scene_that_does_not_run_has_no_rates_and_an_attempt_that_was_cut_short_is_n
     let engine = EmbeddedEngine::open(path.join("batch.sqlite")).expect("an engine");
     engine.release_all("the batch that held it ended early").expect("it is released");
     let free = Needs { cores: 2, memory_bytes: 8 << 30, accelerators: 0 };
-    let offer = Offer { worker: "batch".into(), free, whole: free, lease_s: 1e9 };
+    let offer = WorkerOffer { worker: "batch".into(), free, whole: free, lease_s: 1e9 };
     assert_eq!(engine.claim(&offer).expect("it works").expect("a lease").attempt, 2);
     let page = top::frame(&view(&path), 80, 24);
     let row = |name: &str| page.lines().find(|l| l[1..].starts_with(name)).expect("a row").to_owned();

@@ -33,14 +33,14 @@ fn answer(stream: &mut TcpStream) -> String {
 
 fn livez(at: SocketAddr) -> String {
     let mut stream = connect(at);
-    stream.write_all(b"GET /livez HTTP/1.1\r\nHost: x\r\n\r\n").expect("it hears");
+    stream.write_all(b"GET /livez HTTP/1.1\r\nHost: x\r\n\r\n").expect("it is sent");
     answer(&mut stream)
 }
 
 fn is_alive(at: SocketAddr) {
     let began = Instant::now();
-    let said = livez(at);
-    assert!(said.starts_with("HTTP/1.1 200") && said.ends_with("ok\n"), "{said}");
+    let response = livez(at);
+    assert!(response.starts_with("HTTP/1.1 200") && response.ends_with("ok\n"), "{response}");
     assert!(began.elapsed() < HEAD_TIME, "it answered after {:?}", began.elapsed());
 }
 
@@ -117,16 +117,16 @@ fn a_head_of_ten_megabytes_is_refused_before_it_is_read() {
 fn half_open_and_unfinished_requests_are_closed() {
     let (_dir, server) = server();
     let at = server.address();
-    for begun in
+    for partial in
         ["", "GET", "GET /livez HTTP/1.1\r\nHost", "\r\n\r\n", "\0\u{1}\u{2}", "GET / HTTP/9.9\r\n\r\n"]
     {
         let mut stream = connect(at);
-        stream.write_all(begun.as_bytes()).expect("it hears");
+        stream.write_all(partial.as_bytes()).expect("it is sent");
         stream.shutdown(Shutdown::Write).expect("it is open");
         let began = Instant::now();
-        let said = answer(&mut stream);
-        assert!(said.is_empty() || said.starts_with("HTTP/1.1 400"), "`{begun}`: {said}");
-        assert!(began.elapsed() < HEAD_TIME, "`{begun}`: {:?}", began.elapsed());
+        let response = answer(&mut stream);
+        assert!(response.is_empty() || response.starts_with("HTTP/1.1 400"), "`{partial}`: {response}");
+        assert!(began.elapsed() < HEAD_TIME, "`{partial}`: {:?}", began.elapsed());
     }
     is_alive(at);
 }
@@ -138,13 +138,13 @@ fn a_body_that_never_comes_and_a_second_request_hold_no_connection() {
     for (method, code) in [("GET", "200"), ("POST", "405")] {
         let mut stream = connect(at);
         write!(stream, "{method} /livez HTTP/1.1\r\nHost: x\r\nContent-Length: 99999999999\r\n\r\n")
-            .expect("it hears");
+            .expect("it is sent");
         let began = Instant::now();
-        let said = answer(&mut stream);
-        assert!(said.starts_with(&format!("HTTP/1.1 {code}")), "{said}");
+        let response = answer(&mut stream);
+        assert!(response.starts_with(&format!("HTTP/1.1 {code}")), "{response}");
         assert!(began.elapsed() < HEAD_TIME, "{:?}", began.elapsed());
     }
     let mut stream = connect(at);
-    stream.write_all(&b"GET /livez HTTP/1.1\r\nHost: x\r\n\r\n".repeat(2)).expect("it hears");
+    stream.write_all(&b"GET /livez HTTP/1.1\r\nHost: x\r\n\r\n".repeat(2)).expect("it is sent");
     assert_eq!(answer(&mut stream).matches("HTTP/1.1 200").count(), 1);
 }

@@ -1,7 +1,7 @@
-//! The metrics' names, their page, and what they say of a batch.
+//! The metrics' names, their page, and their values for a batch.
 
 use crate::common::*;
-use segwild_monitor::metrics::{Kind, Metric, render};
+use segwild_monitor::metrics::{Metric, MetricKind, render};
 use std::collections::BTreeSet;
 use std::io::Write;
 use std::path::Path;
@@ -16,7 +16,7 @@ fn metric_names_follow_the_rules() {
             name.starts_with("segwild_") && name.chars().all(|c| c.is_ascii_lowercase() || c == '_'),
             "{name}"
         );
-        assert_eq!(name.ends_with("_total"), metric.kind() == Kind::Counter, "{name}");
+        assert_eq!(name.ends_with("_total"), metric.kind() == MetricKind::Counter, "{name}");
         assert!(metric.help().ends_with('.'), "{name}");
     }
 }
@@ -78,6 +78,6 @@ fn promtool_agrees(text: &str) {
     };
     promtool.stdin.take().expect("a pipe").write_all(text.as_bytes()).expect("it reads");
     let output = promtool.wait_with_output().expect("it ends");
-    let said = String::from_utf8_lossy(&output.stdout) + String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success() && said.trim().is_empty(), "{said}");
+    let printed = String::from_utf8_lossy(&output.stdout) + String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success() && printed.trim().is_empty(), "{printed}");
 }

@@ -4,7 +4,7 @@ use crate::common::*;
 use segwild_flow::Ledger;
 use segwild_flow::ledger::LiveSample;
 use segwild_monitor::view::{RunState, Runs, SelectionView};
-use segwild_monitor::{Target, View, ready, serve};
+use segwild_monitor::{MonitorTarget, MonitorView, ready, serve};
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::path::Path;
@@ -23,9 +23,9 @@ fn everything_that_waits_says_why() {
     );
     assert_eq!(why("report").as_deref(), Some("waits for evaluate"));
     let why = |i: usize| run.actors[i].workers[0].why.clone().expect("a reason");
-    assert_eq!(why(0), "waits for room at `coordinator`: 64 of 64 messages, 3.0 MiB of 64 MiB");
+    assert_eq!(why(0), "waits for space in mailbox `coordinator`: 64 of 64 messages, 3.0 MiB of 64 MiB");
     assert!(why(1).starts_with("stuck: no progress on `a.jpg`"), "{}", why(1));
-    assert_eq!(why(2), "no work until features can begin");
+    assert_eq!(why(2), "no work until features can start");
     assert_eq!(why(3), "waits for the sky of photo 3");
     assert_eq!(run.failures.len(), 2);
     assert_eq!(run.left_s, Some(6.25), "stages overlap: the longest counts");
@@ -47,15 +47,15 @@ fn what_was_seen_stays_after_the_run() {
         ("pending", Some("no process works on this run"))
     );
     // The JSON form is the view, whole.
-    let json = serde_json::to_string(&View::Run(Box::new(run.clone()))).expect("JSON");
-    let View::Run(read) = serde_json::from_str(&json).expect("it reads back") else { panic!("a run") };
+    let json = serde_json::to_string(&MonitorView::Run(Box::new(run.clone()))).expect("JSON");
+    let MonitorView::Run(read) = serde_json::from_str(&json).expect("it reads back") else { panic!("a run") };
     // Not the floats: serde_json reads them back to the last bit but one.
-    let told = |run: &segwild_monitor::view::RunView| -> Vec<_> {
+    let stages = |run: &segwild_monitor::view::RunView| -> Vec<_> {
         run.stages.iter().map(|s| (s.name.clone(), s.state.clone(), s.done, s.total, s.why.clone())).collect()
     };
     assert_eq!(
-        (told(&read), read.folder, read.failures),
-        (told(&run), run.folder.clone(), run.failures.clone())
+        (stages(&read), read.folder, read.failures),
+        (stages(&run), run.folder.clone(), run.failures.clone())
     );
 }
 
@@ -65,15 +65,15 @@ fn a_run_folder_with_a_link_that_leads_out_is_not_called_no_run_folder() {
     let (folder, outside) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     drop(run_in(folder.path(), &sample()));
     std::os::unix::fs::symlink(outside.path(), folder.path().join("transients")).unwrap();
-    let said = Target::at(folder.path()).map(drop).unwrap_err().to_string();
-    assert!(said.contains("transients") && !said.contains("no run folder"), "{said}");
+    let message = MonitorTarget::at(folder.path()).map(drop).unwrap_err().to_string();
+    assert!(message.contains("transients") && !message.contains("no run folder"), "{message}");
 }
 
 #[test]
 fn a_folder_that_is_neither_is_refused_in_words() {
     let dir = tempfile::tempdir().expect("a temporary folder");
-    let said = Target::at(dir.path()).map(drop).expect_err("nothing is there").to_string();
-    assert!(said.contains("no run folder") && said.contains("segwild batch"), "{said}");
+    let message = MonitorTarget::at(dir.path()).map(drop).expect_err("nothing is there").to_string();
+    assert!(message.contains("no run folder") && message.contains("segwild batch"), "{message}");
 }
 
 #[test]
@@ -83,10 +83,10 @@ fn readiness_lists_each_check() {
     let seen = view(dir.path());
     let checks: BTreeMap<String, bool> = ready(Ok(&seen)).into_iter().map(|c| (c.name, c.ok)).collect();
     assert_eq!((checks["ledger"], checks["live"], checks["actors"]), (true, true, false), "masks is stuck");
-    let View::Run(mut run) = seen else { panic!("a run") };
+    let MonitorView::Run(mut run) = seen else { panic!("a run") };
     run.age_s = Some(600.0);
     run.disk = Some(segwild_monitor::view::Disk { free_bytes: 1 << 20, size_bytes: 1 << 40 });
-    let seen = View::Run(run);
+    let seen = MonitorView::Run(run);
     let failed: Vec<String> = ready(Ok(&seen)).into_iter().filter(|c| !c.ok).map(|c| c.name).collect();
     assert_eq!(failed, ["live", "actors", "disk"]);
 }
@@ -95,18 +95,18 @@ fn readiness_lists_each_check() {
 fn a_run_that_nobody_works_on_is_not_read_again_until_something_changes() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let folder = dir.path();
-    let target = |path: &Path| Target::at(path).expect("a run");
+    let target = |path: &Path| MonitorTarget::at(path).expect("a run");
     let mut runs = Runs::default();
-    let mut look = || match target(folder).look(&mut runs).expect("a view") {
-        View::Run(run) => *run,
-        View::Batch(_) => panic!("this is a run"),
+    let mut read = || match target(folder).read(&mut runs).expect("a view") {
+        MonitorView::Run(run) => *run,
+        MonitorView::Batch(_) => panic!("this is a run"),
     };
     let ledger = run_in(folder, &sample());
-    assert!(look().running);
+    assert!(read().running);
     drop(ledger);
-    let left = look();
+    let left = read();
     assert_eq!(left.state, RunState::Stopped, "the end of its process is seen");
-    // A ledger whose content is changed behind the back of its time and length is not looked at.
+    // A ledger whose content is changed under the same time and length is not read again.
     let file = folder.join("run.sqlite");
     let (bytes, time) = (std::fs::read(&file).expect("a file"), file.metadata().and_then(|m| m.modified()));
     let tamper = |bytes: &[u8]| {
@@ -115,7 +115,7 @@ fn a_run_that_nobody_works_on_is_not_read_again_until_something_changes() {
         handle.set_modified(*time.as_ref().expect("a time")).expect("it is set");
     };
     tamper(&vec![b'x'; bytes.len()]);
-    let again = look();
+    let again = read();
     assert_eq!(again.stages, left.stages);
     assert!(again.time > left.time && again.age_s > left.age_s, "but time goes on");
     tamper(&bytes);
@@ -125,25 +125,25 @@ fn a_run_that_nobody_works_on_is_not_read_again_until_something_changes() {
     let ledger = Ledger::open(&file).expect("a ledger");
     ledger.record_live(&moved, true).expect("it writes");
     let done = |run: &segwild_monitor::view::RunView| run.stages.iter().map(|s| s.done).max();
-    assert_eq!((look().running, done(&look())), (true, Some(900)));
+    assert_eq!((read().running, done(&read())), (true, Some(900)));
     drop(ledger);
-    assert_eq!(done(&look()), Some(900));
-    assert!(look().selections.is_empty());
+    assert_eq!(done(&read()), Some(900));
+    assert!(read().selections.is_empty());
     std::fs::create_dir_all(folder.join("selections/statue")).expect("a folder");
-    assert!(look().selections.is_empty(), "nothing is selected yet");
+    assert!(read().selections.is_empty(), "nothing is selected yet");
     std::fs::write(folder.join("selections/statue/prompts.json"), "{}").expect("it writes");
     let statue = |answered_s| [SelectionView { name: "statue".into(), answered_s }];
-    assert_eq!(look().selections, statue(None));
+    assert_eq!(read().selections, statue(None));
     std::fs::write(folder.join("selections/statue/summary.json"), r#"{"select_s": 0.5}"#).expect("it writes");
-    assert_eq!(look().selections, statue(Some(0.5)));
-    let text = segwild_monitor::metrics::render(Some(&View::Run(Box::new(look()))), false);
+    assert_eq!(read().selections, statue(Some(0.5)));
+    let text = segwild_monitor::metrics::render(Some(&MonitorView::Run(Box::new(read()))), false);
     assert!(text.contains("segwild_interactive_latency_seconds_bucket{le=\"1\"} 1"), "{text}");
     assert!(text.contains("segwild_interactive_latency_seconds_count 1"), "{text}");
 }
 
 fn get(address: std::net::SocketAddr, path: &str) -> (u16, String) {
     let mut stream = std::net::TcpStream::connect(address).expect("it listens");
-    write!(stream, "GET {path} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n").expect("it hears");
+    write!(stream, "GET {path} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n").expect("it is sent");
     let mut answer = String::new();
     stream.read_to_string(&mut answer).expect("it answers");
     let code = answer.split(' ').nth(1).and_then(|c| c.parse().ok()).expect("a status");

@@ -9,7 +9,7 @@ use crate::light;
 use crate::outcome::ActorOutcome;
 use segwild_features::{FeatureField, FeatureOutcome};
 use segwild_flow::ledger::ViewOutcome;
-use segwild_flow::{Event, Failure, Key, Quarantined, StageProgress};
+use segwild_flow::{Event, ActorFailure, Key, Quarantined, StageProgress};
 use segwild_masks::MaskOutcome;
 use segwild_scene::Skipped;
 use segwild_trainer::{Model, TrainOutcome};
@@ -66,7 +66,7 @@ impl Coordinator<'_> {
                 Ok(())
             }
             ActorOutcome::Feature(FeatureOutcome::FieldFailed(reason)) => {
-                self.state.failed = Some(("features", Failure::fatal(reason)));
+                self.state.failed = Some(("features", ActorFailure::fatal(reason)));
                 Ok(())
             }
             ActorOutcome::Visibility(failed) => self.handle_visibility(failed),
@@ -95,7 +95,7 @@ impl Coordinator<'_> {
         if failed == photos {
             self.state.failed.get_or_insert((
                 stage,
-                Failure::fatal(format!(
+                ActorFailure::fatal(format!(
                     "not one of {photos} photos could be done ({work}); the first: {first}"
                 )),
             ));
@@ -196,7 +196,7 @@ impl Coordinator<'_> {
                 self.take_model(model)
             }
             TrainOutcome::Failed(reason) => {
-                self.state.failed = Some(("geometry", Failure::fatal(reason)));
+                self.state.failed = Some(("geometry", ActorFailure::fatal(reason)));
                 Ok(())
             }
         }
@@ -222,7 +222,7 @@ impl Coordinator<'_> {
                      run again",
                     error.error
                 );
-                self.state.failed.get_or_insert((stage, Failure::fatal(reason)));
+                self.state.failed.get_or_insert((stage, ActorFailure::fatal(reason)));
             }
             let failures =
                 self.state.failures.entry(stage).or_insert_with(|| (0, format!("{name}: {}", error.error)));

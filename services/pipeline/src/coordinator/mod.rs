@@ -37,7 +37,7 @@ use crate::{RunError, RunFolder, Settings};
 use segwild_features::{FeatureActor, FeatureField, FeatureTask};
 use segwild_flow::ledger::{State as Progress, ViewRow};
 use segwild_flow::{
-    ActorOptions, Cache, Event, Exit, Failure, Guest, Key, Ledger, Limits, Message, Phase, Receiver,
+    ActorOptions, Cache, Event, Exit, ActorFailure, Guest, Key, Ledger, Limits, Message, Phase, Receiver,
     Recorder, Report, Sender, StageProgress, System, SystemOptions, fault, mailbox,
 };
 use segwild_masks::{MaskActor, MaskMaker, MaskTask};
@@ -86,7 +86,7 @@ pub struct CoordinatorState {
     pub made: usize,
     pub cached: usize,
     /// A stage that failed, and why.
-    pub failed: Option<(&'static str, Failure)>,
+    pub failed: Option<(&'static str, ActorFailure)>,
     /// Per kind of work, how many photos were given up, and the first one with its error.
     pub failures: BTreeMap<&'static str, (usize, String)>,
     /// The inputs of the field, from the end of the training on.

@@ -11,7 +11,7 @@ use crate::memory;
 use crate::outcome::ActorOutcome;
 use segwild_features::{FeatureField, FeatureTask};
 use segwild_flow::ledger::ViewOutcome;
-use segwild_flow::{ActorOptions, Context, Event, Failure, Key, Phase, System, fault};
+use segwild_flow::{ActorOptions, Context, Event, ActorFailure, Key, Phase, System, fault};
 use segwild_masks::{MaskSource, MaskTask, Snapshot};
 use segwild_scene::Mask;
 use segwild_trainer::{FindCheckpoint, Model, Photos, Sifted, TrainOrder, TrainPhoto};
@@ -101,7 +101,7 @@ impl Coordinator<'_> {
             let last = |key| {
                 let keeper = Keeper { folder: &folder, ledger: &ledger, events: &events, key, kept };
                 // A damaged checkpoint is passed over; only the ledger can fail.
-                keeper.last_before(before).map_err(Failure::storage)
+                keeper.last_before(before).map_err(ActorFailure::storage)
             };
             if let Some(own) = last(&key)? {
                 return Ok(Some(own));
@@ -112,7 +112,7 @@ impl Coordinator<'_> {
                     let lost = format!(
                         "the training to go on from has lost its checkpoint of step {step}: --continue-share 0 trains from the start"
                     );
-                    return Err(Failure::fatal(lost));
+                    return Err(ActorFailure::fatal(lost));
                 };
                 let message = format!(
                     "transient masks were corrected: the training goes on from step {step} for {steps} more (--continue-share)"
@@ -186,7 +186,7 @@ impl Coordinator<'_> {
                 let render = if mask_source == MaskSource::Photo || cache.contains(&keys[view]) {
                     None
                 } else {
-                    Some(Arc::new(renders.render(view).map_err(Failure::retry)?))
+                    Some(Arc::new(renders.render(view).map_err(ActorFailure::retry)?))
                 };
                 let (key, sky) = (keys[view], skies.read(view)?.map(Arc::new));
                 out.blocking_send(MaskTask::Masks { view, key, render, snapshot: renders.clone(), sky })?;
@@ -299,7 +299,7 @@ impl Coordinator<'_> {
 pub(super) const ATTEMPTS: u32 = 3;
 
 /// Computes the visibility of a photo into the cache, if it is not there.
-fn compute_visibility(inputs: &Inputs, view: usize, context: &Context) -> Result<(), Failure> {
+fn compute_visibility(inputs: &Inputs, view: usize, context: &Context) -> Result<(), ActorFailure> {
     let (key, cache) = (&inputs.keys.visibility[view], &inputs.recompute.cache);
     let mut attempt = 1;
     loop {
@@ -307,7 +307,7 @@ fn compute_visibility(inputs: &Inputs, view: usize, context: &Context) -> Result
         if cache.get_typed::<Mask>(key, VISIBILITY)?.is_some() {
             return Ok(());
         }
-        let compare = || -> Result<(), Failure> {
+        let compare = || -> Result<(), ActorFailure> {
             let _step = context.span(&inputs.recompute.scene.views[view].name);
             let seen = inputs.compare(view)?;
             fault::point("visibility.photo")?;

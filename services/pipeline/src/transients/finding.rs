@@ -4,7 +4,7 @@ use super::authorship::FOLDER;
 use super::corrections::Corrections;
 use super::images::{PendingMask, TransientMaskWriter};
 use rayon::prelude::*;
-use segwild_flow::{Cache, Failure, Key};
+use segwild_flow::{Cache, ActorFailure, Key};
 use segwild_scene::Mask;
 use segwild_trainer::{TrainPhoto, TransientEvidence, transient_evidence};
 use segwild_vision::TransientDetector;
@@ -68,10 +68,10 @@ impl TransientMaskWriter<'_> {
     pub(super) fn find(
         &self,
         pending: &[PendingMask],
-        photo: &(impl Fn(usize) -> Result<TrainPhoto, Failure> + Sync),
-    ) -> Result<Vec<(Mask, f32)>, Failure> {
+        photo: &(impl Fn(usize) -> Result<TrainPhoto, ActorFailure> + Sync),
+    ) -> Result<Vec<(Mask, f32)>, ActorFailure> {
         let photos: Vec<TrainPhoto> =
-            pending.par_iter().map(|pending| photo(pending.view)).collect::<Result<_, Failure>>()?;
+            pending.par_iter().map(|pending| photo(pending.view)).collect::<Result<_, ActorFailure>>()?;
         let compare = |(pending, photo): (&PendingMask, &TrainPhoto)| {
             transient_evidence(self.model, self.engine, self.scene, pending.view, photo, MOST)
         };

@@ -4,7 +4,7 @@ use super::authorship::{self, FOLDER, MADE, MaskImage, WrittenMask, WrittenMasks
 use super::finding::{KnownTransients, crowded, odd, share_of};
 use crate::images::ImageFiles;
 use crate::{RunError, RunFolder};
-use segwild_flow::{Failure, FileError, Key};
+use segwild_flow::{ActorFailure, FileError, Key};
 use segwild_raster::Engine;
 use segwild_scene::{Mask, Scene};
 use segwild_trainer::{Model, TrainPhoto};
@@ -68,9 +68,9 @@ impl TransientMaskWriter<'_> {
         &self,
         views: &[usize],
         key: impl Fn(usize) -> Key,
-        photo: impl Fn(usize) -> Result<TrainPhoto, Failure> + Sync,
-        mut on_photo: impl FnMut(&str) -> Result<(), Failure>,
-    ) -> Result<Vec<String>, Failure> {
+        photo: impl Fn(usize) -> Result<TrainPhoto, ActorFailure> + Sync,
+        mut on_photo: impl FnMut(&str) -> Result<(), ActorFailure>,
+    ) -> Result<Vec<String>, ActorFailure> {
         let (files, mut notes) = (image_files(self.scene), Vec::new());
         let before = WrittenMasks::of(self.folder);
         let own = self.folder.path().join(FOLDER);
@@ -82,7 +82,7 @@ impl TransientMaskWriter<'_> {
                 key += " as taken";
             }
             let written = before.of_photo(&files, view).cloned().unwrap_or_default();
-            let failed = |e: FileError| Failure::storage(e.to_string());
+            let failed = |e: FileError| ActorFailure::storage(e.to_string());
             let image = authorship::inspect(&files.find(&own, view), Some(&written)).map_err(failed)?;
             let there = match image {
                 MaskImage::OfPerson(_) => {
@@ -116,7 +116,7 @@ impl TransientMaskWriter<'_> {
             }
         }
         notes.extend(crowded(&shares));
-        let failed = |e: RunError| Failure::storage(e.to_string());
+        let failed = |e: RunError| ActorFailure::storage(e.to_string());
         // The list comes first: if the run is killed in between, an image of this program is not taken for a person's.
         self.folder.write_json(MADE, &after).map_err(failed)?;
         for (file, mask) in masks {

@@ -1,4 +1,4 @@
-//! Writes the good inputs of every target into `FOLDER/TARGET`, for `cargo fuzz` to begin with.
+//! Writes the good inputs of every target into `FOLDER/TARGET`, for `cargo fuzz` to start with.
 
 use std::path::Path;
 use std::process::ExitCode;

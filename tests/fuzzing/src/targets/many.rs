@@ -1,10 +1,10 @@
 //! Files of batches.
 
 use crate::yard::{folder, put, take};
-use crate::{Target, seal, seeds};
-use segwild_farm::{EmbeddedEngine, Engine, ErrorClass, Job, Manifest, Needs, Offer, Retry};
+use crate::{FuzzTarget, seal, seeds};
+use segwild_farm::{BatchManifest, EmbeddedEngine, ErrorClass, Job, JobEngine, Needs, Retry, WorkerOffer};
 
-pub(super) const MANIFEST: Target = Target {
+pub(super) const MANIFEST: FuzzTarget = FuzzTarget {
     name: "manifest_toml",
     seeds: || {
         let scene = seeds::scene_for("manifest_toml", "bin");
@@ -32,7 +32,7 @@ pub(super) const MANIFEST: Target = Target {
         let folder = folder("manifest_toml");
         let file = folder.join("batch.toml");
         put(&file, bytes);
-        let _ = Manifest::read(&file, &folder.join("out"), None);
+        let _ = BatchManifest::read(&file, &folder.join("out"), None);
     },
 };
 
@@ -54,7 +54,7 @@ fn batch() -> Vec<u8> {
     let made = || -> Result<(), segwild_farm::EngineError> {
         let engine = EmbeddedEngine::open(&file)?;
         let free = Needs { cores: 4, memory_bytes: 8 << 30, accelerators: 0 };
-        let offer = Offer { worker: "batch 1".into(), free, whole: free, lease_s: 1e9 };
+        let offer = WorkerOffer { worker: "batch 1".into(), free, whole: free, lease_s: 1e9 };
         for name in ["one", "two"] {
             engine.publish(&job(name))?;
         }
@@ -68,7 +68,7 @@ fn batch() -> Vec<u8> {
     take(&file)
 }
 
-pub(super) const BATCH: Target = Target {
+pub(super) const BATCH: FuzzTarget = FuzzTarget {
     name: "batch_sqlite",
     seeds: || vec![batch()],
     words: &["SQLite format 3\0", "leased", "pending", "dead", "retryable", "{\"name\":", "\0\0\0\0"],
@@ -81,7 +81,7 @@ pub(super) const BATCH: Target = Target {
             let _ = std::fs::remove_file(folder.join(beside));
         }
         put(&file, bytes);
-        super::run_files::look(&folder);
+        super::run_files::open_all(&folder);
         if let Ok(engine) = EmbeddedEngine::open(&file) {
             let _ = (engine.release_all("fuzzed"), engine.jobs(), engine.watch(0, 100), engine.jumps());
         }

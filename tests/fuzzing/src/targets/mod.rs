@@ -8,10 +8,10 @@ mod run_files;
 mod scenes;
 mod server;
 
-use crate::Target;
+use crate::FuzzTarget;
 
 /// Every reader.
-pub const TARGETS: &[Target] = &[
+pub const TARGETS: &[FuzzTarget] = &[
     scenes::CAMERAS_BIN,
     scenes::IMAGES_BIN,
     scenes::POINTS_BIN,

@@ -1,7 +1,7 @@
-//! Network files, as they are looked through before the runtime is given them.
+//! Network files, as they are checked before the runtime gets them.
 
 use crate::yard::{folder, put};
-use crate::{Target, seal};
+use crate::{FuzzTarget, seal};
 
 fn varint(mut value: u64) -> Vec<u8> {
     let mut out = Vec::new();
@@ -41,7 +41,7 @@ fn network(elsewhere: bool) -> Vec<u8> {
     [number(1, 8), bytes(7, &graph), bytes(8, &[name(1, ""), number(2, 17)].concat())].concat()
 }
 
-pub(super) const ONNX: Target = Target {
+pub(super) const ONNX: FuzzTarget = FuzzTarget {
     name: "onnx",
     seeds: || vec![network(false), network(true)],
     words: &[

@@ -2,7 +2,7 @@
 
 use crate::seeds::{SIZE, encoded, photo, scene_for};
 use crate::yard::put;
-use crate::{Target, seal};
+use crate::{FuzzTarget, seal};
 use image::{DynamicImage, ImageFormat};
 use segwild_scene::settings::Group;
 use segwild_scene::{Mask, Scene, SceneSettings};
@@ -58,7 +58,7 @@ fn seeds(format: ImageFormat) -> Vec<Vec<u8>> {
 
 macro_rules! photo_target {
     ($name:ident, $target:literal, $format:expr, $seal:expr, $words:expr) => {
-        pub(super) const $name: Target = Target {
+        pub(super) const $name: FuzzTarget = FuzzTarget {
             name: $target,
             seeds: || seeds($format),
             words: $words,
@@ -92,7 +92,7 @@ photo_target!(
 photo_target!(TIFF, "photo_tiff", ImageFormat::Tiff, seal::nothing, &["II*\0", "MM\0*"]);
 photo_target!(BMP, "photo_bmp", ImageFormat::Bmp, seal::nothing, &["BM"]);
 
-pub(super) const MASK: Target = Target {
+pub(super) const MASK: FuzzTarget = FuzzTarget {
     name: "mask_png",
     seeds: || {
         let white = |x: u32, y: u32| image::Luma([if x > y { 255u8 } else { 0 }]);

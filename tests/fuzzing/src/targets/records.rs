@@ -2,7 +2,7 @@
 
 use crate::seeds::{run, run_for};
 use crate::yard::{folder, put, take};
-use crate::{Target, seal};
+use crate::{FuzzTarget, seal};
 use segwild_flow::codec::{self, Decode};
 use segwild_flow::{Cache, Key};
 use segwild_pipeline::{AppearanceRequest, RenderContent, RenderRequest, RunFolder, Selected};
@@ -29,7 +29,7 @@ fn draw(run: &Path) {
 
 macro_rules! run_record {
     ($name:ident, $target:literal, $file:literal) => {
-        pub(super) const $name: Target = Target {
+        pub(super) const $name: FuzzTarget = FuzzTarget {
             name: $target,
             seeds: || vec![take(&run().join($file))],
             words: &[],
@@ -47,7 +47,7 @@ macro_rules! run_record {
 run_record!(MODEL, "model_bin", "model.bin");
 run_record!(FEATURES, "features_bin", "features.bin");
 
-pub(super) const SELECTION: Target = Target {
+pub(super) const SELECTION: FuzzTarget = FuzzTarget {
     name: "selection_bin",
     seeds: || {
         let splats = splats();
@@ -99,7 +99,7 @@ fn files_in(folder: &Path) -> Vec<Vec<u8>> {
     found
 }
 
-pub(super) const CHECKPOINT: Target = Target {
+pub(super) const CHECKPOINT: FuzzTarget = FuzzTarget {
     name: "checkpoint_bin",
     seeds: || files_in(&run().join("checkpoints")),
     words: &[],
@@ -138,7 +138,7 @@ fn cached<T: Decode>(target: &str, kind: &str, bytes: &[u8]) -> Option<T> {
     found
 }
 
-pub(super) const CACHED_MASKS: Target = Target {
+pub(super) const CACHED_MASKS: FuzzTarget = FuzzTarget {
     name: "cached_masks",
     seeds: || files_in(&run().join("cache/masks.d")),
     words: &[],
@@ -155,7 +155,7 @@ pub(super) const CACHED_MASKS: Target = Target {
     },
 };
 
-pub(super) const CACHED_EMBEDDING: Target = Target {
+pub(super) const CACHED_EMBEDDING: FuzzTarget = FuzzTarget {
     name: "cached_embedding",
     seeds: || files_in(&run().join("cache/embedding.d")),
     words: &[],

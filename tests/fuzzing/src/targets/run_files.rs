@@ -2,7 +2,7 @@
 
 use crate::seeds::{run, run_for};
 use crate::yard::{folder, put, take};
-use crate::{Target, seal};
+use crate::{FuzzTarget, seal};
 use segwild_bench::{protocols, record};
 use segwild_monitor::metrics;
 use segwild_pipeline::{Replay, RunFolder, Settings};
@@ -11,7 +11,7 @@ use std::sync::OnceLock;
 
 const JSON: &[&str] = &["null", "{}", "[]", "[", "{\"", "\":", "1e999", "-0", "\\ud800", "true", "\"\""];
 
-pub(super) const SETTINGS: Target = Target {
+pub(super) const SETTINGS: FuzzTarget = FuzzTarget {
     name: "settings_toml",
     seeds: || vec![take(&run().join("segwild.toml"))],
     words: &[
@@ -39,7 +39,7 @@ pub(super) const SETTINGS: Target = Target {
     },
 };
 
-pub(super) const PROMPTS: Target = Target {
+pub(super) const PROMPTS: FuzzTarget = FuzzTarget {
     name: "prompts_json",
     seeds: || {
         let texts = [
@@ -62,7 +62,7 @@ fn own(target: &'static str, cell: &'static OnceLock<PathBuf>) -> &'static PathB
     cell.get_or_init(|| run_for(target))
 }
 
-pub(super) const SCENE_JSON: Target = Target {
+pub(super) const SCENE_JSON: FuzzTarget = FuzzTarget {
     name: "scene_json",
     seeds: || vec![take(&run().join("scene.json"))],
     words: JSON,
@@ -76,7 +76,7 @@ pub(super) const SCENE_JSON: Target = Target {
     },
 };
 
-pub(super) const HISTORY: Target = Target {
+pub(super) const HISTORY: FuzzTarget = FuzzTarget {
     name: "history_and_timeline",
     seeds: || vec![take(&run().join("history.jsonl")), take(&run().join("timeline.json"))],
     words: JSON,
@@ -91,15 +91,15 @@ pub(super) const HISTORY: Target = Target {
 };
 
 /// What `status`, `top` and the server make of a folder.
-pub(super) fn look(folder: &std::path::Path) {
-    let view = segwild_monitor::Target::at(folder).and_then(|target| target.view());
+pub(super) fn open_all(folder: &std::path::Path) {
+    let view = segwild_monitor::MonitorTarget::at(folder).and_then(|target| target.view());
     let _ = segwild_monitor::ready(view.as_ref());
     let view = view.ok();
     let _ = metrics::render(view.as_ref(), true);
     let _ = view.map(|view| serde_json::to_string(&view));
 }
 
-pub(super) const LEDGER: Target = Target {
+pub(super) const LEDGER: FuzzTarget = FuzzTarget {
     name: "ledger_sqlite",
     seeds: || vec![take(&run().join("run.sqlite"))],
     words: &["SQLite format 3\0", "CREATE TABLE ", "done", "geometry", "\0\0\0\0"],
@@ -107,11 +107,11 @@ pub(super) const LEDGER: Target = Target {
     read: |bytes| {
         let folder = folder("ledger_sqlite");
         put(&folder.join("run.sqlite"), bytes);
-        look(&folder);
+        open_all(&folder);
     },
 };
 
-pub(super) const RESULTS: Target = Target {
+pub(super) const RESULTS: FuzzTarget = FuzzTarget {
     name: "results_json",
     seeds: || vec![include_bytes!("../../../../services/bench/slice.json").to_vec()],
     words: JSON,
@@ -123,7 +123,7 @@ pub(super) const RESULTS: Target = Target {
     },
 };
 
-pub(super) const PARTS: Target = Target {
+pub(super) const PARTS: FuzzTarget = FuzzTarget {
     name: "parts_json",
     seeds: || vec![br#"{"IMG_01": [240, 12], "IMG_02": []}"#.to_vec()],
     words: JSON,

@@ -2,7 +2,7 @@
 
 use crate::seeds::{models, photos_for, scene_for, transforms};
 use crate::yard::{folder, put, take};
-use crate::{Target, seal};
+use crate::{FuzzTarget, seal};
 use segwild_scene::settings::Group;
 use segwild_scene::{Scene, SceneSettings, Splats, ply};
 use std::path::{Path, PathBuf};
@@ -10,7 +10,7 @@ use std::sync::OnceLock;
 
 /// Opens a scene and loads its photos, as a run does.
 fn open(path: &Path, settings: &SceneSettings) {
-    // What is wrong with it is said; that it returns is what is tried.
+    // An error may come back; the test is that it returns.
     let Ok(scene) = Scene::open(path, settings) else { return };
     for view in &scene.views {
         let _ = view.load(16);
@@ -48,7 +48,7 @@ const TEXT: &[&str] = &[
 
 macro_rules! colmap_target {
     ($name:ident, $target:literal, $file:literal, $ending:literal, $words:expr) => {
-        pub(super) const $name: Target = Target {
+        pub(super) const $name: FuzzTarget = FuzzTarget {
             name: $target,
             seeds: || seeds_of(concat!($file, ".", $ending)),
             words: $words,
@@ -65,7 +65,7 @@ colmap_target!(CAMERAS_TXT, "colmap_cameras_txt", "cameras", "txt", TEXT);
 colmap_target!(IMAGES_TXT, "colmap_images_txt", "images", "txt", TEXT);
 colmap_target!(POINTS_TXT, "colmap_points_txt", "points3D", "txt", TEXT);
 
-pub(super) const TRANSFORMS: Target = Target {
+pub(super) const TRANSFORMS: FuzzTarget = FuzzTarget {
     name: "transforms_json",
     seeds: || {
         let more = [
@@ -100,7 +100,7 @@ pub(super) const TRANSFORMS: Target = Target {
     },
 };
 
-pub(super) const SPLIT: Target = Target {
+pub(super) const SPLIT: FuzzTarget = FuzzTarget {
     name: "split_tsv",
     seeds: || {
         let rows = "photo0.png\t1\ttrain\tplace\nphoto1.png\t2\ttest\tplace\nphoto2.png\t\t\tplace\n";
@@ -151,7 +151,7 @@ const PLY: &[&str] = &[
     "element face 1000000000\n",
 ];
 
-pub(super) const PLY_SPLATS: Target = Target {
+pub(super) const PLY_SPLATS: FuzzTarget = FuzzTarget {
     name: "ply_splats",
     seeds: || {
         let file = folder("ply_splats").join("seed.ply");
@@ -175,7 +175,7 @@ pub(super) const PLY_SPLATS: Target = Target {
     },
 };
 
-pub(super) const PLY_POINTS: Target = Target {
+pub(super) const PLY_POINTS: FuzzTarget = FuzzTarget {
     name: "ply_points",
     seeds: || {
         let head = |format: &str, colour: &str| {
@@ -213,7 +213,7 @@ pub(super) const PLY_POINTS: Target = Target {
     },
 };
 
-pub(super) const SPLAT: Target = Target {
+pub(super) const SPLAT: FuzzTarget = FuzzTarget {
     name: "splat",
     seeds: || vec![(0..96u8).collect(), vec![0; 32]],
     words: &[],

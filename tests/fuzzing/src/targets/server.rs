@@ -1,7 +1,7 @@
 //! Requests to `--listen`.
 
 use crate::yard::folder;
-use crate::{Target, seal};
+use crate::{FuzzTarget, seal};
 use segwild_monitor::Server;
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpStream};
@@ -20,7 +20,7 @@ fn exchange(bytes: &[u8]) -> Vec<u8> {
     let mut stream =
         TcpStream::connect(server.address()).unwrap_or_else(|e| panic!("it accepts no more: {e}"));
     let mut answer = Vec::new();
-    // It may refuse before it has heard everything.
+    // It may refuse before it has received everything.
     let _ = stream.set_read_timeout(Some(PATIENCE));
     let _ = stream.write_all(bytes).and_then(|()| stream.shutdown(Shutdown::Write));
     if let Err(error) = stream.read_to_end(&mut answer) {
@@ -29,7 +29,7 @@ fn exchange(bytes: &[u8]) -> Vec<u8> {
     answer
 }
 
-pub(super) const REQUEST: Target = Target {
+pub(super) const REQUEST: FuzzTarget = FuzzTarget {
     name: "http_request",
     seeds: || {
         let of =

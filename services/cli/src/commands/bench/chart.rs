@@ -6,9 +6,9 @@ use crate::args::{examples, given, json, number, path, with_settings_in_long_hel
 use crate::commands::{path as path_of, print_json, print_line};
 use crate::failure::{Failure, plain};
 use clap::{Arg, ArgMatches, Command, value_parser};
-use segwild_bench::chart::{Base, ChartOptions, Told, chart as measure_all, write};
+use segwild_bench::chart::{ChartBase, ChartOptions, ChartEvent, chart as measure_all, write};
 use segwild_bench::oracle::OracleOptions;
-use segwild_bench::point::{Job, PhotoSource, means, measure};
+use segwild_bench::point::{PointJob, PhotoSource, means, measure};
 use segwild_bench::record::Record;
 use segwild_bench::synthetic::SyntheticOptions;
 use segwild_bench::trial::ProviderKind;
@@ -109,7 +109,7 @@ pub fn chart(matches: &ArgMatches) -> Result<(), Failure> {
         command: super::common::command_line(),
         only: list(matches, "only"),
         seeds: numbers(matches, "seeds")?,
-        base: Base { sources, providers, faults: OracleOptions::default(), settings: given(matches) },
+        base: ChartBase { sources, providers, faults: OracleOptions::default(), settings: given(matches) },
         out: out.clone(),
     };
     let results = measure_all(&options, |event| tell(&event, json))?;
@@ -124,10 +124,10 @@ pub fn chart(matches: &ArgMatches) -> Result<(), Failure> {
     print_line(&format!("page: {}", page.join("index.html").display()))
 }
 
-fn tell(event: &Told, json: bool) {
+fn tell(event: &ChartEvent, json: bool) {
     let _ = match event {
-        Told::Point { records, .. } if json => records.iter().try_for_each(print_json),
-        Told::Point { records, known } => {
+        ChartEvent::Point { records, .. } if json => records.iter().try_for_each(print_json),
+        ChartEvent::Point { records, known } => {
             let Some(first) = records.iter().find(|r| r.target.is_empty()) else { return };
             let all = means(&records.iter().collect::<Vec<&Record>>());
             let of = |name: &str| all.get(name).copied().unwrap_or(f64::NAN);
@@ -146,7 +146,7 @@ fn tell(event: &Told, json: bool) {
                 if *known { " (known)" } else { "" }
             ))
         }
-        Told::Failed { point, error } => {
+        ChartEvent::Failed { point, error } => {
             eprintln!("warning: {}", plain(&format!("{point} could not be measured: {error}")));
             Ok(())
         }
@@ -155,7 +155,7 @@ fn tell(event: &Told, json: bool) {
 
 /// Measures the point that standard input describes.
 pub fn point() -> Result<(), Failure> {
-    let job: Job = serde_json::from_reader(std::io::stdin())
+    let job: PointJob = serde_json::from_reader(std::io::stdin())
         .map_err(|e| Failure::usage(format!("the point cannot be read: {e}")))?;
     crate::commands::use_threads(job.settings()?.run.threads);
     print_json(&measure(&job)?)

@@ -11,8 +11,8 @@ use segwild_bench::page::PageError;
 use segwild_bench::point::PointError;
 use segwild_bench::protocols::folder::{Parts, read_parts};
 use segwild_bench::protocols::tables::{all, page};
-use segwild_bench::protocols::{Base, Found, ProtocolError, Table, measure};
-use segwild_bench::record::{Made, Record, Results};
+use segwild_bench::protocols::{ProtocolBase, FoundScenes, ProtocolError, Table, measure};
+use segwild_bench::record::{Provenance, Record, Results};
 use segwild_bench::synthetic::LightVariation;
 use segwild_bench::trial::ProviderKind;
 use segwild_gpu::GpuError;
@@ -130,7 +130,7 @@ pub struct ProtocolFlags {
     /// Seeds.
     pub seeds: Vec<u64>,
     /// What all rows have in common.
-    pub base: Base,
+    pub base: ProtocolBase,
     /// Results so far: none.
     pub results: Results,
     /// Whether to print JSON.
@@ -152,7 +152,7 @@ pub fn flags(matches: &ArgMatches, folder: &str) -> Result<ProtocolFlags, Failur
         changes.push((name.to_owned(), value.to_owned()));
     }
     std::fs::create_dir_all(&out).map_err(|e| cannot_write(&out, &e))?;
-    let mut results = Results { made: Made::here(command_line()), ..Results::default() };
+    let mut results = Results { made: Provenance::here(command_line()), ..Results::default() };
     let (file, photos) = (out.join("results.json"), out.join("photos.jsonl"));
     if matches.get_flag("keep") && file.is_file() {
         let before = Results::read(&file).map_err(ProtocolError::from)?;
@@ -168,7 +168,7 @@ pub fn flags(matches: &ArgMatches, folder: &str) -> Result<ProtocolFlags, Failur
         out,
         only: list(matches, "only"),
         seeds: numbers(matches, "seeds")?,
-        base: Base { settings, changes },
+        base: ProtocolBase { settings, changes },
         results,
         json: matches.get_flag("json"),
         page: path_of(matches, "page"),
@@ -232,12 +232,12 @@ pub fn finish(flags: &ProtocolFlags, title: &str) -> Result<(), Failure> {
 pub fn measure_scenes(
     flags: &mut ProtocolFlags,
     table: Table,
-    scenes: impl Fn(&Settings, u64) -> Result<Found, ProtocolError>,
+    scenes: impl Fn(&Settings, u64) -> Result<FoundScenes, ProtocolError>,
 ) -> Result<(), Failure> {
     let rows = table.rows(&flags.only)?;
     let mut report = tell(flags.json);
     for &seed in &flags.seeds {
-        let Found { scenes, missing } = scenes(&flags.base.settings, seed)?;
+        let FoundScenes { scenes, missing } = scenes(&flags.base.settings, seed)?;
         flags.results.miss(missing);
         for scene in scenes {
             measure(&flags.out, &scene, &rows, &flags.base, &mut flags.results, &mut report)?;

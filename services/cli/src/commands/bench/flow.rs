@@ -7,7 +7,7 @@ use crate::commands::{path as path_of, print_json, print_line};
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_bench::flow::{FlowOptions, Row, measured, over, page};
-use segwild_bench::record::Made;
+use segwild_bench::record::Provenance;
 use std::path::PathBuf;
 
 /// The benchmark's arguments.
@@ -63,7 +63,7 @@ pub fn flow(matches: &ArgMatches) -> Result<(), Failure> {
     };
     let rows = segwild_bench::flow::flow(&options, report)?;
     if let Some(file) = path_of(matches, "page") {
-        let made = Made::here(super::common::command_line());
+        let made = Provenance::here(super::common::command_line());
         segwild_flow::files::write_plain(&file, page(&measured(&options.dir), &made))
             .map_err(|e| cannot_write(&file, &e))?;
     }

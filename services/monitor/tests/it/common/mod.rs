@@ -1,11 +1,11 @@
-//! Runs and batches as they are left on the disk, for the tests to look at.
+//! Runs and batches as they are left on the disk, for the tests to read.
 
 use segwild_farm::{
-    BatchFolder, BatchRecord, EmbeddedEngine, Engine, ErrorClass, Job, Needs, Offer, Retry, SceneJob,
+    BatchFolder, BatchRecord, EmbeddedEngine, ErrorClass, Job, JobEngine, Needs, Retry, SceneJob, WorkerOffer,
 };
 use segwild_flow::ledger::{LiveActor, LiveMailbox, LiveSample, LiveStage, LiveWorker, ViewOutcome};
 use segwild_flow::{CacheCounters, Event, EventRecord, Key, Ledger, WorkerState};
-use segwild_monitor::{Target, View};
+use segwild_monitor::{MonitorTarget, MonitorView};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -28,7 +28,7 @@ pub fn actor(name: &str, worker: LiveWorker) -> LiveActor {
         retries: 2,
         restarts: 1,
         quarantined: 1,
-        last_error: Some("b.jpg: it is no picture".into()),
+        last_error: Some("b.jpg: it is no image".into()),
         starting_s: 0.0,
         busy_s: 30.0,
         waiting_s: 10.0,
@@ -113,14 +113,14 @@ pub fn run_in(folder: &Path, sample: &LiveSample) -> Ledger {
     ledger
 }
 
-pub fn view(folder: &Path) -> View {
-    Target::at(folder).and_then(|t| t.view()).expect("a view")
+pub fn view(folder: &Path) -> MonitorView {
+    MonitorTarget::at(folder).and_then(|t| t.view()).expect("a view")
 }
 
 pub fn run_view(folder: &Path) -> segwild_monitor::view::RunView {
     match view(folder) {
-        View::Run(run) => *run,
-        View::Batch(_) => panic!("this is a run"),
+        MonitorView::Run(run) => *run,
+        MonitorView::Batch(_) => panic!("this is a run"),
     }
 }
 
@@ -147,7 +147,7 @@ pub fn batch_in(dir: &Path) -> (PathBuf, Ledger, std::fs::File) {
         };
         engine.publish(&job).expect("it is published");
         let free = Needs { cores: 2, memory_bytes: 8 << 30, accelerators: 0 };
-        let offer = Offer { worker: "batch".into(), free, whole: free, lease_s: 1e9 };
+        let offer = WorkerOffer { worker: "batch".into(), free, whole: free, lease_s: 1e9 };
         leases.push(engine.claim(&offer).expect("it works").expect("a lease"));
     }
     engine.fail(&leases[1], ErrorClass::Retryable, "no luck").expect("it fails");
