@@ -41,17 +41,23 @@ fn read_list() -> List {
     let text = std::fs::read_to_string(root().join("tests/words.toml")).expect("the list");
     let table: toml::Table = text.parse().expect("a TOML file");
     let rows = |name: &str| table[name].as_array().expect("a list").clone();
-    let word = |row: &toml::Value, name: &str| row.get(name).and_then(|v| v.as_str()).unwrap_or("").to_owned();
-    let entries = rows("word").iter().map(|row| Entry {
-        phrases: row["not"].as_array().expect("a list").iter().map(|p| words(p.as_str().expect("text"))).collect(),
-        instead: word(row, "use"),
-        scope: match word(row, "in").as_str() {
+    let word =
+        |row: &toml::Value, name: &str| row.get(name).and_then(|v| v.as_str()).unwrap_or("").to_owned();
+    let entries = rows("word").into_iter().map(|row| Entry {
+        phrases: row["not"]
+            .as_array()
+            .expect("a list")
+            .iter()
+            .map(|p| words(p.as_str().expect("text")))
+            .collect(),
+        instead: word(&row, "use"),
+        scope: match word(&row, "in").as_str() {
             "text" => Scope::Text,
             "code" => Scope::Code,
             "names" => Scope::Names,
             other => panic!("`in = {other}` is none of text, code, names"),
         },
-        under: word(row, "under"),
+        under: word(&row, "under"),
     });
     for row in rows("allow").iter().chain(&rows("skip")) {
         assert!(word(row, "why").len() > 10, "an exception needs a reason: {row}");
@@ -173,7 +179,8 @@ fn refused(list: &List, file: &str, text: &str) -> Vec<String> {
             text
         };
         let whole = without_allowed(words(line));
-        let ids: Vec<String> = named.get(i).map_or(Vec::new(), |ids| ids.iter().map(|id| words(id)).collect());
+        let ids: Vec<String> =
+            named.get(i).map_or(Vec::new(), |ids| ids.iter().map(|id| words(id)).collect());
         let ids: Vec<String> = ids.into_iter().map(without_allowed).collect();
         for entry in list.entries.iter().filter(|entry| file.starts_with(&entry.under)) {
             if entry.scope != Scope::Text && !is_code {
@@ -228,7 +235,8 @@ fn no_type_name_stands_for_two_things() {
         for line in text.lines() {
             let line = line.trim_start();
             let line = line.strip_prefix("pub ").unwrap_or(line);
-            let line = line.split_once(") ").filter(|_| line.starts_with("pub(")).map_or(line, |(_, rest)| rest);
+            let line =
+                line.split_once(") ").filter(|_| line.starts_with("pub(")).map_or(line, |(_, rest)| rest);
             let item = ["struct ", "enum ", "trait "].iter().find_map(|kind| line.strip_prefix(kind));
             if let Some(name) = item.and_then(|rest| rest.split(|c: char| !c.is_alphanumeric()).next()) {
                 owners.entry(name.to_owned()).or_default().insert(file.clone());
@@ -238,13 +246,15 @@ fn no_type_name_stands_for_two_things() {
     assert!(owners.len() > 400, "types are found: {}", owners.len());
     let text = std::fs::read_to_string(root().join("tests/words.toml")).expect("the list");
     let table: toml::Table = text.parse().expect("a TOML file");
-    let shared: Vec<&str> = table["types"]["shared"].as_array().expect("a list").iter().filter_map(|t| t.as_str()).collect();
+    let shared: Vec<&str> =
+        table["types"]["shared"].as_array().expect("a list").iter().filter_map(|t| t.as_str()).collect();
     let twice: Vec<String> = owners
         .iter()
         .filter(|(name, files)| files.len() > 1 && !shared.contains(&name.as_str()))
         .map(|(name, files)| format!("{name}: {files:?}"))
         .collect();
     assert!(twice.is_empty(), "types of one name, {} in all:\n{}", twice.len(), twice.join("\n"));
-    let once: Vec<&&str> = shared.iter().filter(|name| owners.get(**name).is_none_or(|files| files.len() < 2)).collect();
+    let once: Vec<&&str> =
+        shared.iter().filter(|name| owners.get(**name).is_none_or(|files| files.len() < 2)).collect();
     assert!(once.is_empty(), "these are shared no longer, take them off the list: {once:?}");
 }

@@ -193,7 +193,11 @@ pub fn measure(job: &PointJob) -> Result<Vec<Record>, PointError> {
     }
 }
 
-fn synthetic(job: &PointJob, options: &SyntheticOptions, settings: &Settings) -> Result<Vec<Record>, PointError> {
+fn synthetic(
+    job: &PointJob,
+    options: &SyntheticOptions,
+    settings: &Settings,
+) -> Result<Vec<Record>, PointError> {
     let mut scene = generate(options).map_err(TrialError::from)?;
     job.harm.apply(&mut scene, job.seed);
     let trial = Trial::of(&job.dir, scene, job.providers, &job.faults)?;
@@ -282,7 +286,12 @@ fn clicks(job: &PointJob, trial: &Trial, object: &ObjectTruth) -> Vec<PhotoPromp
 /// A photo shows an object when at least one pixel in this many is the object's.
 const SHOWN: usize = 200;
 
-fn folder(job: &PointJob, path: &Path, parts: &Parts, settings: &Settings) -> Result<Vec<Record>, PointError> {
+fn folder(
+    job: &PointJob,
+    path: &Path,
+    parts: &Parts,
+    settings: &Settings,
+) -> Result<Vec<Record>, PointError> {
     let truth = path.join("truth");
     let shown = references(path, &truth, parts, settings)?;
     let run = RunFolder::create(&job.dir.join("run"))?;

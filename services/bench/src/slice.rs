@@ -2,7 +2,7 @@
 //! what is kept beside the code ([`crate::compare`], strictly), it fails when either gets worse.
 
 use crate::oracle::OracleOptions;
-use crate::point::{PointJob, PhotoSource, PointError, Prompting, measure};
+use crate::point::{PhotoSource, PointError, PointJob, Prompting, measure};
 use crate::record::{Provenance, Results};
 use crate::stability::Harm;
 use crate::synthetic::SyntheticOptions;

@@ -130,8 +130,11 @@ mod tests {
 
     #[test]
     fn a_stamp_names_provider_command_commit_and_machine() {
-        let made =
-            Provenance { command: "segwild bench".into(), version: "0.1.0 (abc)".into(), machine: "m".into() };
+        let made = Provenance {
+            command: "segwild bench".into(),
+            version: "0.1.0 (abc)".into(),
+            machine: "m".into(),
+        };
         let message = stamp(&made, &["built-in"]);
         assert_eq!(
             message,

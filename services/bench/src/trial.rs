@@ -3,7 +3,8 @@
 use crate::metrics::{self, MetricError, leakage};
 use crate::oracle::{ORACLE, Oracle, OracleOptions};
 use crate::synthetic::{
-    ObjectKind, Manifest, ObjectTruth, SyntheticError, SyntheticOptions, SyntheticPhoto, SyntheticScene, generate,
+    Manifest, ObjectKind, ObjectTruth, SyntheticError, SyntheticOptions, SyntheticPhoto, SyntheticScene,
+    generate,
 };
 use segwild_flow::Stopper;
 use segwild_pipeline::{

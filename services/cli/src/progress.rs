@@ -1,7 +1,7 @@
 //! What happens, as bars for a person or as JSON lines for a program; and Ctrl-C.
 
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
-use segwild_flow::{Event, EventRecord, Events, EventLevel, Sink, Stopper};
+use segwild_flow::{Event, EventLevel, EventRecord, Events, Sink, Stopper};
 use std::collections::BTreeMap;
 use std::io::{IsTerminal, Write};
 use std::time::Duration;

@@ -4,7 +4,7 @@ use crate::{
     EmbeddingSamples, FeatureError, FeatureField, FeatureSettings, Pca, Progress, TargetSource, ViewTarget,
     build,
 };
-use segwild_flow::{Actor, Cache, Context, ActorFailure, Key, Message, Origin, Quarantined, Sender, fault};
+use segwild_flow::{Actor, ActorFailure, Cache, Context, Key, Message, Origin, Quarantined, Sender, fault};
 use segwild_raster::{Engine, ProjectOptions};
 use segwild_scene::{Embedding, Image, Mask, MaskSet, Scene, Splats, View};
 use segwild_vision::Embedder;

@@ -54,7 +54,7 @@ use crate::files::FileError;
 use crate::mailbox::Closed;
 use crate::message::Message;
 use crate::meter::Pulse;
-use crate::shortage::{is_shortage_message, is_shortage};
+use crate::shortage::{is_shortage, is_shortage_message};
 
 /// What to do when there is no message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

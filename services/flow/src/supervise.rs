@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicU32, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use crate::actor::{Actor, Context, ActorFailure, FailureKind, Idle, Quarantined};
+use crate::actor::{Actor, ActorFailure, Context, FailureKind, Idle, Quarantined};
 use crate::events::Event;
 use crate::fault;
 use crate::mailbox::{AnyMailbox, Receiver, RecvError};

@@ -43,7 +43,7 @@ use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use crate::actor::{Actor, Context, ActorFailure};
+use crate::actor::{Actor, ActorFailure, Context};
 use crate::compute;
 use crate::control::{Control, Stopper};
 use crate::events::{Event, Events};

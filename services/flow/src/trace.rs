@@ -20,7 +20,7 @@ use std::collections::BTreeMap;
 use serde_json::{Value, json};
 
 use crate::report::Report;
-use crate::timeline::{TimelineSpan, SpanKind};
+use crate::timeline::{SpanKind, TimelineSpan};
 
 /// What a span's time went to, in a word.
 fn word(kind: SpanKind) -> &'static str {

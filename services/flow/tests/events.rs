@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use segwild_flow::{Event, EventRecord, Events, EventLevel};
+use segwild_flow::{Event, EventLevel, EventRecord, Events};
 
 #[derive(Clone, Default)]
 struct SharedBuffer(Arc<Mutex<Vec<u8>>>);

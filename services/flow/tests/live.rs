@@ -2,8 +2,8 @@
 
 use segwild_flow::ledger::{LiveMailbox, LiveSample};
 use segwild_flow::{
-    Actor, ActorOptions, Context, Event, Events, ActorFailure, Ledger, Limits, Recorder, System, SystemOptions,
-    WorkerState, mailbox, waiting_for,
+    Actor, ActorFailure, ActorOptions, Context, Event, Events, Ledger, Limits, Recorder, System,
+    SystemOptions, WorkerState, mailbox, waiting_for,
 };
 use std::path::PathBuf;
 use std::sync::mpsc;

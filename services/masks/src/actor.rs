@@ -1,7 +1,7 @@
 //! Actor that finds skies and makes masks, cached per view.
 
 use crate::{MaskSettings, MaskSource, generate, sasm};
-use segwild_flow::{Actor, Cache, Context, ActorFailure, Key, Message, Origin, Quarantined, Sender, fault};
+use segwild_flow::{Actor, ActorFailure, Cache, Context, Key, Message, Origin, Quarantined, Sender, fault};
 use segwild_scene::{Image, Mask, MaskSet, Scene};
 use segwild_vision::{MaskProposer, SkyDetector};
 use std::sync::Arc;

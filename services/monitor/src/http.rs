@@ -16,7 +16,7 @@ use tokio::sync::oneshot;
 use crate::connections::answer;
 use crate::metrics;
 use crate::ready::ready;
-use crate::view::{Runs, MonitorTarget, MonitorView, ViewError};
+use crate::view::{MonitorTarget, MonitorView, Runs, ViewError};
 
 /// Why nothing is served.
 #[derive(Debug, thiserror::Error)]

@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-use crate::view::{RunState, RunView, SceneState, MonitorView};
+use crate::view::{MonitorView, RunState, RunView, SceneState};
 
 /// What kind of number it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

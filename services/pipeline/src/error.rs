@@ -2,7 +2,7 @@
 
 use crate::SettingsError;
 use segwild_features::FeatureError;
-use segwild_flow::{CacheError, CodecError, ActorFailure, FileError, LedgerError, SpawnError};
+use segwild_flow::{ActorFailure, CacheError, CodecError, FileError, LedgerError, SpawnError};
 use segwild_gpu::GpuError;
 use segwild_raster::RasterError;
 use segwild_scene::SceneError;

@@ -20,7 +20,7 @@ use crate::{
     ChosenEngine, RunError, RunFolder, Settings, Until, choose_engine, diagnostics, keep, memory, report,
 };
 use segwild_flow::ledger::ViewOutcome;
-use segwild_flow::{Cache, Event, Events, ActorFailure, Ledger, Phase, Recorder, Stopper, cpu, files, trace};
+use segwild_flow::{ActorFailure, Cache, Event, Events, Ledger, Phase, Recorder, Stopper, cpu, files, trace};
 use segwild_masks::{MaskMaker, sasm};
 use segwild_scene::{Scene, Skipped};
 use segwild_vision::Providers;
@@ -328,7 +328,8 @@ pub fn run(
     let mut state = std::mem::take(&mut coordinator.state);
     traces.write(&report)?;
     // An actor that gave up has stopped the others: that is not a stop by the user.
-    let failed = |(actor, error): (&str, &str), kind: fn(&str) -> ActorFailure| (stage_of(actor), kind(error));
+    let failed =
+        |(actor, error): (&str, &str), kind: fn(&str) -> ActorFailure| (stage_of(actor), kind(error));
     let gave_up = (coordinator.skies.lost().map(|lost| ("sky", lost)))
         .or_else(|| Some(failed(report.storage_failure()?, |error| ActorFailure::storage(error))))
         .or_else(|| Some(failed(report.failures().next()?, |error| ActorFailure::fatal(error))));

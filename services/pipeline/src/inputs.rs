@@ -10,7 +10,7 @@ use crate::transients::{KnownTransients, TransientMaskWriter, visibility};
 use crate::view_slots::ViewSlots;
 
 use segwild_features::{EMBEDDING, FieldInputs, describe};
-use segwild_flow::{Context, ActorFailure};
+use segwild_flow::{ActorFailure, Context};
 use segwild_masks::{MaskMaker, MaskSource, Snapshot};
 use segwild_raster::Engine;
 use segwild_scene::{Embedding, Image, Mask, MaskSet, Scene};
@@ -136,7 +136,8 @@ impl FieldInputs for Inputs {
         let kept =
             CachedArtefact { view, what: "embedding", kind: EMBEDDING, key: &self.keys.embedding[view] };
         self.recompute.read(kept, || {
-            describe(&*self.embedder, &self.recompute.scene.views[view], self.size).map_err(ActorFailure::retry)
+            describe(&*self.embedder, &self.recompute.scene.views[view], self.size)
+                .map_err(ActorFailure::retry)
         })
     }
 

@@ -1,7 +1,7 @@
 //! Reads artefacts that the run has made before, and makes them again where the cache has lost them.
 
 use segwild_flow::codec::{Decode, Encode};
-use segwild_flow::{Cache, Events, ActorFailure, Key};
+use segwild_flow::{ActorFailure, Cache, Events, Key};
 use segwild_scene::Scene;
 use std::sync::Arc;
 

@@ -4,7 +4,7 @@ use crate::recompute::{CachedArtefact, Recompute};
 use crate::view_slots::ViewSlots;
 use crate::{RunError, RunFolder};
 use segwild_flow::ledger::State;
-use segwild_flow::{Events, ActorFailure, Key, Ledger};
+use segwild_flow::{ActorFailure, Events, Key, Ledger};
 use segwild_scene::{Mask, Scene};
 use segwild_vision::SkyDetector;
 use std::collections::{BTreeMap, VecDeque};

@@ -1,7 +1,7 @@
 //! The timelines of the processes that worked on a run, as files: who did what when.
 
 use crate::{RunError, RunFolder};
-use segwild_flow::{FileError, Report, TimelineSpan, SpanKind, trace};
+use segwild_flow::{FileError, Report, SpanKind, TimelineSpan, trace};
 use std::path::Path;
 use std::time::Instant;
 
@@ -40,7 +40,14 @@ impl<'a> Traces<'a> {
         let done = work();
         let end = self.began.elapsed().as_secs_f64();
         let (actor, label) = ("coordinator".into(), label.into());
-        report.timeline.spans.push(TimelineSpan { actor, worker: 0, label, start, end, kind: SpanKind::Busy });
+        report.timeline.spans.push(TimelineSpan {
+            actor,
+            worker: 0,
+            label,
+            start,
+            end,
+            kind: SpanKind::Busy,
+        });
         done
     }
 

@@ -4,7 +4,7 @@ use crate::{
     MaskReader, NeighbourGraph, PosedView, PromptedView, Refiner, Request, SegmentError, SegmentSettings,
     Selection, SpikeCut, SplatFeatures, cut, select,
 };
-use segwild_flow::{Actor, Context, ActorFailure, Message, Sender};
+use segwild_flow::{Actor, ActorFailure, Context, Message, Sender};
 use segwild_raster::{Engine, ProjectOptions};
 use segwild_scene::{Image, Mask, Prompts, ScoredMask, Splats};
 use segwild_vision::PromptSegmenter;

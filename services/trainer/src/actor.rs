@@ -1,7 +1,7 @@
 //! The actor of the trainer: one order trains one scene, and its outcomes are sent on as they come.
 
 use crate::{Checkpoint, Model, Photos, TrainError, TrainSettings, Trainer};
-use segwild_flow::{Actor, Context, ActorFailure, Message, Quarantined, Sender, fault};
+use segwild_flow::{Actor, ActorFailure, Context, Message, Quarantined, Sender, fault};
 use segwild_raster::Engine;
 use segwild_scene::{Scene, Skipped};
 use std::sync::Arc;
@@ -127,7 +127,9 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
         let mut saved = Instant::now();
         while trainer.steps_done() < order.until {
             if context.stopping() {
-                self.send(TrainOutcome::Checkpoint(Arc::new(trainer.checkpoint().map_err(ActorFailure::fatal)?)))?;
+                self.send(TrainOutcome::Checkpoint(Arc::new(
+                    trainer.checkpoint().map_err(ActorFailure::fatal)?,
+                )))?;
                 return Err(ActorFailure::stopped());
             }
             let step = trainer.step().map_err(ActorFailure::fatal)?;
@@ -140,12 +142,16 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
                 self.send(TrainOutcome::Progress { step, loss, psnr, splats, left_out })?;
             }
             if step.step == order.settings.snapshot_step() {
-                self.send(TrainOutcome::Snapshot(Arc::new(trainer.snapshot().map_err(ActorFailure::fatal)?)))?;
+                self.send(TrainOutcome::Snapshot(Arc::new(
+                    trainer.snapshot().map_err(ActorFailure::fatal)?,
+                )))?;
             }
             // With a report, so that a continued training reports over the same steps as one that never stopped. The
             // last checkpoint allows continued training later, with more steps.
             if last || step.step % REPORT_EVERY == 0 && saved.elapsed() >= order.checkpoint_every {
-                self.send(TrainOutcome::Checkpoint(Arc::new(trainer.checkpoint().map_err(ActorFailure::fatal)?)))?;
+                self.send(TrainOutcome::Checkpoint(Arc::new(
+                    trainer.checkpoint().map_err(ActorFailure::fatal)?,
+                )))?;
                 saved = Instant::now();
             }
         }

@@ -13,7 +13,7 @@ pub use sweeps::{SWEEPS, Sweep};
 
 use crate::oracle::OracleOptions;
 use crate::page::{PageError, io};
-use crate::point::{self, PointJob, PhotoSource, PointError, Prompting};
+use crate::point::{self, PhotoSource, PointError, PointJob, Prompting};
 use crate::record::{Provenance, Record, Results};
 use crate::scale::kernels::pace;
 use crate::stability::Harm;

@@ -54,7 +54,11 @@ pub fn read_parts(file: &Path) -> Result<Parts, ProtocolError> {
 ///
 /// # Errors
 /// When the scene or its truth is not there, or no reference photo of any object.
-pub fn scenes(options: &FolderProtocol, settings: &Settings, seed: u64) -> Result<FoundScenes, ProtocolError> {
+pub fn scenes(
+    options: &FolderProtocol,
+    settings: &Settings,
+    seed: u64,
+) -> Result<FoundScenes, ProtocolError> {
     let photos = photos(&options.scene, settings)?;
     let objects = objects(&options.scene, &photos)?;
     let (mut queries, mut missing) = (Vec::new(), Vec::new());

@@ -1,7 +1,7 @@
 //! NeRF-W's controlled experiment: the same photos clean, in other colours, with a striped square before them, and both;
 //! what each costs on clean test photos (method, section 11).
 
-use super::{ProtocolBase, OnRecord, ProtocolError, keep};
+use super::{OnRecord, ProtocolBase, ProtocolError, keep};
 use crate::ablation::{FULL, Variant};
 use crate::oracle::OracleOptions;
 use crate::perturb::{AffineColours, StripedSquare};

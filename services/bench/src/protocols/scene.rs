@@ -1,6 +1,6 @@
 //! A scene of real photos with true masks of some of them, and the queries on it.
 
-use super::{ProtocolBase, Missing, OnRecord, ProtocolError, keep};
+use super::{Missing, OnRecord, ProtocolBase, ProtocolError, keep};
 use crate::ablation::Variant;
 use crate::metrics::{self, MaskMetrics};
 use crate::record::{Record, Results};

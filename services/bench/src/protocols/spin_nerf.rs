@@ -32,7 +32,11 @@ const LABELS: [&str; 3] = ["label", "images_4/label", "images/label"];
 ///
 /// # Errors
 /// When no scene is left: all that is missing, with what to put where.
-pub fn scenes(options: &SpinNerfProtocol, settings: &Settings, seed: u64) -> Result<FoundScenes, ProtocolError> {
+pub fn scenes(
+    options: &SpinNerfProtocol,
+    settings: &Settings,
+    seed: u64,
+) -> Result<FoundScenes, ProtocolError> {
     let mut missing = Vec::new();
     let names: Vec<PathBuf> = match entries(&options.root) {
         _ if !options.only.is_empty() => options.only.iter().map(|name| options.root.join(name)).collect(),

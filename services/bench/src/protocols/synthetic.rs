@@ -1,6 +1,6 @@
 //! Synthetic scenes, whose truth is known exactly: one click per object, or several at random (method, section 11).
 
-use super::{ProtocolBase, OnRecord, ProtocolError, Table, clicks, keep};
+use super::{OnRecord, ProtocolBase, ProtocolError, Table, clicks, keep};
 use crate::oracle::OracleOptions;
 use crate::record::{Record, Results};
 use crate::synthetic::{ObjectKind, ObjectTruth, SyntheticOptions};

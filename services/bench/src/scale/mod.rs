@@ -9,7 +9,7 @@ pub use page::{markdown, write};
 use crate::metrics::Spread;
 use crate::oracle::OracleOptions;
 use crate::page::{PageError, io};
-use crate::point::{self, PointJob, PhotoSource, Prompting};
+use crate::point::{self, PhotoSource, PointJob, Prompting};
 use crate::record::{Provenance, Record, Results};
 use crate::stability::Harm;
 use crate::synthetic::SyntheticOptions;

@@ -14,7 +14,7 @@ pub use stress::{Harm, STRESSES, Stress};
 
 use crate::oracle::{ORACLE, OracleOptions};
 use crate::page::{PageError, io};
-use crate::point::{PointJob, PhotoSource, Prompting, means, measure};
+use crate::point::{PhotoSource, PointJob, Prompting, means, measure};
 use crate::record::{Provenance, Record, Results};
 use crate::stamp::{UNKNOWN, provider};
 use crate::synthetic::SyntheticOptions;

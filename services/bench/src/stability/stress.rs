@@ -1,6 +1,6 @@
 //! Stresses: what is done to a scene, to the providers or to the clicks, and how much of it.
 
-use crate::point::{PointJob, PhotoSource, Prompting};
+use crate::point::{PhotoSource, PointJob, Prompting};
 use crate::synthetic::random::Rng;
 use crate::synthetic::{SyntheticOptions, SyntheticScene};
 use glam::{DMat3, DVec3};

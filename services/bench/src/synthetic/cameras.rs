@@ -113,8 +113,8 @@ fn acceptable(world: &SyntheticWorld, shot: &CameraShot) -> bool {
                 Some(hit) => {
                     let part = &world.parts[world.part(&hit) as usize];
                     let instance = &world.instances[part.instance as usize];
-                    let built =
-                        instance.kind != ObjectKind::Surface || matches!(instance.name.as_str(), "facade" | "hall");
+                    let built = instance.kind != ObjectKind::Surface
+                        || matches!(instance.name.as_str(), "facade" | "hall");
                     seen[usize::from(part.instance)] |= built;
                     named += usize::from(built);
                     trees += usize::from(instance.name == "trees");

@@ -8,7 +8,7 @@ use segwild_bench::protocols::nvos::{self, NvosProtocol};
 use segwild_bench::protocols::paper::{PAPER, PaperScene, PaperTarget, targets};
 use segwild_bench::protocols::photo_tourism::{self, PhotoTourismProtocol};
 use segwild_bench::protocols::spin_nerf::{self, SpinNerfProtocol};
-use segwild_bench::protocols::{ProtocolBase, EvalScene, Table, measure};
+use segwild_bench::protocols::{EvalScene, ProtocolBase, Table, measure};
 use segwild_bench::record::Results;
 use segwild_bench::synthetic::{LightVariation, SyntheticOptions, SyntheticScene, generate};
 use segwild_pipeline::{Preset, Settings};

@@ -1,7 +1,7 @@
 //! The synthetic set against itself: its images, depths, labels and points must agree.
 
 use glam::{DVec3, Vec2, Vec3};
-use segwild_bench::synthetic::{ObjectKind, LightVariation, SyntheticOptions, SyntheticScene, generate};
+use segwild_bench::synthetic::{LightVariation, ObjectKind, SyntheticOptions, SyntheticScene, generate};
 use segwild_scene::{Image, Mask, Scene, SceneSettings};
 use std::sync::OnceLock;
 

@@ -2,7 +2,7 @@
 
 use super::run::{run_scene, tell};
 use super::{path, print_json, print_line};
-use crate::args::{self, examples, json};
+use crate::args::{self, examples, flag, json};
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_bench::oracle::OracleOptions;
@@ -33,8 +33,9 @@ pub fn command() -> Command {
                 .default_value("1")
                 .help("Another number makes another scene"),
         )
+        .arg(flag("photos-only", "Only write the photos and their poses, for `segwild run`"))
         .arg(json())
-        .after_help(examples("segwild demo", "segwild demo --scene-seed 7 --out runs/demo7"))
+        .after_help(examples("segwild demo", "segwild demo --scene-seed 7 --photos-only --out photos/seven"))
 }
 
 /// Makes a synthetic scene, runs the whole job on it, selects the objects that photos show largest, scores them.
@@ -51,6 +52,9 @@ pub fn demo(matches: &ArgMatches) -> Result<(), Failure> {
             trial.manifest().photos.len(),
             scene_dir.display()
         ))?;
+    }
+    if matches.get_flag("photos-only") {
+        return Ok(());
     }
     let mut settings = Settings::preset(Preset::Draft);
     settings.train.steps = STEPS;

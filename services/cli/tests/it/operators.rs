@@ -434,7 +434,7 @@ fn a_real_prometheus_answers_every_panel_and_every_rule() {
     let ask = |expression: &str| -> Value {
         // Over the whole time of the batch, as Grafana asks.
         let path = format!(
-            "/api/v1/query_range?query={}&start={begin}&end={}&step=100ms",
+            "/api/v1/query_range?query={}&start={start}&end={}&step=100ms",
             escaped(expression),
             now().min(start + 1000.0)
         );

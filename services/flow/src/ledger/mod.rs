@@ -49,7 +49,7 @@ pub use rows::{CheckpointRow, EventRow, StageRow, State, ViewOutcome, ViewRow};
 pub use schema::SCHEMA_VERSION;
 
 use crate::clock::now;
-use crate::events::{EventRecord, EventLevel};
+use crate::events::{EventLevel, EventRecord};
 use crate::fault;
 use crate::files::FileError;
 use crate::key::Key;

@@ -11,7 +11,7 @@ use ratatui::layout::Rect;
 use ratatui::text::Line;
 use ratatui::widgets::{Paragraph, Widget};
 
-use crate::view::{Runs, MonitorTarget, MonitorView};
+use crate::view::{MonitorTarget, MonitorView, Runs};
 
 /// Time between two refreshes.
 const EVERY: Duration = Duration::from_secs(1);

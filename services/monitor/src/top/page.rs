@@ -5,7 +5,7 @@ use ratatui::text::{Line, Span};
 use segwild_flow::WorkerState;
 
 use super::ScreenPosition;
-use crate::view::{ActorView, BatchView, Disk, RunView, SceneState, SceneView, StageView, MonitorView};
+use crate::view::{ActorView, BatchView, Disk, MonitorView, RunView, SceneState, SceneView, StageView};
 use crate::words::{bytes, cut, duration};
 
 fn plain(text: impl Into<String>) -> Line<'static> {

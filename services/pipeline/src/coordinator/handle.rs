@@ -9,7 +9,7 @@ use crate::light;
 use crate::outcome::ActorOutcome;
 use segwild_features::{FeatureField, FeatureOutcome};
 use segwild_flow::ledger::ViewOutcome;
-use segwild_flow::{Event, ActorFailure, Key, Quarantined, StageProgress};
+use segwild_flow::{ActorFailure, Event, Key, Quarantined, StageProgress};
 use segwild_masks::MaskOutcome;
 use segwild_scene::Skipped;
 use segwild_trainer::{Model, TrainOutcome};

@@ -37,7 +37,7 @@ use crate::{RunError, RunFolder, Settings};
 use segwild_features::{FeatureActor, FeatureField, FeatureTask};
 use segwild_flow::ledger::{State as Progress, ViewRow};
 use segwild_flow::{
-    ActorOptions, Cache, Event, Exit, ActorFailure, Guest, Key, Ledger, Limits, Message, Phase, Receiver,
+    ActorFailure, ActorOptions, Cache, Event, Exit, Guest, Key, Ledger, Limits, Message, Phase, Receiver,
     Recorder, Report, Sender, StageProgress, System, SystemOptions, fault, mailbox,
 };
 use segwild_masks::{MaskActor, MaskMaker, MaskTask};

@@ -11,7 +11,7 @@ use crate::memory;
 use crate::outcome::ActorOutcome;
 use segwild_features::{FeatureField, FeatureTask};
 use segwild_flow::ledger::ViewOutcome;
-use segwild_flow::{ActorOptions, Context, Event, ActorFailure, Key, Phase, System, fault};
+use segwild_flow::{ActorFailure, ActorOptions, Context, Event, Key, Phase, System, fault};
 use segwild_masks::{MaskSource, MaskTask, Snapshot};
 use segwild_scene::Mask;
 use segwild_trainer::{FindCheckpoint, Model, Photos, Sifted, TrainOrder, TrainPhoto};

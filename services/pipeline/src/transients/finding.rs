@@ -4,7 +4,7 @@ use super::authorship::FOLDER;
 use super::corrections::Corrections;
 use super::images::{PendingMask, TransientMaskWriter};
 use rayon::prelude::*;
-use segwild_flow::{Cache, ActorFailure, Key};
+use segwild_flow::{ActorFailure, Cache, Key};
 use segwild_scene::Mask;
 use segwild_trainer::{TrainPhoto, TransientEvidence, transient_evidence};
 use segwild_vision::TransientDetector;

@@ -6,9 +6,9 @@ use crate::args::{examples, given, json, number, path, with_settings_in_long_hel
 use crate::commands::{path as path_of, print_json, print_line};
 use crate::failure::{Failure, plain};
 use clap::{Arg, ArgMatches, Command, value_parser};
-use segwild_bench::chart::{ChartBase, ChartOptions, ChartEvent, chart as measure_all, write};
+use segwild_bench::chart::{ChartBase, ChartEvent, ChartOptions, chart as measure_all, write};
 use segwild_bench::oracle::OracleOptions;
-use segwild_bench::point::{PointJob, PhotoSource, means, measure};
+use segwild_bench::point::{PhotoSource, PointJob, means, measure};
 use segwild_bench::record::Record;
 use segwild_bench::synthetic::SyntheticOptions;
 use segwild_bench::trial::ProviderKind;

@@ -11,7 +11,7 @@ use segwild_bench::page::PageError;
 use segwild_bench::point::PointError;
 use segwild_bench::protocols::folder::{Parts, read_parts};
 use segwild_bench::protocols::tables::{all, page};
-use segwild_bench::protocols::{ProtocolBase, FoundScenes, ProtocolError, Table, measure};
+use segwild_bench::protocols::{FoundScenes, ProtocolBase, ProtocolError, Table, measure};
 use segwild_bench::record::{Provenance, Record, Results};
 use segwild_bench::synthetic::LightVariation;
 use segwild_bench::trial::ProviderKind;
