@@ -13,13 +13,13 @@ struct Rules {
     // Of an item's first `split` numbers, and of the others.
     first: Rule,
     second: Rule,
-    // Where an item's gradients begin, and how far those of the next one are; numbers of an item that are parameters;
-    // `split`.
+    // Where an item's gradients start, and the distance to those of the next one; numbers of an item that are
+    // parameters; `split`.
     item: vec4u,
 }
 
-// x: numbers, y: numbers of an item, z: 1 if splats out of sight keep their own, w: bits of what is kept of a parameter that
-// follows the second rule.
+// x: numbers, y: numbers of an item, z: 1 if splats out of sight are not stepped, w: bits of the factor by which a
+// parameter of the second rule decays.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<uniform> rules: Rules;
 @group(0) @binding(2) var<storage, read> grads: array<f32>;
@@ -28,7 +28,7 @@ struct Rules {
 @group(0) @binding(5) var<storage, read_write> second: array<f32>;
 // Depth, radius, centre per splat.
 @group(0) @binding(6) var<storage, read> seen: array<vec4f>;
-// Of `emit`: nothing is learnt from a view for which there was no room.
+// Of `emit`: a view whose pairs exceed the capacity is skipped.
 @group(0) @binding(7) var<storage, read> found: array<u32>;
 
 const LARGEST: f32 = 3.4028235e38;

@@ -1,8 +1,8 @@
-// Adds what the small networks make of the splats of a piece to their colours (twin: `tint` in
-// raster/src/look/gsw/points.rs). One thread per splat.
+// Adds the output of the small networks for a piece of splats to their colours (twin: `tint` in
+// raster/src/appearance/gsw/points.rs). One thread per splat.
 #import common
 
-// x: splats of a piece, y: first of the piece, z: where the colours made begin.
+// x: splats of a piece, y: first of the piece, z: where the networks' colours start.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<storage, read> splats: array<u32>;
 @group(0) @binding(2) var<storage, read> count: array<u32>;

@@ -1,8 +1,8 @@
-// Adds what their pairs say of drawn pixels to the gradients of the image, in which none is drawn twice (twin:
-// `Refining::judge` in raster/src/field/mod.rs). A thread per pixel and vec4 of channels.
+// Adds the compactness gradients of sampled pixels, none of which occurs twice, to those of the image (twin:
+// `Refining::compute_losses` in raster/src/field/mod.rs). A thread per pixel and vec4 of channels.
 #import common
 
-// x: first vec4 of the image's channels, y: channels, z: pixels drawn.
+// x: first vec4 of the image's channels, y: channels, z: pixels sampled.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<storage, read> pixels: array<u32>;
 @group(0) @binding(2) var<storage, read> pulls: array<f32>;

@@ -1,4 +1,4 @@
-// The way back through `area_average`, weighted: the gradients of a view's pixels (twin: `AreaAverage::transposed` in
+// The backward pass of `area_average`, weighted: the gradients of a view's pixels (twin: `AreaAverage::transposed` in
 // raster/src/field/area.rs). A thread per pixel and vec4 of channels.
 #import common
 #import cells

@@ -1,12 +1,13 @@
 // Sums over a splat's pixels that carry all geometric gradients, per splat and tile (twin: `Backward` in
-// cpu/kernels.rs, `Moments` in cpu/project.rs). A workgroup is a bucket, a thread an entry, and the pixels stream
-// through the threads as in `gather`. Front to back: what lies behind a splat is the whole minus what has been passed.
-// The gradients of the values are `gather` of the image's gradients; alpha is a channel of value 1.
+// raster/src/cpu/kernels.rs, `Moments` in raster/src/cpu/project.rs). A workgroup is a bucket, a thread an entry, and
+// the pixels stream through the threads as in `gather`. Front to back: the contribution of farther splats is the total
+// minus what has been passed. The gradients of the values are `gather` of the image's gradients; alpha is a channel of
+// value 1.
 #import common
 #import view
 #import footprint
 
-// x: vec4 per splat and per pixel, y: buckets there may be.
+// x: vec4 per splat and per pixel, y: upper bound on the buckets.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<uniform> view: View;
 @group(0) @binding(2) var<storage, read> footprints: array<vec4f>;
@@ -85,7 +86,7 @@ fn backward(
                     remaining[p] = rest;
                     // Held at ALPHA_MAX, alpha follows no parameter.
                     if hit.raw < ALPHA_MAX {
-                        // dL/d ln alpha = w d - alpha / (1 - alpha) behind.
+                        // dL/d ln alpha = w d - alpha / (1 - alpha) remaining.
                         let g = passed - alpha / (1.0 - alpha) * rest;
                         let gu = g * hit.u;
                         let gy = g * hit.dy;

@@ -1,4 +1,4 @@
-// How much of what would be taken for a transient the scene fails to show in each part of a photo (twin: `blame` in
+// Blame of each part of a photo: its mean residual relative to the limit for transients (twin: `blame` in
 // raster/src/compare/visible.rs). One thread per part.
 #import common
 #import loss_inputs

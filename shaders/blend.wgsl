@@ -1,10 +1,10 @@
-// Blends a tile's splats front to back (twin: `Blend` in cpu/kernels.rs over `walk` in cpu/tile.rs). A workgroup is a
+// Blends a tile's splats front to back (twin: `Blend` in raster/src/cpu/kernels.rs over `walk` in raster/src/cpu/tile.rs). A workgroup is a
 // tile, a thread a pixel; entries are read a bucket at a time.
 #import common
 #import view
 #import footprint
 
-// x: 1 if this run writes alpha and the light at the start of each bucket, which `gather` begins from.
+// x: 1 if this run writes alpha and the light at the start of each bucket, which `gather` starts from.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<uniform> view: View;
 @group(0) @binding(2) var<storage, read> footprints: array<vec4f>;

@@ -1,4 +1,4 @@
-// How many buckets each tile's entries fill.
+// Number of buckets that each tile's entries fill.
 #import common
 
 // x: tiles.

@@ -1,5 +1,5 @@
-// How a photo pulls the one colour behind its splats (twin: `ColourSums::of` in raster/src/compare/behind.rs). One thread
-// per pixel.
+// Sums by which a photo pulls the one background colour (twin: `ColourSums::of` in raster/src/compare/background.rs).
+// One thread per pixel.
 #import common
 #import loss_inputs
 #import sum

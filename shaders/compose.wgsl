@@ -1,11 +1,11 @@
-// A frame as its photo would show it, and how far it is from the photo (twin: `compose` in raster/src/compare/mod.rs). One
-// thread per pixel.
+// A frame over its background in the colours of its photo, and its residual (twin: `compose` in
+// raster/src/compare/mod.rs). One thread per pixel.
 #import common
 #import view
 #import loss_inputs
 #import background
 
-// x: pixels, y: 1 if some pixels are trusted.
+// x: pixels, y: 1 if there is a trust per pixel.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<uniform> view: View;
 @group(0) @binding(2) var<uniform> loss_inputs: LossInputs;
@@ -15,7 +15,7 @@
 @group(0) @binding(5) var<storage, read> trust: array<f32>;
 // In the photo's colours, and the mean absolute difference.
 @group(0) @binding(6) var<storage, read_write> shown: array<vec4f>;
-// That difference as far as nothing vouches for the pixel.
+// That difference times one minus the trust of the pixel.
 @group(0) @binding(7) var<storage, read_write> uncertain: array<f32>;
 
 @compute @workgroup_size(256)

@@ -1,7 +1,8 @@
-// A layer's product of weights and what its kernel sees, forward or back to its input (twins: `convolve` in nets/src/conv.rs,
-// `Mlp::forward` and `Mlp::backward` in nets/src/mlp.rs: a dense layer is a kernel of one tap over splats instead of pixels).
-// A group makes 32 planes of 128 columns; a thread four of these planes at four columns. What a thread has of its four is named
-// one by one: an array that a loop indexes is kept in memory by drivers that do not unroll the loop.
+// A layer's product of weights and unfolded input, forward or backward to its input (twins: `convolve` in
+// nn/src/conv.rs, `Mlp::forward` and `Mlp::backward` in nn/src/mlp.rs: a dense layer is a kernel of one tap over splats
+// instead of pixels). A group computes 32 planes of 128 columns; a thread four of these planes at four columns. The
+// values of a thread are named one by one: an array that a loop indexes is kept in memory by drivers that do not unroll
+// the loop.
 #import common
 #import layer
 
@@ -10,7 +11,7 @@
 @group(0) @binding(1) var<storage, read> layers: array<Layer>;
 @group(0) @binding(2) var<storage, read> weights: array<f32>;
 @group(0) @binding(3) var<storage, read_write> maps: array<f32>;
-// How many splats are in sight.
+// Number of splats in sight.
 @group(0) @binding(4) var<storage, read> in_sight: array<u32>;
 
 const DEPTH: u32 = 16u;
@@ -35,7 +36,7 @@ fn weight_at(layer: Layer, first: u32, plane: u32) -> f32 {
     return weights[first + plane * layer.by_output];
 }
 
-// The weights of four planes for what the tap `k` sees.
+// The weights of four planes for the tap `k`.
 fn weights_of(layer: Layer, k: u32, plane: u32) -> vec4f {
     let taps = layer.kernel * layer.kernel;
     let tap = select(k % taps, taps - 1u - k % taps, is_set(layer, TURNED));
@@ -59,7 +60,7 @@ fn map_at(layer: Layer, tap: Tap, pixel: vec2u, is_there: bool) -> f32 {
     return maps[position];
 }
 
-// What the tap `k` sees at four columns.
+// Inputs of the tap `k` at four columns.
 fn seen_by(layer: Layer, k: u32, at: Columns) -> vec4f {
     let tap = tap_of(layer, k);
     return vec4f(
@@ -77,7 +78,7 @@ fn put(layer: Layer, plane: u32, column: u32, pixel: vec2u, sum: f32, is_there: 
     var made = sum;
     let position = written(layer, plane, column, pixel);
     if layer.offsets != NOWHERE {
-        // The quarters of a plane have one.
+        // The quarters of a plane share an offset.
         made += weights[layer.offsets + select(plane, plane / 4u, is_set(layer, WRITE_QUARTERS))];
     }
     if is_set(layer, ADD) {

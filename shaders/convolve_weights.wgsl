@@ -1,6 +1,6 @@
-// Gradients of a layer's weights, of a slice of its columns (twins: `Conv::kernel_gradient` in nets/src/conv.rs and
-// `Mlp::backward` in nets/src/mlp.rs); the layer is that of the way forward. A group takes 32 planes and 128 of what each has
-// weights for, the offset last; a thread four of both. `sum_weights` adds slices up.
+// Gradients of a layer's weights, of a slice of its columns (twins: `Conv::kernel_gradient` in nn/src/conv.rs and
+// `Mlp::backward` in nn/src/mlp.rs); the layer is that of the forward pass. A group takes 32 planes and 128 weights of
+// each, the offset last; a thread four of both. `sum_weights` adds slices up.
 #import common
 #import layer
 
@@ -26,7 +26,7 @@ fn grad_at(layer: Layer, plane: u32, column: u32, pixel: vec2u) -> f32 {
     return grads[written(layer, plane, column, pixel)];
 }
 
-// What the weight `k` is multiplied with; the last is the offset.
+// Input of the weight `k`; the last is the offset.
 fn map_at(layer: Layer, k: u32, wide: u32, tap: Tap, pixel: vec2u) -> f32 {
     if k + 1u >= wide {
         return select(0.0, 1.0, k + 1u == wide);

@@ -2,7 +2,7 @@
 // itself (twin: `score` in raster/src/field/similarity.rs). A thread per row.
 #import common
 
-// x: rows, y: queries, z: vec4 of a query, w: where the part begins in it.
+// x: rows, y: queries, z: vec4 of a query, w: where the part starts in it.
 @group(0) @binding(0) var<uniform> job: vec4u;
 // BLOCKS vec4 per row.
 @group(0) @binding(1) var<storage, read> values: array<vec4f>;

@@ -5,16 +5,16 @@
 
 alias Summed = f32;
 
-// x: where what is compared begins in the maps, y: numbers, z: cells of a plane, w: bits of what each number's share is.
+// x: where the rendered planes start in the maps, y: numbers, z: cells of a plane, w: bits of the weight of a number.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<storage, read> maps: array<f32>;
 // Plane after plane.
 @group(0) @binding(2) var<storage, read> wanted: array<f32>;
-// How far each cell is to be trusted.
+// Validity of each cell.
 @group(0) @binding(3) var<storage, read> trust: array<f32>;
 // Laid out as the maps.
 @group(0) @binding(4) var<storage, read_write> grads: array<f32>;
-// What each group leaves.
+// Partial sum of each group.
 @group(0) @binding(5) var<storage, read_write> parts: array<f32>;
 
 @compute @workgroup_size(256)

@@ -1,12 +1,12 @@
-// Deals the splats to tiles, nearest first: pairs of a splat and a tile (twin: `Bins::fill` in cpu/bin.rs). A splat's
-// pairs lie one behind the other: they are its slots. There is room for so many pairs, which is filled up; where it does
-// not do, that is noted and what was made of the view means nothing.
+// Deals the splats to tiles, nearest first: pairs of a splat and a tile (twin: `Bins::fill` in raster/src/cpu/bin.rs).
+// A splat's pairs are consecutive: they are its slots. The buffers have a capacity, and unused pairs are filled up;
+// where the capacity is too small, that is noted and the results of the view are invalid.
 #import common
 #import view
 #import footprint
 #import cover
 
-// x: splats, y: tiles, z: room for pairs.
+// x: splats, y: tiles, z: capacity for pairs.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<uniform> view: View;
 @group(0) @binding(2) var<storage, read> sorted: array<u32>;
@@ -17,7 +17,7 @@
 @group(0) @binding(6) var<storage, read_write> tiles: array<u32>;
 @group(0) @binding(7) var<storage, read_write> pairs: array<u32>;
 @group(0) @binding(8) var<storage, read_write> owners: array<u32>;
-// How many pairs there are, and 1 if there is room for them.
+// Number of pairs, and 1 if the capacity suffices.
 @group(0) @binding(9) var<storage, read_write> found: array<u32>;
 
 @compute @workgroup_size(256)
@@ -33,7 +33,7 @@ fn emit(
         found[1] = u32(pairs_found <= job.z);
     }
     if k >= pairs_found && k < job.z {
-        // Behind all tiles.
+        // After all tiles.
         tiles[k] = job.y;
         pairs[k] = k;
         owners[k] = 0u;
@@ -60,8 +60,8 @@ fn emit(
             slot += 1u;
         }
     }
-    // A compiler may round the same formula otherwise here than in `project`. What was promised and not found is put
-    // behind all tiles, where nobody reads it.
+    // A compiler may round the same formula otherwise here than in `project`. A pair that was counted and not found is
+    // put after all tiles, where no kernel reads it.
     for (; slot < end; slot += 1u) {
         tiles[slot] = job.y;
         pairs[slot] = slot;

@@ -1,5 +1,6 @@
-// What `backward` begins from at each bucket: the light, and the gradient times what has been passed, per pixel; and
-// the gradient times the whole. The same walk as `blend`, with the dot product of values and gradients as the value.
+// The state from which `backward` starts at each bucket: the light, and the gradient times what has been passed, per
+// pixel; and the gradient times the total. The same walk as `blend`, with the dot product of values and gradients as
+// the value.
 #import common
 #import view
 #import footprint

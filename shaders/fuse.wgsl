@@ -21,7 +21,7 @@ fn fuse(
     let first = i * (job.y + 1u);
     let squares = sums[first + job.y];
     let norm = 1.0 / sqrt(squares);
-    // What has no direction, or is no number, resembles nothing.
+    // A row of length 0, or with NaN, has similarity 0.
     if !finite(squares) || !(squares > 0.0) || !finite(norm) {
         fused[i] = 0.0;
         return;

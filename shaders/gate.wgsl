@@ -1,8 +1,8 @@
-// The way back through a ReLU: what did not get through has no gradient (twin: `Map::relu_backward` in nets/src/map.rs). One
+// The backward pass of a ReLU: values that it cut have no gradient (twin: `Map::relu_backward` in nn/src/map.rs). One
 // thread per number.
 #import common
 
-// x: where the map begins, y: numbers.
+// x: where the map starts, y: numbers.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<storage, read> maps: array<f32>;
 // Laid out as the maps.

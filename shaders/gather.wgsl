@@ -1,12 +1,12 @@
 // The transpose of `blend`: the sum of alpha T image over the pixels, per splat and tile (twin: `Gather` in
-// cpu/kernels.rs). A workgroup is a bucket, a thread an entry. The pixels of the tile stream through the threads:
-// thread k meets pixel p at step p + k, takes the light that is left and leaves less for thread k + 1. So every
-// thread adds up its own splat, in the order of pixels, and no two write the same number.
+// raster/src/cpu/kernels.rs). A workgroup is a bucket, a thread an entry. The pixels of the tile stream through the
+// threads: thread k processes pixel p at step p + k, and passes the remaining light to thread k + 1. So every thread
+// adds up its own splat, in the order of pixels, and no two write the same number.
 #import common
 #import view
 #import footprint
 
-// x: buckets there may be.
+// x: upper bound on the buckets.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<uniform> view: View;
 @group(0) @binding(2) var<storage, read> footprints: array<vec4f>;

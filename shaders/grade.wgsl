@@ -1,5 +1,6 @@
-// From the gradient of what is shown to those of the blended image, of its alpha and of the photo's matrix (twins:
-// `matrix_backward` in raster/src/look/affine.rs, `alpha_gradient` in raster/src/compare/mod.rs). One thread per pixel.
+// From the gradient of the shown colours to those of the blended image, of its alpha and of the photo's matrix (twins:
+// `matrix_backward` in raster/src/appearance/affine.rs, `alpha_gradient` in raster/src/compare/mod.rs). One thread per
+// pixel.
 #import common
 #import view
 #import loss_inputs

@@ -1,5 +1,5 @@
 // How often each digit occurs among the keys of a block: the first third of a pass of the radix sort (twin:
-// `sort_by_key` in cpu/bin.rs). A workgroup counts a block of 1024 keys.
+// `sort_by_key` in raster/src/cpu/bin.rs). A workgroup counts a block of 1024 keys.
 #import common
 
 // x: keys, y: lowest bit of the digit, z: blocks.

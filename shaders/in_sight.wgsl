@@ -1,4 +1,5 @@
-// Which splats are in sight (twin: `in_sight` in raster/src/look/gsw/points.rs): 1 for those that are, and 0 behind the last.
+// Which splats are in sight (twin: `in_sight` in raster/src/appearance/gsw/points.rs): 1 for those that are, and 0
+// after the last.
 #import common
 
 // x: splats.

@@ -1,4 +1,4 @@
-// A map from another, or from the sum of two (twins: `Map::add`, `Map::beside` and `Map::split` in nets/src/map.rs). One
+// A map from another, or from the sum of two (twins: `Map::add`, `Map::beside` and `Map::split` in nn/src/map.rs). One
 // thread per number.
 #import common
 #import layer

@@ -1,16 +1,16 @@
-// From which residual on a pixel is left out (twin: `limits` in raster/src/compare/robust.rs). One thread: it goes over the
-// bins a few times.
+// The residuals from which on a pixel is left out (twin: `limits` in raster/src/compare/robust.rs). One thread: it goes
+// over the bins a few times.
 #import common
 #import loss_inputs
 #import bins
 
-// x: 1 if the photo was seen before, y: where its residuals go.
+// x: 1 if the photo was visited before, y: where its residuals go.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<uniform> loss_inputs: LossInputs;
 @group(0) @binding(2) var<storage, read> counts: array<u32>;
 // Decaying shares of earlier visits.
 @group(0) @binding(3) var<storage, read> before: array<f32>;
-// The limit, that of what was suspected before, and that of this visit alone.
+// The limit, that of initial transients, and that of this visit alone.
 @group(0) @binding(4) var<storage, read_write> limits: array<f32>;
 // BINS shares with this visit's, and how many pixels counted.
 @group(0) @binding(5) var<storage, read_write> results: array<f32>;

@@ -1,12 +1,13 @@
-// Gradients of a photo's maps: of every pixel, those of the splats of a piece that read it (twin: `Spot::add` in
-// nets/src/sample.rs). Splats are sorted by the pixel up and to the left of where they read. One thread per map and pixel.
+// Gradients of a photo's maps: per pixel, the sum over the splats of a piece that read it (twin: `BilinearSample::add`
+// in nn/src/sample.rs). Splats are sorted by the pixel up and to the left of where they read. One thread per map and
+// pixel.
 #import common
 #import reader
 
 // y: first splat of the piece.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<uniform> reader: Reader;
-// Of `read_light`, sorted, and which of them each was.
+// Of `read_light`, sorted, and the original index of each.
 @group(0) @binding(2) var<storage, read> keys: array<u32>;
 @group(0) @binding(3) var<storage, read> items: array<u32>;
 @group(0) @binding(4) var<storage, read> points: array<f32>;

@@ -1,4 +1,4 @@
-// Normalises planes in groups (twin: `GroupNorm::forward` in nets/src/norm.rs). A workgroup per group of planes.
+// Normalises planes in groups (twin: `GroupNorm::forward` in nn/src/norm.rs). A workgroup per group of planes.
 #import common
 #import layer
 #import sum

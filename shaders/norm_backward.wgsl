@@ -1,11 +1,11 @@
-// The way back through `norm` (twin: `GroupNorm::backward` in nets/src/norm.rs). A workgroup per group of planes.
+// The backward pass of `norm` (twin: `GroupNorm::backward` in nn/src/norm.rs). A workgroup per group of planes.
 #import common
 #import layer
 #import sum
 
 alias Summed = vec2f;
 
-// x: layer, that of the way forward.
+// x: layer, that of the forward pass.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<storage, read> layers: array<Layer>;
 @group(0) @binding(2) var<storage, read> weights: array<f32>;

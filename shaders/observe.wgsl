@@ -1,4 +1,4 @@
-// What a step saw of every splat, added up until density control acts (twin: `Stats::observe` in
+// Adds statistics of a step per splat, until density control acts (twin: `Stats::observe` in
 // trainer/src/density/mod.rs). One thread per splat.
 #import common
 #import view
@@ -7,13 +7,13 @@
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<uniform> view: View;
 @group(0) @binding(2) var<storage, read> seen: array<vec4f>;
-// As `unproject` leaves them.
+// Output of `unproject`.
 @group(0) @binding(3) var<storage, read> grads: array<vec4f>;
 // Per pixel.
 @group(0) @binding(4) var<storage, read> error: array<f32>;
 // Screen gradient, error at the centre, steps that saw it, largest radius as a share of the frame's long side.
 @group(0) @binding(5) var<storage, read_write> sums: array<vec4f>;
-// Of `emit`: nothing is noted of a view for which there was no room.
+// Of `emit`: a view whose pairs exceed the capacity is skipped.
 @group(0) @binding(6) var<storage, read> found: array<u32>;
 
 @compute @workgroup_size(256)

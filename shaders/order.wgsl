@@ -1,4 +1,4 @@
-// Counts of tiles in the order of depths, and a 0 behind them, whose running sum is the number of pairs.
+// Counts of tiles in the order of depths, and a 0 after them, whose running sum is the number of pairs.
 #import common
 
 // x: splats.

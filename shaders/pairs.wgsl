@@ -1,4 +1,4 @@
-// From the cosines of pairs of drawn pixels to the compactness loss and its gradients (twin: `compactness` in
+// From the cosines of pairs of sampled pixels to the compactness loss and its gradients (twin: `compactness` in
 // raster/src/field/compact.rs). A workgroup per pixel, over the columns of a piece.
 #import common
 #import layer
@@ -7,7 +7,7 @@
 
 alias Summed = f32;
 
-// x: pixels, y: words of a set, z: layer that made the piece's cosines; the next is the way back.
+// x: pixels, y: words of a set, z: layer that computed the piece's cosines; the next is its backward pass.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<storage, read> layers: array<Layer>;
 @group(0) @binding(2) var<storage, read> groups_of: array<u32>;
@@ -16,7 +16,7 @@ alias Summed = f32;
 @group(0) @binding(4) var<storage, read> results: array<f32>;
 @group(0) @binding(5) var<storage, read> maps: array<f32>;
 @group(0) @binding(6) var<storage, read_write> grads: array<f32>;
-// What each pixel adds to the loss.
+// Loss of each pixel.
 @group(0) @binding(7) var<storage, read_write> losses: array<f32>;
 
 @compute @workgroup_size(256)

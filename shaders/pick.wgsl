@@ -1,12 +1,12 @@
-// The splats in sight one after the other, from running sums of `in_sight` (twin: `in_sight` in
-// raster/src/look/gsw/points.rs). One thread per splat.
+// Compacts the splats in sight, by running sums of `in_sight` (twin: `in_sight` in
+// raster/src/appearance/gsw/points.rs). One thread per splat.
 #import common
 
 // x: splats.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<storage, read> positions: array<u32>;
 @group(0) @binding(2) var<storage, read_write> splats: array<u32>;
-// How many they are.
+// Their number.
 @group(0) @binding(3) var<storage, read_write> count: array<u32>;
 
 @compute @workgroup_size(256)

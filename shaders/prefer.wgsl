@@ -1,5 +1,5 @@
-// Puts the weights that a photo's network gives in the place of the robust mask's, where they can be trusted beside them (twin:
-// `is_sane` in raster/src/compare/visible.rs). One thread per pixel.
+// Replaces the robust mask's weights by those of the visibility map, where these are plausible (twin: `is_sane` in
+// raster/src/compare/visible.rs). One thread per pixel.
 #import common
 #import loss_inputs
 #import sum
@@ -17,7 +17,7 @@ alias Summed = vec4f;
 @group(0) @binding(5) var<storage, read> shown: array<vec4f>;
 @group(0) @binding(6) var<storage, read_write> weights: array<f32>;
 @group(0) @binding(7) var<storage, read_write> counted: array<f32>;
-// As those of `weigh`.
+// As in `weigh`.
 @group(0) @binding(8) var<storage, read_write> parts: array<vec4f>;
 
 @compute @workgroup_size(256)

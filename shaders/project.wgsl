@@ -1,4 +1,4 @@
-// From splats to footprints on the image (twin: `Projector::shape` in cpu/project.rs). One thread per splat.
+// From splats to footprints on the image (twin: `Projector::shape` in raster/src/cpu/project.rs). One thread per splat.
 #import common
 #import view
 #import footprint
@@ -17,7 +17,7 @@
 @group(0) @binding(6) var<storage, read_write> seen: array<vec4f>;
 // Tiles the splat touches; 0 for a culled one.
 @group(0) @binding(7) var<storage, read_write> counts: array<u32>;
-// What it is sorted by: the bits of its depth, whose order is the depths' own as they are positive.
+// Sort key: the bits of its depth, which have the order of the depths since these are positive.
 @group(0) @binding(8) var<storage, read_write> keys: array<u32>;
 @group(0) @binding(9) var<storage, read_write> order: array<u32>;
 
@@ -50,7 +50,7 @@ fn project(
     let lo = log2(opacity);
     let a = HALF_LOG2_E * (p.syy / p.det);
     let e = HALF_LOG2_E / p.syy;
-    // Twice the natural logarithm of how far the peak stands above the threshold: the largest q drawn.
+    // Twice the natural logarithm of how far the peak stands above the threshold: the largest q blended.
     let q = max((lo - LOG2_ALPHA_MIN) / HALF_LOG2_E, 0.0);
     let reach_x = sqrt(q * p.sxx) + SLACK;
     let reach_y = sqrt(q * p.syy) + SLACK;

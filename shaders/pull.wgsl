@@ -1,17 +1,17 @@
-// What the pairs of a piece say of its pixels' features, from what they say of their units (twin: `compactness` in
-// raster/src/field/compact.rs). A thread per pixel of the piece.
+// Gradients of a piece's features from those of its unit features (twin: `compactness` in raster/src/field/compact.rs).
+// A thread per pixel of the piece.
 #import common
 #import layer
 
-// x: pixels, y: channels, z: layer that made the piece's cosines; the next is the way back.
+// x: pixels, y: channels, z: layer that computed the piece's cosines; the next is its backward pass.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<storage, read> layers: array<Layer>;
 // Of `units`.
 @group(0) @binding(2) var<storage, read> features: array<f32>;
 @group(0) @binding(3) var<storage, read> lengths: array<f32>;
-// Gradients of the piece's units, plane by plane.
+// Gradients of the piece's unit features, plane by plane.
 @group(0) @binding(4) var<storage, read> grads: array<f32>;
-// Of all pixels' features, plane by plane.
+// Gradients of all pixels' features, plane by plane.
 @group(0) @binding(5) var<storage, read_write> pulls: array<f32>;
 
 @compute @workgroup_size(256)

@@ -1,4 +1,4 @@
-// Where each tile's pairs begin and end, once they are sorted by tile.
+// Where each tile's pairs start and end, once they are sorted by tile.
 #import common
 
 // x: pairs, y: tiles.

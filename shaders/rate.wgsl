@@ -1,5 +1,5 @@
-// How fast the device multiplies and adds: eight chains per thread that do not wait for one another. What the others'
-// counted operations are held against.
+// Measures the rate of multiply-adds: eight independent chains per thread. The floors of other kernels' operations use
+// it.
 #import common
 
 // x: threads, y: turns; each is 8 multiply-adds, 16 operations.

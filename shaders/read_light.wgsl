@@ -1,6 +1,6 @@
-// What the small networks are given of the splats of a piece: the light that they read in a photo, what they are made of, where
-// they are and whence they are looked at (twins: `run`, `encode` and `direction` in raster/src/look/gsw/points.rs). One thread
-// per splat.
+// Inputs of the small networks for a piece of splats: dynamic features sampled from the photo's maps, intrinsic
+// features, encoded positions and viewing directions (twins: `run`, `encode` and `direction` in
+// raster/src/appearance/gsw/points.rs). One thread per splat.
 #import common
 #import reader
 
@@ -18,7 +18,7 @@
 @group(0) @binding(7) var<storage, read_write> points: array<f32>;
 // `[map][splat of the piece]`: the map and the pixel that is read there.
 @group(0) @binding(8) var<storage, read_write> keys: array<u32>;
-// The number of each of these.
+// The index of each of these.
 @group(0) @binding(9) var<storage, read_write> items: array<u32>;
 
 fn put(plane: u32, first: u32, k: u32, value: f32) {
@@ -56,7 +56,7 @@ fn read_light(
         for (var m = 0u; m <= MAPS; m += 1u) {
             var spot = spot_of(reader, mean);
             if m < MAPS {
-                let at = i * CODE + INTRINSIC + 2u * m;
+                let at = i * EMBEDDING_SIZE + INTRINSIC + 2u * m;
                 spot = spot_at(reader, vec2f(splat_embeddings[at], splat_embeddings[at + 1u]) * COORDINATE);
             }
             if !spot.there {
@@ -78,7 +78,7 @@ fn read_light(
         }
     }
     for (var c = 0u; c < INTRINSIC; c += 1u) {
-        let made_of = splat_embeddings[i * CODE + c];
+        let made_of = splat_embeddings[i * EMBEDDING_SIZE + c];
         put(DYNAMIC + c, reader.capacity.y, k, made_of);
         put(reader.more.y + c, reader.capacity.z, k, made_of);
     }

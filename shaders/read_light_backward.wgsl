@@ -1,5 +1,6 @@
-// From the gradients of what the small networks were given to those of the splats' codes, and of the light that they read,
-// which stays where it is for `map_sums` (twin: `piece_backward` in raster/src/look/gsw/points.rs). One thread per splat.
+// From the gradients of the small networks' inputs to those of the splats' embeddings. The gradients of the samples
+// stay where they are, for `map_sums` (twin: `piece_backward` in raster/src/appearance/gsw/points.rs). One thread per
+// splat.
 #import common
 #import reader
 
@@ -29,16 +30,16 @@ fn read_light_backward(
     for (var c = 0u; c < INTRINSIC; c += 1u) {
         let to_light = point_grads[reader.capacity.y + (DYNAMIC + c) * capacity + k];
         let to_vector = point_grads[reader.capacity.z + (reader.more.y + c) * capacity + k];
-        embedding_grads[i * CODE + c] = to_vector + to_light;
+        embedding_grads[i * EMBEDDING_SIZE + c] = to_vector + to_light;
     }
     let pixels = reader.map.x * reader.map.y;
     for (var m = 0u; m <= MAPS; m += 1u) {
         var at = vec2f(0.0);
         var grad = vec2f(0.0);
         if reader.map.w == 1u {
-            let code = i * CODE + INTRINSIC + 2u * m;
+            let embedding = i * EMBEDDING_SIZE + INTRINSIC + 2u * m;
             if m < MAPS {
-                at = vec2f(splat_embeddings[code], splat_embeddings[code + 1u]) * COORDINATE;
+                at = vec2f(splat_embeddings[embedding], splat_embeddings[embedding + 1u]) * COORDINATE;
             }
             let spot = spot_at(reader, at);
             let first = spot.pixel.y * reader.map.x + spot.pixel.x;
@@ -59,8 +60,8 @@ fn read_light_backward(
             grad += select(vec2f(0.0), reader.frame.w * sign(at), abs(at) > vec2f(1.0));
         }
         if m < MAPS {
-            embedding_grads[i * CODE + INTRINSIC + 2u * m] = COORDINATE * grad.x;
-            embedding_grads[i * CODE + INTRINSIC + 2u * m + 1u] = COORDINATE * grad.y;
+            embedding_grads[i * EMBEDDING_SIZE + INTRINSIC + 2u * m] = COORDINATE * grad.x;
+            embedding_grads[i * EMBEDDING_SIZE + INTRINSIC + 2u * m + 1u] = COORDINATE * grad.y;
         }
     }
 }

@@ -1,4 +1,4 @@
-// Adds what a view says of rows to their sums, of those that it sees and of which all is a number (twin: `Lifting::add` in
+// Adds the sums of a view to those of the rows that it sees and whose numbers are all finite (twin: `Lifting::add` in
 // raster/src/field/lifting.rs). One thread per row.
 #import common
 

@@ -1,5 +1,5 @@
-// What a part of the gradients of rows says of each row: whether anything is learnt of it, and whether something is no number
-// (twin: `RowAdam::step` in raster/src/field/rows.rs). One thread per row.
+// Flags per row, from a part of its gradients: whether it has a gradient, and whether one is not finite (twin:
+// `RowAdam::step` in raster/src/field/rows.rs). One thread per row.
 #import common
 
 // x: rows, y: vec4 of a row's part.

@@ -1,9 +1,9 @@
-// One step of the optimiser of rows that something is learnt of, by a part of their gradients (twin: `RowAdam::step` in
+// One step of the optimiser for rows with a gradient, by a part of their gradients (twin: `RowAdam::step` in
 // raster/src/field/rows.rs). One thread per row.
 #import common
 
-// x: rows, y: vec4 of a row's part of the gradients, z: those of its part of the values (in the lower half) and where the
-// gradients' first lies there, w: bits of the rate; the sign bit says that it is the first part.
+// x: rows, y: vec4 of a row's part of the gradients, z: those of its part of the values (in the lower half) and where
+// the gradients' first lies there, w: bits of the rate; the sign bit marks the first part.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<storage, read> grads: array<vec4f>;
 // Of `row_state`, of all parts.

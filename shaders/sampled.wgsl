@@ -1,8 +1,8 @@
-// The features of drawn pixels, plane by plane (twin: `Refining::judge` in raster/src/field/mod.rs). A thread per pixel and
-// vec4 of channels.
+// The features of sampled pixels, plane by plane (twin: `Refining::compute_losses` in raster/src/field/mod.rs). A
+// thread per pixel and vec4 of channels.
 #import common
 
-// x: first vec4 of the image's channels, y: channels, z: pixels drawn.
+// x: first vec4 of the image's channels, y: channels, z: pixels sampled.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<storage, read> pixels: array<u32>;
 // BLOCKS vec4 per pixel.

@@ -1,5 +1,5 @@
 // Running sums inside blocks of 1024 numbers, each without the number itself, and the sum of every block. A sum that
-// does not fit stays at the largest number, so that the host sees it. A thread holds four numbers, one behind the other.
+// overflows stays at the largest number, so that the host sees it. A thread holds four consecutive numbers.
 #import common
 #import running
 

@@ -1,5 +1,5 @@
-// Moves keys and items to where their digit puts them, keeping the order of equal digits: the last third of a pass of
-// the radix sort. The thread of place p holds the four keys from 4p on of its block.
+// Moves keys and items to the position of their digit, keeping the order of equal digits: the last third of a pass of
+// the radix sort. The thread of position p holds the four keys from 4p on of its block.
 #import common
 #import running
 

@@ -1,19 +1,19 @@
-// Weights of a photo's pixels by what its network takes for the scene, and how much that leaves out beside what the robust mask
-// does (twins: `weights` and `is_sane` in raster/src/compare/visible.rs). One thread per pixel.
+// Weights of a photo's pixels by its visibility map, and how much the map and the robust mask leave out (twins:
+// `weights` and `is_sane` in raster/src/compare/visible.rs). One thread per pixel.
 #import common
 #import loss_inputs
 #import sum
 
 alias Summed = vec4f;
 
-// x: the photo's width and height, y: the map's, 16 bits each, z: where the map begins.
+// x: the photo's width and height, y: the map's, 16 bits each, z: where the map starts.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<storage, read> photo: array<u32>;
 @group(0) @binding(2) var<storage, read> maps: array<f32>;
 // Of `weigh`.
 @group(0) @binding(3) var<storage, read> weights: array<f32>;
 @group(0) @binding(4) var<storage, read_write> seen: array<f32>;
-// Per group: pixels that count, what the map leaves out of them, and what the mask does.
+// Per group: pixels that count, the weight that the map leaves out, and that of the mask.
 @group(0) @binding(5) var<storage, read_write> parts: array<vec4f>;
 
 fn map_at(x: u32, y: u32, width: u32) -> f32 {
@@ -40,7 +40,7 @@ fn see(
         let share = at - vec2f(low);
         let upper = mix(map_at(low.x, low.y, map.x), map_at(high.x, low.y, map.x), share.x);
         let lower = mix(map_at(low.x, high.y, map.x), map_at(high.x, high.y, map.x), share.x);
-        let weight = clamp((mix(upper, lower, share.y) - HIDDEN_LAYER) / (SURE - HIDDEN_LAYER), 0.0, 1.0);
+        let weight = clamp((mix(upper, lower, share.y) - OCCLUDED) / (SURE - OCCLUDED), 0.0, 1.0);
         seen[i] = weight;
         if has(photo[i], COUNTS) {
             mine = vec4f(1.0, 1.0 - weight, 1.0 - weights[i], 0.0);

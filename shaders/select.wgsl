@@ -1,11 +1,11 @@
-// What is known of splats after density control, from what was known before (twins: `Adam::select` and `Adam::forget` in
-// raster/src/adam.rs). One thread per number; numbers come in items of a few, one item per splat.
+// Numbers of the splats after density control, selected from those of their parents (twins: `Adam::select` and
+// `Adam::forget` in raster/src/adam.rs). One thread per number; numbers come in items of a few, one item per splat.
 #import common
 
-// x: numbers, y: numbers of an item, z: 1 if nothing is known of splats that are forgotten, w: how many of an item's numbers
-// are known of any.
+// x: numbers, y: numbers of an item, z: 1 if items of forgotten splats become 0, w: how many of an item's numbers are
+// kept.
 @group(0) @binding(0) var<uniform> job: vec4u;
-// Per splat, the one before that it comes from, and 1 if it is forgotten.
+// Per splat, its parent, and 1 if it is forgotten.
 @group(0) @binding(1) var<storage, read> parents: array<vec2u>;
 @group(0) @binding(2) var<storage, read> before: array<f32>;
 @group(0) @binding(3) var<storage, read_write> after: array<f32>;

@@ -1,5 +1,5 @@
-// What a photo's sky, and whatever else no splat covers, says of what stands behind (twin: `SkySums::of_photo` in
-// raster/src/compare/behind.rs). One thread per pixel of a coarse grid, then one per sum over those of the group.
+// Sums for the sky over a photo's sky and whatever else no splat covers (twin: `SkySums::of_photo` in
+// raster/src/compare/background.rs). One thread per pixel of a coarse grid, then one per sum over those of the group.
 #import common
 #import view
 #import loss_inputs
@@ -60,7 +60,7 @@ fn sky_sums(
     var a = 0u;
     var b = 0u;
     if local < PRODUCTS {
-        // Row a of the lower half begins at a (a + 1) / 2.
+        // Row a of the lower half starts at a (a + 1) / 2.
         while (a + 1u) * (a + 2u) / 2u <= local {
             a += 1u;
         }

@@ -1,5 +1,5 @@
-// Gradient of the loss by one channel of what is shown, from SSIM's derivatives and the absolute difference (twin: `Back`
-// in raster/src/loss.rs). A group per tile.
+// Gradient of the loss by one channel of the shown colours, from SSIM's derivatives and the absolute difference (twin:
+// `GradientPass` in raster/src/loss.rs). A group per tile.
 #import common
 #import view
 #import loss_inputs
@@ -21,7 +21,7 @@ alias Summed = f32;
 // Sum of the absolute differences per channel and tile.
 @group(0) @binding(8) var<storage, read_write> parts: array<f32>;
 
-// Three numbers each, plane by plane: vec3f would take the room of four.
+// Three numbers each, plane by plane: vec3f would take the space of four.
 var<workgroup> near: array<f32, 3 * WIDE * WIDE>;
 var<workgroup> along: array<f32, 3 * WIDE * TILE>;
 

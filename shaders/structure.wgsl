@@ -22,7 +22,7 @@ alias Summed = f32;
 const C1: f32 = 0.0001;
 const C2: f32 = 0.0009;
 
-// The two pictures around the tile.
+// The two images around the tile.
 var<workgroup> pair: array<vec2f, WIDE * WIDE>;
 // Means, sum of squares and product, averaged along rows.
 var<workgroup> along: array<vec4f, WIDE * TILE>;

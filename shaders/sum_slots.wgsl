@@ -1,4 +1,4 @@
-// Sum of each splat's slots, in the order of tiles (twin: `sum_slots` in cpu/kernels.rs). One thread per vec4.
+// Sum of each splat's slots, in the order of tiles (twin: `sum_slots` in raster/src/cpu/kernels.rs). One thread per vec4.
 #import common
 
 // x: splats, y: vec4 per slot.

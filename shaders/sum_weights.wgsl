@@ -1,5 +1,5 @@
-// Adds what slices of columns say of a layer's weights to their gradients (twin: `Conv::kernel_gradient` in
-// nets/src/conv.rs). One thread per weight.
+// Adds the partial sums of slices to the gradients of a layer's weights (twin: `Conv::kernel_gradient` in
+// nn/src/conv.rs). One thread per weight.
 #import common
 #import layer
 

@@ -1,8 +1,8 @@
-// The gradients of the colours of a piece's splats, plane by plane: where the way back through the small networks begins
-// (twin: `piece_backward` in raster/src/look/gsw/points.rs). One thread per splat.
+// The gradients of the colours of a piece's splats, plane by plane: the backward pass of the small networks starts from
+// them (twin: `piece_backward` in raster/src/appearance/gsw/points.rs). One thread per splat.
 #import common
 
-// x: splats of a piece, y: first of the piece, z: where the colours made begin.
+// x: splats of a piece, y: first of the piece, z: where the networks' colours start.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<storage, read> splats: array<u32>;
 @group(0) @binding(2) var<storage, read> count: array<u32>;

@@ -1,4 +1,4 @@
-// How many pixels have which residual (twin: `leave_out` in raster/src/compare/robust.rs). One thread per pixel.
+// Histogram of the residuals (twin: `leave_out` in raster/src/compare/robust.rs). One thread per pixel.
 #import common
 #import loss_inputs
 #import bins
@@ -30,7 +30,7 @@ fn tally(
     if local < BINS {
         let found = atomicLoad(&here[local]);
         if found > 0u {
-            // Whole numbers: their sum does not depend on who comes first.
+            // Whole numbers: their sum does not depend on the order.
             atomicAdd(&counts[local], found);
         }
     }

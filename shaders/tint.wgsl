@@ -1,8 +1,8 @@
-// Colours of the splats in a photo's light (twin: `EmbedAppearance::tint` in raster/src/look/embed.rs). One thread per splat.
+// Colours of the splats in a photo's light (twin: `EmbedAppearance::tint` in raster/src/appearance/embed.rs). One thread per splat.
 #import common
 #import light
 
-// x: splats, y: vec4 of a code, z: where those of this look begin.
+// x: splats, y: vec4 of an embedding, z: where those of this appearance model start.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<uniform> photo: Photo;
 // Red, green, blue, and 1.

@@ -1,13 +1,13 @@
-// From the gradients of the tinted colours to those of the splats' own, of their codes, and of what is the photo's (twin:
-// `EmbedAppearance::tint_backward` in raster/src/look/embed.rs). One thread per splat; each group leaves the sums over its own
-// splats, which `total` adds up.
+// From the gradients of the tinted colours to those of the splats' own, of their embeddings, and of the photo's
+// parameters (twin: `EmbedAppearance::tint_backward` in raster/src/appearance/embed.rs). One thread per splat; each
+// group writes the sums over its own splats, which `total` adds up.
 #import common
 #import light
 #import sum
 
 alias Summed = vec4f;
 
-// x: splats, y: vec4 of a code, z: where those of this look begin.
+// x: splats, y: vec4 of an embedding, z: where those of this appearance model start.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<uniform> photo: Photo;
 @group(0) @binding(2) var<storage, read> colours: array<vec4f>;
@@ -29,15 +29,15 @@ fn tint_backward(
     let there = i < job.x;
     var g = vec3f(0.0);
     var own = vec4f(0.0);
-    let code = job.y * i + job.z;
+    let embedding = job.y * i + job.z;
     if there {
         g = grads[i].xyz;
         own = vec4f(colours[i].xyz, 1.0);
         var back = vec3f(0.0);
         for (var c = 0u; c < 3u; c += 1u) {
             back += g[c] * photo.matrix[c].xyz;
-            embedding_grads[code + 2u * c] = g[c] * photo.vector[2u * c];
-            embedding_grads[code + 2u * c + 1u] = g[c] * photo.vector[2u * c + 1u];
+            embedding_grads[embedding + 2u * c] = g[c] * photo.vector[2u * c];
+            embedding_grads[embedding + 2u * c + 1u] = g[c] * photo.vector[2u * c + 1u];
         }
         grads[i] = vec4f(back, grads[i].w);
     }
@@ -47,7 +47,7 @@ fn tint_backward(
             if k < 3u {
                 mine = g[k] * own;
             } else {
-                mine = g[(k - 3u) / 2u] * splat_embeddings[code + k - 3u];
+                mine = g[(k - 3u) / 2u] * splat_embeddings[embedding + k - 3u];
             }
         }
         let sum = sum_of_group(local, mine);

@@ -1,4 +1,4 @@
-// Sums over groups of what each left. A group per sum.
+// Sums over the partial sums of groups. A group per sum.
 #import common
 #import sum
 

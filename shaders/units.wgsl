@@ -1,14 +1,14 @@
-// Features of drawn pixels, each divided by its length; 0 for those that take no part, which no mask holds or which have no
-// direction (twin: `compactness` in raster/src/field/compact.rs). A thread per pixel.
+// Unit features of sampled pixels; 0 for those that take no part: in no mask, or of length 0 (twin: `compactness` in
+// raster/src/field/compact.rs). A thread per pixel.
 #import common
 
 // x: pixels, y: channels.
 @group(0) @binding(0) var<uniform> job: vec4u;
 // The set of masks that hold each, or NO_MASK.
 @group(0) @binding(1) var<storage, read> groups_of: array<u32>;
-// Plane after plane: features, which become units.
+// Plane after plane: features, which become unit features.
 @group(0) @binding(2) var<storage, read_write> features: array<f32>;
-// The same once more, at the first of the maps that they are multiplied in.
+// A copy, at the first of the maps of the product.
 @group(0) @binding(3) var<storage, read_write> maps: array<f32>;
 // 0 for those that take no part.
 @group(0) @binding(4) var<storage, read_write> lengths: array<f32>;

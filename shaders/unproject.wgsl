@@ -1,4 +1,4 @@
-// From the sums over pixels to the gradients of the parameters (twin: `Projector::backward` in cpu/project.rs, fed by
+// From the sums over pixels to the gradients of the parameters (twin: `Projector::backward` in raster/src/cpu/project.rs, fed by
 // `sum_slots`). One thread per splat.
 #import common
 #import view

@@ -1,10 +1,10 @@
-// Gradient of the visibility head's plane (twin: `visibility_gradient` in raster/src/look/gsw/mod.rs). One workgroup.
+// Gradient of the visibility head's plane (twin: `visibility_gradient` in raster/src/appearance/gsw/mod.rs). One workgroup.
 #import common
 #import sum
 
 alias Summed = f32;
 
-// x: parts of the photo, y: where the plane begins, z: 1 if anything is blamed.
+// x: parts of the photo, y: where the plane starts, z: 1 if there are blames.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<storage, read> blames: array<f32>;
 @group(0) @binding(2) var<storage, read> maps: array<f32>;

@@ -1,5 +1,6 @@
-// Which pixels count, once those that stand out are left out where most of their neighbours do (twins: `leave_out` in
-// raster/src/compare/robust.rs, `pixel_weights` and `weighted_psnr` in raster/src/compare/mod.rs). One thread per pixel.
+// Weights of the pixels: outliers are left out where most of their neighbours are outliers (twins: `leave_out` in
+// raster/src/compare/robust.rs, `pixel_weights` and `weighted_psnr` in raster/src/compare/mod.rs). One thread per
+// pixel.
 #import common
 #import loss_inputs
 #import bins
@@ -18,7 +19,7 @@ alias Summed = vec4f;
 @group(0) @binding(6) var<storage, read_write> weights: array<f32>;
 // The residual where it counts.
 @group(0) @binding(7) var<storage, read_write> counted: array<f32>;
-// Per group: pixels that count, what is left of them, and the squares of what they lack.
+// Per group: pixels that count, the weight left of them, and their squared errors.
 @group(0) @binding(8) var<storage, read_write> parts: array<vec4f>;
 
 fn stands_out(i: u32) -> u32 {
@@ -27,7 +28,7 @@ fn stands_out(i: u32) -> u32 {
     return u32(has(pixel, COUNTS) && bin_top(bin_of(smoothed[i])) > limit);
 }
 
-// Whether most of the pixels around one stand out; at the border of those that there are.
+// Whether most of the pixels around one are outliers; at the border, of those inside the frame.
 fn voted_out(i: u32) -> bool {
     let x = i % job.x;
     let y = i / job.x;

@@ -1,6 +1,6 @@
 // Bins of residuals (twins: `bin` and `bin_top` in raster/src/compare/robust.rs).
 fn bin_of(residual: f32) -> u32 {
-    // One that is not a number falls in the last bin.
+    // NaN falls in the last bin.
     if !finite(residual) {
         return BINS - 1u;
     }

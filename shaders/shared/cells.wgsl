@@ -1,9 +1,9 @@
-// Which pixels a cell of the embedding's grid averages (`AreaAverage` in raster/src/field/area.rs), as the host lays it out in
-// services/gpu/src/field/asked.rs: width and height of the view, then of the grid; where the columns' windows begin, the rows',
-// what each column of pixels is part of, each row; windows (first pixel, pixels, where their weights begin), parts (first cell,
-// cells), and the bits of the weights.
+// Which pixels a cell of the embedding's grid averages (`AreaAverage` in raster/src/field/area.rs), as the host lays it
+// out in services/gpu/src/field/feature_target.rs: width and height of the view, then of the grid; where the columns'
+// windows start, the rows', the parts of each column of pixels, of each row; windows (first pixel, pixels, where their
+// weights start), parts (first cell, cells), and the bits of the weights.
 
-// A window along one axis, the `at`th of those that begin at `windows`.
+// A window along one axis, the `at`th of those that start at `windows`.
 struct Window {
     start: u32,
     count: u32,

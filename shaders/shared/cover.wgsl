@@ -1,4 +1,4 @@
-// Which tiles hold a pixel centre of the ellipse where alpha reaches 1/255 (twin: `cover` in cpu/bin.rs).
+// Which tiles hold a pixel centre of the ellipse where alpha reaches 1/255 (twin: `cover` in raster/src/cpu/bin.rs).
 
 // dy of the ellipse's rightmost point.
 fn tip_of(f: Footprint) -> f32 {

@@ -1,5 +1,5 @@
-// What a splat looks like on the image (twin: `Footprint` in cpu/project.rs):
-// log2 alpha = lo - a u² - e dy², with u = dx - slope dy. Stored as two vec4.
+// A splat projected on the image (twin: `SplatFootprint` in raster/src/cpu/project.rs): log2 alpha = lo - a u² - e dy²,
+// with u = dx - slope dy. Stored as two vec4.
 struct Footprint {
     x: f32,
     y: f32,

@@ -1,7 +1,8 @@
-// A layer of a network on its way forward or back, as the host lays it out (`Layer` in services/gpu/src/nets/plan.rs). Maps
-// lie plane after plane; of splats, each plane has room for a piece of them. The flags are the host's own.
+// A layer of a network, forward or backward, as the host lays it out (`LayerUniform` in
+// services/gpu/src/nets/layer.rs). Maps lie plane after plane; a plane of splats has the capacity of a piece. The flags
+// are the host's own.
 struct Layer {
-    // Where what it reads and what it writes begins.
+    // Where its input and its output start.
     reads: u32,
     writes: u32,
     // Its weights, and its offsets or NOWHERE.
@@ -13,7 +14,7 @@ struct Layer {
     // Side of the kernel, and how far it reaches up and to the left.
     kernel: u32,
     border: u32,
-    // Of what it reads and writes; of quarters, those of what they are quarters of.
+    // Of input and output; of quarters, those of the whole plane.
     in_width: u32,
     in_height: u32,
     out_width: u32,
@@ -35,13 +36,13 @@ fn is_set(layer: Layer, flag: u32) -> bool {
     return (layer.flags & flag) != 0u;
 }
 
-// Columns that there are: pixels, or splats of the piece that begins with the splat `first` of those in sight.
+// Number of columns: pixels, or splats of the piece that starts with the splat `first` of those in sight.
 fn columns_of(layer: Layer, first: u32, in_sight: u32) -> u32 {
     let capacity = layer.out_width * layer.out_height;
     return select(capacity, min(capacity, in_sight - min(in_sight, first)), is_set(layer, COUNTED));
 }
 
-// The pixel of a column of what the layer writes.
+// The output pixel of a column.
 fn pixel_of(layer: Layer, column: u32) -> vec2u {
     return vec2u(column % layer.out_width, column / layer.out_width);
 }
@@ -78,14 +79,14 @@ fn tap_of(layer: Layer, weight: u32) -> Tap {
     return Tap(weight / taps, vec2u(tap % layer.kernel, tap / layer.kernel));
 }
 
-// Where the number lies that a tap sees at a pixel of what is written; NOWHERE beyond the border, and between pixels.
+// Position of the input of a tap at an output pixel; NOWHERE beyond the border, and between pixels.
 fn tapped(layer: Layer, tap: Tap, pixel: vec2u) -> u32 {
     if is_set(layer, READ_QUARTERS) {
         return layer.reads + quarter(tap.input, pixel, layer.in_width, layer.in_height);
     }
-    // What lies before the first pixel is huge, and so beyond the last.
+    // A coordinate below 0 wraps to a huge one, and so is beyond the last.
     var seen = pixel * layer.step + tap.by - layer.border;
-    // Dividing is slow, and most layers have nothing between pixels.
+    // Dividing is slow, and most layers have no fractional stride.
     if layer.gap > 1u {
         if any(seen % layer.gap != vec2u(0u)) {
             return NOWHERE;

@@ -1,5 +1,5 @@
-// How much a splat's values lean on a pixel's gradients: their dot product. With BLOCKS = 0 there may be any number of
-// channels, read from memory as they come; else they are held near.
+// Dot product of a splat's values and a pixel's gradients. With BLOCKS = 0 there may be any number of channels, read
+// from memory as they come; else they are held in registers.
 const HELD: u32 = max(BLOCKS, 1u);
 
 fn lean_far(splat: u32, position: u32, blocks: u32) -> f32 {

@@ -1,13 +1,14 @@
-// Under what a photo is compared (`LossInputs` in raster/src/compare/mod.rs), as the host lays it out in
-// services/gpu/src/compare.rs.
+// Inputs of the losses of a photo (`LossInputs` in raster/src/compare/mod.rs), as the host lays them out (`LossUniform`
+// in services/gpu/src/compare.rs).
 struct LossInputs {
     // The photo's colours from the scene's: a row per channel, the offset in w.
     matrix: array<vec4f, 3>,
-    // Coefficients of what stands behind the splats: red, green, blue, unused.
+    // Coefficients of the background: red, green, blue, unused.
     background: array<vec4f, 9>,
     // Share of SSIM in the loss, weight of the sky's term per pixel, largest share left out, unused.
     numbers: vec4f,
-    // How many coefficients; 1 if there is a matrix; what is left out: nothing, suspects, or by residuals; unused.
+    // How many coefficients; 1 if there is a matrix; what is left out: nothing, initial transients, or by residuals;
+    // unused.
     modes: vec4u,
 }
 

@@ -1,5 +1,5 @@
-// How alike two sets of masks are (twin: `Membership::similarity` in raster/src/field/membership.rs); so many words of bits
-// each, in `sets`.
+// Jaccard similarity of two sets of masks (twin: `Membership::similarity` in raster/src/field/membership.rs), of so
+// many words of bits each, in `sets`.
 fn similarity(a: u32, b: u32, words: u32) -> f32 {
     var both = 0u;
     var either = 0u;

@@ -1,4 +1,4 @@
-// Everything on the way from a splat to its footprint that the way back needs too (twin: `Path` in cpu/project.rs).
+// Intermediate values of the projection that the backward pass needs too (twin: `Path` in raster/src/cpu/project.rs).
 struct Path {
     good: bool,
     cam: vec3f,

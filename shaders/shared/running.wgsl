@@ -1,9 +1,9 @@
-// For each of a group's 256 threads the sum of what those before it have: PARTS numbers of the kind that the kernel calls
-// `Counted`, whole ones, so that no order changes them. All threads call it. `running_subgroups.wgsl` is the same for
-// devices that have subgroups.
+// For each of a group's 256 threads the sum over the threads before it, of PARTS numbers of the kernel's type
+// `Counted`. They are whole numbers, so that no order changes the sums. All threads call it. `running_subgroups.wgsl`
+// is the same for devices that have subgroups.
 var<workgroup> counted: array<Counted, 256 * PARTS>;
 
-// A thread's place in the order in which is summed: `number` of 256.
+// A thread's position in the order of summation: `number` of 256.
 struct Position {
     number: u32,
 }

@@ -1,11 +1,11 @@
-// What `running.wgsl` does, by subgroups: two barriers instead of seventeen. Nothing is taken for granted of them: neither
-// how many threads each has, nor that all have as many, nor which. So threads get places anew, those of a subgroup one behind
-// the other. Which subgroup comes first may differ from run to run; sums of whole numbers do not.
+// The variant of `running.wgsl` with subgroups: two barriers instead of seventeen. Nothing is assumed of subgroups:
+// neither how many threads each has, nor that all have as many, nor which. So threads get new positions, consecutive
+// within a subgroup. Which subgroup comes first may differ from run to run; sums of whole numbers do not.
 var<workgroup> counted: array<Counted, 256 * PARTS>;
-// Subgroups that have their places, in the upper half, and threads.
+// Subgroups that have their positions, in the upper half, and threads.
 var<workgroup> taken: atomic<u32>;
 
-// A thread's place in the order in which is summed: `number` of 256, in the subgroup of this `rank`, whose last it may be.
+// A thread's position in the order of summation: `number` of 256, in the subgroup of this `rank`, whose last it may be.
 struct Position {
     number: u32,
     rank: u32,

@@ -1,4 +1,4 @@
-// The sum over a group's threads, of what the kernel calls `Summed`; all of them call it.
+// The sum over a group's threads of values of the kernel's type `Summed`. All threads call it.
 var<workgroup> part: array<Summed, 256>;
 
 fn sum_of_group(local: u32, mine: Summed) -> Summed {
@@ -11,7 +11,7 @@ fn sum_of_group(local: u32, mine: Summed) -> Summed {
         workgroupBarrier();
     }
     let sum = part[0];
-    // Before anything else is put there.
+    // Before the array is written again.
     workgroupBarrier();
     return sum;
 }

@@ -3,7 +3,7 @@ const REACH: u32 = 5u;
 const WINDOW = array<f32, 6>(
     0.26601172, 0.21300553, 0.10936069, 0.03600077, 0.00759876, 0.00102838,
 );
-// A tile and what its windows reach.
+// A tile with the reach of its windows.
 const WIDE: u32 = TILE + 2u * REACH;
 
 // Where number `k` of a wide tile lies in the frame; it may lie outside.

@@ -1,4 +1,4 @@
-//! Which accelerators there are, and which one is taken.
+//! Lists the accelerators, and opens one.
 
 use crate::GpuError;
 use wgpu::{Backends, DeviceType, Features, Instance, InstanceDescriptor, Limits};
@@ -122,7 +122,7 @@ fn none_of(choice: &Choice, all: &[Adapter]) -> String {
     }
 }
 
-/// The least that WebGPU promises is what the kernels need; only the size of an array is asked for as large as it goes.
+/// Requests the minimum limits of WebGPU, which the kernels need, and the largest array size that the adapter offers.
 fn wanted(adapter: &Adapter, available: &Limits) -> Result<Limits, GpuError> {
     let least = Limits::default();
     let checks = [
@@ -176,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_adapter_is_told_with_what_there_is() {
+    fn a_missing_adapter_is_reported_with_those_available() {
         assert!(none_of(&Choice::Hardware, &[]).contains("no Vulkan"));
         let text = none_of(&Choice::Hardware, &[llvmpipe()]);
         assert!(

@@ -1,11 +1,11 @@
-//! How long each kernel takes by the device's own clock: asked for by the benchmark alone, since what was handed in is waited
-//! for to read it.
+//! Times each kernel by the device's own clock. Only the benchmark uses it, since reading the times waits for the
+//! submitted work.
 
 use std::collections::BTreeMap;
 use wgpu::{BufferDescriptor, BufferUsages, CommandEncoder, ComputePassTimestampWrites};
 
-/// When each kernel of a hand-in began and ended, and what all of them took so far.
-pub(crate) struct Clock {
+/// Start and end of each kernel of a submission, and the totals so far.
+pub(crate) struct KernelClock {
     moments: wgpu::QuerySet,
     resolved: wgpu::Buffer,
     staging: wgpu::Buffer,
@@ -16,9 +16,9 @@ pub(crate) struct Clock {
     tick: f64,
 }
 
-impl Clock {
+impl KernelClock {
     /// For so many kernels of a hand-in at the most.
-    pub fn new(device: &wgpu::Device, queue: &wgpu::Queue, kernels: usize) -> Clock {
+    pub fn new(device: &wgpu::Device, queue: &wgpu::Queue, kernels: usize) -> KernelClock {
         let count = 2 * kernels as u32;
         let buffer = |label, usage| {
             let size = u64::from(count) * 8;
@@ -29,7 +29,7 @@ impl Clock {
                 mapped_at_creation: false,
             })
         };
-        Clock {
+        KernelClock {
             moments: device.create_query_set(&wgpu::QuerySetDescriptor {
                 label: Some("when kernels ran"),
                 ty: wgpu::QueryType::Timestamp,
@@ -43,7 +43,7 @@ impl Clock {
         }
     }
 
-    /// What a kernel's pass writes down.
+    /// Timestamps that a kernel's pass writes.
     pub fn moments_of(&mut self, kernel: &'static str) -> ComputePassTimestampWrites<'_> {
         let first = 2 * self.kernels.len() as u32;
         self.kernels.push(kernel);
@@ -54,7 +54,7 @@ impl Clock {
         }
     }
 
-    /// Ends what is to be handed in.
+    /// Resolves the timestamps before the submission.
     pub fn close(&self, encoder: &mut CommandEncoder) {
         let count = 2 * self.kernels.len() as u32;
         if count > 0 {
@@ -63,7 +63,7 @@ impl Clock {
         }
     }
 
-    /// Waits for what was handed in, and adds up. What cannot be read is left out.
+    /// Waits for the submission, and adds its times up. Times that cannot be read are left out.
     pub fn read(&mut self, device: &wgpu::Device) {
         let kernels = std::mem::take(&mut self.kernels);
         if kernels.is_empty() {

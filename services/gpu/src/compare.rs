@@ -1,7 +1,7 @@
-//! The photo's half of a step of training where the image is: what [`segwild_raster::compare`] does, kernel by kernel.
+//! The photo's half of a training step on the device: the twin of [`segwild_raster::compare`], kernel by kernel.
 
 use crate::GpuError;
-use crate::device::{Lent, Work, lock};
+use crate::device::{DeviceWork, PooledBuffer, lock};
 use crate::engine::{GROUP, TILE};
 use crate::memory::photos_kept;
 use crate::nets::Visible;
@@ -18,9 +18,9 @@ use segwild_raster::{EmbedAppearance, Light};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 
-/// Where a step's numbers lie in what comes back of it: [`BINS`] shares of residuals first.
+/// Layout of a step's results: [`BINS`] shares of residuals first.
 const COUNTED: usize = BINS;
-/// Pixels that count, what is left of them, squares of what they lack, unused.
+/// Pixels that count, the weight left of them, their squared errors, unused.
 const WEIGHED: usize = COUNTED + 1;
 const SCORES: usize = WEIGHED + 4;
 const DIFFERENCES: usize = SCORES + 1;
@@ -29,26 +29,26 @@ const BACKGROUND: usize = MATRIX + 12;
 /// `SKY_SUMS` of `sky_sums.wgsl`.
 const SKY: usize = BASES * (BASES + 1) / 2 + 3 * BASES + 1;
 pub(crate) const LIGHT: usize = BACKGROUND + SKY;
-/// Pairs of a splat and a tile, and whether there was room for them; whole numbers.
+/// Pairs of a splat and a tile, and whether their buffers sufficed; whole numbers.
 const PAIRS: usize = LIGHT + size_of::<Light>() / 4;
 pub(crate) const LENGTH: usize = PAIRS + 2;
 
 /// `LossInputs` of `shaders/shared/loss_inputs.wgsl`.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
-struct Sheet {
+struct LossUniform {
     matrix: [[f32; 4]; 3],
     background: [[f32; 4]; BASES],
     numbers: [f32; 4],
     modes: [u32; 4],
 }
 
-impl Sheet {
-    fn of(loss_inputs: &LossInputs, pixels: usize) -> Sheet {
-        let mut sheet = Sheet::zeroed();
+impl LossUniform {
+    fn of(loss_inputs: &LossInputs, pixels: usize) -> LossUniform {
+        let mut loss_uniform = LossUniform::zeroed();
         let matrix = loss_inputs.matrix.unwrap_or_default();
-        sheet.matrix = std::array::from_fn(|c| std::array::from_fn(|k| matrix[4 * c + k]));
-        for (to, &[r, g, b]) in sheet.background.iter_mut().zip(loss_inputs.background) {
+        loss_uniform.matrix = std::array::from_fn(|c| std::array::from_fn(|k| matrix[4 * c + k]));
+        for (to, &[r, g, b]) in loss_uniform.background.iter_mut().zip(loss_inputs.background) {
             *to = [r, g, b, 0.0];
         }
         let (kind, share) = match loss_inputs.leave_out {
@@ -56,23 +56,24 @@ impl Sheet {
             LeaveOut::InitialTransients => (1, 0.0),
             LeaveOut::Residual(known) => (2, known.share),
         };
-        sheet.numbers = [loss_inputs.lambda_ssim, loss_inputs.sky_weight / pixels as f32, share, 0.0];
-        sheet.modes = [loss_inputs.background.len() as u32, u32::from(loss_inputs.matrix.is_some()), kind, 0];
-        sheet
+        loss_uniform.numbers = [loss_inputs.lambda_ssim, loss_inputs.sky_weight / pixels as f32, share, 0.0];
+        loss_uniform.modes =
+            [loss_inputs.background.len() as u32, u32::from(loss_inputs.matrix.is_some()), kind, 0];
+        loss_uniform
     }
 }
 
 /// A photo on the device.
-pub(crate) struct Photo {
-    pixels: Lent,
-    trust: Lent,
+pub(crate) struct GpuPhoto {
+    pixels: PooledBuffer,
+    trust: PooledBuffer,
     trusted: bool,
     size: [usize; 2],
 }
 
-impl Photo {
-    pub fn upload(work: &mut Work, target: &Target) -> Result<Photo, GpuError> {
-        Ok(Photo {
+impl GpuPhoto {
+    pub fn upload(work: &mut DeviceWork, target: &Target) -> Result<GpuPhoto, GpuError> {
+        Ok(GpuPhoto {
             pixels: work.upload("the photo", &target.pixels)?,
             trust: work.upload("where the photo is trusted", &target.trust)?,
             trusted: !target.trust.is_empty(),
@@ -88,16 +89,16 @@ impl Photo {
 
 /// Photos that stay on the device, the least recently used dropped first, and how many pairs their views had.
 #[derive(Default)]
-pub(crate) struct PhotoCache(Mutex<Held>);
+pub(crate) struct GpuPhotoCache(Mutex<CachedPhotos>);
 
 #[derive(Default)]
-struct Held {
-    photos: HashMap<[u64; 3], Kept>,
+struct CachedPhotos {
+    photos: HashMap<[u64; 3], CachedPhoto>,
     bytes: u64,
     clock: u64,
 }
 
-impl Held {
+impl CachedPhotos {
     /// Drops the least recently used until the others have so many bytes at the most.
     fn keep_within(&mut self, bytes: u64) {
         while self.bytes > bytes
@@ -109,22 +110,22 @@ impl Held {
     }
 }
 
-struct Kept {
-    photo: Arc<Photo>,
+struct CachedPhoto {
+    photo: Arc<GpuPhoto>,
     used: u64,
     /// Pairs of a splat and a tile at the last visit, and the splats that there were.
     pairs: Option<(usize, usize)>,
 }
 
-impl PhotoCache {
-    /// A photo, brought to the device unless it is there, and room for the pairs of its view, if they are known about.
+impl GpuPhotoCache {
+    /// A photo, uploaded unless it is on the device, and the capacity for the pairs of its view, if they are known.
     pub fn take(
         &self,
-        work: &mut Work,
+        work: &mut DeviceWork,
         key: [u64; 3],
         target: &dyn Fn() -> Target,
         splats: usize,
-    ) -> Result<(Arc<Photo>, Option<usize>), GpuError> {
+    ) -> Result<(Arc<GpuPhoto>, Option<usize>), GpuError> {
         let mut held = lock(&self.0);
         held.clock += 1;
         let used = held.clock;
@@ -137,14 +138,14 @@ impl PhotoCache {
             });
             return Ok((Arc::clone(&kept.photo), capacity));
         }
-        let photo = Arc::new(Photo::upload(work, &target())?);
+        let photo = Arc::new(GpuPhoto::upload(work, &target())?);
         held.bytes += photo.bytes();
         held.keep_within(photos_kept(work.budget()));
-        held.photos.insert(key, Kept { photo: Arc::clone(&photo), used, pairs: None });
+        held.photos.insert(key, CachedPhoto { photo: Arc::clone(&photo), used, pairs: None });
         Ok((photo, None))
     }
 
-    /// Gives all room back.
+    /// Frees the memory of all photos.
     pub fn clear(&self) {
         lock(&self.0).keep_within(0);
     }
@@ -157,54 +158,54 @@ impl PhotoCache {
     }
 }
 
-/// What a comparison needs beside image and photo, brought to the device before anything is inputs of it.
+/// Inputs of the losses beside image and photo, uploaded before the first kernel runs.
 pub(crate) struct ComparisonInputs {
-    sheet: Lent,
-    before: Lent,
-    /// What comes back, [`LENGTH`] numbers.
-    pub results: Lent,
+    loss_uniform: PooledBuffer,
+    before: PooledBuffer,
+    /// The results, [`LENGTH`] numbers.
+    pub results: PooledBuffer,
 }
 
 impl ComparisonInputs {
-    pub fn upload(work: &mut Work, loss_inputs: &LossInputs) -> Result<ComparisonInputs, GpuError> {
+    pub fn upload(work: &mut DeviceWork, loss_inputs: &LossInputs) -> Result<ComparisonInputs, GpuError> {
         let pixels = loss_inputs.camera.width as usize * loss_inputs.camera.height as usize;
         let before = match loss_inputs.leave_out {
             LeaveOut::Residual(known) => known.before,
             LeaveOut::None | LeaveOut::InitialTransients => &[],
         };
         Ok(ComparisonInputs {
-            sheet: work.upload("what a photo is compared under", &[Sheet::of(loss_inputs, pixels)])?,
+            loss_uniform: work.upload("the inputs of the losses", &[LossUniform::of(loss_inputs, pixels)])?,
             before: work.upload("the photo's residuals", before)?,
             results: results_buffer(work)?,
         })
     }
 }
 
-/// Room for what comes back of a step.
-pub(crate) fn results_buffer(work: &mut Work) -> Result<Lent, GpuError> {
-    work.take::<f32>("what the photo said", LENGTH)
+/// Buffer for the results of a step.
+pub(crate) fn results_buffer(work: &mut DeviceWork) -> Result<PooledBuffer, GpuError> {
+    work.take::<f32>("the results of a step", LENGTH)
 }
 
-/// A photo compared on the device; for the gradient's way back, and for whoever looks at the steps in between.
+/// Output of the losses on the device, for the backward pass and for checks of the steps in between.
 pub(crate) struct Graded {
     /// In the photo's colours, and the residual.
-    pub shown: Lent,
-    pub smoothed: Lent,
-    pub weights: Lent,
+    pub shown: PooledBuffer,
+    pub smoothed: PooledBuffer,
+    pub weights: PooledBuffer,
     /// Gradients of colour and alpha.
-    pub grads: Lent,
+    pub grads: PooledBuffer,
     /// Mean error around each pixel.
-    pub error: Lent,
-    /// What the visibility map is to learn from, where that was inputs.
-    pub blames: Option<Lent>,
+    pub error: PooledBuffer,
+    /// Targets of the visibility map, where they were requested.
+    pub blames: Option<PooledBuffer>,
 }
 
-/// Compares a photo with an image, colour and alpha, that was drawn of the view.
+/// Computes the losses of a rendered image, colour and alpha, against its photo.
 pub(crate) fn compare(
-    work: &mut Work,
-    view: &Lent,
-    image: &Lent,
-    photo: &Photo,
+    work: &mut DeviceWork,
+    view: &PooledBuffer,
+    image: &PooledBuffer,
+    photo: &GpuPhoto,
     inputs: &ComparisonInputs,
     loss_inputs: &LossInputs,
     visible: Option<&Visible>,
@@ -217,12 +218,12 @@ pub(crate) fn compare(
     );
     let n = width * height;
     let groups = n.div_ceil(GROUP);
-    let ComparisonInputs { sheet, before, results } = inputs;
+    let ComparisonInputs { loss_uniform, before, results } = inputs;
     let pixels = &photo.pixels;
-    let shown = work.take::<[f32; 4]>("what is shown", n)?;
+    let shown = work.take::<[f32; 4]>("the shown colours", n)?;
     let uncertain = work.take::<f32>("the residuals", n)?;
     let job = [n as u32, u32::from(photo.trusted), 0, 0];
-    let buffers = [view, sheet, image, pixels, &photo.trust, &shown, &uncertain];
+    let buffers = [view, loss_uniform, image, pixels, &photo.trust, &shown, &uncertain];
     work.run(&COMPOSE, 1, job, &buffers, groups);
     let limits = work.take::<[f32; 4]>("the limits of residuals", 1)?;
     let mut smoothed = uncertain;
@@ -232,25 +233,25 @@ pub(crate) fn compare(
         work.clear(&counts);
         work.run(&TALLY, 1, [n as u32, 0, 0, 0], &[pixels, &smoothed, &counts], groups);
         let job = [u32::from(!known.before.is_empty()), 0, 0, 0];
-        work.run(&LIMITS, 1, job, &[sheet, &counts, before, &limits, results], 1);
+        work.run(&LIMITS, 1, job, &[loss_uniform, &counts, before, &limits, results], 1);
     }
     let weights = work.take::<f32>("the pixels' weights", n)?;
     let counted = work.take::<f32>("the residuals that count", n)?;
     let parts = work.take::<[f32; 4]>("sums of the residuals", groups)?;
     let job = [width as u32, height as u32, 0, 0];
-    let buffers = [sheet, pixels, &smoothed, &limits, &shown, &weights, &counted, &parts];
+    let buffers = [loss_uniform, pixels, &smoothed, &limits, &shown, &weights, &counted, &parts];
     work.run(&WEIGH, 1, job, &buffers, groups);
     let mut blames = None;
     if let (Some(visible), LeaveOut::Residual(_)) = (visible, loss_inputs.leave_out) {
         blames = Some(blame(work, photo, &smoothed, &limits, visible)?);
         if visible.decides {
-            let seen = work.take::<f32>("what the network sees", n)?;
-            let left_out = work.take::<f32>("what it leaves out", 4)?;
+            let seen = work.take::<f32>("the visibility weights", n)?;
+            let left_out = work.take::<f32>("the share left out", 4)?;
             let packed = |[width, height]: [usize; 2]| (width | height << 16) as u32;
             let job = [packed(photo.size), packed(visible.size), visible.position as u32, 0];
             work.run(&SEE, 1, job, &[pixels, visible.maps, &weights, &seen, &parts], groups);
             total(work, &parts, groups, 4, &left_out, 0);
-            let buffers = [sheet, pixels, &seen, &left_out, &shown, &weights, &counted, &parts];
+            let buffers = [loss_uniform, pixels, &seen, &left_out, &shown, &weights, &counted, &parts];
             work.run(&PREFER, 1, [n as u32, 0, 0, 0], &buffers, groups);
         }
     }
@@ -258,15 +259,15 @@ pub(crate) fn compare(
     let error = box_mean(work, &counted, photo.size, ERROR_WINDOW)?;
     drop(counted);
 
-    let by_shown = work.take::<f32>("the gradients of what is shown", 3 * n)?;
-    let slopes = work.take::<[f32; 4]>("slopes of the likeness", n)?;
+    let by_shown = work.take::<f32>("the gradients of the shown colours", 3 * n)?;
+    let slopes = work.take::<[f32; 4]>("derivatives of SSIM", n)?;
     let tiles = width.div_ceil(TILE as usize) * height.div_ceil(TILE as usize);
-    let scores = work.take::<f32>("scores of likeness", 3 * tiles)?;
+    let scores = work.take::<f32>("scores of SSIM", 3 * tiles)?;
     let differences = work.take::<f32>("sums of differences", 3 * tiles)?;
     for channel in 0..3 {
         let job = [tiles as u32, channel, n as u32, 0];
         work.run(&STRUCTURE, 1, job, &[view, &shown, pixels, &weights, &slopes, &scores], tiles);
-        let buffers = [view, sheet, &shown, pixels, &weights, &slopes, &by_shown, &differences];
+        let buffers = [view, loss_uniform, &shown, pixels, &weights, &slopes, &by_shown, &differences];
         work.run(&SLOPE, 1, job, &buffers, tiles);
     }
     total(work, &scores, 3 * tiles, 1, results, SCORES);
@@ -274,7 +275,7 @@ pub(crate) fn compare(
 
     let grads = work.take::<[f32; 4]>("the image's gradients", n)?;
     let parts = work.take::<[f32; 12]>("sums for the matrix", groups)?;
-    let buffers = [view, sheet, image, pixels, &by_shown, &grads, &parts];
+    let buffers = [view, loss_uniform, image, pixels, &by_shown, &grads, &parts];
     work.run(&GRADE, 1, [n as u32, 0, 0, 0], &buffers, groups);
     if loss_inputs.matrix.is_some() {
         total(work, &parts, groups, 12, results, MATRIX);
@@ -287,7 +288,7 @@ pub(crate) fn compare(
         work.run(&SKY_SUMS, 1, job, &[view, image, pixels, &weights, &parts], groups);
         total(work, &parts, groups, SKY, results, BACKGROUND);
     } else {
-        let parts = work.take::<[f32; 4]>("sums for what is behind", groups)?;
+        let parts = work.take::<[f32; 4]>("sums for the background", groups)?;
         let buffers = [image, pixels, &shown, &weights, &parts];
         work.run(&COLOUR_SUMS, 1, [n as u32, 0, 0, 0], &buffers, groups);
         total(work, &parts, groups, 4, results, BACKGROUND);
@@ -295,16 +296,16 @@ pub(crate) fn compare(
     Ok(Graded { shown, smoothed, weights, grads, error, blames })
 }
 
-/// What each part of a photo is blamed for.
+/// Blame of each part of a photo.
 fn blame(
-    work: &mut Work,
-    photo: &Photo,
-    smoothed: &Lent,
-    limits: &Lent,
+    work: &mut DeviceWork,
+    photo: &GpuPhoto,
+    smoothed: &PooledBuffer,
+    limits: &PooledBuffer,
     visible: &Visible,
-) -> Result<Lent, GpuError> {
+) -> Result<PooledBuffer, GpuError> {
     let ([width, height], [across, down]) = (photo.size, visible.size);
-    let blames = work.take::<f32>("what parts of the photo are blamed for", across * down)?;
+    let blames = work.take::<f32>("the blame of parts of the photo", across * down)?;
     let job = [width, height, across, down].map(|n| n as u32);
     work.run(&BLAME, 1, job, &[&photo.pixels, smoothed, limits, &blames], (across * down).div_ceil(GROUP));
     Ok(blames)
@@ -312,11 +313,11 @@ fn blame(
 
 /// Mean of each pixel over a square window of half width `r`.
 pub(crate) fn box_mean(
-    work: &mut Work,
-    values: &Lent,
+    work: &mut DeviceWork,
+    values: &PooledBuffer,
     [width, height]: [usize; 2],
     r: usize,
-) -> Result<Lent, GpuError> {
+) -> Result<PooledBuffer, GpuError> {
     let rows = work.take::<f32>("means along rows", width * height)?;
     let means = work.take::<f32>("means over windows", width * height)?;
     let job = |axis: u32| [width as u32, height as u32, r as u32, axis];
@@ -325,40 +326,51 @@ pub(crate) fn box_mean(
     Ok(means)
 }
 
-/// Adds up what groups left, `columns` numbers each, into what comes back.
-pub(crate) fn total(work: &mut Work, parts: &Lent, groups: usize, columns: usize, results: &Lent, at: usize) {
+/// Adds up the partial sums of groups, `columns` numbers each, into the results.
+pub(crate) fn total(
+    work: &mut DeviceWork,
+    parts: &PooledBuffer,
+    groups: usize,
+    columns: usize,
+    results: &PooledBuffer,
+    at: usize,
+) {
     work.run(&TOTAL, 1, [groups as u32, columns as u32, at as u32, 0], &[parts, results], columns);
 }
 
-/// What came back of a step.
+/// Results of a step on the host.
 pub(crate) struct StepReadback(Vec<f32>);
 
 impl StepReadback {
-    /// Reads it; `found` are the pairs of [`crate::engine::Binned`].
-    pub fn read(work: &mut Work, results: &Lent, found: &Lent) -> Result<StepReadback, GpuError> {
+    /// Downloads them; `found` are the pairs of [`crate::engine::Binned`].
+    pub fn read(
+        work: &mut DeviceWork,
+        results: &PooledBuffer,
+        found: &PooledBuffer,
+    ) -> Result<StepReadback, GpuError> {
         work.copy_to(found, results, PAIRS * 4, 8);
         Ok(StepReadback(work.read(results, LENGTH)?))
     }
 
-    /// Pairs of a splat and a tile, and whether there was room for them.
+    /// Pairs of a splat and a tile, and whether their buffers sufficed.
     pub fn pairs(&self) -> (usize, bool) {
         (self.0[PAIRS].to_bits() as usize, self.0[PAIRS + 1].to_bits() == 1)
     }
 
-    /// Gradient of a photo's light.
+    /// Gradient of a photo's parameters.
     pub fn light(&self) -> Light {
         const _: () = assert!(size_of::<Light>() == 4 * (12 + EmbedAppearance::EMBEDDING_SIZE));
         std::array::from_fn(|k| self.0[LIGHT + k])
     }
 
-    /// What the photo said.
+    /// The loss output.
     pub fn results(&self, loss_inputs: &LossInputs) -> LossOutput {
         let at = |k: usize| f64::from(self.0[k]);
         let (width, height) = (loss_inputs.camera.width as usize, loss_inputs.camera.height as usize);
         let count = (3 * width * height) as f64;
         let lambda = f64::from(loss_inputs.lambda_ssim);
         let loss = (1.0 - lambda) * at(DIFFERENCES) / count + lambda * (1.0 - at(SCORES) / count);
-        let inputs = matches!(loss_inputs.leave_out, LeaveOut::Residual(_)) && self.0[COUNTED] > 0.0;
+        let requested = matches!(loss_inputs.leave_out, LeaveOut::Residual(_)) && self.0[COUNTED] > 0.0;
         let background = if loss_inputs.has_sky {
             let mut sums = SkySums {
                 total: at(BACKGROUND + SKY - 1),
@@ -386,7 +398,7 @@ impl StepReadback {
             loss: loss as f32,
             psnr: psnr_of(at(WEIGHED + 2), at(WEIGHED + 1)),
             left_out: left_out_share(self.0[WEIGHED], self.0[WEIGHED + 1]),
-            residuals: inputs.then(|| self.0[..BINS].to_vec()),
+            residuals: requested.then(|| self.0[..BINS].to_vec()),
             matrix: loss_inputs.matrix.map(|_| std::array::from_fn(|k| self.0[MATRIX + k])),
             background,
         }

@@ -1,12 +1,12 @@
-//! The device: buffers that are used again, kernels that are built once, work in order.
+//! The device: a pool of buffers, kernels that are built once, work in order.
 //!
-//! A lock lets one caller at a time speak to the device ([`Work`]): what a thread of its own would give, without
-//! copying what callers only lend. It also keeps a buffer that was given back in the middle of a run from being
-//! written by another before that run is handed in.
+//! A lock gives one caller at a time access to the device ([`DeviceWork`]). A thread of its own would do the same, but
+//! would copy borrowed data. The lock also keeps a buffer that was returned during a run from being overwritten by
+//! another caller before that run is submitted.
 
 use crate::GpuError;
 use crate::adapter::{Adapter, Choice, open};
-use crate::clock::Clock;
+use crate::clock::KernelClock;
 use crate::shaders::{Kernel, source};
 use bytemuck::Pod;
 use std::collections::{BTreeMap, HashMap};
@@ -14,45 +14,45 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use wgpu::{BufferUsages, ComputePipeline};
 
-/// Kernels between two hand-ins; each has its four numbers in the arena.
+/// Kernels between two submissions; each has its four numbers in the arena.
 const JOBS: usize = 256;
 /// Distance of two jobs' numbers in the arena.
 const JOB_STRIDE: u64 = 256;
 /// Groups per dimension that every device offers.
 const GROUPS: u64 = 65_535;
 
-/// Locks, whatever a panic of another left behind: nothing here is left half done.
+/// Locks even after a panic of another thread: no state here is left half written.
 pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// What is done to a kernel's text before it is compiled.
+/// Edit of a kernel's text before it is compiled.
 pub(crate) type Edit = Box<dyn Fn(&Kernel, String) -> String + Send + Sync>;
 
 type Free = Arc<Mutex<Vec<wgpu::Buffer>>>;
 
-/// A buffer of the pool, given back when it is dropped. It may be longer than what was asked for, and holds anything.
-pub(crate) struct Lent {
+/// A buffer of the pool, returned when it is dropped. It may be longer than requested, and its content is arbitrary.
+pub(crate) struct PooledBuffer {
     buffer: Option<wgpu::Buffer>,
-    /// Bytes asked for.
+    /// Bytes requested.
     bytes: u64,
     free: Free,
 }
 
-impl Lent {
+impl PooledBuffer {
     fn raw(&self) -> &wgpu::Buffer {
         self.buffer.as_ref().expect("it is taken out in drop only")
     }
 }
 
-impl Drop for Lent {
+impl Drop for PooledBuffer {
     fn drop(&mut self) {
         lock(&self.free).extend(self.buffer.take());
     }
 }
 
 /// An opened accelerator.
-pub(crate) struct Device {
+pub(crate) struct GpuDevice {
     pub adapter: Adapter,
     device: wgpu::Device,
     queue: wgpu::Queue,
@@ -66,15 +66,15 @@ pub(crate) struct Device {
     /// Bytes that were uploaded since it was opened.
     brought: AtomicU64,
     arena: wgpu::Buffer,
-    /// The first thing that went wrong.
+    /// The first failure.
     failed: Arc<Mutex<Option<String>>>,
     turn: Mutex<()>,
-    clock: Mutex<Option<Clock>>,
+    clock: Mutex<Option<KernelClock>>,
     edit: Edit,
 }
 
-impl Device {
-    pub fn open(choice: &Choice, subgroups: bool, edit: Edit) -> Result<Device, GpuError> {
+impl GpuDevice {
+    pub fn open(choice: &Choice, subgroups: bool, edit: Edit) -> Result<GpuDevice, GpuError> {
         let (adapter, device, queue) = open(choice, subgroups)?;
         let failed = Arc::new(Mutex::new(None));
         let note = Arc::clone(&failed);
@@ -92,7 +92,7 @@ impl Device {
             mapped_at_creation: false,
         });
         let limits = device.limits();
-        Ok(Device {
+        Ok(GpuDevice {
             adapter,
             limit: limits.max_storage_buffer_binding_size.min(limits.max_buffer_size),
             device,
@@ -111,23 +111,23 @@ impl Device {
         })
     }
 
-    /// Begins work; waits for its turn.
-    pub fn work(&self) -> Work<'_> {
+    /// Starts work; waits for the lock.
+    pub fn work(&self) -> DeviceWork<'_> {
         let turn = lock(&self.turn);
         let encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        Work { device: self, encoder, jobs: Vec::new(), dirty: false, _turn: turn }
+        DeviceWork { device: self, encoder, jobs: Vec::new(), dirty: false, _turn: turn }
     }
 
     /// Times every kernel from now on, if the device has a clock of its own.
     pub fn start_clock(&self) {
         if self.device.features().contains(wgpu::Features::TIMESTAMP_QUERY) {
-            *lock(&self.clock) = Some(Clock::new(&self.device, &self.queue, JOBS));
+            *lock(&self.clock) = Some(KernelClock::new(&self.device, &self.queue, JOBS));
         }
     }
 
     /// Milliseconds of each kernel since; none where the device has no clock.
     pub fn stop_clock(&self) -> BTreeMap<&'static str, f64> {
-        lock(&self.clock).take().map_or_else(BTreeMap::new, Clock::spent)
+        lock(&self.clock).take().map_or_else(BTreeMap::new, KernelClock::spent)
     }
 
     fn check(&self) -> Result<(), GpuError> {
@@ -149,8 +149,8 @@ impl Device {
                 label: Some(kernel.name),
                 source: wgpu::ShaderSource::Wgsl(text.into()),
             };
-            // A counter in every loop keeps drivers from unrolling it: an NVIDIA H200 blends 16 channels in a third of the
-            // time without. What is read and written stays within its arrays in any case.
+            // A counter in every loop keeps drivers from unrolling it: an NVIDIA H200 blends 16 channels in a third of
+            // the time without. Reads and writes are bounds-checked in any case.
             let checks = wgpu::ShaderRuntimeChecks {
                 force_loop_bounding: false,
                 ..wgpu::ShaderRuntimeChecks::checked()
@@ -199,7 +199,7 @@ impl Device {
         what: &'static str,
         bytes: u64,
         usage: BufferUsages,
-    ) -> Result<Lent, GpuError> {
+    ) -> Result<PooledBuffer, GpuError> {
         let mut held = lock(free);
         let fits = |size: u64| size >= bytes && size <= 2 * bytes + (1 << 16);
         let best = (0..held.len()).filter(|&i| fits(held[i].size())).min_by_key(|&i| held[i].size());
@@ -218,12 +218,12 @@ impl Device {
                 })
             }
         };
-        Ok(Lent { buffer: Some(buffer), bytes, free: Arc::clone(free) })
+        Ok(PooledBuffer { buffer: Some(buffer), bytes, free: Arc::clone(free) })
     }
 
-    /// How long a new buffer for so many bytes may be; within a budget, free ones give way to it.
+    /// Size of a new buffer for so many bytes; within a budget, free buffers are dropped for it.
     fn free_memory(&self, what: &'static str, bytes: u64) -> Result<u64, GpuError> {
-        // A quarter more, so that the next view's array, which is about as long, finds room.
+        // A quarter more, so that the next view's array, which is about as long, fits.
         let ample = (bytes + bytes / 4).min(self.limit.max(bytes)).next_multiple_of(256);
         let (least, budget) = (bytes.next_multiple_of(256), self.budget());
         if budget == 0 || self.held() + ample <= budget {
@@ -246,19 +246,19 @@ impl Device {
     }
 }
 
-/// One caller's turn at the device.
-pub(crate) struct Work<'d> {
-    device: &'d Device,
+/// Exclusive access of one caller to the device.
+pub(crate) struct DeviceWork<'d> {
+    device: &'d GpuDevice,
     encoder: wgpu::CommandEncoder,
     jobs: Vec<[u32; 4]>,
     dirty: bool,
     _turn: MutexGuard<'d, ()>,
 }
 
-impl Work<'_> {
-    /// Room for `count` items.
-    pub fn take<T>(&mut self, what: &'static str, count: usize) -> Result<Lent, GpuError> {
-        // Never empty, and never shorter than a vec4: kernels bind it all the same.
+impl DeviceWork<'_> {
+    /// A buffer for `count` items.
+    pub fn take<T>(&mut self, what: &'static str, count: usize) -> Result<PooledBuffer, GpuError> {
+        // Never empty, and never shorter than a vec4, since kernels bind it.
         let bytes = (count as u64 * size_of::<T>() as u64).max(16);
         if bytes > self.device.limit {
             return Err(GpuError::TooLarge {
@@ -278,42 +278,49 @@ impl Work<'_> {
         self.device.budget()
     }
 
-    /// As [`Device::start_clock`].
+    /// As [`GpuDevice::start_clock`].
     pub fn start_clock(&self) {
         self.device.start_clock();
     }
 
-    /// As [`Device::stop_clock`].
+    /// As [`GpuDevice::stop_clock`].
     pub fn stop_clock(&self) -> BTreeMap<&'static str, f64> {
         self.device.stop_clock()
     }
 
-    /// Brings items to the device.
-    pub fn upload<T: Pod>(&mut self, what: &'static str, items: &[T]) -> Result<Lent, GpuError> {
-        // Uploads overtake what has not been handed in, and the buffer may be one that such work still uses.
+    /// Uploads items.
+    pub fn upload<T: Pod>(&mut self, what: &'static str, items: &[T]) -> Result<PooledBuffer, GpuError> {
+        // Uploads overtake work that has not been submitted, and such work may still use the buffer.
         self.hand_in();
-        let lent = self.take::<T>(what, items.len())?;
+        let pooled = self.take::<T>(what, items.len())?;
         if !items.is_empty() {
             self.device.brought.fetch_add(size_of_val(items) as u64, Ordering::Relaxed);
-            self.device.queue.write_buffer(lent.raw(), 0, bytemuck::cast_slice(items));
+            self.device.queue.write_buffer(pooled.raw(), 0, bytemuck::cast_slice(items));
         }
-        Ok(lent)
+        Ok(pooled)
     }
 
     /// Sets a buffer to 0.
-    pub fn clear(&mut self, lent: &Lent) {
+    pub fn clear(&mut self, pooled: &PooledBuffer) {
         self.dirty = true;
-        self.encoder.clear_buffer(lent.raw(), 0, Some(lent.bytes));
+        self.encoder.clear_buffer(pooled.raw(), 0, Some(pooled.bytes));
     }
 
     /// Copies the first bytes of one buffer to another, from its byte `at` on.
-    pub fn copy_to(&mut self, from: &Lent, to: &Lent, at: usize, bytes: usize) {
+    pub fn copy_to(&mut self, from: &PooledBuffer, to: &PooledBuffer, at: usize, bytes: usize) {
         self.dirty = true;
         self.encoder.copy_buffer_to_buffer(from.raw(), 0, to.raw(), at as u64, bytes as u64);
     }
 
     /// Runs a kernel in so many groups. Binding 0 is its job, the buffers follow.
-    pub fn run(&mut self, kernel: &Kernel, blocks: u32, job: [u32; 4], buffers: &[&Lent], groups: usize) {
+    pub fn run(
+        &mut self,
+        kernel: &Kernel,
+        blocks: u32,
+        job: [u32; 4],
+        buffers: &[&PooledBuffer],
+        groups: usize,
+    ) {
         if groups == 0 {
             return;
         }
@@ -331,8 +338,8 @@ impl Work<'_> {
         let at = self.jobs.len() as u64 * JOB_STRIDE;
         let mut entries =
             vec![wgpu::BindGroupEntry { binding: 0, resource: binding(&self.device.arena, at, 16) }];
-        for (k, lent) in buffers.iter().enumerate() {
-            let resource = binding(lent.raw(), 0, lent.bytes);
+        for (k, pooled) in buffers.iter().enumerate() {
+            let resource = binding(pooled.raw(), 0, pooled.bytes);
             entries.push(wgpu::BindGroupEntry { binding: k as u32 + 1, resource });
         }
         let group = self.device.device.create_bind_group(&wgpu::BindGroupDescriptor {
@@ -353,7 +360,7 @@ impl Work<'_> {
         pass.dispatch_workgroups(columns as u32, (groups as u64).div_ceil(columns) as u32, 1);
     }
 
-    /// Hands what has been recorded to the device, which does it in this order.
+    /// Submits the recorded kernels to the device, which runs them in this order.
     pub fn hand_in(&mut self) {
         if !self.dirty {
             return;
@@ -379,7 +386,7 @@ impl Work<'_> {
         self.dirty = false;
     }
 
-    /// Hands in, and waits until all is done.
+    /// Submits, and waits until all is done.
     pub fn wait(&mut self) -> Result<(), GpuError> {
         self.hand_in();
         let polled = self.device.device.poll(wgpu::PollType::wait_indefinitely());
@@ -387,13 +394,18 @@ impl Work<'_> {
         polled.map(drop).map_err(|error| self.device.failure(error.to_string()))
     }
 
-    /// Hands in, waits, and brings the first `count` items back.
-    pub fn read<T: Pod>(&mut self, from: &Lent, count: usize) -> Result<Vec<T>, GpuError> {
+    /// Submits, waits, and downloads the first `count` items.
+    pub fn read<T: Pod>(&mut self, from: &PooledBuffer, count: usize) -> Result<Vec<T>, GpuError> {
         self.read_at(from, 0, count)
     }
 
-    /// Hands in, waits, and brings `count` items back, from item `first` on.
-    pub fn read_at<T: Pod>(&mut self, from: &Lent, first: usize, count: usize) -> Result<Vec<T>, GpuError> {
+    /// Submits, waits, and downloads `count` items, from item `first` on.
+    pub fn read_at<T: Pod>(
+        &mut self,
+        from: &PooledBuffer,
+        first: usize,
+        count: usize,
+    ) -> Result<Vec<T>, GpuError> {
         let mut out = vec![T::zeroed(); count];
         if count == 0 {
             return Ok(out);

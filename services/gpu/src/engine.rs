@@ -1,12 +1,12 @@
-//! The engine: projection, the two sorts, and what tiles hold.
+//! The engine: projection, the two sorts, and the entries of tiles.
 
 use crate::GpuError;
 use crate::adapter::{Adapter, Choice};
-use crate::compare::PhotoCache;
-use crate::device::{Device, Lent, Work};
+use crate::compare::GpuPhotoCache;
+use crate::device::{DeviceWork, GpuDevice, PooledBuffer};
 use crate::field::{GpuFeatureTarget, GpuField, GpuSums};
-use crate::holding::Holding;
-use crate::kept::Brought;
+use crate::holding::HeldEngine;
+use crate::kept::GpuChannels;
 use crate::memory::settles;
 use crate::shaders::{
     BUCKET_COUNT, BUCKETS, EMIT, HISTOGRAM, Kernel, ORDER, PROJECT, RANGES, SCAN, SCAN_ADD, SCATTER,
@@ -37,8 +37,8 @@ const DIGIT: u32 = 4;
 /// The rasteriser for accelerators. Make one and keep it: kernels are compiled on first use, and its memory is used
 /// again from view to view.
 pub struct GpuEngine {
-    pub(crate) device: Arc<Device>,
-    pub(crate) photos_on_device: Arc<PhotoCache>,
+    pub(crate) device: Arc<GpuDevice>,
+    pub(crate) photos_on_device: Arc<GpuPhotoCache>,
 }
 
 impl GpuEngine {
@@ -52,14 +52,14 @@ impl GpuEngine {
         GpuEngine::with_edit(choice, false, |_, text| text)
     }
 
-    /// The same with kernels whose text was changed: how tests plant a fault.
+    /// The same with edited kernels: tests plant faults so.
     #[doc(hidden)]
     pub fn with_edit(
         choice: &Choice,
         subgroups: bool,
         edit: impl Fn(&Kernel, String) -> String + Send + Sync + 'static,
     ) -> Result<GpuEngine, GpuError> {
-        let device = Arc::new(Device::open(choice, subgroups, Box::new(edit))?);
+        let device = Arc::new(GpuDevice::open(choice, subgroups, Box::new(edit))?);
         tracing::info!(adapter = device.adapter.name, backend = device.adapter.backend, "accelerator opened");
         Ok(GpuEngine { device, photos_on_device: Arc::default() })
     }
@@ -79,7 +79,7 @@ impl GpuEngine {
         self.device.held()
     }
 
-    /// Bytes that were brought to it since it was opened: how tests see what crosses.
+    /// Bytes uploaded since it was opened, for tests.
     #[doc(hidden)]
     pub fn brought(&self) -> u64 {
         self.device.brought()
@@ -94,7 +94,7 @@ impl GpuEngine {
 /// `View` of `shaders/shared/view.wgsl`.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
-struct View {
+struct ViewUniform {
     rows: [[f32; 4]; 3],
     lens: [f32; 4],
     limits: [f32; 4],
@@ -105,15 +105,15 @@ struct View {
 /// The splats' shapes on the device.
 pub(crate) struct Cloud {
     /// Centre, and the opacity's logit.
-    pub means: Lent,
+    pub means: PooledBuffer,
     /// Filled up with a 0.
-    pub log_scales: Lent,
-    pub rotations: Lent,
+    pub log_scales: PooledBuffer,
+    pub rotations: PooledBuffer,
     pub splats: usize,
 }
 
 impl Cloud {
-    pub fn upload(work: &mut Work, splats: &Splats) -> Result<Cloud, GpuError> {
+    pub fn upload(work: &mut DeviceWork, splats: &Splats) -> Result<Cloud, GpuError> {
         let means: Vec<[f32; 4]> =
             splats.means.par_iter().zip(&splats.opacities).map(|(&mean, &o)| with(mean, o)).collect();
         let scales: Vec<[f32; 4]> = splats.log_scales.par_iter().map(|&scale| with(scale, 0.0)).collect();
@@ -125,8 +125,8 @@ impl Cloud {
         })
     }
 
-    /// Centres, opacities, log scales and rotations, into splats that have the rest.
-    pub fn read(&self, work: &mut Work, into: &mut Splats) -> Result<(), GpuError> {
+    /// Downloads centres, opacities, log scales and rotations into splats that have the rest.
+    pub fn read(&self, work: &mut DeviceWork, into: &mut Splats) -> Result<(), GpuError> {
         let means: Vec<[f32; 4]> = work.read(&self.means, self.splats)?;
         let scales: Vec<[f32; 4]> = work.read(&self.log_scales, self.splats)?;
         into.means = means.iter().map(|&[x, y, z, _]| [x, y, z]).collect();
@@ -141,23 +141,23 @@ fn with([x, y, z]: [f32; 3], w: f32) -> [f32; 4] {
     [x, y, z, w]
 }
 
-/// What a view keeps on the device.
+/// Buffers of a view on the device.
 pub(crate) struct Binned {
-    pub view: Lent,
+    pub view: PooledBuffer,
     pub cloud: Arc<Cloud>,
-    pub footprints: Lent,
-    pub slots: Lent,
-    pub entries: Lent,
-    pub tiles: Lent,
-    pub buckets: Lent,
+    pub footprints: PooledBuffer,
+    pub slots: PooledBuffer,
+    pub entries: PooledBuffer,
+    pub tiles: PooledBuffer,
+    pub buckets: PooledBuffer,
     pub splats: usize,
     pub pixels: usize,
     pub tile_count: usize,
-    /// Room for pairs of a splat and a tile; as many as there are, where that was asked.
+    /// Capacity for pairs of a splat and a tile; their exact number where it was read.
     pub pairs: usize,
-    /// How many there are, and 1 if there is room for them.
-    pub found: Lent,
-    /// No fewer than there are buckets: known without asking the device.
+    /// Number of pairs, and 1 if the capacity suffices.
+    pub found: PooledBuffer,
+    /// Upper bound on the buckets, known without reading from the device.
     pub bucket_bound: usize,
 }
 
@@ -180,11 +180,11 @@ impl Engine for GpuEngine {
 
     fn hold<'a>(&'a self, splats: &'a Splats) -> Result<Option<Box<dyn Engine + 'a>>, RasterError> {
         let cloud = if_it_fits(Cloud::upload(&mut self.device.work(), splats))?.map(Arc::new);
-        Ok(cloud.map(|cloud| Box::new(Holding { engine: self, splats, cloud }) as Box<dyn Engine + 'a>))
+        Ok(cloud.map(|cloud| Box::new(HeldEngine { engine: self, splats, cloud }) as Box<dyn Engine + 'a>))
     }
 
     fn bring(&self, channels: &Channels) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
-        let brought = if_it_fits(Brought::upload(&self.device, channels))?.flatten();
+        let brought = if_it_fits(GpuChannels::upload(&self.device, channels))?.flatten();
         Ok(brought.map(|brought| Box::new(brought) as Box<dyn Any + Send + Sync>))
     }
 
@@ -205,7 +205,7 @@ impl Engine for GpuEngine {
     }
 
     fn similarity(&self, features: &Kept, queries: &Queries) -> Result<Option<Vec<f32>>, RasterError> {
-        let brought = features.on_device().and_then(|on_device| on_device.downcast_ref::<Brought>());
+        let brought = features.on_device().and_then(|on_device| on_device.downcast_ref::<GpuChannels>());
         match brought.filter(|brought| brought.is_on(&self.device)) {
             Some(brought) => if_it_fits(brought.similarity(queries)),
             None => Ok(None),
@@ -236,7 +236,7 @@ impl Engine for GpuEngine {
     }
 }
 
-/// What was made on the device; `None` where there is no room for it.
+/// A result of the device; `None` where it is out of memory.
 fn if_it_fits<T>(made: Result<T, GpuError>) -> Result<Option<T>, RasterError> {
     match made {
         Ok(made) => Ok(Some(made)),
@@ -264,23 +264,24 @@ impl GpuEngine {
     }
 }
 
-/// Projects, culls, sorts and bins; depth, radius and centre of each splat beside what a view keeps. `capacity` for pairs of a
-/// splat and a tile is taken on trust ([`Binned::found`] tells); without it the device is asked, which makes it wait.
+/// Projects, culls, sorts and bins. Returns the buffers of the view, and depth, radius and centre of each splat. A
+/// given `capacity` for pairs of a splat and a tile is not checked here ([`Binned::found`] has the number); without it
+/// the number is read from the device, which waits.
 pub(crate) fn bin(
-    work: &mut Work,
+    work: &mut DeviceWork,
     cloud: Arc<Cloud>,
     camera: &Camera,
     pose: &Pose,
     options: &ProjectOptions,
     capacity: Option<usize>,
-) -> Result<(Binned, Lent), GpuError> {
+) -> Result<(Binned, PooledBuffer), GpuError> {
     let n = cloud.splats;
     let (columns, rows) = (camera.width.div_ceil(TILE), camera.height.div_ceil(TILE));
     let tile_count = (columns * rows) as usize;
     let turn = pose.rotation.to_cols_array_2d();
     let shift = pose.translation.to_array();
     let row = |i: usize| [turn[0][i], turn[1][i], turn[2][i], shift[i]];
-    let view = View {
+    let view = ViewUniform {
         rows: [row(0), row(1), row(2)],
         lens: [camera.fx, camera.fy, camera.cx, camera.cy],
         limits: jacobian_limits(camera),
@@ -324,7 +325,7 @@ pub(crate) fn bin(
         n.max(pairs).max(1).div_ceil(GROUP),
     );
     drop((order, starts));
-    // One more than the tiles: what belongs to none has the number behind the last.
+    // One more than the tiles: pairs of no tile have the number after the last.
     let bits = u32::BITS - (tile_count as u32).leading_zeros();
     let (tile_keys, tile_pairs) = sort(work, tile_keys, tile_pairs, pairs, bits)?;
     let entries = work.take::<[u32; 2]>("the tiles' entries", pairs)?;
@@ -368,7 +369,7 @@ pub(crate) fn bin(
 }
 
 /// Replaces numbers by the sum of those before each.
-pub(crate) fn scan(work: &mut Work, data: &Lent, count: usize) -> Result<(), GpuError> {
+pub(crate) fn scan(work: &mut DeviceWork, data: &PooledBuffer, count: usize) -> Result<(), GpuError> {
     let blocks = count.div_ceil(BLOCK);
     let sums = work.take::<u32>("a running sum", blocks)?;
     let job = [count as u32, 0, 0, 0];
@@ -382,12 +383,12 @@ pub(crate) fn scan(work: &mut Work, data: &Lent, count: usize) -> Result<(), Gpu
 
 /// Stable radix sort of items by the lowest `bits` of their keys.
 pub(crate) fn sort(
-    work: &mut Work,
-    keys: Lent,
-    items: Lent,
+    work: &mut DeviceWork,
+    keys: PooledBuffer,
+    items: PooledBuffer,
     count: usize,
     bits: u32,
-) -> Result<(Lent, Lent), GpuError> {
+) -> Result<(PooledBuffer, PooledBuffer), GpuError> {
     if count == 0 {
         return Ok((keys, items));
     }

@@ -1,4 +1,4 @@
-//! An engine that has splats on its device.
+//! An engine with splats held on its device.
 
 use crate::engine::{Cloud, GpuEngine};
 use segwild_raster::field::{DeviceLifting, DeviceRefinement, FeatureTarget, Queries, Refining};
@@ -7,14 +7,14 @@ use segwild_scene::{Camera, Pose, Splats};
 use std::any::Any;
 use std::sync::Arc;
 
-/// The engine with splats that are on its device.
-pub(crate) struct Holding<'s> {
+/// The engine and the splats on its device.
+pub(crate) struct HeldEngine<'s> {
     pub engine: &'s GpuEngine,
     pub splats: &'s Splats,
     pub cloud: Arc<Cloud>,
 }
 
-impl Engine for Holding<'_> {
+impl Engine for HeldEngine<'_> {
     fn name(&self) -> &'static str {
         self.engine.name()
     }
@@ -26,7 +26,7 @@ impl Engine for Holding<'_> {
         pose: &Pose,
         options: &ProjectOptions,
     ) -> Result<Box<dyn Projected + 'a>, RasterError> {
-        // They are borrowed for as long as this lives: the same place holds the same splats.
+        // They are borrowed for as long as this lives: the same address holds the same splats.
         if !std::ptr::eq(splats, self.splats) {
             return self.engine.project(splats, camera, pose, options);
         }

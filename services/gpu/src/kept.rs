@@ -1,7 +1,7 @@
 //! Channels that stay on the device: blended by many views, or compared with clicks.
 
 use crate::GpuError;
-use crate::device::{Device, Lent, Work};
+use crate::device::{DeviceWork, GpuDevice, PooledBuffer};
 use crate::engine::GROUP;
 use crate::memory::keeps_channels;
 use crate::shaders::{COSINES, FUSE};
@@ -11,17 +11,17 @@ use segwild_raster::field::Queries;
 use std::sync::Arc;
 
 /// Channels that stay on a device.
-pub(crate) struct Brought {
-    device: Arc<Device>,
+pub(crate) struct GpuChannels {
+    device: Arc<GpuDevice>,
     rows: usize,
     count: usize,
-    /// As many at once as a view blends.
-    parts: Vec<Lent>,
+    /// Parts of as many channels as a view blends at once.
+    parts: Vec<PooledBuffer>,
 }
 
-impl Brought {
+impl GpuChannels {
     /// `None` where they would take more than their share of the device's memory.
-    pub fn upload(device: &Arc<Device>, channels: &Channels) -> Result<Option<Brought>, GpuError> {
+    pub fn upload(device: &Arc<GpuDevice>, channels: &Channels) -> Result<Option<GpuChannels>, GpuError> {
         let Channels { count, values } = *channels;
         let n = values.len() / count.max(1);
         let wide = at_once(count) * 4;
@@ -37,45 +37,45 @@ impl Brought {
             })
             .collect::<Result<_, _>>()?;
         drop(work);
-        Ok(Some(Brought { device: device.clone(), rows: n, count, parts }))
+        Ok(Some(GpuChannels { device: device.clone(), rows: n, count, parts }))
     }
 
-    /// Whether it is this device that they are on.
-    pub fn is_on(&self, device: &Arc<Device>) -> bool {
+    /// Whether they are on this device.
+    pub fn is_on(&self, device: &Arc<GpuDevice>) -> bool {
         Arc::ptr_eq(&self.device, device)
     }
 
     /// The channels from one on, as many as a view blends at once.
-    pub fn part(&self, first: usize) -> &Lent {
+    pub fn part(&self, first: usize) -> &PooledBuffer {
         &self.parts[first / (4 * at_once(self.count))]
     }
 
-    /// How much each row resembles the queries.
+    /// Fused similarity of each row to the queries.
     pub fn similarity(&self, queries: &Queries) -> Result<Vec<f32>, GpuError> {
         let mut work = self.device.work();
         let fused = self.resemblance(&mut work, queries)?;
         work.read(&fused, self.rows)
     }
 
-    /// The same, which stays there.
-    pub fn resemblance(&self, work: &mut Work, queries: &Queries) -> Result<Lent, GpuError> {
-        let (rows, feature_target, blocks) = (self.rows, queries.units.len(), at_once(self.count));
+    /// The same, kept on the device.
+    pub fn resemblance(&self, work: &mut DeviceWork, queries: &Queries) -> Result<PooledBuffer, GpuError> {
+        let (rows, clicks, blocks) = (self.rows, queries.units.len(), at_once(self.count));
         assert_eq!(queries.channels, self.count, "numbers of a query");
         let wide = self.parts.len() * blocks;
-        let mut units = vec![0.0; 4 * wide * feature_target];
+        let mut units = vec![0.0; 4 * wide * clicks];
         for (out, unit) in units.chunks_exact_mut(4 * wide).zip(queries.units) {
             out[..unit.len()].copy_from_slice(unit);
         }
-        let units = work.upload("what is asked", &units)?;
-        let sums = work.take::<f32>("products with what is asked", rows * (feature_target + 1))?;
-        let fused = work.take::<f32>("how much splats resemble it", rows)?;
+        let units = work.upload("the queries", &units)?;
+        let sums = work.take::<f32>("products with the queries", rows * (clicks + 1))?;
+        let fused = work.take::<f32>("the similarity of splats", rows)?;
         work.clear(&sums);
         let groups = rows.div_ceil(GROUP);
         for (k, part) in self.parts.iter().enumerate() {
-            let job = [rows, feature_target, wide, k * blocks].map(|n| n as u32);
+            let job = [rows, clicks, wide, k * blocks].map(|n| n as u32);
             work.run(&COSINES, blocks as u32, job, &[part, &units, &sums], groups);
         }
-        let job = [rows as u32, feature_target as u32, queries.sharpness.to_bits(), 0];
+        let job = [rows as u32, clicks as u32, queries.sharpness.to_bits(), 0];
         work.run(&FUSE, 1, job, &[&sums, &fused], groups);
         Ok(fused)
     }

@@ -1,12 +1,12 @@
-//! The accelerator engine: the kernels of `shaders/` behind [`segwild_raster::Engine`], through wgpu (Vulkan, Metal,
-//! Direct3D 12).
+//! The accelerator engine: implements [`segwild_raster::Engine`] with the kernels of `shaders/`, through wgpu (Vulkan,
+//! Metal, Direct3D 12).
 //!
-//! Each kernel bears the name of its twin in the CPU engine (`services/raster/src/cpu/`) and is tested against it; those of
-//! networks (`nets/`) have theirs in `services/nn` and `services/raster/src/appearance/gsw/`.
-//! What one view needs stays on the device from `project` to `backward`; channels go up, unless they are kept there for
-//! many views, and images and gradients come back, at the trait's boundary. Splats in training stay there too, with their
-//! optimiser, photos and networks (`training.rs`), and so do features while they are refined (`field/`): then a step is handed
-//! over at once.
+//! Each kernel bears the name of its twin in the CPU engine (`services/raster/src/cpu/`) and is tested against it;
+//! those of networks (`nets/`) have theirs in `services/nn` and `services/raster/src/appearance/gsw/`. Buffers of a
+//! view stay on the device from `project` to `backward`. Channels are uploaded, unless they are kept there for many
+//! views; images and gradients are downloaded. Splats in training stay on the device too, with their optimiser, photos
+//! and networks (`training.rs`), and so do features while they are refined (`field/`): then a whole step is submitted
+//! at once.
 
 #[cfg(test)]
 extern crate self as segwild_gpu;
@@ -34,22 +34,22 @@ mod view;
 
 pub use adapter::{Adapter, Choice, adapters};
 pub use check::{
-    Checked, FeatureCase, Made, STAGES, Stage, TestCase, Tolerance, check, check_comparison, check_field,
-    check_networks, check_splats, compared, gradients, held, held_with_embeddings, projected, test_cases,
-    training as check_training,
+    FeatureCase, FeatureCaseData, KernelCheck, STAGES, Stage, TestCase, Tolerance, check, check_comparison,
+    check_field, check_networks, check_splats, compared, gradients, held, held_with_embeddings, projected,
+    test_cases, training as check_training,
 };
 pub use engine::GpuEngine;
 pub use memory::{LEAST_PHOTOS, training_bytes};
 pub use shaders::{KERNELS, Kernel, source};
 pub use speed::{
-    CLICKS, FIELD_RULE, LOSSES, NETWORKS, Reach, SIMILARITY, STEP, Timed, reach, some_appearance,
+    CLICKS, FIELD_RULE, LOSSES, NETWORKS, PassTime, Reach, SIMILARITY, STEP, reach, some_appearance,
     some_feature_case, speed,
 };
 
 /// Why the accelerator engine refused, or stopped.
 #[derive(Debug, Clone, thiserror::Error)]
 pub enum GpuError {
-    /// There is no adapter, or none that was asked for.
+    /// There is no adapter, or none of the requested name.
     #[error("{0}")]
     NoAdapter(String),
     /// The adapter cannot do what every kernel needs.
@@ -66,7 +66,7 @@ pub enum GpuError {
     },
     /// One array of this view does not fit.
     #[error(
-        "{what} would take {bytes} bytes where {adapter} binds at most {limit} at once: draw smaller frames, fewer \
+        "{what} would take {bytes} bytes where {adapter} binds at most {limit} at once: render smaller frames, fewer \
          splats or fewer channels"
     )]
     TooLarge {
@@ -101,13 +101,13 @@ pub enum GpuError {
     Failed {
         /// Its name.
         adapter: String,
-        /// What the driver said.
+        /// The reason that the driver reports.
         why: String,
     },
 }
 
 impl GpuError {
-    /// Whether it is for want of room alone: with less to hold the device would go on.
+    /// Whether memory is the only reason: with less to hold the device would go on.
     pub(crate) fn is_out_of_memory(&self) -> bool {
         matches!(self, GpuError::TooLarge { .. } | GpuError::OverBudget { .. })
     }

@@ -1,9 +1,9 @@
-//! The optimiser's step of everything that is trained on the device: the groups of parameters, and their rules.
+//! The optimiser on the device: the groups of parameters, and their rules.
 
 use crate::GpuError;
-use crate::device::{Lent, Work};
+use crate::device::{DeviceWork, PooledBuffer};
 use crate::engine::{Cloud, GROUP};
-use crate::passes::Grads;
+use crate::passes::ShapeGrads;
 use crate::shaders::ADAM;
 use crate::training::GpuTraining;
 use bytemuck::{Pod, Zeroable};
@@ -18,19 +18,19 @@ struct AdamRules {
     item: [u32; 4],
 }
 
-/// Gradients of everything that is trained.
+/// Gradients of all parameters.
 pub(crate) struct StepGrads {
-    /// Of [`Grads`].
-    pub shapes: Lent,
-    /// As [`Numbers::sh`].
-    pub sh: Lent,
+    /// Of [`ShapeGrads`].
+    pub shapes: PooledBuffer,
+    /// As [`GpuParameters::sh`].
+    pub sh: PooledBuffer,
     /// As [`GpuSplatEmbeddings::values`].
-    pub splat_embeddings: Option<Lent>,
+    pub splat_embeddings: Option<PooledBuffer>,
 }
 
-/// A group of parameters, as `adam` sees it.
-struct Group {
-    /// Where the gradients of the first item begin, and how far those of the next are.
+/// A group of parameters of `adam`.
+struct ParameterGroup {
+    /// Where the gradients of the first item start, and the distance to those of the next.
     from: usize,
     stride: usize,
     /// How many items, and numbers of each; of these, how many are parameters, and how many follow the first of two rules.
@@ -39,11 +39,11 @@ struct Group {
     live: usize,
     split: usize,
     rules: [Rule; 2],
-    /// Of splats in sight only, which keep this much of what follows the second.
+    /// Only splats in sight are stepped; the factor by which parameters of the second rule decay.
     seen: Option<f32>,
 }
 
-impl Group {
+impl ParameterGroup {
     fn rules(&self) -> AdamRules {
         let rule = |Rule { beta1, beta2, rate, epsilon }: Rule| [beta1, beta2, rate, epsilon];
         AdamRules {
@@ -55,20 +55,20 @@ impl Group {
 }
 
 /// The optimiser's groups, with their rules on the device.
-pub(crate) struct Groups(Vec<(Group, Lent)>);
+pub(crate) struct Groups(Vec<(ParameterGroup, PooledBuffer)>);
 
 impl GpuTraining {
     /// The groups of parameters under these rules: centres and opacities, scales, rotations, harmonics and, where there
-    /// are some, codes.
+    /// are some, embeddings.
     pub fn groups(
         &self,
-        work: &mut Work,
+        work: &mut DeviceWork,
         rules: &Rules,
         networks: Option<&NetworksStep>,
     ) -> Result<Groups, GpuError> {
-        let shape = |from, live, split, rules| Group {
+        let shape = |from, live, split, rules| ParameterGroup {
             from,
-            stride: size_of::<Grads>() / 4,
+            stride: size_of::<ShapeGrads>() / 4,
             items: self.count(),
             width: 4,
             live,
@@ -76,7 +76,7 @@ impl GpuTraining {
             rules,
             seen: None,
         };
-        let whole = |items, width, split, rules, seen| Group {
+        let whole = |items, width, split, rules, seen| ParameterGroup {
             from: 0,
             stride: width,
             items,
@@ -114,15 +114,16 @@ impl GpuTraining {
     /// The optimiser's step of every group of parameters; `weights` are the gradients of the networks'.
     pub fn adam(
         &self,
-        work: &mut Work,
+        work: &mut DeviceWork,
         grads: &StepGrads,
-        weights: Option<&Lent>,
-        seen: &Lent,
-        found: &Lent,
+        weights: Option<&PooledBuffer>,
+        seen: &PooledBuffer,
+        found: &PooledBuffer,
         groups: &Groups,
     ) {
         let all = [&self.splats, &self.first, &self.second];
-        let shapes = |of: fn(&Cloud) -> &Lent| (all.map(|numbers| of(&numbers.shapes)), &grads.shapes);
+        let shapes =
+            |of: fn(&Cloud) -> &PooledBuffer| (all.map(|numbers| of(&numbers.shapes)), &grads.shapes);
         let mut arrays = vec![
             shapes(|of| &of.means),
             shapes(|of| &of.log_scales),

@@ -1,36 +1,36 @@
-//! What is done with splats once they are binned: blending, sums over pixels, gradients. All of it stays on the device.
+//! The passes over binned splats: blending, sums over pixels, gradients. All buffers stay on the device.
 //!
-//! Channels travel in blocks of whole vec4: `[splat][block]` and `[pixel][block]`, filled up with zeros.
+//! Channels are stored in blocks of whole vec4: `[splat][block]` and `[pixel][block]`, filled up with zeros.
 
 use crate::GpuError;
-use crate::device::{Lent, Work};
+use crate::device::{DeviceWork, PooledBuffer};
 use crate::engine::{Binned, GROUP};
 use crate::shaders::{BACKWARD, BLEND, FRONT, GATHER, SUM_SLOTS, UNPROJECT};
 
 /// Pixels of a tile.
 pub(crate) const PIXELS: usize = 256;
-/// Most vec4 that `front` and `backward` hold near; more are read from memory as they come.
+/// Most vec4 that `front` and `backward` hold in registers; more are read from memory as they come.
 const NEAR: usize = 2;
 
-/// What the kernels leave per splat, `unproject.wgsl`'s four vec4.
-pub(crate) type Grads = [[f32; 4]; 4];
+/// Output of `unproject.wgsl` per splat, four vec4.
+pub(crate) type ShapeGrads = [[f32; 4]; 4];
 
 impl Binned {
-    /// Room for the light at the buckets, which [`Binned::blend`] leaves for the passes behind it.
-    pub fn lights(&self, work: &mut Work) -> Result<Lent, GpuError> {
+    /// A buffer for the light at the buckets, which [`Binned::blend`] fills for later passes.
+    pub fn lights(&self, work: &mut DeviceWork) -> Result<PooledBuffer, GpuError> {
         work.take::<f32>("the light at the buckets", self.bucket_bound * PIXELS)
     }
 
     /// The image of `blocks` vec4 of channels; the `first` of several runs writes alpha and lights too.
     pub fn blend(
         &self,
-        work: &mut Work,
+        work: &mut DeviceWork,
         blocks: usize,
-        values: &Lent,
+        values: &PooledBuffer,
         first: bool,
-        alpha: &Lent,
-        lights: &Lent,
-    ) -> Result<Lent, GpuError> {
+        alpha: &PooledBuffer,
+        lights: &PooledBuffer,
+    ) -> Result<PooledBuffer, GpuError> {
         let image = work.take::<[f32; 4]>("the image", self.pixels * blocks)?;
         work.run(
             &BLEND,
@@ -45,11 +45,11 @@ impl Binned {
     /// Sums over pixels of what each splat contributes times the image, of `blocks` (1 or 2) vec4.
     pub fn gather(
         &self,
-        work: &mut Work,
+        work: &mut DeviceWork,
         blocks: usize,
-        image: &Lent,
-        lights: &Lent,
-    ) -> Result<Lent, GpuError> {
+        image: &PooledBuffer,
+        lights: &PooledBuffer,
+    ) -> Result<PooledBuffer, GpuError> {
         let sums = work.take::<[f32; 4]>("the sums per splat", self.splats * blocks)?;
         if self.pairs == 0 {
             work.clear(&sums);
@@ -71,15 +71,15 @@ impl Binned {
         Ok(sums)
     }
 
-    /// Gradients of the geometry ([`Grads`]), from those of an image of `blocks` vec4.
+    /// Gradients of the geometry ([`ShapeGrads`]), from those of an image of `blocks` vec4.
     pub fn backward(
         &self,
-        work: &mut Work,
+        work: &mut DeviceWork,
         blocks: usize,
-        values: &Lent,
-        image: &Lent,
-    ) -> Result<Lent, GpuError> {
-        let out = work.take::<Grads>("the gradients", self.splats)?;
+        values: &PooledBuffer,
+        image: &PooledBuffer,
+    ) -> Result<PooledBuffer, GpuError> {
+        let out = work.take::<ShapeGrads>("the gradients", self.splats)?;
         if self.pairs == 0 {
             work.clear(&out);
             return Ok(out);

@@ -1,4 +1,4 @@
-//! The kernels' sources: files of `shaders/`, carried by the program, with their imports put in.
+//! The kernels' sources: files of `shaders/`, embedded in the program, with their imports resolved.
 
 use crate::nets::CONSTANTS;
 use segwild_raster::compare::{self, Target};
@@ -102,22 +102,23 @@ kernels! {
     RATE = "rate"."rate", [1];
 }
 
-/// What a photo is compared by (`raster/src/compare/`).
+/// Constants of the losses (`raster/src/compare/`).
 const COMPARED: [(&str, f32); 12] = [
     ("DECAY", compare::DECAY),
     ("FLOOR", compare::FLOOR),
-    ("SUSPECTED", compare::INITIAL_TRANSIENT),
+    ("INITIAL_TRANSIENT_SHARE", compare::INITIAL_TRANSIENT),
     ("CONTRAST", compare::CONTRAST),
     ("SURPRISE", compare::SURPRISE),
     ("LEAST_OPEN", compare::LEAST_OPEN),
     ("LEAST_SEEN", compare::LEAST_SEEN),
     ("SURE", compare::SURE),
-    ("HIDDEN", compare::HIDDEN_LAYER),
+    ("OCCLUDED", compare::OCCLUDED),
     ("MOST", compare::MOST),
     ("LEAST", compare::LEAST),
     ("WRONG", compare::WRONG),
 ];
-/// The look `gsw` (`raster/src/appearance/gsw/`), what its networks are made of, and the feature field (`raster/src/field/`).
+/// Constants of the appearance model `gsw` (`raster/src/appearance/gsw/`), of its networks, and of the feature field
+/// (`raster/src/field/`).
 const LIT: [(&str, f32); 8] = [
     ("COORDINATE", gsw::COORDINATE),
     ("DROPPED", gsw::DROPPED),
@@ -134,7 +135,7 @@ const LIGHT: [(&str, u32); 6] = [
     ("MAPS", gsw::MAPS as u32),
     ("INTRINSIC", gsw::INTRINSIC as u32),
     ("VECTOR", gsw::VECTOR as u32),
-    ("CODE", gsw::CODE as u32),
+    ("EMBEDDING_SIZE", gsw::EMBEDDING_SIZE as u32),
 ];
 const COUNTED: [(&str, u32); 6] = [
     ("BINS", compare::BINS as u32),
@@ -145,7 +146,7 @@ const COUNTED: [(&str, u32); 6] = [
     ("INITIAL_TRANSIENT", Target::INITIAL_TRANSIENT as u32),
 ];
 
-/// What `#import name` stands for.
+/// Files of `#import name`.
 const SHARED: &[(&str, &str)] = &[
     ("common", include_str!("../../../shaders/shared/common.wgsl")),
     ("view", include_str!("../../../shaders/shared/view.wgsl")),
@@ -167,12 +168,12 @@ const SHARED: &[(&str, &str)] = &[
     ("reader", include_str!("../../../shaders/shared/reader.wgsl")),
 ];
 
-/// What stands for some of these where the device has subgroups.
+/// Variants of these files for devices with subgroups.
 const BY_SUBGROUPS: &[(&str, &str)] =
     &[("running", include_str!("../../../shaders/shared/running_subgroups.wgsl"))];
 
-/// The whole text of a kernel for so many vec4 of channels: the twins' own numbers, then the file with its imports, which
-/// may be others for a device that has `subgroups`.
+/// The whole text of a kernel for so many vec4 of channels: the constants of its twin, then the file with its imports,
+/// some of which have a variant for a device with `subgroups`.
 ///
 /// # Panics
 /// If the file imports what is not in `shaders/shared/`; a test builds every kernel.

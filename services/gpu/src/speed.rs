@@ -1,16 +1,16 @@
-//! How long each pass takes, and how long it must take on this device at the least.
+//! Times each pass, and computes the least time that it must take on this device.
 //!
 //! The floor of a pass is the longer of two times: its arrays, each read or written once, at the bandwidth of a copy; and
 //! its operations at the rate of a kernel that does nothing else. Operations are those of every pair of a splat and a tile
 //! at every pixel of the tile, as if no light ran out.
 
 use crate::check::{FeatureCase, OPTIONS};
-use crate::compare::{ComparisonInputs, Photo, compare};
-use crate::device::Work;
+use crate::compare::{ComparisonInputs, GpuPhoto, compare};
+use crate::device::DeviceWork;
 use crate::engine::{Cloud, GROUP, bin, sort};
 use crate::field::{GpuFeatureTarget, GpuField};
-use crate::kept::Brought;
-use crate::nets::{GpuNetworks, Lighting, PIECE, floor};
+use crate::kept::GpuChannels;
+use crate::nets::{GpuNetworks, NetworkLighting, PIECE, floor};
 use crate::passes::PIXELS;
 use crate::shaders::{RATE, SHADE};
 use crate::training::GpuTraining;
@@ -30,12 +30,13 @@ use std::time::Instant;
 /// Least seconds over which a pass is repeated, and most repetitions.
 const LEAST: f64 = 0.25;
 const MOST: usize = 200;
-/// Operations of one splat at one pixel: footprint and blending, and what a vec4 of channels and the way back add.
+/// Operations of one splat at one pixel: footprint and blending, and the additions of a vec4 of channels and of the
+/// backward pass.
 const TOUCH: f64 = 14.0;
 const PER_BLOCK: f64 = 8.0;
 const BACK: f64 = 40.0;
 
-/// What the device reaches when it does only that.
+/// Peak rates of the device.
 #[derive(Clone, Copy, Debug)]
 pub struct Reach {
     /// Bytes read and written in a second by a copy.
@@ -45,7 +46,7 @@ pub struct Reach {
 }
 
 impl Reach {
-    /// Milliseconds that so many bytes and operations take at the least.
+    /// Least milliseconds for so many bytes and operations.
     fn floor_ms(&self, bytes: f64, operations: f64) -> f64 {
         1e3 * (bytes / self.bytes).max(operations / self.operations)
     }
@@ -53,15 +54,15 @@ impl Reach {
 
 /// One pass over one view.
 #[derive(Clone, Debug)]
-pub struct Timed {
-    /// Its name: kernels of `shaders/`, or what they do together.
+pub struct PassTime {
+    /// Its name: that of a kernel of `shaders/`, or of what several do together.
     pub pass: &'static str,
     /// Milliseconds of wall clock.
     pub ms: f64,
-    /// The least that it takes; 0 where it is not one pass of the device.
+    /// The floor of this time; 0 where it is not one pass of the device.
     pub floor_ms: f64,
-    /// Milliseconds of its kernels by the device's own clock, the slowest first; none where it has no clock. What they lack
-    /// of [`Timed::ms`] goes to handing them in, and to waiting.
+    /// Milliseconds of its kernels by the device's own clock, the slowest first; none where it has no clock. The rest
+    /// of [`PassTime::ms`] is submission and waiting.
     pub kernels: Vec<(&'static str, f64)>,
 }
 
@@ -72,15 +73,15 @@ struct Spent {
 }
 
 impl Spent {
-    fn row(self, pass: &'static str, floor_ms: f64) -> Timed {
-        Timed { pass, ms: self.ms, floor_ms, kernels: self.kernels }
+    fn row(self, pass: &'static str, floor_ms: f64) -> PassTime {
+        PassTime { pass, ms: self.ms, floor_ms, kernels: self.kernels }
     }
 }
 
 /// Times that kernels are timed one by one.
 const CLOCKED: u32 = 3;
 
-/// What the device's clock says of so many repetitions, the slowest kernel first.
+/// Times by the device's clock over so many repetitions, the slowest kernel first.
 fn slowest(spent: BTreeMap<&'static str, f64>, repetitions: u32) -> Vec<(&'static str, f64)> {
     let mut kernels: Vec<_> =
         spent.into_iter().map(|(name, ms)| (name, ms / f64::from(repetitions))).collect();
@@ -88,10 +89,10 @@ fn slowest(spent: BTreeMap<&'static str, f64>, repetitions: u32) -> Vec<(&'stati
     kernels
 }
 
-/// Times work that is handed in over and over and waited for once; then its kernels.
+/// Times work that is submitted repeatedly and waited for once; then its kernels.
 fn timed(
-    work: &mut Work,
-    mut pass: impl FnMut(&mut Work) -> Result<(), GpuError>,
+    work: &mut DeviceWork,
+    mut pass: impl FnMut(&mut DeviceWork) -> Result<(), GpuError>,
 ) -> Result<Spent, GpuError> {
     let ms = repeated(work, &mut pass)?;
     work.start_clock();
@@ -102,12 +103,12 @@ fn timed(
     Ok(Spent { ms, kernels: slowest(work.stop_clock(), CLOCKED) })
 }
 
-/// Mean milliseconds of work that is handed in over and over and waited for once.
+/// Mean milliseconds of work that is submitted repeatedly and waited for once.
 fn repeated(
-    work: &mut Work,
-    mut pass: impl FnMut(&mut Work) -> Result<(), GpuError>,
+    work: &mut DeviceWork,
+    mut pass: impl FnMut(&mut DeviceWork) -> Result<(), GpuError>,
 ) -> Result<f64, GpuError> {
-    // Compiles, and takes what memory it needs.
+    // Compiles, and allocates its memory.
     pass(work)?;
     work.wait()?;
     let mut calls = 1;
@@ -125,7 +126,7 @@ fn repeated(
     }
 }
 
-/// Measures what the device reaches.
+/// Measures the peak rates of the device.
 pub fn reach(engine: &GpuEngine) -> Result<Reach, GpuError> {
     let mut work = engine.device.work();
     let bytes = engine.adapter().binding.min(256 << 20) as usize / 16 * 16;
@@ -154,7 +155,7 @@ pub fn speed(
     camera: &Camera,
     pose: &Pose,
     channels: usize,
-) -> Result<Vec<Timed>, RasterError> {
+) -> Result<Vec<PassTime>, RasterError> {
     let mut rows = {
         let mut bench = Bench { work: engine.device.work(), reach, rows: Vec::new() };
         bench.passes(splats, camera, pose, channels.div_ceil(4).max(1))?;
@@ -169,9 +170,9 @@ pub fn speed(
 
 /// Passes that are timed one after the other.
 struct Bench<'a> {
-    work: Work<'a>,
+    work: DeviceWork<'a>,
     reach: Reach,
-    rows: Vec<Timed>,
+    rows: Vec<PassTime>,
 }
 
 impl Bench<'_> {
@@ -181,7 +182,7 @@ impl Bench<'_> {
         pass: &'static str,
         bytes: f64,
         operations: f64,
-        run: impl FnMut(&mut Work) -> Result<(), GpuError>,
+        run: impl FnMut(&mut DeviceWork) -> Result<(), GpuError>,
     ) -> Result<(), GpuError> {
         let floor = self.reach.floor_ms(bytes, operations);
         self.rows.push(timed(&mut self.work, run)?.row(pass, floor));
@@ -238,7 +239,7 @@ impl Bench<'_> {
             Ok(())
         })?;
         let moved = read + n * wide + pixels * wide + kept;
-        let gather = |work: &mut Work| -> Result<(), GpuError> {
+        let gather = |work: &mut DeviceWork| -> Result<(), GpuError> {
             let at_once = blocks.min(2);
             for _ in (0..blocks).step_by(at_once) {
                 on.gather(work, at_once, &image, &lights)?;
@@ -246,7 +247,8 @@ impl Bench<'_> {
             Ok(())
         };
         self.row("gather", moved, touched * (TOUCH + per_block), gather)?;
-        // The gradients of values and of shapes. What is behind each pixel is kept at the buckets in between.
+        // The gradients of values and of shapes. The remaining contribution per pixel is stored at the buckets in
+        // between.
         let moved = 3.0 * read + n * (2.0 * wide + 112.0) + 2.0 * pixels * wide + 5.0 * kept;
         let operations = touched * (3.0 * (TOUCH + per_block) + BACK);
         self.row("backward", moved, operations, |work| {
@@ -256,10 +258,11 @@ impl Bench<'_> {
     }
 }
 
-/// The pass that is what the look `gsw` adds to a step.
+/// Name of the pass of the networks of the appearance model `gsw`.
 pub const NETWORKS: &str = "networks of gsw";
 
-/// A look `gsw` of one square photo that a camera took, as long as the network takes it, and a step that reads its light.
+/// An appearance model `gsw` with one square photo of a camera, at the size of the UNet's input, and a step that reads
+/// its light.
 pub fn some_appearance(camera: &Camera, pose: &Pose) -> (GswAppearance, u64) {
     let mut appearance = GswAppearance::new(1, 1, GswWidth::Cpu);
     let side = gsw::Networks::of(GswWidth::Cpu).side;
@@ -271,14 +274,14 @@ pub fn some_appearance(camera: &Camera, pose: &Pose) -> (GswAppearance, u64) {
     (appearance, draw.expect("one in a thousand"))
 }
 
-/// Times the networks of the look `gsw`, forward and back, of splats that are all in sight.
+/// Times the networks of the appearance model `gsw`, forward and backward, with all splats in sight.
 fn networks(
     engine: &GpuEngine,
     reach: Reach,
     splats: &Splats,
     camera: &Camera,
     pose: &Pose,
-) -> Result<Timed, GpuError> {
+) -> Result<PassTime, GpuError> {
     let n = splats.len();
     let (appearance, draw) = some_appearance(camera, pose);
     let rules = [Rule { beta1: 0.9, beta2: 0.999, rate: 0.0, epsilon: 1e-8 }; 2];
@@ -287,23 +290,24 @@ fn networks(
     let held = GpuNetworks::upload(work, &appearance.held())?;
     let cloud = Cloud::upload(work, splats)?;
     let seen = work.upload("depths and radii", &vec![[1.0f32; 4]; n])?;
-    let splat_embeddings = work.upload("the splats' codes", &appearance.first_embeddings(&splats.means))?;
-    let by_code = work.take::<f32>("the codes' gradients", n * GswAppearance::EMBEDDING_SIZE)?;
+    let splat_embeddings =
+        work.upload("the splats' embeddings", &appearance.first_embeddings(&splats.means))?;
+    let by_embedding = work.take::<f32>("the embeddings' gradients", n * GswAppearance::EMBEDDING_SIZE)?;
     let colours = work.take::<[f32; 4]>("the splats' colours", n)?;
     work.clear(&colours);
-    let lighting = Lighting::upload(work, &held, &step, pose.centre(), n, PIECE)?;
+    let lighting = NetworkLighting::upload(work, &held, &step, pose.centre(), n, PIECE)?;
     let spent = timed(work, |work| {
         lighting.tint(work, &seen, &cloud.means, &splat_embeddings, &colours)?;
-        lighting.backward(work, &colours, (&cloud.means, &splat_embeddings), &by_code, None)
+        lighting.backward(work, &colours, (&cloud.means, &splat_embeddings), &by_embedding, None)
     })?;
     let (bytes, operations) = floor(GswWidth::Cpu, n);
     Ok(spent.row(NETWORKS, reach.floor_ms(bytes, operations)))
 }
 
-/// The pass that is what a photo asks of the feature field: its losses with a learned decoder, and what they say of the image.
+/// Name of the pass of the feature field's losses, with a learned decoder, and their gradients of the image.
 pub const LOSSES: &str = "losses of the field";
 
-/// What a photo asks by a usual embedding, with masks as a photo has them, where features are rendered at 128 pixels.
+/// A feature case of usual size: a usual embedding, as many masks as a photo has, and features rendered at 128 pixels.
 pub fn some_feature_case(camera: &Camera, channels: usize) -> FeatureCase {
     let camera = camera.scaled_to(128);
     FeatureCase {
@@ -316,11 +320,11 @@ pub fn some_feature_case(camera: &Camera, channels: usize) -> FeatureCase {
     }
 }
 
-/// What the losses weigh.
+/// Weights of the losses.
 pub const FIELD_RULE: FieldRule = FieldRule { embedding: 0.7, compact: 0.3, rate: 0.0 };
 
 /// Times the losses of the feature field.
-fn losses(engine: &GpuEngine, reach: Reach, case: FeatureCase) -> Result<Timed, GpuError> {
+fn losses(engine: &GpuEngine, reach: Reach, case: FeatureCase) -> Result<PassTime, GpuError> {
     let random = &mut Random::new(3);
     let (made, image) = (case.make(random), case.image(random));
     let channels = case.channels;
@@ -347,7 +351,7 @@ fn losses(engine: &GpuEngine, reach: Reach, case: FeatureCase) -> Result<Timed, 
     })?;
     let (c, cells) = (channels as f64, (case.grid[0] * case.grid[1]) as f64);
     let (outputs, rendered) = (case.decoded.map_or(0.0, |n| n as f64), case.pixels as f64);
-    // Image, target and weights; forward and twice back, and of pairs once.
+    // Image, target and weights; forward and twice backward, and of pairs once.
     let bytes = 4.0 * (2.0 * c * pixels as f64 + outputs * (cells + 6.0 * c) + 2.0 * c * rendered);
     let operations =
         2.0 * (3.0 * c * outputs * cells + 2.0 * c * rendered * rendered + 2.0 * c * pixels as f64);
@@ -359,13 +363,18 @@ pub const SIMILARITY: &str = "similarity to 4 clicks";
 /// So many.
 pub const CLICKS: usize = 4;
 
-fn similarity(engine: &GpuEngine, reach: Reach, splats: usize, channels: usize) -> Result<Timed, GpuError> {
+fn similarity(
+    engine: &GpuEngine,
+    reach: Reach,
+    splats: usize,
+    channels: usize,
+) -> Result<PassTime, GpuError> {
     let values = vec![0.5; splats * channels];
-    let kept = Brought::upload(&engine.device, &Channels { count: channels, values: &values })?;
+    let kept = GpuChannels::upload(&engine.device, &Channels { count: channels, values: &values })?;
     let units = vec![vec![0.5; channels]; CLICKS];
     let queries = Queries { channels, units: &units, sharpness: 10.0 };
     let Some(kept) = kept else {
-        return Ok(Timed { pass: SIMILARITY, ms: 0.0, floor_ms: 0.0, kernels: Vec::new() });
+        return Ok(PassTime { pass: SIMILARITY, ms: 0.0, floor_ms: 0.0, kernels: Vec::new() });
     };
     let spent = timed(&mut engine.device.work(), |work| kept.resemblance(work, &queries).map(drop))?;
     let (n, c) = (splats as f64, channels as f64);
@@ -391,14 +400,14 @@ fn some_photo(width: usize, height: usize) -> Target {
     Target { width, height, pixels, trust: vec![0.1; width * height] }
 }
 
-/// Times steps of splats that stay, as training asks for them.
+/// Times training steps of splats that stay on the device.
 fn training(
     engine: &GpuEngine,
     reach: Reach,
     splats: &Splats,
     camera: &Camera,
     pose: &Pose,
-) -> Result<Vec<Timed>, RasterError> {
+) -> Result<Vec<PassTime>, RasterError> {
     let n = splats.len();
     let zero = Splats {
         means: vec![[0.0; 3]; n],
@@ -442,21 +451,22 @@ fn training(
         lambda_ssim: 0.2,
         sky_weight: 0.1,
     };
-    let photo = Photo::upload(&mut work, &target)?;
-    let feature_target = ComparisonInputs::upload(&mut work, &loss_inputs)?;
+    let photo = GpuPhoto::upload(&mut work, &target)?;
+    let inputs = ComparisonInputs::upload(&mut work, &loss_inputs)?;
     let cloud = Arc::new(Cloud::upload(&mut work, splats)?);
     let (on, _) = bin(&mut work, cloud, camera, pose, &OPTIONS, None)?;
     let image = work.take::<[f32; 4]>("the image", width * height)?;
     work.clear(&image);
     let spent = timed(&mut work, |work| {
-        compare(work, &on.view, &image, &photo, &feature_target, &loss_inputs, None).map(drop)
+        compare(work, &on.view, &image, &photo, &inputs, &loss_inputs, None).map(drop)
     })?;
     let pixels = (width * height) as f64;
-    // Numbers that its kernels read and write per pixel: 11 to compose, 18 to find what is left out, 63 for the loss, 12 for
-    // its way back. A window of eleven by eleven is eleven numbers twice, for four maps on the way and three back.
+    // Numbers that its kernels read and write per pixel: 11 to compose, 18 to find what is left out, 63 for the loss,
+    // 12 for its backward pass. A window of eleven by eleven is eleven numbers twice, for four maps forward and three
+    // backward.
     let (bytes, operations) = (pixels * 4.0 * 104.0, pixels * 3.0 * 11.0 * 2.0 * 7.0 * 2.0);
     rows.push(spent.row("compare", reach.floor_ms(bytes, operations)));
-    drop((work, on, image, feature_target, photo, seen, found, groups));
+    drop((work, on, image, inputs, photo, seen, found, groups));
     let step = Step {
         options: &OPTIONS,
         light: None,
@@ -484,6 +494,6 @@ fn training(
     }
     engine.device.work().wait()?;
     let kernels = slowest(engine.device.stop_clock(), CLOCKED);
-    rows.push(Timed { pass: STEP, ms, floor_ms: 0.0, kernels });
+    rows.push(PassTime { pass: STEP, ms, floor_ms: 0.0, kernels });
     Ok(rows)
 }

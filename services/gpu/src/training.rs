@@ -1,13 +1,15 @@
-//! Splats in training, with their optimiser and what density control wants to know of them. A step is handed to the device
-//! at once, and what comes back of it is what the photo said; the splats do not move.
+//! Splats in training, with their optimiser and the sums for density control. A step is submitted to the device at
+//! once, and only its results are downloaded; the splats stay there.
 
 use crate::GpuError;
-use crate::compare::{ComparisonInputs, Graded, LIGHT, Photo, PhotoCache, StepReadback, compare, total};
-use crate::device::{Device, Lent, Work};
+use crate::compare::{
+    ComparisonInputs, GpuPhoto, GpuPhotoCache, Graded, LIGHT, StepReadback, compare, total,
+};
+use crate::device::{DeviceWork, GpuDevice, PooledBuffer};
 use crate::engine::{Binned, Cloud, GROUP, bin};
-use crate::nets::{GpuNetworks, Lighting, PIECE};
+use crate::nets::{GpuNetworks, NetworkLighting, PIECE};
 use crate::optimiser::{Groups, StepGrads};
-use crate::passes::Grads;
+use crate::passes::ShapeGrads;
 use crate::shaders::{OBSERVE, SELECT, SHADE, SHADE_BACKWARD, TINT, TINT_BACKWARD};
 use segwild_raster::compare::LossOutput;
 use segwild_raster::{
@@ -18,19 +20,19 @@ use segwild_scene::{Camera, Pose, Splats};
 use std::sync::Arc;
 
 /// Splats or their moments.
-pub(crate) struct Numbers {
+pub(crate) struct GpuParameters {
     pub shapes: Arc<Cloud>,
     /// `[splat][basis function][r, g, b]`.
-    pub sh: Lent,
+    pub sh: PooledBuffer,
 }
 
-impl Numbers {
-    fn upload(work: &mut Work, splats: &Splats) -> Result<Numbers, GpuError> {
+impl GpuParameters {
+    fn upload(work: &mut DeviceWork, splats: &Splats) -> Result<GpuParameters, GpuError> {
         let shapes = Arc::new(Cloud::upload(work, splats)?);
-        Ok(Numbers { shapes, sh: work.upload("the splats' harmonics", &splats.sh)? })
+        Ok(GpuParameters { shapes, sh: work.upload("the splats' harmonics", &splats.sh)? })
     }
 
-    fn read(&self, work: &mut Work, sh_degree: u32) -> Result<Splats, GpuError> {
+    fn read(&self, work: &mut DeviceWork, sh_degree: u32) -> Result<Splats, GpuError> {
         let mut splats = Splats { sh_degree, ..Splats::default() };
         self.shapes.read(work, &mut splats)?;
         splats.sh = work.read(&self.sh, self.shapes.splats * splats.sh_stride())?;
@@ -38,56 +40,56 @@ impl Numbers {
     }
 }
 
-/// A view that was drawn.
-pub(crate) struct Rendered<'a> {
+/// A rendered view.
+pub(crate) struct GpuRender<'a> {
     pub on: Binned,
     /// Depth, radius, centre per splat.
-    seen: Lent,
+    seen: PooledBuffer,
     /// The splats' own colours, and those in the photo's light, where there is one.
-    colours: Lent,
-    lit: Option<Lit<'a>>,
-    lights: Lent,
+    colours: PooledBuffer,
+    lit: Option<LitSplats<'a>>,
+    lights: PooledBuffer,
     /// Colour and alpha.
-    pub image: Lent,
+    pub image: PooledBuffer,
 }
 
 /// Splats in a photo's light.
-struct Lit<'a> {
-    photo: Lent,
-    tinted: Lent,
+struct LitSplats<'a> {
+    photo: PooledBuffer,
+    tinted: PooledBuffer,
     splat_embeddings: &'a GpuSplatEmbeddings,
-    lighting: Option<Lighting<'a>>,
+    lighting: Option<NetworkLighting<'a>>,
 }
 
-impl<'a> Rendered<'a> {
-    /// What the networks of the look `gsw` made of it.
-    pub fn lighting(&self) -> Option<&Lighting<'a>> {
+impl<'a> GpuRender<'a> {
+    /// The light of the networks of the appearance model `gsw`.
+    pub fn lighting(&self) -> Option<&NetworkLighting<'a>> {
         self.lit.as_ref()?.lighting.as_ref()
     }
 }
 
-/// Of which splats before the splats come, and which are forgotten.
+/// Parent of each splat, and whether its moments are reset.
 struct Parents {
-    rows: Lent,
+    rows: PooledBuffer,
     count: usize,
 }
 
-/// Codes of splats and their moments.
+/// Appearance embeddings of splats and their moments.
 pub(crate) struct GpuSplatEmbeddings {
-    pub values: Lent,
-    pub first: Lent,
-    pub second: Lent,
-    /// Numbers of a code.
+    pub values: PooledBuffer,
+    pub first: PooledBuffer,
+    pub second: PooledBuffer,
+    /// Length of an embedding.
     pub width: usize,
 }
 
 impl GpuSplatEmbeddings {
-    /// Numbers of a code that come before those of the look `embed`.
+    /// Numbers of an embedding before those of the appearance model `embed`.
     pub fn before(&self) -> usize {
         self.width - EmbedAppearance::EMBEDDING_SIZE
     }
 
-    /// A job over so many splats, for those of the look `embed`.
+    /// A job over so many splats, for the part of the appearance model `embed`.
     fn job(&self, splats: usize) -> [u32; 4] {
         [splats, self.width / 4, self.before() / 4, 0].map(|n| n as u32)
     }
@@ -95,37 +97,37 @@ impl GpuSplatEmbeddings {
 
 /// Splats in training on the device.
 pub(crate) struct GpuTraining {
-    device: Arc<Device>,
-    photos_on_device: Arc<PhotoCache>,
+    device: Arc<GpuDevice>,
+    photos_on_device: Arc<GpuPhotoCache>,
     sh_degree: u32,
-    pub splats: Numbers,
-    pub first: Numbers,
-    pub second: Numbers,
+    pub splats: GpuParameters,
+    pub first: GpuParameters,
+    pub second: GpuParameters,
     /// For density control: gradient, error, steps, radius.
-    sums: Lent,
+    sums: PooledBuffer,
     pub splat_embeddings: Option<GpuSplatEmbeddings>,
     pub networks: Option<GpuNetworks>,
 }
 
 impl GpuTraining {
     pub fn new(
-        device: &Arc<Device>,
-        photos_on_device: &Arc<PhotoCache>,
+        device: &Arc<GpuDevice>,
+        photos_on_device: &Arc<GpuPhotoCache>,
         held: &Held,
     ) -> Result<GpuTraining, GpuError> {
         let mut work = device.work();
         Ok(GpuTraining {
             sh_degree: held.splats.sh_degree,
-            splats: Numbers::upload(&mut work, &held.splats)?,
-            first: Numbers::upload(&mut work, &held.first)?,
-            second: Numbers::upload(&mut work, &held.second)?,
+            splats: GpuParameters::upload(&mut work, &held.splats)?,
+            first: GpuParameters::upload(&mut work, &held.first)?,
+            second: GpuParameters::upload(&mut work, &held.second)?,
             sums: work.upload("the sums for density control", &held.sums)?,
             splat_embeddings: match &held.splat_embeddings.values {
                 none if none.is_empty() => None,
                 values => Some(GpuSplatEmbeddings {
-                    values: work.upload("the splats' codes", values)?,
-                    first: work.upload("the codes' first moments", &held.splat_embeddings.first)?,
-                    second: work.upload("the codes' second moments", &held.splat_embeddings.second)?,
+                    values: work.upload("the splats' embeddings", values)?,
+                    first: work.upload("the embeddings' first moments", &held.splat_embeddings.first)?,
+                    second: work.upload("the embeddings' second moments", &held.splat_embeddings.second)?,
                     width: values.len() / held.splats.len(),
                 }),
             },
@@ -148,7 +150,7 @@ impl GpuTraining {
             let work = &mut self.device.work();
             let (photo, capacity) = self.photos_on_device.take(work, step.key, step.target, self.count())?;
             let readback = match self.once(work, step, &photo, capacity) {
-                // More room than the view needs, perhaps.
+                // The capacity may be larger than the view needs.
                 Err(error) if error.is_out_of_memory() && capacity.is_some() => {
                     self.photos_on_device.clear();
                     self.once(work, step, &photo, None)?
@@ -157,24 +159,24 @@ impl GpuTraining {
             };
             let (pairs, fits) = readback.pairs();
             self.photos_on_device.note(step.key, pairs, self.count());
-            // Without room nothing was learnt; there will be, now that it is known how much it takes.
+            // Without capacity nothing was learnt. The next try has enough, now that the number of pairs is known.
             if fits {
                 return Ok((readback.results(&step.loss_inputs), step.light.map(|_| readback.light())));
             }
         }
     }
 
-    /// A step, all of it handed to the device at once, with room for so many pairs of a splat and a tile.
+    /// A step, submitted to the device at once, with capacity for so many pairs of a splat and a tile.
     fn once(
         &self,
-        work: &mut Work,
+        work: &mut DeviceWork,
         step: &Step,
-        photo: &Photo,
+        photo: &GpuPhoto,
         capacity: Option<usize>,
     ) -> Result<StepReadback, GpuError> {
         let loss_inputs = &step.loss_inputs;
-        // What goes up hands in what stands before it: all of it goes first.
-        let feature_target = ComparisonInputs::upload(work, loss_inputs)?;
+        // An upload submits the work before it, so all uploads come first.
+        let inputs = ComparisonInputs::upload(work, loss_inputs)?;
         let groups = self.groups(work, step.rules, step.networks.as_ref())?;
         let lighting = self.lighting(work, step.networks.as_ref(), loss_inputs.pose)?;
         let light = step.light.map(|light| (light, lighting));
@@ -182,41 +184,34 @@ impl GpuTraining {
             self.draw(work, loss_inputs.camera, loss_inputs.pose, step.options, light, capacity)?;
         let decides = step.networks.as_ref().is_some_and(|networks| networks.decides);
         let visible = rendered.lighting().and_then(|lighting| lighting.visible(decides));
-        let graded = compare(
-            work,
-            &rendered.on.view,
-            &rendered.image,
-            photo,
-            &feature_target,
-            loss_inputs,
-            visible.as_ref(),
-        )?;
+        let graded =
+            compare(work, &rendered.on.view, &rendered.image, photo, &inputs, loss_inputs, visible.as_ref())?;
         let Graded { grads, error, blames, .. } = &graded;
-        self.learn(work, &rendered, (grads, error, blames.as_ref()), &groups, &feature_target.results)?;
-        StepReadback::read(work, &feature_target.results, &rendered.on.found)
+        self.learn(work, &rendered, (grads, error, blames.as_ref()), &groups, &inputs.results)?;
+        StepReadback::read(work, &inputs.results, &rendered.on.found)
     }
 
-    /// What a step of the networks needs, for a view from such a pose.
+    /// Uploads the inputs of a step of the networks, for a view from such a pose.
     pub fn lighting(
         &self,
-        work: &mut Work,
+        work: &mut DeviceWork,
         step: Option<&NetworksStep>,
         pose: &Pose,
-    ) -> Result<Option<Lighting<'_>>, GpuError> {
+    ) -> Result<Option<NetworkLighting<'_>>, GpuError> {
         let (Some(networks), Some(step)) = (&self.networks, step) else { return Ok(None) };
-        Lighting::upload(work, networks, step, pose.centre(), self.count(), PIECE).map(Some)
+        NetworkLighting::upload(work, networks, step, pose.centre(), self.count(), PIECE).map(Some)
     }
 
-    /// Draws the splats, in a photo's light if there is one, and in what networks read in it.
+    /// Renders the splats, with a photo's light if there is one, and with that of the networks.
     pub fn draw<'a>(
         &'a self,
-        work: &mut Work,
+        work: &mut DeviceWork,
         camera: &Camera,
         pose: &Pose,
         options: &ProjectOptions,
-        light: Option<(&Light, Option<Lighting<'a>>)>,
+        light: Option<(&Light, Option<NetworkLighting<'a>>)>,
         capacity: Option<usize>,
-    ) -> Result<Rendered<'a>, GpuError> {
+    ) -> Result<GpuRender<'a>, GpuError> {
         let n = self.count();
         let shapes = &self.splats.shapes;
         let light = match light {
@@ -230,14 +225,14 @@ impl GpuTraining {
         work.run(&SHADE, 1, job, &buffers, n.div_ceil(GROUP));
         let lit = match light {
             Some((photo, lighting)) => {
-                let splat_embeddings = self.splat_embeddings.as_ref().expect("light falls on codes");
+                let splat_embeddings = self.splat_embeddings.as_ref().expect("light needs embeddings");
                 let tinted = work.take::<[f32; 4]>("the tinted colours", n)?;
                 let buffers = [&photo, &colours, &splat_embeddings.values, &tinted];
                 work.run(&TINT, 1, splat_embeddings.job(n), &buffers, n.div_ceil(GROUP));
                 if let Some(lighting) = &lighting {
                     lighting.tint(work, &seen, &shapes.means, &splat_embeddings.values, &tinted)?;
                 }
-                Some(Lit { photo, tinted, splat_embeddings, lighting })
+                Some(LitSplats { photo, tinted, splat_embeddings, lighting })
             }
             None => None,
         };
@@ -245,20 +240,20 @@ impl GpuTraining {
         let lights = on.lights(work)?;
         let values = lit.as_ref().map_or(&colours, |lit| &lit.tinted);
         let image = on.blend(work, 1, values, true, &alpha, &lights)?;
-        Ok(Rendered { on, seen, colours, lit, lights, image })
+        Ok(GpuRender { on, seen, colours, lit, lights, image })
     }
 
-    /// The optimiser's step by the gradients of what was drawn, of colour and alpha; the sums for density control, which
-    /// take the error at the centres; the gradient of the light, into `results`.
+    /// The backward pass and the optimiser's step from the gradients of colour and alpha. Also adds to the sums for
+    /// density control, with the error at the centres, and writes the gradient of the light to `results`.
     pub fn learn(
         &self,
-        work: &mut Work,
-        rendered: &Rendered,
-        (by_image, error, blames): (&Lent, &Lent, Option<&Lent>),
+        work: &mut DeviceWork,
+        rendered: &GpuRender,
+        (by_image, error, blames): (&PooledBuffer, &PooledBuffer, Option<&PooledBuffer>),
         groups: &Groups,
-        results: &Lent,
+        results: &PooledBuffer,
     ) -> Result<(), GpuError> {
-        let Rendered { on, seen, colours, lit, lights, .. } = rendered;
+        let GpuRender { on, seen, colours, lit, lights, .. } = rendered;
         let n = self.count();
         let each = n.div_ceil(GROUP);
         let shapes = &self.splats.shapes;
@@ -266,18 +261,19 @@ impl GpuTraining {
         let values = lit.as_ref().map_or(colours, |lit| &lit.tinted);
         let grads = on.backward(work, 1, values, by_image)?;
         // Where there is light, `by_colour` is of the tinted colours before, and of the splats' own after.
-        let by_code = match lit {
-            Some(Lit { photo, splat_embeddings, lighting, .. }) => {
-                let by_code = work.take::<f32>("the codes' gradients", n * splat_embeddings.width)?;
+        let by_embedding = match lit {
+            Some(LitSplats { photo, splat_embeddings, lighting, .. }) => {
+                let by_embedding =
+                    work.take::<f32>("the embeddings' gradients", n * splat_embeddings.width)?;
                 if let Some(lighting) = lighting {
                     let known = (&shapes.means, &splat_embeddings.values);
-                    lighting.backward(work, &by_colour, known, &by_code, blames)?;
+                    lighting.backward(work, &by_colour, known, &by_embedding, blames)?;
                 }
                 let sums = work.take::<Light>("the light's gradients", each)?;
-                let buffers = [photo, colours, &splat_embeddings.values, &by_colour, &by_code, &sums];
+                let buffers = [photo, colours, &splat_embeddings.values, &by_colour, &by_embedding, &sums];
                 work.run(&TINT_BACKWARD, 1, splat_embeddings.job(n), &buffers, each);
                 total(work, &sums, each, size_of::<Light>() / 4, results, LIGHT);
-                Some(by_code)
+                Some(by_embedding)
             }
             None => None,
         };
@@ -286,7 +282,7 @@ impl GpuTraining {
         work.run(&SHADE_BACKWARD, 1, [n as u32, self.sh_degree, 0, 0], &buffers, each);
         let buffers = [&on.view, seen, &grads, error, &self.sums, &on.found];
         work.run(&OBSERVE, 1, [n as u32, 0, 0, 0], &buffers, each);
-        let grads = StepGrads { shapes: grads, sh: by_sh, splat_embeddings: by_code };
+        let grads = StepGrads { shapes: grads, sh: by_sh, splat_embeddings: by_embedding };
         let weights = rendered.lighting().map(|lighting| &lighting.weight_grads);
         self.adam(work, &grads, weights, seen, &on.found, groups);
         Ok(())
@@ -296,7 +292,7 @@ impl GpuTraining {
     pub fn some_gradients(&self) -> Result<StepGrads, GpuError> {
         let mut work = self.device.work();
         let n = self.count();
-        let shapes = work.take::<Grads>("the gradients", n)?;
+        let shapes = work.take::<ShapeGrads>("the gradients", n)?;
         let sh = work.take::<f32>("the harmonics' gradients", n * self.sh_stride())?;
         work.clear(&shapes);
         work.clear(&sh);
@@ -304,18 +300,18 @@ impl GpuTraining {
         Ok(StepGrads { shapes, sh, splat_embeddings: None })
     }
 
-    /// What is known of the splats at `parents`, in their order, in items of so many numbers. `learnt`: of those that are
-    /// forgotten nothing is; and of an item no more than the first `known`.
+    /// Selects the items of the splats at `parents`, in their order, of so many numbers each. With `learnt`, items of
+    /// forgotten splats become 0, and of each item only the first `known` numbers are kept.
     fn select(
-        work: &mut Work,
-        from: &Lent,
+        work: &mut DeviceWork,
+        from: &PooledBuffer,
         width: usize,
         parents: &Parents,
         learnt: bool,
         known: usize,
-    ) -> Result<Lent, GpuError> {
+    ) -> Result<PooledBuffer, GpuError> {
         let numbers = parents.count * width;
-        let after = work.take::<f32>("what is known of the splats", numbers)?;
+        let after = work.take::<f32>("the selected items", numbers)?;
         let job = [numbers as u32, width as u32, u32::from(learnt), known as u32];
         work.run(&SELECT, 1, job, &[&parents.rows, from, &after], numbers.div_ceil(GROUP));
         Ok(after)
@@ -331,7 +327,7 @@ impl GpuTraining {
         let sh_stride = self.sh_stride();
         // Of a centre and opacity, the opacity comes last.
         let opacities = if reshaped.opacities_forgotten { 3 } else { 4 };
-        let mut moments = |of: &Numbers| -> Result<Numbers, GpuError> {
+        let mut moments = |of: &GpuParameters| -> Result<GpuParameters, GpuError> {
             let mut select = |from, width, known| Self::select(work, from, width, &parents, true, known);
             let shapes = Arc::new(Cloud {
                 means: select(&of.shapes.means, 4, opacities)?,
@@ -339,7 +335,7 @@ impl GpuTraining {
                 rotations: select(&of.shapes.rotations, 4, 4)?,
                 splats: count,
             });
-            Ok(Numbers { shapes, sh: select(&of.sh, sh_stride, sh_stride)? })
+            Ok(GpuParameters { shapes, sh: select(&of.sh, sh_stride, sh_stride)? })
         };
         let (first, second) = (moments(&self.first)?, moments(&self.second)?);
         let sh = Self::select(work, &self.splats.sh, sh_stride, &parents, false, sh_stride)?;
@@ -359,7 +355,7 @@ impl GpuTraining {
         let sums = work.take::<[f32; 4]>("the sums for density control", count)?;
         work.clear(&sums);
         work.hand_in();
-        (self.splats, self.first, self.second) = (Numbers { shapes, sh }, first, second);
+        (self.splats, self.first, self.second) = (GpuParameters { shapes, sh }, first, second);
         (self.sums, self.splat_embeddings) = (sums, splat_embeddings);
         Ok(())
     }
@@ -382,7 +378,7 @@ impl GpuTraining {
                 None => SplatEmbeddings::default(),
                 Some(splat_embeddings) => {
                     let numbers = self.count() * splat_embeddings.width;
-                    let mut read = |of: &Lent| work.read(of, numbers);
+                    let mut read = |of: &PooledBuffer| work.read(of, numbers);
                     SplatEmbeddings {
                         values: read(&splat_embeddings.values)?,
                         first: read(&splat_embeddings.first)?,

@@ -1,12 +1,12 @@
-//! Splats as one view sees them, for a host that keeps them: channels go up, unless they are there already, images and
-//! gradients come back.
+//! A view of splats that the host keeps: channels are uploaded, unless they are on the device already; images and
+//! gradients are downloaded.
 
 use crate::GpuError;
-use crate::device::{Device, Lent, Work, lock};
+use crate::device::{DeviceWork, GpuDevice, PooledBuffer, lock};
 use crate::engine::Binned;
 use crate::field::{GpuFeatureTarget, GpuField, GpuSums};
-use crate::kept::Brought;
-use crate::passes::Grads;
+use crate::kept::GpuChannels;
+use crate::passes::ShapeGrads;
 use glam::Vec3;
 use rayon::prelude::*;
 use segwild_raster::field::{FeatureTarget, Lifting, Refining, Rendered};
@@ -19,31 +19,31 @@ use std::sync::{Arc, Mutex};
 /// Items that one task packs.
 const CHUNK: usize = 1 << 14;
 
-/// How many vec4 of so many channels a view blends at once.
+/// Number of vec4 of so many channels that a view blends at once.
 pub(crate) fn at_once(count: usize) -> usize {
     if count <= 4 { 1 } else { 4 }
 }
 
-/// How many of them it gathers at once.
+/// Number of vec4 that it gathers at once.
 pub(crate) fn gathered_at_once(count: usize) -> usize {
     if count <= 4 { 1 } else { 2 }
 }
 
-/// The first channels of what is blended at once.
+/// The first channels of the parts that are blended at once.
 pub(crate) fn parts_of(count: usize) -> impl Iterator<Item = usize> {
     (0..count).step_by(at_once(count) * 4)
 }
 
-/// Where a view finds the channels that it blends.
+/// Source of the channels that a view blends.
 #[derive(Clone, Copy)]
-enum Found<'a> {
+enum ChannelSource<'a> {
     Host(&'a [f32]),
-    Kept(&'a Brought),
+    Kept(&'a GpuChannels),
 }
 
 /// Splats as one view sees them, on the device.
 pub(crate) struct GpuView<'a> {
-    device: &'a Arc<Device>,
+    device: &'a Arc<GpuDevice>,
     splats: &'a Splats,
     eye: Vec3,
     width: usize,
@@ -53,12 +53,12 @@ pub(crate) struct GpuView<'a> {
     centres: Vec<[f32; 2]>,
     on: Binned,
     /// Light per pixel at the start of each bucket, once something was blended.
-    lights: Mutex<Option<Lent>>,
+    lights: Mutex<Option<PooledBuffer>>,
 }
 
 impl<'a> GpuView<'a> {
     pub fn new(
-        device: &'a Arc<Device>,
+        device: &'a Arc<GpuDevice>,
         splats: &'a Splats,
         eye: Vec3,
         [width, height]: [usize; 2],
@@ -90,7 +90,7 @@ impl<'a> GpuView<'a> {
     }
 
     /// Blends so many channels.
-    fn try_blend(&self, count: usize, channels: Found) -> Result<Frame, GpuError> {
+    fn try_blend(&self, count: usize, channels: ChannelSource) -> Result<Frame, GpuError> {
         let (n, pixels) = (self.splats.len(), self.pixels());
         let mut image = Image::zeros(self.width, self.height, count);
         let mut work = self.device.work();
@@ -106,8 +106,8 @@ impl<'a> GpuView<'a> {
                     up = work.take::<[f32; 4]>("the splats' channels", n)?;
                     &up
                 }
-                Found::Kept(brought) => brought.part(first),
-                Found::Host(values) => {
+                ChannelSource::Kept(brought) => brought.part(first),
+                ChannelSource::Host(values) => {
                     let packed = pack_splats(values, n, count, first, blocks, false);
                     up = work.upload("the splats' channels", &packed)?;
                     &up
@@ -129,11 +129,11 @@ impl<'a> GpuView<'a> {
         Ok(Frame { image, alpha })
     }
 
-    /// Runs with the light at the buckets, which the last blend left or a blend of nothing makes.
+    /// Runs with the light at the buckets, from the last blend or from a blend of no channels.
     fn with_lights<T>(
         &self,
-        work: &mut Work,
-        run: impl FnOnce(&mut Work, &Lent) -> Result<T, GpuError>,
+        work: &mut DeviceWork,
+        run: impl FnOnce(&mut DeviceWork, &PooledBuffer) -> Result<T, GpuError>,
     ) -> Result<T, GpuError> {
         let mut held = lock(&self.lights);
         if held.is_none() {
@@ -146,8 +146,8 @@ impl<'a> GpuView<'a> {
         run(work, held.as_ref().expect("it was made above"))
     }
 
-    /// Whether this is the view's device. One that is held is nobody else's: the same place is the same device.
-    fn is_mine(&self, device: &Arc<Device>) -> bool {
+    /// Whether this is the view's device. A device that is held has a unique address.
+    fn is_mine(&self, device: &Arc<GpuDevice>) -> bool {
         Arc::ptr_eq(device, self.device)
     }
 
@@ -155,7 +155,7 @@ impl<'a> GpuView<'a> {
         &self,
         field: &GpuField,
         feature_target: &FeatureTarget,
-        rendered: &Rendered,
+        sampled: &Rendered,
     ) -> Result<(), GpuError> {
         let work = &mut self.device.work();
         let kept =
@@ -169,7 +169,7 @@ impl<'a> GpuView<'a> {
             }
         };
         let count = field.rows.count();
-        let step = field.start(work, feature_target, rendered)?;
+        let step = field.start(work, feature_target, sampled)?;
         let (grads, blocks) = self.with_lights(work, |work, lights| {
             let blocks = at_once(count);
             let alpha = work.take::<f32>("alpha", self.pixels())?;
@@ -197,8 +197,8 @@ impl<'a> GpuView<'a> {
         sums.add(work, &results, blocks)
     }
 
-    /// What an image says of each splat, in parts of so many vec4, which stay there.
-    fn gathered(&self, work: &mut Work, image: &Image) -> Result<(Vec<Lent>, usize), GpuError> {
+    /// Sums of an image per splat, in parts of so many vec4, kept on the device.
+    fn gathered(&self, work: &mut DeviceWork, image: &Image) -> Result<(Vec<PooledBuffer>, usize), GpuError> {
         let blocks = gathered_at_once(image.channels);
         let parts = self.with_lights(work, |work, lights| {
             let mut parts = Vec::new();
@@ -211,7 +211,7 @@ impl<'a> GpuView<'a> {
         Ok((parts, blocks))
     }
 
-    fn try_gather(&self, work: &mut Work, image: &Image) -> Result<Vec<f32>, GpuError> {
+    fn try_gather(&self, work: &mut DeviceWork, image: &Image) -> Result<Vec<f32>, GpuError> {
         let (n, count, on) = (self.splats.len(), image.channels, &self.on);
         let mut out = vec![0.0; n * count];
         if out.is_empty() || on.pairs == 0 {
@@ -240,7 +240,7 @@ impl<'a> GpuView<'a> {
         let work = &mut work;
         let by_value = self.try_gather(work, grad.image)?;
         let grads = if on.pairs == 0 {
-            vec![Grads::default(); n]
+            vec![ShapeGrads::default(); n]
         } else {
             self.try_geometry(work, count, values, grad)?
         };
@@ -257,11 +257,11 @@ impl<'a> GpuView<'a> {
 
     fn try_geometry(
         &self,
-        work: &mut Work,
+        work: &mut DeviceWork,
         count: usize,
         values: &[f32],
         grad: &FrameGrad,
-    ) -> Result<Vec<Grads>, GpuError> {
+    ) -> Result<Vec<ShapeGrads>, GpuError> {
         let (n, on) = (self.splats.len(), &self.on);
         // Alpha is one more channel, of value 1.
         let blocks = (count + usize::from(grad.alpha.is_some())).max(1).div_ceil(4);
@@ -292,15 +292,18 @@ impl Projected for GpuView<'_> {
 
     fn blend(&self, channels: &Channels) -> Result<Frame, RasterError> {
         assert_eq!(channels.values.len(), self.splats.len() * channels.count, "channels: values");
-        Ok(self.try_blend(channels.count, Found::Host(channels.values))?)
+        Ok(self.try_blend(channels.count, ChannelSource::Host(channels.values))?)
     }
 
     fn blend_kept(&self, kept: &Kept) -> Result<Frame, RasterError> {
         let channels = kept.channels();
         assert_eq!(channels.values.len(), self.splats.len() * channels.count, "channels: values");
-        let brought = kept.on_device().and_then(|on_device| on_device.downcast_ref::<Brought>());
+        let brought = kept.on_device().and_then(|on_device| on_device.downcast_ref::<GpuChannels>());
         let brought = brought.filter(|brought| brought.is_on(self.device));
-        Ok(self.try_blend(channels.count, brought.map_or(Found::Host(channels.values), Found::Kept))?)
+        Ok(self.try_blend(
+            channels.count,
+            brought.map_or(ChannelSource::Host(channels.values), ChannelSource::Kept),
+        )?)
     }
 
     fn lift(&self, sums: &mut Lifting, image: &Image) -> Result<(), RasterError> {
@@ -318,14 +321,14 @@ impl Projected for GpuView<'_> {
         &self,
         field: &mut Refining,
         feature_target: &FeatureTarget,
-        rendered: &Rendered,
+        sampled: &Rendered,
     ) -> Result<(), RasterError> {
         let own = field.on_device().and_then(|on_device| on_device.as_any().downcast_ref::<GpuField>());
         let Some(own) = own.filter(|field| self.is_mine(&field.device)) else {
-            return field.learn(self, feature_target, rendered);
+            return field.learn(self, feature_target, sampled);
         };
         assert_eq!(feature_target.average.from(), (self.width, self.height), "refine: width, height");
-        Ok(self.try_refine(own, feature_target, rendered)?)
+        Ok(self.try_refine(own, feature_target, sampled)?)
     }
 
     fn gather(&self, image: &Image) -> Result<Vec<f32>, RasterError> {

@@ -1,20 +1,20 @@
-//! Faults planted in the kernels of training, each of which a stage of [`segwild_gpu::check`] lays to the kernel that has
-//! it. Those of projection and drawing are in `parity.rs`, whose comparisons must see them as well.
+//! Faults planted in the kernels of training. A stage of [`segwild_gpu::check`] must attribute each to the kernel that
+//! has it. Faults of projection and blending are in `parity.rs`, whose comparisons must find them as well.
 
 mod common;
 
-use common::{Fault, are_laid_to, engine};
+use common::{KernelFault, are_laid_to, engine};
 use segwild_gpu::{check_comparison, check_field, check_networks, check_splats};
 
-/// Faults in the kernels of training that are the splats' own.
-const TRAINING_FAULTS: &[Fault] = &[
+/// Faults in the kernels of the splats' half of a step.
+const TRAINING_FAULTS: &[KernelFault] = &[
     ("select", "parent.x * job.y + lane", "parent.x * job.y"),
     ("select", "parent.y == 1u", "parent.y == 2u"),
     ("select", "lane < job.w", "lane <= job.w"),
     ("shade", "colour += b[k]", "colour += 0.9 * b[k]"),
-    ("tint", "codes[at + 1u]", "codes[at]"),
+    ("tint", "splat_embeddings[at + 1u]", "splat_embeddings[at]"),
     ("tint_backward", "g[k] * own", "0.9 * g[k] * own"),
-    ("tint_backward", "codes[code + k - 3u]", "codes[code]"),
+    ("tint_backward", "splat_embeddings[embedding + k - 3u]", "splat_embeddings[embedding]"),
     ("tint_backward", "= g[c] * photo.vector[2u * c + 1u]", "= g[c] * photo.vector[2u * c]"),
     ("tint_backward", "back += g[c] * photo", "back += photo"),
     ("observe", "before.z + 1.0", "before.z"),
@@ -27,18 +27,18 @@ const TRAINING_FAULTS: &[Fault] = &[
 ];
 
 /// Faults in the kernels of the photo's half of a step.
-const COMPARISON_FAULTS: &[Fault] = &[
-    ("compose", "(1.0 - rendered.w) * behind", "behind"),
+const COMPARISON_FAULTS: &[KernelFault] = &[
+    ("compose", "(1.0 - rendered.w) * background", "background"),
     ("compose", "uncertainty = 1.0 - trust[i]", "uncertainty = 1.0 - 0.1 * trust[i]"),
-    ("compose", "dot(sitting.matrix[c], scene)", "dot(sitting.matrix[c].xyz, scene.xyz)"),
+    ("compose", "dot(loss_inputs.matrix[c], scene)", "dot(loss_inputs.matrix[c].xyz, scene.xyz)"),
     ("box_mean", "at + job.z + 1u", "at + job.z"),
     ("box_mean", "if job.w == 1u", "if job.w == 2u"),
     ("tally", "has(photo[i], COUNTS)", "has(photo[i], SKY)"),
     ("limits", "DECAY * before[b]", "before[b]"),
     ("limits", "CONTRAST * quantile(of_held, 0.5)", "9.0 * quantile(of_held, 0.5)"),
     ("limits", "limit = max(limit, threshold(false, share));", ""),
-    ("limits", "SUSPECTED * limit", "limit"),
-    ("weigh", "select(0u, 1u, has(pixel, SUSPECT))", "0u"),
+    ("limits", "INITIAL_TRANSIENT_SHARE * limit", "limit"),
+    ("weigh", "select(0u, 1u, has(pixel, INITIAL_TRANSIENT))", "0u"),
     ("weigh", "2u * votes >", "votes >"),
     ("weigh", "weight * dot(lack, lack)", "dot(lack, lack)"),
     ("weigh", "counted[i] = weight * shown[i].w", "counted[i] = shown[i].w"),
@@ -48,7 +48,7 @@ const COMPARISON_FAULTS: &[Fault] = &[
     ("slope", "f32(d > 0.0) - f32(d < 0.0)", "f32(d > 0.0)"),
     ("slope", "2.0 * x * by.y", "x * by.y"),
     ("slope", "y * by.z", "x * by.z"),
-    ("grade", "g.y * sitting.matrix[1].xyz", "g.y * sitting.matrix[2].xyz"),
+    ("grade", "g.y * loss_inputs.matrix[1].xyz", "g.y * loss_inputs.matrix[2].xyz"),
     ("grade", "-dot(by_scene, back)", "dot(by_scene, back)"),
     ("grade", "rendered.w, LEAST_OPEN", "rendered.w, 0.95"),
     ("grade", "g[c] * scene", "g[0] * scene"),
@@ -59,8 +59,8 @@ const COMPARISON_FAULTS: &[Fault] = &[
     ("total", "parts[k * job.y + column]", "parts[k * job.y]"),
 ];
 
-/// Faults in the kernels of the look `gsw`.
-const NETWORK_FAULTS: &[Fault] = &[
+/// Faults in the kernels of the appearance model `gsw`.
+const NETWORK_FAULTS: &[KernelFault] = &[
     ("convolve", "taps - 1u - k % taps", "k % taps"),
     ("convolve", "seen % layer.gap != vec2u(0u)", "seen % layer.gap > vec2u(7u)"),
     ("convolve", "seen.x >= layer.in_width", "seen.x > layer.in_width"),
@@ -85,7 +85,7 @@ const NETWORK_FAULTS: &[Fault] = &[
     ("gate", "maps[at] > 0.0", "maps[at] > 0.5"),
     ("in_sight", "seen[i].y > 0.0", "seen[i].y >= 0.0"),
     ("pick", "splats[positions[i]] = i", "splats[positions[i]] = positions[i]"),
-    ("read_light", "codes[at + 1u]) * COORDINATE", "codes[at + 1u]) * 0.2"),
+    ("read_light", "splat_embeddings[at + 1u]) * COORDINATE", "splat_embeddings[at + 1u]) * 0.2"),
     ("read_light", "far.y * near.x, far.y * far.x", "far.y * far.x, far.y * near.x"),
     ("read_light", "c = 1.0 - 2.0 * s * s", "c = 1.0 - s * s"),
     ("read_light", "mean - reader.eye.xyz", "mean"),
@@ -106,16 +106,16 @@ const NETWORK_FAULTS: &[Fault] = &[
     ("blame", "has(photo[i], COUNTS)", "has(photo[i], SKY)"),
     ("blame", "limits[2], WRONG)", "limits[2], 1.0)"),
     ("limits", "limits[2] = threshold(false, share)", "limits[2] = 2.0 * threshold(false, share)"),
-    ("see", "/ (SURE - HIDDEN_LAYER)", "/ SURE"),
+    ("see", "/ (SURE - OCCLUDED)", "/ SURE"),
     ("see", "high.x, low.y", "low.x, low.y"),
     ("prefer", "counts * seen[i]", "seen[i]"),
-    ("prefer", "own <= MOST * sitting.numbers.z", "own <= 99.0 * sitting.numbers.z"),
+    ("prefer", "own <= MOST * loss_inputs.numbers.z", "own <= 99.0 * loss_inputs.numbers.z"),
     ("prefer", "counted[i] = weight * shown[i].w", "counted[i] = shown[i].w"),
     ("prefer", "weight * dot(lack, lack)", "dot(lack, lack)"),
 ];
 
 /// Faults in the kernels of the feature field.
-const FIELD_FAULTS: &[Fault] = &[
+const FIELD_FAULTS: &[KernelFault] = &[
     ("row_state", "!finite4(grad)", "false && !finite4(grad)"),
     ("row_state", "any(grad != vec4f(0.0))", "grad.x > 0.0"),
     ("row_step", "steps[i] + (job.w >> 31u)", "steps[i] + 1u"),
@@ -181,7 +181,7 @@ fn a_fault_in_any_kernel_of_a_photos_comparison_is_seen() {
 }
 
 #[test]
-fn a_fault_in_any_kernel_of_a_looks_networks_is_seen() {
+fn a_fault_in_any_kernel_of_the_appearance_networks_is_seen() {
     let Some(gpu) = engine("a_fault_in_any_kernel_of_a_looks_networks_is_seen") else { return };
     are_laid_to(&[check_networks, check_comparison], gpu, NETWORK_FAULTS);
 }

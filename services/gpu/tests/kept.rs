@@ -1,4 +1,4 @@
-//! What stays on the device from view to view: splats, and channels that are kept.
+//! Data that stays on the device from view to view: splats, and kept channels.
 
 mod common;
 
@@ -28,7 +28,7 @@ fn draw(engine: &dyn Engine, splats: &Splats, kept: &Kept) -> Vec<Frame> {
     let frame = |(width, height)| {
         let (camera, pose) = view(width, height);
         let projected = engine.project(splats, &camera, &pose, &ProjectOptions::default());
-        projected.and_then(|projected| projected.blend_kept(kept)).expect("it is drawn")
+        projected.and_then(|projected| projected.blend_kept(kept)).expect("it is blended")
     };
     [(64, 48), (50, 70), (33, 20)].map(frame).to_vec()
 }
@@ -37,7 +37,7 @@ fn reopened(engine: &GpuEngine) -> GpuEngine {
     GpuEngine::new(&Choice::Named(engine.adapter().name.clone())).expect("it opens again")
 }
 
-/// An engine to which no other test of this process brings anything.
+/// An engine to which no other test of this process uploads.
 fn engine_alone(test: &str) -> Option<GpuEngine> {
     engine(test).map(reopened)
 }
@@ -65,7 +65,7 @@ fn channels_that_are_kept_cross_once_for_all_views() {
         let before = gpu.brought();
         assert!(frames == draw(&*held, &scene, &once), "{count} channels");
         let crossed = gpu.brought() - before;
-        assert!(crossed >= 3 * least, "{count} channels: {crossed} bytes where each view asks for all");
+        assert!(crossed >= 3 * least, "{count} channels: {crossed} bytes where each view uploads all");
     }
 }
 
@@ -98,7 +98,7 @@ fn channels_of_another_engine_are_blended_from_the_hosts() {
     assert!(draw(gpu, &scene, &kept) == wanted && draw(&other, &scene, &kept) == wanted);
     let cpu = CpuEngine::new();
     assert!(draw(&cpu, &scene, &kept) == draw(&cpu, &scene, &Kept::new(3, &values)));
-    // An engine with another to fall back on keeps them on the first one's device.
+    // A fallback engine keeps them on the first engine's device.
     let unused =
         FallbackEngine::new(Box::new(other), Box::new(CpuEngine::new()), |why: &str| panic!("{why}"));
     kept.bring(&unused).expect("it is brought there");
@@ -106,7 +106,7 @@ fn channels_of_another_engine_are_blended_from_the_hosts() {
 }
 
 #[test]
-fn channels_that_would_take_too_much_room_are_not_kept_and_drawn_all_the_same() {
+fn channels_that_would_take_too_much_memory_are_not_kept_and_still_blended() {
     let test = "channels_that_would_take_too_much_room_are_not_kept_and_drawn_all_the_same";
     let Some(gpu) = engine(test) else { return };
     let (scene, values) = (scene(), values(64));
@@ -121,7 +121,7 @@ fn channels_that_would_take_too_much_room_are_not_kept_and_drawn_all_the_same() 
     tight.keep_within(0);
     kept.bring(&tight).expect("it is brought there");
     assert!(kept.on_device().is_some());
-    // What is dropped leaves its room to others.
+    // Dropped channels free their memory.
     let taken = tight.held();
     drop(kept);
     let channels = Channels { count: 64, values: &values };
@@ -129,7 +129,7 @@ fn channels_that_would_take_too_much_room_are_not_kept_and_drawn_all_the_same() 
     assert!(again.is_some() && tight.held() == taken, "{} bytes, not {taken}", tight.held());
 }
 
-/// What a photo asks of a view of this size, and how pixels of it are held by masks.
+/// A feature target for a view of this size, and the masks of its pixels.
 fn feature_target(seed: u64, width: u32, height: u32, planes: usize) -> (Image, AreaAverage, Membership) {
     let grid = (width as usize / 3, height as usize / 4);
     let masks = [0, 7, 20].map(|first| {
@@ -170,12 +170,12 @@ fn a_step_of_the_feature_field_brings_the_pixels_that_it_draws_and_nothing_of_sp
             let on_device = held.upload_target(&feature_target).expect("it is brought there");
             feature_target.on_device = on_device.as_deref();
             let pixels: Vec<u32> = (0..width * height).step_by(3).collect();
-            let rendered = Rendered { pixels: &pixels, membership: &membership };
+            let sampled = Rendered { pixels: &pixels, membership: &membership };
             let before = gpu.brought();
-            projected.refine(field, &feature_target, &rendered).expect("it is learnt");
+            projected.refine(field, &feature_target, &sampled).expect("it is learnt");
             crossed += gpu.brought() - before;
         }
-        (crossed, field.losses().expect("they are told"))
+        (crossed, field.losses().expect("they are downloaded"))
     };
     for learned in [false, true] {
         let decoder = learned.then(|| {
@@ -187,11 +187,11 @@ fn a_step_of_the_feature_field_brings_the_pixels_that_it_draws_and_nothing_of_sp
         there.settle(&*held).expect("it is brought there");
         assert!(there.on_device().is_some());
         let ((_, wanted), (crossed, losses)) = (refine(&mut here, learned), refine(&mut there, learned));
-        // Places and masks of the pixels, and the tables of the networks that compare them.
+        // Positions and masks of the pixels, and the tables of the networks that compare them.
         let pixels = 4 * (64 * 48 + 50 * 70 + 33 * 20) / 3;
-        assert!(crossed < 2 * pixels + 3000, "{crossed} bytes for drawn pixels of {pixels}");
+        assert!(crossed < 2 * pixels + 3000, "{crossed} bytes for sampled pixels of {pixels}");
         let [got, wanted] = [losses, wanted].map(|losses| [losses.embedding, losses.compact]);
-        Tolerance::BLENDED.compare("losses", &got, &wanted).expect("the same is told");
+        Tolerance::BLENDED.compare("losses", &got, &wanted).expect("the same losses");
         let (here, there) = (here.finish().expect("they are here"), there.finish().expect("they come back"));
         Tolerance::GRADIENTS.compare("features", &there.values, &here.values).expect("the same is learnt");
         let [there, here] = [there, here].map(|refined| refined.decoder.unwrap_or_default());
@@ -220,7 +220,7 @@ fn sums_over_views_stay_where_they_are() {
 }
 
 #[test]
-fn a_field_that_leaves_too_little_room_for_its_steps_is_refined_on_the_host() {
+fn a_field_that_leaves_too_little_memory_for_its_steps_is_refined_on_the_host() {
     let test = "a_field_that_leaves_too_little_room_for_its_steps_is_refined_on_the_host";
     let Some(gpu) = engine(test) else { return };
     let (scene, count) = (scene(), 24);
@@ -234,8 +234,8 @@ fn a_field_that_leaves_too_little_room_for_its_steps_is_refined_on_the_host() {
         average: &average,
         on_device: None,
     };
-    let rendered = Rendered { pixels: &[], membership: &membership };
-    // From where nothing settles to where all does: nowhere does a step want of room.
+    let sampled = Rendered { pixels: &[], membership: &membership };
+    // Budgets from one where nothing settles to one where all does: no step runs out of memory.
     let mut settled = Vec::new();
     for megabytes in [3, 4, 5, 6, 8, 24] {
         let small = reopened(gpu);
@@ -247,7 +247,7 @@ fn a_field_that_leaves_too_little_room_for_its_steps_is_refined_on_the_host() {
         let projected = small.project(&scene, &camera, &pose, &ProjectOptions::default());
         let projected = projected.unwrap_or_else(|error| panic!("{megabytes} MiB: {error}"));
         projected
-            .refine(&mut field, &feature_target, &rendered)
+            .refine(&mut field, &feature_target, &sampled)
             .unwrap_or_else(|error| panic!("{megabytes} MiB: {error}"));
         settled.push(field.on_device().is_some());
         drop(field);
@@ -291,7 +291,7 @@ fn a_step_of_networks_brings_its_photo_and_nothing_of_the_splats() {
         results.expect("it is learnt");
         (gpu.brought() - before, photo as u64)
     };
-    // The first look at a photo brings what it is compared with.
+    // The first step on a photo uploads it.
     learn(91);
     let (crossed, photo) = learn(91);
     println!("{crossed} bytes, {photo} of them the photo for its network");
@@ -300,7 +300,7 @@ fn a_step_of_networks_brings_its_photo_and_nothing_of_the_splats() {
         (gpu.held(), training_bytes(SPLATS, 96 * 64, 1, GswAppearance::EMBEDDING_SIZE, Some(GswWidth::Cpu)));
     println!("{taken} bytes taken, {estimate} estimated");
     assert!(taken <= estimate && estimate <= 6 * taken, "{taken} bytes taken, {estimate} estimated");
-    let after = on_device.fetch().expect("they come home");
+    let after = on_device.fetch().expect("they are downloaded");
     let moved = after.networks.expect("and so do the networks").weights;
     assert!(moved != appearance.held().weights && moved.iter().all(|weight| weight.is_finite()));
 }

@@ -1,4 +1,4 @@
-//! A device that fails in the middle: an error with its name, and the CPU engine goes on where it is asked to.
+//! A device that fails during a run: an error with its name, or the CPU engine goes on as the fallback.
 
 mod common;
 

@@ -1,9 +1,9 @@
 //! Each kernel against its twin in the CPU engine, on the same splats.
 //!
-//! Numbers agree tightly, except where a splat stands at a cut-off (alpha 1/255, light 1e-4, alpha 0.999): there the
-//! engines may decide otherwise, and a small share of numbers may differ by what one splat at a cut-off is worth.
+//! Numbers agree tightly, except where a splat is at a cut-off (alpha 1/255, light 1e-4, alpha 0.999): there the
+//! engines may decide otherwise, and a small share of numbers may differ by the contribution of one splat at a cut-off.
 //!
-//! Not compared: centres of splats behind the camera, which mean nothing.
+//! Not compared: centres of splats behind the camera, which are meaningless.
 
 mod common;
 
@@ -42,8 +42,8 @@ impl<'a> Both<'a> {
     ) -> Both<'a> {
         Both {
             name: name.to_owned(),
-            cpu: cpu.project(splats, camera, pose, options).expect("the CPU engine draws it"),
-            gpu: gpu.project(splats, camera, pose, options).expect("the accelerator draws it"),
+            cpu: cpu.project(splats, camera, pose, options).expect("the CPU engine projects it"),
+            gpu: gpu.project(splats, camera, pose, options).expect("the accelerator projects it"),
             count: splats.len(),
             size: (camera.width as usize, camera.height as usize),
         }
@@ -175,7 +175,7 @@ fn thousands_of_splats_on_one_pixel() {
     let mut scene = splats(6, 3000, (0.005, 0.02));
     for i in 0..scene.len() {
         scene.means[i] = scene.means[i].map(|x| x * 0.01);
-        // Weak enough that light is left behind a thousand of them.
+        // Weak enough that light passes a thousand of them.
         scene.opacities[i] = -4.8;
     }
     Both::new("thousands", &cpu, gpu, &scene, &view(36, 20), &ProjectOptions::default()).all(3);
@@ -198,7 +198,7 @@ fn the_same_view_twice_gives_the_same_bytes() {
     let scene = splats(8, 300, (0.02, 0.2));
     let (camera, pose) = view(64, 48);
     let run = || {
-        let projected = gpu.project(&scene, &camera, &pose, &ProjectOptions::default()).expect("drawn");
+        let projected = gpu.project(&scene, &camera, &pose, &ProjectOptions::default()).expect("projected");
         let values = projected.shade();
         let channels = Channels { count: 3, values: &values };
         let frame = projected.blend(&channels).unwrap();
@@ -243,7 +243,7 @@ fn poison_is_culled_or_harmless() {
     }
 }
 
-/// A kernel, a piece of its text, what stands there instead, and the comparison that must see it.
+/// A kernel, a piece of its text, its replacement, and the comparison that must find it.
 const FAULTS: &[(&str, &str, &str, &str)] = &[
     ("project", "0.5 * (p.sxx + p.syy)", "0.6 * (p.sxx + p.syy)", "radii"),
     ("project", "HALF_LOG2_E / p.syy;", "HALF_LOG2_E / p.sxx;", "blend"),
@@ -261,7 +261,7 @@ const FAULTS: &[(&str, &str, &str, &str)] = &[
     ("gather", "min(hit.raw, ALPHA_MAX) * t", "min(hit.raw, 0.9) * t", "gather"),
     ("sum_slots", "k < own.y", "k + 1u < own.y", "gather"),
     ("front", "passed += weight * lean", "passed += 0.9 * weight * lean", "backward"),
-    ("backward", "let rest = behind[p] - passed;", "let rest = behind[p];", "backward"),
+    ("backward", "let rest = remaining[p] - passed;", "let rest = remaining[p];", "backward"),
     ("backward", "abs(x), abs(y)", "x, y", "screen_abs"),
     ("unproject", "0.5 * a * a", "0.4 * a * a", "backward"),
     ("unproject", "dot(dq, p.quat)", "0.9 * dot(dq, p.quat)", "rotations"),
@@ -301,7 +301,7 @@ fn photos_say_the_same_on_the_device() {
 }
 
 #[test]
-fn a_step_without_room_for_its_pairs_is_done_again_and_learns_the_same() {
+fn a_step_without_memory_for_its_pairs_is_repeated_and_learns_the_same() {
     let test = "a_step_without_room_for_its_pairs_is_done_again_and_learns_the_same";
     let Some(gpu) = engine(test) else { return };
     let rules = rules(0.01);
@@ -406,7 +406,7 @@ fn a_fault_in_any_kernel_is_seen() {
 }
 
 #[test]
-fn splats_that_are_held_are_drawn_as_they_are_and_others_as_others() {
+fn splats_that_are_held_render_as_they_are_and_others_as_others() {
     let test = "splats_that_are_held_are_drawn_as_they_are_and_others_as_others";
     let Some(gpu) = engine(test) else { return };
     let (mine, other) = (splats(61, 300, (0.02, 0.2)), splats(62, 300, (0.02, 0.2)));

@@ -3,7 +3,7 @@
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use segwild_gpu::{KERNELS, source};
 
-/// What WebGPU promises of every device.
+/// Limits that WebGPU guarantees on every device.
 const STORAGE_BUFFERS: usize = 8;
 const SHARED_BYTES: u32 = 16 << 10;
 
@@ -46,16 +46,16 @@ fn every_kernel_is_valid_and_within_what_every_device_offers() {
     }
 }
 
-/// What is wrong with a line that begins a loop; `None` where it counts towards a bound, or is known to end.
+/// Why a line that starts a loop may not end; `None` where it counts towards a bound, or is known to end.
 fn endless(line: &str) -> Option<String> {
     // A search that halves what is left, and the row of a triangle in which a number lies.
     let known = ["while low < high {", "while (a + 1u) * (a + 2u) / 2u <= local {"];
     let line = line.trim();
     let Some(head) = line.strip_prefix("for (") else {
-        let begins = ["loop", "while", "for"]
+        let starts = ["loop", "while", "for"]
             .iter()
             .any(|word| line.strip_prefix(word).is_some_and(|rest| rest.starts_with([' ', '(', '{'])));
-        return (begins && !known.contains(&line)).then(|| line.to_owned());
+        return (starts && !known.contains(&line)).then(|| line.to_owned());
     };
     let parts: Vec<&str> = head.split(';').map(str::trim).collect();
     let counts = parts.len() == 3 && {
@@ -95,7 +95,7 @@ fn a_kernel_that_is_not_valid_is_seen() {
     assert!(valid(&text, false).is_ok());
     let unbound =
         text.replace("@binding(2) var<storage, read_write>", "@binding(1) var<storage, read_write>");
-    assert!(unbound != text && valid(&unbound, false).is_err(), "two arrays at one place");
+    assert!(unbound != text && valid(&unbound, false).is_err(), "two arrays at one binding");
 }
 
 #[test]

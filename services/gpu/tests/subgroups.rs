@@ -15,7 +15,8 @@ fn a_view_is_the_same_by_subgroups_and_without() {
     let scene = splats(71, 3000, (0.01, 0.3));
     let (camera, pose) = view(200, 150);
     let draw = |engine: &GpuEngine| {
-        let projected = engine.project(&scene, &camera, &pose, &ProjectOptions::default()).expect("drawn");
+        let projected =
+            engine.project(&scene, &camera, &pose, &ProjectOptions::default()).expect("projected");
         let values = projected.shade();
         let channels = Channels { count: 3, values: &values };
         let frame = projected.blend(&channels).expect("it blends");
@@ -29,13 +30,13 @@ fn a_view_is_the_same_by_subgroups_and_without() {
     assert!(rendered == draw(plain));
 }
 
-/// Whether by subgroups, a kernel, a piece of its text, and what stands there instead.
+/// Whether by subgroups, a kernel, a piece of its text, and its replacement.
 const FAULTS: &[(bool, &str, &str, &str)] = &[
-    (false, "scan", "place.number - step", "place.number"),
+    (false, "scan", "position.number - step", "position.number"),
     (false, "scatter", "sums[p] -= mine[p]", "sums[p] -= mine[0]"),
     (true, "scan", "sums[p] + mine[p]", "sums[p]"),
     (true, "scan", "(first & 0xffffu) + lane", "(first >> 16u) * lanes + lanes - 1u - lane"),
-    (true, "scatter", "s < place.rank", "s + 1u < place.rank"),
+    (true, "scatter", "s < position.rank", "s + 1u < position.rank"),
     (true, "scatter", "subgroupExclusiveAdd(mine[p])", "subgroupInclusiveAdd(mine[p])"),
 ];
 

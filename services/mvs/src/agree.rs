@@ -1,27 +1,26 @@
 //! Points on which the depths of several photos agree.
 
-use crate::frame::Frame;
-use crate::plane::Source;
+use crate::frame::StereoFrame;
+use crate::plane::SourceView;
 use crate::sweep::Depths;
 use glam::{Vec2, Vec3};
 use segwild_scene::{Observation, Point, Random, Scene};
 use std::collections::BTreeMap;
 
-/// How alike photos must be on a plane for it to be asked further.
+/// Least matching score of a plane whose depth is used.
 const LEAST_ALIKE: f32 = 0.8;
 /// How far two photos' depths may lie apart, as a share.
 const APART: f32 = 0.01;
-/// How far a pixel may end from where it began when it goes to another photo by one depth and back by the other's, in
-/// pixels.
+/// Largest reprojection error of a pixel that is projected to another photo by one depth and back by the other's, in pixels.
 const ASTRAY: f32 = 1.0;
-/// Photos besides the one asked that must agree, where there are as many to ask.
+/// Other photos that must agree, where so many are compared.
 const OTHERS: usize = 2;
 /// Cells, along a photo's long side, over which points are spread.
 const CELLS: f32 = 40.0;
 
 pub(crate) fn points(
     scene: &Scene,
-    frames: &[Frame],
+    frames: &[StereoFrame],
     sources: &[Vec<usize>],
     depths: &[Depths],
     most: usize,
@@ -31,11 +30,11 @@ pub(crate) fn points(
         frames.iter().map(|f| vec![false; f.coarse.width * f.coarse.height]).collect();
     let mut found = Vec::new();
     for (k, frame) in frames.iter().enumerate() {
-        let links: Vec<(usize, Source, Source)> = sources[k]
+        let links: Vec<(usize, SourceView, SourceView)> = sources[k]
             .iter()
             .map(|&j| {
                 let (here, there) = ((&frame.fine, &frame.pose), (&frames[j].fine, &frames[j].pose));
-                (j, Source::new(here, there), Source::new(there, here))
+                (j, SourceView::new(here, there), SourceView::new(there, here))
             })
             .collect();
         let wanted = OTHERS.min(links.len());
@@ -112,7 +111,7 @@ fn spread(found: &mut Vec<Point>, scene: &Scene, most: usize, seed: u64) {
     }
     let mut order: Vec<usize> = (0..found.len()).collect();
     Random::stream(seed, 0xa62ee).shuffle(&mut order);
-    // The rank of a point among those of its cells, where it is lowest: the photos that show it best need it most.
+    // The lowest rank of a point among those of its cells: the photos that show it best need it most.
     let mut counts: BTreeMap<(u32, u32, u32), u32> = BTreeMap::new();
     for point in &scene.points {
         for o in &point.track {
@@ -138,7 +137,7 @@ fn spread(found: &mut Vec<Point>, scene: &Scene, most: usize, seed: u64) {
     *found = kept.into_iter().map(|i| found[i].clone()).collect();
 }
 
-/// Where the pixel that an entry tells of has its middle.
+/// Centre of the pixel of an entry.
 fn middle(x: usize, y: usize) -> Vec2 {
     let (x, y) = Depths::pixel(x, y);
     Vec2::new(x as f32 + 0.5, y as f32 + 0.5)

@@ -1,4 +1,4 @@
-//! A view with its picture, as stereo needs it.
+//! A view and its photo, as stereo needs them.
 
 use crate::plane::REACH;
 use glam::Vec2;
@@ -13,21 +13,21 @@ pub struct Picture {
 }
 
 /// A view that takes part.
-pub(crate) struct Frame {
+pub(crate) struct StereoFrame {
     /// Its index in the scene.
     pub view: usize,
     pub pose: Pose,
     pub image: Image,
-    /// At the picture's size.
+    /// At the size of the photo given.
     pub fine: Grey,
     /// At half the size.
     pub coarse: Grey,
     pub usable: Option<Mask>,
-    /// Points it saw: where, and one over the depth there.
+    /// Points of its track: pixel, and inverse depth there.
     pub sightings: Vec<(Vec2, f32)>,
 }
 
-/// A picture's brightness, and the camera that sees it so.
+/// Brightness of a photo at one size, and the camera of that size.
 pub(crate) struct Grey {
     pub camera: Camera,
     pub width: usize,
@@ -70,9 +70,9 @@ impl Grey {
     }
 }
 
-impl Frame {
-    pub fn new(scene: &Scene, view: usize, picture: Picture) -> Frame {
-        let Picture { image, usable } = picture;
+impl StereoFrame {
+    pub fn new(scene: &Scene, view: usize, input: Picture) -> StereoFrame {
+        let Picture { image, usable } = input;
         let of = &scene.views[view];
         let camera = of.camera.resized(image.width as u32, image.height as u32);
         let scale = image.width as f32 / of.camera.width as f32;
@@ -87,7 +87,7 @@ impl Frame {
                 }
             }
         }
-        Frame { view, pose: of.pose, image, fine, coarse, usable, sightings }
+        StereoFrame { view, pose: of.pose, image, fine, coarse, usable, sightings }
     }
 
     /// Whether a pixel shows the scene.

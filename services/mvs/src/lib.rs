@@ -1,12 +1,12 @@
-//! Multi-view stereo: points that several photos agree on, between those of the reconstruction.
+//! Multi-view stereo: adds points to those of the reconstruction where several photos agree on the depth.
 //!
-//! A reconstruction from keypoints says little of a lawn, a pavement or a plain wall, and splats only grow where there
-//! are some already. So each photo is asked how deep each of its pixels lies: planes start at the points it saw, spread
-//! from pixel to pixel and are kept where other photos look alike on them (PatchMatch stereo: Bleyer, Rhemann and Rother
-//! 2011; other views chosen by their points as in Schoenberger et al. 2016). What stays are points on which the depths of
-//! several photos agree; transients, whom each photo shows elsewhere, drop out.
+//! A reconstruction from keypoints has few points on a lawn, a pavement or a plain wall, and splats only grow where there
+//! are some already. So the depth of each photo's pixels is estimated by PatchMatch stereo (Bleyer, Rhemann and Rother
+//! 2011): planes start at the points that the photo observes, propagate from pixel to pixel and are kept where other photos
+//! match on them. The other views are selected by shared points as in Schoenberger et al. 2016. Only points remain on which
+//! the depths of several photos agree. Transients drop out: each photo shows them elsewhere.
 //!
-//! Photos are compared by normalised cross-correlation, which does not ask how bright each is.
+//! Photos are compared by normalised cross-correlation, which does not depend on their brightness.
 
 mod agree;
 mod frame;
@@ -16,36 +16,36 @@ mod sweep;
 
 pub use frame::Picture;
 
-use frame::Frame;
+use frame::StereoFrame;
 use rayon::prelude::*;
 use segwild_scene::{Point, Scene};
 
 /// Photos that a photo is compared with.
 const SOURCES: usize = 5;
-/// Photos that are asked between two questions whether to stop.
+/// Photos whose depths are computed before `stopping` is polled again.
 const BATCH: usize = 16;
 
-/// Points of the scene that the pictures agree on, at most `most`, drawn at random where there are more.
+/// Points on which the photos agree, in scene units; at most `most`, sampled at random where there are more.
 ///
-/// `views` are those that take part, with their pictures in the same order. The same input gives the same points, whatever
-/// the number of threads. None come of fewer than two views, nor of a scene without points: planes have nowhere to start.
-/// Pictures of a few hundred pixels do: time and memory grow with what they have.
-/// `None` if `stopping` said so, which is asked every few pictures.
+/// `views` are indices of the views that take part; `images` are their photos in the same order. The same input gives the
+/// same points, whatever the number of threads. The result is empty for fewer than two views, and for a scene without
+/// points: planes have nowhere to start. Images of a few hundred pixels suffice; time and memory grow with their pixels.
+/// Returns `None` if `stopping` returned true; it is polled every few images.
 ///
 /// # Panics
-/// If a picture is more than 4096 pixels wide or high.
+/// If an image is more than 4096 pixels wide or high.
 pub fn points(
     scene: &Scene,
     views: &[usize],
-    pictures: Vec<Picture>,
+    images: Vec<Picture>,
     most: usize,
     seed: u64,
     stopping: &dyn Fn() -> bool,
 ) -> Option<Vec<Point>> {
     let fits = |p: &Picture| p.image.width.max(p.image.height) <= plane::LARGEST;
-    assert!(pictures.iter().all(fits), "a picture is at most {} pixels wide and high", plane::LARGEST);
-    let frames: Vec<Frame> =
-        views.iter().zip(pictures).map(|(&view, picture)| Frame::new(scene, view, picture)).collect();
+    assert!(images.iter().all(fits), "an image is at most {} pixels wide and high", plane::LARGEST);
+    let frames: Vec<StereoFrame> =
+        views.iter().zip(images).map(|(&view, image)| StereoFrame::new(scene, view, image)).collect();
     let sources = neighbours::sources(scene, &frames, SOURCES);
     let all: Vec<usize> = (0..frames.len()).collect();
     let mut depths = Vec::with_capacity(frames.len());
@@ -53,11 +53,11 @@ pub fn points(
         if stopping() {
             return None;
         }
-        let asked = some.par_iter().map(|&i| {
-            let others: Vec<&Frame> = sources[i].iter().map(|&j| &frames[j]).collect();
+        let batch_depths = some.par_iter().map(|&i| {
+            let others: Vec<&StereoFrame> = sources[i].iter().map(|&j| &frames[j]).collect();
             sweep::depths(&frames[i], &others, seed ^ views[i] as u64)
         });
-        depths.extend(asked.collect::<Vec<_>>());
+        depths.extend(batch_depths.collect::<Vec<_>>());
     }
     Some(agree::points(scene, &frames, &sources, &depths, most, seed))
 }

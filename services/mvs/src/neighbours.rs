@@ -1,15 +1,15 @@
 //! Which photos a photo is compared with.
 
-use crate::frame::Frame;
+use crate::frame::StereoFrame;
 use segwild_scene::Scene;
 
-/// Best angle between the rays of two photos to a point, in degrees: less says little of depth, more shows another side.
+/// Best angle between the rays of two photos to a point, in degrees: with a smaller one depth is uncertain, with a larger one photos show different sides.
 const ANGLE: f32 = 8.0;
 /// Deviations below and above it.
 const SPREAD: (f32, f32) = (3.0, 15.0);
 
 /// For each frame up to `most` others that saw the same points under good angles, best first.
-pub(crate) fn sources(scene: &Scene, frames: &[Frame], most: usize) -> Vec<Vec<usize>> {
+pub(crate) fn sources(scene: &Scene, frames: &[StereoFrame], most: usize) -> Vec<Vec<usize>> {
     let n = frames.len();
     let mut of_view = vec![None; scene.views.len()];
     frames.iter().enumerate().for_each(|(i, f)| of_view[f.view] = Some(i));

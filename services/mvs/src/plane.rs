@@ -12,7 +12,7 @@ const OFFSETS: [(Vec4, Vec4); 3] = [
 ];
 /// How many these are.
 const COUNT: f32 = 12.0;
-/// Longest side of a picture, in pixels: the number of its last pixel is exact in an `f32`.
+/// Longest side of an image, in pixels: the number of its last pixel is exact in an `f32`.
 pub(crate) const LARGEST: usize = 4096;
 /// Farthest sample from the middle, along an axis.
 pub(crate) const REACH: usize = 2;
@@ -21,17 +21,17 @@ const FARTHEST: f32 = 16.0;
 /// Least deviation of a patch: below it there is nothing to compare.
 const LEAST_CONTRAST: f32 = 0.002;
 
-/// One over the depth is linear over the picture of a plane: its value at a pixel, and its slopes to the right and down.
+/// A plane by its inverse depth, which is linear over the image: its value at a pixel, and its slopes to the right and down.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Plane {
+pub(crate) struct DepthPlane {
     pub near: f32,
     pub slope: [f32; 2],
 }
 
-impl Plane {
+impl DepthPlane {
     /// The same plane seen from the pixel that lies `dx`, `dy` further on.
-    pub fn at(&self, dx: f32, dy: f32) -> Plane {
-        Plane { near: self.near + self.slope[0] * dx + self.slope[1] * dy, ..*self }
+    pub fn at(&self, dx: f32, dy: f32) -> DepthPlane {
+        DepthPlane { near: self.near + self.slope[0] * dx + self.slope[1] * dy, ..*self }
     }
 }
 
@@ -42,7 +42,7 @@ fn whole(x: Vec4) -> Vec4 {
     (x - 0.5 + ROUND) - ROUND
 }
 
-/// A patch of the photo that is asked: its samples without their mean, of length 1.
+/// A patch of the photo whose depth is sought: its samples without their mean, of length 1.
 pub(crate) struct Patch([Vec4; 3]);
 
 impl Patch {
@@ -69,32 +69,32 @@ impl Patch {
 }
 
 /// Another photo: `homogeneous pixel = turn * (x, y, 1) + near * shift`.
-pub(crate) struct Source<'a> {
+pub(crate) struct SourceView<'a> {
     grey: &'a Grey,
     turn: Mat3,
     shift: Vec3,
 }
 
-impl<'a> Source<'a> {
-    pub fn new((of, from): (&Grey, &Pose), (grey, to): (&'a Grey, &Pose)) -> Source<'a> {
+impl<'a> SourceView<'a> {
+    pub fn new((of, from): (&Grey, &Pose), (grey, to): (&'a Grey, &Pose)) -> SourceView<'a> {
         let matrix = |c: &Camera| {
             Mat3::from_cols(Vec3::new(c.fx, 0.0, 0.0), Vec3::new(0.0, c.fy, 0.0), Vec3::new(c.cx, c.cy, 1.0))
         };
         let rotation = to.rotation * from.rotation.transpose();
         let translation = to.translation - rotation * from.translation;
         let k = matrix(&grey.camera);
-        Source { grey, turn: k * rotation * matrix(&of.camera).inverse(), shift: k * translation }
+        SourceView { grey, turn: k * rotation * matrix(&of.camera).inverse(), shift: k * translation }
     }
 
-    /// Where a pixel of that depth lies here, and one over its depth here; `None` behind the camera.
+    /// Projects a pixel of inverse depth `near` here: its position, and its inverse depth here; `None` behind the camera.
     pub fn project(&self, x: f32, y: f32, near: f32) -> Option<(f32, f32, f32)> {
         let q = self.turn * Vec3::new(x, y, 1.0) + near * self.shift;
         (q.z > 1e-6 && near > 0.0).then(|| (q.x / q.z, q.y / q.z, near / q.z))
     }
 
-    /// Normalised cross-correlation, in [-1, 1], of the patch around the pixel with what this photo shows of the plane;
-    /// `None` where it shows none of it.
-    pub fn alike(&self, patch: &Patch, x: usize, y: usize, plane: Plane) -> Option<f32> {
+    /// Normalised cross-correlation, in [-1, 1], of the patch around the pixel with this photo's pixels on the plane;
+    /// `None` where the plane lies outside this photo.
+    pub fn alike(&self, patch: &Patch, x: usize, y: usize, plane: DepthPlane) -> Option<f32> {
         let (w, h) = (self.grey.width, self.grey.height);
         let at = Vec3::new(x as f32 + 0.5, y as f32 + 0.5, 1.0);
         let middle = self.turn * at + plane.near * self.shift;
@@ -114,7 +114,7 @@ impl<'a> Source<'a> {
         // A little within the frame, for rounding.
         let last = |n: usize| n as f32 - 1.01;
         let inside = u - du >= 0.01 && v - dv >= 0.01 && u + du < last(w) && v + dv < last(h);
-        // A patch that is stretched so far was seen from very near, or along its surface.
+        // A patch stretched so far is seen from very near, or along its surface.
         if !inside || du + dv > FARTHEST {
             return None;
         }

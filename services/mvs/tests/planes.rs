@@ -31,7 +31,7 @@ fn camera() -> Camera {
     Camera { width: W, height: H, fx: 120.0, fy: 120.0, cx: 72.0, cy: 54.0 }
 }
 
-/// Six views from left to right with some points that they saw, and what each shows; a photo is as bright as `light` says.
+/// Six views from left to right, some points that they observe, and their photos; `light` gives a photo's brightness.
 fn world(light: impl Fn(usize) -> f32) -> (Scene, Vec<Picture>) {
     let views: Vec<View> = (0..6)
         .map(|i| {
@@ -65,7 +65,7 @@ fn world(light: impl Fn(usize) -> f32) -> (Scene, Vec<Picture>) {
         });
         sown.push(Point { position, colour: [0.5; 3], track: track.collect() });
     }
-    let pictures = views
+    let images = views
         .iter()
         .enumerate()
         .map(|(v, view)| {
@@ -79,18 +79,18 @@ fn world(light: impl Fn(usize) -> f32) -> (Scene, Vec<Picture>) {
         })
         .collect();
     let frame = Frame { origin: DVec3::ZERO, scale: 1.0 };
-    (Scene { views, points: sown, skipped: vec![], notes: vec![], frame }, pictures)
+    (Scene { views, points: sown, skipped: vec![], notes: vec![], frame }, images)
 }
 
-fn found(scene: &Scene, pictures: Vec<Picture>, most: usize) -> Vec<Point> {
+fn found(scene: &Scene, images: Vec<Picture>, most: usize) -> Vec<Point> {
     let views: Vec<usize> = (0..scene.views.len()).collect();
-    points(scene, &views, pictures, most, 1, &|| false).expect("nobody stops it")
+    points(scene, &views, images, most, 1, &|| false).expect("nobody stops it")
 }
 
 #[test]
 fn points_lie_on_what_the_photos_show_whatever_their_light() {
-    let (scene, pictures) = world(|v| 0.5 + 0.1 * v as f32);
-    let all = found(&scene, pictures, usize::MAX);
+    let (scene, images) = world(|v| 0.5 + 0.1 * v as f32);
+    let all = found(&scene, images, usize::MAX);
     assert!(all.len() > 1500, "only {} points", all.len());
     let mut off: Vec<f32> = all.iter().map(|p| off_surface(p.position)).collect();
     off.sort_by(f32::total_cmp);
@@ -111,20 +111,20 @@ fn points_lie_on_what_the_photos_show_whatever_their_light() {
 
 #[test]
 fn a_transient_in_one_photo_and_what_may_not_be_used_start_nothing() {
-    let (scene, mut pictures) = world(|_| 1.0);
-    // A board of another pattern stands in the third photo, and half of every other is not to be used.
-    let board = |x: u32, y: u32| (50..80).contains(&x) && (30..70).contains(&y);
+    let (scene, mut images) = world(|_| 1.0);
+    // A rectangle of another pattern covers part of the third photo, and half of every other is not to be used.
+    let covered = |x: u32, y: u32| (50..80).contains(&x) && (30..70).contains(&y);
     for i in 0..(W * H) as usize {
         let (x, y) = (i as u32 % W, i as u32 / W);
-        if board(x, y) {
+        if covered(x, y) {
             let v = 0.5 + 0.4 * ((x * 7 + y * 3) as f32).sin();
-            (0..3).for_each(|c| pictures[2].image.plane_mut(c)[i] = v);
+            (0..3).for_each(|c| images[2].image.plane_mut(c)[i] = v);
         }
     }
-    for (v, picture) in pictures.iter_mut().enumerate() {
-        picture.usable = (v != 2).then(|| Mask::from_fn(W, H, |_, y| y < H / 2));
+    for (v, input) in images.iter_mut().enumerate() {
+        input.usable = (v != 2).then(|| Mask::from_fn(W, H, |_, y| y < H / 2));
     }
-    let all = found(&scene, pictures, usize::MAX);
+    let all = found(&scene, images, usize::MAX);
     assert!(all.len() > 300, "only {} points", all.len());
     for o in all.iter().flat_map(|p| &p.track) {
         let (x, y) = (o.pixel[0] as u32, o.pixel[1] as u32);
@@ -155,23 +155,23 @@ fn the_same_points_come_of_any_number_of_threads_and_they_are_spread() {
 
 #[test]
 fn nothing_to_compare_gives_no_points_and_a_stop_none_at_all() {
-    let (scene, pictures) = world(|_| 1.0);
+    let (scene, images) = world(|_| 1.0);
     assert_eq!(
-        points(&scene, &[0], vec![pictures.into_iter().next().unwrap()], 10, 1, &|| false),
+        points(&scene, &[0], vec![images.into_iter().next().unwrap()], 10, 1, &|| false),
         Some(vec![])
     );
     assert_eq!(points(&scene, &[], vec![], 10, 1, &|| false), Some(vec![]));
-    let (mut bare, pictures) = world(|_| 1.0);
+    let (mut bare, images) = world(|_| 1.0);
     bare.points.clear();
-    assert_eq!(found(&bare, pictures, 10), vec![]);
+    assert_eq!(found(&bare, images, 10), vec![]);
     for (w, h) in [(1, 1), (3, 70), (5, 5), (9, 4)] {
         let tiny = |_| Picture { image: Image::filled(w, h, 3, 0.5), usable: None };
         assert_eq!(found(&scene, (0..6).map(tiny).collect(), 10), vec![]);
     }
     let plain = |_| Picture { image: Image::filled(W as usize, H as usize, 3, 0.5), usable: None };
-    assert_eq!(found(&scene, (0..6).map(plain).collect(), 10), vec![], "there is nothing to tell depths by");
+    assert_eq!(found(&scene, (0..6).map(plain).collect(), 10), vec![], "nothing determines depths");
     let poison = |_| Picture { image: Image::filled(W as usize, H as usize, 3, f32::NAN), usable: None };
     assert_eq!(found(&scene, (0..6).map(poison).collect(), 10), vec![]);
-    let (scene, pictures) = world(|_| 1.0);
-    assert_eq!(points(&scene, &[0, 1, 2, 3, 4, 5], pictures, 10, 1, &|| true), None);
+    let (scene, images) = world(|_| 1.0);
+    assert_eq!(points(&scene, &[0, 1, 2, 3, 4, 5], images, 10, 1, &|| true), None);
 }

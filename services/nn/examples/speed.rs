@@ -1,6 +1,6 @@
-//! What products and networks cost on this machine.
+//! Times products and networks on this machine.
 
-use segwild_nn::{Layout, Map, Shape, Strided, UNet, product};
+use segwild_nn::{Map, Strided, UNet, UNetShape, WeightLayout, product};
 use std::time::Instant;
 
 fn main() {
@@ -19,7 +19,7 @@ fn main() {
         let flop = 2.0 * (rows * inner * columns * rounds) as f64;
         println!("product {rows} x {inner} x {columns}: {:.1} GFLOP/s", flop / seconds / 1e9);
     }
-    let narrow = Shape {
+    let narrow = UNetShape {
         input: 4,
         stem: 3,
         encoder: [16, 16, 32, 48, 64],
@@ -29,7 +29,7 @@ fn main() {
         output: 48,
         head: [32, 16, 16],
     };
-    let paper = Shape {
+    let paper = UNetShape {
         stem: 7,
         encoder: [64, 64, 128, 256, 512],
         blocks: 2,
@@ -40,9 +40,9 @@ fn main() {
     for (name, shape, width, height) in
         [("narrow", narrow, 160, 128), ("paper", paper, 160, 128), ("paper", paper, 256, 192)]
     {
-        let mut layout = Layout::new();
+        let mut layout = WeightLayout::new();
         let net = UNet::new(&mut layout, ["net", "head"], &shape);
-        let weights = layout.begin(|| 0.5);
+        let weights = layout.initial_weights(|| 0.5);
         let image = Map { channels: 4, height, width, data: vec![0.5; 4 * width * height] };
         let beside = Map::zeros(10, height / 2, width / 2);
         let (mut forward, mut backward) = (f64::MAX, f64::MAX);

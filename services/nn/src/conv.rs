@@ -1,18 +1,18 @@
 //! Convolutions, as products of weights and unfolded strips of the input.
 
-use crate::layer::{Kind, Layout};
+use crate::layer::{LayerKind, WeightLayout};
 use crate::map::Map;
 use crate::product::{Strided, product};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Pixels that are unfolded together: what they and their surroundings take stays in the cache.
+/// Pixels that are unfolded together (im2col): they and their surroundings stay in the cache.
 const STRIP: usize = 128;
 /// Distance between rows of an unfolded strip. Not a power of two, which would crowd the cache.
 const STRIP_WIDTH: usize = 144;
 /// Planes of the result per task.
 const PLANES: usize = 64;
-/// Weight gradients are summed over at most so many pieces of the pixels, whoever takes them.
+/// Weight gradients are summed over at most so many pieces of the pixels, whatever the number of threads.
 const PIECES: usize = 8;
 
 /// A convolution with a square kernel over a border of zeros; the result has `1 / stride` of the size.
@@ -25,22 +25,22 @@ pub struct Conv {
     weights: Range<usize>,
 }
 
-/// How the taps of a kernel find their pixel in what is unfolded.
+/// How the taps of a kernel find their pixel in the unfolded map.
 #[derive(Clone, Copy)]
-enum Reach {
+enum TapReach {
     /// At a multiple of the stride.
     Stride(usize),
-    /// Between pixels that are the stride apart, zeros between them.
-    Between(usize),
+    /// Fractional stride: pixels of the map lie the stride apart, with zeros in the gaps.
+    FractionalStride(usize),
 }
 
-/// What the kernel sees around the pixels `strip` of a result of `width`: `[plane][row][column of the kernel]` rows of
-/// [`STRIP_WIDTH`].
+/// Unfolds (im2col) the inputs of the kernel around the pixels `strip` of a result of `width`:
+/// `[plane][row][column of the kernel]` rows of [`STRIP_WIDTH`].
 fn unfold(
     x: &Map,
     kernel: usize,
     border: usize,
-    reach: Reach,
+    reach: TapReach,
     width: usize,
     strip: Range<usize>,
     out: &mut [f32],
@@ -59,8 +59,8 @@ fn unfold(
                     let part = &mut row[at - strip.start..][..to - from];
                     let (v, u) = (y + i, j as isize - border as isize);
                     let source = match reach {
-                        Reach::Stride(s) => Some((y * s + i) as isize - border as isize),
-                        Reach::Between(s) => {
+                        TapReach::Stride(s) => Some((y * s + i) as isize - border as isize),
+                        TapReach::FractionalStride(s) => {
                             let v = v as isize - border as isize;
                             (v >= 0 && v % s as isize == 0).then_some(v / s as isize)
                         }
@@ -80,10 +80,10 @@ fn unfold(
 }
 
 /// One row of the unfolded strip, from result column `from` on, with the tap `u` columns to the right.
-fn line_of(line: &[f32], reach: Reach, u: isize, from: usize, part: &mut [f32]) {
+fn line_of(line: &[f32], reach: TapReach, u: isize, from: usize, part: &mut [f32]) {
     let w = line.len() as isize;
     match reach {
-        Reach::Stride(1) => {
+        TapReach::Stride(1) => {
             // A run inside the row, and zeros beyond its ends.
             let start = from as isize + u;
             let before = (-start).clamp(0, part.len() as isize) as usize;
@@ -95,13 +95,13 @@ fn line_of(line: &[f32], reach: Reach, u: isize, from: usize, part: &mut [f32]) 
             }
             part[before + inside..].fill(0.0);
         }
-        Reach::Stride(s) => {
+        TapReach::Stride(s) => {
             for (k, to) in part.iter_mut().enumerate() {
                 let x = ((from + k) * s) as isize + u;
                 *to = if (0..w).contains(&x) { line[x as usize] } else { 0.0 };
             }
         }
-        Reach::Between(s) => {
+        TapReach::FractionalStride(s) => {
             for (k, to) in part.iter_mut().enumerate() {
                 let x = (from + k) as isize + u;
                 let hit = x >= 0 && x % s as isize == 0 && x / (s as isize) < w;
@@ -115,7 +115,7 @@ fn line_of(line: &[f32], reach: Reach, u: isize, from: usize, part: &mut [f32]) 
 fn convolve(
     x: &Map,
     (weights, offsets): (&[f32], Option<&[f32]>),
-    (output, kernel, border, reach): (usize, usize, usize, Reach),
+    (output, kernel, border, reach): (usize, usize, usize, TapReach),
     (height, width): (usize, usize),
 ) -> Map {
     let (n, taps) = (height * width, x.channels * kernel * kernel);
@@ -158,23 +158,23 @@ fn convolve(
 impl Conv {
     /// A convolution of `input` to `output` planes with `kernel` x `kernel` taps.
     pub fn new(
-        layout: &mut Layout,
+        layout: &mut WeightLayout,
         name: &str,
         [input, output]: [usize; 2],
         kernel: usize,
         stride: usize,
     ) -> Conv {
-        let weights = layout.push(name, Kind::Conv { input, output, kernel, stride });
+        let weights = layout.push(name, LayerKind::Conv { input, output, kernel, stride });
         Conv { input, output, kernel, stride, weights }
     }
 
-    /// What it is.
-    pub fn kind(&self) -> Kind {
+    /// Its type and sizes.
+    pub fn kind(&self) -> LayerKind {
         let Conv { input, output, kernel, stride, .. } = *self;
-        Kind::Conv { input, output, kernel, stride }
+        LayerKind::Conv { input, output, kernel, stride }
     }
 
-    /// Where its weights lie.
+    /// Range of its weights.
     pub fn weights(&self) -> Range<usize> {
         self.weights.clone()
     }
@@ -195,12 +195,12 @@ impl Conv {
         (x.height.div_ceil(self.stride), x.width.div_ceil(self.stride))
     }
 
-    /// The planes that the convolution makes of `x`.
+    /// Output planes for the input `x`.
     pub fn forward(&self, weights: &[f32], x: &Map) -> Map {
         assert_eq!(x.channels, self.input, "planes");
         let own = &weights[self.weights.clone()];
         let (kernels, offsets) = own.split_at(own.len() - self.output);
-        let form = (self.output, self.kernel, self.border(), Reach::Stride(self.stride));
+        let form = (self.output, self.kernel, self.border(), TapReach::Stride(self.stride));
         convolve(x, (kernels, Some(offsets)), form, self.size(x))
     }
 
@@ -221,7 +221,7 @@ impl Conv {
         }
         self.kernel_gradient(x, grad, kernels);
         wanted.then(|| {
-            // The transposed convolution is one with the kernel turned round, over pixels the stride apart.
+            // The transposed convolution is a convolution of fractional stride with the kernel turned round.
             let own = &weights[self.weights.clone()];
             let (k, taps) = (self.kernel, self.kernel * self.kernel);
             let mut turned = vec![0.0; self.input * self.output * taps];
@@ -233,7 +233,8 @@ impl Conv {
                     }
                 }
             }
-            let reach = if self.stride == 1 { Reach::Stride(1) } else { Reach::Between(self.stride) };
+            let reach =
+                if self.stride == 1 { TapReach::Stride(1) } else { TapReach::FractionalStride(self.stride) };
             convolve(
                 grad,
                 (&turned, None),
@@ -243,7 +244,7 @@ impl Conv {
         })
     }
 
-    /// Adds the sum over pixels of gradient times what the kernel saw.
+    /// Adds the sum over pixels of gradient times unfolded input.
     fn kernel_gradient(&self, x: &Map, grad: &Map, sums: &mut [f32]) {
         let (n, taps) = (grad.pixels(), self.input * self.kernel * self.kernel);
         let strips = n.div_ceil(STRIP);
@@ -256,7 +257,7 @@ impl Conv {
                 let mut sums = vec![0.0; taps * self.output];
                 for strip in p * piece..strips.min((p + 1) * piece) {
                     let strip = strip * STRIP..n.min((strip + 1) * STRIP);
-                    let reach = Reach::Stride(self.stride);
+                    let reach = TapReach::Stride(self.stride);
                     unfold(x, self.kernel, self.border(), reach, grad.width, strip.clone(), &mut unfolded);
                     for c in 0..self.output {
                         for (k, g) in grad.plane(c)[strip.clone()].iter().enumerate() {
@@ -295,16 +296,16 @@ pub struct Up {
 
 impl Up {
     /// From `input` to `output` planes.
-    pub fn new(layout: &mut Layout, name: &str, [input, output]: [usize; 2]) -> Up {
-        Up { input, output, weights: layout.push(name, Kind::Up { input, output }) }
+    pub fn new(layout: &mut WeightLayout, name: &str, [input, output]: [usize; 2]) -> Up {
+        Up { input, output, weights: layout.push(name, LayerKind::Up { input, output }) }
     }
 
-    /// What it is.
-    pub fn kind(&self) -> Kind {
-        Kind::Up { input: self.input, output: self.output }
+    /// Its type and sizes.
+    pub fn kind(&self) -> LayerKind {
+        LayerKind::Up { input: self.input, output: self.output }
     }
 
-    /// Where its weights lie.
+    /// Range of its weights.
     pub fn weights(&self) -> Range<usize> {
         self.weights.clone()
     }
@@ -320,7 +321,7 @@ impl Up {
         let (kernels, offsets) = own.split_at(own.len() - self.output);
         // Each of the four new pixels is a product with the old one: four results, then laid side by side.
         let four =
-            convolve(x, (kernels, None), (4 * self.output, 1, 0, Reach::Stride(1)), (x.height, x.width));
+            convolve(x, (kernels, None), (4 * self.output, 1, 0, TapReach::Stride(1)), (x.height, x.width));
         let mut out = Map::zeros(self.output, 2 * x.height, 2 * x.width);
         let n = out.pixels();
         for (c, plane) in out.data.chunks_exact_mut(n).enumerate() {
@@ -353,7 +354,7 @@ impl Up {
         for c in 0..self.output {
             sums[self.weights.start + kernels + c] += total(grad.plane(c));
         }
-        // A 1 x 1 convolution is what is left.
+        // A 1 x 1 convolution remains.
         let inner = Conv { input: self.input, output: 4 * self.output, kernel: 1, stride: 1, weights: 0..0 };
         inner.kernel_gradient(x, &four, &mut sums[self.weights.clone()][..kernels]);
         let own = &weights[self.weights.clone()][..kernels];
@@ -363,6 +364,6 @@ impl Up {
                 turned[i * 4 * self.output + o] = own[o * self.input + i];
             }
         }
-        convolve(&four, (&turned, None), (self.input, 1, 0, Reach::Stride(1)), (x.height, x.width))
+        convolve(&four, (&turned, None), (self.input, 1, 0, TapReach::Stride(1)), (x.height, x.width))
     }
 }

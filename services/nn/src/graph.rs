@@ -1,10 +1,10 @@
-//! Networks over planes as lists of operations: whoever can do the operations can run and train the network.
+//! Networks over planes as lists of operations: an engine that implements the operations can run and train the network.
 
 use crate::conv::{Conv, Up};
 use crate::map::Map;
 use crate::norm::{GroupNorm, NormState};
 
-/// A map of a network: what an operation makes, or what the network is given.
+/// A map of a network: an input, or the output of an operation.
 pub type Id = usize;
 
 /// How large a map is.
@@ -28,16 +28,16 @@ impl Form {
     }
 }
 
-/// What makes one map of others.
+/// An operation: computes one map from others.
 #[derive(Clone, Debug)]
 pub struct Op {
-    /// What is done.
-    pub what: What,
-    /// What it is done to.
+    /// Which operation.
+    pub what: OpKind,
+    /// Its input.
     pub from: Id,
-    /// The map that it makes.
+    /// Its output.
     pub to: Id,
-    /// Whether what is below 0 becomes 0 in the end.
+    /// Whether a ReLU follows.
     pub relu: bool,
 }
 
@@ -45,21 +45,21 @@ impl Op {
     /// Whether it reads a map.
     pub fn reads(&self, map: Id) -> bool {
         let other = match self.what {
-            What::Join(other) | What::Beside(other) => Some(other),
-            What::Conv(_) | What::Up(_) | What::Norm(_) => None,
+            OpKind::Join(other) | OpKind::Beside(other) => Some(other),
+            OpKind::Conv(_) | OpKind::Up(_) | OpKind::Norm(_) => None,
         };
         self.from == map || other == Some(map)
     }
 }
 
-/// What an operation does.
+/// Type of an operation, with its layer.
 #[derive(Clone, Debug)]
-pub enum What {
+pub enum OpKind {
     /// A convolution.
     Conv(Conv),
     /// A transposed convolution.
     Up(Up),
-    /// A norm; nothing else reads what it is given.
+    /// A norm; nothing else reads its input.
     Norm(GroupNorm),
     /// The sum with another map.
     Join(Id),
@@ -67,15 +67,15 @@ pub enum What {
     Beside(Id),
 }
 
-/// The maps of a network, first those that it is given, and the operations in their order.
+/// The maps of a network, inputs first, and the operations in their order.
 #[derive(Clone, Debug, Default)]
-pub struct Graph {
+pub struct NetworkGraph {
     forms: Vec<Form>,
     given: usize,
     ops: Vec<Op>,
 }
 
-/// What a network made of what it was given.
+/// The maps of one forward pass, kept for the backward pass.
 #[derive(Clone, Debug)]
 pub struct Tape {
     maps: Vec<Option<Map>>,
@@ -93,10 +93,10 @@ impl Tape {
     }
 }
 
-impl Graph {
-    /// A network that is given maps of these forms, and does nothing yet.
-    pub fn given(forms: &[Form]) -> Graph {
-        Graph { forms: forms.to_vec(), given: forms.len(), ops: Vec::new() }
+impl NetworkGraph {
+    /// A network with inputs of these forms and no operations.
+    pub fn given(forms: &[Form]) -> NetworkGraph {
+        NetworkGraph { forms: forms.to_vec(), given: forms.len(), ops: Vec::new() }
     }
 
     /// All maps.
@@ -104,17 +104,17 @@ impl Graph {
         &self.forms
     }
 
-    /// How many of them, the first, the network is given.
+    /// How many of them, the first, are inputs.
     pub fn inputs(&self) -> usize {
         self.given
     }
 
-    /// What it does.
+    /// Its operations.
     pub fn ops(&self) -> &[Op] {
         &self.ops
     }
 
-    fn add(&mut self, form: Form, what: What, from: Id, relu: bool) -> Id {
+    fn add(&mut self, form: Form, what: OpKind, from: Id, relu: bool) -> Id {
         let to = self.forms.len();
         self.forms.push(form);
         self.ops.push(Op { what, from, to, relu });
@@ -124,18 +124,18 @@ impl Graph {
     /// A convolution of a map; of half the size, if it has a stride.
     pub fn conv(&mut self, layer: Conv, from: Id, relu: bool) -> Id {
         let halved = self.forms[from].halved + u32::from(layer.stride() == 2);
-        self.add(Form { channels: layer.planes()[1], halved }, What::Conv(layer), from, relu)
+        self.add(Form { channels: layer.planes()[1], halved }, OpKind::Conv(layer), from, relu)
     }
 
     /// A transposed convolution of a map.
     pub fn up(&mut self, layer: Up, from: Id, relu: bool) -> Id {
         let form = Form { channels: layer.planes()[1], halved: self.forms[from].halved - 1 };
-        self.add(form, What::Up(layer), from, relu)
+        self.add(form, OpKind::Up(layer), from, relu)
     }
 
     /// A norm of a map that nothing else reads.
     pub fn norm(&mut self, layer: GroupNorm, from: Id, relu: bool) -> Id {
-        self.add(self.forms[from], What::Norm(layer), from, relu)
+        self.add(self.forms[from], OpKind::Norm(layer), from, relu)
     }
 
     /// The sum of two maps of one form.
@@ -144,7 +144,7 @@ impl Graph {
     /// If they are not.
     pub fn join(&mut self, [from, other]: [Id; 2], relu: bool) -> Id {
         assert_eq!(self.forms[from], self.forms[other], "forms");
-        self.add(self.forms[from], What::Join(other), from, relu)
+        self.add(self.forms[from], OpKind::Join(other), from, relu)
     }
 
     /// The planes of two maps of one size.
@@ -155,34 +155,34 @@ impl Graph {
         let [a, b] = [from, other].map(|id| self.forms[id]);
         assert_eq!(a.halved, b.halved, "sizes");
         let form = Form { channels: a.channels + b.channels, halved: a.halved };
-        self.add(form, What::Beside(other), from, false)
+        self.add(form, OpKind::Beside(other), from, false)
     }
 
-    /// Runs what it is given.
+    /// Runs the network on `given`, one map per input.
     ///
     /// # Panics
     /// If maps are missing or of another form.
     pub fn forward(&self, weights: &[f32], given: Vec<Map>) -> Tape {
-        assert_eq!(given.len(), self.given, "what the network is given");
+        assert_eq!(given.len(), self.given, "number of inputs");
         let mut maps: Vec<Option<Map>> = given.into_iter().map(Some).collect();
         maps.resize(self.forms.len(), None);
         let mut norms = vec![None; self.ops.len()];
         for (op, norm) in self.ops.iter().zip(&mut norms) {
             let of = |id: Id| maps[id].as_ref().expect("made before");
             let made = match &op.what {
-                What::Conv(layer) => layer.forward(weights, of(op.from)),
-                What::Up(layer) => layer.forward(weights, of(op.from)),
-                What::Norm(layer) => {
+                OpKind::Conv(layer) => layer.forward(weights, of(op.from)),
+                OpKind::Up(layer) => layer.forward(weights, of(op.from)),
+                OpKind::Norm(layer) => {
                     let (made, state) = layer.forward(weights, maps[op.from].take().expect("made before"));
                     *norm = Some(state);
                     made
                 }
-                What::Join(other) => {
+                OpKind::Join(other) => {
                     let mut sum = of(op.from).clone();
                     sum.add(of(*other));
                     sum
                 }
-                What::Beside(other) => of(op.from).beside(of(*other)),
+                OpKind::Beside(other) => of(op.from).beside(of(*other)),
             };
             maps[op.to] = Some(if op.relu { made.relu() } else { made });
         }
@@ -207,24 +207,24 @@ impl Graph {
                 grad = grad.relu_backward(tape.of(op.to));
             }
             match &op.what {
-                What::Conv(layer) => {
+                OpKind::Conv(layer) => {
                     let wanted = op.from >= given;
                     let back = layer.backward(weights, tape.of(op.from), &grad, sums, wanted);
                     back.into_iter().for_each(|back| give(&mut grads, op.from, back));
                 }
-                What::Up(layer) => {
+                OpKind::Up(layer) => {
                     let back = layer.backward(weights, tape.of(op.from), &grad, sums);
                     give(&mut grads, op.from, back);
                 }
-                What::Norm(layer) => {
-                    let state = norm.as_ref().expect("left by the way forward");
+                OpKind::Norm(layer) => {
+                    let state = norm.as_ref().expect("left by the forward pass");
                     give(&mut grads, op.from, layer.backward(weights, state, grad, sums));
                 }
-                What::Join(other) => {
+                OpKind::Join(other) => {
                     give(&mut grads, op.from, grad.clone());
                     give(&mut grads, *other, grad);
                 }
-                What::Beside(other) => {
+                OpKind::Beside(other) => {
                     let (first, second) = grad.split(self.forms[op.from].channels);
                     give(&mut grads, op.from, first);
                     give(&mut grads, *other, second);

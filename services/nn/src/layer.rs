@@ -1,10 +1,10 @@
-//! Where the weights of a network lie.
+//! Layout of the weights of a network in one flat slice.
 
 use std::ops::Range;
 
-/// What a layer is; sizes as another engine needs them.
+/// Type of a layer, with the sizes that an engine needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub enum LayerKind {
     /// Convolution with a square kernel: `[out][in][row][column]`, then `[out]` offsets.
     Conv {
         /// Planes in.
@@ -13,7 +13,7 @@ pub enum Kind {
         output: usize,
         /// Side of the kernel.
         kernel: usize,
-        /// Pixels between two places of the kernel.
+        /// Pixels from one position of the kernel to the next.
         stride: usize,
     },
     /// Transposed convolution, kernel and stride 2: `[out][row][column][in]`, then `[out]` offsets.
@@ -44,22 +44,22 @@ pub enum Kind {
 pub struct Layer {
     /// Its name, unique in the network.
     pub name: String,
-    /// What it is.
-    pub kind: Kind,
+    /// Its type and sizes.
+    pub kind: LayerKind,
     /// Its weights, offsets last.
     pub weights: Range<usize>,
 }
 
 /// The layers of a network in the order of their weights.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Layout {
+pub struct WeightLayout {
     layers: Vec<Layer>,
 }
 
-impl Layout {
-    /// Nothing yet.
-    pub fn new() -> Layout {
-        Layout::default()
+impl WeightLayout {
+    /// No layers.
+    pub fn new() -> WeightLayout {
+        WeightLayout::default()
     }
 
     /// All layers.
@@ -77,28 +77,28 @@ impl Layout {
         self.len() == 0
     }
 
-    /// Adds a layer behind the others.
-    pub(crate) fn push(&mut self, name: &str, kind: Kind) -> Range<usize> {
+    /// Adds a layer after the others.
+    pub(crate) fn push(&mut self, name: &str, kind: LayerKind) -> Range<usize> {
         let size = match kind {
-            Kind::Conv { input, output, kernel, .. } => output * input * kernel * kernel + output,
-            Kind::Up { input, output } => 4 * output * input + output,
-            Kind::Norm { channels, .. } => 2 * channels,
-            Kind::Dense { input, output } => input * output + output,
+            LayerKind::Conv { input, output, kernel, .. } => output * input * kernel * kernel + output,
+            LayerKind::Up { input, output } => 4 * output * input + output,
+            LayerKind::Norm { channels, .. } => 2 * channels,
+            LayerKind::Dense { input, output } => input * output + output,
         };
         let weights = self.len()..self.len() + size;
         self.layers.push(Layer { name: name.to_owned(), kind, weights: weights.clone() });
         weights
     }
 
-    /// Weights to begin with: deviations that keep the size of what passes a layer followed by a ReLU (He), offsets 0,
-    /// norms that do not change anything. `normal` draws from the standard normal distribution.
-    pub fn begin(&self, mut normal: impl FnMut() -> f32) -> Vec<f32> {
+    /// Initial weights: He initialisation (the deviation keeps the variance through a layer with a ReLU), offsets 0, norms
+    /// with factor 1. `normal` samples the standard normal distribution.
+    pub fn initial_weights(&self, mut normal: impl FnMut() -> f32) -> Vec<f32> {
         let mut out = Vec::with_capacity(self.len());
         for layer in &self.layers {
             let (fan, offsets) = match layer.kind {
-                Kind::Conv { input, output, kernel, .. } => (input * kernel * kernel, output),
-                Kind::Up { input, output } | Kind::Dense { input, output } => (input, output),
-                Kind::Norm { channels, .. } => {
+                LayerKind::Conv { input, output, kernel, .. } => (input * kernel * kernel, output),
+                LayerKind::Up { input, output } | LayerKind::Dense { input, output } => (input, output),
+                LayerKind::Norm { channels, .. } => {
                     out.extend((0..2 * channels).map(|i| if i < channels { 1.0 } else { 0.0 }));
                     continue;
                 }

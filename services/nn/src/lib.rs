@@ -1,9 +1,9 @@
-//! Small dense networks, trained on the CPU: what the looks of photos are made of.
+//! Small networks, trained on the CPU: the appearance model `gsw` uses them.
 //!
-//! Layers are descriptions: what they are, and where their weights lie in one flat slice of f32. `forward` takes the
-//! slice and the input, `backward` adds the gradient of the weights to a slice of the same layout and returns that of the
-//! input. A network is a list of layers and of the maps between them ([`Graph`]). One optimiser step is therefore a step of
-//! one flat slice, a checkpoint is its numbers, and another engine needs the slice and the list.
+//! A layer is a description: its type, and the range of its weights in one flat slice of f32. `forward` takes the slice
+//! and the input. `backward` adds the gradient of the weights to a slice of the same layout and returns the gradient of the
+//! input. A network is a list of operations and of the maps that they read and write ([`NetworkGraph`]). An optimiser step
+//! therefore updates one flat slice, a checkpoint stores it, and another engine needs only the slice and the list.
 //!
 //! Sums run in a fixed order, so that the result is the same whatever the number of threads.
 
@@ -21,12 +21,12 @@ mod sample;
 mod unet;
 
 pub use conv::{Conv, Up};
-pub use graph::{Form, Graph, Id, Op, Tape, What};
-pub use layer::{Kind, Layer, Layout};
+pub use graph::{Form, Id, NetworkGraph, Op, OpKind, Tape};
+pub use layer::{Layer, LayerKind, WeightLayout};
 pub use map::Map;
 pub use matmul::{matmul, transpose};
 pub use mlp::{Activations, Mlp};
 pub use norm::{EPSILON, GroupNorm, NormState};
 pub use product::{Strided, product};
-pub use sample::{Spot, scatter, take};
-pub use unet::{Shape, UNet};
+pub use sample::{BilinearSample, scatter, take};
+pub use unet::{UNet, UNetShape};

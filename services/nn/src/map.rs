@@ -57,7 +57,7 @@ impl Map {
         self.data.iter_mut().zip(&other.data).for_each(|(a, b)| *a += b);
     }
 
-    /// What is below 0 becomes 0.
+    /// Sets values below 0 to 0.
     pub fn relu(mut self) -> Map {
         self.data.par_chunks_mut(1 << 14).for_each(|piece| piece.iter_mut().for_each(|v| *v = v.max(0.0)));
         self

@@ -1,6 +1,6 @@
 //! A stack of dense layers over many points.
 
-use crate::layer::{Kind, Layout};
+use crate::layer::{LayerKind, WeightLayout};
 use crate::product::{Strided, product};
 use std::ops::Range;
 
@@ -12,12 +12,12 @@ pub struct Mlp {
     last_relu: bool,
 }
 
-/// What each layer made of its points, the input first.
+/// Outputs of each layer, the input first.
 #[derive(Clone, Debug)]
 pub struct Activations(Vec<Vec<f32>>);
 
 impl Activations {
-    /// What the last layer made, `[point][number]`.
+    /// Output of the last layer, `[point][number]`.
     pub fn result(&self) -> &[f32] {
         self.0.last().expect("at least the input")
     }
@@ -30,9 +30,9 @@ impl Activations {
 
 impl Mlp {
     /// Layers between `sizes` numbers; `last_relu`: a ReLU after the last one too.
-    pub fn new(layout: &mut Layout, name: &str, sizes: &[usize], last_relu: bool) -> Mlp {
+    pub fn new(layout: &mut WeightLayout, name: &str, sizes: &[usize], last_relu: bool) -> Mlp {
         let weights = sizes.windows(2).enumerate().map(|(i, pair)| {
-            layout.push(&format!("{name}.{i}"), Kind::Dense { input: pair[0], output: pair[1] })
+            layout.push(&format!("{name}.{i}"), LayerKind::Dense { input: pair[0], output: pair[1] })
         });
         Mlp { sizes: sizes.to_vec(), weights: weights.collect(), last_relu }
     }
@@ -82,7 +82,7 @@ impl Mlp {
         Activations(all)
     }
 
-    /// The matrices, transposed: what [`Mlp::backward`] multiplies with.
+    /// The weight matrices, transposed, for [`Mlp::backward`].
     pub fn turned(&self, weights: &[f32]) -> Vec<Vec<f32>> {
         let turn = |(layer, range): (usize, &Range<usize>)| {
             let [input, output] = [self.sizes[layer], self.sizes[layer + 1]];
@@ -98,8 +98,8 @@ impl Mlp {
         self.weights.iter().enumerate().map(turn).collect()
     }
 
-    /// Gradient of the first `wanted` numbers of each point, `[point][wanted]`, from that of the result; adds that of
-    /// the weights to `sums`, which begins where the first of these layers does.
+    /// Gradient of the first `wanted` numbers of each point, `[point][wanted]`, from that of the result. Adds the gradient of
+    /// the weights to `sums`, whose first element belongs to the first weight of the first layer.
     pub fn backward(
         &self,
         turned: &[Vec<f32>],
@@ -108,14 +108,14 @@ impl Mlp {
         sums: &mut [f32],
         wanted: usize,
     ) -> Vec<f32> {
-        let begin = self.weights[0].start;
+        let first = self.weights[0].start;
         let points = of.0[0].len() / self.sizes[0];
         for (layer, range) in self.weights.iter().enumerate().rev() {
             let [input, output] = [self.sizes[layer], self.sizes[layer + 1]];
             if self.relu_after(layer) {
                 grad.iter_mut().zip(&of.0[layer + 1]).for_each(|(g, v)| *g = if *v > 0.0 { *g } else { 0.0 });
             }
-            let own = &mut sums[range.start - begin..range.end - begin];
+            let own = &mut sums[range.start - first..range.end - first];
             let (matrix, offsets) = own.split_at_mut(input * output);
             for point in grad.chunks_exact(output) {
                 offsets.iter_mut().zip(point).for_each(|(sum, g)| *sum += g);

@@ -1,6 +1,6 @@
-//! Normalisation within one image: what a batch would share between photos, no photo gets from another.
+//! Normalisation within one image. No statistics are shared across photos, as a batch norm would do.
 
-use crate::layer::{Kind, Layout};
+use crate::layer::{LayerKind, WeightLayout};
 use crate::map::Map;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -20,7 +20,7 @@ pub struct NormState {
     scale: Vec<f32>,
 }
 
-/// What [`GroupNorm`] adds to the variance.
+/// [`GroupNorm`] adds it to the variance.
 pub const EPSILON: f64 = 1e-5;
 
 impl GroupNorm {
@@ -28,17 +28,17 @@ impl GroupNorm {
     ///
     /// # Panics
     /// If the groups cannot be of equal size.
-    pub fn new(layout: &mut Layout, name: &str, channels: usize, groups: usize) -> GroupNorm {
+    pub fn new(layout: &mut WeightLayout, name: &str, channels: usize, groups: usize) -> GroupNorm {
         assert!(groups > 0 && channels.is_multiple_of(groups), "{channels} planes in {groups} groups");
-        GroupNorm { channels, groups, weights: layout.push(name, Kind::Norm { channels, groups }) }
+        GroupNorm { channels, groups, weights: layout.push(name, LayerKind::Norm { channels, groups }) }
     }
 
-    /// What it is.
-    pub fn kind(&self) -> Kind {
-        Kind::Norm { channels: self.channels, groups: self.groups }
+    /// Its type and sizes.
+    pub fn kind(&self) -> LayerKind {
+        LayerKind::Norm { channels: self.channels, groups: self.groups }
     }
 
-    /// Where its weights lie.
+    /// Range of its weights.
     pub fn weights(&self) -> Range<usize> {
         self.weights.clone()
     }

@@ -108,9 +108,9 @@ trait Vectors {
 }
 
 /// No vectors: numbers side by side.
-struct Plain;
+struct ScalarVectors;
 
-impl Vectors for Plain {
+impl Vectors for ScalarVectors {
     type V = [f32; 8];
     const LANES: usize = 8;
     #[inline(always)]
@@ -120,7 +120,7 @@ impl Vectors for Plain {
     }
     #[inline(always)]
     unsafe fn store(to: *mut f32, v: [f32; 8]) {
-        // SAFETY: the caller vouches for room for eight numbers.
+        // SAFETY: the caller vouches for space for eight numbers.
         unsafe { to.cast::<[f32; 8]>().write_unaligned(v) }
     }
     #[inline(always)]
@@ -152,7 +152,7 @@ mod x86 {
                 }
                 #[inline(always)]
                 unsafe fn store(to: *mut f32, v: $v) {
-                    // SAFETY: the caller vouches for a register's room and for the instruction set.
+                    // SAFETY: the caller vouches for a register's space and for the instruction set.
                     unsafe { $store(to, v) }
                 }
                 #[inline(always)]
@@ -191,11 +191,11 @@ fn avx2(call: Call, out: &mut [f32]) {
 
 fn plain(call: Call, out: &mut [f32]) {
     // SAFETY: every machine has plain numbers.
-    unsafe { blocks::<Plain, 2, 2>(call, out) }
+    unsafe { blocks::<ScalarVectors, 2, 2>(call, out) }
 }
 
 /// The instruction sets of this machine, the widest first.
-fn offered() -> impl Iterator<Item = Blocks> {
+fn available() -> impl Iterator<Item = Blocks> {
     #[cfg(target_arch = "x86_64")]
     let wide = {
         let fma = is_x86_feature_detected!("fma");
@@ -211,7 +211,7 @@ fn offered() -> impl Iterator<Item = Blocks> {
 
 /// Runs `blocks` in the widest instruction set of this machine.
 fn run(call: Call, out: &mut [f32]) {
-    let widest = offered().next().expect("plain numbers are always there");
+    let widest = available().next().expect("plain numbers are always there");
     // SAFETY: the instruction set was just found on this machine.
     unsafe { widest(call, out) }
 }
@@ -325,7 +325,7 @@ mod tests {
     #[test]
     fn every_instruction_set_gives_the_same_bytes() {
         let mut noise = Noise(2);
-        assert!(offered().count() >= 1);
+        assert!(available().count() >= 1);
         for (rows, inner, columns, add) in [
             (1, 7, 16, false),
             (6, 64, 32, true),
@@ -339,9 +339,9 @@ mod tests {
             let call = Call { a, b: &b, b_width: columns, rows, inner, columns, out_width: columns, add };
             let mut wanted = before.clone();
             plain(call, &mut wanted);
-            for blocks in offered() {
+            for blocks in available() {
                 let mut got = before.clone();
-                // SAFETY: this machine offers the instruction set, and the slices hold what the call says.
+                // SAFETY: this machine has the instruction set, and the slices hold what the call says.
                 unsafe { blocks(call, &mut got) };
                 let same = got.iter().zip(&wanted).all(|(g, w)| g.to_bits() == w.to_bits());
                 assert!(same, "{rows} x {inner} x {columns}");

@@ -2,9 +2,9 @@
 
 use crate::map::Map;
 
-/// A place on a map: four pixels and how much of each. Beyond the border is what the border shows.
+/// A point on a map for bilinear sampling: four pixels and their weights. Coordinates are clamped to the border.
 #[derive(Clone, Copy, Debug)]
-pub struct Spot {
+pub struct BilinearSample {
     at: [usize; 4],
     weight: [f32; 4],
     /// Share of the way to the right and lower pixels, and pixels per unit of the coordinate, 0 where the border holds.
@@ -12,10 +12,10 @@ pub struct Spot {
     slope: [f32; 2],
 }
 
-impl Spot {
-    /// The place at `x`, `y` in [-1, 1] across the outer pixels' centres of a map of that size. What is not a number is
-    /// the middle.
-    pub fn new(width: usize, height: usize, [x, y]: [f32; 2]) -> Spot {
+impl BilinearSample {
+    /// The point at `x`, `y`, where [-1, 1] spans the outer pixels' centres of a map of that size. NaN is taken as the
+    /// middle.
+    pub fn new(width: usize, height: usize, [x, y]: [f32; 2]) -> BilinearSample {
         let axis = |v: f32, n: usize| -> (usize, f32, f32) {
             let most = (n - 1) as f32;
             let v = if v.is_nan() { 0.0 } else { v };
@@ -26,7 +26,7 @@ impl Spot {
         };
         let ((x0, fx, sx), (y0, fy, sy)) = (axis(x, width), axis(y, height));
         let (x1, y1) = ((x0 + 1).min(width - 1), (y0 + 1).min(height - 1));
-        Spot {
+        BilinearSample {
             at: [y0 * width + x0, y0 * width + x1, y1 * width + x0, y1 * width + x1],
             weight: [(1.0 - fy) * (1.0 - fx), (1.0 - fy) * fx, fy * (1.0 - fx), fy * fx],
             share: [fx, fy],
@@ -44,7 +44,7 @@ impl Spot {
         }
     }
 
-    /// Adds the gradient of what was read to that of the pixels.
+    /// Adds the gradient of the numbers read to that of the pixels.
     pub fn add(&self, grad: &[f32], pixels: &mut [f32]) {
         let n = grad.len();
         for (p, w) in self.at.iter().zip(self.weight) {
@@ -68,7 +68,7 @@ impl Spot {
     }
 }
 
-/// The planes `from..from + count` of a map, as `[pixel][number]`: what [`Spot::read`] reads.
+/// The planes `from..from + count` of a map, as `[pixel][number]`, the layout that [`BilinearSample::read`] takes.
 pub fn take(map: &Map, from: usize, count: usize) -> Vec<f32> {
     let mut out = vec![0.0; map.pixels() * count];
     for c in 0..count {

@@ -1,14 +1,14 @@
-//! A UNet: a residual encoder to 1/32 of the size, a decoder back to 1/2, and a head on what is between them.
+//! A UNet: a residual encoder to 1/32 of the size, a decoder back to 1/2, and a head on the bottleneck.
 
 use crate::conv::{Conv, Up};
-use crate::graph::{Form, Graph, Id, Tape};
-use crate::layer::Layout;
+use crate::graph::{Form, Id, NetworkGraph, Tape};
+use crate::layer::WeightLayout;
 use crate::map::Map;
 use crate::norm::GroupNorm;
 
 /// How wide a UNet is. All numbers of planes are multiples of 8.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Shape {
+pub struct UNetShape {
     /// Planes of the image.
     pub input: usize,
     /// Side of the first kernel.
@@ -19,7 +19,7 @@ pub struct Shape {
     pub blocks: usize,
     /// Planes of the decoder at 1/16, 1/8, 1/4 and 1/2.
     pub decoder: [usize; 4],
-    /// Planes that are given at 1/2 of the size and join the decoder's before the last layer (which is linear).
+    /// Input planes at 1/2 of the size that join the decoder's before the last layer (which is linear).
     pub beside: usize,
     /// Planes of the result, at 1/2.
     pub output: usize,
@@ -35,21 +35,21 @@ const GROUP: usize = 8;
 /// The network, without its weights.
 #[derive(Clone, Debug)]
 pub struct UNet {
-    /// What it does.
-    pub graph: Graph,
+    /// Its maps and operations.
+    pub graph: NetworkGraph,
     /// The result, at 1/2 of the image's size.
     pub maps: Id,
-    /// What the head makes of what is between encoder and decoder: one plane at 1/4 of the image's size.
+    /// Output of the head on the bottleneck: one plane at 1/4 of the image's size.
     pub plane: Id,
 }
 
 /// A network in the making.
-struct Plan<'a> {
-    graph: Graph,
-    layout: &'a mut Layout,
+struct UNetBuilder<'a> {
+    graph: NetworkGraph,
+    layout: &'a mut WeightLayout,
 }
 
-impl Plan<'_> {
+impl UNetBuilder<'_> {
     /// A convolution and its norm.
     fn double(
         &mut self,
@@ -67,7 +67,7 @@ impl Plan<'_> {
         self.graph.norm(norm, made, relu)
     }
 
-    /// Two convolutions beside a way round.
+    /// A residual block: two convolutions and a skip connection.
     fn block(&mut self, name: &str, from: Id, output: usize, stride: usize) -> Id {
         let input = self.graph.forms()[from].channels;
         let middle = self.double(&format!("{name}.first"), from, output, (3, stride), true);
@@ -95,10 +95,10 @@ impl Plan<'_> {
 
 impl UNet {
     /// Describes a network of this shape, and its head, under these names.
-    pub fn new(layout: &mut Layout, [name, head]: [&str; 2], shape: &Shape) -> UNet {
+    pub fn new(layout: &mut WeightLayout, [name, head]: [&str; 2], shape: &UNetShape) -> UNet {
         let given = [Form { channels: shape.input, halved: 0 }, Form { channels: shape.beside, halved: 1 }];
         let [image, beside] = [0, 1];
-        let mut plan = Plan { graph: Graph::given(&given), layout };
+        let mut plan = UNetBuilder { graph: NetworkGraph::given(&given), layout };
         // No norm after the first convolution: it is where the light of a photo enters, and a norm would take it away.
         let planes = [shape.input, shape.encoder[0]];
         let stem = Conv::new(plan.layout, &format!("{name}.stem"), planes, shape.stem, 2);

@@ -1,11 +1,13 @@
 //! Every layer against plain f64 loops: its result, and its gradients by central differences of the loops.
 
-use segwild_nn::{Conv, GroupNorm, Layout, Map, Mlp, Shape, Spot, UNet, Up, scatter, take};
+use segwild_nn::{
+    BilinearSample, Conv, GroupNorm, Map, Mlp, UNet, UNetShape, Up, WeightLayout, scatter, take,
+};
 
 /// Numbers in [-1, 1).
-struct Noise(u64);
+struct TestNoise(u64);
 
-impl Noise {
+impl TestNoise {
     fn next(&mut self) -> f32 {
         self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
         (self.0 >> 40) as f32 / (1 << 23) as f32 - 1.0
@@ -89,7 +91,7 @@ fn conv_plain(
 
 #[test]
 fn convolutions() {
-    let mut noise = Noise(1);
+    let mut noise = TestNoise(1);
     let forms = [
         ([3, 5, 3, 1], [7, 9]),
         ([2, 7, 3, 2], [8, 6]),
@@ -102,8 +104,8 @@ fn convolutions() {
     ];
     for (form, [height, width]) in forms {
         let [input, output, kernel, stride] = form;
-        let mut layout = Layout::new();
-        // A layer before it: weights must be taken from the right place.
+        let mut layout = WeightLayout::new();
+        // A layer before it: weights must be taken from the right offset.
         Conv::new(&mut layout, "other", [1, 1], 1, 1);
         let conv = Conv::new(&mut layout, "conv", [input, output], kernel, stride);
         let weights = noise.vec(layout.len());
@@ -147,8 +149,8 @@ fn transposed_convolutions() {
         }
         out
     };
-    let mut noise = Noise(2);
-    let mut layout = Layout::new();
+    let mut noise = TestNoise(2);
+    let mut layout = WeightLayout::new();
     let up = Up::new(&mut layout, "up", [input, output]);
     let weights = noise.vec(layout.len());
     let x = noise.map(input, height, width);
@@ -178,8 +180,8 @@ fn group_and_instance_norms() {
             }
             out
         };
-        let mut noise = Noise(3);
-        let mut layout = Layout::new();
+        let mut noise = TestNoise(3);
+        let mut layout = WeightLayout::new();
         let norm = GroupNorm::new(&mut layout, "norm", channels, groups);
         let weights = noise.vec(layout.len());
         let x = noise.map(channels, 4, 5);
@@ -195,7 +197,7 @@ fn group_and_instance_norms() {
 
 #[test]
 fn relu_passes_what_is_above_zero() {
-    let mut noise = Noise(4);
+    let mut noise = TestNoise(4);
     let x = noise.map(2, 3, 5);
     let y = x.clone().relu();
     let pull = noise.map(2, 3, 5);
@@ -229,8 +231,8 @@ fn dense_layers() {
             }
             x
         };
-        let mut noise = Noise(5);
-        let mut layout = Layout::new();
+        let mut noise = TestNoise(5);
+        let mut layout = WeightLayout::new();
         Conv::new(&mut layout, "other", [1, 1], 1, 1);
         let mlp = Mlp::new(&mut layout, "mlp", &sizes, last_relu);
         let weights = noise.vec(layout.len());
@@ -254,7 +256,7 @@ fn dense_layers() {
 
 #[test]
 fn bilinear_reading() {
-    let mut noise = Noise(6);
+    let mut noise = TestNoise(6);
     for (width, height) in [(7, 5), (1, 4), (6, 1), (1, 1)] {
         let map = noise.map(3, height, width);
         let pixels = take(&map, 0, 3);
@@ -275,7 +277,7 @@ fn bilinear_reading() {
         };
         for _ in 0..20 {
             let at = [1.3 * noise.next(), 1.3 * noise.next()];
-            let spot = Spot::new(width, height, at);
+            let spot = BilinearSample::new(width, height, at);
             let mut read = vec![0.0; 3];
             spot.read(&pixels, &mut read);
             close("read", &read, &plain(&wide(&map.data), &wide(&at)));
@@ -286,19 +288,19 @@ fn bilinear_reading() {
             scatter(&sums, &mut grad, 0, 3);
             differences("map", &map.data, &pull, &grad.data, |m| plain(m, &wide(&at)));
             let slope = spot.slope(&pull, &pixels);
-            differences("place", &at, &pull, &slope, |at| plain(&wide(&map.data), at));
+            differences("point", &at, &pull, &slope, |at| plain(&wide(&map.data), at));
         }
     }
-    // Not a number, or far away: a place on the map all the same.
+    // NaN or far outside: clamped to a point on the map.
     for at in [[f32::NAN, 0.0], [f32::INFINITY, f32::NEG_INFINITY], [1e30, -1e30]] {
         let mut read = [0.0];
-        Spot::new(4, 4, at).read(&[0.5; 16], &mut read);
+        BilinearSample::new(4, 4, at).read(&[0.5; 16], &mut read);
         assert_eq!(read, [0.5]);
     }
 }
 
-fn shape() -> Shape {
-    Shape {
+fn shape() -> UNetShape {
+    UNetShape {
         input: 4,
         stem: 3,
         encoder: [8, 8, 16, 16, 24],
@@ -312,10 +314,10 @@ fn shape() -> Shape {
 
 #[test]
 fn a_whole_network_falls_as_its_gradient_says_whatever_the_number_of_threads() {
-    let mut layout = Layout::new();
+    let mut layout = WeightLayout::new();
     let net = UNet::new(&mut layout, ["net", "head"], &shape());
-    let mut noise = Noise(7);
-    let weights = layout.begin(|| 1.7 * noise.next());
+    let mut noise = TestNoise(7);
+    let weights = layout.initial_weights(|| 1.7 * noise.next());
     let (image, beside) = (noise.map(4, 64, 96), noise.map(2, 32, 48));
     let pull = noise.map(6, 32, 48);
     let head_pull = noise.map(1, 16, 24);
@@ -355,10 +357,10 @@ fn a_whole_network_falls_as_its_gradient_says_whatever_the_number_of_threads() {
 
 #[test]
 fn a_poisoned_image_stays_where_it_is_and_does_not_panic() {
-    let mut layout = Layout::new();
+    let mut layout = WeightLayout::new();
     let net = UNet::new(&mut layout, ["net", "head"], &shape());
-    let mut noise = Noise(8);
-    let weights = layout.begin(|| 1.7 * noise.next());
+    let mut noise = TestNoise(8);
+    let weights = layout.initial_weights(|| 1.7 * noise.next());
     for poison in [f32::NAN, f32::INFINITY, -f32::MAX, f32::MIN_POSITIVE / 4.0] {
         let mut image = noise.map(4, 32, 32);
         image.data[500] = poison;
@@ -378,13 +380,13 @@ fn a_poisoned_image_stays_where_it_is_and_does_not_panic() {
 
 #[test]
 fn a_network_learns_to_copy_an_image_at_half_its_size() {
-    let mut layout = Layout::new();
-    let net = UNet::new(&mut layout, ["net", "head"], &Shape { output: 1, ..shape() });
-    let mut noise = Noise(9);
-    let mut weights = layout.begin(|| 1.7 * noise.next());
+    let mut layout = WeightLayout::new();
+    let net = UNet::new(&mut layout, ["net", "head"], &UNetShape { output: 1, ..shape() });
+    let mut noise = TestNoise(9);
+    let mut weights = layout.initial_weights(|| 1.7 * noise.next());
     let image = noise.map(4, 32, 64);
     let beside = Map::zeros(2, 16, 32);
-    // What is asked for: the second plane, every other pixel.
+    // The target: the second plane, every other pixel.
     let wanted: Vec<f32> = (0..16 * 32).map(|i| image.plane(1)[2 * (i / 32) * 64 + 2 * (i % 32)]).collect();
     let mut losses = Vec::new();
     for _ in 0..150 {

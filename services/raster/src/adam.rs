@@ -1,6 +1,6 @@
 //! Adam over flat slices (method, section 2).
 
-use crate::cpu::simd::{self, Isa, Kernel, LANES, Simd};
+use crate::cpu::simd::{self, Isa, LANES, Simd, SimdKernel};
 use rayon::prelude::*;
 use wincode::{SchemaRead, SchemaWrite};
 
@@ -54,7 +54,7 @@ impl Adam {
         self.update(parameters, grads, rule, None);
     }
 
-    /// One step for all parameters, by a rule from elsewhere.
+    /// One step for all parameters, by a given rule.
     ///
     /// # Panics
     /// If `parameters` or `grads` has another length than this group.
@@ -72,7 +72,7 @@ impl Adam {
         self.update(parameters, grads, rule, Some(radii));
     }
 
-    /// Begins a step that is done elsewhere: by this rule.
+    /// Counts a step that a device computes, and returns its rule.
     pub fn advance(&mut self, rate: f32) -> Rule {
         self.steps += 1;
         let power = |beta: f32| 1.0 - f64::from(beta).powi(self.steps.min(1 << 20) as i32);
@@ -90,7 +90,7 @@ impl Adam {
         [&self.first, &self.second]
     }
 
-    /// Puts moments in the place of these.
+    /// Replaces the moments.
     ///
     /// # Panics
     /// If they are not those of whole items, as many of one as of the other.
@@ -185,7 +185,7 @@ struct Update<'a> {
     v: &'a mut [f32],
 }
 
-impl Kernel for Update<'_> {
+impl SimdKernel for Update<'_> {
     type Out = ();
 
     #[inline(always)]

@@ -1,4 +1,4 @@
-//! What a rasteriser must do.
+//! The interface of a rasteriser.
 
 use crate::field::{DeviceLifting, DeviceRefinement, FeatureTarget, Lifting, Queries, Refining, Rendered};
 use crate::{Held, Kept, Resident};
@@ -11,7 +11,7 @@ pub enum RasterError {
     /// Arrays of the splats differ in length, or the frame has no pixel.
     #[error("{0}")]
     Shape(String),
-    /// The device that draws refused or failed.
+    /// The device that renders refused or failed.
     #[error("{0}; what was computed is kept: run again, or with --engine cpu")]
     Device(String),
 }
@@ -19,7 +19,7 @@ pub enum RasterError {
 /// Largest width or height of a frame: tiles are counted in 16 bits.
 const MAX_SIDE: u32 = 1 << 19;
 
-/// Refuses splats and cameras that no engine can draw.
+/// Refuses splats and cameras that no engine can render.
 pub fn check(splats: &Splats, camera: &Camera) -> Result<(), RasterError> {
     let n = splats.len();
     let lengths = [
@@ -43,7 +43,7 @@ pub fn check(splats: &Splats, camera: &Camera) -> Result<(), RasterError> {
     let Camera { width, height, fx, fy, cx, cy } = *camera;
     if width == 0 || height == 0 || width > MAX_SIDE || height > MAX_SIDE {
         return Err(RasterError::Shape(format!(
-            "camera: a frame of {width} x {height} pixels cannot be drawn"
+            "camera: a frame of {width} x {height} pixels cannot be rendered"
         )));
     }
     let focal = |f: f32| f.is_finite() && f > 0.0;
@@ -80,7 +80,7 @@ pub struct Channels<'a> {
     pub values: &'a [f32],
 }
 
-/// What a forward pass leaves.
+/// Output of a forward pass.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frame {
     /// Sum over splats of `alpha T value`; one plane per channel. No background is added.
@@ -131,26 +131,24 @@ pub trait Engine: Send + Sync {
         options: &ProjectOptions,
     ) -> Result<Box<dyn Projected + 'a>, RasterError>;
 
-    /// Brings splats to where this engine computes once, for many views of them: what it returns is the same engine, and
-    /// projects these very splats without bringing them there again. `None` where that is the host anyway, or where they
-    /// do not fit.
+    /// Uploads splats once, for many views of them. Returns the same engine, which projects these splats without
+    /// another upload; `None` where this engine computes on the host, or where they do not fit.
     fn hold<'a>(&'a self, _splats: &'a Splats) -> Result<Option<Box<dyn Engine + 'a>>, RasterError> {
         Ok(None)
     }
 
-    /// Brings channels to where this engine computes, for [`Kept::bring`]: what it returns is its own affair, and keeps them
-    /// there until it is dropped. `None` where that is the host anyway, or where they would take too much room.
+    /// Uploads channels, for [`Kept::bring`]. Returns a handle, opaque to others, that keeps them on the device until
+    /// it is dropped; `None` where this engine computes on the host, or where they would take too much memory.
     fn bring(&self, _channels: &Channels) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
         Ok(None)
     }
 
-    /// Takes features to where this engine computes, to be refined there ([`Refining::settle`]). `None` where that is the host
-    /// anyway, or where they would take too much room.
+    /// Uploads features, to be refined on the device ([`Refining::settle`]). `None` as for [`Engine::bring`].
     fn settle_refining(&self, _field: &Refining) -> Result<Option<Box<dyn DeviceRefinement>>, RasterError> {
         Ok(None)
     }
 
-    /// Brings what a photo asks of features to where this engine computes, for many steps ([`FeatureTarget::on_device`]). `None` as for
+    /// Uploads the feature target of a photo, for many steps ([`FeatureTarget::on_device`]). `None` as for
     /// [`Engine::bring`].
     fn upload_target(
         &self,
@@ -159,13 +157,13 @@ pub trait Engine: Send + Sync {
         Ok(None)
     }
 
-    /// [`score`](crate::field::score) of features that were brought to where this engine computes; `None` where they were not.
+    /// [`score`](crate::field::score) of features that were uploaded; `None` where they were not.
     fn similarity(&self, _features: &Kept, _queries: &Queries) -> Result<Option<Vec<f32>>, RasterError> {
         Ok(None)
     }
 
-    /// Makes room for sums of rows of so many numbers per splat where this engine computes, for [`Lifting::settle`]. `None` as
-    /// for [`Engine::settle_refining`].
+    /// Allocates sums of rows of so many numbers per splat on the device, for [`Lifting::settle`]. `None` as for
+    /// [`Engine::settle_refining`].
     fn settle_lifting(
         &self,
         _splats: usize,
@@ -174,8 +172,7 @@ pub trait Engine: Send + Sync {
         Ok(None)
     }
 
-    /// Takes splats, which it asks for, to where this engine computes, to be trained there. `None` where that is the host
-    /// anyway, or where they do not fit.
+    /// Uploads splats, which `held` provides, to be trained on the device. `None` as for [`Engine::hold`].
     fn settle(&self, _held: &mut dyn FnMut() -> Held) -> Result<Option<Box<dyn Resident>>, RasterError> {
         Ok(None)
     }
@@ -200,7 +197,7 @@ pub trait Projected: Send + Sync {
     /// Blends front to back.
     fn blend(&self, channels: &Channels) -> Result<Frame, RasterError>;
 
-    /// The same of channels that may be where the engine computes.
+    /// The same with channels that may be on the device.
     fn blend_kept(&self, kept: &Kept) -> Result<Frame, RasterError> {
         self.blend(&kept.channels())
     }
@@ -212,23 +209,23 @@ pub trait Projected: Send + Sync {
     /// Adds [`Projected::gather`] of an image to sums; its last plane is the weight that its pixels have.
     ///
     /// # Panics
-    /// If the sums are where another engine computes, or of another number of splats.
+    /// If the sums are on the device of another engine, or of another number of splats.
     fn lift(&self, sums: &mut Lifting, image: &Image) -> Result<(), RasterError> {
         sums.add(&self.gather(image)?);
         Ok(())
     }
 
-    /// One step of features by what a photo asks of this view and by how drawn pixels compare.
+    /// One step of features by the feature target of this view and by the compactness loss of sampled pixels.
     ///
     /// # Panics
-    /// If the features are where another engine computes, or sizes differ.
+    /// If the features are on the device of another engine, or sizes differ.
     fn refine(
         &self,
         field: &mut Refining,
         feature_target: &FeatureTarget,
-        rendered: &Rendered,
+        sampled: &Rendered,
     ) -> Result<(), RasterError> {
-        field.learn(self, feature_target, rendered)
+        field.learn(self, feature_target, sampled)
     }
 
     /// Gradients of every parameter for a frame that [`Projected::blend`] made from the same channels.

@@ -1,4 +1,4 @@
-//! An engine with another to fall back on: a device that is lost in the middle costs no run.
+//! An engine with a fallback engine: a lost device does not end a run.
 
 use crate::field::Queries;
 use crate::{Channels, Engine, Frame, FrameGrad, Kept, ProjectOptions, Projected, RasterError, SplatGrads};
@@ -7,8 +7,8 @@ use std::any::Any;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Computes with one engine until its device fails, and with another from then on. What the first one refuses for any
-/// other reason stays refused.
+/// Computes with one engine until its device fails, and with another from then on. Other errors of the first engine are
+/// returned.
 pub struct FallbackEngine<F> {
     first: Box<dyn Engine>,
     second: Box<dyn Engine>,
@@ -17,7 +17,7 @@ pub struct FallbackEngine<F> {
 }
 
 impl<F: Fn(&str) + Send + Sync> FallbackEngine<F> {
-    /// `on_failure` hears once why the first engine failed.
+    /// `on_failure` is called once with the reason why the first engine failed.
     pub fn new(first: Box<dyn Engine>, second: Box<dyn Engine>, on_failure: F) -> FallbackEngine<F> {
         FallbackEngine { first, second, failed: AtomicBool::new(false), on_failure }
     }
@@ -26,7 +26,7 @@ impl<F: Fn(&str) + Send + Sync> FallbackEngine<F> {
         self.failed.load(Ordering::Acquire)
     }
 
-    /// What the first engine gives, unless its device fails or has failed: then what the second does.
+    /// Result of the first engine; that of the second once the device of the first has failed.
     fn either<T>(
         &self,
         first: impl FnOnce() -> Result<T, RasterError>,
@@ -48,7 +48,7 @@ impl<F: Fn(&str) + Send + Sync> FallbackEngine<F> {
 }
 
 impl<F: Fn(&str) + Send + Sync> Engine for FallbackEngine<F> {
-    /// The first engine's, whatever happens: what a run makes keeps its names.
+    /// The first engine's, even after a failure: the artefacts of a run keep their names.
     fn name(&self) -> &'static str {
         self.first.name()
     }
@@ -124,7 +124,7 @@ impl<F: Fn(&str) + Send + Sync> Projected for FallbackView<'_, F> {
     }
 
     fn blend_kept(&self, kept: &Kept) -> Result<Frame, RasterError> {
-        // What the first engine has of them means nothing to the second, which takes the host's.
+        // The second engine cannot use the first engine's copy: it takes the host's.
         self.engine.either(|| self.first.blend_kept(kept), || self.second()?.blend_kept(kept))
     }
 

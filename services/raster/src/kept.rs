@@ -1,12 +1,12 @@
-//! Channels that many views are asked for.
+//! Channels that are blended in many views.
 
 use crate::{Channels, Engine, RasterError};
 use std::any::Any;
 use std::borrow::Cow;
 
-/// Channels that stay where an engine computes, to be blended into view after view by
-/// [`Projected::blend_kept`](crate::Projected::blend_kept). The numbers here cannot change as long as they are kept, so the
-/// engine's copy cannot be out of date; and where it is another engine's, or there is none, these are taken.
+/// Channels that stay on the device of an engine, to be blended in view after view by
+/// [`Projected::blend_kept`](crate::Projected::blend_kept). The numbers on the host cannot change meanwhile, so the
+/// device's copy cannot be out of date. An engine without a copy of its own uses the host's numbers.
 pub struct Kept<'a> {
     count: usize,
     values: Cow<'a, [f32]>,
@@ -14,12 +14,12 @@ pub struct Kept<'a> {
 }
 
 impl<'a> Kept<'a> {
-    /// `count` numbers per splat, as in [`Channels`], which no engine has yet.
+    /// `count` numbers per splat, as in [`Channels`], not uploaded yet.
     pub fn new(count: usize, values: impl Into<Cow<'a, [f32]>>) -> Kept<'a> {
         Kept { count, values: values.into(), on_device: None }
     }
 
-    /// Brings them to where this engine computes, if it keeps any.
+    /// Uploads them to the device of an engine, if it has one.
     pub fn bring(&mut self, engine: &dyn Engine) -> Result<(), RasterError> {
         self.on_device = engine.bring(&self.channels())?;
         Ok(())
@@ -30,7 +30,7 @@ impl<'a> Kept<'a> {
         Channels { count: self.count, values: &self.values }
     }
 
-    /// What [`Engine::bring`] gave.
+    /// Handle that [`Engine::bring`] returned.
     pub fn on_device(&self) -> Option<&(dyn Any + Send + Sync)> {
         self.on_device.as_deref()
     }

@@ -1,6 +1,6 @@
 //! Differentiable Gaussian splatting (method, section 1; paper Eq. 1-4, 9).
 //!
-//! One trait, [`Engine`], and its implementations; losses, optimiser and looks beside it.
+//! One trait, [`Engine`], and its implementations; losses, optimiser and appearance models beside it.
 
 mod adam;
 mod appearance;

@@ -1,14 +1,14 @@
 //! Photometric loss and image metrics (method, sections 2 and 10).
 //!
-//! `L = (1 - lambda) mean |W r - W t| + lambda (1 - mean SSIM(W r, W t))` with an optional weight W per pixel
-//! that multiplies both images, as the paper's visibility map does: where W is 0 nothing is asked. SSIM has
-//! the usual 11-tap Gaussian window of sigma 1.5, zero beyond the frame, constants 0.01² and 0.03².
+//! `L = (1 - lambda) mean |W r - W t| + lambda (1 - mean SSIM(W r, W t))` with an optional weight W per pixel that
+//! multiplies both images, as the paper's visibility map does: where W is 0 a pixel has no influence. SSIM has the
+//! usual 11-tap Gaussian window of sigma 1.5, zero beyond the frame, constants 0.01² and 0.03².
 //!
 //! Loss and gradient come from one sweep of three phases, each parallel over rows: blur along rows; blur along
 //! columns, SSIM and its derivatives, blur those along rows; blur them along columns and gather the gradient. The
 //! two variances only enter as their sum, so four maps go forward and three come back.
 
-use crate::cpu::simd::{self, Isa, Kernel, LANES, Simd};
+use crate::cpu::simd::{self, Isa, LANES, Simd, SimdKernel};
 use rayon::prelude::*;
 use segwild_scene::Image;
 use std::cell::RefCell;
@@ -92,7 +92,7 @@ fn same_size(render: &Image, target: &Image, weight: Option<&Image>) {
 }
 
 #[derive(Clone, Copy, Default)]
-struct Sums {
+struct LossSums {
     difference: f64,
     ssim: f64,
 }
@@ -104,13 +104,13 @@ thread_local! {
 
 /// One plane's geometry: rows are padded to whole vectors.
 #[derive(Clone, Copy)]
-struct Layout {
+struct PaddedLayout {
     width: usize,
     height: usize,
     stride: usize,
 }
 
-/// Working rows of one task, with room for the window on both sides.
+/// Working rows of one task, padded for the window on both sides.
 #[derive(Default)]
 struct RowMemory {
     x: Vec<f32>,
@@ -121,9 +121,9 @@ struct RowMemory {
 /// Zeros before the first pixel of a working row.
 const PAD: usize = LANES;
 
-impl Layout {
-    fn of(image: &Image) -> Layout {
-        Layout { width: image.width, height: image.height, stride: image.width.next_multiple_of(LANES) }
+impl PaddedLayout {
+    fn of(image: &Image) -> PaddedLayout {
+        PaddedLayout { width: image.width, height: image.height, stride: image.width.next_multiple_of(LANES) }
     }
 
     fn padded(&self) -> usize {
@@ -132,7 +132,7 @@ impl Layout {
 }
 
 /// Copies a row, times the weight, between zeros.
-fn load_row(into: &mut Vec<f32>, layout: &Layout, row: &[f32], weight: Option<&[f32]>) {
+fn load_row(into: &mut Vec<f32>, layout: &PaddedLayout, row: &[f32], weight: Option<&[f32]>) {
     into.clear();
     into.resize(PAD, 0.0);
     match weight {
@@ -177,7 +177,7 @@ fn blur_row<S: Simd>(s: S, row: &[f32], k: usize) -> S::F {
 fn window_rows<'a>(
     map: &'a [f32],
     zeros: &'a [f32],
-    layout: &Layout,
+    layout: &PaddedLayout,
     row: usize,
     count: usize,
     index: usize,
@@ -203,7 +203,7 @@ fn blur_column<S: Simd>(s: S, rows: &[&[f32]; 2 * REACH + 1], k: usize) -> S::F 
 
 /// Phase 1: the four maps of one row, blurred along it.
 struct Along<'a> {
-    layout: Layout,
+    layout: PaddedLayout,
     x: &'a [f32],
     y: &'a [f32],
     work: &'a mut [f32],
@@ -211,7 +211,7 @@ struct Along<'a> {
     out: &'a mut [f32],
 }
 
-impl Kernel for Along<'_> {
+impl SimdKernel for Along<'_> {
     type Out = ();
 
     #[inline(always)]
@@ -234,7 +234,7 @@ impl Kernel for Along<'_> {
 
 /// Phase 2: SSIM of one row, and its derivatives blurred along the row.
 struct Across<'a> {
-    layout: Layout,
+    layout: PaddedLayout,
     maps: [[&'a [f32]; 2 * REACH + 1]; MAPS],
     /// Padded rows of the derivatives.
     work: &'a mut [f32],
@@ -244,13 +244,13 @@ struct Across<'a> {
     scores: Option<&'a mut [f32]>,
 }
 
-impl Kernel for Across<'_> {
+impl SimdKernel for Across<'_> {
     /// Sum of the scores.
     type Out = f64;
 
     #[inline(always)]
     fn run<S: Simd>(mut self, s: S) -> f64 {
-        let Layout { width, stride, .. } = self.layout;
+        let PaddedLayout { width, stride, .. } = self.layout;
         let padded = self.layout.padded();
         let two = s.splat(2.0);
         let mut total = s.splat(0.0);
@@ -298,8 +298,8 @@ impl Kernel for Across<'_> {
 }
 
 /// Phase 3: gradient of one row.
-struct Back<'a> {
-    layout: Layout,
+struct GradientPass<'a> {
+    layout: PaddedLayout,
     x: &'a [f32],
     y: &'a [f32],
     maps: [[&'a [f32]; 2 * REACH + 1]; BACK],
@@ -309,7 +309,7 @@ struct Back<'a> {
     out: &'a mut [f32],
 }
 
-impl Kernel for Back<'_> {
+impl SimdKernel for GradientPass<'_> {
     /// Sum of the absolute differences.
     type Out = f64;
 
@@ -334,7 +334,7 @@ impl Kernel for Back<'_> {
 }
 
 fn blurred(isa: Isa, render: &Image, target: &Image, weight: Option<&Image>, maps: &mut [f32]) {
-    let layout = Layout::of(render);
+    let layout = PaddedLayout::of(render);
     maps.par_chunks_mut(MAPS * layout.stride).enumerate().for_each_init(
         RowMemory::default,
         |memory, (index, out)| {
@@ -355,13 +355,13 @@ fn sweep(
     weight: Option<&Image>,
     lambda: f32,
     grad: Option<&mut Image>,
-) -> Sums {
+) -> LossSums {
     same_size(render, target, weight);
     if render.data.is_empty() {
-        return Sums::default();
+        return LossSums::default();
     }
-    let layout = Layout::of(render);
-    let Layout { width, height, stride } = layout;
+    let layout = PaddedLayout::of(render);
+    let PaddedLayout { width, height, stride } = layout;
     let rows = height * render.channels;
     let mut memory = MEMORY.take();
     memory.resize((MAPS + BACK) * rows * stride, 0.0);
@@ -387,7 +387,7 @@ fn sweep(
             simd::run(isa, Across { layout, maps, work: &mut memory.work, out, scores: None })
         })
         .collect();
-    let mut sums = Sums { difference: 0.0, ssim: scores.iter().sum() };
+    let mut sums = LossSums { difference: 0.0, ssim: scores.iter().sum() };
     if let Some(grad) = grad {
         let back = &*back;
         let count = render.data.len() as f32;
@@ -407,7 +407,7 @@ fn sweep(
                 let (x, y) = (&memory.x, &memory.y);
                 let sum = simd::run(
                     Isa::detect_once(),
-                    Back { layout, x, y, maps, l1, ssim, out: &mut memory.work },
+                    GradientPass { layout, x, y, maps, l1, ssim, out: &mut memory.work },
                 );
                 match weight {
                     Some(weight) => {
@@ -431,8 +431,8 @@ fn score_map(render: &Image, target: &Image, into: &mut Image) {
     if render.data.is_empty() {
         return;
     }
-    let layout = Layout::of(render);
-    let Layout { width, height, stride } = layout;
+    let layout = PaddedLayout::of(render);
+    let PaddedLayout { width, height, stride } = layout;
     let mut maps = vec![0.0; MAPS * height * render.channels * stride];
     let isa = Isa::detect_once();
     blurred(isa, render, target, None, &mut maps);

@@ -1,7 +1,7 @@
-//! The same mathematics in f64, by the straightforward code: what the kernels are held against.
+//! The reference in f64: the same mathematics in straightforward code, which the kernels are tested against.
 //!
-//! Every pixel looks at every splat, and the backward pass walks the textbook way, back to front through the
-//! conic. Slow, and meant to be.
+//! Every pixel visits every splat, and the backward pass goes back to front through the conic, as in textbooks. It is
+//! slow on purpose.
 
 use crate::ProjectOptions;
 use glam::{DMat2, DMat3, DQuat, DVec2, DVec3};
@@ -76,7 +76,7 @@ pub struct Gradients {
 
 /// A view of splats to be rendered in f64.
 pub struct Reference {
-    /// Where the camera stands and how splats are projected.
+    /// Intrinsics of the camera.
     pub camera: Camera,
     /// World to camera.
     pub pose: Pose,
@@ -102,7 +102,7 @@ struct Flat {
     opacity: f64,
 }
 
-struct Hit {
+struct PixelHit {
     splat: usize,
     alpha: f64,
     before: f64,
@@ -173,8 +173,8 @@ impl Reference {
         flats
     }
 
-    /// The splats that a pixel draws, nearest first, and whether a cut-off was close.
-    fn hits(&self, flats: &[Flat], x: usize, y: usize) -> (Vec<Hit>, bool) {
+    /// The splats that a pixel blends, nearest first, and whether a cut-off was close.
+    fn hits(&self, flats: &[Flat], x: usize, y: usize) -> (Vec<PixelHit>, bool) {
         let pixel = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
         let near = |a: f64, b: f64| (a / b - 1.0).abs() < 1e-3;
         let (mut light, mut hits, mut unsure) = (1.0, Vec::new(), false);
@@ -187,7 +187,7 @@ impl Reference {
             }
             let free = !self.cutoffs || raw < 0.999;
             let alpha = if free { raw } else { 0.999 };
-            hits.push(Hit { splat, alpha, before: light, offset, free });
+            hits.push(PixelHit { splat, alpha, before: light, offset, free });
             light *= 1.0 - alpha;
         }
         (hits, unsure)
@@ -241,8 +241,8 @@ impl Reference {
         let mut opacities = vec![0.0; flats.len()];
         for pixel in 0..pixels {
             let (hits, _) = self.hits(&flats, pixel % width, pixel / width);
-            // What the pixel shows behind the splat at hand, as if all light arrived there.
-            let mut behind_it = 0.0;
+            // Loss-weighted colour of the splats farther than this one, as if all light arrived there.
+            let mut farther = 0.0;
             for hit in hits.iter().rev() {
                 let flat = &flats[hit.splat];
                 let mut dot = grad_alpha[pixel];
@@ -251,8 +251,8 @@ impl Reference {
                     dot += g * values[flat.index * count + c];
                     out.values[flat.index * count + c] += hit.alpha * hit.before * g;
                 }
-                let d_alpha = hit.before * (dot - behind_it);
-                behind_it = hit.alpha * dot + (1.0 - hit.alpha) * behind_it;
+                let d_alpha = hit.before * (dot - farther);
+                farther = hit.alpha * dot + (1.0 - hit.alpha) * farther;
                 if hit.free {
                     opacities[hit.splat] += d_alpha * hit.alpha / flat.opacity;
                     let d_power = d_alpha * hit.alpha;

@@ -1,11 +1,11 @@
-//! Splats that stay where an engine computes for as long as they are trained.
+//! Splats that stay on the device of an engine while they are trained.
 
 use crate::appearance::{HeldNetworks, Light, UNetInput};
 use crate::compare::{LossInputs, LossOutput, Target};
 use crate::{ProjectOptions, RasterError, Rule};
 use segwild_scene::Splats;
 
-/// Splats, and what their optimiser and density control know of them: what goes to a device and comes back.
+/// Splats with the state of their optimiser and of density control: uploaded to a device, and downloaded from it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Held {
     /// The splats.
@@ -17,16 +17,18 @@ pub struct Held {
     /// Running sums per splat since density control acted: screen gradient, error at the centre, steps that saw it, and
     /// the largest radius as a share of the frame's long side.
     pub sums: Vec<[f32; 4]>,
-    /// What splats keep for the look [`crate::EmbedAppearance`], or [`crate::GswAppearance`], with moments; empty without either.
+    /// Per-splat appearance embeddings of [`crate::EmbedAppearance`] or [`crate::GswAppearance`], with moments; empty
+    /// without either.
     pub splat_embeddings: SplatEmbeddings,
-    /// The networks of the look [`crate::GswAppearance`].
+    /// The networks of [`crate::GswAppearance`].
     pub networks: Option<HeldNetworks>,
 }
 
-/// Codes of splats, `[splat][embedding_size]` of their look; the last `EmbedAppearance::EMBEDDING_SIZE` of each fade.
+/// Per-splat appearance embeddings, `[splat][embedding_size]` of their appearance model; the last
+/// `EmbedAppearance::EMBEDDING_SIZE` numbers of each decay.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SplatEmbeddings {
-    /// The codes.
+    /// The embeddings.
     pub values: Vec<f32>,
     /// Their first moments.
     pub first: Vec<f32>,
@@ -34,7 +36,7 @@ pub struct SplatEmbeddings {
     pub second: Vec<f32>,
 }
 
-/// How far one step goes, for each group of parameters.
+/// Optimiser rules of one step, for each group of parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rules {
     /// Of the centres.
@@ -49,80 +51,81 @@ pub struct Rules {
     pub base: Rule,
     /// Of the colours' higher degrees.
     pub higher: Rule,
-    /// Of the codes, of splats in sight.
+    /// Of the appearance embeddings of splats in sight.
     pub splat_embeddings: Rule,
-    /// What the step leaves of these codes: they fade.
+    /// Factor on these embeddings per step: they decay.
     pub kept: f32,
 }
 
 impl Rules {
-    /// The same for every group, whose codes do not fade.
+    /// The same for every group; embeddings do not decay.
     pub fn all(rule: Rule) -> Rules {
         let [means, log_scales, rotations, opacities, base, higher, splat_embeddings] = [rule; 7];
         Rules { means, log_scales, rotations, opacities, base, higher, splat_embeddings, kept: 1.0 }
     }
 }
 
-/// Splats as density control left them: new shapes, and of which splat before each has everything else.
+/// Splats after density control: new shapes, and the parent splat that each takes everything else from.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Reshaped {
     /// Centres, scales, rotations and opacities; black, as [`Splats::uncoloured`] makes them.
     pub shapes: Splats,
-    /// Per splat, the one before whose colours, code and moments it takes.
+    /// Per splat, the earlier splat whose colours, embedding and moments it takes.
     pub parents: Vec<u32>,
-    /// Per splat, whether the optimiser knows nothing of it.
+    /// Per splat, whether its moments start at 0.
     pub forgotten: Vec<bool>,
-    /// Whether the optimiser knows nothing of any opacity.
+    /// Whether the moments of all opacities start at 0.
     pub opacities_forgotten: bool,
 }
 
-/// A step of the networks of the look [`crate::GswAppearance`].
+/// A step of the networks of [`crate::GswAppearance`].
 #[derive(Debug)]
 pub struct NetworksStep<'a> {
-    /// What the network of the photo is given; `None`: no light is read.
+    /// Input of the UNet; `None`: no light is predicted in this step.
     pub unet_input: Option<UNetInput<'a>>,
-    /// What the step draws.
+    /// The step's random number, for dropout.
     pub draw: u64,
-    /// Whether what the network sees of the photo may take the robust mask's place.
+    /// Whether the visibility map may replace the robust mask.
     pub decides: bool,
-    /// How far the optimiser goes: of the photo's network, and of the others.
+    /// Optimiser rules: of the UNet, and of the other networks.
     pub rules: [Rule; 2],
 }
 
-/// What a step of training looks at.
+/// Inputs of a training step.
 pub struct Step<'a> {
     /// How splats are projected.
     pub options: &'a ProjectOptions,
-    /// The photo's light ([`crate::EmbedAppearance::photo`]), upon splats that have codes.
+    /// The photo's parameters ([`crate::EmbedAppearance::photo`]), for splats with appearance embeddings.
     pub light: Option<&'a Light>,
-    /// What the networks do, where there are some.
+    /// The step of the networks, where there are some.
     pub networks: Option<NetworksStep<'a>>,
-    /// Under what the photo is compared.
+    /// Settings and state of the losses.
     pub loss_inputs: LossInputs<'a>,
     /// Names the photo at its size: within a process, no two targets differ under the same key.
     pub key: [u64; 3],
-    /// The photo; not asked for if it is still there.
+    /// Provides the photo; not called if the device still has it.
     pub target: &'a dyn Fn() -> Target,
-    /// How far the optimiser goes.
+    /// The optimiser's rules.
     pub rules: &'a Rules,
 }
 
-/// Splats in training on a device: a whole step, from projection to the optimiser (method, sections 1 to 3), runs there,
-/// and what crosses is what the photo said. A host gets the splats when it asks.
+/// Splats in training on a device: a whole step, from projection to the optimiser (method, sections 1 to 3), runs
+/// there, and only the loss output is downloaded. The host gets the splats by [`Resident::fetch`].
 pub trait Resident: Send {
-    /// One step: what the photo said of the splats as they were before it, and the gradient of the light.
+    /// One step. Returns the loss output of the splats before it, and the gradient of the photo's parameters.
     ///
     /// # Panics
-    /// If there is light and no codes, or the target is not of the camera's size.
+    /// If there is light and no embeddings, or the target is not of the camera's size.
     fn step(&mut self, step: &Step) -> Result<(LossOutput, Option<Light>), RasterError>;
 
     /// How many splats there are.
     fn count(&self) -> usize;
 
-    /// The splats without colours, as [`Splats::uncoloured`] gives them, and [`Held::sums`]: what density control asks for.
+    /// The splats without colours, as [`Splats::uncoloured`] gives them, and [`Held::sums`]: the inputs of density
+    /// control.
     fn shapes(&mut self) -> Result<(Splats, Vec<[f32; 4]>), RasterError>;
 
-    /// Takes them as density control left them; sums begin anew. `false` if there is no room for them: then nothing has
+    /// Applies density control; the sums restart at 0. `false` if the device lacks the memory: then nothing has
     /// changed.
     fn reshape(&mut self, reshaped: &Reshaped) -> Result<bool, RasterError>;
 

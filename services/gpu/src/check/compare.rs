@@ -1,7 +1,7 @@
-//! The kernels of the photo's half of a step: a photo compared on the device against the same on the host.
+//! Checks the kernels of the photo's half of a step: losses on the device against those on the host.
 
-use super::{Checked, Tolerance};
-use crate::compare::{ComparisonInputs, Graded, Photo, StepReadback, compare};
+use super::{KernelCheck, Tolerance};
+use crate::compare::{ComparisonInputs, GpuPhoto, Graded, StepReadback, compare};
 use crate::engine::{Cloud, bin};
 use crate::nets::Visible;
 use crate::view::pack_image;
@@ -15,10 +15,10 @@ use segwild_raster::{AffineAppearance, Appearance, Frame, ProjectOptions, Raster
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
 use std::sync::Arc;
 
-/// A photo, an image of the scene, and under what they are compared.
+/// A photo, an image of the scene, and the settings of the losses.
 #[derive(Clone, Debug)]
 pub struct TestCase {
-    /// What it is an example of.
+    /// Name of the case.
     pub name: &'static str,
     frame: Frame,
     target: Target,
@@ -27,7 +27,7 @@ pub struct TestCase {
     matrix: Option<[f32; 12]>,
     background: Vec<[f32; 3]>,
     leave: Leave,
-    /// What a network sees of the photo; it decides what is left out.
+    /// Visibility map of the photo; it decides what is left out.
     map: Option<Image>,
 }
 
@@ -58,8 +58,9 @@ impl TestCase {
     }
 }
 
-/// Photos of this size that between them ask all there is to ask: one colour or a sky behind, a matrix or none, nothing
-/// left out, or suspects, or what stands out at the first visit and later, in a photo that changed and in one that did not.
+/// Test cases of this size that together cover all settings: one colour or a sky as background, a matrix or none, and
+/// nothing left out, or the initial transients, or outliers at the first visit and later, in a photo that changed and
+/// in one that did not.
 pub fn test_cases((width, height): (u32, u32)) -> Vec<TestCase> {
     let random = &mut Random::new(41);
     let (w, h) = (width as usize, height as usize);
@@ -104,12 +105,12 @@ pub fn test_cases((width, height): (u32, u32)) -> Vec<TestCase> {
         target.trust.push(if x % 9 < 3 { 0.9 * random.uniform() } else { 0.0 });
     }
     let sky: Vec<[f32; 3]> = (0..BASES).map(|_| [0; 3].map(|_| 0.8 * random.uniform() - 0.2)).collect();
-    // Of a photo that showed much, and of one that showed next to nothing.
+    // Histograms with large residuals, and with residuals near 0.
     let much: Vec<f32> = (0..BINS).map(|b| if b < 60 { 1.0 / 60.0 } else { 0.0 }).collect();
     let little: Vec<f32> = (0..BINS).map(|b| if b < 4 { 0.25 } else { 0.0 }).collect();
     let untrusted = Target { trust: Vec::new(), ..target.clone() };
     let base = TestCase {
-        name: "one colour behind, nothing left out",
+        name: "one colour as background, nothing left out",
         frame: Frame { image, alpha },
         target: untrusted,
         camera,
@@ -135,8 +136,8 @@ pub fn test_cases((width, height): (u32, u32)) -> Vec<TestCase> {
     darker.image.data.iter_mut().for_each(|v| *v *= 0.5);
     vec![
         base.clone(),
-        TestCase { name: "suspects left out", leave: Leave::InitialTransients, ..base.clone() },
-        TestCase { name: "what stands out left out", leave: first, target: target.clone(), ..base.clone() },
+        TestCase { name: "initial transients left out", leave: Leave::InitialTransients, ..base.clone() },
+        TestCase { name: "outliers left out", leave: first, target: target.clone(), ..base.clone() },
         TestCase {
             name: "a photo seen before, a sky, a matrix",
             leave: Leave::Residual(much.clone()),
@@ -154,14 +155,14 @@ pub fn test_cases((width, height): (u32, u32)) -> Vec<TestCase> {
             ..base.clone()
         },
         TestCase {
-            name: "a photo whose network sees the transient",
+            name: "a visibility map that finds the transient",
             leave: Leave::Residual(much.clone()),
             target: target.clone(),
             map: Some(seen(0.3, 0.9)),
             ..base.clone()
         },
         TestCase {
-            name: "a photo of which its network sees next to nothing",
+            name: "a visibility map near 0 everywhere",
             leave: Leave::Residual(Vec::new()),
             target,
             map: Some(seen(0.05, 0.15)),
@@ -176,8 +177,8 @@ const SUMS: Tolerance = Tolerance { tight: 1e-3, flips: 0.0, loose: 1e-3 };
 const SHOWN: Tolerance = Tolerance { tight: 1e-5, flips: 0.0, loose: 1e-5 };
 /// Weights: a pixel whose residual lies at the edge of a bin falls on either side.
 const WEIGHTS: Tolerance = Tolerance { tight: 1e-6, flips: 0.002, loose: 2.0 };
-/// The same where a photo's network speaks: they come of an exponential and a division, which WGSL lets be off by several units
-/// in the last place (1.5e-6 on an NVIDIA H200).
+/// The same with a visibility map: its weights come from an exponential and a division, which WGSL lets be off by
+/// several units in the last place (1.5e-6 on an NVIDIA H200).
 const SEEN: Tolerance = Tolerance { tight: 1e-5, ..WEIGHTS };
 /// Gradients, next to such a pixel as well.
 const SLOPES: Tolerance = Tolerance { tight: 1e-3, flips: 0.02, loose: 10.0 };
@@ -187,8 +188,8 @@ const SHARES: Tolerance = Tolerance { tight: 0.02, flips: 0.1, loose: 0.1 };
 /// Errors around pixels, next to one that is decided otherwise as well.
 const GRADED: Tolerance = Tolerance { tight: 1e-3, flips: 0.02, loose: 2.0 };
 
-/// Compares a photo on the device with the same on the host, kernel by kernel.
-pub fn compared(engine: &GpuEngine, test_case: &TestCase) -> Result<Vec<Checked>, RasterError> {
+/// Compares the losses of a case on the device with those on the host, kernel by kernel.
+pub fn compared(engine: &GpuEngine, test_case: &TestCase) -> Result<Vec<KernelCheck>, RasterError> {
     let loss_inputs = test_case.loss_inputs();
     let TestCase { frame, target, .. } = test_case;
     let seeing = test_case.map.as_ref().map(|map| Seeing { map, decides: true });
@@ -198,7 +199,7 @@ pub fn compared(engine: &GpuEngine, test_case: &TestCase) -> Result<Vec<Checked>
     let residual = host::mean_difference(&shown, &target.image());
     let mut checked = Vec::new();
     let mut add = |kernels, off: Result<(), String>| {
-        checked.push(Checked { kernels, off: off.err().map(|off| format!("{}: {off}", test_case.name)) });
+        checked.push(KernelCheck { kernels, off: off.err().map(|off| format!("{}: {off}", test_case.name)) });
     };
     let planes = [shown.plane(0), shown.plane(1), shown.plane(2), &residual];
     let packed: Vec<f32> = (0..residual.len()).flat_map(|i| planes.map(|plane| plane[i])).collect();
@@ -239,7 +240,7 @@ pub fn compared(engine: &GpuEngine, test_case: &TestCase) -> Result<Vec<Checked>
         Seen::Colour(sums) => [sums.pull.as_slice(), &[sums.total]].concat(),
     };
     let kernels: &[&str] = if loss_inputs.has_sky { &["sky_sums"] } else { &["colour_sums"] };
-    add(kernels, SUMS.compare("sums of what is behind", &sums(&got.results), &sums(&output)));
+    add(kernels, SUMS.compare("sums for the background", &sums(&got.results), &sums(&output)));
     Ok(checked)
 }
 
@@ -247,7 +248,7 @@ fn some(shares: &Option<Vec<f32>>) -> &[f32] {
     shares.as_deref().unwrap_or_default()
 }
 
-/// What the host shows.
+/// Colours shown by the host.
 fn shown(test_case: &TestCase) -> Image {
     let mut scene = test_case.frame.image.clone();
     let background = host::paint(&test_case.background, &test_case.camera, &test_case.pose);
@@ -258,7 +259,7 @@ fn shown(test_case: &TestCase) -> Image {
     appearance.apply(0, &scene)
 }
 
-/// What the device makes of a photo.
+/// Output of the device's kernels.
 struct Got {
     shown: Vec<f32>,
     smoothed: Vec<f32>,
@@ -276,18 +277,18 @@ fn on_the_device(engine: &GpuEngine, test_case: &TestCase) -> Result<Got, GpuErr
     let (on, _) = bin(work, cloud, &test_case.camera, &test_case.pose, &ProjectOptions::default(), None)?;
     let frame = &test_case.frame;
     let image = work.upload("the image", &pack_image(&frame.image, 0, 1, Some(&frame.alpha)))?;
-    let photo = Photo::upload(work, &test_case.target)?;
-    let feature_target = ComparisonInputs::upload(work, &loss_inputs)?;
+    let photo = GpuPhoto::upload(work, &test_case.target)?;
+    let inputs = ComparisonInputs::upload(work, &loss_inputs)?;
     let odds = |sure: &f32| (sure / (1.0 - sure)).ln();
     let map: Vec<f32> = test_case.map.iter().flat_map(|map| map.data.iter().map(odds)).collect();
-    let maps = work.upload("what a network sees", &map)?;
+    let maps = work.upload("the visibility map", &map)?;
     let seen =
         |map: &Image| Visible { maps: &maps, position: 0, size: [map.width, map.height], decides: true };
     let visible = test_case.map.as_ref().map(seen);
-    let graded = compare(work, &on.view, &image, &photo, &feature_target, &loss_inputs, visible.as_ref())?;
+    let graded = compare(work, &on.view, &image, &photo, &inputs, &loss_inputs, visible.as_ref())?;
     let Graded { shown, smoothed, weights, grads, error, blames } = graded;
     let n = test_case.target.pixels.len();
-    let results = StepReadback::read(work, &feature_target.results, &on.found)?.results(&loss_inputs);
+    let results = StepReadback::read(work, &inputs.results, &on.found)?.results(&loss_inputs);
     Ok(Got {
         shown: work.read(&shown, 4 * n)?,
         smoothed: work.read(&smoothed, n)?,

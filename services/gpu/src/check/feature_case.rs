@@ -1,11 +1,11 @@
-//! Questions of photos to a feature field, to be asked on the device and beside it.
+//! Test cases of the feature field, for the device and the host.
 
 use segwild_raster::field::{
     AreaAverage, FeatureTarget, FieldRule, LearnedDecoder, Membership, Refining, Rendered,
 };
 use segwild_scene::{Image, Mask, MaskSet, Random, ScoredMask};
 
-/// What a photo asks.
+/// Sizes of a test case.
 #[derive(Clone, Copy, Debug)]
 pub struct FeatureCase {
     /// Width and height of its view.
@@ -16,14 +16,14 @@ pub struct FeatureCase {
     pub decoded: Option<usize>,
     /// Columns and rows of cells.
     pub grid: [usize; 2],
-    /// Pixels drawn.
+    /// Sampled pixels.
     pub pixels: usize,
     /// Masks that hold some.
     pub masks: usize,
 }
 
-/// A question with its numbers.
-pub struct Made {
+/// A test case with random numbers.
+pub struct FeatureCaseData {
     target: Image,
     pub(super) validity: Vec<f32>,
     average: AreaAverage,
@@ -31,22 +31,22 @@ pub struct Made {
     membership: Membership,
 }
 
-impl Made {
-    /// What the photo asks.
+impl FeatureCaseData {
+    /// The feature target.
     pub fn feature_target(&self) -> FeatureTarget<'_> {
-        let Made { target, validity, average, .. } = self;
+        let FeatureCaseData { target, validity, average, .. } = self;
         FeatureTarget { target, scale: 0.7, validity, average, on_device: None }
     }
 
-    /// The pixels.
+    /// The sampled pixels.
     pub fn rendered(&self) -> Rendered<'_> {
         Rendered { pixels: &self.pixels, membership: &self.membership }
     }
 }
 
 impl FeatureCase {
-    /// One with numbers.
-    pub fn make(&self, random: &mut Random) -> Made {
+    /// Samples the numbers of the case.
+    pub fn make(&self, random: &mut Random) -> FeatureCaseData {
         let size = self.size;
         let (width, height) = (size.0 as usize, size.1 as usize);
         let [columns, rows] = self.grid;
@@ -64,7 +64,7 @@ impl FeatureCase {
         let mut pixels: Vec<u32> = (0..size.0 * size.1).collect();
         random.draw(&mut pixels, self.pixels);
         pixels.truncate(self.pixels);
-        Made {
+        FeatureCaseData {
             target,
             validity: (0..columns * rows).map(|_| random.uniform()).collect(),
             average: AreaAverage::new((width, height), (columns, rows)),
@@ -80,7 +80,7 @@ impl FeatureCase {
         image
     }
 
-    /// Features that are asked.
+    /// Features to be refined.
     pub fn refining(&self, values: Vec<f32>, rule: FieldRule) -> Refining {
         let random = &mut Random::new(8);
         let decoder = self.decoded.map(|outputs| {

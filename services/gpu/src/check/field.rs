@@ -1,7 +1,7 @@
-//! The feature field's kernels beside the host's losses and optimiser.
+//! Checks the feature field's kernels against the host's losses and optimiser.
 
-use super::feature_case::{FeatureCase, Made};
-use super::{Checked, SIZE, SPLATS, Tolerance};
+use super::feature_case::{FeatureCase, FeatureCaseData};
+use super::{KernelCheck, SIZE, SPLATS, Tolerance};
 use crate::field::{GpuFeatureTarget, GpuField, GpuRows};
 use crate::view::{at_once, gathered_at_once, pack_image, pack_splats, parts_of, unpack_image};
 use crate::{GpuEngine, GpuError};
@@ -11,31 +11,32 @@ use segwild_scene::{Image, Random};
 
 const RULE: FieldRule = FieldRule { embedding: 0.7, compact: 0.3, rate: 0.01 };
 
-/// Compares rows that learn and sums over views, then what photos ask and what pairs of pixels say: of few channels and of
-/// more than are blended at once, on grids that are finer and coarser than the view, with and without a decoder.
-pub fn field(engine: &GpuEngine, view: &dyn Projected) -> Result<Vec<Checked>, RasterError> {
+/// Compares the optimiser of rows and sums over views, then the embedding and compactness losses: with few channels and
+/// with more than are blended at once, on grids that are finer and coarser than the view, with and without a decoder.
+pub fn field(engine: &GpuEngine, view: &dyn Projected) -> Result<Vec<KernelCheck>, RasterError> {
     let mut checked =
-        vec![Checked { kernels: &["row_state", "row_step", "row_add"], off: rows(engine, view)?.err() }];
+        vec![KernelCheck { kernels: &["row_state", "row_step", "row_add"], off: rows(engine, view)?.err() }];
     for case in [
         FeatureCase { size: SIZE, channels: 20, decoded: None, grid: [24, 17], pixels: 700, masks: 70 },
         FeatureCase { size: SIZE, channels: 3, decoded: None, grid: [130, 68], pixels: 1100, masks: 9 },
         FeatureCase { size: SIZE, channels: 20, decoded: Some(30), grid: [40, 31], pixels: 0, masks: 0 },
     ] {
         let off = compared(&case, engine, FieldRule { compact: 0.0, ..RULE }, false)?.err();
-        checked.push(Checked { kernels: &["area_average", "embedding_loss", "area_spread"], off });
+        checked.push(KernelCheck { kernels: &["area_average", "embedding_loss", "area_spread"], off });
         let off = compared(&case, engine, FieldRule { embedding: 0.0, ..RULE }, true)?.err();
-        checked.push(Checked { kernels: &["sampled", "units", "mates", "pairs", "pull", "add_pull"], off });
+        checked
+            .push(KernelCheck { kernels: &["sampled", "units", "mates", "pairs", "pull", "add_pull"], off });
     }
-    checked.push(Checked { kernels: &["blend", "gather"], off: steps(engine, view)?.err() });
+    checked.push(KernelCheck { kernels: &["blend", "gather"], off: steps(engine, view)?.err() });
     for (channels, queries) in [(3, 1), (20, 5)] {
         let off = resemblance(engine, channels, queries)?.err();
-        checked.push(Checked { kernels: &["cosines", "fuse"], off });
+        checked.push(KernelCheck { kernels: &["cosines", "fuse"], off });
     }
     Ok(checked)
 }
 
-/// Rows that learn from a view, and sums of what it says, more numbers of them than are blended at once, beside the host's by the
-/// same gradients.
+/// Compares an optimiser step of rows and the sums of a view, of more numbers than are blended at once, with the host's
+/// from the same gradients.
 fn rows(engine: &GpuEngine, view: &dyn Projected) -> Result<Result<(), String>, RasterError> {
     const ROW: usize = 20;
     let random = &mut Random::new(6);
@@ -83,7 +84,7 @@ fn rows(engine: &GpuEngine, view: &dyn Projected) -> Result<Result<(), String>, 
         .and_then(|()| Tolerance::PROJECTED.compare("weights", &weights, &right_weights)))
 }
 
-/// How much rows resemble some queries; some rows have no direction or are no numbers.
+/// Compares the similarity of rows to some queries; some rows are 0 or not finite.
 fn resemblance(
     engine: &GpuEngine,
     channels: usize,
@@ -111,10 +112,10 @@ fn resemblance(
     let got = engine.similarity(&kept, &queries)?;
     Ok(got
         .ok_or("nothing was kept".into())
-        .and_then(|got| Tolerance::PROJECTED.compare("how much rows resemble what is asked", &got, &wanted)))
+        .and_then(|got| Tolerance::PROJECTED.compare("similarity of rows to the queries", &got, &wanted)))
 }
 
-/// What the losses say of some images, beside what the host says; some numbers of the images are none.
+/// Compares losses and gradients of some images with the host's; some numbers of the images are not finite.
 fn compared(
     case: &FeatureCase,
     engine: &GpuEngine,
@@ -140,7 +141,7 @@ fn compared(
             made.pixels.clear();
         }
         let wanted = right.compute_losses(&image, &made.feature_target(), &made.rendered());
-        let got = reported(engine, &on_device, &image, &made)?;
+        let got = field_gradients(engine, &on_device, &image, &made)?;
         let (losses, found) = (right.losses()?, on_device.losses()?);
         let losses = [losses.embedding, losses.compact];
         same = same
@@ -152,8 +153,13 @@ fn compared(
     Ok(same.and_then(|()| alike(Tolerance::GRADIENTS, "the decoder", &got, &wanted)))
 }
 
-/// The gradients of an image, as the device has them.
-fn reported(engine: &GpuEngine, field: &GpuField, image: &Image, made: &Made) -> Result<Image, RasterError> {
+/// Gradients of an image, computed on the device.
+fn field_gradients(
+    engine: &GpuEngine,
+    field: &GpuField,
+    image: &Image,
+    made: &FeatureCaseData,
+) -> Result<Image, RasterError> {
     let mut work = engine.device.work();
     let feature_target = GpuFeatureTarget::upload(&engine.device, &mut work, &made.feature_target())?;
     let step = field.start(&mut work, &feature_target, &made.rendered())?;
@@ -176,7 +182,7 @@ fn reported(engine: &GpuEngine, field: &GpuField, image: &Image, made: &Made) ->
     Ok(out)
 }
 
-/// Compares numbers of which some may be none, in both.
+/// Compares numbers that may be NaN, in both.
 fn alike(tolerance: Tolerance, what: &str, got: &[f32], wanted: &[f32]) -> Result<(), String> {
     let odd = got.iter().zip(wanted).position(|(g, w)| g.is_finite() != w.is_finite());
     if let Some(i) = odd {
@@ -186,7 +192,7 @@ fn alike(tolerance: Tolerance, what: &str, got: &[f32], wanted: &[f32]) -> Resul
     tolerance.compare(what, &some(got), &some(wanted))
 }
 
-/// Features that are refined by some steps, beside the host's by the same views.
+/// Compares features after some steps of refinement with the host's from the same views.
 fn steps(engine: &GpuEngine, view: &dyn Projected) -> Result<Result<(), String>, RasterError> {
     let case =
         FeatureCase { size: SIZE, channels: 20, decoded: Some(30), grid: [24, 17], pixels: 200, masks: 12 };

@@ -1,5 +1,5 @@
-//! Which kernel a device gets wrong: each step of a frame against the CPU engine or against what is known, in the order in
-//! which they depend on one another. The first that diverges is where to look.
+//! Finds the kernel that a device computes wrongly: compares each step of a frame with the CPU engine or a known
+//! result, in the order in which the steps depend on one another. The first that diverges has the fault.
 
 mod compare;
 mod feature_case;
@@ -8,11 +8,11 @@ mod networks;
 mod training;
 
 pub use compare::{TestCase, compared, test_cases};
-pub use feature_case::{FeatureCase, Made};
+pub use feature_case::{FeatureCase, FeatureCaseData};
 pub use networks::networks;
 pub use training::{held, held_with_embeddings, training};
 
-use crate::device::Work;
+use crate::device::DeviceWork;
 use crate::engine::{BUCKET, Binned, Cloud, TILE, bin, scan, sort};
 use crate::{GpuEngine, GpuError};
 use glam::Vec3;
@@ -28,7 +28,7 @@ use std::sync::Arc;
 pub struct Tolerance {
     /// For all but a share.
     pub tight: f32,
-    /// That share: what stands at a cut-off may be decided otherwise.
+    /// That share: values at a cut-off may fall on either side.
     pub flips: f32,
     /// For all.
     pub loose: f32,
@@ -42,7 +42,7 @@ impl Tolerance {
     /// Sums over pixels.
     pub const GRADIENTS: Tolerance = Tolerance { tight: 5e-4, flips: 0.01, loose: 0.1 };
 
-    /// Says what is off, if more is than may be.
+    /// Describes the difference if it exceeds the tolerance.
     pub fn compare(&self, what: &str, got: &[f32], wanted: &[f32]) -> Result<(), String> {
         if got.len() != wanted.len() {
             return Err(format!("{what}: {} numbers, not {}", got.len(), wanted.len()));
@@ -73,10 +73,10 @@ impl Tolerance {
 
 /// One step of a frame, compared.
 #[derive(Clone, Debug)]
-pub struct Checked {
-    /// The kernels that it runs, and that no step before it vouches for.
+pub struct KernelCheck {
+    /// The kernels that it runs and that no earlier step has checked.
     pub kernels: &'static [&'static str],
-    /// What is off.
+    /// Description of the difference; `None` if it is within the tolerance.
     pub off: Option<String>,
 }
 
@@ -88,19 +88,19 @@ const SPLATS: usize = 1500;
 const ALONE: usize = 40;
 /// Splats that go through networks: more than one piece of them.
 const FEW: usize = 500;
-/// How they are projected.
+/// Projection options.
 pub(crate) const OPTIONS: ProjectOptions =
     ProjectOptions { low_pass: 0.3, antialias: true, near: segwild_scene::NEAR };
 
 /// Some of the kernels, compared.
-pub type Stage = fn(&GpuEngine) -> Result<Vec<Checked>, RasterError>;
+pub type Stage = fn(&GpuEngine) -> Result<Vec<KernelCheck>, RasterError>;
 
-/// Every kernel, those first that others build on.
+/// All stages; kernels that others depend on come first.
 pub const STAGES: [Stage; 6] =
     [check_sums, check_view, check_splats, check_networks, check_comparison, check_field];
 
-/// Compares every kernel. Steps after one that is off may be off for its sake.
-pub fn check(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
+/// Compares every kernel. Steps after one that is off may be off because of it.
+pub fn check(engine: &GpuEngine) -> Result<Vec<KernelCheck>, RasterError> {
     let mut checked = Vec::new();
     for stage in STAGES {
         checked.extend(stage(engine)?);
@@ -109,9 +109,9 @@ pub fn check(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
 }
 
 /// Compares running sums and the sort.
-pub fn check_sums(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
+pub fn check_sums(engine: &GpuEngine) -> Result<Vec<KernelCheck>, RasterError> {
     let mut work = engine.device.work();
-    let checked = |kernels, off: Result<(), String>| Checked { kernels, off: off.err() };
+    let checked = |kernels, off: Result<(), String>| KernelCheck { kernels, off: off.err() };
     Ok(vec![
         // Over three levels of blocks.
         checked(&["scan", "scan_add"], sums(&mut work, (1 << 20) + 7)?),
@@ -119,10 +119,10 @@ pub fn check_sums(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
     ])
 }
 
-/// Compares the kernels that draw a view, and those that bring its gradients back to the splats.
-pub fn check_view(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
+/// Compares the kernels that render a view, and those of its backward pass.
+pub fn check_view(engine: &GpuEngine) -> Result<Vec<KernelCheck>, RasterError> {
     let mut checked = Vec::new();
-    let mut add = |kernels, off: Result<(), String>| checked.push(Checked { kernels, off: off.err() });
+    let mut add = |kernels, off: Result<(), String>| checked.push(KernelCheck { kernels, off: off.err() });
     let (splats, camera, pose) = scene();
     let mut work = engine.device.work();
     let cloud = Arc::new(Cloud::upload(&mut work, &splats)?);
@@ -155,7 +155,7 @@ pub fn check_view(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
     };
     let (grad, alpha) = (image(3), image(1));
     let sums = (found.gather(&grad)?, right.gather(&grad)?);
-    // What `blend` leaves for the passes behind it, the light at each bucket, is seen here first.
+    // The light at each bucket, which `blend` leaves for later passes, is first compared here.
     add(&["blend", "gather", "sum_slots"], Tolerance::GRADIENTS.compare("sums", &sums.0, &sums.1));
     let grad = FrameGrad { image: &grad, alpha: Some(&alpha) };
     let g = found.backward(&channels, &a, &grad)?;
@@ -164,8 +164,8 @@ pub fn check_view(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
     Ok(checked)
 }
 
-/// Compares the kernels of a step of training that are the splats' own.
-pub fn check_splats(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
+/// Compares the kernels of the splats' half of a training step.
+pub fn check_splats(engine: &GpuEngine) -> Result<Vec<KernelCheck>, RasterError> {
     let (mut splats, camera, pose) = scene();
     let random = &mut Random::new(6);
     splats.sh_degree = 3;
@@ -175,15 +175,15 @@ pub fn check_splats(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
     Ok(checked)
 }
 
-/// Compares the kernels of the networks of the look `gsw`.
-pub fn check_networks(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
+/// Compares the kernels of the networks of the appearance model `gsw`.
+pub fn check_networks(engine: &GpuEngine) -> Result<Vec<KernelCheck>, RasterError> {
     let (splats, camera, pose) = scene();
     let few = splats.select(&(0..FEW).collect::<Vec<_>>());
     networks(engine, &few, &camera, &pose)
 }
 
 /// Compares the kernels of a photo's half of a step.
-pub fn check_comparison(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
+pub fn check_comparison(engine: &GpuEngine) -> Result<Vec<KernelCheck>, RasterError> {
     let mut checked = Vec::new();
     for test_case in test_cases(SIZE) {
         checked.extend(compared(engine, &test_case)?);
@@ -192,7 +192,7 @@ pub fn check_comparison(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError>
 }
 
 /// Compares the kernels of the feature field.
-pub fn check_field(engine: &GpuEngine) -> Result<Vec<Checked>, RasterError> {
+pub fn check_field(engine: &GpuEngine) -> Result<Vec<KernelCheck>, RasterError> {
     let (splats, camera, pose) = scene();
     field::field(engine, &*engine.project(&splats, &camera, &pose, &OPTIONS)?)
 }
@@ -216,7 +216,7 @@ fn scene() -> (Splats, Camera, Pose) {
 }
 
 /// Running sums of so many numbers.
-pub(crate) fn sums(work: &mut Work, count: usize) -> Result<Result<(), String>, GpuError> {
+pub(crate) fn sums(work: &mut DeviceWork, count: usize) -> Result<Result<(), String>, GpuError> {
     let mut random = Random::new(3);
     let numbers: Vec<u32> = (0..count).map(|_| random.below(4) as u32).collect();
     let data = work.upload("numbers", &numbers)?;
@@ -226,7 +226,7 @@ pub(crate) fn sums(work: &mut Work, count: usize) -> Result<Result<(), String>, 
 }
 
 /// So many items sorted by keys of so many bits, of which many are equal.
-pub(crate) fn sorted(work: &mut Work, count: usize, bits: u32) -> Result<Result<(), String>, GpuError> {
+pub(crate) fn sorted(work: &mut DeviceWork, count: usize, bits: u32) -> Result<Result<(), String>, GpuError> {
     let mut random = Random::new(count as u64);
     let keys: Vec<u32> = (0..count).map(|_| (random.bits() as u32) >> (u32::BITS - bits) & !6).collect();
     let items: Vec<u32> = (0..count as u32).collect();
@@ -255,15 +255,15 @@ pub fn projected(got: &dyn Projected, wanted: &dyn Projected) -> Result<(), Stri
     let of = |values: &[f32]| seen.iter().map(|&i| values[i]).collect::<Vec<_>>();
     Tolerance::PROJECTED.compare("radii", &of(a), &of(b))?;
     Tolerance::PROJECTED.compare("depths", &of(got.depths()), &of(wanted.depths()))?;
-    // Those of splats behind the camera mean nothing, and are not seen.
+    // Those of splats behind the camera are meaningless, and not compared.
     let centres = |c: &[[f32; 2]]| seen.iter().flat_map(|&i| c[i]).collect::<Vec<_>>();
     Tolerance::PROJECTED.compare("centres", &centres(got.centres()), &centres(wanted.centres()))
 }
 
 /// Compares gradients, each array by its name.
 pub fn gradients(got: &SplatGrads, wanted: &SplatGrads) -> Result<(), String> {
-    type Array = fn(&SplatGrads) -> &[f32];
-    let arrays: [(&str, Array); 7] = [
+    type GradArray = fn(&SplatGrads) -> &[f32];
+    let arrays: [(&str, GradArray); 7] = [
         ("means", |g| g.means.as_flattened()),
         ("log scales", |g| g.log_scales.as_flattened()),
         ("rotations", |g| g.rotations.as_flattened()),
@@ -290,7 +290,7 @@ struct Lists {
 }
 
 impl Lists {
-    fn read(work: &mut Work, on: &Binned, splats: usize, seen: &[[f32; 4]]) -> Result<Lists, GpuError> {
+    fn read(work: &mut DeviceWork, on: &Binned, splats: usize, seen: &[[f32; 4]]) -> Result<Lists, GpuError> {
         Ok(Lists {
             footprints: work.read(&on.footprints, splats)?,
             depths: seen.iter().map(|s| s[0]).collect(),
@@ -312,11 +312,11 @@ impl Lists {
         (lo - e * dy * dy - a * u * u).exp2().min(ALPHA_MAX)
     }
 
-    /// Whether a splat looks as it does when it is drawn alone.
+    /// Compares a splat with a render of it alone.
     fn shape(&self, splat: usize, alone: &Image) -> Result<(), String> {
         for (k, &wanted) in alone.data.iter().enumerate() {
             let found = self.alpha(splat, k % alone.width, k / alone.width);
-            // Next to the cut-off one may be drawn and the other not.
+            // Next to the cut-off one may be blended and the other not.
             if (found - wanted).abs() > 1e-3 && (found > 1.1 * ALPHA_MIN || wanted > 1.1 * ALPHA_MIN) {
                 return Err(format!("splat {splat} covers pixel {k} by {found} where {wanted} is right"));
             }
@@ -361,7 +361,7 @@ impl Lists {
             if from < to && first as usize != wanted.len() {
                 return Err(format!("tile {tile} has bucket {first} first where {} is right", wanted.len()));
             }
-            // A device that is wrong may say anything.
+            // A faulty device may return anything.
             if to as usize > self.entries.len() {
                 return Err(format!("tile {tile} ends at entry {to} of {}", self.entries.len()));
             }

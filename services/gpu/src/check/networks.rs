@@ -1,11 +1,11 @@
-//! The kernels of the look `gsw`: its networks on the device against the same on the host.
+//! Checks the kernels of the appearance model `gsw`: its networks on the device against those on the host.
 
-use super::{Checked, Tolerance};
+use super::{KernelCheck, Tolerance};
 use crate::GpuEngine;
 use crate::GpuError;
-use crate::nets::{GpuNetworks, Lighting, Plan, Tape, Weights};
-use segwild_nn::{Conv, Form, Graph, Layout, Map, Op, What};
-use segwild_raster::gsw::{BELOW, CODE, LAYER, Networks};
+use crate::nets::{GpuNetworks, GpuTape, GpuWeights, NetworkLighting, NetworkPlan};
+use segwild_nn::{Conv, Form, Map, NetworkGraph, Op, OpKind, WeightLayout};
+use segwild_raster::gsw::{BELOW, EMBEDDING_SIZE, LAYER, Networks};
 use segwild_raster::{
     Appearance, CpuEngine, Engine, GswAppearance, GswWidth, NetworksStep, ProjectOptions, RasterError, Rule,
     Sight,
@@ -21,7 +21,7 @@ fn noise(random: &mut Random, n: usize) -> Vec<f32> {
     (0..n).map(|_| random.uniform() - 0.5).collect()
 }
 
-/// A look of one photo that a camera took.
+/// An appearance model with one photo of a camera.
 fn appearance(camera: &Camera, pose: &Pose) -> GswAppearance {
     let mut appearance = GswAppearance::new(1, 31, GswWidth::Cpu);
     let (w, h) = PHOTO;
@@ -30,7 +30,7 @@ fn appearance(camera: &Camera, pose: &Pose) -> GswAppearance {
     let colour = |i: usize| (i % 7 != 3).then(|| [0, 1, 2].map(|c| wave(i, c)));
     let image_conditioning = appearance.image_conditioning((w, h), camera, pose, colour);
     appearance.set_image_conditioning(0, image_conditioning);
-    // The last layer begins next to nothing, which would hide all before it.
+    // The last layer starts near 0, which would hide the layers before it.
     let random = &mut Random::new(32);
     let layer = noise(random, LAYER);
     appearance.set_layer(&layer);
@@ -50,7 +50,7 @@ pub fn networks(
     splats: &Splats,
     camera: &Camera,
     pose: &Pose,
-) -> Result<Vec<Checked>, RasterError> {
+) -> Result<Vec<KernelCheck>, RasterError> {
     let appearance = appearance(camera, pose);
     let mut checked = small(engine)?;
     checked.extend(photo(engine, &appearance)?);
@@ -59,15 +59,16 @@ pub fn networks(
         ("half a photo", Some(draw_of(&appearance, false))),
         ("no light", None),
     ] {
-        let view = View { splats, camera, pose };
+        let view = NetworkView { splats, camera, pose };
         let found = lighting(engine, &appearance, &view, draw)?;
         checked.extend(
-            found
-                .into_iter()
-                .map(|checked| Checked { off: checked.off.map(|off| format!("{name}: {off}")), ..checked }),
+            found.into_iter().map(|checked| KernelCheck {
+                off: checked.off.map(|off| format!("{name}: {off}")),
+                ..checked
+            }),
         );
     }
-    // What is as it should be is said once.
+    // Kernels without a difference are listed once.
     let mut fine: Vec<&[&str]> = Vec::new();
     checked.retain(|checked| {
         let first = !fine.contains(&checked.kernels);
@@ -80,9 +81,9 @@ pub fn networks(
 }
 
 /// A network in which a map is read in ways that no [`UNet`](segwild_nn::UNet) has.
-fn small(engine: &GpuEngine) -> Result<Vec<Checked>, GpuError> {
-    let mut layout = Layout::new();
-    let mut graph = Graph::given(&[Form { channels: 3, halved: 0 }]);
+fn small(engine: &GpuEngine) -> Result<Vec<KernelCheck>, GpuError> {
+    let mut layout = WeightLayout::new();
+    let mut graph = NetworkGraph::given(&[Form { channels: 3, halved: 0 }]);
     let first = graph.conv(Conv::new(&mut layout, "first", [3, 40], 3, 1), 0, true);
     let second = graph.conv(Conv::new(&mut layout, "second", [40, 40], 1, 1), first, false);
     let joined = graph.join([first, second], true);
@@ -94,11 +95,11 @@ fn small(engine: &GpuEngine) -> Result<Vec<Checked>, GpuError> {
 }
 
 /// The network of a photo.
-fn photo(engine: &GpuEngine, appearance: &GswAppearance) -> Result<Vec<Checked>, GpuError> {
+fn photo(engine: &GpuEngine, appearance: &GswAppearance) -> Result<Vec<KernelCheck>, GpuError> {
     let unet = &Networks::of(GswWidth::Cpu).unet;
     let unet_input = appearance.unet_input(0, draw_of(appearance, true)).expect("there is light");
     let mut weights = appearance.held().weights;
-    // Norms begin as ones that change nothing.
+    // Norms start with factors that change nothing.
     let random = &mut Random::new(36);
     let changes = noise(random, weights.len());
     weights.iter_mut().zip(changes).for_each(|(weight, by)| *weight += 0.2 * by);
@@ -106,15 +107,15 @@ fn photo(engine: &GpuEngine, appearance: &GswAppearance) -> Result<Vec<Checked>,
     network(engine, &unet.graph, weights, given, &[unet.maps, unet.plane])
 }
 
-/// A network that is given maps of one height and width, or half of these: every map on the way, and the gradients of every
-/// layer from some of its results, those that nothing reads.
+/// Compares a network with inputs of one height and width, or half of these: all its maps, and the gradients of all
+/// layers from some of its outputs.
 fn network(
     engine: &GpuEngine,
-    graph: &Graph,
+    graph: &NetworkGraph,
     weights: Vec<f32>,
     given: Vec<Map>,
     results: &[usize],
-) -> Result<Vec<Checked>, GpuError> {
+) -> Result<Vec<KernelCheck>, GpuError> {
     let random = &mut Random::new(33);
     let image = [given[0].height, given[0].width];
     let numbers: Vec<f32> = given.iter().flat_map(|map| map.data.iter().copied()).collect();
@@ -127,80 +128,81 @@ fn network(
     let mut wanted = vec![0.0; weights.len()];
     graph.backward(&weights, &right, pulls.clone(), &mut wanted);
 
-    let plan = Plan::of(graph, image);
+    let plan = NetworkPlan::of(graph, image);
     let work = &mut engine.device.work();
     let values = work.upload("weights", &weights)?;
     let grads = work.upload("gradients", &vec![0.0f32; weights.len()])?;
     let any = work.upload("splats in sight", &[0u32])?;
-    let up = work.upload("what the network is given", &numbers)?;
+    let up = work.upload("inputs of the network", &numbers)?;
     let mut held = Vec::new();
     for (id, map) in &pulls {
         held.push((*id, map.data.len(), work.upload("gradients", &map.data)?));
     }
-    let tape = Tape::new(work, &plan)?;
+    let tape = GpuTape::new(work, &plan)?;
     work.copy_to(&up, &tape.maps, 0, 4 * numbers.len());
     tape.forward(work, &plan, &values, &any, 0);
     for (id, numbers, pull) in held {
         work.copy_to(&pull, &tape.grads, 4 * plan.position(id), 4 * numbers);
     }
-    tape.backward(work, &plan, Weights { values: &values, grads: &grads }, &any, 0);
+    tape.backward(work, &plan, GpuWeights { values: &values, grads: &grads }, &any, 0);
     let maps: Vec<f32> = work.read(&tape.maps, plan.maps())?;
     let got: Vec<f32> = work.read(&grads, weights.len())?;
 
     let mut checked = Vec::new();
     let ops = graph.ops();
-    // What only a norm reads is not kept on the host.
-    let normed = |op: &Op| ops.iter().any(|next| matches!(next.what, What::Norm(_)) && next.from == op.to);
+    // Maps that only a norm reads are not kept on the host.
+    let normed = |op: &Op| ops.iter().any(|next| matches!(next.what, OpKind::Norm(_)) && next.from == op.to);
     for op in ops.iter().filter(|op| !normed(op)) {
         let kernels: &[&str] = match op.what {
-            What::Conv(_) | What::Up(_) => &["convolve"],
-            What::Norm(_) => &["norm", "convolve"],
-            What::Join(_) | What::Beside(_) => &["join"],
+            OpKind::Conv(_) | OpKind::Up(_) => &["convolve"],
+            OpKind::Norm(_) => &["norm", "convolve"],
+            OpKind::Join(_) | OpKind::Beside(_) => &["join"],
         };
         let map = &right.of(op.to).data;
         let got = &maps[plan.position(op.to)..][..map.len()];
         let off = MAPS.compare(&format!("map {}", op.to), got, map).err();
-        checked.push(Checked { kernels, off });
+        checked.push(KernelCheck { kernels, off });
     }
     for op in ops.iter().rev() {
         let (kernels, own): (&[&str], _) = match &op.what {
-            What::Conv(layer) => (
+            OpKind::Conv(layer) => (
                 &["convolve_weights", "sum_weights", "norm_backward", "gate", "join", "convolve"],
                 layer.weights(),
             ),
-            What::Up(layer) => {
+            OpKind::Up(layer) => {
                 (&["convolve_weights", "sum_weights", "convolve", "join", "gate"], layer.weights())
             }
-            What::Norm(layer) => (&["norm_backward", "gate", "join", "convolve"], layer.weights()),
-            What::Join(_) | What::Beside(_) => continue,
+            OpKind::Norm(layer) => (&["norm_backward", "gate", "join", "convolve"], layer.weights()),
+            OpKind::Join(_) | OpKind::Beside(_) => continue,
         };
         let what = format!("gradients of the weights from {} on", own.start);
         let off = Tolerance::GRADIENTS.compare(&what, &got[own.clone()], &wanted[own]).err();
-        checked.push(Checked { kernels, off });
+        checked.push(KernelCheck { kernels, off });
     }
     Ok(checked)
 }
 
-/// Maps of a network, of numbers that many sums led to.
+/// Tolerance for maps of a network, which are sums of sums.
 const MAPS: Tolerance = Tolerance { tight: 1e-4, flips: 0.0, loose: 1e-3 };
 
-struct View<'a> {
+struct NetworkView<'a> {
     splats: &'a Splats,
     camera: &'a Camera,
     pose: &'a Pose,
 }
 
-/// What splats read in a photo and what becomes of it, forward and back; `draw`: what the step draws, or no light is read.
+/// Compares the light of splats in a photo, forward and backward; `draw` is the step's random number; `None`: no light
+/// is read.
 fn lighting(
     engine: &GpuEngine,
     appearance: &GswAppearance,
-    view: &View,
+    view: &NetworkView,
     draw: Option<u64>,
-) -> Result<Vec<Checked>, RasterError> {
-    let View { splats, camera, pose } = *view;
+) -> Result<Vec<KernelCheck>, RasterError> {
+    let NetworkView { splats, camera, pose } = *view;
     let n = splats.len();
     let random = &mut Random::new(34);
-    let splat_embeddings: Vec<f32> = noise(random, n * CODE).into_iter().map(|v| 8.0 * v).collect();
+    let splat_embeddings: Vec<f32> = noise(random, n * EMBEDDING_SIZE).into_iter().map(|v| 8.0 * v).collect();
     let (colours, grad) = (noise(random, 3 * n), noise(random, 3 * n));
     let cpu = CpuEngine::new();
     let projected = cpu.project(splats, camera, pose, &ProjectOptions::default())?;
@@ -216,7 +218,7 @@ fn lighting(
     let blame: Vec<Option<f32>> = map.map_or(Vec::new(), |map| {
         (0..map.pixels()).map(|i| (i % 5 != 1).then(|| 2.5 * random.uniform())).collect()
     });
-    let (_, by_code) = right.tint_backward(0, light.as_ref(), &sight, &colours, grad.clone(), &blame);
+    let (_, by_embedding) = right.tint_backward(0, light.as_ref(), &sight, &colours, grad.clone(), &blame);
     let wanted = right.gradients().expect("kept for the next step").concat();
 
     let rules = [Rule { beta1: 0.9, beta2: 0.999, rate: 0.0, epsilon: 1e-8 }; 2];
@@ -231,7 +233,7 @@ fn lighting(
     let means: Vec<[f32; 4]> = splats.means.iter().map(|&[x, y, z]| [x, y, z, 0.0]).collect();
     let seen = work.upload("depths and radii", &seen)?;
     let means = work.upload("centres", &means)?;
-    let there = work.upload("codes", &splat_embeddings)?;
+    let on_device = work.upload("embeddings", &splat_embeddings)?;
     let blames: Vec<f32> = blame.iter().map(|blame| blame.unwrap_or(-1.0)).collect();
     let blamed = match blames.is_empty() {
         true => None,
@@ -239,47 +241,55 @@ fn lighting(
     };
     let by_colour = work.upload("gradients", &wide(&grad))?;
     let shown = work.upload("colours", &wide(&below))?;
-    let lighting = Lighting::upload(work, &held, &step, eye, n, PIECE)?;
-    lighting.tint(work, &seen, &means, &there, &shown)?;
-    let by_there = work.take::<f32>("gradients of the codes", n * CODE)?;
-    work.clear(&by_there);
-    lighting.backward(work, &by_colour, (&means, &there), &by_there, blamed.as_ref())?;
+    let lighting = NetworkLighting::upload(work, &held, &step, eye, n, PIECE)?;
+    lighting.tint(work, &seen, &means, &on_device, &shown)?;
+    let by_device = work.take::<f32>("gradients of the embeddings", n * EMBEDDING_SIZE)?;
+    work.clear(&by_device);
+    lighting.backward(work, &by_colour, (&means, &on_device), &by_device, blamed.as_ref())?;
     let shown: Vec<[f32; 4]> = work.read(&shown, n)?;
-    let by_there: Vec<f32> = work.read(&by_there, n * CODE)?;
+    let by_device: Vec<f32> = work.read(&by_device, n * EMBEDDING_SIZE)?;
     let weights: Vec<f32> = work.read(&lighting.weight_grads, held.len())?;
 
     let visible: Vec<usize> = (0..n).filter(|&i| radii[i] > 0.0).collect();
     let shown: Vec<f32> = visible.iter().flat_map(|&i| &shown[i][..3]).copied().collect();
     let tinted: Vec<f32> = visible.iter().flat_map(|&i| &tinted[3 * i..3 * i + 3]).copied().collect();
-    let own = CODE - BELOW;
+    let own = EMBEDDING_SIZE - BELOW;
     let embeddings_of = |splat_embeddings: &[f32]| -> Vec<f32> {
-        visible.iter().flat_map(|&i| &splat_embeddings[i * CODE..i * CODE + own]).copied().collect()
+        visible
+            .iter()
+            .flat_map(|&i| &splat_embeddings[i * EMBEDDING_SIZE..i * EMBEDDING_SIZE + own])
+            .copied()
+            .collect()
     };
     let border = held.nets().border;
-    // What sees transients is less than the rest by far.
+    // Gradients of the visibility head are far smaller than the others.
     let layers = held.nets().layout.layers();
     let head =
         layers.iter().find(|layer| layer.name.starts_with("visible")).map_or(border, |l| l.weights.start);
     let compare =
         |what: &str, got: &[f32], wanted: &[f32]| Tolerance::GRADIENTS.compare(what, got, wanted).err();
     Ok(vec![
-        Checked {
+        KernelCheck {
             kernels: &["in_sight", "pick", "read_light", "add_light"],
             off: Tolerance::BLENDED.compare("tinted colours", &shown, &tinted).err(),
         },
-        Checked {
+        KernelCheck {
             kernels: &["take_light", "convolve_weights", "in_sight", "pick"],
             off: compare("gradients of the small networks", &weights[border..], &wanted[border..]),
         },
-        Checked {
+        KernelCheck {
             kernels: &["read_light_backward"],
-            off: compare("gradients of the codes", &embeddings_of(&by_there), &embeddings_of(&by_code)),
+            off: compare(
+                "gradients of the embeddings",
+                &embeddings_of(&by_device),
+                &embeddings_of(&by_embedding),
+            ),
         },
-        Checked {
+        KernelCheck {
             kernels: &["map_sums", "read_light_backward", "visibility"],
             off: compare("gradients of the photo's network", &weights[..head], &wanted[..head]),
         },
-        Checked {
+        KernelCheck {
             kernels: &["visibility"],
             off: compare("gradients of its head", &weights[head..border], &wanted[head..border]),
         },

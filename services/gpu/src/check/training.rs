@@ -1,6 +1,6 @@
-//! The kernels of training: one step on the device against the same step on the host.
+//! Checks the kernels of training: one step on the device against the same step on the host.
 
-use super::{Checked, Tolerance};
+use super::{KernelCheck, Tolerance};
 use crate::compare::{StepReadback, results_buffer};
 use crate::training::GpuTraining;
 use crate::view::pack_image;
@@ -11,7 +11,7 @@ use segwild_raster::{
 };
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
 
-/// Moments such as a training has, for splats in the middle of one.
+/// A training state with moments as in the middle of a training.
 pub fn held(splats: Splats) -> Held {
     let random = &mut Random::new(21);
     let mut like = |from: f32, to: f32| {
@@ -30,7 +30,7 @@ pub fn held(splats: Splats) -> Held {
     Held { splats, first, second, sums, splat_embeddings: SplatEmbeddings::default(), networks: None }
 }
 
-/// The same with codes.
+/// The same with appearance embeddings.
 pub fn held_with_embeddings(splats: Splats) -> Held {
     let random = &mut Random::new(23);
     let numbers = splats.len() * EmbedAppearance::EMBEDDING_SIZE;
@@ -48,7 +48,7 @@ pub fn training(
     camera: &Camera,
     pose: &Pose,
     options: &ProjectOptions,
-) -> Result<Vec<Checked>, RasterError> {
+) -> Result<Vec<KernelCheck>, RasterError> {
     let random = &mut Random::new(22);
     let (width, height) = (camera.width as usize, camera.height as usize);
     let mut image = |channels: usize| Image {
@@ -68,7 +68,7 @@ pub fn training(
         splat_embeddings: rule(0.07),
         kept: 0.97,
     };
-    // With another light than the first photos' to begin with.
+    // With another light than the initial one.
     let mut appearance = EmbedAppearance::new(1, 24);
     appearance.set_matrix(0, [0.9, 0.1, -0.05, 0.02, 0.05, 1.1, 0.1, -0.03, -0.1, 0.05, 0.8, 0.04]);
     let light = (!held.splat_embeddings.values.is_empty()).then(|| appearance.photo(0));
@@ -81,8 +81,8 @@ pub fn training(
     let wide = pack_image(&frame.image, 0, 1, Some(&frame.alpha));
     let blended = Tolerance::BLENDED.compare("colours and alpha", &rendered, &wide);
     let sums = Tolerance::GRADIENTS.compare("sums", got.sums.as_flattened(), wanted.sums.as_flattened());
-    type Array = fn(&Splats) -> &[f32];
-    let compare = |name: &str, of: Array| {
+    type SplatArray = fn(&Splats) -> &[f32];
+    let compare = |name: &str, of: SplatArray| {
         let moved = |held: &Held, before: &Held| -> Vec<f32> {
             of(&held.splats).iter().zip(of(&before.splats)).map(|(a, b)| a - b).collect()
         };
@@ -91,14 +91,15 @@ pub fn training(
         tolerance.compare(&format!("second moments of the {name}"), of(&got.second), of(&wanted.second))?;
         tolerance.compare(&format!("steps of the {name}"), &moved(&got, held), &moved(&wanted, held))
     };
-    // Colours and their directions have no part in these.
-    let shapes: [(&str, Array); 3] = [
+    // These do not depend on colours.
+    let shapes: [(&str, SplatArray); 3] = [
         ("log scales", |s| s.log_scales.as_flattened()),
         ("rotations", |s| s.rotations.as_flattened()),
         ("opacities", |s| &s.opacities),
     ];
-    let coloured: [(&str, Array); 2] = [("harmonics", |s| &s.sh), ("centres", |s| s.means.as_flattened())];
-    let all = |of: &[(&str, Array)]| of.iter().try_for_each(|&(name, of)| compare(name, of));
+    let coloured: [(&str, SplatArray); 2] =
+        [("harmonics", |s| &s.sh), ("centres", |s| s.means.as_flattened())];
+    let all = |of: &[(&str, SplatArray)]| of.iter().try_for_each(|&(name, of)| compare(name, of));
     let tinted = || {
         let (Some(lit), Some(light)) = (lit, by_light) else { return Ok(()) };
         let (got, wanted, before) = (&got.splat_embeddings, &wanted.splat_embeddings, &held.splat_embeddings);
@@ -107,15 +108,15 @@ pub fn training(
         };
         let tolerance = Tolerance::GRADIENTS;
         tolerance.compare("the light's gradient", &lit, &light)?;
-        tolerance.compare("first moments of the codes", &got.first, &wanted.first)?;
-        tolerance.compare("second moments of the codes", &got.second, &wanted.second)?;
-        tolerance.compare("steps of the codes", &moved(got), &moved(wanted))
+        tolerance.compare("first moments of the embeddings", &got.first, &wanted.first)?;
+        tolerance.compare("second moments of the embeddings", &got.second, &wanted.second)?;
+        tolerance.compare("steps of the embeddings", &moved(got), &moved(wanted))
     };
     let (shapes, coloured) = (all(&shapes), all(&coloured));
     let reshaped = reshaped(engine, held)?;
-    let off = |kernels, off: Result<(), String>| Checked { kernels, off: off.err() };
+    let off = |kernels, off: Result<(), String>| KernelCheck { kernels, off: off.err() };
     Ok(if light.is_some() {
-        // The other kernels are vouched for by the splats without codes.
+        // The splats without embeddings have checked the other kernels.
         let rest = tinted().and(coloured).and(sums).and(shapes);
         vec![
             off(&["select"], reshaped),
@@ -133,7 +134,7 @@ pub fn training(
     })
 }
 
-/// Compares splats as density control might leave them: some gone, some twice, some forgotten.
+/// Compares splats after a possible density control: some removed, some duplicated, some with moments reset.
 fn reshaped(engine: &GpuEngine, held: &Held) -> Result<Result<(), String>, RasterError> {
     let random = &mut Random::new(25);
     let n = held.splats.len();
@@ -153,11 +154,11 @@ fn reshaped(engine: &GpuEngine, held: &Held) -> Result<Result<(), String>, Raste
     let moments = |splats| Splats { opacities: vec![0.0; parents.len()], ..of(splats, true) };
     let splat_embeddings = |splat_embeddings: &[f32], forget: bool| -> Vec<f32> {
         let size = splat_embeddings.len().checked_div(n).unwrap_or(0);
-        let code = |(k, &i): (usize, &usize)| {
+        let embedding = |(k, &i): (usize, &usize)| {
             let known = if forget && forgotten[k] { 0.0 } else { 1.0 };
             splat_embeddings[i * size..(i + 1) * size].iter().map(move |v| known * v)
         };
-        parents.iter().enumerate().flat_map(code).collect()
+        parents.iter().enumerate().flat_map(embedding).collect()
     };
     let coloured = of(&held.splats, false);
     let wanted = Held {
@@ -180,7 +181,7 @@ fn reshaped(engine: &GpuEngine, held: &Held) -> Result<Result<(), String>, Raste
     }
     let got = on_device.fetch()?;
     Ok(if shapes_before != (held.splats.uncoloured(), held.sums.clone()) {
-        Err("shapes and sums: they came back as others".into())
+        Err("shapes and sums: they changed on the device".into())
     } else if got != wanted {
         Err(format!("{n} splats, reshaped: the numbers of some are another's"))
     } else {
@@ -188,7 +189,7 @@ fn reshaped(engine: &GpuEngine, held: &Held) -> Result<Result<(), String>, Raste
     })
 }
 
-/// A step of splats there by these gradients: what it drew, colour and alpha, and the gradient of the light.
+/// A step on the device by these gradients: the rendered colour and alpha, and the gradient of the photo's parameters.
 #[expect(clippy::too_many_arguments, reason = "a whole step of training")]
 fn on_the_device(
     engine: &GpuEngine,
@@ -211,7 +212,7 @@ fn on_the_device(
     Ok((work.read(&rendered.image, rendered.on.pixels * 4)?, light.map(|_| readback.light())))
 }
 
-/// The same step by the CPU engine: what it drew, what became of the splats, and the gradient of the light.
+/// The same step by the CPU engine: the render, the state afterwards, and the gradient of the photo's parameters.
 #[expect(clippy::too_many_arguments, reason = "a whole step of training")]
 fn on_the_host(
     held: &Held,
@@ -235,9 +236,9 @@ fn on_the_host(
     let frame = projected.blend(&channels)?;
     let mut grads = projected.backward(&channels, &frame, grad)?;
     let mut by_colour = std::mem::take(&mut grads.values);
-    let mut by_code = Vec::new();
+    let mut by_embedding = Vec::new();
     if lit {
-        (by_colour, by_code) = appearance.tint_backward(0, splat_embeddings, &colours, by_colour);
+        (by_colour, by_embedding) = appearance.tint_backward(0, splat_embeddings, &colours, by_colour);
     }
     let sh_grads = projected.shade_backward(&by_colour, &mut grads);
     let mut after = held.clone();
@@ -290,7 +291,7 @@ fn on_the_host(
         for i in (0..held.splats.len()).filter(|&i| projected.radii()[i] > 0.0) {
             let at = i * size..(i + 1) * size;
             let (p, m) = (&mut values[at.clone()], &mut first[at.clone()]);
-            step(p, m, &mut second[at.clone()], &by_code[at.clone()], rules.splat_embeddings);
+            step(p, m, &mut second[at.clone()], &by_embedding[at.clone()], rules.splat_embeddings);
             values[at].iter_mut().for_each(|v| *v *= rules.kept);
         }
     }

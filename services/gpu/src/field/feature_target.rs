@@ -1,32 +1,32 @@
-//! What a photo asks of features, and the cells that it asks it of.
+//! The feature target of a photo on the device, and the windows of its cells.
 
 use crate::GpuError;
-use crate::device::{Device, Lent, Work};
+use crate::device::{DeviceWork, GpuDevice, PooledBuffer};
 use crate::memory::keeps_channels;
 use segwild_raster::field::{AreaAverage, FeatureTarget, Window};
 use std::sync::Arc;
 
-/// What a photo asks, on the device.
+/// A feature target on the device.
 pub(crate) struct GpuFeatureTarget {
-    pub device: Arc<Device>,
+    pub device: Arc<GpuDevice>,
     /// Width and height of the view.
     pub size: [usize; 2],
     /// Cells, and planes of them.
     pub cells: usize,
     pub planes: usize,
-    /// Plane after plane, in the units of what is compared with it; planes are filled up to a whole number of vec4.
-    pub target: Lent,
-    /// How far each cell is to be trusted.
-    pub trust: Lent,
+    /// Plane after plane, scaled to the units of the features; planes are filled up to a whole number of vec4.
+    pub target: PooledBuffer,
+    /// Validity of each cell.
+    pub trust: PooledBuffer,
     /// `cells` of `shaders/shared/cells.wgsl`.
-    pub windows: Lent,
+    pub windows: PooledBuffer,
 }
 
 impl GpuFeatureTarget {
-    /// Brings it there.
+    /// Uploads it.
     pub fn upload(
-        device: &Arc<Device>,
-        work: &mut Work,
+        device: &Arc<GpuDevice>,
+        work: &mut DeviceWork,
         feature_target: &FeatureTarget,
     ) -> Result<GpuFeatureTarget, GpuError> {
         let target = feature_target.target;
@@ -39,15 +39,15 @@ impl GpuFeatureTarget {
             size: feature_target.average.from().into(),
             cells,
             planes: target.channels,
-            target: work.upload("what features should be", &scaled)?,
-            trust: work.upload("how far cells are to be trusted", feature_target.validity)?,
+            target: work.upload("the feature target", &scaled)?,
+            trust: work.upload("the validity of cells", feature_target.validity)?,
             windows: work.upload("the cells' pixels", &windows(feature_target.average))?,
         })
     }
 
     /// The same for many steps; `None` where it would take more than its share of the device's memory.
     pub fn keep(
-        device: &Arc<Device>,
+        device: &Arc<GpuDevice>,
         feature_target: &FeatureTarget,
     ) -> Result<Option<GpuFeatureTarget>, GpuError> {
         let mut work = device.work();
@@ -79,7 +79,7 @@ fn windows(average: &AreaAverage) -> Vec<u32> {
         table[6 + axis] = table.len() as u32;
         let ends = |w: &Window| w.start + w.weights.len();
         for pixel in 0..*pixels {
-            // Windows begin and end in order.
+            // Windows start and end in order.
             let first = windows.partition_point(|w| ends(w) <= pixel);
             let count = windows[first..].partition_point(|w| w.start <= pixel);
             table.extend([first as u32, count as u32]);

@@ -1,4 +1,4 @@
-//! The feature field where it is refined (`raster/src/field/`): features, their decoder and their losses.
+//! The feature field on the device (`raster/src/field/`): features, their decoder and their losses.
 
 mod feature_target;
 mod pairs;
@@ -10,9 +10,9 @@ pub(crate) use rows::GpuRows;
 pub(crate) use sums::GpuSums;
 
 use crate::GpuError;
-use crate::device::{Device, Lent, Work, lock};
+use crate::device::{DeviceWork, GpuDevice, PooledBuffer, lock};
 use crate::engine::GROUP;
-use crate::nets::{Link, Plan, Tape, Weights};
+use crate::nets::{GpuTape, GpuWeights, Link, NetworkPlan};
 use crate::shaders::{AREA_AVERAGE, AREA_SPREAD, EMBEDDING_LOSS};
 use crate::view::at_once;
 use pairs::Pairs;
@@ -24,11 +24,11 @@ use std::sync::{Arc, Mutex};
 
 /// Features on the device, and the decoder that learns beside them.
 pub(crate) struct GpuField {
-    pub device: Arc<Device>,
+    pub device: Arc<GpuDevice>,
     pub rows: GpuRows,
     decoder: Option<GpuDecoder>,
     rule: FieldRule,
-    /// What the last step's losses are summed up from.
+    /// Partial sums of the last step's losses.
     last: Mutex<Option<Last>>,
 }
 
@@ -40,11 +40,11 @@ struct GpuDecoder {
 }
 
 struct Last {
-    /// What groups of numbers say, and what each number's share is.
-    parts: (Lent, usize),
+    /// Partial sums of the embedding loss, and their number.
+    parts: (PooledBuffer, usize),
     share: f32,
-    /// What drawn pixels say.
-    pairs: Option<(Lent, usize)>,
+    /// Losses of the sampled pixels.
+    pairs: Option<(PooledBuffer, usize)>,
 }
 
 impl GpuField {
@@ -54,8 +54,8 @@ impl GpuField {
         GpuRows::bytes(values.len() / count.max(1), count, at_once(count))
     }
 
-    /// Brings it there.
-    pub fn upload(device: &Arc<Device>, field: &Refining) -> Result<GpuField, GpuError> {
+    /// Uploads it.
+    pub fn upload(device: &Arc<GpuDevice>, field: &Refining) -> Result<GpuField, GpuError> {
         let channels = field.channels();
         let rows = GpuRows::upload(device, &channels, field.rule().rate, at_once(channels.count))?;
         let decoder = field.decoder().map(|decoder| {
@@ -68,30 +68,30 @@ impl GpuField {
         Ok(GpuField { device: device.clone(), rows, decoder, rule, last: Mutex::default() })
     }
 
-    /// Begins a step.
+    /// Starts a step.
     pub fn start<'s>(
         &'s self,
-        work: &mut Work,
+        work: &mut DeviceWork,
         feature_target: &'s GpuFeatureTarget,
-        rendered: &Rendered,
+        sampled: &Rendered,
     ) -> Result<FieldStep<'s>, GpuError> {
         let channels = self.rows.count();
         let (plan, wanted) = match &self.decoder {
             Some(decoder) => (decoder.plan(feature_target.cells), decoder.outputs),
-            None => (Plan::of_points(&[], channels, feature_target.cells), channels),
+            None => (NetworkPlan::of_points(&[], channels, feature_target.cells), channels),
         };
-        assert_eq!(feature_target.planes, wanted, "planes of what is asked");
+        assert_eq!(feature_target.planes, wanted, "planes of the feature target");
         let pairs =
-            (!rendered.pixels.is_empty()).then(|| Pairs::upload(work, rendered, channels)).transpose()?;
+            (!sampled.pixels.is_empty()).then(|| Pairs::upload(work, sampled, channels)).transpose()?;
         // Of all cells there are.
         let count = work.upload("how many cells there are", &[feature_target.cells as u32])?;
-        Ok(FieldStep { field: self, feature_target, tape: Tape::new(work, &plan)?, plan, pairs, count })
+        Ok(FieldStep { field: self, feature_target, tape: GpuTape::new(work, &plan)?, plan, pairs, count })
     }
 }
 
 impl GpuDecoder {
     /// Its kernels, for so many cells.
-    fn plan(&self, cells: usize) -> Plan {
+    fn plan(&self, cells: usize) -> NetworkPlan {
         let (inputs, outputs) = (self.inputs, self.outputs.next_multiple_of(4));
         let weights = 0..(inputs + 1) * outputs;
         let link = Link {
@@ -103,24 +103,25 @@ impl GpuDecoder {
             relu: false,
             wanted: inputs,
         };
-        Plan::of_points(&[link], inputs + outputs, cells)
+        NetworkPlan::of_points(&[link], inputs + outputs, cells)
     }
 }
 
-/// A step of the field: first every part of the image is taken, then all is judged, then every part of its gradients is asked.
+/// A step of the field, in this order: [`FieldStep::take`] for every part of the image, [`FieldStep::compute_losses`],
+/// then [`FieldStep::gradients`] for every part.
 pub(crate) struct FieldStep<'s> {
     field: &'s GpuField,
     feature_target: &'s GpuFeatureTarget,
-    plan: Plan,
+    plan: NetworkPlan,
     /// Planes of cells: features, and what they are decoded to.
-    tape: Tape,
+    tape: GpuTape,
     pairs: Option<Pairs>,
-    count: Lent,
+    count: PooledBuffer,
 }
 
 impl FieldStep<'_> {
     /// Takes a part of the image, of so many vec4 from the vec4 `first` on.
-    pub fn take(&self, work: &mut Work, first: usize, blocks: usize, image: &Lent) {
+    pub fn take(&self, work: &mut DeviceWork, first: usize, blocks: usize, image: &PooledBuffer) {
         let job = [first as u32, self.field.rows.count() as u32, 0, 0];
         let groups = (self.feature_target.cells * blocks).div_ceil(GROUP);
         work.run(
@@ -136,14 +137,14 @@ impl FieldStep<'_> {
     }
 
     /// Computes the losses; the decoder learns.
-    pub fn compute_losses(&self, work: &mut Work) -> Result<(), GpuError> {
+    pub fn compute_losses(&self, work: &mut DeviceWork) -> Result<(), GpuError> {
         let FieldStep { field, feature_target, plan, tape, count, .. } = self;
         let cells = feature_target.cells;
         let first = field.decoder.as_ref().map_or(0, |decoder| decoder.inputs * cells);
         if let Some(decoder) = &field.decoder {
             tape.forward(work, plan, decoder.rows.part(0), count, 0);
         }
-        // Planes that fill up what is decoded to whole vec4 have nothing to say, and are no part of the mean.
+        // Planes that pad the decoded ones to whole vec4 have no gradient, and do not enter the mean.
         let planes = match field.decoder {
             Some(_) => feature_target.planes.next_multiple_of(4),
             None => feature_target.planes,
@@ -159,7 +160,7 @@ impl FieldStep<'_> {
             let wide = decoder.outputs.div_ceil(4);
             let grads = work.take::<[f32; 4]>("the decoder's gradients", (decoder.inputs + 1) * wide)?;
             work.clear(&grads);
-            let weights = Weights { values: decoder.rows.part(0), grads: &grads };
+            let weights = GpuWeights { values: decoder.rows.part(0), grads: &grads };
             tape.backward(work, plan, weights, count, 0);
             decoder.rows.step(work, slice::from_ref(&grads), wide)?;
         }
@@ -171,7 +172,12 @@ impl FieldStep<'_> {
     }
 
     /// A part of the image's gradients.
-    pub fn gradients(&self, work: &mut Work, first: usize, blocks: usize) -> Result<Lent, GpuError> {
+    pub fn gradients(
+        &self,
+        work: &mut DeviceWork,
+        first: usize,
+        blocks: usize,
+    ) -> Result<PooledBuffer, GpuError> {
         let [width, height] = self.feature_target.size;
         let image = work.take::<[f32; 4]>("the image's gradients", width * height * blocks)?;
         let rule = self.field.rule;
@@ -190,8 +196,13 @@ impl FieldStep<'_> {
         Ok(image)
     }
 
-    /// Has the features learn from what every part says of them.
-    pub fn finish(self, work: &mut Work, grads: &[Lent], blocks: usize) -> Result<(), GpuError> {
+    /// Steps the features by the gradients of every part.
+    pub fn finish(
+        self,
+        work: &mut DeviceWork,
+        grads: &[PooledBuffer],
+        blocks: usize,
+    ) -> Result<(), GpuError> {
         self.field.rows.step(work, grads, blocks)?;
         if let (Some(pairs), Some(last)) = (self.pairs, &mut *lock(&self.field.last)) {
             last.pairs = Some(pairs.into_losses());
@@ -210,7 +221,7 @@ impl DeviceRefinement for GpuField {
         // The device first, as in a step.
         let (mut work, last) = (self.device.work(), lock(&self.last));
         let Some(Last { parts, share, pairs }) = &*last else { return Ok(FieldLosses::default()) };
-        let mut sum = |(results, count): &(Lent, usize)| -> Result<f64, GpuError> {
+        let mut sum = |(results, count): &(PooledBuffer, usize)| -> Result<f64, GpuError> {
             let results: Vec<f32> = work.read(results, *count)?;
             Ok(results.iter().map(|&part| f64::from(part)).sum())
         };

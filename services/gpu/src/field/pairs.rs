@@ -1,75 +1,76 @@
-//! Pairs of drawn pixels: the compactness loss (`raster/src/field/compact.rs`).
+//! Pairs of sampled pixels: the compactness loss (`raster/src/field/compact.rs`).
 //!
-//! Cosines of all pairs are a product of the pixels' units with themselves, and what they say of the units is another: layers
-//! of a network whose weights are the units. Many pixels' pairs are made in pieces of some columns.
+//! Cosines of all pairs are a product of the pixels' unit features with themselves, and their gradients are another:
+//! layers of a network whose weights are the unit features. Pairs of many pixels are computed in pieces of some
+//! columns.
 
 use crate::GpuError;
-use crate::device::{Lent, Work};
+use crate::device::{DeviceWork, PooledBuffer};
 use crate::engine::GROUP;
-use crate::nets::{Plan, Tape};
+use crate::nets::{GpuTape, NetworkPlan};
 use crate::shaders::{ADD_PULL, MATES, PAIRS, PULL, SAMPLED, TOTAL, UNITS};
 use segwild_raster::field::{Membership, Rendered};
 
 /// Pairs of a piece, but for its last column.
 const PIECE: usize = 1 << 20;
 
-/// Drawn pixels of a view, on the device.
+/// Sampled pixels of a view, on the device.
 pub(super) struct Pairs {
     pixels: usize,
     channels: usize,
-    /// Their places in the view.
-    positions: Lent,
+    /// Their positions in the view.
+    positions: PooledBuffer,
     /// The set of masks that hold each.
-    groups: Lent,
+    groups: PooledBuffer,
     /// Sets of masks as bits, so many words each.
-    sets: Lent,
+    sets: PooledBuffer,
     words: usize,
-    /// Plane after plane: features, later units.
-    features: Lent,
-    plan: Plan,
-    tape: Tape,
+    /// Plane after plane: features, later unit features.
+    features: PooledBuffer,
+    plan: NetworkPlan,
+    tape: GpuTape,
     /// Gradients of the features, plane after plane.
-    pulls: Lent,
-    /// What each pixel adds to the loss.
-    losses: Lent,
+    pulls: PooledBuffer,
+    /// Loss of each pixel.
+    losses: PooledBuffer,
 }
 
 impl Pairs {
-    /// Brings pixels there.
-    pub fn upload(work: &mut Work, rendered: &Rendered, channels: usize) -> Result<Pairs, GpuError> {
-        let n = rendered.pixels.len();
-        let Membership { groups, .. } = rendered.membership;
-        let groups: Vec<u32> = rendered.pixels.iter().map(|&p| groups[p as usize]).collect();
-        let (bits, words) = rendered.membership.bits();
+    /// Uploads pixels.
+    pub fn upload(work: &mut DeviceWork, sampled: &Rendered, channels: usize) -> Result<Pairs, GpuError> {
+        let n = sampled.pixels.len();
+        let Membership { groups, .. } = sampled.membership;
+        let groups: Vec<u32> = sampled.pixels.iter().map(|&p| groups[p as usize]).collect();
+        let (bits, words) = sampled.membership.bits();
         let bits: Vec<u32> = bits.iter().flat_map(|word| [*word as u32, (word >> 32) as u32]).collect();
-        let plan = Plan::of_pairs(channels, n, PIECE / n + 1);
+        let plan = NetworkPlan::of_pairs(channels, n, PIECE / n + 1);
         Ok(Pairs {
             pixels: n,
             channels,
-            positions: work.upload("the drawn pixels", rendered.pixels)?,
-            groups: work.upload("the masks of the drawn pixels", &groups)?,
+            positions: work.upload("the sampled pixels", sampled.pixels)?,
+            groups: work.upload("the masks of the sampled pixels", &groups)?,
             sets: work.upload("sets of masks", &bits)?,
             words: 2 * words,
-            features: work.take::<f32>("the drawn pixels' features", channels * n)?,
-            tape: Tape::new(work, &plan)?,
+            features: work.take::<f32>("the sampled pixels' features", channels * n)?,
+            tape: GpuTape::new(work, &plan)?,
             plan,
-            pulls: work.take::<f32>("the gradients of the drawn pixels", channels * n)?,
-            losses: work.take::<f32>("what drawn pixels add to the loss", n)?,
+            pulls: work.take::<f32>("the gradients of the sampled pixels", channels * n)?,
+            losses: work.take::<f32>("the losses of the sampled pixels", n)?,
         })
     }
 
     /// Takes the features of a part of the image, of so many vec4 from the vec4 `first` on.
-    pub fn take(&self, work: &mut Work, first: usize, blocks: usize, image: &Lent) {
+    pub fn take(&self, work: &mut DeviceWork, first: usize, blocks: usize, image: &PooledBuffer) {
         let job = [first, self.channels, self.pixels, 0].map(|n| n as u32);
         let groups = (self.pixels * blocks).div_ceil(GROUP);
         work.run(&SAMPLED, blocks as u32, job, &[&self.positions, image, &self.features], groups);
     }
 
     /// Compares all pairs.
-    pub fn compare(&self, work: &mut Work, weight: f32) -> Result<(), GpuError> {
+    pub fn compare(&self, work: &mut DeviceWork, weight: f32) -> Result<(), GpuError> {
         let (n, channels, words) = (self.pixels as u32, self.channels as u32, self.words as u32);
         let Pairs { groups, sets, features, tape, losses, .. } = self;
-        let lengths = work.take::<f32>("the drawn pixels' lengths", self.pixels)?;
+        let lengths = work.take::<f32>("the sampled pixels' lengths", self.pixels)?;
         let counts = work.take::<[f32; 2]>("how many share a mask", self.pixels)?;
         let results = work.upload("weight and pairs", &[weight, 0.0, 0.0])?;
         let each = self.pixels.div_ceil(GROUP);
@@ -89,15 +90,15 @@ impl Pairs {
         Ok(())
     }
 
-    /// Adds what was said of the pixels to a part of the image's gradients.
-    pub fn add(&self, work: &mut Work, first: usize, blocks: usize, image: &Lent) {
+    /// Adds the gradients of the pixels to a part of the image's.
+    pub fn add(&self, work: &mut DeviceWork, first: usize, blocks: usize, image: &PooledBuffer) {
         let job = [first, self.channels, self.pixels, 0].map(|n| n as u32);
         let groups = (self.pixels * blocks).div_ceil(GROUP);
         work.run(&ADD_PULL, blocks as u32, job, &[&self.positions, &self.pulls, image], groups);
     }
 
-    /// What each pixel adds to the loss, and how many there are.
-    pub fn into_losses(self) -> (Lent, usize) {
+    /// Loss of each pixel, and the number of pixels.
+    pub fn into_losses(self) -> (PooledBuffer, usize) {
         (self.losses, self.pixels)
     }
 }

@@ -1,30 +1,30 @@
 //! Rows of numbers, one per splat, and their optimiser (`raster/src/field/rows.rs`).
 
 use crate::GpuError;
-use crate::device::{Device, Lent, Work};
+use crate::device::{DeviceWork, GpuDevice, PooledBuffer};
 use crate::engine::GROUP;
 use crate::shaders::{ROW_STATE, ROW_STEP};
 use crate::view::pack_splats;
 use segwild_raster::{Channels, RasterError};
 use std::sync::Arc;
 
-/// Rows, and what their optimiser knows of them.
+/// Rows with their optimiser state.
 pub(crate) struct GpuRows {
-    device: Arc<Device>,
+    device: Arc<GpuDevice>,
     count: usize,
     rows: usize,
     rate: f32,
     /// Vec4 of a part's rows.
     wide: usize,
-    parts: Vec<Part>,
+    parts: Vec<RowPart>,
     /// Steps of every row.
-    steps: Lent,
+    steps: PooledBuffer,
 }
 
-struct Part {
-    values: Lent,
-    first: Lent,
-    second: Lent,
+struct RowPart {
+    values: PooledBuffer,
+    first: PooledBuffer,
+    second: PooledBuffer,
 }
 
 impl GpuRows {
@@ -33,9 +33,9 @@ impl GpuRows {
         (4 * 4 * rows * count.next_multiple_of(4 * wide)) as u64
     }
 
-    /// Brings rows there, in parts of so many vec4.
+    /// Uploads rows, in parts of so many vec4.
     pub fn upload(
-        device: &Arc<Device>,
+        device: &Arc<GpuDevice>,
         channels: &Channels,
         rate: f32,
         wide: usize,
@@ -53,7 +53,7 @@ impl GpuRows {
             ];
             work.clear(&first);
             work.clear(&second);
-            parts.push(Part { values, first, second });
+            parts.push(RowPart { values, first, second });
         }
         let steps = work.take::<u32>("steps of the rows", rows)?;
         work.clear(&steps);
@@ -67,19 +67,19 @@ impl GpuRows {
         self.count
     }
 
-    /// The values of the part that begins with a number.
-    pub fn part(&self, first: usize) -> &Lent {
+    /// The values of the part that starts with a number.
+    pub fn part(&self, first: usize) -> &PooledBuffer {
         &self.parts[first / (4 * self.wide)].values
     }
 
-    /// One step by these gradients, each of so many vec4 of every row: the first numbers', and so on.
-    pub fn step(&self, work: &mut Work, grads: &[Lent], blocks: usize) -> Result<(), GpuError> {
+    /// One step by these gradients, each of so many vec4 of every row, in the order of the numbers.
+    pub fn step(&self, work: &mut DeviceWork, grads: &[PooledBuffer], blocks: usize) -> Result<(), GpuError> {
         let states = states(work, self.rows, grads, blocks)?;
         let each = self.rows.div_ceil(GROUP);
         let wide = self.wide;
         for (k, grads) in grads.iter().enumerate() {
             let (part, within) = (k * blocks / wide, k * blocks % wide);
-            let Part { values, first, second } = &self.parts[part];
+            let RowPart { values, first, second } = &self.parts[part];
             let is_first = if k == 0 { 1 << 31 } else { 0 };
             let position = (wide | within << 16) as u32;
             let job = [self.rows as u32, blocks as u32, position, self.rate.to_bits() | is_first];
@@ -104,18 +104,17 @@ impl GpuRows {
     }
 }
 
-/// Whether something is said of each row, and whether all of it is a number.
-pub fn states(work: &mut Work, rows: usize, results: &[Lent], blocks: usize) -> Result<Lent, GpuError> {
-    let states = work.take::<u32>("what is said of the rows", rows)?;
+/// Flags per row: whether it has a gradient, and whether one is not finite.
+pub fn states(
+    work: &mut DeviceWork,
+    rows: usize,
+    results: &[PooledBuffer],
+    blocks: usize,
+) -> Result<PooledBuffer, GpuError> {
+    let states = work.take::<u32>("the states of the rows", rows)?;
     work.clear(&states);
-    for results in results {
-        work.run(
-            &ROW_STATE,
-            1,
-            [rows as u32, blocks as u32, 0, 0],
-            &[results, &states],
-            rows.div_ceil(GROUP),
-        );
+    for result in results {
+        work.run(&ROW_STATE, 1, [rows as u32, blocks as u32, 0, 0], &[result, &states], rows.div_ceil(GROUP));
     }
     Ok(states)
 }

@@ -1,8 +1,8 @@
-//! What views say of splats, added up where it is said (`raster/src/field/lifting.rs`).
+//! Lifting on the device: sums per splat over views (`raster/src/field/lifting.rs`).
 
 use super::rows::states;
 use crate::GpuError;
-use crate::device::{Device, Lent, Work};
+use crate::device::{DeviceWork, GpuDevice, PooledBuffer};
 use crate::engine::GROUP;
 use crate::shaders::ROW_ADD;
 use crate::view::gathered_at_once;
@@ -13,21 +13,21 @@ use std::sync::Arc;
 
 /// Sums over views.
 pub(crate) struct GpuSums {
-    pub device: Arc<Device>,
+    pub device: Arc<GpuDevice>,
     rows: usize,
     /// Numbers of a row, without its weight.
     row: usize,
-    /// As many numbers at once as a view gathers, the weight behind the last.
-    parts: Vec<Lent>,
+    /// Parts of as many numbers as a view gathers at once; the weight follows the last number.
+    parts: Vec<PooledBuffer>,
 }
 
 impl GpuSums {
-    /// Bytes that sums of so many rows of numbers take, and what a view says beside them.
+    /// Bytes that sums of so many rows of numbers take, with the sums of one view.
     pub fn bytes(rows: usize, row: usize) -> u64 {
         (2 * 4 * rows * (row + 1).next_multiple_of(4 * gathered_at_once(row + 1))) as u64
     }
 
-    pub fn new(device: &Arc<Device>, rows: usize, row: usize) -> Result<GpuSums, GpuError> {
+    pub fn new(device: &Arc<GpuDevice>, rows: usize, row: usize) -> Result<GpuSums, GpuError> {
         let mut work = device.work();
         let wide = gathered_at_once(row + 1) * 4;
         let mut parts = Vec::new();
@@ -41,18 +41,23 @@ impl GpuSums {
         Ok(GpuSums { device: device.clone(), rows, row, parts })
     }
 
-    /// Numbers that a view says of each row, its weight among them.
+    /// Numbers of a view per row, with the weight.
     pub fn count(&self) -> usize {
         self.row + 1
     }
 
-    /// Splats that there are sums of.
+    /// Number of splats.
     pub fn rows(&self) -> usize {
         self.rows
     }
 
-    /// Adds what a view says, each of so many vec4 of every row.
-    pub fn add(&self, work: &mut Work, results: &[Lent], blocks: usize) -> Result<(), GpuError> {
+    /// Adds the sums of a view, each of so many vec4 of every row.
+    pub fn add(
+        &self,
+        work: &mut DeviceWork,
+        results: &[PooledBuffer],
+        blocks: usize,
+    ) -> Result<(), GpuError> {
         let Some(last) = results.last() else { return Ok(()) };
         let states = states(work, self.rows, results, blocks)?;
         let job = [self.rows, blocks, self.row % (blocks * 4), 0].map(|n| n as u32);

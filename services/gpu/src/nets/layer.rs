@@ -1,13 +1,13 @@
-//! A layer of a network as the kernels read it.
+//! The uniform of a layer of a network.
 
 use bytemuck::{Pod, Zeroable};
-use segwild_nn::Kind;
+use segwild_nn::LayerKind;
 use std::ops::Range;
 
 /// `Layer` of `shaders/shared/layer.wgsl`.
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 #[repr(C)]
-pub(super) struct Layer {
+pub(super) struct LayerUniform {
     pub reads: u32,
     pub writes: u32,
     pub weights: u32,
@@ -27,11 +27,11 @@ pub(super) struct Layer {
     pub unused: [u32; 2],
 }
 
-/// No place; of offsets, none.
+/// No offset.
 pub(super) const NOWHERE: u32 = u32::MAX;
-/// What is below 0 becomes 0 in the end.
+/// A ReLU follows.
 pub(super) const RELU: u32 = 1;
-/// Added to what is there.
+/// The result is added to the present values.
 pub(super) const ADD: u32 = 2;
 /// The kernel is turned round.
 pub(super) const TURNED: u32 = 4;
@@ -52,46 +52,48 @@ pub(crate) const CONSTANTS: [(&str, u32); 7] = [
     ("COUNTED", COUNTED),
 ];
 
-impl Layer {
-    /// One that does nothing yet, between maps of such a height and width.
-    pub fn of_sizes([in_height, in_width]: [u32; 2], [out_height, out_width]: [u32; 2]) -> Layer {
-        Layer {
+impl LayerUniform {
+    /// An empty layer between maps of such a height and width.
+    pub fn of_sizes([in_height, in_width]: [u32; 2], [out_height, out_width]: [u32; 2]) -> LayerUniform {
+        LayerUniform {
             input_size: [in_width, in_height],
             output_size: [out_width, out_height],
             kernel: 1,
             step: 1,
             gap: 1,
             other: NOWHERE,
-            ..Layer::zeroed()
+            ..LayerUniform::zeroed()
         }
     }
 
-    pub fn is(&mut self, kind: Kind, weights: Range<usize>) {
+    pub fn is(&mut self, kind: LayerKind, weights: Range<usize>) {
         let all = |n: usize| n as u32;
         let (input, output, kernel) = match kind {
-            Kind::Conv { input, output, kernel, stride } => {
+            LayerKind::Conv { input, output, kernel, stride } => {
                 (self.step, self.border) = (all(stride), all(kernel / 2));
                 (self.by_output, self.by_input) = (all(input * kernel * kernel), all(kernel * kernel));
                 (input, output, kernel)
             }
-            Kind::Up { input, output } => {
-                // Each pixel's four are planes of their own, as many and as wide as what is read.
+            LayerKind::Up { input, output } => {
+                // Each pixel's four outputs are planes of their own, as many and as wide as the input.
                 self.output_size = self.input_size;
                 self.flags |= WRITE_QUARTERS;
                 (self.by_output, self.by_input) = (all(input), 1);
                 (input, 4 * output, 1)
             }
-            // A group's planes are in the kernel's place.
-            Kind::Norm { channels, groups } => (channels, channels, channels / groups),
-            Kind::Dense { input, output } => {
+            // The kernel's field holds a group's planes.
+            LayerKind::Norm { channels, groups } => (channels, channels, channels / groups),
+            LayerKind::Dense { input, output } => {
                 (self.by_output, self.by_input) = (1, all(output));
                 (input, output, 1)
             }
         };
         (self.input, self.output, self.kernel) = (all(input), all(output), all(kernel));
         let offsets = match kind {
-            Kind::Conv { output, .. } | Kind::Up { output, .. } | Kind::Dense { output, .. } => output,
-            Kind::Norm { channels, .. } => channels,
+            LayerKind::Conv { output, .. }
+            | LayerKind::Up { output, .. }
+            | LayerKind::Dense { output, .. } => output,
+            LayerKind::Norm { channels, .. } => channels,
         };
         (self.weights, self.offsets) = (all(weights.start), all(weights.end - offsets));
     }
@@ -104,10 +106,10 @@ impl Layer {
         self.output_size.iter().map(|&n| n as usize).product()
     }
 
-    /// The way back of a convolution or dense layer, from the gradients of what it writes to those of what it reads.
-    pub fn back(&self, flags: u32) -> Layer {
+    /// The backward pass of a convolution or dense layer, from the gradients of its output to those of its input.
+    pub fn back(&self, flags: u32) -> LayerUniform {
         let quarters = if self.flags & WRITE_QUARTERS != 0 { READ_QUARTERS } else { 0 };
-        Layer {
+        LayerUniform {
             reads: self.writes,
             writes: self.reads,
             offsets: NOWHERE,

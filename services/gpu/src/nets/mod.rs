@@ -1,10 +1,10 @@
-//! The networks of the look `gsw` on the device, forward and back: kernel by kernel what `segwild_nn` and
-//! `raster/src/appearance/gsw/` do.
+//! The networks of the appearance model `gsw` on the device, forward and backward: twins of `segwild_nn` and
+//! `raster/src/appearance/gsw/`, kernel by kernel.
 
 mod layer;
 mod plan;
 mod points;
 
 pub(crate) use layer::CONSTANTS;
-pub(crate) use plan::{Link, Plan, Tape, Weights};
-pub(crate) use points::{GpuNetworks, Lighting, PIECE, Visible, bytes, floor};
+pub(crate) use plan::{GpuTape, GpuWeights, Link, NetworkPlan};
+pub(crate) use points::{GpuNetworks, NetworkLighting, PIECE, Visible, bytes, floor};

@@ -1,37 +1,37 @@
-//! A network as a list of kernels, forward and back.
+//! A network as a list of kernels, forward and backward.
 //!
-//! All maps of a network lie in one array, and their gradients in another at the same places; weights lie in a third, as they
-//! do on the host. Every kernel reads what it is about from one table of [`Layer`]s.
+//! All maps of a network lie in one array, and their gradients in another at the same positions; weights lie in a
+//! third, as on the host. Every kernel reads its layer from one table of [`LayerUniform`]s.
 
-use super::layer::{ADD, COUNTED, Layer, NOWHERE, RELU};
+use super::layer::{ADD, COUNTED, LayerUniform, NOWHERE, RELU};
 use crate::GpuError;
-use crate::device::{Lent, Work};
+use crate::device::{DeviceWork, PooledBuffer};
 use crate::engine::GROUP;
 use crate::shaders::{CONVOLVE, CONVOLVE_WEIGHTS, GATE, JOIN, Kernel, NORM, NORM_BACKWARD, SUM_WEIGHTS};
-use segwild_nn::{Graph, Id, Kind, What};
+use segwild_nn::{Id, LayerKind, NetworkGraph, OpKind};
 use std::ops::Range;
 
-/// Planes and columns that a group of `convolve` makes.
+/// Planes and columns that a group of `convolve` computes.
 const CONVOLVED: [usize; 2] = [32, 128];
 /// Planes, and weights of each, that a group of `convolve_weights` takes.
 const WEIGHED: [usize; 2] = [32, 128];
 
 /// Groups of `convolve_weights` that keep a device busy.
 const GROUPS: usize = 256;
-/// A slice of the columns has no fewer, and there are no more slices: somebody has to add them up.
+/// Least columns of a slice. More slices would cost more additions.
 const LEAST_COLUMNS: usize = 64;
 const MOST_SLICES: usize = 64;
 
 /// A kernel that a network runs.
 #[derive(Clone, Copy, Debug)]
-enum Run {
+enum NetworkKernel {
     /// From maps to maps, or from gradients to gradients.
     Convolve {
         layer: u32,
         groups: usize,
     },
     /// From maps and gradients to those of the weights.
-    Weights {
+    GpuWeights {
         layer: u32,
         groups: usize,
         slices: usize,
@@ -47,37 +47,45 @@ enum Run {
         layer: u32,
         numbers: usize,
     },
-    /// Of the gradients from a place on.
+    /// A ReLU's backward pass, on gradients from a position on.
     Gate {
         at: usize,
         numbers: usize,
     },
 }
 
-/// A network's kernels for one size of what it is given.
+/// A network's kernels for one size of its input.
 #[derive(Debug)]
-pub(crate) struct Plan {
-    layers: Vec<Layer>,
-    forward: Vec<Run>,
-    backward: Vec<Run>,
-    /// Where each map begins.
+pub(crate) struct NetworkPlan {
+    layers: Vec<LayerUniform>,
+    forward: Vec<NetworkKernel>,
+    backward: Vec<NetworkKernel>,
+    /// Where each map starts.
     positions: Vec<usize>,
     /// Numbers of maps, and of their gradients.
     maps: usize,
     grads: usize,
-    /// Most numbers that the slices of a layer's columns leave.
+    /// Largest size of the partial sums of a layer.
     parts: usize,
 }
 
-impl Plan {
-    fn empty() -> Plan {
+impl NetworkPlan {
+    fn empty() -> NetworkPlan {
         let (forward, backward) = (Vec::new(), Vec::new());
-        Plan { layers: Vec::new(), forward, backward, positions: Vec::new(), maps: 0, grads: 0, parts: 0 }
+        NetworkPlan {
+            layers: Vec::new(),
+            forward,
+            backward,
+            positions: Vec::new(),
+            maps: 0,
+            grads: 0,
+            parts: 0,
+        }
     }
 
     /// The kernels of a network for images of this height and width.
-    pub fn of(graph: &Graph, image: [usize; 2]) -> Plan {
-        let mut plan = Plan::empty();
+    pub fn of(graph: &NetworkGraph, image: [usize; 2]) -> NetworkPlan {
+        let mut plan = NetworkPlan::empty();
         let size = |id: Id| graph.forms()[id].size(image).map(|n| n as u32);
         for form in graph.forms() {
             plan.positions.push(plan.maps);
@@ -87,36 +95,40 @@ impl Plan {
         let mut forms = Vec::new();
         for op in graph.ops() {
             let numbers = graph.forms()[op.from].numbers(image);
-            let mut layer = Layer {
+            let mut layer = LayerUniform {
                 reads: plan.positions[op.from] as u32,
                 writes: plan.positions[op.to] as u32,
-                ..Layer::of_sizes(size(op.from), size(op.to))
+                ..LayerUniform::of_sizes(size(op.from), size(op.to))
             };
             layer.flags = if op.relu { RELU } else { 0 };
             match &op.what {
-                What::Conv(conv) => layer.is(conv.kind(), conv.weights()),
-                What::Up(up) => layer.is(up.kind(), up.weights()),
-                What::Norm(norm) => {
+                OpKind::Conv(conv) => layer.is(conv.kind(), conv.weights()),
+                OpKind::Up(up) => layer.is(up.kind(), up.weights()),
+                OpKind::Norm(norm) => {
                     layer.is(norm.kind(), norm.weights());
                     layer.other = plan.maps as u32;
                     plan.maps += numbers + layer.groups();
                 }
-                What::Join(other) => layer.other = plan.positions[*other] as u32,
-                What::Beside(_) => {}
+                OpKind::Join(other) => layer.other = plan.positions[*other] as u32,
+                OpKind::Beside(_) => {}
             }
             forms.push(layer);
             match &op.what {
-                What::Conv(_) | What::Up(_) => plan.convolve(layer, true),
-                What::Norm(_) => {
+                OpKind::Conv(_) | OpKind::Up(_) => plan.convolve(layer, true),
+                OpKind::Norm(_) => {
                     let (groups, layer) = (layer.groups(), plan.layer(layer));
-                    plan.forward.push(Run::Norm { layer, groups });
+                    plan.forward.push(NetworkKernel::Norm { layer, groups });
                 }
-                What::Join(_) => plan.join(layer, numbers, true),
-                What::Beside(other) => {
+                OpKind::Join(_) => plan.join(layer, numbers, true),
+                OpKind::Beside(other) => {
                     plan.join(layer, numbers, true);
                     let reads = plan.positions[*other] as u32;
                     let rest = graph.forms()[*other].numbers(image);
-                    plan.join(Layer { reads, writes: layer.writes + numbers as u32, ..layer }, rest, true);
+                    plan.join(
+                        LayerUniform { reads, writes: layer.writes + numbers as u32, ..layer },
+                        rest,
+                        true,
+                    );
                 }
             }
         }
@@ -124,41 +136,41 @@ impl Plan {
         plan
     }
 
-    /// The way back of a network whose layers forward are these.
-    fn turn(&mut self, graph: &Graph, image: [usize; 2], forms: &[Layer]) {
+    /// The backward pass of a network with these forward layers.
+    fn turn(&mut self, graph: &NetworkGraph, image: [usize; 2], forms: &[LayerUniform]) {
         let numbers = |id: Id| graph.forms()[id].numbers(image);
-        // Maps whose gradients there are by then: more is added to them.
+        // Maps that already have gradients: further ones are added.
         let mut started: Vec<bool> =
             (0..graph.forms().len()).map(|id| graph.ops().iter().all(|op| !op.reads(id))).collect();
         let mut flags = |id: Id| if std::mem::replace(&mut started[id], true) { ADD } else { 0 };
         for (op, &layer) in graph.ops().iter().zip(forms).rev() {
             let at = self.positions[op.to];
             if op.relu {
-                self.backward.push(Run::Gate { at, numbers: numbers(op.to) });
+                self.backward.push(NetworkKernel::Gate { at, numbers: numbers(op.to) });
             }
-            let plain = Layer { flags: 0, other: NOWHERE, reads: layer.writes, ..layer };
+            let plain = LayerUniform { flags: 0, other: NOWHERE, reads: layer.writes, ..layer };
             match &op.what {
-                What::Conv(_) | What::Up(_) => {
+                OpKind::Conv(_) | OpKind::Up(_) => {
                     self.weigh(layer);
                     if op.from >= graph.inputs() {
                         let back = layer.back(flags(op.from));
                         self.convolve(back, false);
                     }
                 }
-                What::Norm(_) => {
+                OpKind::Norm(_) => {
                     let (groups, layer) = (layer.groups(), self.layer(layer));
-                    self.backward.push(Run::Norm { layer, groups });
+                    self.backward.push(NetworkKernel::Norm { layer, groups });
                 }
-                What::Join(other) | What::Beside(other) => {
+                OpKind::Join(other) | OpKind::Beside(other) => {
                     let rest = match op.what {
-                        What::Join(_) => 0,
+                        OpKind::Join(_) => 0,
                         _ => numbers(op.from) as u32,
                     };
                     for (id, start) in [(op.from, 0), (*other, rest)] {
                         if id >= graph.inputs() {
                             let (reads, writes) = (plain.reads + start, self.positions[id] as u32);
                             let flags = flags(id);
-                            self.join(Layer { reads, writes, flags, ..plain }, numbers(id), false);
+                            self.join(LayerUniform { reads, writes, flags, ..plain }, numbers(id), false);
                         }
                     }
                 }
@@ -166,10 +178,10 @@ impl Plan {
         }
     }
 
-    /// The kernels of dense layers over pieces of so many splats, in chains; each link reads `from` and writes `to`, which are
-    /// planes of an array of `planes`. A link's gradient is asked of its first `wanted` inputs.
-    pub fn of_points(chain: &[Link], planes: usize, capacity: usize) -> Plan {
-        let mut plan = Plan::empty();
+    /// The kernels of dense layers over pieces of so many splats, in chains; each link reads `from` and writes `to`,
+    /// which are planes of an array of `planes`. A link computes gradients for its first `wanted` inputs.
+    pub fn of_points(chain: &[Link], planes: usize, capacity: usize) -> NetworkPlan {
+        let mut plan = NetworkPlan::empty();
         (plan.maps, plan.grads) = (planes * capacity, planes * capacity);
         for link in chain {
             let layer = link.layer(capacity);
@@ -178,27 +190,28 @@ impl Plan {
         for link in chain.iter().rev() {
             let layer = link.layer(capacity);
             if link.relu {
-                plan.backward.push(Run::Gate { at: link.to * capacity, numbers: link.output * capacity });
+                plan.backward
+                    .push(NetworkKernel::Gate { at: link.to * capacity, numbers: link.output * capacity });
             }
             plan.weigh(layer);
-            let back = Layer { output: link.wanted as u32, ..layer.back(COUNTED) };
+            let back = LayerUniform { output: link.wanted as u32, ..layer.back(COUNTED) };
             plan.convolve(back, false);
         }
         plan
     }
 
-    /// The kernels of the products of so many pixels' units with themselves, `[channel][pixel]`, at pieces of `capacity` columns:
-    /// forward, the columns' cosines with every pixel; back, the gradients of the columns' units from those of the cosines. The
-    /// units are the weights, and the first of the maps.
-    pub fn of_pairs(channels: usize, pixels: usize, capacity: usize) -> Plan {
-        let mut plan = Plan::empty();
+    /// The kernels of the products of so many pixels' unit features with themselves, `[channel][pixel]`, in pieces of
+    /// `capacity` columns: forward, the columns' cosines with every pixel; backward, the gradients of the columns' unit
+    /// features from those of the cosines. The unit features are the weights, and the first of the maps.
+    pub fn of_pairs(channels: usize, pixels: usize, capacity: usize) -> NetworkPlan {
+        let mut plan = NetworkPlan::empty();
         let capacity = capacity.min(pixels);
         (plan.maps, plan.grads) =
             (channels * pixels + pixels * capacity, channels * capacity + pixels * capacity);
         let all = |n: usize| n as u32;
         for first in (0..pixels).step_by(capacity.max(1)) {
             let columns = [1, all(capacity.min(pixels - first))];
-            let forward = Layer {
+            let forward = LayerUniform {
                 reads: all(first),
                 writes: all(channels * pixels),
                 offsets: NOWHERE,
@@ -206,40 +219,40 @@ impl Plan {
                 output: all(pixels),
                 by_output: 1,
                 by_input: all(pixels),
-                ..Layer::of_sizes([1, all(pixels)], columns)
+                ..LayerUniform::of_sizes([1, all(pixels)], columns)
             };
             plan.convolve(forward, true);
-            let back = Layer {
+            let back = LayerUniform {
                 reads: all(channels * capacity),
                 writes: 0,
                 input: all(pixels),
                 output: all(channels),
                 by_output: all(pixels),
                 by_input: 1,
-                ..Layer { input_size: forward.output_size, ..forward }
+                ..LayerUniform { input_size: forward.output_size, ..forward }
             };
             plan.convolve(back, false);
         }
         plan
     }
 
-    /// Pieces of [`Plan::of_pairs`].
+    /// Pieces of [`NetworkPlan::of_pairs`].
     pub fn pieces(&self) -> usize {
         self.forward.len()
     }
 
-    fn layer(&mut self, layer: Layer) -> u32 {
+    fn layer(&mut self, layer: LayerUniform) -> u32 {
         self.layers.push(layer);
         self.layers.len() as u32 - 1
     }
 
-    fn convolve(&mut self, layer: Layer, forward: bool) {
+    fn convolve(&mut self, layer: LayerUniform, forward: bool) {
         let groups = (layer.output as usize).div_ceil(CONVOLVED[0]) * layer.columns().div_ceil(CONVOLVED[1]);
-        let run = Run::Convolve { layer: self.layer(layer), groups };
+        let run = NetworkKernel::Convolve { layer: self.layer(layer), groups };
         if forward { self.forward.push(run) } else { self.backward.push(run) }
     }
 
-    fn weigh(&mut self, layer: Layer) {
+    fn weigh(&mut self, layer: LayerUniform) {
         let (output, wide) =
             (layer.output as usize, (layer.input * layer.kernel * layer.kernel) as usize + 1);
         let tiles = output.div_ceil(WEIGHED[0]) * wide.div_ceil(WEIGHED[1]);
@@ -249,15 +262,21 @@ impl Plan {
         let groups = tiles * slices;
         self.parts = self.parts.max(slices * output * wide);
         let layer = self.layer(layer);
-        self.backward.push(Run::Weights { layer, groups, slices, columns, numbers: output * wide });
+        self.backward.push(NetworkKernel::GpuWeights {
+            layer,
+            groups,
+            slices,
+            columns,
+            numbers: output * wide,
+        });
     }
 
-    fn join(&mut self, layer: Layer, numbers: usize, forward: bool) {
-        let run = Run::Join { layer: self.layer(layer), numbers };
+    fn join(&mut self, layer: LayerUniform, numbers: usize, forward: bool) {
+        let run = NetworkKernel::Join { layer: self.layer(layer), numbers };
         if forward { self.forward.push(run) } else { self.backward.push(run) }
     }
 
-    /// Where a map begins.
+    /// Where a map starts.
     pub fn position(&self, map: Id) -> usize {
         self.positions[map]
     }
@@ -267,16 +286,16 @@ impl Plan {
         self.maps
     }
 
-    /// Multiplications and additions forward and back, and bytes that must move at the least: every map, its gradient and every
-    /// weight written and read once.
+    /// Multiplications and additions forward and backward, and the least bytes that must move: every map, its gradient
+    /// and every weight written and read once.
     pub fn floor(&self, weights: usize) -> (f64, f64) {
-        let products = |run: &Run| match *run {
-            Run::Convolve { layer, .. } | Run::Weights { layer, .. } => {
+        let products = |run: &NetworkKernel| match *run {
+            NetworkKernel::Convolve { layer, .. } | NetworkKernel::GpuWeights { layer, .. } => {
                 let layer = &self.layers[layer as usize];
                 let taps = (layer.input * layer.kernel * layer.kernel) as f64;
                 2.0 * taps * f64::from(layer.output) * layer.columns() as f64
             }
-            Run::Norm { .. } | Run::Join { .. } | Run::Gate { .. } => 0.0,
+            NetworkKernel::Norm { .. } | NetworkKernel::Join { .. } | NetworkKernel::Gate { .. } => 0.0,
         };
         let operations = self.forward.iter().chain(&self.backward).map(products).sum();
         (8.0 * (self.maps + self.grads + weights) as f64, operations)
@@ -295,7 +314,7 @@ pub(crate) struct Link {
     pub weights: Range<usize>,
     pub input: usize,
     pub output: usize,
-    /// First planes of what it reads and of what it writes.
+    /// First planes of its input and of its output.
     pub from: usize,
     pub to: usize,
     pub relu: bool,
@@ -303,37 +322,37 @@ pub(crate) struct Link {
 }
 
 impl Link {
-    fn layer(&self, capacity: usize) -> Layer {
-        let mut layer = Layer {
+    fn layer(&self, capacity: usize) -> LayerUniform {
+        let mut layer = LayerUniform {
             reads: (self.from * capacity) as u32,
             writes: (self.to * capacity) as u32,
-            ..Layer::of_sizes([1, capacity as u32], [1, capacity as u32])
+            ..LayerUniform::of_sizes([1, capacity as u32], [1, capacity as u32])
         };
         layer.flags = COUNTED | if self.relu { RELU } else { 0 };
-        layer.is(Kind::Dense { input: self.input, output: self.output }, self.weights.clone());
+        layer.is(LayerKind::Dense { input: self.input, output: self.output }, self.weights.clone());
         layer
     }
 }
 
-/// Networks' weights on the device, and where their gradients go.
+/// Networks' weights on the device, and their gradients.
 #[derive(Clone, Copy)]
-pub(crate) struct Weights<'a> {
-    pub values: &'a Lent,
-    pub grads: &'a Lent,
+pub(crate) struct GpuWeights<'a> {
+    pub values: &'a PooledBuffer,
+    pub grads: &'a PooledBuffer,
 }
 
-/// What a network makes of what it is given, on the device.
-pub(crate) struct Tape {
-    pub layers: Lent,
-    pub maps: Lent,
-    pub grads: Lent,
-    parts: Lent,
+/// Maps of a network on the device, and their gradients.
+pub(crate) struct GpuTape {
+    pub layers: PooledBuffer,
+    pub maps: PooledBuffer,
+    pub grads: PooledBuffer,
+    parts: PooledBuffer,
 }
 
-impl Tape {
-    /// Room for what a network makes.
-    pub fn new(work: &mut Work, plan: &Plan) -> Result<Tape, GpuError> {
-        Ok(Tape {
+impl GpuTape {
+    /// Allocates the maps of a network.
+    pub fn new(work: &mut DeviceWork, plan: &NetworkPlan) -> Result<GpuTape, GpuError> {
+        Ok(GpuTape {
             layers: work.upload("a network's layers", &plan.layers)?,
             maps: work.take::<f32>("a network's maps", plan.maps)?,
             grads: work.take::<f32>("the gradients of a network's maps", plan.grads)?,
@@ -341,69 +360,101 @@ impl Tape {
         })
     }
 
-    /// Runs what lies at the network's first maps. `in_sight` and `first` as for the kernels.
-    pub fn forward(&self, work: &mut Work, plan: &Plan, weights: &Lent, in_sight: &Lent, first: usize) {
-        let Tape { layers, maps, .. } = self;
+    /// Runs the network on its first maps. `in_sight` and `first` as for the kernels.
+    pub fn forward(
+        &self,
+        work: &mut DeviceWork,
+        plan: &NetworkPlan,
+        weights: &PooledBuffer,
+        in_sight: &PooledBuffer,
+        first: usize,
+    ) {
+        let GpuTape { layers, maps, .. } = self;
         for run in &plan.forward {
             match *run {
-                Run::Convolve { .. } => self.convolve(work, *run, maps, weights, in_sight, first),
-                Run::Norm { layer, groups } => {
+                NetworkKernel::Convolve { .. } => self.convolve(work, *run, maps, weights, in_sight, first),
+                NetworkKernel::Norm { layer, groups } => {
                     work.run(&NORM, 1, [layer, 0, 0, 0], &[layers, weights, maps], groups);
                 }
-                Run::Join { layer, numbers } => each(work, &JOIN, layer, numbers, &[layers, maps]),
-                Run::Weights { .. } | Run::Gate { .. } => unreachable!("on the way back only"),
+                NetworkKernel::Join { layer, numbers } => each(work, &JOIN, layer, numbers, &[layers, maps]),
+                NetworkKernel::GpuWeights { .. } | NetworkKernel::Gate { .. } => {
+                    unreachable!("in the backward pass only")
+                }
             }
         }
     }
 
     /// Adds to the gradients of the weights, from those of the maps that nothing reads.
-    pub fn backward(&self, work: &mut Work, plan: &Plan, weights: Weights, in_sight: &Lent, first: usize) {
-        let Tape { layers, maps, grads, parts } = self;
+    pub fn backward(
+        &self,
+        work: &mut DeviceWork,
+        plan: &NetworkPlan,
+        weights: GpuWeights,
+        in_sight: &PooledBuffer,
+        first: usize,
+    ) {
+        let GpuTape { layers, maps, grads, parts } = self;
         for run in &plan.backward {
             match *run {
-                Run::Convolve { .. } => self.convolve(work, *run, grads, weights.values, in_sight, first),
-                Run::Weights { layer, groups, slices, columns, numbers } => {
+                NetworkKernel::Convolve { .. } => {
+                    self.convolve(work, *run, grads, weights.values, in_sight, first)
+                }
+                NetworkKernel::GpuWeights { layer, groups, slices, columns, numbers } => {
                     let job = [layer, first as u32, slices as u32, columns as u32];
                     work.run(&CONVOLVE_WEIGHTS, 1, job, &[layers, maps, grads, parts, in_sight], groups);
                     let job = [layer, slices as u32, 0, 0];
                     work.run(&SUM_WEIGHTS, 1, job, &[layers, parts, weights.grads], numbers.div_ceil(GROUP));
                 }
-                Run::Norm { layer, groups } => {
+                NetworkKernel::Norm { layer, groups } => {
                     let buffers = [layers, weights.values, maps, grads, weights.grads];
                     work.run(&NORM_BACKWARD, 1, [layer, 0, 0, 0], &buffers, groups);
                 }
-                Run::Join { layer, numbers } => each(work, &JOIN, layer, numbers, &[layers, grads]),
-                Run::Gate { at, numbers } => each(work, &GATE, at as u32, numbers, &[maps, grads]),
+                NetworkKernel::Join { layer, numbers } => each(work, &JOIN, layer, numbers, &[layers, grads]),
+                NetworkKernel::Gate { at, numbers } => each(work, &GATE, at as u32, numbers, &[maps, grads]),
             }
         }
     }
 
-    /// A piece of [`Plan::of_pairs`], forward. `any` is bound and not read.
-    pub fn forward_piece(&self, work: &mut Work, plan: &Plan, piece: usize, units: &Lent, any: &Lent) {
+    /// A piece of [`NetworkPlan::of_pairs`], forward. `any` is bound and not read.
+    pub fn forward_piece(
+        &self,
+        work: &mut DeviceWork,
+        plan: &NetworkPlan,
+        piece: usize,
+        units: &PooledBuffer,
+        any: &PooledBuffer,
+    ) {
         self.convolve(work, plan.forward[piece], &self.maps, units, any, 0);
     }
 
-    /// And back.
-    pub fn backward_piece(&self, work: &mut Work, plan: &Plan, piece: usize, units: &Lent, any: &Lent) {
+    /// And backward.
+    pub fn backward_piece(
+        &self,
+        work: &mut DeviceWork,
+        plan: &NetworkPlan,
+        piece: usize,
+        units: &PooledBuffer,
+        any: &PooledBuffer,
+    ) {
         self.convolve(work, plan.backward[piece], &self.grads, units, any, 0);
     }
 
     fn convolve(
         &self,
-        work: &mut Work,
-        run: Run,
-        maps: &Lent,
-        weights: &Lent,
-        in_sight: &Lent,
+        work: &mut DeviceWork,
+        run: NetworkKernel,
+        maps: &PooledBuffer,
+        weights: &PooledBuffer,
+        in_sight: &PooledBuffer,
         first: usize,
     ) {
-        let Run::Convolve { layer, groups } = run else { return };
+        let NetworkKernel::Convolve { layer, groups } = run else { return };
         let buffers = [&self.layers, weights, maps, in_sight];
         work.run(&CONVOLVE, 1, [layer, first as u32, 0, 0], &buffers, groups);
     }
 }
 
 /// A kernel with a thread per number.
-fn each(work: &mut Work, kernel: &Kernel, what: u32, numbers: usize, buffers: &[&Lent]) {
+fn each(work: &mut DeviceWork, kernel: &Kernel, what: u32, numbers: usize, buffers: &[&PooledBuffer]) {
     work.run(kernel, 1, [what, numbers as u32, 0, 0], buffers, numbers.div_ceil(GROUP));
 }

@@ -1,10 +1,10 @@
-//! A step of the look `gsw` on the device: a network of the photo, and small ones of the splats in sight, which go through
-//! them piece by piece, so that what they have on the way takes the same room however many they are. Twin:
+//! A step of the appearance model `gsw` on the device: a network of the photo, and small ones of the splats in sight.
+//! Splats pass through them piece by piece, so that activations take the same memory whatever their number. Twin:
 //! `raster/src/appearance/gsw/points.rs`.
 
-use super::plan::{Link, Plan, Tape, Weights};
+use super::plan::{GpuTape, GpuWeights, Link, NetworkPlan};
 use crate::GpuError;
-use crate::device::{Lent, Work};
+use crate::device::{DeviceWork, PooledBuffer};
 use crate::engine::{GROUP, scan, sort};
 use crate::shaders::{
     ADD_LIGHT, IN_SIGHT, MAP_SUMS, PICK, READ_LIGHT, READ_LIGHT_BACKWARD, TAKE_LIGHT, VISIBILITY,
@@ -19,16 +19,16 @@ use segwild_scene::NEAR;
 /// Splats of a piece, at most.
 pub(crate) const PIECE: usize = 1 << 15;
 
-/// The networks with what the optimiser knows of them.
+/// The networks with their optimiser state.
 pub(crate) struct GpuNetworks {
     pub width: GswWidth,
-    pub weights: Lent,
-    pub first: Lent,
-    pub second: Lent,
+    pub weights: PooledBuffer,
+    pub first: PooledBuffer,
+    pub second: PooledBuffer,
 }
 
 impl GpuNetworks {
-    pub fn upload(work: &mut Work, held: &HeldNetworks) -> Result<GpuNetworks, GpuError> {
+    pub fn upload(work: &mut DeviceWork, held: &HeldNetworks) -> Result<GpuNetworks, GpuError> {
         Ok(GpuNetworks {
             width: held.width,
             weights: work.upload("the networks' weights", &held.weights)?,
@@ -37,8 +37,8 @@ impl GpuNetworks {
         })
     }
 
-    pub fn read(&self, work: &mut Work) -> Result<HeldNetworks, GpuError> {
-        let mut read = |of: &Lent| work.read(of, self.len());
+    pub fn read(&self, work: &mut DeviceWork) -> Result<HeldNetworks, GpuError> {
+        let mut read = |of: &PooledBuffer| work.read(of, self.len());
         let [weights, first, second] = [read(&self.weights)?, read(&self.first)?, read(&self.second)?];
         Ok(HeldNetworks { width: self.width, weights, first, second })
     }
@@ -53,7 +53,7 @@ impl GpuNetworks {
     }
 }
 
-/// Where the planes of splats lie: what each network is given, and what it makes.
+/// Layout of the planes of splats: inputs and outputs of each network.
 struct Planes {
     links: Vec<Link>,
     /// Inputs of the network for vectors: light first, `made` planes of it.
@@ -79,7 +79,7 @@ impl Planes {
         let (fuse, colour) = (take(made + INTRINSIC), take(VECTOR + 3));
         let (hidden_layer, output, spots) = (take(HIDDEN_LAYER), take(3), take(2 * (MAPS + 1)));
         let mut links = Vec::new();
-        // A chain's first input and last output have their places; what is between is nobody else's.
+        // A chain's first input and last output have fixed planes; planes of inner layers are its own.
         let mut chain = |mlp: &Mlp, shift: usize, from: usize, to: usize, wanted: usize| {
             let (mut at, mut wanted) = (from, Some(wanted));
             let last = mlp.layers().count() - 1;
@@ -108,7 +108,7 @@ impl Planes {
 /// `Reader` of `shaders/shared/reader.wgsl`.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
-struct Reader {
+struct ReaderUniform {
     pose: [[f32; 4]; 3],
     lens: [f32; 4],
     frame: [f32; 4],
@@ -118,12 +118,12 @@ struct Reader {
     more: [u32; 4],
 }
 
-/// A photo in its network.
-struct Seen {
-    plan: Plan,
-    tape: Tape,
-    given: Lent,
-    /// Numbers that are given.
+/// A photo with the maps of its network.
+struct PhotoPass {
+    plan: NetworkPlan,
+    tape: GpuTape,
+    given: PooledBuffer,
+    /// Numbers of the input.
     numbers: usize,
     /// Width and height of the image.
     size: [usize; 2],
@@ -131,60 +131,62 @@ struct Seen {
 }
 
 /// One step of the networks.
-pub(crate) struct Lighting<'a> {
+pub(crate) struct NetworkLighting<'a> {
     networks: &'a GpuNetworks,
-    photo: Option<Seen>,
-    points: Plan,
-    tape: Tape,
+    photo: Option<PhotoPass>,
+    points: NetworkPlan,
+    tape: GpuTape,
     planes: Planes,
-    reader: Lent,
+    reader: PooledBuffer,
     capacity: usize,
     splats: usize,
     /// Splats in sight, and how many.
-    which: Lent,
-    count: Lent,
-    /// What is read where by the splats of a piece, and the number of each.
-    keys: Lent,
-    items: Lent,
+    which: PooledBuffer,
+    count: PooledBuffer,
+    /// Keys of the reads of a piece (map and pixel), and the index of each.
+    keys: PooledBuffer,
+    items: PooledBuffer,
     /// Gradients of all weights.
-    pub weight_grads: Lent,
+    pub weight_grads: PooledBuffer,
 }
 
 /// The visibility map of a photo.
 pub(crate) struct Visible<'a> {
-    pub maps: &'a Lent,
-    /// Where it begins, before the sigmoid.
+    pub maps: &'a PooledBuffer,
+    /// Where it starts in the maps, before the sigmoid.
     pub position: usize,
     /// Width and height.
     pub size: [usize; 2],
-    /// Whether it may take the robust mask's place.
+    /// Whether it may replace the robust mask.
     pub decides: bool,
 }
 
-impl<'a> Lighting<'a> {
-    /// Brings what a step needs to the device; `eye` is where so many splats are looked at from, which go through the networks
-    /// in pieces of so many.
+impl<'a> NetworkLighting<'a> {
+    /// Uploads the inputs of a step; `eye` is the camera's centre, `splats` their number, `piece` the largest piece.
     pub fn upload(
-        work: &mut Work,
+        work: &mut DeviceWork,
         networks: &'a GpuNetworks,
         step: &NetworksStep,
         eye: Vec3,
         splats: usize,
         piece: usize,
-    ) -> Result<Lighting<'a>, GpuError> {
+    ) -> Result<NetworkLighting<'a>, GpuError> {
         let nets = networks.nets();
         let planes = Planes::of(nets);
         let capacity = splats.clamp(1, piece);
-        let points = Plan::of_points(&planes.links, planes.all, capacity);
-        let tape = Tape::new(work, &points)?;
-        let photo =
-            step.unet_input.as_ref().map(|unet_input| Seen::upload(work, nets, unet_input)).transpose()?;
+        let points = NetworkPlan::of_points(&planes.links, planes.all, capacity);
+        let tape = GpuTape::new(work, &points)?;
+        let photo = step
+            .unet_input
+            .as_ref()
+            .map(|unet_input| PhotoPass::upload(work, nets, unet_input))
+            .transpose()?;
         let at = |plane: usize| (plane * capacity) as u32;
-        let mut reader = Reader {
+        let mut reader = ReaderUniform {
             eye: [eye.x, eye.y, eye.z, 0.0],
             capacity: [capacity as u32, 0, at(planes.fuse), at(planes.colour)],
             more: [at(planes.spots), planes.made as u32, nets.octaves as u32, step.draw as u32],
-            ..Reader::zeroed()
+            ..ReaderUniform::zeroed()
         };
         if let (Some(photo), Some(unet_input)) = (&photo, &step.unet_input) {
             let (camera, pose) = unet_input.image_conditioning.stand();
@@ -196,8 +198,8 @@ impl<'a> Lighting<'a> {
             reader.map = [width, height, photo.plan.position(nets.unet.maps) as u32, 1];
         }
         let reads = (MAPS + 1) * capacity;
-        Ok(Lighting {
-            reader: work.upload("how splats read light", &[reader])?,
+        Ok(NetworkLighting {
+            reader: work.upload("the camera and layout of light", &[reader])?,
             items: work.take::<u32>("the splats' numbers", reads)?,
             which: work.take::<u32>("the splats in sight", splats)?,
             count: work.take::<u32>("how many are in sight", 1)?,
@@ -215,22 +217,23 @@ impl<'a> Lighting<'a> {
 
     /// The photo's visibility map, if its network saw all of it; once colours were tinted.
     pub fn visible(&self, decides: bool) -> Option<Visible<'_>> {
-        let Seen { plan, tape, size, .. } = self.photo.as_ref().filter(|photo| photo.whole)?;
+        let PhotoPass { plan, tape, size, .. } = self.photo.as_ref().filter(|photo| photo.whole)?;
         let position = plan.position(self.networks.nets().unet.plane);
         Some(Visible { maps: &tape.maps, position, size: size.map(|n| n / 4), decides })
     }
 
-    /// Adds the photo's light to the colours of the splats in sight. `seen` are their depths and radii, `means` their centres.
+    /// Adds the photo's light to the colours of the splats in sight. `seen` are their depths and radii, `means` their
+    /// centres.
     pub fn tint(
         &self,
-        work: &mut Work,
-        seen: &Lent,
-        means: &Lent,
-        splat_embeddings: &Lent,
-        colours: &Lent,
+        work: &mut DeviceWork,
+        seen: &PooledBuffer,
+        means: &PooledBuffer,
+        splat_embeddings: &PooledBuffer,
+        colours: &PooledBuffer,
     ) -> Result<(), GpuError> {
         let n = self.splats;
-        let positions = work.take::<u32>("places of the splats in sight", n + 1)?;
+        let positions = work.take::<u32>("positions of the splats in sight", n + 1)?;
         let job = [n as u32, 0, 0, 0];
         work.run(&IN_SIGHT, 1, job, &[seen, &positions], (n + 1).div_ceil(GROUP));
         scan(work, &positions, n + 1)?;
@@ -253,34 +256,40 @@ impl<'a> Lighting<'a> {
         (0..self.splats).step_by(self.capacity)
     }
 
-    /// The small networks of the piece that begins with a splat in sight.
-    fn run_piece(&self, work: &mut Work, first: usize, means: &Lent, splat_embeddings: &Lent) {
-        // Where there is no photo nothing of it is read.
+    /// Runs the small networks on the piece that starts with a splat in sight.
+    fn run_piece(
+        &self,
+        work: &mut DeviceWork,
+        first: usize,
+        means: &PooledBuffer,
+        splat_embeddings: &PooledBuffer,
+    ) {
+        // Without a photo this binding is not read.
         let maps = self.photo.as_ref().map_or(means, |photo| &photo.tape.maps);
         let job = [self.splats as u32, first as u32, 0, 0];
-        let Lighting { reader, which, count, tape, keys, items, .. } = self;
+        let NetworkLighting { reader, which, count, tape, keys, items, .. } = self;
         let buffers = [reader, which, count, means, splat_embeddings, maps, &tape.maps, keys, items];
         work.run(&READ_LIGHT, 1, job, &buffers, self.capacity.div_ceil(GROUP));
         tape.forward(work, &self.points, &self.networks.weights, count, first);
     }
 
-    /// Gradients of the codes of splats in sight, without those of the look below, and of all weights, from those of the colours
-    /// that [`Lighting::tint`] left and of what `blames` say of the visibility map.
+    /// Gradients of the embeddings of splats in sight, without the base model's part, and of all weights, from those of
+    /// the colours that [`NetworkLighting::tint`] returned and from the `blames` of the visibility map.
     pub fn backward(
         &self,
-        work: &mut Work,
-        by_colour: &Lent,
-        (means, splat_embeddings): (&Lent, &Lent),
-        by_code: &Lent,
-        blames: Option<&Lent>,
+        work: &mut DeviceWork,
+        by_colour: &PooledBuffer,
+        (means, splat_embeddings): (&PooledBuffer, &PooledBuffer),
+        by_embedding: &PooledBuffer,
+        blames: Option<&PooledBuffer>,
     ) -> Result<(), GpuError> {
-        let Lighting { networks, photo, reader, which, count, tape, capacity, .. } = self;
-        let weights = Weights { values: &networks.weights, grads: &self.weight_grads };
+        let NetworkLighting { networks, photo, reader, which, count, tape, capacity, .. } = self;
+        let weights = GpuWeights { values: &networks.weights, grads: &self.weight_grads };
         let each = capacity.div_ceil(GROUP);
         work.clear(&self.weight_grads);
         let maps = photo.as_ref().map_or(means, |photo| &photo.tape.maps);
         for first in self.pieces() {
-            // Of a single piece all is still there.
+            // Activations of a single piece are still there.
             if self.splats > *capacity {
                 self.run_piece(work, first, means, splat_embeddings);
             }
@@ -289,17 +298,17 @@ impl<'a> Lighting<'a> {
             work.run(&TAKE_LIGHT, 1, job, &[which, count, by_colour, &tape.grads], each);
             tape.backward(work, &self.points, weights, count, first);
             let job = [self.splats as u32, first as u32, 0, 0];
-            let buffers = [reader, which, count, splat_embeddings, maps, &tape.grads, by_code];
+            let buffers = [reader, which, count, splat_embeddings, maps, &tape.grads, by_embedding];
             work.run(&READ_LIGHT_BACKWARD, 1, job, &buffers, each);
             if let Some(photo) = photo {
                 self.sum_maps(work, photo, first)?;
             }
         }
-        if let Some(Seen { plan, tape, size, .. }) = photo {
+        if let Some(PhotoPass { plan, tape, size, .. }) = photo {
             let parts = size.iter().map(|n| n / 4).product::<usize>();
             let position = plan.position(networks.nets().unet.plane);
             let job = [parts as u32, position as u32, u32::from(blames.is_some()), 0];
-            // Where nothing is blamed nothing of it is read.
+            // Without blames this binding is not read.
             let blames = blames.unwrap_or(&self.items);
             work.run(&VISIBILITY, 1, job, &[blames, &tape.maps, &tape.grads], 1);
             tape.backward(work, plan, weights, count, 0);
@@ -308,7 +317,7 @@ impl<'a> Lighting<'a> {
     }
 
     /// Adds the gradients of the light that a piece read to those of the photo's maps.
-    fn sum_maps(&self, work: &mut Work, photo: &Seen, first: usize) -> Result<(), GpuError> {
+    fn sum_maps(&self, work: &mut DeviceWork, photo: &PhotoPass, first: usize) -> Result<(), GpuError> {
         let count = (MAPS + 1) * self.capacity;
         let pixels = photo.size.iter().map(|n| n / 2).product::<usize>();
         let [keys, items] =
@@ -318,21 +327,21 @@ impl<'a> Lighting<'a> {
         let bits = u32::BITS - (((MAPS + 1) * (pixels + 1)) as u32).leading_zeros();
         let (keys, items) = sort(work, keys, items, count, bits)?;
         let job = [0, first as u32, 0, 0];
-        let Tape { maps, grads, .. } = &self.tape;
+        let GpuTape { maps, grads, .. } = &self.tape;
         let buffers = [&self.reader, &keys, &items, maps, grads, &photo.tape.grads];
         work.run(&MAP_SUMS, 1, job, &buffers, ((MAPS + 1) * pixels).div_ceil(GROUP));
         Ok(())
     }
 }
 
-impl Seen {
-    fn upload(work: &mut Work, nets: &Networks, unet_input: &UNetInput) -> Result<Seen, GpuError> {
+impl PhotoPass {
+    fn upload(work: &mut DeviceWork, nets: &Networks, unet_input: &UNetInput) -> Result<PhotoPass, GpuError> {
         let image = &unet_input.image;
-        let plan = Plan::of(&nets.unet.graph, [image.height, image.width]);
+        let plan = NetworkPlan::of(&nets.unet.graph, [image.height, image.width]);
         let given = [image.data.as_slice(), &unet_input.beside.data].concat();
-        Ok(Seen {
+        Ok(PhotoPass {
             given: work.upload("the photo for its network", &given)?,
-            tape: Tape::new(work, &plan)?,
+            tape: GpuTape::new(work, &plan)?,
             plan,
             numbers: given.len(),
             size: [image.width, image.height],
@@ -341,23 +350,23 @@ impl Seen {
     }
 }
 
-/// [`Plan::floor`] of all networks of a width together, for a photo as long as they take it on all sides and so many splats in
+/// [`NetworkPlan::floor`] of all networks of a width together, for a photo as long as they take it on all sides and so many splats in
 /// sight.
 pub(crate) fn floor(width: GswWidth, splats: usize) -> (f64, f64) {
     let nets = Networks::of(width);
     let planes = Planes::of(nets);
-    let (bytes, operations) = Plan::of(&nets.unet.graph, [nets.side; 2]).floor(nets.border);
+    let (bytes, operations) = NetworkPlan::of(&nets.unet.graph, [nets.side; 2]).floor(nets.border);
     let small = nets.layout.len() - nets.border + LAYER;
-    let (more, others) = Plan::of_points(&planes.links, planes.all, splats).floor(small);
+    let (more, others) = NetworkPlan::of_points(&planes.links, planes.all, splats).floor(small);
     (bytes + more, operations + others)
 }
 
-/// About how many bytes networks take on the device, beside the splats' codes, to be trained on so many splats.
+/// Estimated bytes that networks take on the device, without the splats' embeddings, to be trained on so many splats.
 pub(crate) fn bytes(width: GswWidth, splats: usize) -> usize {
     let nets = Networks::of(width);
     let planes = Planes::of(nets);
     let capacity = splats.clamp(1, PIECE);
-    let photo = Plan::of(&nets.unet.graph, [nets.side; 2]);
+    let photo = NetworkPlan::of(&nets.unet.graph, [nets.side; 2]);
     let weights = 4 * 4 * (nets.layout.len() + LAYER);
-    Plan::of_points(&planes.links, planes.all, capacity).bytes() + photo.bytes() + weights + 4 * splats
+    NetworkPlan::of_points(&planes.links, planes.all, capacity).bytes() + photo.bytes() + weights + 4 * splats
 }

@@ -9,7 +9,7 @@ use segwild_scene::{Camera, Image, Pose, Random, Splats};
 use std::sync::OnceLock;
 
 /// The engine that the tests of this process share: on the adapter that `SEGWILD_GPU_ADAPTER` names, else on the best
-/// one, software included. Without any it says that `test` is skipped; with `SEGWILD_GPU_TESTS=require` it fails.
+/// one, software included. Without any it prints that `test` is skipped; with `SEGWILD_GPU_TESTS=require` it fails.
 pub fn engine(test: &str) -> Option<&'static GpuEngine> {
     static ENGINE: OnceLock<Option<GpuEngine>> = OnceLock::new();
     let engine = ENGINE.get_or_init(|| {
@@ -33,7 +33,7 @@ pub fn engine(test: &str) -> Option<&'static GpuEngine> {
     engine.as_ref()
 }
 
-/// [`engine`], and the same adapter without subgroups; says so where that has none anyway.
+/// [`engine`], and the same adapter without subgroups; prints a note where it has none anyway.
 pub fn either_way(test: &str) -> Vec<&'static GpuEngine> {
     static PLAIN: OnceLock<GpuEngine> = OnceLock::new();
     let Some(engine) = engine(test) else { return Vec::new() };
@@ -165,8 +165,8 @@ pub fn broken_with(
     GpuEngine::with_edit(choice, subgroups, edit).expect("the adapter opens again")
 }
 
-/// What is said where `stages` do not lay the fault to the kernel that has it. They end with the one that finds it: a
-/// driver takes its time over every kernel that is new to it.
+/// The message where `stages` do not attribute the fault to the kernel that has it. Stages end with the one that finds
+/// it, because compiling further kernels takes a driver long.
 pub fn misled(stages: &[Stage], broken: &GpuEngine, kernel: &str, fault: &str) -> Option<String> {
     for stage in stages {
         let checked = match stage(broken) {
@@ -183,11 +183,11 @@ pub fn misled(stages: &[Stage], broken: &GpuEngine, kernel: &str, fault: &str) -
 }
 
 /// A kernel, a piece of its text, and what that is replaced with.
-pub type Fault = (&'static str, &'static str, &'static str);
+pub type KernelFault = (&'static str, &'static str, &'static str);
 
 /// The faults that are planted: all, or, on an adapter that is software, the first of each kernel, for such an adapter takes
 /// seconds to compile a kernel. `SEGWILD_GPU_FAULTS=all` plants all there, too.
-fn planted(gpu: &GpuEngine, faults: &[Fault]) -> Vec<Fault> {
+fn planted(gpu: &GpuEngine, faults: &[KernelFault]) -> Vec<KernelFault> {
     let all = std::env::var("SEGWILD_GPU_FAULTS").is_ok_and(|v| v == "all");
     let mut kernels = std::collections::BTreeSet::new();
     faults
@@ -197,8 +197,8 @@ fn planted(gpu: &GpuEngine, faults: &[Fault]) -> Vec<Fault> {
         .collect()
 }
 
-/// Asserts that `stages` lay each fault to the kernel that has it.
-pub fn are_laid_to(stages: &[Stage], gpu: &GpuEngine, faults: &[Fault]) {
+/// Asserts that `stages` attribute each fault to the kernel that has it.
+pub fn are_laid_to(stages: &[Stage], gpu: &GpuEngine, faults: &[KernelFault]) {
     let choice = &Choice::Named(gpu.adapter().name.clone());
     let planted = planted(gpu, faults);
     println!("{} of {} faults are planted", planted.len(), faults.len());

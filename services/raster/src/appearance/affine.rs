@@ -1,4 +1,4 @@
-//! The rung `affine`: a colour matrix per photo.
+//! The appearance model `affine`: a colour matrix per photo.
 
 use super::{Appearance, AppearanceEmbedding, Directions, through};
 use crate::adam::Adam;
@@ -9,13 +9,13 @@ use wincode::{SchemaRead, SchemaWrite};
 pub(super) const NUMBERS: usize = 12;
 pub(super) const IDENTITY: [f32; NUMBERS] = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
 
-/// The rung `affine`: a 3x4 colour matrix per photo, the identity to start with.
+/// The appearance model `affine`: a 3x4 colour matrix per photo, initially the identity.
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
 pub struct AffineAppearance {
     /// Learning rate.
     pub rate: f32,
-    /// Pull towards the identity: the loss gets `pull / 2 |M - I|²` for a photo in each step it takes part in.
-    /// It also settles which share of a common tone belongs to the splats: all of it.
+    /// Pull towards the identity: the loss gets `pull / 2 |M - I|²` for a photo in each step it takes part in. It also
+    /// removes an ambiguity: a colour shift common to all photos goes to the splats.
     pub pull: f32,
     matrices: Vec<[f32; NUMBERS]>,
     optimisers: Vec<Adam>,
@@ -35,7 +35,7 @@ impl AffineAppearance {
         }
     }
 
-    /// Whether it has what it keeps per view for `views` of them: one that comes out of a file may not.
+    /// Whether it holds one matrix per view for `views` views: one read from a file may not.
     pub fn consistent(&self, views: usize) -> bool {
         self.matrices.len() == views && self.optimisers.len() == views
     }
@@ -63,8 +63,8 @@ impl AffineAppearance {
         }
     }
 
-    /// Sets a photo's matrix to the least-squares fit of `image` to `target` where `weight` is not 0, with a
-    /// ridge of `ridge` pixels' worth towards the identity; as the official protocol fits the look on half a photo.
+    /// Sets a photo's matrix to the least-squares fit of `image` to `target` where `weight` is not 0, with a ridge of
+    /// `ridge` pixels' worth towards the identity; as the official protocol fits the appearance on half a photo.
     ///
     /// # Panics
     /// If the images differ in size or have not three planes.

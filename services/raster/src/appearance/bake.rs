@@ -1,25 +1,26 @@
-//! Colours under a look, written back as spherical harmonics: splats that any program shows under that look.
+//! Bakes an appearance into spherical harmonics: any viewer then renders the splats under that appearance.
 
 use super::{Appearance, AppearanceEmbedding};
 use crate::sh;
 use rayon::prelude::*;
 use segwild_scene::Splats;
 
-/// Directions in which a splat's colour is asked for. More than there are coefficients, and evenly spread, so that what
-/// is no sum of harmonics is fitted without a preferred side.
+/// Directions in which a splat's colour is evaluated. More than there are coefficients, and evenly spread, so that a
+/// colour that is no sum of harmonics is fitted without a preferred side.
 const DIRECTIONS: usize = 48;
 /// Coefficients per channel at the highest degree.
 const MOST: usize = 16;
 
-/// The splats with the colours that they have under `appearance_embedding`; drawn plainly, they are the scene under that tone.
+/// The splats with the colours that they have under `appearance_embedding`; rendered without an appearance model, they
+/// show the scene under it.
 ///
-/// The look is asked for the colours in some directions, and the harmonics through them are found by least squares. For
-/// a look that is linear in the colours (`none`, `affine`, `embed`) they go through them exactly, for every degree: a
-/// matrix acts on the harmonics as it acts on the colours. What a viewer cuts off is not the same, though: a splat is
-/// never darker than black, before the look in training and after it in the file.
+/// The appearance model is evaluated in some directions, and spherical harmonics are fitted to the colours by least
+/// squares. For a model that is linear in the colours (`none`, `affine`, `embed`) the fit is exact for every degree: a
+/// matrix acts on the harmonics as it acts on the colours. The clamp at black differs, though: training clamps before
+/// the appearance, a viewer of the file after it.
 ///
 /// # Panics
-/// If there are not as many codes as the look keeps per splat.
+/// If `splat_embeddings` does not have `embedding_size` numbers per splat.
 pub fn bake(
     appearance: &dyn Appearance,
     appearance_embedding: &AppearanceEmbedding,

@@ -1,4 +1,4 @@
-//! The rung `embed`: light that falls on each splat in its own way.
+//! The appearance model `embed`: an embedding per photo and per splat, so that light affects each splat differently.
 
 use super::affine::{IDENTITY, NUMBERS};
 use super::{Appearance, AppearanceEmbedding, Directions};
@@ -8,23 +8,23 @@ use segwild_scene::Random;
 use std::ops::Range;
 use wincode::{SchemaRead, SchemaWrite};
 
-/// Numbers per colour channel in a photo's vector and in a splat's code.
+/// Numbers per colour channel in a photo's appearance embedding and in a splat's.
 pub const RANK: usize = 8;
-/// Length of a splat's code.
-pub(super) const CODE: usize = 3 * RANK;
-/// What is trained of a photo: matrix and vector.
-pub(super) const PHOTO: usize = NUMBERS + CODE;
-/// What is trained of a photo: its matrix with offset, row by row, and its vector, `[channel][rank]`.
+/// Length of a splat's appearance embedding.
+pub(super) const EMBEDDING_SIZE: usize = 3 * RANK;
+/// Parameters per photo: matrix and vector.
+pub(super) const PHOTO: usize = NUMBERS + EMBEDDING_SIZE;
+/// Parameters of a photo: its matrix with offset, row by row, and its vector, `[channel][rank]`.
 pub type Light = [f32; PHOTO];
-/// Splats that one task works on; sums over splats are taken in pieces of this size, whoever takes them.
+/// Splats that one task works on; sums over splats are taken in pieces of this size, whatever the number of threads.
 const PIECE: usize = 4096;
 
-/// Per photo a 3x4 colour matrix `M` and a vector `e`; per splat a code `v`. Channel `c` of splat `i` in photo `p` is
-/// `(M_p (colour_i, 1))_c + sum over k of e_pck v_ick`.
+/// Per photo a 3x4 colour matrix `M` and a vector `e`; per splat an embedding `v`. Channel `c` of splat `i` in photo
+/// `p` is `(M_p (colour_i, 1))_c + sum over k of e_pck v_ick`.
 ///
-/// The light that a surface sends back is linear in the light that falls on it, so what many skies do to one splat is a
-/// sum of few. The method's rung has a small network in the place of the sum; the sum needs no network library, a tenth
-/// of the time, and lets a held-out photo's vector be fitted in closed form.
+/// The light that a surface reflects is linear in the light that falls on it, so the effect of many skies on one splat
+/// is a sum of few terms. The method has a small network instead of the sum. The sum needs no network library and a
+/// tenth of the time, and a held-out photo's vector can be fitted in closed form.
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
 pub struct EmbedAppearance {
     /// Learning rate of matrices.
@@ -40,24 +40,24 @@ pub struct EmbedAppearance {
     grads: Vec<(usize, [f32; PHOTO])>,
 }
 
-/// Standard deviation of the vectors to start with: codes start at 0, so something must tell the photos apart.
+/// Standard deviation of the initial vectors: splat embeddings start at 0, so the photos must differ.
 const SPREAD: f32 = 0.3;
-/// How many times as fast as its matrix a photo's vector learns. A photo is visited a few dozen times in a training, and
-/// in that time its vector must become another: codes that wait for slow ones paint over shapes instead.
+/// Learning rate of a photo's vector as a multiple of its matrix's. A photo is visited a few dozen times in a training,
+/// and its vector must converge in that time: if vectors are slow, splat embeddings hide errors of shape instead.
 const PACE: f32 = 80.0;
 
 impl EmbedAppearance {
     /// Numbers that a splat keeps.
-    pub const EMBEDDING_SIZE: usize = CODE;
+    pub const EMBEDDING_SIZE: usize = EMBEDDING_SIZE;
 
-    /// Identities for `views` photos, with vectors drawn by `seed`.
+    /// Identities for `views` photos, with vectors sampled by `seed`.
     pub fn new(views: usize, seed: u64) -> EmbedAppearance {
         let photo = |view: usize| {
             let mut photo = [0.0; PHOTO];
             photo[..NUMBERS].copy_from_slice(&IDENTITY);
             let mut random = Random::stream(seed, view as u64);
             for k in 0..RANK {
-                // One light on all channels, to start with.
+                // Initially the same on all channels.
                 let value = SPREAD * random.normal();
                 (0..3).for_each(|c| photo[NUMBERS + c * RANK + k] = value);
             }
@@ -70,7 +70,7 @@ impl EmbedAppearance {
             pull: 1e-3,
             photos: (0..views).map(photo).collect(),
             matrix_optimisers: vec![Adam::new(1, NUMBERS); views],
-            vector_optimisers: vec![Adam::new(1, CODE); views],
+            vector_optimisers: vec![Adam::new(1, EMBEDDING_SIZE); views],
             grads: Vec::new(),
         }
     }
@@ -87,11 +87,11 @@ impl EmbedAppearance {
         };
         self.photos.len() == views
             && fit(&self.matrix_optimisers, NUMBERS)
-            && fit(&self.vector_optimisers, CODE)
+            && fit(&self.vector_optimisers, EMBEDDING_SIZE)
             && self.grads.iter().all(|(view, _)| *view < views)
     }
 
-    /// All that is trained of a photo; matrix identity and vector 0 for one that is not known.
+    /// All parameters of a photo; matrix identity and vector 0 for one that is not known.
     pub fn photo(&self, view: usize) -> Light {
         self.photos.get(view).copied().unwrap_or_else(|| {
             let mut neutral = [0.0; PHOTO];
@@ -107,7 +107,7 @@ impl EmbedAppearance {
     }
 
     /// A photo's vector, `[channel][rank]`; 0 for a photo that is not known.
-    pub fn vector(&self, view: usize) -> [f32; CODE] {
+    pub fn vector(&self, view: usize) -> [f32; EMBEDDING_SIZE] {
         let photo = self.photo(view);
         std::array::from_fn(|i| photo[NUMBERS + i])
     }
@@ -136,10 +136,10 @@ impl EmbedAppearance {
     }
 
     /// Sets a photo's vector and forgets its optimiser's moments. Ignores photos that are not known.
-    pub fn set_vector(&mut self, view: usize, vector: [f32; CODE]) {
+    pub fn set_vector(&mut self, view: usize, vector: [f32; EMBEDDING_SIZE]) {
         if let Some(photo) = self.photos.get_mut(view) {
             photo[NUMBERS..].copy_from_slice(&vector);
-            self.vector_optimisers[view] = Adam::new(1, CODE);
+            self.vector_optimisers[view] = Adam::new(1, EMBEDDING_SIZE);
         }
     }
 }
@@ -158,11 +158,11 @@ impl Appearance for EmbedAppearance {
     }
 
     fn embedding_size(&self) -> usize {
-        CODE
+        EMBEDDING_SIZE
     }
 
     fn fading(&self) -> Range<usize> {
-        0..CODE
+        0..EMBEDDING_SIZE
     }
 
     fn tint(&self, view: usize, splat_embeddings: &[f32], colours: Vec<f32>) -> Vec<f32> {
@@ -188,15 +188,17 @@ impl Appearance for EmbedAppearance {
         assert_eq!(
             (splat_embeddings.len(), photo.len()),
             (colours.len() * RANK, PHOTO),
-            "codes, tone: length"
+            "splat embeddings, appearance embedding: length"
         );
         let (m, e) = photo.split_at(NUMBERS);
-        colours.par_chunks_mut(3 * PIECE).zip(splat_embeddings.par_chunks(CODE * PIECE)).for_each(
+        colours.par_chunks_mut(3 * PIECE).zip(splat_embeddings.par_chunks(EMBEDDING_SIZE * PIECE)).for_each(
             |(colours, splat_embeddings)| {
-                for (colour, code) in colours.chunks_exact_mut(3).zip(splat_embeddings.chunks_exact(CODE)) {
+                for (colour, embedding) in
+                    colours.chunks_exact_mut(3).zip(splat_embeddings.chunks_exact(EMBEDDING_SIZE))
+                {
                     let [r, g, b] = [colour[0], colour[1], colour[2]];
                     for c in 0..3 {
-                        let light = dot(&e[c * RANK..][..RANK], &code[c * RANK..][..RANK]);
+                        let light = dot(&e[c * RANK..][..RANK], &embedding[c * RANK..][..RANK]);
                         colour[c] = m[4 * c] * r + m[4 * c + 1] * g + m[4 * c + 2] * b + m[4 * c + 3] + light;
                     }
                 }
@@ -215,21 +217,21 @@ impl Appearance for EmbedAppearance {
         assert_eq!(
             (splat_embeddings.len(), colours.len()),
             (grad.len() * RANK, grad.len()),
-            "codes, colours: length"
+            "splat embeddings, colours: length"
         );
         let photo = self.photo(view);
         let (m, e) = photo.split_at(NUMBERS);
         let mut embedding_grads = vec![0.0; splat_embeddings.len()];
         let pieces: Vec<[f32; PHOTO]> = grad
             .par_chunks_mut(3 * PIECE)
-            .zip(embedding_grads.par_chunks_mut(CODE * PIECE))
-            .zip(splat_embeddings.par_chunks(CODE * PIECE))
+            .zip(embedding_grads.par_chunks_mut(EMBEDDING_SIZE * PIECE))
+            .zip(splat_embeddings.par_chunks(EMBEDDING_SIZE * PIECE))
             .zip(colours.par_chunks(3 * PIECE))
             .map(|(((grad, embedding_grads), splat_embeddings), colours)| {
                 let mut sums = [0.0; PHOTO];
-                let splats = grad.chunks_exact_mut(3).zip(embedding_grads.chunks_exact_mut(CODE));
-                for (((grad, embedding_grad), code), colour) in
-                    splats.zip(splat_embeddings.chunks_exact(CODE)).zip(colours.chunks_exact(3))
+                let splats = grad.chunks_exact_mut(3).zip(embedding_grads.chunks_exact_mut(EMBEDDING_SIZE));
+                for (((grad, embedding_grad), embedding), colour) in
+                    splats.zip(splat_embeddings.chunks_exact(EMBEDDING_SIZE)).zip(colours.chunks_exact(3))
                 {
                     let g = [grad[0], grad[1], grad[2]];
                     if g == [0.0; 3] {
@@ -242,7 +244,7 @@ impl Appearance for EmbedAppearance {
                         sums[4 * c + 3] += g[c];
                         grad[c] = (0..3).map(|k| m[4 * k + c] * g[k]).sum();
                         for k in c * RANK..(c + 1) * RANK {
-                            sums[NUMBERS + k] += g[c] * code[k];
+                            sums[NUMBERS + k] += g[c] * embedding[k];
                             embedding_grad[k] = g[c] * e[k];
                         }
                     }

@@ -1,11 +1,11 @@
-//! What a photo's light and camera do to the colours (method, section 3).
+//! Appearance models: how a photo's light and camera change the colours (method, section 3).
 //!
-//! A look has two places to act: on the splats' colours before they are blended (`tint`) and on the blended
-//! image (`apply`). `affine` acts on the image; `embed`, for which splats have codes of their own, on the colours.
+//! An appearance model acts at two stages: on the splats' colours before blending (`tint`) and on the blended image
+//! (`apply`). `affine` acts on the image; `embed` and `gsw`, with a per-splat appearance embedding, act on the colours.
 //!
-//! Once it is trained, a look of any rung is the same kind of thing: a [`AppearanceEmbedding`] per photo, numbers between which one goes
-//! in a straight line, and what a tone makes of the splats' colours (`shade`). Blending two photos' looks, strengthening
-//! one, putting one on an object alone and writing one into a file ([`bake`]) know nothing of rungs.
+//! Once trained, every model offers the same interface: an [`AppearanceEmbedding`] per photo, which may be interpolated
+//! linearly, and a function from it and the splats' colours to colours (`shade`). Blending two photos' appearances,
+//! strengthening one, applying one to an object alone and baking one into a file ([`bake`]) do not depend on the model.
 
 mod affine;
 mod bake;
@@ -26,39 +26,39 @@ use wincode::{SchemaRead, SchemaWrite};
 
 /// The appearance of photos, trained along with the splats.
 ///
-/// Views are indices into [`segwild_scene::Scene::views`]. A view that the look does not know has the neutral
+/// Views are indices into [`segwild_scene::Scene::views`]. A view that the model does not know has the neutral
 /// appearance.
 pub trait Appearance: Send + Sync {
-    /// Name of the rung.
+    /// Name of the appearance model.
     fn name(&self) -> &'static str;
 
     /// Number of trained parameters.
     fn parameters(&self) -> usize;
 
-    /// Numbers that each splat has for this look beside its colour: its code.
+    /// Length of the appearance embedding of each splat; 0 without one.
     fn embedding_size(&self) -> usize {
         0
     }
 
-    /// Which numbers of a code fade where nothing needs them: what a transient in one photo leaves in them, others do not
-    /// confirm.
+    /// Which numbers of a splat embedding decay: a transient in one photo leaves values in them that other photos do
+    /// not support.
     fn fading(&self) -> Range<usize> {
         0..0
     }
 
-    /// Codes of splats at these centres to begin with.
+    /// Initial embeddings of splats at these centres.
     fn first_embeddings(&self, means: &[[f32; 3]]) -> Vec<f32> {
         vec![0.0; means.len() * self.embedding_size()]
     }
 
-    /// Colours of the splats in a view, from their own colours, `[splat][r, g, b]`, and codes,
+    /// Colours of the splats in a view, from their own colours, `[splat][r, g, b]`, and embeddings,
     /// `[splat][embedding_size]`.
     fn tint(&self, _view: usize, _embeddings: &[f32], colours: Vec<f32>) -> Vec<f32> {
         colours
     }
 
-    /// From the gradient of [`Appearance::tint`]'s result to those of its colours and its codes; keeps the gradient of the
-    /// look's own parameters for [`Appearance::step`].
+    /// From the gradient of [`Appearance::tint`]'s result to those of its colours and embeddings; keeps the gradient of
+    /// the model's own parameters for [`Appearance::step`].
     fn tint_backward(
         &mut self,
         _view: usize,
@@ -75,7 +75,7 @@ pub trait Appearance: Send + Sync {
     }
 
     /// From the gradient of [`Appearance::apply`]'s result to that of its input `image`; keeps the gradient of the
-    /// look's own parameters for [`Appearance::step`].
+    /// model's own parameters for [`Appearance::step`].
     fn backward(&mut self, _view: usize, _image: &Image, grad: &Image) -> Image {
         grad.clone()
     }
@@ -83,7 +83,7 @@ pub trait Appearance: Send + Sync {
     /// One optimiser step with the gradients kept since the last one. `scale` multiplies the learning rate.
     fn step(&mut self, scale: f32);
 
-    /// What is particular to a view, of splats with these centres and codes.
+    /// The appearance embedding of a view, for splats with these centres and embeddings.
     fn appearance_embedding(
         &self,
         view: usize,
@@ -91,9 +91,9 @@ pub trait Appearance: Send + Sync {
         splat_embeddings: &[f32],
     ) -> AppearanceEmbedding;
 
-    /// Colours of the splats as a photo of this tone shows them, from their own. Blended, over the photo's background,
-    /// they are what [`Appearance::tint`] and [`Appearance::apply`] make of the view together: weights of splats and background add
-    /// up to 1, so what is affine in the colours may be done before blending or after.
+    /// Colours of the splats under this appearance embedding, from their own. Blended over the photo's background, they
+    /// give the same image as [`Appearance::tint`] and [`Appearance::apply`] together: weights of splats and background
+    /// add up to 1, so a map that is affine in the colours may be applied before blending or after.
     fn shade(
         &self,
         appearance_embedding: &AppearanceEmbedding,
@@ -103,20 +103,21 @@ pub trait Appearance: Send + Sync {
     ) -> Vec<f32>;
 }
 
-/// The unit vector from the camera to each splat; `None` of one that nobody sees, which may be given any colour.
+/// The unit vector from the camera to each splat; `None` for one out of sight, which may get any colour.
 pub type Directions<'a> = dyn Fn(usize) -> Option<[f32; 3]> + Sync + 'a;
 
-/// What one photo's look comes to, as numbers; which, the rung knows. Straight lines between tones are looks again.
+/// The appearance of one photo as a vector; its layout depends on the model. Linear interpolation gives an appearance
+/// again.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AppearanceEmbedding(pub Vec<f32>);
 
 impl AppearanceEmbedding {
-    /// The tone a share `t` of the way to another; past 1 it goes on beyond it.
+    /// Interpolates linearly to another embedding: `t` = 0 is this one, 1 the other; past 1 it extrapolates.
     ///
     /// # Panics
-    /// If the tones are not of the same look.
+    /// If the embeddings are not of the same model.
     pub fn towards(&self, other: &AppearanceEmbedding, t: f32) -> AppearanceEmbedding {
-        assert_eq!(self.0.len(), other.0.len(), "tones of one look");
+        assert_eq!(self.0.len(), other.0.len(), "embeddings of one model");
         // Exact at both ends.
         AppearanceEmbedding(self.0.iter().zip(&other.0).map(|(a, b)| a * (1.0 - t) + b * t).collect())
     }
@@ -133,7 +134,7 @@ fn through(matrix: &[f32], colours: &mut [f32]) {
     }
 }
 
-/// The rung `none`: all photos show the scene as it is.
+/// The appearance model `none`: all photos show the scene as it is.
 #[derive(Clone, Debug, Default, PartialEq, SchemaRead, SchemaWrite)]
 pub struct NoAppearance;
 
@@ -157,7 +158,7 @@ impl Appearance for NoAppearance {
     }
 }
 
-/// A look of any rung, as it is stored.
+/// Any of the appearance models, as it is stored.
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
 pub enum AnyAppearance {
     /// [`NoAppearance`].
@@ -171,7 +172,7 @@ pub enum AnyAppearance {
 }
 
 impl AnyAppearance {
-    /// The look behind it.
+    /// The model as a trait object.
     pub fn as_appearance(&self) -> &dyn Appearance {
         match self {
             AnyAppearance::None(appearance) => appearance,
@@ -181,7 +182,7 @@ impl AnyAppearance {
         }
     }
 
-    /// The look behind it, to be trained.
+    /// The model as a trait object, to be trained.
     pub fn as_appearance_mut(&mut self) -> &mut dyn Appearance {
         match self {
             AnyAppearance::None(appearance) => appearance,
@@ -191,8 +192,8 @@ impl AnyAppearance {
         }
     }
 
-    /// What the look makes of a view's photo before it colours splats; `draw` is given in training and differs from step
-    /// to step.
+    /// The maps that the UNet of `gsw` makes of a view's photo; `None` for the other models. `draw` is given in
+    /// training and differs from step to step.
     pub fn appearance_maps(&self, view: usize, draw: Option<u64>) -> Option<AppearanceMaps> {
         match self {
             AnyAppearance::Gsw(appearance) => appearance.appearance_maps(view, draw),
@@ -214,8 +215,9 @@ impl AnyAppearance {
         }
     }
 
-    /// From the gradient of [`AnyAppearance::colour`]'s result to those of its colours and codes; keeps the gradient of the
-    /// look's own parameters for [`Appearance::step`]. `blame` as for [`GswAppearance::tint_backward`].
+    /// From the gradient of [`AnyAppearance::colour`]'s result to those of its colours and embeddings; keeps the
+    /// gradient of the model's own parameters for [`Appearance::step`]. `blame` as for
+    /// [`GswAppearance::tint_backward`].
     pub fn colour_backward(
         &mut self,
         view: usize,

@@ -1,4 +1,4 @@
-//! What stands behind the splats: a colour, or a smooth sky, and the sums by which a photo tells of it.
+//! The background: one colour, or a smooth sky, and the sums over a photo that it is fitted to.
 
 use super::Target;
 use glam::{Vec2, Vec3};
@@ -7,9 +7,9 @@ use segwild_scene::{Camera, Image, Pose};
 
 /// Basis functions of a sky: spherical harmonics up to order 2.
 pub const BASES: usize = 9;
-/// Every so many pixels and rows one of a photo tells of its sky.
+/// A sky is fitted to every so many pixels and rows of a photo.
 pub const STRIDE: usize = 3;
-/// Weight over which a pixel does.
+/// Least weight of a pixel that enters the fit.
 pub const LEAST_SEEN: f32 = 0.01;
 
 /// The basis functions in a direction, without the usual constants: they would only rescale the coefficients. The first
@@ -25,8 +25,8 @@ pub fn direction(camera: &Camera, pose: &Pose, x: usize, y: usize) -> Vec3 {
     (pose.rotation.transpose() * ray).normalize()
 }
 
-/// Colour in a direction, in the scene's colours, unbounded: behind a statue that stands dark before a bright sky it is many
-/// times what a picture holds, and the photo's look brings it back.
+/// Background colour in a direction, in the scene's colours, unbounded: behind a dark statue before a bright sky it is
+/// many times the range of an image, and the photo's appearance maps it back.
 pub fn background(coefficients: &[[f32; 3]], direction: Vec3) -> [f32; 3] {
     let mut out = [0.0; 3];
     for (b, c) in basis(direction).iter().zip(coefficients) {
@@ -37,7 +37,7 @@ pub fn background(coefficients: &[[f32; 3]], direction: Vec3) -> [f32; 3] {
     out
 }
 
-/// The colours behind a whole frame, three planes.
+/// The background of a whole frame, three planes.
 pub fn paint(coefficients: &[[f32; 3]], camera: &Camera, pose: &Pose) -> Image {
     let (w, h) = (camera.width as usize, camera.height as usize);
     let mut image = Image::zeros(w, h, 3);
@@ -59,7 +59,7 @@ pub fn paint(coefficients: &[[f32; 3]], camera: &Camera, pose: &Pose) -> Image {
     image
 }
 
-/// What a photo shows behind the splats.
+/// Sums over a photo that the background is fitted to.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Seen {
     /// For the fit of a sky.
@@ -77,7 +77,7 @@ pub struct SkySums {
     pub colours: [[f64; 3]; BASES],
     /// Sum of the weights.
     pub total: f64,
-    /// Pixels that were looked at.
+    /// Pixels that were visited.
     pub looked: f64,
 }
 
@@ -133,12 +133,12 @@ impl SkySums {
     }
 }
 
-/// How far, and with what weight, a photo pulls the one colour behind its splats.
+/// How far, and with what weight, a photo pulls the background colour.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ColourSums {
-    /// Sums of weight times the light from behind times what is missing, per channel.
+    /// Sums of weight times background transmittance times colour difference, per channel.
     pub pull: [f32; 3],
-    /// Sum of weight times the square of the light from behind, and what holds the colour where it is.
+    /// Sum of weight times squared background transmittance, plus the weight that holds the colour.
     pub total: f32,
 }
 

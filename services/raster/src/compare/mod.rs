@@ -1,8 +1,8 @@
-//! The photo's half of a step of training (method, sections 2 and 3): what a photo says of an image of the scene. The
-//! splats' half is drawing them and learning from the image's gradient.
+//! The photo's half of a training step (method, sections 2 and 3): the losses of a rendered image against the photo,
+//! and their gradients. The splats' half renders them and learns from the image's gradient.
 //!
-//! [`compare`] has no memory: what it learns of the photo's look, of what stands behind the splats and of how large
-//! residuals are comes back as sums ([`LossOutput`]), so that it may run wherever the image is.
+//! [`compare`] is stateless: sums for the photo's appearance, for the background and for the histogram of residuals are
+//! returned ([`LossOutput`]). So it may run where the image is, on the host or on a device.
 
 mod background;
 mod robust;
@@ -15,7 +15,7 @@ pub use robust::{
     BINS, CONTRAST, DECAY, FLOOR, INITIAL_TRANSIENT, Residuals, SURPRISE, contradicted, leave_out, limit,
     limits, relative, smoothed, window,
 };
-pub use visible::{HIDDEN_LAYER, LEAST, MOST, SURE, Seeing, WRONG};
+pub use visible::{LEAST, MOST, OCCLUDED, SURE, Seeing, WRONG};
 
 use crate::appearance::{apply_matrix, matrix_backward};
 use crate::{Frame, photometric};
@@ -23,10 +23,10 @@ use segwild_scene::{Camera, Image, Pose, box_mean};
 
 /// Half width of the window over which errors are averaged for density control.
 pub const ERROR_WINDOW: usize = 2;
-/// Least share of the light from behind by which an alpha's gradient is divided in the sky.
+/// Least transmittance by which an alpha's gradient is divided in the sky.
 pub const LEAST_OPEN: f32 = 0.05;
 
-/// A photo at the size at which it is looked at, and what is known of its pixels.
+/// A photo at the size of a comparison, with flags and trust per pixel.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Target {
     /// Pixels across.
@@ -35,8 +35,8 @@ pub struct Target {
     pub height: usize,
     /// Red, green, blue and flags ([`Target::COUNTS`] and the others), row by row.
     pub pixels: Vec<[u8; 4]>,
-    /// How far each pixel is known to show the scene itself, in [0, 1]: its residual says that much less of transients.
-    /// Empty: nowhere.
+    /// Trust that each pixel shows the static scene, in [0, 1]: its residual counts that much less towards transients.
+    /// Empty: 0 everywhere.
     pub trust: Vec<f32>,
 }
 
@@ -47,7 +47,7 @@ impl Target {
     pub const SKY: u8 = 2;
     /// Is sky, and so are its four neighbours: the border of a sky mask is the part that is wrong.
     pub const INNER: u8 = 4;
-    /// Was taken for a transient's before any look at it.
+    /// Is an initial transient: masked as transient before training.
     pub const INITIAL_TRANSIENT: u8 = 8;
 
     /// Whether a pixel has a flag.
@@ -68,7 +68,7 @@ impl Target {
         Image { width: self.width, height: self.height, channels: 3, data }
     }
 
-    /// A residual, as far as nothing vouches for its pixel.
+    /// A residual times one minus the trust of its pixel.
     pub fn uncertain(&self, residual: &[f32]) -> Vec<f32> {
         if self.trust.is_empty() {
             return residual.to_vec();
@@ -82,24 +82,24 @@ impl Target {
 pub enum LeaveOut<'a> {
     /// None of those that count.
     None,
-    /// Those that were taken for transients' before.
+    /// The initial transients.
     InitialTransients,
     /// Those whose residual stands out ([`leave_out`]).
     Residual(Residuals<'a>),
 }
 
-/// Under what a photo is compared with an image of the scene.
+/// Settings and state for the losses of an image against its photo.
 #[derive(Clone, Copy, Debug)]
 pub struct LossInputs<'a> {
     /// The photo's camera, at the target's size.
     pub camera: &'a Camera,
-    /// Where it stood.
+    /// Its pose.
     pub pose: &'a Pose,
     /// The photo's colours from the scene's, row by row with an offset; `None`: they are the same.
     pub matrix: Option<[f32; 12]>,
-    /// Coefficients of what stands behind the splats, in the scene's colours: one, or [`BASES`] of them.
+    /// Coefficients of the background, in the scene's colours: one, or [`BASES`] of them.
     pub background: &'a [[f32; 3]],
-    /// Whether what stands behind is learnt as a sky, in the photo's colours, or as one colour.
+    /// Whether the background is fitted as a sky, in the photo's colours, or as one colour.
     pub has_sky: bool,
     /// What is left out.
     pub leave_out: LeaveOut<'a>,
@@ -109,7 +109,7 @@ pub struct LossInputs<'a> {
     pub sky_weight: f32,
 }
 
-/// What a comparison says of the photo.
+/// Output of a comparison.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LossOutput {
     /// [`photometric`].
@@ -118,18 +118,18 @@ pub struct LossOutput {
     pub psnr: f32,
     /// Share of those that count that were left out.
     pub left_out: f32,
-    /// Decaying histogram of residuals, with this visit's; `None` where they were not asked, or no pixel counts.
+    /// Decaying histogram of residuals, with this visit's; `None` where it was not requested, or no pixel counts.
     pub residuals: Option<Vec<f32>>,
     /// Gradient of [`LossInputs::matrix`], where there is one.
     pub matrix: Option<[f32; 12]>,
-    /// What stands behind.
+    /// Sums for the background.
     pub background: Seen,
 }
 
-/// A photo compared with an image.
+/// Losses of an image against a photo, with gradients.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Compared {
-    /// In numbers.
+    /// Losses and sums.
     pub output: LossOutput,
     /// Gradient of the image, three planes.
     pub image: Image,
@@ -139,13 +139,13 @@ pub struct Compared {
     pub error: Image,
     /// Weight of each pixel, one plane: 0 where it does not count or is left out.
     pub weights: Image,
-    /// Per part of [`Seeing::map`], how much of what would be taken for a transient the scene fails to show there, `None`
-    /// where no pixel counts; empty where that was not asked.
+    /// Per part of [`Seeing::map`], the mean residual relative to the limit for transients, `None` where no pixel
+    /// counts; empty where it was not requested.
     pub blame: Vec<Option<f32>>,
 }
 
-/// Compares a photo with a frame of the scene. What a network sees of the photo has a say where [`LeaveOut::Residual`] is
-/// wanted.
+/// Computes the losses of a frame against a photo, and their gradients. A visibility map takes part where
+/// [`LeaveOut::Residual`] is set.
 ///
 /// # Panics
 /// If frame and target differ in size.
@@ -208,9 +208,9 @@ pub fn compare(
     }
 }
 
-/// A frame as its photo would show it.
+/// A frame over its background, in the colours of its photo.
 struct Composed {
-    /// What stands behind the splats, in the scene's colours.
+    /// The background, in the scene's colours.
     background: Image,
     /// Splats before it, likewise.
     scene: Image,
@@ -291,8 +291,8 @@ pub fn psnr_of(squares: f64, weights: f64) -> f32 {
     if total == 0.0 { 0.0 } else { (-10.0 * (squares / total).max(1e-10).log10()) as f32 }
 }
 
-/// Gradient with respect to the accumulated alpha: what is behind shines through where it is low, and the
-/// sky is to be empty.
+/// Gradient with respect to the accumulated alpha: the background shines through where it is low, and the sky is to be
+/// empty.
 ///
 /// The sky's term is `weight * mean over pixels of -ln(1 - A)` on [`Target::INNER`] pixels.
 fn alpha_gradient(grad: &Image, background: &Image, alpha: &Image, target: &Target, weight: f32) -> Image {
@@ -330,7 +330,7 @@ mod tests {
     const W: usize = 13;
     const H: usize = 9;
 
-    /// A photo with some sky, an image that is not like it, and a sky behind.
+    /// A photo with some sky, an image that differs from it, and a sky as background.
     fn example() -> (Frame, Target, Camera, Pose, Vec<[f32; 3]>) {
         let random = &mut Random::new(6);
         let camera = Camera { width: W as u32, height: H as u32, fx: 14.0, fy: 13.0, cx: 6.0, cy: 5.0 };

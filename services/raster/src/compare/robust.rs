@@ -1,9 +1,9 @@
-//! Leaving out what contradicts the scene: transients, cars, umbrellas (method, section 3, the sibling of a
-//! visibility map for affine looks; after RobustNeRF and SpotLessSplats).
+//! The robust mask: leaves out pixels that contradict the scene: people, cars, umbrellas (method, section 3; it takes
+//! the role of a visibility map for affine appearance models; after RobustNeRF and SpotLessSplats).
 
 use segwild_scene::box_mean;
 
-/// What is known of a photo's residuals.
+/// State of a photo's residuals.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Residuals<'a> {
     /// Decaying histogram of earlier visits, [`BINS`] shares; empty at the first.
@@ -16,21 +16,21 @@ pub struct Residuals<'a> {
 pub const BINS: usize = 128;
 /// What a visit keeps of the histogram before it.
 pub const DECAY: f32 = 0.7;
-/// Residuals under this are never transient: fine texture that is not learnt yet looks like this.
+/// Residuals under this are never transient: fine texture that is not learnt yet is in this range.
 pub const FLOOR: f32 = 0.06;
-/// What was suspected before is left out from this share of the residual on.
+/// Initial transients are left out from this share of the limit on.
 pub const INITIAL_TRANSIENT: f32 = 0.5;
 /// A transient stands out from its photo by this factor over the median.
 pub const CONTRAST: f32 = 3.0;
 /// How many times the share may be over the limit before a visit is trusted alone.
 pub const SURPRISE: f32 = 1.5;
 
-/// A weight per pixel, 0 for transients, or `None` where nothing stands out; and the histogram with this visit's residuals,
-/// or `None` where no pixel counts. Not to be asked in the warm-up, nor while opacities recover from a reset: such residuals
-/// would spoil the histograms.
+/// A weight per pixel, 0 for transients, or `None` where nothing stands out; and the histogram with this visit's
+/// residuals, or `None` where no pixel counts. Not to be called in the warm-up, nor while opacities recover from a
+/// reset: such residuals would spoil the histograms.
 ///
-/// `residual` is one number per pixel, mean absolute colour difference; `counts` says which pixels take
-/// part at all, `initial_transient_share` which were taken for transients before.
+/// `residual` is one number per pixel, mean absolute colour difference; `counts` gives the pixels that take part at
+/// all, `initial_transient_share` the initial transients.
 pub fn leave_out(
     known: &Residuals,
     residual: &[f32],
@@ -58,8 +58,8 @@ pub fn leave_out(
     (Some(kept), Some(held))
 }
 
-/// The residuals over which a pixel, and one that was suspected before, is left out, and the histogram with this visit's
-/// counts; `None` if there are none.
+/// The residuals over which a pixel, and an initial transient, is left out, and the histogram with this visit's counts;
+/// `None` if there are none.
 pub fn limits(known: &Residuals, mut fresh: Vec<f32>) -> Option<([f32; 2], Vec<f32>)> {
     let total: f32 = fresh.iter().sum();
     if total == 0.0 {
@@ -104,7 +104,7 @@ pub fn limit(smooth: &[f32], counts: impl Fn(usize) -> bool, share: f32) -> Opti
     (histogram.iter().sum::<f32>() > 0.0).then(|| threshold(&histogram, share))
 }
 
-/// The residual, smoothed, in units of that at which a pixel would be left out, judged by this residual alone.
+/// The residual, smoothed, in units of the limit at which a pixel would be left out, by this residual alone.
 pub fn relative(residual: &[f32], width: usize, counts: impl Fn(usize) -> bool, share: f32) -> Vec<f32> {
     let mut smooth = smoothed(residual, width);
     let threshold = limit(&smooth, counts, share).unwrap_or(FLOOR);
@@ -112,7 +112,7 @@ pub fn relative(residual: &[f32], width: usize, counts: impl Fn(usize) -> bool, 
     smooth
 }
 
-/// Per pixel, whether a photo contradicts what the scene shows there, judged by this residual alone.
+/// Per pixel, whether a photo contradicts the scene there, by this residual alone.
 pub fn contradicted(residual: &[f32], width: usize, counts: impl Fn(usize) -> bool, share: f32) -> Vec<bool> {
     let (kept, _) = leave_out(&Residuals { before: &[], share }, residual, width, counts, |_| false);
     kept.map_or(vec![false; residual.len()], |kept| kept.iter().map(|&k| k == 0.0).collect())
@@ -140,8 +140,8 @@ fn quantile(histogram: &[f32], q: f32) -> f32 {
     1.0
 }
 
-/// At most `share` is over it; and only what stands out, so that a photo that fits loses nothing and one
-/// that fits nowhere is not emptied.
+/// At most `share` is over it, and only outliers: a photo that fits loses nothing, and one that fits nowhere is not
+/// emptied.
 fn threshold(histogram: &[f32], share: f32) -> f32 {
     quantile(histogram, 1.0 - share).max(CONTRAST * quantile(histogram, 0.5)).max(FLOOR)
 }

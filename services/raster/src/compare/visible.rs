@@ -1,33 +1,33 @@
-//! What a photo shows of the scene, as the network of the look `gsw` sees it: the paper's visibility map (Eq. 5, 6).
+//! The visibility map that the network of the appearance model `gsw` predicts for a photo (paper, Eq. 5, 6).
 //!
-//! The map learns from what the scene fails to show, in units of the residual at which the robust mask takes a pixel for a
-//! transient's. These units follow the photo's median and the largest share that may be left out, so that a map that hides
-//! all is never the best one, nor one that hides nothing where something stands out.
+//! The map learns from residuals, in units of the limit at which the robust mask takes a pixel for a transient. These
+//! units follow the photo's median and the largest share that may be left out, so that neither a map that hides all
+//! minimises the loss, nor one that hides nothing where residuals stand out.
 
 use super::Target;
 use segwild_scene::Image;
 
-/// A photo's map, of one plane: how sure the network is that a part of the photo shows the scene, in [0, 1].
+/// A photo's visibility map, of one plane: the probability that a part of the photo shows the scene, in [0, 1].
 #[derive(Clone, Copy, Debug)]
 pub struct Seeing<'a> {
     /// The map, smaller than the photo.
     pub map: &'a Image,
-    /// Whether it may take the robust mask's place.
+    /// Whether it may replace the robust mask.
     pub decides: bool,
 }
 
-/// Visibility from which a pixel counts in full, and under which it does not count.
+/// Visibility from which a pixel counts in full; under [`OCCLUDED`] it does not count.
 pub const SURE: f32 = 0.5;
-/// See [`SURE`].
-pub const HIDDEN_LAYER: f32 = 0.25;
+/// Visibility under which a pixel does not count.
+pub const OCCLUDED: f32 = 0.25;
 /// A map may leave out so many times what the robust mask may leave out at most.
 pub const MOST: f32 = 1.5;
 /// And must leave out such a share of what it does leave out.
 pub const LEAST: f32 = 0.3;
-/// More than so many times the limit is no more a transient than that: one pixel that is wrong by far is none.
+/// Residuals are clamped to so many times the limit, so that one outlier does not decide.
 pub const WRONG: f32 = 4.0;
 
-/// Per part of the photo that the map tells of, the mean of `ratio` over its pixels that count.
+/// Per part of the photo that a pixel of the map covers, the mean of `ratio` over its pixels that count.
 pub(super) fn blame(map: &Image, ratio: &[f32], photo: &Target) -> Vec<Option<f32>> {
     let mut sums = vec![(0.0f32, 0u32); map.pixels()];
     for (i, ratio) in ratio.iter().enumerate().filter(|(i, _)| photo.is(*i, Target::COUNTS)) {
@@ -38,8 +38,8 @@ pub(super) fn blame(map: &Image, ratio: &[f32], photo: &Target) -> Vec<Option<f3
     sums.into_iter().map(|(sum, n)| (n > 0).then(|| sum / n as f32)).collect()
 }
 
-/// Weight of each pixel by the map; `None` where the map cannot be trusted beside what the robust mask keeps: one that
-/// leaves out much more than `share`, or next to nothing where the mask leaves out something.
+/// Weight of each pixel by the map; `None` where the map is implausible against the robust mask: it leaves out much
+/// more than `share`, or next to nothing where the mask leaves out something.
 pub(super) fn weights(map: &Image, photo: &Target, kept: Option<&[f32]>, share: f32) -> Option<Vec<f32>> {
     let weight = |i: usize| {
         let at = |k: usize, of: usize, n: usize| (((k as f32 + 0.5) / of as f32) * n as f32 - 0.5).max(0.0);
@@ -49,7 +49,7 @@ pub(super) fn weights(map: &Image, photo: &Target, kept: Option<&[f32]>, share: 
         let (x1, y1) = ((x0 + 1).min(map.width - 1), (y0 + 1).min(map.height - 1));
         let (fx, fy) = (x - x0 as f32, y - y0 as f32);
         let row = |y: usize| map.data[y * map.width + x0] * (1.0 - fx) + map.data[y * map.width + x1] * fx;
-        ((row(y0) * (1.0 - fy) + row(y1) * fy - HIDDEN_LAYER) / (SURE - HIDDEN_LAYER)).clamp(0.0, 1.0)
+        ((row(y0) * (1.0 - fy) + row(y1) * fy - OCCLUDED) / (SURE - OCCLUDED)).clamp(0.0, 1.0)
     };
     let weights: Vec<f32> = (0..photo.pixels.len()).map(weight).collect();
     is_sane(&weights, kept, |i| photo.is(i, Target::COUNTS), share).then_some(weights)
@@ -73,7 +73,7 @@ mod tests {
         let kept: Vec<f32> = (0..100).map(|i| f32::from(u8::from(i >= 10))).collect();
         let sane = |weights: &[f32], kept| is_sane(weights, kept, |_| true, 0.2);
         assert!(sane(&kept, Some(&kept)));
-        assert!(!sane(&[0.0; 100], Some(&kept)) && !sane(&[0.0; 100], None), "all hidden");
+        assert!(!sane(&[0.0; 100], Some(&kept)) && !sane(&[0.0; 100], None), "all occluded");
         assert!(!sane(&[1.0; 100], Some(&kept)), "a transient in sight");
         assert!(sane(&[1.0; 100], None), "nothing stands out");
         assert!(!is_sane(&[f32::NAN; 100], None, |_| true, 0.2));

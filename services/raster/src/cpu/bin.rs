@@ -2,8 +2,8 @@
 //!
 //! Splats are sorted by depth once; dealing them out in that order leaves every tile's list sorted.
 
-use super::project::{Footprint, LOG2_ALPHA_MIN, Projector, SLACK};
-use super::simd::{self, Isa, Kernel, Simd};
+use super::project::{LOG2_ALPHA_MIN, Projector, SLACK, SplatFootprint};
+use super::simd::{self, Isa, Simd, SimdKernel};
 use rayon::prelude::*;
 use segwild_scene::Splats;
 
@@ -16,16 +16,16 @@ const CHUNK: usize = 512;
 
 /// One splat in one tile.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Entry {
+pub(crate) struct TileEntry {
     /// The splat.
     pub splat: u32,
-    /// Its place among all (splat, tile) pairs in the order of splats, then tiles.
+    /// Its index among all (splat, tile) pairs in the order of splats, then tiles.
     pub slot: u32,
 }
 
 /// A run of tiles in one row of tiles.
 #[derive(Clone, Copy, Debug, Default)]
-struct Span {
+struct TileSpan {
     row: u16,
     from: u16,
     to: u16,
@@ -39,23 +39,23 @@ pub(crate) struct Bins {
     pub depths: Vec<f32>,
     pub radii: Vec<f32>,
     pub centres: Vec<[f32; 2]>,
-    pub footprints: Vec<Footprint>,
+    pub footprints: Vec<SplatFootprint>,
     /// `slots[i]..slots[i + 1]` are the slots of splat i, in row-major order of tiles.
     pub slots: Vec<u32>,
     /// `starts[t]..starts[t + 1]` are the entries of tile t.
     pub starts: Vec<u32>,
-    pub entries: Vec<Entry>,
-    /// Per splat, where its spans begin in its chunk's list, and how many there are.
+    pub entries: Vec<TileEntry>,
+    /// Per splat, where its spans start in its chunk's list, and how many there are.
     spans_of: Vec<(u32, u32)>,
-    spans: Vec<Vec<Span>>,
+    spans: Vec<Vec<TileSpan>>,
     order: Vec<(u32, u32)>,
     order_swap: Vec<(u32, u32)>,
     cursors: Vec<u32>,
 }
 
 impl Bins {
-    /// Projects all splats and deals them to tiles; refuses more pairs of a splat and a tile than can be numbered, and says
-    /// how many they are.
+    /// Projects all splats and deals them to tiles; refuses more pairs of a splat and a tile than 32 bits can number,
+    /// and returns their number.
     pub fn fill(&mut self, isa: Isa, splats: &Splats, projector: &Projector) -> Result<(), u64> {
         let n = splats.len();
         self.columns = projector.width.div_ceil(WIDTH);
@@ -63,7 +63,7 @@ impl Bins {
         self.depths.resize(n, 0.0);
         self.radii.resize(n, 0.0);
         self.centres.resize(n, [0.0; 2]);
-        self.footprints.resize(n, Footprint::default());
+        self.footprints.resize(n, SplatFootprint::default());
         self.spans_of.resize(n, (0, 0));
         self.slots.resize(n + 1, 0);
         self.spans.resize_with(n.div_ceil(CHUNK), Vec::new);
@@ -118,7 +118,7 @@ impl Bins {
 
         self.cursors.clear();
         self.cursors.extend_from_slice(&self.starts);
-        self.entries.resize(self.slots[n] as usize, Entry { splat: 0, slot: 0 });
+        self.entries.resize(self.slots[n] as usize, TileEntry { splat: 0, slot: 0 });
         for &(_, splat) in &self.order {
             let i = splat as usize;
             let mut slot = self.slots[i];
@@ -126,7 +126,7 @@ impl Bins {
             for span in &self.spans[i / CHUNK][first as usize..(first + count) as usize] {
                 let row = span.row as usize * self.columns;
                 for cursor in &mut self.cursors[row + span.from as usize..=row + span.to as usize] {
-                    self.entries[*cursor as usize] = Entry { splat, slot };
+                    self.entries[*cursor as usize] = TileEntry { splat, slot };
                     *cursor += 1;
                     slot += 1;
                 }
@@ -136,7 +136,7 @@ impl Bins {
     }
 
     /// Entries of a tile, nearest first.
-    pub fn tile(&self, tile: usize) -> &[Entry] {
+    pub fn tile(&self, tile: usize) -> &[TileEntry] {
         &self.entries[self.starts[tile] as usize..self.starts[tile + 1] as usize]
     }
 
@@ -154,14 +154,14 @@ struct Chunk<'a> {
     depths: &'a mut [f32],
     radii: &'a mut [f32],
     centres: &'a mut [[f32; 2]],
-    prints: &'a mut [Footprint],
+    prints: &'a mut [SplatFootprint],
     spans_of: &'a mut [(u32, u32)],
     counts: &'a mut [u32],
-    spans: &'a mut Vec<Span>,
+    spans: &'a mut Vec<TileSpan>,
 }
 
 // Scalar code, but the wider sets have shorter instructions for it too.
-impl Kernel for Chunk<'_> {
+impl SimdKernel for Chunk<'_> {
     type Out = ();
 
     #[inline(always)]
@@ -189,7 +189,7 @@ impl Kernel for Chunk<'_> {
 
 /// Adds the tiles that hold a pixel centre of the ellipse where alpha reaches 1/255; returns their number.
 #[inline(always)]
-fn cover(f: &Footprint, tip: f32, projector: &Projector, spans: &mut Vec<Span>) -> u32 {
+fn cover(f: &SplatFootprint, tip: f32, projector: &Projector, spans: &mut Vec<TileSpan>) -> u32 {
     let (right, bottom) = (projector.width as f32 - 1.0, projector.height as f32 - 1.0);
     let top = (f.y - f.reach - 0.5).ceil().max(0.0);
     let low = (f.y + f.reach - 0.5).floor().min(bottom);
@@ -209,7 +209,7 @@ fn cover(f: &Footprint, tip: f32, projector: &Projector, spans: &mut Vec<Span>) 
         let left = (f.x + f.slope * dl - half(dl) - 0.5).ceil().max(0.0);
         let far = (f.x + f.slope * dr + half(dr) - 0.5).floor().min(right);
         if left <= far {
-            let span = Span {
+            let span = TileSpan {
                 row: row as u16,
                 from: (left as usize / WIDTH) as u16,
                 to: (far as usize / WIDTH) as u16,
@@ -227,7 +227,7 @@ fn numbered(counts: &[u32]) -> Result<(), u64> {
     if sum > u64::from(u32::MAX) { Err(sum) } else { Ok(()) }
 }
 
-/// Turns counts, shifted by one place, into starts.
+/// Turns counts, shifted by one, into starts.
 fn prefix_sum(counts: &mut [u32]) {
     let mut sum = 0;
     counts[0] = 0;

@@ -1,36 +1,36 @@
 //! Forward, gather and backward over one tile.
 
-use super::bin::{Bins, Entry};
-use super::project::{Footprint, Moments};
-use super::simd::{Kernel, LANES, Simd};
-use super::tile::{Block, PLANE, Plane, STRIDE, TileExtent, Visit, copy_row, walk};
+use super::bin::{Bins, TileEntry};
+use super::project::{Moments, SplatFootprint};
+use super::simd::{LANES, Simd, SimdKernel};
+use super::tile::{PLANE, PixelBlock, STRIDE, TileExtent, TilePlane, TileVisitor, copy_row, walk};
 use std::marker::PhantomData;
 
 /// Numbers per slot before the values: the fields of [`Moments`].
 pub(crate) const MOMENTS: usize = 8;
 
-/// A slice that tasks write at places no other task touches.
+/// A slice that tasks write at positions no other task touches.
 #[derive(Clone, Copy)]
-pub(crate) struct Shared<'a> {
+pub(crate) struct SharedSlice<'a> {
     data: *mut f32,
     len: usize,
     life: PhantomData<&'a mut [f32]>,
 }
 
-// SAFETY: it is only written through `part`, whose callers promise disjoint places.
-unsafe impl Send for Shared<'_> {}
+// SAFETY: it is only written through `part`, whose callers promise disjoint ranges.
+unsafe impl Send for SharedSlice<'_> {}
 // SAFETY: as above.
-unsafe impl Sync for Shared<'_> {}
+unsafe impl Sync for SharedSlice<'_> {}
 
-impl<'a> Shared<'a> {
-    pub fn new(data: &'a mut [f32]) -> Shared<'a> {
-        Shared { data: data.as_mut_ptr(), len: data.len(), life: PhantomData }
+impl<'a> SharedSlice<'a> {
+    pub fn new(data: &'a mut [f32]) -> SharedSlice<'a> {
+        SharedSlice { data: data.as_mut_ptr(), len: data.len(), life: PhantomData }
     }
 
     /// The `count` numbers from `at` on.
     ///
     /// # Safety
-    /// No two tasks ask for overlapping parts, and no part is kept while another one that overlaps is asked for.
+    /// No two tasks take overlapping parts, and no part is kept while another one that overlaps is taken.
     #[inline(always)]
     pub unsafe fn part(&self, at: usize, count: usize) -> &'a mut [f32] {
         assert!(at <= self.len && count <= self.len - at);
@@ -61,7 +61,7 @@ impl Task<'_> {
 
     /// Copies planes of an image.
     #[inline(always)]
-    pub fn read(&self, image: &[f32], first: usize, into: &mut [Plane]) {
+    pub fn read(&self, image: &[f32], first: usize, into: &mut [TilePlane]) {
         let (extent, pixels) = (self.extent(), self.width * self.height);
         for (c, plane) in into.iter_mut().enumerate() {
             extent.read(&image[(first + c) * pixels..(first + c + 1) * pixels], self.width, plane);
@@ -70,7 +70,7 @@ impl Task<'_> {
 
     /// Writes one plane of an image.
     #[inline(always)]
-    pub fn write(&self, image: &Shared, plane: usize, from: &Plane) {
+    pub fn write(&self, image: &SharedSlice, plane: usize, from: &TilePlane) {
         let extent = self.extent();
         for row in 0..extent.height {
             let at = (plane * self.height + extent.y + row) * self.width + extent.x;
@@ -83,7 +83,7 @@ impl Task<'_> {
 
 /// Adds to eight numbers of a plane.
 #[inline(always)]
-pub(crate) fn accumulate<S: Simd>(s: S, plane: &mut Plane, at: usize, x: S::F) {
+pub(crate) fn accumulate<S: Simd>(s: S, plane: &mut TilePlane, at: usize, x: S::F) {
     // SAFETY: `at` comes from the walk, which promises eight numbers inside the plane.
     unsafe {
         let p = plane.0.as_mut_ptr().add(at);
@@ -92,7 +92,7 @@ pub(crate) fn accumulate<S: Simd>(s: S, plane: &mut Plane, at: usize, x: S::F) {
 }
 
 #[inline(always)]
-fn load<S: Simd>(s: S, plane: &Plane, at: usize) -> S::F {
+fn load<S: Simd>(s: S, plane: &TilePlane, at: usize) -> S::F {
     // SAFETY: `at` comes from the walk, which promises eight numbers inside the plane.
     unsafe { s.load(plane.0.as_ptr().add(at)) }
 }
@@ -101,8 +101,8 @@ fn load<S: Simd>(s: S, plane: &Plane, at: usize) -> S::F {
 pub(crate) struct Blend<'a, const C: usize> {
     pub task: Task<'a>,
     pub first: usize,
-    pub image: Shared<'a>,
-    pub alpha: Option<Shared<'a>>,
+    pub image: SharedSlice<'a>,
+    pub alpha: Option<SharedSlice<'a>>,
 }
 
 struct BlendVisit<'a, S: Simd, const C: usize> {
@@ -110,20 +110,20 @@ struct BlendVisit<'a, S: Simd, const C: usize> {
     count: usize,
     first: usize,
     value: [S::F; C],
-    planes: &'a mut [Plane; C],
-    alpha: &'a mut Plane,
+    planes: &'a mut [TilePlane; C],
+    alpha: &'a mut TilePlane,
 }
 
-impl<S: Simd, const C: usize> Visit<S> for BlendVisit<'_, S, C> {
+impl<S: Simd, const C: usize> TileVisitor<S> for BlendVisit<'_, S, C> {
     #[inline(always)]
-    fn prepare(&mut self, s: S, entry: &Entry) {
+    fn prepare(&mut self, s: S, entry: &TileEntry) {
         if let Some(value) = self.values.get(entry.splat as usize * self.count) {
             s.prefetch(value);
         }
     }
 
     #[inline(always)]
-    fn begin(&mut self, s: S, entry: &Entry) {
+    fn start_splat(&mut self, s: S, entry: &TileEntry) {
         let at = entry.splat as usize * self.count + self.first;
         let values = &self.values[at..at + C];
         for c in 0..C {
@@ -132,7 +132,7 @@ impl<S: Simd, const C: usize> Visit<S> for BlendVisit<'_, S, C> {
     }
 
     #[inline(always)]
-    fn block(&mut self, s: S, _: &Footprint, b: &Block<S>) {
+    fn block(&mut self, s: S, _: &SplatFootprint, b: &PixelBlock<S>) {
         accumulate(s, self.alpha, b.at, b.weight);
         for c in 0..C {
             accumulate(s, &mut self.planes[c], b.at, s.mul(b.weight, self.value[c]));
@@ -140,12 +140,12 @@ impl<S: Simd, const C: usize> Visit<S> for BlendVisit<'_, S, C> {
     }
 }
 
-impl<const C: usize> Kernel for Blend<'_, C> {
+impl<const C: usize> SimdKernel for Blend<'_, C> {
     type Out = ();
 
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
-        let (mut planes, mut alpha) = ([Plane::ZERO; C], Plane::ZERO);
+        let (mut planes, mut alpha) = ([TilePlane::ZERO; C], TilePlane::ZERO);
         let task = &self.task;
         let mut visit = BlendVisit::<S, C> {
             values: task.values,
@@ -171,20 +171,20 @@ pub(crate) struct Gather<'a, const C: usize> {
     pub task: Task<'a>,
     pub first: usize,
     /// `[slot][channel]`, all channels.
-    pub slots: Shared<'a>,
+    pub slots: SharedSlice<'a>,
 }
 
 struct GatherVisit<'a, S: Simd, const C: usize> {
     sum: [S::F; C],
-    planes: &'a [Plane; C],
-    slots: Shared<'a>,
+    planes: &'a [TilePlane; C],
+    slots: SharedSlice<'a>,
     count: usize,
     first: usize,
 }
 
 impl<S: Simd, const C: usize> GatherVisit<'_, S, C> {
     #[inline(always)]
-    fn write(&self, s: S, entry: &Entry) {
+    fn write(&self, s: S, entry: &TileEntry) {
         // SAFETY: a slot belongs to one splat in one tile.
         let slot = unsafe { self.slots.part(entry.slot as usize * self.count + self.first, C) };
         for c in 0..C {
@@ -193,37 +193,37 @@ impl<S: Simd, const C: usize> GatherVisit<'_, S, C> {
     }
 }
 
-impl<S: Simd, const C: usize> Visit<S> for GatherVisit<'_, S, C> {
+impl<S: Simd, const C: usize> TileVisitor<S> for GatherVisit<'_, S, C> {
     #[inline(always)]
-    fn begin(&mut self, s: S, _: &Entry) {
+    fn start_splat(&mut self, s: S, _: &TileEntry) {
         self.sum = [s.splat(0.0); C];
     }
 
     #[inline(always)]
-    fn block(&mut self, s: S, _: &Footprint, b: &Block<S>) {
+    fn block(&mut self, s: S, _: &SplatFootprint, b: &PixelBlock<S>) {
         for c in 0..C {
             self.sum[c] = s.add(self.sum[c], s.mul(b.weight, load(s, &self.planes[c], b.at)));
         }
     }
 
     #[inline(always)]
-    fn end(&mut self, s: S, _: &Footprint, entry: &Entry) {
+    fn end(&mut self, s: S, _: &SplatFootprint, entry: &TileEntry) {
         self.write(s, entry);
     }
 
     #[inline(always)]
-    fn skip(&mut self, s: S, entry: &Entry) {
+    fn skip(&mut self, s: S, entry: &TileEntry) {
         self.sum = [s.splat(0.0); C];
         self.write(s, entry);
     }
 }
 
-impl<const C: usize> Kernel for Gather<'_, C> {
+impl<const C: usize> SimdKernel for Gather<'_, C> {
     type Out = ();
 
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
-        let mut planes = [Plane::ZERO; C];
+        let mut planes = [TilePlane::ZERO; C];
         let task = &self.task;
         task.read(task.values, self.first, &mut planes);
         let mut visit = GatherVisit::<S, C> {
@@ -239,9 +239,9 @@ impl<const C: usize> Kernel for Gather<'_, C> {
 
 /// Gradients of a tile's splats, into the slots: [`MOMENTS`] numbers, then the values'.
 ///
-/// Front to back, like the forward pass, with the same light per pixel. What lies behind a splat is the whole
-/// minus what has been passed: no division by `1 - alpha` ever builds up. `C` is the number of channels, or 0
-/// for any number, then kept in memory.
+/// Front to back, like the forward pass, with the same light per pixel. The contribution of farther splats is the total
+/// minus what has been passed: no division by `1 - alpha` ever builds up. `C` is the number of channels, or 0 for any
+/// number, then kept in memory.
 pub(crate) struct Backward<'a, const C: usize> {
     pub task: Task<'a>,
     /// The forward pass's result and the gradients with respect to it.
@@ -250,7 +250,7 @@ pub(crate) struct Backward<'a, const C: usize> {
     pub grad_image: &'a [f32],
     pub grad_alpha: Option<&'a [f32]>,
     /// `[slot][moments, channels]`.
-    pub slots: Shared<'a>,
+    pub slots: SharedSlice<'a>,
     /// For `C` = 0: planes of the tile and sums of the values, as many as channels.
     pub spill: &'a mut Spill,
 }
@@ -258,7 +258,7 @@ pub(crate) struct Backward<'a, const C: usize> {
 /// Working memory of [`Backward`] for any number of channels.
 #[derive(Default)]
 pub(crate) struct Spill {
-    planes: Vec<Plane>,
+    planes: Vec<TilePlane>,
     sums: Vec<[f32; LANES]>,
 }
 
@@ -268,11 +268,11 @@ struct BackwardVisit<'a, S: Simd, const C: usize> {
     value: [S::F; C],
     value_any: &'a [f32],
     /// Gradients with respect to the planes and to alpha.
-    grads: &'a [Plane],
-    grad_alpha: &'a Plane,
-    /// Gradient times what still lies behind.
-    behind_it: &'a mut Plane,
-    slots: Shared<'a>,
+    grads: &'a [TilePlane],
+    grad_alpha: &'a TilePlane,
+    /// Gradient times the contribution of splats still to come, farther away.
+    remaining: &'a mut TilePlane,
+    slots: SharedSlice<'a>,
     sums: [S::F; C],
     sums_any: &'a mut [[f32; LANES]],
     dy: f32,
@@ -280,16 +280,16 @@ struct BackwardVisit<'a, S: Simd, const C: usize> {
     moments: [S::F; MOMENTS],
 }
 
-impl<S: Simd, const C: usize> Visit<S> for BackwardVisit<'_, S, C> {
+impl<S: Simd, const C: usize> TileVisitor<S> for BackwardVisit<'_, S, C> {
     #[inline(always)]
-    fn prepare(&mut self, s: S, entry: &Entry) {
+    fn prepare(&mut self, s: S, entry: &TileEntry) {
         if let Some(value) = self.values.get(entry.splat as usize * self.count) {
             s.prefetch(value);
         }
     }
 
     #[inline(always)]
-    fn begin(&mut self, s: S, entry: &Entry) {
+    fn start_splat(&mut self, s: S, entry: &TileEntry) {
         let at = entry.splat as usize * self.count;
         let values = &self.values[at..at + self.count];
         if C > 0 {
@@ -311,7 +311,7 @@ impl<S: Simd, const C: usize> Visit<S> for BackwardVisit<'_, S, C> {
     }
 
     #[inline(always)]
-    fn block(&mut self, s: S, f: &Footprint, b: &Block<S>) {
+    fn block(&mut self, s: S, f: &SplatFootprint, b: &PixelBlock<S>) {
         let mut d = load(s, self.grad_alpha, b.at);
         if C > 0 {
             for c in 0..C {
@@ -329,13 +329,13 @@ impl<S: Simd, const C: usize> Visit<S> for BackwardVisit<'_, S, C> {
             }
         }
         let passed = s.mul(b.weight, d);
-        let behind_it = s.sub(load(s, self.behind_it, b.at), passed);
+        let remaining = s.sub(load(s, self.remaining, b.at), passed);
         // SAFETY: `at` comes from the walk, which promises eight numbers inside the plane.
-        unsafe { s.store(self.behind_it.0.as_mut_ptr().add(b.at), behind_it) };
+        unsafe { s.store(self.remaining.0.as_mut_ptr().add(b.at), remaining) };
 
-        // dL/d ln alpha = w d - alpha / (1 - alpha) behind.
+        // dL/d ln alpha = w d - alpha / (1 - alpha) remaining.
         let odds = s.div(b.alpha, s.sub(s.splat(1.0), b.alpha));
-        let g = s.keep(s.sub(passed, s.mul(odds, behind_it)), s.both(b.hit, b.free));
+        let g = s.keep(s.sub(passed, s.mul(odds, remaining)), s.both(b.hit, b.free));
         let gu = s.mul(g, b.u);
         self.row[0] = s.add(self.row[0], g);
         self.row[1] = s.add(self.row[1], gu);
@@ -362,7 +362,7 @@ impl<S: Simd, const C: usize> Visit<S> for BackwardVisit<'_, S, C> {
     }
 
     #[inline(always)]
-    fn end(&mut self, s: S, _: &Footprint, entry: &Entry) {
+    fn end(&mut self, s: S, _: &SplatFootprint, entry: &TileEntry) {
         const BASE: f32 = 2.0 * std::f32::consts::LN_2;
         let stride = MOMENTS + self.count;
         // SAFETY: a slot belongs to one splat in one tile.
@@ -385,35 +385,35 @@ impl<S: Simd, const C: usize> Visit<S> for BackwardVisit<'_, S, C> {
     }
 
     #[inline(always)]
-    fn skip(&mut self, _: S, entry: &Entry) {
+    fn skip(&mut self, _: S, entry: &TileEntry) {
         let stride = MOMENTS + self.count;
         // SAFETY: a slot belongs to one splat in one tile.
         unsafe { self.slots.part(entry.slot as usize * stride, stride) }.fill(0.0);
     }
 }
 
-impl<const C: usize> Kernel for Backward<'_, C> {
+impl<const C: usize> SimdKernel for Backward<'_, C> {
     type Out = ();
 
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
         let task = &self.task;
         let (extent, count) = (task.extent(), task.count);
-        let mut fixed = [Plane::ZERO; C];
-        let grads: &mut [Plane] = if C > 0 {
+        let mut fixed = [TilePlane::ZERO; C];
+        let grads: &mut [TilePlane] = if C > 0 {
             &mut fixed
         } else {
-            self.spill.planes.resize(count, Plane::ZERO);
+            self.spill.planes.resize(count, TilePlane::ZERO);
             self.spill.sums.resize(count, [0.0; LANES]);
             &mut self.spill.planes
         };
         task.read(self.grad_image, 0, grads);
-        let (mut grad_alpha, mut behind_it, mut plane) = (Plane::ZERO, Plane::ZERO, Plane::ZERO);
+        let (mut grad_alpha, mut remaining, mut plane) = (TilePlane::ZERO, TilePlane::ZERO, TilePlane::ZERO);
         if let Some(grad) = self.grad_alpha {
             extent.read(grad, task.width, &mut grad_alpha);
             extent.read(self.alpha, task.width, &mut plane);
             for k in 0..PLANE {
-                behind_it.0[k] = plane.0[k] * grad_alpha.0[k];
+                remaining.0[k] = plane.0[k] * grad_alpha.0[k];
             }
         }
         let pixels = task.width * task.height;
@@ -421,7 +421,7 @@ impl<const C: usize> Kernel for Backward<'_, C> {
             extent.read(&self.image[c * pixels..(c + 1) * pixels], task.width, &mut plane);
             for row in 0..extent.height {
                 for k in row * STRIDE..row * STRIDE + extent.width {
-                    behind_it.0[k] += plane.0[k] * grad.0[k];
+                    remaining.0[k] += plane.0[k] * grad.0[k];
                 }
             }
         }
@@ -432,7 +432,7 @@ impl<const C: usize> Kernel for Backward<'_, C> {
             value_any: &[],
             grads,
             grad_alpha: &grad_alpha,
-            behind_it: &mut behind_it,
+            remaining: &mut remaining,
             slots: self.slots,
             sums: [s.splat(0.0); C],
             sums_any: &mut self.spill.sums,

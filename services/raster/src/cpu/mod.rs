@@ -1,7 +1,7 @@
 //! The CPU engine: tiles over rayon, SIMD over pixels.
 //!
-//! The same bytes whatever the number of threads and the instruction set: every tile works alone, what it
-//! leaves for a splat lands in a slot of its own, and a splat's slots are summed in the order of tiles.
+//! The same bytes whatever the number of threads and the instruction set: every tile works alone, its result for a
+//! splat goes to a slot of its own, and a splat's slots are summed in the order of tiles.
 
 mod bin;
 mod kernels;
@@ -18,17 +18,17 @@ use crate::shade::{shade, shade_backward};
 use crate::{Channels, Engine, Frame, FrameGrad, ProjectOptions, Projected, RasterError, SplatGrads};
 use bin::Bins;
 use glam::Vec3;
-use kernels::{Backward, Blend, Gather, MOMENTS, Shared, Spill, Task, sum_slots};
+use kernels::{Backward, Blend, Gather, MOMENTS, SharedSlice, Spill, Task, sum_slots};
 use project::Projector;
 use rayon::prelude::*;
 use segwild_scene::{Camera, Image, Pose, Splats};
 use std::sync::{Mutex, PoisonError};
-use wide::{BlendWide, GatherWide, WIDE, Weights};
+use wide::{BlendWide, GatherWide, TileWeights, WIDE};
 
 /// Splats that one task sums or shades.
 const CHUNK: usize = 512;
 
-/// Memory used in turns: what one gives back, the next goes on with.
+/// A pool of buffers, reused by later passes.
 #[derive(Default)]
 struct Pool<T>(Mutex<Vec<T>>);
 
@@ -91,7 +91,7 @@ impl Engine for CpuEngine {
         let mut bins = self.bins.take();
         bins.fill(self.isa, splats, &projector).map_err(|pairs| {
             RasterError::Shape(format!(
-                "{pairs} pairs of a splat and a tile are more than can be numbered: draw smaller frames or fewer splats"
+                "{pairs} pairs of a splat and a tile are more than can be numbered: render smaller frames or fewer splats"
             ))
         })?;
         Ok(Box::new(CpuView { engine: self, splats, projector, eye: pose.centre(), bins }))
@@ -172,8 +172,8 @@ impl Projected for CpuView<'_> {
         let (width, height) = (self.projector.width, self.projector.height);
         let mut image = Image::zeros(width, height, count);
         let mut alpha = Image::zeros(width, height, 1);
-        let (planes, opacity) = (Shared::new(&mut image.data), Shared::new(&mut alpha.data));
-        (0..self.tiles()).into_par_iter().for_each_init(Weights::default, |memory, tile| {
+        let (planes, opacity) = (SharedSlice::new(&mut image.data), SharedSlice::new(&mut alpha.data));
+        (0..self.tiles()).into_par_iter().for_each_init(TileWeights::default, |memory, tile| {
             let task = self.task(tile, values, count);
             if count >= WIDE {
                 let wide = BlendWide { task, image: planes, alpha: opacity, memory };
@@ -209,8 +209,8 @@ impl Projected for CpuView<'_> {
             return Ok(out);
         }
         self.with_slots(count, |slots| {
-            let shared = Shared::new(slots);
-            (0..self.tiles()).into_par_iter().for_each_init(Weights::default, |memory, tile| {
+            let shared = SharedSlice::new(slots);
+            (0..self.tiles()).into_par_iter().for_each_init(TileWeights::default, |memory, tile| {
                 let task = self.task(tile, &image.data, count);
                 if count >= WIDE {
                     let wide = GatherWide { task, slots: shared, memory };
@@ -269,7 +269,7 @@ impl Projected for CpuView<'_> {
             screen_abs: vec![0.0; n],
         };
         self.with_slots(MOMENTS + count, |slots| {
-            let shared = Shared::new(slots);
+            let shared = SharedSlice::new(slots);
             (0..self.tiles()).into_par_iter().for_each_init(Spill::default, |spill, tile| {
                 macro_rules! backward {
                     ($channels:literal) => {
@@ -303,7 +303,7 @@ impl Projected for CpuView<'_> {
                 .zip(out.opacities.par_chunks_mut(CHUNK))
                 .zip(out.screen.par_chunks_mut(CHUNK))
                 .zip(out.screen_abs.par_chunks_mut(CHUNK))
-                .zip(Rows::split(&mut out.values, CHUNK * count, n.div_ceil(CHUNK)))
+                .zip(ValueRows::split(&mut out.values, CHUNK * count, n.div_ceil(CHUNK)))
                 .enumerate()
                 .for_each(
                     |(chunk, ((((((means, scales), turns), opacities), screen), screen_abs), values))| {
@@ -350,7 +350,7 @@ struct Unproject<'a> {
     values: &'a mut [f32],
 }
 
-impl simd::Kernel for Unproject<'_> {
+impl simd::SimdKernel for Unproject<'_> {
     type Out = ();
 
     #[inline(always)]
@@ -375,9 +375,9 @@ impl simd::Kernel for Unproject<'_> {
 }
 
 /// Chunks of a slice that may be empty: a blend of no channel has values of length 0 per splat.
-struct Rows;
+struct ValueRows;
 
-impl Rows {
+impl ValueRows {
     fn split(data: &mut [f32], size: usize, count: usize) -> impl IndexedParallelIterator<Item = &mut [f32]> {
         let mut parts = Vec::with_capacity(count);
         let mut rest = data;

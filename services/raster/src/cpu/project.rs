@@ -25,11 +25,11 @@ const JACOBIAN_MARGIN: f32 = 0.15;
 
 type Mat = [[f32; 3]; 3];
 
-/// What a splat looks like on the image: `log2 alpha = lo - a u² - e dy²`, where `dx, dy` is the pixel's centre
-/// minus the splat's and `u = dx - slope dy`.
+/// A splat projected on the image: `log2 alpha = lo - a u² - e dy²`, where `dx, dy` is the pixel's centre minus the
+/// splat's and `u = dx - slope dy`.
 #[derive(Clone, Copy, Debug, Default)]
 #[repr(C)]
-pub(crate) struct Footprint {
+pub(crate) struct SplatFootprint {
     /// Centre, x.
     pub x: f32,
     /// Centre, y.
@@ -65,7 +65,7 @@ pub(crate) struct Projector {
     near: f32,
 }
 
-/// Everything on the way from a splat to its footprint that the way back needs too.
+/// Intermediate values of the projection that the backward pass needs too.
 struct Path {
     cam: [f32; 3],
     /// Whether x/z and y/z were clamped.
@@ -103,7 +103,7 @@ pub(crate) struct Moments {
 
 /// Gradients of one splat.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Geometry {
+pub(crate) struct GeometryGrads {
     pub mean: [f32; 3],
     pub log_scale: [f32; 3],
     pub rotation: [f32; 4],
@@ -113,8 +113,8 @@ pub(crate) struct Geometry {
 }
 
 /// A projected splat, before it is known which tiles it touches.
-pub(crate) struct Shape {
-    pub footprint: Footprint,
+pub(crate) struct ProjectedSplat {
+    pub footprint: SplatFootprint,
     pub radius: f32,
     /// `dy` of the rightmost point of the ellipse where alpha reaches 1/255.
     pub tip: f32,
@@ -266,7 +266,7 @@ impl Projector {
 
     /// The footprint of a splat, or nothing if it cannot be seen.
     #[inline(always)]
-    pub fn shape(&self, splats: &Splats, i: usize) -> Option<Shape> {
+    pub fn shape(&self, splats: &Splats, i: usize) -> Option<ProjectedSplat> {
         let p = self.path(splats, i)?;
         let opacity = self.opacity(&p);
         if opacity < ALPHA_MIN {
@@ -275,25 +275,26 @@ impl Projector {
         let lo = opacity.log2();
         let (a, e) = (HALF_LOG2_E * (p.syy / p.det), HALF_LOG2_E / p.syy);
         let (x, y) = (self.fx * p.cam[0] / p.cam[2] + self.cx, self.fy * p.cam[1] / p.cam[2] + self.cy);
-        // Twice the natural logarithm of how far the peak stands above the threshold: the largest q drawn.
+        // Twice the natural logarithm of how far the peak stands above the threshold: the largest q blended.
         let q = ((lo - LOG2_ALPHA_MIN) / HALF_LOG2_E).max(0.0);
         let (reach_x, reach_y) = ((q * p.sxx).sqrt() + SLACK, (q * p.syy).sqrt() + SLACK);
         let half_gap = 0.5 * (p.sxx - p.syy);
         let largest = 0.5 * (p.sxx + p.syy) + (half_gap * half_gap + p.sxy * p.sxy).sqrt();
         let radius = (q * largest).sqrt();
-        let footprint = Footprint { x, y, slope: p.sxy / p.syy, a, e, lo, inv_a: 1.0 / a, reach: reach_y };
+        let footprint =
+            SplatFootprint { x, y, slope: p.sxy / p.syy, a, e, lo, inv_a: 1.0 / a, reach: reach_y };
         let tip = p.sxy / p.sxx * reach_x;
         let numbers = [x, y, footprint.slope, a, e, lo, footprint.inv_a, reach_y, radius, tip];
         let (right, bottom) = (self.width as f32 - 0.5, self.height as f32 - 0.5);
         let inside =
             x + reach_x >= 0.5 && x - reach_x <= right && y + reach_y >= 0.5 && y - reach_y <= bottom;
-        (finite(&numbers) && a > 0.0 && inside).then_some(Shape { footprint, radius, tip })
+        (finite(&numbers) && a > 0.0 && inside).then_some(ProjectedSplat { footprint, radius, tip })
     }
 
     /// From the sums over pixels to the gradients of the parameters. All finite: what overflows is dropped.
     #[inline(always)]
-    pub fn backward(&self, splats: &Splats, i: usize, s: &Moments) -> Geometry {
-        let Some(p) = self.path(splats, i) else { return Geometry::default() };
+    pub fn backward(&self, splats: &Splats, i: usize, s: &Moments) -> GeometryGrads {
+        let Some(p) = self.path(splats, i) else { return GeometryGrads::default() };
         let (a, e, r) = (p.syy / p.det, 1.0 / p.syy, p.sxy / p.syy);
 
         // ln alpha = ln o - q/2 with q = a u² + e dy².
@@ -373,7 +374,7 @@ impl Projector {
         let (half_w, half_h) = (0.5 * self.width as f32, 0.5 * self.height as f32);
         let norm = |x: f32, y: f32| (x * x * half_w * half_w + y * y * half_h * half_h).sqrt();
         let kept = |v: f32| if v.is_finite() { v } else { 0.0 };
-        Geometry {
+        GeometryGrads {
             mean: mean.map(kept),
             log_scale: log_scale.map(kept),
             rotation: rotation.map(kept),

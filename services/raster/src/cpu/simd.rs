@@ -1,8 +1,8 @@
 //! Eight f32 lanes on three instruction sets, one source for all kernels.
 //!
-//! A kernel is a [`Kernel`]: its `run` is generic over [`Simd`] and inlined into a function compiled for the
-//! instruction set that was chosen at run time. Every operation is IEEE-exact and none is fused, so all three
-//! paths give the same bytes.
+//! A kernel is a [`SimdKernel`]: its `run` is generic over [`Simd`] and inlined into a function compiled for the
+//! instruction set selected at run time. Every operation is IEEE-exact and none is fused, so all three paths give the
+//! same bytes.
 
 use std::sync::OnceLock;
 
@@ -18,22 +18,22 @@ pub enum Isa {
 }
 
 impl Isa {
-    /// The widest set this processor has. `SEGWILD_ISA=plain|avx2|avx512` asks for another one; a set that
-    /// the processor lacks is never chosen.
+    /// The widest set this processor has. `SEGWILD_ISA=plain|avx2|avx512` selects another one; a set that the processor
+    /// does not have is never used.
     pub fn detect() -> Isa {
-        let feature_target = std::env::var("SEGWILD_ISA").ok().and_then(|name| match name.as_str() {
+        let requested = std::env::var("SEGWILD_ISA").ok().and_then(|name| match name.as_str() {
             "plain" => Some(Isa::Plain),
             "avx2" => Some(Isa::Avx2),
             "avx512" => Some(Isa::Avx512),
             _ => None,
         });
-        match feature_target {
+        match requested {
             Some(isa) if isa.available() => isa,
             _ => [Isa::Avx512, Isa::Avx2].into_iter().find(|isa| isa.available()).unwrap_or(Isa::Plain),
         }
     }
 
-    /// [`Isa::detect`], asked once per process.
+    /// [`Isa::detect`], evaluated once per process.
     pub(crate) fn detect_once() -> Isa {
         static ISA: OnceLock<Isa> = OnceLock::new();
         *ISA.get_or_init(Isa::detect)
@@ -103,7 +103,7 @@ pub(crate) trait Simd: Copy {
     /// Sum of the lanes by a fixed tree: i with i+4, then i+2, then i+1.
     fn sum(self, a: Self::F) -> f32;
 
-    /// Asks for the memory behind a reference, which will be read soon.
+    /// Prefetches the memory of a reference that will be read soon.
     #[inline(always)]
     fn prefetch<T>(self, _soon: &T) {}
 
@@ -135,7 +135,7 @@ const COEFFICIENTS: [f32; 6] =
     [1.000000119e+00, 6.931469440e-01, 2.402212024e-01, 5.550713465e-02, 9.675540961e-03, 1.327646896e-03];
 
 /// Work that [`run`] compiles for each instruction set.
-pub(crate) trait Kernel {
+pub(crate) trait SimdKernel {
     /// What it returns.
     type Out;
     /// The work; implementations are `#[inline(always)]`.
@@ -144,7 +144,7 @@ pub(crate) trait Kernel {
 
 /// Runs a kernel on an instruction set. A set that the processor lacks falls back to the plain path.
 #[inline]
-pub(crate) fn run<K: Kernel>(isa: Isa, kernel: K) -> K::Out {
+pub(crate) fn run<K: SimdKernel>(isa: Isa, kernel: K) -> K::Out {
     #[cfg(target_arch = "x86_64")]
     {
         match isa {
@@ -286,7 +286,7 @@ impl Simd for Plain {
 
 #[cfg(target_arch = "x86_64")]
 mod x86 {
-    use super::{Kernel, LANES, Simd};
+    use super::{LANES, Simd, SimdKernel};
     use std::arch::x86_64::*;
 
     // Loads and stores go through a packed type: the intrinsics for unaligned access are memory copies, whose
@@ -298,14 +298,14 @@ mod x86 {
     /// # Safety
     /// The processor has AVX2.
     #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
-    pub(super) unsafe fn avx2<K: Kernel>(kernel: K) -> K::Out {
+    pub(super) unsafe fn avx2<K: SimdKernel>(kernel: K) -> K::Out {
         kernel.run(Avx2(()))
     }
 
     /// # Safety
     /// The processor has AVX2 and AVX-512 F, VL, DQ, BW.
     #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512vl,avx512dq,avx512bw")]
-    pub(super) unsafe fn avx512<K: Kernel>(kernel: K) -> K::Out {
+    pub(super) unsafe fn avx512<K: SimdKernel>(kernel: K) -> K::Out {
         kernel.run(Avx512(()))
     }
 

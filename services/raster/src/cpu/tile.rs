@@ -3,27 +3,27 @@
 //! A tile keeps its pixels in rows of [`STRIDE`] numbers. Blocks of eight pixels start wherever a splat's row
 //! starts; the columns beyond the tile have no light left (T = 0), so a block that hangs over does nothing there.
 
-use super::bin::{Bins, Entry, HEIGHT, WIDTH};
-use super::project::{ALPHA_MAX, ALPHA_MIN, Footprint, LOG2_ALPHA_MIN, SLACK, T_MIN};
+use super::bin::{Bins, HEIGHT, TileEntry, WIDTH};
+use super::project::{ALPHA_MAX, ALPHA_MIN, LOG2_ALPHA_MIN, SLACK, SplatFootprint, T_MIN};
 use super::simd::{LANES, Simd};
 
 /// Numbers per row of a tile.
 pub(crate) const STRIDE: usize = WIDTH + LANES;
 /// Numbers per plane of a tile.
 pub(crate) const PLANE: usize = HEIGHT * STRIDE;
-/// Splats between two looks at which rows still let light through.
+/// Splats after which transmittance of the rows is checked again.
 const CHECK: usize = 8;
 
-/// How many splats ahead memory is asked for.
+/// How many splats ahead memory is prefetched.
 const AHEAD: usize = 6;
 
 /// A tile's part of one plane.
 #[derive(Clone, Copy)]
 #[repr(align(32))]
-pub(crate) struct Plane(pub [f32; PLANE]);
+pub(crate) struct TilePlane(pub [f32; PLANE]);
 
-impl Plane {
-    pub const ZERO: Plane = Plane([0.0; PLANE]);
+impl TilePlane {
+    pub const ZERO: TilePlane = TilePlane([0.0; PLANE]);
 }
 
 /// Where a tile lies.
@@ -44,7 +44,7 @@ impl TileExtent {
 
     /// Copies the tile's part of an image plane.
     #[inline(always)]
-    pub fn read(&self, plane: &[f32], width: usize, into: &mut Plane) {
+    pub fn read(&self, plane: &[f32], width: usize, into: &mut TilePlane) {
         for row in 0..self.height {
             let from = (self.y + row) * width + self.x;
             let to = &mut into.0[row * STRIDE..row * STRIDE + self.width];
@@ -63,8 +63,8 @@ pub(crate) fn copy_row(to: &mut [f32], from: &[f32]) {
 }
 
 /// Eight pixels of one row under one splat.
-pub(crate) struct Block<S: Simd> {
-    /// Index of the first pixel in a [`Plane`]; eight numbers from here on are inside it.
+pub(crate) struct PixelBlock<S: Simd> {
+    /// Index of the first pixel in a [`TilePlane`]; eight numbers from here on are inside it.
     pub at: usize,
     /// `dx - slope dy` per pixel.
     pub u: S::F,
@@ -72,35 +72,35 @@ pub(crate) struct Block<S: Simd> {
     pub alpha: S::F,
     /// Whether alpha is below [`ALPHA_MAX`], so that it follows the splat's parameters.
     pub free: S::M,
-    /// Where the splat is drawn.
+    /// Where the splat is blended.
     pub hit: S::M,
-    /// `alpha T`; 0 where nothing is drawn.
+    /// `alpha T`; 0 where nothing is blended.
     pub weight: S::F,
 }
 
-/// What a kernel does on the walk. Implementations are `#[inline(always)]`.
-pub(crate) trait Visit<S: Simd> {
+/// Callbacks of a kernel on the walk. Implementations are `#[inline(always)]`.
+pub(crate) trait TileVisitor<S: Simd> {
     /// A splat will come soon.
-    fn prepare(&mut self, _s: S, _entry: &Entry) {}
-    /// A splat begins.
-    fn begin(&mut self, s: S, entry: &Entry);
-    /// A row of the splat begins, `dy` below its centre.
+    fn prepare(&mut self, _s: S, _entry: &TileEntry) {}
+    /// A splat starts.
+    fn start_splat(&mut self, s: S, entry: &TileEntry);
+    /// A row of the splat starts, `dy` below its centre.
     fn row(&mut self, _s: S, _dy: f32) {}
     /// Eight pixels, left to right.
-    fn block(&mut self, s: S, footprint: &Footprint, block: &Block<S>);
+    fn block(&mut self, s: S, footprint: &SplatFootprint, block: &PixelBlock<S>);
     /// The row ends.
     fn row_end(&mut self, _s: S) {}
     /// The splat ends.
-    fn end(&mut self, _s: S, _footprint: &Footprint, _entry: &Entry) {}
+    fn end(&mut self, _s: S, _footprint: &SplatFootprint, _entry: &TileEntry) {}
     /// No light is left for this splat.
-    fn skip(&mut self, _s: S, _entry: &Entry) {}
+    fn skip(&mut self, _s: S, _entry: &TileEntry) {}
 }
 
 /// Rows of pixels that one vector covers.
 const BANDS: usize = HEIGHT / LANES;
 
-/// Where a splat's rows begin and end in a tile.
-struct Rows {
+/// Where a splat's rows start and end in a tile.
+struct SplatRows {
     from: [[i32; LANES]; BANDS],
     to: [[i32; LANES]; BANDS],
     /// Column of the splat's centre line, relative to the first pixel's centre.
@@ -111,7 +111,14 @@ struct Rows {
 }
 
 #[inline(always)]
-fn rows<S: Simd>(s: S, f: &Footprint, extent: &TileExtent, first: usize, last: usize, out: &mut Rows) {
+fn rows<S: Simd>(
+    s: S,
+    f: &SplatFootprint,
+    extent: &TileExtent,
+    first: usize,
+    last: usize,
+    out: &mut SplatRows,
+) {
     let (x, y) = (f.x - (extent.x as f32 + 0.5), extent.y as f32 + 0.5 - f.y);
     for band in first / LANES..=(last / LANES).min(BANDS - 1) {
         let dy = s.add(s.iota(), s.splat(y + (band * LANES) as f32));
@@ -136,7 +143,7 @@ fn rows<S: Simd>(s: S, f: &Footprint, extent: &TileExtent, first: usize, last: u
 
 /// One bit per row that still lets light through.
 #[inline(always)]
-fn lit<S: Simd>(s: S, light: &Plane) -> u32 {
+fn lit<S: Simd>(s: S, light: &TilePlane) -> u32 {
     let mut rows = 0;
     for row in 0..HEIGHT {
         let mut most = s.splat(0.0);
@@ -154,18 +161,18 @@ fn lit<S: Simd>(s: S, light: &Plane) -> u32 {
 
 /// Walks over a tile; returns nothing, as the visitor keeps what it wants.
 #[inline(always)]
-pub(crate) fn walk<S: Simd, V: Visit<S>>(
+pub(crate) fn walk<S: Simd, V: TileVisitor<S>>(
     s: S,
-    footprints: &[Footprint],
-    entries: &[Entry],
+    footprints: &[SplatFootprint],
+    entries: &[TileEntry],
     extent: &TileExtent,
     visitor: &mut V,
 ) {
-    let mut light = Plane::ZERO;
+    let mut light = TilePlane::ZERO;
     for row in 0..extent.height {
         light.0[row * STRIDE..row * STRIDE + extent.width].fill(1.0);
     }
-    let mut spans = Rows {
+    let mut spans = SplatRows {
         from: [[0; LANES]; BANDS],
         to: [[0; LANES]; BANDS],
         centre: [[0.0; LANES]; BANDS],
@@ -192,7 +199,7 @@ pub(crate) fn walk<S: Simd, V: Visit<S>>(
         // The ceiling, or one row above it where the fraction is tiny.
         let first = (y - f.reach + 0.999).max(0.0) as i32 as usize;
         let last = ((y + f.reach).max(0.0) as i32 as usize).min(extent.height - 1);
-        visitor.begin(s, entry);
+        visitor.start_splat(s, entry);
         if first <= last {
             rows(s, f, extent, first, last, &mut spans);
         }
@@ -219,7 +226,7 @@ pub(crate) fn walk<S: Simd, V: Visit<S>>(
                 // SAFETY: as for the load.
                 unsafe { s.store(light.0.as_mut_ptr().add(at), s.sub(t, weight)) };
                 let free = s.lt(raw, s.splat(ALPHA_MAX));
-                visitor.block(s, f, &Block { at, u, alpha, free, hit, weight });
+                visitor.block(s, f, &PixelBlock { at, u, alpha, free, hit, weight });
                 x += LANES as i32;
             }
             visitor.row_end(s);

@@ -4,11 +4,11 @@
 //! does not reach, and into storing planes; so the weights `alpha T` are written down as runs of pixels, and
 //! every run is worked off with the channels of a pixel side by side.
 
-use super::bin::{Entry, HEIGHT, WIDTH};
-use super::kernels::{Shared, Task, accumulate};
-use super::project::Footprint;
-use super::simd::{Kernel, LANES, Simd};
-use super::tile::{Block, Plane, STRIDE, Visit, walk};
+use super::bin::{HEIGHT, TileEntry, WIDTH};
+use super::kernels::{SharedSlice, Task, accumulate};
+use super::project::SplatFootprint;
+use super::simd::{LANES, Simd, SimdKernel};
+use super::tile::{PixelBlock, STRIDE, TilePlane, TileVisitor, walk};
 
 /// From this many channels on it pays.
 pub(crate) const WIDE: usize = 8;
@@ -19,7 +19,7 @@ const MOST: usize = HEIGHT * (WIDTH / LANES);
 
 /// Neighbouring pixels of one row under one splat.
 #[derive(Clone, Copy, Default)]
-struct Run {
+struct PixelRun {
     /// First pixel, row-major in the tile.
     pixel: u16,
     count: u16,
@@ -29,8 +29,8 @@ struct Run {
 
 /// Weights of one tile, and planes with the channels side by side.
 #[derive(Default)]
-pub(crate) struct Weights {
-    runs: Vec<Run>,
+pub(crate) struct TileWeights {
+    runs: Vec<PixelRun>,
     weights: Vec<f32>,
     /// Per entry, where its runs end; entries that no light reached are not listed.
     ends: Vec<u32>,
@@ -39,16 +39,16 @@ pub(crate) struct Weights {
 }
 
 struct Collect<'a> {
-    runs: &'a mut Vec<Run>,
+    runs: &'a mut Vec<PixelRun>,
     weights: &'a mut Vec<f32>,
     ends: &'a mut Vec<u32>,
     used: usize,
-    alpha: &'a mut Plane,
+    alpha: &'a mut TilePlane,
 }
 
-impl<S: Simd> Visit<S> for Collect<'_> {
+impl<S: Simd> TileVisitor<S> for Collect<'_> {
     #[inline(always)]
-    fn begin(&mut self, _: S, _: &Entry) {
+    fn start_splat(&mut self, _: S, _: &TileEntry) {
         if self.weights.len() < self.used + MOST * LANES {
             self.weights.resize(2 * (self.used + MOST * LANES), 0.0);
         }
@@ -56,19 +56,19 @@ impl<S: Simd> Visit<S> for Collect<'_> {
     }
 
     #[inline(always)]
-    fn block(&mut self, s: S, _: &Footprint, b: &Block<S>) {
+    fn block(&mut self, s: S, _: &SplatFootprint, b: &PixelBlock<S>) {
         accumulate(s, self.alpha, b.at, b.weight);
         let bits = s.bits(b.hit);
         if bits == 0 {
             return;
         }
-        // From the first pixel that is drawn to the last: those between without light have weight 0.
+        // From the first blended pixel to the last: pixels in between without light have weight 0.
         let (first, end) = (bits.trailing_zeros(), 32 - bits.leading_zeros());
         let to: &mut [f32; LANES] = self.weights[self.used..].first_chunk_mut().expect("room was made");
         // SAFETY: `to` has eight numbers.
         unsafe { s.store(to.as_mut_ptr(), b.weight) };
         let (row, column) = (b.at / STRIDE, b.at % STRIDE);
-        self.runs.push(Run {
+        self.runs.push(PixelRun {
             pixel: (row * WIDTH + column) as u16 + first as u16,
             count: (end - first) as u16,
             weights: self.used as u32 + first,
@@ -77,18 +77,18 @@ impl<S: Simd> Visit<S> for Collect<'_> {
     }
 
     #[inline(always)]
-    fn end(&mut self, _: S, _: &Footprint, _: &Entry) {
+    fn end(&mut self, _: S, _: &SplatFootprint, _: &TileEntry) {
         self.ends.push(self.runs.len() as u32);
     }
 }
 
-impl Weights {
+impl TileWeights {
     #[inline(always)]
-    fn collect<S: Simd>(&mut self, s: S, task: &Task, alpha: &mut Plane) {
+    fn collect<S: Simd>(&mut self, s: S, task: &Task, alpha: &mut TilePlane) {
         self.runs.clear();
         self.ends.clear();
         self.pixels.resize(HEIGHT * WIDTH, [0.0; BLOCK]);
-        let Weights { runs, weights, ends, .. } = self;
+        let TileWeights { runs, weights, ends, .. } = self;
         let mut visit = Collect { runs, weights, ends, used: 0, alpha };
         walk(s, &task.bins.footprints, task.bins.tile(task.tile), &task.extent(), &mut visit);
     }
@@ -127,18 +127,18 @@ fn add_product<S: Simd>(s: S, sum: Four<S>, weight: f32, x: Four<S>) -> Four<S> 
 /// Blends any number of channels.
 pub(crate) struct BlendWide<'a> {
     pub task: Task<'a>,
-    pub image: Shared<'a>,
-    pub alpha: Shared<'a>,
-    pub memory: &'a mut Weights,
+    pub image: SharedSlice<'a>,
+    pub alpha: SharedSlice<'a>,
+    pub memory: &'a mut TileWeights,
 }
 
-impl Kernel for BlendWide<'_> {
+impl SimdKernel for BlendWide<'_> {
     type Out = ();
 
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
         let (task, memory) = (&self.task, self.memory);
-        let mut plane = Plane::ZERO;
+        let mut plane = TilePlane::ZERO;
         memory.collect(s, task, &mut plane);
         task.write(&self.alpha, 0, &plane);
         let entries = task.bins.tile(task.tile);
@@ -181,17 +181,17 @@ pub(crate) struct GatherWide<'a> {
     /// Its `values` are the image.
     pub task: Task<'a>,
     /// `[slot][channel]`.
-    pub slots: Shared<'a>,
-    pub memory: &'a mut Weights,
+    pub slots: SharedSlice<'a>,
+    pub memory: &'a mut TileWeights,
 }
 
-impl Kernel for GatherWide<'_> {
+impl SimdKernel for GatherWide<'_> {
     type Out = ();
 
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
         let (task, memory) = (&self.task, self.memory);
-        let mut plane = Plane::ZERO;
+        let mut plane = TilePlane::ZERO;
         memory.collect(s, task, &mut plane);
         let entries = task.bins.tile(task.tile);
         let mut first = 0;

@@ -4,8 +4,8 @@ use segwild_scene::Image;
 
 /// Area averaging from one size to another, separable, and its transpose.
 ///
-/// An embedding cell speaks for the pixels under it, so a render is compared with it by its average there:
-/// this leaves the features free to be sharper than the embedding.
+/// An embedding cell describes the pixels under it, so the average of a render over these pixels is compared with it.
+/// This leaves the features free to be sharper than the embedding.
 #[derive(Clone, Debug)]
 pub struct AreaAverage {
     columns: Vec<Window>,
@@ -38,7 +38,7 @@ impl AreaAverage {
         &self.rows
     }
 
-    /// Width and height of what is averaged.
+    /// Width and height of the input.
     pub fn from(&self) -> (usize, usize) {
         self.from
     }

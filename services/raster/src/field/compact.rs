@@ -13,7 +13,7 @@ pub const SHORTEST: f32 = 1e-6;
 /// Pairs summed side by side, so that the compiler may use SIMD.
 const LANES: usize = 8;
 
-/// The loss over one draw of pixels.
+/// The loss over one sample of pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Compactness {
     /// The loss, in [-1, 1]: -1 when the features within masks are alike and those across are at right angles.
@@ -71,7 +71,7 @@ pub fn compactness(
     // Cosines of all pairs, turned in place into dL/dC where C > 0. Pixels of a group share their weights.
     let mut pairs = vec![0.0; n * n];
     matmul(&units, &transpose(&units, n, channels), n, channels, n, &mut pairs);
-    let (mut total, mut row, mut weights) = (Sums::default(), 0, vec![0.0; n]);
+    let (mut total, mut row, mut weights) = (PairSums::default(), 0, vec![0.0; n]);
     for (i, a) in runs.iter().enumerate() {
         let mut start = 0;
         for (b, &s) in runs.iter().zip(&similar[i * g..(i + 1) * g]) {
@@ -106,26 +106,26 @@ pub fn compactness(
 
 /// Sums over pairs.
 #[derive(Default)]
-struct Sums {
+struct PairSums {
     loss: f64,
     within: f64,
     across: f64,
 }
 
-impl Sums {
+impl PairSums {
     /// Adds one pixel's cosines and replaces each by its weight where it is over 0 and by 0 elsewhere.
     fn add(&mut self, cosines: &mut [f32], weights: &[f32]) {
         let mut lanes = [[0.0f32; LANES]; 3];
         let (wide, rest) = cosines.as_chunks_mut::<LANES>();
         let (wide_weights, rest_weights) = weights.as_chunks::<LANES>();
         for (cosines, weights) in wide.iter_mut().zip(wide_weights) {
-            Sums::add_lanes(&mut lanes, cosines, weights);
+            PairSums::add_lanes(&mut lanes, cosines, weights);
         }
         if !rest.is_empty() {
             let (mut cosines, mut weights) = ([0.0; LANES], [0.0; LANES]);
             cosines[..rest.len()].copy_from_slice(rest);
             weights[..rest.len()].copy_from_slice(rest_weights);
-            Sums::add_lanes(&mut lanes, &mut cosines, &weights);
+            PairSums::add_lanes(&mut lanes, &mut cosines, &weights);
             rest.copy_from_slice(&cosines[..rest.len()]);
         }
         let sum = |lanes: [f32; LANES]| lanes.iter().map(|&v| f64::from(v)).sum::<f64>();

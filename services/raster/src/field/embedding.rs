@@ -49,7 +49,7 @@ pub struct LearnedDecoder {
 }
 
 impl LearnedDecoder {
-    /// One that begins with these weights, `[channel][embedding channel]`, and offsets. `rate` is the optimiser's.
+    /// A decoder with these initial weights, `[channel][embedding channel]`, and offsets. `rate` is the optimiser's.
     ///
     /// # Panics
     /// If there are not as many weights as channels need.
@@ -61,7 +61,7 @@ impl LearnedDecoder {
         LearnedDecoder { channels, embedding_channels: e, numbers: [weights, offsets].concat(), adam }
     }
 
-    /// Channels that it takes, and that it makes.
+    /// Its input and output channels.
     pub fn size(&self) -> (usize, usize) {
         (self.channels, self.embedding_channels)
     }
@@ -76,8 +76,8 @@ impl LearnedDecoder {
         self.adam.rate()
     }
 
-    /// L_FE between the decoded `rendered` codes and the scaled embedding; steps the decoder and writes the
-    /// gradient with respect to the codes.
+    /// L_FE between the decoded `rendered` channels and the scaled embedding; steps the decoder and writes the gradient
+    /// with respect to the channels.
     pub fn step(
         &mut self,
         rendered: &Image,
@@ -97,7 +97,7 @@ impl LearnedDecoder {
         loss
     }
 
-    /// The loss, the gradient with respect to the decoded image (returned) and to the codes (written).
+    /// The loss, the gradient with respect to the decoded image (returned) and to the compressed channels (written).
     fn gradients(
         &self,
         rendered: &Image,

@@ -1,4 +1,4 @@
-//! What views say of splats, added up: lifting (method, section 4).
+//! Lifting: sums per splat over views (method, section 4).
 
 use crate::{Engine, RasterError};
 use rayon::prelude::*;
@@ -7,8 +7,8 @@ use std::any::Any;
 /// Splats per task. Fixed, so that results do not depend on the number of threads.
 const CHUNK: usize = 4096;
 
-/// Sums over views of what [`Projected::gather`](crate::Projected::gather) gives per splat: rows of numbers, and the weight
-/// that they have there. They grow by [`Projected::lift`](crate::Projected::lift), where they were settled.
+/// Sums over views of [`Projected::gather`](crate::Projected::gather): a row of numbers per splat, and its weight.
+/// [`Projected::lift`](crate::Projected::lift) adds a view, on the host or on the device.
 pub struct Lifting {
     row: usize,
     sums: Vec<f32>,
@@ -16,7 +16,7 @@ pub struct Lifting {
     on_device: Option<Box<dyn DeviceLifting>>,
 }
 
-/// Sums where an engine computes.
+/// Sums on a device.
 pub trait DeviceLifting: Send + Sync {
     /// The sums, `[splat][number]`, and the weights.
     fn fetch(&self) -> Result<(Vec<f32>, Vec<f32>), RasterError>;
@@ -26,12 +26,12 @@ pub trait DeviceLifting: Send + Sync {
 }
 
 impl Lifting {
-    /// Rows of `row` numbers for so many splats, of which nothing was said yet.
+    /// Rows of `row` numbers for so many splats, all 0.
     pub fn new(splats: usize, row: usize) -> Lifting {
         Lifting { row, sums: vec![0.0; splats * row], weights: vec![0.0; splats], on_device: None }
     }
 
-    /// Takes them to where an engine computes, if it has room for them there.
+    /// Moves them to the device of an engine, if it has the memory.
     pub fn settle(&mut self, engine: &dyn Engine) -> Result<(), RasterError> {
         self.on_device = engine.settle_lifting(self.weights.len(), self.row)?;
         Ok(())
@@ -42,18 +42,19 @@ impl Lifting {
         self.row
     }
 
-    /// The sums where an engine computes.
+    /// The sums on the device.
     pub fn on_device(&self) -> Option<&dyn DeviceLifting> {
         self.on_device.as_deref()
     }
 
-    /// Adds what a view says, `[splat][row + 1]`, the weight last. A splat of which it says something that is no number, or
-    /// which has no weight, keeps its sums: one that a kernel could not handle must not poison what others say of it.
+    /// Adds the sums of a view, `[splat][row + 1]`, the weight last. A splat with a number that is not finite, or
+    /// without weight, keeps its sums: a splat that a kernel could not handle in one view must not poison the other
+    /// views.
     ///
     /// # Panics
-    /// If the sums are elsewhere, or of another number of splats.
+    /// If the sums are on a device, or of another number of splats.
     pub fn add(&mut self, output: &[f32]) {
-        assert!(self.on_device.is_none(), "sums where another engine computes");
+        assert!(self.on_device.is_none(), "the sums are on a device");
         let c = self.row;
         assert_eq!(output.len(), self.weights.len() * (c + 1), "splats");
         self.sums

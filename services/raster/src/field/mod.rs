@@ -1,5 +1,6 @@
-//! What splats are told apart by, learnt from views: the feature field's sums over photos, its losses (method, section 4;
-//! paper Eq. 9-14), of which no gradient reaches the geometry, and how much a click resembles it (section 6, Eq. 27).
+//! The feature field, which distinguishes splats by features learnt from views: lifting over photos, its losses
+//! (method, section 4; paper Eq. 9-14), whose gradients do not reach the geometry, and the similarity of splats to a
+//! click (section 6, Eq. 27).
 
 mod area;
 mod compact;
@@ -21,22 +22,22 @@ use crate::{Channels, Engine, Projected, RasterError};
 use segwild_scene::Image;
 use std::any::Any;
 
-/// What a photo asks of the features that are seen in it.
+/// The target of the features in a view: the embedding of its photo.
 #[derive(Clone, Copy)]
 pub struct FeatureTarget<'a> {
-    /// What they should be, on the embedding's grid: codes, or where a decoder learns, the embedding.
+    /// The target on the embedding's grid: compressed channels, or the embedding itself where a decoder learns.
     pub target: &'a Image,
-    /// By how much its numbers are multiplied first.
+    /// Factor on the target.
     pub scale: f32,
-    /// How far each of its cells is to be trusted (VM), in [0, 1].
+    /// Validity of each of its cells (VM), in [0, 1].
     pub validity: &'a [f32],
     /// From the view's pixels to its cells.
     pub average: &'a AreaAverage,
-    /// What [`Engine::upload_target`] gave for it.
+    /// Handle that [`Engine::upload_target`] returned for it.
     pub on_device: Option<&'a (dyn Any + Send + Sync)>,
 }
 
-/// Pixels drawn of a view, which are compared with one another.
+/// Sampled pixels of a view, for the compactness loss.
 #[derive(Clone, Copy)]
 pub struct Rendered<'a> {
     /// Their numbers, row by row; none twice.
@@ -45,7 +46,7 @@ pub struct Rendered<'a> {
     pub membership: &'a Membership,
 }
 
-/// What the losses weigh and how fast features learn.
+/// Weights of the losses, and the learning rate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FieldRule {
     /// Weight of the embedding loss.
@@ -61,12 +62,12 @@ pub struct FieldRule {
 pub struct FieldLosses {
     /// L_FE.
     pub embedding: f32,
-    /// L_Com; 0 where no pixels were drawn.
+    /// L_Com; 0 where no pixels were sampled.
     pub compact: f32,
 }
 
-/// Features that are refined, one row per splat, and perhaps a decoder beside them. They learn by
-/// [`Projected::refine`](crate::Projected::refine), where they were settled.
+/// Features that are refined, one row per splat, and perhaps a decoder beside them.
+/// [`Projected::refine`](crate::Projected::refine) steps them, on the host or on the device.
 pub struct Refining {
     values: Vec<f32>,
     adam: RowAdam,
@@ -77,7 +78,7 @@ pub struct Refining {
     on_device: Option<Box<dyn DeviceRefinement>>,
 }
 
-/// Features where an engine computes.
+/// Features on a device.
 pub trait DeviceRefinement: Send + Sync {
     /// The features, `[splat][channel]`, and the decoder's numbers.
     fn fetch(&self) -> Result<Refined, RasterError>;
@@ -89,7 +90,7 @@ pub trait DeviceRefinement: Send + Sync {
     fn as_any(&self) -> &dyn Any;
 }
 
-/// What was learnt.
+/// Refined features.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Refined {
     /// `[splat][channel]`.
@@ -99,7 +100,7 @@ pub struct Refined {
 }
 
 impl Refining {
-    /// Features of so many channels, `[splat][channel]`, of which nothing was learnt yet.
+    /// Features of so many channels, `[splat][channel]`, before the first step.
     pub fn new(
         channels: usize,
         values: Vec<f32>,
@@ -110,18 +111,18 @@ impl Refining {
         Refining { values, adam, channels, decoder, rule, losses: FieldLosses::default(), on_device: None }
     }
 
-    /// Takes them to where an engine computes, if it has room for them there.
+    /// Moves them to the device of an engine, if it has the memory.
     pub fn settle(&mut self, engine: &dyn Engine) -> Result<(), RasterError> {
         self.on_device = engine.settle_refining(self)?;
         Ok(())
     }
 
-    /// The features, as long as they are here.
+    /// The features, while they are on the host.
     ///
     /// # Panics
-    /// If they are elsewhere.
+    /// If they are on a device.
     pub fn channels(&self) -> Channels<'_> {
-        assert!(self.on_device.is_none(), "features where another engine computes");
+        assert!(self.on_device.is_none(), "the features are on a device");
         Channels { count: self.channels, values: &self.values }
     }
 
@@ -130,32 +131,32 @@ impl Refining {
         self.decoder.as_ref()
     }
 
-    /// What the losses weigh and how fast features learn.
+    /// Weights of the losses, and the learning rate.
     pub fn rule(&self) -> FieldRule {
         self.rule
     }
 
-    /// The features where an engine computes.
+    /// The features on the device.
     pub fn on_device(&self) -> Option<&dyn DeviceRefinement> {
         self.on_device.as_deref()
     }
 
-    /// One step of the features here: what [`Projected::refine`] does unless an engine does it where it computes.
+    /// One step of the features on the host: the default of [`Projected::refine`].
     pub fn learn<P: Projected + ?Sized>(
         &mut self,
         view: &P,
         feature_target: &FeatureTarget,
-        view_pixels: &Rendered,
+        sampled: &Rendered,
     ) -> Result<(), RasterError> {
         let frame = view.blend(&self.channels())?;
-        let grad = self.compute_losses(&frame.image, feature_target, view_pixels);
+        let grad = self.compute_losses(&frame.image, feature_target, sampled);
         let grads = view.gather(&grad)?;
         self.adam.step(&mut self.values, &grads);
         Ok(())
     }
 
-    /// Compares a view of the features here with what its photo asks; the decoder learns, and the gradient with respect to the
-    /// image is returned.
+    /// Computes the losses of a rendered view of the features against its target. Steps the decoder, and returns the
+    /// gradient with respect to the image.
     ///
     /// # Panics
     /// If sizes differ.
@@ -163,7 +164,7 @@ impl Refining {
         &mut self,
         image: &Image,
         feature_target: &FeatureTarget,
-        view_pixels: &Rendered,
+        sampled: &Rendered,
     ) -> Image {
         let mut grad = Image::zeros(image.width, image.height, image.channels);
         let rendered = feature_target.average.forward(image);
@@ -174,13 +175,12 @@ impl Refining {
             None => embedding_loss(&rendered, target, feature_target.validity, &mut cell_grad),
         };
         feature_target.average.transposed(&cell_grad, self.rule.embedding, &mut grad);
-        let compact =
-            if view_pixels.pixels.is_empty() { 0.0 } else { self.compare(image, view_pixels, &mut grad) };
+        let compact = if sampled.pixels.is_empty() { 0.0 } else { self.compare(image, sampled, &mut grad) };
         self.losses = FieldLosses { embedding, compact };
         grad
     }
 
-    /// Adds the weighted gradient of the drawn pixels' compactness and returns the loss.
+    /// Adds the weighted gradient of the sampled pixels' compactness and returns the loss.
     fn compare(&self, image: &Image, Rendered { pixels, membership }: &Rendered, grad: &mut Image) -> f32 {
         let (n, c) = (image.pixels(), image.channels);
         let mut features = Vec::with_capacity(pixels.len() * c);
@@ -198,12 +198,12 @@ impl Refining {
         result.loss
     }
 
-    /// The losses of the last step, wherever it was.
+    /// The losses of the last step, on the host or downloaded.
     pub fn losses(&self) -> Result<FieldLosses, RasterError> {
         self.on_device.as_ref().map_or(Ok(self.losses), |on_device| on_device.losses())
     }
 
-    /// What was learnt, wherever it is.
+    /// The refined features, on the host or downloaded.
     pub fn finish(self) -> Result<Refined, RasterError> {
         match &self.on_device {
             Some(on_device) => on_device.fetch(),

@@ -13,8 +13,8 @@ const CHUNK: usize = 4096;
 
 /// Adam whose rows keep their own step count and rest while their gradient is zero.
 ///
-/// A step renders one photo, which leaves most splats of a scene unseen: moving those by stale momentum would
-/// cost time and pull them by nothing that any photo says.
+/// A step renders one photo, which leaves most splats of a scene unseen: moving those by stale momentum would cost time
+/// and pull them without evidence from any photo.
 #[derive(Clone, Debug)]
 pub struct RowAdam {
     row: usize,

@@ -1,6 +1,6 @@
-//! A device that is lost in the middle.
+//! A device that is lost during a run.
 
-use crate::common::{Random, splats, view};
+use crate::common::{RasterTestRandom, splats, view};
 use segwild_raster::{
     Channels, CpuEngine, Engine, FallbackEngine, Frame, FrameGrad, ProjectOptions, Projected, RasterError,
     SplatGrads,
@@ -87,7 +87,7 @@ impl Projected for MortalView<'_> {
 
 /// An image, sums and gradients of one scene.
 fn step(engine: &dyn Engine) -> Result<(Frame, Vec<f32>, SplatGrads), RasterError> {
-    let splats = splats(&mut Random(3), 400, (0.01, 0.1), 1);
+    let splats = splats(&mut RasterTestRandom(3), 400, (0.01, 0.1), 1);
     let (camera, pose) = view(64, 48);
     let projected = engine.project(&splats, &camera, &pose, &ProjectOptions::default())?;
     let colours = projected.shade();
@@ -99,28 +99,29 @@ fn step(engine: &dyn Engine) -> Result<(Frame, Vec<f32>, SplatGrads), RasterErro
 }
 
 #[test]
-fn a_device_lost_at_any_moment_changes_nothing_and_is_told_once() {
+fn a_device_lost_at_any_moment_changes_nothing_and_is_reported_once() {
     let wanted = step(&CpuEngine::new()).unwrap();
     for calls in 0..9 {
-        let on_failure = Arc::new(Mutex::new(Vec::new()));
-        let (left, failures) = (Arc::new(AtomicU32::new(calls)), on_failure.clone());
+        let reasons = Arc::new(Mutex::new(Vec::new()));
+        let (left, on_failure) = (Arc::new(AtomicU32::new(calls)), reasons.clone());
         let mortal = Mortal { engine: CpuEngine::new(), left };
-        let failures = move |why: &str| failures.lock().unwrap().push(why.to_owned());
-        let engine = FallbackEngine::new(Box::new(mortal), Box::new(CpuEngine::new()), failures);
+        let on_failure = move |why: &str| on_failure.lock().unwrap().push(why.to_owned());
+        let engine = FallbackEngine::new(Box::new(mortal), Box::new(CpuEngine::new()), on_failure);
         for _ in 0..2 {
             assert!(step(&engine).unwrap() == wanted, "lost after {calls} calls");
         }
-        let on_failure = on_failure.lock().unwrap();
+        let reasons = reasons.lock().unwrap();
         let lost = if calls < 8 { vec!["the accelerator was lost".to_owned()] } else { Vec::new() };
-        assert_eq!((on_failure.clone(), engine.name()), (lost, "mortal"), "lost after {calls} calls");
+        assert_eq!((reasons.clone(), engine.name()), (lost, "mortal"), "lost after {calls} calls");
     }
 }
 
 #[test]
 fn a_mistake_of_the_caller_is_no_reason_to_change_the_engine() {
     let mortal = Mortal { engine: CpuEngine::new(), left: Arc::new(AtomicU32::new(100)) };
-    let engine =
-        FallbackEngine::new(Box::new(mortal), Box::new(CpuEngine::new()), |why: &str| panic!("told: {why}"));
+    let engine = FallbackEngine::new(Box::new(mortal), Box::new(CpuEngine::new()), |why: &str| {
+        panic!("reported: {why}")
+    });
     let (camera, pose) = view(64, 48);
     let splats = Splats { opacities: vec![0.0; 3], ..Splats::default() };
     let refused = engine.project(&splats, &camera, &pose, &ProjectOptions::default()).err();

@@ -1,6 +1,6 @@
 //! Loss and metrics against the definition in f64, and gradients against finite differences of it.
 
-use crate::common::Random;
+use crate::common::RasterTestRandom;
 use segwild_raster::{photometric, psnr, ssim};
 use segwild_scene::Image;
 
@@ -49,7 +49,7 @@ fn positive(mut image: Image) -> Image {
 
 #[test]
 fn photometric_matches_definition_and_finite_differences() {
-    let mut random = Random(3);
+    let mut random = RasterTestRandom(3);
     for (width, height, weighted, lambda) in [(21, 13, false, 0.2), (16, 9, true, 0.5), (7, 3, true, 1.0)] {
         let render = positive(random.image(width, height, 2));
         let target = positive(random.image(width, height, 2));
@@ -79,7 +79,7 @@ fn photometric_matches_definition_and_finite_differences() {
 
 #[test]
 fn metrics_know_equal_images_and_masks() {
-    let mut random = Random(8);
+    let mut random = RasterTestRandom(8);
     let image = positive(random.image(30, 20, 3));
     let mut other = image.clone();
     // Differences of 0.1 in the left third only.

@@ -1,6 +1,6 @@
 //! Values that no scene should have, and some do.
 
-use crate::common::{Random, splats, view};
+use crate::common::{RasterTestRandom, splats, view};
 use segwild_raster::{Channels, CpuEngine, Engine, FrameGrad, ProjectOptions};
 use segwild_scene::Splats;
 
@@ -15,8 +15,8 @@ fn survives(name: &str, splats: &Splats) -> bool {
         let colours = projected.shade();
         let channels = Channels { count: 3, values: &colours };
         let frame = projected.blend(&channels).unwrap();
-        let grad = Random(1).image(48, 36, 3);
-        let alpha = Random(2).image(48, 36, 1);
+        let grad = RasterTestRandom(1).image(48, 36, 3);
+        let alpha = RasterTestRandom(2).image(48, 36, 1);
         let mut grads =
             projected.backward(&channels, &frame, &FrameGrad { image: &grad, alpha: Some(&alpha) }).unwrap();
         let sh = projected.shade_backward(&grads.values.clone(), &mut grads);
@@ -48,7 +48,7 @@ fn survives(name: &str, splats: &Splats) -> bool {
 
 #[test]
 fn poison_is_culled_or_harmless() {
-    let good = splats(&mut Random(4), 12, (0.02, 0.2), 2);
+    let good = splats(&mut RasterTestRandom(4), 12, (0.02, 0.2), 2);
     let (_, pose) = view(48, 36);
     let mut middle = good.clone();
     middle.means[0] = [0.02, 0.01, 0.0];
@@ -104,7 +104,7 @@ fn poison_is_culled_or_harmless() {
 
 #[test]
 fn no_low_pass_culls_splats_without_area() {
-    let mut scene = splats(&mut Random(4), 2, (0.02, 0.2), 0);
+    let mut scene = splats(&mut RasterTestRandom(4), 2, (0.02, 0.2), 0);
     scene.means[0] = [0.02, 0.01, 0.0];
     scene.log_scales[0] = [-100.0; 3];
     let (camera, pose) = view(48, 36);

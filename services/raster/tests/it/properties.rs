@@ -1,6 +1,6 @@
 //! What must hold for any scene, and the same bytes on any number of threads and any instruction set.
 
-use crate::common::{Random, splats, view};
+use crate::common::{RasterTestRandom, splats, view};
 use glam::Vec3;
 use proptest::prelude::*;
 use segwild_raster::{Channels, CpuEngine, Engine, FrameGrad, Isa, ProjectOptions, SplatGrads};
@@ -18,7 +18,7 @@ fn everything(
     pose: &Pose,
     count: usize,
 ) -> Vec<Vec<u32>> {
-    let mut random = Random(9);
+    let mut random = RasterTestRandom(9);
     let values = random.many(splats.len() * count, -1.0, 1.0);
     let channels = Channels { count, values: &values };
     let projected = engine.project(splats, camera, pose, &ProjectOptions::default()).unwrap();
@@ -42,7 +42,7 @@ fn everything(
 
 #[test]
 fn threads_do_not_change_a_byte() {
-    let splats = splats(&mut Random(1), 1500, (0.005, 0.1), 2);
+    let splats = splats(&mut RasterTestRandom(1), 1500, (0.005, 0.1), 2);
     let (camera, pose) = view(131, 77);
     for count in [1, 3, 20] {
         let run = |threads: usize| {
@@ -56,7 +56,7 @@ fn threads_do_not_change_a_byte() {
 
 #[test]
 fn every_instruction_set_gives_the_same_bytes() {
-    let splats = splats(&mut Random(2), 700, (0.005, 0.2), 3);
+    let splats = splats(&mut RasterTestRandom(2), 700, (0.005, 0.2), 3);
     let (camera, pose) = view(75, 60);
     for isa in [Isa::Avx2, Isa::Avx512] {
         if !isa.available() {
@@ -75,8 +75,10 @@ fn every_instruction_set_gives_the_same_bytes() {
 fn memory_used_again_changes_nothing() {
     let engine = CpuEngine::new();
     let (camera, pose) = view(64, 48);
-    let (large, small) =
-        (splats(&mut Random(3), 900, (0.01, 0.3), 1), splats(&mut Random(4), 50, (0.01, 0.3), 1));
+    let (large, small) = (
+        splats(&mut RasterTestRandom(3), 900, (0.01, 0.3), 1),
+        splats(&mut RasterTestRandom(4), 50, (0.01, 0.3), 1),
+    );
     let fresh = everything(&CpuEngine::new(), &small, &camera, &pose, 3);
     everything(&engine, &large, &camera, &pose, 5);
     assert!(everything(&engine, &small, &camera, &pose, 3) == fresh);
@@ -87,7 +89,7 @@ proptest! {
 
     #[test]
     fn constant_one_blends_to_alpha(seed in any::<u64>(), count in 1usize..60, side in 1u32..70) {
-        let splats = splats(&mut Random(seed), count, (0.002, 0.5), 0);
+        let splats = splats(&mut RasterTestRandom(seed), count, (0.002, 0.5), 0);
         let (camera, pose) = view(side, 1 + side / 2);
         let engine = CpuEngine::new();
         let projected = engine.project(&splats, &camera, &pose, &ProjectOptions::default()).unwrap();
@@ -103,7 +105,7 @@ proptest! {
 
     #[test]
     fn gather_is_the_transpose_of_blend(seed in any::<u64>(), count in 1usize..80, channels in 1usize..20) {
-        let mut random = Random(seed);
+        let mut random = RasterTestRandom(seed);
         let splats = splats(&mut random, count, (0.005, 0.4), 0);
         let (camera, pose) = view(45, 37);
         let engine = CpuEngine::new();
@@ -121,7 +123,7 @@ proptest! {
 
     #[test]
     fn the_order_of_splats_does_not_matter(seed in any::<u64>(), count in 2usize..60) {
-        let mut random = Random(seed);
+        let mut random = RasterTestRandom(seed);
         let splats = splats(&mut random, count, (0.01, 0.4), 1);
         let mut order: Vec<usize> = (0..count).collect();
         for i in (1..count).rev() {
@@ -152,8 +154,8 @@ proptest! {
     }
 
     #[test]
-    fn a_larger_scene_looks_the_same(seed in any::<u64>(), count in 1usize..60) {
-        let scene = splats(&mut Random(seed), count, (0.01, 0.4), 2);
+    fn a_larger_scene_renders_the_same(seed in any::<u64>(), count in 1usize..60) {
+        let scene = splats(&mut RasterTestRandom(seed), count, (0.01, 0.4), 2);
         let mut large = scene.clone();
         // A power of two, so that rounding is the same and the images must be equal up to the logarithm's own.
         let factor = 1024.0;
@@ -183,7 +185,7 @@ proptest! {
 fn wrong_shapes_are_refused_in_words() {
     let engine = CpuEngine::new();
     let (camera, pose) = view(10, 10);
-    let mut scene = splats(&mut Random(5), 3, (0.1, 0.2), 0);
+    let mut scene = splats(&mut RasterTestRandom(5), 3, (0.1, 0.2), 0);
     scene.opacities.pop();
     let refused = |splats: &Splats, camera: &Camera| match engine.project(
         splats,
@@ -195,7 +197,7 @@ fn wrong_shapes_are_refused_in_words() {
         Ok(_) => panic!("not refused"),
     };
     assert!(refused(&scene, &camera).contains("opacities has 2 items where 3 splats need 3"));
-    let good = splats(&mut Random(5), 3, (0.1, 0.2), 0);
+    let good = splats(&mut RasterTestRandom(5), 3, (0.1, 0.2), 0);
     assert!(refused(&good, &Camera { width: 0, ..camera }).contains("0 x 10"));
     assert!(refused(&good, &Camera { fx: f32::NAN, ..camera }).contains("NaN"));
     let none = Splats::default();
@@ -212,10 +214,10 @@ fn wrong_shapes_are_refused_in_words() {
             .unwrap(),
         SplatGrads::default()
     );
-    let behind_it = Pose::look_at(Vec3::new(0.0, 0.0, 9.0), Vec3::new(0.0, 0.0, 18.0), Vec3::Y);
+    let opposite = Pose::look_at(Vec3::new(0.0, 0.0, 9.0), Vec3::new(0.0, 0.0, 18.0), Vec3::Y);
     assert!(
         engine
-            .project(&good, &camera, &behind_it, &ProjectOptions::default())
+            .project(&good, &camera, &opposite, &ProjectOptions::default())
             .unwrap()
             .radii()
             .iter()

@@ -1,6 +1,6 @@
 //! The CPU engine against the f64 reference, and the reference against finite differences of itself.
 
-use crate::common::{Random, error, splats, view};
+use crate::common::{RasterTestRandom, error, splats, view};
 use segwild_raster::reference::{Parameters, Reference, shade};
 use segwild_raster::{Channels, CpuEngine, Engine, FrameGrad, ProjectOptions};
 use segwild_scene::{Camera, Image, Pose, Splats};
@@ -23,7 +23,7 @@ fn zero_unsure(image: &mut Image, unsure: &[bool]) {
 }
 
 fn compare(splats: &Splats, camera: &Camera, pose: &Pose, options: ProjectOptions, count: usize, seed: u64) {
-    let mut random = Random(seed);
+    let mut random = RasterTestRandom(seed);
     let values = random.many(splats.len() * count, -1.0, 1.0);
     let values64: Vec<f64> = values.iter().map(|&v| f64::from(v)).collect();
     let parameters = Parameters::of(splats);
@@ -81,7 +81,7 @@ fn engine_matches_reference() {
         (4, 7, (0.02, 0.1)),
         (5, 20, (0.01, 0.05)),
     ] {
-        let splats = splats(&mut Random(seed), 120, sizes, 0);
+        let splats = splats(&mut RasterTestRandom(seed), 120, sizes, 0);
         let (camera, pose) = view(53, 41);
         compare(&splats, &camera, &pose, ProjectOptions::default(), count, seed);
         let antialias = ProjectOptions { antialias: true, low_pass: 0.2, ..ProjectOptions::default() };
@@ -91,7 +91,7 @@ fn engine_matches_reference() {
 
 #[test]
 fn reference_matches_its_finite_differences() {
-    let mut random = Random(11);
+    let mut random = RasterTestRandom(11);
     let (camera, pose) = view(24, 18);
     for antialias in [false, true] {
         let options = ProjectOptions { antialias, ..ProjectOptions::default() };
@@ -145,7 +145,7 @@ fn reference_matches_its_finite_differences() {
 fn colours_match_harmonics_and_their_finite_differences() {
     let (camera, pose) = view(64, 48);
     for degree in 0..=3 {
-        let mut splats = splats(&mut Random(20 + u64::from(degree)), 40, (0.02, 0.1), degree);
+        let mut splats = splats(&mut RasterTestRandom(20 + u64::from(degree)), 40, (0.02, 0.1), degree);
         // Keep the colours clear of the clamp at 0, save for one splat far below it.
         splats.sh.iter_mut().for_each(|v| *v *= 0.15);
         let stride = splats.sh_stride();
@@ -166,7 +166,7 @@ fn colours_match_harmonics_and_their_finite_differences() {
                 );
             }
         }
-        let weights = Random(5).many(120, -1.0, 1.0);
+        let weights = RasterTestRandom(5).many(120, -1.0, 1.0);
         let loss = |p: &Parameters| {
             let colours = shade(p, &pose);
             seen.iter()

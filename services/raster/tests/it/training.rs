@@ -1,6 +1,6 @@
-//! Optimiser and looks.
+//! Optimiser and appearance models.
 
-use crate::common::Random;
+use crate::common::RasterTestRandom;
 use segwild_raster::{
     Adam, AffineAppearance, AnyAppearance, Appearance, EmbedAppearance, GswAppearance, GswWidth,
     NoAppearance, RANK, Sight, bake,
@@ -9,7 +9,7 @@ use segwild_scene::{Camera, Image, Pose, Splats};
 
 #[test]
 fn adam_follows_its_definition_and_its_items() {
-    let mut random = Random(1);
+    let mut random = RasterTestRandom(1);
     // 4099 items of 3: more than one task, and a rest that fills no vector.
     let (items, item) = (4099, 3);
     let mut adam = Adam::new(items, item);
@@ -60,8 +60,8 @@ fn adam_follows_its_definition_and_its_items() {
 }
 
 #[test]
-fn affine_look_matches_finite_differences_and_learns() {
-    let mut random = Random(2);
+fn affine_appearance_matches_finite_differences_and_learns() {
+    let mut random = RasterTestRandom(2);
     let image = random.image(9, 7, 3);
     let grad = random.image(9, 7, 3);
     let matrix: [f32; 12] = random.vector(-1.0, 1.0);
@@ -114,8 +114,8 @@ fn affine_look_matches_finite_differences_and_learns() {
 }
 
 #[test]
-fn embed_look_matches_finite_differences() {
-    let mut random = Random(3);
+fn embed_appearance_matches_finite_differences() {
+    let mut random = RasterTestRandom(3);
     // More than one task's worth of splats.
     let n = 5000;
     let (colours, grad) = (random.many(3 * n, 0.0, 1.0), random.many(3 * n, -1.0, 1.0));
@@ -123,9 +123,9 @@ fn embed_look_matches_finite_differences() {
     let mut appearance = EmbedAppearance::new(2, 7);
     let neutral = appearance.tint(9, &splat_embeddings, colours.clone());
     assert_eq!(neutral, colours, "a photo that is not known is neutral");
-    assert_ne!(appearance.vector(0), appearance.vector(1), "photos begin apart");
+    assert_ne!(appearance.vector(0), appearance.vector(1), "photos start apart");
     appearance.set_matrix(1, random.vector(-1.0, 1.0));
-    // Linear in colours, codes, matrix and vector one at a time: differences are exact up to rounding.
+    // Linear in colours, splat embeddings, matrix and vector one at a time: differences are exact up to rounding.
     let loss = |appearance: &EmbedAppearance, splat_embeddings: &[f32], colours: &[f32]| {
         let shown = appearance.tint(1, splat_embeddings, colours.to_vec());
         shown.iter().zip(&grad).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>()
@@ -144,7 +144,7 @@ fn embed_look_matches_finite_differences() {
         let mut moved = splat_embeddings.clone();
         moved[k] += 1.0;
         let numeric = loss(&appearance, &moved, &colours) - before;
-        assert!((f64::from(embedding_grads[k]) - numeric).abs() < 1e-3, "code {k}: {numeric}");
+        assert!((f64::from(embedding_grads[k]) - numeric).abs() < 1e-3, "embedding {k}: {numeric}");
     }
     // The first step of Adam goes against the sign of each gradient by the rate.
     trained.step(1.0);
@@ -174,7 +174,7 @@ fn embed_look_matches_finite_differences() {
 /// As many visits as a short training has for a photo.
 #[test]
 fn a_photo_finds_its_light_in_twenty_visits() {
-    let mut random = Random(5);
+    let mut random = RasterTestRandom(5);
     let n = 200;
     let (colours, splat_embeddings) = (random.many(3 * n, 0.0, 1.0), random.many(3 * RANK * n, -0.5, 0.5));
     let mut appearance = EmbedAppearance::new(1, 7);
@@ -195,9 +195,9 @@ fn a_photo_finds_its_light_in_twenty_visits() {
     assert!(after < before / 3.0, "{after} of {before}");
 }
 
-/// A place of `n` splats, most in the photo's frame, and a look that saw two photos of it.
+/// A scene of `n` splats, most in the photo's frame, and an appearance model with two of its photos.
 fn conditioned(n: usize) -> (GswAppearance, Vec<[f32; 3]>, Camera, Pose) {
-    let mut random = Random(11);
+    let mut random = RasterTestRandom(11);
     let means: Vec<[f32; 3]> = (0..n).map(|_| random.vector(-1.0, 1.0)).collect();
     let camera = Camera { width: 80, height: 60, fx: 70.0, fy: 70.0, cx: 40.0, cy: 30.0 };
     let pose = Pose { rotation: glam::Mat3::IDENTITY, translation: glam::Vec3::new(0.0, 0.0, 2.0) };
@@ -208,17 +208,17 @@ fn conditioned(n: usize) -> (GswAppearance, Vec<[f32; 3]>, Camera, Pose) {
         let image_conditioning = appearance.image_conditioning((80, 60), &camera, &pose, colour);
         appearance.set_image_conditioning(view, image_conditioning);
     }
-    // The last layer begins near 0, which would hide what is before it.
+    // The last layer starts near 0, which would hide the gradients of the layers before it.
     let layer = random.many(appearance.layer().len(), -0.5, 0.5);
     appearance.set_layer(&layer);
     (appearance, means, camera, pose)
 }
 
 #[test]
-fn gsw_look_matches_finite_differences() {
+fn gsw_appearance_matches_finite_differences() {
     let n = 1200;
     let (mut appearance, means, _, pose) = conditioned(n);
-    let mut random = Random(12);
+    let mut random = RasterTestRandom(12);
     appearance.below.set_matrix(0, random.vector(-0.2, 1.0));
     let mut splat_embeddings = appearance.first_embeddings(&means);
     splat_embeddings.iter_mut().for_each(|v| *v += 0.3 * random.uniform(-1.0, 1.0));
@@ -233,7 +233,7 @@ fn gsw_look_matches_finite_differences() {
     ) -> Sight<'a> {
         Sight { means, splat_embeddings, radii, eye }
     }
-    // A draw in which light is read: dropout and what part of the photo is seen stay the same from run to run.
+    // A draw in which light is read: dropout and the visible part of the photo stay the same from run to run.
     let draw = (0..50).find(|&draw| appearance.appearance_maps(0, Some(draw)).is_some());
     let loss = |appearance: &GswAppearance, splat_embeddings: &[f32], colours: &[f32]| {
         let light = appearance.appearance_maps(0, draw);
@@ -258,7 +258,7 @@ fn gsw_look_matches_finite_differences() {
         masked.clone(),
         &[],
     );
-    // Along the gradient of each kind of number the loss rises by its square length.
+    // Along the gradient of each group of parameters the loss rises by its square length.
     let along = |what: &str, grads: &[f32], size: f32, at: &dyn Fn(f32) -> f64| {
         let length = grads.iter().map(|g| f64::from(*g).powi(2)).sum::<f64>();
         let step = size / length.sqrt() as f32;
@@ -275,7 +275,7 @@ fn gsw_look_matches_finite_differences() {
         loss(&appearance, &splat_embeddings, &moved(&colours, &colour_grads, s))
     });
     let embedding_size = appearance.embedding_size();
-    for (what, part) in [("substance", 0..48), ("coordinates", 48..52), ("code", 52..embedding_size)] {
+    for (what, part) in [("intrinsic", 0..48), ("coordinates", 48..52), ("embed", 52..embedding_size)] {
         let mut own = embedding_grads.clone();
         let outside = |k: usize| !part.contains(&(k % embedding_size));
         own.iter_mut().enumerate().filter(|(k, _)| outside(*k)).for_each(|(_, g)| *g = 0.0);
@@ -296,11 +296,11 @@ fn gsw_look_matches_finite_differences() {
 }
 
 #[test]
-fn gsw_tones_are_what_was_trained_and_can_be_baked() {
+fn gsw_appearance_embeddings_are_what_was_trained_and_can_be_baked() {
     let n = 700;
     let (appearance, means, _, pose) = conditioned(n);
     let splat_embeddings = appearance.first_embeddings(&means);
-    let mut random = Random(13);
+    let mut random = RasterTestRandom(13);
     let colours = random.many(3 * n, 0.0, 1.0);
     let eye = pose.centre();
     let radii = vec![1.0; n];
@@ -363,7 +363,7 @@ fn gsw_tones_are_what_was_trained_and_can_be_baked() {
 }
 
 #[test]
-fn looks_are_stored_and_read() {
+fn appearances_are_stored_and_read() {
     let mut appearance = AffineAppearance::new(3);
     appearance.set_matrix(2, [0.25; 12]);
     let gsw = GswAppearance::new(2, 1, GswWidth::Cpu);

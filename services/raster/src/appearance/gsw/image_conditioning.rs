@@ -1,15 +1,15 @@
-//! A photo as the network sees it: small, with the camera that took it.
+//! A photo as the input of the UNet: small, with its camera.
 
 use super::nets::{BESIDE, PLANES};
 use segwild_nn::Map;
 use segwild_scene::{Camera, NEAR, Pose};
 use wincode::{SchemaRead, SchemaWrite};
 
-/// The photo's sides are multiples of this in the network.
+/// The sides of the UNet's input are multiples of this.
 const GRAIN: usize = 32;
 
-/// A photo at the size of the network, a byte per number, and where it was taken. What a look is made from, and so kept
-/// with it.
+/// A photo at the size of the UNet, a byte per number, and its camera and pose. Appearance is computed from it, so it
+/// is stored with the model.
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
 pub struct ImageConditioning {
     width: u32,
@@ -24,8 +24,8 @@ pub struct ImageConditioning {
 }
 
 impl ImageConditioning {
-    /// The photo of `camera` and `pose`, at most `side` long. `colour` tells of each pixel of a photo of `width` x
-    /// `height` its colour, or that nothing is known of it.
+    /// The photo of `camera` and `pose`, at most `side` long. `colour` gives the colour of each pixel of a photo of
+    /// `width` x `height`, or `None` where it is unknown.
     pub(super) fn new(
         side: usize,
         (width, height): (usize, usize),
@@ -74,7 +74,8 @@ impl ImageConditioning {
         sides && self.rgb.len() == 3 * w * h && self.known.len() == w * h
     }
 
-    /// The planes for the UNet, and those that go round it; pixels in the columns outside `seen` are not known.
+    /// The input planes of the UNet, and those that bypass it; pixels in the columns outside `seen` are masked as
+    /// unknown.
     pub(super) fn planes(&self, seen: std::ops::Range<f32>) -> (Map, Map) {
         let (w, h) = (self.width as usize, self.height as usize);
         let mut image = Map::zeros(PLANES, h, w);
@@ -115,12 +116,12 @@ impl ImageConditioning {
         (image, beside)
     }
 
-    /// The camera that took it, and where it stood: world to camera, rotation row by row, each followed by its translation.
+    /// Its camera and pose: world to camera, rotation row by row, each followed by its translation.
     pub fn stand(&self) -> (&Camera, &[[f32; 4]; 3]) {
         (&self.camera, &self.pose)
     }
 
-    /// Where in the photo a point is, as shares of width and height, if it is in front of the camera and in the frame.
+    /// Projects a point into the photo, as shares of width and height; `None` behind the camera or outside the frame.
     pub(super) fn pixel_of(&self, [x, y, z]: [f32; 3]) -> Option<[f32; 2]> {
         let p = self.pose.map(|r| r[0] * x + r[1] * y + r[2] * z + r[3]);
         let camera = &self.camera;

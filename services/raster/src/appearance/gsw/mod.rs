@@ -1,15 +1,16 @@
-//! The rung `gsw`: the light of a photo is what a network reads in it (GS-W; method, section 3).
+//! The appearance model `gsw`: a network predicts the light of a photo from its image (GS-W; method, section 3).
 //!
-//! A UNet makes maps of the photo. A splat reads two of them at coordinates of its own, which are trained, and one where
-//! the photo shows it: the light on it (`dynamic`). With what it is made of (`intrinsic`, trained per splat) small
-//! networks fuse that into a vector, which says how the splat looks in this photo from any side. A last network makes a
-//! colour of vector and direction; what its first layer makes of the vector alone is what is kept of a look.
+//! A UNet computes feature maps of the photo. A splat samples two of them at coordinates of its own, which are trained,
+//! and a third where the splat projects into the photo: its dynamic appearance feature (`dynamic`). Small networks fuse
+//! it with the intrinsic feature (`intrinsic`, trained per splat) into a vector that describes the splat's appearance
+//! in this photo from any direction. A last network, the colour head, maps vector and direction to a colour. An
+//! appearance embedding stores what the head's first layer computes from the vector alone.
 //!
-//! Where this goes beyond the paper: the light is added to the look of the rung below, [`EmbedAppearance`], so that a run of a
-//! thousand steps begins with the scene's colours and not with a network's noise, and what no network can read in a photo
-//! (its exposure, a sun behind the camera) is fitted and not guessed. The UNet also gets the mean and deviation of the
-//! photo's colours round its norms, which would take them away. In some steps it sees a part of the photo only, so that
-//! it can be asked about half a photo.
+//! Differences from the paper: the predicted light is added to the colours of the base model, [`EmbedAppearance`]. So a
+//! run of a thousand steps starts with the scene's colours and not with a network's noise, and what no network can read
+//! in a photo (its exposure, a sun behind the camera) is fitted and not guessed. Mean and deviation of the photo's
+//! colours bypass the UNet, because its norms would remove them. In some steps the UNet sees only a part of the photo,
+//! so that it also works on half a photo.
 
 mod image_conditioning;
 mod nets;
@@ -34,23 +35,23 @@ use std::ops::Range;
 use std::sync::Arc;
 use wincode::{SchemaRead, SchemaWrite};
 
-/// Numbers of a splat's code that are those of the rung below, the last ones.
+/// Numbers of a splat's embedding that belong to the base model, the last ones.
 pub const BELOW: usize = EmbedAppearance::EMBEDDING_SIZE;
-/// Numbers of a splat's code: what it is made of, its coordinates on each map, and its code of the rung below.
-pub const CODE: usize = INTRINSIC + 2 * MAPS + BELOW;
-/// How much faster a splat's coordinates move than the rest of its code: they are kept divided by this.
+/// Length of a splat's embedding: intrinsic feature, coordinates on each map, and embedding of the base model.
+pub const EMBEDDING_SIZE: usize = INTRINSIC + 2 * MAPS + BELOW;
+/// How much faster a splat's coordinates learn than the rest of its embedding: they are stored divided by this.
 pub const COORDINATE: f32 = 0.3;
-/// Share of the steps in which the UNet sees a part of the photo.
+/// Share of the steps in which the UNet sees only a part of the photo.
 const PARTLY: f32 = 0.4;
-/// Share of the steps in which no light is read, so that the scene without any is a scene, and the rung below learns what
-/// it can: with a tenth, photos held out are half a dB worse.
+/// Share of the steps without predicted light, so that the scene is valid without it and the base model learns what it
+/// can: with a tenth, held-out photos are half a dB worse.
 const DARK: f32 = 0.5;
 /// All columns of a photo.
 const WHOLE: Range<f32> = 0.0..1.0;
-/// Size of the last layer's weights to start with, against those of the other layers: near the look below this one.
+/// Initial size of the last layer's weights against those of the other layers: the model starts near the base model.
 const QUIET: f32 = 0.02;
 
-/// The networks, and what is kept of each photo.
+/// The networks, and the inputs and parameters of each photo.
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
 pub struct GswAppearance {
     /// Matrices and vectors of the photos.
@@ -70,64 +71,64 @@ pub struct GswAppearance {
     /// The photos, shared with checkpoints and snapshots.
     image_conditionings: Vec<Option<Arc<ImageConditioning>>>,
     /// Gradients since the last step.
-    grads: Option<Grads>,
+    grads: Option<GswGrads>,
 }
 
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
-struct Grads {
+struct GswGrads {
     weights: Vec<f32>,
     layer: Vec<f32>,
 }
 
-/// What the splats are, for a look that depends on more than their colours.
+/// The splats of a view, for an appearance model that depends on more than their colours.
 #[derive(Clone, Copy, Debug)]
 pub struct Sight<'a> {
     /// Centres.
     pub means: &'a [[f32; 3]],
-    /// What splats keep for the look, `[splat][embedding_size]`.
+    /// Per-splat appearance embeddings, `[splat][embedding_size]`.
     pub splat_embeddings: &'a [f32],
     /// Above 0 for splats in sight; the others need no colour.
     pub radii: &'a [f32],
-    /// Where they are looked at from.
+    /// The camera's centre.
     pub eye: [f32; 3],
 }
 
-/// What the UNet made of a photo.
+/// The maps that the UNet computes from a photo.
 #[derive(Clone, Debug)]
 pub struct AppearanceMaps {
-    /// The maps as splats read them: `[pixel][SAMPLE]` each.
+    /// The maps in the layout that splats sample: `[pixel][SAMPLE]` each.
     maps: [Vec<f32>; MAPS + 1],
     width: usize,
     height: usize,
     image_conditioning: Arc<ImageConditioning>,
-    /// How sure the network is, before the sigmoid, that a part of the photo shows the scene.
+    /// Visibility logit of each part of the photo: whether it shows the scene.
     visible: Map,
     /// Whether the network saw the whole photo.
     whole: bool,
-    /// In training: what the step draws, and what the backward pass needs.
+    /// In training: the step's random number, and the tape for the backward pass.
     training: Option<(u64, Box<Tape>)>,
 }
 
 impl GswAppearance {
-    /// Numbers that a splat keeps.
-    pub const EMBEDDING_SIZE: usize = CODE;
+    /// Length of the embedding of a splat.
+    pub const EMBEDDING_SIZE: usize = EMBEDDING_SIZE;
 
     /// Number of weights of networks of a width.
     pub fn weights(width: GswWidth) -> usize {
         Networks::of(width).layout.len()
     }
 
-    /// Bytes that a photo takes in a look of a width, at most.
+    /// Bytes that a photo takes in a model of a width, at most.
     pub fn photo_bytes(width: GswWidth) -> usize {
         let side = Networks::of(width).side;
         PLANES * side * side + 4 * 3 * PHOTO
     }
 
-    /// Networks and vectors drawn by `seed`, and identities for `views` photos.
+    /// Networks and vectors sampled by `seed`, and identities for `views` photos.
     pub fn new(views: usize, seed: u64, width: GswWidth) -> GswAppearance {
         let nets = Networks::of(width);
         let mut random = Random::stream(seed, 0x6773_7721);
-        let weights = nets.layout.begin(|| random.normal());
+        let weights = nets.layout.initial_weights(|| random.normal());
         let deviation = QUIET * (2.0 / HIDDEN_LAYER as f32).sqrt();
         let layer = (0..LAYER).map(|k| if k < 3 * HIDDEN_LAYER { deviation * random.normal() } else { 0.0 });
         let moments = |n: usize| Adam::new(1, n).with(0.9, 0.999, 1e-8);
@@ -173,7 +174,7 @@ impl GswAppearance {
             && self.grads.is_none()
     }
 
-    /// What splats keep for the rung below, `[splat][EMBEDDING_SIZE]` of that.
+    /// Splat embeddings of the base model, `[splat][EmbedAppearance::EMBEDDING_SIZE]`.
     pub fn embeddings_below(&self, splat_embeddings: &[f32]) -> Vec<f32> {
         below_of(splat_embeddings)
     }
@@ -191,8 +192,8 @@ impl GswAppearance {
         self.layer.copy_from_slice(layer);
     }
 
-    /// A photo, at the size of the network. `colour` tells of each of its `size` pixels the colour, or that nothing is
-    /// known of it.
+    /// A photo at the size of the UNet. `colour` gives the colour of each of its `size` pixels, or `None` where it is
+    /// unknown.
     pub fn image_conditioning(
         &self,
         size: (usize, usize),
@@ -203,7 +204,7 @@ impl GswAppearance {
         Arc::new(ImageConditioning::new(self.nets().side, size, camera, pose, colour))
     }
 
-    /// Keeps what a photo shows. Ignores photos that are not known.
+    /// Stores the conditioning of a photo. Ignores photos that are not known.
     pub fn set_image_conditioning(&mut self, view: usize, image_conditioning: Arc<ImageConditioning>) {
         if let Some(slot) = self.image_conditionings.get_mut(view) {
             *slot = Some(image_conditioning);
@@ -215,21 +216,21 @@ impl GswAppearance {
         self.grads.as_ref().map(|grads| [grads.weights.as_slice(), &grads.layer])
     }
 
-    /// Forgets what only training needs.
+    /// Drops the optimiser state, which only training needs.
     pub fn forget_training(&mut self) {
         let nets = self.nets();
         self.net_moments = Adam::new(1, nets.border);
         self.point_moments = Adam::new(1, self.weights.len() - nets.border);
     }
 
-    /// What the UNet makes of a view's photo; `None` for a photo that is not known: no light, the same for all.
-    /// `draw` is given in training and differs from step to step.
+    /// The UNet's maps of a view's photo; `None` for a photo that is not known: no predicted light. `draw` is given in
+    /// training and differs from step to step.
     pub fn appearance_maps(&self, view: usize, draw: Option<u64>) -> Option<AppearanceMaps> {
         let (image_conditioning, seen) = self.unet_input_of(view, draw)?;
         Some(self.appearance_maps_of(image_conditioning, seen, draw))
     }
 
-    /// A view's photo, and which of its columns are seen.
+    /// A view's photo, and the range of its columns that the UNet sees.
     fn unet_input_of(&self, view: usize, draw: Option<u64>) -> Option<(&Arc<ImageConditioning>, Range<f32>)> {
         let image_conditioning = self.image_conditionings.get(view)?.as_ref()?;
         let mut seen = WHOLE;
@@ -245,7 +246,7 @@ impl GswAppearance {
         Some((image_conditioning, seen))
     }
 
-    /// What the UNet makes of a photo that is not one of the known views'.
+    /// The UNet's maps of a photo that is not one of the known views'.
     pub fn appearance_maps_of_conditioning(
         &self,
         image_conditioning: &Arc<ImageConditioning>,
@@ -275,9 +276,9 @@ impl GswAppearance {
         }
     }
 
-    /// What is particular to a mix of photos, each with its weight, of splats with these centres and codes, on a tone of the
-    /// rung below and with a last layer; no photo: without light. Weights of one photo other than 1 make its light
-    /// stronger or weaker.
+    /// The appearance embedding of a weighted mix of photos, for splats with these centres and embeddings, on an
+    /// appearance embedding of the base model and with a last layer. Without a photo there is no predicted light. The
+    /// weight of a single photo scales its light.
     pub fn appearance_embedding_of(
         &self,
         photos: &[(&AppearanceMaps, f32)],
@@ -286,13 +287,14 @@ impl GswAppearance {
         splat_embeddings: &[f32],
     ) -> AppearanceEmbedding {
         let kept = points::kept(self, photos, means, splat_embeddings);
-        // What the rung below gives each splat whatever its colour: codes are not asked again for every picture.
+        // The base model's offset of each splat, whatever its colour: embeddings are not evaluated again for every
+        // image.
         let black = vec![0.0; 3 * means.len()];
         let own = self.below.shade(below, &below_of(splat_embeddings), &|_| Some([0.0; 3]), black);
         AppearanceEmbedding([&below.0[..NUMBERS], layer, &kept, &own].concat())
     }
 
-    /// What the colour head has before its last layer, `[splat][HIDDEN_LAYER]`, in a tone.
+    /// Activations of the colour head before its last layer, `[splat][HIDDEN_LAYER]`, under an appearance embedding.
     pub fn hidden_layer(
         &self,
         appearance_embedding: &AppearanceEmbedding,
@@ -316,9 +318,9 @@ impl GswAppearance {
         points::tint(self, light, sight, colours)
     }
 
-    /// From the gradient of [`GswAppearance::tint`]'s result to those of its colours and codes; keeps the gradient of the
-    /// look's own parameters for [`Appearance::step`]. `blame` is what [`AppearanceMaps::visible`] is to learn from, of each part
-    /// of the photo, in its order: how much of what would be taken for a transient the scene fails to show there.
+    /// From the gradient of [`GswAppearance::tint`]'s result to those of its colours and embeddings; keeps the gradient
+    /// of the model's own parameters for [`Appearance::step`]. `blame` is the target that [`AppearanceMaps::visible`]
+    /// learns from, one per part of the photo in its order: the residual there, relative to the limit for transients.
     pub fn tint_backward(
         &mut self,
         view: usize,
@@ -331,8 +333,10 @@ impl GswAppearance {
         let mut back = points::backward(self, light, sight, &grad);
         let (colour_grads, below) =
             self.below.tint_backward(view, &below_of(sight.splat_embeddings), colours, grad);
-        for (to, from) in back.splat_embeddings.chunks_exact_mut(CODE).zip(below.chunks_exact(BELOW)) {
-            to[CODE - BELOW..].copy_from_slice(from);
+        for (to, from) in
+            back.splat_embeddings.chunks_exact_mut(EMBEDDING_SIZE).zip(below.chunks_exact(BELOW))
+        {
+            to[EMBEDDING_SIZE - BELOW..].copy_from_slice(from);
         }
         let nets = self.nets();
         let mut weights = vec![0.0; self.weights.len()];
@@ -345,20 +349,20 @@ impl GswAppearance {
             let plane = (blame.len() == visible.data.len()).then(|| visibility_gradient(visible, blame));
             nets.unet.backward(&self.weights, tape, maps, plane, &mut weights);
         }
-        self.grads = Some(Grads { weights, layer: back.layer });
+        self.grads = Some(GswGrads { weights, layer: back.layer });
         (colour_grads, back.splat_embeddings)
     }
 }
 
-/// Weight of what visibility learns beside the loss of colours.
+/// Weight of the visibility loss beside the colour loss.
 pub const VISIBILITY: f32 = 0.1;
 
 fn sigmoid(v: f32) -> f32 {
     1.0 / (1.0 + (-v).exp())
 }
 
-/// Gradient, before the sigmoid, of the mean of `b v + (1 - v)²` over the parts of the photo of which something is known;
-/// `v` is their visibility and `b` what they are blamed for. Its least is at `v = 1 - b / 2`.
+/// Gradient, before the sigmoid, of the mean of `b v + (1 - v)²` over the parts of the photo with a known `b`; `v` is
+/// their visibility and `b` their blame. The minimum is at `v = 1 - b / 2`.
 fn visibility_gradient(plane: &Map, blame: &[Option<f32>]) -> Map {
     let mut grad = Map::zeros(1, plane.height, plane.width);
     let known = blame.iter().flatten().count().max(1) as f32;
@@ -372,8 +376,8 @@ fn visibility_gradient(plane: &Map, blame: &[Option<f32>]) -> Map {
 }
 
 impl AppearanceMaps {
-    /// How sure the network is that each part of the photo shows the scene and no transient, in [0, 1], one plane of a
-    /// quarter of the network's image; `None` if it has not seen the whole photo.
+    /// Visibility: the probability that each part of the photo shows the scene and no transient, in [0, 1], one plane
+    /// at a quarter of the size of the UNet's input; `None` if the UNet has not seen the whole photo.
     pub fn visible(&self) -> Option<Image> {
         let Map { width, height, data, .. } = &self.visible;
         let data = data.iter().map(|&v| sigmoid(v)).collect();
@@ -381,18 +385,18 @@ impl AppearanceMaps {
     }
 }
 
-/// Of the splats' part of a tone: what is kept of them, and their colours without their own.
+/// Splits the splats' part of an appearance embedding: the stored activations, and the base model's offsets.
 fn split(splats: &[f32]) -> (&[f32], &[f32]) {
     splats.split_at(splats.len() / (HIDDEN_LAYER + 3) * HIDDEN_LAYER)
 }
 
-/// The codes of the rung below, side by side.
+/// The embeddings of the base model, side by side.
 fn below_of(splat_embeddings: &[f32]) -> Vec<f32> {
-    let mut out = vec![0.0; splat_embeddings.len() / CODE * BELOW];
-    let pieces = out.par_chunks_mut(512 * BELOW).zip(splat_embeddings.par_chunks(512 * CODE));
+    let mut out = vec![0.0; splat_embeddings.len() / EMBEDDING_SIZE * BELOW];
+    let pieces = out.par_chunks_mut(512 * BELOW).zip(splat_embeddings.par_chunks(512 * EMBEDDING_SIZE));
     pieces.for_each(|(to, from)| {
-        for (to, from) in to.chunks_exact_mut(BELOW).zip(from.chunks_exact(CODE)) {
-            to.copy_from_slice(&from[CODE - BELOW..]);
+        for (to, from) in to.chunks_exact_mut(BELOW).zip(from.chunks_exact(EMBEDDING_SIZE)) {
+            to.copy_from_slice(&from[EMBEDDING_SIZE - BELOW..]);
         }
     });
     out
@@ -408,16 +412,16 @@ impl Appearance for GswAppearance {
     }
 
     fn embedding_size(&self) -> usize {
-        CODE
+        EMBEDDING_SIZE
     }
 
-    /// What a splat is made of stays, and coordinates have no middle to fade to.
+    /// The intrinsic feature stays, and coordinates have no neutral value to decay to.
     fn fading(&self) -> Range<usize> {
-        CODE - BELOW..CODE
+        EMBEDDING_SIZE - BELOW..EMBEDDING_SIZE
     }
 
-    /// What splats begin with: nothing of what they are made of, and coordinates that mix their positions, so that
-    /// neighbours read the same light.
+    /// Initial embeddings: intrinsic feature 0, and coordinates that mix their positions, so that neighbours sample the
+    /// same light.
     fn first_embeddings(&self, means: &[[f32; 3]]) -> Vec<f32> {
         let axis = |k: usize| {
             let mut values: Vec<f32> = means.iter().map(|m| m[k]).filter(|v| v.is_finite()).collect();
@@ -432,13 +436,13 @@ impl Appearance for GswAppearance {
             let total = mix.iter().sum::<f32>().max(1e-3);
             mix.map(|v| v / total)
         });
-        let mut out = vec![0.0; means.len() * CODE];
-        for (code, mean) in out.chunks_exact_mut(CODE).zip(means) {
+        let mut out = vec![0.0; means.len() * EMBEDDING_SIZE];
+        for (embedding, mean) in out.chunks_exact_mut(EMBEDDING_SIZE).zip(means) {
             let at: [f32; 3] = std::array::from_fn(|k| {
                 let (low, high) = axes[k];
                 (2.0 * (mean[k] - low) / (high - low) - 1.0).clamp(-1.0, 1.0)
             });
-            for (to, mix) in code[INTRINSIC..CODE - BELOW].iter_mut().zip(&mixes) {
+            for (to, mix) in embedding[INTRINSIC..EMBEDDING_SIZE - BELOW].iter_mut().zip(&mixes) {
                 *to = (0..3).map(|k| mix[k] * at[k]).sum::<f32>() / COORDINATE;
             }
         }
@@ -447,7 +451,7 @@ impl Appearance for GswAppearance {
 
     fn step(&mut self, scale: f32) {
         self.below.step(scale);
-        let Some(Grads { weights, layer }) = self.grads.take() else { return };
+        let Some(GswGrads { weights, layer }) = self.grads.take() else { return };
         let border = self.nets().border;
         let (net, point) = self.weights.split_at_mut(border);
         self.net_moments.step(net, &weights[..border], self.net_rate * scale);
@@ -481,7 +485,7 @@ impl Appearance for GswAppearance {
         assert_eq!(
             appearance_embedding.len(),
             NUMBERS + LAYER + colours.len() / 3 * (HIDDEN_LAYER + 3),
-            "tone: length"
+            "appearance embedding: length"
         );
         let (matrix, rest) = appearance_embedding.split_at(NUMBERS);
         let (layer, splats) = rest.split_at(LAYER);

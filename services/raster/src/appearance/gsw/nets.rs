@@ -1,52 +1,52 @@
-//! The networks of the rung `gsw`, in two widths.
+//! The networks of the appearance model `gsw`, in two widths.
 
-use segwild_nn::{Layout, Mlp, Shape, UNet};
+use segwild_nn::{Mlp, UNet, UNetShape, WeightLayout};
 use std::sync::OnceLock;
 
 segwild_scene::choice! {
-    /// How wide the networks of the look `gsw` are.
+    /// Width of the networks of the appearance model `gsw`.
     pub enum GswWidth {
         /// Narrow, on a small photo: for machines without an accelerator.
         Cpu = "cpu",
-        /// As the GS-W paper has them.
+        /// As in the GS-W paper.
         Paper = "paper",
     }
 }
 
-/// Numbers read from one map.
+/// Numbers sampled from one map.
 pub const SAMPLE: usize = 16;
-/// Maps that are read at a splat's own coordinates; one more is read where the photo shows the splat.
+/// Maps that are sampled at a splat's own coordinates; one more is sampled where the splat projects into the photo.
 pub const MAPS: usize = 2;
-/// Numbers of the light that falls on a splat in a photo: what is read from the maps.
+/// Length of the dynamic appearance feature of a splat in a photo: the numbers sampled from all maps.
 pub const DYNAMIC: usize = SAMPLE * (MAPS + 1);
-/// Numbers of what a splat is made of, in every photo.
+/// Length of the intrinsic feature of a splat, the same in every photo.
 pub const INTRINSIC: usize = 48;
-/// Numbers that say how a splat looks in a photo, from any side: what is kept per look.
+/// Length of the vector of a splat in a photo, before the viewing direction.
 pub const VECTOR: usize = 48;
-/// Numbers of the colour head before its last layer.
+/// Width of the colour head before its last layer.
 pub const HIDDEN_LAYER: usize = 48;
-/// Numbers of the colour head's last layer: `[HIDDEN_LAYER][3]`, then `[3]` offsets.
+/// Weights of the colour head's last layer: `[HIDDEN_LAYER][3]`, then `[3]` offsets.
 pub const LAYER: usize = 3 * HIDDEN_LAYER + 3;
-/// Planes of what the UNet is given: colours, and whether they are known.
+/// Input planes of the UNet: colours, and whether they are known.
 pub const PLANES: usize = 4;
-/// Planes that go round the UNet: the same at half the size, and mean and deviation of the colours.
+/// Planes that bypass the UNet: the same at half the size, and mean and deviation of the colours.
 pub const BESIDE: usize = PLANES + 6;
 
 /// The networks of one width; their weights lie in one slice.
 pub struct Networks {
-    /// Where they lie.
-    pub layout: Layout,
-    /// Of a photo; its head tells what of it is the scene, and not transients.
+    /// Ranges of their weights.
+    pub layout: WeightLayout,
+    /// From a photo to maps; its head predicts visibility: scene or transient.
     pub unet: UNet,
-    /// From a photo to the light on a splat.
+    /// From samples and position to the dynamic feature of a splat.
     pub light: Mlp,
-    /// From light and substance to the vector.
+    /// From dynamic and intrinsic feature to the vector.
     pub fuse: Mlp,
-    /// From vector and direction to what colours are made of.
+    /// From vector and direction to the colour head's hidden layer.
     pub colour: Mlp,
-    /// From that to a colour. Its weights are a slice of their own: photos differ in them.
+    /// From the hidden layer to a colour. Its weights are a slice of their own, since they are fitted per photo.
     pub last: Mlp,
-    /// Where the weights of UNet and head end and those of the others begin.
+    /// Where the weights of UNet and head end and those of the others start.
     pub border: usize,
     /// Long side of the photo as the UNet gets it.
     pub side: usize,
@@ -61,7 +61,7 @@ impl Networks {
         static PAPER: OnceLock<Networks> = OnceLock::new();
         match width {
             GswWidth::Cpu => CPU.get_or_init(|| {
-                let shape = Shape {
+                let shape = UNetShape {
                     input: PLANES,
                     stem: 3,
                     encoder: [16, 16, 32, 48, 64],
@@ -74,7 +74,7 @@ impl Networks {
                 Networks::new(&shape, &[64, 48], 128, 4)
             }),
             GswWidth::Paper => PAPER.get_or_init(|| {
-                let shape = Shape {
+                let shape = UNetShape {
                     input: PLANES,
                     stem: 7,
                     encoder: [64, 64, 128, 256, 512],
@@ -89,8 +89,8 @@ impl Networks {
         }
     }
 
-    fn new(shape: &Shape, light: &[usize], side: usize, octaves: usize) -> Networks {
-        let mut layout = Layout::new();
+    fn new(shape: &UNetShape, light: &[usize], side: usize, octaves: usize) -> Networks {
+        let mut layout = WeightLayout::new();
         let unet = UNet::new(&mut layout, ["unet", "visible"], shape);
         let border = layout.len();
         let encoded = DYNAMIC + INTRINSIC + 3 + 6 * octaves;
@@ -99,7 +99,7 @@ impl Networks {
         let light = Mlp::new(&mut layout, "light", &sizes, true);
         let fuse = Mlp::new(&mut layout, "fuse", &[last + INTRINSIC, VECTOR, VECTOR], true);
         let colour = Mlp::new(&mut layout, "colour", &[VECTOR + 3, HIDDEN_LAYER], true);
-        let last = Mlp::new(&mut Layout::new(), "last", &[HIDDEN_LAYER, 3], false);
+        let last = Mlp::new(&mut WeightLayout::new(), "last", &[HIDDEN_LAYER, 3], false);
         Networks { layout, unet, light, fuse, colour, last, border, side, octaves }
     }
 }

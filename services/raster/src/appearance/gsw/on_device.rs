@@ -1,10 +1,10 @@
-//! The networks of the look `gsw` where another engine trains them.
+//! The networks of the appearance model `gsw` while a device trains them.
 
 use super::{GswAppearance, GswWidth, ImageConditioning, LAYER, WHOLE};
 use crate::adam::{Adam, Rule};
 use segwild_nn::Map;
 
-/// What the UNet is given of a photo, to be run elsewhere.
+/// Input of the UNet for a photo, to be run on a device.
 #[derive(Debug)]
 pub struct UNetInput<'a> {
     /// Of [`super::PLANES`] planes.
@@ -17,7 +17,7 @@ pub struct UNetInput<'a> {
     pub image_conditioning: &'a ImageConditioning,
 }
 
-/// The networks with what the optimiser knows of them, to be trained elsewhere: the weights of [`super::Networks`], then the
+/// The networks with their optimiser state, to be trained on a device: the weights of [`super::Networks`], then the
 /// colour head's last layer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HeldNetworks {
@@ -32,7 +32,7 @@ pub struct HeldNetworks {
 }
 
 impl GswAppearance {
-    /// The networks, to be trained elsewhere.
+    /// The networks and their optimiser state, to be trained on a device.
     pub fn held(&self) -> HeldNetworks {
         let moments = [&self.net_moments, &self.point_moments, &self.layer_moments].map(Adam::moments);
         let [first, second] = [0, 1].map(|which| moments.map(|of| of[which]).concat());
@@ -44,7 +44,7 @@ impl GswAppearance {
         }
     }
 
-    /// Takes back what [`GswAppearance::held`] gave away.
+    /// Takes back the state that [`GswAppearance::held`] returned.
     ///
     /// # Panics
     /// If it is of other networks.
@@ -60,17 +60,17 @@ impl GswAppearance {
         }
     }
 
-    /// Begins a step of the networks that is done elsewhere: by these rules, of UNet and head, and of the others. `scale` as
-    /// for [`crate::Appearance::step`].
+    /// Counts a step of the networks that a device computes, and returns its rules: of UNet and head, and of the
+    /// others. `scale` as for [`crate::Appearance::step`].
     pub fn advance(&mut self, scale: f32) -> [Rule; 2] {
         let net = self.net_moments.advance(self.net_rate * scale);
         let point = self.point_moments.advance(self.point_rate * scale);
         let layer = self.layer_moments.advance(self.point_rate * scale);
-        debug_assert_eq!(point, layer, "they make their steps together");
+        debug_assert_eq!(point, layer, "they step together");
         [net, point]
     }
 
-    /// What the UNet is given of a view's photo in a step that draws `draw`, for whoever runs it elsewhere; `None` as of
+    /// Input of the UNet for a view's photo in a step with the random number `draw`, for a device; `None` as for
     /// [`GswAppearance::appearance_maps`].
     pub fn unet_input(&self, view: usize, draw: u64) -> Option<UNetInput<'_>> {
         let (image_conditioning, seen) = self.unet_input_of(view, Some(draw))?;

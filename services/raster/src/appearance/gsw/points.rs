@@ -1,48 +1,51 @@
-//! From maps to colours, splat by splat, and back.
+//! From maps to colours per splat, forward and backward.
 //!
 //! Splats are taken in pieces, each by one task; sums over splats are taken piece by piece, in order. The backward pass
-//! runs a piece forward again, which costs less than keeping what all splats had on the way.
+//! recomputes the forward pass of a piece, which costs less than storing the activations of all splats.
 
 use super::nets::{DYNAMIC, HIDDEN_LAYER, INTRINSIC, LAYER, MAPS, Networks, SAMPLE, VECTOR};
-use super::{AppearanceMaps, CODE, COORDINATE, Directions, GswAppearance, Sight};
+use super::{AppearanceMaps, COORDINATE, Directions, EMBEDDING_SIZE, GswAppearance, Sight};
 use rayon::prelude::*;
-use segwild_nn::{Activations, Spot, Strided, product};
+use segwild_nn::{Activations, BilinearSample, Strided, product};
 
 /// Splats that one task works on.
 const PIECE: usize = 512;
-/// Share of the numbers of light that a training step leaves out.
+/// Dropout rate of the dynamic feature in training.
 pub const DROPPED: f32 = 0.1;
-/// Weight of what coordinates are off the map, per coordinate.
+/// Weight of the penalty on coordinates outside the map, per coordinate.
 pub const OFF_MAP: f32 = 1e-3;
 
-/// A piece of splats on its way to vectors.
-struct Run {
+/// Activations of a piece of splats up to their vectors.
+struct PieceRun {
     light: Activations,
     fuse: Activations,
-    /// Where each splat reads the maps, if there are any.
-    spots: Vec<[Option<Spot>; MAPS + 1]>,
-    /// What each number of light was multiplied with, in training.
+    /// Where each splat samples the maps, if there are any.
+    spots: Vec<[Option<BilinearSample>; MAPS + 1]>,
+    /// Dropout factor of each number of the dynamic feature, in training.
     kept: Vec<f32>,
 }
 
-fn spots(light: &AppearanceMaps, mean: [f32; 3], code: &[f32]) -> [Option<Spot>; MAPS + 1] {
+fn spots(light: &AppearanceMaps, mean: [f32; 3], embedding: &[f32]) -> [Option<BilinearSample>; MAPS + 1] {
     let (w, h) = (light.width, light.height);
     std::array::from_fn(|k| {
         if k < MAPS {
-            let at = [code[INTRINSIC + 2 * k], code[INTRINSIC + 2 * k + 1]];
-            return Some(Spot::new(w, h, at.map(|v| v * COORDINATE)));
+            let at = [embedding[INTRINSIC + 2 * k], embedding[INTRINSIC + 2 * k + 1]];
+            return Some(BilinearSample::new(w, h, at.map(|v| v * COORDINATE)));
         }
         // From shares of the sides to the coordinates of pixels' centres.
         let centre = |share: f32, n: usize| match n {
             1 => 0.0,
             _ => 2.0 * (share * n as f32 - 0.5) / (n - 1) as f32 - 1.0,
         };
-        light.image_conditioning.pixel_of(mean).map(|[u, v]| Spot::new(w, h, [centre(u, w), centre(v, h)]))
+        light
+            .image_conditioning
+            .pixel_of(mean)
+            .map(|[u, v]| BilinearSample::new(w, h, [centre(u, w), centre(v, h)]))
     })
 }
 
-/// The light that a splat reads.
-fn read(light: &AppearanceMaps, spots: &[Option<Spot>; MAPS + 1], out: &mut [f32]) {
+/// Samples the dynamic feature of a splat.
+fn read(light: &AppearanceMaps, spots: &[Option<BilinearSample>; MAPS + 1], out: &mut [f32]) {
     for ((spot, map), out) in spots.iter().zip(&light.maps).zip(out.chunks_exact_mut(SAMPLE)) {
         if let Some(spot) = spot {
             spot.read(map, out);
@@ -50,7 +53,8 @@ fn read(light: &AppearanceMaps, spots: &[Option<Spot>; MAPS + 1], out: &mut [f32
     }
 }
 
-/// Whether a step that draws `draw` leaves out a number of a splat's light. Words of 32 bits only, which every device has.
+/// Whether dropout removes a number of a splat's dynamic feature in a step with the random number `draw`. 32-bit words
+/// only, which every device has.
 fn is_dropped(draw: u64, splat: usize, number: usize) -> bool {
     let mix = |x: u32| {
         let x = (x ^ (x >> 16)).wrapping_mul(0x7feb_352d);
@@ -74,14 +78,14 @@ fn encode(mean: [f32; 3], octaves: usize, out: &mut [f32]) {
     }
 }
 
-/// Runs the splats `which` up to their vectors, in the weighted lights.
+/// Runs the splats `which` up to their vectors, for a weighted sum of photos.
 fn run(
     appearance: &GswAppearance,
     nets: &Networks,
     lights: &[(&AppearanceMaps, f32)],
     (means, splat_embeddings): (&[[f32; 3]], &[f32]),
     which: &[usize],
-) -> Run {
+) -> PieceRun {
     let width = nets.light.ends().0;
     let mut x = vec![0.0; which.len() * width];
     let draw = lights.first().and_then(|(light, _)| light.training.as_ref()).map(|(draw, _)| *draw);
@@ -89,9 +93,9 @@ fn run(
     let mut all_spots = Vec::new();
     let mut read_here = [0.0; DYNAMIC];
     for (x, &i) in x.chunks_exact_mut(width).zip(which) {
-        let (mean, code) = (means[i], &splat_embeddings[i * CODE..(i + 1) * CODE]);
+        let (mean, embedding) = (means[i], &splat_embeddings[i * EMBEDDING_SIZE..(i + 1) * EMBEDDING_SIZE]);
         for (light, weight) in lights {
-            let spots = spots(light, mean, code);
+            let spots = spots(light, mean, embedding);
             read_here.fill(0.0);
             read(light, &spots, &mut read_here);
             x[..DYNAMIC].iter_mut().zip(&read_here).for_each(|(x, v)| *x += weight * v);
@@ -106,7 +110,7 @@ fn run(
                 kept.push(keep);
             }
         }
-        x[DYNAMIC..DYNAMIC + INTRINSIC].copy_from_slice(&code[..INTRINSIC]);
+        x[DYNAMIC..DYNAMIC + INTRINSIC].copy_from_slice(&embedding[..INTRINSIC]);
         encode(mean, nets.octaves, &mut x[DYNAMIC + INTRINSIC..]);
     }
     let light = nets.light.forward(&appearance.weights, x);
@@ -114,13 +118,13 @@ fn run(
     let mut x = Vec::with_capacity(which.len() * (made + INTRINSIC));
     for (made, &i) in light.result().chunks_exact(made).zip(which) {
         x.extend_from_slice(made);
-        x.extend_from_slice(&splat_embeddings[i * CODE..][..INTRINSIC]);
+        x.extend_from_slice(&splat_embeddings[i * EMBEDDING_SIZE..][..INTRINSIC]);
     }
     let fuse = nets.fuse.forward(&appearance.weights, x);
-    Run { light, fuse, spots: all_spots, kept }
+    PieceRun { light, fuse, spots: all_spots, kept }
 }
 
-/// Runs vectors on to colours; `direction` is that of the piece's splats.
+/// The colour head: from vectors to colours; `direction` is that of the piece's splats.
 fn head(
     appearance: &GswAppearance,
     nets: &Networks,
@@ -170,8 +174,8 @@ pub(super) fn tint(
     colours
 }
 
-/// What is kept of a look, `[splat][HIDDEN_LAYER]`: what the vectors of all splats add to the colour head's hidden numbers,
-/// whatever the direction.
+/// The part of an appearance embedding that is stored per splat, `[splat][HIDDEN_LAYER]`: the contribution of its
+/// vector to the colour head's hidden layer, which does not depend on the direction.
 pub(super) fn kept(
     appearance: &GswAppearance,
     lights: &[(&AppearanceMaps, f32)],
@@ -204,7 +208,7 @@ fn head_weights<'a>(appearance: &'a GswAppearance, nets: &Networks) -> (&'a [f32
     appearance.weights[nets.colour.range()].split_at((VECTOR + 3) * HIDDEN_LAYER)
 }
 
-/// The colour head's hidden numbers of a splat, from what is kept of it and the direction.
+/// The colour head's hidden layer of a splat, from its stored part and the direction.
 #[inline(always)]
 fn hidden_layer_of(kept: &[f32], [x, y, z]: [f32; 3], of_direction: &[f32]) -> [f32; HIDDEN_LAYER] {
     let (kept, of_direction) = (&kept[..HIDDEN_LAYER], &of_direction[..3 * HIDDEN_LAYER]);
@@ -218,7 +222,7 @@ fn hidden_layer_of(kept: &[f32], [x, y, z]: [f32; 3], of_direction: &[f32]) -> [
     hidden_layer
 }
 
-/// The colour head's hidden numbers, `[splat][HIDDEN_LAYER]`, from what is kept; 0 of splats that nobody sees.
+/// The colour head's hidden layer, `[splat][HIDDEN_LAYER]`, from the stored part; 0 for splats out of sight.
 pub(super) fn hidden_layer(appearance: &GswAppearance, kept: &[f32], direction: &Directions) -> Vec<f32> {
     let of_direction = &head_weights(appearance, appearance.nets()).0[VECTOR * HIDDEN_LAYER..];
     let mut out = vec![0.0; kept.len()];
@@ -232,8 +236,8 @@ pub(super) fn hidden_layer(appearance: &GswAppearance, kept: &[f32], direction: 
     out
 }
 
-/// Puts colours through the matrix, and adds what splats have without them and what the colour head makes of what is kept,
-/// with a last `layer`.
+/// Applies the matrix to the colours, then adds the base model's offsets and the output of the colour head with a last
+/// `layer`.
 pub(super) fn add_light(
     appearance: &GswAppearance,
     kept: &[f32],
@@ -245,7 +249,7 @@ pub(super) fn add_light(
     let of_direction = &head_weights(appearance, appearance.nets()).0[VECTOR * HIDDEN_LAYER..];
     // Channel by channel, so that the sums run over neighbours.
     let rows: [[f32; HIDDEN_LAYER]; 3] = std::array::from_fn(|c| std::array::from_fn(|k| layer[3 * k + c]));
-    let head = Head { of_direction, rows, offsets: &layer[3 * HIDDEN_LAYER..], matrix };
+    let head = ColourHead { of_direction, rows, offsets: &layer[3 * HIDDEN_LAYER..], matrix };
     let pieces = colours.par_chunks_mut(3 * PIECE).zip(own.par_chunks(3 * PIECE));
     pieces.zip(kept.par_chunks(HIDDEN_LAYER * PIECE)).enumerate().for_each(|(p, ((colours, own), kept))| {
         let splats =
@@ -258,8 +262,8 @@ pub(super) fn add_light(
     });
 }
 
-/// The colour head after what is kept, and what the rung below does to colours.
-struct Head<'a> {
+/// The colour head after the stored part, and the base model's effect on colours.
+struct ColourHead<'a> {
     of_direction: &'a [f32],
     /// Of the last layer, `[channel][hidden_layer]`, and its offsets.
     rows: [[f32; HIDDEN_LAYER]; 3],
@@ -267,17 +271,17 @@ struct Head<'a> {
     matrix: &'a [f32],
 }
 
-impl Head<'_> {
+impl ColourHead<'_> {
     /// A splat's colour. Compiled for wider instructions as well, of which none fuses or reorders anything: the same bytes.
     fn add(&self, kept: &[f32], direction: [f32; 3], own: &[f32], colour: &mut [f32]) {
         #[cfg(target_arch = "x86_64")]
         {
             #[target_feature(enable = "avx512f")]
-            fn avx512(head: &Head, kept: &[f32], direction: [f32; 3], own: &[f32], colour: &mut [f32]) {
+            fn avx512(head: &ColourHead, kept: &[f32], direction: [f32; 3], own: &[f32], colour: &mut [f32]) {
                 head.add_plain(kept, direction, own, colour);
             }
             #[target_feature(enable = "avx2")]
-            fn avx2(head: &Head, kept: &[f32], direction: [f32; 3], own: &[f32], colour: &mut [f32]) {
+            fn avx2(head: &ColourHead, kept: &[f32], direction: [f32; 3], own: &[f32], colour: &mut [f32]) {
                 head.add_plain(kept, direction, own, colour);
             }
             if is_x86_feature_detected!("avx512f") {
@@ -311,9 +315,9 @@ impl Head<'_> {
     }
 }
 
-/// What [`backward`] finds.
-pub(super) struct Back {
-    /// Of the splats' codes.
+/// Gradients that [`backward`] returns.
+pub(super) struct PointGrads {
+    /// Of the splats' embeddings.
     pub splat_embeddings: Vec<f32>,
     /// Of the small networks' weights.
     pub weights: Vec<f32>,
@@ -323,12 +327,12 @@ pub(super) struct Back {
     pub maps: [Vec<f32>; MAPS + 1],
 }
 
-/// What one piece finds.
+/// Gradients of one piece.
 struct Piece {
     splat_embeddings: Vec<f32>,
     weights: Vec<f32>,
     layer: Vec<f32>,
-    spots: Vec<[Option<Spot>; MAPS + 1]>,
+    spots: Vec<[Option<BilinearSample>; MAPS + 1]>,
     light: Vec<f32>,
 }
 
@@ -337,9 +341,9 @@ pub(super) fn backward(
     light: Option<&AppearanceMaps>,
     sight: &Sight,
     grad: &[f32],
-) -> Back {
+) -> PointGrads {
     let nets = appearance.nets();
-    // Splats that no pixel asks about have no part in the sums.
+    // Splats without a gradient do not enter the sums.
     let which: Vec<usize> =
         in_sight(sight).into_iter().filter(|&i| grad[3 * i..3 * i + 3] != [0.0; 3]).collect();
     let lights: Vec<(&AppearanceMaps, f32)> = light.map(|l| (l, 1.0)).into_iter().collect();
@@ -354,7 +358,7 @@ pub(super) fn backward(
             piece_backward(nets, &turned, (run, colour, last), (light, sight, which), grad)
         })
         .collect();
-    let mut back = Back {
+    let mut back = PointGrads {
         splat_embeddings: vec![0.0; sight.splat_embeddings.len()],
         weights: vec![0.0; appearance.weights.len() - nets.border],
         layer: vec![0.0; LAYER],
@@ -364,8 +368,8 @@ pub(super) fn backward(
         back.weights.iter_mut().zip(&piece.weights).for_each(|(sum, v)| *sum += v);
         back.layer.iter_mut().zip(&piece.layer).for_each(|(sum, v)| *sum += v);
         for (k, &i) in which.iter().enumerate() {
-            back.splat_embeddings[i * CODE..(i + 1) * CODE]
-                .copy_from_slice(&piece.splat_embeddings[k * CODE..(k + 1) * CODE]);
+            back.splat_embeddings[i * EMBEDDING_SIZE..(i + 1) * EMBEDDING_SIZE]
+                .copy_from_slice(&piece.splat_embeddings[k * EMBEDDING_SIZE..(k + 1) * EMBEDDING_SIZE]);
         }
     }
     back.maps.par_iter_mut().enumerate().for_each(|(m, map)| {
@@ -383,7 +387,7 @@ pub(super) fn backward(
 fn piece_backward(
     nets: &Networks,
     turned: &[Vec<Vec<f32>>; 4],
-    (run, head, last): (Run, Activations, Activations),
+    (run, head, last): (PieceRun, Activations, Activations),
     (light, sight, which): (Option<&AppearanceMaps>, &Sight, &[usize]),
     grad: &[f32],
 ) -> Piece {
@@ -397,30 +401,33 @@ fn piece_backward(
     let made = nets.light.ends().1;
     let own = part(nets.fuse.range());
     let out = nets.fuse.backward(&turned[1], &run.fuse, out, &mut weights[own], made + INTRINSIC);
-    let mut splat_embeddings = vec![0.0; which.len() * CODE];
+    let mut splat_embeddings = vec![0.0; which.len() * EMBEDDING_SIZE];
     let mut to_light = Vec::with_capacity(which.len() * made);
-    for (out, code) in out.chunks_exact(made + INTRINSIC).zip(splat_embeddings.chunks_exact_mut(CODE)) {
+    for (out, embedding) in
+        out.chunks_exact(made + INTRINSIC).zip(splat_embeddings.chunks_exact_mut(EMBEDDING_SIZE))
+    {
         to_light.extend_from_slice(&out[..made]);
-        code[..INTRINSIC].copy_from_slice(&out[made..]);
+        embedding[..INTRINSIC].copy_from_slice(&out[made..]);
     }
     let own = part(nets.light.range());
     let wanted = DYNAMIC + INTRINSIC;
     let out = nets.light.backward(&turned[0], &run.light, to_light, &mut weights[own], wanted);
     let mut to_maps = Vec::with_capacity(if light.is_some() { which.len() * DYNAMIC } else { 0 });
-    for (k, (out, code)) in out.chunks_exact(wanted).zip(splat_embeddings.chunks_exact_mut(CODE)).enumerate()
+    for (k, (out, embedding)) in
+        out.chunks_exact(wanted).zip(splat_embeddings.chunks_exact_mut(EMBEDDING_SIZE)).enumerate()
     {
-        code[..INTRINSIC].iter_mut().zip(&out[DYNAMIC..]).for_each(|(sum, v)| *sum += v);
+        embedding[..INTRINSIC].iter_mut().zip(&out[DYNAMIC..]).for_each(|(sum, v)| *sum += v);
         let Some(light) = light.filter(|_| !run.spots.is_empty()) else { continue };
         let from = to_maps.len();
         to_maps.extend(out[..DYNAMIC].iter().zip(&run.kept[k * DYNAMIC..]).map(|(g, keep)| g * keep));
-        let of_code = &sight.splat_embeddings[which[k] * CODE + INTRINSIC..][..2 * MAPS];
+        let coordinates = &sight.splat_embeddings[which[k] * EMBEDDING_SIZE + INTRINSIC..][..2 * MAPS];
         for m in 0..MAPS {
             let Some(spot) = &run.spots[k][m] else { continue };
             let slope = spot.slope(&to_maps[from + m * SAMPLE..][..SAMPLE], &light.maps[m]);
             for a in 0..2 {
-                let at = of_code[2 * m + a] * COORDINATE;
+                let at = coordinates[2 * m + a] * COORDINATE;
                 let off = if at.abs() > 1.0 { OFF_MAP * at.signum() / sight.means.len() as f32 } else { 0.0 };
-                code[INTRINSIC + 2 * m + a] = COORDINATE * (slope[a] + off);
+                embedding[INTRINSIC + 2 * m + a] = COORDINATE * (slope[a] + off);
             }
         }
     }

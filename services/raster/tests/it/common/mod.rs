@@ -4,9 +4,9 @@ use glam::Vec3;
 use segwild_scene::{Camera, Image, Pose, Splats};
 
 /// A small generator (splitmix64): the same numbers on every machine.
-pub struct Random(pub u64);
+pub struct RasterTestRandom(pub u64);
 
-impl Random {
+impl RasterTestRandom {
     pub fn next(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
@@ -41,7 +41,7 @@ pub fn view(width: u32, height: u32) -> (Camera, Pose) {
 }
 
 /// `count` splats in a ball in front of [`view`], some beyond its edges, with scales of `sizes`.
-pub fn splats(random: &mut Random, count: usize, sizes: (f32, f32), sh_degree: u32) -> Splats {
+pub fn splats(random: &mut RasterTestRandom, count: usize, sizes: (f32, f32), sh_degree: u32) -> Splats {
     let basis = (sh_degree as usize + 1).pow(2);
     Splats {
         means: (0..count).map(|_| random.vector(-0.7, 0.7)).collect(),
