@@ -10,7 +10,7 @@ use crate::{
     ViewTarget,
 };
 use segwild_raster::field::{
-    AreaAverage, FeatureTarget, FieldLosses, FieldRule, LearnedDecoder, Membership, Refining, Rendered,
+    AreaAverage, FeatureTarget, FieldLosses, FieldRule, LearnedDecoder, Membership, Refining, SampledPixels,
 };
 use segwild_raster::{Engine, ProjectOptions, Projected};
 use segwild_scene::{Embedding, Image, Random, Splats};
@@ -120,7 +120,7 @@ fn refine(
         } else {
             (&unused, Vec::new())
         };
-        let rendered = Rendered { pixels: &pixels, membership: &members.membership };
+        let rendered = SampledPixels { pixels: &pixels, membership: &members.membership };
         view.projected.refine(&mut refining, &view.feature_target(), &rendered)?;
         let done = step + 1;
         let losses = if step == 0 || done % LOSS_INTERVAL == 0 { Some(refining.losses()?) } else { None };

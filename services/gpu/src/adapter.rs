@@ -31,7 +31,7 @@ impl Adapter {
 
 /// Which accelerator to take.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Choice {
+pub enum AdapterChoice {
     /// The best that is not software.
     Hardware,
     /// The first whose name contains this, in any case; software too.
@@ -80,14 +80,14 @@ fn describe(adapter: &wgpu::Adapter) -> Adapter {
 
 /// Opens the accelerator of this choice, with `subgroups` if it has some.
 pub(crate) fn open(
-    choice: &Choice,
+    choice: &AdapterChoice,
     subgroups: bool,
 ) -> Result<(Adapter, wgpu::Device, wgpu::Queue), GpuError> {
     let all = list();
     let mut described: Vec<Adapter> = all.iter().map(describe).collect();
     let at = match choice {
-        Choice::Hardware => described.iter().position(|adapter| !adapter.is_software()),
-        Choice::Named(part) => {
+        AdapterChoice::Hardware => described.iter().position(|adapter| !adapter.is_software()),
+        AdapterChoice::Named(part) => {
             let part = part.to_lowercase();
             described.iter().position(|adapter| adapter.name.to_lowercase().contains(&part))
         }
@@ -108,15 +108,15 @@ pub(crate) fn open(
     Ok((adapter, device, queue))
 }
 
-fn none_of(choice: &Choice, all: &[Adapter]) -> String {
+fn none_of(choice: &AdapterChoice, all: &[Adapter]) -> String {
     let names = all.iter().map(|a| format!("{} ({})", a.name, a.kind)).collect::<Vec<_>>().join(", ");
     match (choice, all.is_empty()) {
         (_, true) => "no accelerator was found: no Vulkan, Metal or Direct3D 12 driver answers".to_owned(),
-        (Choice::Hardware, false) => format!(
+        (AdapterChoice::Hardware, false) => format!(
             "the only accelerators here are programs on the CPU, slower than the CPU engine: {names}; `--adapter` takes one \
              by its name all the same"
         ),
-        (Choice::Named(part), false) => {
+        (AdapterChoice::Named(part), false) => {
             format!("no accelerator's name contains `{part}`; there are: {names}")
         }
     }
@@ -177,13 +177,13 @@ mod tests {
 
     #[test]
     fn a_missing_adapter_is_reported_with_those_available() {
-        assert!(none_of(&Choice::Hardware, &[]).contains("no Vulkan"));
-        let text = none_of(&Choice::Hardware, &[llvmpipe()]);
+        assert!(none_of(&AdapterChoice::Hardware, &[]).contains("no Vulkan"));
+        let text = none_of(&AdapterChoice::Hardware, &[llvmpipe()]);
         assert!(
             text.contains("slower than the CPU engine") && text.contains("llvmpipe (LLVM 15) (software)"),
             "{text}"
         );
-        let text = none_of(&Choice::Named("radeon".into()), &[llvmpipe()]);
+        let text = none_of(&AdapterChoice::Named("radeon".into()), &[llvmpipe()]);
         assert!(text.contains("`radeon`") && text.contains("llvmpipe"), "{text}");
     }
 

@@ -11,10 +11,10 @@ use crate::shaders::{
 };
 use bytemuck::{Pod, Zeroable};
 use segwild_raster::compare::{
-    BASES, BINS, ColourSums, ERROR_WINDOW, HOLD, LeaveOut, LossInputs, LossOutput, STRIDE, Seen, SkySums,
-    Target, left_out_share, psnr_of, window,
+    BASES, BINS, BackgroundSums, ColourSums, ERROR_WINDOW, HOLD, LeaveOut, LossInputs, LossOutput,
+    PhotoTarget, STRIDE, SkySums, left_out_share, psnr_of, window,
 };
-use segwild_raster::{EmbedAppearance, Light};
+use segwild_raster::{EmbedAppearance, EmbedLight};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 
@@ -30,7 +30,7 @@ const BACKGROUND: usize = MATRIX + 12;
 const SKY: usize = BASES * (BASES + 1) / 2 + 3 * BASES + 1;
 pub(crate) const LIGHT: usize = BACKGROUND + SKY;
 /// Pairs of a splat and a tile, and whether their buffers sufficed; whole numbers.
-const PAIRS: usize = LIGHT + size_of::<Light>() / 4;
+const PAIRS: usize = LIGHT + size_of::<EmbedLight>() / 4;
 pub(crate) const LENGTH: usize = PAIRS + 2;
 
 /// `LossInputs` of `shaders/shared/loss_inputs.wgsl`.
@@ -72,7 +72,7 @@ pub(crate) struct GpuPhoto {
 }
 
 impl GpuPhoto {
-    pub fn upload(work: &mut DeviceWork, target: &Target) -> Result<GpuPhoto, GpuError> {
+    pub fn upload(work: &mut DeviceWork, target: &PhotoTarget) -> Result<GpuPhoto, GpuError> {
         Ok(GpuPhoto {
             pixels: work.upload("the photo", &target.pixels)?,
             trust: work.upload("where the photo is trusted", &target.trust)?,
@@ -123,7 +123,7 @@ impl GpuPhotoCache {
         &self,
         work: &mut DeviceWork,
         key: [u64; 3],
-        target: &dyn Fn() -> Target,
+        target: &dyn Fn() -> PhotoTarget,
         splats: usize,
     ) -> Result<(Arc<GpuPhoto>, Option<usize>), GpuError> {
         let mut held = lock(&self.0);
@@ -358,8 +358,8 @@ impl StepReadback {
     }
 
     /// Gradient of a photo's parameters.
-    pub fn light(&self) -> Light {
-        const _: () = assert!(size_of::<Light>() == 4 * (12 + EmbedAppearance::EMBEDDING_SIZE));
+    pub fn light(&self) -> EmbedLight {
+        const _: () = assert!(size_of::<EmbedLight>() == 4 * (12 + EmbedAppearance::EMBEDDING_SIZE));
         std::array::from_fn(|k| self.0[LIGHT + k])
     }
 
@@ -388,11 +388,11 @@ impl StepReadback {
                 *colours = at(k);
                 k += 1;
             }
-            Seen::Sky(Box::new(sums))
+            BackgroundSums::Sky(Box::new(sums))
         } else {
             let pull = [0, 1, 2].map(|c| self.0[BACKGROUND + c]);
             let total = self.0[BACKGROUND + 3] + HOLD * (width * height) as f32;
-            Seen::Colour(ColourSums { pull, total })
+            BackgroundSums::Colour(ColourSums { pull, total })
         };
         LossOutput {
             loss: loss as f32,

@@ -5,7 +5,7 @@
 //! another caller before that run is submitted.
 
 use crate::GpuError;
-use crate::adapter::{Adapter, Choice, open};
+use crate::adapter::{Adapter, AdapterChoice, open};
 use crate::clock::KernelClock;
 use crate::shaders::{Kernel, source};
 use bytemuck::Pod;
@@ -64,7 +64,7 @@ pub(crate) struct GpuDevice {
     held: AtomicU64,
     budget: AtomicU64,
     /// Bytes that were uploaded since it was opened.
-    brought: AtomicU64,
+    uploaded_bytes: AtomicU64,
     arena: wgpu::Buffer,
     /// The first failure.
     failed: Arc<Mutex<Option<String>>>,
@@ -74,7 +74,7 @@ pub(crate) struct GpuDevice {
 }
 
 impl GpuDevice {
-    pub fn open(choice: &Choice, subgroups: bool, edit: Edit) -> Result<GpuDevice, GpuError> {
+    pub fn open(choice: &AdapterChoice, subgroups: bool, edit: Edit) -> Result<GpuDevice, GpuError> {
         let (adapter, device, queue) = open(choice, subgroups)?;
         let failed = Arc::new(Mutex::new(None));
         let note = Arc::clone(&failed);
@@ -102,7 +102,7 @@ impl GpuDevice {
             staging: Free::default(),
             held: AtomicU64::new(0),
             budget: AtomicU64::new(0),
-            brought: AtomicU64::new(0),
+            uploaded_bytes: AtomicU64::new(0),
             arena,
             failed,
             turn: Mutex::new(()),
@@ -183,8 +183,8 @@ impl GpuDevice {
     }
 
     /// Bytes that were uploaded since it was opened.
-    pub fn brought(&self) -> u64 {
-        self.brought.load(Ordering::Relaxed)
+    pub fn uploaded_bytes(&self) -> u64 {
+        self.uploaded_bytes.load(Ordering::Relaxed)
     }
 
     /// How many there may be; 0 sets no limit.
@@ -294,7 +294,7 @@ impl DeviceWork<'_> {
         self.hand_in();
         let pooled = self.take::<T>(what, items.len())?;
         if !items.is_empty() {
-            self.device.brought.fetch_add(size_of_val(items) as u64, Ordering::Relaxed);
+            self.device.uploaded_bytes.fetch_add(size_of_val(items) as u64, Ordering::Relaxed);
             self.device.queue.write_buffer(pooled.raw(), 0, bytemuck::cast_slice(items));
         }
         Ok(pooled)

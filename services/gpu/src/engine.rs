@@ -1,7 +1,7 @@
 //! The engine: projection, the two sorts, and the entries of tiles.
 
 use crate::GpuError;
-use crate::adapter::{Adapter, Choice};
+use crate::adapter::{Adapter, AdapterChoice};
 use crate::compare::GpuPhotoCache;
 use crate::device::{DeviceWork, GpuDevice, PooledBuffer};
 use crate::field::{GpuFeatureTarget, GpuField, GpuSums};
@@ -43,19 +43,19 @@ pub struct GpuEngine {
 
 impl GpuEngine {
     /// Opens an accelerator.
-    pub fn new(choice: &Choice) -> Result<GpuEngine, GpuError> {
+    pub fn new(choice: &AdapterChoice) -> Result<GpuEngine, GpuError> {
         GpuEngine::with_edit(choice, true, |_, text| text)
     }
 
     /// The same without subgroups, whether or not the accelerator has some.
-    pub fn without_subgroups(choice: &Choice) -> Result<GpuEngine, GpuError> {
+    pub fn without_subgroups(choice: &AdapterChoice) -> Result<GpuEngine, GpuError> {
         GpuEngine::with_edit(choice, false, |_, text| text)
     }
 
     /// The same with edited kernels: tests plant faults so.
     #[doc(hidden)]
     pub fn with_edit(
-        choice: &Choice,
+        choice: &AdapterChoice,
         subgroups: bool,
         edit: impl Fn(&Kernel, String) -> String + Send + Sync + 'static,
     ) -> Result<GpuEngine, GpuError> {
@@ -81,8 +81,8 @@ impl GpuEngine {
 
     /// Bytes uploaded since it was opened, for tests.
     #[doc(hidden)]
-    pub fn brought(&self) -> u64 {
-        self.device.brought()
+    pub fn uploaded_bytes(&self) -> u64 {
+        self.device.uploaded_bytes()
     }
 
     /// The accelerator in use.
@@ -184,8 +184,8 @@ impl Engine for GpuEngine {
     }
 
     fn bring(&self, channels: &Channels) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
-        let brought = if_it_fits(GpuChannels::upload(&self.device, channels))?.flatten();
-        Ok(brought.map(|brought| Box::new(brought) as Box<dyn Any + Send + Sync>))
+        let uploaded_bytes = if_it_fits(GpuChannels::upload(&self.device, channels))?.flatten();
+        Ok(uploaded_bytes.map(|uploaded_bytes| Box::new(uploaded_bytes) as Box<dyn Any + Send + Sync>))
     }
 
     fn settle_refining(&self, field: &Refining) -> Result<Option<Box<dyn DeviceRefinement>>, RasterError> {
@@ -205,9 +205,10 @@ impl Engine for GpuEngine {
     }
 
     fn similarity(&self, features: &Kept, queries: &Queries) -> Result<Option<Vec<f32>>, RasterError> {
-        let brought = features.on_device().and_then(|on_device| on_device.downcast_ref::<GpuChannels>());
-        match brought.filter(|brought| brought.is_on(&self.device)) {
-            Some(brought) => if_it_fits(brought.similarity(queries)),
+        let uploaded_bytes =
+            features.on_device().and_then(|on_device| on_device.downcast_ref::<GpuChannels>());
+        match uploaded_bytes.filter(|uploaded_bytes| uploaded_bytes.is_on(&self.device)) {
+            Some(uploaded_bytes) => if_it_fits(uploaded_bytes.similarity(queries)),
             None => Ok(None),
         }
     }

@@ -32,7 +32,7 @@ mod speed;
 mod training;
 mod view;
 
-pub use adapter::{Adapter, Choice, adapters};
+pub use adapter::{Adapter, AdapterChoice, adapters};
 pub use check::{
     FeatureCase, FeatureCaseData, KernelCheck, STAGES, Stage, TestCase, Tolerance, check, check_comparison,
     check_field, check_networks, check_splats, compared, gradients, held, held_with_embeddings, projected,

@@ -7,9 +7,9 @@ use crate::passes::ShapeGrads;
 use crate::shaders::ADAM;
 use crate::training::GpuTraining;
 use bytemuck::{Pod, Zeroable};
-use segwild_raster::{NetworksStep, Resident, Rule, Rules};
+use segwild_raster::{NetworksStep, OptimiserRules, Resident, Rule};
 
-/// `Rules` of `adam.wgsl`.
+/// `OptimiserRules` of `adam.wgsl`.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 struct AdamRules {
@@ -63,7 +63,7 @@ impl GpuTraining {
     pub fn groups(
         &self,
         work: &mut DeviceWork,
-        rules: &Rules,
+        rules: &OptimiserRules,
         networks: Option<&NetworksStep>,
     ) -> Result<Groups, GpuError> {
         let shape = |from, live, split, rules| ParameterGroup {

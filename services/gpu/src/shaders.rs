@@ -1,7 +1,7 @@
 //! The kernels' sources: files of `shaders/`, embedded in the program, with their imports resolved.
 
 use crate::nets::CONSTANTS;
-use segwild_raster::compare::{self, Target};
+use segwild_raster::compare::{self, PhotoTarget};
 use segwild_raster::{ALPHA_MAX, ALPHA_MIN, LOG2_ALPHA_MIN, SLACK, T_MIN, field, gsw};
 
 /// A kernel: a file of `shaders/`.
@@ -140,10 +140,10 @@ const LIGHT: [(&str, u32); 6] = [
 const COUNTED: [(&str, u32); 6] = [
     ("BINS", compare::BINS as u32),
     ("STRIDE", compare::STRIDE as u32),
-    ("COUNTS", Target::COUNTS as u32),
-    ("SKY", Target::SKY as u32),
-    ("INNER", Target::INNER as u32),
-    ("INITIAL_TRANSIENT", Target::INITIAL_TRANSIENT as u32),
+    ("COUNTS", PhotoTarget::COUNTS as u32),
+    ("SKY", PhotoTarget::SKY as u32),
+    ("INNER", PhotoTarget::INNER as u32),
+    ("INITIAL_TRANSIENT", PhotoTarget::INITIAL_TRANSIENT as u32),
 ];
 
 /// Files of `#import name`.

@@ -16,11 +16,11 @@ use crate::shaders::{RATE, SHADE};
 use crate::training::GpuTraining;
 use crate::view::{at_once, gathered_at_once, pack_image, parts_of};
 use crate::{GpuEngine, GpuError};
-use segwild_raster::compare::{LeaveOut, LossInputs, Residuals, Target};
+use segwild_raster::compare::{LeaveOut, LossInputs, PhotoTarget, Residuals};
 use segwild_raster::field::{FieldRule, Queries};
 use segwild_raster::{
-    Appearance, Channels, GswAppearance, GswWidth, Held, NetworksStep, RasterError, Resident, Rule, Rules,
-    Step, gsw,
+    Appearance, Channels, GswAppearance, GswWidth, Held, NetworksStep, OptimiserRules, RasterError, Resident,
+    Rule, TrainingStep, gsw,
 };
 use segwild_scene::{Camera, Pose, Random, Splats};
 use std::collections::BTreeMap;
@@ -338,7 +338,7 @@ fn losses(engine: &GpuEngine, reach: Reach, case: FeatureCase) -> Result<PassTim
         .map(|first| Ok((first, work.upload("the image", &pack_image(&image, first, blocks, None))?)));
     let parts = parts.collect::<Result<Vec<_>, GpuError>>()?;
     let spent = timed(work, |work| {
-        let step = field.start(work, &feature_target, &made.rendered())?;
+        let step = field.start(work, &feature_target, &made.sampled_pixels())?;
         for (first, image) in &parts {
             step.take(work, first / 4, blocks, image);
         }
@@ -350,11 +350,11 @@ fn losses(engine: &GpuEngine, reach: Reach, case: FeatureCase) -> Result<PassTim
         Ok(())
     })?;
     let (c, cells) = (channels as f64, (case.grid[0] * case.grid[1]) as f64);
-    let (outputs, rendered) = (case.decoded.map_or(0.0, |n| n as f64), case.pixels as f64);
+    let (outputs, sampled_pixels) = (case.decoded.map_or(0.0, |n| n as f64), case.pixels as f64);
     // Image, target and weights; forward and twice backward, and of pairs once.
-    let bytes = 4.0 * (2.0 * c * pixels as f64 + outputs * (cells + 6.0 * c) + 2.0 * c * rendered);
-    let operations =
-        2.0 * (3.0 * c * outputs * cells + 2.0 * c * rendered * rendered + 2.0 * c * pixels as f64);
+    let bytes = 4.0 * (2.0 * c * pixels as f64 + outputs * (cells + 6.0 * c) + 2.0 * c * sampled_pixels);
+    let operations = 2.0
+        * (3.0 * c * outputs * cells + 2.0 * c * sampled_pixels * sampled_pixels + 2.0 * c * pixels as f64);
     Ok(spent.row(LOSSES, reach.floor_ms(bytes, operations)))
 }
 
@@ -386,18 +386,18 @@ fn similarity(
 pub const STEP: &str = "a whole step";
 
 /// A photo with some sky above.
-fn some_photo(width: usize, height: usize) -> Target {
+fn some_photo(width: usize, height: usize) -> PhotoTarget {
     let pixel = |i: usize| {
         let sky = i < width * height / 4;
         [
             i as u8,
             (i >> 3) as u8,
             (i >> 6) as u8,
-            if sky { Target::SKY | Target::INNER } else { Target::COUNTS },
+            if sky { PhotoTarget::SKY | PhotoTarget::INNER } else { PhotoTarget::COUNTS },
         ]
     };
     let pixels = (0..width * height).map(pixel).collect();
-    Target { width, height, pixels, trust: vec![0.1; width * height] }
+    PhotoTarget { width, height, pixels, trust: vec![0.1; width * height] }
 }
 
 /// Times training steps of splats that stay on the device.
@@ -427,7 +427,7 @@ fn training(
     let mut on_device = GpuTraining::new(&engine.device, &engine.photos_on_device, &held)?;
     // Nothing moves: what is timed stays the same.
     let rule = Rule { beta1: 0.9, beta2: 0.999, rate: 0.0, epsilon: 1e-15 };
-    let rules = Rules::all(rule);
+    let rules = OptimiserRules::all(rule);
     let numbers = (n * (12 + splats.sh_stride())) as f64;
     let grads = on_device.some_gradients()?;
     let mut work = engine.device.work();
@@ -467,7 +467,7 @@ fn training(
     let (bytes, operations) = (pixels * 4.0 * 104.0, pixels * 3.0 * 11.0 * 2.0 * 7.0 * 2.0);
     rows.push(spent.row("compare", reach.floor_ms(bytes, operations)));
     drop((work, on, image, inputs, photo, seen, found, groups));
-    let step = Step {
+    let step = TrainingStep {
         options: &OPTIONS,
         light: None,
         networks: None,

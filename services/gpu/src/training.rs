@@ -13,8 +13,8 @@ use crate::passes::ShapeGrads;
 use crate::shaders::{OBSERVE, SELECT, SHADE, SHADE_BACKWARD, TINT, TINT_BACKWARD};
 use segwild_raster::compare::LossOutput;
 use segwild_raster::{
-    EmbedAppearance, Held, Light, NetworksStep, ProjectOptions, RasterError, Reshaped, Resident,
-    SplatEmbeddings, Step, check,
+    EmbedAppearance, EmbedLight, Held, NetworksStep, ProjectOptions, RasterError, Reshaped, Resident,
+    SplatEmbeddings, TrainingStep, check,
 };
 use segwild_scene::{Camera, Pose, Splats};
 use std::sync::Arc;
@@ -145,7 +145,7 @@ impl GpuTraining {
         3 * (self.sh_degree as usize + 1).pow(2)
     }
 
-    fn try_step(&self, step: &Step) -> Result<(LossOutput, Option<Light>), GpuError> {
+    fn try_step(&self, step: &TrainingStep) -> Result<(LossOutput, Option<EmbedLight>), GpuError> {
         loop {
             let work = &mut self.device.work();
             let (photo, capacity) = self.photos_on_device.take(work, step.key, step.target, self.count())?;
@@ -170,7 +170,7 @@ impl GpuTraining {
     fn once(
         &self,
         work: &mut DeviceWork,
-        step: &Step,
+        step: &TrainingStep,
         photo: &GpuPhoto,
         capacity: Option<usize>,
     ) -> Result<StepReadback, GpuError> {
@@ -209,7 +209,7 @@ impl GpuTraining {
         camera: &Camera,
         pose: &Pose,
         options: &ProjectOptions,
-        light: Option<(&Light, Option<NetworkLighting<'a>>)>,
+        light: Option<(&EmbedLight, Option<NetworkLighting<'a>>)>,
         capacity: Option<usize>,
     ) -> Result<GpuRender<'a>, GpuError> {
         let n = self.count();
@@ -269,10 +269,10 @@ impl GpuTraining {
                     let known = (&shapes.means, &splat_embeddings.values);
                     lighting.backward(work, &by_colour, known, &by_embedding, blames)?;
                 }
-                let sums = work.take::<Light>("the light's gradients", each)?;
+                let sums = work.take::<EmbedLight>("the light's gradients", each)?;
                 let buffers = [photo, colours, &splat_embeddings.values, &by_colour, &by_embedding, &sums];
                 work.run(&TINT_BACKWARD, 1, splat_embeddings.job(n), &buffers, each);
-                total(work, &sums, each, size_of::<Light>() / 4, results, LIGHT);
+                total(work, &sums, each, size_of::<EmbedLight>() / 4, results, LIGHT);
                 Some(by_embedding)
             }
             None => None,
@@ -395,7 +395,7 @@ impl GpuTraining {
 }
 
 impl Resident for GpuTraining {
-    fn step(&mut self, step: &Step) -> Result<(LossOutput, Option<Light>), RasterError> {
+    fn step(&mut self, step: &TrainingStep) -> Result<(LossOutput, Option<EmbedLight>), RasterError> {
         check(&Splats::default(), step.loss_inputs.camera)?;
         Ok(self.try_step(step)?)
     }

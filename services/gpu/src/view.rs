@@ -9,7 +9,7 @@ use crate::kept::GpuChannels;
 use crate::passes::ShapeGrads;
 use glam::Vec3;
 use rayon::prelude::*;
-use segwild_raster::field::{FeatureTarget, Lifting, Refining, Rendered};
+use segwild_raster::field::{FeatureTarget, Lifting, Refining, SampledPixels};
 use segwild_raster::{
     Channels, Frame, FrameGrad, Kept, Projected, RasterError, SplatGrads, shade, shade_backward,
 };
@@ -155,7 +155,7 @@ impl<'a> GpuView<'a> {
         &self,
         field: &GpuField,
         feature_target: &FeatureTarget,
-        sampled: &Rendered,
+        sampled: &SampledPixels,
     ) -> Result<(), GpuError> {
         let work = &mut self.device.work();
         let kept =
@@ -321,7 +321,7 @@ impl Projected for GpuView<'_> {
         &self,
         field: &mut Refining,
         feature_target: &FeatureTarget,
-        sampled: &Rendered,
+        sampled: &SampledPixels,
     ) -> Result<(), RasterError> {
         let own = field.on_device().and_then(|on_device| on_device.as_any().downcast_ref::<GpuField>());
         let Some(own) = own.filter(|field| self.is_mine(&field.device)) else {

@@ -3,9 +3,9 @@
 mod common;
 
 use common::{engine, image, many, rules, splats, step_with, view};
-use segwild_gpu::{Choice, GpuEngine, Tolerance, held, some_appearance, training_bytes};
+use segwild_gpu::{AdapterChoice, GpuEngine, Tolerance, held, some_appearance, training_bytes};
 use segwild_raster::field::{
-    AreaAverage, FeatureTarget, FieldRule, LearnedDecoder, Lifting, Membership, Refining, Rendered,
+    AreaAverage, FeatureTarget, FieldRule, LearnedDecoder, Lifting, Membership, Refining, SampledPixels,
 };
 use segwild_raster::{
     Appearance, Channels, CpuEngine, Engine, FallbackEngine, Frame, GswAppearance, GswWidth, Held, Kept,
@@ -34,7 +34,7 @@ fn draw(engine: &dyn Engine, splats: &Splats, kept: &Kept) -> Vec<Frame> {
 }
 
 fn reopened(engine: &GpuEngine) -> GpuEngine {
-    GpuEngine::new(&Choice::Named(engine.adapter().name.clone())).expect("it opens again")
+    GpuEngine::new(&AdapterChoice::Named(engine.adapter().name.clone())).expect("it opens again")
 }
 
 /// An engine to which no other test of this process uploads.
@@ -52,19 +52,19 @@ fn channels_that_are_kept_cross_once_for_all_views() {
     for count in [1, 3, 20, 64] {
         let values = values(count);
         let (once, mut kept) = (Kept::new(count, &values), Kept::new(count, &values));
-        let before = gpu.brought();
+        let before = gpu.uploaded_bytes();
         kept.bring(&*held).expect("it is brought there");
-        let crossed = gpu.brought() - before;
+        let crossed = gpu.uploaded_bytes() - before;
         let least = (4 * values.len()) as u64;
         assert!(crossed >= least && crossed <= 4 * least, "{count} channels: {crossed} bytes to keep them");
-        let before = gpu.brought();
+        let before = gpu.uploaded_bytes();
         let frames = draw(&*held, &scene, &kept);
-        let crossed = gpu.brought() - before;
+        let crossed = gpu.uploaded_bytes() - before;
         // Cameras.
         assert!(crossed < 1000, "{count} channels: {crossed} bytes for views of what is there");
-        let before = gpu.brought();
+        let before = gpu.uploaded_bytes();
         assert!(frames == draw(&*held, &scene, &once), "{count} channels");
-        let crossed = gpu.brought() - before;
+        let crossed = gpu.uploaded_bytes() - before;
         assert!(crossed >= 3 * least, "{count} channels: {crossed} bytes where each view uploads all");
     }
 }
@@ -75,9 +75,9 @@ fn alpha_alone_needs_no_channels() {
     let Some(gpu) = &alone else { return };
     let scene = scene();
     let held = gpu.hold(&scene).expect("it is brought there").expect("it fits");
-    let before = gpu.brought();
+    let before = gpu.uploaded_bytes();
     let nothing = draw(&*held, &scene, &Kept::new(0, &[][..]));
-    let crossed = gpu.brought() - before;
+    let crossed = gpu.uploaded_bytes() - before;
     assert!(crossed < 1000, "{crossed} bytes");
     let cpu = CpuEngine::new();
     for engine in [&*held, &cpu] {
@@ -170,10 +170,10 @@ fn a_step_of_the_feature_field_brings_the_pixels_that_it_draws_and_nothing_of_sp
             let on_device = held.upload_target(&feature_target).expect("it is brought there");
             feature_target.on_device = on_device.as_deref();
             let pixels: Vec<u32> = (0..width * height).step_by(3).collect();
-            let sampled = Rendered { pixels: &pixels, membership: &membership };
-            let before = gpu.brought();
+            let sampled = SampledPixels { pixels: &pixels, membership: &membership };
+            let before = gpu.uploaded_bytes();
             projected.refine(field, &feature_target, &sampled).expect("it is learnt");
-            crossed += gpu.brought() - before;
+            crossed += gpu.uploaded_bytes() - before;
         }
         (crossed, field.losses().expect("they are downloaded"))
     };
@@ -208,12 +208,12 @@ fn sums_over_views_stay_where_they_are() {
     let held = gpu.hold(&scene).expect("it is brought there").expect("it fits");
     let mut sums = Lifting::new(SPLATS, count);
     sums.settle(&*held).expect("there is room");
-    let before = gpu.brought();
+    let before = gpu.uploaded_bytes();
     let (camera, pose) = view(64, 48);
     let projected = held.project(&scene, &camera, &pose, &ProjectOptions::default()).expect("it is seen");
     projected.lift(&mut sums, &image(90, 64, 48, count + 1)).expect("it is added");
     // Eight numbers at once, filled up.
-    let (crossed, images) = (gpu.brought() - before, 4 * (count + 8) * 64 * 48);
+    let (crossed, images) = (gpu.uploaded_bytes() - before, 4 * (count + 8) * 64 * 48);
     assert!(crossed < images as u64 + 1000, "{crossed} bytes where an image is {images}");
     let (sums, weights) = sums.finish().expect("they come back");
     assert!(sums.len() == SPLATS * count && weights.iter().any(|&weight| weight > 0.0));
@@ -234,7 +234,7 @@ fn a_field_that_leaves_too_little_memory_for_its_steps_is_refined_on_the_host() 
         average: &average,
         on_device: None,
     };
-    let sampled = Rendered { pixels: &[], membership: &membership };
+    let sampled = SampledPixels { pixels: &[], membership: &membership };
     // Budgets from one where nothing settles to one where all does: no step runs out of memory.
     let mut settled = Vec::new();
     for megabytes in [3, 4, 5, 6, 8, 24] {
@@ -285,11 +285,11 @@ fn a_step_of_networks_brings_its_photo_and_nothing_of_the_splats() {
             decides: true,
             rules: [rule.splat_embeddings; 2],
         };
-        let before = gpu.brought();
+        let before = gpu.uploaded_bytes();
         let results =
             step_with(&mut *on_device, (&view.0, &view.1), Some(&light), Some(step), &rule, key, 0.1);
         results.expect("it is learnt");
-        (gpu.brought() - before, photo as u64)
+        (gpu.uploaded_bytes() - before, photo as u64)
     };
     // The first step on a photo uploads it.
     learn(91);

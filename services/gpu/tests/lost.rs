@@ -3,7 +3,7 @@
 mod common;
 
 use common::{engine, image, rules, splats, step, view};
-use segwild_gpu::{Choice, GpuEngine, held_with_embeddings};
+use segwild_gpu::{AdapterChoice, GpuEngine, held_with_embeddings};
 use segwild_raster::{
     Channels, CpuEngine, EmbedAppearance, Engine, FallbackEngine, FrameGrad, Held, ProjectOptions,
     RasterError, SplatGrads,
@@ -15,7 +15,7 @@ fn without(kernel: &'static str, adapter: &str) -> GpuEngine {
     let edit = move |k: &segwild_gpu::Kernel, text: String| {
         if k.name == kernel { text.replace("@compute", "this is no kernel @compute") } else { text }
     };
-    GpuEngine::with_edit(&Choice::Named(adapter.to_owned()), true, edit).expect("it opens")
+    GpuEngine::with_edit(&AdapterChoice::Named(adapter.to_owned()), true, edit).expect("it opens")
 }
 
 fn gradients(engine: &dyn Engine) -> Result<SplatGrads, RasterError> {

@@ -9,8 +9,8 @@ mod common;
 
 use common::{broken, engine, image, many, misled, rules, splats, step, view};
 use segwild_gpu::{
-    Choice, GpuEngine, LEAST_PHOTOS, STAGES, Tolerance, check, check_training, compared, gradients, held,
-    held_with_embeddings, projected, test_cases, training_bytes,
+    AdapterChoice, GpuEngine, LEAST_PHOTOS, STAGES, Tolerance, check, check_training, compared, gradients,
+    held, held_with_embeddings, projected, test_cases, training_bytes,
 };
 use segwild_raster::{Channels, CpuEngine, Engine, Frame, FrameGrad, ProjectOptions, Projected, RasterError};
 use segwild_scene::{Camera, Pose, Random, Splats};
@@ -327,7 +327,7 @@ fn a_step_without_memory_for_its_pairs_is_repeated_and_learns_the_same() {
 fn the_memory_that_a_training_takes_is_known_before_and_a_budget_is_kept() {
     let test = "the_memory_that_a_training_takes_is_known_before_and_a_budget_is_kept";
     let Some(gpu) = engine(test) else { return };
-    let open = || GpuEngine::new(&Choice::Named(gpu.adapter().name.clone())).expect("it opens again");
+    let open = || GpuEngine::new(&AdapterChoice::Named(gpu.adapter().name.clone())).expect("it opens again");
     let rules = rules(1e-4);
     let scene = splats(35, 6000, (0.01, 0.04));
     let learn = |engine: &GpuEngine| -> Result<(), RasterError> {
@@ -362,7 +362,7 @@ fn gradients_that_are_no_numbers_leave_splats_that_are() {
     let held = held(splats(32, 60, (0.05, 0.3)));
     let mut on_device = gpu.settle(&mut || held.clone()).expect("it settles").expect("it fits");
     let rule = segwild_raster::Rule { beta1: 0.9, beta2: 0.999, rate: 0.1, epsilon: 0.0 };
-    let rules = segwild_raster::Rules::all(rule);
+    let rules = segwild_raster::OptimiserRules::all(rule);
     // The sky's share of the gradient, in the pixels that have some.
     for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, 0.1] {
         step(&mut *on_device, &view, None, &rules, 3, bad).expect("it learns");
@@ -384,7 +384,7 @@ fn gradients_that_are_no_numbers_leave_splats_that_are() {
 #[test]
 fn a_fault_in_any_kernel_is_seen() {
     let Some(gpu) = engine("a_fault_in_any_kernel_is_seen") else { return };
-    let choice = Choice::Named(gpu.adapter().name.clone());
+    let choice = AdapterChoice::Named(gpu.adapter().name.clone());
     let cpu = CpuEngine::new();
     // More than a bucket in a tile, and more than a block of the sort.
     let scene = splats(12, 1500, (0.005, 0.08));

@@ -3,7 +3,7 @@
 mod common;
 
 use common::{broken_with, either_way, image, misled, splats, view};
-use segwild_gpu::{Choice, GpuEngine, STAGES, check};
+use segwild_gpu::{AdapterChoice, GpuEngine, STAGES, check};
 use segwild_raster::{Channels, Engine, FrameGrad, ProjectOptions};
 
 #[test]
@@ -49,7 +49,7 @@ fn a_fault_in_either_way_to_sum_is_seen() {
         }
     }
     let Some(first) = engines.first() else { return };
-    let (choice, has_some) = (Choice::Named(first.adapter().name.clone()), engines.len() == 2);
+    let (choice, has_some) = (AdapterChoice::Named(first.adapter().name.clone()), engines.len() == 2);
     for &(by_subgroups, kernel, text, fault) in FAULTS.iter().filter(|fault| has_some || !fault.0) {
         let broken = broken_with(by_subgroups, &choice, kernel, text, fault);
         assert_eq!(misled(&STAGES, &broken, kernel, fault), None);

@@ -5,7 +5,7 @@ use glam::Vec2;
 use segwild_scene::{Camera, Image, Mask, Pose, Scene};
 
 /// A photo at the size it is compared at.
-pub struct Picture {
+pub struct StereoImage {
     /// sRGB in [0, 1], three planes.
     pub image: Image,
     /// Pixels that show the scene; `None`: all.
@@ -71,8 +71,8 @@ impl Grey {
 }
 
 impl StereoFrame {
-    pub fn new(scene: &Scene, view: usize, input: Picture) -> StereoFrame {
-        let Picture { image, usable } = input;
+    pub fn new(scene: &Scene, view: usize, input: StereoImage) -> StereoFrame {
+        let StereoImage { image, usable } = input;
         let of = &scene.views[view];
         let camera = of.camera.resized(image.width as u32, image.height as u32);
         let scale = image.width as f32 / of.camera.width as f32;

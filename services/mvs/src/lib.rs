@@ -14,7 +14,7 @@ mod neighbours;
 mod plane;
 mod sweep;
 
-pub use frame::Picture;
+pub use frame::StereoImage;
 
 use frame::StereoFrame;
 use rayon::prelude::*;
@@ -37,12 +37,12 @@ const BATCH: usize = 16;
 pub fn points(
     scene: &Scene,
     views: &[usize],
-    images: Vec<Picture>,
+    images: Vec<StereoImage>,
     most: usize,
     seed: u64,
     stopping: &dyn Fn() -> bool,
 ) -> Option<Vec<Point>> {
-    let fits = |p: &Picture| p.image.width.max(p.image.height) <= plane::LARGEST;
+    let fits = |p: &StereoImage| p.image.width.max(p.image.height) <= plane::LARGEST;
     assert!(images.iter().all(fits), "an image is at most {} pixels wide and high", plane::LARGEST);
     let frames: Vec<StereoFrame> =
         views.iter().zip(images).map(|(&view, image)| StereoFrame::new(scene, view, image)).collect();

@@ -1,7 +1,7 @@
 //! A wall and a floor whose depths are known, seen by photos of different brightness.
 
 use glam::{DVec3, Vec2, Vec3};
-use segwild_mvs::{Picture, points};
+use segwild_mvs::{StereoImage, points};
 use segwild_scene::{Camera, Frame, Image, Mask, Observation, Photo, Point, Pose, Random, Scene, Seal, View};
 
 const W: u32 = 144;
@@ -32,7 +32,7 @@ fn camera() -> Camera {
 }
 
 /// Six views from left to right, some points that they observe, and their photos; `light` gives a photo's brightness.
-fn world(light: impl Fn(usize) -> f32) -> (Scene, Vec<Picture>) {
+fn world(light: impl Fn(usize) -> f32) -> (Scene, Vec<StereoImage>) {
     let views: Vec<View> = (0..6)
         .map(|i| {
             let eye = Vec3::new(0.25 * i as f32 - 0.6, -0.1, -1.2);
@@ -75,14 +75,14 @@ fn world(light: impl Fn(usize) -> f32) -> (Scene, Vec<Picture>) {
                 let value = light(v) * pattern(surface(view.pose.centre(), ray(view, pixel)));
                 (0..3).for_each(|c| image.plane_mut(c)[i] = value);
             }
-            Picture { image, usable: None }
+            StereoImage { image, usable: None }
         })
         .collect();
     let frame = Frame { origin: DVec3::ZERO, scale: 1.0 };
     (Scene { views, points: sown, skipped: vec![], notes: vec![], frame }, images)
 }
 
-fn found(scene: &Scene, images: Vec<Picture>, most: usize) -> Vec<Point> {
+fn found(scene: &Scene, images: Vec<StereoImage>, most: usize) -> Vec<Point> {
     let views: Vec<usize> = (0..scene.views.len()).collect();
     points(scene, &views, images, most, 1, &|| false).expect("nobody stops it")
 }
@@ -165,12 +165,12 @@ fn nothing_to_compare_gives_no_points_and_a_stop_none_at_all() {
     bare.points.clear();
     assert_eq!(found(&bare, images, 10), vec![]);
     for (w, h) in [(1, 1), (3, 70), (5, 5), (9, 4)] {
-        let tiny = |_| Picture { image: Image::filled(w, h, 3, 0.5), usable: None };
+        let tiny = |_| StereoImage { image: Image::filled(w, h, 3, 0.5), usable: None };
         assert_eq!(found(&scene, (0..6).map(tiny).collect(), 10), vec![]);
     }
-    let plain = |_| Picture { image: Image::filled(W as usize, H as usize, 3, 0.5), usable: None };
+    let plain = |_| StereoImage { image: Image::filled(W as usize, H as usize, 3, 0.5), usable: None };
     assert_eq!(found(&scene, (0..6).map(plain).collect(), 10), vec![], "nothing determines depths");
-    let poison = |_| Picture { image: Image::filled(W as usize, H as usize, 3, f32::NAN), usable: None };
+    let poison = |_| StereoImage { image: Image::filled(W as usize, H as usize, 3, f32::NAN), usable: None };
     assert_eq!(found(&scene, (0..6).map(poison).collect(), 10), vec![]);
     let (scene, images) = world(|_| 1.0);
     assert_eq!(points(&scene, &[0, 1, 2, 3, 4, 5], images, 10, 1, &|| true), None);

@@ -1,7 +1,7 @@
 //! Which engine computes the splats.
 
 use crate::{RunError, RunSettings};
-use segwild_gpu::{Choice, GpuEngine, GpuError};
+use segwild_gpu::{AdapterChoice, GpuEngine, GpuError};
 use segwild_raster::{CpuEngine, Engine, FallbackEngine};
 use std::sync::Arc;
 
@@ -70,8 +70,8 @@ pub fn choose_engine(
     on_loss: impl Fn(String) + Send + Sync + 'static,
 ) -> Result<ChosenEngine, RunError> {
     let choice = match settings.adapter.as_str() {
-        "" => Choice::Hardware,
-        name => Choice::Named(name.to_owned()),
+        "" => AdapterChoice::Hardware,
+        name => AdapterChoice::Named(name.to_owned()),
     };
     let open = || -> Result<GpuEngine, GpuError> {
         let engine = GpuEngine::new(&choice)?;

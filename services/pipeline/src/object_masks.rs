@@ -55,7 +55,7 @@ impl<'a> ObjectMasks<'a> {
 mod tests {
     use super::*;
     use glam::Vec3;
-    use segwild_gpu::{Choice, GpuEngine, adapters};
+    use segwild_gpu::{AdapterChoice, GpuEngine, adapters};
 
     #[test]
     fn an_objects_masks_bring_no_splat_to_an_accelerator_twice() {
@@ -63,7 +63,7 @@ mod tests {
             println!("skipped: an_objects_masks_bring_no_splat_to_an_accelerator_twice: no adapter");
             return;
         };
-        let engine = GpuEngine::new(&Choice::Named(adapter.name)).expect("it opens");
+        let engine = GpuEngine::new(&AdapterChoice::Named(adapter.name)).expect("it opens");
         let n = 3000;
         let mean = |i: usize| [(i % 60) as f32 / 30.0 - 1.0, (i / 60) as f32 / 25.0 - 1.0, 4.0];
         let splats = Splats {
@@ -78,7 +78,7 @@ mod tests {
         let source =
             ObjectMasks::new(&engine, &splats, &labels, ProjectOptions::default(), MaskMode::Visible)
                 .expect("it is brought there");
-        let before = engine.brought();
+        let before = engine.uploaded_bytes();
         for photo in 0..3 {
             let camera = Camera { width: 60, height: 40, fx: 80.0, fy: 80.0, cx: 30.0, cy: 20.0 };
             let eye = Vec3::new(0.1 * photo as f32, 0.0, 0.0);
@@ -87,7 +87,7 @@ mod tests {
             let mask = source.mask(&share, &camera);
             assert!(mask.get(10, 20) && !mask.get(55, 20), "the left half");
         }
-        let crossed = engine.brought() - before;
+        let crossed = engine.uploaded_bytes() - before;
         assert!(crossed < 1000, "{crossed} bytes for three photos of {n} splats");
     }
 }

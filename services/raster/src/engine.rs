@@ -1,6 +1,8 @@
 //! The interface of a rasteriser.
 
-use crate::field::{DeviceLifting, DeviceRefinement, FeatureTarget, Lifting, Queries, Refining, Rendered};
+use crate::field::{
+    DeviceLifting, DeviceRefinement, FeatureTarget, Lifting, Queries, Refining, SampledPixels,
+};
 use crate::{Held, Kept, Resident};
 use segwild_scene::{Camera, Image, Pose, Splats};
 use std::any::Any;
@@ -223,7 +225,7 @@ pub trait Projected: Send + Sync {
         &self,
         field: &mut Refining,
         feature_target: &FeatureTarget,
-        sampled: &Rendered,
+        sampled: &SampledPixels,
     ) -> Result<(), RasterError> {
         field.learn(self, feature_target, sampled)
     }

@@ -19,8 +19,8 @@ mod shade;
 pub use adam::{Adam, Rule};
 pub use appearance::{
     AffineAppearance, AnyAppearance, Appearance, AppearanceEmbedding, AppearanceMaps, Directions,
-    EmbedAppearance, GswAppearance, GswWidth, HIDDEN_LAYER, HeldNetworks, ImageConditioning, Light,
-    NoAppearance, RANK, Sight, UNetInput, bake, gsw,
+    EmbedAppearance, EmbedLight, GswAppearance, GswWidth, HIDDEN_LAYER, HeldNetworks, ImageConditioning,
+    NoAppearance, RANK, UNetInput, VisibleSplats, bake, gsw,
 };
 pub use cpu::{ALPHA_MAX, ALPHA_MIN, CpuEngine, Isa, LOG2_ALPHA_MIN, SLACK, T_MIN, jacobian_limits};
 pub use engine::{
@@ -29,5 +29,5 @@ pub use engine::{
 pub use fallback::FallbackEngine;
 pub use kept::Kept;
 pub use loss::{photometric, psnr, ssim};
-pub use resident::{Held, NetworksStep, Reshaped, Resident, Rules, SplatEmbeddings, Step};
+pub use resident::{Held, NetworksStep, OptimiserRules, Reshaped, Resident, SplatEmbeddings, TrainingStep};
 pub use shade::{shade, shade_backward};

@@ -1,7 +1,7 @@
 //! Splats that stay on the device of an engine while they are trained.
 
-use crate::appearance::{HeldNetworks, Light, UNetInput};
-use crate::compare::{LossInputs, LossOutput, Target};
+use crate::appearance::{EmbedLight, HeldNetworks, UNetInput};
+use crate::compare::{LossInputs, LossOutput, PhotoTarget};
 use crate::{ProjectOptions, RasterError, Rule};
 use segwild_scene::Splats;
 
@@ -38,7 +38,7 @@ pub struct SplatEmbeddings {
 
 /// Optimiser rules of one step, for each group of parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Rules {
+pub struct OptimiserRules {
     /// Of the centres.
     pub means: Rule,
     /// Of the log scales.
@@ -57,11 +57,11 @@ pub struct Rules {
     pub kept: f32,
 }
 
-impl Rules {
+impl OptimiserRules {
     /// The same for every group; embeddings do not decay.
-    pub fn all(rule: Rule) -> Rules {
+    pub fn all(rule: Rule) -> OptimiserRules {
         let [means, log_scales, rotations, opacities, base, higher, splat_embeddings] = [rule; 7];
-        Rules { means, log_scales, rotations, opacities, base, higher, splat_embeddings, kept: 1.0 }
+        OptimiserRules { means, log_scales, rotations, opacities, base, higher, splat_embeddings, kept: 1.0 }
     }
 }
 
@@ -92,11 +92,11 @@ pub struct NetworksStep<'a> {
 }
 
 /// Inputs of a training step.
-pub struct Step<'a> {
+pub struct TrainingStep<'a> {
     /// How splats are projected.
     pub options: &'a ProjectOptions,
     /// The photo's parameters ([`crate::EmbedAppearance::photo`]), for splats with appearance embeddings.
-    pub light: Option<&'a Light>,
+    pub light: Option<&'a EmbedLight>,
     /// The step of the networks, where there are some.
     pub networks: Option<NetworksStep<'a>>,
     /// Settings and state of the losses.
@@ -104,9 +104,9 @@ pub struct Step<'a> {
     /// Names the photo at its size: within a process, no two targets differ under the same key.
     pub key: [u64; 3],
     /// Provides the photo; not called if the device still has it.
-    pub target: &'a dyn Fn() -> Target,
+    pub target: &'a dyn Fn() -> PhotoTarget,
     /// The optimiser's rules.
-    pub rules: &'a Rules,
+    pub rules: &'a OptimiserRules,
 }
 
 /// Splats in training on a device: a whole step, from projection to the optimiser (method, sections 1 to 3), runs
@@ -116,7 +116,7 @@ pub trait Resident: Send {
     ///
     /// # Panics
     /// If there is light and no embeddings, or the target is not of the camera's size.
-    fn step(&mut self, step: &Step) -> Result<(LossOutput, Option<Light>), RasterError>;
+    fn step(&mut self, step: &TrainingStep) -> Result<(LossOutput, Option<EmbedLight>), RasterError>;
 
     /// How many splats there are.
     fn count(&self) -> usize;

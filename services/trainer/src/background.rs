@@ -2,7 +2,7 @@
 
 use crate::appearances::AffineColour;
 use glam::Vec3;
-use segwild_raster::compare::{self, BASES, ColourSums, Seen, SkySums};
+use segwild_raster::compare::{self, BASES, BackgroundSums, ColourSums, SkySums};
 use segwild_scene::{Camera, Image, Pose};
 use wincode::{SchemaRead, SchemaWrite};
 
@@ -51,14 +51,14 @@ impl Background {
 
     /// Learns from a photo. A sky is refitted, a quarter of the way per visit. One colour moves towards that which
     /// fits best behind the splats: least squares in closed form, half of the way per visit.
-    pub(crate) fn learn(&mut self, seen: &Seen) {
+    pub(crate) fn learn(&mut self, seen: &BackgroundSums) {
         match seen {
-            Seen::Sky(sums) => {
+            BackgroundSums::Sky(sums) => {
                 if let Some(fitted) = Background::fit(SkySums::clone(sums), PRIOR) {
                     *self = self.towards(&fitted, 0.25);
                 }
             }
-            Seen::Colour(ColourSums { pull, total }) => {
+            BackgroundSums::Colour(ColourSums { pull, total }) => {
                 let [colour] = self.coefficients.as_mut_slice() else { return };
                 for c in 0..3 {
                     colour[c] = (colour[c] + 0.5 * pull[c] / total).clamp(0.0, 1.0);

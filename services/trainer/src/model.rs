@@ -6,7 +6,7 @@ use crate::background::Background;
 use crate::params::{select, splats_fit};
 use crate::state::appearance_fits;
 use segwild_raster::compare::{BASES, add_background};
-use segwild_raster::{AnyAppearance, Channels, Engine, Frame, ProjectOptions, Sight};
+use segwild_raster::{AnyAppearance, Channels, Engine, Frame, ProjectOptions, VisibleSplats};
 use segwild_scene::{Camera, Image, Pose, Splats};
 use wincode::{SchemaRead, SchemaWrite};
 
@@ -108,7 +108,7 @@ pub(crate) fn render_frame(
     pose: &Pose,
 ) -> Result<Frame, TrainError> {
     let projected = engine.project(&model.splats, camera, pose, &model.options())?;
-    let sight = Sight {
+    let sight = VisibleSplats {
         means: &model.splats.means,
         splat_embeddings: &model.splat_embeddings,
         radii: projected.radii(),

@@ -10,7 +10,7 @@ use crate::model::options;
 use crate::photometric::StepPhoto;
 use crate::trainer::Trainer;
 use segwild_raster::compare::LossOutput;
-use segwild_raster::{AnyAppearance, EmbedAppearance, Held, NetworksStep, Reshaped, Step};
+use segwild_raster::{AnyAppearance, EmbedAppearance, Held, NetworksStep, Reshaped, TrainingStep};
 
 impl Trainer {
     /// Whether the splats are on the device.
@@ -107,7 +107,7 @@ impl Trainer {
             _ => None,
         };
         let wanted = settings.robust && !step_photo.stored.transients_known;
-        let step = Step {
+        let step = TrainingStep {
             options: &options(settings.antialias),
             light: light.as_ref(),
             networks,

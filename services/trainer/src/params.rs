@@ -1,7 +1,9 @@
 //! The splats as parameters of the optimiser.
 
 use crate::density::Reshaping;
-use segwild_raster::{Adam, Held, Projected, Reshaped, Rules, Sight, SplatEmbeddings, SplatGrads};
+use segwild_raster::{
+    Adam, Held, OptimiserRules, Projected, Reshaped, SplatEmbeddings, SplatGrads, VisibleSplats,
+};
 use segwild_scene::{Pose, Splats};
 use std::ops::Range;
 use wincode::{SchemaRead, SchemaWrite};
@@ -95,9 +97,9 @@ impl Params {
     }
 
     /// The splats from a camera, for the appearance model.
-    pub fn sight<'a>(&'a self, projected: &'a dyn Projected, pose: &Pose) -> Sight<'a> {
+    pub fn sight<'a>(&'a self, projected: &'a dyn Projected, pose: &Pose) -> VisibleSplats<'a> {
         let Params { splats, splat_embeddings, .. } = self;
-        Sight {
+        VisibleSplats {
             means: &splats.means,
             splat_embeddings,
             radii: projected.radii(),
@@ -125,13 +127,13 @@ impl Params {
     }
 
     /// Starts a step that runs on the device.
-    pub fn advance(&mut self, rates: &Rates) -> Rules {
+    pub fn advance(&mut self, rates: &Rates) -> OptimiserRules {
         let base = self.base.advance(rates.colour);
         let higher = match self.splats.sh_degree {
             0 => base,
             _ => self.higher.advance(rates.colour * HIGHER),
         };
-        Rules {
+        OptimiserRules {
             means: self.means.advance(rates.mean),
             log_scales: self.log_scales.advance(rates.scale),
             rotations: self.rotations.advance(rates.rotation),

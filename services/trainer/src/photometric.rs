@@ -10,7 +10,7 @@ use crate::robust::Robust;
 use crate::schedule::Schedule;
 use crate::state::Painter;
 use segwild_raster::AnyAppearance;
-use segwild_raster::compare::{LeaveOut, LossInputs, LossOutput, Target};
+use segwild_raster::compare::{LeaveOut, LossInputs, LossOutput, PhotoTarget};
 use segwild_scene::{Camera, Mask, Pose};
 
 /// The photo of a step, at the size of the step.
@@ -42,7 +42,7 @@ impl PhotoSide<'_> {
     }
 
     /// The photo with the flags of its pixels; their trust by points only where that is `wanted`.
-    pub fn target(&self, step_photo: &StepPhoto, posed: &Posed, wanted: bool) -> Target {
+    pub fn target(&self, step_photo: &StepPhoto, posed: &Posed, wanted: bool) -> PhotoTarget {
         let initial_transients = self.initial_transients.filter(|_| !step_photo.stored.transients_known);
         let trust = if wanted { posed.trusted(step_photo.photo) } else { Vec::new() };
         step_photo.photo.target(initial_transients, trust)

@@ -1,7 +1,7 @@
 //! Photos as the trainer needs them: loaded one at a time, kept as bytes, at several sizes.
 
 use crate::TrainError;
-use segwild_raster::compare::Target;
+use segwild_raster::compare::PhotoTarget;
 use segwild_scene::{Camera, Image, LoadedPhoto, Mask};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -143,7 +143,7 @@ impl PhotoLevel {
 
     /// The photo with the flags of its pixels, its initial transients, and the trust of each pixel to show
     /// the scene itself.
-    pub fn target(&self, initial_transients: Option<&Mask>, trust: Vec<f32>) -> Target {
+    pub fn target(&self, initial_transients: Option<&Mask>, trust: Vec<f32>) -> PhotoTarget {
         let (n, w, h) = (self.pixels(), self.width, self.height);
         let inner = |i: usize| {
             let (x, y) = (i % w, i / w);
@@ -155,15 +155,18 @@ impl PhotoLevel {
         };
         let pixel = |i: usize| {
             let flags = [
-                (self.counts(i), Target::COUNTS),
-                (self.sky(i), Target::SKY),
-                (inner(i), Target::INNER),
-                (initial_transients.is_some_and(|mask| self.lies_in(i, mask)), Target::INITIAL_TRANSIENT),
+                (self.counts(i), PhotoTarget::COUNTS),
+                (self.sky(i), PhotoTarget::SKY),
+                (inner(i), PhotoTarget::INNER),
+                (
+                    initial_transients.is_some_and(|mask| self.lies_in(i, mask)),
+                    PhotoTarget::INITIAL_TRANSIENT,
+                ),
             ];
             let flags = flags.iter().filter(|(holds, _)| *holds).map(|(_, flag)| flag).sum();
             [self.rgb[i], self.rgb[n + i], self.rgb[2 * n + i], flags]
         };
-        Target { width: w, height: h, pixels: (0..n).map(pixel).collect(), trust }
+        PhotoTarget { width: w, height: h, pixels: (0..n).map(pixel).collect(), trust }
     }
 
     /// Half the size: each pixel is the mean of four; it is valid if all four are, sky if three are.

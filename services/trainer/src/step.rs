@@ -10,7 +10,7 @@ use crate::photometric::StepPhoto;
 use crate::pixels::{at_centres, first_background};
 use crate::state::{RenderedView, mean_quality};
 use crate::trainer::{StepReport, Trainer};
-use segwild_raster::compare::{self, Compared, LeaveOut, LossOutput, Seeing, mean_difference};
+use segwild_raster::compare::{self, Compared, LeaveOut, LossOutput, VisibilityMap, mean_difference};
 use segwild_raster::{AnyAppearance, AppearanceMaps, Channels, FrameGrad};
 use segwild_scene::{Image, Splats};
 
@@ -86,7 +86,7 @@ impl Trainer {
         let target = side.target(step_photo, posed, matches!(loss_inputs.leave_out, LeaveOut::Residual(_)));
         // The network of `gsw` predicts the visible pixels, and gets a gradient for that.
         let map = light.as_ref().and_then(AppearanceMaps::visible);
-        let seeing = map.as_ref().map(|map| Seeing { map, decides: schedule.visible(step) });
+        let seeing = map.as_ref().map(|map| VisibilityMap { map, decides: schedule.visible(step) });
         let compared = compare::compare(&frame, &target, &loss_inputs, seeing.as_ref());
         let Compared { output, image, alpha, error, blame, .. } = compared;
         side.apply(step_photo, &output);

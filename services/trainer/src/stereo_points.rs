@@ -4,7 +4,7 @@
 use crate::photos::TrainPhotoCache;
 use crate::splat_budget::SplatBudget;
 use crate::{TrainError, TrainSettings};
-use segwild_mvs::Picture;
+use segwild_mvs::StereoImage;
 use segwild_scene::{Mask, Point, Scene};
 
 /// Bytes per pixel of the photos that are compared at once, at the size they are compared at: colours, brightness, depths.
@@ -56,7 +56,7 @@ pub(crate) fn points(
         let usable = Mask::from_fn(photo.width as u32, photo.height as u32, |x, y| {
             shows(y as usize * photo.width + x as usize)
         });
-        images.push(Picture { image: photo.image(), usable: Some(usable) });
+        images.push(StereoImage { image: photo.image(), usable: Some(usable) });
         views.push(view);
     }
     let mut budget = SplatBudget::new(settings, scene.points.len(), train.len(), pixels);

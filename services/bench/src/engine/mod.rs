@@ -13,12 +13,12 @@ use glam::Vec3;
 use rayon::prelude::*;
 use segwild_flow::files;
 use segwild_gpu::{
-    CLICKS, Choice, FIELD_RULE, GpuEngine, LOSSES, NETWORKS, Reach, SIMILARITY, reach, some_appearance,
-    some_feature_case, speed,
+    AdapterChoice, CLICKS, FIELD_RULE, GpuEngine, LOSSES, NETWORKS, Reach, SIMILARITY, reach,
+    some_appearance, some_feature_case, speed,
 };
 use segwild_raster::field::{Queries, score};
 use segwild_raster::{
-    Appearance, Channels, CpuEngine, Engine, FrameGrad, ProjectOptions, RasterError, Sight,
+    Appearance, Channels, CpuEngine, Engine, FrameGrad, ProjectOptions, RasterError, VisibleSplats,
 };
 use segwild_scene::{Camera, Pose, Random, Splats};
 use std::collections::BTreeMap;
@@ -43,7 +43,7 @@ pub struct EngineOptions {
     /// The command line, for the page.
     pub command: String,
     /// Which accelerator.
-    pub choice: Choice,
+    pub choice: AdapterChoice,
     /// Numbers of splats.
     pub splats: Vec<u32>,
     /// Frames, width and height.
@@ -164,8 +164,8 @@ fn on_the_cpu(
     let values = vec![0.5; splats.len() * channels];
     let values = Channels { count: channels, values: &values };
     let projected = engine.project(splats, camera, pose, &options)?;
-    let rendered = projected.blend(&values)?;
-    let grad = FrameGrad { image: &rendered.image, alpha: None };
+    let sampled_pixels = projected.blend(&values)?;
+    let grad = FrameGrad { image: &sampled_pixels.image, alpha: None };
     let best = |work: &mut dyn FnMut()| {
         let once = |_| {
             let began = Instant::now();
@@ -178,7 +178,8 @@ fn on_the_cpu(
     let splat_embeddings = appearance.first_embeddings(&splats.means);
     let radii = vec![1.0; splats.len()];
     let eye = pose.centre().to_array();
-    let sight = Sight { means: &splats.means, splat_embeddings: &splat_embeddings, radii: &radii, eye };
+    let sight =
+        VisibleSplats { means: &splats.means, splat_embeddings: &splat_embeddings, radii: &radii, eye };
     let colours = vec![0.5; 3 * splats.len()];
     let mut networks = || {
         let light = appearance.appearance_maps(0, Some(draw));
@@ -189,7 +190,7 @@ fn on_the_cpu(
     let random = &mut Random::new(3);
     let (asked, image) = (question.make(random), question.image(random));
     let mut field = question.refining(vec![0.0; channels], FIELD_RULE);
-    let mut losses = || drop(field.compute_losses(&image, &asked.feature_target(), &asked.rendered()));
+    let mut losses = || drop(field.compute_losses(&image, &asked.feature_target(), &asked.sampled_pixels()));
     let units = vec![vec![0.5; channels]; CLICKS];
     let queries = Queries { channels, units: &units, sharpness: 10.0 };
     let norms = vec![1.0; splats.len()];
@@ -208,8 +209,8 @@ fn on_the_cpu(
         ("project, sort, bin", best(&mut || drop(engine.project(splats, camera, pose, &options)))),
         ("shade", best(&mut || drop(projected.shade()))),
         ("blend", best(&mut || drop(projected.blend(&values)))),
-        ("gather", best(&mut || drop(projected.gather(&rendered.image)))),
-        ("backward", best(&mut || drop(projected.backward(&values, &rendered, &grad)))),
+        ("gather", best(&mut || drop(projected.gather(&sampled_pixels.image)))),
+        ("backward", best(&mut || drop(projected.backward(&values, &sampled_pixels, &grad)))),
     ]))
 }
 

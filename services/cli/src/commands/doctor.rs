@@ -5,7 +5,7 @@ use crate::args::{self, examples, json};
 use crate::exit;
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command};
-use segwild_gpu::{Adapter, Choice, GpuEngine, check};
+use segwild_gpu::{Adapter, AdapterChoice, GpuEngine, check};
 use segwild_pipeline::{RunSettings, Settings, choose_engine};
 use segwild_vision::{ModelFile, Providers, Runtime, VisionSettings, models_in};
 use std::path::PathBuf;
@@ -105,7 +105,7 @@ pub fn doctor(matches: &ArgMatches) -> Result<(), Failure> {
 fn kernels(adapter: &str, json: bool) -> Result<(), Failure> {
     let best = || segwild_gpu::adapters().into_iter().next().map(|adapter| adapter.name);
     let named = if adapter.is_empty() { best() } else { Some(adapter.to_owned()) };
-    let choice = named.map_or(Choice::Hardware, Choice::Named);
+    let choice = named.map_or(AdapterChoice::Hardware, AdapterChoice::Named);
     let engine =
         GpuEngine::new(&choice).map_err(|e| Failure { message: e.to_string(), code: exit::INPUT })?;
     let name = &engine.adapter().name;

@@ -8,8 +8,8 @@ use crate::view::pack_image;
 use crate::{GpuEngine, GpuError};
 use glam::Vec3;
 use segwild_raster::compare::{
-    self as host, BASES, BINS, Compared, LeaveOut, LossInputs, LossOutput, Residuals, Seeing, Seen, Target,
-    smoothed,
+    self as host, BASES, BINS, BackgroundSums, Compared, LeaveOut, LossInputs, LossOutput, PhotoTarget,
+    Residuals, VisibilityMap, smoothed,
 };
 use segwild_raster::{AffineAppearance, Appearance, Frame, ProjectOptions, RasterError};
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
@@ -21,7 +21,7 @@ pub struct TestCase {
     /// Name of the case.
     pub name: &'static str,
     frame: Frame,
-    target: Target,
+    target: PhotoTarget,
     camera: Camera,
     pose: Pose,
     matrix: Option<[f32; 12]>,
@@ -79,20 +79,20 @@ pub fn test_cases((width, height): (u32, u32)) -> Vec<TestCase> {
         0.5 + 0.3 * (0.31 * x as f32 + 0.17 * y as f32 + c as f32).sin() * (0.07 * (x * y) as f32).cos()
     };
     let transient = |x: usize, y: usize| 5 * x < 2 * w && 3 * x > w / 2 && 2 * y > h;
-    let mut target = Target { width: w, height: h, ..Target::default() };
+    let mut target = PhotoTarget { width: w, height: h, ..PhotoTarget::default() };
     let (mut image, mut alpha) = (Image::zeros(w, h, 3), Image::zeros(w, h, 1));
     for i in 0..w * h {
         let (x, y) = (i % w, i / w);
         let sky = 4 * y < h;
-        let mut flags = if sky { Target::SKY } else { Target::COUNTS };
+        let mut flags = if sky { PhotoTarget::SKY } else { PhotoTarget::COUNTS };
         if sky && 4 * (y + 1) < h {
-            flags |= Target::INNER;
+            flags |= PhotoTarget::INNER;
         }
         if random.below(40) == 0 {
             flags = 0;
         }
         if transient(x + 3, y) {
-            flags |= Target::INITIAL_TRANSIENT;
+            flags |= PhotoTarget::INITIAL_TRANSIENT;
         }
         alpha.data[i] = if sky { 0.3 * random.uniform() } else { 1.0 - 0.2 * random.uniform() };
         let mut pixel = [0, 0, 0, flags];
@@ -108,7 +108,7 @@ pub fn test_cases((width, height): (u32, u32)) -> Vec<TestCase> {
     // Histograms with large residuals, and with residuals near 0.
     let much: Vec<f32> = (0..BINS).map(|b| if b < 60 { 1.0 / 60.0 } else { 0.0 }).collect();
     let little: Vec<f32> = (0..BINS).map(|b| if b < 4 { 0.25 } else { 0.0 }).collect();
-    let untrusted = Target { trust: Vec::new(), ..target.clone() };
+    let untrusted = PhotoTarget { trust: Vec::new(), ..target.clone() };
     let base = TestCase {
         name: "one colour as background, nothing left out",
         frame: Frame { image, alpha },
@@ -192,7 +192,7 @@ const GRADED: Tolerance = Tolerance { tight: 1e-3, flips: 0.02, loose: 2.0 };
 pub fn compared(engine: &GpuEngine, test_case: &TestCase) -> Result<Vec<KernelCheck>, RasterError> {
     let loss_inputs = test_case.loss_inputs();
     let TestCase { frame, target, .. } = test_case;
-    let seeing = test_case.map.as_ref().map(|map| Seeing { map, decides: true });
+    let seeing = test_case.map.as_ref().map(|map| VisibilityMap { map, decides: true });
     let wanted = host::compare(frame, target, &loss_inputs, seeing.as_ref());
     let got = on_the_device(engine, test_case)?;
     let shown = shown(test_case);
@@ -233,11 +233,11 @@ pub fn compared(engine: &GpuEngine, test_case: &TestCase) -> Result<Vec<KernelCh
         add(&["grade"], SUMS.compare("gradient of the matrix", got, wanted));
     }
     let sums = |results: &LossOutput| match &results.background {
-        Seen::Sky(sums) => {
+        BackgroundSums::Sky(sums) => {
             let numbers = sums.products.as_flattened().iter().chain(sums.colours.as_flattened());
             numbers.chain(&[sums.total, sums.looked]).map(|&v| v as f32).collect::<Vec<_>>()
         }
-        Seen::Colour(sums) => [sums.pull.as_slice(), &[sums.total]].concat(),
+        BackgroundSums::Colour(sums) => [sums.pull.as_slice(), &[sums.total]].concat(),
     };
     let kernels: &[&str] = if loss_inputs.has_sky { &["sky_sums"] } else { &["colour_sums"] };
     add(kernels, SUMS.compare("sums for the background", &sums(&got.results), &sums(&output)));

@@ -1,7 +1,7 @@
 //! Test cases of the feature field, for the device and the host.
 
 use segwild_raster::field::{
-    AreaAverage, FeatureTarget, FieldRule, LearnedDecoder, Membership, Refining, Rendered,
+    AreaAverage, FeatureTarget, FieldRule, LearnedDecoder, Membership, Refining, SampledPixels,
 };
 use segwild_scene::{Image, Mask, MaskSet, Random, ScoredMask};
 
@@ -39,8 +39,8 @@ impl FeatureCaseData {
     }
 
     /// The sampled pixels.
-    pub fn rendered(&self) -> Rendered<'_> {
-        Rendered { pixels: &self.pixels, membership: &self.membership }
+    pub fn sampled_pixels(&self) -> SampledPixels<'_> {
+        SampledPixels { pixels: &self.pixels, membership: &self.membership }
     }
 }
 

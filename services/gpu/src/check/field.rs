@@ -140,7 +140,7 @@ fn compared(
         if !pairs {
             made.pixels.clear();
         }
-        let wanted = right.compute_losses(&image, &made.feature_target(), &made.rendered());
+        let wanted = right.compute_losses(&image, &made.feature_target(), &made.sampled_pixels());
         let got = field_gradients(engine, &on_device, &image, &made)?;
         let (losses, found) = (right.losses()?, on_device.losses()?);
         let losses = [losses.embedding, losses.compact];
@@ -162,7 +162,7 @@ fn field_gradients(
 ) -> Result<Image, RasterError> {
     let mut work = engine.device.work();
     let feature_target = GpuFeatureTarget::upload(&engine.device, &mut work, &made.feature_target())?;
-    let step = field.start(&mut work, &feature_target, &made.rendered())?;
+    let step = field.start(&mut work, &feature_target, &made.sampled_pixels())?;
     let (pixels, count) = (image.pixels(), image.channels);
     for first in parts_of(count) {
         let blocks = at_once(count);
@@ -202,8 +202,8 @@ fn steps(engine: &GpuEngine, view: &dyn Projected) -> Result<Result<(), String>,
     there.settle(engine)?;
     for _ in 0..3 {
         let made = case.make(random);
-        view.refine(&mut here, &made.feature_target(), &made.rendered())?;
-        view.refine(&mut there, &made.feature_target(), &made.rendered())?;
+        view.refine(&mut here, &made.feature_target(), &made.sampled_pixels())?;
+        view.refine(&mut there, &made.feature_target(), &made.sampled_pixels())?;
     }
     let (here, there) = (here.finish()?, there.finish()?);
     Ok(alike(Tolerance::GRADIENTS, "features", &there.values, &here.values))

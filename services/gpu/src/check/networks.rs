@@ -8,7 +8,7 @@ use segwild_nn::{Conv, Form, Map, NetworkGraph, Op, OpKind, WeightLayout};
 use segwild_raster::gsw::{BELOW, EMBEDDING_SIZE, LAYER, Networks};
 use segwild_raster::{
     Appearance, CpuEngine, Engine, GswAppearance, GswWidth, NetworksStep, ProjectOptions, RasterError, Rule,
-    Sight,
+    VisibleSplats,
 };
 use segwild_scene::{Camera, Pose, Random, Splats};
 
@@ -208,8 +208,12 @@ fn lighting(
     let projected = cpu.project(splats, camera, pose, &ProjectOptions::default())?;
     let radii = projected.radii();
     let eye = pose.centre();
-    let sight =
-        Sight { means: &splats.means, splat_embeddings: &splat_embeddings, radii, eye: eye.to_array() };
+    let sight = VisibleSplats {
+        means: &splats.means,
+        splat_embeddings: &splat_embeddings,
+        radii,
+        eye: eye.to_array(),
+    };
     let mut right = appearance.clone();
     let light = draw.and_then(|draw| right.appearance_maps(0, Some(draw)));
     let below = right.below.tint(0, &right.embeddings_below(&splat_embeddings), colours.clone());

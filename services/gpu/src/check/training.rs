@@ -6,8 +6,8 @@ use crate::training::GpuTraining;
 use crate::view::pack_image;
 use crate::{GpuEngine, GpuError};
 use segwild_raster::{
-    Adam, Appearance, Channels, CpuEngine, EmbedAppearance, Engine, Frame, FrameGrad, Held, Light,
-    ProjectOptions, RasterError, Reshaped, Resident, Rule, Rules, SplatEmbeddings,
+    Adam, Appearance, Channels, CpuEngine, EmbedAppearance, EmbedLight, Engine, Frame, FrameGrad, Held,
+    OptimiserRules, ProjectOptions, RasterError, Reshaped, Resident, Rule, SplatEmbeddings,
 };
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
 
@@ -58,7 +58,7 @@ pub fn training(
     let (by_colour, by_alpha, error) = (image(3), image(1), image(1));
     let grad = FrameGrad { image: &by_colour, alpha: Some(&by_alpha) };
     let rule = |rate: f32| Rule { beta1: 0.9, beta2: 0.95, rate, epsilon: 1e-6 };
-    let rules = Rules {
+    let rules = OptimiserRules {
         means: rule(0.01),
         log_scales: rule(0.02),
         rotations: rule(0.03),
@@ -197,11 +197,11 @@ fn on_the_device(
     camera: &Camera,
     pose: &Pose,
     options: &ProjectOptions,
-    light: Option<&Light>,
+    light: Option<&EmbedLight>,
     grad: &FrameGrad,
     error: &Image,
-    rules: &Rules,
-) -> Result<(Vec<f32>, Option<Light>), GpuError> {
+    rules: &OptimiserRules,
+) -> Result<(Vec<f32>, Option<EmbedLight>), GpuError> {
     let work = &mut engine.device.work();
     let by_image = work.upload("the image's gradients", &pack_image(grad.image, 0, 1, grad.alpha))?;
     let error = work.upload("the errors", &error.data)?;
@@ -221,9 +221,9 @@ fn on_the_host(
     options: &ProjectOptions,
     grad: &FrameGrad,
     error: &Image,
-    rules: &Rules,
+    rules: &OptimiserRules,
     appearance: &EmbedAppearance,
-) -> Result<(Frame, Held, Option<Light>), RasterError> {
+) -> Result<(Frame, Held, Option<EmbedLight>), RasterError> {
     let cpu = CpuEngine::new();
     let splats = &held.splats;
     let projected = cpu.project(splats, camera, pose, options)?;

@@ -16,7 +16,7 @@ use crate::nets::{GpuTape, GpuWeights, Link, NetworkPlan};
 use crate::shaders::{AREA_AVERAGE, AREA_SPREAD, EMBEDDING_LOSS};
 use crate::view::at_once;
 use pairs::Pairs;
-use segwild_raster::field::{DeviceRefinement, FieldLosses, FieldRule, Refined, Refining, Rendered};
+use segwild_raster::field::{DeviceRefinement, FieldLosses, FieldRule, Refined, Refining, SampledPixels};
 use segwild_raster::{Channels, RasterError};
 use std::any::Any;
 use std::slice;
@@ -73,7 +73,7 @@ impl GpuField {
         &'s self,
         work: &mut DeviceWork,
         feature_target: &'s GpuFeatureTarget,
-        sampled: &Rendered,
+        sampled: &SampledPixels,
     ) -> Result<FieldStep<'s>, GpuError> {
         let channels = self.rows.count();
         let (plan, wanted) = match &self.decoder {

@@ -9,7 +9,7 @@ use crate::device::{DeviceWork, PooledBuffer};
 use crate::engine::GROUP;
 use crate::nets::{GpuTape, NetworkPlan};
 use crate::shaders::{ADD_PULL, MATES, PAIRS, PULL, SAMPLED, TOTAL, UNITS};
-use segwild_raster::field::{Membership, Rendered};
+use segwild_raster::field::{Membership, SampledPixels};
 
 /// Pairs of a piece, but for its last column.
 const PIECE: usize = 1 << 20;
@@ -37,7 +37,11 @@ pub(super) struct Pairs {
 
 impl Pairs {
     /// Uploads pixels.
-    pub fn upload(work: &mut DeviceWork, sampled: &Rendered, channels: usize) -> Result<Pairs, GpuError> {
+    pub fn upload(
+        work: &mut DeviceWork,
+        sampled: &SampledPixels,
+        channels: usize,
+    ) -> Result<Pairs, GpuError> {
         let n = sampled.pixels.len();
         let Membership { groups, .. } = sampled.membership;
         let groups: Vec<u32> = sampled.pixels.iter().map(|&p| groups[p as usize]).collect();

@@ -2,9 +2,11 @@
 #![allow(dead_code)]
 
 use glam::Vec3;
-use segwild_gpu::{Choice, GpuEngine, Kernel, Stage, adapters};
-use segwild_raster::compare::{LeaveOut, LossInputs, LossOutput, Residuals, Target};
-use segwild_raster::{Light, NetworksStep, ProjectOptions, RasterError, Resident, Rule, Rules, Step};
+use segwild_gpu::{AdapterChoice, GpuEngine, Kernel, Stage, adapters};
+use segwild_raster::compare::{LeaveOut, LossInputs, LossOutput, PhotoTarget, Residuals};
+use segwild_raster::{
+    EmbedLight, NetworksStep, OptimiserRules, ProjectOptions, RasterError, Resident, Rule, TrainingStep,
+};
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
 use std::sync::OnceLock;
 
@@ -15,7 +17,7 @@ pub fn engine(test: &str) -> Option<&'static GpuEngine> {
     let engine = ENGINE.get_or_init(|| {
         let name = std::env::var("SEGWILD_GPU_ADAPTER").ok();
         let name = name.or_else(|| adapters().first().map(|adapter| adapter.name.clone()))?;
-        Some(GpuEngine::new(&Choice::Named(name)).expect("an adapter that is listed can be opened"))
+        Some(GpuEngine::new(&AdapterChoice::Named(name)).expect("an adapter that is listed can be opened"))
     });
     match engine {
         Some(engine) => println!("{test}: on {}", engine.adapter().name),
@@ -41,7 +43,7 @@ pub fn either_way(test: &str) -> Vec<&'static GpuEngine> {
         println!("skipped: {test} by subgroups: {} has none", engine.adapter().name);
         return vec![engine];
     }
-    let choice = Choice::Named(engine.adapter().name.clone());
+    let choice = AdapterChoice::Named(engine.adapter().name.clone());
     let plain = PLAIN.get_or_init(|| GpuEngine::without_subgroups(&choice).expect("it opens again"));
     vec![engine, plain]
 }
@@ -87,23 +89,23 @@ pub fn splats(seed: u64, count: usize, sizes: (f32, f32)) -> Splats {
 }
 
 /// A photo of noise with some sky.
-pub fn photo(seed: u64, width: usize, height: usize) -> Target {
+pub fn photo(seed: u64, width: usize, height: usize) -> PhotoTarget {
     let random = &mut Random::new(seed);
     let pixel = |i: usize| {
         let sky = i < width * height / 5;
-        let flags = if sky { Target::SKY | Target::INNER } else { Target::COUNTS };
+        let flags = if sky { PhotoTarget::SKY | PhotoTarget::INNER } else { PhotoTarget::COUNTS };
         [0, 1, 2, 3].map(|c| if c < 3 { random.below(256) as u8 } else { flags })
     };
     let pixels = (0..width * height).map(pixel).collect();
-    Target { width, height, pixels, trust: Vec::new() }
+    PhotoTarget { width, height, pixels, trust: Vec::new() }
 }
 
 /// One step of training on [`photo`], which is kept under `key`.
 pub fn step(
     on_device: &mut dyn Resident,
     (camera, pose): &(Camera, Pose),
-    light: Option<&Light>,
-    rules: &Rules,
+    light: Option<&EmbedLight>,
+    rules: &OptimiserRules,
     key: u64,
     sky_weight: f32,
 ) -> Result<LossOutput, RasterError> {
@@ -114,9 +116,9 @@ pub fn step(
 pub fn step_with(
     on_device: &mut dyn Resident,
     (camera, pose): (&Camera, &Pose),
-    light: Option<&Light>,
+    light: Option<&EmbedLight>,
     networks: Option<NetworksStep>,
-    rules: &Rules,
+    rules: &OptimiserRules,
     key: u64,
     sky_weight: f32,
 ) -> Result<LossOutput, RasterError> {
@@ -132,25 +134,37 @@ pub fn step_with(
     };
     let target = || photo(7, camera.width as usize, camera.height as usize);
     let options = ProjectOptions::default();
-    let step =
-        Step { options: &options, light, networks, loss_inputs, key: [0, key, 0], target: &target, rules };
+    let step = TrainingStep {
+        options: &options,
+        light,
+        networks,
+        loss_inputs,
+        key: [0, key, 0],
+        target: &target,
+        rules,
+    };
     Ok(on_device.step(&step)?.0)
 }
 
 /// The optimiser's usual rules at one rate.
-pub fn rules(rate: f32) -> Rules {
-    Rules::all(Rule { beta1: 0.9, beta2: 0.999, rate, epsilon: 1e-8 })
+pub fn rules(rate: f32) -> OptimiserRules {
+    OptimiserRules::all(Rule { beta1: 0.9, beta2: 0.999, rate, epsilon: 1e-8 })
 }
 
 /// The adapter with a piece of a kernel's text replaced.
-pub fn broken(choice: &Choice, kernel: &'static str, text: &'static str, fault: &'static str) -> GpuEngine {
+pub fn broken(
+    choice: &AdapterChoice,
+    kernel: &'static str,
+    text: &'static str,
+    fault: &'static str,
+) -> GpuEngine {
     broken_with(true, choice, kernel, text, fault)
 }
 
 /// The same with `subgroups`, if the adapter has some, or without.
 pub fn broken_with(
     subgroups: bool,
-    choice: &Choice,
+    choice: &AdapterChoice,
     kernel: &'static str,
     text: &'static str,
     fault: &'static str,
@@ -199,7 +213,7 @@ fn planted(gpu: &GpuEngine, faults: &[KernelFault]) -> Vec<KernelFault> {
 
 /// Asserts that `stages` attribute each fault to the kernel that has it.
 pub fn are_laid_to(stages: &[Stage], gpu: &GpuEngine, faults: &[KernelFault]) {
-    let choice = &Choice::Named(gpu.adapter().name.clone());
+    let choice = &AdapterChoice::Named(gpu.adapter().name.clone());
     let planted = planted(gpu, faults);
     println!("{} of {} faults are planted", planted.len(), faults.len());
     let missed = planted.into_iter().filter_map(|(kernel, text, fault)| {

@@ -15,7 +15,7 @@ pub(super) const EMBEDDING_SIZE: usize = 3 * RANK;
 /// Parameters per photo: matrix and vector.
 pub(super) const PHOTO: usize = NUMBERS + EMBEDDING_SIZE;
 /// Parameters of a photo: its matrix with offset, row by row, and its vector, `[channel][rank]`.
-pub type Light = [f32; PHOTO];
+pub type EmbedLight = [f32; PHOTO];
 /// Splats that one task works on; sums over splats are taken in pieces of this size, whatever the number of threads.
 const PIECE: usize = 4096;
 
@@ -92,7 +92,7 @@ impl EmbedAppearance {
     }
 
     /// All parameters of a photo; matrix identity and vector 0 for one that is not known.
-    pub fn photo(&self, view: usize) -> Light {
+    pub fn photo(&self, view: usize) -> EmbedLight {
         self.photos.get(view).copied().unwrap_or_else(|| {
             let mut neutral = [0.0; PHOTO];
             neutral[..NUMBERS].copy_from_slice(&IDENTITY);
@@ -113,7 +113,7 @@ impl EmbedAppearance {
     }
 
     /// Keeps a gradient of [`EmbedAppearance::photo`] for the next step. Ignores photos that are not known.
-    pub fn add_gradient(&mut self, view: usize, grad: &Light) {
+    pub fn add_gradient(&mut self, view: usize, grad: &EmbedLight) {
         if view < self.photos.len() {
             match self.grads.iter_mut().find(|(v, _)| *v == view) {
                 Some((_, kept)) => kept.iter_mut().zip(grad).for_each(|(kept, v)| *kept += v),
@@ -123,7 +123,7 @@ impl EmbedAppearance {
     }
 
     /// The gradient of [`EmbedAppearance::photo`] kept for the next step, if the photo took part since the last.
-    pub fn gradient(&self, view: usize) -> Option<Light> {
+    pub fn gradient(&self, view: usize) -> Option<EmbedLight> {
         self.grads.iter().find(|(v, _)| *v == view).map(|(_, grad)| *grad)
     }
 

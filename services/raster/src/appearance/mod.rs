@@ -15,9 +15,10 @@ pub mod gsw;
 pub use affine::AffineAppearance;
 pub(crate) use affine::{apply_matrix, matrix_backward};
 pub use bake::bake;
-pub use embed::{EmbedAppearance, Light, RANK};
+pub use embed::{EmbedAppearance, EmbedLight, RANK};
 pub use gsw::{
-    AppearanceMaps, GswAppearance, GswWidth, HIDDEN_LAYER, HeldNetworks, ImageConditioning, Sight, UNetInput,
+    AppearanceMaps, GswAppearance, GswWidth, HIDDEN_LAYER, HeldNetworks, ImageConditioning, UNetInput,
+    VisibleSplats,
 };
 
 use segwild_scene::Image;
@@ -206,7 +207,7 @@ impl AnyAppearance {
         &self,
         view: usize,
         light: Option<&AppearanceMaps>,
-        sight: &Sight,
+        sight: &VisibleSplats,
         colours: Vec<f32>,
     ) -> Vec<f32> {
         match self {
@@ -222,7 +223,7 @@ impl AnyAppearance {
         &mut self,
         view: usize,
         light: Option<&AppearanceMaps>,
-        sight: &Sight,
+        sight: &VisibleSplats,
         colours: &[f32],
         grad: Vec<f32>,
         blame: &[Option<f32>],

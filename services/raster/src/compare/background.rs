@@ -1,6 +1,6 @@
 //! The background: one colour, or a smooth sky, and the sums over a photo that it is fitted to.
 
-use super::Target;
+use super::PhotoTarget;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use segwild_scene::{Camera, Image, Pose};
@@ -61,7 +61,7 @@ pub fn paint(coefficients: &[[f32; 3]], camera: &Camera, pose: &Pose) -> Image {
 
 /// Sums over a photo that the background is fitted to.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Seen {
+pub enum BackgroundSums {
     /// For the fit of a sky.
     Sky(Box<SkySums>),
     /// For a step towards one colour.
@@ -107,13 +107,13 @@ impl SkySums {
     pub(super) fn of_photo(
         camera: &Camera,
         pose: &Pose,
-        target: &Target,
+        target: &PhotoTarget,
         alpha: &Image,
         weights: &[f32],
     ) -> SkySums {
         let open = |i: usize| (1.0 - alpha.data[i]).max(0.0).powi(2) * weights[i];
         SkySums::of(camera, pose, STRIDE, |i| {
-            let weight = if target.is(i, Target::SKY) { 1.0 } else { open(i) };
+            let weight = if target.is(i, PhotoTarget::SKY) { 1.0 } else { open(i) };
             (weight > LEAST_SEEN).then(|| (target.colour(i), weight))
         })
     }

@@ -9,13 +9,13 @@ mod robust;
 mod visible;
 
 pub use background::{
-    BASES, ColourSums, HOLD, LEAST_SEEN, STRIDE, Seen, SkySums, background, basis, direction, paint,
+    BASES, BackgroundSums, ColourSums, HOLD, LEAST_SEEN, STRIDE, SkySums, background, basis, direction, paint,
 };
 pub use robust::{
     BINS, CONTRAST, DECAY, FLOOR, INITIAL_TRANSIENT, Residuals, SURPRISE, contradicted, leave_out, limit,
     limits, relative, smoothed, window,
 };
-pub use visible::{LEAST, MOST, OCCLUDED, SURE, Seeing, WRONG};
+pub use visible::{LEAST, MOST, OCCLUDED, SURE, VisibilityMap, WRONG};
 
 use crate::appearance::{apply_matrix, matrix_backward};
 use crate::{Frame, photometric};
@@ -28,19 +28,19 @@ pub const LEAST_OPEN: f32 = 0.05;
 
 /// A photo at the size of a comparison, with flags and trust per pixel.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Target {
+pub struct PhotoTarget {
     /// Pixels across.
     pub width: usize,
     /// Rows.
     pub height: usize,
-    /// Red, green, blue and flags ([`Target::COUNTS`] and the others), row by row.
+    /// Red, green, blue and flags ([`PhotoTarget::COUNTS`] and the others), row by row.
     pub pixels: Vec<[u8; 4]>,
     /// Trust that each pixel shows the static scene, in [0, 1]: its residual counts that much less towards transients.
     /// Empty: 0 everywhere.
     pub trust: Vec<f32>,
 }
 
-impl Target {
+impl PhotoTarget {
     /// Takes part in the colour loss: may be trained on, and is no sky.
     pub const COUNTS: u8 = 1;
     /// Is sky.
@@ -123,7 +123,7 @@ pub struct LossOutput {
     /// Gradient of [`LossInputs::matrix`], where there is one.
     pub matrix: Option<[f32; 12]>,
     /// Sums for the background.
-    pub background: Seen,
+    pub background: BackgroundSums,
 }
 
 /// Losses of an image against a photo, with gradients.
@@ -139,7 +139,7 @@ pub struct Compared {
     pub error: Image,
     /// Weight of each pixel, one plane: 0 where it does not count or is left out.
     pub weights: Image,
-    /// Per part of [`Seeing::map`], the mean residual relative to the limit for transients, `None` where no pixel
+    /// Per part of [`VisibilityMap::map`], the mean residual relative to the limit for transients, `None` where no pixel
     /// counts; empty where it was not requested.
     pub blame: Vec<Option<f32>>,
 }
@@ -151,9 +151,9 @@ pub struct Compared {
 /// If frame and target differ in size.
 pub fn compare(
     frame: &Frame,
-    target: &Target,
+    target: &PhotoTarget,
     loss_inputs: &LossInputs,
-    seeing: Option<&Seeing>,
+    seeing: Option<&VisibilityMap>,
 ) -> Compared {
     let Composed { background, scene, shown, residual } = compose(frame, target, loss_inputs);
     let photo = target.image();
@@ -161,17 +161,17 @@ pub fn compare(
     let kept = match loss_inputs.leave_out {
         LeaveOut::None => None,
         LeaveOut::InitialTransients => {
-            let keep = |p: &[u8; 4]| f32::from(u8::from(p[3] & Target::INITIAL_TRANSIENT == 0));
+            let keep = |p: &[u8; 4]| f32::from(u8::from(p[3] & PhotoTarget::INITIAL_TRANSIENT == 0));
             Some(target.pixels.iter().map(keep).collect())
         }
         LeaveOut::Residual(before) => {
             let uncertain = target.uncertain(&residual);
-            let counts = |i: usize| target.is(i, Target::COUNTS);
+            let counts = |i: usize| target.is(i, PhotoTarget::COUNTS);
             let (kept, held) = leave_out(&before, &uncertain, target.width, counts, |i| {
-                target.is(i, Target::INITIAL_TRANSIENT)
+                target.is(i, PhotoTarget::INITIAL_TRANSIENT)
             });
             residuals = held;
-            let seen = seeing.and_then(|&Seeing { map, decides }| {
+            let seen = seeing.and_then(|&VisibilityMap { map, decides }| {
                 let ratio = relative(&uncertain, target.width, counts, before.share);
                 blame = visible::blame(map, &ratio, target);
                 decides.then(|| visible::weights(map, target, kept.as_deref(), before.share))?
@@ -193,9 +193,9 @@ pub fn compare(
     let background = if loss_inputs.has_sky {
         let sums =
             SkySums::of_photo(loss_inputs.camera, loss_inputs.pose, target, &frame.alpha, &weights.data);
-        Seen::Sky(Box::new(sums))
+        BackgroundSums::Sky(Box::new(sums))
     } else {
-        Seen::Colour(ColourSums::of(&shown, &photo, &frame.alpha, &weights.data))
+        BackgroundSums::Colour(ColourSums::of(&shown, &photo, &frame.alpha, &weights.data))
     };
     let error = error_around(&residual, &weights);
     Compared {
@@ -220,7 +220,7 @@ struct Composed {
     residual: Vec<f32>,
 }
 
-fn compose(frame: &Frame, target: &Target, loss_inputs: &LossInputs) -> Composed {
+fn compose(frame: &Frame, target: &PhotoTarget, loss_inputs: &LossInputs) -> Composed {
     let background = paint(loss_inputs.background, loss_inputs.camera, loss_inputs.pose);
     let mut scene = frame.image.clone();
     add_background(&mut scene, &frame.alpha, &background);
@@ -255,8 +255,9 @@ pub fn add_background(image: &mut Image, alpha: &Image, background: &Image) {
 }
 
 /// Weight per pixel (1 counts, 0 does not), and the share of the counted pixels that `kept` leaves out.
-fn pixel_weights(target: &Target, kept: Option<&[f32]>) -> (Image, f32) {
-    let data = (0..target.pixels.len()).map(|i| f32::from(u8::from(target.is(i, Target::COUNTS)))).collect();
+fn pixel_weights(target: &PhotoTarget, kept: Option<&[f32]>) -> (Image, f32) {
+    let data =
+        (0..target.pixels.len()).map(|i| f32::from(u8::from(target.is(i, PhotoTarget::COUNTS)))).collect();
     let mut weights = Image { width: target.width, height: target.height, channels: 1, data };
     let Some(kept) = kept else { return (weights, 0.0) };
     let before: f32 = weights.data.iter().sum();
@@ -294,8 +295,14 @@ pub fn psnr_of(squares: f64, weights: f64) -> f32 {
 /// Gradient with respect to the accumulated alpha: the background shines through where it is low, and the sky is to be
 /// empty.
 ///
-/// The sky's term is `weight * mean over pixels of -ln(1 - A)` on [`Target::INNER`] pixels.
-fn alpha_gradient(grad: &Image, background: &Image, alpha: &Image, target: &Target, weight: f32) -> Image {
+/// The sky's term is `weight * mean over pixels of -ln(1 - A)` on [`PhotoTarget::INNER`] pixels.
+fn alpha_gradient(
+    grad: &Image,
+    background: &Image,
+    alpha: &Image,
+    target: &PhotoTarget,
+    weight: f32,
+) -> Image {
     let n = alpha.pixels();
     let mut out = Image::zeros(alpha.width, alpha.height, 1);
     for c in 0..3 {
@@ -306,7 +313,7 @@ fn alpha_gradient(grad: &Image, background: &Image, alpha: &Image, target: &Targ
     if weight > 0.0 {
         let per_pixel = weight / n as f32;
         for (i, (o, a)) in out.data.iter_mut().zip(&alpha.data).enumerate() {
-            if target.is(i, Target::INNER) {
+            if target.is(i, PhotoTarget::INNER) {
                 *o += per_pixel / (1.0 - a).max(LEAST_OPEN);
             }
         }
@@ -331,13 +338,13 @@ mod tests {
     const H: usize = 9;
 
     /// A photo with some sky, an image that differs from it, and a sky as background.
-    fn example() -> (Frame, Target, Camera, Pose, Vec<[f32; 3]>) {
+    fn example() -> (Frame, PhotoTarget, Camera, Pose, Vec<[f32; 3]>) {
         let random = &mut Random::new(6);
         let camera = Camera { width: W as u32, height: H as u32, fx: 14.0, fy: 13.0, cx: 6.0, cy: 5.0 };
         let pose = Pose::look_at(Vec3::new(0.2, -0.3, -1.0), Vec3::ZERO, Vec3::NEG_Y);
-        let mut target = Target { width: W, height: H, ..Target::default() };
+        let mut target = PhotoTarget { width: W, height: H, ..PhotoTarget::default() };
         for i in 0..W * H {
-            let flags = if i < 4 * W { Target::SKY | Target::INNER } else { Target::COUNTS };
+            let flags = if i < 4 * W { PhotoTarget::SKY | PhotoTarget::INNER } else { PhotoTarget::COUNTS };
             target.pixels.push([0, 1, 2, 3].map(|c| if c < 3 { random.below(256) as u8 } else { flags }));
         }
         let mut image = |channels| Image {
@@ -365,10 +372,10 @@ mod tests {
     }
 
     /// The loss with the sky's term.
-    fn loss(frame: &Frame, target: &Target, loss_inputs: &LossInputs) -> f64 {
+    fn loss(frame: &Frame, target: &PhotoTarget, loss_inputs: &LossInputs) -> f64 {
         let output = compare(frame, target, loss_inputs, None).output;
         let sky =
-            |i: usize| if target.is(i, Target::INNER) { -(1.0 - frame.alpha.data[i]).ln() } else { 0.0 };
+            |i: usize| if target.is(i, PhotoTarget::INNER) { -(1.0 - frame.alpha.data[i]).ln() } else { 0.0 };
         let sky: f64 = (0..W * H).map(|i| f64::from(sky(i))).sum();
         f64::from(output.loss) + f64::from(loss_inputs.sky_weight) * sky / (W * H) as f64
     }

@@ -4,12 +4,12 @@
 //! units follow the photo's median and the largest share that may be left out, so that neither a map that hides all
 //! minimises the loss, nor one that hides nothing where residuals stand out.
 
-use super::Target;
+use super::PhotoTarget;
 use segwild_scene::Image;
 
 /// A photo's visibility map, of one plane: the probability that a part of the photo shows the scene, in [0, 1].
 #[derive(Clone, Copy, Debug)]
-pub struct Seeing<'a> {
+pub struct VisibilityMap<'a> {
     /// The map, smaller than the photo.
     pub map: &'a Image,
     /// Whether it may replace the robust mask.
@@ -28,9 +28,9 @@ pub const LEAST: f32 = 0.3;
 pub const WRONG: f32 = 4.0;
 
 /// Per part of the photo that a pixel of the map covers, the mean of `ratio` over its pixels that count.
-pub(super) fn blame(map: &Image, ratio: &[f32], photo: &Target) -> Vec<Option<f32>> {
+pub(super) fn blame(map: &Image, ratio: &[f32], photo: &PhotoTarget) -> Vec<Option<f32>> {
     let mut sums = vec![(0.0f32, 0u32); map.pixels()];
-    for (i, ratio) in ratio.iter().enumerate().filter(|(i, _)| photo.is(*i, Target::COUNTS)) {
+    for (i, ratio) in ratio.iter().enumerate().filter(|(i, _)| photo.is(*i, PhotoTarget::COUNTS)) {
         let (x, y) = (i % photo.width * map.width / photo.width, i / photo.width * map.height / photo.height);
         let sum = &mut sums[y * map.width + x];
         *sum = (sum.0 + ratio.min(WRONG), sum.1 + 1);
@@ -40,7 +40,12 @@ pub(super) fn blame(map: &Image, ratio: &[f32], photo: &Target) -> Vec<Option<f3
 
 /// Weight of each pixel by the map; `None` where the map is implausible against the robust mask: it leaves out much
 /// more than `share`, or next to nothing where the mask leaves out something.
-pub(super) fn weights(map: &Image, photo: &Target, kept: Option<&[f32]>, share: f32) -> Option<Vec<f32>> {
+pub(super) fn weights(
+    map: &Image,
+    photo: &PhotoTarget,
+    kept: Option<&[f32]>,
+    share: f32,
+) -> Option<Vec<f32>> {
     let weight = |i: usize| {
         let at = |k: usize, of: usize, n: usize| (((k as f32 + 0.5) / of as f32) * n as f32 - 0.5).max(0.0);
         let (x, y) =
@@ -52,7 +57,7 @@ pub(super) fn weights(map: &Image, photo: &Target, kept: Option<&[f32]>, share: 
         ((row(y0) * (1.0 - fy) + row(y1) * fy - OCCLUDED) / (SURE - OCCLUDED)).clamp(0.0, 1.0)
     };
     let weights: Vec<f32> = (0..photo.pixels.len()).map(weight).collect();
-    is_sane(&weights, kept, |i| photo.is(i, Target::COUNTS), share).then_some(weights)
+    is_sane(&weights, kept, |i| photo.is(i, PhotoTarget::COUNTS), share).then_some(weights)
 }
 
 fn is_sane(weights: &[f32], kept: Option<&[f32]>, counts: impl Fn(usize) -> bool, share: f32) -> bool {

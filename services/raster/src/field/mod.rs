@@ -39,7 +39,7 @@ pub struct FeatureTarget<'a> {
 
 /// Sampled pixels of a view, for the compactness loss.
 #[derive(Clone, Copy)]
-pub struct Rendered<'a> {
+pub struct SampledPixels<'a> {
     /// Their numbers, row by row; none twice.
     pub pixels: &'a [u32],
     /// Which masks hold them.
@@ -146,7 +146,7 @@ impl Refining {
         &mut self,
         view: &P,
         feature_target: &FeatureTarget,
-        sampled: &Rendered,
+        sampled: &SampledPixels,
     ) -> Result<(), RasterError> {
         let frame = view.blend(&self.channels())?;
         let grad = self.compute_losses(&frame.image, feature_target, sampled);
@@ -164,7 +164,7 @@ impl Refining {
         &mut self,
         image: &Image,
         feature_target: &FeatureTarget,
-        sampled: &Rendered,
+        sampled: &SampledPixels,
     ) -> Image {
         let mut grad = Image::zeros(image.width, image.height, image.channels);
         let rendered = feature_target.average.forward(image);
@@ -181,7 +181,12 @@ impl Refining {
     }
 
     /// Adds the weighted gradient of the sampled pixels' compactness and returns the loss.
-    fn compare(&self, image: &Image, Rendered { pixels, membership }: &Rendered, grad: &mut Image) -> f32 {
+    fn compare(
+        &self,
+        image: &Image,
+        SampledPixels { pixels, membership }: &SampledPixels,
+        grad: &mut Image,
+    ) -> f32 {
         let (n, c) = (image.pixels(), image.channels);
         let mut features = Vec::with_capacity(pixels.len() * c);
         for &p in *pixels {

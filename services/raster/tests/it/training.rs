@@ -3,7 +3,7 @@
 use crate::common::RasterTestRandom;
 use segwild_raster::{
     Adam, AffineAppearance, AnyAppearance, Appearance, EmbedAppearance, GswAppearance, GswWidth,
-    NoAppearance, RANK, Sight, bake,
+    NoAppearance, RANK, VisibleSplats, bake,
 };
 use segwild_scene::{Camera, Image, Pose, Splats};
 
@@ -230,8 +230,8 @@ fn gsw_appearance_matches_finite_differences() {
         splat_embeddings: &'a [f32],
         radii: &'a [f32],
         eye: [f32; 3],
-    ) -> Sight<'a> {
-        Sight { means, splat_embeddings, radii, eye }
+    ) -> VisibleSplats<'a> {
+        VisibleSplats { means, splat_embeddings, radii, eye }
     }
     // A draw in which light is read: dropout and the visible part of the photo stay the same from run to run.
     let draw = (0..50).find(|&draw| appearance.appearance_maps(0, Some(draw)).is_some());
@@ -304,8 +304,12 @@ fn gsw_appearance_embeddings_are_what_was_trained_and_can_be_baked() {
     let colours = random.many(3 * n, 0.0, 1.0);
     let eye = pose.centre();
     let radii = vec![1.0; n];
-    let sight =
-        Sight { means: &means, splat_embeddings: &splat_embeddings, radii: &radii, eye: eye.to_array() };
+    let sight = VisibleSplats {
+        means: &means,
+        splat_embeddings: &splat_embeddings,
+        radii: &radii,
+        eye: eye.to_array(),
+    };
     let direction = |i: usize| (glam::Vec3::from(means[i]) - eye).normalize().to_array();
     let mut appearance_embeddings = Vec::new();
     for view in 0..3 {

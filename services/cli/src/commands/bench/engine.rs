@@ -7,7 +7,7 @@ use crate::failure::Failure;
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
 use segwild_bench::engine::{EngineOptions, Goal, engine as measure_all, write};
 use segwild_bench::record::Record;
-use segwild_gpu::Choice;
+use segwild_gpu::AdapterChoice;
 use std::path::PathBuf;
 
 /// The benchmark's arguments.
@@ -73,7 +73,10 @@ pub fn engine(matches: &ArgMatches) -> Result<(), Failure> {
     let dir = path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench/engine"));
     let options = EngineOptions {
         command: super::common::command_line(),
-        choice: matches.get_one::<String>("adapter").cloned().map_or(Choice::Hardware, Choice::Named),
+        choice: matches
+            .get_one::<String>("adapter")
+            .cloned()
+            .map_or(AdapterChoice::Hardware, AdapterChoice::Named),
         splats: numbers(matches, "splats")?,
         sizes: list(matches, "sizes").into_iter().map(size).collect::<Result<_, _>>()?,
         channels: numbers(matches, "channels")?,

@@ -82,7 +82,7 @@ struct GswGrads {
 
 /// The splats of a view, for an appearance model that depends on more than their colours.
 #[derive(Clone, Copy, Debug)]
-pub struct Sight<'a> {
+pub struct VisibleSplats<'a> {
     /// Centres.
     pub means: &'a [[f32; 3]],
     /// Per-splat appearance embeddings, `[splat][embedding_size]`.
@@ -311,7 +311,7 @@ impl GswAppearance {
         &self,
         view: usize,
         light: Option<&AppearanceMaps>,
-        sight: &Sight,
+        sight: &VisibleSplats,
         colours: Vec<f32>,
     ) -> Vec<f32> {
         let colours = self.below.tint(view, &below_of(sight.splat_embeddings), colours);
@@ -325,7 +325,7 @@ impl GswAppearance {
         &mut self,
         view: usize,
         light: Option<&AppearanceMaps>,
-        sight: &Sight,
+        sight: &VisibleSplats,
         colours: &[f32],
         grad: Vec<f32>,
         blame: &[Option<f32>],

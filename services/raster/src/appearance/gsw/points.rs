@@ -4,7 +4,7 @@
 //! recomputes the forward pass of a piece, which costs less than storing the activations of all splats.
 
 use super::nets::{DYNAMIC, HIDDEN_LAYER, INTRINSIC, LAYER, MAPS, Networks, SAMPLE, VECTOR};
-use super::{AppearanceMaps, COORDINATE, Directions, EMBEDDING_SIZE, GswAppearance, Sight};
+use super::{AppearanceMaps, COORDINATE, Directions, EMBEDDING_SIZE, GswAppearance, VisibleSplats};
 use rayon::prelude::*;
 use segwild_nn::{Activations, BilinearSample, Strided, product};
 
@@ -140,20 +140,20 @@ fn head(
 }
 
 /// The unit vector from the camera to a splat.
-fn direction(sight: &Sight, i: usize) -> [f32; 3] {
+fn direction(sight: &VisibleSplats, i: usize) -> [f32; 3] {
     let to: [f32; 3] = std::array::from_fn(|k| sight.means[i][k] - sight.eye[k]);
     let long = to.iter().map(|v| v * v).sum::<f32>().sqrt().max(1e-12);
     to.map(|v| v / long)
 }
 
-fn in_sight(sight: &Sight) -> Vec<usize> {
+fn in_sight(sight: &VisibleSplats) -> Vec<usize> {
     (0..sight.means.len()).filter(|&i| sight.radii[i] > 0.0).collect()
 }
 
 pub(super) fn tint(
     appearance: &GswAppearance,
     light: Option<&AppearanceMaps>,
-    sight: &Sight,
+    sight: &VisibleSplats,
     mut colours: Vec<f32>,
 ) -> Vec<f32> {
     let nets = appearance.nets();
@@ -339,7 +339,7 @@ struct Piece {
 pub(super) fn backward(
     appearance: &GswAppearance,
     light: Option<&AppearanceMaps>,
-    sight: &Sight,
+    sight: &VisibleSplats,
     grad: &[f32],
 ) -> PointGrads {
     let nets = appearance.nets();
@@ -388,7 +388,7 @@ fn piece_backward(
     nets: &Networks,
     turned: &[Vec<Vec<f32>>; 4],
     (run, head, last): (PieceRun, Activations, Activations),
-    (light, sight, which): (Option<&AppearanceMaps>, &Sight, &[usize]),
+    (light, sight, which): (Option<&AppearanceMaps>, &VisibleSplats, &[usize]),
     grad: &[f32],
 ) -> Piece {
     let mut weights = vec![0.0; nets.layout.len() - nets.border];
