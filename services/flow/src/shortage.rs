@@ -44,9 +44,9 @@ pub fn is_caused_by_shortage(error: &(dyn Error + 'static)) -> bool {
 /// ```
 /// # #[cfg(unix)] {
 /// let refused = std::io::Error::from_raw_os_error(24);
-/// assert!(segwild_flow::shortage::is_said(&format!("cannot read a.jpg: {refused}")));
+/// assert!(segwild_flow::shortage::is_shortage_message(&format!("cannot read a.jpg: {refused}")));
 /// # }
-/// assert!(!segwild_flow::shortage::is_said("cannot read a.jpg: it is no image"));
+/// assert!(!segwild_flow::shortage::is_shortage_message("cannot read a.jpg: it is no image"));
 /// ```
 pub fn is_shortage_message(words: &str) -> bool {
     let code = words.strip_suffix(')').and_then(|rest| rest.rsplit_once("(os error ")).map(|(_, code)| code);

@@ -2,7 +2,9 @@
 
 use glam::{DVec3, Vec2, Vec3};
 use segwild_mvs::{StereoImage, points};
-use segwild_scene::{Camera, Frame, Image, Mask, Observation, Photo, Point, Pose, Random, Scene, Seal, View};
+use segwild_scene::{
+    Camera, Image, Mask, Observation, Photo, Point, Pose, Random, Scene, SceneFrame, Seal, View,
+};
 
 const W: u32 = 144;
 const H: u32 = 108;
@@ -78,7 +80,7 @@ fn world(light: impl Fn(usize) -> f32) -> (Scene, Vec<StereoImage>) {
             StereoImage { image, usable: None }
         })
         .collect();
-    let frame = Frame { origin: DVec3::ZERO, scale: 1.0 };
+    let frame = SceneFrame { origin: DVec3::ZERO, scale: 1.0 };
     (Scene { views, points: sown, skipped: vec![], notes: vec![], frame }, images)
 }
 

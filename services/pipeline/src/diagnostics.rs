@@ -166,7 +166,7 @@ fn some(names: &[String]) -> String {
 mod tests {
     use super::*;
     use glam::Vec3;
-    use segwild_scene::{Camera, Frame, Observation, Photo, Point, Pose, Seal, View};
+    use segwild_scene::{Camera, Observation, Photo, Point, Pose, SceneFrame, Seal, View};
 
     /// Sixteen cameras on an arc, and points that they see exactly.
     fn arc(radius: f32) -> Scene {
@@ -204,7 +204,7 @@ mod tests {
             points,
             skipped: Vec::new(),
             notes: Vec::new(),
-            frame: Frame { origin: glam::DVec3::ZERO, scale: 1.0 },
+            frame: SceneFrame { origin: glam::DVec3::ZERO, scale: 1.0 },
         }
     }
 

@@ -23,7 +23,7 @@ use segwild_features::FeatureField;
 use segwild_flow::files::Stray;
 use segwild_flow::ledger::CheckpointRow;
 use segwild_flow::{Cache, FileError, codec, files};
-use segwild_scene::{Frame, Scene, Skipped};
+use segwild_scene::{Scene, SceneFrame, Skipped};
 use segwild_trainer::Model;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashSet};
@@ -74,7 +74,7 @@ pub(crate) struct Intake {
     /// Reconstructed points.
     pub points: usize,
     /// The transform back to the scene's units.
-    pub frame: Frame,
+    pub frame: SceneFrame,
     /// The provider of the masks ([`segwild_vision::Providers::name`]); empty in folders of versions that did not
     /// record it.
     #[serde(default, skip_serializing_if = "String::is_empty")]

@@ -265,11 +265,11 @@ pub(crate) fn within_budget(settings: &Settings, scene: &Scene) -> Result<Settin
 mod tests {
     use super::*;
     use glam::Vec3;
-    use segwild_scene::{Camera, Frame, Photo, Pose, Reading, Seal, View};
+    use segwild_scene::{Camera, Photo, Pose, Reading, SceneFrame, Seal, View};
 
     #[test]
     fn a_budget_is_shared_by_every_cache_that_is_held_at_the_same_time() {
-        let frame = Frame { origin: Default::default(), scale: 1.0 };
+        let frame = SceneFrame { origin: Default::default(), scale: 1.0 };
         let scene =
             Scene { views: Vec::new(), points: Vec::new(), skipped: Vec::new(), notes: Vec::new(), frame };
         let mut settings = Settings::default();
@@ -297,7 +297,7 @@ mod tests {
 
     #[test]
     fn a_budget_holds_fewer_photos_at_once() {
-        let frame = Frame { origin: Default::default(), scale: 1.0 };
+        let frame = SceneFrame { origin: Default::default(), scale: 1.0 };
         let camera = Camera { width: 640, height: 480, fx: 500.0, fy: 500.0, cx: 320.0, cy: 240.0 };
         let photo = Photo {
             path: "a.jpg".into(),
@@ -329,7 +329,7 @@ mod tests {
 
     #[test]
     fn a_training_larger_than_an_accelerators_memory_is_refused_with_its_size() {
-        let frame = Frame { origin: Default::default(), scale: 1.0 };
+        let frame = SceneFrame { origin: Default::default(), scale: 1.0 };
         let scene =
             Scene { views: Vec::new(), points: Vec::new(), skipped: Vec::new(), notes: Vec::new(), frame };
         let mut settings = Settings::default();
@@ -346,7 +346,7 @@ mod tests {
 
     #[test]
     fn a_budget_is_not_overrun_by_what_the_allocator_adds_to_the_caches() {
-        let frame = Frame { origin: Default::default(), scale: 1.0 };
+        let frame = SceneFrame { origin: Default::default(), scale: 1.0 };
         let scene =
             Scene { views: Vec::new(), points: Vec::new(), skipped: Vec::new(), notes: Vec::new(), frame };
         let mut settings = Settings::default();
@@ -360,7 +360,7 @@ mod tests {
 
     #[test]
     fn a_photo_whose_decoding_breaks_the_budget_is_left_out_and_many_are_refused_with_the_number() {
-        let frame = Frame { origin: Default::default(), scale: 1.0 };
+        let frame = SceneFrame { origin: Default::default(), scale: 1.0 };
         let camera = Camera { width: 640, height: 480, fx: 500.0, fy: 500.0, cx: 320.0, cy: 240.0 };
         let view = |i: usize, mib: u64| {
             let reading = Reading { bytes: mib << 20, ..Default::default() };

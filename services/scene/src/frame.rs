@@ -6,7 +6,7 @@
 
 use crate::draft::{Draft, DraftPoint, DraftPose};
 use crate::lens::Lens;
-use crate::{Camera, Frame, NEAR};
+use crate::{Camera, NEAR, SceneFrame};
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -126,20 +126,20 @@ impl<'a> Placing<'a> {
     }
 
     /// The normalised frame.
-    pub(crate) fn frame(&self) -> Frame {
+    pub(crate) fn frame(&self) -> SceneFrame {
         let near = |(p, far): (&Placed, &bool)| (!far).then_some(p.pose.centre);
         let centres: Vec<DVec3> = self.placed.iter().zip(&self.far).filter_map(near).collect();
         let positions: Vec<DVec3> =
             self.draft.points.iter().map(|p| p.position).filter(|p| p.is_finite()).collect();
         let frame = frame_of(&centres, &positions);
         match self.nearest(f64::from(NEAR) * frame.scale) {
-            Some(depth) => Frame { scale: frame.scale.min(depth / f64::from(2.0 * NEAR)), ..frame },
+            Some(depth) => SceneFrame { scale: frame.scale.min(depth / f64::from(2.0 * NEAR)), ..frame },
             None => frame,
         }
     }
 
     /// Notes for the user about photos and points that lie far off.
-    pub(crate) fn notes(&self, frame: &Frame, outliers: &[bool]) -> Vec<String> {
+    pub(crate) fn notes(&self, frame: &SceneFrame, outliers: &[bool]) -> Vec<String> {
         let far = self.placed.iter().zip(&self.far).filter(|(_, far)| **far);
         let names: Vec<&str> = far.map(|(p, _)| self.draft.photos[p.photo].name.as_str()).collect();
         let photos = names.first().map(|first| {
@@ -156,7 +156,7 @@ impl<'a> Placing<'a> {
     }
 
     /// A note for the user about positions that were rounded to single precision before they were read.
-    fn rounded(&self, frame: &Frame) -> Option<String> {
+    fn rounded(&self, frame: &SceneFrame) -> Option<String> {
         let single = |v: f64| f64::from(v as f32) == v;
         let mut all = self.draft.points.iter().flat_map(|p| p.position.to_array());
         if self.draft.points.is_empty() || frame.offset() == DVec3::ZERO || !all.all(single) {
@@ -171,7 +171,7 @@ impl<'a> Placing<'a> {
     }
 
     /// Per point of the draft, whether it lies so far off that it can only be an error.
-    pub(crate) fn outliers(&self, frame: &Frame) -> Vec<bool> {
+    pub(crate) fn outliers(&self, frame: &SceneFrame) -> Vec<bool> {
         let distance = |p: &DraftPoint| p.position.distance(frame.origin);
         let finite = self.draft.points.iter().map(distance).filter(|d| d.is_finite());
         // Cameras may stand closely together before a scene that is far from all of them.
@@ -285,7 +285,7 @@ impl<'a> Placing<'a> {
 
 /// The frame of cameras that are of one range. Where they coincide, or there is one only, they do not determine the scale: then
 /// it is the median distance of the points, or 1.
-fn frame_of(centres: &[DVec3], points: &[DVec3]) -> Frame {
+fn frame_of(centres: &[DVec3], points: &[DVec3]) -> SceneFrame {
     let origin = centres.iter().sum::<DVec3>() / centres.len() as f64;
     let radius = centres.iter().map(|c| c.distance(origin)).fold(0.0, f64::max);
     let distances = points.iter().map(|p| p.distance(origin)).filter(|d| d.is_finite()).collect();
@@ -298,7 +298,7 @@ fn frame_of(centres: &[DVec3], points: &[DVec3]) -> Frame {
     } else {
         1.0
     };
-    Frame { origin, scale }
+    SceneFrame { origin, scale }
 }
 
 /// The upper median; 0 of nothing.

@@ -10,7 +10,7 @@ use crate::Camera;
 /// COLMAP's camera models.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(missing_docs)] // their names are COLMAP's
-pub enum Model {
+pub enum CameraModel {
     SimplePinhole,
     Pinhole,
     SimpleRadial,
@@ -30,33 +30,33 @@ pub enum Model {
 }
 
 /// Model, COLMAP's number for it, its name, and how many parameters it has.
-const MODELS: [(Model, i32, &str, usize); 16] = [
-    (Model::SimplePinhole, 0, "SIMPLE_PINHOLE", 3),
-    (Model::Pinhole, 1, "PINHOLE", 4),
-    (Model::SimpleRadial, 2, "SIMPLE_RADIAL", 4),
-    (Model::Radial, 3, "RADIAL", 5),
-    (Model::OpenCv, 4, "OPENCV", 8),
-    (Model::OpenCvFisheye, 5, "OPENCV_FISHEYE", 8),
-    (Model::FullOpenCv, 6, "FULL_OPENCV", 12),
-    (Model::Fov, 7, "FOV", 5),
-    (Model::SimpleRadialFisheye, 8, "SIMPLE_RADIAL_FISHEYE", 4),
-    (Model::RadialFisheye, 9, "RADIAL_FISHEYE", 5),
-    (Model::ThinPrismFisheye, 10, "THIN_PRISM_FISHEYE", 12),
-    (Model::RadTanThinPrismFisheye, 11, "RAD_TAN_THIN_PRISM_FISHEYE", 16),
-    (Model::SimpleDivision, 12, "SIMPLE_DIVISION", 4),
-    (Model::Division, 13, "DIVISION", 5),
-    (Model::SimpleFisheye, 14, "SIMPLE_FISHEYE", 3),
-    (Model::Fisheye, 15, "FISHEYE", 4),
+const MODELS: [(CameraModel, i32, &str, usize); 16] = [
+    (CameraModel::SimplePinhole, 0, "SIMPLE_PINHOLE", 3),
+    (CameraModel::Pinhole, 1, "PINHOLE", 4),
+    (CameraModel::SimpleRadial, 2, "SIMPLE_RADIAL", 4),
+    (CameraModel::Radial, 3, "RADIAL", 5),
+    (CameraModel::OpenCv, 4, "OPENCV", 8),
+    (CameraModel::OpenCvFisheye, 5, "OPENCV_FISHEYE", 8),
+    (CameraModel::FullOpenCv, 6, "FULL_OPENCV", 12),
+    (CameraModel::Fov, 7, "FOV", 5),
+    (CameraModel::SimpleRadialFisheye, 8, "SIMPLE_RADIAL_FISHEYE", 4),
+    (CameraModel::RadialFisheye, 9, "RADIAL_FISHEYE", 5),
+    (CameraModel::ThinPrismFisheye, 10, "THIN_PRISM_FISHEYE", 12),
+    (CameraModel::RadTanThinPrismFisheye, 11, "RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    (CameraModel::SimpleDivision, 12, "SIMPLE_DIVISION", 4),
+    (CameraModel::Division, 13, "DIVISION", 5),
+    (CameraModel::SimpleFisheye, 14, "SIMPLE_FISHEYE", 3),
+    (CameraModel::Fisheye, 15, "FISHEYE", 4),
 ];
 
-impl Model {
+impl CameraModel {
     /// The model with COLMAP's number `id`.
-    pub fn from_id(id: i32) -> Option<Model> {
+    pub fn from_id(id: i32) -> Option<CameraModel> {
         MODELS.iter().find(|m| m.1 == id).map(|m| m.0)
     }
 
     /// The model with COLMAP's name.
-    pub fn from_name(name: &str) -> Option<Model> {
+    pub fn from_name(name: &str) -> Option<CameraModel> {
         MODELS.iter().find(|m| m.2 == name).map(|m| m.0)
     }
 
@@ -75,20 +75,20 @@ impl Model {
         self.row().3
     }
 
-    fn row(self) -> &'static (Model, i32, &'static str, usize) {
+    fn row(self) -> &'static (CameraModel, i32, &'static str, usize) {
         &MODELS[self as usize]
     }
 
     fn has_one_focal(self) -> bool {
         matches!(
             self,
-            Model::SimplePinhole
-                | Model::SimpleRadial
-                | Model::Radial
-                | Model::SimpleRadialFisheye
-                | Model::RadialFisheye
-                | Model::SimpleDivision
-                | Model::SimpleFisheye
+            CameraModel::SimplePinhole
+                | CameraModel::SimpleRadial
+                | CameraModel::Radial
+                | CameraModel::SimpleRadialFisheye
+                | CameraModel::RadialFisheye
+                | CameraModel::SimpleDivision
+                | CameraModel::SimpleFisheye
         )
     }
 }
@@ -109,7 +109,7 @@ enum Projection {
 /// A lens as the reconstruction saw it: intrinsics in pixels and distortion.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lens {
-    model: Model,
+    model: CameraModel,
     width: u32,
     height: u32,
     focal: [f64; 2],
@@ -167,9 +167,9 @@ fn believable(size: [f64; 2], focal: [f64; 2], centre: [f64; 2]) -> Result<(), S
 
 impl Lens {
     /// A lens from COLMAP's parameters; the error says in words what is wrong with them.
-    pub fn new(model: Model, width: u64, height: u64, params: &[f64]) -> Result<Lens, String> {
+    pub fn new(model: CameraModel, width: u64, height: u64, params: &[f64]) -> Result<Lens, String> {
         let name = model.name();
-        if model == Model::RadTanThinPrismFisheye {
+        if model == CameraModel::RadTanThinPrismFisheye {
             return Err(format!(
                 "this program does not undistort camera model {name}: undistort the photos with COLMAP's \
                  image_undistorter first, which does"
@@ -208,34 +208,36 @@ impl Lens {
             limit: 0.0,
         };
         match model {
-            Model::SimplePinhole | Model::Pinhole => {}
-            Model::SimpleRadial | Model::Radial => lens.radial[..k.len()].copy_from_slice(k),
-            Model::OpenCv => {
+            CameraModel::SimplePinhole | CameraModel::Pinhole => {}
+            CameraModel::SimpleRadial | CameraModel::Radial => lens.radial[..k.len()].copy_from_slice(k),
+            CameraModel::OpenCv => {
                 lens.radial[..2].copy_from_slice(&k[..2]);
                 lens.tangential = [k[2], k[3]];
             }
-            Model::FullOpenCv => {
+            CameraModel::FullOpenCv => {
                 lens.radial = [k[0], k[1], k[4], 0.0];
                 lens.tangential = [k[2], k[3]];
                 lens.rational = [k[5], k[6], k[7]];
             }
-            Model::Fov => lens.projection = Projection::Fov(k[0]),
-            Model::SimpleDivision | Model::Division => lens.projection = Projection::Division(k[0]),
-            Model::SimpleFisheye
-            | Model::Fisheye
-            | Model::SimpleRadialFisheye
-            | Model::RadialFisheye
-            | Model::OpenCvFisheye => {
+            CameraModel::Fov => lens.projection = Projection::Fov(k[0]),
+            CameraModel::SimpleDivision | CameraModel::Division => {
+                lens.projection = Projection::Division(k[0])
+            }
+            CameraModel::SimpleFisheye
+            | CameraModel::Fisheye
+            | CameraModel::SimpleRadialFisheye
+            | CameraModel::RadialFisheye
+            | CameraModel::OpenCvFisheye => {
                 lens.projection = Projection::Fisheye;
                 lens.radial[..k.len()].copy_from_slice(k);
             }
-            Model::ThinPrismFisheye => {
+            CameraModel::ThinPrismFisheye => {
                 lens.projection = Projection::Fisheye;
                 lens.radial = [k[0], k[1], k[4], k[5]];
                 lens.tangential = [k[2], k[3]];
                 lens.prism = [k[6], k[7]];
             }
-            Model::RadTanThinPrismFisheye => unreachable!("refused above"),
+            CameraModel::RadTanThinPrismFisheye => unreachable!("refused above"),
         }
         lens.limit = lens.find_limit();
         Ok(lens)
@@ -250,7 +252,7 @@ impl Lens {
     }
 
     /// The model.
-    pub fn model(&self) -> Model {
+    pub fn model(&self) -> CameraModel {
         self.model
     }
 

@@ -59,7 +59,7 @@ pub use prompt::{BoxPrompt, PointPrompt, Prompts};
 pub use random::Random;
 pub use seal::Seal;
 pub use splats::Splats;
-pub use view::{Frame, Observation, Photo, Point, Reading, Scene, Skipped, View};
+pub use view::{Observation, Photo, Point, Reading, Scene, SceneFrame, Skipped, View};
 pub use window::box_mean;
 
 /// Near plane: nothing nearer to the camera is rendered. In units of the scene extent (docs/method.md, section 0).

@@ -8,7 +8,7 @@ use crate::mask_files::MaskFiles;
 use crate::names::is_inside;
 use crate::split::{Split, SplitPart};
 use crate::{
-    DARKEST, Frame, Observation, Photo, Point, Pose, Reading, Scene, SceneError, SceneSettings, Seal,
+    DARKEST, Observation, Photo, Point, Pose, Reading, Scene, SceneError, SceneFrame, SceneSettings, Seal,
     Skipped, View,
 };
 use crate::{alpha, keep, orientation};
@@ -258,7 +258,7 @@ impl CheckedPhoto {
         Some(Placed { photo, pose: self.pose, camera: self.camera, lens })
     }
 
-    fn into_view(self, name: &str, frame: &Frame) -> View {
+    fn into_view(self, name: &str, frame: &SceneFrame) -> View {
         let rotation = self.pose.rotation;
         let centre = (self.pose.centre - frame.origin) / frame.scale;
         let pose = Pose {

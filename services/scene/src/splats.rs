@@ -1,6 +1,6 @@
 //! The Gaussians.
 
-use crate::Frame;
+use crate::SceneFrame;
 use glam::{Mat3, Quat, Vec3};
 use wincode::{SchemaRead, SchemaWrite};
 
@@ -94,7 +94,7 @@ impl Splats {
     }
 
     /// The splats of a normalised scene in the units and at the position of its file.
-    pub fn to_file_frame(&self, frame: &Frame) -> Splats {
+    pub fn to_file_frame(&self, frame: &SceneFrame) -> Splats {
         let origin = frame.origin.to_array();
         let map_mean = |mean: [f32; 3]| {
             let mean = mean.map(f64::from);
@@ -104,7 +104,7 @@ impl Splats {
     }
 
     /// The inverse of [`Splats::to_file_frame`].
-    pub fn from_file_frame(&self, frame: &Frame) -> Splats {
+    pub fn from_file_frame(&self, frame: &SceneFrame) -> Splats {
         let origin = frame.origin.to_array();
         let map_mean = |mean: [f32; 3]| {
             let mean = mean.map(f64::from);

@@ -131,7 +131,7 @@ fn interpolated(square: &[[f64; 2]; 4], s: f64, t: f64) -> [f64; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::colmap::Model;
+    use crate::colmap::CameraModel;
     use crate::{Photo, Pose, Seal};
     use glam::Vec3;
 
@@ -151,9 +151,9 @@ mod tests {
     fn lenses() -> [Lens; 3] {
         let lens = |model, params: &[f64]| Lens::new(model, 320, 240, params).unwrap();
         [
-            lens(Model::OpenCv, &[280.0, 285.0, 158.0, 122.0, -0.18, 0.05, 1e-3, -2e-3]),
-            lens(Model::OpenCv, &[280.0, 285.0, 158.0, 122.0, 0.15, 0.0, 0.0, 0.0]),
-            lens(Model::OpenCvFisheye, &[190.0, 190.0, 160.0, 120.0, 0.02, -0.01, 0.003, -0.001]),
+            lens(CameraModel::OpenCv, &[280.0, 285.0, 158.0, 122.0, -0.18, 0.05, 1e-3, -2e-3]),
+            lens(CameraModel::OpenCv, &[280.0, 285.0, 158.0, 122.0, 0.15, 0.0, 0.0, 0.0]),
+            lens(CameraModel::OpenCvFisheye, &[190.0, 190.0, 160.0, 120.0, 0.02, -0.01, 0.003, -0.001]),
         ]
     }
 

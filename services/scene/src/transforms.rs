@@ -5,7 +5,7 @@
 
 use crate::decode::{ImageHead, converted};
 use crate::draft::{Draft, DraftPhoto, DraftPose, finite};
-use crate::lens::{Lens, Model};
+use crate::lens::{CameraModel, Lens};
 use crate::locate::{Claim, Claimed, settle};
 use crate::names::{CAPITALS, Listing, READ, below, is_inside, is_photo, key, last_part, tidy};
 use crate::split::{Split, SplitPart};
@@ -428,15 +428,16 @@ fn model_of(frame: &Intrinsics, all: &Intrinsics) -> Result<String, String> {
 fn distorted(model: &str, size: (u64, u64), pinhole: [f64; 4], k: [f64; 8]) -> Result<Lens, String> {
     let (width, height) = size;
     let [k1, k2, k3, k4, k5, k6, p1, p2] = k;
-    let lens = |model: Model, more: &[f64]| Lens::new(model, width, height, &[&pinhole[..], more].concat());
+    let lens =
+        |model: CameraModel, more: &[f64]| Lens::new(model, width, height, &[&pinhole[..], more].concat());
     match model {
-        "PINHOLE" | "SIMPLE_PINHOLE" => lens(Model::Pinhole, &[]),
+        "PINHOLE" | "SIMPLE_PINHOLE" => lens(CameraModel::Pinhole, &[]),
         "OPENCV" | "PERSPECTIVE" | "SIMPLE_RADIAL" | "RADIAL" => {
-            lens(Model::OpenCv, &[k1, k2, p1, p2]).map(|lens| lens.with_radial(k3, k4))
+            lens(CameraModel::OpenCv, &[k1, k2, p1, p2]).map(|lens| lens.with_radial(k3, k4))
         }
-        "FULL_OPENCV" => lens(Model::FullOpenCv, &[k1, k2, p1, p2, k3, k4, k5, k6]),
+        "FULL_OPENCV" => lens(CameraModel::FullOpenCv, &[k1, k2, p1, p2, k3, k4, k5, k6]),
         "OPENCV_FISHEYE" | "FISHEYE" | "SIMPLE_FISHEYE" | "SIMPLE_RADIAL_FISHEYE" | "RADIAL_FISHEYE" => {
-            lens(Model::OpenCvFisheye, &[k1, k2, k3, k4])
+            lens(CameraModel::OpenCvFisheye, &[k1, k2, k3, k4])
         }
         other => Err(format!("camera model {other} cannot be undistorted; undistort the photos first")),
     }

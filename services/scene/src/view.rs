@@ -123,7 +123,7 @@ impl Skipped {
 ///
 /// Computed in f64, so that a scene whose units are 1000 times larger becomes the same normalised scene.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct Frame {
+pub struct SceneFrame {
     /// The file's position of the normalised origin (the mean of the camera centres, without those that stand far off).
     pub origin: DVec3,
     /// File units per normalised unit: the scene extent, 1.1 x the largest distance of these cameras from the origin, or less
@@ -143,7 +143,7 @@ pub struct Scene {
     /// What else is odd about the reconstruction, in words.
     pub notes: Vec<String>,
     /// Back to the file's units, for export.
-    pub frame: Frame,
+    pub frame: SceneFrame,
 }
 
 impl Scene {
@@ -235,7 +235,7 @@ mod tests {
             point(Vec3::new(0.0, 0.0, -9.0), 3, 0.0),
             point(Vec3::new(9.0, 0.0, 0.0), 3, 0.0),
         ];
-        let frame = Frame { origin: DVec3::ZERO, scale: 1.0 };
+        let frame = SceneFrame { origin: DVec3::ZERO, scale: 1.0 };
         let scene = Scene { views, points, skipped: vec![], notes: vec![], frame };
         let [at] = scene.points_in(3, 200, 160)[..] else { panic!("{:?}", scene.points_in(3, 200, 160)) };
         let wanted = camera.pixel(scene.views[3].pose.to_camera(scene.points[0].position)) * 2.0;

@@ -1,7 +1,7 @@
 //! Measures the memory that decoding images takes: a program of its own with one test, for nothing else may run beside it.
 
 use rayon::prelude::*;
-use segwild_scene::colmap::{self, CameraRecord, ImageRecord, Model, Reconstruction};
+use segwild_scene::colmap::{self, CameraModel, CameraRecord, ImageRecord, Reconstruction};
 use segwild_scene::{Image, Mask, Scene, SceneSettings, settings::Group};
 use std::path::Path;
 
@@ -131,7 +131,7 @@ fn disc(i: u32) -> Vec<u8> {
 fn scene(dir: &Path, (width, height): (u64, u64), files: &[(&str, Vec<u8>)]) {
     let camera = CameraRecord {
         id: 1,
-        model: Model::Pinhole,
+        model: CameraModel::Pinhole,
         width,
         height,
         params: vec![width as f64, width as f64, width as f64 / 2.0, height as f64 / 2.0],

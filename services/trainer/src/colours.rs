@@ -151,7 +151,7 @@ mod tests {
     use super::*;
     use crate::TrainPhoto;
     use glam::Vec3;
-    use segwild_scene::{Frame, Image, Observation, Photo, Point, Seal, View};
+    use segwild_scene::{Image, Observation, Photo, Point, SceneFrame, Seal, View};
     use std::sync::Arc;
 
     const SIZE: (u32, u32) = (64, 48);
@@ -175,7 +175,7 @@ mod tests {
             },
             test: false,
         };
-        let frame = Frame { origin: glam::DVec3::ZERO, scale: 1.0 };
+        let frame = SceneFrame { origin: glam::DVec3::ZERO, scale: 1.0 };
         Scene { views: (0..views).map(view).collect(), points, skipped: vec![], notes: vec![], frame }
     }
 

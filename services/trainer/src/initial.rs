@@ -215,7 +215,7 @@ fn random_points(eyes: &[&Eye], n: usize, random: &mut Random) -> Vec<Vec3> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use segwild_scene::{Frame, Observation, Point};
+    use segwild_scene::{Observation, Point, SceneFrame};
 
     fn scene(points: Vec<Point>) -> Scene {
         Scene {
@@ -223,7 +223,7 @@ mod tests {
             points,
             skipped: vec![],
             notes: vec![],
-            frame: Frame { origin: glam::DVec3::ZERO, scale: 1.0 },
+            frame: SceneFrame { origin: glam::DVec3::ZERO, scale: 1.0 },
         }
     }
 

@@ -153,7 +153,7 @@ impl TrainSettings {
         TrainSettings { steps: self.steps_for(photos), effort: 1.0, ..self.clone() }
     }
 
-    /// Photos of one place overlap: they count by the square root (docs/experiments/2026-11-22-how-many-steps.md).
+    /// Photos of one scene overlap: they count by the square root (docs/experiments/2026-11-22-how-many-steps.md).
     fn steps_for(&self, photos: usize) -> u32 {
         match self.steps {
             0 => (self.effort * STEPS * (photos as f32).sqrt()).round().max(1.0) as u32,

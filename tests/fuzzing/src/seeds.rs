@@ -3,7 +3,9 @@
 use crate::yard::{copy, folder, put, take};
 use image::{DynamicImage, ImageFormat, Rgb, RgbImage};
 use segwild_pipeline::{RunFolder, RunOptions, Settings};
-use segwild_scene::colmap::{self, CameraRecord, ImageRecord, Keypoint, Model, PointRecord, Reconstruction};
+use segwild_scene::colmap::{
+    self, CameraModel, CameraRecord, ImageRecord, Keypoint, PointRecord, Reconstruction,
+};
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
@@ -29,7 +31,7 @@ pub fn encoded(photo: &DynamicImage, format: ImageFormat) -> Vec<u8> {
     bytes.into_inner()
 }
 
-fn reconstruction(model: Model, params: &[f64]) -> Reconstruction {
+fn reconstruction(model: CameraModel, params: &[f64]) -> Reconstruction {
     let (width, height) = (u64::from(SIZE.0), u64::from(SIZE.1));
     let camera = CameraRecord { id: 1, model, width, height, params: params.to_vec() };
     let wall: Vec<[f64; 3]> = (0..48)
@@ -72,8 +74,8 @@ pub(crate) fn models() -> &'static Path {
     static MADE: OnceLock<PathBuf> = OnceLock::new();
     MADE.get_or_init(|| {
         let root = folder("models");
-        let pinhole = reconstruction(Model::Pinhole, &[30.0, 30.0, 16.0, 12.0]);
-        let bent = reconstruction(Model::OpenCv, &[30.0, 30.0, 16.0, 12.0, 0.01, -0.01, 0.001, 0.001]);
+        let pinhole = reconstruction(CameraModel::Pinhole, &[30.0, 30.0, 16.0, 12.0]);
+        let bent = reconstruction(CameraModel::OpenCv, &[30.0, 30.0, 16.0, 12.0, 0.01, -0.01, 0.001, 0.001]);
         for (name, model) in [("0", pinhole), ("1", bent)] {
             let dir = root.join(name);
             colmap::write(&dir, &model).unwrap_or_else(|e| panic!("{e}"));

@@ -186,11 +186,11 @@ fn on_the_cpu(
         drop(appearance.tint(0, light.as_ref(), &sight, colours.clone()));
         drop(appearance.tint_backward(0, light.as_ref(), &sight, &colours, colours.clone(), &[]));
     };
-    let question = some_feature_case(camera, channels);
+    let case = some_feature_case(camera, channels);
     let random = &mut Random::new(3);
-    let (asked, image) = (question.make(random), question.image(random));
-    let mut field = question.refining(vec![0.0; channels], FIELD_RULE);
-    let mut losses = || drop(field.compute_losses(&image, &asked.feature_target(), &asked.sampled_pixels()));
+    let (made, image) = (case.make(random), case.image(random));
+    let mut field = case.refining(vec![0.0; channels], FIELD_RULE);
+    let mut losses = || drop(field.compute_losses(&image, &made.feature_target(), &made.sampled_pixels()));
     let units = vec![vec![0.5; channels]; CLICKS];
     let queries = Queries { channels, units: &units, sharpness: 10.0 };
     let norms = vec![1.0; splats.len()];

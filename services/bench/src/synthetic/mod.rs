@@ -33,7 +33,7 @@ pub use write::{CLICKS, Click, Manifest, ObjectTruth, PhotoTruth};
 
 use glam::{DVec3, Vec3};
 use random::Rng;
-use segwild_scene::{Camera, Frame, Image, Mask, Pose, SceneError};
+use segwild_scene::{Camera, Image, Mask, Pose, SceneError, SceneFrame};
 use serde::{Deserialize, Serialize};
 use transient::Crowd;
 use world::SyntheticWorld;
@@ -282,7 +282,7 @@ impl SyntheticScene {
     }
 
     /// Instances of the surfaces nearest to positions in a scene's normalised frame.
-    pub fn label(&self, frame: &Frame, positions: &[[f32; 3]]) -> Vec<u16> {
+    pub fn label(&self, frame: &SceneFrame, positions: &[[f32; 3]]) -> Vec<u16> {
         use rayon::prelude::*;
         let one =
             |p: &[f32; 3]| self.nearest_instance(Vec3::from(*p).as_dvec3() * frame.scale + frame.origin).0;

@@ -3,7 +3,9 @@
 use super::{ObjectKind, SyntheticError, SyntheticOptions, SyntheticPhoto, SyntheticScene};
 use glam::{DMat3, DQuat};
 use segwild_flow::files;
-use segwild_scene::colmap::{self, CameraRecord, ImageRecord, Keypoint, Model, PointRecord, Reconstruction};
+use segwild_scene::colmap::{
+    self, CameraModel, CameraRecord, ImageRecord, Keypoint, PointRecord, Reconstruction,
+};
 use segwild_scene::{Image, SceneError};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -168,7 +170,7 @@ impl SyntheticScene {
             let c = &photo.camera;
             out.cameras.push(CameraRecord {
                 id,
-                model: Model::Pinhole,
+                model: CameraModel::Pinhole,
                 width: u64::from(c.width),
                 height: u64::from(c.height),
                 params: [c.fx, c.fy, c.cx, c.cy].map(f64::from).to_vec(),

@@ -1,7 +1,7 @@
 //! Photos of a lens that bends: what goes in and what comes out are pixels of the photo as taken.
 
 use crate::common::{QUICK, clearest, copy_folder, folder, scene, show, works};
-use segwild_scene::colmap::{self, Model};
+use segwild_scene::colmap::{self, CameraModel};
 use segwild_scene::lens::Lens;
 use segwild_scene::{Image, Mask};
 use std::path::Path;
@@ -13,7 +13,7 @@ fn bending(params: &[f64], width: u64, height: u64) -> (Lens, Vec<f64>) {
         params.insert(1, params[0]);
     }
     params.extend([-0.25, 0.05, 0.0, 0.0]);
-    (Lens::new(Model::OpenCv, width, height, &params).expect("a lens"), params)
+    (Lens::new(CameraModel::OpenCv, width, height, &params).expect("a lens"), params)
 }
 
 /// An image of the pinhole as the lens takes it: black where the pinhole shows nothing.
@@ -47,7 +47,7 @@ fn bend_scene(to: &Path) -> Lens {
     let mut lens = None;
     for camera in &mut model.cameras {
         let (bend, params) = bending(&camera.params, camera.width, camera.height);
-        (camera.model, camera.params) = (Model::OpenCv, params);
+        (camera.model, camera.params) = (CameraModel::OpenCv, params);
         lens = Some(bend);
     }
     let lens = lens.expect("a camera");

@@ -152,7 +152,7 @@ fn fits(mask: &Mask, view: &View) -> Result<(), String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use segwild_scene::{Camera, Frame, Photo, Pose, Seal};
+    use segwild_scene::{Camera, Photo, Pose, SceneFrame, Seal};
 
     fn view(photo: &Path) -> View {
         let name = photo.file_name().unwrap().to_string_lossy().into_owned();
@@ -173,7 +173,7 @@ mod tests {
     fn one_unusable_mask_of_a_named_folder_leaves_out_that_photo_by_name() {
         let dir = tempfile::tempdir().unwrap();
         let views = ["a.jpg", "b.jpg", "c.jpg", "d.jpg"].map(|name| view(&dir.path().join(name))).to_vec();
-        let frame = Frame { origin: Default::default(), scale: 1.0 };
+        let frame = SceneFrame { origin: Default::default(), scale: 1.0 };
         let scene = Scene { views, points: Vec::new(), skipped: Vec::new(), notes: Vec::new(), frame };
         let (named, run) = (dir.path().join("named"), RunFolder::create(&dir.path().join("run")).unwrap());
         std::fs::create_dir(&named).unwrap();

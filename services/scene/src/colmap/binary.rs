@@ -2,7 +2,7 @@
 
 use super::{CameraRecord, ImageRecord, Keypoint, PointRecord, Reconstruction};
 use crate::SceneError;
-use crate::lens::Model;
+use crate::lens::CameraModel;
 use segwild_files::write_atomic;
 use std::path::Path;
 
@@ -123,7 +123,7 @@ pub(super) fn read(dir: &Path) -> Result<Reconstruction, SceneError> {
     let cameras = records(dir, "cameras.bin", "camera", |c| {
         let id = c.u32()?;
         let number = c.u32()? as i32;
-        let Some(model) = Model::from_id(number) else {
+        let Some(model) = CameraModel::from_id(number) else {
             return Err(c.invalid(format!(
                 "camera {id} has the model number {number}, which is not known here; \
                  undistort the photos with COLMAP (image_undistorter) first"

@@ -7,7 +7,7 @@ mod binary;
 mod models;
 mod text;
 
-pub use crate::lens::Model;
+pub use crate::lens::CameraModel;
 pub use binary::write;
 pub use models::MODEL_FOLDERS;
 pub(crate) use models::{find, numbered_photos};
@@ -23,7 +23,7 @@ pub struct CameraRecord {
     /// What images refer to.
     pub id: u32,
     /// The camera model.
-    pub model: Model,
+    pub model: CameraModel,
     /// Width of the photos in pixels.
     pub width: u64,
     /// Height of the photos in pixels.

@@ -2,7 +2,7 @@
 
 use super::{CameraRecord, ImageRecord, Keypoint, PointRecord, Reconstruction};
 use crate::SceneError;
-use crate::lens::Model;
+use crate::lens::CameraModel;
 use crate::text;
 use segwild_files::write_atomic;
 use std::fmt::Write;
@@ -60,7 +60,7 @@ pub(super) fn read(dir: &Path) -> Result<Reconstruction, SceneError> {
         let mut words = LineFields { path: &path, line: i + 1, rest: line };
         let id = words.value("camera id")?;
         let name: String = words.value("camera model")?;
-        let Some(model) = Model::from_name(&name) else {
+        let Some(model) = CameraModel::from_name(&name) else {
             unknown_cameras.push((id, name));
             continue;
         };

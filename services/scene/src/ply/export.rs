@@ -2,7 +2,7 @@
 //! whose header gives the render mode and the offset that was subtracted.
 
 use super::write_commented;
-use crate::{Frame, SceneError, Splats};
+use crate::{SceneError, SceneFrame, Splats};
 use glam::DVec3;
 use segwild_files::write_atomic;
 use serde::{Deserialize, Serialize};
@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 /// visible. Georeferenced scenes lie thousands to millions of extents from their origin.
 const FAR: f64 = 500.0;
 
-impl Frame {
+impl SceneFrame {
     /// What exported files subtract from positions of the reconstruction: zero, unless the scene lies so far from the origin
     /// that its positions would lose precision as `f32`. Whole steps of a power of ten, in file units.
     ///
@@ -39,7 +39,7 @@ impl Frame {
 #[derive(Clone, Copy, Debug)]
 pub struct Export<'a> {
     /// How the splats' frame lies in the reconstruction's.
-    pub frame: &'a Frame,
+    pub frame: &'a SceneFrame,
     /// Whether opacities are compensated for the pixel filter (mip mode): a viewer has to do the same.
     pub antialias: bool,
     /// More properties of each splat: a name, and a byte per splat.
@@ -47,7 +47,7 @@ pub struct Export<'a> {
 }
 
 impl Export<'_> {
-    /// Writes splats of the normalised frame in the units of the reconstruction, less [`Frame::offset`]. The header gives the
+    /// Writes splats of the normalised frame in the units of the reconstruction, less [`SceneFrame::offset`]. The header gives the
     /// render mode (`comment SplatRenderMode: mip`, or `default`) and, where there is one, the offset (`comment offset
     /// X Y Z`); the offset is also written to `NAME.offset.json` beside the file.
     ///
@@ -55,7 +55,7 @@ impl Export<'_> {
     /// As [`super::write_with`].
     pub fn write(&self, path: &Path, splats: &Splats) -> Result<(), SceneError> {
         let offset = self.frame.offset();
-        let near = Frame { origin: self.frame.origin - offset, scale: self.frame.scale };
+        let near = SceneFrame { origin: self.frame.origin - offset, scale: self.frame.scale };
         let mode = if self.antialias { "mip" } else { "default" };
         let mut comments = vec![format!("SplatRenderMode: {mode}")];
         if offset != DVec3::ZERO {

@@ -3,8 +3,8 @@
 use glam::DVec3;
 use proptest::prelude::*;
 use segwild_scene::colmap;
-use segwild_scene::lens::{Lens, Model};
-use segwild_scene::{Frame, Image, Mask, SceneError, Splats, ply};
+use segwild_scene::lens::{CameraModel, Lens};
+use segwild_scene::{Image, Mask, SceneError, SceneFrame, Splats, ply};
 
 fn splats(n: usize, sh_degree: u32) -> Splats {
     let number = |i: usize, k: usize| ((i * 31 + k * 17) as f32 * 0.37).sin() * 3.0;
@@ -155,7 +155,7 @@ fn hostile_ply_files_are_refused_in_words() {
 #[test]
 fn splats_go_to_the_frame_of_the_file_and_back() {
     let s = splats(50, 2);
-    let frame = Frame { origin: DVec3::new(100.0, -20.0, 3.0), scale: 250.0 };
+    let frame = SceneFrame { origin: DVec3::new(100.0, -20.0, 3.0), scale: 250.0 };
     let out = s.to_file_frame(&frame);
     assert!((out.mean(3).as_dvec3() - (s.mean(3).as_dvec3() * 250.0 + frame.origin)).length() < 1e-4);
     assert!((out.scale(3) / s.scale(3) - 250.0).abs().max_element() < 1e-2);
@@ -208,34 +208,37 @@ fn resizing_keeps_means_ranges_and_edges() {
 fn lens() -> impl Strategy<Value = Lens> {
     let k = |s: f64| -s..s;
     let model = prop_oneof![
-        Just(Model::SimpleRadial),
-        Just(Model::Radial),
-        Just(Model::OpenCv),
-        Just(Model::FullOpenCv),
-        Just(Model::OpenCvFisheye),
-        Just(Model::SimpleRadialFisheye),
-        Just(Model::RadialFisheye),
-        Just(Model::ThinPrismFisheye),
-        Just(Model::Fov),
-        Just(Model::Division),
-        Just(Model::Fisheye),
+        Just(CameraModel::SimpleRadial),
+        Just(CameraModel::Radial),
+        Just(CameraModel::OpenCv),
+        Just(CameraModel::FullOpenCv),
+        Just(CameraModel::OpenCvFisheye),
+        Just(CameraModel::SimpleRadialFisheye),
+        Just(CameraModel::RadialFisheye),
+        Just(CameraModel::ThinPrismFisheye),
+        Just(CameraModel::Fov),
+        Just(CameraModel::Division),
+        Just(CameraModel::Fisheye),
     ];
     (model, 200.0..900.0f64, prop::collection::vec(k(0.15), 8), 0.05..1.2f64).prop_map(
         |(model, f, k, omega)| {
             let tangential = |v: f64| v * 0.03;
             let mut params = if matches!(
                 model,
-                Model::SimpleRadial | Model::Radial | Model::SimpleRadialFisheye | Model::RadialFisheye
+                CameraModel::SimpleRadial
+                    | CameraModel::Radial
+                    | CameraModel::SimpleRadialFisheye
+                    | CameraModel::RadialFisheye
             ) {
                 vec![f, 320.0, 240.0]
             } else {
                 vec![f, f * 1.02, 320.0, 240.0]
             };
             match model {
-                Model::Fov => params.push(omega),
-                Model::Division => params.push(k[0]),
-                Model::OpenCvFisheye => params.extend([k[0], k[1] * 0.3, k[2] * 0.1, k[3] * 0.03]),
-                Model::Fisheye => {}
+                CameraModel::Fov => params.push(omega),
+                CameraModel::Division => params.push(k[0]),
+                CameraModel::OpenCvFisheye => params.extend([k[0], k[1] * 0.3, k[2] * 0.1, k[3] * 0.03]),
+                CameraModel::Fisheye => {}
                 _ => {
                     let all = [
                         k[0],
@@ -270,7 +273,7 @@ fn a_georeferenced_export_keeps_its_precision_by_an_offset() {
     let s = splats(50, 1);
     for origin in [DVec3::new(448_262.3, 5_411_932.7, 35.0), DVec3::new(4_156_305.1, 671_404.6, -4_774_508.2)]
     {
-        let frame = Frame { origin, scale: 4.0 };
+        let frame = SceneFrame { origin, scale: 4.0 };
         ply::Export { frame: &frame, antialias: true, extra: &[] }.write(&path, &s).unwrap();
         let (head, beside) = header_and_offset(&path);
         let offset = frame.offset();
@@ -285,7 +288,7 @@ fn a_georeferenced_export_keeps_its_precision_by_an_offset() {
         }
     }
     // Another scene into the same place: nothing of the old offset is left.
-    let frame = Frame { origin: DVec3::new(100.0, -20.0, 3.0), scale: 4.0 };
+    let frame = SceneFrame { origin: DVec3::new(100.0, -20.0, 3.0), scale: 4.0 };
     ply::Export { frame: &frame, antialias: false, extra: &[] }.write(&path, &s).unwrap();
     let (head, beside) = header_and_offset(&path);
     assert!(!head.contains("offset") && beside.is_none(), "{head}");
@@ -295,7 +298,7 @@ fn a_georeferenced_export_keeps_its_precision_by_an_offset() {
 fn an_export_names_its_render_mode_and_is_else_as_before() {
     let dir = tempfile::tempdir().unwrap();
     let (path, plain) = (dir.path().join("a.ply"), dir.path().join("b.ply"));
-    let (s, frame) = (splats(7, 2), Frame { origin: DVec3::new(1.0, 2.0, 3.0), scale: 2.5 });
+    let (s, frame) = (splats(7, 2), SceneFrame { origin: DVec3::new(1.0, 2.0, 3.0), scale: 2.5 });
     ply::write_with(&plain, &s.to_file_frame(&frame), &[("label", &[1; 7])]).unwrap();
     let plain = std::fs::read(&plain).unwrap();
     for (antialias, mode) in [(true, "mip"), (false, "default")] {

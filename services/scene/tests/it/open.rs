@@ -2,7 +2,7 @@
 
 use crate::common::{SIZE, line, open, test_image, write, write_photo};
 use glam::Vec3;
-use segwild_scene::colmap::{self, CameraRecord, Model};
+use segwild_scene::colmap::{self, CameraModel, CameraRecord};
 use segwild_scene::{Mask, Scene, SceneError, SceneSettings, Seal, Skipped};
 use std::path::Path;
 
@@ -109,7 +109,7 @@ fn photos_that_cannot_be_used_are_skipped_with_the_reason() {
     r.cameras.push(CameraRecord { id: 100, params: vec![-5.0, 50.0, 20.0, 15.0], ..r.cameras[0].clone() });
     r.cameras.push(CameraRecord {
         id: 8,
-        model: Model::RadTanThinPrismFisheye,
+        model: CameraModel::RadTanThinPrismFisheye,
         params: vec![1.0; 16],
         ..r.cameras[0].clone()
     });
@@ -461,7 +461,7 @@ fn a_lens_that_folds_the_photo_over_is_not_trained_with() {
     let dir = temp();
     let mut reconstruction = line(3);
     let camera = &mut reconstruction.cameras[0];
-    (camera.model, camera.params) = (Model::SimpleRadial, vec![50.0, 20.0, 15.0, -5.0]);
+    (camera.model, camera.params) = (CameraModel::SimpleRadial, vec![50.0, 20.0, 15.0, -5.0]);
     write(dir.path(), &reconstruction);
     let words = message(open(dir.path()));
     assert!(words.contains("its lens cannot be right") && words.contains("can be filled"), "{words}");

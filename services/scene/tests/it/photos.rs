@@ -3,7 +3,7 @@
 use crate::common::{SIZE, line, open, test_image, write};
 use image::metadata::Orientation;
 use image::{DynamicImage, ImageEncoder, RgbImage};
-use segwild_scene::colmap::{self, CameraRecord, Keypoint, Model, PointRecord, Reconstruction};
+use segwild_scene::colmap::{self, CameraModel, CameraRecord, Keypoint, PointRecord, Reconstruction};
 use segwild_scene::lens::Lens;
 use segwild_scene::{Image, Mask, Scene, SceneError, SceneSettings, Seal, View};
 use std::path::Path;
@@ -203,7 +203,7 @@ fn a_square_photo_held_sideways_is_read_as_its_poses_see_it() {
 #[test]
 fn a_distorted_photo_upside_down_is_turned_before_it_is_undistorted() {
     let mut r = coloured(SIZE, 8);
-    r.cameras[0].model = Model::SimpleRadial;
+    r.cameras[0].model = CameraModel::SimpleRadial;
     r.cameras[0].params = vec![50.0, 21.0, 14.0, -0.1];
     reads_as_posed(&r, 3, true, "turned by its EXIF orientation 3");
 }
@@ -317,16 +317,16 @@ fn scene_colour(c: usize, p: [f64; 2]) -> f32 {
 #[test]
 fn a_distorted_photo_loads_as_the_pinhole_would_have_taken_it() {
     for (model, params) in [
-        (Model::SimpleRadial, vec![150.0, 99.0, 76.0, -0.12]),
-        (Model::OpenCv, vec![150.0, 155.0, 99.0, 76.0, -0.1, 0.03, 2e-3, -3e-3]),
-        (Model::OpenCv, vec![150.0, 155.0, 99.0, 76.0, 0.12, 0.0, 0.0, 0.0]),
-        (Model::OpenCvFisheye, vec![140.0, 140.0, 100.0, 75.0, 0.02, -0.01, 0.0, 0.0]),
+        (CameraModel::SimpleRadial, vec![150.0, 99.0, 76.0, -0.12]),
+        (CameraModel::OpenCv, vec![150.0, 155.0, 99.0, 76.0, -0.1, 0.03, 2e-3, -3e-3]),
+        (CameraModel::OpenCv, vec![150.0, 155.0, 99.0, 76.0, 0.12, 0.0, 0.0, 0.0]),
+        (CameraModel::OpenCvFisheye, vec![140.0, 140.0, 100.0, 75.0, 0.02, -0.01, 0.0, 0.0]),
         (
-            Model::ThinPrismFisheye,
+            CameraModel::ThinPrismFisheye,
             vec![140.0, 140.0, 100.0, 75.0, 0.02, 0.0, 1e-3, 1e-3, 0.0, 0.0, 1e-3, -1e-3],
         ),
-        (Model::Fov, vec![150.0, 150.0, 100.0, 75.0, 0.6]),
-        (Model::Division, vec![150.0, 150.0, 100.0, 75.0, -0.1]),
+        (CameraModel::Fov, vec![150.0, 150.0, 100.0, 75.0, 0.6]),
+        (CameraModel::Division, vec![150.0, 150.0, 100.0, 75.0, -0.1]),
     ] {
         let dir = tempfile::tempdir().unwrap();
         let lens = Lens::new(model, 200, 150, &params).unwrap();

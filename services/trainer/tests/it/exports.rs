@@ -5,11 +5,11 @@ use glam::DVec3;
 use segwild_raster::reference::{Parameters, Reference, shade};
 use segwild_raster::{ProjectOptions, psnr};
 use segwild_scene::ply::{self, Export};
-use segwild_scene::{Frame, Image, Pose, View};
+use segwild_scene::{Image, Pose, SceneFrame, View};
 use segwild_trainer::{Model, TrainSettings, render_view};
 
 /// The position of a georeferenced scene, in metres.
-const UTM: Frame = Frame { origin: DVec3::new(448_262.3, 5_411_932.7, 35.0), scale: 20.0 };
+const UTM: SceneFrame = SceneFrame { origin: DVec3::new(448_262.3, 5_411_932.7, 35.0), scale: 20.0 };
 
 /// A view of an exported file, rendered as by a viewer that knows the offset of the header.
 fn viewed(model: &Model, view: &View, viewer_compensates: bool) -> Image {

@@ -2,7 +2,7 @@
 
 use glam::{DVec3, Vec3};
 use segwild_raster::{Channels, CpuEngine, Engine, ProjectOptions};
-use segwild_scene::{Camera, Frame, Image, Mask, Photo, Point, Pose, Scene, Seal, Splats, View};
+use segwild_scene::{Camera, Image, Mask, Photo, Point, Pose, Scene, SceneFrame, Seal, Splats, View};
 use segwild_trainer::{AppearanceModel, Checkpoint, Model, Photos, TrainPhoto, TrainSettings, Trainer};
 use std::sync::Arc;
 
@@ -74,7 +74,7 @@ pub fn scene(views: usize) -> Scene {
             track: vec![],
         })
         .collect();
-    let frame = Frame { origin: DVec3::ZERO, scale: 1.0 };
+    let frame = SceneFrame { origin: DVec3::ZERO, scale: 1.0 };
     Scene { views: (0..views).map(view).collect(), points, skipped: vec![], notes: vec![], frame }
 }
 

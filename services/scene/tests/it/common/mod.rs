@@ -1,6 +1,6 @@
 //! What the tests of this crate share.
 
-use segwild_scene::colmap::{CameraRecord, ImageRecord, Keypoint, Model, PointRecord, Reconstruction};
+use segwild_scene::colmap::{CameraModel, CameraRecord, ImageRecord, Keypoint, PointRecord, Reconstruction};
 use segwild_scene::{Image, Scene, SceneError, SceneSettings};
 use std::path::{Path, PathBuf};
 
@@ -42,7 +42,7 @@ pub const SIZE: (usize, usize) = (40, 30);
 pub fn line(n: u32) -> Reconstruction {
     let camera = CameraRecord {
         id: 7,
-        model: Model::Pinhole,
+        model: CameraModel::Pinhole,
         width: SIZE.0 as u64,
         height: SIZE.1 as u64,
         params: vec![50.0, 50.0, 20.0, 15.0],
