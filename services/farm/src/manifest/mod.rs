@@ -164,7 +164,7 @@ impl BatchManifest {
             let out = entry.out.as_ref().map_or_else(|| folder.join(&name), |out| base.join(out));
             outs.take(&name, &out).map_err(|why| wrong(format!("{why}: set `out`")))?;
             if let Some(name) = entry.unknown.keys().next() {
-                return Err(wrong(format!("a scene has no key named `{name}`")));
+                return Err(wrong(format!("there is no key named `{name}`")));
             }
             let (d, own) = (&read.defaults, &entry.terms);
             let settings = settings(d, own).map_err(wrong)?;
@@ -298,7 +298,7 @@ mod tests {
             ("", "no [[scene]]".to_owned()),
             ("[[scene]]\nname = \"x\"\n", "path".into()),
             ("[budgets]\n", "budgets".into()),
-            (&format!("{scene}memroy = 3\n"), "scene `a`: there is nothing named `memroy`".into()),
+            (&format!("{scene}memroy = 3\n"), "scene `a`: there is no key named `memroy`".into()),
             (&format!("[defaults]\nmemroy = 3\n{scene}"), "memroy".into()),
             (
                 &format!("[defaults]\nsettings = {{ stpes = 3 }}\n{scene}"),
