@@ -1,7 +1,9 @@
 //! The good scene that every row starts from.
 
 use segwild_scene::Image;
-use segwild_scene::colmap::{self, CameraRecord, ImageRecord, Keypoint, Model, PointRecord, Reconstruction};
+use segwild_scene::colmap::{
+    self, CameraModel, CameraRecord, ImageRecord, Keypoint, PointRecord, Reconstruction,
+};
 use std::path::{Path, PathBuf};
 
 /// Size of the photos in pixels.
@@ -85,7 +87,7 @@ fn reconstruction() -> Reconstruction {
     let (focal, cx, cy) = (50.0, width / 2.0, height / 2.0);
     let camera = CameraRecord {
         id: 1,
-        model: Model::Pinhole,
+        model: CameraModel::Pinhole,
         width: width as u64,
         height: height as u64,
         params: vec![focal, focal, cx, cy],

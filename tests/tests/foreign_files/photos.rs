@@ -3,7 +3,7 @@
 use crate::base::{Files, test_image};
 use crate::{Expect, FileCase};
 use image::{DynamicImage, ImageFormat, RgbImage, Rgba, RgbaImage};
-use segwild_scene::colmap::Model;
+use segwild_scene::colmap::CameraModel;
 use std::io::Cursor;
 
 /// The photo that rows change.
@@ -43,7 +43,7 @@ fn all(files: &Files, format: ImageFormat) {
 fn distorted(files: &Files) {
     files.remodel(|model| {
         let camera = &mut model.cameras[0];
-        camera.model = Model::OpenCv;
+        camera.model = CameraModel::OpenCv;
         camera.params.extend([-0.05, 0.01, 0.0, 0.0]);
     });
 }

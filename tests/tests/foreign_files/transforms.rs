@@ -3,7 +3,7 @@
 use crate::base::{Files, PHOTOS};
 use crate::{Expect, FileCase};
 use segwild_scene::Scene;
-use segwild_scene::colmap::Model;
+use segwild_scene::colmap::CameraModel;
 
 /// Frames of the good scene's cameras, the names in this folder.
 pub fn frames(photos: std::ops::Range<u32>, folder: &str) -> String {
@@ -43,7 +43,7 @@ fn blender(files: &Files, ending: &str) {
     }
 }
 
-fn lens(scene: &Scene) -> Option<Model> {
+fn lens(scene: &Scene) -> Option<CameraModel> {
     scene.views[0].photo.lens.as_ref().map(|lens| lens.model())
 }
 
@@ -60,7 +60,7 @@ pub const ROWS: &[FileCase] = &[
         settings: &[],
         expect: Expect::Holds {
             photos: 12,
-            check: |scene| assert_eq!(lens(scene), Some(Model::OpenCvFisheye)),
+            check: |scene| assert_eq!(lens(scene), Some(CameraModel::OpenCvFisheye)),
         },
     },
     FileCase {
@@ -71,7 +71,10 @@ pub const ROWS: &[FileCase] = &[
             only(files, head, "images/");
         },
         settings: &[],
-        expect: Expect::Holds { photos: 12, check: |scene| assert_eq!(lens(scene), Some(Model::FullOpenCv)) },
+        expect: Expect::Holds {
+            photos: 12,
+            check: |scene| assert_eq!(lens(scene), Some(CameraModel::FullOpenCv)),
+        },
     },
     FileCase {
         name: "distortion_params of nerfstudio",
@@ -83,7 +86,10 @@ pub const ROWS: &[FileCase] = &[
             )
         },
         settings: &[],
-        expect: Expect::Holds { photos: 12, check: |scene| assert_eq!(lens(scene), Some(Model::OpenCv)) },
+        expect: Expect::Holds {
+            photos: 12,
+            check: |scene| assert_eq!(lens(scene), Some(CameraModel::OpenCv)),
+        },
     },
     FileCase {
         name: "panoramas in transforms.json",
