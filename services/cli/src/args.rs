@@ -74,7 +74,7 @@ const RENAMED: [(&str, &str, &str); 13] = [
     ("bake", "between", "interpolate"),
     ("eval", "strangers", "transient-truth"),
     ("demo", "seed", "scene-seed"),
-    ("bench", "places", "scenes"),
+    ("bench", "places", "scene-seeds"),
     ("bench", "prompts", "clicks"),
 ];
 

@@ -22,3 +22,4 @@ mod skies;
 mod stuck;
 mod traces;
 mod transients;
+mod tutorial;

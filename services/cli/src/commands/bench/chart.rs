@@ -18,7 +18,7 @@ use std::path::PathBuf;
 pub fn command() -> Command {
     let command = Command::new("chart")
         .about("Accuracy against time and memory: one setting varied at a time around a default")
-        .after_help(examples("segwild bench chart --scene photos/trevi", "segwild bench chart --only steps,appearance --seeds 1,2"))
+        .after_help(examples("segwild bench chart --scene photos/trevi", "segwild bench chart --only steps,appearance_model --seeds 1,2"))
         .arg(
             Arg::new("scene")
                 .long("scene")
@@ -53,7 +53,7 @@ pub fn command() -> Command {
             Arg::new("only")
                 .long("only")
                 .value_name("LIST")
-                .help("Sweeps to measure, with commas: preset, steps, splats, channels, size, look, refine, prompts, density, budget, or single points of them as in look=embed [default: all]"),
+                .help("Sweeps to measure, with commas: preset, steps, splats, channels, size, appearance_model, refine, prompts, density, budget, or single points of them as in appearance_model=embed [default: all]"),
         )
         .arg(path("out", "Folder for results; what is there is not measured again [default: .bench/chart]"))
         .arg(path("page", "Folder for the page, figures and data [default: the folder of the results]"))
