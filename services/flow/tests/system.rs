@@ -255,8 +255,15 @@ fn a_report_and_a_snapshot_are_json_and_a_table() {
         Ok(())
     });
     send_all(&setup, 0..2);
-    thread::sleep(Duration::from_millis(10));
-    let live = setup.system.snapshot();
+    // The worker takes the first message whenever its thread gets a core.
+    let mut live = setup.system.snapshot();
+    for _ in 0..2000 {
+        if live[0].workers[0].state == WorkerState::Busy {
+            break;
+        }
+        thread::sleep(Duration::from_millis(1));
+        live = setup.system.snapshot();
+    }
     assert_eq!((live[0].workers[0].state, live[0].workers[0].label.as_str()), (WorkerState::Busy, "view 0"));
     assert_eq!((&live[0].exit, live[0].mailbox.as_ref().unwrap().depth), (&Exit::Running, 1));
     let (report, _, _) = finish(setup);

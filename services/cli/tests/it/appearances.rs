@@ -1,4 +1,4 @@
-//! Looks at the command line: on views, on one object, between photos, in files.
+//! Appearances at the command line: on views, on one object, between photos, in files.
 
 use crate::common::{QUICK, clearest, copied_run, folder, json, refuses, scene, shared_run, show, works};
 use segwild_scene::{Image, ply};
@@ -140,7 +140,9 @@ fn one_object_has_its_own_appearance_on_screen_and_in_files() {
         2,
         &["no photo `nobody.jpg`"],
     );
-    assert!(std::fs::read_to_string(path.join("report.html")).expect("a report").contains("<h2>Looks</h2>"));
+    assert!(
+        std::fs::read_to_string(path.join("report.html")).expect("a report").contains("<h2>Appearances</h2>")
+    );
 }
 
 #[test]

@@ -32,7 +32,7 @@ const TABLE: [(&str, &str, &[&str]); 53] = [
     ("lr_scale", "0.02", GEOMETRY),
     ("lr_rotation", "0.004", GEOMETRY),
     ("lr_colour", "0.004", GEOMETRY),
-    ("lr_look", "0.001", GEOMETRY),
+    ("lr_appearance", "0.001", GEOMETRY),
     // Without the appearance model `embed`, splats keep no code.
     ("lr_splat_embedding", "0.02", NOTHING),
     ("splat_embedding_from", "0.2", NOTHING),

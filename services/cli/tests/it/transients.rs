@@ -210,7 +210,7 @@ fn transients_are_found_and_scored_against_the_truth() {
     ]);
     let truth = show(&shared_run.join("truth/transient"));
     let scores: serde_json::Value =
-        serde_json::from_str(&works(&["eval", &run, "--transient-masks", &truth, "--json"])).expect("scores");
+        serde_json::from_str(&works(&["eval", &run, "--transient-truth", &truth, "--json"])).expect("scores");
     let iou = scores["pooled_iou"].as_f64().expect("a number");
     let wrong = scores["false_share"].as_f64().expect("a number");
     assert!(iou > 0.45 && wrong < 0.06, "IoU {iou}, {wrong} of the photos wrongly left out");
@@ -250,7 +250,7 @@ fn one_bad_or_turned_true_mask_is_named_and_the_others_are_scored() {
     let run = copied_run(&dir);
     let truth = dir.path().join("truth");
     std::fs::create_dir(&truth).expect("a folder");
-    let eval = |truth: &Path| segwild(&["eval", &show(&run), "--transient-masks", &show(truth)]);
+    let eval = |truth: &Path| segwild(&["eval", &show(&run), "--transient-truth", &show(truth)]);
     let missing = eval(&dir.path().join("nowhere"));
     assert_eq!(
         (missing.status.code(), eval(&truth).status.code()),

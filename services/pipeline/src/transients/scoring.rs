@@ -61,7 +61,7 @@ pub fn score_transients(folder: &RunFolder, truth: &Path) -> Result<TransientSco
     let intake = folder.intake()?;
     if !truth.is_dir() {
         return Err(RunError::Input(format!(
-            "--transient-masks {}: there is no such folder",
+            "--transient-truth {}: there is no such folder",
             truth.display()
         )));
     }
@@ -92,7 +92,7 @@ pub fn score_transients(folder: &RunFolder, truth: &Path) -> Result<TransientSco
     }
     if photos.is_empty() {
         let mut reason = format!(
-            "--transient-masks {}: it holds no true mask of a photo of this run whose transients were looked for",
+            "--transient-truth {}: it holds no true mask of a photo of this run whose transients were looked for",
             truth.display()
         );
         if let Some(first) = unread.first() {
