@@ -16,9 +16,9 @@
 //! struct Sum { out: Sender<u64> }
 //! impl Actor for Sum {
 //!     type Message = Photo;
-//!     fn handle(&mut self, photo: Photo, _: &Context) -> Result<(), Failure> {
+//!     fn handle(&mut self, photo: Photo, _: &Context) -> Result<(), ActorFailure> {
 //!         if photo.pixels.is_empty() {
-//!             return Err(Failure::reject("the photo is empty"));
+//!             return Err(ActorFailure::reject("the photo is empty"));
 //!         }
 //!         self.out.blocking_send(photo.pixels.iter().map(|&p| u64::from(p)).sum())?;
 //!         Ok(())

@@ -7,12 +7,12 @@
 //! struct Count(u64);
 //! impl Actor for Count {
 //!     type Message = u64;
-//!     fn handle(&mut self, n: u64, context: &Context) -> Result<(), Failure> {
+//!     fn handle(&mut self, n: u64, context: &Context) -> Result<(), ActorFailure> {
 //!         let _span = context.span("add");
 //!         self.0 += n;
 //!         Ok(())
 //!     }
-//!     fn on_stop(&mut self, _: &Context) -> Result<(), Failure> {
+//!     fn on_stop(&mut self, _: &Context) -> Result<(), ActorFailure> {
 //!         assert_eq!(self.0, 45);
 //!         Ok(())
 //!     }

@@ -21,9 +21,9 @@ impl Scene {
     /// `None` where the points are coloured.
     ///
     /// ```
-    /// # use segwild_scene::{DARKEST, Frame, Point, Scene};
+    /// # use segwild_scene::{DARKEST, SceneFrame, Point, Scene};
     /// # let point = |colour| Point { position: glam::Vec3::ZERO, colour, track: vec![] };
-    /// # let frame = Frame { origin: glam::DVec3::ZERO, scale: 1.0 };
+    /// # let frame = SceneFrame { origin: glam::DVec3::ZERO, scale: 1.0 };
     /// # let of = |points| Scene { views: vec![], points, skipped: vec![], notes: vec![], frame };
     /// let coloured = (0..10).map(|i| point([0.1 * i as f32; 3])).collect();
     /// assert_eq!(of(coloured).colourless(), None);

@@ -15,7 +15,7 @@
 //! {
 //!     let ledger = Ledger::open(&path).unwrap();
 //!     assert!(!ledger.stage_is_done("geometry", &key).unwrap());
-//!     ledger.begin_stage("geometry", &key).unwrap();
+//!     ledger.start_stage("geometry", &key).unwrap();
 //!     ledger.record_view("geometry", "a.jpg", &key, &ViewOutcome::done(0.25)).unwrap();
 //!     ledger.finish_stage("geometry", &key, Some(11.5)).unwrap();
 //!     assert!(Ledger::open(&path).unwrap_err().to_string().contains("in use"));

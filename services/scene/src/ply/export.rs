@@ -17,10 +17,10 @@ impl SceneFrame {
     /// that its positions would lose precision as `f32`. Whole steps of a power of ten, in file units.
     ///
     /// ```
-    /// use segwild_scene::Frame;
-    /// let utm = Frame { origin: glam::DVec3::new(448262.3, 5411932.7, 35.0), scale: 4.0 };
+    /// use segwild_scene::SceneFrame;
+    /// let utm = SceneFrame { origin: glam::DVec3::new(448262.3, 5411932.7, 35.0), scale: 4.0 };
     /// assert_eq!(utm.offset(), glam::DVec3::new(448262.0, 5411933.0, 35.0));
-    /// assert_eq!(Frame { scale: 60_000.0, ..utm }.offset(), glam::DVec3::ZERO);
+    /// assert_eq!(SceneFrame { scale: 60_000.0, ..utm }.offset(), glam::DVec3::ZERO);
     /// ```
     pub fn offset(&self) -> DVec3 {
         if self.origin.abs().max_element() <= FAR * self.scale {
