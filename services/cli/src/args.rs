@@ -121,6 +121,11 @@ pub fn path(name: &'static str, help: &'static str) -> Arg {
     Arg::new(name).long(name).value_name("PATH").value_parser(value_parser!(PathBuf)).help(help)
 }
 
+/// `--photo`; it may be repeated.
+pub fn photos(help: &'static str) -> Arg {
+    Arg::new("photo").long("photo").value_name("NAME").action(ArgAction::Append).help(help)
+}
+
 /// A flag that takes positions in a photo; it may be repeated.
 pub fn positions(id: &'static str, form: &'static str, help: &'static str) -> Arg {
     Arg::new(id).long(id).value_name(form).action(ArgAction::Append).allow_hyphen_values(true).help(help)
@@ -290,8 +295,17 @@ mod tests {
             let lines = help.lines().count();
             assert!(lines <= 60, "{path}: {lines} lines\n{help}");
             let (_, examples) = help.split_once("Examples:\n").unwrap_or_else(|| panic!("{path}: {help}"));
-            let commands = examples.lines().filter(|line| line.trim_start().starts_with("segwild ")).count();
-            assert!(commands >= 2, "{path}: {examples}");
+            let commands = examples.lines().map(str::trim).filter(|line| line.starts_with("segwild "));
+            let commands: Vec<&str> = commands.map(|line| line.split(" > ").next().unwrap_or(line)).collect();
+            assert!(commands.len() >= 2, "{path}: {examples}");
+            for command in commands {
+                let parsed = program().try_get_matches_from(command.split(' '));
+                assert!(
+                    parsed.is_ok(),
+                    "{path}: `{command}`: {}",
+                    parsed.err().map_or_else(String::new, |e| e.to_string())
+                );
+            }
         }
     }
 

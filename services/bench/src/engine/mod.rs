@@ -164,8 +164,8 @@ fn on_the_cpu(
     let values = vec![0.5; splats.len() * channels];
     let values = Channels { count: channels, values: &values };
     let projected = engine.project(splats, camera, pose, &options)?;
-    let sampled_pixels = projected.blend(&values)?;
-    let grad = FrameGrad { image: &sampled_pixels.image, alpha: None };
+    let rendered = projected.blend(&values)?;
+    let grad = FrameGrad { image: &rendered.image, alpha: None };
     let best = |work: &mut dyn FnMut()| {
         let once = |_| {
             let began = Instant::now();
@@ -209,8 +209,8 @@ fn on_the_cpu(
         ("project, sort, bin", best(&mut || drop(engine.project(splats, camera, pose, &options)))),
         ("shade", best(&mut || drop(projected.shade()))),
         ("blend", best(&mut || drop(projected.blend(&values)))),
-        ("gather", best(&mut || drop(projected.gather(&sampled_pixels.image)))),
-        ("backward", best(&mut || drop(projected.backward(&values, &sampled_pixels, &grad)))),
+        ("gather", best(&mut || drop(projected.gather(&rendered.image)))),
+        ("backward", best(&mut || drop(projected.backward(&values, &rendered, &grad)))),
     ]))
 }
 

@@ -3,7 +3,7 @@
 use super::{path, print_json, print_line};
 use crate::args::{self, appearances, choice, examples, json, selection};
 use crate::failure::Failure;
-use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
+use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_pipeline::{AppearanceRequest, Mode, RenderContent, RenderRequest, RunFolder};
 
 /// The command's arguments.
@@ -11,13 +11,7 @@ pub fn command() -> Command {
     Command::new("render")
         .about("Render views of photos, or a camera path; any appearance; a selection")
         .arg(args::run())
-        .arg(
-            Arg::new("photo")
-                .long("photo")
-                .value_name("NAME")
-                .action(ArgAction::Append)
-                .help("View to render; two or more with --frames make a path [default: all]"),
-        )
+        .arg(args::photos("View to render; two or more with --frames make a path [default: all]"))
         .arg(
             Arg::new("frames")
                 .long("frames")

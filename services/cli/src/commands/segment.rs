@@ -4,7 +4,7 @@ use super::{path, print_json, print_line, use_threads};
 use crate::args::{self, examples, json, positions, with_fields, with_table};
 use crate::failure::Failure;
 use crate::progress::{duration, stop_on_ctrl_c};
-use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
+use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_flow::Stopper;
 use segwild_pipeline::{Code, PhotoPrompts, Replay, RunFolder, Settings};
 use segwild_scene::{BoxPrompt, PointPrompt, Prompts};
@@ -18,13 +18,7 @@ pub fn command() -> Command {
         names_code,
     )
     .arg(args::run())
-    .arg(
-        Arg::new("photo")
-            .long("photo")
-            .value_name("NAME")
-            .action(ArgAction::Append)
-            .help("Photo of the prompts that follow; repeat for a second photo"),
-    )
+    .arg(args::photos("Photo of the prompts that follow; repeat for a second photo"))
     .arg(positions("positive", "x,y", "Pixel that belongs to the object, at the photo's full size"))
     .arg(positions("negative", "x,y", "Pixel that does not belong to it"))
     .arg(positions("box", "x0,y0,x1,y1", "Box around the object"))

@@ -11,7 +11,7 @@ use segwild_bench::protocols::lego::{LegoProtocol, lego as measure};
 pub fn command() -> Command {
     let command = Command::new("lego")
         .about("NeRF-W's perturbations: what other colours and a striped square before each photo cost")
-        .after_help(examples("segwild bench lego", "segwild bench lego --scene photos/lego"));
+        .after_help(examples("segwild bench lego", "segwild bench lego --seeds 1,2 --page lego.md"));
     with_scene(
         with_common(command, "1", "Folder for scenes, runs and results [default: .bench/lego]"),
         "60",

@@ -16,8 +16,8 @@ pub fn command() -> Command {
         .after_help(format!(
             "{LAYOUT}\n\n{}",
             examples(
-                "segwild bench photo-tourism --data photo-tourism",
-                "segwild bench photo-tourism --data photo-tourism --table ablation"
+                "segwild bench photo-tourism data/photo-tourism",
+                "segwild bench photo-tourism data/photo-tourism --table ablation"
             )
         ));
     with_table(
@@ -29,7 +29,7 @@ pub fn command() -> Command {
         Arg::new("scenes")
             .long("scenes")
             .value_name("LIST")
-            .help("Places, with commas: brandenburg_gate, trevi_fountain, taj_mahal [default: all]"),
+            .help("Scenes, with commas: brandenburg_gate, trevi_fountain, taj_mahal [default: all]"),
     )
     .arg(
         number(

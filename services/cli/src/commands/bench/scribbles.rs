@@ -22,7 +22,7 @@ pub fn nvos_command() -> Command {
         Command::new("nvos").about("NVOS: scribbles on one photo, the mask of another").after_help(format!(
             "{}\n\n{}",
             nvos::LAYOUT,
-            examples("segwild bench nvos --data nvos", "segwild bench nvos --data nvos --only ours")
+            examples("segwild bench nvos data/nvos", "segwild bench nvos data/nvos --table ablation")
         ));
     let help = "Most clicks taken from the scribbles inside, and as many from those outside";
     with_args(command, "Folder for runs and results [default: .bench/nvos]", "8", help)
@@ -36,8 +36,8 @@ pub fn spin_nerf_command() -> Command {
             "{}\n\n{}",
             spin_nerf::LAYOUT,
             examples(
-                "segwild bench spin-nerf --data spin-nerf",
-                "segwild bench spin-nerf --data spin-nerf --only ours"
+                "segwild bench spin-nerf data/spin-nerf",
+                "segwild bench spin-nerf data/spin-nerf --table ablation"
             )
         ));
     let help = "Clicks on the reference photo: where its mask is deepest, and then away from there";
