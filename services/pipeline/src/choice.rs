@@ -21,6 +21,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 pub(crate) trait AutoChoice: Serialize + DeserializeOwned {
     /// Kind of the cache's record.
     const KIND: &'static str;
+    /// Raised when the same inputs may lead to another choice.
+    const RULE: u32;
     /// The file in the run folder that records the choice.
     const FILE: &'static str;
     /// Whether the settings leave it open.
@@ -33,6 +35,7 @@ pub(crate) trait AutoChoice: Serialize + DeserializeOwned {
 
 impl AutoChoice for AppearanceChoice {
     const KIND: &'static str = "appearance";
+    const RULE: u32 = 2;
     const FILE: &'static str = "look.json";
     fn is_open(settings: &Settings) -> bool {
         settings.train.appearance_model == AppearanceModel::Auto
@@ -49,6 +52,7 @@ impl AutoChoice for AppearanceChoice {
 
 impl AutoChoice for BudgetChoice {
     const KIND: &'static str = "budget";
+    const RULE: u32 = 1;
     const FILE: &'static str = "budget.json";
     fn is_open(settings: &Settings) -> bool {
         settings.run.budget == RunBudget::Auto
@@ -70,7 +74,7 @@ fn beyond(steps_open: bool, appearance: Option<&AppearanceChoice>) -> bool {
 
 /// The key of a choice, from the keys of a training that leaves it open, and whether it may exceed the settings.
 fn key<C: AutoChoice>(keys: &Keys, beyond: bool) -> Key {
-    Key::of(C::KIND).key("training", &keys.training).value("beyond", beyond).finish()
+    Key::of(C::KIND).value("rule", C::RULE).key("training", &keys.training).value("beyond", beyond).finish()
 }
 
 /// The choice, if it was made before.

@@ -18,6 +18,10 @@ pub const APPEARANCE_MODELS: [AppearanceModel; 3] =
 const WORTH: f32 = 0.15;
 /// Share of the points' colour variance that an affine appearance must explain for photos to count as different in light.
 const DIFFERS: f32 = 0.3;
+/// Photos are of one light where it differs by less ([`Tracks::light`]): seven captured scenes have .003 to .030, three of
+/// tourists' photos .045 to .093. A captured scene needs no appearance model; what a matrix per photo explains there is noise
+/// and shine, and whole photos held out lose .2 to 3.5 dB by it (docs/experiments/2026-11-27-one-light-and-no-transients.md).
+const ONE_LIGHT: f32 = 0.036;
 /// Long side of the photos of the tracks and the short fits, in pixels at most.
 pub const SIZE: u32 = 160;
 /// Steps of a short fit: a share of the whole training's, within these.
@@ -61,13 +65,15 @@ pub fn choose_appearance(
     let settings = &settings.decided(scene);
     let mut trials = Trials::new(engine, scene, photos.clone(), stopping);
     let tracks = tracks(scene, &*photos, &trials.usable);
+    let one_light = tracks.is_some_and(|t| t.light() < ONE_LIGHT);
     let guess = match tracks {
-        Some(tracks) if tracks.explained() >= DIFFERS => 1,
+        Some(tracks) if !one_light && tracks.explained() >= DIFFERS => 1,
         _ => 0,
     };
     let evidence = tracks.map_or("no points that several photos saw".to_owned(), |t| {
+        let of_one_light = if one_light { ": they are of one light" } else { "" };
         format!(
-            "the colours of {} points differ by {:.3} between photos, and by {:.3} after a colour matrix per photo",
+            "the colours of {} points differ by {:.3} between photos, and by {:.3} after a colour matrix per photo{of_one_light}",
             t.points, t.raw, t.after_affine
         )
     });
@@ -78,12 +84,21 @@ pub fn choose_appearance(
         return Ok(AppearanceChoice { appearance, why, tracks, fits: Vec::new(), held_out: 0 });
     }
     let steps = (settings.steps / 8).clamp(STEPS.0, STEPS.1);
+    let fit = |trials: &mut Trials, appearance| -> Result<(), TrainError> {
+        if trials.fits.iter().all(|fit| fit.appearance != appearance) {
+            trials.fit(TrainSettings { appearance_model: appearance, steps, ..settings.clone() })?;
+        }
+        Ok(())
+    };
+    if one_light {
+        // Halves cannot compare models here: a matrix fitted to the left half also explains shine and vignetting of the right
+        // one. The single fit tells how well the photos agree.
+        fit(&mut trials, APPEARANCE_MODELS[guess])?;
+    }
     let mut pays = |dearer: usize| -> Result<bool, TrainError> {
         let appearances = [dearer - 1, dearer].map(|index| APPEARANCE_MODELS[index]);
         for appearance in appearances {
-            if trials.fits.iter().all(|fit| fit.appearance != appearance) {
-                trials.fit(TrainSettings { appearance_model: appearance, steps, ..settings.clone() })?;
-            }
+            fit(&mut trials, appearance)?;
         }
         // Scores change with every further fit: they are compared when both are there.
         let psnr = appearances.map(|appearance| {
@@ -93,7 +108,7 @@ pub fn choose_appearance(
     };
     let mut chosen = guess;
     // To dearer models while that pays; if the first did not pay, to cheaper ones while nothing is lost.
-    while chosen + 1 < APPEARANCE_MODELS.len() && pays(chosen + 1)? {
+    while !one_light && chosen + 1 < APPEARANCE_MODELS.len() && pays(chosen + 1)? {
         chosen += 1;
     }
     while chosen > 0 && chosen <= guess && !pays(chosen)? {

@@ -20,6 +20,11 @@ pub struct Tracks {
 }
 
 impl Tracks {
+    /// How far the light differs between photos: what the colour matrices explain, as a root mean square in [0, 1].
+    pub fn light(&self) -> f32 {
+        (self.raw.powi(2) - self.after_affine.powi(2)).max(0.0).sqrt()
+    }
+
     /// Share of the variance that the colour matrices explain.
     pub fn explained(&self) -> f32 {
         if self.raw > 0.0 { 1.0 - (self.after_affine / self.raw).powi(2) } else { 0.0 }
