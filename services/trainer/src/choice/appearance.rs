@@ -19,8 +19,8 @@ const WORTH: f32 = 0.15;
 /// Share of the points' colour variance that an affine appearance must explain for photos to count as different in light.
 const DIFFERS: f32 = 0.3;
 /// Photos are of one light where it differs by less ([`Tracks::light`]): seven captured scenes have .003 to .030, three of
-/// tourists' photos .045 to .093. A captured scene needs no appearance model; what a matrix per photo explains there is noise
-/// and shine, and whole photos held out lose .2 to 3.5 dB by it (docs/experiments/2026-11-27-one-light-and-no-transients.md).
+/// tourists' photos .045 to .093. A captured scene needs no appearance model: a matrix per photo explains noise and shine
+/// there, and whole photos held out lose .1 to 3.5 dB by it on six of the seven (docs/experiments/2026-11-27-one-light-and-no-transients.md).
 const ONE_LIGHT: f32 = 0.036;
 /// Long side of the photos of the tracks and the short fits, in pixels at most.
 pub const SIZE: u32 = 160;
