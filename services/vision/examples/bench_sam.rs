@@ -4,7 +4,7 @@
 //! of models, or with one that does not exist yet, small networks of SAM's interface are made there, which measure all but
 //! the networks.
 
-#[path = "../tests/toy/mod.rs"]
+#[path = "../tests/it/toy/mod.rs"]
 mod toy;
 
 use segwild_scene::settings::Value;

@@ -1,7 +1,7 @@
 //! A run by networks of the SAM family: its masks, its embeddings and a click into it; what is kept, and what is made again
 //! when a file changes. The networks are small ones of the same interfaces.
 
-#[path = "../../../vision/tests/toy/mod.rs"]
+#[path = "../../../vision/tests/it/toy/mod.rs"]
 mod toy;
 
 use crate::common::*;

@@ -1,7 +1,6 @@
 //! Lifting and refinement on the CPU engine.
 
-mod support;
-
+use crate::support::{cosine, noise, set};
 use glam::Vec3;
 use segwild_features::{
     Compression, FeatureColours, FeatureError, FeatureField, FeatureSettings, Lifted, Lifter, Pca, Progress,
@@ -12,7 +11,6 @@ use segwild_raster::{Channels, CpuEngine, Engine, ProjectOptions};
 use segwild_scene::{Camera, Embedding, Image, Mask, Pose, Splats};
 use std::ops::ControlFlow;
 use std::sync::Arc;
-use support::{cosine, noise, set};
 
 const E: usize = 24;
 

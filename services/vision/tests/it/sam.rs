@@ -1,12 +1,12 @@
 //! Networks of the SAM family, by small ones of the same interfaces: what is asked of them and what is made of their
 //! answers.
 
-mod toy;
-
+use crate::toy::{
+    self, EFFICIENT, PIXEL_KINDS, SAM, SCORES, Takes, ToyDecoder, ToyFault, can_run, decoder, encoder,
+};
 use segwild_scene::{BoxPrompt, Image, Mask, PointPrompt, Prompts, ScoredMask};
 use segwild_vision::{ModelChoice, Providers, VisionSettings, Work};
 use std::path::Path;
-use toy::{EFFICIENT, PIXEL_KINDS, SAM, SCORES, Takes, ToyDecoder, ToyFault, can_run, decoder, encoder};
 
 const W: usize = 160;
 const H: usize = 112;

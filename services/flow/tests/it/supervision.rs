@@ -4,14 +4,12 @@
     reason = "in these tests sleep stands for work, or lets others come first"
 )]
 
-mod common;
-
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::Duration;
 
-use common::*;
+use crate::common::*;
 use segwild_flow::*;
 
 #[test]

@@ -1,14 +1,12 @@
 //! Files of the SAM family that are not what they should be: half a pair, something else, cut short, hostile. Each is refused
 //! with a message that names the file; the program goes on.
 
-mod toy;
-
+use crate::toy::onnx::{OPEN, OnnxGraph, tensor, tensor_elsewhere};
+use crate::toy::{self, EFFICIENT, SAM, Takes, ToyDecoder, ToyFault, can_run, decoder, encoder};
 use segwild_scene::{Image, Prompts};
 use segwild_vision::{DeviceChoice, ModelChoice, Providers, VisionSettings};
 use std::path::Path;
 use std::time::Instant;
-use toy::onnx::{OPEN, OnnxGraph, tensor, tensor_elsewhere};
-use toy::{EFFICIENT, SAM, Takes, ToyDecoder, ToyFault, can_run, decoder, encoder};
 
 fn settings(folder: &Path) -> VisionSettings {
     VisionSettings {

@@ -4,14 +4,12 @@
     reason = "in these tests sleep stands for work, or lets others come first"
 )]
 
-mod common;
-
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use common::*;
+use crate::common::*;
 use segwild_flow::*;
 
 /// Passes views on, taking its time.

@@ -3,7 +3,7 @@
 //!
 //! A schedule decides at every point where a task waits: who is polled next, who gives up, when it closes. Only tasks
 //! that were woken are polled, so a wake-up that is lost shows as a task that waits for ever. What happens between
-//! two threads inside one call is not simulated; `tests/mailbox.rs` has the races.
+//! two threads inside one call is not simulated; `mailbox.rs` has the races.
 
 use std::collections::VecDeque;
 use std::future::Future;

@@ -1,8 +1,6 @@
 //! Automatic masks by a network of SAM's interface: prompted on a grid, filtered, one of each kind kept.
 
-#[path = "../../vision/tests/toy/mod.rs"]
-mod toy;
-
+use crate::toy;
 use segwild_masks::{MaskSettings, generate};
 use segwild_scene::{Image, Mask};
 use segwild_vision::{ModelChoice, Providers, VisionSettings};

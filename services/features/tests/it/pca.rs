@@ -1,11 +1,9 @@
 //! Compression: what it keeps, what it refuses.
 
-mod support;
-
+use crate::support::{cosine, noise};
 use proptest::prelude::*;
 use segwild_features::{EmbeddingSamples, FeatureError, Pca};
 use segwild_scene::{Embedding, Image, Mask};
-use support::{cosine, noise};
 
 /// Samples in a `rank`-dimensional plane of `e` dimensions, off the origin, with falling spread.
 fn plane(n: usize, e: usize, rank: usize, unit: f32) -> Vec<f32> {

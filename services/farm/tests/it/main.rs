@@ -1,0 +1,4 @@
+//! The tests of this crate in one executable: each further one costs a link.
+
+mod batch;
+mod engine;

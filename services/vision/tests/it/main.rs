@@ -1,0 +1,8 @@
+//! The tests of this crate in one executable: each further one costs a link.
+
+mod builtin;
+mod networks;
+mod photos;
+mod sam;
+mod sam_files;
+mod toy;
