@@ -108,7 +108,7 @@ fn a_training_that_one_engine_began_is_ended_by_the_other() {
     let gpu = [("engine", "gpu"), ("adapter", adapter.as_str())];
     go(&gpu, Some(Until::Step(10))).expect("it pauses");
     let done = go(&[("engine", "cpu")], None).expect("it ends");
-    assert!(done.train_psnr.is_some_and(f32::is_finite), "{:?}", done.train_psnr);
+    assert!(done.train_fit.is_some_and(|fit| fit.psnr.is_finite()), "{:?}", done.train_fit);
     assert!(log.contains("the gpu engine trained up to step 10: this one takes over"), "{log}");
 }
 

@@ -43,7 +43,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let run_options =
         RunOptions { until: segwild_pipeline::Until::stage("geometry"), providers, ..RunOptions::default() };
     let summary = run(&dir.join("scene"), trial.folder(), &settings, &run_options)?;
-    println!("trained in {:.0} s, PSNR {:?}", began.elapsed().as_secs_f64(), summary.train_psnr);
+    println!("trained in {:.0} s, {:?}", began.elapsed().as_secs_f64(), summary.train_fit);
     let pixels = options.long_side;
     let loaded = trial.folder().load()?;
     let (model, scene) = (&loaded.model, &loaded.scene);

@@ -347,7 +347,7 @@ fn trained(
     };
     let before = forget_peak();
     let (cpu_before, began) = (cpu::process_seconds(), Instant::now());
-    let Summary { splats, held_out, train_psnr, .. } = run(scene, folder, settings, &options)?;
+    let Summary { splats, held_out, train_fit, .. } = run(scene, folder, settings, &options)?;
     let wall = began.elapsed().as_secs_f64();
     let cpu_s = cpu::process_seconds().zip(cpu_before).map(|(after, before)| after - before);
     let peak = cpu::peak_memory().zip(before).map(|(peak, before)| peak.saturating_sub(before) as f64 / MIB);
@@ -357,13 +357,13 @@ fn trained(
         ("peak_mib", peak),
         ("psnr", held_out.as_ref().map(|h| f64::from(h.psnr))),
         ("ssim", held_out.as_ref().map(|h| f64::from(h.ssim))),
-        ("train_psnr", train_psnr.map(f64::from)),
+        ("train_psnr", train_fit.map(|fit| f64::from(fit.psnr))),
     ];
     let known = more.into_iter().filter_map(|(name, value)| Some((name.to_owned(), value?)));
     record.numbers.extend(known);
     if job.count {
         let loaded = folder.load()?;
-        let steps = settings.decided(&loaded.scene).train.steps + settings.features.refine_steps;
+        let steps = loaded.model.stats.step + settings.features.refine_steps;
         record.numbers.insert("steps".into(), f64::from(steps));
         record.numbers.insert("calls".into(), calls.count() as f64);
         record.numbers.insert("pairs".into(), pairs(&loaded, settings)? as f64);

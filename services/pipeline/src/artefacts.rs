@@ -19,9 +19,9 @@ use segwild_vision::Providers;
 use std::collections::BTreeSet;
 
 /// Raised when the bytes that a stage makes from the same input change.
-const FORMAT: u32 = 4;
+const FORMAT: u32 = 5;
 /// The same for the training, whose rules change most often: skies and embeddings, which cost most, stay.
-const TRAINING: u32 = 9;
+const TRAINING: u32 = 10;
 
 /// The keys of one run.
 #[derive(Clone, Debug)]
@@ -34,6 +34,9 @@ pub struct Keys {
     pub embedding: Vec<Key>,
     /// The training that checkpoints belong to, whatever number of steps it is given.
     pub training: Key,
+    /// What is chosen before the training (`auto`). It does not depend on transients that a person has corrected: a correction
+    /// goes on with the choice that was made.
+    pub choice: Key,
     /// The trained scene.
     pub geometry: Key,
     /// The scene at the snapshot step.
@@ -220,10 +223,15 @@ impl Keys {
             .part("engine", engine)
             .part("settings", text::<TrainSettings>(settings))
             .part("points", points_digest(scene));
+        let mut choice = Key::of("choice")
+            .value("format", TRAINING)
+            .part("engine", engine)
+            .part("settings", text::<TrainSettings>(settings))
+            .part("points", points_digest(scene));
         for (i, view) in scene.views.iter().enumerate() {
-            training = training
-                .part(&format!("view {i}"), format!("{} {:?} {}", view.name, view.pose, view.test))
-                .key(&format!("sky {i}"), &sky[i]);
+            let (name, words) = (format!("view {i}"), format!("{} {:?} {}", view.name, view.pose, view.test));
+            choice = choice.part(&name, &words).key(&format!("sky {i}"), &sky[i]);
+            training = training.part(&name, words).key(&format!("sky {i}"), &sky[i]);
             // No part where nothing is known, so that keys of runs without corrections stay as they were.
             match corrections.digest(i).filter(|_| !view.test) {
                 Some(digest) => training = training.part(&format!("transients {i}"), digest),
@@ -295,6 +303,7 @@ impl Keys {
             sky,
             embedding,
             training,
+            choice: choice.finish(),
             geometry,
             snapshot,
             masks,

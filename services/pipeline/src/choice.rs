@@ -2,7 +2,6 @@
 //! it depends on, and reported.
 
 use crate::artefacts::Keys;
-use crate::transients::KnownTransients;
 use crate::{RunBudget, RunError, RunFolder, Settings};
 use segwild_flow::{Cache, CacheError, Key};
 use segwild_raster::Engine;
@@ -27,22 +26,25 @@ pub(crate) trait AutoChoice: Serialize + DeserializeOwned {
     const FILE: &'static str;
     /// Whether the settings leave it open.
     fn is_open(settings: &Settings) -> bool;
-    /// The settings with the choice made.
-    fn decided(&self, settings: &Settings) -> Settings;
+    /// The settings with the choice made; `steps_open` as for [`decided_before`].
+    fn decided(&self, settings: &Settings, steps_open: bool) -> Settings;
     /// Why, in a sentence.
     fn why(&self) -> &str;
 }
 
 impl AutoChoice for AppearanceChoice {
     const KIND: &'static str = "appearance";
-    const RULE: u32 = 2;
+    const RULE: u32 = 3;
     const FILE: &'static str = "look.json";
     fn is_open(settings: &Settings) -> bool {
         settings.train.appearance_model == AppearanceModel::Auto
     }
-    fn decided(&self, settings: &Settings) -> Settings {
+    fn decided(&self, settings: &Settings, steps_open: bool) -> Settings {
         let mut settings = settings.clone();
         settings.train.appearance_model = self.appearance;
+        if steps_open {
+            settings.train.steps = self.steps(settings.train.steps);
+        }
         settings
     }
     fn why(&self) -> &str {
@@ -57,7 +59,7 @@ impl AutoChoice for BudgetChoice {
     fn is_open(settings: &Settings) -> bool {
         settings.run.budget == RunBudget::Auto
     }
-    fn decided(&self, settings: &Settings) -> Settings {
+    fn decided(&self, settings: &Settings, _: bool) -> Settings {
         let mut settings = settings.clone();
         settings.train.steps = self.steps;
         settings
@@ -72,9 +74,10 @@ fn beyond(steps_open: bool, appearance: Option<&AppearanceChoice>) -> bool {
     steps_open && appearance.is_some_and(AppearanceChoice::agrees)
 }
 
-/// The key of a choice, from the keys of a training that leaves it open, and whether it may exceed the settings.
-fn key<C: AutoChoice>(keys: &Keys, beyond: bool) -> Key {
-    Key::of(C::KIND).value("rule", C::RULE).key("training", &keys.training).value("beyond", beyond).finish()
+/// The key of a choice, from the keys of a run that leaves it open, and what else it depends on: for the appearance
+/// model whether the budget is open too, for the budget whether it may exceed the settings.
+fn key<C: AutoChoice>(keys: &Keys, flag: bool) -> Key {
+    Key::of(C::KIND).value("rule", C::RULE).key("choice", &keys.choice).value("flag", flag).finish()
 }
 
 /// The choice, if it was made before.
@@ -93,15 +96,16 @@ pub(crate) fn decided_before(
 ) -> Result<Settings, CacheError> {
     let (mut settings, mut appearance) = (settings.clone(), None);
     if AppearanceChoice::is_open(&settings) {
-        match kept::<AppearanceChoice>(cache, &key::<AppearanceChoice>(&keys(&settings), false))? {
-            Some(choice) => settings = appearance.insert(choice).decided(&settings),
+        let key = key::<AppearanceChoice>(&keys(&settings), BudgetChoice::is_open(&settings));
+        match kept::<AppearanceChoice>(cache, &key)? {
+            Some(choice) => settings = appearance.insert(choice).decided(&settings, steps_open),
             None => return Ok(settings),
         }
     }
     if BudgetChoice::is_open(&settings) {
         let key = key::<BudgetChoice>(&keys(&settings), beyond(steps_open, appearance.as_ref()));
         match kept::<BudgetChoice>(cache, &key)? {
-            Some(choice) => settings = choice.decided(&settings),
+            Some(choice) => settings = choice.decided(&settings, steps_open),
             None => return Ok(settings),
         }
     }
@@ -115,7 +119,6 @@ pub(crate) struct Chooser<'a> {
     pub scene: &'a Arc<Scene>,
     pub engine: &'a Arc<dyn Engine>,
     pub sky: &'a Arc<dyn SkyDetector>,
-    pub known: &'a KnownTransients,
     /// Whether the steps were left to the scene.
     pub steps_open: bool,
     /// Computes the keys of a run with given settings.
@@ -137,12 +140,13 @@ impl Chooser<'_> {
     ) -> Result<Settings, RunError> {
         let scene = &**self.scene;
         let trial_size = |settings: &Settings| trial_size(scene, settings.scene.size);
+        let agreement = BudgetChoice::is_open(settings);
         let appearance = |settings: &Settings| {
             let photos = self.photos(CHOICE_SIZE.min(trial_size(settings)), settings);
-            choose_appearance(self.engine.clone(), scene, photos, &settings.train, self.stopping)
+            choose_appearance(self.engine.clone(), scene, photos, &settings.train, agreement, self.stopping)
         };
         let (settings, appearance) =
-            self.one::<AppearanceChoice>(settings, false, appearance, &mut on_choice)?;
+            self.one::<AppearanceChoice>(settings, agreement, appearance, &mut on_choice)?;
         let beyond = beyond(self.steps_open, appearance.as_ref());
         let budget = |settings: &Settings| {
             let photos = self.photos(trial_size(settings), settings);
@@ -155,14 +159,14 @@ impl Chooser<'_> {
     fn one<C: AutoChoice>(
         &self,
         settings: &Settings,
-        beyond: bool,
+        flag: bool,
         make: impl Fn(&Settings) -> Result<C, TrainError>,
         on_choice: &mut impl FnMut(&'static str, &Key, &str) -> Result<(), RunError>,
     ) -> Result<(Settings, Option<C>), RunError> {
         if !C::is_open(settings) {
             return Ok((settings.clone(), None));
         }
-        let key = key::<C>(&(self.keys)(settings), beyond);
+        let key = key::<C>(&(self.keys)(settings), flag);
         let choice = match kept::<C>(self.cache, &key)? {
             Some(choice) => choice,
             None => {
@@ -177,22 +181,20 @@ impl Chooser<'_> {
         };
         self.folder.write_json(C::FILE, &choice)?;
         on_choice(C::KIND, &key, choice.why())?;
-        Ok((choice.decided(settings), Some(choice)))
+        Ok((choice.decided(settings, self.steps_open), Some(choice)))
     }
 
     /// Photos with long side `size`. They are few and small and are requested many times, so that they are held in
     /// memory.
     fn photos(&self, size: u32, settings: &Settings) -> Arc<dyn Photos> {
-        let (scene, sky, known) = (self.scene.clone(), self.sky.clone(), self.known.clone());
+        let (scene, sky) = (self.scene.clone(), self.sky.clone());
         let held: Mutex<BTreeMap<usize, Result<TrainPhoto, String>>> = Mutex::default();
         let read = move |view: usize| -> Result<TrainPhoto, String> {
             let loaded = scene.views[view].load(size).map_err(|e| e.to_string())?;
             // A photo is used even without its sky.
             let seen = scene.points_in(view, loaded.image.width, loaded.image.height);
             let sky: Option<Mask> = sky.sky_above(&loaded.image, &seen).ok();
-            let mut photo = TrainPhoto::new(loaded, sky);
-            known.apply_corrections(view, &mut photo);
-            Ok(photo)
+            Ok(TrainPhoto::new(loaded, sky))
         };
         let photos = move |view: usize| -> Result<TrainPhoto, String> {
             let mut held = held.lock().unwrap_or_else(PoisonError::into_inner);

@@ -7,9 +7,9 @@ use crate::{RunError, RunFolder, Scoring, Selected, Settings};
 use segwild_flow::fault;
 use segwild_raster::Engine;
 use segwild_scene::{Mask, MaskFiles, Scene};
-use segwild_trainer::{AppearanceModel, Model, Photos, Protocol, TrainPhoto, evaluate};
+use segwild_trainer::{AppearanceModel, Model, Photos, Protocol, TrainPhoto, ViewScore, evaluate};
 use serde::{Deserialize, Serialize};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -22,8 +22,40 @@ pub struct HeldOut {
     pub psnr: f32,
     /// Mean SSIM.
     pub ssim: f32,
-    /// Per photo: name, PSNR, SSIM.
-    pub photos: Vec<(String, f32, f32)>,
+    /// Mean PSNR in dB without the pixels that contradict the scene.
+    pub kept_psnr: f32,
+    /// Mean share of the pixels that do.
+    pub left_out: f32,
+    /// Per photo.
+    pub photos: Vec<HeldOutScore>,
+}
+
+/// Scores of a held-out photo.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct HeldOutScore {
+    /// The photo's name.
+    pub photo: String,
+    /// PSNR in dB.
+    pub psnr: f32,
+    /// SSIM.
+    pub ssim: f32,
+    /// PSNR in dB without the pixels that contradict the scene.
+    pub kept_psnr: f32,
+    /// Share of the pixels that do.
+    pub left_out: f32,
+}
+
+impl HeldOut {
+    /// The mean scores in words.
+    pub fn in_words(&self) -> String {
+        let mut words = format!("{:.2} dB, SSIM {:.3}", self.psnr, self.ssim);
+        if self.left_out > 0.0 {
+            let share = 100.0 * self.left_out;
+            words +=
+                &format!("; {:.2} dB without the {share:.1} % that contradict the scene", self.kept_psnr);
+        }
+        words
+    }
 }
 
 /// Score of a selection's masks on one photo.
@@ -67,8 +99,23 @@ pub struct Score {
 /// How often a photo is scored before it is left out.
 const ATTEMPTS: u32 = 3;
 
-/// Scores the usable held-out photos, if there are any, and writes `evaluation.json`. Photos that cannot be scored are
-/// left out. `record` is called for each view with the seconds that its score took, or the reason why it is left out.
+/// Folder of the renders of held-out photos in the run folder.
+const RENDERS: &str = "held_out";
+
+/// The render of a held-out photo in the run folder, as it was scored: a PNG as large as the photo was trained at. Where the
+/// photo was not scored there is no such file.
+///
+/// # Errors
+/// When the list of photos cannot be read, or has none of this name.
+pub fn held_out_render(folder: &RunFolder, photo: &str) -> Result<PathBuf, RunError> {
+    let photos = folder.intake()?.photos;
+    let unknown = || RunError::Request(format!("this run has no photo {photo}"));
+    let view = photos.iter().position(|name| name == photo).ok_or_else(unknown)?;
+    Ok(ImageFiles::of(photos.iter().map(String::as_str)).find(&folder.path().join(RENDERS), view))
+}
+
+/// Scores the usable held-out photos, if there are any, and writes `evaluation.json` and their renders. Photos that cannot be
+/// scored are left out. `record` is called for each view with the seconds that its score took, or the reason why it is left out.
 ///
 /// # Errors
 /// When no photo can be scored, when the file cannot be written, and the errors of `record`.
@@ -103,11 +150,20 @@ pub(crate) fn held_out(
     let there = there.map_err(|e| RunError::Stage { stage: "evaluate", reason: e.to_string() })?;
     let engine = there.as_deref().unwrap_or(engine);
     // One photo at a time: an evaluation holds its renders in memory.
+    let files = ImageFiles::of(scene.views.iter().map(|v| v.name.as_str()));
+    let renders = folder.path().join(RENDERS);
     let score = |view: usize| -> Result<_, String> {
         let scored = evaluate(model, engine, scene, photos.clone(), &[view], protocol);
         let scored = scored.map_err(|e| e.to_string())?;
+        let file = renders.join(files.name(view));
+        file.parent().map_or(Ok(()), std::fs::create_dir_all).map_err(|e| e.to_string())?;
+        scored.renders[0].write_png(&file).map_err(|e| e.to_string())?;
         fault::point("evaluate.photo").map_err(|e| e.to_string())?;
-        Ok(scored.views.into_iter().map(|v| (v.name, v.psnr, v.ssim)))
+        let of = |v: ViewScore| {
+            let ViewScore { name: photo, psnr, ssim, kept_psnr, left_out, .. } = v;
+            HeldOutScore { photo, psnr, ssim, kept_psnr, left_out }
+        };
+        Ok(scored.views.into_iter().map(of))
     };
     let (mut scores, mut first_error) = (Vec::new(), None);
     for &view in &views {
@@ -127,11 +183,16 @@ pub(crate) fn held_out(
         let reason = format!("not one of {} photos could be scored; the first: {reason}", views.len());
         return Err(RunError::Stage { stage: "evaluate", reason });
     }
-    let mean = |pick: fn(&(String, f32, f32)) -> f32| {
-        scores.iter().map(pick).sum::<f32>() / scores.len().max(1) as f32
+    let mean =
+        |pick: fn(&HeldOutScore) -> f32| scores.iter().map(pick).sum::<f32>() / scores.len().max(1) as f32;
+    let held = HeldOut {
+        protocol: words.into(),
+        psnr: mean(|s| s.psnr),
+        ssim: mean(|s| s.ssim),
+        kept_psnr: mean(|s| s.kept_psnr),
+        left_out: mean(|s| s.left_out),
+        photos: scores,
     };
-    let (psnr, ssim) = (mean(|s| s.1), mean(|s| s.2));
-    let held = HeldOut { protocol: words.into(), psnr, ssim, photos: scores };
     folder.write_json("evaluation.json", &held)?;
     Ok(Some(held))
 }

@@ -14,7 +14,7 @@ use crate::region_cache::InCache;
 use crate::skies::Skies;
 use crate::traces::Traces;
 use crate::transients::authorship;
-use crate::transients::{Corrections, KnownTransients};
+use crate::transients::{Corrections, KnownTransients, TrainFit};
 use crate::view_slots::ViewSlots;
 use crate::{
     ChosenEngine, RunError, RunFolder, Settings, Until, choose_engine, diagnostics, keep, memory, report,
@@ -98,8 +98,8 @@ pub struct Summary {
     pub splats: usize,
     /// The step that the training stands at, when it was to stop before its end.
     pub paused_at: Option<u32>,
-    /// PSNR on the training photos at the end, in dB.
-    pub train_psnr: Option<f32>,
+    /// How the scene fits the photos that it was trained on; `None` where the run ended before they were compared.
+    pub train_fit: Option<TrainFit>,
     /// Held-out scores, if photos were held out.
     pub held_out: Option<HeldOut>,
     /// Per-photo artefacts that were made.
@@ -246,7 +246,6 @@ pub fn run(
         scene: &scene,
         engine: &engine,
         sky: &providers.sky,
-        known: &known,
         steps_open,
         keys: &name,
         stopping: &|| options.stopper.phase() != Phase::Running,
@@ -416,7 +415,7 @@ pub fn run(
         options.events.warn(Some("evaluate"), words);
     }
     let (key, cache) = (coordinator.keys.stage("report"), coordinator.cache.clone());
-    let (splats, train_psnr) = model.as_ref().map_or((None, None), |m| (Some(m.splats.len()), m.stats.psnr));
+    let splats = model.as_ref().map(|m| m.splats.len());
     // The report reads the run folder again: the run's own data is freed first.
     drop((coordinator, scene, model));
     if last >= 6 && splats.is_some() {
@@ -448,7 +447,7 @@ pub fn run(
         provider: intake.provider,
         splats: splats.unwrap_or(0),
         paused_at: state.paused,
-        train_psnr,
+        train_fit: splats.and_then(|_| TrainFit::of(folder)),
         held_out: scores,
         made: state.made,
         cached: state.cached,

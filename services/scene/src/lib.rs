@@ -77,6 +77,69 @@ choice! {
     }
 }
 
+/// Which photos are held out of the training, to be scored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum HoldOut {
+    /// Those of the split; without one, a few.
+    Auto,
+    /// Those of the split.
+    None,
+    /// Every n-th photo by name, whatever the split says.
+    Every(u32),
+}
+
+impl settings::Value for HoldOut {
+    const KIND: &'static str = "N|auto|none";
+    fn read(text: &str) -> Result<Self, String> {
+        match text {
+            "auto" => Ok(HoldOut::Auto),
+            "none" | "0" => Ok(HoldOut::None),
+            _ => text.parse().map(HoldOut::Every).map_err(|_| "expected a whole number, auto or none".into()),
+        }
+    }
+}
+
+impl std::fmt::Display for HoldOut {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        match self {
+            HoldOut::Auto => f.write_str("auto"),
+            HoldOut::None => f.write_str("none"),
+            HoldOut::Every(n) => n.fmt(f),
+        }
+    }
+}
+
+impl serde::Serialize for HoldOut {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            HoldOut::Every(n) => serializer.serialize_u32(*n),
+            word => serializer.collect_str(word),
+        }
+    }
+}
+
+impl<'de> serde::Deserialize<'de> for HoldOut {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Visitor;
+        impl serde::de::Visitor<'_> for Visitor {
+            type Value = HoldOut;
+            fn expecting(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+                f.write_str("a whole number, auto or none")
+            }
+            fn visit_i64<E: serde::de::Error>(self, n: i64) -> Result<HoldOut, E> {
+                self.visit_str(&n.to_string())
+            }
+            fn visit_u64<E: serde::de::Error>(self, n: u64) -> Result<HoldOut, E> {
+                self.visit_str(&n.to_string())
+            }
+            fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<HoldOut, E> {
+                settings::Value::read(text).map_err(E::custom)
+            }
+        }
+        deserializer.deserialize_any(Visitor)
+    }
+}
+
 settings! {
     /// Where the photos and the reconstruction of a scene are, and how they are read.
     pub struct SceneSettings("scene", user: images ignore keep_masks transient_masks split hold_out size) {
@@ -94,8 +157,10 @@ settings! {
         /// File that says which photos are held out. A table of Photo Tourism (.tsv), a split.json, or a list
         /// (test_list.txt). Empty: found automatically in the scene's folder; none: no split.
         split: String = String::new(),
-        /// Hold out every n-th photo by name, from the first on. 0: as the split says, or none.
-        hold_out: u32 = 0,
+        /// Hold out every n-th photo by name, from the first on. `auto`: as the split says; where there is none, one of 16 photos
+        /// of a scene of 16 and more, so that there are scores of photos that were not trained on. `none`: as the split says, or
+        /// none.
+        hold_out: HoldOut = HoldOut::Auto,
         /// Long side in pixels to which photos are scaled down.
         size: u32 = 640 => 16..=16_384,
         /// What the transparent part of a photo says: `ignore` = nothing, `empty` = that nothing of the scene stands there, as in

@@ -8,8 +8,8 @@ use crate::mask_files::MaskFiles;
 use crate::names::is_inside;
 use crate::split::{Split, SplitPart};
 use crate::{
-    DARKEST, Observation, Photo, Point, Pose, Reading, Scene, SceneError, SceneFrame, SceneSettings, Seal,
-    Skipped, View,
+    DARKEST, HoldOut, Observation, Photo, Point, Pose, Reading, Scene, SceneError, SceneFrame, SceneSettings,
+    Seal, Skipped, View,
 };
 use crate::{alpha, keep, orientation};
 use glam::{Mat3, Vec3};
@@ -158,6 +158,13 @@ impl Scene {
             "scene opened"
         );
         remarks.extend(split.iter().map(|split| split_in_words(split, &views, &draft, settings)));
+        let held_out = views.iter().filter(|view| view.test).count();
+        if held_out > 0 && split.is_none() && settings.hold_out == HoldOut::Auto {
+            remarks.push(format!(
+                "{held_out} of {} photos are held out of the training, to be scored; `--hold-out none` trains on all",
+                views.len()
+            ));
+        }
         remarks.extend(notes(&draft, views.len(), points.len(), &view_of));
         let mut notes = remarks;
         notes.extend(copies(copied).into_iter().chain(cut_outs).chain(orientations));
@@ -420,7 +427,7 @@ fn split_in_words(split: &Split, views: &[View], draft: &Draft, settings: &Scene
     let of =
         |photo: &&DraftPhoto| matches!(split.part(&photo.name), Some(SplitPart::Train | SplitPart::Test));
     let left = draft.photos.len() - draft.photos.iter().filter(of).count();
-    let who = if settings.hold_out > 0 { ", as `hold_out` says" } else { "" };
+    let who = if matches!(settings.hold_out, HoldOut::Every(_)) { ", as `hold_out` says" } else { "" };
     format!(
         "the split {} is taken: {} photos train, {tests} are held out for testing{who}, {left} are left out; `--split none` takes none",
         split.path.display(),
@@ -428,24 +435,30 @@ fn split_in_words(split: &Split, views: &[View], draft: &Draft, settings: &Scene
     )
 }
 
-fn hold_out(views: &mut [View], split: Option<&Split>, every: u32) -> Result<(), SceneError> {
+/// A scene of so many photos has one in as many held out, where nothing says which: fewer are better trained on all.
+const FEW_HELD_OUT: usize = 16;
+
+fn hold_out(views: &mut [View], split: Option<&Split>, which: HoldOut) -> Result<(), SceneError> {
+    let n = views.len();
     for (i, view) in views.iter_mut().enumerate() {
-        view.test = if every > 0 {
-            i % every as usize == 0
-        } else {
-            split.is_some_and(|s| s.part(&view.name) == Some(SplitPart::Test))
+        view.test = match (which, split) {
+            (HoldOut::Every(every), _) => every > 0 && i % every as usize == 0,
+            (_, Some(split)) => split.part(&view.name) == Some(SplitPart::Test),
+            (HoldOut::None, None) => false,
+            // From the middle of each sixteen: at the ends of a capture few other photos show the same.
+            (HoldOut::Auto, None) => n >= FEW_HELD_OUT && i % FEW_HELD_OUT == FEW_HELD_OUT / 2,
         };
     }
     if views.iter().all(|v| v.test) {
         let n = views.len();
-        return Err(match (every, split) {
-            (0, Some(split)) => SceneError::NothingUsable {
+        return Err(match (which, split) {
+            (HoldOut::Auto | HoldOut::None, Some(split)) => SceneError::NothingUsable {
                 path: split.path.clone(),
                 reason: format!("all {n} usable photos are for testing; none is left to train on"),
             },
             _ => setting(
                 "hold_out",
-                every.to_string(),
+                which.to_string(),
                 &format!("of {n} usable photos none is left to train on"),
             ),
         });

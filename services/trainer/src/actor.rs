@@ -108,12 +108,16 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
         for warning in trainer.warnings() {
             context.events().warn(Some("geometry"), warning.clone());
         }
-        let initial_transient_share = trainer.initial_transient_share();
-        if initial_transient_share > 0.0 {
-            let share = 100.0 * initial_transient_share;
-            let message = format!(
-                "{share:.0} % of the photos' pixels are initial transients, which no other photo shows: left out from the start"
-            );
+        if let Some(share) = trainer.initial_transient_share() {
+            let photos = trainer.robust_shares().iter().filter(|&&share| share > 0.0).count();
+            let then = match photos {
+                0 => "they show no transients, and nothing is left out".to_owned(),
+                n if n < trainer.robust_shares().len() => format!("{n} photos may show transients"),
+                _ => "they may show transients, which are left out".to_owned(),
+            };
+            let share = 100.0 * share;
+            let message =
+                format!("{share:.1} % of the photos' pixels contradict trainings made without them: {then}");
             context.events().info(Some("geometry"), message);
         }
         let stereo_points = trainer.stereo_count();

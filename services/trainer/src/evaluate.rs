@@ -6,7 +6,8 @@ use crate::background::{Background, PRIOR_OF_HALF};
 use crate::light::directions;
 use crate::model::{Model, compose};
 use crate::photos::{PhotoLevel, Photos, Stored, TrainPhotoCache};
-use segwild_raster::compare::SkySums;
+use crate::posed::posed_view;
+use segwild_raster::compare::{SkySums, contradicted, mean_difference};
 use segwild_raster::{
     AffineAppearance, AnyAppearance, Appearance, Channels, Engine, HIDDEN_LAYER, RANK, psnr, ssim,
 };
@@ -34,6 +35,10 @@ pub struct ViewScore {
     pub psnr: f32,
     /// Structural similarity, 11-tap Gaussian window.
     pub ssim: f32,
+    /// PSNR in dB without the pixels that contradict the scene, as far as the photo may show transients.
+    pub kept_psnr: f32,
+    /// Share of the scored pixels that contradict it so.
+    pub left_out: f32,
 }
 
 /// Scores of several photos.
@@ -73,8 +78,22 @@ pub fn evaluate(
         let Unseen { shown: render, .. } =
             render_unseen(model, engine, &scene.views[view], &stored, 0, fitted)?;
         let from = if protocol == Protocol::Halves { w / 2 } else { 0 };
-        let (psnr, ssim) = score(&render, photo, |i| i % w >= from);
-        out.views.push(ViewScore { view, name: scene.views[view].name.clone(), psnr, ssim });
+        let scored = |i: usize| i % w >= from;
+        let (psnr, ssim) = score(&render, photo, scored);
+        let posed = posed_view(scene, view);
+        let residual = posed.untrusted_residual(&mean_difference(&render, &photo.image()), photo);
+        let share = model.transient_shares[view];
+        let against = match share {
+            0.0 => vec![false; residual.len()],
+            share => contradicted(&residual, w, |i| photo.counts(i), share),
+        };
+        let (kept_psnr, _) = score(&render, photo, |i| scored(i) && !against[i]);
+        let count = |of: &dyn Fn(usize) -> bool| {
+            (0..photo.pixels()).filter(|&i| scored(i) && photo.valid(i) && of(i)).count() as f32
+        };
+        let left_out = count(&|i| against[i]) / count(&|_| true).max(1.0);
+        let name = scene.views[view].name.clone();
+        out.views.push(ViewScore { view, name, psnr, ssim, kept_psnr, left_out });
         out.renders.push(render);
     }
     let n = out.views.len().max(1) as f32;

@@ -26,6 +26,9 @@ pub struct Model {
     pub names: Vec<String>,
     /// Indices of the views trained on.
     pub trained_on: Vec<u32>,
+    /// Per view of the scene, the largest share of its photo that the training might leave out as transient; 0 where it
+    /// shows none.
+    pub transient_shares: Vec<f32>,
     /// Whether opacities are compensated for the pixel filter; splats must be rendered as they were trained.
     pub antialias: bool,
     /// Progress of the training.
@@ -58,7 +61,10 @@ impl Model {
         }
         let views = self.names.len();
         let sound = |b: &Background| (1..=BASES).contains(&b.coefficients.len());
-        if self.backgrounds.len() != views || self.trained_on.iter().any(|&v| v as usize >= views) {
+        if self.backgrounds.len() != views
+            || self.transient_shares.len() != views
+            || self.trained_on.iter().any(|&v| v as usize >= views)
+        {
             return damaged("its lists of photos differ in length");
         }
         if !self.backgrounds.iter().flatten().all(sound) {

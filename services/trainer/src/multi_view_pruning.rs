@@ -26,8 +26,7 @@ impl MultiViewPruning {
         MultiViewPruning { in_favour: vec![0.0; splats], against: vec![0.0; splats], photos: 0 }
     }
 
-    /// Adds the votes of one photo: a splat seen over a pixel or more gets about one vote, in favour for the share of its light
-    /// where photo and scene agree, and against for the rest.
+    /// Adds the votes of one photo.
     pub fn add_photo(
         &mut self,
         projected: &dyn Projected,
@@ -35,17 +34,10 @@ impl MultiViewPruning {
         contradicted: &[bool],
         counts: impl Fn(usize) -> bool,
     ) -> Result<(), RasterError> {
-        let mut votes = Image::zeros(width, contradicted.len() / width, 2);
-        for (i, &against) in contradicted.iter().enumerate() {
-            if counts(i) {
-                votes.plane_mut(usize::from(against))[i] = 1.0;
-            }
-        }
-        let light = projected.gather(&votes)?;
-        for (i, light) in light.chunks_exact(2).enumerate() {
-            let vote = 1.0 / (light[0] + light[1] + 1.0);
-            self.in_favour[i] += light[0] * vote;
-            self.against[i] += light[1] * vote;
+        let votes = votes(projected, width, contradicted, counts)?;
+        for (i, [in_favour, against]) in votes.into_iter().enumerate() {
+            self.in_favour[i] += in_favour;
+            self.against[i] += against;
         }
         self.photos += 1;
         Ok(())
@@ -61,6 +53,28 @@ impl MultiViewPruning {
             })
             .collect()
     }
+}
+
+/// The votes of one photo for and against each splat: a splat seen over a pixel or more gets about one vote, in favour for the
+/// share of its light where photo and scene agree, and against for the rest. `counts` gives the pixels that take part.
+pub(crate) fn votes(
+    projected: &dyn Projected,
+    width: usize,
+    contradicted: &[bool],
+    counts: impl Fn(usize) -> bool,
+) -> Result<Vec<[f32; 2]>, RasterError> {
+    let mut pixels = Image::zeros(width, contradicted.len() / width, 2);
+    for (i, &against) in contradicted.iter().enumerate() {
+        if counts(i) {
+            pixels.plane_mut(usize::from(against))[i] = 1.0;
+        }
+    }
+    let light = projected.gather(&pixels)?;
+    let vote = |light: &[f32]| {
+        let vote = 1.0 / (light[0] + light[1] + 1.0);
+        [light[0] * vote, light[1] * vote]
+    };
+    Ok(light.chunks_exact(2).map(vote).collect())
 }
 
 #[cfg(test)]

@@ -106,7 +106,7 @@ impl Trainer {
             }
             _ => None,
         };
-        let wanted = settings.robust && !step_photo.stored.transients_known;
+        let wanted = settings.robust && side.may_show_transients(step_photo);
         let step = TrainingStep {
             options: &options(settings.antialias),
             light: light.as_ref(),

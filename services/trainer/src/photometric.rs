@@ -43,9 +43,14 @@ impl PhotoSide<'_> {
 
     /// The photo with the flags of its pixels; their trust by points only where that is `wanted`.
     pub fn target(&self, step_photo: &StepPhoto, posed: &Posed, wanted: bool) -> PhotoTarget {
-        let initial_transients = self.initial_transients.filter(|_| !step_photo.stored.transients_known);
+        let initial_transients = self.initial_transients.filter(|_| self.may_show_transients(step_photo));
         let trust = if wanted { posed.trusted(step_photo.photo) } else { Vec::new() };
         step_photo.photo.target(initial_transients, trust)
+    }
+
+    /// Whether transients are searched for in the photo.
+    pub fn may_show_transients(&self, step_photo: &StepPhoto) -> bool {
+        !step_photo.stored.transients_known && self.robust.shares()[step_photo.view] > 0.0
     }
 
     /// The background, in the scene's colours.
@@ -61,7 +66,7 @@ impl PhotoSide<'_> {
         step_photo: &'a StepPhoto,
         background: &'a Background,
     ) -> LossInputs<'a> {
-        let unknown = !step_photo.stored.transients_known;
+        let unknown = self.may_show_transients(step_photo);
         let active = settings.robust && schedule.robust(self.step) && self.step >= self.pause_until;
         let leave_out = if active && unknown {
             LeaveOut::Residual(self.robust.known(step_photo.view))

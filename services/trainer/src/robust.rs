@@ -6,20 +6,25 @@ use wincode::{SchemaRead, SchemaWrite};
 /// Residual histograms per photo.
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
 pub(crate) struct Robust {
-    /// Largest share of a photo left out.
-    share: f32,
+    /// Per photo, the largest share left out; 0 where it shows no transients.
+    shares: Vec<f32>,
     /// Per photo, decaying counts of residuals; empty until the photo was seen.
     histograms: Vec<Vec<f32>>,
 }
 
 impl Robust {
-    pub fn new(photos: usize, share: f32) -> Robust {
-        Robust { share, histograms: vec![Vec::new(); photos] }
+    pub fn new(shares: Vec<f32>) -> Robust {
+        Robust { histograms: vec![Vec::new(); shares.len()], shares }
+    }
+
+    /// Per photo, the largest share that may be left out.
+    pub fn shares(&self) -> &[f32] {
+        &self.shares
     }
 
     /// What is known of a photo's residuals.
     pub fn known(&self, photo: usize) -> Residuals<'_> {
-        Residuals { before: &self.histograms[photo], share: self.share }
+        Residuals { before: &self.histograms[photo], share: self.shares[photo] }
     }
 
     /// Stores the histogram after a visit of the photo.

@@ -7,6 +7,9 @@ use segwild_scene::settings::Group;
 
 /// Steps for the square root of the photos, at an effort of 1.
 const STEPS: f32 = 200.0;
+/// So many times as many where photos are of one light: seven of eight such scenes gain by them, and scenes of many lights
+/// do not (docs/experiments/2026-11-27-transients-by-evidence.md).
+const ONE_LIGHT_STEPS: f32 = 1.25;
 
 segwild_scene::choice! {
     /// How the number of splats is controlled.
@@ -51,7 +54,8 @@ segwild_scene::choice! {
 segwild_scene::settings! {
     /// Training of the splats. Schedules are fractions of `steps`, so any number of steps is a whole training.
     pub struct TrainSettings("train", user: steps effort splats appearance_model seed) {
-        /// Optimiser steps, one photo each; 0 lets the scene decide. That is 200 times the square root of its photos.
+        /// Optimiser steps, one photo each; 0 lets the scene decide. That is 200 times the square root of its photos, and 250
+        /// times where they are of one light.
         steps: u32 = 0 => 0..=10_000_000,
         /// Factor on the steps that the scene decides. More than 2 overfits the photos.
         effort: f32 = 1.0 => 0.01..=100.0,
@@ -65,7 +69,7 @@ segwild_scene::settings! {
         /// Spherical-harmonics degree of the colours, 0 to 3.
         sh_degree: u32 = 2 => 0..=3,
         /// How much each photo may differ in light and camera.
-        appearance_model: AppearanceModel = AppearanceModel::Affine,
+        appearance_model: AppearanceModel = AppearanceModel::Auto,
         /// Width of the networks of the appearance model `gsw`.
         gsw_width: GswWidth = GswWidth::Cpu,
         /// Leave out pixels that keep contradicting the scene: people, cars and other transients.
@@ -102,7 +106,7 @@ segwild_scene::settings! {
         /// Weight of the loss that keeps the sky empty.
         sky_weight: f32 = 0.5 => 0.0..=100.0,
         /// Share of the steps trained on photos at reduced size.
-        coarse: f32 = 0.5 => 0.0..=1.0,
+        coarse: f32 = 0.3 => 0.0..=1.0,
         /// Lower opacities by what the pixel filter widens, so that small splats do not grow brighter. False: as plain Gaussian
         /// splatting does, for viewers that cannot (docs/reference/exports.md).
         antialias: bool = true,
@@ -156,7 +160,10 @@ impl TrainSettings {
     /// Photos of one scene overlap: they count by the square root (docs/experiments/2026-11-22-how-many-steps.md).
     fn steps_for(&self, photos: usize) -> u32 {
         match self.steps {
-            0 => (self.effort * STEPS * (photos as f32).sqrt()).round().max(1.0) as u32,
+            0 => {
+                let steps = (self.effort * STEPS * (photos as f32).sqrt()).round().max(1.0) as u32;
+                if self.appearance_model == AppearanceModel::None { one_light_steps(steps) } else { steps }
+            }
             steps => steps,
         }
     }
@@ -165,6 +172,11 @@ impl TrainSettings {
     pub fn snapshot_step(&self) -> u32 {
         ((f64::from(self.snapshot_at) * f64::from(self.steps)).round() as u32).clamp(1, self.steps)
     }
+}
+
+/// The steps of a scene whose photos turn out to be of one light, from those that were decided for any light.
+pub(crate) fn one_light_steps(steps: u32) -> u32 {
+    (ONE_LIGHT_STEPS * steps as f32).round() as u32
 }
 
 #[cfg(test)]
@@ -176,6 +188,8 @@ mod tests {
         let standard = TrainSettings::default();
         assert_eq!((standard.steps_for(25), standard.steps_for(100)), (1000, 2000));
         assert_eq!(Preset::Draft.settings().steps_for(25), 500);
+        let one_light = TrainSettings { appearance_model: AppearanceModel::None, ..standard.clone() };
+        assert_eq!((one_light.steps_for(25), one_light_steps(standard.steps_for(25))), (1250, 1250));
         assert_eq!(standard.steps_for(0), 1, "a scene without photos is refused in other words");
         assert_eq!(TrainSettings { steps: 77, ..Preset::Best.settings() }.steps_for(25), 77);
     }

@@ -1,12 +1,15 @@
 //! The splat budget: how many splats a training may have.
 
-use crate::TrainSettings;
+use crate::{AppearanceModel, TrainSettings};
 use segwild_scene::Scene;
 use wincode::{SchemaRead, SchemaWrite};
 
 /// Splats for the square root of what pixels the photos have together. A splat needs some pixels in several photos to
 /// be determined; photos of one scene overlap, and finer ones show the same surfaces again (docs/experiments/2026-11-22-how-many-splats.md).
 const DENSITY: f32 = 16.0;
+/// The same where photos are of one light: an appearance explains nothing of what they show
+/// (docs/experiments/2026-11-27-transients-by-evidence.md).
+const ONE_LIGHT_DENSITY: f32 = 20.0;
 /// Fewest and most that a scene is given, whatever its photos.
 const BOUNDS: (f32, f32) = (2_000.0, 200_000.0);
 /// At least as many as there are points, up to here: each is on a surface that was seen.
@@ -28,7 +31,12 @@ impl SplatBudget {
     pub fn new(settings: &TrainSettings, points: usize, photos: usize, pixels: usize) -> SplatBudget {
         let (least, most) = match settings.splats {
             0 => {
-                let supported = DENSITY * (pixels as f32 * photos as f32).sqrt();
+                let density = match settings.appearance_model {
+                    // Whichever is chosen later.
+                    AppearanceModel::None | AppearanceModel::Auto => ONE_LIGHT_DENSITY,
+                    _ => DENSITY,
+                };
+                let supported = density * (pixels as f32 * photos as f32).sqrt();
                 let least = points.clamp(BOUNDS.0 as usize, POINTS);
                 (least, (supported.clamp(BOUNDS.0, BOUNDS.1) as usize).max(least))
             }
@@ -65,9 +73,19 @@ pub fn splat_cap(settings: &TrainSettings, scene: &Scene, long_side: u32) -> usi
 mod tests {
     use super::*;
 
+    fn affine() -> TrainSettings {
+        TrainSettings { appearance_model: AppearanceModel::Affine, ..TrainSettings::default() }
+    }
+
+    #[test]
+    fn photos_of_one_light_have_more_splats() {
+        let one_light = TrainSettings { appearance_model: AppearanceModel::None, ..affine() };
+        assert_eq!(SplatBudget::new(&one_light, 3_000, 25, 160_000).splats(), 40_000);
+    }
+
     #[test]
     fn sky_needs_no_splats_and_points_keep_theirs() {
-        let mut budget = SplatBudget::new(&TrainSettings::default(), 3_000, 25, 160_000);
+        let mut budget = SplatBudget::new(&affine(), 3_000, 25, 160_000);
         assert_eq!(budget.splats(), 32_000);
         budget.add_photo(1.0);
         budget.add_photo(0.5);
@@ -86,7 +104,7 @@ mod tests {
 
     #[test]
     fn few_photos_and_many_points_stay_within_bounds() {
-        let standard = TrainSettings::default();
+        let standard = affine();
         assert_eq!(SplatBudget::new(&standard, 0, 1, 100).splats(), 2_000);
         assert_eq!(SplatBudget::new(&standard, 90_000, 1, 100).splats(), 20_000);
         assert_eq!(SplatBudget::new(&standard, 90_000, 10_000, 1_000_000).splats(), 200_000);

@@ -110,8 +110,9 @@ impl TrainState {
 
     /// Refuses a state whose parts do not fit each other or the scene.
     pub fn check(&self, views: usize) -> Result<(), TrainError> {
-        let per_view = [self.backgrounds.len(), self.quality.len(), self.initial_transients.len()];
-        if per_view.iter().any(|&n| n != views) || self.sampler.views().iter().any(|&v| v >= views) {
+        let lists = [self.backgrounds.len(), self.quality.len(), self.initial_transients.len()];
+        let per_view = lists.into_iter().chain([self.robust.shares().len()]);
+        if per_view.into_iter().any(|n| n != views) || self.sampler.views().iter().any(|&v| v >= views) {
             return Err(TrainError::Checkpoint("it is damaged: its lists of photos differ in length".into()));
         }
         let size = self.appearance.as_appearance().embedding_size();

@@ -130,7 +130,8 @@ impl Trainer {
     /// Removes splats without multi-view support: transients that one photo put before its camera.
     fn prune_unsupported(&mut self) -> Result<usize, TrainError> {
         let photos = self.state.sampler.count();
-        if !self.settings.robust || !self.schedule.multi_view_pruning(self.state.step, photos) {
+        let none = self.state.robust.shares().iter().all(|&share| share == 0.0);
+        if none || !self.settings.robust || !self.schedule.multi_view_pruning(self.state.step, photos) {
             return Ok(0);
         }
         self.download()?;
@@ -155,7 +156,7 @@ impl Trainer {
             let shown = painter.show(&rendered.frame, &camera, &pose);
             let residual =
                 self.views[view].untrusted_residual(&mean_difference(&shown, &photo.image()), photo);
-            let share = if stored.transients_known { 0.0 } else { self.settings.robust_share };
+            let share = if stored.transients_known { 0.0 } else { self.state.robust.shares()[view] };
             let contradicted = compare::contradicted(&residual, photo.width, |i| photo.counts(i), share);
             multi_view_pruning.add_photo(&*projected, photo.width, &contradicted, |i| photo.counts(i))?;
         }

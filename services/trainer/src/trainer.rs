@@ -4,7 +4,7 @@ use crate::appearances;
 use crate::colours::coloured;
 use crate::density::{DensityChange, Strategy};
 use crate::initial::{Eye, initial_splats};
-use crate::initial_transients::{initial_transients, share};
+use crate::initial_transients::initial_transients;
 use crate::model::{Model, Stats};
 use crate::params::Params;
 use crate::photos::{Photos, Stored, TrainPhotoCache};
@@ -67,6 +67,8 @@ pub struct Trainer {
     pub(crate) may_upload: bool,
     /// Points of the stereo initialisation.
     stereo_count: usize,
+    /// Mean share of the photos that is transient, by the search before the training.
+    initial_transient_share: Option<f32>,
 }
 
 /// A training that can be continued: with the same scene, photos and settings it ends in the same bytes as
@@ -116,9 +118,12 @@ impl Trainer {
         let mut cache = photo_cache(scene, photos, &settings);
         let scene = &*coloured(scene, &mut cache, stopping)?;
         let found = initial_transients(&engine, scene, &mut cache, &settings, stopping)?;
-        let stereo = stereo_points::points(scene, &mut cache, &settings, &found, stopping)?;
+        let stereo = stereo_points::points(scene, &mut cache, &settings, &found.masks, stopping)?;
+        let robust = Robust::new(found.robust_shares(&settings));
         let mut trainer = Trainer::start(engine, scene, cache, settings, 0, &stereo)?;
-        trainer.state.initial_transients = found;
+        trainer.initial_transient_share = found.mean_share();
+        trainer.state.initial_transients = found.masks;
+        trainer.state.robust = robust;
         trainer.stereo_count = stereo.len();
         Ok(trainer)
     }
@@ -168,7 +173,7 @@ impl Trainer {
             params: Params::new(start.splats, splat_embeddings),
             appearance,
             backgrounds: vec![None; scene.views.len()],
-            robust: Robust::new(scene.views.len(), settings.robust_share),
+            robust: Robust::new(vec![settings.robust_share; scene.views.len()]),
             initial_transients: vec![None; scene.views.len()],
             sampler: Sampler::new(&train),
             random,
@@ -194,6 +199,7 @@ impl Trainer {
             resident: None,
             may_upload: true,
             stereo_count: 0,
+            initial_transient_share: None,
         })
     }
 
@@ -238,6 +244,7 @@ impl Trainer {
             resident: None,
             may_upload: true,
             stereo_count: 0,
+            initial_transient_share: None,
         })
     }
 
@@ -291,9 +298,15 @@ impl Trainer {
         self.state.initial_transients[view].as_ref()
     }
 
-    /// Mean share of the photos that is left out as initial transients.
-    pub fn initial_transient_share(&self) -> f32 {
-        share(&self.state.initial_transients)
+    /// Mean share of the photos that is transient, by the search before the training; `None` where none was made, and in
+    /// a training that was resumed.
+    pub fn initial_transient_share(&self) -> Option<f32> {
+        self.initial_transient_share
+    }
+
+    /// Per view, the largest share of its photo that may be left out as transient; 0 where it shows none.
+    pub fn robust_shares(&self) -> &[f32] {
+        self.state.robust.shares()
     }
 
     /// Number of points of the stereo initialisation; 0 in a training that was resumed.
@@ -354,6 +367,7 @@ impl Trainer {
             backgrounds: state.backgrounds.clone(),
             names: self.views.iter().map(|v| v.name.clone()).collect(),
             trained_on: state.sampler.views().iter().map(|&v| v as u32).collect(),
+            transient_shares: state.robust.shares().to_vec(),
             antialias: self.settings.antialias,
             stats: Stats { step: state.step, psnr: mean_quality(&state.sampler.views(), &state.quality) },
         })

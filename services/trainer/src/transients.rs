@@ -26,7 +26,8 @@ pub struct TransientEvidence {
     pub psnr: f32,
 }
 
-/// Compares a photo with the trained scene in its own light. `share` is the most of the photo that may be transients.
+/// Compares a photo with the trained scene in its own light. `share` is the most of the photo that may be transients;
+/// 0 where it shows none.
 pub fn transient_evidence(
     model: &Model,
     engine: &dyn Engine,
@@ -46,7 +47,8 @@ pub fn transient_evidence(
     let psnr = weighted_psnr(&shown, &target, &weights);
     let residual = posed.untrusted_residual(&mean_difference(&shown, &target), level);
     let smooth = smoothed(&residual, w);
-    let Some(limit) = limit(&smooth, |i| level.counts(i), share) else {
+    let limit = if share > 0.0 { limit(&smooth, |i| level.counts(i), share) } else { None };
+    let Some(limit) = limit else {
         return Ok(TransientEvidence { certainty: None, psnr });
     };
     let certainty = |i: usize| {

@@ -99,9 +99,9 @@ pub fn scenes(
 }
 
 /// The objects and their true masks, by name.
-type Objects = BTreeMap<String, Vec<(String, PathBuf)>>;
+pub(crate) type Objects = BTreeMap<String, Vec<(String, PathBuf)>>;
 
-fn objects(scene: &Path, photos: &[String]) -> Result<Objects, ProtocolError> {
+pub(crate) fn objects(scene: &Path, photos: &[String]) -> Result<Objects, ProtocolError> {
     let truth = scene.join("truth");
     let missing = |what: String| Missing { what: vec![what], layout: LAYOUT.into() };
     if !truth.is_dir() {

@@ -86,8 +86,15 @@ fn kernels_of_a_run_stay_on_their_actors_threads_and_one_at_a_time_holds_the_acc
         ..SyntheticOptions::small()
     };
     generate(&options).unwrap().write(&scene).unwrap();
-    let flags =
-        [("preset", "draft"), ("size", "64"), ("steps", "40"), ("refine_steps", "4"), ("threads", "2")];
+    // A choice of `auto` is made before there are actors.
+    let flags = [
+        ("preset", "draft"),
+        ("size", "64"),
+        ("steps", "40"),
+        ("appearance_model", "affine"),
+        ("refine_steps", "4"),
+        ("threads", "2"),
+    ];
     let flags: Vec<(String, String)> = flags.iter().map(|(n, v)| ((*n).into(), (*v).into())).collect();
     let settings = Settings::layered(None, &flags).unwrap();
     let watchers = Arc::new(Watchers::default());

@@ -73,10 +73,18 @@ fn held_out(folder: &RunFolder, json: bool) -> Result<(), Failure> {
     if json {
         return print_json(&held);
     }
-    for (name, psnr, ssim) in &held.photos {
-        print_line(&format!("{psnr:6.2} dB  SSIM {ssim:.3}  {name}"))?;
+    for p in &held.photos {
+        print_line(&format!("{:6.2} dB  SSIM {:.3}  {}", p.psnr, p.ssim, p.photo))?;
     }
-    print_line(&format!("{:6.2} dB  SSIM {:.3}  mean ({})", held.psnr, held.ssim, held.protocol))
+    print_line(&format!("{:6.2} dB  SSIM {:.3}  mean ({})", held.psnr, held.ssim, held.protocol))?;
+    if held.left_out > 0.0 {
+        let share = 100.0 * held.left_out;
+        print_line(&format!(
+            "{:6.2} dB  without the {share:.1} % of the pixels that contradict the scene",
+            held.kept_psnr
+        ))?;
+    }
+    Ok(())
 }
 
 fn transients(folder: &RunFolder, truth: &std::path::Path, json: bool) -> Result<(), Failure> {

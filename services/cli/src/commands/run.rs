@@ -144,14 +144,11 @@ pub fn tell(summary: &Summary, out: &Path) -> Result<(), Failure> {
         print_line(&words)?;
     }
     print_line(&format!("masks and clicks by: {}", summary.provider))?;
-    if let Some(psnr) = summary.train_psnr {
-        print_line(&format!("training photos: {psnr:.2} dB"))?;
+    if let Some(fit) = &summary.train_fit {
+        print_line(&format!("training photos: {}", fit.in_words()))?;
     }
     if let Some(held) = &summary.held_out {
-        print_line(&format!(
-            "held-out photos: {:.2} dB, SSIM {:.3} ({})",
-            held.psnr, held.ssim, held.protocol
-        ))?;
+        print_line(&format!("held-out photos: {} ({})", held.in_words(), held.protocol))?;
     }
     print_line(summary.actors.trim_end())?;
     let report = out.join("report.html");

@@ -89,3 +89,37 @@ fn the_accelerators_speed_is_measured_or_its_absence_reported() {
         }
     }
 }
+
+#[test]
+fn photos_held_out_are_scored_whole_and_shown_beside_their_renders() {
+    let dir = folder();
+    let (out, page) = (show(&dir.path().join("out")), dir.path().join("page.md"));
+    let (there, none, shown) = (show(scene()), show(&dir.path().join("none")), show(&page));
+    let small = ["--sizes", "64", "--steps", "40", "--out", &out, "--page", &shown];
+    let all: Vec<&str> = ["bench", "reconstruction", &there, &none].iter().chain(&small).copied().collect();
+    let done = segwild(&all);
+    let (stdout, stderr) = (text(&done.stdout), text(&done.stderr));
+    assert!(done.status.success() && stdout.contains("64 px: held out "), "{stdout}{stderr}");
+    assert!(stderr.contains("not measured: none at 64 px"), "{stderr}");
+    let out = dir.path().join("out");
+    let results = json(&std::fs::read(out.join("results.json")).expect("results"));
+    let records = results["records"].as_array().expect("records");
+    let whole = &records[0]["numbers"];
+    for name in ["psnr", "ssim", "kept_psnr", "left_out", "train_psnr", "transient", "steps"] {
+        assert!(whole[name].is_number(), "{name}: {whole}");
+    }
+    assert_eq!(whole["steps"], 40.0);
+    assert!(records.iter().any(|r| r["target"] == "dome" && r["numbers"]["psnr"].is_number()), "{results}");
+    let (with, without) = [out.join("reconstruction.md"), page].map(std::fs::read_to_string).into();
+    let (with, without) = (with.expect("a page"), without.expect("a page"));
+    let images: Vec<_> = std::fs::read_dir(&out)
+        .expect("a folder")
+        .flatten()
+        .map(|e| e.file_name().to_string_lossy().into_owned())
+        .filter(|name| name.ends_with(".png"))
+        .collect();
+    assert_eq!(images.len(), 1, "{images:?}");
+    assert!(with.contains(&images[0]) && !without.contains(".png"), "{with}");
+    assert!(without.contains("Provider: built-in.") && without.contains("Not measured: none"), "{without}");
+    assert!(!out.join("runs").join("none").exists());
+}

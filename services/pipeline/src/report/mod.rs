@@ -6,11 +6,11 @@ mod objects;
 pub(crate) use objects::add_object;
 
 use crate::choice::AutoChoice;
-use crate::evaluate::HeldOut;
+use crate::evaluate::{HeldOut, HeldOutScore, held_out_render};
 use crate::folder::Loaded;
 use crate::history::{self, Moment};
 use crate::render::{NOTHING, RenderContent, SceneRenderer};
-use crate::transients;
+use crate::transients::{self, TrainFit};
 use crate::{AppearanceChoice, BudgetChoice, RunError, RunFolder, choose_engine, log_loss};
 use html::ChartSeries;
 use segwild_flow::codec::Decode;
@@ -20,6 +20,9 @@ use segwild_raster::{AnyAppearance, Engine};
 use segwild_scene::{Image, Mask, MaskSet, Skipped};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
+
+/// Long side of the images in a report, in pixels at most.
+const SHOWN: u32 = 360;
 
 /// Writes the report from the run folder. It is called at the end of a run; a selection is only added to the report.
 /// Returns the photos that are not shown whole, and why.
@@ -94,8 +97,8 @@ fn summary(folder: &RunFolder, loaded: &Loaded) -> Result<String, RunError> {
     if let Some(spent) = spent {
         row("budget", format!("chosen {}", spent.why));
     }
-    if let Some(psnr) = loaded.model.stats.psnr {
-        row("PSNR on training photos", format!("{psnr:.2} dB"));
+    if let Some(fit) = TrainFit::of(folder) {
+        row("PSNR on training photos", fit.in_words());
     }
     if let Some(field) = &loaded.field {
         let kept = 100.0 * field.pca.explained_variance();
@@ -106,14 +109,40 @@ fn summary(folder: &RunFolder, loaded: &Loaded) -> Result<String, RunError> {
         && !intake.held_out.is_empty()
     {
         let _ = write!(text, "<h2>Held-out photos</h2><p>{}</p>", html::escape(&held.protocol));
-        let mut rows = vec![vec!["photo".into(), "PSNR (dB)".into(), "SSIM".into()]];
-        for (name, psnr, ssim) in &held.photos {
-            rows.push(vec![name.clone(), format!("{psnr:.2}"), format!("{ssim:.3}")]);
-        }
-        rows.push(vec!["mean".into(), format!("{:.2}", held.psnr), format!("{:.3}", held.ssim)]);
+        let head = [
+            "photo",
+            "PSNR (dB)",
+            "SSIM",
+            "PSNR without what contradicts the scene (dB)",
+            "share of that (%)",
+        ];
+        let mut rows = vec![head.map(str::to_owned).to_vec()];
+        let row = |name: &str, psnr: f32, ssim: f32, kept: f32, left_out: f32| {
+            let share = format!("{:.1}", 100.0 * left_out);
+            vec![name.to_owned(), format!("{psnr:.2}"), format!("{ssim:.3}"), format!("{kept:.2}"), share]
+        };
+        rows.extend(held.photos.iter().map(|p| row(&p.photo, p.psnr, p.ssim, p.kept_psnr, p.left_out)));
+        rows.push(row("mean", held.psnr, held.ssim, held.kept_psnr, held.left_out));
         text.push_str(&html::table(&rows));
+        for score in held.photos.iter().take(loaded.settings.run.report_photos as usize) {
+            text.push_str(&held_out_beside_render(folder, loaded, score));
+        }
     }
     Ok(text)
+}
+
+/// A held-out photo beside its render; nothing where one of the two cannot be read.
+fn held_out_beside_render(folder: &RunFolder, loaded: &Loaded, score: &HeldOutScore) -> String {
+    let view = loaded.scene.views.iter().find(|v| v.name == score.photo);
+    let photo = view.and_then(|v| v.load(loaded.settings.scene.size.min(SHOWN)).ok());
+    let render = held_out_render(folder, &score.photo).ok().and_then(|file| Image::read(&file).ok());
+    let (Some(photo), Some(render)) = (photo, render) else { return String::new() };
+    let (w, h) = (photo.image.width, photo.image.height);
+    format!(
+        "<div class=\"row\">{}{}</div>",
+        html::figure(&photo.image, &format!("{} (held out)", score.photo)),
+        html::figure(&render.resized(w, h), &format!("render, {:.2} dB", score.psnr))
+    )
 }
 
 /// Number of appearances that one view is shown with.
@@ -127,7 +156,8 @@ fn appearances(loaded: &Loaded, engine: &dyn Engine) -> Result<String, RunError>
         return Ok(String::new());
     }
     let known = (0..model.names.len()).filter(|&v| model.appearance_index(Some(v)) == v);
-    let small = |view: usize| loaded.scene.views[view].camera.scaled_to(loaded.settings.scene.size.min(360));
+    let small =
+        |view: usize| loaded.scene.views[view].camera.scaled_to(loaded.settings.scene.size.min(SHOWN));
     let renderer = SceneRenderer::new(loaded, None, RenderContent::Colour, engine)?;
     let render = |view: usize, appearance: Option<usize>, side: u32| {
         let camera = small(view).scaled_to(side);
@@ -220,7 +250,7 @@ fn photos(
     let row = |view: usize| -> Result<(String, Option<String>), RunError> {
         let v = &loaded.scene.views[view];
         let (mut text, mut missing) = (String::new(), None);
-        let photo = v.load(loaded.settings.scene.size.min(360))?;
+        let photo = v.load(loaded.settings.scene.size.min(SHOWN))?;
         let camera = photo.camera;
         let held = if v.test { " (held out)" } else { "" };
         pass(folder)?;

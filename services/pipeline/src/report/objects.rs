@@ -91,7 +91,7 @@ fn object(folder: &RunFolder, loaded: &Loaded, name: &str, engine: &dyn Engine) 
     let only = SceneRenderer::new(loaded, Some((selected, Mode::Only)), RenderContent::Colour, engine)?;
     for view in spread(loaded, 4) {
         let v = &loaded.scene.views[view];
-        let camera = v.camera.scaled_to(loaded.settings.scene.size.min(360));
+        let camera = v.camera.scaled_to(loaded.settings.scene.size.min(super::SHOWN));
         let mut show = |renderer: &SceneRenderer, caption: &str| -> Result<(), RunError> {
             let image = renderer.render(engine, &camera, &v.pose, &renderer.light(Some(view)))?;
             text.push_str(&html::figure(&image, caption));

@@ -25,6 +25,49 @@ pub(crate) struct WrittenMask {
     pub key: String,
     /// Hashes of the pixels written last, and of those before: either may be in the file when a run is killed.
     pub pixels: Vec<String>,
+    /// How the trained scene fits the photo; `None` where it was not compared.
+    #[serde(default)]
+    pub fit: Option<TrainPhotoFit>,
+}
+
+/// How the trained scene fits a photo.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub(crate) struct TrainPhotoFit {
+    /// PSNR in dB over every pixel that is not sky and that no person has masked.
+    pub psnr: f32,
+    /// Share of the photo in its transient mask.
+    pub transient: f32,
+}
+
+/// How the trained scene fits the photos that it was trained on.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct TrainFit {
+    /// Mean PSNR in dB over every pixel that is not sky and that no person has masked.
+    pub psnr: f32,
+    /// Mean share of a photo that was found to be transient.
+    pub transient: f32,
+    /// Photos compared.
+    pub photos: usize,
+}
+
+impl TrainFit {
+    /// Of a run whose transient masks are made; `None` before.
+    pub fn of(folder: &RunFolder) -> Option<TrainFit> {
+        let fits: Vec<TrainPhotoFit> =
+            WrittenMasks::of(folder).0.values().filter_map(|mask| mask.fit).collect();
+        let mean = |of: fn(&TrainPhotoFit) -> f32| fits.iter().map(of).sum::<f32>() / fits.len() as f32;
+        (!fits.is_empty()).then(|| TrainFit {
+            psnr: mean(|f| f.psnr),
+            transient: mean(|f| f.transient),
+            photos: fits.len(),
+        })
+    }
+
+    /// The fit in words.
+    pub fn in_words(&self) -> String {
+        let share = 100.0 * self.transient;
+        format!("{:.2} dB over every pixel but the sky; {share:.1} % were taken for transients", self.psnr)
+    }
 }
 
 /// Hash of a mask's size and pixels: an editor may write the same pixels in other bytes.

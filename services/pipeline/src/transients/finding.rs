@@ -48,12 +48,6 @@ impl KnownTransients {
         Ok(())
     }
 
-    /// As [`KnownTransients::apply`], with the corrected masks only: the network's masks are of another photo size.
-    pub fn apply_corrections(&self, view: usize, photo: &mut TrainPhoto) {
-        let (w, h) = (photo.image.width as u32, photo.image.height as u32);
-        photo.transients = self.corrections.mask(view, w, h);
-    }
-
     /// The network's mask of a photo, if it is in the cache.
     fn network_mask(&self, view: usize) -> Option<Mask> {
         self.network.as_ref()?;
@@ -73,7 +67,9 @@ impl TransientMaskWriter<'_> {
         let photos: Vec<TrainPhoto> =
             pending.par_iter().map(|pending| photo(pending.view)).collect::<Result<_, ActorFailure>>()?;
         let compare = |(pending, photo): (&PendingMask, &TrainPhoto)| {
-            transient_evidence(self.model, self.engine, self.scene, pending.view, photo, MOST)
+            let none = self.model.transient_shares[pending.view] == 0.0;
+            let most = if none { 0.0 } else { MOST };
+            transient_evidence(self.model, self.engine, self.scene, pending.view, photo, most)
         };
         let evidence = pending.iter().zip(&photos).map(compare).collect::<Result<Vec<_>, _>>()?;
         let snap = |((pending, photo), evidence): ((&PendingMask, &TrainPhoto), &TransientEvidence)| {

@@ -1,6 +1,8 @@
 //! Writes and reads the mask images of transients in the run folder.
 
-use super::authorship::{self, FOLDER, MADE, MaskImage, WrittenMask, WrittenMasks, pixel_hash};
+use super::authorship::{
+    self, FOLDER, MADE, MaskImage, TrainPhotoFit, WrittenMask, WrittenMasks, pixel_hash,
+};
 use super::finding::{KnownTransients, crowded, odd, share_of};
 use crate::images::ImageFiles;
 use crate::{RunError, RunFolder};
@@ -108,10 +110,12 @@ impl TransientMaskWriter<'_> {
             let found = self.find(some, &photo)?;
             for (PendingMask { view, name, key, file, there }, (mask, psnr)) in some.iter().zip(found) {
                 notes.extend(odd(&self.scene.views[*view].name, name, &mask, psnr));
-                shares.push(share_of(&mask));
+                let transient = share_of(&mask);
+                shares.push(transient);
                 let mask = self.scene.views[*view].mask_to_taken(mask);
                 let pixels = [pixel_hash(&mask)].into_iter().chain(there.clone()).collect();
-                after.insert((*name).to_owned(), WrittenMask { key: key.clone(), pixels });
+                let fit = Some(TrainPhotoFit { psnr, transient });
+                after.insert((*name).to_owned(), WrittenMask { key: key.clone(), pixels, fit });
                 masks.push((file, mask));
             }
         }

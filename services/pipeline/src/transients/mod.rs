@@ -21,6 +21,7 @@ mod images;
 mod scoring;
 mod visibility;
 
+pub use authorship::TrainFit;
 pub(crate) use corrections::Corrections;
 pub(crate) use finding::KnownTransients;
 pub(crate) use images::{TransientMaskWriter, damaged, of_run};

@@ -3,7 +3,8 @@
 use crate::common::{SIZE, line, open, test_image, write, write_photo};
 use glam::Vec3;
 use segwild_scene::colmap::{self, CameraModel, CameraRecord};
-use segwild_scene::{Mask, Scene, SceneError, SceneSettings, Seal, Skipped};
+use segwild_scene::settings::Group;
+use segwild_scene::{HoldOut, Mask, Scene, SceneError, SceneSettings, Seal, Skipped};
 use std::path::Path;
 
 fn temp() -> tempfile::TempDir {
@@ -288,8 +289,12 @@ fn settings_choose_folders_and_photos() {
         Scene::open(dir.path(), &settings)
     };
     let tests = |scene: &Scene| scene.views.iter().map(|v| v.test).collect::<Vec<_>>();
-    assert_eq!(tests(&with(&|s| s.hold_out = 4).unwrap()), [true, false, false, false, true, false]);
-    assert!(message(with(&|s| s.hold_out = 1)).contains("hold_out"));
+    assert_eq!(
+        tests(&with(&|s| s.hold_out = HoldOut::Every(4)).unwrap()),
+        [true, false, false, false, true, false]
+    );
+    assert!(message(with(&|s| s.hold_out = HoldOut::Every(1))).contains("hold_out"));
+    assert!(!tests(&with(&|_| {}).unwrap()).contains(&true), "six photos are too few to hold any out");
     assert!(message(with(&|s| s.images = "nowhere".into())).contains("nowhere"));
     assert!(message(with(&|s| s.size = 0)).contains("size"));
 
@@ -302,7 +307,7 @@ fn settings_choose_folders_and_photos() {
     assert!(reason(&scene.skipped, "photo02.png").contains("no id"));
     assert!(reason(&scene.skipped, "photo05.png").contains("not listed"));
     assert!(reason(&scene.skipped, "other.jpg").contains("no pose"));
-    assert_eq!(tests(&with(&|s| s.hold_out = 2).unwrap()), [true, false, true]);
+    assert_eq!(tests(&with(&|s| s.hold_out = HoldOut::Every(2)).unwrap()), [true, false, true]);
     std::fs::write(dir.path().join("y.tsv"), rows).unwrap();
     assert!(message(with(&|_| {})).contains("x.tsv"));
     assert!(message(with(&|s| s.split = "z.tsv".into())).contains("z.tsv"));
@@ -555,4 +560,31 @@ fn a_person_may_name_a_photo_as_another_system_does() {
         assert_eq!(scene.view_named(name), Some(0), "{name}");
     }
     assert_eq!(scene.view_named("photo"), None);
+}
+
+#[test]
+fn without_a_split_one_of_sixteen_photos_is_held_out_unless_all_are_wanted() {
+    let dir = temp();
+    write(dir.path(), &line(33));
+    let open = |hold_out: &str| {
+        let mut settings = SceneSettings::default();
+        settings.set("hold_out", hold_out).unwrap();
+        // What is written is read again.
+        let text = serde_json::to_string(&settings).unwrap();
+        assert_eq!(serde_json::from_str::<SceneSettings>(&text).unwrap(), settings);
+        Scene::open(dir.path(), &settings).unwrap()
+    };
+    let held_out =
+        |scene: &Scene| -> Vec<usize> { (0..scene.views.len()).filter(|&i| scene.views[i].test).collect() };
+    let reported = |scene: &Scene| scene.notes.iter().any(|note| note.contains("--hold-out none"));
+    let few = open("auto");
+    assert_eq!(held_out(&few), [8, 24]);
+    assert!(reported(&few), "{:?}", few.notes);
+    for all in ["none", "0"] {
+        let all = open(all);
+        assert!(held_out(&all).is_empty() && !reported(&all), "{:?}", all.notes);
+    }
+    assert_eq!(held_out(&open("16")), [0, 16, 32]);
+    let mut settings = SceneSettings::default();
+    assert!(settings.set("hold_out", "some").unwrap_err().to_string().contains("auto or none"));
 }

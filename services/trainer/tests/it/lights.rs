@@ -69,6 +69,7 @@ fn model(appearance_model: &str, sh_degree: u32) -> Model {
         backgrounds: (0..PHOTOS).map(background).collect(),
         names: (0..PHOTOS).map(|i| format!("{i}.jpg")).collect(),
         trained_on: (0..PHOTOS as u32).collect(),
+        transient_shares: vec![0.35; PHOTOS],
         antialias: true,
         stats: Stats { step: 1, psnr: None },
     }

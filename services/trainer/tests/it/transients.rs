@@ -139,6 +139,10 @@ fn trainings_that_never_saw_a_photo_find_its_transient_and_none_where_nobody_sta
         found > 0.8 && right > 0.35,
         "{found} of the transients found, {right} of what was found transients"
     );
+    assert!(
+        trainer.robust_shares()[..24].iter().all(|&share| share > 0.0),
+        "the training may leave out more"
+    );
     let nobody = cross_checked(photos(&scene, false, |_, _| {}), &scene);
     assert!((0..25).all(|i| nobody.initial_transients(i).is_none()), "nobody stands there");
     // A photo with a person's transient mask gets no initial transients.
@@ -151,6 +155,39 @@ fn trainings_that_never_saw_a_photo_find_its_transient_and_none_where_nobody_sta
     };
     let corrected = cross_checked(Arc::new(corrected), &scene);
     assert!((0..25).all(|i| corrected.initial_transients(i).is_none()));
+}
+
+/// A toy bulldozer in the middle of every photo of `kitchen` was taken for a transient, since short trainings had not learnt
+/// it. Here it is a poster on the wall that no training can learn: each photo shows it in another colour.
+#[test]
+fn what_is_not_learnt_yet_in_most_photos_is_no_transient() {
+    let scene = scene(25);
+    let of = |at: &dyn Fn(usize, u32, u32) -> bool| {
+        let photos = photos(&scene, false, |i, image| {
+            for (x, y) in (0..W * H).map(|p| (p % W, p / W)).filter(|&(x, y)| at(i, x, y)) {
+                for c in 0..3 {
+                    image.plane_mut(c)[(y * W + x) as usize] = if c == i % 3 { 0.95 } else { 0.05 };
+                }
+            }
+        });
+        let mut trainer = cross_checked(photos, &scene);
+        let shares = trainer.robust_shares().to_vec();
+        let left_out = (0..600).map(|_| trainer.step().unwrap().left_out).fold(0.0, f32::max);
+        (trainer.initial_transient_share().expect("of 24 photos"), shares, left_out)
+    };
+    let poster = |i: usize, x: u32, y: u32| {
+        let view = &scene.views[i];
+        let corner = |u, v| view.camera.pixel(view.pose.to_camera(glam::Vec3::new(u, v, 0.0)));
+        let (from, to) = (corner(-0.3, -0.05), corner(0.1, 0.35));
+        let (x, y) = (x as f32 + 0.5, y as f32 + 0.5);
+        (from.x.min(to.x)..from.x.max(to.x)).contains(&x) && (from.y.min(to.y)..from.y.max(to.y)).contains(&y)
+    };
+    let (share, shares, left_out) = of(&poster);
+    assert!(share < 0.03 && left_out == 0.0, "{share} of the photos, {left_out} left out");
+    assert!(shares.iter().all(|&share| share == 0.0), "{shares:?}");
+    let (share, shares, left_out) = of(&large);
+    assert!(share > 0.06 && left_out > 0.05, "{share} of the photos, {left_out} left out");
+    assert!(shares[..24].iter().all(|&share| share > 0.0), "{shares:?}");
 }
 
 #[test]
@@ -179,7 +216,7 @@ fn a_transient_in_a_photo_held_out_does_not_count_against_what_is_tried() {
     let tried = |photos: Arc<dyn Photos>| {
         let settings =
             TrainSettings { appearance_model: AppearanceModel::Auto, robust: true, ..settings(400) };
-        choose_appearance(engine(), &scene, photos, &settings, &|| false).unwrap().fits[0].psnr
+        choose_appearance(engine(), &scene, photos, &settings, true, &|| false).unwrap().fits[0].psnr
     };
     // In the right halves, where fits are scored, of the two photos that are held out.
     let transients = |i: usize, image: &mut Image| {

@@ -8,6 +8,7 @@ mod flow;
 mod folder;
 mod lego;
 mod photo_tourism;
+mod reconstruction;
 mod scale;
 mod scribbles;
 mod slice;
@@ -40,6 +41,7 @@ pub fn command() -> Command {
         .subcommand(flow::command())
         .subcommand(engine::command())
         .subcommand(scale::command())
+        .subcommand(reconstruction::command())
         .subcommand(slice::command())
         .subcommand(stability::command())
 }
@@ -49,6 +51,7 @@ pub fn bench(matches: &ArgMatches) -> Result<(), Failure> {
     match matches.subcommand() {
         Some(("chart", m)) => chart::chart(m),
         Some(("compare", m)) => compare::compare(m),
+        Some(("reconstruction", m)) => reconstruction::reconstruction(m),
         Some(("scale", m)) => scale::scale(m),
         Some(("slice", m)) => slice::slice(m),
         Some(("stability", m)) => stability::stability(m),

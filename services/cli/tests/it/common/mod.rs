@@ -88,8 +88,21 @@ pub struct SharedRun {
 }
 
 /// Few steps leave new splats no time to become opaque: no more of them than the photos need.
-pub const QUICK: [&str; 10] =
-    ["--size", "96", "--steps", "60", "--splats", "2000", "--refine-steps", "4", "--prompt-budget", "24"];
+/// And no time goes to the choice of an appearance model.
+pub const QUICK: [&str; 12] = [
+    "--size",
+    "96",
+    "--steps",
+    "60",
+    "--splats",
+    "2000",
+    "--refine-steps",
+    "4",
+    "--prompt-budget",
+    "24",
+    "--appearance-model",
+    "affine",
+];
 
 struct Photographed {
     dir: tempfile::TempDir,
