@@ -141,7 +141,8 @@ pub(crate) fn unlike(train: f32) -> Option<String> {
     })
 }
 
-/// The warning when a scene fits its training photos much better than held-out ones. Both are PSNR in dB.
+/// The warning when a scene fits its training photos much better than held-out ones. Both are PSNR in dB over every pixel but
+/// the sky: the pixels that a training leaves out would make any scene with transients look overfitted.
 pub(crate) fn overfitted(train: f32, held_out: f32) -> Option<String> {
     (train - held_out > OVERFITTED).then(|| {
         format!(

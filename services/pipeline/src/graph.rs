@@ -410,7 +410,7 @@ pub fn run(
     if let Some(words) = model.as_ref().and_then(|m| m.stats.psnr).and_then(diagnostics::unlike) {
         options.events.warn(Some("geometry"), words);
     }
-    let learnt = model.as_ref().and_then(|m| m.stats.psnr).zip(scores.as_ref().map(|s| s.psnr));
+    let learnt = TrainFit::of(folder).map(|fit| fit.psnr).zip(scores.as_ref().map(|s| s.psnr));
     if let Some(words) = learnt.and_then(|(train, held)| diagnostics::overfitted(train, held)) {
         options.events.warn(Some("evaluate"), words);
     }

@@ -29,6 +29,9 @@ pub struct Model {
     /// Per view of the scene, the largest share of its photo that the training might leave out as transient; 0 where it
     /// shows none.
     pub transient_shares: Vec<f32>,
+    /// Per view of the scene, the share of its photo that contradicts trainings made without it, in more than what is
+    /// undertrained; `None` where that was not searched for.
+    pub transient_evidence: Vec<Option<f32>>,
     /// Whether opacities are compensated for the pixel filter; splats must be rendered as they were trained.
     pub antialias: bool,
     /// Progress of the training.
@@ -63,6 +66,7 @@ impl Model {
         let sound = |b: &Background| (1..=BASES).contains(&b.coefficients.len());
         if self.backgrounds.len() != views
             || self.transient_shares.len() != views
+            || self.transient_evidence.len() != views
             || self.trained_on.iter().any(|&v| v as usize >= views)
         {
             return damaged("its lists of photos differ in length");

@@ -8,13 +8,21 @@ use wincode::{SchemaRead, SchemaWrite};
 pub(crate) struct Robust {
     /// Per photo, the largest share left out; 0 where it shows no transients.
     shares: Vec<f32>,
+    /// Per photo, the share that contradicts trainings made without it; `None` where that was not searched for.
+    evidence: Vec<Option<f32>>,
     /// Per photo, decaying counts of residuals; empty until the photo was seen.
     histograms: Vec<Vec<f32>>,
 }
 
 impl Robust {
-    pub fn new(shares: Vec<f32>) -> Robust {
-        Robust { histograms: vec![Vec::new(); shares.len()], shares }
+    /// Of photos with these largest shares, and with this evidence of transients.
+    pub fn new(shares: Vec<f32>, evidence: Vec<Option<f32>>) -> Robust {
+        Robust { histograms: vec![Vec::new(); shares.len()], shares, evidence }
+    }
+
+    /// Per photo, the share that contradicts trainings made without it.
+    pub fn evidence(&self) -> &[Option<f32>] {
+        &self.evidence
     }
 
     /// Per photo, the largest share that may be left out.

@@ -111,7 +111,7 @@ impl TrainState {
     /// Refuses a state whose parts do not fit each other or the scene.
     pub fn check(&self, views: usize) -> Result<(), TrainError> {
         let lists = [self.backgrounds.len(), self.quality.len(), self.initial_transients.len()];
-        let per_view = lists.into_iter().chain([self.robust.shares().len()]);
+        let per_view = lists.into_iter().chain([self.robust.shares().len(), self.robust.evidence().len()]);
         if per_view.into_iter().any(|n| n != views) || self.sampler.views().iter().any(|&v| v >= views) {
             return Err(TrainError::Checkpoint("it is damaged: its lists of photos differ in length".into()));
         }

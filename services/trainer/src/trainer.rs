@@ -119,7 +119,7 @@ impl Trainer {
         let scene = &*coloured(scene, &mut cache, stopping)?;
         let found = initial_transients(&engine, scene, &mut cache, &settings, stopping)?;
         let stereo = stereo_points::points(scene, &mut cache, &settings, &found.masks, stopping)?;
-        let robust = Robust::new(found.robust_shares(&settings));
+        let robust = Robust::new(found.robust_shares(&settings), found.shares.clone());
         let mut trainer = Trainer::start(engine, scene, cache, settings, 0, &stereo)?;
         trainer.initial_transient_share = found.mean_share();
         trainer.state.initial_transients = found.masks;
@@ -173,7 +173,10 @@ impl Trainer {
             params: Params::new(start.splats, splat_embeddings),
             appearance,
             backgrounds: vec![None; scene.views.len()],
-            robust: Robust::new(vec![settings.robust_share; scene.views.len()]),
+            robust: Robust::new(
+                vec![settings.robust_share; scene.views.len()],
+                vec![None; scene.views.len()],
+            ),
             initial_transients: vec![None; scene.views.len()],
             sampler: Sampler::new(&train),
             random,
@@ -368,6 +371,7 @@ impl Trainer {
             names: self.views.iter().map(|v| v.name.clone()).collect(),
             trained_on: state.sampler.views().iter().map(|&v| v as u32).collect(),
             transient_shares: state.robust.shares().to_vec(),
+            transient_evidence: state.robust.evidence().to_vec(),
             antialias: self.settings.antialias,
             stats: Stats { step: state.step, psnr: mean_quality(&state.sampler.views(), &state.quality) },
         })

@@ -9,6 +9,7 @@ use crate::choice::AutoChoice;
 use crate::evaluate::{HeldOut, HeldOutScore, held_out_render};
 use crate::folder::Loaded;
 use crate::history::{self, Moment};
+use crate::images::ImageFiles;
 use crate::render::{NOTHING, RenderContent, SceneRenderer};
 use crate::transients::{self, TrainFit};
 use crate::{AppearanceChoice, BudgetChoice, RunError, RunFolder, choose_engine, log_loss};
@@ -43,6 +44,7 @@ pub fn write_report(folder: &RunFolder) -> Result<Vec<Skipped>, RunError> {
     body.push_str(&objects::all(folder, &loaded, &*engine)?);
     let (rows, left_out) = photos(folder, &loaded, &*engine)?;
     body.push_str(&rows);
+    body.push_str(&fits(folder, &loaded));
     body.push_str(&curves(folder));
     body.push_str(&stages(folder));
     body.push_str(&skipped(folder)?);
@@ -129,6 +131,40 @@ fn summary(folder: &RunFolder, loaded: &Loaded) -> Result<String, RunError> {
         }
     }
     Ok(text)
+}
+
+/// How the scene fits each photo that it was trained on, what of it was taken for transients, and why; those with most
+/// transients first.
+fn fits(folder: &RunFolder, loaded: &Loaded) -> String {
+    let by_mask = TrainFit::by_mask(folder);
+    let model = &loaded.model;
+    let names: Vec<&str> = loaded.scene.views.iter().map(|v| v.name.as_str()).collect();
+    let files = ImageFiles::of(names.iter().copied());
+    let fit = |view: usize| by_mask.get(files.name(view)).map(|fit| (view, *fit));
+    let mut fits: Vec<_> = (0..names.len()).filter_map(fit).collect();
+    if fits.is_empty() {
+        return String::new();
+    }
+    fits.sort_by(|a, b| b.1.transient.total_cmp(&a.1.transient).then(a.0.cmp(&b.0)));
+    let head = ["photo", "PSNR over every pixel but the sky (dB)", "taken for transients (%)", "why"];
+    let mut rows = vec![head.map(str::to_owned).to_vec()];
+    for (view, fit) in fits {
+        let evidence = model.transient_evidence[view].map_or_else(
+            || "no training was made without this photo".to_owned(),
+            |share| format!("{:.1} % contradicts trainings made without this photo", 100.0 * share),
+        );
+        let why = match model.transient_shares[view] {
+            0.0 => format!("photos of one light, no transients: {evidence}"),
+            _ => format!("transients are possible: {evidence}"),
+        };
+        let (psnr, share) = (format!("{:.2}", fit.psnr), format!("{:.1}", 100.0 * fit.transient));
+        rows.push(vec![names[view].to_owned(), psnr, share, why]);
+    }
+    format!(
+        "<h2>Photos trained on</h2><details><summary>{} photos, those with most transients first</summary>{}</details>",
+        rows.len() - 1,
+        html::table(&rows)
+    )
 }
 
 /// A held-out photo beside its render; nothing where one of the two cannot be read.

@@ -51,10 +51,15 @@ pub struct TrainFit {
 }
 
 impl TrainFit {
+    /// The fit of single photos, by the names of their transient masks.
+    pub(crate) fn by_mask(folder: &RunFolder) -> BTreeMap<String, TrainPhotoFit> {
+        let written = WrittenMasks::of(folder).0.into_iter();
+        written.filter_map(|(name, mask)| Some((name, mask.fit?))).collect()
+    }
+
     /// Of a run whose transient masks are made; `None` before.
     pub fn of(folder: &RunFolder) -> Option<TrainFit> {
-        let fits: Vec<TrainPhotoFit> =
-            WrittenMasks::of(folder).0.values().filter_map(|mask| mask.fit).collect();
+        let fits: Vec<TrainPhotoFit> = TrainFit::by_mask(folder).into_values().collect();
         let mean = |of: fn(&TrainPhotoFit) -> f32| fits.iter().map(of).sum::<f32>() / fits.len() as f32;
         (!fits.is_empty()).then(|| TrainFit {
             psnr: mean(|f| f.psnr),

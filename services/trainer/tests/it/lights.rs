@@ -70,6 +70,7 @@ fn model(appearance_model: &str, sh_degree: u32) -> Model {
         names: (0..PHOTOS).map(|i| format!("{i}.jpg")).collect(),
         trained_on: (0..PHOTOS as u32).collect(),
         transient_shares: vec![0.35; PHOTOS],
+        transient_evidence: vec![None; PHOTOS],
         antialias: true,
         stats: Stats { step: 1, psnr: None },
     }
