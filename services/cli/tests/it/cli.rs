@@ -26,6 +26,17 @@ fn a_run_leaves_what_other_tools_open() {
         report.contains("data:image/jpeg;base64,") && !report.contains("src=\"http"),
         "one self-contained file"
     );
+    let held_out = shared_run.manifest.photos.iter().find(|p| p.test).expect("one is held out");
+    let render = shared_run.run.join("held_out").join(Path::new(&held_out.name).with_extension("png"));
+    assert!(
+        segwild_scene::Image::read(&render).is_ok_and(|image| image.width.max(image.height) == 96),
+        "{render:?}"
+    );
+    // What was left out of every photo that was trained on stands beside its figure.
+    let trained = shared_run.manifest.photos.iter().filter(|p| !p.test).count();
+    let (_, of_photos) = report.split_once("<h2>Photos trained on</h2>").expect("the photos' table");
+    assert!(of_photos.contains(&format!("<summary>{trained} photos")), "{trained} photos");
+    assert!(report.contains("over every pixel but the sky;") && report.contains("taken for transients"));
     let stdout = works(&["eval", &show(&shared_run.run)]);
     assert!(stdout.contains("dB") && stdout.contains("left half"), "{stdout}");
     let status = works(&["status", &show(&shared_run.run), "--json"]);
