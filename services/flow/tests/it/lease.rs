@@ -10,9 +10,7 @@ use std::time::Duration;
 
 use segwild_flow::*;
 
-#[path = "common/simulated.rs"]
-mod simulated;
-use simulated::{SimulatedDice, Woken};
+use crate::simulated::{SimulatedDice, Woken};
 
 /// Many who want one thing. Only those who were woken are polled, so a wake-up that is lost shows as one who waits for
 /// a thing that is free.

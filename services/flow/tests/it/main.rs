@@ -9,6 +9,7 @@ mod lease;
 mod ledger;
 mod live;
 mod mailbox;
+mod simulated;
 mod simulation;
 mod supervision;
 mod system;

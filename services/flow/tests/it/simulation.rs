@@ -16,9 +16,7 @@ use std::time::Duration;
 use proptest::prelude::*;
 use segwild_flow::*;
 
-#[path = "common/simulated.rs"]
-mod simulated;
-use simulated::{SimulatedDice, Woken};
+use crate::simulated::{SimulatedDice, Woken};
 
 /// A parcel: its number and its weight.
 #[derive(Clone, Copy, Debug, PartialEq)]
