@@ -42,7 +42,14 @@ fn scene_options(photos: usize, pixels: u32) -> SyntheticOptions {
 
 /// Held-out PSNR in dB, and mean IoU of a click per object.
 fn scores(dir: &Path, engine: &[(&str, &str)]) -> (f64, f64) {
-    let small = [("steps", "200"), ("splats", "2000"), ("size", "96")];
+    // No short trainings before the training: a software GPU takes minutes for them.
+    let small = [
+        ("steps", "200"),
+        ("splats", "2000"),
+        ("size", "96"),
+        ("coarse", "0.6"),
+        ("appearance_model", "affine"),
+    ];
     let settings = small.iter().chain(engine).map(|&(name, value)| (name.into(), value.into())).collect();
     let job = PointJob {
         protocol: "engines".into(),
@@ -93,7 +100,13 @@ fn a_training_that_one_engine_began_is_ended_by_the_other() {
     let mut log = String::new();
     let mut go = |engine: &[(&str, &str)], until: Option<Until>| {
         let mut settings = Settings::default();
-        let small = [("size", "64"), ("steps", "40"), ("splats", "500"), ("prompt_budget", "8")];
+        let small = [
+            ("size", "64"),
+            ("steps", "40"),
+            ("splats", "500"),
+            ("prompt_budget", "8"),
+            ("appearance_model", "affine"),
+        ];
         for (name, value) in small.iter().chain(engine) {
             settings.set(name, value).expect("a setting");
         }
