@@ -47,14 +47,17 @@ pub enum PhotoSource {
     },
 }
 
+/// What records and pages call a scene, by its folder.
+pub(crate) fn name_of(scene: &Path) -> String {
+    scene.file_name().map_or_else(|| "scene".into(), |name| name.to_string_lossy().into_owned())
+}
+
 impl PhotoSource {
     /// What records and pages call it.
     pub fn name(&self) -> String {
         match self {
             PhotoSource::Synthetic(options) => format!("seed {}", options.seed),
-            PhotoSource::Folder { path, .. } => {
-                path.file_name().map_or_else(|| "scene".into(), |n| n.to_string_lossy().into_owned())
-            }
+            PhotoSource::Folder { path, .. } => name_of(path),
         }
     }
 }

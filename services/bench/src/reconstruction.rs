@@ -2,7 +2,7 @@
 
 use crate::metrics::psnr;
 use crate::page::{PageError, io};
-use crate::point::{PointError, means};
+use crate::point::{PointError, means, name_of};
 use crate::protocols::folder::objects;
 use crate::record::{Provenance, Record, Results};
 use crate::stamp;
@@ -69,11 +69,6 @@ pub fn reconstruction(
         }
     }
     Ok(results)
-}
-
-/// What records and pages call a scene.
-fn name_of(scene: &Path) -> String {
-    scene.file_name().map_or_else(|| "scene".into(), |name| name.to_string_lossy().into_owned())
 }
 
 /// The image of a scene's held-out photos.
@@ -144,8 +139,8 @@ fn one(options: &ReconstructionOptions, path: &Path, size: u32, seed: u64) -> Re
     );
     whole.notes.push(held_out.protocol.clone());
     let mut records = vec![whole];
-    let shown = shown(&folder, &loaded, &held_out)?;
-    for (object, score) in in_boxes(path, &loaded.scene, &shown)? {
+    let shown = shown(&folder, &loaded, &held_out);
+    for (object, score) in in_boxes(path, &loaded.scene, &shown) {
         records.push(record(&object, &[("psnr", score)]));
     }
     let image = options.out.join(image_of(&name_of(path), f64::from(size), seed));
@@ -172,7 +167,7 @@ struct Shown {
     render: Image,
 }
 
-fn shown(folder: &RunFolder, loaded: &Loaded, held_out: &HeldOut) -> Result<Vec<Shown>, PageError> {
+fn shown(folder: &RunFolder, loaded: &Loaded, held_out: &HeldOut) -> Vec<Shown> {
     let mut all = Vec::new();
     for score in &held_out.photos {
         let Some(view) = loaded.scene.views.iter().position(|v| v.name == score.photo) else { continue };
@@ -182,14 +177,14 @@ fn shown(folder: &RunFolder, loaded: &Loaded, held_out: &HeldOut) -> Result<Vec<
             all.push(Shown { view, photo: photo.image, render });
         }
     }
-    Ok(all)
+    all
 }
 
 /// Per object with true masks, the PSNR in dB inside the box around it, over the held-out photos that show it.
-fn in_boxes(path: &Path, scene: &Scene, shown: &[Shown]) -> Result<Vec<(String, f64)>, PageError> {
+fn in_boxes(path: &Path, scene: &Scene, shown: &[Shown]) -> Vec<(String, f64)> {
     let photos: Vec<String> = scene.views.iter().map(|v| v.name.clone()).collect();
     // A scene without true masks has no objects to look at.
-    let Ok(objects) = objects(path, &photos) else { return Ok(Vec::new()) };
+    let Ok(objects) = objects(path, &photos) else { return Vec::new() };
     let mut scores = Vec::new();
     for (object, masks) in objects {
         let mut of_object = Vec::new();
@@ -208,7 +203,7 @@ fn in_boxes(path: &Path, scene: &Scene, shown: &[Shown]) -> Result<Vec<(String, 
             scores.push((object, of_object.iter().sum::<f64>() / of_object.len() as f64));
         }
     }
-    Ok(scores)
+    scores
 }
 
 /// The smallest upright box that holds a mask; `None` for an empty one.

@@ -218,20 +218,19 @@ impl Keys {
         let known_transients: Vec<Key> =
             views.clone().map(|i| photo("transients", i, network.as_deref().unwrap_or("none"))).collect();
 
-        let mut training = Key::of("geometry")
-            .value("format", TRAINING)
-            .part("engine", engine)
-            .part("settings", text::<TrainSettings>(settings))
-            .part("points", points_digest(scene));
         let mut choice = Key::of("choice")
             .value("format", TRAINING)
             .part("engine", engine)
             .part("settings", text::<TrainSettings>(settings))
             .part("points", points_digest(scene));
         for (i, view) in scene.views.iter().enumerate() {
-            let (name, words) = (format!("view {i}"), format!("{} {:?} {}", view.name, view.pose, view.test));
-            choice = choice.part(&name, &words).key(&format!("sky {i}"), &sky[i]);
-            training = training.part(&name, words).key(&format!("sky {i}"), &sky[i]);
+            choice = choice
+                .part(&format!("view {i}"), format!("{} {:?} {}", view.name, view.pose, view.test))
+                .key(&format!("sky {i}"), &sky[i]);
+        }
+        let choice = choice.finish();
+        let mut training = Key::of("geometry").key("choice", &choice);
+        for (i, view) in scene.views.iter().enumerate() {
             // No part where nothing is known, so that keys of runs without corrections stay as they were.
             match corrections.digest(i).filter(|_| !view.test) {
                 Some(digest) => training = training.part(&format!("transients {i}"), digest),
@@ -303,7 +302,7 @@ impl Keys {
             sky,
             embedding,
             training,
-            choice: choice.finish(),
+            choice,
             geometry,
             snapshot,
             masks,
