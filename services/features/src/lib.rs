@@ -8,7 +8,6 @@
 mod actor;
 mod bilinear;
 mod colours;
-mod eigen;
 mod error;
 mod field;
 mod lift;

@@ -1,7 +1,8 @@
 //! Compression of embeddings by principal components (method, section 4a).
 
+use crate::FeatureError;
 use crate::error::check_planes;
-use crate::{FeatureError, eigen};
+use segwild_nn::eigen;
 use segwild_nn::{matmul, transpose};
 use segwild_scene::Random;
 use segwild_scene::{Embedding, Image, Mask};

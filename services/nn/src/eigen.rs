@@ -2,7 +2,7 @@
 
 /// Eigenvalues in falling order and the unit eigenvectors, one per row, of a symmetric row-major `n` x `n`
 /// matrix. Deterministic; each vector's largest component is positive.
-pub(crate) fn symmetric(mut a: Vec<f64>, n: usize) -> (Vec<f64>, Vec<f64>) {
+pub fn symmetric(mut a: Vec<f64>, n: usize) -> (Vec<f64>, Vec<f64>) {
     assert_eq!(a.len(), n * n, "a square matrix");
     let mut q = vec![0.0; n * n];
     for i in 0..n {
@@ -131,7 +131,7 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use segwild_scene::Random;
+    use crate::noise::Noise;
 
     fn check(a: &[f64], n: usize) -> Vec<f64> {
         let (values, vectors) = symmetric(a.to_vec(), n);
@@ -151,9 +151,9 @@ mod tests {
 
     #[test]
     fn decomposes_random_and_degenerate_matrices() {
-        let mut random = Random::new(5);
+        let mut noise = Noise(5);
         for n in [1, 2, 3, 7, 40, 130] {
-            let m: Vec<f64> = (0..n * n).map(|_| f64::from(random.normal())).collect();
+            let m: Vec<f64> = (0..n * n).map(|_| f64::from(noise.next())).collect();
             let full: Vec<f64> = (0..n * n).map(|i| m[i] + m[(i % n) * n + i / n]).collect();
             check(&full, n);
             let scaled: Vec<f64> = full.iter().map(|x| x * 1e-20).collect();

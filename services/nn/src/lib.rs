@@ -8,6 +8,7 @@
 //! Sums run in a fixed order, so that the result is the same whatever the number of threads.
 
 mod conv;
+pub mod eigen;
 mod graph;
 mod layer;
 mod map;

@@ -22,7 +22,9 @@ pub use appearance::{
     EmbedAppearance, EmbedLight, GswAppearance, GswWidth, HIDDEN_LAYER, HeldNetworks, ImageConditioning,
     NoAppearance, RANK, UNetInput, VisibleSplats, bake, gsw,
 };
-pub use cpu::{ALPHA_MAX, ALPHA_MIN, CpuEngine, Isa, LOG2_ALPHA_MIN, SLACK, T_MIN, jacobian_limits};
+pub use cpu::{
+    ALPHA_MAX, ALPHA_MIN, CpuEngine, FrontLayer, Isa, LOG2_ALPHA_MIN, NO_SPLAT, SLACK, T_MIN, jacobian_limits,
+};
 pub use engine::{
     Channels, Engine, Frame, FrameGrad, ProjectOptions, Projected, RasterError, SplatGrads, check,
 };

@@ -4,12 +4,14 @@
 //! splat goes to a slot of its own, and a splat's slots are summed in the order of tiles.
 
 mod bin;
+mod front;
 mod kernels;
 mod project;
 pub(crate) mod simd;
 mod tile;
 mod wide;
 
+pub use front::{FrontLayer, NONE as NO_SPLAT};
 pub use project::{ALPHA_MAX, ALPHA_MIN, LOG2_ALPHA_MIN, SLACK, T_MIN, jacobian_limits};
 pub use simd::Isa;
 
@@ -17,6 +19,7 @@ use crate::engine::check;
 use crate::shade::{shade, shade_backward};
 use crate::{Channels, Engine, Frame, FrameGrad, ProjectOptions, Projected, RasterError, SplatGrads};
 use bin::Bins;
+use front::Front;
 use glam::Vec3;
 use kernels::{Backward, Blend, Gather, MOMENTS, SharedSlice, Spill, Task, sum_slots};
 use project::Projector;
@@ -72,6 +75,38 @@ impl CpuEngine {
     pub fn isa(&self) -> Isa {
         self.isa
     }
+
+    fn view<'a>(
+        &'a self,
+        splats: &'a Splats,
+        camera: &Camera,
+        pose: &Pose,
+        options: &ProjectOptions,
+    ) -> Result<CpuView<'a>, RasterError> {
+        check(splats, camera)?;
+        let projector = Projector::new(camera, pose, options);
+        let mut bins = self.bins.take();
+        bins.fill(self.isa, splats, &projector).map_err(|pairs| {
+            RasterError::Shape(format!(
+                "{pairs} pairs of a splat and a tile are more than can be numbered: render smaller frames or fewer splats"
+            ))
+        })?;
+        Ok(CpuView { engine: self, splats, projector, eye: pose.centre(), bins })
+    }
+
+    /// The front layer of one view. Of equal shares the nearer splat's counts, and a splat's first pixel by tiles.
+    ///
+    /// # Errors
+    /// As [`Engine::project`].
+    pub fn front(
+        &self,
+        splats: &Splats,
+        camera: &Camera,
+        pose: &Pose,
+        options: &ProjectOptions,
+    ) -> Result<FrontLayer, RasterError> {
+        Ok(self.view(splats, camera, pose, options)?.front())
+    }
 }
 
 impl Engine for CpuEngine {
@@ -86,15 +121,7 @@ impl Engine for CpuEngine {
         pose: &Pose,
         options: &ProjectOptions,
     ) -> Result<Box<dyn Projected + 'a>, RasterError> {
-        check(splats, camera)?;
-        let projector = Projector::new(camera, pose, options);
-        let mut bins = self.bins.take();
-        bins.fill(self.isa, splats, &projector).map_err(|pairs| {
-            RasterError::Shape(format!(
-                "{pairs} pairs of a splat and a tile are more than can be numbered: render smaller frames or fewer splats"
-            ))
-        })?;
-        Ok(Box::new(CpuView { engine: self, splats, projector, eye: pose.centre(), bins }))
+        Ok(Box::new(self.view(splats, camera, pose, options)?))
     }
 }
 
@@ -139,6 +166,35 @@ impl CpuView<'_> {
         let out = work(&mut held[..len]);
         self.engine.slots.give(held);
         out
+    }
+
+    fn front(&self) -> FrontLayer {
+        let (width, height) = (self.projector.width, self.projector.height);
+        let pixels = width * height;
+        // Accumulated alpha, then splats as bits.
+        let mut planes = vec![0.0; 2 * pixels];
+        let n = self.splats.len();
+        let (mut best, mut shares) = (vec![NO_SPLAT; n], vec![0.0; n]);
+        self.with_slots(front::NUMBERS, |slots| {
+            let (image, shared) = (SharedSlice::new(&mut planes), SharedSlice::new(slots));
+            (0..self.tiles()).into_par_iter().for_each(|tile| {
+                let task = self.task(tile, &[], 0);
+                simd::run(self.engine.isa, Front { task, image, slots: shared });
+            });
+            let results = best.par_iter_mut().zip(&mut shares).enumerate().with_min_len(CHUNK);
+            results.for_each(|(i, (pixel, share))| {
+                let (from, to) = (self.bins.slots[i] as usize, self.bins.slots[i + 1] as usize);
+                for slot in slots[from * front::NUMBERS..to * front::NUMBERS].chunks_exact(front::NUMBERS) {
+                    if slot[0] > *share {
+                        (*share, *pixel) = (slot[0], slot[1].to_bits());
+                    }
+                }
+            });
+        });
+        let splats = planes[pixels..].iter().map(|bits| bits.to_bits()).collect();
+        planes.truncate(pixels);
+        let alpha = Image { width, height, channels: 1, data: planes };
+        FrontLayer { width, height, splats, pixels: best, shares, alpha }
     }
 
     fn assert_image(&self, image: &Image, channels: usize, what: &str) {
