@@ -2,7 +2,9 @@
 //! networks run by ort.
 
 mod builtin;
+mod contours;
 mod geometry;
+pub mod linkage;
 mod networks;
 mod onnx;
 mod provider;
@@ -13,6 +15,7 @@ mod settings;
 pub use builtin::{
     Builtin, EdgeDetector, PromptInterpretation, PromptQuery, PromptStep, RegionCache, Regions, TraitWeights,
 };
+pub use contours::ContourTree;
 pub use networks::{EdgeNetwork, SkyNetwork, TransientNetwork};
 pub use onnx::Runtime;
 pub use provider::{

@@ -102,6 +102,11 @@ pub trait PromptSegmenter: Send + Sync {
     /// Snaps a rough mask (a rendered selection, say) to the image's own boundaries. `certainty` has one
     /// number per pixel in [0, 1]: how likely the pixel belongs to the object.
     fn refine(&self, image: &Image, certainty: &Image) -> Result<ScoredMask, VisionError>;
+    /// Boundary strengths of a photo in [0, 1], one plane of its size, for the scene tree (docs/method.md, section 13). `None`
+    /// where this model finds whole objects by itself: clicks then start from its masks, and no tree is grown.
+    fn boundary_strengths(&self, _image: &Image) -> Result<Option<Image>, VisionError> {
+        Ok(None)
+    }
     /// Computes in advance what every answer about this photo needs, if memory can hold it until then. No answer depends on it;
     /// an error here is dropped and returns with the answer itself.
     fn prepare(&self, _image: &Image) {}

@@ -30,7 +30,7 @@ use crate::{Embedder, MaskProposer, PromptSegmenter, Prompted, SkyDetector, Visi
 pub(crate) use analysis::check;
 use analysis::{Analysis, PixelFeatures};
 pub(crate) use memory::{Memory, Weighed};
-use plane::FloatPlane;
+pub(crate) use plane::FloatPlane;
 pub use record::{RegionCache, Regions};
 use segwild_scene::{Embedding, Image, Mask, Prompts, ScoredMask};
 use select::Means;
@@ -38,6 +38,7 @@ use std::borrow::Cow;
 use std::sync::Arc;
 use steps::{CandidateMask, PromptAnswer};
 pub use traits::PromptStep;
+pub(crate) use watershed::{basins, neighbours};
 pub use weights::TraitWeights;
 
 /// Part of every cache key; changes whenever the same photo would give other bytes.
@@ -405,6 +406,12 @@ impl PromptSegmenter for Builtin {
         let plane = FloatPlane::new(image.width, image.height, certainty.plane(0).to_vec());
         let plane = plane.pooled_to(analysis.tree.width, analysis.tree.height);
         Ok(at_size_of(image, refine::snap(&analysis, &plane.data)))
+    }
+
+    fn boundary_strengths(&self, image: &Image) -> Result<Option<Image>, VisionError> {
+        let strength = self.pixels(image)?.edges.strength.clone();
+        let map = Image { width: strength.width, height: strength.height, channels: 1, data: strength.data };
+        Ok(Some(map.resized(image.width, image.height)))
     }
 
     fn prepare(&self, image: &Image) {
