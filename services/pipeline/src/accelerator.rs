@@ -78,6 +78,10 @@ impl PromptSegmenter for Leased<dyn PromptSegmenter> {
         let _held = accelerator().acquire_urgent("a selection");
         self.0.refine(image, certainty)
     }
+    fn boundary_strengths(&self, image: &Image) -> Result<Option<Image>, VisionError> {
+        let _held = accelerator().acquire("boundaries");
+        self.0.boundary_strengths(image)
+    }
     fn prepare(&self, image: &Image) {
         let _held = accelerator().acquire("a photo that is likely to be clicked");
         self.0.prepare(image);

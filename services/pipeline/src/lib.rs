@@ -26,6 +26,7 @@ mod keep;
 mod light;
 mod memory;
 mod object_masks;
+mod objects;
 mod outcome;
 mod prompts;
 mod recompute;

@@ -7,6 +7,7 @@ use crate::images::ImageFiles;
 use crate::intact::{self, Intact};
 use crate::light::{self, find};
 use crate::object_masks::ObjectMasks;
+use crate::objects::TreeSource;
 use crate::prompts::check_all;
 use crate::settings::AT_ONCE;
 use crate::{
@@ -14,13 +15,14 @@ use crate::{
 };
 use rayon::prelude::*;
 use segwild_flow::{
-    ActorOptions, FileError, Limits, Phase, Stopper, System, SystemOptions, codec, fault, files, mailbox,
+    ActorOptions, FileError, Ledger, Limits, Phase, Stopper, System, SystemOptions, codec, fault, files,
+    mailbox,
 };
 use segwild_scene::ply::Export;
 use segwild_scene::{Image, Mask, Scene, ScoredMask, Splats, View};
 use segwild_segmenter::{
-    MaskMode, PhotoVerdict, PosedView, SegmentActor, SegmentError, SegmentReply, SegmentSettings,
-    SegmentTask, Segmented, SelectedObject, SpikeCut, SplatGeometry,
+    Alternative, FirstAnswer, MaskMode, PhotoVerdict, PosedView, SegmentActor, SegmentError, SegmentReply,
+    SegmentSettings, SegmentTask, Segmented, SelectedObject, SpikeCut, SplatGeometry,
 };
 use segwild_vision::Providers;
 use serde::Serialize;
@@ -137,6 +139,8 @@ pub struct SegmentOutcome {
     pub agreement: f32,
     /// Whether only the prompted photos decided, because the others would have moved the selection to something else.
     pub alone: bool,
+    /// What the prompts may mean; the setting `alternative` selects one. Empty where the scene tree took no part.
+    pub alternatives: Vec<Alternative>,
     /// Warnings about the prompts and the selection, a sentence each.
     pub notes: Vec<String>,
     /// Seconds from the prompts to the selection, the scene being loaded.
@@ -189,6 +193,12 @@ impl SegmentOutcome {
         }
         words
     }
+}
+
+/// The key of the training that the run's scene is of; `None` where no ledger names it: clicks do without a tree then.
+fn trained_by(folder: &RunFolder) -> Option<String> {
+    let stages = Ledger::open_read_only(folder.ledger()).and_then(|ledger| ledger.stages()).ok()?;
+    stages.into_iter().find(|stage| stage.name == "geometry").map(|stage| stage.key)
 }
 
 /// Selects the object of the prompts and writes it to the run's `selections/NAME`. Without `providers` it uses those of
@@ -267,6 +277,14 @@ pub fn segment(
         }
         None => None,
     };
+    let tree = match trained_by(folder) {
+        Some(geometry) if settings.first_answer == FirstAnswer::Tree => {
+            let segmenter = &*providers.segmenter;
+            let source = TreeSource { scene: &scene, model: &model, geometry: &geometry, size, segmenter };
+            source.tree(&folder.cache()?, &|| stopper.phase() != Phase::Running)?.map(Arc::new)
+        }
+        _ => None,
+    };
     let scene = Arc::new(scene);
     let photos = {
         let scene = scene.clone();
@@ -301,6 +319,7 @@ pub fn segment(
                 skies: skies.clone(),
                 transients: transients.clone(),
                 segmenter: segmenter.clone(),
+                tree: tree.clone(),
                 graph: None,
             })
         })?;
@@ -330,7 +349,7 @@ pub fn segment(
     // Written aside and then renamed, so that a selection is there as a whole or not at all.
     files::remove_litter(&folder.path().join("selections"));
     let target = folder.selection(name);
-    let Segmented { selection, cut, masks } = *segmented;
+    let Segmented { selection, cut, masks, alternatives } = *segmented;
     let selected = Selected::new(&selection.labels, &cut);
     let object = SelectedObject::new(&in_colour, &selection.labels, &cut);
     let count = |verdict: PhotoVerdict| selection.visits.iter().filter(|v| v.verdict == verdict).count();
@@ -344,6 +363,7 @@ pub fn segment(
         photos: 0,
         agreement: selection.agreement,
         alone: selection.alone,
+        alternatives,
         notes: prompt_warnings(folder, &scene, prompts, &masks),
         agreeing: count(PhotoVerdict::Accepted),
         disagreeing: count(PhotoVerdict::Disagrees),

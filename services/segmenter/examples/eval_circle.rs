@@ -90,6 +90,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             splats: &splats,
             views: &views,
             prompts: &prompted,
+            prior: None,
             features: None,
             graph: Some(&graph),
             frozen: None,

@@ -1,8 +1,10 @@
 //! The actor of the segmenter. It keeps the scene and its neighbour graph, so that the next click is quick.
 
+use crate::scene_tree::SceneTree;
+use crate::tree_answer::{self, TreeAnswer};
 use crate::{
-    MaskReader, NeighbourGraph, PosedView, PromptedView, Refiner, Request, SegmentError, SegmentSettings,
-    Selection, SpikeCut, SplatFeatures, cut, select,
+    Alternative, MaskReader, NeighbourGraph, PosedView, PromptedView, Refiner, Request, SegmentError,
+    SegmentSettings, Selection, SpikeCut, SplatFeatures, cut, select,
 };
 use segwild_flow::{Actor, ActorFailure, Context, Message, Sender};
 use segwild_raster::{Engine, ProjectOptions};
@@ -38,6 +40,8 @@ pub struct Segmented {
     pub cut: SpikeCut,
     /// Per photo with a positive prompt, the mask of its prompts.
     pub masks: Vec<(usize, ScoredMask)>,
+    /// What the clicks may mean, in the order of [`SegmentSettings::alternative`]. Empty where the scene tree took no part.
+    pub alternatives: Vec<Alternative>,
 }
 
 /// The answer to a [`SegmentTask`].
@@ -67,6 +71,8 @@ pub struct SegmentActor {
     pub transients: Arc<MaskReader>,
     /// Turns prompts into masks.
     pub segmenter: Arc<dyn PromptSegmenter>,
+    /// The scene tree, if there is one.
+    pub tree: Option<Arc<SceneTree>>,
     /// The neighbour graph, made at the first task.
     pub graph: Option<NeighbourGraph>,
 }
@@ -82,7 +88,7 @@ impl SegmentActor {
             let _zone = context.busy_zone("neighbour graph");
             self.graph = Some(NeighbourGraph::new(&self.splats, task.settings.neighbours));
         }
-        let mut answers = Vec::new();
+        let mut photos = Vec::new();
         for (view, prompts) in &task.prompts {
             let name = self.views.get(*view).map_or_else(String::new, |v| v.name.clone());
             let provider = |reason: String| SegmentError::Provider { photo: name.clone(), reason };
@@ -92,26 +98,16 @@ impl SegmentActor {
             let mut positive = prompts.clone();
             positive.points.iter_mut().for_each(|p| p.inside |= refused);
             let found = self.segmenter.prompted(&image, &positive).map_err(|e| provider(e.to_string()))?;
-            answers.push((*view, found));
+            photos.push((image, found));
         }
-        let prompted: Vec<PromptedView> = answers
-            .iter()
-            .zip(&task.prompts)
-            .map(|((view, found), (_, prompts))| PromptedView {
-                view: *view,
-                mask: &found.answer.mask,
-                open: Some(&found.open),
-                refused: refuses(prompts),
-                points: &prompts.points,
-            })
-            .collect();
         let held = self.engine.hold(&self.splats).map_err(SegmentError::raster("the scene"))?;
-        let request = Request {
+        let blank = Request {
             engine: held.as_deref().unwrap_or(&*self.engine),
             options: self.options,
             splats: &self.splats,
             views: &self.views,
-            prompts: &prompted,
+            prompts: &[],
+            prior: None,
             features: self.features.as_deref(),
             graph: self.graph.as_ref(),
             frozen: None,
@@ -119,12 +115,44 @@ impl SegmentActor {
             transients: Some(&*self.transients),
             settings: &task.settings,
         };
-        let photos = PhotoRefiner { actor: self, context, prepared: Mutex::default() };
-        let selection = select(&request, Some(&photos))?;
+        let by_tree = match &self.tree {
+            Some(tree) => tree_answer::answer(&blank, tree, &task.prompts, &photos, &*self.segmenter)?,
+            None => TreeAnswer::default(),
+        };
+        let TreeAnswer { group, alternatives } = by_tree;
+        let own = task.prompts.iter().zip(&photos);
+        let prompted: Vec<PromptedView> = match &group {
+            // What the clicks refuse is outside of the group already.
+            Some(group) => own
+                .zip(&group.masks)
+                .filter_map(|(((view, prompts), _), mask)| {
+                    let mask = &mask.as_ref()?.mask;
+                    let points = &prompts.points;
+                    Some(PromptedView { view: *view, mask, open: None, refused: false, points })
+                })
+                .collect(),
+            None => own
+                .map(|((view, prompts), (_, found))| PromptedView {
+                    view: *view,
+                    mask: &found.answer.mask,
+                    open: Some(&found.open),
+                    refused: refuses(prompts),
+                    points: &prompts.points,
+                })
+                .collect(),
+        };
+        let prior = group.as_ref().map(|group| &group.prior);
+        let request = Request { prompts: &prompted, prior, ..blank };
+        let refiner = PhotoRefiner { actor: self, context, prepared: Mutex::default() };
+        let selection = select(&request, Some(&refiner))?;
         let cut = cut(&request, &selection)?;
-        let meant = answers.into_iter().zip(&task.prompts).filter(|(_, (_, prompts))| !refuses(prompts));
-        let masks = meant.map(|((view, found), _)| (view, found.answer)).collect();
-        Ok(Segmented { selection, cut, masks })
+        let masks = match group {
+            Some(group) => group.masks,
+            None => photos.into_iter().map(|(_, found)| Some(found.answer)).collect(),
+        };
+        let meant = task.prompts.iter().zip(masks).filter(|((_, prompts), _)| !refuses(prompts));
+        let masks = meant.filter_map(|((view, _), mask)| Some((*view, mask?))).collect();
+        Ok(Segmented { selection, cut, masks, alternatives })
     }
 }
 

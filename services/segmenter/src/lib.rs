@@ -20,6 +20,7 @@ mod occlusion;
 mod propagate;
 mod query;
 mod refiner;
+pub mod scene_tree;
 mod screen;
 mod select;
 mod settings;
@@ -28,6 +29,7 @@ mod smooth;
 mod spread;
 mod svd;
 mod thin_structures;
+mod tree_answer;
 
 pub use actor::{PhotoReader, SegmentActor, SegmentReply, SegmentTask, Segmented};
 pub use coverage::Evidence;
@@ -41,8 +43,10 @@ pub use query::{ClickHit, SplatFeatures, SplatFeatures as FeatureField, hit};
 pub use refiner::Refiner;
 pub use select::{MaskReader, PosedView, PromptedView, Request, Selection, cut, select};
 pub use settings::{
-    ComponentRule, CutBy, EvidenceMode, SegmentSettings, SimilarityUse, SpikeMode, Undecided, Vote,
+    ComponentRule, CutBy, EvidenceMode, FirstAnswer, SegmentSettings, SimilarityUse, SpikeMode, Undecided,
+    Vote,
 };
 pub use sgc::{CutView, SpikeCut, SplatGeometry};
 pub use smooth::graph_cut;
 pub use spread::{Belief, spread};
+pub use tree_answer::Alternative;

@@ -85,6 +85,8 @@ pub struct Request<'a> {
     pub views: &'a [PosedView],
     /// The prompted photos; at least one.
     pub prompts: &'a [PromptedView<'a>],
+    /// What is known of the splats before any photo is asked, if the scene tree was.
+    pub prior: Option<&'a Evidence>,
     /// One feature vector per splat, if there is a field.
     pub features: Option<&'a SplatFeatures>,
     /// The neighbour graph of the splats, if it is at hand; made otherwise.
@@ -136,6 +138,9 @@ pub fn select(request: &Request, refiner: Option<&dyn Refiner>) -> Result<Select
     let mut prompted = Evidence::none(splats.len());
     for prompt in request.prompts {
         prompted.add(&prompted_evidence(request, prompt)?, settings.prompt_weight);
+    }
+    if let Some(prior) = request.prior {
+        prompted.add(prior, 1.0);
     }
     let similarities = similarities(request, &prompted, &positive, &negative)?;
     // Where masks take no part, there is nothing to carry to other photos.
@@ -339,7 +344,7 @@ fn view<'a>(request: &Request<'a>, index: usize) -> Result<&'a PosedView, Segmen
 
 /// The splats that the positive and the negative clicks hit. A positive click must hit something selectable; a
 /// negative one on nothing is ignored.
-fn hits(request: &Request) -> Result<(Vec<ClickHit>, Vec<ClickHit>), SegmentError> {
+pub(crate) fn hits(request: &Request) -> Result<(Vec<ClickHit>, Vec<ClickHit>), SegmentError> {
     let (mut positive, mut negative) = (Vec::new(), Vec::new());
     for prompt in request.prompts {
         let view = view(request, prompt.view)?;

@@ -76,9 +76,23 @@ segwild_scene::choice! {
     }
 }
 
+segwild_scene::choice! {
+    /// What the first answer to clicks comes from, before other photos refine it.
+    pub enum FirstAnswer {
+        /// The scene tree. Boxes, clicks of a given granularity, and clicks that SAM answers come from the photo all the same.
+        Tree = "tree",
+        /// The clicked photo alone (the paper).
+        Photo = "photo"
+    }
+}
+
 segwild_scene::settings! {
     /// How clicks and masks become a selection of splats.
-    pub struct SegmentSettings("segment", user: propagate spikes object_appearance) {
+    pub struct SegmentSettings("segment", user: alternative propagate spikes object_appearance) {
+        /// What the first answer to clicks comes from.
+        first_answer: FirstAnswer = FirstAnswer::Tree,
+        /// Which meaning of the clicks is selected: the answer lists them.
+        alternative: u32 = 0 => 0..=2,
         /// Least fused cosine similarity to the positive clicks, in [-1, 1] (paper, Eq. 28).
         tau: f32 = 0.5 => -1.0..=1.0,
         /// Temperature of the softmax that fuses several clicks: towards 0 the best click counts, far above 1 their mean; the

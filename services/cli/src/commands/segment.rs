@@ -8,6 +8,7 @@ use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_flow::Stopper;
 use segwild_pipeline::{Code, PhotoPrompts, Replay, RunFolder, Settings};
 use segwild_scene::{BoxPrompt, PointPrompt, Prompts};
+use segwild_segmenter::Alternative;
 
 /// The command's arguments.
 pub fn command() -> Command {
@@ -78,6 +79,17 @@ pub fn segment(matches: &ArgMatches) -> Result<(), Failure> {
         done.disagreeing,
         duration(done.select_s)
     ))?;
+    let others =
+        done.alternatives.iter().enumerate().filter(|(i, _)| *i != settings.segment.alternative as usize);
+    let others: Vec<String> = others
+        .map(|(i, meaning)| match meaning {
+            Alternative::Group(area) => format!("--alternative {i} ({:.1} % of the scene)", 100.0 * area),
+            Alternative::Photo => format!("--alternative {i} (the clicked photo's own mask)"),
+        })
+        .collect();
+    if !others.is_empty() {
+        print_line(&format!("the clicks may also mean {}", others.join(", ")))?;
+    }
     for note in &done.notes {
         print_line(&format!("warning: {note}"))?;
     }

@@ -8,6 +8,7 @@ use crate::history::{self, Moment};
 use crate::inputs::{Inputs, SnapshotRenders, VISIBILITY};
 use crate::keep::{SNAPSHOT, TRAINING, TRANSIENTS};
 use crate::memory;
+use crate::objects::{OBJECTS, TreeSource};
 use crate::outcome::ActorOutcome;
 use segwild_features::{FeatureField, FeatureTask};
 use segwild_flow::ledger::ViewOutcome;
@@ -15,6 +16,7 @@ use segwild_flow::{ActorFailure, ActorOptions, Context, Event, Key, Phase, Syste
 use segwild_masks::{MaskSource, MaskTask, Snapshot};
 use segwild_scene::Mask;
 use segwild_trainer::{FindCheckpoint, Model, Photos, Sifted, TrainOrder, TrainPhoto};
+use segwild_vision::PromptSegmenter;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -214,6 +216,10 @@ impl Coordinator<'_> {
         });
         self.state.inputs = Some(inputs.clone());
         let (views, out) = (self.views(false), to.own.clone());
+        let geometry = self.keys.geometry.to_string();
+        let tree = tree_source(&inputs, &geometry, &*self.segmenter).key();
+        // The ledger names it, so that the cache keeps it.
+        self.ledger.record_view(SNAPSHOT, OBJECTS, &tree, &ViewOutcome::cached())?;
         let (folder, segmenter, events) =
             (self.folder.clone(), self.segmenter.clone(), self.options.events.clone());
         system.source("visibility", ActorOptions::default(), move |context| {
@@ -230,6 +236,18 @@ impl Coordinator<'_> {
             // The field does not need the mask images and does not wait for them.
             for note in inputs.write_transient_masks(&folder, &seen, &*segmenter, context)? {
                 events.warn(Some("geometry"), note);
+            }
+            context.check()?;
+            let _step = context.span("scene tree");
+            let source = tree_source(&inputs, &geometry, &*segmenter);
+            let stopping = || {
+                context.progress();
+                context.check().is_err()
+            };
+            match source.tree(&inputs.recompute.cache, &stopping) {
+                Ok(_) | Err(RunError::Interrupted) => {}
+                // Clicks try again, and say so where they cannot do without it.
+                Err(error) => events.warn(Some("geometry"), format!("no scene tree was grown: {error}")),
             }
             Ok(())
         })?;
@@ -292,6 +310,21 @@ impl Coordinator<'_> {
         self.cache.put_typed(&key, FEATURES, &*field)?;
         self.ledger.finish_stage("features", &key, None)?;
         self.take_field(*field)
+    }
+}
+
+/// The scene tree of the trained scene.
+fn tree_source<'a>(
+    inputs: &'a Inputs,
+    geometry: &'a str,
+    segmenter: &'a dyn PromptSegmenter,
+) -> TreeSource<'a> {
+    TreeSource {
+        scene: &inputs.recompute.scene,
+        model: &inputs.model,
+        geometry,
+        size: inputs.size,
+        segmenter,
     }
 }
 

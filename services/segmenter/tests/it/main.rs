@@ -7,5 +7,6 @@ mod carried;
 mod knn;
 mod maxflow;
 mod query;
+mod scene_tree;
 mod select;
 mod sgc;

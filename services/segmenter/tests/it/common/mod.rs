@@ -143,6 +143,7 @@ pub fn request<'a>(
         splats,
         views,
         prompts,
+        prior: None,
         features: None,
         graph: None,
         frozen: None,

@@ -1,0 +1,74 @@
+//! The scene tree of a run: grown once from the trained scene and its photos, and kept in the run's cache (method, section 13).
+
+use crate::RunError;
+use segwild_flow::{Cache, Key};
+use segwild_scene::Scene;
+use segwild_segmenter::PosedView;
+use segwild_segmenter::scene_tree::{SceneTree, TreeBuilder};
+use segwild_trainer::Model;
+use segwild_vision::PromptSegmenter;
+
+/// Its domain in the cache, the kind of its record, and the name under which the ledger says that the run uses it.
+pub(crate) const OBJECTS: &str = "objects";
+
+/// Raised when the bytes of a tree of the same input change.
+const FORMAT: u32 = 1;
+
+/// Where trees come from.
+pub(crate) struct TreeSource<'a> {
+    /// The photos.
+    pub scene: &'a Scene,
+    /// The trained scene.
+    pub model: &'a Model,
+    /// Key of the trained scene.
+    pub geometry: &'a str,
+    /// Long side in pixels at which photos are read.
+    pub size: u32,
+    /// Finds boundaries in photos.
+    pub segmenter: &'a dyn PromptSegmenter,
+}
+
+impl TreeSource<'_> {
+    /// Name of the tree.
+    pub fn key(&self) -> Key {
+        Key::of(OBJECTS)
+            .value("format", FORMAT)
+            .part("geometry", self.geometry)
+            .part("segmenter", self.segmenter.key())
+            .finish()
+    }
+
+    /// Reads the tree from the cache, or grows it. `None` where the segmenter finds objects by itself. Photos that cannot be read,
+    /// and those held out, take no part.
+    ///
+    /// # Errors
+    /// When the scene cannot be rendered, the cache cannot be read, or `stopping` returns true.
+    pub fn tree(&self, cache: &Cache, stopping: &dyn Fn() -> bool) -> Result<Option<SceneTree>, RunError> {
+        let key = self.key();
+        let splats = &self.model.splats;
+        if let Some(kept) =
+            cache.get_typed::<SceneTree>(&key, OBJECTS)?.filter(|tree| tree.fits(splats.len()))
+        {
+            return Ok(Some(kept));
+        }
+        let mut builder = TreeBuilder::new(splats, self.model.options());
+        let mut seen = false;
+        for view in self.scene.views.iter().filter(|view| !view.test) {
+            if stopping() {
+                return Err(RunError::Interrupted);
+            }
+            let Ok(photo) = view.load(self.size) else { continue };
+            let Some(boundaries) = self.segmenter.boundary_strengths(&photo.image)? else { return Ok(None) };
+            builder.add(&PosedView::from(view), &boundaries)?;
+            seen = true;
+        }
+        if !seen || stopping() {
+            return Ok(None);
+        }
+        let tree = builder.grow();
+        if let Err(error) = cache.put_typed(&key, OBJECTS, &tree) {
+            tracing::warn!("the scene tree is not kept, so that each click grows it again: {error}");
+        }
+        Ok(Some(tree))
+    }
+}

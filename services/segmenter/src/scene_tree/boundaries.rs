@@ -1,0 +1,152 @@
+//! Boundary strength of one view from the photo and the geometry (method, section 13).
+
+use segwild_raster::Frame;
+use segwild_scene::Image;
+
+/// Pixels between the samples of the second difference of inverse depth.
+const STEP: usize = 2;
+
+/// Half width, in pixels, of the window whose largest inverse depth a second difference is relative to.
+const LOCAL: usize = 2;
+
+/// A relative second difference of this many times its median is half way to an occlusion: the median is the noise of a surface.
+const NOISE: f32 = 6.0;
+
+/// Least relative second difference that counts as one.
+const LEAST_BEND: f32 = 0.03;
+
+/// Accumulated alpha from which a pixel has a depth.
+const SOLID: f32 = 0.5;
+
+/// The weighted sum of boundary maps of one size, clamped to [0, 1].
+pub fn combined(maps: [(f32, &Image); 2]) -> Image {
+    let mut sum = Image::zeros(maps[0].1.width, maps[0].1.height, 1);
+    for (weight, map) in maps {
+        sum.data.iter_mut().zip(map.plane(0)).for_each(|(sum, x)| *sum += weight * x);
+    }
+    sum.data.iter_mut().for_each(|x| *x = if x.is_finite() { x.clamp(0.0, 1.0) } else { 0.0 });
+    sum
+}
+
+/// Where the geometry of a view has an edge, in [0, 1]: one plane. Inverse depth is linear on planes, so its second difference
+/// is 0 there, whatever the slant; it is compared with the largest inverse depth around, and with its own noise. Where splats
+/// end, inverse depth falls to 0 with their opacity, which is an occlusion too. `frame` is the blend of inverse depths.
+pub fn depth_edges(frame: &Frame) -> Image {
+    let (inverse, alpha) = (&frame.image, &frame.alpha);
+    let (w, h) = (inverse.width, inverse.height);
+    let smooth = blurred(inverse.plane(0), w, h);
+    let at = |x: isize, y: isize| {
+        smooth[y.clamp(0, h as isize - 1) as usize * w + x.clamp(0, w as isize - 1) as usize]
+    };
+    let mut relative = vec![0.0f32; w * h];
+    for y in 0..h as isize {
+        for x in 0..w as isize {
+            let (s, local) = (STEP as isize, LOCAL as isize);
+            // A side that lies outside the frame says nothing.
+            let bend = |dx: isize, dy: isize| {
+                let inside = x >= dx && y >= dy && x + dx < w as isize && y + dy < h as isize;
+                let sides = at(x - dx, y - dy) + at(x + dx, y + dy);
+                if inside { (sides - 2.0 * at(x, y)).abs() } else { 0.0 }
+            };
+            let bend = bend(s, 0).max(bend(0, s));
+            let around = (-local..=local).flat_map(|dy| (-local..=local).map(move |dx| (dx, dy)));
+            let largest = around.map(|(dx, dy)| at(x + dx, y + dy)).fold(0.0, f32::max);
+            let bend = if largest > 1e-9 { bend / largest } else { 0.0 };
+            relative[y as usize * w + x as usize] = if bend.is_finite() { bend } else { 0.0 };
+        }
+    }
+    let mut solid: Vec<f32> =
+        relative.iter().zip(alpha.plane(0)).filter(|(_, a)| **a > SOLID).map(|(r, _)| *r).collect();
+    let noise = if solid.is_empty() {
+        0.0
+    } else {
+        let middle = solid.len() / 2;
+        *solid.select_nth_unstable_by(middle, f32::total_cmp).1
+    };
+    let half = NOISE * noise + LEAST_BEND;
+    let data = relative.iter().map(|r| 1.0 - (-(r / half).powi(2)).exp()).collect();
+    Image { width: w, height: h, channels: 1, data }
+}
+
+/// A small blur, so that the rims of single splats are no edges: weights 1, 4, 1 of 6 in each direction (a Gaussian of .58 px).
+fn blurred(plane: &[f32], w: usize, h: usize) -> Vec<f32> {
+    let three = |a: f32, b: f32, c: f32| (a + 4.0 * b + c) / 6.0;
+    let mut rows = vec![0.0; w * h];
+    for y in 0..h {
+        for x in 0..w {
+            let at = |x: usize| plane[y * w + x];
+            rows[y * w + x] = three(at(x.saturating_sub(1)), at(x), at((x + 1).min(w - 1)));
+        }
+    }
+    let mut out = vec![0.0; w * h];
+    for y in 0..h {
+        for x in 0..w {
+            let at = |y: usize| rows[y * w + x];
+            out[y * w + x] = three(at(y.saturating_sub(1)), at(y), at((y + 1).min(h - 1)));
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SIZE: usize = 60;
+
+    fn edges(inverse: impl Fn(f32, f32) -> f32, alpha: f32) -> Image {
+        let plane = |f: &dyn Fn(f32, f32) -> f32| Image {
+            width: SIZE,
+            height: SIZE,
+            channels: 1,
+            data: (0..SIZE * SIZE).map(|i| f((i % SIZE) as f32, (i / SIZE) as f32)).collect(),
+        };
+        depth_edges(&Frame { image: plane(&inverse), alpha: plane(&|_, _| alpha) })
+    }
+
+    fn at(map: &Image, x: usize, y: usize) -> f32 {
+        map.data[y * SIZE + x]
+    }
+
+    #[test]
+    fn a_slanted_plane_has_no_edge_and_a_box_before_it_has_its_outline() {
+        let plane = |x: f32, y: f32| 0.2 + 0.004 * x + 0.001 * y;
+        let flat = edges(plane, 1.0);
+        assert!(flat.data.iter().all(|&e| e < 0.05), "{:?}", flat.data.iter().fold(0.0f32, |m, &e| m.max(e)));
+        let boxed = |x: f32, y: f32| {
+            if (20.0..40.0).contains(&x) && (20.0..40.0).contains(&y) { 1.0 } else { plane(x, y) }
+        };
+        let map = edges(boxed, 1.0);
+        assert!(at(&map, 20, 30) > 0.9 && at(&map, 30, 39) > 0.9);
+        assert!(at(&map, 30, 30) < 0.05 && at(&map, 5, 5) < 0.05);
+    }
+
+    /// Units of the scene must not matter.
+    #[test]
+    fn a_scene_a_thousand_times_as_large_has_the_same_edges() {
+        let scene = |scale: f32| edges(move |x, _| if x < 30.0 { 0.5 / scale } else { 0.9 / scale }, 1.0);
+        let (small, large) = (scale_free(&scene(1.0)), scale_free(&scene(1000.0)));
+        assert_eq!(small, large);
+    }
+
+    fn scale_free(map: &Image) -> Vec<i32> {
+        map.data.iter().map(|e| (e * 1000.0).round() as i32).collect()
+    }
+
+    #[test]
+    fn what_is_no_number_is_no_edge() {
+        let map = edges(|x, y| if (x, y) == (30.0, 30.0) { f32::NAN } else { 0.5 }, 1.0);
+        assert!(map.data.iter().all(|e| e.is_finite()));
+        let nothing = edges(|_, _| 0.0, 0.0);
+        assert!(nothing.data.iter().all(|&e| e == 0.0));
+    }
+
+    #[test]
+    fn maps_are_added_by_their_weights_and_clamped() {
+        let map = |x: f32| Image::filled(2, 1, 1, x);
+        let sum = combined([(0.6, &map(0.5)), (0.6, &map(0.25))]);
+        assert!(sum.data.iter().all(|x| (x - 0.45).abs() < 1e-6));
+        assert_eq!(combined([(0.6, &map(1.0)), (0.6, &map(1.0))]).data, [1.0, 1.0]);
+        assert_eq!(combined([(1.0, &map(f32::NAN)), (1.0, &map(0.5))]).data, [0.0, 0.0]);
+    }
+}

@@ -1,0 +1,327 @@
+//! The graph of splats whose distances the views vote on.
+
+use super::boundaries::{combined, depth_edges};
+use super::{NONE, SceneTree};
+use crate::coverage::unoccluded;
+use crate::{NeighbourGraph, PosedView, SegmentError};
+use rayon::prelude::*;
+use segwild_raster::{Channels, CpuEngine, Engine, FrontLayer, NO_SPLAT, ProjectOptions};
+use segwild_scene::{Image, Splats};
+use segwild_vision::ContourTree;
+use segwild_vision::linkage::MergeTree;
+
+/// Least share of a pixel that a splat must make up for the view to see it there.
+const SEEN_SHARE: f32 = 0.12;
+
+/// Least share of a splat's light that must reach the camera for the view to see it.
+const SEEN_LIGHT: f32 = 0.3;
+
+/// Light in pixels, over all views, from which a splat takes part.
+const PART_LIGHT: f32 = 1.0;
+
+/// Opacity from which a splat takes part.
+const PART_OPACITY: f32 = 0.1;
+
+/// Nearest neighbours that a splat is linked with.
+const NEIGHBOURS: usize = 10;
+
+/// Border pixels between two fronts, over all views, that link their splats.
+const BORDER: f32 = 3.0;
+
+/// Accumulated alpha under which a pixel has no front.
+const SOLID: f32 = 0.5;
+
+/// Quantile of the known distances that unknown ones are taken to have, and their weight.
+const UNKNOWN: (f64, f32) = (0.75, 0.2);
+
+/// No region.
+const NOWHERE: u16 = u16::MAX;
+
+/// What a distance between splats is measured by.
+pub const CUES: usize = 3;
+
+/// Weights of the photo's boundaries and of depth edges, for each distance: both, the photo alone, the geometry alone. No one
+/// of them is best on all scenes: a print on a wall misleads the first two, a leg on the ground the last.
+const CUE_WEIGHTS: [[f32; 2]; CUES] = [[0.6, 0.6], [1.0, 0.0], [0.0, 1.0]];
+
+/// What one view says of splats, by one cue.
+struct ViewRegions {
+    /// Per splat, the region that holds the pixel of its largest share; [`NOWHERE`] where the view does not see it.
+    regions: Vec<u16>,
+    merges: MergeTree,
+}
+
+/// The border between the fronts of two splats, summed over views; in pixel sides.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct FrontBorder {
+    /// One splat, or node.
+    pub a: u32,
+    /// The other; larger.
+    pub b: u32,
+    /// Its length.
+    pub length: f32,
+    /// Its length, weighted by the strength of the depth edge there.
+    pub occluding: f32,
+    /// The same, positive where `a` is nearer and negative where `b` is.
+    pub nearer: f32,
+}
+
+impl FrontBorder {
+    fn of(from: u32, to: u32, edge: f32, nearer: bool) -> FrontBorder {
+        let signed = if nearer { edge } else { -edge };
+        let (a, b, nearer) = if from < to { (from, to, signed) } else { (to, from, -signed) };
+        FrontBorder { a, b, length: 1.0, occluding: edge, nearer }
+    }
+
+    fn add(&mut self, other: &FrontBorder) {
+        self.length += other.length;
+        self.occluding += other.occluding;
+        self.nearer += other.nearer;
+    }
+}
+
+/// Sorts borders and adds those of one pair.
+fn merged(mut borders: Vec<FrontBorder>) -> Vec<FrontBorder> {
+    borders.sort_by_key(|border| (border.a, border.b));
+    let mut out: Vec<FrontBorder> = Vec::new();
+    for border in borders {
+        match out.last_mut() {
+            Some(last) if (last.a, last.b) == (border.a, border.b) => last.add(&border),
+            _ => out.push(border),
+        }
+    }
+    out
+}
+
+/// Collects views. It holds six bytes per splat and view, and 20 per pair of neighbouring fronts.
+pub struct TreeBuilder<'a> {
+    engine: CpuEngine,
+    splats: &'a Splats,
+    options: ProjectOptions,
+    views: Vec<[ViewRegions; CUES]>,
+    /// Light in pixels that the views see of each splat.
+    light: Vec<f32>,
+    /// Per splat, sides of its fronts on nothing, and on the frame.
+    void: Vec<f32>,
+    frame: Vec<f32>,
+    borders: Vec<FrontBorder>,
+}
+
+/// An edge between two nodes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SplatEdge {
+    /// One node.
+    pub a: u32,
+    /// The other; larger.
+    pub b: u32,
+    /// Per cue, median over the views of the height at which the nodes' regions merge, in [0, 1].
+    pub distances: [f32; CUES],
+    /// How much it counts: less where no view sees both.
+    pub weight: f32,
+}
+
+/// Splats as a graph.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SplatGraph {
+    /// Per splat of the scene, its node: its own, or that of the nearest neighbour that has one; [`NONE`] where there is none.
+    pub node: Vec<u32>,
+    /// Per node, the light in pixels that the views see.
+    pub areas: Vec<f32>,
+    /// Per node, sides of its fronts next to pixels that show no splat.
+    pub void: Vec<f32>,
+    /// Per node, sides of its fronts on a photo's frame.
+    pub frame: Vec<f32>,
+    /// Edges between nodes, in order, each once.
+    pub edges: Vec<SplatEdge>,
+    /// Borders between the nodes' fronts, in order, each pair once.
+    pub borders: Vec<FrontBorder>,
+}
+
+impl<'a> TreeBuilder<'a> {
+    /// Without views yet.
+    pub fn new(splats: &'a Splats, options: ProjectOptions) -> TreeBuilder<'a> {
+        TreeBuilder {
+            engine: CpuEngine::new(),
+            splats,
+            options,
+            views: Vec::new(),
+            light: vec![0.0; splats.len()],
+            void: vec![0.0; splats.len()],
+            frame: vec![0.0; splats.len()],
+            borders: Vec::new(),
+        }
+    }
+
+    /// Adds a view by the boundaries of its photo: one plane of strengths in [0, 1].
+    ///
+    /// # Errors
+    /// When it cannot be rendered.
+    pub fn add(&mut self, view: &PosedView, photo: &Image) -> Result<(), SegmentError> {
+        let (width, height) = (photo.width, photo.height);
+        let camera = view.camera.resized(width as u32, height as u32);
+        let raster = || SegmentError::raster(&view.name);
+        let (splats, options) = (self.splats, &self.options);
+        let front = self.engine.front(splats, &camera, &view.pose, options).map_err(raster())?;
+        let projected = self.engine.project(splats, &camera, &view.pose, options).map_err(raster())?;
+        let light = projected.gather(&Image::filled(width, height, 1, 1.0)).map_err(raster())?;
+        let inverse: Vec<f32> =
+            projected.depths().iter().map(|&z| if z > 0.0 { 1.0 / z } else { 0.0 }).collect();
+        let inverse = projected.blend(&Channels { count: 1, values: &inverse }).map_err(raster())?;
+        drop(projected);
+        let edges = depth_edges(&inverse);
+        let whole = unoccluded(splats, &camera, &view.pose, options);
+        let seen: Vec<bool> = (0..splats.len())
+            .map(|i| front.shares[i] > SEEN_SHARE && light[i] > SEEN_LIGHT * whole[i])
+            .collect();
+        let views: Vec<ViewRegions> = CUE_WEIGHTS
+            .par_iter()
+            .map(|weights| {
+                let tree = ContourTree::of(&combined([(weights[0], photo), (weights[1], &edges)]));
+                let numbered = tree.merges.leaves < usize::from(NOWHERE);
+                let region = |i: usize| match seen[i] && numbered {
+                    true => tree.labels[front.pixels[i] as usize] as u16,
+                    false => NOWHERE,
+                };
+                ViewRegions { regions: (0..splats.len()).map(region).collect(), merges: tree.merges }
+            })
+            .collect();
+        self.views.extend(views.try_into());
+        for (i, light) in light.iter().enumerate().filter(|(i, _)| seen[*i]) {
+            self.light[i] += light;
+        }
+        self.add_borders(&front, &inverse.image, &edges);
+        Ok(())
+    }
+
+    /// Adds the sides of the fronts of a view.
+    fn add_borders(&mut self, front: &FrontLayer, inverse: &Image, edges: &Image) {
+        let (w, h) = (front.width, front.height);
+        let solid = |i: usize| front.alpha.data[i] >= SOLID && front.splats[i] != NO_SPLAT;
+        let near = |i: usize| inverse.data[i] / front.alpha.data[i];
+        let mut borders = std::mem::take(&mut self.borders);
+        for i in 0..w * h {
+            let (x, y) = (i % w, i / w);
+            let splat = front.splats[i] as usize;
+            if solid(i) {
+                let sides = [x == 0, x + 1 == w, y == 0, y + 1 == h];
+                self.frame[splat] += sides.iter().filter(|side| **side).count() as f32;
+            }
+            for j in [(x + 1 < w).then_some(i + 1), (y + 1 < h).then_some(i + w)].into_iter().flatten() {
+                match (solid(i), solid(j)) {
+                    (true, true) if front.splats[i] != front.splats[j] => {
+                        let edge = edges.data[i].max(edges.data[j]);
+                        borders.push(FrontBorder::of(
+                            front.splats[i],
+                            front.splats[j],
+                            edge,
+                            near(i) > near(j),
+                        ));
+                    }
+                    (true, false) => self.void[splat] += 1.0,
+                    (false, true) => self.void[front.splats[j] as usize] += 1.0,
+                    _ => {}
+                }
+            }
+        }
+        self.borders = merged(borders);
+    }
+
+    /// The graph of all splats that some view sees.
+    pub fn graph(&self) -> SplatGraph {
+        let takes_part = |i: &usize| self.light[*i] > PART_LIGHT && self.splats.opacity(*i) > PART_OPACITY;
+        let parts: Vec<u32> = (0..self.splats.len()).filter(takes_part).map(|i| i as u32).collect();
+        let mut node = vec![NONE; self.splats.len()];
+        parts.iter().enumerate().for_each(|(k, &i)| node[i as usize] = k as u32);
+        let node = followers(node, &NeighbourGraph::new(self.splats, NEIGHBOURS));
+        let points: Vec<[f32; 3]> = parts.iter().map(|&i| self.splats.means[i as usize]).collect();
+        let near = NeighbourGraph::of_points(&points, NEIGHBOURS);
+        let mut pairs: Vec<(u32, u32)> = (0..points.len())
+            .flat_map(|a| near.edges(a).map(move |e| (a, e)))
+            .map(|(a, e)| (a as u32, near.neighbour(e) as u32))
+            .filter(|(a, b)| a < b)
+            .collect();
+        let of_nodes = self.borders.iter().filter_map(|border| {
+            let (a, b) = (node[border.a as usize], node[border.b as usize]);
+            match a == NONE || b == NONE || a == b {
+                true => None,
+                false if a < b => Some(FrontBorder { a, b, ..*border }),
+                false => Some(FrontBorder { a: b, b: a, nearer: -border.nearer, ..*border }),
+            }
+        });
+        let borders = merged(of_nodes.collect());
+        pairs.extend(
+            borders.iter().filter(|border| border.length >= BORDER).map(|border| (border.a, border.b)),
+        );
+        pairs.sort_unstable();
+        pairs.dedup();
+        let known: Vec<Option<[f32; CUES]>> =
+            pairs.par_iter().map(|&(a, b)| self.distances(parts[a as usize], parts[b as usize])).collect();
+        let fill: [f32; CUES] =
+            std::array::from_fn(|cue| quantile(known.iter().flatten().map(|d| d[cue]).collect(), UNKNOWN.0));
+        let edge = |(&(a, b), known): (&(u32, u32), &Option<[f32; CUES]>)| match known {
+            Some(distances) => SplatEdge { a, b, distances: *distances, weight: 1.0 },
+            None => SplatEdge { a, b, distances: fill, weight: UNKNOWN.1 },
+        };
+        let edges = pairs.iter().zip(&known).map(edge).collect();
+        let sum = |of: &[f32]| {
+            let mut sums = vec![0.0; parts.len()];
+            of.iter().zip(&node).filter(|(_, n)| **n != NONE).for_each(|(x, n)| sums[*n as usize] += x);
+            sums
+        };
+        let (areas, void, frame) = (sum(&self.light), sum(&self.void), sum(&self.frame));
+        SplatGraph { areas, void, frame, edges, borders, node }
+    }
+
+    /// Per cue, the median over the views that see both splats of the height at which their regions merge.
+    fn distances(&self, a: u32, b: u32) -> Option<[f32; CUES]> {
+        let both = |views: &&[ViewRegions; CUES]| {
+            views[0].regions[a as usize] != NOWHERE && views[0].regions[b as usize] != NOWHERE
+        };
+        let views: Vec<&[ViewRegions; CUES]> = self.views.iter().filter(both).collect();
+        let median = |cue: usize| {
+            let height = |views: &&[ViewRegions; CUES]| {
+                let ViewRegions { regions, merges } = &views[cue];
+                merges.height[merges.meet(regions[a as usize].into(), regions[b as usize].into()) as usize]
+            };
+            let mut heights: Vec<f32> = views.iter().map(height).collect();
+            heights.sort_unstable_by(f32::total_cmp);
+            let n = heights.len();
+            0.5 * (heights[(n - 1) / 2] + heights[n / 2])
+        };
+        (!views.is_empty()).then(|| std::array::from_fn(median))
+    }
+
+    /// The trees of the views so far.
+    pub fn grow(&self) -> SceneTree {
+        let graph = self.graph();
+        let trees = graph.grow();
+        SceneTree { leaf: graph.node, trees }
+    }
+}
+
+/// Splats that take no part follow the nearest neighbour that has a node.
+fn followers(mut node: Vec<u32>, neighbours: &NeighbourGraph) -> Vec<u32> {
+    let mut open: Vec<usize> = (0..node.len()).filter(|&i| node[i] == NONE).collect();
+    loop {
+        let found: Vec<(usize, u32)> = open
+            .par_iter()
+            .filter_map(|&i| {
+                let near = neighbours.edges(i).filter(|&e| node[neighbours.neighbour(e)] != NONE);
+                let nearest =
+                    near.min_by(|&a, &b| neighbours.distance(a).total_cmp(&neighbours.distance(b)))?;
+                Some((i, node[neighbours.neighbour(nearest)]))
+            })
+            .collect();
+        if found.is_empty() {
+            return node;
+        }
+        found.iter().for_each(|&(i, of)| node[i] = of);
+        open.retain(|&i| node[i] == NONE);
+    }
+}
+
+/// A quantile of numbers; 0 of none.
+pub(super) fn quantile(mut of: Vec<f32>, share: f64) -> f32 {
+    let at = (of.len().saturating_sub(1) as f64 * share).round() as usize;
+    if of.is_empty() { 0.0 } else { *of.select_nth_unstable_by(at, f32::total_cmp).1 }
+}

@@ -1,0 +1,161 @@
+//! Clicks against the scene tree: from what they hit to ranked groups of splats (method, section 13).
+
+use super::{GroupTree, Growth, NONE, SceneTree, TREES};
+use crate::ClickHit;
+
+/// Candidates that a query answers with, at most.
+const MOST: usize = 2;
+
+/// Two candidates differ in area by at least this factor.
+const APART: f32 = 1.5;
+
+/// Share of all light under which a group is no candidate.
+const LEAST_AREA: f32 = 0.002;
+
+/// Expected IoU of a group with what a click means: a linear fit over the groups that hold 180 random clicks on nine objects of
+/// eight captured scenes and 110 on two synthetic ones (docs/experiments/2026-11-28-scene-tree.md). Groups that the photos'
+/// frames cut off are hardly things.
+struct Expected {
+    constant: f32,
+    log_area: f32,
+    log_area_squared: f32,
+    root_frame: f32,
+    log_cut: f32,
+    gap: f32,
+    nearer: f32,
+    average: f32,
+    rim: f32,
+}
+
+const EXPECTED: Expected = Expected {
+    constant: 0.6667,
+    log_area: 0.0142,
+    log_area_squared: -0.0142,
+    root_frame: -0.7643,
+    log_cut: -0.0322,
+    gap: 0.0328,
+    nearer: 0.2256,
+    average: 0.0922,
+    rim: 0.023,
+};
+
+/// Added to the normalised cut before its logarithm is taken.
+const LEAST_CUT: f32 = 1e-3;
+
+/// Leaves that clicks hit.
+#[derive(Clone, Copy, Debug)]
+pub struct TreeQuery<'a> {
+    /// Leaves that are meant.
+    pub inside: &'a [u32],
+    /// Leaves that are not.
+    pub outside: &'a [u32],
+}
+
+/// A group that a query may mean.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GroupCandidate {
+    /// Nodes, each with the number of its tree: one, or one per click where no group holds all clicks.
+    pub nodes: Vec<(usize, u32)>,
+    /// Expected IoU with what is meant.
+    pub score: f32,
+    /// Share of all light that the views see.
+    pub area: f32,
+}
+
+impl SceneTree {
+    /// The leaf that a click hits: the one with the largest share of it. `None` where it hits nothing that is in the tree.
+    pub fn leaf_of(&self, hit: &ClickHit) -> Option<u32> {
+        let mut shares: Vec<(u32, f32)> =
+            hit.splats.iter().map(|&(splat, share)| (self.leaf[splat as usize], share)).collect();
+        shares.retain(|(leaf, _)| *leaf != NONE);
+        shares.sort_by_key(|(leaf, _)| *leaf);
+        let summed =
+            shares.chunk_by(|a, b| a.0 == b.0).map(|run| (run[0].0, run.iter().map(|s| s.1).sum::<f32>()));
+        summed.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(leaf, _)| leaf)
+    }
+
+    /// What a query may mean, the likeliest first: groups that hold all inside leaves and no outside one. Where no group does,
+    /// each inside leaf's likeliest group without the others, together.
+    pub fn candidates(&self, query: &TreeQuery) -> Vec<GroupCandidate> {
+        let mut found = self.groups_with(query);
+        if found.is_empty() && query.inside.len() > 1 {
+            let one = |leaf: &u32| {
+                let alone = TreeQuery { inside: std::slice::from_ref(leaf), ..*query };
+                self.groups_with(&alone).into_iter().next()
+            };
+            let each: Vec<GroupCandidate> = query.inside.iter().filter_map(one).collect();
+            let mut nodes: Vec<(usize, u32)> = each.iter().flat_map(|c| c.nodes.clone()).collect();
+            nodes.sort_unstable();
+            nodes.dedup();
+            if !nodes.is_empty() {
+                let score = each.iter().map(|c| c.score).sum::<f32>() / each.len() as f32;
+                found.push(GroupCandidate { nodes, score, area: each.iter().map(|c| c.area).sum() });
+            }
+        }
+        let mut kept: Vec<GroupCandidate> = Vec::new();
+        for candidate in found {
+            let apart = |k: &GroupCandidate| k.area.max(candidate.area) >= APART * k.area.min(candidate.area);
+            if kept.len() < MOST && kept.iter().all(apart) {
+                kept.push(candidate);
+            }
+        }
+        kept
+    }
+
+    /// Groups that hold all inside leaves and no outside one, the likeliest first.
+    fn groups_with(&self, query: &TreeQuery) -> Vec<GroupCandidate> {
+        let TreeQuery { inside, outside } = *query;
+        let mut found = Vec::new();
+        for (number, tree) in self.trees.iter().enumerate() {
+            let merges = &tree.merges;
+            let Some(meet) = inside.iter().copied().reduce(|a, b| merges.meet(a, b)) else { continue };
+            let chain: Vec<u32> = merges.ancestors(meet).collect();
+            let refused = outside.iter().map(|&leaf| merges.meet(meet, leaf)).min();
+            // A small group is a candidate too where no larger one is.
+            let gap = |node: u32| {
+                merges.height[merges.parent[node as usize] as usize] - merges.height[node as usize]
+            };
+            let large = |node: &u32| tree.groups[*node as usize].area >= LEAST_AREA;
+            let widest = chain.iter().filter(|n| large(n)).map(|&n| gap(n)).fold(1e-9, f32::max);
+            for &node in chain.iter().filter(|n| large(n)).take_while(|n| refused.is_none_or(|r| **n < r)) {
+                let average = TREES[number].1 == Growth::Average;
+                let score = expected(tree, node, gap(node) / widest, average);
+                found.push(GroupCandidate {
+                    nodes: vec![(number, node)],
+                    score,
+                    area: tree.groups[node as usize].area,
+                });
+            }
+        }
+        found.sort_by(|a, b| b.score.total_cmp(&a.score).then(a.nodes.cmp(&b.nodes)));
+        found
+    }
+
+    /// Whether each splat of the scene belongs to a candidate.
+    pub fn labels(&self, candidate: &GroupCandidate) -> Vec<bool> {
+        let mut labels = vec![false; self.leaf.len()];
+        for &(tree, node) in &candidate.nodes {
+            let inside = self.trees[tree].merges.parts_of(node);
+            for (label, &leaf) in labels.iter_mut().zip(&self.leaf) {
+                *label |= leaf != NONE && inside[leaf as usize];
+            }
+        }
+        labels
+    }
+}
+
+/// Expected IoU of a group. `gap`: how much higher its parent is, relative to the widest gap on its way to the root.
+fn expected(tree: &GroupTree, node: u32, gap: f32, average: bool) -> f32 {
+    let group = tree.groups[node as usize];
+    let log_area = group.area.max(f32::MIN_POSITIVE).ln();
+    let e = EXPECTED;
+    e.constant
+        + e.log_area * log_area
+        + e.log_area_squared * log_area * log_area
+        + e.root_frame * group.frame.max(0.0).sqrt()
+        + e.log_cut * (group.cut + LEAST_CUT).ln()
+        + e.gap * gap
+        + e.nearer * group.nearer.max(0.0)
+        + e.average * f32::from(u8::from(average))
+        + e.rim * group.rim
+}

@@ -1,0 +1,197 @@
+//! The scene tree on scenes of which every boundary is known (method, section 13).
+
+use crate::common::{TestRandom, TestWorld, engine, options, posed};
+use glam::Vec3;
+use segwild_raster::{Engine, NO_SPLAT};
+use segwild_scene::Image;
+use segwild_segmenter::scene_tree::{NONE, SceneTree, TreeBuilder, TreeQuery};
+use segwild_segmenter::{PosedView, hit};
+
+const GREY: [f32; 3] = [0.5, 0.5, 0.5];
+
+/// A wall (thing 0) with a smaller block (1) before it, all of one colour, and a part of the wall (2) that only a print sets apart.
+fn wall_scene() -> TestWorld {
+    let (mut world, mut dice) = (TestWorld::default(), TestRandom(7));
+    world.wall(0, Vec3::new(0.0, 0.0, 4.0), 2.6, 60, GREY, &mut dice);
+    world.wall(1, Vec3::new(-0.5, 0.0, 2.5), 0.4, 24, GREY, &mut dice);
+    for (thing, mean) in world.thing.iter_mut().zip(&world.splats.means) {
+        if *thing == 0 && (0.5..1.3).contains(&mean[0]) && mean[1].abs() < 0.4 {
+            *thing = 2;
+        }
+    }
+    world
+}
+
+fn cameras(scale: f32) -> Vec<PosedView> {
+    let at = |i: usize| Vec3::new(0.3 * (i as f32 - 4.0), 0.1 * ((i % 3) as f32 - 1.0), 0.0);
+    (0..9).map(|i| posed(&format!("{i}.jpg"), at(i) * scale, Vec3::new(0.0, 0.0, 4.0) * scale)).collect()
+}
+
+/// The print's outline as each photo shows it; `missing` photos show none.
+fn boundaries(world: &TestWorld, view: &PosedView, missing: bool) -> Image {
+    let front = engine().front(&world.splats, &view.camera, &view.pose, &options()).unwrap();
+    let (w, h) = (front.width, front.height);
+    let printed = |i: usize| front.splats[i] != NO_SPLAT && world.thing[front.splats[i] as usize] == 2;
+    let mut map = Image::zeros(w, h, 1);
+    for i in (0..w * h).filter(|i| !missing && i % w + 1 < w && i + w < w * h) {
+        if printed(i) != printed(i + 1) || printed(i) != printed(i + w) {
+            map.data[i] = 0.8;
+        }
+    }
+    map
+}
+
+fn tree(world: &TestWorld, views: &[PosedView], missing: usize) -> SceneTree {
+    let mut builder = TreeBuilder::new(&world.splats, options());
+    for (i, view) in views.iter().enumerate() {
+        builder.add(view, &boundaries(world, view, i < missing)).unwrap();
+    }
+    builder.grow()
+}
+
+/// The leaf under a splat's centre in the middle view.
+fn leaf(tree: &SceneTree, world: &TestWorld, view: &PosedView, at: Vec3) -> u32 {
+    let pixel = view.camera.pixel(view.pose.to_camera(at));
+    let hit = hit(&engine(), &world.splats, &options(), &view.camera, &view.pose, pixel, 1).unwrap();
+    tree.leaf_of(&hit).expect("a leaf")
+}
+
+/// IoU of a thing with the most alike group that holds a leaf, over the splats that are in the tree.
+fn best(tree: &SceneTree, world: &TestWorld, leaf: u32, things: &[usize]) -> f32 {
+    let seen: Vec<bool> = tree.leaf.iter().map(|&l| l != NONE).collect();
+    let mut best = 0.0f32;
+    for grown in &tree.trees {
+        for node in grown.merges.ancestors(leaf) {
+            let inside = grown.merges.parts_of(node);
+            let (mut both, mut either) = (0, 0);
+            for i in (0..world.len()).filter(|&i| seen[i]) {
+                let (a, b) = (inside[tree.leaf[i] as usize], things.contains(&world.thing[i]));
+                both += usize::from(a && b);
+                either += usize::from(a || b);
+            }
+            best = best.max(both as f32 / either as f32);
+        }
+    }
+    best
+}
+
+const BLOCK: Vec3 = Vec3::new(-0.4, 0.1, 2.5);
+const WALL: Vec3 = Vec3::new(0.2, -0.7, 4.0);
+const PRINT: Vec3 = Vec3::new(0.9, 0.1, 4.0);
+
+#[test]
+fn a_block_before_a_wall_of_its_colour_is_a_group_and_the_wall_is_one() {
+    let (world, views) = (wall_scene(), cameras(1.0));
+    let tree = tree(&world, &views, views.len());
+    let leaf = |at| leaf(&tree, &world, &views[4], at);
+    assert!(best(&tree, &world, leaf(BLOCK), &[1]) > 0.9);
+    assert!(best(&tree, &world, leaf(WALL), &[0, 2]) > 0.9);
+}
+
+#[test]
+fn a_print_on_a_wall_is_a_part_of_it() {
+    let (world, views) = (wall_scene(), cameras(1.0));
+    let tree = tree(&world, &views, 0);
+    let leaf = |at| leaf(&tree, &world, &views[4], at);
+    assert!(best(&tree, &world, leaf(PRINT), &[2]) > 0.85);
+    assert!(best(&tree, &world, leaf(PRINT), &[0, 2]) > 0.9, "the wall with its print");
+}
+
+#[test]
+fn a_boundary_that_some_photos_lack_stays_and_one_that_few_have_goes() {
+    let (world, views) = (wall_scene(), cameras(1.0));
+    let most = tree(&world, &views, 2);
+    assert!(best(&most, &world, leaf(&most, &world, &views[4], PRINT), &[2]) > 0.85);
+    let apart = |tree: &SceneTree| {
+        let (a, b) =
+            (leaf(tree, &world, &views[4], PRINT), leaf(tree, &world, &views[4], Vec3::new(0.2, 0.2, 4.0)));
+        // By average linkage: its heights are distances.
+        tree.trees[3].merges.height[tree.trees[3].merges.meet(a, b) as usize]
+    };
+    let few = tree(&world, &views, 7);
+    assert!(apart(&few) < 0.3 * apart(&most), "{} {}", apart(&few), apart(&most));
+}
+
+#[test]
+fn clicks_choose_the_block_and_a_negative_click_keeps_its_part_out() {
+    let (world, views) = (wall_scene(), cameras(1.0));
+    let tree = tree(&world, &views, 0);
+    let leaf = |at| leaf(&tree, &world, &views[4], at);
+    let ask = |inside: &[u32], outside: &[u32]| tree.candidates(&TreeQuery { inside, outside });
+    let found = ask(&[leaf(BLOCK)], &[]);
+    assert!((1..=2).contains(&found.len()));
+    assert!(found.windows(2).all(|pair| pair[0].score >= pair[1].score));
+    assert!(
+        found.iter().any(|c| world.share(1, &tree.labels(c)) > 0.9 && world.share(0, &tree.labels(c)) < 0.1)
+    );
+    for candidate in ask(&[leaf(WALL)], &[leaf(PRINT), leaf(BLOCK)]) {
+        let labels = tree.labels(&candidate);
+        assert!(!hit_by(&tree, &labels, leaf(PRINT)) && !hit_by(&tree, &labels, leaf(BLOCK)));
+        assert!(hit_by(&tree, &labels, leaf(WALL)));
+    }
+    // No group holds two things without what lies between them.
+    let both = ask(&[leaf(BLOCK), leaf(PRINT)], &[leaf(WALL)]);
+    let labels = tree.labels(both.first().expect("a union"));
+    assert!(hit_by(&tree, &labels, leaf(BLOCK)) && hit_by(&tree, &labels, leaf(PRINT)));
+    assert!(!hit_by(&tree, &labels, leaf(WALL)));
+}
+
+fn hit_by(tree: &SceneTree, labels: &[bool], leaf: u32) -> bool {
+    tree.leaf.iter().zip(labels).any(|(l, label)| *l == leaf && *label)
+}
+
+#[test]
+fn units_and_threads_change_nothing() {
+    let world = wall_scene();
+    let small = tree(&world, &cameras(1.0), 0);
+    let on = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| tree(&world, &cameras(1.0), 0))
+    };
+    assert_eq!(on(1), on(3));
+    assert_eq!(on(1), small);
+    // A power of two, so that no number is rounded otherwise.
+    let mut large = world.clone();
+    large.splats.means.iter_mut().flatten().for_each(|x| *x *= 1024.0);
+    large.splats.log_scales.iter_mut().flatten().for_each(|x| *x += 1024f32.ln());
+    let scaled = tree(&large, &cameras(1024.0), 0);
+    let views = (cameras(1.0), cameras(1024.0));
+    let at = |tree: &SceneTree, world: &TestWorld, view: &PosedView, at: Vec3| leaf(tree, world, view, at);
+    let (a, b) = (at(&small, &world, &views.0[4], BLOCK), at(&scaled, &large, &views.1[4], BLOCK * 1024.0));
+    let (a, b) = (best(&small, &world, a, &[1]), best(&scaled, &large, b, &[1]));
+    assert!((a - b).abs() < 0.01, "{a} {b}");
+}
+
+#[test]
+fn no_view_and_no_splat_make_a_tree_without_groups() {
+    let world = wall_scene();
+    let none = TreeBuilder::new(&world.splats, options()).grow();
+    assert!(none.fits(world.len()) && none.leaf.iter().all(|&leaf| leaf == NONE));
+    let nothing = TestWorld::default();
+    let mut builder = TreeBuilder::new(&nothing.splats, options());
+    builder.add(&cameras(1.0)[0], &Image::zeros(160, 120, 1)).unwrap();
+    assert!(builder.grow().fits(0));
+}
+
+#[test]
+fn a_front_layer_names_the_nearest_opaque_splat_of_each_pixel() {
+    let (world, view) = (wall_scene(), &cameras(1.0)[4]);
+    let engine = engine();
+    let front = engine.front(&world.splats, &view.camera, &view.pose, &options()).unwrap();
+    let frame = engine.project(&world.splats, &view.camera, &view.pose, &options()).unwrap();
+    let sums = frame.gather(&Image::filled(front.width, front.height, 1, 1.0)).unwrap();
+    for (i, &pixel) in front.pixels.iter().enumerate() {
+        assert_eq!(pixel == NO_SPLAT, front.shares[i] == 0.0);
+        assert!(front.shares[i] <= sums[i] + 1e-6, "no pixel has more of a splat than all pixels");
+    }
+    // Each pixel by blending one splat at a time.
+    for pixel in [60 * 160 + 50, 60 * 160 + 100, 20 * 160 + 80] {
+        let mut image = Image::zeros(front.width, front.height, 1);
+        image.data[pixel] = 1.0;
+        let shares = frame.gather(&image).unwrap();
+        let most = (0..shares.len()).max_by(|&a, &b| shares[a].total_cmp(&shares[b])).unwrap();
+        assert_eq!(front.splats[pixel] as usize, most);
+        let sum: f32 = shares.iter().sum();
+        assert!((front.alpha.data[pixel] - sum).abs() < 1e-4);
+    }
+}
