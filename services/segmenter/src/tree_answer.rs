@@ -13,6 +13,9 @@ const TREE_EVIDENCE: f32 = 1.0;
 /// Share of a pixel that a group must make up to show in it.
 const SHOWN: f32 = 0.5;
 
+/// Share of all light from which a group is the scene rather than a thing in it.
+const SCENE: f32 = 0.5;
+
 /// Something that clicks may mean.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -45,8 +48,9 @@ fn only_clicks(prompts: &Prompts) -> bool {
     prompts.boxes.is_empty() && !prompts.points.is_empty() && prompts.granularity.is_none()
 }
 
-/// The tree's answer to clicks, with their photos. Where a photo has several positive clicks, its own mask comes first: it was
-/// drawn through all of them (on `liberty`, two clicks in one photo: IoU .94 to .96, by the tree .88). `request` needs no prompts.
+/// The tree's answer to clicks, with their photos. The photo's own mask comes first where a photo has several positive clicks,
+/// since it was drawn through all of them (on `liberty`, two clicks in one photo: IoU .94 to .96, by the tree .88), and where the
+/// tree answers with most of the scene. `request` needs no prompts.
 pub(crate) fn answer(
     request: &Request,
     tree: &SceneTree,
@@ -78,12 +82,11 @@ pub(crate) fn answer(
     };
     let outside: Vec<u32> = negative.iter().filter_map(|hit| tree.leaf_of(hit)).collect();
     let found = tree.candidates(&TreeQuery { inside: &inside, outside: &outside });
-    if found.is_empty() {
-        return Ok(TreeAnswer::default());
-    }
+    let Some(first) = found.first() else { return Ok(TreeAnswer::default()) };
     let mut meanings: Vec<Option<&GroupCandidate>> = found.iter().map(Some).collect();
     let several = |(_, prompts): &(usize, Prompts)| prompts.points.iter().filter(|p| p.inside).count() > 1;
-    meanings.insert(usize::from(!clicks.iter().any(several)), None);
+    let by_photo = clicks.iter().any(several) || first.area > SCENE;
+    meanings.insert(usize::from(!by_photo), None);
     let named = |meaning: &Option<&GroupCandidate>| match meaning {
         Some(candidate) => Alternative::Group(candidate.area),
         None => Alternative::Photo,

@@ -237,6 +237,46 @@ fn a_click_takes_the_regions_of_photos_from_the_cache_and_does_without_it() {
     assert!(select("occupied") == object);
 }
 
+#[test]
+fn a_click_starts_from_the_runs_scene_tree_and_names_what_else_it_may_mean() {
+    let dir = folder();
+    let run = copied_run(&dir);
+    let (_, click) = clearest();
+    let at = format!("{},{}", click.x, click.y);
+    let select = |more: &[&str]| {
+        let run = show(&run);
+        let args =
+            [&["segment", &run, "--photo", &click.photo, "--positive", &at, "--json"][..], more].concat();
+        json(works(&args).as_bytes())
+    };
+    assert_eq!(held_of(&run, "objects"), 1, "the run grew its tree");
+    let first = select(&[]);
+    let meanings = first["alternatives"].as_array().expect("a list").clone();
+    assert!((2..=3).contains(&meanings.len()), "{first}");
+    assert_eq!(meanings.iter().filter(|m| *m == "photo").count(), 1, "the photo's own mask is one of them");
+    let splats: Vec<u64> = (0..meanings.len())
+        .map(|i| {
+            let other = select(&["--alternative", &i.to_string()]);
+            assert_eq!(
+                other["alternatives"], first["alternatives"],
+                "they are the same whichever is selected"
+            );
+            other["splats"].as_u64().expect("a count")
+        })
+        .collect();
+    assert_eq!(splats[0], first["splats"].as_u64().expect("a count"));
+    let by_photo = select(&["--first-answer", "photo"]);
+    assert_eq!(by_photo["alternatives"], serde_json::json!([]));
+    let photo = meanings.iter().position(|m| m == "photo").expect("it is there");
+    assert_eq!(by_photo["splats"].as_u64(), Some(splats[photo]), "it is the answer without the tree");
+    // A tree that is damaged or gone is grown again, and the answer stays.
+    damage(&run, "objects");
+    assert_eq!(select(&[])["splats"], first["splats"]);
+    std::fs::remove_dir_all(run.join("cache/objects.d")).expect("it goes");
+    assert_eq!(select(&[])["splats"], first["splats"]);
+    assert_eq!(held_of(&run, "objects"), 1, "the click kept the tree");
+}
+
 /// Artefacts of a kind in a run's cache.
 fn held_of(run: &Path, kind: &str) -> u64 {
     let lines = lines(&works(&["cache", "ls", &show(run), "--json"]));
