@@ -9,7 +9,7 @@ use crate::{
 use segwild_flow::{Actor, ActorFailure, Context, Message, Sender};
 use segwild_raster::{Engine, ProjectOptions};
 use segwild_scene::{Image, Mask, Prompts, ScoredMask, Splats};
-use segwild_vision::PromptSegmenter;
+use segwild_vision::{PromptSegmenter, Prompted};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -88,18 +88,13 @@ impl SegmentActor {
             let _zone = context.busy_zone("neighbour graph");
             self.graph = Some(NeighbourGraph::new(&self.splats, task.settings.neighbours));
         }
-        let mut photos = Vec::new();
-        for (view, prompts) in &task.prompts {
-            let name = self.views.get(*view).map_or_else(String::new, |v| v.name.clone());
-            let provider = |reason: String| SegmentError::Provider { photo: name.clone(), reason };
-            let image = (self.photos)(*view).map_err(provider)?;
-            // Where all clicks are negative, they are turned into positive ones: the mask is that of the thing that is refused.
-            let refused = refuses(prompts);
-            let mut positive = prompts.clone();
-            positive.points.iter_mut().for_each(|p| p.inside |= refused);
-            let found = self.segmenter.prompted(&image, &positive).map_err(|e| provider(e.to_string()))?;
-            photos.push((image, found));
-        }
+        let provider = |view: usize, reason: String| SegmentError::Provider {
+            photo: self.views.get(view).map_or_else(String::new, |v| v.name.clone()),
+            reason,
+        };
+        let read =
+            |(view, _): &(usize, Prompts)| (self.photos)(*view).map_err(|reason| provider(*view, reason));
+        let photos: Vec<Image> = task.prompts.iter().map(read).collect::<Result<_, _>>()?;
         let held = self.engine.hold(&self.splats).map_err(SegmentError::raster("the scene"))?;
         let blank = Request {
             engine: held.as_deref().unwrap_or(&*self.engine),
@@ -115,24 +110,38 @@ impl SegmentActor {
             transients: Some(&*self.transients),
             settings: &task.settings,
         };
-        let by_tree = match &self.tree {
+        let TreeAnswer { group, alternatives } = match &self.tree {
             Some(tree) => tree_answer::answer(&blank, tree, &task.prompts, &photos, &*self.segmenter)?,
             None => TreeAnswer::default(),
         };
-        let TreeAnswer { group, alternatives } = by_tree;
-        let own = task.prompts.iter().zip(&photos);
+        let mask_of = |((view, prompts), image): (&(usize, Prompts), &Image)| {
+            // Where all clicks are negative, they are turned into positive ones: the mask is that of the thing that is refused.
+            let refused = refuses(prompts);
+            let mut positive = prompts.clone();
+            positive.points.iter_mut().for_each(|p| p.inside |= refused);
+            self.segmenter.prompted(image, &positive).map_err(|e| provider(*view, e.to_string()))
+        };
+        let own: Vec<Prompted> = match &group {
+            Some(_) => Vec::new(),
+            None => task.prompts.iter().zip(&photos).map(mask_of).collect::<Result<_, _>>()?,
+        };
         let prompted: Vec<PromptedView> = match &group {
             // What the clicks refuse is outside of the group already.
-            Some(group) => own
+            Some(group) => task
+                .prompts
+                .iter()
                 .zip(&group.masks)
-                .filter_map(|(((view, prompts), _), mask)| {
+                .filter_map(|((view, prompts), mask)| {
                     let mask = &mask.as_ref()?.mask;
                     let points = &prompts.points;
                     Some(PromptedView { view: *view, mask, open: None, refused: false, points })
                 })
                 .collect(),
-            None => own
-                .map(|((view, prompts), (_, found))| PromptedView {
+            None => task
+                .prompts
+                .iter()
+                .zip(&own)
+                .map(|((view, prompts), found)| PromptedView {
                     view: *view,
                     mask: &found.answer.mask,
                     open: Some(&found.open),
@@ -148,7 +157,7 @@ impl SegmentActor {
         let cut = cut(&request, &selection)?;
         let masks = match group {
             Some(group) => group.masks,
-            None => photos.into_iter().map(|(_, found)| Some(found.answer)).collect(),
+            None => own.into_iter().map(|found| Some(found.answer)).collect(),
         };
         let meant = task.prompts.iter().zip(masks).filter(|((_, prompts), _)| !refuses(prompts));
         let masks = meant.filter_map(|((view, _), mask)| Some((*view, mask?))).collect();

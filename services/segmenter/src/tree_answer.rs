@@ -5,7 +5,7 @@ use crate::select::hits;
 use crate::{Evidence, FirstAnswer, PosedView, PromptedView, Request, SegmentError};
 use segwild_raster::Channels;
 use segwild_scene::{Image, Mask, Prompts, ScoredMask};
-use segwild_vision::{PromptSegmenter, Prompted, VisionError};
+use segwild_vision::{PromptSegmenter, VisionError};
 
 /// What the tree says of each splat counts as much as so many photos that see it whole.
 const TREE_EVIDENCE: f32 = 1.0;
@@ -55,7 +55,7 @@ pub(crate) fn answer(
     request: &Request,
     tree: &SceneTree,
     clicks: &[(usize, Prompts)],
-    photos: &[(Image, Prompted)],
+    photos: &[Image],
     segmenter: &dyn PromptSegmenter,
 ) -> Result<TreeAnswer, SegmentError> {
     let settings = request.settings;
@@ -104,7 +104,7 @@ pub(crate) fn answer(
         prior.known[i] = TREE_EVIDENCE;
     }
     let mut masks = Vec::with_capacity(clicks.len());
-    for ((view, _), (photo, _)) in clicks.iter().zip(photos) {
+    for ((view, _), photo) in clicks.iter().zip(photos) {
         let posed = &request.views[*view];
         let share = share_of(request, posed, &labels)?;
         let wide = share.resized(photo.width, photo.height);
