@@ -8,9 +8,10 @@ use crate::synthetic::{
 };
 use segwild_flow::Stopper;
 use segwild_pipeline::{
-    HeldOut, PhotoPrompts, RunError, RunFolder, RunOptions, Selected, Settings, Until, run, segment,
+    HeldOut, PhotoPrompts, RunError, RunFolder, RunOptions, SegmentOutcome, Selected, Session,
+    SessionOptions, Settings, Until, run,
 };
-use segwild_scene::{BoxPrompt, Mask, PointPrompt, Prompts, SceneError, Splats};
+use segwild_scene::{BoxPrompt, Mask, PointPrompt, Prompts, SceneError};
 use segwild_vision::{Providers, VisionError};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -264,11 +265,12 @@ impl Trial {
     }
 
     /// The trained run, ready for prompts.
-    pub fn session<'a>(&'a self, settings: &'a Settings) -> Result<Session<'a>, TrialError> {
-        let providers = self.providers(settings)?;
-        let segwild_pipeline::Loaded { scene, model, .. } = self.folder.load()?;
-        let labels = self.scene.label(&scene.frame, &model.splats.means);
-        Ok(Session { trial: self, settings, providers, splats: model.splats, labels })
+    pub fn session<'a>(&'a self, settings: &'a Settings) -> Result<TrialSession<'a>, TrialError> {
+        let options =
+            SessionOptions { providers: Some(self.providers(settings)?), ..SessionOptions::default() };
+        let session = Session::open(&self.folder, options)?;
+        let labels = self.scene.label(&session.scene().frame, &session.model().splats.means);
+        Ok(TrialSession { trial: self, settings, session, labels })
     }
 
     /// Scores the masks that a selection left.
@@ -322,19 +324,23 @@ impl Trial {
 }
 
 /// A trained trial and what is true of its splats.
-pub struct Session<'a> {
+pub struct TrialSession<'a> {
     trial: &'a Trial,
     settings: &'a Settings,
-    providers: Providers,
-    splats: Splats,
+    session: Session,
     /// Nearest instance per splat.
     labels: Vec<u16>,
 }
 
-impl Session<'_> {
+impl TrialSession<'_> {
     /// Who makes the masks.
     pub fn provider(&self) -> &str {
-        &self.providers.name
+        self.session.provider()
+    }
+
+    fn select(&self, name: &str, prompts: PhotoPrompts) -> Result<SegmentOutcome, RunError> {
+        let pending = self.session.ask(&[prompts], &self.settings.segment, &Stopper::new())?;
+        self.session.save(name, &pending.wait(|_, _| ())?)
     }
 
     /// Selects what the prompts mean and scores it.
@@ -357,15 +363,15 @@ impl Session<'_> {
             notes: Vec::new(),
             select_s: None,
         };
-        let (settings, providers) = (&self.settings.segment, Some(&self.providers));
-        match segment(&trial.folder, name, &[prompts], settings, providers, &Stopper::new()) {
+        match self.select(name, prompts) {
             Ok(outcome) => {
                 score.select_s = Some(outcome.select_s);
                 score.cut = outcome.cut + outcome.dropped + outcome.joined;
                 score.notes = outcome.notes;
                 trial.masks(object.id, &mut score)?;
-                let selected = Selected::read(&trial.folder, name, self.splats.len())?.labels;
-                let opacity = |i: usize| f64::from(self.splats.opacity(i));
+                let splats = &self.session.model().splats;
+                let selected = Selected::read(&trial.folder, name, splats.len())?.labels;
+                let opacity = |i: usize| f64::from(splats.opacity(i));
                 score.label_iou = metrics::label_iou(&selected, &self.labels, object.id, opacity);
                 let leak = trial.scene.instance_named(OCCLUDED_WALL);
                 score.leak = leak.map_or(0.0, |wall| leakage(&selected, &self.labels, wall));

@@ -99,6 +99,7 @@ fn segment_code(error: &SegmentError) -> u8 {
         | SegmentError::EmptyMask { .. }
         | SegmentError::NoFeatures
         | SegmentError::NothingSelected { .. } => exit::NOTHING,
+        SegmentError::Cancelled => exit::INTERRUPTED,
         SegmentError::Provider { .. } => exit::INPUT,
         SegmentError::Shape(_) | SegmentError::Raster { .. } => exit::FAILED,
         SegmentError::NoPrompt

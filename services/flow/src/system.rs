@@ -271,6 +271,16 @@ impl System {
         self.shared.timeline.clone()
     }
 
+    /// How the actors fare now, and who did what when.
+    pub fn report(&self) -> Report {
+        Report {
+            actors: self.snapshot(),
+            phase: self.shared.control().phase(),
+            wall_s: self.shared.began.elapsed().as_secs_f64(),
+            timeline: self.shared.timeline.snapshot(),
+        }
+    }
+
     /// Waits until every actor has ended: by itself when nobody sends to it any more, or as the stopper asks.
     /// An actor that does not end in time is left behind and reported as late.
     pub fn join(mut self) -> Report {
@@ -285,17 +295,11 @@ impl System {
                 let _ = thread.join();
             }
         }
-        let actors = self.shared.cells().into_iter().map(|cell| {
-            let report = cell.report();
-            let exit = if report.exit == Exit::Running { Exit::Late } else { report.exit.clone() };
-            ActorReport { exit, ..report }
-        });
-        Report {
-            actors: actors.collect(),
-            phase: self.shared.control().phase(),
-            wall_s: self.shared.began.elapsed().as_secs_f64(),
-            timeline: self.shared.timeline.snapshot(),
+        let mut report = self.report();
+        for actor in report.actors.iter_mut().filter(|actor| actor.exit == Exit::Running) {
+            actor.exit = Exit::Late;
         }
+        report
     }
 
     /// Stops the sources, drains the rest in order, and waits; see [`System::join`].

@@ -319,6 +319,26 @@ impl RunFolder {
         )))
     }
 
+    /// Refuses a name that cannot be a selection's: it names a folder and files.
+    ///
+    /// # Errors
+    /// When the name cannot be used.
+    pub fn can_select(&self, name: &str) -> Result<(), RunError> {
+        let odd = |c: char| !(c.is_ascii_alphanumeric() || "-_.".contains(c));
+        let wrong = match files::name::usable(name) {
+            Err(why) => why,
+            Ok(()) if name.contains(odd) => "it has other signs",
+            Ok(()) => return Ok(()),
+        };
+        // The name may be of any length.
+        let start: String = name.chars().take(60).collect();
+        let more = if start.len() < name.len() { ".." } else { "" };
+        let start = files::name::one_line(&start);
+        Err(RunError::Request(format!(
+            "`{start}{more}` cannot name a selection, for {wrong}: use letters, digits, dashes and underscores"
+        )))
+    }
+
     /// Reads a trained run back; the feature field may be missing.
     pub fn load(&self) -> Result<Loaded, RunError> {
         let settings = self.settings()?;

@@ -1,8 +1,8 @@
 //! One scene's graph: connects the four actors, overlaps their work, and resumes interrupted runs.
 //!
 //! A run is kept in a [`RunFolder`]. [`run()`] fills it: sky and embeddings while geometry trains, masks from a
-//! snapshot while geometry trains on, then the feature field, held-out scores and the report. [`segment()`],
-//! [`render()`] and [`score()`] read the folder.
+//! snapshot while geometry trains on, then the feature field, held-out scores and the report. A [`Session`] keeps a run
+//! in memory for prompts; [`render()`] and [`score()`] read the folder.
 
 mod accelerator;
 mod artefacts;
@@ -33,7 +33,7 @@ mod recompute;
 mod region_cache;
 mod render;
 mod report;
-mod segment;
+mod session;
 mod settings;
 mod skies;
 mod traces;
@@ -58,8 +58,12 @@ pub use memory::MemoryNeed;
 pub use prompts::{PhotoPrompts, Replay};
 pub use render::{Mode, RenderContent, RenderRequest, RenderedFile, render};
 pub use report::write_report;
-pub use segment::{SegmentOutcome, Selected, Shortened, segment};
+
+pub use segwild_segmenter::AnswerStep;
 pub use segwild_trainer::{AppearanceChoice, BudgetChoice, Preset};
+pub use session::{
+    Answer, PendingAnswer, SegmentOutcome, Selected, Session, SessionOptions, Shortened, segment,
+};
 pub use settings::{RunBudget, RunSettings, Scoring, Settings, SettingsError, renamed};
 pub use transients::{TrainFit, TransientScore, TransientScores, score_transients};
 pub use until::Until;

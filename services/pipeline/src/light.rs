@@ -171,10 +171,14 @@ pub(crate) fn export<'a>(scene: &'a Scene, model: &Model) -> Export<'a> {
     Export { frame: &scene.frame, antialias: model.antialias, extra: &[] }
 }
 
+/// The appearance of the photo of this name, or the scene's own if it is empty.
+pub(crate) fn requested(appearance: &str) -> AppearanceRequest {
+    AppearanceRequest::of(if appearance.is_empty() { OWN } else { appearance })
+}
+
 /// The splats with colours for other programs: with the appearance of the photo of this name, or the scene's own if it
 /// is empty.
 pub(crate) fn shown(scene: &Scene, model: &Model, appearance: &str) -> Result<Splats, RunError> {
-    let name = if appearance.is_empty() { OWN } else { appearance };
-    let light = AppearanceRequest::of(name).lights(scene, model)?.at(0.0);
+    let light = requested(appearance).lights(scene, model)?.at(0.0);
     Ok(model.baked(&light.unwrap_or_else(|| model.light(None)).into()))
 }

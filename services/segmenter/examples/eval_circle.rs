@@ -96,6 +96,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             frozen: None,
             skies: None,
             transients: None,
+            steps: None,
             settings: &settings,
         };
         let refine = |view: usize, certainty: &Image| {

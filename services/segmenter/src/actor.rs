@@ -3,10 +3,10 @@
 use crate::scene_tree::SceneTree;
 use crate::tree_answer::{self, TreeAnswer};
 use crate::{
-    Alternative, MaskReader, NeighbourGraph, PosedView, PromptedView, Refiner, Request, SegmentError,
-    SegmentSettings, Selection, SpikeCut, SplatFeatures, cut, select,
+    Alternative, AnswerStep, AnswerSteps, MaskReader, NeighbourGraph, PosedView, PromptedView, Refiner,
+    Request, SegmentError, SegmentSettings, Selection, SpikeCut, SplatFeatures, cut, select,
 };
-use segwild_flow::{Actor, ActorFailure, Context, Message, Sender};
+use segwild_flow::{Actor, ActorFailure, Context, Message, Phase, Sender, Stopper};
 use segwild_raster::{Engine, ProjectOptions};
 use segwild_scene::{Image, Mask, Prompts, ScoredMask, Splats};
 use segwild_vision::{PromptSegmenter, Prompted};
@@ -22,7 +22,9 @@ pub struct SegmentTask {
     pub prompts: Vec<(usize, Prompts)>,
     /// The settings of this selection.
     pub settings: SegmentSettings,
-    /// Where the answer goes.
+    /// Ends the work on it, when nobody waits for the answer any more.
+    pub cancel: Stopper,
+    /// Where the answers go.
     pub reply: Sender<SegmentReply>,
 }
 
@@ -44,8 +46,13 @@ pub struct Segmented {
     pub alternatives: Vec<Alternative>,
 }
 
-/// The answer to a [`SegmentTask`].
-pub struct SegmentReply(pub Result<Box<Segmented>, SegmentError>);
+/// The answers to a [`SegmentTask`].
+pub enum SegmentReply {
+    /// An earlier answer: whether each splat belongs to the object. Left out where the mailbox is full.
+    Step(AnswerStep, Vec<bool>),
+    /// The last one.
+    Done(Result<Box<Segmented>, SegmentError>),
+}
 
 impl Message for SegmentReply {}
 
@@ -77,6 +84,23 @@ pub struct SegmentActor {
     pub graph: Option<NeighbourGraph>,
 }
 
+/// Publishes the steps of a task's answer.
+struct TaskSteps<'a> {
+    task: &'a SegmentTask,
+    context: &'a Context,
+}
+
+impl AnswerSteps for TaskSteps<'_> {
+    fn publish(&self, step: AnswerStep, labels: Vec<bool>) {
+        // The receiver is late: a later answer will do.
+        let _ = self.task.reply.try_send(SegmentReply::Step(step, labels));
+    }
+
+    fn cancelled(&self) -> bool {
+        self.task.cancel.phase() != Phase::Running || self.context.stopping()
+    }
+}
+
 /// Whether all prompts are negative clicks.
 fn refuses(prompts: &Prompts) -> bool {
     prompts.boxes.is_empty() && prompts.points.iter().all(|p| !p.inside)
@@ -96,6 +120,7 @@ impl SegmentActor {
             |(view, _): &(usize, Prompts)| (self.photos)(*view).map_err(|reason| provider(*view, reason));
         let photos: Vec<Image> = task.prompts.iter().map(read).collect::<Result<_, _>>()?;
         let held = self.engine.hold(&self.splats).map_err(SegmentError::raster("the scene"))?;
+        let steps = TaskSteps { task, context };
         let blank = Request {
             engine: held.as_deref().unwrap_or(&*self.engine),
             options: self.options,
@@ -108,6 +133,7 @@ impl SegmentActor {
             frozen: None,
             skies: Some(&*self.skies),
             transients: Some(&*self.transients),
+            steps: Some(&steps),
             settings: &task.settings,
         };
         let TreeAnswer { group, alternatives } = match &self.tree {
@@ -208,7 +234,7 @@ impl Actor for SegmentActor {
     fn handle(&mut self, task: SegmentTask, context: &Context) -> Result<(), ActorFailure> {
         let answer = self.segment(&task, context).map(Box::new);
         // Nobody may be waiting for the answer any more.
-        let _ = task.reply.blocking_send(SegmentReply(answer));
+        let _ = task.reply.blocking_send(SegmentReply::Done(answer));
         Ok(())
     }
 }

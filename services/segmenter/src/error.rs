@@ -26,6 +26,9 @@ pub enum SegmentError {
         /// Why.
         source: RasterError,
     },
+    /// Nobody waits for the selection any more.
+    #[error("cancelled")]
+    Cancelled,
     /// There is neither a mask nor a click.
     #[error("nothing is prompted: give a click or a box on some photo")]
     NoPrompt,

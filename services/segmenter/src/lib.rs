@@ -27,6 +27,7 @@ mod settings;
 mod sgc;
 mod smooth;
 mod spread;
+mod steps;
 mod svd;
 mod thin_structures;
 mod tree_answer;
@@ -49,4 +50,5 @@ pub use settings::{
 pub use sgc::{CutView, SpikeCut, SplatGeometry};
 pub use smooth::graph_cut;
 pub use spread::{Belief, spread};
+pub use steps::{AnswerStep, AnswerSteps};
 pub use tree_answer::Alternative;

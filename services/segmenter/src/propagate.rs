@@ -5,6 +5,7 @@ use crate::coverage::{clean, soft, unoccluded, visible};
 use crate::label_fusion::{FusionState, LEAST_HINT, LabelFusion, sure};
 use crate::select::{STEPS, project, view_evidence, working_camera};
 use crate::spread::Belief;
+use crate::steps::{AnswerStep, PUBLISHED_AFTER};
 use crate::{Evidence, Refiner, Request, SegmentError, SegmentSettings};
 use crate::{occlusion, thin_structures};
 use rayon::prelude::*;
@@ -113,6 +114,9 @@ const AT_ONCE: usize = 8;
 /// Photos that are prepared before their turn in the first round.
 const AHEAD: usize = 4;
 
+/// Publishes the answer of a state.
+type Publish<'a> = dyn Fn(AnswerStep, &FusionState) + Sync + 'a;
+
 /// Rounds over the other views. In the first, views come in the order of how much of what could be the object is
 /// already known in them, and each answer is used at once, while photos that are likely to be next are prepared. The later
 /// ones start from the prompts alone with the beliefs of the round before, so that the order no longer matters, and refine
@@ -122,9 +126,15 @@ pub(crate) fn propagate(
     fusion: &LabelFusion,
     prompted: Evidence,
     refiner: &dyn Refiner,
+    publish: &Publish,
 ) -> Result<(FusionState, Vec<PhotoVisit>), SegmentError> {
     let first = fusion.weigh(prompted.clone(), Vec::new(), STEPS);
-    let (mut state, mut visits) = rayon::scope(|scope| first_round(request, fusion, first, refiner, scope))?;
+    publish(AnswerStep::Prompted, &first);
+    let (mut state, mut visits) =
+        rayon::scope(|scope| first_round(request, fusion, first, refiner, publish, scope))?;
+    if request.settings.propagate > 1 && visits.len() > PUBLISHED_AFTER {
+        publish(AnswerStep::Photos(visits.len()), &state);
+    }
     let mut order: Vec<usize> = visits.iter().map(|v| v.view).collect();
     for _ in 1..request.settings.propagate {
         let mut sum = prompted.clone();
@@ -133,6 +143,7 @@ pub(crate) fn propagate(
         order.reverse();
         let priors = prior_channels(fusion, &state);
         for some in order.chunks(rayon::current_num_threads().min(AT_ONCE)) {
+            request.wanted()?;
             for (visit, evidence) in visit_photos(request, &priors, some, refiner)? {
                 if let Some(evidence) = evidence {
                     sum.add(&evidence, 1.0);
@@ -151,6 +162,7 @@ fn first_round<'s>(
     fusion: &LabelFusion,
     mut state: FusionState,
     refiner: &'s dyn Refiner,
+    publish: &Publish,
     scope: &Scope<'s>,
 ) -> Result<(FusionState, Vec<PhotoVisit>), SegmentError> {
     let mut open: Vec<(usize, SplatSet)> = Vec::new();
@@ -163,6 +175,7 @@ fn first_round<'s>(
     // Photos that are being prepared, or are prepared and were not visited yet; and whether they are.
     let mut ahead: Vec<(usize, Arc<AtomicBool>)> = Vec::new();
     while visits.len() < request.settings.propagate_views {
+        request.wanted()?;
         let order = most_known(fusion, &state, &open);
         let Some((&next, likely)) = order.split_first() else {
             // No open view shows a decided part of the object.
@@ -193,6 +206,9 @@ fn first_round<'s>(
             state = fusion.weigh(sum, beliefs, MORE_STEPS);
         }
         visits.push(visit);
+        if visits.len() == PUBLISHED_AFTER {
+            publish(AnswerStep::Photos(PUBLISHED_AFTER), &state);
+        }
     }
     Ok((state, visits))
 }

@@ -6,6 +6,7 @@ use crate::feature_clusters::cluster_features;
 use crate::label_fusion::{FusionState, LabelFusion, Similarities};
 use crate::occlusion;
 use crate::settings::{ComponentRule, CutBy, EvidenceMode, SegmentSettings, SimilarityUse};
+use crate::steps::{AnswerStep, AnswerSteps};
 use crate::{
     ClickHit, CutView, Evidence, MaskVote, NeighbourGraph, PhotoVisit, Refiner, SegmentError, SpikeCut,
     SplatFeatures, components, propagate, smooth,
@@ -97,6 +98,8 @@ pub struct Request<'a> {
     pub skies: Option<&'a MaskReader>,
     /// Reads the transient masks of the views, if there are any.
     pub transients: Option<&'a MaskReader>,
+    /// Follows the selection while it is made, if somebody does.
+    pub steps: Option<&'a dyn AnswerSteps>,
     /// The settings of this selection.
     pub settings: &'a SegmentSettings,
 }
@@ -105,6 +108,14 @@ impl Request<'_> {
     /// The transient mask of a view; `None` where there is none.
     pub(crate) fn transients_in(&self, view: usize) -> Option<Mask> {
         self.transients.and_then(|read| read(view))
+    }
+
+    /// An error once nobody waits for the selection any more.
+    pub(crate) fn wanted(&self) -> Result<(), SegmentError> {
+        match self.steps.is_some_and(AnswerSteps::cancelled) {
+            true => Err(SegmentError::Cancelled),
+            false => Ok(()),
+        }
     }
 }
 
@@ -167,8 +178,18 @@ pub fn select(request: &Request, refiner: Option<&dyn Refiner>) -> Result<Select
         frozen: request.frozen,
         settings,
     };
+    // An earlier answer that cannot be given is no reason to stop.
+    let publish = |step: AnswerStep, state: &FusionState| {
+        if let Some(steps) = request.steps
+            && let Ok(labelled) = labelled(request, &fusion, &prompted, state)
+        {
+            steps.publish(step, labelled.labels);
+        }
+    };
     let (state, visits) = match refiner {
-        Some(refiner) if rounds > 0 => propagate::propagate(request, &fusion, prompted.clone(), refiner)?,
+        Some(refiner) if rounds > 0 => {
+            propagate::propagate(request, &fusion, prompted.clone(), refiner, &publish)?
+        }
         _ => (fusion.weigh(prompted.clone(), Vec::new(), STEPS), Vec::new()),
     };
     let decide = |state, visits| decide(request, &fusion, &prompted, state, visits);
@@ -190,16 +211,21 @@ pub fn select(request: &Request, refiner: Option<&dyn Refiner>) -> Result<Select
     }
 }
 
-/// From beliefs to the selection.
-fn decide(
+/// Labels, and how many connected parts were taken away.
+struct Labelled {
+    labels: Vec<bool>,
+    parts_removed: usize,
+}
+
+/// From beliefs to labels.
+fn labelled(
     request: &Request,
     fusion: &LabelFusion,
     prompted: &Evidence,
-    state: FusionState,
-    visits: Vec<PhotoVisit>,
-) -> Result<Selection, SegmentError> {
+    state: &FusionState,
+) -> Result<Labelled, SegmentError> {
     let (settings, splats, graph) = (request.settings, request.splats, fusion.graph);
-    let mut labels = fusion.labels(&state);
+    let mut labels = fusion.labels(state);
     none_left(&labels, "none lies in the masks and resembles the clicks")?;
     if settings.graph_cut {
         let smoothness = settings.graph_cut_smoothness;
@@ -214,6 +240,18 @@ fn decide(
             components::keep_clicked(graph, splats, &mut labels, all, Some(&others), fusion.hits, share);
         none_left(&labels, "every connected part holds a negative click")?;
     }
+    Ok(Labelled { labels, parts_removed })
+}
+
+/// From beliefs to the selection.
+fn decide(
+    request: &Request,
+    fusion: &LabelFusion,
+    prompted: &Evidence,
+    state: FusionState,
+    visits: Vec<PhotoVisit>,
+) -> Result<Selection, SegmentError> {
+    let Labelled { labels, parts_removed } = labelled(request, fusion, prompted, &state)?;
     let sum = |of: &[f32], labelled: bool| -> f64 {
         of.iter().zip(&labels).filter(|(_, l)| **l || !labelled).map(|(x, _)| f64::from(*x)).sum()
     };

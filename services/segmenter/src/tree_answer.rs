@@ -2,7 +2,7 @@
 
 use crate::scene_tree::{GroupCandidate, NONE, SceneTree, TreeQuery};
 use crate::select::hits;
-use crate::{Evidence, FirstAnswer, PosedView, PromptedView, Request, SegmentError};
+use crate::{AnswerStep, Evidence, FirstAnswer, PosedView, PromptedView, Request, SegmentError};
 use segwild_raster::Channels;
 use segwild_scene::{Image, Mask, Prompts, ScoredMask};
 use segwild_vision::{PromptSegmenter, VisionError};
@@ -97,6 +97,10 @@ pub(crate) fn answer(
         return Ok(TreeAnswer { group: None, alternatives });
     };
     let labels = tree.labels(chosen);
+    request.wanted()?;
+    if let Some(steps) = request.steps {
+        steps.publish(AnswerStep::Tree, labels.clone());
+    }
     let mut prior = Evidence::none(labels.len());
     for (i, &label) in labels.iter().enumerate().filter(|(i, _)| tree.leaf[*i] != NONE) {
         let side = if label { &mut prior.inside } else { &mut prior.outside };

@@ -5,4 +5,5 @@ mod objects;
 mod pages;
 mod protocols;
 mod scenes;
+mod session;
 mod synthetic;

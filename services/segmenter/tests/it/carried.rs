@@ -5,8 +5,8 @@ use glam::Vec3;
 use segwild_raster::Engine;
 use segwild_scene::{Image, Mask, PointPrompt, Splats};
 use segwild_segmenter::{
-    MaskReader, PosedView, PromptedView, Refiner, Request, SegmentError, SegmentSettings, Selection,
-    SplatFeatures, cut, select, visible_mask,
+    AnswerStep, AnswerSteps, MaskReader, PosedView, PromptedView, Refiner, Request, SegmentError,
+    SegmentSettings, Selection, SplatFeatures, cut, select, visible_mask,
 };
 use std::collections::BTreeSet;
 use std::sync::Mutex;
@@ -182,6 +182,62 @@ fn however_many_threads_there_are_the_selection_is_the_same() {
         let (selection, prepared, refined) = select(threads);
         assert!(selection == alone, "{threads} threads");
         assert!(prepared.len() > 4 && prepared.is_subset(&refined), "{prepared:?} of {refined:?}");
+    }
+}
+
+/// Collects the steps of an answer, and waits for it no longer than until one of them.
+struct StepList {
+    seen: Mutex<Vec<(AnswerStep, Vec<bool>)>>,
+    until: Option<AnswerStep>,
+}
+
+impl AnswerSteps for StepList {
+    fn publish(&self, step: AnswerStep, labels: Vec<bool>) {
+        self.seen.lock().unwrap().push((step, labels));
+    }
+
+    fn cancelled(&self) -> bool {
+        let seen = self.seen.lock().unwrap();
+        self.until.is_some() && seen.last().map(|(step, _)| *step) == self.until
+    }
+}
+
+#[test]
+fn an_answer_grows_in_steps_and_a_cancelled_one_asks_no_further_photo() {
+    let square = SquareScene::new();
+    let prompts =
+        [PromptedView { view: 0, mask: &square.truth[0][0], open: None, points: &[], refused: false }];
+    let settings = SegmentSettings::default();
+    let select_until = |until| {
+        let steps = StepList { seen: Mutex::default(), until };
+        let refiner =
+            RecordingRefiner { square: &square, prepared: Mutex::default(), refined: Mutex::default() };
+        let selected = square
+            .with(&prompts, &settings, |r| select(&Request { steps: Some(&steps), ..*r }, Some(&refiner)));
+        (selected, steps.seen.into_inner().unwrap(), refiner.refined.into_inner().unwrap().len())
+    };
+    let others = square.views.len() - 1;
+    let (selection, seen, refined) = select_until(None);
+    let selection = selection.unwrap();
+    let names: Vec<AnswerStep> = seen.iter().map(|(step, _)| *step).collect();
+    assert_eq!(names, [AnswerStep::Prompted, AnswerStep::Photos(8), AnswerStep::Photos(others)]);
+    assert_eq!(refined, others);
+    let ious: Vec<f64> =
+        seen.iter().map(|(_, labels)| square.mean_iou(&square.world.splats, labels, 0)).collect();
+    println!("IoU of the steps: {ious:.3?}");
+    assert!(ious[2] > ious[0] && ious[2] > 0.95, "{ious:?}");
+    let unwatched = square.with(&prompts, &settings, |request| {
+        let refine =
+            |view: usize, certainty: &Image| Some((likelier(&square.truth[view], certainty, 0.5), 0.9_f32));
+        select(request, Some(&refine)).unwrap()
+    });
+    assert!(selection == unwatched, "being watched changes nothing");
+    for (until, most) in
+        [(AnswerStep::Prompted, 0), (AnswerStep::Photos(8), 8), (AnswerStep::Photos(others), others)]
+    {
+        let (selection, seen, refined) = select_until(Some(until));
+        assert!(matches!(selection, Err(SegmentError::Cancelled)), "{until:?}");
+        assert_eq!((seen.last().unwrap().0, refined), (until, most));
     }
 }
 

@@ -149,6 +149,7 @@ pub fn request<'a>(
         frozen: None,
         skies: None,
         transients: None,
+        steps: None,
         settings,
     }
 }

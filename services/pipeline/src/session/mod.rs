@@ -1,0 +1,353 @@
+//! A run's scene, kept in memory for prompts.
+//!
+//! A [`Session`] holds what clicks need: the scene, its tree, the engine, the providers and the segmenter's actor. Prompts are
+//! [asked](Session::ask) and answered in steps: by the scene tree, by the prompted photos, by more and more photos. A
+//! later question may cancel an earlier one. An answer is [saved](Session::save) as a selection of the run.
+//!
+//! ```no_run
+//! # fn main() -> Result<(), segwild_pipeline::RunError> {
+//! # let prompts: Vec<segwild_pipeline::PhotoPrompts> = Vec::new();
+//! use segwild_flow::Stopper;
+//! use segwild_pipeline::{RunFolder, Session, SessionOptions};
+//! let folder = RunFolder::open("runs/trevi".as_ref())?;
+//! let session = Session::open(&folder, SessionOptions::default())?;
+//! let pending = session.ask(&prompts, &folder.settings()?.segment, &Stopper::new())?;
+//! let answer = pending.wait(|step, labels| println!("{step:?}: {} splats", labels.len()))?;
+//! println!("{}", session.save("statue", &answer)?.folder.display());
+//! # Ok(())
+//! # }
+//! ```
+
+mod save;
+mod selected;
+
+pub use save::SegmentOutcome;
+pub use selected::{Selected, Shortened};
+
+use crate::accelerator::leased;
+use crate::code::{self, Code};
+use crate::folder::Loaded;
+use crate::images::ImageFiles;
+use crate::light::{self, find};
+use crate::objects::TreeSource;
+use crate::prompts::check_all;
+use crate::{PhotoPrompts, RunError, RunFolder, Settings, choose_engine, log_loss, skies, transients};
+use segwild_flow::{
+    ActorOptions, Ledger, Limits, Observer, Phase, Receiver, Sender, Stopper, System, SystemOptions, mailbox,
+};
+use segwild_raster::Engine;
+use segwild_scene::{Image, Prompts, Scene};
+use segwild_segmenter::scene_tree::SceneTree;
+use segwild_segmenter::{
+    AnswerStep, FirstAnswer, PosedView, SegmentActor, SegmentError, SegmentReply, SegmentSettings,
+    SegmentTask, Segmented, SplatFeatures,
+};
+use segwild_trainer::Model;
+use segwild_vision::Providers;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// How a session is opened.
+pub struct SessionOptions {
+    /// Turns prompts into masks; `None`: the providers of [`crate::providers_for`], with the networks that the environment names.
+    pub providers: Option<Providers>,
+    /// Whether clicks are answered from the scene tree. It is read from the run's cache, or grown.
+    pub tree: bool,
+    /// Ends the growing of the tree.
+    pub stopper: Stopper,
+}
+
+impl Default for SessionOptions {
+    fn default() -> Self {
+        SessionOptions { providers: None, tree: true, stopper: Stopper::new() }
+    }
+}
+
+/// A run's scene, kept in memory for prompts.
+pub struct Session {
+    folder: RunFolder,
+    /// The settings that the run was made with.
+    made_with: Settings,
+    scene: Arc<Scene>,
+    model: Model,
+    engine: Arc<dyn Engine>,
+    providers: Providers,
+    tree: Option<Arc<SceneTree>>,
+    /// Names of the image files of each photo.
+    files: ImageFiles,
+    tasks: Sender<SegmentTask>,
+    system: System,
+}
+
+impl Session {
+    /// Loads a run.
+    ///
+    /// # Errors
+    /// When the run cannot be read, or `options.stopper` stops it.
+    pub fn open(folder: &RunFolder, options: SessionOptions) -> Result<Session, RunError> {
+        let Loaded { settings: made_with, scene, model, field } = folder.load()?;
+        let SessionOptions { providers, tree, stopper } = options;
+        let providers = match providers {
+            Some(providers) => providers,
+            None => code::providers_for(folder, &Code::given(&[]))?,
+        };
+        let providers = leased(&providers);
+        let size = made_with.scene.size;
+        let engine = choose_engine(&made_with.run, log_loss)?.engine;
+        let features = match field {
+            Some(field) => {
+                let mut features = SplatFeatures::new(field.channels, field.values)?;
+                features.bring(&*engine)?;
+                Some(Arc::new(features))
+            }
+            None => None,
+        };
+        let tree = match trained_by(folder).filter(|_| tree) {
+            Some(geometry) => {
+                let segmenter = &*providers.segmenter;
+                let source =
+                    TreeSource { scene: &scene, model: &model, geometry: &geometry, size, segmenter };
+                source.tree(&folder.cache()?, &|| stopper.phase() != Phase::Running)?.map(Arc::new)
+            }
+            None => None,
+        };
+        let scene = Arc::new(scene);
+        let photos = {
+            let scene = scene.clone();
+            Arc::new(move |view: usize| -> Result<Image, String> {
+                Ok(scene.views[view].load(size).map_err(|e| e.to_string())?.image)
+            })
+        };
+        let system = System::new(SystemOptions {
+            threads: made_with.run.threads as usize,
+            ..SystemOptions::default()
+        })?;
+        let (tasks, inbox) = mailbox::<SegmentTask>("segmenter", Limits::default());
+        let views = scene.views.iter().map(|v| PosedView { camera: v.camera.scaled_to(size), ..v.into() });
+        let views: Arc<Vec<PosedView>> = Arc::new(views.collect());
+        let barred: Arc<Vec<bool>> = Arc::new(scene.views.iter().map(|v| v.test).collect());
+        let skies = Arc::new(skies::of_run(folder, &scene, size, providers.sky.clone())?);
+        let transients = Arc::new(transients::of_run(folder, &scene));
+        let splats = Arc::new(model.splats.clone());
+        let (options, segmenter) = (model.options(), providers.segmenter.clone());
+        let (engine_of_actor, tree_of_actor) = (engine.clone(), tree.clone());
+        system.spawn(inbox, ActorOptions { attempts: 1, ..ActorOptions::default() }, move || {
+            Ok(SegmentActor {
+                engine: engine_of_actor.clone(),
+                options,
+                splats: splats.clone(),
+                views: views.clone(),
+                barred: barred.clone(),
+                features: features.clone(),
+                photos: photos.clone(),
+                skies: skies.clone(),
+                transients: transients.clone(),
+                segmenter: segmenter.clone(),
+                tree: tree_of_actor.clone(),
+                graph: None,
+            })
+        })?;
+        let files = ImageFiles::of(scene.views.iter().map(|v| v.name.as_str()));
+        let folder = folder.clone();
+        Ok(Session { folder, made_with, scene, model, engine, providers, tree, files, tasks, system })
+    }
+
+    /// The provider of the masks: `built-in`, or `sam:` and a model's name.
+    pub fn provider(&self) -> &str {
+        &self.providers.name
+    }
+
+    /// The run's photos and cameras.
+    pub fn scene(&self) -> &Arc<Scene> {
+        &self.scene
+    }
+
+    /// The trained scene.
+    pub fn model(&self) -> &Model {
+        &self.model
+    }
+
+    /// The scene tree; `None` where the provider of the masks finds objects by itself, and where none was asked for.
+    pub fn tree(&self) -> Option<&Arc<SceneTree>> {
+        self.tree.as_ref()
+    }
+
+    /// Asks for the object of the prompts. Questions are answered one after the other; `cancel` ends this one.
+    ///
+    /// # Errors
+    /// When the prompts cannot be used, or the session has ended.
+    pub fn ask(
+        &self,
+        prompts: &[PhotoPrompts],
+        settings: &SegmentSettings,
+        cancel: &Stopper,
+    ) -> Result<PendingAnswer, RunError> {
+        check_all(prompts)?;
+        let queries = prompts.iter().map(|p| self.query(p)).collect::<Result<Vec<_>, _>>()?;
+        if queries.is_empty() {
+            return Err(SegmentError::NoPrompt.into());
+        }
+        // An unknown photo is reported at once.
+        light::requested(&settings.object_appearance).lights(&self.scene, &self.model)?;
+        let (reply, answers) = mailbox::<SegmentReply>("answers", Limits::default());
+        let task =
+            SegmentTask { prompts: queries, settings: settings.clone(), cancel: cancel.clone(), reply };
+        self.tasks.blocking_send_urgent(task).map_err(|e| failed(e.to_string()))?;
+        Ok(PendingAnswer {
+            prompts: prompts.to_vec(),
+            settings: settings.clone(),
+            scene: self.scene.clone(),
+            size: self.made_with.scene.size,
+            began: Instant::now(),
+            observer: self.system.observer(),
+            stoppers: [cancel.clone(), self.system.stopper()],
+            answers,
+        })
+    }
+
+    /// The view of a photo's prompts, and the prompts in pixels of the view at working size.
+    fn query(&self, p: &PhotoPrompts) -> Result<(usize, Prompts), RunError> {
+        let index = find(&self.scene, &p.photo)?;
+        let view = &self.scene.views[index];
+        let (full, small) = (&view.camera, view.camera.scaled_to(self.made_with.scene.size));
+        for point in &p.prompts.points {
+            if !full.contains(glam::Vec2::new(point.x, point.y)) {
+                let (photo, x, y) = (p.photo.clone(), point.x, point.y);
+                let (width, height) = (full.width, full.height);
+                return Err(SegmentError::OutsideFrame { photo, x, y, width, height }.into());
+            }
+        }
+        let inner = view.prompts_from_taken(&p.prompts).map_err(|[x, y]| {
+            RunError::Request(format!(
+                "photo {}: ({x}, {y}) lies where the lens bends the photo out of the undistorted one that is worked with; click \
+                 nearer to the middle",
+                p.photo
+            ))
+        })?;
+        let (sx, sy) = (small.width as f32 / full.width as f32, small.height as f32 / full.height as f32);
+        Ok((index, inner.scaled(sx, sy)))
+    }
+}
+
+/// Opens a session for one question, and saves its last answer as the selection `name`. Without `providers` it uses those of
+/// [`crate::providers_for`], with the networks that the environment names.
+///
+/// # Errors
+/// When the name or the prompts cannot be used, nothing is selected, a file cannot be written, or `stopper` stops it.
+pub fn segment(
+    folder: &RunFolder,
+    name: &str,
+    prompts: &[PhotoPrompts],
+    settings: &SegmentSettings,
+    providers: Option<&Providers>,
+    stopper: &Stopper,
+) -> Result<SegmentOutcome, RunError> {
+    folder.can_select(name)?;
+    check_all(prompts)?;
+    let (providers, tree) = (providers.cloned(), settings.first_answer == FirstAnswer::Tree);
+    let session = Session::open(folder, SessionOptions { providers, tree, stopper: stopper.clone() })?;
+    let answer = session.ask(prompts, settings, stopper)?.wait(|_, _| ())?;
+    session.save(name, &answer)
+}
+
+/// An answer that is being made.
+pub struct PendingAnswer {
+    prompts: Vec<PhotoPrompts>,
+    settings: SegmentSettings,
+    scene: Arc<Scene>,
+    size: u32,
+    began: Instant,
+    observer: Observer,
+    stoppers: [Stopper; 2],
+    answers: Receiver<SegmentReply>,
+}
+
+/// The last answer to prompts.
+pub struct Answer {
+    /// The prompts.
+    pub prompts: Vec<PhotoPrompts>,
+    /// The settings of the selection.
+    pub settings: SegmentSettings,
+    /// What they select.
+    pub segmented: Box<Segmented>,
+    /// Seconds from the question to the answer.
+    pub select_s: f64,
+}
+
+/// How long the supervisor may take to note why an actor gave no answer.
+const NOTED: Duration = Duration::from_secs(1);
+
+impl PendingAnswer {
+    /// Waits for the last answer. `step` receives the earlier ones: whether each splat of the scene belongs to the object.
+    ///
+    /// # Errors
+    /// When nothing is selected, the segmenter fails, or the question or the session was cancelled ([`RunError::Interrupted`]).
+    pub fn wait(self, mut step: impl FnMut(AnswerStep, &[bool])) -> Result<Answer, RunError> {
+        loop {
+            match self.answers.blocking_recv() {
+                Some(SegmentReply::Step(at, labels)) => step(at, &labels),
+                Some(SegmentReply::Done(Ok(segmented))) => {
+                    let select_s = self.began.elapsed().as_secs_f64();
+                    let PendingAnswer { prompts, settings, .. } = self;
+                    return Ok(Answer { prompts, settings, segmented, select_s });
+                }
+                Some(SegmentReply::Done(Err(error))) => {
+                    return Err(in_photo_pixels(error, &self.scene, self.size));
+                }
+                None => return Err(self.no_answer()),
+            }
+        }
+    }
+
+    /// Why there is no answer.
+    fn no_answer(&self) -> RunError {
+        if self.stoppers.iter().any(|stopper| stopper.phase() != Phase::Running) {
+            return RunError::Interrupted;
+        }
+        let began = Instant::now();
+        let mut why = Vec::new();
+        while why.is_empty() && began.elapsed() < NOTED {
+            for actor in self.observer.snapshot() {
+                why.extend(actor.quarantined.last().map(|given_up| given_up.error.clone()));
+            }
+            std::thread::sleep(NOTED / 100);
+        }
+        failed(if why.is_empty() { "the segmenter gave no answer".into() } else { why.join("; ") })
+    }
+}
+
+fn failed(reason: String) -> RunError {
+    RunError::Stage { stage: "segment", reason }
+}
+
+/// The key of the training that the run's scene is of; `None` where no ledger names it: clicks do without a tree then.
+fn trained_by(folder: &RunFolder) -> Option<String> {
+    let stages = Ledger::open_read_only(folder.ledger()).and_then(|ledger| ledger.stages()).ok()?;
+    stages.into_iter().find(|stage| stage.name == "geometry").map(|stage| stage.key)
+}
+
+/// The error with its position in the prompts' coordinates: pixels of the photo as taken, at full size.
+fn in_photo_pixels(error: SegmentError, scene: &Scene, size: u32) -> RunError {
+    let full = |photo: &str, x: f32, y: f32| {
+        let Some(view) = scene.views.iter().find(|v| v.name == photo) else { return (x, y) };
+        let (camera, small) = (view.camera, view.camera.scaled_to(size));
+        let round = |v: f32| (v * 10.0).round() / 10.0;
+        let inner =
+            [x * camera.width as f32 / small.width as f32, y * camera.height as f32 / small.height as f32];
+        let [x, y] = view.to_taken(inner).unwrap_or(inner);
+        (round(x), round(y))
+    };
+    let error = match error {
+        SegmentError::Cancelled => return RunError::Interrupted,
+        SegmentError::EmptySpace { photo, x, y, alpha } => {
+            let (x, y) = full(&photo, x, y);
+            SegmentError::EmptySpace { photo, x, y, alpha: alpha.abs() }
+        }
+        SegmentError::Background { photo, x, y } => {
+            let (x, y) = full(&photo, x, y);
+            SegmentError::Background { photo, x, y }
+        }
+        other => other,
+    };
+    error.into()
+}

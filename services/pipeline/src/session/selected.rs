@@ -1,0 +1,90 @@
+//! The record of a selection.
+
+use crate::intact::Intact;
+use crate::{RunError, RunFolder};
+use segwild_scene::Splats;
+use segwild_segmenter::{SpikeCut, SplatGeometry};
+use wincode::{SchemaRead, SchemaWrite};
+
+/// Kind of the record in `selection.bin`.
+pub(super) const SELECTION: &str = "selection";
+
+/// `selection.bin`: a selection that can be rendered again.
+#[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
+pub struct Selected {
+    /// Per splat of the scene, whether it belongs to the object, after the cut.
+    pub labels: Vec<bool>,
+    /// Splats that the cut changes, and what they become.
+    pub changed: Vec<Shortened>,
+}
+
+/// A splat after the spike cut.
+#[derive(Clone, Copy, Debug, PartialEq, SchemaRead, SchemaWrite)]
+pub struct Shortened {
+    /// Which splat of the scene.
+    pub splat: u32,
+    /// Its centre.
+    pub mean: [f32; 3],
+    /// Logarithms of its standard deviations.
+    pub log_scales: [f32; 3],
+    /// Its rotation (w, x, y, z).
+    pub rotation: [f32; 4],
+}
+
+impl Selected {
+    pub(super) fn new(labels: &[bool], cut: &SpikeCut) -> Selected {
+        let mut labels = labels.to_vec();
+        cut.trim(&mut labels);
+        let after = |&(splat, _, SplatGeometry { mean, log_scales, rotation }): &(
+            u32,
+            SplatGeometry,
+            SplatGeometry,
+        )| { Shortened { splat, mean, log_scales, rotation } };
+        Selected { labels, changed: cut.changed.iter().map(after).collect() }
+    }
+
+    /// Refuses a record that no cut can have written: it may come from another program.
+    fn check(&self) -> Result<(), String> {
+        let n = self.labels.len();
+        let sound = |s: &Shortened| {
+            let numbers = || s.mean.iter().chain(&s.log_scales).chain(&s.rotation);
+            (s.splat as usize) < n && numbers().all(|x| x.is_finite())
+        };
+        match self.changed.iter().find(|s| !sound(s)) {
+            _ if self.changed.len() > n => {
+                Err(format!("it is damaged: {} splats of {n} are shortened", self.changed.len()))
+            }
+            Some(s) => Err(format!("it is damaged: the shape of splat {} of {n} is none", s.splat)),
+            None => Ok(()),
+        }
+    }
+
+    /// The scene with the cut applied.
+    pub fn cut_scene(&self, splats: &Splats) -> Splats {
+        let mut splats = splats.clone();
+        for s in &self.changed {
+            let i = s.splat as usize;
+            (splats.means[i], splats.log_scales[i], splats.rotations[i]) = (s.mean, s.log_scales, s.rotation);
+        }
+        splats
+    }
+
+    /// Reads a run's selection by name. `splats` is the number of splats of the trained scene.
+    ///
+    /// # Errors
+    /// When there is no such selection, it is damaged, or the scene has been trained again since.
+    pub fn read(folder: &RunFolder, name: &str, splats: usize) -> Result<Selected, RunError> {
+        folder.has_selection(name)?;
+        let path = folder.selection(name);
+        Intact::of(folder, name)?.check(&path.join("selection.bin"))?;
+        let selected: Selected =
+            folder.read_record(&format!("selections/{name}/selection.bin"), SELECTION)?;
+        if selected.labels.len() != splats {
+            let reason =
+                "the scene has been trained again since; segment again (`--prompts` replays the clicks)";
+            return Err(RunError::Folder { path, reason: reason.into() });
+        }
+        selected.check().map_err(|reason| RunError::Folder { path: path.join("selection.bin"), reason })?;
+        Ok(selected)
+    }
+}
