@@ -308,7 +308,7 @@ fn folder(
         let made = segment(
             &run,
             &name,
-            std::slice::from_ref(prompts),
+            &std::slice::from_ref(prompts).into(),
             &settings.segment,
             Some(&providers),
             &Stopper::new(),

@@ -339,7 +339,7 @@ impl TrialSession<'_> {
     }
 
     fn select(&self, name: &str, prompts: PhotoPrompts) -> Result<SegmentOutcome, RunError> {
-        let pending = self.session.ask(&[prompts], &self.settings.segment, &Stopper::new())?;
+        let pending = self.session.ask(&[prompts][..].into(), &self.settings.segment, &Stopper::new())?;
         self.session.save(name, &pending.wait(|_, _| ())?)
     }
 

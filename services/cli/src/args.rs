@@ -1,7 +1,7 @@
 //! The command line: the program, what its commands share, and flags made from the settings structs.
 
 use crate::commands::{
-    bake, batch, bench, cache, completions, demo, doctor, eval, render, run, segment, status, top,
+    bake, batch, bench, cache, completions, demo, doctor, eval, objects, render, run, segment, status, top,
 };
 use clap::builder::PossibleValuesParser;
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
@@ -24,6 +24,7 @@ pub fn program() -> Command {
         .subcommands([
             run::command(),
             segment::command(),
+            objects::command(),
             render::command(),
             bake::command(),
             eval::command(),

@@ -55,6 +55,7 @@ fn main() -> ExitCode {
     let done = match matches.subcommand() {
         Some(("run", m)) => commands::run::run(m),
         Some(("segment", m)) => commands::segment::segment(m),
+        Some(("objects", m)) => commands::objects::objects(m),
         Some(("render", m)) => commands::render::render(m),
         Some(("bake", m)) => commands::bake::bake(m),
         Some(("eval", m)) => commands::eval::eval(m),

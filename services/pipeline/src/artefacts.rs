@@ -6,6 +6,7 @@
 use crate::continued::TrainingOrigin;
 use crate::evaluate::protocol_of;
 use crate::memory;
+use crate::objects::tree_key;
 use crate::transients::Corrections;
 use crate::{RunError, Settings, Until};
 use rayon::prelude::*;
@@ -56,7 +57,12 @@ pub struct Keys {
     pub history: Key,
     /// The scores of the held-out photos.
     pub evaluation: Key,
+    /// Key of the provider whose boundaries the scene tree is grown from.
+    segmenter: String,
 }
+
+/// Raised when the list of the same objects changes.
+const LIST_FORMAT: u32 = 1;
 
 /// Settings that a group's artefacts do not depend on. Some change only the speed or the memory; others have an effect
 /// only together with another setting.
@@ -316,6 +322,7 @@ impl Keys {
                 .key("geometry", &geometry)
                 .part("protocol", format!("{:?}", protocol_of(settings)))
                 .finish(),
+            segmenter: providers.segmenter.key(),
         }
     }
 
@@ -391,6 +398,10 @@ impl Keys {
             "geometry" => self.geometry,
             "features" => self.features,
             "evaluate" => self.evaluation,
+            "objects" => {
+                let tree = tree_key(&self.geometry.to_string(), &self.segmenter);
+                Key::of("objects stage").key("tree", &tree).value("format", LIST_FORMAT).finish()
+            }
             _ => Key::of("report").key("features", &self.features).finish(),
         }
     }

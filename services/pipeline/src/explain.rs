@@ -192,7 +192,7 @@ fn verdict(
     }
     let there = match stage {
         "features" => cache.contains(&keys.features),
-        "evaluate" => match ledger {
+        "evaluate" | "objects" => match ledger {
             Some(ledger) => ledger.stage_is_done(stage, &keys.stage(stage))?,
             None => false,
         },

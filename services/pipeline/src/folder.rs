@@ -13,6 +13,7 @@
 //! RUN/networks.json     the network files it was made with, and their hashes
 //! RUN/evaluation.json   held-out scores
 //! RUN/transients/PHOTO.png  the transient mask of a photo; the next run uses it as a person has changed it
+//! RUN/objects/          the list of the scene's objects, with thumbnails
 //! RUN/selections/NAME/  what `segment` made
 //! RUN/report.html       all of the above on one page
 //! ```
@@ -39,8 +40,16 @@ pub(crate) const FEATURES: &str = "features";
 const LONGEST_ECHO: usize = 120;
 
 /// Folders and files that are written into, beside the ledger (`run.sqlite`, its log and its lock).
-const WRITTEN_INTO: [&str; 7] =
-    ["cache", "checkpoints", "history.jsonl", "renders", "selections", "transients", crate::traces::EARLIER];
+const WRITTEN_INTO: [&str; 8] = [
+    "cache",
+    "checkpoints",
+    "history.jsonl",
+    "objects",
+    "renders",
+    "selections",
+    "transients",
+    crate::traces::EARLIER,
+];
 
 /// Files that are read and lie in no folder that is written into.
 const READ: [&str; 8] = [
@@ -319,11 +328,11 @@ impl RunFolder {
         )))
     }
 
-    /// Refuses a name that cannot be a selection's: it names a folder and files.
+    /// Refuses a name that cannot be a selection's or an object's: it names a folder and files.
     ///
     /// # Errors
     /// When the name cannot be used.
-    pub fn can_select(&self, name: &str) -> Result<(), RunError> {
+    pub fn can_name(name: &str) -> Result<(), RunError> {
         let odd = |c: char| !(c.is_ascii_alphanumeric() || "-_.".contains(c));
         let wrong = match files::name::usable(name) {
             Err(why) => why,

@@ -31,7 +31,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 /// The stages, in the order in which they end.
-pub const STAGES: [&str; 7] = ["sky", "embed", "masks", "geometry", "features", "evaluate", "report"];
+pub const STAGES: [&str; 8] =
+    ["sky", "embed", "masks", "geometry", "features", "evaluate", "objects", "report"];
 
 /// Name under which the ledger keeps the step that a run is to stop at.
 pub(crate) const UNTIL_STEP: &str = "until step";
@@ -47,9 +48,15 @@ pub fn needs(stage: &str) -> &'static [&'static str] {
         "masks" => &["geometry"],
         "features" => &["sky", "embed", "masks", "geometry"],
         "evaluate" => &["features"],
-        "report" => &["evaluate"],
+        "objects" => &["geometry"],
+        "report" => &["evaluate", "objects"],
         _ => &[],
     }
+}
+
+/// The position of a stage in [`STAGES`].
+pub(crate) fn position_of(stage: &str) -> usize {
+    STAGES.iter().position(|s| *s == stage).unwrap_or(STAGES.len())
 }
 
 /// The stages that an actor works on, in the order in which it comes to them.
@@ -61,7 +68,7 @@ pub fn stages_of(actor: &str) -> &'static [&'static str] {
         "ingest" => &["sky"],
         "photos" => &["embed"],
         "intrinsic renders" => &["masks"],
-        "visibility" => &["features"],
+        "visibility" => &["features", "objects"],
         _ => &[],
     }
 }
@@ -274,9 +281,9 @@ pub fn run(
         }
     }
     let last = match options.until {
-        Some(Until::Stage(stage)) => STAGES.iter().position(|s| *s == stage).unwrap_or(STAGES.len()),
+        Some(Until::Stage(stage)) => position_of(stage),
         // A training that is not over has nothing to give to the stages after it.
-        Some(Until::Step(step)) if step < settings.train.steps => 3,
+        Some(Until::Step(step)) if step < settings.train.steps => position_of("geometry"),
         _ => STAGES.len(),
     };
     let names = Arc::new(Mutex::new(keys.clone()));
@@ -360,7 +367,7 @@ pub fn run(
     let model = state.model.clone();
     let mut scores = None;
     if let Some(model) = &model
-        && last >= 5
+        && coordinator.wants("evaluate")
     {
         let key = coordinator.keys.stage("evaluate");
         let known = folder.read_json::<HeldOut>("evaluation.json").ok();
@@ -407,6 +414,11 @@ pub fn run(
             ledger.finish_stage("evaluate", &coordinator.keys.evaluation_without(&unscored), None)?;
         }
     }
+    if let Some(model) = &model
+        && coordinator.wants("objects")
+    {
+        coordinator.list_objects(model)?;
+    }
     if let Some(words) = model.as_ref().and_then(|m| m.stats.psnr).and_then(diagnostics::unlike) {
         options.events.warn(Some("geometry"), words);
     }
@@ -416,9 +428,10 @@ pub fn run(
     }
     let (key, cache) = (coordinator.keys.stage("report"), coordinator.cache.clone());
     let splats = model.as_ref().map(|m| m.splats.len());
+    let reports = coordinator.wants("report");
     // The report reads the run folder again: the run's own data is freed first.
     drop((coordinator, scene, model));
-    if last >= 6 && splats.is_some() {
+    if reports && splats.is_some() {
         ledger.start_stage("report", &key)?;
         let progress = options.events.stage("report", None);
         for left_out in traces.step(&mut report, "report", || report::write_report(folder))? {

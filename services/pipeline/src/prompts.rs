@@ -17,14 +17,35 @@ pub struct PhotoPrompts {
     pub prompts: Prompts,
 }
 
+/// An object of the scene's list, as a question.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ObjectQuery {
+    /// Its number.
+    pub number: usize,
+    /// Key of the scene tree that the list is of.
+    pub tree: String,
+    /// The photo that shows it best.
+    pub photo: String,
+}
+
 /// `prompts.json`: the prompts and settings of a selection, so that it can be made again.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Replay {
     /// Clicks and boxes.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub prompts: Vec<PhotoPrompts>,
+    /// An object of the scene's list, in the stead of prompts.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub object: Option<ObjectQuery>,
     /// The settings of the selection; `None` in a file that a person wrote, where the run's own settings serve.
     #[serde(default)]
     pub settings: Option<SegmentSettings>,
+}
+
+impl From<&[PhotoPrompts]> for Replay {
+    fn from(prompts: &[PhotoPrompts]) -> Replay {
+        Replay { prompts: prompts.to_vec(), ..Replay::default() }
+    }
 }
 
 impl Replay {
@@ -46,9 +67,9 @@ impl Replay {
             other => RunError::Request(other.to_string()),
         })?;
         match serde_json::from_str(&text) {
-            Ok(Either::Whole(replay)) => Ok(replay),
-            Ok(Either::List(prompts)) => Ok(Replay { prompts, settings: None }),
-            Err(_) => Err(RunError::Request(format!(
+            Ok(Either::Whole(replay)) if replay.object.is_some() || !replay.prompts.is_empty() => Ok(replay),
+            Ok(Either::List(prompts)) => Ok(prompts.as_slice().into()),
+            _ => Err(RunError::Request(format!(
                 "{}: is no prompts file: expected what `segwild segment` writes as prompts.json",
                 file.display()
             ))),

@@ -1,6 +1,6 @@
 //! The actor of the segmenter. It keeps the scene and its neighbour graph, so that the next click is quick.
 
-use crate::scene_tree::SceneTree;
+use crate::scene_tree::{GroupCandidate, SceneTree};
 use crate::tree_answer::{self, TreeAnswer};
 use crate::{
     Alternative, AnswerStep, AnswerSteps, MaskReader, NeighbourGraph, PosedView, PromptedView, Refiner,
@@ -20,6 +20,8 @@ pub type PhotoReader = dyn Fn(usize) -> Result<Image, String> + Send + Sync;
 pub struct SegmentTask {
     /// Views and the prompts on each, in pixels of the photo at working size.
     pub prompts: Vec<(usize, Prompts)>,
+    /// The group of the scene tree that is meant: the prompts are empty then, and their views draw its outline.
+    pub group: Option<GroupCandidate>,
     /// The settings of this selection.
     pub settings: SegmentSettings,
     /// Ends the work on it, when nobody waits for the answer any more.
@@ -84,6 +86,9 @@ pub struct SegmentActor {
     pub graph: Option<NeighbourGraph>,
 }
 
+/// Why a group of the scene tree selects nothing.
+const NOWHERE: &str = "the object does not show in its photo";
+
 /// Publishes the steps of a task's answer.
 struct TaskSteps<'a> {
     task: &'a SegmentTask,
@@ -103,7 +108,7 @@ impl AnswerSteps for TaskSteps<'_> {
 
 /// Whether all prompts are negative clicks.
 fn refuses(prompts: &Prompts) -> bool {
-    prompts.boxes.is_empty() && prompts.points.iter().all(|p| !p.inside)
+    prompts.boxes.is_empty() && !prompts.points.is_empty() && prompts.points.iter().all(|p| !p.inside)
 }
 
 impl SegmentActor {
@@ -136,9 +141,23 @@ impl SegmentActor {
             steps: Some(&steps),
             settings: &task.settings,
         };
-        let TreeAnswer { group, alternatives } = match &self.tree {
-            Some(tree) => tree_answer::answer(&blank, tree, &task.prompts, &photos, &*self.segmenter)?,
-            None => TreeAnswer::default(),
+        let TreeAnswer { group, alternatives } = match (&self.tree, &task.group) {
+            (Some(tree), Some(meant)) => {
+                let drawn = tree_answer::GroupAnswer::of(
+                    &blank,
+                    tree,
+                    meant,
+                    &task.prompts,
+                    &photos,
+                    &*self.segmenter,
+                )?;
+                let group = drawn.ok_or(SegmentError::NothingSelected { reason: NOWHERE })?;
+                TreeAnswer { group: Some(group), alternatives: Vec::new() }
+            }
+            (Some(tree), None) => {
+                tree_answer::answer(&blank, tree, &task.prompts, &photos, &*self.segmenter)?
+            }
+            (None, _) => TreeAnswer::default(),
         };
         let mask_of = |((view, prompts), image): (&(usize, Prompts), &Image)| {
             // Where all clicks are negative, they are turned into positive ones: the mask is that of the thing that is refused.

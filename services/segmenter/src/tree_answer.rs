@@ -1,6 +1,6 @@
 //! The first answer to clicks by the scene tree (method, section 13).
 
-use crate::scene_tree::{GroupCandidate, NONE, SceneTree, TreeQuery};
+use crate::scene_tree::{GroupCandidate, NONE, SCENE, SceneTree, TreeQuery};
 use crate::select::hits;
 use crate::{AnswerStep, Evidence, FirstAnswer, PosedView, PromptedView, Request, SegmentError};
 use segwild_raster::Channels;
@@ -12,9 +12,6 @@ const TREE_EVIDENCE: f32 = 1.0;
 
 /// Share of a pixel that a group must make up to show in it.
 const SHOWN: f32 = 0.5;
-
-/// Share of all light from which a group is the scene rather than a thing in it.
-const SCENE: f32 = 0.5;
 
 /// Something that clicks may mean.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -96,34 +93,48 @@ pub(crate) fn answer(
     let Some(chosen) = meanings[last.min(settings.alternative as usize)] else {
         return Ok(TreeAnswer { group: None, alternatives });
     };
-    let labels = tree.labels(chosen);
-    request.wanted()?;
-    if let Some(steps) = request.steps {
-        steps.publish(AnswerStep::Tree, labels.clone());
+    let group = GroupAnswer::of(request, tree, chosen, clicks, photos, segmenter)?;
+    Ok(TreeAnswer { group, alternatives })
+}
+
+impl GroupAnswer {
+    /// A group as an answer; `None` where it shows in no photo whose prompts mean it: it cannot be refined there.
+    pub fn of(
+        request: &Request,
+        tree: &SceneTree,
+        chosen: &GroupCandidate,
+        prompts: &[(usize, Prompts)],
+        photos: &[Image],
+        segmenter: &dyn PromptSegmenter,
+    ) -> Result<Option<GroupAnswer>, SegmentError> {
+        let labels = tree.labels(chosen);
+        request.wanted()?;
+        if let Some(steps) = request.steps {
+            steps.publish(AnswerStep::Tree, labels.clone());
+        }
+        let mut prior = Evidence::none(labels.len());
+        for (i, &label) in labels.iter().enumerate().filter(|(i, _)| tree.leaf[*i] != NONE) {
+            let side = if label { &mut prior.inside } else { &mut prior.outside };
+            side[i] = TREE_EVIDENCE;
+            prior.known[i] = TREE_EVIDENCE;
+        }
+        let mut masks = Vec::with_capacity(prompts.len());
+        for ((view, _), photo) in prompts.iter().zip(photos) {
+            let posed = &request.views[*view];
+            let share = share_of(request, posed, &labels)?;
+            let wide = share.resized(photo.width, photo.height);
+            let failed =
+                |e: VisionError| SegmentError::Provider { photo: posed.name.clone(), reason: e.to_string() };
+            let refined = match wide.data.iter().any(|&share| share > SHOWN) {
+                true => Some(segmenter.refine(photo, &wide).map_err(failed)?),
+                false => None,
+            };
+            masks.push(refined.filter(|refined| !refined.mask.is_empty()));
+        }
+        let means = |p: &Prompts| p.points.is_empty() || p.points.iter().any(|p| p.inside);
+        let shows = prompts.iter().zip(&masks).any(|((_, p), mask)| means(p) && mask.is_some());
+        Ok(shows.then_some(GroupAnswer { prior, masks }))
     }
-    let mut prior = Evidence::none(labels.len());
-    for (i, &label) in labels.iter().enumerate().filter(|(i, _)| tree.leaf[*i] != NONE) {
-        let side = if label { &mut prior.inside } else { &mut prior.outside };
-        side[i] = TREE_EVIDENCE;
-        prior.known[i] = TREE_EVIDENCE;
-    }
-    let mut masks = Vec::with_capacity(clicks.len());
-    for ((view, _), photo) in clicks.iter().zip(photos) {
-        let posed = &request.views[*view];
-        let share = share_of(request, posed, &labels)?;
-        let wide = share.resized(photo.width, photo.height);
-        let failed =
-            |e: VisionError| SegmentError::Provider { photo: posed.name.clone(), reason: e.to_string() };
-        let refined = match wide.data.iter().any(|&share| share > SHOWN) {
-            true => Some(segmenter.refine(photo, &wide).map_err(failed)?),
-            false => None,
-        };
-        masks.push(refined.filter(|refined| !refined.mask.is_empty()));
-    }
-    // A group that shows in no photo whose click means it cannot be refined there.
-    let shows =
-        clicks.iter().zip(&masks).any(|((_, p), mask)| p.points.iter().any(|p| p.inside) && mask.is_some());
-    Ok(TreeAnswer { group: shows.then_some(GroupAnswer { prior, masks }), alternatives })
 }
 
 /// The share of each pixel of a view that labelled splats make up.

@@ -206,7 +206,8 @@ struct ScoredAnswer {
 fn ask(folder: &RunFolder, query: &EvalQuery, settings: &Settings) -> Result<ScoredAnswer, ProtocolError> {
     let name = format!("{}-{}", file_name(&query.target), query.prompt);
     let eyes = providers_for(folder, &Code::of(&settings.vision))?;
-    let selected = segment(folder, &name, &query.prompts, &settings.segment, Some(&eyes), &Stopper::new());
+    let selected =
+        segment(folder, &name, &query.prompts[..].into(), &settings.segment, Some(&eyes), &Stopper::new());
     let selected = match selected {
         Ok(outcome) => Some(outcome),
         Err(RunError::Segment(error)) if error.is_nothing() => None,

@@ -35,7 +35,7 @@ fn one_session_answers_many_clicks_in_steps_and_saves_what_one_command_saves() {
     assert!(session.tree().is_some());
     // Two questions at once, and one that nobody waits for.
     let ask = |click: &PhotoPrompts, cancel: &Stopper| {
-        session.ask(std::slice::from_ref(click), &settings.segment, cancel).unwrap()
+        session.ask(&std::slice::from_ref(click).into(), &settings.segment, cancel).unwrap()
     };
     let (stays, leaves) = (Stopper::new(), Stopper::new());
     leaves.stop();
@@ -59,13 +59,13 @@ fn one_session_answers_many_clicks_in_steps_and_saves_what_one_command_saves() {
     let object = |name: &str| std::fs::read(trial.folder().selection(name).join("object.ply")).unwrap();
     for (name, click) in ["first", "second"].iter().zip(&clicks) {
         let alone = format!("{name}-alone");
-        let (prompts, settings) = (std::slice::from_ref(click), &settings.segment);
-        segment(trial.folder(), &alone, prompts, settings, None, &Stopper::new()).unwrap();
+        let (question, settings) = (std::slice::from_ref(click).into(), &settings.segment);
+        segment(trial.folder(), &alone, &question, settings, None, &Stopper::new()).unwrap();
         assert!(object(name) == object(&alone), "{name}");
     }
     // What cannot be asked leaves the session as it was.
     let nowhere = PhotoPrompts { photo: "nowhere.jpg".into(), prompts: Prompts::click(3.0, 3.0) };
-    assert!(session.ask(&[nowhere], &settings.segment, &stays).is_err());
+    assert!(session.ask(&[nowhere][..].into(), &settings.segment, &stays).is_err());
     let again = ask(&clicks[0], &stays).wait(|_, _| ()).unwrap();
     assert!(again.segmented.selection == first.segmented.selection);
 }

@@ -8,6 +8,7 @@ pub mod completions;
 pub mod demo;
 pub mod doctor;
 pub mod eval;
+pub mod objects;
 pub mod render;
 pub mod run;
 pub mod segment;

@@ -6,7 +6,7 @@ use crate::failure::Failure;
 use crate::progress::{duration, stop_on_ctrl_c};
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_flow::Stopper;
-use segwild_pipeline::{Code, PhotoPrompts, Replay, RunFolder, Settings};
+use segwild_pipeline::{Code, ObjectList, PhotoPrompts, Replay, RunFolder, Settings};
 use segwild_scene::{BoxPrompt, PointPrompt, Prompts};
 use segwild_segmenter::Alternative;
 
@@ -31,8 +31,15 @@ pub fn command() -> Command {
             .help("0 is the finest part under the click, 1 the largest object [default: automatic]"),
     )
     .arg(
+        Arg::new("object")
+            .long("object")
+            .value_name("N|NAME")
+            .conflicts_with_all(["photo", "positive", "negative", "box", "granularity"])
+            .help("An object of the list of `segwild objects`, instead of clicks"),
+    )
+    .arg(
         args::path("prompts", "Repeat the prompts of this file (prompts.json of a selection)")
-            .conflicts_with_all(["photo", "positive", "negative", "box", "granularity"]),
+            .conflicts_with_all(["photo", "positive", "negative", "box", "granularity", "object"]),
     )
     .arg(
         Arg::new("name")
@@ -51,10 +58,10 @@ pub fn command() -> Command {
 /// Clicks to an object.
 pub fn segment(matches: &ArgMatches) -> Result<(), Failure> {
     let folder = RunFolder::open(&path(matches, "run").expect("clap requires it"))?;
-    let Replay { prompts, settings: replayed } = prompts(matches)?;
+    let question = question(matches, &folder)?;
     let mut settings: Settings = folder.settings()?;
     // What the selection was made with, then what is asked for now.
-    settings.segment = replayed.unwrap_or(settings.segment);
+    settings.segment = question.settings.clone().unwrap_or(settings.segment);
     let flags = crate::args::given(matches);
     for (name, value) in &flags {
         settings.set(name, value).map_err(segwild_pipeline::SettingsError::from)?;
@@ -65,7 +72,7 @@ pub fn segment(matches: &ArgMatches) -> Result<(), Failure> {
     let name = matches.get_one::<String>("name").expect("it has a default");
     let providers = segwild_pipeline::providers_for(&folder, &Code::given(&flags))?;
     let done =
-        segwild_pipeline::segment(&folder, name, &prompts, &settings.segment, Some(&providers), &stopper)?;
+        segwild_pipeline::segment(&folder, name, &question, &settings.segment, Some(&providers), &stopper)?;
     if matches.get_flag("json") {
         return print_json(&done);
     }
@@ -100,10 +107,18 @@ pub fn segment(matches: &ArgMatches) -> Result<(), Failure> {
 /// Which kind of prompt, where it stands on the command line, and its text.
 type Given<'a> = (usize, &'static str, &'a String);
 
-/// The prompts on the command line, each on the photo named last before it, or those of a file.
-fn prompts(matches: &ArgMatches) -> Result<Replay, Failure> {
+/// The prompts on the command line, each on the photo named last before it, an object of the list, or what a file asks.
+fn question(matches: &ArgMatches, folder: &RunFolder) -> Result<Replay, Failure> {
     if let Some(file) = path(matches, "prompts") {
         return Ok(Replay::read(&file)?);
+    }
+    if let Some(object) = matches.get_one::<String>("object") {
+        let Some(list) = ObjectList::read(folder) else {
+            return Err(Failure::usage(
+                "the scene's objects are not listed yet: `segwild objects RUN` lists them",
+            ));
+        };
+        return Ok(Replay { object: Some(list.query(object)?), ..Replay::default() });
     }
     let mut given: Vec<Given> = Vec::new();
     for kind in ["photo", "positive", "negative", "box"] {
@@ -135,10 +150,10 @@ fn prompts(matches: &ArgMatches) -> Result<Replay, Failure> {
     }
     if photos.is_empty() {
         return Err(Failure::usage(
-            "nothing is prompted: give --photo NAME --positive x,y (or --prompts FILE)",
+            "nothing is prompted: give --photo NAME --positive x,y, --object N or --prompts FILE",
         ));
     }
-    Ok(Replay { prompts: photos, settings: None })
+    Ok(Replay { prompts: photos, ..Replay::default() })
 }
 
 /// `N` finite numbers with commas between them.

@@ -25,9 +25,10 @@ mod start;
 use crate::artefacts::Keys;
 use crate::checkpoints::Keeper;
 use crate::continued::TrainingOrigin;
-use crate::graph::{RunOptions, STAGES};
+use crate::graph::{RunOptions, position_of};
 use crate::inputs::Inputs;
 use crate::memory;
+use crate::objects::{ListRequest, ObjectList, TreeSource};
 use crate::outcome::ActorOutcome;
 use crate::recompute::Recompute;
 use crate::skies::Skies;
@@ -176,8 +177,38 @@ impl Coordinator<'_> {
         }
     }
 
-    fn wants(&self, stage: &str) -> bool {
-        STAGES.iter().position(|s| *s == stage).is_some_and(|i| i <= self.last)
+    /// Whether a stage is to run.
+    pub fn wants(&self, stage: &str) -> bool {
+        position_of(stage) <= self.last
+    }
+
+    /// The stage `objects`: the list of the trained scene's objects, from its tree.
+    pub fn list_objects(&self, model: &Model) -> Result<(), RunError> {
+        let (folder, key) = (self.folder, self.keys.stage("objects"));
+        let events = &self.options.events;
+        let before = ObjectList::read(folder);
+        if self.ledger.stage_is_done("objects", &key)? && before.is_some() {
+            events.tell(Event::StageSkipped { stage: "objects".into(), key: key.to_string() });
+            return Ok(());
+        }
+        self.ledger.start_stage("objects", &key)?;
+        let progress = events.stage("objects", None);
+        let (size, geometry) = (self.settings.scene.size, self.keys.geometry.to_string());
+        let source =
+            TreeSource { scene: &self.scene, model, geometry: &geometry, size, segmenter: &*self.segmenter };
+        let stopping = || self.options.stopper.phase() != Phase::Running;
+        match source.tree(&self.cache, &stopping)? {
+            Some(tree) => {
+                let (scene, key) = (&*self.scene, source.key().to_string());
+                let request = ListRequest { scene, model, size, tree: &tree, key };
+                request.list(before.as_ref(), &self.options.stopper)?.write(folder)?;
+            }
+            None if stopping() => return Err(RunError::Interrupted),
+            // The provider finds objects by itself: a list of another provider's tree is of no use.
+            None => ObjectList::remove(folder)?,
+        }
+        progress.finish();
+        Ok(self.ledger.finish_stage("objects", &key, None)?)
     }
 
     /// The views that take part, in order: held-out ones have a sky (evaluation leaves it out of the score) but no

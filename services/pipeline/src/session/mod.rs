@@ -6,12 +6,12 @@
 //!
 //! ```no_run
 //! # fn main() -> Result<(), segwild_pipeline::RunError> {
-//! # let prompts: Vec<segwild_pipeline::PhotoPrompts> = Vec::new();
 //! use segwild_flow::Stopper;
-//! use segwild_pipeline::{RunFolder, Session, SessionOptions};
+//! use segwild_pipeline::{Replay, RunFolder, Session, SessionOptions};
+//! let question = Replay::read("prompts.json".as_ref())?;
 //! let folder = RunFolder::open("runs/trevi".as_ref())?;
 //! let session = Session::open(&folder, SessionOptions::default())?;
-//! let pending = session.ask(&prompts, &folder.settings()?.segment, &Stopper::new())?;
+//! let pending = session.ask(&question, &folder.settings()?.segment, &Stopper::new())?;
 //! let answer = pending.wait(|step, labels| println!("{step:?}: {} splats", labels.len()))?;
 //! println!("{}", session.save("statue", &answer)?.folder.display());
 //! # Ok(())
@@ -29,15 +29,18 @@ use crate::code::{self, Code};
 use crate::folder::Loaded;
 use crate::images::ImageFiles;
 use crate::light::{self, find};
-use crate::objects::TreeSource;
+use crate::objects::{ListRequest, TreeSource};
 use crate::prompts::check_all;
-use crate::{PhotoPrompts, RunError, RunFolder, Settings, choose_engine, log_loss, skies, transients};
+use crate::{
+    ObjectQuery, PhotoPrompts, Replay, RunError, RunFolder, Settings, choose_engine, log_loss, skies,
+    transients,
+};
 use segwild_flow::{
     ActorOptions, Ledger, Limits, Observer, Phase, Receiver, Sender, Stopper, System, SystemOptions, mailbox,
 };
 use segwild_raster::Engine;
 use segwild_scene::{Image, Prompts, Scene};
-use segwild_segmenter::scene_tree::SceneTree;
+use segwild_segmenter::scene_tree::{GroupCandidate, SceneTree};
 use segwild_segmenter::{
     AnswerStep, FirstAnswer, PosedView, SegmentActor, SegmentError, SegmentReply, SegmentSettings,
     SegmentTask, Segmented, SplatFeatures,
@@ -72,11 +75,17 @@ pub struct Session {
     model: Model,
     engine: Arc<dyn Engine>,
     providers: Providers,
-    tree: Option<Arc<SceneTree>>,
+    tree: Option<KeyedTree>,
     /// Names of the image files of each photo.
     files: ImageFiles,
     tasks: Sender<SegmentTask>,
     system: System,
+}
+
+/// A scene tree and its key in the cache.
+struct KeyedTree {
+    key: String,
+    tree: Arc<SceneTree>,
 }
 
 impl Session {
@@ -107,7 +116,8 @@ impl Session {
                 let segmenter = &*providers.segmenter;
                 let source =
                     TreeSource { scene: &scene, model: &model, geometry: &geometry, size, segmenter };
-                source.tree(&folder.cache()?, &|| stopper.phase() != Phase::Running)?.map(Arc::new)
+                let tree = source.tree(&folder.cache()?, &|| stopper.phase() != Phase::Running)?;
+                tree.map(|tree| KeyedTree { key: source.key().to_string(), tree: Arc::new(tree) })
             }
             None => None,
         };
@@ -130,7 +140,8 @@ impl Session {
         let transients = Arc::new(transients::of_run(folder, &scene));
         let splats = Arc::new(model.splats.clone());
         let (options, segmenter) = (model.options(), providers.segmenter.clone());
-        let (engine_of_actor, tree_of_actor) = (engine.clone(), tree.clone());
+        let engine_of_actor = engine.clone();
+        let tree_of_actor = tree.as_ref().map(|keyed| keyed.tree.clone());
         system.spawn(inbox, ActorOptions { attempts: 1, ..ActorOptions::default() }, move || {
             Ok(SegmentActor {
                 engine: engine_of_actor.clone(),
@@ -169,33 +180,58 @@ impl Session {
 
     /// The scene tree; `None` where the provider of the masks finds objects by itself, and where none was asked for.
     pub fn tree(&self) -> Option<&Arc<SceneTree>> {
-        self.tree.as_ref()
+        self.tree.as_ref().map(|keyed| &keyed.tree)
     }
 
-    /// Asks for the object of the prompts. Questions are answered one after the other; `cancel` ends this one.
+    /// The run's folder.
+    pub fn folder(&self) -> &RunFolder {
+        &self.folder
+    }
+
+    /// What the list of the scene's objects is made of.
+    pub(crate) fn list_request(&self) -> Result<ListRequest<'_>, RunError> {
+        let Some(KeyedTree { key, tree }) = &self.tree else {
+            return Err(RunError::Request(format!(
+                "this run has no scene tree, so that its objects cannot be listed: {} finds objects by itself",
+                self.providers.name
+            )));
+        };
+        let size = self.made_with.scene.size;
+        Ok(ListRequest { scene: &self.scene, model: &self.model, size, tree, key: key.clone() })
+    }
+
+    /// Asks for the object of the prompts, or for one of the scene's list. Questions are answered one after the other; `cancel`
+    /// ends this one.
     ///
     /// # Errors
-    /// When the prompts cannot be used, or the session has ended.
+    /// When the prompts cannot be used, the list is of an earlier training, or the session has ended.
     pub fn ask(
         &self,
-        prompts: &[PhotoPrompts],
+        question: &Replay,
         settings: &SegmentSettings,
         cancel: &Stopper,
     ) -> Result<PendingAnswer, RunError> {
-        check_all(prompts)?;
-        let queries = prompts.iter().map(|p| self.query(p)).collect::<Result<Vec<_>, _>>()?;
-        if queries.is_empty() {
+        let (prompts, group) = match &question.object {
+            Some(object) => {
+                let (view, group) = self.listed(object)?;
+                (vec![(view, Prompts::default())], Some(group))
+            }
+            None => {
+                check_all(&question.prompts)?;
+                let queries = question.prompts.iter().map(|p| self.query(p));
+                (queries.collect::<Result<Vec<_>, _>>()?, None)
+            }
+        };
+        if prompts.is_empty() {
             return Err(SegmentError::NoPrompt.into());
         }
         // An unknown photo is reported at once.
         light::requested(&settings.object_appearance).lights(&self.scene, &self.model)?;
         let (reply, answers) = mailbox::<SegmentReply>("answers", Limits::default());
-        let task =
-            SegmentTask { prompts: queries, settings: settings.clone(), cancel: cancel.clone(), reply };
+        let task = SegmentTask { prompts, group, settings: settings.clone(), cancel: cancel.clone(), reply };
         self.tasks.blocking_send_urgent(task).map_err(|e| failed(e.to_string()))?;
         Ok(PendingAnswer {
-            prompts: prompts.to_vec(),
-            settings: settings.clone(),
+            replay: Replay { settings: Some(settings.clone()), ..question.clone() },
             scene: self.scene.clone(),
             size: self.made_with.scene.size,
             began: Instant::now(),
@@ -203,6 +239,19 @@ impl Session {
             stoppers: [cancel.clone(), self.system.stopper()],
             answers,
         })
+    }
+
+    /// The view that shows an object of the scene's list best, and its group.
+    fn listed(&self, object: &ObjectQuery) -> Result<(usize, GroupCandidate), RunError> {
+        let request = self.list_request()?;
+        if object.tree != request.key {
+            return Err(RunError::Request(
+                "the scene has been trained again since its objects were listed: `segwild objects RUN` lists them again".into(),
+            ));
+        }
+        let group = request.tree.parts().groups.into_iter().nth(object.number.wrapping_sub(1));
+        let none = || RunError::Request(format!("there is no object {}", object.number));
+        Ok((find(&self.scene, &object.photo)?, group.ok_or_else(none)?))
     }
 
     /// The view of a photo's prompts, and the prompts in pixels of the view at working size.
@@ -237,23 +286,23 @@ impl Session {
 pub fn segment(
     folder: &RunFolder,
     name: &str,
-    prompts: &[PhotoPrompts],
+    question: &Replay,
     settings: &SegmentSettings,
     providers: Option<&Providers>,
     stopper: &Stopper,
 ) -> Result<SegmentOutcome, RunError> {
-    folder.can_select(name)?;
-    check_all(prompts)?;
-    let (providers, tree) = (providers.cloned(), settings.first_answer == FirstAnswer::Tree);
+    RunFolder::can_name(name)?;
+    check_all(&question.prompts)?;
+    let tree = settings.first_answer == FirstAnswer::Tree || question.object.is_some();
+    let providers = providers.cloned();
     let session = Session::open(folder, SessionOptions { providers, tree, stopper: stopper.clone() })?;
-    let answer = session.ask(prompts, settings, stopper)?.wait(|_, _| ())?;
+    let answer = session.ask(question, settings, stopper)?.wait(|_, _| ())?;
     session.save(name, &answer)
 }
 
 /// An answer that is being made.
 pub struct PendingAnswer {
-    prompts: Vec<PhotoPrompts>,
-    settings: SegmentSettings,
+    replay: Replay,
     scene: Arc<Scene>,
     size: u32,
     began: Instant,
@@ -264,11 +313,9 @@ pub struct PendingAnswer {
 
 /// The last answer to prompts.
 pub struct Answer {
-    /// The prompts.
-    pub prompts: Vec<PhotoPrompts>,
-    /// The settings of the selection.
-    pub settings: SegmentSettings,
-    /// What they select.
+    /// What was asked, with the settings of the selection.
+    pub replay: Replay,
+    /// What it selects.
     pub segmented: Box<Segmented>,
     /// Seconds from the question to the answer.
     pub select_s: f64,
@@ -288,8 +335,7 @@ impl PendingAnswer {
                 Some(SegmentReply::Step(at, labels)) => step(at, &labels),
                 Some(SegmentReply::Done(Ok(segmented))) => {
                     let select_s = self.began.elapsed().as_secs_f64();
-                    let PendingAnswer { prompts, settings, .. } = self;
-                    return Ok(Answer { prompts, settings, segmented, select_s });
+                    return Ok(Answer { replay: self.replay, segmented, select_s });
                 }
                 Some(SegmentReply::Done(Err(error))) => {
                     return Err(in_photo_pixels(error, &self.scene, self.size));

@@ -6,7 +6,7 @@ use crate::code;
 use crate::light::{self, find};
 use crate::object_masks::ObjectMasks;
 use crate::settings::AT_ONCE;
-use crate::{PhotoPrompts, Replay, RunError, RunFolder, intact, report, traces, transients};
+use crate::{PhotoPrompts, RunError, RunFolder, intact, report, traces, transients};
 use rayon::prelude::*;
 use segwild_flow::{FileError, codec, fault, files};
 use segwild_scene::ply::Export;
@@ -90,11 +90,12 @@ impl Session {
         let Session {
             folder, made_with, scene, model, engine, providers, files: image_files, system, ..
         } = self;
-        let Answer { prompts, settings, segmented, select_s } = answer;
-        folder.can_select(name)?;
+        let Answer { replay, segmented, select_s } = answer;
+        let appearance = replay.settings.as_ref().map_or("", |settings| &settings.object_appearance);
+        RunFolder::can_name(name)?;
         image_files.fit(&folder.selection(name))?;
         traces::of_selection(folder, name, &system.report())?;
-        let in_colour = light::shown(scene, model, &settings.object_appearance)?;
+        let in_colour = light::shown(scene, model, appearance)?;
         let size = made_with.scene.size;
         // Written aside and then renamed, so that a selection is there as a whole or not at all.
         files::remove_litter(&folder.path().join("selections"));
@@ -114,7 +115,7 @@ impl Session {
             agreement: selection.agreement,
             alone: selection.alone,
             alternatives: alternatives.clone(),
-            notes: prompt_warnings(folder, scene, prompts, masks),
+            notes: prompt_warnings(folder, scene, &replay.prompts, masks),
             agreeing: count(PhotoVerdict::Accepted),
             disagreeing: count(PhotoVerdict::Disagrees),
             select_s: *select_s,
@@ -138,8 +139,7 @@ impl Session {
             };
             let names = image_files.names();
             let (mask_dir, amodal_dir, prompt_dir) = (dir("masks")?, dir("amodal")?, dir("prompted")?);
-            let replay = Replay { prompts: prompts.to_vec(), settings: Some(settings.clone()) };
-            json("prompts.json", serde_json::to_vec_pretty(&replay))?;
+            json("prompts.json", serde_json::to_vec_pretty(replay))?;
             let path = aside.join("selection.bin");
             let bytes = codec::encode(SELECTION, &selected)
                 .map_err(|source| RunError::Record { path: path.clone(), source })?;

@@ -7,10 +7,13 @@
 
 mod boundaries;
 mod graph;
+mod parts;
 mod query;
 mod spectral;
 
 pub use graph::{CUES, FrontBorder, SplatEdge, SplatGraph, TreeBuilder};
+pub use parts::{MOST_PARTS, PartMap, SceneParts};
+pub(crate) use query::SCENE;
 pub use query::{GroupCandidate, TreeQuery};
 pub use segwild_vision::linkage::MergeTree;
 

@@ -10,7 +10,10 @@ const MOST: usize = 2;
 const APART: f32 = 1.5;
 
 /// Share of all light under which a group is no candidate.
-const LEAST_AREA: f32 = 0.002;
+pub(super) const LEAST_AREA: f32 = 0.002;
+
+/// Share of all light from which a group is the scene rather than a thing in it.
+pub(crate) const SCENE: f32 = 0.5;
 
 /// Expected IoU of a group with what a click means: a linear fit over the groups that hold 180 random clicks on nine objects of
 /// eight captured scenes and 110 on two synthetic ones (docs/experiments/2026-11-28-scene-tree.md). Groups that the photos'
@@ -144,7 +147,7 @@ impl SceneTree {
 }
 
 /// Expected IoU of a group. `gap`: how much higher its parent is, relative to the widest gap on its way to the root.
-fn expected(tree: &GroupTree, node: u32, gap: f32, average: bool) -> f32 {
+pub(super) fn expected(tree: &GroupTree, node: u32, gap: f32, average: bool) -> f32 {
     let group = tree.groups[node as usize];
     let log_area = group.area.max(f32::MIN_POSITIVE).ln();
     let e = EXPECTED;

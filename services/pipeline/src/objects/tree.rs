@@ -14,6 +14,11 @@ pub(crate) const OBJECTS: &str = "objects";
 /// Raised when the bytes of a tree of the same input change.
 const FORMAT: u32 = 1;
 
+/// Name of the tree of a trained scene, whose boundaries `segmenter` finds.
+pub(crate) fn tree_key(geometry: &str, segmenter: &str) -> Key {
+    Key::of(OBJECTS).value("format", FORMAT).part("geometry", geometry).part("segmenter", segmenter).finish()
+}
+
 /// Where trees come from.
 pub(crate) struct TreeSource<'a> {
     /// The photos.
@@ -31,11 +36,7 @@ pub(crate) struct TreeSource<'a> {
 impl TreeSource<'_> {
     /// Name of the tree.
     pub fn key(&self) -> Key {
-        Key::of(OBJECTS)
-            .value("format", FORMAT)
-            .part("geometry", self.geometry)
-            .part("segmenter", self.segmenter.key())
-            .finish()
+        tree_key(self.geometry, &self.segmenter.key())
     }
 
     /// Reads the tree from the cache, or grows it. `None` where the segmenter finds objects by itself. Photos that cannot be read,

@@ -1,0 +1,100 @@
+//! `segwild objects`
+
+use super::{path, print_json, print_line, use_threads};
+use crate::args::{self, examples, json};
+use crate::failure::Failure;
+use crate::progress::stop_on_ctrl_c;
+use clap::{Arg, ArgAction, ArgMatches, Command};
+use segwild_flow::Stopper;
+use segwild_pipeline::{ObjectList, RunFolder, Session, SessionOptions, export_objects, list_objects};
+
+/// The command's arguments.
+pub fn command() -> Command {
+    Command::new("objects")
+        .about("List the objects of a scene, name them, and write all of them as files")
+        .arg(args::run())
+        .arg(
+            Arg::new("rename")
+                .long("rename")
+                .value_name("N=NAME")
+                .action(ArgAction::Append)
+                .help("Name object N (a number, or its present name); an empty NAME takes its name away"),
+        )
+        .arg(args::path("out", "Write all objects into this folder: a .ply each, labels.ply, coco.json"))
+        .arg(
+            Arg::new("appearance")
+                .long("appearance")
+                .value_name("PHOTO")
+                .requires("out")
+                .help("Write them with the appearance of this photo [default: the scene's own]"),
+        )
+        .arg(json())
+        .after_help(examples(
+            "segwild objects runs/trevi --rename 3=oceanus --out trevi-objects",
+            "segwild segment runs/trevi --object oceanus --name oceanus",
+        ))
+}
+
+/// Lists, names and exports objects.
+pub fn objects(matches: &ArgMatches) -> Result<(), Failure> {
+    let folder = RunFolder::open(&path(matches, "run").expect("clap requires it"))?;
+    let renames: Vec<(&str, &str)> = matches
+        .get_many::<String>("rename")
+        .unwrap_or_default()
+        .map(|text| {
+            text.split_once('=').ok_or_else(|| {
+                Failure::usage(format!("--rename {text}: expected N=NAME, such as --rename 3=statue"))
+            })
+        })
+        .collect::<Result<_, _>>()?;
+    let stopper = Stopper::new();
+    stop_on_ctrl_c(&stopper)?;
+    use_threads(folder.settings()?.run.threads);
+    let session =
+        Session::open(&folder, SessionOptions { stopper: stopper.clone(), ..SessionOptions::default() })?;
+    let mut list = list_objects(&session, &stopper)?;
+    for (object, name) in &renames {
+        list.rename(object, name)?;
+    }
+    if !renames.is_empty() {
+        list.write(&folder)?;
+    }
+    let exported = match path(matches, "out") {
+        Some(out) => {
+            let appearance = matches.get_one::<String>("appearance").map_or("", String::as_str);
+            Some(export_objects(&session, &out, appearance, &stopper)?)
+        }
+        None => None,
+    };
+    if matches.get_flag("json") {
+        return print_json(&serde_json::json!({ "objects": list.objects, "exported": exported }));
+    }
+    print_table(&list)?;
+    print_line(&format!("thumbnails: {}", ObjectList::sheet(&folder).display()))?;
+    match exported {
+        Some(done) => print_line(&format!(
+            "{} objects, and {} masks in coco.json: {}",
+            done.objects,
+            done.masks,
+            done.folder.display()
+        )),
+        None => Ok(()),
+    }
+}
+
+fn print_table(list: &ObjectList) -> Result<(), Failure> {
+    let longest = list.objects.iter().map(|o| o.name.len()).max().unwrap_or(0).max(4);
+    print_line(&format!("  n  {:longest$}   splats  % of light  photos  shown best by", "name"))?;
+    for o in &list.objects {
+        print_line(&format!(
+            "{:3}  {:longest$}  {:7}  {:10.1}  {:6}  {}",
+            o.number,
+            o.name,
+            o.splats,
+            100.0 * o.light,
+            o.photos,
+            o.photo
+        ))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,137 @@
+//! All objects of a scene as files that other tools open.
+
+use super::coco::{CocoAnnotation, CocoCategory, CocoFile, CocoImage, CocoRle};
+use super::list::{ListRequest, ListedObjects};
+use super::{ObjectList, sheet};
+use crate::settings::AT_ONCE;
+use crate::{RunError, Session, light};
+use rayon::prelude::*;
+use segwild_flow::{Phase, Stopper, files};
+use segwild_scene::Mask;
+use segwild_scene::ply::Export;
+use segwild_segmenter::scene_tree::PartMap;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+
+/// What [`export_objects`] wrote.
+#[derive(Clone, Debug, Serialize)]
+pub struct ExportedObjects {
+    /// The folder.
+    pub folder: PathBuf,
+    /// Objects, one `.ply` each.
+    pub objects: usize,
+    /// Masks in `coco.json`.
+    pub masks: usize,
+}
+
+/// Writes all objects of a run into the folder `out`, as a whole or not at all: `NAME.ply` of each, `labels.ply` (the whole scene;
+/// the property `object` is the number, 0 for none), `coco.json` (their masks on all photos, as taken), `objects.json` and
+/// `sheet.png`. Colours have the appearance of the photo `appearance`, or the scene's own if it is empty. Spikes are not
+/// cut: [`Session::ask_object`] refines one object.
+///
+/// # Errors
+/// When the run has no scene tree, `appearance` is no photo, the folder is not empty, a file cannot be written, or `stopper` stops it.
+pub fn export_objects(
+    session: &Session,
+    out: &Path,
+    appearance: &str,
+    stopper: &Stopper,
+) -> Result<ExportedObjects, RunError> {
+    if out.read_dir().is_ok_and(|mut entries| entries.next().is_some()) {
+        return Err(RunError::Request(format!("{} is not empty: choose a new folder", out.display())));
+    }
+    let request = session.list_request()?;
+    let in_colour = light::shown(request.scene, request.model, appearance)?;
+    let listed = request.list(ObjectList::read(session.folder()).as_ref(), stopper)?;
+    let coco = annotations(&request, &listed, stopper)?;
+    files::write_folder(out, |aside| -> Result<(), RunError> {
+        let json = |name: &str, value: serde_json::Result<Vec<u8>>| -> Result<(), RunError> {
+            let path = aside.join(name);
+            let bytes = value.map_err(|e| RunError::Folder { path: path.clone(), reason: e.to_string() })?;
+            Ok(files::write_atomic(&path, &bytes)?)
+        };
+        let export = light::export(request.scene, request.model);
+        for object in &listed.list.objects {
+            let holds = |i: &usize| usize::from(listed.parts.labels[*i]) == object.number;
+            let splats: Vec<usize> = (0..in_colour.len()).filter(holds).collect();
+            export.write(&aside.join(format!("{}.ply", object.label())), &in_colour.select(&splats))?;
+        }
+        let labelled = Export { extra: &[("object", &listed.parts.labels)], ..export };
+        labelled.write(&aside.join("labels.ply"), &in_colour)?;
+        json("coco.json", serde_json::to_vec(&coco))?;
+        json("objects.json", serde_json::to_vec_pretty(&listed.list))?;
+        Ok(sheet::sheet(&listed.thumbnails).write_png(&aside.join("sheet.png"))?)
+    })?;
+    let objects = listed.list.objects.len();
+    Ok(ExportedObjects { folder: out.to_owned(), objects, masks: coco.annotations.len() })
+}
+
+/// The masks of all objects on all photos, in pixels of the photos as taken.
+fn annotations(
+    request: &ListRequest,
+    listed: &ListedObjects,
+    stopper: &Stopper,
+) -> Result<CocoFile, RunError> {
+    let mut file = CocoFile::default();
+    file.categories.extend(listed.list.objects.iter().map(|object| CocoCategory {
+        id: object.number,
+        name: object.label(),
+        supercategory: "object",
+    }));
+    let views: Vec<usize> = (0..request.scene.views.len()).collect();
+    // Masks have the photos' full size: only a few photos at once fit into memory.
+    for some in views.chunks(rayon::current_num_threads().min(AT_ONCE)) {
+        if stopper.phase() != Phase::Running {
+            return Err(RunError::Interrupted);
+        }
+        let masks_of = |&index: &usize| -> Result<Vec<(usize, Mask)>, RunError> {
+            let view = &request.scene.views[index];
+            let map = PartMap::render(
+                &request.model.splats,
+                &request.model.options(),
+                &request.posed(index),
+                &listed.parts,
+            )?;
+            let counts = map.counts();
+            let present = (1..=listed.list.objects.len()).filter(|&number| counts.get(number) > Some(&0));
+            let large = |number: usize| {
+                view.mask_to_taken(map.enlarged(number as u8, view.camera.width, view.camera.height))
+            };
+            Ok(present.map(|number| (number, large(number))).filter(|(_, mask)| !mask.is_empty()).collect())
+        };
+        let masks: Vec<Vec<(usize, Mask)>> = some.par_iter().map(masks_of).collect::<Result<_, _>>()?;
+        for (&index, masks) in some.iter().zip(masks) {
+            let view = &request.scene.views[index];
+            let (width, height) = (view.camera.width, view.camera.height);
+            file.images.push(CocoImage { id: index + 1, file_name: view.name.clone(), width, height });
+            for (number, mask) in masks {
+                let (mut low, mut high) = ([u32::MAX; 2], [0; 2]);
+                for (x, y) in mask.pixels() {
+                    low = [low[0].min(x), low[1].min(y)];
+                    high = [high[0].max(x + 1), high[1].max(y + 1)];
+                }
+                file.annotations.push(CocoAnnotation {
+                    id: file.annotations.len() + 1,
+                    image_id: index + 1,
+                    category_id: number,
+                    bbox: [low[0], low[1], high[0] - low[0], high[1] - low[1]],
+                    area: mask.count(),
+                    segmentation: CocoRle::of(&mask),
+                    iscrowd: 0,
+                });
+            }
+        }
+    }
+    Ok(file)
+}
+
+/// Writes the list of a run's objects, for [`ObjectList::read`]. Names of the list before are kept.
+///
+/// # Errors
+/// When the run has no scene tree, a file cannot be written, or `stopper` stops it.
+pub fn list_objects(session: &Session, stopper: &Stopper) -> Result<ObjectList, RunError> {
+    let folder = session.folder();
+    let listed = session.list_request()?.list(ObjectList::read(folder).as_ref(), stopper)?;
+    listed.write(folder)?;
+    Ok(listed.list)
+}

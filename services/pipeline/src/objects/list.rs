@@ -1,0 +1,286 @@
+//! The list of a scene's objects: `objects/objects.json` of a run.
+
+use super::sheet;
+use crate::{ObjectQuery, RunError, RunFolder};
+use segwild_flow::{FileError, Phase, Stopper, fault, files};
+use segwild_scene::{Image, Mask, Scene};
+use segwild_segmenter::PosedView;
+use segwild_segmenter::scene_tree::{PartMap, SceneParts, SceneTree};
+use segwild_trainer::Model;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::io::ErrorKind;
+use std::path::PathBuf;
+
+/// The folder of the list in a run.
+const FOLDER: &str = "objects";
+/// The list in it, and its thumbnails.
+const FILES: [&str; 2] = ["objects.json", "sheet.png"];
+
+/// Pixels of a photo at working size that an object must cover to show there.
+const SHOWS: u32 = 24;
+
+/// An object that a photo's frame cuts off counts as so much smaller there: thumbnails are to show whole objects.
+const CUT_OFF: u32 = 4;
+
+/// An object of a scene, found without a click.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SceneObject {
+    /// Its number in the list, from 1: the likeliest things come first.
+    pub number: usize,
+    /// The name that a person gave it; empty where it has none.
+    pub name: String,
+    /// Its splats.
+    pub splats: usize,
+    /// Its share of the light that all photos see, in [0, 1].
+    pub light: f32,
+    /// Expected IoU with a thing that a person would click.
+    pub expected_iou: f32,
+    /// Photos in which it shows.
+    pub photos: usize,
+    /// The photo that shows it best.
+    pub photo: String,
+    /// A pixel deep inside of it there, in the photo as taken, at full size.
+    pub pixel: [f32; 2],
+}
+
+impl SceneObject {
+    /// Its name, or its number where it has none.
+    pub fn label(&self) -> String {
+        if self.name.is_empty() { format!("object-{}", self.number) } else { self.name.clone() }
+    }
+}
+
+/// The objects of a scene.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ObjectList {
+    /// Key of the scene tree that they are parts of.
+    pub tree: String,
+    /// The objects, by their numbers.
+    pub objects: Vec<SceneObject>,
+}
+
+impl ObjectList {
+    /// The list of a run; `None` where it has none, or a damaged one.
+    pub fn read(folder: &RunFolder) -> Option<ObjectList> {
+        let list: ObjectList = folder.read_json(&format!("{FOLDER}/{}", FILES[0])).ok()?;
+        let sound = |(i, object): (usize, &SceneObject)| {
+            object.number == i + 1 && (object.name.is_empty() || RunFolder::can_name(&object.name).is_ok())
+        };
+        list.objects.iter().enumerate().all(sound).then_some(list)
+    }
+
+    /// The image of a run's list: a thumbnail of each object, with its number.
+    pub fn sheet(folder: &RunFolder) -> PathBuf {
+        folder.path().join(FOLDER).join(FILES[1])
+    }
+
+    /// Takes the list of a run away, if it has one.
+    ///
+    /// # Errors
+    /// When it cannot be removed.
+    pub(crate) fn remove(folder: &RunFolder) -> Result<(), RunError> {
+        let path = folder.path().join(FOLDER);
+        match std::fs::remove_dir_all(&path) {
+            Err(e) if e.kind() != ErrorKind::NotFound => Err(FileError::new("remove", &path, e).into()),
+            _ => Ok(()),
+        }
+    }
+
+    /// The object of a number, or of a name.
+    ///
+    /// # Errors
+    /// When there is none.
+    pub fn find(&self, text: &str) -> Result<&SceneObject, RunError> {
+        let number = text.parse::<usize>().ok();
+        let found = self.objects.iter().find(|object| Some(object.number) == number || object.name == text);
+        found.filter(|_| !text.is_empty()).ok_or_else(|| {
+            RunError::Request(format!(
+                "there is no object `{}`; this scene has {} (`segwild objects RUN` lists them)",
+                files::name::one_line(text),
+                self.objects.len()
+            ))
+        })
+    }
+
+    /// The object of a number or a name, as a question.
+    ///
+    /// # Errors
+    /// When there is none.
+    pub fn query(&self, text: &str) -> Result<ObjectQuery, RunError> {
+        let SceneObject { number, photo, .. } = self.find(text)?;
+        Ok(ObjectQuery { number: *number, tree: self.tree.clone(), photo: photo.clone() })
+    }
+
+    /// Names an object; an empty name takes its name away.
+    ///
+    /// # Errors
+    /// When there is no such object, the name cannot name files, or another object has it.
+    pub fn rename(&mut self, object: &str, name: &str) -> Result<(), RunError> {
+        let number = self.find(object)?.number;
+        if !name.is_empty() {
+            RunFolder::can_name(name)?;
+            if name.parse::<usize>().is_ok() || name.starts_with("object-") {
+                return Err(RunError::Request(format!(
+                    "`{name}` cannot name an object: objects without names are called so"
+                )));
+            }
+            // Systems on which `A` and `a` are one file have to tell them apart.
+            let same = |o: &&SceneObject| o.number != number && o.name.to_lowercase() == name.to_lowercase();
+            if let Some(other) = self.objects.iter().find(same) {
+                return Err(RunError::Request(format!(
+                    "object {} is named `{}` already",
+                    other.number, other.name
+                )));
+            }
+        }
+        name.clone_into(&mut self.objects[number - 1].name);
+        Ok(())
+    }
+
+    /// Writes the list of a run again, with other names.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn write(&self, folder: &RunFolder) -> Result<(), RunError> {
+        folder.write_json(&format!("{FOLDER}/{}", FILES[0]), self)
+    }
+}
+
+/// What a list is made of.
+pub(crate) struct ListRequest<'a> {
+    pub scene: &'a Scene,
+    pub model: &'a Model,
+    /// Long side in pixels at which photos are read.
+    pub size: u32,
+    pub tree: &'a SceneTree,
+    /// Its key.
+    pub key: String,
+}
+
+/// A list with what was computed for it.
+pub(crate) struct ListedObjects {
+    pub list: ObjectList,
+    pub parts: SceneParts,
+    /// Per object, the part of its best photo that shows it, the rest of the photo darkened.
+    pub thumbnails: Vec<Image>,
+}
+
+/// How well a photo shows an object.
+#[derive(Clone, Copy, Default)]
+struct ShownIn {
+    photos: usize,
+    best: u32,
+    view: usize,
+}
+
+impl ListRequest<'_> {
+    /// The view of a photo at working size.
+    pub fn posed(&self, view: usize) -> PosedView {
+        let view = &self.scene.views[view];
+        PosedView { camera: view.camera.scaled_to(self.size), ..view.into() }
+    }
+
+    fn map(&self, view: usize, parts: &SceneParts) -> Result<PartMap, RunError> {
+        Ok(PartMap::render(&self.model.splats, &self.model.options(), &self.posed(view), parts)?)
+    }
+
+    /// Lists the objects. Names of `before` stay with the objects that have the same pixels.
+    ///
+    /// # Errors
+    /// When the scene cannot be rendered, or `stopper` stops it.
+    pub fn list(&self, before: Option<&ObjectList>, stopper: &Stopper) -> Result<ListedObjects, RunError> {
+        let parts = self.tree.parts();
+        let mut shown = vec![ShownIn::default(); parts.groups.len() + 1];
+        let training = || (0..self.scene.views.len()).filter(|&view| !self.scene.views[view].test);
+        for view in training() {
+            if stopper.phase() != Phase::Running {
+                return Err(RunError::Interrupted);
+            }
+            let map = self.map(view, &parts)?;
+            let (counts, rims) = (map.counts(), map.counts_on_frame());
+            for ((shown, count), rim) in shown.iter_mut().zip(counts).zip(rims) {
+                shown.photos += usize::from(count >= SHOWS);
+                let whole = if rim * rim > count { count / CUT_OFF } else { count };
+                if whole > shown.best {
+                    (shown.best, shown.view) = (whole, view);
+                }
+            }
+        }
+        let mut names = self.names(before, &parts)?;
+        let mut splats = vec![0usize; parts.groups.len() + 1];
+        parts.labels.iter().for_each(|&label| splats[usize::from(label)] += 1);
+        let (mut objects, mut thumbnails) = (Vec::new(), Vec::new());
+        for (group, number) in parts.groups.iter().zip(1..) {
+            let ShownIn { photos, view, .. } = shown[number];
+            let (map, photo) = (self.map(view, &parts)?, &self.scene.views[view]);
+            let mask = map.mask(number as u8);
+            objects.push(SceneObject {
+                number,
+                name: names.remove(&number).unwrap_or_default(),
+                splats: splats[number],
+                light: group.area,
+                expected_iou: group.score,
+                photos,
+                photo: photo.name.clone(),
+                pixel: self.as_taken(view, &mask).unwrap_or_default(),
+            });
+            // A photo that can no longer be read leaves a dark thumbnail.
+            let image = photo.load(self.size).map(|loaded| loaded.image);
+            thumbnails.push(sheet::thumbnail(image.ok().as_ref(), &mask));
+        }
+        Ok(ListedObjects { list: ObjectList { tree: self.key.clone(), objects }, parts, thumbnails })
+    }
+
+    /// The deepest pixel of a mask of a view, in the photo as taken, at full size.
+    fn as_taken(&self, view: usize, mask: &Mask) -> Option<[f32; 2]> {
+        let view = &self.scene.views[view];
+        let depths = mask.not().distances();
+        let depth = |&(x, y): &(u32, u32)| depths[(y * mask.width() + x) as usize];
+        // Of equal depths the first counts.
+        let (x, y) = mask.pixels().reduce(|a, b| if depth(&b) > depth(&a) { b } else { a })?;
+        let scale = |v: u32, full: u32, small: u32| (v as f32 + 0.5) * full as f32 / small as f32;
+        let inner = [scale(x, view.camera.width, mask.width()), scale(y, view.camera.height, mask.height())];
+        view.to_taken(inner)
+    }
+
+    /// The names of an earlier list, by the present numbers: a name belongs to the object whose pixel was noted with it.
+    fn names(
+        &self,
+        before: Option<&ObjectList>,
+        parts: &SceneParts,
+    ) -> Result<BTreeMap<usize, String>, RunError> {
+        let mut names = BTreeMap::new();
+        let named = before.iter().flat_map(|list| &list.objects).filter(|object| !object.name.is_empty());
+        for object in named {
+            let Some(view) = self.scene.views.iter().position(|v| v.name == object.photo) else { continue };
+            let (full, map) = (self.scene.views[view].camera, self.map(view, parts)?);
+            let Some([x, y]) = self.scene.views[view].from_taken(object.pixel) else { continue };
+            let at = |v: f32, full: u32, small: usize| {
+                ((v * small as f32 / full.max(1) as f32) as usize).min(small.saturating_sub(1))
+            };
+            let label = map.labels[at(y, full.height, map.height) * map.width + at(x, full.width, map.width)];
+            if label > 0 {
+                names.entry(usize::from(label)).or_insert_with(|| object.name.clone());
+            }
+        }
+        Ok(names)
+    }
+}
+
+impl ListedObjects {
+    /// Writes the list and its thumbnails into the run's folder, as a whole or not at all.
+    ///
+    /// # Errors
+    /// When a file cannot be written.
+    pub fn write(&self, folder: &RunFolder) -> Result<(), RunError> {
+        files::write_folder(&folder.path().join(FOLDER), |aside| -> Result<(), RunError> {
+            let path = aside.join(FILES[0]);
+            fault::point("objects.file").map_err(|e| FileError::new("write", &path, e))?;
+            let text = serde_json::to_vec_pretty(&self.list)
+                .map_err(|e| RunError::Folder { path: path.clone(), reason: e.to_string() })?;
+            files::write_atomic(&path, &text)?;
+            Ok(sheet::sheet(&self.thumbnails).write_png(&aside.join(FILES[1]))?)
+        })
+    }
+}

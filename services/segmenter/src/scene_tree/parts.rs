@@ -1,0 +1,201 @@
+//! The parts of a scene: groups of the scene tree that do not overlap, without a click.
+
+use super::query::{LEAST_AREA, SCENE, expected};
+use super::{GroupCandidate, GroupTree, Growth, NONE, SceneTree, TREES};
+use crate::PosedView;
+use segwild_raster::{CpuEngine, ProjectOptions, RasterError};
+use segwild_scene::{Mask, Splats};
+
+/// Parts that a scene is listed as, at most: file formats hold their numbers as bytes.
+pub const MOST_PARTS: usize = 99;
+
+/// Share of a group that likelier parts may hold; what they hold is theirs.
+const SHARED: f32 = 0.1;
+
+/// Least expected IoU of a part with a thing.
+const LEAST_EXPECTED: f32 = 0.25;
+
+/// Accumulated alpha under which a pixel shows no part.
+const SHOWS: f32 = 0.5;
+
+/// The parts of a scene, the likeliest things first. They are numbered from 1.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SceneParts {
+    /// The group of each part.
+    pub groups: Vec<GroupCandidate>,
+    /// Per splat of the scene, the number of its part; 0 where it belongs to none.
+    pub labels: Vec<u8>,
+}
+
+impl SceneParts {
+    /// Whether each splat belongs to the part of this number.
+    pub fn holds(&self, number: usize) -> Vec<bool> {
+        self.labels.iter().map(|&label| usize::from(label) == number).collect()
+    }
+}
+
+/// The part that each pixel of a view shows.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PartMap {
+    /// Pixels of a row.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Per pixel, row by row, the number of the part; 0 where it shows none.
+    pub labels: Vec<u8>,
+}
+
+impl PartMap {
+    /// Renders the parts into a view: a pixel shows the part of the splat that makes up most of it.
+    ///
+    /// # Errors
+    /// When the scene cannot be rendered.
+    pub fn render(
+        splats: &Splats,
+        options: &ProjectOptions,
+        view: &PosedView,
+        parts: &SceneParts,
+    ) -> Result<PartMap, RasterError> {
+        let front = CpuEngine::default().front(splats, &view.camera, &view.pose, options)?;
+        let label = |(&splat, &alpha): (&u32, &f32)| match parts.labels.get(splat as usize) {
+            Some(&label) if alpha >= SHOWS => label,
+            _ => 0,
+        };
+        let labels = front.splats.iter().zip(&front.alpha.data).map(label).collect();
+        Ok(PartMap { width: front.width, height: front.height, labels })
+    }
+
+    /// By number, the pixels that show each part.
+    pub fn counts(&self) -> Vec<u32> {
+        let mut counts = vec![0; usize::from(u8::MAX) + 1];
+        self.labels.iter().for_each(|&label| counts[usize::from(label)] += 1);
+        counts
+    }
+
+    /// By number, the pixels on the frame that show each part.
+    pub fn counts_on_frame(&self) -> Vec<u32> {
+        let mut counts = vec![0; usize::from(u8::MAX) + 1];
+        for y in 0..self.height {
+            let inner = y > 0 && y + 1 < self.height;
+            for x in (0..self.width).filter(|&x| !inner || x == 0 || x + 1 == self.width) {
+                counts[usize::from(self.labels[y * self.width + x])] += 1;
+            }
+        }
+        counts
+    }
+
+    /// The pixels that show a part.
+    pub fn mask(&self, number: u8) -> Mask {
+        let label = |x: u32, y: u32| self.labels[y as usize * self.width + x as usize];
+        Mask::from_fn(self.width as u32, self.height as u32, |x, y| label(x, y) == number)
+    }
+
+    /// The same at another size: where it grows, its outline is that of the share of the part, linear between pixel centres.
+    pub fn enlarged(&self, number: u8, width: u32, height: u32) -> Mask {
+        let (mut low, mut high) = ([usize::MAX; 2], [0usize; 2]);
+        for (i, _) in self.labels.iter().enumerate().filter(|(_, label)| **label == number) {
+            let at = [i % self.width, i / self.width];
+            low = [0, 1].map(|k| low[k].min(at[k]));
+            high = [0, 1].map(|k| high[k].max(at[k]));
+        }
+        let small = [self.width, self.height];
+        let share = |at: [f32; 2]| {
+            let mut share = 0.0;
+            for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+                let step = [dx, dy];
+                let [column, row] = [0, 1]
+                    .map(|k| (at[k].floor() as isize + step[k]).clamp(0, small[k] as isize - 1) as usize);
+                let near = |k: usize| if step[k] == 0 { 1.0 - at[k].fract() } else { at[k].fract() };
+                if self.labels[row * self.width + column] == number {
+                    share += near(0) * near(1);
+                }
+            }
+            share
+        };
+        Mask::from_fn(width, height, |x, y| {
+            let at = |v: u32, full: u32, small: usize| {
+                ((v as f32 + 0.5) * small as f32 / full as f32 - 0.5).max(0.0)
+            };
+            let at = [at(x, width, small[0]), at(y, height, small[1])];
+            // Most pixels are far from it.
+            let near =
+                |k: usize| low[k] <= high[k] && at[k] + 1.0 >= low[k] as f32 && at[k] <= high[k] as f32 + 1.0;
+            near(0) && near(1) && share(at) > 0.5
+        })
+    }
+}
+
+impl SceneTree {
+    /// Lists the scene's parts: groups by their expected IoU with a thing, each without what likelier ones hold.
+    pub fn parts(&self) -> SceneParts {
+        let mut found: Vec<GroupCandidate> =
+            self.trees.iter().enumerate().flat_map(|(number, tree)| likely(number, tree)).collect();
+        found.sort_by(|a, b| b.score.total_cmp(&a.score).then(a.nodes.cmp(&b.nodes)));
+        let leaves = self.trees.first().map_or(0, |tree| tree.merges.leaves);
+        let area: Vec<f32> = self
+            .trees
+            .first()
+            .map_or(&[][..], |tree| &tree.groups[..leaves])
+            .iter()
+            .map(|g| g.area)
+            .collect();
+        let mut part_of = vec![0u8; leaves];
+        let mut groups = Vec::new();
+        // Per tree and node, the area that parts hold.
+        let mut held: Vec<Vec<f64>> = self.trees.iter().map(|tree| vec![0.0; tree.merges.len()]).collect();
+        for group in found {
+            if groups.len() == MOST_PARTS {
+                break;
+            }
+            let (tree, node) = group.nodes[0];
+            if held[tree][node as usize] > f64::from(SHARED * group.area) {
+                continue;
+            }
+            let number = groups.len() as u8 + 1;
+            let inside = self.trees[tree].merges.parts_of(node);
+            for (part, _) in part_of.iter_mut().zip(&inside).filter(|(part, inside)| **part == 0 && **inside)
+            {
+                *part = number;
+            }
+            let of_leaf: Vec<f32> =
+                part_of.iter().zip(&area).map(|(&part, &area)| if part > 0 { area } else { 0.0 }).collect();
+            for (held, tree) in held.iter_mut().zip(&self.trees) {
+                *held = tree.merges.sums(&of_leaf);
+            }
+            groups.push(group);
+        }
+        let labels = self.leaf.iter().map(|&leaf| if leaf == NONE { 0 } else { part_of[leaf as usize] });
+        SceneParts { groups, labels: labels.collect() }
+    }
+}
+
+/// The groups of a tree that may be parts. How much higher a group's parent is counts relative to the widest gap on the way from
+/// the group's largest part to the root: a click lies there most often.
+fn likely(number: usize, tree: &GroupTree) -> impl Iterator<Item = GroupCandidate> + '_ {
+    let merges = &tree.merges;
+    let n = merges.len();
+    let large = |node: usize| tree.groups[node].area >= LEAST_AREA;
+    let gap = |node: usize| merges.height[merges.parent[node] as usize] - merges.height[node];
+    let own = |node: usize| if large(node) { gap(node) } else { 0.0 };
+    // The widest gap from each node's largest part to it, and from it to the root.
+    let (mut below, mut above) = ((0..n).map(own).collect::<Vec<f32>>(), vec![0.0f32; n]);
+    let mut largest = vec![0.0f32; n];
+    for node in 0..n {
+        let parent = merges.parent[node] as usize;
+        if parent != node && tree.groups[node].area > largest[parent] {
+            largest[parent] = tree.groups[node].area;
+            below[parent] = below[node].max(own(parent));
+        }
+    }
+    for node in (0..n).rev() {
+        let parent = merges.parent[node] as usize;
+        above[node] = if parent == node { own(node) } else { own(node).max(above[parent]) };
+    }
+    let average = TREES[number].1 == Growth::Average;
+    (0..n).filter(move |&node| large(node) && tree.groups[node].area <= SCENE).filter_map(move |node| {
+        let widest = below[node].max(above[node]).max(1e-9);
+        let score = expected(tree, node as u32, gap(node) / widest, average);
+        let area = tree.groups[node].area;
+        (score >= LEAST_EXPECTED).then(|| GroupCandidate { nodes: vec![(number, node as u32)], score, area })
+    })
+}
