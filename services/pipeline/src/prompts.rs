@@ -17,7 +17,7 @@ pub struct PhotoPrompts {
     pub prompts: Prompts,
 }
 
-/// An object of the scene's list, as a question.
+/// An object of the scene's list, as a query.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ObjectQuery {
     /// Its number.

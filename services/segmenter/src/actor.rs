@@ -143,7 +143,7 @@ impl SegmentActor {
         };
         let TreeAnswer { group, alternatives } = match (&self.tree, &task.group) {
             (Some(tree), Some(meant)) => {
-                let drawn = tree_answer::GroupAnswer::of(
+                let outlined = tree_answer::GroupAnswer::of(
                     &blank,
                     tree,
                     meant,
@@ -151,7 +151,7 @@ impl SegmentActor {
                     &photos,
                     &*self.segmenter,
                 )?;
-                let group = drawn.ok_or(SegmentError::NothingSelected { reason: NOWHERE })?;
+                let group = outlined.ok_or(SegmentError::NothingSelected { reason: NOWHERE })?;
                 TreeAnswer { group: Some(group), alternatives: Vec::new() }
             }
             (Some(tree), None) => {

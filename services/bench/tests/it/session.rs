@@ -33,7 +33,7 @@ fn one_session_answers_many_clicks_in_steps_and_saves_what_one_command_saves() {
         .collect();
     let session = Session::open(trial.folder(), SessionOptions::default()).unwrap();
     assert!(session.tree().is_some());
-    // Two questions at once, and one that nobody waits for.
+    // Two querys at once, and one that nobody waits for.
     let ask = |click: &PhotoPrompts, cancel: &Stopper| {
         session.ask(&std::slice::from_ref(click).into(), &settings.segment, cancel).unwrap()
     };
@@ -59,8 +59,8 @@ fn one_session_answers_many_clicks_in_steps_and_saves_what_one_command_saves() {
     let object = |name: &str| std::fs::read(trial.folder().selection(name).join("object.ply")).unwrap();
     for (name, click) in ["first", "second"].iter().zip(&clicks) {
         let alone = format!("{name}-alone");
-        let (question, settings) = (std::slice::from_ref(click).into(), &settings.segment);
-        segment(trial.folder(), &alone, &question, settings, None, &Stopper::new()).unwrap();
+        let (query, settings) = (std::slice::from_ref(click).into(), &settings.segment);
+        segment(trial.folder(), &alone, &query, settings, None, &Stopper::new()).unwrap();
         assert!(object(name) == object(&alone), "{name}");
     }
     // What cannot be asked leaves the session as it was.

@@ -6,7 +6,11 @@ use crate::failure::Failure;
 use crate::progress::stop_on_ctrl_c;
 use clap::{Arg, ArgAction, ArgMatches, Command};
 use segwild_flow::Stopper;
-use segwild_pipeline::{ObjectList, RunFolder, Session, SessionOptions, export_objects, list_objects};
+use segwild_pipeline::{
+    ExportedObjects, ObjectList, RunFolder, SceneObject, Session, SessionOptions, export_objects,
+    list_objects,
+};
+use serde::Serialize;
 
 /// The command's arguments.
 pub fn command() -> Command {
@@ -67,7 +71,7 @@ pub fn objects(matches: &ArgMatches) -> Result<(), Failure> {
         None => None,
     };
     if matches.get_flag("json") {
-        return print_json(&serde_json::json!({ "objects": list.objects, "exported": exported }));
+        return print_json(&ListedAndExported { objects: &list.objects, exported: exported.as_ref() });
     }
     print_table(&list)?;
     print_line(&format!("thumbnails: {}", ObjectList::sheet(&folder).display()))?;
@@ -80,6 +84,14 @@ pub fn objects(matches: &ArgMatches) -> Result<(), Failure> {
         )),
         None => Ok(()),
     }
+}
+
+/// The answer as JSON.
+#[derive(Serialize)]
+struct ListedAndExported<'a> {
+    objects: &'a [SceneObject],
+    /// What was written; `null` without `--out`.
+    exported: Option<&'a ExportedObjects>,
 }
 
 fn print_table(list: &ObjectList) -> Result<(), Failure> {

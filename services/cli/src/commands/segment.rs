@@ -58,10 +58,10 @@ pub fn command() -> Command {
 /// Clicks to an object.
 pub fn segment(matches: &ArgMatches) -> Result<(), Failure> {
     let folder = RunFolder::open(&path(matches, "run").expect("clap requires it"))?;
-    let question = question(matches, &folder)?;
+    let replay = replay(matches, &folder)?;
     let mut settings: Settings = folder.settings()?;
     // What the selection was made with, then what is asked for now.
-    settings.segment = question.settings.clone().unwrap_or(settings.segment);
+    settings.segment = replay.settings.clone().unwrap_or(settings.segment);
     let flags = crate::args::given(matches);
     for (name, value) in &flags {
         settings.set(name, value).map_err(segwild_pipeline::SettingsError::from)?;
@@ -72,7 +72,7 @@ pub fn segment(matches: &ArgMatches) -> Result<(), Failure> {
     let name = matches.get_one::<String>("name").expect("it has a default");
     let providers = segwild_pipeline::providers_for(&folder, &Code::given(&flags))?;
     let done =
-        segwild_pipeline::segment(&folder, name, &question, &settings.segment, Some(&providers), &stopper)?;
+        segwild_pipeline::segment(&folder, name, &replay, &settings.segment, Some(&providers), &stopper)?;
     if matches.get_flag("json") {
         return print_json(&done);
     }
@@ -108,7 +108,7 @@ pub fn segment(matches: &ArgMatches) -> Result<(), Failure> {
 type Given<'a> = (usize, &'static str, &'a String);
 
 /// The prompts on the command line, each on the photo named last before it, an object of the list, or what a file asks.
-fn question(matches: &ArgMatches, folder: &RunFolder) -> Result<Replay, Failure> {
+fn replay(matches: &ArgMatches, folder: &RunFolder) -> Result<Replay, Failure> {
     if let Some(file) = path(matches, "prompts") {
         return Ok(Replay::read(&file)?);
     }

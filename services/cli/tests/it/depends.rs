@@ -6,7 +6,7 @@ use segwild_pipeline::{RunFolder, Settings, StageVerdict, explain};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-const GEOMETRY: &[&str] = &["masks", "geometry", "features", "evaluate"];
+const GEOMETRY: &[&str] = &["masks", "geometry", "features", "evaluate", "objects"];
 const SNAPSHOT: &[&str] = &["masks", "geometry", "features"];
 const MASKS: &[&str] = &["masks", "features"];
 const FEATURES: &[&str] = &["features"];

@@ -13,6 +13,7 @@ mod deploying;
 mod disk;
 mod distorted;
 mod kills;
+mod objects;
 mod operators;
 mod photos;
 mod received;

@@ -218,7 +218,7 @@ fn explain_names_what_would_be_done_again_and_why() {
     assert_eq!(done_again(&channels), ["features", "report"]);
     assert!(channels["features"].1.contains("channels: 64 -> 16"), "{channels:?}");
     let steps = plan(&scene, &["--steps", "61", "--channels", "16", "--tau", "0.4"]);
-    assert_eq!(done_again(&steps), ["evaluate", "features", "geometry", "masks", "report"]);
+    assert_eq!(done_again(&steps), ["evaluate", "features", "geometry", "masks", "objects", "report"]);
     assert_eq!(steps["geometry"].1, "[\"steps: 60 -> 61\"]");
     assert!(steps["features"].1.contains("channels") && steps["features"].1.contains("steps"), "{steps:?}");
     // Memory changes nothing that is made.

@@ -103,7 +103,7 @@ impl ObjectList {
         })
     }
 
-    /// The object of a number or a name, as a question.
+    /// The object of a number or a name, as a query.
     ///
     /// # Errors
     /// When there is none.

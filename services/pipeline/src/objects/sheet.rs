@@ -133,7 +133,7 @@ mod tests {
             let number = (0..7 * DOT).flat_map(|v| (0..9 * DOT).map(move |u| (u, v)));
             number.filter(|&(u, v)| sheet.at(0, x + u, y + v) == 1.0).count() / (DOT * DOT)
         };
-        assert_eq!((white(0), white(10)), (9, 18));
+        assert_eq!((white(0), white(10)), (8, 16));
         assert_eq!(super::sheet(&[]).width, SIDE + 2 * GAP);
     }
 }

@@ -2,16 +2,16 @@
 //!
 //! A [`Session`] holds what clicks need: the scene, its tree, the engine, the providers and the segmenter's actor. Prompts are
 //! [asked](Session::ask) and answered in steps: by the scene tree, by the prompted photos, by more and more photos. A
-//! later question may cancel an earlier one. An answer is [saved](Session::save) as a selection of the run.
+//! later query may cancel an earlier one. An answer is [saved](Session::save) as a selection of the run.
 //!
 //! ```no_run
 //! # fn main() -> Result<(), segwild_pipeline::RunError> {
 //! use segwild_flow::Stopper;
 //! use segwild_pipeline::{Replay, RunFolder, Session, SessionOptions};
-//! let question = Replay::read("prompts.json".as_ref())?;
+//! let replay = Replay::read("prompts.json".as_ref())?;
 //! let folder = RunFolder::open("runs/trevi".as_ref())?;
 //! let session = Session::open(&folder, SessionOptions::default())?;
-//! let pending = session.ask(&question, &folder.settings()?.segment, &Stopper::new())?;
+//! let pending = session.ask(&replay, &folder.settings()?.segment, &Stopper::new())?;
 //! let answer = pending.wait(|step, labels| println!("{step:?}: {} splats", labels.len()))?;
 //! println!("{}", session.save("statue", &answer)?.folder.display());
 //! # Ok(())
@@ -200,25 +200,25 @@ impl Session {
         Ok(ListRequest { scene: &self.scene, model: &self.model, size, tree, key: key.clone() })
     }
 
-    /// Asks for the object of the prompts, or for one of the scene's list. Questions are answered one after the other; `cancel`
+    /// Asks for the object of the prompts, or for one of the scene's list. Queries are answered one after the other; `cancel`
     /// ends this one.
     ///
     /// # Errors
     /// When the prompts cannot be used, the list is of an earlier training, or the session has ended.
     pub fn ask(
         &self,
-        question: &Replay,
+        replay: &Replay,
         settings: &SegmentSettings,
         cancel: &Stopper,
     ) -> Result<PendingAnswer, RunError> {
-        let (prompts, group) = match &question.object {
+        let (prompts, group) = match &replay.object {
             Some(object) => {
                 let (view, group) = self.listed(object)?;
                 (vec![(view, Prompts::default())], Some(group))
             }
             None => {
-                check_all(&question.prompts)?;
-                let queries = question.prompts.iter().map(|p| self.query(p));
+                check_all(&replay.prompts)?;
+                let queries = replay.prompts.iter().map(|p| self.query(p));
                 (queries.collect::<Result<Vec<_>, _>>()?, None)
             }
         };
@@ -231,7 +231,7 @@ impl Session {
         let task = SegmentTask { prompts, group, settings: settings.clone(), cancel: cancel.clone(), reply };
         self.tasks.blocking_send_urgent(task).map_err(|e| failed(e.to_string()))?;
         Ok(PendingAnswer {
-            replay: Replay { settings: Some(settings.clone()), ..question.clone() },
+            replay: Replay { settings: Some(settings.clone()), ..replay.clone() },
             scene: self.scene.clone(),
             size: self.made_with.scene.size,
             began: Instant::now(),
@@ -278,7 +278,7 @@ impl Session {
     }
 }
 
-/// Opens a session for one question, and saves its last answer as the selection `name`. Without `providers` it uses those of
+/// Opens a session for one query, and saves its last answer as the selection `name`. Without `providers` it uses those of
 /// [`crate::providers_for`], with the networks that the environment names.
 ///
 /// # Errors
@@ -286,17 +286,17 @@ impl Session {
 pub fn segment(
     folder: &RunFolder,
     name: &str,
-    question: &Replay,
+    replay: &Replay,
     settings: &SegmentSettings,
     providers: Option<&Providers>,
     stopper: &Stopper,
 ) -> Result<SegmentOutcome, RunError> {
     RunFolder::can_name(name)?;
-    check_all(&question.prompts)?;
-    let tree = settings.first_answer == FirstAnswer::Tree || question.object.is_some();
+    check_all(&replay.prompts)?;
+    let tree = settings.first_answer == FirstAnswer::Tree || replay.object.is_some();
     let providers = providers.cloned();
     let session = Session::open(folder, SessionOptions { providers, tree, stopper: stopper.clone() })?;
-    let answer = session.ask(question, settings, stopper)?.wait(|_, _| ())?;
+    let answer = session.ask(replay, settings, stopper)?.wait(|_, _| ())?;
     session.save(name, &answer)
 }
 
@@ -317,7 +317,7 @@ pub struct Answer {
     pub replay: Replay,
     /// What it selects.
     pub segmented: Box<Segmented>,
-    /// Seconds from the question to the answer.
+    /// Seconds from the prompts to the answer.
     pub select_s: f64,
 }
 
@@ -328,7 +328,7 @@ impl PendingAnswer {
     /// Waits for the last answer. `step` receives the earlier ones: whether each splat of the scene belongs to the object.
     ///
     /// # Errors
-    /// When nothing is selected, the segmenter fails, or the question or the session was cancelled ([`RunError::Interrupted`]).
+    /// When nothing is selected, the segmenter fails, or the query or the session was cancelled ([`RunError::Interrupted`]).
     pub fn wait(self, mut step: impl FnMut(AnswerStep, &[bool])) -> Result<Answer, RunError> {
         loop {
             match self.answers.blocking_recv() {
