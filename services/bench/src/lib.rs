@@ -13,6 +13,7 @@ pub mod perturb;
 pub mod plot;
 pub mod point;
 pub mod protocols;
+pub mod random_clicks;
 pub mod reconstruction;
 pub mod record;
 pub mod scale;

@@ -2,6 +2,7 @@
 
 use crate::plot::PlotError;
 use crate::point::PointError;
+use crate::protocols::ProtocolError;
 use crate::record::RecordError;
 use segwild_pipeline::SettingsError;
 use segwild_raster::RasterError;
@@ -29,6 +30,9 @@ pub enum PageError {
     /// A run failed that should not.
     #[error(transparent)]
     Point(#[from] PointError),
+    /// The data that a protocol needs is not there.
+    #[error(transparent)]
+    Protocol(#[from] ProtocolError),
     /// The kernels refused.
     #[error("the kernels refused: {0}")]
     Raster(#[from] RasterError),

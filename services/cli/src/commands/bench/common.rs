@@ -280,6 +280,7 @@ impl From<PageError> for Failure {
         match error {
             PageError::Settings(e) => e.into(),
             PageError::Point(e) => e.into(),
+            PageError::Protocol(e) => e.into(),
             PageError::Unknown { .. } | PageError::Gpu(GpuError::NoAdapter(_)) => {
                 Failure::usage(error.to_string())
             }

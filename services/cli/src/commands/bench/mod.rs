@@ -1,6 +1,7 @@
 //! `segwild bench`: one module per benchmark, each with its arguments, a call into `segwild_bench`, and words out.
 
 mod chart;
+mod clicks;
 mod common;
 mod compare;
 mod engine;
@@ -42,6 +43,7 @@ pub fn command() -> Command {
         .subcommand(engine::command())
         .subcommand(scale::command())
         .subcommand(reconstruction::command())
+        .subcommand(clicks::command())
         .subcommand(slice::command())
         .subcommand(stability::command())
 }
@@ -50,6 +52,7 @@ pub fn command() -> Command {
 pub fn bench(matches: &ArgMatches) -> Result<(), Failure> {
     match matches.subcommand() {
         Some(("chart", m)) => chart::chart(m),
+        Some(("clicks", m)) => clicks::clicks(m),
         Some(("compare", m)) => compare::compare(m),
         Some(("reconstruction", m)) => reconstruction::reconstruction(m),
         Some(("scale", m)) => scale::scale(m),

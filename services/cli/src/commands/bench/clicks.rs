@@ -1,0 +1,80 @@
+//! `segwild bench clicks`
+
+use super::numbers;
+use crate::args::{examples, flag, given, json, number, path, with_settings_in_long_help};
+use crate::commands::{path as path_of, print_json, print_line, use_threads};
+use crate::failure::Failure;
+use clap::{Arg, ArgMatches, Command, value_parser};
+use segwild_bench::random_clicks::{ClickOptions, random_clicks, write};
+use segwild_bench::record::Record;
+use segwild_pipeline::Settings;
+use std::path::PathBuf;
+
+/// The benchmark's arguments.
+pub fn command() -> Command {
+    let command = Command::new("clicks")
+        .about("What single clicks find: random clicks anywhere on the objects of scenes with true masks")
+        .after_help(examples(
+            "segwild bench clicks photos/trevi photos/garden",
+            "segwild bench clicks photos/trevi --clicks 8 --sizes 320,640 --alternatives",
+        ))
+        .arg(
+            Arg::new("scenes")
+                .value_name("SCENE")
+                .num_args(1..)
+                .required(true)
+                .value_parser(value_parser!(PathBuf))
+                .help("Scenes with truth/PHOTO.png or truth/OBJECT/PHOTO.png, as for `segwild bench folder`"),
+        )
+        .arg(
+            Arg::new("sizes")
+                .long("sizes")
+                .value_name("LIST")
+                .default_value("320")
+                .help("Long sides of the photos in pixels, with commas"),
+        )
+        .arg(number("clicks", "20", "Clicks on each object").value_parser(value_parser!(u64)))
+        .arg(
+            number("click-seed", "1", "Seed of the clicks and of the trainings")
+                .value_parser(value_parser!(u64)),
+        )
+        .arg(flag("alternatives", "Measure the alternatives of each click as well"))
+        .arg(path("out", "Folder for results and page [default: .bench/clicks]"))
+        .arg(path("page", "Write the page to this file as well"))
+        .arg(json());
+    with_settings_in_long_help(command)
+}
+
+/// Measures, and writes the page.
+pub fn clicks(matches: &ArgMatches) -> Result<(), Failure> {
+    let settings = given(matches);
+    use_threads(Settings::layered(None, &settings)?.run.threads);
+    let options = ClickOptions {
+        scenes: matches.get_many("scenes").expect("clap requires it").cloned().collect(),
+        sizes: numbers(matches, "sizes")?,
+        clicks: *matches.get_one::<u64>("clicks").expect("it has a default") as usize,
+        seed: *matches.get_one::<u64>("click-seed").expect("it has a default"),
+        alternatives: matches.get_flag("alternatives"),
+        out: path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench/clicks")),
+        command: super::common::command_line(),
+        settings,
+    };
+    let json = matches.get_flag("json");
+    let results = random_clicks(&options, |record| {
+        let _ = if json { print_json(record) } else { tell(record) };
+    })?;
+    for what in &results.missing {
+        eprintln!("warning: not measured: {what}");
+    }
+    let page = write(&options.out, path_of(matches, "page").as_deref(), &results)?;
+    if json {
+        return Ok(());
+    }
+    print_line(&format!("page: {}", page.display()))
+}
+
+fn tell(record: &Record) -> Result<(), Failure> {
+    let iou = record.numbers.get("iou").copied().unwrap_or_default();
+    let at = record.notes.first().map_or("", String::as_str);
+    print_line(&format!("{} {} click {}: IoU {iou:.3}, {at}", record.scene, record.target, record.prompt))
+}
