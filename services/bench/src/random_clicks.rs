@@ -172,6 +172,8 @@ fn of_click(
                 session.save("click", &answer).map_err(failed)?;
                 let scored = score(session.folder(), "click", masks).map_err(failed)?;
                 let ious: Vec<f64> = scored.photos.iter().map(|photo| photo.iou).collect();
+                let expected = answer.segmented.expected_iou.filter(|_| at == 0);
+                numbers.extend(expected.map(|e| ("expected_iou".to_owned(), f64::from(e))));
                 (ious, answer.select_s, answer.segmented.alternatives.len())
             }
             // Nothing selected is nothing right.

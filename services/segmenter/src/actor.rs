@@ -44,6 +44,9 @@ pub struct Segmented {
     pub cut: SpikeCut,
     /// Per photo with a positive prompt, the mask of its prompts.
     pub masks: Vec<(usize, ScoredMask)>,
+    /// The expected IoU of the scene tree's answer with what the clicks mean, by its fit on other scenes, in [0, 1]; `None` where
+    /// the photos' own masks answered.
+    pub expected_iou: Option<f32>,
     /// What the clicks may mean, in the order of [`SegmentSettings::alternative`]. Empty where the scene tree took no part.
     pub alternatives: Vec<Alternative>,
 }
@@ -113,6 +116,10 @@ fn refuses(prompts: &Prompts) -> bool {
 
 impl SegmentActor {
     fn segment(&mut self, task: &SegmentTask, context: &Context) -> Result<Segmented, SegmentError> {
+        let steps = TaskSteps { task, context };
+        if steps.cancelled() {
+            return Err(SegmentError::Cancelled);
+        }
         if self.graph.as_ref().is_none_or(|g| g.len() != self.splats.len()) {
             let _zone = context.busy_zone("neighbour graph");
             self.graph = Some(NeighbourGraph::new(&self.splats, task.settings.neighbours));
@@ -125,7 +132,6 @@ impl SegmentActor {
             |(view, _): &(usize, Prompts)| (self.photos)(*view).map_err(|reason| provider(*view, reason));
         let photos: Vec<Image> = task.prompts.iter().map(read).collect::<Result<_, _>>()?;
         let held = self.engine.hold(&self.splats).map_err(SegmentError::raster("the scene"))?;
-        let steps = TaskSteps { task, context };
         let blank = Request {
             engine: held.as_deref().unwrap_or(&*self.engine),
             options: self.options,
@@ -196,6 +202,7 @@ impl SegmentActor {
                 .collect(),
         };
         let prior = group.as_ref().map(|group| &group.prior);
+        let expected_iou = group.as_ref().map(|group| group.expected_iou);
         let request = Request { prompts: &prompted, prior, ..blank };
         let refiner = PhotoRefiner { actor: self, context, prepared: Mutex::default() };
         let selection = select(&request, Some(&refiner))?;
@@ -206,7 +213,7 @@ impl SegmentActor {
         };
         let meant = task.prompts.iter().zip(masks).filter(|((_, prompts), _)| !refuses(prompts));
         let masks = meant.filter_map(|((view, _), mask)| Some((*view, mask?))).collect();
-        Ok(Segmented { selection, cut, masks, alternatives })
+        Ok(Segmented { selection, cut, masks, expected_iou, alternatives })
     }
 }
 

@@ -79,7 +79,7 @@ segwild_scene::choice! {
 segwild_scene::choice! {
     /// What the first answer to clicks comes from, before other photos refine it.
     pub enum FirstAnswer {
-        /// The scene tree. Boxes, clicks of a given granularity, and clicks that SAM answers come from the photo all the same.
+        /// The scene tree. Boxes, and clicks that SAM answers, come from the photo all the same.
         Tree = "tree",
         /// The clicked photo alone (the paper).
         Photo = "photo"

@@ -36,13 +36,15 @@ pub(crate) struct TreeAnswer {
 pub(crate) struct GroupAnswer {
     /// What it says of each splat.
     pub prior: Evidence,
+    /// Its expected IoU with what the clicks mean, in [0, 1].
+    pub expected_iou: f32,
     /// Per prompted photo, its outline there by the photo's own boundaries; `None` where it does not show.
     pub masks: Vec<Option<ScoredMask>>,
 }
 
-/// Whether all prompts are clicks that leave the size of what they mean open.
+/// Whether all prompts are clicks.
 fn only_clicks(prompts: &Prompts) -> bool {
-    prompts.boxes.is_empty() && !prompts.points.is_empty() && prompts.granularity.is_none()
+    prompts.boxes.is_empty() && !prompts.points.is_empty()
 }
 
 /// The tree's answer to clicks, with their photos. The photo's own mask comes first where a photo has several positive clicks,
@@ -78,11 +80,16 @@ pub(crate) fn answer(
         return Ok(TreeAnswer::default());
     };
     let outside: Vec<u32> = negative.iter().filter_map(|hit| tree.leaf_of(hit)).collect();
-    let found = tree.candidates(&TreeQuery { inside: &inside, outside: &outside });
+    let query = TreeQuery { inside: &inside, outside: &outside };
+    let granularity = clicks.iter().find_map(|(_, prompts)| prompts.granularity);
+    let found = match granularity {
+        Some(granularity) => tree.candidates_of_size(&query, granularity),
+        None => tree.candidates(&query),
+    };
     let Some(first) = found.first() else { return Ok(TreeAnswer::default()) };
     let mut meanings: Vec<Option<&GroupCandidate>> = found.iter().map(Some).collect();
     let several = |(_, prompts): &(usize, Prompts)| prompts.points.iter().filter(|p| p.inside).count() > 1;
-    let by_photo = clicks.iter().any(several) || first.area > SCENE;
+    let by_photo = granularity.is_none() && (clicks.iter().any(several) || first.area > SCENE);
     meanings.insert(usize::from(!by_photo), None);
     let named = |meaning: &Option<&GroupCandidate>| match meaning {
         Some(candidate) => Alternative::Group(candidate.area),
@@ -133,7 +140,7 @@ impl GroupAnswer {
         }
         let means = |p: &Prompts| p.points.is_empty() || p.points.iter().any(|p| p.inside);
         let shows = prompts.iter().zip(&masks).any(|((_, p), mask)| means(p) && mask.is_some());
-        Ok(shows.then_some(GroupAnswer { prior, masks }))
+        Ok(shows.then_some(GroupAnswer { prior, expected_iou: chosen.score.clamp(0.0, 1.0), masks }))
     }
 }
 

@@ -65,7 +65,7 @@ impl ObjectList {
     pub fn read(folder: &RunFolder) -> Option<ObjectList> {
         let list: ObjectList = folder.read_json(&format!("{FOLDER}/{}", FILES[0])).ok()?;
         let sound = |(i, object): (usize, &SceneObject)| {
-            object.number == i + 1 && (object.name.is_empty() || RunFolder::can_name(&object.name).is_ok())
+            object.number == i + 1 && (object.name.is_empty() || can_name(&object.name).is_ok())
         };
         list.objects.iter().enumerate().all(sound).then_some(list)
     }
@@ -119,12 +119,7 @@ impl ObjectList {
     pub fn rename(&mut self, object: &str, name: &str) -> Result<(), RunError> {
         let number = self.find(object)?.number;
         if !name.is_empty() {
-            RunFolder::can_name(name)?;
-            if name.parse::<usize>().is_ok() || name.starts_with("object-") {
-                return Err(RunError::Request(format!(
-                    "`{name}` cannot name an object: objects without names are called so"
-                )));
-            }
+            can_name(name)?;
             // Systems on which `A` and `a` are one file have to tell them apart.
             let same = |o: &&SceneObject| o.number != number && o.name.to_lowercase() == name.to_lowercase();
             if let Some(other) = self.objects.iter().find(same) {
@@ -145,6 +140,20 @@ impl ObjectList {
     pub fn write(&self, folder: &RunFolder) -> Result<(), RunError> {
         folder.write_json(&format!("{FOLDER}/{}", FILES[0]), self)
     }
+}
+
+/// Refuses a name that cannot be an object's: files of the export bear it.
+fn can_name(name: &str) -> Result<(), RunError> {
+    RunFolder::can_name(name)?;
+    let lower = name.to_lowercase();
+    let why = if lower.parse::<usize>().is_ok() || lower.starts_with("object-") {
+        "objects without names are called so"
+    } else if lower == "labels" {
+        "the file of all labels is called so"
+    } else {
+        return Ok(());
+    };
+    Err(RunError::Request(format!("`{name}` cannot name an object: {why}")))
 }
 
 /// What a list is made of.

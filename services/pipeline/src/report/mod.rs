@@ -41,6 +41,7 @@ pub fn write_report(folder: &RunFolder) -> Result<Vec<Skipped>, RunError> {
             body.push_str(&format!("<p>Appearances are not shown: {}</p>", html::escape(&error.to_string())))
         }
     }
+    body.push_str(&objects::list(folder));
     body.push_str(&objects::all(folder, &loaded, &*engine)?);
     let (rows, left_out) = photos(folder, &loaded, &*engine)?;
     body.push_str(&rows);

@@ -3,14 +3,43 @@
 use super::{html, pass, spread, write_report};
 use crate::folder::Loaded;
 use crate::render::{Mode, RenderContent, SceneRenderer};
-use crate::{RunError, RunFolder, Selected, choose_engine, log_loss};
+use crate::{ObjectList, RunError, RunFolder, Selected, choose_engine, log_loss};
 use segwild_flow::{FileError, files};
 use segwild_raster::Engine;
+use segwild_scene::Image;
 use std::collections::BTreeMap;
 
 const END_OF_OBJECTS: &str = "<!-- end of objects -->";
 const START_OF_OBJECT: &str = "<!-- object ";
 const AFTER_NAME: &str = " -->";
+
+/// The list of the scene's objects; nothing where the run has none.
+pub(super) fn list(folder: &RunFolder) -> String {
+    let Some(list) = ObjectList::read(folder).filter(|list| !list.objects.is_empty()) else {
+        return String::new();
+    };
+    // A sheet that cannot be read is left out; the table stands for it.
+    let sheet = Image::read(&ObjectList::sheet(folder));
+    let sheet = sheet.map_or_else(|_| String::new(), |sheet| html::figure(&sheet, "each by its number"));
+    let head = ["number", "name", "splats", "light (%)", "photos", "shown best by"];
+    let mut rows = vec![head.map(str::to_owned).to_vec()];
+    rows.extend(list.objects.iter().map(|o| {
+        vec![
+            o.number.to_string(),
+            o.name.clone(),
+            o.splats.to_string(),
+            format!("{:.1}", 100.0 * o.light),
+            o.photos.to_string(),
+            o.photo.clone(),
+        ]
+    }));
+    format!(
+        "<h2>Objects found without a click</h2><p><code>segwild segment RUN --object N</code> makes a selection of one.</p>\
+         <div class=\"row\">{sheet}</div><details><summary>{} objects</summary>{}</details>",
+        list.objects.len(),
+        html::table(&rows)
+    )
+}
 
 /// All selections, each from a few of the photos it shows on.
 pub(super) fn all(folder: &RunFolder, loaded: &Loaded, engine: &dyn Engine) -> Result<String, RunError> {

@@ -296,6 +296,8 @@ pub fn segment(
     let tree = settings.first_answer == FirstAnswer::Tree || replay.object.is_some();
     let providers = providers.cloned();
     let session = Session::open(folder, SessionOptions { providers, tree, stopper: stopper.clone() })?;
+    // Before anything is computed.
+    session.files.fit(&folder.selection(name))?;
     let answer = session.ask(replay, settings, stopper)?.wait(|_, _| ())?;
     session.save(name, &answer)
 }

@@ -41,6 +41,9 @@ pub struct SegmentOutcome {
     pub agreement: f32,
     /// Whether only the prompted photos decided, because the others would have moved the selection to something else.
     pub alone: bool,
+    /// The expected IoU of the scene tree's answer with what the prompts mean, in [0, 1]; `None` where the photos' own masks
+    /// answered.
+    pub expected_iou: Option<f32>,
     /// What the prompts may mean; the setting `alternative` selects one. Empty where the scene tree took no part.
     pub alternatives: Vec<Alternative>,
     /// Warnings about the prompts and the selection, a sentence each.
@@ -100,7 +103,7 @@ impl Session {
         // Written aside and then renamed, so that a selection is there as a whole or not at all.
         files::remove_litter(&folder.path().join("selections"));
         let target = folder.selection(name);
-        let Segmented { selection, cut, masks, alternatives } = &**segmented;
+        let Segmented { selection, cut, masks, expected_iou, alternatives } = &**segmented;
         let selected = Selected::new(&selection.labels, cut);
         let object = SelectedObject::new(&in_colour, &selection.labels, cut);
         let count = |verdict: PhotoVerdict| selection.visits.iter().filter(|v| v.verdict == verdict).count();
@@ -114,6 +117,7 @@ impl Session {
             photos: 0,
             agreement: selection.agreement,
             alone: selection.alone,
+            expected_iou: *expected_iou,
             alternatives: alternatives.clone(),
             notes: prompt_warnings(folder, scene, &replay.prompts, masks),
             agreeing: count(PhotoVerdict::Accepted),

@@ -9,6 +9,9 @@ const MOST: usize = 2;
 /// Two candidates differ in area by at least this factor.
 const APART: f32 = 1.5;
 
+/// Expected IoU that a candidate of another granularity must have more, per whole range of sizes.
+const SIZE_WEIGHT: f32 = 2.0;
+
 /// Share of all light under which a group is no candidate.
 pub(super) const LEAST_AREA: f32 = 0.002;
 
@@ -95,14 +98,22 @@ impl SceneTree {
                 found.push(GroupCandidate { nodes, score, area: each.iter().map(|c| c.area).sum() });
             }
         }
-        let mut kept: Vec<GroupCandidate> = Vec::new();
-        for candidate in found {
-            let apart = |k: &GroupCandidate| k.area.max(candidate.area) >= APART * k.area.min(candidate.area);
-            if kept.len() < MOST && kept.iter().all(apart) {
-                kept.push(candidate);
-            }
-        }
-        kept
+        apart(found)
+    }
+
+    /// As [`SceneTree::candidates`], with those first whose size is near `granularity`: 0 is the smallest group that holds the
+    /// inside leaves, 1 the largest; sizes are compared by their logarithms.
+    pub fn candidates_of_size(&self, query: &TreeQuery, granularity: f32) -> Vec<GroupCandidate> {
+        let mut found = self.groups_with(query);
+        let sizes = || found.iter().map(|c| c.area.ln());
+        let (least, most) = (sizes().fold(f32::MAX, f32::min), sizes().fold(f32::MIN, f32::max));
+        let far = |c: &GroupCandidate| {
+            let position = (c.area.ln() - least) / (most - least).max(1e-6);
+            (position - granularity).abs()
+        };
+        let worth = |c: &GroupCandidate| c.score - SIZE_WEIGHT * far(c);
+        found.sort_by(|a, b| worth(b).total_cmp(&worth(a)).then(a.nodes.cmp(&b.nodes)));
+        apart(found)
     }
 
     /// Groups that hold all inside leaves and no outside one, the likeliest first.
@@ -144,6 +155,18 @@ impl SceneTree {
         }
         labels
     }
+}
+
+/// The first candidates that differ in size.
+fn apart(found: Vec<GroupCandidate>) -> Vec<GroupCandidate> {
+    let mut kept: Vec<GroupCandidate> = Vec::new();
+    for candidate in found {
+        let apart = |k: &GroupCandidate| k.area.max(candidate.area) >= APART * k.area.min(candidate.area);
+        if kept.len() < MOST && kept.iter().all(apart) {
+            kept.push(candidate);
+        }
+    }
+    kept
 }
 
 /// Expected IoU of a group. `gap`: how much higher its parent is, relative to the widest gap on its way to the root.

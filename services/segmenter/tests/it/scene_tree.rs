@@ -136,6 +136,20 @@ fn clicks_choose_the_block_and_a_negative_click_keeps_its_part_out() {
     assert!(!hit_by(&tree, &labels, leaf(WALL)));
 }
 
+#[test]
+fn granularity_goes_from_the_print_to_the_wall_and_beyond() {
+    let (world, views) = (wall_scene(), cameras(1.0));
+    let tree = tree(&world, &views, 0);
+    let inside = [leaf(&tree, &world, &views[4], PRINT)];
+    let of_size = |g: f32| {
+        let found = tree.candidates_of_size(&TreeQuery { inside: &inside, outside: &[] }, g);
+        found.first().expect("a group holds the click").area
+    };
+    let areas: Vec<f32> = [0.0, 0.25, 0.5, 0.75, 1.0].map(of_size).to_vec();
+    assert!(areas.is_sorted(), "{areas:?}");
+    assert!(areas[0] < 0.5 * areas[4], "{areas:?}");
+}
+
 fn hit_by(tree: &SceneTree, labels: &[bool], leaf: u32) -> bool {
     tree.leaf.iter().zip(labels).any(|(l, label)| *l == leaf && *label)
 }
