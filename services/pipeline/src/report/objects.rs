@@ -35,7 +35,7 @@ pub(super) fn list(folder: &RunFolder) -> String {
     }));
     format!(
         "<h2>Objects found without a click</h2><p><code>segwild segment RUN --object N</code> makes a selection of one.</p>\
-         <div class=\"row\">{sheet}</div><details><summary>{} objects</summary>{}</details>",
+         {sheet}<details><summary>{} objects</summary>{}</details>",
         list.objects.len(),
         html::table(&rows)
     )

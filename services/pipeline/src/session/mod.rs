@@ -358,7 +358,7 @@ impl PendingAnswer {
             for actor in self.observer.snapshot() {
                 why.extend(actor.quarantined.last().map(|given_up| given_up.error.clone()));
             }
-            std::thread::sleep(NOTED / 100);
+            std::thread::park_timeout(NOTED / 100);
         }
         failed(if why.is_empty() { "the segmenter gave no answer".into() } else { why.join("; ") })
     }
