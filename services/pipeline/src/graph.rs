@@ -417,7 +417,7 @@ pub fn run(
     if let Some(model) = &model
         && coordinator.wants("objects")
     {
-        coordinator.list_objects(model)?;
+        traces.step(&mut report, "objects", || coordinator.list_objects(model))?;
     }
     if let Some(words) = model.as_ref().and_then(|m| m.stats.psnr).and_then(diagnostics::unlike) {
         options.events.warn(Some("geometry"), words);

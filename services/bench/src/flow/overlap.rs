@@ -29,6 +29,9 @@ impl TimedRun {
     }
 }
 
+/// The stages that follow one another after the training.
+const LAST_STAGES: [&str; 4] = ["features", "evaluate", "objects", "report"];
+
 fn timed(
     scene: &Path,
     dir: &Path,
@@ -131,7 +134,7 @@ impl RunPair {
         // with each other), masks need the snapshot, the field needs all.
         let (s, e, t1, m) = (sky.stage("sky"), embed.stage("embed"), early.training, early.stage("masks"));
         let t2 = rest.training;
-        let end = ["features", "evaluate", "report"].iter().map(|n| rest.stage(n)).sum::<f64>();
+        let end = LAST_STAGES.iter().map(|n| rest.stage(n)).sum::<f64>();
         let chain = (s + t1 + t2.max(m)).max(e) + end;
         let words = format!(
             "{chain:.2} s (sky {s:.2}, then training {t1:.2}, then training {t2:.2} or masks {m:.2}, or embeddings {e:.2}; \
@@ -211,7 +214,7 @@ pub fn accelerator(options: &FlowOptions) -> Result<Vec<Row>, FlowError> {
         let run = timed(&scene, &fresh(&dir.join("run"))?, &settings, &providers, None)?;
         keep_trace(&dir, number)?;
         let stats = segwild_pipeline::accelerator().stats();
-        let end = ["features", "evaluate", "report"].iter().map(|name| run.stage(name)).sum::<f64>();
+        let end = LAST_STAGES.iter().map(|name| run.stage(name)).sum::<f64>();
         let held = stats.held_s - before.held_s;
         runs.push((run.wall / (held + end), run.wall, held, end, stats.waited_s - before.waited_s));
     }

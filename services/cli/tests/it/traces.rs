@@ -13,7 +13,7 @@ fn the_timeline_is_printed_plotted_and_written_for_other_tools() {
     for actor in ["coordinator", "trainer", "masks", "features", "ingest", "visibility"] {
         assert!(threads.contains(&actor), "{threads:?}");
     }
-    for work in ["keeps the snapshot", "keeps the scene", "evaluate", "report"] {
+    for work in ["keeps the snapshot", "keeps the scene", "evaluate", "objects", "report"] {
         assert!(events.iter().any(|e| e["ph"] == "X" && e["name"] == work), "{work} is not in the trace");
     }
     assert!(
