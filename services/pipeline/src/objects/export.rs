@@ -2,7 +2,7 @@
 
 use super::coco::{CocoAnnotation, CocoCategory, CocoFile, CocoImage, CocoRle};
 use super::list::{ListRequest, ListedObjects};
-use super::{ObjectList, sheet};
+use super::{ObjectList, bounds, sheet};
 use crate::settings::AT_ONCE;
 use crate::{RunError, Session, light};
 use rayon::prelude::*;
@@ -97,7 +97,7 @@ fn annotations(
             let large = |number: usize| {
                 view.mask_to_taken(map.enlarged(number as u8, view.camera.width, view.camera.height))
             };
-            Ok(present.map(|number| (number, large(number))).filter(|(_, mask)| !mask.is_empty()).collect())
+            Ok(present.map(|number| (number, large(number))).collect())
         };
         let masks: Vec<Vec<(usize, Mask)>> = some.par_iter().map(masks_of).collect::<Result<_, _>>()?;
         for (&index, masks) in some.iter().zip(masks) {
@@ -105,11 +105,7 @@ fn annotations(
             let (width, height) = (view.camera.width, view.camera.height);
             file.images.push(CocoImage { id: index + 1, file_name: view.name.clone(), width, height });
             for (number, mask) in masks {
-                let (mut low, mut high) = ([u32::MAX; 2], [0; 2]);
-                for (x, y) in mask.pixels() {
-                    low = [low[0].min(x), low[1].min(y)];
-                    high = [high[0].max(x + 1), high[1].max(y + 1)];
-                }
+                let Some((low, high)) = bounds(&mask) else { continue };
                 file.annotations.push(CocoAnnotation {
                     id: file.annotations.len() + 1,
                     image_id: index + 1,

@@ -1,5 +1,6 @@
 //! Thumbnails of objects, and the sheet of all of them.
 
+use super::bounds;
 use segwild_scene::{Image, Mask};
 
 /// Sides of a thumbnail in pixels.
@@ -19,14 +20,7 @@ const GROUND: f32 = 0.1;
 pub(super) fn thumbnail(photo: Option<&Image>, mask: &Mask) -> Image {
     let mut square = Image::filled(SIDE, SIDE, 3, GROUND);
     let Some(photo) = photo.filter(|photo| photo.channels >= 3) else { return square };
-    let (mut low, mut high) = ([u32::MAX; 2], [0u32; 2]);
-    for (x, y) in mask.pixels() {
-        low = [low[0].min(x), low[1].min(y)];
-        high = [high[0].max(x + 1), high[1].max(y + 1)];
-    }
-    if low[0] >= high[0] {
-        return square;
-    }
+    let Some((low, high)) = bounds(mask) else { return square };
     let extent = (high[0] - low[0]).max(high[1] - low[1]);
     let around = (AROUND * extent as f32).ceil() as u32;
     let full = [photo.width as u32, photo.height as u32];
