@@ -55,7 +55,7 @@ pub use intact::{DamagedFile, verify_selections};
 pub use keep::{CacheLine, cache_gc, cache_list, cache_verify};
 pub use light::{AppearanceRequest, BakeRequest, Baked, OWN, ScenePart, bake};
 pub use memory::MemoryNeed;
-pub use objects::{ExportedObjects, ObjectList, SceneObject, export_objects, list_objects};
+pub use objects::{ExportedObjects, ListedObjects, ObjectList, SceneObject, export_objects, list_objects};
 pub use prompts::{ObjectQuery, PhotoPrompts, Replay};
 pub use render::{Mode, RenderContent, RenderRequest, RenderedFile, render};
 pub use report::write_report;

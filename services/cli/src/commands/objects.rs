@@ -56,24 +56,25 @@ pub fn objects(matches: &ArgMatches) -> Result<(), Failure> {
     use_threads(folder.settings()?.run.threads);
     let session =
         Session::open(&folder, SessionOptions { stopper: stopper.clone(), ..SessionOptions::default() })?;
-    let mut list = list_objects(&session, &stopper)?;
+    let mut listed = list_objects(&session, &stopper)?;
     for (object, name) in &renames {
-        list.rename(object, name)?;
+        listed.list.rename(object, name)?;
     }
     if !renames.is_empty() {
-        list.write(&folder)?;
+        listed.list.write(&folder)?;
     }
     let exported = match path(matches, "out") {
         Some(out) => {
             let appearance = matches.get_one::<String>("appearance").map_or("", String::as_str);
-            Some(export_objects(&session, &out, appearance, &stopper)?)
+            Some(export_objects(&session, &listed, &out, appearance, &stopper)?)
         }
         None => None,
     };
+    let list = &listed.list;
     if matches.get_flag("json") {
         return print_json(&ListedAndExported { objects: &list.objects, exported: exported.as_ref() });
     }
-    print_table(&list)?;
+    print_table(list)?;
     print_line(&format!("thumbnails: {}", ObjectList::sheet(&folder).display()))?;
     match exported {
         Some(done) => print_line(&format!(

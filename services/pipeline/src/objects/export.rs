@@ -24,15 +24,16 @@ pub struct ExportedObjects {
     pub masks: usize,
 }
 
-/// Writes all objects of a run into the folder `out`, as a whole or not at all: `NAME.ply` of each, `labels.ply` (the whole scene;
+/// Writes all objects of a run's list into the folder `out`, as a whole or not at all: `NAME.ply` of each, `labels.ply` (the whole scene;
 /// the property `object` is the number, 0 for none), `coco.json` (their masks on all photos, as taken), `objects.json` and
 /// `sheet.png`. Colours have the appearance of the photo `appearance`, or the scene's own if it is empty. Spikes are not
-/// cut: [`Session::ask_object`] refines one object.
+/// cut: [`Session::ask`] refines one object.
 ///
 /// # Errors
 /// When the run has no scene tree, `appearance` is no photo, the folder is not empty, a file cannot be written, or `stopper` stops it.
 pub fn export_objects(
     session: &Session,
+    listed: &ListedObjects,
     out: &Path,
     appearance: &str,
     stopper: &Stopper,
@@ -42,8 +43,7 @@ pub fn export_objects(
     }
     let request = session.list_request()?;
     let in_colour = light::shown(request.scene, request.model, appearance)?;
-    let listed = request.list(ObjectList::read(session.folder()).as_ref(), stopper)?;
-    let coco = annotations(&request, &listed, stopper)?;
+    let coco = annotations(&request, listed, stopper)?;
     files::write_folder(out, |aside| -> Result<(), RunError> {
         let json = |name: &str, value: serde_json::Result<Vec<u8>>| -> Result<(), RunError> {
             let path = aside.join(name);
@@ -125,9 +125,9 @@ fn annotations(
 ///
 /// # Errors
 /// When the run has no scene tree, a file cannot be written, or `stopper` stops it.
-pub fn list_objects(session: &Session, stopper: &Stopper) -> Result<ObjectList, RunError> {
+pub fn list_objects(session: &Session, stopper: &Stopper) -> Result<ListedObjects, RunError> {
     let folder = session.folder();
     let listed = session.list_request()?.list(ObjectList::read(folder).as_ref(), stopper)?;
     listed.write(folder)?;
-    Ok(listed.list)
+    Ok(listed)
 }

@@ -168,11 +168,12 @@ pub(crate) struct ListRequest<'a> {
 }
 
 /// A list with what was computed for it.
-pub(crate) struct ListedObjects {
+pub struct ListedObjects {
+    /// The list.
     pub list: ObjectList,
-    pub parts: SceneParts,
+    pub(super) parts: SceneParts,
     /// Per object, the part of its best photo that shows it, the rest of the photo darkened.
-    pub thumbnails: Vec<Image>,
+    pub(super) thumbnails: Vec<Image>,
 }
 
 /// How well a photo shows an object.

@@ -8,7 +8,7 @@ mod tree;
 
 pub use export::{ExportedObjects, export_objects, list_objects};
 pub(crate) use list::ListRequest;
-pub use list::{ObjectList, SceneObject};
+pub use list::{ListedObjects, ObjectList, SceneObject};
 pub(crate) use tree::{OBJECTS, TreeSource, tree_key};
 
 use segwild_scene::Mask;

@@ -1,10 +1,11 @@
 //! `segwild bench clicks`
 
+use super::common::scenes_and_sizes;
 use super::numbers;
 use crate::args::{examples, flag, given, json, number, path, with_settings_in_long_help};
 use crate::commands::{path as path_of, print_json, print_line, use_threads};
 use crate::failure::Failure;
-use clap::{Arg, ArgMatches, Command, value_parser};
+use clap::{ArgMatches, Command, value_parser};
 use segwild_bench::random_clicks::{ClickOptions, random_clicks, write};
 use segwild_bench::record::Record;
 use segwild_pipeline::Settings;
@@ -18,21 +19,9 @@ pub fn command() -> Command {
             "segwild bench clicks photos/trevi photos/garden",
             "segwild bench clicks photos/trevi --clicks 8 --sizes 320,640 --alternatives",
         ))
-        .arg(
-            Arg::new("scenes")
-                .value_name("SCENE")
-                .num_args(1..)
-                .required(true)
-                .value_parser(value_parser!(PathBuf))
-                .help("Scenes with truth/PHOTO.png or truth/OBJECT/PHOTO.png, as for `segwild bench folder`"),
-        )
-        .arg(
-            Arg::new("sizes")
-                .long("sizes")
-                .value_name("LIST")
-                .default_value("320")
-                .help("Long sides of the photos in pixels, with commas"),
-        )
+        .args(scenes_and_sizes(
+            "Scenes with truth/PHOTO.png or truth/OBJECT/PHOTO.png, as for `segwild bench folder`",
+        ))
         .arg(number("clicks", "20", "Clicks on each object").value_parser(value_parser!(u64)))
         .arg(
             number("click-seed", "1", "Seed of the clicks and of the trainings")

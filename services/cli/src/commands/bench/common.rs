@@ -6,7 +6,7 @@ use crate::commands::{path as path_of, print_json, print_line, use_threads};
 use crate::exit;
 use crate::failure::Failure;
 use clap::builder::{PossibleValue, PossibleValuesParser};
-use clap::{Arg, ArgAction, ArgMatches, Command};
+use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
 use segwild_bench::page::PageError;
 use segwild_bench::point::PointError;
 use segwild_bench::protocols::folder::{Parts, read_parts};
@@ -19,6 +19,19 @@ use segwild_gpu::GpuError;
 use segwild_pipeline::{Settings, SettingsError};
 use segwild_scene::settings::Value;
 use std::path::{Path, PathBuf};
+
+/// The arguments of a benchmark that trains scenes by itself: their folders, and `--sizes`.
+pub fn scenes_and_sizes(scenes: &'static str) -> [Arg; 2] {
+    let folders = Arg::new("scenes").value_name("SCENE").num_args(1..).required(true);
+    [
+        folders.value_parser(value_parser!(PathBuf)).help(scenes),
+        Arg::new("sizes")
+            .long("sizes")
+            .value_name("LIST")
+            .default_value("320")
+            .help("Long sides of the photos in pixels, with commas"),
+    ]
+}
 
 /// Adds the flags that every protocol has: those of all settings, `--seeds`, `--only`, `--out`, `--page`, `--json`.
 pub fn with_common(command: Command, seeds: &'static str, folder: &'static str) -> Command {

@@ -1,10 +1,11 @@
 //! `segwild bench reconstruction`
 
+use super::common::scenes_and_sizes;
 use super::numbers;
 use crate::args::{examples, given, json, path, with_settings_in_long_help};
 use crate::commands::{path as path_of, print_json, print_line, use_threads};
 use crate::failure::Failure;
-use clap::{Arg, ArgMatches, Command, value_parser};
+use clap::{Arg, ArgMatches, Command};
 use segwild_bench::reconstruction::{ReconstructionOptions, reconstruction as measure_all, write};
 use segwild_bench::record::Record;
 use segwild_pipeline::Settings;
@@ -18,21 +19,7 @@ pub fn command() -> Command {
             "segwild bench reconstruction photos/trevi photos/garden",
             "segwild bench reconstruction photos/trevi --sizes 320,640 --seeds 1,2",
         ))
-        .arg(
-            Arg::new("scenes")
-                .value_name("SCENE")
-                .num_args(1..)
-                .required(true)
-                .value_parser(value_parser!(PathBuf))
-                .help("Scenes as for `segwild run`. Where neither they nor the settings hold photos out, every eighth is"),
-        )
-        .arg(
-            Arg::new("sizes")
-                .long("sizes")
-                .value_name("LIST")
-                .default_value("320")
-                .help("Long sides of the photos in pixels, with commas"),
-        )
+        .args(scenes_and_sizes("Scenes as for `segwild run`. Where neither they nor the settings hold photos out, every eighth is"))
         .arg(
             Arg::new("seeds")
                 .long("seeds")
