@@ -1,13 +1,14 @@
-//! The connections of the HTTP server: few at a time, one request each, none for long.
+//! The connections of an HTTP server: a bounded number at a time, none for long without a request.
 //!
 //! The server shares its file descriptors with a run or a batch, which fails without them. So however many clients
-//! connect, and whatever they send or leave out, it holds at most [`MOST`] sockets and one that is being admitted.
+//! connect, and whatever they send or leave out, it holds at most [`ConnectionLimits::most`] sockets and one that is being
+//! admitted.
 
 use std::collections::VecDeque;
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use axum::Router;
 use hyper::server::conn::http1;
@@ -18,20 +19,37 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Semaphore;
 use tokio::task::AbortHandle;
 
-/// Connections at a time. A further one takes the slot of the oldest that has sent no whole request yet.
+/// What a server allows its clients.
+#[derive(Clone, Copy, Debug)]
+pub struct ConnectionLimits {
+    /// Connections at a time. A further one takes the slot of the oldest that has sent no whole request yet.
+    pub most: usize,
+    /// A connection ends after this time, whatever it waits for.
+    pub whole_time: Option<Duration>,
+    /// Whether a connection may send further requests.
+    pub keep_alive: bool,
+}
+
+impl ConnectionLimits {
+    /// For clients that ask once, such as Prometheus.
+    pub const ONE_REQUEST: ConnectionLimits =
+        ConnectionLimits { most: MOST, whole_time: Some(Duration::from_secs(20)), keep_alive: false };
+}
+
+/// Connections at a time of a server for operators.
 pub const MOST: usize = 32;
 /// A request's head must be there after this time.
 pub const HEAD_TIME: Duration = Duration::from_secs(5);
-/// A connection ends after this time, whatever it waits for.
-pub const WHOLE_TIME: Duration = Duration::from_secs(20);
+/// A connection keeps its slot for this time before its request is there, however many others wait.
+const GRACE: Duration = Duration::from_millis(100);
 /// A request's head may have so many bytes.
 pub const HEAD_BYTES: usize = 16 << 10;
 /// Rest after the system refused a connection: it has no descriptor or no memory left.
 const REST: Duration = Duration::from_millis(100);
 
 /// Accepts connections and answers them, until it is dropped. Nothing that a client does or the system refuses ends it.
-pub(crate) async fn answer(listener: TcpListener, routes: Router) {
-    let free_connections = Arc::new(Semaphore::new(MOST));
+pub async fn answer(listener: TcpListener, routes: Router, limits: ConnectionLimits) {
+    let free_connections = Arc::new(Semaphore::new(limits.most));
     let mut open = OpenConnections::default();
     loop {
         let stream = match listener.accept().await {
@@ -44,17 +62,31 @@ pub(crate) async fn answer(listener: TcpListener, routes: Router) {
                 continue;
             }
         };
-        if free_connections.available_permits() == 0 && !open.end_a_silent_one() {
+        let mut freed = free_connections.available_permits() > 0;
+        while !freed {
+            freed = match open.end_a_silent_one() {
+                Slot::Freed => true,
+                Slot::FreeIn(time) => {
+                    tokio::time::sleep(time).await;
+                    free_connections.available_permits() > 0
+                }
+                Slot::None => break,
+            };
+        }
+        if !freed {
             // All of them are being answered; this one may come again.
             continue;
         }
         // The slot of a connection is free once its socket is closed.
         let Ok(permit) = free_connections.clone().acquire_owned().await else { return };
         let received = Arc::new(AtomicBool::new(false));
-        let work = one_request(stream, routes.clone(), received.clone());
+        let work = requests(stream, routes.clone(), received.clone(), limits.keep_alive);
         let task = tokio::spawn(async move {
             // A client that is too slow, or that has gone, has nobody to answer.
-            let _ = tokio::time::timeout(WHOLE_TIME, work).await;
+            let _ = match limits.whole_time {
+                Some(time) => tokio::time::timeout(time, work).await.unwrap_or(Ok(())),
+                None => work.await,
+            };
             drop(permit);
         });
         open.add(task.abort_handle(), received);
@@ -67,8 +99,13 @@ fn ended_early(error: &io::Error) -> bool {
     matches!(error.kind(), ConnectionAborted | ConnectionRefused | ConnectionReset | Interrupted)
 }
 
-/// Answers one request. Without keep-alive nobody holds a connection between two.
-async fn one_request(stream: TcpStream, routes: Router, received: Arc<AtomicBool>) -> hyper::Result<()> {
+/// Answers a connection's requests. Without keep-alive nobody holds a connection between two.
+async fn requests(
+    stream: TcpStream,
+    routes: Router,
+    received: Arc<AtomicBool>,
+    keep_alive: bool,
+) -> hyper::Result<()> {
     let routes = TowerToHyperService::new(routes);
     let service = service_fn(move |request| {
         received.store(true, Ordering::Relaxed);
@@ -78,33 +115,57 @@ async fn one_request(stream: TcpStream, routes: Router, received: Arc<AtomicBool
         .timer(TokioTimer::new())
         .header_read_timeout(HEAD_TIME)
         .max_buf_size(HEAD_BYTES)
-        .keep_alive(false)
+        .keep_alive(keep_alive)
         // Who has asked and says no more is still answered.
         .half_close(true)
         .serve_connection(TokioIo::new(stream), service)
         .await
 }
 
+/// A connection that is open.
+struct OpenConnection {
+    task: AbortHandle,
+    /// Whether a whole request came.
+    received: Arc<AtomicBool>,
+    since: Instant,
+}
+
+/// A slot for a further connection.
+enum Slot {
+    /// There is one.
+    Freed,
+    /// There is one after this time.
+    FreeIn(Duration),
+    /// All connections are being answered.
+    None,
+}
+
 /// The connections that are open, the oldest first.
 #[derive(Default)]
-struct OpenConnections(VecDeque<(AbortHandle, Arc<AtomicBool>)>);
+struct OpenConnections(VecDeque<OpenConnection>);
 
 impl OpenConnections {
     fn add(&mut self, task: AbortHandle, received: Arc<AtomicBool>) {
-        self.0.retain(|(task, _)| !task.is_finished());
-        self.0.push_back((task, received));
+        self.0.retain(|open| !open.task.is_finished());
+        self.0.push_back(OpenConnection { task, received, since: Instant::now() });
     }
 
-    /// Ends the oldest connection whose request is not there yet; returns whether there was one, or one has ended by itself.
-    fn end_a_silent_one(&mut self) -> bool {
+    /// Ends the oldest connection whose request is not there yet, unless it has just come or another has ended by itself.
+    fn end_a_silent_one(&mut self) -> Slot {
         let before = self.0.len();
-        self.0.retain(|(task, _)| !task.is_finished());
+        self.0.retain(|open| !open.task.is_finished());
         if self.0.len() < before {
-            return true;
+            return Slot::Freed;
         }
-        let silent = self.0.iter().position(|(_, received)| !received.load(Ordering::Relaxed));
-        let Some((task, _)) = silent.and_then(|index| self.0.remove(index)) else { return false };
-        task.abort();
-        true
+        let silent = self.0.iter().position(|open| !open.received.load(Ordering::Relaxed));
+        let Some(index) = silent else { return Slot::None };
+        let age = self.0[index].since.elapsed();
+        if age < GRACE {
+            return Slot::FreeIn(GRACE - age);
+        }
+        if let Some(open) = self.0.remove(index) {
+            open.task.abort();
+        }
+        Slot::Freed
     }
 }

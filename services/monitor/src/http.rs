@@ -13,7 +13,7 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use tokio::sync::oneshot;
 
-use crate::connections::answer;
+use crate::connections::{ConnectionLimits, answer};
 use crate::metrics;
 use crate::ready::ready;
 use crate::view::{MonitorTarget, MonitorView, Runs, ViewError};
@@ -104,7 +104,7 @@ pub fn serve(address: SocketAddr, folder: PathBuf, per_scene: bool) -> Result<Se
             let Ok(listener) = tokio::net::TcpListener::from_std(listener) else { return };
             // Open connections are not waited for: the work is over.
             tokio::select! {
-                () = answer(listener, routes) => {}
+                () = answer(listener, routes, ConnectionLimits::ONE_REQUEST) => {}
                 _ = stopped => {}
             }
         });
