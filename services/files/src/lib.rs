@@ -20,5 +20,5 @@ pub use inside::{Stray, stays_inside};
 pub use read::{open_plain, read_plain, read_within};
 pub use write::{
     append_line, open_to_append, remove_litter, sync_folder, unique_name, write_aside, write_atomic,
-    write_folder, write_plain,
+    write_folder, write_plain, write_private,
 };

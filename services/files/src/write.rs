@@ -56,6 +56,20 @@ pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
     write_aside(folder_of(path), path, &[bytes])
 }
 
+/// Writes a new file that only its owner may read, such as a secret.
+///
+/// # Errors
+/// Also when there is a file of that name.
+pub fn write_private(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
+    let mut options = OpenOptions::new();
+    options.write(true).create_new(true);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+    let written =
+        options.open(path).and_then(|mut file| file.write_all(bytes).and_then(|()| file.sync_all()));
+    written.map_err(|e| FileError::new("write", path, e))
+}
+
 /// As [`write_atomic`], for callers that name the file in an error of their own.
 ///
 /// # Errors

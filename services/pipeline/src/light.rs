@@ -159,8 +159,9 @@ pub fn bake(folder: &RunFolder, request: &BakeRequest) -> Result<Baked, RunError
         Some(appearance) => light(appearance)?.map(|light| (whose, light)),
         None => None,
     };
+    let objects = object.into_iter().collect();
     let lighting =
-        SceneLighting { scene: light(&request.appearance)?.unwrap_or_else(|| model.light(None)), object };
+        SceneLighting { scene: light(&request.appearance)?.unwrap_or_else(|| model.light(None)), objects };
     let baked = model.baked(&lighting);
     export(scene, &model).write(&request.out, &baked)?;
     Ok(Baked { file: request.out.clone(), splats: baked.len() })

@@ -234,6 +234,9 @@ pub(crate) const NOTHING: Channels = Channels { count: 0, values: &[] };
 /// Colour that highlights a selection.
 const TINT: [f32; 3] = [1.0, 0.35, 0.1];
 
+/// Share of a highlighted pixel's colour that is the highlight's.
+pub(crate) const HIGHLIGHT: f32 = 0.45;
+
 /// Renders one scene, with one selection and one kind of content.
 pub(crate) struct SceneRenderer<'a> {
     model: Model,
@@ -304,7 +307,7 @@ impl<'a> SceneRenderer<'a> {
 
     /// The scene in one light, the selection in another if there is one.
     fn lighting(&self, scene: SceneLight, object: Option<SceneLight>) -> SceneLighting {
-        SceneLighting { scene, object: self.whose.clone().zip(object) }
+        SceneLighting { scene, objects: self.whose.clone().zip(object).into_iter().collect() }
     }
 
     /// The light of a view's photo; the scene's own if none is named.
@@ -325,24 +328,17 @@ impl<'a> SceneRenderer<'a> {
         if self.what == RenderContent::Colour {
             let mut image = render_lit(&self.model, engine, camera, pose, lighting)?;
             let project = || engine.project(splats, camera, pose, &options);
-            let n = image.pixels();
             if self.only {
-                // Over white, so that the object stands alone.
                 let alpha = project()?.blend(&NOTHING)?.alpha;
                 let background = lighting.scene.background().paint(camera, pose);
-                for c in 0..3 {
-                    for i in 0..n {
-                        let over = 1.0 - alpha.data[i];
-                        let v = &mut image.data[c * n + i];
-                        *v = (*v + over * (1.0 - background.data[c * n + i])).clamp(0.0, 1.0);
-                    }
-                }
+                over_white(&mut image, &alpha, &background);
             }
             if let Some(indicator) = &self.highlight {
                 let share = project()?.blend_kept(indicator)?.image;
+                let n = image.pixels();
                 for c in 0..3 {
                     for i in 0..n {
-                        let s = 0.45 * share.data[i].clamp(0.0, 1.0);
+                        let s = HIGHLIGHT * share.data[i].clamp(0.0, 1.0);
                         let v = &mut image.data[c * n + i];
                         *v = *v * (1.0 - s) + TINT[c] * s;
                     }
@@ -360,6 +356,18 @@ impl<'a> SceneRenderer<'a> {
                 let frame = projected.blend(&Channels { count: 1, values: projected.depths() })?;
                 Ok(bright_when_near(&frame.image, &frame.alpha))
             }
+        }
+    }
+}
+
+/// Puts white where the background is, so that an object stands alone.
+pub(crate) fn over_white(image: &mut Image, alpha: &Image, background: &Image) {
+    let n = image.pixels();
+    for c in 0..3 {
+        for i in 0..n {
+            let over = 1.0 - alpha.data[i];
+            let v = &mut image.data[c * n + i];
+            *v = (*v + over * (1.0 - background.data[c * n + i])).clamp(0.0, 1.0);
         }
     }
 }

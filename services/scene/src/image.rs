@@ -109,6 +109,30 @@ impl Image {
     /// # Panics
     /// When the image has neither one nor three planes.
     pub fn write_png(&self, path: &Path) -> Result<(), SceneError> {
+        let (bytes, colour) = self.bytes();
+        write_png(path, &bytes, self.width, self.height, colour)
+    }
+
+    /// The image as a JPEG file of a quality from 1 to 100; values as in [`Image::write_png`].
+    ///
+    /// ```
+    /// let grey = segwild_scene::Image::filled(16, 8, 3, 0.5);
+    /// assert!(grey.to_jpeg(85).starts_with(&[0xff, 0xd8]));
+    /// ```
+    ///
+    /// # Panics
+    /// When the image has neither one nor three planes, no pixel, or a side of more than 65,535.
+    pub fn to_jpeg(&self, quality: u8) -> Vec<u8> {
+        let (bytes, colour) = self.bytes();
+        let mut out = Vec::new();
+        image::codecs::jpeg::JpegEncoder::new_with_quality(&mut out, quality)
+            .encode(&bytes, self.width as u32, self.height as u32, colour)
+            .expect("sides that JPEG can hold, and memory never refuses a byte");
+        out
+    }
+
+    /// Bytes of each pixel, row by row, and what they are.
+    fn bytes(&self) -> (Vec<u8>, image::ExtendedColorType) {
         assert!(
             self.channels == 1 || self.channels == 3,
             "an image has 1 or 3 planes, not {}",
@@ -117,11 +141,11 @@ impl Image {
         let n = self.pixels();
         // `as u8` takes a NaN to 0.
         let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
-        let bytes: Vec<u8> =
+        let bytes =
             (0..n).flat_map(|i| (0..self.channels).map(move |c| byte(self.data[c * n + i]))).collect();
         let colour =
             if self.channels == 1 { image::ExtendedColorType::L8 } else { image::ExtendedColorType::Rgb8 };
-        write_png(path, &bytes, self.width, self.height, colour)
+        (bytes, colour)
     }
 }
 

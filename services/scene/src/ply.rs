@@ -88,19 +88,10 @@ pub fn write(path: &Path, splats: &Splats) -> Result<(), SceneError> {
 /// # Panics
 /// When an array of `splats` or an extra one has another length than there are splats.
 pub fn write_with(path: &Path, splats: &Splats, extra: &[(&str, &[u8])]) -> Result<(), SceneError> {
-    write_commented(path, splats, extra, &[])
+    Ok(write_atomic(path, &to_bytes(splats, extra, &[]))?)
 }
 
-/// The same with comments in the header, each without line ends.
-fn write_commented(
-    path: &Path,
-    splats: &Splats,
-    extra: &[(&str, &[u8])],
-    comments: &[String],
-) -> Result<(), SceneError> {
-    Ok(write_atomic(path, &to_bytes(splats, extra, comments))?)
-}
-
+/// The bytes of the file, with comments in the header, each without line ends.
 fn to_bytes(splats: &Splats, extra: &[(&str, &[u8])], comments: &[String]) -> Vec<u8> {
     let n = splats.len();
     let stride = splats.sh_stride();

@@ -36,13 +36,13 @@ impl SceneLight {
 pub struct SceneLighting {
     /// The light of the scene and of its background.
     pub scene: SceneLight,
-    /// Another light for some splats: per splat whether it has it.
-    pub object: Option<(Vec<bool>, SceneLight)>,
+    /// Other lights for some splats: per splat whether it has it. Of several, the last counts.
+    pub objects: Vec<(Vec<bool>, SceneLight)>,
 }
 
 impl From<SceneLight> for SceneLighting {
     fn from(scene: SceneLight) -> SceneLighting {
-        SceneLighting { scene, object: None }
+        SceneLighting { scene, objects: Vec::new() }
     }
 }
 
@@ -74,9 +74,13 @@ impl Model {
                 colours,
             )
         };
-        let Some((whose, light)) = &lighting.object else { return under(&lighting.scene, colours) };
-        let (mut all, object) = (under(&lighting.scene, colours.clone()), under(light, colours));
-        mix(&mut all, &object, whose, 3);
+        let mut all = match lighting.objects.is_empty() {
+            true => return under(&lighting.scene, colours),
+            false => under(&lighting.scene, colours.clone()),
+        };
+        for (whose, light) in &lighting.objects {
+            mix(&mut all, &under(light, colours.clone()), whose, 3);
+        }
         all
     }
 
@@ -95,7 +99,7 @@ impl Model {
             )
         };
         let mut all = under(&lighting.scene);
-        if let Some((whose, light)) = &lighting.object {
+        for (whose, light) in &lighting.objects {
             let stride = all.sh_stride();
             mix(&mut all.sh, &under(light).sh, whose, stride);
         }

@@ -87,6 +87,49 @@ impl Checkpoint {
     pub fn step(&self) -> u32 {
         self.state.step
     }
+
+    /// The scene as it was then, if the checkpoint is whole.
+    ///
+    /// # Errors
+    /// When it does not fit itself: it may come from elsewhere.
+    pub fn model(&self) -> Result<Model, TrainError> {
+        self.state.check(self.names.len())?;
+        let settings = settings_of(&self.settings)?;
+        Ok(model_of(&self.state, self.names.clone(), settings.antialias))
+    }
+}
+
+/// The settings of a checkpoint.
+fn settings_of(named: &[(String, String)]) -> Result<TrainSettings, TrainError> {
+    use segwild_scene::settings::Group;
+    let mut settings = TrainSettings::default();
+    for (name, value) in named {
+        settings.set(name, value).map_err(|e| TrainError::Checkpoint(e.to_string()))?;
+    }
+    settings.check()?;
+    Ok(settings)
+}
+
+/// The scene of a training's state. Views are named by `names`.
+fn model_of(state: &TrainState, names: Vec<String>, antialias: bool) -> Model {
+    let mut appearance = state.appearance.clone();
+    let known = (0..names.len()).filter(|&v| state.backgrounds[v].is_some());
+    appearances::set_mean(&mut appearance, names.len(), known);
+    if let AnyAppearance::Gsw(appearance) = &mut appearance {
+        appearance.forget_training();
+    }
+    Model {
+        splats: state.params.splats.clone(),
+        splat_embeddings: state.params.splat_embeddings.clone(),
+        appearance,
+        backgrounds: state.backgrounds.clone(),
+        names,
+        trained_on: state.sampler.views().iter().map(|&v| v as u32).collect(),
+        transient_shares: state.robust.shares().to_vec(),
+        transient_evidence: state.robust.evidence().to_vec(),
+        antialias,
+        stats: Stats { step: state.step, psnr: mean_quality(&state.sampler.views(), &state.quality) },
+    }
 }
 
 impl Trainer {
@@ -213,12 +256,7 @@ impl Trainer {
         photos: Arc<dyn Photos>,
         checkpoint: Checkpoint,
     ) -> Result<Trainer, TrainError> {
-        use segwild_scene::settings::Group;
-        let mut settings = TrainSettings::default();
-        for (name, value) in &checkpoint.settings {
-            settings.set(name, value).map_err(|e| TrainError::Checkpoint(e.to_string()))?;
-        }
-        settings.check()?;
+        let settings = settings_of(&checkpoint.settings)?;
         let names: Vec<String> = scene.views.iter().map(|v| v.name.clone()).collect();
         if names != checkpoint.names {
             let odd = names.iter().zip(&checkpoint.names).find(|(a, b)| a != b);
@@ -356,25 +394,8 @@ impl Trainer {
     /// The scene as it is now.
     pub fn snapshot(&mut self) -> Result<Model, TrainError> {
         self.download()?;
-        let state = &self.state;
-        let mut appearance = state.appearance.clone();
-        let known = (0..self.views.len()).filter(|&v| state.backgrounds[v].is_some());
-        appearances::set_mean(&mut appearance, self.views.len(), known);
-        if let AnyAppearance::Gsw(appearance) = &mut appearance {
-            appearance.forget_training();
-        }
-        Ok(Model {
-            splats: state.params.splats.clone(),
-            splat_embeddings: state.params.splat_embeddings.clone(),
-            appearance,
-            backgrounds: state.backgrounds.clone(),
-            names: self.views.iter().map(|v| v.name.clone()).collect(),
-            trained_on: state.sampler.views().iter().map(|&v| v as u32).collect(),
-            transient_shares: state.robust.shares().to_vec(),
-            transient_evidence: state.robust.evidence().to_vec(),
-            antialias: self.settings.antialias,
-            stats: Stats { step: state.step, psnr: mean_quality(&state.sampler.views(), &state.quality) },
-        })
+        let names = self.views.iter().map(|v| v.name.clone()).collect();
+        Ok(model_of(&self.state, names, self.settings.antialias))
     }
 
     /// Does the steps that are left, then hands the scene over.

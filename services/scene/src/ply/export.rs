@@ -1,7 +1,7 @@
 //! Splats for other programs: in the units of the reconstruction, near enough to the origin for single precision, in a file
 //! whose header gives the render mode and the offset that was subtracted.
 
-use super::write_commented;
+use super::to_bytes;
 use crate::{SceneError, SceneFrame, Splats};
 use glam::DVec3;
 use segwild_files::write_atomic;
@@ -54,6 +54,15 @@ impl Export<'_> {
     /// # Panics
     /// As [`super::write_with`].
     pub fn write(&self, path: &Path, splats: &Splats) -> Result<(), SceneError> {
+        write_atomic(path, &self.to_bytes(splats))?;
+        note(path, self.frame.offset())
+    }
+
+    /// The bytes of the file that [`Export::write`] writes.
+    ///
+    /// # Panics
+    /// As [`super::write_with`].
+    pub fn to_bytes(&self, splats: &Splats) -> Vec<u8> {
         let offset = self.frame.offset();
         let near = SceneFrame { origin: self.frame.origin - offset, scale: self.frame.scale };
         let mode = if self.antialias { "mip" } else { "default" };
@@ -61,8 +70,7 @@ impl Export<'_> {
         if offset != DVec3::ZERO {
             comments.push(format!("offset {} {} {}", offset.x, offset.y, offset.z));
         }
-        write_commented(path, &splats.to_file_frame(&near), self.extra, &comments)?;
-        note(path, offset)
+        to_bytes(&splats.to_file_frame(&near), self.extra, &comments)
     }
 }
 

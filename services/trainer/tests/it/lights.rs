@@ -175,7 +175,7 @@ fn an_object_has_its_own_light_and_the_rest_keeps_the_scenes() {
     let model = model("embed", 2);
     let (day, night) = (model.light(Some(0)), model.light(Some(1)));
     // Everything, nothing, half of the splats.
-    let with = |whose: Vec<bool>| SceneLighting { scene: day.clone(), object: Some((whose, night.clone())) };
+    let with = |whose: Vec<bool>| SceneLighting { scene: day.clone(), objects: vec![(whose, night.clone())] };
     let all_day = render(&model, &day.clone().into());
     assert_eq!(render(&model, &with(vec![false; SPLATS])), all_day);
     let left: Vec<bool> = model.splats.means.iter().map(|m| m[0] < -0.35).collect();
@@ -200,7 +200,7 @@ fn an_object_has_its_own_light_and_the_rest_keeps_the_scenes() {
         render_view(&white, &CpuEngine::new(), &camera, &pose, Some(0)).unwrap()
     };
     let (object, rest) = (cover(&only(true)), cover(&only(false)));
-    let dark = render(&model, &SceneLighting { scene: night.clone(), object: None });
+    let dark = render(&model, &SceneLighting { scene: night.clone(), objects: Vec::new() });
     let (mut same, mut changed) = (0, 0);
     for i in 0..object.pixels() {
         let off = |other: &Image| (0..3).any(|c| (both.plane(c)[i] - other.plane(c)[i]).abs() > 1e-5);
