@@ -8,7 +8,7 @@ use segwild_trainer::Checkpoint;
 use std::path::PathBuf;
 
 /// Kind of the records.
-const CHECKPOINT: &str = "checkpoint";
+pub(crate) const CHECKPOINT: &str = "checkpoint";
 
 /// Keeps the checkpoints of one training, files in the run folder and their digests in the ledger.
 pub struct Keeper<'a> {

@@ -18,6 +18,7 @@
 //! RUN/report.html       all of the above on one page
 //! ```
 
+use crate::checkpoints::CHECKPOINT;
 use crate::images::ImageFiles;
 use crate::{RunError, Settings};
 use segwild_features::FeatureField;
@@ -25,7 +26,7 @@ use segwild_flow::files::Stray;
 use segwild_flow::ledger::CheckpointRow;
 use segwild_flow::{Cache, FileError, codec, files};
 use segwild_scene::{Scene, SceneFrame, Skipped};
-use segwild_trainer::Model;
+use segwild_trainer::{Checkpoint, Model};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashSet};
 use std::io::ErrorKind;
@@ -40,13 +41,14 @@ pub(crate) const FEATURES: &str = "features";
 const LONGEST_ECHO: usize = 120;
 
 /// Folders and files that are written into, beside the ledger (`run.sqlite`, its log and its lock).
-const WRITTEN_INTO: [&str; 8] = [
+const WRITTEN_INTO: [&str; 9] = [
     "cache",
     "checkpoints",
     "history.jsonl",
     "objects",
     "renders",
     "selections",
+    "studio",
     "transients",
     crate::traces::EARLIER,
 ];
@@ -88,6 +90,15 @@ pub(crate) struct Intake {
     /// record it.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub provider: String,
+}
+
+/// A scene in the middle of its training.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TrainingSnapshot {
+    /// Steps done.
+    pub step: u32,
+    /// The checkpoint's file.
+    file: String,
 }
 
 /// A finished run, read back.
@@ -351,17 +362,9 @@ impl RunFolder {
     /// Reads a trained run back; the feature field may be missing.
     pub fn load(&self) -> Result<Loaded, RunError> {
         let settings = self.settings()?;
-        let intake = self.intake()?;
         let model: Model = self.read_record("model.bin", MODEL)?;
         model.check().map_err(|e| self.broken("model.bin", format!("{e}; `segwild run` writes it again")))?;
-        let scene = Scene::open(&intake.scene, &settings.scene)?;
-        if scene.views.iter().map(|v| &v.name).ne(&model.names) {
-            let reason = format!(
-                "the photos of {} have changed since this run: run again to bring it up to date",
-                intake.scene.display()
-            );
-            return Err(RunError::Folder { path: self.path.clone(), reason });
-        }
+        let scene = self.scene_of(&settings, &model)?;
         let field = match self.path.join("features.bin").is_file() {
             true => Some(self.read_record::<FeatureField>("features.bin", FEATURES)?),
             false => None,
@@ -372,6 +375,48 @@ impl RunFolder {
         }
         let field = field.filter(|f| f.len() == model.splats.len());
         Ok(Loaded { settings, scene, model, field })
+    }
+
+    /// The run's scene, if it is that of a model.
+    fn scene_of(&self, settings: &Settings, model: &Model) -> Result<Scene, RunError> {
+        let intake = self.intake()?;
+        let scene = Scene::open(&intake.scene, &settings.scene)?;
+        if scene.views.iter().map(|v| &v.name).ne(&model.names) {
+            let reason = format!(
+                "the photos of {} have changed since this run: run again to bring it up to date",
+                intake.scene.display()
+            );
+            return Err(RunError::Folder { path: self.path.clone(), reason });
+        }
+        Ok(scene)
+    }
+
+    /// The newest checkpoint of a training, as a file and its step; `None` where there is none.
+    pub fn newest_snapshot(&self) -> Option<TrainingSnapshot> {
+        let entries = std::fs::read_dir(self.checkpoints()).ok()?.flatten();
+        let newest = entries
+            .filter_map(|entry| {
+                let name = entry.file_name().into_string().ok()?;
+                let step = name.strip_prefix("geometry-")?.strip_suffix(".bin")?.rsplit('-').next()?;
+                Some((entry.metadata().ok()?.modified().ok()?, step.parse().ok()?, name))
+            })
+            .max()?;
+        Some(TrainingSnapshot { step: newest.1, file: newest.2 })
+    }
+
+    /// Reads a run that is still trained, as it was at a snapshot.
+    ///
+    /// # Errors
+    /// When the snapshot is gone or damaged.
+    pub fn load_snapshot(&self, snapshot: &TrainingSnapshot) -> Result<Loaded, RunError> {
+        let settings = self.settings()?;
+        let file = format!("checkpoints/{}", snapshot.file);
+        let checkpoint: Checkpoint = self.read_record(&file, CHECKPOINT)?;
+        let broken = |e: String| self.broken(&file, e);
+        let model = checkpoint.model().map_err(|e| broken(e.to_string()))?;
+        model.check().map_err(|e| broken(e.to_string()))?;
+        let scene = self.scene_of(&settings, &model)?;
+        Ok(Loaded { settings, scene, model, field: None })
     }
 }
 

@@ -49,7 +49,7 @@ pub use engine::{ChosenEngine, EngineKind, WhenLost, choose_engine};
 pub use error::RunError;
 pub use evaluate::{HeldOut, HeldOutScore, Score, SelectionMaskScore, held_out_render, score};
 pub use explain::{StagePlan, StageVerdict, explain};
-pub use folder::{Loaded, RunFolder};
+pub use folder::{Loaded, RunFolder, TrainingSnapshot};
 pub use graph::{RunOptions, STAGES, Summary, needs, run, stages_of};
 pub use intact::{DamagedFile, verify_selections};
 pub use keep::{CacheLine, cache_gc, cache_list, cache_verify};
@@ -63,7 +63,8 @@ pub use report::write_report;
 pub use segwild_segmenter::AnswerStep;
 pub use segwild_trainer::{AppearanceChoice, BudgetChoice, Preset};
 pub use session::{
-    Answer, PendingAnswer, SegmentOutcome, Selected, Session, SessionOptions, Shortened, segment,
+    Answer, PendingAnswer, SegmentOutcome, Selected, Session, SessionOptions, Shortened, ShownParts,
+    ShownScene, segment,
 };
 pub use settings::{RunBudget, RunSettings, Scoring, Settings, SettingsError, renamed};
 pub use transients::{TrainFit, TransientScore, TransientScores, score_transients};

@@ -20,13 +20,15 @@
 
 mod save;
 mod selected;
+mod viewing;
 
 pub use save::SegmentOutcome;
 pub use selected::{Selected, Shortened};
+pub use viewing::{ShownParts, ShownScene};
 
 use crate::accelerator::leased;
 use crate::code::{self, Code};
-use crate::folder::Loaded;
+use crate::folder::{Loaded, TrainingSnapshot};
 use crate::images::ImageFiles;
 use crate::light::{self, find};
 use crate::objects::{ListRequest, TreeSource};
@@ -75,6 +77,8 @@ pub struct Session {
     model: Model,
     engine: Arc<dyn Engine>,
     providers: Providers,
+    /// Key of the training.
+    training: Option<String>,
     tree: Option<KeyedTree>,
     /// Names of the image files of each photo.
     files: ImageFiles,
@@ -94,7 +98,30 @@ impl Session {
     /// # Errors
     /// When the run cannot be read, or `options.stopper` stops it.
     pub fn open(folder: &RunFolder, options: SessionOptions) -> Result<Session, RunError> {
-        let Loaded { settings: made_with, scene, model, field } = folder.load()?;
+        let training = trained_by(folder);
+        Session::of(folder, folder.load()?, training, options)
+    }
+
+    /// Loads a run that is still trained, as it was at a snapshot. It has no scene tree: clicks are answered by the photos.
+    ///
+    /// # Errors
+    /// When the snapshot cannot be read: a newer one may have replaced it.
+    pub fn open_snapshot(
+        folder: &RunFolder,
+        snapshot: &TrainingSnapshot,
+        options: SessionOptions,
+    ) -> Result<Session, RunError> {
+        Session::of(folder, folder.load_snapshot(snapshot)?, None, options)
+    }
+
+    /// A session of a loaded run; `training` is the key of its training, if that is over.
+    fn of(
+        folder: &RunFolder,
+        loaded: Loaded,
+        training: Option<String>,
+        options: SessionOptions,
+    ) -> Result<Session, RunError> {
+        let Loaded { settings: made_with, scene, model, field } = loaded;
         let SessionOptions { providers, tree, stopper } = options;
         let providers = match providers {
             Some(providers) => providers,
@@ -111,11 +138,10 @@ impl Session {
             }
             None => None,
         };
-        let tree = match trained_by(folder).filter(|_| tree) {
+        let tree = match training.as_ref().filter(|_| tree) {
             Some(geometry) => {
                 let segmenter = &*providers.segmenter;
-                let source =
-                    TreeSource { scene: &scene, model: &model, geometry: &geometry, size, segmenter };
+                let source = TreeSource { scene: &scene, model: &model, geometry, size, segmenter };
                 let tree = source.tree(&folder.cache()?, &|| stopper.phase() != Phase::Running)?;
                 tree.map(|tree| KeyedTree { key: source.key().to_string(), tree: Arc::new(tree) })
             }
@@ -160,7 +186,19 @@ impl Session {
         })?;
         let files = ImageFiles::of(scene.views.iter().map(|v| v.name.as_str()));
         let folder = folder.clone();
-        Ok(Session { folder, made_with, scene, model, engine, providers, tree, files, tasks, system })
+        Ok(Session {
+            folder,
+            made_with,
+            scene,
+            model,
+            engine,
+            providers,
+            training,
+            tree,
+            files,
+            tasks,
+            system,
+        })
     }
 
     /// The provider of the masks: `built-in`, or `sam:` and a model's name.
@@ -181,6 +219,11 @@ impl Session {
     /// The scene tree; `None` where the provider of the masks finds objects by itself, and where none was asked for.
     pub fn tree(&self) -> Option<&Arc<SceneTree>> {
         self.tree.as_ref().map(|keyed| &keyed.tree)
+    }
+
+    /// Key of the training that the scene is of; `None` where no ledger names it.
+    pub fn training(&self) -> Option<&str> {
+        self.training.as_deref()
     }
 
     /// The run's folder.

@@ -1,6 +1,5 @@
 //! Writes an answer as a selection: the object and its masks, in formats that other tools open.
 
-use super::selected::SELECTION;
 use super::{Answer, Selected, Session};
 use crate::code;
 use crate::light::{self, find};
@@ -8,7 +7,7 @@ use crate::object_masks::ObjectMasks;
 use crate::settings::AT_ONCE;
 use crate::{PhotoPrompts, RunError, RunFolder, intact, report, traces, transients};
 use rayon::prelude::*;
-use segwild_flow::{FileError, codec, fault, files};
+use segwild_flow::{FileError, fault, files};
 use segwild_scene::ply::Export;
 use segwild_scene::{Image, Mask, Scene, ScoredMask, View};
 use segwild_segmenter::{Alternative, MaskMode, PhotoVerdict, Segmented, SelectedObject};
@@ -145,9 +144,7 @@ impl Session {
             let (mask_dir, amodal_dir, prompt_dir) = (dir("masks")?, dir("amodal")?, dir("prompted")?);
             json("prompts.json", serde_json::to_vec_pretty(replay))?;
             let path = aside.join("selection.bin");
-            let bytes = codec::encode(SELECTION, &selected)
-                .map_err(|source| RunError::Record { path: path.clone(), source })?;
-            files::write_atomic(&path, &bytes)?;
+            files::write_atomic(&path, &selected.to_bytes())?;
             pass()?;
             let export = light::export(scene, model);
             export.write(&aside.join("object.ply"), &object.splats)?;

@@ -2,12 +2,13 @@
 
 use crate::intact::Intact;
 use crate::{RunError, RunFolder};
+use segwild_flow::codec;
 use segwild_scene::Splats;
 use segwild_segmenter::{SpikeCut, SplatGeometry};
 use wincode::{SchemaRead, SchemaWrite};
 
 /// Kind of the record in `selection.bin`.
-pub(super) const SELECTION: &str = "selection";
+const SELECTION: &str = "selection";
 
 /// `selection.bin`: a selection that can be rendered again.
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
@@ -32,6 +33,7 @@ pub struct Shortened {
 }
 
 impl Selected {
+    /// The labels and what a cut changes.
     pub(super) fn new(labels: &[bool], cut: &SpikeCut) -> Selected {
         let mut labels = labels.to_vec();
         cut.trim(&mut labels);
@@ -57,6 +59,35 @@ impl Selected {
             Some(s) => Err(format!("it is damaged: the shape of splat {} of {n} is none", s.splat)),
             None => Ok(()),
         }
+    }
+
+    /// The bytes of `selection.bin`.
+    ///
+    /// # Panics
+    /// Never: memory takes every byte.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        codec::encode(SELECTION, self).expect("memory takes every byte")
+    }
+
+    /// Reads the bytes of a `selection.bin` of a scene of so many splats.
+    ///
+    /// # Errors
+    /// Why they are none.
+    pub fn from_bytes(bytes: &[u8], splats: usize) -> Result<Selected, String> {
+        let selected: Selected = codec::decode(SELECTION, bytes).map_err(|e| e.to_string())?;
+        if selected.labels.len() != splats {
+            return Err(format!(
+                "it is of another scene: {} splats instead of {splats}",
+                selected.labels.len()
+            ));
+        }
+        selected.check()?;
+        Ok(selected)
+    }
+
+    /// A selection without a spike cut.
+    pub fn of_labels(labels: Vec<bool>) -> Selected {
+        Selected { labels, changed: Vec::new() }
     }
 
     /// The scene with the cut applied.

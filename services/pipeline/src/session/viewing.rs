@@ -1,0 +1,238 @@
+//! What a person sees of a session: photos, the scene from any camera, and files of objects.
+
+use super::{Answer, Selected, Session};
+use crate::light::{self, requested};
+use crate::render::{HIGHLIGHT, NOTHING, over_white};
+use crate::{PhotoPrompts, RunError};
+use segwild_raster::{Channels, CpuEngine, FrontLayer};
+use segwild_scene::{BoxPrompt, Camera, Image, Mask, PointPrompt, Pose, Prompts};
+use segwild_trainer::{Model, SceneLighting, render_lit};
+
+/// Numbers per splat that a highlight blends: colour times share, and share.
+const HIGHLIGHT_CHANNELS: usize = 4;
+
+/// What is shown of a scene.
+#[derive(Clone, Debug, Default)]
+pub struct ShownParts<'a> {
+    /// Photo whose appearance the scene has; empty for the scene's own.
+    pub appearance: &'a str,
+    /// Objects with appearances of their own: per splat whether it belongs to the object, and the photo's name.
+    pub appearances: Vec<(&'a [bool], &'a str)>,
+    /// Per splat, whether it is left out; empty where all are shown.
+    pub hidden: Vec<bool>,
+    /// Whether what is shown stands before white instead of before the scene's background.
+    pub alone: bool,
+    /// Selections whose spikes are cut.
+    pub cut: Vec<&'a Selected>,
+    /// Highlighted splats with their colours, sRGB in [0, 1]. Of several, the last counts.
+    pub highlights: Vec<(&'a [bool], [f32; 3])>,
+}
+
+/// A scene as it is shown: made once, rendered from many cameras.
+pub struct ShownScene {
+    model: Model,
+    lighting: SceneLighting,
+    alone: bool,
+    /// `[splat][red, green, blue, share]`; empty where nothing is highlighted.
+    highlight: Vec<f32>,
+}
+
+impl ShownScene {
+    /// Bytes that it takes in memory.
+    pub fn bytes(&self) -> usize {
+        let splats = &self.model.splats;
+        4 * (splats.len() * 11 + splats.sh.len() + self.model.splat_embeddings.len() + self.highlight.len())
+    }
+}
+
+impl Session {
+    /// Long side in pixels at which photos are worked with.
+    pub fn size(&self) -> u32 {
+        self.made_with.scene.size
+    }
+
+    /// The camera of a photo at working size.
+    pub fn working_camera(&self, view: usize) -> Camera {
+        self.scene.views[view].camera.scaled_to(self.size())
+    }
+
+    /// A photo, undistorted, with a long side of at most `long_side` pixels.
+    ///
+    /// # Errors
+    /// When it cannot be read any more.
+    pub fn photo(&self, view: usize, long_side: u32) -> Result<Image, RunError> {
+        Ok(self.scene.views[view].load(long_side)?.image)
+    }
+
+    /// The splat in front at each pixel of a photo at working size.
+    ///
+    /// # Errors
+    /// When the scene cannot be rendered.
+    pub fn front(&self, view: usize) -> Result<FrontLayer, RunError> {
+        self.front_from(&self.working_camera(view), &self.scene.views[view].pose)
+    }
+
+    /// The splat in front at each pixel of a camera.
+    ///
+    /// # Errors
+    /// When the scene cannot be rendered.
+    pub fn front_from(&self, camera: &Camera, pose: &Pose) -> Result<FrontLayer, RunError> {
+        Ok(CpuEngine::default().front(&self.model.splats, camera, pose, &self.model.options())?)
+    }
+
+    /// The mask that prompts mean on one photo, by its pixels alone. Prompts and mask are in pixels of the photo at working size.
+    ///
+    /// # Errors
+    /// When the photo cannot be read, or the provider fails.
+    pub fn candidate_mask(&self, view: usize, prompts: &Prompts) -> Result<Mask, RunError> {
+        let photo = self.photo(view, self.size())?;
+        Ok(self.providers.segmenter.segment(&photo, prompts)?.mask)
+    }
+
+    /// Prompts on a photo as it is shown (undistorted, at full size), as prompts on the photo as taken. `None` where a position
+    /// lies outside of what the lens can have seen.
+    pub fn prompts_as_taken(&self, view: usize, prompts: &Prompts) -> Option<PhotoPrompts> {
+        let view = &self.scene.views[view];
+        let prompts = mapped(prompts, |at| view.to_taken(at))?;
+        Some(PhotoPrompts { photo: view.name.clone(), prompts })
+    }
+
+    /// The inverse of [`Session::prompts_as_taken`], with the index of the photo; `None` where there is no such photo.
+    pub fn prompts_as_shown(&self, prompts: &PhotoPrompts) -> Option<(usize, Prompts)> {
+        let index = self.scene.view_named(&prompts.photo)?;
+        let view = &self.scene.views[index];
+        Some((index, mapped(&prompts.prompts, |at| view.from_taken(at))?))
+    }
+
+    /// What an answer selects, after the spike cut.
+    pub fn selected(answer: &Answer) -> Selected {
+        Selected::new(&answer.segmented.selection.labels, &answer.segmented.cut)
+    }
+
+    /// Makes a scene to render from many cameras.
+    ///
+    /// # Errors
+    /// When a photo whose appearance is asked for is unknown or took no part in the training.
+    pub fn show(&self, parts: &ShownParts) -> Result<ShownScene, RunError> {
+        let mut model = self.model.clone();
+        for cut in &parts.cut {
+            model.splats = cut.cut_scene(&model.splats);
+        }
+        let n = model.splats.len();
+        let mut highlight = vec![0.0; if parts.highlights.is_empty() { 0 } else { n * HIGHLIGHT_CHANNELS }];
+        for (labels, [red, green, blue]) in &parts.highlights {
+            let rows = highlight.chunks_exact_mut(HIGHLIGHT_CHANNELS).zip(*labels);
+            rows.filter(|(_, label)| **label)
+                .for_each(|(row, _)| row.copy_from_slice(&[*red, *green, *blue, 1.0]));
+        }
+        let mut labels: Vec<Vec<bool>> =
+            parts.appearances.iter().map(|(labels, _)| labels.to_vec()).collect();
+        if !parts.hidden.is_empty() {
+            let keep: Vec<usize> = (0..n).filter(|&i| !parts.hidden[i]).collect();
+            model.select(&keep);
+            for labels in &mut labels {
+                *labels = keep.iter().map(|&i| labels[i]).collect();
+            }
+            if !highlight.is_empty() {
+                let row = |&i: &usize| &highlight[i * HIGHLIGHT_CHANNELS..][..HIGHLIGHT_CHANNELS];
+                highlight = keep.iter().flat_map(row).copied().collect();
+            }
+        }
+        let light = |photo: &str| {
+            let light = requested(photo).lights(&self.scene, &model)?.at(0.0);
+            Ok::<_, RunError>(light.unwrap_or_else(|| model.light(None)))
+        };
+        let scene = light(parts.appearance)?;
+        let of_objects = labels.into_iter().zip(&parts.appearances);
+        let objects = of_objects.map(|(labels, (_, photo))| Ok((labels, light(photo)?)));
+        let objects = objects.collect::<Result<_, RunError>>()?;
+        let lighting = SceneLighting { scene, objects };
+        Ok(ShownScene { model, lighting, alone: parts.alone, highlight })
+    }
+
+    /// Renders a scene as it is shown; sRGB in [0, 1].
+    ///
+    /// # Errors
+    /// When the engine fails.
+    pub fn render(&self, shown: &ShownScene, camera: &Camera, pose: &Pose) -> Result<Image, RunError> {
+        let ShownScene { model, lighting, alone, highlight } = shown;
+        let mut image = render_lit(model, &*self.engine, camera, pose, lighting)?;
+        if !alone && highlight.is_empty() {
+            return Ok(image);
+        }
+        let projected = self.engine.project(&model.splats, camera, pose, &model.options())?;
+        if *alone {
+            let alpha = projected.blend(&NOTHING)?.alpha;
+            over_white(&mut image, &alpha, &lighting.scene.background().paint(camera, pose));
+        }
+        if !highlight.is_empty() {
+            let channels = Channels { count: HIGHLIGHT_CHANNELS, values: highlight };
+            let blended = projected.blend(&channels)?.image;
+            let n = image.pixels();
+            for c in 0..3 {
+                for i in 0..n {
+                    let share = HIGHLIGHT * blended.data[3 * n + i].clamp(0.0, 1.0);
+                    let v = &mut image.data[c * n + i];
+                    *v = (*v * (1.0 - share) + HIGHLIGHT * blended.data[c * n + i]).clamp(0.0, 1.0);
+                }
+            }
+        }
+        Ok(image)
+    }
+
+    /// What stands behind all splats of a scene as it is shown; sRGB in [0, 1].
+    pub fn background(&self, shown: &ShownScene, camera: &Camera, pose: &Pose) -> Image {
+        match shown.alone {
+            true => Image::filled(camera.width as usize, camera.height as usize, 3, 1.0),
+            false => shown.lighting.scene.background().paint(camera, pose),
+        }
+    }
+
+    /// The splats for a program that rasterises them itself, little-endian: number of splats, degree of the harmonics, and
+    /// whether opacities are compensated for the pixel filter, as `u32`; then as `f32` all centres (3), opacities in [0, 1]
+    /// (1), upper triangles of the covariances (6), and colour coefficients (3 per basis function).
+    ///
+    /// # Errors
+    /// When the photo `appearance` is unknown or took no part in the training.
+    pub fn packed_splats(&self, appearance: &str) -> Result<Vec<u8>, RunError> {
+        let splats = light::shown(&self.scene, &self.model, appearance)?;
+        let n = splats.len();
+        let head = [n as u32, splats.sh_degree, u32::from(self.model.antialias)];
+        let mut bytes = Vec::with_capacity(12 + 4 * (10 * n + splats.sh.len()));
+        bytes.extend(head.iter().flat_map(|v| v.to_le_bytes()));
+        let mut add = |values: &[f32]| bytes.extend(values.iter().flat_map(|v| v.to_le_bytes()));
+        add(splats.means.as_flattened());
+        add(&(0..n).map(|i| splats.opacity(i)).collect::<Vec<f32>>());
+        for i in 0..n {
+            let [[xx, xy, xz], [_, yy, yz], [_, _, zz]] = splats.covariance(i).to_cols_array_2d();
+            add(&[xx, xy, xz, yy, yz, zz]);
+        }
+        add(&splats.sh);
+        Ok(bytes)
+    }
+
+    /// The splats of an object, its spikes cut, as the bytes of a `.ply` for other programs. Colours have the appearance of
+    /// the photo `appearance`, or the scene's own if it is empty.
+    ///
+    /// # Errors
+    /// When the photo is unknown or took no part in the training.
+    pub fn object_ply(&self, selected: &Selected, appearance: &str) -> Result<Vec<u8>, RunError> {
+        let in_colour = selected.cut_scene(&light::shown(&self.scene, &self.model, appearance)?);
+        let keep: Vec<usize> = (0..in_colour.len()).filter(|&i| selected.labels[i]).collect();
+        Ok(light::export(&self.scene, &self.model).to_bytes(&in_colour.select(&keep)))
+    }
+}
+
+/// Prompts with their positions mapped; `None` where one of them has no image.
+fn mapped(prompts: &Prompts, map: impl Fn([f32; 2]) -> Option<[f32; 2]>) -> Option<Prompts> {
+    let point = |p: &PointPrompt| map([p.x, p.y]).map(|[x, y]| PointPrompt { x, y, ..*p });
+    let corners = |b: &BoxPrompt| {
+        let ([x0, y0], [x1, y1]) = (map([b.x0, b.y0])?, map([b.x1, b.y1])?);
+        Some(BoxPrompt { x0, y0, x1, y1 })
+    };
+    Some(Prompts {
+        points: prompts.points.iter().map(point).collect::<Option<_>>()?,
+        boxes: prompts.boxes.iter().map(corners).collect::<Option<_>>()?,
+        granularity: prompts.granularity,
+    })
+}
