@@ -1,7 +1,8 @@
 //! The command line: the program, what its commands share, and flags made from the settings structs.
 
 use crate::commands::{
-    bake, batch, bench, cache, completions, demo, doctor, eval, objects, render, run, segment, status, top,
+    bake, batch, bench, cache, completions, demo, doctor, eval, objects, render, run, segment, serve, status,
+    top,
 };
 use clap::builder::PossibleValuesParser;
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
@@ -23,6 +24,7 @@ pub fn program() -> Command {
         )
         .subcommands([
             run::command(),
+            serve::command(),
             segment::command(),
             objects::command(),
             render::command(),

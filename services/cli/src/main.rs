@@ -54,6 +54,7 @@ fn main() -> ExitCode {
     }
     let done = match matches.subcommand() {
         Some(("run", m)) => commands::run::run(m),
+        Some(("serve", m)) => commands::serve::serve(m),
         Some(("segment", m)) => commands::segment::segment(m),
         Some(("objects", m)) => commands::objects::objects(m),
         Some(("render", m)) => commands::render::render(m),

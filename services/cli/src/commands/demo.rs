@@ -1,6 +1,7 @@
 //! `segwild demo`
 
 use super::run::{run_scene, tell};
+use super::serve::{page_of_run, serve_args, stay};
 use super::{path, print_json, print_line};
 use crate::args::{self, examples, flag, json};
 use crate::failure::Failure;
@@ -22,7 +23,7 @@ const STEPS: u32 = 1500;
 
 /// The command's arguments.
 pub fn command() -> Command {
-    Command::new("demo")
+    let command = Command::new("demo")
         .about("Make a synthetic scene, run the whole job on it, leave a report and images")
         .arg(args::path("out", "Folder [default: runs/demo]"))
         .arg(
@@ -35,7 +36,8 @@ pub fn command() -> Command {
         )
         .arg(flag("photos-only", "Only write the photos and their poses, for `segwild run`"))
         .arg(json())
-        .after_help(examples("segwild demo", "segwild demo --scene-seed 7 --photos-only --out photos/seven"))
+        .after_help(examples("segwild demo", "segwild demo --scene-seed 7 --photos-only --out photos/seven"));
+    serve_args(command)
 }
 
 /// Makes a synthetic scene, runs the whole job on it, selects the objects that photos show largest, scores them.
@@ -59,7 +61,9 @@ pub fn demo(matches: &ArgMatches) -> Result<(), Failure> {
     let mut settings = Settings::preset(Preset::Draft);
     settings.train.steps = STEPS;
     let run_dir = out.join("run");
-    let summary = run_scene(&scene_dir, &run_dir, &settings, None, json, Stopper::new())?;
+    let page = page_of_run(matches, &run_dir, json)?;
+    let stopper = Stopper::new();
+    let summary = run_scene(&scene_dir, &run_dir, &settings, None, json, stopper.clone())?;
     if !json {
         tell(&summary, &run_dir)?;
     }
@@ -109,6 +113,7 @@ pub fn demo(matches: &ArgMatches) -> Result<(), Failure> {
     if !json {
         print_line(&format!("open {}", trial.folder().report().display()))?;
     }
+    stay(page, &stopper);
     Ok(())
 }
 

@@ -12,6 +12,7 @@ pub mod objects;
 pub mod render;
 pub mod run;
 pub mod segment;
+pub mod serve;
 pub mod status;
 pub mod top;
 

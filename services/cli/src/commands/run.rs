@@ -1,5 +1,6 @@
 //! `segwild run`
 
+use super::serve::{page_of_run, serve_args, stay};
 use super::{path, print_json, print_line, use_threads};
 use crate::args::{self, examples, flag, json, until, with_settings};
 use crate::failure::Failure;
@@ -15,15 +16,18 @@ use segwild_pipeline::{
 use segwild_scene::{SceneError, Skipped};
 use std::path::{Path, PathBuf};
 
+/// Seconds between checkpoints where a page follows the training.
+const PAGE_CHECKPOINTS: u32 = 4;
+
 /// The command's arguments.
 pub fn command() -> Command {
     let scene = Arg::new("scene")
         .required(true)
         .value_parser(value_parser!(PathBuf))
         .help("COLMAP folder, Photo Tourism folder, or folder with transforms.json");
-    child_args(listen_args(with_settings(
+    child_args(listen_args(serve_args(with_settings(
         Command::new("run").about("Train a scene: geometry, appearance, masks, features, report"),
-    )))
+    ))))
     .arg(scene)
     .arg(args::path("out", "Run folder [default: runs/NAME]"))
     .arg(args::path("config", "Settings file [default: segwild.toml in the run folder, if there]"))
@@ -42,20 +46,28 @@ pub fn run(matches: &ArgMatches) -> Result<(), Failure> {
     have_files_to_open()?;
     let scene = path(matches, "scene").expect("clap requires it");
     let out = path(matches, "out").unwrap_or_else(|| default_folder(&scene));
-    let settings = settings(matches, &RunFolder::at(&out))?;
+    let mut settings = settings(matches, &RunFolder::at(&out))?;
     let json = matches.get_flag("json");
     let until = matches.get_one::<Until>("until").copied();
     if matches.get_flag("explain") {
         return tell_plan(&scene, &out, &settings, until, json);
     }
     let _server = listen(matches, &out, false)?;
+    let page = page_of_run(matches, &out, json)?;
+    if page.is_some() {
+        // The page shows the scene as it was at the last checkpoint.
+        settings.run.checkpoint_every = settings.run.checkpoint_every.min(PAGE_CHECKPOINTS);
+    }
     let stopper = Stopper::new();
     stop_with_parent(matches, &stopper)?;
-    let summary = run_scene(&scene, &out, &settings, until, json, stopper)?;
+    let summary = run_scene(&scene, &out, &settings, until, json, stopper.clone())?;
     if json {
-        return print_json(&serde_json::json!({ "event": "summary", "folder": out, "summary": summary }));
+        print_json(&serde_json::json!({ "event": "summary", "folder": out, "summary": summary }))?;
+    } else {
+        tell(&summary, &out)?;
     }
-    tell(&summary, &out)
+    stay(page, &stopper);
+    Ok(())
 }
 
 /// Those of the file that was named, which is the user's own, else those that the run folder remembers; flags over them.

@@ -15,6 +15,7 @@ mod distorted;
 mod kills;
 mod objects;
 mod operators;
+mod page;
 mod photos;
 mod received;
 mod resume;

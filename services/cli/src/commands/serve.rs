@@ -1,0 +1,174 @@
+//! `segwild serve`
+
+use super::{path, print_line};
+use crate::args::{self, examples, flag};
+use crate::exit;
+use crate::failure::Failure;
+use crate::progress::on_ctrl_c;
+use clap::{Arg, ArgMatches, Command, value_parser};
+use segwild_flow::{Phase, Stopper};
+use segwild_pipeline::RunFolder;
+use segwild_studio::{ServeOptions, StudioServeError, StudioServer, Token, serve as serve_page};
+use std::net::{Ipv4Addr, SocketAddr};
+use std::path::{Path, PathBuf};
+use std::sync::mpsc;
+use std::time::Duration;
+
+/// The port of the page, unless told otherwise.
+const PORT: u16 = 7777;
+
+/// The command's arguments.
+pub fn command() -> Command {
+    Command::new("serve")
+        .about("Open the page: see the photos, click an object, keep and export it")
+        .arg(
+            Arg::new("run")
+                .required(true)
+                .value_name("RUN|FOLDER")
+                .value_parser(value_parser!(PathBuf))
+                .help("Run folder, or a folder of runs"),
+        )
+        .arg(
+            Arg::new("listen")
+                .long("listen")
+                .value_name("ADDR")
+                .value_parser(value_parser!(SocketAddr))
+                .help("Serve the page here [default: 127.0.0.1:7777, or a free port where that is taken]"),
+        )
+        .arg(args::path(
+            "token-file",
+            "Read the token that clients need from this file; it is made where it is missing",
+        ))
+        .arg(flag("insecure", "Listen to other machines without a token file: a new token at every start"))
+        .arg(flag("open", "Open the page in the browser"))
+        .after_help(examples(
+            "segwild serve runs/trevi --open",
+            "segwild serve runs --listen 0.0.0.0:7777 --token-file segwild.token",
+        ))
+}
+
+/// Serves the page until it is stopped.
+pub fn serve(matches: &ArgMatches) -> Result<(), Failure> {
+    let folder = path(matches, "run").expect("clap requires it");
+    if !folder.is_dir() {
+        let message = format!(
+            "{}: there is no such folder; `segwild run SCENE --out FOLDER` makes one",
+            folder.display()
+        );
+        return Err(Failure { message, code: exit::FOLDER });
+    }
+    if RunFolder::at(&folder).ledger().is_file() {
+        RunFolder::open(&folder)?;
+    }
+    let (stop, stopped) = mpsc::channel();
+    on_ctrl_c(move |press| {
+        // The sessions are on disk: nothing is lost by an end at any time.
+        if press > 1 || stop.send(()).is_err() {
+            std::process::exit(exit::INTERRUPTED.into());
+        }
+    })?;
+    let server = page(&folder, matches.get_one("listen").copied(), matches)?;
+    print_line(&format!("the page: {}", server.address()))?;
+    if matches.get_flag("open") {
+        open_browser(&server.address());
+    }
+    // The sender lives as long as the process.
+    let _ = stopped.recv();
+    Ok(())
+}
+
+/// Adds `--serve` to a command that trains.
+pub fn serve_args(command: Command) -> Command {
+    command
+        .arg(flag("serve", "Open the page as well: it follows the training, and stays until Ctrl-C"))
+        .arg(flag("open", "Open the page in the browser").requires("serve"))
+}
+
+/// The page of a run that is about to start, if it was asked for.
+pub fn page_of_run(matches: &ArgMatches, folder: &Path, json: bool) -> Result<Option<StudioServer>, Failure> {
+    if !matches.get_flag("serve") {
+        return Ok(None);
+    }
+    let server = on_loopback(folder, ServeOptions::default())?;
+    let line = format!("the page: {}", server.address());
+    // With `--json` standard output has objects only.
+    if json {
+        eprintln!("{line}")
+    } else {
+        print_line(&line)?
+    }
+    if matches.get_flag("open") {
+        open_browser(&server.address());
+    }
+    Ok(Some(server))
+}
+
+/// Keeps a page until Ctrl-C.
+pub fn stay(server: Option<StudioServer>, stopper: &Stopper) {
+    let Some(server) = server else { return };
+    eprintln!("the page stays until Ctrl-C: {}", server.address());
+    while stopper.phase() == Phase::Running {
+        std::thread::park_timeout(Duration::from_millis(200));
+    }
+}
+
+/// Serves on the usual port, or on a free one where that is taken.
+fn on_loopback(folder: &Path, options: ServeOptions) -> Result<StudioServer, StudioServeError> {
+    let at = |port| ServeOptions { address: (Ipv4Addr::LOCALHOST, port).into(), ..options.clone() };
+    serve_page(folder, at(PORT)).or_else(|_| serve_page(folder, at(0)))
+}
+
+/// Starts the server that the arguments describe.
+fn page(folder: &Path, listen: Option<SocketAddr>, matches: &ArgMatches) -> Result<StudioServer, Failure> {
+    let usual = SocketAddr::from((Ipv4Addr::LOCALHOST, PORT));
+    let address = listen.unwrap_or(usual);
+    let token_file = path(matches, "token-file");
+    if !address.ip().is_loopback() && token_file.is_none() && !matches.get_flag("insecure") {
+        return Err(Failure::usage(format!(
+            "--listen {address} lets other machines in: give --token-file FILE, or --insecure for a token that only this terminal \
+             shows; HTTP is not encrypted"
+        )));
+    }
+    let token = token_file.map(|file| token_of(&file)).transpose()?;
+    let options = ServeOptions { address, token, ..ServeOptions::default() };
+    Ok(if listen.is_some() { serve_page(folder, options)? } else { on_loopback(folder, options)? })
+}
+
+/// The token of a file; a new one is written where the file is missing.
+fn token_of(file: &Path) -> Result<Token, Failure> {
+    let failed = |message: String| Failure { message, code: exit::FOLDER };
+    match segwild_flow::files::read_within(file, 1024) {
+        Ok(bytes) => String::from_utf8(bytes).ok().and_then(|text| Token::of(&text)).ok_or_else(|| {
+            Failure::usage(format!(
+                "{}: a token has 16 letters, digits, dashes or underscores at least",
+                file.display()
+            ))
+        }),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+            let token = Token::random().map_err(|e| failed(format!("no token can be made: {e}")))?;
+            segwild_flow::files::write_private(file, format!("{}\n", token.text()).as_bytes())
+                .map_err(|e| failed(e.to_string()))?;
+            Ok(token)
+        }
+        Err(error) => Err(failed(format!("cannot read {}: {error}", file.display()))),
+    }
+}
+
+/// Opens an address in the browser; where there is none, the printed address has to do.
+fn open_browser(address: &str) {
+    let program = if cfg!(target_os = "macos") {
+        "open"
+    } else if cfg!(windows) {
+        "explorer"
+    } else {
+        "xdg-open"
+    };
+    let opened = std::process::Command::new(program)
+        .arg(address)
+        .stdout(std::process::Stdio::null())
+        .stderr(std::process::Stdio::null())
+        .spawn();
+    if opened.is_err() {
+        eprintln!("no browser can be opened here: open the address by hand");
+    }
+}

@@ -1,0 +1,183 @@
+//! Who may ask: requests with the token, to this host, from this page.
+//!
+//! The address that `segwild serve` prints carries the token. The first request with it gets a cookie, so that the address bar and
+//! the browser's history lose it. Programs send it as `Authorization: Bearer`.
+
+use axum::extract::{Request, State};
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri, header};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use std::fmt;
+use std::net::SocketAddr;
+use std::sync::Arc;
+
+/// Bytes of a token.
+const TOKEN_BYTES: usize = 24;
+
+/// Letters of a token from a file, at least.
+const SHORTEST: usize = 16;
+
+/// What the browser may load and do: nothing from elsewhere, no script in the page itself.
+const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; \
+                      base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+
+/// A secret that a client must know.
+#[derive(Clone)]
+pub struct Token(String);
+
+impl fmt::Debug for Token {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str("Token(..)")
+    }
+}
+
+impl Token {
+    /// A new one, by the system's generator of secrets.
+    ///
+    /// # Errors
+    /// When the system has none.
+    pub fn random() -> Result<Token, std::io::Error> {
+        let mut bytes = [0; TOKEN_BYTES];
+        getrandom::fill(&mut bytes).map_err(|e| std::io::Error::other(e.to_string()))?;
+        Ok(Token(bytes.iter().map(|b| format!("{b:02x}")).collect()))
+    }
+
+    /// One that a person chose: at least 16 letters, digits, dashes or underscores.
+    pub fn of(text: &str) -> Option<Token> {
+        let text = text.trim();
+        let plain = text.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'-' || b == b'_');
+        (plain && text.len() >= SHORTEST && text.len() <= 256).then(|| Token(text.to_owned()))
+    }
+
+    /// Its text.
+    pub fn text(&self) -> &str {
+        &self.0
+    }
+
+    /// Whether a client's text is the token. The time it takes says nothing about where they differ.
+    fn is(&self, text: &str) -> bool {
+        let (own, given) = (blake3::hash(self.0.as_bytes()), blake3::hash(text.as_bytes()));
+        own == given
+    }
+}
+
+/// What requests are checked against.
+pub(crate) struct Guard {
+    pub token: Token,
+    pub address: SocketAddr,
+    /// Whether it listens on the loopback address: a name that leads here from elsewhere is refused then.
+    pub loopback: bool,
+}
+
+impl Guard {
+    /// Cookies are shared by all ports of a host: each server has its own.
+    fn cookie(&self) -> String {
+        format!("segwild-{}", self.address.port())
+    }
+
+    fn knows(&self, headers: &HeaderMap) -> bool {
+        let text = |name| headers.get(name).and_then(|value: &HeaderValue| value.to_str().ok());
+        let bearer = text(header::AUTHORIZATION).and_then(|value| value.strip_prefix("Bearer "));
+        if bearer.is_some_and(|token| self.token.is(token)) {
+            return true;
+        }
+        let name = self.cookie();
+        let cookies = headers.get_all(header::COOKIE).iter().filter_map(|value| value.to_str().ok());
+        cookies.flat_map(|value| value.split(';')).any(|cookie| {
+            cookie.trim().split_once('=').is_some_and(|(key, value)| key == name && self.token.is(value))
+        })
+    }
+
+    /// Whether the request names this host: a page elsewhere can make its own name lead to the loopback address.
+    fn is_own_host(&self, host: &str) -> bool {
+        if !self.loopback {
+            return true;
+        }
+        let port = self.address.port();
+        ["127.0.0.1", "localhost", "[::1]"].iter().any(|name| host == format!("{name}:{port}"))
+    }
+
+    /// Whether a request comes from a page of this server, or from no page at all.
+    fn is_own_origin(&self, headers: &HeaderMap, host: &str) -> bool {
+        match headers.get(header::ORIGIN).map(|origin| origin.to_str()) {
+            None => true,
+            Some(Ok(origin)) => origin.split_once("://").is_some_and(|(_, rest)| rest == host),
+            Some(Err(_)) => false,
+        }
+    }
+}
+
+/// The token in a query, if there is one.
+fn token_of(uri: &Uri) -> Option<&str> {
+    uri.query()?.split('&').find_map(|pair| pair.strip_prefix("token="))
+}
+
+fn refused(code: StatusCode, why: &'static str) -> Response {
+    (code, axum::Json(serde_json::json!({ "error": why }))).into_response()
+}
+
+/// Lets a request pass, or refuses it; adds the headers that keep the page to itself.
+pub(crate) async fn guard(State(guard): State<Arc<Guard>>, request: Request, next: Next) -> Response {
+    let mut response = checked(&guard, request, next).await;
+    let headers = response.headers_mut();
+    let fixed = [
+        (header::CONTENT_SECURITY_POLICY, POLICY),
+        (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+        (header::REFERRER_POLICY, "no-referrer"),
+        (header::X_FRAME_OPTIONS, "DENY"),
+    ];
+    for (name, value) in fixed {
+        headers.insert(name, HeaderValue::from_static(value));
+    }
+    headers.entry(header::CACHE_CONTROL).or_insert(HeaderValue::from_static("no-store"));
+    response
+}
+
+async fn checked(guard: &Guard, request: Request, next: Next) -> Response {
+    let headers = request.headers();
+    let host = headers.get(header::HOST).and_then(|host| host.to_str().ok()).unwrap_or_default().to_owned();
+    if !guard.is_own_host(&host) {
+        return refused(StatusCode::FORBIDDEN, "this server answers to its own address only");
+    }
+    if !guard.is_own_origin(headers, &host) {
+        return refused(StatusCode::FORBIDDEN, "the request comes from another page");
+    }
+    if request.method() == Method::GET
+        && let Some(token) = token_of(request.uri())
+    {
+        if !guard.token.is(token) {
+            return refused(
+                StatusCode::UNAUTHORIZED,
+                "the token is another one: use the address that `segwild serve` printed",
+            );
+        }
+        let cookie = format!("{}={}; HttpOnly; SameSite=Strict; Path=/", guard.cookie(), guard.token.text());
+        let to = request.uri().path().to_owned();
+        return (StatusCode::SEE_OTHER, [(header::SET_COOKIE, cookie), (header::LOCATION, to)])
+            .into_response();
+    }
+    if !guard.knows(headers) {
+        return refused(
+            StatusCode::UNAUTHORIZED,
+            "open the address that `segwild serve` printed: it has the token",
+        );
+    }
+    next.run(request).await
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tokens_are_long_and_differ() {
+        let (a, b) = (Token::random().unwrap(), Token::random().unwrap());
+        assert!(a.text() != b.text() && a.text().len() == 2 * TOKEN_BYTES);
+        assert!(a.is(a.text()) && !a.is(b.text()) && !a.is(""));
+        assert_eq!(format!("{a:?}"), "Token(..)");
+        for refused in ["short", "with space and more text", "semi;colon;semi;colon", ""] {
+            assert!(Token::of(refused).is_none(), "{refused}");
+        }
+        assert_eq!(Token::of(" a-long-enough-token\n").unwrap().text(), "a-long-enough-token");
+    }
+}

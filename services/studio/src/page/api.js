@@ -1,0 +1,126 @@
+// Requests to the server, and its events.
+
+/** @typedef {{width: number, height: number, fx: number, fy: number, cx: number, cy: number}} Camera */
+/** @typedef {{name: string, camera: Camera, rotation: number[], translation: number[], held_out: boolean}} Photo */
+/** @typedef {{x: number, y: number, inside: boolean}} Point */
+/** @typedef {{x0: number, y0: number, x1: number, y1: number}} Box */
+/** @typedef {{photo: number, points: Point[], boxes: Box[], granularity: number | null}} Prompts */
+/** @typedef {{width: number, height: number, runs: number[], revision: number}} LabelMap */
+/** @typedef {{camera: Camera, rotation: number[], translation: number[]}} View */
+/** @typedef {{number: number, name: string, splats: number, photos: number, photo: number}} Listed */
+/**
+ * @typedef {{name: string, provider: string, splats: number, size: number, photos: Photo[], centre: number[], up: number[],
+ *   listed: Listed[], palette: number[][], tree: boolean, snapshot: number | null}} Description
+ */
+/**
+ * @typedef {{id: number, name: string, colour: number, visible: boolean, locked: boolean, appearance: number | null,
+ *   splats: number, selection: string, prompted: boolean, edited: boolean}} Item
+ */
+/**
+ * @typedef {{revision: number,
+ *   draft: {prompts: Prompts[], listed: number | null, of: number | null, alternative: number},
+ *   answer: {number: number, state: string, step: any, splats: number, alternatives: any[], error: string | null, seconds: number},
+ *   objects: Item[], isolated: number | null, appearance: number | null, cut_spikes: boolean,
+ *   undo: string | null, redo: string | null, notes: string[]}} State
+ */
+
+/** A refusal by the server, in its words. */
+export class Refused extends Error {
+  /** @param {number} code @param {any} body */
+  constructor(code, body) {
+    super(body?.error ?? body?.reason ?? String(code));
+    this.code = code;
+    this.body = body;
+  }
+}
+
+/** @param {Response} response */
+async function checked(response) {
+  // 202: the session is not open yet.
+  if (response.ok && response.status !== 202) return response;
+  throw new Refused(response.status, await response.json().catch(() => null));
+}
+
+/** @param {string} path */
+export async function getJson(path) {
+  return (await checked(await fetch(path))).json();
+}
+
+/** The requests about one run. */
+export class Run {
+  /** @param {string} name */
+  constructor(name) {
+    this.name = name;
+    this.base = `/api/v1/runs/${encodeURIComponent(name)}`;
+  }
+
+  /** @returns {Promise<Description>} */
+  describe() {
+    return getJson(this.base);
+  }
+
+  /** @param {string} path @param {unknown} body @param {AbortSignal} [signal] */
+  async post(path, body, signal) {
+    const headers = { "content-type": "application/json" };
+    return checked(await fetch(`${this.base}/${path}`, { method: "POST", headers, body: JSON.stringify(body), signal }));
+  }
+
+  /** @param {object} action @returns {Promise<State>} */
+  async act(action) {
+    return (await this.post("act", action)).json();
+  }
+
+  /** @param {{photo: number, x: number, y: number, granularity: number | null}} at @param {AbortSignal} signal @returns {Promise<LabelMap | null>} */
+  async hover(at, signal) {
+    return (await this.post("hover", at, signal)).json();
+  }
+
+  /** @param {View & {at: number[]}} at @returns {Promise<{photo: number, x: number, y: number, point: number[]} | null>} */
+  async pick(at) {
+    return (await this.post("pick", at)).json();
+  }
+
+  /** @param {View & {marks: boolean}} view @returns {Promise<Blob>} */
+  async frame(view) {
+    return (await this.post("frame", view)).blob();
+  }
+
+  /** @param {number} photo @returns {Promise<LabelMap>} */
+  labels(photo) {
+    return getJson(`${this.base}/photos/${photo}/labels`);
+  }
+
+  /** @param {number} id @returns {Promise<number[]>} */
+  photosOf(id) {
+    return getJson(`${this.base}/objects/${id}/photos`);
+  }
+
+  /** @param {number} photo @param {number} size */
+  photo(photo, size) {
+    return `${this.base}/photos/${photo}?size=${size}`;
+  }
+
+  /** @param {string} path */
+  async bytes(path) {
+    return (await checked(await fetch(`${this.base}/${path}`))).arrayBuffer();
+  }
+
+  /** @param {number} id */
+  ply(id) {
+    return `${this.base}/objects/${id}/ply`;
+  }
+
+  /**
+   * Follows the state; the browser connects again by itself, unless the session was put away.
+   * @param {(state: State) => void} changed @param {(connected: boolean) => void} connection @param {() => void} gone
+   */
+  follow(changed, connection, gone) {
+    const source = new EventSource(`${this.base}/events`);
+    source.addEventListener("state", event => {
+      connection(true);
+      changed(JSON.parse(event.data));
+    });
+    source.onerror = () => (source.readyState === EventSource.CLOSED ? gone() : connection(false));
+    return source;
+  }
+}

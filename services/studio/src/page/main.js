@@ -1,0 +1,480 @@
+// The page: one state from the server, shown by the panes; what a person does goes back as actions.
+
+import { Refused, Run, getJson } from "./api.js";
+import { centreOf, cross, dot, subtract, unit } from "./geometry.js";
+import { Side, element } from "./objects.js";
+import { LEVELS, PhotoPane, Strip } from "./photos.js";
+import { ScenePane } from "./scene.js";
+import { actionOf, keysOf, shortcuts, shown } from "./shortcuts.js";
+import { text } from "./strings.js";
+
+/** @typedef {import("./api.js").State} State */
+/** @typedef {import("./api.js").Prompts} Prompts */
+/** @typedef {import("./api.js").Point} Point */
+/** @typedef {import("./api.js").Item} Item */
+
+const of = (/** @type {string} */ id) => /** @type {HTMLElement} */ (document.getElementById(id));
+/** Tools that mark splats by hand. */
+const TOOLS = ["prompt", "rectangle", "lasso", "brush", "sphere"];
+/** Milliseconds between two tries of a scene that is not there yet. */
+const AGAIN = 150;
+/** Milliseconds between two questions how far a training is. */
+const TRAINING = 2000;
+/** Milliseconds that a message stays. */
+const MESSAGE = 6000;
+
+/** The page. */
+export class App {
+  constructor() {
+    this.run = new Run("");
+    this.description = /** @type {import("./api.js").Description} */ (/** @type {unknown} */ (null));
+    this.state = /** @type {State | null} */ (null);
+    this.photo = 0;
+    this.tool = "prompt";
+    this.rule = "centre";
+    this.level = /** @type {number | null} */ (null);
+    this.item = /** @type {number | null} */ (null);
+    this.radius = 0.02;
+    this.view = "both";
+    /** Keys that are down. @type {Set<string>} */
+    this.held = new Set();
+    /** What was measured last, in milliseconds. @type {Record<string, number>} */
+    this.times = {};
+    /** What was shown first, in milliseconds after the page was opened. @type {Record<string, number>} */
+    this.first = {};
+    /** Pixels of objects by photo, by object and selection. @type {Map<string, Promise<number[]>>} */
+    this.counts = new Map();
+    this.photoPane = new PhotoPane(this);
+    this.strip = new Strip(this);
+    this.scenePane = new ScenePane(this);
+    this.side = new Side(this);
+  }
+
+  /** @param {string} what */
+  ready(what) {
+    this.first[what] ??= performance.now();
+  }
+
+  async start() {
+    fillTexts();
+    this.makeTools();
+    this.listen();
+    this.setView(matchMedia("(max-width: 700px)").matches ? "photo" : "both");
+    const runs = await getJson("/api/v1/runs");
+    const choice = /** @type {HTMLSelectElement} */ (of("runs"));
+    for (const run of runs) choice.append(new Option(run.name, run.name));
+    choice.addEventListener("change", () => this.open(choice.value));
+    const wanted = decodeURIComponent(location.hash.slice(1));
+    const name = runs.some((/** @type {any} */ run) => run.name === wanted) ? wanted : runs[0]?.name;
+    if (!name) return this.say(text("no_status"), true);
+    choice.value = name;
+    await this.open(name);
+  }
+
+  /** Opens a run; waits for one that is still trained or loaded. @param {string} name */
+  async open(name) {
+    this.source?.close();
+    clearTimeout(this.trainingTimer);
+    const same = this.run.name === name && this.description ? this.photo : null;
+    this.state = null;
+    this.run = new Run(name);
+    location.hash = encodeURIComponent(name);
+    const { run } = this;
+    for (;;) {
+      try {
+        this.description = await run.describe();
+        break;
+      } catch (error) {
+        if (run !== this.run) return;
+        const state = error instanceof Refused ? error.body?.state : null;
+        this.say(state === "training" ? text("training") : state === "opening" ? text("opening") : String(/** @type {any} */ (error).message), true);
+        if (state === "training") await this.showStatus();
+        await new Promise(done => setTimeout(done, state === "training" ? 10 * AGAIN : AGAIN));
+      }
+    }
+    if (this.view === "status") this.setView("both");
+    this.say("");
+    document.title = `segwild · ${name}`;
+    this.photo = same ?? Math.max(0, this.description.photos.findIndex(photo => !photo.held_out));
+    this.item = null;
+    this.counts.clear();
+    this.scenePane.drawer = null;
+    this.scenePane.loaded = "";
+    this.strip.shownFor = "";
+    this.strip.showing = null;
+    this.strip.draw();
+    this.photoPane.open();
+    if (same === null) this.scenePane.through(this.photo);
+    else this.scenePane.redraw();
+    let connected = true;
+    this.source = run.follow(state => this.update(state), now => {
+      if (now !== connected) this.say(now ? "" : text("lost"), !now);
+      connected = now;
+    }, () => run === this.run && this.open(name));
+    this.followTraining();
+  }
+
+  /** While the scene is trained: asks for newer ones, and says how far it is. */
+  async followTraining() {
+    const { run, description } = this;
+    if (description.snapshot === null) return this.side.training("");
+    const view = await getJson("/api/v1/status").catch(() => null);
+    const stages = view?.stages ?? [], busy = stages.filter((/** @type {any} */ s) => s.state === "running");
+    const words = busy.map((/** @type {any} */ s) => `${s.name} ${s.done}/${s.total}`).join(", ");
+    this.side.training(text("trained_to", description.snapshot, words));
+    try {
+      const { snapshot } = await run.describe();
+      if (run !== this.run) return;
+      if (snapshot !== description.snapshot) return this.open(run.name);
+    } catch {
+      if (run === this.run) return this.open(run.name);
+      return;
+    }
+    this.trainingTimer = setTimeout(() => this.followTraining(), TRAINING);
+  }
+
+  /** Takes a new state. @param {State} state */
+  update(state) {
+    if (this.state && state.revision < this.state.revision) return;
+    const moved = state.revision !== this.state?.revision;
+    this.state = state;
+    if (this.item !== null && !state.objects.some(item => item.id === this.item)) this.item = null;
+    this.side.update();
+    this.side.undo();
+    this.photoPane.update();
+    this.strip.update();
+    if (moved) this.scenePane.redraw();
+    document.body.dataset.answer = state.answer.state;
+  }
+
+  /** Sends an action. @param {object} action */
+  async act(action) {
+    try {
+      this.update(await this.run.act(action));
+    } catch (error) {
+      this.failed(error);
+    }
+  }
+
+  /** @param {unknown} error */
+  failed(error) {
+    if (error instanceof Refused) return this.say(error.message);
+    if (error instanceof DOMException && error.name === "AbortError") return;
+    this.say(error instanceof TypeError ? text("lost") : String(error));
+    if (!(error instanceof TypeError)) console.error(error);
+  }
+
+  /** Shows a message. @param {string} words @param {boolean} [stays] */
+  say(words, stays) {
+    of("message").textContent = words;
+    clearTimeout(this.silence);
+    if (words && !stays) this.silence = setTimeout(() => this.say(""), MESSAGE);
+  }
+
+  /** @param {"photo" | "scene"} pane */
+  shows(pane) {
+    return this.view === "both" || this.view === pane;
+  }
+
+  /** @param {string} view */
+  setView(view) {
+    this.view = view;
+    document.body.dataset.view = view;
+    of("photo").hidden = !this.shows("photo");
+    of("scene").hidden = !this.shows("scene");
+    of("status").hidden = view !== "status";
+    for (const button of of("views").querySelectorAll("button")) {
+      button.setAttribute("aria-pressed", String(button.dataset.view === view));
+    }
+    if (view === "status") this.showStatus();
+    if (!this.description) return;
+    this.photoPane.layout();
+    this.photoPane.update();
+    this.scenePane.redraw();
+  }
+
+  /** @param {string} tool */
+  setTool(tool) {
+    this.tool = tool;
+    for (const button of of("tools").querySelectorAll("button")) {
+      button.setAttribute("aria-pressed", String(button.dataset.tool === tool));
+    }
+    this.photoPane.clearCandidate();
+    if (tool !== "prompt" && this.item === null) this.say(text("region_new"));
+  }
+
+  makeTools() {
+    for (const tool of TOOLS) {
+      const button = element("button", { type: "button", click: () => this.setTool(tool) }, text(`tool_${tool}`));
+      button.dataset.tool = tool;
+      button.title = text(`tool_${tool}`) + keysOf(`tool_${tool}`);
+      of("tools").append(button);
+    }
+    const rule = element("button", { type: "button", id: "rule", click: () => this.nextRule() }, text("rule_centre"));
+    of("tools").append(rule);
+    this.setTool("prompt");
+  }
+
+  /** @param {string} [rule] */
+  nextRule(rule) {
+    const all = ["centre", "visible", "footprint"];
+    this.rule = rule ? (this.rule === rule ? "centre" : rule) : all[(all.indexOf(this.rule) + 1) % 3];
+    of("rule").textContent = text(`rule_${this.rule}`);
+  }
+
+  /** Colour of an object's label. @param {number} label */
+  colourOf(label) {
+    const item = this.state?.objects[label - 1];
+    return item ? this.description.palette[item.colour] : null;
+  }
+
+  selected() {
+    return this.state?.objects.find(item => item.id === this.item) ?? null;
+  }
+
+  /** @param {number | null} id */
+  select(id) {
+    this.item = id;
+    this.side.update();
+    this.strip.update();
+  }
+
+  /** Pixels of each photo that show an object. @param {Item} item */
+  photosOf(item) {
+    const key = `${item.id}/${item.selection}`;
+    let found = this.counts.get(key);
+    if (!found) {
+      found = this.run.photosOf(item.id);
+      this.counts.set(key, found);
+      found.catch(() => this.counts.delete(key));
+    }
+    return found;
+  }
+
+  /** The angle from which a photo sees the scene, around its up direction. @param {number} i */
+  angleOf(i) {
+    const { centre, up, photos } = this.description, from = subtract(centreOf(photos[i]), centre);
+    const east = unit(cross(up, Math.abs(up[0]) < 0.9 ? [1, 0, 0] : [0, 1, 0])), north = cross(up, east);
+    return Math.atan2(dot(from, north), dot(from, east));
+  }
+
+  /** @param {number} photo */
+  async openPhoto(photo) {
+    this.photo = photo;
+    this.photoPane.open();
+    this.strip.mark();
+    this.side.update();
+    this.scenePane.drawCameras();
+  }
+
+  /** The prompts of the draft with those of a photo changed. @param {number} photo @param {(of: Prompts) => void} change */
+  prompt(photo, change) {
+    if (!this.state) return;
+    const prompts = structuredClone(this.state.draft.prompts);
+    let own = prompts.find(p => p.photo === photo);
+    if (!own) {
+      own = { photo, points: [], boxes: [], granularity: this.level };
+      prompts.push(own);
+    }
+    change(own);
+    for (const p of prompts) p.granularity = this.level;
+    this.act({ do: "prompt", prompts });
+  }
+
+  /** @param {number} photo @param {number[]} at @param {boolean} inside */
+  addPoint(photo, at, inside) {
+    const any = this.state?.draft.prompts.some(p => p.boxes.length || p.points.some(point => point.inside));
+    if (!inside && !any) return this.say(text("first_inside"));
+    this.prompt(photo, own => own.points.push({ x: at[0], y: at[1], inside }));
+  }
+
+  /** @param {number} photo @param {number[]} a @param {number[]} b */
+  addBox(photo, a, b) {
+    const { camera } = this.description.photos[photo];
+    const clamp = (/** @type {number} */ v, /** @type {number} */ side) => Math.min(side - 1e-3, Math.max(0, v));
+    const [x0, y0, x1, y1] = [clamp(a[0], camera.width), clamp(a[1], camera.height), clamp(b[0], camera.width), clamp(b[1], camera.height)];
+    this.prompt(photo, own => own.boxes.push({ x0, y0, x1, y1 }));
+  }
+
+  /** @param {number} photo @param {Point} point */
+  removePoint(photo, point) {
+    this.prompt(photo, own => {
+      own.points = own.points.filter(p => p.x !== point.x || p.y !== point.y);
+    });
+  }
+
+  /** @param {number} alternative */
+  alternative(alternative) {
+    if (this.state) this.act({ do: "prompt", prompts: this.state.draft.prompts, alternative });
+  }
+
+  /** @param {number} steps */
+  changeLevel(steps) {
+    const at = LEVELS.indexOf(this.level) + steps;
+    this.setLevel(LEVELS[Math.min(LEVELS.length - 1, Math.max(0, at))]);
+  }
+
+  /** @param {number | null} level */
+  setLevel(level) {
+    if (level === this.level) return;
+    this.level = level;
+    this.side.update();
+    const photo = this.state?.draft.prompts[0]?.photo;
+    if (photo !== undefined) this.prompt(photo, () => {});
+    else this.photoPane.hover();
+  }
+
+  /**
+   * Changes the selected object by a region, or makes a new one.
+   * @param {string} tool @param {number[][]} path @param {import("./api.js").View} view @param {number} radius @param {MouseEvent} event
+   */
+  region(tool, path, view, radius, event) {
+    const [a, b] = [path[0], path[path.length - 1]];
+    const shapes = {
+      rectangle: { shape: "polygon", points: [[a[0], a[1]], [b[0], a[1]], [b[0], b[1]], [a[0], b[1]]] },
+      lasso: { shape: "polygon", points: path },
+      brush: { shape: "brush", points: path, radius },
+      sphere: { shape: "sphere", at: b, radius },
+    };
+    /** @type {{shape: string, points?: number[][], at?: number[], radius?: number}} */
+    const region = shapes[/** @type {keyof typeof shapes} */ (tool)];
+    // A photo may be larger than a view that the server renders.
+    const long = Math.max(view.camera.width, view.camera.height), s = Math.min(1, 1024 / long);
+    const camera = { ...view.camera, width: Math.round(view.camera.width * s), height: Math.round(view.camera.height * s) };
+    for (const key of /** @type {const} */ (["fx", "fy", "cx", "cy"])) camera[key] *= s;
+    const small = (/** @type {number[]} */ p) => [p[0] * s, p[1] * s];
+    if (region.points) region.points = region.points.map(small);
+    if (region.at) region.at = small(region.at);
+    if (region.radius) region.radius *= s;
+    const ctrl = event.ctrlKey || event.metaKey;
+    const how = ctrl && event.shiftKey ? "intersect" : ctrl ? "subtract" : "add";
+    this.act({ do: "region", id: this.item, view: { ...view, camera }, region, how, rule: this.rule });
+  }
+
+  listen() {
+    document.addEventListener("keydown", event => {
+      this.held.add(event.code);
+      const { target } = event;
+      if (target instanceof HTMLInputElement && target.type !== "checkbox" && target.type !== "range") return;
+      if (target instanceof HTMLSelectElement) return;
+      const pressed = target instanceof HTMLElement && target.closest("button, a");
+      if (pressed && (event.code === "Enter" || event.code === "Space")) return;
+      if (/** @type {HTMLDialogElement} */ (of("sheet-of-keys")).open) return;
+      const where = target instanceof HTMLElement && target.closest("#stage, #space");
+      const act = actionOf(event, where ? where.id : "");
+      if (!act) return;
+      event.preventDefault();
+      this.do(act);
+    });
+    document.addEventListener("keyup", event => this.held.delete(event.code));
+    window.addEventListener("blur", () => this.held.clear());
+    for (const button of document.querySelectorAll("button[data-act]")) {
+      const act = /** @type {HTMLElement} */ (button).dataset.act ?? "";
+      button.addEventListener("click", () => this.do(act));
+    }
+    for (const button of of("views").querySelectorAll("button")) {
+      button.addEventListener("click", () => this.setView(button.dataset.view ?? "both"));
+      button.title = text(`view_${button.dataset.view}`) + keysOf(`view_${button.dataset.view}`);
+    }
+  }
+
+  /** Does what a key or a button stands for. @param {string} act */
+  do(act) {
+    const { state, photoPane, scenePane } = this, item = this.selected();
+    const step = 0.06;
+    /** @type {Record<string, () => unknown>} */
+    const acts = {
+      keep: () => state?.answer.splats && this.act({ do: "keep" }).then(() => this.select(this.state?.objects.at(-1)?.id ?? null)),
+      drop: () => {
+        if (state?.draft.prompts.length || state?.draft.listed !== null) return this.act({ do: "prompt", prompts: [] });
+        if (state?.isolated !== null) return this.act({ do: "isolate", id: null });
+        this.select(null);
+      },
+      undo: () => state?.undo && this.act({ do: "undo" }),
+      redo: () => state?.redo && this.act({ do: "redo" }),
+      next_photo: () => this.openPhoto(this.strip.neighbour(1)),
+      previous_photo: () => this.openPhoto(this.strip.neighbour(-1)),
+      view_photo: () => this.setView("photo"), view_both: () => this.setView("both"), view_scene: () => this.setView("scene"),
+      rule_visible: () => this.nextRule("visible"), rule_footprint: () => this.nextRule("footprint"),
+      part: () => this.changeLevel(-1), whole: () => this.changeLevel(1),
+      isolate: () => this.act({ do: "isolate", id: state?.isolated === null ? this.item : null }),
+      hide: () => item && this.act({ do: "show", id: item.id, visible: !item.visible }),
+      rename: () => item && this.side.rename(item.id),
+      delete: () => item && this.act({ do: "delete", id: item.id }),
+      through: () => scenePane.through(this.photo),
+      frame_object: () => scenePane.frameScene(),
+      fly: () => { scenePane.flying = !scenePane.flying; },
+      theme: () => {
+        const dark = matchMedia("(prefers-color-scheme: dark)").matches !== document.documentElement.matches(".light, .dark");
+        document.documentElement.className = document.documentElement.className ? "" : dark ? "light" : "dark";
+      },
+      help: () => this.showKeys(),
+      frusta: () => {
+        scenePane.frusta = !scenePane.frusta;
+        of("frusta").setAttribute("aria-pressed", String(scenePane.frusta));
+        scenePane.drawCameras();
+      },
+      marks: () => {
+        scenePane.marks = !scenePane.marks;
+        of("marks").setAttribute("aria-pressed", String(scenePane.marks));
+        scenePane.redraw();
+      },
+      drawn_by: () => scenePane.switchDrawer(),
+      cursor_left: () => photoPane.moveCursor(-1, 0), cursor_right: () => photoPane.moveCursor(1, 0),
+      cursor_up: () => photoPane.moveCursor(0, -1), cursor_down: () => photoPane.moveCursor(0, 1),
+      click_inside: () => photoPane.clickCursor(true), click_outside: () => photoPane.clickCursor(false),
+      forward: () => scenePane.pan(0, 0, step), back: () => scenePane.pan(0, 0, -step),
+      left: () => scenePane.pan(-step, 0), right: () => scenePane.pan(step, 0),
+      up: () => scenePane.pan(0, -step), down: () => scenePane.pan(0, step),
+      turn_left: () => scenePane.orbit(0.1, 0), turn_right: () => scenePane.orbit(-0.1, 0),
+      turn_up: () => scenePane.orbit(0, 0.1), turn_down: () => scenePane.orbit(0, -0.1),
+    };
+    for (const tool of TOOLS) acts[`tool_${tool}`] = () => this.setTool(tool);
+    acts[act]?.();
+  }
+
+  showKeys() {
+    const dialog = /** @type {HTMLDialogElement} */ (of("sheet-of-keys"));
+    const rows = shortcuts.map(s => element("tr", {},
+      element("td", {}, ...s.keys.flatMap((key, k) => [k ? " " : "", element("kbd", {}, s.mouse ? key : shown(key))])),
+      element("td", {}, s.does)));
+    const close = element("button", { type: "button", className: "main", click: () => dialog.close() }, text("close"));
+    dialog.setAttribute("aria-label", text("keys"));
+    dialog.replaceChildren(element("h2", {}, text("keys")), element("table", {}, element("tbody", {}, ...rows)), close);
+    dialog.showModal();
+  }
+
+  /** Shows how far the run or the batch is, as operators see it. */
+  async showStatus() {
+    if (this.view !== "status" && this.description) return;
+    if (this.view !== "status") this.setView("status");
+    const view = await getJson("/api/v1/status").catch(() => null), pane = of("status");
+    if (!view) return pane.replaceChildren(element("p", {}, text("no_status")));
+    const runs = view.Run ? [view.Run] : view.stages ? [view] : view.scenes ?? view.Batch?.scenes ?? [];
+    const blocks = runs.map((/** @type {any} */ run) => {
+      const view = run.run ?? run, stages = view.stages ?? [];
+      const rows = stages.map((/** @type {any} */ s) => {
+        const share = s.total ? s.done / s.total : Number(s.state === "done");
+        const bar = element("progress", { max: 1, value: share, "aria-label": s.name });
+        return element("tr", {}, element("th", { scope: "row" }, s.name), element("td", {}, s.state), element("td", {}, bar, ` ${s.done ?? ""}/${s.total ?? ""}`), element("td", {}, s.why ?? ""));
+      });
+      const head = ["status_stage", "status_state", "status_done", "status_waits"].map(name => element("th", { scope: "col" }, text(name)));
+      return element("section", {}, element("h2", {}, String(view.folder ?? run.name ?? "")),
+        element("table", {}, element("thead", {}, element("tr", {}, ...head)), element("tbody", {}, ...rows)));
+    });
+    pane.replaceChildren(...blocks);
+    clearTimeout(this.statusTimer);
+    if (this.view === "status") this.statusTimer = setTimeout(() => this.view === "status" && this.showStatus(), 2000);
+  }
+}
+
+/** Fills the texts and labels of the document. */
+function fillTexts() {
+  for (const node of document.querySelectorAll("[data-text]")) node.textContent = text(/** @type {HTMLElement} */ (node).dataset.text ?? "");
+  for (const node of document.querySelectorAll("[data-label]")) node.setAttribute("aria-label", text(/** @type {HTMLElement} */ (node).dataset.label ?? ""));
+}
+
+const app = new App();
+/** For tests and for whoever wants to know. */
+Object.assign(window, { segwild: app });
+app.start().catch(error => app.failed(error));

@@ -1,0 +1,254 @@
+// The side: the answer, the objects, the scene's own list, the notes.
+
+import { bounds, decode } from "./overlay.js";
+import { LEVELS } from "./photos.js";
+import { keysOf } from "./shortcuts.js";
+import { text } from "./strings.js";
+
+/** @typedef {import("./main.js").App} App */
+/** @typedef {import("./api.js").Item} Item */
+
+const of = (/** @type {string} */ id) => /** @type {HTMLElement} */ (document.getElementById(id));
+
+/**
+ * An element.
+ * @param {string} name @param {Record<string, any>} [properties] @param {(Node | string)[]} children
+ */
+export function element(name, properties = {}, ...children) {
+  const made = document.createElement(name);
+  for (const [key, value] of Object.entries(properties)) {
+    if (key.startsWith("aria-") || key === "role") made.setAttribute(key, String(value));
+    else if (key === "click") made.addEventListener("click", value);
+    else /** @type {any} */ (made)[key] = value;
+  }
+  made.append(...children);
+  return made;
+}
+
+/** @param {string} shown @param {string} label @param {() => void} click @param {Record<string, any>} [properties] */
+const button = (shown, label, click, properties = {}) =>
+  element("button", { type: "button", title: label, "aria-label": label, click, ...properties }, shown);
+
+/** The side of the page. */
+export class Side {
+  /** @param {App} app */
+  constructor(app) {
+    this.app = app;
+    /** Thumbnails by object and selection. @type {Map<string, HTMLCanvasElement>} */
+    this.thumbs = new Map();
+    this.renaming = /** @type {number | null} */ (null);
+    this.drawn = { answer: "", objects: "", listed: "" };
+  }
+
+  update() {
+    this.answer();
+    this.objects();
+    this.listed();
+    of("notes").replaceChildren(...(this.app.state?.notes ?? []).map(note => element("p", {}, note)));
+  }
+
+  /** In words, what an answer comes from. @param {any} step @param {string} state */
+  step(step, state) {
+    if (state === "done") return text("step_all");
+    if (step && typeof step === "object") return text("step_photos", step.photos);
+    return step ? text(`step_${step}`) : text("step_none");
+  }
+
+  answer() {
+    const { app } = this, { state } = app;
+    if (!state) return;
+    const { answer, draft } = state;
+    const key = JSON.stringify([answer, draft, app.level]);
+    if (key === this.drawn.answer) return;
+    this.drawn.answer = key;
+    const parts = [element("h2", {}, text("answer"))];
+    if (draft.of !== null) {
+      const item = state.objects.find(o => o.id === draft.of);
+      parts.push(element("p", { className: "quiet" }, text("refining", item?.name ?? "")));
+    }
+    if (answer.state === "none") parts.push(element("p", { className: "quiet" }, text("empty")));
+    else if (answer.state === "failed") parts.push(element("p", {}, text("failed", answer.error ?? "")));
+    else {
+      const busy = answer.state === "working";
+      parts.push(element("p", { className: busy ? "busy" : "" }, text(answer.state, this.step(answer.step, answer.state))));
+      if (answer.splats) parts.push(element("p", { className: "quiet" }, text("splats", answer.splats, answer.seconds.toFixed(2))));
+    }
+    const level = /** @type {HTMLInputElement} */ (element("input", {
+      type: "range", min: "0", max: String(LEVELS.length - 1), step: "1", value: String(LEVELS.indexOf(app.level)), id: "level",
+      "aria-label": text("level"), "aria-valuetext": app.level === null ? text("level_auto") : String(app.level),
+    }));
+    level.addEventListener("change", () => app.setLevel(LEVELS[+level.value]));
+    const named = app.level === null ? text("level_auto") : `${100 * app.level} %`;
+    parts.push(element("label", { className: "row" }, element("span", { className: "quiet" }, text("level")), level, named));
+    if (answer.alternatives.length > 1) {
+      const chips = answer.alternatives.map((meaning, k) => {
+        const shown = typeof meaning === "object" ? text("alternative_group", (100 * meaning.group).toPrecision(2)) : text("alternative_photo");
+        return button(shown, shown, () => app.alternative(k), { "aria-pressed": k === draft.alternative });
+      });
+      parts.push(element("p", { className: "quiet" }, text("alternatives")), element("div", { className: "row" }, ...chips));
+    }
+    if (answer.state !== "none") {
+      const keep = button(text("keep"), text("keep"), () => app.do("keep"), { id: "keep", className: "main", disabled: !answer.splats });
+      const drop = button(text("drop"), text("drop"), () => app.do("drop"), { id: "drop" });
+      parts.push(element("p", { className: "row" }, keep, drop));
+    }
+    of("answer").replaceChildren(...parts);
+  }
+
+  objects() {
+    const { app } = this, { state } = app;
+    if (!state) return;
+    const key = JSON.stringify([state.objects, state.isolated, state.appearance, state.cut_spikes, app.item, this.renaming, app.photo]);
+    if (key === this.drawn.objects) return;
+    this.drawn.objects = key;
+    const focus = document.activeElement?.getAttribute("data-focus");
+    const rows = state.objects.map((item, k) => this.row(item, k));
+    const spikes = element("label", { className: "row" },
+      element("input", { type: "checkbox", id: "spikes", checked: state.cut_spikes, click: () => app.act({ do: "cut_spikes", cut: !state.cut_spikes }) }),
+      text("spikes"));
+    const light = state.appearance === null
+      ? button(text("scene_appearance"), text("scene_appearance"), () => app.act({ do: "appearance", id: null, photo: app.photo }), { id: "scene-light" })
+      : button(text("scene_appearance_own"), text("scene_appearance_own"), () => app.act({ do: "appearance", id: null, photo: null }), { id: "scene-light" });
+    const parts = [element("h2", {}, text("objects"))];
+    if (!rows.length) parts.push(element("p", { className: "quiet" }, text("no_objects")));
+    if (state.isolated !== null) {
+      parts.push(button(text("show_all"), text("show_all"), () => app.act({ do: "isolate", id: null }), { id: "show-all" }));
+    }
+    parts.push(element("ul", {}, ...rows), element("div", { className: "row" }, spikes, light));
+    of("objects").replaceChildren(...parts);
+    if (focus) /** @type {HTMLElement | null} */ (document.querySelector(`[data-focus="${focus}"]`))?.focus();
+    if (this.renaming !== null) /** @type {HTMLInputElement | null} */ (document.getElementById("new-name"))?.select();
+  }
+
+  /** @param {Item} item @param {number} k */
+  row(item, k) {
+    const { app } = this, { state } = app, selected = app.item === item.id;
+    const act = (/** @type {string} */ name, more = {}) => app.act({ do: name, id: item.id, ...more });
+    const colour = button("", text("colour", item.name), () => act("colour", { colour: (item.colour + 1) % app.description.palette.length }), { className: "swatch" });
+    colour.style.setProperty("--swatch", `rgb(${app.description.palette[item.colour].join()})`);
+    const name = this.renaming === item.id
+      ? this.nameInput(item)
+      : element("button", {
+        type: "button", className: "name", title: item.name, "aria-pressed": selected,
+        click: () => app.select(selected ? null : item.id), ondblclick: () => this.rename(item.id),
+      }, item.name);
+    name.setAttribute("data-focus", `name-${item.id}`);
+    const head = element("div", { className: "row" }, this.thumb(item, k), colour, name,
+      element("span", { className: "quiet" }, String(item.splats)));
+    const small = (/** @type {string} */ id, /** @type {() => void} */ click, /** @type {Record<string, any>} */ more = {}) =>
+      button(text(`short_${id}`), text(more.label ?? id, item.name), click, more);
+    const tools = element("div", { className: "row" },
+      small(item.visible ? "hide" : "show", () => act("show", { visible: !item.visible })),
+      small("alone", () => act("isolate", { id: state?.isolated === item.id ? null : item.id }), { label: "isolate", "aria-pressed": state?.isolated === item.id }));
+    const ply = element("a", { href: app.run.ply(item.id), download: "", title: text("export_ply", item.name) },
+      element("button", { type: "button", tabIndex: -1 }, text("short_ply")));
+    ply.setAttribute("aria-label", text("export_ply", item.name));
+    tools.append(ply);
+    if (selected) {
+      const pair = (/** @type {string} */ how) => {
+        const others = (state?.objects ?? []).filter(o => o.id !== item.id);
+        const choice = /** @type {HTMLSelectElement} */ (element("select", { "aria-label": text(how, item.name), title: text(how, item.name) }));
+        choice.append(new Option(`${text(`short_${how}`)}…`, ""), ...others.map(o => new Option(o.name, String(o.id))));
+        const verb = how === "union" ? "add" : "subtract";
+        choice.addEventListener("change", () => act("combine", { with: +choice.value, how: verb }));
+        return choice;
+      };
+      const own = item.appearance !== null;
+      tools.append(
+        small(item.locked ? "unlock" : "lock", () => act("lock", { locked: !item.locked })),
+        small("rename", () => this.rename(item.id)),
+        ...(item.prompted ? [small("refine", () => act("refine"))] : []),
+        small("copy", () => act("duplicate"), { label: "duplicate" }),
+        small("grow", () => act("grow", { steps: 1 })),
+        small("shrink", () => act("grow", { steps: -1 })),
+        small(own ? "appearance_own" : "appearance", () => act("appearance", { photo: own ? null : app.photo })),
+        ...((state?.objects.length ?? 0) > 1 ? [pair("union"), pair("subtract")] : []),
+        small("delete", () => act("delete"), { label: "remove" }));
+    }
+    return element("li", { className: selected ? "selected" : "" }, head, tools);
+  }
+
+  /** @param {number} id */
+  rename(id) {
+    this.renaming = id;
+    this.app.select(id);
+    this.objects();
+  }
+
+  /** @param {Item} item */
+  nameInput(item) {
+    const input = /** @type {HTMLInputElement} */ (element("input", { id: "new-name", value: item.name, maxLength: 80, "aria-label": text("rename", item.name) }));
+    const end = (/** @type {boolean} */ keep) => {
+      if (this.renaming === null) return;
+      this.renaming = null;
+      const name = input.value.trim();
+      if (keep && name && name !== item.name) this.app.act({ do: "rename", id: item.id, name });
+      this.objects();
+    };
+    input.addEventListener("keydown", event => {
+      event.stopPropagation();
+      if (event.key === "Enter" || event.key === "Escape") end(event.key === "Enter");
+    });
+    input.addEventListener("blur", () => end(true));
+    return input;
+  }
+
+  /** The part of a photo that shows an object. @param {Item} item @param {number} k */
+  thumb(item, k) {
+    const key = `${item.id}/${item.selection}`, known = this.thumbs.get(key);
+    if (known) return known;
+    const canvas = /** @type {HTMLCanvasElement} */ (element("canvas", { className: "thumb", width: 88, height: 88, "aria-hidden": true }));
+    this.thumbs.set(key, canvas);
+    if (this.thumbs.size > 300) this.thumbs.clear();
+    this.drawThumb(canvas, item, k).catch(() => this.thumbs.delete(key));
+    return canvas;
+  }
+
+  /** @param {HTMLCanvasElement} canvas @param {Item} item @param {number} k */
+  async drawThumb(canvas, item, k) {
+    const { app } = this, counts = await app.photosOf(item), best = counts.indexOf(Math.max(...counts));
+    if (!counts[best]) return;
+    const map = await app.run.labels(best), image = new Image();
+    image.src = app.run.photo(best, 480);
+    await image.decode();
+    const box = bounds(decode(map), map.width, k + 1) ?? [0, 0, map.width, map.height];
+    const side = Math.max(box[2] - box[0], box[3] - box[1]) * 1.3, s = image.width / map.width;
+    const [x, y] = [(box[0] + box[2] - side) / 2, (box[1] + box[3] - side) / 2];
+    canvas.getContext("2d")?.drawImage(image, x * s, y * s, side * s, side * s, 0, 0, canvas.width, canvas.height);
+  }
+
+  listed() {
+    const { app } = this, list = app.description?.listed ?? [], chosen = app.state?.draft.listed;
+    const key = `${app.run.name}/${list.length}/${chosen}`;
+    if (key === this.drawn.listed || !app.state) return;
+    this.drawn.listed = key;
+    if (!list.length) return of("listed").replaceChildren();
+    // The sheet has six columns of thumbnails of 160 pixels, 4 apart; a tile shows one at 72 pixels.
+    const step = 164, scale = 72 / 160, columns = Math.min(list.length, 6);
+    const tiles = list.map(object => {
+      const k = object.number - 1, tile = element("span", { className: "tile" });
+      const offset = (/** @type {number} */ at) => `${-(4 + at * step) * scale}px`;
+      tile.style.backgroundImage = `url("${app.run.base}/sheet")`;
+      tile.style.backgroundSize = `${(columns * step + 4) * scale}px auto`;
+      tile.style.backgroundPosition = `${offset(k % 6)} ${offset(Math.floor(k / 6))}`;
+      const choose = () => app.openPhoto(object.photo).then(() => app.act({ do: "listed", number: object.number }));
+      return element("li", {}, element("button", { type: "button", "aria-pressed": chosen === object.number, click: choose }, tile, object.name));
+    });
+    of("listed").replaceChildren(element("h2", {}, text("listed")), element("ul", {}, ...tiles));
+  }
+
+  /** Says how far the training is. @param {string} words */
+  training(words) {
+    of("training").textContent = words;
+  }
+
+  /** Tooltips of buttons that undo and redo. */
+  undo() {
+    const { state } = this.app;
+    for (const name of ["undo", "redo"]) {
+      const button = /** @type {HTMLButtonElement} */ (of(name)), what = state?.[/** @type {"undo" | "redo"} */ (name)];
+      button.disabled = !what;
+      button.title = what ? text(`${name}_of`, what) + keysOf(name) : "";
+    }
+  }
+}

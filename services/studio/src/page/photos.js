@@ -1,0 +1,383 @@
+// The photos: the strip, and the large one with its marks, candidates, clicks and strokes.
+
+import { ANSWER, ANSWER_COLOUR, paint } from "./overlay.js";
+import { text } from "./strings.js";
+
+/** @typedef {import("./main.js").App} App */
+/** @typedef {import("./api.js").Prompts} Prompts */
+
+/** Pixels that a pointer moves before a click becomes a drag. */
+const DRAG = 6;
+/** Steps from part to whole; null lets the server choose. @type {(number | null)[]} */
+export const LEVELS = [null, 0, 0.25, 0.5, 0.75, 1];
+
+const of = (/** @type {string} */ id) => /** @type {HTMLElement} */ (document.getElementById(id));
+const stage = of("stage"), sheet = of("sheet"), promptBox = of("prompts"), stroke = of("stroke");
+const image = /** @type {HTMLImageElement} */ (of("image"));
+const labels = /** @type {HTMLCanvasElement} */ (of("labels")), candidate = /** @type {HTMLCanvasElement} */ (of("candidate"));
+
+/** The large photo. */
+export class PhotoPane {
+  /** @param {App} app */
+  constructor(app) {
+    this.app = app;
+    this.zoom = { scale: 1, x: 0, y: 0 };
+    /** Position of the keyboard's cursor in the photo, in shares; null until it is used. @type {number[] | null} */
+    this.cursor = null;
+    this.labelled = "";
+    this.hovering = /** @type {AbortController | null} */ (null);
+    this.hovered = /** @type {number[] | null} */ (null);
+    new ResizeObserver(() => this.layout()).observe(stage);
+    stage.addEventListener("pointerdown", event => this.press(event));
+    stage.addEventListener("pointermove", event => this.move(event));
+    stage.addEventListener("pointerleave", () => this.leave());
+    stage.addEventListener("contextmenu", event => event.preventDefault());
+    stage.addEventListener("wheel", event => this.wheel(event), { passive: false });
+    image.addEventListener("load", () => this.app.ready("photo"));
+  }
+
+  get photo() {
+    return this.app.description.photos[this.app.photo];
+  }
+
+  /** Shows the app's photo. */
+  open() {
+    const { camera, name, held_out } = this.photo;
+    image.src = this.app.run.photo(this.app.photo, 1280);
+    image.alt = name;
+    of("photo-name").textContent = `${name} · ${camera.width} × ${camera.height}${held_out ? ` · ${text("held_out")}` : ""}`;
+    this.zoom = { scale: 1, x: 0, y: 0 };
+    this.cursor = null;
+    this.clearCandidate();
+    paint(labels, null, () => null);
+    this.labelled = "";
+    this.layout();
+    this.update();
+  }
+
+  /** Fits the sheet into the stage. */
+  layout() {
+    if (!this.app.description) return;
+    const { camera } = this.photo, { clientWidth: w, clientHeight: h } = stage;
+    const fit = Math.min(w / camera.width, h / camera.height) || 1;
+    this.fit = fit;
+    sheet.style.width = `${camera.width * fit}px`;
+    sheet.style.height = `${camera.height * fit}px`;
+    this.origin = [(w - camera.width * fit) / 2, (h - camera.height * fit) / 2];
+    this.place();
+  }
+
+  place() {
+    const { scale, x, y } = this.zoom;
+    const [left, top] = this.origin ?? [0, 0];
+    sheet.style.transform = `translate(${left + x}px, ${top + y}px) scale(${scale})`;
+  }
+
+  /** The position of an event in the photo, in pixels at full size. @param {{clientX: number, clientY: number}} event */
+  at(event) {
+    const box = sheet.getBoundingClientRect(), { camera } = this.photo;
+    return [(event.clientX - box.left) / box.width * camera.width, (event.clientY - box.top) / box.height * camera.height];
+  }
+
+  /** @param {number[]} at */
+  inside(at) {
+    const { camera } = this.photo;
+    return at[0] >= 0 && at[1] >= 0 && at[0] < camera.width && at[1] < camera.height;
+  }
+
+  /** @param {PointerEvent} event */
+  press(event) {
+    if (event.target instanceof HTMLElement && event.target.closest("#prompts button")) return;
+    const start = this.at(event), tool = this.app.tool;
+    stage.focus({ preventScroll: true });
+    if (event.button === 1 || (event.button === 0 && this.app.held.has("Space") && this.zoom.scale > 1)) {
+      return this.drag(event, (dx, dy) => {
+        this.zoom.x += dx;
+        this.zoom.y += dy;
+        this.place();
+      });
+    }
+    if (!this.inside(start) || event.button > 2) return;
+    stage.setPointerCapture(event.pointerId);
+    event.preventDefault();
+    const outside = event.button === 2 || event.altKey;
+    const path = [start];
+    let far = false;
+    const move = (/** @type {PointerEvent} */ e) => {
+      far ||= Math.hypot(e.clientX - event.clientX, e.clientY - event.clientY) > DRAG;
+      const at = this.at(e);
+      if (tool === "lasso" || tool === "brush") path.push(at);
+      else path[1] = at;
+      if (far || tool !== "prompt") drawStroke(stroke, tool, path, this.photo.camera, this.brush());
+    };
+    const end = (/** @type {PointerEvent} */ e) => {
+      stage.removeEventListener("pointermove", move);
+      stage.removeEventListener("pointerup", end);
+      stage.removeEventListener("pointercancel", end);
+      stroke.replaceChildren();
+      if (e.type === "pointercancel") return;
+      move(e);
+      stroke.replaceChildren();
+      if (tool !== "prompt") {
+        const { camera, rotation, translation } = this.photo;
+        return this.app.region(tool, path, { camera, rotation, translation }, this.brush(), e);
+      }
+      if (far && !outside) return this.app.addBox(this.app.photo, start, this.at(e));
+      this.app.addPoint(this.app.photo, start, !outside);
+    };
+    stage.addEventListener("pointermove", move);
+    stage.addEventListener("pointerup", end);
+    stage.addEventListener("pointercancel", end);
+  }
+
+  /** Radius of the brush in pixels of the photo. */
+  brush() {
+    return this.app.radius * Math.max(this.photo.camera.width, this.photo.camera.height);
+  }
+
+  /** @param {PointerEvent} event @param {(dx: number, dy: number) => void} moved */
+  drag(event, moved) {
+    event.preventDefault();
+    stage.setPointerCapture(event.pointerId);
+    let last = [event.clientX, event.clientY];
+    const move = (/** @type {PointerEvent} */ e) => {
+      moved(e.clientX - last[0], e.clientY - last[1]);
+      last = [e.clientX, e.clientY];
+    };
+    stage.addEventListener("pointermove", move);
+    stage.addEventListener("pointerup", () => stage.removeEventListener("pointermove", move), { once: true });
+  }
+
+  /** @param {PointerEvent} event */
+  move(event) {
+    if (event.buttons || event.pointerType === "touch") return;
+    const at = this.at(event);
+    this.hovered = this.inside(at) ? at : null;
+    this.hover();
+  }
+
+  leave() {
+    this.hovered = null;
+    this.clearCandidate();
+  }
+
+  clearCandidate() {
+    this.hovering?.abort();
+    this.hovering = null;
+    paint(candidate, null, () => null);
+  }
+
+  /** Asks for the candidate under the pointer; one request at a time, the newest position counts. */
+  async hover() {
+    const { app, hovered } = this;
+    if (!hovered || app.tool !== "prompt" || !app.state || app.state.draft.prompts.length || app.state.draft.listed !== null) {
+      return this.clearCandidate();
+    }
+    if (this.hovering) return;
+    this.hovering = new AbortController();
+    const { signal } = this.hovering, photo = app.photo;
+    try {
+      const began = performance.now();
+      const map = await app.run.hover({ photo, x: hovered[0], y: hovered[1], granularity: app.level }, signal);
+      app.times.hover = performance.now() - began;
+      if (signal.aborted || photo !== app.photo) return;
+      paint(candidate, map, () => [255, 255, 255]);
+    } catch (error) {
+      if (!signal.aborted) app.failed(error);
+    }
+    this.hovering = null;
+    if (this.hovered && this.hovered !== hovered) this.hover();
+  }
+
+  /** @param {WheelEvent} event */
+  wheel(event) {
+    event.preventDefault();
+    const steps = event.deltaY || event.deltaX;
+    if (event.shiftKey) return this.app.changeLevel(steps > 0 ? 1 : -1);
+    const { scale } = this.zoom, next = Math.min(16, Math.max(1, scale * Math.exp(-steps * 0.002)));
+    const box = stage.getBoundingClientRect(), [left, top] = this.origin ?? [0, 0];
+    const [x, y] = [event.clientX - box.left - left, event.clientY - box.top - top];
+    this.zoom = next === 1 ? { scale: 1, x: 0, y: 0 } : {
+      scale: next, x: x - (x - this.zoom.x) * next / scale, y: y - (y - this.zoom.y) * next / scale,
+    };
+    this.place();
+    this.drawPrompts();
+  }
+
+  /** Moves the keyboard's cursor. @param {number} dx @param {number} dy */
+  moveCursor(dx, dy) {
+    const [x, y] = this.cursor ?? [0.5, 0.5], clamp = (/** @type {number} */ v) => Math.min(0.999, Math.max(0.001, v));
+    this.cursor = [clamp(x + dx * 0.02), clamp(y + dy * 0.02)];
+    const { camera } = this.photo;
+    this.hovered = [this.cursor[0] * camera.width, this.cursor[1] * camera.height];
+    this.drawPrompts();
+    this.hover();
+  }
+
+  /** Clicks where the keyboard's cursor is. @param {boolean} inside */
+  clickCursor(inside) {
+    const { camera } = this.photo, [x, y] = this.cursor ?? [0.5, 0.5];
+    this.cursor = [x, y];
+    this.app.addPoint(this.app.photo, [x * camera.width, y * camera.height], inside);
+  }
+
+  /** Shows the prompts of this photo; a click on one removes it. */
+  drawPrompts() {
+    const { app } = this, { camera } = this.photo, shrink = 1 / this.zoom.scale;
+    const percent = (/** @type {number} */ v, /** @type {number} */ side) => `${100 * v / side}%`;
+    const found = app.state?.draft.prompts.find(p => p.photo === app.photo), elements = [];
+    for (const point of found?.points ?? []) {
+      const b = document.createElement("button");
+      b.type = "button";
+      b.className = point.inside ? "inside" : "outside";
+      b.textContent = point.inside ? "+" : "−";
+      b.setAttribute("aria-label", text("remove_point", Math.round(point.x), Math.round(point.y)));
+      Object.assign(b.style, { left: percent(point.x, camera.width), top: percent(point.y, camera.height), scale: String(shrink) });
+      b.addEventListener("click", () => app.removePoint(app.photo, point));
+      elements.push(b);
+    }
+    for (const box of found?.boxes ?? []) {
+      const b = document.createElement("button");
+      b.type = "button";
+      b.className = "box";
+      b.setAttribute("aria-label", text("remove_box"));
+      const [x0, x1] = [Math.min(box.x0, box.x1), Math.max(box.x0, box.x1)], [y0, y1] = [Math.min(box.y0, box.y1), Math.max(box.y0, box.y1)];
+      Object.assign(b.style, {
+        left: percent(x0, camera.width), top: percent(y0, camera.height),
+        width: percent(x1 - x0, camera.width), height: percent(y1 - y0, camera.height), pointerEvents: "none",
+      });
+      elements.push(b);
+    }
+    if (this.cursor) {
+      const mark = document.createElement("span");
+      mark.className = "cursor";
+      Object.assign(mark.style, { left: `${100 * this.cursor[0]}%`, top: `${100 * this.cursor[1]}%`, scale: String(shrink) });
+      elements.push(mark);
+    }
+    promptBox.replaceChildren(...elements);
+  }
+
+  /** Shows what changed. */
+  async update() {
+    const { app } = this;
+    if (!app.state || !app.shows("photo")) return;
+    this.drawPrompts();
+    if (app.state.draft.prompts.length) this.clearCandidate();
+    const wanted = `${app.photo}/${app.state.revision}`;
+    if (this.labelled === wanted || this.labelling) return;
+    this.labelling = true;
+    try {
+      const photo = app.photo, map = await app.run.labels(photo);
+      if (photo === app.photo) {
+        paint(labels, map, label => label === ANSWER ? ANSWER_COLOUR : app.colourOf(label));
+        this.labelled = `${photo}/${map.revision}`;
+        app.times.labels = map.revision;
+      }
+    } catch (error) {
+      app.failed(error);
+      return;
+    } finally {
+      this.labelling = false;
+    }
+    if (this.labelled !== `${app.photo}/${app.state.revision}`) this.update();
+  }
+}
+
+/**
+ * Draws a tool's path.
+ * @param {Element} svg @param {string} tool @param {number[][]} path @param {{width: number, height: number}} size @param {number} radius
+ */
+export function drawStroke(svg, tool, path, size, radius) {
+  svg.setAttribute("viewBox", `0 0 ${size.width} ${size.height}`);
+  svg.setAttribute("preserveAspectRatio", "none");
+  const [a, b] = [path[0], path[path.length - 1]];
+  const line = document.createElementNS("http://www.w3.org/2000/svg", "path");
+  const round = `M${b[0] - radius} ${b[1]}a${radius} ${radius} 0 1 0 ${2 * radius} 0a${radius} ${radius} 0 1 0 ${-2 * radius} 0`;
+  const shapes = {
+    lasso: `M${path.map(p => p.join(" ")).join("L")}Z`,
+    brush: `M${path.map(p => p.join(" ")).join("L")}${round}`,
+    sphere: round,
+  };
+  const rectangle = `M${a[0]} ${a[1]}H${b[0]}V${b[1]}H${a[0]}Z`;
+  line.setAttribute("d", shapes[/** @type {keyof typeof shapes} */ (tool)] ?? rectangle);
+  svg.replaceChildren(line);
+}
+
+/** The strip of all photos. */
+export class Strip {
+  /** @param {App} app */
+  constructor(app) {
+    this.app = app;
+    this.list = of("photos");
+    /** Photos that show the selected object, by pixels. @type {number[] | null} */
+    this.showing = null;
+    this.shownFor = "";
+    const search = /** @type {HTMLInputElement} */ (of("search"));
+    search.placeholder = text("search");
+    search.addEventListener("input", () => this.draw());
+    const sort = /** @type {HTMLSelectElement} */ (of("sort"));
+    for (const way of ["sort_name", "sort_angle"]) sort.append(new Option(text(way), way));
+    sort.addEventListener("change", () => this.draw());
+    of("showing").addEventListener("change", () => this.draw());
+  }
+
+  /** The photos in the order of the strip. */
+  order() {
+    const { description } = this.app;
+    const search = /** @type {HTMLInputElement} */ (of("search")).value.toLowerCase();
+    const only = /** @type {HTMLInputElement} */ (of("showing")).checked, { showing } = this;
+    let all = description.photos.map((_, i) => i).filter(i => description.photos[i].name.toLowerCase().includes(search));
+    if (only && showing) all = all.filter(i => showing[i] > 24);
+    if (/** @type {HTMLSelectElement} */ (of("sort")).value === "sort_angle") {
+      const angle = (/** @type {number} */ i) => this.app.angleOf(i);
+      all.sort((a, b) => angle(a) - angle(b));
+    }
+    return all;
+  }
+
+  draw() {
+    const { app } = this;
+    const items = this.order().map(i => {
+      const li = document.createElement("li"), button = document.createElement("button"), img = document.createElement("img");
+      button.type = "button";
+      button.title = app.description.photos[i].name;
+      button.classList.toggle("has", (this.showing?.[i] ?? 0) > 24);
+      button.setAttribute("aria-label", app.description.photos[i].name);
+      button.setAttribute("aria-current", String(i === app.photo));
+      img.loading = "lazy";
+      img.alt = "";
+      img.src = app.run.photo(i, 160);
+      button.append(img);
+      button.addEventListener("click", () => app.openPhoto(i));
+      li.append(button);
+      return li;
+    });
+    this.list.replaceChildren(...items);
+  }
+
+  /** Marks the photo that is open. */
+  mark() {
+    const { app } = this, name = app.description.photos[app.photo].name;
+    for (const button of this.list.querySelectorAll("button")) {
+      const current = button.title === name;
+      button.setAttribute("aria-current", String(current));
+      if (current) button.scrollIntoView({ block: "nearest", inline: "nearest" });
+    }
+  }
+
+  /** The photo some steps after the open one. @param {number} steps */
+  neighbour(steps) {
+    const all = this.order(), at = all.indexOf(this.app.photo);
+    return all[(at + steps + all.length) % all.length] ?? this.app.photo;
+  }
+
+  /** Finds out which photos show the selected object. */
+  async update() {
+    const item = this.app.selected();
+    const wanted = item ? `${item.id}/${item.selection}` : "";
+    if (wanted === this.shownFor) return;
+    this.shownFor = wanted;
+    this.showing = item ? await this.app.photosOf(item).catch(() => null) : null;
+    this.draw();
+  }
+}

@@ -1,0 +1,346 @@
+// The 3D view: its camera, who draws it, clicks and strokes in it.
+
+import { add, centreOf, cross, dot, fitted, length, pose, project, rotate, scale, scaled, subtract, transposed, turned, unit } from "./geometry.js";
+import { ANSWER, ANSWER_COLOUR } from "./overlay.js";
+import { drawStroke } from "./photos.js";
+import { HIDDEN, SplatView } from "./splats.js";
+import { text } from "./strings.js";
+
+/** @typedef {import("./main.js").App} App */
+/** @typedef {import("./api.js").View} View */
+
+/** Pixels that a pointer moves before a click becomes a drag. */
+const DRAG = 5;
+/** Milliseconds in which a second click makes a double one. */
+const DOUBLE = 220;
+/** Milliseconds without motion after which a view is drawn at full size. */
+const REST = 120;
+/** Longest side that the server draws, in motion and at rest. */
+const SIDES = [480, 1280];
+/** Milliseconds that a frame of the browser's may take: 30 a second. */
+const FRAME = 1000 / 30;
+/** Cameras that are shown. */
+const MOST_CAMERAS = 400;
+/** The label of splats that are not shown. */
+const HIDDEN_LABEL = 254;
+
+const of = (/** @type {string} */ id) => /** @type {HTMLElement} */ (document.getElementById(id));
+const space = of("space"), frame = /** @type {HTMLImageElement} */ (of("frame"));
+const cameras = /** @type {HTMLCanvasElement} */ (of("cameras")), stroke = of("scene-stroke");
+
+/** The 3D view. */
+export class ScenePane {
+  /** @param {App} app */
+  constructor(app) {
+    this.app = app;
+    this.marks = true;
+    this.frusta = true;
+    this.flying = false;
+    /** Who draws: "server", "browser", or not decided. @type {"server" | "browser" | null} */
+    this.drawer = null;
+    this.view3 = /** @type {SplatView | null} */ (null);
+    this.loaded = "";
+    this.marked = "";
+    this.busy = false;
+    this.dirty = false;
+    this.moved = 0;
+    this.eye = [0, 0, 0];
+    this.forward = [0, 0, 1];
+    this.down = [0, 1, 0];
+    this.pivot = [0, 0, 1];
+    this.clicks = 0;
+    new ResizeObserver(() => this.redraw()).observe(space);
+    space.addEventListener("pointerdown", event => this.press(event));
+    space.addEventListener("contextmenu", event => event.preventDefault());
+    space.addEventListener("wheel", event => {
+      event.preventDefault();
+      if (event.shiftKey) return this.app.changeLevel((event.deltaY || event.deltaX) > 0 ? 1 : -1);
+      this.dolly(Math.exp(-event.deltaY * 0.0015));
+    }, { passive: false });
+  }
+
+  /** Stands where a photo was taken. @param {number} photo */
+  through(photo) {
+    const { camera, rotation, translation } = this.app.description.photos[photo];
+    this.camera = camera;
+    this.exact = { rotation, translation };
+    this.eye = centreOf({ rotation, translation });
+    this.forward = rotation.slice(6, 9);
+    this.down = rotation.slice(3, 6);
+    const depth = dot(subtract(this.app.description.centre, this.eye), this.forward);
+    this.pivot = add(this.eye, scale(this.forward, Math.max(depth, 0.1)));
+    this.redraw();
+  }
+
+  /** The view in a frame of a size. @param {number} width @param {number} height @returns {View} */
+  view(width, height) {
+    const camera = fitted(this.camera ?? this.app.description.photos[0].camera, width, height);
+    return { camera, ...(this.exact ?? pose(this.eye, this.forward, this.down)) };
+  }
+
+  full() {
+    return this.view(Math.max(space.clientWidth, 1), Math.max(space.clientHeight, 1));
+  }
+
+  move() {
+    this.exact = undefined;
+    this.moved = performance.now();
+    this.redraw();
+  }
+
+  /** @param {number} dx @param {number} dy */
+  orbit(dx, dy) {
+    const { up } = this.app.description, around = this.flying ? this.eye : this.pivot;
+    const right = cross(this.down, this.forward);
+    const turn = (/** @type {number[]} */ v) => turned(turned(v, up, -dx), unit(right), -dy);
+    const forward = turn(this.forward);
+    // Never over the pole: up would turn around.
+    if (Math.abs(dot(unit(forward), up)) > 0.995) return;
+    this.eye = add(around, turn(subtract(this.eye, around)));
+    this.forward = forward;
+    this.down = turn(this.down);
+    this.move();
+  }
+
+  /** @param {number} dx @param {number} dy @param {number} dz */
+  pan(dx, dy, dz = 0) {
+    const reach = length(subtract(this.pivot, this.eye)), right = unit(cross(this.down, this.forward));
+    const by = add(add(scale(right, dx * reach), scale(unit(this.down), dy * reach)), scale(unit(this.forward), dz * reach));
+    this.eye = add(this.eye, by);
+    this.pivot = add(this.pivot, by);
+    this.move();
+  }
+
+  /** @param {number} factor */
+  dolly(factor) {
+    this.eye = add(this.pivot, scale(subtract(this.eye, this.pivot), 1 / factor));
+    this.move();
+  }
+
+  /** Turns to the middle of the scene. */
+  frameScene() {
+    this.pivot = [...this.app.description.centre];
+    this.forward = unit(subtract(this.pivot, this.eye));
+    this.down = scale(this.app.description.up, -1);
+    this.move();
+  }
+
+  /** @param {PointerEvent} event */
+  press(event) {
+    event.preventDefault();
+    space.focus({ preventScroll: true });
+    space.setPointerCapture(event.pointerId);
+    const box = space.getBoundingClientRect(), start = [event.clientX - box.left, event.clientY - box.top];
+    const path = [start], { tool } = this.app;
+    let last = start, far = false;
+    const move = (/** @type {PointerEvent} */ e) => {
+      const at = [e.clientX - box.left, e.clientY - box.top], [dx, dy] = [at[0] - last[0], at[1] - last[1]];
+      far ||= Math.hypot(at[0] - start[0], at[1] - start[1]) > DRAG;
+      last = at;
+      if (!far && tool === "prompt") return;
+      if (tool !== "prompt" && event.button === 0) {
+        if (tool === "lasso" || tool === "brush") path.push(at);
+        else path[1] = at;
+        return drawStroke(stroke, tool, path, { width: box.width, height: box.height }, this.brush());
+      }
+      if (event.button === 2 || event.button === 1) this.pan(-dx / box.height, -dy / box.height);
+      else this.orbit(dx / box.width * 4, dy / box.height * 3);
+    };
+    const end = (/** @type {PointerEvent} */ e) => {
+      space.removeEventListener("pointermove", move);
+      space.removeEventListener("pointerup", end);
+      space.removeEventListener("pointercancel", end);
+      stroke.replaceChildren();
+      if (e.type === "pointercancel") return;
+      if (tool !== "prompt" && event.button === 0) {
+        if (path.length < 2) path.push(path[0]);
+        return this.app.region(tool, path, this.full(), this.brush(), e);
+      }
+      if (!far) this.click(start, event.button === 2 || event.altKey);
+    };
+    space.addEventListener("pointermove", move);
+    space.addEventListener("pointerup", end);
+    space.addEventListener("pointercancel", end);
+  }
+
+  brush() {
+    return this.app.radius * Math.max(space.clientWidth, space.clientHeight);
+  }
+
+  /** @param {number[]} at @param {boolean} outside */
+  async click(at, outside) {
+    const near = this.frusta ? this.cameraAt(at) : null;
+    if (near !== null && !outside) {
+      this.through(near);
+      return this.app.openPhoto(near);
+    }
+    const count = ++this.clicks;
+    await new Promise(done => setTimeout(done, DOUBLE));
+    const double = this.clicks !== count;
+    if (double && this.clicks !== count + 1) return;
+    // The second click of a double one has waited as well: only the first goes on, as a pivot.
+    if (!double && this.doubled === count - 1) return;
+    if (double) this.doubled = count;
+    const picked = await this.app.run.pick({ ...this.full(), at }).catch(error => this.app.failed(error));
+    if (!picked) return;
+    if (double) {
+      this.pivot = picked.point;
+      this.forward = unit(subtract(this.pivot, this.eye));
+      return this.move();
+    }
+    if (picked.photo !== this.app.photo && !this.app.state?.draft.prompts.length) await this.app.openPhoto(picked.photo);
+    this.app.addPoint(picked.photo, [picked.x, picked.y], !outside);
+  }
+
+  /** The camera whose centre is drawn at a position. @param {number[]} at */
+  cameraAt(at) {
+    const view = this.full();
+    let best = null, nearest = 9;
+    this.app.description.photos.slice(0, MOST_CAMERAS).forEach((photo, i) => {
+      const p = project(view, centreOf(photo)), far = p ? Math.hypot(p[0] - at[0], p[1] - at[1]) : Infinity;
+      if (far < nearest && length(subtract(centreOf(photo), this.eye)) > 1e-3) [best, nearest] = [i, far];
+    });
+    return best;
+  }
+
+  drawCameras() {
+    const { app } = this, view = this.full();
+    cameras.width = view.camera.width;
+    cameras.height = view.camera.height;
+    if (!this.frusta) return;
+    const context = /** @type {CanvasRenderingContext2D} */ (cameras.getContext("2d"));
+    const reach = length(subtract(app.description.centre, this.eye)) * 0.06;
+    app.description.photos.slice(0, MOST_CAMERAS).forEach((photo, i) => {
+      const { camera, rotation } = photo, apex = centreOf(photo);
+      if (length(subtract(apex, this.eye)) < reach * 0.5) return;
+      const corner = (/** @type {number} */ x, /** @type {number} */ y) => {
+        const ray = [(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1];
+        return project(view, add(apex, scale(rotate(transposed(rotation), ray), reach)));
+      };
+      const top = project(view, apex);
+      const corners = [corner(0, 0), corner(camera.width, 0), corner(camera.width, camera.height), corner(0, camera.height)];
+      if (!top || corners.some(c => !c)) return;
+      context.beginPath();
+      corners.forEach((c, k) => {
+        const next = corners[(k + 1) % 4];
+        if (!c || !next) return;
+        context.moveTo(top[0], top[1]);
+        context.lineTo(c[0], c[1]);
+        context.lineTo(next[0], next[1]);
+      });
+      context.strokeStyle = i === app.photo ? "#ff40a0" : "#ffffffb0";
+      context.lineWidth = i === app.photo ? 2 : 1;
+      context.stroke();
+    });
+  }
+
+  redraw() {
+    if (!this.app.description || !this.app.shows("scene")) return;
+    this.dirty = true;
+    this.drawCameras();
+    if (!this.busy) this.loop();
+  }
+
+  /** Draws until the newest view is there, small in motion and whole at rest. */
+  async loop() {
+    this.busy = true;
+    try {
+      this.drawer ??= await this.choose();
+      let whole = false;
+      while (this.dirty || !whole) {
+        this.dirty = false;
+        whole = performance.now() - this.moved > REST;
+        const began = performance.now();
+        await (this.drawer === "browser" ? this.drawHere(whole) : this.drawThere(whole));
+        this.app.times.frame = performance.now() - began;
+        of("frame-time").textContent = text("frame_time", Math.round(this.app.times.frame));
+        if (!whole && !this.dirty) await new Promise(done => setTimeout(done, REST));
+      }
+      this.app.ready("scene");
+    } catch (error) {
+      this.app.failed(error);
+    } finally {
+      this.busy = false;
+    }
+    of("drawn-by").textContent = text(this.drawer === "browser" ? "drawn_by_browser" : "drawn_by_server");
+  }
+
+  /** Who draws: the browser where it reaches 30 frames a second, by measurement. @returns {Promise<"browser" | "server">} */
+  async choose() {
+    try {
+      const view3 = await this.prepare();
+      if (view3.software) return "server";
+      const view = this.full(), times = [];
+      for (let k = 0; k < 4; k++) {
+        const began = performance.now();
+        view3.draw(view);
+        view3.finish();
+        times.push(performance.now() - began);
+      }
+      return Math.min(...times) < FRAME ? "browser" : "server";
+    } catch {
+      return "server";
+    }
+  }
+
+  /** Lets the other one draw. */
+  switchDrawer() {
+    this.drawer = this.drawer === "browser" ? "server" : "browser";
+    of("splats").hidden = this.drawer !== "browser";
+    this.redraw();
+  }
+
+  async prepare() {
+    this.view3 ??= new SplatView(/** @type {HTMLCanvasElement} */ (of("splats")));
+    const { app, view3 } = this, appearance = app.state?.appearance ?? null, wanted = `${app.run.name}/${appearance}`;
+    if (!view3.software && this.loaded !== wanted) await this.load(wanted);
+    return view3;
+  }
+
+  /** @param {string} wanted */
+  async load(wanted) {
+    this.view3?.load(await this.app.run.bytes("splats"));
+    this.loaded = wanted;
+    this.marked = "";
+  }
+
+  /** @param {boolean} whole */
+  async drawThere(whole) {
+    const view = this.full(), long = Math.max(view.camera.width, view.camera.height);
+    const camera = scaled(view.camera, Math.min(1, SIDES[+whole] / long));
+    const blob = await this.app.run.frame({ ...view, camera, marks: this.marks });
+    const url = URL.createObjectURL(blob), before = frame.src;
+    frame.src = url;
+    await frame.decode().catch(() => {});
+    if (before.startsWith("blob:")) URL.revokeObjectURL(before);
+  }
+
+  /** @param {boolean} whole */
+  async drawHere(whole) {
+    const view3 = await this.prepare(), { app } = this, wanted = `${app.run.name}/${app.state?.appearance ?? null}`;
+    if (this.loaded !== wanted) await this.load(wanted);
+    const marked = `${app.state?.revision}/${this.marks}`;
+    if (this.marked !== marked) {
+      const labels = new Uint8Array(await app.run.bytes("labels"));
+      const alone = app.state?.isolated !== null;
+      view3.mark(labels, label => {
+        if (label === HIDDEN_LABEL) return [0, 0, 0, HIDDEN];
+        if (!this.marks || (alone && label !== ANSWER)) return null;
+        return label === ANSWER ? ANSWER_COLOUR : app.colourOf(label);
+      });
+      this.marked = marked;
+    }
+    const view = this.full();
+    view3.draw(view);
+    if (whole) {
+      // What stands behind the splats is smooth: a small image will do.
+      const camera = scaled(view.camera, 96 / Math.max(view.camera.width, view.camera.height));
+      const blob = await app.run.frame(/** @type {any} */ ({ ...view, camera, marks: false, background: true }));
+      const url = URL.createObjectURL(blob), before = frame.src;
+      frame.src = url;
+      await frame.decode().catch(() => {});
+      if (before.startsWith("blob:")) URL.revokeObjectURL(before);
+    }
+    await new Promise(requestAnimationFrame);
+  }
+}

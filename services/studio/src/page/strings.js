@@ -1,0 +1,48 @@
+// Every text of the page, in one file.
+
+/** @type {Record<string, string>} */
+export const strings = {
+  run: "Run", views: "What is shown", view_photo: "Photo", view_both: "Both", view_scene: "3D", view_status: "Progress",
+  tools: "Tool", tool_prompt: "Click", tool_rectangle: "Rectangle", tool_lasso: "Lasso", tool_brush: "Brush", tool_sphere: "Sphere",
+  undo: "Undo", redo: "Redo", help: "Keys (?)", undo_of: "Undo: {0}", redo_of: "Redo: {0}",
+  photo_pane: "Photo", scene_pane: "3D scene", status_pane: "Progress of the run", answer: "Answer", objects: "Objects",
+  listed: "Parts of the scene", notes: "Notes", strip: "Photos", search: "Search photos by name",
+  stage: "Photo. Click inside the object, right click outside of it, drag a box. Arrow keys move a cursor, Space clicks inside, X outside.",
+  space: "3D scene. Drag to orbit, right drag to pan, wheel to move nearer. Click an object to select it.",
+  sort: "Sort", sort_name: "by name", sort_angle: "by angle", only_showing: "only those that show the object",
+  frusta: "Cameras", marks: "Colours", drawn_by_server: "Drawn by the server", drawn_by_browser: "Drawn by the browser",
+  frame_time: "{0} ms", held_out: "held out",
+  empty: "Click an object in the photo: left inside, right outside, or drag a box around it.",
+  refining: "Prompts of “{0}” are taken up again.",
+  working: "Working: {0}", done: "Ready: {0}", failed: "No answer: {0}", splats: "{0} splats, {1} s",
+  step_none: "first answer", step_tree: "the scene's tree", step_prompted: "this photo", step_photos: "{0} photos", step_all: "all photos",
+  keep: "Keep (Enter)", drop: "Drop (Esc)", level: "Part to whole", level_auto: "automatic", alternatives: "It may also mean",
+  alternative_group: "{0} % of the scene", alternative_photo: "what this photo shows",
+  no_objects: "Nothing is kept yet.", colour: "Colour of {0}", show: "Show {0}", hide: "Hide {0}", lock: "Lock {0}", unlock: "Unlock {0}",
+  isolate: "Show {0} alone", show_all: "Show everything", rename: "Rename {0}", remove: "Delete {0}", duplicate: "Duplicate {0}",
+  refine: "Refine {0} by clicks", grow: "Grow {0}", shrink: "Shrink {0}", union: "Add another object to {0}",
+  subtract: "Subtract another object from {0}", with_object: "Combine with", export_ply: "Save {0} as .ply",
+  appearance: "Appearance of {0}: this photo's", appearance_own: "Appearance of {0}: the scene's",
+  scene_appearance: "Scene's appearance: this photo's", scene_appearance_own: "Scene's own appearance", spikes: "Cut spikes",
+  short_hide: "hide", short_show: "show", short_lock: "lock", short_unlock: "unlock", short_alone: "alone", short_refine: "refine",
+  short_copy: "duplicate", short_grow: "grow", short_shrink: "shrink", short_union: "add", short_subtract: "subtract", short_ply: ".ply",
+  short_delete: "delete", short_appearance: "this photo's", short_appearance_own: "the scene's", short_rename: "rename",
+  first_inside: "Click inside the object first.", lost: "The server does not answer. Nothing is lost; the page tries again.",
+  opening: "The scene is being loaded.", training: "The scene is being trained. Prompts are possible once it is there.",
+  trained_to: "The scene after {0} steps of its training. {1}", training_pane: "Training",
+  keys: "Keys and mouse", close: "Close", region_new: "A new object is made of what is marked; select an object to change it.",
+  rule_centre: "centres", rule_visible: "visible only", rule_footprint: "footprint",
+  status_stage: "Stage", status_state: "State", status_done: "Done", status_waits: "Waits for", no_status: "This folder has no run yet.",
+  remove_point: "Remove the click at {0}, {1}", remove_box: "Remove the box",
+};
+
+/**
+ * A text with its blanks filled.
+ * @param {string} name
+ * @param {...(string | number)} values
+ */
+export function text(name, ...values) {
+  const found = strings[name];
+  if (found === undefined) throw new Error(`no text ${name}`);
+  return found.replace(/\{(\d)\}/g, (_, k) => String(values[+k]));
+}

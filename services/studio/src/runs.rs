@@ -1,0 +1,227 @@
+//! The runs that a server has: one, or all of a folder. Sessions are opened when somebody wants them.
+
+use crate::document::JournalError;
+use crate::messages::RunEntry;
+use crate::{Studio, StudioError};
+use segwild_flow::Stopper;
+use segwild_monitor::view::RunState;
+use segwild_monitor::{MonitorTarget, MonitorView};
+use segwild_pipeline::{RunFolder, TrainingSnapshot};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+/// Runs of a folder that are listed.
+const MOST_RUNS: usize = 2000;
+
+/// How long the session of an earlier snapshot may take to answer its last requests.
+const FREED: Duration = Duration::from_secs(5);
+
+/// A session's way into memory.
+enum OpenState {
+    Opening,
+    Open(Arc<Studio>, Instant),
+    Failed(String),
+}
+
+/// What a request finds.
+pub(crate) enum Found {
+    /// The session is open.
+    Open(Arc<Studio>),
+    /// It is not, or not yet.
+    Waiting(RunEntry),
+    /// There is no such run.
+    None,
+}
+
+/// The runs of a server.
+pub(crate) struct ServedRuns {
+    root: PathBuf,
+    /// Whether the root is a run itself.
+    single: bool,
+    /// Sessions that are open at a time at most.
+    most_open: usize,
+    open: Mutex<BTreeMap<String, OpenState>>,
+    stopper: Stopper,
+}
+
+impl ServedRuns {
+    pub fn new(root: &Path, most_open: usize) -> ServedRuns {
+        let root = root.canonicalize().unwrap_or_else(|_| root.to_owned());
+        // A folder that is not there yet will be a run's.
+        let holds_runs = root.is_dir() && !has_ledger(&root) && runs_in(&root).next().is_some();
+        ServedRuns { root, single: !holds_runs, most_open, open: Mutex::default(), stopper: Stopper::new() }
+    }
+
+    fn open(&self) -> MutexGuard<'_, BTreeMap<String, OpenState>> {
+        self.open.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The folder that operators' views are of.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    fn names(&self) -> Vec<String> {
+        match self.single {
+            true => vec![name_of(&self.root)],
+            false => {
+                let mut names: Vec<String> = runs_in(&self.root).take(MOST_RUNS).collect();
+                names.sort();
+                names
+            }
+        }
+    }
+
+    /// The folder of a run. Only names that are listed have one: a request names no path.
+    fn folder(&self, name: &str) -> Option<PathBuf> {
+        let known = self.names().iter().any(|known| known == name);
+        known.then(|| if self.single { self.root.clone() } else { self.root.join(name) })
+    }
+
+    /// Opens the session of a server that has one run: somebody will want it.
+    pub fn open_first(self: &Arc<Self>) {
+        if self.single {
+            let _ = self.find(&name_of(&self.root));
+        }
+    }
+
+    /// All runs with their states.
+    pub fn list(&self) -> Vec<RunEntry> {
+        self.names().into_iter().map(|name| self.entry(&name)).collect()
+    }
+
+    fn entry(&self, name: &str) -> RunEntry {
+        let state = |state, reason| RunEntry { name: name.to_owned(), state, reason };
+        match self.open().get(name) {
+            Some(OpenState::Open(..)) => return state("open", None),
+            Some(OpenState::Opening) => return state("opening", None),
+            Some(OpenState::Failed(why)) => return state("failed", Some(why.clone())),
+            None => {}
+        }
+        match self.folder(name) {
+            Some(folder) if is_trained(&folder) => state("trained", None),
+            _ => state("training", Some("the scene is not trained yet".into())),
+        }
+    }
+
+    /// A run's session. Where it is not open, it is opened in the background.
+    pub fn find(self: &Arc<Self>, name: &str) -> Found {
+        let Some(folder) = self.folder(name) else { return Found::None };
+        let mut open = self.open();
+        if let Some(OpenState::Open(studio, used)) = open.get_mut(name) {
+            *used = Instant::now();
+            if !is_outdated(studio, &folder) {
+                return Found::Open(studio.clone());
+            }
+            // Its journal has to be free before the next one opens it: whoever still asks this one is waited for.
+            open.remove(name);
+        }
+        let reason = match open.get(name) {
+            Some(OpenState::Failed(why)) => Some(why.clone()),
+            _ => None,
+        };
+        if let Some(why) = reason {
+            // A later request tries again: what was missing may be there by then.
+            open.remove(name);
+            return Found::Waiting(RunEntry { name: name.to_owned(), state: "failed", reason: Some(why) });
+        }
+        let source = if is_trained(&folder) { Some(None) } else { snapshot_of(&folder).map(Some) };
+        if let (None, Some(snapshot)) = (open.get(name), source) {
+            self.put_away(&mut open);
+            open.insert(name.to_owned(), OpenState::Opening);
+            let (runs, of) = (self.clone(), name.to_owned());
+            let work = move || runs.open_session(&of, &folder, snapshot.as_ref());
+            if let Err(e) = std::thread::Builder::new().name("studio open".into()).spawn(work) {
+                open.insert(name.to_owned(), OpenState::Failed(format!("no thread can be started: {e}")));
+            }
+        }
+        drop(open);
+        Found::Waiting(self.entry(name))
+    }
+
+    fn open_session(&self, name: &str, folder: &Path, snapshot: Option<&TrainingSnapshot>) {
+        let began = Instant::now();
+        let open = || {
+            let folder = RunFolder::open(folder)?;
+            Studio::open_at(&folder, name, snapshot, &self.stopper)
+        };
+        let mut opened = open();
+        // A session of an earlier snapshot still answers its last requests.
+        while matches!(&opened, Err(StudioError::Journal(JournalError::Busy(_)))) && began.elapsed() < FREED {
+            std::thread::park_timeout(FREED / 50);
+            opened = open();
+        }
+        let state = match opened {
+            Ok(studio) => OpenState::Open(studio, Instant::now()),
+            Err(error) => OpenState::Failed(error.to_string()),
+        };
+        self.open().insert(name.to_owned(), state);
+    }
+
+    /// Puts the sessions away that were used longest ago, so that one more can be opened.
+    fn put_away(&self, open: &mut BTreeMap<String, OpenState>) {
+        loop {
+            let used = |state: &OpenState| match state {
+                OpenState::Open(_, used) => Some(*used),
+                _ => None,
+            };
+            let mut opened: Vec<(Instant, String)> =
+                open.iter().filter_map(|(name, state)| Some((used(state)?, name.clone()))).collect();
+            if opened.len() < self.most_open {
+                return;
+            }
+            opened.sort();
+            open.remove(&opened[0].1);
+        }
+    }
+}
+
+impl Drop for ServedRuns {
+    fn drop(&mut self) {
+        self.stopper.stop();
+    }
+}
+
+fn name_of(folder: &Path) -> String {
+    folder.file_name().map_or_else(|| "run".into(), |name| name.to_string_lossy().into_owned())
+}
+
+/// The newest scene of a run that is still trained.
+fn snapshot_of(folder: &Path) -> Option<TrainingSnapshot> {
+    RunFolder::at(folder).newest_snapshot()
+}
+
+/// Whether a session is of a snapshot where the trained scene, or a newer snapshot that nobody would miss anything by, is there.
+fn is_outdated(studio: &Studio, folder: &Path) -> bool {
+    let Some(step) = studio.snapshot() else { return false };
+    match is_trained(folder) {
+        // Its tree and its list of objects are being made: the snapshot serves until they are there.
+        true => !is_listing(folder),
+        false => studio.is_untouched() && snapshot_of(folder).is_some_and(|newest| newest.step != step),
+    }
+}
+
+/// Whether a process works on a run whose objects it has not listed yet.
+fn is_listing(folder: &Path) -> bool {
+    let Ok(MonitorView::Run(run)) = MonitorTarget::at(folder).and_then(|target| target.view()) else {
+        return false;
+    };
+    let open = run.stages.iter().any(|stage| stage.name == "objects" && stage.state != "done");
+    run.state == RunState::Running && open
+}
+
+fn has_ledger(folder: &Path) -> bool {
+    RunFolder::at(folder).ledger().is_file()
+}
+
+fn is_trained(folder: &Path) -> bool {
+    folder.join("model.bin").is_file()
+}
+
+/// Names of the folders in a folder that are runs.
+fn runs_in(root: &Path) -> impl Iterator<Item = String> {
+    let entries = std::fs::read_dir(root).into_iter().flatten().flatten();
+    entries.filter(|entry| has_ledger(&entry.path())).filter_map(|entry| entry.file_name().into_string().ok())
+}

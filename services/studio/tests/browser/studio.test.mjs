@@ -1,0 +1,305 @@
+// What a person does with the page, in a real browser: from an empty page to an exported file.
+
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { after, before, test } from "node:test";
+import { answered, browser, middle, open, serve, state, until } from "./driver.mjs";
+
+/** @typedef {any} Page */
+
+/** @type {Awaited<ReturnType<typeof serve>>} */
+let server;
+/** @type {import("playwright-core").Browser} */
+let chromium;
+const axe = readFileSync(new URL("./node_modules/axe-core/axe.min.js", import.meta.url), "utf8");
+
+before(async () => {
+  server = await serve();
+  chromium = await browser();
+});
+
+after(async () => {
+  await chromium?.close();
+  server?.child.kill("SIGKILL");
+});
+
+/** Opens the page; the test fails if the page reports an error. @param {import("node:test").TestContext} t @param {any} [options] */
+async function opened(t, options) {
+  const { page, errors, context } = await open(chromium, server.address, options);
+  t.after(async () => {
+    await context.close();
+    assert.deepEqual(errors, []);
+  });
+  return page;
+}
+
+/** Clicks the photo and waits for the answer. @param {Page} page @param {"left" | "right"} [button] @param {number} [dx] */
+async function click(page, button = "left", dx = 0) {
+  const { x, y, box } = await middle(page), before = (await state(page)).answer.number;
+  await page.mouse.click(x + dx * box.width, y, { button });
+  await until(page, number => /** @type {any} */ (window).segwild.state.answer.number > number, before);
+  await answered(page);
+}
+
+/** Takes everything back that was done. @param {Page} page */
+async function clear(page) {
+  await page.evaluate(async () => {
+    const app = /** @type {any} */ (window).segwild;
+    await app.act({ do: "isolate", id: null });
+    await app.act({ do: "prompt", prompts: [] });
+    for (const item of app.state.objects) {
+      await app.act({ do: "lock", id: item.id, locked: false });
+      await app.act({ do: "delete", id: item.id });
+    }
+  });
+}
+
+test("from an empty page to an exported object, with a kill of the server in the middle", async t => {
+  const { page, context } = await open(chromium, server.address);
+  t.after(() => context.close());
+  assert.ok(!page.url().includes("token"), "the address bar forgets the token");
+  // Hover shows a candidate.
+  const { x, y } = await middle(page);
+  await page.mouse.move(x, y);
+  await until(page, () => /** @type {HTMLCanvasElement} */ (document.getElementById("candidate")).width > 1);
+  // A click gets an answer in all photos, and a mark.
+  await click(page);
+  assert.equal(await page.locator("#prompts button.inside").count(), 1);
+  const first = await state(page);
+  assert.ok(first.answer.splats > 0);
+  await until(page, () => /** @type {HTMLCanvasElement} */ (document.getElementById("labels")).width > 1);
+  // Another photo shows the same answer.
+  await page.keyboard.press("PageDown");
+  await until(page, () => /** @type {any} */ (window).segwild.photoPane.labelled.startsWith(`${/** @type {any} */ (window).segwild.photo}/`));
+  await page.keyboard.press("PageUp");
+  // A correction outside, which is taken back by a click on its mark.
+  await click(page, "right", 0.35);
+  assert.equal(await page.locator("#prompts button.outside").count(), 1);
+  await page.locator("#prompts button.outside").click();
+  await until(page, () => document.querySelectorAll("#prompts button.outside").length === 0);
+  await answered(page);
+  // Enter keeps, F2 renames.
+  await page.locator("#stage").focus();
+  await page.keyboard.press("Enter");
+  await until(page, () => /** @type {any} */ (window).segwild.state.objects.length === 1);
+  await until(page, () => /** @type {any} */ (window).segwild.item === 1);
+  await page.keyboard.press("F2");
+  await page.locator("#new-name").fill("the statue");
+  await page.keyboard.press("Enter");
+  await until(page, () => /** @type {any} */ (window).segwild.state.objects[0].name === "the statue");
+  // Undo and redo.
+  await page.locator("#stage").focus();
+  await page.keyboard.press("Control+z");
+  await until(page, () => /** @type {any} */ (window).segwild.state.objects[0].name !== "the statue");
+  await page.keyboard.press("Control+Shift+z");
+  await until(page, () => /** @type {any} */ (window).segwild.state.objects[0].name === "the statue");
+  // The server is killed; another one on the same run goes on.
+  const before = (await state(page)).objects;
+  const address = new URL(server.address);
+  server.child.kill("SIGKILL");
+  await server.ended;
+  server = await serve();
+  assert.notEqual(new URL(server.address).search, address.search, "another token");
+  await page.goto(server.address);
+  await until(page, () => Boolean(/** @type {any} */ (window).segwild?.state));
+  assert.deepEqual((await state(page)).objects, before);
+  // Isolate, then export.
+  await page.locator(".name").first().click();
+  await page.keyboard.press("i");
+  await until(page, () => /** @type {any} */ (window).segwild.state.isolated !== null);
+  const [download] = await Promise.all([page.waitForEvent("download"), page.locator("a[download]").first().click()]);
+  assert.equal(download.suggestedFilename(), "the_statue.ply");
+  const bytes = readFileSync(await download.path());
+  assert.match(bytes.subarray(0, 400).toString("latin1"), new RegExp(`^ply\\n[^]*element vertex ${before[0].splats}\\n`));
+  await clear(page);
+});
+
+test("a box, an alternative and a level change what is selected", async t => {
+  const page = await opened(t);
+  const { x, y, box } = await middle(page);
+  await page.mouse.move(x - box.width * 0.2, y - box.height * 0.2);
+  await page.mouse.down();
+  await page.mouse.move(x + box.width * 0.2, y + box.height * 0.2, { steps: 4 });
+  await page.mouse.up();
+  await answered(page);
+  assert.equal((await state(page)).draft.prompts[0].boxes.length, 1);
+  await page.keyboard.press("Escape");
+  await until(page, () => document.body.dataset.answer === "none");
+  await click(page);
+  const { draft, answer } = await state(page);
+  if (answer.alternatives.length > 1) {
+    await page.locator("#answer button[aria-pressed='false']").first().click();
+    await until(page, number => /** @type {any} */ (window).segwild.state.answer.number > number, answer.number);
+    await answered(page);
+    assert.notEqual((await state(page)).draft.alternative, draft.alternative);
+  }
+  await page.locator("#stage").focus();
+  await page.keyboard.press("BracketRight");
+  await until(page, () => /** @type {any} */ (window).segwild.state.draft.prompts[0].granularity === 0);
+  await clear(page);
+});
+
+test("the keyboard alone selects, keeps and deletes an object", async t => {
+  const page = await opened(t);
+  await page.locator("#stage").focus();
+  for (const key of ["ArrowRight", "ArrowLeft", "ArrowDown", "ArrowUp"]) await page.keyboard.press(key);
+  await page.keyboard.press("Space");
+  await answered(page);
+  await page.keyboard.press("Enter");
+  await until(page, () => /** @type {any} */ (window).segwild.state.objects.length === 1);
+  await page.keyboard.press("h");
+  await until(page, () => !/** @type {any} */ (window).segwild.state.objects[0].visible);
+  await page.keyboard.press("Delete");
+  await until(page, () => /** @type {any} */ (window).segwild.state.objects.length === 0);
+});
+
+test("a click in the 3D view goes to the photo that shows it best", async t => {
+  const page = await opened(t);
+  await page.keyboard.press("t");
+  await until(page, () => Boolean(/** @type {any} */ (window).segwild.first.scene));
+  const box = await page.locator("#space").boundingBox();
+  assert.ok(box);
+  await page.mouse.click(box.x + box.width / 2, box.y + box.height / 2);
+  await answered(page);
+  assert.equal((await state(page)).draft.prompts.length, 1);
+  // Orbit, pan and dolly move the camera; "through this photo" brings it back.
+  const eye = () => page.evaluate(() => /** @type {any} */ (window).segwild.scenePane.eye.join());
+  const start = await eye();
+  await page.mouse.move(box.x + 200, box.y + 200);
+  await page.mouse.down();
+  await page.mouse.move(box.x + 260, box.y + 210, { steps: 3 });
+  await page.mouse.up();
+  assert.notEqual(await eye(), start);
+  await page.keyboard.press("l");
+  await page.mouse.wheel(0, -200);
+  await until(page, () => !/** @type {any} */ (window).segwild.scenePane.busy);
+  await clear(page);
+});
+
+test("both drawers show the same scene", async t => {
+  const page = await opened(t);
+  await page.keyboard.press("t");
+  await until(page, () => !/** @type {any} */ (window).segwild.scenePane.busy && /** @type {any} */ (window).segwild.first.scene);
+  const psnr = await page.evaluate(async () => {
+    const app = /** @type {any} */ (window).segwild, { camera, rotation, translation } = app.description.photos[app.photo];
+    const s = 240 / Math.max(camera.width, camera.height), { scaled } = await import("/page/geometry.js");
+    const view = { camera: scaled(camera, s), rotation, translation }, { width, height } = view.camera;
+    const pixels = async (/** @type {any} */ source) => {
+      const canvas = new OffscreenCanvas(width, height), context = canvas.getContext("2d");
+      for (const image of source) context?.drawImage(image, 0, 0, width, height);
+      return context?.getImageData(0, 0, width, height).data ?? new Uint8ClampedArray();
+    };
+    const there = await createImageBitmap(await app.run.frame({ ...view, marks: false }));
+    const behind = await createImageBitmap(await app.run.frame({ ...view, marks: false, background: true }));
+    const { SplatView } = await import("/page/splats.js");
+    const canvas = document.createElement("canvas"), view3 = new SplatView(canvas);
+    view3.load(await app.run.bytes("splats"));
+    view3.draw(view);
+    view3.finish();
+    const [a, b] = [await pixels([there]), await pixels([behind, canvas])];
+    let sum = 0;
+    for (let i = 0; i < a.length; i++) if (i % 4 < 3) sum += (a[i] - b[i]) ** 2;
+    return 10 * Math.log10(255 * 255 / (sum / (a.length * 0.75)));
+  });
+  // JPEG alone costs some; another order of splats or another low-pass filter gives less than 30.
+  assert.ok(psnr > 34, `${psnr} dB`);
+});
+
+test("marks by hand make and change an object", async t => {
+  const page = await opened(t);
+  await page.keyboard.press("2");
+  const drag = async (/** @type {number} */ from, /** @type {number} */ to) => {
+    const { box } = await middle(page);
+    await page.mouse.move(box.x + box.width * from, box.y + box.height * 0.1);
+    await page.mouse.down();
+    await page.mouse.move(box.x + box.width * to, box.y + box.height * 0.9, { steps: 3 });
+    await page.mouse.up();
+  };
+  await drag(0.1, 0.9);
+  await until(page, () => /** @type {any} */ (window).segwild.state.objects.length === 1);
+  const splats = (await state(page)).objects[0].splats;
+  await page.locator(".name").first().click();
+  await page.keyboard.down("Control");
+  await drag(0.1, 0.5);
+  await page.keyboard.up("Control");
+  await until(page, before => /** @type {any} */ (window).segwild.state.objects[0].splats < before, splats);
+  await page.keyboard.press("1");
+  await clear(page);
+});
+
+test("two browsers on one run see the same", async t => {
+  const one = await opened(t), two = await opened(t);
+  await click(one);
+  await until(two, () => document.body.dataset.answer === "done");
+  await one.keyboard.press("Enter");
+  await until(two, () => /** @type {any} */ (window).segwild.state.objects.length === 1);
+  await two.locator("#stage").focus();
+  await two.keyboard.press("Control+z");
+  await until(one, () => /** @type {any} */ (window).segwild.state.objects.length === 0);
+  await clear(one);
+});
+
+test("every key of the table does something or explains itself", async t => {
+  const page = await opened(t);
+  await page.keyboard.press("Shift+Slash");
+  const rows = await page.locator("#sheet-of-keys tr").count();
+  const table = await page.evaluate(async () => (await import("/page/shortcuts.js")).shortcuts);
+  assert.equal(rows, table.length);
+  await page.locator("#sheet-of-keys button").click();
+  // No key stands for two actions at one focus, and none is without an action.
+  const seen = new Set();
+  for (const { act, keys, where, mouse } of table) {
+    for (const key of mouse ? [] : keys) {
+      const name = `${where ?? ""} ${key}`;
+      assert.ok(act && !seen.has(name), name);
+      seen.add(name);
+    }
+  }
+  const known = await page.evaluate(acts => {
+    const app = /** @type {any} */ (window).segwild, source = app.do.toString() + app.makeTools.toString();
+    return acts.filter((/** @type {string} */ act) => !source.includes(`${act}:`) && !act.startsWith("tool_"));
+  }, table.filter((/** @type {any} */ s) => !s.mouse).map((/** @type {any} */ s) => s.act));
+  assert.deepEqual(known, []);
+  for (const [key, view] of [["p", "photo"], ["t", "scene"], ["b", "both"]]) {
+    await page.keyboard.press(key);
+    assert.equal(await page.evaluate(() => document.body.dataset.view), view);
+  }
+});
+
+test("a screen reader finds its way in every view, dark and light, wide and narrow", async t => {
+  for (const options of [{}, { colorScheme: "dark" }, { viewport: { width: 390, height: 780 } }]) {
+    const page = await opened(t, options);
+    await click(page);
+    await page.keyboard.press("Enter");
+    await until(page, () => /** @type {any} */ (window).segwild.state.objects.length === 1);
+    for (const view of ["photo", "scene", "both", "status", "keys"]) {
+      if (view === "keys") await page.evaluate(() => /** @type {any} */ (window).segwild.showKeys());
+      else await page.evaluate(view => /** @type {any} */ (window).segwild.setView(view), view);
+      await page.evaluate(axe);
+      const found = await page.evaluate(() => /** @type {any} */ (window).axe.run());
+      const words = found.violations.map((/** @type {any} */ v) => `${view}: ${v.id}: ${v.nodes.map((/** @type {any} */ n) => n.target).join(" ")}`);
+      assert.deepEqual(words, [], JSON.stringify(options));
+    }
+    await page.evaluate(() => /** @type {any} */ (document.getElementById("sheet-of-keys")).close());
+    await clear(page);
+  }
+});
+
+test("fifty viewers that hover get their candidates in time", async t => {
+  const page = await opened(t);
+  const times = await page.evaluate(async () => {
+    const app = /** @type {any} */ (window).segwild, { camera } = app.description.photos[app.photo];
+    const times = /** @type {number[]} */ ([]), one = async (/** @type {number} */ k) => {
+      for (let i = 0; i < 4; i++) {
+        const began = performance.now();
+        const [x, y] = [(0.3 + 0.4 * ((k * 7 + i) % 10) / 10) * camera.width, (0.3 + 0.4 * (k % 10) / 10) * camera.height];
+        await app.run.hover({ photo: app.photo, x, y, granularity: null });
+        times.push(performance.now() - began);
+      }
+    };
+    await Promise.all(Array.from({ length: 50 }, (_, k) => one(k)));
+    return times.sort((a, b) => a - b);
+  });
+  assert.equal(times.length, 200);
+  t.diagnostic(`median ${Math.round(times[100])} ms, slowest ${Math.round(times[199])} ms`);
+});

@@ -1,0 +1,205 @@
+//! The server: who may ask, what it answers, what it refuses.
+
+use crate::common::run;
+use segwild_studio::{ServeOptions, StudioServer, Token, serve};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::time::{Duration, Instant};
+
+/// How long anything may take before a test fails.
+const LONGEST: Duration = Duration::from_secs(60);
+
+/// A request without a token, and its whole answer.
+fn raw(server: &StudioServer, request: &str) -> String {
+    let mut stream = TcpStream::connect(server.socket()).unwrap();
+    stream.set_read_timeout(Some(LONGEST)).unwrap();
+    stream.write_all(request.as_bytes()).unwrap();
+    let mut bytes = Vec::new();
+    let _ = stream.read_to_end(&mut bytes);
+    String::from_utf8_lossy(&bytes).into_owned()
+}
+
+fn request(server: &StudioServer, line: &str, headers: &str) -> String {
+    let host = server.socket();
+    raw(server, &format!("{line} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n{headers}\r\n"))
+}
+
+fn bearer(server: &StudioServer) -> String {
+    format!("Authorization: Bearer {}\r\n", server.token().text())
+}
+
+fn get(server: &StudioServer, path: &str) -> String {
+    request(server, &format!("GET {path}"), &bearer(server))
+}
+
+fn post(server: &StudioServer, path: &str, body: &str) -> String {
+    let host = server.socket();
+    let head = format!(
+        "POST {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\nContent-Length: {}\r\n{}\r\n",
+        body.len(),
+        bearer(server)
+    );
+    raw(server, &(head + body))
+}
+
+fn opened(server: &StudioServer, run: &str) {
+    let began = Instant::now();
+    while !get(server, &format!("/api/v1/runs/{run}")).starts_with("HTTP/1.1 200") {
+        assert!(began.elapsed() < LONGEST, "{}", get(server, "/api/v1/runs"));
+        std::thread::park_timeout(Duration::from_millis(20));
+    }
+}
+
+fn is(response: &str, code: u16) -> bool {
+    response.starts_with(&format!("HTTP/1.1 {code} "))
+}
+
+#[test]
+fn nobody_gets_in_without_the_token_or_from_another_page() {
+    let (_dir, folder) = run();
+    let server = serve(folder.path(), ServeOptions::default()).unwrap();
+    let (host, token) = (server.socket(), server.token().text().to_owned());
+    for path in ["/", "/page/main.js", "/api/v1/runs", "/api/v1/status", "/nowhere"] {
+        assert!(is(&request(&server, &format!("GET {path}"), ""), 401), "{path}");
+    }
+    assert!(is(&request(&server, "GET /api/v1/runs", "Authorization: Bearer 0000000000000000\r\n"), 401));
+    assert!(is(&request(&server, "GET /?token=0000", ""), 401));
+    // The address gives a cookie and forgets the token.
+    let welcome = request(&server, &format!("GET /?token={token}"), "");
+    assert!(is(&welcome, 303) && welcome.contains("location: /\r\n"), "{welcome}");
+    let cookie = welcome.lines().find_map(|line| line.strip_prefix("set-cookie: ")).unwrap();
+    assert!(cookie.contains("HttpOnly") && cookie.contains("SameSite=Strict"), "{cookie}");
+    let cookie = format!("Cookie: other=1; {}\r\n", cookie.split(';').next().unwrap());
+    let page = request(&server, "GET /", &cookie);
+    assert!(is(&page, 200) && page.contains("/page/main.js"), "{page}");
+    for header in
+        ["content-security-policy: default-src 'none'; script-src 'self'", "x-content-type-options: nosniff"]
+    {
+        assert!(page.contains(header), "{header}");
+    }
+    assert!(!page.contains("unsafe") && !page.contains("<script>"), "{page}");
+    // Another page, and a name that leads here.
+    for origin in ["http://evil.example", "null", &format!("http://{host}.evil.example")] {
+        assert!(
+            is(&request(&server, "GET /api/v1/runs", &format!("{cookie}Origin: {origin}\r\n")), 403),
+            "{origin}"
+        );
+    }
+    assert!(is(&request(&server, "GET /api/v1/runs", &format!("{cookie}Origin: http://{host}\r\n")), 200));
+    let elsewhere =
+        format!("GET /api/v1/runs HTTP/1.1\r\nHost: evil.example\r\nConnection: close\r\n{cookie}\r\n");
+    assert!(is(&raw(&server, &elsewhere), 403));
+    // The token of one server is none of another's.
+    let other = serve(folder.path(), ServeOptions::default()).unwrap();
+    assert!(is(&request(&other, "GET /api/v1/runs", &bearer(&server)), 401));
+    assert!(is(&request(&other, "GET /api/v1/runs", &cookie), 401));
+}
+
+#[test]
+fn requests_name_no_path_and_no_run_that_is_not_listed() {
+    let (_dir, folder) = run();
+    let server = serve(folder.path(), ServeOptions::default()).unwrap();
+    let name = folder.path().file_name().unwrap().to_str().unwrap().to_owned();
+    opened(&server, &name);
+    for path in [
+        "/page/../../Cargo.toml",
+        "/page/%2e%2e%2f%2e%2e%2fCargo.toml",
+        "/api/v1/runs/..",
+        "/api/v1/runs/%2e%2e%2fother",
+        "/api/v1/runs/nobody",
+        &format!("/api/v1/runs/{name}/photos/../../model.bin"),
+        &format!("/api/v1/runs/{name}/photos/x"),
+        &format!("/api/v1/runs/{name}/objects/7/%2e%2e"),
+    ] {
+        assert!(is(&get(&server, path), 404), "{path}: {}", get(&server, path));
+    }
+    assert!(is(&get(&server, &format!("/api/v1/runs/{name}/photos/999")), 400));
+    assert!(is(&get(&server, &format!("/api/v1/runs/{name}/objects/9/ply")), 409));
+    let act = format!("/api/v1/runs/{name}/act");
+    for body in [
+        "",
+        "{",
+        "[]",
+        "{\"do\":\"nothing\"}",
+        "{\"do\":\"delete\",\"id\":1,\"more\":1}",
+        "{\"do\":\"delete\",\"id\":\"../x\"}",
+    ] {
+        let response = post(&server, &act, body);
+        assert!(is(&response, 400) && response.contains("\"error\""), "{body}: {response}");
+    }
+    assert!(is(&post(&server, &act, &"x".repeat(2 << 20)), 413));
+    assert!(is(&post(&server, &act, "{\"do\":\"undo\"}"), 409));
+}
+
+#[test]
+fn viewers_see_every_change_as_an_event() {
+    let (_dir, folder) = run();
+    let server = serve(folder.path(), ServeOptions::default()).unwrap();
+    let name = folder.path().file_name().unwrap().to_str().unwrap().to_owned();
+    opened(&server, &name);
+    let follow = || {
+        let mut stream = TcpStream::connect(server.socket()).unwrap();
+        stream.set_read_timeout(Some(LONGEST)).unwrap();
+        let (host, bearer) = (server.socket(), bearer(&server));
+        let head = format!("GET /api/v1/runs/{name}/events HTTP/1.1\r\nHost: {host}\r\n{bearer}\r\n");
+        stream.write_all(head.as_bytes()).unwrap();
+        BufReader::new(stream)
+    };
+    let next = |stream: &mut BufReader<TcpStream>, part: &str| {
+        let mut line = String::new();
+        while !(line.starts_with("data: ") && line.contains(part)) {
+            line.clear();
+            assert!(stream.read_line(&mut line).unwrap() > 0, "the stream ended before {part}");
+        }
+    };
+    let (mut one, mut two) = (follow(), follow());
+    next(&mut one, "\"cut_spikes\":true");
+    next(&mut two, "\"cut_spikes\":true");
+    let done = post(&server, &format!("/api/v1/runs/{name}/act"), "{\"do\":\"cut_spikes\",\"cut\":false}");
+    assert!(is(&done, 200), "{done}");
+    next(&mut one, "\"cut_spikes\":false");
+    next(&mut two, "\"cut_spikes\":false");
+}
+
+#[test]
+fn a_folder_of_runs_lists_them_and_puts_away_the_one_that_was_used_longest_ago() {
+    let dir = tempfile::tempdir().unwrap();
+    let copies: Vec<_> = ["a", "b"]
+        .iter()
+        .map(|name| {
+            let (own, folder) = run();
+            std::fs::rename(folder.path(), dir.path().join(name)).unwrap();
+            own
+        })
+        .collect();
+    std::fs::create_dir(dir.path().join("no-run")).unwrap();
+    let options =
+        ServeOptions { most_open: 1, token: Token::of("a-token-of-my-own"), ..ServeOptions::default() };
+    let server = serve(dir.path(), options).unwrap();
+    assert_eq!(server.token().text(), "a-token-of-my-own");
+    assert!(
+        get(&server, "/api/v1/runs")
+            .contains(r#"[{"name":"a","state":"trained"},{"name":"b","state":"trained"}]"#)
+    );
+    opened(&server, "a");
+    opened(&server, "b");
+    let list = get(&server, "/api/v1/runs");
+    assert!(
+        list.contains(r#"{"name":"a","state":"trained"}"#) && list.contains(r#"{"name":"b","state":"open"}"#),
+        "{list}"
+    );
+    opened(&server, "a");
+    drop(copies);
+}
+
+#[test]
+fn a_run_that_is_not_trained_yet_is_waited_for() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = serve(&dir.path().join("later"), ServeOptions::default()).unwrap();
+    let response = get(&server, "/api/v1/runs/later");
+    assert!(is(&response, 202) && response.contains("not trained yet"), "{response}");
+    let (own, folder) = run();
+    std::fs::rename(folder.path(), dir.path().join("later")).unwrap();
+    opened(&server, "later");
+    drop(own);
+}

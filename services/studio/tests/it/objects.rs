@@ -1,0 +1,321 @@
+//! What a person does on the page, without the page: clicks, objects, undo, tools, a restart.
+
+use crate::common::{answered, click, keep, open, run, trained, until};
+use segwild_flow::Stopper;
+use segwild_pipeline::{PhotoPrompts, segment};
+use segwild_scene::Prompts;
+use segwild_studio::messages::{Action, FrameRequest, HoverRequest, PickRequest, ViewMessage};
+use segwild_studio::{Combination, Region, RegionRule, Studio, StudioError};
+use std::sync::Arc;
+
+fn ply(studio: &Studio, id: u32) -> Vec<u8> {
+    studio.object_ply(id).unwrap().1
+}
+
+/// The view of a photo.
+fn view(studio: &Studio, photo: usize) -> ViewMessage {
+    let description = studio.describe();
+    let photo = &description.photos[photo];
+    ViewMessage { camera: photo.camera, rotation: photo.rotation, translation: photo.translation }
+}
+
+#[test]
+fn an_object_of_the_page_is_that_of_the_command_line_byte_for_byte() {
+    let (_dir, folder) = run();
+    let studio = open(&folder);
+    keep(&studio, 0, "first").unwrap();
+    let (photo, [x, y]) = trained().clicks[0].clone();
+    let prompts = [PhotoPrompts { photo, prompts: Prompts::click(x, y) }];
+    let settings = folder.settings().unwrap().segment;
+    segment(&folder, "first", &prompts.as_slice().into(), &settings, None, &Stopper::new()).unwrap();
+    let of_command = std::fs::read(folder.selection("first").join("object.ply")).unwrap();
+    assert!(ply(&studio, 1) == of_command);
+}
+
+#[test]
+fn a_session_that_is_killed_goes_on_with_the_same_objects_to_the_byte() {
+    let (_dir, folder) = run();
+    let studio = open(&folder);
+    keep(&studio, 0, "left").unwrap();
+    keep(&studio, 1, "right").unwrap();
+    studio.act(Action::Grow { id: 2, steps: 1 }).unwrap();
+    studio.act(Action::Rename { id: 1, name: "the left one".into() }).unwrap();
+    studio.act(click(&studio, 2)).unwrap();
+    let before = answered(&studio);
+    let files = [ply(&studio, 1), ply(&studio, 2)];
+    let answer = studio.splat_labels().0;
+    drop(studio);
+    // A kill in the middle of the next line.
+    let journal = folder.path().join("studio/session.jsonl");
+    let text = std::fs::read_to_string(&journal).unwrap();
+    std::fs::write(&journal, text + "{\"apply\":{\"do\":\"ren").unwrap();
+    let studio = open(&folder);
+    let after = answered(&studio);
+    let json = |value: &dyn erased::Json| value.json();
+    assert_eq!(json(&before.objects), json(&after.objects));
+    assert_eq!(json(&before.draft), json(&after.draft));
+    assert_eq!((before.undo, after.notes), (after.undo, Vec::<String>::new()));
+    assert!(files == [ply(&studio, 1), ply(&studio, 2)]);
+    assert!(answer == studio.splat_labels().0, "the draft's answer is asked for again");
+    // Undo goes back beyond the restart.
+    for _ in 0..2 {
+        studio.act(Action::Undo).unwrap();
+    }
+    assert_eq!(studio.message().objects[0].name, "left");
+}
+
+/// Values as JSON, to be compared.
+mod erased {
+    pub trait Json {
+        fn json(&self) -> String;
+    }
+
+    impl<T: serde::Serialize> Json for T {
+        fn json(&self) -> String {
+            serde_json::to_string(self).unwrap()
+        }
+    }
+}
+
+#[test]
+fn splats_that_are_lost_are_asked_for_again() {
+    let (_dir, folder) = run();
+    let studio = open(&folder);
+    keep(&studio, 0, "statue").unwrap();
+    let before = ply(&studio, 1);
+    drop(studio);
+    std::fs::remove_dir_all(folder.path().join("studio/selections")).unwrap();
+    let studio = open(&folder);
+    until(&studio, |message| message.undo == Some("keep object") && studio.object_ply(1).is_ok());
+    assert!(before == ply(&studio, 1));
+    assert_eq!(studio.message().objects.len(), 1);
+}
+
+#[test]
+fn objects_of_an_earlier_training_are_asked_for_again_by_their_prompts() {
+    let (_dir, folder) = run();
+    let studio = open(&folder);
+    keep(&studio, 0, "statue").unwrap();
+    let splats = studio.message().objects[0].splats;
+    drop(studio);
+    let journal = folder.path().join("studio/session.jsonl");
+    let text = std::fs::read_to_string(&journal).unwrap();
+    let scene = text.split("\"scene\":\"").nth(1).unwrap().split('"').next().unwrap();
+    std::fs::write(&journal, text.replace(scene, "of-another-training")).unwrap();
+    let studio = open(&folder);
+    let after = until(&studio, |message| !message.objects.is_empty());
+    assert_eq!((after.objects[0].name.as_str(), after.objects[0].splats), ("statue", splats));
+    assert!(after.notes.iter().any(|note| note.contains("trained again")), "{:?}", after.notes);
+}
+
+#[test]
+fn a_newer_click_ends_the_answer_before_and_an_empty_draft_all_of_them() {
+    let (_dir, folder) = run();
+    let studio = open(&folder);
+    studio.act(click(&studio, 0)).unwrap();
+    studio.act(click(&studio, 1)).unwrap();
+    let message = answered(&studio);
+    assert_eq!((message.answer.number, message.answer.state), (3, "done"), "{message:?}");
+    let wanted = keep_and_count(&studio);
+    studio.act(Action::Undo).unwrap();
+    studio.act(Action::Prompt { prompts: Vec::new(), alternative: 0 }).unwrap();
+    let message = studio.message();
+    assert_eq!((message.answer.state, message.answer.splats), ("none", 0));
+    assert!(studio.splat_labels().0.iter().all(|label| *label == 0));
+    // The same click has the same answer.
+    studio.act(click(&studio, 1)).unwrap();
+    answered(&studio);
+    assert_eq!(keep_and_count(&studio), wanted);
+}
+
+fn keep_and_count(studio: &Arc<Studio>) -> usize {
+    studio.act(Action::Keep { name: None }).unwrap();
+    studio.message().objects.last().unwrap().splats
+}
+
+#[test]
+fn a_listed_part_is_kept_and_refined_under_the_same_number() {
+    let (_dir, folder) = run();
+    let studio = open(&folder);
+    let listed = studio.describe().listed;
+    assert!(!listed.is_empty());
+    studio.act(Action::Listed { number: 1 }).unwrap();
+    assert_eq!(answered(&studio).draft.listed, Some(1));
+    studio.act(Action::Keep { name: None }).unwrap();
+    studio.act(Action::Refine { id: 1 }).unwrap();
+    let message = answered(&studio);
+    assert_eq!(message.draft.of, Some(1));
+    studio.act(Action::Keep { name: None }).unwrap();
+    let message = studio.message();
+    assert_eq!((message.objects.len(), message.objects[0].id, message.draft.of), (1, 1, None));
+    assert!(studio.sheet().unwrap().starts_with(b"\x89PNG"));
+    assert!(studio.act(Action::Listed { number: 99 }).is_err());
+}
+
+#[test]
+fn tools_add_subtract_and_intersect_what_their_region_holds() {
+    let (_dir, folder) = run();
+    let studio = open(&folder);
+    let view = || view(&studio, 0);
+    let camera = view().camera;
+    let (w, h) = (camera.width as f32, camera.height as f32);
+    let rectangle = |x0: f32, x1: f32| Region::Polygon {
+        points: [[x0, 0.0], [x1, 0.0], [x1, 1.0], [x0, 1.0]].map(|[x, y]| [x * w, y * h]).to_vec(),
+    };
+    let region = |id, region, how, rule| studio.act(Action::Region { id, view: view(), region, how, rule });
+    let splats = |id: u32| studio.message().objects.iter().find(|o| o.id == id).unwrap().splats;
+    region(None, rectangle(0.0, 0.5), Combination::Add, RegionRule::Centre).unwrap();
+    region(None, rectangle(0.0, 1.0), Combination::Add, RegionRule::Centre).unwrap();
+    let (half, whole) = (splats(1), splats(2));
+    assert!(0 < half && half < whole);
+    region(Some(2), rectangle(0.0, 0.5), Combination::Subtract, RegionRule::Centre).unwrap();
+    assert_eq!(splats(2), whole - half);
+    region(Some(1), rectangle(0.5, 1.0), Combination::Add, RegionRule::Centre).unwrap();
+    region(Some(1), rectangle(0.0, 0.5), Combination::Intersect, RegionRule::Centre).unwrap();
+    assert_eq!(splats(1), half);
+    // What shows is less than what lies there.
+    region(None, rectangle(0.0, 1.0), Combination::Add, RegionRule::Visible).unwrap();
+    region(None, rectangle(0.0, 1.0), Combination::Add, RegionRule::Footprint).unwrap();
+    assert!(splats(3) <= whole && splats(3) <= splats(4) && splats(4) > 0);
+    let refused = region(Some(1), rectangle(0.5, 1.0), Combination::Intersect, RegionRule::Centre);
+    assert!(matches!(refused, Err(StudioError::Request(_))), "nothing would be left");
+    // Shrinking what has grown gives no more than before; a union holds both.
+    studio.act(Action::Grow { id: 1, steps: 2 }).unwrap();
+    assert!(splats(1) > half);
+    studio.act(Action::Combine { id: 1, with: 2, how: Combination::Add }).unwrap();
+    assert!(splats(1) >= whole - half);
+    let ball = Region::Sphere { at: [w / 2.0, h / 2.0], radius: 0.1 * w };
+    region(None, ball, Combination::Add, RegionRule::Centre).unwrap();
+    assert!(splats(5) > 0 && splats(5) < whole);
+}
+
+#[test]
+fn hovering_shows_what_a_click_would_ask_for_and_a_level_changes_its_size() {
+    let (_dir, folder) = run();
+    let studio = open(&folder);
+    let (photo, [x, y]) = trained().clicks[0].clone();
+    let photo = studio.session().scene().view_named(&photo).unwrap();
+    let covered = |granularity| {
+        let map = studio.hover(&HoverRequest { photo, x, y, granularity }).unwrap().unwrap();
+        let runs = map.runs.chunks_exact(2);
+        assert_eq!(runs.clone().map(|run| run[1] as usize).sum::<usize>(), map.width * map.height);
+        runs.filter(|run| run[0] == 255).map(|run| run[1]).sum::<u32>()
+    };
+    assert!(covered(None) > 0);
+    assert!(covered(Some(0.0)) <= covered(Some(1.0)));
+    for (x, y) in [(-1.0, 5.0), (1e9, 5.0), (f32::NAN, 5.0)] {
+        assert_eq!(studio.hover(&HoverRequest { photo, x, y, granularity: None }).unwrap(), None);
+    }
+    assert!(studio.hover(&HoverRequest { photo: 999, x, y, granularity: None }).is_err());
+}
+
+#[test]
+fn a_pixel_of_the_3d_view_leads_to_the_photo_that_shows_it() {
+    let (_dir, folder) = run();
+    let studio = open(&folder);
+    keep(&studio, 0, "statue").unwrap();
+    let (name, at) = trained().clicks[0].clone();
+    let own = studio.session().scene().view_named(&name).unwrap();
+    let picked = studio.pick(&PickRequest { view: view(&studio, own), at }).unwrap().unwrap();
+    // Whichever photo it is, the object is there.
+    let map = studio.labels(picked.photo).unwrap();
+    let camera = studio.describe().photos[picked.photo].camera;
+    let column = (picked.x / camera.width as f32 * map.width as f32) as usize;
+    let row = (picked.y / camera.height as f32 * map.height as f32) as usize;
+    let mut at = row * map.width + column;
+    let run = map.runs.chunks_exact(2).find(|run| {
+        let here = at < run[1] as usize;
+        at = at.saturating_sub(run[1] as usize);
+        here
+    });
+    assert_eq!(run.unwrap()[0], 1, "{picked:?}");
+    assert_eq!(studio.pick(&PickRequest { view: view(&studio, own), at: [-5.0, 0.0] }).unwrap(), None);
+}
+
+#[test]
+fn hidden_and_isolated_objects_show_in_frames_and_labels() {
+    let (_dir, folder) = run();
+    let studio = open(&folder);
+    keep(&studio, 0, "statue").unwrap();
+    let request = |marks| FrameRequest { view: view(&studio, 0), marks, background: false, appearance: None };
+    let frame = |marks| studio.frame(&request(marks)).unwrap();
+    let (plain, marked) = (frame(false), frame(true));
+    assert!(plain.starts_with(&[0xff, 0xd8]) && plain != marked);
+    let labels = studio.splat_labels().0;
+    let inside = labels.iter().filter(|label| **label == 1).count();
+    assert_eq!(inside, studio.message().objects[0].splats);
+    studio.act(Action::Show { id: 1, visible: false }).unwrap();
+    assert_eq!(studio.splat_labels().0.iter().filter(|label| **label == 254).count(), inside);
+    assert!(frame(false) != plain);
+    studio.act(Action::Show { id: 1, visible: true }).unwrap();
+    assert!(frame(false) == plain);
+    studio.act(Action::Isolate { id: Some(1) }).unwrap();
+    assert_eq!(studio.splat_labels().0.iter().filter(|label| **label == 254).count(), labels.len() - inside);
+    assert!(frame(false) != plain);
+    let counts = studio.photos_of(1).unwrap();
+    assert_eq!(counts.len(), studio.describe().photos.len());
+    assert!(counts.iter().sum::<usize>() > 0);
+}
+
+#[test]
+fn an_appearance_changes_the_object_alone_or_the_whole_scene() {
+    let (_dir, folder) = run();
+    let studio = open(&folder);
+    keep(&studio, 0, "statue").unwrap();
+    let own = ply(&studio, 1);
+    studio.act(Action::Appearance { id: Some(1), photo: Some(3) }).unwrap();
+    let of_photo = ply(&studio, 1);
+    assert!(of_photo != own && of_photo.len() == own.len());
+    studio.act(Action::Appearance { id: Some(1), photo: None }).unwrap();
+    studio.act(Action::Appearance { id: None, photo: Some(3) }).unwrap();
+    assert!(ply(&studio, 1) == of_photo, "the export has the scene's appearance");
+    let held_out = studio.describe().photos.iter().position(|photo| photo.held_out).unwrap();
+    assert!(studio.act(Action::Appearance { id: None, photo: Some(held_out) }).is_err());
+}
+
+#[test]
+fn requests_that_make_no_sense_are_refused_and_nothing_is_written() {
+    let (_dir, folder) = run();
+    let studio = open(&folder);
+    let journal = || std::fs::read(folder.path().join("studio/session.jsonl")).unwrap();
+    let before = journal();
+    let point = |x, y| segwild_scene::PointPrompt { x, y, inside: true };
+    let prompt = |photo, x, y| {
+        let prompts =
+            segwild_studio::messages::ShownPrompts { photo, points: vec![point(x, y)], ..Default::default() };
+        Action::Prompt { prompts: vec![prompts], alternative: 0 }
+    };
+    let mut odd = view(&studio, 0);
+    odd.rotation = [1.0; 9];
+    let mut large = view(&studio, 0);
+    large.camera.width = 1 << 20;
+    let square = || Region::Polygon { points: vec![[0.0, 0.0], [9.0, 0.0], [9.0, 9.0]] };
+    let region = |view, region| Action::Region {
+        id: None,
+        view,
+        region,
+        how: Combination::Add,
+        rule: RegionRule::Centre,
+    };
+    let refused = [
+        prompt(999, 1.0, 1.0),
+        Action::Keep { name: None },
+        Action::Refine { id: 4 },
+        Action::Undo,
+        region(odd, square()),
+        region(large, square()),
+        region(view(&studio, 0), Region::Polygon { points: vec![] }),
+        Action::Appearance { id: None, photo: Some(999) },
+        Action::Combine { id: 1, with: 2, how: Combination::Add },
+    ];
+    for action in refused {
+        let words = format!("{action:?}");
+        assert!(studio.act(action).is_err(), "{words}");
+    }
+    assert!(journal() == before);
+    // A click where nothing is has an answer in words.
+    studio.act(prompt(0, -50.0, -50.0)).unwrap();
+    let message = answered(&studio);
+    assert_eq!(message.answer.state, "failed");
+    assert!(message.answer.error.unwrap().contains("outside"));
+}
