@@ -4,7 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// The files that the list is about.
-const KINDS: [&str; 9] = ["rs", "wgsl", "md", "toml", "yml", "yaml", "html", "service", "txt"];
+const KINDS: [&str; 12] =
+    ["rs", "wgsl", "md", "toml", "yml", "yaml", "html", "css", "js", "mjs", "service", "txt"];
 
 /// Where a word is refused.
 #[derive(PartialEq)]
@@ -148,7 +149,7 @@ fn files() -> Vec<String> {
             let path = folder.join(&name);
             let hidden = name.starts_with('.') && name != ".ci";
             if entry.path().is_dir() {
-                let built = ["target", "runs"].contains(&name.as_str());
+                let built = ["target", "runs", "node_modules"].contains(&name.as_str());
                 if !hidden && !built {
                     open.push(path);
                 }
