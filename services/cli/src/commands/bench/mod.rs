@@ -14,6 +14,7 @@ mod scale;
 mod scribbles;
 mod slice;
 mod stability;
+mod studio;
 mod synthetic;
 mod tables;
 
@@ -46,6 +47,7 @@ pub fn command() -> Command {
         .subcommand(clicks::command())
         .subcommand(slice::command())
         .subcommand(stability::command())
+        .subcommand(studio::command())
 }
 
 /// Measures what was asked for.
@@ -58,6 +60,7 @@ pub fn bench(matches: &ArgMatches) -> Result<(), Failure> {
         Some(("scale", m)) => scale::scale(m),
         Some(("slice", m)) => slice::slice(m),
         Some(("stability", m)) => stability::stability(m),
+        Some(("studio", m)) => studio::studio(m),
         Some(("point", _)) => chart::point(),
         Some(("synthetic", m)) => synthetic::synthetic(m),
         Some(("folder", m)) => folder::folder(m),
